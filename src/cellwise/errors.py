@@ -1,0 +1,24 @@
+"""The one way in which cellwise refuses an input."""
+
+from __future__ import annotations
+
+
+class InputError(ValueError):
+    """An input was refused: what was found, what was expected, what to do.
+
+    Parameters
+    ----------
+    found : str       what the input holds, with the file, column or row where that helps
+    expected : str    what cellwise needs in its place
+    action : str      what the user can do about it
+
+    Notes
+    -----
+    Commands print the message on standard error and exit with code 2.
+    """
+
+    def __init__(self, found: str, expected: str, action: str) -> None:
+        self.found = found
+        self.expected = expected
+        self.action = action
+        super().__init__(f"found {found}; expected {expected}. {action}")

@@ -1,0 +1,30 @@
+"""Shared fixtures: where the measured data are, and what is skipped without them."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+
+
+def measured_data_folder() -> Path | None:
+    """Folder with the measured cells: $CELLWISE_DATA, else ../shared/data beside the project."""
+    named = os.environ.get("CELLWISE_DATA")
+    folder = Path(named) if named else REPOSITORY.parent / "shared" / "data"
+    return folder if folder.is_dir() else None
+
+
+@pytest.fixture(scope="session")
+def real_data() -> Path:
+    folder = measured_data_folder()
+    if folder is None:
+        pytest.skip("no measured cells: set CELLWISE_DATA to the folder that holds them")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def datasets() -> Path:
+    return REPOSITORY / "datasets"
