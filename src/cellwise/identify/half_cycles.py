@@ -1,0 +1,177 @@
+"""Half cycles of a log: the stretches from full to empty and from empty to full.
+
+They are the turning points of the counted charge, with a threshold, so a pulse, a dither at the
+limit or a rest in between does not end one. Logs that follow one another (discharge in one file,
+its last per cent in the next) are joined first: the charge goes on where the last log stopped.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellwise.errors import InputError
+from cellwise.logs.cell_log import CellLog
+from cellwise.typing import BoolArray, FloatArray
+
+# A turn of less than this share of the whole movement is a pulse, not a new half cycle.
+TURN_OF_RANGE = 0.1
+STEADY_OF_CURRENT = 0.1
+
+
+class Trace(NamedTuple):
+    """One log, or several that follow one another, as plain columns.
+
+    charge_Ah : (n,) removed since the first row; intervals between logs move nothing
+    current_A, interval_s : (n,) of the interval that ends at each row
+    voltage_V : (n,) missing values filled from their neighbours
+    temperature_C : (n,) nan where not measured
+    log : (n,) number of the log that the row comes from
+    row : (n,) row in that log
+    """
+
+    charge_Ah: FloatArray
+    current_A: FloatArray
+    interval_s: FloatArray
+    voltage_V: FloatArray
+    temperature_C: FloatArray
+    log: NDArray[np.intp]
+    row: NDArray[np.intp]
+
+
+class HalfCycle(NamedTuple):
+    """Rows ``start`` to ``stop`` (not included) of a trace that move charge one way on the whole.
+
+    charge_Ah : removed (positive) or brought back (negative)
+    main_current_A : the current at which half of the charge has flowed, from small to large [A]
+    steady_start, steady_stop : first row at the main current, row after the last one; the first may
+        lie before ``start`` by what a coarse counter does not show
+    """
+
+    start: int
+    stop: int
+    charge_Ah: float
+    main_current_A: float
+    steady_start: int
+    steady_stop: int
+
+
+def join_logs(logs: CellLog | Sequence[CellLog]) -> Trace:
+    """Columns of one log, or of several that follow one another on the same cell.
+
+    Between two logs the cell is taken to rest: nothing flows from the last row of one to the first
+    row of the next.
+
+    Raises
+    ------
+    InputError        no log
+    """
+    parts = [logs] if isinstance(logs, CellLog) else list(logs)
+    if not parts:
+        raise InputError("no log", "at least one log", "Name the log of the test.")
+    charge, current, interval, before = [], [], [], 0.0
+    for part in parts:
+        counted = part.counted_charge_Ah()
+        charge.append(before + counted)
+        before += float(counted[-1])
+        interval.append(part.interval_s)
+        current.append(part.known_current_A())
+    return Trace(
+        charge_Ah=np.concatenate(charge),
+        current_A=np.concatenate(current),
+        interval_s=np.concatenate(interval),
+        voltage_V=np.concatenate([_filled(part.voltage_V) for part in parts]),
+        temperature_C=np.concatenate(
+            [
+                np.full(len(part), np.nan) if part.temperature_C is None else part.temperature_C
+                for part in parts
+            ]
+        ),
+        log=np.repeat(np.arange(len(parts)), [len(part) for part in parts]),
+        row=np.concatenate([np.arange(len(part)) for part in parts]),
+    )
+
+
+def find_half_cycles(
+    trace: Trace, *, turn_of_range: float = TURN_OF_RANGE
+) -> tuple[HalfCycle, ...]:
+    """Stretches between the turning points of the counted charge.
+
+    Parameters
+    ----------
+    trace : Trace
+    turn_of_range : float        share of the charge's range that a turn must come back by
+    """
+    turns = _turning_rows(trace.charge_Ah, turn_of_range * float(np.ptp(trace.charge_Ah)))
+    found = (_half_cycle(trace, a + 1, b + 1) for a, b in itertools.pairwise(turns))
+    return tuple(h for h in found if h is not None)
+
+
+def steady_rows(trace: Trace, half: HalfCycle) -> BoolArray:
+    """Rows of a half cycle at its main current, shape (stop - start,)."""
+    current = trace.current_A[half.start : half.stop]
+    return np.abs(current - half.main_current_A) <= STEADY_OF_CURRENT * abs(half.main_current_A)
+
+
+def _is(current_A: float, main_A: float) -> bool:
+    return abs(current_A - main_A) <= STEADY_OF_CURRENT * abs(main_A)
+
+
+def _half_cycle(trace: Trace, start: int, stop: int) -> HalfCycle | None:
+    rows = slice(start, stop)
+    moved = trace.charge_Ah[stop - 1] - trace.charge_Ah[start - 1]
+    current, dt = trace.current_A[rows], trace.interval_s[rows]
+    share = np.maximum(current * np.sign(moved), 0.0) * dt
+    if share.sum() <= 0.0:
+        return None
+    order = np.argsort(np.abs(current))
+    half_way = np.searchsorted(np.cumsum(share[order]), 0.5 * share.sum())
+    main = float(current[order[half_way]])
+    steady = np.flatnonzero(np.abs(current - main) <= STEADY_OF_CURRENT * abs(main))
+    first, last = int(steady[0]), int(steady[-1]) + 1
+    earlier = 0
+    while first == 0 and start > earlier and _is(trace.current_A[start - earlier - 1], main):
+        earlier += 1
+    return HalfCycle(
+        start=start,
+        stop=stop,
+        charge_Ah=float(moved),
+        main_current_A=main,
+        steady_start=start + first - earlier,
+        steady_stop=start + last,
+    )
+
+
+def _turning_rows(charge: FloatArray, threshold: float) -> list[int]:
+    """Rows at which the charge turns by more than the threshold, with both ends of the movement."""
+    if threshold <= 0.0:
+        return []
+    turns: list[int] = []
+    high = low = 0
+    direction = 0
+    for k, q in enumerate(charge.tolist()):
+        if q > charge[high]:
+            high = k
+        if q <= charge[low]:
+            low = k
+        if direction >= 0 and charge[high] - q > threshold:
+            turns.append(high)
+            direction, low = -1, k
+        elif direction <= 0 and q - charge[low] > threshold:
+            turns.append(low)
+            direction, high = 1, k
+    if direction:
+        turns.append(high if direction > 0 else low)
+    return turns
+
+
+def _filled(voltage_V: FloatArray) -> FloatArray:
+    bad = np.isnan(voltage_V)
+    if not bad.any():
+        return voltage_V
+    rows = np.arange(voltage_V.size)
+    return np.interp(rows, rows[~bad], voltage_V[~bad])
