@@ -45,8 +45,12 @@ def nmc_cell(capacity_Ah: float = 3.0) -> SyntheticCell:
     k = 3.0 / capacity_Ah
     return SyntheticCell(
         capacity_Ah=capacity_Ah,
-        ocv_V=lambda s: 3.45 + 0.62 * s + 0.09 * s**6 - 0.75 * np.exp(-24.0 * s) + 0.02 * np.tanh(
-            12.0 * (s - 0.55)
+        ocv_V=lambda s: (
+            3.45
+            + 0.62 * s
+            + 0.09 * s**6
+            - 0.75 * np.exp(-24.0 * s)
+            + 0.02 * np.tanh(12.0 * (s - 0.55))
         ),
         r0_ohm=lambda s: k * (0.030 + 0.012 * np.exp(-9.0 * s)),
         r1_ohm=lambda s: k * (0.014 + 0.020 * np.exp(-8.0 * s)),
@@ -63,8 +67,13 @@ def lfp_cell(capacity_Ah: float = 40.0) -> SyntheticCell:
     k = 40.0 / capacity_Ah
     return SyntheticCell(
         capacity_Ah=capacity_Ah,
-        ocv_V=lambda s: 3.27 + 0.05 * s + 0.025 * np.tanh(14.0 * (s - 0.62))
-        - 0.45 * np.exp(-28.0 * s) + 0.09 * np.exp(-60.0 * (1.0 - s)),
+        ocv_V=lambda s: (
+            3.27
+            + 0.05 * s
+            + 0.025 * np.tanh(14.0 * (s - 0.62))
+            - 0.45 * np.exp(-28.0 * s)
+            + 0.09 * np.exp(-60.0 * (1.0 - s))
+        ),
         r0_ohm=lambda s: k * (2.2e-3 + 1.0e-3 * (1.0 - s) ** 2),
         r1_ohm=lambda s: k * (0.7e-3 + 0.4e-3 * (s - 0.5) ** 2),
         tau1_s=lambda s: 4.0 + 2.0 * s,
@@ -149,7 +158,9 @@ class Tester:
     v1: float = 0.0
     v2: float = 0.0
     current_A: float = 0.0
-    columns: list[tuple[Array, Array, Array, Array, NDArray[np.bool_]]] = field(default_factory=list)
+    columns: list[tuple[Array, Array, Array, Array, NDArray[np.bool_]]] = field(
+        default_factory=list
+    )
     steps: list[tuple[int, int, float, str, bool, float]] = field(default_factory=list)
     rows: int = 0
 
@@ -227,7 +238,14 @@ class Tester:
         return soc, cell.ocv_V(soc) - cell.r0_ohm(soc) * current - v1 - v2, v1, v2
 
     def _keep(
-        self, dt: Array, i: Array, soc: Array, v: Array, shown: NDArray[np.bool_], v1: Array, v2: Array
+        self,
+        dt: Array,
+        i: Array,
+        soc: Array,
+        v: Array,
+        shown: NDArray[np.bool_],
+        v1: Array,
+        v2: Array,
     ) -> None:
         if dt.size == 0:
             return

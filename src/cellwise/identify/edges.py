@@ -3,8 +3,8 @@
 Two detectors. :func:`ema_edges` is the published one, a difference of two exponential averages.
 :func:`robust_edges` is the default: it looks for *plateaus* (runs of rows at one level, as far as
 the noise can tell) and calls the change between two plateaus an edge. A glitch of one sample is
-then no edge, a ramp over many samples is one, and the row is the exact first one whose interval
-carries the new current, at 135 Hz as well as at 60 s per row.
+then no edge, a ramp over many samples is one, and the row is the first one whose interval carries
+the new current, at 135 Hz as well as at 60 s per row.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from cellwise.typing import BoolArray, FloatArray
 
 RowArray = NDArray[np.int64]
 
-# The detector of the LFP paper: weights 0.1 and 0.02 at 135 Hz, threshold 0.5 A for steps of up
-# to 120 A. A weight w at the interval h is the time constant -h / ln(1 - w).
-EMA_FAST_S = -1.0 / (135.0 * np.log1p(-0.1))
-EMA_SLOW_S = -1.0 / (135.0 * np.log1p(-0.02))
+# The LFP paper's detector: weights 0.1 and 0.02 at 135 Hz, threshold 0.5 A for steps of up to
+# 120 A. A weight w at the interval h is the time constant -h / ln(1 - w).
+EMA_FAST_S = float(-1.0 / (135.0 * np.log1p(-0.1)))
+EMA_SLOW_S = float(-1.0 / (135.0 * np.log1p(-0.02)))
 EMA_THRESHOLD_OF_RANGE = 0.5 / 120.0
 EMA_SIGMAS = 6.0
 
@@ -34,14 +34,29 @@ STEP_OF_RANGE = 2e-3
 FLAT_OF_LEVEL = 0.01
 # Up to this share of the largest current, a steady reading may be the sensor's zero.
 ZERO_OF_RANGE = 0.01
+OFFSET_OF_RANGE = 2e-3
 REST_OF_RANGE = 1e-3
 REST_SIGMAS = 6.0
-# Scatter above this share of the range is a moving current, not noise.
-NOISE_OF_RANGE = 0.02
+# Scatter above this share of the range, or that grows with the distance of the samples, is a
+# moving current and not noise.
+NOISE_OF_RANGE = 0.3
+WHITE_GROWTH = 1.25
+# Lower fifth of the block scatter for white noise of unit sigma, for sample distances 1 and 2.
+NEAR_FIFTH = 0.493
+FAR_FIFTH = 0.388
+# A log whose largest sample lies within this many standard deviations holds no current at all.
+NOISE_ONLY_SIGMAS = 6.5
+# Steps of this share of the range shall be seen, so more noise than that asks for smoothing.
 SMOOTHED_STEP_OF_RANGE = 0.02
 MAX_SMOOTHING_ROWS = 15
 BLOCK_ROWS = 8
 FLAT_CHUNKS = 8
+# Up to this long, what lies between two plateaus is the tester's rise.
+RAMP_ROWS = 8
+RAMP_S = 3.0
+LEVEL_ROWS = 64
+LONG_LEVEL_ROWS = 10
+SMALL_STEP_OF_LEVEL = 0.1
 
 
 @dataclass(frozen=True)
@@ -49,8 +64,8 @@ class Edge:
     """A change of the current from one level to another.
 
     ``row`` is the first row whose interval carries something of the new current; ``time_s`` is
-    the time at which that interval begins, the instant of the change. ``ramp_rows`` rows pass
-    before the new level is held (0: the first row holds it already).
+    when that interval begins, the instant of the change. ``ramp_rows`` rows pass before the new
+    level is held (0: the first row holds it already).
     """
 
     row: int
@@ -93,12 +108,134 @@ class Plateaus(NamedTuple):
     rest: BoolArray
 
 
+def ema_edges(
+    current_A: FloatArray,
+    time_s: FloatArray,
+    *,
+    threshold_A: float | None = None,
+    fast_s: float = EMA_FAST_S,
+    slow_s: float = EMA_SLOW_S,
+) -> tuple[Edge, ...]:
+    r"""Edges by the difference of two exponential averages, the LFP paper's equations (5), (6).
+
+    .. math:: r_i(a) = a I_i + (1 - a) r_{i-1}, \qquad \Delta_i = r_i(a_f) - r_i(a_s)
+
+    An edge begins at the first row at which :math:`|\Delta|` exceeds the threshold and is over
+    when it falls below again or changes its sign. Two edges closer than the slow average are seen
+    as one where they have the same sign: that is the method's own limit.
+
+    Parameters
+    ----------
+    current_A, time_s : (n,) float     finite; time never decreasing
+    threshold_A : float                at 135 Hz [A]; default 0.5 A per 120 A of range, and not
+                                       below six standard deviations of the noise in Delta
+    fast_s, slow_s : float             time constants of the averages [s]; defaults are the
+                                       paper's weights 0.1 and 0.02 at 135 Hz
+
+    Notes
+    -----
+    The paper samples at 135 Hz throughout. Here the weight of each sample follows its own
+    interval, a = 1 - exp(-dt/T), and the threshold follows the response to a step, so that the
+    same step is found whatever the rate: at 1 Hz the slow average follows a step almost at once
+    and leaves only 6.5 % of it in Delta.
+    """
+    _check(current_A, time_s)
+    scale = current_scale(current_A)
+    dt = np.diff(time_s, prepend=time_s[0])
+    fast, slow = -np.expm1(-dt / fast_s), -np.expm1(-dt / slow_s)
+    delta = _average(current_A, fast) - _average(current_A, slow)
+    at_135 = threshold_A if threshold_A is not None else EMA_THRESHOLD_OF_RANGE * scale.range_A
+    response = _step_response(dt, fast_s, slow_s)
+    bound = at_135 * response / _step_response(np.array([1.0 / 135.0]), fast_s, slow_s)
+    if threshold_A is None:
+        both = np.maximum(fast + slow - fast * slow, 1e-300)
+        gain = fast / (2.0 - fast) + slow / (2.0 - slow) - 2.0 * fast * slow / both
+        bound = np.maximum(bound, EMA_SIGMAS * scale.noise_A * np.sqrt(np.maximum(gain, 0.0)))
+    side = np.where(np.abs(delta) > bound, np.sign(delta), 0.0)
+    starts = np.flatnonzero((side != 0.0) & (np.concatenate(([0.0], side[:-1])) != side))
+    ends = np.append(starts[1:], current_A.size) if starts.size else starts
+    begins = np.concatenate(([0], starts[:-1])) if starts.size else starts
+    edges = []
+    for begin, row, end in zip(begins.tolist(), starts.tolist(), ends.tolist(), strict=True):
+        calm = np.flatnonzero(side[row:end] == 0.0)
+        after = row + int(calm[0]) if calm.size else end - 1
+        edges.append(
+            Edge(
+                row=row,
+                time_s=float(time_s[max(row - 1, 0)]),
+                before_A=float(np.median(current_A[max(begin, row - LEVEL_ROWS) : max(row, 1)])),
+                after_A=float(np.median(current_A[after : min(end, after + LEVEL_ROWS)])),
+                ramp_rows=0,
+            )
+        )
+    return tuple(edges)
+
+
+def robust_edges(
+    current_A: FloatArray,
+    time_s: FloatArray,
+    *,
+    smallest_step_A: float | None = None,
+    ramp_s: float = RAMP_S,
+) -> tuple[Edge, ...]:
+    """Edges between plateaus of the current: the default detector.
+
+    Parameters
+    ----------
+    current_A, time_s : (n,) float     finite; time never decreasing
+    smallest_step_A : float            steps below it are no edges [A]; default: from the noise
+                                       and the range of the current
+    ramp_s : float                     longest rise that is still one edge [s]
+
+    Returns
+    -------
+    tuple of Edge, in order
+    """
+    _check(current_A, time_s)
+    scale = current_scale(current_A)
+    p = find_plateaus(current_A, scale)
+    smallest = max(scale.rest_A, scale.step_A) if smallest_step_A is None else smallest_step_A
+    edges: list[Edge] = []
+
+    def add(row: int, before: float, after: float, ramp: int, rows: int = 0) -> None:
+        level = max(abs(before), abs(after))
+        # The tail of a CV part breaks into short pieces: a small step needs long levels.
+        small = abs(after - before) < ZERO_OF_RANGE * scale.range_A and rows < LONG_LEVEL_ROWS
+        share = SMALL_STEP_OF_LEVEL if small else FLAT_OF_LEVEL
+        if abs(after - before) > max(smallest, share * level):
+            instant = float(time_s[max(row - 1, 0)])
+            edges.append(Edge(row, instant, before, after, ramp))
+
+    for k in range(p.start.size - 1):
+        row, held = int(p.stop[k]), int(p.start[k + 1])
+        before = float(np.median(current_A[max(int(p.start[k]), row - LEVEL_ROWS) : row]))
+        after = float(np.median(current_A[held : min(int(p.stop[k + 1]), held + LEVEL_ROWS)]))
+        took = float(time_s[max(held - 1, 0)] - time_s[row - 1])
+        ramp = held - row
+        shorter = min(row - int(p.start[k]), int(p.stop[k + 1]) - held)
+        if ramp <= 1 or (took <= ramp_s and ramp <= max(RAMP_ROWS, shorter // 2)):
+            add(row, before, after, ramp, shorter)
+            continue
+        # Something that moves lies between, as the tail of a CV part: only its ends can be edges.
+        inside = current_A[row:held]
+        if _jumps(before, inside, scale):
+            add(row, before, float(inside[0]), 0)
+        if _jumps(after, inside[::-1], scale):
+            add(held, float(inside[-1]), after, 0)
+    return tuple(edges)
+
+
+def _jumps(level: float, moving: FloatArray, scale: CurrentScale) -> bool:
+    """Whether the current leaves a level by far more than it moves right afterwards."""
+    drift = float(np.max(np.abs(np.diff(moving[:4])), initial=0.0))
+    return abs(float(moving[0]) - level) > max(scale.step_A, 4.0 * drift)
+
+
 def current_scale(current_A: FloatArray) -> CurrentScale:
     """Noise, zero and tolerances of a current, from the samples alone.
 
-    The noise is taken from differences of neighbours, in blocks: the quietest blocks at rest and
-    the quietest under load, whichever is larger, because testers clamp zero. A drive has no quiet
-    block under load, so scatter above 2 % of the range is not taken for noise.
+    The noise is that of the quietest blocks at rest or of the quietest under load, whichever is
+    larger, because testers clamp zero.
 
     Parameters
     ----------
@@ -107,39 +244,28 @@ def current_scale(current_A: FloatArray) -> CurrentScale:
     top = float(np.max(np.abs(current_A)))
     if top == 0.0:
         return CurrentScale(0.0, 0.0, 0.0, 0.0, 0.0, 1)
-    n = current_A.size // BLOCK_ROWS * BLOCK_ROWS
-    noise = 0.0
-    lsb = 0.0
-    d = np.abs(np.diff(current_A))
-    if n >= BLOCK_ROWS:
-        blocks = current_A[:n].reshape(-1, BLOCK_ROWS)
-        spread = np.partition(np.abs(np.diff(blocks, axis=1)), BLOCK_ROWS // 2 - 1, axis=1)
-        scatter = spread[:, BLOCK_ROWS // 2 - 1] / (0.6745 * np.sqrt(2.0))
-        loaded = np.abs(blocks.mean(axis=1)) > ZERO_OF_RANGE * top
-        for group in (scatter[loaded], scatter[~loaded]):
-            if group.size:
-                quiet = float(np.quantile(group, 0.2))
-                noise = max(noise, quiet if quiet < NOISE_OF_RANGE * top else 0.0)
-        if not loaded.all() and noise == 0.0:
-            noise = min(float(np.quantile(scatter, 0.2)), 0.1 * top)
-    moved = d[d > 0.0]
-    if moved.size:
-        lsb = float(moved.min())
-        lsb = lsb if lsb < ZERO_OF_RANGE * top else 0.0
+    noise = _noise(current_A, top)
+    if top < NOISE_ONLY_SIGMAS * noise:  # nothing flows in this log
+        return CurrentScale(noise, 0.0, top, 3.0 * top, top, 1)
+    moved = np.abs(np.diff(current_A))
+    moved = moved[moved > 0.0]
+    lsb = float(moved.min()) if moved.size else 0.0
+    if lsb > ZERO_OF_RANGE * top:  # a log without noise: its smallest change is a step
+        lsb = 0.0
     width = 1
     if STEP_SIGMAS * noise > SMOOTHED_STEP_OF_RANGE * top:
         wanted = (1.25 * STEP_SIGMAS * noise / (SMOOTHED_STEP_OF_RANGE * top)) ** 2
         width = int(min(2 * (wanted // 2) + 1, MAX_SMOOTHING_ROWS))
     seen = noise if width == 1 else 1.25 * noise / np.sqrt(width)
-    step = max(STEP_SIGMAS * seen, STEP_OF_RANGE * top, 1.5 * lsb)
+    step = max(STEP_SIGMAS * float(seen), STEP_OF_RANGE * top, 1.5 * lsb)
+    rest = max(REST_SIGMAS * float(seen), REST_OF_RANGE * top, 1.5 * lsb)
     near = current_A[np.abs(current_A) <= max(ZERO_OF_RANGE * top, 4.0 * noise)]
-    zero, rest = 0.0, max(REST_OF_RANGE * top, REST_SIGMAS * seen, 1.5 * lsb)
+    zero = float(np.median(near)) if near.size else 0.0
+    if abs(zero) > OFFSET_OF_RANGE * top:  # the end of a CV part, or a small load: not the zero
+        zero = 0.0
     if near.size:
-        zero = float(np.median(near))
-        if abs(zero) > 0.3 * ZERO_OF_RANGE * top:  # the end of a CV part, not the sensor's zero
-            zero = 0.0
-        scatter_near = 1.4826 * float(np.median(np.abs(near - zero)))
-        rest = max(rest, min(REST_SIGMAS * scatter_near, 0.5 * ZERO_OF_RANGE * top))
+        scatter = 1.4826 * float(np.median(np.abs(near - zero)))
+        rest = max(rest, min(REST_SIGMAS * scatter, OFFSET_OF_RANGE * top))
     return CurrentScale(noise, zero, rest, step, top, width)
 
 
@@ -159,45 +285,133 @@ def find_plateaus(current_A: FloatArray, scale: CurrentScale | None = None) -> P
     broken = (np.abs(np.diff(x)) > scale.step_A) | (rest[1:] != rest[:-1])
     start = np.concatenate(([0], np.flatnonzero(broken) + 1))
     stop = np.append(start[1:], x.size)
-    start, stop = _flat_pieces(x, start, stop, rest, scale)
     total = np.concatenate(([0.0], np.cumsum(x)))
+    start, stop = _flat_pieces(x, total, start, stop, rest, scale)
     level = (total[stop] - total[start]) / (stop - start)
     plateaus = Plateaus(start, stop, level, rest[start])
-    for _ in range(2):
+    for _ in range(2):  # once for the runs, once for what then has become a neighbour
         plateaus = _merge_level(plateaus, scale)
-    return plateaus
+    plateaus = _drifted(x, plateaus)
+    return plateaus if scale.smoothing_rows == 1 else _sharpened(current_A, plateaus, scale)
+
+
+def _check(current_A: FloatArray, time_s: FloatArray) -> None:
+    if current_A.ndim != 1 or current_A.shape != time_s.shape or current_A.size < 2:
+        raise InputError(
+            f"current of shape {current_A.shape} and time of shape {time_s.shape}",
+            "two arrays of one length, at least two rows",
+            "Give every current its time.",
+        )
+    if not np.all(np.isfinite(current_A)):
+        raise InputError(
+            f"{int(np.count_nonzero(~np.isfinite(current_A)))} current samples that are not finite",
+            "a finite current in every row",
+            "Fill them first, as CellLog.known_current_A does.",
+        )
+
+
+def _average(x: FloatArray, weight: FloatArray) -> FloatArray:
+    """Exponential average with a weight per sample, from the first sample on, shape (n,).
+
+    The recursion is cut into about sqrt(n) blocks that are stepped side by side from zero, then
+    joined: the same numbers as a loop over all rows.
+    """
+    n = x.size
+    width = int(np.ceil(np.sqrt(n)))
+    count = -(-n // width)
+    a = np.zeros(count * width)
+    y = np.zeros(count * width)
+    a[:n], y[:n] = weight, weight * x
+    keep = np.ascontiguousarray(1.0 - a.reshape(count, width).T)
+    y = np.ascontiguousarray(y.reshape(count, width).T)
+    for k in range(1, width):
+        y[k] += keep[k] * y[k - 1]
+        keep[k] *= keep[k - 1]
+    carry = np.empty(count)
+    value = float(x[0])
+    for k in range(count):
+        carry[k] = value
+        value = float(y[-1, k] + keep[-1, k] * value)
+    y += keep * carry
+    return y.T.reshape(-1)[:n]
+
+
+def _step_response(dt: FloatArray, fast_s: float, slow_s: float) -> FloatArray:
+    """Largest difference of the averages after a unit step sampled every dt."""
+    peak_s = np.log(slow_s / fast_s) * fast_s * slow_s / (slow_s - fast_s)
+    h = np.maximum(dt, 1e-9)
+    t = h * np.maximum(np.round(peak_s / h), 1.0)
+    response: FloatArray = np.exp(-t / slow_s) - np.exp(-t / fast_s)
+    return response
+
+
+def _noise(current_A: FloatArray, top: float) -> float:
+    """Standard deviation of a sample about its level [A], 0 where the log cannot tell.
+
+    Second differences, because a slope is not noise; the quietest fifth of the blocks, because
+    most blocks of a drive hold steps; at two distances of the samples, because the differences of
+    noise do not grow with it and those of a moving current do.
+    """
+    n = current_A.size // BLOCK_ROWS * BLOCK_ROWS
+    if n == 0:
+        return 0.0
+    blocks = current_A[:n].reshape(-1, BLOCK_ROWS)
+    near, far = (_block_scatter(blocks, lag) for lag in (1, 2))
+    loaded = np.abs(blocks.mean(axis=1)) > ZERO_OF_RANGE * top
+    found = 0.0
+    for group in (loaded, ~loaded):
+        if not group.any():
+            continue
+        quiet = float(np.quantile(near[group], 0.2)) / NEAR_FIFTH
+        wide = float(np.quantile(far[group], 0.2)) / FAR_FIFTH
+        if wide < WHITE_GROWTH * quiet < WHITE_GROWTH * NOISE_OF_RANGE * top:
+            found = max(found, quiet)
+    return found
+
+
+def _block_scatter(blocks: FloatArray, lag: int) -> FloatArray:
+    """Median size of the second differences of each block, per sigma of white noise."""
+    bend = np.abs(blocks[:, 2 * lag :] - 2.0 * blocks[:, lag:-lag] + blocks[:, : -2 * lag])
+    middle = (bend.shape[1] - 1) // 2
+    scatter: FloatArray = np.partition(bend, middle, axis=1)[:, middle] / (0.6745 * np.sqrt(6.0))
+    return scatter
 
 
 def _flat_pieces(
-    x: FloatArray, start: RowArray, stop: RowArray, rest: BoolArray, scale: CurrentScale
+    x: FloatArray,
+    total: FloatArray,
+    start: RowArray,
+    stop: RowArray,
+    rest: BoolArray,
+    scale: CurrentScale,
 ) -> tuple[RowArray, RowArray]:
     """Runs that hold one level; a run that drifts gives its flat beginning and its flat end."""
     rows = stop - start
     low = np.minimum.reduceat(x, start)
     high = np.maximum.reduceat(x, start)
-    middle = 0.5 * (low + high)
-    allowed = np.maximum(scale.step_A, FLAT_OF_LEVEL * np.abs(middle))
+    allowed = np.maximum(scale.step_A, FLAT_OF_LEVEL * np.abs(0.5 * (low + high)))
     flat = (rows >= 2) & ((high - low <= allowed) | rest[start])
     doubtful = np.flatnonzero(~flat & (rows >= FLAT_CHUNKS))
     if doubtful.size:
         # Noise widens the range of a long run without bending it: compare means of eighths.
-        total = np.concatenate(([0.0], np.cumsum(x)))
-        cuts = start[doubtful, None] + np.arange(FLAT_CHUNKS + 1) * rows[doubtful, None] // 8
+        parts = np.arange(FLAT_CHUNKS + 1) * rows[doubtful, None] // FLAT_CHUNKS
+        cuts = start[doubtful, None] + parts
         means = np.diff(total[cuts], axis=1) / np.diff(cuts, axis=1)
         bound = np.maximum(
-            4.0 * scale.noise_A / np.sqrt(rows[doubtful] / 8.0),
+            6.0 * scale.noise_A / np.sqrt(rows[doubtful] / FLAT_CHUNKS),
             FLAT_OF_LEVEL * np.abs(means).max(axis=1),
         )
         flat[doubtful] = np.ptp(means, axis=1) <= bound
     pieces = [np.column_stack((start[flat], stop[flat]))]
-    for k in np.flatnonzero(~flat & (rows >= FLAT_CHUNKS)):
+    for k in np.flatnonzero(~flat & (rows >= FLAT_CHUNKS)).tolist():
         a, b = int(start[k]), int(stop[k])
         head = a + _flat_head(x[a:b], scale)
         tail = b - _flat_head(x[head:b][::-1], scale)
-        pieces.append(np.array([(p, q) for p, q in ((a, head), (tail, b)) if q - p >= 2]).reshape(-1, 2))
-    found = np.concatenate(pieces).astype(np.int64)
-    found = found[np.argsort(found[:, 0], kind="stable")]
-    return found[:, 0], found[:, 1]
+        found = [(p, q) for p, q in ((a, head), (tail, b)) if q - p >= 2]
+        pieces.append(np.array(found, dtype=np.int64).reshape(-1, 2))
+    both = np.concatenate(pieces).astype(np.int64)
+    both = both[np.argsort(both[:, 0], kind="stable")]
+    return both[:, 0], both[:, 1]
 
 
 def _flat_head(x: FloatArray, scale: CurrentScale) -> int:
@@ -205,17 +419,15 @@ def _flat_head(x: FloatArray, scale: CurrentScale) -> int:
     if x.size < FLAT_CHUNKS:
         return 0
     level = float(np.median(x[: FLAT_CHUNKS + 1]))
-    allowed = max(4.0 * scale.noise_A, FLAT_OF_LEVEL * abs(level))
-    off = np.abs(x - level) > allowed
-    # Two rows in a row: one alone is a glitch.
-    left = np.flatnonzero(off[:-1] & off[1:])
+    off = np.abs(x - level) > max(4.0 * scale.noise_A, FLAT_OF_LEVEL * abs(level))
+    left = np.flatnonzero(off[:-1] & off[1:])  # two rows running: one alone is a glitch
     head = int(left[0]) if left.size else x.size
     if head < FLAT_CHUNKS:
         return 0
     # The knee lies before the row at which the drift has grown to the tolerance.
     level = float(np.median(x[:head]))
-    close = np.flatnonzero(np.abs(x[:head] - level) <= max(4.0 * scale.noise_A, 1e-3 * abs(level)))
-    knee = int(close[-1]) + 1 if close.size else head
+    close = np.abs(x[:head] - level) <= max(4.0 * scale.noise_A, 1e-3 * abs(level))
+    knee = int(np.flatnonzero(close)[-1]) + 1 if close.any() else head
     return knee if knee >= max(FLAT_CHUNKS, head // 2) else head
 
 
@@ -225,7 +437,7 @@ def _merge_level(p: Plateaus, scale: CurrentScale) -> Plateaus:
         return p
     between = p.start[1:] - p.stop[:-1]
     apart = np.abs(np.diff(p.level_A))
-    n = np.minimum(p.stop - p.start, 64)
+    n = np.minimum(p.stop - p.start, LEVEL_ROWS)
     error = 4.0 * scale.noise_A * np.sqrt(1.0 / n[1:] + 1.0 / n[:-1])
     larger = np.maximum(np.abs(p.level_A[1:]), np.abs(p.level_A[:-1]))
     same = apart <= np.maximum(error, 0.5 * FLAT_OF_LEVEL * larger)
@@ -236,3 +448,40 @@ def _merge_level(p: Plateaus, scale: CurrentScale) -> Plateaus:
     rows = (p.stop - p.start).astype(np.float64)
     level = np.add.reduceat(p.level_A * rows, first) / np.add.reduceat(rows, first)
     return Plateaus(p.start[first], p.stop[last], level, p.rest[first])
+
+
+def _drifted(x: FloatArray, p: Plateaus) -> Plateaus:
+    """Give a single row between two plateaus to the first where it only goes on drifting.
+
+    The last row of a CV part may fall a little more than noise and yet far less than the switch.
+    """
+    alone = np.flatnonzero((p.start[1:] - p.stop[:-1] == 1) & (p.stop[:-1] - p.start[:-1] >= 2))
+    at = p.stop[alone]
+    fell, falls = x[at] - x[at - 1], x[at - 1] - x[at - 2]
+    left = np.abs(p.level_A[alone + 1] - x[at])
+    drifting = (fell * falls > 0.0) & (np.abs(fell) <= 2.5 * np.abs(falls))
+    drifting &= np.abs(fell) < 0.25 * left
+    stop = p.stop.copy()
+    stop[alone[drifting]] += 1
+    return p._replace(stop=stop)
+
+
+def _sharpened(x: FloatArray, p: Plateaus, scale: CurrentScale) -> Plateaus:
+    """Put each change found in the smoothed current where the raw samples have it.
+
+    The running median may move a change by some rows: the split with the least squares about
+    the two levels is the likeliest row.
+    """
+    start, stop = p.start.copy(), p.stop.copy()
+    reach = scale.smoothing_rows
+    for k in range(p.start.size - 1):
+        if start[k + 1] - stop[k] > reach:
+            continue
+        a = max(int(start[k]), int(stop[k]) - reach)
+        b = min(int(stop[k + 1]), int(start[k + 1]) + reach)
+        gain = (x[a:b] - p.level_A[k + 1]) ** 2 - (x[a:b] - p.level_A[k]) ** 2
+        # Cost of a split at s, up to a constant: the rows before s at the old level.
+        row = a + int(np.argmax(np.concatenate(([0.0], np.cumsum(gain)))))
+        stop[k] = start[k + 1] = row
+    kept = stop - start >= 1
+    return Plateaus(start[kept], stop[kept], p.level_A[kept], p.rest[kept])

@@ -3,24 +3,31 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal, NamedTuple
 
 import numpy as np
 
-from cellwise.identify.edges import CurrentScale, Plateaus, current_scale, find_plateaus
+from cellwise.identify.edges import (
+    RAMP_ROWS,
+    RAMP_S,
+    CurrentScale,
+    Plateaus,
+    current_scale,
+    find_plateaus,
+)
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
 PhaseKind = Literal["rest", "cc", "cv", "dynamic"]
 
-# Rows between two plateaus up to this long are the tester's rise, not a phase of their own.
-RAMP_ROWS = 8
-RAMP_S = 3.0
 # Levels held for less than this, one after another, are a drive.
 DYNAMIC_S = 5.0
 DYNAMIC_LEVELS = 4
 # A single row at another level is a phase only where a row is this long.
 SLOW_ROW_S = 5.0
+# A row that leaves its level by this many smallest steps, with the voltage following, is real.
+SPIKE_STEPS = 3.0
 VOLTAGE_SIGMAS = 6.0
 VOLTAGE_TOLERANCE = 1e-3
 
@@ -68,6 +75,25 @@ class _Span(NamedTuple):
     level_A: float
 
 
+class _Signals(NamedTuple):
+    """What the cutting looks at: finite current and voltage, and what counts as noise in them."""
+
+    time_s: FloatArray
+    current_A: FloatArray
+    voltage_V: FloatArray
+    tolerance_V: float
+    scale: CurrentScale
+
+    def seconds(self, start: int, stop: int) -> float:
+        """Length of the intervals of rows start to stop [s]."""
+        return float(self.time_s[stop - 1] - self.time_s[max(start - 1, 0)])
+
+    def still(self, start: int, stop: int, at_V: float) -> bool:
+        """Whether the voltage of the rows stays at a value."""
+        v = self.voltage_V[start:stop]
+        return bool(np.max(np.abs(v - at_V)) <= 2.0 * self.tolerance_V)
+
+
 def find_phases(log: CellLog, *, rest_current_A: float | None = None) -> tuple[Phase, ...]:
     """Cut a log into phases that follow one another without gap or overlap.
 
@@ -84,13 +110,12 @@ def find_phases(log: CellLog, *, rest_current_A: float | None = None) -> tuple[P
     current = log.known_current_A()
     scale = current_scale(current)
     if rest_current_A is not None:
-        scale = scale._replace(rest_A=rest_current_A)
-    plateaus = find_plateaus(current, scale)
+        scale = scale._replace(rest_A=rest_current_A, zero_A=0.0)
     voltage = _filled(log.voltage_V)
-    spans = _assemble(plateaus, current, voltage, log, scale)
-    spans = _join_cv(spans, voltage, voltage_tolerance(log), scale)
-    spans = _join_dynamic(spans, log)
-    return _finish(spans, current, voltage, log)
+    signals = _Signals(log.time_s, current, voltage, voltage_tolerance(log), scale)
+    plateaus = _with_spikes(find_plateaus(current, scale), signals)
+    spans = _join_dynamic(_join_cv(_assemble(plateaus, signals), signals), signals)
+    return _finish(spans, signals, log)
 
 
 def voltage_tolerance(log: CellLog) -> float:
@@ -99,7 +124,7 @@ def voltage_tolerance(log: CellLog) -> float:
     n = v.size // 8 * 8
     noise = 0.0
     if n:
-        spread = np.median(np.abs(np.diff(v[:n].reshape(-1, 8), axis=1)), axis=1)
+        spread = np.partition(np.abs(np.diff(v[:n].reshape(-1, 8), axis=1)), 3, axis=1)[:, 3]
         noise = float(np.quantile(spread, 0.2)) / (0.6745 * np.sqrt(2.0))
     return max(VOLTAGE_SIGMAS * noise, VOLTAGE_TOLERANCE * float(np.median(np.abs(v))))
 
@@ -112,104 +137,154 @@ def _filled(voltage_V: FloatArray) -> FloatArray:
     return np.interp(rows, rows[~bad], voltage_V[~bad])
 
 
-def _assemble(
-    plateaus: Plateaus, current: FloatArray, voltage: FloatArray, log: CellLog, scale: CurrentScale
-) -> list[_Span]:
+def _with_spikes(p: Plateaus, s: _Signals) -> Plateaus:
+    """Cut out single rows at another level that the cell has felt: an aborted pulse, no glitch."""
+    i, v = s.current_A, s.voltage_V
+    rows = np.flatnonzero(np.abs(np.diff(i)) > s.scale.step_A) + 1
+    if rows.size == 0 or p.start.size == 0:
+        return p
+    home = np.searchsorted(p.start, rows, side="right") - 1
+    inside = (home >= 0) & (rows < p.stop[home]) & (rows > p.start[home])
+    rows, home = rows[inside], home[inside]
+    away = i[rows] - p.level_A[home]
+    felt = (v[rows] - v[rows - 1]) * away < 0.0
+    felt &= np.abs(v[rows] - v[rows - 1]) > 2.0 * s.tolerance_V
+    felt &= np.abs(away) > SPIKE_STEPS * s.scale.step_A
+    rows, home = rows[felt], home[felt]
+    if rows.size == 0:
+        return p
+    start = np.concatenate((p.start, rows, rows + 1))
+    stop = np.concatenate((rows, rows + 1, p.stop))
+    level = np.concatenate((p.level_A, i[rows], p.level_A[home]))
+    rest = np.concatenate((p.rest, np.zeros(rows.size, dtype=np.bool_), p.rest[home]))
+    order = np.argsort(start, kind="stable")
+    start, stop = start[order], np.sort(stop)
+    kept = stop > start
+    return Plateaus(start[kept], stop[kept], level[order][kept], rest[order][kept])
+
+
+def _assemble(plateaus: Plateaus, s: _Signals) -> list[_Span]:
     """Plateaus and what lies between them, as spans that touch."""
     spans: list[_Span] = []
-    tolerance = voltage_tolerance(log)
-    at = 0
-    n = len(log)
+    at, n = 0, s.time_s.size
     for start, stop, level, rest in zip(*(a.tolist() for a in plateaus), strict=True):
-        kind = "rest" if rest else "cc"
         if start > at:
-            before = spans[-1] if spans else None
-            between = _between(at, start, level, before, current, voltage, log, tolerance, scale)
-            if between is None:
-                start = at
-            else:
-                spans.append(between)
-        spans.append(_Span(kind, start, stop, level))
+            between = _between(at, start, spans[-1] if spans else None, level, s)
+            spans.extend(between)
+            start = start if between else at  # the rise belongs to the level that it leads to
+        spans.append(_Span("rest" if rest else "cc", start, stop, level))
         at = stop
     if at < n:
-        level = float(np.mean(current[at:n]))
         if n - at == 1 and spans:  # the last row alone says nothing
-            last = spans.pop()
-            spans.append(last._replace(stop=n))
-        elif _held(at, n, current, voltage, tolerance):
-            spans.append(_Span("cv", at, n, level))
+            spans[-1] = spans[-1]._replace(stop=n)
         else:
-            spans.append(_Span("dynamic", at, n, level))
+            spans.extend(_moving(at, n, s))
     return spans
 
 
-def _between(
-    a: int,
-    b: int,
-    level_after: float,
-    before: _Span | None,
-    current: FloatArray,
-    voltage: FloatArray,
-    log: CellLog,
-    tolerance: float,
-    scale: CurrentScale,
-) -> _Span | None:
-    """What rows a to b between two plateaus are; None: the rise to the level that follows."""
-    level = float(np.mean(current[a:b]))
-    if _held(a, b, current, voltage, tolerance):
-        return _Span("cv", a, b, level)
-    duration = log.time_s[b - 1] - log.time_s[max(a - 1, 0)]
+def _between(a: int, b: int, before: _Span | None, after_A: float, s: _Signals) -> list[_Span]:
+    """What rows a to b between two plateaus are; nothing: the rise to the level that follows."""
+    seconds = s.seconds(a, b)
+    inside = s.current_A[a:b]
     if b - a == 1:
-        alone = before is not None and abs(before.level_A - level_after) <= scale.step_A
-        return _Span("cc", a, b, level) if alone and duration >= SLOW_ROW_S else None
-    if b - a <= RAMP_ROWS and duration <= RAMP_S:
-        return None
-    return _Span("dynamic", a, b, level)
+        same = before is not None and abs(before.level_A - after_A) <= s.scale.step_A
+        if not (same and seconds >= SLOW_ROW_S):
+            return []
+        kind: PhaseKind = "rest" if _rests(inside[0], s.scale) else "cc"
+        return [_Span(kind, a, b, float(inside[0]))]
+    if _held(a, b, s):
+        return [_Span("cv", a, b, float(np.mean(inside)))]
+    if b - a <= RAMP_ROWS and seconds <= RAMP_S:
+        # A tester may overshoot on its way, by less than half the step.
+        begin = before.level_A if before is not None else float(inside[0])
+        low, high = min(begin, after_A), max(begin, after_A)
+        room = 0.5 * (high - low) + s.scale.step_A
+        if low - room <= np.min(inside) and np.max(inside) <= high + room:
+            return []
+    return _moving(a, b, s)
 
 
-def _held(a: int, b: int, current: FloatArray, voltage: FloatArray, tolerance: float) -> bool:
+def _rests(current_A: float, scale: CurrentScale) -> bool:
+    return bool(abs(current_A - scale.zero_A) <= scale.rest_A)
+
+
+def _moving(a: int, b: int, s: _Signals) -> list[_Span]:
+    """Rows that hold no level: constant voltage, or a beginning and then that, or dynamic."""
+    inside = s.current_A[a:b]
+    mean = float(np.mean(inside))
+    if _held(a, b, s):
+        return [_Span("cv", a, b, mean)]
+    off = np.abs(s.voltage_V[a:b] - s.voltage_V[b - 1]) > 1.5 * s.tolerance_V
+    knee = a + int(np.flatnonzero(off)[-1]) + 1 if off.any() else a
+    if a < knee and b - knee >= max(3, (b - a) // 2) and _held(knee, b, s):
+        head = s.current_A[a:knee]
+        flat = np.ptp(head) <= max(s.scale.step_A, 0.03 * float(np.max(np.abs(head))))
+        short = knee - a <= RAMP_ROWS and s.seconds(a, knee) <= RAMP_S
+        kind: PhaseKind = "cc" if flat or short else "dynamic"
+        tail = float(np.mean(s.current_A[knee:b]))
+        return [_Span(kind, a, knee, float(np.mean(head))), _Span("cv", knee, b, tail)]
+    return [_Span("dynamic", a, b, mean)]
+
+
+def _held(a: int, b: int, s: _Signals) -> bool:
     """Whether the voltage is held over rows a to b while the current falls towards zero."""
     if b - a < 2:
         return False
-    i, v = current[a:b], voltage[a:b]
-    if np.min(i) * np.max(i) <= 0.0:
+    i, v = s.current_A[a:b], s.voltage_V[a:b]
+    if i[0] * i[-1] <= 0.0 or abs(v[-1] - v[0]) > 3.0 * s.tolerance_V:
         return False
-    size = np.abs(i)
     third = max(1, (b - a) // 3)
-    falls = np.mean(size[-third:]) < np.mean(size[:third])
-    low, high = np.quantile(v, (0.05, 0.95))
-    return bool(falls and high - low <= 2.0 * tolerance)
+    if np.min(i) * np.max(i) <= 0.0 or abs(np.mean(i[-third:])) >= abs(np.mean(i[:third])):
+        return False
+    low, high = np.quantile(v, (0.05, 0.95)) if v.size > 20 else (np.min(v), np.max(v))
+    return bool(high - low <= 2.0 * s.tolerance_V)
 
 
-def _join_cv(
-    spans: list[_Span], voltage: FloatArray, tolerance: float, scale: CurrentScale
-) -> list[_Span]:
+def _join_cv(spans: list[_Span], s: _Signals) -> list[_Span]:
     """Steps of a falling current at one voltage belong to one constant-voltage phase."""
+    ohm = _resistance(spans, s)
     out: list[_Span] = []
     for span in spans:
-        last = out[-1] if out else None
-        if (
-            last is not None
-            and last.kind == "cv"
-            and span.kind in ("cc", "cv")
-            and span.level_A * last.level_A > 0.0
-            and abs(span.level_A) < abs(last.level_A) + scale.step_A
-            and np.all(np.abs(voltage[span.start : span.stop] - voltage[last.stop - 1]) <= 2.0 * tolerance)
-        ):
-            out[-1] = last._replace(stop=span.stop, level_A=span.level_A)
-        else:
-            out.append(span)
+        while out and _continues(out[-1], span, out[-2] if len(out) > 1 else None, ohm, s):
+            last = out.pop()
+            span = _Span("cv", last.start, span.stop, span.level_A)
+        out.append(span)
     return out
 
 
-def _join_dynamic(spans: list[_Span], log: CellLog) -> list[_Span]:
+def _continues(last: _Span, span: _Span, before: _Span | None, ohm: float, s: _Signals) -> bool:
+    """Whether two spans are parts of one constant-voltage phase."""
+    if not {last.kind, span.kind} <= {"cc", "cv"} or last.level_A * span.level_A <= 0.0:
+        return False
+    fall = abs(last.level_A) - abs(span.level_A)
+    if fall < -s.scale.step_A:
+        return False
+    held = float(s.voltage_V[last.stop - 1])
+    if last.kind == "cv":
+        return s.still(span.start, span.stop, held)
+    if not s.still(span.start, span.stop, held):
+        return False
+    # A constant current that ends where the voltage is held: all of it was held already, and a
+    # larger current went before; or the current fell and the voltage did not answer.
+    if span.kind == "cv":
+        began = before is not None and before.kind != "rest" and before.level_A * last.level_A > 0.0
+        return began and s.still(last.start, last.stop, held)
+    return ohm * fall > 4.0 * s.tolerance_V and s.still(last.start, last.stop, held)
+
+
+def _resistance(spans: list[_Span], s: _Signals) -> float:
+    """Median of the voltage step over the current step where the current switches [ohm]."""
+    ratios = []
+    for one, two in pairwise(spans):
+        step = abs(two.level_A - one.level_A)
+        if "cv" not in (one.kind, two.kind) and step > 0.05 * s.scale.range_A:
+            ratios.append(abs(s.voltage_V[two.start] - s.voltage_V[two.start - 1]) / step)
+    return float(np.median(ratios)) if ratios else 0.0
+
+
+def _join_dynamic(spans: list[_Span], s: _Signals) -> list[_Span]:
     """Short levels one after another, and what moves between them, are one dynamic phase."""
-    t = log.time_s
-    short = [
-        s.kind == "dynamic"
-        or (s.kind != "cv" and t[s.stop - 1] - t[max(s.start - 1, 0)] < DYNAMIC_S)
-        for s in spans
-    ]
+    short = [x.kind == "dynamic" or s.seconds(x.start, x.stop) < DYNAMIC_S for x in spans]
     out: list[_Span] = []
     k = 0
     while k < len(spans):
@@ -217,8 +292,12 @@ def _join_dynamic(spans: list[_Span], log: CellLog) -> list[_Span]:
         while end < len(spans) and short[end]:
             end += 1
         group = spans[k:end]
-        if len(group) >= DYNAMIC_LEVELS or (len(group) > 1 and any(s.kind == "dynamic" for s in group)):
+        moves = any(x.kind == "dynamic" for x in group)
+        if len(group) > 1 and (moves or len(group) >= DYNAMIC_LEVELS):
             out.append(_Span("dynamic", group[0].start, group[-1].stop, 0.0))
+            k = end
+        elif group:
+            out.extend(group)
             k = end
         else:
             out.append(spans[k])
@@ -226,11 +305,9 @@ def _join_dynamic(spans: list[_Span], log: CellLog) -> list[_Span]:
     return out
 
 
-def _finish(
-    spans: list[_Span], current: FloatArray, voltage: FloatArray, log: CellLog
-) -> tuple[Phase, ...]:
+def _finish(spans: list[_Span], s: _Signals, log: CellLog) -> tuple[Phase, ...]:
     charge = log.counted_charge_Ah()
-    flow = np.concatenate(([0.0], np.cumsum(current * log.interval_s)))
+    flow = np.concatenate(([0.0], np.cumsum(s.current_A * log.interval_s)))
     phases = []
     for kind, start, stop, _ in spans:
         first = max(start - 1, 0)
@@ -238,7 +315,7 @@ def _finish(
         mean = (
             (flow[stop] - flow[start]) / duration
             if duration > 0.0
-            else float(np.mean(current[start:stop]))
+            else float(np.mean(s.current_A[start:stop]))
         )
         phases.append(
             Phase(
@@ -248,8 +325,8 @@ def _finish(
                 current_A=float(mean),
                 duration_s=duration,
                 charge_Ah=float(charge[stop - 1] - charge[first]),
-                voltage_start_V=float(voltage[first]),
-                voltage_end_V=float(voltage[stop - 1]),
+                voltage_start_V=float(s.voltage_V[first]),
+                voltage_end_V=float(s.voltage_V[stop - 1]),
             )
         )
     return tuple(phases)
