@@ -1,0 +1,129 @@
+"""The catalogue tells the truth about the files beside it."""
+
+from __future__ import annotations
+
+import hashlib
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+FOLDER = Path(__file__).resolve().parents[2] / "datasets"
+CATALOGUE = tomllib.loads((FOLDER / "catalogue.toml").read_text(encoding="utf-8"))["dataset"]
+NAMES = [entry["name"] for entry in CATALOGUE]
+
+VOLTAGE_NOISE_V = 0.5e-3
+LARGEST_FILE = 1_000_000
+LARGEST_SET = 4_000_000
+
+
+def columns(entry: dict[str, Any]) -> dict[str, np.ndarray]:
+    table = pq.read_table(FOLDER / entry["file"])
+    return {name: table[name].to_numpy() for name in table.column_names}
+
+
+@pytest.fixture(params=CATALOGUE, ids=NAMES)
+def entry(request: pytest.FixtureRequest) -> dict[str, Any]:
+    return request.param
+
+
+def test_catalogue_and_folder_hold_the_same_files():
+    listed = sorted(entry["file"] for entry in CATALOGUE)
+    present = sorted(path.relative_to(FOLDER).as_posix() for path in FOLDER.rglob("*.parquet"))
+    assert listed == present
+    assert len(set(NAMES)) == len(NAMES)
+
+
+def test_catalogue_lists_every_test_of_the_plan():
+    wanted = {
+        "nmc": "cap_c20 cap_c5 cap_c3 ocv_c20 hppc hppc_c20 hppc_c5 hppc_c3 drive_a drive_b drive_c",
+        "lfp": "cap_0p5c cap_1c cap_2c cap_3c ocv_c20 hppc cdc",
+    }
+    names = {f"{cell}_{test}" for cell, tests in wanted.items() for test in tests.split()}
+    assert set(NAMES) == names
+
+
+def test_size_stays_small_enough_for_a_clone():
+    sizes = [(FOLDER / entry["file"]).stat().st_size for entry in CATALOGUE]
+    assert max(sizes) <= LARGEST_FILE
+    assert sum(sizes) <= LARGEST_SET
+
+
+def test_hash_bytes_and_rows_are_those_of_the_file(entry):
+    path = FOLDER / entry["file"]
+    content = path.read_bytes()
+    assert hashlib.sha256(content).hexdigest() == entry["sha256"]
+    assert len(content) == entry["bytes"]
+    assert pq.ParquetFile(path).metadata.num_rows == entry["rows"]
+
+
+def test_columns_are_the_tidy_form(entry):
+    log = columns(entry)
+    thermocouple = ["temperature_C"] if entry["name"].startswith("nmc") else []
+    expected = ["time_s", "current_A", "voltage_V", *thermocouple, "ampere_hours", "step"]
+    assert list(log) == expected
+    assert all(np.isfinite(values).all() for values in log.values())
+    assert log["step"].dtype == np.int32
+    assert log["time_s"][0] == 0.0
+    assert log["ampere_hours"][0] == 0.0
+
+
+def test_time_and_steps_run_forward(entry):
+    log = columns(entry)
+    # Two stamps rounded to 1 ms of rows that are at least 20 ms apart.
+    assert np.diff(log["time_s"]).min() >= 0.019
+    assert np.diff(log["step"]).min() >= 0
+    assert log["step"][0] == 1
+
+
+def test_columns_have_the_resolution_of_the_instrument(entry):
+    log = columns(entry)
+    for name, step in (("voltage_V", 1e-4), ("current_A", 1e-3), ("time_s", 1e-3)):
+        counts = log[name] / step
+        np.testing.assert_allclose(counts, np.round(counts), atol=1e-6 * np.abs(counts).max())
+
+
+def test_counter_is_the_sum_of_the_currents_that_end_at_the_rows(entry):
+    log = columns(entry)
+    steps = np.diff(log["time_s"])
+    charge = np.concatenate(([0.0], np.cumsum(log["current_A"][1:] * steps))) / 3600.0
+    # White current noise of 0.02 % of the range and stamps rounded to 1 ms, both at 5 sigma.
+    range_A = next(r for r in (1.0, 5.0, 10.0, 20.0) if r >= np.abs(log["current_A"]).max())
+    active = log["current_A"][1:] != 0.0
+    noise = 2e-4 * range_A * np.sqrt(np.sum(steps[active] ** 2))
+    stamps = np.abs(np.diff(log["current_A"])).max() * 1e-3 * np.sqrt(steps.size)
+    bound = 1e-4 + 5.0 * (noise + stamps) / 3600.0
+    assert np.abs(charge - log["ampere_hours"]).max() < bound
+    # The other meaning of a row, or the other sign, is far outside.
+    assert np.abs(charge + log["ampere_hours"]).max() > 100.0 * bound
+
+
+def test_discharge_is_positive_and_lowers_the_voltage(entry):
+    log = columns(entry)
+    jump = np.diff(log["current_A"])
+    edges = np.abs(jump) > 0.4 * np.abs(log["current_A"]).max()
+    assert edges.any()
+    assert np.sum(jump[edges] * np.diff(log["voltage_V"])[edges]) < 0.0
+
+
+def test_voltage_stays_in_the_window(entry):
+    voltage = columns(entry)["voltage_V"]
+    lower, upper = entry["window_V"]
+    assert voltage.min() > lower - 6.0 * VOLTAGE_NOISE_V
+    assert voltage.max() < upper + 6.0 * VOLTAGE_NOISE_V
+
+
+def test_soc_truth_agrees_with_the_counter(entry):
+    moved = columns(entry)["ampere_hours"][-1] / entry["true_capacity_Ah"]
+    assert entry["initial_soc"] - entry["final_soc"] == pytest.approx(moved, abs=1e-4)
+    assert 0.98 < entry["initial_soc"] <= 1.0
+
+
+def test_relay_is_open_in_a_rest(entry):
+    log = columns(entry)
+    first = log["step"] == 1
+    assert not log["current_A"][first].any()
+    assert np.ptp(log["voltage_V"][first]) < 0.05
