@@ -1,0 +1,105 @@
+"""Effects: how the plain 2-RC model is extended, one small record each.
+
+Every record has a neutral value at which the model is exactly the plain one. Kernels never ask
+which effects there are: :func:`effect_value` gives the neutral value for an absent one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import ClassVar
+
+import numpy as np
+
+from cellwise.errors import InputError
+from cellwise.typing import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class SlowDiffusion:
+    """A third RC branch for what 10 s pulses cannot see. Neutral: ``r3_ohm`` = 0.
+
+    ``r3_ohm`` [ohm] and ``tau3_s`` [s] are numbers, or tables of shape (temperatures, soc points).
+    """
+
+    name: ClassVar[str] = "slow_diffusion"
+    bounds: ClassVar[dict[str, tuple[float, float]]] = {
+        "r3_ohm": (0.0, 100.0),
+        "tau3_s": (1.0, 1e6),
+    }
+    r3_ohm: FloatArray | float = 0.0
+    tau3_s: FloatArray | float = 1000.0
+
+
+@dataclass(frozen=True, eq=False)
+class Hysteresis:
+    """One-state hysteresis M h (Plett), h from -1 (discharged into) to +1 (charged into).
+
+    ``m_V`` [V] is half the gap between the charge and the discharge branch, a number or a table;
+    ``gamma`` [1] says how fast a branch is reached, in e-folds per full charge. Neutral: m_V = 0.
+    """
+
+    name: ClassVar[str] = "hysteresis"
+    bounds: ClassVar[dict[str, tuple[float, float]]] = {"m_V": (-0.5, 0.5), "gamma": (0.0, 1e5)}
+    m_V: FloatArray | float = 0.0
+    gamma: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class TemperatureDependence:
+    """Arrhenius factor exp(E (1/T - 1/T_ref)) on every resistance. Neutral: E = 0 K.
+
+    ``activation_K`` [K] is the activation energy over the gas constant; ``reference_C`` [degC] is
+    where the tables hold.
+    """
+
+    name: ClassVar[str] = "temperature_dependence"
+    bounds: ClassVar[dict[str, tuple[float, float]]] = {
+        "activation_K": (-2000.0, 15000.0),
+        "reference_C": (-50.0, 90.0),
+    }
+    activation_K: float = 0.0
+    reference_C: float = 25.0
+
+
+@dataclass(frozen=True, eq=False)
+class TimeSkew:
+    """The instrument's skew [s]: the logged voltage lags the logged current by it. Neutral: 0.
+
+    It belongs to the logger, not to the cell; it is kept with the model because a filter that
+    runs on the same logger needs it.
+    """
+
+    name: ClassVar[str] = "time_skew"
+    bounds: ClassVar[dict[str, tuple[float, float]]] = {"skew_s": (0.0, 60.0)}
+    skew_s: float = 0.0
+
+
+Effect = SlowDiffusion | Hysteresis | TemperatureDependence | TimeSkew
+EFFECTS: dict[str, type[Effect]] = {
+    e.name: e for e in (SlowDiffusion, Hysteresis, TemperatureDependence, TimeSkew)
+}
+
+
+def check_effect(effect: Effect, shape: tuple[int, int]) -> None:
+    """Refuse an effect whose parameters are not finite, out of bounds or of the wrong shape."""
+    for field in fields(effect):
+        value = np.asarray(getattr(effect, field.name), dtype=np.float64)
+        low, high = effect.bounds[field.name]
+        if value.ndim and value.shape != shape:
+            raise InputError(
+                f"effect {effect.name} with {field.name} of shape {value.shape}",
+                f"a number or a table of shape {shape} (temperatures, soc points)",
+                "Interpolate it onto the model's grid.",
+            )
+        if not np.all(np.isfinite(value)) or value.min() < low or value.max() > high:
+            raise InputError(
+                f"effect {effect.name} with {field.name} from {value.min():g} to {value.max():g}",
+                f"finite values in [{low:g}, {high:g}]",
+                "Check the fit that gave it.",
+            )
+
+
+def effect_table(value: FloatArray | float, shape: tuple[int, int]) -> FloatArray:
+    """A parameter of an effect as a table of the given shape."""
+    return np.broadcast_to(np.asarray(value, dtype=np.float64), shape)

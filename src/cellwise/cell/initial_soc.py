@@ -1,0 +1,119 @@
+"""SOC at a log's first row when nobody says it: from a rest, else from a short fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cellwise.cell.effects import Hysteresis
+from cellwise.cell.model import CellModel
+from cellwise.cell.simulate import check_soc0, known_temperature_C, model_temperature_C, simulate
+from cellwise.logs.cell_log import CellLog
+from cellwise.typing import FloatArray
+
+REST_RATE = 0.01  # below C/100 a cell counts as resting
+FIT_S = 60.0
+SHORT_REST_V = 0.010  # what may be left of an unknown past when the rest seen is short
+RELAXED_S = 1800.0
+
+
+@dataclass(frozen=True)
+class InitialSoc:
+    """SOC at the first row, its standard deviation, and how it was found."""
+
+    soc: float
+    std: float
+    how: str
+
+    def to_dict(self) -> dict[str, float | str]:
+        """As JSON values."""
+        return {"value": self.soc, "std": self.std, "how": self.how}
+
+
+def initial_soc(
+    model: CellModel, log: CellLog, given: float | None = None, given_std: float = 0.15
+) -> InitialSoc:
+    """SOC at the first row of a log.
+
+    Taken as given; else from the voltage of a rest at the log's start through the OCV; else from
+    the SOC at which the simulation fits the log's first minute best.
+
+    Parameters
+    ----------
+    given : float or None     SOC that the user states, 0..1
+    given_std : float         how sure that is
+
+    Returns
+    -------
+    InitialSoc        the standard deviation includes the model's own voltage error, an unfinished
+                      relaxation and a flat OCV: on a plateau it is honestly large
+    """
+    if given is not None:
+        check_soc0(given)
+        return InitialSoc(float(given), given_std, "given")
+    current = log.known_current_A()
+    resting = np.abs(current) < REST_RATE * model.capacity_Ah
+    moving = np.flatnonzero(~resting)
+    rest_end = int(moving[0]) if moving.size else len(log)
+    voltages = log.voltage_V[:rest_end]
+    if np.any(np.isfinite(voltages)):
+        last = int(np.flatnonzero(np.isfinite(voltages))[-1])
+        rest_s = float(log.time_s[last] - log.time_s[0])
+        unfinished = SHORT_REST_V * np.exp(-rest_s / RELAXED_S)
+        return _from_rest(model, log, last, rest_s, float(np.hypot(model.error.slow_V, unfinished)))
+    return _from_first_minute(model, log)
+
+
+def soc_of_ocv(
+    model: CellModel, voltage_V: float, std_V: float, temperature_C: float
+) -> tuple[float, float]:
+    """SOC at which the OCV is a given voltage, and its standard deviation.
+
+    On a flat OCV every SOC within ``std_V`` is as good: the mean and the spread of all of them.
+    """
+    cold = model.at_temperature(temperature_C)
+    gap = np.abs(np.broadcast_to(cold.effect(Hysteresis).m_V, cold.ocv_V.shape)[0])
+    soc = np.linspace(0.0, 1.0, 2001)
+    ocv = np.interp(soc, cold.soc, cold.ocv_V[0])
+    spread = np.hypot(std_V, np.interp(soc, cold.soc, gap))
+    # Beyond the table's ends the nearest end is the answer, not an unlikely one.
+    target = min(max(voltage_V, float(ocv[0])), float(ocv[-1]))
+    weight = np.exp(-0.5 * ((ocv - target) / spread) ** 2)
+    mean = float(np.average(soc, weights=weight))
+    std = float(np.sqrt(np.average((soc - mean) ** 2, weights=weight)))
+    best = float(soc[int(np.argmin(np.abs(ocv - target)))])
+    return (best, std) if abs(best - mean) < std else (mean, std)
+
+
+def _from_rest(
+    model: CellModel, log: CellLog, row: int, rest_s: float, std_V: float
+) -> InitialSoc:
+    temperature = known_temperature_C(model, log)[row]
+    soc, std = soc_of_ocv(model, float(log.voltage_V[row]), std_V, float(temperature))
+    how = f"rest of {rest_s:.0f} s at the start, {log.voltage_V[row]:.4f} V"
+    return InitialSoc(soc, max(std, 0.005), how)
+
+
+def _from_first_minute(model: CellModel, log: CellLog) -> InitialSoc:
+    rows = max(2, int(np.searchsorted(log.time_s, log.time_s[0] + FIT_S, side="right")))
+    head = log.part(0, min(rows, len(log)))
+    if log.temperature_C is None:
+        head = replace(head, temperature_C=np.full(len(head), model_temperature_C(model)))
+    grid = np.linspace(0.0, 1.0, 101)
+    cost = _fit_cost(model, head, grid)
+    best = grid[int(np.argmin(cost))]
+    grid = np.linspace(max(0.0, best - 0.01), min(1.0, best + 0.01), 41)
+    cost = _fit_cost(model, head, grid)
+    best = float(grid[int(np.argmin(cost))])
+    rms = float(np.sqrt(cost.min()))
+    # The cell did not begin at rest here, so its past is in the voltage: say so in the spread.
+    std_V = float(np.hypot(np.hypot(model.error.slow_V, SHORT_REST_V), rms))
+    temperature = float(known_temperature_C(model, head)[0])
+    ocv = float(np.interp(best, model.soc, model.at_temperature(temperature).ocv_V[0]))
+    _, std = soc_of_ocv(model, ocv, std_V, temperature)
+    return InitialSoc(best, max(std, 0.01), f"fit of the first {head.duration_s:.0f} s under load")
+
+
+def _fit_cost(model: CellModel, head: CellLog, grid: FloatArray) -> FloatArray:
+    return np.array([np.nanmean(simulate(model, head, float(s)).error_V ** 2) for s in grid])

@@ -1,0 +1,93 @@
+"""How far a simulated voltage is from a measured one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cellwise.typing import FloatArray
+
+BANDS = tuple((k / 10, (k + 1) / 10) for k in range(10))
+
+
+@dataclass(frozen=True)
+class ErrorMetrics:
+    """Measured minus model, over the rows that have a measurement.
+
+    ``ci95_V`` is mean +- 1.96 standard deviations, the interval that holds 95 % of a normal
+    error (first seed paper, residual table), not the interval of the mean.
+    """
+
+    samples: int
+    rmse_V: float
+    mae_V: float
+    max_error_V: float
+    mean_error_V: float
+    std_error_V: float
+    ci95_V: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class BandMetrics:
+    """The same over the rows whose simulated SOC lies in [low, high)."""
+
+    soc_low: float
+    soc_high: float
+    metrics: ErrorMetrics
+
+
+def error_metrics(error_V: FloatArray) -> ErrorMetrics:
+    """RMSE, MAE, maximum, mean, standard deviation and 95 % interval of an error [V].
+
+    Parameters
+    ----------
+    error_V : (n,) float      NaN where there is no measurement; such rows do not count
+
+    Returns
+    -------
+    ErrorMetrics              every figure NaN when no row counts
+    """
+    e = error_V[np.isfinite(error_V)]
+    if e.size == 0:
+        nan = float("nan")
+        return ErrorMetrics(0, nan, nan, nan, nan, nan, (nan, nan))
+    mean = float(np.mean(e))
+    std = float(np.std(e))
+    return ErrorMetrics(
+        samples=int(e.size),
+        rmse_V=float(np.sqrt(np.mean(e * e))),
+        mae_V=float(np.mean(np.abs(e))),
+        max_error_V=float(np.max(np.abs(e))),
+        mean_error_V=mean,
+        std_error_V=std,
+        ci95_V=(mean - 1.96 * std, mean + 1.96 * std),
+    )
+
+
+def band_metrics(error_V: FloatArray, soc: FloatArray) -> tuple[BandMetrics, ...]:
+    """Error metrics by tenth of SOC; the end bands take what lies beyond 0 and 1."""
+    found = []
+    for low, high in BANDS:
+        inside = (soc >= (low if low > 0 else -np.inf)) & (soc < (high if high < 1 else np.inf))
+        if np.any(inside):
+            found.append(BandMetrics(low, high, error_metrics(error_V[inside])))
+    return tuple(found)
+
+
+def metrics_to_dict(metrics: ErrorMetrics) -> dict[str, Any]:
+    """Metrics as JSON values; a figure that does not exist is null."""
+
+    def number(x: float) -> float | None:
+        return x if np.isfinite(x) else None
+
+    return {
+        "rmse_V": number(metrics.rmse_V),
+        "mae_V": number(metrics.mae_V),
+        "max_error_V": number(metrics.max_error_V),
+        "mean_error_V": number(metrics.mean_error_V),
+        "std_error_V": number(metrics.std_error_V),
+        "ci95_V": [number(x) for x in metrics.ci95_V],
+        "samples": metrics.samples,
+    }

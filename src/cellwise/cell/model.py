@@ -1,0 +1,252 @@
+"""CellModel: what is known of one kind of cell, validated and frozen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from cellwise.cell.effects import (
+    Effect,
+    Hysteresis,
+    SlowDiffusion,
+    TemperatureDependence,
+    TimeSkew,
+    check_effect,
+    effect_table,
+)
+from cellwise.cell.kernels import ZERO_CELSIUS_K, CellScalars, table_rows
+from cellwise.errors import InputError
+from cellwise.typing import FloatArray
+
+TABLES = ("ocv_V", "r0_ohm", "r1_ohm", "tau1_s", "r2_ohm", "tau2_s")
+E = TypeVar("E", SlowDiffusion, Hysteresis, TemperatureDependence, TimeSkew)
+
+
+@dataclass(frozen=True)
+class ModelError:
+    """What the model's own validation says of its voltage error, the filters' default noise.
+
+    ``white_V`` is the part that changes from row to row, ``slow_V`` the part that stays for about
+    ``correlation_s`` (standard deviations [V]), ``resistance_share`` the part that grows with the
+    current, as a share of R0 I.
+    """
+
+    white_V: float = 0.002
+    slow_V: float = 0.010
+    correlation_s: float = 300.0
+    resistance_share: float = 0.05
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CellModel:
+    """Second-order Thevenin model with SOC-indexed tables and effects.
+
+    v = OCV(soc) - R0 I - V1 - V2 [- V3 + M h], discharge current positive.
+
+    Parameters
+    ----------
+    capacity_Ah : float            charge between SOC 1 and SOC 0
+    ocv_V, r0_ohm, r1_ohm, tau1_s, r2_ohm, tau2_s : (temperatures, points) float
+        tables over a uniform SOC grid from 0 to 1; a single temperature may be given as (points,)
+    temperature_C : (temperatures,) float      ascending
+    effects : tuple of Effect      extensions, at most one of a kind
+    charge_efficiency : float      share of the charge put in that can be taken out, 0.5..1.05
+    error : ModelError             voltage error seen in validation
+    voltage_min_V, voltage_max_V : float or None   the cell's limits
+    name, chemistry : str
+    provenance : mapping           where every number came from: log, method, standard error,
+                                   capacity choice; JSON values only
+
+    Raises
+    ------
+    InputError        a table that is not finite, not positive, of the wrong shape; an OCV that
+                      falls with SOC; tau1 >= tau2; capacity not positive
+    """
+
+    capacity_Ah: float
+    ocv_V: FloatArray
+    r0_ohm: FloatArray
+    r1_ohm: FloatArray
+    tau1_s: FloatArray
+    r2_ohm: FloatArray
+    tau2_s: FloatArray
+    temperature_C: FloatArray = field(default_factory=lambda: np.array([25.0]))
+    effects: tuple[Effect, ...] = ()
+    charge_efficiency: float = 1.0
+    error: ModelError = ModelError()
+    voltage_min_V: float | None = None
+    voltage_max_V: float | None = None
+    name: str = ""
+    chemistry: str = ""
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in (*TABLES, "temperature_C"):
+            table = np.array(getattr(self, name), dtype=np.float64, ndmin=1)
+            if name != "temperature_C":
+                table = np.atleast_2d(table)
+            table.setflags(write=False)
+            object.__setattr__(self, name, table)
+        object.__setattr__(self, "effects", tuple(self.effects))
+        check_model(self)
+
+    def __repr__(self) -> str:
+        grid = f"{self.points} SOC points"
+        if self.temperature_C.size > 1:
+            grid += f" x {self.temperature_C.size} temperatures"
+        extra = ", ".join(e.name for e in self.effects)
+        return (
+            f"CellModel({self.name or 'unnamed'}: {self.capacity_Ah:.4g} Ah, {grid}, "
+            f"OCV {self.ocv_V.min():.3f} to {self.ocv_V.max():.3f} V, "
+            f"R0 {1e3 * np.median(self.r0_ohm):.3g} mohm{', ' + extra if extra else ''})"
+        )
+
+    @property
+    def points(self) -> int:
+        """Number of SOC grid points."""
+        return int(self.ocv_V.shape[1])
+
+    @property
+    def soc(self) -> FloatArray:
+        """The uniform SOC grid, shape (points,)."""
+        return np.linspace(0.0, 1.0, self.points)
+
+    @property
+    def c1_F(self) -> FloatArray:
+        """Capacitance of the fast branch, tau1 / R1 [F]."""
+        return np.asarray(self.tau1_s / self.r1_ohm)
+
+    @property
+    def c2_F(self) -> FloatArray:
+        """Capacitance of the slow branch, tau2 / R2 [F]."""
+        return np.asarray(self.tau2_s / self.r2_ohm)
+
+    def effect(self, kind: type[E]) -> E:
+        """The model's effect of one kind, or its neutral value."""
+        for effect in self.effects:
+            if isinstance(effect, kind):
+                return effect
+        return kind()
+
+    def with_effect(self, effect: Effect) -> CellModel:
+        """The model with one effect added or replaced."""
+        others = tuple(e for e in self.effects if e.name != effect.name)
+        return replace(self, effects=(*others, effect))
+
+    def parameters(self) -> tuple[FloatArray, FloatArray, CellScalars]:
+        """What the kernels take: the packed table, its temperatures, the scalars."""
+        shape = self.ocv_V.shape
+        slow = self.effect(SlowDiffusion)
+        hysteresis = self.effect(Hysteresis)
+        temperature = self.effect(TemperatureDependence)
+        table = table_rows(
+            [
+                self.ocv_V,
+                self.r0_ohm,
+                self.r1_ohm,
+                self.tau1_s,
+                self.r2_ohm,
+                self.tau2_s,
+                effect_table(slow.r3_ohm, shape),
+                effect_table(slow.tau3_s, shape),
+                effect_table(hysteresis.m_V, shape),
+            ]
+        )
+        scalars = CellScalars(
+            charge_As=3600.0 * self.capacity_Ah,
+            charge_efficiency=float(self.charge_efficiency),
+            activation_K=float(temperature.activation_K),
+            reference_K=float(temperature.reference_C) + ZERO_CELSIUS_K,
+            hysteresis_rate=float(hysteresis.gamma) if np.any(hysteresis.m_V) else 0.0,
+            skew_s=float(self.effect(TimeSkew).skew_s),
+        )
+        return table, np.ascontiguousarray(self.temperature_C), scalars
+
+    def at_temperature(self, temperature_C: float) -> CellModel:
+        """The model's tables at one temperature, linear between its own."""
+        if self.temperature_C.size == 1:
+            return self
+        tables = {
+            name: _interpolate(self.temperature_C, getattr(self, name), temperature_C)
+            for name in TABLES
+        }
+        effects = tuple(
+            replace(
+                e,
+                **{
+                    key: _interpolate(self.temperature_C, value, temperature_C)[None, :]
+                    for key, value in vars(e).items()
+                    if np.ndim(value) == 2
+                },
+            )
+            for e in self.effects
+        )
+        return replace(
+            self, **tables, effects=effects, temperature_C=np.array([float(temperature_C)])
+        )
+
+
+def _interpolate(grid: FloatArray, table: FloatArray, temperature_C: float) -> FloatArray:
+    return np.array(
+        [np.interp(temperature_C, grid, table[:, k]) for k in range(table.shape[1])]
+    )
+
+
+def check_model(model: CellModel) -> None:
+    """Refuse a model that no kernel could run: see :class:`CellModel`."""
+    shape = model.ocv_V.shape
+    if shape[1] < 2 or shape[0] != model.temperature_C.size:
+        raise InputError(
+            f"OCV table of shape {shape} with {model.temperature_C.size} temperature(s)",
+            "one row per temperature and at least two SOC points",
+            "Give every table the shape (temperatures, soc points).",
+        )
+    if not np.isfinite(model.capacity_Ah) or model.capacity_Ah <= 0:
+        raise InputError(
+            f"capacity_Ah = {model.capacity_Ah}", "a capacity above zero", "Check its unit: Ah."
+        )
+    if not 0.5 <= model.charge_efficiency <= 1.05:
+        raise InputError(
+            f"charge_efficiency = {model.charge_efficiency}",
+            "a share between 0.5 and 1.05",
+            "Give it as a fraction, not in per cent.",
+        )
+    if model.temperature_C.size > 1 and np.any(np.diff(model.temperature_C) <= 0):
+        raise InputError(
+            f"temperatures {model.temperature_C.tolist()}",
+            "temperatures that rise",
+            "Sort the tables by temperature.",
+        )
+    for name in TABLES:
+        table = getattr(model, name)
+        if table.shape != shape:
+            raise InputError(
+                f"{name} of shape {table.shape}",
+                f"shape {shape} as ocv_V",
+                "Interpolate it onto the OCV's grid.",
+            )
+        if not np.all(np.isfinite(table)):
+            raise InputError(f"{name} with missing values", "finite values", "Check the fit.")
+        if name != "ocv_V" and np.any(table <= 0):
+            raise InputError(
+                f"{name} down to {table.min():g}", "values above zero", "Check the fit."
+            )
+    if np.any(np.diff(model.ocv_V, axis=1) < 0):
+        k = int(np.argmin(np.diff(model.ocv_V, axis=1).min(axis=0)))
+        raise InputError(
+            f"an OCV that falls with SOC near SOC {model.soc[k]:.3f}",
+            "an OCV that never falls with SOC",
+            "Fit it with the monotone spline.",
+        )
+    if np.any(model.tau1_s >= model.tau2_s):
+        raise InputError(
+            "tau1_s >= tau2_s", "tau1 < tau2 at every point", "Swap the branches where they cross."
+        )
+    names = [e.name for e in model.effects]
+    if len(set(names)) != len(names):
+        raise InputError(f"effects {names}", "one effect of a kind", "Merge the double one.")
+    for effect in model.effects:
+        check_effect(effect, (shape[0], shape[1]))

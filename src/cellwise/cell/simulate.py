@@ -1,0 +1,150 @@
+"""Simulate a log with a model and say how far it is from the measurement."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cellwise.cell.kernels import empty_state, simulate_rows
+from cellwise.cell.metrics import (
+    BandMetrics,
+    ErrorMetrics,
+    band_metrics,
+    error_metrics,
+    metrics_to_dict,
+)
+from cellwise.cell.model import CellModel
+from cellwise.errors import InputError
+from cellwise.logs.cell_log import CellLog
+from cellwise.typing import FloatArray
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Simulation:
+    """A log and what the model makes of it.
+
+    ``voltage_V`` and ``soc`` are the model's, shape (n,); ``error_V`` is measured minus model, NaN
+    where nothing was measured.
+    """
+
+    log: CellLog
+    soc0: float
+    voltage_V: FloatArray
+    soc: FloatArray
+
+    @property
+    def error_V(self) -> FloatArray:
+        """Measured minus simulated voltage [V], shape (n,)."""
+        return np.asarray(self.log.voltage_V - self.voltage_V)
+
+    @property
+    def metrics(self) -> ErrorMetrics:
+        """Error over all rows."""
+        return error_metrics(self.error_V)
+
+    @property
+    def bands(self) -> tuple[BandMetrics, ...]:
+        """Error by tenth of simulated SOC."""
+        return band_metrics(self.error_V, self.soc)
+
+    @property
+    def rmse_above_10pct_V(self) -> float:
+        """RMSE over the rows whose simulated SOC is above 0.1 [V]."""
+        return error_metrics(self.error_V[self.soc > 0.1]).rmse_V
+
+    def to_dict(self) -> dict[str, Any]:
+        """The figures as JSON values, keys as the command prints them."""
+        above = self.rmse_above_10pct_V
+        return {
+            **metrics_to_dict(self.metrics),
+            "rmse_above_10pct_V": above if np.isfinite(above) else None,
+            "bands": [
+                {"soc": [b.soc_low, b.soc_high], **metrics_to_dict(b.metrics)} for b in self.bands
+            ],
+        }
+
+    def __repr__(self) -> str:
+        m = self.metrics
+        return (
+            f"Simulation({self.log.name or 'log'}: RMSE {1e3 * m.rmse_V:.1f} mV, "
+            f"MAE {1e3 * m.mae_V:.1f} mV, max {1e3 * m.max_error_V:.0f} mV over {m.samples} rows)"
+        )
+
+
+def simulate(model: CellModel, log: CellLog, soc0: float, h0: float | None = None) -> Simulation:
+    """Simulate the terminal voltage of a log from a cell at rest at ``soc0``.
+
+    Exact for constant current within each interval, at any time step. Over gaps the current is
+    what :meth:`CellLog.known_current_A` says (the counter's charge, else a rest).
+
+    Parameters
+    ----------
+    model : CellModel
+    log : CellLog
+    soc0 : float          SOC at the first row, 0..1
+    h0 : float or None    hysteresis state at the first row, -1 (after a discharge) to 1 (after a
+                          charge); None: +1 from the upper half of SOC, -1 from the lower
+
+    Returns
+    -------
+    Simulation
+
+    Raises
+    ------
+    InputError            soc0 outside 0..1
+    """
+    check_soc0(soc0)
+    table, grid, scalars = model.parameters()
+    voltage = np.empty(len(log))
+    soc = np.empty(len(log))
+    simulate_rows(
+        table,
+        grid,
+        scalars,
+        empty_state(soc0, start_hysteresis(soc0) if h0 is None else h0),
+        log.interval_s,
+        log.known_current_A(),
+        known_temperature_C(model, log),
+        voltage,
+        soc,
+    )
+    return Simulation(log, float(soc0), voltage, soc)
+
+
+def start_hysteresis(soc0: float) -> float:
+    """The likelier branch of a resting cell: a full one was charged, an empty one discharged."""
+    return 1.0 if soc0 > 0.5 else -1.0
+
+
+def check_soc0(soc0: float) -> None:
+    """Refuse a start SOC outside 0..1."""
+    if not (np.isfinite(soc0) and 0.0 <= soc0 <= 1.0):
+        hint = " Per cent? Divide by 100." if 1.0 < soc0 <= 100.0 else ""
+        raise InputError(
+            f"a start SOC of {soc0:g}", "a fraction from 0 to 1", f"Give --soc0 0.5 or auto.{hint}"
+        )
+
+
+def known_temperature_C(model: CellModel, log: CellLog) -> FloatArray:
+    """Temperature of every row [degC]: measured, held over missing values, else the model's."""
+    if log.temperature_C is None or not np.any(np.isfinite(log.temperature_C)):
+        return np.full(len(log), model_temperature_C(model))
+    measured = log.temperature_C
+    missing = np.isnan(measured)
+    if missing.any():
+        rows = np.arange(measured.size)
+        measured = np.interp(rows, rows[~missing], measured[~missing])
+    return np.ascontiguousarray(measured)
+
+
+def model_temperature_C(model: CellModel) -> float:
+    """Where the model is taken to be when nobody measured: the table nearest to 25 degC."""
+    from cellwise.cell.effects import TemperatureDependence
+
+    if model.temperature_C.size > 1:
+        return float(model.temperature_C[np.argmin(np.abs(model.temperature_C - 25.0))])
+    if any(isinstance(e, TemperatureDependence) for e in model.effects):
+        return float(model.effect(TemperatureDependence).reference_C)
+    return float(model.temperature_C[0])

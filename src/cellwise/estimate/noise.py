@@ -1,0 +1,94 @@
+"""What a filter is told about the errors of sensors and model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from cellwise.cell.model import CellModel
+from cellwise.errors import InputError
+
+
+class NoiseScalars(NamedTuple):
+    """Noise as the kernels see it."""
+
+    current_A: float
+    soc_per_sqrt_s: float
+    branch_share: float
+    voltage_V: float
+    slow_V: float
+    slow_s: float
+    ocv_soc: float
+    gate: float
+    recovery_after: int
+    gap_soc: float
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviations and the innovation gate.
+
+    Parameters
+    ----------
+    current_A : float         current sensor, per sample
+    soc_per_sqrt_h : float    drift of the counted charge, in SOC per square root of an hour
+    branch_share : float      error of the resistances, as a share
+    voltage_V : float         voltage sensor, per sample
+    slow_V, slow_s : float    the model's voltage error and how long it is remembered: samples
+                              within that time are not counted as independent evidence
+                              (slow_s = 0: every sample is)
+    ocv_soc : float           error of the OCV along the SOC axis
+    gate : float              innovations beyond this many standard deviations are rejected
+    recovery_after : int      rejections in a row after which the variance is widened
+    gap_soc : float           SOC that may have flowed unseen over a gap
+    """
+
+    current_A: float = 0.01
+    soc_per_sqrt_h: float = 0.003
+    branch_share: float = 0.05
+    voltage_V: float = 0.002
+    slow_V: float = 0.010
+    slow_s: float = 300.0
+    ocv_soc: float = 0.003
+    gate: float = 5.0
+    recovery_after: int = 20
+    gap_soc: float = 0.05
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not np.isfinite(value) or value < 0:
+                raise InputError(f"noise {name} = {value}", "a number of at least 0", "Correct it.")
+        if self.voltage_V <= 0 or self.gate <= 0:
+            raise InputError(
+                f"voltage_V = {self.voltage_V}, gate = {self.gate}",
+                "both above zero",
+                "A perfect voltage sensor does not exist; give its noise.",
+            )
+
+    @classmethod
+    def of_model(cls, model: CellModel) -> Noise:
+        """Noise taken from the model's own validation error and the cell's size."""
+        return cls(
+            current_A=0.002 * model.capacity_Ah,
+            voltage_V=max(model.error.white_V, 1e-4),
+            slow_V=model.error.slow_V,
+            slow_s=model.error.correlation_s,
+            branch_share=model.error.resistance_share,
+        )
+
+    def scalars(self) -> NoiseScalars:
+        """What the kernels take."""
+        return NoiseScalars(
+            float(self.current_A),
+            float(self.soc_per_sqrt_h) / 60.0,
+            float(self.branch_share),
+            float(self.voltage_V),
+            float(self.slow_V),
+            float(self.slow_s),
+            float(self.ocv_soc),
+            float(self.gate),
+            int(self.recovery_after),
+            float(self.gap_soc),
+        )

@@ -1,0 +1,242 @@
+"""Replay a log through an estimator and judge it against the tester's own counter."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from cellwise.cell.initial_soc import InitialSoc, initial_soc
+from cellwise.cell.model import CellModel
+from cellwise.errors import InputError
+from cellwise.estimate.coulomb import Coulomb
+from cellwise.estimate.ekf import Ekf
+from cellwise.estimate.noise import Noise
+from cellwise.estimate.status import INNOVATION_REJECTED, VOLTAGE_INVALID
+from cellwise.estimate.trace import Trace
+from cellwise.logs.cell_log import CellLog
+from cellwise.typing import FloatArray
+
+CONVERGED_SOC = 0.02
+SUSTAINED_S = 600.0
+
+
+class Estimator(Protocol):
+    """Whatever can replay a log."""
+
+    name: str
+
+    def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> Trace:
+        """Estimate over a whole log from a start SOC and its standard deviation."""
+        ...
+
+
+def make_estimator(name: str, model: CellModel, noise: Noise | None = None) -> Estimator:
+    """An estimator by its name in the command line.
+
+    Raises
+    ------
+    InputError        a name that is not known
+    """
+    if name == "ekf":
+        return Ekf(model, noise)
+    if name == "coulomb":
+        return Coulomb(model, noise)
+    if name == "filterpy-ekf":
+        from cellwise.estimate.filterpy_ekf import FilterpyEkf
+
+        return FilterpyEkf(model, noise)
+    raise InputError(
+        f"estimator '{name}'", f"one of {', '.join(ESTIMATORS)}", "Choose one of them."
+    )
+
+
+ESTIMATORS = ("coulomb", "ekf", "filterpy-ekf")
+
+
+@dataclass(frozen=True)
+class SocErrors:
+    """Estimate minus reference, as fractions of SOC."""
+
+    rmse: float
+    mae: float
+    max: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Replay:
+    """A log, what the estimator made of it, and the judgement where there is a reference.
+
+    ``reference_soc`` is the tester's counter over the reference capacity, None without either; it
+    never uses the current that the filter sees, nor the model's capacity.
+    """
+
+    log: CellLog
+    estimator: str
+    start: InitialSoc
+    trace: Trace
+    ns_per_step: float
+    reference_soc: FloatArray | None
+
+    @property
+    def soc_error(self) -> FloatArray | None:
+        """Estimated minus reference SOC, shape (rows,)."""
+        return None if self.reference_soc is None else self.trace.soc - self.reference_soc
+
+    @property
+    def errors(self) -> SocErrors | None:
+        """Over all rows."""
+        return None if self.soc_error is None else soc_errors(self.soc_error)
+
+    @property
+    def convergence_s(self) -> float | None:
+        """Time from which the error stays within 2 points of SOC for ten minutes or to the end."""
+        if self.soc_error is None:
+            return None
+        row = converged_row(self.log.time_s, self.soc_error)
+        return None if row is None else float(self.log.time_s[row] - self.log.time_s[0])
+
+    @property
+    def settled(self) -> SocErrors | None:
+        """After convergence; over the log's second half when it never converged."""
+        if self.soc_error is None:
+            return None
+        row = converged_row(self.log.time_s, self.soc_error)
+        if row is None:
+            middle = self.log.time_s[0] + self.log.duration_s / 2
+            row = int(np.searchsorted(self.log.time_s, middle))
+        return soc_errors(self.soc_error[row:])
+
+    @property
+    def coverage_2sigma(self) -> float | None:
+        """Share of rows whose SOC error lies within two of the filter's standard deviations."""
+        if self.soc_error is None:
+            return None
+        return float(np.mean(np.abs(self.soc_error) <= 2.0 * self.trace.soc_std))
+
+    @property
+    def nis_mean(self) -> float | None:
+        """Mean of innovation squared over its variance, over the voltages that were used."""
+        kept = (self.trace.status & (INNOVATION_REJECTED | VOLTAGE_INVALID)) == 0
+        nis = self.trace.innovation_V[kept] ** 2 / self.trace.innovation_variance_V2[kept]
+        nis = nis[np.isfinite(nis)]
+        return float(np.mean(nis)) if nis.size else None
+
+    @property
+    def voltage_rmse_V(self) -> float:
+        """RMSE of the voltage predicted before each measurement was used [V]."""
+        e = self.trace.innovation_V
+        return float(np.sqrt(np.nanmean(e * e)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """The figures as JSON values, keys as the command prints them."""
+        errors, settled = self.errors, self.settled
+        return {
+            "estimator": self.estimator,
+            "samples": len(self.trace),
+            "soc0": self.start.to_dict(),
+            "soc_final": float(self.trace.soc[-1]),
+            "soc_final_std": float(self.trace.soc_std[-1]),
+            "soc_rmse": None if errors is None else errors.rmse,
+            "soc_mae": None if errors is None else errors.mae,
+            "soc_max_error": None if errors is None else errors.max,
+            "convergence_s": self.convergence_s,
+            "settled": None if settled is None else vars(settled),
+            "coverage_2sigma": self.coverage_2sigma,
+            "nis_mean": self.nis_mean,
+            "voltage_rmse_V": self.voltage_rmse_V,
+            "ns_per_step": self.ns_per_step,
+        }
+
+    def __repr__(self) -> str:
+        text = f"Replay({self.estimator} on {self.log.name or 'log'}: "
+        text += f"SOC {self.start.soc:.3f} -> {self.trace.soc[-1]:.3f}"
+        if self.settled is not None:
+            text += f", settled RMSE {100 * self.settled.rmse:.2f} %"
+        return text + f", {self.ns_per_step:.0f} ns/step)"
+
+
+def soc_errors(error: FloatArray) -> SocErrors:
+    """RMSE, MAE and largest error of a SOC error, shape (n,)."""
+    e = np.abs(error[np.isfinite(error)])
+    if e.size == 0:
+        return SocErrors(float("nan"), float("nan"), float("nan"))
+    return SocErrors(float(np.sqrt(np.mean(e * e))), float(np.mean(e)), float(e.max()))
+
+
+def converged_row(time_s: FloatArray, error: FloatArray) -> int | None:
+    """First row from which the error stays within 2 points for ten minutes, or to the end."""
+    outside = np.abs(error) > CONVERGED_SOC
+    edges = np.flatnonzero(outside)
+    if edges.size == 0:
+        return 0
+    for start, stop in zip(
+        np.concatenate(([0], edges + 1)), np.concatenate((edges, [error.size])), strict=True
+    ):
+        if stop <= start:
+            continue
+        end = time_s[min(stop, error.size - 1)]
+        if stop == error.size or end - time_s[start] >= SUSTAINED_S:
+            return int(start)
+    return None
+
+
+def reference_soc(log: CellLog, soc0: float, capacity_Ah: float) -> FloatArray | None:
+    """SOC by the tester's counter over a stated capacity, shape (rows,); None without a counter.
+
+    Raises
+    ------
+    InputError        capacity not above zero
+    """
+    if not (np.isfinite(capacity_Ah) and capacity_Ah > 0):
+        raise InputError(
+            f"a reference capacity of {capacity_Ah} Ah", "a number above zero", "Give it in Ah."
+        )
+    if log.charge_Ah is None:
+        return None
+    return np.asarray(soc0 - (log.charge_Ah - log.charge_Ah[0]) / capacity_Ah)
+
+
+def replay(
+    model: CellModel,
+    log: CellLog,
+    estimator: str | Estimator = "ekf",
+    *,
+    soc0: float | None = None,
+    soc0_std: float | None = None,
+    noise: Noise | None = None,
+    reference_soc0: float | None = None,
+    reference_capacity_Ah: float | None = None,
+) -> Replay:
+    """Replay a log through an estimator.
+
+    Parameters
+    ----------
+    estimator : str or Estimator      a name of ``ESTIMATORS`` or anything with its ``run``
+    soc0 : float or None              start SOC; None: from a rest or a fit at the log's start
+    soc0_std : float or None          its standard deviation; None: 0.15 for a given start, else
+                                      what the search for it says
+    reference_soc0 : float or None    true SOC at the first row; None: as ``soc0`` is found when it
+                                      is not given
+    reference_capacity_Ah : float or None   charge between SOC 1 and 0 for the reference; None: no
+                                      judgement
+
+    Returns
+    -------
+    Replay
+    """
+    filter_ = make_estimator(estimator, model, noise) if isinstance(estimator, str) else estimator
+    start = initial_soc(model, log, soc0)
+    if soc0_std is not None:
+        start = InitialSoc(start.soc, soc0_std, start.how)
+    filter_.run(log.part(0, 2), start.soc, start.std)  # compiles, so that the clock does not see it
+    began = time.perf_counter()
+    trace = filter_.run(log, start.soc, start.std)
+    ns = 1e9 * (time.perf_counter() - began) / len(log)
+    reference = None
+    if reference_capacity_Ah is not None:
+        true0 = initial_soc(model, log).soc if reference_soc0 is None else reference_soc0
+        reference = reference_soc(log, true0, reference_capacity_Ah)
+    return Replay(log, filter_.name, start, trace, ns, reference)

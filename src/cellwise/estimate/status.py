@@ -1,0 +1,29 @@
+"""Status bits of every estimator, the same values in Python and C."""
+
+from __future__ import annotations
+
+from enum import IntFlag
+
+
+class Status(IntFlag):
+    """What happened in a step; 0 is a plain step."""
+
+    CURRENT_INVALID = 1  # missing or not finite: the last valid current was held
+    VOLTAGE_INVALID = 2  # missing or not finite: prediction only
+    SEQUENCE_GAP = 4  # the log has a gap here: charge unknown, variance widened
+    DUPLICATE = 8  # repeated time stamp: nothing flowed
+    INNOVATION_REJECTED = 16  # the innovation gate kept the voltage out
+    CLAMPED = 32  # SOC was held at a bound
+    STATE_RESET = 64  # the state was not finite and was started anew
+    GATE_RECOVERY = 128  # too many rejections in a row: variance widened, voltage let in
+
+
+# Kernels take plain integers.
+CURRENT_INVALID = int(Status.CURRENT_INVALID)
+VOLTAGE_INVALID = int(Status.VOLTAGE_INVALID)
+SEQUENCE_GAP = int(Status.SEQUENCE_GAP)
+DUPLICATE = int(Status.DUPLICATE)
+INNOVATION_REJECTED = int(Status.INNOVATION_REJECTED)
+CLAMPED = int(Status.CLAMPED)
+STATE_RESET = int(Status.STATE_RESET)
+GATE_RECOVERY = int(Status.GATE_RECOVERY)
