@@ -1,0 +1,363 @@
+"""Compiled kernels of the pulse fit: algebra on the small matrix of normal equations.
+
+Nothing here sees samples except through `varpro_kernels.accumulate`. The unknowns that enter
+linearly are solved exactly, with their sign bounds, at every pair of time constants; what is left
+is a bounded minimisation in two variables, log tau1 and log tau2.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from cellwise.identify.varpro_kernels import (
+    COLUMN_OF,
+    COLUMNS,
+    LINEAR,
+    TILE,
+    accumulate,
+    columns_used,
+)
+from cellwise.typing import BoolArray, FloatArray
+
+IntVector = NDArray[np.int64]
+
+PIVOT_LIMIT = 1e-12
+LONGEST_STEP = 1.5  # in log tau
+DAMPING_START = 1e-4
+
+
+@njit(cache=True)
+def _solve_subset(
+    gram: FloatArray, columns: IntVector, m: int, chol: FloatArray, x: FloatArray
+) -> float:
+    """Least squares on ``m`` columns by Cholesky of the scaled normal equations.
+
+    Leaves the scaled factor in ``chol`` and the solution in ``x``; returns the remaining cost.
+    A column that depends on those before it gets coefficient zero.
+    """
+    for i in range(m):
+        ci = columns[i]
+        si = math.sqrt(gram[ci, ci])
+        for j in range(i + 1):
+            cj = columns[j]
+            scale = si * math.sqrt(gram[cj, cj])
+            s = gram[ci, cj] / scale if scale > 0.0 else 0.0
+            for k in range(j):
+                s -= chol[i, k] * chol[j, k]
+            if j < i:
+                chol[i, j] = s / chol[j, j] if chol[j, j] > 0.0 else 0.0
+            else:
+                chol[i, i] = math.sqrt(s) if s > PIVOT_LIMIT else 0.0
+        s = gram[0, ci] / si if si > 0.0 else 0.0
+        for k in range(i):
+            s -= chol[i, k] * x[k]
+        x[i] = s / chol[i, i] if chol[i, i] > 0.0 else 0.0
+    cost = gram[0, 0]
+    for i in range(m):
+        cost -= x[i] * x[i]
+    for i in range(m - 1, -1, -1):
+        s = x[i]
+        for k in range(i + 1, m):
+            s -= chol[k, i] * x[k]
+        x[i] = s / chol[i, i] if chol[i, i] > 0.0 else 0.0
+    for i in range(m):
+        d = math.sqrt(gram[columns[i], columns[i]])
+        x[i] = x[i] / d if d > 0.0 else 0.0
+    return max(cost, 0.0)
+
+
+@njit(cache=True)
+def solve_linear(
+    gram: FloatArray,
+    include: BoolArray,
+    non_negative: BoolArray,
+    coefficients: FloatArray,
+    free: BoolArray,
+    columns: IntVector,
+    chol: FloatArray,
+    x: FloatArray,
+) -> float:
+    """Linear unknowns with sign bounds: the feasible subset of least cost, found exactly.
+
+    At most four unknowns are bounded, so every choice of those that sit at zero is tried; for a
+    convex quadratic the best feasible one is the bounded optimum.
+
+    Parameters
+    ----------
+    gram : (14, 14) float             from `accumulate`
+    include, non_negative : (9,) bool     unknowns in the model; unknowns that must not be negative
+    coefficients : (9,) float, free : (9,) bool       result: values; not at a bound
+    columns : (9,) int, chol : (9, 9) float, x : (9,) float       scratch
+
+    Returns
+    -------
+    float         remaining cost, the weighted sum of squared residuals [V^2]
+    """
+    bounded = 0
+    for u in range(LINEAR):
+        if include[u] and non_negative[u]:
+            bounded += 1
+    best = math.inf
+    for mask in range(1 << bounded):
+        m = 0
+        bit = 0
+        for u in range(LINEAR):
+            if not include[u]:
+                continue
+            at_zero = False
+            if non_negative[u]:
+                at_zero = (mask >> bit) & 1 == 1
+                bit += 1
+            if not at_zero:
+                columns[m] = COLUMN_OF[u]
+                m += 1
+        cost = _solve_subset(gram, columns, m, chol, x)
+        if cost >= best:
+            continue
+        feasible = True
+        for i in range(m):
+            for u in range(LINEAR):
+                if COLUMN_OF[u] == columns[i] and non_negative[u] and x[i] < 0.0:
+                    feasible = False
+        if not feasible:
+            continue
+        best = cost
+        for u in range(LINEAR):
+            coefficients[u] = 0.0
+            free[u] = False
+            for i in range(m):
+                if COLUMN_OF[u] == columns[i]:
+                    coefficients[u] = x[i]
+                    free[u] = True
+        if mask == 0:
+            break
+    return best
+
+
+@njit(cache=True)
+def _reduced_normal(
+    gram: FloatArray,
+    coefficients: FloatArray,
+    free: BoolArray,
+    columns: IntVector,
+    chol: FloatArray,
+    x: FloatArray,
+    hessian: FloatArray,
+    gradient: FloatArray,
+) -> None:
+    """Gauss-Newton system in (log tau1, log tau2) after the linear unknowns are eliminated.
+
+    With J the derivative of the prediction to log tau at fixed linear unknowns, H = J'PJ and
+    g = J'r, where P projects out the linear columns (Kaufman's form, doi:10.1007/BF01932995).
+    """
+    m = 0
+    for u in range(LINEAR):
+        if free[u]:
+            columns[m] = COLUMN_OF[u]
+            m += 1
+    _solve_subset(gram, columns, m, chol, x)
+    # Each derivative is a sum of two columns: of the driven branch and of its initial decay.
+    b = np.zeros((2, LINEAR))
+    for t in range(2):
+        r = coefficients[3 + t]
+        v = coefficients[7 + t]
+        gradient[t] = r * gram[0, 6 + t] + v * gram[0, 12 + t]
+        for u in range(LINEAR):
+            if free[u]:
+                c = COLUMN_OF[u]
+                gradient[t] -= coefficients[u] * (r * gram[c, 6 + t] + v * gram[c, 12 + t])
+        for i in range(m):
+            c = columns[i]
+            d = math.sqrt(gram[c, c])
+            s = (r * gram[c, 6 + t] + v * gram[c, 12 + t]) / d if d > 0.0 else 0.0
+            for k in range(i):
+                s -= chol[i, k] * b[t, k]
+            b[t, i] = s / chol[i, i] if chol[i, i] > 0.0 else 0.0
+    for t in range(2):
+        for q in range(2):
+            rt, vt = coefficients[3 + t], coefficients[7 + t]
+            rq, vq = coefficients[3 + q], coefficients[7 + q]
+            s = rt * rq * gram[6 + t, 6 + q] + vt * vq * gram[12 + t, 12 + q]
+            s += rt * vq * gram[6 + t, 12 + q] + vt * rq * gram[12 + t, 6 + q]
+            for i in range(m):
+                s -= b[t, i] * b[q, i]
+            hessian[t, q] = s
+
+
+@njit(cache=True)
+def _inside(p1: float, p2: float, limits: FloatArray) -> bool:
+    """Whether (log tau1, log tau2) keeps the limits, to rounding."""
+    slack = 1e-9
+    return bool(
+        p1 >= limits[0] - slack
+        and p1 <= limits[1] + slack
+        and p2 >= limits[2] - slack
+        and p2 <= limits[3] + slack
+        and p2 - p1 >= limits[4] - slack
+    )
+
+
+@njit(cache=True)
+def _bounded_step(
+    h11: float, h12: float, h22: float, g1: float, g2: float,
+    p1: float, p2: float, limits: FloatArray, step: FloatArray,
+) -> None:
+    """Minimum of the quadratic model within the limits, exactly: inside, on a side, or a corner.
+
+    ``limits`` = (min, max of log tau1; min, max of log tau2; min of log tau2 - log tau1).
+    """
+    determinant = max(h11 * h22 - h12 * h12, 1e-14 * h11 * h22)
+    step[0] = (h22 * g1 - h12 * g2) / determinant
+    step[1] = (h11 * g2 - h12 * g1) / determinant
+    if _inside(p1 + step[0], p2 + step[1], limits):
+        return
+    best = math.inf
+    for side in range(5):
+        # A side is the line base + s * direction; find its part that keeps the other limits.
+        if side < 2:
+            base1, base2, d1, d2 = limits[side] - p1, 0.0, 0.0, 1.0
+        elif side < 4:
+            base1, base2, d1, d2 = 0.0, limits[side] - p2, 1.0, 0.0
+        else:
+            base1, base2, d1, d2 = 0.0, p1 + limits[4] - p2, 1.0, 1.0
+        low, high = -math.inf, math.inf
+        if d1 != 0.0:
+            low, high = max(low, limits[0] - p1 - base1), min(high, limits[1] - p1 - base1)
+        if d2 != 0.0:
+            low, high = max(low, limits[2] - p2 - base2), min(high, limits[3] - p2 - base2)
+        gap = p2 + base2 - p1 - base1 - limits[4]
+        if d2 > d1:
+            low = max(low, -gap)
+        elif d1 > d2:
+            high = min(high, gap)
+        if low > high + 1e-12:
+            continue
+        curve = h11 * d1 * d1 + 2.0 * h12 * d1 * d2 + h22 * d2 * d2
+        pull = (g1 - h11 * base1 - h12 * base2) * d1 + (g2 - h12 * base1 - h22 * base2) * d2
+        s = min(max(pull / curve if curve > 0.0 else 0.0, low), high)
+        t1, t2 = base1 + s * d1, base2 + s * d2
+        value = 0.5 * (h11 * t1 * t1 + 2 * h12 * t1 * t2 + h22 * t2 * t2) - g1 * t1 - g2 * t2
+        if value < best:
+            best = value
+            step[0], step[1] = t1, t2
+
+
+@njit(cache=True)
+def minimise(
+    dt: FloatArray,
+    current: FloatArray,
+    known: FloatArray,
+    dq: FloatArray,
+    weight: FloatArray,
+    trend: FloatArray,
+    centre: float,
+    include: BoolArray,
+    non_negative: BoolArray,
+    limits: FloatArray,
+    log_tau: FloatArray,
+    iterations: int,
+    tolerance: float,
+    gram: FloatArray,
+    coefficients: FloatArray,
+    free: BoolArray,
+) -> tuple[float, int, bool]:
+    """Levenberg-Marquardt on the two time constants, the linear unknowns projected out.
+
+    Parameters
+    ----------
+    dt, current, known, dq, weight : (n,) float       as in `accumulate`
+    trend : (5,) float, centre : float                as in `accumulate`
+    include, non_negative : (9,) bool                 as in `solve_linear`
+    limits : (5,) float       of log tau1 and log tau2, and their least distance
+    log_tau : (2,) float      start; overwritten with the optimum
+    iterations : int          most passes over the samples
+    tolerance : float         converged when log tau moves less than this
+    gram : (14, 14), coefficients : (8,), free : (9,)     result at the optimum
+
+    Returns
+    -------
+    cost [V^2], passes over the samples, whether it converged
+    """
+    used = columns_used(include)
+    tile = np.empty((COLUMNS, TILE))
+    tile_weight = np.empty(TILE)
+    trial = np.empty((COLUMNS, COLUMNS))
+    trial_coefficients = np.zeros(LINEAR)
+    trial_free = np.zeros(LINEAR, dtype=np.bool_)
+    columns = np.zeros(LINEAR, dtype=np.int64)
+    chol = np.zeros((LINEAR, LINEAR))
+    x = np.zeros(LINEAR)
+    hessian = np.zeros((2, 2))
+    gradient = np.zeros(2)
+    step = np.zeros(2)
+    gram[:, :] = 0.0
+    cost = math.inf
+    damping = DAMPING_START
+    p1, p2 = log_tau[0], log_tau[1]
+    for n in range(iterations):
+        tau1, tau2 = math.exp(p1), math.exp(p2)
+        accumulate(dt, current, known, dq, weight, tau1, tau2, trend, centre, used, tile,
+                   tile_weight, trial)
+        new = solve_linear(trial, include, non_negative, trial_coefficients, trial_free,
+                           columns, chol, x)
+        moved = max(abs(p1 - log_tau[0]), abs(p2 - log_tau[1]))
+        if new < cost or n == 0:
+            stalled = n > 0 and cost - new <= 1e-14 * cost
+            log_tau[0], log_tau[1] = p1, p2
+            cost = new
+            gram[:, :] = trial
+            coefficients[:] = trial_coefficients
+            free[:] = trial_free
+            damping = max(0.1 * damping, 1e-12)
+            if n > 0 and (moved < tolerance or stalled):
+                return cost, n + 1, True
+            _reduced_normal(gram, coefficients, free, columns, chol, x, hessian, gradient)
+        else:
+            if moved < tolerance:
+                return cost, n + 1, True
+            damping *= 10.0
+        # A branch of zero resistance says nothing about its tau: keep the system regular.
+        floor = 1e-12 * (hessian[0, 0] + hessian[1, 1]) + 1e-300
+        _bounded_step(
+            hessian[0, 0] * (1.0 + damping) + floor, hessian[0, 1],
+            hessian[1, 1] * (1.0 + damping) + floor, gradient[0], gradient[1],
+            log_tau[0], log_tau[1], limits, step,
+        )
+        p1 = log_tau[0] + min(max(step[0], -LONGEST_STEP), LONGEST_STEP)
+        p2 = log_tau[1] + min(max(step[1], -LONGEST_STEP), LONGEST_STEP)
+        p2 = max(p2, p1 + limits[4])
+    return cost, iterations, False
+
+
+@njit(cache=True)
+def scan(
+    dt: FloatArray,
+    current: FloatArray,
+    known: FloatArray,
+    dq: FloatArray,
+    weight: FloatArray,
+    trend: FloatArray,
+    centre: float,
+    include: BoolArray,
+    non_negative: BoolArray,
+    log_tau: FloatArray,
+    costs: FloatArray,
+) -> None:
+    """Cost [V^2] at every given pair of log time constants, shape (m, 2) -> (m,)."""
+    gram = np.empty((COLUMNS, COLUMNS))
+    tile = np.empty((COLUMNS, TILE))
+    tile_weight = np.empty(TILE)
+    coefficients = np.zeros(LINEAR)
+    free = np.zeros(LINEAR, dtype=np.bool_)
+    columns = np.zeros(LINEAR, dtype=np.int64)
+    chol = np.zeros((LINEAR, LINEAR))
+    x = np.zeros(LINEAR)
+    used = columns_used(include)
+    for k in range(costs.size):
+        accumulate(dt, current, known, dq, weight, math.exp(log_tau[k, 0]),
+                   math.exp(log_tau[k, 1]), trend, centre, used, tile, tile_weight, gram)
+        costs[k] = solve_linear(gram, include, non_negative, coefficients, free, columns, chol, x)
