@@ -29,6 +29,7 @@ class CellSetup:
     thermal : str              PyBaMM's thermal option, "lumped" or "isothermal"
     stretch : float            how strongly the particle mesh is refined towards the surface
     changes : mapping          parameters that differ from the published set
+    borrowed : tuple           (other set, names of the parameters taken from it)
     """
 
     key: str
@@ -44,6 +45,7 @@ class CellSetup:
     thermal: str
     stretch: float = 1.5
     changes: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    borrowed: tuple[str, tuple[str, ...]] | None = None
 
     @property
     def has_thermocouple(self) -> bool:
@@ -66,6 +68,17 @@ NMC = CellSetup(
     # A chamber with a fan: the published 10 W/m2K is still air and would let a drive heat the
     # cell by some 20 K, far more than laboratories report for such tests.
     changes=MappingProxyType({"Total heat transfer coefficient [W.m-2.K-1]": 30.0}),
+    # The same cell's diffusivities and conductivity with Arrhenius factors that are one at 25 degC
+    # (O'Kane et al., 10.1039/D2CP00417H); in Chen2020 they do not know the temperature.
+    borrowed=(
+        "OKane2022",
+        (
+            "Negative particle diffusivity [m2.s-1]",
+            "Positive particle diffusivity [m2.s-1]",
+            "Electrolyte diffusivity [m2.s-1]",
+            "Electrolyte conductivity [S.m-1]",
+        ),
+    ),
 )
 
 LFP = CellSetup(

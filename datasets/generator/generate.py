@@ -12,7 +12,7 @@ import numpy as np
 
 from .instrument import Instrument, Recording, measure
 from .physics import PhysicsCell
-from .protocols import HOUR, RELAX, TESTS, Test, charge_full
+from .protocols import HOUR, RELAX, ROOM_C, TESTS, Test, charge_full
 from .tester import Rest, VirtualTester
 from .writing import sha256, write_catalogue, write_parquet
 
@@ -28,9 +28,10 @@ Progress = Callable[[str, int, int], None]
 def record(test: Test, seed: int = SEED) -> tuple[Recording, dict[str, float]]:
     """Run one test from a freshly charged cell.
 
-    The cell starts in equilibrium at 90 %, is charged full, and only then is the recorder
-    switched on. Route and noise depend on the test's name and the seed alone, so each file can
-    be made again without the others.
+    The cell starts in equilibrium at 90 %, is charged full at 25 degC, soaks in the chamber for
+    three hours where that has another temperature, and only then is the recorder switched on.
+    Route and noise depend on the test's name and the seed alone, so each file can be made again
+    without the others.
 
     Returns
     -------
@@ -38,9 +39,12 @@ def record(test: Test, seed: int = SEED) -> tuple[Recording, dict[str, float]]:
     dict          initial_soc, final_soc, true_capacity_Ah
     """
     rng = np.random.default_rng([seed, zlib.crc32(test.name.encode())])
-    cell = PhysicsCell(test.cell, soc=0.9, ambient_C=test.ambient_C)
+    cell = PhysicsCell(test.cell, soc=0.9, ambient_C=ROOM_C)
     tester = VirtualTester(cell, test.cell.lower_V, test.cell.upper_V)
     tester.run([*charge_full(test.cell), Rest(0.1 * HOUR, RELAX)])
+    if test.ambient_C != ROOM_C:
+        cell.ambient_C = test.ambient_C
+        tester.run([Rest(3.0 * HOUR, RELAX)])
     tester.start_recording()
     initial = cell.soc
     tester.run(test.steps(rng))

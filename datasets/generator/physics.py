@@ -81,6 +81,7 @@ class PhysicsCell:
 
     Attributes
     ----------
+    ambient_C : float        temperature of the chamber from now on; may be changed [degC]
     capacity_Ah : float      charge between the window's two open-circuit voltages [Ah]
     """
 
@@ -92,12 +93,11 @@ class PhysicsCell:
         }
         model = pybamm.lithium_ion.DFN(options)
         model.events = _events(model.variables)
-        parameters = pybamm.ParameterValues(setup.parameter_set)
-        kelvin = 273.15 + ambient_C
-        parameters.update(
-            {**setup.changes, "Ambient temperature [K]": kelvin, "Initial temperature [K]": kelvin}
-        )
+        parameters = _parameters(setup, ambient_C)
         self.capacity_Ah = _window_capacity(parameters)
+        parameters.set_initial_state(soc)
+        parameters.update({"Ambient temperature [K]": "[input]"})
+        self.ambient_C = ambient_C
         self._solver = pybamm.IDAKLUSolver(rtol=SOLVER_RTOL, atol=SOLVER_ATOL)
         simulation = pybamm.Simulation(
             model,
@@ -106,7 +106,7 @@ class PhysicsCell:
             var_pts=MESH_POINTS,
             solver=self._solver,
         )
-        simulation.build(initial_soc=soc)
+        simulation.build()
         self._model = simulation.built_model
         self._start_soc = soc
         self._solution: Any = None
@@ -201,7 +201,7 @@ class PhysicsCell:
                 self._model,
                 duration,
                 t_interp=np.concatenate(([0.0], rows_s)),
-                inputs=inputs,
+                inputs={**inputs, "Ambient temperature [K]": 273.15 + self.ambient_C},
                 save=False,
             )
         except pybamm.SolverError as error:
@@ -222,6 +222,19 @@ class PhysicsCell:
         self.temperature_C = float(stretch.temperature_C[-1])
         self.charge_Ah = float(stretch.charge_Ah[-1])
         return stretch
+
+
+def _parameters(setup: CellSetup, ambient_C: float) -> pybamm.ParameterValues:
+    """Published set with the changes and loans that `CellSetup` names."""
+    parameters = pybamm.ParameterValues(setup.parameter_set)
+    if setup.borrowed is not None:
+        other, names = setup.borrowed
+        lender = pybamm.ParameterValues(other)
+        parameters.update({name: lender[name] for name in names})
+    kelvin = 273.15 + ambient_C
+    parameters.update({"Ambient temperature [K]": kelvin, "Initial temperature [K]": kelvin})
+    parameters.update(dict(setup.changes))
+    return parameters
 
 
 def _window_capacity(parameters: pybamm.ParameterValues) -> float:

@@ -12,6 +12,7 @@ from .tester import ConstantCurrent, ConstantVoltage, Profile, Rest, RowPlan, St
 from .vehicle import MOTORWAY, RURAL, URBAN, Style, Vehicle, depleting_cycle, drive_current
 
 HOUR = 3600.0
+ROOM_C = 25.0
 FOREVER = 1e9
 
 SLOW: RowPlan = ((10.0, 1.0), (60.0, 10.0), (FOREVER, 60.0))
@@ -48,7 +49,7 @@ class Test:
     range_A: float
     steps: StepSource
     rate: str = ""
-    ambient_C: float = 25.0
+    ambient_C: float = ROOM_C
 
 
 def charge_full(cell: CellSetup, rows: RowPlan = MEDIUM) -> list[Step]:
@@ -215,15 +216,31 @@ def _discharge_hppc(tag: str, hours_of_rate: float, range_A: float) -> Test:
     )
 
 
-def _drive(letter: str, styles: tuple[Style, ...], depth_Ah: float, character: str) -> Test:
+def _hppc(name: str, ambient_C: float) -> Test:
     return Test(
-        name=f"nmc_drive_{letter}",
+        name=name,
+        cell=NMC,
+        kind="hppc",
+        description="From full, at each 10 % of nominal: 10 s discharge, 40 s rest, 10 s charge at "
+        "0.5C, 1C and 2C, 10 min apart, 10 Hz rows; then 10 % at C/3 and 60 min rest, to 2.5 V",
+        range_A=20.0,
+        steps=_fixed(multirate_hppc_steps(NMC)),
+        ambient_C=ambient_C,
+    )
+
+
+def _drive(
+    name: str, styles: tuple[Style, ...], depth_Ah: float, character: str, ambient_C: float = ROOM_C
+) -> Test:
+    return Test(
+        name=name,
         cell=NMC,
         kind="drive",
         description=f"From full: stochastic {character} driving in rows of 1 s until "
-        f"{depth_Ah} Ah are taken, 30 min rest; limits held, peaks and regeneration trimmed there",
+        f"{depth_Ah} Ah are asked for, 30 min rest; peaks and regeneration trimmed at the limits",
         range_A=20.0,
         steps=drive_steps(styles, PACK_CELLS[character], depth_Ah),
+        ambient_C=ambient_C,
     )
 
 
@@ -232,18 +249,12 @@ TESTS: tuple[Test, ...] = (
     _capacity(NMC, "c20", "C/20", 1.0 / 20.0, 1.0, SLOW),
     _capacity(NMC, "c5", "C/5", 1.0 / 5.0, 5.0, MEDIUM),
     _capacity(NMC, "c3", "C/3", 1.0 / 3.0, 5.0, MEDIUM),
-    Test(
-        name="nmc_hppc",
-        cell=NMC,
-        kind="hppc",
-        description="From full, at each 10 % of nominal: 10 s discharge, 40 s rest, 10 s charge at "
-        "0.5C, 1C and 2C, 10 min apart, 10 Hz rows; then 10 % at C/3 and 60 min rest, to 2.5 V",
-        range_A=20.0,
-        steps=_fixed(multirate_hppc_steps(NMC)),
-    ),
-    _drive("a", (URBAN,), 4.75, "urban"),
-    _drive("b", (MOTORWAY,), 4.70, "motorway"),
-    _drive("c", (URBAN, URBAN, RURAL, MOTORWAY), 4.80, "mixed"),
+    _hppc("nmc_hppc", ROOM_C),
+    _drive("nmc_drive_a", (URBAN,), 4.75, "urban"),
+    _drive("nmc_drive_b", (MOTORWAY,), 4.70, "motorway"),
+    _drive("nmc_drive_c", (URBAN, URBAN, RURAL, MOTORWAY), 4.80, "mixed"),
+    _hppc("nmc_hppc_p00", 0.0),
+    _drive("nmc_drive_p00", (URBAN, URBAN, RURAL), 4.0, "mixed", 0.0),
     _discharge_hppc("c20", 20.0, 1.0),
     _discharge_hppc("c5", 5.0, 5.0),
     _discharge_hppc("c3", 3.0, 5.0),

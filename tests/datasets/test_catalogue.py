@@ -39,7 +39,8 @@ def test_catalogue_and_folder_hold_the_same_files():
 
 def test_catalogue_lists_every_test_of_the_plan():
     wanted = {
-        "nmc": "cap_c20 cap_c5 cap_c3 ocv_c20 hppc hppc_c20 hppc_c5 hppc_c3 drive_a drive_b drive_c",
+        "nmc": "cap_c20 cap_c5 cap_c3 ocv_c20 hppc hppc_p00 hppc_c20 hppc_c5 hppc_c3 "
+        "drive_a drive_b drive_c drive_p00",
         "lfp": "cap_0p5c cap_1c cap_2c cap_3c ocv_c20 hppc cdc",
     }
     names = {f"{cell}_{test}" for cell, tests in wanted.items() for test in tests.split()}
@@ -120,6 +121,15 @@ def test_soc_truth_agrees_with_the_counter(entry):
     moved = columns(entry)["ampere_hours"][-1] / entry["true_capacity_Ah"]
     assert entry["initial_soc"] - entry["final_soc"] == pytest.approx(moved, abs=1e-4)
     assert 0.98 < entry["initial_soc"] <= 1.0
+
+
+def test_thermocouple_starts_at_the_chamber(entry):
+    log = columns(entry)
+    if "temperature_C" not in log:
+        pytest.skip("lfp has no thermocouple")
+    assert np.mean(log["temperature_C"][:10]) == pytest.approx(entry["temperature_C"], abs=0.2)
+    assert log["temperature_C"].min() > entry["temperature_C"] - 0.5
+    assert log["temperature_C"].max() < entry["temperature_C"] + 20.0
 
 
 def test_relay_is_open_in_a_rest(entry):

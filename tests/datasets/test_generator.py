@@ -56,6 +56,7 @@ def test_depleting_cycle_has_the_charge_asked_for():
         assert current.min() < 0.0 < current.max()
 
 
+@pytest.mark.slow
 def test_cell_keeps_charge_and_stops_at_its_limit():
     from generator.cells import LFP
     from generator.physics import PhysicsCell
@@ -74,6 +75,7 @@ def test_cell_keeps_charge_and_stops_at_its_limit():
     assert cell.soc == pytest.approx(0.06 - log.charge_Ah[-1] / cell.capacity_Ah, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_pulse_beyond_the_limit_in_its_first_instant_is_held_at_the_limit():
     from generator.cells import LFP
     from generator.physics import PhysicsCell

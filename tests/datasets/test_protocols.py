@@ -132,6 +132,18 @@ def test_drive_works_the_cell_in_both_directions(name):
     assert 0.90 < depth < 0.95
 
 
+def test_cold_cell_resists_more():
+    """The drop 0.1 s into the 1C discharge pulse at half charge."""
+    drops = []
+    for name in ("hppc", "hppc_p00"):
+        log = read(f"nmc/{name}")
+        pulse = pulses(log, 10.0)[5 * 6 + 2]
+        before = np.flatnonzero(log["step"] < pulse["step"][0])[-1]
+        drops.append(log["voltage_V"][before] - pulse["voltage_V"][0])
+        assert pulse["current_A"].mean() == pytest.approx(5.0, rel=1e-3)
+    assert drops[1] > 1.3 * drops[0] > 0.0
+
+
 def test_drives_are_three_routes():
     means = [read(f"nmc/{name}")["current_A"].mean() for name in ("drive_a", "drive_b", "drive_c")]
     assert means[0] < 0.6 * min(means[1:])
