@@ -48,6 +48,8 @@ FAR_FIFTH = 0.388
 NOISE_ONLY_SIGMAS = 6.5
 # Steps of this share of the range shall be seen, so more noise than that asks for smoothing.
 SMOOTHED_STEP_OF_RANGE = 0.02
+COARSE_OF_RANGE = 0.05
+COARSE_ROWS = 0.02
 MAX_SMOOTHING_ROWS = 15
 BLOCK_ROWS = 8
 FLAT_CHUNKS = 8
@@ -247,11 +249,8 @@ def current_scale(current_A: FloatArray) -> CurrentScale:
     noise = _noise(current_A, top)
     if top < NOISE_ONLY_SIGMAS * noise:  # nothing flows in this log
         return CurrentScale(noise, 0.0, top, 3.0 * top, top, 1)
-    moved = np.abs(np.diff(current_A))
-    moved = moved[moved > 0.0]
-    lsb = float(moved.min()) if moved.size else 0.0
-    if lsb > ZERO_OF_RANGE * top:  # a log without noise: its smallest change is a step
-        lsb = 0.0
+    lsb = _resolution(current_A, top)
+    noise = max(noise, 0.3 * lsb)
     width = 1
     if STEP_SIGMAS * noise > SMOOTHED_STEP_OF_RANGE * top:
         wanted = (1.25 * STEP_SIGMAS * noise / (SMOOTHED_STEP_OF_RANGE * top)) ** 2
@@ -343,6 +342,16 @@ def _step_response(dt: FloatArray, fast_s: float, slow_s: float) -> FloatArray:
     t = h * np.maximum(np.round(peak_s / h), 1.0)
     response: FloatArray = np.exp(-t / slow_s) - np.exp(-t / fast_s)
     return response
+
+
+def _resolution(current_A: FloatArray, top: float) -> float:
+    """Smallest change of the current [A], 0 where that is a step of a log without noise."""
+    moved = np.abs(np.diff(current_A))
+    moved = moved[moved > 1e-9 * top]
+    lsb = float(moved.min()) if moved.size else 0.0
+    # A coarse resolution shows by going back and forth all the time.
+    often = np.count_nonzero(moved < 1.01 * lsb) > COARSE_ROWS * current_A.size
+    return lsb if lsb <= (COARSE_OF_RANGE if often else ZERO_OF_RANGE) * top else 0.0
 
 
 def _noise(current_A: FloatArray, top: float) -> float:

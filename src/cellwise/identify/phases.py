@@ -254,7 +254,7 @@ def _join_cv(spans: list[_Span], s: _Signals) -> list[_Span]:
 
 def _continues(last: _Span, span: _Span, before: _Span | None, ohm: float, s: _Signals) -> bool:
     """Whether two spans are parts of one constant-voltage phase."""
-    if not {last.kind, span.kind} <= {"cc", "cv"} or last.level_A * span.level_A <= 0.0:
+    if "rest" in (last.kind, span.kind) or last.level_A * span.level_A <= 0.0:
         return False
     fall = abs(last.level_A) - abs(span.level_A)
     if fall < -s.scale.step_A:
@@ -262,7 +262,7 @@ def _continues(last: _Span, span: _Span, before: _Span | None, ohm: float, s: _S
     held = float(s.voltage_V[last.stop - 1])
     if last.kind == "cv":
         return s.still(span.start, span.stop, held)
-    if not s.still(span.start, span.stop, held):
+    if "dynamic" in (last.kind, span.kind) or not s.still(span.start, span.stop, held):
         return False
     # A constant current that ends where the voltage is held: all of it was held already, and a
     # larger current went before; or the current fell and the voltage did not answer.

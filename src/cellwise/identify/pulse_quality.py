@@ -201,6 +201,7 @@ def _limit(
         if s and h
     ]
     extreme = float(np.nanmin(v) if discharge else np.nanmax(v))
+    levels = [e for e in levels if abs(e - extreme) <= LIMIT_OF_VOLTAGE * abs(extreme)]
     if not levels:
         short = side & (durations < SHORT_OF_EXPECTED * expected)
         ends = [float(v[x.stop - 1]) for x, s in zip(loads, short, strict=True) if s]
@@ -234,7 +235,11 @@ def _spurious(
             f"(noise {1e3 * noise:.1f} mV)",
             0.0,
         )
-    ended = x.cc_stop < x.stop or _at_limit(float(v[x.stop - 1]), limit, x.current_A > 0.0)
+    ended = _at_limit(float(v[x.stop - 1]), limit, x.current_A > 0.0)
+    if x.cc_stop < x.stop and not ended:
+        return Verdict(
+            "spurious", f"the current falls at {v[x.stop - 1]:.3f} V, which is no limit here", 0.0
+        )
     if not ended and x.role == "pulse" and duration < SPURIOUS_OF_EXPECTED * expected:
         return Verdict(
             "spurious",

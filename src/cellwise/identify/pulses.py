@@ -22,6 +22,12 @@ from cellwise.typing import FloatArray
 # Seconds before the pulse over which the resting voltage is averaged, as in the LFP paper.
 RESTED_VOLTAGE_S = 10.0
 MINIMUM_REST_S = 5.0
+# In a log that is mostly a drive, idling and cruising look like pulses.
+DRIVE_SHARE = 0.5
+DRIVE_PULSE_S = 5.0
+DRIVE_REST_S = 30.0
+# A short current below this share of the log's largest is a tester's leakage, or a dither.
+SMALLEST_OF_RANGE = 0.01
 # Pulses and moves differ in duration by at least this factor, and the border lies within these.
 ROLE_FACTOR = 2.5
 ROLE_BORDER_S = (4.0, 900.0)
@@ -101,7 +107,9 @@ def pulses_to_fit(pulses: Sequence[Pulse]) -> tuple[Pulse, ...]:
 def _loads(log: CellLog, phases: Sequence[Phase]) -> tuple[Load, ...]:
     """Constant currents after a rest, with the voltage-held part that belongs to them."""
     border = _role_border(phases)
+    shortest, rested = _shortest(phases)
     current = log.known_current_A()
+    smallest = SMALLEST_OF_RANGE * float(np.max(np.abs(current)))
     loads = []
     for k, phase in enumerate(phases):
         if phase.kind != "cc" or k == 0 or phases[k - 1].kind != "rest":
@@ -113,28 +121,38 @@ def _loads(log: CellLog, phases: Sequence[Phase]) -> tuple[Load, ...]:
         rest = k - 1
         while rest > 0 and phases[rest - 1].kind == "rest":
             rest -= 1
-        if (
-            log.time_s[phase.start - 1] - log.time_s[max(phases[rest].start - 1, 0)]
-            < MINIMUM_REST_S
-        ):
-            continue
         relaxed = after
         while relaxed < len(phases) and phases[relaxed].kind == "rest":
             relaxed += 1
-        stop = phases[after - 1].stop
-        duration = float(log.time_s[stop - 1] - log.time_s[phase.start - 1])
+        seconds = sum(p.duration_s for p in phases[k:after])
+        level = _level(current[phase.start : phase.stop])
+        # Before the log's first row the cell may have rested for as long as one likes.
+        known = rest > 0 or rested > MINIMUM_REST_S
+        if known and sum(p.duration_s for p in phases[rest:k]) < rested:
+            continue
+        if seconds < shortest or (seconds <= border and abs(level) < smallest):
+            continue
         loads.append(
             Load(
                 rest_start=phases[rest].start,
                 start=phase.start,
                 cc_stop=phase.stop,
-                stop=stop,
+                stop=phases[after - 1].stop,
                 relax_stop=phases[relaxed - 1].stop,
-                current_A=_level(current[phase.start : phase.stop]),
-                role="move" if duration > border else "pulse",
+                current_A=level,
+                role="move" if seconds > border else "pulse",
             )
         )
     return tuple(loads)
+
+
+def _shortest(phases: Sequence[Phase]) -> tuple[float, float]:
+    """Shortest pulse and shortest rest before it that count [s]; a drive holds many short ones."""
+    seconds = {"dynamic": 0.0, "rest": 0.0, "cc": 0.0, "cv": 0.0}
+    for phase in phases:
+        seconds[phase.kind] += phase.duration_s
+    drive = seconds["dynamic"] > DRIVE_SHARE * (seconds["cc"] + seconds["cv"])
+    return (DRIVE_PULSE_S, DRIVE_REST_S) if drive else (0.0, MINIMUM_REST_S)
 
 
 def _same_load(phase: Phase, following: Phase) -> bool:
