@@ -23,7 +23,8 @@ from .cells import CellSetup
 FloatArray = NDArray[np.float64]
 EndedBy = Literal["time", "limit", "cutoff"]
 
-MESH_POINTS = {"x_n": 16, "x_s": 8, "x_p": 16, "r_n": 24, "r_p": 24}
+SEPARATOR_POINTS = 8
+PARTICLE_POINTS = 24
 SOLVER_RTOL = 1e-6
 SOLVER_ATOL = 1e-8
 
@@ -103,7 +104,13 @@ class PhysicsCell:
             model,
             parameter_values=parameters,
             submesh_types=_refined_particles(model, setup.stretch),
-            var_pts=MESH_POINTS,
+            var_pts={
+                "x_n": setup.electrode_points,
+                "x_s": SEPARATOR_POINTS,
+                "x_p": setup.electrode_points,
+                "r_n": PARTICLE_POINTS,
+                "r_p": PARTICLE_POINTS,
+            },
             solver=self._solver,
         )
         simulation.build()
