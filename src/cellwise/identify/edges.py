@@ -40,10 +40,9 @@ REST_SIGMAS = 6.0
 # Scatter above this share of the range, or that grows with the distance of the samples, is a
 # moving current and not noise.
 NOISE_OF_RANGE = 0.3
-WHITE_GROWTH = 1.25
-# Lower fifth of the block scatter for white noise of unit sigma, for sample distances 1 and 2.
-NEAR_FIFTH = 0.493
-FAR_FIFTH = 0.388
+WHITE_GROWTH = 1.3
+# Mean size of a second difference of white noise of unit sigma: sqrt(6) sqrt(2 / pi).
+MEAN_BEND = 1.954
 # A log whose largest sample lies within this many standard deviations holds no current at all.
 NOISE_ONLY_SIGMAS = 6.5
 # Steps of this share of the range shall be seen, so more noise than that asks for smoothing.
@@ -246,17 +245,18 @@ def current_scale(current_A: FloatArray) -> CurrentScale:
     top = float(np.max(np.abs(current_A)))
     if top == 0.0:
         return CurrentScale(0.0, 0.0, 0.0, 0.0, 0.0, 1)
-    noise = _noise(current_A, top)
+    lsb = _resolution(current_A, top)
+    noise = max(_noise(current_A, top, lsb), 0.3 * lsb)
     if top < NOISE_ONLY_SIGMAS * noise:  # nothing flows in this log
         return CurrentScale(noise, 0.0, top, 3.0 * top, top, 1)
-    lsb = _resolution(current_A, top)
-    noise = max(noise, 0.3 * lsb)
+    # Where the resolution makes the noise, samples jump by one step of it, seldom by two.
+    rounded = noise < lsb
     width = 1
-    if STEP_SIGMAS * noise > SMOOTHED_STEP_OF_RANGE * top:
+    if not rounded and STEP_SIGMAS * noise > SMOOTHED_STEP_OF_RANGE * top:
         wanted = (1.25 * STEP_SIGMAS * noise / (SMOOTHED_STEP_OF_RANGE * top)) ** 2
         width = int(min(2 * (wanted // 2) + 1, MAX_SMOOTHING_ROWS))
-    seen = noise if width == 1 else 1.25 * noise / np.sqrt(width)
-    step = max(STEP_SIGMAS * float(seen), STEP_OF_RANGE * top, 1.5 * lsb)
+    seen = 0.0 if rounded else noise if width == 1 else 1.25 * noise / np.sqrt(width)
+    step = max(STEP_SIGMAS * float(seen), STEP_OF_RANGE * top, 2.5 * lsb if rounded else 0.0)
     rest = max(REST_SIGMAS * float(seen), REST_OF_RANGE * top, 1.5 * lsb)
     near = current_A[np.abs(current_A) <= max(ZERO_OF_RANGE * top, 4.0 * noise)]
     zero = float(np.median(near)) if near.size else 0.0
@@ -354,36 +354,40 @@ def _resolution(current_A: FloatArray, top: float) -> float:
     return lsb if lsb <= (COARSE_OF_RANGE if often else ZERO_OF_RANGE) * top else 0.0
 
 
-def _noise(current_A: FloatArray, top: float) -> float:
+def _noise(current_A: FloatArray, top: float, lsb: float) -> float:
     """Standard deviation of a sample about its level [A], 0 where the log cannot tell.
 
-    Second differences, because a slope is not noise; the quietest fifth of the blocks, because
-    most blocks of a drive hold steps; at two distances of the samples, because the differences of
-    noise do not grow with it and those of a moving current do.
+    Second differences, because a slope is not noise; of the quietest blocks, because most blocks
+    of a drive hold steps; at two distances of the samples, because the differences of noise do
+    not grow with it and those of a moving current do.
     """
     n = current_A.size // BLOCK_ROWS * BLOCK_ROWS
     if n == 0:
         return 0.0
     blocks = current_A[:n].reshape(-1, BLOCK_ROWS)
-    near, far = (_block_scatter(blocks, lag) for lag in (1, 2))
+    near, far = (_bends(blocks, lag) for lag in (1, 2))
+    middle = (near.shape[1] - 1) // 2
+    typical = np.partition(near, middle, axis=1)[:, middle]
     loaded = np.abs(blocks.mean(axis=1)) > ZERO_OF_RANGE * top
     found = 0.0
     for group in (loaded, ~loaded):
         if not group.any():
             continue
-        quiet = float(np.quantile(near[group], 0.2)) / NEAR_FIFTH
-        wide = float(np.quantile(far[group], 0.2)) / FAR_FIFTH
-        if wide < WHITE_GROWTH * quiet < WHITE_GROWTH * NOISE_OF_RANGE * top:
-            found = max(found, quiet)
+        quiet = max(float(np.quantile(typical[group], 0.2)), lsb)
+        calm = group & (typical <= 4.0 * quiet)
+        # An edge inside a block counts as little more than noise.
+        one, two = (float(np.mean(np.minimum(x[calm], 10.0 * quiet))) for x in (near, far))
+        sigma = one / MEAN_BEND
+        if two < WHITE_GROWTH * one and sigma < NOISE_OF_RANGE * top:
+            found = max(found, sigma)
     return found
 
 
-def _block_scatter(blocks: FloatArray, lag: int) -> FloatArray:
-    """Median size of the second differences of each block, per sigma of white noise."""
-    bend = np.abs(blocks[:, 2 * lag :] - 2.0 * blocks[:, lag:-lag] + blocks[:, : -2 * lag])
-    middle = (bend.shape[1] - 1) // 2
-    scatter: FloatArray = np.partition(bend, middle, axis=1)[:, middle] / (0.6745 * np.sqrt(6.0))
-    return scatter
+def _bends(blocks: FloatArray, lag: int) -> FloatArray:
+    bends: FloatArray = np.abs(
+        blocks[:, 2 * lag :] - 2 * blocks[:, lag:-lag] + blocks[:, : -2 * lag]
+    )
+    return bends
 
 
 def _flat_pieces(

@@ -46,6 +46,7 @@ MISFIT_SIGMAS = 3.0
 # A row whose current is this far from its level, as a share of the pulse, is part of an edge.
 EDGE_SHARE = 0.03
 SETTLING_ROWS = 2
+LONGEST_FALL_ROWS = 3
 BINS = 40
 MINIMUM_BINS = 6
 RESTED_BINS = 8
@@ -256,7 +257,7 @@ def _trimmed(
     log: CellLog, x: Load, duration: float, expected: float, limit: float | None
 ) -> Verdict | None:
     v, i = log.voltage_V, log.interval_current_A
-    constant = _seconds(log, x.start, x.cc_stop)
+    constant = _seconds(log, x.start, x.cc_stop) if x.cc_stop > x.start else 0.0
     planned = max(expected, duration)
     if x.cc_stop < x.stop:
         return Verdict(
@@ -322,8 +323,11 @@ def passive_misfit(
         return None
     t, v, n, t_on, t_off = window
     inside = (t > t_on) & (t <= t_off)
+    rested = t <= t_on
+    if not rested.any() or np.count_nonzero(inside) < MINIMUM_BINS:
+        return None
     sign = 1.0 if load.current_A > 0.0 else -1.0
-    fall = sign * (float(v[t <= t_on][-1]) - v)
+    fall = sign * (float(v[rested][-1]) - v)
     response = float(np.max(fall[inside]))
     if response <= 0.0:
         return None
@@ -384,11 +388,11 @@ def _window(c: Channels, x: Load, relaxation: bool) -> _Window | None:
     duration = t_off - float(c.time_s[x.start - 1])
     # A rise that takes rows is a switch at the instant that keeps the charge.
     on, off, last = 0, x.stop - x.start, x.relax_stop - x.start
-    t_on = t_off - float(np.sum(share[:off] * dt[:off]))
+    t_on = t_off - min(duration, float(np.sum(share[:off] * dt[:off])))
     while on < off - 1 and abs(share[on] - 1.0) > EDGE_SHARE:
         on += 1
     pulse_stop = off
-    while off < last - 1 and abs(share[off]) > EDGE_SHARE:
+    while off < min(last - 1, pulse_stop + LONGEST_FALL_ROWS) and abs(share[off]) > EDGE_SHARE:
         t_off += float(share[off] * dt[off])
         off += 1
     if pulse_stop - on > 10 * SETTLING_ROWS:

@@ -10,6 +10,7 @@ import numpy as np
 
 from cellwise.identify.phases import Phase, find_phases
 from cellwise.identify.pulse_quality import (
+    SAME_DURATION,
     Load,
     PulseQuality,
     PulseRole,
@@ -32,6 +33,7 @@ SMALLEST_OF_RANGE = 0.01
 ROLE_FACTOR = 2.5
 ROLE_BORDER_S = (4.0, 900.0)
 LONGEST_PULSE_S = 600.0
+PULSE_MARGIN = 1.25
 RISEN_PART = 0.9
 
 
@@ -112,9 +114,11 @@ def _loads(log: CellLog, phases: Sequence[Phase]) -> tuple[Load, ...]:
     smallest = SMALLEST_OF_RANGE * float(np.max(np.abs(current)))
     loads = []
     for k, phase in enumerate(phases):
-        if phase.kind != "cc" or k == 0 or phases[k - 1].kind != "rest":
+        if phase.kind not in ("cc", "cv") or k == 0 or phases[k - 1].kind != "rest":
             continue
-        held = k + 1 < len(phases) and _same_load(phase, phases[k + 1])
+        # A limit may be reached in the first row already: then all of it is held.
+        cc_stop = phase.stop if phase.kind == "cc" else phase.start
+        held = phase.kind == "cc" and k + 1 < len(phases) and _same_load(phase, phases[k + 1])
         after = k + 2 if held else k + 1
         if after < len(phases) and phases[after].kind == "dynamic":
             continue
@@ -125,7 +129,7 @@ def _loads(log: CellLog, phases: Sequence[Phase]) -> tuple[Load, ...]:
         while relaxed < len(phases) and phases[relaxed].kind == "rest":
             relaxed += 1
         seconds = sum(p.duration_s for p in phases[k:after])
-        level = _level(current[phase.start : phase.stop])
+        level = _level(current[phase.start : max(cc_stop, phase.start + 1)])
         # Before the log's first row the cell may have rested for as long as one likes.
         known = rest > 0 or rested > MINIMUM_REST_S
         if known and sum(p.duration_s for p in phases[rest:k]) < rested:
@@ -136,7 +140,7 @@ def _loads(log: CellLog, phases: Sequence[Phase]) -> tuple[Load, ...]:
             Load(
                 rest_start=phases[rest].start,
                 start=phase.start,
-                cc_stop=phase.stop,
+                cc_stop=cc_stop,
                 stop=phases[after - 1].stop,
                 relax_stop=phases[relaxed - 1].stop,
                 current_A=level,
@@ -160,23 +164,31 @@ def _same_load(phase: Phase, following: Phase) -> bool:
 
 
 def _role_border(phases: Sequence[Phase]) -> float:
-    """Duration that parts pulses from moves [s]: the widest gap between the log's durations.
+    """Longest duration of a pulse [s]: below the widest gap between the log's durations.
 
-    Every constant current counts, after a rest or not, except those that a limit ended: their
-    durations are nobody's plan.
+    Every constant current counts, after a rest or not, except those that a limit ended. Durations
+    that come more than once are plans; a single one may be a move that was cut.
     """
-    planned = [
-        p.duration_s
-        for k, p in enumerate(phases)
-        if p.kind == "cc" and not (k + 1 < len(phases) and _same_load(p, phases[k + 1]))
-    ]
-    d: FloatArray = np.sort(np.array([x for x in planned if x > 0.0]))
+    planned = np.array(
+        [
+            p.duration_s
+            for k, p in enumerate(phases)
+            if p.kind == "cc"
+            and p.duration_s > 0.0
+            and not (k + 1 < len(phases) and _same_load(p, phases[k + 1]))
+        ]
+    )
+    d: FloatArray = np.sort(planned)
+    close = np.diff(d) <= SAME_DURATION * d[1:] if d.size > 1 else np.zeros(0, np.bool_)
+    repeated = np.concatenate(([False], close)) | np.concatenate((close, [False]))
+    d = d[repeated] if d.size > 1 and repeated.any() else d
     if d.size < 2:
         return LONGEST_PULSE_S
     middle = np.sqrt(d[1:] * d[:-1])
-    ratio = np.where((middle > ROLE_BORDER_S[0]) & (middle < ROLE_BORDER_S[1]), d[1:] / d[:-1], 0.0)
+    fitting = (middle > ROLE_BORDER_S[0]) & (middle < ROLE_BORDER_S[1])
+    ratio = np.where(fitting, d[1:] / d[:-1], 0.0)
     widest = int(np.argmax(ratio))
-    return float(middle[widest]) if ratio[widest] >= ROLE_FACTOR else LONGEST_PULSE_S
+    return PULSE_MARGIN * float(d[widest]) if ratio[widest] >= ROLE_FACTOR else LONGEST_PULSE_S
 
 
 def _level(current: FloatArray) -> float:
