@@ -2,35 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from cellwise.errors import InputError
+from cellwise.logs.gaps import Gap, find_gaps
 from cellwise.typing import BoolArray, FloatArray, IntArray
+
+if TYPE_CHECKING:
+    import pyarrow
+
+__all__ = ["CellLog", "CurrentMeaning", "Gap", "find_gaps"]
 
 CurrentMeaning = Literal["interval_end", "interval_start"]
 
-# A pause counts as a gap when it is this many times longer than the logging interval on
-# either side of it: testers slow down from 1 s to 60 s rows at rest without losing anything.
-GAP_FACTOR = 10.0
-GAP_NEIGHBOURS = 5
-GAP_MINIMUM_S = 2.0
-
-
-@dataclass(frozen=True)
-class Gap:
-    """A pause in the log, never bridged in silence.
-
-    ``row`` is the row that ends the pause. ``charge_Ah`` is what the tester's own counter says
-    flowed meanwhile (positive = discharge), None without a counter.
-    """
-
-    row: int
-    start_s: float
-    duration_s: float
-    charge_Ah: float | None
+# A missing current is bridged by its last value; from here on by the counter, whose steps
+# (0.01 Ah on some testers) are by then small against what flowed.
+COUNTER_BRIDGE_S = 60.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -49,6 +41,8 @@ class CellLog:
     current_meaning : str       ``interval_end``: the current of row k flowed during the interval
                                 that ends at row k (what testers mean); ``interval_start``: it
                                 flows from row k on
+    format : str                what the file was told to be, empty for a log made in memory
+    notices : tuple of str      what a person should know of how the log was read
 
     Raises
     ------
@@ -65,35 +59,65 @@ class CellLog:
     name: str = ""
     source: str = ""
     current_meaning: CurrentMeaning = "interval_end"
+    format: str = ""
+    notices: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        n = len(np.atleast_1d(np.asarray(self.time_s)))
+        n = np.atleast_1d(np.asarray(self.time_s)).size
         where = f"log '{self.name or self.source}'" if self.name or self.source else "the log"
         for field in ("time_s", "current_A", "voltage_V", "temperature_C", "charge_Ah"):
-            value = getattr(self, field)
-            if value is None:
-                continue
-            array = np.ascontiguousarray(value, dtype=np.float64)
-            if array.ndim != 1 or array.size != n:
-                raise InputError(
-                    f"{field} of shape {array.shape} in {where}",
-                    f"one value per row, shape ({n},) as time_s",
-                    "Give every channel the length of time_s.",
-                )
-            if field != "time_s":
-                # An infinite reading is a missing reading: it must not reach a sum.
-                array = np.where(np.isfinite(array), array, np.nan)
-                if field in ("current_A", "voltage_V") and np.all(np.isnan(array)):
-                    raise InputError(
-                        f"no finite value of {field} in {where}",
-                        "at least some measured values",
-                        "Check which column was taken for it.",
-                    )
-            array.setflags(write=False)
-            object.__setattr__(self, field, array)
-        if self.step is not None:
-            object.__setattr__(self, "step", np.ascontiguousarray(self.step, dtype=np.int32))
+            if getattr(self, field) is not None:
+                object.__setattr__(self, field, _channel(getattr(self, field), field, n, where))
         _check_time(self.time_s, where)
+        for field in ("current_A", "voltage_V"):
+            if np.all(np.isnan(getattr(self, field))):
+                raise InputError(
+                    f"no finite value of {field} in {where}",
+                    "at least some measured values",
+                    "Check which column was taken for it.",
+                )
+        if self.step is not None:
+            step = np.ascontiguousarray(self.step, dtype=np.int32).view()
+            _check_shape(step, "step", n, where)
+            step.setflags(write=False)
+            object.__setattr__(self, "step", step)
+        if self.current_meaning not in ("interval_end", "interval_start"):
+            raise InputError(
+                f"current_meaning '{self.current_meaning}' in {where}",
+                "'interval_end' or 'interval_start'",
+                "Say which interval the current of a row belongs to.",
+            )
+
+    @classmethod
+    def from_table(
+        cls, table: Mapping[str, Any], *, sign: str = "auto", name: str = "", source: str = ""
+    ) -> CellLog:
+        """Log from columns by name: a pandas or polars frame, a pyarrow table, a dict of arrays.
+
+        Parameters
+        ----------
+        table : anything with column names and ``table[name]``      the tidy form's columns
+        sign : str          ``auto`` (positive = discharge), ``discharge-positive`` or
+                            ``charge-positive``
+        name, source : str  for people
+
+        Raises
+        ------
+        InputError          as `read_log` does for a file with these columns
+        """
+        from cellwise.logs.assembly import log_from_table
+
+        return log_from_table(table, sign=sign, name=name, source=source)
+
+    def to_arrow(self) -> pyarrow.Table:
+        """The log as a pyarrow table in the tidy form, missing values as nulls.
+
+        ``to_arrow().to_pandas()`` makes it a data frame. A log of the other meaning is turned into
+        the tidy form's: the current of a row is that of the interval that ends there.
+        """
+        from cellwise.logs.writing import arrow_table
+
+        return arrow_table(self)
 
     def __len__(self) -> int:
         return self.time_s.size
@@ -123,7 +147,7 @@ class CellLog:
             return self.current_A
         return np.concatenate(([self.current_A[0]], self.current_A[:-1]))
 
-    @property
+    @cached_property
     def gap_rows(self) -> BoolArray:
         """True for a row that ends a gap, shape (n,)."""
         return find_gaps(self.time_s)
@@ -152,40 +176,43 @@ class CellLog:
     def known_current_A(self) -> FloatArray:
         """Current of each interval with gaps and missing values filled by a stated policy [A].
 
-        Over a gap, and where the current is missing, it is what the tester's counter says flowed;
-        without a counter, zero over a gap (a pause is a rest until somebody says otherwise) and
-        the last known value where single samples are missing.
+        Over a gap it is what the tester's counter says flowed; without a counter zero (a pause is
+        a rest until somebody says otherwise). Where samples are missing it is their last known
+        value, and over more than a minute of missing samples what the counter says.
 
         Returns
         -------
         (n,) float        finite everywhere
         """
         current = self.interval_current_A.copy()
-        dt = self.interval_s
         missing = np.isnan(current)
         gaps = self.gap_rows
-        if not missing.any() and not gaps.any():
-            return current
         if missing.any():
-            index = np.where(missing, 0, np.arange(current.size))
-            np.maximum.accumulate(index, out=index)
-            current = current[index]
-            current[np.isnan(current)] = 0.0
-        current[gaps] = 0.0
-        if self.charge_Ah is not None:
-            moved = np.diff(self.charge_Ah, prepend=self.charge_Ah[0])
-            use = (missing | gaps) & (dt > 0) & np.isfinite(moved)
-            current[use] = 3600.0 * moved[use] / dt[use]
+            _bridge(current, missing, self.time_s, self.charge_Ah)
+        if gaps.any():
+            current[gaps] = 0.0
+            if self.charge_Ah is not None:
+                moved = np.diff(self.charge_Ah, prepend=self.charge_Ah[0])
+                told = gaps & np.isfinite(moved)
+                current[told] = 3600.0 * moved[told] / self.interval_s[told]
         return current
 
     def counted_charge_Ah(self) -> FloatArray:
         """Charge removed since the first row [Ah], shape (n,): the counter, else the current's sum.
 
-        The counter starts at zero here whatever it read at the first row.
+        The counter starts at zero here whatever it read at the first row; where it is missing it
+        is carried on by the current.
         """
         if self.charge_Ah is not None and np.all(np.isfinite(self.charge_Ah)):
             return self.charge_Ah - self.charge_Ah[0]
-        return np.cumsum(self.known_current_A() * self.interval_s) / 3600.0
+        summed: FloatArray = np.cumsum(self.known_current_A() * self.interval_s) / 3600.0
+        if self.charge_Ah is None:
+            return summed
+        read = np.flatnonzero(np.isfinite(self.charge_Ah))
+        if read.size == 0:
+            return summed
+        drift = np.interp(np.arange(len(self)), read, self.charge_Ah[read] - summed[read])
+        return summed + drift - (summed[0] + drift[0])
 
     def part(self, start: int, stop: int) -> CellLog:
         """Rows ``start`` to ``stop`` (not included) as a log of their own, time kept."""
@@ -208,33 +235,43 @@ class CellLog:
         )
 
 
-def find_gaps(time_s: FloatArray) -> BoolArray:
-    """Rows that end a pause far longer than the logging interval on both sides of it.
+def _channel(value: Any, field: str, n: int, where: str) -> FloatArray:
+    """A read-only float64 view or copy of one channel; infinite readings become missing ones."""
+    array: FloatArray = np.ascontiguousarray(value, dtype=np.float64)
+    _check_shape(array, field, n, where)
+    if field != "time_s" and np.isinf(array).any():
+        # An infinite reading must not reach a sum.
+        array = np.where(np.isinf(array), np.nan, array)
+    array = array.view()  # the caller's own array stays writeable
+    array.setflags(write=False)
+    return array
 
-    Parameters
-    ----------
-    time_s : (n,) float       never decreasing [s]
 
-    Returns
-    -------
-    (n,) bool
-    """
-    dt = np.diff(time_s)
-    found = np.zeros(time_s.size, dtype=np.bool_)
-    if dt.size == 0:
-        return found
-    suspects = np.flatnonzero(dt > GAP_MINIMUM_S)
-    if suspects.size > dt.size // 4:  # a slow log: look only where the interval stands out
-        suspects = suspects[dt[suspects] > GAP_FACTOR * np.median(dt)]
-    for k in suspects:
-        before = dt[max(0, k - GAP_NEIGHBOURS) : k]
-        after = dt[k + 1 : k + 1 + GAP_NEIGHBOURS]
-        usual = max(
-            float(np.median(before)) if before.size else 0.0,
-            float(np.median(after)) if after.size else 0.0,
+def _check_shape(array: FloatArray | IntArray, field: str, n: int, where: str) -> None:
+    if array.ndim != 1 or array.size != n:
+        raise InputError(
+            f"{field} of shape {array.shape} in {where}",
+            f"one value per row, shape ({n},) as time_s",
+            "Give every channel the length of time_s.",
         )
-        found[k + 1] = usual > 0.0 and dt[k] > max(GAP_MINIMUM_S, GAP_FACTOR * usual)
-    return found
+
+
+def _bridge(
+    current: FloatArray, missing: BoolArray, time_s: FloatArray, charge_Ah: FloatArray | None
+) -> None:
+    """Fill the missing values of ``current`` in place, run by run."""
+    edges = np.diff(np.concatenate(([False], missing, [False])).astype(np.int8))
+    first = np.flatnonzero(edges == 1)
+    last = np.flatnonzero(edges == -1) - 1
+    before = np.maximum(first - 1, 0)
+    value = current[before]
+    value[np.isnan(value)] = 0.0  # the log begins with missing current
+    if charge_Ah is not None:
+        lasting = time_s[last] - time_s[before]
+        moved = charge_Ah[last] - charge_Ah[before]
+        told = (lasting > COUNTER_BRIDGE_S) & np.isfinite(moved)
+        value[told] = 3600.0 * moved[told] / lasting[told]
+    current[missing] = np.repeat(value, last - first + 1)
 
 
 def _check_time(time_s: FloatArray, where: str) -> None:

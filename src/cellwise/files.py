@@ -1,0 +1,68 @@
+"""Output files that appear whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Callable
+from pathlib import Path
+
+from cellwise.errors import InputError
+
+
+def write_atomically(path: str | Path, content: str | bytes | Callable[[Path], object]) -> Path:
+    """Write a file so that it appears whole or not at all.
+
+    The content goes to a temporary file in the same folder, which then takes the name. Whatever
+    stands there is untouched until then, and stays when writing fails.
+
+    Parameters
+    ----------
+    path : str or Path
+    content : str, bytes or callable      text (written as UTF-8), bytes, or a function that writes
+                                          to the path it is given, which has the same suffix
+
+    Returns
+    -------
+    Path              where the file now is
+
+    Raises
+    ------
+    InputError        the folder does not exist or cannot be written to, the path is a folder, the
+                      disk is full
+    """
+    place = Path(path)
+    if place.is_dir():
+        raise InputError(f"a folder at '{place}'", "a file to write", "Give a file name.")
+    if place.exists() and not place.is_file():  # a device or a pipe has no whole
+        _write(place, content)
+        return place
+    target = place.resolve()  # a link keeps pointing to what it points to
+    if not target.parent.is_dir():
+        raise InputError(
+            f"no folder '{target.parent}' to write '{target.name}' into",
+            "an existing folder",
+            "Create it first.",
+        )
+    temporary = target.with_name(f".{target.stem}.{secrets.token_hex(6)}{target.suffix}")
+    try:
+        _write(temporary, content)
+        os.replace(temporary, target)
+    except OSError as error:
+        raise InputError(
+            f"'{target}', which cannot be written ({error.strerror or error})",
+            "a folder with write permission and space left",
+            "Check permissions and disk space, or choose another place.",
+        ) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+    return target
+
+
+def _write(path: Path, content: str | bytes | Callable[[Path], object]) -> None:
+    if isinstance(content, str):
+        path.write_text(content, encoding="utf-8")
+    elif isinstance(content, bytes):
+        path.write_bytes(content)
+    else:
+        content(path)

@@ -1,0 +1,229 @@
+"""Which column of a file is which channel of a log, and in which unit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+
+import numpy as np
+
+from cellwise.errors import InputError
+from cellwise.typing import FloatArray
+
+KELVIN_OFFSET = -273.15
+
+
+@dataclass(frozen=True)
+class Unit:
+    """Conversion to the channel's own unit: ``value * factor + offset``."""
+
+    factor: float = 1.0
+    offset: float = 0.0
+
+    def convert(self, values: FloatArray) -> FloatArray:
+        """Values in the channel's own unit; the same array where nothing changes."""
+        if self.factor == 1.0 and self.offset == 0.0:
+            return values
+        return values * self.factor + self.offset
+
+
+OWN = Unit()
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One channel of a log and the column names a format gives it.
+
+    Parameters
+    ----------
+    field : str             field of `CellLog`
+    names : mapping         column name to unit, the usual one first; compared without regard to
+                            case and surrounding blanks, the first one present is taken
+    required : bool         a log without it is refused
+    """
+
+    field: str
+    names: Mapping[str, Unit]
+    required: bool = False
+
+    @property
+    def usual_name(self) -> str:
+        """The name to ask for."""
+        return next(iter(self.names))
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column chosen for a channel: its place and name in the file, its unit."""
+
+    field: str
+    index: int
+    name: str
+    unit: Unit
+
+
+TIDY_CHANNELS = (
+    Channel(
+        "time_s",
+        {
+            "time_s": OWN,
+            "time_ms": Unit(1e-3),
+            "time_us": Unit(1e-6),
+            "time_min": Unit(60.0),
+            "time_h": Unit(3600.0),
+        },
+        required=True,
+    ),
+    Channel("current_A", {"current_A": OWN, "current_mA": Unit(1e-3)}, required=True),
+    Channel("voltage_V", {"voltage_V": OWN, "voltage_mV": Unit(1e-3)}, required=True),
+    Channel(
+        "temperature_C",
+        {
+            "temperature_C": OWN,
+            "temperature_degC": OWN,
+            "temperature_K": Unit(1.0, KELVIN_OFFSET),
+            "temperature_F": Unit(5.0 / 9.0, -160.0 / 9.0),
+        },
+    ),
+    Channel(
+        "charge_Ah",
+        {
+            "ampere_hours": OWN,
+            "charge_Ah": OWN,
+            "milliampere_hours": Unit(1e-3),
+            "charge_mAh": Unit(1e-3),
+            "ampere_seconds": Unit(1.0 / 3600.0),
+        },
+    ),
+    Channel("step", {"step": OWN}),
+)
+
+# Words by which other people call the same thing, for the suggestion when a column is missing.
+_SYNONYMS = {
+    "time_s": ("time", "test_time", "testtime", "t", "timestamp", "seconds", "zeit", "elapsed"),
+    "current_A": ("current", "i", "amps", "ampere", "strom", "curr", "ibat"),
+    "voltage_V": ("voltage", "v", "u", "volts", "ewe", "spannung", "potential", "volt", "vbat"),
+}
+
+
+def choose_columns(
+    header: Sequence[str], channels: Sequence[Channel], where: str
+) -> tuple[list[Column], list[str]]:
+    """Find the channels' columns in a header.
+
+    Parameters
+    ----------
+    header : sequence of str        column names as they stand in the file
+    channels : sequence             what the format knows
+    where : str                     the file, for messages
+
+    Returns
+    -------
+    columns : list of Column
+    notices : list of str           units converted, columns not used
+
+    Raises
+    ------
+    InputError                      a required column is missing, or stands there twice
+    """
+    folded = [name.strip().casefold() for name in header]
+    columns: list[Column] = []
+    notices: list[str] = []
+    for channel in channels:
+        column = _find(channel, header, folded, where)
+        if column is None:
+            continue
+        columns.append(column)
+        if column.unit != OWN:
+            notices.append(f"column '{column.name}' was converted to {channel.usual_name}")
+    found = {column.field for column in columns}
+    missing = [c for c in channels if c.required and c.field not in found]
+    if missing:
+        raise _missing_columns(missing, header, channels, where)
+    used = {column.index for column in columns}
+    unused = [header[k].strip() for k in range(len(header)) if k not in used and header[k].strip()]
+    if unused:
+        notices.append(f"column(s) not used: {_listed(unused)}")
+    return columns, notices
+
+
+def _find(
+    channel: Channel, header: Sequence[str], folded: Sequence[str], where: str
+) -> Column | None:
+    for name, unit in channel.names.items():
+        places = [k for k, text in enumerate(folded) if text == name.casefold()]
+        if len(places) > 1:
+            raise InputError(
+                f"{len(places)} columns named '{name}' in {where} "
+                f"(columns {', '.join(str(k + 1) for k in places)})",
+                "one column for each channel",
+                "Rename or remove the one that is not meant.",
+            )
+        if places:
+            return Column(channel.field, places[0], header[places[0]].strip(), unit)
+    return None
+
+
+def _missing_columns(
+    missing: Sequence[Channel], header: Sequence[str], channels: Sequence[Channel], where: str
+) -> InputError:
+    names = [name.strip() for name in header]
+    hints = []
+    for channel in missing:
+        near = _nearest(channel, names)
+        if near:
+            hints.append(f"rename '{near}' to '{channel.usual_name}' if that is what it holds")
+    optional = ", ".join(c.usual_name for c in channels if not c.required)
+    required = ", ".join(c.usual_name for c in channels if c.required)
+    action = (
+        "Give the file these column names, or a unit the name tells (current_mA, voltage_mV, "
+        "time_ms, time_min, time_h)"
+    )
+    return InputError(
+        f"column(s) {_listed(names) or 'without any name'} in {where}; missing: "
+        f"{', '.join(c.usual_name for c in missing)}",
+        f"the columns {required} (and, where measured, {optional})",
+        f"{action}: {'; '.join(hints)}." if hints else f"{action}.",
+    )
+
+
+def _nearest(channel: Channel, names: Sequence[str]) -> str:
+    """The column that most likely holds a missing channel, empty if none does."""
+    plain = {_plain(name): name for name in reversed(names) if _plain(name)}
+    words = [*(_plain(name) for name in channel.names), *_SYNONYMS.get(channel.field, ())]
+    for word in words:
+        if word in plain:
+            return plain[word]
+    for word in words:
+        near = get_close_matches(word, plain, n=1, cutoff=0.75) if len(word) > 2 else []
+        if near:
+            return plain[near[0]]
+    return ""
+
+
+def _plain(name: str) -> str:
+    """A column name without its unit and decoration: 'Current (A)' -> 'current'."""
+    text = name.strip().casefold()
+    for mark in "([{/<":
+        text = text.split(mark)[0]
+    text = text.strip(" _-.\t").replace(" ", "_")
+    base, _, unit = text.rpartition("_")
+    units = ("s", "ms", "min", "h", "a", "ma", "v", "mv", "sec", "amp", "volt")
+    return base if base and unit in units else text
+
+
+def _listed(names: Sequence[str], most: int = 12) -> str:
+    shown = ", ".join(f"'{name}'" for name in names[:most])
+    return shown + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+def tidy_header(fields: Sequence[str]) -> list[str]:
+    """Column names of the tidy form for fields of `CellLog`."""
+    names = {channel.field: channel.usual_name for channel in TIDY_CHANNELS}
+    return [names[field] for field in fields]
+
+
+def converted(column: Column, values: FloatArray) -> FloatArray:
+    """Values of a column as float64 in the channel's own unit."""
+    return column.unit.convert(np.asarray(values, dtype=np.float64))

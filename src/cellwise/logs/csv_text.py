@@ -1,0 +1,243 @@
+"""CSV as testers, spreadsheets and programs write it, read in record batches."""
+
+from __future__ import annotations
+
+import csv
+import re
+from array import array
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cellwise.errors import InputError
+from cellwise.logs.arrow_arrays import to_numpy
+from cellwise.logs.columns import Channel, Column, choose_columns
+from cellwise.logs.source import LogSource, RawLog, damaged_gzip
+from cellwise.typing import FloatArray
+
+if TYPE_CHECKING:
+    from pyarrow.csv import InvalidRow
+
+DELIMITERS = ",;\t|"
+BLOCK_BYTES = 4 << 20
+# What loggers and spreadsheets write where there is no value.
+MISSING = ["", "nan", "NaN", "NAN", "-nan", "null", "NULL", "none", "None", "NA", "N/A", "n/a"]
+MISSING += ["#N/A", "#NA", "#DIV/0!", "#VALUE!", "-", "--", "---"]
+
+_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
+_NUMBER = re.compile(r"[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?")
+
+
+@dataclass(frozen=True)
+class CsvLayout:
+    """How one CSV file is laid out.
+
+    ``offset`` is the first byte of the rows, ``line`` the (1-based) line they begin in.
+    """
+
+    header: tuple[str, ...]
+    delimiter: str
+    decimal: str
+    offset: int
+    line: int
+
+
+def csv_layout(source: LogSource) -> CsvLayout:
+    """Find header, delimiter and decimal sign in the first bytes of a file.
+
+    A byte order mark, blank lines and comment lines beginning with ``#`` may stand before the
+    header; where there is no header but a commented one, that is taken.
+
+    Raises
+    ------
+    InputError        no line with column names
+    """
+    lines = _head_lines(source.head)
+    offset, number, comment = 0, 0, ""
+    for raw in lines:
+        text = raw.decode("utf-8", errors="replace").lstrip("\ufeff").strip()
+        if text and not text.startswith("#"):
+            break
+        comment = text or comment
+        offset += len(raw)
+        number += 1
+    else:
+        raise InputError(
+            f"only blank lines and comments at the beginning of '{source.path}'",
+            "a line with column names and rows of numbers",
+            "Check the export that wrote it.",
+        )
+    header_line, rows = text, lines[number:]
+    if _is_numeric(text):
+        header_line = comment.lstrip("# ")
+        if not header_line or _is_numeric(header_line):
+            raise InputError(
+                f"no column names in '{source.path}': its first row reads '{text[:60]}'",
+                "a first line with the names time_s, current_A, voltage_V",
+                "Put a line with the column names at the top.",
+            )
+    else:
+        offset += len(lines[number])
+        number += 1
+        rows = lines[number:]
+    delimiter = max(DELIMITERS, key=header_line.count)
+    header = next(csv.reader([header_line], delimiter=delimiter))
+    cells = [row for row in _cells(rows[:50], delimiter) if row]
+    if cells and all(len(row) == len(header) + 1 and not row[-1].strip() for row in cells):
+        header = [*header, ""]  # rows end with a delimiter, the header does not
+    return CsvLayout(tuple(header), delimiter, _decimal(cells, delimiter), offset, number + 1)
+
+
+def read_csv(source: LogSource, channels: Sequence[Channel]) -> RawLog:
+    """Read the channels' columns of a CSV file, a block of 4 MB at a time.
+
+    Raises
+    ------
+    InputError        columns missing, no rows, text where numbers belong, rows of another length,
+                      damaged gzip; a last line that was cut off is dropped with a notice
+    """
+    layout = csv_layout(source)
+    where = f"'{source.path}'"
+    columns, notices = choose_columns(layout.header, channels, where)
+    if layout.decimal == ",":
+        notices.append("decimal commas were read as such")
+    odd_rows: list[tuple[int, int, str]] = []
+    values = _read_batches(source, layout, columns, odd_rows)
+    n = values[0].size
+    if odd_rows:
+        notices.append(_odd_rows(odd_rows, n, layout, where))
+    if n == 0:
+        raise InputError(
+            f"a header but no rows in {where}", "rows of numbers", "Check the export that wrote it."
+        )
+    arrays: dict[str, FloatArray] = {}
+    for column in columns:
+        arrays[column.field] = column.unit.convert(values.pop(0))
+    return RawLog(arrays, tuple(notices))
+
+
+def _read_batches(
+    source: LogSource,
+    layout: CsvLayout,
+    columns: Sequence[Column],
+    odd_rows: list[tuple[int, int, str]],
+) -> list[FloatArray]:
+    """The columns' values in the file's unit, in the order of ``columns``."""
+    import pyarrow as pa
+    from pyarrow import csv as pa_csv
+
+    names = [f"{k}" for k in range(len(layout.header))]
+    wanted = [names[column.index] for column in columns]
+
+    def keep_odd(row: InvalidRow) -> str:
+        odd_rows.append((row.number or 0, row.actual_columns, row.text))
+        return "skip" if len(odd_rows) < 100 else "error"
+
+    grown = [array("d") for _ in columns]  # grows in place: no second copy at the end
+    try:
+        with pa.OSFile(str(source.path)) as file:
+            stream = pa.CompressedInputStream(file, "gzip") if source.gzipped else file
+            stream.read(layout.offset)
+            # One thread: only then do messages carry the row's number, and no slower.
+            reader = pa_csv.open_csv(
+                stream,
+                read_options=pa_csv.ReadOptions(
+                    column_names=names, block_size=BLOCK_BYTES, use_threads=False
+                ),
+                parse_options=pa_csv.ParseOptions(
+                    delimiter=layout.delimiter, invalid_row_handler=keep_odd
+                ),
+                convert_options=pa_csv.ConvertOptions(
+                    column_types=dict.fromkeys(wanted, pa.float64()),
+                    include_columns=wanted,
+                    null_values=MISSING,
+                    decimal_point=layout.decimal,
+                ),
+            )
+            for batch in reader:
+                for k, name in enumerate(wanted):
+                    grown[k].frombytes(memoryview(to_numpy(batch.column(name))).cast("B"))
+                source.tell(file.tell(), source.size)
+    except pa.ArrowInvalid as error:
+        if "Empty CSV file" not in str(error):
+            raise _refused(str(error), source, layout, columns) from None
+    except OSError as error:
+        if not source.gzipped:
+            raise
+        raise damaged_gzip(source, str(error)) from None
+    return [np.frombuffer(values, np.float64) for values in grown]
+
+
+def _refused(
+    message: str, source: LogSource, layout: CsvLayout, columns: Sequence[Column]
+) -> InputError:
+    """The refusal of a cell that is no number, or of text that is no table."""
+    found = re.search(r"column #(\d+): (?:Row #(\d+): )?.*invalid value '(.*)'", message, re.S)
+    if found is None:
+        return InputError(
+            f"text in '{source.path}' that cannot be read as a table ({message.splitlines()[0]})",
+            f"rows of {len(layout.header)} cells, separated by '{layout.delimiter}'",
+            "Check the lines' ends and quotation marks; the file may be cut off or not CSV.",
+        )
+    index = int(found.group(1))
+    name = next((c.name for c in columns if c.index == index), layout.header[index])
+    row = f"row {found.group(2)} " if found.group(2) else "a row "
+    value = found.group(3)
+    action = "Correct or blank the cell; a missing value is an empty cell or 'nan'."
+    if _DECIMAL_COMMA.fullmatch(value.strip()) or value.count(".") > 1:
+        action = "Write numbers with one decimal point and without thousands separators."
+    elif ":" in value and name.casefold().startswith("time"):
+        action = "Write the time as seconds from the log's start."
+    return InputError(
+        f"'{value[:40]}' in column '{name}', {row}after the header of '{source.path}'",
+        "a number in every cell of that column",
+        action,
+    )
+
+
+def _odd_rows(odd: Sequence[tuple[int, int, str]], rows: int, layout: CsvLayout, where: str) -> str:
+    """Notice about a cut off last line; anything else is refused."""
+    number, cells, text = odd[0]
+    expected = len(layout.header)
+    if len(odd) == 1 and cells < expected and number == rows + 1:
+        return f"the last line is cut off ('{text[:40]}') and was left out"
+    action = "Repair or remove these lines."
+    if layout.delimiter == "," and cells > expected and _is_numeric(text):
+        action = "If the numbers are written with decimal commas, separate the cells by semicolons."
+    raise InputError(
+        f"{cells} cells in row {number} after the header of {where} ('{text[:60]}')"
+        + (f" and {len(odd) - 1} or more such rows" if len(odd) > 1 else ""),
+        f"{expected} cells as in the header",
+        action,
+    )
+
+
+def _head_lines(head: bytes) -> list[bytes]:
+    """Lines with their ends; a cut off last one only if it is the only one."""
+    lines = head.splitlines(keepends=True)
+    if len(lines) > 1 and not lines[-1].endswith((b"\n", b"\r")):
+        return lines[:-1] if len(lines) > 2 else lines
+    return lines
+
+
+def _cells(rows: Sequence[bytes], delimiter: str) -> list[list[str]]:
+    text = [row.decode("utf-8", errors="replace") for row in rows]
+    return list(csv.reader(text, delimiter=delimiter))
+
+
+def _decimal(cells: Sequence[Sequence[str]], delimiter: str) -> str:
+    """A comma where cells are written so and no cell has a decimal point, else a point."""
+    if delimiter == ",":
+        return "."
+    flat = [cell.strip() for row in cells for cell in row]
+    commas = any(_DECIMAL_COMMA.fullmatch(cell) for cell in flat)
+    points = any("." in cell and _NUMBER.fullmatch(cell) for cell in flat)
+    return "," if commas and not points else "."
+
+
+def _is_numeric(line: str) -> bool:
+    """No cell of the line is a word."""
+    cells = [cell.strip() for cell in re.split(r"[,;\t|]", line)]
+    return any(cells) and all(not c or _NUMBER.fullmatch(c) for c in cells)

@@ -1,0 +1,85 @@
+"""Pauses in a log: rows that were not written, as against rows that were written slowly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellwise.typing import BoolArray, FloatArray
+
+# Testers slow down from 0.1 s to 300 s rows at rest, and speed up again, without losing anything;
+# they hiccup for two seconds between two repetitions of a profile. Neither is a gap.
+GAP_FACTOR = 10.0
+GAP_MINIMUM_S = 5.0
+GAP_NEIGHBOURS = 5
+SLOW_LOGGING = 4.0
+_CHUNK = 100_000
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A pause in the log, never bridged in silence.
+
+    ``row`` is the row that ends the pause. ``charge_Ah`` is what the tester's own counter says
+    flowed meanwhile (positive = discharge), None without a counter.
+    """
+
+    row: int
+    start_s: float
+    duration_s: float
+    charge_Ah: float | None
+
+
+def find_gaps(time_s: FloatArray) -> BoolArray:
+    """Rows that end a pause far longer than the logging interval around it.
+
+    An interval is a gap when it lasts more than 5 s, more than 10 times what is usual on either
+    side (the second longest of the five intervals before, and of the five after: one neighbouring
+    gap does not hide another), and more than 4 times each interval next to it (two long rows in a
+    sequence are slow logging).
+
+    Parameters
+    ----------
+    time_s : (n,) float       never decreasing [s]
+
+    Returns
+    -------
+    (n,) bool                 never True for the first row
+    """
+    found = np.zeros(time_s.size, dtype=np.bool_)
+    interval = np.diff(time_s)
+    if interval.size < 2 or np.max(interval) <= GAP_MINIMUM_S:
+        return found
+    ends = np.arange(1, time_s.size)
+    if np.min(interval) == 0.0:  # rows that share a stamp have no interval of their own
+        ends = ends[interval > 0]
+        interval = interval[interval > 0]
+    suspects = np.flatnonzero(interval > GAP_MINIMUM_S)
+    for start in range(0, suspects.size, _CHUNK):
+        at = suspects[start : start + _CHUNK]
+        long = interval[at] > SLOW_LOGGING * _beside(interval, at)
+        at = at[long]
+        usual = np.maximum(_usual(interval, at, -1), _usual(interval, at, +1))
+        found[ends[at[interval[at] > GAP_FACTOR * usual]]] = True
+    return found
+
+
+def _beside(interval: FloatArray, at: NDArray[np.intp]) -> FloatArray:
+    """The longer of the two intervals next to each place."""
+    before = np.where(at > 0, interval[np.maximum(at - 1, 0)], 0.0)
+    last = interval.size - 1
+    after = np.where(at < last, interval[np.minimum(at + 1, last)], 0.0)
+    return np.maximum(before, after)
+
+
+def _usual(interval: FloatArray, at: NDArray[np.intp], side: int) -> FloatArray:
+    """Second longest of the intervals on one side of each place (of one or two: the longest)."""
+    index = at[:, None] + side * np.arange(1, GAP_NEIGHBOURS + 1)
+    inside = (index >= 0) & (index < interval.size)
+    around = np.where(inside, interval[np.clip(index, 0, interval.size - 1)], -np.inf)
+    around.sort(axis=1)
+    count = inside.sum(axis=1)
+    usual = np.where(count >= 3, around[:, -2], around[:, -1])
+    return np.where(count > 0, usual, 0.0)

@@ -1,0 +1,128 @@
+"""A file as it lies there: its size, its first bytes, whether it is compressed."""
+
+from __future__ import annotations
+
+import gzip
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from typing import IO
+
+from cellwise.errors import InputError
+from cellwise.typing import FloatArray
+
+# Called with the bytes (or columns) done and the number there are in all.
+Progress = Callable[[int, int], None]
+
+HEAD_BYTES = 65_536
+GZIP_MAGIC = b"\x1f\x8b"
+
+
+@dataclass(frozen=True)
+class LogSource:
+    """A log file before anything is known of its format.
+
+    ``head`` holds the first bytes of the content, decompressed when the file is gzip.
+    """
+
+    path: Path
+    size: int
+    gzipped: bool
+    head: bytes
+    progress: Progress | None = None
+
+    def open(self) -> IO[bytes]:
+        """The content as a binary stream, decompressed."""
+        return gzip.open(self.path, "rb") if self.gzipped else self.path.open("rb")
+
+    def tell(self, done: int, total: int) -> None:
+        """Report progress if anybody listens."""
+        if self.progress is not None:
+            self.progress(min(done, total), total)
+
+
+@dataclass(frozen=True)
+class RawLog:
+    """What a reader takes from a file: channels by field of `CellLog`, in the channel's own unit.
+
+    ``channels["time_s"]``, ``["current_A"]`` and ``["voltage_V"]`` are always there; missing
+    values are NaN; the sign is still the format's.
+    """
+
+    channels: dict[str, FloatArray]
+    notices: tuple[str, ...] = ()
+
+
+def open_source(path: str | Path, progress: Progress | None = None) -> LogSource:
+    """Look at a file's first bytes.
+
+    Raises
+    ------
+    InputError        nothing there, a folder, not readable, empty, or damaged gzip
+    """
+    place = Path(path)
+    if place.is_dir():
+        raise InputError(f"a folder at '{place}'", "a log file", "Name one of the files in it.")
+    try:
+        size = place.stat().st_size
+        with place.open("rb") as file:
+            magic = file.read(2)
+    except FileNotFoundError:
+        raise InputError(f"no file '{place}'", "a log file", _near_files(place)) from None
+    except OSError as error:
+        raise InputError(
+            f"'{place}', which cannot be read ({error.strerror})",
+            "a readable log file",
+            "Check its permissions and that the disk is there.",
+        ) from None
+    if size == 0:
+        raise _empty(place)
+    source = LogSource(place, size, magic == GZIP_MAGIC, b"", progress)
+    try:
+        with source.open() as stream:
+            head = stream.read(HEAD_BYTES)
+    except (OSError, EOFError, zlib.error) as error:
+        head = _gzip_head(source)
+        if not head:
+            raise damaged_gzip(source, str(error)) from None
+    if not head:
+        raise _empty(place)
+    return LogSource(place, size, source.gzipped, head, progress)
+
+
+def damaged_gzip(source: LogSource, reason: str) -> InputError:
+    """The refusal of a gzip file that ends early or does not decompress."""
+    return InputError(
+        f"a cut off or damaged gzip file '{source.path}' ({reason.rstrip('.')})",
+        "a complete file",
+        "Copy or download it again; 'gzip -t' tells when it is whole.",
+    )
+
+
+def _gzip_head(source: LogSource) -> bytes:
+    """What can still be decompressed from the beginning of a damaged gzip file."""
+    try:
+        with source.path.open("rb") as file:
+            return zlib.decompressobj(wbits=31).decompress(file.read(HEAD_BYTES), HEAD_BYTES)
+    except zlib.error:
+        return b""
+
+
+def _empty(path: Path) -> InputError:
+    return InputError(
+        f"the empty file '{path}'",
+        "a log with a header and rows",
+        "Check the export, or the copy, that wrote it.",
+    )
+
+
+def _near_files(path: Path) -> str:
+    folder = path.parent
+    if not folder.is_dir():
+        return f"There is no folder '{folder}' either: check the path."
+    near = get_close_matches(path.name, [p.name for p in folder.iterdir()], n=3)
+    if near:
+        return f"Did you mean {' or '.join(repr(name) for name in near)} in the same folder?"
+    return "Check the path."

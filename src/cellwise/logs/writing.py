@@ -1,0 +1,103 @@
+"""Write a log in the tidy form."""
+
+from __future__ import annotations
+
+import gzip
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cellwise.errors import InputError
+from cellwise.files import write_atomically
+from cellwise.logs.arrow_arrays import from_numpy
+from cellwise.logs.cell_log import CellLog
+from cellwise.logs.columns import tidy_header
+
+if TYPE_CHECKING:
+    import pyarrow
+
+SUFFIXES = (".parquet", ".csv", ".csv.gz")
+FIELDS = ("time_s", "current_A", "voltage_V", "temperature_C", "charge_Ah", "step")
+ROWS_AT_ONCE = 250_000
+GZIP_LEVEL = 6
+
+
+def write_log(log: CellLog, path: str | Path) -> Path:
+    """Write a log as ``.csv``, ``.csv.gz`` or ``.parquet``, whole or not at all.
+
+    Every number is written so that it reads back the same. Missing values are empty cells.
+
+    Returns
+    -------
+    Path              where the file now is
+
+    Raises
+    ------
+    InputError        another suffix, or a place that cannot be written to
+    """
+    place = Path(path)
+    name = place.name.casefold()
+    if name.endswith(".parquet"):
+        return write_atomically(place, lambda target: _write_parquet(log, target))
+    if name.endswith(".csv.gz"):
+        return write_atomically(place, lambda target: _write_csv(log, target, compressed=True))
+    if name.endswith(".csv"):
+        return write_atomically(place, lambda target: _write_csv(log, target, compressed=False))
+    raise InputError(
+        f"an output file '{place.name}'",
+        f"a name that ends in {', '.join(SUFFIXES)}",
+        "The suffix says in which form the log is written.",
+    )
+
+
+def arrow_table(log: CellLog) -> pyarrow.Table:
+    """The log as a pyarrow table in the tidy form: `CellLog.to_arrow`."""
+    import pyarrow as pa
+
+    return pa.Table.from_batches(_batches(log), schema=_schema(log))
+
+
+def _schema(log: CellLog) -> pyarrow.Schema:
+    import pyarrow as pa
+
+    fields = [field for field in FIELDS if getattr(log, field) is not None]
+    types = [pa.int32() if field == "step" else pa.float64() for field in fields]
+    return pa.schema(list(zip(tidy_header(fields), types, strict=True)))
+
+
+def _batches(log: CellLog) -> Iterator[pyarrow.RecordBatch]:
+    """The tidy columns, some rows at a time."""
+    import pyarrow as pa
+
+    schema = _schema(log)
+    # The tidy form has one meaning of a row's current.
+    channels = [log.time_s, log.interval_current_A, log.voltage_V]
+    optional = (log.temperature_C, log.charge_Ah, log.step)
+    arrays = [*channels, *(channel for channel in optional if channel is not None)]
+    for start in range(0, len(log), ROWS_AT_ONCE):
+        rows = slice(start, start + ROWS_AT_ONCE)
+        columns = [from_numpy(array[rows]) for array in arrays]
+        yield pa.RecordBatch.from_arrays(columns, schema=schema)
+
+
+def _write_parquet(log: CellLog, target: Path) -> None:
+    from pyarrow import parquet
+
+    with parquet.ParquetWriter(target, _schema(log), compression="zstd") as writer:
+        for batch in _batches(log):
+            writer.write_batch(batch)
+
+
+def _write_csv(log: CellLog, target: Path, *, compressed: bool) -> None:
+    from pyarrow import csv
+
+    schema = _schema(log)
+    options = csv.WriteOptions(include_header=False)
+    with (
+        # Without a time in its header, the same log is written as the same file.
+        gzip.GzipFile(target, "wb", GZIP_LEVEL, mtime=0) if compressed else target.open("wb")
+    ) as stream:
+        stream.write((",".join(schema.names) + "\n").encode())
+        with csv.CSVWriter(stream, schema, write_options=options) as writer:
+            for batch in _batches(log):
+                writer.write_batch(batch)
