@@ -394,3 +394,47 @@ def finish(tester: Tester, plan: HppcPlan) -> SyntheticLog:
 
 def _quantised(x: Array, step: float) -> Array:
     return np.round(x / step) * step if step > 0.0 else x
+
+
+def driven_log(
+    cell: SyntheticCell,
+    current_A: Array,
+    hz: float,
+    *,
+    soc: float = 0.8,
+    noise_V: float = 0.0,
+    noise_A: float = 0.0,
+    rng: np.random.Generator | None = None,
+) -> CellLog:
+    """A log of any current, at a fixed rate, from rest: drives, sines, hand-made steps."""
+    rng = rng or np.random.default_rng(0)
+    tester = Tester(cell, soc, rng)
+    dt = np.full(current_A.size - 1, 1.0 / hz)
+    _, v, _, _ = tester._advance(current_A[1:], dt)
+    first = cell.ocv_V(np.array([soc])) - cell.r0_ohm(np.array([soc])) * current_A[0]
+    n = current_A.size
+    return CellLog(
+        np.arange(n) / hz,
+        current_A + noise_A * rng.standard_normal(n),
+        np.concatenate((first, v)) + noise_V * rng.standard_normal(n),
+        name="synthetic",
+    )
+
+
+def drive_current(seconds: float, hz: float, peak_A: float, rng: np.random.Generator) -> Array:
+    """A drive: accelerating, cruising, braking, and standing still for 10 to 30 s at times."""
+    pieces: list[Array] = [np.zeros(int(60 * hz))]
+    total = pieces[0].size
+    while total < seconds * hz:
+        rows = int(rng.uniform(20.0, 120.0) * hz)
+        steps = rng.normal(0.0, 0.25, rows)
+        wander = np.empty(rows)
+        value = 0.0
+        for k in range(rows):  # mean-reverting, so that power stays bounded
+            value += -0.15 * value + steps[k]
+            wander[k] = value
+        moving = peak_A * np.clip(0.25 + wander, -0.5, 1.0)
+        idle = np.zeros(int(rng.uniform(10.0, 30.0) * hz))
+        pieces += [moving, idle]
+        total += rows + idle.size
+    return np.concatenate(pieces)

@@ -49,6 +49,7 @@ NOISE_ONLY_SIGMAS = 6.5
 SMOOTHED_STEP_OF_RANGE = 0.02
 COARSE_OF_RANGE = 0.05
 COARSE_ROWS = 0.02
+FINE_ROWS = 0.005
 MAX_SMOOTHING_ROWS = 15
 BLOCK_ROWS = 8
 FLAT_CHUNKS = 8
@@ -349,9 +350,14 @@ def _resolution(current_A: FloatArray, top: float) -> float:
     moved = np.abs(np.diff(current_A))
     moved = moved[moved > 1e-9 * top]
     lsb = float(moved.min()) if moved.size else 0.0
-    # A coarse resolution shows by going back and forth all the time.
-    often = np.count_nonzero(moved < 1.01 * lsb) > COARSE_ROWS * current_A.size
-    return lsb if lsb <= (COARSE_OF_RANGE if often else ZERO_OF_RANGE) * top else 0.0
+    # A resolution shows by going back and forth all the time.
+    share = np.count_nonzero(moved < 1.01 * lsb) / current_A.size
+    fine, coarse = ZERO_OF_RANGE * top, COARSE_OF_RANGE * top
+    return (
+        lsb
+        if (lsb <= fine and share > FINE_ROWS) or (lsb <= coarse and share > COARSE_ROWS)
+        else 0.0
+    )
 
 
 def _noise(current_A: FloatArray, top: float, lsb: float) -> float:
