@@ -86,9 +86,7 @@ def soc_of_ocv(
     return (best, std) if abs(best - mean) < std else (mean, std)
 
 
-def _from_rest(
-    model: CellModel, log: CellLog, row: int, rest_s: float, std_V: float
-) -> InitialSoc:
+def _from_rest(model: CellModel, log: CellLog, row: int, rest_s: float, std_V: float) -> InitialSoc:
     temperature = known_temperature_C(model, log)[row]
     soc, std = soc_of_ocv(model, float(log.voltage_V[row]), std_V, float(temperature))
     how = f"rest of {rest_s:.0f} s at the start, {log.voltage_V[row]:.4f} V"
@@ -96,8 +94,10 @@ def _from_rest(
 
 
 def _from_first_minute(model: CellModel, log: CellLog) -> InitialSoc:
-    rows = max(2, int(np.searchsorted(log.time_s, log.time_s[0] + FIT_S, side="right")))
-    head = log.part(0, min(rows, len(log)))
+    first = int(np.flatnonzero(np.isfinite(log.voltage_V))[0])
+    rows = max(first + 2, int(np.searchsorted(log.time_s, log.time_s[first] + FIT_S, side="right")))
+    current = log.known_current_A()
+    head = replace(log, current_A=current, current_meaning="interval_end").part(0, rows)
     if log.temperature_C is None:
         head = replace(head, temperature_C=np.full(len(head), model_temperature_C(model)))
     grid = np.linspace(0.0, 1.0, 101)

@@ -190,15 +190,13 @@ class CellModel:
 
 
 def _interpolate(grid: FloatArray, table: FloatArray, temperature_C: float) -> FloatArray:
-    return np.array(
-        [np.interp(temperature_C, grid, table[:, k]) for k in range(table.shape[1])]
-    )
+    return np.array([np.interp(temperature_C, grid, table[:, k]) for k in range(table.shape[1])])
 
 
 def check_model(model: CellModel) -> None:
     """Refuse a model that no kernel could run: see :class:`CellModel`."""
     shape = model.ocv_V.shape
-    if shape[1] < 2 or shape[0] != model.temperature_C.size:
+    if len(shape) != 2 or shape[1] < 2 or (shape[0],) != model.temperature_C.shape:
         raise InputError(
             f"OCV table of shape {shape} with {model.temperature_C.size} temperature(s)",
             "one row per temperature and at least two SOC points",
@@ -214,11 +212,22 @@ def check_model(model: CellModel) -> None:
             "a share between 0.5 and 1.05",
             "Give it as a fraction, not in per cent.",
         )
-    if model.temperature_C.size > 1 and np.any(np.diff(model.temperature_C) <= 0):
+    if not np.all(np.isfinite(model.temperature_C)) or np.any(np.diff(model.temperature_C) <= 0):
         raise InputError(
             f"temperatures {model.temperature_C.tolist()}",
-            "temperatures that rise",
+            "finite temperatures that rise",
             "Sort the tables by temperature.",
+        )
+    low, high = model.voltage_min_V, model.voltage_max_V
+    if (
+        not (low is None or np.isfinite(low))
+        or not (high is None or np.isfinite(high))
+        or (low is not None and high is not None and low >= high)
+    ):
+        raise InputError(
+            f"voltage_min_V = {low}, voltage_max_V = {high}",
+            "finite limits, the lower below the upper",
+            "Correct the limits.",
         )
     for name in TABLES:
         table = getattr(model, name)

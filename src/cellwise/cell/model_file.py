@@ -65,6 +65,13 @@ def model_from_dict(data: Any, where: str = "the model") -> CellModel:
                 "uniform steps from 0 to 1",
                 "Interpolate the tables onto a uniform grid.",
             )
+        if soc.size != np.shape(data["ocv_V"])[-1]:
+            raise InputError(
+                f"a SOC grid of {soc.size} points and tables of {np.shape(data['ocv_V'])[-1]} "
+                f"in {where}",
+                "one table column per SOC point",
+                "Write the model again.",
+            )
         return CellModel(
             capacity_Ah=float(data["capacity_Ah"]),
             **{name: np.asarray(data[name], dtype=np.float64) for name in TABLES},
@@ -78,7 +85,9 @@ def model_from_dict(data: Any, where: str = "the model") -> CellModel:
             chemistry=str(data["chemistry"]),
             provenance=dict(data["provenance"]),
         )
-    except (KeyError, TypeError) as error:
+    except InputError:
+        raise
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
         raise InputError(
             f"{where} with a missing or wrong entry: {error}",
             "every entry that `cellwise identify` writes",

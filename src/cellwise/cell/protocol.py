@@ -88,8 +88,8 @@ def run_protocol(
 
     Raises
     ------
-    InputError        no steps, no step that lasts, soc0 outside 0..1, dt_s not positive, noise
-                      without a generator
+    InputError        no steps, no step that lasts, soc0 outside 0..1, h0 outside -1..1, dt_s not
+                      positive, noise without a generator
     """
     check_soc0(soc0)
     if not (np.isfinite(dt_s) and dt_s > 0 and np.isfinite(temperature_C)):
@@ -100,6 +100,8 @@ def run_protocol(
         )
     if noise is not None and rng is None:
         raise InputError("noise without a generator", "rng", "Pass numpy.random.default_rng(1).")
+    if h0 is not None and not -1.0 <= h0 <= 1.0:
+        raise InputError(f"h0 = {h0}", "a number from -1 to 1", "Give 1 after a charge.")
     start = empty_state(soc0, start_hysteresis(soc0) if h0 is None else h0)
     supply = _Supply(model, start, dt_s, temperature_C)
     for step in steps:

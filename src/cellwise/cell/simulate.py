@@ -136,7 +136,7 @@ def known_temperature_C(model: CellModel, log: CellLog) -> FloatArray:
     if missing.any():
         rows = np.arange(measured.size)
         measured = np.interp(rows, rows[~missing], measured[~missing])
-    return np.ascontiguousarray(measured)
+    return np.array(measured)  # a copy: kernels are compiled for one kind of array
 
 
 def model_temperature_C(model: CellModel) -> float:

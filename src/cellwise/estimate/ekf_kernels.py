@@ -41,6 +41,7 @@ VARIANCE_FLOOR = 1e-12
 WIDE_VARIANCE = 4e-4  # beyond 2 points of SOC the tangent is no guide
 SLOPE_FLOOR_V = 0.05
 RECOVERY_VARIANCE = 0.09
+SHORTEST_CHORD = 1e-6
 
 
 class EkfStart(NamedTuple):
@@ -54,7 +55,10 @@ class EkfStart(NamedTuple):
 
 
 class EkfState(NamedTuple):
-    """What must be carried: x, the upper triangle of P, the last current, rejections in a row."""
+    """What must be carried: x, the upper triangle of P, the last current, rejections in a row.
+
+    ``rejections`` is -1 until a voltage has been seen.
+    """
 
     soc: float
     v1_V: float
@@ -117,7 +121,7 @@ def ekf_start(start: EkfStart, current_A: float) -> EkfState:
         v, 0.0, 0.0,
         w, 0.0,
         q,
-        current_A, 0.0,
+        current_A, -1.0,
     )
     # fmt: on
 
@@ -139,14 +143,14 @@ def chord_slope(
     low = min(max(soc - spread, 0.0), 1.0)
     high = min(max(soc + spread, 0.0), 1.0)
     a = look_up(table, grid, cell, low, temperature_C)
+    if high - low < SHORTEST_CHORD:  # both beyond the same end
+        return a.ocv_slope_V
     b = look_up(table, grid, cell, high, temperature_C)
     return (b.ocv_V - a.ocv_V) / (high - low)
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def voltage_variance(
-    noise: NoiseScalars, slope_V: float, r0_ohm: float, current_A: float
-) -> float:
+def voltage_variance(noise: NoiseScalars, slope_V: float, r0_ohm: float, current_A: float) -> float:
     """Variance of one measured voltage about a perfect state [V^2].
 
     Sensor, the model's slow error, a SOC scale that is off by ``ocv_soc`` (it matters where the
@@ -177,7 +181,7 @@ def ekf_step_inline(
     status = 0
     current = current_A
     if not math.isfinite(current):
-        current = x.current_A
+        current = x.current_A if math.isfinite(x.current_A) else 0.0
         status |= CURRENT_INVALID
     ss = x.ss
     if gap:
@@ -258,7 +262,7 @@ def ekf_step_inline(
         ratio = math.nan
     elif ratio > 1.0:
         status |= INNOVATION_REJECTED
-        rejections += 1.0
+        rejections = max(rejections, 0.0) + 1.0
         if rejections >= noise.recovery_after:
             # The gate may have locked the truth out: admit a SOC error as large as what is seen,
             # so that the next voltage passes.
@@ -267,8 +271,12 @@ def ekf_step_inline(
             missed = innovation / max(slope, SLOPE_FLOOR_V)
             ss += min(missed * missed, RECOVERY_VARIANCE)
     else:
+        shared = 1.0
+        if dt_s > 0.0:
+            shared = max(2.0 * noise.slow_s / dt_s, 1.0)
+        elif rejections >= 0.0 and noise.slow_s > 0.0:
+            shared = math.inf  # a repeated stamp repeats the slow error: no new evidence
         rejections = 0.0
-        shared = max(2.0 * noise.slow_s / dt_s, 1.0) if dt_s > 0.0 else 1.0
         inverse = 1.0 / (state_variance + one * shared)
         ks = ds * inverse
         k1 = d1 * inverse

@@ -47,6 +47,7 @@ class FilterpyEkf:
         n = len(log)
         soc, std, predicted, innovation, variance = (np.empty(n) for _ in range(5))
         previous = float(np.nan_to_num(current[0]))
+        fresh = True
         for k in range(n):
             now = float(current[k]) if np.isfinite(current[k]) else previous
             seen = float(seen_current(self._cell, now, previous, dt[k]))
@@ -56,7 +57,11 @@ class FilterpyEkf:
             point = self._predict(ekf, seen, dt[k], temperature[k])
             predicted[k] = self._voltage(ekf.x, seen, temperature[k])
             innovation[k] = log.voltage_V[k] - predicted[k]
-            variance[k] = self._update(ekf, log.voltage_V[k], seen, dt[k], temperature[k], point)
+            # A repeated stamp repeats the slow error: no new evidence.
+            repeated = dt[k] <= 0 and not fresh and self.noise.slow_s > 0
+            voltage = np.nan if repeated else log.voltage_V[k]
+            variance[k] = self._update(ekf, voltage, seen, dt[k], temperature[k], point)
+            fresh = fresh and not np.isfinite(log.voltage_V[k])
             soc[k], std[k] = ekf.x[0], np.sqrt(ekf.P[0, 0])
         ratio = innovation**2 / (self.noise.gate**2 * variance)
         status = np.zeros(n, dtype=np.int32)

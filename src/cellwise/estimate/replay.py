@@ -114,7 +114,9 @@ class Replay:
         """Share of rows whose SOC error lies within two of the filter's standard deviations."""
         if self.soc_error is None:
             return None
-        return float(np.mean(np.abs(self.soc_error) <= 2.0 * self.trace.soc_std))
+        known = np.isfinite(self.soc_error)
+        within = np.abs(self.soc_error) <= 2.0 * self.trace.soc_std
+        return float(np.mean(within[known])) if known.any() else None
 
     @property
     def nis_mean(self) -> float | None:
@@ -194,9 +196,10 @@ def reference_soc(log: CellLog, soc0: float, capacity_Ah: float) -> FloatArray |
         raise InputError(
             f"a reference capacity of {capacity_Ah} Ah", "a number above zero", "Give it in Ah."
         )
-    if log.charge_Ah is None:
+    if log.charge_Ah is None or np.all(np.isnan(log.charge_Ah)):
         return None
-    return np.asarray(soc0 - (log.charge_Ah - log.charge_Ah[0]) / capacity_Ah)
+    first = log.charge_Ah[np.isfinite(log.charge_Ah)][0]
+    return np.asarray(soc0 - (log.charge_Ah - first) / capacity_Ah)
 
 
 def replay(
@@ -231,7 +234,9 @@ def replay(
     start = initial_soc(model, log, soc0)
     if soc0_std is not None:
         start = InitialSoc(start.soc, soc0_std, start.how)
-    filter_.run(log.part(0, 2), start.soc, start.std)  # compiles, so that the clock does not see it
+    # Compiles, so that the clock does not see it.
+    head = CellLog(log.time_s[:2], np.zeros(2), np.full(2, np.nanmean(log.voltage_V)))
+    filter_.run(head, start.soc, start.std)
     began = time.perf_counter()
     trace = filter_.run(log, start.soc, start.std)
     ns = 1e9 * (time.perf_counter() - began) / len(log)
