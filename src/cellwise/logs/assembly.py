@@ -20,7 +20,7 @@ from cellwise.logs.counter import (
     joined_counter,
 )
 from cellwise.logs.formats import SignConvention
-from cellwise.logs.sign import verify_sign
+from cellwise.logs.sign import contradiction, verify_sign
 from cellwise.logs.source import RawLog
 from cellwise.logs.units import (
     check_current_and_time,
@@ -168,10 +168,9 @@ def _with_checked_counter(
     check = compare_steps(drawn, counted)
     if check is None:
         return log, None, []
-    if abs(check.agreement) < LEAST_AGREEMENT:
-        if counts_throughput(drawn, counted):
-            told = "the counter ampere_hours adds up charge and discharge alike and was left out"
-            return replace(log, charge_Ah=None), None, [told]
+    if abs(check.agreement) < LEAST_AGREEMENT and counts_throughput(drawn, counted):
+        told = "the counter ampere_hours adds up charge and discharge alike and was left out"
+        return replace(log, charge_Ah=None), None, [told]
     factor, told_factor = counter_factor(log, check, where)
     notices += told_factor
     counter = log.charge_Ah * factor if factor != 1.0 else log.charge_Ah
@@ -207,8 +206,5 @@ def _with_checked_sign(
             notices.append("the counter ampere_hours runs against the current")
     if check.verdict == "contradicted":
         way_out = "charge-positive" if sign != "charge-positive" else "discharge-positive"
-        notices.append(
-            "THE SIGN OF THE CURRENT LOOKS WRONG: the voltage rises when current is said to "
-            f"discharge the cell. Nothing was turned round; read the log with --sign {way_out}"
-        )
+        notices.append(contradiction(way_out))
     return log, notices

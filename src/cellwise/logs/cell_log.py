@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from cellwise.errors import InputError
 from cellwise.logs.gaps import Gap, find_gaps
@@ -203,8 +204,10 @@ class CellLog:
         The counter starts at zero here whatever it read at the first row; where it is missing it
         is carried on by the current.
         """
+        counted: FloatArray
         if self.charge_Ah is not None and np.all(np.isfinite(self.charge_Ah)):
-            return self.charge_Ah - self.charge_Ah[0]
+            counted = self.charge_Ah - self.charge_Ah[0]
+            return counted
         summed: FloatArray = np.cumsum(self.known_current_A() * self.interval_s) / 3600.0
         if self.charge_Ah is None:
             return summed
@@ -212,13 +215,14 @@ class CellLog:
         if read.size == 0:
             return summed
         drift = np.interp(np.arange(len(self)), read, self.charge_Ah[read] - summed[read])
-        return summed + drift - (summed[0] + drift[0])
+        counted = summed + drift - (summed[0] + drift[0])
+        return counted
 
     def part(self, start: int, stop: int) -> CellLog:
         """Rows ``start`` to ``stop`` (not included) as a log of their own, time kept."""
         return self.rows(np.arange(*slice(start, stop).indices(len(self))))
 
-    def rows(self, rows: IntArray | BoolArray | FloatArray) -> CellLog:
+    def rows(self, rows: NDArray[np.integer[Any]] | BoolArray) -> CellLog:
         """The log with the chosen rows only, time kept."""
 
         def take(a: FloatArray | None) -> FloatArray | None:
@@ -235,7 +239,7 @@ class CellLog:
         )
 
 
-def _channel(value: Any, field: str, n: int, where: str) -> FloatArray:
+def _channel(value: ArrayLike, field: str, n: int, where: str) -> FloatArray:
     """A read-only float64 view or copy of one channel; infinite readings become missing ones."""
     array: FloatArray = np.ascontiguousarray(value, dtype=np.float64)
     _check_shape(array, field, n, where)

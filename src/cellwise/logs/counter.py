@@ -92,7 +92,7 @@ def joined_counter(
     Parameters
     ----------
     counter : (n,) float        [Ah], finite
-    drawn : (n,) float          charge of each interval by the current [Ah], as `charge_steps` has it
+    drawn : (n,) float          charge of each interval by the current [Ah], see `charge_steps`
     gap_rows : (n,) bool        intervals of which the current knows nothing
     """
     moves = np.diff(counter)

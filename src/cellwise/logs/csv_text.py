@@ -158,7 +158,7 @@ def _read_batches(
             )
             for batch in reader:
                 for k, name in enumerate(wanted):
-                    grown[k].frombytes(memoryview(to_numpy(batch.column(name))).cast("B"))
+                    grown[k].frombytes(to_numpy(batch.column(name)).tobytes())
                 source.tell(file.tell(), source.size)
     except pa.ArrowInvalid as error:
         if "Empty CSV file" not in str(error):

@@ -143,6 +143,14 @@ def verify_sign(log: CellLog) -> SignCheck:
     return SignCheck(verdict, (*(c.sentence() for c in votes), *counter), float(score))
 
 
+def contradiction(way_out: str) -> str:
+    """Notice of a sign that looks wrong, and with which ``--sign`` to read the log."""
+    return (
+        "THE SIGN OF THE CURRENT LOOKS WRONG: the voltage rises when current is said to discharge "
+        f"the cell. Nothing was turned round; read the log with --sign {way_out}"
+    )
+
+
 def _row_to_row(
     time: FloatArray, current: FloatArray, voltage: FloatArray, charge: FloatArray
 ) -> Contrast:

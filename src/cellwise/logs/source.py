@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import IO
+from typing import IO, cast
 
 from cellwise.errors import InputError
 from cellwise.typing import FloatArray
@@ -35,7 +35,8 @@ class LogSource:
 
     def open(self) -> IO[bytes]:
         """The content as a binary stream, decompressed."""
-        return gzip.open(self.path, "rb") if self.gzipped else self.path.open("rb")
+        stream = gzip.open(self.path, "rb") if self.gzipped else self.path.open("rb")
+        return cast("IO[bytes]", stream)
 
     def tell(self, done: int, total: int) -> None:
         """Report progress if anybody listens."""

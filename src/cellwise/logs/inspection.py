@@ -1,0 +1,258 @@
+"""What is in a log: counts, ranges, sign, gaps, and everything odd about it."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from cellwise.logs.cell_log import CellLog
+from cellwise.logs.counter import compare_counter
+from cellwise.logs.gaps import Gap, find_gaps
+from cellwise.logs.oddities import (
+    Rest,
+    Saturation,
+    Stretch,
+    find_rests,
+    find_saturations,
+    find_stuck,
+    is_quiet,
+    resolution,
+)
+from cellwise.logs.sign import Verdict, contradiction, verify_sign
+from cellwise.typing import FloatArray
+
+JITTER = 0.25
+TELLING_JITTER = 0.2
+TELLING_MISMATCH_PERCENT = 0.5
+MOST_SENTENCES = 5
+
+
+class Range(NamedTuple):
+    """Smallest and largest value of a channel."""
+
+    min: float
+    max: float
+
+
+class Sampling(NamedTuple):
+    """Logging intervals [s]; ``jitter_share`` of them differ by over a quarter from the one before.
+
+    ``late`` rows come after more than ten times the intervals around, yet too soon for a gap.
+    """
+
+    median_s: float
+    min_s: float
+    max_s: float
+    jitter_share: float
+    late: int
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """Everything `inspect_log` finds; `to_dict` gives the keys of ``cellwise inspect --json``.
+
+    ``charge_Ah`` is the net charge drawn, by the tester's counter where there is one;
+    ``counter_mismatch_percent`` how far the summed current ends from the counter, in percent of the
+    charge moved; ``resolution`` the step of a channel's last digit; ``missing`` the rows without a
+    value, by channel.
+    """
+
+    name: str
+    format: str
+    samples: int
+    duration_s: float
+    sign: Verdict
+    sign_evidence: tuple[str, ...]
+    gaps: tuple[Gap, ...]
+    duplicates: int
+    current_A: Range
+    voltage_V: Range
+    temperature_C: Range | None
+    charge_Ah: float
+    sampling: Sampling
+    counter_mismatch_percent: float | None
+    rests: tuple[Rest, ...]
+    stuck: dict[str, Stretch]
+    saturated: dict[str, Saturation]
+    resolution: dict[str, float | None]
+    missing: dict[str, int]
+    notices: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, object]:
+        """Plain lists, dicts and numbers for JSON."""
+        plain = asdict(self)
+        plain["gaps"] = [
+            {"start_s": g.start_s, "duration_s": g.duration_s, "charge_Ah": g.charge_Ah}
+            for g in self.gaps
+        ]
+        for key in ("current_A", "voltage_V", "temperature_C", "sampling"):
+            value = getattr(self, key)
+            plain[key] = None if value is None else value._asdict()
+        plain["rests"] = [rest._asdict() for rest in self.rests]
+        for key in ("stuck", "saturated"):
+            plain[key] = {name: found._asdict() for name, found in getattr(self, key).items()}
+        plain["sign_evidence"] = list(self.sign_evidence)
+        plain["notices"] = list(self.notices)
+        return plain
+
+
+def inspect_log(log: CellLog) -> Inspection:
+    """Look a log over.
+
+    Parameters
+    ----------
+    log : CellLog
+
+    Returns
+    -------
+    Inspection        its ``notices`` are sentences: those of reading, and one for every oddity
+    """
+    check = verify_sign(log)
+    counter = compare_counter(log)
+    mismatch = None if counter is None else counter.mismatch_percent
+    rests = tuple(find_rests(log))
+    stuck = find_stuck(log)
+    sampling = _sampling(log)
+    missing = {
+        field: int(np.count_nonzero(np.isnan(values)))
+        for field in ("current_A", "voltage_V", "temperature_C", "charge_Ah")
+        if (values := getattr(log, field)) is not None
+    }
+    notices = [
+        *log.notices,
+        *_sign_sentences(log, check.verdict, check.evidence),
+        *_time_sentences(log, sampling),
+        *_channel_sentences(log, missing, stuck, mismatch),
+        *_rest_sentences(log, rests),
+    ]
+    return Inspection(
+        name=log.name,
+        format=log.format or "memory",
+        samples=len(log),
+        duration_s=log.duration_s,
+        sign=check.verdict,
+        sign_evidence=check.evidence,
+        gaps=log.gaps,
+        duplicates=log.repeated_stamps,
+        current_A=_range(log.current_A),
+        voltage_V=_range(log.voltage_V),
+        temperature_C=None if log.temperature_C is None else _range(log.temperature_C),
+        charge_Ah=float(log.counted_charge_Ah()[-1]),
+        sampling=sampling,
+        counter_mismatch_percent=mismatch,
+        rests=rests,
+        stuck=stuck,
+        saturated=find_saturations(log),
+        resolution={
+            "current_A": resolution(log.current_A),
+            "voltage_V": resolution(log.voltage_V),
+        },
+        missing=missing,
+        notices=tuple(notices),
+    )
+
+
+def _range(values: FloatArray) -> Range:
+    return Range(float(np.nanmin(values)), float(np.nanmax(values)))
+
+
+def _sampling(log: CellLog) -> Sampling:
+    interval = np.diff(log.time_s)
+    moving = interval[interval > 0]
+    if moving.size == 0:
+        return Sampling(0.0, 0.0, 0.0, 0.0, 0)
+    median = float(np.median(moving))
+    late = find_gaps(log.time_s, minimum_s=0.0) & ~log.gap_rows
+    change = np.abs(np.diff(interval))
+    return Sampling(
+        median_s=median,
+        min_s=float(np.min(interval)),
+        max_s=float(np.max(interval)),
+        jitter_share=float(np.mean(change > JITTER * interval[:-1])) if change.size else 0.0,
+        late=int(np.count_nonzero(late)),
+    )
+
+
+def _sign_sentences(log: CellLog, verdict: Verdict, evidence: tuple[str, ...]) -> list[str]:
+    if verdict == "undetermined":
+        return [f"the sign of the current could not be told from the data: {evidence[0]}"]
+    if verdict == "contradicted" and not any(contradiction("") in n for n in log.notices):
+        return [contradiction("charge-positive")]
+    return []
+
+
+def _time_sentences(log: CellLog, sampling: Sampling) -> list[str]:
+    sentences = []
+    gaps = log.gaps
+    for gap in gaps[:MOST_SENTENCES]:
+        counted = (
+            "no counter tells what flowed"
+            if gap.charge_Ah is None
+            else f"the counter moved by {gap.charge_Ah:.4f} Ah"
+        )
+        sentences.append(
+            f"a gap of {_duration(gap.duration_s)} without rows at {gap.start_s:.1f} s: {counted}"
+        )
+    if len(gaps) > MOST_SENTENCES:
+        sentences.append(f"{len(gaps) - MOST_SENTENCES} more gaps")
+    if log.repeated_stamps:
+        sentences.append(f"{log.repeated_stamps} row(s) repeat the time of the row before")
+    if np.ptp(log.time_s) == 0.0:
+        sentences.append("all rows have the same time")
+    if sampling.late:
+        sentences.append(
+            f"{sampling.late} row(s) come after more than ten times the usual interval of "
+            f"{sampling.median_s:.3g} s, yet too soon for a gap: their current is taken to have "
+            "flowed all that time"
+        )
+    if sampling.jitter_share > TELLING_JITTER:
+        sentences.append(
+            f"{100 * sampling.jitter_share:.0f} % of the intervals differ by over a quarter "
+            f"from the one before (median {sampling.median_s:.3g} s)"
+        )
+    return sentences
+
+
+def _channel_sentences(
+    log: CellLog, missing: dict[str, int], stuck: dict[str, Stretch], mismatch: float | None
+) -> list[str]:
+    sentences = [
+        f"{count} of {len(log)} rows without {field}" for field, count in missing.items() if count
+    ]
+    for field, stretch in stuck.items():
+        other = "current" if field == "voltage_V" else "voltage"
+        sentences.append(
+            f"{field} stands still for {_duration(stretch.duration_s)} from "
+            f"{stretch.start_s:.1f} s on while the {other} moves: a stuck channel?"
+        )
+    told = any("differs from the summed current" in notice for notice in log.notices)
+    if mismatch is not None and mismatch > TELLING_MISMATCH_PERCENT and not told:
+        sentences.append(
+            f"the counter ampere_hours differs from the summed current by {mismatch:.1f} % of the "
+            "charge moved"
+        )
+    return sentences
+
+
+def _rest_sentences(log: CellLog, rests: tuple[Rest, ...]) -> list[str]:
+    sentences = []
+    if not rests:
+        sentences.append(
+            "no rest of a minute or more anywhere: no open-circuit voltage can be read"
+        )
+    if not is_quiet(log)[0]:
+        sentences.append(
+            f"the first row is under load ({log.interval_current_A[0]:.3g} A): its voltage is no "
+            "open-circuit voltage"
+        )
+    return sentences
+
+
+def _duration(seconds: float) -> str:
+    """A time in the unit a person would use."""
+    for unit, length in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2.0 * length:
+            return f"{seconds / length:.1f} {unit}"
+    return f"{seconds:.3g} s"
