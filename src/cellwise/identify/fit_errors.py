@@ -94,11 +94,11 @@ def standard_errors(
     )
 
 
-_NAMES = ("ocv", "slope", "r0", "r1", "r2", "bend2", "bend3", "v1", "v2")
+_NAMES = ("ocv", "slope", "r0", "r1", "r2", "bend2", "bend3", "bend4", "v1", "v2")
 
 
 def _jacobian_columns(solution: Solution) -> tuple[FloatArray, list[str]]:
-    """The unknowns' derivatives as sums of the kernel's columns, shape (14, unknowns)."""
+    """The unknowns' derivatives as sums of the kernel's columns, shape (15, unknowns)."""
     columns: list[FloatArray] = []
     names: list[str] = []
     for unknown in range(LINEAR):
@@ -110,7 +110,7 @@ def _jacobian_columns(solution: Solution) -> tuple[FloatArray, list[str]]:
     for branch in range(2):
         column = np.zeros(COLUMNS)
         column[6 + branch] = solution.coefficients[3 + branch]
-        column[12 + branch] = solution.coefficients[7 + branch]
+        column[13 + branch] = solution.coefficients[8 + branch]
         if np.any(column != 0.0):
             columns.append(column)
             names.append(f"log_tau{branch + 1}")

@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
 MINIMUM_ROWS = 12
 MINIMUM_PULSE_ROWS = 3
-REST_SHOWN_S = 60.0  # rest before the pulse that a window shows, if there is as much
 EDGE_PART = 0.2  # a row-to-row change of current by this part of the pulse's current is an edge
 # A tester that filters its voltage, or a double layer far faster than tau1, makes the voltage
 # arrive some rows after the current. Such rows follow an edge one by one, each still moving the
 # same way by more than this part of the whole step.
 SETTLING_PART = 0.03
 SETTLING_LIMIT_S = 0.6
+SETTLING_NOISE = 6.0  # and by more than so many standard deviations of the noise
+STILL_PART = 0.02  # a current that changes by less than this part of the pulse's stands still
+LONGEST_EDGE_ROWS = 3
 # A relaxation row may count at most so much more or less than a pulse row.
 BALANCE_LIMITS = (0.02, 5.0)
 
@@ -54,7 +54,7 @@ class PulseData:
 
     See Also
     --------
-    pulse_from_arrays, cut_pulse : build one, dropping rows without a voltage
+    cellwise.identify.pulse_window : cuts one out of a log, dropping rows without a voltage
     """
 
     time_s: FloatArray
@@ -76,7 +76,7 @@ class PulseData:
             if value is None:
                 continue
             array = np.ascontiguousarray(value, dtype=np.float64)
-            _check_channel(array, n, f"{field} of {self._where}")
+            check_channel(array, n, f"{field} of {self._where}")
             array.setflags(write=False)
             object.__setattr__(self, field, array)
         self._check_pulse(n)
@@ -150,32 +150,44 @@ class PulseData:
         return 0.5 * float(fraction[max(self.start - 1, 0)] + fraction[self.stop - 1])
 
     @property
+    def rest_before_window_s(self) -> float:
+        """How long the cell had rested before the first row [s]."""
+        return self.rest_before_s - float(self.time_s[max(self.start - 1, 0)] - self.time_s[0])
+
+    @property
     def soc(self) -> float:
         """Mean SOC of the pulse: the middle between before and after [0..1]."""
         return self.soc_start - self.pulse_centre
 
     @property
     def settling_rows(self) -> BoolArray:
-        """Rows right after an edge where the voltage is still arriving, shape (n,).
+        """Rows at an edge that no fit should see, shape (n,); none on most testers.
 
-        A property of the voltage and not of a fit: see `SETTLING_PART`. None on most testers.
+        Either the current is still on its way (a switch inside the row's interval: its mean
+        current is not what flows when the voltage is read), or the voltage is still arriving, see
+        `SETTLING_PART`. A property of the data, not of a fit.
         """
         rows = np.zeros(len(self), dtype=np.bool_)
-        jump = np.abs(np.diff(self.current_A, prepend=self.current_A[0]))
+        change = np.abs(np.diff(self.current_A, prepend=self.current_A[0]))
         peak = float(np.max(np.abs(self.current_A)))
         noise = voltage_noise(self)
-        for edge in np.flatnonzero(jump > EDGE_PART * peak):
-            if edge == 0 or (edge > 1 and jump[edge - 1] > EDGE_PART * peak):
+        moving = np.flatnonzero(change > STILL_PART * peak)
+        for group in np.split(moving, np.flatnonzero(np.diff(moving) > 1) + 1):
+            if group.size == 0 or group.size > LONGEST_EDGE_ROWS:
+                continue  # no edge, or a current that never stands still
+            if np.max(change[group]) < EDGE_PART * peak:
                 continue
-            last = int(np.searchsorted(self.time_s, self.time_s[edge - 1] + SETTLING_LIMIT_S))
-            moves = np.diff(self.voltage_V[edge - 1 : last + 1])
+            before, edge = int(group[0]) - 1, int(group[-1])
+            rows[before + 1 : edge] = True
+            until = self.time_s[before] + SETTLING_LIMIT_S
+            last = int(np.searchsorted(self.time_s, until, side="right"))
+            moves = np.diff(self.voltage_V[edge - 1 : last])
             if moves.size < 2:
                 continue
             moves *= np.sign(moves[0])
             whole = max(float(np.sum(moves)), float(moves[0]))
-            still = moves[1:] > max(SETTLING_PART * whole, 6.0 * noise)
-            count = int(np.argmin(still)) if not still.all() else still.size
-            rows[edge : edge + count] = True
+            still = moves[1:] > max(SETTLING_PART * whole, SETTLING_NOISE * noise)
+            rows[edge : edge + (still.size if still.all() else int(np.argmin(still)))] = True
         return rows
 
 
@@ -199,7 +211,7 @@ def row_weights(data: PulseData, weighting: Weighting = "balanced") -> FloatArra
     side with more rows would decide alone, and the result would depend on the tester's settings.
     Where both have about as many rows the two choices agree.
 
-    Rows where the voltage is still settling (`PulseData.settling_rows`) count zero in both.
+    Rows at an edge that have not settled (`PulseData.settling_rows`) count zero in both.
 
     Raises
     ------
@@ -216,141 +228,11 @@ def row_weights(data: PulseData, weighting: Weighting = "balanced") -> FloatArra
         )
     settling = data.settling_rows
     weight[settling] = 0.0
-    return weight * (np.count_nonzero(~settling) / float(np.sum(weight)))
+    return weight * (np.count_nonzero(~settling) / max(float(np.sum(weight)), 1e-300))
 
 
-def pulse_from_arrays(
-    time_s: FloatArray,
-    current_A: FloatArray,
-    voltage_V: FloatArray,
-    start: int,
-    stop: int,
-    capacity_Ah: float,
-    *,
-    soc_start: float = float("nan"),
-    rest_before_s: float | None = None,
-    ocv: Callable[[FloatArray], FloatArray] | None = None,
-    name: str = "",
-) -> PulseData:
-    """One pulse from plain arrays; rows without a finite voltage are dropped.
-
-    The charge that flowed up to a dropped row stays in the interval of the row that follows.
-
-    Parameters
-    ----------
-    time_s, current_A, voltage_V : (n,) float     as in `PulseData`; voltage may hold NaN
-    start, stop : int         first row of the pulse; first row after it
-    capacity_Ah : float       [Ah]
-    soc_start : float         SOC at the first row [0..1]; needed with ``ocv``
-    rest_before_s : float     rest before the pulse [s]; by default what the rows show
-    ocv : callable            tabulated OCV: SOC array -> voltage array [V]
-    name : str                for people
-
-    Raises
-    ------
-    InputError        as `PulseData`; an OCV table without a SOC
-    """
-    time = np.asarray(time_s, dtype=np.float64)
-    current = np.asarray(current_A, dtype=np.float64)
-    voltage = np.asarray(voltage_V, dtype=np.float64)
-    where = f"pulse '{name}'" if name else "the pulse"
-    _check_channel(time, time.size, f"time_s of {where}")
-    _check_channel(current, time.size, f"current_A of {where}")
-    _check_channel(np.where(np.isfinite(voltage), voltage, 0.0), time.size, f"voltage_V of {where}")
-    keep = np.flatnonzero(np.isfinite(voltage))
-    dt = np.diff(time, prepend=time[0]) if time.size else time
-    charge = np.cumsum(current * dt) / 3600.0
-    if keep.size < time.size:
-        current = _merged_current(time, current, charge, keep)
-        start, stop = (int(np.searchsorted(keep, row)) for row in (start, stop))
-        time, voltage, charge = time[keep], voltage[keep], charge[keep]
-        charge = charge - charge[0] if charge.size else charge
-    if rest_before_s is None:
-        rest_before_s = float(time[start - 1] - time[0]) if 0 < start < time.size else 0.0
-    change = None
-    if ocv is not None:
-        if not np.isfinite(soc_start):
-            raise InputError(
-                f"an OCV table but no SOC for {where}",
-                "soc_start, the SOC at the window's first row",
-                "Give soc_start, or leave the OCV slope to the fit.",
-            )
-        table = np.asarray(ocv(soc_start - charge / capacity_Ah), dtype=np.float64)
-        change = table - table[0]
-    return PulseData(
-        time, current, voltage, charge, start, stop, capacity_Ah,
-        soc_start, rest_before_s, change, name,
-    )  # fmt: skip
-
-
-def cut_pulse(
-    log: CellLog,
-    start: int,
-    stop: int,
-    capacity_Ah: float,
-    *,
-    soc_start: float = float("nan"),
-    ocv: Callable[[FloatArray], FloatArray] | None = None,
-    rest_shown_s: float = REST_SHOWN_S,
-    relaxation_s: float = float("inf"),
-    name: str = "",
-) -> PulseData:
-    """Cut the pulse in rows ``start`` to ``stop`` (not included) out of a log.
-
-    The window begins up to ``rest_shown_s`` before the pulse and ends before the next current, a
-    gap, or ``relaxation_s`` after the pulse. ``soc_start`` is the SOC right before the pulse.
-
-    Raises
-    ------
-    InputError        as `pulse_from_arrays`
-    """
-    current = log.known_current_A()
-    if not 0 <= start < stop <= len(log):
-        raise InputError(
-            f"edges at rows {start} and {stop} of a log of {len(log)} rows",
-            "0 <= start < stop <= number of rows",
-            "Give the first row of the pulse and the first row after it.",
-        )
-    quiet = np.abs(current) < 0.02 * np.max(np.abs(current[start:stop]))
-    broken = ~quiet | log.gap_rows
-    before = np.flatnonzero(broken[:start])
-    rest = int(before[-1]) if before.size else 0
-    after = np.flatnonzero(broken[stop:])
-    end = stop + int(after[0]) if after.size else len(log)
-    shown = int(np.searchsorted(log.time_s, log.time_s[max(start - 1, 0)] - rest_shown_s))
-    first = max(rest, min(shown, start - 3), 0)
-    end = min(end, int(np.searchsorted(log.time_s, log.time_s[stop - 1] + relaxation_s, "right")))
-    end = max(end, stop)
-    return pulse_from_arrays(
-        log.time_s[first:end],
-        current[first:end],
-        log.voltage_V[first:end],
-        start - first,
-        stop - first,
-        capacity_Ah,
-        soc_start=soc_start,
-        rest_before_s=float(log.time_s[max(start - 1, 0)] - log.time_s[rest]),
-        ocv=ocv,
-        name=name or log.name,
-    )
-
-
-def _merged_current(
-    time: FloatArray, current: FloatArray, charge: FloatArray, keep: np.ndarray
-) -> FloatArray:
-    """Interval current of the rows kept: unchanged, or the mean over the rows dropped before."""
-    merged = current[keep].copy()
-    late = np.flatnonzero(np.diff(keep, prepend=-1) > 1)
-    for k in late:
-        if k == 0:
-            continue
-        dt = time[keep[k]] - time[keep[k - 1]]
-        if dt > 0.0:
-            merged[k] = 3600.0 * (charge[keep[k]] - charge[keep[k - 1]]) / dt
-    return merged
-
-
-def _check_channel(array: FloatArray, rows: int, what: str) -> None:
+def check_channel(array: FloatArray, rows: int, what: str) -> None:
+    """Refuse a channel of another length, or with a value that is not finite."""
     if array.ndim != 1 or array.size != rows:
         raise InputError(
             f"{what} of shape {array.shape}",

@@ -76,7 +76,7 @@ class PulseFit:
     rows_per_residual : float     rows that share one independent residual [-], 1 for white noise
     condition : float         condition number of the scaled problem [-]
     at_bound : tuple of str   parameters that ended at a bound
-    ocv_bends_V : (float, float)  second and third power of the OCV inside the pulse [V]
+    ocv_bends_V : (3,) float  second to fourth power of the OCV inside the pulse [V]
     v1_start_V, v2_start_V : float    branch voltages at the window's first row [V]
     trend : PulseTrend        change with SOC that was assumed
     passes : int              passes over the samples that the fit took
@@ -97,7 +97,7 @@ class PulseFit:
     rows_per_residual: float = 1.0
     condition: float = float("nan")
     at_bound: tuple[str, ...] = ()
-    ocv_bends_V: tuple[float, float] = (0.0, 0.0)
+    ocv_bends_V: tuple[float, float, float] = (0.0, 0.0, 0.0)
     v1_start_V: float = 0.0
     v2_start_V: float = 0.0
     trend: PulseTrend = PulseTrend()

@@ -31,15 +31,15 @@ class Problem(NamedTuple):
 class Solution(NamedTuple):
     """A minimum, with all that its statistics need.
 
-    Linear unknowns: OCV minus reference, OCV slope, R0, R1, R2, two bends of the OCV, V1 and V2
+    Linear unknowns: OCV minus reference, OCV slope, R0, R1, R2, three bends of the OCV, V1 and V2
     at the window's first row.
     """
 
     cost: float
     log_tau: FloatArray  # (2,)
-    coefficients: FloatArray  # (9,)
-    include: BoolArray  # (9,) which unknowns the model has
-    gram: FloatArray  # (14, 14) weighted products of all columns
+    coefficients: FloatArray  # (10,)
+    include: BoolArray  # (10,) which unknowns the model has
+    gram: FloatArray  # (15, 15) weighted products of all columns
     passes: int
     converged: bool
 
@@ -62,7 +62,7 @@ def build_problem(data: PulseData, weighting: Weighting, trend: PulseTrend) -> P
         )
     return Problem(
         data.interval_s,
-        data.current_A,
+        data.current_A.copy(),  # writable as the rest: kernels compile once, not twice
         known - reference,
         data.charge_fraction,
         weight,

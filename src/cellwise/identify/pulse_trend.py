@@ -61,18 +61,27 @@ def _reach(levels: FloatArray, at: float) -> float:
     return REACH * float(distance[min(2, distance.size - 1)])
 
 
-def _slope(soc: FloatArray, log_value: FloatArray, weight: FloatArray, at: float, reach: float) -> float:
-    """Slope of the local polynomial at one SOC; 0 where the neighbours do not give one."""
-    offset = soc - at
-    near = np.abs(offset) < reach
-    if np.count_nonzero(near) < 3:
+def _slope(
+    soc: FloatArray, log_value: FloatArray, weight: FloatArray, at: float, reach: float
+) -> float:
+    """Slope of the local polynomial at one SOC, shrunk as far as its scatter leaves it in doubt.
+
+    Shrunk by 1 - 1/t^2, with t the slope over its standard error: a slope below its error is none.
+    """
+    offset = (soc - at) / reach
+    near = np.abs(offset) < 1.0
+    degree = min(2, _levels(soc[near]).size - 1)
+    freedom = np.count_nonzero(near) - degree - 1
+    if degree < 1 or freedom < 1:
         return 0.0
     x = offset[near]
-    tricube = (1.0 - (np.abs(x) / reach) ** 3) ** 3
-    degree = min(2, _levels(soc[near]).size - 1)
-    if degree < 1:
+    weight = weight[near] * (1.0 - np.abs(x) ** 3) ** 3
+    columns = np.vander(x, degree + 1, increasing=True)
+    inverse = np.linalg.pinv(columns.T @ (columns * weight[:, None]))
+    solution = inverse @ (columns.T @ (weight * log_value[near]))
+    residual = log_value[near] - columns @ solution
+    variance = float(np.sum(weight * residual**2)) / freedom * inverse[1, 1]
+    slope = float(solution[1])
+    if slope * slope <= variance:
         return 0.0
-    root = np.sqrt(weight[near] * tricube)
-    columns = np.vander(x / reach, degree + 1, increasing=True) * root[:, None]
-    solution = np.linalg.lstsq(columns, log_value[near] * root, rcond=1e-6)[0]
-    return float(solution[1]) / reach
+    return slope * (1.0 - variance / (slope * slope)) / reach

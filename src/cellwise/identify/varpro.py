@@ -2,7 +2,8 @@
 
 .. math::
 
-    v = OCV + s x + b_2 x^2 + b_3 x^3 - R_0 I - R_1 u_1 - R_2 u_2 - V_{10} e_1 - V_{20} e_2
+    v = OCV + s x + b_2 x^2 + b_3 x^3 + b_4 x^4
+        - R_0 I - R_1 u_1 - R_2 u_2 - V_{10} e_1 - V_{20} e_2
 
 with x the SOC minus the pulse's mean SOC, u_j the response of a branch of one ohm (exact for
 current that is constant over an interval) and e_j the decay of what the branch held at the start.
@@ -30,7 +31,7 @@ from cellwise.identify.pulse_problem import (
     window_tau_bounds,
 )
 from cellwise.identify.varpro_algebra_kernels import minimise, scan
-from cellwise.identify.varpro_kernels import COLUMNS, LINEAR, thin
+from cellwise.identify.varpro_kernels import BENDS, COLUMNS, LINEAR, thin
 from cellwise.typing import BoolArray, FloatArray
 
 GRID = 9  # start values per axis of the log tau plane
@@ -48,7 +49,7 @@ RESTED_TAUS = 5.0
 SHORT_REST_S = (20.0, 300.0)
 AT_BOUND = 1e-6  # in log tau
 
-_SLOPE, _R0, _R1, _R2, _V1, _V2 = 1, 2, 3, 4, 7, 8
+_SLOPE, _R0, _R1, _R2, _V1, _V2 = 1, 2, 3, 4, 8, 9
 _NON_NEGATIVE = np.zeros(LINEAR, dtype=np.bool_)
 _NON_NEGATIVE[[_SLOPE, _R0, _R1, _R2]] = True
 
@@ -61,7 +62,7 @@ class VarproOptions:
     ----------
     weighting : str           see `row_weights`
     tau : TauBounds or None   by default from the window, see `window_tau_bounds`
-    bends : "auto", 0, 1, 2   powers of the OCV inside the pulse beyond its slope; ``auto`` keeps
+    bends : "auto", 0 to 3    powers of the OCV inside the pulse beyond its slope; ``auto`` keeps
                               those that the residual calls for
     initial : "auto" or bool  fit what the branches held at the window's start; ``auto`` does after
                               a short rest, if the residual calls for it
@@ -69,14 +70,14 @@ class VarproOptions:
 
     weighting: Weighting = "balanced"
     tau: TauBounds | None = None
-    bends: Literal["auto", 0, 1, 2] = "auto"
+    bends: Literal["auto", 0, 1, 2, 3] = "auto"
     initial: Literal["auto"] | bool = "auto"
 
     def __post_init__(self) -> None:
-        if self.bends not in ("auto", 0, 1, 2) or self.initial not in ("auto", True, False):
+        if self.bends not in ("auto", 0, 1, 2, 3) or self.initial not in ("auto", True, False):
             raise InputError(
                 f"bends = {self.bends!r}, initial = {self.initial!r}",
-                "bends 'auto', 0, 1 or 2; initial 'auto', True or False",
+                "bends 'auto' or 0 to 3; initial 'auto', True or False",
                 "Choose one of these.",
             )
 
@@ -114,7 +115,7 @@ def fit_varpro(
     start = None if start_tau_s is None else np.log(np.array(start_tau_s, dtype=np.float64))
     few = _thinned(problem)
     found = _search(few, include, limits, start)
-    found = _with_initial(few, limits, found, options, data.rest_before_s)
+    found = _with_initial(few, limits, found, options, data.rest_before_window_s)
     found = _with_bends(few, limits, found, options)
     solution = _descend(problem, found.include, limits, found.log_tau, TIGHT)
     return describe(data, problem, solution, limits, trend, "varpro")
@@ -194,7 +195,7 @@ def _with_bends(
     problem: Problem, limits: FloatArray, plain: Solution, options: VarproOptions
 ) -> Solution:
     """Add powers of the OCV inside the pulse, one after the other, while they are worth it."""
-    wanted = 2 if options.bends == "auto" else options.bends
+    wanted = BENDS if options.bends == "auto" else options.bends
     for power in range(wanted):
         include = plain.include.copy()
         include[5 + power] = True
@@ -252,7 +253,7 @@ def describe(
         rows_per_residual=statistics.rows_per_residual,
         condition=condition,
         at_bound=_at_bound(solution, limits),
-        ocv_bends_V=(float(c[5]), float(c[6])),
+        ocv_bends_V=(float(c[5]), float(c[6]), float(c[7])),
         v1_start_V=float(c[_V1]),
         v2_start_V=float(c[_V2]),
         trend=trend,

@@ -88,10 +88,10 @@ def solve_linear(
 
     Parameters
     ----------
-    gram : (14, 14) float             from `accumulate`
-    include, non_negative : (9,) bool     unknowns in the model; unknowns that must not be negative
-    coefficients : (9,) float, free : (9,) bool       result: values; not at a bound
-    columns : (9,) int, chol : (9, 9) float, x : (9,) float       scratch
+    gram : (15, 15) float             from `accumulate`
+    include, non_negative : (10,) bool     unknowns in the model; unknowns that must not be negative
+    coefficients : (10,) float, free : (10,) bool       result: values; not at a bound
+    columns : (10,) int, chol : (10, 10) float, x : (10,) float       scratch
 
     Returns
     -------
@@ -164,25 +164,25 @@ def _reduced_normal(
     b = np.zeros((2, LINEAR))
     for t in range(2):
         r = coefficients[3 + t]
-        v = coefficients[7 + t]
-        gradient[t] = r * gram[0, 6 + t] + v * gram[0, 12 + t]
+        v = coefficients[8 + t]
+        gradient[t] = r * gram[0, 6 + t] + v * gram[0, 13 + t]
         for u in range(LINEAR):
             if free[u]:
                 c = COLUMN_OF[u]
-                gradient[t] -= coefficients[u] * (r * gram[c, 6 + t] + v * gram[c, 12 + t])
+                gradient[t] -= coefficients[u] * (r * gram[c, 6 + t] + v * gram[c, 13 + t])
         for i in range(m):
             c = columns[i]
             d = math.sqrt(gram[c, c])
-            s = (r * gram[c, 6 + t] + v * gram[c, 12 + t]) / d if d > 0.0 else 0.0
+            s = (r * gram[c, 6 + t] + v * gram[c, 13 + t]) / d if d > 0.0 else 0.0
             for k in range(i):
                 s -= chol[i, k] * b[t, k]
             b[t, i] = s / chol[i, i] if chol[i, i] > 0.0 else 0.0
     for t in range(2):
         for q in range(2):
-            rt, vt = coefficients[3 + t], coefficients[7 + t]
-            rq, vq = coefficients[3 + q], coefficients[7 + q]
-            s = rt * rq * gram[6 + t, 6 + q] + vt * vq * gram[12 + t, 12 + q]
-            s += rt * vq * gram[6 + t, 12 + q] + vt * rq * gram[12 + t, 6 + q]
+            rt, vt = coefficients[3 + t], coefficients[8 + t]
+            rq, vq = coefficients[3 + q], coefficients[8 + q]
+            s = rt * rq * gram[6 + t, 6 + q] + vt * vq * gram[13 + t, 13 + q]
+            s += rt * vq * gram[6 + t, 13 + q] + vt * rq * gram[13 + t, 6 + q]
             for i in range(m):
                 s -= b[t, i] * b[q, i]
             hessian[t, q] = s
@@ -210,7 +210,7 @@ def _bounded_step(
 
     ``limits`` = (min, max of log tau1; min, max of log tau2; min of log tau2 - log tau1).
     """
-    determinant = max(h11 * h22 - h12 * h12, 1e-14 * h11 * h22)
+    determinant = max(h11 * h22 - h12 * h12, 1e-14 * h11 * h22, 1e-300)
     step[0] = (h22 * g1 - h12 * g2) / determinant
     step[1] = (h11 * g2 - h12 * g1) / determinant
     if _inside(p1 + step[0], p2 + step[1], limits):
@@ -271,12 +271,12 @@ def minimise(
     ----------
     dt, current, known, dq, weight : (n,) float       as in `accumulate`
     trend : (5,) float, centre : float                as in `accumulate`
-    include, non_negative : (9,) bool                 as in `solve_linear`
+    include, non_negative : (10,) bool                 as in `solve_linear`
     limits : (5,) float       of log tau1 and log tau2, and their least distance
     log_tau : (2,) float      start; overwritten with the optimum
     iterations : int          most passes over the samples
     tolerance : float         converged when log tau moves less than this
-    gram : (14, 14), coefficients : (8,), free : (9,)     result at the optimum
+    gram : (15, 15), coefficients : (8,), free : (10,)     result at the optimum
 
     Returns
     -------
@@ -320,8 +320,10 @@ def minimise(
             if moved < tolerance:
                 return cost, n + 1, True
             damping *= 10.0
+        if hessian[0, 0] + hessian[1, 1] <= 0.0:  # no branch at all: no tau to look for
+            return cost, n + 1, True
         # A branch of zero resistance says nothing about its tau: keep the system regular.
-        floor = 1e-12 * (hessian[0, 0] + hessian[1, 1]) + 1e-300
+        floor = 1e-12 * (hessian[0, 0] + hessian[1, 1])
         _bounded_step(
             hessian[0, 0] * (1.0 + damping) + floor, hessian[0, 1],
             hessian[1, 1] * (1.0 + damping) + floor, gradient[0], gradient[1],

@@ -12,9 +12,9 @@ Columns of a window, in this order (`COLUMNS`):
     3      -I f0: ohmic drop per ohm
     4, 5   -u1, -u2: branch voltages per ohm
     6, 7   -d u1 / d log tau1, -d u2 / d log tau2
-    8, 9   x^2, x^3: the OCV bends inside the pulse
-    10, 11 -e1, -e2: decay of what the branches held at the window's first row
-    12, 13 -d e1 / d log tau1, -d e2 / d log tau2
+    8-10   x^2, x^3, x^4: the OCV bends inside the pulse
+    11, 12 -e1, -e2: decay of what the branches held at the window's first row
+    13, 14 -d e1 / d log tau1, -d e2 / d log tau2
 """
 
 from __future__ import annotations
@@ -26,11 +26,12 @@ from numba import njit
 
 from cellwise.typing import BoolArray, FloatArray
 
-COLUMNS = 14
-LINEAR = 9  # unknowns that enter linearly: OCV, slope, R0, R1, R2, two bends, V1(0), V2(0)
+COLUMNS = 15
+LINEAR = 10  # unknowns that enter linearly: OCV, slope, R0, R1, R2, three bends, V1(0), V2(0)
+BENDS = 3
 TILE = 128
 # The columns of the linear unknowns, in the order of the unknowns.
-COLUMN_OF = np.array([1, 2, 3, 4, 5, 8, 9, 10, 11], dtype=np.int64)
+COLUMN_OF = np.array([1, 2, 3, 4, 5, 8, 9, 10, 11, 12], dtype=np.int64)
 # Sampling intervals closer than this share one exponential: float64 stamps of a log that runs
 # for days jitter in the last digits.
 SAME_INTERVAL = 1e-7
@@ -51,11 +52,12 @@ def trend_factor(slope: float, soc_offset: float) -> float:
 @njit(cache=True)
 def columns_used(include: BoolArray) -> int:
     """Leading columns that a set of unknowns needs; see the module's list."""
-    if include[7] or include[8]:
+    if include[8] or include[9]:
         return COLUMNS
-    if include[6]:
-        return 10
-    return 9 if include[5] else 8
+    for bend in range(BENDS, 0, -1):
+        if include[4 + bend]:
+            return 8 + bend
+    return 8
 
 
 @njit(cache=True, fastmath=_FAST)
@@ -94,9 +96,9 @@ def accumulate(
     tau1, tau2 : float        time constants at the pulse's mean SOC [s]
     trend : (5,) float        d log(R0, R1, R2, tau1, tau2) / d SOC
     centre : float            ``dq`` at the pulse's mean SOC
-    used : int                number of leading columns to sum: 8, 9, 10 or 14
-    tile : (14, TILE) float, tile_weight : (TILE,) float      scratch
-    gram : (14, 14) float     result, both triangles
+    used : int                number of leading columns to sum, see `columns_used`
+    tile : (15, TILE) float, tile_weight : (TILE,) float      scratch
+    gram : (15, 15) float     result, both triangles
     """
     gram[:, :] = 0.0
     u1 = u2 = du1 = du2 = 0.0
@@ -134,15 +136,16 @@ def accumulate(
         tile[7, row] = -du2
         tile[8, row] = x * x
         tile[9, row] = x * x * x
-        if used > 10:
+        tile[10, row] = x * x * x * x
+        if used > 8 + BENDS:
             de1 = a1 * (de1 + l1 * e1)
             de2 = a2 * (de2 + l2 * e2)
             e1 *= a1
             e2 *= a2
-            tile[10, row] = -e1
-            tile[11, row] = -e2
-            tile[12, row] = -de1
-            tile[13, row] = -de2
+            tile[11, row] = -e1
+            tile[12, row] = -e2
+            tile[13, row] = -de1
+            tile[14, row] = -de2
         tile_weight[row] = weight[k]
         row += 1
         if row == TILE:
@@ -173,6 +176,7 @@ def predict(
     a1 = a2 = 0.0
     last_dt = last_offset = -1.0
     before = dq[0]
+    c6 = coefficients[6]
     for k in range(dt.size):
         offset = centre - 0.5 * (dq[k] + before)
         before = dq[k]
@@ -190,12 +194,12 @@ def predict(
         x = centre - dq[k]
         voltage[k] = (
             coefficients[0]
-            + x * (coefficients[1] + x * (coefficients[5] + x * coefficients[6]))
+            + x * (coefficients[1] + x * (coefficients[5] + x * (c6 + x * coefficients[7])))
             - coefficients[2] * current[k] * trend_factor(trend[0], x)
             - coefficients[3] * u1
             - coefficients[4] * u2
-            - coefficients[7] * e1
-            - coefficients[8] * e2
+            - coefficients[8] * e1
+            - coefficients[9] * e2
         )
 
 
