@@ -195,7 +195,7 @@ def robust_edges(
     """
     _check(current_A, time_s)
     scale = current_scale(current_A)
-    p = find_plateaus(current_A, scale)
+    p = without_ramps(find_plateaus(current_A, scale), time_s, ramp_s)
     smallest = max(scale.rest_A, scale.step_A) if smallest_step_A is None else smallest_step_A
     edges: list[Edge] = []
 
@@ -293,6 +293,32 @@ def find_plateaus(current_A: FloatArray, scale: CurrentScale | None = None) -> P
         plateaus = _merge_level(plateaus, scale)
     plateaus = _drifted(x, plateaus)
     return plateaus if scale.smoothing_rows == 1 else _sharpened(current_A, plateaus, scale)
+
+
+def without_ramps(p: Plateaus, time_s: FloatArray, ramp_s: float = RAMP_S) -> Plateaus:
+    """Drop the short pieces into which a slow rise breaks between two levels.
+
+    They are a few rows long, lead from the one level towards the other without turning back, and
+    take no longer than a tester needs.
+
+    Parameters
+    ----------
+    p : Plateaus
+    time_s : (n,) float       [s]
+    ramp_s : float            longest rise [s]
+    """
+    short = (p.stop - p.start <= RAMP_ROWS) & ~p.rest
+    short[:1] = short[-1:] = False
+    first = np.flatnonzero(short & ~np.concatenate(([False], short[:-1])))
+    last = np.flatnonzero(short & ~np.concatenate((short[1:], [False])))
+    if first.size == 0:
+        return p
+    kept = np.ones(p.start.size, dtype=np.bool_)
+    took = time_s[p.start[last + 1] - 1] - time_s[p.stop[first - 1] - 1]
+    for a, b in zip(first[took <= ramp_s], last[took <= ramp_s], strict=True):
+        climb = np.diff(p.level_A[a - 1 : b + 2])
+        kept[a : b + 1] = not (np.all(climb > 0.0) or np.all(climb < 0.0))
+    return Plateaus(*(x[kept] for x in p))
 
 
 def _check(current_A: FloatArray, time_s: FloatArray) -> None:
@@ -491,8 +517,10 @@ def _sharpened(x: FloatArray, p: Plateaus, scale: CurrentScale) -> Plateaus:
     The running median may move a change by some rows: the split with the least squares about
     the two levels is the likeliest row.
     """
-    start, stop = p.start.copy(), p.stop.copy()
     reach = scale.smoothing_rows
+    # A running median leaves nothing shorter than half its width but pieces of a slope.
+    p = Plateaus(*(column[p.stop - p.start > reach // 2] for column in p))
+    start, stop = p.start.copy(), p.stop.copy()
     for k in range(p.start.size - 1):
         if start[k + 1] - stop[k] > reach:
             continue

@@ -15,6 +15,7 @@ from cellwise.identify.edges import (
     Plateaus,
     current_scale,
     find_plateaus,
+    without_ramps,
 )
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
@@ -113,7 +114,8 @@ def find_phases(log: CellLog, *, rest_current_A: float | None = None) -> tuple[P
         scale = scale._replace(rest_A=rest_current_A, zero_A=0.0)
     voltage = _filled(log.voltage_V)
     signals = _Signals(log.time_s, current, voltage, voltage_tolerance(log), scale)
-    plateaus = _with_spikes(find_plateaus(current, scale), signals)
+    plateaus = without_ramps(find_plateaus(current, scale), log.time_s)
+    plateaus = _with_spikes(plateaus, signals)
     spans = _join_dynamic(_join_cv(_assemble(plateaus, signals), signals), signals)
     return _finish(spans, signals, log)
 
@@ -187,6 +189,8 @@ def _between(a: int, b: int, before: _Span | None, after_A: float, s: _Signals) 
     seconds = s.seconds(a, b)
     inside = s.current_A[a:b]
     if b - a == 1:
+        if before is None and _rests(inside[0], s.scale):
+            return [_Span("rest", a, b, float(inside[0]))]
         same = before is not None and abs(before.level_A - after_A) <= s.scale.step_A
         if not (same and seconds >= SLOW_ROW_S):
             return []
@@ -194,14 +198,21 @@ def _between(a: int, b: int, before: _Span | None, after_A: float, s: _Signals) 
         return [_Span(kind, a, b, float(inside[0]))]
     if _held(a, b, s):
         return [_Span("cv", a, b, float(np.mean(inside)))]
-    if b - a <= RAMP_ROWS and seconds <= RAMP_S:
-        # A tester may overshoot on its way, by less than half the step.
-        begin = before.level_A if before is not None else float(inside[0])
-        low, high = min(begin, after_A), max(begin, after_A)
-        room = 0.5 * (high - low) + s.scale.step_A
-        if low - room <= np.min(inside) and np.max(inside) <= high + room:
-            return []
+    begin = before.level_A if before is not None else float(inside[0])
+    if seconds <= RAMP_S and _rises(inside, begin, after_A, s.scale):
+        return []
     return _moving(a, b, s)
+
+
+def _rises(inside: FloatArray, begin_A: float, end_A: float, scale: CurrentScale) -> bool:
+    """Whether rows lead from one level to another: straight on, or in few rows with overshoot."""
+    low, high = min(begin_A, end_A), max(begin_A, end_A)
+    if inside.size <= RAMP_ROWS:
+        room = 0.5 * (high - low) + scale.step_A
+        return bool(low - room <= np.min(inside) and np.max(inside) <= high + room)
+    on = np.diff(inside) * np.sign(end_A - begin_A)
+    within = low - scale.step_A <= np.min(inside) and np.max(inside) <= high + scale.step_A
+    return bool(within and np.all(on >= -scale.step_A))
 
 
 def _rests(current_A: float, scale: CurrentScale) -> bool:
@@ -219,8 +230,7 @@ def _moving(a: int, b: int, s: _Signals) -> list[_Span]:
     if a < knee and b - knee >= max(3, (b - a) // 2) and _held(knee, b, s):
         head = s.current_A[a:knee]
         flat = np.ptp(head) <= max(s.scale.step_A, 0.03 * float(np.max(np.abs(head))))
-        short = knee - a <= RAMP_ROWS and s.seconds(a, knee) <= RAMP_S
-        kind: PhaseKind = "cc" if flat or short else "dynamic"
+        kind: PhaseKind = "cc" if flat or s.seconds(a, knee) <= RAMP_S else "dynamic"
         tail = float(np.mean(s.current_A[knee:b]))
         return [_Span(kind, a, knee, float(np.mean(head))), _Span("cv", knee, b, tail)]
     return [_Span("dynamic", a, b, mean)]

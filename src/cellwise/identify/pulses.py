@@ -179,9 +179,18 @@ def _role_border(phases: Sequence[Phase]) -> float:
         ]
     )
     d: FloatArray = np.sort(planned)
-    close = np.diff(d) <= SAME_DURATION * d[1:] if d.size > 1 else np.zeros(0, np.bool_)
+    if d.size < 2:
+        return LONGEST_PULSE_S
+    close = np.diff(d) <= SAME_DURATION * d[1:]
     repeated = np.concatenate(([False], close)) | np.concatenate((close, [False]))
-    d = d[repeated] if d.size > 1 and repeated.any() else d
+    if not repeated.any():
+        return _widest_gap(d)
+    border = _widest_gap(d[repeated])
+    return border if border < LONGEST_PULSE_S else _widest_gap(d[d >= d[repeated][0]])
+
+
+def _widest_gap(d: FloatArray) -> float:
+    """Border above the durations below the widest gap; where there is none, ten minutes."""
     if d.size < 2:
         return LONGEST_PULSE_S
     middle = np.sqrt(d[1:] * d[:-1])
