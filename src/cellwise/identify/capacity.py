@@ -19,6 +19,7 @@ from cellwise.identify.half_cycles import (
     Trace,
     find_half_cycles,
     join_logs,
+    settled_end,
 )
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
@@ -252,8 +253,7 @@ def _measure(
 ) -> CapacityTest:
     half = halves[k]
     begin = max(half.steady_start - 1, 0)
-    following = halves[k + 1] if k + 1 < len(halves) else None
-    end = _settled_end(trace, half, following)
+    end = settled_end(trace, halves, k)
     limit = _cc_stop(trace, half, v_min)
     charge, voltage = trace.charge_Ah, trace.voltage_V
     lowest = float(np.min(voltage[half.steady_start : end + 1]))
@@ -294,13 +294,6 @@ def _measure(
         stop=end + 1,
         notices=(*notices, *why),
     )
-
-
-def _settled_end(trace: Trace, half: HalfCycle, following: HalfCycle | None) -> int:
-    """Last row of a discharge: before the next charge, where a dither at the limit has settled."""
-    end = len(trace.charge_Ah) - 1 if following is None else following.steady_start - 1
-    back = trace.charge_Ah[half.stop - 1] - trace.charge_Ah[end]
-    return end if end >= half.stop - 1 and back <= 0.005 * half.charge_Ah else half.stop - 1
 
 
 def _looks_like_end(trace: Trace, half: HalfCycle, limit: int) -> bool:

@@ -21,6 +21,9 @@ from cellwise.typing import BoolArray, FloatArray
 # A turn of less than this share of the whole movement is a pulse, not a new half cycle.
 TURN_OF_RANGE = 0.1
 STEADY_OF_CURRENT = 0.1
+# What a tester that dithers at a limit moves back, as a share of the half cycle.
+DITHER = 0.005
+RUN_OF_CHARGE = 0.02
 
 
 class Trace(NamedTuple):
@@ -48,8 +51,8 @@ class HalfCycle(NamedTuple):
 
     charge_Ah : removed (positive) or brought back (negative)
     main_current_A : the current at which half of the charge has flowed, from small to large [A]
-    steady_start, steady_stop : first row at the main current, row after the last one; the first may
-        lie before ``start`` by what a coarse counter does not show
+    steady_start, steady_stop : first row at the main current, row after the last one, moments in
+        passing left out; the first may lie before ``start`` by what a coarse counter hides
     """
 
     start: int
@@ -117,6 +120,29 @@ def steady_rows(trace: Trace, half: HalfCycle) -> BoolArray:
     return np.abs(current - half.main_current_A) <= STEADY_OF_CURRENT * abs(half.main_current_A)
 
 
+def _steady_span(steady: BoolArray, share: FloatArray) -> tuple[int, int]:
+    """First and past-the-last row of the runs at the main current that move something to speak of.
+
+    A dither at the limit passes through the main current too, for moments.
+    """
+    change = np.flatnonzero(np.diff(np.concatenate(([False], steady, [False]))))
+    flow = np.append(0.0, np.cumsum(share))
+    runs = [(int(a), int(b)) for a, b in change.reshape(-1, 2)]
+    large = [(a, b) for a, b in runs if flow[b] - flow[a] >= RUN_OF_CHARGE * flow[-1]] or runs
+    return large[0][0], large[-1][1]
+
+
+def settled_end(trace: Trace, halves: tuple[HalfCycle, ...], k: int) -> int:
+    """Last row before the next half cycle's current, where a dither at the limit has settled.
+
+    The half cycle's own last row where charge came back by more than a dither would.
+    """
+    last = halves[k].stop - 1
+    end = trace.charge_Ah.size - 1 if k + 1 == len(halves) else halves[k + 1].steady_start - 1
+    back = abs(float(trace.charge_Ah[last] - trace.charge_Ah[end]))
+    return end if end >= last and back <= DITHER * abs(halves[k].charge_Ah) else last
+
+
 def _is(current_A: float, main_A: float) -> bool:
     return abs(current_A - main_A) <= STEADY_OF_CURRENT * abs(main_A)
 
@@ -131,8 +157,7 @@ def _half_cycle(trace: Trace, start: int, stop: int) -> HalfCycle | None:
     order = np.argsort(np.abs(current))
     half_way = np.searchsorted(np.cumsum(share[order]), 0.5 * share.sum())
     main = float(current[order[half_way]])
-    steady = np.flatnonzero(np.abs(current - main) <= STEADY_OF_CURRENT * abs(main))
-    first, last = int(steady[0]), int(steady[-1]) + 1
+    first, last = _steady_span(np.abs(current - main) <= STEADY_OF_CURRENT * abs(main), share)
     earlier = 0
     while first == 0 and start > earlier and _is(trace.current_A[start - earlier - 1], main):
         earlier += 1

@@ -128,7 +128,8 @@ class PulseData:
     @property
     def charge_fraction(self) -> FloatArray:
         """Charge discharged since the first row, over capacity [-], shape (n,)."""
-        return (self.charge_Ah - self.charge_Ah[0]) / self.capacity_Ah
+        fraction: FloatArray = (self.charge_Ah - self.charge_Ah[0]) / self.capacity_Ah
+        return fraction
 
     @property
     def pulse_current_A(self) -> float:
@@ -157,7 +158,7 @@ class PulseData:
     @property
     def soc(self) -> float:
         """Mean SOC of the pulse: the middle between before and after [0..1]."""
-        return self.soc_start - self.pulse_centre
+        return float(self.soc_start - self.pulse_centre)
 
     @property
     def settling_rows(self) -> BoolArray:
@@ -197,7 +198,7 @@ def voltage_noise(data: PulseData) -> float:
     Robust (median of magnitudes), so edges and relaxation do not count.
     """
     second = np.abs(np.diff(data.voltage_V, 2))
-    return float(np.median(second)) / (0.6745 * np.sqrt(6.0))
+    return float(np.median(second) / (0.6745 * np.sqrt(6.0)))
 
 
 def row_weights(data: PulseData, weighting: Weighting = "balanced") -> FloatArray:

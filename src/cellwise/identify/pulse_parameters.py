@@ -43,6 +43,9 @@ class PulseTrend(NamedTuple):
     tau2: float = 0.0
 
 
+NO_TREND = PulseTrend()
+
+
 @dataclass(frozen=True)
 class TauBounds:
     """Search range of the time constants [s].
@@ -100,7 +103,7 @@ class PulseFit:
     ocv_bends_V: tuple[float, float, float] = (0.0, 0.0, 0.0)
     v1_start_V: float = 0.0
     v2_start_V: float = 0.0
-    trend: PulseTrend = PulseTrend()
+    trend: PulseTrend = NO_TREND
     passes: int = 0
     converged: bool = True
 

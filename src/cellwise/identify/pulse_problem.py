@@ -103,7 +103,8 @@ def log_limits(bounds: TauBounds) -> FloatArray:
             "Widen the bounds.",
         )
     high1, low2 = min(high1, high2 / ratio), max(low2, low1 * ratio)
-    return np.log(np.array([low1, high1, low2, high2, ratio]))
+    limits: FloatArray = np.log(np.array([low1, high1, low2, high2, ratio]))
+    return limits
 
 
 def residual_V(problem: Problem, log_tau: FloatArray, coefficients: FloatArray) -> FloatArray:
@@ -114,4 +115,4 @@ def residual_V(problem: Problem, log_tau: FloatArray, coefficients: FloatArray) 
         problem.dt, problem.current, problem.dq, tau1, tau2, problem.trend, problem.centre,
         coefficients, model,
     )  # fmt: skip
-    return problem.known - model
+    return np.subtract(problem.known, model)

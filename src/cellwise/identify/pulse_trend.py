@@ -84,4 +84,4 @@ def _slope(
     slope = float(solution[1])
     if slope * slope <= variance:
         return 0.0
-    return slope * (1.0 - variance / (slope * slope)) / reach
+    return float(slope * (1.0 - variance / (slope * slope)) / reach)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellwise.errors import InputError
 from cellwise.identify.pulse_data import PulseData, check_channel
@@ -240,10 +241,10 @@ def _quiet_until(current: FloatArray, gaps: BoolArray, start: int, limit: float)
 
 
 def _merged_current(
-    time: FloatArray, current: FloatArray, charge: FloatArray, keep: np.ndarray
+    time: FloatArray, current: FloatArray, charge: FloatArray, keep: NDArray[np.intp]
 ) -> FloatArray:
     """Interval current of the rows kept: unchanged, or the mean over the rows dropped before."""
-    merged = current[keep].copy()
+    merged: FloatArray = current[keep].copy()
     late = np.flatnonzero(np.diff(keep, prepend=-1) > 1)
     for k in late:
         if k == 0:

@@ -1,14 +1,14 @@
-"""Segment identification: three points of a pulse and closed formulas (NCR18650B paper).
+r"""Segment identification: three points of a pulse and closed formulas (NCR18650B paper).
 
 .. math::
 
-    R_0 = |V(t_0) - V(t_1)| / I \\quad (6) \\qquad R_1 = |V(t_1) - V(t_2)| / I \\quad (7)
+    R_0 = |V(t_0) - V(t_1)| / I \quad (6) \qquad R_1 = |V(t_1) - V(t_2)| / I \quad (7)
 
-    \\tau_1 = (t_2 - t_1) / 5 \\quad (8) \\qquad C_1 = \\tau_1 / R_1 \\quad (9)
+    \tau_1 = (t_2 - t_1) / 5 \quad (8) \qquad C_1 = \tau_1 / R_1 \quad (9)
 
-R2, tau2 and C2 follow from (7) to (9) on the longer segment from t1 to t3. Quick, and a start value
-for anything else; but the time constants are a choice of points, not an estimate: the OCV that
-moves during the pulse counts as resistance, and R2 holds what R1 holds already.
+R2, tau2 and C2 follow from (7) to (9) on the longer segment from t1 to t3. Quick, and a
+start value for anything else; but the time constants are a choice of points, not an estimate, the
+OCV that moves during the pulse counts as resistance, and R2 holds what R1 holds already.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def fit_segments(data: PulseData, options: SegmentOptions | None = None) -> Puls
     row1 = data.start + int(settled[0]) if settled.size else row3
     if row0 < 0 or row3 - row1 < 2:
         raise InputError(
-            f"{data.start} rows before pulse '{data.name}' and {row3 - row1 + 1} settled rows in it",
+            f"{data.start} rows before pulse '{data.name}', {row3 - row1 + 1} settled rows in it",
             "at least 1 row before and 3 in it",
             "Cut the pulse with some rest before it, or leave it out.",
         )

@@ -1,12 +1,12 @@
-"""Particle swarm identification of a pulse, as the LFP040AHA paper does it.
+r"""Particle swarm identification of a pulse, as the LFP040AHA paper does it.
 
-Fully informed swarm (Mendes, Kennedy, Neves, doi:10.1109/TEVC.2004.826074): every particle is drawn
-to the best places of all its neighbours at once,
+Fully informed swarm (Mendes, Kennedy, Neves, doi:10.1109/TEVC.2004.826074): every particle is
+drawn to the best places of all its neighbours at once,
 
 .. math::
 
-    v \\leftarrow \\chi \\Big( v + \\sum_{k \\in N} U(0, \\varphi / |N|) \\circ (p_k - x) \\Big),
-    \\qquad \\chi = 2 / (\\varphi - 2 + \\sqrt{\\varphi^2 - 4 \\varphi})
+    v \leftarrow \chi \Big( v + \sum_{k \in N} U(0, \varphi / |N|) \circ (p_k - x) \Big),
+    \qquad \chi = 2 / (\varphi - 2 + \sqrt{\varphi^2 - 4 \varphi})
 
 with cognition phi = 4.1, 64 particles, 180 iterations and a ring lattice of order 8: neighbours are
 the four particles on either side. Kept as the paper's method and as a yardstick.
@@ -22,8 +22,13 @@ import numpy as np
 from cellwise.errors import InputError
 from cellwise.identify.pulse_data import PulseData, Weighting
 from cellwise.identify.pulse_parameters import PulseFit, PulseTrend, TauBounds
-from cellwise.identify.pulse_problem import Problem, Solution, build_problem, log_limits
-from cellwise.identify.pulse_problem import window_tau_bounds
+from cellwise.identify.pulse_problem import (
+    Problem,
+    Solution,
+    build_problem,
+    log_limits,
+    window_tau_bounds,
+)
 from cellwise.identify.swarm_kernels import swarm_costs
 from cellwise.identify.varpro import describe
 from cellwise.identify.varpro_kernels import COLUMNS, LINEAR, TILE, accumulate
@@ -97,8 +102,14 @@ def fit_swarm(
     limits = log_limits(bounds)
     low, high = _box(data, problem, bounds, options.free)
     best, cost, passes = _swarm(problem, low, high, options, rng)
-    return describe(data, problem, _solution(problem, best, cost, passes, options, data),
-                    limits, PulseTrend(), "pso")
+    return describe(
+        data,
+        problem,
+        _solution(problem, best, cost, passes, options, data),
+        limits,
+        PulseTrend(),
+        "pso",
+    )
 
 
 def _paper_bounds(data: PulseData) -> TauBounds:
@@ -117,9 +128,7 @@ def _box(
     swing = float(np.ptp(data.voltage_V))
     most = 2.0 * swing / max(abs(data.pulse_current_A), 1e-12)
     before = data.time_s[max(data.start - 1, 0)]
-    rest = slice(
-        int(np.searchsorted(data.time_s, before - OCV_REST_S)), max(data.start, 1)
-    )
+    rest = slice(int(np.searchsorted(data.time_s, before - OCV_REST_S)), max(data.start, 1))
     ocv = float(np.mean(problem.known[rest]))
     low = np.array([0.0, 0.0, bounds.tau1_min_s, 0.0, bounds.tau2_min_s, ocv, 0.0])
     high = np.array([most, most, bounds.tau1_max_s, most, bounds.tau2_max_s, ocv, 0.0])

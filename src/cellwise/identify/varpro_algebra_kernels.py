@@ -67,7 +67,7 @@ def _solve_subset(
     for i in range(m):
         d = math.sqrt(gram[columns[i], columns[i]])
         x[i] = x[i] / d if d > 0.0 else 0.0
-    return max(cost, 0.0)
+    return float(max(cost, 0.0))
 
 
 @njit(cache=True)
@@ -203,8 +203,15 @@ def _inside(p1: float, p2: float, limits: FloatArray) -> bool:
 
 @njit(cache=True)
 def _bounded_step(
-    h11: float, h12: float, h22: float, g1: float, g2: float,
-    p1: float, p2: float, limits: FloatArray, step: FloatArray,
+    h11: float,
+    h12: float,
+    h22: float,
+    g1: float,
+    g2: float,
+    p1: float,
+    p2: float,
+    limits: FloatArray,
+    step: FloatArray,
 ) -> None:
     """Minimum of the quadratic model within the limits, exactly: inside, on a side, or a corner.
 
@@ -300,10 +307,24 @@ def minimise(
     p1, p2 = log_tau[0], log_tau[1]
     for n in range(iterations):
         tau1, tau2 = math.exp(p1), math.exp(p2)
-        accumulate(dt, current, known, dq, weight, tau1, tau2, trend, centre, used, tile,
-                   tile_weight, trial)
-        new = solve_linear(trial, include, non_negative, trial_coefficients, trial_free,
-                           columns, chol, x)
+        accumulate(
+            dt,
+            current,
+            known,
+            dq,
+            weight,
+            tau1,
+            tau2,
+            trend,
+            centre,
+            used,
+            tile,
+            tile_weight,
+            trial,
+        )
+        new = solve_linear(
+            trial, include, non_negative, trial_coefficients, trial_free, columns, chol, x
+        )
         moved = max(abs(p1 - log_tau[0]), abs(p2 - log_tau[1]))
         if new < cost or n == 0:
             stalled = n > 0 and cost - new <= 1e-14 * cost
@@ -325,9 +346,15 @@ def minimise(
         # A branch of zero resistance says nothing about its tau: keep the system regular.
         floor = 1e-12 * (hessian[0, 0] + hessian[1, 1])
         _bounded_step(
-            hessian[0, 0] * (1.0 + damping) + floor, hessian[0, 1],
-            hessian[1, 1] * (1.0 + damping) + floor, gradient[0], gradient[1],
-            log_tau[0], log_tau[1], limits, step,
+            hessian[0, 0] * (1.0 + damping) + floor,
+            hessian[0, 1],
+            hessian[1, 1] * (1.0 + damping) + floor,
+            gradient[0],
+            gradient[1],
+            log_tau[0],
+            log_tau[1],
+            limits,
+            step,
         )
         p1 = log_tau[0] + min(max(step[0], -LONGEST_STEP), LONGEST_STEP)
         p2 = log_tau[1] + min(max(step[1], -LONGEST_STEP), LONGEST_STEP)
@@ -360,6 +387,19 @@ def scan(
     x = np.zeros(LINEAR)
     used = columns_used(include)
     for k in range(costs.size):
-        accumulate(dt, current, known, dq, weight, math.exp(log_tau[k, 0]),
-                   math.exp(log_tau[k, 1]), trend, centre, used, tile, tile_weight, gram)
+        accumulate(
+            dt,
+            current,
+            known,
+            dq,
+            weight,
+            math.exp(log_tau[k, 0]),
+            math.exp(log_tau[k, 1]),
+            trend,
+            centre,
+            used,
+            tile,
+            tile_weight,
+            gram,
+        )
         costs[k] = solve_linear(gram, include, non_negative, coefficients, free, columns, chol, x)

@@ -1,0 +1,138 @@
+"""What identification takes and what it gives."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from cellwise.cell.metrics import ErrorMetrics
+from cellwise.cell.model import CellModel
+from cellwise.cell.simulate import Simulation
+from cellwise.identify.capacity import CapacityTest
+from cellwise.identify.ocv import OcvCurve
+from cellwise.identify.pulse_fit import Method
+from cellwise.identify.pulse_parameters import PulseFit
+from cellwise.identify.pulses import Pulse
+from cellwise.identify.refine import RefineResult
+from cellwise.identify.soc_anchor import SocAnchor
+from cellwise.identify.tables import TableKind
+from cellwise.logs.cell_log import CellLog
+
+Refinement = Literal["auto", "off"]
+
+
+@dataclass(frozen=True)
+class IdentifySettings:
+    """How to identify.
+
+    Parameters
+    ----------
+    nominal_Ah : float or None         rated capacity; what rates are named after
+    capacity_choice : str or None      which capacity defines SOC; None: the slowest discharge
+    method : str                       how single pulses are fitted
+    tables : str                       ``spline`` or the paper's ``cubic`` over SOC
+    refine : bool                      fit the tables to whole logs after the pulses
+    branches : int                     2 (plain Thevenin) or 3 (with the slow branch)
+    hysteresis : bool or None          None: when both low-rate branches show a gap
+    activation_std_K : float           how far the Arrhenius activation may leave its prior
+    temperature_C : float or None      temperature of the tests where no log measures it
+    name, chemistry : str              written into the model
+    """
+
+    nominal_Ah: float | None = None
+    capacity_choice: str | None = None
+    method: Method = "varpro"
+    tables: TableKind = "spline"
+    refine: bool = True
+    branches: int = 3
+    hysteresis: bool | None = None
+    activation_std_K: float = 1000.0
+    temperature_C: float | None = None
+    name: str = ""
+    chemistry: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class TestLogs:
+    """Logs of one cell by what they are; an HPPC or drive log may say its temperature [degC]."""
+
+    hppc: tuple[tuple[CellLog, float | None], ...] = ()
+    ocv: tuple[CellLog, ...] = ()
+    capacity: tuple[CellLog, ...] = ()
+    drive: tuple[tuple[CellLog, float | None], ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class PulseSet:
+    """The pulses of one HPPC log and the fits of those that were healthy."""
+
+    log: CellLog
+    anchor: SocAnchor
+    pulses: tuple[Pulse, ...]
+    fitted: tuple[Pulse, ...]
+    fits: tuple[PulseFit, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class TemperatureResult:
+    """Everything found at one temperature."""
+
+    temperature_C: float
+    pulse_sets: tuple[PulseSet, ...]
+    refinement: RefineResult | None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Identification:
+    """A model and all that led to it."""
+
+    model: CellModel
+    capacity_choice: str
+    capacities: Mapping[str, float]
+    capacity_tests: tuple[CapacityTest, ...]
+    ocv: OcvCurve
+    temperatures: tuple[TemperatureResult, ...]
+    simulations: tuple[Simulation, ...]
+    fit: ErrorMetrics
+    notices: tuple[str, ...]
+    seconds: float
+
+    @property
+    def pulse_counts(self) -> dict[str, int]:
+        """Number of pulses by quality, moves left out."""
+        counts = dict.fromkeys(("healthy", "trimmed", "distorted", "spurious"), 0)
+        for found in self.temperatures:
+            for one in found.pulse_sets:
+                short = [p for p in one.pulses if p.role == "pulse"] or list(one.pulses)
+                for pulse in short:
+                    counts[pulse.quality] += 1
+        return counts
+
+    def to_dict(self) -> dict[str, Any]:
+        """The figures as JSON values, keys as the command prints them."""
+        return {
+            "capacity_Ah": self.model.capacity_Ah,
+            "capacity_choice": self.capacity_choice,
+            "capacities": dict(self.capacities),
+            "pulses": self.pulse_counts,
+            "fit": {
+                "rmse_V": self.fit.rmse_V,
+                "mae_V": self.fit.mae_V,
+                "max_error_V": self.fit.max_error_V,
+                "logs": {
+                    s.log.name or f"log {k}": s.metrics.rmse_V
+                    for k, s in enumerate(self.simulations)
+                },
+            },
+            "temperatures_C": [t.temperature_C for t in self.temperatures],
+            "effects": [e.name for e in self.model.effects],
+            "notices": list(self.notices),
+            "seconds": self.seconds,
+        }
+
+    def __repr__(self) -> str:
+        return (
+            f"Identification({self.model!r}, capacity by {self.capacity_choice}, "
+            f"RMSE {1e3 * self.fit.rmse_V:.1f} mV on its own logs, {self.seconds:.1f} s)"
+        )

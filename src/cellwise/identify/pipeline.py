@@ -1,0 +1,357 @@
+"""Laboratory tests in, CellModel out: capacity, OCV, pulses, tables, refinement."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+from cellwise.cell.metrics import error_metrics
+from cellwise.cell.model import CellModel
+from cellwise.cell.simulate import Simulation, simulate
+from cellwise.errors import InputError
+from cellwise.identify.assemble import GRID_POINTS, monotone, table_summary
+from cellwise.identify.capacity import CapacityTest, hppc_total_Ah, measure_capacities
+from cellwise.identify.capacity_choice import capacity_choices, choose_capacity
+from cellwise.identify.identification import (
+    Identification,
+    IdentifySettings,
+    PulseSet,
+    TemperatureResult,
+    TestLogs,
+)
+from cellwise.identify.ocv import OcvCurve, combine_ocv, curve_from_points
+from cellwise.identify.ocv_lowrate import ocv_from_low_rate
+from cellwise.identify.ocv_rests import ocv_from_rests
+from cellwise.identify.pulse_fit import fit_pulses
+from cellwise.identify.pulse_window import cut_pulses
+from cellwise.identify.pulses import find_pulses, pulses_to_fit
+from cellwise.identify.refine_stage import Refined, refine_temperature
+from cellwise.identify.soc_anchor import anchor_soc
+from cellwise.identify.stack import stack_models
+from cellwise.identify.tables import PulseTables, pulse_tables
+from cellwise.logs.cell_log import CellLog
+
+Progress = Callable[[str], None]
+REFERENCE_C = 25.0
+SAME_TEMPERATURE_C = 3.0
+
+
+def identify(
+    tests: TestLogs, settings: IdentifySettings | None = None, progress: Progress | None = None
+) -> Identification:
+    """Identify a cell from its laboratory tests.
+
+    Parameters
+    ----------
+    tests : TestLogs          at least one HPPC or drive log
+    settings : IdentifySettings or None
+    progress : callable or None       told what is being done
+
+    Returns
+    -------
+    Identification
+
+    Raises
+    ------
+    InputError        no usable log; a log whose current has the wrong sign; no pulse and no drive;
+                      an unknown capacity choice
+    """
+    began = time.perf_counter()
+    settings = IdentifySettings() if settings is None else settings
+    say = progress or (lambda _: None)
+    notices: list[str] = []
+    if not tests.hppc and not tests.drive:
+        raise InputError(
+            "neither an HPPC nor a drive log", "at least one of them", "Give --hppc or --drive."
+        )
+    say("capacity")
+    caps, choice, capacity, measured = _capacity(tests, settings, notices)
+    say("OCV")
+    ocv = _ocv(tests, capacity, notices)
+    found: list[TemperatureResult] = []
+    models: list[CellModel] = []
+    refined_logs: list[Refined] = []
+    for temperature, part in _by_temperature(tests, settings).items():
+        say(f"pulses at {temperature:.0f} degC")
+        sets = tuple(_pulse_set(log, ocv, capacity, settings) for log, _ in part.hppc)
+        fits = [f for s in sets for f in s.fits]
+        if part.hppc and not fits and not part.drive:
+            raise InputError(
+                _no_pulses(sets),
+                "at least one healthy pulse after a rest",
+                "Give an HPPC log whose pulses stay within the voltage limits, or a drive.",
+            )
+        tables = pulse_tables(fits, GRID_POINTS, settings.tables) if fits else None
+        say(f"refinement at {temperature:.0f} degC")
+        refined = None
+        if settings.refine:
+            refined = refine_temperature(
+                part, sets, ocv, tables, capacity, temperature, settings, notices
+            )
+            refined_logs.append(refined)
+            models.append(refined.model)
+        elif tables is not None:
+            models.append(_plain_model(tables, ocv, capacity, temperature))
+        else:
+            raise InputError(
+                "a drive log alone without refinement",
+                "an HPPC log with pulses, or refinement",
+                "Leave out --no-refine.",
+            )
+        found.append(
+            TemperatureResult(temperature, sets, None if refined is None else refined.result)
+        )
+    model = replace(
+        stack_models(models),
+        name=settings.name,
+        chemistry=settings.chemistry,
+        voltage_min_V=_limit(tests, measured, low=True),
+        voltage_max_V=_limit(tests, measured, low=False),
+    )
+    say("validation on its own logs")
+    sims = _own_simulations(model, tests, ocv, refined_logs)
+    fit = error_metrics(np.concatenate([s.error_V for s in sims]))
+    seconds = time.perf_counter() - began
+    model = replace(
+        model,
+        provenance=_provenance(tests, settings, choice, caps, ocv, found, seconds),
+    )
+    return Identification(
+        model=model,
+        capacity_choice=choice,
+        capacities=caps,
+        capacity_tests=measured,
+        ocv=ocv,
+        temperatures=tuple(found),
+        simulations=sims,
+        fit=fit,
+        notices=tuple(dict.fromkeys(notices)),
+        seconds=seconds,
+    )
+
+
+def _capacity(
+    tests: TestLogs, settings: IdentifySettings, notices: list[str]
+) -> tuple[dict[str, float], str, float, tuple[CapacityTest, ...]]:
+    """Every capacity choice, the one taken, and the tests behind them."""
+    sources: list[CellLog | tuple[CellLog, ...]] = list(tests.capacity)
+    if tests.ocv:
+        # Low-rate logs are parts of one test: discharge, its last per cent, charge.
+        sources.insert(0, tests.ocv if len(tests.ocv) > 1 else tests.ocv[0])
+    measured: tuple[CapacityTest, ...] = ()
+    if sources:
+        try:
+            measured = measure_capacities(sources, nominal_Ah=settings.nominal_Ah)
+        except InputError as error:
+            if settings.nominal_Ah is None and not tests.hppc:
+                raise
+            notices.append(f"no capacity test found: {error}")
+    total = max((hppc_total_Ah(log) for log, _ in tests.hppc), default=None)
+    usable: tuple[CapacityTest, ...] = measured
+    if measured and not any(t.complete for t in measured):
+        notices.append("no capacity test reached the lower limit: none is used")
+        usable = ()
+    if not usable and total is None and settings.nominal_Ah is None:
+        raise InputError(
+            "drive logs without a capacity",
+            "a capacity test, an HPPC log over the whole range, or a nominal capacity",
+            "Add --capacity, --hppc or --nominal-ah.",
+        )
+    temperature = REFERENCE_C if settings.temperature_C is None else settings.temperature_C
+    choices = capacity_choices(usable, settings.nominal_Ah, total, temperature_C=temperature)
+    choice, capacity = choose_capacity(choices, settings.capacity_choice)
+    return choices, choice, capacity, measured
+
+
+def _ocv(tests: TestLogs, capacity: float, notices: list[str]) -> OcvCurve:
+    """OCV from the low-rate logs, from the rests of the HPPC logs, or from both."""
+    low_rate = None
+    if tests.ocv:
+        low_rate = ocv_from_low_rate(
+            tests.ocv if len(tests.ocv) > 1 else tests.ocv[0], capacity_Ah=capacity
+        )
+        notices.extend(low_rate.notes)
+    rests = None
+    # The log nearest to the reference temperature: a cold one relaxes too slowly for an OCV.
+    order = sorted(
+        tests.hppc, key=lambda item: abs(log_temperature_C(*item, REFERENCE_C) - REFERENCE_C)
+    )
+    for log, _ in order[:1]:
+        try:
+            rests = ocv_from_rests(log, capacity_Ah=capacity, extrapolate=True)
+        except InputError as error:
+            notices.append(f"no OCV from the rests of '{log.name}': {error}")
+    if low_rate is not None and rests is not None and rests.points_soc.size >= 4:
+        return combine_ocv(rests, low_rate)
+    if low_rate is not None:
+        return low_rate
+    if rests is not None:
+        notices.extend(rests.notes)
+        return rests
+    if tests.capacity:
+        slowest = ocv_from_low_rate(tests.capacity, capacity_Ah=capacity)
+        notices.append("OCV taken from the slowest capacity test: it carries its polarisation")
+        return slowest
+    return _ocv_from_drives(tests, capacity, notices)
+
+
+def _ocv_from_drives(tests: TestLogs, capacity: float, notices: list[str]) -> OcvCurve:
+    """A first OCV out of drives that begin full: the median voltage at each SOC."""
+    log = max((log for log, _ in tests.drive), key=lambda x: float(np.ptp(x.counted_charge_Ah())))
+    soc = 1.0 - log.counted_charge_Ah() / capacity
+    edges = np.linspace(max(float(np.nanmin(soc)), 0.0), 1.0, 31)
+    points, level = [], []
+    for low, high in zip(edges[:-1], edges[1:], strict=True):
+        inside = (soc >= low) & (soc < high) & np.isfinite(log.voltage_V)
+        if np.count_nonzero(inside) >= 3:
+            points.append(float(np.mean(soc[inside])))
+            level.append(float(np.percentile(log.voltage_V[inside], 75)))
+    if len(points) < 4:
+        raise InputError(
+            "no OCV test, no rest and too little charge moved",
+            "a low-rate discharge or an HPPC log with rests",
+            "Add --ocv or --hppc.",
+        )
+    notices.append(f"no OCV test: first OCV from the voltages of drive '{log.name}', begun full")
+    return curve_from_points(
+        np.array(points), np.array(level), capacity_Ah=capacity, source=f"drive {log.name}"
+    )
+
+
+def _by_temperature(tests: TestLogs, settings: IdentifySettings) -> dict[float, TestLogs]:
+    """The logs by temperature: those given one, else by what they measured."""
+    default = REFERENCE_C if settings.temperature_C is None else settings.temperature_C
+    stated = [t for _, t in tests.hppc if t is not None]
+    anchors = sorted(
+        set(stated)
+        | {round(log_temperature_C(log, t, default)) * 1.0 for log, t in tests.hppc if t is None}
+    )
+    if not anchors:
+        anchors = [float(round(log_temperature_C(log, t, default))) for log, t in tests.drive[:1]]
+    merged: list[float] = []
+    for t in anchors:
+        if not merged or t - merged[-1] > SAME_TEMPERATURE_C or t in stated:
+            merged.append(t)
+
+    def nearest(item: tuple[CellLog, float | None]) -> float:
+        at = log_temperature_C(*item, default)
+        return min(merged, key=lambda t: abs(t - at))
+
+    return {
+        t: TestLogs(
+            hppc=tuple(i for i in tests.hppc if nearest(i) == t),
+            drive=tuple(i for i in tests.drive if nearest(i) == t),
+            capacity=tests.capacity if t == min(merged, key=lambda x: abs(x - REFERENCE_C)) else (),
+            ocv=tests.ocv,
+        )
+        for t in merged
+    }
+
+
+def log_temperature_C(log: CellLog, stated: float | None, default: float) -> float:
+    """Temperature of a log: stated, else its measured median, else the default [degC]."""
+    if stated is not None:
+        return float(stated)
+    if log.temperature_C is not None and np.any(np.isfinite(log.temperature_C)):
+        return float(np.nanmedian(log.temperature_C))
+    return default
+
+
+def _pulse_set(
+    log: CellLog, ocv: OcvCurve, capacity: float, settings: IdentifySettings
+) -> PulseSet:
+    pulses = find_pulses(log)
+    anchor = anchor_soc(log, ocv.function.evaluate, capacity, 0.0)
+    soc = anchor.soc - log.counted_charge_Ah() / capacity
+    chosen = tuple(p for p in pulses_to_fit(pulses) if -0.02 <= soc[p.start] <= 1.02)
+    if not chosen:
+        return PulseSet(log, anchor, pulses, (), ())
+    fits = fit_pulses(cut_pulses(log, chosen, capacity, soc), settings.method)
+    return PulseSet(log, anchor, pulses, chosen, tuple(fits))
+
+
+def _no_pulses(sets: tuple[PulseSet, ...]) -> str:
+    said = []
+    for one in sets:
+        counts: dict[str, int] = {}
+        for p in one.pulses:
+            counts[p.quality] = counts.get(p.quality, 0) + 1
+        listed = ", ".join(f"{n} {q}" for q, n in counts.items()) or "no pulse at all"
+        said.append(f"{listed} in '{one.log.name}'")
+    return "; ".join(said)
+
+
+def _plain_model(
+    tables: PulseTables, ocv: OcvCurve, capacity: float, temperature: float
+) -> CellModel:
+    """The pulses' tables as they are, without refinement."""
+    return CellModel(
+        capacity_Ah=capacity,
+        ocv_V=monotone(ocv.function.evaluate(tables.soc)),
+        **tables.values,
+        temperature_C=np.array([temperature]),
+    )
+
+
+def _limit(tests: TestLogs, measured: tuple[CapacityTest, ...], *, low: bool) -> float | None:
+    """The voltage window that the laboratory tests kept to."""
+    logs = [*tests.capacity, *tests.ocv, *(log for log, _ in tests.hppc)]
+    if not logs:
+        return None
+    if low:
+        return round(float(min(np.nanmin(log.voltage_V) for log in logs)), 2)
+    return round(float(max(np.nanmax(log.voltage_V) for log in logs)), 2)
+
+
+def _own_simulations(
+    model: CellModel, tests: TestLogs, ocv: OcvCurve, refined: list[Refined]
+) -> tuple[Simulation, ...]:
+    """The model over the logs it was fitted on, from the SOC they were taken to begin at."""
+    starts = {id(log): soc for r in refined for log, soc in r.starts}
+    simulations = []
+    for log, _ in (*tests.hppc, *tests.drive):
+        soc0 = starts.get(id(log))
+        if soc0 is None:
+            soc0 = anchor_soc(log, ocv.function.evaluate, model.capacity_Ah, 0.0).soc
+        simulations.append(simulate(model, log, min(max(soc0, 0.0), 1.0)))
+    return tuple(simulations)
+
+
+def _provenance(
+    tests: TestLogs,
+    settings: IdentifySettings,
+    choice: str,
+    caps: dict[str, float],
+    ocv: OcvCurve,
+    found: list[TemperatureResult],
+    seconds: float,
+) -> dict[str, Any]:
+    """Where every number came from."""
+    return {
+        "cellwise_version": version("cellwise"),
+        "capacity": {"choice": choice, "choices_Ah": caps},
+        "ocv": {"source": ocv.source, "notes": list(ocv.notes), "function": ocv.function.kind},
+        "pulses": {
+            "method": settings.method,
+            "tables": settings.tables,
+            "logs": [log.name for log, _ in tests.hppc],
+            "fitted": sum(len(s.fits) for t in found for s in t.pulse_sets),
+        },
+        "refinement": [
+            {"temperature_C": t.temperature_C, **table_summary(t.refinement)}
+            for t in found
+            if t.refinement is not None
+        ],
+        "logs": {
+            "hppc": [log.source or log.name for log, _ in tests.hppc],
+            "ocv": [log.source or log.name for log in tests.ocv],
+            "capacity": [log.source or log.name for log in tests.capacity],
+            "drive": [log.source or log.name for log, _ in tests.drive],
+        },
+        "seconds": round(seconds, 3),
+    }

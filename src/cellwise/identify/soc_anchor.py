@@ -1,0 +1,106 @@
+"""Where on the SOC axis a log begins: by its rests on the OCV, full or empty where it says so."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellwise.identify.ocv_rests import find_ocv_rests
+from cellwise.errors import InputError
+from cellwise.logs.cell_log import CellLog
+from cellwise.typing import FloatArray
+
+FULL_FROM = 0.97  # a log that seems to begin above this begins full: nobody stops charging at 98 %
+EMPTY_TO = 0.02
+OCV_ERROR_V = 0.005
+REST_SHARE = 0.01  # below C/100 a cell counts as resting
+FIRST_S = 60.0
+
+
+@dataclass(frozen=True)
+class SocAnchor:
+    """SOC at a log's first row, its standard deviation, and how it was found."""
+
+    soc: float
+    std: float
+    how: str
+
+
+def anchor_soc(
+    log: CellLog,
+    ocv: Callable[[FloatArray], FloatArray],
+    capacity_Ah: float,
+    resistance_ohm: float,
+) -> SocAnchor:
+    """SOC at the first row that fits the rests of the whole log best.
+
+    Every rest says where the log stood on the OCV, the counter says how far that is from the
+    start; on a steep OCV a rest counts more than on a flat one. Without a rest, the first minute
+    under load counts with its ohmic drop taken out.
+
+    Parameters
+    ----------
+    ocv : callable            OCV over SOC [V]
+    capacity_Ah : float       that SOC refers to
+    resistance_ohm : float    rough resistance of the cell, for a start under load
+
+    Raises
+    ------
+    InputError        a log without a single voltage
+    """
+    grid = np.linspace(0.0, 1.0, 1001)
+    level = np.maximum.accumulate(ocv(grid))
+    charge, voltage, error, how = _evidence(log, capacity_Ah, resistance_ohm)
+    cost = np.zeros(grid.size)
+    for q, v, e in zip(charge, voltage, error, strict=True):
+        at = grid - q / capacity_Ah
+        expected = np.interp(at, grid, level)
+        outside = np.maximum(0.0, np.maximum(at - 1.0, -at))  # beyond full or empty is unlikely
+        cost += np.minimum(((v - expected) / e) ** 2, 25.0) + (outside / 0.01) ** 2
+    weight = np.exp(-0.5 * (cost - cost.min()))
+    mean = float(np.average(grid, weights=weight))
+    std = float(np.sqrt(np.average((grid - mean) ** 2, weights=weight)))
+    reached = mean - float(np.min(log.counted_charge_Ah())) / capacity_Ah
+    if mean >= FULL_FROM or mean + 2 * std >= 1.0:
+        return SocAnchor(1.0, max(std, 0.005), f"{how}: full")
+    if reached >= FULL_FROM and reached <= 1.0 + 2 * max(std, 0.01):
+        full = 1.0 + float(np.min(log.counted_charge_Ah())) / capacity_Ah
+        return SocAnchor(min(max(full, 0.0), 1.0), max(std, 0.005), f"{how}: charged full later")
+    if mean <= EMPTY_TO:
+        return SocAnchor(0.0, max(std, 0.005), f"{how}: empty")
+    return SocAnchor(mean, max(std, 0.002), how)
+
+
+def _evidence(
+    log: CellLog, capacity_Ah: float, resistance_ohm: float
+) -> tuple[list[float], list[float], list[float], str]:
+    """Charge since the start, voltage at rest and its error, of every rest worth using."""
+    current = log.known_current_A()
+    charge = log.counted_charge_Ah()
+    finite = np.isfinite(log.voltage_V)
+    if not finite.any():
+        raise InputError(
+            f"no voltage in log '{log.name}'", "measured voltages", "Check the column."
+        )
+    try:
+        rests = [r for r in find_ocv_rests(log, min_rest_s=600.0) if r.duration_s >= 600.0]
+    except InputError:
+        rests = []
+    found = [(r.charge_Ah, r.final_V, OCV_ERROR_V + 0.5 * abs(r.remaining_V)) for r in rests]
+    first = int(np.flatnonzero(finite)[0])
+    if abs(current[first]) < REST_SHARE * capacity_Ah:
+        found.append((float(charge[first]), float(log.voltage_V[first]), 2 * OCV_ERROR_V))
+    if found:
+        q, v, e = (list(column) for column in zip(*found, strict=True))
+        return q, v, e, f"{len(found)} rest(s) on the OCV"
+    head = finite & (log.time_s <= log.time_s[0] + FIRST_S)
+    lifted = log.voltage_V[head] + resistance_ohm * current[head]
+    drop = resistance_ohm * float(np.mean(np.abs(current[head])))
+    return (
+        [float(np.mean(charge[head]))],
+        [float(np.mean(lifted))],
+        [2 * OCV_ERROR_V + 0.5 * drop],
+        "first minute under load",
+    )

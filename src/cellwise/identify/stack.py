@@ -1,0 +1,62 @@
+"""Models of one cell at several temperatures put together as one with a temperature axis."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from cellwise.cell.effects import Effect, Hysteresis, SlowDiffusion, TemperatureDependence, TimeSkew
+from cellwise.cell.model import TABLES, CellModel, ModelError
+from cellwise.typing import FloatArray
+
+
+def stack_models(models: Sequence[CellModel]) -> CellModel:
+    """One model over all temperatures; a single model is returned as it is.
+
+    The Arrhenius factor of a single-temperature model gives way to the axis. An effect that only
+    some have is neutral at the others. The error is the mean of squares.
+    """
+    if len(models) == 1:
+        return models[0]
+    ordered = sorted(models, key=lambda m: float(m.temperature_C[0]))
+    tables = {name: np.vstack([getattr(m, name) for m in ordered]) for name in TABLES}
+    effects: list[Effect] = []
+    if any(np.any(m.effect(SlowDiffusion).r3_ohm) for m in ordered):
+        effects.append(
+            SlowDiffusion(
+                _rows(ordered, [m.effect(SlowDiffusion).r3_ohm for m in ordered]),
+                _rows(ordered, [m.effect(SlowDiffusion).tau3_s for m in ordered]),
+            )
+        )
+    if any(np.any(m.effect(Hysteresis).m_V) for m in ordered):
+        gammas = [m.effect(Hysteresis).gamma for m in ordered if np.any(m.effect(Hysteresis).m_V)]
+        effects.append(
+            Hysteresis(
+                _rows(ordered, [m.effect(Hysteresis).m_V for m in ordered]),
+                float(np.exp(np.mean(np.log(gammas)))),
+            )
+        )
+    skews = [m.effect(TimeSkew).skew_s for m in ordered if m.effect(TimeSkew).skew_s > 0]
+    if skews:
+        effects.append(TimeSkew(float(np.median(skews))))
+    errors = [m.error for m in ordered]
+    return replace(
+        ordered[0],
+        **tables,
+        temperature_C=np.array([float(m.temperature_C[0]) for m in ordered]),
+        effects=tuple(e for e in effects if not isinstance(e, TemperatureDependence)),
+        error=ModelError(
+            *(
+                float(np.sqrt(np.mean([getattr(e, name) ** 2 for e in errors])))
+                for name in ("white_V", "slow_V", "correlation_s", "resistance_share")
+            )
+        ),
+    )
+
+
+def _rows(models: Sequence[CellModel], values: Sequence[FloatArray | float]) -> FloatArray:
+    return np.vstack(
+        [np.broadcast_to(v, m.ocv_V.shape) for v, m in zip(values, models, strict=True)]
+    )
