@@ -54,6 +54,7 @@ def initial_soc(
         return InitialSoc(float(given), given_std, "given")
     current = log.known_current_A()
     resting = np.abs(current) < REST_RATE * model.capacity_Ah
+    resting[: int(np.argmax(np.isfinite(log.interval_current_A)))] = False  # nobody knows
     moving = np.flatnonzero(~resting)
     rest_end = int(moving[0]) if moving.size else len(log)
     voltages = log.voltage_V[:rest_end]
@@ -61,7 +62,7 @@ def initial_soc(
         last = int(np.flatnonzero(np.isfinite(voltages))[-1])
         rest_s = float(log.time_s[last] - log.time_s[0])
         unfinished = SHORT_REST_V * np.exp(-rest_s / RELAXED_S)
-        return _from_rest(model, log, last, rest_s, float(np.hypot(model.error.slow_V, unfinished)))
+        return _from_rest(model, log, last, rest_s, unfinished)
     return _from_first_minute(model, log)
 
 
@@ -76,7 +77,8 @@ def soc_of_ocv(
     gap = np.abs(np.broadcast_to(cold.effect(Hysteresis).m_V, cold.ocv_V.shape)[0])
     soc = np.linspace(0.0, 1.0, 2001)
     ocv = np.interp(soc, cold.soc, cold.ocv_V[0])
-    spread = np.hypot(std_V, np.interp(soc, cold.soc, gap))
+    known = np.hypot(std_V, model.error.at(soc))
+    spread = np.hypot(known, np.interp(soc, cold.soc, gap))
     # Beyond the table's ends the nearest end is the answer, not an unlikely one.
     target = min(max(voltage_V, float(ocv[0])), float(ocv[-1]))
     weight = np.exp(-0.5 * ((ocv - target) / spread) ** 2)
@@ -108,7 +110,7 @@ def _from_first_minute(model: CellModel, log: CellLog) -> InitialSoc:
     best = float(grid[int(np.argmin(cost))])
     rms = float(np.sqrt(cost.min()))
     # The cell did not begin at rest here, so its past is in the voltage: say so in the spread.
-    std_V = float(np.hypot(np.hypot(model.error.slow_V, SHORT_REST_V), rms))
+    std_V = float(np.hypot(SHORT_REST_V, rms))
     temperature = float(known_temperature_C(model, head)[0])
     ocv = float(np.interp(best, model.soc, model.at_temperature(temperature).ocv_V[0]))
     _, std = soc_of_ocv(model, ocv, std_V, temperature)

@@ -1,0 +1,135 @@
+"""Each effect: neutral is the plain model, and the effect does what its equation says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from example_cells import EFFECTS, curved_cell, linear_cell, random_log, random_model
+
+from cellwise.cell.effects import Hysteresis, SlowDiffusion, TemperatureDependence, TimeSkew
+from cellwise.cell.simulate import simulate
+from cellwise.errors import InputError
+from cellwise.logs.cell_log import CellLog
+
+NEUTRAL = (
+    SlowDiffusion(r3_ohm=0.0, tau3_s=321.0),
+    Hysteresis(m_V=0.0, gamma=77.0),
+    TemperatureDependence(activation_K=0.0, reference_C=3.0),
+    TimeSkew(skew_s=0.0),
+)
+
+
+def same_bits(a, b):
+    return a.voltage_V.tobytes() == b.voltage_V.tobytes() and a.soc.tobytes() == b.soc.tobytes()
+
+
+@pytest.mark.parametrize("effects", [*[(e,) for e in NEUTRAL], NEUTRAL])
+def test_neutral_is_the_plain_model_bit_for_bit(effects):
+    rng = np.random.default_rng(1)
+    plain = random_model(rng, effects=False)
+    log = random_log(rng, 2000, jitter=0.5, temperature_C=(-30.0, 60.0))
+    assert same_bits(simulate(plain, log, 0.7), simulate(replace(plain, effects=effects), log, 0.7))
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)
+def test_each_effect_changes_the_voltage(effect):
+    log = random_log(np.random.default_rng(2), 500, temperature_C=(0.0, 40.0))
+    plain = simulate(curved_cell(), log, 0.7).voltage_V
+    assert np.max(np.abs(simulate(curved_cell(effects=(effect,)), log, 0.7).voltage_V - plain)) > (
+        1e-3
+    )
+
+
+def test_gap_between_the_branches_is_2_m():
+    m = 0.03
+    # Next to no resistance and a current of C/50: what is left is OCV and hysteresis.
+    tiny = np.full(11, 1e-9)
+    model = linear_cell(r0_ohm=tiny, r1_ohm=tiny, r2_ohm=tiny, effects=(Hysteresis(m, 60.0),))
+    hours = 30
+    time = np.arange(0, 2 * hours * 3600.0, 60.0)
+    current = np.where(time <= hours * 3600.0, 0.06, -0.06)
+    run = simulate(model, CellLog(time, current, np.full(time.size, 3.6)), 0.8)
+    down, up = current > 0, current < 0
+    for soc in (0.4, 0.5, 0.6):
+        v_down = np.interp(-soc, -run.soc[down], run.voltage_V[down])
+        v_up = np.interp(soc, run.soc[up], run.voltage_V[up])
+        assert v_up - v_down == pytest.approx(2 * m, rel=1e-4)
+
+
+def test_start_branch_is_the_likelier_one_unless_told():
+    model = linear_cell(effects=(Hysteresis(0.03, 60.0),))
+    log = CellLog(np.arange(3.0), np.zeros(3), np.full(3, 3.6))
+    ocv = [3.2 + 0.9 * s for s in (0.9, 0.1)]
+    assert simulate(model, log, 0.9).voltage_V[0] == pytest.approx(ocv[0] + 0.03)
+    assert simulate(model, log, 0.1).voltage_V[0] == pytest.approx(ocv[1] - 0.03)
+    assert simulate(model, log, 0.9, h0=-0.5).voltage_V[0] == pytest.approx(ocv[0] - 0.015)
+
+
+@pytest.mark.parametrize("temperature", [-20.0, 25.0, 45.0])
+def test_arrhenius_scales_every_resistance_and_nothing_else(temperature):
+    energy = 3000.0
+    effect = TemperatureDependence(activation_K=energy, reference_C=25.0)
+    slow = SlowDiffusion(0.02, 900.0)
+    factor = np.exp(energy * (1 / (temperature + 273.15) - 1 / 298.15))
+    plain = curved_cell()
+    scaled = replace(
+        plain,
+        r0_ohm=plain.r0_ohm * factor,
+        r1_ohm=plain.r1_ohm * factor,
+        r2_ohm=plain.r2_ohm * factor,
+        effects=(SlowDiffusion(0.02 * factor, 900.0),),
+    )
+    log = random_log(np.random.default_rng(3), 400)
+    log = replace(log, temperature_C=np.full(len(log), temperature))
+    a = simulate(replace(plain, effects=(effect, slow)), log, 0.6)
+    b = simulate(scaled, log, 0.6)
+    np.testing.assert_allclose(a.voltage_V, b.voltage_V, rtol=1e-13)
+    if temperature == 25.0:
+        assert same_bits(a, simulate(replace(plain, effects=(slow,)), log, 0.6))
+
+
+def test_skew_of_one_interval_shows_every_voltage_one_row_later():
+    log = random_log(np.random.default_rng(4), 300)
+    plain = simulate(curved_cell(), log, 0.7)
+    late = simulate(curved_cell(effects=(TimeSkew(1.0),)), log, 0.7)
+    np.testing.assert_allclose(late.voltage_V[1:], plain.voltage_V[:-1], rtol=1e-13)
+
+
+def test_skew_of_part_of_an_interval_lies_between():
+    log = random_log(np.random.default_rng(5), 300)
+    plain = simulate(linear_cell(), log, 0.7).voltage_V
+    late = simulate(linear_cell(effects=(TimeSkew(0.3),)), log, 0.7).voltage_V
+    # Superposition: 0.7 of the current now and 0.3 of the one before.
+    np.testing.assert_allclose(late[1:], 0.7 * plain[1:] + 0.3 * plain[:-1], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("effect", "word"),
+    [
+        (SlowDiffusion(r3_ohm=-0.1), "r3_ohm"),
+        (SlowDiffusion(r3_ohm=0.1, tau3_s=0.0), "tau3_s"),
+        (SlowDiffusion(r3_ohm=np.zeros(7)), "shape"),
+        (Hysteresis(m_V=2.0), "m_V"),
+        (Hysteresis(m_V=0.02, gamma=-1.0), "gamma"),
+        (Hysteresis(m_V=np.nan), "m_V"),
+        (TemperatureDependence(activation_K=1e6), "activation_K"),
+        (TemperatureDependence(reference_C=298.15), "reference_C"),
+        (TimeSkew(skew_s=-0.1), "skew_s"),
+        (TimeSkew(skew_s=np.inf), "skew_s"),
+    ],
+)
+def test_effect_out_of_bounds_is_refused(effect, word):
+    with pytest.raises(InputError, match=word):
+        linear_cell(effects=(effect,))
+
+
+def test_two_effects_of_a_kind_are_refused_and_with_effect_replaces():
+    with pytest.raises(InputError, match="one effect of a kind"):
+        linear_cell(effects=(TimeSkew(0.1), TimeSkew(0.2)))
+    model = linear_cell(effects=(TimeSkew(0.1), Hysteresis(0.01, 5.0)))
+    replaced = model.with_effect(TimeSkew(0.2))
+    assert replaced.effect(TimeSkew).skew_s == 0.2
+    assert replaced.effect(Hysteresis).gamma == 5.0
+    assert len(replaced.effects) == 2
