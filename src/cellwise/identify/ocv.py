@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.identify.ocv_fit import MIN_POINTS, OcvFit, fit_ocv_function, leave_out_turns
+from cellwise.identify.ocv_fit import OcvFit, fit_ocv_function
 from cellwise.identify.ocv_functions import OcvFunction, OcvKind, uniform_grid
+from cellwise.identify.ocv_points import MIN_POINTS, leave_out_turns
 from cellwise.typing import FloatArray
 
 GRID_INTERVALS = 200
@@ -213,7 +214,7 @@ def _left_out_errors(rests: OcvCurve, low_rate: OcvCurve, stretch: float) -> Flo
 
 
 def _weights(rests: OcvCurve) -> FloatArray:
-    """Weights of the rests: less where the curve is steep, an error of SOC is one of volts there."""
+    """Weights of the rests: less where the curve is steep, where SOC errors are volts."""
     by_soc = rests.function.slope(rests.points_soc) * SOC_ERROR
     return np.asarray(rests.points_weight / (1.0 + (by_soc / REST_ERROR_V) ** 2))
 

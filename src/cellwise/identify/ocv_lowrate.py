@@ -22,8 +22,8 @@ from cellwise.identify.half_cycles import (
     steady_rows,
 )
 from cellwise.identify.ocv import GRID_INTERVALS, OcvCurve, curve_from_points
-from cellwise.identify.ocv_fit import fit_monotone_spline
 from cellwise.identify.ocv_functions import OcvKind
+from cellwise.identify.ocv_spline import fit_monotone_spline
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
