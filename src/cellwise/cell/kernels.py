@@ -15,8 +15,8 @@ from numba import njit
 from cellwise.typing import FloatArray
 
 # Columns of CellScalars.table.
-OCV, R0, R1, TAU1, R2, TAU2, R3, TAU3, M = range(9)
-COLUMNS = 9
+OCV, R0, R1, TAU1, R2, TAU2, R3, TAU3, M, ERROR = range(10)
+COLUMNS = 10
 
 ZERO_CELSIUS_K = 273.15
 
@@ -48,6 +48,7 @@ class CellPoint(NamedTuple):
     r3_ohm: float
     tau3_s: float
     m_V: float
+    error_V: float
 
 
 class CellState(NamedTuple):
@@ -93,6 +94,7 @@ def look_up(
     r3 = table[lo, k, R3] + g * (table[lo, k1, R3] - table[lo, k, R3])
     tau3 = table[lo, k, TAU3] + g * (table[lo, k1, TAU3] - table[lo, k, TAU3])
     m = table[lo, k, M] + g * (table[lo, k1, M] - table[lo, k, M])
+    error = table[lo, k, ERROR] + g * (table[lo, k1, ERROR] - table[lo, k, ERROR])
     if w > 0.0:
         up = lo + np.uint64(1)
         ocv += w * (table[up, k, OCV] + f * (table[up, k1, OCV] - table[up, k, OCV]) - ocv)
@@ -105,13 +107,16 @@ def look_up(
         r3 += w * (table[up, k, R3] + g * (table[up, k1, R3] - table[up, k, R3]) - r3)
         tau3 += w * (table[up, k, TAU3] + g * (table[up, k1, TAU3] - table[up, k, TAU3]) - tau3)
         m += w * (table[up, k, M] + g * (table[up, k1, M] - table[up, k, M]) - m)
+        error += w * (
+            table[up, k, ERROR] + g * (table[up, k1, ERROR] - table[up, k, ERROR]) - error
+        )
     if cell.activation_K != 0.0:
         scale = arrhenius(temperature_C, cell.activation_K, cell.reference_K)
         r0 *= scale
         r1 *= scale
         r2 *= scale
         r3 *= scale
-    return CellPoint(ocv, slope, r0, r1, tau1, r2, tau2, r3, tau3, m)
+    return CellPoint(ocv, slope, r0, r1, tau1, r2, tau2, r3, tau3, m, error)
 
 
 @njit(cache=True, error_model="numpy", inline="always")

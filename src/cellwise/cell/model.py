@@ -30,14 +30,19 @@ class ModelError:
     """What the model's own validation says of its voltage error, the filters' default noise.
 
     ``white_V`` is the part that changes from row to row, ``slow_V`` the part that stays for about
-    ``correlation_s`` (standard deviations [V]), ``resistance_share`` the part that grows with the
-    current, as a share of R0 I.
+    ``correlation_s`` (standard deviations [V]; ``slow_V`` over an even SOC grid, one number for
+    all), ``resistance_share`` the part that grows with the current, as a share of R0 I.
     """
 
     white_V: float = 0.002
-    slow_V: float = 0.010
+    slow_V: tuple[float, ...] = (0.010,)
     correlation_s: float = 300.0
     resistance_share: float = 0.05
+
+    def at(self, soc: FloatArray | float) -> FloatArray:
+        """Slow error at the given SOC [V], linear between grid points."""
+        grid = np.linspace(0.0, 1.0, len(self.slow_V))
+        return np.asarray(np.interp(soc, grid, self.slow_V))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -153,6 +158,7 @@ class CellModel:
                 effect_table(slow.r3_ohm, shape),
                 effect_table(slow.tau3_s, shape),
                 effect_table(hysteresis.m_V, shape),
+                effect_table(self.error.at(self.soc), shape),
             ]
         )
         scalars = CellScalars(
@@ -257,5 +263,12 @@ def check_model(model: CellModel) -> None:
     names = [e.name for e in model.effects]
     if len(set(names)) != len(names):
         raise InputError(f"effects {names}", "one effect of a kind", "Merge the double one.")
+    error = np.array([model.error.white_V, *model.error.slow_V, model.error.correlation_s])
+    if error.size < 3 or not np.all(np.isfinite(error)) or np.any(error < 0):
+        raise InputError(
+            f"a model error of {model.error}",
+            "finite values of at least 0",
+            "Check the validation that gave it.",
+        )
     for effect in model.effects:
         check_effect(effect, (shape[0], shape[1]))

@@ -78,7 +78,7 @@ def model_from_dict(data: Any, where: str = "the model") -> CellModel:
             temperature_C=np.asarray(data["temperature_C"], dtype=np.float64),
             effects=tuple(_effect_from_dict(e, where) for e in data["effects"]),
             charge_efficiency=float(data["charge_efficiency"]),
-            error=ModelError(**data["error"]),
+            error=_error_from_dict(data["error"]),
             voltage_min_V=data["voltage_min_V"],
             voltage_max_V=data["voltage_max_V"],
             name=str(data["name"]),
@@ -121,6 +121,10 @@ def read_model(path: str | Path) -> CellModel:
             "Check that the file is complete.",
         ) from error
     return model_from_dict(data, str(path))
+
+
+def _error_from_dict(data: dict[str, Any]) -> ModelError:
+    return ModelError(**{**data, "slow_V": tuple(float(v) for v in data["slow_V"])})
 
 
 def _effect_to_dict(effect: Effect) -> dict[str, Any]:

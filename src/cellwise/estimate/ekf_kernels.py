@@ -150,16 +150,19 @@ def chord_slope(
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def voltage_variance(noise: NoiseScalars, slope_V: float, r0_ohm: float, current_A: float) -> float:
+def voltage_variance(
+    noise: NoiseScalars, error_V: float, slope_V: float, r0_ohm: float, current_A: float
+) -> float:
     """Variance of one measured voltage about a perfect state [V^2].
 
-    Sensor, the model's slow error, a SOC scale that is off by ``ocv_soc`` (it matters where the
+    Sensor, the model's slow error at this SOC, a SOC scale that is off by ``ocv_soc`` (it matters where the
     OCV is steep), and an R0 that is off by ``branch_share``.
     """
     scale = noise.ocv_soc * slope_V
     drop = noise.branch_share * r0_ohm * current_A
     jitter = noise.current_A * r0_ohm
-    fixed = noise.voltage_V * noise.voltage_V + noise.slow_V * noise.slow_V
+    slow = noise.error_scale * error_V
+    fixed = noise.voltage_V * noise.voltage_V + slow * slow
     return fixed + (scale * scale + (drop * drop + jitter * jitter))
 
 
@@ -251,7 +254,7 @@ def ekf_step_inline(
     d3 = (slope * s3 + m * p3h) - ((p13 + p23) + p33)
     dh = (slope * sh + m * phh) - ((p1h + p2h) + p3h)
     state_variance = (slope * ds + m * dh) - ((d1 + d2) + d3)
-    one = voltage_variance(noise, point.ocv_slope_V, point.r0_ohm, seen)
+    one = voltage_variance(noise, point.error_V, point.ocv_slope_V, point.r0_ohm, seen)
     variance = state_variance + one
     innovation = voltage_V - predicted
     ratio = innovation * innovation / (noise.gate * noise.gate * variance)

@@ -102,7 +102,7 @@ class FilterpyEkf:
         point: CellPoint,
     ) -> float:
         noise = self.noise
-        one = noise.voltage_V**2 + noise.slow_V**2 + (noise.ocv_soc * point.ocv_slope_V) ** 2
+        one = noise.voltage_V**2 + (noise.error_scale * point.error_V) ** 2 + (noise.ocv_soc * point.ocv_slope_V) ** 2
         one += noise.branch_share**2 * (point.r0_ohm * current) ** 2
         one += (noise.current_A * point.r0_ohm) ** 2
         shared = max(2 * noise.slow_s / dt, 1.0) if dt > 0 else 1.0

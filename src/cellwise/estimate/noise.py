@@ -18,7 +18,7 @@ class NoiseScalars(NamedTuple):
     soc_per_sqrt_s: float
     branch_share: float
     voltage_V: float
-    slow_V: float
+    error_scale: float
     slow_s: float
     ocv_soc: float
     gate: float
@@ -36,9 +36,9 @@ class Noise:
     soc_per_sqrt_h : float    drift of the counted charge, in SOC per square root of an hour
     branch_share : float      error of the resistances, as a share
     voltage_V : float         voltage sensor, per sample
-    slow_V, slow_s : float    the model's voltage error and how long it is remembered: samples
-                              within that time are not counted as independent evidence
-                              (slow_s = 0: every sample is)
+    error_scale : float       factor on the model's own table of its voltage error over SOC
+    slow_s : float            how long that error is remembered: samples within that time are not
+                              counted as independent evidence (slow_s = 0: every sample is)
     ocv_soc : float           error of the OCV along the SOC axis
     gate : float              innovations beyond this many standard deviations are rejected
     recovery_after : int      rejections in a row after which the variance is widened
@@ -49,7 +49,7 @@ class Noise:
     soc_per_sqrt_h: float = 0.003
     branch_share: float = 0.05
     voltage_V: float = 0.002
-    slow_V: float = 0.010
+    error_scale: float = 1.0
     slow_s: float = 300.0
     ocv_soc: float = 0.003
     gate: float = 5.0
@@ -73,7 +73,6 @@ class Noise:
         return cls(
             current_A=0.002 * model.capacity_Ah,
             voltage_V=max(model.error.white_V, 1e-4),
-            slow_V=model.error.slow_V,
             slow_s=model.error.correlation_s,
             branch_share=model.error.resistance_share,
         )
@@ -85,7 +84,7 @@ class Noise:
             float(self.soc_per_sqrt_h) / 60.0,
             float(self.branch_share),
             float(self.voltage_V),
-            float(self.slow_V),
+            float(self.error_scale),
             float(self.slow_s),
             float(self.ocv_soc),
             float(self.gate),

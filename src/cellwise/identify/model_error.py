@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,45 +14,72 @@ from cellwise.typing import FloatArray
 OPTIMISM = 1.2
 LONGEST_LAG_S = 3600.0
 STEP_S = 5.0
+PROFILE_POINTS = 51
+WINDOW_SOC = 0.02
 
 
-def estimate_model_error(
-    residuals: Sequence[tuple[FloatArray, FloatArray, FloatArray]],
-    r0_ohm: float,
-    noise_V: float | None = None,
-) -> ModelError:
+@dataclass(frozen=True, eq=False)
+class ResidualLog:
+    """Residual of one log, arrays of shape (n,): measured minus model [V]."""
+
+    time_s: FloatArray
+    soc: FloatArray
+    current_A: FloatArray
+    residual_V: FloatArray
+
+
+def estimate_model_error(logs: Sequence[ResidualLog], r0_ohm: float) -> ModelError:
     """Voltage error of a model from residuals over whole logs.
 
     Parameters
     ----------
-    residuals : sequence of (time_s, current_A, residual_V)     one triple of (n,) arrays per log
+    logs : sequence of ResidualLog
     r0_ohm : float        typical resistance, for the share that follows the current
-    noise_V : float or None   sensor noise where it is known
 
     Returns
     -------
-    ModelError        ``slow_V`` is the error at small current
+    ModelError        ``slow_V`` over SOC, at small current
     """
-    slow, share, memory, white, weights = [], [], [], [], []
-    for time_s, current_A, residual_V in residuals:
-        if residual_V.size < 20:
-            continue
-        r = _clip(residual_V)
-        quiet, part = _split_by_current(current_A, r, r0_ohm)
-        slow.append(quiet)
-        share.append(part)
-        memory.append(correlation_time(time_s, r))
-        white.append(1.4826 * float(np.median(np.abs(np.diff(r)))) / np.sqrt(2.0))
-        weights.append(float(time_s[-1] - time_s[0]))
-    if not slow:
+    usable = [log for log in logs if log.residual_V.size >= 20]
+    if not usable:
         return ModelError()
-    w = np.asarray(weights) + 1.0
+    weights = np.array([float(log.time_s[-1] - log.time_s[0]) + 1.0 for log in usable])
+    white = [_step_noise(log.residual_V) for log in usable]
+    memory = [correlation_time(log.time_s, _clip(log.residual_V)) for log in usable]
+    share = [_current_share(log, r0_ohm) for log in usable]
+    common = float(np.sqrt(np.average(np.square(share), weights=weights)))
     return ModelError(
-        white_V=max(float(np.average(white, weights=w)) if noise_V is None else noise_V, 1e-4),
-        slow_V=max(OPTIMISM * float(np.sqrt(np.average(np.square(slow), weights=w))), 5e-4),
-        correlation_s=float(np.clip(np.average(memory, weights=w), 10.0, LONGEST_LAG_S)),
-        resistance_share=float(np.clip(np.sqrt(np.average(np.square(share), weights=w)), 0.0, 0.5)),
+        white_V=max(float(np.average(white, weights=weights)), 1e-4),
+        slow_V=_profile(usable, common * r0_ohm),
+        correlation_s=float(np.clip(np.average(memory, weights=weights), 10.0, LONGEST_LAG_S)),
+        resistance_share=float(np.clip(common, 0.0, 0.5)),
     )
+
+
+def _profile(logs: Sequence[ResidualLog], share_ohm: float) -> tuple[float, ...]:
+    """Root mean square residual over SOC, what follows the current taken out, Gaussian window.
+
+    Where no log has been, the error of the nearest SOC that one has, twice as large at the far
+    end of the gap.
+    """
+    grid = np.linspace(0.0, 1.0, PROFILE_POINTS)
+    square = np.zeros(grid.size)
+    count = np.zeros(grid.size)
+    for log in logs:
+        rest = np.maximum(log.residual_V**2 - (share_ohm * log.current_A) ** 2, 0.0)
+        window = np.exp(-0.5 * ((grid[:, None] - log.soc[None, :]) / WINDOW_SOC) ** 2)
+        share = 1.0 / log.residual_V.size
+        square += share * (window @ rest)
+        count += share * window.sum(axis=1)
+    seen = count > 1e-3 * count.max()
+    level = np.sqrt(square[seen] / count[seen])
+    away = np.abs(grid[:, None] - grid[seen][None, :]).min(axis=1)
+    profile = OPTIMISM * np.interp(grid, grid[seen], level) * (1.0 + away)
+    return tuple(float(v) for v in np.maximum(profile, 5e-4))
+
+
+def _step_noise(residual_V: FloatArray) -> float:
+    return 1.4826 * float(np.median(np.abs(np.diff(residual_V)))) / float(np.sqrt(2.0))
 
 
 def correlation_time(time_s: FloatArray, residual_V: FloatArray) -> float:
@@ -80,17 +108,12 @@ def correlation_time(time_s: FloatArray, residual_V: FloatArray) -> float:
     return float(step * (0.5 + np.sum(correlation[1:end])))
 
 
-def _split_by_current(
-    current_A: FloatArray, residual_V: FloatArray, r0_ohm: float
-) -> tuple[float, float]:
-    """Residual at small current [V], and its growth with the current as a share of R0 I."""
-    square = residual_V**2
-    drop = (r0_ohm * current_A) ** 2
-    matrix = np.column_stack((np.ones(drop.size), drop))
-    found = np.linalg.lstsq(matrix, square, rcond=None)[0]
-    if found[0] <= 0.0 or found[1] <= 0.0:
-        return float(np.sqrt(np.mean(square))), 0.0
-    return float(np.sqrt(found[0])), float(np.sqrt(found[1]))
+def _current_share(log: ResidualLog, r0_ohm: float) -> float:
+    """Growth of the residual with the current, as a share of R0 I."""
+    square = _clip(log.residual_V) ** 2
+    drop = (r0_ohm * log.current_A) ** 2
+    found = np.linalg.lstsq(np.column_stack((np.ones(drop.size), drop)), square, rcond=None)[0]
+    return float(np.sqrt(max(found[1], 0.0))) if found[0] > 0.0 else 0.0
 
 
 def _clip(residual_V: FloatArray) -> FloatArray:

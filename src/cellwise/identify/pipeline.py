@@ -266,7 +266,7 @@ def _pulse_set(
     log: CellLog, ocv: OcvCurve, capacity: float, settings: IdentifySettings
 ) -> PulseSet:
     pulses = find_pulses(log)
-    anchor = anchor_soc(log, ocv.function.evaluate, capacity, 0.0)
+    anchor = anchor_soc(log, ocv, capacity, 0.0)
     soc = anchor.soc - log.counted_charge_Ah() / capacity
     chosen = tuple(p for p in pulses_to_fit(pulses) if -0.02 <= soc[p.start] <= 1.02)
     if not chosen:
@@ -317,7 +317,7 @@ def _own_simulations(
     for log, _ in (*tests.hppc, *tests.drive):
         soc0 = starts.get(id(log))
         if soc0 is None:
-            soc0 = anchor_soc(log, ocv.function.evaluate, model.capacity_Ah, 0.0).soc
+            soc0 = anchor_soc(log, ocv, model.capacity_Ah, 0.0).soc
         simulations.append(simulate(model, log, min(max(soc0, 0.0), 1.0)))
     return tuple(simulations)
 

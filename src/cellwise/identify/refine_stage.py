@@ -11,7 +11,7 @@ from cellwise.cell.simulate import start_hysteresis
 from cellwise.errors import InputError
 from cellwise.identify.assemble import refined_effects, refined_tables
 from cellwise.identify.identification import IdentifySettings, PulseSet, TestLogs
-from cellwise.identify.model_error import estimate_model_error
+from cellwise.identify.model_error import ResidualLog, estimate_model_error
 from cellwise.identify.ocv import OcvCurve
 from cellwise.identify.refine import RefineResult, RefineSettings, StartTables, refine
 from cellwise.identify.refine_data import RefineLog
@@ -65,7 +65,7 @@ def refine_temperature(
         _refuse_wrong_sign(log)
         anchor = anchors.get(id(log))
         if anchor is None:
-            anchor = anchor_soc(log, ocv.function.evaluate, capacity_Ah, resistance)
+            anchor = anchor_soc(log, ocv, capacity_Ah, resistance)
         if anchor.std > LARGEST_SOC_ERROR:
             notices.append(
                 f"'{log.name}' left out of the refinement: its SOC at the start is known to "
@@ -175,12 +175,13 @@ def _start(
 def half_gap(ocv: OcvCurve, resistance: float, capacity_Ah: float) -> FloatArray | None:
     """Half the gap between the low-rate branches with polarisation taken out [V], shape of soc.
 
-    None without both branches. The current of a low-rate test is taken as C/20 at most, its
+    None without two whole branches. The current of a low-rate test is taken as C/20 at most, its
     resistance as three times the short-time one.
     """
     gap = ocv.gap_V
-    if gap is None or np.count_nonzero(np.isfinite(gap)) < gap.size // 2:
-        return None
+    middle = (ocv.soc > 0.05) & (ocv.soc < 0.95)
+    if gap is None or not np.all(np.isfinite(gap[middle])):
+        return None  # an incomplete charge branch says nothing of hysteresis
     known = np.isfinite(gap)
     filled = np.interp(ocv.soc, ocv.soc[known], gap[known])
     polarisation = 3.0 * resistance * capacity_Ah / 20.0
@@ -188,8 +189,8 @@ def half_gap(ocv: OcvCurve, resistance: float, capacity_Ah: float) -> FloatArray
 
 
 def _error(result: RefineResult, r0_ohm: float) -> ModelError:
-    triples = [
-        (p.time_s, p.current_A[p.evaluate], r)
+    logs = [
+        ResidualLog(p.time_s, p.soc[p.evaluate], p.current_A[p.evaluate], r)
         for p, r in zip(result.logs, result.residual_V, strict=True)
     ]
-    return estimate_model_error(triples, r0_ohm)
+    return estimate_model_error(logs, r0_ohm)

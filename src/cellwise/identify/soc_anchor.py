@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from cellwise.identify.ocv import OcvCurve
 from cellwise.identify.ocv_rests import find_ocv_rests
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
@@ -30,7 +30,7 @@ class SocAnchor:
 
 def anchor_soc(
     log: CellLog,
-    ocv: Callable[[FloatArray], FloatArray],
+    ocv: OcvCurve,
     capacity_Ah: float,
     resistance_ohm: float,
 ) -> SocAnchor:
@@ -42,7 +42,7 @@ def anchor_soc(
 
     Parameters
     ----------
-    ocv : callable            OCV over SOC [V]
+    ocv : OcvCurve            a gap between its branches widens what a rest may read
     capacity_Ah : float       that SOC refers to
     resistance_ohm : float    rough resistance of the cell, for a start under load
 
@@ -51,14 +51,16 @@ def anchor_soc(
     InputError        a log without a single voltage
     """
     grid = np.linspace(0.0, 1.0, 1001)
-    level = np.maximum.accumulate(ocv(grid))
+    level = np.maximum.accumulate(ocv.function.evaluate(grid))
+    half = _half_gap(ocv, grid)
     charge, voltage, error, how = _evidence(log, capacity_Ah, resistance_ohm)
     cost = np.zeros(grid.size)
     for q, v, e in zip(charge, voltage, error, strict=True):
         at = grid - q / capacity_Ah
         expected = np.interp(at, grid, level)
+        wide = np.hypot(e, np.interp(at, grid, half))
         outside = np.maximum(0.0, np.maximum(at - 1.0, -at))  # beyond full or empty is unlikely
-        cost += np.minimum(((v - expected) / e) ** 2, 25.0) + (outside / 0.01) ** 2
+        cost += np.minimum(((v - expected) / wide) ** 2, 25.0) + (outside / 0.01) ** 2
     weight = np.exp(-0.5 * (cost - cost.min()))
     mean = float(np.average(grid, weights=weight))
     std = float(np.sqrt(np.average((grid - mean) ** 2, weights=weight)))
@@ -71,6 +73,15 @@ def anchor_soc(
     if mean <= EMPTY_TO:
         return SocAnchor(0.0, max(std, 0.005), f"{how}: empty")
     return SocAnchor(mean, max(std, 0.002), how)
+
+
+def _half_gap(ocv: OcvCurve, grid: FloatArray) -> FloatArray:
+    """Half the gap between the low-rate branches where both are known, else zero [V]."""
+    gap = ocv.gap_V
+    if gap is None or not np.any(np.isfinite(gap)):
+        return np.zeros(grid.size)
+    known = np.isfinite(gap)
+    return np.asarray(0.5 * np.abs(np.interp(grid, ocv.soc[known], gap[known])))
 
 
 def _evidence(

@@ -41,18 +41,29 @@ def stack_models(models: Sequence[CellModel]) -> CellModel:
     skews = [m.effect(TimeSkew).skew_s for m in ordered if m.effect(TimeSkew).skew_s > 0]
     if skews:
         effects.append(TimeSkew(float(np.median(skews))))
-    errors = [m.error for m in ordered]
     return replace(
         ordered[0],
         **tables,
         temperature_C=np.array([float(m.temperature_C[0]) for m in ordered]),
         effects=tuple(e for e in effects if not isinstance(e, TemperatureDependence)),
-        error=ModelError(
-            *(
-                float(np.sqrt(np.mean([getattr(e, name) ** 2 for e in errors])))
-                for name in ("white_V", "slow_V", "correlation_s", "resistance_share")
-            )
-        ),
+        error=_mean_error([m.error for m in ordered]),
+    )
+
+
+def _mean_error(errors: Sequence[ModelError]) -> ModelError:
+    """Root mean square of the errors of several models."""
+
+    def rms(values: Sequence[float]) -> float:
+        return float(np.sqrt(np.mean(np.square(values))))
+
+    points = max(len(e.slow_V) for e in errors)
+    grid = np.linspace(0.0, 1.0, points)
+    slow = np.sqrt(np.mean([e.at(grid) ** 2 for e in errors], axis=0))
+    return ModelError(
+        white_V=rms([e.white_V for e in errors]),
+        slow_V=tuple(float(v) for v in slow),
+        correlation_s=rms([e.correlation_s for e in errors]),
+        resistance_share=rms([e.resistance_share for e in errors]),
     )
 
 
