@@ -9,6 +9,7 @@ import numpy as np
 from cellwise.errors import InputError
 from cellwise.identify.pulse_data import PulseData, Weighting, row_weights
 from cellwise.identify.pulse_parameters import PulseTrend, TauBounds
+from cellwise.identify.varpro_algebra_kernels import Window
 from cellwise.identify.varpro_kernels import predict
 from cellwise.typing import BoolArray, FloatArray
 
@@ -26,6 +27,11 @@ class Problem(NamedTuple):
     trend: FloatArray
     centre: float  # dq at the pulse's mean SOC
     reference_V: float  # taken off so that sums of squares do not cancel
+
+    @property
+    def window(self) -> Window:
+        """The channels as the kernels take them."""
+        return self[:7]
 
 
 class Solution(NamedTuple):

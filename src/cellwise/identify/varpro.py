@@ -131,10 +131,7 @@ def _search(
     slow = np.linspace(limits[2], limits[3], GRID)
     grid = np.array([(f, s) for f in fast for s in slow if s - f >= limits[4] - 1e-9])
     costs = np.empty(len(grid))
-    scan(
-        few.dt, few.current, few.known, few.dq, few.weight, few.trend, few.centre,
-        include, _NON_NEGATIVE, grid, costs,
-    )  # fmt: skip
+    scan(few.window, include, _NON_NEGATIVE, grid, costs)
     best = grid[np.argsort(costs)[:STARTS]]
     return min((_descend(few, include, limits, s, LOOSE) for s in best), key=lambda f: f.cost)
 
@@ -161,8 +158,7 @@ def _descend(
     coefficients = np.zeros(LINEAR)
     free = np.zeros(LINEAR, dtype=np.bool_)
     cost, passes, converged = minimise(
-        problem.dt, problem.current, problem.known, problem.dq, problem.weight, problem.trend,
-        problem.centre, include, _NON_NEGATIVE, limits, log_tau, PASSES, tolerance, gram,
+        problem.window, include, _NON_NEGATIVE, limits, log_tau, PASSES, tolerance, gram,
         coefficients, free,
     )  # fmt: skip
     return Solution(cost, log_tau, coefficients, include, gram, passes, converged)

@@ -24,10 +24,12 @@ from cellwise.identify.varpro_kernels import (
 from cellwise.typing import BoolArray, FloatArray
 
 IntVector = NDArray[np.int64]
+Window = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float]
+Scratch = tuple[FloatArray, FloatArray, IntVector, FloatArray, FloatArray]
 
 PIVOT_LIMIT = 1e-12
 LONGEST_STEP = 1.5  # in log tau
-DAMPING_START = 1e-4
+DAMPING_START, DAMPING_LEAST = 1e-4, 1e-12
 
 
 @njit(cache=True)
@@ -254,14 +256,60 @@ def _bounded_step(
 
 
 @njit(cache=True)
+def _scratch() -> Scratch:
+    """Buffers that one search uses for all its passes."""
+    return (
+        np.empty((COLUMNS, TILE)),
+        np.empty(TILE),
+        np.zeros(LINEAR, dtype=np.int64),
+        np.zeros((LINEAR, LINEAR)),
+        np.zeros(LINEAR),
+    )
+
+
+@njit(cache=True)
+def _evaluate(
+    window: Window,
+    p1: float,
+    p2: float,
+    include: BoolArray,
+    non_negative: BoolArray,
+    scratch: Scratch,
+    gram: FloatArray,
+    coefficients: FloatArray,
+    free: BoolArray,
+) -> float:
+    """Cost [V^2] at (log tau1, log tau2), with the linear unknowns solved for: one pass."""
+    dt, current, known, dq, weight, trend, centre = window
+    tile, tile_weight, columns, chol, x = scratch
+    accumulate(
+        dt, current, known, dq, weight, math.exp(p1), math.exp(p2), trend, centre,
+        columns_used(include), tile, tile_weight, gram,
+    )  # fmt: skip
+    return solve_linear(gram, include, non_negative, coefficients, free, columns, chol, x)
+
+
+@njit(cache=True)
+def _keep(
+    trial: FloatArray,
+    trial_coefficients: FloatArray,
+    trial_free: BoolArray,
+    gram: FloatArray,
+    coefficients: FloatArray,
+    free: BoolArray,
+) -> None:
+    """Copy the accepted pass; by element, as whole-array assignment takes seconds to compile."""
+    for i in range(COLUMNS):
+        for j in range(COLUMNS):
+            gram[i, j] = trial[i, j]
+    for u in range(LINEAR):
+        coefficients[u] = trial_coefficients[u]
+        free[u] = trial_free[u]
+
+
+@njit(cache=True)
 def minimise(
-    dt: FloatArray,
-    current: FloatArray,
-    known: FloatArray,
-    dq: FloatArray,
-    weight: FloatArray,
-    trend: FloatArray,
-    centre: float,
+    window: Window,
     include: BoolArray,
     non_negative: BoolArray,
     limits: FloatArray,
@@ -276,130 +324,76 @@ def minimise(
 
     Parameters
     ----------
-    dt, current, known, dq, weight : (n,) float       as in `accumulate`
-    trend : (5,) float, centre : float                as in `accumulate`
+    window : tuple            dt, current, known, dq, weight, trend, centre as in `accumulate`
     include, non_negative : (10,) bool                 as in `solve_linear`
     limits : (5,) float       of log tau1 and log tau2, and their least distance
     log_tau : (2,) float      start; overwritten with the optimum
     iterations : int          most passes over the samples
     tolerance : float         converged when log tau moves less than this
-    gram : (15, 15), coefficients : (8,), free : (10,)     result at the optimum
+    gram : (15, 15), coefficients : (10,), free : (10,)     result at the optimum
 
     Returns
     -------
     cost [V^2], passes over the samples, whether it converged
     """
-    used = columns_used(include)
-    tile = np.empty((COLUMNS, TILE))
-    tile_weight = np.empty(TILE)
+    scratch = _scratch()
+    _, _, columns, chol, x = scratch
     trial = np.empty((COLUMNS, COLUMNS))
     trial_coefficients = np.zeros(LINEAR)
     trial_free = np.zeros(LINEAR, dtype=np.bool_)
-    columns = np.zeros(LINEAR, dtype=np.int64)
-    chol = np.zeros((LINEAR, LINEAR))
-    x = np.zeros(LINEAR)
     hessian = np.zeros((2, 2))
     gradient = np.zeros(2)
     step = np.zeros(2)
-    gram[:, :] = 0.0
     cost = math.inf
     damping = DAMPING_START
     p1, p2 = log_tau[0], log_tau[1]
     for n in range(iterations):
-        tau1, tau2 = math.exp(p1), math.exp(p2)
-        accumulate(
-            dt,
-            current,
-            known,
-            dq,
-            weight,
-            tau1,
-            tau2,
-            trend,
-            centre,
-            used,
-            tile,
-            tile_weight,
-            trial,
-        )
-        new = solve_linear(
-            trial, include, non_negative, trial_coefficients, trial_free, columns, chol, x
+        new = _evaluate(
+            window, p1, p2, include, non_negative, scratch, trial, trial_coefficients, trial_free
         )
         moved = max(abs(p1 - log_tau[0]), abs(p2 - log_tau[1]))
         if new < cost or n == 0:
-            stalled = n > 0 and cost - new <= 1e-14 * cost
+            stalled = cost - new <= 1e-14 * cost
             log_tau[0], log_tau[1] = p1, p2
             cost = new
-            gram[:, :] = trial
-            coefficients[:] = trial_coefficients
-            free[:] = trial_free
-            damping = max(0.1 * damping, 1e-12)
+            _keep(trial, trial_coefficients, trial_free, gram, coefficients, free)
+            damping = max(0.1 * damping, DAMPING_LEAST)
             if n > 0 and (moved < tolerance or stalled):
                 return cost, n + 1, True
             _reduced_normal(gram, coefficients, free, columns, chol, x, hessian, gradient)
+        elif moved < tolerance:
+            return cost, n + 1, True
         else:
-            if moved < tolerance:
-                return cost, n + 1, True
             damping *= 10.0
         if hessian[0, 0] + hessian[1, 1] <= 0.0:  # no branch at all: no tau to look for
             return cost, n + 1, True
         # A branch of zero resistance says nothing about its tau: keep the system regular.
         floor = 1e-12 * (hessian[0, 0] + hessian[1, 1])
         _bounded_step(
-            hessian[0, 0] * (1.0 + damping) + floor,
-            hessian[0, 1],
-            hessian[1, 1] * (1.0 + damping) + floor,
-            gradient[0],
-            gradient[1],
-            log_tau[0],
-            log_tau[1],
-            limits,
-            step,
-        )
+            hessian[0, 0] * (1.0 + damping) + floor, hessian[0, 1],
+            hessian[1, 1] * (1.0 + damping) + floor, gradient[0], gradient[1],
+            log_tau[0], log_tau[1], limits, step,
+        )  # fmt: skip
         p1 = log_tau[0] + min(max(step[0], -LONGEST_STEP), LONGEST_STEP)
-        p2 = log_tau[1] + min(max(step[1], -LONGEST_STEP), LONGEST_STEP)
-        p2 = max(p2, p1 + limits[4])
+        p2 = max(log_tau[1] + min(max(step[1], -LONGEST_STEP), LONGEST_STEP), p1 + limits[4])
     return cost, iterations, False
 
 
 @njit(cache=True)
 def scan(
-    dt: FloatArray,
-    current: FloatArray,
-    known: FloatArray,
-    dq: FloatArray,
-    weight: FloatArray,
-    trend: FloatArray,
-    centre: float,
+    window: Window,
     include: BoolArray,
     non_negative: BoolArray,
     log_tau: FloatArray,
     costs: FloatArray,
 ) -> None:
     """Cost [V^2] at every given pair of log time constants, shape (m, 2) -> (m,)."""
+    scratch = _scratch()
     gram = np.empty((COLUMNS, COLUMNS))
-    tile = np.empty((COLUMNS, TILE))
-    tile_weight = np.empty(TILE)
     coefficients = np.zeros(LINEAR)
     free = np.zeros(LINEAR, dtype=np.bool_)
-    columns = np.zeros(LINEAR, dtype=np.int64)
-    chol = np.zeros((LINEAR, LINEAR))
-    x = np.zeros(LINEAR)
-    used = columns_used(include)
     for k in range(costs.size):
-        accumulate(
-            dt,
-            current,
-            known,
-            dq,
-            weight,
-            math.exp(log_tau[k, 0]),
-            math.exp(log_tau[k, 1]),
-            trend,
-            centre,
-            used,
-            tile,
-            tile_weight,
-            gram,
-        )
-        costs[k] = solve_linear(gram, include, non_negative, coefficients, free, columns, chol, x)
+        costs[k] = _evaluate(
+            window, log_tau[k, 0], log_tau[k, 1], include, non_negative, scratch, gram,
+            coefficients, free,
+        )  # fmt: skip
