@@ -33,6 +33,7 @@ SHORT_OF_EXPECTED = 0.93
 # Without a limit near, less than this is no pulse that was planned.
 SPURIOUS_OF_EXPECTED = 0.5
 LIMIT_OF_VOLTAGE = 0.015
+PASSED_OF_VOLTAGE = 0.003
 MINIMUM_ROWS = 2
 RESPONSE_SIGMAS = 5.0
 # A misfit of 1 % of the response shifts tau1 of a 60 s pulse by about half (synthetic cells with a
@@ -42,6 +43,7 @@ RESPONSE_SIGMAS = 5.0
 DISTORTED_OF_RESPONSE = 0.01
 WORST_OF_RESPONSE = 0.03
 ABOVE_SIBLINGS = 2.0
+MINIMUM_SIBLINGS = 6
 MISFIT_SIGMAS = 3.0
 # A row whose current is this far from its level, as a share of the pulse, is part of an edge.
 EDGE_SHARE = 0.03
@@ -50,6 +52,7 @@ LONGEST_FALL_ROWS = 3
 BINS = 40
 MINIMUM_BINS = 6
 RESTED_BINS = 8
+RESTED_PART = 0.4
 RELAXATION_OF_PULSE = 10.0
 TAUS_PER_DECADE = 3
 
@@ -124,13 +127,16 @@ def judge_loads(
     v = log.voltage_V
     durations = np.array([_seconds(log, x.start, x.stop) for x in loads])
     held = np.array([x.cc_stop < x.stop for x in loads], dtype=np.bool_)
-    expected = _expected(loads, durations, held)
+    current = np.array([x.current_A for x in loads])
+    usual = _expected(loads, durations)
     limits = {
-        True: lower_V if lower_V is not None else _limit(v, loads, durations, expected, held, True),
-        False: upper_V
-        if upper_V is not None
-        else _limit(v, loads, durations, expected, held, False),
+        True: lower_V if lower_V is not None else _limit(v, loads, durations, usual, held, True),
+        False: upper_V if upper_V is not None else _limit(v, loads, durations, usual, held, False),
     }
+    ended = [
+        _at_limit(float(v[x.stop - 1]), limits[x.current_A > 0.0], x.current_A > 0.0) for x in loads
+    ]
+    expected = _expected_at_rate(current, durations, usual, held | np.array(ended, dtype=np.bool_))
     gaps = log.gap_rows
     found: list[Verdict | None] = []
     for x, t, e in zip(loads, durations.tolist(), expected.tolist(), strict=True):
@@ -150,7 +156,7 @@ def judge_loads(
 
 def _border(misfits: Sequence[Misfit | None], loads: Sequence[Load], role: str) -> float:
     shares = [m.relative for m, x in zip(misfits, loads, strict=True) if m and x.role == role]
-    usual = float(np.quantile(shares, 0.25)) if shares else 0.0
+    usual = float(np.quantile(shares, 0.25)) if len(shares) >= MINIMUM_SIBLINGS else 0.0
     return float(np.clip(ABOVE_SIBLINGS * usual, DISTORTED_OF_RESPONSE, WORST_OF_RESPONSE))
 
 
@@ -162,18 +168,23 @@ def _seconds(log: CellLog, start: int, stop: int) -> float:
     return float(log.time_s[stop - 1] - log.time_s[max(start - 1, 0)])
 
 
-def _expected(loads: Sequence[Load], durations: FloatArray, held: BoolArray) -> FloatArray:
-    """Planned duration of each load [s]: the commonest one of its rate, else of its kind."""
-    current = np.array([x.current_A for x in loads])
-    move = np.array([x.role == "move" for x in loads])
-    out = durations.copy()
-    for k in range(len(loads)):
-        kin = (move == move[k]) & (current * current[k] > 0.0)
-        wide = _commonest(durations[kin])
-        rate = kin & (np.abs(current - current[k]) <= SAME_RATE * abs(current[k])) & ~held
-        narrow = _commonest(durations[rate]) if np.count_nonzero(rate) >= 2 else 0.0
-        # A rate that a limit always ends has no plan of its own to be read off.
-        out[k] = narrow if narrow > SPURIOUS_OF_EXPECTED * wide else wide
+def _expected(loads: Sequence[Load], durations: FloatArray) -> FloatArray:
+    """Planned duration of each load [s]: the commonest one of its role and direction."""
+    kind = [(x.role, x.current_A > 0.0) for x in loads]
+    common = {k: _commonest(durations[np.array([other == k for other in kind])]) for k in set(kind)}
+    return np.array([common[k] for k in kind])
+
+
+def _expected_at_rate(
+    current: FloatArray, durations: FloatArray, usual: FloatArray, limited: BoolArray
+) -> FloatArray:
+    """Planned duration where a rate has its own: that of its loads which no limit ended [s]."""
+    out = usual.copy()
+    for k in range(current.size):
+        same = ~limited & (np.abs(current - current[k]) <= SAME_RATE * abs(current[k]))
+        same &= usual == usual[k]
+        if np.count_nonzero(same) >= 2:
+            out[k] = _commonest(durations[same])
     return out
 
 
@@ -194,20 +205,31 @@ def _limit(
     held: BoolArray,
     discharge: bool,
 ) -> float | None:
-    """Voltage limit that loads of this sign ran into [V]: as held, else where short ones end."""
+    """Voltage limit that loads of this sign ran into [V]: as held, else where short ones end.
+
+    Nothing else in the log goes beyond a limit, so a short load that ended at a voltage that
+    others passed unharmed did not end for it.
+    """
     side = np.array([(x.current_A > 0.0) == discharge for x in loads], dtype=np.bool_)
+    short = side & ~held & (durations < SHORT_OF_EXPECTED * expected)
+    others = v.copy()
+    for x, s in zip(loads, short, strict=True):
+        if s:
+            others[x.start : x.stop] = np.nan
+    extreme = float(np.nanmin(others) if discharge else np.nanmax(others))
     levels = [
         float(np.nanmedian(v[x.cc_stop : x.stop]))
-        for x, s, h in zip(loads, side, held, strict=True)
-        if s and h
+        for x, s in zip(loads, side & held, strict=True)
+        if s
     ]
-    extreme = float(np.nanmin(v) if discharge else np.nanmax(v))
     levels = [e for e in levels if abs(e - extreme) <= LIMIT_OF_VOLTAGE * abs(extreme)]
-    if not levels:
-        short = side & (durations < SHORT_OF_EXPECTED * expected)
-        ends = [float(v[x.stop - 1]) for x, s in zip(loads, short, strict=True) if s]
-        levels = [e for e in ends if abs(e - extreme) <= LIMIT_OF_VOLTAGE * abs(extreme)]
-    return float(np.median(levels)) if levels else None
+    if levels:
+        return float(np.median(levels))
+    ends = [float(v[x.stop - 1]) for x, s in zip(loads, short, strict=True) if s]
+    margin = PASSED_OF_VOLTAGE * abs(extreme)
+    if discharge:
+        return max((e for e in ends if e <= extreme + margin), default=None)
+    return min((e for e in ends if e >= extreme - margin), default=None)
 
 
 def _at_limit(voltage: float, limit: float | None, discharge: bool) -> bool:
@@ -356,8 +378,8 @@ def _passive_columns(t: FloatArray, t_on: float, t_off: float) -> FloatArray:
     count = max(3, int(np.ceil(TAUS_PER_DECADE * np.log10(longest / shortest))))
     tau = np.geomspace(shortest, longest, count)
     branches = -np.expm1(-since[:, None] / tau) * np.exp(-after[:, None] / tau)
-    scale = max(duration, t_on - float(t[0]))
-    before = np.exp(-(t - t[0])[:, None] / (scale * np.array([0.3, 3.0, 30.0])))
+    rest = max(t_on - float(t[0]), 1e-3)
+    before = np.exp(-(t - t[0])[:, None] / (rest * np.array([1.0, 3.0, 10.0, 30.0])))
     free = np.column_stack((np.ones(t.size), before))
     ohmic = ((t > t_on) & (t <= t_off)).astype(np.float64)
     return np.column_stack((ohmic, branches, since / duration, free, -free))
@@ -398,7 +420,9 @@ def _window(c: Channels, x: Load, relaxation: bool) -> _Window | None:
     if pulse_stop - on > 10 * SETTLING_ROWS:
         # Voltage and current of one row are not always of one instant.
         on, off = on + SETTLING_ROWS, off + SETTLING_ROWS
-    begin = max(x.rest_start, int(np.searchsorted(c.time_s, t_on - 2.0 * duration)))
+    # By then what relaxes from before has become slow.
+    shown = min(2.0 * duration, RESTED_PART * (t_on - float(c.time_s[x.rest_start])))
+    begin = min(x.start - 1, max(x.rest_start, int(np.searchsorted(c.time_s, t_on - shown))))
     end = int(np.searchsorted(c.time_s, t_off + RELAXATION_OF_PULSE * duration, side="right"))
     pieces = [
         _binned(c, begin, x.start, None, RESTED_BINS),
