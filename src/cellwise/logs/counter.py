@@ -13,6 +13,7 @@ from cellwise.typing import BoolArray, FloatArray
 RESTART_SHARE = 0.1
 RESTART_STEPS = 5.0
 RESTART_OF_RANGE = 1e-3
+JOINED_RESIDUAL = 0.5
 
 
 class CounterCheck(NamedTuple):
@@ -106,8 +107,11 @@ def joined_counter(
     restarts = (np.abs(jump) > least) & (fresh < RESTART_SHARE * np.abs(jump)) & ~gap_rows[1:]
     if not restarts.any():
         return None
-    lost = np.concatenate(([0.0], np.cumsum(np.where(restarts, jump, 0.0))))
-    return counter - lost, int(np.count_nonzero(restarts))
+    joined = counter - np.concatenate(([0.0], np.cumsum(np.where(restarts, jump, 0.0))))
+    summed = np.cumsum(drawn)
+    if np.std(joined - summed) > JOINED_RESIDUAL * np.std(counter - summed):
+        return None  # a counter and a current that merely differ
+    return joined, int(np.count_nonzero(restarts))
 
 
 def counts_throughput(drawn: FloatArray, counted: FloatArray) -> bool:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 DELIMITERS = ",;\t|"
 BLOCK_BYTES = 4 << 20
+TAIL_BYTES = 4096
 # What loggers and spreadsheets write where there is no value.
 MISSING = ["", "nan", "NaN", "NAN", "-nan", "null", "NULL", "none", "None", "NA", "N/A", "n/a"]
 MISSING += ["#N/A", "#NA", "#DIV/0!", "#VALUE!", "-", "--", "---"]
@@ -83,7 +84,7 @@ def csv_layout(source: LogSource) -> CsvLayout:
         number += 1
         rows = lines[number:]
     delimiter = max(DELIMITERS, key=header_line.count)
-    header = next(csv.reader([header_line], delimiter=delimiter))
+    header = next(csv.reader([header_line], delimiter=delimiter, skipinitialspace=True))
     cells = [row for row in _cells(rows[:50], delimiter) if row]
     if cells and all(len(row) == len(header) + 1 and not row[-1].strip() for row in cells):
         header = [*header, ""]  # rows end with a delimiter, the header does not
@@ -108,6 +109,8 @@ def read_csv(source: LogSource, channels: Sequence[Channel]) -> RawLog:
     n = values[0].size
     if odd_rows:
         notices.append(_odd_rows(odd_rows, n, layout, where))
+    elif _ends_short(source):
+        notices.append("the last line is shorter and has no line end: its last number may be cut")
     if n == 0:
         raise InputError(
             f"a header but no rows in {where}", "rows of numbers", "Check the export that wrote it."
@@ -212,6 +215,19 @@ def _odd_rows(odd: Sequence[tuple[int, int, str]], rows: int, layout: CsvLayout,
         f"{expected} cells as in the header",
         action,
     )
+
+
+def _ends_short(source: LogSource) -> bool:
+    """The file breaks off in a line whose last cell is shorter than that of the line before."""
+    if source.gzipped:
+        return False
+    with source.path.open("rb") as file:
+        file.seek(max(0, source.size - TAIL_BYTES))
+        lines = file.read().splitlines(keepends=True)
+    if len(lines) < 3 or lines[-1].endswith((b"\n", b"\r")):
+        return False
+    last, before = (re.split(rb"[,;\t|]", line.rstrip())[-1] for line in (lines[-1], lines[-2]))
+    return len(last) < len(before)
 
 
 def _head_lines(head: bytes) -> list[bytes]:

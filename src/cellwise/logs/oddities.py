@@ -11,6 +11,7 @@ from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
 REST_OF_LARGEST = 0.005
+COARSE_REST_OF_LARGEST = 0.02
 LEAST_REST_S = 60.0
 STUCK_ROWS = 20
 STUCK_MOVES = 10
@@ -19,6 +20,7 @@ SATURATED_RUN = 3
 SATURATED_VISITS = 3
 RESOLUTION_SAMPLE = 200_000
 WHOLE_STEPS = 0.95
+LEAST_DISTINCT = 20
 DECIMAL_PLACES = 9
 
 
@@ -48,11 +50,13 @@ class Saturation(NamedTuple):
 def is_quiet(log: CellLog) -> BoolArray:
     """Rows whose interval is without current, shape (n,).
 
-    Current counts as none up to 0.5 % of the log's largest, or up to its resolution.
+    Current counts as none up to 0.5 % of the log's largest; where it is read no finer than that,
+    up to its last digit, but never above 2 %.
     """
     current = np.abs(log.known_current_A())
-    digit = resolution(log.current_A) or 0.0
-    quiet: BoolArray = current <= max(REST_OF_LARGEST * float(np.max(current)), 1.5 * digit)
+    largest = float(np.max(current))
+    digit = min(1.5 * (resolution(log.current_A) or 0.0), COARSE_REST_OF_LARGEST * largest)
+    quiet: BoolArray = current <= max(REST_OF_LARGEST * largest, digit)
     return quiet
 
 
@@ -71,8 +75,8 @@ def find_rests(log: CellLog) -> list[Rest]:
 def resolution(values: FloatArray) -> float | None:
     """Step between values that a channel can show; None where they are on no grid.
 
-    The smallest difference between values that occur, if nearly all differences are its multiples;
-    else the last decimal place in which values were written.
+    The smallest difference between values that occur, if there are many and nearly all differences
+    are its multiples; else the last decimal place in which values were written.
     """
     finite = values[np.isfinite(values)]
     if finite.size > RESOLUTION_SAMPLE:
@@ -83,7 +87,8 @@ def resolution(values: FloatArray) -> float | None:
     steps = np.diff(distinct)
     smallest = float(np.min(steps[steps > 1e-9 * np.max(np.abs(distinct))], initial=np.inf))
     multiples = steps / smallest
-    if np.mean(np.abs(multiples - np.round(multiples)) < 0.05) >= WHOLE_STEPS:
+    whole = np.mean(np.abs(multiples - np.round(multiples)) < 0.05) >= WHOLE_STEPS
+    if whole and distinct.size >= LEAST_DISTINCT:
         return float(f"{smallest:.4g}")
     for place in range(DECIMAL_PLACES):
         scaled = distinct * 10.0**place

@@ -35,8 +35,9 @@ class LogSource:
 
     def open(self) -> IO[bytes]:
         """The content as a binary stream, decompressed."""
-        stream = gzip.open(self.path, "rb") if self.gzipped else self.path.open("rb")
-        return cast("IO[bytes]", stream)
+        if self.gzipped:
+            return cast("IO[bytes]", gzip.open(self.path, "rb"))
+        return self.path.open("rb")
 
     def tell(self, done: int, total: int) -> None:
         """Report progress if anybody listens."""

@@ -93,11 +93,12 @@ def _write_csv(log: CellLog, target: Path, *, compressed: bool) -> None:
 
     schema = _schema(log)
     options = csv.WriteOptions(include_header=False)
-    with (
-        # Without a time in its header, the same log is written as the same file.
-        gzip.GzipFile(target, "wb", GZIP_LEVEL, mtime=0) if compressed else target.open("wb")
-    ) as stream:
+    with target.open("wb") as file:
+        # Without a name and a time in its header, the same log makes the same bytes.
+        stream = gzip.GzipFile("", "wb", GZIP_LEVEL, file, mtime=0) if compressed else file
         stream.write((",".join(schema.names) + "\n").encode())
         with csv.CSVWriter(stream, schema, write_options=options) as writer:
             for batch in _batches(log):
                 writer.write_batch(batch)
+        if compressed:
+            stream.close()

@@ -1,0 +1,287 @@
+"""Every kind of bad input has one defined answer."""
+
+from __future__ import annotations
+
+import gzip
+import os
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from log_files import csv_text, pulse_channels, write_csv
+
+from cellwise.errors import InputError
+from cellwise.logs import read_log
+
+TEXT = csv_text(pulse_channels(600))
+
+
+def refusal(path) -> InputError:
+    with pytest.raises(InputError) as caught:
+        read_log(path)
+    error = caught.value
+    assert error.found
+    assert error.expected
+    assert error.action
+    return error
+
+
+def test_missing_file_names_the_near_ones(tmp_path):
+    write_csv(tmp_path / "drive_25.csv", pulse_channels())
+    error = refusal(tmp_path / "drive_35.csv")
+    assert "drive_35.csv" in error.found
+    assert "drive_25.csv" in error.action
+
+
+def test_missing_folder(tmp_path):
+    assert "no folder" in refusal(tmp_path / "nowhere" / "x.csv").action
+
+
+def test_folder(tmp_path):
+    assert "a folder" in refusal(tmp_path).found
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
+def test_unreadable_file(tmp_path):
+    path = write_csv(tmp_path / "log.csv", pulse_channels())
+    path.chmod(0)
+    assert "cannot be read" in refusal(path).found
+
+
+@pytest.mark.parametrize("content", [b"", gzip.compress(b"")])
+def test_empty_file(tmp_path, content):
+    path = tmp_path / "log.csv"
+    path.write_bytes(content)
+    assert "empty" in refusal(path).found
+
+
+@pytest.mark.parametrize("content", ["\n\n", "# only a comment\n", "\ufeff\n"])
+def test_blank_file(tmp_path, content):
+    path = tmp_path / "log.csv"
+    path.write_text(content)
+    assert "blank lines and comments" in refusal(path).found
+
+
+@pytest.mark.parametrize("end", ["", "\n", "\r\n", "\n\n"])
+def test_header_only(tmp_path, end):
+    path = tmp_path / "log.csv"
+    path.write_text("time_s,current_A,voltage_V" + end)
+    assert "no rows" in refusal(path).found
+
+
+def test_parquet_without_rows(tmp_path):
+    path = tmp_path / "log.parquet"
+    pq.write_table(pa.table({k: pa.array([], pa.float64()) for k in pulse_channels()}), path)
+    assert "no rows" in refusal(path).found
+
+
+def test_no_header(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("0,1.5,4.1\n1,1.5,4.0\n")
+    assert "no column names" in refusal(path).found
+
+
+@pytest.mark.parametrize("keep", [0.9, 0.5, 0.02])
+def test_truncated_gzip(tmp_path, keep):
+    whole = gzip.compress(TEXT.encode())
+    path = tmp_path / "log.csv.gz"
+    path.write_bytes(whole[: int(keep * len(whole))])
+    assert "gzip" in refusal(path).found
+
+
+def test_truncated_gzip_of_many_blocks(tmp_path):
+    rows = np.random.default_rng(0).normal(3.7, 0.1, (400_000, 2))
+    body = "\n".join(f"{k},{a:.6f},{b:.6f}" for k, (a, b) in enumerate(rows))
+    whole = gzip.compress(f"time_s,current_A,voltage_V\n{body}\n".encode(), 1)
+    path = tmp_path / "log.csv.gz"
+    path.write_bytes(whole[: int(0.8 * len(whole))])
+    assert "gzip" in refusal(path).found
+
+
+def test_flipped_bit_in_gzip(tmp_path):
+    content = bytearray(gzip.compress(TEXT.encode()))
+    content[-6] ^= 0xFF  # the checksum at its end
+    path = tmp_path / "log.csv.gz"
+    path.write_bytes(content)
+    assert "damaged gzip" in refusal(path).found
+
+
+@pytest.mark.parametrize("keep", [0.99, 0.5, 0.01])
+def test_truncated_parquet(tmp_path, keep):
+    path = tmp_path / "log.parquet"
+    pq.write_table(pa.table(pulse_channels()), path)
+    content = path.read_bytes()
+    path.write_bytes(content[: int(keep * len(content))])
+    assert "parquet" in refusal(path).found
+
+
+def test_damaged_parquet_data(tmp_path):
+    path = tmp_path / "log.parquet"
+    pq.write_table(pa.table(pulse_channels()), path, compression="gzip")
+    content = bytearray(path.read_bytes())
+    content[10:200] = bytes(190)
+    path.write_bytes(content)
+    assert "parquet" in refusal(path).found
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (np.random.default_rng(3).bytes(5000), "no known format"),
+        (b"PK\x03\x04" + bytes(100), "Excel"),
+        (b"\x89HDF\r\n\x1a\n" + bytes(100), "HDF5"),
+        (TEXT.encode("utf-16"), "UTF-16"),
+        (bytes(1000), "no known format"),
+    ],
+)
+def test_binary_content(tmp_path, content, says):
+    path = tmp_path / "log.csv"
+    path.write_bytes(content)
+    error = refusal(path)
+    assert says in error.found
+    assert "tidy-csv" in error.expected
+
+
+def test_wrong_columns_are_listed_and_near_names_suggested(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("Test_Time(s),Current(A),Voltage(V),foo\n0,1,4\n1,1,4\n")
+    error = refusal(path)
+    for name in ("Test_Time(s)", "Current(A)", "Voltage(V)", "foo"):
+        assert f"'{name}'" in error.found
+    for found, wanted in (
+        ("Test_Time(s)", "time_s"),
+        ("Current(A)", "current_A"),
+        ("Voltage(V)", "voltage_V"),
+    ):
+        assert f"'{found}' to '{wanted}'" in error.action
+
+
+@pytest.mark.parametrize(
+    ("name", "wanted"),
+    [
+        ("curent_A", "current_A"),
+        ("Strom [A]", "current_A"),
+        ("I / A", "current_A"),
+        ("voltge", "voltage_V"),
+        ("Ewe/V", "voltage_V"),
+        ("Zeit", "time_s"),
+        ("elapsed_s", "time_s"),
+    ],
+)
+def test_nearest_name(tmp_path, name, wanted):
+    names = ["time_s", "current_A", "voltage_V"]
+    names[names.index(wanted)] = name
+    path = tmp_path / "log.csv"
+    path.write_text(",".join(names) + "\n0,1,4\n1,1,4\n")
+    error = refusal(path)
+    assert f"missing: {wanted}" in error.found
+    assert f"'{name}' to '{wanted}'" in error.action
+
+
+def test_a_column_twice(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("time_s,current_A,voltage_V,current_A\n0,1,4,2\n1,1,4,2\n")
+    assert "2 columns named 'current_A'" in refusal(path).found
+
+
+@pytest.mark.parametrize("row", [1, 3, 250_000])
+def test_text_in_a_number_column_says_row_and_column(tmp_path, row):
+    lines = [f"{k},1.5,{4 - 1e-6 * k:.6f}" for k in range(row + 5)]
+    lines[row - 1] = f"{row - 1},OVERFLOW,4.0"
+    path = tmp_path / "log.csv"
+    path.write_text("time_s,current_A,voltage_V\n" + "\n".join(lines) + "\n")
+    error = refusal(path)
+    assert "'OVERFLOW'" in error.found
+    assert "'current_A'" in error.found
+    assert f"row {row} " in error.found
+
+
+def test_wall_clock_time_is_refused_with_what_to_do(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("time_s,current_A,voltage_V\n2024-05-01 10:00:00,1,4\n")
+    error = refusal(path)
+    assert "'time_s'" in error.found
+    assert "seconds from the log's start" in error.action
+
+
+def test_text_column_in_parquet(tmp_path):
+    columns = {**pulse_channels(600)}
+    columns["current_A"] = np.array([f"{x} A" for x in columns["current_A"]])
+    path = tmp_path / "log.parquet"
+    pq.write_table(pa.table(columns), path)
+    assert "'current_A' of type string" in refusal(path).found
+
+
+def test_row_with_too_few_cells_in_the_middle(tmp_path):
+    lines = TEXT.splitlines()
+    lines[40] = "39.0,0.0"
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(lines) + "\n")
+    assert "2 cells in row 40" in refusal(path).found
+
+
+def test_decimal_commas_between_commas(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("time_s,current_A,voltage_V\n0,0,1,5,4,1\n1,0,1,5,4,0\n")
+    assert "semicolons" in refusal(path).action
+
+
+def test_last_line_cut_off_is_left_out_and_told(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text(TEXT[: TEXT.rstrip("\n").rindex(",") - 8])
+    log = read_log(path)
+    assert len(log) == 599
+    assert any("cut off" in notice for notice in log.notices)
+
+
+def test_last_number_cut_short_is_told(tmp_path):
+    """Nothing shows that 4.0 was 4.0123; but the line has no end, and is shorter."""
+    path = tmp_path / "log.csv"
+    path.write_text("time_s,current_A,voltage_V\n0,1,4.0345\n1,1,4.0234\n2,1,4.0")
+    log = read_log(path)
+    assert len(log) == 3
+    assert any("may be cut" in notice for notice in log.notices)
+    path.write_text("time_s,current_A,voltage_V\n0,1,4.0345\n1,1,4.0234\n2,1,4.0123")
+    assert not any("may be cut" in notice for notice in read_log(path).notices)
+
+
+def test_time_running_backwards(tmp_path):
+    columns = pulse_channels(600)
+    columns["time_s"][300:] -= 250.0
+    error = refusal(write_csv(tmp_path / "log.csv", columns))
+    assert "backwards" in error.found
+    assert "row 299" in error.found
+    assert "split" in error.action
+
+
+def test_unsorted_rows(tmp_path):
+    columns = pulse_channels(600)
+    order = np.random.default_rng(1).permutation(600)
+    error = refusal(write_csv(tmp_path / "log.csv", {k: v[order] for k, v in columns.items()}))
+    assert "backwards" in error.found
+    assert "Sort" in error.action
+
+
+def test_one_row(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("time_s,current_A,voltage_V\n0,1,4\n")
+    assert "1 row(s)" in refusal(path).found
+
+
+def test_a_channel_without_any_value(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("time_s,current_A,voltage_V\n0,,4\n1,nan,4\n2,inf,4\n")
+    assert "no finite value of current_A" in refusal(path).found
+
+
+def test_mostly_without_time(tmp_path):
+    columns = pulse_channels(600)
+    columns["time_s"][::3] = np.nan
+    assert "without a time" in refusal(write_csv(tmp_path / "log.csv", columns)).found
+
+
+def test_unknown_sign(tmp_path):
+    path = write_csv(tmp_path / "log.csv", pulse_channels())
+    with pytest.raises(InputError, match="sign 'positive'"):
+        read_log(path, sign="positive")

@@ -1,0 +1,107 @@
+"""Gaps are rows that were not written; slow logging and hiccups are not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cellwise.logs import find_gaps, read_log
+
+
+def stamps(*intervals: tuple[float, int]) -> np.ndarray:
+    """Time stamps from (interval, count) pairs."""
+    return np.concatenate([[0.0], np.cumsum([dt for dt, n in intervals for _ in range(n)])])
+
+
+def found(*intervals: tuple[float, int]) -> list[int]:
+    return np.flatnonzero(find_gaps(stamps(*intervals))).tolist()
+
+
+@pytest.mark.parametrize("dt", [0.0074, 0.1, 1.0, 60.0])
+@pytest.mark.parametrize("pause", [2e3, 1e5])
+def test_a_pause_between_regular_rows(dt, pause):
+    assert found((dt, 50), (pause, 1), (dt, 50)) == [51]
+
+
+def test_jitter_does_not_hide_it():
+    rng = np.random.default_rng(0)
+    dt = rng.uniform(0.02, 0.2, 200)
+    dt[120] = 30.0
+    assert np.flatnonzero(find_gaps(np.concatenate([[0.0], np.cumsum(dt)]))).tolist() == [121]
+
+
+@pytest.mark.parametrize("slow", [10.0, 60.0, 300.0])
+@pytest.mark.parametrize("count", [2, 3, 40])
+def test_slow_rows_at_rest_are_no_gap(slow, count):
+    assert found((0.1, 50), (slow, count), (0.1, 50)) == []
+    assert found((1.0, 50), (slow, count), (1.0, 50)) == []
+
+
+def test_a_log_that_slows_down_step_by_step():
+    """Rows at 1, 3, 9, 27, 81, 243 s of a relaxation, then a pulse."""
+    assert found((0.1, 20), *((3.0**k, 1) for k in range(6)), (0.1, 20)) == []
+
+
+def test_a_cut_short_last_row_of_slow_logging():
+    assert found((1.0, 50), (60.0, 1), (23.0, 1)) == []
+
+
+def test_hiccup_between_repetitions_is_no_gap():
+    assert found((0.1, 500), (0.04, 1), (2.3, 1), (0.1, 500)) == []
+
+
+def test_two_gaps_near_each_other_do_not_hide_one_another():
+    assert found((1.0, 50), (500.0, 1), (1.0, 2), (800.0, 1), (1.0, 50)) == [51, 54]
+
+
+def test_a_row_doubled_at_every_edge_is_no_row_of_gaps():
+    assert found(*([(60.0, 1), (0.01, 1)] * 30)) == []
+
+
+def test_repeated_stamps_do_not_hide_a_gap():
+    """A clock of whole seconds under 10 Hz rows."""
+    time = np.floor(np.arange(0.0, 100.0, 0.1))
+    time[500:] += 3600.0
+    assert np.flatnonzero(find_gaps(time)).tolist() == [500]
+    assert not find_gaps(np.floor(np.arange(0.0, 100.0, 0.1))).any()
+    assert not find_gaps(np.floor(np.arange(0.0, 36000.0, 1.0) / 60.0) * 60.0).any()
+
+
+def test_gap_at_either_end():
+    assert found((1000.0, 1), (1.0, 50)) == [1]
+    assert found((1.0, 50), (1000.0, 1)) == [51]
+
+
+def test_two_rows_and_equal_stamps():
+    assert not find_gaps(np.array([0.0, 1e6])).any()
+    assert not find_gaps(np.zeros(5)).any()
+
+
+def test_a_hundred_thousand_pauses_are_found_quickly():
+    time = stamps(*([(1.0, 9), (100.0, 1)] * 100_000))
+    assert np.count_nonzero(find_gaps(time)) == 100_000
+
+
+def test_measured_gaps_are_those_the_readme_names(real_data):
+    """Restored interruptions, and the end of the C/20 file; no other log of any lab has one."""
+    named = {
+        "drive_p10_cycle_2": (639.0, 668304.0),
+        "drive_p10_la92": (3748.0, 227433.0),
+        "drive_p00_cycle_2": (7433.0, 129436.0),
+        "ocv_c20_p25": (146855.0, 48969.0),
+    }
+    for name, (start, duration) in named.items():
+        log = read_log(real_data / "panasonic_18650pf" / f"{name}.csv.gz")
+        assert [(round(g.start_s), round(g.duration_s)) for g in log.gaps] == [(start, duration)]
+        assert log.gaps[0].charge_Ah == pytest.approx(0.0, abs=1e-4)  # the counter stood still
+
+
+@pytest.mark.parametrize(
+    "pattern",
+    ["*/hppc_*", "panasonic_18650pf/drive_n10_*", "plett_a123/*_p25_*", "nissan_leaf/c*", "l*/*1*"],
+)
+def test_measured_logs_without_a_gap(real_data, pattern):
+    files = sorted(real_data.glob(f"{pattern}.csv.gz"))
+    assert files
+    for path in files:
+        assert not read_log(path).gaps, path.name

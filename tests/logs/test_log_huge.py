@@ -1,0 +1,70 @@
+"""Ten million rows, within two gigabytes and fifteen seconds of processor time."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow import csv
+
+ROWS = 10_000_000
+SCRIPT = """
+import json, resource, sys, time
+from cellwise.logs import read_log
+start, cpu = time.perf_counter(), time.process_time()
+log = read_log(sys.argv[1])
+print(json.dumps({
+    "rows": len(log), "wall_s": time.perf_counter() - start, "cpu_s": time.process_time() - cpu,
+    "peak_MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+    "last": [log.time_s[-1], log.current_A[-1], log.voltage_V[-1], int(log.step[-1])],
+    "notices": log.notices,
+}))
+"""
+
+
+@pytest.mark.slow
+def test_ten_million_rows(tmp_path):
+    rng = np.random.default_rng(0)
+    time = np.round(np.arange(ROWS) * 0.1, 3)
+    current = np.round(5 * np.sin(time / 500) + rng.normal(0, 0.1, ROWS), 4)
+    charge = np.round(np.cumsum(current) * 0.1 / 3600, 6)
+    voltage = np.round(3.7 - 0.03 * current + rng.normal(0, 1e-3, ROWS), 5)
+    table = pa.table(
+        {
+            "time_s": time,
+            "current_A": current,
+            "voltage_V": voltage,
+            "temperature_C": np.round(25 + rng.normal(0, 0.1, ROWS), 2),
+            "ampere_hours": charge,
+            "step": (np.arange(ROWS) // 100_000).astype(np.int32),
+        }
+    )
+    path = tmp_path / "huge.csv"
+    csv.write_csv(table, path)
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT, str(path)], capture_output=True, text=True, check=True
+    )
+    path.unlink()
+    found = json.loads(done.stdout)
+    assert found["rows"] == ROWS
+    assert found["last"] == [time[-1], current[-1], voltage[-1], 99]
+    assert found["peak_MB"] < 2000
+    # Processor time: what the machine does besides is not the reader's.
+    assert found["cpu_s"] < 15, found
+
+
+def test_the_package_is_light_to_import():
+    """Reading logs needs neither a compiler nor pandas."""
+    script = (
+        "import sys, cellwise.logs\n"
+        "print([m for m in ('numba', 'scipy', 'pandas', 'matplotlib', 'pyarrow') "
+        "if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,242 @@
+"""What `inspect_log` says: the contract's keys, the data sets' own tables, every oddity."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from log_files import pulse_channels
+
+from cellwise.logs import CellLog, inspect_log, read_log
+
+CONTRACT = ["format", "samples", "duration_s", "sign", "gaps", "duplicates", "current_A"]
+CONTRACT += ["voltage_V", "temperature_C", "charge_Ah", "notices"]
+
+
+def pulses(**change) -> CellLog:
+    columns = pulse_channels(6000)
+    columns.update({k: np.asarray(v) for k, v in change.items()})
+    return CellLog.from_table(columns)
+
+
+def told(log: CellLog, *words: str) -> bool:
+    """One notice holds all the words."""
+    return any(all(word in n for word in words) for n in inspect_log(log).notices)
+
+
+def test_the_contracts_keys_as_json():
+    columns = pulse_channels(6000)
+    columns["time_s"] = columns["time_s"] + np.where(columns["time_s"] > 3000, 5000.0, 0.0)
+    found = inspect_log(CellLog.from_table(columns)).to_dict()
+    again = json.loads(json.dumps(found, allow_nan=False))
+    for key in CONTRACT:
+        assert key in again
+    assert again["samples"] == 6000
+    assert again["duration_s"] == 10999.0
+    assert again["sign"] == "verified"
+    assert again["duplicates"] == 0
+    for key in ("current_A", "voltage_V", "temperature_C"):
+        assert set(again[key]) == {"min", "max"}
+    assert again["current_A"] == {"min": -1.5, "max": 3.0}
+    assert again["gaps"] == [{"start_s": 3000.0, "duration_s": 5001.0, "charge_Ah": 0.0}]
+    assert again["charge_Ah"] == pytest.approx(20 * 150 / 3600)
+    assert all(isinstance(notice, str) for notice in again["notices"])
+
+
+def test_without_temperature_and_counter():
+    columns = pulse_channels(6000)
+    log = CellLog(columns["time_s"], columns["current_A"], columns["voltage_V"])
+    found = inspect_log(log).to_dict()
+    assert found["temperature_C"] is None
+    assert found["counter_mismatch_percent"] is None
+    assert found["charge_Ah"] == pytest.approx(20 * 150 / 3600)
+    assert found["format"] == "memory"
+    json.dumps(found, allow_nan=False)
+
+
+def test_a_clean_log_has_nothing_to_tell():
+    assert inspect_log(pulses()).notices == ()
+
+
+def test_gap_repeated_stamps_missing_values():
+    columns = pulse_channels(6000)
+    time = columns["time_s"] + np.where(columns["time_s"] > 3000, 86400.0 * 3, 0.0)
+    time[100] = time[99]
+    current = columns["current_A"].copy()
+    current[10:15] = np.nan
+    log = pulses(time_s=time, current_A=current)
+    assert told(log, "gap of 3.0 d", "3000.0 s", "counter moved by 0.0000 Ah")
+    assert told(log, "1 row(s) repeat the time")
+    assert told(log, "5 of 6000 rows without current_A")
+    found = inspect_log(log)
+    assert found.duplicates == 1
+    assert found.missing["current_A"] == 5
+
+
+def test_wrong_sign_is_told_once():
+    columns = pulse_channels(6000)
+    columns["current_A"] = -columns["current_A"]
+    columns["ampere_hours"] = -columns["ampere_hours"]
+    for log in (
+        CellLog.from_table(columns),
+        CellLog(columns["time_s"], columns["current_A"], columns["voltage_V"]),
+    ):
+        found = inspect_log(log)
+        assert found.sign == "contradicted"
+        assert sum("--sign charge-positive" in notice for notice in found.notices) == 1
+
+
+def test_undetermined_sign_says_why():
+    log = CellLog(np.arange(100.0), np.zeros(100), np.full(100, 3.7))
+    assert inspect_log(log).sign == "undetermined"
+    assert told(log, "could not be told", "at rest")
+
+
+def test_no_rest_and_a_first_row_under_load():
+    time = np.arange(0.0, 3000.0, 1.0)
+    current = 2.0 + np.sin(time / 7)
+    voltage = 4.1 - 0.05 * current - time / 5000
+    log = CellLog(time, current, voltage)
+    assert told(log, "no rest of a minute")
+    assert told(log, "first row is under load")
+    assert not told(pulses(), "no rest")
+
+
+def test_rests_have_start_length_and_last_voltage():
+    log = pulses()
+    rests = inspect_log(log).rests
+    first = rests[0]
+    assert first.start_s == 0.0
+    assert first.duration_s == 99.0
+    assert first.voltage_V == log.voltage_V[99]
+    # Each later period rests 100 s before its pulse after 80 s at the end of the one before.
+    assert [r.duration_s for r in rests[1:3]] == [180.0, 180.0]
+
+
+def test_counter_that_disagrees():
+    columns = pulse_channels(6000)
+    assert told(pulses(ampere_hours=1.01 * columns["ampere_hours"]), "differs from the summed")
+    mismatch = inspect_log(pulses(ampere_hours=1.01 * columns["ampere_hours"]))
+    assert mismatch.counter_mismatch_percent == pytest.approx(100 * 0.01 * 150 / 210)
+
+
+def test_stuck_voltage_but_not_a_voltage_held_by_the_tester():
+    log = pulses()
+    voltage = log.voltage_V.copy()
+    voltage[:4500] = voltage[0]
+    assert told(replace(log, voltage_V=voltage), "voltage_V stands still", "75.0 min")
+    time = np.arange(0.0, 6000.0, 1.0)
+    current = np.where(time < 2000, -1.5, -1.5 * np.exp(-(time - 2000) / 800))
+    held = np.minimum(3.7 + 0.25e-3 * time, 4.2)
+    assert inspect_log(CellLog(time, current, held)).stuck == {}
+
+
+def test_stuck_current_but_not_a_constant_current():
+    log = pulses()
+    current = log.current_A.copy()
+    current[1500:5500] = 0.0
+    assert told(replace(log, current_A=current), "current_A stands still")
+    time = np.arange(0.0, 3000.0, 1.0)
+    falling = CellLog(time, np.full(3000, 3.0), 4.0 - 1e-4 * time - 0.5 * (time / 3000) ** 9)
+    assert inspect_log(falling).stuck == {}
+
+
+@pytest.mark.parametrize("step", [0.01, 0.0025, 0.02])
+def test_resolution_of_quantised_channels(step):
+    rng = np.random.default_rng(11)
+    log = pulses()
+    noisy = log.current_A + rng.normal(0, 5 * step, len(log))
+    found = inspect_log(replace(log, current_A=step * np.round(noisy / step)))
+    assert found.resolution["current_A"] == pytest.approx(step, rel=1e-3)
+    assert inspect_log(replace(log, current_A=noisy)).resolution["current_A"] is None
+
+
+def test_saturated_current():
+    rng = np.random.default_rng(12)
+    time = np.arange(0.0, 3000.0, 0.5)
+    current = np.convolve(rng.normal(0, 20.0, time.size), np.ones(20) / 20, "same") + 5.0
+    log = CellLog(time, np.minimum(current, 9.0), 3.8 - 0.02 * current)
+    found = inspect_log(log).saturated["current_A_max"]
+    assert found.value == 9.0
+    assert found.share == pytest.approx(np.mean(current >= 9.0))
+    assert inspect_log(CellLog(time, current, 3.8 - 0.02 * current)).saturated == {}
+
+
+def test_sampling_tells_jitter_from_slow_logging():
+    rng = np.random.default_rng(13)
+    n = 3000
+    for dt, jittery in (
+        (rng.uniform(0.3, 1.7, n), True),
+        (np.where(np.arange(n) % 1000 < 500, 1.0, 60.0), False),
+    ):
+        time = np.cumsum(dt)
+        current = np.where(np.arange(n) % 100 < 50, 2.0, 0.0)
+        found = inspect_log(CellLog(time, current, 3.7 - 0.02 * current))
+        assert (found.sampling.jitter_share > 0.2) == jittery
+        assert any("intervals differ" in notice for notice in found.notices) == jittery
+        assert found.sampling.late == 0
+
+
+def test_late_rows_are_told():
+    columns = pulse_channels(6000)
+    time = 0.1 * columns["time_s"] + np.where(columns["time_s"] > 3000, 2.0, 0.0)
+    log = CellLog(time, columns["current_A"], columns["voltage_V"])
+    assert inspect_log(log).sampling.late == 1
+    assert not log.gaps
+    assert told(log, "1 row(s) come after more than ten times")
+
+
+ROW = re.compile(r"^\| ([a-z]\w+) \| (\d+) \| ([\d.]+) \| ([\d.]+) / ([\d.]+) \| (.*) \|$")
+FOLDERS = ["panasonic_18650pf", "plett_a123", "nissan_leaf", "lg_18650hg2", "lipo_5450"]
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_the_data_sets_own_tables(real_data, folder):
+    """Rows, duration, intervals, ranges and charge, as each data set's README lists them."""
+    lines = (real_data / folder / "README.md").read_text().splitlines()
+    rows = [match.groups() for line in lines if (match := ROW.match(line))]
+    assert len(rows) > 5
+    for name, count, hours, median, longest, rest in rows[::4]:
+        current, voltage, first, temperature, counter, *_ = rest.split(" | ")
+        log = read_log(real_data / folder / f"{name}.csv.gz")
+        found = inspect_log(log)
+        assert found.samples == int(count), name
+        assert found.duration_s / 3600 == pytest.approx(float(hours), abs=0.006), name
+        assert found.sampling.median_s == pytest.approx(float(median), abs=0.006), name
+        assert found.sampling.max_s == pytest.approx(float(longest), abs=0.012), name
+        assert log.voltage_V[0] == pytest.approx(float(first), abs=2e-3), name
+        assert found.charge_Ah == pytest.approx(float(counter), abs=2e-4), name
+        for text, span, digits in (
+            (current, found.current_A, 6e-3),
+            (voltage, found.voltage_V, 6e-4),
+            (temperature, found.temperature_C, 6e-2),
+        ):
+            if text == "-":
+                assert span is None, name
+            else:
+                low, high = (float(x) for x in text.split(".."))
+                assert span == pytest.approx((low, high), abs=digits), name
+        assert found.sign == "verified", name
+        json.dumps(found.to_dict(), allow_nan=False)
+
+
+@pytest.mark.parametrize(
+    ("name", "percent"),
+    [("hppc_p25", 0.108), ("hppc_p10", 0.056), ("hppc_p00", 0.01), ("hppc_n20", 0.032)],
+)
+def test_counter_mismatch_of_measured_hppc(real_data, name, percent):
+    """The README's right-hold mismatch; the trapezoid would be off by 0.4 Ah."""
+    found = inspect_log(read_log(real_data / "panasonic_18650pf" / f"{name}.csv.gz"))
+    assert found.counter_mismatch_percent == pytest.approx(percent, abs=0.01)
+
+
+def test_known_facts_of_measured_logs(real_data):
+    drive = inspect_log(read_log(real_data / "panasonic_18650pf" / "drive_p25_cycle_2.csv.gz"))
+    assert any("first row is under load" in notice for notice in drive.notices)
+    assert drive.resolution["voltage_V"] == pytest.approx(1e-4)
+    leaf = inspect_log(read_log(real_data / "nissan_leaf" / "hppc_p25.csv.gz"))
+    assert leaf.resolution == pytest.approx({"current_A": 0.01, "voltage_V": 1e-3})
+    assert sum(rest.duration_s > 3000 for rest in leaf.rests) >= 9  # an hour at each 10 %

@@ -1,0 +1,158 @@
+"""Logs are written whole or not at all, and read back bit for bit."""
+
+from __future__ import annotations
+
+import gzip
+import os
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from cellwise.errors import InputError
+from cellwise.files import write_atomically
+from cellwise.logs import CellLog, read_log, write_log
+
+FIELDS = ("time_s", "current_A", "voltage_V", "temperature_C", "charge_Ah", "step")
+
+
+def rough_log(n: int = 3000, **more) -> CellLog:
+    """Numbers of all sizes with all their digits, holes, repeated stamps."""
+    rng = np.random.default_rng(9)
+    current = rng.normal(0, 1, n) * 10.0 ** rng.integers(-9, 3, n)
+    current[::50] = np.nan
+    time = np.cumsum(rng.exponential(1.0, n))
+    time[n // 2] = time[n // 2 - 1]
+    return CellLog(
+        time,
+        current,
+        3.7 + rng.normal(0, 0.1, n),
+        temperature_C=np.where(rng.random(n) < 0.2, np.nan, 25 + rng.normal(0, 1, n)),
+        charge_Ah=np.cumsum(np.nan_to_num(current)) / 3600.0,
+        step=rng.integers(0, 9, n),
+        **more,
+    )
+
+
+@pytest.mark.parametrize("suffix", ["csv", "csv.gz", "parquet", "CSV"])
+def test_round_trip_to_the_last_bit(tmp_path, suffix):
+    log = rough_log()
+    path = write_log(log, tmp_path / f"out.{suffix}")
+    again = read_log(path)
+    for field in FIELDS:
+        np.testing.assert_array_equal(getattr(again, field), getattr(log, field), err_msg=field)
+    assert os.listdir(tmp_path) == [path.name]
+
+
+def test_only_the_channels_there_are(tmp_path):
+    log = CellLog(np.arange(3.0), np.ones(3), np.full(3, 3.7))
+    path = write_log(log, tmp_path / "out.csv")
+    assert path.read_text() == "time_s,current_A,voltage_V\n0,1,3.7\n1,1,3.7\n2,1,3.7\n"
+
+
+def test_content_is_what_the_suffix_says(tmp_path):
+    log = rough_log(50)
+    assert gzip.decompress(write_log(log, tmp_path / "a.csv.gz").read_bytes()).startswith(b"time_s")
+    assert pq.read_table(write_log(log, tmp_path / "a.parquet")).column_names[4] == "ampere_hours"
+
+
+def test_the_same_log_makes_the_same_bytes(tmp_path):
+    log = rough_log(500)
+    for suffix in ("csv", "csv.gz", "parquet"):
+        first = write_log(log, tmp_path / f"a.{suffix}").read_bytes()
+        assert write_log(log, tmp_path / f"b.{suffix}").read_bytes() == first
+
+
+def test_the_tidy_form_has_one_meaning_of_the_current(tmp_path):
+    log = rough_log(current_meaning="interval_start")
+    again = read_log(write_log(log, tmp_path / "out.parquet"))
+    np.testing.assert_array_equal(again.interval_current_A, log.interval_current_A)
+
+
+def test_unknown_suffix(tmp_path):
+    with pytest.raises(InputError, match=r"out\.txt"):
+        write_log(rough_log(10), tmp_path / "out.txt")
+
+
+def test_a_failing_writer_leaves_what_was_there(tmp_path):
+    target = tmp_path / "out.csv"
+    target.write_text("before")
+
+    def fails(path: Path) -> None:
+        path.write_text("half a fi")
+        raise RuntimeError("power cut")
+
+    with pytest.raises(RuntimeError, match="power cut"):
+        write_atomically(target, fails)
+    assert target.read_text() == "before"
+    assert os.listdir(tmp_path) == ["out.csv"]
+
+
+def test_nothing_is_seen_under_the_name_until_all_is_written(tmp_path):
+    target = tmp_path / "out.txt"
+    seen = []
+
+    def writer(path: Path) -> None:
+        path.write_text("half")
+        seen.append((target.exists(), path.parent == target.parent, path.suffix))
+        path.write_text("whole")
+
+    write_atomically(target, writer)
+    assert seen == [(False, True, ".txt")]
+    assert target.read_text() == "whole"
+
+
+@pytest.mark.parametrize(
+    ("content", "bytes_"), [("gr\u00fcn\n", "grün\n".encode()), (b"\x00\xff", b"\x00\xff")]
+)
+def test_text_and_bytes(tmp_path, content, bytes_):
+    assert write_atomically(tmp_path / "x", content).read_bytes() == bytes_
+
+
+def test_places_that_cannot_be_written_to(tmp_path):
+    with pytest.raises(InputError, match="no folder"):
+        write_atomically(tmp_path / "nowhere" / "x.csv", "")
+    with pytest.raises(InputError, match="a folder at"):
+        write_atomically(tmp_path, "")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_is_refused_not_a_traceback(tmp_path):
+    def fills(path: Path) -> None:
+        with open("/dev/full", "wb") as file:
+            file.write(bytes(100_000))
+
+    with pytest.raises(InputError, match="cannot be written"):
+        write_atomically(tmp_path / "x", fills)
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_link_keeps_pointing_where_it_points(tmp_path):
+    real = tmp_path / "real.csv"
+    real.write_text("old")
+    link = tmp_path / "link.csv"
+    link.symlink_to(real)
+    write_atomically(link, "new")
+    assert link.is_symlink()
+    assert real.read_text() == "new"
+
+
+def test_new_files_have_the_usual_permissions(tmp_path):
+    plain = tmp_path / "plain"
+    plain.write_text("")
+    written = write_atomically(tmp_path / "written", "")
+    assert written.stat().st_mode == plain.stat().st_mode
+
+
+def test_a_device_is_written_to_directly():
+    assert write_atomically("/dev/null", "text") == Path("/dev/null")
+    assert not Path("/dev/null").is_file()
+
+
+def test_measured_log_round_trip(real_data, tmp_path):
+    log = read_log(real_data / "nissan_leaf" / "hppc_p25.csv.gz")
+    for suffix in ("csv", "parquet"):
+        again = read_log(write_log(log, tmp_path / f"out.{suffix}"))
+        for field in FIELDS:
+            np.testing.assert_array_equal(getattr(again, field), getattr(log, field))
