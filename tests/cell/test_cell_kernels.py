@@ -14,6 +14,7 @@ from scipy.linalg import expm
 from cellwise.cell import kernels
 from cellwise.cell.effects import Hysteresis, SlowDiffusion
 from cellwise.cell.kernels import CellState
+from cellwise.cell.model import ModelError
 
 currents = st.floats(-20.0, 20.0)
 seconds = st.floats(1e-3, 500.0)
@@ -119,13 +120,20 @@ def test_third_branch_is_one_more_rc():
 
 
 def test_terminal_voltage_is_the_sum_of_its_terms():
-    point = kernels.CellPoint(3.7, 0.5, 0.03, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.02)
+    point = kernels.look_up(*linear_cell().parameters(), 0.5, 25.0)
+    point = point._replace(ocv_V=3.7, r0_ohm=0.03, m_V=0.02)
     state = CellState(0.5, 0.011, 0.022, 0.033, -0.5)
     exact = 3.7 - 0.03 * 2.0 - 0.011 - 0.022 - 0.033 - 0.01
     assert kernels.terminal_voltage(point, state, 2.0) == pytest.approx(exact, abs=1e-15)
 
 
 class TestLookUp:
+    def test_the_model_error_is_looked_up_as_well(self):
+        model = curved_cell(error=ModelError(slow_V=(0.03, 0.01, 0.02)))
+        for soc, error in ((0.0, 0.03), (0.25, 0.02), (0.5, 0.01), (1.0, 0.02), (1.5, 0.02)):
+            assert kernels.look_up(*model.parameters(), soc, 25.0).error_V == pytest.approx(error)
+            assert float(model.error.at(soc)) == pytest.approx(error)
+
     names = ("r0_ohm", "r1_ohm", "tau1_s", "r2_ohm", "tau2_s")
 
     @pytest.mark.parametrize("soc", [0.0, 0.013, 0.5, 0.77, 0.999, 1.0, -0.3, 1.2])

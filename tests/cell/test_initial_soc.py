@@ -72,11 +72,11 @@ def test_a_plateau_makes_it_honestly_unsure():
 @pytest.mark.parametrize("model", [curved_cell(), lfp_cell()], ids=["curved", "flat"])
 def test_two_standard_deviations_hold_the_truth(model):
     rng = np.random.default_rng(1)
-    sigma = model.error.slow_V
     inside = []
     for soc0 in rng.uniform(0.02, 0.98, 400):
         true_V = float(np.interp(soc0, model.soc, model.ocv_V[0]))
-        soc, std = soc_of_ocv(model, true_V + sigma * rng.standard_normal(), sigma, 25.0)
+        seen_V = true_V + float(model.error.at(soc0)) * rng.standard_normal()
+        soc, std = soc_of_ocv(model, seen_V, 0.0, 25.0)
         inside.append(abs(soc - soc0) <= 2 * max(std, 0.005))
     assert np.mean(inside) > 0.85
 
@@ -98,7 +98,7 @@ def test_hysteresis_makes_it_less_sure():
 
 def test_a_larger_model_error_makes_it_less_sure():
     model = curved_cell()
-    poor = replace(model, error=ModelError(slow_V=0.05))
+    poor = replace(model, error=ModelError(slow_V=(0.05,)))
     log = log_of(model, 0.5, rest_then_load(3600))
     assert initial_soc(poor, log).std > 2 * initial_soc(model, log).std
 

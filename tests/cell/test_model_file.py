@@ -48,15 +48,16 @@ def same(a, b):
     r1=positive,
     ocv=arrays(np.float64, 11, elements=st.floats(-1e3, 1e3)),
     white=st.floats(0.0, 1.0),
+    slow=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=30),
     name=st.text(max_size=20),
 )
-def test_round_trip_is_exact_to_the_bit(capacity, r0, r1, ocv, white, name):
+def test_round_trip_is_exact_to_the_bit(capacity, r0, r1, ocv, white, slow, name):
     model = linear_cell(
         capacity_Ah=capacity,
         r0_ohm=r0,
         r1_ohm=r1,
         ocv_V=np.sort(ocv),
-        error=ModelError(white_V=white),
+        error=ModelError(white_V=white, slow_V=tuple(slow)),
         name=name,
     )
     assert same(model_from_dict(json.loads(json.dumps(model_to_dict(model)))), model)
@@ -112,6 +113,9 @@ def broken(change):
         (lambda d: d.update(soc=[0.0, 0.2, 1.0]), "not uniform"),
         (lambda d: d.update(soc=np.linspace(0, 1, 12).tolist()), "12 points"),
         (lambda d: d.update(error={"white_V": 0.1, "other": 1.0}), "wrong entry"),
+        (lambda d: d["error"].update(slow_V=0.01), "wrong entry"),
+        (lambda d: d["error"].update(slow_V=[0.01, -0.01]), "model error"),
+        (lambda d: d["error"].update(slow_V=[]), "model error"),
         (lambda d: d.update(voltage_min_V="low"), "wrong entry"),
         (lambda d: d.update(effects=None), "wrong entry"),
         (lambda d: d.update(effects=["hysteresis"]), "wrong entry"),
