@@ -29,6 +29,8 @@ PulseRole = Literal["pulse", "move"]
 # Durations within this share of each other were planned alike.
 SAME_DURATION = 0.05
 SAME_RATE = 0.03
+PLANNED_LOADS = 3
+PLANNED_ROWS = 5
 SHORT_OF_EXPECTED = 0.93
 # Without a limit near, less than this is no pulse that was planned.
 SPURIOUS_OF_EXPECTED = 0.5
@@ -127,16 +129,14 @@ def judge_loads(
     v = log.voltage_V
     durations = np.array([_seconds(log, x.start, x.stop) for x in loads])
     held = np.array([x.cc_stop < x.stop for x in loads], dtype=np.bool_)
-    current = np.array([x.current_A for x in loads])
-    usual = _expected(loads, durations)
+    expected = _expected(v, loads, durations)
+    given = {True: lower_V, False: upper_V}
     limits = {
-        True: lower_V if lower_V is not None else _limit(v, loads, durations, usual, held, True),
-        False: upper_V if upper_V is not None else _limit(v, loads, durations, usual, held, False),
+        discharge: _limit(v, loads, durations, expected, held, discharge)
+        if known is None
+        else known
+        for discharge, known in given.items()
     }
-    ended = [
-        _at_limit(float(v[x.stop - 1]), limits[x.current_A > 0.0], x.current_A > 0.0) for x in loads
-    ]
-    expected = _expected_at_rate(current, durations, usual, held | np.array(ended, dtype=np.bool_))
     gaps = log.gap_rows
     found: list[Verdict | None] = []
     for x, t, e in zip(loads, durations.tolist(), expected.tolist(), strict=True):
@@ -168,23 +168,24 @@ def _seconds(log: CellLog, start: int, stop: int) -> float:
     return float(log.time_s[stop - 1] - log.time_s[max(start - 1, 0)])
 
 
-def _expected(loads: Sequence[Load], durations: FloatArray) -> FloatArray:
-    """Planned duration of each load [s]: the commonest one of its role and direction."""
-    kind = [(x.role, x.current_A > 0.0) for x in loads]
-    common = {k: _commonest(durations[np.array([other == k for other in kind])]) for k in set(kind)}
-    return np.array([common[k] for k in kind])
+def _expected(v: FloatArray, loads: Sequence[Load], durations: FloatArray) -> FloatArray:
+    """Planned duration of each load [s]: the commonest one of its role and direction.
 
-
-def _expected_at_rate(
-    current: FloatArray, durations: FloatArray, usual: FloatArray, limited: BoolArray
-) -> FloatArray:
-    """Planned duration where a rate has its own: that of its loads which no limit ended [s]."""
-    out = usual.copy()
-    for k in range(current.size):
-        same = ~limited & (np.abs(current - current[k]) <= SAME_RATE * abs(current[k]))
-        same &= usual == usual[k]
-        if np.count_nonzero(same) >= 2:
-            out[k] = _commonest(durations[same])
+    A rate has a plan of its own where its loads last equally long and yet end at different
+    voltages: a limit would have made the voltages equal and the durations different.
+    """
+    kind = np.array([f"{x.role} {x.current_A > 0.0}" for x in loads])
+    current = np.array([x.current_A for x in loads])
+    ends = np.array([float(v[x.stop - 1]) for x in loads])
+    enough = np.array([x.stop - x.start >= PLANNED_ROWS for x in loads], dtype=np.bool_)
+    out = np.array([_commonest(durations[kind == k]) for k in kind])
+    for k in range(len(loads)):
+        alike = (kind == kind[k]) & (np.abs(current - current[k]) <= SAME_RATE * abs(current[k]))
+        alike &= np.abs(durations - durations[k]) <= SAME_DURATION * durations[k]
+        spread = float(np.ptp(ends[alike]))
+        planned = np.count_nonzero(alike) >= PLANNED_LOADS and bool(enough[k])
+        if loads[k].role == "pulse" and planned and spread > LIMIT_OF_VOLTAGE * abs(ends[k]):
+            out[k] = durations[k]
     return out
 
 
