@@ -44,7 +44,7 @@ def capacity_test(cell, rate, *, hz=1.0, noise_V=0.0, noise_A=0.0, cutoff=0.02):
     return finish(tester, plan), knees
 
 
-@pytest.mark.parametrize("hz", [10.0, 1.0, 1 / 60])
+@pytest.mark.parametrize("hz", [2.0, 0.2, 1 / 60])
 @pytest.mark.parametrize("cell", [nmc_cell(), lfp_cell()], ids=["nmc", "lfp"])
 def test_a_capacity_test_is_told_into_its_parts(cell, hz):
     made, _ = capacity_test(cell, 1.0, hz=hz)
@@ -54,7 +54,7 @@ def test_a_capacity_test_is_told_into_its_parts(cell, hz):
     for phase in phases:
         true = charge[phase.stop - 1] - charge[max(phase.start - 1, 0)]
         assert phase.charge_Ah == pytest.approx(true, abs=1e-9)
-    assert phases[2].voltage_start_V == pytest.approx(cell.lower_V, abs=0.02 if hz > 0.1 else 0.2)
+    assert phases[2].voltage_start_V == pytest.approx(cell.lower_V, abs=0.03 if hz > 0.1 else 0.2)
     assert phases[5].voltage_end_V == pytest.approx(cell.upper_V, abs=1e-3)
 
 

@@ -220,3 +220,24 @@ def test_leaf_pulses_are_those_of_the_readme(real_data, tag):
 @pytest.mark.parametrize("tag", ["p25_us06", "p25_nn", "n10_udds", "p10_la92", "p00_cycle_1"])
 def test_measured_drives_have_no_pulses(real_data, tag):
     assert find_pulses(real(real_data, f"panasonic_18650pf/drive_{tag}.csv.gz")) == ()
+
+
+@pytest.mark.parametrize(
+    "name", ["lfp/hppc", "nmc/hppc", "nmc/hppc_p00", "nmc/hppc_c20", "nmc/hppc_c5", "nmc/hppc_c3"]
+)
+def test_embedded_hppc_logs_give_every_load_of_theirs(datasets, name):
+    """A virtual tester clamps zero: whatever is not zero is a load, up to its change of sign."""
+    path = datasets / f"{name}.parquet"
+    if not path.is_file():
+        pytest.skip(f"{path.name} is not generated: cellwise data generate")
+    import pyarrow.parquet as pq
+
+    table = pq.read_table(path).to_pydict()
+    log = CellLog(*(np.array(table[k]) for k in ("time_s", "current_A", "voltage_V")))
+    sign = np.sign(log.current_A)
+    starts = np.flatnonzero((sign[1:] != 0.0) & (sign[1:] != sign[:-1])) + 1
+    pulses = find_pulses(log)
+    assert [p.start for p in pulses] == starts.tolist()
+    assert not [p for p in pulses if p.quality == "spurious"]
+    moves = {round(p.current_A, 1) for p in pulses if p.role == "move" and p.quality == "healthy"}
+    assert len(moves) == 1

@@ -318,7 +318,11 @@ def without_ramps(p: Plateaus, time_s: FloatArray, ramp_s: float = RAMP_S) -> Pl
     for a, b in zip(first[took <= ramp_s], last[took <= ramp_s], strict=True):
         climb = np.diff(p.level_A[a - 1 : b + 2])
         kept[a : b + 1] = not (np.all(climb > 0.0) or np.all(climb < 0.0))
-    return Plateaus(*(x[kept] for x in p))
+    return _chosen(p, kept)
+
+
+def _chosen(p: Plateaus, kept: BoolArray) -> Plateaus:
+    return Plateaus(p.start[kept], p.stop[kept], p.level_A[kept], p.rest[kept])
 
 
 def _check(current_A: FloatArray, time_s: FloatArray) -> None:
@@ -448,7 +452,7 @@ def _flat_pieces(
         )
         flat[doubtful] = np.ptp(means, axis=1) <= bound
     pieces = [np.column_stack((start[flat], stop[flat]))]
-    for k in np.flatnonzero(~flat & (rows >= FLAT_CHUNKS)).tolist():
+    for k in np.flatnonzero(~flat & (rows >= 2 * FLAT_CHUNKS)).tolist():
         a, b = int(start[k]), int(stop[k])
         head = a + _flat_head(x[a:b], scale)
         tail = b - _flat_head(x[head:b][::-1], scale)
@@ -519,7 +523,7 @@ def _sharpened(x: FloatArray, p: Plateaus, scale: CurrentScale) -> Plateaus:
     """
     reach = scale.smoothing_rows
     # A running median leaves nothing shorter than half its width but pieces of a slope.
-    p = Plateaus(*(column[p.stop - p.start > reach // 2] for column in p))
+    p = _chosen(p, p.stop - p.start > reach // 2)
     start, stop = p.start.copy(), p.stop.copy()
     for k in range(p.start.size - 1):
         if start[k + 1] - stop[k] > reach:
@@ -530,5 +534,4 @@ def _sharpened(x: FloatArray, p: Plateaus, scale: CurrentScale) -> Plateaus:
         # Cost of a split at s, up to a constant: the rows before s at the old level.
         row = a + int(np.argmax(np.concatenate(([0.0], np.cumsum(gain)))))
         stop[k] = start[k + 1] = row
-    kept = stop - start >= 1
-    return Plateaus(start[kept], stop[kept], p.level_A[kept], p.rest[kept])
+    return _chosen(p._replace(start=start, stop=stop), stop - start >= 1)

@@ -466,7 +466,8 @@ def _noise(voltage_V: FloatArray) -> float:
     v = voltage_V[np.isfinite(voltage_V)]
     if v.size < 5:
         return 0.0
-    scatter = float(np.median(np.abs(np.diff(v, 2)))) / (0.6745 * np.sqrt(6.0))
+    scatter = float(np.median(np.abs(np.diff(v, 2))) / (0.6745 * np.sqrt(6.0)))
     steps = np.abs(np.diff(v))
     steps = steps[steps > 1e-9]
-    return max(scatter, 0.3 * float(steps.min()) if steps.size else 0.0)
+    resolution = 0.3 * float(steps.min()) if steps.size else 0.0
+    return max(scatter, resolution)
