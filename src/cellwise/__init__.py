@@ -1,0 +1,88 @@
+"""Battery cells: identify a model from laboratory tests, simulate it, estimate SOC online."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from cellwise.cell.metrics import ErrorMetrics
+    from cellwise.cell.model import CellModel, ModelError
+    from cellwise.cell.model_file import read_model, write_model
+    from cellwise.cell.simulate import Simulation, simulate
+    from cellwise.data import list_datasets, load_dataset
+    from cellwise.errors import InputError
+    from cellwise.estimate.coulomb import Coulomb
+    from cellwise.estimate.ekf import Ekf
+    from cellwise.estimate.noise import Noise
+    from cellwise.estimate.replay import Replay, replay
+    from cellwise.estimate.status import Status
+    from cellwise.identify import Identification, IdentifySettings, TestLogs, identify
+    from cellwise.logs import CellLog, inspect_log, read_log, write_log
+
+# Loaded on first use: importing cellwise must not wait for compilers.
+_HOMES = {
+    "CellLog": "cellwise.logs",
+    "inspect_log": "cellwise.logs",
+    "read_log": "cellwise.logs",
+    "write_log": "cellwise.logs",
+    "CellModel": "cellwise.cell.model",
+    "ModelError": "cellwise.cell.model",
+    "read_model": "cellwise.cell.model_file",
+    "write_model": "cellwise.cell.model_file",
+    "ErrorMetrics": "cellwise.cell.metrics",
+    "Simulation": "cellwise.cell.simulate",
+    "simulate": "cellwise.cell.simulate",
+    "Identification": "cellwise.identify",
+    "IdentifySettings": "cellwise.identify",
+    "TestLogs": "cellwise.identify",
+    "identify": "cellwise.identify",
+    "Coulomb": "cellwise.estimate.coulomb",
+    "Ekf": "cellwise.estimate.ekf",
+    "Noise": "cellwise.estimate.noise",
+    "Replay": "cellwise.estimate.replay",
+    "replay": "cellwise.estimate.replay",
+    "Status": "cellwise.estimate.status",
+    "list_datasets": "cellwise.data",
+    "load_dataset": "cellwise.data",
+    "InputError": "cellwise.errors",
+}
+
+__all__ = [
+    "CellLog",
+    "CellModel",
+    "Coulomb",
+    "Ekf",
+    "ErrorMetrics",
+    "Identification",
+    "IdentifySettings",
+    "InputError",
+    "ModelError",
+    "Noise",
+    "Replay",
+    "Simulation",
+    "Status",
+    "TestLogs",
+    "identify",
+    "inspect_log",
+    "list_datasets",
+    "load_dataset",
+    "read_log",
+    "read_model",
+    "replay",
+    "simulate",
+    "write_log",
+    "write_model",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOMES:
+        value = getattr(import_module(_HOMES[name]), name)
+        globals()[name] = value
+        return value
+    raise AttributeError(f"module 'cellwise' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,0 +1,5 @@
+"""Commands: thin, no numerics."""
+
+from cellwise.cli.main import main
+
+__all__ = ["main"]

@@ -1,0 +1,192 @@
+"""cellwise simulate, cellwise replay."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cellwise.cli import printing
+from cellwise.errors import InputError
+
+if TYPE_CHECKING:
+    from cellwise.cell.initial_soc import InitialSoc
+    from cellwise.cell.simulate import Simulation
+    from cellwise.estimate.replay import Replay
+
+
+def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the commands that run a model."""
+    simulate = commands.add_parser("simulate", help="model and log to voltage error")
+    _common(simulate)
+    simulate.set_defaults(run=run_simulate)
+    replay = commands.add_parser("replay", help="model and log to SOC")
+    _common(replay)
+    replay.add_argument("--estimator", default="ekf", metavar="E", help="coulomb, ekf, filterpy-ekf")
+    replay.add_argument("--soc0-std", type=float, metavar="S", help="how sure the start SOC is")
+    replay.add_argument("--dt", type=float, metavar="S", help="resample to an even step")
+    replay.add_argument("--reference-soc0", type=float, metavar="X", help="true SOC at the start")
+    replay.add_argument(
+        "--reference-capacity-ah", type=float, metavar="X", help="for the reference by the counter"
+    )
+    replay.add_argument("--report", metavar="F.html", help="page with pictures")
+    replay.set_defaults(run=run_replay)
+
+
+def _common(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--model", required=True, metavar="MODEL")
+    parser.add_argument("log", metavar="LOG")
+    parser.add_argument("--soc0", default="auto", metavar="X", help="0..1, or auto [auto]")
+    parser.add_argument("-o", "--output", metavar="OUT", help="rows as .csv, .csv.gz or .parquet")
+    printing.add_sign(parser)
+    printing.add_json(parser)
+
+
+def run_simulate(arguments: argparse.Namespace) -> None:
+    """Simulate a log and print the error."""
+    import time
+
+    from cellwise.cell.initial_soc import initial_soc
+    from cellwise.cell.model_file import read_model
+    from cellwise.cell.simulate import simulate
+
+    model = read_model(arguments.model)
+    log = printing.read(arguments.log, arguments.sign)
+    start = initial_soc(model, log, parse_soc0(arguments.soc0))
+    simulate(model, log.part(0, 2), start.soc)  # compiles outside the clock
+    began = time.perf_counter()
+    found = simulate(model, log, start.soc)
+    seconds = time.perf_counter() - began
+    if arguments.output:
+        _write(
+            arguments.output,
+            {
+                "time_s": log.time_s,
+                "current_A": log.current_A,
+                "measured_voltage_V": log.voltage_V,
+                "voltage_V": found.voltage_V,
+                "error_V": found.error_V,
+                "soc": found.soc,
+            },
+        )
+    data = {**found.to_dict(), "soc0": start.to_dict(), "seconds": seconds}
+    data["notices"] = list(log.notices)
+    if arguments.json:
+        printing.print_json(data)
+        return
+    print_simulation(found, start)
+
+
+def run_replay(arguments: argparse.Namespace) -> None:
+    """Replay a log through an estimator and print how it did."""
+    from cellwise.cell.model_file import read_model
+    from cellwise.estimate.replay import make_estimator, replay
+    from cellwise.logs.resample import resample
+
+    model = read_model(arguments.model)
+    make_estimator(arguments.estimator, model)
+    log = printing.read(arguments.log, arguments.sign)
+    if arguments.dt is not None:
+        log = resample(log, arguments.dt)
+    with printing.bar() as progress:
+        progress.add_task(f"{arguments.estimator} over {len(log):,} samples", total=None)
+        found = replay(
+            model,
+            log,
+            arguments.estimator,
+            soc0=parse_soc0(arguments.soc0),
+            soc0_std=arguments.soc0_std,
+            reference_soc0=arguments.reference_soc0,
+            reference_capacity_Ah=arguments.reference_capacity_ah,
+        )
+    if arguments.output:
+        trace = found.trace
+        columns = {
+            "time_s": trace.time_s,
+            "soc": trace.soc,
+            "soc_std": trace.soc_std,
+            "voltage_V": trace.voltage_V,
+            "innovation_V": trace.innovation_V,
+            "innovation_variance_V2": trace.innovation_variance_V2,
+            "test_ratio": trace.test_ratio,
+            "status": trace.status,
+        }
+        if found.reference_soc is not None:
+            columns["reference_soc"] = found.reference_soc
+        _write(arguments.output, columns)
+    if arguments.report:
+        from cellwise.report import replay_page
+
+        replay_page([found], arguments.report)
+    if arguments.json:
+        printing.print_json({**found.to_dict(), "notices": list(log.notices)})
+        return
+    print_replay(found)
+    if arguments.report:
+        printing.say(f"page to open: {arguments.report}")
+
+
+def parse_soc0(text: str) -> float | None:
+    """``auto`` as None, else the number.
+
+    Raises
+    ------
+    InputError        neither
+    """
+    if text == "auto":
+        return None
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(f"--soc0 {text}", "auto or a fraction from 0 to 1", "Correct it.") from None
+
+
+def print_simulation(found: Simulation, start: InitialSoc) -> None:
+    """A simulation for people."""
+    rows = []
+    for label, m in (
+        ("all rows", found.metrics),
+        *((f"SOC {b.soc_low:.1f} to {b.soc_high:.1f}", b.metrics) for b in found.bands),
+    ):
+        values = (m.rmse_V, m.mae_V, m.max_error_V, m.mean_error_V, m.std_error_V, *m.ci95_V)
+        rows.append((label, *(printing.millivolt(v) for v in values), f"{m.samples:,}"))
+    printing.table(
+        f"{found.log.name}: measured minus simulated, from SOC {start.soc:.3f} +- "
+        f"{start.std:.3f} ({start.how})",
+        ("where", "RMSE mV", "MAE mV", "max mV", "mean", "sd", "95 % from", "to", "rows"),
+        rows,
+    )
+    printing.say(f"RMSE above 10 % SOC: {printing.millivolt(found.rmse_above_10pct_V)} mV")
+
+
+def print_replay(found: Replay) -> None:
+    """A replay for people."""
+    data = found.to_dict()
+    settled = data["settled"]
+    rows = [
+        ("start SOC", f"{found.start.soc:.4f} +- {found.start.std:.4f} ({found.start.how})"),
+        ("final SOC", f"{data['soc_final']:.4f} +- {data['soc_final_std']:.4f}"),
+        ("voltage RMSE, one step ahead", f"{printing.millivolt(data['voltage_rmse_V'])} mV"),
+        ("mean NIS", "-" if data["nis_mean"] is None else f"{data['nis_mean']:.3f}"),
+        ("time per step", f"{data['ns_per_step']:.0f} ns"),
+    ]
+    if settled is None:
+        rows.append(("SOC error", "no reference: give --reference-capacity-ah and a counter"))
+    else:
+        took = data["convergence_s"]
+        rows += [
+            ("SOC RMSE, all rows", f"{printing.percent(data['soc_rmse'])} %"),
+            ("within 2 % after", "never" if took is None else f"{took:.1f} s"),
+            (
+                "settled RMSE / MAE / max",
+                " / ".join(printing.percent(settled[k]) for k in ("rmse", "mae", "max")) + " %",
+            ),
+            ("rows within 2 sigma", f"{printing.percent(data['coverage_2sigma'], 1)} %"),
+        ]
+    printing.table(f"{found.estimator} on {found.log.name}", ("what", "found"), rows)
+
+
+def _write(path: str, columns: dict[str, Any]) -> None:
+    from cellwise.logs.tables import write_columns
+
+    write_columns(columns, Path(path))

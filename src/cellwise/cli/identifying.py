@@ -1,0 +1,117 @@
+"""cellwise identify."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+from cellwise.cli import printing
+
+if TYPE_CHECKING:
+    from cellwise.identify.identification import Identification
+
+
+def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command that makes models."""
+    p = commands.add_parser("identify", help="laboratory tests to a model")
+    log = {"action": "append", "default": [], "metavar": "LOG[@TEMP]"}
+    p.add_argument("--hppc", help="pulse test, its temperature in degC if not measured", **log)
+    p.add_argument("--drive", help="drive log to refine on", **log)
+    p.add_argument("--ocv", action="append", default=[], metavar="LOG", help="low-rate test")
+    p.add_argument("--capacity", action="append", default=[], metavar="LOG", help="capacity test")
+    p.add_argument("--nominal-ah", type=float, metavar="X", help="rated capacity")
+    p.add_argument(
+        "--capacity-choice",
+        metavar="C",
+        help="nominal, cc-average, cc-cv-average, hppc-total or rate:C/20 "
+        "[the slowest complete discharge]",
+    )
+    p.add_argument("--method", choices=("varpro", "segments", "pso"), default="varpro")
+    p.add_argument("--tables", choices=("spline", "cubic"), default="spline")
+    p.add_argument("--no-refine", action="store_true", help="keep the tables of the single pulses")
+    p.add_argument("--branches", type=int, choices=(2, 3), default=3, help="RC branches [3]")
+    p.add_argument("--hysteresis", choices=("auto", "on", "off"), default="auto")
+    p.add_argument("--temperature-c", type=float, metavar="T", help="of tests that measured none")
+    p.add_argument("--name", default="", help="name of the cell, written into the model")
+    p.add_argument("--chemistry", default="")
+    p.add_argument("-o", "--output", required=True, metavar="MODEL", help="model file (JSON)")
+    p.add_argument("--report", metavar="F.html", help="page with pictures")
+    printing.add_sign(p)
+    printing.add_json(p)
+    p.set_defaults(run=run_identify)
+
+
+def run_identify(arguments: argparse.Namespace) -> None:
+    """Identify a cell, write the model and the page."""
+    from cellwise.cell.model_file import write_model
+    from cellwise.identify import IdentifySettings, TestLogs, identify
+
+    def with_temperature(items: list[str]) -> tuple:  # type: ignore[type-arg]
+        pairs = [printing.split_temperature(item) for item in items]
+        return tuple((printing.read(path, arguments.sign), t) for path, t in pairs)
+
+    tests = TestLogs(
+        hppc=with_temperature(arguments.hppc),
+        drive=with_temperature(arguments.drive),
+        ocv=tuple(printing.read(path, arguments.sign) for path in arguments.ocv),
+        capacity=tuple(printing.read(path, arguments.sign) for path in arguments.capacity),
+    )
+    settings = IdentifySettings(
+        nominal_Ah=arguments.nominal_ah,
+        capacity_choice=arguments.capacity_choice,
+        method=arguments.method,
+        tables=arguments.tables,
+        refine=not arguments.no_refine,
+        branches=arguments.branches,
+        hysteresis={"auto": None, "on": True, "off": False}[arguments.hysteresis],
+        temperature_C=arguments.temperature_c,
+        name=arguments.name,
+        chemistry=arguments.chemistry,
+    )
+    with printing.bar() as progress:
+        task = progress.add_task("identify", total=None)
+        found = identify(tests, settings, lambda text: progress.update(task, description=text))
+        if arguments.report:
+            from cellwise.report import identify_page
+
+            progress.update(task, description="page")
+            identify_page(found, arguments.report)
+    write_model(found.model, arguments.output)
+    if arguments.json:
+        printing.print_json({**found.to_dict(), "model": arguments.output})
+        return
+    print_identification(found)
+    printing.say(f"model written to {arguments.output}")
+    if arguments.report:
+        printing.say(f"page to open: {arguments.report}")
+
+
+def print_identification(found: Identification) -> None:
+    """An identification for people."""
+    from cellwise.identify.capacity_choice import capacity_table, format_capacity_table
+
+    complete = [t for t in found.capacity_tests if t.complete]
+    if complete:
+        printing.say(format_capacity_table(capacity_table(complete)))
+    printing.table(
+        f"capacity: {found.model.capacity_Ah:.4f} Ah, by {found.capacity_choice}",
+        ("choice", "Ah"),
+        [(name, f"{value:.4f}") for name, value in found.capacities.items()],
+    )
+    counts = ", ".join(f"{n} {quality}" for quality, n in found.pulse_counts.items())
+    printing.say(f"pulses: {counts}")
+    rows = [
+        (
+            s.log.name,
+            printing.millivolt(s.metrics.rmse_V),
+            printing.millivolt(s.metrics.mae_V),
+            printing.millivolt(s.metrics.max_error_V),
+            printing.millivolt(s.rmse_above_10pct_V),
+        )
+        for s in found.simulations
+    ]
+    columns = ("log (fitted on it)", "RMSE mV", "MAE mV", "max mV", "RMSE above 10 % SOC")
+    printing.table(f"{found.model!r}", columns, rows)
+    for notice in found.notices:
+        printing.say(f"  ! {notice}")
+    printing.say(f"{found.seconds:.1f} s")

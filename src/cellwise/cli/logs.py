@@ -1,0 +1,79 @@
+"""cellwise inspect, cellwise convert."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from cellwise.cli import printing
+
+
+def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the commands that look at logs."""
+    inspect = commands.add_parser("inspect", help="say what is in a log")
+    inspect.add_argument("log", metavar="LOG")
+    printing.add_sign(inspect)
+    printing.add_json(inspect)
+    inspect.set_defaults(run=run_inspect)
+    convert = commands.add_parser("convert", help="write a log in the tidy form")
+    convert.add_argument("log", metavar="LOG")
+    convert.add_argument("-o", "--output", required=True, metavar="OUT")
+    printing.add_sign(convert)
+    printing.add_json(convert)
+    convert.set_defaults(run=run_convert)
+
+
+def run_inspect(arguments: argparse.Namespace) -> None:
+    """Print what is in a log."""
+    from cellwise.logs import inspect_log
+
+    found = inspect_log(printing.read(arguments.log, arguments.sign)).to_dict()
+    if arguments.json:
+        printing.print_json(found)
+        return
+    print_inspection(found)
+
+
+def run_convert(arguments: argparse.Namespace) -> None:
+    """Write a log in the tidy form."""
+    from cellwise.logs import write_log
+
+    log = printing.read(arguments.log, arguments.sign)
+    path = write_log(log, arguments.output)
+    if arguments.json:
+        printing.print_json({"output": str(path), "samples": len(log), "notices": log.notices})
+        return
+    printing.say(f"{len(log)} rows written to {path}")
+    for notice in log.notices:
+        printing.say(f"  ! {notice}")
+
+
+def print_inspection(found: dict[str, Any]) -> None:
+    """An inspection for people."""
+
+    def span(key: str, unit: str) -> str:
+        value = found[key]
+        return "not measured" if value is None else f"{value['min']:g} to {value['max']:g} {unit}"
+
+    sampling = found["sampling"]
+    rows = [
+        ("format", str(found["format"])),
+        ("samples", f"{found['samples']:,}"),
+        ("duration", f"{found['duration_s'] / 3600:.3f} h"),
+        ("interval", f"{sampling['median_s']:g} s median, {sampling['max_s']:g} s longest"),
+        ("current", span("current_A", "A")),
+        ("voltage", span("voltage_V", "V")),
+        ("temperature", span("temperature_C", "degC")),
+        ("net charge out", f"{found['charge_Ah']:.4f} Ah"),
+        ("sign (positive = discharge)", str(found["sign"])),
+        ("rests", str(len(found["rests"]))),
+        ("gaps", str(len(found["gaps"]))),
+        ("repeated stamps", str(found["duplicates"])),
+    ]
+    if found["counter_mismatch_percent"] is not None:
+        rows.append(("counter against current", f"{found['counter_mismatch_percent']:.3f} %"))
+    printing.table(str(found["name"]), ("what", "found"), rows)
+    for gap in found["gaps"]:
+        printing.say(f"  gap of {gap['duration_s']:.0f} s after {gap['start_s']:.0f} s")
+    for notice in found["notices"]:
+        printing.say(f"  ! {notice}")

@@ -1,0 +1,96 @@
+"""Embedded data sets and the registry of public originals."""
+
+from __future__ import annotations
+
+import sys
+import tomllib
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from cellwise.errors import InputError
+from cellwise.logs import CellLog, read_log
+
+CATALOGUE = "catalogue.toml"
+REGISTRY = "registry.toml"
+
+
+def datasets_folder() -> Path:
+    """Folder of the embedded data: inside an installed package, else in the source tree.
+
+    Raises
+    ------
+    InputError        neither is there
+    """
+    package = Path(__file__).resolve().parent
+    for folder in (package / "_datasets", package.parents[1] / "datasets"):
+        if (folder / CATALOGUE).is_file():
+            return folder
+    raise InputError(
+        "no embedded data beside this installation of cellwise",
+        f"a folder with {CATALOGUE}",
+        "Install cellwise from its wheel or its source tree.",
+    )
+
+
+def list_datasets() -> list[dict[str, Any]]:
+    """Catalogue entries of the embedded data sets, in order."""
+    return list(_read(datasets_folder() / CATALOGUE)["dataset"])
+
+
+def list_originals() -> list[dict[str, Any]]:
+    """Registry entries of public measured cells: DOI, licence, tests, known flaws."""
+    return list(_read(datasets_folder() / REGISTRY)["original"])
+
+
+def load_dataset(name: str) -> CellLog:
+    """One embedded data set as a log.
+
+    Raises
+    ------
+    InputError        no data set of that name; the message lists those there are
+    """
+    entries = {str(e["name"]): e for e in list_datasets()}
+    if name not in entries:
+        raise InputError(
+            f"data set '{name}'", f"one of {', '.join(entries)}", "See `cellwise data list`."
+        )
+    return read_log(datasets_folder() / str(entries[name]["file"]), name=name)
+
+
+def generate_datasets(
+    out_dir: Path,
+    only: list[str] | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> list[Path]:
+    """Generate the embedded data anew with PyBaMM's physics, which shares no code with cellwise.
+
+    Raises
+    ------
+    InputError        PyBaMM is not installed; a name that is not known
+    """
+    try:
+        import_module("pybamm")
+    except ImportError as error:
+        raise InputError(
+            "no PyBaMM in this environment",
+            "the extra that generates data",
+            "Install it with: pip install 'cellwise[generate]'.",
+        ) from error
+    folder = str(datasets_folder())
+    if folder not in sys.path:
+        sys.path.insert(0, folder)
+    generator = import_module("generator.generate")
+    try:
+        written: list[Path] = generator.generate(out_dir, only, progress)
+    except (KeyError, ValueError) as error:
+        raise InputError(
+            f"{error}", "names as in `cellwise data list`", "Correct the name."
+        ) from error
+    return written
+
+
+def _read(path: Path) -> Mapping[str, Any]:
+    with path.open("rb") as file:
+        return tomllib.load(file)
