@@ -195,7 +195,7 @@ def test_gaps_and_missing_voltages_in_a_pulse_are_named():
     made = hppc_log(nmc_cell(), HppcPlan(limit="none"))
     first, second = [p for p in made.pulses if p.role == "pulse"][:2]
     voltage = made.log.voltage_V.copy()
-    voltage[first.start + 5] = np.nan
+    voltage[first.start + 5 : first.start + 25] = np.nan
     row = second.start + 50
     time = made.log.time_s + np.where(np.arange(len(made.log)) >= row, 500.0, 0.0)
     current = made.log.current_A
@@ -204,6 +204,15 @@ def test_gaps_and_missing_voltages_in_a_pulse_are_named():
     reasons = {p.start: p.reason for p in find_pulses(log) if p.quality == "spurious"}
     assert "missing" in reasons[first.start]
     assert "gap" in reasons[second.start]
+
+
+def test_a_missing_voltage_or_two_do_not_spoil_a_pulse():
+    made = hppc_log(nmc_cell(), HppcPlan(limit="none", order="discharge-only"))
+    voltage = made.log.voltage_V.copy()
+    for pulse in made.pulses:
+        voltage[[pulse.start - 1, pulse.start + 7, pulse.stop - 1]] = np.nan
+    verdicts = [p.quality for p in find_pulses(made.log)]
+    assert [p.quality for p in find_pulses(replace(made.log, voltage_V=voltage))] == verdicts
 
 
 def test_the_score_falls_before_the_time_constants_are_lost():

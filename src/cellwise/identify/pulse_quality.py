@@ -37,6 +37,7 @@ SPURIOUS_OF_EXPECTED = 0.5
 LIMIT_OF_VOLTAGE = 0.015
 PASSED_OF_VOLTAGE = 0.003
 MINIMUM_ROWS = 2
+MISSING_OF_ROWS = 0.1
 RESPONSE_SIGMAS = 5.0
 # A misfit of 1 % of the response shifts tau1 of a 60 s pulse by about half (synthetic cells with a
 # bending OCV), so the score is one half there. What every pulse of a test shows, as nonlinear
@@ -164,6 +165,12 @@ def _channels(log: CellLog) -> Channels:
     return Channels(log.time_s, log.known_current_A(), log.voltage_V)
 
 
+def _end(v: FloatArray, start: int, stop: int) -> float:
+    """Last voltage that was measured in rows start to stop, NaN where there is none."""
+    known = np.flatnonzero(np.isfinite(v[start:stop]))
+    return float(v[start + known[-1]]) if known.size else float("nan")
+
+
 def _seconds(log: CellLog, start: int, stop: int) -> float:
     return float(log.time_s[stop - 1] - log.time_s[max(start - 1, 0)])
 
@@ -176,7 +183,7 @@ def _expected(v: FloatArray, loads: Sequence[Load], durations: FloatArray) -> Fl
     """
     kind = np.array([f"{x.role} {x.current_A > 0.0}" for x in loads])
     current = np.array([x.current_A for x in loads])
-    ends = np.array([float(v[x.stop - 1]) for x in loads])
+    ends = np.array([_end(v, x.start, x.stop) for x in loads])
     enough = np.array([x.stop - x.start >= PLANNED_ROWS for x in loads], dtype=np.bool_)
     out = np.array([_commonest(durations[kind == k]) for k in kind])
     for k in range(len(loads)):
@@ -226,7 +233,7 @@ def _limit(
     levels = [e for e in levels if abs(e - extreme) <= LIMIT_OF_VOLTAGE * abs(extreme)]
     if levels:
         return float(np.median(levels))
-    ends = [float(v[x.stop - 1]) for x, s in zip(loads, short, strict=True) if s]
+    ends = [_end(v, x.start, x.stop) for x, s in zip(loads, short, strict=True) if s]
     margin = PASSED_OF_VOLTAGE * abs(extreme)
     if discharge:
         return max((e for e in ends if e <= extreme + margin), default=None)
@@ -247,10 +254,12 @@ def _spurious(
     inside = v[x.start : x.stop]
     if np.any(gaps[x.start : x.stop]):
         return Verdict("spurious", "a gap in the log lies inside the pulse", 0.0)
-    if np.isnan(inside).any() or np.isnan(v[x.start - 1]):
-        missing = int(np.count_nonzero(np.isnan(inside)))
+    if duration <= 0.0:
+        return Verdict("spurious", "no time passes in the pulse", 0.0)
+    missing = int(np.count_nonzero(np.isnan(inside)))
+    if missing > MISSING_OF_ROWS * inside.size or np.isnan(v[x.rest_start : x.start]).all():
         return Verdict("spurious", f"{missing} voltage samples are missing in the pulse", 0.0)
-    moved = float(v[x.stop - 1] - v[x.start - 1])
+    moved = _end(v, x.start, x.stop) - _end(v, x.rest_start, x.start)
     noise = _noise(v[x.rest_start : x.start])
     if moved * x.current_A >= 0.0 or abs(moved) < RESPONSE_SIGMAS * noise:
         return Verdict(
@@ -259,16 +268,18 @@ def _spurious(
             f"(noise {1e3 * noise:.1f} mV)",
             0.0,
         )
-    ended = _at_limit(float(v[x.stop - 1]), limit, x.current_A > 0.0)
+    ended = _at_limit(_end(v, x.start, x.stop), limit, x.current_A > 0.0)
     if x.cc_stop < x.stop and not ended:
         return Verdict(
-            "spurious", f"the current falls at {v[x.stop - 1]:.3f} V, which is no limit here", 0.0
+            "spurious",
+            f"the current falls at {_end(v, x.start, x.stop):.3f} V, which is no limit here",
+            0.0,
         )
     if not ended and x.role == "pulse" and duration < SPURIOUS_OF_EXPECTED * expected:
         return Verdict(
             "spurious",
             f"{duration:.3g} s long where its siblings last {expected:.3g} s, and no limit is near "
-            f"({v[x.stop - 1]:.3f} V)",
+            f"({_end(v, x.start, x.stop):.3f} V)",
             0.0,
         )
     if not ended and x.stop - x.start < MINIMUM_ROWS:
@@ -290,7 +301,7 @@ def _trimmed(
             f"{abs(i[x.stop - 1]):.4g} A",
             0.5 * constant / planned,
         )
-    end = float(v[x.stop - 1])
+    end = _end(v, x.start, x.stop)
     if duration < SHORT_OF_EXPECTED * expected and _at_limit(end, limit, x.current_A > 0.0):
         return Verdict(
             "trimmed",
