@@ -59,9 +59,13 @@ def test_milliseconds_against_the_counter_are_refused():
 
 
 def test_milliseconds_without_a_counter():
-    columns = pulse_channels(24 * 3600)
-    told = notices(without_counter({**columns, "time_s": 1000.0 * columns["time_s"]}))
-    assert "time_ms" in told
+    """R0 times capacity, the drop at 1C, is 90 mV here; read in ms it is 90 V."""
+    columns = without_counter(pulse_channels(24 * 3600))
+    columns["time_s"] = 1000.0 * columns["time_s"]
+    with pytest.raises(InputError, match="time_ms"):
+        CellLog.from_table(columns)
+    part = {k: v[:3600] for k, v in columns.items()}  # a small part of the capacity
+    assert "time_ms" in notices(part)
 
 
 @pytest.mark.parametrize(("factor", "name"), [(1 / 60, "time_min"), (1 / 3600, "time_h")])
@@ -92,7 +96,9 @@ def test_millivolts_are_refused():
         CellLog.from_table(scaled("voltage_V", 1000.0))
 
 
-@pytest.mark.parametrize(("cells", "says"), [(6, "string of some 7"), (96, "pack of some 109")])
+@pytest.mark.parametrize(
+    ("cells", "says"), [(6, "some 7 cells in series"), (96, "pack of some 106 cells")]
+)
 def test_a_pack_is_told_as_such(cells, says):
     assert says in notices(scaled("voltage_V", cells))
 
@@ -157,6 +163,24 @@ def test_measured_logs_raise_no_suspicion_of_units(real_data):
     for path in sorted(real_data.glob("*/*.csv.gz"))[::5]:
         for notice in read_log(path).notices:
             assert not any(word in notice for word in words), (path.name, notice)
+
+
+@pytest.mark.parametrize("name", ["panasonic_18650pf/hppc_p25", "nissan_leaf/hppc_p25"])
+def test_measured_hppc_in_milliseconds_is_refused(real_data, name):
+    log = read_log(real_data / f"{name}.csv.gz")
+    columns = {"time_s": 1000 * log.time_s, "current_A": log.current_A, "voltage_V": log.voltage_V}
+    with pytest.raises(InputError, match="time_ms"):
+        CellLog.from_table(columns)
+
+
+@pytest.mark.parametrize("name", ["panasonic_18650pf/drive_p25_us06", "plett_a123/dyn_p25_s1"])
+def test_measured_drive_in_milliseconds_is_told_or_refused(real_data, name):
+    log = read_log(real_data / f"{name}.csv.gz")
+    columns = {"time_s": 1000 * log.time_s, "current_A": log.current_A, "voltage_V": log.voltage_V}
+    try:
+        assert "time_ms" in notices(columns)
+    except InputError as refused:
+        assert "time_ms" in refused.action
 
 
 @pytest.mark.parametrize("name", ["panasonic_18650pf/hppc_p25", "lg_18650hg2/drive_us06_n10_601"])

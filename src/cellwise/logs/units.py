@@ -21,6 +21,8 @@ LARGEST_STRING_V = 1500.0
 SUSPECT_STRING_V = 100.0
 # Resistance times capacity is the drop at a 1C load: tens to hundreds of millivolts.
 LARGEST_DROP_AT_1C_V = 5.0
+IMPOSSIBLE_DROP_AT_1C_V = 25.0
+TYPICAL_CELL_V = 3.7
 LOWEST_KELVIN = 200.0
 POSSIBLE_C = (-100.0, 200.0)
 EDGE_OF_LARGEST = 0.05
@@ -43,16 +45,14 @@ def check_voltage(log: CellLog, where: str) -> list[str]:
             "volts",
             "It looks like millivolts: name the column voltage_mV.",
         )
+    cells = f"some {typical / TYPICAL_CELL_V:.0f} cells in series"
     if typical > SUSPECT_STRING_V:
         return [
-            f"the voltage is typically {typical:.0f} V: a pack of some {typical / 3.6:.0f} cells "
-            f"in series, or a cell logged in another unit than volts"
+            f"the voltage is typically {typical:.0f} V: a pack of {cells}, or a cell logged in "
+            "another unit than volts"
         ]
     if typical > LARGEST_CELL_V:
-        return [
-            f"the voltage is typically {typical:.1f} V: a string of some {typical / 3.6:.0f} "
-            f"cells, and read as one cell"
-        ]
+        return [f"the voltage is typically {typical:.1f} V: {cells}, read as one cell"]
     if np.nanmin(log.voltage_V) < 0:
         return [f"the voltage goes down to {np.nanmin(log.voltage_V):.3f} V, below zero"]
     if typical < 0.5:
@@ -61,14 +61,18 @@ def check_voltage(log: CellLog, where: str) -> list[str]:
 
 
 def check_current_and_time(log: CellLog, where: str) -> list[str]:
-    """Refuse milliampere and tell of a doubtful time base, from the voltage's answer alone.
+    """Refuse milliampere and milliseconds, or tell of them, from the voltage's answer alone.
 
     Raises
     ------
-    InputError        above 3000 A through less than 0.1 mOhm
+    InputError        above 3000 A through less than 0.1 mOhm; a cell that would drop by more than
+                      25 V under a load of 1C
     """
     largest = float(np.nanmax(np.abs(log.current_A)))
+    cells = max(1.0, float(np.nanmedian(log.voltage_V)) / TYPICAL_CELL_V)
     resistance = _edge_resistance(log)
+    if resistance is not None:
+        resistance /= cells
     drawn = np.cumsum(log.known_current_A() * log.interval_s) / 3600.0
     swing = float(np.ptp(drawn))
     if largest > LARGEST_CELL_CURRENT_A and (
@@ -83,10 +87,16 @@ def check_current_and_time(log: CellLog, where: str) -> list[str]:
             )
         return [f"{seen}: it looks like milliampere; if so, name the column current_mA"]
     if resistance is not None and resistance * swing > LARGEST_DROP_AT_1C_V:
-        return [
-            f"the current moves {swing:.0f} Ah through {1000 * resistance:.1f} mOhm, which no cell "
-            "has together: if the time is in milliseconds, name the column time_ms"
-        ]
+        seen = (
+            f"a current that moves {swing:.0f} Ah through {1000 * resistance:.1f} mOhm in {where}"
+        )
+        if resistance * swing > IMPOSSIBLE_DROP_AT_1C_V:
+            raise InputError(
+                seen,
+                "a capacity and a resistance that a cell can have together",
+                "If the time is in milliseconds, name its column time_ms.",
+            )
+        return [f"{seen}: if the time is in milliseconds, name its column time_ms"]
     if swing > LARGEST_CELL_AH:
         return [
             f"the current moves {swing:.0f} Ah, more than a cell holds: check the units of "

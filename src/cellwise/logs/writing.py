@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 SUFFIXES = (".parquet", ".csv", ".csv.gz")
 FIELDS = ("time_s", "current_A", "voltage_V", "temperature_C", "charge_Ah", "step")
 ROWS_AT_ONCE = 250_000
-GZIP_LEVEL = 6
+GZIP_LEVEL = 4
 
 
 def write_log(log: CellLog, path: str | Path) -> Path:
