@@ -19,6 +19,7 @@ from cellwise.identify.half_cycles import (
     Trace,
     find_half_cycles,
     join_logs,
+    looks_like_end,
     settled_end,
 )
 from cellwise.logs.cell_log import CellLog
@@ -33,11 +34,10 @@ GIVEN_WAY = 0.02
 # Below these a discharge is a drive or an HPPC test, not a capacity test.
 STEADY_SHARE = 0.95
 IDLE_S = 120.0
-# A rest voltage this far down the window does not follow a full charge: even LFP keeps above.
-FULL_REST_OF_WINDOW = 0.6
-# With the limit unknown and one test only, its end must look like an end: see _looks_like_end.
-KNEE = 1.3
-ROUND_V, ROUND_TOLERANCE_V = 0.1, 0.004
+# A rest voltage this far down the window does not follow a full charge, not even in LFP (3.35 V
+# in a window of 2.5 to 4.0 V); nor was a cell full that takes so much more to become so.
+FULL_REST_OF_WINDOW = 0.5
+MUCH_MORE = 1.15
 # A cell warms up under load. One that cools by more than this was moved to another temperature.
 COOLING_C = 5.0
 # More out than in: the charge was cut short, or the counters differ. Either way no efficiency.
@@ -261,7 +261,7 @@ def _measure(
     reached = lowest <= v_min + _tolerance_V(trace) + slack
     notices = []
     held = (charge[end] - charge[limit - 1]) > 0.002 * (charge[end] - charge[begin])
-    if reached and not (limit_known or held or _looks_like_end(trace, half, limit)):
+    if reached and not (limit_known or held or looks_like_end(trace, half.steady_start, limit)):
         reached = False
         notices.append(f"ends at {lowest:.3f} V without the look of an end: give the lower limit")
     elif not reached:
@@ -296,22 +296,6 @@ def _measure(
     )
 
 
-def _looks_like_end(trace: Trace, half: HalfCycle, limit: int) -> bool:
-    """Whether a lone discharge ends as one does: bending down, or at a round voltage.
-
-    Of 33 measured tests cut off at 80 % of their charge, the bend alone takes 4 for whole.
-    """
-    rows = slice(half.steady_start, limit)
-    q, v = trace.charge_Ah[rows], trace.voltage_V[rows]
-    if q[-1] <= q[0]:
-        return False
-    x = (q - q[0]) / (q[-1] - q[0])
-    at_10, at_90, at_97 = np.interp((0.1, 0.9, 0.97), x, v)
-    bends = (at_97 - v[-1]) / 0.03 >= KNEE * (at_10 - at_90) / 0.8
-    off_round = abs(float(v[-1]) - ROUND_V * round(float(v[-1]) / ROUND_V))
-    return bool(bends or off_round <= ROUND_TOLERANCE_V)
-
-
 def _full_at_start(
     trace: Trace, halves: tuple[HalfCycle, ...], k: int, v_min: float, v_max: float
 ) -> tuple[Full, list[str]]:
@@ -325,6 +309,9 @@ def _full_at_start(
     at_rest = halves[k].steady_start > 0
     if at_rest and start_V < v_min + FULL_REST_OF_WINDOW * (v_max - v_min):
         return "no", [f"begins at a rest voltage of {start_V:.3f} V, which is not full"]
+    charged = _complete_charge(trace, halves, k + 1, v_max, v_min)
+    if charged is not None and charged > MUCH_MORE * halves[k].charge_Ah:
+        return "no", [f"{halves[k].charge_Ah:.3f} Ah out, then {charged:.3f} Ah in to full"]
     return "assumed", []
 
 

@@ -18,6 +18,7 @@ from cellwise.identify.half_cycles import (
     Trace,
     find_half_cycles,
     join_logs,
+    looks_like_end,
     settled_end,
     steady_rows,
 )
@@ -41,7 +42,13 @@ END_GAP = 1.3
 OUTSIDE = 0.02
 LIMIT_TOLERANCE_V = 0.01
 
-Moved = tuple[HalfCycle, float]
+# Averaged branches have currents alike within this factor.
+ALIKE_RATE = 2.0
+# A voltage after so long without current tells how full the cell is.
+RESTED_S = 600.0
+NO_CURRENT = 0.02
+LEAST_FULL = 0.9
+TOP_STEPS = 11
 
 
 class Branch(NamedTuple):
@@ -60,6 +67,14 @@ class Branch(NamedTuple):
     moved_Ah: float
     rate: float
     whole: bool
+
+
+class _Moved(NamedTuple):
+    """A half cycle, the charge it moved until it settled [Ah, positive], the row where it had."""
+
+    half: HalfCycle
+    charge_Ah: float
+    end: int
 
 
 def ocv_from_low_rate(
@@ -90,18 +105,17 @@ def ocv_from_low_rate(
     trace = join_logs(logs)
     name = _names(logs)
     halves = find_half_cycles(trace)
-    discharge_half, charge_half = _slowest_pair(trace, halves, name)
-    capacity = capacity_Ah or next(h[1] for h in (discharge_half, charge_half) if h is not None)
+    taken, given = _slowest_pair(trace, halves, name)
+    capacity = capacity_Ah or next(m.charge_Ah for m in (taken, given) if m is not None)
     discharge = charge = None
-    empty, taken = 0.0, None
-    if discharge_half is not None:
-        half, taken = discharge_half
-        discharge = _discharge_branch(trace, half, taken, capacity, resistance_ohm)
-        empty = 1.0 - taken / capacity
-    if charge_half is not None:
-        half, moved = charge_half
-        charge = _charge_branch(trace, half, moved, capacity, taken, empty, resistance_ohm)
+    if taken is not None:
+        discharge = _discharge_branch(trace, taken, capacity, resistance_ohm)
+    if given is not None:
+        charge = _charge_branch(trace, given, taken, discharge, capacity, resistance_ohm)
     soc, level, chosen = _choose(discharge, charge, use, name)
+    cut_short: tuple[str, ...] = ()
+    if taken is not None and capacity_Ah is None and not _ends(trace, taken.half):
+        cut_short = ("the discharge does not look as if it reached its limit: give capacity_Ah",)
     temperature = trace.temperature_C[np.isfinite(trace.temperature_C)]
     return curve_from_points(
         soc,
@@ -111,56 +125,52 @@ def ocv_from_low_rate(
         discharge_V=None if discharge is None else discharge.grid_V,
         charge_V=None if charge is None else charge.grid_V,
         source=f"{chosen} of {name}",
-        notes=_notes(discharge, charge),
+        notes=(*_notes(discharge, charge), *cut_short),
         temperature_C=float(np.median(temperature)) if temperature.size else None,
     )
 
 
 def _slowest_pair(
     trace: Trace, halves: tuple[HalfCycle, ...], name: str
-) -> tuple[Moved | None, Moved | None]:
-    """The slowest discharge and charge with what they moved; of several alike the largest."""
-    rated = []
+) -> tuple[_Moved | None, _Moved | None]:
+    """The slowest discharge and charge; of several alike the one that moved most."""
+    found: dict[bool, list[_Moved]] = {True: [], False: []}
     for k, half in enumerate(halves):
-        begin = max(half.steady_start - 1, 0)
-        moved = float(trace.charge_Ah[settled_end(trace, halves, k)] - trace.charge_Ah[begin])
-        if abs(half.main_current_A) <= FASTEST_RATE * abs(moved):
-            rated.append((abs(half.main_current_A / moved), moved, half))
+        end = settled_end(trace, halves, k)
+        moved = abs(float(trace.charge_Ah[end] - trace.charge_Ah[_begin(half)]))
+        if abs(half.main_current_A) <= FASTEST_RATE * moved:
+            found[half.charge_Ah > 0.0].append(_Moved(half, moved, end))
 
-    def slowest(sign: int) -> Moved | None:
-        mine = [r for r in rated if r[1] * sign > 0.0]
-        slow = [(abs(moved), half) for rate, moved, half in mine if rate <= 1.3 * min(mine)[0]]
-        if not slow:
+    def slowest(among: list[_Moved]) -> _Moved | None:
+        if not among:
             return None
-        moved, half = max(slow, key=lambda pair: pair[0])
-        return half, moved
+        rates = [abs(m.half.main_current_A) / m.charge_Ah for m in among]
+        slow = [m for m, rate in zip(among, rates, strict=True) if rate <= 1.3 * min(rates)]
+        return max(slow, key=lambda m: m.charge_Ah)
 
-    discharge, charge = slowest(+1), slowest(-1)
-    if discharge is None and charge is None:
+    if not found[True] and not found[False]:
         raise InputError(
             f"no discharge or charge slower than C/2 in {name}",
             "a discharge or charge at C/20 or slower over the whole range",
             "Use a low-rate log, or an HPPC log through its rests.",
         )
-    return discharge, charge
+    return slowest(found[True]), slowest(found[False])
 
 
 def _discharge_branch(
-    trace: Trace, half: HalfCycle, moved: float, capacity_Ah: float, resistance_ohm: float
+    trace: Trace, taken: _Moved, capacity_Ah: float, resistance_ohm: float
 ) -> Branch:
-    begin = max(half.steady_start - 1, 0)
-    rows = _rows(trace, half)
-    soc = 1.0 - (trace.charge_Ah[rows] - trace.charge_Ah[begin]) / capacity_Ah
-    return _branch(trace, half, rows, soc, moved, resistance_ohm)
+    rows = _rows(trace, taken.half)
+    soc = 1.0 - (trace.charge_Ah[rows] - trace.charge_Ah[_begin(taken.half)]) / capacity_Ah
+    return _branch(trace, taken, rows, soc, resistance_ohm)
 
 
 def _charge_branch(
     trace: Trace,
-    half: HalfCycle,
-    moved: float,
+    given: _Moved,
+    taken: _Moved | None,
+    discharge: Branch | None,
     capacity_Ah: float,
-    discharged_Ah: float | None,
-    empty: float,
     resistance_ohm: float,
 ) -> Branch:
     """The charge branch. A whole one is laid from empty to full by its own charge.
@@ -168,27 +178,56 @@ def _charge_branch(
     The counters of charge and discharge differ (coulombic efficiency, counter gains): between
     two states that are known, the branch's own count is the better scale.
     """
-    begin = max(half.steady_start - 1, 0)
+    half = given.half
     rows = _rows(trace, half)
-    back = trace.charge_Ah[begin] - trace.charge_Ah[rows]
-    top = np.max(trace.voltage_V[half.start : half.stop])
-    ratio = 1.0 if discharged_Ah is None else moved / discharged_Ah
-    whole = bool(
-        top >= np.max(trace.voltage_V) - LIMIT_TOLERANCE_V
-        and WHOLE_CHARGE[0] <= ratio <= WHOLE_CHARGE[1]
-    )
-    scale = (1.0 - empty) / moved if whole else 1.0 / capacity_Ah
-    branch = _branch(trace, half, rows, empty + back * scale, moved, resistance_ohm)
-    return branch._replace(whole=whole and branch.whole)
+    back = trace.charge_Ah[_begin(half)] - trace.charge_Ah[rows]
+    top = float(np.max(trace.voltage_V[half.start : half.stop]))
+    whole = top >= float(np.max(trace.voltage_V)) - LIMIT_TOLERANCE_V
+    empty, full = 0.0, 1.0
+    if taken is not None and discharge is not None:
+        ratio = given.charge_Ah / taken.charge_Ah
+        whole = whole and WHOLE_CHARGE[0] <= ratio <= WHOLE_CHARGE[1]
+        empty = 1.0 - taken.charge_Ah / capacity_Ah
+        full = 1.0 - (1.0 - _filled_to(trace, given, taken, discharge, ratio)) * (1.0 - empty)
+    scale = (full - empty) / given.charge_Ah if whole else 1.0 / capacity_Ah
+    branch = _branch(trace, given, rows, empty + back * scale, resistance_ohm)
+    alike = discharge is None or 1.0 / ALIKE_RATE <= branch.rate / discharge.rate <= ALIKE_RATE
+    return branch._replace(whole=whole and alike and branch.whole)
+
+
+def _filled_to(
+    trace: Trace, given: _Moved, taken: _Moved, discharge: Branch, ratio: float
+) -> float:
+    """How full a charge left the cell; 1 is the state in which the discharge began.
+
+    By the voltages at rest after the one and before the other, on the slope of the discharge
+    branch; where there are no rests, by the count, which cannot make the cell fuller than full.
+    """
+    if given.end < taken.half.steady_start:
+        return 1.0
+    before, after = _begin(taken.half), given.end
+    rested = np.abs(trace.current_A) <= NO_CURRENT * abs(given.half.main_current_A)
+    moving = np.flatnonzero(~rested[: after + 1])
+    rest_s = float(np.sum(trace.interval_s[moving[-1] + 1 : after + 1])) if moving.size else 0.0
+    known = discharge.grid_V[np.isfinite(discharge.grid_V)]
+    slope = float(known[-1] - known[-TOP_STEPS]) / ((TOP_STEPS - 1) / GRID_INTERVALS)
+    if rest_s < RESTED_S or not rested[before] or slope <= 0.0:
+        return min(ratio, 1.0)
+    short = float(trace.voltage_V[before] - trace.voltage_V[after]) / slope
+    return float(np.clip(1.0 - short, LEAST_FULL, 1.0))
+
+
+def _ends(trace: Trace, half: HalfCycle) -> bool:
+    return looks_like_end(trace, half.steady_start, half.steady_stop)
+
+
+def _begin(half: HalfCycle) -> int:
+    """Last row before the main current flows."""
+    return max(half.steady_start - 1, 0)
 
 
 def _branch(
-    trace: Trace,
-    half: HalfCycle,
-    rows: BoolArray,
-    soc: FloatArray,
-    moved: float,
-    resistance_ohm: float,
+    trace: Trace, moved: _Moved, rows: BoolArray, soc: FloatArray, resistance_ohm: float
 ) -> Branch:
     level = trace.voltage_V[rows] + resistance_ohm * trace.current_A[rows]
     inside = (soc >= -OUTSIDE) & (soc <= 1.0 + OUTSIDE)
@@ -202,10 +241,15 @@ def _branch(
         soc=s,
         voltage_V=v,
         grid_V=smooth,
-        moved_Ah=moved,
-        rate=abs(half.main_current_A) / moved,
+        moved_Ah=moved.charge_Ah,
+        rate=abs(moved.half.main_current_A) / moved.charge_Ah,
         whole=bool(min(s[-1], 1.0) - max(s[0], 0.0) >= WHOLE_COVER),
     )
+
+
+def _cover(branch: Branch) -> float:
+    """Part of the SOC range in which a branch has rows at the low current."""
+    return float(min(branch.soc[-1], 1.0) - max(branch.soc[0], 0.0))
 
 
 def _rows(trace: Trace, half: HalfCycle) -> BoolArray:
@@ -278,10 +322,13 @@ def _notes(discharge: Branch | None, charge: Branch | None) -> tuple[str, ...]:
         if charge.whole and discharge.whole:
             gap = 1e3 * np.nanmedian(charge.grid_V - discharge.grid_V)
             notes.append(f"gap between the branches: {gap:.1f} mV median")
-        elif not charge.whole:
+        elif not 1.0 / ALIKE_RATE <= charge.rate / discharge.rate <= ALIKE_RATE:
+            notes.append("charge branch at another rate than the discharge: not averaged in")
+        else:
             notes.append(
-                f"charge branch incomplete: {charge.moved_Ah:.4f} of {discharge.moved_Ah:.4f} Ah"
-                " came back before the limit; not averaged in"
+                f"incomplete: charge brought back {charge.moved_Ah:.4f} of"
+                f" {discharge.moved_Ah:.4f} Ah; at the low rate the branches cover"
+                f" {_cover(charge):.0%} and {_cover(discharge):.0%}. Not averaged"
             )
     return tuple(notes)
 
