@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -21,8 +21,21 @@ from cellwise.cell.kernels import ZERO_CELSIUS_K, CellScalars, table_rows
 from cellwise.errors import InputError
 from cellwise.typing import FloatArray
 
-TABLES = ("ocv_V", "r0_ohm", "r1_ohm", "tau1_s", "r2_ohm", "tau2_s")
 E = TypeVar("E", SlowDiffusion, Hysteresis, TemperatureDependence, TimeSkew)
+
+
+class ModelTables(NamedTuple):
+    """The six tables in the order in which CellModel takes them, each of shape (points,)."""
+
+    ocv_V: FloatArray
+    r0_ohm: FloatArray
+    r1_ohm: FloatArray
+    tau1_s: FloatArray
+    r2_ohm: FloatArray
+    tau2_s: FloatArray
+
+
+TABLES = ModelTables._fields
 
 
 @dataclass(frozen=True)
@@ -129,6 +142,11 @@ class CellModel:
         """Capacitance of the slow branch, tau2 / R2 [F]."""
         return np.asarray(self.tau2_s / self.r2_ohm)
 
+    @property
+    def tables(self) -> ModelTables:
+        """The six tables together."""
+        return ModelTables(*(getattr(self, name) for name in TABLES))
+
     def effect(self, kind: type[E]) -> E:
         """The model's effect of one kind, or its neutral value."""
         for effect in self.effects:
@@ -175,24 +193,27 @@ class CellModel:
         """The model's tables at one temperature, linear between its own."""
         if self.temperature_C.size == 1:
             return self
-        tables = {
-            name: _interpolate(self.temperature_C, getattr(self, name), temperature_C)
-            for name in TABLES
-        }
-        effects = tuple(
-            replace(
-                e,
-                **{
-                    key: _interpolate(self.temperature_C, value, temperature_C)[None, :]
-                    for key, value in vars(e).items()
-                    if np.ndim(value) == 2
-                },
-            )
-            for e in self.effects
+        tables = self.tables._replace(
+            **{
+                name: _interpolate(self.temperature_C, getattr(self, name), temperature_C)
+                for name in TABLES
+            }
         )
+        effects = tuple(self._effect_at(e, temperature_C) for e in self.effects)
         return replace(
-            self, **tables, effects=effects, temperature_C=np.array([float(temperature_C)])
+            self,
+            **tables._asdict(),
+            effects=effects,
+            temperature_C=np.array([float(temperature_C)]),
         )
+
+    def _effect_at(self, effect: Effect, temperature_C: float) -> Effect:
+        tables: dict[str, Any] = {
+            key: _interpolate(self.temperature_C, value, temperature_C)[None, :]
+            for key, value in vars(effect).items()
+            if np.ndim(value) == 2
+        }
+        return replace(effect, **tables)
 
 
 def _interpolate(grid: FloatArray, table: FloatArray, temperature_C: float) -> FloatArray:

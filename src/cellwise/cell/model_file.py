@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cellwise.cell.effects import EFFECTS, Effect
-from cellwise.cell.model import TABLES, CellModel, ModelError
+from cellwise.cell.model import TABLES, CellModel, ModelError, ModelTables
 from cellwise.errors import InputError
 from cellwise.files import write_atomically
 
@@ -73,8 +73,8 @@ def model_from_dict(data: Any, where: str = "the model") -> CellModel:
                 "Write the model again.",
             )
         return CellModel(
-            capacity_Ah=float(data["capacity_Ah"]),
-            **{name: np.asarray(data[name], dtype=np.float64) for name in TABLES},
+            float(data["capacity_Ah"]),
+            *ModelTables(*(np.asarray(data[name], dtype=np.float64) for name in TABLES)),
             temperature_C=np.asarray(data["temperature_C"], dtype=np.float64),
             effects=tuple(_effect_from_dict(e, where) for e in data["effects"]),
             charge_efficiency=float(data["charge_efficiency"]),
@@ -143,7 +143,7 @@ def _effect_from_dict(data: dict[str, Any], where: str) -> Effect:
             f"one of {', '.join(EFFECTS)}",
             "Use the cellwise that wrote the model.",
         )
-    values = {
+    values: dict[str, Any] = {
         key: np.asarray(value, dtype=np.float64) if isinstance(value, list) else float(value)
         for key, value in data.items()
         if key != "name"

@@ -22,7 +22,9 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     simulate.set_defaults(run=run_simulate)
     replay = commands.add_parser("replay", help="model and log to SOC")
     _common(replay)
-    replay.add_argument("--estimator", default="ekf", metavar="E", help="coulomb, ekf, filterpy-ekf")
+    replay.add_argument(
+        "--estimator", default="ekf", metavar="E", help="coulomb, ekf, filterpy-ekf"
+    )
     replay.add_argument("--soc0-std", type=float, metavar="S", help="how sure the start SOC is")
     replay.add_argument("--dt", type=float, metavar="S", help="resample to an even step")
     replay.add_argument("--reference-soc0", type=float, metavar="X", help="true SOC at the start")
@@ -138,7 +140,9 @@ def parse_soc0(text: str) -> float | None:
     try:
         return float(text)
     except ValueError:
-        raise InputError(f"--soc0 {text}", "auto or a fraction from 0 to 1", "Correct it.") from None
+        raise InputError(
+            f"--soc0 {text}", "auto or a fraction from 0 to 1", "Correct it."
+        ) from None
 
 
 def print_simulation(found: Simulation, start: InitialSoc) -> None:

@@ -8,17 +8,20 @@ from typing import TYPE_CHECKING
 from cellwise.cli import printing
 
 if TYPE_CHECKING:
-    from cellwise.identify.identification import Identification
+    from cellwise.identify import Identification
+    from cellwise.logs import CellLog
 
 
 def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command that makes models."""
     p = commands.add_parser("identify", help="laboratory tests to a model")
-    log = {"action": "append", "default": [], "metavar": "LOG[@TEMP]"}
-    p.add_argument("--hppc", help="pulse test, its temperature in degC if not measured", **log)
-    p.add_argument("--drive", help="drive log to refine on", **log)
-    p.add_argument("--ocv", action="append", default=[], metavar="LOG", help="low-rate test")
-    p.add_argument("--capacity", action="append", default=[], metavar="LOG", help="capacity test")
+    for option, metavar, text in (
+        ("--hppc", "LOG[@TEMP]", "pulse test, with its temperature in degC if not measured"),
+        ("--ocv", "LOG", "low-rate discharge, charge or both"),
+        ("--capacity", "LOG", "capacity test"),
+        ("--drive", "LOG[@TEMP]", "drive log to refine on"),
+    ):
+        p.add_argument(option, action="append", default=[], metavar=metavar, help=text)
     p.add_argument("--nominal-ah", type=float, metavar="X", help="rated capacity")
     p.add_argument(
         "--capacity-choice",
@@ -46,7 +49,7 @@ def run_identify(arguments: argparse.Namespace) -> None:
     from cellwise.cell.model_file import write_model
     from cellwise.identify import IdentifySettings, TestLogs, identify
 
-    def with_temperature(items: list[str]) -> tuple:  # type: ignore[type-arg]
+    def with_temperature(items: list[str]) -> tuple[tuple[CellLog, float | None], ...]:
         pairs = [printing.split_temperature(item) for item in items]
         return tuple((printing.read(path, arguments.sign), t) for path, t in pairs)
 

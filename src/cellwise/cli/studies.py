@@ -41,9 +41,7 @@ def run_demo(arguments: argparse.Namespace) -> None:
 
     with printing.bar() as progress:
         task = progress.add_task("demo", total=None)
-        found = run(
-            Path(arguments.output), lambda text: progress.update(task, description=text)
-        )
+        found = run(Path(arguments.output), lambda text: progress.update(task, description=text))
     if arguments.json:
         printing.print_json(found.to_dict())
         return

@@ -13,6 +13,7 @@ from cellwise.cell.effects import (
     TemperatureDependence,
     TimeSkew,
 )
+from cellwise.cell.model import ModelTables
 from cellwise.identify.refine import RefineResult, StartTables
 from cellwise.identify.splines import spline_rows, spline_values
 from cellwise.typing import FloatArray
@@ -23,8 +24,8 @@ LEAST_M_V = 1e-4
 LEAST_SKEW_S = 0.005
 
 
-def refined_tables(result: RefineResult, start: StartTables) -> dict[str, FloatArray]:
-    """OCV, R0, R1, tau1, R2, tau2 on the grid, each of shape (GRID_POINTS,)."""
+def refined_tables(result: RefineResult, start: StartTables) -> ModelTables:
+    """The fitted tables on the grid."""
     grid = np.linspace(0.0, 1.0, GRID_POINTS)
     lay, theta = result.layout, result.theta
     rows = spline_rows(grid, result.knots)
@@ -33,14 +34,14 @@ def refined_tables(result: RefineResult, start: StartTables) -> dict[str, FloatA
     def table(at: int) -> FloatArray:
         return np.asarray(np.exp(spline_values(rows, theta[at : at + lay.knots])))
 
-    return {
-        "ocv_V": monotone(start.ocv(grid) + correction),
-        "r0_ohm": table(lay.r0),
-        "r1_ohm": table(lay.r(0)),
-        "tau1_s": table(lay.tau(0)),
-        "r2_ohm": table(lay.r(1)),
-        "tau2_s": table(lay.tau(1)),
-    }
+    return ModelTables(
+        ocv_V=monotone(start.ocv(grid) + correction),
+        r0_ohm=table(lay.r0),
+        r1_ohm=table(lay.r(0)),
+        tau1_s=table(lay.tau(0)),
+        r2_ohm=table(lay.r(1)),
+        tau2_s=table(lay.tau(1)),
+    )
 
 
 def refined_effects(result: RefineResult, skewed: bool, hot: bool) -> tuple[Effect, ...]:

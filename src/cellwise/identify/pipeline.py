@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cellwise.cell.metrics import error_metrics
-from cellwise.cell.model import CellModel
+from cellwise.cell.model import CellModel, ModelTables
 from cellwise.cell.simulate import Simulation, simulate
 from cellwise.errors import InputError
 from cellwise.identify.assemble import GRID_POINTS, monotone, table_summary
@@ -33,7 +33,7 @@ from cellwise.identify.pulses import find_pulses, pulses_to_fit
 from cellwise.identify.refine_stage import Refined, refine_temperature
 from cellwise.identify.soc_anchor import anchor_soc
 from cellwise.identify.stack import stack_models
-from cellwise.identify.tables import PulseTables, pulse_tables
+from cellwise.identify.tables import NAMES, PulseTables, pulse_tables
 from cellwise.logs.cell_log import CellLog
 
 Progress = Callable[[str], None]
@@ -179,7 +179,7 @@ def _ocv(tests: TestLogs, capacity: float, notices: list[str]) -> OcvCurve:
     rests = None
     # The log nearest to the reference temperature: a cold one relaxes too slowly for an OCV.
     order = sorted(
-        tests.hppc, key=lambda item: abs(log_temperature_C(*item, REFERENCE_C) - REFERENCE_C)
+        tests.hppc, key=lambda item: abs(log_temperature_C(item[0], item[1]) - REFERENCE_C)
     )
     for log, _ in order[:1]:
         try:
@@ -239,7 +239,7 @@ def _by_temperature(tests: TestLogs, settings: IdentifySettings) -> dict[float, 
             merged.append(t)
 
     def nearest(item: tuple[CellLog, float | None]) -> float:
-        at = log_temperature_C(*item, default)
+        at = log_temperature_C(item[0], item[1], default)
         return min(merged, key=lambda t: abs(t - at))
 
     return {
@@ -253,7 +253,7 @@ def _by_temperature(tests: TestLogs, settings: IdentifySettings) -> dict[float, 
     }
 
 
-def log_temperature_C(log: CellLog, stated: float | None, default: float) -> float:
+def log_temperature_C(log: CellLog, stated: float | None, default: float = REFERENCE_C) -> float:
     """Temperature of a log: stated, else its measured median, else the default [degC]."""
     if stated is not None:
         return float(stated)
@@ -291,9 +291,11 @@ def _plain_model(
 ) -> CellModel:
     """The pulses' tables as they are, without refinement."""
     return CellModel(
-        capacity_Ah=capacity,
-        ocv_V=monotone(ocv.function.evaluate(tables.soc)),
-        **tables.values,
+        capacity,
+        *ModelTables(
+            monotone(ocv.function.evaluate(tables.soc)),
+            *(tables.values[name] for name in NAMES),
+        ),
         temperature_C=np.array([temperature]),
     )
 

@@ -99,11 +99,11 @@ def refine_temperature(
     hot = any(item.log.temperature_C is not None for item in logs)
     values = refined_tables(result, start)
     model = CellModel(
-        capacity_Ah=capacity_Ah,
-        **values,
+        capacity_Ah,
+        *values,
         temperature_C=np.array([temperature_C]),
         effects=refined_effects(result, bool(tests.drive), hot),
-        error=_error(result, float(np.median(values["r0_ohm"]))),
+        error=_error(result, float(np.median(values.r0_ohm))),
     )
     return Refined(model, result, tuple(starts))
 

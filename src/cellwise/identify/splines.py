@@ -55,7 +55,7 @@ def spline_rows(soc: FloatArray, breakpoints: FloatArray) -> SplineRows:
 def spline_values(rows: SplineRows, coefficients: FloatArray) -> FloatArray:
     """Value of the spline with the given coefficients at each sample, shape (n,)."""
     index = rows.first[:, None] + np.arange(DEGREE + 1)
-    return np.einsum("ij,ij->i", rows.values, coefficients[index])
+    return np.asarray(np.einsum("ij,ij->i", rows.values, coefficients[index]))
 
 
 def greville(breakpoints: FloatArray) -> FloatArray:
@@ -81,4 +81,4 @@ def curvature_penalty(breakpoints: FloatArray) -> FloatArray:
         mean = 0.5 * (left + right)
         weight = 0.1**2 / mean * np.sqrt(mean / 0.1)
         d[i, i : i + 3] = weight * np.array([1 / left, -1 / left - 1 / right, 1 / right])
-    return d.T @ d
+    return np.asarray(d.T @ d)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from cellwise.cell.effects import Effect, Hysteresis, SlowDiffusion, TemperatureDependence, TimeSkew
-from cellwise.cell.model import TABLES, CellModel, ModelError
+from cellwise.cell.model import TABLES, CellModel, ModelError, ModelTables
 from cellwise.typing import FloatArray
 
 
@@ -21,7 +21,7 @@ def stack_models(models: Sequence[CellModel]) -> CellModel:
     if len(models) == 1:
         return models[0]
     ordered = sorted(models, key=lambda m: float(m.temperature_C[0]))
-    tables = {name: np.vstack([getattr(m, name) for m in ordered]) for name in TABLES}
+    tables = ModelTables(*(np.vstack([getattr(m, name) for m in ordered]) for name in TABLES))
     effects: list[Effect] = []
     if any(np.any(m.effect(SlowDiffusion).r3_ohm) for m in ordered):
         effects.append(
@@ -43,7 +43,7 @@ def stack_models(models: Sequence[CellModel]) -> CellModel:
         effects.append(TimeSkew(float(np.median(skews))))
     return replace(
         ordered[0],
-        **tables,
+        **tables._asdict(),
         temperature_C=np.array([float(m.temperature_C[0]) for m in ordered]),
         effects=tuple(e for e in effects if not isinstance(e, TemperatureDependence)),
         error=_mean_error([m.error for m in ordered]),

@@ -31,7 +31,7 @@ def resample(log: CellLog, dt_s: float) -> CellLog:
         )
     start = float(log.time_s[0])
     steps = int(np.floor(log.duration_s / dt_s + 1e-9))
-    grid = start + dt_s * np.arange(steps + 1)
+    grid: FloatArray = start + dt_s * np.arange(steps + 1, dtype=np.float64)
     current = log.known_current_A()
     charge = np.cumsum(current * log.interval_s)
     at = np.interp(grid, log.time_s, charge)
