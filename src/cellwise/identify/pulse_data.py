@@ -11,7 +11,7 @@ from cellwise.errors import InputError
 from cellwise.typing import BoolArray, FloatArray
 
 MINIMUM_ROWS = 12
-MINIMUM_PULSE_ROWS = 3
+MINIMUM_PULSE_ROWS = 1
 EDGE_PART = 0.2  # a row-to-row change of current by this part of the pulse's current is an edge
 # A tester that filters its voltage, or a double layer far faster than tau1, makes the voltage
 # arrive some rows after the current. Such rows follow an edge one by one, each still moving the
@@ -189,6 +189,9 @@ class PulseData:
             whole = max(float(np.sum(moves)), float(moves[0]))
             still = moves[1:] > max(SETTLING_PART * whole, SETTLING_NOISE * noise)
             rows[edge : edge + (still.size if still.all() else int(np.argmin(still)))] = True
+        in_pulse = rows[self.start : self.stop]
+        if 2 * np.count_nonzero(in_pulse) > in_pulse.size:  # a pulse too short to settle
+            in_pulse[:] = False
         return rows
 
 

@@ -16,6 +16,7 @@ from cellwise.identify.swarm import SwarmOptions, fit_swarm
 from cellwise.identify.varpro import VarproOptions, fit_varpro
 
 Method = Literal["varpro", "segments", "pso"]
+TREND_TOLERANCE = 1e-3  # a trend too small to be felt is still the better model
 Options = VarproOptions | SegmentOptions | SwarmOptions
 
 __all__ = [
@@ -117,6 +118,17 @@ def fit_pulses(
     chosen = options if isinstance(options, VarproOptions) else None
     trends = local_trends(fits)
     return [
-        fit if trend is None else fit_varpro(data, chosen, trend, (fit.tau1_s, fit.tau2_s))
+        fit if trend is None else _told(data, fit, chosen, trend)
         for data, fit, trend in zip(pulses, fits, trends, strict=True)
     ]
+
+
+def _told(
+    data: PulseData, alone: PulseFit, options: VarproOptions | None, trend: PulseTrend
+) -> PulseFit:
+    """The pulse fitted with its neighbours' trend, unless it fits worse than alone.
+
+    On a real cell a trend between levels need not hold inside a pulse.
+    """
+    told = fit_varpro(data, options, trend, (alone.tau1_s, alone.tau2_s))
+    return told if told.rmse_V <= (1.0 + TREND_TOLERANCE) * alone.rmse_V else alone

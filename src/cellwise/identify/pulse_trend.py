@@ -70,6 +70,8 @@ def _slope(
     """
     offset = (soc - at) / reach
     near = np.abs(offset) < 1.0
+    if not near.any():
+        return 0.0
     degree = min(2, _levels(soc[near]).size - 1)
     freedom = np.count_nonzero(near) - degree - 1
     if degree < 1 or freedom < 1:

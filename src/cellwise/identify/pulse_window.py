@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellwise.errors import InputError
-from cellwise.identify.pulse_data import PulseData, check_channel
+from cellwise.identify.pulse_data import MINIMUM_ROWS, PulseData, check_channel
 from cellwise.identify.pulses import Pulse
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
@@ -168,6 +168,13 @@ def cut_pulses(
         )
         for p in pulses
     ]  # fmt: skip
+
+
+def has_enough_rows(log: CellLog, pulse: Pulse) -> bool:
+    """Whether `cut_pulse` would find the rows that a fit needs; else it refuses the pulse."""
+    rows = slice(pulse.rest_before_start, max(pulse.relax_stop, pulse.stop))
+    within = log.time_s[rows] >= log.time_s[max(pulse.start - 1, 0)] - REST_SHOWN_S
+    return bool(np.count_nonzero(within & np.isfinite(log.voltage_V[rows])) >= MINIMUM_ROWS)
 
 
 def _cut(

@@ -102,14 +102,8 @@ def fit_swarm(
     limits = log_limits(bounds)
     low, high = _box(data, problem, bounds, options.free)
     best, cost, passes = _swarm(problem, low, high, options, rng)
-    return describe(
-        data,
-        problem,
-        _solution(problem, best, cost, passes, options, data),
-        limits,
-        PulseTrend(),
-        "pso",
-    )
+    solution = _solution(problem, best, cost, passes, options, data)
+    return describe(data, problem, solution, limits, PulseTrend(), "pso")
 
 
 def _paper_bounds(data: PulseData) -> TauBounds:

@@ -29,6 +29,8 @@ Scratch = tuple[FloatArray, FloatArray, IntVector, FloatArray, FloatArray]
 
 PIVOT_LIMIT = 1e-12
 LONGEST_STEP = 1.5  # in log tau
+LONGEST_BOOST = 32.0
+STALLED = 1e-11  # relative gain of a pass below which only rounding is left
 DAMPING_START, DAMPING_LEAST = 1e-4, 1e-12
 
 
@@ -308,6 +310,24 @@ def _keep(
 
 
 @njit(cache=True)
+def _within(x: float, low: float, high: float) -> float:
+    return min(max(x, low), high)
+
+
+@njit(cache=True)
+def _boost(boost: float, step: FloatArray, last1: float, last2: float) -> float:
+    """Longer steps while one follows the other: twice the factor, or back to 1.
+
+    Where a real cell is no 2-RC circuit the residual is large, and Gauss-Newton creeps along the
+    valley by nearly equal steps.
+    """
+    length = math.hypot(step[0], step[1])
+    last = math.hypot(last1, last2)
+    ahead = step[0] * last1 + step[1] * last2 > 0.9 * length * last
+    return min(2.0 * boost, LONGEST_BOOST) if ahead and length > 0.5 * last else 1.0
+
+
+@njit(cache=True)
 def minimise(
     window: Window,
     include: BoolArray,
@@ -346,6 +366,7 @@ def minimise(
     step = np.zeros(2)
     cost = math.inf
     damping = DAMPING_START
+    boost, last1, last2 = 1.0, 0.0, 0.0
     p1, p2 = log_tau[0], log_tau[1]
     for n in range(iterations):
         new = _evaluate(
@@ -353,7 +374,7 @@ def minimise(
         )
         moved = max(abs(p1 - log_tau[0]), abs(p2 - log_tau[1]))
         if new < cost or n == 0:
-            stalled = cost - new <= 1e-14 * cost
+            stalled = cost - new <= STALLED * cost
             log_tau[0], log_tau[1] = p1, p2
             cost = new
             _keep(trial, trial_coefficients, trial_free, gram, coefficients, free)
@@ -363,6 +384,8 @@ def minimise(
             _reduced_normal(gram, coefficients, free, columns, chol, x, hessian, gradient)
         elif moved < tolerance:
             return cost, n + 1, True
+        elif boost > 1.0:
+            boost = 1.0
         else:
             damping *= 10.0
         if hessian[0, 0] + hessian[1, 1] <= 0.0:  # no branch at all: no tau to look for
@@ -374,8 +397,16 @@ def minimise(
             hessian[1, 1] * (1.0 + damping) + floor, gradient[0], gradient[1],
             log_tau[0], log_tau[1], limits, step,
         )  # fmt: skip
-        p1 = log_tau[0] + min(max(step[0], -LONGEST_STEP), LONGEST_STEP)
-        p2 = max(log_tau[1] + min(max(step[1], -LONGEST_STEP), LONGEST_STEP), p1 + limits[4])
+        if new <= cost:
+            boost = _boost(boost, step, last1, last2)
+            last1, last2 = step[0], step[1]
+        p1 = _within(
+            log_tau[0] + _within(boost * step[0], -LONGEST_STEP, LONGEST_STEP), limits[0], limits[1]
+        )
+        p2 = _within(
+            log_tau[1] + _within(boost * step[1], -LONGEST_STEP, LONGEST_STEP), limits[2], limits[3]
+        )
+        p2 = max(p2, p1 + limits[4])
     return cost, iterations, False
 
 
