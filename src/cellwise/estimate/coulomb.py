@@ -57,7 +57,7 @@ def coulomb_step(
         variance += gap_soc * gap_soc
     elif dt_s <= 0.0:
         status |= DUPLICATE
-    soc = soc_step(cell, soc, current, dt_s)
+    soc = soc_step(cell, soc, 0.0 if gap else current, dt_s)  # nobody knows what flowed in a gap
     variance += walk * walk * dt_s
     if soc < 0.0 or soc > 1.0:
         soc = min(max(soc, 0.0), 1.0)
@@ -136,9 +136,7 @@ class Coulomb:
     def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> Trace:
         """Count a whole log; the voltage shown is the model's own simulation."""
         start = self.init(soc0, soc0_std)
-        current = log.interval_current_A.copy()
         gap = log.gap_rows
-        current[gap] = 0.0
         n = len(log)
         soc, std = np.empty(n), np.empty(n)
         status = np.empty(n, dtype=np.int32)
@@ -146,7 +144,7 @@ class Coulomb:
             self._cell,
             start.soc,
             start.variance,
-            current,
+            np.array(log.interval_current_A),
             log.interval_s,
             gap,
             self._noise.soc_per_sqrt_s,

@@ -105,9 +105,8 @@ class Ekf:
     def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> Trace:
         """Replay a whole log; the same steps in one compiled loop."""
         gap = log.gap_rows
-        # What the tester's counter says of a gap is not for the filter's eyes: a gap is a rest of
-        # unknown charge.
-        current = np.where(gap, 0.0, log.interval_current_A)
+        # What the tester's counter says of a gap is not for the filter's eyes.
+        current = np.array(log.interval_current_A)
         out = np.empty((kernel.OUTPUTS, len(log)))
         status = np.empty(len(log), dtype=np.int32)
         kernel.ekf_rows(

@@ -183,19 +183,26 @@ def ekf_step_inline(
     """One step: predict over the interval that ends now, then use the voltage read now."""
     status = 0
     current = current_A
+    held = x.current_A if math.isfinite(x.current_A) else 0.0
     if not math.isfinite(current):
-        current = x.current_A if math.isfinite(x.current_A) else 0.0
+        current = held
         status |= CURRENT_INVALID
     ss = x.ss
+    seen = seen_current(cell, current, held, dt_s)
+    flow = seen
+    unknown = 0.0
     if gap:
+        # What flowed is not known: no charge is moved, and the branches may hold what the currents
+        # on either side can have left there. The voltage is still read under the row's current.
         status |= SEQUENCE_GAP
         ss += noise.gap_soc * noise.gap_soc
+        flow = 0.0
+        unknown = seen * seen + held * held
     elif dt_s <= 0.0:
         status |= DUPLICATE
-    seen = seen_current(cell, current, x.current_A, dt_s)
 
     # Predict: the state first, with the tables at the new SOC.
-    soc = soc_step(cell, x.soc, seen, dt_s)
+    soc = soc_step(cell, x.soc, flow, dt_s)
     if not (math.isfinite(soc) and math.isfinite(ss)):
         x = ekf_start(anew, current)
         soc = x.soc
@@ -209,35 +216,36 @@ def ekf_step_inline(
     if point.r3_ohm != 0.0:
         a3 = math.exp(-dt_s / point.tau3_s)
     if cell.hysteresis_rate != 0.0:
-        ah = hysteresis_decay(cell, seen, dt_s)
+        ah = hysteresis_decay(cell, flow, dt_s)
     gs = -dt_s / cell.charge_As
     g1 = point.r1_ohm * (1.0 - a1)
     g2 = point.r2_ohm * (1.0 - a2)
     g3 = point.r3_ohm * (1.0 - a3)
-    v1 = a1 * x.v1_V + g1 * seen
-    v2 = a2 * x.v2_V + g2 * seen
-    v3 = a3 * x.v3_V + g3 * seen
-    h = ah * x.h - (1.0 - ah) * math.copysign(1.0, seen)
+    v1 = a1 * x.v1_V + g1 * flow
+    v2 = a2 * x.v2_V + g2 * flow
+    v3 = a3 * x.v3_V + g3 * flow
+    h = ah * x.h - (1.0 - ah) * math.copysign(1.0, flow)
 
     # Predict: the covariance. The current sensor drives every state at once; a branch resistance
     # that is off by a share drives its voltage like a current that is off by it (1 - a^2 keeps
     # the stationary spread independent of the sample rate).
     q = noise.current_A * noise.current_A
-    share = noise.branch_share * seen
+    qb = q + unknown
+    share = noise.branch_share * flow
     share = share * share
     ss += q * gs * gs + noise.soc_per_sqrt_s * noise.soc_per_sqrt_s * dt_s
     s1 = a1 * x.s1 + q * gs * g1
     s2 = a2 * x.s2 + q * gs * g2
     s3 = a3 * x.s3 + q * gs * g3
     sh = ah * x.sh
-    p11 = a1 * a1 * x.p11 + (q * g1 * g1 + share * point.r1_ohm * point.r1_ohm * (1.0 - a1 * a1))
-    p12 = a1 * a2 * x.p12 + q * g1 * g2
-    p13 = a1 * a3 * x.p13 + q * g1 * g3
+    p11 = a1 * a1 * x.p11 + (qb * g1 * g1 + share * point.r1_ohm * point.r1_ohm * (1.0 - a1 * a1))
+    p12 = a1 * a2 * x.p12 + qb * g1 * g2
+    p13 = a1 * a3 * x.p13 + qb * g1 * g3
     p1h = a1 * ah * x.p1h
-    p22 = a2 * a2 * x.p22 + (q * g2 * g2 + share * point.r2_ohm * point.r2_ohm * (1.0 - a2 * a2))
-    p23 = a2 * a3 * x.p23 + q * g2 * g3
+    p22 = a2 * a2 * x.p22 + (qb * g2 * g2 + share * point.r2_ohm * point.r2_ohm * (1.0 - a2 * a2))
+    p23 = a2 * a3 * x.p23 + qb * g2 * g3
     p2h = a2 * ah * x.p2h
-    p33 = a3 * a3 * x.p33 + (q * g3 * g3 + share * point.r3_ohm * point.r3_ohm * (1.0 - a3 * a3))
+    p33 = a3 * a3 * x.p33 + (qb * g3 * g3 + share * point.r3_ohm * point.r3_ohm * (1.0 - a3 * a3))
     p3h = a3 * ah * x.p3h
     phh = ah * ah * x.phh
 

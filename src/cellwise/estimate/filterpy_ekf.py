@@ -41,7 +41,7 @@ class FilterpyEkf:
         """Replay a whole log, sample by sample."""
         ekf = self.init(soc0, soc0_std)
         gaps = log.gap_rows
-        current = np.where(gaps, 0.0, log.interval_current_A)
+        current = log.interval_current_A
         temperature = known_temperature_C(self.model, log)
         dt = log.interval_s
         n = len(log)
@@ -51,10 +51,12 @@ class FilterpyEkf:
         for k in range(n):
             now = float(current[k]) if np.isfinite(current[k]) else previous
             seen = float(seen_current(self._cell, now, previous, dt[k]))
+            unknown = seen**2 + previous**2 if gaps[k] else 0.0
             previous = now
             if gaps[k]:
                 ekf.P[0, 0] += self.noise.gap_soc**2
-            point = self._predict(ekf, seen, dt[k], temperature[k])
+            flow = 0.0 if gaps[k] else seen
+            point = self._predict(ekf, flow, dt[k], temperature[k], unknown)
             predicted[k] = self._voltage(ekf.x, seen, temperature[k])
             innovation[k] = log.voltage_V[k] - predicted[k]
             # A repeated stamp repeats the slow error: no new evidence.
@@ -68,7 +70,12 @@ class FilterpyEkf:
         return Trace(log.time_s, soc, std, predicted, innovation, variance, ratio, status)
 
     def _predict(
-        self, ekf: ExtendedKalmanFilter, current: float, dt: float, temperature: float
+        self,
+        ekf: ExtendedKalmanFilter,
+        current: float,
+        dt: float,
+        temperature: float,
+        unknown: float,
     ) -> CellPoint:
         noise, cell = self.noise, self._cell
         before = CellState(*(float(v) for v in ekf.x))
@@ -84,6 +91,8 @@ class FilterpyEkf:
         walk = noise.scalars().soc_per_sqrt_s ** 2 * dt
         branch = (noise.branch_share * current * r) ** 2 * (1 - a * a)
         ekf.Q = noise.current_A**2 * np.outer(g, g) + np.diag([walk, *branch, 0.0])
+        branches = np.array([0.0, *g[1:]])
+        ekf.Q += unknown * np.outer(branches, branches)
         ekf.P = ekf.F @ ekf.P @ ekf.F.T + ekf.Q
         ekf.x = np.array(after)
         return CellPoint(*point)
@@ -102,7 +111,11 @@ class FilterpyEkf:
         point: CellPoint,
     ) -> float:
         noise = self.noise
-        one = noise.voltage_V**2 + (noise.error_scale * point.error_V) ** 2 + (noise.ocv_soc * point.ocv_slope_V) ** 2
+        one = (
+            noise.voltage_V**2
+            + (noise.error_scale * point.error_V) ** 2
+            + (noise.ocv_soc * point.ocv_slope_V) ** 2
+        )
         one += noise.branch_share**2 * (point.r0_ohm * current) ** 2
         one += (noise.current_A * point.r0_ohm) ** 2
         shared = max(2 * noise.slow_s / dt, 1.0) if dt > 0 else 1.0

@@ -1,0 +1,94 @@
+"""Compiled row loops allocate nothing per row: 100 rows and 100,000 leave the same count."""
+
+from __future__ import annotations
+
+import gc
+
+import numpy as np
+import pytest
+from example_cells import EFFECTS, curved_cell
+from numba import njit
+from numba.core.runtime import _nrt_python, rtsys
+
+from cellwise.cell import protocol_kernels
+from cellwise.cell.kernels import empty_state, simulate_rows
+from cellwise.estimate import ekf_kernels
+from cellwise.estimate.coulomb import coulomb_rows
+from cellwise.estimate.ekf import Ekf
+
+MODEL = curved_cell(effects=EFFECTS)
+EKF = Ekf(MODEL)
+
+
+@pytest.fixture
+def allocations():
+    """Count of allocations that a call makes in numba's runtime."""
+    enabled = _nrt_python.memsys_stats_enabled()
+    _nrt_python.memsys_enable_stats()
+
+    def count(call, rows):
+        arguments = call(rows)
+        arguments[0](*arguments[1:])  # compiled before the clock starts
+        gc.collect()
+        before = rtsys.get_allocation_stats()
+        arguments[0](*arguments[1:])
+        after = rtsys.get_allocation_stats()
+        return after.alloc - before.alloc, after.mi_alloc - before.mi_alloc
+
+    yield count
+    if not enabled:
+        _nrt_python.memsys_disable_stats()
+
+
+def ekf_call(rows):
+    rng = np.random.default_rng(1)
+    current, voltage = rng.normal(0, 3, rows), rng.normal(3.7, 0.1, rows)
+    voltage[::7] = np.nan
+    dt, warm = np.full(rows, 0.1), np.full(rows, 25.0)
+    gap = np.zeros(rows, dtype=np.bool_)
+    start = EKF.start(0.5)
+    out, status = np.empty((ekf_kernels.OUTPUTS, rows)), np.empty(rows, dtype=np.int32)
+    return (ekf_kernels.ekf_rows, *MODEL.parameters(), EKF.noise.scalars(), start, start, current,
+            voltage, warm, dt, gap, out, status)  # fmt: skip
+
+
+def simulate_call(rows):
+    current = np.random.default_rng(1).normal(0, 3, rows)
+    dt, warm = np.full(rows, 0.1), np.full(rows, 25.0)
+    return (simulate_rows, *MODEL.parameters(), empty_state(0.5), dt, current, warm,
+            np.empty(rows), np.empty(rows))  # fmt: skip
+
+
+def coulomb_call(rows):
+    current = np.random.default_rng(1).normal(0, 3, rows)
+    gap = np.zeros(rows, dtype=np.bool_)
+    return (coulomb_rows, MODEL.parameters()[2], 0.5, 0.01, current, np.full(rows, 0.1), gap, 1e-5,
+            0.05, np.empty(rows), np.empty(rows), np.empty(rows, dtype=np.int32))  # fmt: skip
+
+
+def profile_call(rows):
+    current = np.random.default_rng(1).normal(0, 9, rows)
+    return (protocol_kernels.profile_rows, *MODEL.parameters(), empty_state(0.5),
+            0.1 * np.arange(1.0, rows + 1), current, 3.4, 3.8, 25.0,
+            np.empty((protocol_kernels.ROW, rows)))  # fmt: skip
+
+
+@njit
+def leaky_rows(values, out):
+    for k in range(values.size):
+        pair = np.full(2 + k % 3, values[k])
+        out[k] = pair.sum()
+
+
+def leaky_call(rows):
+    return leaky_rows, np.ones(rows), np.empty(rows)
+
+
+@pytest.mark.parametrize("call", [ekf_call, simulate_call, coulomb_call, profile_call])
+def test_nothing_is_allocated_per_row(allocations, call):
+    assert allocations(call, 100) == allocations(call, 100_000)
+
+
+def test_the_count_would_see_an_allocation(allocations):
+    few, many = allocations(leaky_call, 100), allocations(leaky_call, 100_000)
+    assert many[0] - few[0] >= 99_900

@@ -1,0 +1,94 @@
+"""Coulomb counting is counting: against the tester's counter, and step by step."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from example_cells import curved_cell, linear_cell, random_log
+
+from cellwise.cell.protocol import hppc_test, run_protocol
+from cellwise.cell.simulate import simulate
+from cellwise.errors import InputError
+from cellwise.estimate.coulomb import Coulomb
+from cellwise.estimate.noise import Noise
+from cellwise.estimate.status import Status
+
+
+def test_it_equals_the_testers_counter_on_ideal_data():
+    model = curved_cell()
+    steps = hppc_test(3.0, voltage_min_V=2.9, voltage_max_V=4.3, levels=(0.9, 0.5, 0.2))
+    log = run_protocol(model, steps, 0.98)
+    trace = Coulomb(model).run(log, 0.98)
+    np.testing.assert_allclose(trace.soc, 0.98 - log.charge_Ah / 3.0, atol=1e-11)
+    np.testing.assert_allclose(trace.voltage_V, log.voltage_V, atol=1e-10)
+    np.testing.assert_allclose(trace.innovation_V, 0.0, atol=1e-10)
+
+
+def test_charge_counts_with_its_efficiency():
+    model = linear_cell(charge_efficiency=0.97)
+    log = random_log(np.random.default_rng(1), 2000, jitter=0.5)
+    used = np.where(log.current_A > 0, 1.0, 0.97) * log.current_A * log.interval_s
+    trace = Coulomb(model).run(log, 0.6)
+    np.testing.assert_allclose(trace.soc, 0.6 - np.cumsum(used) / (3600 * 3.0), atol=1e-12)
+
+
+def test_one_step_at_a_time_is_the_compiled_loop():
+    model = linear_cell()
+    log = random_log(np.random.default_rng(2), 500, jitter=0.5)
+    current, time = log.current_A.copy(), log.time_s.copy()
+    current[[50, 51]] = np.nan
+    time[100] = time[99]
+    time[300:] += 900.0
+    log = replace(log, current_A=current, time_s=time)
+    counter = Coulomb(model)
+    trace = counter.run(log, 0.6, 0.1)
+    state = counter.init(0.6, 0.1)
+    for k in range(len(log)):
+        gap = bool(log.gap_rows[k])
+        state, info = counter.step(state, log.current_A[k], dt_s=log.interval_s[k], gap=gap)
+        assert (info.soc, info.soc_std, int(info.status)) == (
+            trace.soc[k], trace.soc_std[k], trace.status[k],
+        )  # fmt: skip
+    assert trace.status[50] == Status.CURRENT_INVALID
+    assert trace.status[100] == Status.DUPLICATE
+    assert trace.status[300] == Status.SEQUENCE_GAP
+    assert trace.soc[300] == trace.soc[299]
+    assert trace.soc[50] - trace.soc[51] == pytest.approx(
+        log.current_A[49] * log.interval_s[51] / (3600 * 3.0)
+    )
+
+
+def test_it_only_ever_becomes_less_sure():
+    log = random_log(np.random.default_rng(3), 500)
+    noise = Noise(soc_per_sqrt_h=0.01)
+    trace = Coulomb(linear_cell(), noise).run(log, 0.6, 0.1)
+    exact = np.sqrt(0.1**2 + 0.01**2 * log.time_s / 3600)
+    np.testing.assert_allclose(trace.soc_std, exact, rtol=1e-12)
+
+
+def test_a_wrong_start_stays_wrong():
+    log = random_log(np.random.default_rng(4), 500)
+    a, b = (Coulomb(linear_cell()).run(log, s).soc for s in (0.4, 0.6))
+    np.testing.assert_allclose(b - a, 0.2, atol=1e-12)
+
+
+def test_it_does_not_look_at_the_voltage():
+    model = linear_cell()
+    log = random_log(np.random.default_rng(5), 500)
+    other = replace(log, voltage_V=np.full(500, 2.0))
+    a, b = Coulomb(model).run(log, 0.6), Coulomb(model).run(other, 0.6)
+    np.testing.assert_array_equal(a.soc, b.soc)
+    np.testing.assert_array_equal(a.voltage_V, simulate(model, log, 0.6).voltage_V)
+
+
+def test_bounds_and_refusals():
+    log = random_log(np.random.default_rng(6), 3000, scale_A=30.0)
+    trace = Coulomb(linear_cell()).run(log, 0.5)
+    assert np.all((trace.soc >= 0) & (trace.soc <= 1))
+    at_bound = (trace.soc == 0) | (trace.soc == 1)
+    np.testing.assert_array_equal(at_bound, (trace.status & Status.CLAMPED) > 0)
+    assert at_bound.any()
+    with pytest.raises(InputError, match="from 0 to 1"):
+        Coulomb(linear_cell()).run(log, 1.5)

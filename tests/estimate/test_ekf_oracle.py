@@ -1,0 +1,264 @@
+"""The EKF against filterpy: the same filter as matrices, and the Kalman filter where it is one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from example_cells import EFFECTS, curved_cell, linear_cell, random_log, random_model
+from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
+from scipy.interpolate import RegularGridInterpolator
+from scipy.stats import norm
+
+from cellwise.cell.effects import Hysteresis, SlowDiffusion, TemperatureDependence, TimeSkew
+from cellwise.cell.simulate import simulate
+from cellwise.estimate.ekf import START_BRANCH_V, Ekf
+from cellwise.estimate.filterpy_ekf import FilterpyEkf
+from cellwise.estimate.noise import Noise
+
+ORDER = ("ss", "s1", "s2", "s3", "sh", "p11", "p12", "p13", "p1h", "p22", "p23", "p2h", "p33",
+         "p3h", "phh")  # fmt: skip
+OPEN_GATE = 1e9
+
+
+def mean_of(state):
+    return np.array([state.soc, state.v1_V, state.v2_V, state.v3_V, state.h])
+
+
+def covariance_of(state):
+    matrix = np.zeros((5, 5))
+    matrix[np.triu_indices(5)] = [getattr(state, name) for name in ORDER]
+    return matrix + np.triu(matrix, 1).T
+
+
+class Tables:
+    """The model's equations from its documentation, on numpy and scipy."""
+
+    def __init__(self, model):
+        self.model = model
+        self.grid = (model.temperature_C, model.soc)
+        self.hysteresis = model.effect(Hysteresis)
+        self.slow = model.effect(SlowDiffusion)
+        self.thermal = model.effect(TemperatureDependence)
+        self.skew_s = model.effect(TimeSkew).skew_s
+
+    def at(self, table, soc, temperature):
+        table = np.broadcast_to(table, self.model.ocv_V.shape)
+        if table.shape[0] == 1:
+            return np.interp(soc, self.model.soc, table[0])
+        clipped = np.clip(temperature, *self.grid[0][[0, -1]])
+        return RegularGridInterpolator(self.grid, table)([clipped, soc])[0]
+
+    def slope(self, soc, temperature):
+        k = min(int(soc * (self.model.points - 1)), self.model.points - 2)
+        ends = [
+            self.at(self.model.ocv_V, self.model.soc[j], temperature) for j in (k, k + 1)
+        ]  # fmt: skip
+        return (ends[1] - ends[0]) * (self.model.points - 1)
+
+    def resistances(self, soc, temperature):
+        kelvin = temperature + 273.15
+        reference = self.thermal.reference_C + 273.15
+        scale = np.exp(self.thermal.activation_K * (1 / kelvin - 1 / reference))
+        tables = (self.model.r0_ohm, self.model.r1_ohm, self.model.r2_ohm, self.slow.r3_ohm)
+        return scale * np.array([self.at(t, soc, temperature) for t in tables])
+
+    def time_constants(self, soc, temperature):
+        tables = (self.model.tau1_s, self.model.tau2_s, self.slow.tau3_s)
+        return np.array([self.at(t, soc, temperature) for t in tables])
+
+
+def matrix_filter(model, noise, log, soc0, soc0_std):
+    """Mean, covariance, predicted voltage, its variance per row, by filterpy in matrix form."""
+    gaps = log.gap_rows
+    t = Tables(model)
+    has = [np.any(t.slow.r3_ohm), np.any(t.hysteresis.m_V)]
+    ekf = ExtendedKalmanFilter(dim_x=5, dim_z=1)
+    ekf.x = np.array([soc0, 0.0, 0.0, 0.0, 1.0 if soc0 > 0.5 else -1.0])
+    branch = START_BRANCH_V**2
+    ekf.P = np.diag([soc0_std**2, branch, branch, branch * has[0], 1.0 * has[1]])
+    gamma = t.hysteresis.gamma if has[1] else 0.0
+    charge = 3600 * model.capacity_Ah
+    previous, fresh = log.current_A[0], True
+    for gap, dt, now, volts, temperature in zip(
+        gaps, log.interval_s, log.current_A, log.voltage_V, log.temperature_C, strict=True
+    ):
+        now = previous if np.isnan(now) else now
+        weight = min(t.skew_s / dt, 1.0) if dt > 0 else 0.0
+        seen = now + weight * (previous - now)
+        # Over a gap nothing is known to flow; either current may have filled the branches.
+        current = 0.0 if gap else seen
+        unknown = seen**2 + previous**2 if gap else 0.0
+        previous = now
+        used = current * (1.0 if current > 0 else model.charge_efficiency)
+        soc = ekf.x[0] - used * dt / charge
+        r0, *r = t.resistances(soc, temperature)
+        r = np.array(r)
+        a = np.where(r > 0, np.exp(-dt / t.time_constants(soc, temperature)), 1.0)
+        hold = np.exp(-gamma * abs(current) * dt / charge)
+        ekf.F = np.diag([1.0, *a, hold])
+        ekf.x = np.array(
+            [soc, *(a * ekf.x[1:4] + r * (1 - a) * current),
+             hold * ekf.x[4] - (1 - hold) * np.sign(current)]
+        )  # fmt: skip
+        drive = np.array([-dt / charge, *(r * (1 - a)), 0.0])
+        walk = (noise.soc_per_sqrt_h / 60) ** 2 * dt
+        share = (noise.branch_share * current * r) ** 2 * (1 - a**2)
+        ekf.Q = noise.current_A**2 * np.outer(drive, drive) + np.diag([walk, *share, 0.0])
+        branches = np.array([0.0, *drive[1:4], 0.0])
+        ekf.Q += unknown * np.outer(branches, branches)
+        ekf.P[0, 0] += noise.gap_soc**2 if gap else 0.0
+        ekf.P = ekf.F @ ekf.P @ ekf.F.T + ekf.Q
+        m = t.at(t.hysteresis.m_V, soc, temperature)
+        slope = t.slope(soc, temperature)
+        jacobian = np.array([[slope, -1.0, -1.0, -1.0, m]])
+        predicted = t.at(model.ocv_V, soc, temperature) - r0 * seen - ekf.x[1:4].sum()
+        predicted += m * ekf.x[4]
+        one = noise.voltage_V**2 + (noise.error_scale * model.error.at(soc)) ** 2
+        one += (noise.ocv_soc * slope) ** 2
+        one += (noise.branch_share * r0 * seen) ** 2 + (noise.current_A * r0) ** 2
+        variance = (jacobian @ ekf.P @ jacobian.T)[0, 0] + one
+        repeated = dt == 0 and not fresh and noise.slow_s > 0
+        if np.isfinite(volts) and not repeated:
+            shared = max(2 * noise.slow_s / dt, 1.0) if dt > 0 else 1.0
+            ekf.update(
+                np.array([volts]),
+                HJacobian=lambda _, h=jacobian: h,
+                Hx=lambda _, v=predicted: np.array([v]),
+                R=np.array([[one * shared]]),
+            )
+            ekf.x[4] = np.clip(ekf.x[4], -1, 1)
+        fresh = fresh and not np.isfinite(volts)
+        yield ekf.x.copy(), ekf.P.copy(), predicted, variance
+
+
+def difficult_log(rng, model, rows=400):
+    """Jitter, temperature, repeated stamps, missing values; voltages of the model plus noise."""
+    log = random_log(
+        rng, rows, scale_A=model.capacity_Ah, jitter=0.8, temperature_C=(-25.0, 55.0)
+    )  # fmt: skip
+    time = log.time_s.copy()
+    time[100] = time[99]
+    time[200:203] = time[199]
+    time[300:] += 500.0  # a gap
+    log = replace(log, time_s=time)
+    voltage = simulate(model, log, 0.52).voltage_V + 0.005 * rng.standard_normal(rows)
+    current = log.current_A + 0.01 * rng.standard_normal(rows)
+    voltage[rng.choice(np.arange(5, rows), 20, replace=False)] = np.nan
+    current[rng.choice(np.arange(5, rows), 20, replace=False)] = np.nan
+    return replace(log, voltage_V=voltage, current_A=current)
+
+
+@pytest.mark.parametrize("slow_s", [0.0, 300.0])
+@pytest.mark.parametrize("seed", range(6))
+def test_mean_and_covariance_are_those_of_the_matrix_form(seed, slow_s):
+    rng = np.random.default_rng(seed)
+    model = random_model(rng, temperatures=1 + seed % 3, effects=seed != 5)
+    noise = Noise(current_A=0.02, slow_s=slow_s, gate=OPEN_GATE, gap_soc=0.002)
+    log = difficult_log(rng, model)
+    ekf = Ekf(model, noise)
+    state = ekf.init(0.5, 0.018, log.current_A[0])
+    oracle = matrix_filter(model, noise, log, 0.5, 0.018)
+    for k, (x, p, predicted, variance) in enumerate(oracle):
+        state, info = ekf.step(
+            state, log.current_A[k], log.voltage_V[k], log.temperature_C[k],
+            dt_s=log.interval_s[k], gap=bool(log.gap_rows[k]),
+        )  # fmt: skip
+        assert state.ss < 4e-4  # where the tangent is used
+        np.testing.assert_allclose(mean_of(state), x, rtol=0, atol=1e-10)
+        np.testing.assert_allclose(covariance_of(state), p, rtol=1e-9, atol=1e-12)
+        assert info.voltage_V == pytest.approx(predicted, abs=1e-10)
+        assert info.innovation_variance_V2 == pytest.approx(variance, rel=1e-9)
+        assert info.soc_std == pytest.approx(np.sqrt(p[0, 0]), rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_filterpy_estimator_is_the_same_filter(seed):
+    rng = np.random.default_rng(10 + seed)
+    model = random_model(rng, temperatures=1 + seed)
+    noise = Noise(current_A=0.02, gate=OPEN_GATE, gap_soc=0.002)
+    log = difficult_log(rng, model)
+    ours, theirs = (f.run(log, 0.5, 0.015) for f in (Ekf(model, noise), FilterpyEkf(model, noise)))
+    for name in ("soc", "soc_std", "voltage_V", "innovation_V", "innovation_variance_V2"):
+        np.testing.assert_allclose(
+            getattr(ours, name), getattr(theirs, name), rtol=1e-9, atol=1e-10, err_msg=name
+        )
+
+
+def kalman_log(model, rows=300):
+    rng = np.random.default_rng(3)
+    log = random_log(rng, rows, jitter=0.5)
+    voltage = simulate(model, log, 0.6).voltage_V + 0.01 * rng.standard_normal(rows)
+    return replace(log, voltage_V=voltage)
+
+
+def test_on_a_linear_cell_it_is_the_kalman_filter():
+    """Mean, covariance and likelihood, from a start that knows nothing, within 0..1."""
+    model = linear_cell(effects=(SlowDiffusion(0.02, 700.0),))
+    noise = Noise(current_A=0.03, voltage_V=0.01, slow_s=0.0, gate=OPEN_GATE)
+    log = kalman_log(model)
+    ekf = Ekf(model, noise)
+    state = ekf.init(0.5, 0.1)
+    kf = KalmanFilter(dim_x=4, dim_z=1, dim_u=1)
+    kf.x = np.array([0.5, 0.0, 0.0, 0.0])
+    kf.P = np.diag([0.01, *[START_BRANCH_V**2] * 3])
+    kf.H = np.array([[0.9, -1.0, -1.0, -1.0]])
+    r, tau = np.array([0.012, 0.020, 0.02]), np.array([7.0, 90.0, 700.0])
+    likelihood = [0.0, 0.0]
+    for k, (dt, current) in enumerate(zip(log.interval_s, log.current_A, strict=True)):
+        a = np.exp(-dt / tau)
+        drive = np.array([-dt / (3600 * 3.0), *(r * (1 - a))])
+        share = (noise.branch_share * current * r) ** 2 * (1 - a**2)
+        walk = (noise.soc_per_sqrt_h / 60) ** 2 * dt
+        kf.predict(
+            u=np.array([current]),
+            B=drive[:, None],
+            F=np.diag([1.0, *a]),
+            Q=noise.current_A**2 * np.outer(drive, drive) + np.diag([walk, *share]),
+        )
+        one = noise.voltage_V**2 + float(model.error.at(0.5)) ** 2 + (noise.ocv_soc * 0.9) ** 2
+        one += (noise.branch_share * 0.030 * current) ** 2 + (noise.current_A * 0.030) ** 2
+        kf.update(np.array([log.voltage_V[k] - 3.2 + 0.030 * current]), R=np.array([[one]]))
+        state, info = ekf.step(state, current, log.voltage_V[k], dt_s=dt)
+        np.testing.assert_allclose(mean_of(state)[:4], kf.x.ravel(), atol=1e-11)
+        np.testing.assert_allclose(covariance_of(state)[:4, :4], kf.P, rtol=1e-10, atol=1e-14)
+        scale = np.sqrt(info.innovation_variance_V2)
+        likelihood[0] += norm.logpdf(info.innovation_V, scale=scale)
+        likelihood[1] += kf.log_likelihood
+    assert likelihood[0] == pytest.approx(likelihood[1], rel=1e-10)
+
+
+def test_one_step_at_a_time_is_the_compiled_loop():
+    rng = np.random.default_rng(4)
+    model = random_model(rng)
+    log = difficult_log(rng, model)
+    ekf = Ekf(model)
+    trace = ekf.run(log, 0.7, 0.2)
+    state = ekf.init(0.7, 0.2, log.current_A[0])
+    gaps = log.gap_rows
+    assert gaps.sum() == 1
+    for k in range(len(log)):
+        state, info = ekf.step(
+            state,
+            log.current_A[k],
+            log.voltage_V[k],
+            log.temperature_C[k],
+            dt_s=log.interval_s[k],
+            gap=bool(gaps[k]),
+        )
+        row = (trace.soc[k], trace.soc_std[k], trace.voltage_V[k], trace.innovation_V[k],
+               trace.innovation_variance_V2[k], trace.test_ratio[k], trace.status[k])  # fmt: skip
+        np.testing.assert_allclose(tuple(info), row, rtol=1e-12, atol=1e-15, equal_nan=True)
+    assert len(set(trace.status.tolist())) >= 4  # plain, missing, repeated, gap
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)
+def test_the_voltage_predicted_without_corrections_is_the_simulation(effect):
+    model = curved_cell(effects=(effect,))
+    log = random_log(np.random.default_rng(5), 500, temperature_C=(0.0, 40.0))
+    blind = replace(log, voltage_V=np.where(np.arange(500) == 499, 3.7, np.nan))
+    trace = Ekf(model).run(blind, 0.7)
+    run = simulate(model, log, 0.7)
+    np.testing.assert_allclose(trace.voltage_V[:-1], run.voltage_V[:-1], atol=1e-12)
+    np.testing.assert_allclose(trace.soc[:-1], run.soc[:-1], atol=1e-13)

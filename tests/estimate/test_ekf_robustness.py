@@ -1,0 +1,363 @@
+"""What an online filter meets: outliers, missing values, gaps, repeated stamps, wrong starts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from example_cells import curved_cell, lfp_cell, linear_cell, random_log, random_model
+from test_ekf_oracle import covariance_of, mean_of
+
+from cellwise.cell.effects import Hysteresis
+from cellwise.cell.simulate import simulate
+from cellwise.errors import InputError
+from cellwise.estimate.ekf import Ekf
+from cellwise.estimate.noise import Noise
+from cellwise.estimate.status import Status
+from cellwise.logs.cell_log import CellLog
+
+CURVED = curved_cell()
+
+
+def driven(model, soc0, rows=3600, seed=1, noise_V=0.001, mean_A=0.3, **log):
+    rng = np.random.default_rng(seed)
+    current = np.repeat(rng.normal(mean_A, 2.0, rows // 10 + 1), 10)[:rows]
+    current[0] = 0.0
+    drive = CellLog(np.arange(float(rows)), current, np.full(rows, 3.7), **log)
+    run = simulate(model, drive, soc0)
+    return replace(drive, voltage_V=run.voltage_V + noise_V * rng.standard_normal(rows)), run.soc
+
+
+def bits(trace, row):
+    return Status(int(trace.status[row]))
+
+
+class TestConvergence:
+    @pytest.mark.parametrize("soc0", [0.2, 0.5, 0.95])
+    def test_from_a_wrong_start(self, soc0):
+        log, truth = driven(CURVED, 0.8)
+        trace = Ekf(CURVED).run(log, soc0, 0.3)
+        error = np.abs(trace.soc - truth)
+        assert error[0] < 0.31
+        assert np.max(error[600:]) < 0.03
+        assert np.max(error[-600:]) < 0.015
+
+    def test_an_ideal_log_keeps_a_right_start_right(self):
+        log, truth = driven(CURVED, 0.8, noise_V=0.0)
+        trace = Ekf(CURVED).run(log, 0.8, 0.05)
+        np.testing.assert_allclose(trace.soc, truth, atol=1e-10)
+
+    def test_uncertainty_shrinks_with_evidence(self):
+        log, _ = driven(CURVED, 0.8)
+        std = Ekf(CURVED).run(log, 0.8, 0.3).soc_std
+        assert std[-1] < 0.05 * 0.3
+        assert np.all(std > 0)
+
+    def test_a_larger_model_error_is_trusted_less(self):
+        log, _ = driven(CURVED, 0.8)
+        stds = [
+            Ekf(CURVED, Noise(error_scale=scale)).run(log, 0.8, 0.3).soc_std[-1]
+            for scale in (0.5, 1.0, 4.0)
+        ]
+        assert stds[0] < stds[1] < stds[2]
+
+
+class TestGate:
+    @pytest.mark.parametrize("jump_V", [1.0, -0.8])
+    def test_an_outlier_changes_nothing(self, jump_V):
+        log, _ = driven(CURVED, 0.8)
+        spoilt, missing = log.voltage_V.copy(), log.voltage_V.copy()
+        spoilt[1800] += jump_V
+        missing[1800] = np.nan
+        a = Ekf(CURVED).run(replace(log, voltage_V=spoilt), 0.8)
+        b = Ekf(CURVED).run(replace(log, voltage_V=missing), 0.8)
+        assert bits(a, 1800) == Status.INNOVATION_REJECTED
+        assert bits(b, 1800) == Status.VOLTAGE_INVALID
+        assert a.test_ratio[1800] > 1
+        np.testing.assert_array_equal(a.soc, b.soc)
+        np.testing.assert_array_equal(a.soc_std, b.soc_std)
+
+    def test_without_the_gate_it_would(self):
+        log, _ = driven(CURVED, 0.8)
+        spoilt = log.voltage_V.copy()
+        spoilt[1800] += 1.0
+        a = Ekf(CURVED, Noise(gate=1e9)).run(replace(log, voltage_V=spoilt), 0.8)
+        b = Ekf(CURVED, Noise(gate=1e9)).run(log, 0.8)
+        assert a.soc[1800] != b.soc[1800]
+
+    def test_plain_noise_passes(self):
+        log, _ = driven(CURVED, 0.8, noise_V=0.002)
+        trace = Ekf(CURVED).run(log, 0.8)
+        assert not np.any(trace.status & Status.INNOVATION_REJECTED)
+
+    def test_it_recovers_from_a_start_that_locks_the_truth_out(self):
+        log, truth = driven(CURVED, 0.9, rows=7200)
+        trace = Ekf(CURVED).run(log, 0.5, 0.01)
+        assert bits(trace, 0) & Status.INNOVATION_REJECTED
+        recoveries = np.flatnonzero(trace.status & Status.GATE_RECOVERY)
+        assert recoveries.size >= 1
+        assert recoveries[0] == Noise.of_model(CURVED).recovery_after - 1
+        assert np.max(np.abs(trace.soc - truth)[3600:]) < 0.02
+        assert not np.any(trace.status[recoveries[-1] + 1 :] & Status.INNOVATION_REJECTED)
+
+    def test_without_recovery_it_would_stay_locked_out(self):
+        log, truth = driven(CURVED, 0.9)
+        never = replace(Noise.of_model(CURVED), recovery_after=10**9)
+        trace = Ekf(CURVED, never).run(log, 0.5, 0.01)
+        assert abs(trace.soc[-1] - truth[-1]) > 0.2
+
+
+class TestMissing:
+    def test_voltage_missing_means_prediction_and_growing_variance(self):
+        log, _ = driven(CURVED, 0.8)
+        voltage = log.voltage_V.copy()
+        voltage[1000:1500] = np.nan
+        trace = Ekf(CURVED).run(replace(log, voltage_V=voltage), 0.8)
+        blind = slice(1000, 1500)
+        assert np.all(trace.status[blind] == Status.VOLTAGE_INVALID)
+        assert np.all(np.diff(trace.soc_std[999:1500]) > 0)
+        assert trace.soc_std[1500] < trace.soc_std[1499]
+        counted = trace.soc[999] - np.cumsum(log.current_A[blind]) / (3600 * 3.0)
+        np.testing.assert_allclose(trace.soc[blind], counted, atol=1e-12)
+        assert np.all(np.isnan(trace.innovation_V[blind]))
+        assert np.all(np.isfinite(trace.voltage_V))
+
+    def test_current_missing_holds_the_last(self):
+        log, _ = driven(CURVED, 0.8)
+        holes = log.current_A.copy()
+        holes[1000:1003] = np.nan
+        held = log.current_A.copy()
+        held[1000:1003] = held[999]
+        a = Ekf(CURVED).run(replace(log, current_A=holes), 0.8)
+        b = Ekf(CURVED).run(replace(log, current_A=held), 0.8)
+        assert np.all(a.status[1000:1003] == Status.CURRENT_INVALID)
+        np.testing.assert_array_equal(a.soc, b.soc)
+        np.testing.assert_array_equal(a.voltage_V, b.voltage_V)
+
+    @pytest.mark.parametrize("rows", [1, 50])
+    def test_current_missing_from_the_first_row_is_a_rest(self, rows):
+        log, truth = driven(CURVED, 0.8)
+        holes = log.current_A.copy()
+        holes[:rows] = np.nan
+        trace = Ekf(CURVED).run(replace(log, current_A=holes), 0.8, 0.05)
+        assert np.all(np.isfinite(trace.soc))
+        assert not np.any(trace.status & (Status.STATE_RESET | Status.VOLTAGE_INVALID))
+        assert np.max(np.abs(trace.soc - truth)) < 0.02
+
+    @pytest.mark.parametrize("wild", [np.nan, np.inf, -np.inf])
+    def test_online_nothing_but_finite_numbers_is_used(self, wild):
+        ekf = Ekf(CURVED)
+        state = ekf.init(0.5, 0.1)
+        state, _ = ekf.step(state, 1.0, 3.6, 25.0, dt_s=1.0)
+        state, info = ekf.step(state, wild, 3.6, wild, dt_s=1.0)
+        assert info.status == Status.CURRENT_INVALID
+        assert state.current_A == 1.0
+        state, info = ekf.step(state, 1.0, wild, None, dt_s=1.0)
+        assert info.status == Status.VOLTAGE_INVALID
+        assert np.all(np.isfinite(mean_of(state)))
+        assert np.all(np.isfinite(covariance_of(state)))
+
+    @pytest.mark.parametrize("dt", [-1.0, np.nan, np.inf])
+    def test_an_interval_that_is_none_is_refused(self, dt):
+        ekf = Ekf(CURVED)
+        with pytest.raises(InputError, match="dt_s"):
+            ekf.step(ekf.init(0.5), 1.0, 3.6, dt_s=dt)
+
+    def test_a_temperature_nobody_measured_is_the_models(self):
+        model = random_model(np.random.default_rng(2))
+        ekf = Ekf(model)
+        known = float(model.temperature_C[np.argmin(np.abs(model.temperature_C - 25.0))])
+        state = ekf.init(0.5)
+        a = ekf.step(state, 1.0, 3.6, dt_s=1.0)
+        assert a == ekf.step(state, 1.0, 3.6, np.nan, dt_s=1.0)
+        assert a == ekf.step(state, 1.0, 3.6, known, dt_s=1.0)
+
+
+class TestStatus:
+    def test_a_gap_widens_and_moves_no_charge(self):
+        log, _ = driven(CURVED, 0.8)
+        time = log.time_s.copy()
+        time[2000:] += 3600.0
+        current, voltage = log.current_A.copy(), log.voltage_V.copy()
+        current[2000], voltage[2000] = 50.0, np.nan  # what the row says of the gap is not used
+        late = replace(log, time_s=time, current_A=current, voltage_V=voltage)
+        noise = Noise(gap_soc=0.07)
+        trace = Ekf(CURVED, noise).run(late, 0.8)
+        assert bits(trace, 2000) == Status.SEQUENCE_GAP | Status.VOLTAGE_INVALID
+        assert trace.soc[2000] == trace.soc[1999]
+        walk = (noise.soc_per_sqrt_h / 60) ** 2 * 3601
+        sensor = (noise.current_A * 3601 / (3600 * 3.0)) ** 2
+        grown = trace.soc_std[2000] ** 2 - trace.soc_std[1999] ** 2
+        assert grown == pytest.approx(0.07**2 + walk + sensor, rel=1e-9)
+
+    @pytest.mark.parametrize("copies", [2, 5])
+    def test_repeated_stamps_are_told_and_are_no_new_evidence(self, copies):
+        log, _ = driven(CURVED, 0.8)
+        once = Ekf(CURVED).run(log, 0.6)
+        rows = np.repeat(np.arange(len(log)), copies)
+        again = Ekf(CURVED).run(log.rows(rows), 0.6)
+        repeated = np.arange(rows.size) % copies > 0
+        assert np.all(again.status[repeated] & Status.DUPLICATE)
+        assert not np.any(again.status[~repeated][1:] & Status.DUPLICATE)
+        np.testing.assert_allclose(again.soc[copies - 1 :: copies], once.soc, atol=1e-12)
+        np.testing.assert_allclose(again.soc_std[copies - 1 :: copies], once.soc_std, rtol=1e-9)
+
+    @pytest.mark.parametrize(("soc0", "current", "bound"), [(0.001, 3.0, 0.0), (0.999, -3.0, 1.0)])
+    def test_soc_is_held_at_its_bounds(self, soc0, current, bound):
+        log = CellLog(
+            np.arange(200.0), np.append(0.0, np.full(199, current)),
+            np.append(3.7, np.full(199, np.nan)),
+        )  # fmt: skip
+        blind = replace(log, voltage_V=np.append(np.nan, np.append(np.full(198, np.nan), 3.7)))
+        trace = Ekf(CURVED).run(blind, soc0, 0.01)
+        held = trace.soc == bound
+        assert np.count_nonzero(held) > 150
+        assert np.all(trace.status[held] & Status.CLAMPED)
+        assert not np.any(trace.status[~held] & Status.CLAMPED)
+
+    @pytest.mark.parametrize("field", ["soc", "ss"])
+    def test_a_state_that_is_not_finite_is_started_anew(self, field):
+        ekf = Ekf(CURVED)
+        state = ekf.init(0.5, 0.1)._replace(**{field: np.nan})
+        state, info = ekf.step(state, 1.0, 3.9, dt_s=1.0)
+        assert info.status & Status.STATE_RESET
+        assert np.all(np.isfinite(mean_of(state)))
+        assert np.all(np.isfinite(covariance_of(state)))
+        assert info.soc_std > 0.05  # it knows that it knows nothing
+        state, info = ekf.step(state, 1.0, 3.9, dt_s=1.0)
+        assert not info.status & Status.STATE_RESET
+
+    def test_a_plain_step_has_no_bits(self):
+        log, _ = driven(CURVED, 0.8)
+        assert not np.any(Ekf(CURVED).run(log, 0.8).status[1:])
+
+    def test_bits_are_those_that_the_firmware_will_have(self):
+        names = ("CURRENT_INVALID", "VOLTAGE_INVALID", "SEQUENCE_GAP", "DUPLICATE",
+                 "INNOVATION_REJECTED", "CLAMPED", "STATE_RESET", "GATE_RECOVERY")  # fmt: skip
+        assert [int(Status[n]) for n in names] == [2**k for k in range(8)]
+
+
+def random_walk(ekf, model, steps, seed):
+    """States of a filter that is fed anything: noise, holes, gaps, repeated stamps."""
+    rng = np.random.default_rng(seed)
+    current = rng.normal(0.0, 2.0 * model.capacity_Ah, steps)
+    voltage = rng.normal(3.7, 0.4, steps)
+    temperature = rng.uniform(-30.0, 60.0, steps)
+    dt = 10.0 ** rng.uniform(-2.0, 2.0, steps)
+    gap = rng.random(steps) < 0.01
+    current[rng.random(steps) < 0.05] = np.nan
+    voltage[rng.random(steps) < 0.05] = np.nan
+    temperature[rng.random(steps) < 0.05] = np.nan
+    dt[rng.random(steps) < 0.05] = 0.0
+    state = ekf.init(0.5, 0.3)
+    for k in range(steps):
+        state, info = ekf.step(
+            state, current[k], voltage[k], temperature[k], dt_s=dt[k], gap=bool(gap[k])
+        )
+        yield state, info
+
+
+@pytest.mark.parametrize(
+    ("model", "steps"),
+    [
+        (random_model(np.random.default_rng(1)), 40_000),
+        (lfp_cell().with_effect(Hysteresis(0.03, 200.0)), 30_000),
+        (CURVED, 30_000),
+    ],
+    ids=["every effect", "flat with hysteresis", "plain"],
+)
+def test_covariance_stays_positive_semidefinite_and_soc_in_bounds(model, steps):
+    matrices, socs, seen = [], [], 0
+    for state, info in random_walk(Ekf(model), model, steps, 3):
+        matrices.append(covariance_of(state))
+        socs.append(state.soc)
+        assert -1.0 <= state.h <= 1.0
+        seen |= info.status
+    matrices, socs = np.array(matrices), np.array(socs)
+    assert np.all(np.isfinite(matrices))
+    assert np.all((socs >= 0) & (socs <= 1))
+    # In units of each state's own deviation, so that no state hides behind another's scale.
+    scale = np.sqrt(np.maximum(np.diagonal(matrices, axis1=1, axis2=2), 1e-18))
+    correlation = matrices / (scale[:, :, None] * scale[:, None, :])
+    assert np.all(np.diagonal(matrices, axis1=1, axis2=2) >= 0)
+    assert np.linalg.eigvalsh(correlation).min() > -1e-6
+    expected = Status(255) & ~Status.STATE_RESET
+    assert Status(seen) & expected == expected
+
+
+def test_a_wild_current_is_overcome():
+    """One sample of 10,000 A: the numbers stay finite and the filter comes back."""
+    log, truth = driven(CURVED, 0.6, rows=7200)
+    current = log.current_A.copy()
+    current[600] = 1e4
+    trace = Ekf(CURVED).run(replace(log, current_A=current), 0.6, 0.05)
+    for values in (trace.soc, trace.soc_std, trace.voltage_V, trace.innovation_variance_V2):
+        assert np.all(np.isfinite(values))
+    assert abs(trace.soc[-1] - truth[-1]) < 0.03
+
+
+@pytest.mark.parametrize("current_A", [3.0, -3.0])
+def test_long_rows_beyond_the_ends_keep_a_slope(current_A):
+    """Rows of ten minutes at an end of the range: the chord must not close to nothing."""
+    rows = 40
+    log = CellLog(600.0 * np.arange(rows), np.full(rows, current_A), np.full(rows, 3.3))
+    trace = Ekf(CURVED).run(log, 0.5, 0.15)
+    for values in (trace.soc, trace.soc_std, trace.innovation_variance_V2):
+        assert np.all(np.isfinite(values))
+    assert not np.any(trace.status & Status.STATE_RESET)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: Ekf(CURVED).init(1.2),
+        lambda: Ekf(CURVED).init(-0.1),
+        lambda: Ekf(CURVED).init(np.nan),
+        lambda: Ekf(CURVED).init(0.5, 0.0),
+        lambda: Ekf(CURVED).init(0.5, np.nan),
+        lambda: Noise(voltage_V=0.0),
+        lambda: Noise(gate=0.0),
+        lambda: Noise(current_A=-1.0),
+        lambda: Noise(slow_s=np.nan),
+    ],
+)
+def test_starts_and_noise_that_make_no_sense_are_refused(make):
+    with pytest.raises(InputError):
+        make()
+
+
+def test_noise_follows_the_model():
+    model = linear_cell(capacity_Ah=40.0)
+    noise = Noise.of_model(model)
+    assert noise.current_A == pytest.approx(0.08)
+    assert noise.voltage_V == model.error.white_V
+    assert noise.slow_s == model.error.correlation_s
+    assert noise.branch_share == model.error.resistance_share
+
+
+def test_a_log_of_any_rate_ends_with_about_the_same_certainty():
+    """1 Hz and 10 Hz rows of one drive hold the same evidence where the error is slow."""
+    log, _ = driven(CURVED, 0.8)
+    fine = CellLog(
+        np.arange(0.0, 3599.01, 0.1),
+        np.append(log.current_A[0], np.repeat(log.current_A[1:], 10)),
+        np.full(35991, 3.7),
+    )
+    noise = Noise(current_A=0.0, soc_per_sqrt_h=0.0)
+    fine = replace(fine, voltage_V=simulate(CURVED, fine, 0.8).voltage_V)
+    a, b = (Ekf(CURVED, noise).run(x, 0.8, 0.1).soc_std[-1] for x in (log, fine))
+    assert b == pytest.approx(a, rel=0.03)
+
+
+def test_random_logs_leave_nothing_but_finite_numbers():
+    rng = np.random.default_rng(7)
+    for _ in range(10):
+        model = random_model(rng, temperatures=int(rng.integers(1, 4)))
+        log = random_log(rng, 1000, scale_A=5 * model.capacity_Ah, jitter=0.9,
+                         temperature_C=(-40.0, 70.0))  # fmt: skip
+        log = replace(log, voltage_V=rng.normal(3.7, 1.0, 1000))
+        trace = Ekf(model).run(log, float(rng.uniform(0, 1)))
+        for values in (trace.soc, trace.soc_std, trace.voltage_V, trace.innovation_variance_V2):
+            assert np.all(np.isfinite(values))
+        assert np.all((trace.soc >= 0) & (trace.soc <= 1))
