@@ -21,7 +21,7 @@ STRETCH_STEP = 0.005
 COARSE_STEPS = range(-16, 17, 2)
 # What a rest is good for: its voltage, and its SOC by the counter.
 REST_ERROR_V, SOC_ERROR = 2e-3, 3e-3
-CLEAR_GAIN = 0.8
+CLEAR_GAIN = 0.9
 SLOPE_BELOW_EMPTY_V = 5.0
 SAME_CAPACITY = 1e-3
 
@@ -201,7 +201,7 @@ def _left_out_errors(rests: OcvCurve, low_rate: OcvCurve, stretch: float) -> Flo
     s = rests.points_soc
     difference = rests.points_V - _stretched(low_rate.function, s, stretch)
     w = _weights(rests)
-    turn = leave_out_turns(s)
+    turn = leave_out_turns(s, keep_ends=False)
     squares = np.zeros(STIFFNESS.size)
     for fold in range(int(turn.max()) + 1):
         left = turn == fold
@@ -210,7 +210,7 @@ def _left_out_errors(rests: OcvCurve, low_rate: OcvCurve, stretch: float) -> Flo
             squares[j] += np.sum(
                 w[left] * (difference[left] - np.interp(s[left], nodes, line)) ** 2
             )
-    return squares / float(np.sum(w[turn >= 0]))
+    return squares / float(np.sum(w))
 
 
 def _weights(rests: OcvCurve) -> FloatArray:

@@ -47,8 +47,6 @@ ALIKE_RATE = 2.0
 # A voltage after so long without current tells how full the cell is.
 RESTED_S = 600.0
 NO_CURRENT = 0.02
-LEAST_FULL = 0.9
-TOP_STEPS = 11
 
 
 class Branch(NamedTuple):
@@ -200,21 +198,24 @@ def _filled_to(
 ) -> float:
     """How full a charge left the cell; 1 is the state in which the discharge began.
 
-    By the voltages at rest after the one and before the other, on the slope of the discharge
-    branch; where there are no rests, by the count, which cannot make the cell fuller than full.
+    By the count, which coulombic losses only lower and which cannot make the cell fuller than full;
+    and by the voltages at rest after the one and before the other, laid on the discharge branch,
+    which bends down too steeply at its onset. The larger is nearer in both cases.
     """
     if given.end < taken.half.steady_start:
         return 1.0
+    counted = min(ratio, 1.0)
     before, after = _begin(taken.half), given.end
     rested = np.abs(trace.current_A) <= NO_CURRENT * abs(given.half.main_current_A)
     moving = np.flatnonzero(~rested[: after + 1])
     rest_s = float(np.sum(trace.interval_s[moving[-1] + 1 : after + 1])) if moving.size else 0.0
-    known = discharge.grid_V[np.isfinite(discharge.grid_V)]
-    slope = float(known[-1] - known[-TOP_STEPS]) / ((TOP_STEPS - 1) / GRID_INTERVALS)
-    if rest_s < RESTED_S or not rested[before] or slope <= 0.0:
-        return min(ratio, 1.0)
-    short = float(trace.voltage_V[before] - trace.voltage_V[after]) / slope
-    return float(np.clip(1.0 - short, LEAST_FULL, 1.0))
+    if rest_s < RESTED_S or not rested[before]:
+        return counted
+    known = np.isfinite(discharge.grid_V)
+    grid, level = np.linspace(0.0, 1.0, GRID_INTERVALS + 1)[known], discharge.grid_V[known]
+    missing_V = float(trace.voltage_V[before] - trace.voltage_V[after])
+    short = grid[-1] - float(np.interp(level[-1] - missing_V, level, grid))
+    return float(np.clip(1.0 - short, counted, 1.0))
 
 
 def _ends(trace: Trace, half: HalfCycle) -> bool:

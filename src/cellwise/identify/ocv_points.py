@@ -83,8 +83,8 @@ def condense(
     return np.bincount(group, w * s) / total, np.bincount(group, w * v) / total, total
 
 
-def leave_out_turns(s: FloatArray) -> NDArray[np.intp]:
-    """Turn at which each point is left out, shape (n,); -1 for the two ends, which never are.
+def leave_out_turns(s: FloatArray, *, keep_ends: bool = True) -> NDArray[np.intp]:
+    """Turn at which each point is left out, shape (n,); -1 for the ends, if they are kept.
 
     Rests that lie close together, as those between the pulses of one level do, take one turn
     together: a neighbour a millivolt away would foretell anything.
@@ -95,7 +95,8 @@ def leave_out_turns(s: FloatArray) -> NDArray[np.intp]:
         levels = np.append(0, np.cumsum(step > CLOSE_OF_STEP * np.max(step)))
         group = levels if levels[-1] >= MIN_POINTS + 1 else group
     turn = group % min(FOLDS, int(group[-1]) - 1)
-    turn[(group == 0) | (group == group[-1])] = -1
+    if keep_ends:
+        turn[(group == 0) | (group == group[-1])] = -1
     return turn
 
 
