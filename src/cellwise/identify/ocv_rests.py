@@ -132,7 +132,7 @@ def ocv_from_rests(
     anchor : str            ``full`` or ``empty``
     soc_start : float       SOC at the first row, 0..1; overrides ``anchor``
     extrapolate : bool      take each rest's extrapolated voltage in place of its last ten
-                            seconds. On measured rests cut to a third this halves the error.
+                            seconds. On measured rests cut to a third it about halves the error.
     kind : str              form of the function, default the spline
     min_rest_s : float      shortest rest taken [s], see :func:`find_ocv_rests`
 

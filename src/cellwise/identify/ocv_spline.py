@@ -22,7 +22,7 @@ from cellwise.identify.ocv_points import (
 from cellwise.typing import FloatArray
 
 MIN_CELLS, MAX_CELLS = 6, 60
-# Over 37 measured curves, sampled as rests or densely, with noise from 0 to 8 mV, the best penalty
+# Over 32 measured curves, sampled as rests or densely, with noise from 0 to 8 mV, the best penalty
 # lay in this range and the usual one was seldom far from it: left-out points must be many and speak
 # clearly to move it.
 SMOOTHING = 10.0 ** np.arange(-4.0, 0.5)
