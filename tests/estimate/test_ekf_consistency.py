@@ -71,7 +71,9 @@ def replayed(model, noise, rows, dt, soc0=0.5, soc0_std=0.05, seed=1):
     return error, std, nis
 
 
-WHITE = Noise(current_A=0.05, soc_per_sqrt_h=0.02, voltage_V=0.005, slow_s=0.0, gate=1e9)
+WHITE = Noise(
+    current_A=0.05, soc_per_sqrt_h=0.02, voltage_V=0.005, slow_s=0.0, gate=1e9, mismatch_cap=0.0
+)
 
 
 @pytest.mark.parametrize(
@@ -106,7 +108,7 @@ def test_with_a_model_error_that_lasts_for_minutes(cell, dt, least):
     lost. A filter that forgot the duration covers less than 70 % (below).
     """
     model = replace(cell(), error=ModelError(slow_V=(0.010,)))
-    noise = Noise(current_A=0.01, soc_per_sqrt_h=0.005, slow_s=300.0, gate=1e9)
+    noise = Noise(current_A=0.01, soc_per_sqrt_h=0.005, slow_s=300.0, gate=1e9, mismatch_cap=0.0)
     rows = int(10_000 / dt)
     error, std, nis = replayed(model, noise, rows, dt, soc0_std=0.1)
     looks = slice(rows // 10, None, rows // 10)
@@ -118,7 +120,7 @@ def test_with_a_model_error_that_lasts_for_minutes(cell, dt, least):
 def test_taking_every_sample_for_new_evidence_would_not_cover():
     """The same data to a filter that believes in independent samples: the check can fail."""
     model = curved_cell()
-    told = Noise(current_A=0.01, soc_per_sqrt_h=0.005, slow_s=300.0, gate=1e9)
+    told = Noise(current_A=0.01, soc_per_sqrt_h=0.005, slow_s=300.0, gate=1e9, mismatch_cap=0.0)
     rng = np.random.default_rng(2)
     truth, current, voltage = draw(model, told, 4000, 1.0, 0.5, 0.1, rng)
     naive = Ekf(model, replace(told, slow_s=0.0))

@@ -155,7 +155,7 @@ def difficult_log(rng, model, rows=400):
 def test_mean_and_covariance_are_those_of_the_matrix_form(seed, slow_s):
     rng = np.random.default_rng(seed)
     model = random_model(rng, temperatures=1 + seed % 3, effects=seed != 5)
-    noise = Noise(current_A=0.02, slow_s=slow_s, gate=OPEN_GATE, gap_soc=0.002)
+    noise = Noise(current_A=0.02, slow_s=slow_s, gate=OPEN_GATE, mismatch_cap=0.0, gap_soc=0.002)
     log = difficult_log(rng, model)
     ekf = Ekf(model, noise)
     state = ekf.init(0.5, 0.018, log.current_A[0])
@@ -177,7 +177,7 @@ def test_mean_and_covariance_are_those_of_the_matrix_form(seed, slow_s):
 def test_the_filterpy_estimator_is_the_same_filter(seed):
     rng = np.random.default_rng(10 + seed)
     model = random_model(rng, temperatures=1 + seed)
-    noise = Noise(current_A=0.02, gate=OPEN_GATE, gap_soc=0.002)
+    noise = Noise(current_A=0.02, gate=OPEN_GATE, mismatch_cap=0.0, gap_soc=0.002)
     log = difficult_log(rng, model)
     ours, theirs = (f.run(log, 0.5, 0.015) for f in (Ekf(model, noise), FilterpyEkf(model, noise)))
     for name in ("soc", "soc_std", "voltage_V", "innovation_V", "innovation_variance_V2"):
@@ -196,7 +196,7 @@ def kalman_log(model, rows=300):
 def test_on_a_linear_cell_it_is_the_kalman_filter():
     """Mean, covariance and likelihood, from a start that knows nothing, within 0..1."""
     model = linear_cell(effects=(SlowDiffusion(0.02, 700.0),))
-    noise = Noise(current_A=0.03, voltage_V=0.01, slow_s=0.0, gate=OPEN_GATE)
+    noise = Noise(current_A=0.03, voltage_V=0.01, slow_s=0.0, gate=OPEN_GATE, mismatch_cap=0.0)
     log = kalman_log(model)
     ekf = Ekf(model, noise)
     state = ekf.init(0.5, 0.1)

@@ -82,8 +82,8 @@ class TestGate:
         log, _ = driven(CURVED, 0.8)
         spoilt = log.voltage_V.copy()
         spoilt[1800] += 1.0
-        a = Ekf(CURVED, Noise(gate=1e9)).run(replace(log, voltage_V=spoilt), 0.8)
-        b = Ekf(CURVED, Noise(gate=1e9)).run(log, 0.8)
+        a = Ekf(CURVED, Noise(gate=1e9, mismatch_cap=0.0)).run(replace(log, voltage_V=spoilt), 0.8)
+        b = Ekf(CURVED, Noise(gate=1e9, mismatch_cap=0.0)).run(log, 0.8)
         assert a.soc[1800] != b.soc[1800]
 
     def test_plain_noise_passes(self):
@@ -282,7 +282,8 @@ def test_covariance_stays_positive_semidefinite_and_soc_in_bounds(model, steps):
     correlation = matrices / (scale[:, :, None] * scale[:, None, :])
     assert np.all(np.diagonal(matrices, axis1=1, axis2=2) >= 0)
     assert np.linalg.eigvalsh(correlation).min() > -1e-6
-    expected = Status(255) & ~Status.STATE_RESET
+    # Under a current this wild the branches explain any misfit: recovery has its own tests.
+    expected = Status(255) & ~Status.STATE_RESET & ~Status.GATE_RECOVERY
     assert Status(seen) & expected == expected
 
 

@@ -57,7 +57,8 @@ class EkfStart(NamedTuple):
 class EkfState(NamedTuple):
     """What must be carried: x, the upper triangle of P, the last current, rejections in a row.
 
-    ``rejections`` is -1 until a voltage has been seen.
+    ``rejections`` is -1 until a voltage has been seen; ``mismatch`` is the running mean of the
+    squared innovations over the variance that the model alone explains.
     """
 
     soc: float
@@ -82,6 +83,7 @@ class EkfState(NamedTuple):
     phh: float
     current_A: float
     rejections: float
+    mismatch: float
 
     @property
     def soc_std(self) -> float:
@@ -121,7 +123,7 @@ def ekf_start(start: EkfStart, current_A: float) -> EkfState:
         v, 0.0, 0.0,
         w, 0.0,
         q,
-        current_A, -1.0,
+        current_A, -1.0, 1.0,
     )
     # fmt: on
 
@@ -265,20 +267,33 @@ def ekf_step_inline(
     one = voltage_variance(noise, point.error_V, point.ocv_slope_V, point.r0_ohm, seen)
     variance = state_variance + one
     innovation = voltage_V - predicted
-    ratio = innovation * innovation / (noise.gate * noise.gate * variance)
+    square = innovation * innovation
+    gate = noise.gate * noise.gate
+    ratio = square / (gate * variance)
     rejections = x.rejections
+    # A model of another temperature, age or cell is wrong all the time: evidence weighs less by
+    # what the innovations have lately shown beyond their variance.
+    mismatch = x.mismatch
+    if noise.mismatch_cap > 0.0 and noise.slow_s > 0.0 and math.isfinite(innovation):
+        lately = min(dt_s / noise.slow_s, 1.0)
+        mismatch += lately * (min(square / variance, noise.mismatch_cap) - mismatch)
     if not math.isfinite(innovation):
         status |= VOLTAGE_INVALID
         innovation = math.nan
         ratio = math.nan
     elif ratio > 1.0:
         status |= INNOVATION_REJECTED
-        rejections = max(rejections, 0.0) + 1.0
+        # Under load the resistances may be what is wrong: only what three times the polarisation
+        # cannot explain speaks against the SOC.
+        polarisation = (abs(point.r0_ohm * seen) + abs(v1)) + (abs(v2) + abs(v3))
+        if square > gate * variance + 4.0 * polarisation * polarisation:
+            rejections = max(rejections, 0.0) + 1.0
         if rejections >= noise.recovery_after:
             # The gate may have locked the truth out: admit a SOC error as large as what is seen,
             # so that the next voltage passes.
             status |= GATE_RECOVERY
             rejections = 0.0
+            mismatch = 1.0
             missed = innovation / max(slope, SLOPE_FLOOR_V)
             ss += min(missed * missed, RECOVERY_VARIANCE)
     else:
@@ -288,7 +303,7 @@ def ekf_step_inline(
         elif rejections >= 0.0 and noise.slow_s > 0.0:
             shared = math.inf  # a repeated stamp repeats the slow error: no new evidence
         rejections = 0.0
-        inverse = 1.0 / (state_variance + one * shared)
+        inverse = 1.0 / (state_variance + one * shared * max(mismatch, 1.0))
         ks = ds * inverse
         k1 = d1 * inverse
         k2 = d2 * inverse
@@ -325,7 +340,7 @@ def ekf_step_inline(
         p22, p23, p2h,
         p33, p3h,
         phh,
-        current, rejections,
+        current, rejections, mismatch,
     )
     # fmt: on
     return state, EkfInfo(soc, math.sqrt(ss), predicted, innovation, variance, ratio, status)

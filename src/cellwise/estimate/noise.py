@@ -21,6 +21,7 @@ class NoiseScalars(NamedTuple):
     error_scale: float
     slow_s: float
     ocv_soc: float
+    mismatch_cap: float
     gate: float
     recovery_after: int
     gap_soc: float
@@ -40,6 +41,9 @@ class Noise:
     slow_s : float            how long that error is remembered: samples within that time are not
                               counted as independent evidence (slow_s = 0: every sample is)
     ocv_soc : float           error of the OCV along the SOC axis
+    mismatch_cap : float      a model of another temperature or age is wrong all the time: its error
+                              variance grows with what the innovations have shown over slow_s, a
+                              single one counting at most this often; 0 keeps the variance
     gate : float              innovations beyond this many standard deviations are rejected
     recovery_after : int      rejections in a row after which the variance is widened
     gap_soc : float           SOC that may have flowed unseen over a gap
@@ -52,6 +56,7 @@ class Noise:
     error_scale: float = 1.0
     slow_s: float = 300.0
     ocv_soc: float = 0.003
+    mismatch_cap: float = 100.0
     gate: float = 5.0
     recovery_after: int = 20
     gap_soc: float = 0.05
@@ -87,6 +92,7 @@ class Noise:
             float(self.error_scale),
             float(self.slow_s),
             float(self.ocv_soc),
+            float(self.mismatch_cap),
             float(self.gate),
             int(self.recovery_after),
             float(self.gap_soc),
