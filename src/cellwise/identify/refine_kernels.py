@@ -53,7 +53,7 @@ class Layout(NamedTuple):
 
     @property
     def gamma(self) -> int:
-        """ln of the hysteresis rate."""
+        """Ln of the hysteresis rate."""
         return self.m + self.knots
 
     @property
@@ -113,6 +113,7 @@ def voltage_and_jacobian(
     sens_skew = np.zeros(branches)
     h = h0
     h_gamma = 0.0
+    h_skew = 0.0
     previous = current_A[0]
     out = 0
     for k in range(dt_s.size):
@@ -167,6 +168,7 @@ def voltage_and_jacobian(
             a = math.exp(-x)
             sign = math.copysign(1.0, seen)
             h_gamma = a * h_gamma - x * a * (h + sign)
+            h_skew = a * h_skew - gamma * sign * slope * dt / charge_As * a * (h + sign)
             h = a * (h + sign) - sign
         voltage_V[k] = ocv - r0 * seen - total + m * h
         if evaluate[k]:
@@ -188,6 +190,7 @@ def voltage_and_jacobian(
                 skw -= sens_skew[j]
             if hysteresis:
                 row[o_gamma] = m * h_gamma
+                skw += m * h_skew
             row[o_act] = act
             row[o_skew] = skw
             out += 1
