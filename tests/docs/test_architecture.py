@@ -1,0 +1,106 @@
+"""Imports run one way, and heavy libraries stay where they belong; see docs/architecture.md."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+PACKAGE = REPOSITORY / "src" / "cellwise"
+
+BASE = {"errors", "typing", "files"}
+TOOLS = {"logs", "cell", "identify", "estimate", "data"}
+MAY_IMPORT = {
+    "errors": set(),
+    "typing": set(),
+    "files": {"errors"},
+    "logs": BASE,
+    "cell": BASE | {"logs"},
+    "identify": BASE | {"logs", "cell"},
+    "estimate": BASE | {"logs", "cell"},
+    "data": BASE | {"logs"},
+    "report": BASE | TOOLS,
+    "benchmark": BASE | TOOLS | {"report"},
+    "cli": BASE | TOOLS | {"report", "benchmark"},
+}
+MODULES = sorted(path for path in PACKAGE.rglob("*.py") if path.parent != PACKAGE) + sorted(
+    PACKAGE / f"{name}.py" for name in (*BASE, "data")
+)
+
+
+def part_of(path):
+    """First name below the package: a folder, or a module of its own."""
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def imported(path):
+    """Dotted names of everything a module imports, wherever the import stands."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{name(path)}: a relative import"
+            if node.module == "cellwise":
+                yield from (f"cellwise.{alias.name}" for alias in node.names)
+            else:
+                yield node.module
+
+
+def name(path):
+    return path.relative_to(PACKAGE).as_posix()
+
+
+def test_every_part_has_its_rule():
+    parts = {part_of(path) for path in PACKAGE.rglob("*.py")} - {"__init__"}
+    assert parts == set(MAY_IMPORT)
+
+
+@pytest.mark.parametrize("path", MODULES, ids=name)
+def test_imports_run_one_way(path):
+    own = part_of(path)
+    for dotted in imported(path):
+        parts = dotted.split(".")
+        if parts[0] != "cellwise":
+            continue
+        assert len(parts) > 1, f"{name(path)} imports the public face"
+        assert parts[1] in MAY_IMPORT, f"{name(path)} imports {dotted} through the public face"
+        assert parts[1] == own or parts[1] in MAY_IMPORT[own], f"{name(path)} imports {dotted}"
+
+
+def test_numba_stays_in_the_kernels():
+    for path in MODULES:
+        if any(dotted.split(".")[0] == "numba" for dotted in imported(path)):
+            own = part_of(path)
+            assert own in ("cell", "estimate", "identify"), name(path)
+            assert own != "identify" or path.stem.endswith("_kernels"), name(path)
+
+
+@pytest.mark.parametrize(("library", "folder"), [("matplotlib", "report"), ("pyarrow", "logs")])
+def test_libraries_stay_in_their_folder(library, folder):
+    for path in MODULES:
+        if any(dotted.split(".")[0] == library for dotted in imported(path)):
+            assert part_of(path) == folder, name(path)
+
+
+def test_kernels_do_not_raise():
+    """What compiled code has to say it says in status bits or return values."""
+    for path in MODULES:
+        if path.stem == "kernels" or path.stem.endswith("_kernels"):
+            tree = ast.parse(path.read_text(encoding="utf-8"))
+            assert not any(isinstance(node, ast.Raise) for node in ast.walk(tree)), name(path)
+
+
+def test_assert_is_for_tests():
+    for path in MODULES:
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        assert not any(isinstance(node, ast.Assert) for node in ast.walk(tree)), name(path)
+
+
+def test_the_generator_of_the_embedded_data_shares_no_code_with_cellwise():
+    for path in (REPOSITORY / "datasets").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            named = [alias.name for alias in getattr(node, "names", ())]
+            roots = {n.split(".")[0] for n in (getattr(node, "module", None) or "", *named)}
+            assert not (isinstance(node, ast.Import | ast.ImportFrom) and "cellwise" in roots), path
