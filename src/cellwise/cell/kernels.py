@@ -20,6 +20,9 @@ COLUMNS = 10
 
 ZERO_CELSIUS_K = 273.15
 
+# How far beyond 0..1 the OCV goes on along its last segment.
+BEYOND = 0.05
+
 
 class CellScalars(NamedTuple):
     """A CellModel as the kernels see it.
@@ -67,14 +70,14 @@ def look_up(
 ) -> CellPoint:
     """Tables at one SOC and temperature, linear between grid points.
 
-    Outside 0..1 the OCV goes on along its last segment, so that a filter keeps a slope to come
-    back on; every other parameter stays at its end value. Temperature is held at the ends.
+    Outside 0..1 the OCV goes on along its last segment for BEYOND, so that a filter keeps a slope
+    to come back on; every other parameter stays at its end value. Temperature is held at the ends.
     """
     n = table.shape[1]
     x = soc * (n - 1)
     k = np.uint64(min(max(x, 0.0), n - 2.0))  # unsigned: no test for indices from the end
     k1 = k + np.uint64(1)
-    f = x - float(k)
+    f = min(max(x - float(k), -BEYOND * (n - 1)), 1.0 + BEYOND * (n - 1))
     g = min(max(f, 0.0), 1.0)
     lo = np.uint64(0)
     w = 0.0
@@ -180,7 +183,13 @@ def seen_current(cell: CellScalars, current_A: float, previous_A: float, dt_s: f
 
 @njit(cache=True, error_model="numpy", inline="always")
 def advance(
-    table: FloatArray, grid: FloatArray, cell: CellScalars, state: CellState, current_A: float, dt_s: float, temperature_C: float
+    table: FloatArray,
+    grid: FloatArray,
+    cell: CellScalars,
+    state: CellState,
+    current_A: float,
+    dt_s: float,
+    temperature_C: float,
 ) -> tuple[CellState, CellPoint]:
     """One interval of constant current: charge first, then the branches at the new SOC."""
     soc = soc_step(cell, state.soc, current_A, dt_s)
@@ -199,7 +208,7 @@ def advance(
 
 @njit(cache=True, error_model="numpy", inline="always")
 def terminal_voltage(point: CellPoint, state: CellState, current_A: float) -> float:
-    """v = OCV - R0 I - V1 - V2 - V3 + M h."""
+    """V = OCV - R0 I - V1 - V2 - V3 + M h."""
     return (
         point.ocv_V
         - point.r0_ohm * current_A

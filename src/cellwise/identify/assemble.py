@@ -13,9 +13,11 @@ from cellwise.cell.effects import (
     TemperatureDependence,
     TimeSkew,
 )
-from cellwise.cell.model import ModelTables
+from cellwise.cell.model import CellModel, ModelTables
+from cellwise.identify.ocv import OcvCurve
 from cellwise.identify.refine import RefineResult, StartTables
 from cellwise.identify.splines import spline_rows, spline_values
+from cellwise.identify.tables import NAMES, PulseTables
 from cellwise.typing import FloatArray
 
 GRID_POINTS = 201
@@ -70,6 +72,20 @@ def refined_effects(result: RefineResult, skewed: bool, hot: bool) -> tuple[Effe
     if skewed and result.skew_s > LEAST_SKEW_S:
         found.append(TimeSkew(result.skew_s))
     return tuple(found)
+
+
+def plain_model(
+    tables: PulseTables, ocv: OcvCurve, capacity: float, temperature: float
+) -> CellModel:
+    """A model of the pulses' tables as they are, without refinement."""
+    return CellModel(
+        capacity,
+        *ModelTables(
+            monotone(ocv.function.evaluate(tables.soc)),
+            *(tables.values[name] for name in NAMES),
+        ),
+        temperature_C=np.array([temperature]),
+    )
 
 
 def relative_errors(result: RefineResult) -> dict[str, float]:

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from cellwise.cell.metrics import error_metrics
-from cellwise.cell.model import CellModel, ModelTables
+from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import Simulation, simulate
 from cellwise.errors import InputError
-from cellwise.identify.assemble import GRID_POINTS, monotone, table_summary
+from cellwise.identify.assemble import GRID_POINTS, plain_model, table_summary
 from cellwise.identify.capacity import CapacityTest, hppc_total_Ah, measure_capacities
 from cellwise.identify.capacity_choice import capacity_choices, choose_capacity
 from cellwise.identify.identification import (
@@ -33,7 +33,7 @@ from cellwise.identify.pulses import find_pulses, pulses_to_fit
 from cellwise.identify.refine_stage import Refined, refine_temperature
 from cellwise.identify.soc_anchor import anchor_soc
 from cellwise.identify.stack import stack_models
-from cellwise.identify.tables import NAMES, PulseTables, pulse_tables
+from cellwise.identify.tables import pulse_tables
 from cellwise.logs.cell_log import CellLog
 
 Progress = Callable[[str], None]
@@ -96,7 +96,7 @@ def identify(
             refined_logs.append(refined)
             models.append(refined.model)
         elif tables is not None:
-            models.append(_plain_model(tables, ocv, capacity, temperature))
+            models.append(plain_model(tables, ocv, capacity, temperature))
         else:
             raise InputError(
                 "a drive log alone without refinement",
@@ -286,20 +286,6 @@ def _no_pulses(sets: tuple[PulseSet, ...]) -> str:
     return "; ".join(said)
 
 
-def _plain_model(
-    tables: PulseTables, ocv: OcvCurve, capacity: float, temperature: float
-) -> CellModel:
-    """The pulses' tables as they are, without refinement."""
-    return CellModel(
-        capacity,
-        *ModelTables(
-            monotone(ocv.function.evaluate(tables.soc)),
-            *(tables.values[name] for name in NAMES),
-        ),
-        temperature_C=np.array([temperature]),
-    )
-
-
 def _limit(tests: TestLogs, measured: tuple[CapacityTest, ...], *, low: bool) -> float | None:
     """The voltage window that the laboratory tests kept to."""
     logs = [*tests.capacity, *tests.ocv, *(log for log, _ in tests.hppc)]
@@ -314,14 +300,12 @@ def _own_simulations(
     model: CellModel, tests: TestLogs, ocv: OcvCurve, refined: list[Refined]
 ) -> tuple[Simulation, ...]:
     """The model over the logs it was fitted on, from the SOC they were taken to begin at."""
-    starts = {id(log): soc for r in refined for log, soc in r.starts}
-    simulations = []
-    for log, _ in (*tests.hppc, *tests.drive):
-        soc0 = starts.get(id(log))
-        if soc0 is None:
-            soc0 = anchor_soc(log, ocv, model.capacity_Ah, 0.0).soc
-        simulations.append(simulate(model, log, min(max(soc0, 0.0), 1.0)))
-    return tuple(simulations)
+    if refined:
+        starts = [item for r in refined for item in r.starts]
+    else:
+        logs = [log for log, _ in tests.hppc]
+        starts = [(log, anchor_soc(log, ocv, model.capacity_Ah, 0.0).soc) for log in logs]
+    return tuple(simulate(model, log, min(max(soc0, 0.0), 1.0)) for log, soc0 in starts)
 
 
 def _provenance(

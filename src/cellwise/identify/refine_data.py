@@ -95,7 +95,9 @@ def prepare_log(
     merged = np.diff(moved, prepend=moved[0])
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = np.where(dt > 0, merged / dt, current[kept])
-    soc = np.interp(np.arange(n), np.flatnonzero(np.isfinite(item.soc)), item.soc[np.isfinite(item.soc)])
+    soc = np.interp(
+        np.arange(n), np.flatnonzero(np.isfinite(item.soc)), item.soc[np.isfinite(item.soc)]
+    )
     soc = soc[kept]
     shown = evaluate[kept]
     return PreparedLog(
@@ -124,6 +126,4 @@ def _inverse_kelvin(log: CellLog, reference_C: float) -> FloatArray:
     if not good.any():
         return np.zeros(len(log))
     held = np.interp(np.arange(len(log)), np.flatnonzero(good), measured[good])
-    return np.asarray(
-        1.0 / (held + ZERO_CELSIUS_K) - 1.0 / (reference_C + ZERO_CELSIUS_K)
-    )
+    return np.asarray(1.0 / (held + ZERO_CELSIUS_K) - 1.0 / (reference_C + ZERO_CELSIUS_K))

@@ -6,15 +6,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cellwise.errors import InputError
 from cellwise.identify.ocv import OcvCurve
 from cellwise.identify.ocv_rests import find_ocv_rests
-from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
 FULL_FROM = 0.97  # a log that seems to begin above this begins full: nobody stops charging at 98 %
 EMPTY_TO = 0.02
 OCV_ERROR_V = 0.005
+CAPACITY_ERROR = 0.03
+LATER_RESTS = 2.0
+LARGEST_ASSUMED = 0.1
+PLAUSIBLE = 2.0  # standard deviations within which a log may still have begun full
 REST_SHARE = 0.01  # below C/100 a cell counts as resting
 FIRST_S = 60.0
 
@@ -53,20 +57,29 @@ def anchor_soc(
     grid = np.linspace(0.0, 1.0, 1001)
     level = np.maximum.accumulate(ocv.function.evaluate(grid))
     half = _half_gap(ocv, grid)
+    slope = np.gradient(level, grid)
     charge, voltage, error, how = _evidence(log, capacity_Ah, resistance_ohm)
     cost = np.zeros(grid.size)
-    for q, v, e in zip(charge, voltage, error, strict=True):
+    # Later rests share one capacity and one OCV, and are wrong together: they count as two.
+    later = np.abs(charge) > 1e-3 * capacity_Ah
+    share = np.where(later, min(1.0, LATER_RESTS / max(int(later.sum()), 1)), 1.0)
+    for q, v, e, w in zip(charge, voltage, error, share, strict=True):
         at = grid - q / capacity_Ah
         expected = np.interp(at, grid, level)
         wide = np.hypot(e, np.interp(at, grid, half))
+        # The further from the start, the more a capacity of another temperature or age matters.
+        wide = np.hypot(wide, np.interp(at, grid, slope) * CAPACITY_ERROR * abs(q) / capacity_Ah)
         outside = np.maximum(0.0, np.maximum(at - 1.0, -at))  # beyond full or empty is unlikely
-        cost += np.minimum(((v - expected) / wide) ** 2, 25.0) + (outside / 0.01) ** 2
+        cost += w * np.minimum(((v - expected) / wide) ** 2, 25.0) + (outside / 0.01) ** 2
     weight = np.exp(-0.5 * (cost - cost.min()))
     mean = float(np.average(grid, weights=weight))
     std = float(np.sqrt(np.average((grid - mean) ** 2, weights=weight)))
     reached = mean - float(np.min(log.counted_charge_Ah())) / capacity_Ah
-    if mean >= FULL_FROM or mean + 2 * std >= 1.0:
-        return SocAnchor(1.0, max(std, 0.005), f"{how}: full")
+    if mean >= FULL_FROM or mean + PLAUSIBLE * std >= 1.0:
+        # Nothing speaks against full, and that is how tests begin; a voltage that says nothing at
+        # all is no reason to believe it.
+        sure = 0.01 if std <= LARGEST_ASSUMED else std
+        return SocAnchor(1.0, min(max(std, 0.005), sure), f"{how}: full")
     if reached >= FULL_FROM and reached <= 1.0 + 2 * max(std, 0.01):
         full = 1.0 + float(np.min(log.counted_charge_Ah())) / capacity_Ah
         return SocAnchor(min(max(full, 0.0), 1.0), max(std, 0.005), f"{how}: charged full later")
@@ -86,7 +99,7 @@ def _half_gap(ocv: OcvCurve, grid: FloatArray) -> FloatArray:
 
 def _evidence(
     log: CellLog, capacity_Ah: float, resistance_ohm: float
-) -> tuple[list[float], list[float], list[float], str]:
+) -> tuple[FloatArray, FloatArray, FloatArray, str]:
     """Charge since the start, voltage at rest and its error, of every rest worth using."""
     current = log.known_current_A()
     charge = log.counted_charge_Ah()
@@ -104,14 +117,15 @@ def _evidence(
     if abs(current[first]) < REST_SHARE * capacity_Ah:
         found.append((float(charge[first]), float(log.voltage_V[first]), 2 * OCV_ERROR_V))
     if found:
-        q, v, e = (list(column) for column in zip(*found, strict=True))
+        q, v, e = np.array(found).T
         return q, v, e, f"{len(found)} rest(s) on the OCV"
     head = finite & (log.time_s <= log.time_s[0] + FIRST_S)
     lifted = log.voltage_V[head] + resistance_ohm * current[head]
     drop = resistance_ohm * float(np.mean(np.abs(current[head])))
     return (
-        [float(np.mean(charge[head]))],
-        [float(np.mean(lifted))],
-        [2 * OCV_ERROR_V + 0.5 * drop],
+        np.array([float(np.mean(charge[head]))]),
+        np.array([float(np.mean(lifted))]),
+        # In the cold the drop after seconds is several times the one after milliseconds.
+        np.array([2 * OCV_ERROR_V + 1.5 * drop]),
         "first minute under load",
     )
