@@ -67,7 +67,7 @@ def test_names_and_units_of_the_nomenclature_agree():
         assert len(cells) == 5, cells
         for name in names:
             suffix = name.rpartition("_")[2]
-            if "_" in name and suffix in UNITS:
+            if "_" in name and suffix in UNITS and name != "rate_C":  # in C, not in degrees
                 assert UNITS[suffix] in re.split(r",\s*", cells[2]), f"{name}: unit '{cells[2]}'"
 
 
