@@ -158,7 +158,7 @@ def test_a_log_without_temperature_does_not_know_the_activation():
 
 
 def test_resistances_follow_arrhenius():
-    # At one cold temperature every resistance grows by exp(E (1/T - 1/Tref)): all overpotential too.
+    # Cold, every resistance grows by exp(E (1/T - 1/Tref)), and so does all overpotential.
     rng = np.random.default_rng(6)
     layout = make_layout(3, False)
     log, theta = make_log(rng, temperature=False), make_theta(layout, rng)

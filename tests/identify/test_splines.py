@@ -63,7 +63,7 @@ def test_beyond_the_break_points_the_end_value_holds(knots):
 
 @KNOTS
 def test_greville_coefficients_reproduce_a_straight_line(knots):
-    # Linear precision: a spline whose coefficients lie on a line at the Greville points is that line.
+    # Linear precision: coefficients on a line at the Greville points give that line.
     soc = soc_samples(knots)
     line = spline_values(spline_rows(soc, knots), 0.3 - 2.0 * greville(knots))
     np.testing.assert_allclose(line, 0.3 - 2.0 * soc, atol=1e-12)

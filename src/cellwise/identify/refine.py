@@ -154,7 +154,7 @@ def refine(
         knots=knots,
         ocv_knots=ocv_knots,
         theta=theta,
-        theta_std=problem.standard_errors(theta, sigma, residuals),
+        theta_std=problem.standard_errors(theta, sigma),
         rmse_V=tuple(float(np.sqrt(np.mean(r * r))) for r in residuals),
         residual_V=residuals,
         logs=prepared,
@@ -330,14 +330,25 @@ class _Problem:
                     return theta, step + 1
         return theta, iterations
 
-    def standard_errors(
-        self, theta: FloatArray, sigma: float, residuals: tuple[FloatArray, ...]
-    ) -> FloatArray:
-        """Standard error of every parameter, with the residual's own correlation counted."""
-        _, _, matrix, _ = self.normal_equations(theta, sigma)
-        effective = sum(independent_samples(r) for r in residuals)
-        system = matrix + self.penalty(sigma) + np.diag(self.prior(sigma))
-        covariance = np.linalg.pinv(system) * sigma**2 / max(effective, 1.0)
+    def standard_errors(self, theta: FloatArray, sigma: float) -> FloatArray:
+        """Standard error of every parameter.
+
+        Every log counts with its own residual and that residual's own correlation, because a short
+        log has the weight of a long one: A^-1 (sum of share_i s_i^2 / n_i A_i) A^-1, not A^-1.
+        """
+        held = self.penalty(sigma) + np.diag(self.prior(sigma))
+        system, middle = held.copy(), np.zeros_like(held)
+        mean_variance = 0.0
+        for i, share in enumerate(self.share):
+            r, jacobian = self.evaluate(i, theta)
+            w = 1.0 / np.sqrt(1.0 + (r / (self.settings.robust * sigma)) ** 2)
+            information = share / r.size * (jacobian * w[:, None]).T @ jacobian
+            variance = share * float(np.mean(w * r * r)) / independent_samples(r)
+            system += information
+            middle += variance * information
+            mean_variance += share * variance
+        inverse = np.linalg.pinv(system)
+        covariance = inverse @ (middle + mean_variance * held) @ inverse
         return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
 
     def _blocks(self) -> list[int]:
