@@ -34,6 +34,10 @@ def constant(value: float) -> Table:
     return lambda s: np.full(np.shape(s), value)
 
 
+R0 = constant(0.025)
+PAIRS = ((constant(0.012), constant(6.0)), (constant(0.020), constant(90.0)))
+
+
 def ocv(s):
     return 3.45 + 0.62 * s - 0.5 * np.exp(-20.0 * s)
 
@@ -42,11 +46,8 @@ def ocv(s):
 class Truth:
     """A cell that the refinement's own class of models holds."""
 
-    r0: Table = constant(0.025)
-    pairs: tuple[tuple[Table, Table], ...] = (
-        (constant(0.012), constant(6.0)),
-        (constant(0.020), constant(90.0)),
-    )
+    r0: Table = R0
+    pairs: tuple[tuple[Table, Table], ...] = PAIRS
     m_V: float = 0.0
     gamma: float = 50.0
     activation_K: float = 0.0
@@ -295,8 +296,13 @@ def test_wild_rows_do_not_move_the_tables():
 
 def test_progress_is_told():
     told = []
-    refine(two_logs(Truth(), noise=1e-3), start_tables(2, 1.5), capacity_Ah=CAPACITY_AH,
-           settings=RefineSettings(branches=2), progress=lambda k, v: told.append((k, v)))  # fmt: skip
+    refine(
+        two_logs(Truth(), noise=1e-3),
+        start_tables(2, 1.5),
+        settings=RefineSettings(branches=2),
+        capacity_Ah=CAPACITY_AH,
+        progress=lambda step, rmse: told.append((step, rmse)),
+    )
     assert told
     assert told[-1][1] < told[0][1]
 

@@ -44,7 +44,7 @@ class RefineSettings:
                               deviation of 0 keeps it
     skew : bool               fit the skew of the logs that say they may have one
     smooth : float            weight of the tables' curvature, in units of the residual variance
-    ocv_smooth, ocv_size : float             weight of the OCV correction's curvature and size [V^-2]
+    ocv_smooth, ocv_size : float      weight of the OCV correction's curvature and size [V^-2]
     hold : float              weight of the start values, for what the data cannot tell
     robust : float            residuals beyond this many standard deviations count linearly
     iterations : int
