@@ -1,0 +1,20 @@
+"""Pictures and self-contained pages (needs the extra ``report``: matplotlib)."""
+
+from __future__ import annotations
+
+from cellwise.report.demo_page import demo_page
+from cellwise.report.hero import hero_figure
+from cellwise.report.pages import identify_page, replay_page
+from cellwise.report.picture import Picture, figure_png, figure_svg, save_figure, save_figures
+
+__all__ = [
+    "Picture",
+    "demo_page",
+    "figure_png",
+    "figure_svg",
+    "hero_figure",
+    "identify_page",
+    "replay_page",
+    "save_figure",
+    "save_figures",
+]

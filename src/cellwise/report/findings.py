@@ -1,0 +1,133 @@
+"""The first line of every page: what was found, in words, with the numbers of the data."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cellwise.cell.simulate import Simulation
+from cellwise.estimate.replay import CONVERGED_SOC, Replay
+from cellwise.identify.identification import Identification
+from cellwise.report.numerals import (
+    ampere_hours,
+    celsius,
+    duration,
+    listed,
+    millivolt,
+    percent,
+    plural,
+    points,
+)
+
+EFFECTS = {
+    "slow_diffusion": "a slow third branch",
+    "hysteresis": "hysteresis",
+    "temperature_dependence": "an Arrhenius factor",
+    "time_skew": "the logger's time skew",
+}
+TWO, TENTH = percent(CONVERGED_SOC, 0), percent(0.1, 0)
+ESTIMATORS = {
+    "ekf": "the EKF",
+    "filterpy-ekf": "filterpy's EKF",
+    "coulomb": "coulomb counting",
+}
+
+
+def identify_finding(identification: Identification) -> str:
+    """What an identification found."""
+    model = identification.model
+    extra = [EFFECTS.get(e.name, e.name.replace("_", " ")) for e in model.effects]
+    kind = "2-RC model" + (f" with {listed(extra)}" if extra else "")
+    logs = len(identification.simulations)
+    text = f"A {kind}, of {ampere_hours(model.capacity_Ah)}"
+    if model.temperature_C.size > 1:
+        low, high = model.temperature_C[0], model.temperature_C[-1]
+        text += f", from {celsius(float(low))} to {celsius(float(high))}"
+    text += (
+        f", explains its own {plural(logs, 'log')} to {millivolt(identification.fit.rmse_V)} RMSE"
+    )
+    counts = identification.pulse_counts
+    total = sum(counts.values())
+    if total:
+        text += f"; {counts['healthy']} of {total} pulses were healthy"
+    return text + "."
+
+
+def replay_finding(replay: Replay) -> str:
+    """What a replay found: how far off it began, how fast it came back, how well it stays."""
+    who = ESTIMATORS.get(replay.estimator, replay.estimator)
+    settled = replay.settled
+    if replay.reference_soc is None or settled is None:
+        return _sentence(
+            f"{who} ends at {percent(float(replay.trace.soc[-1]), 1)} SOC, give or take "
+            f"{percent(2.0 * float(replay.trace.soc_std[-1]), 1)}; nothing to judge it by"
+        )
+    off = abs(float(replay.start.soc - replay.reference_soc[0]))
+    begin = "From the right start" if off < 0.005 else f"From {100.0 * off:.0f} points off"
+    if replay.convergence_s is None:
+        return (
+            f"{begin} {who} never comes within {TWO} for ten minutes; over the second half it is "
+            f"{percent(settled.rmse)} RMSE off."
+        )
+    held = f"holds {percent(settled.rmse)} SOC RMSE, {percent(settled.max)} at most."
+    if replay.convergence_s > 0.0:
+        reached = f"is within {TWO} after {duration(replay.convergence_s)} and then "
+    else:
+        reached = "" if off < 0.005 else f"is within {TWO} from the first row on and "
+    return f"{begin} {who} {reached}{held}"
+
+
+def simulation_finding(simulations: Sequence[Simulation]) -> str:
+    """How well the model foretells the logs it is simulated on."""
+    each = [s.rmse_above_10pct_V for s in simulations]
+    known = [e for e in each if np.isfinite(e)]
+    if not known:
+        return f"{plural(len(simulations), 'log')} simulated."
+    if len(known) == 1:
+        name = simulations[0].log.name or "a log"
+        return (
+            f"The voltage of {name} is simulated to {millivolt(known[0])} RMSE above {TENTH} SOC."
+        )
+    mean = float(np.mean(known))
+    return (
+        f"The voltage of {plural(len(known), 'log')} is simulated to {millivolt(mean)} RMSE above "
+        f"{TENTH} SOC in the mean, {millivolt(max(known))} at worst."
+    )
+
+
+def demo_finding(
+    identification: Identification, simulations: Sequence[Simulation], replays: Sequence[Replay]
+) -> str:
+    """The whole story in one or two sentences."""
+    model = identification.model
+    name = model.name or "the cell"
+    alone = "laboratory tests alone" if not fitted_drives(identification) else "test logs"
+    text = (
+        f"From {alone} to SOC on the road: a model of {name}, "
+        f"{ampere_hours(model.capacity_Ah)}, explains its own "
+        f"{plural(len(identification.simulations), 'log')} to "
+        f"{millivolt(identification.fit.rmse_V)} RMSE"
+    )
+    known = [s.rmse_above_10pct_V for s in simulations if np.isfinite(s.rmse_above_10pct_V)]
+    if known:
+        text += f" and {plural(len(known), 'drive')} it has not seen to "
+        text += f"{millivolt(float(np.mean(known)))}"
+    text += "."
+    judged = [r for r in replays if r.settled is not None]
+    return text + (f" {replay_finding(judged[0])}" if judged else "")
+
+
+def fitted_drives(identification: Identification) -> tuple[Simulation, ...]:
+    """The drives that took part in the identification."""
+    pulsed = {id(s.log) for t in identification.temperatures for s in t.pulse_sets}
+    return tuple(s for s in identification.simulations if id(s.log) not in pulsed)
+
+
+def replay_name(replay: Replay) -> str:
+    """``ekf on drive_b from 70 %``."""
+    return f"{replay.estimator} on {replay.log.name or 'log'} from {points(replay.start.soc)}"
+
+
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:] + "."

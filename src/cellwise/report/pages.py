@@ -1,0 +1,222 @@
+"""The pages: an identification, and replays of logs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from cellwise.cell.simulate import Simulation
+from cellwise.errors import InputError
+from cellwise.estimate.replay import Replay
+from cellwise.identify.identification import Identification
+from cellwise.report.capacity_section import capacity_content, capacity_picture
+from cellwise.report.findings import identify_finding, replay_finding, simulation_finding
+from cellwise.report.markup import Markup, bullets, paragraph, tiles
+from cellwise.report.numerals import (
+    ampere_hours,
+    duration,
+    listed,
+    millivolt,
+    percent,
+    plural,
+    significant,
+)
+from cellwise.report.ocv_section import ocv_content, ocv_evidence, ocv_picture
+from cellwise.report.parameter_section import parameter_content, parameter_picture
+from cellwise.report.provenance_section import provenance_content
+from cellwise.report.pulse_section import pulse_content, pulse_picture, pulse_sets
+from cellwise.report.replay_section import replay_content, replay_pictures
+from cellwise.report.section import Section, write_page
+from cellwise.report.simulation_section import simulation_content, simulation_pictures
+
+
+def identify_page(
+    identification: Identification, path: str | Path, *, figures: str | Path | None = None
+) -> Path:
+    """Write the page of an identification: OCV, capacity, pulses, tables, fit, provenance.
+
+    Parameters
+    ----------
+    identification : Identification
+    path : str or Path            of the HTML file; it appears whole or not at all
+    figures : str, Path or None   folder for the same pictures as PNG and SVG files
+
+    Raises
+    ------
+    InputError        matplotlib is missing; the path cannot be written
+    """
+    return write_page(
+        path,
+        identify_finding(identification),
+        f"Identification of {cell_name(identification)}, by cellwise",
+        identify_sections(identification),
+        identification.to_dict(),
+        lead=Markup(identify_tiles(identification) + notices(identification)),
+        figures=figures,
+    )
+
+
+def replay_page(
+    replays: Sequence[Replay],
+    path: str | Path,
+    simulations: Sequence[Simulation] = (),
+    *,
+    figures: str | Path | None = None,
+) -> Path:
+    """Write the page of one or more replays, and of simulations beside them.
+
+    Parameters
+    ----------
+    replays : of Replay           the first one gives the page's first line
+    path : str or Path            of the HTML file; it appears whole or not at all
+    simulations : of Simulation   of the same or other logs
+    figures : str, Path or None   folder for the same pictures as PNG and SVG files
+
+    Raises
+    ------
+    InputError        no replay; matplotlib is missing; the path cannot be written
+    """
+    if not replays:
+        raise InputError("no replay for the page", "at least one", "Replay a log first.")
+    names = list(dict.fromkeys(r.log.name or "log" for r in replays))
+    said = [replay_finding(r) for r in replays[1:]]
+    if simulations:
+        said.append(simulation_finding(simulations))
+    return write_page(
+        path,
+        replay_finding(replays[0]),
+        f"State of charge on {listed(names)}, by cellwise",
+        replay_sections(replays, simulations),
+        replay_data(replays, simulations),
+        lead=Markup(replay_tiles(replays[0]) + bullets(said)),
+        figures=figures,
+    )
+
+
+def identify_sections(identification: Identification) -> tuple[Section, ...]:
+    """The parts of an identification's page."""
+    evidence = ocv_evidence(identification)
+    sections = [
+        Section(
+            "ocv",
+            "Open-circuit voltage",
+            (ocv_picture(identification, evidence), ocv_content(identification, evidence)),
+        ),
+        Section(
+            "capacity",
+            "Capacity",
+            (capacity_picture(identification), capacity_content(identification)),
+        ),
+    ]
+    if any(s.pulses for _, s in pulse_sets(identification)):
+        sections.append(
+            Section(
+                "pulses", "Pulses", (pulse_picture(identification), pulse_content(identification))
+            )
+        )
+    sections += [
+        Section(
+            "parameters",
+            "Parameters",
+            (parameter_picture(identification), parameter_content(identification)),
+        ),
+        Section(
+            "fit",
+            "Measured and simulated",
+            (
+                simulation_content(identification.simulations),
+                *simulation_pictures(identification.simulations, "fit"),
+            ),
+        ),
+        Section(
+            "provenance",
+            "Where every number came from",
+            (provenance_content(identification),),
+            "Provenance",
+        ),
+    ]
+    return tuple(sections)
+
+
+def replay_sections(
+    replays: Sequence[Replay], simulations: Sequence[Simulation] = ()
+) -> tuple[Section, ...]:
+    """The parts of a replay page."""
+    sections = [
+        Section("soc", "State of charge", replay_pictures(replays)),
+        Section("figures", "All figures", (replay_content(replays),)),
+    ]
+    if simulations:
+        content = simulation_content(simulations)
+        sections.append(
+            Section(
+                "simulation",
+                "Measured and simulated voltage",
+                (content, *simulation_pictures(simulations)),
+            )
+        )
+    return tuple(sections)
+
+
+def replay_data(
+    replays: Sequence[Replay], simulations: Sequence[Simulation]
+) -> dict[str, list[dict[str, object]]]:
+    """Figures of replays and simulations as JSON values, each with the name of its log."""
+    return {
+        "replays": [{"log": r.log.name, **r.to_dict()} for r in replays],
+        "simulations": [{"log": s.log.name, **s.to_dict()} for s in simulations],
+    }
+
+
+def cell_name(identification: Identification) -> str:
+    """Name and chemistry of the identified cell."""
+    model = identification.model
+    name = model.name or "the cell"
+    return f"{name} ({model.chemistry})" if model.chemistry else name
+
+
+def identify_tiles(identification: Identification) -> Markup:
+    """Key figures of an identification."""
+    counts = identification.pulse_counts
+    facts: list[tuple[object, object]] = [
+        (
+            f"capacity ({identification.capacity_choice})",
+            ampere_hours(identification.model.capacity_Ah),
+        ),
+        ("RMSE on its own logs", millivolt(identification.fit.rmse_V)),
+        ("MAE on its own logs", millivolt(identification.fit.mae_V)),
+        ("largest error", millivolt(identification.fit.max_error_V)),
+    ]
+    if sum(counts.values()):
+        facts.append(("healthy pulses", f"{counts['healthy']} of {sum(counts.values())}"))
+    facts.append(("time taken", f"{significant(identification.seconds, 2)} s"))
+    return tiles(facts)
+
+
+def replay_tiles(replay: Replay) -> Markup:
+    """Key figures of a replay."""
+    facts: list[tuple[object, object]] = [
+        ("start SOC", f"{percent(replay.start.soc, 1)}"),
+        ("final SOC", percent(float(replay.trace.soc[-1]), 1)),
+    ]
+    settled = replay.settled
+    if settled is not None:
+        reached = replay.convergence_s
+        facts += [
+            ("within 2 points after", "never" if reached is None else duration(reached)),
+            ("settled SOC RMSE", percent(settled.rmse)),
+            ("error inside 2σ", percent(replay.coverage_2sigma, 1)),
+        ]
+    facts += [
+        ("voltage foretold to", millivolt(replay.voltage_rmse_V)),
+        ("per step", f"{significant(replay.ns_per_step)} ns"),
+    ]
+    return tiles(facts)
+
+
+def notices(identification: Identification) -> Markup:
+    """What a person should know before believing the numbers."""
+    if not identification.notices:
+        return Markup("")
+    said = paragraph(f"{plural(len(identification.notices), 'notice')} on the way:")
+    return Markup(said + bullets(identification.notices, "notices"))
