@@ -156,16 +156,19 @@ class PulseFit:
     def identified(self) -> PulseParameters:
         """Whether each parameter is known well enough to enter a table (1.0) or not (0.0).
 
-        Not when it sits at a bound, nor when its standard error is above `IDENTIFIED_PART` of it.
-        Without standard errors (``segments``) nothing is claimed: all 0.0.
+        Not when it sits at a bound, when its standard error is above `IDENTIFIED_PART` of it, or
+        when it has none (the time constants of ``segments``). A fitted OCV slope counts only with
+        a known tau2: a slow branch that the window does not see passes for slope.
         """
-        flags = []
+        flags = {}
         for name, value, error in zip(self.value._fields, self.value, self.error, strict=True):
             limit = IDENTIFIED_PART * abs(value)
             if name == "ocv_slope_V":
                 limit = max(limit, IDENTIFIED_SLOPE_V)
-            flags.append(float(np.isfinite(error) and error <= limit and name not in self.at_bound))
-        return PulseParameters(*flags)
+            flags[name] = bool(np.isfinite(error)) and error <= limit and name not in self.at_bound
+        if self.error.ocv_slope_V > 0.0:
+            flags["ocv_slope_V"] = flags["ocv_slope_V"] and flags["tau2_s"]
+        return PulseParameters(**{name: float(flag) for name, flag in flags.items()})
 
     @property
     def notices(self) -> tuple[str, ...]:

@@ -14,13 +14,14 @@ of the SOC range from bending tau2.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.identify.fit_errors import residual_statistics, standard_errors
+from cellwise.identify.fit_profile import profile_errors
 from cellwise.identify.pulse_data import PulseData, Weighting
 from cellwise.identify.pulse_parameters import PulseFit, PulseParameters, PulseTrend, TauBounds
 from cellwise.identify.pulse_problem import (
@@ -30,16 +31,10 @@ from cellwise.identify.pulse_problem import (
     log_limits,
     window_tau_bounds,
 )
-from cellwise.identify.varpro_algebra_kernels import minimise, scan
-from cellwise.identify.varpro_kernels import BENDS, COLUMNS, LINEAR, thin
-from cellwise.typing import BoolArray, FloatArray
+from cellwise.identify.varpro_kernels import BENDS, LINEAR
+from cellwise.identify.varpro_search import TIGHT, descend, search, thinned
+from cellwise.typing import FloatArray
 
-GRID = 9  # start values per axis of the log tau plane
-STARTS = 3  # grid points that are followed
-THIN_ABOVE = 800  # rows; fewer are searched as they are
-THIN_PART = 0.02  # of the time since the last step: resolution of the search for start values
-PASSES = 60
-LOOSE, TIGHT = 1e-4, 1e-6  # movement of log tau that ends the search and the final fit
 # A further unknown stays when it lowers the sum of squares by this many residual variances per
 # independent residual: 3.5 standard errors.
 WORTH = 12.0
@@ -50,8 +45,6 @@ SHORT_REST_S = (20.0, 300.0)
 AT_BOUND = 1e-6  # in log tau
 
 _SLOPE, _R0, _R1, _R2, _V1, _V2 = 1, 2, 3, 4, 8, 9
-_NON_NEGATIVE = np.zeros(LINEAR, dtype=np.bool_)
-_NON_NEGATIVE[[_SLOPE, _R0, _R1, _R2]] = True
 
 
 @dataclass(frozen=True)
@@ -113,62 +106,13 @@ def fit_varpro(
     include[[0, _R0, _R1, _R2]] = True
     include[_SLOPE] = data.ocv_change_V is None
     start = None if start_tau_s is None else np.log(np.array(start_tau_s, dtype=np.float64))
-    few = _thinned(problem)
-    found = _search(few, include, limits, start)
+    few = thinned(problem)
+    found = search(few, include, limits, start)
     found = _with_initial(few, limits, found, options, data.rest_before_window_s)
     found = _with_bends(few, limits, found, options)
-    solution = _descend(problem, found.include, limits, found.log_tau, TIGHT)
-    return describe(data, problem, solution, limits, trend, "varpro")
-
-
-def _search(
-    few: Problem, include: BoolArray, limits: FloatArray, start: FloatArray | None
-) -> Solution:
-    """Minimum on thinned rows, from a start or from the best points of a grid."""
-    if start is not None:
-        return _descend(few, include, limits, _clip(start, limits), LOOSE)
-    fast = np.linspace(limits[0], limits[1], GRID)
-    slow = np.linspace(limits[2], limits[3], GRID)
-    grid = np.array([(f, s) for f in fast for s in slow if s - f >= limits[4] - 1e-9])
-    costs = np.empty(len(grid))
-    scan(few.window, include, _NON_NEGATIVE, grid, costs)
-    best = grid[np.argsort(costs)[:STARTS]]
-    return min((_descend(few, include, limits, s, LOOSE) for s in best), key=lambda f: f.cost)
-
-
-def _thinned(problem: Problem) -> Problem:
-    """Fewer rows for the search: neighbours averaged, finer after a current step."""
-    if problem.dt.size <= THIN_ABOVE:
-        return problem
-    step = 1e-2 * float(np.max(np.abs(problem.current)))
-    out = np.empty((5, problem.dt.size))
-    count = thin(
-        problem.dt, problem.current, problem.known, problem.dq, problem.weight, THIN_PART, step, out
-    )
-    dt, current, known, dq, weight = (np.ascontiguousarray(row[:count]) for row in out)
-    return problem._replace(dt=dt, current=current, known=known, dq=dq, weight=weight)
-
-
-def _descend(
-    problem: Problem, include: BoolArray, limits: FloatArray, start: FloatArray, tolerance: float
-) -> Solution:
-    """Levenberg-Marquardt from one start."""
-    log_tau = start.copy()
-    gram = np.empty((COLUMNS, COLUMNS))
-    coefficients = np.zeros(LINEAR)
-    free = np.zeros(LINEAR, dtype=np.bool_)
-    cost, passes, converged = minimise(
-        problem.window, include, _NON_NEGATIVE, limits, log_tau, PASSES, tolerance, gram,
-        coefficients, free,
-    )  # fmt: skip
-    return Solution(cost, log_tau, coefficients, include, gram, passes, converged)
-
-
-def _clip(log_tau: FloatArray, limits: FloatArray) -> FloatArray:
-    """Nearest allowed start."""
-    fast = np.clip(log_tau[0], limits[0], limits[1])
-    slow = np.clip(log_tau[1], max(limits[2], fast + limits[4]), limits[3])
-    return np.array([fast, slow])
+    solution = descend(problem, found.include, limits, found.log_tau, TIGHT)
+    fit = describe(data, problem, solution, limits, trend, "varpro")
+    return replace(fit, error=profile_errors(few, found, limits, fit.value, fit.error))
 
 
 def _with_initial(
@@ -183,7 +127,7 @@ def _with_initial(
     include[[_V1, _V2]] = True if options.initial is True else remembered
     if not include[_V2]:
         return plain
-    richer = _search(problem, include, limits, None)
+    richer = search(problem, include, limits, None)
     return _choose(problem, plain, richer, options.initial is True)
 
 
@@ -195,7 +139,7 @@ def _with_bends(
     for power in range(wanted):
         include = plain.include.copy()
         include[5 + power] = True
-        richer = _search(problem, include, limits, plain.log_tau)
+        richer = search(problem, include, limits, plain.log_tau)
         chosen = _choose(problem, plain, richer, options.bends != "auto")
         if not chosen.include[5 + power]:
             return chosen

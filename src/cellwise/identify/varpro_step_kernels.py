@@ -84,12 +84,16 @@ def within(x: float, low: float, high: float) -> float:
 
 @njit(cache=True)
 def next_boost(boost: float, step: FloatArray, last1: float, last2: float) -> float:
-    """Longer steps while one follows the other: twice the factor, or back to 1.
+    """Factor on the next step: longer while steps follow each other, half where they alternate.
 
     Where a real cell is no 2-RC circuit the residual is large, and Gauss-Newton creeps along the
-    valley by nearly equal steps.
+    valley by nearly equal steps, or swings across it by nearly opposite ones.
     """
     length = math.hypot(step[0], step[1])
     last = math.hypot(last1, last2)
-    ahead = step[0] * last1 + step[1] * last2 > 0.9 * length * last
-    return min(2.0 * boost, LONGEST_BOOST) if ahead and length > 0.5 * last else 1.0
+    if length <= 0.5 * last:
+        return 1.0
+    along = step[0] * last1 + step[1] * last2
+    if along > 0.9 * length * last:
+        return min(2.0 * boost, LONGEST_BOOST)
+    return 0.5 if along < -0.9 * length * last else 1.0
