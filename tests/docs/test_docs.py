@@ -15,7 +15,8 @@ from doc_blocks import PAGES, page_blocks, page_name
 from cellwise.cli import main
 
 RUN = ("python", "console")
-OTHER = ("text", "math", "toml", "json")
+SLOW = ("docs/howto.md",)
+OTHER = ("", "text", "math", "toml", "json")
 
 RUNNING = [
     (page, [b for b in page_blocks(page) if b.language in RUN and not b.needs_data])
@@ -42,7 +43,13 @@ def run_block(page, block, namespace):
 
 @pytest.mark.parametrize(
     ("page", "blocks"),
-    [pytest.param(p, b, id=page_name(p)) for p, b in RUNNING if b],
+    [
+        pytest.param(
+            p, b, id=page_name(p), marks=[pytest.mark.slow] if page_name(p) in SLOW else []
+        )
+        for p, b in RUNNING
+        if b
+    ],
 )
 def test_the_blocks_of_a_page_run(page, blocks, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -28,9 +28,8 @@ from cellwise.identify.pulses import Pulse
 from cellwise.logs import Gap
 
 PACKAGE = REPOSITORY / "src" / "cellwise"
-UNITS = {
-    "V": "V", "A": "A", "s": "s", "ohm": "ohm", "Ah": "Ah", "C": "°C", "K": "K", "F": "F", "V2": "V²",
-}  # fmt: skip
+# Unit of a name by its suffix.
+UNITS = {**{unit: unit for unit in ("V", "A", "s", "ohm", "Ah", "K", "F")}, "C": "°C", "V2": "V²"}
 RECORDS = (
     *(r for n in cellwise.__all__ if inspect.isclass(r := getattr(cellwise, n))),
     *EFFECTS.values(),
@@ -74,9 +73,7 @@ def test_names_and_units_of_the_nomenclature_agree():
 def test_status_bits_are_those_of_the_code():
     text = (DOCS / "nomenclature.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (\d+) \| `(\w+)` \|", text, flags=re.M)
-    assert [(int(bit), name) for bit, name in rows] == [
-        (int(s), s.name) for s in cellwise.Status
-    ]
+    assert [(int(bit), name) for bit, name in rows] == [(int(s), s.name) for s in cellwise.Status]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=page_name)

@@ -1,0 +1,40 @@
+"""The names that the pages use are there, whatever was imported before them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+import cellwise
+
+SCRIPT = """
+import sys, types
+from importlib import import_module
+for name in sys.argv[2:]:
+    import_module(name)
+import cellwise
+names = list(reversed(cellwise.__all__)) if sys.argv[1] == "reversed" else cellwise.__all__
+found = {name: getattr(cellwise, name) for name in names}
+modules = {n for n, value in found.items() if isinstance(value, types.ModuleType)}
+wrong = [n for n in modules if not callable(found[n])]
+wrong += [n for n, value in found.items() if getattr(cellwise, n) is not value]
+print(" ".join(wrong))
+"""
+
+
+@pytest.mark.parametrize("order", ["forward", "reversed"])
+@pytest.mark.parametrize("before", [(), ("cellwise.identify.capacity", "cellwise.estimate.replay")])
+def test_a_public_name_is_never_a_module(order, before):
+    """``cellwise.identify`` is a function and a folder: importing the folder must not hide it."""
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT, order, *before], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == []
+
+
+def test_names_of_the_face_are_sorted_and_documented():
+    assert cellwise.__all__ == sorted(cellwise.__all__, key=lambda n: (n[0].islower(), n))
+    for name in cellwise.__all__:
+        assert getattr(cellwise, name).__doc__, name
