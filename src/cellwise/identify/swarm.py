@@ -36,6 +36,7 @@ from cellwise.typing import FloatArray
 
 PAPER_BOUNDS = TauBounds(0.5, 15.0, 15.0, 120.0)
 OCV_REST_S = 10.0  # the paper's OCV: mean voltage over the last 10 s before the pulse
+WALL = -0.5  # a particle that leaves the search box is put on its wall and turned back at half pace
 OCV_ROOM = 0.1  # search range of a free OCV over the voltage swing of the window
 
 
@@ -156,7 +157,7 @@ def _swarm(
         velocity *= chi
         position += velocity
         outside = (position < low) | (position > high)
-        velocity[outside] = 0.0
+        velocity[outside] *= WALL
         np.clip(position, low, high, out=position)
         cost = _costs(problem, position)
         better = cost < best_cost
