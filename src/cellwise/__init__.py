@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from cellwise.estimate.noise import Noise
     from cellwise.estimate.replay import Replay, replay
     from cellwise.estimate.status import Status
-    from cellwise.identify import Identification, IdentifySettings, TestLogs, identify
+    from cellwise.identify import Identification, IdentifySettings, TestLogs, identify_cell
     from cellwise.logs import CellLog, inspect_log, read_log, write_log
 
 # Loaded on first use: importing cellwise must not wait for compilers.
@@ -36,7 +36,7 @@ _HOMES = {
     "Identification": "cellwise.identify",
     "IdentifySettings": "cellwise.identify",
     "TestLogs": "cellwise.identify",
-    "identify": "cellwise.identify",
+    "identify_cell": "cellwise.identify",
     "Coulomb": "cellwise.estimate.coulomb",
     "Ekf": "cellwise.estimate.ekf",
     "Noise": "cellwise.estimate.noise",
@@ -63,7 +63,7 @@ __all__ = [
     "Simulation",
     "Status",
     "TestLogs",
-    "identify",
+    "identify_cell",
     "inspect_log",
     "list_datasets",
     "load_dataset",

@@ -13,7 +13,7 @@ from cellwise.cell.simulate import Simulation, simulate
 from cellwise.data import list_datasets, load_dataset
 from cellwise.errors import InputError
 from cellwise.estimate.replay import Replay, replay
-from cellwise.identify import Identification, IdentifySettings, TestLogs, identify
+from cellwise.identify import Identification, IdentifySettings, TestLogs, identify_cell
 
 HELD_OUT = "nmc_drive_b"
 START_ERROR = 0.3
@@ -67,7 +67,7 @@ def run_demo(folder: Path, progress: Callable[[str], None] | None = None) -> Dem
         drive=((load_dataset("nmc_drive_a"), None),),
     )
     settings = IdentifySettings(nominal_Ah=5.0, name="LG M50 (simulated)", chemistry="NMC")
-    found = identify(tests, settings, say)
+    found = identify_cell(tests, settings, say)
     model_path = folder / "nmc.json"
     write_model(found.model, model_path)
     say(f"simulating {HELD_OUT}")

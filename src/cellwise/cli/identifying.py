@@ -47,7 +47,7 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run_identify(arguments: argparse.Namespace) -> None:
     """Identify a cell, write the model and the page."""
     from cellwise.cell.model_file import write_model
-    from cellwise.identify import IdentifySettings, TestLogs, identify
+    from cellwise.identify import IdentifySettings, TestLogs, identify_cell
 
     def with_temperature(items: list[str]) -> tuple[tuple[CellLog, float | None], ...]:
         pairs = [printing.split_temperature(item) for item in items]
@@ -73,7 +73,7 @@ def run_identify(arguments: argparse.Namespace) -> None:
     )
     with printing.bar() as progress:
         task = progress.add_task("identify", total=None)
-        found = identify(tests, settings, lambda text: progress.update(task, description=text))
+        found = identify_cell(tests, settings, lambda text: progress.update(task, description=text))
         if arguments.report:
             from cellwise.report import identify_page
 

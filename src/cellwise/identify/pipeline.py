@@ -41,7 +41,7 @@ REFERENCE_C = 25.0
 SAME_TEMPERATURE_C = 3.0
 
 
-def identify(
+def identify_cell(
     tests: TestLogs, settings: IdentifySettings | None = None, progress: Progress | None = None
 ) -> Identification:
     """Identify a cell from its laboratory tests.
