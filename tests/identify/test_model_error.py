@@ -86,7 +86,7 @@ def test_a_resistance_that_is_wrong_is_told_as_its_share(share):
     assert found.resistance_share == pytest.approx(share, rel=0.25)
     # What follows the current must not be counted again as slow error.
     followed = share * R0_OHM * np.sqrt(np.mean(log.current_A**2))
-    assert np.median(found.slow_V) < OPTIMISM * np.hypot(0.002, 0.4 * followed)
+    assert np.median(found.slow_V) < 1.5 * OPTIMISM * np.hypot(0.002, 0.3 * followed)
 
 
 def test_the_error_knows_where_on_the_soc_axis_it_is():

@@ -59,6 +59,7 @@ def anchor_soc(
     half = _half_gap(ocv, grid)
     slope = np.gradient(level, grid)
     charge, voltage, error, how = _evidence(log, capacity_Ah, resistance_ohm)
+    voltage = np.clip(voltage, level[0], level[-1])  # beyond an end that end is meant
     cost = np.zeros(grid.size)
     # Later rests share one capacity and one OCV, and are wrong together: they count as two.
     later = np.abs(charge) > 1e-3 * capacity_Ah
