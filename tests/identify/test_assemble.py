@@ -1,0 +1,132 @@
+"""From a refinement to a model: the same voltage, a monotone OCV, effects only where fitted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+from test_refine import (
+    CAPACITY_AH,
+    CURVED,
+    Truth,
+    log_of,
+    ocv,
+    pulse_current,
+    start_tables,
+    two_logs,
+)
+
+from cellwise.cell.effects import Hysteresis, SlowDiffusion, TemperatureDependence, TimeSkew
+from cellwise.cell.model import CellModel
+from cellwise.cell.simulate import simulate
+from cellwise.identify.assemble import (
+    GRID_POINTS,
+    monotone,
+    refined_effects,
+    refined_tables,
+    relative_errors,
+    table_summary,
+)
+from cellwise.identify.refine import RefineSettings, refine
+
+
+def refined(truth, *, branches=2, skewed=False, warm=False):
+    logs = two_logs(truth, noise=5e-4, warm=warm)
+    start = start_tables(branches, 1.2, 0.01 if truth.m_V else None)
+    settings = RefineSettings(branches=branches, hysteresis=bool(truth.m_V))
+    result = refine(logs, start, settings=settings, capacity_Ah=CAPACITY_AH)
+    return logs, start, result, CellModel(
+        CAPACITY_AH, *refined_tables(result, start), effects=refined_effects(result, skewed, warm)
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return refined(CURVED)
+
+
+def test_the_model_simulates_what_the_refinement_fitted(plain):
+    # Splines on 15 knots against tables of 201 points, merged rows against all rows.
+    logs, _, result, model = plain
+    for item, residual, prepared in zip(logs, result.residual_V, result.logs, strict=True):
+        error = simulate(model, item.log, float(item.soc[0])).error_V
+        at = np.searchsorted(item.log.time_s, prepared.time_s)
+        assert np.sqrt(np.mean((error[at] - residual) ** 2)) < 5e-4
+
+
+def test_tables_are_positive_ordered_and_on_the_grid(plain):
+    model = plain[3]
+    assert model.ocv_V.shape == (1, GRID_POINTS)
+    assert np.all(np.diff(model.ocv_V) > 0.0), "strictly: the OCV is inverted"
+    assert np.all(model.tau2_s > model.tau1_s)
+
+
+def test_no_effect_that_was_not_fitted(plain):
+    assert plain[3].effects == ()
+
+
+def test_effects_that_were_fitted():
+    truth = Truth(m_V=0.02, gamma=100.0, skew_s=0.3, activation_K=3000.0)
+    _, _, result, model = refined(truth, skewed=True, warm=True)
+    assert np.median(model.effect(Hysteresis).m_V) == pytest.approx(0.02, rel=0.2)
+    assert model.effect(TimeSkew).skew_s == pytest.approx(0.3, abs=0.03)
+    assert model.effect(TemperatureDependence).activation_K == pytest.approx(3000.0, rel=0.1)
+    names = {e.name for e in refined_effects(result, False, False)}
+    assert names == {"hysteresis"}, "nobody measured the rest"
+
+
+def test_the_slow_branch_becomes_an_effect():
+    _, _, _, model = refined(Truth(), branches=3)
+    assert np.all(np.asarray(model.effect(SlowDiffusion).tau3_s) > model.tau2_s)
+
+
+def test_monotone_is_the_nearest_rising_curve():
+    rng = np.random.default_rng(0)
+    wavy = np.linspace(3.0, 3.6, 12) + 0.15 * rng.standard_normal(12)
+    found = monotone(wavy)
+    assert np.all(np.diff(found) > 0.0)
+    steps = minimize(
+        lambda x: np.sum((x[0] + np.concatenate(([0.0], np.cumsum(x[1:] ** 2))) - wavy) ** 2),
+        np.concatenate(([wavy[0]], np.full(11, 0.2))),
+        options={"maxiter": 5000, "gtol": 1e-10},
+    ).x
+    oracle = steps[0] + np.concatenate(([0.0], np.cumsum(steps[1:] ** 2)))
+    np.testing.assert_allclose(found, oracle, atol=1e-4)
+
+
+def test_monotone_leaves_a_rising_curve_alone():
+    rising = ocv(np.linspace(0.0, 1.0, 201))
+    np.testing.assert_allclose(monotone(rising), rising, atol=1e-12)
+    flat = monotone(np.full(201, 3.3))
+    assert np.all(np.diff(flat) > 0.0)
+    np.testing.assert_allclose(flat, 3.3, atol=1e-3)
+
+
+def test_relative_errors_are_told_for_every_table(plain):
+    result = plain[2]
+    found = relative_errors(result)
+    assert set(found) == {"ocv_V", "r0_ohm", "r1_ohm", "tau1_s", "r2_ohm", "tau2_s"}
+    assert all(0.0 < v < 1.0 for v in found.values())
+    assert found["r0_ohm"] < found["r2_ohm"], "half a millivolt says R0 best of all"
+
+
+def test_the_summary_is_json(plain):
+    import json
+
+    text = json.dumps(table_summary(plain[2]), allow_nan=False)
+    assert "standard_error" in text
+
+
+def test_what_no_log_has_seen_is_admitted():
+    # A log that stops at 60 %: below, the standard error must say that nothing is known.
+    log, soc = log_of(pulse_current(4), CURVED)
+    noisy = replace(log, voltage_V=log.voltage_V + 5e-4 * np.random.default_rng(1).normal(
+        size=len(log)))  # fmt: skip
+    from cellwise.identify.refine_data import RefineLog
+
+    result = refine([RefineLog(noisy, soc)], start_tables(2, 1.2), capacity_Ah=CAPACITY_AH,
+                    settings=RefineSettings(branches=2))  # fmt: skip
+    std = result.theta_std[result.layout.r0 : result.layout.r0 + result.layout.knots]
+    assert std[1] > 5.0 * std[-3]
