@@ -10,6 +10,8 @@ from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
+LARGEST = 100_000_000  # rows; beyond it a step is a slip of the unit
+
 
 def resample(log: CellLog, dt_s: float) -> CellLog:
     """Rows every ``dt_s`` seconds: mean current of the interval, last voltage and temperature.
@@ -19,7 +21,7 @@ def resample(log: CellLog, dt_s: float) -> CellLog:
 
     Raises
     ------
-    InputError        a step that is not above zero, or longer than the log
+    InputError        a step that is not above zero, longer than the log, or beyond any memory
     """
     if not (np.isfinite(dt_s) and dt_s > 0):
         raise InputError(f"a time step of {dt_s} s", "a step above zero", "Give --dt 1.0.")
@@ -28,6 +30,12 @@ def resample(log: CellLog, dt_s: float) -> CellLog:
             f"a time step of {dt_s:g} s for a log of {log.duration_s:g} s",
             "a step shorter than the log",
             "Give a shorter step.",
+        )
+    if log.duration_s / dt_s > LARGEST:
+        raise InputError(
+            f"a time step of {dt_s:g} s for a log of {log.duration_s:g} s",
+            f"at most {LARGEST:,} steps",
+            "Give the step in seconds.",
         )
     start = float(log.time_s[0])
     steps = int(np.floor(log.duration_s / dt_s + 1e-9))
