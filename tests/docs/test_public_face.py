@@ -27,7 +27,7 @@ print(" ".join(wrong))
 @pytest.mark.parametrize("order", ["forward", "reversed"])
 @pytest.mark.parametrize("before", [(), ("cellwise.identify.capacity", "cellwise.estimate.replay")])
 def test_a_public_name_is_never_a_module(order, before):
-    """``cellwise.identify`` is a function and a folder: importing the folder must not hide it."""
+    """A name that a folder has too would be hidden once somebody imports the folder."""
     done = subprocess.run(
         [sys.executable, "-c", SCRIPT, order, *before], capture_output=True, text=True, check=True
     )
