@@ -124,9 +124,11 @@ def _draw_rates(axes: Axes, rows: tuple[CapacityRow, ...]) -> None:
         axes.barh(
             place, held, 0.6, left=[r.cc_Ah for r in rows], color=AMBER, label="limit held (CV)"
         )
-        legend(axes, place="lower left")
+        axes.set_ylim(len(rows) + 0.1, -0.6)  # a free row for the legend
+        legend(axes, place="lower left", columns=2)
+    else:
+        axes.set_ylim(len(rows) - 0.4, -0.6)
     axes.set_yticks(place, [r.rate for r in rows])
-    axes.invert_yaxis()
     axes.grid(visible=False, axis="y")
     if len(rows) == 1:
         text = f"{ampere_hours(rows[0].total_Ah)} at {rows[0].rate}"

@@ -39,13 +39,12 @@ def identify_finding(identification: Identification) -> str:
     model = identification.model
     extra = [EFFECTS.get(e.name, e.name.replace("_", " ")) for e in model.effects]
     kind = "2-RC model" + (f" with {listed(extra)}" if extra else "")
-    logs = len(identification.simulations)
     text = f"A {kind}, of {ampere_hours(model.capacity_Ah)}"
     if model.temperature_C.size > 1:
         low, high = model.temperature_C[0], model.temperature_C[-1]
         text += f", from {celsius(float(low))} to {celsius(float(high))}"
     text += (
-        f", explains its own {plural(logs, 'log')} to {millivolt(identification.fit.rmse_V)} RMSE"
+        f", explains its own {_own(identification)} to {millivolt(identification.fit.rmse_V)} RMSE"
     )
     counts = identification.pulse_counts
     total = sum(counts.values())
@@ -106,7 +105,7 @@ def demo_finding(
     text = (
         f"From {alone} to SOC on the road: a model of {name}, "
         f"{ampere_hours(model.capacity_Ah)}, explains its own "
-        f"{plural(len(identification.simulations), 'log')} to "
+        f"{_own(identification)} to "
         f"{millivolt(identification.fit.rmse_V)} RMSE"
     )
     known = [s.rmse_above_10pct_V for s in simulations if np.isfinite(s.rmse_above_10pct_V)]
@@ -127,6 +126,11 @@ def fitted_drives(identification: Identification) -> tuple[Simulation, ...]:
 def replay_name(replay: Replay) -> str:
     """``ekf on drive_b from 70 %``."""
     return f"{replay.estimator} on {replay.log.name or 'log'} from {points(replay.start.soc)}"
+
+
+def _own(identification: Identification) -> str:
+    logs = len(identification.simulations)
+    return "log" if logs == 1 else plural(logs, "log")
 
 
 def _sentence(text: str) -> str:

@@ -13,7 +13,6 @@ from cellwise.identify.identification import Identification
 from cellwise.report.findings import fitted_drives
 from cellwise.report.numerals import (
     ampere_hours,
-    duration,
     millivolt,
     percent,
     plural,
@@ -21,9 +20,8 @@ from cellwise.report.numerals import (
 )
 from cellwise.report.picture import Picture, save_figure
 from cellwise.report.replay_section import draw_soc_axes, draw_soc_error
-from cellwise.report.simulation_section import draw_residual
+from cellwise.report.simulation_section import draw_close_up, draw_residual
 from cellwise.report.style import (
-    INK,
     MEASURED,
     MODEL,
     NARROW,
@@ -100,8 +98,9 @@ def draw_hero(identification: Identification, simulation: Simulation, replay: Re
     for axes in left:
         axes.set_xlim(t[0], t[-1])
     mark_window(left[0], t[start], t[stop - 1])
-    _draw_close_up(right[0], simulation, start, stop)
-    _draw_current(right[1], simulation, start, stop)
+    title = "{length} at full size: {rmse} RMSE"
+    draw_close_up(right[0], right[1], simulation, (start, stop), title)
+    finding(right[1], "All the model is given", NARROW)
     _draw_start(right[2], replay)
     figure.suptitle(_headline(identification), x=0.01, ha="left", fontsize=11.5, fontweight="bold")
     return figure
@@ -134,32 +133,6 @@ def _typical_window(simulation: Simulation) -> tuple[int, int]:
     cost = np.where(candidates, np.abs(rms - (overall if np.isfinite(overall) else 0.0)), np.inf)
     best = int(np.argmin(cost))
     return int(starts[best]), max(int(stops[best]), int(starts[best]) + 2)
-
-
-def _draw_close_up(axes: Axes, simulation: Simulation, start: int, stop: int) -> None:
-    log, rows = simulation.log, slice(start, stop)
-    length = float(log.time_s[stop - 1] - log.time_s[start])
-    scale, _ = time_unit(length)
-    t = (log.time_s[rows] - log.time_s[start]) / scale
-    axes.plot(*thin(t, log.voltage_V[rows], 300), color=MEASURED, linewidth=2.2)
-    axes.plot(*thin(t, simulation.voltage_V[rows], 300), color=MODEL, linewidth=1.2)
-    rmse = float(np.sqrt(np.nanmean(simulation.error_V[rows] ** 2)))
-    finding(axes, f"{duration(length)} at full size: {millivolt(rmse)} RMSE", NARROW)
-    labels(axes, "", "voltage [V]")
-    axes.set_xlim(t[0], t[-1])
-
-
-def _draw_current(axes: Axes, simulation: Simulation, start: int, stop: int) -> None:
-    log, rows = simulation.log, slice(start, stop)
-    length = float(log.time_s[stop - 1] - log.time_s[start])
-    scale, unit = time_unit(length)
-    t = (log.time_s[rows] - log.time_s[start]) / scale
-    axes.plot(
-        *thin(t, log.known_current_A()[rows], 300), color=INK, linewidth=0.9, drawstyle="steps-pre"
-    )
-    finding(axes, "All the model is given", NARROW)
-    labels(axes, f"time [{unit}]", "current [A]")
-    axes.set_xlim(t[0], t[-1])
 
 
 def _draw_start(axes: Axes, replay: Replay) -> None:

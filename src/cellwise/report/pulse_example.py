@@ -102,7 +102,7 @@ def draw_example(example: Example) -> Figure:
     )
     labels(top, "", "voltage [V]")
     legend(top, place="lower right")
-    bottom.plot(t, log.known_current_A()[rows], color=INK, lw=1.1, drawstyle="steps-pre")
+    bottom.plot(t, log.known_current_A()[rows], color=MEASURED, lw=1.4, drawstyle="steps-pre")
     labels(bottom, f"time since the current was switched on [{unit}]", "current [A]")
     bottom.set_xlim(*ends)
     return figure

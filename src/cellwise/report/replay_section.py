@@ -276,11 +276,12 @@ def draw_comparison(replays: Sequence[Replay]) -> Figure:
         if error is not None:
             bottom.plot(*thin(t, 100.0 * error), color=colour, linewidth=1.1)
     zero_line(bottom)
-    came = sum(r.convergence_s is not None for r in replays)
     ranked = sorted((_rmse(r), k) for k, r in enumerate(replays))
     (low, best), (high, worst) = ranked[0], ranked[-1]
     finding(
-        top, f"{log.name or 'log'}: {came} of {len(replays)} replays come within 2 points and stay"
+        top,
+        f"{log.name or 'log'}, within 2 points: "
+        + "; ".join(f"{_start_name(r)} {_reached(r)}" for r in replays),
     )
     finding(
         bottom,
@@ -296,6 +297,12 @@ def draw_comparison(replays: Sequence[Replay]) -> Figure:
 
 def _rmse(replay: Replay) -> float:
     return float("inf") if replay.errors is None else replay.errors.rmse
+
+
+def _reached(replay: Replay) -> str:
+    if replay.convergence_s is None:
+        return "never"
+    return f"after {duration(replay.convergence_s)}" if replay.convergence_s > 0.0 else "at once"
 
 
 def _start_name(replay: Replay) -> str:

@@ -13,7 +13,6 @@ from cellwise.report.markup import Markup, details, table
 from cellwise.report.numerals import counted, duration, millivolt, percent, points, time_unit
 from cellwise.report.picture import Picture, safe_key
 from cellwise.report.style import (
-    INK,
     MEASURED,
     MODEL,
     NARROW,
@@ -122,7 +121,9 @@ def draw_simulation(simulation: Simulation) -> Figure:
     left, right = two_columns(figure, (2.3, 0.9, 1.7), (2.1, 0.7, 1.6))
     start, stop = _worst_part(simulation)
     _draw_whole(left, simulation, (start, stop))
-    _draw_close_up(right[0], right[1], simulation, start, stop)
+    where = percent(float(np.mean(simulation.soc[start:stop])), 0)
+    title = f"Worst {{length}}: {{rmse}} RMSE at {where} SOC"
+    draw_close_up(right[0], right[1], simulation, (start, stop), title)
     draw_error_over_soc(right[2], simulation)
     return figure
 
@@ -158,7 +159,7 @@ def _draw_whole(axes: list[Axes], simulation: Simulation, part: tuple[int, int])
     )
     labels(top, "", "voltage [V]")
     legend(top, columns=2)
-    middle.plot(*thin(t, log.known_current_A(), gaps=gaps), color=INK, linewidth=0.7)
+    middle.plot(*thin(t, log.known_current_A(), gaps=gaps), color=MEASURED, linewidth=0.8)
     labels(middle, "", "current [A]")
     draw_residual(bottom, t, simulation)
     labels(bottom, f"time [{unit}]", "residual [mV]")
@@ -186,24 +187,25 @@ def draw_residual(axes: Axes, t: np.ndarray, simulation: Simulation) -> None:
     )
 
 
-def _draw_close_up(top: Axes, bottom: Axes, simulation: Simulation, start: int, stop: int) -> None:
+def draw_close_up(
+    top: Axes, bottom: Axes, simulation: Simulation, part: tuple[int, int], title: str
+) -> None:
+    """Voltages and current of a part of the log; ``{length}`` and ``{rmse}`` in the title."""
     log = simulation.log
-    rows = slice(start, stop)
-    length = float(log.time_s[stop - 1] - log.time_s[start])
+    rows = slice(*part)
+    length = close_up_s(log.time_s)
     scale, unit = time_unit(length)
-    t = (log.time_s[rows] - log.time_s[start]) / scale
+    t = (log.time_s[rows] - log.time_s[part[0]]) / scale
     top.plot(*thin(t, log.voltage_V[rows], 300), color=MEASURED, linewidth=2.0)
     top.plot(*thin(t, simulation.voltage_V[rows], 300), color=MODEL, linewidth=1.2)
     rmse = error_metrics(simulation.error_V[rows]).rmse_V
-    where = float(np.mean(simulation.soc[rows]))
-    finding(
-        top, f"Worst {duration(length)}: {millivolt(rmse)} RMSE at {percent(where, 0)} SOC", NARROW
-    )
-    labels(top, "", "[V]")
-    bottom.plot(*thin(t, log.known_current_A()[rows], 300), color=INK, linewidth=0.9)
-    labels(bottom, f"time [{unit}]", "[A]")
+    finding(top, title.format(length=duration(length), rmse=millivolt(rmse)), NARROW)
+    labels(top, "", "voltage [V]")
+    current = thin(t, log.known_current_A()[rows], 300)
+    bottom.plot(*current, color=MEASURED, linewidth=1.1, drawstyle="steps-pre")
+    labels(bottom, f"time [{unit}]", "current [A]")
     for axes in (top, bottom):
-        axes.set_xlim(t[0], t[-1])
+        axes.set_xlim(0.0, length / scale)
 
 
 def draw_error_over_soc(axes: Axes, simulation: Simulation, share: float = NARROW) -> None:

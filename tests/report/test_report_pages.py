@@ -1,0 +1,289 @@
+"""Pages: valid, self-contained, the finding first, the figures for machines equal to to_dict."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+
+import matplotlib
+import numpy as np
+import pytest
+from report_cases import Page, drive, hppc, identification, replay, simulation
+
+from cellwise.cell.simulate import Simulation
+from cellwise.errors import InputError
+from cellwise.report import demo_page, identify_page, replay_page
+from cellwise.report.findings import replay_finding
+from cellwise.report.markup import finite, page, table
+from cellwise.report.pages import replay_data
+
+NASTY = "<script>alert('1')</script> & \"$x_1^2$\" </svg> \\u003c"
+
+
+def written(write, tmp_path, *args, **kwargs):
+    text = write(*args, tmp_path / "page.html", **kwargs).read_text(encoding="utf-8")
+    return text, Page(text)
+
+
+@pytest.fixture(scope="module")
+def laboratory():
+    return identification()
+
+
+@pytest.fixture(scope="module")
+def road():
+    log = drive()
+    return [simulation(log)], [replay(log), replay(log, estimator="coulomb", forget_s=1e9)]
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory, laboratory, road):
+    """Every kind of page: name -> (text, parsed, the figures it should hold)."""
+    folder = tmp_path_factory.mktemp("pages")
+    simulations, replays = road
+    done = {
+        "identify": (
+            identify_page(laboratory, folder / "identify.html"),
+            laboratory.to_dict(),
+        ),
+        "replay": (
+            replay_page(replays, folder / "replay.html", simulations),
+            replay_data(replays, simulations),
+        ),
+        "demo": (
+            demo_page(laboratory, simulations, replays, folder / "demo.html"),
+            {"identification": laboratory.to_dict(), **replay_data(replays, simulations)},
+        ),
+    }
+    texts = {kind: path.read_text(encoding="utf-8") for kind, (path, _) in done.items()}
+    return {kind: (texts[kind], Page(texts[kind]), done[kind][1]) for kind in done}
+
+
+KINDS = pytest.mark.parametrize("kind", ["identify", "replay", "demo"])
+
+
+@KINDS
+def test_ids_are_unique_and_every_reference_has_its_target(pages, kind):
+    _, parsed, _ = pages[kind]
+    assert len(parsed.ids) == len(set(parsed.ids))
+    inner = [a[1:] for a in (*parsed.addresses, *parsed.references) if a.startswith("#")]
+    assert inner
+    assert set(inner) <= set(parsed.ids)
+
+
+@KINDS
+def test_nothing_is_loaded_and_nothing_runs(pages, kind):
+    text, parsed, _ = pages[kind]
+    assert all(a.startswith(("#", "data:image/png;base64,")) for a in parsed.addresses)
+    assert [attrs["type"] for attrs, _ in parsed.scripts] == ["application/json"]
+    assert not {"link", "iframe", "object", "embed", "img", "audio", "video"} & set(parsed.tags)
+    assert "@import" not in text
+    assert "url(http" not in text
+
+
+@KINDS
+def test_json_block_is_to_dict(pages, kind):
+    _, parsed, expected = pages[kind]
+    attrs, text = parsed.scripts[0]
+    assert attrs["id"] == "cellwise-data"
+    assert json.loads(text) == json.loads(json.dumps(expected))
+
+
+@KINDS
+def test_first_line_is_the_finding(pages, kind):
+    _, parsed, _ = pages[kind]
+    body = [(path, text) for path, text in parsed.texts if "body" in path]
+    assert body[0][0][-1] == "h1"
+    assert sum(character.isdigit() for character in body[0][1]) >= 3
+
+
+def test_identify_page_says_the_numbers_of_the_identification(pages, laboratory):
+    said = pages["identify"][1].text_in("h1").replace("\N{NO-BREAK SPACE}", " ")
+    # RMSE of 0.01 sin(t / 50) is 0.01 / sqrt(2); 7 of the 10 short pulses are healthy.
+    assert "3.000 Ah" in said or "3 Ah" in said
+    assert f"{1e3 * laboratory.fit.rmse_V:.1f} mV" in said
+    assert "7 of 10 pulses were healthy" in said
+
+
+def test_identify_page_tells_all_that_was_asked(pages):
+    text = " ".join(t for _, t in pages["identify"][1].texts).replace("\N{NO-BREAK SPACE}", " ")
+    for word in ("a notice with <angle> brackets", "because 1 < 2 & pulse 4", "log-linear-exp"):
+        assert word in text
+    for word in ("CC part", "CV part", "cc-average", "coulombic efficiency", "ends <early>"):
+        assert word in text
+    for word in ("RMSE", "MAE", "max", "mean", "sd", "95 % interval", "Where every number"):
+        assert word in text
+    for number in ("2.980 Ah", "2.900 Ah", "0.080 Ah"):  # total, CC and CV at 1C
+        assert number in text
+
+
+def test_taken_choice_is_marked(pages):
+    text = pages["identify"][0]
+    marked = [row.split("</td>")[0].rsplit(">", 1)[-1] for row in text.split('class="marked"')[1:]]
+    assert marked == ["spline", "rate:C/20"]
+
+
+def test_replay_finding_is_the_closed_form():
+    # 0.3 exp(-t / 50) = 0.02 at t = 50 ln 15 = 135.4 s; rows of 1 s.
+    said = replay_finding(replay(drive())).replace("\N{NO-BREAK SPACE}", " ")
+    assert said.startswith("From 30 points off the EKF is within 2 % after 136 s and then holds ")
+    rms = 0.02 * np.sqrt(50.0 / 2.0 / (3600 - 136)) * np.exp(-0.6 / 50)  # of 0.3 exp(-t / 50)
+    assert f"{100 * rms:.2f} % SOC RMSE" in said
+
+
+def test_replay_findings_of_other_ends():
+    never = replay_finding(replay(drive(), forget_s=1e9))
+    assert "never comes within" in never
+    right = replay_finding(replay(drive(), off=0.001))
+    assert right.startswith("From the right start the EKF holds 0.0")
+    blind = replay_finding(replay(drive(), reference=False))
+    assert "nothing to judge it by" in blind
+    at_once = replay_finding(replay(drive(), off=-0.3, forget_s=0.05))
+    assert "after" in at_once  # the first row is still 30 points off
+
+
+def test_names_of_logs_are_escaped_everywhere(tmp_path):
+    laboratory = identification(name=NASTY)
+    model = replace(laboratory.model, name=NASTY, chemistry=NASTY)
+    laboratory = replace(laboratory, model=model)
+    log = replace(drive(), name=NASTY)
+    text, parsed = written(
+        demo_page, tmp_path, laboratory, [simulation(log)], [replay(log), replay(log)]
+    )
+    assert "<script>alert" not in text
+    assert len(parsed.scripts) == 1
+    assert any(NASTY in t for _, t in parsed.texts)
+    assert json.loads(parsed.scripts[0][1])["replays"][0]["log"] == NASTY
+
+
+def test_page_of_a_million_rows_is_small(tmp_path):
+    log = drive(1_000_000)
+    log = replace(log, current_A=np.random.default_rng(1).normal(0, 5, len(log)), charge_Ah=None)
+    error = np.random.default_rng(2).normal(0.0, 0.01, len(log))
+    text, _ = written(
+        lambda r, path: replay_page([r], path, [Simulation(log, 1.0, log.voltage_V - error, r.trace.soc)]),
+        tmp_path,
+        replay(log),
+    )
+    assert len(text.encode()) < 2_000_000
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        {"temperatures": (-10.0, 10.0, 25.0)},
+        {"refined": False},
+        {"refined": False, "method": "segments"},
+        {"with_pulses": False},
+        {"temperatures": tuple(np.arange(-20.0, 45.0, 8.0))},
+    ],
+    ids=["three temperatures", "pulses alone", "segments", "drives alone", "many temperatures"],
+)
+def test_every_kind_of_identification_has_a_page(tmp_path, case):
+    found = identification(**case)
+    _, parsed = written(identify_page, tmp_path, found)
+    assert ("pulses" in parsed.ids) == case.get("with_pulses", True)
+    assert {"ocv", "capacity", "parameters", "fit", "provenance"} <= set(parsed.ids)
+
+
+def test_identification_without_capacity_tests_or_branches(tmp_path):
+    found = identification()
+    bare = replace(
+        found,
+        capacity_tests=(),
+        capacities={"nominal": 3.0},
+        capacity_choice="nominal",
+        ocv=replace(found.ocv, discharge_V=None, charge_V=None),
+        notices=(),
+    )
+    _, parsed = written(identify_page, tmp_path, bare)
+    assert "CC part" not in " ".join(t for _, t in parsed.texts)
+
+
+def test_replay_without_reference_and_without_variance(tmp_path):
+    log = drive()
+    _, parsed = written(
+        lambda r, path: replay_page(r, path),
+        tmp_path,
+        [replay(log, reference=False), replay(log, estimator="coulomb", variance=False)],
+    )
+    block = json.loads(parsed.scripts[0][1])
+    assert block["replays"][0]["soc_rmse"] is None
+    assert block["replays"][1]["nis_mean"] is None
+
+
+def test_log_with_missing_values_and_gaps(tmp_path):
+    log = drive()
+    voltage = log.voltage_V.copy()
+    voltage[100:200] = np.nan
+    time = log.time_s + np.where(log.time_s > 2000, 50_000.0, 0.0)
+    log = replace(log, voltage_V=voltage, time_s=time)
+    _, parsed = written(lambda s, path: replay_page([replay(log)], path, s), tmp_path, [simulation(log)])
+    assert parsed.ids
+
+
+def test_very_short_logs(tmp_path):
+    log = hppc().part(0, 5)
+    written(lambda s, path: replay_page([replay(log)], path, s), tmp_path, [simulation(log)])
+
+
+def test_no_replay_is_refused(tmp_path):
+    with pytest.raises(InputError, match="no replay"):
+        replay_page([], tmp_path / "page.html")
+
+
+def test_equal_data_give_equal_pages(tmp_path):
+    log = drive()
+    first, second = (
+        written(lambda r, path: replay_page(r, path), tmp_path, [replay(log)])[0] for _ in range(2)
+    )
+    assert first == second
+
+
+def test_missing_matplotlib_says_what_to_install(tmp_path, monkeypatch, laboratory):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(InputError, match=r"pip install 'cellwise\[report\]'"):
+        identify_page(laboratory, tmp_path / "page.html")
+    assert not list(tmp_path.iterdir())
+
+
+def test_settings_of_others_are_left_alone(tmp_path):
+    before = dict(matplotlib.rcParams)
+    replay_page([replay(drive())], tmp_path / "page.html")
+    assert dict(matplotlib.rcParams) == before
+
+
+def test_pictures_are_saved_beside_the_page(tmp_path, laboratory):
+    folder = tmp_path / "figures"
+    identify_page(laboratory, tmp_path / "page.html", figures=folder)
+    names = {path.name for path in folder.iterdir()}
+    for key in ("ocv", "capacity", "pulses", "parameters"):
+        assert {f"{key}.png", f"{key}.svg"} <= names
+
+
+def test_unwritable_page_leaves_nothing(tmp_path, laboratory):
+    with pytest.raises(InputError):
+        identify_page(laboratory, tmp_path / "no folder" / "page.html")
+
+
+def test_json_values_are_finite():
+    assert finite({"a": [float("nan"), 1, True, None, "x", np.float64(2.5)]}) == {
+        "a": [None, 1, True, None, "x", 2.5]
+    }
+
+
+def test_table_marks_its_row_and_escapes():
+    text = table(("<a>", "b"), [("x & y", 1), ("z", 2)], marked=1)
+    assert "&lt;a&gt;" in text
+    assert "x &amp; y" in text
+    assert text.index('class="marked"') > text.index("x &amp; y")
+
+
+def test_an_empty_section_is_left_out():
+    from cellwise.report.markup import Markup
+
+    text = page("f 1", "a", [("k", "t", "t", Markup("")), ("m", "u", "u", Markup("<p>v</p>"))], {})
+    parsed = Page(text)
+    assert "k" not in parsed.ids
+    assert "m" in parsed.ids
