@@ -146,13 +146,16 @@ class TestLookUp:
         if 0 <= soc <= 1:
             assert point.ocv_V == pytest.approx(np.interp(soc, model.soc, model.ocv_V[0]))
 
-    @pytest.mark.parametrize(("soc", "inner", "end"), [(-0.2, 1, 0), (1.3, -2, -1)])
-    def test_ocv_goes_on_along_its_last_segment(self, soc, inner, end):
+    @pytest.mark.parametrize(
+        ("soc", "inner", "end"), [(-0.03, 1, 0), (1.04, -2, -1), (-0.2, 1, 0), (1.3, -2, -1)]
+    )
+    def test_ocv_goes_on_along_its_last_segment_for_a_while(self, soc, inner, end):
         model = random_model(np.random.default_rng(2), temperatures=1, effects=False)
         ocv, grid = model.ocv_V[0], model.soc
         slope = (ocv[end] - ocv[inner]) / (grid[end] - grid[inner])
         point = kernels.look_up(*model.parameters(), soc, 25.0)
-        assert point.ocv_V == pytest.approx(ocv[end] + slope * (soc - grid[end]))
+        beyond = np.clip(soc - grid[end], -kernels.BEYOND, kernels.BEYOND)
+        assert point.ocv_V == pytest.approx(ocv[end] + slope * beyond)
         assert point.ocv_slope_V == pytest.approx(slope)
 
     @settings(max_examples=100)

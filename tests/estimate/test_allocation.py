@@ -44,6 +44,7 @@ def ekf_call(rows):
     rng = np.random.default_rng(1)
     current, voltage = rng.normal(0, 3, rows), rng.normal(3.7, 0.1, rows)
     voltage[::7] = np.nan
+    voltage.setflags(write=False)  # as a log's: no second compilation
     dt, warm = np.full(rows, 0.1), np.full(rows, 25.0)
     gap = np.zeros(rows, dtype=np.bool_)
     start = EKF.start(0.5)

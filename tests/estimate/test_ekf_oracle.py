@@ -80,7 +80,7 @@ def matrix_filter(model, noise, log, soc0, soc0_std):
     ekf.P = np.diag([soc0_std**2, branch, branch, branch * has[0], 1.0 * has[1]])
     gamma = t.hysteresis.gamma if has[1] else 0.0
     charge = 3600 * model.capacity_Ah
-    previous, fresh = log.current_A[0], True
+    previous, fresh, mismatch = log.current_A[0], True, 1.0
     for gap, dt, now, volts, temperature in zip(
         gaps, log.interval_s, log.current_A, log.voltage_V, log.temperature_C, strict=True
     ):
@@ -119,6 +119,9 @@ def matrix_filter(model, noise, log, soc0, soc0_std):
         one += (noise.ocv_soc * slope) ** 2
         one += (noise.branch_share * r0 * seen) ** 2 + (noise.current_A * r0) ** 2
         variance = (jacobian @ ekf.P @ jacobian.T)[0, 0] + one
+        if noise.mismatch_cap and noise.slow_s and np.isfinite(volts):
+            seen_so_far = min((volts - predicted) ** 2 / variance, noise.mismatch_cap)
+            mismatch += min(dt / noise.slow_s, 1.0) * (seen_so_far - mismatch)
         repeated = dt == 0 and not fresh and noise.slow_s > 0
         if np.isfinite(volts) and not repeated:
             shared = max(2 * noise.slow_s / dt, 1.0) if dt > 0 else 1.0
@@ -126,7 +129,7 @@ def matrix_filter(model, noise, log, soc0, soc0_std):
                 np.array([volts]),
                 HJacobian=lambda _, h=jacobian: h,
                 Hx=lambda _, v=predicted: np.array([v]),
-                R=np.array([[one * shared]]),
+                R=np.array([[one * shared * max(mismatch, 1.0)]]),
             )
             ekf.x[4] = np.clip(ekf.x[4], -1, 1)
         fresh = fresh and not np.isfinite(volts)
@@ -150,12 +153,16 @@ def difficult_log(rng, model, rows=400):
     return replace(log, voltage_V=voltage, current_A=current)
 
 
-@pytest.mark.parametrize("slow_s", [0.0, 300.0])
+@pytest.mark.parametrize(
+    ("slow_s", "mismatch_cap"), [(0.0, 0.0), (300.0, 0.0), (300.0, 100.0), (20.0, 1.5)]
+)
 @pytest.mark.parametrize("seed", range(6))
-def test_mean_and_covariance_are_those_of_the_matrix_form(seed, slow_s):
+def test_mean_and_covariance_are_those_of_the_matrix_form(seed, slow_s, mismatch_cap):
     rng = np.random.default_rng(seed)
     model = random_model(rng, temperatures=1 + seed % 3, effects=seed != 5)
-    noise = Noise(current_A=0.02, slow_s=slow_s, gate=OPEN_GATE, mismatch_cap=0.0, gap_soc=0.002)
+    noise = Noise(
+        current_A=0.02, slow_s=slow_s, gate=OPEN_GATE, mismatch_cap=mismatch_cap, gap_soc=0.002
+    )
     log = difficult_log(rng, model)
     ekf = Ekf(model, noise)
     state = ekf.init(0.5, 0.018, log.current_A[0])

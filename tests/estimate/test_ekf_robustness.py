@@ -10,6 +10,7 @@ from example_cells import curved_cell, lfp_cell, linear_cell, random_log, random
 from test_ekf_oracle import covariance_of, mean_of
 
 from cellwise.cell.effects import Hysteresis
+from cellwise.cell.protocol import ConstantCurrent, Rest, run_protocol
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.estimate.ekf import Ekf
@@ -39,9 +40,27 @@ class TestConvergence:
         log, truth = driven(CURVED, 0.8)
         trace = Ekf(CURVED).run(log, soc0, 0.3)
         error = np.abs(trace.soc - truth)
-        assert error[0] < 0.31
+        assert error[0] < abs(soc0 - 0.8) + 1e-9
         assert np.max(error[600:]) < 0.03
         assert np.max(error[-600:]) < 0.015
+
+    @pytest.mark.parametrize("rate", [0.2, 0.5, 1.0, 2.0])
+    def test_30_points_off_under_a_steady_load(self, rate):
+        """No rest and no dynamics: neither the curve of the OCV nor the gate may lock it in."""
+        log = run_protocol(CURVED, [ConstantCurrent(current_A=3.0 * rate, soc=0.15)], 0.9)
+        truth = 0.9 - log.charge_Ah / 3.0
+        trace = Ekf(CURVED).run(log, 0.6, 0.15)
+        error = np.abs(trace.soc - truth)
+        assert np.max(error[log.time_s > 300]) < 0.02
+        assert np.mean(error <= 2 * trace.soc_std) > 0.9
+
+    @pytest.mark.parametrize("off", [-0.3, 0.15])
+    def test_off_at_a_rest(self, off):
+        log = run_protocol(CURVED, [Rest(1800.0)], 0.8)
+        trace = Ekf(CURVED).run(log, 0.8 + off, 0.15)
+        error = np.abs(trace.soc - 0.8)
+        assert np.max(error[300:]) < 0.02
+        assert np.mean(error <= 2 * trace.soc_std) > 0.9
 
     def test_an_ideal_log_keeps_a_right_start_right(self):
         log, truth = driven(CURVED, 0.8, noise_V=0.0)

@@ -84,7 +84,7 @@ def run_protocol(
     -------
     CellLog           ``step`` counts the steps from 1; ``notices`` names every step that did not
                       end as asked: at its limit from the start, or with no limit in reach when the
-                      SOC left the model's tables by 0.1 or 30 days had passed
+                      SOC left the model's tables by 0.05 or 30 days had passed
 
     Raises
     ------
@@ -127,8 +127,7 @@ class _Supply:
     def __init__(
         self, model: CellModel, state: CellState, dt_s: float, temperature_C: float
     ) -> None:
-        table, grid, scalars = model.parameters()
-        self.cell = (table, grid, scalars._replace(skew_s=0.0))
+        self.cell = model.parameters()
         self.limits = (model.voltage_min_V, model.voltage_max_V)
         self.state = state
         self.dt_s = dt_s

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from numba import njit
 
-from cellwise.cell.kernels import CellScalars, CellState, advance, terminal_voltage
+from cellwise.cell.kernels import BEYOND, CellScalars, CellState, advance, terminal_voltage
 from cellwise.typing import FloatArray
 
 # Rows of the output: time since the step's start, current, voltage.
@@ -21,8 +21,8 @@ ROW = 3
 # Why a kernel stopped; FULL: no room for another row, call again with a new output.
 FULL, ENDED, AT_LIMIT, OUT_OF_RANGE = range(4)
 
-# SOC beyond which the tables say nothing: a step that gets here will not reach its limit.
-SOC_MARGIN = 0.1
+# The OCV goes no further: a step that gets here will not reach its limit.
+SOC_MARGIN = BEYOND
 
 BISECTIONS = 60
 VOLTAGE_TOLERANCE_V = 1e-12

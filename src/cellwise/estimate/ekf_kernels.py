@@ -129,26 +129,29 @@ def ekf_start(start: EkfStart, current_A: float) -> EkfState:
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def chord_slope(
+def chord(
     table: FloatArray,
     grid: FloatArray,
     cell: CellScalars,
     soc: float,
+    ocv_V: float,
     spread: float,
     temperature_C: float,
-) -> float:
-    """OCV slope over one standard deviation of SOC on either side, inside 0..1 [V].
+) -> tuple[float, float]:
+    """OCV slope over one standard deviation of SOC on either side, and how far the OCV bends [V].
 
-    A far-off start must not be corrected with the slope of the spot where it happens to stand;
-    for a small spread this is the tangent.
+    A far-off start must not be corrected with the slope of the spot where it happens to stand, nor
+    be thought of as right afterwards when the OCV is no straight line. The bend is the distance
+    from the OCV here to the chord, inside 0..1; for a small spread the slope is the tangent's.
     """
     low = min(max(soc - spread, 0.0), 1.0)
     high = min(max(soc + spread, 0.0), 1.0)
     a = look_up(table, grid, cell, low, temperature_C)
     if high - low < SHORTEST_CHORD:  # both beyond the same end
-        return a.ocv_slope_V
+        return a.ocv_slope_V, 0.0
     b = look_up(table, grid, cell, high, temperature_C)
-    return (b.ocv_V - a.ocv_V) / (high - low)
+    slope = (b.ocv_V - a.ocv_V) / (high - low)
+    return slope, a.ocv_V + slope * (soc - low) - ocv_V
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -255,8 +258,9 @@ def ekf_step_inline(
     drop = (point.r0_ohm * seen + v1) + (v2 + v3)
     predicted = (point.ocv_V + point.m_V * h) - drop
     slope = point.ocv_slope_V
+    bend = 0.0
     if ss > WIDE_VARIANCE:
-        slope = chord_slope(table, grid, cell, soc, math.sqrt(ss), temperature_C)
+        slope, bend = chord(table, grid, cell, soc, point.ocv_V, math.sqrt(ss), temperature_C)
     m = point.m_V
     ds = (slope * ss + m * sh) - ((s1 + s2) + s3)
     d1 = (slope * s1 + m * p1h) - ((p11 + p12) + p13)
@@ -264,6 +268,8 @@ def ekf_step_inline(
     d3 = (slope * s3 + m * p3h) - ((p13 + p23) + p33)
     dh = (slope * sh + m * phh) - ((p1h + p2h) + p3h)
     state_variance = (slope * ds + m * dh) - ((d1 + d2) + d3)
+    # An OCV that bends by c at one standard deviation is off its tangent by c z^2: 3 c^2 on average.
+    state_variance += 3.0 * bend * bend
     one = voltage_variance(noise, point.error_V, point.ocv_slope_V, point.r0_ohm, seen)
     variance = state_variance + one
     innovation = voltage_V - predicted
@@ -297,11 +303,10 @@ def ekf_step_inline(
             missed = innovation / max(slope, SLOPE_FLOOR_V)
             ss += min(missed * missed, RECOVERY_VARIANCE)
     else:
-        shared = 1.0
-        if dt_s > 0.0:
-            shared = max(2.0 * noise.slow_s / dt_s, 1.0)
-        elif rejections >= 0.0 and noise.slow_s > 0.0:
-            shared = math.inf  # a repeated stamp repeats the slow error: no new evidence
+        shared = 1.0  # the first voltage is evidence by itself
+        if rejections >= 0.0 and noise.slow_s > 0.0:
+            # A repeated stamp repeats the slow error: no new evidence.
+            shared = max(2.0 * noise.slow_s / dt_s, 1.0) if dt_s > 0.0 else math.inf
         rejections = 0.0
         inverse = 1.0 / (state_variance + one * shared * max(mismatch, 1.0))
         ks = ds * inverse
