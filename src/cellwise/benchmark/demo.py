@@ -85,7 +85,7 @@ def run_demo(folder: Path, progress: Callable[[str], None] | None = None) -> Dem
             reference_soc0=float(truth["initial_soc"]),
             reference_capacity_Ah=float(truth["true_capacity_Ah"]),
         )
-        for soc0 in (None, max(float(truth["initial_soc"]) - START_ERROR, 0.0))
+        for soc0 in (max(float(truth["initial_soc"]) - START_ERROR, 0.0), None)
     )
     say("page")
     page = folder / "index.html"
