@@ -163,6 +163,10 @@ def repeat(count: int, *steps: Step) -> tuple[Step, ...]:
     return steps * count
 
 
+FAST_REST_S = 30.0  # rows stay close for so long after a switch
+TENTHS = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1)
+
+
 def capacity_test(
     nominal_Ah: float,
     rate: float,
@@ -209,7 +213,7 @@ def hppc_test(
     voltage_min_V: float,
     voltage_max_V: float,
     rates: Sequence[float] = (0.5, 1.0, 2.0),
-    levels: Sequence[float] = tuple(k / 10 for k in range(10, 0, -1)),
+    levels: Sequence[float] = TENTHS,
     start_level: float = 1.0,
     pulse_s: float = 10.0,
     pair_rest_s: float = 40.0,
@@ -245,7 +249,6 @@ def hppc_test(
             "levels from 0 to 1 that only fall, or only rise",
             "Sort them from the level where the cell starts.",
         )
-    limits = {"voltage_min_V": voltage_min_V, "voltage_max_V": voltage_max_V}
     steps: list[Step] = []
     for level, move in zip(levels, course, strict=True):
         if move:
@@ -253,8 +256,9 @@ def hppc_test(
                 ConstantCurrent(
                     current_A=-float(np.sign(move)) * move_rate * nominal_Ah,
                     charge_Ah=abs(float(move)) * nominal_Ah,
+                    voltage_min_V=voltage_min_V,
+                    voltage_max_V=voltage_max_V,
                     period_s=period_s,
-                    **limits,
                 )
             )
             steps += _relaxation(level_rest_s, pulse_period_s, period_s)
@@ -266,15 +270,13 @@ def hppc_test(
                         current_A=sign * rate * nominal_Ah,
                         duration_s=pulse_s,
                         hold_at_limit=True,
+                        voltage_min_V=voltage_min_V,
+                        voltage_max_V=voltage_max_V,
                         period_s=pulse_period_s,
-                        **limits,
                     )
                 )
                 steps += _relaxation(after_s, pulse_period_s, period_s)
     return tuple(steps)
-
-
-FAST_REST_S = 30.0
 
 
 def _relaxation(rest_s: float, fast_s: float, slow_s: float) -> list[Step]:
