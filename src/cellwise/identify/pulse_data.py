@@ -182,12 +182,13 @@ class PulseData:
             rows[before + 1 : edge] = True
             until = self.time_s[before] + SETTLING_LIMIT_S
             last = int(np.searchsorted(self.time_s, until, side="right"))
-            moves = np.diff(self.voltage_V[edge - 1 : last])
-            if moves.size < 2:
+            moves = np.diff(self.voltage_V[before:last])
+            if moves.size <= group.size:
                 continue
-            moves *= np.sign(moves[0])
-            whole = max(float(np.sum(moves)), float(moves[0]))
-            still = moves[1:] > max(SETTLING_PART * whole, SETTLING_NOISE * noise)
+            step = float(np.sum(moves[: group.size]))
+            moves *= np.sign(step)
+            whole = max(float(np.sum(moves)), abs(step))
+            still = moves[group.size :] > max(SETTLING_PART * whole, SETTLING_NOISE * noise)
             rows[edge : edge + (still.size if still.all() else int(np.argmin(still)))] = True
         in_pulse = rows[self.start : self.stop]
         if 2 * np.count_nonzero(in_pulse) > in_pulse.size:  # a pulse too short to settle

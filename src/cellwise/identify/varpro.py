@@ -38,6 +38,8 @@ from cellwise.typing import FloatArray
 # A further unknown stays when it lowers the sum of squares by this many residual variances per
 # independent residual: 3.5 standard errors.
 WORTH = 12.0
+# Over less SOC than this an OCV does not bend; what looks like it is some other nonlinearity.
+BEND_SWING = 0.006
 # After five time constants a branch holds less than a hundredth of what it held. Rests shorter
 # than the second figure are looked at in any case.
 RESTED_TAUS = 5.0
@@ -136,6 +138,8 @@ def _with_bends(
 ) -> Solution:
     """Add powers of the OCV inside the pulse, one after the other, while they are worth it."""
     wanted = BENDS if options.bends == "auto" else options.bends
+    if options.bends == "auto" and np.ptp(problem.dq) < BEND_SWING:
+        return plain
     for power in range(wanted):
         include = plain.include.copy()
         include[5 + power] = True
