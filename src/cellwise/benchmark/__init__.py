@@ -1,0 +1,1 @@
+"""Studies on embedded data, and later scenarios and sensor faults."""

@@ -1,0 +1,183 @@
+"""One measured figure, the tables of them, and the clock."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.box import SIMPLE
+from rich.console import Console
+from rich.table import Table
+
+Progress = Callable[[str], None]
+WIDTH = 140  # of the table in a file or a pipe
+NAME_WIDTH = 66
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One row: who was measured doing what, and how far it is from what was asked for.
+
+    ``value`` is None where nothing could be measured; then ``note`` says why. ``ratio`` is value
+    over the group's first row (this project's). ``target`` is the largest value allowed, the
+    smallest where ``at_least``.
+    """
+
+    group: str
+    who: str
+    value: float | None
+    unit: str
+    ratio: float | None = None
+    target: float | None = None
+    at_least: bool = False
+    note: str = ""
+
+    @property
+    def passed(self) -> bool | None:
+        """Whether the target is met; None without one."""
+        if self.target is None:
+            return None
+        if self.value is None:
+            return False
+        return self.value >= self.target if self.at_least else self.value <= self.target
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON values."""
+        return {**asdict(self), "passed": self.passed}
+
+
+def missing(group: str, who: str, unit: str, why: str) -> Figure:
+    """The row of somebody who could not be measured."""
+    return Figure(group, who, None, unit, note=why)
+
+
+def with_ratios(figures: Sequence[Figure]) -> list[Figure]:
+    """The figures of one group with their ratio to the first one."""
+    first = figures[0].value
+    if not first:
+        return list(figures)
+    return [
+        Figure(**{**asdict(f), "ratio": None if f.value is None else f.value / first})
+        for f in figures
+    ]
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Wall-clock time of many runs of one thing [s]."""
+
+    best: float
+    median: float
+    runs: int
+
+
+def clock(work: Callable[[], object], *, seconds: float = 1.5, most: int = 400) -> Timing:
+    """Run ``work`` once unseen, then again for about ``seconds``, and time each run.
+
+    The best run is the figure to keep: whatever else the machine does can only add to it.
+    """
+    work()
+    times: list[float] = []
+    until = time.perf_counter() + seconds
+    while len(times) < 3 or (time.perf_counter() < until and len(times) < most):
+        began = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - began)
+    return Timing(min(times), sorted(times)[len(times) // 2], len(times))
+
+
+def print_figures(figures: Iterable[Figure], title: str, notes: Sequence[str] = ()) -> None:
+    """A table for people, one for each group."""
+    console = Console()
+    if not console.is_terminal:
+        console.width = WIDTH
+    console.print(f"[bold]{title}[/bold]", highlight=False)
+    groups: dict[str, list[Figure]] = {}
+    for f in figures:
+        groups.setdefault(f.group, []).append(f)
+    for group, rows in groups.items():
+        console.print()
+        console.print(_table(group, rows))
+    console.print()
+    for note in notes:
+        console.print(note, style="dim", highlight=False)
+
+
+def _table(group: str, rows: Sequence[Figure]) -> Table:
+    """One group; columns that nobody fills are left out."""
+    table = Table(title=group, title_justify="left", title_style="bold", box=SIMPLE, pad_edge=False)
+    columns = [("", [f.who for f in rows]), ("value", [_value(f) for f in rows])]
+    columns += [
+        ("target", [_target(f) for f in rows]),
+        ("", [_verdict(f) for f in rows]),
+        ("ratio", [_ratio(f) for f in rows]),
+        ("", [f.note for f in rows]),
+    ]
+    columns = [(name, cells) for name, cells in columns if any(cells)]
+    for k, (name, cells) in enumerate(columns):
+        last = cells == [f.note for f in rows]
+        table.add_column(
+            name,
+            justify="left" if k == 0 or last else "right",
+            max_width=NAME_WIDTH if k == 0 else None,
+            no_wrap=k > 0 and not last,
+            style="dim" if last else None,
+        )
+    for cells in zip(*(cells for _, cells in columns), strict=True):
+        table.add_row(*cells)
+    return table
+
+
+def report_json(
+    figures: Sequence[Figure], machine: dict[str, Any], began: float, **more: Any
+) -> dict[str, Any]:
+    """Everything as one JSON object."""
+    judged = [f.passed for f in figures if f.passed is not None]
+    return {
+        "machine": machine,
+        "figures": [f.to_dict() for f in figures],
+        "targets": {"judged": len(judged), "met": sum(judged)},
+        "seconds": round(time.perf_counter() - began, 1),
+        **more,
+    }
+
+
+def write_json(path: Path, report: dict[str, Any]) -> None:
+    """Write a report whole or not at all."""
+    part = path.with_suffix(path.suffix + ".part")
+    part.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+    part.replace(path)
+
+
+def _value(f: Figure) -> str:
+    return "-" if f.value is None else f"{_number(f.value)} {f.unit}"
+
+
+def _target(f: Figure) -> str:
+    if f.target is None:
+        return ""
+    return f"{'>=' if f.at_least else '<='} {_number(f.target)}"
+
+
+def _verdict(f: Figure) -> str:
+    if f.passed is None:
+        return ""
+    return "[green]met[/green]" if f.passed else "[red]missed[/red]"
+
+
+def _ratio(f: Figure) -> str:
+    if f.ratio is None:
+        return ""
+    return "1" if f.ratio == 1.0 else f"x {_number(f.ratio)}"
+
+
+def _number(x: float) -> str:
+    if x == 0.0 or not abs(x) < float("inf"):
+        return f"{x:g}"
+    if abs(x) >= 1000.0:
+        return f"{x:,.0f}"
+    return f"{x:.3g}"
