@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from importlib.metadata import version
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -29,16 +30,19 @@ from cellwise.identify.ocv_lowrate import ocv_from_low_rate
 from cellwise.identify.ocv_rests import ocv_from_rests
 from cellwise.identify.pulse_fit import fit_pulses
 from cellwise.identify.pulse_window import cut_pulses
-from cellwise.identify.pulses import find_pulses, pulses_to_fit
+from cellwise.identify.pulses import Pulse, find_pulses, pulses_to_fit
 from cellwise.identify.refine_stage import Refined, refine_temperature
 from cellwise.identify.soc_anchor import anchor_soc
 from cellwise.identify.stack import stack_models
 from cellwise.identify.tables import pulse_tables
 from cellwise.logs.cell_log import CellLog
+from cellwise.logs.sign import verify_sign
 
 Progress = Callable[[str], None]
 REFERENCE_C = 25.0
 SAME_TEMPERATURE_C = 3.0
+FAR_FROM_NOMINAL = 2.5  # an aged cell keeps a third, a wrong unit is a thousand
+WHOLE_CELL = 0.7  # of nominal: an HPPC test that moved less went through a part of the SOC range
 
 
 def identify_cell(
@@ -58,17 +62,14 @@ def identify_cell(
 
     Raises
     ------
-    InputError        no usable log; a log whose current has the wrong sign; no pulse and no drive;
-                      an unknown capacity choice
+    InputError        no usable log; a log whose current has the wrong sign or unit; no pulse and
+                      no drive; no open-circuit voltage; an unknown capacity choice
     """
     began = time.perf_counter()
     settings = IdentifySettings() if settings is None else settings
     say = progress or (lambda _: None)
     notices: list[str] = []
-    if not tests.hppc and not tests.drive:
-        raise InputError(
-            "neither an HPPC nor a drive log", "at least one of them", "Give --hppc or --drive."
-        )
+    _check(tests, settings)
     say("capacity")
     caps, choice, capacity, measured = _capacity(tests, settings, notices)
     say("OCV")
@@ -82,7 +83,7 @@ def identify_cell(
         fits = [f for s in sets for f in s.fits]
         if part.hppc and not fits and not part.drive:
             raise InputError(
-                _no_pulses(sets),
+                _counts([(s.log, s.pulses) for s in sets])[0],
                 "at least one healthy pulse after a rest",
                 "Give an HPPC log whose pulses stay within the voltage limits, or a drive.",
             )
@@ -135,6 +136,29 @@ def identify_cell(
     )
 
 
+def _check(tests: TestLogs, settings: IdentifySettings) -> None:
+    """Refuse what no later step could make sense of."""
+    if not tests.hppc and not tests.drive:
+        raise InputError(
+            "neither an HPPC nor a drive log", "at least one of them", "Give --hppc or --drive."
+        )
+    nominal = settings.nominal_Ah
+    if nominal is not None and not (np.isfinite(nominal) and nominal > 0.0):
+        raise InputError(
+            f"a nominal capacity of {nominal:g} Ah", "a number above zero", "Give it in Ah."
+        )
+    pulses_and_drives = (log for log, _ in (*tests.hppc, *tests.drive))
+    for log in (*pulses_and_drives, *tests.ocv, *tests.capacity):
+        found = verify_sign(log)
+        if found.verdict == "contradicted":
+            raise InputError(
+                f"log '{log.name}' whose voltage rises with its discharge current "
+                f"({'; '.join(found.evidence[:2])})",
+                "positive current on discharge",
+                "Give --sign charge-positive, or swap the sign in the file.",
+            )
+
+
 def _capacity(
     tests: TestLogs, settings: IdentifySettings, notices: list[str]
 ) -> tuple[dict[str, float], str, float, tuple[CapacityTest, ...]]:
@@ -151,7 +175,7 @@ def _capacity(
             if settings.nominal_Ah is None and not tests.hppc:
                 raise
             notices.append(f"no capacity test found: {error}")
-    total = max((hppc_total_Ah(log) for log, _ in tests.hppc), default=None)
+    total = _hppc_total_Ah(tests, settings.nominal_Ah, notices)
     usable: tuple[CapacityTest, ...] = measured
     if measured and not any(t.complete for t in measured):
         notices.append("no capacity test reached the lower limit: none is used")
@@ -165,7 +189,28 @@ def _capacity(
     temperature = REFERENCE_C if settings.temperature_C is None else settings.temperature_C
     choices = capacity_choices(usable, settings.nominal_Ah, total, temperature_C=temperature)
     choice, capacity = choose_capacity(choices, settings.capacity_choice)
+    nominal = settings.nominal_Ah
+    if nominal is not None and not 1.0 / FAR_FROM_NOMINAL < capacity / nominal < FAR_FROM_NOMINAL:
+        raise InputError(
+            f"a capacity of {capacity:.4g} Ah ({choice}) for a cell of {nominal:g} Ah nominal",
+            f"a capacity within a factor of {FAR_FROM_NOMINAL:g} of the nominal one",
+            "Check the unit of the current (mA for A?) and --nominal-ah, or leave that out.",
+        )
     return choices, choice, capacity, measured
+
+
+def _hppc_total_Ah(tests: TestLogs, nominal_Ah: float | None, notices: list[str]) -> float | None:
+    """Charge of the HPPC log that moved most; None where it cannot have been the whole cell."""
+    total = max((hppc_total_Ah(log) for log, _ in tests.hppc), default=None)
+    if total is None or nominal_Ah is None:
+        return total
+    if total < WHOLE_CELL * nominal_Ah:
+        notices.append(
+            f"the HPPC test moved {total:.3f} Ah, {100 * total / nominal_Ah:.0f} % of nominal: "
+            "it did not go from full to empty and is no capacity"
+        )
+        return None
+    return total
 
 
 def _ocv(tests: TestLogs, capacity: float, notices: list[str]) -> OcvCurve:
@@ -197,6 +242,13 @@ def _ocv(tests: TestLogs, capacity: float, notices: list[str]) -> OcvCurve:
         slowest = ocv_from_low_rate(tests.capacity, capacity_Ah=capacity)
         notices.append("OCV taken from the slowest capacity test: it carries its polarisation")
         return slowest
+    if not tests.drive:
+        counts, healthy = _counts([(log, find_pulses(log)) for log, _ in tests.hppc])
+        raise InputError(
+            f"{counts}, and no open-circuit voltage ({notices[-1].partition('; expected')[0]})",
+            "a low-rate test beside it" if healthy else "at least one healthy pulse after a rest",
+            "Add --ocv LOG (a C/20 discharge), or give an HPPC log with rests at several SOC.",
+        )
     return _ocv_from_drives(tests, capacity, notices)
 
 
@@ -206,7 +258,7 @@ def _ocv_from_drives(tests: TestLogs, capacity: float, notices: list[str]) -> Oc
     soc = 1.0 - log.counted_charge_Ah() / capacity
     edges = np.linspace(max(float(np.nanmin(soc)), 0.0), 1.0, 31)
     points, level = [], []
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in pairwise(edges):
         inside = (soc >= low) & (soc < high) & np.isfinite(log.voltage_V)
         if np.count_nonzero(inside) >= 3:
             points.append(float(np.mean(soc[inside])))
@@ -275,15 +327,17 @@ def _pulse_set(
     return PulseSet(log, anchor, pulses, chosen, tuple(fits))
 
 
-def _no_pulses(sets: tuple[PulseSet, ...]) -> str:
-    said = []
-    for one in sets:
+def _counts(found: Sequence[tuple[CellLog, Sequence[Pulse]]]) -> tuple[str, int]:
+    """The pulses of each log by quality, in words, and how many are healthy."""
+    said, healthy = [], 0
+    for log, pulses in found:
         counts: dict[str, int] = {}
-        for p in one.pulses:
+        for p in pulses:
             counts[p.quality] = counts.get(p.quality, 0) + 1
-        listed = ", ".join(f"{n} {q}" for q, n in counts.items()) or "no pulse at all"
-        said.append(f"{listed} in '{one.log.name}'")
-    return "; ".join(said)
+        listed = ", ".join(f"{n} {quality}" for quality, n in counts.items())
+        said.append(f"{listed + ' pulse(s)' if listed else 'no pulse at all'} in '{log.name}'")
+        healthy += counts.get("healthy", 0)
+    return "; ".join(said), healthy
 
 
 def _limit(tests: TestLogs, measured: tuple[CapacityTest, ...], *, low: bool) -> float | None:

@@ -19,7 +19,6 @@ from cellwise.identify.soc_anchor import anchor_soc
 from cellwise.identify.splines import TABLE_KNOTS, greville
 from cellwise.identify.tables import PulseTables
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.sign import verify_sign
 from cellwise.typing import FloatArray
 
 SLOW_FROM_S = 1800.0  # a log must last this long to show the slow branch
@@ -62,7 +61,6 @@ def refine_temperature(
     if not tests.drive:
         candidates += [(log, False) for log in tests.capacity]
     for log, drive in candidates:
-        _refuse_wrong_sign(log)
         anchor = anchors.get(id(log))
         if anchor is None:
             anchor = anchor_soc(log, ocv, capacity_Ah, resistance)
@@ -106,17 +104,6 @@ def refine_temperature(
         error=_error(result, float(np.median(values.r0_ohm))),
     )
     return Refined(model, result, tuple(starts))
-
-
-def _refuse_wrong_sign(log: CellLog) -> None:
-    check = verify_sign(log)
-    if check.verdict == "contradicted":
-        raise InputError(
-            f"log '{log.name}' whose voltage rises with its discharge current "
-            f"({'; '.join(check.evidence[:2])})",
-            "positive current on discharge",
-            "Give --sign charge-positive, or swap the sign in the file.",
-        )
 
 
 def _rough_resistance(tables: PulseTables | None, tests: TestLogs) -> float:
