@@ -201,7 +201,7 @@ def capacity_test(rate_C, cc_Ah, cv_Ah):
     )
 
 
-def drive(rows=3600, name="drive"):
+def drive(rows=1200, name="drive"):
     time = np.arange(rows, dtype=np.float64)
     current = 1.5 + 2.0 * np.sin(time / 7.0)
     charge = np.cumsum(current) / 3600.0

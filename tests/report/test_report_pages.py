@@ -16,7 +16,8 @@ from cellwise.errors import InputError
 from cellwise.report import demo_page, identify_page, replay_page
 from cellwise.report.findings import replay_finding
 from cellwise.report.markup import finite, page, table
-from cellwise.report.pages import replay_data
+from cellwise.report.pages import identify_sections, notices, replay_data
+from cellwise.report.section import rendered
 
 NASTY = "<script>alert('1')</script> & \"$x_1^2$\" </svg> \\u003c"
 
@@ -126,7 +127,7 @@ def test_taken_choice_is_marked(pages):
 
 def test_replay_finding_is_the_closed_form():
     # 0.3 exp(-t / 50) = 0.02 at t = 50 ln 15 = 135.4 s; rows of 1 s.
-    said = replay_finding(replay(drive())).replace("\N{NO-BREAK SPACE}", " ")
+    said = replay_finding(replay(drive(3600))).replace("\N{NO-BREAK SPACE}", " ")
     assert said.startswith("From 30 points off the EKF is within 2 % after 136 s and then holds ")
     rms = 0.02 * np.sqrt(50.0 / 2.0 / (3600 - 136)) * np.exp(-0.6 / 50)  # of 0.3 exp(-t / 50)
     assert f"{100 * rms:.2f} % SOC RMSE" in said
@@ -148,8 +149,9 @@ def test_names_of_logs_are_escaped_everywhere(tmp_path):
     model = replace(laboratory.model, name=NASTY, chemistry=NASTY)
     laboratory = replace(laboratory, model=model)
     log = replace(drive(), name=NASTY)
+    assert "<script>alert" not in "".join(rendered(s) for s in identify_sections(laboratory))
     text, parsed = written(
-        demo_page, tmp_path, laboratory, [simulation(log)], [replay(log), replay(log)]
+        lambda r, path: replay_page(r, path, [simulation(log)]), tmp_path, [replay(log)] * 2
     )
     assert "<script>alert" not in text
     assert len(parsed.scripts) == 1
@@ -161,11 +163,9 @@ def test_page_of_a_million_rows_is_small(tmp_path):
     log = drive(1_000_000)
     log = replace(log, current_A=np.random.default_rng(1).normal(0, 5, len(log)), charge_Ah=None)
     error = np.random.default_rng(2).normal(0.0, 0.01, len(log))
-    text, _ = written(
-        lambda r, path: replay_page([r], path, [Simulation(log, 1.0, log.voltage_V - error, r.trace.soc)]),
-        tmp_path,
-        replay(log),
-    )
+    run = replay(log)
+    sims = [Simulation(log, 1.0, log.voltage_V - error, run.trace.soc)]
+    text, _ = written(lambda s, path: replay_page([run], path, s), tmp_path, sims)
     assert len(text.encode()) < 2_000_000
 
 
@@ -180,14 +180,14 @@ def test_page_of_a_million_rows_is_small(tmp_path):
     ],
     ids=["three temperatures", "pulses alone", "segments", "drives alone", "many temperatures"],
 )
-def test_every_kind_of_identification_has_a_page(tmp_path, case):
-    found = identification(**case)
-    _, parsed = written(identify_page, tmp_path, found)
-    assert ("pulses" in parsed.ids) == case.get("with_pulses", True)
-    assert {"ocv", "capacity", "parameters", "fit", "provenance"} <= set(parsed.ids)
+def test_every_kind_of_identification_has_its_sections(case):
+    sections = {s.key: s for s in identify_sections(identification(**case))}
+    assert ("pulses" in sections) == case.get("with_pulses", True)
+    assert {"ocv", "capacity", "parameters", "fit", "provenance"} <= set(sections)
+    Page(rendered(sections["parameters"]))
 
 
-def test_identification_without_capacity_tests_or_branches(tmp_path):
+def test_identification_without_capacity_tests_or_branches():
     found = identification()
     bare = replace(
         found,
@@ -197,8 +197,9 @@ def test_identification_without_capacity_tests_or_branches(tmp_path):
         ocv=replace(found.ocv, discharge_V=None, charge_V=None),
         notices=(),
     )
-    _, parsed = written(identify_page, tmp_path, bare)
-    assert "CC part" not in " ".join(t for _, t in parsed.texts)
+    sections = {s.key: s for s in identify_sections(bare)}
+    assert "CC part" not in rendered(sections["capacity"])
+    assert notices(bare) == ""
 
 
 def test_replay_without_reference_and_without_variance(tmp_path):
@@ -217,9 +218,10 @@ def test_log_with_missing_values_and_gaps(tmp_path):
     log = drive()
     voltage = log.voltage_V.copy()
     voltage[100:200] = np.nan
-    time = log.time_s + np.where(log.time_s > 2000, 50_000.0, 0.0)
+    time = log.time_s + np.where(log.time_s > 600, 50_000.0, 0.0)
     log = replace(log, voltage_V=voltage, time_s=time)
-    _, parsed = written(lambda s, path: replay_page([replay(log)], path, s), tmp_path, [simulation(log)])
+    sims = [simulation(log)]
+    _, parsed = written(lambda s, path: replay_page([replay(log)], path, s), tmp_path, sims)
     assert parsed.ids
 
 
@@ -254,17 +256,18 @@ def test_settings_of_others_are_left_alone(tmp_path):
     assert dict(matplotlib.rcParams) == before
 
 
-def test_pictures_are_saved_beside_the_page(tmp_path, laboratory):
+def test_pictures_are_saved_beside_the_page(tmp_path):
     folder = tmp_path / "figures"
-    identify_page(laboratory, tmp_path / "page.html", figures=folder)
-    names = {path.name for path in folder.iterdir()}
-    for key in ("ocv", "capacity", "pulses", "parameters"):
-        assert {f"{key}.png", f"{key}.svg"} <= names
+    replay_page([replay(drive())], tmp_path / "page.html", figures=folder)
+    names = {f"replay-1-ekf-drive-{what}" for what in ("soc", "voltage")}
+    assert {path.name for path in folder.iterdir()} == {
+        name + kind for name in names for kind in (".png", ".svg")
+    }
 
 
-def test_unwritable_page_leaves_nothing(tmp_path, laboratory):
-    with pytest.raises(InputError):
-        identify_page(laboratory, tmp_path / "no folder" / "page.html")
+def test_unwritable_page_is_refused(tmp_path):
+    with pytest.raises(InputError, match="no folder"):
+        replay_page([replay(drive(60))], tmp_path / "no such folder" / "page.html")
 
 
 def test_json_values_are_finite():

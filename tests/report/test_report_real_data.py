@@ -7,10 +7,9 @@ import json
 import pytest
 from report_cases import Page
 
+from cellwise import identify
 from cellwise.cell.simulate import simulate
 from cellwise.estimate.replay import replay
-from cellwise.identify.identification import IdentifySettings, TestLogs
-from cellwise.identify.pipeline import identify_cell
 from cellwise.logs import read_log
 from cellwise.report import demo_page, identify_page
 
@@ -20,13 +19,13 @@ def test_pages_of_the_embedded_nmc_cell(datasets, tmp_path):
     def log(name):
         return read_log(datasets / "nmc" / f"{name}.parquet")
 
-    found = identify_cell(
-        TestLogs(
+    found = identify.identify_cell(
+        identify.TestLogs(
             hppc=((log("hppc_c3"), None),),
             ocv=(log("ocv_c20"),),
             capacity=(log("cap_c20"), log("cap_c3")),
         ),
-        IdentifySettings(nominal_Ah=5.0, refine=False, name="LG M50"),
+        identify.IdentifySettings(nominal_Ah=5.0, refine=False, name="LG M50"),
     )
     drive = log("drive_b")
     run = replay(

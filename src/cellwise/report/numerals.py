@@ -17,7 +17,8 @@ def significant(value: float | None, digits: int = 3) -> str:
         return NONE
     if value == 0.0:
         return "0"
-    power = math.floor(math.log10(abs(value)))
+    # The power of ten after rounding: 9.999 has two digits before its point then.
+    power = int(f"{value:.{digits - 1}e}".split("e")[1])
     if not -4 <= power <= 6:
         return _minus(f"{value:.{digits - 1}e}")
     rounded = round(value, digits - 1 - power)

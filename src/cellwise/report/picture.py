@@ -6,7 +6,7 @@ import io
 import re
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -39,7 +39,16 @@ def figure_png(figure: Figure, dpi: int = RASTER_DPI) -> bytes:
 
 def figure_svg(figure: Figure) -> str:
     """A figure as an SVG document, traces of very many points as pixels within it."""
-    return _rendered(figure, "svg").decode()
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    target = io.StringIO()
+    with drawing():
+        _prepare(figure)
+        figure.set_dpi(RASTER_DPI)
+        # Straight to the canvas: saving would draw everything twice.
+        canvas: Any = FigureCanvasSVG(figure)
+        canvas.print_svg(target, metadata=_no_metadata("svg"))
+    return target.getvalue()
 
 
 def save_figure(figure: Figure, path: str | Path) -> Path:
@@ -54,7 +63,8 @@ def save_figure(figure: Figure, path: str | Path) -> Path:
         raise InputError(
             f"the picture file '{path}'", f"a name that ends in {', '.join(SUFFIXES)}", "Rename it."
         )
-    return write_atomically(path, _rendered(figure, suffix[1:]))
+    content = figure_svg(figure) if suffix == ".svg" else _rendered(figure, suffix[1:])
+    return write_atomically(path, content)
 
 
 def save_figures(
@@ -83,7 +93,7 @@ def save_figures(
 
 def inline(picture: Picture) -> Markup:
     """The picture as an HTML figure: SVG in the page's own colours, caption below."""
-    key = safe_key(picture.key)
+    key = f"figure-{safe_key(picture.key)}"
     title = _main_title(picture.figure)
     svg = _for_page(figure_svg(picture.figure), key, title)
     return Markup(
@@ -99,7 +109,7 @@ def safe_key(text: str) -> str:
 def _rendered(figure: Figure, kind: str, dpi: int = RASTER_DPI) -> bytes:
     target = io.BytesIO()
     with drawing():
-        rasterise(figure)
+        _prepare(figure)
         figure.savefig(target, format=kind, dpi=dpi, metadata=_no_metadata(kind))
     return target.getvalue()
 
@@ -116,6 +126,19 @@ def rasterise(figure: Figure) -> None:
     if sum(size for _, size in lines) > VECTOR_POINTS:
         for line, size in lines:
             line.set_rasterized(size > VECTOR_POINTS // 10)
+
+
+def _prepare(figure: Figure) -> None:
+    rasterise(figure)
+    settle(figure)
+
+
+def settle(figure: Figure) -> None:
+    """Find the places of all parts once; every later writing of the figure keeps them."""
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)
+        figure.set_layout_engine("none")
 
 
 def _main_title(figure: Figure) -> str:

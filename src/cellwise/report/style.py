@@ -157,13 +157,14 @@ def finding(axes: Axes, text: str, share: float = 0.9, width_in: float = WIDTH_I
 def wrapped(text: str, width_pt: float) -> list[str]:
     """Text broken at its spaces into lines no wider than so many points in the titles' font."""
     from matplotlib.font_manager import FontProperties
-    from matplotlib.textpath import TextPath
+    from matplotlib.textpath import TextToPath
 
-    font = FontProperties(family=RC["font.sans-serif"][0], weight="bold")
+    size = RC["axes.titlesize"]
+    font = FontProperties(family=RC["font.sans-serif"][0], weight="bold", size=size)
+    measure = TextToPath().get_text_width_height_descent
 
     def width(word: str) -> float:
-        path = TextPath((0.0, 0.0), f"{word}n", size=RC["axes.titlesize"], prop=font)
-        return float(path.get_extents().width)
+        return float(measure(f"{word} ", font, False)[0])
 
     lines, room = [""], 0.0
     for word in text.split(" "):

@@ -68,11 +68,14 @@ def _centred(
     time_s: FloatArray, error: FloatArray, length_s: float, start: int, end: int
 ) -> tuple[int, int]:
     """The window moved so that what is wrong in it stands in its middle."""
+    end = max(end, start + 1)
+    if end >= time_s.size:
+        start, end = time_s.size - 2, time_s.size - 1
     weight = error[start : end + 1] ** 2
     if weight.sum() > 0.0:
         middle = float(np.average(time_s[start : end + 1], weights=weight))
         first = min(max(middle - 0.5 * length_s, time_s[0]), time_s[-1] - length_s)
-        start = int(np.searchsorted(time_s, first))
+        start = min(int(np.searchsorted(time_s, first)), time_s.size - 2)
         end = int(np.searchsorted(time_s, first + length_s, side="right")) - 1
     return start, max(end + 1, start + 2)
 
