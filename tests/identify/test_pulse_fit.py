@@ -106,6 +106,7 @@ def test_never_a_worse_fit_than_the_swarm_on_the_same_data():
 
 QUICK = {
     "10 Hz, free clock": {"pulse_hz": 10.0, "aligned": False, "jitter": 0.3},
+    "135 Hz, free clock": {"aligned": False, "rates_c": (1.0, 2.0, 3.0, 3.0)},
     "10 s pulses": {"pulse_hz": 10.0, "pulse_s": 10.0, "rest_s": 600.0},
     "60 s rows at rest": {"pulse_hz": 10.0, "rest_hz": 1 / 60, "fast_s": 60.0},
     "charge first": {"pulse_hz": 10.0, "order": "charge", "levels": (0.9, 0.7, 0.5, 0.3, 0.1)},
@@ -182,7 +183,7 @@ def test_window_ends_at_a_gap_and_at_the_next_current():
     current[stop + 50 :] = -5.0
     busy = CellLog(log.time_s, current, log.voltage_V)
     data = cut_pulse(busy, start, stop, 40.0)
-    assert len(data) - data.stop == 50
+    assert len(data) - data.stop == 49  # the last may hold the next current's switch
     np.testing.assert_array_equal(data.current_A[data.stop :], 0.0)
 
 
@@ -196,6 +197,18 @@ def test_window_takes_in_the_row_that_holds_the_switch():
     assert data.settling_rows[data.start]
     assert data.settling_rows[data.stop]
     assert np.count_nonzero(data.settling_rows) == 2
+
+
+def test_switch_late_in_a_slow_row_is_left_out():
+    """A row of 1 s whose last 10 ms carry the pulse: no current to speak of, all of its drop."""
+    log, start, stop = a_log()
+    current, voltage = log.current_A.copy(), log.voltage_V.copy()
+    current[start - 1] = 0.01 * 20.0
+    voltage[start - 1] -= 2e-3 * 20.0
+    data = cut_pulse(CellLog(log.time_s, current, voltage), start, stop, 40.0)
+    rows = np.flatnonzero(data.settling_rows)
+    np.testing.assert_array_equal(rows, [data.start - 1])
+    np.testing.assert_allclose(fit_pulse(data).value[:5], Circuit().values[:5], rtol=5e-3)
 
 
 def test_rows_without_a_voltage_are_dropped_and_their_charge_is_kept():

@@ -19,6 +19,7 @@ EDGE_PART = 0.2  # a row-to-row change of current by this part of the pulse's cu
 SETTLING_PART = 0.03
 SETTLING_LIMIT_S = 0.6
 SETTLING_NOISE = 6.0  # and by more than so many standard deviations of the noise
+EARLY_PART = 0.5  # a voltage that moved by this part of the step before the current has stepped
 STILL_PART = 0.02  # a current that changes by less than this part of the pulse's stands still
 LONGEST_EDGE_ROWS = 3
 # A relaxation row may count at most so much more or less than a pulse row.
@@ -87,6 +88,17 @@ class PulseData:
     @property
     def _where(self) -> str:
         return f"pulse '{self.name}'" if self.name else "the pulse"
+
+    def _moved_early(self, before: int, edge: int) -> bool:
+        """Whether the voltage stepped at row ``before`` already, ahead of the current.
+
+        Switched late in that row's interval: its mean current is next to nothing, or next to all.
+        """
+        if before < 1:
+            return False
+        v = self.voltage_V
+        whole = abs(v[edge] - v[before - 1])
+        return bool(abs(v[before] - v[before - 1]) > EARLY_PART * whole)
 
     def _check_pulse(self, n: int) -> None:
         if np.any(np.diff(self.time_s) < 0):
@@ -179,16 +191,17 @@ class PulseData:
             if np.max(change[group]) < EDGE_PART * peak:
                 continue
             before, edge = int(group[0]) - 1, int(group[-1])
+            before -= self._moved_early(before, edge)
             rows[before + 1 : edge] = True
             until = self.time_s[before] + SETTLING_LIMIT_S
             last = int(np.searchsorted(self.time_s, until, side="right"))
             moves = np.diff(self.voltage_V[before:last])
-            if moves.size <= group.size:
+            if moves.size <= edge - before:
                 continue
-            step = float(np.sum(moves[: group.size]))
+            step = float(np.sum(moves[: edge - before]))
             moves *= np.sign(step)
             whole = max(float(np.sum(moves)), abs(step))
-            still = moves[group.size :] > max(SETTLING_PART * whole, SETTLING_NOISE * noise)
+            still = moves[edge - before :] > max(SETTLING_PART * whole, SETTLING_NOISE * noise)
             rows[edge : edge + (still.size if still.all() else int(np.argmin(still)))] = True
         in_pulse = rows[self.start : self.stop]
         if 2 * np.count_nonzero(in_pulse) > in_pulse.size:  # a pulse too short to settle

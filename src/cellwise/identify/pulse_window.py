@@ -205,6 +205,8 @@ def _cut(
         after += 1
     rest = _quiet_from(current, gaps, begin, limit)
     end = max(_quiet_until(current, gaps, after, limit), stop)
+    if end < time.size and not gaps[end] and end > after + 1:
+        end -= 1  # the row before the next current may hold its switch
     if end == after:  # what looked like the tail of the switch was the next current
         end = stop
     end = max(stop, min(end, int(np.searchsorted(time, time[stop - 1] + relaxation_s, "right"))))
