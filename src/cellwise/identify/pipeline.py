@@ -42,6 +42,7 @@ Progress = Callable[[str], None]
 REFERENCE_C = 25.0
 SAME_TEMPERATURE_C = 3.0
 FAR_FROM_NOMINAL = 2.5  # an aged cell keeps a third, a wrong unit is a thousand
+LARGEST_PULSE = 1.0 / 3.0  # of the capacity: a discharge beyond it has no parameters of one SOC
 WHOLE_CELL = 0.7  # of nominal: an HPPC test that moved less went through a part of the SOC range
 
 
@@ -84,7 +85,7 @@ def identify_cell(
         if part.hppc and not fits and not part.drive:
             raise InputError(
                 _counts([(s.log, s.pulses) for s in sets])[0],
-                "at least one healthy pulse after a rest",
+                "a healthy pulse after a rest that moves less than a third of the charge",
                 "Give an HPPC log whose pulses stay within the voltage limits, or a drive.",
             )
         tables = pulse_tables(fits, GRID_POINTS, settings.tables) if fits else None
@@ -147,8 +148,8 @@ def _check(tests: TestLogs, settings: IdentifySettings) -> None:
         raise InputError(
             f"a nominal capacity of {nominal:g} Ah", "a number above zero", "Give it in Ah."
         )
-    pulses_and_drives = (log for log, _ in (*tests.hppc, *tests.drive))
-    for log in (*pulses_and_drives, *tests.ocv, *tests.capacity):
+    logs = [log for log, _ in (*tests.hppc, *tests.drive)]
+    for log in (*logs, *tests.ocv, *tests.capacity):
         found = verify_sign(log)
         if found.verdict == "contradicted":
             raise InputError(
@@ -202,15 +203,13 @@ def _capacity(
 def _hppc_total_Ah(tests: TestLogs, nominal_Ah: float | None, notices: list[str]) -> float | None:
     """Charge of the HPPC log that moved most; None where it cannot have been the whole cell."""
     total = max((hppc_total_Ah(log) for log, _ in tests.hppc), default=None)
-    if total is None or nominal_Ah is None:
+    if total is None or nominal_Ah is None or total >= WHOLE_CELL * nominal_Ah:
         return total
-    if total < WHOLE_CELL * nominal_Ah:
-        notices.append(
-            f"the HPPC test moved {total:.3f} Ah, {100 * total / nominal_Ah:.0f} % of nominal: "
-            "it did not go from full to empty and is no capacity"
-        )
-        return None
-    return total
+    notices.append(
+        f"the HPPC test moved {total:.3f} Ah, {100 * total / nominal_Ah:.0f} % of nominal: "
+        "it did not go from full to empty and is no capacity"
+    )
+    return None
 
 
 def _ocv(tests: TestLogs, capacity: float, notices: list[str]) -> OcvCurve:
@@ -320,7 +319,11 @@ def _pulse_set(
     pulses = find_pulses(log)
     anchor = anchor_soc(log, ocv, capacity, 0.0)
     soc = anchor.soc - log.counted_charge_Ah() / capacity
-    chosen = tuple(p for p in pulses_to_fit(pulses) if -0.02 <= soc[p.start] <= 1.02)
+    chosen = tuple(
+        p
+        for p in pulses_to_fit(pulses)
+        if -0.02 <= soc[p.start] <= 1.02 and abs(p.charge_Ah) <= LARGEST_PULSE * capacity
+    )
     if not chosen:
         return PulseSet(log, anchor, pulses, (), ())
     fits = fit_pulses(cut_pulses(log, chosen, capacity, soc), settings.method)

@@ -16,7 +16,7 @@ from cellwise.identify.ocv import OcvCurve
 from cellwise.identify.refine import RefineResult, RefineSettings, StartTables, refine
 from cellwise.identify.refine_data import RefineLog
 from cellwise.identify.soc_anchor import anchor_soc
-from cellwise.identify.splines import TABLE_KNOTS, greville
+from cellwise.identify.splines import TABLE_KNOTS, greville, spline_rows, spline_values
 from cellwise.identify.tables import PulseTables
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
@@ -24,6 +24,7 @@ from cellwise.typing import FloatArray
 SLOW_FROM_S = 1800.0  # a log must last this long to show the slow branch
 HYSTERESIS_FROM_V = 0.004  # half gap between the low-rate branches, polarisation taken out
 LARGEST_SOC_ERROR = 0.05
+LARGEST_OCV_MOVE_V = 0.03
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +97,7 @@ def refine_temperature(
     )
     hot = any(item.log.temperature_C is not None for item in logs)
     values = refined_tables(result, start)
+    _tell_moved_ocv(result, notices)
     model = CellModel(
         capacity_Ah,
         *values,
@@ -104,6 +106,20 @@ def refine_temperature(
         error=_error(result, float(np.median(values.r0_ohm))),
     )
     return Refined(model, result, tuple(starts))
+
+
+def _tell_moved_ocv(result: RefineResult, notices: list[str]) -> None:
+    """Say so where the logs contradict the OCV they were given: mostly a wrong start SOC."""
+    seen = np.concatenate([p.soc[p.evaluate] for p in result.logs])
+    soc = np.linspace(max(seen.min(), 0.1), min(seen.max(), 0.9), 81)
+    rows = spline_rows(soc, result.ocv_knots)
+    moved = spline_values(rows, result.theta[: result.layout.knots_ocv])
+    size = float(np.sqrt(np.mean(moved**2)))
+    if size > LARGEST_OCV_MOVE_V:
+        notices.append(
+            f"the refinement moved the OCV by {1e3 * size:.0f} mV RMS: check at which SOC the logs "
+            "begin, and whether OCV and logs are of one cell and temperature"
+        )
 
 
 def _rough_resistance(tables: PulseTables | None, tests: TestLogs) -> float:
