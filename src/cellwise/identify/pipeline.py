@@ -29,7 +29,7 @@ from cellwise.identify.ocv import OcvCurve, combine_ocv, curve_from_points
 from cellwise.identify.ocv_lowrate import ocv_from_low_rate
 from cellwise.identify.ocv_rests import ocv_from_rests
 from cellwise.identify.pulse_fit import fit_pulses
-from cellwise.identify.pulse_window import cut_pulses
+from cellwise.identify.pulse_window import cut_pulses, has_enough_rows
 from cellwise.identify.pulses import Pulse, find_pulses, pulses_to_fit
 from cellwise.identify.refine_stage import Refined, refine_temperature
 from cellwise.identify.soc_anchor import anchor_soc
@@ -322,7 +322,9 @@ def _pulse_set(
     chosen = tuple(
         p
         for p in pulses_to_fit(pulses)
-        if -0.02 <= soc[p.start] <= 1.02 and abs(p.charge_Ah) <= LARGEST_PULSE * capacity
+        if -0.02 <= soc[p.start] <= 1.02
+        and abs(p.charge_Ah) <= LARGEST_PULSE * capacity
+        and has_enough_rows(log, p)
     )
     if not chosen:
         return PulseSet(log, anchor, pulses, (), ())
