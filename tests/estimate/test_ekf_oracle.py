@@ -124,7 +124,7 @@ def matrix_filter(model, noise, log, soc0, soc0_std):
             mismatch += min(dt / noise.slow_s, 1.0) * (seen_so_far - mismatch)
         repeated = dt == 0 and not fresh and noise.slow_s > 0
         if np.isfinite(volts) and not repeated:
-            shared = max(2 * noise.slow_s / dt, 1.0) if dt > 0 else 1.0
+            shared = 1.0 if fresh or dt == 0 else max(2 * noise.slow_s / dt, 1.0)
             ekf.update(
                 np.array([volts]),
                 HJacobian=lambda _, h=jacobian: h,
@@ -148,6 +148,7 @@ def difficult_log(rng, model, rows=400):
     log = replace(log, time_s=time)
     voltage = simulate(model, log, 0.52).voltage_V + 0.005 * rng.standard_normal(rows)
     current = log.current_A + 0.01 * rng.standard_normal(rows)
+    voltage[:2] = np.nan  # the first that is read is in the middle of things
     voltage[rng.choice(np.arange(5, rows), 20, replace=False)] = np.nan
     current[rng.choice(np.arange(5, rows), 20, replace=False)] = np.nan
     return replace(log, voltage_V=voltage, current_A=current)

@@ -59,10 +59,11 @@ class FilterpyEkf:
             point = self._predict(ekf, flow, dt[k], temperature[k], unknown)
             predicted[k] = self._voltage(ekf.x, seen, temperature[k])
             innovation[k] = log.voltage_V[k] - predicted[k]
-            # A repeated stamp repeats the slow error: no new evidence.
-            repeated = dt[k] <= 0 and not fresh and self.noise.slow_s > 0
-            voltage = np.nan if repeated else log.voltage_V[k]
-            variance[k] = self._update(ekf, voltage, seen, dt[k], temperature[k], point)
+            shared = 1.0  # the first voltage is evidence by itself
+            if not fresh and self.noise.slow_s > 0:
+                # A repeated stamp repeats the slow error: no new evidence.
+                shared = max(2 * self.noise.slow_s / dt[k], 1.0) if dt[k] > 0 else np.inf
+            variance[k] = self._update(ekf, log.voltage_V[k], seen, shared, temperature[k], point)
             fresh = fresh and not np.isfinite(log.voltage_V[k])
             soc[k], std[k] = ekf.x[0], np.sqrt(ekf.P[0, 0])
         ratio = innovation**2 / (self.noise.gate**2 * variance)
@@ -106,7 +107,7 @@ class FilterpyEkf:
         ekf: ExtendedKalmanFilter,
         voltage: float,
         current: float,
-        dt: float,
+        shared: float,
         temperature: float,
         point: CellPoint,
     ) -> float:
@@ -118,7 +119,6 @@ class FilterpyEkf:
         )
         one += noise.branch_share**2 * (point.r0_ohm * current) ** 2
         one += (noise.current_A * point.r0_ohm) ** 2
-        shared = max(2 * noise.slow_s / dt, 1.0) if dt > 0 else 1.0
         slopes = np.array([[point.ocv_slope_V, -1.0, -1.0, -1.0, point.m_V]])
 
         def jacobian(x: FloatArray) -> FloatArray:
@@ -128,7 +128,7 @@ class FilterpyEkf:
             return np.array([self._voltage(x, current, temperature)])
 
         marginal = float((slopes @ ekf.P @ slopes.T)[0, 0]) + one
-        if np.isfinite(voltage):
+        if np.isfinite(voltage) and np.isfinite(shared):
             weight = np.array([[one * shared]])
             ekf.update(np.array([voltage]), HJacobian=jacobian, Hx=measured, R=weight)
         ekf.x[0] = min(max(ekf.x[0], 0.0), 1.0)
