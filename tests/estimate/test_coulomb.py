@@ -14,6 +14,7 @@ from cellwise.errors import InputError
 from cellwise.estimate.coulomb import Coulomb
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.status import Status
+from cellwise.logs.reading import read_log
 
 
 def test_it_equals_the_testers_counter_on_ideal_data():
@@ -92,3 +93,25 @@ def test_bounds_and_refusals():
     assert at_bound.any()
     with pytest.raises(InputError, match="from 0 to 1"):
         Coulomb(linear_cell()).run(log, 1.5)
+
+
+@pytest.mark.parametrize(
+    ("name", "share"), [("panasonic_18650pf/drive_p25_us06", 1e-3), ("nissan_leaf/hppc_p25", 5e-3)]
+)
+def test_a_real_current_adds_up_to_the_testers_counter(real_data, name, share):
+    log = read_log(real_data / f"{name}.csv.gz")
+    counted = charge_counted_Ah(log)
+    moved = np.ptp(log.charge_Ah)
+    np.testing.assert_allclose(counted, log.charge_Ah - log.charge_Ah[0], atol=share * moved)
+
+
+def test_a_current_sampled_from_a_faster_profile_drifts_as_its_source_says(real_data):
+    # The data's own notes: the current sums up to 1.979 Ah where the counter says 2.002 Ah.
+    log = read_log(real_data / "plett_a123" / "dyn_p25_s1.csv.gz")
+    assert charge_counted_Ah(log)[-1] == pytest.approx(1.979, abs=0.001)
+    assert log.charge_Ah[-1] == pytest.approx(2.002, abs=0.001)
+
+
+def charge_counted_Ah(log):
+    capacity = 4 * float(np.ptp(log.charge_Ah))  # wide, so that neither bound is met
+    return capacity * (0.5 - Coulomb(linear_cell(capacity_Ah=capacity)).run(log, 0.5).soc)
