@@ -91,14 +91,12 @@ def _quickest(runs: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _process(file: Path, cache: Path) -> dict[str, Any]:
-    """A fresh Python on two cores; its compiled code is kept in ``cache``."""
+    """A fresh Python on two cores, one BLAS thread; its compiled code is kept in ``cache``."""
     environment = {
         **os.environ,
         "NUMBA_CACHE_DIR": str(cache),
         "PYTHONPATH": os.pathsep.join([str(REPOSITORY / "src"), os.environ.get("PYTHONPATH", "")]),
     }
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        environment[name] = str(CORES)
     script = REPOSITORY / "benchmarks" / "file_run.py"
     done = subprocess.run(
         [sys.executable, str(script), str(file), str(CAPACITY_AH)],
