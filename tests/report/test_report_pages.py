@@ -16,8 +16,10 @@ from cellwise.errors import InputError
 from cellwise.report import demo_page, identify_page, replay_page
 from cellwise.report.findings import replay_finding
 from cellwise.report.markup import finite, page, table
-from cellwise.report.pages import identify_sections, notices, replay_data
-from cellwise.report.section import rendered
+from cellwise.report.pages import identify_sections, notices, replay_data, replay_sections
+from cellwise.report.replay_figures import replay_figures
+from cellwise.report.replay_section import MOST_DETAILED
+from cellwise.report.section import pictures_of, rendered
 
 NASTY = "<script>alert('1')</script> & \"$x_1^2$\" </svg> \\u003c"
 
@@ -80,6 +82,7 @@ def test_nothing_is_loaded_and_nothing_runs(pages, kind):
     assert [attrs["type"] for attrs, _ in parsed.scripts] == ["application/json"]
     assert not {"link", "iframe", "object", "embed", "img", "audio", "video"} & set(parsed.tags)
     assert "@import" not in text
+    assert parsed.tags.count("style") == 1
     assert "url(http" not in text
 
 
@@ -142,6 +145,33 @@ def test_replay_findings_of_other_ends():
     assert "nothing to judge it by" in blind
     at_once = replay_finding(replay(drive(), off=-0.3, forget_s=0.05))
     assert "after" in at_once  # the first row is still 30 points off
+
+
+def test_all_figures_of_the_contract_are_in_the_table():
+    # Numbers that cannot be taken for one another, with what the page should make of each.
+    run = replay(drive(3600))
+    told = dict(replay_figures(run))
+    text = {key.replace("\xa0", " "): value.replace("\xa0", " ") for key, value in told.items()}
+    error = run.soc_error
+    assert text["SOC RMSE"] == f"{100 * np.sqrt(np.mean(error**2)):.2f} %"
+    assert text["SOC MAE"] == f"{100 * np.mean(np.abs(error)):.2f} %"
+    assert text["SOC max. error"] == "30.0 %"
+    assert text["within 2 % after"] == "136 s"
+    assert text["settled: SOC max. error"] == f"{100 * np.abs(error[136:]).max():.2f} %"
+    assert text["start SOC (1σ)"] == "70 % ± 15 %, given"
+    assert text["voltage RMSE"] == "7.1 mV"  # 0.01 cos
+    assert text["mean NIS"] == "0.500"  # of 1e-4 cos squared over 1e-4
+    assert text["time per step"] == "95 ns"
+    assert "error inside 2σ" in text
+    assert text["samples"] == "3\N{NARROW NO-BREAK SPACE}600"
+
+
+def test_many_replays_are_rows_and_few_pictures():
+    runs = [replay(drive(60), off=-0.01 * k) for k in range(8)]
+    sections = {s.key: s for s in replay_sections(runs)}
+    table_text = rendered(sections["figures"])
+    assert table_text.count("<tr") == 9
+    assert len(pictures_of([sections["soc"]])) == 1 + 2 * MOST_DETAILED
 
 
 def test_names_of_logs_are_escaped_everywhere(tmp_path):

@@ -28,7 +28,8 @@ from cellwise.report.picture import Picture
 from cellwise.report.provenance_section import provenance_content
 from cellwise.report.pulse_example import pulse_example_picture
 from cellwise.report.pulse_section import pulse_content, pulse_picture, pulse_sets
-from cellwise.report.replay_section import comparison_pictures, replay_content, replay_pictures
+from cellwise.report.replay_figures import replay_content
+from cellwise.report.replay_section import comparison_pictures, replay_pictures
 from cellwise.report.section import Section, write_page
 from cellwise.report.simulation_section import simulation_content, simulation_pictures
 

@@ -45,6 +45,7 @@ CAPTION = (
     "left, and the state of charge that the filter finds from a wrong start."
 )
 HEIGHT_IN = 6.4
+CLOSE_UP_S = 180.0
 
 
 def hero_figure(
@@ -78,7 +79,8 @@ def draw_hero(identification: Identification, simulation: Simulation, replay: Re
     log = simulation.log
     scale, unit = time_unit(log.duration_s)
     t = (log.time_s - log.time_s[0]) / scale
-    start, stop = _typical_window(simulation)
+    length_s = min(CLOSE_UP_S, close_up_s(log.time_s))
+    start, stop = _typical_window(simulation, length_s)
     left[0].plot(*thin(t, log.voltage_V), color=MEASURED, linewidth=1.6, label="measured")
     left[0].plot(*thin(t, simulation.voltage_V), color=MODEL, linewidth=0.7, label="simulated")
     finding(
@@ -99,7 +101,7 @@ def draw_hero(identification: Identification, simulation: Simulation, replay: Re
         axes.set_xlim(t[0], t[-1])
     mark_window(left[0], t[start], t[stop - 1])
     title = "{length} at full size: {rmse} RMSE"
-    draw_close_up(right[0], right[1], simulation, (start, stop), title)
+    draw_close_up(right[0], right[1], simulation, (start, stop), title, length_s)
     finding(right[1], "All the model is given", NARROW)
     _draw_start(right[2], replay)
     figure.suptitle(_headline(identification), x=0.01, ha="left", fontsize=11.5, fontweight="bold")
@@ -114,10 +116,9 @@ def _headline(identification: Identification) -> str:
     return f"{name}{ampere_hours(model.capacity_Ah)}, identified on {used}"
 
 
-def _typical_window(simulation: Simulation) -> tuple[int, int]:
+def _typical_window(simulation: Simulation, length: float) -> tuple[int, int]:
     """A busy part whose error is like that of the whole log, away from its ends."""
     log = simulation.log
-    length = close_up_s(log.time_s)
     dt = np.diff(log.time_s, prepend=log.time_s[0])
     error = np.cumsum(np.nan_to_num(simulation.error_V) ** 2 * dt)
     moved = np.cumsum(np.abs(np.diff(log.known_current_A(), prepend=0.0)))

@@ -14,18 +14,19 @@ from cellwise.report.findings import identify_finding, replay_finding, simulatio
 from cellwise.report.markup import Markup, bullets, paragraph, tiles
 from cellwise.report.numerals import (
     ampere_hours,
-    duration,
     listed,
     millivolt,
     percent,
     plural,
+    points,
     significant,
 )
 from cellwise.report.ocv_section import ocv_content, ocv_evidence, ocv_picture
 from cellwise.report.parameter_section import parameter_content, parameter_picture
 from cellwise.report.provenance_section import provenance_content
 from cellwise.report.pulse_section import pulse_content, pulse_picture, pulse_sets
-from cellwise.report.replay_section import replay_content, replay_pictures
+from cellwise.report.replay_figures import reached, replay_content
+from cellwise.report.replay_section import MOST_DETAILED, replay_pictures
 from cellwise.report.section import Section, write_page
 from cellwise.report.simulation_section import simulation_content, simulation_pictures
 
@@ -142,8 +143,10 @@ def replay_sections(
     replays: Sequence[Replay], simulations: Sequence[Simulation] = ()
 ) -> tuple[Section, ...]:
     """The parts of a replay page."""
+    said = f"The first {MOST_DETAILED} replays have pictures of their own; the table has all."
+    few = (paragraph(said),) if len(replays) > MOST_DETAILED else ()
     sections = [
-        Section("soc", "State of charge", replay_pictures(replays)),
+        Section("soc", "State of charge", (*few, *replay_pictures(replays))),
         Section("figures", "All figures", (replay_content(replays),)),
     ]
     if simulations:
@@ -196,14 +199,13 @@ def identify_tiles(identification: Identification) -> Markup:
 def replay_tiles(replay: Replay) -> Markup:
     """Key figures of a replay."""
     facts: list[tuple[object, object]] = [
-        ("start SOC", f"{percent(replay.start.soc, 1)}"),
-        ("final SOC", percent(float(replay.trace.soc[-1]), 1)),
+        ("start SOC", points(replay.start.soc)),
+        ("final SOC", points(float(replay.trace.soc[-1]))),
     ]
     settled = replay.settled
     if settled is not None:
-        reached = replay.convergence_s
         facts += [
-            ("within 2 points after", "never" if reached is None else duration(reached)),
+            ("within 2 points after", reached(replay)),
             ("settled SOC RMSE", percent(settled.rmse)),
             ("error inside 2σ", percent(replay.coverage_2sigma, 1)),
         ]

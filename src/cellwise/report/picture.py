@@ -152,6 +152,8 @@ def _for_page(svg: str, key: str, title: str) -> str:
     Ids are the document's in HTML, so two figures must not share them.
     """
     body = svg[svg.index("<svg") :].rstrip()
+    # Its style would hold for the whole page, which has the same in its own.
+    body = re.sub(r"<defs>\s*<style.*?</style>\s*</defs>", "", body, count=1, flags=re.DOTALL)
     # Unused ids go, the others take the figure's name.
     used = set(re.findall(r'(?:url\(#|href="#)([^")]+)', body))
     body = re.sub(r' id="([^"]+)"', lambda m: f' id="{key}-{m[1]}"' if m[1] in used else "", body)

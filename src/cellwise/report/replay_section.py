@@ -9,9 +9,7 @@ import numpy as np
 
 from cellwise.estimate.replay import CONVERGED_SOC, Replay
 from cellwise.report.findings import replay_name
-from cellwise.report.markup import Markup, table
 from cellwise.report.numerals import (
-    counted,
     duration,
     millivolt,
     percent,
@@ -20,6 +18,7 @@ from cellwise.report.numerals import (
     time_unit,
 )
 from cellwise.report.picture import Picture, safe_key
+from cellwise.report.replay_figures import reached
 from cellwise.report.style import (
     CYCLE,
     FILTER,
@@ -45,6 +44,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+MOST_DETAILED = 4
 SOC_CAPTION = (
     "Above: the filter's state of charge (blue) with the band of two of its own standard "
     "deviations, and the reference that the tester counted (grey). Below: their difference; a "
@@ -64,9 +64,9 @@ COMPARISON_CAPTION = (
 
 
 def replay_pictures(replays: Sequence[Replay], prefix: str = "replay") -> tuple[Picture, ...]:
-    """Comparison of all replays of a log, then SOC and voltage of each."""
+    """Comparison of all replays of a log, then SOC and voltage of each of the first few."""
     pictures = list(comparison_pictures(replays, prefix))
-    for k, r in enumerate(replays):
+    for k, r in enumerate(replays[:MOST_DETAILED]):
         key = f"{prefix}-{k + 1}-{safe_key(r.estimator)}-{safe_key(r.log.name or 'log')}"
         pictures.append(Picture(f"{key}-soc", draw_soc(r), SOC_CAPTION))
         if np.any(np.isfinite(r.trace.innovation_variance_V2)):
@@ -76,10 +76,10 @@ def replay_pictures(replays: Sequence[Replay], prefix: str = "replay") -> tuple[
 
 def comparison_pictures(replays: Sequence[Replay], prefix: str = "replay") -> tuple[Picture, ...]:
     """One picture per log that was replayed more than once and has a reference."""
-    groups: dict[int, list[Replay]] = {}
+    groups: dict[tuple[str, int], list[Replay]] = {}
     for r in replays:
         if r.reference_soc is not None:
-            groups.setdefault(id(r.log), []).append(r)
+            groups.setdefault((r.log.name, len(r.log)), []).append(r)
     return tuple(
         Picture(
             f"{prefix}-comparison-{safe_key(group[0].log.name or 'log')}-{k + 1}",
@@ -89,45 +89,6 @@ def comparison_pictures(replays: Sequence[Replay], prefix: str = "replay") -> tu
         for k, group in enumerate(groups.values())
         if len(group) > 1
     )
-
-
-def replay_content(replays: Sequence[Replay]) -> Markup:
-    """All figures of every replay, one row each."""
-    head = (
-        "estimator", "log", "samples", "start SOC", "final SOC", "RMSE", "MAE", "max",
-        "within 2 % after", "settled RMSE", "MAE", "max", "inside 2σ", "mean NIS",
-        "voltage RMSE", "per step",
-    )  # fmt: skip
-    rows = []
-    for r in replays:
-        e, s = r.errors, r.settled
-        rows.append(
-            (
-                r.estimator,
-                r.log.name or "log",
-                counted(len(r.trace)),
-                f"{percent(r.start.soc, 1)} ± {percent(r.start.std, 1)}",
-                f"{percent(float(r.trace.soc[-1]), 1)} ± {percent(float(r.trace.soc_std[-1]))}",
-                percent(None if e is None else e.rmse),
-                percent(None if e is None else e.mae),
-                percent(None if e is None else e.max),
-                "never" if e is not None and r.convergence_s is None else duration(r.convergence_s),
-                percent(None if s is None else s.rmse),
-                percent(None if s is None else s.mae),
-                percent(None if s is None else s.max),
-                percent(r.coverage_2sigma, 1),
-                significant(r.nis_mean),
-                millivolt(r.voltage_rmse_V),
-                f"{significant(r.ns_per_step)} ns",
-            )
-        )
-    said = (
-        "Errors are estimate minus reference, in points of SOC. Settled: after the error has come "
-        "within 2 points and stayed there for ten minutes; where it never did, the log's second "
-        "half. Inside 2σ: share of rows whose error is within two of the filter's own standard "
-        "deviations. NIS: innovation squared over its variance, 1 for a filter that is just right."
-    )
-    return table(head, rows, caption=said, words=(0, 1))
 
 
 @styled
@@ -200,8 +161,9 @@ def draw_soc_error(
         axes.set_ylim(-limit, limit)
     if settled is not None:
         inside = replay.coverage_2sigma
+        begin = "Second half" if replay.convergence_s is None else "Settled"
         text = (
-            f"Settled: {percent(settled.rmse)} RMSE, {percent(settled.max)} at most; "
+            f"{begin}: {percent(settled.rmse)} RMSE, {percent(settled.max)} at most; "
             f"{percent(inside, 0)} of rows inside 2σ"
             if whole
             else _convergence(replay)
@@ -281,7 +243,7 @@ def draw_comparison(replays: Sequence[Replay]) -> Figure:
     finding(
         top,
         f"{log.name or 'log'}, within 2 points: "
-        + "; ".join(f"{_start_name(r)} {_reached(r)}" for r in replays),
+        + "; ".join(f"{_start_name(r)} {_after(r)}" for r in replays),
     )
     finding(
         bottom,
@@ -299,10 +261,9 @@ def _rmse(replay: Replay) -> float:
     return float("inf") if replay.errors is None else replay.errors.rmse
 
 
-def _reached(replay: Replay) -> str:
-    if replay.convergence_s is None:
-        return "never"
-    return f"after {duration(replay.convergence_s)}" if replay.convergence_s > 0.0 else "at once"
+def _after(replay: Replay) -> str:
+    text = reached(replay)
+    return f"after {text}" if replay.convergence_s else text
 
 
 def _start_name(replay: Replay) -> str:
@@ -314,10 +275,10 @@ def _colours(count: int) -> tuple[str, ...]:
 
 
 def _soc_title(replay: Replay) -> str:
-    name = f"{replay_name(replay)}: SOC {percent(float(replay.trace.soc[-1]), 1)}"
+    name = f"{replay_name(replay)}: SOC {points(float(replay.trace.soc[-1]))}"
     name += f" ± {percent(2.0 * float(replay.trace.soc_std[-1]), 1)} (2σ) at the end"
     if replay.reference_soc is not None:
-        name += f", reference {percent(float(replay.reference_soc[-1]), 1)}"
+        name += f", reference {points(float(replay.reference_soc[-1]))}"
     return name
 
 

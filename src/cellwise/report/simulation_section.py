@@ -119,22 +119,23 @@ def draw_simulation(simulation: Simulation) -> Figure:
     """Voltage, current and residual of the whole log; close-up of the worst; error over SOC."""
     figure = new_figure(5.7)
     left, right = two_columns(figure, (2.3, 0.9, 1.7), (2.1, 0.7, 1.6))
-    start, stop = _worst_part(simulation)
+    length_s = close_up_s(simulation.log.time_s)
+    start, stop = _worst_part(simulation, length_s)
     _draw_whole(left, simulation, (start, stop))
     where = percent(float(np.mean(simulation.soc[start:stop])), 0)
     title = f"Worst {{length}}: {{rmse}} RMSE at {where} SOC"
-    draw_close_up(right[0], right[1], simulation, (start, stop), title)
+    draw_close_up(right[0], right[1], simulation, (start, stop), title, length_s)
     draw_error_over_soc(right[2], simulation)
     return figure
 
 
-def _worst_part(simulation: Simulation) -> tuple[int, int]:
+def _worst_part(simulation: Simulation, length_s: float) -> tuple[int, int]:
     log = simulation.log
     above = simulation.soc > LOW_SOC
     return worst_window(
         log.time_s,
         simulation.error_V,
-        close_up_s(log.time_s),
+        length_s,
         above if above.mean() > 0.2 else None,
         log.known_current_A(),
     )
@@ -172,7 +173,7 @@ def draw_residual(axes: Axes, t: np.ndarray, simulation: Simulation) -> None:
     """Measured minus simulated voltage over time [mV], with its 95 % interval."""
     error = simulation.error_V
     m = simulation.metrics
-    axes.plot(*thin(t, 1e3 * error, gaps=simulation.log.gap_rows), color=MODEL, linewidth=0.8)
+    axes.plot(*thin(t, 1e3 * error, gaps=simulation.log.gap_rows), color=MODEL, linewidth=0.65)
     low, high = (1e3 * v for v in m.ci95_V)
     axes.axhspan(low, high, color=MODEL, alpha=0.12, linewidth=0, zorder=0.6)
     zero_line(axes)
@@ -188,24 +189,28 @@ def draw_residual(axes: Axes, t: np.ndarray, simulation: Simulation) -> None:
 
 
 def draw_close_up(
-    top: Axes, bottom: Axes, simulation: Simulation, part: tuple[int, int], title: str
+    top: Axes,
+    bottom: Axes,
+    simulation: Simulation,
+    part: tuple[int, int],
+    title: str,
+    length_s: float,
 ) -> None:
     """Voltages and current of a part of the log; ``{length}`` and ``{rmse}`` in the title."""
     log = simulation.log
     rows = slice(*part)
-    length = close_up_s(log.time_s)
-    scale, unit = time_unit(length)
+    scale, unit = time_unit(length_s)
     t = (log.time_s[rows] - log.time_s[part[0]]) / scale
     top.plot(*thin(t, log.voltage_V[rows], 300), color=MEASURED, linewidth=2.0)
     top.plot(*thin(t, simulation.voltage_V[rows], 300), color=MODEL, linewidth=1.2)
     rmse = error_metrics(simulation.error_V[rows]).rmse_V
-    finding(top, title.format(length=duration(length), rmse=millivolt(rmse)), NARROW)
+    finding(top, title.format(length=duration(length_s), rmse=millivolt(rmse)), NARROW)
     labels(top, "", "voltage [V]")
     current = thin(t, log.known_current_A()[rows], 300)
     bottom.plot(*current, color=MEASURED, linewidth=1.1, drawstyle="steps-pre")
     labels(bottom, f"time [{unit}]", "current [A]")
     for axes in (top, bottom):
-        axes.set_xlim(0.0, length / scale)
+        axes.set_xlim(0.0, length_s / scale)
 
 
 def draw_error_over_soc(axes: Axes, simulation: Simulation, share: float = NARROW) -> None:

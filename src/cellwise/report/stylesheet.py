@@ -35,6 +35,7 @@ section { background: var(--paper); border: 1px solid var(--line); border-radius
 .tiles dd { margin: 0; font-size: 1.22rem; font-weight: 600; font-variant-numeric: tabular-nums; }
 figure { margin: 1rem 0 1.2rem; }
 figure svg { display: block; width: 100%; height: auto; }
+figure svg * { stroke-linejoin: round; stroke-linecap: butt; }
 figcaption { color: var(--muted); font-size: .9rem; max-width: 100ch; margin-top: .35rem; }
 .scroll { overflow-x: auto; margin: .8rem 0 1rem; }
 table { border-collapse: collapse; font-size: .88rem; font-variant-numeric: tabular-nums; }
