@@ -59,7 +59,7 @@ class RefineSettings:
     ocv_smooth: float = 1e-3
     ocv_size: float = 1e-6
     hold: float = 1e-3
-    robust: float = 3.0
+    robust: float = 10.0
     iterations: int = 40
 
 
