@@ -22,6 +22,8 @@ from cellwise.typing import FloatArray
 
 TableKind = Literal["spline", "cubic"]
 NAMES = ("r0_ohm", "r1_ohm", "tau1_s", "r2_ohm", "tau2_s")
+RESISTANCES = ("r0_ohm", "r1_ohm", "r2_ohm")
+LEAST_SHARE = 0.01
 SPREAD = 0.05  # pulses of one level differ by rate and direction: no weight beyond this error
 STIFFNESS = 0.02
 LEAST_RATIO = 1.5
@@ -69,6 +71,10 @@ def pulse_tables(
     cubic: dict[str, tuple[float, float, float, float]] = {}
     for name in NAMES:
         value = np.array([getattr(f.value, name) for f in known])
+        if name in RESISTANCES and not np.any(value > 0):
+            # Every fit put the whole answer into the other branches: a model still needs a
+            # resistance here, small against theirs.
+            value = np.array([LEAST_SHARE * sum(f.value[k] for k in (0, 1, 3)) for f in known])
         error = np.array([getattr(f.error, name) for f in known])
         s, v, w = _usable(soc, value, error, name)
         if kind == "cubic":
