@@ -1,1 +1,1 @@
-"""Studies on embedded data, and later scenarios and sensor faults."""
+"""Studies on embedded data."""

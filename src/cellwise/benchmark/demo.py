@@ -1,4 +1,4 @@
-"""The main job on embedded data: identify, simulate a held-out drive, estimate its SOC, one page."""
+"""The main job on embedded data: identify, simulate a held-out drive, estimate SOC, one page."""
 
 from __future__ import annotations
 

@@ -131,7 +131,7 @@ def arrhenius(temperature_C: float, activation_K: float, reference_K: float) -> 
 
 @njit(cache=True, error_model="numpy", inline="always")
 def soc_step(cell: CellScalars, soc: float, current_A: float, dt_s: float) -> float:
-    """Coulomb counting over one interval: soc - I dt / (3600 Q), charge current times efficiency."""
+    """Coulomb counting over one interval: soc - I dt / (3600 Q), charging times efficiency."""
     used = current_A if current_A > 0.0 else current_A * cell.charge_efficiency
     return soc - used * dt_s / cell.charge_As
 

@@ -1,0 +1,1 @@
+"""Estimation online: sample in, state and info out."""

@@ -160,8 +160,8 @@ def voltage_variance(
 ) -> float:
     """Variance of one measured voltage about a perfect state [V^2].
 
-    Sensor, the model's slow error at this SOC, a SOC scale that is off by ``ocv_soc`` (it matters where the
-    OCV is steep), and an R0 that is off by ``branch_share``.
+    Sensor, the model's slow error at this SOC, a SOC scale that is off by ``ocv_soc`` (it matters
+    where the OCV is steep), and an R0 that is off by ``branch_share``.
     """
     scale = noise.ocv_soc * slope_V
     drop = noise.branch_share * r0_ohm * current_A
@@ -268,7 +268,7 @@ def ekf_step_inline(
     d3 = (slope * s3 + m * p3h) - ((p13 + p23) + p33)
     dh = (slope * sh + m * phh) - ((p1h + p2h) + p3h)
     state_variance = (slope * ds + m * dh) - ((d1 + d2) + d3)
-    # An OCV that bends by c at one standard deviation is off its tangent by c z^2: 3 c^2 on average.
+    # An OCV that bends by c at one standard deviation is off its tangent by c z^2, 3 c^2 in square.
     state_variance += 3.0 * bend * bend
     one = voltage_variance(noise, point.error_V, point.ocv_slope_V, point.r0_ohm, seen)
     variance = state_variance + one
