@@ -120,6 +120,26 @@ class TestGate:
         assert np.max(np.abs(trace.soc - truth)[3600:]) < 0.02
         assert not np.any(trace.status[recoveries[-1] + 1 :] & Status.INNOVATION_REJECTED)
 
+    def test_a_recovery_begins_with_trust_in_the_model(self):
+        ekf = Ekf(CURVED)
+        state = ekf.init(0.5, 0.01)
+        doubts = []
+        for _ in range(100):
+            state, info = ekf.step(state, 0.0, 4.0, dt_s=60.0)
+            doubts.append(state.mismatch)
+            if info.status & Status.GATE_RECOVERY:
+                break
+        assert doubts[-2] > 5.0
+        assert doubts[-1] == 1.0
+
+    def test_a_resistance_that_is_wrong_is_no_reason_to_move_the_soc(self):
+        # Off by less than twice the drop that the model itself expects: rejected, not recovered.
+        log, truth = driven(replace(CURVED, r0_ohm=CURVED.r0_ohm + 0.07), 0.8, mean_A=2.0)
+        trace = Ekf(CURVED).run(log, 0.8, 0.02)
+        assert np.count_nonzero(trace.status & Status.INNOVATION_REJECTED) > 500
+        assert not np.any(trace.status & Status.GATE_RECOVERY)
+        assert np.max(np.abs(trace.soc - truth)) < 0.05
+
     def test_without_recovery_it_would_stay_locked_out(self):
         log, truth = driven(CURVED, 0.9)
         never = replace(Noise.of_model(CURVED), recovery_after=10**9)
