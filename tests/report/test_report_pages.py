@@ -281,9 +281,11 @@ def test_missing_matplotlib_says_what_to_install(tmp_path, monkeypatch, laborato
 
 
 def test_settings_of_others_are_left_alone(tmp_path):
-    before = dict(matplotlib.rcParams)
-    replay_page([replay(drive())], tmp_path / "page.html")
-    assert dict(matplotlib.rcParams) == before
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        before = dict(matplotlib.rcParams)
+        replay_page([replay(drive(60))], tmp_path / "page.html")
+        assert dict(matplotlib.rcParams) == before
 
 
 def test_pictures_are_saved_beside_the_page(tmp_path):

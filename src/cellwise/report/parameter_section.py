@@ -45,7 +45,7 @@ def parameter_picture(identification: Identification) -> Picture:
     refined = any(t.refinement is not None for t in identification.temperatures)
     caption = (
         "R₀ is the drop at once, the RC branches are what follows within seconds (1), minutes (2) "
-        "and longer (3). Marks are single pulses with one standard error (▼ discharge, ▲ charge; "
+        "and longer (3). Marks, if any, are single pulses with one standard error (▼ discharge, ▲ charge; "
         "pale where the pulse does not show the parameter), lines are the tables in the model"
     )
     caption += (
@@ -178,9 +178,13 @@ def _draw_key(axes: Axes, identification: Identification) -> None:
         temperature_colours(model.temperature_C.size), model.temperature_C, strict=True
     ):
         axes.plot([], [], color=colour, linewidth=1.8, label=f"model at {celsius(float(t))}")
-    axes.plot([], [], "v", color=MEASURED, markersize=4, label="single discharge pulse")
-    axes.plot([], [], "^", color=MEASURED, markersize=4, label="single charge pulse")
-    axes.plot([], [], "^", color=MEASURED, markersize=4, alpha=0.28, label="not shown by its pulse")
+    if any(found.fits for t in identification.temperatures for found in t.pulse_sets):
+        for marker, alpha, name in (
+            ("v", 1.0, "single discharge pulse"),
+            ("^", 1.0, "single charge pulse"),
+            ("^", 0.28, "not shown by its pulse"),
+        ):
+            axes.plot([], [], marker, color=MEASURED, markersize=4, alpha=alpha, label=name)
     axes.legend(loc="center left", bbox_to_anchor=(0.0, 0.5), labelspacing=0.6)
 
 

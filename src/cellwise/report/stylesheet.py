@@ -41,7 +41,7 @@ figcaption { color: var(--muted); font-size: .9rem; max-width: 100ch; margin-top
 table { border-collapse: collapse; font-size: .88rem; font-variant-numeric: tabular-nums; }
 .said { color: var(--muted); font-size: .9rem; margin: 1rem 0 0; }
 .said + .scroll { margin-top: .35rem; }
-.beside { display: flex; flex-wrap: wrap; gap: 0 48px; } .beside .said { max-width: 52ch; }
+.beside { display: flex; flex-wrap: wrap; gap: 0 48px; } .beside .said { max-width: 42ch; }
 th, td { padding: 4px 14px 4px 0; text-align: left; vertical-align: baseline;
   border-bottom: 1px solid var(--grid); }
 th { font-weight: 600; white-space: nowrap; border-bottom-color: var(--muted); }
