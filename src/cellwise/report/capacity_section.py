@@ -70,7 +70,7 @@ def capacity_content(identification: Identification) -> Markup:
         table(
             ("choice", "capacity", "against the taken one"),
             [
-                (name, ampere_hours(value), percent(value / taken - 1.0, 1))
+                (name, ampere_hours(value, taken), percent(value / taken - 1.0, 1))
                 for name, value in identification.capacities.items()
             ],
             caption="Every capacity these logs offer; the marked one defines SOC.",
