@@ -46,7 +46,8 @@ def parameter_picture(identification: Identification) -> Picture:
     caption = (
         "R₀ is the drop at once, the RC branches are what follows within seconds (1), minutes (2) "
         "and longer (3). Marks, if any, are single pulses with one standard error (▼ discharge, "
-        "▲ charge; pale where the pulse does not show the parameter), lines are the tables in the model"
+        "▲ charge; pale where the pulse does not show the parameter), lines are the tables in "
+        "the model"
     )
     caption += (
         ", refined on whole logs, with a band of two standard errors. They need not meet: a short "
