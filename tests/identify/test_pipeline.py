@@ -1,176 +1,299 @@
-"""Laboratory tests in, model out: on embedded data, whose physics shares no code with cellwise."""
+"""Laboratory tests to a model, on embedded data whose physics is not the model's own.
+
+Bounds come from the drive itself: a model that knows the OCV and nothing else misses all of the
+overpotential; one that is worth its name misses less than a quarter of that.
+"""
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from cellwise import IdentifySettings, InputError, TestLogs, identify_cell, load_dataset, simulate
-from cellwise.data import list_datasets
+from cellwise.cell.effects import Hysteresis, SlowDiffusion
+from cellwise.cell.metrics import error_metrics
+from cellwise.cell.model import TABLES
+from cellwise.cell.model_file import model_from_dict, model_to_dict
+from cellwise.cell.simulate import simulate
+from cellwise.data import list_datasets, load_dataset
 from cellwise.estimate.replay import replay
-from cellwise.logs import CellLog
+from cellwise.identify import IdentifySettings, TestLogs, identify_cell
 
-TestLogs.__test__ = False
+TRUTH = {str(e["name"]): e for e in list_datasets()}
+NMC = IdentifySettings(nominal_Ah=5.0, name="LG M50", chemistry="NMC")
+QUICK = replace(NMC, refine=False)
+QUARTER = 0.25
 
-TRUTH = {e["name"]: e for e in list_datasets()}
-# A physics model is no equivalent circuit: one to two per cent of the 1.7 V window is what a good
-# fit leaves on a drive it has not seen; the mean of two cells' papers is 23 mV on their own data.
-HELD_OUT_V = 0.030
+
+def nmc_tests(*hppc, drive=()) -> TestLogs:
+    return TestLogs(
+        hppc=tuple((load_dataset(f"nmc_{name}"), None) for name in hppc or ("hppc",)),
+        ocv=(load_dataset("nmc_ocv_c20"),),
+        capacity=tuple(load_dataset(f"nmc_cap_{rate}") for rate in ("c20", "c5", "c3")),
+        drive=tuple((load_dataset(f"nmc_{name}"), None) for name in drive),
+    )
 
 
 @pytest.fixture(scope="module")
-def laboratory():
-    tests = TestLogs(
-        hppc=((load_dataset("nmc_hppc"), None),),
-        ocv=(load_dataset("nmc_ocv_c20"),),
-        capacity=tuple(load_dataset(f"nmc_cap_{r}") for r in ("c20", "c5", "c3")),
-    )
-    return identify_cell(tests, IdentifySettings(nominal_Ah=5.0))
+def nmc():
+    """The shared identification: laboratory tests alone, everything at its default."""
+    return identify_cell(nmc_tests(), NMC)
 
 
-def held_out_rmse(model, name):
-    return simulate(model, load_dataset(name), TRUTH[name]["initial_soc"]).rmse_above_10pct_V
+@pytest.fixture(scope="module")
+def quick():
+    """The same without refinement: what the pulses alone say."""
+    return identify_cell(nmc_tests(), QUICK)
 
 
-def test_a_drive_nobody_fitted(laboratory):
-    assert held_out_rmse(laboratory.model, "nmc_drive_b") < HELD_OUT_V
+def missed(model, log, soc0) -> float:
+    """Error above 10 % SOC as a share of that of the bare OCV."""
+    nothing = np.full_like(model.r0_ohm, 1e-9)
+    bare = replace(model, r0_ohm=nothing, r1_ohm=nothing, r2_ohm=nothing, effects=())
+    bare_error, error = (simulate(m, log, soc0).rmse_above_10pct_V for m in (bare, model))
+    return error / bare_error
 
 
-def test_ekf_from_30_points_off_on_it(laboratory):
-    truth = TRUTH["nmc_drive_b"]
+def assert_valid(model):
+    """A model that files, simulation and filters take, with sizes a cell can have."""
+    again = model_from_dict(json.loads(json.dumps(model_to_dict(model), allow_nan=False)))
+    for name in TABLES:
+        np.testing.assert_array_equal(getattr(again, name), getattr(model, name))
+    assert np.all(np.diff(model.ocv_V, axis=1) >= 0.0)
+    assert np.all(model.tau1_s < model.tau2_s)
+    assert 0.005 < float(np.median(model.r0_ohm)) < 0.1, "an 18650 to 21700 cell has 10 to 60 mohm"
+
+
+def test_the_model_is_valid_and_says_what_it_is(nmc):
+    assert_valid(nmc.model)
+    assert (nmc.model.name, nmc.model.chemistry) == ("LG M50", "NMC")
+    assert (nmc.model.voltage_min_V, nmc.model.voltage_max_V) == (2.5, 4.2)
+    assert nmc.model.temperature_C.tolist() == [25.0]
+
+
+@pytest.mark.parametrize("drive", ["nmc_drive_a", "nmc_drive_b", "nmc_drive_c"])
+def test_a_drive_that_was_not_seen(nmc, drive):
+    log = load_dataset(drive)
+    assert missed(nmc.model, log, TRUTH[drive]["initial_soc"]) < QUARTER
+
+
+@pytest.mark.parametrize("drive", ["nmc_drive_a", "nmc_drive_b", "nmc_drive_c"])
+def test_soc_of_a_drive_that_was_not_seen(nmc, drive):
+    # From 30 points off; bounds as issue 2 sets them for laboratory tests alone: 1.2 %.
+    log = load_dataset(drive)
     found = replay(
-        laboratory.model,
-        load_dataset("nmc_drive_b"),
-        soc0=truth["initial_soc"] - 0.3,
-        reference_soc0=truth["initial_soc"],
-        reference_capacity_Ah=truth["true_capacity_Ah"],
+        nmc.model,
+        log,
+        "ekf",
+        soc0=TRUTH[drive]["initial_soc"] - 0.3,
+        reference_soc0=TRUTH[drive]["initial_soc"],
+        reference_capacity_Ah=TRUTH[drive]["true_capacity_Ah"],
     )
+    assert found.convergence_s is not None
+    assert found.convergence_s < 900.0
     assert found.settled.rmse < 0.012
     assert found.coverage_2sigma > 0.9
 
 
-def test_capacities_keep_their_order(laboratory):
-    c = laboratory.capacities
-    assert c["rate:C/20"] > c["rate:C/5"] > c["rate:C/3"]
-    rates = [c["rate:C/20"], c["rate:C/5"], c["rate:C/3"]]
-    assert c["cc-average"] == pytest.approx(np.mean(rates), rel=1e-3)
-    assert laboratory.model.capacity_Ah == c["rate:C/20"]
-    assert c["rate:C/20"] == pytest.approx(TRUTH["nmc_hppc"]["true_capacity_Ah"], rel=0.01)
+@pytest.mark.slow
+def test_a_drive_among_the_tests_helps_on_other_drives(nmc):
+    driven = identify_cell(nmc_tests(drive=("drive_a",)), NMC).model
+    for name in ("nmc_drive_b", "nmc_drive_c"):
+        log, soc0 = load_dataset(name), TRUTH[name]["initial_soc"]
+        alone = simulate(nmc.model, log, soc0).rmse_above_10pct_V
+        assert simulate(driven, log, soc0).rmse_above_10pct_V < alone
 
 
-def test_the_model_says_where_its_numbers_came_from(laboratory):
-    said = laboratory.model.provenance
-    assert said["capacity"]["choice"] == "rate:C/20"
-    assert any("hppc" in name for name in said["logs"]["hppc"])
-    assert said["pulses"]["method"] == "varpro"
-    assert all(v > 0 for v in said["refinement"][0]["standard_error"].values())
+def test_capacity_choices_are_what_the_counter_says(nmc):
+    for rate in ("c20", "c5", "c3"):
+        log = load_dataset(f"nmc_cap_{rate}")
+        at_limit = int(np.nanargmin(log.voltage_V))
+        discharged = log.charge_Ah[at_limit] - log.charge_Ah[0]
+        assert nmc.capacities[f"rate:C/{rate[1:]}"] == pytest.approx(discharged, rel=2e-3)
+    rates = [nmc.capacities[f"rate:{r}"] for r in ("C/20", "C/5", "C/3")]
+    assert nmc.capacities["cc-average"] == pytest.approx(np.mean(rates), rel=1e-6)
+    assert nmc.capacities["nominal"] == 5.0
+    hppc = load_dataset("nmc_hppc")
+    assert nmc.capacities["hppc-total"] == pytest.approx(np.ptp(hppc.charge_Ah), rel=5e-3)
 
 
-def test_refinement_beats_the_pulses_alone_on_a_drive(laboratory):
-    tests = TestLogs(hppc=((load_dataset("nmc_hppc"), None),), ocv=(load_dataset("nmc_ocv_c20"),))
-    plain = identify_cell(tests, IdentifySettings(nominal_Ah=5.0, refine=False)).model
-    assert held_out_rmse(laboratory.model, "nmc_drive_b") < held_out_rmse(plain, "nmc_drive_b")
+def test_the_default_capacity_is_that_of_the_slowest_discharge(nmc):
+    assert nmc.capacity_choice == "rate:C/20"
+    assert nmc.model.capacity_Ah == nmc.capacities["rate:C/20"]
+    assert nmc.model.capacity_Ah == pytest.approx(TRUTH["nmc_hppc"]["true_capacity_Ah"], rel=0.01)
+
+
+@pytest.mark.parametrize(
+    "choice", ["nominal", "cc-average", "cc-cv-average", "hppc-total", "rate:C/3", "rate:C/5"]
+)
+def test_a_capacity_choice_changes_the_capacity_and_all_that_refers_to_it(quick, choice):
+    found = identify_cell(nmc_tests(), replace(QUICK, capacity_choice=choice))
+    assert found.capacity_choice == choice
+    assert found.model.capacity_Ah == quick.capacities[choice]
+    assert found.model.provenance["capacity"]["choice"] == choice
+    assert found.ocv.capacity_Ah == found.model.capacity_Ah
+    assert found.capacities == quick.capacities
+
+
+def test_a_rate_may_be_written_in_any_way(quick):
+    found = identify_cell(nmc_tests(), replace(QUICK, capacity_choice="rate:0.2C"))
+    assert found.model.capacity_Ah == quick.capacities["rate:C/5"]
 
 
 @pytest.mark.parametrize("method", ["varpro", "segments", "pso"])
 @pytest.mark.parametrize("tables", ["spline", "cubic"])
-def test_every_method_gives_a_model(method, tables):
-    log = load_dataset("nmc_hppc_c3")
-    tests = TestLogs(hppc=((log, None),), ocv=(load_dataset("nmc_ocv_c20"),))
-    settings = IdentifySettings(nominal_Ah=5.0, method=method, tables=tables, refine=False)
-    model = identify_cell(tests, settings).model
-    assert np.all(model.tau1_s < model.tau2_s)
-    # Ohm's law, at 1.7 A: whatever the method, the voltage is off by less than the whole drop.
-    assert simulate(model, log, 1.0).rmse_above_10pct_V < 0.1
-
-
-def test_flat_lfp_with_pulse_pairs():
-    tests = TestLogs(hppc=((load_dataset("lfp_hppc"), None),), ocv=(load_dataset("lfp_ocv_c20"),))
-    found = identify_cell(tests, IdentifySettings(nominal_Ah=2.3))
-    assert found.pulse_counts["trimmed"] == 8  # by the generator's own account
-    log = load_dataset("lfp_cdc")
-    error = simulate(found.model, log, TRUTH["lfp_cdc"]["initial_soc"])
-    assert error.rmse_above_10pct_V < HELD_OUT_V
+def test_every_method_and_table_gives_a_working_model(method, tables):
+    found = identify_cell(nmc_tests(), replace(QUICK, method=method, tables=tables))
+    assert_valid(found.model)
+    assert found.model.effects == ()
+    fitted = found.temperatures[0].pulse_sets[0].fits
+    assert {f.method for f in fitted} == {method}
+    assert found.model.provenance["pulses"]["tables"] == tables
+    assert missed(found.model, load_dataset("nmc_drive_b"), 0.997) < 2.0 * QUARTER
 
 
 @pytest.mark.slow
-def test_a_temperature_axis_beats_one_temperature(laboratory):
+@pytest.mark.parametrize("method", ["segments", "pso"])
+def test_the_refinement_does_not_depend_on_where_the_pulses_left_it(nmc, method):
+    other = identify_cell(nmc_tests(), replace(NMC, method=method)).model
+    inside = slice(30, 190)
+    np.testing.assert_allclose(other.r0_ohm[0, inside], nmc.model.r0_ohm[0, inside], rtol=0.15)
+    np.testing.assert_allclose(other.ocv_V[0, inside], nmc.model.ocv_V[0, inside], atol=0.01)
+
+
+def test_refinement_fits_its_logs_better_than_the_pulses_alone(nmc, quick):
+    def on_hppc(found):
+        return next(s.metrics.rmse_V for s in found.simulations if s.log.name == "nmc_hppc")
+
+    assert on_hppc(nmc) < on_hppc(quick)
+    assert quick.temperatures[0].refinement is None
+
+
+def test_two_branches_are_the_plain_thevenin_model():
+    found = identify_cell(nmc_tests(), replace(NMC, branches=2))
+    assert not np.any(found.model.effect(SlowDiffusion).r3_ohm)
+    assert found.temperatures[0].refinement.layout.branches == 2
+    assert missed(found.model, load_dataset("nmc_drive_b"), 0.997) < QUARTER
+
+
+def test_hysteresis_when_it_is_asked_for(nmc):
+    # The embedded cell has none (its data say so), and the default does not invent it.
+    assert not np.any(nmc.model.effect(Hysteresis).m_V)
+    tests = TestLogs(hppc=nmc_tests().hppc)
+    asked = identify_cell(tests, replace(NMC, hysteresis=True, branches=2)).model
+    assert float(np.median(asked.effect(Hysteresis).m_V)) < 0.01
+
+
+@pytest.mark.slow
+def test_a_temperature_axis_beats_the_warm_model_in_the_cold(nmc):
+    tests = nmc_tests()
+    cold = (load_dataset("nmc_hppc_p00"), 0.0)
+    both = identify_cell(replace(tests, hppc=(*tests.hppc, cold)), NMC).model
+    assert both.temperature_C.tolist() == [0.0, 25.0]
+    assert_valid(both)
+    # Exchange current and diffusion are Arrhenius in the physics: the cold cell resists more.
+    assert np.all(np.median(both.r0_ohm[0]) > 1.2 * np.median(both.r0_ohm[1]))
+    log, soc0 = load_dataset("nmc_drive_p00"), TRUTH["nmc_drive_p00"]["initial_soc"]
+    warm_error = simulate(nmc.model, log, soc0).rmse_above_10pct_V
+    assert simulate(both, log, soc0).rmse_above_10pct_V < warm_error
+    # And what was good at 25 degC stays so.
+    warm = load_dataset("nmc_drive_b")
+    stays = simulate(both, warm, 0.997).rmse_above_10pct_V
+    assert stays < 1.3 * simulate(nmc.model, warm, 0.997).rmse_above_10pct_V
+
+
+def test_a_stated_temperature_overrides_the_measured_one():
+    tests = nmc_tests()
+    found = identify_cell(replace(tests, hppc=((tests.hppc[0][0], 21.0),)), QUICK)
+    assert found.model.temperature_C.tolist() == [21.0]
+    bare = tuple((replace(log, temperature_C=None), None) for log, _ in tests.hppc)
+    found = identify_cell(replace(tests, hppc=bare), replace(QUICK, temperature_C=40.0))
+    assert found.model.temperature_C.tolist() == [40.0]
+
+
+def test_an_hppc_test_alone_is_enough():
+    found = identify_cell(TestLogs(hppc=nmc_tests().hppc), replace(NMC, nominal_Ah=None))
+    assert_valid(found.model)
+    assert found.capacity_choice == "hppc-total"
+    assert missed(found.model, load_dataset("nmc_drive_b"), 0.997) < QUARTER
+
+
+def test_long_discharges_serve_as_pulses_where_there_are_no_short_ones():
+    # The protocol of the NCR18650B paper: ten discharges of 10 %, an hour of rest after each.
+    found = identify_cell(nmc_tests("hppc_c3"), QUICK)
+    assert len(found.temperatures[0].pulse_sets[0].fits) >= 5
+    assert_valid(found.model)
+
+
+def test_pulses_are_counted_by_quality(nmc):
+    # Ten levels, 0.5C, 1C and 2C, a discharge and a charge each; what the empty end leaves out.
+    counts = nmc.pulse_counts
+    assert set(counts) == {"healthy", "trimmed", "distorted", "spurious"}
+    assert 54 <= sum(counts.values()) <= 66
+    assert counts["trimmed"] > 0, "charging a full cell meets the limit"
+    assert counts["spurious"] == 0
+
+
+def test_starts_are_found_where_the_physics_had_them(nmc):
+    truth = TRUTH["nmc_hppc"]["initial_soc"]
+    assert nmc.temperatures[0].pulse_sets[0].anchor.soc == pytest.approx(truth, abs=0.01)
+
+
+def test_the_fit_is_that_of_its_own_simulations(nmc):
+    errors = np.concatenate([s.error_V for s in nmc.simulations])
+    assert nmc.fit == error_metrics(errors)
+    assert "nmc_hppc" in [s.log.name for s in nmc.simulations]
+
+
+def test_the_report_has_the_contracts_keys_and_is_json(nmc):
+    data = nmc.to_dict()
+    json.dumps(data, allow_nan=False)
+    assert {"capacity_Ah", "capacity_choice", "capacities", "pulses", "fit", "seconds"} <= set(data)
+    assert {"rmse_V", "mae_V", "max_error_V"} <= set(data["fit"])
+    assert len(set(data["notices"])) == len(data["notices"])
+
+
+def test_provenance_tells_where_every_number_came_from(nmc):
+    text = json.dumps(nmc.model.provenance, allow_nan=False)
+    for name in ("nmc_hppc", "varpro", "spline", "rate:C/20", "standard_error"):
+        assert name in text
+    assert nmc.model.provenance["capacity"]["choices_Ah"] == dict(nmc.capacities)
+    refinement = nmc.model.provenance["refinement"][0]
+    assert 0.0 < refinement["standard_error"]["r0_ohm"] < 0.2
+
+
+def test_progress_is_told_in_order():
+    told = []
+    identify_cell(nmc_tests(), QUICK, told.append)
+    assert told[:2] == ["capacity", "OCV"]
+    assert "pulses at 25 degC" in told
+
+
+def test_the_same_tests_give_the_same_model(quick):
+    again = identify_cell(nmc_tests(), QUICK).model
+    for name in TABLES:
+        np.testing.assert_array_equal(getattr(again, name), getattr(quick.model, name))
+
+
+@pytest.mark.slow
+def test_the_lfp_protocol_of_144_pulses():
     tests = TestLogs(
-        hppc=((load_dataset("nmc_hppc"), 25.0), (load_dataset("nmc_hppc_p00"), 0.0)),
-        ocv=(load_dataset("nmc_ocv_c20"),),
+        hppc=((load_dataset("lfp_hppc"), None),),
+        ocv=(load_dataset("lfp_ocv_c20"),),
+        capacity=tuple(load_dataset(f"lfp_cap_{rate}") for rate in ("0p5c", "1c", "2c", "3c")),
     )
-    model = identify_cell(tests, IdentifySettings(nominal_Ah=5.0)).model
-    assert model.temperature_C.tolist() == [0.0, 25.0]
-    assert np.median(model.r0_ohm[0]) > np.median(model.r0_ohm[1])
-    warm = replace(laboratory.model, effects=())
-    assert held_out_rmse(model, "nmc_drive_p00") < 0.5 * held_out_rmse(warm, "nmc_drive_p00")
-
-
-def short(log: CellLog, first_s: float, last_s: float) -> CellLog:
-    rows = (log.time_s >= first_s) & (log.time_s <= last_s)
-    return log.rows(np.flatnonzero(rows))
-
-
-class TestRefused:
-    def run(self, tests, **settings):
-        return identify_cell(tests, IdentifySettings(nominal_Ah=5.0, **settings))
-
-    def test_nothing(self):
-        with pytest.raises(InputError, match="neither an HPPC nor a drive"):
-            self.run(TestLogs())
-
-    def test_swapped_sign(self):
-        log = load_dataset("nmc_hppc")
-        wrong = CellLog(log.time_s, -log.current_A, log.voltage_V, name="wrong")
-        with pytest.raises(InputError, match="--sign"):
-            self.run(TestLogs(hppc=((wrong, None),)))
-
-    def test_no_pulse(self):
-        log = load_dataset("nmc_cap_c3")
-        with pytest.raises(InputError):
-            self.run(TestLogs(hppc=((log, None),), ocv=(load_dataset("nmc_ocv_c20"),)))
-
-    def test_unknown_capacity_choice_lists_those_there_are(self):
-        with pytest.raises(InputError, match="nominal"):
-            self.run(TestLogs(hppc=((load_dataset("nmc_hppc"), None),)), capacity_choice="rate:9C")
-
-    def test_drive_alone_without_capacity(self):
-        with pytest.raises(InputError):
-            identify_cell(TestLogs(drive=((load_dataset("nmc_drive_b"), None),)))
-
-    def test_a_capacity_test_that_never_reaches_the_limit(self):
-        log = load_dataset("nmc_cap_c3")
-        cut = short(log, 0.0, 5400.0)
-        tests = TestLogs(
-            hppc=((load_dataset("nmc_hppc"), None),),
-            ocv=(load_dataset("nmc_ocv_c20"),),
-            capacity=(cut,),
-        )
-        found = self.run(tests, refine=False)
-        assert "rate:C/3" not in found.capacities
-        assert found.capacity_choice == "rate:C/20"
-
-
-def test_one_pulse_is_enough_for_a_model_that_says_so():
-    log = load_dataset("nmc_hppc")
-    step = np.flatnonzero(np.abs(np.diff(log.current_A)) > 1.0)
-    one = short(log, 0.0, float(log.time_s[step[1]]) + 30.0)
-    tests = TestLogs(hppc=((one, None),), ocv=(load_dataset("nmc_ocv_c20"),))
-    found = identify_cell(tests, IdentifySettings(nominal_Ah=5.0, refine=False))
-    assert sum(found.pulse_counts.values()) >= 1
-    assert np.all(found.model.r0_ohm == pytest.approx(float(found.model.r0_ohm[0, 0])))
-
-
-def test_missing_voltages_in_the_middle_change_little(laboratory):
-    log = load_dataset("nmc_hppc")
-    voltage = log.voltage_V.copy()
-    voltage[np.random.default_rng(4).integers(0, voltage.size, voltage.size // 100)] = np.nan
-    tests = TestLogs(
-        hppc=((replace(log, voltage_V=voltage), None),), ocv=(load_dataset("nmc_ocv_c20"),)
-    )
-    model = identify_cell(tests, IdentifySettings(nominal_Ah=5.0)).model
-    assert held_out_rmse(model, "nmc_drive_b") < 1.1 * held_out_rmse(
-        laboratory.model, "nmc_drive_b"
-    )
+    found = identify_cell(tests, IdentifySettings(nominal_Ah=2.3, chemistry="LFP"))
+    # 18 tests, four rates, a pair each.
+    assert sum(found.pulse_counts.values()) == 144
+    assert found.pulse_counts["healthy"] > 72
+    assert found.pulse_counts["trimmed"] > 0
+    log, truth = load_dataset("lfp_cdc"), TRUTH["lfp_cdc"]
+    # The kinetics of this cell are Butler-Volmer at up to 3C: half of a quarter more is allowed.
+    assert missed(found.model, log, truth["initial_soc"]) < 1.5 * QUARTER
+    ekf = replay(found.model, log, "ekf", soc0=truth["initial_soc"] - 0.3,
+                 reference_soc0=truth["initial_soc"],
+                 reference_capacity_Ah=truth["true_capacity_Ah"])  # fmt: skip
+    assert ekf.convergence_s is not None
+    assert ekf.settled.rmse < 0.02, "a flat OCV: as issue 2 asks of the measured LFP cell"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar
 
 from cellwise.cell.metrics import ErrorMetrics
 from cellwise.cell.model import CellModel
@@ -18,8 +18,6 @@ from cellwise.identify.refine import RefineResult
 from cellwise.identify.soc_anchor import SocAnchor
 from cellwise.identify.tables import TableKind
 from cellwise.logs.cell_log import CellLog
-
-Refinement = Literal["auto", "off"]
 
 
 @dataclass(frozen=True)
@@ -56,6 +54,8 @@ class IdentifySettings:
 @dataclass(frozen=True, eq=False)
 class TestLogs:
     """Logs of one cell by what they are; an HPPC or drive log may say its temperature [degC]."""
+
+    __test__: ClassVar[bool] = False  # not a test class, whatever pytest thinks of its name
 
     hppc: tuple[tuple[CellLog, float | None], ...] = ()
     ocv: tuple[CellLog, ...] = ()
