@@ -25,6 +25,7 @@ SLOW_FROM_S = 1800.0  # a log must last this long to show the slow branch
 HYSTERESIS_FROM_V = 0.004  # half gap between the low-rate branches, polarisation taken out
 LARGEST_SOC_ERROR = 0.05
 LARGEST_OCV_MOVE_V = 0.03
+OUTSIDE_SOC = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +74,12 @@ def refine_temperature(
             continue
         soc = anchor.soc - log.counted_charge_Ah() / capacity_Ah
         notices.append(f"'{log.name}' begins at SOC {anchor.soc:.3f} ({anchor.how})")
+        low, high = float(np.nanmin(soc)), float(np.nanmax(soc))
+        if low < -OUTSIDE_SOC or high > 1.0 + OUTSIDE_SOC:
+            notices.append(
+                f"'{log.name}' would run from SOC {low:.2f} to {high:.2f}: check the capacity of "
+                f"{capacity_Ah:.4g} Ah and the unit of the current"
+            )
         starts.append((log, anchor.soc))
         logs.append(RefineLog(log, soc, skewed=drive, h0=start_hysteresis(anchor.soc)))
     if not logs:
