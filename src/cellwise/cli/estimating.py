@@ -52,6 +52,7 @@ def run_simulate(arguments: argparse.Namespace) -> None:
     from cellwise.cell.model_file import read_model
     from cellwise.cell.simulate import simulate
 
+    printing.check_places(arguments.output)
     model = read_model(arguments.model)
     log = printing.read(arguments.log, arguments.sign)
     start = initial_soc(model, log, parse_soc0(arguments.soc0))
@@ -85,6 +86,10 @@ def run_replay(arguments: argparse.Namespace) -> None:
     from cellwise.estimate.replay import make_estimator, replay
     from cellwise.logs.resample import resample
 
+    printing.check_places(arguments.output, arguments.report)
+    true0 = arguments.reference_soc0
+    if true0 is not None and not 0.0 <= true0 <= 1.0:
+        raise InputError(f"--reference-soc0 {true0:g}", "a fraction from 0 to 1", "Correct it.")
     model = read_model(arguments.model)
     make_estimator(arguments.estimator, model)
     log = printing.read(arguments.log, arguments.sign)

@@ -49,6 +49,9 @@ def run_identify(arguments: argparse.Namespace) -> None:
     from cellwise.cell.model_file import write_model
     from cellwise.identify import IdentifySettings, TestLogs, identify_cell
 
+    printing.check_places(arguments.output, arguments.report)
+    printing.check_temperature(arguments.temperature_c)
+
     def with_temperature(items: list[str]) -> tuple[tuple[CellLog, float | None], ...]:
         pairs = [printing.split_temperature(item) for item in items]
         return tuple((printing.read(path, arguments.sign), t) for path, t in pairs)

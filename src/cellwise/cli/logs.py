@@ -38,6 +38,7 @@ def run_convert(arguments: argparse.Namespace) -> None:
     """Write a log in the tidy form."""
     from cellwise.logs import write_log
 
+    printing.check_places(arguments.output)
     log = printing.read(arguments.log, arguments.sign)
     path = write_log(log, arguments.output)
     if arguments.json:

@@ -63,23 +63,52 @@ def split_temperature(text: str) -> tuple[str, float | None]:
         raise InputError(
             f"'{text}'", "LOG or LOG@TEMPERATURE in degC", "Write e.g. hppc.csv@-10."
         ) from None
-    if not -80.0 <= temperature <= 120.0:
-        raise InputError(
-            f"a temperature of {temperature:g} degC", "degrees Celsius", "Not in kelvin."
-        )
+    check_temperature(temperature)
     return path, temperature
+
+
+def check_temperature(temperature_C: float | None) -> None:
+    """Refuse what is no temperature of a cell in degC; None is nobody's."""
+    if temperature_C is not None and not -80.0 <= temperature_C <= 120.0:
+        raise InputError(
+            f"a temperature of {temperature_C:g} degC", "degrees Celsius", "Not in kelvin."
+        )
+
+
+def check_places(*paths: str | None) -> None:
+    """Refuse output files without a folder to stand in, before the work is done.
+
+    Raises
+    ------
+    InputError        no such folder, or a folder where the file would be
+    """
+    for path in paths:
+        if path is None:
+            continue
+        place = Path(path)
+        if place.is_dir():
+            raise InputError(f"a folder at '{place}'", "a file to write", "Give a file name.")
+        folder = place.resolve().parent
+        if not folder.is_dir():
+            raise InputError(
+                f"no folder '{folder}' to write '{place.name}' into",
+                "an existing folder",
+                "Create it first.",
+            )
 
 
 @contextmanager
 def bar() -> Iterator[Progress]:
-    """A progress bar on standard error that leaves nothing behind."""
+    """A progress bar on standard error that leaves nothing behind; none where nobody looks."""
+    console = Console(stderr=True)
     with Progress(
         SpinnerColumn(),
         TextColumn("{task.description}"),
         BarColumn(),
         TimeElapsedColumn(),
-        console=Console(stderr=True),
+        console=console,
         transient=True,
+        disable=not console.is_terminal,
     ) as progress:
         yield progress
 
