@@ -68,7 +68,7 @@ def generate_datasets(
 
     Raises
     ------
-    InputError        PyBaMM is not installed; a name that is not known
+    InputError        PyBaMM is not installed; no folder can be made; a name that is not known
     """
     try:
         import_module("pybamm")
@@ -77,6 +77,12 @@ def generate_datasets(
             "no PyBaMM in this environment",
             "the extra that generates data",
             "Install it with: pip install 'cellwise[generate]'.",
+        ) from error
+    try:
+        out_dir.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"'{out_dir}', which cannot be made ({error.strerror})", "a folder", "Choose another."
         ) from error
     folder = str(datasets_folder())
     if folder not in sys.path:

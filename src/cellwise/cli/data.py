@@ -67,12 +67,10 @@ def run_generate(arguments: argparse.Namespace) -> None:
     """Generate data sets."""
     from cellwise.data import generate_datasets
 
-    out = Path(arguments.output)
-    out.mkdir(parents=True, exist_ok=True)
     with printing.bar() as progress:
         task = progress.add_task("generate", total=None)
         written = generate_datasets(
-            out,
+            Path(arguments.output),
             arguments.only,
             lambda name, done, total: progress.update(
                 task, description=name, completed=done, total=total

@@ -1,0 +1,99 @@
+"""One identification for all tests of commands, and ways to run them."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cellwise.cli import main
+from cellwise.data import datasets_folder
+
+NMC = datasets_folder() / "nmc"
+
+
+@dataclass(frozen=True)
+class Identified:
+    """What ``cellwise identify --json`` printed, and the model it wrote."""
+
+    printed: dict[str, Any]
+    path: Path
+    stderr: str
+
+
+@pytest.fixture(scope="session")
+def identified(tmp_path_factory) -> Identified:
+    path = tmp_path_factory.mktemp("identified") / "nmc.json"
+    tests = ["--hppc", "hppc", "--ocv", "ocv_c20", "--capacity", "cap_c5", "--drive", "drive_c"]
+    places = [w if w.startswith("--") else str(NMC / f"{w}.parquet") for w in tests]
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = main(["identify", *places, "--nominal-ah", "5", "-o", str(path), "--json"])
+    assert code == 0, err.getvalue()
+    return Identified(one_object(out.getvalue()), path, err.getvalue())
+
+
+@pytest.fixture(scope="session")
+def model(identified) -> str:
+    return str(identified.path)
+
+
+@pytest.fixture(scope="session")
+def drive() -> str:
+    return str(NMC / "drive_b.parquet")
+
+
+@pytest.fixture
+def run_json(capsys) -> Callable[..., dict[str, Any]]:
+    """Run a command with ``--json`` that must succeed: its one object."""
+
+    def run(*arguments: str) -> dict[str, Any]:
+        capsys.readouterr()
+        code = main([*arguments, "--json"])
+        captured = capsys.readouterr()
+        assert code == 0, captured.err
+        return one_object(captured.out)
+
+    return run
+
+
+@pytest.fixture
+def refused(capsys) -> Callable[..., str]:
+    """Run a command that must be refused: its one message."""
+
+    def run(*arguments: str) -> str:
+        capsys.readouterr()
+        try:
+            code = main(list(arguments))
+        except SystemExit as stop:  # argparse refuses by itself, with the usage before the message
+            code = int(stop.code or 0)
+        captured = capsys.readouterr()
+        assert code == 2
+        assert captured.out == ""
+        assert "Traceback" not in captured.err
+        lines = captured.err.splitlines()
+        if lines[0].startswith("usage:"):
+            return lines[-1]
+        assert len(lines) == 1, "one message"
+        assert "; expected " in lines[0], "what was found, what was expected, what to do"
+        return lines[0]
+
+    return run
+
+
+def one_object(text: str) -> dict[str, Any]:
+    """The single JSON object in a command's output, strict: no NaN, no second line."""
+
+    def no_constant(name: str) -> None:
+        raise AssertionError(f"{name} is not JSON")
+
+    found = json.loads(text, parse_constant=no_constant)
+    assert isinstance(found, dict)
+    assert text.count("\n") == 1
+    return found

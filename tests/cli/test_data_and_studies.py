@@ -1,0 +1,183 @@
+"""cellwise data, papers, demo, and the program as it is installed."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from cellwise.cli import main
+from cellwise.data import list_datasets, list_originals, load_dataset
+from cellwise.errors import InputError
+
+
+def run_python(code: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120
+    )
+    return done.stdout.strip()
+
+
+def test_data_list_names_everything_with_its_licence(run_json):
+    found = run_json("data", "list")
+    assert [e["name"] for e in found["embedded"]] == [e["name"] for e in list_datasets()]
+    assert [e["name"] for e in found["originals"]] == [e["name"] for e in list_originals()]
+    assert Path(found["folder"]).is_dir()
+    for entry in found["embedded"]:
+        assert (Path(found["folder"]) / entry["file"]).is_file()
+        assert entry["parameter_doi"].startswith("10.")
+    for entry in found["originals"]:
+        assert entry["licence"]
+
+
+def test_data_list_for_people(capsys):
+    assert main(["data", "list"]) == 0
+    text = capsys.readouterr().out
+    for name in ("nmc_hppc", "lfp_cdc", "panasonic_18650pf"):
+        assert name in text
+
+
+@pytest.fixture
+def generator(monkeypatch):
+    """PyBaMM and the generator replaced: what is asked of them, and what they answer."""
+    asked = []
+
+    class Fake:
+        @staticmethod
+        def generate(out_dir, only, progress):
+            asked.append((out_dir, only))
+            if only and "unknown" in only:
+                raise KeyError("no test or cell 'unknown'")
+            progress("nmc_hppc", 1, 1)
+            path = out_dir / "hppc.parquet"
+            path.write_text("rows")
+            return [path]
+
+    names = {"pybamm": Fake, "generator.generate": Fake}
+    monkeypatch.setattr("cellwise.data.import_module", lambda name: names[name])
+    return asked
+
+
+def test_data_generate(run_json, generator, tmp_path):
+    out = tmp_path / "new"
+    found = run_json("data", "generate", "-o", str(out), "--only", "nmc_hppc", "--only", "lfp")
+    assert found["written"] == [str(out / "hppc.parquet")]
+    assert generator == [(out, ["nmc_hppc", "lfp"])]
+
+
+def test_data_generate_for_people(capsys, generator, tmp_path):
+    assert main(["data", "generate", "-o", str(tmp_path)]) == 0
+    assert str(tmp_path / "hppc.parquet") in capsys.readouterr().out
+
+
+def test_data_generate_refuses_an_unknown_name(refused, generator, tmp_path):
+    message = refused("data", "generate", "-o", str(tmp_path / "out"), "--only", "unknown")
+    assert "unknown" in message
+    assert "cellwise data list" in message
+
+
+def test_data_generate_without_pybamm_says_how_to_get_it(refused, monkeypatch, tmp_path):
+    def missing(name):
+        raise ImportError(name)
+
+    monkeypatch.setattr("cellwise.data.import_module", missing)
+    assert "cellwise[generate]" in refused("data", "generate", "-o", str(tmp_path / "out"))
+    assert not (tmp_path / "out").exists(), "nothing half made"
+
+
+@pytest.mark.parametrize("name", ["file", "file/inside"])
+def test_data_generate_into_no_folder(refused, generator, tmp_path, name):
+    (tmp_path / "file").write_text("here")
+    refused("data", "generate", "-o", str(tmp_path / name))
+
+
+def test_an_unknown_data_set_lists_those_there_are():
+    with pytest.raises(InputError, match=r"nmc_hppc.*lfp_cdc"):
+        load_dataset("nmc_hpcp")
+
+
+@pytest.mark.slow
+def test_papers(run_json):
+    # What stands in the tables is tested with the benchmarks; here: both papers, as one object.
+    found = run_json("papers")
+    assert {"lfp", "ncr18650b", "seconds"} <= set(found)
+    assert found["lfp"]
+    assert found["ncr18650b"]
+
+
+@pytest.mark.slow
+def test_demo(capsys, tmp_path):
+    out = tmp_path / "demo"
+    assert main(["demo", "-o", str(out)]) == 0
+    text = capsys.readouterr().out
+    page = out / "index.html"
+    assert page.is_file()
+    assert text.rstrip().endswith(f"Open this page: {page}"), "ends by naming the page to open"
+    html = page.read_text(encoding="utf-8")
+    assert "<img" in html or "<svg" in html
+    for far in ('src="http', 'href="http://', "<script src"):
+        assert far not in html, "self-contained"
+    assert json.loads((out / "nmc.json").read_text())["schema_version"] == 1
+
+
+def test_demo_where_no_folder_can_be_made(refused, tmp_path):
+    (tmp_path / "file").write_text("here")
+    refused("demo", "-o", str(tmp_path / "file"))
+
+
+def test_pages_of_commands(tmp_path, capsys, model, drive):
+    page = tmp_path / "replay.html"
+    assert main(["replay", "--model", model, drive, "--reference-capacity-ah", "5.1532",
+                 "--report", str(page)]) == 0  # fmt: skip
+    assert f"page to open: {page}" in capsys.readouterr().out
+    assert page.read_text(encoding="utf-8").lstrip().casefold().startswith("<!doctype html")
+
+
+def test_the_installed_program():
+    program = Path(sys.executable).with_name("cellwise")
+    if not program.exists():
+        pytest.skip("cellwise is importable here but not installed: no command to run")
+    done = subprocess.run([program, "--version"], capture_output=True, text=True, check=True)
+    name, version = done.stdout.split()
+    assert name == "cellwise"
+    assert version[0].isdigit()
+    refused = subprocess.run([program, "inspect", "none.csv"], capture_output=True, text=True,
+                             check=False)  # fmt: skip
+    assert refused.returncode == 2
+    assert refused.stderr.count("\n") == 1
+    assert refused.stdout == ""
+
+
+@pytest.mark.parametrize("module", ["cellwise", "cellwise.cli", "cellwise.logs"])
+def test_importing_loads_no_compiler(module):
+    # Help and refusals must come at once: compilers and solvers are loaded where they are used.
+    heavy = "('numba', 'scipy', 'matplotlib', 'pybamm', 'filterpy', 'pandas')"
+    code = f"import {module}, sys; print([m for m in {heavy} if m in sys.modules])"
+    assert run_python(code) == "[]"
+
+
+def test_help_loads_no_compiler():
+    code = (
+        "import sys, contextlib, io\n"
+        "from cellwise.cli import main\n"
+        "with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):\n"
+        "    main(['identify', '--help'])\n"
+        "print([m for m in ('numba', 'scipy', 'matplotlib') if m in sys.modules])"
+    )
+    assert run_python(code) == "[]"
+
+
+@pytest.mark.parametrize(
+    "command", ["inspect", "convert", "identify", "simulate", "replay", "papers", "demo", "data"]
+)
+def test_every_command_has_help(capsys, command):
+    with pytest.raises(SystemExit) as stop:
+        main([command, "--help"])
+    assert stop.value.code == 0
+    text = capsys.readouterr().out
+    assert text.startswith(f"usage: cellwise {command}")
+    if command != "data":
+        assert "--json" in text
