@@ -72,7 +72,7 @@ def test_slow_error_memory_and_white_noise_come_back():
     found = estimate_model_error(logs, R0_OHM)
     inner = np.array(found.slow_V)[3:-3]
     # A fit sees its own residuals too small: what is told is larger by the stated factor.
-    assert np.sqrt(np.mean(inner**2)) == pytest.approx(OPTIMISM * 0.008, rel=0.2)
+    assert np.sqrt(np.mean(inner**2)) == pytest.approx(OPTIMISM * 0.008, rel=0.1)
     assert found.white_V == pytest.approx(0.001, rel=0.35)
     assert found.correlation_s == pytest.approx(300.0, rel=0.3)
     assert found.resistance_share < 0.05
@@ -103,7 +103,7 @@ def test_where_no_log_has_been_the_error_is_larger_not_smaller():
     log = residual_log(rng, slow_V=0.005)
     upper = ResidualLog(log.time_s, 0.6 + 0.4 * log.soc, log.current_A, log.residual_V)
     found = estimate_model_error([upper], R0_OHM)
-    assert found.at(0.0) > found.at(0.6)
+    assert found.at(0.0) > 1.3 * found.at(0.5)
 
 
 def test_a_few_wild_rows_do_not_make_noise_of_everything():

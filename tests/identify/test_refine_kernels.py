@@ -328,21 +328,21 @@ def test_nothing_is_compared_where_nothing_was_measured():
 
 
 def test_a_gap_keeps_both_its_rows_and_carries_the_counters_charge():
-    log = fine_log(np.random.default_rng(13))
-    time = log.time_s.copy()
-    time[2000:] += 7200.0
-    counter = np.cumsum(log.current_A * log.interval_s) / 3600.0
-    counter[2000:] += 0.5
-    gap = replace(log, time_s=time, charge_Ah=counter)
-    assert np.flatnonzero(gap.gap_rows).tolist() == [2000]
+    # Hours into a rest, where compared rows lie half an hour apart: the gap's rows stay.
+    time = np.concatenate((np.arange(0.0, 60_000.0, 10.0), 60_600.0 + np.arange(0.0, 9000.0, 10.0)))
+    current = np.zeros(time.size)
+    current[1:60] = 3.0
+    counter = np.cumsum(current * np.diff(time, prepend=0.0)) / 3600.0
+    row = int(np.searchsorted(time, 60_600.0))
+    counter[row:] += 0.2
+    gap = CellLog(time, current, np.full(time.size, 3.6), charge_Ah=counter)
+    assert np.flatnonzero(gap.gap_rows).tolist() == [row]
     prepared = prepare_log(RefineLog(gap, soc_of(gap)), TABLE_KNOTS, OCV_KNOTS, REFERENCE_C)
     ends = np.cumsum(prepared.dt_s)
-    row = int(np.searchsorted(ends, time[2000]))
-    assert ends[row] == time[2000]
-    assert ends[row - 1] == time[1999]
-    # 0.5 Ah and the second's own charge over the gap.
-    moved = counter[2000] - counter[1999]
-    assert prepared.current_A[row] * prepared.dt_s[row] / 3600.0 == pytest.approx(moved)
+    kept = int(np.searchsorted(ends, time[row]))
+    assert ends[kept] == time[row]
+    assert ends[kept - 1] == time[row - 1]
+    assert prepared.current_A[kept] * prepared.dt_s[kept] / 3600.0 == pytest.approx(0.2)
 
 
 def test_greville_points_are_where_the_layout_says():

@@ -81,11 +81,13 @@ def test_a_log_without_any_rest_is_told_from_its_first_minute(soc):
 
 
 def test_under_load_the_drop_is_taken_out():
-    # Without the resistance the start would seem 20 points lower.
-    log = drive_from(NMC, 0.7, load_first=True)
-    told = anchor_soc(log, NMC_OCV, NMC.capacity_Ah, 0.044).soc
-    untold = anchor_soc(log, NMC_OCV, NMC.capacity_Ah, 0.0).soc
-    assert abs(told - 0.7) < abs(untold - 0.7)
+    # 1 A through 60 mohm are 10 points of this OCV.
+    current = np.concatenate((np.full(600, 1.0), np.full(600, 0.5)))
+    log = driven_log(NMC, current, 1.0, soc=0.6, noise_V=5e-4)
+    told = anchor_soc(log, NMC_OCV, NMC.capacity_Ah, 0.06)
+    untold = anchor_soc(log, NMC_OCV, NMC.capacity_Ah, 0.0)
+    assert told.soc == pytest.approx(0.6, abs=0.04)
+    assert untold.soc < 0.54
 
 
 @pytest.mark.parametrize("soc", [0.2, 0.35, 0.5, 0.8])
@@ -124,6 +126,16 @@ def test_an_aged_cell_that_begins_full_still_begins_full():
     made = hppc_log(NMC, HppcPlan(noise_V=5e-4, levels=(0.9, 0.7, 0.5, 0.3)))
     anchor = anchor_soc(made.log, NMC_OCV, 1.12 * NMC.capacity_Ah, 0.05)
     assert anchor.soc == 1.0
+
+
+def test_a_capacity_that_is_off_does_not_pull_the_start_along():
+    # It rests at 90 %, then at 80, 70 ... 30 %: with 15 % too much capacity every later rest says
+    # something else of the start, and all of them are wrong together.
+    hour = [0.0] * 3600
+    steps = hour + ([0.5 * NMC.capacity_Ah] * 720 + hour) * 6
+    log = driven_log(NMC, np.array(steps), 1.0, soc=0.9, noise_V=5e-4)
+    anchor = anchor_soc(log, NMC_OCV, 1.15 * NMC.capacity_Ah, 0.05)
+    assert anchor.soc == pytest.approx(0.9, abs=0.015)
 
 
 def test_an_empty_cell_that_stays_empty():

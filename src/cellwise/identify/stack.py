@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cellwise.cell.effects import Effect, Hysteresis, SlowDiffusion, TemperatureDependence, TimeSkew
+from cellwise.cell.effects import Effect, Hysteresis, SlowDiffusion, TimeSkew
 from cellwise.cell.model import TABLES, CellModel, ModelError, ModelTables
 from cellwise.typing import FloatArray
 
@@ -45,7 +45,7 @@ def stack_models(models: Sequence[CellModel]) -> CellModel:
         ordered[0],
         **tables._asdict(),
         temperature_C=np.array([float(m.temperature_C[0]) for m in ordered]),
-        effects=tuple(e for e in effects if not isinstance(e, TemperatureDependence)),
+        effects=tuple(effects),
         error=_mean_error([m.error for m in ordered]),
     )
 
