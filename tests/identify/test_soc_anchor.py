@@ -87,7 +87,7 @@ def test_under_load_the_drop_is_taken_out():
     told = anchor_soc(log, NMC_OCV, NMC.capacity_Ah, 0.06)
     untold = anchor_soc(log, NMC_OCV, NMC.capacity_Ah, 0.0)
     assert told.soc == pytest.approx(0.6, abs=0.04)
-    assert untold.soc < 0.54
+    assert untold.soc < 0.55
 
 
 @pytest.mark.parametrize("soc", [0.2, 0.35, 0.5, 0.8])
