@@ -13,7 +13,7 @@ from cellwise.cell.initial_soc import initial_soc
 from cellwise.cell.metrics import error_metrics
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import simulate
-from cellwise.identify.phases import find_phases
+from cellwise.identify.hppc.phases import find_phases
 from cellwise.logs import CellLog
 
 CELL = "nissan_leaf"

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from cellwise.identify.pulse_data import PulseData, row_weights
+from cellwise.identify.pulse_fit.pulse_data import PulseData, row_weights
 from cellwise.typing import FloatArray
 
 Optimiser = Literal["lm", "trf", "curve_fit"]

@@ -20,11 +20,11 @@ from benchmarks.synthetic_truth import (
     relative_error,
     synthetic_hppc,
 )
-from cellwise.identify.pulse_data import PulseData
-from cellwise.identify.pulse_fit import fit_pulse
-from cellwise.identify.pulse_window import cut_pulses
-from cellwise.identify.pulses import find_pulses, pulses_to_fit
-from cellwise.identify.swarm import SwarmOptions
+from cellwise.identify.hppc.pulses import find_pulses, pulses_to_fit
+from cellwise.identify.pulse_fit.fit_pulse import fit_pulse
+from cellwise.identify.pulse_fit.pulse_data import PulseData
+from cellwise.identify.pulse_fit.pulse_window import cut_pulses
+from cellwise.identify.pulse_fit.swarm import SwarmOptions
 from cellwise.logs import CellLog, read_log
 from cellwise.typing import FloatArray
 

@@ -10,8 +10,8 @@ from benchmarks.peers_pulse import ScipyPulse
 from benchmarks.synthetic_truth import relative_error
 
 from cellwise.cell.simulate import simulate
-from cellwise.identify.pulse_data import PulseData
-from cellwise.identify.pulse_fit import fit_pulse
+from cellwise.identify.pulse_fit.fit_pulse import fit_pulse
+from cellwise.identify.pulse_fit.pulse_data import PulseData
 
 
 @pytest.fixture(scope="module")

@@ -10,8 +10,8 @@ import pytest
 from cellwise.benchmark.lfp_paper import cycle_error, polynomials, split_tests
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import simulate
-from cellwise.identify.pulse_parameters import PulseFit, PulseParameters
-from cellwise.identify.pulses import Pulse
+from cellwise.identify.hppc.pulses import Pulse
+from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseParameters
 from cellwise.logs.cell_log import CellLog
 
 

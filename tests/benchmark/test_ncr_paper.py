@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cellwise.benchmark.ncr_paper import relaxation_segments
-from cellwise.identify.segments import SegmentOptions
+from cellwise.identify.pulse_fit.segments import SegmentOptions
 from cellwise.logs.cell_log import CellLog
 
 R0, R1, TAU1, R2, TAU2 = 0.03, 0.02, 20.0, 0.01, 400.0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from example_cells import EFFECTS, curved_cell, linear_cell, random_model
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
@@ -15,6 +14,7 @@ from cellwise.cell import kernels
 from cellwise.cell.effects import Hysteresis, SlowDiffusion
 from cellwise.cell.kernels import CellState
 from cellwise.cell.model import ModelError
+from example_cells import EFFECTS, curved_cell, linear_cell, random_model
 
 currents = st.floats(-20.0, 20.0)
 seconds = st.floats(1e-3, 500.0)

@@ -6,11 +6,11 @@ from dataclasses import FrozenInstanceError
 
 import numpy as np
 import pytest
-from example_cells import EFFECTS, curved_cell, linear_cell, random_model
 
 from cellwise.cell.effects import Hysteresis, SlowDiffusion
 from cellwise.cell.kernels import COLUMNS, M
 from cellwise.errors import InputError
+from example_cells import EFFECTS, curved_cell, linear_cell, random_model
 
 
 def falling(points=11):

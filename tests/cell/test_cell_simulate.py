@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from example_cells import EFFECTS, curved_cell, linear_cell, random_log, random_model
 from scipy.integrate import solve_ivp
 
 from cellwise.cell.effects import SlowDiffusion, TemperatureDependence
 from cellwise.cell.simulate import model_temperature_C, simulate
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
+from example_cells import EFFECTS, curved_cell, linear_cell, random_log, random_model
 
 
 def continuous(model, log, soc0):

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from example_cells import EFFECTS, curved_cell, linear_cell, random_log, random_model
 
 from cellwise.cell.effects import Hysteresis, SlowDiffusion, TemperatureDependence, TimeSkew
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
+from example_cells import EFFECTS, curved_cell, linear_cell, random_log, random_model
 
 NEUTRAL = (
     SlowDiffusion(r3_ohm=0.0, tau3_s=321.0),

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from example_cells import curved_cell, lfp_cell, linear_cell
 
 from cellwise.cell.effects import Hysteresis
 from cellwise.cell.initial_soc import initial_soc, soc_of_ocv
@@ -14,6 +13,7 @@ from cellwise.cell.model import ModelError
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
+from example_cells import curved_cell, lfp_cell, linear_cell
 
 
 def log_of(model, soc0, current):

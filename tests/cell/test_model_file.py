@@ -7,7 +7,6 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from example_cells import EFFECTS, linear_cell, random_model
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -21,6 +20,7 @@ from cellwise.cell.model_file import (
     write_model,
 )
 from cellwise.errors import InputError
+from example_cells import EFFECTS, linear_cell, random_model
 
 positive = arrays(np.float64, 11, elements=st.floats(1e-300, 1e300, allow_subnormal=False))
 

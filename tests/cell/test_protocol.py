@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from example_cells import EFFECTS, curved_cell, lfp_cell, linear_cell
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import brentq
@@ -24,6 +23,7 @@ from cellwise.cell.protocol import (
 )
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
+from example_cells import EFFECTS, curved_cell, lfp_cell, linear_cell
 
 RICH = curved_cell(effects=EFFECTS[:3], charge_efficiency=0.99)
 MIXED = (

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from example_cells import curved_cell, lfp_cell
 
 from cellwise.cell.protocol import (
     ConstantCurrent,
@@ -17,6 +16,7 @@ from cellwise.cell.protocol import (
 )
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
+from example_cells import curved_cell, lfp_cell
 
 WINDOW = {"voltage_min_V": 2.9, "voltage_max_V": 4.15}
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from example_cells import linear_cell
 
 from cellwise.cell.simulate import simulate
 from cellwise.logs.cell_log import CellLog
+from example_cells import linear_cell
 
 pybamm = pytest.importorskip("pybamm", reason="PyBaMM is the oracle here: pip install pybamm")
 

@@ -20,11 +20,11 @@ from cellwise.estimate.coulomb import CoulombInfo, CoulombState
 from cellwise.estimate.ekf_kernels import EkfInfo, EkfState
 from cellwise.estimate.replay import ESTIMATORS, SocErrors
 from cellwise.estimate.trace import Trace
-from cellwise.identify.capacity import CapacityTest
-from cellwise.identify.capacity_choice import CapacityRow
-from cellwise.identify.ocv import OcvCurve
-from cellwise.identify.pulse_parameters import PulseParameters
-from cellwise.identify.pulses import Pulse
+from cellwise.identify.capacity.capacity_choice import CapacityRow
+from cellwise.identify.capacity.capacity_test import CapacityTest
+from cellwise.identify.hppc.pulses import Pulse
+from cellwise.identify.ocv.curve import OcvCurve
+from cellwise.identify.pulse_fit.pulse_parameters import PulseParameters
 from cellwise.logs import Gap
 
 PACKAGE = REPOSITORY / "src" / "cellwise"

@@ -6,7 +6,6 @@ import gc
 
 import numpy as np
 import pytest
-from example_cells import EFFECTS, curved_cell
 from numba import njit
 from numba.core.runtime import _nrt_python, rtsys
 
@@ -15,6 +14,7 @@ from cellwise.cell.kernels import empty_state, simulate_rows
 from cellwise.estimate import ekf_kernels
 from cellwise.estimate.coulomb import coulomb_rows
 from cellwise.estimate.ekf import Ekf
+from example_cells import EFFECTS, curved_cell
 
 MODEL = curved_cell(effects=EFFECTS)
 EKF = Ekf(MODEL)

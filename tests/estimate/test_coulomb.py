@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from example_cells import curved_cell, linear_cell, random_log
 
 from cellwise.cell.protocol import hppc_test, run_protocol
 from cellwise.cell.simulate import simulate
@@ -15,6 +14,7 @@ from cellwise.estimate.coulomb import Coulomb
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.status import Status
 from cellwise.logs.reading import read_log
+from example_cells import curved_cell, linear_cell, random_log
 
 
 def test_it_equals_the_testers_counter_on_ideal_data():

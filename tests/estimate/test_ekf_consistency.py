@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from example_cells import curved_cell, lfp_cell, linear_cell
 
 from cellwise.cell.model import ModelError
 from cellwise.estimate.ekf import START_BRANCH_V, Ekf
 from cellwise.estimate.noise import Noise
 from cellwise.logs.cell_log import CellLog
+from example_cells import curved_cell, lfp_cell, linear_cell
 
 RUNS = 200
 

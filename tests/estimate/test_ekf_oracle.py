@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from example_cells import EFFECTS, curved_cell, linear_cell, random_log, random_model
 from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
 from scipy.interpolate import RegularGridInterpolator
 from scipy.stats import norm
@@ -16,6 +15,7 @@ from cellwise.cell.simulate import simulate
 from cellwise.estimate.ekf import START_BRANCH_V, Ekf
 from cellwise.estimate.filterpy_ekf import FilterpyEkf
 from cellwise.estimate.noise import Noise
+from example_cells import EFFECTS, curved_cell, linear_cell, random_log, random_model
 
 ORDER = ("ss", "s1", "s2", "s3", "sh", "p11", "p12", "p13", "p1h", "p22", "p23", "p2h", "p33",
          "p3h", "phh")  # fmt: skip

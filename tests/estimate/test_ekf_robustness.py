@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from example_cells import curved_cell, lfp_cell, linear_cell, random_log, random_model
 from test_ekf_oracle import covariance_of, mean_of
 
 from cellwise.cell.effects import Hysteresis
@@ -17,6 +16,7 @@ from cellwise.estimate.ekf import Ekf
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.status import Status
 from cellwise.logs.cell_log import CellLog
+from example_cells import curved_cell, lfp_cell, linear_cell, random_log, random_model
 
 CURVED = curved_cell()
 

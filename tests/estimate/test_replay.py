@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from example_cells import curved_cell
 
 from cellwise.cell.initial_soc import InitialSoc
 from cellwise.cell.protocol import ConstantCurrent, DriveProfile, Rest, run_protocol
@@ -24,6 +23,7 @@ from cellwise.estimate.replay import (
 from cellwise.estimate.status import Status
 from cellwise.estimate.trace import Trace
 from cellwise.logs.cell_log import CellLog
+from example_cells import curved_cell
 
 MODEL = curved_cell()
 

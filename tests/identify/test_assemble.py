@@ -29,7 +29,7 @@ from cellwise.identify.assemble import (
     relative_errors,
     table_summary,
 )
-from cellwise.identify.refine import RefineSettings, refine
+from cellwise.identify.refinement.refine import RefineSettings, refine
 
 
 def refined(truth, *, branches=2, skewed=False, warm=False):
@@ -124,7 +124,7 @@ def test_what_no_log_has_seen_is_admitted():
     log, soc = log_of(pulse_current(4), CURVED)
     noisy = replace(log, voltage_V=log.voltage_V + 5e-4 * np.random.default_rng(1).normal(
         size=len(log)))  # fmt: skip
-    from cellwise.identify.refine_data import RefineLog
+    from cellwise.identify.refinement.refine_data import RefineLog
 
     result = refine([RefineLog(noisy, soc)], start_tables(2, 1.2), capacity_Ah=CAPACITY_AH,
                     settings=RefineSettings(branches=2))  # fmt: skip

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic import HppcPlan, Tester, drive_current, driven_log, finish, hppc_log, nmc_cell
 
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell
 from cellwise.logs.cell_log import CellLog
+from synthetic import HppcPlan, Tester, drive_current, driven_log, finish, hppc_log, nmc_cell
 
 CELL = nmc_cell(3.0)
 SETTINGS = IdentifySettings(nominal_Ah=3.0, branches=2)

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic import HppcPlan, drive_current, driven_log, hppc_log, lfp_cell, nmc_cell
 
-from cellwise.identify.ocv import curve_from_points
+from cellwise.identify.ocv.curve import curve_from_points
 from cellwise.identify.soc_anchor import anchor_soc
 from cellwise.logs.cell_log import CellLog
+from synthetic import HppcPlan, drive_current, driven_log, hppc_log, lfp_cell, nmc_cell
 
 NMC, LFP = nmc_cell(3.0), lfp_cell(2.3)
 GRID = np.linspace(0.0, 1.0, 101)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,8 +11,6 @@ from cellwise.cell.effects import Hysteresis, SlowDiffusion, TemperatureDependen
 from cellwise.cell.model import TABLES, CellModel, ModelError
 from cellwise.cell.simulate import simulate
 from cellwise.identify.stack import stack_models
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "cell"))
 from example_cells import curved_cell, random_log
 
 GRID = np.linspace(0.0, 1.0, 101)

@@ -9,10 +9,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from log_files import csv_text, pulse_channels, write_csv
 
 from cellwise.errors import InputError
 from cellwise.logs import read_log
+from log_files import csv_text, pulse_channels, write_csv
 
 TEXT = csv_text(pulse_channels(600))
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from log_files import csv_text, pulse_channels
 
 from cellwise.logs import FORMATS, read_log, reading
 from cellwise.logs.columns import OWN, Channel, Unit
 from cellwise.logs.csv_text import read_csv
 from cellwise.logs.formats import Format
+from log_files import csv_text, pulse_channels
 
 CYCLER = Format(
     name="cycler",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -13,13 +14,16 @@ from pyarrow import csv
 
 ROWS = 10_000_000
 SCRIPT = """
-import json, resource, sys, time
+import json, re, sys, time
+from pathlib import Path
 from cellwise.logs import read_log
 start, cpu = time.perf_counter(), time.process_time()
 log = read_log(sys.argv[1])
+# The peak of this process alone: getrusage would carry over the peak of the one that started it.
+peak_kB = int(re.search(r"VmHWM:\\s+(\\d+)", Path("/proc/self/status").read_text())[1])
 print(json.dumps({
     "rows": len(log), "wall_s": time.perf_counter() - start, "cpu_s": time.process_time() - cpu,
-    "peak_MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+    "peak_MB": peak_kB / 1024,
     "last": [log.time_s[-1], log.current_A[-1], log.voltage_V[-1], int(log.step[-1])],
     "notices": log.notices,
 }))
@@ -27,6 +31,7 @@ print(json.dumps({
 
 
 @pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="reads the peak from /proc")
 def test_ten_million_rows(tmp_path):
     rng = np.random.default_rng(0)
     time = np.round(np.arange(ROWS) * 0.1, 3)

@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from log_files import pulse_channels
 
 from cellwise.logs import CellLog, inspect_log, read_log
+from log_files import pulse_channels
 
 CONTRACT = ["format", "samples", "duration_s", "sign", "gaps", "duplicates", "current_A"]
 CONTRACT += ["voltage_V", "temperature_C", "charge_Ah", "notices"]

@@ -9,10 +9,10 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from log_files import csv_text, pulse_channels, write_csv
 
 from cellwise.errors import InputError
 from cellwise.logs import CellLog, read_log
+from log_files import csv_text, pulse_channels, write_csv
 
 CHANNELS = pulse_channels()
 

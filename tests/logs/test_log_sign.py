@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from log_files import pulse_channels, write_csv
 
 from cellwise.logs import CellLog, read_log, verify_sign
+from log_files import pulse_channels, write_csv
 
 OPPOSITE = {
     "verified": "contradicted",

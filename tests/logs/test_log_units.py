@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from log_files import pulse_channels
 
 from cellwise.errors import InputError
 from cellwise.logs import CellLog, read_log
+from log_files import pulse_channels
 
 
 def without_counter(columns):

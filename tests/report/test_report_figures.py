@@ -7,15 +7,6 @@ import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import pytest
-from report_cases import (
-    R0_ERROR,
-    R1_ERROR,
-    TAU1_ERROR,
-    drive,
-    identification,
-    replay,
-    simulation,
-)
 
 from cellwise.errors import InputError
 from cellwise.report import Picture, figure_png, hero_figure, save_figure, save_figures
@@ -28,6 +19,15 @@ from cellwise.report.section import pictures_of
 from cellwise.report.simulation_section import MOST_PICTURES, simulation_pictures
 from cellwise.report.style import VERDICTS
 from cellwise.report.windows import robust_limit, worst_window
+from report_cases import (
+    R0_ERROR,
+    R1_ERROR,
+    TAU1_ERROR,
+    drive,
+    identification,
+    replay,
+    simulation,
+)
 
 UNIT = re.compile(r"\[.+\]$|, \+ discharge$")
 WORDS = {"choice"}

@@ -9,7 +9,6 @@ from dataclasses import replace
 import matplotlib
 import numpy as np
 import pytest
-from report_cases import Page, drive, hppc, identification, replay, simulation
 
 from cellwise.cell.simulate import Simulation
 from cellwise.errors import InputError
@@ -20,6 +19,7 @@ from cellwise.report.pages import identify_sections, notices, replay_data, repla
 from cellwise.report.replay_figures import replay_figures
 from cellwise.report.replay_section import MOST_DETAILED
 from cellwise.report.section import pictures_of, rendered
+from report_cases import Page, drive, hppc, identification, replay, simulation
 
 NASTY = "<script>alert('1')</script> & \"$x_1^2$\" </svg> \\u003c"
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 
 import pytest
-from report_cases import Page
 
 from cellwise import identify
 from cellwise.cell.simulate import simulate
 from cellwise.estimate.replay import replay
 from cellwise.logs import read_log
 from cellwise.report import demo_page, identify_page
+from report_cases import Page
 
 
 @pytest.mark.slow

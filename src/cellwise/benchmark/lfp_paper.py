@@ -10,13 +10,13 @@ import numpy as np
 
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import simulate
-from cellwise.identify.capacity_choice import CapacityRow, capacity_table, usable_tests
+from cellwise.identify.capacity.capacity_choice import CapacityRow, capacity_table, usable_tests
+from cellwise.identify.hppc.pulse_quality import PulseQuality
+from cellwise.identify.hppc.pulses import Pulse
 from cellwise.identify.identification import Identification, IdentifySettings, TestLogs
 from cellwise.identify.pipeline import Progress, identify_cell
-from cellwise.identify.pulse_fit import Method
-from cellwise.identify.pulse_parameters import PulseFit
-from cellwise.identify.pulse_quality import PulseQuality
-from cellwise.identify.pulses import Pulse
+from cellwise.identify.pulse_fit.fit_pulse import Method
+from cellwise.identify.pulse_fit.pulse_parameters import PulseFit
 from cellwise.identify.tables import cubic_fit, pulse_tables
 from cellwise.logs.cell_log import CellLog
 

@@ -25,7 +25,7 @@ from cellwise.benchmark.published import (
 from cellwise.cell.metrics import metrics_to_dict
 from cellwise.errors import InputError
 from cellwise.identify.pipeline import Progress
-from cellwise.identify.pulse_fit import Method
+from cellwise.identify.pulse_fit.fit_pulse import Method
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.reading import read_log
 

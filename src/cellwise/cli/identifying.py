@@ -94,7 +94,7 @@ def run_identify(arguments: argparse.Namespace) -> None:
 
 def print_identification(found: Identification) -> None:
     """An identification for people."""
-    from cellwise.identify.capacity_choice import capacity_table, format_capacity_table
+    from cellwise.identify.capacity.capacity_choice import capacity_table, format_capacity_table
 
     complete = [t for t in found.capacity_tests if t.complete]
     if complete:

@@ -14,9 +14,9 @@ from cellwise.cell.effects import (
     TimeSkew,
 )
 from cellwise.cell.model import CellModel, ModelTables
-from cellwise.identify.ocv import OcvCurve
-from cellwise.identify.refine import RefineResult, StartTables
-from cellwise.identify.splines import spline_rows, spline_values
+from cellwise.identify.ocv.curve import OcvCurve
+from cellwise.identify.refinement.refine import RefineResult, StartTables
+from cellwise.identify.refinement.splines import spline_rows, spline_values
 from cellwise.identify.tables import NAMES, PulseTables
 from cellwise.typing import FloatArray
 

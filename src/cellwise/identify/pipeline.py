@@ -16,8 +16,9 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import Simulation, simulate
 from cellwise.errors import InputError
 from cellwise.identify.assemble import GRID_POINTS, plain_model, table_summary
-from cellwise.identify.capacity import CapacityTest, hppc_total_Ah, measure_capacities
-from cellwise.identify.capacity_choice import capacity_choices, choose_capacity
+from cellwise.identify.capacity.capacity_choice import capacity_choices, choose_capacity
+from cellwise.identify.capacity.capacity_test import CapacityTest, hppc_total_Ah, measure_capacities
+from cellwise.identify.hppc.pulses import Pulse, find_pulses, pulses_to_fit
 from cellwise.identify.identification import (
     Identification,
     IdentifySettings,
@@ -25,13 +26,12 @@ from cellwise.identify.identification import (
     TemperatureResult,
     TestLogs,
 )
-from cellwise.identify.ocv import OcvCurve, combine_ocv, curve_from_points
-from cellwise.identify.ocv_lowrate import ocv_from_low_rate
-from cellwise.identify.ocv_rests import ocv_from_rests
-from cellwise.identify.pulse_fit import fit_pulses
-from cellwise.identify.pulse_window import cut_pulses, has_enough_rows
-from cellwise.identify.pulses import Pulse, find_pulses, pulses_to_fit
-from cellwise.identify.refine_stage import Refined, refine_temperature
+from cellwise.identify.ocv.curve import OcvCurve, combine_ocv, curve_from_points
+from cellwise.identify.ocv.ocv_lowrate import ocv_from_low_rate
+from cellwise.identify.ocv.ocv_rests import ocv_from_rests
+from cellwise.identify.pulse_fit.fit_pulse import fit_pulses
+from cellwise.identify.pulse_fit.pulse_window import cut_pulses, has_enough_rows
+from cellwise.identify.refinement.refine_stage import Refined, refine_temperature
 from cellwise.identify.soc_anchor import anchor_soc
 from cellwise.identify.stack import stack_models
 from cellwise.identify.tables import pulse_tables

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.identify.ocv import OcvCurve
-from cellwise.identify.ocv_rests import find_ocv_rests
+from cellwise.identify.ocv.curve import OcvCurve
+from cellwise.identify.ocv.ocv_rests import find_ocv_rests
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 

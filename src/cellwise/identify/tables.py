@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.identify.pulse_parameters import PulseFit
-from cellwise.identify.splines import (
+from cellwise.identify.pulse_fit.pulse_parameters import PulseFit
+from cellwise.identify.refinement.splines import (
     TABLE_KNOTS,
     curvature_penalty,
     greville,

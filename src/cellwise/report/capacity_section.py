@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.identify.capacity_choice import CapacityRow, capacity_table, usable_tests
+from cellwise.identify.capacity.capacity_choice import CapacityRow, capacity_table, usable_tests
 from cellwise.identify.identification import Identification
 from cellwise.report.markup import Markup, beside, bullets, details, table
 from cellwise.report.numerals import ampere_hours, percent, significant

@@ -8,10 +8,10 @@ import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.identify.identification import Identification
-from cellwise.identify.ocv import OcvCurve
-from cellwise.identify.ocv_fit import OcvFit, fit_ocv_function
-from cellwise.identify.ocv_functions import OCV_KINDS
-from cellwise.identify.ocv_rests import ocv_from_rests
+from cellwise.identify.ocv.curve import OcvCurve
+from cellwise.identify.ocv.ocv_fit import OcvFit, fit_ocv_function
+from cellwise.identify.ocv.ocv_functions import OCV_KINDS
+from cellwise.identify.ocv.ocv_rests import ocv_from_rests
 from cellwise.report.markup import Markup, bullets, details, table
 from cellwise.report.numerals import millivolt, percent, plural
 from cellwise.report.picture import Picture

@@ -9,7 +9,7 @@ import numpy as np
 from cellwise.cell.effects import SlowDiffusion, effect_table
 from cellwise.cell.model import CellModel
 from cellwise.identify.identification import Identification, TemperatureResult
-from cellwise.identify.splines import greville
+from cellwise.identify.refinement.splines import greville
 from cellwise.typing import BoolArray, FloatArray
 
 NAMES = {

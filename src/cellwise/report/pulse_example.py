@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from cellwise.cell.simulate import Simulation
+from cellwise.identify.hppc.pulses import Pulse
 from cellwise.identify.identification import Identification
-from cellwise.identify.pulses import Pulse
 from cellwise.report.numerals import duration, millivolt, points, significant, time_unit
 from cellwise.report.picture import Picture
 from cellwise.report.style import (

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cellwise.identify.hppc.pulses import Pulse
 from cellwise.identify.identification import Identification, PulseSet
-from cellwise.identify.pulses import Pulse
 from cellwise.report.markup import Markup, details, table
 from cellwise.report.numerals import celsius, duration, listed, percent, plural, significant
 from cellwise.report.picture import Picture

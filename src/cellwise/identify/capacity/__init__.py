@@ -1,0 +1,1 @@
+"""Capacity tests, their table, and which capacity defines SOC."""

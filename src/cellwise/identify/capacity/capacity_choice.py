@@ -1,0 +1,254 @@
+"""Which charge is called the capacity: the table of the tests, and every choice by name.
+
+SOC, OCV and every parameter table refer to one capacity. The LFP paper of the two that cellwise
+starts from shows how much hangs on it: the same model misses the voltage by 43 or by 167 mV.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellwise.errors import InputError
+from cellwise.identify.capacity.capacity_test import CapacityTest
+
+# Rates that laboratories write down; a measured one is called by the nearest of them.
+FRACTIONS = (50, 40, 30, 25, 20, 15, 12, 10, 8, 6, 5, 4, 3, 2)
+MULTIPLES = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0)
+SNAP = 0.12
+REFERENCE_C = 25.0
+# Tests whose starting temperatures follow one another within this are of one temperature.
+SAME_TEMPERATURE_C = 4.0
+FAR_FROM_REFERENCE_C = 7.5
+
+
+@dataclass(frozen=True)
+class CapacityRow:
+    """What the tests at one rate say: means over ``n`` tests, and the spread of their totals."""
+
+    rate: str
+    rate_C: float
+    cc_Ah: float
+    cv_Ah: float
+    total_Ah: float
+    spread_Ah: float
+    n: int
+    coulombic_efficiency: float | None
+
+
+def rate_name(rate_C: float) -> str:
+    """Name of a rate as it is spoken: ``C/20``, ``C/3``, ``1C``, ``2C``.
+
+    A measured rate takes the nearest usual name within 12 %, because cells hardly ever have
+    their nominal capacity; else its own value, two digits.
+    """
+    usual = [(1.0 / n, f"C/{n}") for n in FRACTIONS] + [(m, f"{m:g}C") for m in MULTIPLES]
+    value, name = min(usual, key=lambda pair: abs(np.log(rate_C / pair[0])))
+    if abs(rate_C / value - 1.0) <= SNAP:
+        return name
+    return f"{rate_C:.2g}C" if rate_C >= 1.0 else f"C/{1.0 / rate_C:.2g}"
+
+
+def parse_rate(name: str) -> float:
+    """Rate in 1/h from any way to write it: ``C/2``, ``0.5C``, ``C``, ``2C``, ``1.5 C``.
+
+    Raises
+    ------
+    InputError        not a rate
+    """
+    text = name.strip().upper().replace(" ", "")
+    fraction = re.fullmatch(r"1?C/(\d+(?:\.\d+)?)", text)
+    multiple = re.fullmatch(r"(\d+(?:\.\d+)?)?C", text)
+    if fraction and float(fraction[1]) > 0.0:
+        return 1.0 / float(fraction[1])
+    if multiple and float(multiple[1] or 1.0) > 0.0:
+        return float(multiple[1] or 1.0)
+    raise InputError(f"the rate '{name}'", "a rate such as C/20, C/3, 0.5C or 2C", "Correct it.")
+
+
+def usable_tests(
+    tests: Iterable[CapacityTest], *, temperature_C: float = REFERENCE_C
+) -> tuple[tuple[CapacityTest, ...], tuple[str, ...]]:
+    """The complete tests at one temperature, and a notice for each one left out.
+
+    Parameters
+    ----------
+    tests : of CapacityTest
+    temperature_C : float        of the model; the tests nearest to it are taken. Tests of
+                                 unknown temperature count as being at it.
+
+    Returns
+    -------
+    tests, notices
+
+    Raises
+    ------
+    InputError        no complete test
+    """
+    everything = tuple(tests)
+    whole = [t for t in everything if t.complete]
+    notices = [
+        f"{t.name}: not used ({'; '.join(t.notices) or 'not from full to the lower limit'})"
+        for t in everything
+        if not t.complete
+    ]
+    if not whole:
+        raise InputError(
+            f"no capacity test that goes from full to the lower limit ({'; '.join(notices)})",
+            "at least one complete discharge",
+            "Use a complete test, give the limits of the cell, or leave the capacity tests out.",
+        )
+    start = [
+        temperature_C if t.temperature_start_C is None else t.temperature_start_C for t in whole
+    ]
+    steady = [i for i, t in enumerate(whole) if not t.cooled] or list(range(len(whole)))
+    group = _nearest_group(start, steady, temperature_C)
+    middle = float(np.median([start[i] for i in group]))
+    if abs(middle - temperature_C) > FAR_FROM_REFERENCE_C:
+        notices.append(
+            f"no capacity test near {temperature_C:g} degC: those at {middle:.0f} degC count"
+        )
+    used = tuple(whole[i] for i in group)
+    notices += [
+        f"{t.name}: not used (at {start[i]:.0f} degC)"
+        for i, t in enumerate(whole)
+        if i not in group
+    ]
+    notices += [f"{t.name}: {notice}" for t in used for notice in t.notices]
+    return used, tuple(notices)
+
+
+def capacity_table(tests: Iterable[CapacityTest]) -> tuple[CapacityRow, ...]:
+    """Means per rate over the complete tests, from slow to fast: the LFP paper's table.
+
+    Give it :func:`usable_tests` where several temperatures are mixed.
+    """
+    groups: dict[str, list[CapacityTest]] = {}
+    for test in sorted((t for t in tests if t.complete), key=lambda t: t.rate_C):
+        groups.setdefault(rate_name(test.rate_C), []).append(test)
+    return tuple(_row(rate, group) for rate, group in groups.items())
+
+
+def format_capacity_table(rows: Sequence[CapacityRow]) -> str:
+    """The table as text: rate, total, CC part, CV part, number, spread, coulombic efficiency."""
+    lines = ["rate    total Ah  CC part  CV part  tests  spread Ah  efficiency"]
+    for r in rows:
+        efficiency = "" if r.coulombic_efficiency is None else f"{r.coulombic_efficiency:10.4f}"
+        lines.append(
+            f"{r.rate:<6} {r.total_Ah:9.3f} {r.cc_Ah:8.3f} {r.cv_Ah:8.3f} {r.n:6d}"
+            f" {r.spread_Ah:10.3f}  {efficiency}".rstrip()
+        )
+    return "\n".join(lines)
+
+
+def capacity_choices(
+    tests: Iterable[CapacityTest] = (),
+    nominal_Ah: float | None = None,
+    hppc_total_Ah: float | None = None,
+    *,
+    temperature_C: float = REFERENCE_C,
+) -> dict[str, float]:
+    """Every capacity that the data offer, by the name of the choice [Ah].
+
+    ``nominal``; ``hppc-total``; ``cc-average`` and ``cc-cv-average``, means over the rates of the
+    CC part and of the total; ``rate:C/20`` and so on, the total at one rate.
+
+    Parameters
+    ----------
+    tests : of CapacityTest        as measured; incomplete ones and other temperatures drop out
+    nominal_Ah, hppc_total_Ah : float or None
+    temperature_C : float          of the model
+
+    Raises
+    ------
+    InputError        tests are given and none is complete; nothing at all is given
+    """
+    tests = tuple(tests)
+    choices: dict[str, float] = {}
+    if nominal_Ah is not None:
+        choices["nominal"] = float(nominal_Ah)
+    if tests:
+        rows = capacity_table(usable_tests(tests, temperature_C=temperature_C)[0])
+        choices["cc-average"] = float(np.mean([r.cc_Ah for r in rows]))
+        choices["cc-cv-average"] = float(np.mean([r.total_Ah for r in rows]))
+        choices |= {f"rate:{r.rate}": r.total_Ah for r in rows}
+    if hppc_total_Ah is not None:
+        choices["hppc-total"] = float(hppc_total_Ah)
+    if not choices:
+        raise InputError(
+            "neither a capacity test, nor an HPPC log, nor a nominal capacity",
+            "one of them",
+            "Add --capacity LOG or --nominal-ah.",
+        )
+    return choices
+
+
+def default_choice(choices: Mapping[str, float]) -> str:
+    """Name of the capacity taken where nobody chose.
+
+    The slowest complete discharge: what a slow current takes out is nearest to the charge between
+    full and empty, which is what SOC means and what the OCV spans. Without a capacity test the
+    charge of the whole HPPC test; without that the nominal value.
+    """
+    rates = [name for name in choices if name.startswith("rate:")]
+    if rates:
+        return min(rates, key=lambda name: parse_rate(name.removeprefix("rate:")))
+    return next(name for name in ("hppc-total", "nominal", *choices) if name in choices)
+
+
+def choose_capacity(choices: Mapping[str, float], name: str | None = None) -> tuple[str, float]:
+    """One of the choices: its name as in ``choices``, and the capacity [Ah].
+
+    ``rate:0.5C`` and ``rate:C/2`` are the same. None takes :func:`default_choice`.
+
+    Raises
+    ------
+    InputError        there is no such choice; the message lists those there are
+    """
+    wanted = default_choice(choices) if name is None else name.strip()
+    if wanted in choices:
+        return wanted, choices[wanted]
+    if wanted.startswith("rate:"):
+        rate = parse_rate(wanted.removeprefix("rate:"))
+        for key in choices:
+            if key.startswith("rate:"):
+                other = parse_rate(key.removeprefix("rate:"))
+                if abs(rate / other - 1.0) <= 0.01:
+                    return key, choices[key]
+    there = ", ".join(f"{key} ({value:.3f} Ah)" for key, value in choices.items())
+    raise InputError(
+        f"the capacity choice '{name}'",
+        f"one of: {there}",
+        "Choose one of these, or add the test that measures it.",
+    )
+
+
+def _row(rate: str, tests: Sequence[CapacityTest]) -> CapacityRow:
+    totals = [t.total_Ah for t in tests]
+    efficiencies = [e for t in tests if (e := t.coulombic_efficiency) is not None]
+    return CapacityRow(
+        rate=rate,
+        rate_C=float(np.mean([t.rate_C for t in tests])),
+        cc_Ah=float(np.mean([t.cc_Ah for t in tests])),
+        cv_Ah=float(np.mean([t.cv_Ah for t in tests])),
+        total_Ah=float(np.mean(totals)),
+        spread_Ah=max(totals) - min(totals),
+        n=len(tests),
+        coulombic_efficiency=float(np.mean(efficiencies)) if efficiencies else None,
+    )
+
+
+def _nearest_group(
+    start_C: Sequence[float], among: Sequence[int], temperature_C: float
+) -> list[int]:
+    """Those tests whose cluster of starting temperatures is nearest to the wanted one."""
+    order = np.array(sorted(among, key=lambda i: start_C[i]))
+    cuts = np.flatnonzero(np.diff(np.asarray(start_C)[order]) > SAME_TEMPERATURE_C) + 1
+    groups = np.split(order, cuts)
+    nearest = min(
+        groups, key=lambda g: abs(float(np.median([start_C[i] for i in g])) - temperature_C)
+    )
+    return sorted(int(i) for i in nearest)

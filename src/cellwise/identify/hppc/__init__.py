@@ -1,0 +1,1 @@
+"""HPPC logs: edges, phases, pulses and their quality."""

@@ -1,0 +1,342 @@
+"""A log cut into phases: rest, constant current, constant voltage, dynamic."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from cellwise.identify.hppc.plateaus import (
+    RAMP_ROWS,
+    RAMP_S,
+    CurrentScale,
+    Plateaus,
+    current_scale,
+    find_plateaus,
+    without_ramps,
+)
+from cellwise.logs.cell_log import CellLog
+from cellwise.typing import FloatArray
+
+PhaseKind = Literal["rest", "cc", "cv", "dynamic"]
+
+# Levels held for less than this, one after another, are a drive.
+DYNAMIC_S = 5.0
+DYNAMIC_LEVELS = 4
+# A single row at another level is a phase only where a row is this long.
+SLOW_ROW_S = 5.0
+# A row that leaves its level by this many smallest steps, with the voltage following, is real.
+SPIKE_STEPS = 3.0
+VOLTAGE_SIGMAS = 6.0
+VOLTAGE_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A stretch of a log in which the tester did one thing.
+
+    Rows ``start`` to ``stop`` (not included) are the rows whose *intervals* belong to the phase:
+    row k carries the interval from row k-1 to row k. The phase begins at the time of row
+    ``start - 1``, and the voltage there is ``voltage_start_V``.
+
+    kind : ``rest``, ``cc`` (constant current), ``cv`` (voltage held while the current falls),
+        ``dynamic`` (anything else)
+    current_A : mean over time, positive on discharge [A]
+    duration_s : length [s]
+    charge_Ah : charge removed, by the tester's counter where there is one [Ah]
+    voltage_start_V, voltage_end_V : at the instants at which it begins and ends [V]
+    """
+
+    kind: PhaseKind
+    start: int
+    stop: int
+    current_A: float
+    duration_s: float
+    charge_Ah: float
+    voltage_start_V: float
+    voltage_end_V: float
+
+    @property
+    def charging(self) -> bool:
+        """Whether charge flows into the cell."""
+        return self.kind != "rest" and self.current_A < 0.0
+
+    @property
+    def discharging(self) -> bool:
+        """Whether charge flows out of the cell."""
+        return self.kind != "rest" and self.current_A > 0.0
+
+
+class _Span(NamedTuple):
+    kind: PhaseKind
+    start: int
+    stop: int
+    level_A: float
+
+
+class _Signals(NamedTuple):
+    """What the cutting looks at: finite current and voltage, and what counts as noise in them."""
+
+    time_s: FloatArray
+    current_A: FloatArray
+    voltage_V: FloatArray
+    tolerance_V: float
+    scale: CurrentScale
+
+    def seconds(self, start: int, stop: int) -> float:
+        """Length of the intervals of rows start to stop [s]."""
+        return float(self.time_s[stop - 1] - self.time_s[max(start - 1, 0)])
+
+    def still(self, start: int, stop: int, at_V: float) -> bool:
+        """Whether the voltage of the rows stays at a value."""
+        v = self.voltage_V[start:stop]
+        return bool(np.max(np.abs(v - at_V)) <= 2.0 * self.tolerance_V)
+
+
+def find_phases(log: CellLog, *, rest_current_A: float | None = None) -> tuple[Phase, ...]:
+    """Cut a log into phases that follow one another without gap or overlap.
+
+    Parameters
+    ----------
+    log : CellLog
+    rest_current_A : float       current up to which the cell rests [A]; default: from the
+                                 noise, zero and range of the current
+
+    Returns
+    -------
+    tuple of Phase, in order; together they hold every row
+    """
+    current = log.known_current_A()
+    scale = current_scale(current)
+    if rest_current_A is not None:
+        scale = scale._replace(rest_A=rest_current_A, zero_A=0.0)
+    voltage = _filled(log.voltage_V)
+    signals = _Signals(log.time_s, current, voltage, voltage_tolerance(log), scale)
+    plateaus = without_ramps(find_plateaus(current, scale), log.time_s)
+    plateaus = _with_spikes(plateaus, signals)
+    spans = _join_dynamic(_join_cv(_assemble(plateaus, signals), signals), signals)
+    return _finish(spans, signals, log)
+
+
+def voltage_tolerance(log: CellLog) -> float:
+    """Scatter within which a voltage counts as held [V]: noise and resolution of the log."""
+    v = _filled(log.voltage_V)
+    n = v.size // 8 * 8
+    noise = 0.0
+    if n:
+        spread = np.partition(np.abs(np.diff(v[:n].reshape(-1, 8), axis=1)), 3, axis=1)[:, 3]
+        noise = float(np.quantile(spread, 0.2)) / (0.6745 * np.sqrt(2.0))
+    return max(VOLTAGE_SIGMAS * noise, VOLTAGE_TOLERANCE * float(np.median(np.abs(v))))
+
+
+def _filled(voltage_V: FloatArray) -> FloatArray:
+    bad = np.isnan(voltage_V)
+    if not bad.any():
+        return voltage_V
+    rows = np.arange(voltage_V.size)
+    return np.interp(rows, rows[~bad], voltage_V[~bad])
+
+
+def _with_spikes(p: Plateaus, s: _Signals) -> Plateaus:
+    """Cut out single rows at another level that the cell has felt: an aborted pulse, no glitch."""
+    i, v = s.current_A, s.voltage_V
+    rows = np.flatnonzero(np.abs(np.diff(i)) > s.scale.step_A) + 1
+    if rows.size == 0 or p.start.size == 0:
+        return p
+    home = np.searchsorted(p.start, rows, side="right") - 1
+    inside = (home >= 0) & (rows < p.stop[home]) & (rows > p.start[home])
+    rows, home = rows[inside], home[inside]
+    away = i[rows] - p.level_A[home]
+    felt = (v[rows] - v[rows - 1]) * away < 0.0
+    felt &= np.abs(v[rows] - v[rows - 1]) > 2.0 * s.tolerance_V
+    felt &= np.abs(away) > SPIKE_STEPS * s.scale.step_A
+    rows, home = rows[felt], home[felt]
+    if rows.size == 0:
+        return p
+    start = np.concatenate((p.start, rows, rows + 1))
+    stop = np.concatenate((rows, rows + 1, p.stop))
+    level = np.concatenate((p.level_A, i[rows], p.level_A[home]))
+    rest = np.concatenate((p.rest, np.zeros(rows.size, dtype=np.bool_), p.rest[home]))
+    order = np.argsort(start, kind="stable")
+    start, stop = start[order], np.sort(stop)
+    kept = stop > start
+    return Plateaus(start[kept], stop[kept], level[order][kept], rest[order][kept])
+
+
+def _assemble(plateaus: Plateaus, s: _Signals) -> list[_Span]:
+    """Plateaus and what lies between them, as spans that touch."""
+    spans: list[_Span] = []
+    at, n = 0, s.time_s.size
+    for start, stop, level, rest in zip(*(a.tolist() for a in plateaus), strict=True):
+        if start > at:
+            between = _between(at, start, spans[-1] if spans else None, level, s)
+            spans.extend(between)
+            start = start if between else at  # the rise belongs to the level that it leads to
+        spans.append(_Span("rest" if rest else "cc", start, stop, level))
+        at = stop
+    if at < n:
+        if n - at == 1 and spans:  # the last row alone says nothing
+            spans[-1] = spans[-1]._replace(stop=n)
+        else:
+            spans.extend(_moving(at, n, s))
+    return spans
+
+
+def _between(a: int, b: int, before: _Span | None, after_A: float, s: _Signals) -> list[_Span]:
+    """What rows a to b between two plateaus are; nothing: the rise to the level that follows."""
+    seconds = s.seconds(a, b)
+    inside = s.current_A[a:b]
+    if b - a == 1:
+        if before is None and _rests(inside[0], s.scale):
+            return [_Span("rest", a, b, float(inside[0]))]
+        same = before is not None and abs(before.level_A - after_A) <= s.scale.step_A
+        if not (same and seconds >= SLOW_ROW_S):
+            return []
+        kind: PhaseKind = "rest" if _rests(inside[0], s.scale) else "cc"
+        return [_Span(kind, a, b, float(inside[0]))]
+    if _held(a, b, s):
+        return [_Span("cv", a, b, float(np.mean(inside)))]
+    begin = before.level_A if before is not None else float(inside[0])
+    if seconds <= RAMP_S and _rises(inside, begin, after_A, s.scale):
+        return []
+    return _moving(a, b, s)
+
+
+def _rises(inside: FloatArray, begin_A: float, end_A: float, scale: CurrentScale) -> bool:
+    """Whether rows lead from one level to another: straight on, or in few rows with overshoot."""
+    low, high = min(begin_A, end_A), max(begin_A, end_A)
+    if inside.size <= RAMP_ROWS:
+        room = 0.5 * (high - low) + scale.step_A
+        return bool(low - room <= np.min(inside) and np.max(inside) <= high + room)
+    on = np.diff(inside) * np.sign(end_A - begin_A)
+    within = low - scale.step_A <= np.min(inside) and np.max(inside) <= high + scale.step_A
+    return bool(within and np.all(on >= -scale.step_A))
+
+
+def _rests(current_A: float, scale: CurrentScale) -> bool:
+    return bool(abs(current_A - scale.zero_A) <= scale.rest_A)
+
+
+def _moving(a: int, b: int, s: _Signals) -> list[_Span]:
+    """Rows that hold no level: constant voltage, or a beginning and then that, or dynamic."""
+    inside = s.current_A[a:b]
+    mean = float(np.mean(inside))
+    if _held(a, b, s):
+        return [_Span("cv", a, b, mean)]
+    off = np.abs(s.voltage_V[a:b] - s.voltage_V[b - 1]) > 1.5 * s.tolerance_V
+    knee = a + int(np.flatnonzero(off)[-1]) + 1 if off.any() else a
+    if a < knee and b - knee >= max(3, (b - a) // 2) and _held(knee, b, s):
+        head = s.current_A[a:knee]
+        flat = np.ptp(head) <= max(s.scale.step_A, 0.03 * float(np.max(np.abs(head))))
+        kind: PhaseKind = "cc" if flat or s.seconds(a, knee) <= RAMP_S else "dynamic"
+        tail = float(np.mean(s.current_A[knee:b]))
+        return [_Span(kind, a, knee, float(np.mean(head))), _Span("cv", knee, b, tail)]
+    return [_Span("dynamic", a, b, mean)]
+
+
+def _held(a: int, b: int, s: _Signals) -> bool:
+    """Whether the voltage is held over rows a to b while the current falls towards zero."""
+    if b - a < 2:
+        return False
+    i, v = s.current_A[a:b], s.voltage_V[a:b]
+    if i[0] * i[-1] <= 0.0 or abs(v[-1] - v[0]) > 3.0 * s.tolerance_V:
+        return False
+    third = max(1, (b - a) // 3)
+    if np.min(i) * np.max(i) <= 0.0 or abs(np.mean(i[-third:])) >= abs(np.mean(i[:third])):
+        return False
+    low, high = np.quantile(v, (0.05, 0.95)) if v.size > 20 else (np.min(v), np.max(v))
+    return bool(high - low <= 2.0 * s.tolerance_V)
+
+
+def _join_cv(spans: list[_Span], s: _Signals) -> list[_Span]:
+    """Steps of a falling current at one voltage belong to one constant-voltage phase."""
+    ohm = _resistance(spans, s)
+    out: list[_Span] = []
+    for span in spans:
+        while out and _continues(out[-1], span, out[-2] if len(out) > 1 else None, ohm, s):
+            last = out.pop()
+            span = _Span("cv", last.start, span.stop, span.level_A)
+        out.append(span)
+    return out
+
+
+def _continues(last: _Span, span: _Span, before: _Span | None, ohm: float, s: _Signals) -> bool:
+    """Whether two spans are parts of one constant-voltage phase."""
+    if "rest" in (last.kind, span.kind) or last.level_A * span.level_A <= 0.0:
+        return False
+    fall = abs(last.level_A) - abs(span.level_A)
+    if fall < -s.scale.step_A:
+        return False
+    held = float(s.voltage_V[last.stop - 1])
+    if last.kind == "cv":
+        return s.still(span.start, span.stop, held)
+    if "dynamic" in (last.kind, span.kind) or not s.still(span.start, span.stop, held):
+        return False
+    # A constant current that ends where the voltage is held: all of it was held already, and a
+    # larger current went before; or the current fell and the voltage did not answer.
+    if span.kind == "cv":
+        began = before is not None and before.kind != "rest" and before.level_A * last.level_A > 0.0
+        return began and s.still(last.start, last.stop, held)
+    return ohm * fall > 4.0 * s.tolerance_V and s.still(last.start, last.stop, held)
+
+
+def _resistance(spans: list[_Span], s: _Signals) -> float:
+    """Median of the voltage step over the current step where the current switches [ohm]."""
+    ratios = []
+    for one, two in pairwise(spans):
+        step = abs(two.level_A - one.level_A)
+        if "cv" not in (one.kind, two.kind) and step > 0.05 * s.scale.range_A:
+            ratios.append(abs(s.voltage_V[two.start] - s.voltage_V[two.start - 1]) / step)
+    return float(np.median(ratios)) if ratios else 0.0
+
+
+def _join_dynamic(spans: list[_Span], s: _Signals) -> list[_Span]:
+    """Short levels one after another, and what moves between them, are one dynamic phase."""
+    short = [x.kind == "dynamic" or s.seconds(x.start, x.stop) < DYNAMIC_S for x in spans]
+    out: list[_Span] = []
+    k = 0
+    while k < len(spans):
+        end = k
+        while end < len(spans) and short[end]:
+            end += 1
+        group = spans[k:end]
+        moves = any(x.kind == "dynamic" for x in group)
+        if len(group) > 1 and (moves or len(group) >= DYNAMIC_LEVELS):
+            out.append(_Span("dynamic", group[0].start, group[-1].stop, 0.0))
+            k = end
+        elif group:
+            out.extend(group)
+            k = end
+        else:
+            out.append(spans[k])
+            k += 1
+    return out
+
+
+def _finish(spans: list[_Span], s: _Signals, log: CellLog) -> tuple[Phase, ...]:
+    charge = log.counted_charge_Ah()
+    flow = np.concatenate(([0.0], np.cumsum(s.current_A * log.interval_s)))
+    phases = []
+    for kind, start, stop, _ in spans:
+        first = max(start - 1, 0)
+        duration = float(log.time_s[stop - 1] - log.time_s[first])
+        mean = (
+            (flow[stop] - flow[start]) / duration
+            if duration > 0.0
+            else float(np.mean(s.current_A[start:stop]))
+        )
+        phases.append(
+            Phase(
+                kind=kind,
+                start=start,
+                stop=stop,
+                current_A=float(mean),
+                duration_s=duration,
+                charge_Ah=float(charge[stop - 1] - charge[first]),
+                voltage_start_V=float(s.voltage_V[first]),
+                voltage_end_V=float(s.voltage_V[stop - 1]),
+            )
+        )
+    return tuple(phases)

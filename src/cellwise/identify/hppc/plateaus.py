@@ -1,0 +1,326 @@
+"""Levels of a current: runs of rows at one level, as far as the noise can tell."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from cellwise.typing import BoolArray, FloatArray
+
+RowArray = NDArray[np.int64]
+# Two samples of one level differ by less than this many standard deviations of one sample.
+STEP_SIGMAS = 8.5
+STEP_OF_RANGE = 2e-3
+FLAT_OF_LEVEL = 0.01
+# Up to this share of the largest current, a steady reading may be the sensor's zero.
+ZERO_OF_RANGE = 0.01
+OFFSET_OF_RANGE = 2e-3
+REST_OF_RANGE = 1e-3
+REST_SIGMAS = 6.0
+# Scatter above this share of the range, or that grows with the distance of the samples, is a
+# moving current and not noise.
+NOISE_OF_RANGE = 0.3
+WHITE_GROWTH = 1.3
+# Mean size of a second difference of white noise of unit sigma: sqrt(6) sqrt(2 / pi).
+MEAN_BEND = 1.954
+# A log whose largest sample lies within this many standard deviations holds no current at all.
+NOISE_ONLY_SIGMAS = 6.5
+# Steps of this share of the range shall be seen, so more noise than that asks for smoothing.
+SMOOTHED_STEP_OF_RANGE = 0.02
+COARSE_OF_RANGE = 0.05
+COARSE_ROWS = 0.02
+FINE_ROWS = 0.005
+MAX_SMOOTHING_ROWS = 15
+BLOCK_ROWS = 8
+FLAT_CHUNKS = 8
+# Up to this long, what lies between two plateaus is the tester's rise.
+RAMP_ROWS = 8
+RAMP_S = 3.0
+LEVEL_ROWS = 64
+LONG_LEVEL_ROWS = 10
+SMALL_STEP_OF_LEVEL = 0.1
+
+
+class CurrentScale(NamedTuple):
+    """What the noise and the range of a current allow to be told apart [A].
+
+    noise_A : standard deviation of one sample about its level
+    zero_A : what the sensor reads at rest
+    rest_A : distance from ``zero_A`` within which a sample is a rest
+    step_A : smallest difference of two samples that is not noise
+    range_A : largest current
+    smoothing_rows : width of the running median that the noise asks for; 1 = none
+    """
+
+    noise_A: float
+    zero_A: float
+    rest_A: float
+    step_A: float
+    range_A: float
+    smoothing_rows: int
+
+
+class Plateaus(NamedTuple):
+    """Runs of rows at one level: rows ``start`` to ``stop`` (not included), each (m,)."""
+
+    start: RowArray
+    stop: RowArray
+    level_A: FloatArray
+    rest: BoolArray
+
+
+def current_scale(current_A: FloatArray) -> CurrentScale:
+    """Noise, zero and tolerances of a current, from the samples alone.
+
+    The noise is that of the quietest blocks at rest or of the quietest under load, whichever is
+    larger, because testers clamp zero.
+
+    Parameters
+    ----------
+    current_A : (n,) float       finite [A]
+    """
+    top = float(np.max(np.abs(current_A)))
+    if top == 0.0:
+        return CurrentScale(0.0, 0.0, 0.0, 0.0, 0.0, 1)
+    lsb = _resolution(current_A, top)
+    noise = max(_noise(current_A, top, lsb), 0.3 * lsb)
+    if top < NOISE_ONLY_SIGMAS * noise:  # nothing flows in this log
+        return CurrentScale(noise, 0.0, top, 3.0 * top, top, 1)
+    # Where the resolution makes the noise, samples jump by one step of it, seldom by two.
+    rounded = noise < lsb
+    width = 1
+    if not rounded and STEP_SIGMAS * noise > SMOOTHED_STEP_OF_RANGE * top:
+        wanted = (1.25 * STEP_SIGMAS * noise / (SMOOTHED_STEP_OF_RANGE * top)) ** 2
+        width = int(min(2 * (wanted // 2) + 1, MAX_SMOOTHING_ROWS))
+    seen = 0.0 if rounded else noise if width == 1 else 1.25 * noise / np.sqrt(width)
+    step = max(STEP_SIGMAS * float(seen), STEP_OF_RANGE * top, 2.5 * lsb if rounded else 0.0)
+    rest = max(REST_SIGMAS * float(seen), REST_OF_RANGE * top, 1.5 * lsb)
+    near = current_A[np.abs(current_A) <= max(ZERO_OF_RANGE * top, 4.0 * noise)]
+    zero = float(np.median(near)) if near.size else 0.0
+    if abs(zero) > OFFSET_OF_RANGE * top:  # the end of a CV part, or a small load: not the zero
+        zero = 0.0
+    if near.size:
+        scatter = 1.4826 * float(np.median(np.abs(near - zero)))
+        rest = max(rest, min(REST_SIGMAS * scatter, OFFSET_OF_RANGE * top))
+    return CurrentScale(noise, zero, rest, step, top, width)
+
+
+def find_plateaus(current_A: FloatArray, scale: CurrentScale | None = None) -> Plateaus:
+    """Runs of at least two rows at one level, in order; what lies between them moves.
+
+    Parameters
+    ----------
+    current_A : (n,) float       finite [A]
+    scale : CurrentScale         found from the current where it is not given
+    """
+    scale = scale or current_scale(current_A)
+    x = current_A
+    if scale.smoothing_rows > 1:
+        x = median_filter(current_A, scale.smoothing_rows, mode="nearest")
+    rest = np.abs(x - scale.zero_A) <= scale.rest_A
+    broken = (np.abs(np.diff(x)) > scale.step_A) | (rest[1:] != rest[:-1])
+    start = np.concatenate(([0], np.flatnonzero(broken) + 1))
+    stop = np.append(start[1:], x.size)
+    total = np.concatenate(([0.0], np.cumsum(x)))
+    start, stop = _flat_pieces(x, total, start, stop, rest, scale)
+    level = (total[stop] - total[start]) / (stop - start)
+    plateaus = Plateaus(start, stop, level, rest[start])
+    for _ in range(2):  # once for the runs, once for what then has become a neighbour
+        plateaus = _merge_level(plateaus, scale)
+    plateaus = _drifted(x, plateaus)
+    return plateaus if scale.smoothing_rows == 1 else _sharpened(current_A, plateaus, scale)
+
+
+def without_ramps(p: Plateaus, time_s: FloatArray, ramp_s: float = RAMP_S) -> Plateaus:
+    """Drop the short pieces into which a slow rise breaks between two levels.
+
+    They are a few rows long, lead from the one level towards the other without turning back, and
+    take no longer than a tester needs.
+
+    Parameters
+    ----------
+    p : Plateaus
+    time_s : (n,) float       [s]
+    ramp_s : float            longest rise [s]
+    """
+    short = (p.stop - p.start <= RAMP_ROWS) & ~p.rest
+    short[:1] = short[-1:] = False
+    first = np.flatnonzero(short & ~np.concatenate(([False], short[:-1])))
+    last = np.flatnonzero(short & ~np.concatenate((short[1:], [False])))
+    if first.size == 0:
+        return p
+    kept = np.ones(p.start.size, dtype=np.bool_)
+    took = time_s[p.start[last + 1] - 1] - time_s[p.stop[first - 1] - 1]
+    for a, b in zip(first[took <= ramp_s], last[took <= ramp_s], strict=True):
+        climb = np.diff(p.level_A[a - 1 : b + 2])
+        kept[a : b + 1] = not (np.all(climb > 0.0) or np.all(climb < 0.0))
+    return _chosen(p, kept)
+
+
+def _chosen(p: Plateaus, kept: BoolArray) -> Plateaus:
+    return Plateaus(p.start[kept], p.stop[kept], p.level_A[kept], p.rest[kept])
+
+
+def _resolution(current_A: FloatArray, top: float) -> float:
+    """Smallest change of the current [A], 0 where that is a step of a log without noise."""
+    moved = np.abs(np.diff(current_A))
+    moved = moved[moved > 1e-9 * top]
+    lsb = float(moved.min()) if moved.size else 0.0
+    # A resolution shows by going back and forth all the time.
+    share = np.count_nonzero(moved < 1.01 * lsb) / current_A.size
+    fine, coarse = ZERO_OF_RANGE * top, COARSE_OF_RANGE * top
+    return (
+        lsb
+        if (lsb <= fine and share > FINE_ROWS) or (lsb <= coarse and share > COARSE_ROWS)
+        else 0.0
+    )
+
+
+def _noise(current_A: FloatArray, top: float, lsb: float) -> float:
+    """Standard deviation of a sample about its level [A], 0 where the log cannot tell.
+
+    Second differences, because a slope is not noise; of the quietest blocks, because most blocks
+    of a drive hold steps; at two distances of the samples, because the differences of noise do
+    not grow with it and those of a moving current do.
+    """
+    n = current_A.size // BLOCK_ROWS * BLOCK_ROWS
+    if n == 0:
+        return 0.0
+    blocks = current_A[:n].reshape(-1, BLOCK_ROWS)
+    near, far = (_bends(blocks, lag) for lag in (1, 2))
+    middle = (near.shape[1] - 1) // 2
+    typical = np.partition(near, middle, axis=1)[:, middle]
+    loaded = np.abs(blocks.mean(axis=1)) > ZERO_OF_RANGE * top
+    found = 0.0
+    for group in (loaded, ~loaded):
+        if not group.any():
+            continue
+        quiet = max(float(np.quantile(typical[group], 0.2)), lsb)
+        calm = group & (typical <= 4.0 * quiet)
+        # An edge inside a block counts as little more than noise.
+        one, two = (float(np.mean(np.minimum(x[calm], 10.0 * quiet))) for x in (near, far))
+        sigma = one / MEAN_BEND
+        if two < WHITE_GROWTH * one and sigma < NOISE_OF_RANGE * top:
+            found = max(found, sigma)
+    return found
+
+
+def _bends(blocks: FloatArray, lag: int) -> FloatArray:
+    bends: FloatArray = np.abs(
+        blocks[:, 2 * lag :] - 2 * blocks[:, lag:-lag] + blocks[:, : -2 * lag]
+    )
+    return bends
+
+
+def _flat_pieces(
+    x: FloatArray,
+    total: FloatArray,
+    start: RowArray,
+    stop: RowArray,
+    rest: BoolArray,
+    scale: CurrentScale,
+) -> tuple[RowArray, RowArray]:
+    """Runs that hold one level; a run that drifts gives its flat beginning and its flat end."""
+    rows = stop - start
+    low = np.minimum.reduceat(x, start)
+    high = np.maximum.reduceat(x, start)
+    allowed = np.maximum(scale.step_A, FLAT_OF_LEVEL * np.abs(0.5 * (low + high)))
+    flat = (rows >= 2) & ((high - low <= allowed) | rest[start])
+    doubtful = np.flatnonzero(~flat & (rows >= FLAT_CHUNKS))
+    if doubtful.size:
+        # Noise widens the range of a long run without bending it: compare means of eighths.
+        parts = np.arange(FLAT_CHUNKS + 1) * rows[doubtful, None] // FLAT_CHUNKS
+        cuts = start[doubtful, None] + parts
+        means = np.diff(total[cuts], axis=1) / np.diff(cuts, axis=1)
+        bound = np.maximum(
+            6.0 * scale.noise_A / np.sqrt(rows[doubtful] / FLAT_CHUNKS),
+            FLAT_OF_LEVEL * np.abs(means).max(axis=1),
+        )
+        flat[doubtful] = np.ptp(means, axis=1) <= bound
+    pieces = [np.column_stack((start[flat], stop[flat]))]
+    for k in np.flatnonzero(~flat & (rows >= 2 * FLAT_CHUNKS)).tolist():
+        a, b = int(start[k]), int(stop[k])
+        head = a + _flat_head(x[a:b], scale)
+        tail = b - _flat_head(x[head:b][::-1], scale)
+        found = [(p, q) for p, q in ((a, head), (tail, b)) if q - p >= 2]
+        pieces.append(np.array(found, dtype=np.int64).reshape(-1, 2))
+    both = np.concatenate(pieces).astype(np.int64)
+    both = both[np.argsort(both[:, 0], kind="stable")]
+    return both[:, 0], both[:, 1]
+
+
+def _flat_head(x: FloatArray, scale: CurrentScale) -> int:
+    """Number of rows from the first on that stay at the level they begin with (0: none)."""
+    if x.size < FLAT_CHUNKS:
+        return 0
+    level = float(np.median(x[: FLAT_CHUNKS + 1]))
+    off = np.abs(x - level) > max(4.0 * scale.noise_A, FLAT_OF_LEVEL * abs(level))
+    left = np.flatnonzero(off[:-1] & off[1:])  # two rows running: one alone is a glitch
+    head = int(left[0]) if left.size else x.size
+    if head < FLAT_CHUNKS:
+        return 0
+    # The knee lies before the row at which the drift has grown to the tolerance.
+    level = float(np.median(x[:head]))
+    close = np.abs(x[:head] - level) <= max(4.0 * scale.noise_A, 1e-3 * abs(level))
+    knee = int(np.flatnonzero(close)[-1]) + 1 if close.any() else head
+    return knee if knee >= max(FLAT_CHUNKS, head // 2) else head
+
+
+def _merge_level(p: Plateaus, scale: CurrentScale) -> Plateaus:
+    """Join neighbours of one level that only a glitch of one row, or nothing, parts."""
+    if p.start.size < 2:
+        return p
+    between = p.start[1:] - p.stop[:-1]
+    apart = np.abs(np.diff(p.level_A))
+    n = np.minimum(p.stop - p.start, LEVEL_ROWS)
+    error = 4.0 * scale.noise_A * np.sqrt(1.0 / n[1:] + 1.0 / n[:-1])
+    larger = np.maximum(np.abs(p.level_A[1:]), np.abs(p.level_A[:-1]))
+    same = apart <= np.maximum(error, 0.5 * FLAT_OF_LEVEL * larger)
+    same |= p.rest[1:] & p.rest[:-1]
+    joined = same & (between <= 1) & (p.rest[1:] == p.rest[:-1])
+    first = np.flatnonzero(np.concatenate(([True], ~joined)))
+    last = np.append(first[1:], p.start.size) - 1
+    rows = (p.stop - p.start).astype(np.float64)
+    level = np.add.reduceat(p.level_A * rows, first) / np.add.reduceat(rows, first)
+    return Plateaus(p.start[first], p.stop[last], level, p.rest[first])
+
+
+def _drifted(x: FloatArray, p: Plateaus) -> Plateaus:
+    """Give a single row between two plateaus to the first where it only goes on drifting.
+
+    The last row of a CV part may fall a little more than noise and yet far less than the switch.
+    """
+    alone = np.flatnonzero((p.start[1:] - p.stop[:-1] == 1) & (p.stop[:-1] - p.start[:-1] >= 2))
+    at = p.stop[alone]
+    fell, falls = x[at] - x[at - 1], x[at - 1] - x[at - 2]
+    left = np.abs(p.level_A[alone + 1] - x[at])
+    drifting = (fell * falls > 0.0) & (np.abs(fell) <= 2.5 * np.abs(falls))
+    drifting &= np.abs(fell) < 0.25 * left
+    stop = p.stop.copy()
+    stop[alone[drifting]] += 1
+    return p._replace(stop=stop)
+
+
+def _sharpened(x: FloatArray, p: Plateaus, scale: CurrentScale) -> Plateaus:
+    """Put each change found in the smoothed current where the raw samples have it.
+
+    The running median may move a change by some rows: the split with the least squares about
+    the two levels is the likeliest row.
+    """
+    reach = scale.smoothing_rows
+    # A running median leaves nothing shorter than half its width but pieces of a slope.
+    p = _chosen(p, p.stop - p.start > reach // 2)
+    start, stop = p.start.copy(), p.stop.copy()
+    for k in range(p.start.size - 1):
+        if start[k + 1] - stop[k] > reach:
+            continue
+        a = max(int(start[k]), int(stop[k]) - reach)
+        b = min(int(stop[k + 1]), int(start[k + 1]) + reach)
+        gain = (x[a:b] - p.level_A[k + 1]) ** 2 - (x[a:b] - p.level_A[k]) ** 2
+        # Cost of a split at s, up to a constant: the rows before s at the old level.
+        row = a + int(np.argmax(np.concatenate(([0.0], np.cumsum(gain)))))
+        stop[k] = start[k + 1] = row
+    return _chosen(p._replace(start=start, stop=stop), stop - start >= 1)

@@ -1,0 +1,227 @@
+"""Current pulses of a log: found, put into roles, and judged."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from cellwise.identify.hppc.passive_misfit import Load, PulseRole
+from cellwise.identify.hppc.phases import Phase, find_phases
+from cellwise.identify.hppc.pulse_quality import (
+    SAME_DURATION,
+    PulseQuality,
+    Verdict,
+    judge_loads,
+)
+from cellwise.logs.cell_log import CellLog
+from cellwise.typing import FloatArray
+
+# Seconds before the pulse over which the resting voltage is averaged, as in the LFP paper.
+RESTED_VOLTAGE_S = 10.0
+MINIMUM_REST_S = 5.0
+# In a log that is mostly a drive, idling and cruising look like pulses.
+DRIVE_SHARE = 0.5
+DRIVE_PULSE_S = 5.0
+DRIVE_REST_S = 30.0
+# A short current below this share of the log's largest is a tester's leakage, or a dither.
+SMALLEST_OF_RANGE = 0.01
+# Pulses and moves differ in duration by at least this factor, and the border lies within these.
+ROLE_FACTOR = 2.5
+ROLE_BORDER_S = (4.0, 900.0)
+LONGEST_PULSE_S = 600.0
+PULSE_MARGIN = 1.25
+RISEN_PART = 0.9
+
+
+@dataclass(frozen=True)
+class Pulse:
+    """A constant current after a rest.
+
+    Rows ``start`` to ``stop`` (not included) are those whose intervals carry the current;
+    ``rest_before_start`` to ``start`` is the rest before, ``stop`` to ``relax_stop`` the one after
+    (none where the next current follows at once). Of a trimmed pulse, rows from ``cc_stop`` on
+    hold the voltage instead of the current.
+
+    current_A : level, positive on discharge [A]
+    duration_s, charge_Ah : of rows start to stop; charge from the current [s, Ah]
+    voltage_before_V : mean over the last 10 s of the rest before [V]
+    role : ``pulse``, or ``move``: a long one that takes the cell to another SOC
+    quality, reason, score : verdict, why in words, and a figure from 0 to 1
+    """
+
+    start: int
+    stop: int
+    cc_stop: int
+    rest_before_start: int
+    relax_stop: int
+    current_A: float
+    duration_s: float
+    charge_Ah: float
+    voltage_before_V: float
+    role: PulseRole
+    quality: PulseQuality
+    reason: str
+    score: float
+
+    @property
+    def kind(self) -> Literal["charge", "discharge"]:
+        """Direction of the current."""
+        return "discharge" if self.current_A > 0.0 else "charge"
+
+
+def find_pulses(
+    log: CellLog,
+    *,
+    lower_V: float | None = None,
+    upper_V: float | None = None,
+    phases: Sequence[Phase] | None = None,
+) -> tuple[Pulse, ...]:
+    """Find and judge the pulses of a log, short ones and moves, in order.
+
+    A pulse is a constant current right after a rest, followed by a rest or by another constant
+    current. Empty where there is none: a log that never rests, a drive, noise.
+
+    Parameters
+    ----------
+    log : CellLog
+    lower_V, upper_V : float      voltage limits of the test [V]; default: inferred from pulses
+                                  that were cut
+    phases : sequence of Phase    of this log, where they are known already
+    """
+    found = find_phases(log) if phases is None else tuple(phases)
+    loads = _loads(log, found)
+    verdicts = judge_loads(log, loads, lower_V=lower_V, upper_V=upper_V)
+    flow = log.known_current_A() * log.interval_s / 3600.0
+    return tuple(_pulse(log, flow, x, verdict) for x, verdict in zip(loads, verdicts, strict=True))
+
+
+def pulses_to_fit(pulses: Sequence[Pulse]) -> tuple[Pulse, ...]:
+    """The healthy pulses; where a test has no short ones, its moves serve as pulses."""
+    short = tuple(p for p in pulses if p.role == "pulse" and p.quality != "spurious")
+    chosen = short or tuple(p for p in pulses if p.role == "move")
+    return tuple(p for p in chosen if p.quality == "healthy")
+
+
+def _loads(log: CellLog, phases: Sequence[Phase]) -> tuple[Load, ...]:
+    """Constant currents after a rest, with the voltage-held part that belongs to them."""
+    border = _role_border(phases)
+    shortest, rested = _shortest(phases)
+    current = log.known_current_A()
+    smallest = SMALLEST_OF_RANGE * float(np.max(np.abs(current)))
+    loads = []
+    for k, phase in enumerate(phases):
+        if phase.kind not in ("cc", "cv") or k == 0 or phases[k - 1].kind != "rest":
+            continue
+        # A limit may be reached in the first row already: then all of it is held.
+        cc_stop = phase.stop if phase.kind == "cc" else phase.start
+        held = phase.kind == "cc" and k + 1 < len(phases) and _same_load(phase, phases[k + 1])
+        after = k + 2 if held else k + 1
+        if after < len(phases) and phases[after].kind == "dynamic":
+            continue
+        rest = k - 1
+        while rest > 0 and phases[rest - 1].kind == "rest":
+            rest -= 1
+        relaxed = after
+        while relaxed < len(phases) and phases[relaxed].kind == "rest":
+            relaxed += 1
+        seconds = sum(p.duration_s for p in phases[k:after])
+        level = _level(current[phase.start : max(cc_stop, phase.start + 1)])
+        # Before the log's first row the cell may have rested for as long as one likes.
+        known = rest > 0 or rested > MINIMUM_REST_S
+        if known and sum(p.duration_s for p in phases[rest:k]) < rested:
+            continue
+        if seconds < shortest or (seconds <= border and abs(level) < smallest):
+            continue
+        loads.append(
+            Load(
+                rest_start=phases[rest].start,
+                start=phase.start,
+                cc_stop=cc_stop,
+                stop=phases[after - 1].stop,
+                relax_stop=phases[relaxed - 1].stop,
+                current_A=level,
+                role="move" if seconds > border else "pulse",
+            )
+        )
+    return tuple(loads)
+
+
+def _shortest(phases: Sequence[Phase]) -> tuple[float, float]:
+    """Shortest pulse and shortest rest before it that count [s]; a drive holds many short ones."""
+    seconds = {"dynamic": 0.0, "rest": 0.0, "cc": 0.0, "cv": 0.0}
+    for phase in phases:
+        seconds[phase.kind] += phase.duration_s
+    drive = seconds["dynamic"] > DRIVE_SHARE * (seconds["cc"] + seconds["cv"])
+    return (DRIVE_PULSE_S, DRIVE_REST_S) if drive else (0.0, MINIMUM_REST_S)
+
+
+def _same_load(phase: Phase, following: Phase) -> bool:
+    return following.kind == "cv" and following.current_A * phase.current_A > 0.0
+
+
+def _role_border(phases: Sequence[Phase]) -> float:
+    """Longest duration of a pulse [s]: below the widest gap between the log's durations.
+
+    Every constant current counts, after a rest or not, except those that a limit ended. Durations
+    that come more than once are plans; a single one may be a move that was cut.
+    """
+    planned = np.array(
+        [
+            p.duration_s
+            for k, p in enumerate(phases)
+            if p.kind == "cc"
+            and p.duration_s > 0.0
+            and not (k + 1 < len(phases) and _same_load(p, phases[k + 1]))
+        ]
+    )
+    d: FloatArray = np.sort(planned)
+    if d.size < 2:
+        return LONGEST_PULSE_S
+    close = np.diff(d) <= SAME_DURATION * d[1:]
+    repeated = np.concatenate(([False], close)) | np.concatenate((close, [False]))
+    if not repeated.any():
+        return _widest_gap(d)
+    border = _widest_gap(d[repeated])
+    return border if border < LONGEST_PULSE_S else _widest_gap(d[d >= d[repeated][0]])
+
+
+def _widest_gap(d: FloatArray) -> float:
+    """Border above the durations below the widest gap; where there is none, ten minutes."""
+    if d.size < 2:
+        return LONGEST_PULSE_S
+    middle = np.sqrt(d[1:] * d[:-1])
+    fitting = (middle > ROLE_BORDER_S[0]) & (middle < ROLE_BORDER_S[1])
+    ratio = np.where(fitting, d[1:] / d[:-1], 0.0)
+    widest = int(np.argmax(ratio))
+    return PULSE_MARGIN * float(d[widest]) if ratio[widest] >= ROLE_FACTOR else LONGEST_PULSE_S
+
+
+def _level(current: FloatArray) -> float:
+    """Level of a constant current without the rows of its rise [A]."""
+    held = np.abs(current) >= RISEN_PART * np.quantile(np.abs(current), 0.9)
+    return float(np.median(current[held]))
+
+
+def _pulse(log: CellLog, flow_Ah: FloatArray, x: Load, verdict: Verdict) -> Pulse:
+    t, v = log.time_s, log.voltage_V
+    last = max(x.rest_start, int(np.searchsorted(t, t[x.start - 1] - RESTED_VOLTAGE_S)))
+    rested = v[min(last, x.start - 1) : x.start]
+    known = rested[np.isfinite(rested)]
+    return Pulse(
+        start=x.start,
+        stop=x.stop,
+        cc_stop=x.cc_stop,
+        rest_before_start=x.rest_start,
+        relax_stop=x.relax_stop,
+        current_A=x.current_A,
+        duration_s=float(t[x.stop - 1] - t[x.start - 1]),
+        charge_Ah=float(np.sum(flow_Ah[x.start : x.stop])),
+        voltage_before_V=float(np.mean(known)) if known.size else float("nan"),
+        role=x.role,
+        quality=verdict.quality,
+        reason=verdict.reason,
+        score=verdict.score,
+    )

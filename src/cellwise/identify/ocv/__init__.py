@@ -1,0 +1,1 @@
+"""Open-circuit voltage: from rests, from low-rate branches, from both."""

@@ -1,0 +1,252 @@
+"""Open-circuit voltage from the rests of a log: before every pulse, after every move."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from cellwise.errors import InputError
+from cellwise.identify.hppc.phases import Phase, find_phases
+from cellwise.identify.ocv.curve import OcvCurve, curve_from_points
+from cellwise.identify.ocv.ocv_functions import OcvKind
+from cellwise.logs.cell_log import CellLog
+from cellwise.typing import BoolArray, FloatArray
+
+Anchor = Literal["full", "empty"]
+
+AVERAGE_S = 10.0
+# Shorter rests tell more about relaxation than about OCV, unless there are no longer ones.
+MIN_REST_S = 300.0
+MIN_RESTS = 4
+# A phase called rest that moved more than this share of the largest current was none.
+REST_OF_CURRENT = 0.01
+# A rest that is this far from its end counts half.
+UNRELAXED_V = 5e-3
+# Time constants tried for the end of a relaxation, in lengths of the part that is fitted.
+RELAXATION_OF_LENGTH = (0.3, 0.5, 0.8, 1.2, 1.8)
+OUTSIDE = 0.02
+
+
+@dataclass(frozen=True)
+class OcvRest:
+    """What one rest says about the open-circuit voltage.
+
+    Parameters
+    ----------
+    charge_Ah : float         removed since the log's first row [Ah]
+    voltage_V : float         mean over the last 10 s without current [V], as the LFP paper has it
+    final_V : float           where the second half of the rest tends to [V]
+    slope_V_per_h : float     at its end [V/h]
+    duration_s : float        length [s]; for a log that begins at rest what is seen of it
+    start, stop : int         rows whose intervals belong to it
+    after : str               ``discharge`` or ``charge``, what came before; ``start`` of the log
+    """
+
+    charge_Ah: float
+    voltage_V: float
+    final_V: float
+    slope_V_per_h: float
+    duration_s: float
+    start: int
+    stop: int
+    after: Literal["discharge", "charge", "start"]
+
+    @property
+    def remaining_V(self) -> float:
+        """What the voltage had still to go [V]."""
+        return self.final_V - self.voltage_V
+
+
+class _Relaxed(NamedTuple):
+    final_V: float
+    slope_V_per_h: float
+
+
+def find_ocv_rests(
+    log: CellLog, *, min_rest_s: float | None = None, average_s: float = AVERAGE_S
+) -> tuple[OcvRest, ...]:
+    """Rests of a log that are long enough to say something about OCV.
+
+    Parameters
+    ----------
+    log : CellLog
+    min_rest_s : float      shortest rest taken [s]; default 300, or half the longest rest where
+                            fewer than four are that long. A rest at the log's start always counts:
+                            files are cut where a test begins.
+    average_s : float       span at the end of each rest over which the voltage is averaged [s]
+
+    Returns
+    -------
+    tuple of OcvRest, in order of time
+
+    Raises
+    ------
+    InputError              the log never rests
+    """
+    phases = find_phases(log)
+    limit_A = REST_OF_CURRENT * float(np.nanmax(np.abs(log.current_A)))
+    rests = [p for p in phases if p.kind == "rest" and abs(p.current_A) <= limit_A]
+    if not rests:
+        raise InputError(
+            f"no rest in log '{log.name or log.source}'",
+            "stretches without current, best of half an hour and more",
+            "Use an HPPC log with rests, or a low-rate log through ocv_from_low_rate.",
+        )
+    if min_rest_s is None:
+        longest = max(p.duration_s for p in rests)
+        enough = sum(p.duration_s >= MIN_REST_S for p in rests) >= MIN_RESTS
+        min_rest_s = MIN_REST_S if enough else 0.5 * longest
+    charge = log.counted_charge_Ah()
+    before: dict[int, Phase] = {b.start: a for a, b in pairwise(phases)}
+    return tuple(
+        _rest(log, p, before.get(p.start), charge, average_s)
+        for p in rests
+        if p.duration_s >= min_rest_s or p.start == 0
+    )
+
+
+def ocv_from_rests(
+    log: CellLog,
+    *,
+    capacity_Ah: float | None = None,
+    anchor: Anchor = "full",
+    soc_start: float | None = None,
+    extrapolate: bool = False,
+    kind: OcvKind | None = None,
+    min_rest_s: float | None = None,
+) -> OcvCurve:
+    """OCV curve through the rests of an HPPC or similar log.
+
+    SOC is counted by the tester's counter where there is one. It is known at one moment: the
+    fullest rest of the log is full (``anchor="full"``: a log may begin empty and be charged first),
+    or the emptiest is empty, or the log begins at ``soc_start``.
+
+    Parameters
+    ----------
+    log : CellLog
+    capacity_Ah : float     that SOC refers to [Ah]; default the net charge of the whole log from
+                            its fullest to its emptiest moment, as the LFP paper takes it
+    anchor : str            ``full`` or ``empty``
+    soc_start : float       SOC at the first row, 0..1; overrides ``anchor``
+    extrapolate : bool      take each rest's extrapolated voltage in place of its last ten
+                            seconds. On measured rests cut to a third it about halves the error.
+    kind : str              form of the function, default the spline
+    min_rest_s : float      shortest rest taken [s], see :func:`find_ocv_rests`
+
+    Raises
+    ------
+    InputError              no rest, too few rests, all at one SOC, soc_start outside 0..1
+    """
+    rests = find_ocv_rests(log, min_rest_s=min_rest_s)
+    charge = np.array([r.charge_Ah for r in rests])
+    q = log.counted_charge_Ah()
+    if capacity_Ah is None:
+        capacity_Ah = float(np.max(q - np.minimum.accumulate(q)))
+    if capacity_Ah <= 0.0:
+        raise InputError(
+            f"a capacity of {capacity_Ah:g} Ah for log '{log.name or log.source}'",
+            "a positive capacity, or a log that discharges",
+            "Give capacity_Ah.",
+        )
+    full_at = _charge_when_full(charge, capacity_Ah, anchor, soc_start)
+    soc = 1.0 - (charge - full_at) / capacity_Ah
+    voltage = np.array([r.final_V if extrapolate else r.voltage_V for r in rests])
+    remaining = np.array([r.remaining_V for r in rests])
+    inside: BoolArray = (soc >= -OUTSIDE) & (soc <= 1.0 + OUTSIDE)
+    return curve_from_points(
+        soc[inside],
+        voltage[inside],
+        capacity_Ah=capacity_Ah,
+        weight=1.0 / (1.0 + (remaining[inside] / UNRELAXED_V) ** 2),
+        kind=kind,
+        source=f"rests of {log.name or log.source or 'a log'}",
+        notes=_notes(soc, remaining, inside),
+        temperature_C=_median_temperature(log),
+    )
+
+
+def _charge_when_full(
+    charge: FloatArray, capacity_Ah: float, anchor: Anchor, soc_start: float | None
+) -> float:
+    """Reading of the counter, from the log's start, at SOC 1 [Ah]."""
+    if soc_start is not None:
+        if not 0.0 <= soc_start <= 1.0:
+            raise InputError(
+                f"soc_start = {soc_start:g}", "a SOC within 0..1", "Give a fraction, not percent."
+            )
+        return -(1.0 - soc_start) * capacity_Ah
+    # The first row counts as well: a log may begin full and under load.
+    if anchor == "full":
+        return min(0.0, float(np.min(charge)))
+    return max(0.0, float(np.max(charge))) - capacity_Ah
+
+
+def _rest(
+    log: CellLog, phase: Phase, before: Phase | None, charge: FloatArray, average_s: float
+) -> OcvRest:
+    rows = np.arange(phase.start, phase.stop)
+    t, v = log.time_s[rows], log.voltage_V[rows]
+    known = np.isfinite(v)
+    if not known.any():
+        known[-1:], v = True, np.full(v.size, phase.voltage_end_V)
+    t, v = t[known], v[known]
+    last = t >= t[-1] - average_s
+    relaxed = _relaxation(t, v)
+    return OcvRest(
+        charge_Ah=float(charge[phase.stop - 1]),
+        voltage_V=float(np.mean(v[last])),
+        final_V=relaxed.final_V,
+        slope_V_per_h=relaxed.slope_V_per_h,
+        duration_s=phase.duration_s,
+        start=phase.start,
+        stop=phase.stop,
+        after="start" if before is None else "charge" if before.charge_Ah < 0.0 else "discharge",
+    )
+
+
+def _relaxation(t: FloatArray, v: FloatArray) -> _Relaxed:
+    """Final voltage and end slope of a rest, from an exponential through its second half.
+
+    The time constant comes from a few values; the amplitude may not exceed what the rest has
+    already gone through, so a short or noisy rest stays near its last voltage.
+    """
+    length = float(t[-1] - t[0])
+    half = t >= t[-1] - 0.5 * length
+    if np.count_nonzero(half) < 4 or length <= 0.0:
+        return _Relaxed(float(v[-1]), float("nan"))
+    x, y = (t[half] - t[-1]) / (0.5 * length), v[half]
+    best, error = (float(y[-1]), 0.0, 1.0), np.inf
+    for tau in RELAXATION_OF_LENGTH:
+        columns = np.column_stack((np.ones(x.size), np.exp(-x / tau)))
+        (final, amplitude), *_ = np.linalg.lstsq(columns, y, rcond=None)
+        squares = float(np.sum((columns @ (final, amplitude) - y) ** 2))
+        if squares < error:
+            best, error = (float(final), float(amplitude), tau), squares
+    final, amplitude, tau = best
+    moved = abs(float(v[-1] - v[0]))
+    amplitude = float(np.clip(amplitude, -moved, moved))
+    slope = -amplitude / (tau * 0.5 * length) * 3600.0
+    return _Relaxed(float(np.mean(y[-max(1, y.size // 20) :])) - amplitude, slope)
+
+
+def _notes(soc: FloatArray, remaining: FloatArray, inside: BoolArray) -> tuple[str, ...]:
+    used = soc[inside] if inside.any() else soc
+    notes = [
+        f"{np.count_nonzero(inside)} rests from SOC {used.min():.3f} to {used.max():.3f}",
+        f"still to relax: {1e3 * np.median(np.abs(remaining)):.1f} mV median,"
+        f" {1e3 * np.max(np.abs(remaining)):.1f} mV at most",
+    ]
+    if not inside.all():
+        outside = np.count_nonzero(np.logical_not(inside))
+        span = f"SOC {soc.min():.3f} to {soc.max():.3f}"
+        notes.append(f"{outside} rests left out: {span} with this capacity")
+    return tuple(notes)
+
+
+def _median_temperature(log: CellLog) -> float | None:
+    if log.temperature_C is None or np.all(np.isnan(log.temperature_C)):
+        return None
+    return float(np.nanmedian(log.temperature_C))

@@ -1,0 +1,1 @@
+"""Parameters of one pulse: varpro, segments, swarm."""

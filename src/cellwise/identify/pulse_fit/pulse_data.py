@@ -1,0 +1,266 @@
+"""One pulse cut out of a log: its rows, its edges, and the charge behind every row."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from cellwise.errors import InputError
+from cellwise.typing import BoolArray, FloatArray
+
+MINIMUM_ROWS = 12
+MINIMUM_PULSE_ROWS = 1
+EDGE_PART = 0.2  # a row-to-row change of current by this part of the pulse's current is an edge
+# A tester that filters its voltage, or a double layer far faster than tau1, makes the voltage
+# arrive some rows after the current. Such rows follow an edge one by one, each still moving the
+# same way by more than this part of the whole step.
+SETTLING_PART = 0.03
+SETTLING_LIMIT_S = 0.6
+SETTLING_NOISE = 6.0  # and by more than so many standard deviations of the noise
+EARLY_PART = 0.5  # a voltage that moved by this part of the step before the current has stepped
+STILL_PART = 0.02  # a current that changes by less than this part of the pulse's stands still
+LONGEST_EDGE_ROWS = 3
+# A relaxation row may count at most so much more or less than a pulse row.
+BALANCE_LIMITS = (0.02, 5.0)
+
+Weighting = Literal["balanced", "rows"]
+
+
+@dataclass(frozen=True, eq=False)
+class PulseData:
+    """Rows of one pulse: some rest, the pulse, its relaxation up to the next current.
+
+    Parameters
+    ----------
+    time_s : (n,) float         [s]
+    current_A : (n,) float      current during the interval that ends at each row [A], positive =
+                                discharge
+    voltage_V : (n,) float      [V]
+    charge_Ah : (n,) float      charge discharged since the first row [Ah]
+    start, stop : int           first row of the pulse; first row after it
+    capacity_Ah : float         turns charge into SOC [Ah]
+    soc_start : float           SOC at the first row [0..1]; NaN if unknown
+    rest_before_s : float       how long the cell had rested before the pulse [s]; may be longer
+                                than the window shows
+    ocv_change_V : (n,) float or None   what a tabulated OCV says the OCV changed by since the
+                                first row [V]; then no OCV slope is fitted
+    name : str                  for people
+
+    Raises
+    ------
+    InputError        lengths that differ, values that are not finite, time running backwards, a
+                      pulse without current, too few rows
+
+    See Also
+    --------
+    cellwise.identify.pulse_fit.pulse_window : cuts one out of a log
+    """
+
+    time_s: FloatArray
+    current_A: FloatArray
+    voltage_V: FloatArray
+    charge_Ah: FloatArray
+    start: int
+    stop: int
+    capacity_Ah: float
+    soc_start: float = float("nan")
+    rest_before_s: float = float("inf")
+    ocv_change_V: FloatArray | None = None
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        n = np.asarray(self.time_s).size
+        for field in ("time_s", "current_A", "voltage_V", "charge_Ah", "ocv_change_V"):
+            value = getattr(self, field)
+            if value is None:
+                continue
+            array = np.ascontiguousarray(value, dtype=np.float64)
+            check_channel(array, n, f"{field} of {self._where}")
+            array.setflags(write=False)
+            object.__setattr__(self, field, array)
+        self._check_pulse(n)
+
+    def __len__(self) -> int:
+        return self.time_s.size
+
+    @property
+    def _where(self) -> str:
+        return f"pulse '{self.name}'" if self.name else "the pulse"
+
+    def _moved_early(self, before: int, edge: int) -> bool:
+        """Whether the voltage stepped at row ``before`` already, ahead of the current.
+
+        Switched late in that row's interval: its mean current is next to nothing, or next to all.
+        """
+        if before < 1:
+            return False
+        v = self.voltage_V
+        whole = abs(v[edge] - v[before - 1])
+        return bool(abs(v[before] - v[before - 1]) > EARLY_PART * whole)
+
+    def _check_pulse(self, n: int) -> None:
+        if np.any(np.diff(self.time_s) < 0):
+            raise InputError(
+                f"time running backwards in {self._where}",
+                "time that never decreases",
+                "Sort the rows, or split the log where its clock was reset.",
+            )
+        if not 0 <= self.start < self.stop <= n:
+            raise InputError(
+                f"edges at rows {self.start} and {self.stop} of {n} in {self._where}",
+                "0 <= start < stop <= number of rows",
+                "Give the first row of the pulse and the first row after it.",
+            )
+        if self.stop - self.start < MINIMUM_PULSE_ROWS or n < MINIMUM_ROWS:
+            raise InputError(
+                f"{self.stop - self.start} rows with current of {n} in {self._where}",
+                f"at least {MINIMUM_PULSE_ROWS} rows with current of at least {MINIMUM_ROWS}",
+                "Log the pulse faster, or leave it out.",
+            )
+        if not np.any(self.current_A[self.start : self.stop] != 0.0):
+            raise InputError(
+                f"no current between the edges of {self._where}",
+                "a current pulse",
+                "Check the current column and the rows of the edges.",
+            )
+        if not (np.isfinite(self.capacity_Ah) and self.capacity_Ah > 0.0):
+            raise InputError(
+                f"capacity_Ah = {self.capacity_Ah} for {self._where}",
+                "a capacity above zero [Ah]",
+                "Give the capacity of the cell that was pulsed.",
+            )
+
+    @property
+    def interval_s(self) -> FloatArray:
+        """Length of the interval that ends at each row [s], shape (n,); 0 for the first row."""
+        return np.diff(self.time_s, prepend=self.time_s[0])
+
+    @property
+    def charge_fraction(self) -> FloatArray:
+        """Charge discharged since the first row, over capacity [-], shape (n,)."""
+        fraction: FloatArray = (self.charge_Ah - self.charge_Ah[0]) / self.capacity_Ah
+        return fraction
+
+    @property
+    def pulse_current_A(self) -> float:
+        """Mean current of the pulse [A], positive = discharge."""
+        dt = self.interval_s[self.start : self.stop]
+        current = self.current_A[self.start : self.stop]
+        whole = float(np.sum(dt))
+        return float(np.sum(current * dt)) / whole if whole > 0.0 else float(np.mean(current))
+
+    @property
+    def pulse_duration_s(self) -> float:
+        """From the pulse's first edge to its last [s]."""
+        return float(self.time_s[self.stop - 1] - self.time_s[max(self.start - 1, 0)])
+
+    @property
+    def pulse_centre(self) -> float:
+        """`charge_fraction` at the pulse's mean SOC [-]."""
+        fraction = self.charge_fraction
+        return 0.5 * float(fraction[max(self.start - 1, 0)] + fraction[self.stop - 1])
+
+    @property
+    def rest_before_window_s(self) -> float:
+        """How long the cell had rested before the first row [s]."""
+        return self.rest_before_s - float(self.time_s[max(self.start - 1, 0)] - self.time_s[0])
+
+    @property
+    def soc(self) -> float:
+        """Mean SOC of the pulse: the middle between before and after [0..1]."""
+        return float(self.soc_start - self.pulse_centre)
+
+    @property
+    def settling_rows(self) -> BoolArray:
+        """Rows at an edge that no fit should see, shape (n,); none on most testers.
+
+        Either the current is still on its way (a switch inside the row's interval: its mean
+        current is not what flows when the voltage is read), or the voltage is still arriving, see
+        `SETTLING_PART`. A property of the data, not of a fit.
+        """
+        rows = np.zeros(len(self), dtype=np.bool_)
+        change = np.abs(np.diff(self.current_A, prepend=self.current_A[0]))
+        peak = float(np.max(np.abs(self.current_A)))
+        noise = voltage_noise(self)
+        moving = np.flatnonzero(change > STILL_PART * peak)
+        for group in np.split(moving, np.flatnonzero(np.diff(moving) > 1) + 1):
+            if group.size == 0 or group.size > LONGEST_EDGE_ROWS:
+                continue  # no edge, or a current that never stands still
+            if np.max(change[group]) < EDGE_PART * peak:
+                continue
+            before, edge = int(group[0]) - 1, int(group[-1])
+            before -= self._moved_early(before, edge)
+            rows[before + 1 : edge] = True
+            until = self.time_s[before] + SETTLING_LIMIT_S
+            last = int(np.searchsorted(self.time_s, until, side="right"))
+            moves = np.diff(self.voltage_V[before:last])
+            if moves.size <= edge - before:
+                continue
+            step = float(np.sum(moves[: edge - before]))
+            moves *= np.sign(step)
+            whole = max(float(np.sum(moves)), abs(step))
+            still = moves[edge - before :] > max(SETTLING_PART * whole, SETTLING_NOISE * noise)
+            rows[edge : edge + (still.size if still.all() else int(np.argmin(still)))] = True
+        in_pulse = rows[self.start : self.stop]
+        if 2 * np.count_nonzero(in_pulse) > in_pulse.size:  # a pulse too short to settle
+            in_pulse[:] = False
+        return rows
+
+
+def voltage_noise(data: PulseData) -> float:
+    """Standard deviation of the voltage's row-to-row noise [V], from its second differences.
+
+    Robust (median of magnitudes), so edges and relaxation do not count.
+    """
+    second = np.abs(np.diff(data.voltage_V, 2))
+    return float(np.median(second) / (0.6745 * np.sqrt(6.0)))
+
+
+def row_weights(data: PulseData, weighting: Weighting = "balanced") -> FloatArray:
+    """How much each row counts in a fit, shape (n,), mean 1 over the rows that count.
+
+    ``rows``: every row is one measurement. Best when the noise is white and the model exact.
+
+    ``balanced``: the relaxation as a whole counts as much as the pulse as a whole, within
+    `BALANCE_LIMITS` per row. A tester may log 100 rows in a 10 s pulse and 1,700 in the rest that
+    follows, or 600 rows of 0.1 s and then 20 of 60 s; as no cell is exactly a 2-RC circuit, the
+    side with more rows would decide alone, and the result would depend on the tester's settings.
+    Where both have about as many rows the two choices agree.
+
+    Rows at an edge that have not settled (`PulseData.settling_rows`) count zero in both.
+
+    Raises
+    ------
+    InputError        another name
+    """
+    weight = np.ones(len(data))
+    if weighting == "balanced":
+        pulse, relaxation = data.stop - data.start, len(data) - data.stop
+        if relaxation > 0:
+            weight[data.stop :] = np.clip(pulse / relaxation, *BALANCE_LIMITS)
+    elif weighting != "rows":
+        raise InputError(
+            f"weighting = {weighting!r}", "'balanced' or 'rows'", "Choose one of the two."
+        )
+    settling = data.settling_rows
+    weight[settling] = 0.0
+    return weight * (np.count_nonzero(~settling) / max(float(np.sum(weight)), 1e-300))
+
+
+def check_channel(array: FloatArray, rows: int, what: str) -> None:
+    """Refuse a channel of another length, or with a value that is not finite."""
+    if array.ndim != 1 or array.size != rows:
+        raise InputError(
+            f"{what} of shape {array.shape}",
+            f"one value per row, shape ({rows},)",
+            "Give every channel the length of time_s.",
+        )
+    if not np.all(np.isfinite(array)):
+        row = int(np.flatnonzero(~np.isfinite(array))[0])
+        raise InputError(
+            f"{array[row]} in row {row} of {what}",
+            "finite values",
+            "Drop or repair the row; pulse_from_arrays drops rows without a voltage.",
+        )

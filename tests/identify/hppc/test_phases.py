@@ -1,0 +1,233 @@
+"""Phases: they tile the log, keep its charge, and are what the tester did."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cellwise.identify.hppc.phases import find_phases
+from cellwise.logs.cell_log import CellLog
+from synthetic import (
+    HppcPlan,
+    Tester,
+    drive_current,
+    driven_log,
+    finish,
+    hppc_log,
+    lfp_cell,
+    nmc_cell,
+)
+
+
+def kinds(phases):
+    return [p.kind for p in phases]
+
+
+def tiles(phases, log):
+    bounds = [phases[0].start, *(p.stop for p in phases)]
+    return (
+        bounds[0] == 0 and bounds[-1] == len(log) and bounds[1:-1] == [p.start for p in phases[1:]]
+    )
+
+
+def capacity_test(cell, rate, *, hz=1.0, noise_V=0.0, noise_A=0.0, cutoff=0.02):
+    """Rest, discharge CC-CV, rest, charge CC-CV, rest; and the true row of each knee."""
+    plan = HppcPlan(noise_V=noise_V, noise_A=noise_A)
+    tester = Tester(cell, 1.0, np.random.default_rng(0))
+    one_c = cell.capacity_Ah
+    tester.run(0.0, 600.0, hz, plan=plan)
+    knees = []
+    for amps in (rate * one_c, -0.5 * one_c):
+        tester.run(amps, 6e4, hz, plan=plan, role="charge", cutoff_A=cutoff * one_c)
+        knees.append(sum(c[0].size for c in tester.columns[:-1]) + 1)
+        tester.run(0.0, 1800.0, hz, plan=plan)
+    return finish(tester, plan), knees
+
+
+@pytest.mark.parametrize("hz", [2.0, 0.2, 1 / 60])
+@pytest.mark.parametrize("cell", [nmc_cell(), lfp_cell()], ids=["nmc", "lfp"])
+def test_a_capacity_test_is_told_into_its_parts(cell, hz):
+    made, _ = capacity_test(cell, 1.0, hz=hz)
+    phases = find_phases(made.log)
+    assert kinds(phases) == ["rest", "cc", "cv", "rest", "cc", "cv", "rest"]
+    charge = np.cumsum(made.current_A * made.log.interval_s) / 3600.0
+    for phase in phases:
+        true = charge[phase.stop - 1] - charge[max(phase.start - 1, 0)]
+        assert phase.charge_Ah == pytest.approx(true, abs=1e-9)
+    assert phases[2].voltage_start_V == pytest.approx(cell.lower_V, abs=0.03 if hz > 0.1 else 0.2)
+    assert phases[5].voltage_end_V == pytest.approx(cell.upper_V, abs=1e-3)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_the_knee_between_cc_and_cv_is_found(noise):
+    cell = nmc_cell()
+    made, knees = capacity_test(cell, 1.0, noise_V=noise, noise_A=noise * cell.capacity_Ah)
+    phases = find_phases(made.log)
+    found = [p.start for p in phases if p.kind == "cv"]
+    # In the row of the knee the current has not fallen yet: it falls by 0.1 % within seconds.
+    for row, true in zip(found, knees, strict=True):
+        assert true - 1 <= row <= true + 10
+    current = made.current_A
+    q_cc = np.sum(current[phases[1].start : knees[0]]) / 3600.0
+    assert phases[1].charge_Ah == pytest.approx(q_cc, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    "plan",
+    [
+        HppcPlan(),
+        HppcPlan(noise_V=1e-3, noise_A=0.01, jitter=0.3, ramp_s=0.3),
+        HppcPlan(pulse_hz=1.0, rest_hz=1 / 60, move_hz=1 / 60, level_rest_s=3600.0),
+        HppcPlan(levels=(0.05, 0.5, 0.95), initial_charge=False, limit="stop"),
+        HppcPlan(initial_charge=True, aligned=False, pulse_hz=1.0),
+    ],
+)
+def test_phases_tile_the_log_and_keep_its_charge(plan):
+    made = hppc_log(nmc_cell(), plan)
+    phases = find_phases(made.log)
+    assert tiles(phases, made.log)
+    total = made.log.charge_Ah[-1] - made.log.charge_Ah[0]
+    assert sum(p.charge_Ah for p in phases) == pytest.approx(total, abs=1e-9)
+    seconds = sum(p.duration_s for p in phases)
+    assert seconds == pytest.approx(made.log.duration_s)
+    for p in phases:
+        if p.kind == "cc":
+            assert 3600.0 * p.charge_Ah == pytest.approx(p.current_A * p.duration_s, rel=0.01)
+
+
+def test_every_load_of_an_hppc_starts_a_phase_and_rests_lie_between():
+    made = hppc_log(nmc_cell(), HppcPlan(noise_V=1e-3, noise_A=0.003, limit="none"))
+    phases = find_phases(made.log)
+    assert [p.start for p in phases if p.kind == "cc"] == [p.start for p in made.pulses]
+    assert kinds(phases)[0::2] == ["rest"] * (len(made.pulses) + 1)
+
+
+def test_the_testers_counter_counts_where_there_is_one():
+    made = hppc_log(nmc_cell(), HppcPlan())
+    doubled = replace(made.log, charge_Ah=2.0 * made.log.charge_Ah)
+    for one, two in zip(find_phases(made.log), find_phases(doubled), strict=True):
+        assert two.charge_Ah == pytest.approx(2.0 * one.charge_Ah)
+
+
+def test_glitches_of_the_sensor_split_nothing():
+    made = hppc_log(nmc_cell(), HppcPlan(pulse_s=30.0, limit="none"))
+    current = made.log.current_A.copy()
+    rows = [k for k in range(50, len(made.log) - 50) if np.ptp(current[k - 10 : k + 10]) == 0.0]
+    current[np.random.default_rng(1).choice(rows, 30, replace=False)] += 4.0
+    glitched = replace(made.log, current_A=current)
+    bounds = [(p.kind, p.start, p.stop) for p in find_phases(made.log)]
+    assert [(p.kind, p.start, p.stop) for p in find_phases(glitched)] == bounds
+
+
+def test_a_row_that_the_cell_has_felt_is_no_glitch():
+    current = np.zeros(3000)
+    current[1000:1100] = 3.0
+    current[2000] = 12.0
+    phases = find_phases(driven_log(nmc_cell(), current, 10.0))
+    assert [(p.kind, p.start, p.stop) for p in phases if p.kind != "rest"] == [
+        ("cc", 1000, 1100),
+        ("cc", 2000, 2001),
+    ]
+
+
+def test_a_single_row_of_a_minute_is_a_phase():
+    current = np.zeros(200)
+    current[100] = 1.5
+    phases = find_phases(driven_log(nmc_cell(), current, 1 / 60))
+    assert kinds(phases) == ["rest", "cc", "rest"]
+
+
+def test_noise_alone_is_one_rest():
+    current = np.random.default_rng(2).normal(0.0, 0.01, 20_000)
+    assert kinds(find_phases(driven_log(nmc_cell(), current, 10.0))) == ["rest"]
+
+
+@pytest.mark.parametrize("hz", [1.0, 10.0])
+def test_a_drive_is_dynamic_between_its_stops(hz):
+    rng = np.random.default_rng(3)
+    log = driven_log(nmc_cell(), drive_current(3000.0, hz, 6.0, rng), hz, noise_A=0.003, rng=rng)
+    phases = find_phases(log)
+    moving = sum(p.duration_s for p in phases if p.kind == "dynamic")
+    loaded = sum(p.duration_s for p in phases if p.kind != "rest")
+    assert moving > 0.9 * loaded  # at full power it holds a level for seconds, too
+
+
+def test_a_sine_is_dynamic():
+    t = np.arange(30_000) * 0.1
+    log = driven_log(nmc_cell(), 3.0 * np.sin(2.0 * np.pi * t / 60.0), 10.0)
+    phases = find_phases(log)
+    assert sum(p.duration_s for p in phases if p.kind == "dynamic") > 0.95 * log.duration_s
+
+
+def test_the_direction_of_the_current_does_not_matter():
+    made = hppc_log(nmc_cell(), HppcPlan(noise_V=1e-3, noise_A=0.003))
+    log = made.log
+    mirrored = CellLog(log.time_s, -log.current_A, 7.0 - log.voltage_V)
+    bounds = [(p.kind, p.start, p.stop) for p in find_phases(log)]
+    assert [(p.kind, p.start, p.stop) for p in find_phases(mirrored)] == bounds
+
+
+def test_a_gap_at_rest_stays_a_rest():
+    made = hppc_log(nmc_cell(), HppcPlan(levels=(0.9,), rates_c=(1.0,)))
+    log = made.log
+    row = made.pulses[-1].stop + 200
+    shifted = log.time_s + np.where(np.arange(len(log)) >= row, 1e5, 0.0)
+    assert kinds(find_phases(replace(log, time_s=shifted))) == kinds(find_phases(log))
+
+
+def test_missing_samples_are_bridged_by_the_last_known():
+    made = hppc_log(nmc_cell(), HppcPlan())
+    current, voltage = made.log.current_A.copy(), made.log.voltage_V.copy()
+    current[500:503] = np.nan
+    voltage[700:704] = np.nan
+    log = replace(made.log, current_A=current, voltage_V=voltage)
+    assert kinds(find_phases(log)) == kinds(find_phases(made.log))
+
+
+def test_a_rest_current_may_be_given():
+    current = np.zeros(2000)
+    current[500:1000], current[1500:] = 0.05, 3.0
+    log = driven_log(nmc_cell(), current, 1.0)
+    assert kinds(find_phases(log)) == ["rest", "cc", "rest", "cc"]
+    assert kinds(find_phases(log, rest_current_A=0.1)) == ["rest", "cc"]
+
+
+def real(folder, name):
+    import pandas as pd
+
+    table = pd.read_csv(folder / name)
+    counter = table["ampere_hours"].to_numpy() if "ampere_hours" in table else None
+    return CellLog(
+        table.time_s.to_numpy(), table.current_A.to_numpy(), table.voltage_V.to_numpy(),
+        charge_Ah=counter, name=name,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("panasonic_18650pf/charge2_1c_p25_start.csv.gz", ["rest", "cc", "cv", "rest"]),
+        ("panasonic_18650pf/cap_1c_p25_start_1.csv.gz", ["cc", "rest"]),
+        ("panasonic_18650pf/ocv_c20_p25.csv.gz", ["rest", "cc", "rest", "cc", "rest"]),
+        ("lipo_5450/c4_cycle48.csv.gz", ["cc", "cc", "cv", "rest"]),
+        ("plett_a123/ocv_p25_s1.csv.gz", ["rest", "cc", "rest"]),
+        ("lg_18650hg2/ocv_c20_p25_549.csv.gz", ["cc", "rest", "cc", "cv", "rest"]),
+        ("nissan_leaf/cap_2c_p23.csv.gz", (["rest", "cc", "cv", "rest", "cc"] * 6)[:25]),
+    ],
+)
+def test_measured_tests_are_told_into_their_parts(real_data, name, expected):
+    log = real(real_data, name)
+    phases = find_phases(log)
+    assert tiles(phases, log)
+    if "nissan" in name:  # five rounds; the file begins inside one of them
+        assert sum(p.kind == "cv" for p in phases) == 5
+        assert sum(p.kind == "cc" and p.current_A > 60.0 for p in phases) == 5
+    else:
+        assert kinds(phases) == expected
+
+
+def test_the_panasonic_charge_stops_its_constant_current_at_the_limit(real_data):
+    _, cc, cv, _ = find_phases(real(real_data, "panasonic_18650pf/charge2_1c_p25_start.csv.gz"))
+    assert cc.current_A == pytest.approx(-2.9, rel=1e-3)
+    assert cv.voltage_end_V == pytest.approx(4.2, abs=2e-3)
+    assert cc.charge_Ah + cv.charge_Ah == pytest.approx(-2.7838, abs=2e-4)  # the file's README

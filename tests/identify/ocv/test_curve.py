@@ -1,0 +1,153 @@
+"""Rests and low-rate branches together: level, stretch, and rests that were left out."""
+
+import numpy as np
+import pytest
+
+from cellwise.errors import InputError
+from cellwise.identify.ocv.curve import combine_ocv, curve_from_points
+from cellwise.identify.ocv.ocv_lowrate import ocv_from_low_rate
+from cellwise.identify.ocv.ocv_points import leave_out_turns
+from cellwise.identify.ocv.ocv_rests import ocv_from_rests
+from cellwise.logs import read_log
+
+
+def ocv(s):
+    return (
+        3.4
+        + 0.5 * s
+        + 0.04 * np.tanh((s - 0.6) / 0.04)
+        - 0.5 * np.exp(-s / 0.04)
+        + 0.1 * np.exp((s - 1.0) / 0.03)
+    )
+
+
+def rms(x):
+    return float(np.sqrt(np.mean(np.square(x))))
+
+
+DENSE = np.linspace(0.0, 1.0, 800)
+LOW_RATE = curve_from_points(DENSE, ocv(DENSE) - 0.03, capacity_Ah=3.0, source="low rate")
+LEVELS = np.arange(0.05, 1.001, 0.05)
+
+
+def test_rests_set_the_level_of_the_low_rate_shape():
+    rests = curve_from_points(LEVELS, ocv(LEVELS), capacity_Ah=3.0, source="rests")
+    both = combine_ocv(rests, LOW_RATE)
+    s = np.linspace(0.05, 1.0, 300)
+    assert both.stretch == 1.0
+    assert both.function.evaluate(s) == pytest.approx(ocv(s), abs=1.5e-3)
+    # The rests alone miss the step between them.
+    assert rms(both.function.evaluate(s) - ocv(s)) < 0.5 * rms(rests.function.evaluate(s) - ocv(s))
+    assert "low rate" in both.source
+    assert "rests" in both.source
+
+
+def test_a_level_that_drifts_over_soc_is_followed():
+    rests = curve_from_points(LEVELS, ocv(LEVELS) + 0.02 * LEVELS, capacity_Ah=3.0)
+    both = combine_ocv(rests, LOW_RATE)
+    s = np.linspace(0.1, 0.95, 100)
+    assert both.function.evaluate(s) == pytest.approx(ocv(s) + 0.02 * s, abs=3e-3)
+
+
+@pytest.mark.parametrize("ratio", [1.04, 0.96])
+def test_lost_or_regained_capacity_is_found(ratio):
+    # The cell rested with 1 / ratio of the low-rate test's capacity; the counter knows no better.
+    s = LEVELS[1:]
+    rests = curve_from_points(s, ocv(1.0 - ratio * (1.0 - s)), capacity_Ah=3.0)
+    both = combine_ocv(rests, LOW_RATE)
+    assert both.stretch == pytest.approx(ratio, abs=0.0051)
+    fine = np.linspace(0.1, 1.0, 300)
+    assert both.function.evaluate(fine) == pytest.approx(ocv(1 - ratio * (1 - fine)), abs=3e-3)
+    assert any("as if the cell held" in note for note in both.notes)
+
+
+def test_capacities_must_agree():
+    rests = curve_from_points(LEVELS, ocv(LEVELS), capacity_Ah=2.9)
+    with pytest.raises(InputError, match="one capacity"):
+        combine_ocv(rests, LOW_RATE)
+
+
+def test_a_few_rests_move_the_whole_curve():
+    some = np.array([0.2, 0.5, 0.8, 1.0])
+    both = combine_ocv(curve_from_points(some, ocv(some), capacity_Ah=3.0), LOW_RATE)
+    s = np.linspace(0.1, 0.95, 100)
+    assert both.function.evaluate(s) == pytest.approx(ocv(s), abs=4e-3)
+
+
+def test_record_holds_the_grid_the_points_and_the_gap():
+    s, v = LOW_RATE.grid(20)
+    assert s == pytest.approx(np.linspace(0.0, 1.0, 21))
+    assert v == pytest.approx(LOW_RATE.function.evaluate(s))
+    assert LOW_RATE.gap_V is None
+    assert LOW_RATE.voltage_V == pytest.approx(LOW_RATE.function.evaluate(LOW_RATE.soc))
+    assert LOW_RATE.points_V == pytest.approx(ocv(DENSE) - 0.03)
+    both = curve_from_points(
+        DENSE, ocv(DENSE), capacity_Ah=3.0, discharge_V=np.zeros(201), charge_V=np.full(201, 0.04)
+    )
+    assert both.gap_V == pytest.approx(0.04)
+
+
+def held_out(rests, low_rate):
+    """RMS error at levels of rests left out, above 12 % SOC: rests alone, both together [V]."""
+    turn = leave_out_turns(rests.points_soc)
+    alone, both, at = [], [], []
+    for fold in range(int(turn.max()) + 1):
+        left = turn == fold
+        s, v = rests.points_soc, rests.points_V
+        some = curve_from_points(
+            s[~left], v[~left], weight=rests.points_weight[~left], capacity_Ah=rests.capacity_Ah
+        )
+        at.append(s[left])
+        alone.append(some.function.evaluate(s[left]) - v[left])
+        both.append(combine_ocv(some, low_rate).function.evaluate(s[left]) - v[left])
+    above = np.concatenate(at) > 0.12  # below, the OCV falls by 10 V per unit of SOC
+    return rms(np.concatenate(alone)[above]), rms(np.concatenate(both)[above])
+
+
+@pytest.mark.parametrize("tag", ["p05", "p25", "p35", "p45"])
+def test_a123_rests_on_a_drive_are_foretold_by_others_and_the_low_rate_curve(real_data, tag):
+    folder = real_data / "plett_a123"
+    low = ocv_from_low_rate([read_log(folder / f"ocv_{tag}_s{k}.csv.gz") for k in (1, 2, 3, 4)])
+    drive = read_log(folder / f"dyn_{tag}_s1.csv.gz")
+    rests = ocv_from_rests(drive, capacity_Ah=low.capacity_Ah, extrapolate=True)
+    alone, both = held_out(rests, low)
+    assert both < 0.01
+    assert both < alone
+
+
+def test_panasonic_rests_and_low_rate_curve_agree_on_a_smaller_cell(real_data):
+    folder = real_data / "panasonic_18650pf"
+    low = ocv_from_low_rate(read_log(folder / "ocv_c20_p25.csv.gz"))
+    rests = ocv_from_rests(
+        read_log(folder / "hppc_p25.csv.gz"), capacity_Ah=low.capacity_Ah, extrapolate=True
+    )
+    both = combine_ocv(rests, low)
+    assert both.stretch > 1.0
+    left = both.function.evaluate(rests.points_soc) - rests.points_V
+    assert rms(left) < 8e-3 < rms(low.function.evaluate(rests.points_soc) - rests.points_V)
+    assert held_out(rests, low)[1] < 0.01
+
+
+@pytest.mark.parametrize("tag", ["p10", "p25", "p40"])
+def test_leaf_low_rate_shape_fits_rests_a_quarter_volt_away(real_data, tag):
+    folder = real_data / "nissan_leaf"
+    low = ocv_from_low_rate(read_log(folder / "cycling_c15_10c_24c_40c.csv.gz"))
+    log = read_log(folder / f"hppc_{tag}.csv.gz")
+    rests = ocv_from_rests(log, capacity_Ah=low.capacity_Ah, extrapolate=True)
+    both = combine_ocv(rests, low)
+    middle = (rests.points_soc > 0.1) & (rests.points_soc < 0.99)
+    left = (both.function.evaluate(rests.points_soc) - rests.points_V)[middle]
+    assert rms(left) < 6e-3
+
+
+def test_embedded_nmc_rests_lie_on_the_mean_of_the_branches(datasets):
+    low = ocv_from_low_rate(read_log(datasets / "nmc/ocv_c20.parquet"))
+    log = read_log(datasets / "nmc/hppc.parquet")
+    rests = ocv_from_rests(log, capacity_Ah=low.capacity_Ah, extrapolate=True)
+    s = rests.points_soc
+    middle = (s > 0.1) & (s < 0.99)
+    assert rms((low.function.evaluate(s) - rests.points_V)[middle]) < 3e-3
+    # A physics model without hysteresis: the rests ask for no more than a millivolt or two.
+    both = combine_ocv(rests, low)
+    assert both.stretch == 1.0
+    assert rms((both.function.evaluate(s) - rests.points_V)[middle]) < 1.5e-3

@@ -1,0 +1,249 @@
+"""OCV functions: strictly rising, exact slopes, robust fits, accuracy at left-out points."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cellwise.errors import InputError
+from cellwise.identify.capacity.half_cycles import find_half_cycles, join_logs, steady_rows
+from cellwise.identify.ocv.ocv_fit import (
+    fit_log_linear_exp,
+    fit_ocv_function,
+    fit_ocv_table,
+    held_out_rmse,
+)
+from cellwise.identify.ocv.ocv_functions import OCV_KINDS, LogLinearExp, OcvTable, uniform_grid
+from cellwise.identify.ocv.ocv_points import leave_out_turns
+from cellwise.identify.ocv.ocv_spline import fit_monotone_spline
+from cellwise.logs import read_log
+
+EQUATION_8 = LogLinearExp(a=3.31, b=0.035, c=0.012, d=0.06, e=42.0, f=1.03)
+
+
+def lfp(s):
+    """Two flat steps and two steep ends, 2.6 to 3.5 V."""
+    return (
+        3.29
+        + 0.02 * np.tanh((s - 0.68) / 0.03)
+        + 0.03 * np.tanh((s - 0.3) / 0.05)
+        - 0.6 * np.exp(-s / 0.025)
+        + 0.2 * np.exp((s - 1.0) / 0.015)
+    )
+
+
+def narrow(s):
+    """A cell used between 2.9 and 4.1 V."""
+    return 2.9 + 0.45 * (1 - np.exp(-s / 0.04)) + 0.75 * s
+
+
+def rms(x):
+    return float(np.sqrt(np.mean(np.square(x))))
+
+
+CURVES = {"lfp": lfp, "narrow": narrow, "equation 8": EQUATION_8.evaluate}
+
+
+@pytest.mark.parametrize("kind", OCV_KINDS)
+@pytest.mark.parametrize("curve", CURVES)
+def test_every_form_rises_strictly_everywhere(kind, curve):
+    rng = np.random.default_rng(3)
+    s = np.sort(rng.uniform(0.02, 0.99, 40))
+    fit = fit_ocv_function(s, CURVES[curve](s) + rng.normal(0.0, 4e-3, s.size), kind)
+    assert fit.kind == kind
+    assert np.all(np.diff(fit.function.evaluate(np.linspace(-0.1, 1.1, 2401))) > 0.0)
+
+
+@pytest.mark.parametrize("kind", OCV_KINDS)
+@pytest.mark.parametrize("curve", CURVES)
+def test_slope_is_the_derivative(kind, curve):
+    s = np.linspace(0.0, 1.0, 60)
+    f = fit_ocv_function(s, CURVES[curve](s), kind).function
+    at = np.arange(-0.0953, 1.1, 0.005)  # off the table's grid, where its slope jumps
+    h = 1e-6
+    numeric = (f.evaluate(at + h) - f.evaluate(at - h)) / (2 * h)
+    assert f.slope(at) == pytest.approx(numeric, rel=1e-4, abs=1e-4)
+
+
+@pytest.mark.parametrize("kind", OCV_KINDS)
+def test_straight_outside_zero_to_one(kind):
+    s = np.linspace(0.0, 1.0, 50)
+    f = fit_ocv_function(s, narrow(s), kind).function
+    for end, beyond in ((0.0, -0.3), (1.0, 1.3)):
+        line = f.evaluate(end) + (beyond - end) * f.slope(beyond)
+        assert f.evaluate(beyond) == pytest.approx(float(line), abs=1e-9)
+
+
+def test_equation_8_is_found_again_from_its_own_points():
+    s = np.linspace(0.0, 1.0, 30)
+    found = fit_log_linear_exp(s, EQUATION_8.evaluate(s))
+    fine = np.linspace(0.0, 1.0, 500)
+    assert rms(found.evaluate(fine) - EQUATION_8.evaluate(fine)) < 1e-5
+    for name in "abcdef":
+        assert getattr(found, name) == pytest.approx(getattr(EQUATION_8, name), rel=0.02)
+
+
+def test_equation_8_with_noise_stays_within_the_noise():
+    rng = np.random.default_rng(0)
+    s = np.linspace(0.01, 1.0, 60)
+    found = fit_log_linear_exp(s, EQUATION_8.evaluate(s) + rng.normal(0.0, 2e-3, s.size))
+    assert rms(found.evaluate(s) - EQUATION_8.evaluate(s)) < 1e-3
+
+
+@pytest.mark.parametrize("curve", CURVES)
+def test_spline_keeps_steep_ends_and_plateau_of_a_dense_curve(curve):
+    s = np.linspace(0.0, 1.0, 1500)
+    f = fit_monotone_spline(s, CURVES[curve](s))
+    assert np.max(np.abs(f.evaluate(s) - CURVES[curve](s))) < 4e-3
+    middle = (s > 0.1) & (s < 0.9)
+    assert rms((f.evaluate(s) - CURVES[curve](s))[middle]) < 3e-4
+
+
+@pytest.mark.parametrize("curve", CURVES)
+def test_spline_averages_noise_out(curve):
+    rng = np.random.default_rng(5)
+    s = np.linspace(0.0, 1.0, 2000)
+    noise = rng.normal(0.0, 5e-3, s.size)
+    f = fit_monotone_spline(s, CURVES[curve](s) + noise)
+    middle = (s > 0.05) & (s < 0.95)
+    assert rms((f.evaluate(s) - CURVES[curve](s))[middle]) < 0.4 * 5e-3
+
+
+def test_table_goes_through_rising_points_on_its_grid():
+    s = np.linspace(0.0, 1.0, 21)
+    table = fit_ocv_table(s, narrow(s), cells=20)
+    assert table.voltage_V == pytest.approx(narrow(s), abs=1e-5)
+
+
+def test_table_is_the_nearest_rising_sequence():
+    s = np.linspace(0.0, 1.0, 5)
+    v = np.array([3.0, 3.3, 3.2, 3.6, 4.0])
+    # The pair that falls takes its mean: isotonic regression by hand.
+    table = fit_ocv_table(s, v, cells=4)
+    assert table.voltage_V == pytest.approx([3.0, 3.25, 3.25, 3.6, 4.0], abs=1e-3)
+    assert np.all(np.diff(table.voltage_V) > 0.0)
+
+
+def test_uniform_grid_has_the_ends():
+    s, v = uniform_grid(OcvTable(np.array([3.0, 3.5, 4.0])), 10)
+    assert s == pytest.approx(np.arange(11) / 10)
+    assert v == pytest.approx(3.0 + s)
+
+
+def test_fit_report_says_what_the_residuals_are():
+    rng = np.random.default_rng(9)
+    s = rng.uniform(0.0, 1.0, 50)
+    v = narrow(s) + rng.normal(0.0, 3e-3, s.size)
+    fit = fit_ocv_function(s, v, "spline")
+    order = np.argsort(s)
+    residual = v[order] - fit.function.evaluate(s[order])
+    assert fit.residual_V == pytest.approx(residual)
+    assert fit.rmse_V == pytest.approx(rms(residual))
+    assert fit.max_error_V == pytest.approx(np.max(np.abs(residual)))
+    assert fit.held_out_rmse_V > fit.rmse_V
+
+
+def test_auto_takes_the_smallest_held_out_error():
+    rng = np.random.default_rng(2)
+    s = np.linspace(0.0, 1.0, 30)
+    for curve in CURVES.values():
+        v = curve(s) + rng.normal(0.0, 1e-3, s.size)
+        errors = {kind: held_out_rmse(s, v, kind) for kind in OCV_KINDS}
+        assert fit_ocv_function(s, v).kind == min(errors, key=errors.get)
+
+
+def test_auto_knows_equation_8_when_it_sees_it():
+    rng = np.random.default_rng(2)
+    s = np.linspace(0.02, 1.0, 14)
+    v = EQUATION_8.evaluate(s) + rng.normal(0.0, 1e-3, s.size)
+    assert fit_ocv_function(s, v).kind == "log-linear-exp"
+
+
+def test_a_point_of_no_weight_has_no_say():
+    s = np.linspace(0.0, 1.0, 40)
+    v = narrow(s)
+    v[20] += 0.2
+    weight = np.ones(s.size)
+    weight[20] = 1e-9
+    f = fit_ocv_function(s, v, "spline", weight=weight).function
+    assert f.evaluate(s[20]) == pytest.approx(narrow(s[20]), abs=2e-3)
+
+
+def test_below_the_lowest_rest_the_curve_bends_down():
+    s = np.arange(0.05, 1.001, 0.05)
+    for curve in (lfp, narrow):
+        f = fit_monotone_spline(s, curve(s))
+        line = curve(s[0]) - s[0] * (curve(s[1]) - curve(s[0])) / (s[1] - s[0])
+        assert curve(0.0) - 0.1 < f.evaluate(0.0) < line
+
+
+def test_rests_of_one_level_are_left_out_together():
+    s = np.sort(
+        np.concatenate([level + np.array([0.0, 0.002, 0.004]) for level in np.arange(10) / 10])
+    )
+    turn = leave_out_turns(s).reshape(10, 3)
+    assert np.all(turn == turn[:, :1])
+    assert np.all(turn[[0, -1]] == -1)
+    assert set(turn[1:-1, 0]) == {0, 1, 2, 3, 4}
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.lists(st.tuples(st.floats(0.0, 1.0), st.floats(-0.02, 0.02)), min_size=8, max_size=40),
+    st.sampled_from(OCV_KINDS),
+)
+def test_any_points_that_rise_on_the_whole_give_a_rising_curve(points, kind):
+    s = np.concatenate((np.linspace(0.0, 1.0, 6), [p[0] for p in points]))
+    v = narrow(s) + np.concatenate((np.zeros(6), [p[1] for p in points]))
+    f = fit_ocv_function(s, v, kind).function
+    grid = f.evaluate(np.linspace(0.0, 1.0, 501))
+    assert np.all(np.isfinite(grid))
+    assert np.all(np.diff(grid) > 0.0)
+
+
+@pytest.mark.parametrize(
+    ("soc", "voltage", "said"),
+    [
+        ([0.1, 0.5, 0.9], [3.1, 3.5, 3.9], "3 usable"),
+        ([0.1, 0.5, 0.7, 0.9], [3.1, np.nan, 3.7, 3.9], "3 usable"),
+        ([0.5] * 6, [3.5] * 6, "does not rise"),
+        ([0.1, 0.3, 0.6, 0.9], [3.9, 3.7, 3.4, 3.1], "does not rise"),
+        ([10.0, 30.0, 60.0, 90.0], [3.1, 3.3, 3.6, 3.9], "percent"),
+        ([0.1, 0.3, 0.6, 0.9], [3.1, 3.3, 3.6], "shapes"),
+    ],
+)
+def test_bad_points_are_refused(soc, voltage, said):
+    with pytest.raises(InputError, match=said):
+        fit_ocv_function(np.array(soc), np.array(voltage))
+
+
+def discharge_curve(path):
+    trace = join_logs(read_log(path))
+    half = next(h for h in find_half_cycles(trace) if h.charge_Ah > 0.0)
+    rows = np.arange(half.start, half.stop)[steady_rows(trace, half)]
+    q = trace.charge_Ah[rows]
+    return 1.0 - (q - q[0]) / (q[-1] - q[0]), trace.voltage_V[rows]
+
+
+@pytest.mark.parametrize(
+    ("path", "limit_V"),
+    [
+        ("panasonic_18650pf/ocv_c20_p25", 4e-3),
+        ("plett_a123/ocv_p25_s1", 7e-3),
+        ("plett_a123/ocv_n25_s1", 6e-3),
+        ("lg_18650hg2/ocv_c20_p25_549", 4e-3),
+    ],
+)
+def test_spline_through_every_twentieth_foretells_the_rest_of_a_real_curve(
+    real_data, path, limit_V
+):
+    s, v = discharge_curve(real_data / f"{path}.csv.gz")
+    order = np.argsort(s)
+    some = np.interp(np.arange(0.05, 1.0, 0.05), s[order], v[order])
+    between = (s > 0.05) & (s < 0.95)
+    errors = {}
+    for kind in OCV_KINDS:
+        f = fit_ocv_function(np.arange(0.05, 1.0, 0.05), some, kind).function
+        errors[kind] = rms(f.evaluate(s[between]) - v[between])
+    assert errors["spline"] < limit_V
+    assert errors["spline"] < errors["log-linear-exp"]

@@ -1,0 +1,201 @@
+"""OCV from low-rate branches: known curves and gaps come back, cut branches are recognised."""
+
+import numpy as np
+import pytest
+
+from cellwise.errors import InputError
+from cellwise.identify.ocv.ocv_lowrate import ocv_from_low_rate
+from cellwise.logs import CellLog, read_log
+
+CAPACITY_AH, CURRENT_A = 2.5, 0.125  # C/20
+
+
+def ocv(s):
+    return (
+        3.28
+        + 0.02 * np.tanh((s - 0.7) / 0.03)
+        + 0.05 * s
+        - 0.7 * np.exp(-s / 0.03)
+        + 0.2 * np.exp((s - 1.0) / 0.02)
+    )
+
+
+def segment(soc, current_A, gap_V, row_s=60.0, gain=1.0, name="made"):
+    """Rest, the SOC path at one current with half the gap, rest: a log of its own."""
+    soc = np.asarray(soc)
+    dt = np.abs(np.diff(soc)) * CAPACITY_AH / abs(current_A) * 3600
+    rest = np.arange(1, 31) * row_s
+    t = np.concatenate(([0.0], rest, rest[-1] + np.cumsum(dt)))
+    t = np.concatenate((t, t[-1] + rest))
+    before, after = np.zeros(31), np.zeros(30)
+    current = np.concatenate((before, np.full(dt.size, current_A * gain), after))
+    loaded = ocv(soc[1:]) - np.sign(current_A) * 0.5 * gap_V
+    v = np.concatenate((np.full(31, ocv(soc[0])), loaded, np.full(30, ocv(soc[-1]))))
+    q = np.concatenate((before, np.cumsum(current[31:-30] * dt) / 3600))
+    q = np.concatenate((q, np.full(30, q[-1])))
+    return CellLog(t, current, v, charge_Ah=q, name=name)
+
+
+def down(a=1.0, b=0.0, gap=0.04, **more):
+    return segment(np.linspace(a, b, 1001), CURRENT_A, gap, **more)
+
+
+def up(a=0.0, b=1.0, gap=0.04, **more):
+    return segment(np.linspace(a, b, 1001), -CURRENT_A, gap, **more)
+
+
+MIDDLE = np.linspace(0.05, 0.95, 181)
+
+
+def test_mean_of_branches_is_the_ocv_and_their_difference_the_gap():
+    curve = ocv_from_low_rate([down(), up()])
+    assert curve.capacity_Ah == pytest.approx(CAPACITY_AH)
+    assert curve.function.evaluate(MIDDLE) == pytest.approx(ocv(MIDDLE), abs=1e-3)
+    inside = (curve.soc > 0.05) & (curve.soc < 0.95)
+    assert curve.gap_V[inside] == pytest.approx(0.04, abs=1e-3)
+    assert np.all(np.diff(curve.voltage_V) > 0.0)
+
+
+def test_order_of_the_branches_does_not_matter():
+    one = ocv_from_low_rate([down(), up()])
+    other = ocv_from_low_rate([up(), down()])
+    assert other.function.evaluate(MIDDLE) == pytest.approx(one.function.evaluate(MIDDLE), abs=1e-3)
+
+
+def test_one_log_or_several_that_follow_one_another():
+    whole = ocv_from_low_rate([down(), up()])
+    parts = ocv_from_low_rate([down(1.0, 0.03), down(0.03, 0.0), up(0.0, 0.97), up(0.97, 1.0)])
+    assert parts.capacity_Ah == pytest.approx(whole.capacity_Ah)
+    assert parts.function.evaluate(MIDDLE) == pytest.approx(
+        whole.function.evaluate(MIDDLE), abs=1e-3
+    )
+
+
+def test_known_resistance_takes_the_polarisation_out_of_one_branch():
+    ohmic = ocv_from_low_rate(down(gap=2 * CURRENT_A * 0.1), resistance_ohm=0.1)
+    assert ohmic.function.evaluate(MIDDLE) == pytest.approx(ocv(MIDDLE), abs=1e-3)
+    assert ohmic.charge_V is None
+    assert ohmic.gap_V is None
+
+
+def test_branches_can_be_asked_for():
+    logs = [down(), up()]
+    for use, shift in (("discharge", -0.02), ("charge", 0.02), ("mean", 0.0)):
+        curve = ocv_from_low_rate(logs, use=use)
+        assert curve.function.evaluate(MIDDLE) == pytest.approx(ocv(MIDDLE) + shift, abs=1e-3)
+
+
+def test_incomplete_charge_is_kept_but_not_averaged_in():
+    curve = ocv_from_low_rate([down(), up(0.0, 0.85)])
+    assert curve.function.evaluate(MIDDLE) == pytest.approx(ocv(MIDDLE) - 0.02, abs=1e-3)
+    assert any("incomplete" in note for note in curve.notes)
+    assert np.isfinite(curve.charge_V[curve.soc < 0.84]).all()
+    assert np.isnan(curve.charge_V[curve.soc > 0.86]).all()
+    assert curve.source.startswith("discharge branch")
+
+
+def test_charge_that_stops_a_little_short_ends_where_its_rest_says():
+    # It meets the voltage of the full cell by its polarisation, as a charge without CV does.
+    gap = 2 * (ocv(1.0) - ocv(0.985))
+    curve = ocv_from_low_rate([down(gap=gap), up(0.0, 0.985, gap=gap)])
+    assert curve.source.startswith("mean")
+    last = curve.soc[np.isfinite(curve.charge_V)][-1]
+    assert last == pytest.approx(0.985, abs=8e-3)
+    assert curve.function.evaluate(MIDDLE) == pytest.approx(ocv(MIDDLE), abs=2e-3)
+
+
+def test_counters_that_differ_do_not_tilt_the_mean():
+    curve = ocv_from_low_rate([down(), up(gain=1.04)])
+    assert curve.function.evaluate(MIDDLE) == pytest.approx(ocv(MIDDLE), abs=1e-3)
+
+
+def test_branches_at_different_rates_are_not_averaged():
+    fast = segment(np.linspace(0.0, 1.0, 1001), -8 * CURRENT_A, 0.3)
+    curve = ocv_from_low_rate([down(), fast])
+    assert curve.source.startswith("discharge branch")
+    assert any("another rate" in note for note in curve.notes)
+
+
+def test_soc_is_counted_from_full_by_the_chosen_capacity():
+    curve = ocv_from_low_rate(down(gap=0.0), capacity_Ah=1.25 * CAPACITY_AH)
+    s = np.linspace(0.3, 0.95, 50)
+    assert curve.function.evaluate(s) == pytest.approx(ocv(1.0 - 1.25 * (1.0 - s)), abs=2e-3)
+
+
+def test_charge_alone():
+    curve = ocv_from_low_rate(up())
+    assert curve.source.startswith("charge branch")
+    assert curve.function.evaluate(MIDDLE) == pytest.approx(ocv(MIDDLE) + 0.02, abs=1e-3)
+
+
+def test_discharge_that_stops_early_says_so():
+    curve = ocv_from_low_rate(down(1.0, 0.47))
+    assert any("give capacity_Ah" in note for note in curve.notes)
+
+
+@pytest.mark.parametrize("use", ["charge", "mean"])
+def test_missing_branch_is_refused(use):
+    with pytest.raises(InputError, match="branch"):
+        ocv_from_low_rate(down(), use=use)
+
+
+def test_fast_logs_and_rests_are_refused():
+    fast = segment(np.linspace(1.0, 0.0, 1001), 10 * CAPACITY_AH, 0.1)
+    with pytest.raises(InputError, match="slower than C/2"):
+        ocv_from_low_rate(fast)
+    t = np.arange(0.0, 36000.0, 60.0)
+    with pytest.raises(InputError, match="slower than C/2"):
+        ocv_from_low_rate(CellLog(t, np.zeros(t.size), np.full(t.size, 3.3)))
+
+
+def test_panasonic_charge_is_recognised_as_incomplete(real_data):
+    curve = ocv_from_low_rate(read_log(real_data / "panasonic_18650pf/ocv_c20_p25.csv.gz"))
+    assert curve.capacity_Ah == pytest.approx(2.997, abs=1e-3)
+    assert curve.source.startswith("discharge branch")
+    assert any("2.61" in note and "Not averaged" in note for note in curve.notes)
+    assert curve.fit.rmse_V < 5e-4
+
+
+@pytest.mark.parametrize("tag", ["n25", "n15", "n05", "p05", "p15", "p25", "p35", "p45"])
+def test_a123_branches_enclose_the_ocv_at_every_temperature(real_data, tag):
+    logs = [read_log(real_data / f"plett_a123/ocv_{tag}_s{k}.csv.gz") for k in (1, 2, 3, 4)]
+    curve = ocv_from_low_rate(logs)
+    assert curve.source.startswith("mean of both")
+    assert curve.capacity_Ah == pytest.approx(2.0725, rel=3e-3)
+    inside = (curve.soc > 0.1) & (curve.soc < 0.85)
+    assert np.all(curve.gap_V[inside] > 0.01)  # hysteresis and polarisation never vanish
+    assert np.all(curve.discharge_V[inside] < curve.voltage_V[inside])
+    assert np.all(curve.voltage_V[inside] < curve.charge_V[inside])
+    assert np.all(np.diff(curve.voltage_V) > 0.0)
+
+
+def test_a123_gap_shrinks_with_temperature(real_data):
+    gaps = []
+    for tag in ("n25", "n05", "p15", "p45"):
+        logs = [read_log(real_data / f"plett_a123/ocv_{tag}_s{k}.csv.gz") for k in (1, 2, 3, 4)]
+        curve = ocv_from_low_rate(logs)
+        gaps.append(float(np.median(curve.gap_V[(curve.soc > 0.3) & (curve.soc < 0.7)])))
+    assert gaps == sorted(gaps, reverse=True)
+    assert 0.02 < gaps[-1] < 0.05  # what is left when warm is hysteresis: LFP has 20 to 50 mV
+
+
+def test_lg_charge_counter_runs_ahead_without_crossing_the_branches(real_data):
+    # Its charge counts 7 % more than its discharge: laid by the counter the branches would cross.
+    curve = ocv_from_low_rate(read_log(real_data / "lg_18650hg2/ocv_c20_p25_549.csv.gz"))
+    assert curve.source.startswith("mean of both")
+    inside = (curve.soc > 0.02) & (curve.soc < 0.98)
+    assert np.all(curve.gap_V[inside] > 0.0)
+
+
+def test_leaf_charge_that_meets_the_limit_halfway_is_not_averaged(real_data):
+    log = read_log(real_data / "nissan_leaf/cycling_c15_10c_24c_40c.csv.gz")
+    curve = ocv_from_low_rate(log)
+    assert curve.source.startswith("discharge branch")
+    assert curve.capacity_Ah == pytest.approx(30.0, abs=0.3)
+
+
+def test_embedded_nmc_charge_ends_where_the_physics_model_says(datasets):
+    # Catalogue: the C/20 charge without CV ends at SOC 0.9867 of an inventory that began at 0.997.
+    curve = ocv_from_low_rate(read_log(datasets / "nmc/ocv_c20.parquet"))
+    last = curve.soc[np.isfinite(curve.charge_V)][-1]
+    assert last == pytest.approx(1.0 - (0.99701 - 0.9867), abs=6e-3)

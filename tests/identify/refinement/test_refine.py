@@ -1,0 +1,358 @@
+"""Refinement: a known truth comes back, bounds hold, standard errors say what scatter shows.
+
+The truth is simulated here in plain NumPy and Python, row by row: nothing of the package's kernels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from cellwise.errors import InputError
+from cellwise.identify.refinement.refine import (
+    LEAST_RATIO,
+    RefineResult,
+    RefineSettings,
+    StartTables,
+    independent_samples,
+    refine,
+)
+from cellwise.identify.refinement.refine_data import RefineLog
+from cellwise.identify.refinement.splines import TABLE_KNOTS, greville, spline_rows, spline_values
+from cellwise.logs.cell_log import CellLog
+from synthetic import HppcPlan, drive_current, hppc_log, nmc_cell
+
+CAPACITY_AH = 3.0
+KNOTS = greville(TABLE_KNOTS)
+Table = Callable[[np.ndarray], np.ndarray]
+
+
+def constant(value: float) -> Table:
+    return lambda s: np.full(np.shape(s), value)
+
+
+R0 = constant(0.025)
+PAIRS = ((constant(0.012), constant(6.0)), (constant(0.020), constant(90.0)))
+
+
+def ocv(s):
+    return 3.45 + 0.62 * s - 0.5 * np.exp(-20.0 * s)
+
+
+@dataclass(frozen=True)
+class Truth:
+    """A cell that the refinement's own class of models holds."""
+
+    r0: Table = R0
+    pairs: tuple[tuple[Table, Table], ...] = PAIRS
+    m_V: float = 0.0
+    gamma: float = 50.0
+    activation_K: float = 0.0
+    skew_s: float = 0.0
+
+    def voltage(self, log: CellLog, soc, h0: float = 1.0) -> np.ndarray:
+        """Terminal voltage of every row, one after the other."""
+        dt, now = log.interval_s, log.current_A
+        seen = now.copy()
+        if self.skew_s:
+            weight = np.minimum(self.skew_s / np.maximum(dt[1:], 1e-9), 1.0)
+            seen[1:] += weight * (now[:-1] - now[1:])
+        warm = np.ones(len(log))
+        if log.temperature_C is not None:
+            kelvin = log.temperature_C + 273.15
+            warm = np.exp(self.activation_K * (1.0 / kelvin - 1.0 / 298.15))
+        v = ocv(soc) - warm * self.r0(soc) * seen
+        for r, tau in self.pairs:
+            v -= _branch(np.exp(-dt / tau(soc)), warm * r(soc) * seen)
+        if self.m_V:
+            decay = np.exp(-self.gamma * np.abs(seen) * dt / (3600.0 * CAPACITY_AH))
+            v += self.m_V * _branch(decay, -np.sign(seen), h0)
+        return v
+
+
+def _branch(decay, aim, start=0.0):
+    out, x = np.empty(decay.size), start
+    for k, (a, level) in enumerate(zip(decay.tolist(), aim.tolist(), strict=True)):
+        x = a * x + (1.0 - a) * level
+        out[k] = x
+    return out
+
+
+def pulse_current(levels=9, rest=1200) -> np.ndarray:
+    """1 Hz, from full: rest, 10 s discharge, 40 s rest, 10 s charge, rest, 10 % at C/2."""
+    one = [0.0] * rest + [6.0] * 10 + [0.0] * 40 + [-4.0] * 10 + [0.0] * 300 + [1.5] * 720
+    return np.array(one * levels)
+
+
+def log_of(current, truth, *, soc0=1.0, noise=0.0, rng=None, temperature_C=None, h0=1.0):
+    """A 1 Hz log of the truth and its SOC."""
+    bare = CellLog(np.arange(current.size, dtype=float), current, np.ones(current.size),
+                   temperature_C)  # fmt: skip
+    soc = soc0 - bare.counted_charge_Ah() / CAPACITY_AH
+    v = truth.voltage(bare, soc, h0)
+    if noise:
+        v = v + noise * rng.standard_normal(v.size)
+    return replace(bare, voltage_V=v), soc
+
+
+def two_logs(truth, *, noise=0.0, seed=0, warm=False):
+    """A pulse test and a drive of 50 minutes."""
+    rng = np.random.default_rng(seed)
+    drive = drive_current(3000, 1.0, 9.0, np.random.default_rng(77))
+    pulses = pulse_current()
+    degrees = 25.0 + 12.0 * np.sin(np.linspace(0.0, 9.0, drive.size)) if warm else None
+    first, soc1 = log_of(pulses, truth if not truth.skew_s else replace(truth, skew_s=0.0),
+                         noise=noise, rng=rng)  # fmt: skip
+    second, soc2 = log_of(drive, truth, noise=noise, rng=rng, temperature_C=degrees)
+    return [RefineLog(first, soc1), RefineLog(second, soc2, skewed=bool(truth.skew_s))]
+
+
+def start_tables(branches=2, factor=1.0, m_V=None) -> StartTables:
+    at = np.ones(KNOTS.size)
+    return StartTables(
+        ocv=ocv,
+        r0_ohm=0.025 * factor * at,
+        r_ohm=tuple(r * factor * at for r in (0.012, 0.020, 0.015)[:branches]),
+        tau_s=tuple(t * factor * at for t in (6.0, 90.0, 1500.0)[:branches]),
+        m_V=None if m_V is None else m_V * at,
+    )
+
+
+def table(result: RefineResult, at: int, soc) -> np.ndarray:
+    rows = spline_rows(np.asarray(soc, dtype=float), result.knots)
+    return np.exp(spline_values(rows, result.theta[at : at + result.layout.knots]))
+
+
+def errors(result: RefineResult, truth: Truth, soc) -> dict[str, float]:
+    """Largest relative error of each table over the given SOC."""
+    lay = result.layout
+    found = {"r0": np.abs(table(result, lay.r0, soc) / truth.r0(soc) - 1.0).max()}
+    for j, (r, tau) in enumerate(truth.pairs):
+        found[f"r{j + 1}"] = np.abs(table(result, lay.r(j), soc) / r(soc) - 1.0).max()
+        found[f"tau{j + 1}"] = np.abs(table(result, lay.tau(j), soc) / tau(soc) - 1.0).max()
+    return found
+
+
+INSIDE = np.linspace(0.2, 0.95, 40)
+CURVED = Truth(
+    r0=lambda s: 0.022 + 0.012 * np.exp(-9.0 * s),
+    pairs=(
+        (lambda s: 0.010 + 0.010 * np.exp(-8.0 * s), lambda s: 5.0 + 2.0 * s),
+        (lambda s: 0.016 + 0.015 * np.exp(-7.0 * s), lambda s: 80.0 + 30.0 * s),
+    ),
+)
+
+
+def fit(truth, *, noise=0.0, branches=2, factor=1.0, warm=False, **settings):
+    hysteresis = bool(truth.m_V)
+    return refine(
+        two_logs(truth, noise=noise, warm=warm),
+        start_tables(branches, factor, 0.005 if hysteresis else None),
+        settings=RefineSettings(branches=branches, hysteresis=hysteresis, **settings),
+        capacity_Ah=CAPACITY_AH,
+    )
+
+
+def test_the_truth_is_a_fixed_point():
+    # Start at the truth, no noise: smoothing, holding and the OCV's leash must not move it.
+    result = fit(Truth())
+    assert max(errors(result, Truth(), INSIDE).values()) < 1e-5
+    assert np.abs(result.theta[: result.layout.knots_ocv]).max() < 1e-6
+    assert max(result.rmse_V) < 1e-6
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_penalties_shift_nothing_when_the_truth_is_in_the_class(factor):
+    # Straight tables cost no curvature, so only the start could hold them back: by less than a
+    # fifth of what even a noise of 0.2 mV (the least that is assumed) leaves open.
+    result = fit(Truth(), factor=factor)
+    true = fit(Truth(), iterations=0).theta
+    inner = np.flatnonzero((KNOTS > 0.25) & (KNOTS < 0.98))
+    for at in (result.layout.r0, *map(result.layout.r, (0, 1)), *map(result.layout.tau, (0, 1))):
+        shift = np.abs(result.theta[at + inner] - true[at + inner])
+        open_to_noise = result.theta_std[at + inner] * result.sigma_V / max(result.rmse_V)
+        assert np.all(shift < 0.2 * open_to_noise + 1e-4)
+    assert max(result.rmse_V) < 5e-5
+
+
+def test_two_branches_come_back_from_noisy_logs():
+    result = fit(CURVED, noise=1e-3, factor=1.6)
+    found = errors(result, CURVED, INSIDE)
+    assert found["r0"] < 0.02
+    assert found["r1"] < 0.06
+    assert found["tau1"] < 0.12
+    assert found["r2"] < 0.06
+    assert found["tau2"] < 0.12
+    np.testing.assert_allclose(result.rmse_V, 1e-3, rtol=0.1)
+    assert result.sigma_V == pytest.approx(1e-3, rel=0.1)
+
+
+def test_two_branches_come_back_from_a_virtual_tester():
+    # Rows of 10 Hz in the pulses, 1 Hz else, parameters that bend with SOC: the closed-form cell.
+    cell = nmc_cell()
+    made = hppc_log(
+        cell,
+        HppcPlan(levels=tuple(np.arange(0.95, 0.1, -0.1)), noise_V=5e-4),
+        rng=np.random.default_rng(1),
+    )
+    start = replace(start_tables(2), ocv=lambda s: cell.ocv_V(np.clip(s, 0.0, 1.0)))
+    result = refine([RefineLog(made.log, made.soc)], start, capacity_Ah=cell.capacity_Ah,
+                    settings=RefineSettings(branches=2))  # fmt: skip
+    truth = Truth(cell.r0_ohm, ((cell.r1_ohm, cell.tau1_s), (cell.r2_ohm, cell.tau2_s)))
+    found = errors(result, truth, np.linspace(0.2, 0.9, 30))
+    assert found["r0"] < 0.02
+    assert found["r1"] < 0.08
+    assert found["r2"] < 0.08
+    assert found["tau1"] < 0.15
+    assert found["tau2"] < 0.15
+
+
+def test_three_branches_come_back():
+    truth = replace(CURVED, pairs=(*CURVED.pairs, (constant(0.015), constant(1500.0))))
+    result = fit(truth, noise=5e-4, branches=3, factor=1.4)
+    found = errors(result, truth, INSIDE)
+    assert found["r0"] < 0.02
+    assert found["r1"] < 0.08
+    assert found["r2"] < 0.15
+    assert found["r3"] < 0.30
+    assert max(result.rmse_V) < 7e-4
+
+
+def test_hysteresis_comes_back():
+    truth = Truth(m_V=0.025, gamma=120.0)
+    result = fit(truth, noise=5e-4)
+    lay = result.layout
+    m = spline_values(spline_rows(INSIDE, result.knots), result.theta[lay.m : lay.m + lay.knots])
+    np.testing.assert_allclose(m, 0.025, rtol=0.15)
+    assert np.exp(result.theta[lay.gamma]) == pytest.approx(120.0, rel=0.2)
+    assert errors(result, truth, INSIDE)["r0"] < 0.02
+
+
+def test_activation_comes_back_from_a_log_that_warms_and_cools():
+    result = fit(replace(Truth(), activation_K=3500.0), noise=5e-4, warm=True)
+    assert result.activation_K == pytest.approx(3500.0, rel=0.05)
+
+
+def test_activation_stays_at_its_prior_without_temperature():
+    assert fit(Truth(), noise=1e-3).activation_K == pytest.approx(2000.0, abs=1.0)
+    assert fit(Truth(), warm=True, activation_std_K=0.0).activation_K == pytest.approx(
+        2000.0, abs=10.0
+    )
+
+
+def test_skew_comes_back_and_is_never_negative():
+    result = fit(Truth(skew_s=0.35), noise=1e-3)
+    assert result.skew_s == pytest.approx(0.35, abs=0.02)
+    for shift, most in ((0, 0.01), (1, 0.05)):  # a voltage ahead of its current is no lag
+        logs = two_logs(Truth(), noise=1e-3)
+        log = logs[1].log
+        early = np.append(log.voltage_V[shift:], log.voltage_V[:shift])
+        logs[1] = RefineLog(replace(log, voltage_V=early), logs[1].soc, skewed=True)
+        found = refine(logs, start_tables(), settings=RefineSettings(branches=2),
+                       capacity_Ah=CAPACITY_AH)  # fmt: skip
+        assert 0.0 <= found.skew_s < most
+
+
+def test_a_wrong_ocv_is_corrected():
+    # The start curve is 20 mV low and tilted; the logs' rests say so.
+    logs = two_logs(Truth(), noise=5e-4)
+    start = replace(start_tables(), ocv=lambda s: ocv(s) - 0.02 + 0.015 * s)
+    result = refine(logs, start, settings=RefineSettings(branches=2), capacity_Ah=CAPACITY_AH)
+    rows = spline_rows(INSIDE, result.ocv_knots)
+    correction = spline_values(rows, result.theta[: result.layout.knots_ocv])
+    np.testing.assert_allclose(correction, 0.02 - 0.015 * INSIDE, atol=1.5e-3)
+
+
+def test_time_constants_keep_their_order_whatever_the_start():
+    # Both branches start at the same time constant, the truth's are swapped in the start.
+    start = replace(start_tables(2), tau_s=(np.full(KNOTS.size, 90.0), np.full(KNOTS.size, 6.0)))
+    result = refine(two_logs(Truth(), noise=1e-3), start, settings=RefineSettings(branches=2),
+                    capacity_Ah=CAPACITY_AH)  # fmt: skip
+    soc = np.linspace(0.0, 1.0, 201)
+    fast, slow = (table(result, result.layout.tau(j), soc) for j in (0, 1))
+    assert np.all(slow >= LEAST_RATIO * fast * (1.0 - 1e-9))
+
+
+def test_wild_rows_do_not_move_the_tables():
+    # One row in fifty is half a volt off: a loose wire, not a cell.
+    rng = np.random.default_rng(5)
+    clean = two_logs(CURVED, noise=1e-3)
+    wild = []
+    for item in clean:
+        v = item.log.voltage_V.copy()
+        at = rng.choice(v.size, v.size // 50, replace=False)
+        v[at] += rng.choice([-0.5, 0.5], at.size)
+        wild.append(replace(item, log=replace(item.log, voltage_V=v)))
+    result = refine(wild, start_tables(2, 1.3), settings=RefineSettings(branches=2),
+                    capacity_Ah=CAPACITY_AH)  # fmt: skip
+    found = errors(result, CURVED, INSIDE)
+    assert found["r0"] < 0.03
+    assert found["r2"] < 0.10
+    assert result.sigma_V == pytest.approx(1e-3, rel=0.2), "robust against the wild rows"
+
+
+def test_progress_is_told():
+    told = []
+    refine(
+        two_logs(Truth(), noise=1e-3),
+        start_tables(2, 1.5),
+        settings=RefineSettings(branches=2),
+        capacity_Ah=CAPACITY_AH,
+        progress=lambda step, rmse: told.append((step, rmse)),
+    )
+    assert told
+    assert told[-1][1] < told[0][1]
+
+
+def test_a_log_without_a_voltage_in_range_is_refused():
+    log, soc = log_of(pulse_current(1), Truth())
+    with pytest.raises(InputError, match="voltage"):
+        refine([RefineLog(log, soc - 5.0)], start_tables(), capacity_Ah=CAPACITY_AH)
+
+
+def unequal_logs(seed):
+    """From full one pulse and ten per cent (a short log), and a drive of 50 minutes."""
+    long = drive_current(3000, 1.0, 7.0, np.random.default_rng(77))
+    rng = np.random.default_rng(seed)
+    return [
+        RefineLog(*log_of(current, Truth(), noise=1e-3, rng=rng))
+        for current in (pulse_current(1, rest=600), long)
+    ]
+
+
+@pytest.mark.slow
+def test_standard_errors_are_the_scatter_over_noise():
+    # A short log has the weight of a long one, so what only it says (the top) scatters more.
+    thetas, claims = [], []
+    for seed in range(14):
+        result = refine(unequal_logs(seed), start_tables(2, 1.2), capacity_Ah=CAPACITY_AH,
+                        settings=RefineSettings(branches=2))  # fmt: skip
+        thetas.append(result.theta)
+        claims.append(result.theta_std)
+    scatter, claim = np.std(thetas, axis=0, ddof=1), np.mean(claims, axis=0)
+    lay = result.layout
+    short, long = np.flatnonzero(KNOTS > 0.95), np.flatnonzero((KNOTS > 0.6) & (KNOTS < 0.9))
+    for name, at in (("r0", lay.r0), ("r1", lay.r(0)), ("tau1", lay.tau(0)), ("r2", lay.r(1))):
+        for where, knots in (("short", short), ("long", long)):
+            claimed, seen = (np.sqrt(np.mean(x[at + knots] ** 2)) for x in (claim, scatter))
+            assert 0.5 < claimed / seen < 2.0, f"{name}, {where} log: {claimed:.4f}, {seen:.4f}"
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.5, 0.9, 0.98])
+def test_independent_samples_of_an_autoregressive_series(memory):
+    # n (1 - phi) / (1 + phi) independent values in an AR(1) series.
+    rng = np.random.default_rng(0)
+    n = 200_000
+    series = _branch(np.full(n, memory), rng.standard_normal(n))
+    expected = n * (1.0 - memory) / (1.0 + memory)
+    assert independent_samples(series) == pytest.approx(expected, rel=0.15)
+
+
+def test_independent_samples_of_little_or_nothing():
+    assert independent_samples(np.zeros(100)) == 100
+    assert independent_samples(np.arange(3.0)) == 3
+    assert independent_samples(np.arange(1000.0)) >= 1.0
+    assert independent_samples(np.tile([1.0, -1.0], 500)) <= 1000.0

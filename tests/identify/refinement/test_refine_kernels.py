@@ -1,0 +1,351 @@
+"""The refinement's kernel: sensitivities against finite differences, voltage against oracles."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from cellwise.identify.refinement.refine_data import RefineLog, prepare_log
+from cellwise.identify.refinement.refine_kernels import (
+    ACTIVATION_UNIT_K,
+    SKEW_UNIT_S,
+    Layout,
+    choose_rows,
+    voltage_and_jacobian,
+)
+from cellwise.identify.refinement.splines import OCV_KNOTS, TABLE_KNOTS, greville, spline_count
+from cellwise.logs.cell_log import CellLog
+
+CAPACITY_AH = 3.0
+REFERENCE_C = 25.0
+LAYOUTS = [(2, False), (2, True), (3, False), (3, True)]
+
+
+def make_layout(branches=3, hysteresis=True) -> Layout:
+    return Layout(spline_count(OCV_KNOTS), spline_count(TABLE_KNOTS), branches, hysteresis)
+
+
+def make_log(rng, rows=260, *, temperature=True, jitter=0.4) -> CellLog:
+    """Steps of random size and sign with rests, uneven time, warm and cold, from half full."""
+    held = np.repeat(
+        rng.normal(0.2, 1.0, rows) * rng.integers(0, 2, rows), rng.integers(1, 9, rows)
+    )
+    current = 4.0 * held[:rows]
+    current[0] = 0.0
+    time = np.cumsum(20.0 * (1.0 + jitter * rng.uniform(-1.0, 1.0, rows)))
+    degrees = 25.0 + 15.0 * np.sin(np.linspace(0.0, 6.0, rows)) if temperature else None
+    return CellLog(time - time[0], current, np.full(rows, 3.6), degrees)
+
+
+def soc_of(log: CellLog, soc0=0.6):
+    return soc0 - log.counted_charge_Ah() / CAPACITY_AH
+
+
+def make_theta(layout: Layout, rng) -> np.ndarray:
+    """Parameters that differ from knot to knot, every block alive."""
+    theta = np.zeros(layout.size)
+    theta[: layout.knots_ocv] = 0.02 * rng.standard_normal(layout.knots_ocv)
+    spread = 0.3 * rng.standard_normal((7, layout.knots))
+    theta[layout.r0 : layout.r0 + layout.knots] = np.log(0.02) + spread[0]
+    for j in range(layout.branches):
+        at = layout.r(j), layout.tau(j)
+        theta[at[0] : at[0] + layout.knots] = np.log((0.01, 0.015, 0.02)[j]) + spread[1 + 2 * j]
+        theta[at[1] : at[1] + layout.knots] = np.log((5.0, 80.0, 1500.0)[j]) + spread[2 + 2 * j]
+    if layout.hysteresis:
+        theta[layout.m : layout.m + layout.knots] = 0.02 + 0.01 * rng.standard_normal(layout.knots)
+        theta[layout.gamma] = np.log(60.0)
+    theta[layout.activation] = 2.3
+    theta[layout.skew] = 7.0  # 0.7 s: shorter than every interval here
+    return theta
+
+
+def evaluate(log: CellLog, theta, layout: Layout, *, soc=None, skewed=True, h0=0.3, every=True):
+    """Voltage of all prepared rows, Jacobian and rows that are compared; base OCV 3.2 + 0.8 soc."""
+    item = RefineLog(log, soc_of(log) if soc is None else soc, skewed=skewed, h0=h0)
+    prepared = prepare_log(item, TABLE_KNOTS, OCV_KNOTS, REFERENCE_C)
+    shown = np.ones(prepared.dt_s.size, dtype=np.bool_) if every else prepared.evaluate
+    jacobian = np.full((int(shown.sum()), layout.size), np.nan)
+    voltage = np.full(prepared.dt_s.size, np.nan)
+    voltage_and_jacobian(
+        prepared.dt_s, prepared.current_A, prepared.inverse_K, 3600.0 * CAPACITY_AH, h0, skewed,
+        prepared.rows.first, prepared.rows.values, prepared.ocv_rows.first,
+        prepared.ocv_rows.values, 3.2 + 0.8 * prepared.soc, theta, layout.knots_ocv, layout.knots,
+        layout.branches, layout.hysteresis, shown, jacobian, voltage,
+    )  # fmt: skip
+    return prepared, voltage, jacobian
+
+
+def blocks(layout: Layout) -> dict[str, slice]:
+    found = {"ocv": slice(0, layout.knots_ocv), "r0": slice(layout.r0, layout.r0 + layout.knots)}
+    for j in range(layout.branches):
+        found[f"r{j + 1}"] = slice(layout.r(j), layout.r(j) + layout.knots)
+        found[f"tau{j + 1}"] = slice(layout.tau(j), layout.tau(j) + layout.knots)
+    if layout.hysteresis:
+        found["m"] = slice(layout.m, layout.m + layout.knots)
+        found["gamma"] = slice(layout.gamma, layout.gamma + 1)
+    found["activation"] = slice(layout.activation, layout.activation + 1)
+    found["skew"] = slice(layout.skew, layout.skew + 1)
+    return found
+
+
+@pytest.mark.parametrize(("branches", "hysteresis"), LAYOUTS)
+def test_blocks_fill_the_vector_without_overlap(branches, hysteresis):
+    layout = make_layout(branches, hysteresis)
+    parts = sorted(blocks(layout).values(), key=lambda s: s.start)
+    assert parts[0].start == 0
+    assert all(a.stop == b.start for a, b in pairwise(parts))
+    assert parts[-1].stop == layout.size
+
+
+@pytest.mark.parametrize(("branches", "hysteresis"), LAYOUTS)
+def test_jacobian_is_the_central_difference_of_the_voltage(branches, hysteresis):
+    rng = np.random.default_rng(branches + 10 * hysteresis)
+    layout = make_layout(branches, hysteresis)
+    log, theta = make_log(rng), make_theta(layout, rng)
+    _, _, jacobian = evaluate(log, theta, layout)
+    step = 1e-4
+    for name, part in blocks(layout).items():
+        numeric = np.empty((jacobian.shape[0], part.stop - part.start))
+        for column, k in enumerate(range(part.start, part.stop)):
+            moved = np.zeros(layout.size)
+            moved[k] = step
+            # Fourth order: the error of the difference itself stays far below 1e-5.
+            far, near = (
+                evaluate(log, theta + c * moved, layout)[1]
+                - evaluate(log, theta - c * moved, layout)[1]
+                for c in (2.0, 1.0)
+            )
+            numeric[:, column] = (8.0 * near - far) / (12.0 * step)
+        size = np.abs(numeric).max()
+        assert size > 0.0, f"block {name} does not move the voltage: nothing was tested"
+        np.testing.assert_allclose(
+            jacobian[:, part], numeric, rtol=0.0, atol=1e-5 * size, err_msg=name
+        )
+
+
+def test_a_log_without_skew_does_not_know_the_skew():
+    rng = np.random.default_rng(3)
+    layout = make_layout()
+    log, theta = make_log(rng), make_theta(layout, rng)
+    _, voltage, jacobian = evaluate(log, theta, layout, skewed=False)
+    assert np.all(jacobian[:, layout.skew] == 0.0)
+    theta[layout.skew] = 0.0
+    np.testing.assert_array_equal(evaluate(log, theta, layout, skewed=False)[1], voltage)
+    np.testing.assert_allclose(evaluate(log, theta, layout)[1], voltage, atol=1e-14)
+
+
+def test_a_skew_beyond_the_interval_shows_the_interval_before():
+    # Held at one interval: further on neither voltage nor slope may run away.
+    rng = np.random.default_rng(4)
+    layout = make_layout(2, False)
+    log, theta = make_log(rng, jitter=0.0), make_theta(layout, rng)
+    theta[layout.skew] = 1000.0 / SKEW_UNIT_S
+    _, voltage, jacobian = evaluate(log, theta, layout)
+    assert np.all(jacobian[1:, layout.skew] == 0.0)
+    theta[layout.skew] = 2000.0 / SKEW_UNIT_S
+    np.testing.assert_array_equal(evaluate(log, theta, layout)[1], voltage)
+
+
+def test_a_log_without_temperature_does_not_know_the_activation():
+    rng = np.random.default_rng(5)
+    layout = make_layout()
+    log, theta = make_log(rng, temperature=False), make_theta(layout, rng)
+    assert np.all(evaluate(log, theta, layout)[2][:, layout.activation] == 0.0)
+
+
+def test_resistances_follow_arrhenius():
+    # Cold, every resistance grows by exp(E (1/T - 1/Tref)), and so does all overpotential.
+    rng = np.random.default_rng(6)
+    layout = make_layout(3, False)
+    log, theta = make_log(rng, temperature=False), make_theta(layout, rng)
+    prepared, warm, _ = evaluate(log, theta, layout, skewed=False)
+    theta_ocv = theta.copy()
+    theta_ocv[layout.r0 : layout.r0 + layout.knots] = -40.0
+    for j in range(3):
+        theta_ocv[layout.r(j) : layout.r(j) + layout.knots] = -40.0
+    ocv = evaluate(log, theta_ocv, layout, skewed=False)[1]
+    cold_log = replace(log, temperature_C=np.full(len(log), 5.0))
+    cold = evaluate(cold_log, theta, layout, skewed=False)[1]
+    activation = theta[layout.activation] * ACTIVATION_UNIT_K
+    factor = np.exp(activation * (1.0 / 278.15 - 1.0 / 298.15))
+    np.testing.assert_allclose(cold - ocv, factor * (warm - ocv), rtol=1e-12, atol=1e-13)
+    assert factor > 1.5
+    assert prepared.dt_s.size == warm.size
+
+
+def constant_theta(layout, r0, pairs):
+    theta = np.zeros(layout.size)
+    theta[layout.r0 : layout.r0 + layout.knots] = np.log(r0)
+    for j, (r, tau) in enumerate(pairs):
+        theta[layout.r(j) : layout.r(j) + layout.knots] = np.log(r)
+        theta[layout.tau(j) : layout.tau(j) + layout.knots] = np.log(tau)
+    return theta
+
+
+def test_voltage_solves_the_differential_equations():
+    # dv_j/dt = (R_j I - v_j) / tau_j and Plett's hysteresis, by scipy's integrator.
+    rng = np.random.default_rng(8)
+    layout = make_layout(3, True)
+    pairs = ((0.01, 5.0), (0.015, 80.0), (0.02, 1500.0))
+    theta = constant_theta(layout, 0.02, pairs)
+    theta[layout.m : layout.m + layout.knots] = 0.03
+    theta[layout.gamma] = np.log(40.0)
+    log = make_log(rng, 60, temperature=False)
+    prepared, voltage, _ = evaluate(log, theta, layout, skewed=False, h0=-0.5)
+    state = np.array([0.0, 0.0, 0.0, -0.5])
+    expected = [3.2 + 0.8 * prepared.soc[0] - 0.5 * 0.03]
+    for k in range(1, prepared.dt_s.size):
+        i = prepared.current_A[k]
+
+        def slope(_, x, i=i):
+            branches = [(r * i - v) / tau for (r, tau), v in zip(pairs, x, strict=False)]
+            return [*branches, 40.0 * (-abs(i) * x[3] - i) / (3600.0 * CAPACITY_AH)]
+
+        state = solve_ivp(slope, (0.0, prepared.dt_s[k]), state, rtol=1e-10, atol=1e-13,
+                          method="LSODA").y[:, -1]  # fmt: skip
+        ocv = 3.2 + 0.8 * prepared.soc[k]
+        expected.append(ocv - 0.02 * i - state[:3].sum() + 0.03 * state[3])
+    np.testing.assert_allclose(voltage, expected, atol=1e-9)
+
+
+def fine_log(rng, seconds=6000) -> CellLog:
+    """One row per second, current constant for minutes: what merging is for."""
+    levels = rng.choice([-1.0, 0.0, 0.5, 1.0], seconds)
+    held = 3.0 * np.repeat(levels, rng.integers(200, 1500, seconds))
+    current = np.concatenate(([0.0] * 20, held))[:seconds]
+    voltage = 3.6 + 0.01 * rng.standard_normal(seconds)
+    return CellLog(np.arange(seconds, dtype=float), current, voltage)
+
+
+def test_merged_rows_give_the_voltage_of_every_row():
+    # Constant tables: the branches are solved exactly, so leaving rows out changes nothing.
+    rng = np.random.default_rng(9)
+    layout = make_layout(3, True)
+    theta = constant_theta(layout, 0.02, ((0.01, 5.0), (0.015, 80.0), (0.02, 1500.0)))
+    theta[layout.m : layout.m + layout.knots] = 0.03
+    theta[layout.gamma] = np.log(40.0)
+    log = fine_log(rng)
+    soc = soc_of(log)
+    prepared, merged, _ = evaluate(log, theta, layout, skewed=False, soc=soc)
+    assert prepared.dt_s.size < 0.25 * len(log), "nothing was merged: nothing was tested"
+    whole = step_through(log, soc, 0.02, ((0.01, 5.0), (0.015, 80.0), (0.02, 1500.0)), 0.03, 40.0)
+    rows = np.searchsorted(log.time_s, np.cumsum(prepared.dt_s))
+    np.testing.assert_allclose(merged, whole[rows], rtol=0.0, atol=1e-12)
+
+
+def step_through(log, soc, r0, pairs, m, gamma, h0=0.3):
+    """Every row of the log, one after the other, in plain Python."""
+    v, h, out = [0.0] * len(pairs), h0, []
+    for k, (i, dt) in enumerate(zip(log.current_A, log.interval_s, strict=True)):
+        for j, (r, tau) in enumerate(pairs):
+            a = np.exp(-dt / tau)
+            v[j] = a * v[j] + r * (1.0 - a) * i
+        a = np.exp(-gamma * abs(i) * dt / (3600.0 * CAPACITY_AH))
+        h = a * (h + np.sign(i)) - np.sign(i)
+        out.append(3.2 + 0.8 * soc[k] - r0 * i - sum(v) + m * h)
+    return np.array(out)
+
+
+def test_merging_keeps_the_charge_and_the_time():
+    rng = np.random.default_rng(10)
+    noisy = fine_log(rng)
+    noisy = replace(noisy, current_A=noisy.current_A + 0.01 * rng.standard_normal(len(noisy)))
+    prepared = prepare_log(RefineLog(noisy, soc_of(noisy)), TABLE_KNOTS, OCV_KNOTS, REFERENCE_C)
+    rows = np.searchsorted(noisy.time_s, np.cumsum(prepared.dt_s))
+    charge = np.cumsum(noisy.current_A * noisy.interval_s)
+    np.testing.assert_allclose(
+        np.cumsum(prepared.current_A * prepared.dt_s), charge[rows], atol=1e-8
+    )
+    assert np.sum(prepared.dt_s) == pytest.approx(noisy.duration_s)
+    np.testing.assert_array_equal(prepared.soc, soc_of(noisy)[rows])
+
+
+def choose(time, current, threshold=0.05):
+    keep = np.zeros(time.size, dtype=np.bool_)
+    shown = np.zeros(time.size, dtype=np.bool_)
+    choose_rows(time, current, threshold, 0.95, 0.03, keep, shown)
+    return keep, shown
+
+
+def test_rows_around_every_edge_are_kept():
+    log = fine_log(np.random.default_rng(11))
+    keep, shown = choose(log.time_s, log.current_A)
+    edges = np.flatnonzero(np.diff(log.current_A) != 0.0)
+    assert edges.size > 3
+    assert keep[edges].all()
+    assert keep[edges + 1].all()
+    assert keep[0]
+    assert keep[-1]
+    assert np.all(keep[shown])
+
+
+def test_hours_of_rest_do_not_outvote_a_pulse():
+    # Ten seconds of pulse at 10 Hz, two hours of rest at 1 Hz: rows lie evenly on log time.
+    pulse = np.arange(1, 101) * 0.1
+    rest = 10.0 + np.arange(1, 7201)
+    time = np.concatenate(([0.0], pulse, rest))
+    current = np.concatenate(([0.0], np.full(100, 3.0), np.zeros(7200)))
+    _, shown = choose(time, current)
+    at = time[shown]
+    in_pulse = np.count_nonzero((at > 0.0) & (at <= 10.0))
+    assert 8 <= in_pulse <= 12, "about one a second"
+    after = at[at > 50.0] - 10.0
+    decade = [np.count_nonzero((after > a) & (after <= 10.0 * a)) for a in (60.0, 600.0)]
+    assert decade[1] == pytest.approx(decade[0], rel=0.15)
+    assert at.size < 300
+
+
+def test_noise_below_the_threshold_merges_and_a_slow_ramp_is_followed():
+    time = np.arange(20_000.0)
+    ramp = 3.0 * time / time[-1]
+    keep, _ = choose(time, ramp)
+    kept = np.flatnonzero(keep)
+    assert np.diff(ramp[kept]).max() <= 0.05 + 1e-9
+    assert kept.size < 0.35 * time.size
+    noise = np.random.default_rng(0).uniform(-0.02, 0.02, time.size)
+    assert np.count_nonzero(choose(time, noise)[0]) < 0.02 * time.size
+
+
+def test_nothing_is_compared_where_nothing_was_measured():
+    log = fine_log(np.random.default_rng(12))
+    voltage = log.voltage_V.copy()
+    voltage[500:1500] = np.nan
+    soc = soc_of(log)
+    soc[3000:3100] = np.nan
+    prepared = prepare_log(
+        RefineLog(replace(log, voltage_V=voltage), soc), TABLE_KNOTS, OCV_KNOTS, REFERENCE_C
+    )
+    at = prepared.time_s
+    assert not np.any((at >= 500) & (at < 1500))
+    assert not np.any((at >= 3000) & (at < 3100))
+    assert np.all(np.isfinite(prepared.measured_V))
+    assert np.all(np.isfinite(prepared.soc))
+    assert np.sum(prepared.dt_s) == pytest.approx(log.duration_s), "time and charge go on"
+
+
+def test_a_gap_keeps_both_its_rows_and_carries_the_counters_charge():
+    # Hours into a rest, where compared rows lie half an hour apart: the gap's rows stay.
+    time = np.concatenate((np.arange(0.0, 60_000.0, 10.0), 60_600.0 + np.arange(0.0, 9000.0, 10.0)))
+    current = np.zeros(time.size)
+    current[1:60] = 3.0
+    counter = np.cumsum(current * np.diff(time, prepend=0.0)) / 3600.0
+    row = int(np.searchsorted(time, 60_600.0))
+    counter[row:] += 0.2
+    gap = CellLog(time, current, np.full(time.size, 3.6), charge_Ah=counter)
+    assert np.flatnonzero(gap.gap_rows).tolist() == [row]
+    prepared = prepare_log(RefineLog(gap, soc_of(gap)), TABLE_KNOTS, OCV_KNOTS, REFERENCE_C)
+    ends = np.cumsum(prepared.dt_s)
+    kept = int(np.searchsorted(ends, time[row]))
+    assert ends[kept] == time[row]
+    assert ends[kept - 1] == time[row - 1]
+    assert prepared.current_A[kept] * prepared.dt_s[kept] / 3600.0 == pytest.approx(0.2)
+
+
+def test_greville_points_are_where_the_layout_says():
+    # Every block but the OCV's has one coefficient per table knot.
+    assert greville(TABLE_KNOTS).size == make_layout().knots
+    assert greville(OCV_KNOTS).size == make_layout().knots_ocv

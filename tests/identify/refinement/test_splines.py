@@ -1,0 +1,109 @@
+"""Splines over SOC: theorems of B-splines, and what the curvature penalty leaves alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.interpolate import BSpline
+
+from cellwise.identify.refinement.splines import (
+    OCV_KNOTS,
+    TABLE_KNOTS,
+    curvature_penalty,
+    greville,
+    spline_count,
+    spline_rows,
+    spline_values,
+)
+
+EVEN_KNOTS = np.linspace(0.0, 1.0, 11)
+UNEVEN_KNOTS = np.array([0.0, 0.01, 0.3, 0.35, 1.0])
+KNOTS = pytest.mark.parametrize(
+    "knots", [TABLE_KNOTS, OCV_KNOTS, EVEN_KNOTS, UNEVEN_KNOTS], ids=["table", "ocv", "even", "odd"]
+)
+
+
+def soc_samples(knots):
+    """Random SOC, the break points themselves, and what lies a hair beside them."""
+    rng = np.random.default_rng(7)
+    return np.concatenate(
+        (rng.uniform(0.0, 1.0, 400), knots, knots[:-1] + 1e-12, knots[1:] - 1e-12)
+    )
+
+
+@KNOTS
+def test_partition_of_unity_and_positivity(knots):
+    rows = spline_rows(soc_samples(knots), knots)
+    np.testing.assert_allclose(rows.values.sum(axis=1), 1.0, atol=1e-14)
+    assert rows.values.min() >= -1e-15
+    assert rows.first.min() >= 0
+    assert rows.first.max() + 4 <= spline_count(knots)
+
+
+@KNOTS
+def test_values_are_those_of_scipys_spline(knots):
+    rng = np.random.default_rng(1)
+    coefficients = rng.normal(size=spline_count(knots))
+    full = np.concatenate((np.repeat(knots[0], 3), knots, np.repeat(knots[-1], 3)))
+    soc = soc_samples(knots)
+    expected = BSpline(full, coefficients, 3)(soc)
+    np.testing.assert_allclose(
+        spline_values(spline_rows(soc, knots), coefficients), expected, atol=1e-12
+    )
+
+
+@KNOTS
+def test_beyond_the_break_points_the_end_value_holds(knots):
+    coefficients = np.random.default_rng(2).normal(size=spline_count(knots))
+    outside = spline_values(
+        spline_rows(np.array([-0.3, -1e-9, 1.0 + 1e-9, 1.7]), knots), coefficients
+    )
+    np.testing.assert_allclose(outside, coefficients[[0, 0, -1, -1]], atol=1e-12)
+
+
+@KNOTS
+def test_greville_coefficients_reproduce_a_straight_line(knots):
+    # Linear precision: coefficients on a line at the Greville points give that line.
+    soc = soc_samples(knots)
+    line = spline_values(spline_rows(soc, knots), 0.3 - 2.0 * greville(knots))
+    np.testing.assert_allclose(line, 0.3 - 2.0 * soc, atol=1e-12)
+
+
+@KNOTS
+def test_curvature_penalty_is_zero_for_straight_lines_only(knots):
+    penalty = curvature_penalty(knots)
+    at = greville(knots)
+    for line in (np.ones(at.size), at, 3.0 - 0.7 * at):
+        assert line @ penalty @ line == pytest.approx(0.0, abs=1e-18 + 1e-15 * np.trace(penalty))
+    values = np.linalg.eigvalsh(penalty)
+    assert values[0] > -1e-9 * values[-1]
+    assert np.count_nonzero(values < 1e-9 * values[-1]) == 2, "only constant and slope are free"
+
+
+def test_curvature_penalty_on_an_even_grid_is_the_plain_second_difference():
+    # Away from the ends, where Greville points crowd, an even grid of a tenth gives 1, -2, 1.
+    penalty = curvature_penalty(np.linspace(0.0, 1.0, 11))
+    bump = np.zeros(13)
+    bump[6] = 1.0
+    assert bump @ penalty @ bump == pytest.approx(1.0 + 4.0 + 1.0, rel=1e-9)
+
+
+def test_curvature_penalty_does_not_depend_on_how_fine_the_knots_are():
+    # The same parabola costs about the same on twice as many knots: smoothness is a property of the
+    # curve, not of the number of its coefficients.
+    costs = []
+    for cells in (20, 40, 80):
+        knots = np.linspace(0.0, 1.0, cells + 1)
+        at = greville(knots)
+        costs.append(float(at**2 @ curvature_penalty(knots) @ at**2))
+    assert max(costs) / min(costs) < 1.25
+
+
+@KNOTS
+def test_ordered_coefficients_give_ordered_splines(knots):
+    # What keeps tau1 below tau2 between the knots.
+    rng = np.random.default_rng(3)
+    low = rng.normal(size=spline_count(knots))
+    high = low + rng.uniform(0.0, 0.5, low.size)
+    rows = spline_rows(soc_samples(knots), knots)
+    assert np.all(spline_values(rows, high) >= spline_values(rows, low) - 1e-13)
