@@ -29,7 +29,7 @@ def generator() -> ModuleType:
     name = "cellwise_synthetic_hppc"
     if name in sys.modules:
         return sys.modules[name]
-    file = REPOSITORY / "tests" / "identify" / "synthetic.py"
+    file = REPOSITORY / "tests" / "support" / "synthetic.py"
     spec = importlib.util.spec_from_file_location(name, file)
     if spec is None or spec.loader is None:
         raise ImportError(f"no generator of synthetic tests at {file}", name=name)
