@@ -75,9 +75,77 @@ class TimeSkew:
     skew_s: float = 0.0
 
 
-Effect = SlowDiffusion | Hysteresis | TemperatureDependence | TimeSkew
+@dataclass(frozen=True, eq=False)
+class RateDependence:
+    """Resistances R0, R1, R2 times 1 / (1 + k |I| / capacity). Neutral: ``rate_h`` = 0.
+
+    ``rate_h`` [h] is k: 0.1 means that at 1C the resistances have fallen by a factor of 1.1.
+    Negative: they rise with the current.
+    """
+
+    name: ClassVar[str] = "rate_dependence"
+    bounds: ClassVar[dict[str, tuple[float, float]]] = {"rate_h": (-0.05, 10.0)}
+    rate_h: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class ChargeAsymmetry:
+    """Every resistance times ``charge_scale`` while the cell is charged. Neutral: 1."""
+
+    name: ClassVar[str] = "charge_asymmetry"
+    bounds: ClassVar[dict[str, tuple[float, float]]] = {"charge_scale": (0.1, 10.0)}
+    charge_scale: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class SelfHeating:
+    """The cell is warmer than the temperature of the log by what its losses heat it.
+
+    ``rth_K_per_W`` [K/W] is the steady rise per watt lost, ``thermal_s`` [s] the time constant.
+    Neutral: ``rth_K_per_W`` = 0. Without a temperature axis or an Arrhenius factor nothing follows
+    from the rise.
+    """
+
+    name: ClassVar[str] = "self_heating"
+    bounds: ClassVar[dict[str, tuple[float, float]]] = {
+        "rth_K_per_W": (0.0, 200.0),
+        "thermal_s": (1.0, 1e5),
+    }
+    rth_K_per_W: float = 0.0
+    thermal_s: float = 600.0
+
+
+@dataclass(frozen=True, eq=False)
+class SelfDischarge:
+    """A current ``leak_A`` [A] inside the cell that no sensor sees. Neutral: 0."""
+
+    name: ClassVar[str] = "self_discharge"
+    bounds: ClassVar[dict[str, tuple[float, float]]] = {"leak_A": (0.0, 1e3)}
+    leak_A: float = 0.0
+
+
+Effect = (
+    SlowDiffusion
+    | Hysteresis
+    | TemperatureDependence
+    | TimeSkew
+    | RateDependence
+    | ChargeAsymmetry
+    | SelfHeating
+    | SelfDischarge
+)
 EFFECTS: dict[str, type[Effect]] = {
-    e.name: e for e in (SlowDiffusion, Hysteresis, TemperatureDependence, TimeSkew)
+    e.name: e
+    for e in (
+        SlowDiffusion,
+        Hysteresis,
+        TemperatureDependence,
+        TimeSkew,
+        RateDependence,
+        ChargeAsymmetry,
+        SelfHeating,
+        SelfDischarge,
+    )
 }
 
 

@@ -36,6 +36,11 @@ class CellScalars(NamedTuple):
     reference_K: float
     hysteresis_rate: float
     skew_s: float
+    rate_per_A: float
+    charge_scale: float
+    leak_A: float
+    heating_K_per_W: float
+    heating_s: float
 
 
 class CellPoint(NamedTuple):
@@ -62,6 +67,7 @@ class CellState(NamedTuple):
     v2_V: float
     v3_V: float
     h: float
+    heat_K: float = 0.0
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -131,9 +137,56 @@ def arrhenius(temperature_C: float, activation_K: float, reference_K: float) -> 
 
 @njit(cache=True, error_model="numpy", inline="always")
 def soc_step(cell: CellScalars, soc: float, current_A: float, dt_s: float) -> float:
-    """Coulomb counting over one interval: soc - I dt / (3600 Q), charging times efficiency."""
+    """Coulomb counting over one interval: soc - I dt / (3600 Q), charging times efficiency.
+
+    What leaks inside the cell adds to what the terminals give.
+    """
     used = current_A if current_A > 0.0 else current_A * cell.charge_efficiency
-    return soc - used * dt_s / cell.charge_As
+    return soc - (used + cell.leak_A) * dt_s / cell.charge_As
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def under_load(cell: CellScalars, point: CellPoint, current_A: float) -> CellPoint:
+    r"""Resistances at one current: they fall with its size, and differ on charge.
+
+    .. math:: R_{0,1,2}(I) = \frac{R_{0,1,2}}{1 + k |I|}, \qquad R_{0..3}(I < 0) = c R_{0..3}
+
+    The first is the falling resistance of a charge transfer (Butler-Volmer) as a fraction of first
+    order, which an embedded target can compute; k = 0 and c = 1 leave every resistance as it is.
+    """
+    r0 = point.r0_ohm
+    r1 = point.r1_ohm
+    r2 = point.r2_ohm
+    r3 = point.r3_ohm
+    if cell.rate_per_A != 0.0:
+        fall = 1.0 / (1.0 + cell.rate_per_A * abs(current_A))
+        r0 *= fall
+        r1 *= fall
+        r2 *= fall
+    if cell.charge_scale != 1.0 and current_A < 0.0:
+        r0 *= cell.charge_scale
+        r1 *= cell.charge_scale
+        r2 *= cell.charge_scale
+        r3 *= cell.charge_scale
+    # fmt: off
+    return CellPoint(
+        point.ocv_V, point.ocv_slope_V, r0, r1, point.tau1_s, r2, point.tau2_s, r3, point.tau3_s,
+        point.m_V, point.error_V,
+    )
+    # fmt: on
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def heat_step(
+    cell: CellScalars, heat_K: float, current_A: float, polarisation_V: float, dt_s: float
+) -> float:
+    r"""Temperature of the cell above what is measured, after an interval.
+
+    .. math:: \vartheta^{+} = b \vartheta + R_{th} P (1 - b), \quad b = e^{-\Delta t/\tau_{th}},
+       \quad P = I (R_0 I + V_1 + V_2 + V_3)
+    """
+    b = math.exp(-dt_s / cell.heating_s)
+    return b * heat_K + cell.heating_K_per_W * (1.0 - b) * (current_A * polarisation_V)
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -193,7 +246,9 @@ def advance(
 ) -> tuple[CellState, CellPoint]:
     """One interval of constant current: charge first, then the branches at the new SOC."""
     soc = soc_step(cell, state.soc, current_A, dt_s)
-    point = look_up(table, grid, cell, soc, temperature_C)
+    point = under_load(
+        cell, look_up(table, grid, cell, soc, temperature_C + state.heat_K), current_A
+    )
     v1 = rc_step(state.v1_V, current_A, point.r1_ohm, point.tau1_s, dt_s)
     v2 = rc_step(state.v2_V, current_A, point.r2_ohm, point.tau2_s, dt_s)
     v3 = state.v3_V
@@ -203,7 +258,11 @@ def advance(
     if cell.hysteresis_rate != 0.0:
         left = hysteresis_decay(cell, current_A, dt_s)
         h = left * h - (1.0 - left) * math.copysign(1.0, current_A)
-    return CellState(soc, v1, v2, v3, h), point
+    heat = state.heat_K
+    if cell.heating_K_per_W != 0.0:
+        polarisation = (point.r0_ohm * current_A + v1) + (v2 + v3)
+        heat = heat_step(cell, heat, current_A, polarisation, dt_s)
+    return CellState(soc, v1, v2, v3, h, heat), point
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -249,7 +308,7 @@ def simulate_rows(
 
 def empty_state(soc: float, h: float = 0.0) -> CellState:
     """A cell at rest at the given SOC."""
-    return CellState(float(soc), 0.0, 0.0, 0.0, float(h))
+    return CellState(float(soc), 0.0, 0.0, 0.0, float(h), 0.0)
 
 
 def table_rows(columns: list[FloatArray]) -> FloatArray:

@@ -9,8 +9,12 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from cellwise.cell.effects import (
+    ChargeAsymmetry,
     Effect,
     Hysteresis,
+    RateDependence,
+    SelfDischarge,
+    SelfHeating,
     SlowDiffusion,
     TemperatureDependence,
     TimeSkew,
@@ -21,7 +25,17 @@ from cellwise.cell.kernels import ZERO_CELSIUS_K, CellScalars, table_rows
 from cellwise.errors import InputError
 from cellwise.typing import FloatArray
 
-E = TypeVar("E", SlowDiffusion, Hysteresis, TemperatureDependence, TimeSkew)
+E = TypeVar(
+    "E",
+    SlowDiffusion,
+    Hysteresis,
+    TemperatureDependence,
+    TimeSkew,
+    RateDependence,
+    ChargeAsymmetry,
+    SelfHeating,
+    SelfDischarge,
+)
 
 
 class ModelTables(NamedTuple):
@@ -165,6 +179,7 @@ class CellModel:
         slow = self.effect(SlowDiffusion)
         hysteresis = self.effect(Hysteresis)
         temperature = self.effect(TemperatureDependence)
+        heating = self.effect(SelfHeating)
         table = table_rows(
             [
                 self.ocv_V,
@@ -186,6 +201,11 @@ class CellModel:
             reference_K=float(temperature.reference_C) + ZERO_CELSIUS_K,
             hysteresis_rate=float(hysteresis.gamma) if np.any(hysteresis.m_V) else 0.0,
             skew_s=float(self.effect(TimeSkew).skew_s),
+            rate_per_A=float(self.effect(RateDependence).rate_h) / self.capacity_Ah,
+            charge_scale=float(self.effect(ChargeAsymmetry).charge_scale),
+            leak_A=float(self.effect(SelfDischarge).leak_A),
+            heating_K_per_W=float(heating.rth_K_per_W),
+            heating_s=float(heating.thermal_s),
         )
         return table, np.ascontiguousarray(self.temperature_C), scalars
 

@@ -17,7 +17,15 @@ from typing import NamedTuple
 
 from numba import njit
 
-from cellwise.cell.kernels import CellScalars, hysteresis_decay, look_up, seen_current, soc_step
+from cellwise.cell.kernels import (
+    CellScalars,
+    heat_step,
+    hysteresis_decay,
+    look_up,
+    seen_current,
+    soc_step,
+    under_load,
+)
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.status import (
     CLAMPED,
@@ -84,6 +92,7 @@ class EkfState(NamedTuple):
     current_A: float
     rejections: float
     mismatch: float
+    heat_K: float
 
     @property
     def soc_std(self) -> float:
@@ -123,7 +132,7 @@ def ekf_start(start: EkfStart, current_A: float) -> EkfState:
         v, 0.0, 0.0,
         w, 0.0,
         q,
-        current_A, -1.0, 1.0,
+        current_A, -1.0, 1.0, 0.0,
     )
     # fmt: on
 
@@ -207,13 +216,15 @@ def ekf_step_inline(
         status |= DUPLICATE
 
     # Predict: the state first, with the tables at the new SOC.
+    warm = temperature_C + x.heat_K
     soc = soc_step(cell, x.soc, flow, dt_s)
     if not (math.isfinite(soc) and math.isfinite(ss)):
         x = ekf_start(anew, current)
         soc = x.soc
         ss = x.ss
+        warm = temperature_C
         status |= STATE_RESET
-    point = look_up(table, grid, cell, soc, temperature_C)
+    point = under_load(cell, look_up(table, grid, cell, soc, warm), seen)
     a1 = math.exp(-dt_s / point.tau1_s)
     a2 = math.exp(-dt_s / point.tau2_s)
     a3 = 1.0
@@ -256,11 +267,14 @@ def ekf_step_inline(
 
     # Innovation and its variance: d = P H', with H = [slope, -1, -1, -1, m].
     drop = (point.r0_ohm * seen + v1) + (v2 + v3)
+    heat = x.heat_K
+    if cell.heating_K_per_W != 0.0:
+        heat = heat_step(cell, heat, flow, drop, dt_s)
     predicted = (point.ocv_V + point.m_V * h) - drop
     slope = point.ocv_slope_V
     bend = 0.0
     if ss > WIDE_VARIANCE:
-        slope, bend = chord(table, grid, cell, soc, point.ocv_V, math.sqrt(ss), temperature_C)
+        slope, bend = chord(table, grid, cell, soc, point.ocv_V, math.sqrt(ss), warm)
     m = point.m_V
     ds = (slope * ss + m * sh) - ((s1 + s2) + s3)
     d1 = (slope * s1 + m * p1h) - ((p11 + p12) + p13)
@@ -345,7 +359,7 @@ def ekf_step_inline(
         p22, p23, p2h,
         p33, p3h,
         phh,
-        current, rejections, mismatch,
+        current, rejections, mismatch, heat,
     )
     # fmt: on
     return state, EkfInfo(soc, math.sqrt(ss), predicted, innovation, variance, ratio, status)

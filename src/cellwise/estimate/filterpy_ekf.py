@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
-from cellwise.cell.kernels import CellPoint, CellState, advance, look_up, seen_current
+from cellwise.cell.kernels import CellPoint, CellState, advance, look_up, seen_current, under_load
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import known_temperature_C
 from cellwise.estimate.ekf import Ekf
@@ -48,6 +48,7 @@ class FilterpyEkf:
         soc, std, predicted, innovation, variance = (np.empty(n) for _ in range(5))
         previous = float(np.nan_to_num(current[0]))
         fresh = True
+        heat = 0.0
         for k in range(n):
             now = float(current[k]) if np.isfinite(current[k]) else previous
             seen = float(seen_current(self._cell, now, previous, dt[k]))
@@ -56,14 +57,15 @@ class FilterpyEkf:
             if gaps[k]:
                 ekf.P[0, 0] += self.noise.gap_soc**2
             flow = 0.0 if gaps[k] else seen
-            point = self._predict(ekf, flow, dt[k], temperature[k], unknown)
-            predicted[k] = self._voltage(ekf.x, seen, temperature[k])
+            warm = temperature[k] + heat
+            point, heat = self._predict(ekf, flow, dt[k], temperature[k], heat, unknown)
+            predicted[k] = self._voltage(ekf.x, seen, warm)
             innovation[k] = log.voltage_V[k] - predicted[k]
             shared = 1.0  # the first voltage is evidence by itself
             if not fresh and self.noise.slow_s > 0:
                 # A repeated stamp repeats the slow error: no new evidence.
                 shared = max(2 * self.noise.slow_s / dt[k], 1.0) if dt[k] > 0 else np.inf
-            variance[k] = self._update(ekf, log.voltage_V[k], seen, shared, temperature[k], point)
+            variance[k] = self._update(ekf, log.voltage_V[k], seen, shared, warm, point)
             fresh = fresh and not np.isfinite(log.voltage_V[k])
             soc[k], std[k] = ekf.x[0], np.sqrt(ekf.P[0, 0])
         ratio = innovation**2 / (self.noise.gate**2 * variance)
@@ -76,10 +78,11 @@ class FilterpyEkf:
         current: float,
         dt: float,
         temperature: float,
+        heat: float,
         unknown: float,
-    ) -> CellPoint:
+    ) -> tuple[CellPoint, float]:
         noise, cell = self.noise, self._cell
-        before = CellState(*(float(v) for v in ekf.x))
+        before = CellState._make((*(float(v) for v in ekf.x), heat))
         after, point = advance(
             self._table, self._grid, cell, before, current, float(dt), float(temperature)
         )
@@ -95,11 +98,12 @@ class FilterpyEkf:
         branches = np.array([0.0, *g[1:]])
         ekf.Q += unknown * np.outer(branches, branches)
         ekf.P = ekf.F @ ekf.P @ ekf.F.T + ekf.Q
-        ekf.x = np.array(after)
-        return CellPoint(*point)
+        ekf.x = np.array(after[:-1])
+        return CellPoint(*point), float(after[-1])
 
     def _voltage(self, x: FloatArray, current: float, temperature: float) -> float:
-        point = look_up(self._table, self._grid, self._cell, float(x[0]), float(temperature))
+        here = look_up(self._table, self._grid, self._cell, float(x[0]), float(temperature))
+        point = under_load(self._cell, here, current)
         return float(point.ocv_V - point.r0_ohm * current - x[1] - x[2] - x[3] + point.m_V * x[4])
 
     def _update(
