@@ -9,7 +9,15 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from cellwise import CellModel, simulate
-from cellwise.cell.effects import Hysteresis, SlowDiffusion, TemperatureDependence
+from cellwise.cell.effects import (
+    ChargeAsymmetry,
+    Hysteresis,
+    RateDependence,
+    SelfDischarge,
+    SelfHeating,
+    SlowDiffusion,
+    TemperatureDependence,
+)
 from closed_form import Circuit, closed_form, stamps
 from emulator import Cell, Sensor, Table, emulate, flat, measure, relax
 from emulator_cells import known_model, random_cell
@@ -24,15 +32,21 @@ EVERYTHING = {
     "rate_h": 0.05,
     "charge_scale": 1.3,
     "leak_A": 0.02,
-    "rth_K_per_W": 6.0,
     "thermal_s": 300.0,
     "charge_efficiency": 0.98,
 }
 
 
+def warming(cell: Cell, kelvin_at_1c: float) -> float:
+    """Thermal resistance [K/W] at which a steady 1C warms the core by so much."""
+    return kelvin_at_1c / (cell.capacity_Ah**2 * 3.0 * float(np.mean(cell.r0_ohm.values)))
+
+
 def cell_and_load(seed: int, rows: int = 2000, rate_hz: float = 1.0, chemistry="nmc", **changes):
     rng = np.random.default_rng(seed)
     cell = replace(random_cell(rng, chemistry, third=True), **changes)
+    if "thermal_s" in changes:
+        cell = replace(cell, rth_K_per_W=warming(cell, 3.0))
     load = random_load(
         rng, cell.capacity_Ah, 0.9, rows=rows, rate_hz=rate_hz, charge=True, temperature_C=(5, 40)
     )
@@ -130,8 +144,7 @@ def test_the_package_simulates_what_the_emulator_does(seed):
     """Two ways to the same numbers, on a grid on which parameters are constant in an interval."""
     rng = np.random.default_rng(seed)
     chemistry = ("nmc", "lfp")[seed % 2]
-    effects = {"activation_K": 2500.0, "m_V": flat(0.01), "gamma": 30.0}
-    cell, load = cell_and_load(100 + seed, 4000, (1.0, 10.0)[seed % 2], chemistry, **effects)
+    cell, load = cell_and_load(100 + seed, 4000, (1.0, 10.0)[seed % 2], chemistry, **EVERYTHING)
     held = np.repeat(load.current_A, 4)
     time = 0.25 * load.time_s[1] * np.arange(held.size)
     surface = np.interp(time, load.time_s, load.temperature_C)
@@ -147,9 +160,14 @@ def test_the_package_simulates_what_the_emulator_does(seed):
         tau2_s=cell.tau2_s(soc),
         effects=(
             SlowDiffusion(cell.r3_ohm(soc)[None, :], cell.tau3_s(soc)[None, :]),
-            Hysteresis(0.01, 30.0),
-            TemperatureDependence(2500.0, 25.0),
+            Hysteresis(0.02, cell.gamma),
+            TemperatureDependence(cell.activation_K, cell.reference_C),
+            RateDependence(cell.rate_h),
+            ChargeAsymmetry(cell.charge_scale),
+            SelfHeating(cell.rth_K_per_W, cell.thermal_s),
+            SelfDischarge(cell.leak_A),
         ),
+        charge_efficiency=cell.charge_efficiency,
     )
     assert np.max(np.abs(simulate(model, log, 0.9).error_V)) < 2e-4
 

@@ -98,12 +98,16 @@ def _resistance_scale(world: World, draw: Draw, x: float) -> tuple[World, Values
 
 
 def _ocv_shift(world: World, draw: Draw, x: float) -> tuple[World, Values]:
-    ocv = rising(world.cell.ocv_V.values + draw.sign * 1e-3 * x * draw.shape)
+    ocv = world.cell.ocv_V(np.linspace(0.0, 1.0, FINE))
+    ocv = rising(ocv + draw.sign * 1e-3 * x * draw.shape)
     return replace(world, cell=replace(world.cell, ocv_V=Table(ocv))), {}
 
 
 def _slow_diffusion(world: World, draw: Draw, x: float) -> tuple[World, Values]:
     values = {"r3_ohm": 0.005 * x / world.cell.capacity_Ah, "tau3_s": draw.slow_s}
+    if np.any(world.cell.r3_ohm.values > 0.0):  # a cell that has one: it gets stronger
+        grown = Table(world.cell.r3_ohm(np.linspace(0.0, 1.0, FINE)) + values["r3_ohm"])
+        return replace(world, cell=replace(world.cell, r3_ohm=grown)), values
     cell = replace(world.cell, r3_ohm=flat(values["r3_ohm"]), tau3_s=flat(values["tau3_s"]))
     return replace(world, cell=cell), values
 
@@ -115,7 +119,7 @@ def _hysteresis(world: World, draw: Draw, x: float) -> tuple[World, Values]:
 
 
 def _temperature(world: World, draw: Draw, x: float) -> tuple[World, Values]:
-    return _with_cell(world, activation_K=200.0 * x)
+    return _with_cell(world, activation_K=world.cell.activation_K + 200.0 * x)
 
 
 def _rate(world: World, draw: Draw, x: float) -> tuple[World, Values]:

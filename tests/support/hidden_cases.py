@@ -32,7 +32,7 @@ class Plan:
     chemistry: Chemistry | None = None
     baseline: bool | None = None
     train: int = 2
-    model: Literal["known", "identified"] = "known"
+    model: Literal["known", "identified"] | None = None
     misfit: Misfit = field(default_factory=Misfit)
 
 
@@ -168,7 +168,7 @@ def _setting(seed: int, effects: tuple[str, ...], plan: Plan, rng: np.random.Gen
     )
     noise_V = float(rng.uniform(0.3e-3, 1.5e-3))
     plain = World(cell, _instrument(rng, cell.capacity_Ah, noise_V))
-    known = plan.model == "known"
+    known = (plan.model or ("known", "identified")[int(rng.integers(2))]) == "known"
     model = known_model(cell, rng, plan.misfit, noise_V) if known else identified_model(cell, rng)
     count = plan.train + 2
     told = tuple(float(x) for x in rng.uniform(0.85, 0.96, count))
@@ -188,7 +188,12 @@ def _setting(seed: int, effects: tuple[str, ...], plan: Plan, rng: np.random.Gen
     about = f"{chemistry} {cell.capacity_Ah:.1f} Ah {rate:g} Hz soc0 {'auto' if auto else 'told'}"
     about += "".join(
         f", {word}"
-        for word, is_so in (("baseline", baseline), ("3 RC", third), ("warm", warm))
+        for word, is_so in (
+            ("baseline", baseline),
+            ("3 RC", third),
+            ("warm", warm),
+            ("identified", not known),
+        )
         if is_so
     )
     return _Setting(seed, plain, model, loads, told, "auto" if auto else told[0], baseline, about)
