@@ -43,6 +43,8 @@ def _print_confusion(found: list[Outcome]) -> None:
         said = [o.verdict for o in found if (o.hidden[0] if o.hidden else "none") == row]
         if said:
             cells = "".join(f"{said.count(v) or '.':>4}" for v in VERDICTS)
+            broken = len(said) - sum(said.count(v) for v in VERDICTS)
+            cells += f"  and {broken} broken" if broken else ""
             print(f"  {row:>{width}}  {cells}")
 
 

@@ -42,6 +42,14 @@ class Task:
 
 
 @dataclass(frozen=True)
+class Broken:
+    """What stands for a diagnosis that raised."""
+
+    verdict: str
+    causes: tuple[Any, ...] = ()
+
+
+@dataclass(frozen=True)
 class Found:
     """The outcomes of a task, and the smallest size found where it looked for one [V]."""
 
@@ -127,15 +135,20 @@ def run_with(task: Task, diagnose: Callable[..., Any]) -> Found:
         return outcomes[-1].right
 
     smallest = smallest_found(found_at, SIZES_V)
+    if np.isfinite(smallest):  # physics may not have allowed the size that was asked for
+        smallest = min(o.size_V for o in outcomes if o.right)
     return Found(tuple(outcomes), smallest)
 
 
 def _outcome(task: Task, size_V: float, diagnose: Callable[..., Any]) -> Outcome:
     case = sealed_case(task, size_V)
     began = time.perf_counter()
-    said = diagnose(
-        case.model, case.logs, holdout=case.holdout, baseline=case.baseline, soc0=case.soc0
-    )
+    try:
+        said = diagnose(
+            case.model, case.logs, holdout=case.holdout, baseline=case.baseline, soc0=case.soc0
+        )
+    except Exception as error:  # one broken case must not end a run of hours
+        said = Broken(f"broken: {type(error).__name__}: {error}")
     return judge(case, said, time.perf_counter() - began)
 
 
