@@ -85,8 +85,9 @@ def _run_all(todo: list[Task], workers: int, verbose: bool) -> list:
             if verbose:
                 for outcome in found.outcomes:
                     print(outcome.line(), flush=True)
-            print(f"\r{len(done)} of {len(todo)}", end="", file=sys.stderr, flush=True)
-    print(file=sys.stderr)
+            if sys.stderr.isatty() or len(done) % 10 == 0:
+                end = "\r" if sys.stderr.isatty() else "\n"
+                print(f"{len(done)} of {len(todo)} ", end=end, file=sys.stderr, flush=True)
     return done
 
 
