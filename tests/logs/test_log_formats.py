@@ -8,7 +8,7 @@ import pytest
 from cellwise.logs import FORMATS, read_log, reading
 from cellwise.logs.columns import OWN, Channel, Unit
 from cellwise.logs.csv_text import read_csv
-from cellwise.logs.formats import Format
+from cellwise.logs.format import Format
 from log_files import csv_text, pulse_channels
 
 CYCLER = Format(

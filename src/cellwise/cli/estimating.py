@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellwise.cli import printing
+from cellwise.cli import log_options, printing
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def _common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("log", metavar="LOG")
     parser.add_argument("--soc0", default="auto", metavar="X", help="0..1, or auto [auto]")
     parser.add_argument("-o", "--output", metavar="OUT", help="rows as .csv, .csv.gz or .parquet")
-    printing.add_sign(parser)
+    log_options.add_log_options(parser)
     printing.add_json(parser)
 
 
@@ -54,7 +54,7 @@ def run_simulate(arguments: argparse.Namespace) -> None:
 
     printing.check_places(arguments.output)
     model = read_model(arguments.model)
-    log = printing.read(arguments.log, arguments.sign)
+    log = log_options.read(arguments.log, arguments)
     start = initial_soc(model, log, parse_soc0(arguments.soc0))
     simulate(model, log.part(0, 2), start.soc)  # compiles outside the clock
     began = time.perf_counter()
@@ -92,7 +92,7 @@ def run_replay(arguments: argparse.Namespace) -> None:
         raise InputError(f"--reference-soc0 {true0:g}", "a fraction from 0 to 1", "Correct it.")
     model = read_model(arguments.model)
     make_estimator(arguments.estimator, model)
-    log = printing.read(arguments.log, arguments.sign)
+    log = log_options.read(arguments.log, arguments)
     if arguments.dt is not None:
         log = resample(log, arguments.dt)
     with printing.bar() as progress:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from cellwise.cli import printing
+from cellwise.cli import log_options, printing
 
 if TYPE_CHECKING:
     from cellwise.identify import Identification
@@ -39,7 +39,7 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     p.add_argument("--chemistry", default="")
     p.add_argument("-o", "--output", required=True, metavar="MODEL", help="model file (JSON)")
     p.add_argument("--report", metavar="F.html", help="page with pictures")
-    printing.add_sign(p)
+    log_options.add_log_options(p)
     printing.add_json(p)
     p.set_defaults(run=run_identify)
 
@@ -54,13 +54,13 @@ def run_identify(arguments: argparse.Namespace) -> None:
 
     def with_temperature(items: list[str]) -> tuple[tuple[CellLog, float | None], ...]:
         pairs = [printing.split_temperature(item) for item in items]
-        return tuple((printing.read(path, arguments.sign), t) for path, t in pairs)
+        return tuple((log_options.read(path, arguments), t) for path, t in pairs)
 
     tests = TestLogs(
         hppc=with_temperature(arguments.hppc),
         drive=with_temperature(arguments.drive),
-        ocv=tuple(printing.read(path, arguments.sign) for path in arguments.ocv),
-        capacity=tuple(printing.read(path, arguments.sign) for path in arguments.capacity),
+        ocv=tuple(log_options.read(path, arguments) for path in arguments.ocv),
+        capacity=tuple(log_options.read(path, arguments) for path in arguments.capacity),
     )
     settings = IdentifySettings(
         nominal_Ah=arguments.nominal_ah,

@@ -5,20 +5,20 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from cellwise.cli import printing
+from cellwise.cli import log_options, printing
 
 
 def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the commands that look at logs."""
     inspect = commands.add_parser("inspect", help="say what is in a log")
     inspect.add_argument("log", metavar="LOG")
-    printing.add_sign(inspect)
+    log_options.add_log_options(inspect)
     printing.add_json(inspect)
     inspect.set_defaults(run=run_inspect)
     convert = commands.add_parser("convert", help="write a log in the tidy form")
     convert.add_argument("log", metavar="LOG")
     convert.add_argument("-o", "--output", required=True, metavar="OUT")
-    printing.add_sign(convert)
+    log_options.add_log_options(convert)
     printing.add_json(convert)
     convert.set_defaults(run=run_convert)
 
@@ -27,7 +27,7 @@ def run_inspect(arguments: argparse.Namespace) -> None:
     """Print what is in a log."""
     from cellwise.logs import inspect_log
 
-    found = inspect_log(printing.read(arguments.log, arguments.sign)).to_dict()
+    found = inspect_log(log_options.read(arguments.log, arguments)).to_dict()
     if arguments.json:
         printing.print_json(found)
         return
@@ -39,7 +39,7 @@ def run_convert(arguments: argparse.Namespace) -> None:
     from cellwise.logs import write_log
 
     printing.check_places(arguments.output)
-    log = printing.read(arguments.log, arguments.sign)
+    log = log_options.read(arguments.log, arguments)
     path = write_log(log, arguments.output)
     if arguments.json:
         printing.print_json({"output": str(path), "samples": len(log), "notices": log.notices})

@@ -33,17 +33,18 @@ def add_sign(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def read(path: str, sign: str = "auto") -> CellLog:
-    """Read a log, with a bar for a big file."""
+def read(path: str, sign: str = "auto", **options: Any) -> CellLog:
+    """Read a log, with a bar for a big file; the options are those of `read_log`."""
     place = Path(path)
     if not place.is_file() or place.stat().st_size < BIG_FILE:
-        return read_log(place, sign=sign)
+        return read_log(place, sign=sign, **options)
     with bar() as progress:
         task = progress.add_task(f"reading {place.name}", total=None)
         return read_log(
             place,
             sign=sign,
             progress=lambda done, total: progress.update(task, completed=done, total=total),
+            **options,
         )
 
 

@@ -19,7 +19,7 @@ from cellwise.logs.counter import (
     counts_throughput,
     joined_counter,
 )
-from cellwise.logs.formats import SignConvention
+from cellwise.logs.format import SignConvention
 from cellwise.logs.sign import contradiction, verify_sign
 from cellwise.logs.source import RawLog
 from cellwise.logs.units import (

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from difflib import get_close_matches
-
-import numpy as np
+from typing import Literal
 
 from cellwise.errors import InputError
 from cellwise.typing import FloatArray
@@ -14,12 +13,21 @@ from cellwise.typing import FloatArray
 KELVIN_OFFSET = -273.15
 
 
+CellKind = Literal["number", "clock", "word"]
+
+
 @dataclass(frozen=True)
 class Unit:
-    """Conversion to the channel's own unit: ``value * factor + offset``."""
+    """Conversion to the channel's own unit: ``value * factor + offset``.
+
+    ``kind`` says how the cells are written: as numbers, as a clock (``1d 02:03:04.5``, in seconds),
+    or as words, of which ``words`` gives the value (a word that is not among them: missing).
+    """
 
     factor: float = 1.0
     offset: float = 0.0
+    kind: CellKind = "number"
+    words: Mapping[str, float] = field(default_factory=dict, hash=False)
 
     def convert(self, values: FloatArray) -> FloatArray:
         """Values in the channel's own unit; the same array where nothing changes."""
@@ -29,6 +37,10 @@ class Unit:
 
 
 OWN = Unit()
+MILLI = Unit(1e-3)
+TURNED = Unit(-1.0)  # a counter that runs with a charge-positive current
+TURNED_MILLI = Unit(-1e-3)
+CLOCK = Unit(kind="clock")
 
 
 @dataclass(frozen=True)
@@ -39,13 +51,15 @@ class Channel:
     ----------
     field : str             field of `CellLog`
     names : mapping         column name to unit, the usual one first; compared without regard to
-                            case and surrounding blanks, the first one present is taken
+                            case, blanks and underscores, the first one present is taken
     required : bool         a log without it is refused
+    instead : str           field of another channel that will do in its place
     """
 
     field: str
     names: Mapping[str, Unit]
     required: bool = False
+    instead: str = ""
 
     @property
     def usual_name(self) -> str:
@@ -108,7 +122,12 @@ _SYNONYMS = {
 
 
 def choose_columns(
-    header: Sequence[str], channels: Sequence[Channel], where: str
+    header: Sequence[str],
+    channels: Sequence[Channel],
+    where: str,
+    *,
+    known: Sequence[str] | None = None,
+    chosen: Mapping[str, str] | None = None,
 ) -> tuple[list[Column], list[str]]:
     """Find the channels' columns in a header.
 
@@ -117,6 +136,9 @@ def choose_columns(
     header : sequence of str        column names as they stand in the file
     channels : sequence             what the format knows
     where : str                     the file, for messages
+    known : sequence of str         names that belong to the format and are of no use here
+    chosen : mapping                what the user said: a tidy name, which tells the unit, to the
+                                    name in the file
 
     Returns
     -------
@@ -127,32 +149,80 @@ def choose_columns(
     ------
     InputError                      a required column is missing, or stands there twice
     """
-    folded = [name.strip().casefold() for name in header]
-    columns: list[Column] = []
-    notices: list[str] = []
+    keys = [folded(name) for name in header]
+    columns = [_told(tidy, name, header, keys, where) for tidy, name in (chosen or {}).items()]
+    notices = [f"column '{c.name}' was taken for {c.field}, as told" for c in columns]
+    told = {column.field for column in columns}
     for channel in channels:
-        column = _find(channel, header, folded, where)
+        if channel.field in told:
+            continue
+        column = _find(channel, header, keys, where)
         if column is None:
             continue
         columns.append(column)
-        if column.unit != OWN:
-            notices.append(f"column '{column.name}' was converted to {channel.usual_name}")
+        if known is None and column.unit != OWN:
+            notices.append(f"column '{column.name}' was converted to {_tidy_name(channel)}")
     found = {column.field for column in columns}
-    missing = [c for c in channels if c.required and c.field not in found]
+    missing = [
+        c for c in channels if c.required and c.field not in found and c.instead not in found
+    ]
     if missing:
         raise _missing_columns(missing, header, channels, where)
     used = {column.index for column in columns}
     unused = [header[k].strip() for k in range(len(header)) if k not in used and header[k].strip()]
-    if unused:
-        notices.append(f"column(s) not used: {_listed(unused)}")
-    return columns, notices
+    return columns, notices + _unused_columns(unused, channels, known)
+
+
+def _told(tidy: str, name: str, header: Sequence[str], keys: Sequence[str], where: str) -> Column:
+    """The column that the user named for a channel."""
+    fields = [(c.field, u) for c in TIDY_CHANNELS for n, u in c.names.items() if n == tidy]
+    if not fields:
+        known = [n for c in TIDY_CHANNELS for n in c.names]
+        near = get_close_matches(tidy, known, n=1)
+        raise InputError(
+            f"a channel '{tidy}'",
+            f"one of {', '.join(known)}",
+            f"Did you mean {near[0]}?" if near else "The name tells the unit.",
+        )
+    places = [k for k, text in enumerate(header) if text.strip() == name.strip()]
+    places = places or [k for k, text in enumerate(keys) if text == folded(name)]
+    if not places:
+        raise no_such_name(name, [text.strip() for text in header], where)
+    return Column(fields[0][0], places[0], header[places[0]].strip(), fields[0][1])
+
+
+def no_such_name(name: str, names: Sequence[str], where: str, what: str = "column") -> InputError:
+    """The refusal of a name that the user gave and the file has not."""
+    near = get_close_matches(name, names, n=3, cutoff=0.4)
+    return InputError(
+        f"no {what} '{name}' in {where}, which has {listed(names)}",
+        f"the name of a {what} that is there",
+        f"Nearest: {listed(near)}." if near else "Choose one of those.",
+    )
+
+
+def _unused_columns(
+    unused: Sequence[str], channels: Sequence[Channel], known: Sequence[str] | None
+) -> list[str]:
+    """What is told of columns that are not used."""
+    if not unused:
+        return []
+    if known is None:
+        return [f"column(s) not used: {listed(unused)}"]
+    expected = {folded(n): n for n in (*(n for c in channels for n in c.names), *known)}
+    told = []
+    for name in unused:
+        if folded(name) not in expected:
+            near = get_close_matches(folded(name), expected, n=1)
+            told.append(f"'{name}'" + (f" (nearest: '{expected[near[0]]}')" if near else ""))
+    return [f"column(s) that this format does not know: {', '.join(told)}"] if told else []
 
 
 def _find(
-    channel: Channel, header: Sequence[str], folded: Sequence[str], where: str
+    channel: Channel, header: Sequence[str], keys: Sequence[str], where: str
 ) -> Column | None:
     for name, unit in channel.names.items():
-        places = [k for k, text in enumerate(folded) if text == name.casefold()]
+        places = [k for k, text in enumerate(keys) if text == folded(name)]
         if len(places) > 1:
             raise InputError(
                 f"{len(places)} columns named '{name}' in {where} "
@@ -165,15 +235,27 @@ def _find(
     return None
 
 
+def folded(name: str) -> str:
+    """A column name as names are compared."""
+    return name.casefold().replace(" ", "").replace("_", "").strip('"\t\ufeff')
+
+
+def _tidy_name(channel: Channel) -> str:
+    """The name in the tidy form, or the field where the tidy form has none."""
+    return next((c.usual_name for c in TIDY_CHANNELS if c.field == channel.field), channel.field)
+
+
 def _missing_columns(
     missing: Sequence[Channel], header: Sequence[str], channels: Sequence[Channel], where: str
 ) -> InputError:
     names = [name.strip() for name in header]
-    hints = []
+    hints: list[str] = []
+    said: list[str] = []
     for channel in missing:
         near = _nearest(channel, names)
         if near:
             hints.append(f"rename '{near}' to '{channel.usual_name}' if that is what it holds")
+            said.append(f"--channel {_tidy_name(channel)}='{near}'")
     optional = ", ".join(c.usual_name for c in channels if not c.required)
     required = ", ".join(c.usual_name for c in channels if c.required)
     action = (
@@ -181,10 +263,12 @@ def _missing_columns(
         "time_ms, time_min, time_h)"
     )
     return InputError(
-        f"column(s) {_listed(names) or 'without any name'} in {where}; missing: "
+        f"column(s) {listed(names) or 'without any name'} in {where}; missing: "
         f"{', '.join(c.usual_name for c in missing)}",
         f"the columns {required} (and, where measured, {optional})",
-        f"{action}: {'; '.join(hints)}." if hints else f"{action}.",
+        f"{action}: {'; '.join(hints)}, or say it with {' '.join(said)}."
+        if hints
+        else f"{action}, or name the columns with --channel.",
     )
 
 
@@ -213,7 +297,8 @@ def _plain(name: str) -> str:
     return base if base and unit in units else text
 
 
-def _listed(names: Sequence[str], most: int = 12) -> str:
+def listed(names: Sequence[str], most: int = 12) -> str:
+    """Names in quotes, the first dozen."""
     shown = ", ".join(f"'{name}'" for name in names[:most])
     return shown + (f" and {len(names) - most} more" if len(names) > most else "")
 
@@ -222,8 +307,3 @@ def tidy_header(fields: Sequence[str]) -> list[str]:
     """Column names of the tidy form for fields of `CellLog`."""
     names = {channel.field: channel.usual_name for channel in TIDY_CHANNELS}
     return [names[field] for field in fields]
-
-
-def converted(column: Column, values: FloatArray) -> FloatArray:
-    """Values of a column as float64 in the channel's own unit."""
-    return column.unit.convert(np.asarray(values, dtype=np.float64))

@@ -2,96 +2,39 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from array import array
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.arrow_arrays import to_numpy
-from cellwise.logs.columns import Channel, Column, choose_columns
+from cellwise.logs.columns import Column, choose_columns
+from cellwise.logs.csv_layout import (
+    DECIMAL_COMMA,
+    CsvLayout,
+    csv_layout,
+    header_names,
+    is_numeric,
+    native_layout,
+)
+from cellwise.logs.format import Format
 from cellwise.logs.source import LogSource, RawLog, damaged_gzip
+from cellwise.logs.text_cells import arrow_type, arrow_values
 from cellwise.typing import FloatArray
 
 if TYPE_CHECKING:
     from pyarrow.csv import InvalidRow
 
-DELIMITERS = ",;\t|"
 BLOCK_BYTES = 4 << 20
 TAIL_BYTES = 4096
 # What loggers and spreadsheets write where there is no value.
 MISSING = ["", "nan", "NaN", "NAN", "-nan", "null", "NULL", "none", "None", "NA", "N/A", "n/a"]
 MISSING += ["#N/A", "#NA", "#DIV/0!", "#VALUE!", "-", "--", "---"]
 
-_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
-_NUMBER = re.compile(r"[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?")
 
-
-@dataclass(frozen=True)
-class CsvLayout:
-    """How one CSV file is laid out.
-
-    ``offset`` is the first byte of the rows, ``line`` the (1-based) line they begin in.
-    """
-
-    header: tuple[str, ...]
-    delimiter: str
-    decimal: str
-    offset: int
-    line: int
-
-
-def csv_layout(source: LogSource) -> CsvLayout:
-    """Find header, delimiter and decimal sign in the first bytes of a file.
-
-    A byte order mark, blank lines and comment lines beginning with ``#`` may stand before the
-    header; where there is no header but a commented one, that is taken.
-
-    Raises
-    ------
-    InputError        no line with column names
-    """
-    lines = _head_lines(source.head)
-    offset, number, comment = 0, 0, ""
-    for raw in lines:
-        text = raw.decode("utf-8", errors="replace").lstrip("\ufeff").strip()
-        if text and not text.startswith("#"):
-            break
-        comment = text or comment
-        offset += len(raw)
-        number += 1
-    else:
-        raise InputError(
-            f"only blank lines and comments at the beginning of '{source.path}'",
-            "a line with column names and rows of numbers",
-            "Check the export that wrote it.",
-        )
-    header_line, rows = text, lines[number:]
-    if _is_numeric(text):
-        header_line = comment.lstrip("# ")
-        if not header_line or _is_numeric(header_line):
-            raise InputError(
-                f"no column names in '{source.path}': its first row reads '{text[:60]}'",
-                "a first line with the names time_s, current_A, voltage_V",
-                "Put a line with the column names at the top.",
-            )
-    else:
-        offset += len(lines[number])
-        number += 1
-        rows = lines[number:]
-    delimiter = max(DELIMITERS, key=header_line.count)
-    header = next(csv.reader([header_line], delimiter=delimiter, skipinitialspace=True))
-    cells = [row for row in _cells(rows[:50], delimiter) if row]
-    if cells and all(len(row) == len(header) + 1 and not row[-1].strip() for row in cells):
-        header = [*header, ""]  # rows end with a delimiter, the header does not
-    return CsvLayout(tuple(header), delimiter, _decimal(cells, delimiter), offset, number + 1)
-
-
-def read_csv(source: LogSource, channels: Sequence[Channel]) -> RawLog:
+def read_csv(source: LogSource, known: Format) -> RawLog:
     """Read the channels' columns of a CSV file, a block of 4 MB at a time.
 
     Raises
@@ -99,9 +42,11 @@ def read_csv(source: LogSource, channels: Sequence[Channel]) -> RawLog:
     InputError        columns missing, no rows, text where numbers belong, rows of another length,
                       damaged gzip; a last line that was cut off is dropped with a notice
     """
-    layout = csv_layout(source)
-    where = f"'{source.path}'"
-    columns, notices = choose_columns(layout.header, channels, where)
+    layout = _layout(source, known)
+    where = source.where
+    columns, notices = choose_columns(
+        layout.header, known.channels, where, known=known.known, chosen=source.options.channels
+    )
     if layout.decimal == ",":
         notices.append("decimal commas were read as such")
     odd_rows: list[tuple[int, int, str]] = []
@@ -121,6 +66,15 @@ def read_csv(source: LogSource, channels: Sequence[Channel]) -> RawLog:
     return RawLog(arrays, tuple(notices))
 
 
+def _layout(source: LogSource, known: Format) -> CsvLayout:
+    """The header of a program's own export, else the first line that is none of a comment."""
+    chosen = tuple(source.options.channels.values())
+    names = (*(name for c in known.channels for name in c.names), *(known.known or ()), *chosen)
+    if known.known is not None or (chosen and header_names(source, names) > 1):
+        return native_layout(source, names)
+    return csv_layout(source)
+
+
 def _read_batches(
     source: LogSource,
     layout: CsvLayout,
@@ -133,6 +87,7 @@ def _read_batches(
 
     names = [f"{k}" for k in range(len(layout.header))]
     wanted = [names[column.index] for column in columns]
+    types = {names[column.index]: arrow_type(column.unit) for column in columns}
 
     def keep_odd(row: InvalidRow) -> str:
         odd_rows.append((row.number or 0, row.actual_columns, row.text))
@@ -153,15 +108,19 @@ def _read_batches(
                     delimiter=layout.delimiter, invalid_row_handler=keep_odd
                 ),
                 convert_options=pa_csv.ConvertOptions(
-                    column_types=dict.fromkeys(wanted, pa.float64()),
+                    column_types=types,
                     include_columns=wanted,
                     null_values=MISSING,
+                    strings_can_be_null=True,
                     decimal_point=layout.decimal,
                 ),
             )
             for batch in reader:
-                for k, name in enumerate(wanted):
-                    grown[k].frombytes(to_numpy(batch.column(name)).tobytes())
+                for into, name, column in zip(grown, wanted, columns, strict=True):
+                    values, unread = arrow_values(column.unit, batch.column(name))
+                    if unread:
+                        raise _no_clock(unread, column, source)
+                    into.frombytes(values.tobytes())
                 source.tell(file.tell(), source.size)
     except pa.ArrowInvalid as error:
         if "Empty CSV file" not in str(error):
@@ -171,6 +130,14 @@ def _read_batches(
             raise
         raise damaged_gzip(source, str(error)) from None
     return [np.frombuffer(values, np.float64) for values in grown]
+
+
+def _no_clock(text: str, column: Column, source: LogSource) -> InputError:
+    return InputError(
+        f"'{text[:40]}' in column '{column.name}' of {source.where}",
+        "a time as 12.5, 02:03:04.5 or 1d 02:03:04",
+        "Correct the cell, or export the time in seconds.",
+    )
 
 
 def _refused(
@@ -189,7 +156,7 @@ def _refused(
     row = f"row {found.group(2)} " if found.group(2) else "a row "
     value = found.group(3)
     action = "Correct or blank the cell; a missing value is an empty cell or 'nan'."
-    if _DECIMAL_COMMA.fullmatch(value.strip()) or value.count(".") > 1:
+    if DECIMAL_COMMA.fullmatch(value.strip()) or value.count(".") > 1:
         action = "Write numbers with one decimal point and without thousands separators."
     elif ":" in value and name.casefold().startswith("time"):
         action = "Write the time as seconds from the log's start."
@@ -207,7 +174,7 @@ def _odd_rows(odd: Sequence[tuple[int, int, str]], rows: int, layout: CsvLayout,
     if len(odd) == 1 and cells < expected and number == rows + 1:
         return f"the last line is cut off ('{text[:40]}') and was left out"
     action = "Repair or remove these lines."
-    if layout.delimiter == "," and cells > expected and _is_numeric(text):
+    if layout.delimiter == "," and cells > expected and is_numeric(text):
         action = "If the numbers are written with decimal commas, separate the cells by semicolons."
     raise InputError(
         f"{cells} cells in row {number} after the header of {where} ('{text[:60]}')"
@@ -228,32 +195,3 @@ def _ends_short(source: LogSource) -> bool:
         return False
     last, before = (re.split(rb"[,;\t|]", line.rstrip())[-1] for line in (lines[-1], lines[-2]))
     return len(last) < len(before)
-
-
-def _head_lines(head: bytes) -> list[bytes]:
-    """Lines with their ends; a cut off last one only if it is the only one."""
-    lines = head.splitlines(keepends=True)
-    if len(lines) > 1 and not lines[-1].endswith((b"\n", b"\r")):
-        return lines[:-1] if len(lines) > 2 else lines
-    return lines
-
-
-def _cells(rows: Sequence[bytes], delimiter: str) -> list[list[str]]:
-    text = [row.decode("utf-8", errors="replace") for row in rows]
-    return list(csv.reader(text, delimiter=delimiter))
-
-
-def _decimal(cells: Sequence[Sequence[str]], delimiter: str) -> str:
-    """A comma where cells are written so and no cell has a decimal point, else a point."""
-    if delimiter == ",":
-        return "."
-    flat = [cell.strip() for row in cells for cell in row]
-    commas = any(_DECIMAL_COMMA.fullmatch(cell) for cell in flat)
-    points = any("." in cell and _NUMBER.fullmatch(cell) for cell in flat)
-    return "," if commas and not points else "."
-
-
-def _is_numeric(line: str) -> bool:
-    """No cell of the line is a word."""
-    cells = [cell.strip() for cell in re.split(r"[,;\t|]", line)]
-    return any(cells) and all(not c or _NUMBER.fullmatch(c) for c in cells)

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Literal
 
 from cellwise.logs.assembly import Origin, assemble
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.formats import Format, tell_format
+from cellwise.logs.completion import complete
+from cellwise.logs.format import tell_format
+from cellwise.logs.formats import FORMATS
+from cellwise.logs.options import ReadOptions
+from cellwise.logs.pack import to_cell
 from cellwise.logs.source import Progress, open_source
-from cellwise.logs.tidy import TIDY_CSV, TIDY_PARQUET
 
-# In this order: plain text is the last resort.
-FORMATS: tuple[Format, ...] = (TIDY_PARQUET, TIDY_CSV)
-
-_SUFFIXES = (".gz", ".csv", ".parquet", ".txt")
+_SUFFIXES = (
+    *(".gz", ".csv", ".parquet", ".txt", ".bdf", ".ulg", ".bin", ".mat", ".mf4", ".mdf", ".nda"),
+    *(".ndax", ".mpr", ".mpt", ".blf", ".asc", ".log", ".trc"),
+)
 
 
 def read_log(
@@ -22,12 +27,19 @@ def read_log(
     sign: str = "auto",
     name: str | None = None,
     progress: Progress | None = None,
+    series: int | Literal["auto"] = 1,
+    parallel: int = 1,
+    channels: Mapping[str, str] | None = None,
+    instance: int | None = None,
+    dbc: str | Path | None = None,
+    partial: bool = False,
 ) -> CellLog:
     """Read a log in the tidy form or in a native format, told by its content.
 
     The tidy form has the columns ``time_s, current_A, voltage_V[, temperature_C]
     [, ampere_hours][, step]`` in any order, as CSV (plain or gzip) or parquet, positive current =
     discharge. Other units are converted when the name tells them (``current_mA``, ``time_h``, ...).
+    `FORMATS` holds the others; what they need beyond pyarrow is in the extra ``importers``.
 
     Parameters
     ----------
@@ -36,6 +48,14 @@ def read_log(
                         ``charge-positive`` and ``discharge-positive``, override the format
     name : str          for people; the file's name without suffix if not given
     progress : callable     called with what is done and the total, while reading
+    series : int or "auto"  cells in series, to read a pack as its mean cell; ``auto``: the number
+                            that the file states
+    parallel : int          cells in parallel
+    channels : mapping      which column or signal is which: a tidy name, which tells the unit, to
+                            the name in the file (``{"current_mA": "I_pack"}``)
+    instance : int          which battery of a file that holds several, counted from 0
+    dbc : str or Path       database of the frames of a CAN log
+    partial : bool          read a recording that was cut off (loss of power) as far as it goes
 
     Returns
     -------
@@ -45,9 +65,18 @@ def read_log(
     ------
     InputError          the file cannot be read as a log: see the message for what to do
     """
-    source = open_source(path, progress)
+    options = ReadOptions(
+        series=series,
+        parallel=parallel,
+        channels=dict(channels or {}),
+        instance=instance,
+        dbc=None if dbc is None else Path(dbc),
+        partial=partial,
+    )
+    source = open_source(path, progress, options)
     known = tell_format(source, FORMATS)
-    raw = known.read(source, known.channels)
+    raw = complete(known.read(source, known), known.sign, source.where)
+    raw = to_cell(raw, options, source.where)
     origin = Origin(
         name=_plain_name(source.path) if name is None else name,
         source=str(source.path),
@@ -61,5 +90,6 @@ def read_log(
 def _plain_name(path: Path) -> str:
     name = path.name
     for suffix in _SUFFIXES:
-        name = name.removesuffix(suffix)
+        if name.casefold().endswith(suffix):
+            name = name[: -len(suffix)]
     return name or path.name

@@ -7,10 +7,12 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import cached_property
 from pathlib import Path
 from typing import IO, cast
 
 from cellwise.errors import InputError
+from cellwise.logs.options import NOTHING_SAID, ReadOptions
 from cellwise.typing import FloatArray
 
 # Called with the bytes (or columns) done and the number there are in all.
@@ -18,6 +20,8 @@ Progress = Callable[[int, int], None]
 
 HEAD_BYTES = 65_536
 GZIP_MAGIC = b"\x1f\x8b"
+TEXT_CONTROLS = b"\t\n\r\f"
+MOST_HEADER_LINES = 400
 
 
 @dataclass(frozen=True)
@@ -32,6 +36,24 @@ class LogSource:
     gzipped: bool
     head: bytes
     progress: Progress | None = None
+    options: ReadOptions = NOTHING_SAID
+
+    @property
+    def where(self) -> str:
+        """The file, for messages."""
+        return f"'{self.path}'"
+
+    @property
+    def is_text(self) -> bool:
+        """The file's beginning has no byte that text has not."""
+        return not any(byte < 32 and byte not in TEXT_CONTROLS for byte in set(self.head))
+
+    @cached_property
+    def first_lines(self) -> tuple[str, ...]:
+        """The first lines of a text, stripped; none of another file."""
+        if not self.is_text:
+            return ()
+        return tuple(line.strip() for line in decoded(self.head).splitlines()[:MOST_HEADER_LINES])
 
     def open(self) -> IO[bytes]:
         """The content as a binary stream, decompressed."""
@@ -49,15 +71,19 @@ class LogSource:
 class RawLog:
     """What a reader takes from a file: channels by field of `CellLog`, in the channel's own unit.
 
-    ``channels["time_s"]``, ``["current_A"]`` and ``["voltage_V"]`` are always there; missing
-    values are NaN; the sign is still the format's.
+    ``channels["time_s"]``, ``["current_A"]`` and ``["voltage_V"]`` are there once `complete` has
+    seen it; missing values are NaN; the sign is still the format's. ``cells`` is the number of
+    cells in series that the file states.
     """
 
     channels: dict[str, FloatArray]
     notices: tuple[str, ...] = ()
+    cells: int | None = None
 
 
-def open_source(path: str | Path, progress: Progress | None = None) -> LogSource:
+def open_source(
+    path: str | Path, progress: Progress | None = None, options: ReadOptions | None = None
+) -> LogSource:
     """Look at a file's first bytes.
 
     Raises
@@ -91,7 +117,17 @@ def open_source(path: str | Path, progress: Progress | None = None) -> LogSource
             raise damaged_gzip(source, str(error)) from None
     if not head:
         raise _empty(place)
-    return LogSource(place, size, source.gzipped, head, progress)
+    return LogSource(place, size, source.gzipped, head, progress, options or NOTHING_SAID)
+
+
+def decoded(text: bytes) -> str:
+    """Bytes as UTF-8, else as Latin-1, which old programs write (a degree sign, a micro sign)."""
+    try:
+        return text.decode("utf-8")
+    except UnicodeDecodeError as error:
+        if error.start >= len(text) - 3:  # cut within a character
+            return text.decode("utf-8", errors="ignore")
+        return text.decode("latin-1")
 
 
 def damaged_gzip(source: LogSource, reason: str) -> InputError:

@@ -1,0 +1,147 @@
+"""CAN logs (BLF, ASC, ``candump -L``, TRC) with a database that tells what the frames hold."""
+
+from __future__ import annotations
+
+import io
+import re
+from array import array
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from cellwise.errors import InputError
+from cellwise.logs.alignment import Series, aligned
+from cellwise.logs.can_bits import physical_values
+from cellwise.logs.columns import OWN, Channel
+from cellwise.logs.extras import need
+from cellwise.logs.format import Format, damaged, library_at_work
+from cellwise.logs.signal_choice import Signal, choose_signals
+from cellwise.logs.source import LogSource, RawLog
+
+_BLF = b"LOGG"
+_CANDUMP = re.compile(r"\(\d+\.\d+\)\s+\S+\s+[0-9A-Fa-f]+#")
+_ASC = re.compile(r"base\s+(hex|dec)\s+timestamps\s+(absolute|relative)", re.I)
+_TELL_EVERY = 50_000
+
+Frames = dict[tuple[int, bool], tuple["array[float]", list[bytes]]]
+
+
+def _kind(source: LogSource) -> str:
+    """Reader of python-can for this content; empty if it is none of a CAN log."""
+    if source.head.startswith(_BLF):
+        return "BLFReader"
+    lines = [line for line in source.first_lines[:40] if line]
+    if not lines:
+        return ""
+    if lines[0].startswith(";$FILEVERSION"):
+        return "TRCReader"
+    if _CANDUMP.match(lines[0]):
+        return "CanutilsLogReader"
+    if any(_ASC.match(line) for line in lines[:5]):
+        return "ASCReader"
+    return ""
+
+
+def _read(source: LogSource, known: Format) -> RawLog:
+    database = _database(source)
+    frames, ids = _frames(source, database)
+    if not frames:
+        seen = ", ".join(f"0x{i:X}" for i in sorted(ids)[:8])
+        there = ", ".join(f"0x{m.frame_id:X} {m.name}" for m in database.messages[:8])
+        raise InputError(
+            f"no frame in {source.where} that '{source.options.dbc}' describes (frames "
+            f"{seen or '-'}{', ...' if len(ids) > 8 else ''}; the database has {there or 'none'})",
+            "the database of this log",
+            "Choose another DBC file.",
+        )
+    messages = {(m.frame_id, m.is_extended_frame): m for m in database.messages}
+    signals = [
+        Signal(f"{messages[key].name}.{s.name}", s.unit or "", (key, s.name))
+        for key in sorted(frames)
+        for s in messages[key].signals
+    ]
+    chosen, notices = choose_signals(signals, source.options.channels, source.where)
+    series: dict[str, Series] = {}
+    for field, signal, unit in chosen:
+        key: Any = signal.key[0]
+        stamps, payloads = frames[key]
+        values, whole = physical_values(messages[key], str(signal.key[1]), payloads)
+        if not whole.any():
+            raise InputError(
+                f"frames of {len(payloads[0])} byte(s) in {source.where}: '{signal.name}' "
+                f"needs {messages[key].length} in '{source.options.dbc}'",
+                "the database of this log",
+                "Choose another DBC file.",
+            )
+        series[field] = Series(np.frombuffer(stamps, np.float64)[whole], unit.convert(values))
+    start = min(float(samples.time_s[0]) for samples in series.values())
+    series = {field: Series(s.time_s - start, s.values) for field, s in series.items()}
+    channels, told = aligned(series, source.where)
+    return RawLog(channels, (*notices, *told))
+
+
+def _database(source: LogSource) -> Any:
+    cantools = need("cantools", "a CAN log")
+    path = source.options.dbc
+    if path is None:
+        raise InputError(
+            f"CAN frames in {source.where}",
+            "the database that tells what is in them",
+            "Give it with --dbc FILE.dbc.",
+        )
+    try:
+        return cantools.database.load_file(str(path), strict=False)
+    except Exception as error:  # parsers of four formats raise what they like
+        told = " ".join(str(error).split())[:160]
+        raise InputError(
+            f"a file that is no CAN database, '{path}' ({told})",
+            "a DBC, ARXML, KCD or SYM file",
+            "Choose the database of this log.",
+        ) from error
+
+
+def _frames(source: LogSource, database: Any) -> tuple[Frames, set[int]]:
+    """Stamps and payloads of the frames that the database describes, and all ids that occur."""
+    frames: Frames = {
+        (m.frame_id, m.is_extended_frame): (array("d"), []) for m in database.messages
+    }
+    ids: set[int] = set()
+    with library_at_work(source, "CAN log"):
+        for count, message in enumerate(_messages(source)):
+            ids.add(message.arbitration_id)
+            into = frames.get((message.arbitration_id, message.is_extended_id))
+            if into is not None and not (message.is_error_frame or message.is_remote_frame):
+                into[0].append(message.timestamp)
+                into[1].append(bytes(message.data))
+            if count % _TELL_EVERY == 0:
+                source.tell(count, max(count + 1, source.size // 16))
+    return {key: found for key, found in frames.items() if found[1]}, ids
+
+
+def _messages(source: LogSource) -> Iterator[Any]:
+    can = need("can", "a CAN log", "python-can")
+    kind = _kind(source)
+    stream: Any = source.open()
+    if kind != "BLFReader":
+        stream = io.TextIOWrapper(stream, encoding="utf-8", errors="replace")
+    with stream:
+        reader = getattr(can, kind)(stream)
+        if kind == "BLFReader" and not source.gzipped and reader.file_size > source.size:
+            raise damaged(source, "CAN log", f"{source.size} of {reader.file_size} bytes")
+        yield from reader
+
+
+CAN_LOG = Format(
+    name="can-log",
+    matches=lambda source: bool(_kind(source)),
+    channels=(
+        # Names are everybody's own: `choose_signals` goes by unit and words.
+        Channel("time_s", {"time_s": OWN}, required=True),
+        Channel("current_A", {"current_A": OWN}, required=True),
+        Channel("voltage_V", {"voltage_V": OWN}, required=True),
+    ),
+    read=_read,
+    sign="discharge-positive",
+    uses_dbc=True,
+)

@@ -1,0 +1,86 @@
+"""ASAM MDF: signals by unit and name, each group on its own clock; CAN frames with a DBC file."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import numpy as np
+
+from cellwise.errors import InputError
+from cellwise.logs.alignment import Series, aligned
+from cellwise.logs.columns import OWN, Channel
+from cellwise.logs.extras import need
+from cellwise.logs.format import Format, library_at_work
+from cellwise.logs.signal_choice import Signal, choose_signals
+from cellwise.logs.source import LogSource, RawLog
+
+_MAGIC = (b"MDF     ", b"UnFinMF ")
+_FRAMES = "CAN_DataFrame"
+
+
+def _read(source: LogSource, known: Format) -> RawLog:
+    asammdf = need("asammdf", "an ASAM MDF file")
+    with library_at_work(source, "MDF file"):
+        file: Any = asammdf.MDF(source.path)
+        signals = _signals(file)
+    with file:
+        if source.options.dbc is not None:
+            with library_at_work(source, "MDF file"):
+                file = file.extract_bus_logging({"CAN": [(str(source.options.dbc), 0)]})
+                signals = _signals(file)
+            if not signals:
+                raise InputError(
+                    f"no frame of {source.where} in the database '{source.options.dbc}'",
+                    "the database of these frames",
+                    "Choose another DBC file, or leave --dbc away.",
+                )
+        elif signals and all(s.name.rpartition(".")[2].startswith("CAN_") for s in signals):
+            raise InputError(
+                f"CAN frames only in {source.where}",
+                "the database that tells what is in them",
+                "Give it with --dbc FILE.dbc.",
+            )
+        chosen, notices = choose_signals(signals, source.options.channels, source.where)
+        with library_at_work(source, "MDF file"):
+            series = {}
+            for field, signal, unit in chosen:
+                group, index = signal.key
+                read = file.get(group=group, index=index, ignore_invalidation_bits=False)
+                values = np.asarray(read.samples, dtype=np.float64)
+                series[field] = Series(
+                    np.asarray(read.timestamps, dtype=np.float64), unit.convert(values)
+                )
+    channels, told = aligned(series, source.where)
+    return RawLog(channels, (*notices, *told))
+
+
+def _signals(file: Any) -> list[Signal]:
+    """Every channel of numbers but the clocks; a name that occurs twice goes with its group."""
+    found = []
+    for group, content in enumerate(file.groups):
+        master = file.masters_db.get(group)
+        for index, channel in enumerate(content.channels):
+            if index != master and not channel.name.startswith(f"{_FRAMES}."):
+                unit = file.get_channel_unit(group=group, index=index) or ""
+                found.append((channel.name, unit, (group, index)))
+    count = Counter(name for name, _, _ in found)
+    return [
+        Signal(name if count[name] == 1 else f"{key[0]}.{name}", unit, key)
+        for name, unit, key in found
+    ]
+
+
+ASAM_MDF = Format(
+    name="asam-mdf",
+    matches=lambda source: source.head.startswith(_MAGIC),
+    channels=(
+        # Names are everybody's own: `choose_signals` goes by unit and words.
+        Channel("time_s", {"time_s": OWN}, required=True),
+        Channel("current_A", {"current_A": OWN}, required=True),
+        Channel("voltage_V", {"voltage_V": OWN}, required=True),
+    ),
+    read=_read,
+    sign="discharge-positive",
+    uses_dbc=True,
+)

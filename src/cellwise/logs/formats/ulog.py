@@ -1,0 +1,155 @@
+"""PX4 ULog: the topic ``battery_status``, one instance per battery, discharge positive."""
+
+from __future__ import annotations
+
+from typing import IO, Any
+
+import numpy as np
+
+from cellwise.errors import InputError
+from cellwise.logs.columns import MILLI, OWN, Channel, Unit
+from cellwise.logs.extras import need
+from cellwise.logs.format import Format, cut_off, library_at_work
+from cellwise.logs.named_arrays import channels_of
+from cellwise.logs.source import LogSource, RawLog
+from cellwise.typing import FloatArray
+
+_MAGIC = b"ULog\x01\x12\x35"
+_TOPIC = "battery_status"
+_HEADER_BYTES = 3  # of a message; where one would begin, a file may end
+# What stands for "unknown", by the message's definition.
+_UNKNOWN = {
+    "voltage_v": (-1.0, 0.0),
+    "current_a": (-1.0,),
+    "discharged_mah": (-1.0,),
+    "temperature": (-1.0, -273.15),
+}
+
+
+def _read(source: LogSource, known: Format) -> RawLog:
+    pyulog = need("pyulog", "a PX4 ULog")
+    with library_at_work(source, "ULog"), source.open() as stream:
+        watched = _Watched(stream)
+        log = pyulog.ULog(watched, [_TOPIC])
+    if watched.ended_within and not source.options.partial:
+        raise cut_off(source, "ULog")
+    found = {d.multi_id: d for d in log.data_list if d.name == _TOPIC}
+    if not found:
+        with library_at_work(source, "ULog"), source.open() as stream:
+            topics = sorted({d.name for d in pyulog.ULog(stream).data_list})
+        raise InputError(
+            f"no topic '{_TOPIC}' in {source.where}, which has {len(topics)} topics "
+            f"({', '.join(topics[:8])}{', ...' if len(topics) > 8 else ''})",
+            "a log of a vehicle that measures its battery",
+            "Record battery_status (SDLOG_PROFILE), or choose another log.",
+        )
+    chosen, notices = _choose(found, source)
+    data = found[chosen].data
+    arrays = {name: _without_unknown(name, values) for name, values in data.items()}
+    start = arrays["timestamp"][0] if arrays["timestamp"].size else 0.0
+    arrays["timestamp"] = arrays["timestamp"] - start
+    raw = channels_of(arrays, source, known, _cells(data))
+    if watched.ended_within:
+        notices.append("the ULog is cut off; it was read as far as it goes")
+    if log.file_corruption:
+        notices.append("the ULog is damaged in places; what could not be read was passed over")
+    return RawLog(_measured(raw.channels), (*raw.notices, *notices), raw.cells)
+
+
+class _Watched:
+    """A file that remembers whether it ended within what was asked of it."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self.file = file
+        self.ended_within = False
+
+    def read(self, size: int = -1) -> bytes:
+        """As of a file."""
+        data = self.file.read(size)
+        if len(data) < size and (data or size != _HEADER_BYTES):
+            self.ended_within = True
+        return data
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.file, name)
+
+
+def _choose(found: dict[int, Any], source: LogSource) -> tuple[int, list[str]]:
+    """The battery that was asked for, else the first that is connected and measured."""
+    told = source.options.instance
+    if told is not None and told not in found:
+        raise InputError(
+            f"no battery {told} in {source.where}, which has {', '.join(map(str, sorted(found)))}",
+            "the number of a battery that is there",
+            "Choose one of them with --instance.",
+        )
+    live = [k for k in sorted(found) if _is_measured(found[k].data)]
+    chosen = told if told is not None else (live or sorted(found))[0]
+    if len(found) == 1:
+        return chosen, []
+    typical = ", ".join(f"{k}: {_typical(found[k].data):.1f} V" for k in sorted(found))
+    return chosen, [f"{len(found)} batteries ({typical}); read number {chosen}, see --instance"]
+
+
+def _is_measured(data: dict[str, Any]) -> bool:
+    connected = np.any(data["connected"]) if "connected" in data else True
+    current = _without_unknown("current_a", data.get("current_a", np.array([-1.0])))
+    voltage = _without_unknown("voltage_v", data.get("voltage_v", np.array([0.0])))
+    return bool(connected and np.any(np.isfinite(current)) and np.any(np.isfinite(voltage)))
+
+
+def _typical(data: dict[str, Any]) -> float:
+    return float(np.median(data["voltage_v"])) if len(data.get("voltage_v", ())) else 0.0
+
+
+def _without_unknown(name: str, values: Any) -> FloatArray:
+    """Values with what stands for "unknown" as NaN."""
+    array: FloatArray = np.asarray(values, dtype=np.float64)
+    for mark in _UNKNOWN.get(name, ()):
+        array = np.where(np.isclose(array, mark), np.nan, array)
+    return array
+
+
+def _measured(channels: dict[str, FloatArray]) -> dict[str, FloatArray]:
+    """Channels without the optional ones that were never measured."""
+    optional = ("temperature_C", "charge_Ah")
+    return {f: x for f, x in channels.items() if f not in optional or np.any(np.isfinite(x))}
+
+
+def _cells(data: dict[str, Any]) -> int | None:
+    counts = np.asarray(data.get("cell_count", ()))
+    return int(counts[-1]) if counts.size and counts[-1] > 0 else None
+
+
+PX4_ULOG = Format(
+    name="px4-ulog",
+    matches=lambda source: source.head.startswith(_MAGIC),
+    channels=(
+        Channel("time_s", {"timestamp": Unit(1e-6)}, required=True),
+        Channel("current_A", {"current_a": OWN}, required=True),
+        Channel("voltage_V", {"voltage_v": OWN}, required=True),
+        Channel("temperature_C", {"temperature": OWN}),
+        Channel("charge_Ah", {"discharged_mah": MILLI}),
+    ),
+    known=(
+        *("voltage_filtered_v", "current_filtered_a", "average_current_a", "current_average_a"),
+        *("remaining", "scale", "cell_count", "max_cell_voltage_delta", "capacity", "cycle_count"),
+        *("run_time_to_empty", "average_time_to_empty", "serial_number", "state_of_health"),
+        *("max_error", "connected", "source", "priority", "id", "is_powering_off", "warning"),
+        *("is_required", "faults", "custom_faults", "mode", "manufacture_date", "time_remaining_s"),
+        *("interface_error", "full_charge_capacity_wh", "remaining_capacity_wh", "design_capacity"),
+        *(
+            "over_discharge_count",
+            "nominal_voltage",
+            "internal_resistance_estimate",
+            "ocv_estimate",
+        ),
+        *("ocv_estimate_filtered", "volt_based_soc_estimate", "voltage_prediction"),
+        *("prediction_error", "estimation_covariance_norm", "system_source", "average_power"),
+        *("available_energy", "remaining_capacity", "temperature", "estimated_remaining"),
+        *(f"voltage_cell_v[{k}]" for k in range(16)),
+    ),
+    read=_read,
+    sign="discharge-positive",
+    instances=True,
+)
