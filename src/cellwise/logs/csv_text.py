@@ -19,7 +19,7 @@ from cellwise.logs.csv_layout import (
     is_numeric,
     native_layout,
 )
-from cellwise.logs.format import Format
+from cellwise.logs.format import Format, no_last_words
 from cellwise.logs.source import LogSource, RawLog, damaged_gzip
 from cellwise.logs.text_cells import arrow_type, arrow_values
 from cellwise.typing import FloatArray
@@ -95,7 +95,7 @@ def _read_batches(
 
     grown = [array("d") for _ in columns]  # grows in place: no second copy at the end
     try:
-        with pa.OSFile(str(source.path)) as file:
+        with pa.OSFile(str(source.path)) as file, no_last_words():
             stream = pa.CompressedInputStream(file, "gzip") if source.gzipped else file
             stream.read(layout.offset)
             # One thread: only then do messages carry the row's number, and no slower.

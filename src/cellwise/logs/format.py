@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import io
 import logging
+import sys
+import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
@@ -110,6 +113,17 @@ def damaged(source: LogSource, kind: str, reason: object) -> InputError:
 
 
 @contextmanager
+def no_last_words() -> Iterator[None]:
+    """Keep what cannot be raised (in a callback, in a destructor) from being printed."""
+    hook = sys.unraisablehook
+    sys.unraisablehook = lambda _: None
+    try:
+        yield
+    finally:
+        sys.unraisablehook = hook
+
+
+@contextmanager
 def library_at_work(source: LogSource, kind: str) -> Iterator[None]:
     """Turn whatever a library raises on a damaged file into one refusal.
 
@@ -124,9 +138,20 @@ def library_at_work(source: LogSource, kind: str) -> Iterator[None]:
     except InputError:
         raise
     except Exception as error:
+        with no_last_words():
+            _let_go(error)
         raise damaged(source, kind, f"{type(error).__name__}: {error}") from error
     finally:
         logging.disable(told)
+
+
+def _let_go(error: BaseException) -> None:
+    """Drop the half-made objects that an error holds."""
+    link: BaseException | None = error
+    while link is not None:
+        traceback.clear_frames(link.__traceback__)
+        link = link.__context__
+    gc.collect()
 
 
 def cut_off(source: LogSource, kind: str) -> InputError:

@@ -28,9 +28,9 @@ FORMATS: tuple[Format, ...] = (
     BDF_PARQUET,
     TIDY_PARQUET,
     BDF_CSV,
+    MACCOR_TEXT,  # before Arbin's, whose Test_Time is spelled like its TestTime
     ARBIN_CSV,
     BITRODE_CSV,
-    MACCOR_TEXT,
     NEWARE_CSV,
     BIOLOGIC_MPT,
     DIGATRON_CSV,

@@ -18,7 +18,7 @@ from cellwise.logs.text_cells import words
 
 _MAGIC = b"NEWARE"
 _ZIP = b"PK\x03\x04"
-_IN_ZIP = (b"VersionInfo.xml", b"data.ndc", b"Step.xml")
+_IN_ZIP = (b".ndc", b"VersionInfo.xml", b"TestInfo.xml", b"Step.xml")
 
 _STEP_TYPE = words(
     **dict.fromkeys(
@@ -87,9 +87,13 @@ NEWARE_CSV = Format(
 
 
 def _is_stored(source: LogSource) -> bool:
+    """A database file, or a zip archive whose first member is one of Neware's."""
     if source.head.startswith(_MAGIC):
         return True
-    return source.head.startswith(_ZIP) and any(name in source.head for name in _IN_ZIP)
+    if not source.head.startswith(_ZIP):
+        return False
+    length = int.from_bytes(source.head[26:28], "little")
+    return source.head[30 : 30 + length].endswith(_IN_ZIP)
 
 
 def _read_stored(source: LogSource, known: Format) -> RawLog:

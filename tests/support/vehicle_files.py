@@ -1,0 +1,184 @@
+"""Logs of vehicles: ULog and dataflash written from their specifications, CAN and MDF by the
+libraries' own writers."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+ULOG_HEADER = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0)
+BATTERY_FIELDS = (
+    "uint64_t timestamp;float voltage_v;float current_a;float discharged_mah;float temperature;"
+    "int32_t cell_count;bool connected;"
+)
+
+DBC = """VERSION ""
+
+BU_: BMS
+
+BO_ 256 BMS_Pack: 8 BMS
+ SG_ PackCurrent : 0|16@1- (0.01,0) [-300|300] "A" BMS
+ SG_ PackVoltage : 23|16@0+ (0.1,0) [0|0] "V" BMS
+ SG_ Alive : 32|4@1+ (1,0) [0|0] "" BMS
+
+BO_ 512 BMS_Thermal: 3 BMS
+ SG_ BatteryTemp : 0|8@1- (1,-40) [0|0] "degC" BMS
+ SG_ MaxCurrentAllowed : 8|16@1+ (0.1,0) [0|0] "A" BMS
+
+BO_ 2566844672 Other: 8 BMS
+ SG_ MotorVoltage : 0|16@1+ (0.1,0) [0|0] "V" BMS
+"""
+
+
+def ulog_message(kind: bytes, body: bytes) -> bytes:
+    return struct.pack("<H", len(body)) + kind + body
+
+
+def write_ulog(
+    path: Path,
+    batteries: Sequence[dict[str, np.ndarray]],
+    *,
+    cells: int = 4,
+    topic: str = "battery_status",
+    start_s: float = 20.0,
+) -> Path:
+    """A ULog with one instance of ``battery_status`` per battery; channels are the pack's own."""
+    parts = [ULOG_HEADER, ulog_message(b"F", f"{topic}:{BATTERY_FIELDS}".encode())]
+    for k in range(len(batteries)):
+        parts.append(ulog_message(b"A", struct.pack("<BH", k, k) + topic.encode()))
+    events = []
+    for k, c in enumerate(batteries):
+        for row in range(c["time_s"].size):
+            body = struct.pack(
+                "<HQffffi?",
+                k,
+                round(1e6 * (c["time_s"][row] + start_s)),
+                c["voltage_V"][row],
+                c["current_A"][row],
+                1e3 * c["ampere_hours"][row],
+                c["temperature_C"][row],
+                cells,
+                True,
+            )
+            events.append((c["time_s"][row], ulog_message(b"D", body)))
+    parts += [message for _, message in sorted(events, key=lambda event: event[0])]
+    path.write_bytes(b"".join(parts))
+    return path
+
+
+FORMAT_SIZE = {"Q": "Q", "f": "f", "B": "B", "I": "I", "h": "h", "H": "H", "c": "h", "b": "b"}
+
+
+def dataflash_format(kind: int, name: str, code: str, columns: str) -> bytes:
+    length = 3 + struct.calcsize("<" + "".join(FORMAT_SIZE[x] for x in code))
+    return b"\xa3\x95\x80" + struct.pack(
+        "<BB4s16s64s", kind, length, name.encode(), code.encode(), columns.encode()
+    )
+
+
+def dataflash_message(kind: int, code: str, *values: float) -> bytes:
+    packed = struct.pack("<" + "".join(FORMAT_SIZE[x] for x in code), *values)
+    return b"\xa3\x95" + bytes([kind]) + packed
+
+
+def write_dataflash(path: Path, batteries: Sequence[dict[str, np.ndarray]], form: str) -> Path:
+    """``BAT`` with instances, ``BAT`` and ``BAT2``, or the old ``CURR`` in hundredths."""
+    fmt = b"\xa3\x95\x80" + struct.pack(
+        "<BB4s16s64s", 128, 89, b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns"
+    )
+    parts = [fmt]
+    if form == "instances":
+        code = "QBfffff"
+        names = "TimeUS,Inst,Volt,VoltR,Curr,CurrTot,Temp"
+        parts.append(dataflash_format(150, "BAT", code, names))
+    elif form == "two messages":
+        code = "Qffff"
+        for kind, name in ((150, "BAT"), (151, "BAT2")):
+            parts.append(dataflash_format(kind, name, code, "TimeUS,Volt,Curr,CurrTot,Temp"))
+    else:
+        code = "IhhhHfh"
+        parts.append(
+            dataflash_format(150, "CURR", code, "TimeMS,Throttle,Volt,Curr,Vcc,CurrTot,Volt2")
+        )
+    events = []
+    for k, c in enumerate(batteries):
+        for t, i, v, q, temp in zip(
+            *(c[n] for n in ("time_s", "current_A", "voltage_V", "ampere_hours", "temperature_C")),
+            strict=True,
+        ):
+            if form == "instances":
+                values = (round(1e6 * (t + 5)), k, v, v, i, 1e3 * q, temp)
+                events.append((t, dataflash_message(150, code, *values)))
+            elif form == "two messages":
+                values = (round(1e6 * (t + 5)), v, i, 1e3 * q, temp)
+                events.append((t, dataflash_message(150 + k, code, *values)))
+            else:
+                values = (round(1e3 * (t + 5)), 0, round(100 * v), round(100 * i), 5000, 1e3 * q, 0)
+                events.append((t, dataflash_message(150, code, *values)))
+    parts += [message for _, message in sorted(events, key=lambda event: event[0])]
+    path.write_bytes(b"".join(parts))
+    return path
+
+
+def write_dbc(path: Path, text: str = DBC) -> Path:
+    path.write_text(text)
+    return path
+
+
+def can_messages(c: dict[str, np.ndarray], start_s: float = 1_700_000_000.0):
+    """Pack frames at every row, temperature at every tenth, a strange frame between."""
+    import can
+    import cantools
+
+    database = cantools.database.load_string(DBC)
+    pack, thermal = (
+        database.get_message_by_name("BMS_Pack"),
+        database.get_message_by_name("BMS_Thermal"),
+    )
+    for k, t in enumerate(c["time_s"]):
+        data = pack.encode(
+            {"PackCurrent": c["current_A"][k], "PackVoltage": c["voltage_V"][k], "Alive": k % 16},
+            strict=False,
+        )
+        yield can.Message(
+            timestamp=start_s + t, arbitration_id=256, data=data, is_extended_id=False
+        )
+        if k % 10 == 0:
+            data = thermal.encode(
+                {"BatteryTemp": c["temperature_C"][k], "MaxCurrentAllowed": 200.0}
+            )
+            yield can.Message(
+                timestamp=start_s + t + 1e-3, arbitration_id=512, data=data, is_extended_id=False
+            )
+        yield can.Message(
+            timestamp=start_s + t + 2e-3, arbitration_id=0x7DF, data=[k % 256], is_extended_id=False
+        )
+
+
+def write_can(path: Path, c: dict[str, np.ndarray], kind: str) -> Path:
+    """By python-can's writer of that kind (``blf``, ``asc``, ``log``, ``trc``)."""
+    import can
+
+    made = path.with_name(f"made.{kind}")
+    with can.Logger(str(made)) as logger:
+        for message in can_messages(c):
+            logger.on_message_received(message)
+    made.rename(path)
+    return path
+
+
+def write_mdf(
+    path: Path, groups: Sequence[Sequence[tuple[str, str, np.ndarray, np.ndarray]]]
+) -> Path:
+    """An MDF 4 file by asammdf; a group is (name, unit, time, values) of channels of one clock."""
+    from asammdf import MDF, Signal
+
+    with MDF(version="4.10") as file:
+        for group in groups:
+            file.append([Signal(v, t, name=name, unit=unit) for name, unit, t, v in group])
+        file.save(path.with_suffix(".mf4"), overwrite=True)
+    path.with_suffix(".mf4").rename(path)
+    return path
