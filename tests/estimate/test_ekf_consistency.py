@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cellwise.cell.model import ModelError
-from cellwise.estimate.ekf import START_BRANCH_V, Ekf
+from cellwise.estimate.ekf import Ekf
 from cellwise.estimate.noise import Noise
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell, lfp_cell, linear_cell
@@ -29,7 +29,11 @@ def draw(model, noise, rows, dt, soc0, soc0_std, rng):
         return scale * rng.standard_normal(RUNS)
 
     soc = soc0 + white(soc0_std)
-    v1, v2 = white(START_BRANCH_V), white(START_BRANCH_V)
+    # At rest a branch holds 5 mV of its past, and what a tenth of a rate leaves there.
+    tenth = 0.1 * model.capacity_Ah
+    v1, v2 = (
+        white(1.0) * np.hypot(0.005, tenth * table(r, soc)) for r in (model.r1_ohm, model.r2_ohm)
+    )
     slow = rng.standard_normal(RUNS)
     hold = np.exp(-dt / noise.slow_s) if noise.slow_s > 0 else 0.0
     walk = noise.soc_per_sqrt_h / 60 * np.sqrt(dt)
@@ -49,10 +53,13 @@ def draw(model, noise, rows, dt, soc0, soc0_std, rng):
         v1 = a1 * v1 + r1 * (1 - a1) * current + white(1.0) * share * r1 * np.sqrt(1 - a1**2)
         v2 = a2 * v2 + r2 * (1 - a2) * current + white(1.0) * share * r2 * np.sqrt(1 - a2**2)
         slow = hold * slow + np.sqrt(1 - hold**2) * white(1.0)
-        r0 = table(model.r0_ohm, soc) * (1 + white(noise.branch_share))
+        r0 = table(model.r0_ohm, soc)
+        drops = white(noise.branch_share) * (abs(r0 * current) + abs(v1) + abs(v2))
         error = noise.error_scale * model.error.at(soc) * slow + white(noise.voltage_V)
         ocv = table(model.ocv_V, soc + white(noise.ocv_soc))
-        found.append((soc, current + white(noise.current_A), ocv - r0 * current - v1 - v2 + error))
+        found.append(
+            (soc, current + white(noise.current_A), ocv - r0 * current - v1 - v2 + drops + error)
+        )
     return (np.array(x) for x in zip(*found, strict=True))
 
 

@@ -12,7 +12,7 @@ from scipy.stats import norm
 
 from cellwise.cell.effects import Hysteresis, SlowDiffusion, TemperatureDependence, TimeSkew
 from cellwise.cell.simulate import simulate
-from cellwise.estimate.ekf import START_BRANCH_V, Ekf
+from cellwise.estimate.ekf import Ekf
 from cellwise.estimate.filterpy_ekf import FilterpyEkf
 from cellwise.estimate.noise import Noise
 from example_cells import EFFECTS, curved_cell, linear_cell, random_log, random_model
@@ -69,18 +69,32 @@ class Tables:
         return np.array([self.at(t, soc, temperature) for t in tables])
 
 
+def start_of_branches(model, current):
+    """Mean and spread of the current that the branches have settled under, from docs/theory.md."""
+    if abs(current) < 0.01 * model.capacity_Ah:
+        return 0.0, 0.1 * model.capacity_Ah
+    return 0.5 * current, max(0.5 * abs(current), 0.25 * model.capacity_Ah)
+
+
+def samples_of_one_error(noise, evidence, dt, resting):
+    """Factor on a voltage's variance; ``evidence`` is the time since the first, None before it."""
+    if noise.slow_s == 0 or (evidence is None and resting):
+        return 1.0
+    memory = min(noise.slow_s, 10.0 + 2.0 * (evidence or 0.0))
+    return max(2 * memory / dt, 1.0) if dt > 0 else np.inf
+
+
 def matrix_filter(model, noise, log, soc0, soc0_std):
     """Mean, covariance, predicted voltage, its variance per row, by filterpy in matrix form."""
     gaps = log.gap_rows
     t = Tables(model)
-    has = [np.any(t.slow.r3_ohm), np.any(t.hysteresis.m_V)]
     ekf = ExtendedKalmanFilter(dim_x=5, dim_z=1)
     ekf.x = np.array([soc0, 0.0, 0.0, 0.0, 1.0 if soc0 > 0.5 else -1.0])
-    branch = START_BRANCH_V**2
-    ekf.P = np.diag([soc0_std**2, branch, branch, branch * has[0], 1.0 * has[1]])
-    gamma = t.hysteresis.gamma if has[1] else 0.0
+    has_hysteresis = bool(np.any(t.hysteresis.m_V))
+    ekf.P = np.diag([soc0_std**2, 0.0, 0.0, 0.0, 1.0 * has_hysteresis])
+    gamma = t.hysteresis.gamma if has_hysteresis else 0.0
     charge = 3600 * model.capacity_Ah
-    previous, fresh, mismatch = log.current_A[0], True, 1.0
+    previous, mismatch, evidence, begun = log.current_A[0], 1.0, None, False
     for gap, dt, now, volts, temperature in zip(
         gaps, log.interval_s, log.current_A, log.voltage_V, log.temperature_C, strict=True
     ):
@@ -95,6 +109,13 @@ def matrix_filter(model, noise, log, soc0, soc0_std):
         soc = ekf.x[0] - used * dt / charge
         r0, *r = t.resistances(soc, temperature)
         r = np.array(r)
+        if not begun:
+            begun = True
+            mean, spread = start_of_branches(model, seen)
+            ekf.x[1:4], ekf.P[[1, 2, 3], [1, 2, 3]] = (
+                mean * r,
+                np.where(r > 0, 0.005**2 + (spread * r) ** 2, 0.0),
+            )
         a = np.where(r > 0, np.exp(-dt / t.time_constants(soc, temperature)), 1.0)
         hold = np.exp(-gamma * abs(current) * dt / charge)
         ekf.F = np.diag([1.0, *a, hold])
@@ -117,14 +138,15 @@ def matrix_filter(model, noise, log, soc0, soc0_std):
         predicted += m * ekf.x[4]
         one = noise.voltage_V**2 + (noise.error_scale * model.error.at(soc)) ** 2
         one += (noise.ocv_soc * slope) ** 2
-        one += (noise.branch_share * r0 * seen) ** 2 + (noise.current_A * r0) ** 2
+        drops = abs(r0 * seen) + np.abs(ekf.x[1:4]).sum()
+        one += (noise.branch_share * drops) ** 2 + (noise.current_A * r0) ** 2
         variance = (jacobian @ ekf.P @ jacobian.T)[0, 0] + one
         if noise.mismatch_cap and noise.slow_s and np.isfinite(volts):
             seen_so_far = min((volts - predicted) ** 2 / variance, noise.mismatch_cap)
             mismatch += min(dt / noise.slow_s, 1.0) * (seen_so_far - mismatch)
-        repeated = dt == 0 and not fresh and noise.slow_s > 0
-        if np.isfinite(volts) and not repeated:
-            shared = 1.0 if fresh or dt == 0 else max(2 * noise.slow_s / dt, 1.0)
+        resting = abs(seen) < 0.01 * model.capacity_Ah
+        shared = samples_of_one_error(noise, evidence, dt, resting)
+        if np.isfinite(volts) and np.isfinite(shared):
             ekf.update(
                 np.array([volts]),
                 HJacobian=lambda _, h=jacobian: h,
@@ -132,7 +154,10 @@ def matrix_filter(model, noise, log, soc0, soc0_std):
                 R=np.array([[one * shared * max(mismatch, 1.0)]]),
             )
             ekf.x[4] = np.clip(ekf.x[4], -1, 1)
-        fresh = fresh and not np.isfinite(volts)
+        if np.isfinite(volts) and evidence is None:
+            evidence = 0.0
+        if evidence is not None:
+            evidence += dt
         yield ekf.x.copy(), ekf.P.copy(), predicted, variance
 
 
@@ -210,7 +235,8 @@ def test_on_a_linear_cell_it_is_the_kalman_filter():
     state = ekf.init(0.5, 0.1)
     kf = KalmanFilter(dim_x=4, dim_z=1, dim_u=1)
     kf.x = np.array([0.5, 0.0, 0.0, 0.0])
-    kf.P = np.diag([0.01, *[START_BRANCH_V**2] * 3])
+    first = 0.005**2 + (0.1 * 3.0 * np.array([0.012, 0.020, 0.02])) ** 2
+    kf.P = np.diag([0.01, *first])
     kf.H = np.array([[0.9, -1.0, -1.0, -1.0]])
     r, tau = np.array([0.012, 0.020, 0.02]), np.array([7.0, 90.0, 700.0])
     likelihood = [0.0, 0.0]
@@ -226,7 +252,8 @@ def test_on_a_linear_cell_it_is_the_kalman_filter():
             Q=noise.current_A**2 * np.outer(drive, drive) + np.diag([walk, *share]),
         )
         one = noise.voltage_V**2 + float(model.error.at(0.5)) ** 2 + (noise.ocv_soc * 0.9) ** 2
-        one += (noise.branch_share * 0.030 * current) ** 2 + (noise.current_A * 0.030) ** 2
+        drops = abs(0.030 * current) + np.abs(kf.x[1:]).sum()
+        one += (noise.branch_share * drops) ** 2 + (noise.current_A * 0.030) ** 2
         kf.update(np.array([log.voltage_V[k] - 3.2 + 0.030 * current]), R=np.array([[one]]))
         state, info = ekf.step(state, current, log.voltage_V[k], dt_s=dt)
         np.testing.assert_allclose(mean_of(state)[:4], kf.x.ravel(), atol=1e-11)

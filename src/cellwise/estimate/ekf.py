@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from cellwise.cell.kernels import R3, M
+from cellwise.cell.kernels import M
 from cellwise.cell.model import CellModel
-from cellwise.cell.simulate import check_soc0, known_temperature_C, model_temperature_C
+from cellwise.cell.simulate import check_soc0, model_temperature_C
 from cellwise.errors import InputError
 from cellwise.estimate import ekf_kernels as kernel
-from cellwise.estimate.ekf_kernels import EkfInfo, EkfStart, EkfState
+from cellwise.estimate.filter_state import EkfInfo, EkfStart, EkfState, ekf_start
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.trace import Trace
 from cellwise.logs.cell_log import CellLog
-
-# A cell that starts at rest still carries a few millivolts of its past in each branch.
-START_BRANCH_V = 0.005
+from cellwise.typing import FloatArray
 
 
 class Ekf:
@@ -44,7 +42,7 @@ class Ekf:
         self._anew = self.start(0.5, 0.3)  # for a state that is no longer finite: know nothing
 
     def start(self, soc0: float, soc0_std: float = 0.15) -> EkfStart:
-        """Start of a cell at rest at ``soc0``, known to ``soc0_std``.
+        """Start at ``soc0``, known to ``soc0_std``.
 
         Raises
         ------
@@ -59,14 +57,18 @@ class Ekf:
         return EkfStart(
             soc=float(soc0),
             variance=float(soc0_std) ** 2,
-            branch_variance=START_BRANCH_V**2,
-            slow_branch_variance=START_BRANCH_V**2 if np.any(table[..., R3]) else 0.0,
             hysteresis_variance=1.0 if np.any(table[..., M]) else 0.0,
+            temperature_C=self._default_C,
         )
 
     def init(self, soc0: float, soc0_std: float = 0.15, current_A: float = 0.0) -> EkfState:
-        """State of a cell at rest at ``soc0`` that is known to ``soc0_std``; see :meth:`start`."""
-        return EkfState(*kernel.ekf_start(self.start(soc0, soc0_std), float(current_A)))
+        """State at ``soc0`` that is known to ``soc0_std``; see :meth:`start`.
+
+        ``current_A`` is what is held if the first current is missing. What the branches hold is
+        guessed at the first sample: nearly nothing at rest, about half the load's steady voltage
+        under load.
+        """
+        return EkfState(*ekf_start(self.start(soc0, soc0_std), float(current_A)))
 
     def step(
         self,
@@ -80,8 +82,9 @@ class Ekf:
     ) -> tuple[EkfState, EkfInfo]:
         """Take the sample that ends an interval of ``dt_s`` seconds.
 
-        A missing voltage (NaN) gives a prediction, a missing current holds the last one; both are
-        told in ``Info.status``.
+        A missing voltage (NaN) gives a prediction, a missing current holds the last one for
+        ``Noise.hold_s``, a missing temperature the last one that was measured, or the model's own;
+        all are told in ``Info.status``.
 
         Raises
         ------
@@ -89,7 +92,6 @@ class Ekf:
         """
         if not (np.isfinite(dt_s) and dt_s >= 0):
             raise InputError(f"dt_s = {dt_s}", "seconds, at least 0", "Pass the interval's length.")
-        known = temperature_C is not None and np.isfinite(temperature_C)
         return kernel.ekf_step(
             *self._cell,
             self._noise,
@@ -97,7 +99,7 @@ class Ekf:
             state,
             float(current_A),
             float(voltage_V),
-            float(temperature_C) if known and temperature_C is not None else self._default_C,
+            np.nan if temperature_C is None else float(temperature_C),
             float(dt_s),
             bool(gap),
         )
@@ -116,7 +118,7 @@ class Ekf:
             self._anew,
             current,
             log.voltage_V,
-            known_temperature_C(self.model, log),
+            measured_temperature_C(log),
             log.interval_s,
             gap,
             out,
@@ -132,3 +134,10 @@ class Ekf:
             test_ratio=out[kernel.OUT_RATIO],
             status=status,
         )
+
+
+def measured_temperature_C(log: CellLog) -> FloatArray:
+    """Temperature of every row as measured, NaN where nobody did, shape (rows,)."""
+    if log.temperature_C is None:
+        return np.full(len(log), np.nan)
+    return np.array(log.temperature_C)  # a copy: kernels are compiled for one kind of array

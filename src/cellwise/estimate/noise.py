@@ -10,6 +10,11 @@ import numpy as np
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 
+# Beyond these a reading is the sensor's fault.
+IMPOSSIBLE_RATE = 200.0
+IMPOSSIBLE_SHARE = 0.5
+IMPOSSIBLE_RISE_V = 0.75
+
 
 class NoiseScalars(NamedTuple):
     """Noise as the kernels see it."""
@@ -25,6 +30,11 @@ class NoiseScalars(NamedTuple):
     gate: float
     recovery_after: int
     gap_soc: float
+    hold_s: float
+    frozen_V: float
+    current_limit_A: float
+    voltage_low_V: float
+    voltage_high_V: float
 
 
 @dataclass(frozen=True)
@@ -47,6 +57,11 @@ class Noise:
     gate : float              innovations beyond this many standard deviations are rejected
     recovery_after : int      rejections in a row after which the variance is widened
     gap_soc : float           SOC that may have flowed unseen over a gap
+    hold_s : float            a current missing for longer is lost, not held any more
+    frozen_V : float          a voltage that repeats itself is frozen when R0 times the change of
+                              current exceeds this
+    current_limit_A, voltage_low_V, voltage_high_V : float
+                              readings beyond are the sensor's fault and count as missing
     """
 
     current_A: float = 0.01
@@ -60,10 +75,15 @@ class Noise:
     gate: float = 5.0
     recovery_after: int = 20
     gap_soc: float = 0.05
+    hold_s: float = 10.0
+    frozen_V: float = 0.02
+    current_limit_A: float = 1e6
+    voltage_low_V: float = -1e6
+    voltage_high_V: float = 1e6
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if not np.isfinite(value) or value < 0:
+            if not np.isfinite(value) or (value < 0 and name != "voltage_low_V"):
                 raise InputError(f"noise {name} = {value}", "a number of at least 0", "Correct it.")
         if self.voltage_V <= 0 or self.gate <= 0:
             raise InputError(
@@ -75,11 +95,16 @@ class Noise:
     @classmethod
     def of_model(cls, model: CellModel) -> Noise:
         """Noise taken from the model's own validation error and the cell's size."""
+        low = np.inf if model.voltage_min_V is None else model.voltage_min_V
+        high = -np.inf if model.voltage_max_V is None else model.voltage_max_V
         return cls(
             current_A=0.002 * model.capacity_Ah,
             voltage_V=max(model.error.white_V, 1e-4),
             slow_s=model.error.correlation_s,
             branch_share=model.error.resistance_share,
+            current_limit_A=IMPOSSIBLE_RATE * model.capacity_Ah,
+            voltage_low_V=IMPOSSIBLE_SHARE * min(low, float(model.ocv_V.min())),
+            voltage_high_V=max(high, float(model.ocv_V.max())) + IMPOSSIBLE_RISE_V,
         )
 
     def scalars(self) -> NoiseScalars:
@@ -96,4 +121,9 @@ class Noise:
             float(self.gate),
             int(self.recovery_after),
             float(self.gap_soc),
+            float(self.hold_s),
+            float(self.frozen_V),
+            float(self.current_limit_A),
+            float(self.voltage_low_V),
+            float(self.voltage_high_V),
         )

@@ -16,6 +16,11 @@ class Status(IntFlag):
     CLAMPED = 32  # SOC was held at a bound
     STATE_RESET = 64  # the state was not finite and was started anew
     GATE_RECOVERY = 128  # too many rejections in a row: variance widened, voltage let in
+    TEMPERATURE_INVALID = 256  # not finite or out of range: the last valid temperature was held
+    OUT_OF_RANGE = 512  # a reading that no cell of this kind gives: treated as missing
+    VOLTAGE_FROZEN = 1024  # the voltage repeats itself while the current changes: not used
+    CURRENT_LOST = 2048  # current missing for longer than is held: on voltage alone, variance grows
+    VOLTAGE_LOST = 4096  # voltage missing or frozen for as long: counting charge
 
 
 # Kernels take plain integers.
@@ -27,3 +32,8 @@ INNOVATION_REJECTED = int(Status.INNOVATION_REJECTED)
 CLAMPED = int(Status.CLAMPED)
 STATE_RESET = int(Status.STATE_RESET)
 GATE_RECOVERY = int(Status.GATE_RECOVERY)
+TEMPERATURE_INVALID = int(Status.TEMPERATURE_INVALID)
+OUT_OF_RANGE = int(Status.OUT_OF_RANGE)
+VOLTAGE_FROZEN = int(Status.VOLTAGE_FROZEN)
+CURRENT_LOST = int(Status.CURRENT_LOST)
+VOLTAGE_LOST = int(Status.VOLTAGE_LOST)

@@ -1,0 +1,196 @@
+"""What a sample goes through before a filter believes it: missing, impossible and frozen readings.
+
+The filters share this so that a fault means the same in each, and so do the weights of evidence.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from numba import njit
+
+from cellwise.cell.kernels import CellScalars, seen_current
+from cellwise.estimate.noise import NoiseScalars
+from cellwise.estimate.status import (
+    CURRENT_INVALID,
+    CURRENT_LOST,
+    DUPLICATE,
+    OUT_OF_RANGE,
+    SEQUENCE_GAP,
+    TEMPERATURE_INVALID,
+    VOLTAGE_FROZEN,
+    VOLTAGE_LOST,
+)
+
+NOT_BEGUN = -2.0  # evidence_s before the first sample
+NO_VOLTAGE_YET = -1.0  # evidence_s until the first voltage
+COLDEST_C = -60.0
+HOTTEST_C = 120.0
+FROZEN_READINGS = 3.0
+REST_RATE = 0.01  # below C/100 a cell counts as resting
+LOST_RATE = 0.5  # a current that nobody measures is taken to be of this size
+MEMORY_START_S = 10.0
+MEMORY_GROWTH = 2.0
+
+
+class Watch(NamedTuple):
+    """What is remembered of the sensors from one sample to the next.
+
+    ``evidence_s`` is the time since the first voltage, or since a recovery: the model's error is
+    not remembered for longer. ``voltage_V`` is the last reading, seen ``repeats`` times in a row
+    since the current was ``frozen_A``.
+    """
+
+    current_A: float
+    temperature_C: float
+    evidence_s: float
+    no_current_s: float
+    no_voltage_s: float
+    voltage_V: float
+    frozen_A: float
+    repeats: float
+
+
+class Sample(NamedTuple):
+    """A sample as the filter takes it.
+
+    ``seen_A`` is the current that the voltage has seen, ``flow_A`` what moved charge;
+    ``gap_A2`` and ``lost_A`` say how much may have flowed unseen over a gap and since the current
+    was lost. ``voltage_V`` is NaN where it must not be used.
+    """
+
+    current_A: float
+    seen_A: float
+    flow_A: float
+    gap_A2: float
+    lost_A: float
+    voltage_V: float
+    temperature_C: float
+    no_current_s: float
+    status: int
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def first_watch(current_A: float) -> Watch:
+    """Nothing seen yet but a current to hold."""
+    return Watch(current_A, math.nan, NOT_BEGUN, 0.0, 0.0, math.nan, 0.0, 0.0)
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def read_sample(
+    cell: CellScalars,
+    noise: NoiseScalars,
+    watch: Watch,
+    default_C: float,
+    needs_temperature: bool,
+    current_A: float,
+    voltage_V: float,
+    temperature_C: float,
+    dt_s: float,
+    gap: bool,
+) -> Sample:
+    """Readings that are missing or impossible replaced, and told in the status."""
+    status = 0
+    held = watch.current_A if math.isfinite(watch.current_A) else 0.0
+    current = current_A
+    no_current = 0.0
+    if not abs(current) <= noise.current_limit_A:  # catches what is not a number, too
+        status |= CURRENT_INVALID
+        if math.isfinite(current):
+            status |= OUT_OF_RANGE
+        current = held
+        no_current = watch.no_current_s + (0.0 if gap else dt_s)
+    warm = temperature_C
+    if not COLDEST_C <= warm <= HOTTEST_C:
+        warm = watch.temperature_C if math.isfinite(watch.temperature_C) else default_C
+        if needs_temperature:
+            status |= TEMPERATURE_INVALID
+    voltage = voltage_V
+    if not noise.voltage_low_V <= voltage <= noise.voltage_high_V:
+        if math.isfinite(voltage):
+            status |= OUT_OF_RANGE
+        voltage = math.nan
+    seen = seen_current(cell, current, held, dt_s)
+    flow = seen
+    unknown = 0.0
+    lost = 0.0
+    if no_current > noise.hold_s:
+        # Whatever was held is no guide any more: nothing is counted, and as much as half a rate
+        # may flow either way.
+        status |= CURRENT_LOST
+        seen = 0.0
+        flow = 0.0
+        lost = LOST_RATE * cell.charge_As / 3600.0
+    elif gap:
+        # What flowed is not known: no charge is moved, and the branches may hold what the currents
+        # on either side can have left there. The voltage is still read under the row's current.
+        flow = 0.0
+        unknown = seen * seen + held * held
+    if gap:
+        status |= SEQUENCE_GAP
+    elif dt_s <= 0.0:
+        status |= DUPLICATE
+    return Sample(current, seen, flow, unknown, lost, voltage, warm, no_current, status)
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def watch_voltage(
+    noise: NoiseScalars, watch: Watch, s: Sample, innovation_V: float, r0_ohm: float
+) -> tuple[float, float, float, int]:
+    """Is the voltage frozen? Last reading, its current, its repeats, status bits.
+
+    A reading that repeats itself bit by bit is frozen once R0 times the change of current says
+    that it must have moved, and the prediction is off by half of that: a held voltage (the end of
+    a charge) repeats itself, too, but the model expects it there. It stays frozen until it changes.
+    """
+    if not math.isfinite(s.voltage_V):
+        return watch.voltage_V, watch.frozen_A, watch.repeats, 0
+    if s.voltage_V != watch.voltage_V:
+        return s.voltage_V, s.seen_A, 0.0, 0
+    repeats = watch.repeats + 1.0
+    moved = abs(r0_ohm * (s.seen_A - watch.frozen_A))
+    if repeats >= FROZEN_READINGS and (
+        math.isinf(repeats) or (moved > noise.frozen_V and abs(innovation_V) > 0.5 * moved)
+    ):
+        return s.voltage_V, watch.frozen_A, math.inf, VOLTAGE_FROZEN
+    return s.voltage_V, watch.frozen_A, repeats, 0
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def watch_on(
+    noise: NoiseScalars,
+    s: Sample,
+    dt_s: float,
+    used: bool,
+    evidence_s: float,
+    no_voltage_s: float,
+    reading: tuple[float, float, float, int],
+) -> tuple[Watch, int]:
+    """The watch after a sample, and the bit of a voltage that has been away for long."""
+    away = 0.0
+    if not used:
+        away = no_voltage_s + (0.0 if s.status & SEQUENCE_GAP else dt_s)
+    watch = Watch(
+        s.current_A, s.temperature_C, evidence_s, s.no_current_s, away,
+        reading[0], reading[1], reading[2],
+    )  # fmt: skip
+    return watch, VOLTAGE_LOST if away > noise.hold_s else 0
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def repeated_evidence(noise: NoiseScalars, evidence_s: float, dt_s: float, resting: bool) -> float:
+    """How many samples share one model error: the factor on a voltage's variance.
+
+    An error of memory tau counts once in 2 tau (its spectral density at rest). What the model
+    gets wrong it gets wrong on every time scale, so the memory grows with the time since the
+    first voltage until it is the model's own. A repeated stamp repeats the error.
+    """
+    if noise.slow_s <= 0.0:
+        return 1.0
+    if evidence_s < 0.0 and resting:
+        return 1.0  # the first voltage at rest is evidence by itself
+    if dt_s <= 0.0:
+        return math.inf
+    memory = min(noise.slow_s, MEMORY_START_S + MEMORY_GROWTH * max(evidence_s, 0.0))
+    return max(2.0 * memory / dt_s, 1.0)
