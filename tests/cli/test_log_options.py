@@ -1,0 +1,135 @@
+"""What a user says of a log is said in the same way to every command."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+
+from cellwise.cli.main import build_parser
+from cellwise.logs import read_log
+from log_files import pulse_channels
+from vehicle_files import write_can, write_dbc, write_ulog
+
+pytest.importorskip("pyulog")
+pytest.importorskip("cantools")
+
+OPTIONS = ("--sign", "--series", "--parallel", "--channel", "--instance", "--dbc", "--partial")
+
+
+def commands_with_a_log():
+    (commands,) = (a for a in build_parser()._actions if hasattr(a, "choices") and a.choices)
+    for name, parser in commands.choices.items():
+        if any(action.metavar == "LOG" for action in parser._actions):
+            yield pytest.param(parser, id=name)
+
+
+@pytest.mark.parametrize("parser", list(commands_with_a_log()))
+def test_every_command_that_takes_a_log_takes_its_options(parser):
+    assert set(OPTIONS) <= set(parser._option_string_actions)
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory, drive):
+    """A drive on the embedded cell as a flight of a pack of 4 in series and 2 in parallel."""
+    log = read_log(drive)
+    every = slice(None, 4000)
+    pack = {
+        "time_s": log.time_s[every],
+        "current_A": 2 * log.current_A[every],
+        "voltage_V": 4 * log.voltage_V[every],
+        "ampere_hours": 2 * (log.counted_charge_Ah()[every]),
+        "temperature_C": log.temperature_C[every],
+    }
+    return str(write_ulog(tmp_path_factory.mktemp("flight") / "flight.ulg", [pack]))
+
+
+@pytest.fixture(scope="module")
+def tidy(tmp_path_factory, drive):
+    from cellwise.logs import write_log
+
+    place = tmp_path_factory.mktemp("tidy") / "drive.parquet"
+    return str(write_log(read_log(drive).part(0, 4000), place))
+
+
+PACK = ("--series", "auto", "--parallel", "2")
+
+
+def test_a_flight_is_inspected_as_its_mean_cell(flight, tidy, run_json):
+    found, expected = run_json("inspect", flight, *PACK), run_json("inspect", tidy)
+    assert found["format"] == "px4-ulog"
+    assert found["samples"] == expected["samples"]
+    assert found["sign"] == expected["sign"]
+    for key in ("min", "max"):
+        assert found["voltage_V"][key] == pytest.approx(expected["voltage_V"][key], abs=1e-5)
+        assert found["current_A"][key] == pytest.approx(expected["current_A"][key], abs=1e-4)
+
+
+def test_a_flight_is_converted_to_the_tidy_form(flight, tidy, run_json, tmp_path):
+    out = tmp_path / "flight.csv.gz"
+    run_json("convert", flight, *PACK, "-o", str(out))
+    found, expected = read_log(out), read_log(tidy)
+    assert found.format == "tidy-csv"
+    np.testing.assert_allclose(found.voltage_V, expected.voltage_V, atol=1e-5)
+
+
+def test_a_flight_is_simulated_as_the_cell_itself(flight, tidy, model, run_json):
+    found = run_json("simulate", "--model", model, flight, *PACK, "--soc0", "0.9")
+    expected = run_json("simulate", "--model", model, tidy, "--soc0", "0.9")
+    assert found["rmse_V"] == pytest.approx(expected["rmse_V"], abs=2e-5)
+
+
+def test_a_flight_is_replayed_as_the_cell_itself(flight, tidy, model, run_json):
+    arguments = ("replay", "--model", model, "--estimator", "ekf", "--soc0", "0.5")
+    found, expected = run_json(*arguments, flight, *PACK), run_json(*arguments, tidy)
+    assert found["soc_final"] == pytest.approx(expected["soc_final"], abs=1e-3)
+
+
+def test_a_can_log_with_its_database(tmp_path, run_json):
+    log = write_can(tmp_path / "drive.blf", pulse_channels(600), "blf")
+    dbc = write_dbc(tmp_path / "bms.dbc")
+    assert run_json("inspect", str(log), "--dbc", str(dbc))["format"] == "can-log"
+
+
+def test_columns_are_told_on_the_command_line(tmp_path, run_json):
+    path = tmp_path / "rig.csv"
+    path.write_text("t,Strom,Klemme\n0,1500,3.9\n1,1500,3.8\n")
+    told = ("time_s=t", "current_mA=Strom", "voltage_V=Klemme")
+    found = run_json("inspect", str(path), *(x for t in told for x in ("--channel", t)))
+    assert found["current_A"]["max"] == 1.5
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("--series", "four"), "--series four"),
+        (("--series", "0"), "series = 0"),
+        (("--parallel", "2.5"), "--parallel 2.5"),
+        (("--instance", "first"), "--instance first"),
+        (("--channel", "current_A"), "NAME=COLUMN"),
+        (("--channel", "current_A=Strom"), "no column 'Strom'"),
+        (("--dbc", "nowhere.dbc"), "no DBC file"),
+        (("--instance", "3"), "no battery 3"),
+    ],
+)
+def test_what_cannot_be_followed_is_refused_and_nothing_written(
+    arguments, says, flight, refused, tmp_path
+):
+    out = tmp_path / "out.csv"
+    assert says in refused("convert", flight, *arguments, "-o", str(out))
+    assert not out.exists()
+
+
+def test_a_library_that_is_missing_is_named(flight, refused, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyulog", None)
+    message = refused("inspect", flight)
+    assert "pyulog is not installed" in message
+    assert "pip install 'cellwise[importers]'" in message
+
+
+def test_an_empty_file_is_refused_whatever_it_is_called(refused, tmp_path):
+    for name in ("a.ulg", "a.bin", "a.mat", "a.mf4", "a.blf", "a.nda", "a.mpr", "a.csv"):
+        path = tmp_path / name
+        path.write_bytes(b"")
+        assert "the empty file" in refused("inspect", str(path))
