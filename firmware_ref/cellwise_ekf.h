@@ -1,0 +1,226 @@
+/* State of charge of one battery cell: float32 extended Kalman filter at a fixed time step.
+ *
+ * The caller owns every object. No heap, no static data, no libm, no double. The same sentences in
+ * the same order stand in src/cellwise/estimate/fixed_step_kernels.py, and give the same bits.
+ * Current is positive on discharge. cell_table.h is written by `cellwise export`.
+ */
+#ifndef CELLWISE_EKF_H
+#define CELLWISE_EKF_H
+
+#include <stdint.h>
+
+#include "cell_table.h"
+
+#if defined(__FAST_MATH__)
+#error "cellwise_ekf: build without -ffast-math, -Ofast and -funsafe-math-optimizations"
+#endif
+#if defined(__FLT_EVAL_METHOD__) && (__FLT_EVAL_METHOD__ != 0)
+#error "cellwise_ekf: float expressions must be evaluated as float (on 32-bit x86: -mfpmath=sse)"
+#endif
+
+#define CELLWISE_NEEDS_TEMPERATURE ((CELLWISE_TEMPERATURES > 1) || (CELLWISE_ARRHENIUS > 0))
+
+/* Status bits, the values of cellwise.Status in Python. */
+#define CELLWISE_CURRENT_INVALID 1u      /* not finite or out of range: the last one was held */
+#define CELLWISE_VOLTAGE_INVALID 2u      /* not finite or out of range: prediction only */
+#define CELLWISE_SEQUENCE_GAP 4u         /* samples are missing: see README for their charge */
+#define CELLWISE_DUPLICATE 8u            /* this sequence number was taken before: nothing flowed */
+#define CELLWISE_INNOVATION_REJECTED 16u /* the innovation gate kept the voltage out */
+#define CELLWISE_CLAMPED 32u             /* SOC was held at 0 or 1 */
+#define CELLWISE_STATE_RESET 64u         /* the state was not sound: it starts anew, knowing nothing */
+#define CELLWISE_GATE_RECOVERY 128u      /* too many rejections in a row: the variance was widened */
+#define CELLWISE_TEMPERATURE_INVALID 256u /* not finite or out of range: the last one was held */
+#define CELLWISE_OUT_OF_RANGE 512u /* a reading that no cell of this kind gives, treated as missing */
+
+/* One point of the SOC grid. A branch's lag is 1 / (1 - exp(-dt/tau)), in time
+ * steps: it is all but linear in tau, so that it may be interpolated as tau is. */
+typedef struct {
+    float ocv_V;
+    float noise_V2; /* variance of a measured voltage about a perfect state, at rest */
+    float r0_ohm;
+    float r1_ohm;
+    float lag1;
+    float r2_ohm;
+    float lag2;
+#if CELLWISE_SLOW
+    float r3_ohm;
+    float lag3;
+#endif
+#if CELLWISE_HYSTERESIS
+    float m_V;
+#endif
+} cellwise_row;
+
+/* What depends on cell, time step and noise but not on SOC. */
+typedef struct {
+    float soc_per_A;           /* SOC that 1 A takes in one step */
+    float soc_walk;            /* variance that SOC gains in one step */
+    float current_variance_A2; /* of the current sensor */
+    float missing_variance_A2; /* of a current that was held because its sample was invalid */
+    float share_variance;      /* of the resistances, relative */
+    float gate_square;         /* innovations beyond this many variances are rejected */
+    float shared_start;        /* samples that share one model error, just after the first */
+    float shared;              /* and after long */
+    float lately;              /* weight of one sample in the running mismatch */
+    float mismatch_cap;
+    float gap_variance; /* of SOC over a long gap */
+    float current_limit_A;
+    float voltage_low_V;
+    float voltage_high_V;
+    float branch_variance_V2; /* of a branch voltage at the start, at rest */
+    float capacity_A;         /* the current that empties the cell in an hour */
+    uint32_t recovery_after;  /* tenths of rejections in a row */
+    uint32_t gap_steps;       /* missing samples that are bridged */
+#if CELLWISE_EFFICIENCY
+    float charge_efficiency;
+#endif
+#if CELLWISE_LEAK
+    float leak_soc; /* SOC that self-discharge takes in one step */
+#endif
+#if CELLWISE_SKEW
+    float skew_share; /* of the previous current in what the voltage has seen */
+#endif
+#if CELLWISE_RATE
+    float rate_per_A;
+#endif
+#if CELLWISE_ASYMMETRY
+    float charge_scale;
+#endif
+#if CELLWISE_HYSTERESIS
+    float hysteresis_per_A; /* e-folds of h in one step at 1 A */
+#endif
+#if CELLWISE_OFFSET
+    float offset_variance_A2; /* at the start */
+    float offset_walk_A2;     /* gained in one step */
+#endif
+#if CELLWISE_HEATING
+    float heat_K_per_W;
+    float heat_gain;
+#endif
+#if CELLWISE_NEEDS_TEMPERATURE
+    float temperature_C; /* until the first valid one */
+#endif
+#if CELLWISE_TEMPERATURES > 1
+    float grid_C[CELLWISE_TEMPERATURES];
+    float per_K[CELLWISE_TEMPERATURES - 1]; /* 1 / distance of neighbours */
+#endif
+#if CELLWISE_ARRHENIUS > 0
+    float arrhenius_low_C;
+    float arrhenius_per_K;                /* points per kelvin */
+    float arrhenius[CELLWISE_ARRHENIUS]; /* factor on every resistance */
+#endif
+} cellwise_constants;
+
+typedef struct {
+    cellwise_constants constant;
+    cellwise_row row[CELLWISE_TEMPERATURES][CELLWISE_POINTS];
+} cellwise_model;
+
+/* What is carried from step to step: x, the upper triangle of P, and what was seen last. */
+typedef struct {
+    float soc;
+    float soc_carry; /* what rounding has kept from soc, to be subtracted */
+    float v1_V;
+    float v2_V;
+#if CELLWISE_SLOW
+    float v3_V;
+    float v3_carry_V;
+#endif
+#if CELLWISE_HYSTERESIS
+    float h;
+#endif
+#if CELLWISE_OFFSET
+    float offset_A; /* what the sensor adds to the true current */
+#endif
+    float ss;
+    float s1;
+    float s2;
+#if CELLWISE_SLOW
+    float s3;
+#endif
+#if CELLWISE_HYSTERESIS
+    float sh;
+#endif
+#if CELLWISE_OFFSET
+    float so;
+#endif
+    float p11;
+    float p12;
+#if CELLWISE_SLOW
+    float p13;
+#endif
+#if CELLWISE_HYSTERESIS
+    float p1h;
+#endif
+#if CELLWISE_OFFSET
+    float p1o;
+#endif
+    float p22;
+#if CELLWISE_SLOW
+    float p23;
+#endif
+#if CELLWISE_HYSTERESIS
+    float p2h;
+#endif
+#if CELLWISE_OFFSET
+    float p2o;
+#endif
+#if CELLWISE_SLOW
+    float p33;
+#if CELLWISE_HYSTERESIS
+    float p3h;
+#endif
+#if CELLWISE_OFFSET
+    float p3o;
+#endif
+#endif
+#if CELLWISE_HYSTERESIS
+    float phh;
+#if CELLWISE_OFFSET
+    float pho;
+#endif
+#endif
+#if CELLWISE_OFFSET
+    float poo;
+#endif
+    float current_A; /* last valid one */
+    float mismatch;  /* running mean of squared innovation over variance */
+#if CELLWISE_HEATING
+    float heat_K;
+#endif
+#if CELLWISE_NEEDS_TEMPERATURE
+    float temperature_C; /* last valid one */
+#endif
+    uint32_t sequence;
+    uint32_t rejections; /* in tenths: under load a rejection counts less */
+    uint32_t evidence;   /* 0: no sample yet, 1: no voltage yet, then 2 + steps since the first */
+} cellwise_state;
+
+typedef struct {
+    float current_A;     /* mean over the interval that ends now, positive on discharge */
+    float voltage_V;     /* now */
+    float temperature_C; /* now; read only where CELLWISE_NEEDS_TEMPERATURE */
+    uint32_t sequence;   /* counts time steps, wraps */
+} cellwise_input;
+
+/* Never NaN, never infinite. */
+typedef struct {
+    float soc;
+    float soc_variance;
+    float voltage_V;              /* predicted, before the measured one was used */
+    float innovation_V;           /* measured minus predicted; 0 where the voltage is invalid */
+    float innovation_variance_V2; /* of a single sample */
+    uint32_t status;
+} cellwise_output;
+
+/* A cell at rest at `soc`, known with `soc_variance`. Arguments that are no such numbers give a
+ * state that knows nothing. Returns 0 or CELLWISE_STATE_RESET. */
+uint32_t cellwise_init(const cellwise_model *model, cellwise_state *x, float soc,
+                       float soc_variance);
+
+/* One time step: predict over the interval that ends now, then use the voltage read now.
+ * Returns the status bits, which are in `out` too. */
+uint32_t cellwise_step(const cellwise_model *model, cellwise_state *x, const cellwise_input *in,
+                       cellwise_output *out);
+
+#endif
