@@ -14,6 +14,7 @@ from vehicle_files import (
     write_dataflash,
     write_dbc,
     write_mdf,
+    write_mdf_frames,
     write_ulog,
 )
 
@@ -211,6 +212,38 @@ def test_an_mdf_file_without_volts(tmp_path):
     assert "Speed [km/h]" in error.found
 
 
+def test_an_mdf_file_of_can_frames_is_read_through_its_database(tmp_path):
+    path = write_mdf_frames(tmp_path / "drive", pack())
+    assert "--dbc" in refused(path).action
+    log = read_log(path, dbc=write_dbc(tmp_path / "bms.dbc"), series=4, parallel=2)
+    np.testing.assert_allclose(log.current_A, CELL["current_A"], atol=0.0051)
+    np.testing.assert_allclose(log.voltage_V, CELL["voltage_V"], atol=0.0126)
+    assert not any("apart" in n for n in log.notices)  # both are in one frame
+    other = write_dbc(tmp_path / "other.dbc", DBC.replace("256", "257").replace("512", "513"))
+    assert "no frame of" in refused(path, dbc=other).found
+
+
+@pytest.mark.parametrize(
+    ("current", "voltage", "factor"),
+    [
+        (("Batt_I_A", ""), ("Batt_U_V", ""), 1),
+        (("battery_current_mA", ""), ("battery_voltage", "V"), 1000),
+        (("PackCurr", "-"), ("PackVolt", "-"), 1),
+        (("I", "A"), ("U", "V"), 1),
+        (("HVBattCurrent", "Ampere"), ("HV Battery Voltage", "[V]"), 1),
+    ],
+)
+def test_signals_of_many_namings(current, voltage, factor, tmp_path):
+    t, c = CELL["time_s"], pack()
+    groups = [
+        [(*current, t, factor * c["current_A"]), ("MaxChargeCurrent", "A", t, t)],
+        [(*voltage, t, c["voltage_V"]), ("Odometer", "", t, t), ("DCDC Voltage", "V", t, t)],
+    ]
+    log = read_log(write_mdf(tmp_path / "drive", groups), series=4, parallel=2)
+    np.testing.assert_allclose(log.current_A, CELL["current_A"], atol=1e-9)
+    np.testing.assert_allclose(log.voltage_V, CELL["voltage_V"], atol=1e-9)
+
+
 @pytest.mark.parametrize("keep", [0.9, 0.4])
 def test_an_mdf_file_that_was_cut_off(keep, tmp_path, capfd):
     path = mdf(tmp_path / "drive")
@@ -251,6 +284,15 @@ def test_a_database_with_longer_frames_is_the_wrong_one(tmp_path):
     dbc = write_dbc(tmp_path / "other.dbc", long)
     error = refused(write_can(tmp_path / "drive", pack(), "log"), dbc=dbc)
     assert "frames of 8 byte(s)" in error.found
+
+
+def test_values_outside_the_databases_range_are_missing(tmp_path):
+    """A BMS that is not awake sends all ones: no current of -327 A, but none at all."""
+    c = pack(current_A=np.where(np.arange(600) < 5, 327.0, pack()["current_A"]))
+    dbc = write_dbc(tmp_path / "bms.dbc")
+    log = read_log(write_can(tmp_path / "drive", c, "blf"), dbc=dbc, parallel=2)
+    assert np.nanmax(log.current_A) < 5
+    assert any("5 value(s) of 'BMS_Pack.PackCurrent' outside" in n for n in log.notices)
 
 
 @pytest.mark.parametrize("content", ["", "hello", "BO_ nonsense"])

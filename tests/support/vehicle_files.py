@@ -182,3 +182,31 @@ def write_mdf(
         file.save(path.with_suffix(".mf4"), overwrite=True)
     path.with_suffix(".mf4").rename(path)
     return path
+
+
+def write_mdf_frames(path: Path, c: dict[str, np.ndarray]) -> Path:
+    """An MDF 4 file of raw CAN frames (bus logging) by asammdf."""
+    from asammdf import MDF, Signal
+    from asammdf.blocks import v4_constants
+    from asammdf.blocks.source_utils import Source
+
+    messages = list(can_messages(c, 0.0))
+    fields = {"BusChannel": "u1", "ID": "<u4", "IDE": "u1", "DLC": "u1", "DataLength": "u1"}
+    kinds = [(f"CAN_DataFrame.{name}", kind) for name, kind in fields.items()]
+    frames = np.zeros(len(messages), [*kinds, ("CAN_DataFrame.DataBytes", "(8,)u1")])
+    frames["CAN_DataFrame.BusChannel"] = 1
+    for k, message in enumerate(messages):
+        frames["CAN_DataFrame.ID"][k] = message.arbitration_id
+        frames["CAN_DataFrame.DLC"][k] = frames["CAN_DataFrame.DataLength"][k] = message.dlc
+        data = np.frombuffer(bytes(message.data), np.uint8)
+        frames["CAN_DataFrame.DataBytes"][k, : data.size] = data
+    bus = Source("CAN", "CAN", "", v4_constants.SOURCE_BUS, v4_constants.BUS_TYPE_CAN)
+    time = np.array([message.timestamp for message in messages])
+    with MDF(version="4.10") as file:
+        file.append(Signal(frames, time, name="CAN_DataFrame", source=bus), common_timebase=True)
+        file.groups[-1].channel_group.flags = (
+            v4_constants.FLAG_CG_BUS_EVENT | v4_constants.FLAG_CG_PLAIN_BUS_EVENT
+        )
+        file.save(path.with_suffix(".mf4"), overwrite=True)
+    path.with_suffix(".mf4").rename(path)
+    return path

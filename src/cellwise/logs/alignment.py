@@ -61,10 +61,12 @@ def aligned(series: Mapping[str, Series], where: str) -> tuple[dict[str, FloatAr
     for field, samples in clean.items():
         if field not in channels and samples.time_s.size:
             channels[field] = _between(samples, time)
-    how = "averaged" if per_row > FASTER else "interpolated"
-    notices = [
-        f"voltage and current are sampled apart: the current was {how} to the voltage's rows"
-    ]
+    notices = []
+    if not np.array_equal(voltage.time_s, current.time_s):
+        how = "averaged" if per_row > FASTER else "interpolated"
+        notices.append(
+            f"voltage and current are sampled apart: the current was {how} to the voltage's rows"
+        )
     lost = voltage.time_s.size - time.size
     if lost:
         notices.append(f"{lost} row(s) before the first or after the last current left out")

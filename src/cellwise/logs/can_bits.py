@@ -29,7 +29,8 @@ def physical_values(
 
     Returns
     -------
-    values : (m,) float         in the signal's unit, of the frames that hold the signal
+    values : (m,) float         in the signal's unit, of the frames that hold the signal; NaN
+                                outside the range that the database gives ("not available")
     whole : (n,) bool           frames that are long enough and, of a multiplexed message, hold it
     """
     signal = message.get_signal_by_name(name)
@@ -44,6 +45,10 @@ def physical_values(
     whole[whole] = holds
     raw = _raw(frames[holds], signal)
     values: FloatArray = raw.astype(np.float64) * float(signal.scale) + float(signal.offset)
+    low, high = signal.minimum, signal.maximum
+    if low is not None and high is not None and low < high:
+        slack = 0.5 * abs(float(signal.scale))
+        values[(values < float(low) - slack) | (values > float(high) + slack)] = np.nan
     return values, whole
 
 

@@ -96,8 +96,9 @@ def choose_signals(
         found = _best(field, signals)
         if len(found) == 1:
             signal = found[0]
-            chosen.append(Chosen(field, signal, units[_unit(signal)]))
-            notices.append(f"signal '{signal.name}' in {signal.unit} was taken for {field}")
+            chosen.append(Chosen(field, signal, units[_unit(signal, field)]))
+            unit = signal.unit or "no unit"
+            notices.append(f"signal '{signal.name}' ({unit}) was taken for {field}")
         elif field in _REQUIRED:
             raise _unclear(field, found, signals, where)
     return chosen, notices
@@ -124,7 +125,7 @@ def _told(tidy: str, name: str, signals: Sequence[Signal], where: str) -> Chosen
 
 def _best(field: str, signals: Sequence[Signal]) -> list[Signal]:
     """The signals of a channel's unit whose names speak most for it."""
-    scores = [(_score(field, s.name), s) for s in signals if _unit(s) in UNITS[field]]
+    scores = [(_score(field, s.name), s) for s in signals if _unit(s, field) in UNITS[field]]
     required = field in _REQUIRED
     scores = [(score, s) for score, s in scores if score > (-2 if required else 1)]
     best = max((score for score, _ in scores), default=0)
@@ -139,8 +140,19 @@ def _score(field: str, name: str) -> int:
     return own + pack + other
 
 
-def _unit(signal: Signal) -> str:
-    return signal.unit.strip().strip("[]()").casefold()
+def _unit(signal: Signal, field: str) -> str:
+    """The unit, folded; of a signal without one, what its name says (``current_mA``, ``PackVolt``).
+
+    Without a unit the name must have the quantity's own word.
+    """
+    unit = signal.unit.strip().strip("[]()").casefold()
+    if unit and unit != "-":
+        return unit
+    words = {word.casefold() for word in _WORD.findall(signal.short)}
+    if not words.intersection(_OWN_WORDS[field]):
+        return ""
+    last = signal.short.rpartition("_")[2].casefold()
+    return last if last in UNITS[field] else next(iter(UNITS[field]))
 
 
 def _unclear(

@@ -74,6 +74,16 @@ def _read(source: LogSource, known: Format) -> RawLog:
                 "the database of this log",
                 "Choose another DBC file.",
             )
+        outside = int(np.count_nonzero(np.isnan(values)))
+        if outside == values.size:
+            raise InputError(
+                f"no value of '{signal.name}' in {source.where} within the range that "
+                f"'{source.options.dbc}' gives",
+                "the database of this log",
+                "Choose another DBC file.",
+            )
+        if outside:
+            notices.append(f"{outside} value(s) of '{signal.name}' outside its range left out")
         series[field] = Series(np.frombuffer(stamps, np.float64)[whole], unit.convert(values))
     start = min(float(samples.time_s[0]) for samples in series.values())
     series = {field: Series(s.time_s - start, s.values) for field, s in series.items()}
