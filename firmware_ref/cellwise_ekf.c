@@ -310,40 +310,80 @@ static uint32_t is_small(float x)
 /* Every number in its range: memory that lost its content, or was never initialised, is noticed. */
 static uint32_t is_sound(const cellwise_model *m, const cellwise_state *x)
 {
-    uint32_t sound = within(x->soc, 0.0f, 1.0f) & within(x->soc_carry, -CARRY_MOST, CARRY_MOST);
-    sound &= is_small(x->v1_V) & is_small(x->v2_V);
-    sound &= variance_is_sound(x->ss) & is_small(x->s1) & is_small(x->s2);
-    sound &= variance_is_sound(x->p11) & is_small(x->p12) & variance_is_sound(x->p22);
-    sound &= within(x->current_A, -m->constant.current_limit_A, m->constant.current_limit_A);
-    sound &= variance_is_sound(x->mismatch);
+    if ((within(x->soc, 0.0f, 1.0f) == 0u) ||
+        (within(x->soc_carry, -CARRY_MOST, CARRY_MOST) == 0u)) {
+        return 0u;
+    }
+    if ((is_small(x->v1_V) == 0u) || (is_small(x->v2_V) == 0u)) {
+        return 0u;
+    }
+    if ((variance_is_sound(x->ss) == 0u) || (is_small(x->s1) == 0u) ||
+        (is_small(x->s2) == 0u)) {
+        return 0u;
+    }
+    if ((variance_is_sound(x->p11) == 0u) || (is_small(x->p12) == 0u) ||
+        (variance_is_sound(x->p22) == 0u)) {
+        return 0u;
+    }
+    if ((within(x->current_A, -m->constant.current_limit_A, m->constant.current_limit_A) == 0u)) {
+        return 0u;
+    }
+    if ((variance_is_sound(x->mismatch) == 0u)) {
+        return 0u;
+    }
 #if CELLWISE_SLOW
-    sound &= is_small(x->v3_V) & within(x->v3_carry_V, -CARRY_MOST, CARRY_MOST);
-    sound &= is_small(x->s3) & is_small(x->p13) & is_small(x->p23) & variance_is_sound(x->p33);
+    if ((is_small(x->v3_V) == 0u) || (within(x->v3_carry_V, -CARRY_MOST, CARRY_MOST) == 0u)) {
+        return 0u;
+    }
+    if ((is_small(x->s3) == 0u) || (is_small(x->p13) == 0u) || (is_small(x->p23) == 0u) ||
+        (variance_is_sound(x->p33) == 0u)) {
+        return 0u;
+    }
 #endif
 #if CELLWISE_HYSTERESIS
-    sound &= within(x->h, -1.0f, 1.0f);
-    sound &= is_small(x->sh) & is_small(x->p1h) & is_small(x->p2h) & variance_is_sound(x->phh);
+    if ((within(x->h, -1.0f, 1.0f) == 0u)) {
+        return 0u;
+    }
+    if ((is_small(x->sh) == 0u) || (is_small(x->p1h) == 0u) || (is_small(x->p2h) == 0u) ||
+        (variance_is_sound(x->phh) == 0u)) {
+        return 0u;
+    }
 #if CELLWISE_SLOW
-    sound &= is_small(x->p3h);
+    if ((is_small(x->p3h) == 0u)) {
+        return 0u;
+    }
 #endif
 #endif
 #if CELLWISE_OFFSET
-    sound &= within(x->offset_A, -m->constant.current_limit_A, m->constant.current_limit_A);
-    sound &= is_small(x->so) & is_small(x->p1o) & is_small(x->p2o) & variance_is_sound(x->poo);
+    if ((within(x->offset_A, -m->constant.current_limit_A, m->constant.current_limit_A) == 0u)) {
+        return 0u;
+    }
+    if ((is_small(x->so) == 0u) || (is_small(x->p1o) == 0u) || (is_small(x->p2o) == 0u) ||
+        (variance_is_sound(x->poo) == 0u)) {
+        return 0u;
+    }
 #if CELLWISE_SLOW
-    sound &= is_small(x->p3o);
+    if ((is_small(x->p3o) == 0u)) {
+        return 0u;
+    }
 #endif
 #if CELLWISE_HYSTERESIS
-    sound &= is_small(x->pho);
+    if ((is_small(x->pho) == 0u)) {
+        return 0u;
+    }
 #endif
 #endif
 #if CELLWISE_HEATING
-    sound &= within(x->heat_K, -HEAT_MOST_K, HEAT_MOST_K);
+    if ((within(x->heat_K, -HEAT_MOST_K, HEAT_MOST_K) == 0u)) {
+        return 0u;
+    }
 #endif
 #if CELLWISE_NEEDS_TEMPERATURE
-    sound &= within(x->temperature_C, TEMPERATURE_LOW_C, TEMPERATURE_HIGH_C);
+    if ((within(x->temperature_C, TEMPERATURE_LOW_C, TEMPERATURE_HIGH_C) == 0u)) {
+        return 0u;
+    }
 #endif
-    return sound;
+    return 1u;
 }
 
 static void start(const cellwise_model *m, cellwise_state *x, float soc, float soc_variance)

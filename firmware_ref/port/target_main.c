@@ -1,0 +1,134 @@
+/* Steps the samples of in.bin and writes every output to out.bin, then the state, then what was
+ * measured: instructions by SysTick (QEMU -icount shift=0), stack by paint.
+ *
+ * in.bin: soc, soc_variance (float), every how many samples to measure, 0 (uint32), then records of
+ * cellwise_input. */
+#include <stddef.h>
+
+#include "cellwise_cell.h"
+#include "semihosting.h"
+
+#define CHUNK 64u
+#define REPEATS 64u
+#define PAINTED 512u
+#define PAINT 0xA5A5A5A5u
+
+#define SYST_CSR (*(volatile uint32_t *)0xE000E010u)
+#define SYST_RVR (*(volatile uint32_t *)0xE000E014u)
+#define SYST_CVR (*(volatile uint32_t *)0xE000E018u)
+
+typedef struct {
+    float soc;
+    float soc_variance;
+    uint32_t measure_every;
+    uint32_t reserved;
+} request;
+
+typedef struct {
+    uint32_t measured;       /* steps */
+    uint32_t ticks_sum_low;  /* of REPEATS steps each, overhead included */
+    uint32_t ticks_sum_high;
+    uint32_t ticks_most;
+    uint32_t ticks_empty;    /* of REPEATS calls that do nothing */
+    uint32_t stack_bytes;
+    uint32_t state_bytes;
+    uint32_t model_bytes;
+} findings;
+
+static cellwise_input samples[CHUNK];
+static cellwise_output outputs[CHUNK];
+static cellwise_state state;
+static cellwise_state copies[REPEATS];
+static cellwise_output scratch;
+
+typedef uint32_t (*step_function)(const cellwise_model *, cellwise_state *, const cellwise_input *,
+                                  cellwise_output *);
+
+static __attribute__((noinline)) uint32_t nothing(const cellwise_model *m, cellwise_state *x,
+                                                  const cellwise_input *in, cellwise_output *out)
+{
+    (void)m;
+    (void)x;
+    (void)in;
+    (void)out;
+    return 0u;
+}
+
+static __attribute__((noinline)) uint32_t ticks_of(step_function step, const cellwise_input *in)
+{
+    const step_function volatile called = step;
+    uint32_t before;
+    for (uint32_t k = 0u; k < REPEATS; k++) {
+        copies[k] = state;
+    }
+    SYST_CVR = 0u;
+    before = SYST_CVR;
+    for (uint32_t k = 0u; k < REPEATS; k++) {
+        (void)called(&cellwise_cell, &copies[k], in, &scratch);
+    }
+    return (before - SYST_CVR) & 0xFFFFFFu;
+}
+
+/* Bytes below this function's own frame that one step has written. */
+static __attribute__((noinline)) uint32_t stack_of(const cellwise_input *in)
+{
+    const step_function volatile called = cellwise_step;
+    uint32_t top;
+    uint32_t untouched = 0u;
+    copies[0] = state;
+    __asm__ volatile("mov %0, sp" : "=r"(top));
+    for (uint32_t k = 1u; k <= PAINTED; k++) {
+        ((volatile uint32_t *)top)[-(int32_t)k] = PAINT;
+    }
+    (void)called(&cellwise_cell, &copies[0], in, &scratch);
+    while ((untouched < PAINTED) &&
+           (((volatile uint32_t *)top)[(int32_t)untouched - (int32_t)PAINTED] == PAINT)) {
+        untouched++;
+    }
+    return 4u * (PAINTED - untouched);
+}
+
+static void measure(findings *found, const cellwise_input *in)
+{
+    const uint32_t ticks = ticks_of(cellwise_step, in);
+    const uint32_t stack = stack_of(in);
+    const uint32_t low = found->ticks_sum_low;
+    found->measured++;
+    found->ticks_sum_low += ticks;
+    found->ticks_sum_high += (found->ticks_sum_low < low) ? 1u : 0u;
+    found->ticks_most = (ticks > found->ticks_most) ? ticks : found->ticks_most;
+    found->stack_bytes = (stack > found->stack_bytes) ? stack : found->stack_bytes;
+}
+
+int main(void)
+{
+    const int32_t in = host_open("in.bin", 1u);
+    const int32_t out = host_open("out.bin", 5u);
+    request asked;
+    findings found = {0u, 0u, 0u, 0u, 0u, 0u, sizeof(cellwise_state), sizeof(cellwise_model)};
+    uint32_t row = 0u;
+    uint32_t got;
+
+    if ((in < 0) || (out < 0) || (host_read(in, &asked, sizeof asked) != sizeof asked)) {
+        return 1;
+    }
+    SYST_RVR = 0xFFFFFFu;
+    SYST_CSR = 5u;
+    (void)cellwise_init(&cellwise_cell, &state, asked.soc, asked.soc_variance);
+    while ((got = host_read(in, samples, sizeof samples)) >= sizeof samples[0]) {
+        const uint32_t rows = got / (uint32_t)sizeof samples[0];
+        for (uint32_t k = 0u; k < rows; k++) {
+            if ((asked.measure_every != 0u) && ((row % asked.measure_every) == 0u)) {
+                measure(&found, &samples[k]);
+            }
+            (void)cellwise_step(&cellwise_cell, &state, &samples[k], &outputs[k]);
+            row++;
+        }
+        host_write(out, outputs, rows * (uint32_t)sizeof outputs[0]);
+    }
+    found.ticks_empty = ticks_of(nothing, &samples[0]);
+    host_write(out, &state, sizeof state);
+    host_write(out, &found, sizeof found);
+    host_close(out);
+    return 0;
+}
