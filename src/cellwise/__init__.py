@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from cellwise.estimate.noise import Noise
     from cellwise.estimate.replay import Replay, replay
     from cellwise.estimate.status import Status
+    from cellwise.estimate.ukf import SigmaPoints, Ukf
     from cellwise.identify import Identification, IdentifySettings, TestLogs, identify_cell
     from cellwise.logs import CellLog, inspect_log, read_log, write_log
 
@@ -43,6 +44,8 @@ _HOMES = {
     "Replay": "cellwise.estimate.replay",
     "replay": "cellwise.estimate.replay",
     "Status": "cellwise.estimate.status",
+    "SigmaPoints": "cellwise.estimate.ukf",
+    "Ukf": "cellwise.estimate.ukf",
     "list_datasets": "cellwise.data",
     "load_dataset": "cellwise.data",
     "InputError": "cellwise.errors",
@@ -60,9 +63,11 @@ __all__ = [
     "ModelError",
     "Noise",
     "Replay",
+    "SigmaPoints",
     "Simulation",
     "Status",
     "TestLogs",
+    "Ukf",
     "identify_cell",
     "inspect_log",
     "list_datasets",

@@ -119,7 +119,7 @@ def test_a_start_soc_that_is_none(refused, model, drive, command, value):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--estimator", "oracle"], "coulomb, ekf, filterpy-ekf"),
+        (["--estimator", "oracle"], "coulomb, ekf, ukf, adaptive"),
         (["--dt", "0"], "step"),
         (["--dt", "-1"], "step"),
         (["--dt", "nan"], "step"),

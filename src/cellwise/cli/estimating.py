@@ -23,7 +23,10 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     replay = commands.add_parser("replay", help="model and log to SOC")
     _common(replay)
     replay.add_argument(
-        "--estimator", default="ekf", metavar="E", help="coulomb, ekf, filterpy-ekf"
+        "--estimator",
+        default="ekf",
+        metavar="E",
+        help="coulomb, ekf, ukf, adaptive, fixed-step, firmware, filterpy-ekf, filterpy-ukf [ekf]",
     )
     replay.add_argument("--soc0-std", type=float, metavar="S", help="how sure the start SOC is")
     replay.add_argument("--dt", type=float, metavar="S", help="resample to an even step")

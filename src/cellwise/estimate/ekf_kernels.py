@@ -28,26 +28,18 @@ from cellwise.cell.kernels import (
     soc_step,
     under_load,
 )
-from cellwise.estimate.filter_state import EkfInfo, EkfStart, EkfState, ekf_start
+from cellwise.estimate.evidence_kernels import FORGIVEN as FORGIVEN
+from cellwise.estimate.evidence_kernels import UNDER_LOAD_COUNT as UNDER_LOAD_COUNT
+from cellwise.estimate.evidence_kernels import weigh
+from cellwise.estimate.filter_state import EkfInfo, EkfState, ekf_start
+from cellwise.estimate.filter_state import EkfStart as EkfStart
 from cellwise.estimate.measurement_kernels import chord as chord
-from cellwise.estimate.measurement_kernels import start_branch, voltage_variance, wide_slopes
+from cellwise.estimate.measurement_kernels import start_branch as start_branch
+from cellwise.estimate.measurement_kernels import voltage_variance as voltage_variance
+from cellwise.estimate.measurement_kernels import wide_slopes as wide_slopes
 from cellwise.estimate.noise import NoiseScalars
-from cellwise.estimate.sample_kernels import (
-    NOT_BEGUN,
-    REST_RATE,
-    read_sample,
-    repeated_evidence,
-    watch_on,
-    watch_voltage,
-)
-from cellwise.estimate.status import (
-    CLAMPED,
-    GATE_RECOVERY,
-    INNOVATION_REJECTED,
-    STATE_RESET,
-    VOLTAGE_FROZEN,
-    VOLTAGE_INVALID,
-)
+from cellwise.estimate.sample_kernels import NOT_BEGUN, read_sample
+from cellwise.estimate.status import CLAMPED, STATE_RESET
 from cellwise.typing import BoolArray, FloatArray, IntArray
 
 # Columns of the per-sample output: the fields of EkfInfo but the status.
@@ -60,8 +52,6 @@ VARIANCE_FLOOR = 1e-12
 WIDE_VARIANCE = 4e-4  # beyond 2 points of SOC the tangent is no guide
 SLOPE_FLOOR_V = 0.05
 RECOVERY_VARIANCE = 0.09
-UNDER_LOAD_COUNT = 0.05  # a rejection that wrong resistances could explain
-FORGIVEN = 0.1  # of the count, by a voltage that passes
 RECOVERY_RATE = 0.3
 SMALL_MOVE = 0.05  # of a standard deviation: the slope is that of the spot left
 
@@ -212,117 +202,84 @@ def ekf_step_inline(
     if s.lost_A > 0.0:
         one += s.lost_A * s.lost_A * point.r0_ohm * point.r0_ohm
     variance = state_variance + one
-    innovation = s.voltage_V - predicted
-    square = innovation * innovation
-    gate = noise.gate * noise.gate
-    ratio = square / (gate * variance)
-    reading = watch_voltage(noise, x.watch, s, innovation, point.r0_ohm)
-    status |= reading[3]
-    rejections = x.rejections
-    mismatch = x.mismatch
-    used = False
-    if not math.isfinite(innovation):
-        status |= VOLTAGE_INVALID
-        innovation = math.nan
-        ratio = math.nan
-    elif status & VOLTAGE_FROZEN == 0:
-        used = True
-        # A model of another temperature, age or cell is wrong all the time: evidence weighs less
-        # by what the innovations have lately shown beyond their variance.
-        if noise.mismatch_cap > 0.0 and noise.slow_s > 0.0:
-            lately = min(dt_s / noise.slow_s, 1.0)
-            mismatch += lately * (min(square / variance, noise.mismatch_cap) - mismatch)
-        if ratio > 1.0:
-            status |= INNOVATION_REJECTED
-            # Under load the resistances may be what is wrong: what three times the polarisation
-            # can explain speaks against the SOC more slowly.
-            polarisation = abs(point.r0_ohm * seen) + branches
-            if square > gate * variance + 4.0 * polarisation * polarisation:
-                rejections += 1.0
-            else:
-                rejections += UNDER_LOAD_COUNT
-            if rejections >= noise.recovery_after:
-                # The gate may have locked the truth out: admit a SOC error as large as what is
-                # seen and branches that hold anything, so that the next voltage passes.
-                status |= GATE_RECOVERY
-                rejections = 0.0
-                mismatch = 1.0
-                evidence = 0.0
-                missed = innovation / max(slope, SLOPE_FLOOR_V)
-                ss = max(ss, min(ss + missed * missed, RECOVERY_VARIANCE))
-                held = RECOVERY_RATE * cell.charge_As / 3600.0
-                p11 += v1 * v1 + held * held * point.r1_ohm * point.r1_ohm
-                p22 += v2 * v2 + held * held * point.r2_ohm * point.r2_ohm
-                p33 += v3 * v3 + held * held * point.r3_ohm * point.r3_ohm
-        else:
-            rejections = max(rejections - FORGIVEN, 0.0)
-            resting = abs(seen) * 3600.0 < REST_RATE * cell.charge_As
-            shared = repeated_evidence(noise, evidence, dt_s, resting)
-            inverse = 1.0 / (state_variance + one * shared * max(mismatch, 1.0))
-            ks = ds * inverse
-            k1 = d1 * inverse
-            k2 = d2 * inverse
-            k3 = d3 * inverse
-            kh = dh * inverse
-            soc += ks * innovation
-            v1 += k1 * innovation
-            v2 += k2 * innovation
-            v3 += k3 * innovation
-            h = min(max(h + kh * innovation, -1.0), 1.0)
-            learnt = True
-            if wide:
-                # The gain was that of the slope here; what it is worth is said by the slope where
-                # it leads, if that is flatter (Joseph's form): on a plateau nothing was learnt.
-                flat = min(slope, point.ocv_slope_V)
-                if abs(ks * innovation) > SMALL_MOVE * spread:
-                    landed = under_load(cell, look_up(table, grid, cell, soc, warm), seen)
-                    there = wide_slopes(table, grid, cell, soc, landed, spread, warm, seen)
-                    flat = min(min(there.voltage_V, landed.ocv_slope_V), slope)
-                less = flat - slope
-                e = less * (2.0 * ds + less * ss)
-                cs = less * ss
-                learnt = ks * (ks * e - 2.0 * cs) < ks * ds
-                if learnt:
-                    c1 = less * s1
-                    c2 = less * s2
-                    c3 = less * s3
-                    ch = less * sh
-                    ss += ks * (ks * e - 2.0 * cs)
-                    s1 += ks * k1 * e - ks * c1 - k1 * cs
-                    s2 += ks * k2 * e - ks * c2 - k2 * cs
-                    s3 += ks * k3 * e - ks * c3 - k3 * cs
-                    sh += ks * kh * e - ks * ch - kh * cs
-                    p11 += k1 * (k1 * e - 2.0 * c1)
-                    p12 += k1 * k2 * e - k1 * c2 - k2 * c1
-                    p13 += k1 * k3 * e - k1 * c3 - k3 * c1
-                    p1h += k1 * kh * e - k1 * ch - kh * c1
-                    p22 += k2 * (k2 * e - 2.0 * c2)
-                    p23 += k2 * k3 * e - k2 * c3 - k3 * c2
-                    p2h += k2 * kh * e - k2 * ch - kh * c2
-                    p33 += k3 * (k3 * e - 2.0 * c3)
-                    p3h += k3 * kh * e - k3 * ch - kh * c3
-                    phh += kh * (kh * e - 2.0 * ch)
+    # fmt: off
+    seen_as = weigh(
+        cell, noise, x.watch, s, evidence, x.rejections, x.mismatch,
+        s.voltage_V - predicted, state_variance, one, point.r0_ohm, branches, dt_s,
+    )
+    # fmt: on
+    status |= seen_as.status
+    innovation = seen_as.innovation_V
+    if seen_as.recover:
+        # The gate may have locked the truth out: admit a SOC error as large as what is seen and
+        # branches that hold anything, so that the next voltage passes.
+        missed = innovation / max(slope, SLOPE_FLOOR_V)
+        ss = max(ss, min(ss + missed * missed, RECOVERY_VARIANCE))
+        held = RECOVERY_RATE * cell.charge_As / 3600.0
+        p11 += v1 * v1 + held * held * point.r1_ohm * point.r1_ohm
+        p22 += v2 * v2 + held * held * point.r2_ohm * point.r2_ohm
+        p33 += v3 * v3 + held * held * point.r3_ohm * point.r3_ohm
+    if seen_as.accepted:
+        inverse = seen_as.inverse
+        ks = ds * inverse
+        k1 = d1 * inverse
+        k2 = d2 * inverse
+        k3 = d3 * inverse
+        kh = dh * inverse
+        soc += ks * innovation
+        v1 += k1 * innovation
+        v2 += k2 * innovation
+        v3 += k3 * innovation
+        h = min(max(h + kh * innovation, -1.0), 1.0)
+        learnt = True
+        if wide:
+            # The gain was that of the slope here; what it is worth is said by the slope where
+            # it leads, if that is flatter (Joseph's form): on a plateau nothing was learnt.
+            flat = min(slope, point.ocv_slope_V)
+            if abs(ks * innovation) > SMALL_MOVE * spread:
+                landed = under_load(cell, look_up(table, grid, cell, soc, warm), seen)
+                there = wide_slopes(table, grid, cell, soc, landed, spread, warm, seen)
+                flat = min(min(there.voltage_V, landed.ocv_slope_V), slope)
+            less = flat - slope
+            e = less * (2.0 * ds + less * ss)
+            cs = less * ss
+            learnt = ks * (ks * e - 2.0 * cs) < ks * ds
             if learnt:
-                ss = max(ss - ks * ds, VARIANCE_FLOOR)
-                s1 -= ks * d1
-                s2 -= ks * d2
-                s3 -= ks * d3
-                sh -= ks * dh
-                p11 = max(p11 - k1 * d1, 0.0)
-                p12 -= k1 * d2
-                p13 -= k1 * d3
-                p1h -= k1 * dh
-                p22 = max(p22 - k2 * d2, 0.0)
-                p23 -= k2 * d3
-                p2h -= k2 * dh
-                p33 = max(p33 - k3 * d3, 0.0)
-                p3h -= k3 * dh
-                phh = max(phh - kh * dh, 0.0)
-            evidence = max(evidence, 0.0)
-    if evidence >= 0.0:
-        evidence += dt_s
-    watch, away = watch_on(noise, s, dt_s, used, evidence, x.watch.no_voltage_s, reading)
-    status |= away
+                c1 = less * s1
+                c2 = less * s2
+                c3 = less * s3
+                ch = less * sh
+                ss += ks * (ks * e - 2.0 * cs)
+                s1 += ks * k1 * e - ks * c1 - k1 * cs
+                s2 += ks * k2 * e - ks * c2 - k2 * cs
+                s3 += ks * k3 * e - ks * c3 - k3 * cs
+                sh += ks * kh * e - ks * ch - kh * cs
+                p11 += k1 * (k1 * e - 2.0 * c1)
+                p12 += k1 * k2 * e - k1 * c2 - k2 * c1
+                p13 += k1 * k3 * e - k1 * c3 - k3 * c1
+                p1h += k1 * kh * e - k1 * ch - kh * c1
+                p22 += k2 * (k2 * e - 2.0 * c2)
+                p23 += k2 * k3 * e - k2 * c3 - k3 * c2
+                p2h += k2 * kh * e - k2 * ch - kh * c2
+                p33 += k3 * (k3 * e - 2.0 * c3)
+                p3h += k3 * kh * e - k3 * ch - kh * c3
+                phh += kh * (kh * e - 2.0 * ch)
+        if learnt:
+            ss = max(ss - ks * ds, VARIANCE_FLOOR)
+            s1 -= ks * d1
+            s2 -= ks * d2
+            s3 -= ks * d3
+            sh -= ks * dh
+            p11 = max(p11 - k1 * d1, 0.0)
+            p12 -= k1 * d2
+            p13 -= k1 * d3
+            p1h -= k1 * dh
+            p22 = max(p22 - k2 * d2, 0.0)
+            p23 -= k2 * d3
+            p2h -= k2 * dh
+            p33 = max(p33 - k3 * d3, 0.0)
+            p3h -= k3 * dh
+            phh = max(phh - kh * dh, 0.0)
     if soc < SOC_LOW or soc > SOC_HIGH:
         soc = min(max(soc, SOC_LOW), SOC_HIGH)
         status |= CLAMPED
@@ -334,10 +291,12 @@ def ekf_step_inline(
         p22, p23, p2h,
         p33, p3h,
         phh,
-        heat, rejections, mismatch, watch,
+        heat, seen_as.rejections, seen_as.mismatch, seen_as.watch,
     )
     # fmt: on
-    return state, EkfInfo(soc, math.sqrt(ss), predicted, innovation, variance, ratio, status)
+    return state, EkfInfo(
+        soc, math.sqrt(ss), predicted, innovation, variance, seen_as.ratio, status
+    )
 
 
 @njit(cache=True, error_model="numpy")

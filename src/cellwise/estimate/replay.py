@@ -11,11 +11,14 @@ import numpy as np
 from cellwise.cell.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
+from cellwise.estimate.adaptive import Adaptive
+from cellwise.estimate.adaptive_trace import AdaptiveTrace
 from cellwise.estimate.coulomb import Coulomb
 from cellwise.estimate.ekf import Ekf
 from cellwise.estimate.noise import Noise
-from cellwise.estimate.status import INNOVATION_REJECTED, VOLTAGE_INVALID
+from cellwise.estimate.status import INNOVATION_REJECTED, VOLTAGE_FROZEN, VOLTAGE_INVALID
 from cellwise.estimate.trace import Trace
+from cellwise.estimate.ukf import Ukf
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
@@ -42,18 +45,39 @@ def make_estimator(name: str, model: CellModel, noise: Noise | None = None) -> E
     """
     if name == "ekf":
         return Ekf(model, noise)
+    if name == "adaptive":
+        return Adaptive(model, noise)
+    if name == "ukf":
+        return Ukf(model, noise)
     if name == "coulomb":
         return Coulomb(model, noise)
     if name == "filterpy-ekf":
         from cellwise.estimate.filterpy_ekf import FilterpyEkf
 
         return FilterpyEkf(model, noise)
+    if name == "filterpy-ukf":
+        from cellwise.estimate.filterpy_ukf import FilterpyUkf
+
+        return FilterpyUkf(model, noise)
+    if name in ("fixed-step", "firmware"):
+        from cellwise.estimate.fixed_step import Firmware, FixedStep
+
+        return FixedStep(model, noise) if name == "fixed-step" else Firmware(model, noise)
     raise InputError(
         f"estimator '{name}'", f"one of {', '.join(ESTIMATORS)}", "Choose one of them."
     )
 
 
-ESTIMATORS = ("coulomb", "ekf", "filterpy-ekf")
+ESTIMATORS = (
+    "coulomb",
+    "ekf",
+    "ukf",
+    "adaptive",
+    "fixed-step",
+    "firmware",
+    "filterpy-ekf",
+    "filterpy-ukf",
+)
 
 
 @dataclass(frozen=True)
@@ -121,7 +145,8 @@ class Replay:
     @property
     def nis_mean(self) -> float | None:
         """Mean of innovation squared over its variance, over the voltages that were used."""
-        kept = (self.trace.status & (INNOVATION_REJECTED | VOLTAGE_INVALID)) == 0
+        unused = INNOVATION_REJECTED | VOLTAGE_INVALID | VOLTAGE_FROZEN
+        kept = (self.trace.status & unused) == 0
         nis = self.trace.innovation_V[kept] ** 2 / self.trace.innovation_variance_V2[kept]
         nis = nis[np.isfinite(nis)]
         return float(np.mean(nis)) if nis.size else None
@@ -135,7 +160,7 @@ class Replay:
     def to_dict(self) -> dict[str, Any]:
         """The figures as JSON values, keys as the command prints them."""
         errors, settled = self.errors, self.settled
-        return {
+        told = {
             "estimator": self.estimator,
             "samples": len(self.trace),
             "soc0": self.start.to_dict(),
@@ -151,6 +176,9 @@ class Replay:
             "voltage_rmse_V": self.voltage_rmse_V,
             "ns_per_step": self.ns_per_step,
         }
+        if isinstance(self.trace, AdaptiveTrace):
+            told["parameters"] = self.trace.parameters().to_dict()
+        return told
 
     def __repr__(self) -> str:
         text = f"Replay({self.estimator} on {self.log.name or 'log'}: "

@@ -1,0 +1,193 @@
+"""The UKF against filterpy's, which takes all eleven sigma points, and the Kalman filter."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+from scipy.stats import norm
+from test_ekf_oracle import (
+    OPEN_GATE,
+    covariance_of,
+    difficult_log,
+    kalman_log,
+    mean_of,
+)
+
+from cellwise.cell.effects import (
+    ChargeAsymmetry,
+    Hysteresis,
+    RateDependence,
+    SlowDiffusion,
+)
+from cellwise.cell.simulate import simulate
+from cellwise.errors import InputError
+from cellwise.estimate.ekf import Ekf
+from cellwise.estimate.filterpy_ukf import FilterpyUkf
+from cellwise.estimate.noise import Noise
+from cellwise.estimate.status import Status
+from cellwise.estimate.ukf import SigmaPoints, Ukf
+from cellwise.logs.cell_log import CellLog
+from example_cells import EFFECTS, curved_cell, linear_cell, random_log, random_model
+
+POINTS = (SigmaPoints(), SigmaPoints(1.0, 2.0, 0.0), SigmaPoints(0.3, 2.0, -1.0))
+FIGURES = ("soc", "soc_std", "voltage_V", "innovation_V", "innovation_variance_V2")
+
+
+@pytest.mark.parametrize("points", POINTS)
+@pytest.mark.parametrize("seed", range(3))
+def test_three_points_are_all_eleven(seed, points):
+    """Mean, deviation, prediction and its variance, from a start 10 points wide, off the knots."""
+    rng = np.random.default_rng(20 + seed)
+    model = random_model(rng, temperatures=1 + seed)
+    noise = Noise(current_A=0.02, gate=OPEN_GATE, mismatch_cap=0.0, gap_soc=0.002)
+    log = difficult_log(rng, model, rows=320)
+    ours = Ukf(model, noise, points).run(log, 0.503, 0.1)
+    theirs = FilterpyUkf(model, noise, points).run(log, 0.503, 0.1)
+    for name in FIGURES:
+        np.testing.assert_allclose(
+            getattr(ours, name), getattr(theirs, name), rtol=1e-7, atol=1e-9, err_msg=name
+        )
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        (),
+        EFFECTS,
+        (SlowDiffusion(0.02, 900.0), RateDependence(0.1), ChargeAsymmetry(1.3)),
+        (Hysteresis(0.03, 60.0),),
+    ],
+    ids=["plain", "all", "rate and asymmetry", "hysteresis"],
+)
+def test_it_agrees_with_filterpy_whatever_the_effects(effects):
+    model = curved_cell(effects=effects)
+    rng = np.random.default_rng(4)
+    noise = Noise(gate=OPEN_GATE, mismatch_cap=0.0)
+    log = random_log(rng, 250, temperature_C=(0.0, 40.0))
+    log = replace(
+        log, voltage_V=simulate(model, log, 0.8).voltage_V + 0.003 * rng.standard_normal(250)
+    )
+    ours, theirs = (f.run(log, 0.603, 0.15) for f in (Ukf(model, noise), FilterpyUkf(model, noise)))
+    for name in FIGURES:
+        np.testing.assert_allclose(
+            getattr(ours, name), getattr(theirs, name), rtol=1e-7, atol=1e-9, err_msg=name
+        )
+
+
+@pytest.mark.parametrize("points", POINTS)
+def test_on_a_linear_cell_it_is_the_kalman_filter(points):
+    """Mean, covariance and likelihood."""
+    model = linear_cell(effects=(SlowDiffusion(0.02, 700.0),))
+    noise = Noise(current_A=0.03, voltage_V=0.01, slow_s=0.0, gate=OPEN_GATE, mismatch_cap=0.0)
+    log = kalman_log(model)
+    ukf = Ukf(model, noise, points)
+    state = ukf.init(0.5, 0.1)
+    kf = KalmanFilter(dim_x=4, dim_z=1, dim_u=1)
+    kf.x = np.array([0.5, 0.0, 0.0, 0.0])
+    r, tau = np.array([0.012, 0.020, 0.02]), np.array([7.0, 90.0, 700.0])
+    kf.P = np.diag([0.01, *(0.005**2 + (0.1 * 3.0 * r) ** 2)])
+    kf.H = np.array([[0.9, -1.0, -1.0, -1.0]])
+    likelihood = [0.0, 0.0]
+    for k, (dt, current) in enumerate(zip(log.interval_s, log.current_A, strict=True)):
+        a = np.exp(-dt / tau)
+        drive = np.array([-dt / (3600 * 3.0), *(r * (1 - a))])
+        share = (noise.branch_share * current * r) ** 2 * (1 - a**2)
+        walk = (noise.soc_per_sqrt_h / 60) ** 2 * dt
+        kf.predict(
+            u=np.array([current]),
+            B=drive[:, None],
+            F=np.diag([1.0, *a]),
+            Q=noise.current_A**2 * np.outer(drive, drive) + np.diag([walk, *share]),
+        )
+        one = noise.voltage_V**2 + float(model.error.at(0.5)) ** 2 + (noise.ocv_soc * 0.9) ** 2
+        drops = abs(0.030 * current) + np.abs(kf.x[1:]).sum()
+        one += (noise.branch_share * drops) ** 2 + (noise.current_A * 0.030) ** 2
+        kf.update(np.array([log.voltage_V[k] - 3.2 + 0.030 * current]), R=np.array([[one]]))
+        state, info = ukf.step(state, current, log.voltage_V[k], dt_s=dt)
+        np.testing.assert_allclose(mean_of(state)[:4], kf.x.ravel(), atol=1e-10)
+        np.testing.assert_allclose(covariance_of(state)[:4, :4], kf.P, rtol=1e-7, atol=1e-12)
+        scale = np.sqrt(info.innovation_variance_V2)
+        likelihood[0] += norm.logpdf(info.innovation_V, scale=scale)
+        likelihood[1] += kf.log_likelihood
+    assert likelihood[0] == pytest.approx(likelihood[1], rel=1e-9)
+
+
+def test_on_a_linear_cell_it_is_the_ekf():
+    model = linear_cell(effects=(SlowDiffusion(0.02, 700.0),))
+    log = kalman_log(model)
+    a, b = (f.run(log, 0.5, 0.1) for f in (Ekf(model), Ukf(model)))
+    for name in FIGURES:
+        np.testing.assert_allclose(getattr(a, name), getattr(b, name), rtol=1e-7, atol=1e-10)
+
+
+def test_one_step_at_a_time_is_the_compiled_loop():
+    rng = np.random.default_rng(4)
+    model = random_model(rng)
+    log = difficult_log(rng, model)
+    ukf = Ukf(model)
+    trace = ukf.run(log, 0.7, 0.2)
+    state = ukf.init(0.7, 0.2, log.current_A[0])
+    for k in range(len(log)):
+        state, info = ukf.step(
+            state, log.current_A[k], log.voltage_V[k], log.temperature_C[k],
+            dt_s=log.interval_s[k], gap=bool(log.gap_rows[k]),
+        )  # fmt: skip
+        row = (trace.soc[k], trace.soc_std[k], trace.voltage_V[k], trace.innovation_V[k],
+               trace.innovation_variance_V2[k], trace.test_ratio[k], trace.status[k])  # fmt: skip
+        np.testing.assert_allclose(tuple(info), row, rtol=1e-12, atol=1e-15, equal_nan=True)
+
+
+def test_its_mean_sees_the_bend_of_the_ocv():
+    """At one standard deviation the OCV is not on its tangent: the expected voltage is the mean."""
+    model = curved_cell()
+    soc, std = 0.25, 0.05
+    _, info = Ukf(model).step(Ukf(model).init(soc, std), 0.0, np.nan, 25.0, dt_s=0.0)
+    nodes, weights = np.polynomial.hermite_e.hermegauss(3)
+    points = np.interp(soc + std * nodes, model.soc, model.ocv_V[0])
+    assert info.voltage_V == pytest.approx(points @ weights / weights.sum(), abs=1e-12)
+    tangent = np.interp(soc, model.soc, model.ocv_V[0])
+    assert abs(info.voltage_V - tangent) > 1e-4
+
+
+@pytest.mark.parametrize("off", [-0.3, 0.15])
+def test_it_finds_the_way_from_a_wrong_start(off):
+    model = curved_cell()
+    rng = np.random.default_rng(1)
+    current = np.repeat(rng.normal(0.3, 2.0, 361), 10)[:3600]
+    current[0] = 0.0
+    log = CellLog(np.arange(3600.0), current, np.full(3600, 3.7))
+    run = simulate(model, log, 0.8)
+    log = replace(log, voltage_V=run.voltage_V + 0.001 * rng.standard_normal(3600))
+    trace = Ukf(model).run(log, 0.8 + off, 0.15)
+    error = np.abs(trace.soc - run.soc)
+    assert np.max(error[600:]) < 0.03
+    assert np.mean(error <= 2 * trace.soc_std) > 0.9
+
+
+def test_faults_mean_the_same_as_in_the_ekf():
+    model = curved_cell()
+    log = random_log(np.random.default_rng(6), 400)
+    voltage = simulate(model, log, 0.7).voltage_V.copy()
+    current = log.current_A.copy()
+    voltage[50] += 0.6
+    voltage[100:103] = np.nan
+    voltage[150] = 60.0
+    current[200:230] = np.nan
+    voltage[300:] = voltage[300]
+    log = replace(log, voltage_V=voltage, current_A=current)
+    ekf, ukf = (f.run(log, 0.7, 0.02).status for f in (Ekf(model), Ukf(model)))
+    np.testing.assert_array_equal(ekf, ukf)
+    told = np.bitwise_or.reduce(ukf)
+    for bit in ("CURRENT_LOST", "OUT_OF_RANGE", "VOLTAGE_FROZEN", "INNOVATION_REJECTED"):
+        assert told & Status[bit], bit
+
+
+@pytest.mark.parametrize(
+    "changes", [{"alpha": 0.0}, {"kappa": -5.0}, {"beta": np.nan}, {"alpha": -1.0}]
+)
+def test_sigma_points_that_make_no_sense_are_refused(changes):
+    with pytest.raises(InputError):
+        SigmaPoints(**changes)
