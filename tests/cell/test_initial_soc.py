@@ -143,3 +143,33 @@ def test_currents_missing_at_the_start():
     found = initial_soc(model, replace(log, current_A=current))
     assert "under load" in found.how  # what nobody measured is not a rest
     assert abs(found.soc - 0.6) < 2 * found.std
+
+
+@pytest.mark.parametrize("make", [curved_cell, lfp_cell])
+def test_a_part_used_pack_of_unknown_resistance_is_within_its_band_and_never_full(make):
+    """A log that begins in flight: load from the first row, a cell up to 1.5 times as resistive.
+
+    Within two standard deviations in at least nine of ten, which two sigma of a normal error
+    exceed; before the resistance was taken as unknown it was eight of ten.
+    """
+    rng = np.random.default_rng(0)
+    within = []
+    for _ in range(40):
+        model = make()
+        scale = rng.uniform(0.7, 1.5)
+        branches = ("r0_ohm", "r1_ohm", "r2_ohm")
+        cell = replace(model, **{name: scale * getattr(model, name) for name in branches})
+        past = np.full(600, rng.uniform(0.0, 6.0))
+        rest = np.zeros(int(rng.integers(0, 300)))
+        load = rng.uniform(1.5, 12.0) * (1 + 0.2 * rng.normal(size=300))
+        current = np.concatenate((past, rest, load))
+        soc0 = rng.uniform(0.3, 0.9)
+        flight = past.size + rest.size
+        start = min(soc0 + past.sum() / 3600 / cell.capacity_Ah, 1.0)
+        log = CellLog(np.arange(float(current.size)), current, np.full(current.size, 3.7))
+        truth = simulate(cell, log, start)
+        log = replace(log, voltage_V=truth.voltage_V).part(flight, current.size)
+        found = initial_soc(model, log)
+        assert found.soc < 0.995
+        within.append(abs(found.soc - truth.soc[flight]) < 2 * found.std)
+    assert np.mean(within) >= 0.9

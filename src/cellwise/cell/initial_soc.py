@@ -16,6 +16,9 @@ REST_RATE = 0.01  # below C/100 a cell counts as resting
 FIT_S = 60.0
 SHORT_REST_V = 0.010  # what may be left of an unknown past when the rest seen is short
 RELAXED_S = 1800.0
+# By how much a used cell's resistance differs from its model's; aged or cold ones by more.
+UNKNOWN_RESISTANCE = 0.3
+HALF_NORMAL = 0.8  # mean of a half normal distribution, in its deviations: sqrt(2 / pi)
 
 
 @dataclass(frozen=True)
@@ -109,11 +112,16 @@ def _from_first_minute(model: CellModel, log: CellLog) -> InitialSoc:
     cost = _fit_cost(model, head, grid)
     best = float(grid[int(np.argmin(cost))])
     rms = float(np.sqrt(cost.min()))
-    # The cell did not begin at rest here, so its past is in the voltage: say so in the spread.
-    std_V = float(np.hypot(SHORT_REST_V, rms))
+    # The cell did not begin at rest here, so its past is in the voltage; and what the fit takes
+    # for a low SOC may be a high resistance: say so in the spread.
     temperature = float(known_temperature_C(model, head)[0])
     ocv = float(np.interp(best, model.soc, model.at_temperature(temperature).ocv_V[0]))
+    dropped = ocv - float(np.nanmean(head.voltage_V))
+    std_V = float(np.sqrt(SHORT_REST_V**2 + rms**2 + (UNKNOWN_RESISTANCE * dropped) ** 2))
     _, std = soc_of_ocv(model, ocv, std_V, temperature)
+    # Beyond full and empty there is nothing: at an end, the mean of what is left lies inside.
+    inside = min(HALF_NORMAL * std, 0.5)
+    best = min(max(best, inside), 1.0 - inside)
     return InitialSoc(best, max(std, 0.01), f"fit of the first {head.duration_s:.0f} s under load")
 
 
