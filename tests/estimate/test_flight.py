@@ -1,0 +1,193 @@
+"""What is left in a cell: against the same load simulated on to its end."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cellwise.cell.initial_soc import InitialSoc
+from cellwise.cell.simulate import simulate
+from cellwise.errors import InputError
+from cellwise.estimate.flight import forecast
+from cellwise.estimate.replay import Replay, replay
+from cellwise.estimate.trace import Trace
+from cellwise.logs.cell_log import CellLog
+from example_cells import curved_cell, lfp_cell, linear_cell
+
+CUTOFF_V = 3.2
+
+
+def discharge(model, current, soc0, dt=1.0):
+    """A log of that current, its voltage the model's own."""
+    time = dt * np.arange(current.size)
+    log = CellLog(time, current, np.full(current.size, 3.7), name="flight")
+    found = simulate(model, log, soc0)
+    return replace(log, voltage_V=found.voltage_V), found
+
+
+def known_replay(log, soc, std=0.0):
+    """A replay whose filter knows the truth."""
+    n = len(log)
+    trace = Trace(
+        log.time_s, soc, np.full(n, std), *(np.zeros(n) for _ in range(4)), np.zeros(n, np.int32)
+    )
+    return Replay(log, "truth", InitialSoc(float(soc[0]), std, "given"), trace, 0.0, None)
+
+
+def until(log, soc, cutoff):
+    """Time and energy from the first row until the voltage or the charge is at its end."""
+    ended = np.flatnonzero((log.voltage_V <= cutoff) | (soc <= 0.0))
+    k = int(ended[0])
+    energy = np.sum(log.current_A[1 : k + 1] * log.voltage_V[1 : k + 1] * log.interval_s[1 : k + 1])
+    return float(log.time_s[k]), float(energy) / 3600.0
+
+
+@pytest.mark.parametrize("make", [linear_cell, curved_cell, lfp_cell])
+@pytest.mark.parametrize("rate", [0.2, 1.0, 4.0])
+@pytest.mark.parametrize("end_soc", [0.25, 0.03])
+def test_a_constant_current_is_forecast_to_its_end(make, rate, end_soc):
+    """From every moment: time so far plus time left is the time at which it ends."""
+    model = make()
+    load = rate * model.capacity_Ah
+    dt = 2.0 / rate
+    whole, truth = discharge(model, np.full(int(4200 / rate / dt), load), 0.95, dt)
+    cutoff = float(whole.voltage_V[np.searchsorted(-truth.soc, -end_soc)])
+    end_s, end_Wh = until(whole, truth.soc, cutoff)
+    rows = int(0.8 * end_s / dt)
+    flight = forecast(
+        model,
+        known_replay(whole.part(0, rows), truth.soc[:rows]),
+        cutoff_V=cutoff,
+        hold="current",
+    )
+    later = flight.time_s > 60.0  # before, the present load has not been seen for a minute
+    np.testing.assert_allclose(
+        (flight.time_s + flight.remaining_s)[later], end_s, rtol=0.003, atol=dt
+    )
+    spent = np.cumsum(whole.current_A * whole.voltage_V * whole.interval_s)[:rows] / 3600
+    at = np.searchsorted(whole.time_s, flight.time_s)
+    np.testing.assert_allclose((spent[at] + flight.remaining_Wh)[later], end_Wh, rtol=0.01)
+
+
+def test_a_constant_power_takes_longer_and_longer_currents():
+    """Energy left over power is the time left, and it is shorter than at the present current."""
+    model = curved_cell()
+    log, truth = discharge(model, np.full(600, 3.0), 0.9)
+    known = known_replay(log, truth.soc)
+    power = forecast(model, known, cutoff_V=CUTOFF_V).last
+    current = forecast(model, known, cutoff_V=CUTOFF_V, hold="current").last
+    now_W = 3.0 * log.voltage_V[-1]
+    assert 3600 * power.remaining_Wh / power.remaining_s == pytest.approx(now_W, rel=0.01)
+    assert power.remaining_s < current.remaining_s
+
+
+def test_why_it_ends():
+    model = curved_cell()
+    log, truth = discharge(model, np.full(600, 3.0), 0.9)
+    known = known_replay(log, truth.soc)
+    by_voltage = forecast(model, known, cutoff_V=3.3).last
+    assert by_voltage.by == "voltage"
+    assert by_voltage.end_voltage_V == pytest.approx(3.3)
+    assert by_voltage.end_soc > 0.02
+    by_charge = forecast(model, known, cutoff_V=1.0).last
+    assert by_charge.by == "charge"
+    assert by_charge.end_soc == pytest.approx(0.0, abs=1e-9)
+    assert by_charge.end_voltage_V < float(model.ocv_V.min())
+
+
+def test_the_band_is_that_of_the_soc():
+    """The ends of the band are forecasts from the SOC two deviations away."""
+    model = linear_cell()
+    log, truth = discharge(model, np.full(900, 2.0), 0.9)
+    sure = {
+        shift: forecast(
+            model, known_replay(log, truth.soc + shift), cutoff_V=1.0, hold="current"
+        ).last.remaining_s
+        for shift in (-0.1, 0.0, 0.1)
+    }
+    left = forecast(
+        model, known_replay(log, truth.soc, std=0.05), cutoff_V=1.0, hold="current"
+    ).last
+    assert left.remaining_s == pytest.approx(sure[0.0])
+    assert left.remaining_s_band == pytest.approx((sure[-0.1], sure[0.1]))
+    seconds_per_soc = 3600 * model.capacity_Ah / 2.0
+    assert sure[0.1] - sure[0.0] == pytest.approx(0.1 * seconds_per_soc, rel=1e-6)
+
+
+def test_an_aged_cell_gives_up_earlier_and_the_forecast_says_so():
+    """Twice the resistance that the model has: its present drop is taken to stay."""
+    model = curved_cell()
+    aged = replace(model, r0_ohm=2 * model.r0_ohm)
+    whole, truth = discharge(aged, np.full(4000, 3.0), 0.95)
+    end_s, _ = until(whole, truth.soc, CUTOFF_V)
+    rows = int(0.6 * end_s)
+    part = whole.part(0, rows)
+    left = forecast(model, known_replay(part, truth.soc[:rows]), cutoff_V=CUTOFF_V, hold="current")
+    assert left.last.time_s + left.last.remaining_s == pytest.approx(end_s, rel=0.02)
+    fresh = simulate(model, part, 0.95)
+    naive = forecast(
+        model,
+        known_replay(replace(part, voltage_V=fresh.voltage_V), truth.soc[:rows]),
+        cutoff_V=CUTOFF_V,
+        hold="current",
+    )
+    assert naive.last.remaining_s > left.last.remaining_s
+
+
+def test_the_typical_load_is_not_that_of_a_vehicle_that_stands():
+    model = curved_cell()
+    current = np.concatenate((np.full(600, 6.0), np.full(300, 0.1)))
+    log, truth = discharge(model, current, 0.9)
+    flight = forecast(model, known_replay(log, truth.soc), cutoff_V=CUTOFF_V)
+    assert flight.last.load_A == pytest.approx(0.1, rel=1e-6)
+    assert flight.typical.last.load_A == pytest.approx(6.0, rel=0.01)
+    assert flight.typical.last.remaining_s < 0.05 * flight.last.remaining_s
+
+
+@pytest.mark.parametrize("current", [0.0, -2.0, 0.01])
+def test_without_a_load_there_is_no_forecast(current):
+    model = curved_cell()
+    log, truth = discharge(model, np.full(300, current), 0.5)
+    assert forecast(model, known_replay(log, truth.soc)) is None
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"cutoff_V": 14.0}, "not of the pack"),
+        ({"cutoff_V": -1.0}, "not of the pack"),
+        ({"hold": "torque"}, "Choose one"),
+        ({"window_s": 0.0}, "Give 60"),
+    ],
+)
+def test_what_cannot_be_forecast_is_refused(options, says):
+    model = curved_cell()
+    log, truth = discharge(model, np.full(300, 3.0), 0.5)
+    with pytest.raises(InputError, match=says):
+        forecast(model, known_replay(log, truth.soc), **options)
+
+
+def test_a_long_log_has_a_few_hundred_moments_and_its_last_row():
+    model = curved_cell()
+    log, truth = discharge(model, np.full(20_000, 0.3), 0.9)
+    flight = forecast(model, known_replay(log, truth.soc))
+    assert 100 < len(flight) <= 400
+    assert flight.last.time_s == log.time_s[-1]
+
+
+def test_through_a_filter_from_an_unknown_start():
+    """The whole way: a flight that begins under load, no SOC given; the end lies in the band."""
+    model = curved_cell()
+    rng = np.random.default_rng(1)
+    load = 6.0 * (1 + 0.3 * rng.normal(size=2000))
+    whole, truth = discharge(model, load, 0.8)
+    end_s, _ = until(replace(whole, current_A=np.full(load.size, 6.0)), truth.soc, 3.0)
+    rows = int(0.6 * end_s)
+    part = whole.part(0, rows)
+    noisy = replace(part, voltage_V=part.voltage_V + rng.normal(0, 0.002, rows))
+    left = forecast(model, replay(model, noisy), cutoff_V=3.0, hold="current").last
+    low, high = left.remaining_s_band
+    assert low - 20 < end_s - left.time_s < high + 20
+    assert high - low < 0.5 * left.remaining_s
