@@ -35,7 +35,12 @@ class InitialSoc:
 
 
 def initial_soc(
-    model: CellModel, log: CellLog, given: float | None = None, given_std: float = 0.15
+    model: CellModel,
+    log: CellLog,
+    given: float | None = None,
+    given_std: float = 0.15,
+    *,
+    likeliest: bool = False,
 ) -> InitialSoc:
     """SOC at the first row of a log.
 
@@ -46,6 +51,8 @@ def initial_soc(
     ----------
     given : float or None     SOC that the user states, 0..1
     given_std : float         how sure that is
+    likeliest : bool          under load, the SOC that fits best instead of the mean of all that
+                              are possible: for a simulation, which has to be one of them
 
     Returns
     -------
@@ -66,7 +73,7 @@ def initial_soc(
         rest_s = float(log.time_s[last] - log.time_s[0])
         unfinished = SHORT_REST_V * np.exp(-rest_s / RELAXED_S)
         return _from_rest(model, log, last, rest_s, unfinished)
-    return _from_first_minute(model, log)
+    return _from_first_minute(model, log, likeliest)
 
 
 def soc_of_ocv(
@@ -98,7 +105,7 @@ def _from_rest(model: CellModel, log: CellLog, row: int, rest_s: float, std_V: f
     return InitialSoc(soc, max(std, 0.005), how)
 
 
-def _from_first_minute(model: CellModel, log: CellLog) -> InitialSoc:
+def _from_first_minute(model: CellModel, log: CellLog, likeliest: bool) -> InitialSoc:
     first = int(np.flatnonzero(np.isfinite(log.voltage_V))[0])
     rows = max(first + 2, int(np.searchsorted(log.time_s, log.time_s[first] + FIT_S, side="right")))
     current = log.known_current_A()
@@ -120,7 +127,7 @@ def _from_first_minute(model: CellModel, log: CellLog) -> InitialSoc:
     std_V = float(np.sqrt(SHORT_REST_V**2 + rms**2 + (UNKNOWN_RESISTANCE * dropped) ** 2))
     _, std = soc_of_ocv(model, ocv, std_V, temperature)
     # Beyond full and empty there is nothing: at an end, the mean of what is left lies inside.
-    inside = min(HALF_NORMAL * std, 0.5)
+    inside = 0.0 if likeliest else min(HALF_NORMAL * std, 0.5)
     best = min(max(best, inside), 1.0 - inside)
     return InitialSoc(best, max(std, 0.01), f"fit of the first {head.duration_s:.0f} s under load")
 

@@ -1,0 +1,97 @@
+"""A filter's state as JSON values and back, so that a restart goes on where it stopped."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from cellwise.errors import InputError
+from cellwise.estimate.filter_state import EkfState
+from cellwise.estimate.sample_kernels import Watch
+from cellwise.files import write_atomically
+
+SCHEMA_VERSION = 1
+INFINITE = {"inf": math.inf, "-inf": -math.inf}
+MAY_BE_MISSING = {"temperature_C", "voltage_V", "current_A"}  # not measured yet
+
+
+def state_to_dict(state: EkfState, estimator: str = "ekf") -> dict[str, Any]:
+    """A state of the EKF or UKF as JSON values: a missing number is null.
+
+    After a restart pass ``gap=True`` and the time that has passed as ``dt_s`` with the first
+    sample: nobody knows what has flowed meanwhile.
+    """
+    values = {name: getattr(state, name) for name in EkfState._fields if name != "watch"}
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "estimator": estimator,
+        "state": {name: _to_json(float(value)) for name, value in values.items()},
+        "watch": {k: _to_json(float(v)) for k, v in state.watch._asdict().items()},
+    }
+
+
+def state_from_dict(saved: Mapping[str, Any], estimator: str = "ekf") -> EkfState:
+    """The state that :func:`state_to_dict` wrote, bit for bit.
+
+    Raises
+    ------
+    InputError        of another version or estimator; a number that is missing or none
+    """
+    found = saved.get("schema_version"), saved.get("estimator")
+    if found != (SCHEMA_VERSION, estimator):
+        raise InputError(
+            f"a state of version {found[0]} of estimator '{found[1]}'",
+            f"version {SCHEMA_VERSION} of '{estimator}'",
+            "Start anew with init() where there is no such state.",
+        )
+    watch = Watch(**_numbers(saved.get("watch"), Watch._fields))
+    fields = tuple(name for name in EkfState._fields if name != "watch")
+    return EkfState(**_numbers(saved.get("state"), fields), watch=watch)
+
+
+def write_state(state: EkfState, path: Path | str, estimator: str = "ekf") -> None:
+    """Save a state as a JSON file; it appears whole or not at all."""
+    text = json.dumps(state_to_dict(state, estimator), indent=1, allow_nan=False)
+    write_atomically(path, text)
+
+
+def read_state(path: Path | str, estimator: str = "ekf") -> EkfState:
+    """Read a state from a JSON file; raises InputError as :func:`state_from_dict`."""
+    try:
+        saved = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"no state in '{path}' ({error})", "a JSON file that write_state wrote", "Start anew."
+        ) from None
+    if not isinstance(saved, Mapping):
+        raise InputError(f"a {type(saved).__name__} in '{path}'", "a JSON object", "Start anew.")
+    return state_from_dict(saved, estimator)
+
+
+def _to_json(value: float) -> float | str | None:
+    if math.isnan(value):
+        return None
+    return value if math.isfinite(value) else str(value)
+
+
+def _numbers(values: Any, names: tuple[str, ...]) -> dict[str, float]:
+    if not isinstance(values, Mapping) or set(values) != set(names):
+        raise InputError(
+            f"a saved state with {sorted(values) if isinstance(values, Mapping) else values}",
+            f"the fields {', '.join(names)}",
+            "Start anew with init().",
+        )
+    return {name: _number(name, values[name]) for name in names}
+
+
+def _number(name: str, value: Any) -> float:
+    if value is None and name in MAY_BE_MISSING:
+        return math.nan
+    if isinstance(value, str) and value in INFINITE and name == "repeats":
+        return INFINITE[value]
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise InputError(f"{name} = {value} in a saved state", "a finite number", "Start anew.")
+    return float(value)
