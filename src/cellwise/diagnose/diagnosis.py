@@ -1,0 +1,246 @@
+"""`diagnose`: from a model and measured logs to named causes, a mended model, a measured gain."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from cellwise.cell.initial_soc import InitialSoc, initial_soc
+from cellwise.cell.model import CellModel
+from cellwise.diagnose.causes import CAUSES, Cause
+from cellwise.diagnose.coordinates import Coordinates
+from cellwise.diagnose.evidence import Evidence, gather
+from cellwise.diagnose.extend import correct_log, extend_model, parameters_of, value_of
+from cellwise.diagnose.fit import held_rows
+from cellwise.diagnose.judge import (
+    Accepted,
+    Judge,
+    Judgement,
+    Progress,
+    kept_coordinates,
+)
+from cellwise.diagnose.noise import at_least
+from cellwise.diagnose.priors import GIVEN_SOC_STD, learned, structure_prior, tolerances
+from cellwise.diagnose.rest_reading import rest_reading
+from cellwise.diagnose.rivals import Candidate, rmse
+from cellwise.diagnose.verdict import Diagnosis, FoundCause, TriedCause
+from cellwise.diagnose.whitening_kernels import NoiseLevel
+from cellwise.errors import InputError
+from cellwise.logs.cell_log import CellLog
+
+# Shares of the model's own slow error that stay unexplained whatever is found.
+SLOW_FLOOR = 0.1
+FAST_FLOOR = 0.05
+
+Logs = CellLog | Sequence[CellLog]
+
+
+def diagnose(
+    model: CellModel,
+    logs: Logs,
+    holdout: Logs = (),
+    baseline: Logs = (),
+    soc0: float | str | Sequence[float | str] = "auto",
+    *,
+    causes: Sequence[str] | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Say what a model gets wrong about measured logs, name the cause, measure the gain.
+
+    Parameters
+    ----------
+    model : CellModel
+    logs : CellLog or sequence        what is to be explained
+    holdout : CellLog or sequence     on which gains are judged; without it later blocks of time of
+                                      ``logs``, never used in the fit
+    baseline : CellLog or sequence    logs known to be good, of the same cell and instruments: what
+                                      the model gets wrong there is learned and not blamed later
+    soc0 : float, "auto" or a sequence of them, one per log (logs, holdout, baseline)
+    causes : names to try; default all
+    seed : of the block bootstrap
+    progress : called with the share done and what is being tried
+
+    Returns
+    -------
+    Diagnosis
+
+    Raises
+    ------
+    InputError        no log, a start outside 0..1, an unknown cause
+    """
+    groups = tuple(_as_logs(g) for g in (logs, holdout, baseline))
+    if not groups[0]:
+        raise InputError("no log", "at least one log to explain", "Name a log.")
+    chosen = _chosen(causes)
+    starts = _starts(model, groups, soc0)
+    slowest = _slowest(model)
+    evidence = gather(model, starts[0], starts[1], slowest)
+    coordinates = Coordinates(model)
+    judge = _judge(evidence, coordinates, seed, progress)
+    if groups[2]:
+        _learn(judge, model, starts[2])
+    judgement = judge.run(chosen)
+    return _diagnosis(model, groups[0], groups[1], evidence, judge, judgement)
+
+
+def _as_logs(logs: Logs) -> tuple[CellLog, ...]:
+    return (logs,) if isinstance(logs, CellLog) else tuple(logs)
+
+
+def _chosen(names: Sequence[str] | None) -> list[Cause]:
+    if names is None:
+        return list(CAUSES.values())
+    unknown = [n for n in names if n not in CAUSES]
+    if unknown:
+        raise InputError(
+            f"cause {unknown[0]!r}", f"one of {', '.join(CAUSES)}", "Correct its name."
+        )
+    return [CAUSES[n] for n in names]
+
+
+def _slowest(model: CellModel) -> float:
+    """The slowest memory of the model [s]."""
+    _, _, _ = model.parameters()
+    table, _, _ = model.parameters()
+    slow = float(np.median(table[..., 5]))
+    if np.any(table[..., 6]):
+        slow = max(slow, float(np.median(table[..., 7])))
+    return slow
+
+
+def _starts(
+    model: CellModel,
+    groups: tuple[tuple[CellLog, ...], ...],
+    soc0: float | str | Sequence[float | str],
+) -> list[list[tuple[CellLog, InitialSoc]]]:
+    """Every log with its start."""
+    flat = [g for group in groups for g in group]
+    if isinstance(soc0, (str, float, int)):
+        said: list[float | str] = [soc0] * len(flat)
+    else:
+        said = list(soc0)
+        if len(said) < len(flat):
+            said += ["auto"] * (len(flat) - len(said))
+    found = iter(zip(flat, said, strict=False))
+    result = []
+    for group in groups:
+        pairs = []
+        for _ in group:
+            log, value = next(found)
+            if value == "auto":
+                pairs.append((log, initial_soc(model, log)))
+            else:
+                pairs.append((log, initial_soc(model, log, float(value), GIVEN_SOC_STD)))
+        result.append(pairs)
+    return result
+
+
+def _judge(
+    evidence: Evidence, coordinates: Coordinates, seed: int, progress: Progress | None
+) -> Judge:
+    """A judge with the tolerances of a good laboratory."""
+    model = coordinates.model
+    slow = float(np.mean(model.error.slow_V))
+    floor = NoiseLevel(
+        max(5e-5, 0.5 * model.error.white_V),
+        FAST_FLOOR * slow,
+        20.0,
+        SLOW_FLOOR * slow,
+        max(model.error.correlation_s, 60.0),
+    )
+    return Judge(
+        evidence,
+        coordinates,
+        np.random.default_rng(seed),
+        tolerances(coordinates, evidence),
+        floor,
+        rest_reading([g.log for g in evidence.logs], model.capacity_Ah),
+        progress,
+    )
+
+
+def _learn(judge: Judge, model: CellModel, good: list[tuple[CellLog, InitialSoc]]) -> None:
+    """What the model gets wrong of a good log becomes what is expected of it."""
+    evidence = gather(model, good, whole=True)
+    known = _judge(evidence, judge.coordinates, 0, None)
+    prior = structure_prior(known.prior)
+    found, noise = known.base(prior)
+    judge.prior = learned(judge.prior, found)
+    judge.floor = at_least(judge.floor, noise)
+
+
+def _diagnosis(
+    model: CellModel,
+    logs: tuple[CellLog, ...],
+    holdout: tuple[CellLog, ...],
+    evidence: Evidence,
+    judge: Judge,
+    judgement: Judgement,
+) -> Diagnosis:
+    causes = tuple(_found(a, judgement, evidence) for a in judgement.accepted)
+    verdict = causes[0].name if causes else ("undetermined" if judgement.open_between else "none")
+    keep = kept_coordinates(a.cause for a in judgement.accepted)
+    final = judgement.fit
+    z = {**judge.prior.mean, **{n: v for n, v in final.z.items() if n in keep}}
+    note = {"causes": [c.name for c in causes]}
+    extended = extend_model(final.coordinates, z, note) if causes else None
+    corrected = tuple(correct_log(g, final.coordinates, z) for g in logs)
+    return Diagnosis(
+        verdict,
+        causes,
+        tuple(_tried(c, evidence, judge) for c in judgement.first),
+        {},
+        "",
+        judgement.reasons,
+        model,
+        extended,
+        logs,
+        holdout,
+        corrected,
+        tuple(g.start.to_dict() for g in evidence.logs),
+        None,
+        judgement.noise._asdict(),
+    )
+
+
+def _found(accepted: Accepted, judgement: Judgement, evidence: Evidence) -> FoundCause:
+    final, cause, gain = judgement.fit, accepted.cause, accepted.gain
+    soc0 = evidence.logs[0].start.soc
+    values = parameters_of(cause, final.coordinates, final.z, soc0)
+    intervals = {}
+    for p in cause.parameters:
+        key = "soc0:0" if p.coordinate == "soc0" else p.coordinate
+        x, std = final.z.get(key, 0.0), final.std(key)
+        ends = (
+            value_of(p.coordinate, x - 1.96 * std, final.coordinates, soc0),
+            value_of(p.coordinate, x + 1.96 * std, final.coordinates, soc0),
+        )
+        intervals[p.name] = (min(ends), max(ends))
+    return FoundCause(
+        cause.name,
+        cause.kind,
+        cause.meaning,
+        values,
+        intervals,
+        gain.train_before_V,
+        gain.train_after_V,
+        gain.held_before_V,
+        gain.held_after_V,
+        gain.gain,
+        (gain.low, gain.high),
+        (),
+        cause.confused_with,
+    )
+
+
+def _tried(candidate: Candidate, evidence: Evidence, judge: Judge) -> TriedCause:
+    c, f = candidate.cause, candidate.fit
+    alone = judge.alone(f, kept_coordinates((c,)), c.kind == "start")
+    error = rmse(evidence.voltage_V - alone.voltage_V, held_rows(evidence))
+    values = parameters_of(c, f.coordinates, f.z, evidence.logs[0].start.soc)
+    return TriedCause(
+        c.name, float(error) if math.isfinite(error) else float("nan"), values, candidate.score
+    )

@@ -1,0 +1,349 @@
+"""The judge: which causes are accepted, in which order, and when it must leave it open."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from cellwise.diagnose.causes import Cause
+from cellwise.diagnose.coordinates import Coordinates
+from cellwise.diagnose.evidence import FITTED, HELD, Evidence
+from cellwise.diagnose.fit import Fit, Frozen, Objective, Prior, fit, freeze
+from cellwise.diagnose.noise import at_least, estimate_noise
+from cellwise.diagnose.priors import USUAL_ACTIVATION_K, freed, needs_activation
+from cellwise.diagnose.rest_reading import RestReading
+from cellwise.diagnose.rivals import Candidate, Gain, difference, gain_of
+from cellwise.diagnose.whitening_kernels import NoiseLevel
+from cellwise.typing import BoolArray, FloatArray
+
+Progress = Callable[[float, str], None]
+
+# Nats by which an explanation must be better than none (a factor of 3000 in likelihood).
+LEAST_SCORE = 8.0
+# A gain below this is nobody's business.
+LEAST_GAIN = 0.02
+LEAST_CHANGE_V = 2e-4
+# Rivals closer than this, or than so many standard errors, cannot be told apart.
+CLEAR_SCORE = 2.0
+CLEAR_SIGMAS = 0.3
+# Of these the first says less and the second can do all that the first does: when the first is
+# ahead, it is what happened.
+PART_OF = {
+    "voltage_offset": "ocv_shift",
+    "temperature_dependence": "self_heating",
+}
+MOST_CAUSES = 5
+FINALISTS = 5
+# The search begins with a noise that is forgiving at once and firm in the long run, so that what
+# drifts is not taken for noise before any cause was tried.
+FIRST_SLOW_V = 1e-3
+
+
+def kept_coordinates(causes: Iterable[Cause]) -> set[str]:
+    """Coordinates that the causes move, and the activation that self-heating needs."""
+    kept = set()
+    for c in causes:
+        kept |= set(c.coordinates)
+        if c.name == "self_heating":
+            kept.add("activation_K")
+    return kept
+
+
+@dataclass(frozen=True, eq=False)
+class Accepted:
+    """A cause that was accepted, with what it gained when it was."""
+
+    cause: Cause
+    gain: Gain
+    score: float
+    rivals: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """What the judge found: accepted causes, the last fit, all candidates of the first round.
+
+    ``open_between`` are the candidates that could not be told apart where the search stopped.
+    """
+
+    accepted: tuple[Accepted, ...]
+    fit: Fit
+    base: Fit
+    first: tuple[Candidate, ...]
+    open_between: tuple[Candidate, ...]
+    noise: NoiseLevel
+    prior: Prior
+    reasons: tuple[str, ...]
+
+
+@dataclass(eq=False)
+class Judge:
+    """One diagnosis at work; :meth:`run` gives the :class:`Judgement`.
+
+    ``floor`` is a noise below which nothing counts; ``rest`` what the log reads at rest.
+    """
+
+    evidence: Evidence
+    coordinates: Coordinates
+    rng: np.random.Generator
+    prior: Prior
+    floor: NoiseLevel
+    rest: RestReading
+    progress: Progress | None = None
+    workers: int = field(default_factory=lambda: os.cpu_count() or 1)
+    _said: float = field(default=0.0)
+    _amplitude: FloatArray = field(default_factory=lambda: np.ones(1))
+
+    def run(self, causes: Sequence[Cause]) -> Judgement:
+        """Accept causes one by one until nothing is left to explain."""
+        accepted: list[Accepted] = []
+        prior = self.prior
+        base, noise = self.base(prior)
+        plain_base = base
+        first: tuple[Candidate, ...] = ()
+        between: tuple[Candidate, ...] = ()
+        reasons: list[str] = []
+        for turn in range(MOST_CAUSES):
+            left = [c for c in causes if c.name not in {a.cause.name for a in accepted}]
+            if not left:
+                break
+            ranked = self._rank(left, prior, base, noise, turn)
+            first = first or ranked
+            ranked, gain, refused = self._material(ranked, base, accepted)
+            if gain is None:
+                reasons += refused
+                break
+            best = ranked[0]
+            rivals = self._rivals(ranked)
+            if rivals and not self._both_needed(best, rivals, prior):
+                between = (best, *rivals)
+                break
+            accepted.append(
+                Accepted(best.cause, gain, best.score, tuple(c.name for c in ranked[1:3]))
+            )
+            prior = freed(prior, best.cause, best.fit.coordinates, self.evidence)
+            base, noise = best.fit, best.noise
+        return Judgement(
+            tuple(accepted), base, plain_base, first, between, noise, prior, tuple(reasons)
+        )
+
+    def base(self, prior: Prior) -> tuple[Fit, NoiseLevel]:
+        """The fit within a prior that frees no cause, and the noise that it leaves."""
+        _, soc = self.evidence.simulate(self.coordinates, prior.mean)
+        self._amplitude = self.evidence.amplitude(self.coordinates.model, soc)
+        noise = NoiseLevel(1e-3, 1e-3, 20.0, 1e-2, 600.0)
+        found = self._fit(noise, self.coordinates, prior, prior.mean, 5)
+        for _ in range(2):
+            noise = self._noise(found)
+            found = self._fit(noise, self.coordinates, prior, found.z, 4)
+        return found, noise
+
+    def alone(self, found: Fit, keep: set[str], starts_free: bool) -> Fit:
+        """The causes' coordinates as found, tolerances at neutral.
+
+        Starts that were given stay as given; those that were found are found again.
+        """
+        named = dict(zip(self.evidence.starts(), self.evidence.logs, strict=True))
+        free = [n for n, g in named.items() if starts_free or g.start.how != "given"]
+        fixed = {**self.prior.mean, **{n: v for n, v in found.z.items() if n in keep}}
+        fixed |= {n: 0.0 for n in named if n not in free}
+        if starts_free:
+            fixed |= {n: found.z[n] for n in free}
+            free = []
+        std = {n: self.prior.std[n] for n in free}
+        low = {n: self.prior.low[n] for n in free}
+        high = {n: self.prior.high[n] for n in free}
+        objective = Objective(
+            self.evidence, NoiseLevel(2e-3, 1e-3, 20.0, 3e-3, 600.0), self._amplitude
+        )
+        start = {n: found.z[n] for n in free}
+        return fit(objective, found.coordinates, Prior(std, {}, low, high), start, 4, fixed)
+
+    def _fit(
+        self,
+        noise: NoiseLevel,
+        coordinates: Coordinates,
+        prior: Prior,
+        start: Mapping[str, float],
+        iterations: int,
+        frozen: Frozen | None = None,
+        moving: Sequence[str] = (),
+    ) -> Fit:
+        objective = Objective(self.evidence, noise, self._amplitude)
+        return fit(objective, coordinates, prior, start, iterations, None, frozen, moving)
+
+    def _noise(self, found: Fit) -> NoiseLevel:
+        rows = (self.evidence.role == FITTED) & self.evidence.known
+        residual = np.nan_to_num(self.evidence.voltage_V - found.voltage_V) / self._amplitude
+        return at_least(estimate_noise(residual, self.evidence.dt_s, rows), self.floor)
+
+    def _rank(
+        self, causes: Sequence[Cause], prior: Prior, base: Fit, noise: NoiseLevel, turn: int
+    ) -> tuple[Candidate, ...]:
+        """Every cause fitted, each under the noise that it leaves itself; the best one first."""
+        firm = at_least(noise._replace(slow_V=min(noise.slow_V, FIRST_SLOW_V)), self.floor)
+        frozen = freeze(
+            Objective(self.evidence, noise, self._amplitude), base.coordinates, prior.names, base.z
+        )
+        none = base.log_evidence + self.rest.ln_likelihood(base.z)
+
+        def work(cause: Cause) -> Candidate:
+            return self._candidate(cause, prior, base, firm, frozen, none)
+
+        ranked: list[Candidate] = []
+        with ThreadPoolExecutor(self.workers) as threads:
+            for k, candidate in enumerate(threads.map(work, causes)):
+                ranked.append(candidate)
+                self._say(turn, (k + 1) / len(causes), candidate.name)
+            ranked.sort(key=lambda c: -c.score)
+            # Those that matter once more, under the noise that they now leave.
+            ranked[:FINALISTS] = threads.map(
+                lambda c: self._again(c, prior, base, frozen, none), ranked[:FINALISTS]
+            )
+        return tuple(sorted(ranked, key=lambda c: -c.score))
+
+    def _again(
+        self, c: Candidate, prior: Prior, base: Fit, frozen: Frozen, none: float
+    ) -> Candidate:
+        noise = self._noise(c.fit)
+        wide = freed(prior, c.cause, c.fit.coordinates, self.evidence)
+        moving = [*kept_coordinates((c.cause,)), *self.evidence.starts()]
+        found = self._fit(noise, c.fit.coordinates, wide, c.fit.z, 5, frozen, moving)
+        return self._scored(c.cause, found, noise, base, none)
+
+    def _candidate(
+        self,
+        cause: Cause,
+        prior: Prior,
+        base: Fit,
+        firm: NoiseLevel,
+        frozen: Frozen,
+        none: float,
+    ) -> Candidate:
+        """One cause fitted on top of the base; over several shapes where it has one."""
+        best: Fit | None = None
+        moving = [*cause.coordinates, *self.evidence.starts()]
+        shapes = self._shapes(cause, base.coordinates)
+        for shaped in shapes:
+            wide = freed(prior, cause, shaped, self.evidence)
+            start = dict(base.z)
+            if cause.name == "self_heating":
+                start["rth_K_per_W"] = 1.0
+                moving.append("activation_K")
+                if needs_activation(shaped):
+                    start["activation_K"] = USUAL_ACTIVATION_K
+            found = self._fit(
+                firm, shaped, wide, start, 3 if len(shapes) > 1 else 5, frozen, moving
+            )
+            if best is None or found.log_evidence > best.log_evidence:
+                best = found
+        if best is None:
+            raise ValueError(f"no shape to try for {cause.name}")
+        wide = freed(prior, cause, best.coordinates, self.evidence)
+        noise = self._noise(best)
+        best = self._fit(noise, best.coordinates, wide, best.z, 5, frozen, moving)
+        return self._scored(cause, best, noise, base, none)
+
+    def _scored(
+        self, cause: Cause, best: Fit, noise: NoiseLevel, base: Fit, none: float
+    ) -> Candidate:
+        held = self._held()
+        held_score = float(np.sum((best.terms - base.terms)[held]))
+        explained = best.log_evidence + self.rest.ln_likelihood(best.z) - none
+        return Candidate(cause, best, noise, explained + held_score, held_score)
+
+    def _held(self) -> BoolArray:
+        return np.asarray((self.evidence.role == HELD) & self.evidence.known)
+
+    def _shapes(self, cause: Cause, coordinates: Coordinates) -> list[Coordinates]:
+        if cause.shape is None:
+            return [coordinates]
+        name, values = cause.shape
+        if name == "ln_tau3" and coordinates.has_slow:
+            return [coordinates]
+        if name == "ln_gamma" and coordinates.has_hysteresis:
+            return [coordinates]
+        span = max(float(g.clock_s[-1] - g.clock_s[0]) for g in self.evidence.logs)
+        if name != "ln_gamma":
+            values = tuple(v for v in values if v < span) or values[:1]
+        return [replace(coordinates, shapes={**coordinates.shapes, name: v}) for v in values]
+
+    def _gain(self, candidate: Candidate, base: Fit, accepted: Sequence[Accepted]) -> Gain:
+        """Gain on held-out rows of the causes alone, without what tolerances took up."""
+        keep = kept_coordinates(a.cause for a in accepted)
+        starts_free = any(a.cause.kind == "start" for a in accepted)
+        one = self.alone(base, keep, starts_free)
+        keep |= kept_coordinates((candidate.cause,))
+        two = self.alone(candidate.fit, keep, starts_free or candidate.cause.kind == "start")
+        return gain_of(self.evidence, one.voltage_V, two.voltage_V, self.rng)
+
+    def _material(
+        self, ranked: tuple[Candidate, ...], base: Fit, accepted: Sequence[Accepted]
+    ) -> tuple[tuple[Candidate, ...], Gain | None, list[str]]:
+        """Candidates from the first one on that gains something on held-out data, and its gain."""
+        refused = []
+        for k, candidate in enumerate(ranked):
+            if candidate.score < LEAST_SCORE:
+                refused.append(f"{candidate.name} explains no more than tolerances do")
+                break
+            gain = self._gain(candidate, base, accepted)
+            refusal = _unphysical(candidate) or _refusal(candidate, gain)
+            if not refusal:
+                return ranked[k:], gain, refused
+            refused.append(refusal)
+        return ranked, None, refused
+
+    def _rivals(self, ranked: Sequence[Candidate]) -> tuple[Candidate, ...]:
+        """Those that explain as much as the best one."""
+        rivals = []
+        for other in ranked[1:]:
+            ahead, error = difference(ranked[0], other, self.evidence)
+            if PART_OF.get(ranked[0].name) == other.name:
+                continue
+            if other.score >= LEAST_SCORE and ahead < max(CLEAR_SCORE, CLEAR_SIGMAS * error):
+                rivals.append(other)
+        return tuple(rivals)
+
+    def _both_needed(self, best: Candidate, rivals: Sequence[Candidate], prior: Prior) -> bool:
+        """Whether some rival explains more on top of the best one: they are two effects."""
+        wide = freed(prior, best.cause, best.fit.coordinates, self.evidence)
+        objective = Objective(self.evidence, best.noise, self._amplitude)
+        frozen = freeze(objective, best.fit.coordinates, wide.names, best.fit.z)
+        none = best.fit.log_evidence + self.rest.ln_likelihood(best.fit.z)
+        for other in rivals[:2]:
+            both = self._candidate(other.cause, wide, best.fit, best.noise, frozen, none)
+            if both.score > LEAST_SCORE:
+                return True
+        return False
+
+    def _say(self, turn: int, part: float, name: str) -> None:
+        if self.progress is None:
+            return
+        share = 1.0 - 0.5 ** (turn + part)
+        self._said = max(self._said, share)
+        self.progress(self._said, name.replace("_", " "))
+
+
+def _unphysical(candidate: Candidate) -> str:
+    """Whether what switches an effect on has stayed off."""
+    if candidate.cause.shape is None:
+        return ""
+    switch = candidate.cause.parameters[0]
+    if candidate.fit.z.get(switch.coordinate, 0.0) == 0.0:
+        return f"{candidate.name} fits best with {switch.name} at zero"
+    return ""
+
+
+def _refusal(candidate: Candidate, gain: Gain) -> str:
+    """Why a candidate is not accepted; empty if it is."""
+    name = candidate.name
+    if gain.low <= 0.0:
+        return f"{name} fits, but gains nothing sure on held-out data"
+    if gain.gain < LEAST_GAIN or gain.held_before_V - gain.held_after_V < LEAST_CHANGE_V:
+        saved = 1e3 * (gain.held_before_V - gain.held_after_V)
+        return f"{name} would save {saved:.2f} mV, less than anybody would notice"
+    return ""

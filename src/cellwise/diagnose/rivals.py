@@ -1,0 +1,95 @@
+"""Candidates side by side: how much each explains on held-out data, and how sure that is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellwise.diagnose.causes import Cause
+from cellwise.diagnose.evidence import FITTED, HELD, Evidence
+from cellwise.diagnose.fit import Fit
+from cellwise.diagnose.whitening_kernels import NoiseLevel
+from cellwise.typing import BoolArray, FloatArray, IntArray
+
+RESAMPLES = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A cause, fitted on the fitted rows on top of what was accepted before.
+
+    ``score`` is ln of how much more likely all rows are than without it: the evidence of the
+    fitted ones plus the prediction of the held-out ones.
+    """
+
+    cause: Cause
+    fit: Fit
+    noise: NoiseLevel
+    score: float
+    held_score: float
+
+    @property
+    def name(self) -> str:
+        """Name of the cause."""
+        return self.cause.name
+
+
+@dataclass(frozen=True)
+class Gain:
+    """RMSE [V] with and without a cause, and 1 - after / before with its 95 % interval."""
+
+    train_before_V: float
+    train_after_V: float
+    held_before_V: float
+    held_after_V: float
+    gain: float
+    low: float
+    high: float
+
+
+def rmse(residual: FloatArray, rows: BoolArray) -> float:
+    """Root mean square over the rows [V]."""
+    return float(np.sqrt(np.mean(residual[rows] ** 2))) if rows.any() else float("nan")
+
+
+def gain_of(
+    evidence: Evidence, before_V: FloatArray, after_V: FloatArray, rng: np.random.Generator
+) -> Gain:
+    """What a cause gains, from simulated voltages before and after; blocks are drawn whole."""
+    b = evidence.voltage_V - before_V
+    a = evidence.voltage_V - after_V
+    held = (evidence.role == HELD) & evidence.known
+    train = (evidence.role == FITTED) & evidence.known
+    sums = block_sums(evidence.block[held], np.column_stack((b[held] ** 2, a[held] ** 2)))
+    drawn = rng.integers(0, len(sums), (RESAMPLES, len(sums)))
+    totals = sums[drawn].sum(axis=1)
+    gains = 1.0 - np.sqrt(totals[:, 1] / np.maximum(totals[:, 0], 1e-30))
+    low, high = np.quantile(gains, (0.025, 0.975))
+    before, after = rmse(b, held), rmse(a, held)
+    return Gain(
+        rmse(b, train),
+        rmse(a, train),
+        before,
+        after,
+        1.0 - after / before if before > 0 else 0.0,
+        float(low),
+        float(high),
+    )
+
+
+def block_sums(block: IntArray, values: FloatArray) -> FloatArray:
+    """Sums of the values (rows, m) over each block, shape (blocks, m)."""
+    _, place = np.unique(block, return_inverse=True)
+    sums = np.zeros((int(place.max()) + 1, values.shape[1]))
+    np.add.at(sums, place, values)
+    return sums
+
+
+def difference(one: Candidate, other: Candidate, evidence: Evidence) -> tuple[float, float]:
+    """By how much one explains the rows better than another, and its standard error [nats]."""
+    used = ((evidence.role == HELD) | (evidence.role == FITTED)) & evidence.known
+    terms = (one.fit.terms - other.fit.terms)[used]
+    sums = block_sums(evidence.block[used], terms[:, None])[:, 0]
+    error = float(np.sqrt(sums.size * np.var(sums, ddof=1))) if sums.size > 1 else float("inf")
+    return one.score - other.score, error
