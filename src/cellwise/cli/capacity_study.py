@@ -1,0 +1,165 @@
+"""cellwise capacity-study."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cellwise.cli import log_options, printing
+from cellwise.errors import InputError
+
+if TYPE_CHECKING:
+    from cellwise.benchmark.capacity_study import CellStudy, StudyCell
+
+
+def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command that redoes everything for every capacity."""
+    p = commands.add_parser(
+        "capacity-study", help="what each choice of the capacity does to voltage and SOC"
+    )
+    p.add_argument(
+        "--cell",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="embedded-nmc, embedded-nmc-rates, embedded-lfp, panasonic, a123, leaf "
+        "[all embedded ones, and the measured ones with --data]",
+    )
+    p.add_argument("--data", metavar="DIR", help="folder of the measured cells [$CELLWISE_DATA]")
+    own = p.add_argument_group("a cell of your own")
+    for option, metavar, text in (
+        ("--hppc", "LOG[@TEMP]", "pulse test to identify on"),
+        ("--ocv", "LOG", "low-rate discharge, charge or both"),
+        ("--capacity", "LOG", "capacity test"),
+        ("--drive", "LOG[@TEMP]", "drive log to refine on"),
+        ("--judge", "LOG", "log with a charge counter that the choices are judged on"),
+    ):
+        own.add_argument(option, action="append", default=[], metavar=metavar, help=text)
+    own.add_argument("--nominal-ah", type=float, metavar="X", help="rated capacity")
+    own.add_argument("--reference-capacity-ah", type=float, metavar="X", help="of the reference")
+    own.add_argument("--reference-soc0", type=float, default=1.0, metavar="X", help="[1]")
+    p.add_argument("--choice", action="append", metavar="C", help="only these choices [all]")
+    p.add_argument("--estimator", action="append", metavar="E", help="only these [all four]")
+    p.add_argument("--report", metavar="F.html", help="page with pictures")
+    log_options.add_log_options(p)
+    printing.add_json(p)
+    p.set_defaults(run=run_capacity_study)
+
+
+def run_capacity_study(arguments: argparse.Namespace) -> None:
+    """Study the cells, print which choice wins, write the page."""
+    from cellwise.benchmark.capacity_study import STUDIED, study_cell
+    from cellwise.benchmark.capacity_study_cells import published_orders, study_cells
+    from cellwise.estimate.replay import ESTIMATORS
+
+    printing.check_places(arguments.report)
+    estimators = tuple(arguments.estimator or STUDIED)
+    for name in estimators:
+        if name not in ESTIMATORS:
+            raise InputError(
+                f"estimator '{name}'", f"one of {', '.join(ESTIMATORS)}", "Choose one of them."
+            )
+    own = own_cell(arguments)
+    folder = arguments.data or os.environ.get("CELLWISE_DATA")
+    data = None if folder is None else Path(folder)
+    if data is not None and not data.is_dir():
+        raise InputError(f"no folder '{data}'", "the folder of measured cells", "Correct --data.")
+    cells = (own,) if own is not None else study_cells(tuple(arguments.cell), data)
+    with printing.bar() as progress:
+        task = progress.add_task("capacity study", total=None)
+        studies = [
+            study_cell(
+                cell,
+                arguments.choice,
+                estimators,
+                lambda text: progress.update(task, description=text),
+            )
+            for cell in cells
+        ]
+        if arguments.report:
+            from cellwise.report.capacity_study_section import capacity_study_page
+
+            progress.update(task, description="page")
+            capacity_study_page(studies, arguments.report)
+    if arguments.json:
+        orders = {name: list(order) for name, order in published_orders().items()}
+        printing.print_json({"studies": [s.to_dict() for s in studies], "published_orders": orders})
+        return
+    print_studies(studies)
+    if arguments.report:
+        printing.say(f"page to open: {arguments.report}")
+
+
+def own_cell(arguments: argparse.Namespace) -> StudyCell | None:
+    """The user's cell, None where no log of one is given.
+
+    Raises
+    ------
+    InputError        tests without a log to judge on, a reference that is missing or impossible
+    """
+    from cellwise.benchmark.capacity_study import JudgedLog, StudyCell
+    from cellwise.identify import IdentifySettings, TestLogs
+
+    tests = arguments.hppc + arguments.ocv + arguments.capacity + arguments.drive
+    if not tests and not arguments.judge:
+        return None
+    capacity, soc0 = arguments.reference_capacity_ah, arguments.reference_soc0
+    if not tests or not arguments.judge or capacity is None:
+        raise InputError(
+            f"{len(tests)} test(s), {len(arguments.judge)} log(s) to judge on and "
+            f"{'no' if capacity is None else 'a'} reference capacity",
+            "tests, --judge LOG and --reference-capacity-ah X",
+            "Give all three, or --cell for a cell that is known.",
+        )
+    if not capacity > 0.0 or not 0.0 <= soc0 <= 1.0:
+        raise InputError(
+            f"a reference of {capacity:g} Ah from SOC {soc0:g}",
+            "a capacity above zero, a SOC from 0 to 1",
+            "Correct it.",
+        )
+
+    def with_temperature(items: list[str]) -> list[tuple[str, float | None]]:
+        return [printing.split_temperature(item) for item in items]
+
+    return StudyCell(
+        name=Path(arguments.judge[0]).name.split(".")[0],
+        tests=TestLogs(
+            hppc=tuple(
+                (log_options.read(p, arguments), t) for p, t in with_temperature(arguments.hppc)
+            ),
+            drive=tuple(
+                (log_options.read(p, arguments), t) for p, t in with_temperature(arguments.drive)
+            ),
+            ocv=tuple(log_options.read(p, arguments) for p in arguments.ocv),
+            capacity=tuple(log_options.read(p, arguments) for p in arguments.capacity),
+        ),
+        judged=tuple(JudgedLog(log_options.read(p, arguments), soc0) for p in arguments.judge),
+        reference_Ah=capacity,
+        reference="given",
+        settings=IdentifySettings(nominal_Ah=arguments.nominal_ah),
+    )
+
+
+def print_studies(studies: list[CellStudy]) -> None:
+    """Tables and verdicts for people."""
+    from cellwise.benchmark.capacity_study_text import (
+        choice_head,
+        choice_row,
+        papers_beside,
+        verdicts,
+    )
+
+    for study in studies:
+        printing.table(
+            f"{study.name}: RMSE by capacity, reference {study.reference_Ah:g} Ah "
+            f"({study.reference}), judged on {', '.join(study.logs)}",
+            choice_head(study),
+            [choice_row(c) for c in study.choices],
+        )
+        for line in verdicts(study):
+            printing.say(f"  {line}")
+        printing.say(f"  {study.seconds:.1f} s\n")
+    for line in papers_beside():
+        printing.say(line)
