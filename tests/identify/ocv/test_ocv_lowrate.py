@@ -56,6 +56,15 @@ def test_mean_of_branches_is_the_ocv_and_their_difference_the_gap():
     assert np.all(np.diff(curve.voltage_V) > 0.0)
 
 
+@pytest.mark.parametrize("rows", [20_001, 80_001])
+def test_rows_every_second_or_less_are_no_single_point(rows):
+    """Neighbours that say the same are not all one: 80,001 rows are C/20 at 0.9 s."""
+    dense = segment(np.linspace(1.0, 0.0, rows), CURRENT_A, 0.04, row_s=1.0)
+    curve = ocv_from_low_rate([dense])
+    known = ocv(MIDDLE) - 0.02
+    assert curve.function.evaluate(MIDDLE) == pytest.approx(known, abs=1e-3)
+
+
 def test_order_of_the_branches_does_not_matter():
     one = ocv_from_low_rate([down(), up()])
     other = ocv_from_low_rate([up(), down()])

@@ -16,6 +16,8 @@ MIN_SLOPE_V = 1e-3
 MIN_POINTS = 4
 # A low-rate log has thousands of rows that say the same: so many points are kept.
 MAX_POINTS = 400
+SAME_SOC = 1e-4
+MANY = 10.0
 FOLDS = 5
 # More points than this are a low-rate curve, not rests.
 MAX_RESTS = 120
@@ -73,12 +75,16 @@ def condense(
     s: FloatArray, v: FloatArray, w: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Means of points that say the same: equal SOC, or more than ``MAX_POINTS`` along the curve."""
-    group: NDArray[np.intp] = np.append(0, np.cumsum(np.diff(s) > 1e-4))
+    group: NDArray[np.intp] = np.append(0, np.cumsum(np.diff(s) > SAME_SOC))
+    starts = np.flatnonzero(np.diff(group, prepend=-1))
+    if np.max(s[np.append(starts[1:], s.size) - 1] - s[starts]) > MANY * SAME_SOC:
+        # Rows of a slow log lie so close that each says the same as the next, and all as one.
+        group = np.append(0, np.cumsum(np.diff(np.floor((s - s[0]) / SAME_SOC)) > 0))
     if group[-1] >= MAX_POINTS:
         rising = isotonic_regression(v, weights=w).x
         length = np.append(0.0, np.cumsum(np.hypot(np.diff(s), np.diff(rising) / np.ptp(rising))))
         bins = (length / length[-1] * (MAX_POINTS - 1)).astype(np.intp)
-        group = np.append(0, np.cumsum((np.diff(bins) > 0) & (np.diff(s) > 1e-6)))
+        group = np.append(0, np.cumsum((np.diff(bins) > 0) & (np.diff(s) > 0.0)))
     total: FloatArray = np.bincount(group, w).astype(np.float64)
     return np.bincount(group, w * s) / total, np.bincount(group, w * v) / total, total
 
