@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellwise.cli import log_options, printing
+from cellwise.cli import log_options, parameters, printing
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
@@ -121,6 +121,7 @@ def run_replay(arguments: argparse.Namespace) -> None:
             "test_ratio": trace.test_ratio,
             "status": trace.status,
         }
+        columns |= parameters.parameter_columns(trace)
         if found.reference_soc is not None:
             columns["reference_soc"] = found.reference_soc
         _write(arguments.output, columns)
@@ -195,6 +196,7 @@ def print_replay(found: Replay) -> None:
             ),
             ("rows within 2 sigma", f"{printing.percent(data['coverage_2sigma'], 1)} %"),
         ]
+    rows += parameters.parameter_rows(data)
     printing.table(f"{found.estimator} on {found.log.name}", ("what", "found"), rows)
 
 
