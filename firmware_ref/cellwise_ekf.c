@@ -34,6 +34,14 @@
 #define FORGIVEN 1u
 #define LARGEST_FLOAT 0x1.fffffep+127f
 
+/* False for NaN too. Macros, so that what is tested is known of the object itself afterwards, to
+ * people and to analysers. */
+#ifndef WITHIN /* analysis/eva_within.h says the same to Frama-C */
+#define WITHIN(x, low, high) (((x) >= (low)) && ((x) <= (high)))
+#endif
+#define IS_VARIANCE(x) WITHIN(x, 0.0f, LARGE)
+#define IS_SMALL(x) WITHIN(x, -LARGE, LARGE)
+
 /* The tables at one SOC and temperature. */
 typedef struct {
     float ocv_V;
@@ -87,16 +95,10 @@ static float magnitude(float x)
     return (x < 0.0f) ? -x : x;
 }
 
-/* False for NaN too. */
-static uint32_t within(float x, float low, float high)
-{
-    return ((x >= low) && (x <= high)) ? 1u : 0u;
-}
-
 /* A number, but one that no cell of this kind gives; asked only of readings that were refused. */
 static uint32_t out_of_range(float x)
 {
-    return (within(x, -LARGEST_FLOAT, LARGEST_FLOAT) != 0u) ? CELLWISE_OUT_OF_RANGE : 0u;
+    return WITHIN(x, -LARGEST_FLOAT, LARGEST_FLOAT) ? CELLWISE_OUT_OF_RANGE : 0u;
 }
 
 /* Compensated sum: what rounding keeps from `sum` stays in `carry`. */
@@ -297,89 +299,79 @@ static void slopes_of(const cellwise_model *m, const cellwise_place *place, floa
 
 /* ---- state ---- */
 
-static uint32_t variance_is_sound(float variance)
-{
-    return within(variance, 0.0f, LARGE);
-}
-
-static uint32_t is_small(float x)
-{
-    return within(x, -LARGE, LARGE);
-}
-
 /* Every number in its range: memory that lost its content, or was never initialised, is noticed. */
 static uint32_t is_sound(const cellwise_model *m, const cellwise_state *x)
 {
-    if ((within(x->soc, 0.0f, 1.0f) == 0u) ||
-        (within(x->soc_carry, -CARRY_MOST, CARRY_MOST) == 0u)) {
+    if (!WITHIN(x->soc, 0.0f, 1.0f) ||
+        !WITHIN(x->soc_carry, -CARRY_MOST, CARRY_MOST)) {
         return 0u;
     }
-    if ((is_small(x->v1_V) == 0u) || (is_small(x->v2_V) == 0u)) {
+    if (!IS_SMALL(x->v1_V) || !IS_SMALL(x->v2_V)) {
         return 0u;
     }
-    if ((variance_is_sound(x->ss) == 0u) || (is_small(x->s1) == 0u) ||
-        (is_small(x->s2) == 0u)) {
+    if (!IS_VARIANCE(x->ss) || !IS_SMALL(x->s1) ||
+        !IS_SMALL(x->s2)) {
         return 0u;
     }
-    if ((variance_is_sound(x->p11) == 0u) || (is_small(x->p12) == 0u) ||
-        (variance_is_sound(x->p22) == 0u)) {
+    if (!IS_VARIANCE(x->p11) || !IS_SMALL(x->p12) ||
+        !IS_VARIANCE(x->p22)) {
         return 0u;
     }
-    if ((within(x->current_A, -m->constant.current_limit_A, m->constant.current_limit_A) == 0u)) {
+    if (!WITHIN(x->current_A, -m->constant.current_limit_A, m->constant.current_limit_A)) {
         return 0u;
     }
-    if ((variance_is_sound(x->mismatch) == 0u)) {
+    if (!IS_VARIANCE(x->mismatch)) {
         return 0u;
     }
 #if CELLWISE_SLOW
-    if ((is_small(x->v3_V) == 0u) || (within(x->v3_carry_V, -CARRY_MOST, CARRY_MOST) == 0u)) {
+    if (!IS_SMALL(x->v3_V) || !WITHIN(x->v3_carry_V, -CARRY_MOST, CARRY_MOST)) {
         return 0u;
     }
-    if ((is_small(x->s3) == 0u) || (is_small(x->p13) == 0u) || (is_small(x->p23) == 0u) ||
-        (variance_is_sound(x->p33) == 0u)) {
+    if (!IS_SMALL(x->s3) || !IS_SMALL(x->p13) || !IS_SMALL(x->p23) ||
+        !IS_VARIANCE(x->p33)) {
         return 0u;
     }
 #endif
 #if CELLWISE_HYSTERESIS
-    if ((within(x->h, -1.0f, 1.0f) == 0u)) {
+    if (!WITHIN(x->h, -1.0f, 1.0f)) {
         return 0u;
     }
-    if ((is_small(x->sh) == 0u) || (is_small(x->p1h) == 0u) || (is_small(x->p2h) == 0u) ||
-        (variance_is_sound(x->phh) == 0u)) {
+    if (!IS_SMALL(x->sh) || !IS_SMALL(x->p1h) || !IS_SMALL(x->p2h) ||
+        !IS_VARIANCE(x->phh)) {
         return 0u;
     }
 #if CELLWISE_SLOW
-    if ((is_small(x->p3h) == 0u)) {
+    if (!IS_SMALL(x->p3h)) {
         return 0u;
     }
 #endif
 #endif
 #if CELLWISE_OFFSET
-    if ((within(x->offset_A, -m->constant.current_limit_A, m->constant.current_limit_A) == 0u)) {
+    if (!WITHIN(x->offset_A, -m->constant.current_limit_A, m->constant.current_limit_A)) {
         return 0u;
     }
-    if ((is_small(x->so) == 0u) || (is_small(x->p1o) == 0u) || (is_small(x->p2o) == 0u) ||
-        (variance_is_sound(x->poo) == 0u)) {
+    if (!IS_SMALL(x->so) || !IS_SMALL(x->p1o) || !IS_SMALL(x->p2o) ||
+        !IS_VARIANCE(x->poo)) {
         return 0u;
     }
 #if CELLWISE_SLOW
-    if ((is_small(x->p3o) == 0u)) {
+    if (!IS_SMALL(x->p3o)) {
         return 0u;
     }
 #endif
 #if CELLWISE_HYSTERESIS
-    if ((is_small(x->pho) == 0u)) {
+    if (!IS_SMALL(x->pho)) {
         return 0u;
     }
 #endif
 #endif
 #if CELLWISE_HEATING
-    if ((within(x->heat_K, -HEAT_MOST_K, HEAT_MOST_K) == 0u)) {
+    if (!WITHIN(x->heat_K, -HEAT_MOST_K, HEAT_MOST_K)) {
         return 0u;
     }
 #endif
 #if CELLWISE_NEEDS_TEMPERATURE
-    if ((within(x->temperature_C, TEMPERATURE_LOW_C, TEMPERATURE_HIGH_C) == 0u)) {
+    if (!WITHIN(x->temperature_C, TEMPERATURE_LOW_C, TEMPERATURE_HIGH_C)) {
         return 0u;
     }
 #endif
@@ -1043,7 +1035,7 @@ static uint32_t correct(const cellwise_model *m, const cellwise_place *place, ce
     explained = column_of(x, p, w->slope_V, &d) + (3.0f * (w->bend_V * w->bend_V));
     out->innovation_variance_V2 = explained + one;
     out->innovation_V = 0.0f;
-    if (within(voltage, c->voltage_low_V, c->voltage_high_V) == 0u) {
+    if (!WITHIN(voltage, c->voltage_low_V, c->voltage_high_V)) {
         status = CELLWISE_VOLTAGE_INVALID | out_of_range(voltage);
     } else {
         const float innovation = voltage - out->voltage_V;
@@ -1093,7 +1085,7 @@ uint32_t cellwise_init(const cellwise_model *model, cellwise_state *x, float soc
                        float soc_variance)
 {
     uint32_t status = 0u;
-    if ((within(soc, 0.0f, 1.0f) & within(soc_variance, VARIANCE_FLOOR, SOC_VARIANCE_MOST)) != 0u) {
+    if (WITHIN(soc, 0.0f, 1.0f) && WITHIN(soc_variance, VARIANCE_FLOOR, SOC_VARIANCE_MOST)) {
         start(model, x, soc, soc_variance);
     } else {
         start(model, x, KNOW_NOTHING_SOC, KNOW_NOTHING_VARIANCE);
@@ -1134,7 +1126,7 @@ uint32_t cellwise_step(const cellwise_model *model, cellwise_state *x, const cel
             missing = elapsed - 1u;
         }
     }
-    if (within(current, -c->current_limit_A, c->current_limit_A) == 0u) {
+    if (!WITHIN(current, -c->current_limit_A, c->current_limit_A)) {
         current = x->current_A;
         missing_A2 = c->missing_variance_A2;
         status |= CELLWISE_CURRENT_INVALID | out_of_range(in->current_A);
@@ -1143,7 +1135,7 @@ uint32_t cellwise_step(const cellwise_model *model, cellwise_state *x, const cel
         current = x->current_A;
     }
 #if CELLWISE_NEEDS_TEMPERATURE
-    if (within(in->temperature_C, TEMPERATURE_LOW_C, TEMPERATURE_HIGH_C) == 0u) {
+    if (!WITHIN(in->temperature_C, TEMPERATURE_LOW_C, TEMPERATURE_HIGH_C)) {
         status |= CELLWISE_TEMPERATURE_INVALID;
     } else if (news != 0u) {
         x->temperature_C = in->temperature_C;
@@ -1214,7 +1206,7 @@ uint32_t cellwise_step(const cellwise_model *model, cellwise_state *x, const cel
 #endif
     status |= correct(model, &place, x, &point, &slopes, seen, in->voltage_V, news, out);
 
-    if (within(x->soc, 0.0f, 1.0f) == 0u) {
+    if (!WITHIN(x->soc, 0.0f, 1.0f)) {
         x->soc = clip(x->soc, 0.0f, 1.0f);
         x->soc_carry = 0.0f;
         status |= CELLWISE_CLAMPED;

@@ -1,0 +1,56 @@
+/* Frama-C Eva: whatever bits stand in state and input, a step has no undefined behaviour and its
+ * outputs are finite and in range; nor has the step after it. */
+#include "cellwise_cell.h"
+
+#define INTEGERS 3u /* the last fields of the state */
+#define FLOATS ((sizeof(cellwise_state) / sizeof(float)) - INTEGERS)
+
+volatile float any_float; /* to Eva: every bit pattern, NaN and infinities too */
+volatile uint32_t any_integer;
+
+static void any_state(cellwise_state *x)
+{
+    float *const field = (float *)x;
+    /*@ loop unroll FLOATS; */
+    for (uint32_t k = 0u; k < FLOATS; k++) {
+        field[k] = any_float;
+    }
+    x->sequence = any_integer;
+    x->rejections = any_integer;
+    x->evidence = any_integer;
+}
+
+static void step_any(cellwise_state *x)
+{
+    cellwise_input in;
+    cellwise_output out;
+    in.current_A = any_float;
+    in.voltage_V = any_float;
+    in.temperature_C = any_float;
+    in.sequence = any_integer;
+    (void)cellwise_step(&cellwise_cell, x, &in, &out);
+    /*@ assert soc_in_range: 0.0 <= out.soc <= 1.0; */
+    /*@ assert variance_is_finite: \is_finite(out.soc_variance); */
+    /*@ assert voltage_is_finite: \is_finite(out.voltage_V); */
+    /*@ assert innovation_is_finite: \is_finite(out.innovation_V); */
+    /*@ assert innovation_variance_is_finite: \is_finite(out.innovation_variance_V2); */
+    /*@ assert innovation_variance_is_positive: out.innovation_variance_V2 > 0.0; */
+}
+
+void eva_any_bits(void)
+{
+    cellwise_state x;
+    any_state(&x);
+    step_any(&x);
+}
+
+void eva_any_start(void)
+{
+    cellwise_state x;
+    const float soc = any_float;
+    const float variance = any_float;
+    any_state(&x);
+    (void)cellwise_init(&cellwise_cell, &x, soc, variance);
+    /*@ assert start_in_range: 0.0 <= x.soc <= 1.0; */
+    step_any(&x);
+}
