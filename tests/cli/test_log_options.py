@@ -86,6 +86,22 @@ def test_a_flight_is_replayed_as_the_cell_itself(flight, tidy, model, run_json):
     assert found["soc_final"] == pytest.approx(expected["soc_final"], abs=1e-3)
 
 
+def test_a_replay_says_what_is_left(flight, model, run_json, tmp_path):
+    page = tmp_path / "page.html"
+    arguments = ("replay", "--model", model, flight, *PACK, "--cutoff-v", "3.0")
+    left = run_json(*arguments, "--report", str(page))["forecast"]
+    low, high = left["remaining_s_band"]
+    assert 0 <= low <= left["remaining_s"] <= high
+    assert left["end_voltage_V"] >= 3.0 - 1e-9
+    assert left["typical"]["load_A"] > 0
+    assert "What is left" in page.read_text(encoding="utf-8")
+
+
+def test_a_cutoff_of_the_pack_is_refused(flight, model, refused):
+    message = refused("replay", "--model", model, flight, *PACK, "--cutoff-v", "14")
+    assert "not of the pack" in message
+
+
 def test_a_can_log_with_its_database(tmp_path, run_json):
     log = write_can(tmp_path / "drive.blf", pulse_channels(600), "blf")
     dbc = write_dbc(tmp_path / "bms.dbc")

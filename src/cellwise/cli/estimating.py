@@ -12,6 +12,7 @@ from cellwise.errors import InputError
 if TYPE_CHECKING:
     from cellwise.cell.initial_soc import InitialSoc
     from cellwise.cell.simulate import Simulation
+    from cellwise.estimate.flight import Flight
     from cellwise.estimate.replay import Replay
 
 
@@ -33,6 +34,18 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     replay.add_argument("--reference-soc0", type=float, metavar="X", help="true SOC at the start")
     replay.add_argument(
         "--reference-capacity-ah", type=float, metavar="X", help="for the reference by the counter"
+    )
+    replay.add_argument(
+        "--cutoff-v",
+        type=float,
+        metavar="V",
+        help="cell voltage at which the load gives up [model]",
+    )
+    replay.add_argument(
+        "--hold",
+        choices=("power", "current"),
+        default="power",
+        help="what of the load stays [power]",
     )
     replay.add_argument("--report", metavar="F.html", help="page with pictures")
     replay.set_defaults(run=run_replay)
@@ -58,7 +71,7 @@ def run_simulate(arguments: argparse.Namespace) -> None:
     printing.check_places(arguments.output)
     model = read_model(arguments.model)
     log = log_options.read(arguments.log, arguments)
-    start = initial_soc(model, log, parse_soc0(arguments.soc0))
+    start = initial_soc(model, log, parse_soc0(arguments.soc0), likeliest=True)
     simulate(model, log.part(0, 2), start.soc)  # compiles outside the clock
     began = time.perf_counter()
     found = simulate(model, log, start.soc)
@@ -86,6 +99,7 @@ def run_simulate(arguments: argparse.Namespace) -> None:
 def run_replay(arguments: argparse.Namespace) -> None:
     """Replay a log through an estimator and print how it did."""
     from cellwise.cell.model_file import read_model
+    from cellwise.estimate.flight import cutoff_of, forecast
     from cellwise.estimate.replay import make_estimator, replay
     from cellwise.logs.resample import resample
 
@@ -95,6 +109,7 @@ def run_replay(arguments: argparse.Namespace) -> None:
         raise InputError(f"--reference-soc0 {true0:g}", "a fraction from 0 to 1", "Correct it.")
     model = read_model(arguments.model)
     make_estimator(arguments.estimator, model)
+    cutoff = cutoff_of(model, arguments.cutoff_v)
     log = log_options.read(arguments.log, arguments)
     if arguments.dt is not None:
         log = resample(log, arguments.dt)
@@ -109,6 +124,7 @@ def run_replay(arguments: argparse.Namespace) -> None:
             reference_soc0=arguments.reference_soc0,
             reference_capacity_Ah=arguments.reference_capacity_ah,
         )
+    flight = forecast(model, found, cutoff_V=cutoff, hold=arguments.hold)
     if arguments.output:
         trace = found.trace
         columns = {
@@ -128,11 +144,16 @@ def run_replay(arguments: argparse.Namespace) -> None:
     if arguments.report:
         from cellwise.report import replay_page
 
-        replay_page([found], arguments.report)
+        replay_page([found], arguments.report, flights=() if flight is None else (flight,))
     if arguments.json:
-        printing.print_json({**found.to_dict(), "notices": list(log.notices)})
+        told = None if flight is None else flight.to_dict()
+        printing.print_json({**found.to_dict(), "forecast": told, "notices": list(log.notices)})
         return
     print_replay(found)
+    if flight is not None:
+        print_flight(flight)
+    for notice in log.notices:
+        printing.say(f"  ! {notice}")
     if arguments.report:
         printing.say(f"page to open: {arguments.report}")
 
@@ -198,6 +219,37 @@ def print_replay(found: Replay) -> None:
         ]
     rows += parameters.parameter_rows(data)
     printing.table(f"{found.estimator} on {found.log.name}", ("what", "found"), rows)
+
+
+def print_flight(flight: Flight) -> None:
+    """What is left, for people."""
+    lefts = [("at the present load", flight.last)]
+    if flight.typical is not None:
+        lefts.append(("at the log's median load", flight.typical.last))
+
+    def span(value: float, band: tuple[float, float], scale: float, digits: int) -> str:
+        low, high = (f"{x / scale:.{digits}f}" for x in band)
+        return f"{value / scale:.{digits}f} ({low} to {high})"
+
+    rows = [
+        (
+            name,
+            f"{left.load_A:.2f}",
+            f"{left.load_W:.1f}",
+            span(left.remaining_s, left.remaining_s_band, 60.0, 1),
+            span(left.remaining_Wh, left.remaining_Wh_band, 1.0, 2),
+            f"{left.end_voltage_V:.3f}",
+            f"{100 * left.end_soc:.1f}",
+            left.by,
+        )
+        for name, left in lefts
+    ]
+    printing.table(
+        f"left of each cell at {flight.last.time_s:.0f} s, SOC {100 * flight.last.soc:.1f} +- "
+        f"{100 * flight.last.soc_std:.1f} %, {flight.hold} held to {flight.cutoff_V:.2f} V",
+        ("", "A", "W", "minutes (2 sigma)", "Wh (2 sigma)", "end V", "end SOC %", "ends by"),
+        rows,
+    )
 
 
 def _write(path: str, columns: dict[str, Any]) -> None:

@@ -153,7 +153,7 @@ def forecast(
     ------
     InputError                a cutoff above the model's full OCV, an unknown ``hold``, no window
     """
-    cutoff = _cutoff(model, cutoff_V)
+    cutoff = cutoff_of(model, cutoff_V)
     if hold not in get_args(Hold):
         raise InputError(f"hold '{hold}'", f"one of {', '.join(get_args(Hold))}", "Choose one.")
     if not (np.isfinite(window_s) and window_s > 0):
@@ -221,7 +221,13 @@ def _forecast(
     )
 
 
-def _cutoff(model: CellModel, given: float | None) -> float:
+def cutoff_of(model: CellModel, given: float | None) -> float:
+    """The voltage at which a load gives up: as given, the model's limit, its OCV at SOC 0.
+
+    Raises
+    ------
+    InputError        above the model's full OCV, or not above zero
+    """
     if given is None:
         given = model.voltage_min_V
     lowest, highest = float(np.min(model.ocv_V)), float(np.max(model.ocv_V))

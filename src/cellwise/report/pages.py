@@ -7,10 +7,12 @@ from pathlib import Path
 
 from cellwise.cell.simulate import Simulation
 from cellwise.errors import InputError
+from cellwise.estimate.flight import Flight
 from cellwise.estimate.replay import Replay
 from cellwise.identify.identification import Identification
 from cellwise.report.capacity_section import capacity_content, capacity_picture
 from cellwise.report.findings import identify_finding, replay_finding, simulation_finding
+from cellwise.report.flight_section import flight_finding, flight_section
 from cellwise.report.markup import Markup, bullets, paragraph, tiles
 from cellwise.report.numerals import (
     ampere_hours,
@@ -62,6 +64,7 @@ def replay_page(
     path: str | Path,
     simulations: Sequence[Simulation] = (),
     *,
+    flights: Sequence[Flight] = (),
     figures: str | Path | None = None,
 ) -> Path:
     """Write the page of one or more replays, and of simulations beside them.
@@ -71,6 +74,7 @@ def replay_page(
     replays : of Replay           the first one gives the page's first line
     path : str or Path            of the HTML file; it appears whole or not at all
     simulations : of Simulation   of the same or other logs
+    flights : of Flight           what is left along them (`cellwise.estimate.flight.forecast`)
     figures : str, Path or None   folder for the same pictures as PNG and SVG files
 
     Raises
@@ -83,12 +87,26 @@ def replay_page(
     said = [replay_finding(r) for r in replays[1:]]
     if simulations:
         said.append(simulation_finding(simulations))
+    first = replay_finding(replays[0])
+    if (
+        flights and replays[0].reference_soc is None
+    ):  # nothing to judge by: what is left comes first
+        said.insert(0, first)
+        first = flight_finding(flights[0])
+    elif flights:
+        said.append(flight_finding(flights[0]))
+    sections = replay_sections(replays, simulations)
+    if flights:
+        sections = (flight_section(flights), *sections)
+    data: dict[str, object] = {**replay_data(replays, simulations)}
+    if flights:
+        data["flights"] = [{"log": f.name, **f.to_dict()} for f in flights]
     return write_page(
         path,
-        replay_finding(replays[0]),
+        first,
         f"State of charge on {listed(names)}, by cellwise",
-        replay_sections(replays, simulations),
-        replay_data(replays, simulations),
+        sections,
+        data,
         lead=Markup(replay_tiles(replays[0]) + bullets(said)),
         figures=figures,
     )
