@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import simulate
 from cellwise.logs.cell_log import CellLog
-from cellwise.typing import BoolArray, FloatArray, IntArray
+from cellwise.typing import BoolArray, FloatArray
 
 # Sizes of the current that are looked at apart, in units of 1C; below the first it is a rest. They
 # lie between the rates that laboratories use.
@@ -80,7 +82,7 @@ def anatomy(model: CellModel, log: CellLog, soc0: float, h0: float | None = None
         "by_charge_Ah": groups(error, moved, *_parts(moved)),
         **periods(e, seconds),
         "whiteness": {
-            "lag1": _lag(error, known, 1),
+            "lag1": _lag1(error, known),
             "correlation_s": correlation,
             "white": _white(error, known),
         },
@@ -192,35 +194,40 @@ def noise_floor(error_V: FloatArray) -> dict[str, float | None]:
 def correlation_time(error_V: FloatArray, known: BoolArray, time_s: FloatArray) -> float | None:
     """Time after which the error's autocorrelation has fallen to 1/e [s]."""
     n = error_V.size
-    lags = np.unique(np.geomspace(1, max(n // 3, 1), 60).astype(np.int64))
+    lags = np.unique(np.geomspace(1, max(n // 3, 1), 30).astype(np.int64))
     usual_s = float(np.median(np.diff(time_s))) if n > 1 else 0.0
     before, at = 1.0, 0.0
-    for lag in lags[lags < n]:
-        after = _lag(error_V, known, int(lag))
+    for lag, after in zip(lags, autocorrelation(error_V, known, lags), strict=False):
         apart = float(lag) * usual_s
-        if after is None:
-            return None
         if after < FALLEN:
             return at + (before - FALLEN) / max(before - after, 1e-12) * (apart - at)
         before, at = after, apart
     return at or None
 
 
-def _lag(error_V: FloatArray, known: BoolArray, lag: int) -> float | None:
-    """Autocorrelation between rows ``lag`` apart."""
-    if error_V.size <= lag or known.sum() < 3:
-        return None
+def autocorrelation(
+    error_V: FloatArray, known: BoolArray, lags: NDArray[np.int64]
+) -> Iterator[float]:
+    """Autocorrelation between rows so far apart, as long as there are any."""
+    if known.sum() < 3:
+        return
     e = np.where(known, error_V - np.mean(error_V[known]), 0.0)
-    pairs = int(np.count_nonzero(known[lag:] & known[:-lag]))
     variance = float(e @ e) / int(known.sum())
-    if pairs == 0 or variance <= 0.0:
-        return None
-    return float(e[lag:] @ e[:-lag]) / pairs / variance
+    complete = bool(known.all())
+    for lag in lags[lags < e.size].tolist():
+        pairs = e.size - lag if complete else np.count_nonzero(known[lag:] & known[:-lag])
+        if pairs == 0 or variance <= 0.0:
+            return
+        yield float(e[lag:] @ e[:-lag]) / int(pairs) / variance
+
+
+def _lag1(error_V: FloatArray, known: BoolArray) -> float | None:
+    return next(autocorrelation(error_V, known, np.array([1])), None)
 
 
 def _white(error_V: FloatArray, known: BoolArray) -> bool:
     """Whether no row foretells the next: Bartlett's bound of three standard deviations."""
-    first = _lag(error_V, known, 1)
+    first = _lag1(error_V, known)
     return first is None or bool(abs(first) < 3.0 / np.sqrt(known.sum()))
 
 
@@ -231,7 +238,7 @@ def _block_means(error_V: FloatArray, seconds: FloatArray, width_s: float) -> Fl
     # Tiny: a stamp of 0.1 x 10 must not fall below the block that it begins.
     block = np.floor(seconds / width_s + 1e-9).astype(np.int64)
     new = np.diff(block, prepend=block[0]) != 0
-    place: IntArray = np.cumsum(new)
+    place = np.cumsum(new)
     means = np.bincount(place, error_V) / np.bincount(place)
     return np.asarray(means[place])
 
