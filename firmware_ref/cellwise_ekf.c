@@ -42,6 +42,13 @@
 #define IS_VARIANCE(x) WITHIN(x, 0.0f, LARGE)
 #define IS_SMALL(x) WITHIN(x, -LARGE, LARGE)
 
+/* What few steps need is kept out of the others' registers and stack. */
+#if defined(__GNUC__) && !defined(__FRAMAC__)
+#define APART __attribute__((noinline))
+#else
+#define APART
+#endif
+
 /* The tables at one SOC and temperature. */
 typedef struct {
     float ocv_V;
@@ -245,57 +252,60 @@ static void look_up(const cellwise_model *m, const cellwise_place *place, float 
 #endif
 }
 
-/* While SOC is known to worse than WIDE_VARIANCE slopes are chords over one standard deviation to
- * either side: a far-off start must not be corrected with the slope of where it stands. A SOC that is
- * far off brings the resistances of another SOC with it, so R0's slope joins the OCV's. */
-static void slopes_of(const cellwise_model *m, const cellwise_place *place, float soc, float spread,
-                      float current, const cellwise_point *p, cellwise_slopes *w)
+/* SOC is well known: the OCV's tangent, and nothing else. */
+static void no_slopes(const cellwise_point *p, cellwise_slopes *w)
 {
     w->slope_V = p->slope_V;
     w->bend_V = 0.0f;
-    w->spread = spread;
+    w->spread = 0.0f;
     w->rise1 = 0.0f;
     w->rise2 = 0.0f;
 #if CELLWISE_SLOW
     w->rise3 = 0.0f;
 #endif
-#if CELLWISE_WIDE
-    if (spread > 0.0f) {
-        const float low = clip(soc - spread, 0.0f, 1.0f);
-        const float high = clip(soc + spread, 0.0f, 1.0f);
-        if ((high - low) >= SHORTEST_CHORD) {
-            const float per = 1.0f / (high - low);
-            cellwise_point end;
-            float ocv;
-            float ohmic;
-            look_up(m, place, low, current, &end);
-            ocv = end.ocv_V;
-            ohmic = end.r0_ohm;
-            w->rise1 = end.r1_ohm;
-            w->rise2 = end.r2_ohm;
-#if CELLWISE_SLOW
-            w->rise3 = end.r3_ohm;
-#endif
-            w->bend_V = end.ocv_V - p->ocv_V;
-            look_up(m, place, high, current, &end);
-            ocv = (end.ocv_V - ocv) * per;
-            ohmic = (end.r0_ohm - ohmic) * per;
-            w->rise1 = (end.r1_ohm - w->rise1) * per;
-            w->rise2 = (end.r2_ohm - w->rise2) * per;
-#if CELLWISE_SLOW
-            w->rise3 = (end.r3_ohm - w->rise3) * per;
-#endif
-            w->slope_V = ocv - (ohmic * current);
-            w->bend_V = w->bend_V + (ocv * (soc - low));
-        }
-    }
-#else
-    (void)m;
-    (void)place;
-    (void)soc;
-    (void)current;
-#endif
 }
+
+/* While SOC is known to worse than WIDE_VARIANCE slopes are chords over one standard deviation to
+ * either side: a far-off start must not be corrected with the slope of where it stands. A SOC that is
+ * far off brings the resistances of another SOC with it, so R0's slope joins the OCV's. */
+#if CELLWISE_WIDE
+static APART void slopes_of(const cellwise_model *m, const cellwise_place *place, float soc,
+                            float spread, float current, const cellwise_point *p,
+                            cellwise_slopes *w)
+{
+    const float low = clip(soc - spread, 0.0f, 1.0f);
+    const float high = clip(soc + spread, 0.0f, 1.0f);
+    w->spread = spread;
+    if ((high - low) >= SHORTEST_CHORD) {
+        const float per = 1.0f / (high - low);
+        cellwise_point end;
+        float ocv;
+        float ohmic;
+        look_up(m, place, low, current, &end);
+        ocv = end.ocv_V;
+        ohmic = end.r0_ohm;
+        w->rise1 = end.r1_ohm;
+        w->rise2 = end.r2_ohm;
+#if CELLWISE_SLOW
+        w->rise3 = end.r3_ohm;
+#endif
+        w->bend_V = end.ocv_V - p->ocv_V;
+        look_up(m, place, high, current, &end);
+        ocv = (end.ocv_V - ocv) * per;
+        ohmic = (end.r0_ohm - ohmic) * per;
+        w->rise1 = (end.r1_ohm - w->rise1) * per;
+        w->rise2 = (end.r2_ohm - w->rise2) * per;
+#if CELLWISE_SLOW
+        w->rise3 = (end.r3_ohm - w->rise3) * per;
+#endif
+        w->slope_V = ocv - (ohmic * current);
+        w->bend_V = w->bend_V + (ocv * (soc - low));
+    } else {
+        no_slopes(p, w);
+        w->spread = spread;
+    }
+}
+#endif
 
 /* ---- state ---- */
 
@@ -890,7 +900,7 @@ static float rejudged(float ki, float kj, float ci, float cj, float e)
 
 /* The gain was that of the slope here; what it is worth is said by the slope where it leads, if that
  * is flatter: on a plateau nothing was learnt. */
-static void rejudge(const cellwise_model *m, const cellwise_place *place, cellwise_state *x,
+static APART void rejudge(const cellwise_model *m, const cellwise_place *place, cellwise_state *x,
                     const cellwise_point *p, const cellwise_slopes *w, const cellwise_column *d,
                     float inverse, float innovation, float seen)
 {
@@ -1101,7 +1111,6 @@ uint32_t cellwise_step(const cellwise_model *model, cellwise_state *x, const cel
     cellwise_place place;
     cellwise_point point;
     cellwise_slopes slopes;
-    float spread = 0.0f;
     uint32_t status = 0u;
     uint32_t news = 1u;
     uint32_t missing = 0u;
@@ -1185,12 +1194,12 @@ uint32_t cellwise_step(const cellwise_model *model, cellwise_state *x, const cel
     if ((missing != 0u) || (missing_A2 > 0.0f)) {
         admit_doubt(c, x, &point, missing, current, bridge, (news == 2u) ? missing_A2 : 0.0f);
     }
+    no_slopes(&point, &slopes);
 #if CELLWISE_WIDE
     if (x->ss > WIDE_VARIANCE) {
-        spread = root(x->ss);
+        slopes_of(model, &place, x->soc, root(x->ss), seen, &point, &slopes);
     }
 #endif
-    slopes_of(model, &place, x->soc, spread, seen, &point, &slopes);
     if (news == 2u) {
         predict(c, x, &point, &slopes, flow, missing_A2);
     }

@@ -21,9 +21,10 @@ MAY_IMPORT = {
     "identify": BASE | {"logs", "cell"},
     "estimate": BASE | {"logs", "cell"},
     "data": BASE | {"logs"},
+    "export": BASE | TOOLS,
     "report": BASE | TOOLS,
     "benchmark": BASE | TOOLS | {"report"},
-    "cli": BASE | TOOLS | {"report", "benchmark"},
+    "cli": BASE | TOOLS | {"export", "report", "benchmark"},
 }
 MODULES = sorted(path for path in PACKAGE.rglob("*.py") if path.parent != PACKAGE) + sorted(
     PACKAGE / f"{name}.py" for name in (*BASE, "data")

@@ -120,11 +120,9 @@ def build(tables: FixedStepTables, core: Core, folder: Path, optimise: str = "-O
         _run([GCC, *flags, *extra, "-c", str(folder / f"{source}.c"), "-o", str(made)])
         objects.append(str(made))
     elf = folder / "target.elf"
-    script = folder / f"{core.name}.ld"
-    _run(
-        [GCC, *core.flags, "-nostartfiles", f"-T{script}", *objects]
-        + ["-Wl,--gc-sections", "-lc", "-lgcc", "-o", str(elf)]
-    )
+    libraries = ["-Wl,--gc-sections", "-lc", "-lgcc"]
+    link = [GCC, *core.flags, "-nostartfiles", f"-T{folder / f'{core.name}.ld'}"]
+    _run([*link, *objects, *libraries, "-o", str(elf)])
     return elf
 
 

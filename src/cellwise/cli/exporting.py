@@ -1,0 +1,162 @@
+"""cellwise export."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cellwise.cli import printing
+from cellwise.errors import InputError
+
+if TYPE_CHECKING:
+    from cellwise.cell.model import CellModel
+    from cellwise.estimate.fixed_step_tables import FixedStepTables
+
+STEPS_TO_MEASURE = 4000
+
+
+def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add ``cellwise export``."""
+    export = commands.add_parser("export", help="model to C sources for a target")
+    export.add_argument("--model", required=True, metavar="MODEL")
+    export.add_argument("--dt", type=float, required=True, metavar="S", help="time step [s]")
+    export.add_argument("-o", "--output", required=True, metavar="DIR")
+    export.add_argument("--points", type=int, metavar="N", help="SOC points [the model's]")
+    export.add_argument(
+        "--offset-std-a", type=float, default=0.0, metavar="A", help="current offset as a state"
+    )
+    export.add_argument(
+        "--lean", action="store_true", help="smaller code, slower from a start far off"
+    )
+    export.add_argument("--flash", type=int, metavar="BYTES", help="refuse larger tables")
+    export.add_argument("--log", metavar="LOG", help="accuracy lost, against the float64 EKF")
+    export.add_argument("--soc0", type=float, metavar="X", help="SOC at the log's start [auto]")
+    printing.add_sign(export)
+    printing.add_json(export)
+    export.set_defaults(run=run_export)
+
+
+def run_export(arguments: argparse.Namespace) -> None:
+    """Write the C of a model and say what it costs."""
+    from cellwise.cell.model_file import read_model
+    from cellwise.estimate.fixed_step_tables import fixed_step_tables
+    from cellwise.export.package import check_flash, describe, write_package
+
+    model = read_model(arguments.model)
+    tables = fixed_step_tables(
+        model,
+        arguments.dt,
+        points=arguments.points,
+        offset_std_A=arguments.offset_std_a,
+        wide=not arguments.lean,
+    )
+    check_flash(tables, arguments.flash)
+    told = describe(model, tables)
+    told["targets"] = target_costs(model, tables, arguments)
+    told["accuracy"] = lost_accuracy(model, arguments)
+    told["files"] = write_package(model, tables, Path(arguments.output), told)
+    if arguments.json:
+        printing.print_json(told)
+        return
+    print_export(arguments.output, told)
+
+
+def target_costs(
+    model: CellModel, tables: FixedStepTables, arguments: argparse.Namespace
+) -> list[dict[str, Any]]:
+    """Code, stack and instructions on every core; empty without a cross compiler.
+
+    Counted on the log that is given, else on the embedded drive of an NMC cell.
+    """
+    from dataclasses import asdict
+
+    from cellwise.data import load_dataset
+    from cellwise.estimate.fixed_step import samples_of
+    from cellwise.export.cross import CORES, has_tools, run_on_target
+
+    if not has_tools():
+        return []
+    log = load_dataset("nmc_drive_b") if arguments.log is None else read(arguments)
+    records = samples_of(model, log, arguments.dt).records[:STEPS_TO_MEASURE]
+    costs = []
+    with printing.bar() as progress:
+        for core in CORES:
+            task = progress.add_task(f"counting instructions on {core}", total=None)
+            run = run_on_target(tables, core, records, 0.5, 0.0225, measure_every=10)
+            costs.append(asdict(run.cost))
+            progress.remove_task(task)
+    return costs
+
+
+def lost_accuracy(model: CellModel, arguments: argparse.Namespace) -> list[dict[str, Any]]:
+    """Accuracy by number of SOC points, where there is a log."""
+    from dataclasses import asdict
+
+    from cellwise.export.accuracy import GRIDS, accuracy_by_grid
+
+    if arguments.log is None:
+        return []
+    grids = {*GRIDS, arguments.points or model.points}
+    log = read(arguments)
+    found = accuracy_by_grid(
+        model, log, arguments.dt, soc0=arguments.soc0, wide=not arguments.lean, grids=sorted(grids)
+    )
+    return [asdict(row) for row in found]
+
+
+def read(arguments: argparse.Namespace) -> Any:
+    """The log that is given."""
+    if arguments.soc0 is not None and not 0.0 <= arguments.soc0 <= 1.0:
+        raise InputError(f"--soc0 {arguments.soc0:g}", "a fraction from 0 to 1", "Correct it.")
+    return printing.read(arguments.log, arguments.sign)
+
+
+def print_export(folder: str, told: dict[str, Any]) -> None:
+    """What was written, for people."""
+    on = [k for k, v in told["options"].items() if v and k not in ("points", "temperatures")]
+    printing.table(
+        f"{folder}: {len(told['files'])} files for a step of {told['dt_s']:g} s",
+        ("what", "value"),
+        [
+            ("model", f"{told['model'] or 'unnamed'}, sha256 {told['model_sha256'][:16]}..."),
+            ("SOC points x temperatures", f"{told['options']['points']} x "
+             f"{told['options']['temperatures']}"),
+            ("states", str(told["states"])),
+            ("compiled in", ", ".join(on) or "nothing beyond the plain model"),
+            ("tables in flash", f"{told['model_bytes']:,} bytes"),
+            ("state per cell", f"{told['state_bytes']} bytes"),
+        ],
+    )  # fmt: skip
+    if told["targets"]:
+        printing.table(
+            "Cost on the target (instructions, not cycles; counted in QEMU)",
+            ("core", "code", "static RAM", "stack", "instructions a step", "most"),
+            [
+                (
+                    c["core"],
+                    f"{c['text_bytes']:,} B",
+                    f"{c['ram_bytes']} B",
+                    f"{c['stack_bytes']} B",
+                    f"{c['instructions_mean']:,.0f}",
+                    f"{c['instructions_most']:,.0f}",
+                )
+                for c in told["targets"]
+            ],
+        )
+    else:
+        printing.say("no cross compiler: code size, stack and instructions are not known")
+    if told["accuracy"]:
+        printing.table(
+            "SOC against the float64 EKF on the log, in points of SOC",
+            ("SOC points", "tables", "RMSE", "max"),
+            [
+                (
+                    str(a["points"]),
+                    f"{a['flash_bytes']:,} B",
+                    f"{100 * a['soc_rmse']:.4f}",
+                    f"{100 * a['soc_max']:.4f}",
+                )
+                for a in told["accuracy"]
+            ],
+        )

@@ -1,0 +1,89 @@
+"""Write a model as C: sources, tables, a description; all of it or nothing."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import tempfile
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from cellwise.cell.model import CellModel
+from cellwise.cell.model_file import model_to_dict
+from cellwise.errors import InputError
+from cellwise.estimate.fixed_step_c import write_sources
+from cellwise.estimate.fixed_step_layout import INPUT, OUTPUT, state_type
+from cellwise.estimate.fixed_step_tables import FixedStepTables
+
+DESCRIPTION = "cellwise_export.json"
+
+
+def model_sha256(model: CellModel) -> str:
+    """Hash of the model's file, whatever its name is."""
+    text = json.dumps(model_to_dict(model), indent=1, allow_nan=False) + "\n"
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def describe(model: CellModel, tables: FixedStepTables) -> dict[str, Any]:
+    """What was exported: time step, options, sizes."""
+    return {
+        "model": model.name,
+        "model_sha256": model_sha256(model),
+        "dt_s": tables.dt_s,
+        "options": asdict(tables.options),
+        "states": tables.options.states,
+        "model_bytes": tables.flash_bytes,
+        "state_bytes": state_type(tables.options).itemsize,
+        "input_bytes": INPUT.itemsize,
+        "output_bytes": OUTPUT.itemsize,
+    }
+
+
+def check_flash(tables: FixedStepTables, most_bytes: int | None) -> None:
+    """Refuse tables that do not fit.
+
+    Raises
+    ------
+    InputError        more bytes than there are
+    """
+    if most_bytes is not None and tables.flash_bytes > most_bytes:
+        raise InputError(
+            f"tables of {tables.flash_bytes:,} bytes",
+            f"at most {most_bytes:,}",
+            "Give fewer --points, or fewer temperatures.",
+        )
+
+
+def write_package(
+    model: CellModel, tables: FixedStepTables, folder: Path, description: dict[str, Any]
+) -> list[str]:
+    """Write every file into ``folder``, which is made where it does not exist; their names.
+
+    Raises
+    ------
+    InputError        a file stands in the folder's place, or it cannot be written to
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"a file at '{folder}'", "a folder", "Give another name with -o.")
+    if not folder.resolve().parent.is_dir():
+        raise InputError(
+            f"no folder '{folder.resolve().parent}'", "an existing folder", "Create it first."
+        )
+    files = dict(write_sources(tables, description["model_sha256"], model.name))
+    files[DESCRIPTION] = json.dumps(description, indent=1, allow_nan=False) + "\n"
+    try:
+        with tempfile.TemporaryDirectory(dir=folder.resolve().parent, prefix=".export-") as name:
+            for file, text in files.items():
+                (Path(name) / file).write_text(text, encoding="utf-8")
+            folder.mkdir(exist_ok=True)
+            for file in files:
+                shutil.move(str(Path(name) / file), str(folder / file))
+    except OSError as error:
+        raise InputError(
+            f"'{folder}', which cannot be written ({error.strerror or error})",
+            "a folder with write permission and space left",
+            "Check permissions and disk space, or choose another place.",
+        ) from error
+    return sorted(files)
