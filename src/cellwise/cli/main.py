@@ -17,7 +17,16 @@ def build_parser() -> argparse.ArgumentParser:
     """The parser of every command."""
     from importlib.metadata import version
 
-    from cellwise.cli import capacity_study, data, estimating, exporting, identifying, logs, studies
+    from cellwise.cli import (
+        capacity_study,
+        data,
+        diagnosing,
+        estimating,
+        exporting,
+        identifying,
+        logs,
+        studies,
+    )
 
     parser = argparse.ArgumentParser(
         prog="cellwise",
@@ -26,7 +35,10 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"cellwise {version('cellwise')}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    for module in (logs, identifying, estimating, exporting, studies, capacity_study, data):
+    modules = (
+        logs, identifying, estimating, diagnosing, exporting, studies, capacity_study, data,
+    )  # fmt: skip
+    for module in modules:
         module.add_commands(commands)
     for command in commands.choices.values():
         command.add_argument("--debug", action="store_true", help="show the traceback of an error")

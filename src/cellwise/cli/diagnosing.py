@@ -1,0 +1,205 @@
+"""cellwise diagnose."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cellwise.cli import log_options, printing
+from cellwise.cli.estimating import parse_soc0
+from cellwise.errors import InputError
+
+if TYPE_CHECKING:
+    from cellwise.cell.model import CellModel
+    from cellwise.diagnose.verdict import Diagnosis, FoundCause
+    from cellwise.logs import CellLog
+
+SHOWN = 6
+
+
+def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command that criticises a model."""
+    p = commands.add_parser("diagnose", help="model and logs to what is wrong, and by how much")
+    p.add_argument("--model", required=True, metavar="MODEL")
+    p.add_argument("logs", nargs="+", metavar="LOG", help="what is to be explained")
+    for option, text in (
+        ("--holdout", "log on which gains are measured [later parts of the logs]"),
+        ("--baseline", "log of the same cell and instruments that is known to be good"),
+    ):
+        p.add_argument(
+            option, action="extend", nargs="+", default=[], metavar="LOG", help=f"{text}; several"
+        )
+    p.add_argument("--soc0", default="auto", metavar="X", help="of every log: 0..1, or auto [auto]")
+    p.add_argument(
+        "--cause", action="append", metavar="C", help="try only this cause; several [all]"
+    )
+    p.add_argument("-o", "--output", metavar="MODEL2", help="the model with the causes known")
+    p.add_argument("--corrected", metavar="DIR", help="folder for logs without the sensors' faults")
+    p.add_argument("--report", metavar="F.html", help="page with pictures")
+    log_options.add_log_options(p)
+    printing.add_json(p)
+    p.set_defaults(run=run_diagnose)
+
+
+def run_diagnose(arguments: argparse.Namespace) -> None:
+    """Diagnose, write what was asked for, print the verdict."""
+    from cellwise.cell.model_file import read_model
+    from cellwise.cell.simulate import check_soc0
+    from cellwise.diagnose import diagnose
+
+    _check_places(arguments)
+    soc0 = parse_soc0(arguments.soc0)
+    if soc0 is not None:
+        check_soc0(soc0)
+    model = read_model(arguments.model)
+    logs, holdout, baseline = (
+        [log_options.read(path, arguments) for path in paths]
+        for paths in (arguments.logs, arguments.holdout, arguments.baseline)
+    )
+    began = time.perf_counter()
+    with printing.bar() as progress:
+        task = progress.add_task("diagnose", total=1.0)
+        found = diagnose(
+            model,
+            logs,
+            holdout,
+            baseline,
+            "auto" if soc0 is None else soc0,
+            causes=arguments.cause,
+            progress=lambda share, what: progress.update(task, completed=share, description=what),
+        )
+    found = with_anatomy(found)
+    seconds = time.perf_counter() - began
+    written = _write(found, arguments)
+    if arguments.json:
+        notices = [n for log in (*logs, *holdout, *baseline) for n in log.notices]
+        printing.print_json(
+            {**found.to_dict(), **written, "seconds": seconds, "notices": list(notices)}
+        )
+        return
+    print_diagnosis(found)
+    for name, place in written.items():
+        for path in place if isinstance(place, list) else [place] if place else []:
+            printing.say(f"{name.replace('_', ' ')}: {path}")
+
+
+def with_anatomy(found: Diagnosis) -> Diagnosis:
+    """The diagnosis with the anatomy of its first log's residual."""
+    from cellwise.diagnose.anatomy import anatomy
+
+    if found.anatomy:
+        return found
+    start = min(max(float(found.soc0[0]["value"]), 0.0), 1.0)
+    return replace(found, anatomy=anatomy(found.model, found.logs[0], start))
+
+
+def _check_places(arguments: argparse.Namespace) -> None:
+    """Refuse what could only fail after the work is done."""
+    printing.check_places(arguments.output, arguments.report)
+    if arguments.report:
+        from cellwise.report.style import drawing
+
+        with drawing():  # says so now if pictures cannot be drawn
+            pass
+    if arguments.corrected and Path(arguments.corrected).is_file():
+        raise InputError(
+            f"a file at '{arguments.corrected}'", "a folder for the corrected logs", "Rename it."
+        )
+    seen = {Path(p).resolve() for p in arguments.logs}
+    for path in (*arguments.holdout, *arguments.baseline):
+        if Path(path).resolve() in seen:
+            raise InputError(
+                f"'{path}' both as LOG and as --holdout or --baseline",
+                "logs that the fit has not seen",
+                "Give another log, or leave it out: later parts of LOG are held out then.",
+            )
+
+
+def _write(found: Diagnosis, arguments: argparse.Namespace) -> dict[str, Any]:
+    """Write model, logs and page; where they are."""
+    from cellwise.cell.model_file import write_model
+
+    extended: CellModel | None = found.extended_model
+    written: dict[str, Any] = {"extended_model": None, "corrected": [], "report": None}
+    if arguments.report:
+        from cellwise.report.diagnose_page import diagnose_page
+
+        written["report"] = str(diagnose_page(found, arguments.report))
+    if arguments.corrected and any(c.kind == "measurement" for c in found.causes):
+        written["corrected"] = _write_logs(found.corrected, arguments.logs, arguments.corrected)
+    if arguments.output and extended is not None:
+        write_model(extended, arguments.output)
+        written["extended_model"] = arguments.output
+    return written
+
+
+def _write_logs(logs: tuple[CellLog, ...], sources: list[str], folder: str) -> list[str]:
+    from cellwise.logs import write_log
+
+    place = Path(folder)
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"'{place}', which cannot be a folder ({error.strerror})",
+            "a folder for the corrected logs",
+            "Choose another place.",
+        ) from error
+    names: list[str] = []
+    for log, source in zip(logs, sources, strict=True):
+        name = stem = Path(source).name.split(".")[0]
+        while name in names:
+            name = f"{stem}_{len(names) + 1}"
+        names.append(name)
+        write_log(log, place / f"{name}.parquet")
+    return [str(place / f"{name}.parquet") for name in names]
+
+
+def print_diagnosis(found: Diagnosis) -> None:
+    """A diagnosis for people."""
+    printing.say(f"verdict: {found.verdict.replace('_', ' ')}")
+    if found.causes:
+        head = ("cause", "mends", "value (95 %)", "held-out RMSE mV", "gain (95 %)")
+        printing.table("what was found", head, [_cause_row(c) for c in found.causes])
+        for c in found.causes:
+            printing.say(f"  {c.name}: {c.meaning}")
+            for line in c.evidence:
+                printing.say(f"    {line}")
+            if c.confusable_with:
+                printing.say(f"    easily confused with {', '.join(c.confusable_with)}")
+    rows = [
+        (
+            c.name,
+            "-" if c.score != c.score else f"{c.score:.0f}",
+            printing.millivolt(c.holdout_rmse_V),
+            ", ".join(f"{k} {v:.4g}" for k, v in list(c.parameters.items())[:2]),
+        )
+        for c in found.candidates[:SHOWN]
+    ]
+    if rows:
+        columns = ("first candidates", "score (nats)", "held-out RMSE mV", "parameters")
+        printing.table("what was tried", columns, rows)
+    for reason in found.reasons:
+        printing.say(f"  - {reason}")
+    if found.next_test:
+        printing.say(f"next test: {found.next_test}")
+
+
+def _cause_row(c: FoundCause) -> tuple[str, ...]:
+    values = []
+    for name, value in list(c.parameters.items()):
+        low, high = c.ci95.get(name, (float("nan"), float("nan")))
+        values.append(f"{name} {value:.4g} ({low:.4g} to {high:.4g})")
+    low, high = c.gain_ci95
+    return (
+        c.name,
+        {"cell": "the model", "start": "the start"}.get(c.kind, "the log"),
+        "\n".join(values),
+        f"{printing.millivolt(c.holdout_rmse_before_V)} -> "
+        f"{printing.millivolt(c.holdout_rmse_after_V)}",
+        f"{printing.percent(c.gain, 0)} % ({printing.percent(low, 0)} to "
+        f"{printing.percent(high, 0)})",
+    )

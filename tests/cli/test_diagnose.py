@@ -1,0 +1,177 @@
+"""cellwise diagnose: the contract's keys, files that work, refusals that leave nothing behind."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cellwise.cell.model_file import read_model, write_model
+from cellwise.cell.simulate import simulate
+from cellwise.cli import main
+from cellwise.diagnose.causes import CAUSES
+from cellwise.logs import read_log, write_log
+from cellwise.logs.cell_log import CellLog
+from example_cells import curved_cell
+
+OFFSET_A = 0.12
+ROWS = 2500
+# Few causes: the command is under test, not the judge.
+QUICK = ("--cause", "current_offset", "--cause", "resistance_scale")
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory) -> Path:
+    """A model, and drives whose current sensor adds a constant."""
+    folder = tmp_path_factory.mktemp("bench")
+    cell = curved_cell()
+    write_model(cell, folder / "cell.json")
+    for k, name in enumerate(("drive", "held")):
+        rng = np.random.default_rng(k)
+        true = np.repeat(rng.uniform(-1.0, 3.0, ROWS // 20), 20)
+        log = CellLog(np.arange(ROWS) * 2.0, true, np.full(ROWS, 3.7))
+        voltage = simulate(cell, log, 0.9).voltage_V + rng.normal(0.0, 1e-3, ROWS)
+        write_log(CellLog(log.time_s, true + OFFSET_A, voltage), folder / f"{name}.csv")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def diagnosed(bench, tmp_path_factory):
+    """One run that writes everything: what it printed and its folder."""
+    import contextlib
+    import io
+    import json
+
+    out = tmp_path_factory.mktemp("out")
+    text = io.StringIO()
+    places = ("-o", str(out / "new.json"), "--corrected", str(out / "logs"))
+    with contextlib.redirect_stdout(text):
+        code = main([*command(bench), *places, "--report", str(out / "page.html"), "--json"])
+    assert code == 0
+    assert text.getvalue().count("\n") == 1
+    return json.loads(text.getvalue()), out
+
+
+def command(bench, *more):
+    logs = (str(bench / "drive.csv"), "--holdout", str(bench / "held.csv"))
+    model = str(bench / "cell.json")
+    return ("diagnose", "--model", model, *logs, "--soc0", "0.9", *QUICK, *more)
+
+
+def test_the_keys_of_the_contract(diagnosed):
+    found, _ = diagnosed
+    assert {
+        "verdict",
+        "causes",
+        "candidates",
+        "anatomy",
+        "next_test",
+        "extended_model",
+    } <= set(found)
+    (cause,) = found["causes"]
+    assert {
+        "name",
+        "parameters",
+        "ci95",
+        "train_rmse_before_V",
+        "train_rmse_after_V",
+        "holdout_rmse_before_V",
+        "holdout_rmse_after_V",
+        "gain",
+        "gain_ci95",
+        "evidence",
+        "confusable_with",
+    } <= set(cause)
+    assert found["verdict"] == cause["name"] == "current_offset"
+    assert set(cause["ci95"]) == set(cause["parameters"])
+    low, high = cause["ci95"]["offset_A"]
+    assert low < cause["parameters"]["offset_A"] < high
+    before, after = cause["holdout_rmse_before_V"], cause["holdout_rmse_after_V"]
+    assert cause["gain"] == pytest.approx(1.0 - after / before)
+    for tried in found["candidates"]:
+        assert {"name", "holdout_rmse_V", "parameters"} <= set(tried)
+        assert tried["name"] in CAUSES
+
+
+def test_the_hidden_offset_is_named_with_its_value(diagnosed):
+    found, _ = diagnosed
+    value = found["causes"][0]["parameters"]["offset_A"]
+    assert value == pytest.approx(OFFSET_A, rel=0.2)
+
+
+def test_anatomy_is_that_of_the_first_log(diagnosed, bench):
+    anatomy = diagnosed[0]["anatomy"]
+    log = read_log(bench / "drive.csv")
+    run = simulate(curved_cell(), log, 0.9)
+    assert anatomy["rows"] == ROWS
+    assert anatomy["rmse_V"] == pytest.approx(run.metrics.rmse_V, rel=1e-6)
+
+
+def test_the_corrected_log_is_explained_by_the_extended_model(diagnosed, bench):
+    found, out = diagnosed
+    (path,) = found["corrected"]
+    assert Path(path).parent == out / "logs"
+    log, raw = read_log(path), read_log(bench / "drive.csv")
+    offset = found["causes"][0]["parameters"]["offset_A"]
+    np.testing.assert_allclose(log.current_A, raw.current_A - offset, atol=1e-9)
+    new = read_model(found["extended_model"])
+    before = simulate(curved_cell(), raw, 0.9).metrics.rmse_V
+    assert simulate(new, log, 0.9).metrics.rmse_V < 0.3 * before
+
+
+def test_the_page_is_written(diagnosed):
+    found, out = diagnosed
+    assert found["report"] == str(out / "page.html")
+    assert "current sensor" in (out / "page.html").read_text(encoding="utf-8")
+
+
+def test_for_people(bench, capsys):
+    assert main(list(command(bench))) == 0
+    said = capsys.readouterr().out
+    assert "current_offset" in said
+    assert "offset_A 0.1" in said
+    assert "extended model" not in said
+
+
+def test_nothing_wrong_gives_no_model(bench, run_json, tmp_path):
+    log = read_log(bench / "drive.csv")
+    good = tmp_path / "good.csv"
+    write_log(CellLog(log.time_s, log.current_A - OFFSET_A, log.voltage_V), good)
+    out = tmp_path / "new.json"
+    arguments = ("--model", str(bench / "cell.json"), str(good), "--soc0", "0.9", *QUICK)
+    found = run_json("diagnose", *arguments, "-o", str(out), "--corrected", str(tmp_path / "c"))
+    assert found["verdict"] == "none"
+    assert found["causes"] == []
+    assert found["extended_model"] is None
+    assert found["corrected"] == []
+    assert not out.exists()
+    assert not (tmp_path / "c").exists()
+
+
+def test_refusals_leave_nothing_behind(bench, refused, tmp_path):
+    model, drive, held = (str(bench / n) for n in ("cell.json", "drive.csv", "held.csv"))
+    out = str(tmp_path / "new.json")
+    for arguments, word in (
+        ((str(tmp_path / "no.csv"), "-o", out), "no.csv"),
+        ((drive, "--holdout", str(tmp_path / "no.csv"), "-o", out), "no.csv"),
+        ((drive, "--baseline", str(tmp_path / "no.csv"), "-o", out), "no.csv"),
+        ((drive, "--soc0", "1.2", "-o", out), "1.2"),
+        ((drive, "--soc0", "full", "-o", out), "full"),
+        ((drive, "-o", str(tmp_path / "nowhere" / "new.json")), "nowhere"),
+        ((drive, "--report", str(tmp_path / "nowhere" / "p.html"), "-o", out), "nowhere"),
+        ((drive, "--corrected", held, "-o", out), "held.csv"),
+        ((drive, "--holdout", drive, "-o", out), "drive.csv"),
+        ((drive, "--cause", "gremlins", "-o", out), "gremlins"),
+    ):
+        assert word in refused("diagnose", "--model", model, *arguments)
+    assert "missing.json" in refused("diagnose", "--model", str(tmp_path / "missing.json"), drive)
+    refused("diagnose", "--model", model)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_model_of_the_user_stays_when_the_folder_cannot_be_written(bench, refused, tmp_path):
+    taken = tmp_path / "folder.json"
+    taken.mkdir()
+    arguments = ("--model", str(bench / "cell.json"), str(bench / "drive.csv"))
+    assert "folder" in refused("diagnose", *arguments, "-o", str(taken))
