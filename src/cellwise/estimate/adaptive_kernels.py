@@ -62,14 +62,13 @@ from cellwise.estimate.adaptive_state_kernels import (
 )
 from cellwise.estimate.adaptive_watch_kernels import watch_resistance, watch_rest
 from cellwise.estimate.ekf_kernels import (
-    FORGIVEN,
     RECOVERY_RATE,
     RECOVERY_VARIANCE,
     SLOPE_FLOOR_V,
     SMALL_MOVE,
-    UNDER_LOAD_COUNT,
     WIDE_VARIANCE,
 )
+from cellwise.estimate.evidence_kernels import FORGIVEN, UNDER_LOAD_COUNT
 from cellwise.estimate.filter_state import EkfStart
 from cellwise.estimate.measurement_kernels import start_branch, voltage_variance, wide_slopes
 from cellwise.estimate.noise import NoiseScalars
@@ -220,8 +219,11 @@ def predict(
     p[V3, V3] += qb * g3 * g3 + share * point.r3_ohm * point.r3_ohm * (1.0 - a3 * a3)
     p[B, B] += learn.offset_walk * dt_s
     p[Q, Q] += learn.charge_walk * dt_s
-    memory[FAST_VAR] += learn.resistance_walk * dt_s
-    memory[TAIL_VAR] += learn.resistance_walk * dt_s
+    # Doubt of the resistances comes back, up to what it was before any data.
+    if memory[FAST_VAR] < learn.resistance_variance:
+        memory[FAST_VAR] += learn.resistance_walk * dt_s
+    if memory[TAIL_VAR] < learn.resistance_variance:
+        memory[TAIL_VAR] += learn.resistance_walk * dt_s
     return Predicted(point, load, warm, slope, bend, wide, status)
 
 

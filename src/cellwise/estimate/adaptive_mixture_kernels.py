@@ -40,9 +40,13 @@ class Mixture(NamedTuple):
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def evidence(away: float, variance: float, prior: float, odds: float) -> float:
-    """How much likelier one parameter is at the model's value than free."""
-    return odds * math.sqrt(prior / variance) * math.exp(-0.5 * away * away / variance)
+def evidence(away: float, per_variance: float, prior: float, odds: float) -> float:
+    """How much likelier one parameter is at the model's value than free.
+
+    ``per_variance`` is one over its variance.
+    """
+    sharper = math.sqrt(prior * per_variance)
+    return odds * sharper * math.exp(-0.5 * away * away * per_variance)
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -96,32 +100,35 @@ def mix(
     if not free_b and not free_q:
         return Mixture(soc, ss, b, 0.0, q, 0.0, 0.0, 0.0)
     if not free_q:
-        fixed = evidence(b, bb, prior_b, odds)
+        fixed = evidence(b, 1.0 / bb, prior_b, odds)
         s, v, m, w, free = fixed_or_free(soc, ss, b, sb, bb, fixed)
         return Mixture(s, v, m, w, 0.0, 0.0, free, 0.0)
     if not free_b:
-        fixed = evidence(q, qq, prior_q, odds)
+        fixed = evidence(q, 1.0 / qq, prior_q, odds)
         s, v, m, w, free = fixed_or_free(soc, ss, q, sq, qq, fixed)
         return Mixture(s, v, 0.0, 0.0, m, w, 0.0, free)
     det = max(bb * qq - bq * bq, NEARLY * bb * qq)
+    ib, iq, i0 = 1.0 / bb, 1.0 / qq, 1.0 / det
     # The offset at zero.
-    soc_b = soc - sb * b / bb
-    ss_b = ss - sb * sb / bb
-    q_b = q - bq * b / bb
-    qq_b = det / bb
+    kb = sb * ib
+    soc_b = soc - kb * b
+    ss_b = ss - kb * sb
+    q_b = q - bq * ib * b
+    qq_b = det * ib
     # The model's capacity.
-    soc_q = soc - sq * q / qq
-    ss_q = ss - sq * sq / qq
-    b_q = b - bq * q / qq
-    bb_q = det / qq
+    kq = sq * iq
+    soc_q = soc - kq * q
+    ss_q = ss - kq * sq
+    b_q = b - bq * iq * q
+    bb_q = det * iq
     # Both.
-    kb = (sb * qq - sq * bq) / det
-    kq = (sq * bb - sb * bq) / det
+    kb = (sb * qq - sq * bq) * i0
+    kq = (sq * bb - sb * bq) * i0
     soc_0 = soc - (kb * b + kq * q)
     ss_0 = ss - (kb * sb + kq * sq)
-    wb = evidence(b, bb, prior_b, odds)
-    wq = evidence(q, qq, prior_q, odds)
-    w0 = wb * evidence(q_b, qq_b, prior_q, odds)
+    wb = evidence(b, ib, prior_b, odds)
+    wq = evidence(q, iq, prior_q, odds)
+    w0 = wb * evidence(q_b, bb * i0, prior_q, odds)
     w1 = 1.0 / ((1.0 + wb) + (wq + w0))
     wb *= w1
     wq *= w1
