@@ -1,0 +1,41 @@
+"""Forecasts of a measured cell's discharges, from half way, against when they did end."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cellwise.estimate.flight import forecast
+from cellwise.estimate.replay import replay
+from cellwise.identify import IdentifySettings, TestLogs, identify_cell
+from cellwise.logs import read_log
+
+CUTOFF_V = 3.0
+
+
+@pytest.fixture(scope="module")
+def leaf(real_data):
+    """A model from the pulse test and the 1C rounds; the 2C and 3C rounds it has not seen."""
+    folder = real_data / "nissan_leaf"
+    tests = TestLogs(
+        hppc=((read_log(folder / "hppc_p25.csv.gz"), None),),
+        capacity=(read_log(folder / "cap_1c_p23.csv.gz"),),
+    )
+    return identify_cell(tests, IdentifySettings()).model
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "within"), [("cap_2c_p23", 0.03), ("cap_3c_p23", 0.08)])
+@pytest.mark.parametrize("share", [0.3, 0.6])
+def test_a_measured_discharge_ends_when_it_was_foretold(name, within, share, leaf, real_data):
+    log = read_log(real_data / "nissan_leaf" / f"{name}.csv.gz")
+    current = log.known_current_A()
+    loaded = current > 0.9 * current.max()
+    begins = np.flatnonzero(loaded & ~np.concatenate(([False], loaded[:-1])))[1]
+    ends = begins + int(np.argmin(loaded[begins:]))
+    at_s = log.time_s[begins] + share * (log.time_s[ends - 1] - log.time_s[begins])
+    seen = log.part(max(0, begins - 60), int(np.searchsorted(log.time_s, at_s)))
+    left = forecast(leaf, replay(leaf, seen), cutoff_V=CUTOFF_V, hold="current").last
+    truly_s = float(log.time_s[ends - 1] - left.time_s)
+    assert left.by == "voltage"
+    assert left.remaining_s == pytest.approx(truly_s, rel=within)
