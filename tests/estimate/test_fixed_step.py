@@ -1,0 +1,185 @@
+"""The fixed step: what it conserves, what bad input does, how near it is to the float64 EKF."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cellwise.cell.simulate import simulate
+from cellwise.data import load_dataset
+from cellwise.errors import InputError
+from cellwise.estimate.ekf import Ekf
+from cellwise.estimate.fixed_step import FixedStep, numba_stepper, samples_of, start_state
+from cellwise.estimate.fixed_step_layout import INPUT, OUTPUT
+from cellwise.estimate.fixed_step_rows import compiled_rows
+from cellwise.estimate.fixed_step_tables import fixed_step_tables
+from cellwise.estimate.status import Status
+from cellwise.logs.cell_log import CellLog
+from cellwise.logs.resample import resample
+from example_cells import curved_cell
+from firmware_cases import stress_samples, tables_of
+
+STEPPER = numba_stepper(tables_of("lean"))
+
+
+def steady(rows, current_A=1.0, voltage_V=np.nan, start=0):
+    samples = np.zeros(rows, dtype=INPUT)
+    samples["current_A"] = current_A
+    samples["voltage_V"] = voltage_V
+    samples["temperature_C"] = 25.0
+    samples["sequence"] = start + np.arange(rows)
+    return samples
+
+
+def begun(soc=0.9, std=0.05):
+    """A state that has seen its first sample, at rest."""
+    state = start_state(STEPPER, soc, std)
+    STEPPER.rows(state, steady(1, current_A=0.0))
+    return state
+
+
+def test_no_charge_is_lost_to_rounding():
+    # A step takes less than half of float32's last digit near 1: plain summation would never move.
+    rows, current = 200_000, 0.0002
+    state = begun(0.9)
+    out = STEPPER.rows(state, steady(rows, current, start=1))
+    assert 0.9 - out["soc"][-1] == pytest.approx(rows * current / (3600.0 * 3.0), rel=1e-3)
+
+
+def test_a_duplicate_moves_nothing_and_says_so():
+    state = begun()
+    STEPPER.rows(state, steady(5, 1.0, 4.0, start=1))
+    before = state.copy()
+    out = STEPPER.rows(state, steady(1, 50.0, 3.0, start=5))
+    assert out["status"][0] == Status.DUPLICATE
+    assert state.tobytes() == before.tobytes()
+
+
+@pytest.mark.parametrize("missing", [1, 3])
+def test_a_short_gap_is_bridged_and_told(missing):
+    whole, gappy = begun(), begun()
+    STEPPER.rows(whole, steady(21 + missing, 2.0, start=1))
+    STEPPER.rows(gappy, steady(10, 2.0, start=1))
+    out = STEPPER.rows(gappy, steady(11, 2.0, start=11 + missing))
+    assert out["status"][0] & Status.SEQUENCE_GAP
+    assert gappy["soc"][0] == pytest.approx(whole["soc"][0], abs=1e-7)
+    assert gappy["v2_V"][0] == pytest.approx(whole["v2_V"][0], rel=0.02)
+    assert gappy["ss"][0] > whole["ss"][0]
+
+
+def test_a_long_gap_moves_nothing_and_widens_the_variance():
+    state = begun()
+    STEPPER.rows(state, steady(10, 2.0, start=1))
+    soc, variance = float(state["soc"][0]), float(state["ss"][0])
+    out = STEPPER.rows(state, steady(1, 0.0, start=100_000))
+    assert out["status"][0] & Status.SEQUENCE_GAP
+    assert out["soc"][0] == pytest.approx(soc, abs=1e-7)
+    assert out["soc_variance"][0] >= variance + 0.05**2 * 0.99
+
+
+def test_an_invalid_current_holds_the_last_and_is_told_and_widens():
+    held, told = begun(), begun()
+    STEPPER.rows(held, steady(20, 1.5, start=1))
+    STEPPER.rows(told, steady(10, 1.5, start=1))
+    out = STEPPER.rows(told, steady(10, np.nan, start=11))
+    assert np.all(out["status"] & Status.CURRENT_INVALID)
+    assert told["soc"][0] == held["soc"][0]
+    assert told["ss"][0] > held["ss"][0]
+
+
+@pytest.mark.parametrize("voltage", [np.nan, np.inf, -1.0, 900.0])
+def test_an_invalid_voltage_gives_a_prediction(voltage):
+    state = begun()
+    out = STEPPER.rows(state, steady(3, 1.0, voltage, start=1))
+    assert np.all(out["status"] & Status.VOLTAGE_INVALID)
+    assert np.all(out["innovation_V"] == 0.0)
+    assert np.all((out["status"] & Status.OUT_OF_RANGE != 0) == np.isfinite(voltage))
+
+
+def test_any_bits_in_input_and_state_give_finite_outputs_and_recover():
+    rng = np.random.default_rng(3)
+    samples = stress_samples(20_000)
+    state = begun()
+    for k in range(0, samples.size, 20):
+        if k % 400 == 0:
+            state.view(np.uint8)[:] = rng.integers(0, 256, state.nbytes)
+        out = STEPPER.rows(state, samples[k : k + 20])
+        assert all(np.all(np.isfinite(out[name])) for name in OUTPUT.names)
+        assert np.all((out["soc"] >= 0) & (out["soc"] <= 1) & (out["soc_variance"] > 0))
+    model = curved_cell()
+    voltage = np.interp(0.6, model.soc, model.ocv_V[0])
+    out = STEPPER.rows(state, steady(3000, 0.0, voltage, start=int(samples["sequence"][-1]) + 1))
+    assert out["soc"][-1] == pytest.approx(0.6, abs=0.02)
+
+
+def test_an_unsound_state_starts_anew_and_says_so():
+    state = begun()
+    state["p12"] = np.nan
+    out = STEPPER.rows(state, steady(1, 1.0, 3.7, start=1))
+    assert out["status"][0] & Status.STATE_RESET
+
+
+def test_the_covariance_stays_positive():
+    state = begun()
+    for part in np.array_split(stress_samples(20_000, seed=1), 500):
+        STEPPER.rows(state, part)
+        x = {name: float(state[name][0]) for name in state.dtype.names}
+        rows = (("ss", "s1", "s2"), ("s1", "p11", "p12"), ("s2", "p12", "p22"))
+        p = np.array([[x[name] for name in row] for row in rows])
+        scale = np.sqrt(np.maximum(np.diag(p), 1e-30))
+        assert np.linalg.eigvalsh(p / np.outer(scale, scale)).min() > -1e-5
+
+
+@pytest.mark.parametrize("dt_s", [0.1, 1.0])
+def test_as_good_as_the_float64_ekf(dt_s):
+    model = curved_cell(201, capacity_Ah=5.1)
+    drive = load_dataset("nmc_drive_b")
+    noise = 0.003 * np.random.default_rng(0).normal(size=len(drive))
+    drive = replace(drive, voltage_V=simulate(model, drive, 0.95).voltage_V + noise)
+    log = resample(drive, dt_s)
+    reference, ours = Ekf(model), FixedStep(model, dt_s=dt_s)
+    error = ours.run(log, 0.95, 0.01).soc - reference.run(log, 0.95, 0.01).soc
+    assert np.sqrt(np.mean(error**2)) < 5e-4
+    # From a start that is far off each lands on its own side of a bend; ten minutes later not.
+    error = ours.run(log, 0.7, 0.15).soc - reference.run(log, 0.7, 0.15).soc
+    assert np.sqrt(np.mean(error[int(600 / dt_s) :] ** 2)) < 5e-4
+
+
+def test_compiled_code_is_single_precision_without_liberties():
+    STEPPER.rows(begun(), steady(2))
+    text = "".join(compiled_rows(STEPPER.tables.options).inspect_llvm().values())
+    if "define" not in text:
+        pytest.skip("taken from numba's cache: nothing to read")
+    assert "fpext" not in text
+    assert not any(flag in text for flag in (" fast ", " contract ", " reassoc "))
+
+
+def test_uneven_logs_keep_their_charge_and_their_gaps():
+    rng = np.random.default_rng(2)
+    time = np.cumsum(rng.uniform(0.5, 1.5, 400))
+    time[200:] += 500.0
+    log = CellLog(time - time[0], rng.normal(1.0, 2.0, 400), np.full(400, 3.8))
+    found = samples_of(curved_cell(), log, 1.0)
+    step = np.diff(found.records["sequence"].astype(np.int64))
+    assert step.max() == pytest.approx(501, abs=3)
+    assert np.sum(step != 1) == 1
+    flowed = np.sum(log.current_A[1:200] * np.diff(log.time_s[:200]))
+    cut = int(np.argmax(step))
+    assert np.sum(found.records["current_A"][1 : cut + 1]) == pytest.approx(flowed, abs=8.0)
+
+
+@pytest.mark.parametrize("change", [{"dt_s": 0.0}, {"dt_s": np.nan}, {"dt_s": 1e-6}, {"points": 2}])
+def test_what_a_target_cannot_hold_is_refused(change):
+    with pytest.raises(InputError):
+        fixed_step_tables(curved_cell(), **{"dt_s": 1.0, **change})
+
+
+def test_step_is_run():
+    filter_ = FixedStep(curved_cell(), dt_s=1.0, wide=False)
+    state = filter_.init(0.8, 0.1)
+    infos = [filter_.step(state, 1.0, 3.9, sequence=k) for k in range(50)]
+    log = CellLog(np.arange(50.0), np.ones(50), np.full(50, 3.9))
+    trace = filter_.run(log, 0.8, 0.1)
+    assert [i.soc for i in infos] == trace.soc.tolist()

@@ -1,0 +1,72 @@
+"""Proof by Frama-C Eva, and that it is one: seeded bugs are found."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+
+import pytest
+
+from cellwise.estimate.fixed_step_c import firmware_folder, write_sources
+from cellwise.estimate.fixed_step_tables import fixed_step_tables
+from example_cells import curved_cell
+
+pytestmark = [
+    pytest.mark.skipif(shutil.which("frama-c") is None, reason="no frama-c: make firmware"),
+    pytest.mark.slow,
+]
+
+# Name, what is replaced, by what: bugs that a review may overlook.
+MUTANTS = {
+    "index clamp removed": (
+        "(x < (float)(CELLWISE_POINTS - 2u)) ? (uint32_t)x : (CELLWISE_POINTS - 2u)",
+        "(uint32_t)x",
+    ),
+    "NaN through the range test": (
+        "if (!WITHIN(voltage, c->voltage_low_V, c->voltage_high_V)) {",
+        "if ((voltage < c->voltage_low_V) || (voltage > c->voltage_high_V)) {",
+    ),
+    "floor of the innovation variance removed": (
+        "return (variance > 0.0f) ? variance : 0.0f;",
+        "return variance;",
+    ),
+    "upper clamp of SOC removed": (
+        "x->soc = clip(x->soc, 0.0f, 1.0f);",
+        "x->soc = (x->soc < 0.0f) ? 0.0f : x->soc;",
+    ),
+}
+
+
+def eva(folder, entry, mutant=None):
+    """Alarms and assertions that Eva could not prove."""
+    tables = fixed_step_tables(curved_cell(5), 1.0, wide=False)
+    for name, text in write_sources(tables, "0" * 64):
+        if mutant and name == "cellwise_ekf.c":
+            assert text.count(mutant[0]) == 1
+            text = text.replace(*mutant)
+        (folder / name).write_text(text)
+    analysis = firmware_folder() / "analysis"
+    command = ["frama-c", "-eva", "-eva-precision", "6", "-warn-special-float", "none"]
+    command += ["-machdep", "gcc_x86_32", "-main", entry]
+    command += [f"-cpp-extra-args=-msse2 -mfpmath=sse -I{folder} -include "
+                f"{analysis / 'eva_within.h'}"]  # fmt: skip
+    files = [folder / "cellwise_ekf.c", folder / "cell_table.c", analysis / "eva_any_bits.c"]
+    done = subprocess.run(
+        [*command, *map(str, files)], capture_output=True, text=True, timeout=900, check=False
+    )
+    assert "ANALYSIS SUMMARY" in done.stdout, done.stdout[-2000:]
+    return re.findall(r"\[eva:alarm\][^\n]*\n[^\n]*", done.stdout), done.stdout
+
+
+@pytest.mark.parametrize("entry", ["eva_any_bits", "eva_any_start"])
+def test_no_alarm_whatever_bits(tmp_path, entry):
+    alarms, text = eva(tmp_path, entry)
+    assert alarms == []
+    assert "100% of the logical properties reached have been proven" in text
+
+
+@pytest.mark.parametrize("name", MUTANTS)
+def test_seeded_bugs_are_found(tmp_path, name):
+    alarms, _ = eva(tmp_path, "eva_any_bits", MUTANTS[name])
+    assert alarms

@@ -1,0 +1,68 @@
+"""The C on emulated processors: the bytes that numba gives, within the room there is."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import pytest
+
+from cellwise.data import load_dataset
+from cellwise.estimate.fixed_step import numba_stepper, samples_of
+from cellwise.estimate.fixed_step_layout import state_type
+from cellwise.export.cross import CORES, has_tools, run_on_target
+from example_cells import curved_cell
+from firmware_cases import stress_samples, tables_of
+
+pytestmark = pytest.mark.skipif(not has_tools(), reason="no cross tools: make firmware")
+# CELLWISE_FIRMWARE_STEPS=1000000 for the long comparison.
+ROWS = int(os.environ.get("CELLWISE_FIRMWARE_STEPS", "20000"))
+
+
+def drive_samples(rows=ROWS):
+    records = samples_of(curved_cell(), load_dataset("nmc_drive_b"), 1.0).records
+    records = np.tile(records, -(-rows // records.size))[:rows].copy()
+    records["sequence"] = np.arange(rows)
+    return records
+
+
+def expected(tables, samples):
+    stepper = numba_stepper(tables)
+    state = np.zeros(1, dtype=state_type(tables.options))
+    stepper.begin(state, 0.9, 0.01)
+    return stepper.rows(state, samples), state
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("core", CORES)
+@pytest.mark.parametrize("case", ["lean", "full"])
+def test_the_same_bytes_on_a_drive_and_under_stress(core, case):
+    tables = tables_of(case)
+    for samples in (drive_samples(), stress_samples(10_000)):
+        outputs, state = expected(tables, samples)
+        run = run_on_target(tables, core, samples, 0.9, 0.01)
+        assert run.outputs.tobytes() == outputs.tobytes()
+        assert run.state.tobytes() == state.tobytes()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("core", "instructions", "stack"), [("cortex-m4f", 520, 96), ("cortex-m0plus", 16_500, 192)]
+)
+def test_three_states_stay_within_the_room_there_is(core, instructions, stack):
+    run = run_on_target(tables_of("lean"), core, drive_samples(5000), 0.9, 1e-4, measure_every=10)
+    assert run.cost.measured == 500
+    assert 100 < run.cost.instructions_mean <= run.cost.instructions_most <= instructions
+    assert 0 < run.cost.stack_bytes <= stack
+    assert run.cost.state_bytes <= 64
+    assert run.cost.ram_bytes == 0
+
+
+@pytest.mark.slow
+def test_the_count_repeats():
+    samples = drive_samples(500)
+    first, second = (
+        run_on_target(tables_of("lean"), "cortex-m4f", samples, 0.9, 1e-4, measure_every=10).cost
+        for _ in range(2)
+    )
+    assert first == second or first.instructions_mean == second.instructions_mean

@@ -1,0 +1,80 @@
+"""Models, samples and C programs for the tests of the fixed step and its C twin."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+import numpy as np
+
+from cellwise.cell.effects import (
+    ChargeAsymmetry,
+    RateDependence,
+    SelfDischarge,
+    SelfHeating,
+    SlowDiffusion,
+)
+from cellwise.estimate.fixed_step_c import STRICT_FLAGS, WARNING_FLAGS, write_sources
+from cellwise.estimate.fixed_step_layout import INPUT
+from cellwise.estimate.fixed_step_tables import fixed_step_tables
+from example_cells import curved_cell, random_model
+
+
+def full_model():
+    """Every effect, three temperatures."""
+    model = random_model(np.random.default_rng(5))
+    for effect in (
+        RateDependence(0.1),
+        ChargeAsymmetry(0.8),
+        SelfHeating(3.0, 300.0),
+        SelfDischarge(0.01),
+    ):
+        model = model.with_effect(effect)
+    return model
+
+
+def tables_of(name, dt_s=1.0):
+    """Tables by the name of a case."""
+    if name == "lean":
+        return fixed_step_tables(curved_cell(), dt_s, wide=False)
+    if name == "plain":
+        return fixed_step_tables(curved_cell(), dt_s)
+    if name == "slow":
+        return fixed_step_tables(
+            curved_cell(effects=(SlowDiffusion(r3_ohm=0.015, tau3_s=1500.0),)), dt_s
+        )
+    if name == "offset":
+        return fixed_step_tables(curved_cell(), dt_s, offset_std_A=0.1)
+    return fixed_step_tables(full_model(), dt_s, offset_std_A=0.1)
+
+
+def stress_samples(rows, seed=0, scale_A=3.0):
+    """Random samples with every fault: any bits, repeated and missing sequence numbers."""
+    rng = np.random.default_rng(seed)
+    samples = np.zeros(rows, dtype=INPUT)
+    samples["current_A"] = rng.normal(0.2, 1.0, rows) * scale_A
+    samples["voltage_V"] = 3.7 + rng.normal(0.0, 0.1, rows)
+    samples["temperature_C"] = rng.uniform(-25.0, 50.0, rows)
+    jumps = rng.choice([1] * 50 + [0, 2, 3, 50, 10**5, 10**9, 2**32 - 3], rows)
+    samples["sequence"] = np.cumsum(jumps.astype(np.uint64)).astype(np.uint32)
+    for field in ("current_A", "voltage_V", "temperature_C"):
+        at = rng.integers(0, rows, rows // 30)
+        bits = rng.integers(0, 2**32, at.size, dtype=np.uint64).astype(np.uint32)
+        samples[field].view(np.uint32)[at] = bits
+    return samples
+
+
+def compile_and_run(tables, folder: Path, program: str, *, flags=("-O2",), cc="gcc", run=()):
+    """Compile a program with the exported sources under every warning, run it: its output."""
+    for name, text in write_sources(tables, "0" * 64):
+        (folder / name).write_text(text)
+    (folder / "program.c").write_text(program)
+    sources = [str(folder / f"{n}.c") for n in ("cellwise_ekf", "cell_table", "program")]
+    command = [cc, *flags, *STRICT_FLAGS, *WARNING_FLAGS, *sources, "-o", str(folder / "program")]
+    built = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert built.returncode == 0, built.stderr[:2000]
+    done = subprocess.run(
+        [str(folder / "program"), *run], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, (done.stdout + done.stderr)[-2000:]
+    return done.stdout
