@@ -43,7 +43,7 @@ CAPTION = (
     "mean square of the rows in a group; dots: their mean, which tells the sign (positive: the "
     "model is too low). Numbers: the group's share of the whole squared error."
 )
-PANEL = 0.29
+PANEL = 0.25
 
 
 def anatomy_section(anatomy: Mapping[str, Any], name: str) -> Section:
@@ -75,8 +75,13 @@ def panels(
     scale, unit = time_unit(longest or 1.0)
     return [
         ("SOC", anatomy["by_soc"], _soc, "SOC [%]"),
-        ("current", anatomy["by_current_C"], _rate, "current [C], negative: charge"),
-        ("time since an edge", anatomy["by_edge_s"], _seconds, "time since the current stepped"),
+        ("current", anatomy["by_current_C"], _rate, "current [C]; c: charge"),
+        (
+            "time since an edge",
+            anatomy["by_edge_s"],
+            _seconds,
+            "time since the current stepped [s]",
+        ),
         (
             "elapsed time",
             anatomy["by_time_s"],
@@ -84,7 +89,7 @@ def panels(
             f"elapsed time up to [{unit}]",
         ),
         ("temperature", warm, _plain, "temperature [°C]") if len(warm) > 1 else by_charge,
-        ("period", anatomy.get("by_period_s", []), _seconds, "period of the error's movement"),
+        ("period", _by_period(anatomy), _period, "period of the error's movement [s]"),
     ]
 
 
@@ -119,7 +124,7 @@ def _bars(
                 va="bottom", fontsize=7, color=MUTED,
             )  # fmt: skip
     axes.set_xticks(place, [name(g) for g in groups], fontsize=7)
-    if len(groups) > 6:
+    if len(groups) > 5:
         axes.tick_params(axis="x", rotation=60)
     labels(axes, label, "error [mV]")
     axes.margins(y=0.14)
@@ -140,8 +145,9 @@ def _title(what: str, groups: Sequence[Group], name: Callable[[Group], str], wor
     said = {
         "elapsed time": f"part {worst + 1} of {len(groups)} of the time",
         "charge moved": f"part {worst + 1} of {len(groups)} of the charge",
-        "time since an edge": f"{where} after an edge",
-        "period": f"periods of {where}",
+        "current": "rest" if where == "restC" else where.replace("c ", "charge at "),
+        "time since an edge": f"{where} s after an edge",
+        "period": "a constant" if worst == 0 else f"periods of {where} s",
     }.get(what, where)
     return f"{percent(top['share'], 0)} of the error: {said}{part}"
 
@@ -167,7 +173,7 @@ def anatomy_words(anatomy: Mapping[str, Any]) -> Markup:
         for key, unit in (("V_per_h", "hour"), ("V_per_Ah", "ampere-hour"))
         if drift[key] is not None and abs(drift[key]) > 2.0 * (drift[f"{key}_std"] or 0.0)
     ]
-    said.append(f"It drifts by {listed(sure)}." if sure else "It does not drift for sure.")
+    said.append(f"It drifts by {listed(sure)}." if sure else "No drift is certain.")
     return paragraph(" ".join(said))
 
 
@@ -206,12 +212,27 @@ def _rate(g: Group) -> str:
     if low is not None and high is not None and low < 0.0 < high:
         return "rest"
     if low is None:
-        return f"<{high:g}".replace("-", "−")
-    return f">{low:g}" if high is None else f"{low:g}–{high:g}".replace("-", "−")
+        return f"c >{-high:g}"
+    if high is None:
+        return f">{low:g}"
+    return f"{low:g}–{high:g}" if low > 0.0 else f"c {-high:g}–{-low:g}"
+
+
+def _by_period(anatomy: Mapping[str, Any]) -> list[Group]:
+    """The constant part, then from fast to slow."""
+    constant = anatomy.get("constant")
+    if not constant:
+        return []
+    first = {"from": 0.0, "to": 0.0, "rms_V": abs(constant["mean_V"]), "share": constant["share"]}
+    return [first, *anatomy["by_period_s"]]
+
+
+def _period(g: Group) -> str:
+    return "constant" if g["to"] == 0.0 else _seconds(g)
 
 
 def _seconds(g: Group) -> str:
     low, high = g["from"], g["to"]
     if not low:
-        return f"<{duration(high)}"
-    return f">{duration(low)}" if high is None else f"{duration(low)}–{duration(high)}"
+        return f"<{high:g}"
+    return f">{low:g}" if high is None else f"{low:g}–{high:g}"

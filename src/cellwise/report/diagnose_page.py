@@ -116,7 +116,7 @@ def diagnosis_tiles(diagnosis: Diagnosis) -> Markup:
         facts += [
             ("held-out RMSE before", millivolt(first.holdout_rmse_before_V)),
             ("after", millivolt(last.holdout_rmse_after_V)),
-            ("gain of the first cause, 95 %", _interval(first.gain_ci95)),
+            ("first cause's gain, 95 %", _interval(first.gain_ci95)),
         ]
     else:
         facts.append(("RMSE of the first log", millivolt(diagnosis.anatomy.get("rmse_V"))))
@@ -170,7 +170,7 @@ def cause_content(cause: FoundCause, diagnosis: Diagnosis) -> Markup:
     said = [
         KINDS[cause.kind],
         f"In the model: {known.term}.",
-        f"It leaves this: {known.signature[:1].lower()}{known.signature[1:]}",
+        f"What it leaves in the residual: {known.signature}",
         *cause.evidence,
     ]
     if confused:
@@ -193,7 +193,8 @@ def runs_table(runs: Sequence[BeforeAfter], mended: bool) -> Markup:
     head = ("log", "used", "rows", "RMSE before" if mended else "RMSE")
     extra = ("after", "less by") if mended else ()
     caption = (
-        "All rows of every log. A start that was found, not given, is found again by each model."
+        "All rows of every log; the judge leaves out the first part of a held-out log, which tells "
+        "where it starts. A start that was found, not given, is found again by each model."
     )
     return table((*head, *extra), rows, caption=caption, words=(0, 1))
 

@@ -57,6 +57,9 @@ CANDIDATES_CAPTION = (
 )
 
 
+SURE_NATS = 10.0
+
+
 @styled
 def draw_before_after(run: BeforeAfter, mended: bool) -> Figure:
     """Voltage and residual of a log before and after, the worst minutes, error by SOC."""
@@ -163,19 +166,34 @@ def draw_candidates(diagnosis: Diagnosis) -> Figure:
     left.margins(x=0.1)
     if diagnosis.causes:
         before = 1e3 * diagnosis.causes[0].holdout_rmse_before_V
-        left.axvline(before, color=MODEL, linewidth=1.2, label="with none")
-        legend(left, place="lower right")
+        left.axvline(before, color=MODEL, linewidth=1.2)
+        left.annotate(
+            f"none: {significant(before)} ", (before, len(tried) - 0.35), ha="right", va="center",
+            fontsize=7.5, color=MODEL,
+        )  # fmt: skip
+    left.set_ylim(-0.6, len(tried) + 0.05)
     labels(left, "held-out RMSE with this cause alone [mV]")
-    finding(left, candidates_finding(diagnosis), 0.42)
+    finding(left, candidates_finding(diagnosis), 0.36)
     right.barh(place, [_number(c.score, 0.0) for c in tried], 0.7, color=colours)
     right.set_xscale("symlog", linthresh=10.0)
+    ticks = _score_ticks([_number(c.score, 0.0) for c in tried])
+    right.set_xticks(ticks, [significant(float(x)) for x in ticks])
     right.axvline(0.0, color=MUTED, linewidth=0.7)
     labels(right, "ln of how much likelier the data are with it")
     right.tick_params(labelleft=False)
-    finding(right, _evidence_title(list(reversed(tried))), 0.32)
+    finding(right, _evidence_title(list(reversed(tried))), 0.3)
     for axes in (left, right):
         axes.grid(axis="y", visible=False)
     return figure
+
+
+def _score_ticks(scores: list[float]) -> list[float]:
+    """Zero, and powers of ten as far as the scores go."""
+    most = max((abs(s) for s in scores), default=10.0)
+    sizes = [10.0**k for k in range(1, max(int(np.log10(max(most, 10.0))), 1) + 1)]
+    every = sizes if len(sizes) < 4 else sizes[::2]
+    low = [-x for x in reversed(every)] if min(scores, default=0.0) < 0.0 else []
+    return [*low, 0.0, *every]
 
 
 def candidates_finding(diagnosis: Diagnosis) -> str:
@@ -193,8 +211,10 @@ def _evidence_title(order: list[TriedCause]) -> str:
     if len(order) < 2:
         return "Evidence"
     ahead = _number(order[0].score, 0.0) - _number(order[1].score, 0.0)
-    factor = f"e^{ahead:.0f}" if ahead > 10 else f"{significant(float(np.exp(ahead)), 2)}"
-    return f"{_named(order[0])} is {factor} times likelier than {cause_name(order[1].name)}"
+    lead, next_one = _named(order[0]), cause_name(order[1].name)
+    if ahead > SURE_NATS:
+        return f"{lead} is beyond doubt likelier than {next_one}, by {ahead:.0f}"
+    return f"{lead} is {significant(float(np.exp(ahead)), 2)} times likelier than {next_one}"
 
 
 def _named(tried: TriedCause) -> str:
