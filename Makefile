@@ -9,7 +9,7 @@ STAMP := $(VENV)/.installed
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: setup demo test check papers benchmark clean
+.PHONY: setup demo test check papers benchmark firmware clean
 
 setup: $(STAMP)
 
@@ -37,6 +37,14 @@ benchmark: $(STAMP)
 	$(BIN)/pip install --quiet --editable '.[benchmark]'
 	$(BIN)/python benchmarks/speed.py
 	$(BIN)/python benchmarks/accuracy.py
+
+# Cross compiler, emulator and proof from Debian; then everything that needs them.
+FIRMWARE_PACKAGES := gcc gcc-arm-none-eabi libnewlib-arm-none-eabi libc6-dev qemu-system-arm frama-c-base cppcheck \
+	clang libclang-rt-14-dev
+firmware: $(STAMP)
+	command -v arm-none-eabi-gcc qemu-system-arm frama-c cppcheck clang >/dev/null || \
+	  { apt-get update -qq && apt-get install -y -qq --no-install-recommends $(FIRMWARE_PACKAGES); }
+	$(BIN)/pytest -n 2 tests/firmware tests/export tests/estimate/test_fixed_step_twin.py
 
 clean:
 	rm -rf $(VENV) demo
