@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -98,3 +101,14 @@ def test_a_matlab_file_without_columns(tmp_path):
     savemat(path, {"answer": 42})
     with pytest.raises(InputError, match="no columns of numbers"):
         read_log(path)
+
+
+def test_reading_a_neware_file_changes_nothing_for_others(tmp_path):
+    """fastnda puts its own functions into zlib when it is first used."""
+    script = (
+        "import sys, zlib; before = zlib.decompress, zlib.decompressobj\n"
+        "from cellwise.logs import read_log; read_log(sys.argv[1])\n"
+        "assert (zlib.decompress, zlib.decompressobj) == before"
+    )
+    path = write_ndax(tmp_path / "log.ndax", TRUTH)
+    subprocess.run([sys.executable, "-c", script, str(path)], check=True)

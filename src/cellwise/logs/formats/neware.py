@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import tempfile
 import warnings
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -96,16 +99,27 @@ def _is_stored(source: LogSource) -> bool:
     return source.head[30 : 30 + length].endswith(_IN_ZIP)
 
 
+@contextmanager
+def _own_zlib() -> Iterator[None]:
+    """Put back what fastnda replaces in zlib for everybody, with other errors of its own."""
+    kept = zlib.decompress, zlib.decompressobj
+    try:
+        yield
+    finally:
+        zlib.decompress, zlib.decompressobj = kept
+
+
 def _read_stored(source: LogSource, known: Format) -> RawLog:
-    fastnda = need("fastnda", "a Neware file")
     suffix = ".nda" if source.head.startswith(_MAGIC) else ".ndax"
     kind = f"Neware {suffix} file"
     with (
+        _own_zlib(),
         tempfile.TemporaryDirectory() as folder,
         warnings.catch_warnings(record=True) as told,
         library_at_work(source, kind),
     ):
         warnings.simplefilter("always")
+        fastnda = need("fastnda", "a Neware file")
         path = source.path
         if path.suffix.casefold() != suffix:  # the library tells them by their suffix
             path = Path(folder) / f"log{suffix}"
