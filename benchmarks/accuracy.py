@@ -1,6 +1,6 @@
 """Accuracy on measured cells, on logs that no identification has seen, beside the targets.
 
-python -m benchmarks.accuracy [--only panasonic,leaf,a123,embedded] [--json]
+python -m benchmarks.accuracy [--only panasonic,cold,leaf,a123,embedded] [--json]
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from benchmarks.machine import describe_machine, machine_lines
 from benchmarks.measured_data import HOW, data_folder
 from benchmarks.speed import progress
 
-PARTS = ("panasonic", "leaf", "a123", "embedded")
+PARTS = ("panasonic", "cold", "leaf", "a123", "embedded")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -57,11 +57,17 @@ def main(arguments: list[str] | None = None) -> int:
 def measure(parts: list[str], say: Progress) -> list[Figure]:
     """Figures of the cells, in order; a row that says so where the data are not there."""
     from benchmarks.accuracy_a123 import a123_figures
+    from benchmarks.accuracy_cold import cold_figures
     from benchmarks.accuracy_embedded import embedded_figures
     from benchmarks.accuracy_leaf import leaf_figures
     from benchmarks.accuracy_panasonic import panasonic_figures
 
-    measured = {"panasonic": panasonic_figures, "leaf": leaf_figures, "a123": a123_figures}
+    measured = {
+        "panasonic": panasonic_figures,
+        "cold": cold_figures,
+        "leaf": leaf_figures,
+        "a123": a123_figures,
+    }
     data = data_folder()
     figures: list[Figure] = []
     for part in parts:
