@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from cellwise.cell.model_file import read_model, write_model
     from cellwise.cell.simulate import Simulation, simulate
     from cellwise.data import list_datasets, load_dataset
+    from cellwise.diagnose import Diagnosis, diagnose
     from cellwise.errors import InputError
     from cellwise.estimate.coulomb import Coulomb
     from cellwise.estimate.ekf import Ekf
@@ -38,6 +39,8 @@ _HOMES = {
     "IdentifySettings": "cellwise.identify",
     "TestLogs": "cellwise.identify",
     "identify_cell": "cellwise.identify",
+    "Diagnosis": "cellwise.diagnose",
+    "diagnose": "cellwise.diagnose",
     "Coulomb": "cellwise.estimate.coulomb",
     "Ekf": "cellwise.estimate.ekf",
     "Noise": "cellwise.estimate.noise",
@@ -55,6 +58,7 @@ __all__ = [
     "CellLog",
     "CellModel",
     "Coulomb",
+    "Diagnosis",
     "Ekf",
     "ErrorMetrics",
     "Identification",
@@ -68,6 +72,7 @@ __all__ = [
     "Status",
     "TestLogs",
     "Ukf",
+    "diagnose",
     "identify_cell",
     "inspect_log",
     "list_datasets",

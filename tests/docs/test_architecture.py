@@ -11,7 +11,7 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGE = REPOSITORY / "src" / "cellwise"
 
 BASE = {"errors", "typing", "files"}
-TOOLS = {"logs", "cell", "identify", "estimate", "data"}
+TOOLS = {"logs", "cell", "identify", "estimate", "diagnose", "data"}
 MAY_IMPORT = {
     "errors": set(),
     "typing": set(),
@@ -20,6 +20,7 @@ MAY_IMPORT = {
     "cell": BASE | {"logs"},
     "identify": BASE | {"logs", "cell"},
     "estimate": BASE | {"logs", "cell"},
+    "diagnose": BASE | {"logs", "cell", "identify", "estimate"},
     "data": BASE | {"logs"},
     "export": BASE | TOOLS,
     "report": BASE | TOOLS,
@@ -74,8 +75,8 @@ def test_numba_stays_in_the_kernels():
     for path in MODULES:
         if any(dotted.split(".")[0] == "numba" for dotted in imported(path)):
             own = part_of(path)
-            assert own in ("cell", "estimate", "identify"), name(path)
-            assert own != "identify" or path.stem.endswith("_kernels"), name(path)
+            assert own in ("cell", "estimate", "identify", "diagnose"), name(path)
+            assert own not in ("identify", "diagnose") or path.stem.endswith("_kernels"), name(path)
 
 
 @pytest.mark.parametrize(("library", "folder"), [("matplotlib", "report"), ("pyarrow", "logs")])
