@@ -1,6 +1,22 @@
 """Criticism: what a simulation gets wrong, why, and what the model gains when it is mended."""
 
+from __future__ import annotations
+
+import sys
+from types import ModuleType
+from typing import Any
+
 from cellwise.diagnose.diagnosis import diagnose
 from cellwise.diagnose.verdict import Diagnosis, FoundCause, TriedCause
 
 __all__ = ["Diagnosis", "FoundCause", "TriedCause", "diagnose"]
+
+
+class _CallableModule(ModuleType):
+    """`cellwise.diagnose` is this folder and, on the public face, the function of the same name."""
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Diagnosis:
+        return diagnose(*args, **kwargs)
+
+
+sys.modules[__name__].__class__ = _CallableModule
