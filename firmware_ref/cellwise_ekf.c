@@ -8,7 +8,7 @@
 #define GROW 0x1.000004p+0f            /* above rounding, so that P stays positive */
 #define BEYOND 0x1.99999ap-5f          /* 0.05: how far the OCV goes on outside 0..1 */
 #define WIDE_VARIANCE 0x1.a36e2ep-12f  /* 4e-4: beyond it the tangent is no guide */
-#define SMALL_MOVE 0x1.99999ap-5f /* 0.05 of a standard deviation: the slope is that of the spot left */
+#define SMALL_MOVE 0x1.99999ap-5f /* 0.05 of a deviation: the slope is that of the spot left */
 #define SHORTEST_CHORD 0x1.0c6f7ap-20f /* 1e-6 */
 #define SLOPE_FLOOR_V 0x1.99999ap-5f   /* 0.05 */
 #define RECOVERY_VARIANCE 0x1.70a3d8p-4f
@@ -17,7 +17,7 @@
 #define HEAT_MOST_K 200.0f
 #define LARGE 0x1.e848p+19f /* 1e6: no sound state goes beyond it, in V, A or their squares */
 #define CARRY_MOST 0x1.0624dep-10f /* 1e-3 */
-#define LEAST_FALL 0x1.99999ap-4f /* 0.1: resistances that rise with the current rise by ten at most */
+#define LEAST_FALL 0x1.99999ap-4f /* 0.1: with the current a resistance rises by ten at most */
 #define LONGEST_GAP 1000000u
 #define NOT_BEGUN 0u /* evidence before the first sample */
 #define NO_VOLTAGE_YET 1u
@@ -240,7 +240,8 @@ static void look_up(const cellwise_model *m, const cellwise_place *place, float 
         p->r3_ohm = p->r3_ohm * scale;
 #endif
 #if CELLWISE_RATE
-        scale = scale / clip(1.0f + (m->constant.rate_per_A * magnitude(current)), LEAST_FALL, LARGE);
+        scale = scale / clip(1.0f + (m->constant.rate_per_A * magnitude(current)), LEAST_FALL,
+                             LARGE);
 #endif
         p->r0_ohm = p->r0_ohm * scale;
         p->r1_ohm = p->r1_ohm * scale;
@@ -266,8 +267,8 @@ static void no_slopes(const cellwise_point *p, cellwise_slopes *w)
 }
 
 /* While SOC is known to worse than WIDE_VARIANCE slopes are chords over one standard deviation to
- * either side: a far-off start must not be corrected with the slope of where it stands. A SOC that is
- * far off brings the resistances of another SOC with it, so R0's slope joins the OCV's. */
+ * either side: a far-off start must not be corrected with the slope of where it stands. A SOC that
+ * is far off brings the resistances of another SOC with it, so R0's slope joins the OCV's. */
 #if CELLWISE_WIDE
 static APART void slopes_of(const cellwise_model *m, const cellwise_place *place, float soc,
                             float spread, float current, const cellwise_point *p,
@@ -898,8 +899,8 @@ static float rejudged(float ki, float kj, float ci, float cj, float e)
     return ((ki * kj) * e) - ((ki * cj) + (kj * ci));
 }
 
-/* The gain was that of the slope here; what it is worth is said by the slope where it leads, if that
- * is flatter: on a plateau nothing was learnt. */
+/* The gain was that of the slope here; what it is worth is said by the slope where it leads, if
+ * that is flatter: on a plateau nothing was learnt. */
 static APART void rejudge(const cellwise_model *m, const cellwise_place *place, cellwise_state *x,
                     const cellwise_point *p, const cellwise_slopes *w, const cellwise_column *d,
                     float inverse, float innovation, float seen)
@@ -976,8 +977,8 @@ static APART void rejudge(const cellwise_model *m, const cellwise_place *place, 
 
 /* A voltage that the gate keeps out. Under load the resistances may be what is wrong: what three
  * times the polarisation can explain speaks against the SOC more slowly. Rejections in a row mean
- * that the gate may have locked the truth out: a SOC error as large as what is seen is admitted, and
- * branches that hold anything, so that the next voltage passes. */
+ * that the gate may have locked the truth out: a SOC error as large as what is seen is admitted,
+ * and branches that hold anything, so that the next voltage passes. */
 static uint32_t reject(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
                        float polarisation, float excess, float innovation, float slope)
 {
@@ -1008,8 +1009,8 @@ static float shared_by(const cellwise_constants *c, const cellwise_state *x, flo
 {
     float shared = 1.0f; /* the first voltage at rest is evidence by itself */
     if (x->evidence >= FIRST_VOLTAGE) {
-        shared = clip(c->shared_start + (SHARED_GROWTH * (float)(x->evidence - FIRST_VOLTAGE)), 1.0f,
-                      c->shared);
+        const float since = (float)(x->evidence - FIRST_VOLTAGE);
+        shared = clip(c->shared_start + (SHARED_GROWTH * since), 1.0f, c->shared);
     } else if (magnitude(seen) >= (REST_RATE * c->capacity_A)) {
         shared = clip(c->shared_start, 1.0f, c->shared);
     } else {
@@ -1124,7 +1125,7 @@ uint32_t cellwise_step(const cellwise_model *model, cellwise_state *x, const cel
         start(model, x, KNOW_NOTHING_SOC, KNOW_NOTHING_VARIANCE);
         status |= CELLWISE_STATE_RESET;
     }
-    /* The first sample ends no interval; a sequence number that was taken before ends none either. */
+    /* The first sample ends no interval; a sequence number that was taken before ends none. */
     if (x->evidence != NOT_BEGUN) {
         const uint32_t elapsed = in->sequence - x->sequence;
         if (elapsed == 0u) {
@@ -1209,8 +1210,8 @@ uint32_t cellwise_step(const cellwise_model *model, cellwise_state *x, const cel
 #if CELLWISE_SLOW
         fall = fall + x->v3_V;
 #endif
-        x->heat_K = clip(x->heat_K + (c->heat_gain * ((c->heat_K_per_W * (flow * fall)) - x->heat_K)),
-                         -HEAT_MOST_K, HEAT_MOST_K);
+        fall = c->heat_gain * ((c->heat_K_per_W * (flow * fall)) - x->heat_K);
+        x->heat_K = clip(x->heat_K + fall, -HEAT_MOST_K, HEAT_MOST_K);
     }
 #endif
     status |= correct(model, &place, x, &point, &slopes, seen, in->voltage_V, news, out);

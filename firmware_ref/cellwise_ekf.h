@@ -102,7 +102,7 @@ typedef struct {
 #endif
 #if CELLWISE_TEMPERATURES > 1
     float grid_C[CELLWISE_TEMPERATURES];
-    float per_K[CELLWISE_TEMPERATURES - 1]; /* 1 / distance of neighbours */
+    float per_K[CELLWISE_TEMPERATURES - 1u]; /* 1 / distance of neighbours */
 #endif
 #if CELLWISE_ARRHENIUS > 0
     float arrhenius_low_C;

@@ -1,0 +1,87 @@
+"""Fuzzing, a long run, and the rules that the C keeps."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cellwise.cell.simulate import simulate
+from cellwise.data import load_dataset
+from cellwise.estimate.fixed_step import samples_of
+from cellwise.estimate.fixed_step_c import STRICT_FLAGS, firmware_folder, write_sources
+from cellwise.estimate.fixed_step_tables import fixed_step_tables
+from example_cells import curved_cell
+from firmware_cases import tables_of
+
+pytestmark = pytest.mark.slow
+ANALYSIS = firmware_folder() / "analysis"
+DEVIATIONS = {"2.5", "10.8", "12.1", "15.5", "20.7"}  # reasons: firmware_ref/analysis/README.md
+
+
+def write(tables, folder):
+    for name, text in write_sources(tables, "0" * 64):
+        (folder / name).write_text(text)
+
+
+def build(folder, command, program, *libraries):
+    sources = ["cellwise_ekf.c", "cell_table.c", str(ANALYSIS / program)]
+    done = subprocess.run(
+        [*command, *STRICT_FLAGS, "-I.", *sources, "-o", "program", *libraries],
+        cwd=folder, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[:2000]
+
+
+@pytest.mark.skipif(shutil.which("clang") is None, reason="no clang: make firmware")
+@pytest.mark.parametrize("case", ["lean", "full"])
+def test_fuzzing_finds_nothing(case, tmp_path):
+    write(tables_of(case), tmp_path)
+    checks = "-fsanitize=fuzzer,address,undefined,float-cast-overflow"
+    build(tmp_path, ["clang", "-O1", "-g", checks, "-fno-sanitize-recover=all"], "fuzz.c")
+    seconds = os.environ.get("CELLWISE_FUZZ_SECONDS", "10")
+    done = subprocess.run(
+        ["./program", f"-max_total_time={seconds}", "-max_len=2000", "-seed=1"],
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert int(re.findall(r"Done (\d+) runs", done.stderr)[0]) > 1000
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")
+@pytest.mark.parametrize("wide", [False, True])
+def test_a_long_run_stays_sound(wide, tmp_path):
+    model = curved_cell(capacity_Ah=5.1)
+    drive = load_dataset("nmc_drive_b")
+    drive = replace(drive, voltage_V=simulate(model, drive, 0.95).voltage_V)
+    there = samples_of(model, drive, 0.1).records
+    back = there[::-1].copy()
+    back["current_A"] *= -1.0  # so that it can be repeated
+    np.concatenate([there, back]).tofile(tmp_path / "drive.bin")
+    write(fixed_step_tables(model, 0.1, wide=wide), tmp_path)
+    build(tmp_path, ["gcc", "-O2"], "long_run.c", "-lm")
+    steps = os.environ.get("CELLWISE_LONG_STEPS", "2000000")
+    done = subprocess.run(
+        ["./program", "drive.bin", steps], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.skipif(shutil.which("cppcheck") is None, reason="no cppcheck: make firmware")
+@pytest.mark.parametrize("case", ["lean", "full"])
+def test_rules_are_kept_but_for_the_written_deviations(case, tmp_path):
+    write(tables_of(case), tmp_path)
+    done = subprocess.run(
+        ["cppcheck", "--addon=misra", "--std=c99", "-q", "cellwise_ekf.c"],
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    found = set(re.findall(r"misra-c2012-([\d.]+)", done.stderr))
+    assert found
+    assert found <= DEVIATIONS, done.stderr
+    page = (ANALYSIS / "README.md").read_text()
+    assert all(f"| {rule} " in page for rule in found)
