@@ -147,7 +147,10 @@ def test_none_and_undetermined_are_said():
     none = diagnosis(anatomy={"rmse_V": 0.0021})
     assert "Nothing is wrong" in diagnosis_finding(none)
     assert "2.1" in diagnosis_finding(none)
-    assert "do not tell" in diagnosis_finding(replace(none, verdict="undetermined"))
+    open_verdict = replace(none, verdict="undetermined")
+    assert "do not tell current offset from current gain" in diagnosis_finding(open_verdict)
+    quiet = replace(open_verdict, candidates=(), reasons=("the log is too short",))
+    assert "the log is too short" in diagnosis_finding(quiet)
 
 
 def test_it_is_one_valid_file_and_loads_nothing(written):

@@ -160,7 +160,9 @@ def _write_logs(logs: tuple[CellLog, ...], sources: list[str], folder: str) -> l
 
 def print_diagnosis(found: Diagnosis) -> None:
     """A diagnosis for people."""
-    printing.say(f"verdict: {found.verdict.replace('_', ' ')}")
+    from cellwise.report.diagnose_words import diagnosis_finding
+
+    printing.say(f"verdict: {found.verdict}\n{diagnosis_finding(found)}\n")
     if found.causes:
         head = ("cause", "mends", "value (95 %)", "held-out RMSE mV", "gain (95 %)")
         printing.table("what was found", head, [_cause_row(c) for c in found.causes])

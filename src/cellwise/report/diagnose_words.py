@@ -22,6 +22,7 @@ KINDS = {
     "cell": "A property of the cell: the model is extended.",
 }
 UNITS = {"A": 1e3, "V": 1e3}
+LEAST_SCORE = 8.0  # below it a candidate explains nothing, as for the judge
 
 
 def cause_name(name: str) -> str:
@@ -42,8 +43,16 @@ def diagnosis_finding(diagnosis: Diagnosis) -> str:
         error = diagnosis.anatomy.get("rmse_V")
         left = "" if error is None else f" What is left is {millivolt(error)} RMSE."
         return f"Nothing is wrong that these data can show.{left}"
-    why = f": {diagnosis.reasons[-1]}" if diagnosis.reasons else ""
-    return f"Something is wrong, but these data do not tell what{why}."
+    alike = [c for c in diagnosis.candidates if c.score > LEAST_SCORE]
+    if len(alike) < 2:
+        why = f": {diagnosis.reasons[0].rstrip('.')}" if diagnosis.reasons else ""
+        return f"These data do not tell what is wrong, if anything is{why}."
+    one, other = sorted(alike, key=lambda c: -c.score)[:2]
+    return (
+        f"Something is wrong, but these data do not tell {cause_name(one.name)} from "
+        f"{cause_name(other.name)}: held-out error {millivolt(one.holdout_rmse_V)} with the one, "
+        f"{millivolt(other.holdout_rmse_V)} with the other."
+    )
 
 
 def fall(before_V: float, after_V: float) -> str:
