@@ -79,7 +79,7 @@ def run_capacity_study(arguments: argparse.Namespace) -> None:
             for cell in cells
         ]
         if arguments.report:
-            from cellwise.report.capacity_study_section import capacity_study_page
+            from cellwise.benchmark.capacity_study_page import capacity_study_page
 
             progress.update(task, description="page")
             capacity_study_page(studies, arguments.report)

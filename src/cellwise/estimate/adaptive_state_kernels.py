@@ -203,8 +203,7 @@ def correct(
     """Kalman update with d = P H' and ``inverse``, one over the innovation's variance.
 
     A held parameter keeps value and variance, and its uncertainty still counts in all others
-    (consider filter: S. F. Schmidt, Adv. Control Systems 3 (1966) 293,
-    doi:10.1016/B978-1-4831-6716-9.50011-4).
+    (consider filter: S. F. Schmidt, Advances in Control Systems 3, 1966, p. 293).
     """
     b, q = x[B], x[Q]
     bb, bq, qq = p[B, B], p[B, Q], p[Q, Q]
