@@ -224,6 +224,22 @@ def test_without_causes_nothing_is_drawn_twice():
     assert title == "Measured and simulated"
 
 
+def test_a_search_that_ended_before_it_began_has_a_page(tmp_path):
+    why = "the log is too quiet: its current never leaves C/50"
+    record = diagnosis(verdict="undetermined", candidates=(), soc0=(), reasons=(why,))
+    page = Page(diagnose_page(record, tmp_path / "p.html").read_text("utf-8"))
+    assert why in page.text_in("h1")
+    assert "anatomy" in page.ids
+
+
+def test_soc_before_and_after_is_told(tmp_path):
+    gain = {"log": "held", "soc_rmse_before": 0.031, "soc_rmse_after": 0.004}
+    record = diagnosis("current_offset", soc_gain=gain)
+    page = Page(diagnose_page(record, tmp_path / "p.html").read_text("utf-8"))
+    said = page.text_in("li").replace("\N{NO-BREAK SPACE}", " ")
+    assert "3.10 % before, 0.40 % after" in said
+
+
 @pytest.mark.parametrize("tried", [0, 1])
 def test_few_candidates_are_enough(tried, tmp_path):
     record = diagnosis("current_offset")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -49,6 +48,7 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
     from cellwise.cell.model_file import read_model
     from cellwise.cell.simulate import check_soc0
     from cellwise.diagnose import diagnose
+    from cellwise.report.diagnose_runs import with_anatomy
 
     _check_places(arguments)
     soc0 = parse_soc0(arguments.soc0)
@@ -84,16 +84,6 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
     for name, place in written.items():
         for path in place if isinstance(place, list) else [place] if place else []:
             printing.say(f"{name.replace('_', ' ')}: {path}")
-
-
-def with_anatomy(found: Diagnosis) -> Diagnosis:
-    """The diagnosis with the anatomy of its first log's residual."""
-    from cellwise.diagnose.anatomy import anatomy
-
-    if found.anatomy:
-        return found
-    start = min(max(float(found.soc0[0]["value"]), 0.0), 1.0)
-    return replace(found, anatomy=anatomy(found.model, found.logs[0], start))
 
 
 def _check_places(arguments: argparse.Namespace) -> None:
@@ -186,6 +176,12 @@ def print_diagnosis(found: Diagnosis) -> None:
         printing.table("what was tried", columns, rows)
     for reason in found.reasons:
         printing.say(f"  - {reason}")
+    if found.soc_gain and "soc_rmse_before" in found.soc_gain:
+        before, after = (found.soc_gain[f"soc_rmse_{k}"] for k in ("before", "after"))
+        printing.say(
+            f"SOC RMSE of the EKF: {printing.percent(before)} % before, "
+            f"{printing.percent(after)} % after"
+        )
     if found.next_test:
         printing.say(f"next test: {found.next_test}")
 

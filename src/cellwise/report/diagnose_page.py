@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
-from cellwise.diagnose.anatomy import anatomy
 from cellwise.diagnose.causes import CAUSES
 from cellwise.diagnose.verdict import Diagnosis, FoundCause
 from cellwise.report.anatomy_section import anatomy_section
@@ -17,7 +15,7 @@ from cellwise.report.diagnose_pictures import (
     draw_before_after,
     draw_candidates,
 )
-from cellwise.report.diagnose_runs import BeforeAfter, before_after
+from cellwise.report.diagnose_runs import BeforeAfter, before_after, with_anatomy
 from cellwise.report.diagnose_words import (
     KINDS,
     cause_name,
@@ -48,10 +46,7 @@ def diagnose_page(
     ------
     InputError        matplotlib is missing; the path cannot be written
     """
-    if not diagnosis.anatomy:
-        start = min(max(float(diagnosis.soc0[0]["value"]), 0.0), 1.0)
-        found = anatomy(diagnosis.model, diagnosis.logs[0], start)
-        diagnosis = replace(diagnosis, anatomy=found)
+    diagnosis = with_anatomy(diagnosis)
     runs = before_after(diagnosis)
     name = diagnosis.model.name or "the model"
     return write_page(
@@ -132,7 +127,11 @@ def lead_said(diagnosis: Diagnosis) -> list[str]:
         for c in diagnosis.causes[1:]
     ]
     kinds = list(dict.fromkeys(c.kind for c in diagnosis.causes))
-    said += [KINDS[k] for k in kinds]
+    for kind in kinds:
+        names = listed([cause_name(c.name) for c in diagnosis.causes if c.kind == kind])
+        prefix = f"{names[:1].upper()}{names[1:]} – " if len(kinds) > 1 else ""
+        told = KINDS[kind]
+        said.append(f"{prefix}{told[:1].lower()}{told[1:]}" if prefix else told)
     if diagnosis.causes:
         where = (
             f"Held out: {_held(diagnosis)}; nothing of it was used in the fit but where it starts."
@@ -140,6 +139,13 @@ def lead_said(diagnosis: Diagnosis) -> list[str]:
             else "Held out: later blocks of the logs themselves, never used in the fit."
         )
         said.append(where)
+    gain = diagnosis.soc_gain
+    if gain and "soc_rmse_before" in gain and "soc_rmse_after" in gain:
+        said.append(
+            f"SOC by the EKF on {gain.get('log') or 'the log'}: RMSE "
+            f"{percent(gain['soc_rmse_before'])} before, {percent(gain['soc_rmse_after'])} after, "
+            "against the tester's counter."
+        )
     if diagnosis.next_test:
         said.append(f"Next test: {diagnosis.next_test}")
     return said
@@ -171,7 +177,7 @@ def cause_content(cause: FoundCause, diagnosis: Diagnosis) -> Markup:
         KINDS[cause.kind],
         f"In the model: {known.term}.",
         f"What it leaves in the residual: {known.signature}",
-        *cause.evidence,
+        *(e for e in cause.evidence if e != known.signature),
     ]
     if confused:
         said.append(f"Easily confused with {listed([cause_name(c) for c in confused])}.")

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from cellwise.cell.effects import TimeSkew
+from cellwise.cell.initial_soc import initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import Simulation, simulate
+from cellwise.diagnose.anatomy import anatomy
 from cellwise.diagnose.coordinates import Coordinates
 from cellwise.diagnose.extend import correct_log
 from cellwise.diagnose.verdict import Diagnosis
@@ -43,7 +46,7 @@ def before_after(diagnosis: Diagnosis) -> tuple[BeforeAfter, ...]:
     count = len(diagnosis.logs)
     result = []
     for k, log in enumerate((*diagnosis.logs, *diagnosis.holdout)):
-        told = diagnosis.soc0[k] if k < len(diagnosis.soc0) else {"value": 0.5, "how": "unknown"}
+        told = _told(diagnosis, k, log)
         before = simulate(diagnosis.model, log, _start(diagnosis.model, log, told, k >= count))
         if extended is None:
             after = before
@@ -54,6 +57,22 @@ def before_after(diagnosis: Diagnosis) -> tuple[BeforeAfter, ...]:
             after = simulate(extended, mended, _start(extended, mended, told, k >= count))
         result.append(BeforeAfter(log, k >= count, before, after))
     return tuple(sorted(result, key=lambda r: not r.held_out))
+
+
+def with_anatomy(diagnosis: Diagnosis) -> Diagnosis:
+    """The diagnosis with the anatomy of its first log's residual, if it has none."""
+    if diagnosis.anatomy:
+        return diagnosis
+    log = diagnosis.logs[0]
+    start = min(max(float(_told(diagnosis, 0, log)["value"]), 0.0), 1.0)
+    return replace(diagnosis, anatomy=anatomy(diagnosis.model, log, start))
+
+
+def _told(diagnosis: Diagnosis, k: int, log: CellLog) -> dict[str, Any]:
+    """Where a log starts; found again where the search ended before that."""
+    if k < len(diagnosis.soc0):
+        return diagnosis.soc0[k]
+    return {**initial_soc(diagnosis.model, log).to_dict()}
 
 
 def _model_after(diagnosis: Diagnosis) -> CellModel | None:
@@ -77,9 +96,9 @@ def _corrected(diagnosis: Diagnosis, log: CellLog) -> CellLog:
     return correct_log(log, Coordinates(diagnosis.model), z)
 
 
-def _start(model: CellModel, log: CellLog, told: dict[str, object], held_out: bool) -> float:
+def _start(model: CellModel, log: CellLog, told: dict[str, Any], held_out: bool) -> float:
     """SOC at the first row: as given, else where the log's first part fits best."""
-    value = min(max(float(str(told["value"])), 0.0), 1.0)
+    value = min(max(float(told["value"]), 0.0), 1.0)
     if told.get("how") == "given":
         return value
     span = log.time_s[-1] - log.time_s[0]
