@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from cellwise.report.demo_page import demo_page
+from cellwise.report.diagnose_page import diagnose_page
 from cellwise.report.hero import hero_figure
 from cellwise.report.pages import identify_page, replay_page
 from cellwise.report.picture import Picture, figure_png, figure_svg, save_figure, save_figures
@@ -10,6 +11,7 @@ from cellwise.report.picture import Picture, figure_png, figure_svg, save_figure
 __all__ = [
     "Picture",
     "demo_page",
+    "diagnose_page",
     "figure_png",
     "figure_svg",
     "hero_figure",
