@@ -1,4 +1,4 @@
-"""Panasonic 18650PF at 25 degC: sensors and capacity made wrong, judged on drives not fitted: means over six."""
+"""Panasonic 18650PF at 25 degC, made wrong: sensors, capacity. Means over six drives not fitted."""
 
 from __future__ import annotations
 
