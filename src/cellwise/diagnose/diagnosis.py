@@ -9,9 +9,12 @@ import numpy as np
 
 from cellwise.cell.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
+from cellwise.diagnose.anatomy import anatomy
 from cellwise.diagnose.causes import CAUSES, Cause
 from cellwise.diagnose.coordinates import Coordinates
+from cellwise.diagnose.doubts import another_cell, too_little
 from cellwise.diagnose.evidence import Evidence, gather
+from cellwise.diagnose.experiment import propose
 from cellwise.diagnose.extend import correct_log, extend_model, parameters_of, value_of
 from cellwise.diagnose.fit import held_rows
 from cellwise.diagnose.judge import (
@@ -25,6 +28,7 @@ from cellwise.diagnose.noise import at_least
 from cellwise.diagnose.priors import GIVEN_SOC_STD, learned, structure_prior, tolerances
 from cellwise.diagnose.rest_reading import rest_reading
 from cellwise.diagnose.rivals import Candidate, rmse
+from cellwise.diagnose.soc_gain import soc_gain
 from cellwise.diagnose.verdict import Diagnosis, FoundCause, TriedCause
 from cellwise.diagnose.whitening_kernels import NoiseLevel
 from cellwise.errors import InputError
@@ -75,6 +79,9 @@ def diagnose(
     if not groups[0]:
         raise InputError("no log", "at least one log to explain", "Name a log.")
     chosen = _chosen(causes)
+    missing = too_little(model, groups[0])
+    if missing:
+        return _undetermined(model, groups, missing)
     starts = _starts(model, groups, soc0)
     slowest = _slowest(model)
     evidence = gather(model, starts[0], starts[1], slowest)
@@ -82,8 +89,19 @@ def diagnose(
     judge = _judge(evidence, coordinates, seed, progress)
     if groups[2]:
         _learn(judge, model, starts[2])
+    base, _ = judge.base(judge.prior)
+    other = another_cell(model, evidence, base, base.soc)
+    if other:
+        return _undetermined(model, groups, f"this looks like another cell: {other}")
     judgement = judge.run(chosen)
     return _diagnosis(model, groups[0], groups[1], evidence, judge, judgement)
+
+
+def _undetermined(model: CellModel, groups: tuple[tuple[CellLog, ...], ...], why: str) -> Diagnosis:
+    """No verdict, and what is missing for one."""
+    return Diagnosis(
+        "undetermined", (), (), {}, "", (why,), model, None, groups[0], groups[1], groups[0]
+    )
 
 
 def _as_logs(logs: Logs) -> tuple[CellLog, ...]:
@@ -103,7 +121,6 @@ def _chosen(names: Sequence[str] | None) -> list[Cause]:
 
 def _slowest(model: CellModel) -> float:
     """The slowest memory of the model [s]."""
-    _, _, _ = model.parameters()
     table, _, _ = model.parameters()
     slow = float(np.median(table[..., 5]))
     if np.any(table[..., 6]):
@@ -182,26 +199,37 @@ def _diagnosis(
 ) -> Diagnosis:
     causes = tuple(_found(a, judgement, evidence) for a in judgement.accepted)
     verdict = causes[0].name if causes else ("undetermined" if judgement.open_between else "none")
-    keep = kept_coordinates(a.cause for a in judgement.accepted)
     final = judgement.fit
-    z = {**judge.prior.mean, **{n: v for n, v in final.z.items() if n in keep}}
+    keep = kept_coordinates(a.cause for a in judgement.accepted)
+    z = judge.point(final, keep)
     note = {"causes": [c.name for c in causes]}
     extended = extend_model(final.coordinates, z, note) if causes else None
     corrected = tuple(correct_log(g, final.coordinates, z) for g in logs)
+    gain = None
+    if extended is not None:
+        last = len(logs) if holdout else 0
+        judged = (*logs, *holdout)[last]
+        start = evidence.logs[last].start.soc + final.z.get(f"soc0:{last}", 0.0)
+        mended = correct_log(judged, final.coordinates, z)
+        gain = soc_gain(model, extended, judged, mended, start)
+    reasons = judgement.reasons
+    if judgement.open_between:
+        names = " and ".join(c.name for c in judgement.open_between[:3])
+        reasons = (*reasons, f"{names} explain the same equally well")
     return Diagnosis(
         verdict,
         causes,
         tuple(_tried(c, evidence, judge) for c in judgement.first),
-        {},
-        "",
-        judgement.reasons,
+        anatomy(model, logs[0], evidence.logs[0].start.soc),
+        _next_test(judgement),
+        reasons,
         model,
         extended,
         logs,
         holdout,
         corrected,
         tuple(g.start.to_dict() for g in evidence.logs),
-        None,
+        gain,
         judgement.noise._asdict(),
     )
 
@@ -231,9 +259,36 @@ def _found(accepted: Accepted, judgement: Judgement, evidence: Evidence) -> Foun
         gain.held_after_V,
         gain.gain,
         (gain.low, gain.high),
-        (),
+        _evidence(accepted),
         cause.confused_with,
     )
+
+
+def _evidence(accepted: Accepted) -> tuple[str, ...]:
+    """Why a cause was accepted, in sentences."""
+    gain = accepted.gain
+    said = [
+        f"held-out RMSE falls from {1e3 * gain.held_before_V:.1f} to "
+        f"{1e3 * gain.held_after_V:.1f} mV ({100 * gain.low:.0f} to {100 * gain.high:.0f} % less, "
+        "95 % interval over blocks of time)",
+        f"the data are e^{accepted.score:.0f} times as likely as with tolerances alone",
+    ]
+    if accepted.rivals:
+        said.append(f"next best: {', '.join(accepted.rivals)}")
+    said.append(accepted.cause.signature)
+    return tuple(said)
+
+
+def _next_test(judgement: Judgement) -> str:
+    """The experiment that would separate what is confused: open rivals, else the runner-up."""
+    if judgement.open_between:
+        proposal = propose(judgement.open_between)
+        names = [c.name for c in judgement.open_between]
+    else:
+        close = [c for c in judgement.first if c.score > 0.0][:2]
+        proposal = propose(close) if judgement.accepted else None
+        names = [c.name for c in close]
+    return proposal.sentence(names) if proposal else ""
 
 
 def _tried(candidate: Candidate, evidence: Evidence, judge: Judge) -> TriedCause:

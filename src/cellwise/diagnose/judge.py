@@ -113,7 +113,7 @@ class Judge:
                 break
             ranked = self._rank(left, prior, base, noise, turn)
             first = first or ranked
-            ranked, gain, refused = self._material(ranked, base, accepted)
+            ranked, gain, refused = self._material(ranked, prior, base, accepted)
             if gain is None:
                 reasons += refused
                 break
@@ -149,7 +149,7 @@ class Judge:
         """
         named = dict(zip(self.evidence.starts(), self.evidence.logs, strict=True))
         free = [n for n, g in named.items() if starts_free or g.start.how != "given"]
-        fixed = {**self.prior.mean, **{n: v for n, v in found.z.items() if n in keep}}
+        fixed = self.point(found, keep)
         fixed |= {n: 0.0 for n in named if n not in free}
         if starts_free:
             fixed |= {n: found.z[n] for n in free}
@@ -163,6 +163,11 @@ class Judge:
         start = {n: found.z[n] for n in free}
         return fit(objective, found.coordinates, Prior(std, {}, low, high), start, 4, fixed)
 
+    def point(self, found: Fit, keep: set[str]) -> dict[str, float]:
+        """The causes' coordinates and what good logs taught of the cell, nothing else."""
+        taught = set(self.prior.linked)
+        return {n: v for n, v in found.z.items() if n in keep or n in taught}
+
     def _fit(
         self,
         noise: NoiseLevel,
@@ -173,13 +178,25 @@ class Judge:
         frozen: Frozen | None = None,
         moving: Sequence[str] = (),
     ) -> Fit:
-        objective = Objective(self.evidence, noise, self._amplitude)
+        objective = self._objective(noise)
         return fit(objective, coordinates, prior, start, iterations, None, frozen, moving)
 
-    def _noise(self, found: Fit) -> NoiseLevel:
+    def _noise(self, found: Fit, other: NoiseLevel | None = None) -> NoiseLevel:
+        """The noise that a fit leaves; ``other`` if that describes it better."""
         rows = (self.evidence.role == FITTED) & self.evidence.known
-        residual = np.nan_to_num(self.evidence.voltage_V - found.voltage_V) / self._amplitude
-        return at_least(estimate_noise(residual, self.evidence.dt_s, rows), self.floor)
+        residual = np.nan_to_num(self.evidence.voltage_V - found.voltage_V)
+        scaled = residual / self._amplitude
+        levels = [at_least(estimate_noise(scaled, self.evidence.dt_s, rows), self.floor)]
+        if other is not None:
+            levels.append(other)
+
+        def explained(level: NoiseLevel) -> float:
+            return float(np.sum(self._objective(level).terms(residual)[rows]))
+
+        return max(levels, key=explained) if other is not None else levels[0]
+
+    def _objective(self, noise: NoiseLevel) -> Objective:
+        return Objective(self.evidence, noise, self._amplitude)
 
     def _rank(
         self, causes: Sequence[Cause], prior: Prior, base: Fit, noise: NoiseLevel, turn: int
@@ -192,7 +209,7 @@ class Judge:
         none = base.log_evidence + self.rest.ln_likelihood(base.z)
 
         def work(cause: Cause) -> Candidate:
-            return self._candidate(cause, prior, base, firm, frozen, none)
+            return self._candidate(cause, prior, base, noise, firm, frozen, none)
 
         ranked: list[Candidate] = []
         with ThreadPoolExecutor(self.workers) as threads:
@@ -202,14 +219,20 @@ class Judge:
             ranked.sort(key=lambda c: -c.score)
             # Those that matter once more, under the noise that they now leave.
             ranked[:FINALISTS] = threads.map(
-                lambda c: self._again(c, prior, base, frozen, none), ranked[:FINALISTS]
+                lambda c: self._again(c, prior, base, noise, frozen, none), ranked[:FINALISTS]
             )
         return tuple(sorted(ranked, key=lambda c: -c.score))
 
     def _again(
-        self, c: Candidate, prior: Prior, base: Fit, frozen: Frozen, none: float
+        self,
+        c: Candidate,
+        prior: Prior,
+        base: Fit,
+        usual: NoiseLevel,
+        frozen: Frozen,
+        none: float,
     ) -> Candidate:
-        noise = self._noise(c.fit)
+        noise = self._noise(c.fit, usual)
         wide = freed(prior, c.cause, c.fit.coordinates, self.evidence)
         moving = [*kept_coordinates((c.cause,)), *self.evidence.starts()]
         found = self._fit(noise, c.fit.coordinates, wide, c.fit.z, 5, frozen, moving)
@@ -220,6 +243,7 @@ class Judge:
         cause: Cause,
         prior: Prior,
         base: Fit,
+        usual: NoiseLevel,
         firm: NoiseLevel,
         frozen: Frozen,
         none: float,
@@ -244,8 +268,13 @@ class Judge:
         if best is None:
             raise ValueError(f"no shape to try for {cause.name}")
         wide = freed(prior, cause, best.coordinates, self.evidence)
-        noise = self._noise(best)
+        noise = self._noise(best, usual)
         best = self._fit(noise, best.coordinates, wide, best.z, 5, frozen, moving)
+        if best.log_evidence < base.log_evidence:
+            # The firm noise led it astray: begin where the base stands.
+            again = self._fit(usual, best.coordinates, wide, base.z, 5, frozen, moving)
+            if again.log_evidence > best.log_evidence:
+                best, noise = again, usual
         return self._scored(cause, best, noise, base, none)
 
     def _scored(
@@ -282,7 +311,11 @@ class Judge:
         return gain_of(self.evidence, one.voltage_V, two.voltage_V, self.rng)
 
     def _material(
-        self, ranked: tuple[Candidate, ...], base: Fit, accepted: Sequence[Accepted]
+        self,
+        ranked: tuple[Candidate, ...],
+        prior: Prior,
+        base: Fit,
+        accepted: Sequence[Accepted],
     ) -> tuple[tuple[Candidate, ...], Gain | None, list[str]]:
         """Candidates from the first one on that gains something on held-out data, and its gain."""
         refused = []
@@ -291,7 +324,8 @@ class Judge:
                 refused.append(f"{candidate.name} explains no more than tolerances do")
                 break
             gain = self._gain(candidate, base, accepted)
-            refusal = _unphysical(candidate) or _refusal(candidate, gain)
+            wide = freed(prior, candidate.cause, candidate.fit.coordinates, self.evidence)
+            refusal = _unphysical(candidate, wide) or _refusal(candidate, gain)
             if not refusal:
                 return ranked[k:], gain, refused
             refused.append(refusal)
@@ -315,7 +349,9 @@ class Judge:
         frozen = freeze(objective, best.fit.coordinates, wide.names, best.fit.z)
         none = best.fit.log_evidence + self.rest.ln_likelihood(best.fit.z)
         for other in rivals[:2]:
-            both = self._candidate(other.cause, wide, best.fit, best.noise, frozen, none)
+            both = self._candidate(
+                other.cause, wide, best.fit, best.noise, best.noise, frozen, none
+            )
             if both.score > LEAST_SCORE:
                 return True
         return False
@@ -328,13 +364,17 @@ class Judge:
         self.progress(self._said, name.replace("_", " "))
 
 
-def _unphysical(candidate: Candidate) -> str:
-    """Whether what switches an effect on has stayed off."""
-    if candidate.cause.shape is None:
-        return ""
-    switch = candidate.cause.parameters[0]
-    if candidate.fit.z.get(switch.coordinate, 0.0) == 0.0:
-        return f"{candidate.name} fits best with {switch.name} at zero"
+def _unphysical(candidate: Candidate, prior: Prior) -> str:
+    """Whether what switches an effect on has stayed off, or a value stands at its bound."""
+    z = candidate.fit.z
+    if candidate.cause.shape is not None:
+        switch = candidate.cause.parameters[0]
+        if z.get(switch.coordinate, 0.0) == 0.0:
+            return f"{candidate.name} fits best with {switch.name} at zero"
+    for p in candidate.cause.parameters:
+        x = z.get(p.coordinate)
+        if x is not None and x in (prior.low.get(p.coordinate), prior.high.get(p.coordinate)):
+            return f"{candidate.name} would need {p.name} beyond what is physical"
     return ""
 
 

@@ -149,7 +149,8 @@ def coordinate_bounds(
 def structure_prior(prior: Prior) -> Prior:
     """The prior under which a known-good log teaches what the cell is like."""
     std = {n: max(v, prior.std[n]) for n, v in STRUCTURE.items() if n in prior.std}
-    return _bounded(prior.widened(std, {}, {}, {}), std)
+    starts = {n: v for n, v in prior.std.items() if n.startswith("soc0:")}
+    return _bounded(Prior({**std, **starts}, {}, {}, {}), (*std, *starts))
 
 
 def learned(prior: Prior, found: Fit) -> Prior:
@@ -160,7 +161,10 @@ def learned(prior: Prior, found: Fit) -> Prior:
     drift = np.array([STILL_OPEN * prior.std[n] for n in names])
     deviation = np.sqrt(np.diag(covariance) + drift**2)
     np.fill_diagonal(covariance, 0.0)
-    std = dict(zip(names, (float(v) for v in deviation), strict=True))
+    # Same cell, same instruments: what else could be off has shown there too.
+    std = {n: v if n.startswith("soc0:") else STILL_OPEN * v for n, v in prior.std.items()} | dict(
+        zip(names, (float(v) for v in deviation), strict=True)
+    )
     mean = {n: found.z[n] for n in names}
-    wider = _bounded(prior.widened(std, mean, {}, {}), names)
+    wider = _bounded(prior.widened(std, mean, {}, {}), std)
     return replace(wider, linked=tuple(names), cross=covariance)
