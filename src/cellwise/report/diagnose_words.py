@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from cellwise.diagnose.verdict import Diagnosis, FoundCause
+from cellwise.diagnose.verdict import Diagnosis, FoundCause, TriedCause
 from cellwise.report.numerals import (
     ampere_hours,
     duration,
@@ -43,7 +43,7 @@ def diagnosis_finding(diagnosis: Diagnosis) -> str:
         error = diagnosis.anatomy.get("rmse_V")
         left = "" if error is None else f" What is left is {millivolt(error)} RMSE."
         return f"Nothing is wrong that these data can show.{left}"
-    alike = [c for c in diagnosis.candidates if c.score > LEAST_SCORE]
+    alike = _alike(diagnosis)
     if len(alike) < 2:
         why = f": {diagnosis.reasons[0].rstrip('.')}" if diagnosis.reasons else ""
         return f"These data do not tell what is wrong, if anything is{why}."
@@ -53,6 +53,15 @@ def diagnosis_finding(diagnosis: Diagnosis) -> str:
         f"{cause_name(other.name)}: held-out error {millivolt(one.holdout_rmse_V)} with the one, "
         f"{millivolt(other.holdout_rmse_V)} with the other."
     )
+
+
+def _alike(diagnosis: Diagnosis) -> list[TriedCause]:
+    """Candidates between which it stays open: those that a reason names, else all that explain."""
+    named = {w for r in diagnosis.reasons if r.endswith("equally well") for w in r.split()}
+    open_between = [c for c in diagnosis.candidates if c.name in named]
+    if len(open_between) > 1:
+        return open_between
+    return [c for c in diagnosis.candidates if c.score > LEAST_SCORE]
 
 
 def fall(before_V: float, after_V: float) -> str:
