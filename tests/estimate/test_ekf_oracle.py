@@ -70,10 +70,10 @@ class Tables:
 
 
 def start_of_branches(model, current):
-    """Mean and spread of the current that the branches have settled under, from docs/theory.md."""
+    """Current that the branches have settled under, its spread, and most volts of that spread."""
     if abs(current) < 0.01 * model.capacity_Ah:
-        return 0.0, 0.1 * model.capacity_Ah
-    return 0.5 * current, max(0.5 * abs(current), 0.25 * model.capacity_Ah)
+        return 0.0, 0.1 * model.capacity_Ah, 0.03
+    return 0.5 * current, max(0.5 * abs(current), 0.25 * model.capacity_Ah), np.inf
 
 
 def samples_of_one_error(noise, evidence, dt, resting):
@@ -111,10 +111,10 @@ def matrix_filter(model, noise, log, soc0, soc0_std):
         r = np.array(r)
         if not begun:
             begun = True
-            mean, spread = start_of_branches(model, seen)
+            mean, spread, limit = start_of_branches(model, seen)
             ekf.x[1:4], ekf.P[[1, 2, 3], [1, 2, 3]] = (
                 mean * r,
-                np.where(r > 0, 0.005**2 + (spread * r) ** 2, 0.0),
+                np.where(r > 0, 0.005**2 + np.minimum(spread * r, limit) ** 2, 0.0),
             )
         a = np.where(r > 0, np.exp(-dt / t.time_constants(soc, temperature)), 1.0)
         hold = np.exp(-gamma * abs(current) * dt / charge)

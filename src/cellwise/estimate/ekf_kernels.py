@@ -33,6 +33,14 @@ from cellwise.estimate.evidence_kernels import UNDER_LOAD_COUNT as UNDER_LOAD_CO
 from cellwise.estimate.evidence_kernels import weigh
 from cellwise.estimate.filter_state import EkfInfo, EkfState, ekf_start
 from cellwise.estimate.filter_state import EkfStart as EkfStart
+from cellwise.estimate.measurement_kernels import (
+    LOAD_LIMIT_V,
+    REST_LIMIT_V,
+    START_BRANCH_V,
+    START_REST_RATE,
+    flat_slope,
+    soc_of_voltage,
+)
 from cellwise.estimate.measurement_kernels import chord as chord
 from cellwise.estimate.measurement_kernels import start_branch as start_branch
 from cellwise.estimate.measurement_kernels import voltage_variance as voltage_variance
@@ -206,19 +214,50 @@ def ekf_step_inline(
     seen_as = weigh(
         cell, noise, x.watch, s, evidence, x.rejections, x.mismatch,
         s.voltage_V - predicted, state_variance, one, point.r0_ohm, branches, dt_s,
+        ss > WIDE_VARIANCE, 3.0 * bend * bend > one or slope < flat_slope(table),
     )
     # fmt: on
     status |= seen_as.status
     innovation = seen_as.innovation_V
     if seen_as.recover:
-        # The gate may have locked the truth out: admit a SOC error as large as what is seen and
-        # branches that hold anything, so that the next voltage passes.
-        missed = innovation / max(slope, SLOPE_FLOOR_V)
-        ss = max(ss, min(ss + missed * missed, RECOVERY_VARIANCE))
-        held = RECOVERY_RATE * cell.charge_As / 3600.0
-        p11 += v1 * v1 + held * held * point.r1_ohm * point.r1_ohm
-        p22 += v2 * v2 + held * held * point.r2_ohm * point.r2_ohm
-        p33 += v3 * v3 + held * held * point.r3_ohm * point.r3_ohm
+        # The gate may have locked the truth out. Branches that have been followed may hold
+        # anything; the SOC is looked for anew.
+        held_A = START_REST_RATE * cell.charge_As / 3600.0
+        limit_V = REST_LIMIT_V
+        branch = START_BRANCH_V * START_BRANCH_V
+        if evidence >= 0.0:
+            held_A = RECOVERY_RATE * cell.charge_As / 3600.0
+            limit_V = LOAD_LIMIT_V
+            # Under load the resistances may be what is wrong, by as much as they are.
+            drop_V = abs(point.r0_ohm * seen) + branches
+            branch = drop_V * drop_V + v1 * v1 + v2 * v2 + v3 * v3 + ((p11 + p22) + p33)
+        # fmt: off
+        soc, ss = soc_of_voltage(
+            table, grid, cell, warm, seen, s.voltage_V, (v1 + v2) + v3, h, phh, one + branch,
+            held_A, limit_V, soc, max(ss, RECOVERY_VARIANCE),
+        )
+        # fmt: on
+        new = look_up(table, grid, cell, soc, warm)
+        branch = START_BRANCH_V * START_BRANCH_V
+        p11 = branch + min(held_A * new.r1_ohm, limit_V) ** 2
+        p22 = branch + min(held_A * new.r2_ohm, limit_V) ** 2
+        p33 = branch + min(held_A * new.r3_ohm, limit_V) ** 2
+        if evidence >= 0.0:
+            p11 += v1 * v1
+            p22 += v2 * v2
+            p33 += v3 * v3
+        if new.r3_ohm == 0.0:
+            p33 = 0.0
+        s1 = 0.0
+        s2 = 0.0
+        s3 = 0.0
+        sh = 0.0
+        p12 = 0.0
+        p13 = 0.0
+        p1h = 0.0
+        p23 = 0.0
+        p2h = 0.0
+        p3h = 0.0
     if seen_as.accepted:
         inverse = seen_as.inverse
         ks = ds * inverse

@@ -61,11 +61,15 @@ def weigh(
     r0_ohm: float,
     branches_V: float,
     dt_s: float,
+    unsure: bool,
+    bent: bool,
 ) -> Verdict:
     """Gate, count, and weigh one innovation.
 
     ``state_variance`` is what the state's doubt explains of it, ``one`` the variance of a single
-    voltage, ``branches_V`` what the branches hold in absolute value.
+    voltage, ``branches_V`` what the branches hold in absolute value. The first voltage of a resting
+    cell is believed at once where the start is ``unsure`` of itself, and looked up instead of
+    weighed where the voltage is too ``bent`` over SOC for that.
     """
     status = 0
     variance = state_variance + one
@@ -78,6 +82,7 @@ def weigh(
     accepted = False
     recover = False
     inverse = 0.0
+    resting = abs(s.seen_A) * 3600.0 < REST_RATE * cell.charge_As
     if not math.isfinite(innovation_V):
         status |= VOLTAGE_INVALID
         innovation_V = math.nan
@@ -98,16 +103,20 @@ def weigh(
                 rejections += 1.0
             else:
                 rejections += UNDER_LOAD_COUNT
+            if unsure and resting and evidence_s < 0.0:
+                rejections = noise.recovery_after
             if rejections >= noise.recovery_after:
                 status |= GATE_RECOVERY
                 recover = True
                 rejections = 0.0
                 mismatch = 1.0
                 evidence_s = 0.0
+        elif unsure and bent and resting and evidence_s < 0.0:
+            recover = True
+            evidence_s = 0.0
         else:
             accepted = True
             rejections = max(rejections - FORGIVEN, 0.0)
-            resting = abs(s.seen_A) * 3600.0 < REST_RATE * cell.charge_As
             shared = repeated_evidence(noise, evidence_s, dt_s, resting)
             inverse = 1.0 / (state_variance + one * shared * max(mismatch, 1.0))
             evidence_s = max(evidence_s, 0.0)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 from numba import njit
 
-from cellwise.cell.kernels import CellPoint, CellScalars, look_up, under_load
+from cellwise.cell.kernels import OCV, CellPoint, CellScalars, look_up, under_load
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sample_kernels import REST_RATE
 from cellwise.typing import FloatArray
@@ -14,8 +15,12 @@ from cellwise.typing import FloatArray
 SHORTEST_CHORD = 1e-6
 # A cell that starts at rest still carries a few millivolts of its past in each branch, and what a
 # tenth of a rate would leave there.
+RESTART_POINTS = 201
+FLAT_SHARE = 0.25
 START_BRANCH_V = 0.005
 START_REST_RATE = 0.1
+REST_LIMIT_V = 0.03  # a rested branch holds no more, whatever its resistance
+LOAD_LIMIT_V = 0.3
 # One that starts under load holds anything from nothing to the load's steady voltage.
 START_LOAD_SHARE = 0.5
 START_LOAD_RATE = 0.25
@@ -28,7 +33,7 @@ def start_branch(cell: CellScalars, r_ohm: float, current_A: float) -> tuple[flo
     if r_ohm <= 0.0:
         return 0.0, 0.0
     if abs(current_A) < REST_RATE * capacity:
-        past = START_REST_RATE * capacity * r_ohm
+        past = min(START_REST_RATE * capacity * r_ohm, REST_LIMIT_V)
         return 0.0, START_BRANCH_V * START_BRANCH_V + past * past
     spread = max(START_LOAD_SHARE * abs(current_A), START_LOAD_RATE * capacity) * r_ohm
     return (
@@ -73,7 +78,7 @@ class WideSlopes(NamedTuple):
     r3_ohm: float
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy")
 def wide_slopes(
     table: FloatArray,
     grid: FloatArray,
@@ -127,3 +132,67 @@ def voltage_variance(
     slow = noise.error_scale * error_V
     fixed = noise.voltage_V * noise.voltage_V + slow * slow
     return fixed + (scale * scale + (drop * drop + jitter * jitter))
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def flat_slope(table: FloatArray) -> float:
+    """OCV slope below which the OCV is flat for its kind: a quarter of its mean slope [V]."""
+    return FLAT_SHARE * float(table[0, table.shape[1] - 1, OCV] - table[0, 0, OCV])
+
+
+@njit(cache=True, error_model="numpy")
+def soc_of_voltage(
+    table: FloatArray,
+    grid: FloatArray,
+    cell: CellScalars,
+    temperature_C: float,
+    current_A: float,
+    voltage_V: float,
+    branches_V: float,
+    h: float,
+    h_variance: float,
+    variance: float,
+    held_A: float,
+    limit_V: float,
+    soc: float,
+    soc_variance: float,
+) -> tuple[float, float]:
+    """SOC and its variance when a voltage contradicts the estimate: over the whole of 0..1.
+
+    Every SOC weighs as the estimate, widened to ``soc_variance``, and the voltage, of ``variance``
+    about the model's, say together; ``held_A`` is the current whose voltage the branches of that
+    SOC may still hold, up to ``limit_V``. Beyond either end of the OCV that end is meant. On a
+    plateau every SOC of it is as good: the variance is its width.
+    """
+    step = 1.0 / (RESTART_POINTS - 1)
+    ends = look_up(table, grid, cell, 0.0, temperature_C)
+    low = ends.ocv_V - ends.r0_ohm * current_A - branches_V + ends.m_V * h
+    ends = look_up(table, grid, cell, 1.0, temperature_C)
+    high = ends.ocv_V - ends.r0_ohm * current_A - branches_V + ends.m_V * h
+    target = min(max(voltage_V, min(low, high)), max(low, high))
+    least = math.inf
+    total = 0.0
+    first = 0.0
+    second = 0.0
+    for turn in range(2):
+        for k in range(RESTART_POINTS):
+            s = k * step
+            point = under_load(cell, look_up(table, grid, cell, s, temperature_C), current_A)
+            seen = point.ocv_V - point.r0_ohm * current_A - branches_V + point.m_V * h
+            about = variance + point.error_V * point.error_V
+            about += point.m_V * point.m_V * h_variance
+            r = point.r1_ohm * point.r1_ohm + point.r2_ohm * point.r2_ohm
+            past = held_A * held_A * (r + point.r3_ohm * point.r3_ohm)
+            about += min(past, limit_V * limit_V)
+            off = target - seen
+            away = s - soc
+            cost = away * away / soc_variance + off * off / about + math.log(about)
+            if turn == 0:
+                least = min(least, cost)
+            else:
+                weight = math.exp(-0.5 * (cost - least))
+                total += weight
+                first += weight * s
+                second += weight * s * s
+    mean = first / total
+    return mean, max(second / total - mean * mean, 0.0) + step * step / 12.0
