@@ -134,7 +134,7 @@ def test_for_people(bench, capsys):
     assert "extended model" not in said
 
 
-def test_nothing_wrong_gives_no_model(bench, run_json, tmp_path):
+def test_nothing_wrong_gives_no_model(bench, run_json, tmp_path, capsys):
     log = read_log(bench / "drive.csv")
     good = tmp_path / "good.csv"
     write_log(CellLog(log.time_s, log.current_A - OFFSET_A, log.voltage_V), good)
@@ -145,6 +145,8 @@ def test_nothing_wrong_gives_no_model(bench, run_json, tmp_path):
     assert found["causes"] == []
     assert found["extended_model"] is None
     assert found["corrected"] == []
+    assert main(["diagnose", *arguments, "-o", str(out)]) == 0
+    assert "was not written" in capsys.readouterr().out
     assert not out.exists()
     assert not (tmp_path / "c").exists()
 

@@ -84,6 +84,8 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
     for name, place in written.items():
         for path in place if isinstance(place, list) else [place] if place else []:
             printing.say(f"{name.replace('_', ' ')}: {path}")
+    if arguments.output and written["extended_model"] is None:
+        printing.say(f"no cause was accepted: '{arguments.output}' was not written")
 
 
 def _check_places(arguments: argparse.Namespace) -> None:
