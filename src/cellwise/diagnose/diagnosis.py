@@ -15,7 +15,7 @@ from cellwise.diagnose.coordinates import Coordinates
 from cellwise.diagnose.doubts import another_cell, too_little
 from cellwise.diagnose.evidence import Evidence, gather
 from cellwise.diagnose.experiment import propose
-from cellwise.diagnose.extend import correct_log, extend_model, parameters_of, value_of
+from cellwise.diagnose.extend import correct_log, extend_model, parameters_of, split_skew, value_of
 from cellwise.diagnose.fit import held_rows
 from cellwise.diagnose.judge import (
     Accepted,
@@ -203,14 +203,16 @@ def _diagnosis(
     keep = kept_coordinates(a.cause for a in judgement.accepted)
     z = judge.point(final, keep)
     note = {"causes": [c.name for c in causes]}
-    extended = extend_model(final.coordinates, z, note) if causes else None
-    corrected = tuple(correct_log(g, final.coordinates, z) for g in logs)
+    interval = float(np.median(np.concatenate([g.dt_s[1:] for g in evidence.logs])))
+    of_model, of_log = split_skew(final.coordinates, z, interval)
+    extended = extend_model(final.coordinates, of_model, note) if causes else None
+    corrected = tuple(correct_log(g, final.coordinates, of_log) for g in logs)
     gain = None
     if extended is not None:
         last = len(logs) if holdout else 0
         judged = (*logs, *holdout)[last]
         start = evidence.logs[last].start.soc + final.z.get(f"soc0:{last}", 0.0)
-        mended = correct_log(judged, final.coordinates, z)
+        mended = correct_log(judged, final.coordinates, of_log)
         gain = soc_gain(model, extended, judged, mended, start)
     reasons = judgement.reasons
     if judgement.open_between:

@@ -74,6 +74,23 @@ def value_of(coordinate: str, x: float, coordinates: Coordinates, soc0: float) -
     return x
 
 
+def split_skew(
+    coordinates: Coordinates, z: Mapping[str, float], interval_s: float
+) -> tuple[dict[str, float], dict[str, float]]:
+    """A point as the model takes it and as the log takes it: the skew goes to one of them.
+
+    A filter can live with a voltage that is late by up to one interval, so that belongs to the
+    model (:class:`TimeSkew`); any other skew is taken out of the log.
+    """
+    total = coordinates.inputs(z).skew_s
+    model, log = dict(z), dict(z)
+    if 0.0 <= total <= interval_s:
+        log.pop("skew_s", None)
+    else:
+        model.pop("skew_s", None)
+    return model, log
+
+
 def extend_model(
     coordinates: Coordinates, z: Mapping[str, float], note: Mapping[str, Any]
 ) -> CellModel:
