@@ -29,9 +29,9 @@
 #define START_LOAD_SHARE 0.5f
 #define START_LOAD_RATE 0.25f
 #define RECOVERY_RATE 0x1.333334p-2f /* 0.3 */
-#define REJECTION 10u
-#define UNDER_LOAD 2u /* a rejection that wrong resistances could explain */
-#define FORGIVEN 1u
+#define REJECTION 20u
+#define UNDER_LOAD 1u /* a rejection that wrong resistances could explain */
+#define FORGIVEN 2u
 #define LARGEST_FLOAT 0x1.fffffep+127f
 
 /* False for NaN too. Macros, so that what is tested is known of the object itself afterwards, to
@@ -1081,7 +1081,7 @@ static uint32_t correct(const cellwise_model *m, const cellwise_place *place, ce
 #endif
                 update(m, x, &d, inverse, innovation);
             }
-            x->rejections -= (x->rejections > 0u) ? FORGIVEN : 0u;
+            x->rejections = (x->rejections > FORGIVEN) ? (x->rejections - FORGIVEN) : 0u;
             if (x->evidence < FIRST_VOLTAGE) {
                 x->evidence = FIRST_VOLTAGE;
             }

@@ -69,7 +69,7 @@ typedef struct {
     float voltage_high_V;
     float branch_variance_V2; /* of a branch voltage at the start, at rest */
     float capacity_A;         /* the current that empties the cell in an hour */
-    uint32_t recovery_after;  /* tenths of rejections in a row */
+    uint32_t recovery_after;  /* twentieths of rejections in a row */
     uint32_t gap_steps;       /* missing samples that are bridged */
 #if CELLWISE_EFFICIENCY
     float charge_efficiency;
@@ -192,7 +192,7 @@ typedef struct {
     float temperature_C; /* last valid one */
 #endif
     uint32_t sequence;
-    uint32_t rejections; /* in tenths: under load a rejection counts less */
+    uint32_t rejections; /* in twentieths: under load a rejection counts less */
     uint32_t evidence;   /* 0: no sample yet, 1: no voltage yet, then 2 + steps since the first */
 } cellwise_state;
 

@@ -376,8 +376,7 @@ def correct(
                             HYSTERESIS, OFFSET, SCALED)
                     # fmt: on
                 update(c, x, d, inverse, innovation, SLOW, HYSTERESIS, OFFSET)
-            if x.rejections > U(0):
-                x.rejections = U(x.rejections - FORGIVEN)
+            x.rejections = U(x.rejections - FORGIVEN) if x.rejections > FORGIVEN else U(0)
             if x.evidence < FIRST_VOLTAGE:
                 x.evidence = FIRST_VOLTAGE
     return status

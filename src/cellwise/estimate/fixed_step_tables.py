@@ -36,6 +36,7 @@ from cellwise.typing import FloatArray
 Float32Array = NDArray[np.float32]
 
 START_BRANCH_V = 0.005
+REJECTION_COUNT = 20  # what a rejection adds to the count, as in fixed_step_kernels
 MEMORY_START_S = 10.0  # for how long the model's error is remembered at first
 CURRENT_LIMIT_C = 200.0  # no cell gives that; a sensor fault does
 VOLTAGE_MOST_V = 1000.0
@@ -220,7 +221,7 @@ def _constants(
         "voltage_high_V": min(noise.voltage_high_V, VOLTAGE_MOST_V),
         "branch_variance_V2": START_BRANCH_V**2,
         "capacity_A": model.capacity_Ah,
-        "recovery_after": 10 * int(noise.recovery_after),
+        "recovery_after": REJECTION_COUNT * int(noise.recovery_after),
         "gap_steps": int(np.ceil(BRIDGED_S / dt_s)),
         "charge_efficiency": model.charge_efficiency,
         "leak_soc": per_A * model.effect(SelfDischarge).leak_A,
