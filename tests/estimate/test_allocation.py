@@ -11,9 +11,10 @@ from numba.core.runtime import _nrt_python, rtsys
 
 from cellwise.cell import protocol_kernels
 from cellwise.cell.kernels import empty_state, simulate_rows
-from cellwise.estimate import ekf_kernels
+from cellwise.estimate import ekf_kernels, ukf_kernels
 from cellwise.estimate.coulomb import coulomb_rows
 from cellwise.estimate.ekf import Ekf
+from cellwise.estimate.ukf import SigmaPoints
 from example_cells import EFFECTS, curved_cell
 
 MODEL = curved_cell(effects=EFFECTS)
@@ -53,6 +54,11 @@ def ekf_call(rows):
             voltage, warm, dt, gap, out, status)  # fmt: skip
 
 
+def ukf_call(rows):
+    _, table, grid, cell, noise, *rest = ekf_call(rows)
+    return (ukf_kernels.ukf_rows, table, grid, cell, noise, SigmaPoints().scalars(), *rest)
+
+
 def simulate_call(rows):
     current = np.random.default_rng(1).normal(0, 3, rows)
     dt, warm = np.full(rows, 0.1), np.full(rows, 25.0)
@@ -85,7 +91,7 @@ def leaky_call(rows):
     return leaky_rows, np.ones(rows), np.empty(rows)
 
 
-@pytest.mark.parametrize("call", [ekf_call, simulate_call, coulomb_call, profile_call])
+@pytest.mark.parametrize("call", [ekf_call, ukf_call, simulate_call, coulomb_call, profile_call])
 def test_nothing_is_allocated_per_row(allocations, call):
     assert allocations(call, 100) == allocations(call, 100_000)
 

@@ -127,8 +127,8 @@ def test_with_a_model_error_that_lasts_for_minutes(cell, dt, least):
 def test_a_start_that_is_20_points_unsure_is_not_overtrusted_after_one_voltage():
     """The OCV bends over such a spread: the first rows must cover nearly as well as the last.
 
-    The filter takes a model to be wrong on every time scale; an error of one scale, as here, costs a
-    few points of coverage in the first minutes.
+    The filter takes a model to be wrong on every time scale; an error of one scale, as here, costs
+    a few points of coverage in the first minutes.
     """
     model = replace(curved_cell(), error=ModelError(slow_V=(0.010,)))
     noise = Noise(current_A=0.01, soc_per_sqrt_h=0.005, slow_s=300.0)
