@@ -992,7 +992,9 @@ static uint32_t reject(const cellwise_constants *c, cellwise_state *x, const cel
         x->rejections = 0u;
         x->mismatch = 1.0f;
         x->evidence = FIRST_VOLTAGE;
-        x->ss = x->ss + ((square < RECOVERY_VARIANCE) ? square : RECOVERY_VARIANCE);
+        const float widened = x->ss + square;
+        const float most = (widened < RECOVERY_VARIANCE) ? widened : RECOVERY_VARIANCE;
+        x->ss = (most > x->ss) ? most : x->ss;
         x->p11 = x->p11 + ((x->v1_V * x->v1_V) + (held_A2 * (p->r1_ohm * p->r1_ohm)));
         x->p22 = x->p22 + ((x->v2_V * x->v2_V) + (held_A2 * (p->r2_ohm * p->r2_ohm)));
 #if CELLWISE_SLOW

@@ -276,7 +276,9 @@ def reject(
         x.rejections = U(0)
         x.mismatch = ONE
         x.evidence = FIRST_VOLTAGE
-        x.ss = x.ss + (square if square < RECOVERY_VARIANCE else RECOVERY_VARIANCE)
+        widened = x.ss + square
+        most = widened if widened < RECOVERY_VARIANCE else RECOVERY_VARIANCE
+        x.ss = most if most > x.ss else x.ss
         x.p11 = x.p11 + ((x.v1_V * x.v1_V) + (held_A2 * (p.r1_ohm * p.r1_ohm)))
         x.p22 = x.p22 + ((x.v2_V * x.v2_V) + (held_A2 * (p.r2_ohm * p.r2_ohm)))
         if SLOW:
