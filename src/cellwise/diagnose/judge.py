@@ -22,10 +22,12 @@ from cellwise.typing import BoolArray, FloatArray
 
 Progress = Callable[[float, str], None]
 
-# Nats by which an explanation must be better than none (a factor of 3000 in likelihood).
-LEAST_SCORE = 8.0
-# A gain below this is nobody's business.
+# Nats by which an explanation must be better than none (a factor of three million in
+# likelihood).
+LEAST_SCORE = 15.0
+# A gain below this share, or below this share of the model's own slow error, is nobody's business.
 LEAST_GAIN = 0.02
+LEAST_OF_ERROR = 0.2
 LEAST_CHANGE_V = 2e-4
 # Rivals closer than this, or than so many standard errors, cannot be told apart.
 CLEAR_SCORE = 2.0
@@ -325,11 +327,22 @@ class Judge:
                 break
             gain = self._gain(candidate, base, accepted)
             wide = freed(prior, candidate.cause, candidate.fit.coordinates, self.evidence)
-            refusal = _unphysical(candidate, wide) or _refusal(candidate, gain)
+            refusal = _unphysical(candidate, wide) or self._refusal(candidate, gain)
             if not refusal:
                 return ranked[k:], gain, refused
             refused.append(refusal)
         return ranked, None, refused
+
+    def _refusal(self, candidate: Candidate, gain: Gain) -> str:
+        """Why a candidate is not accepted; empty if it is."""
+        name = candidate.name
+        if gain.low <= 0.0:
+            return f"{name} fits, but gains nothing sure on held-out data"
+        error = float(np.mean(self.coordinates.model.error.slow_V))
+        saved = gain.held_before_V - gain.held_after_V
+        if gain.gain < LEAST_GAIN or saved < max(LEAST_CHANGE_V, LEAST_OF_ERROR * error):
+            return f"{name} would save {1e3 * saved:.2f} mV, less than the model claims to know"
+        return ""
 
     def _rivals(self, ranked: Sequence[Candidate]) -> tuple[Candidate, ...]:
         """Those that explain as much as the best one."""
@@ -375,15 +388,4 @@ def _unphysical(candidate: Candidate, prior: Prior) -> str:
         x = z.get(p.coordinate)
         if x is not None and x in (prior.low.get(p.coordinate), prior.high.get(p.coordinate)):
             return f"{candidate.name} would need {p.name} beyond what is physical"
-    return ""
-
-
-def _refusal(candidate: Candidate, gain: Gain) -> str:
-    """Why a candidate is not accepted; empty if it is."""
-    name = candidate.name
-    if gain.low <= 0.0:
-        return f"{name} fits, but gains nothing sure on held-out data"
-    if gain.gain < LEAST_GAIN or gain.held_before_V - gain.held_after_V < LEAST_CHANGE_V:
-        saved = 1e3 * (gain.held_before_V - gain.held_after_V)
-        return f"{name} would save {saved:.2f} mV, less than anybody would notice"
     return ""
