@@ -34,7 +34,8 @@ class Cause:
 
     ``kind`` says what is mended: the log ("measurement"), where it starts ("start") or the model
     ("cell"). ``shape`` is a coordinate that means nothing while the effect is neutral, with the
-    values from which the search starts.
+    values from which the search starts; ``beginnings`` are other points to start from, where a
+    fit that starts at neutral may stop half way.
     """
 
     name: str
@@ -45,6 +46,7 @@ class Cause:
     parameters: tuple[Parameter, ...]
     confused_with: tuple[str, ...]
     shape: tuple[str, tuple[float, ...]] | None = None
+    beginnings: tuple[dict[str, float], ...] = ()
 
     @property
     def coordinates(self) -> tuple[str, ...]:
@@ -90,6 +92,8 @@ CAUSES: dict[str, Cause] = {
             "Spikes at every edge of the current that change sign with it, nothing between.",
             (Parameter("skew_s", "s", 0.0, (-60.0, 60.0), "skew_s", 1.0),),
             ("resistance_scale",),
+            # Edges that are seconds apart do not pull at each other.
+            beginnings=tuple({"skew_s": x} for x in (0.0, 0.4, -0.4, 1.2, -1.2, 3.0)),
         ),
         Cause(
             "initial_soc",

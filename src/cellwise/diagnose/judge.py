@@ -254,16 +254,17 @@ class Judge:
         best: Fit | None = None
         moving = [*cause.coordinates, *self.evidence.starts()]
         shapes = self._shapes(cause, base.coordinates)
-        for shaped in shapes:
+        beginnings = [(c, b) for c in shapes for b in cause.beginnings or ({},)]
+        for shaped, beginning in beginnings:
             wide = freed(prior, cause, shaped, self.evidence)
-            start = dict(base.z)
+            start = {**base.z, **beginning}
             if cause.name == "self_heating":
                 start["rth_K_per_W"] = 1.0
                 moving.append("activation_K")
                 if needs_activation(shaped):
                     start["activation_K"] = USUAL_ACTIVATION_K
             found = self._fit(
-                firm, shaped, wide, start, 3 if len(shapes) > 1 else 5, frozen, moving
+                firm, shaped, wide, start, 3 if len(beginnings) > 1 else 5, frozen, moving
             )
             if best is None or found.log_evidence > best.log_evidence:
                 best = found

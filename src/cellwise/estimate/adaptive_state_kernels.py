@@ -155,7 +155,9 @@ def observe(
         d[i] = (slope_V * p[SOC, i] + m_V * p[H, i]) + (
             rb * p[B, i] - (fast * p[V1, i] + tail * (p[V2, i] + p[V3, i]))
         )
-    return (slope_V * d[SOC] + m_V * d[H]) + (rb * d[B] - (fast * d[V1] + tail * (d[V2] + d[V3])))
+    return float(
+        (slope_V * d[SOC] + m_V * d[H]) + (rb * d[B] - (fast * d[V1] + tail * (d[V2] + d[V3])))
+    )
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -237,9 +239,9 @@ def settled_variance(p: FloatArray) -> float:
         sb, sq = p[SOC, B], p[SOC, Q]
         bb, bq, qq = p[B, B], p[B, Q], p[Q, Q]
         det = max(bb * qq - bq * bq, NEARLY * bb * qq)
-        return p[SOC, SOC] - (sb * (sb * qq - sq * bq) + sq * (sq * bb - sb * bq)) / det
+        return float(p[SOC, SOC] - (sb * (sb * qq - sq * bq) + sq * (sq * bb - sb * bq)) / det)
     if free_b:
-        return p[SOC, SOC] - p[SOC, B] * p[SOC, B] / p[B, B]
+        return float(p[SOC, SOC] - p[SOC, B] * p[SOC, B] / p[B, B])
     if free_q:
-        return p[SOC, SOC] - p[SOC, Q] * p[SOC, Q] / p[Q, Q]
-    return p[SOC, SOC]
+        return float(p[SOC, SOC] - p[SOC, Q] * p[SOC, Q] / p[Q, Q])
+    return float(p[SOC, SOC])

@@ -99,4 +99,4 @@ def watch_resistance(
         k = memory[TAIL_VAR] * tail / (tail * tail * memory[TAIL_VAR] + noise)
         memory[TAIL] = min(max(memory[TAIL] - k * miss, SCALE_LOW), SCALE_HIGH)
         memory[TAIL_VAR] -= k * tail * memory[TAIL_VAR]
-    return moves
+    return bool(moves)
