@@ -91,6 +91,7 @@ def test_finer_tables_lose_less():
     log = replace(log, voltage_V=simulate(model, log, 0.9).voltage_V)
     found = accuracy_by_grid(model, log, 1.0, soc0=0.9, grids=(6, 26))
     error = [row.soc_rmse for row in found]
-    assert error[0] > error[1] > error[2]
+    assert error[0] > 2 * error[1]
+    assert error[2] <= 1.1 * error[1]  # nothing left to lose but rounding
     assert error[2] < 5e-4
     assert [row.flash_bytes for row in found] == sorted(row.flash_bytes for row in found)

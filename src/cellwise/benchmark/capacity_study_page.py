@@ -36,8 +36,7 @@ from cellwise.report.style import (
 )
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from cellwise.report.style import Axes, Figure
 
 COLOURS = {"coulomb": AMBER, "ekf": BLUE, "ukf": GREEN, "adaptive": PURPLE}
 MARKERS = {"coulomb": "s", "ekf": "o", "ukf": "^", "adaptive": "D"}

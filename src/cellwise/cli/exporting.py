@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellwise.cli import printing
+from cellwise.cli import log_options, printing
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     export.add_argument("--flash", type=int, metavar="BYTES", help="refuse larger tables")
     export.add_argument("--log", metavar="LOG", help="accuracy lost, against the float64 EKF")
     export.add_argument("--soc0", type=float, metavar="X", help="SOC at the log's start [auto]")
-    printing.add_sign(export)
+    log_options.add_log_options(export)
     printing.add_json(export)
     export.set_defaults(run=run_export)
 
@@ -109,7 +109,7 @@ def read(arguments: argparse.Namespace) -> Any:
     """The log that is given."""
     if arguments.soc0 is not None and not 0.0 <= arguments.soc0 <= 1.0:
         raise InputError(f"--soc0 {arguments.soc0:g}", "a fraction from 0 to 1", "Correct it.")
-    return printing.read(arguments.log, arguments.sign)
+    return log_options.read(arguments.log, arguments)
 
 
 def print_export(folder: str, told: dict[str, Any]) -> None:

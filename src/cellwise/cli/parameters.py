@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cellwise.cli import printing
-from cellwise.estimate.adaptive_trace import AdaptiveTrace
-from cellwise.estimate.trace import Trace
+
+if TYPE_CHECKING:
+    from cellwise.estimate.trace import Trace
 
 UNITS = {"offset_A": ("sensor offset", "A"), "gain": ("sensor gain", ""),
          "capacity_Ah": ("capacity", "Ah"), "resistance_scale": ("R0, R1 times", ""),
@@ -34,6 +35,8 @@ def parameter_rows(data: dict[str, Any]) -> list[tuple[str, str]]:
 
 def parameter_columns(trace: Trace) -> dict[str, Any]:
     """Columns of the file of a replay; none for an estimator without parameters."""
+    from cellwise.estimate.adaptive_trace import AdaptiveTrace
+
     if not isinstance(trace, AdaptiveTrace):
         return {}
     names = ("offset_A", "offset_std_A", "gain", "gain_std", "capacity_Ah", "capacity_std_Ah",

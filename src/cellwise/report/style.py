@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any, ParamSpec, cast
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    # Named so that pages outside this folder can say what they draw on.
+    from matplotlib.axes import Axes as Axes
+    from matplotlib.figure import Figure as Figure
 
 P = ParamSpec("P")
 
