@@ -13,8 +13,8 @@ from emulator_cells import FINE
 from emulator_effects import PRINCIPAL
 from hidden_cases import HiddenEffect, Sealed, Truth
 
-# Smallest size [V] that is found nine times of ten, as benchmarks/hidden_effects.py measures it
-# over both chemistries. A case is held to the targets above twice this size.
+# Sizes [V] that the cases are scaled by. They are assumed alike for every effect until
+# `benchmarks/hidden_effects.py --parts limit` has measured the smallest that is found nine of ten.
 DETECTION_LIMIT_V: dict[str, float] = {
     "current_offset": 0.005,
     "current_gain": 0.005,

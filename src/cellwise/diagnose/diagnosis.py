@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from cellwise.cell.initial_soc import InitialSoc, initial_soc
+from cellwise.cell.kernels import R3, TAU2, TAU3
 from cellwise.cell.model import CellModel
 from cellwise.diagnose.anatomy import anatomy
 from cellwise.diagnose.causes import CAUSES, Cause
@@ -89,11 +90,11 @@ def diagnose(
     judge = _judge(evidence, coordinates, seed, progress)
     if groups[2]:
         _learn(judge, model, starts[2])
-    base, _ = judge.base(judge.prior)
+    base, noise = judge.base(judge.prior)
     other = another_cell(model, evidence, base, base.soc)
     if other:
         return _undetermined(model, groups, f"this looks like another cell: {other}")
-    judgement = judge.run(chosen)
+    judgement = judge.run(chosen, base, noise)
     return _diagnosis(model, groups[0], groups[1], evidence, judge, judgement)
 
 
@@ -122,9 +123,9 @@ def _chosen(names: Sequence[str] | None) -> list[Cause]:
 def _slowest(model: CellModel) -> float:
     """The slowest memory of the model [s]."""
     table, _, _ = model.parameters()
-    slow = float(np.median(table[..., 5]))
-    if np.any(table[..., 6]):
-        slow = max(slow, float(np.median(table[..., 7])))
+    slow = float(np.median(table[..., TAU2]))
+    if np.any(table[..., R3]):
+        slow = max(slow, float(np.median(table[..., TAU3])))
     return slow
 
 

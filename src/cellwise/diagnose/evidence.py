@@ -150,8 +150,6 @@ class Evidence:
 
 def _flow(log: LogRows, inputs: KernelInputs) -> tuple[FloatArray, dict[str, FloatArray]]:
     """The current that flowed [A], and its derivatives."""
-    shifted = log.current_A
-    by_skew = np.zeros_like(shifted)
     shifted, by_skew = np.empty_like(log.current_A), np.empty_like(log.current_A)
     shift_rows(log.log.time_s, log.dt_s, log.current_A, inputs.skew_s, shifted, by_skew)
     flow = (shifted - inputs.offset_A) / inputs.gain

@@ -11,14 +11,14 @@ import numpy as np
 
 from cellwise.diagnose.causes import Cause
 from cellwise.diagnose.coordinates import Coordinates
-from cellwise.diagnose.evidence import FITTED, HELD, Evidence
-from cellwise.diagnose.fit import Fit, Frozen, Objective, Prior, fit, freeze
+from cellwise.diagnose.evidence import FITTED, Evidence
+from cellwise.diagnose.fit import Fit, Frozen, Objective, Prior, fit, freeze, held_rows
 from cellwise.diagnose.noise import at_least, estimate_noise
 from cellwise.diagnose.priors import USUAL_ACTIVATION_K, freed, needs_activation
 from cellwise.diagnose.rest_reading import RestReading
 from cellwise.diagnose.rivals import Candidate, Gain, difference, gain_of
 from cellwise.diagnose.whitening_kernels import NoiseLevel
-from cellwise.typing import BoolArray, FloatArray
+from cellwise.typing import FloatArray
 
 Progress = Callable[[float, str], None]
 
@@ -100,11 +100,10 @@ class Judge:
     _said: float = field(default=0.0)
     _amplitude: FloatArray = field(default_factory=lambda: np.ones(1))
 
-    def run(self, causes: Sequence[Cause]) -> Judgement:
-        """Accept causes one by one until nothing is left to explain."""
+    def run(self, causes: Sequence[Cause], base: Fit, noise: NoiseLevel) -> Judgement:
+        """Accept causes one by one on top of the :meth:`base` until nothing is left to explain."""
         accepted: list[Accepted] = []
         prior = self.prior
-        base, noise = self.base(prior)
         plain_base = base
         first: tuple[Candidate, ...] = ()
         between: tuple[Candidate, ...] = ()
@@ -283,13 +282,10 @@ class Judge:
     def _scored(
         self, cause: Cause, best: Fit, noise: NoiseLevel, base: Fit, none: float
     ) -> Candidate:
-        held = self._held()
+        held = held_rows(self.evidence)
         held_score = float(np.sum((best.terms - base.terms)[held]))
         explained = best.log_evidence + self.rest.ln_likelihood(best.z) - none
         return Candidate(cause, best, noise, explained + held_score, held_score)
-
-    def _held(self) -> BoolArray:
-        return np.asarray((self.evidence.role == HELD) & self.evidence.known)
 
     def _shapes(self, cause: Cause, coordinates: Coordinates) -> list[Coordinates]:
         if cause.shape is None:

@@ -62,8 +62,6 @@ from cellwise.estimate.adaptive_state_kernels import (
 )
 from cellwise.estimate.adaptive_watch_kernels import watch_resistance, watch_rest
 from cellwise.estimate.ekf_kernels import (
-    RECOVERY_RATE,
-    RECOVERY_VARIANCE,
     SLOPE_FLOOR_V,
     SMALL_MOVE,
     WIDE_VARIANCE,
@@ -72,6 +70,7 @@ from cellwise.estimate.evidence_kernels import FORGIVEN, UNDER_LOAD_COUNT
 from cellwise.estimate.filter_state import EkfStart
 from cellwise.estimate.measurement_kernels import start_branch, voltage_variance, wide_slopes
 from cellwise.estimate.noise import NoiseScalars
+from cellwise.estimate.recovery_kernels import RECOVERY_RATE, RECOVERY_VARIANCE
 from cellwise.estimate.sample_kernels import (
     NO_VOLTAGE_YET,
     NOT_BEGUN,

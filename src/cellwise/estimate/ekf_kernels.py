@@ -33,19 +33,15 @@ from cellwise.estimate.evidence_kernels import UNDER_LOAD_COUNT as UNDER_LOAD_CO
 from cellwise.estimate.evidence_kernels import weigh
 from cellwise.estimate.filter_state import EkfInfo, EkfState, ekf_start
 from cellwise.estimate.filter_state import EkfStart as EkfStart
-from cellwise.estimate.measurement_kernels import (
-    LOAD_LIMIT_V,
-    REST_LIMIT_V,
-    START_BRANCH_V,
-    START_REST_RATE,
-    flat_slope,
-    soc_of_voltage,
-)
 from cellwise.estimate.measurement_kernels import chord as chord
+from cellwise.estimate.measurement_kernels import (
+    flat_slope,
+)
 from cellwise.estimate.measurement_kernels import start_branch as start_branch
 from cellwise.estimate.measurement_kernels import voltage_variance as voltage_variance
 from cellwise.estimate.measurement_kernels import wide_slopes as wide_slopes
 from cellwise.estimate.noise import NoiseScalars
+from cellwise.estimate.recovery_kernels import recovered
 from cellwise.estimate.sample_kernels import NOT_BEGUN, read_sample
 from cellwise.estimate.status import CLAMPED, STATE_RESET
 from cellwise.typing import BoolArray, FloatArray, IntArray
@@ -59,8 +55,6 @@ SOC_HIGH = 1.0
 VARIANCE_FLOOR = 1e-12
 WIDE_VARIANCE = 4e-4  # beyond 2 points of SOC the tangent is no guide
 SLOPE_FLOOR_V = 0.05
-RECOVERY_VARIANCE = 0.09
-RECOVERY_RATE = 0.3
 SMALL_MOVE = 0.05  # of a standard deviation: the slope is that of the spot left
 
 
@@ -220,34 +214,13 @@ def ekf_step_inline(
     status |= seen_as.status
     innovation = seen_as.innovation_V
     if seen_as.recover:
-        # The gate may have locked the truth out. Branches that have been followed may hold
-        # anything; the SOC is looked for anew.
-        held_A = START_REST_RATE * cell.charge_As / 3600.0
-        limit_V = REST_LIMIT_V
-        branch = START_BRANCH_V * START_BRANCH_V
-        if evidence >= 0.0:
-            held_A = RECOVERY_RATE * cell.charge_As / 3600.0
-            limit_V = LOAD_LIMIT_V
-            # Under load the resistances may be what is wrong, by as much as they are.
-            drop_V = abs(point.r0_ohm * seen) + branches
-            branch = drop_V * drop_V + v1 * v1 + v2 * v2 + v3 * v3 + ((p11 + p22) + p33)
+        # The gate may have locked the truth out: the SOC is looked for anew.
         # fmt: off
-        soc, ss = soc_of_voltage(
-            table, grid, cell, warm, seen, s.voltage_V, (v1 + v2) + v3, h, phh, one + branch,
-            held_A, limit_V, soc, max(ss, RECOVERY_VARIANCE),
+        soc, ss, p11, p22, p33 = recovered(
+            table, grid, cell, warm, seen, s.voltage_V, (v1, v2, v3), (p11, p22, p33), h, phh,
+            one, abs(point.r0_ohm * seen) + branches, evidence >= 0.0, soc, ss,
         )
         # fmt: on
-        new = look_up(table, grid, cell, soc, warm)
-        branch = START_BRANCH_V * START_BRANCH_V
-        p11 = branch + min(held_A * new.r1_ohm, limit_V) ** 2
-        p22 = branch + min(held_A * new.r2_ohm, limit_V) ** 2
-        p33 = branch + min(held_A * new.r3_ohm, limit_V) ** 2
-        if evidence >= 0.0:
-            p11 += v1 * v1
-            p22 += v2 * v2
-            p33 += v3 * v3
-        if new.r3_ohm == 0.0:
-            p33 = 0.0
         s1 = 0.0
         s2 = 0.0
         s3 = 0.0

@@ -34,8 +34,6 @@ from cellwise.estimate.ekf_kernels import (
     OUT_STD,
     OUT_VARIANCE,
     OUT_VOLTAGE,
-    RECOVERY_RATE,
-    RECOVERY_VARIANCE,
     SOC_HIGH,
     SOC_LOW,
     VARIANCE_FLOOR,
@@ -44,15 +42,11 @@ from cellwise.estimate.ekf_kernels import (
 from cellwise.estimate.evidence_kernels import weigh
 from cellwise.estimate.filter_state import EkfInfo, EkfStart, EkfState, ekf_start
 from cellwise.estimate.measurement_kernels import (
-    LOAD_LIMIT_V,
-    REST_LIMIT_V,
-    START_BRANCH_V,
-    START_REST_RATE,
-    soc_of_voltage,
     start_branch,
     voltage_variance,
 )
 from cellwise.estimate.noise import NoiseScalars
+from cellwise.estimate.recovery_kernels import recovered
 from cellwise.estimate.sample_kernels import NOT_BEGUN, read_sample
 from cellwise.estimate.status import CLAMPED, STATE_RESET
 from cellwise.typing import BoolArray, FloatArray, IntArray
@@ -251,34 +245,13 @@ def ukf_step_inline(
     status |= seen_as.status
     innovation = seen_as.innovation_V
     if seen_as.recover:
-        # The gate may have locked the truth out. Branches that have been followed may hold
-        # anything; the SOC is looked for anew.
-        held_A = START_REST_RATE * cell.charge_As / 3600.0
-        limit_V = REST_LIMIT_V
-        branch = START_BRANCH_V * START_BRANCH_V
-        if evidence >= 0.0:
-            held_A = RECOVERY_RATE * cell.charge_As / 3600.0
-            limit_V = LOAD_LIMIT_V
-            # Under load the resistances may be what is wrong, by as much as they are.
-            drop_V = abs(point.r0_ohm * seen) + held_V
-            branch = drop_V * drop_V + v1 * v1 + v2 * v2 + v3 * v3 + ((p11 + p22) + p33)
+        # The gate may have locked the truth out: the SOC is looked for anew.
         # fmt: off
-        soc, ss = soc_of_voltage(
-            table, grid, cell, warm, seen, s.voltage_V, (v1 + v2) + v3, h, phh, one + branch,
-            held_A, limit_V, soc, max(ss, RECOVERY_VARIANCE),
+        soc, ss, p11, p22, p33 = recovered(
+            table, grid, cell, warm, seen, s.voltage_V, (v1, v2, v3), (p11, p22, p33), h, phh,
+            one, abs(point.r0_ohm * seen) + held_V, evidence >= 0.0, soc, ss,
         )
         # fmt: on
-        new = look_up(table, grid, cell, soc, warm)
-        branch = START_BRANCH_V * START_BRANCH_V
-        p11 = branch + min(held_A * new.r1_ohm, limit_V) ** 2
-        p22 = branch + min(held_A * new.r2_ohm, limit_V) ** 2
-        p33 = branch + min(held_A * new.r3_ohm, limit_V) ** 2
-        if evidence >= 0.0:
-            p11 += v1 * v1
-            p22 += v2 * v2
-            p33 += v3 * v3
-        if new.r3_ohm == 0.0:
-            p33 = 0.0
         s1 = 0.0
         s2 = 0.0
         s3 = 0.0
