@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .cells import LFP, NMC, CellSetup
+from .missions import flight_current, orbit_steps
 from .tester import ConstantCurrent, ConstantVoltage, Profile, Rest, RowPlan, Step
 from .vehicle import MOTORWAY, RURAL, URBAN, Style, Vehicle, depleting_cycle, drive_current
 
@@ -165,6 +166,31 @@ def depleting_steps(cell: CellSetup, cycles: int) -> StepSource:
     return steps
 
 
+def orbiting_steps(cell: CellSetup, orbits: int) -> StepSource:
+    """Rest, orbits, rest."""
+
+    def steps(rng: np.random.Generator) -> list[Step]:
+        return [
+            Rest(1800.0, RELAX),
+            *orbit_steps(cell.nominal_Ah, orbits, rng),
+            Rest(1800.0, RELAX),
+        ]
+
+    return steps
+
+
+def flying_steps(cell: CellSetup, hovers_s: tuple[float, ...]) -> StepSource:
+    """Rest, flights with ten minutes on the ground between them, rest."""
+
+    def steps(rng: np.random.Generator) -> list[Step]:
+        flights: list[Step] = []
+        for hover in hovers_s:
+            flights += [Profile(flight_current(cell.nominal_Ah, hover, rng)), Rest(600.0, RELAX)]
+        return [Rest(1800.0, RELAX), *flights, Rest(1800.0, RELAX_1HZ)]
+
+    return steps
+
+
 def _fixed(steps: list[Step]) -> StepSource:
     return lambda _rng: steps
 
@@ -255,6 +281,24 @@ TESTS: tuple[Test, ...] = (
     _drive("nmc_drive_c", (URBAN, URBAN, RURAL, MOTORWAY), 4.80, "mixed"),
     _hppc("nmc_hppc_p00", 0.0),
     _drive("nmc_drive_p00", (URBAN, URBAN, RURAL), 4.0, "mixed", 0.0),
+    Test(
+        name="nmc_leo",
+        cell=NMC,
+        kind="orbit",
+        description="From full: 12 low earth orbits of 90 min, 36 in eclipse (about 30 % of "
+        "nominal, payload on for some minutes) and 54 of charge at 0.4C held at 4.2 V, 30 min rest",
+        range_A=5.0,
+        steps=orbiting_steps(NMC, 12),
+    ),
+    Test(
+        name="nmc_flight",
+        cell=NMC,
+        kind="flight",
+        description="From full: three multicopter flights of 8, 12 and 13 min in gusts (1C to "
+        "2.4C, rows of 1 s), 10 min on the ground after each, 30 min rest; limits held",
+        range_A=20.0,
+        steps=flying_steps(NMC, (480.0, 720.0, 780.0)),
+    ),
     _discharge_hppc("c20", 20.0, 1.0),
     _discharge_hppc("c5", 5.0, 5.0),
     _discharge_hppc("c3", 3.0, 5.0),

@@ -27,7 +27,8 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--estimator",
         default="ekf",
         metavar="E",
-        help="coulomb, ekf, ukf, adaptive, fixed-step, firmware, filterpy-ekf, filterpy-ukf [ekf]",
+        help="coulomb, rest-ocv, ekf, ukf, adaptive, fixed-step, firmware, filterpy-ekf, "
+        "filterpy-ukf [ekf]",
     )
     replay.add_argument("--soc0-std", type=float, metavar="S", help="how sure the start SOC is")
     replay.add_argument("--dt", type=float, metavar="S", help="resample to an even step")

@@ -16,6 +16,7 @@ from cellwise.estimate.adaptive_trace import AdaptiveTrace
 from cellwise.estimate.coulomb import Coulomb
 from cellwise.estimate.ekf import Ekf
 from cellwise.estimate.noise import Noise
+from cellwise.estimate.rest_ocv import RestOcv
 from cellwise.estimate.status import INNOVATION_REJECTED, VOLTAGE_FROZEN, VOLTAGE_INVALID
 from cellwise.estimate.trace import Trace
 from cellwise.estimate.ukf import Ukf
@@ -51,6 +52,8 @@ def make_estimator(name: str, model: CellModel, noise: Noise | None = None) -> E
         return Ukf(model, noise)
     if name == "coulomb":
         return Coulomb(model, noise)
+    if name == "rest-ocv":
+        return RestOcv(model, noise)
     if name == "filterpy-ekf":
         from cellwise.estimate.filterpy_ekf import FilterpyEkf
 
@@ -73,6 +76,7 @@ ESTIMATORS = (
     "ekf",
     "ukf",
     "adaptive",
+    "rest-ocv",
     "fixed-step",
     "firmware",
     "filterpy-ekf",
@@ -153,9 +157,9 @@ class Replay:
 
     @property
     def voltage_rmse_V(self) -> float:
-        """RMSE of the voltage predicted before each measurement was used [V]."""
-        e = self.trace.innovation_V
-        return float(np.sqrt(np.nanmean(e * e)))
+        """RMSE of the voltage predicted before each measurement was used [V]; NaN: none was."""
+        e = self.trace.innovation_V[np.isfinite(self.trace.innovation_V)]
+        return float(np.sqrt(np.mean(e * e))) if e.size else float("nan")
 
     def to_dict(self) -> dict[str, Any]:
         """The figures as JSON values, keys as the command prints them."""
@@ -173,7 +177,7 @@ class Replay:
             "settled": None if settled is None else vars(settled),
             "coverage_2sigma": self.coverage_2sigma,
             "nis_mean": self.nis_mean,
-            "voltage_rmse_V": self.voltage_rmse_V,
+            "voltage_rmse_V": self.voltage_rmse_V if np.isfinite(self.voltage_rmse_V) else None,
             "ns_per_step": self.ns_per_step,
         }
         if isinstance(self.trace, AdaptiveTrace):
