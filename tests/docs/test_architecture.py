@@ -25,7 +25,8 @@ MAY_IMPORT = {
     "export": BASE | TOOLS,
     "report": BASE | TOOLS,
     "benchmark": BASE | TOOLS | {"report"},
-    "cli": BASE | TOOLS | {"export", "report", "benchmark"},
+    "live": BASE | {"logs", "cell", "estimate"},
+    "cli": BASE | TOOLS | {"export", "report", "benchmark", "live"},
 }
 MODULES = sorted(path for path in PACKAGE.rglob("*.py") if path.parent != PACKAGE) + sorted(
     PACKAGE / f"{name}.py" for name in (*BASE, "data")

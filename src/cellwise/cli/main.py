@@ -18,12 +18,14 @@ def build_parser() -> argparse.ArgumentParser:
     from importlib.metadata import version
 
     from cellwise.cli import (
+        benchmarking,
         capacity_study,
         data,
         diagnosing,
         estimating,
         exporting,
         identifying,
+        live,
         logs,
         studies,
     )
@@ -36,7 +38,8 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"cellwise {version('cellwise')}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     modules = (
-        logs, identifying, estimating, diagnosing, exporting, studies, capacity_study, data,
+        logs, identifying, estimating, live, diagnosing, exporting, studies, capacity_study,
+        benchmarking, data,
     )  # fmt: skip
     for module in modules:
         module.add_commands(commands)

@@ -13,6 +13,7 @@ import numpy as np
 from cellwise.errors import InputError
 from cellwise.logs.alignment import Series, aligned
 from cellwise.logs.can_bits import physical_values
+from cellwise.logs.can_database import can_database
 from cellwise.logs.columns import OWN, Channel
 from cellwise.logs.extras import need
 from cellwise.logs.format import Format, damaged, library_at_work
@@ -92,23 +93,7 @@ def _read(source: LogSource, known: Format) -> RawLog:
 
 
 def _database(source: LogSource) -> Any:
-    cantools = need("cantools", "a CAN log")
-    path = source.options.dbc
-    if path is None:
-        raise InputError(
-            f"CAN frames in {source.where}",
-            "the database that tells what is in them",
-            "Give it with --dbc FILE.dbc.",
-        )
-    try:
-        return cantools.database.load_file(str(path), strict=False)
-    except Exception as error:  # parsers of four formats raise what they like
-        told = " ".join(str(error).split())[:160]
-        raise InputError(
-            f"a file that is no CAN database, '{path}' ({told})",
-            "a DBC, ARXML, KCD or SYM file",
-            "Choose the database of this log.",
-        ) from error
+    return can_database(source.options.dbc, f"CAN frames in {source.where}")
 
 
 def _frames(source: LogSource, database: Any) -> tuple[Frames, set[int]]:

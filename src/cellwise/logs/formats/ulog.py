@@ -14,11 +14,11 @@ from cellwise.logs.named_arrays import channels_of
 from cellwise.logs.source import LogSource, RawLog
 from cellwise.typing import FloatArray
 
-_MAGIC = b"ULog\x01\x12\x35"
-_TOPIC = "battery_status"
+MAGIC = b"ULog\x01\x12\x35"
+TOPIC = "battery_status"
 _HEADER_BYTES = 3  # of a message; where one would begin, a file may end
 # What stands for "unknown", by the message's definition.
-_UNKNOWN = {
+UNKNOWN = {
     "voltage_v": (-1.0, 0.0),
     "current_a": (-1.0,),
     "discharged_mah": (-1.0,),
@@ -30,15 +30,15 @@ def _read(source: LogSource, known: Format) -> RawLog:
     pyulog = need("pyulog", "a PX4 ULog")
     with library_at_work(source, "ULog"), source.open() as stream:
         watched = _Watched(stream)
-        log = pyulog.ULog(watched, [_TOPIC])
+        log = pyulog.ULog(watched, [TOPIC])
     if watched.ended_within and not source.options.partial:
         raise cut_off(source, "ULog")
-    found = {d.multi_id: d for d in log.data_list if d.name == _TOPIC}
+    found = {d.multi_id: d for d in log.data_list if d.name == TOPIC}
     if not found:
         with library_at_work(source, "ULog"), source.open() as stream:
             topics = sorted({d.name for d in pyulog.ULog(stream).data_list})
         raise InputError(
-            f"no topic '{_TOPIC}' in {source.where}, which has {len(topics)} topics "
+            f"no topic '{TOPIC}' in {source.where}, which has {len(topics)} topics "
             f"({', '.join(topics[:8])}{', ...' if len(topics) > 8 else ''})",
             "a log of a vehicle that measures its battery",
             "Record battery_status (SDLOG_PROFILE), or choose another log.",
@@ -105,7 +105,7 @@ def _typical(data: dict[str, Any]) -> float:
 def _without_unknown(name: str, values: Any) -> FloatArray:
     """Values with what stands for "unknown" as NaN."""
     array: FloatArray = np.asarray(values, dtype=np.float64)
-    for mark in _UNKNOWN.get(name, ()):
+    for mark in UNKNOWN.get(name, ()):
         array = np.where(np.isclose(array, mark), np.nan, array)
     return array
 
@@ -123,7 +123,7 @@ def _cells(data: dict[str, Any]) -> int | None:
 
 PX4_ULOG = Format(
     name="px4-ulog",
-    matches=lambda source: source.head.startswith(_MAGIC),
+    matches=lambda source: source.head.startswith(MAGIC),
     channels=(
         Channel("time_s", {"timestamp": Unit(1e-6)}, required=True),
         Channel("current_A", {"current_a": OWN}, required=True),

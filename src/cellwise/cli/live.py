@@ -1,0 +1,288 @@
+"""cellwise live."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from functools import partial
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
+
+from cellwise.cli import log_options, printing
+from cellwise.errors import InputError
+
+if TYPE_CHECKING:
+    from cellwise.live import Counts, LiveFilter, Update
+    from cellwise.live.outlook import Outlook
+    from cellwise.live.sample import Source
+
+LEFT_EVERY_S = 1.0
+
+
+def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command that follows a stream."""
+    live = commands.add_parser("live", help="a stream of samples to SOC, as they come")
+    live.add_argument("--model", required=True, metavar="MODEL")
+    live.add_argument(
+        "--source",
+        required=True,
+        metavar="S",
+        help="stdin (JSON lines), json:FILE, can:INTERFACE:CHANNEL, ulog:FILE (- for stdin)",
+    )
+    live.add_argument("--follow", action="store_true", help="wait for more at a file's end")
+    live.add_argument("--estimator", default="ekf", metavar="E", help="ekf or ukf [ekf]")
+    live.add_argument("--soc0", default="auto", metavar="X", help="0..1, or auto [auto]")
+    live.add_argument("--soc0-std", type=float, metavar="S", help="how sure the start SOC is")
+    live.add_argument("--state", metavar="FILE", help="goes on where FILE says, and keeps it there")
+    live.add_argument("--fresh", action="store_true", help="begin anew, whatever FILE says")
+    live.add_argument("--save-every", type=float, default=10.0, metavar="S", help="seconds [10]")
+    live.add_argument("-o", "--output", metavar="OUT", help="JSON lines, added at the end of OUT")
+    live.add_argument(
+        "--every", type=float, default=0.0, metavar="S", help="at most one line in S seconds [0]"
+    )
+    live.add_argument("--view", action="store_true", help="a view instead of lines [on a terminal]")
+    live.add_argument("--send", metavar="MESSAGE.SIGNAL", help="SOC back on the CAN bus")
+    live.add_argument("--send-every", type=float, default=0.1, metavar="S", help="seconds [0.1]")
+    live.add_argument("--cutoff-v", type=float, metavar="V", help="where the load gives up [model]")
+    live.add_argument("--deadline-ms", type=float, metavar="MS", help="[the sample's interval]")
+    live.add_argument("--samples", type=int, metavar="N", help="stop after N samples")
+    live.add_argument(
+        "--idle", type=float, metavar="S", help="stop when nothing came for S seconds"
+    )
+    log_options.add_pack_options(live)
+    printing.add_json(live)
+    live.set_defaults(run=run_live_command)
+
+
+def run_live_command(arguments: argparse.Namespace) -> None:
+    """Follow a stream: JSON lines, a view for people, or one object at the end."""
+    from cellwise.cell.model_file import read_model
+    from cellwise.estimate.flight import cutoff_of
+    from cellwise.live import Counts, open_source, run_live
+    from cellwise.live.latency import LatencyMeter
+    from cellwise.live.outlook import Outlook
+    from cellwise.live.run import check_any
+
+    _check(arguments)
+    model = read_model(arguments.model)
+    outlook = Outlook(model, cutoff_of(model, arguments.cutoff_v))
+    live = _filter(model, arguments)
+    options = log_options.read_options(arguments)
+    source = open_source(arguments.source, options, arguments.sign, follow=arguments.follow)
+    deadline = arguments.deadline_ms
+    counts = Counts(latency=LatencyMeter(None if deadline is None else 1e-3 * deadline))
+    with ExitStack() as stack:
+        stack.callback(source.close)
+        sender = _sender(source, arguments)
+        takers: list[Callable[[Update], None]] = [outlook.take]
+        if sender is not None:
+            takers.append(lambda u: sender.send(u.info.soc, u.sample.arrived_s))
+        look = None
+        if arguments.output:
+            file = stack.enter_context(_appended(arguments.output))
+            takers.append(LineWriter(file, live, outlook, arguments.every))
+        viewed = arguments.view or (sys.stdout.isatty() and not arguments.json)
+        if viewed:
+            from cellwise.cli.live_view import LiveView
+
+            look = stack.enter_context(LiveView(source, live, outlook)).look
+        elif not (arguments.output or arguments.json):
+            takers.append(LineWriter(sys.stdout, live, outlook, arguments.every))
+        stack.enter_context(_stopped_by_signal())
+        run_live(
+            source,
+            live,
+            partial(_hand_out, takers),
+            counts=counts,
+            look=look,
+            state=arguments.state,
+            save_every_s=arguments.save_every,
+            most_samples=arguments.samples,
+            idle_s=arguments.idle,
+        )
+    check_any(source, counts)
+    _tell(arguments, live, counts, outlook, viewed)
+
+
+def _hand_out(takers: list[Callable[[Update], None]], update: Update) -> None:
+    for taker in takers:
+        taker(update)
+
+
+class LineWriter:
+    """One JSON object per update, at most one in ``every_s`` of the stream's time."""
+
+    def __init__(
+        self, file: IO[str], live: LiveFilter, outlook: Outlook, every_s: float = 0.0
+    ) -> None:
+        self._file, self._live, self._outlook, self._every_s = file, live, outlook, every_s
+        self._waited_s = self._left_s = float("inf")
+
+    def __call__(self, update: Update) -> None:
+        """Write a line if it is time."""
+        self._waited_s += update.dt_s
+        self._left_s += update.dt_s
+        if self._waited_s < self._every_s * (1.0 - 1e-9):
+            return
+        self._waited_s = 0.0
+        told = told_of(update)
+        if self._left_s >= LEFT_EVERY_S:
+            self._left_s = 0.0
+            told |= left_of(self._live, self._outlook, update)
+        self._file.write(json.dumps(printing.clean(told), allow_nan=False) + "\n")
+        self._file.flush()
+
+
+def told_of(update: Update) -> dict[str, Any]:
+    """An update as values for JSON; what the filter predicts beside what was measured."""
+    from cellwise.estimate.status import Status
+
+    sample, info = update.sample, update.info
+    return {
+        "time_s": sample.time_s,
+        "soc": info.soc,
+        "soc_std": info.soc_std,
+        "current_A": sample.current_A,
+        "measured_voltage_V": sample.voltage_V,
+        "voltage_V": info.voltage_V,
+        "innovation_V": info.innovation_V,
+        "test_ratio": info.test_ratio,
+        "status": info.status,
+        "flags": [bit.name for bit in Status(info.status)] if info.status else [],
+    }
+
+
+def left_of(live: LiveFilter, outlook: Outlook, update: Update) -> dict[str, Any]:
+    """Time and energy to empty, nulls where there is no load."""
+    left = outlook.left(live, _temperature(live, update))
+    if left is None:
+        return {"remaining_s": None, "remaining_s_band": None, "remaining_Wh": None}
+    return {
+        "remaining_s": left.remaining_s,
+        "remaining_s_band": list(left.remaining_s_band),
+        "remaining_Wh": left.remaining_Wh,
+    }
+
+
+def _temperature(live: LiveFilter, update: Update) -> float:
+    from math import isfinite
+
+    from cellwise.cell.simulate import model_temperature_C
+
+    measured = update.sample.temperature_C
+    return measured if isfinite(measured) else model_temperature_C(live.model)
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    printing.check_places(arguments.output, arguments.state)
+    for option in ("save_every", "every", "send_every", "deadline_ms", "samples", "idle"):
+        value = getattr(arguments, option)
+        if value is not None and not 0.0 <= value < 1e9:
+            name = "--" + option.replace("_", "-")
+            raise InputError(f"{name} {value:g}", "a number of at least 0", "Correct it.")
+    if arguments.send and not arguments.source.startswith("can:"):
+        raise InputError(
+            f"--send {arguments.send} for a source that is no CAN bus",
+            "--source can:INTERFACE:CHANNEL",
+            "Leave --send away, or name the bus.",
+        )
+
+
+def _filter(model: Any, arguments: argparse.Namespace) -> LiveFilter:
+    import time
+
+    from cellwise.cli.estimating import parse_soc0
+    from cellwise.live import LiveFilter
+
+    live = LiveFilter(
+        model,
+        arguments.estimator,
+        soc0=parse_soc0(arguments.soc0),
+        soc0_std=arguments.soc0_std,
+    )
+    if (
+        arguments.state
+        and not arguments.fresh
+        and not live.resume(arguments.state, time.time())
+        and Path(arguments.state).exists()
+    ):
+        print(f"cellwise live: '{arguments.state}' is empty: begun anew", file=sys.stderr)
+    return live
+
+
+def _sender(source: Source, arguments: argparse.Namespace) -> Any:
+    if not arguments.send:
+        return None
+    from cellwise.live.can_stream import CanStream, SocSender
+
+    if not isinstance(source, CanStream):  # `_check` has seen to it
+        return None
+    return SocSender(source, arguments.send, arguments.send_every)
+
+
+@contextmanager
+def _appended(path: str) -> Iterator[IO[str]]:
+    try:
+        file = Path(path).open("a", encoding="utf-8")  # noqa: SIM115 -- closed below
+    except OSError as error:
+        raise InputError(
+            f"'{path}', which cannot be written ({error.strerror})",
+            "a place with write permission",
+            "Choose another one.",
+        ) from None
+    with file:
+        yield file
+
+
+@contextmanager
+def _stopped_by_signal() -> Iterator[None]:
+    """A service manager's way to stop a program ends the stream as Ctrl-C does."""
+    import signal
+    import threading
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(number: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _tell(
+    arguments: argparse.Namespace,
+    live: LiveFilter,
+    counts: Counts,
+    outlook: Outlook,
+    viewed: bool,
+) -> None:
+    """The end of a stream: one object, or a few lines for people."""
+    last = counts.last
+    if last is None or live.start is None:
+        return
+    data = {
+        **told_of(last),
+        **left_of(live, outlook, last),
+        "estimator": live.filter.name,
+        "soc0": live.start.to_dict(),
+        **counts.to_dict(),
+    }
+    if arguments.json:
+        printing.print_json(data)
+    elif viewed or arguments.output:
+        slow = data["latency"]
+        printing.say(
+            f"{counts.samples:,} samples, SOC {last.info.soc:.4f} +- {last.info.soc_std:.4f} "
+            f"(start {live.start.soc:.4f}, {live.start.how}); {counts.gaps} gap(s), "
+            f"{counts.late} late, {sum(counts.stray.values())} not readable; latency "
+            f"{slow['p50_ms']:.3f} ms, 99 % {slow['p99_ms']:.3f} ms, "
+            f"{slow['missed_deadlines']} too late"
+        )

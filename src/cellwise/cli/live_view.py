@@ -1,0 +1,127 @@
+"""A stream for people: one panel on the terminal that changes as samples come."""
+
+from __future__ import annotations
+
+import math
+import time
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.live import Live
+from rich.panel import Panel
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+
+from cellwise.estimate.status import Status
+from cellwise.live import Counts, LiveFilter, Update
+from cellwise.live.outlook import LeftNow, Outlook
+
+if TYPE_CHECKING:
+    from cellwise.live.sample import Source
+
+REFRESH_S = 0.25
+SILENT_S = 2.0
+
+
+class LiveView:
+    """Draws at most four times a second, however fast samples come."""
+
+    def __init__(
+        self, source: Source, live: LiveFilter, outlook: Outlook, console: Console | None = None
+    ) -> None:
+        self._source, self._filter, self._outlook = source, live, outlook
+        self._live = Live(console=console or Console(), auto_refresh=False, transient=False)
+        self._drawn_s = -math.inf
+        self._seen = 0
+        self._counts: Counts | None = None
+        self._heard_s = time.monotonic()
+
+    def __enter__(self) -> LiveView:
+        self._live.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._counts is not None:
+            self._live.update(self.panel(self._counts))
+        self._live.stop()
+
+    def look(self, counts: Counts) -> None:
+        """Draw if it is time."""
+        now_s = time.monotonic()
+        self._counts = counts
+        if counts.samples != self._seen:
+            self._heard_s, self._seen = now_s, counts.samples
+        if now_s - self._drawn_s < REFRESH_S:
+            return
+        self._drawn_s = now_s
+        self._live.update(self.panel(counts, now_s - self._heard_s), refresh=True)
+
+    def panel(self, counts: Counts, silent_s: float = 0.0) -> Panel:
+        """What stands on the terminal."""
+        last = counts.last
+        if last is None:
+            text = f"waiting for samples ({sum(counts.stray.values())} not readable)"
+            return Panel(text, title=self._source.name)
+        title = self._source.name
+        if silent_s > SILENT_S:
+            title = f"nothing for {silent_s:.0f} s | {title}"
+        grid = Table.grid(padding=(0, 2))
+        grid.add_column(justify="right", style="bold")
+        grid.add_column()
+        soc = last.info.soc
+        bar = ProgressBar(total=1.0, completed=min(max(soc, 0.0), 1.0), width=40)
+        grid.add_row("SOC", f"{100 * soc:.2f} % +- {100 * last.info.soc_std:.2f}")
+        grid.add_row("", bar)
+        for name, text in self._rows(last, counts):
+            grid.add_row(name, text)
+        return Panel(grid, title=title, width=72)
+
+    def _rows(self, last: Update, counts: Counts) -> list[tuple[str, str]]:
+        sample, info = last.sample, last.info
+        warm = sample.temperature_C
+        flags = ", ".join(str(bit.name).lower() for bit in Status(info.status)) or "-"
+        told = counts.latency.to_dict()
+        return [
+            ("current", f"{_number(sample.current_A, 3)} A"),
+            (
+                "voltage",
+                f"{_number(sample.voltage_V, 4)} V measured, {_number(info.voltage_V, 4)} expected",
+            ),
+            ("temperature", f"{_number(warm, 1)} degC"),
+            ("left", _left(self._outlook.left(self._filter, warm if warm == warm else 25.0))),
+            ("told", flags),
+            (
+                "stream",
+                f"{counts.samples:,} samples, {counts.gaps} gap(s), {counts.late} late, "
+                f"{sum(counts.stray.values())} not readable",
+            ),
+            (
+                "latency",
+                f"{told['p50_ms']:.2f} ms, 99 % {told['p99_ms']:.2f} ms, "
+                f"{told['missed_deadlines']} too late",
+            ),
+        ]
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}" if math.isfinite(value) else "-"
+
+
+def _left(left: LeftNow | None) -> str:
+    if left is None:
+        return "no load"
+    low, high = left.remaining_s_band
+
+    def minutes(seconds: float) -> str:
+        return f"{seconds / 60:.1f}" if math.isfinite(seconds) else "-"
+
+    return (
+        f"{minutes(left.remaining_s)} min ({minutes(low)} to {minutes(high)}), "
+        f"{left.remaining_Wh:.2f} Wh at {left.load_A:.2f} A"
+    )

@@ -1,0 +1,233 @@
+"""A CAN bus through python-can, frames told by a database; SOC goes back on the same bus."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+from cellwise.errors import InputError
+from cellwise.live.channels import CellScale
+from cellwise.live.sample import Sample, Stray
+from cellwise.logs.can_database import can_database
+from cellwise.logs.columns import Unit
+from cellwise.logs.extras import need
+from cellwise.logs.options import ReadOptions
+from cellwise.logs.signal_choice import Signal, choose_signals
+
+POLL_S = 0.2
+# A voltage that has not come for so long is missing: charge is counted without it.
+NO_VOLTAGE_S = 1.0
+HOLD_S = 60.0  # a temperature older than this is missing
+SAME_CLOCK_S = 3600.0
+FAILURES = 25  # of the bus in a row, POLL_S apart
+
+Key = tuple[int, bool]
+
+
+class Wanted(NamedTuple):
+    """A signal of a frame: for which channel, how to convert it, what the database allows."""
+
+    field: str
+    name: str
+    unit: Unit
+    low: float
+    high: float
+
+
+class CanStream:
+    """Samples of a CAN bus, one for each voltage.
+
+    The current of a sample is the mean of the currents since the sample before, so that none is
+    lost where it comes faster; where none has come it is the last one. Where only the voltage has
+    stopped, samples without a voltage go on once a second.
+
+    Parameters
+    ----------
+    interface, channel : str    of python-can: ``socketcan`` and ``can0``, ``virtual`` and any name
+    options : ReadOptions       database, channels, pack
+    sign : str                  ``charge-positive`` turns the current round
+
+    Raises
+    ------
+    InputError                  no database, no clear signals in it, a bus that cannot be opened
+    """
+
+    def __init__(self, interface: str, channel: str, options: ReadOptions, sign: str) -> None:
+        self.name = f"CAN {interface} {channel}"
+        self._can = need("can", "a CAN bus", "python-can")
+        self.database = can_database(options.dbc, f"frames of {self.name}")
+        self._scale = CellScale(options, sign)
+        self._messages: dict[Key, Any] = {
+            (m.frame_id, m.is_extended_frame): m for m in self.database.messages
+        }
+        self._wanted, self.notices = self._choose(options)
+        try:
+            self.bus = self._can.Bus(interface=interface, channel=channel)
+        except Exception as error:  # every interface has errors of its own
+            told = " ".join(str(error).split())[:160] or type(error).__name__
+            raise InputError(
+                f"no bus '{channel}' of python-can's interface '{interface}' ({told})",
+                "a bus that is up",
+                "Write --source can:INTERFACE:CHANNEL, e.g. can:socketcan:can0.",
+            ) from error
+        self._currents: list[float] = []
+        self._last = dict.fromkeys(("current_A", "temperature_C"), math.nan)
+        self._at = dict.fromkeys(("current_A", "temperature_C"), -math.inf)
+        self._told_s = math.nan
+
+    def __iter__(self) -> Iterator[Sample | Stray | None]:
+        failures = 0
+        while True:
+            try:
+                message = self.bus.recv(POLL_S)
+            except self._can.CanError as error:
+                failures += 1
+                if failures > FAILURES:
+                    raise InputError(
+                        f"{self.name}, which fails again and again ({error})",
+                        "a bus that is up",
+                        "Check the interface and its cable.",
+                    ) from error
+                yield Stray("the bus failed")
+                time.sleep(POLL_S)
+                continue
+            failures = 0
+            yield None if message is None else self._take(message)
+
+    def close(self) -> None:
+        """Let go of the bus."""
+        self.bus.shutdown()
+
+    def _choose(self, options: ReadOptions) -> tuple[dict[Key, list[Wanted]], list[str]]:
+        """The wanted signals of each frame."""
+        signals = [
+            Signal(f"{message.name}.{s.name}", s.unit or "", (key, s))
+            for key, message in self._messages.items()
+            for s in message.signals
+        ]
+        chosen, notices = choose_signals(signals, options.channels, f"'{options.dbc}'")
+        wanted: dict[Key, list[Wanted]] = {}
+        for field, signal, unit in chosen:
+            key: Any
+            found: Any
+            key, found = signal.key
+            low, high, slack = found.minimum, found.maximum, 0.5 * abs(float(found.scale))
+            ranged = low is not None and high is not None and low < high
+            limits = (float(low) - slack, float(high) + slack) if ranged else (-math.inf, math.inf)
+            wanted.setdefault(key, []).append(Wanted(field, found.name, unit, *limits))
+        return wanted, notices
+
+    def _take(self, message: Any) -> Sample | Stray | None:
+        key = (message.arbitration_id, message.is_extended_id)
+        wanted = self._wanted.get(key)
+        if wanted is None or message.is_error_frame or message.is_remote_frame:
+            return None
+        try:
+            values = self._messages[key].decode(
+                bytes(message.data), decode_choices=False, allow_truncated=False
+            )
+        except Exception:  # what a short or broken frame raises is not one thing
+            return Stray("a frame that the database does not describe")
+        stamp = float(message.timestamp)
+        voltage = math.nan
+        has_voltage = False
+        for one in wanted:
+            if one.name not in values:  # of another multiplexer
+                continue
+            value = float(values[one.name])
+            if not one.low <= value <= one.high:
+                value = math.nan
+            value = value * one.unit.factor + one.unit.offset
+            if one.field == "voltage_V":
+                voltage, has_voltage = value, True
+            elif one.field in self._last:
+                self._last[one.field], self._at[one.field] = value, stamp
+                if one.field == "current_A":
+                    self._currents.append(value)
+        if math.isnan(self._told_s):
+            self._told_s = stamp
+        if has_voltage or (self._currents and stamp - self._told_s > NO_VOLTAGE_S):
+            return self._sample(stamp, voltage)
+        return None
+
+    def _sample(self, stamp: float, voltage: float) -> Sample:
+        known = [x for x in self._currents if not math.isnan(x)]
+        current = self._last["current_A"]
+        if known:
+            current = sum(known) / len(known)
+        elif self._currents or stamp - self._at["current_A"] > NO_VOLTAGE_S:
+            current = math.nan
+        warm = stamp - self._at["temperature_C"] <= HOLD_S
+        temperature = self._last["temperature_C"] if warm else math.nan
+        self._currents.clear()
+        self._told_s = stamp
+        now_s = time.time()
+        # A stamp of this machine's clock tells how long the frame has waited to be read.
+        arrived_s = stamp if 0.0 <= now_s - stamp < SAME_CLOCK_S else now_s
+        return self._scale.sample(stamp, current, voltage, temperature, arrived_s)
+
+
+class SocSender:
+    """SOC into a signal of the database, sent on the bus that the samples come from.
+
+    Parameters
+    ----------
+    stream : CanStream
+    target : str            ``MESSAGE.SIGNAL``; one in ``%``, or up to more than 2, gets per cent
+    every_s : float         time between two frames [s]
+
+    Raises
+    ------
+    InputError              no such signal
+    """
+
+    def __init__(self, stream: CanStream, target: str, every_s: float = 0.1) -> None:
+        self._stream = stream
+        self._every_s = every_s
+        self._sent_s = -math.inf
+        self.sent = self.failed = 0
+        message_name, _, signal_name = target.partition(".")
+        there = {m.name: m for m in stream.database.messages}
+        message: Any = there.get(message_name)
+        signals = {s.name: s for s in message.signals} if message is not None else {}
+        if signal_name not in signals:
+            named = [f"{m.name}.{s.name}" for m in there.values() for s in m.signals]
+            raise InputError(
+                f"--send {target}, which is not in the database",
+                "MESSAGE.SIGNAL of the database",
+                f"Choose one of {', '.join(named[:12])}.",
+            )
+        self._message, self._signal = message, signals[signal_name]
+        self._others = {n: _initial(s) for n, s in signals.items() if n != signal_name}
+        low, high = self._signal.minimum, self._signal.maximum
+        self._low = -math.inf if low is None else float(low)
+        self._high = math.inf if high is None or high == low else float(high)
+        percent = (self._signal.unit or "").strip() in ("%", "percent")
+        self._factor = 100.0 if percent or 2.0 < self._high < math.inf else 1.0
+
+    def send(self, soc: float, now_s: float) -> None:
+        """Send, if it is time; a bus that does not take the frame is counted, not fatal."""
+        if now_s - self._sent_s < self._every_s:
+            return
+        self._sent_s = now_s
+        value = min(max(self._factor * soc, self._low), self._high)
+        can = self._stream._can
+        data = self._message.encode({**self._others, self._signal.name: value}, strict=False)
+        frame = can.Message(
+            arbitration_id=self._message.frame_id,
+            is_extended_id=self._message.is_extended_frame,
+            data=data,
+        )
+        try:
+            self._stream.bus.send(frame, timeout=0.0)
+            self.sent += 1
+        except can.CanError:
+            self.failed += 1
+
+
+def _initial(signal: Any) -> float:
+    """What the other signals of the message say."""
+    told = signal.initial
+    return float(told) if told is not None else float(signal.offset)

@@ -1,0 +1,190 @@
+"""A filter over a stream: start, step, state that outlives the program."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cellwise.cell.initial_soc import InitialSoc, initial_soc
+from cellwise.cell.model import CellModel
+from cellwise.cell.model_file import model_to_dict
+from cellwise.errors import InputError
+from cellwise.estimate.ekf import Ekf
+from cellwise.estimate.filter_state import EkfInfo, EkfState
+from cellwise.estimate.kalman import KalmanFilter
+from cellwise.estimate.noise import Noise
+from cellwise.estimate.saved_state import state_from_dict, state_to_dict
+from cellwise.estimate.ukf import Ukf
+from cellwise.files import write_atomically
+from cellwise.live.sample import Sample
+from cellwise.live.timeline import Timeline
+from cellwise.logs.cell_log import CellLog
+
+ESTIMATORS: Mapping[str, type[KalmanFilter]] = {"ekf": Ekf, "ukf": Ukf}
+
+
+class Update(NamedTuple):
+    """What one sample has made of the state."""
+
+    sample: Sample
+    info: EkfInfo
+    dt_s: float
+    gap: bool
+
+
+class LiveFilter:
+    """An EKF or UKF that is fed sample by sample and can be put away and taken up again.
+
+    Without ``soc0`` the first sample with current and voltage gives the start, with an honest
+    deviation: at rest by the OCV, under load by the model.
+
+    Parameters
+    ----------
+    model : CellModel
+    estimator : str           ``ekf`` or ``ukf``
+    soc0 : float or None      SOC at the first sample, 0..1
+    soc0_std : float or None  its deviation; None: 0.15 where ``soc0`` is given
+    noise : Noise or None     None: from the model's own validation error
+
+    Raises
+    ------
+    InputError                another estimator; soc0 outside 0..1
+    """
+
+    def __init__(
+        self,
+        model: CellModel,
+        estimator: str = "ekf",
+        *,
+        soc0: float | None = None,
+        soc0_std: float | None = None,
+        noise: Noise | None = None,
+    ) -> None:
+        if estimator not in ESTIMATORS:
+            raise InputError(
+                f"estimator '{estimator}' for a stream",
+                f"one of {', '.join(ESTIMATORS)}",
+                "Choose one of them; the others replay whole logs.",
+            )
+        self.model = model
+        self.filter = ESTIMATORS[estimator](model, noise)
+        self.state: EkfState | None = None
+        self.start: InitialSoc | None = None
+        self.timeline = Timeline()
+        if soc0 is not None:
+            self.start = initial_soc(model, _moment(0.0, 1.0), soc0)
+        if soc0_std is not None and self.start is not None:
+            self.start = InitialSoc(self.start.soc, soc0_std, self.start.how)
+        self._warm_up()
+
+    def take(self, sample: Sample) -> Update | None:
+        """One step; None for a sample that comes late or that nothing can be begun with."""
+        begun = self.state
+        if begun is None:
+            begun = self._begin(sample)
+            if begun is None:
+                return None
+        interval = self.timeline.advance(sample.time_s, sample.arrived_s)
+        if interval is None:
+            return None
+        self.state, info = self.filter.step(
+            begun,
+            sample.current_A,
+            sample.voltage_V,
+            sample.temperature_C,
+            dt_s=interval.dt_s,
+            gap=interval.gap,
+        )
+        return Update(sample, info, interval.dt_s, interval.gap)
+
+    def save(self, path: Path | str, now_s: float) -> None:
+        """Put the state away; ``now_s`` is the clock of the day [s]. Whole or not at all."""
+        if self.state is None:
+            return
+        saved = state_to_dict(self.state, self.filter.name)
+        saved["live"] = {"saved_s": now_s, "model": model_mark(self.model)}
+        write_atomically(path, json.dumps(saved, allow_nan=False))
+
+    def resume(self, path: Path | str, now_s: float) -> bool:
+        """Take up a state that was put away; the next sample ends a gap of the time between.
+
+        Returns
+        -------
+        bool              False where there is no file yet, or an empty one after a loss of power
+
+        Raises
+        ------
+        InputError        a file that is no such state, or one of another model or estimator
+        """
+        place = Path(path)
+        if not place.exists() or (place.is_file() and place.stat().st_size == 0):
+            return False
+        saved = _json_object(place)
+        state = state_from_dict(saved, self.filter.name)
+        live = saved.get("live")
+        live = live if isinstance(live, Mapping) else {}
+        saved_s = live.get("saved_s")
+        if not isinstance(saved_s, (int, float)) or live.get("model") != model_mark(self.model):
+            raise InputError(
+                f"a state in '{place}' that another model or program wrote",
+                "a state of this model",
+                "Begin anew with --fresh, or name another file.",
+            )
+        self.state = state
+        self.start = InitialSoc(state.soc, state.soc_std, "saved state")
+        self.timeline.resume(now_s - float(saved_s))
+        return True
+
+    def _begin(self, sample: Sample) -> EkfState | None:
+        if not math.isfinite(sample.time_s):
+            return None
+        if self.start is None:
+            noise = self.filter.noise
+            possible = noise.voltage_low_V <= sample.voltage_V <= noise.voltage_high_V
+            if not (possible and abs(sample.current_A) <= noise.current_limit_A):
+                return None
+            self.start = initial_soc(self.model, _moment(sample.current_A, sample.voltage_V))
+        return self.filter.init(self.start.soc, self.start.std)
+
+    def _warm_up(self) -> None:
+        """Compile, or load what was compiled, before the first sample waits for it."""
+        voltage = float(np.median(self.model.ocv_V))
+        state = self.filter.init(0.5, 0.1)
+        self.filter.step(state, 0.0, voltage, dt_s=1.0)
+        for current_A in (0.0, self.model.capacity_Ah):
+            initial_soc(self.model, _moment(current_A, voltage))
+
+
+def model_mark(model: CellModel) -> str:
+    """A short mark of everything that the filter uses of a model."""
+    told = {k: v for k, v in model_to_dict(model).items() if k not in ("provenance", "name")}
+    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _moment(current_A: float, voltage_V: float) -> CellLog:
+    """A log of one moment, told twice: a log has two rows."""
+    return CellLog(np.zeros(2), np.full(2, current_A), np.full(2, voltage_V))
+
+
+def _json_object(place: Path) -> dict[str, Any]:
+    try:
+        saved = json.loads(place.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"no state in '{place}' ({error})",
+            "a file that cellwise live wrote",
+            "Begin anew with --fresh, or name another file.",
+        ) from None
+    if not isinstance(saved, dict):
+        raise InputError(
+            f"a {type(saved).__name__} in '{place}'",
+            "a file that cellwise live wrote",
+            "Begin anew with --fresh, or name another file.",
+        )
+    return saved

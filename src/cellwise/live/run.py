@@ -1,0 +1,134 @@
+"""Samples in, updates out, until the stream ends or somebody stops it."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from cellwise.errors import InputError
+from cellwise.live.latency import LatencyMeter
+from cellwise.live.live_filter import LiveFilter, Update
+from cellwise.live.sample import Source, Stray
+
+MOST_REASONS = 50
+
+
+@dataclass
+class Counts:
+    """What came so far. ``late`` samples were older than the one before or had a broken stamp."""
+
+    samples: int = 0
+    late: int = 0
+    unused: int = 0
+    gaps: int = 0
+    stray: Counter[str] = field(default_factory=Counter)
+    latency: LatencyMeter = field(default_factory=LatencyMeter)
+    last: Update | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON values."""
+        return {
+            "samples": self.samples,
+            "late": self.late,
+            "before_start": self.unused,
+            "gaps": self.gaps,
+            "stray": dict(self.stray),
+            "latency": self.latency.to_dict() if self.samples else None,
+        }
+
+
+def run_live(
+    source: Source,
+    live: LiveFilter,
+    take: Callable[[Update], None],
+    *,
+    counts: Counts | None = None,
+    look: Callable[[Counts], None] | None = None,
+    state: Path | str | None = None,
+    save_every_s: float = 10.0,
+    most_samples: int | None = None,
+    idle_s: float | None = None,
+) -> Counts:
+    """Feed a stream to a filter.
+
+    Parameters
+    ----------
+    source : Source
+    live : LiveFilter
+    take : callable             gets every update
+    counts : Counts or None     to count into; None: new ones
+    look : callable or None     called with the counts, also while nothing comes
+    state : path or None        where the state is put away, every ``save_every_s`` and at the end,
+                                whatever ends the stream
+    most_samples : int or None  stop after so many
+    idle_s : float or None      stop when nothing has come for so long
+
+    Returns
+    -------
+    Counts
+
+    Raises
+    ------
+    InputError                  the source gives up
+    """
+    counts = Counts() if counts is None else counts
+    saved_s = heard_s = time.monotonic()
+    try:
+        for item in source:
+            now_s = time.monotonic()
+            if item is None:
+                if idle_s is not None and now_s - heard_s > idle_s:
+                    break
+            elif isinstance(item, Stray):
+                heard_s = now_s
+                known = item.reason in counts.stray or len(counts.stray) < MOST_REASONS
+                counts.stray[item.reason if known else "other"] += 1
+            else:
+                heard_s = now_s
+                update = live.take(item)
+                if update is None:
+                    counts.late += live.state is not None
+                    counts.unused += live.state is None
+                else:
+                    take(update)
+                    counts.samples += 1
+                    counts.gaps += update.gap
+                    counts.last = update
+                    counts.latency.add(time.time() - item.arrived_s, update.dt_s)
+                    if counts.samples == most_samples:
+                        break
+            if look is not None:
+                look(counts)
+            if state is not None and now_s - saved_s >= save_every_s:
+                live.save(state, time.time())
+                saved_s = now_s
+    except KeyboardInterrupt:
+        pass  # the usual end of a stream
+    finally:
+        if state is not None:
+            live.save(state, time.time())
+        source.close()
+    return counts
+
+
+def check_any(source: Source, counts: Counts) -> None:
+    """Refuse a stream that held nothing.
+
+    Raises
+    ------
+    InputError          not one sample
+    """
+    if counts.samples:
+        return
+    strays = ", ".join(f"{reason}: {n}" for reason, n in counts.stray.most_common(3))
+    if counts.unused:
+        strays = f"{counts.unused} without a possible current and voltage; {strays}".rstrip("; ")
+    raise InputError(
+        f"no sample in {source.name} ({strays or 'nothing came'})",
+        "samples with current and voltage",
+        "Check the source, its channels and its units.",
+    )

@@ -1,0 +1,53 @@
+"""From ``--source`` to a stream."""
+
+from __future__ import annotations
+
+from cellwise.errors import InputError
+from cellwise.live.json_lines import JsonLines
+from cellwise.live.pieces import STDIN, Pieces
+from cellwise.live.sample import Source
+from cellwise.logs.options import NOTHING_SAID, ReadOptions
+
+WAYS = "stdin, json:FILE, can:INTERFACE:CHANNEL, ulog:FILE (- for standard input)"
+
+
+def open_source(
+    told: str,
+    options: ReadOptions = NOTHING_SAID,
+    sign: str = "auto",
+    *,
+    follow: bool = False,
+) -> Source:
+    """A stream by its name in the command line.
+
+    Parameters
+    ----------
+    told : str              ``stdin``, ``json:FILE``, ``can:INTERFACE:CHANNEL``, ``ulog:FILE``; a
+                            FILE of ``-`` is standard input
+    options : ReadOptions   pack, channels, instance, database
+    sign : str              ``charge-positive`` turns the current round
+    follow : bool           wait for more at a file's end
+
+    Raises
+    ------
+    InputError              none of these, or what it names cannot be opened
+    """
+    kind, _, rest = told.partition(":")
+    if options.dbc is not None and kind != "can":
+        raise InputError("a DBC file for a stream without CAN frames", "can:...", "Leave it away.")
+    if options.instance is not None and kind != "ulog":
+        raise InputError("--instance for a stream of one battery", "ulog:...", "Leave it away.")
+    if told in ("stdin", STDIN):
+        return JsonLines(Pieces(STDIN), options, sign)
+    if kind == "json" and rest:
+        return JsonLines(Pieces(rest, follow=follow), options, sign)
+    if kind == "can" and rest.count(":") >= 1:
+        from cellwise.live.can_stream import CanStream
+
+        interface, _, channel = rest.partition(":")
+        return CanStream(interface, channel, options, sign)
+    if kind == "ulog" and rest:
+        from cellwise.live.ulog_stream import UlogStream
+
+        return UlogStream(Pieces(rest, follow=follow), options, sign)
+    raise InputError(f"--source {told}", f"one of {WAYS}", "Name where the samples come from.")

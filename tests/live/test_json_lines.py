@@ -1,0 +1,107 @@
+"""Lines of JSON: any cut into pieces, garbage, units, packs."""
+
+from __future__ import annotations
+
+import json
+import math
+from itertools import pairwise
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cellwise.errors import InputError
+from cellwise.live import Sample, Stray, open_source
+from cellwise.live.channels import ObjectReader
+from cellwise.live.json_lines import LONGEST_LINE, JsonLines
+from cellwise.logs.options import NOTHING_SAID, ReadOptions
+from streams import Given
+
+
+def found(text, *, pieces=None, options=NOTHING_SAID, sign="auto"):
+    data = text.encode() if isinstance(text, str) else text
+    source = JsonLines(Given(pieces or [data]), options, sign)
+    return [s if s is None or isinstance(s, Stray) else s._replace(arrived_s=0.0) for s in source]
+
+
+LINES = "".join(
+    json.dumps({"time_s": k, "current_A": 0.5 * k, "voltage_V": 4.0 - 0.01 * k}) + "\n"
+    for k in range(6)
+)
+
+
+def test_lines_become_samples_with_missing_values_as_nan():
+    (one,) = found('{"time_s": 2, "current_A": 1.5, "voltage_V": null}\n')
+    assert one[:2] == (2.0, 1.5)
+    assert math.isnan(one.voltage_V)
+    assert math.isnan(one.temperature_C)
+
+
+@given(cuts=st.lists(st.integers(0, len(LINES)), max_size=12))
+@settings(max_examples=60, deadline=None)
+def test_any_cut_into_pieces_gives_the_same_samples(cuts):
+    data = LINES.encode()
+    edges = [0, *sorted(cuts), len(data)]
+    pieces = [data[a:b] for a, b in pairwise(edges)]
+    whole = [s[:3] for s in found(LINES)]
+    assert len(whole) == 6
+    assert [s[:3] for s in found(b"", pieces=pieces) if s is not None] == whole
+
+
+def test_a_last_line_without_an_end_counts():
+    assert [s[:3] for s in found(LINES.rstrip("\n"))] == [s[:3] for s in found(LINES)]
+
+
+@pytest.mark.parametrize(
+    "garbage",
+    ["{", "nonsense", "\x00\xff", "[1, 2]", "3", '{"time_s": 1}', '{"voltage_V": "high"}',
+     '{"voltage_V": true}', "[" * 5000, '{"current_A": 1' + "0" * 400 + "}"],
+)  # fmt: skip
+def test_garbage_is_told_and_passed_over(garbage):
+    first, second, *_ = LINES.encode().splitlines(keepends=True)
+    before, between, after = found(first + garbage.encode("latin-1") + b"\n" + second)
+    assert isinstance(between, Stray)
+    assert (before[0], after[0]) == (0.0, 1.0)
+
+
+def test_a_line_without_an_end_does_not_fill_the_memory():
+    pieces = [b"x" * 10_000] * (2 * LONGEST_LINE // 10_000 + 2) + [b"\n", LINES.encode()]
+    kinds = [type(s) for s in found(b"", pieces=pieces) if s is not None]
+    assert kinds.count(Sample) == 6
+    assert 1 <= kinds.count(Stray) <= 4
+
+
+def test_units_packs_and_signs():
+    options = ReadOptions(series=4, parallel=2, channels={"current_mA": "I"})
+    line = '{"time_ms": 1500, "I": -3000, "voltage_mV": 16000, "temperature_K": 298.15}\n'
+    (one,) = found(line, options=options, sign="charge-positive")
+    assert one[:4] == pytest.approx((1.5, 1.5, 4.0, 25.0))
+
+
+def test_a_sample_without_a_time_has_that_of_its_arrival():
+    found_one = ObjectReader(ReadOptions(), "auto").read({"voltage_V": 3.7}, 1234.5)
+    assert found_one.time_s == 1234.5
+
+
+def test_a_file_is_a_stream_too(tmp_path):
+    (tmp_path / "log.jsonl").write_text(LINES)
+    source = open_source(f"json:{tmp_path / 'log.jsonl'}")
+    assert sum(isinstance(s, Sample) for s in source) == 6
+    source.close()
+
+
+@pytest.mark.parametrize(
+    "told", ["", "serial:0", "json:", "can:", "can:virtual", "ulog:", "json:nowhere.jsonl"]
+)
+def test_a_source_that_is_none_is_refused(told):
+    with pytest.raises(InputError):
+        open_source(told)
+
+
+def test_options_that_a_stream_has_no_use_for_are_refused(tmp_path):
+    dbc = tmp_path / "x.dbc"
+    dbc.write_text("")
+    for options in (ReadOptions(dbc=dbc), ReadOptions(instance=1), ReadOptions(series="auto"),
+                    ReadOptions(channels={"current_kA": "I"})):  # fmt: skip
+        with pytest.raises(InputError):
+            open_source("stdin", options)

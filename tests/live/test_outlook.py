@@ -1,0 +1,70 @@
+"""What is left now, against the forecast of a replay of the same samples."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from cellwise.estimate.flight import cutoff_of, forecast
+from cellwise.estimate.replay import replay
+from cellwise.live import LiveFilter
+from cellwise.live.latency import LatencyMeter
+from cellwise.live.outlook import Outlook
+from example_cells import curved_cell
+from streams import driven, samples
+
+
+def followed(model, log, soc0):
+    live = LiveFilter(model, soc0=soc0, soc0_std=0.05)
+    outlook = Outlook(model, cutoff_of(model, 3.0))
+    for sample in samples(log):
+        outlook.take(live.take(sample))
+    return outlook.left(live, 25.0)
+
+
+def test_a_steady_load_leaves_what_a_replay_foretells():
+    model = curved_cell()
+    log = driven(model, 0.8, rows=900)
+    log = type(log)(log.time_s, 0.0 * log.time_s + 2.0, log.voltage_V)
+    from dataclasses import replace
+
+    from cellwise.cell.simulate import simulate
+
+    log = replace(log, voltage_V=simulate(model, log, 0.8).voltage_V)
+    left = followed(model, log, 0.8)
+    told = forecast(model, replay(model, log, "ekf", soc0=0.8, soc0_std=0.05), cutoff_V=3.0).last
+    assert left.load_A == pytest.approx(2.0)
+    assert left.remaining_s == pytest.approx(told.remaining_s, rel=0.01)
+    assert left.remaining_Wh == pytest.approx(told.remaining_Wh, rel=0.01)
+    assert left.remaining_s_band == pytest.approx(told.remaining_s_band, rel=0.02)
+    # Nearly the charge that is left over the load; the power is held, so the current grows.
+    assert left.remaining_s < 3600 * 3.0 * 0.7 / 2.0
+
+
+def test_at_rest_and_while_charging_nothing_runs_out():
+    model = curved_cell()
+    for amps in (0.0, -2.0):
+        log = driven(model, 0.5, rows=100)
+        log = type(log)(log.time_s, 0.0 * log.time_s + amps, log.voltage_V)
+        assert followed(model, log, 0.5) is None
+
+
+def test_quantiles_are_those_of_the_latencies_to_a_bin():
+    meter = LatencyMeter(5e-3)
+    values = [1e-4 * 1.01**k for k in range(500)]
+    for value in values:
+        meter.add(value, 0.01)
+    for share in (0.5, 0.9, 0.99):
+        exact = sorted(values)[math.ceil(share * 500) - 1]
+        assert exact <= meter.quantile_s(share) <= 1.05 * exact
+    assert meter.missed == sum(v > 5e-3 for v in values)
+    assert meter.longest_s == values[-1]
+
+
+def test_without_a_deadline_the_interval_is_it():
+    meter = LatencyMeter()
+    meter.add(0.02, 0.01)
+    meter.add(0.005, 0.01)
+    meter.add(0.02, 0.0)  # the first sample ends no interval
+    assert meter.missed == 1
