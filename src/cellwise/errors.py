@@ -22,3 +22,7 @@ class InputError(ValueError):
         self.expected = expected
         self.action = action
         super().__init__(f"found {found}; expected {expected}. {action}")
+
+    def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str]]:
+        """What another process needs to raise it again."""
+        return InputError, (self.found, self.expected, self.action)

@@ -68,7 +68,7 @@ def rest_ocv_step(
     table: FloatArray,
     grid: FloatArray,
     cell: CellScalars,
-    state: tuple[float, float, float, float],
+    state: RestOcvState,
     current_A: float,
     voltage_V: float,
     temperature_C: float,
@@ -79,12 +79,11 @@ def rest_ocv_step(
     rest_after_s: float,
 ) -> tuple[float, float, float, float, bool, int]:
     """Count one interval; where the cell has rested for long enough, read the OCV instead."""
-    soc, variance, previous, rest = state
     soc, variance, current, bits = coulomb_step(
-        cell, soc, variance, previous, current_A, dt_s, walk, gap_soc, gap
+        cell, state.soc, state.variance, state.previous_A, current_A, dt_s, walk, gap_soc, gap
     )
     resting = math.isfinite(current_A) and abs(current_A) * 3600.0 < REST_RATE * cell.charge_As
-    rest = rest + dt_s if resting else 0.0
+    rest = state.rest_s + dt_s if resting else 0.0
     rested = False
     if resting and rest >= rest_after_s and math.isfinite(voltage_V):
         here = soc_at(table, grid, cell, voltage_V, temperature_C)
@@ -110,7 +109,7 @@ def rest_ocv_rows(
     table: FloatArray,
     grid: FloatArray,
     cell: CellScalars,
-    start: tuple[float, float, float, float],
+    start: RestOcvState,
     current_A: FloatArray,
     voltage_V: FloatArray,
     temperature_C: FloatArray,
@@ -133,7 +132,7 @@ def rest_ocv_rows(
             table, grid, cell, state, current_A[k], voltage_V[k], warm, dt_s[k],
             walk, gap_soc, gap[k], rest_after_s,
         )  # fmt: skip
-        state = (soc, variance, previous, rest)
+        state = RestOcvState(soc, variance, previous, rest)
         out[0, k] = soc
         out[1, k] = math.sqrt(variance)
         status[k] = bits
@@ -183,7 +182,7 @@ class RestOcv:
         warm = self._default_C if temperature_C is None else float(temperature_C)
         soc, variance, previous, rest, rested, bits = rest_ocv_step(
             *self._cell,
-            tuple(state),
+            state,
             float(current_A),
             float(voltage_V),
             warm,
@@ -203,7 +202,7 @@ class RestOcv:
         status = np.empty(n, dtype=np.int32)
         rest_ocv_rows(
             *self._cell,
-            tuple(self.init(soc0, soc0_std)),
+            self.init(soc0, soc0_std),
             np.array(log.interval_current_A),
             log.voltage_V,
             measured_temperature_C(log),

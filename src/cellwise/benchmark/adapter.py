@@ -1,0 +1,162 @@
+"""Anyone's filter in the benchmark: two functions, about twenty lines.
+
+A filter is a class or a function that takes a :class:`~cellwise.cell.model.CellModel` and gives an
+object with ``start`` and ``step``. A suite names it ``file.py:Name`` or ``package.module:Name``.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import inspect
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from cellwise.cell.model import CellModel
+from cellwise.cell.simulate import known_temperature_C
+from cellwise.errors import InputError
+from cellwise.estimate.trace import Trace
+from cellwise.logs.cell_log import CellLog
+
+
+class Told(NamedTuple):
+    """What a filter tells after a sample; what it does not know stays NaN.
+
+    ``voltage_V`` is predicted before the sample's own voltage was used, ``voltage_std_V`` how well.
+    """
+
+    soc: float
+    soc_std: float = float("nan")
+    voltage_V: float = float("nan")
+    voltage_std_V: float = float("nan")
+
+
+class OnlineFilter(Protocol):
+    """What an adapter has to offer."""
+
+    def start(self, soc0: float, soc0_std: float) -> None:
+        """Forget everything; the SOC is ``soc0``, known to ``soc0_std``."""
+        ...
+
+    def step(
+        self, current_A: float, voltage_V: float, temperature_C: float, dt_s: float
+    ) -> Told | float:
+        """Take the sample that ends an interval; the SOC, alone or with more (:class:`Told`).
+
+        Positive current is discharge, and flowed during the interval. A missing reading is NaN;
+        the first sample has ``dt_s`` = 0, and in a gap of the log nobody knows what flowed.
+        """
+        ...
+
+
+MakeFilter = Callable[[CellModel], OnlineFilter]
+
+
+class Adapted:
+    """An online filter as an estimator that replays logs."""
+
+    def __init__(self, name: str, model: CellModel, make: MakeFilter) -> None:
+        self.name = name
+        self.filter = make(model)
+        self._model = model
+
+    def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> Trace:
+        """Hand a whole log to the filter, sample by sample."""
+        n = len(log)
+        told = np.full((4, n), np.nan)
+        current = np.array(log.interval_current_A)
+        current[log.gap_rows] = np.nan
+        temperature = known_temperature_C(self._model, log)
+        self.filter.start(soc0, soc0_std)
+        for k, row in enumerate(
+            zip(
+                current.tolist(),
+                log.voltage_V.tolist(),
+                temperature.tolist(),
+                log.interval_s.tolist(),
+                strict=True,
+            )
+        ):
+            answer = self.filter.step(*row)
+            parts = answer if isinstance(answer, tuple) else (answer,)
+            told[: len(parts), k] = parts
+        soc, std, voltage, voltage_std = told
+        innovation = log.voltage_V - voltage
+        missing = np.full(n, np.nan)
+        status = np.zeros(n, dtype=np.int32)
+        return Trace(log.time_s, soc, std, voltage, innovation, voltage_std**2, missing, status)
+
+
+def is_adapter(name: str) -> bool:
+    """Whether an estimator's name says where an adapter is."""
+    return ":" in name
+
+
+def short_name(name: str) -> str:
+    """What stands in tables for ``file.py:Name``."""
+    return name.rpartition(":")[2] if is_adapter(name) else name
+
+
+def load_adapter(name: str, folder: Path) -> MakeFilter:
+    """The class or function behind ``file.py:Name`` or ``package.module:Name``.
+
+    Parameters
+    ----------
+    folder : Path      where a file is looked for first: the suite's own folder
+
+    Raises
+    ------
+    InputError         no such file, module or name; it fails while it is loaded; it takes no model
+    """
+    place, _, attribute = name.rpartition(":")
+    try:
+        module = _file_module(place, folder) if place.endswith(".py") else _module(place)
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(
+            f"the filter '{name}', which cannot be loaded ({error.__class__.__name__}: {error})",
+            "a module that can be imported",
+            "Correct it, or install what it needs.",
+        ) from error
+    make = getattr(module, attribute, None)
+    if not callable(make) or not _takes_one(make):
+        raise InputError(
+            f"no '{attribute}' in '{place}' that takes a model",
+            "a class or function of one argument, the CellModel",
+            "See 'Your filter in the benchmark' in docs/benchmark.md.",
+        )
+    return make  # type: ignore[no-any-return]
+
+
+def _module(place: str) -> Any:
+    return importlib.import_module(place)
+
+
+def _file_module(place: str, folder: Path) -> Any:
+    path = Path(place)
+    found = next((p for p in (folder / path, path) if p.is_file()), None)
+    if found is None:
+        raise InputError(
+            f"no file '{place}' beside the suite", "the adapter's Python file", "Correct the path."
+        )
+    name = f"cellwise_adapter_{found.stem}"
+    spec = importlib.util.spec_from_file_location(name, found)
+    if spec is None or spec.loader is None:
+        raise InputError(f"'{found}', which is no Python file", "a .py file", "Rename it.")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
+
+
+def _takes_one(make: Callable[..., Any]) -> bool:
+    try:
+        inspect.signature(make).bind(None)
+    except (TypeError, ValueError):
+        return False
+    return True

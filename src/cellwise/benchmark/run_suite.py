@@ -1,0 +1,247 @@
+"""Run a suite: models, then every run, in processes; rows kept as they come, so that it resumes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from importlib.metadata import version
+from itertools import groupby
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, TypeVar
+
+from cellwise.benchmark.adapter import is_adapter, load_adapter
+from cellwise.benchmark.figures import COLUMNS
+from cellwise.benchmark.scenario import Run, runs_of
+from cellwise.benchmark.suite import Suite
+from cellwise.benchmark.suite_logs import check_files, digest, judged_log, locate
+from cellwise.benchmark.work import Place, make_model, run_all
+from cellwise.errors import InputError
+from cellwise.logs.tables import write_columns
+
+T = TypeVar("T")
+Progress = Callable[[str, int, int], None]
+KEPT = "rows.jsonl"
+
+
+@dataclass(frozen=True, eq=False)
+class BenchmarkResult:
+    """Rows of a suite, in the suite's order, and where they were written.
+
+    Every row holds the columns of :data:`cellwise.benchmark.figures.COLUMNS`; ``curves`` are the
+    SOC errors over time of runs without a fault, by row number.
+    """
+
+    suite: Suite
+    rows: tuple[dict[str, Any], ...]
+    curves: dict[int, dict[str, list[float]]]
+    parquet: Path
+    page: Path | None
+    resumed: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON values."""
+        return {
+            "suite": self.suite.name,
+            "rows": list(self.rows),
+            "resumed": self.resumed,
+            "parquet": str(self.parquet),
+            "page": None if self.page is None else str(self.page),
+        }
+
+
+def run_suite(
+    suite: Suite,
+    folder: Path | str,
+    *,
+    data: Path | None = None,
+    processes: int = 1,
+    fresh: bool = False,
+    page: bool = True,
+    progress: Progress | None = None,
+) -> BenchmarkResult:
+    """Run a suite and write ``results.parquet`` and ``index.html``.
+
+    Rows that an earlier run left in the folder are taken over where suite, data and version are
+    the same; they are written as they come, so an interrupted run goes on where it stopped.
+
+    Parameters
+    ----------
+    folder : Path          of the results
+    data : Path or None    folder of the measured cells
+    processes : int        1: in this process
+    fresh : bool           forget what an earlier run left
+    page : bool            write the page as well (needs matplotlib)
+    progress : callable    told (what, done, total)
+
+    Raises
+    ------
+    InputError        a log, a model or an adapter that is missing; a log that was identified on;
+                      nothing to run; a folder that cannot be written to
+    """
+    say = progress or (lambda what, done, total: None)
+    place = Place(suite, data, Path(folder))
+    _check_adapters(suite)
+    check_files(suite, data)
+    if processes < 1:
+        raise InputError(f"{processes} processes", "at least one", "Give e.g. 2.")
+    _make_folders(place, fresh)
+    keys = {c.name: _cell_key(place, k) for k, c in enumerate(suite.cells)}
+    used = [k for k, c in enumerate(suite.cells) if any(g.cell == c.name for g in suite.logs)]
+    runs = _every_run(suite, data)
+    kept = _kept_rows(place.folder / KEPT)
+    logs = [digest(locate(g.log, suite, data)) for g in suite.logs]
+    names = {r: _run_key(place, r, keys[suite.logs[r.log].cell], logs[r.log]) for r in runs}
+    todo = [run for run in runs if names[run] not in kept]
+    resumed = len(runs) - len(todo)
+    with _pool(processes) as pool, (place.folder / KEPT).open("a", encoding="utf-8") as file:
+        file.write("\n" if resumed else "")  # the last line may have been cut off
+        wanted = {suite.logs[run.log].cell for run in todo}
+        models = [k for k in used if suite.cells[k].name in wanted]
+        for done, name in enumerate(
+            _each(pool, make_model, [(place, k, keys[suite.cells[k].name]) for k in models])
+        ):
+            say(f"model of {name}", done + 1, len(models))
+        done = resumed
+        say("runs", done, len(runs))
+        groups = [tuple(g) for _, g in groupby(todo, key=lambda r: (r.log, r.fault, r.dt_s))]
+        tasks = [(place, group, keys[suite.logs[group[0].log].cell]) for group in groups]
+        for group, rows in _each_with(pool, run_all, tasks):
+            for run, row in zip(group[1], rows, strict=True):
+                kept[names[run]] = row
+                file.write(json.dumps({"key": names[run], "row": row}) + "\n")
+            file.flush()
+            done += len(rows)
+            say(f"{rows[-1]['log']}, {rows[-1]['fault']}", done, len(runs))
+    return _finish(place, [kept[names[run]] for run in runs], resumed, page)
+
+
+def _finish(
+    place: Place, kept: Sequence[dict[str, Any]], resumed: int, page: bool
+) -> BenchmarkResult:
+    rows = tuple({name: row[name] for name in COLUMNS} for row in kept)
+    curves = {k: row["curve"] for k, row in enumerate(kept) if row.get("curve")}
+    parquet = write_columns(
+        {name: [row[name] for row in rows] for name in COLUMNS}, place.folder / "results.parquet"
+    )
+    written = None
+    if page:
+        from cellwise.report.benchmark_page import BenchmarkTable, benchmark_page
+
+        about = place.suite.about or f"suite {place.suite.name}"
+        table = BenchmarkTable(place.suite.name, about, rows, curves)
+        written = benchmark_page(table, place.folder / "index.html")
+    return BenchmarkResult(place.suite, rows, curves, parquet, written, resumed)
+
+
+def _every_run(suite: Suite, data: Path | None) -> list[Run]:
+    runs: list[Run] = []
+    for k, one in enumerate(suite.logs):
+        runs += runs_of(suite, k, judged_log(one, suite, data))
+    if not runs:
+        raise InputError(
+            "no run at all: every start error leads beyond full or empty",
+            "start errors that leave the SOC between 0 and 1",
+            "Add 0.0 or a negative one.",
+        )
+    return list(dict.fromkeys(runs))
+
+
+def _check_adapters(suite: Suite) -> None:
+    for name in suite.estimators:
+        if is_adapter(name):
+            load_adapter(name, suite.folder)
+
+
+def _make_folders(place: Place, fresh: bool) -> None:
+    try:
+        (place.folder / "models").mkdir(parents=True, exist_ok=True)
+        if fresh:
+            (place.folder / KEPT).unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"'{place.folder}', which cannot be made ({error.strerror})",
+            "a folder for the results",
+            "Choose another.",
+        ) from error
+
+
+def _cell_key(place: Place, number: int) -> str:
+    """Name of a model that changes with whatever it is made from."""
+    cell = place.suite.cells[number]
+    locations = (*cell.tests, *([cell.model] if cell.model else []))
+    files = [digest(locate(p, place.suite, place.data)) for p in locations]
+    return _hash([asdict(cell), files, version("cellwise")])
+
+
+def _run_key(place: Place, run: Run, cell_key: str, log: str) -> str:
+    one = place.suite.logs[run.log]
+    adapter = ""
+    file = place.suite.folder / run.estimator.rpartition(":")[0]
+    if is_adapter(run.estimator) and file.is_file():
+        adapter = digest(file)
+    named = replace(one, log="")
+    rest = [asdict(named), log, asdict(run.fault), *run[2:], place.suite.soc0_std]
+    return _hash([cell_key, place.suite.name, adapter, *rest])
+
+
+def _hash(parts: list[Any]) -> str:
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:24]
+
+
+def _kept_rows(path: Path) -> dict[str, dict[str, Any]]:
+    """Rows of an earlier run; a line that was cut off is none."""
+    if not path.is_file():
+        return {}
+    found: dict[str, dict[str, Any]] = {}
+    for line in path.read_text(encoding="utf-8").splitlines():
+        try:
+            kept = json.loads(line)
+            if set(COLUMNS) <= set(kept["row"]):
+                found[str(kept["key"])] = kept["row"]
+        except (ValueError, KeyError, TypeError):
+            continue
+    return found
+
+
+@contextmanager
+def _pool(processes: int) -> Iterator[Executor | None]:
+    """Processes that begin anew (a fork would copy the threads of the bar); None: this one."""
+    if processes == 1:
+        yield None
+        return
+    pool = ProcessPoolExecutor(processes, mp_context=get_context("spawn"))
+    try:
+        yield pool
+    except BrokenProcessPool as error:
+        raise InputError(
+            "a process that ended before its work was done",
+            "memory for every process",
+            "Run with --processes 1; what is done is kept.",
+        ) from error
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _each(
+    pool: Executor | None, work: Callable[..., T], tasks: Iterable[tuple[Any, ...]]
+) -> Iterator[T]:
+    return (answer for _, answer in _each_with(pool, work, tasks))
+
+
+def _each_with(
+    pool: Executor | None, work: Callable[..., T], tasks: Iterable[tuple[Any, ...]]
+) -> Iterator[tuple[tuple[Any, ...], T]]:
+    """Tasks with their answers, as they come."""
+    if pool is None:
+        for task in tasks:
+            yield task, work(*task)
+        return
+    waiting: dict[Future[T], tuple[Any, ...]] = {pool.submit(work, *t): t for t in tasks}
+    for future in as_completed(waiting):
+        yield waiting[future], future.result()

@@ -1,0 +1,332 @@
+"""A suite: which cells, logs, estimators, start errors and faults a benchmark runs."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from cellwise.benchmark.adapter import is_adapter, short_name
+from cellwise.benchmark.faults import FAULTS, GROUPS, NONE, Fault
+from cellwise.benchmark.toml_tables import checked, records
+from cellwise.errors import InputError
+from cellwise.estimate.replay import ESTIMATORS
+
+BASELINES = ("coulomb", "rest-ocv", "filterpy-ekf", "filterpy-ukf")
+SUITES = Path(__file__).with_name("suites")
+EMBEDDED = "embedded:"
+
+
+@dataclass(frozen=True)
+class SuiteCell:
+    """How a model comes about: a model file, or the tests that it is identified on.
+
+    Every log is ``embedded:NAME`` or a path, beside the suite or in the folder of measured data,
+    with ``@TEMPERATURE`` [degC] behind it where the log does not say.
+
+    Parameters
+    ----------
+    name : str
+    model : str                      a model file instead of tests
+    hppc, ocv, capacity, drive : tuple of str
+    tune : tuple of str              logs that `tune_noise` may use, none of them judged
+    nominal_Ah : float or None
+    capacity_choice : str or None
+    temperature_C : float or None    of the tests where no log measures it
+    chemistry : str
+    rested_full_V : float or None    a drive that begins under load began full, at this voltage
+    """
+
+    name: str
+    model: str = ""
+    hppc: tuple[str, ...] = ()
+    ocv: tuple[str, ...] = ()
+    capacity: tuple[str, ...] = ()
+    drive: tuple[str, ...] = ()
+    tune: tuple[str, ...] = ()
+    nominal_Ah: float | None = None
+    capacity_choice: str | None = None
+    temperature_C: float | None = None
+    chemistry: str = ""
+    rested_full_V: float | None = None
+
+    @property
+    def tests(self) -> tuple[str, ...]:
+        """Every log that the model has seen."""
+        return (*self.hppc, *self.ocv, *self.capacity, *self.drive, *self.tune)
+
+
+@dataclass(frozen=True)
+class SuiteLog:
+    """A log to judge on.
+
+    Parameters
+    ----------
+    cell : str                       name of the cell whose model runs
+    log : str                        as in :class:`SuiteCell`
+    soc0 : float or None             true SOC at the first row; None: the catalogue's
+    reference_Ah : float or None     charge between SOC 1 and 0 for the reference; None: as above
+    from_soc : float or None         only the rest from where the reference passes this SOC
+    name : str                       in tables; empty: the log's own
+    """
+
+    cell: str
+    log: str
+    soc0: float | None = None
+    reference_Ah: float | None = None
+    from_soc: float | None = None
+    name: str = ""
+
+    @property
+    def shown(self) -> str:
+        """Name in tables."""
+        if self.name:
+            return self.name
+        stem = Path(split(self.log)[0].removeprefix(EMBEDDED)).name.split(".")[0]
+        return stem if self.from_soc is None else f"{stem} from {100 * self.from_soc:g} %"
+
+
+@dataclass(frozen=True)
+class Slow:
+    """What is asked of estimators that take long: fewer rows, starts and faults."""
+
+    estimators: tuple[str, ...] = ("filterpy-ekf", "filterpy-ukf")
+    dt_s: float | None = None
+    start_errors: tuple[float, ...] | None = None
+    faults: tuple[str, ...] | None = None
+
+
+@dataclass(frozen=True)
+class Suite:
+    """Everything that a benchmark runs.
+
+    Parameters
+    ----------
+    name, about : str
+    estimators : of str               names of cellwise, or adapters as ``file.py:Name``; the
+                                      baselines join them whether named or not
+    start_errors : of float           what is added to the true SOC, as fractions
+    faults : of Fault                 beside the run without any
+    fault_start_error : float         the start of runs with a fault
+    every_start : bool                faults from every start
+    soc0_std : float                  how sure a filter is told to be of its start
+    dt_s : float or None              resample every log to this step
+    cells, logs, slow
+    folder : Path                     where paths begin
+    """
+
+    name: str
+    about: str
+    estimators: tuple[str, ...]
+    start_errors: tuple[float, ...]
+    faults: tuple[Fault, ...]
+    cells: tuple[SuiteCell, ...]
+    logs: tuple[SuiteLog, ...]
+    slow: Slow = field(default_factory=Slow)
+    fault_start_error: float = -0.3
+    every_start: bool = False
+    soc0_std: float = 0.15
+    dt_s: float | None = None
+    folder: Path = Path()
+
+
+def shipped_suites() -> dict[str, Path]:
+    """Suites that come with cellwise, by name."""
+    return {path.stem: path for path in sorted(SUITES.glob("*.toml"))}
+
+
+def read_suite(name: str | Path) -> Suite:
+    """A suite by the name of a shipped one or the path of a TOML file.
+
+    Raises
+    ------
+    InputError       no such suite, no TOML, an unknown key, a value of the wrong kind or one that
+                     nothing can be run with
+    """
+    path = shipped_suites().get(str(name), Path(name))
+    if not path.is_file():
+        raise InputError(
+            f"no suite '{name}'",
+            f"a TOML file, or one of {', '.join(shipped_suites())}",
+            "Correct the name.",
+        )
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+        raise InputError(
+            f"'{path.name}', which is no TOML ({error})", "a suite in TOML", "Correct the file."
+        ) from error
+    return suite_from_table(table, path.stem, path.resolve().parent)
+
+
+def suite_from_table(table: dict[str, Any], name: str, folder: Path) -> Suite:
+    """A suite from what a TOML file holds; raises InputError as :func:`read_suite`."""
+    own = records(Fault, table.pop("fault", []), "[[fault]]")
+    cells = records(SuiteCell, table.pop("cell", []), "[[cell]]")
+    logs = records(SuiteLog, table.pop("log", []), "[[log]]")
+    (slow,) = records(Slow, [table.pop("slow", {})], "[slow]")
+    wanted = table.pop("faults", [])
+    top = checked(_Top, table, "the suite")
+    suite = Suite(
+        name=top.pop("name") or name,
+        estimators=_with_baselines(top.pop("estimators")),
+        faults=(*_named_faults(wanted), *own),
+        cells=cells,
+        logs=logs,
+        slow=slow,
+        folder=folder,
+        **top,
+    )
+    _check(suite)
+    return suite
+
+
+@dataclass(frozen=True)
+class _Top:
+    """Plain keys of a suite, with their defaults."""
+
+    name: str = ""
+    about: str = ""
+    estimators: tuple[str, ...] = ("ekf", "ukf", "adaptive")
+    start_errors: tuple[float, ...] = (0.0, 0.1, -0.1, 0.3, -0.3)
+    fault_start_error: float = -0.3
+    every_start: bool = False
+    soc0_std: float = 0.15
+    dt_s: float | None = None
+
+
+def with_estimators(suite: Suite, names: tuple[str, ...]) -> Suite:
+    """The suite with other estimators; files of adapters are then looked for from here as well."""
+    return replace(suite, estimators=_with_baselines(names))
+
+
+def split(location: str) -> tuple[str, float | None]:
+    """``LOG@TEMPERATURE`` as the log and its temperature [degC].
+
+    Raises
+    ------
+    InputError        behind the @ stands no temperature
+    """
+    place, at, tail = location.rpartition("@")
+    if not at:
+        return location, None
+    try:
+        temperature = float(tail.removesuffix("C"))
+    except ValueError:
+        raise InputError(f"'{location}'", "LOG or LOG@TEMPERATURE in degC", "Correct it.") from None
+    if not -80.0 <= temperature <= 120.0:
+        raise InputError(
+            f"a temperature of {temperature:g} degC", "degC, not kelvin", "Correct it."
+        )
+    return place, temperature
+
+
+def _with_baselines(names: tuple[str, ...]) -> tuple[str, ...]:
+    for name in names:
+        if not is_adapter(name) and name not in ESTIMATORS:
+            raise InputError(
+                f"estimator '{name}'",
+                f"one of {', '.join(ESTIMATORS)}, or file.py:Name",
+                "Correct it.",
+            )
+    every = tuple(dict.fromkeys((*names, *BASELINES)))
+    short = [short_name(n) for n in every]
+    if len(set(short)) != len(short):
+        raise InputError(
+            f"estimators {', '.join(short)}", "different names", "Rename one of the classes."
+        )
+    return every
+
+
+def _named_faults(names: Any) -> tuple[Fault, ...]:
+    if not isinstance(names, list) or not all(isinstance(n, str) for n in names):
+        raise InputError(
+            f"faults = {names}", "a list of names", 'Write e.g. faults = ["standard"].'
+        )
+    found: list[Fault] = []
+    for name in names:
+        if name in GROUPS:
+            found += GROUPS[name]
+        elif name in FAULTS:
+            found.append(FAULTS[name])
+        else:
+            raise InputError(
+                f"fault '{name}'",
+                f"one of {', '.join((*GROUPS, *FAULTS))}",
+                "Choose one of them, or describe your own in [[fault]].",
+            )
+    return tuple(f for f in dict.fromkeys(found) if f.name != NONE)
+
+
+def _check(suite: Suite) -> None:
+    if not suite.logs or not suite.cells:
+        raise InputError(
+            f"{len(suite.cells)} cells and {len(suite.logs)} logs in suite '{suite.name}'",
+            "at least one [[cell]] and one [[log]]",
+            "Add them.",
+        )
+    for kind, names in (
+        ("cell", [c.name for c in suite.cells]),
+        ("fault", [f.name for f in suite.faults]),
+        ("log", [f"{g.cell}: {g.shown}" for g in suite.logs]),
+    ):
+        twice = next((n for n in names if names.count(n) > 1), None)
+        if twice is not None:
+            raise InputError(f"two of {kind} '{twice}'", "one of a name", "Rename one.")
+    for error in (*suite.start_errors, suite.fault_start_error, *(suite.slow.start_errors or ())):
+        if not -1.0 < error < 1.0:
+            raise InputError(f"a start error of {error:g}", "a fraction, as 0.3", "Correct it.")
+    for step in (suite.dt_s, suite.slow.dt_s):
+        if step is not None and not 0.0 < step < 1e6:
+            raise InputError(f"dt_s = {step:g}", "seconds above zero", "Correct it.")
+    if not suite.start_errors or not 0.0 < suite.soc0_std < 1.0:
+        raise InputError(
+            f"start_errors = {list(suite.start_errors)}, soc0_std = {suite.soc0_std:g}",
+            "at least one start, a deviation between 0 and 1",
+            "Correct them.",
+        )
+    for cell in suite.cells:
+        _check_cell(cell)
+    known = {c.name for c in suite.cells}
+    for log in suite.logs:
+        _check_log(log, known)
+
+
+def _check_cell(cell: SuiteCell) -> None:
+    tests = (*cell.hppc, *cell.drive)
+    if bool(cell.model) == bool(tests):
+        raise InputError(
+            f"{'both a model and tests' if tests else 'neither a model nor a test'} of "
+            f"cell '{cell.name}'",
+            "model = FILE, or hppc or drive logs to identify on",
+            "Give one of the two.",
+        )
+    for location in cell.tests:
+        split(location)
+
+
+def _check_log(log: SuiteLog, cells: set[str]) -> None:
+    if log.cell not in cells:
+        raise InputError(
+            f"cell '{log.cell}' of log '{log.shown}'",
+            f"one of {', '.join(sorted(cells))}",
+            "Add a [[cell]] of that name.",
+        )
+    place, _ = split(log.log)
+    if not place.startswith(EMBEDDED) and (log.soc0 is None or log.reference_Ah is None):
+        raise InputError(
+            f"log '{log.shown}' without soc0 or reference_Ah",
+            "the true SOC at its first row and the charge between full and empty",
+            "Add both: nothing can be judged without.",
+        )
+    for name, low, high in (
+        ("soc0", 0.0, 1.0),
+        ("reference_Ah", 1e-6, 1e6),
+        ("from_soc", 0.0, 1.0),
+    ):
+        value = getattr(log, name)
+        if value is not None and not low <= value <= high:
+            raise InputError(
+                f"{name} = {value:g} of log '{log.shown}'", f"{low:g} to {high:g}", "Correct it."
+            )

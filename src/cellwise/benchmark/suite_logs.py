@@ -1,0 +1,222 @@
+"""A suite's logs and models: found, read, cut, identified."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from cellwise.benchmark.suite import EMBEDDED, Suite, SuiteCell, SuiteLog, split
+from cellwise.cell.model import CellModel
+from cellwise.cell.model_file import read_model
+from cellwise.data import datasets_folder, list_datasets
+from cellwise.errors import InputError
+from cellwise.estimate.noise import Noise
+from cellwise.estimate.replay import reference_soc
+from cellwise.estimate.tune_noise import tune_noise
+from cellwise.identify.identification import IdentifySettings, TestLogs
+from cellwise.identify.pipeline import identify_cell
+from cellwise.logs.cell_log import CellLog
+from cellwise.logs.reading import read_log
+from cellwise.logs.resample import resample
+from cellwise.typing import FloatArray
+
+REST_SHARE = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class JudgedLog:
+    """A log as the benchmark judges it: what a filter may see, and the truth beside it."""
+
+    log: CellLog
+    truth: FloatArray
+    reference_Ah: float
+
+    @property
+    def soc0(self) -> float:
+        """True SOC at the first row."""
+        return float(self.truth[0])
+
+    @property
+    def temperature_C(self) -> float | None:
+        """Median of the measured temperatures."""
+        if self.log.temperature_C is None or np.all(np.isnan(self.log.temperature_C)):
+            return None
+        return float(np.nanmedian(self.log.temperature_C))
+
+
+def locate(location: str, suite: Suite, data: Path | None) -> Path:
+    """The file of ``embedded:NAME`` or of a path, beside the suite or among the measured data.
+
+    Raises
+    ------
+    InputError        nowhere
+    """
+    place, _ = split(location)
+    if place.startswith(EMBEDDED):
+        name = place.removeprefix(EMBEDDED)
+        return datasets_folder() / str(_entry(name)["file"])
+    folders = [suite.folder, *([] if data is None else [data])]
+    found = next((f / place for f in folders if (f / place).is_file()), None)
+    if found is None:
+        raise InputError(
+            f"no log '{place}' of suite '{suite.name}'"
+            + (" and no folder of measured data" if data is None else f" below '{data}'"),
+            "a file beside the suite or in the folder of measured data",
+            "Add --data DIR or set CELLWISE_DATA." if data is None else "Correct its path.",
+        )
+    return found
+
+
+def check_files(suite: Suite, data: Path | None) -> None:
+    """Refuse a suite that lacks a file, or judges a log that its model has seen.
+
+    Raises
+    ------
+    InputError
+    """
+    seen: dict[str, dict[str, str]] = {}
+    for cell in suite.cells:
+        if cell.model:
+            locate(cell.model, suite, data)
+        seen[cell.name] = {digest(locate(p, suite, data)): p for p in cell.tests}
+    for log in suite.logs:
+        same = seen[log.cell].get(digest(locate(log.log, suite, data)))
+        if same is not None:
+            raise InputError(
+                f"log '{log.log}', on which cell '{log.cell}' was identified (as '{same}')",
+                "logs that the model has not seen",
+                "Take it out of the cell's tests, or judge on another.",
+            )
+
+
+def digest(path: Path) -> str:
+    """What tells one file's content from another's."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def read_at(location: str, suite: Suite, data: Path | None) -> CellLog:
+    """A log, with the stated temperature where it measured none."""
+    _, temperature = split(location)
+    log = read_log(locate(location, suite, data))
+    if temperature is not None and log.temperature_C is None:
+        log = replace(log, temperature_C=np.full(len(log), temperature))
+    return log
+
+
+def judged_log(one: SuiteLog, suite: Suite, data: Path | None) -> JudgedLog:
+    """A log with its truth: the tester's counter over the reference capacity.
+
+    Raises
+    ------
+    InputError        no counter, no truth in the catalogue, a reference that never passes
+                      ``from_soc``
+    """
+    log = read_at(one.log, suite, data)
+    soc0, capacity = one.soc0, one.reference_Ah
+    if soc0 is None or capacity is None:
+        entry = _entry(split(one.log)[0].removeprefix(EMBEDDED))
+        soc0 = float(str(entry["initial_soc"])) if soc0 is None else soc0
+        capacity = float(str(entry["true_capacity_Ah"])) if capacity is None else capacity
+    truth = reference_soc(log, soc0, capacity)
+    if truth is None:
+        raise InputError(
+            f"no charge counter in log '{one.shown}'",
+            "the tester's counter (column ampere_hours)",
+            "SOC has no other reference: judge on a log that has it.",
+        )
+    if one.from_soc is not None:
+        rows = np.flatnonzero(truth <= one.from_soc)
+        if rows.size == 0 or rows[0] > len(log) - 3:
+            raise InputError(
+                f"a SOC of {np.nanmin(truth):.3f} and more in log '{one.shown}'",
+                f"one that passes {one.from_soc:g}",
+                "Correct from_soc.",
+            )
+        log, truth = log.part(int(rows[0]), len(log)), truth[rows[0] :]
+    return JudgedLog(replace(log, name=one.shown), truth, capacity)
+
+
+def at_step(judged: JudgedLog, dt_s: float | None) -> JudgedLog:
+    """The same on an even time step; None: as it is."""
+    if dt_s is None:
+        return judged
+    log = resample(judged.log, dt_s)
+    if log.charge_Ah is None:
+        raise InputError("no counter", "the tester's counter", "Judge on another log.")
+    first = judged.log.charge_Ah
+    start = 0.0 if first is None else float(first[np.isfinite(first)][0])
+    truth = judged.soc0 - (log.charge_Ah - start) / judged.reference_Ah
+    return JudgedLog(log, np.asarray(truth), judged.reference_Ah)
+
+
+def cell_model(cell: SuiteCell, suite: Suite, data: Path | None) -> tuple[CellModel, Noise | None]:
+    """A cell's model, and its tuned noise where there are logs to tune on."""
+    if cell.model:
+        model = read_model(locate(cell.model, suite, data))
+    else:
+        model = identify_cell(_tests(cell, suite, data), _settings(cell)).model
+    if not cell.tune:
+        return model, None
+    logs = [_began_full(cell, read_at(p, suite, data), model.capacity_Ah) for p in cell.tune]
+    return model, tune_noise(model, logs).noise
+
+
+def _settings(cell: SuiteCell) -> IdentifySettings:
+    return IdentifySettings(
+        nominal_Ah=cell.nominal_Ah,
+        capacity_choice=cell.capacity_choice,
+        temperature_C=cell.temperature_C,
+        name=cell.name,
+        chemistry=cell.chemistry,
+    )
+
+
+def _tests(cell: SuiteCell, suite: Suite, data: Path | None) -> TestLogs:
+    capacity = cell.nominal_Ah or 0.0
+    return TestLogs(
+        hppc=tuple((read_at(p, suite, data), split(p)[1]) for p in cell.hppc),
+        ocv=tuple(read_at(p, suite, data) for p in cell.ocv),
+        capacity=tuple(read_at(p, suite, data) for p in cell.capacity),
+        drive=tuple(
+            (_began_full(cell, read_at(p, suite, data), capacity), split(p)[1]) for p in cell.drive
+        ),
+    )
+
+
+def _began_full(cell: SuiteCell, log: CellLog, capacity_Ah: float) -> CellLog:
+    """A row of rest at full before a log that begins under load, where the suite says so.
+
+    In the cold no first minute under load tells full from half.
+    """
+    full = cell.rested_full_V
+    if full is None or abs(log.current_A[0]) < REST_SHARE * capacity_Ah:
+        return log
+
+    def put(values: FloatArray | None, first: float) -> FloatArray | None:
+        return None if values is None else np.concatenate(([first], values))
+
+    return replace(
+        log,
+        time_s=np.concatenate(([log.time_s[0]], log.time_s + 1.0)),
+        current_A=np.concatenate(([0.0], log.current_A)),
+        voltage_V=np.concatenate(([full], log.voltage_V)),
+        temperature_C=put(log.temperature_C, float(np.ravel(log.temperature_C)[0]))
+        if log.temperature_C is not None
+        else None,
+        charge_Ah=put(log.charge_Ah, float(np.ravel(log.charge_Ah)[0]))
+        if log.charge_Ah is not None
+        else None,
+        step=None,
+    )
+
+
+def _entry(name: str) -> dict[str, object]:
+    entries = {str(e["name"]): e for e in list_datasets()}
+    if name not in entries:
+        raise InputError(
+            f"data set '{name}'", f"one of {', '.join(entries)}", "See `cellwise data list`."
+        )
+    return entries[name]

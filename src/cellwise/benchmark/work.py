@@ -1,0 +1,142 @@
+"""What one process does: make a model, run all that one log and one fault ask for."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cellwise.benchmark.adapter import Adapted, is_adapter, load_adapter, short_name
+from cellwise.benchmark.faults import NONE, faulty_log, faulty_model
+from cellwise.benchmark.figures import error_curve, figures_of, state_bytes, whole_row
+from cellwise.benchmark.scenario import Run
+from cellwise.benchmark.suite import Suite
+from cellwise.benchmark.suite_logs import JudgedLog, at_step, cell_model, judged_log
+from cellwise.cell.model import CellModel
+from cellwise.cell.model_file import read_model, write_model
+from cellwise.errors import InputError
+from cellwise.estimate.noise import Noise
+from cellwise.estimate.replay import Estimator, make_estimator, replay
+from cellwise.files import write_atomically
+
+SEED = 20240725
+KEPT_LOGS = 4
+
+
+class Place(NamedTuple):
+    """A suite, where its data and results are."""
+
+    suite: Suite
+    data: Path | None
+    folder: Path
+
+    def model_file(self, key: str) -> Path:
+        """Where a cell's model is kept between runs."""
+        return self.folder / "models" / f"{key}.json"
+
+    def noise_file(self, key: str) -> Path:
+        """Where its tuned noise is kept."""
+        return self.folder / "models" / f"{key}.noise.json"
+
+
+def make_model(place: Place, number: int, key: str) -> str:
+    """Identify the cell, unless it has been done before; its name."""
+    cell = place.suite.cells[number]
+    if not place.model_file(key).is_file():
+        try:
+            model, noise = cell_model(cell, place.suite, place.data)
+        except InputError as error:
+            raise InputError(
+                f"cell '{cell.name}' of suite '{place.suite.name}': {error.found}",
+                error.expected,
+                error.action,
+            ) from error
+        if noise is not None:
+            write_atomically(place.noise_file(key), json.dumps(vars(noise)))
+        write_model(model, place.model_file(key))
+    return cell.name
+
+
+def run_all(place: Place, runs: tuple[Run, ...], key: str) -> list[dict[str, Any]]:
+    """Rows of runs that share a log and a fault, each with the run's own number as ``key``."""
+    return [_run(place, run, key) for run in runs]
+
+
+@lru_cache(maxsize=KEPT_LOGS)
+def _judged(place: Place, number: int, dt_s: float | None) -> JudgedLog:
+    return at_step(judged_log(place.suite.logs[number], place.suite, place.data), dt_s)
+
+
+@lru_cache(maxsize=KEPT_LOGS)
+def _model(model_file: Path, noise_file: Path) -> tuple[CellModel, Noise | None]:
+    noise = None
+    if noise_file.is_file():
+        noise = Noise(**json.loads(noise_file.read_text(encoding="utf-8")))
+    return read_model(model_file), noise
+
+
+def _run(place: Place, run: Run, key: str) -> dict[str, Any]:
+    suite = place.suite
+    one = suite.logs[run.log]
+    judged = _judged(place, run.log, run.dt_s)
+    true_model, noise = _model(place.model_file(key), place.noise_file(key))
+    told: dict[str, Any] = {
+        "suite": suite.name,
+        "cell": one.cell,
+        "log": judged.log.name,
+        "temperature_C": _or_nan(judged.temperature_C),
+        "estimator": short_name(run.estimator),
+        "fault": run.fault.name,
+        "start_error": run.start_error,
+        "soc0": judged.soc0 + run.start_error,
+        "soc0_true": judged.soc0,
+        "samples": len(judged.log),
+        "dt_s": float(np.median(np.diff(judged.log.time_s))),
+        "reference_Ah": judged.reference_Ah,
+        "model_Ah": true_model.capacity_Ah,
+        "noise": "model" if noise is None else "tuned",
+    }
+    curve: dict[str, list[float]] | None = None
+    try:
+        figures, curve = _judge(suite, run, judged, true_model, noise)
+        told |= figures
+    except Exception as error:  # whatever somebody's filter does, the others go on
+        told["problem"] = f"{error.__class__.__name__}: {error}"
+    return {**whole_row(told), "curve": curve if run.fault.name == NONE else None}
+
+
+def _judge(
+    suite: Suite, run: Run, judged: JudgedLog, true_model: CellModel, noise: Noise | None
+) -> tuple[dict[str, Any], dict[str, list[float]]]:
+    rng = np.random.default_rng([SEED, zlib.crc32(f"{judged.log.name}{run.fault.name}".encode())])
+    log = faulty_log(run.fault, judged.log, judged.reference_Ah, rng)
+    model = faulty_model(run.fault, true_model)
+    estimator = _estimator(suite, run.estimator, model, noise)
+    found = replay(
+        model,
+        log,
+        estimator,
+        soc0=min(max(judged.soc0 + run.start_error, 0.0), 1.0),
+        soc0_std=suite.soc0_std,
+        reference_soc0=judged.soc0,
+        reference_capacity_Ah=judged.reference_Ah,
+    )
+    lost = int(np.sum(~np.isfinite(found.trace.soc) & np.isfinite(judged.truth)))
+    if lost:
+        return {"problem": f"no SOC in {lost} of {len(log)} rows"}, error_curve(found, judged.truth)
+    figures = figures_of(found, judged.truth)
+    return {**figures, "state_bytes": state_bytes(estimator)}, error_curve(found, judged.truth)
+
+
+def _estimator(suite: Suite, name: str, model: CellModel, noise: Noise | None) -> Estimator:
+    if is_adapter(name):
+        return Adapted(short_name(name), model, load_adapter(name, suite.folder))
+    return make_estimator(name, model, noise)
+
+
+def _or_nan(value: float | None) -> float:
+    return float("nan") if value is None else value
