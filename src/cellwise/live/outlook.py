@@ -8,7 +8,7 @@ from typing import NamedTuple
 from cellwise.cell.kernels import CellState
 from cellwise.cell.model import CellModel
 from cellwise.estimate.flight import LEAST_LOAD_C, WINDOW_S
-from cellwise.estimate.flight_kernels import NEVER, to_empty
+from cellwise.estimate.flight_kernels import NEVER, Remaining, to_empty
 from cellwise.live.live_filter import LiveFilter, Update
 
 
@@ -36,6 +36,8 @@ class Outlook:
         self._cutoff_V = cutoff_V
         self._load_A = self._load_W = self._bias_V = 0.0
         self._seen_s = 0.0
+        full = CellState(1.0, 0.0, 0.0, 0.0, 0.0)
+        self._to_empty(full, self._least_A, float(model.ocv_V.max()), 25.0)  # compiles, or loads
 
     def take(self, update: Update) -> None:
         """Follow one sample."""
@@ -64,10 +66,14 @@ class Outlook:
             soc = min(max(state.soc + k * state.soc_std, 0.0), 1.0)
             at = CellState(soc, state.v1_V, state.v2_V, state.v3_V, state.h, state.heat_K)
             voltage = self._load_W / self._load_A
-            end = to_empty(
-                *self._cell, at, self._load_A, True, voltage, self._bias_V, self._cutoff_V,
-                temperature_C,
-            )  # fmt: skip
-            found.append(end)
+            found.append(self._to_empty(at, self._load_A, voltage, temperature_C))
         times = [math.inf if e.reason == NEVER else e.time_s for e in found]
         return LeftNow(self._load_A, times[1], (times[0], times[2]), found[1].energy_J / 3600.0)
+
+    def _to_empty(
+        self, at: CellState, load_A: float, voltage_V: float, temperature_C: float
+    ) -> Remaining:
+        end: Remaining = to_empty(
+            *self._cell, at, load_A, True, voltage_V, self._bias_V, self._cutoff_V, temperature_C
+        )
+        return end

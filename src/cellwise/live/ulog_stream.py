@@ -67,12 +67,13 @@ class UlogStream:
                     kept = kept[HEADER_BYTES:]
                 begun = True
             arrived_s = time.time()
-            at = 0
-            for kind, body, at in self._messages(kept):
+            read = 0
+            for kind, body, end in self._messages(kept):
+                read = end
                 sample = self._take(kind, body, arrived_s)
                 if sample is not None:
                     yield sample
-            kept = kept[at:]
+            kept = kept[read:]
 
     def close(self) -> None:
         """Close what was opened."""
