@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from pathlib import Path
 
@@ -11,9 +12,10 @@ from benchmarks.example_cell import SAMPLES, START_SOC, load_log, three_branches
 from benchmarks.figures import Figure, Progress, clock, missing, with_ratios
 from benchmarks.measured_data import HOW, measured_log
 from cellwise.cell.model import CellModel
-from cellwise.cell.simulate import known_temperature_C
+from cellwise.cell.simulate import known_temperature_C, simulate
 from cellwise.estimate import ekf_kernels as kernel
 from cellwise.estimate.ekf import Ekf
+from cellwise.estimate.lockstep import LockstepEkf, LockstepState
 from cellwise.estimate.replay import make_estimator
 from cellwise.logs import CellLog
 
@@ -21,6 +23,9 @@ UNIT = "ns/step"
 TARGET_NS = 120.0
 DRIVE = "panasonic_18650pf/drive_p25_us06"
 FEW = 3000
+CELLS = 10_000
+LOCKSTEP_STEPS = 200
+LOCKSTEP_NS = 40.0
 
 
 def filter_figures(data: Path | None, say: Progress) -> list[Figure]:
@@ -37,7 +42,44 @@ def filter_figures(data: Path | None, say: Progress) -> list[Figure]:
     else:
         figures.append(_kernel(group, who, three_branches(), measured_log(data, DRIVE), say))
     figures += [_online(group, log, say), _filterpy(group, log, say)]
-    return with_ratios(figures)
+    return [*with_ratios(figures), *lockstep_figures(say)]
+
+
+def lockstep_figures(say: Progress) -> list[Figure]:
+    """Ten thousand cells, one call per sample, on one core."""
+    group = f"EKF in lockstep, {CELLS:,} cells, 1 Hz"
+    log = load_log().part(0, LOCKSTEP_STEPS)
+    rng = np.random.default_rng(1)
+    figures = []
+    for who, model in (("2-RC", two_branches()), ("3 branches", three_branches())):
+        say(f"lockstep, {who}")
+        fleet = LockstepEkf(model, CELLS, 1.0)
+        voltage = simulate(model, log, START_SOC).voltage_V
+        current = log.current_A[:, None] + 0.01 * rng.standard_normal((len(log), CELLS))
+        measured = voltage[:, None] + 0.002 * rng.standard_normal((len(log), CELLS))
+        state = fleet.init(START_SOC, 0.01)
+        turn = iter(itertools.cycle(range(len(log))))
+        short = 0
+
+        def work(fleet: LockstepEkf = fleet, state: LockstepState = state) -> None:
+            nonlocal short
+            k = next(turn)  # noqa: B023
+            _, info = fleet.step(state, current[k], measured[k], 25.0)  # noqa: B023
+            short = info.short
+
+        timing = clock(work)
+        figures.append(
+            Figure(
+                group,
+                f"cellwise, LockstepEkf.step, {who}",
+                1e9 * timing.best / CELLS,
+                "ns/cell-step",
+                target=LOCKSTEP_NS,
+                note=f"best of {timing.runs} steps, median {1e9 * timing.median / CELLS:.0f}; "
+                f"{100 * short / CELLS:.0f} % of the cells the short way",
+            )
+        )
+    return figures
 
 
 def _kernel(group: str, who: str, model: CellModel, log: CellLog, say: Progress) -> Figure:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from cellwise.errors import InputError
     from cellwise.estimate.coulomb import Coulomb
     from cellwise.estimate.ekf import Ekf
+    from cellwise.estimate.lockstep import LockstepEkf
     from cellwise.estimate.noise import Noise
     from cellwise.estimate.replay import Replay, replay
     from cellwise.estimate.status import Status
@@ -43,6 +44,7 @@ _HOMES = {
     "diagnose": "cellwise.diagnose",
     "Coulomb": "cellwise.estimate.coulomb",
     "Ekf": "cellwise.estimate.ekf",
+    "LockstepEkf": "cellwise.estimate.lockstep",
     "Noise": "cellwise.estimate.noise",
     "Replay": "cellwise.estimate.replay",
     "replay": "cellwise.estimate.replay",
@@ -64,6 +66,7 @@ __all__ = [
     "Identification",
     "IdentifySettings",
     "InputError",
+    "LockstepEkf",
     "ModelError",
     "Noise",
     "Replay",
