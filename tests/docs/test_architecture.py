@@ -26,7 +26,8 @@ MAY_IMPORT = {
     "report": BASE | TOOLS,
     "benchmark": BASE | TOOLS | {"report"},
     "live": BASE | {"logs", "cell", "estimate"},
-    "cli": BASE | TOOLS | {"export", "report", "benchmark", "live"},
+    "fleet": BASE | {"logs", "cell", "estimate", "diagnose"},
+    "cli": BASE | TOOLS | {"export", "report", "benchmark", "live", "fleet"},
 }
 MODULES = sorted(path for path in PACKAGE.rglob("*.py") if path.parent != PACKAGE) + sorted(
     PACKAGE / f"{name}.py" for name in (*BASE, "data")

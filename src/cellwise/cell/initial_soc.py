@@ -8,7 +8,12 @@ import numpy as np
 
 from cellwise.cell.effects import Hysteresis
 from cellwise.cell.model import CellModel
-from cellwise.cell.simulate import check_soc0, known_temperature_C, model_temperature_C, simulate
+from cellwise.cell.simulate import (
+    check_soc0,
+    known_temperature_C,
+    model_temperature_C,
+    simulated_voltages_V,
+)
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
@@ -133,4 +138,5 @@ def _from_first_minute(model: CellModel, log: CellLog, likeliest: bool) -> Initi
 
 
 def _fit_cost(model: CellModel, head: CellLog, grid: FloatArray) -> FloatArray:
-    return np.array([np.nanmean(simulate(model, head, float(s)).error_V ** 2) for s in grid])
+    error_V = head.voltage_V - simulated_voltages_V(model, head, grid)
+    return np.asarray(np.nanmean(error_V**2, axis=1))

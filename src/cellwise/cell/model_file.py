@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -35,6 +36,12 @@ def model_to_dict(model: CellModel) -> dict[str, Any]:
         "error": asdict(model.error),
         "provenance": dict(model.provenance),
     }
+
+
+def model_mark(model: CellModel) -> str:
+    """A short mark of everything that changes what a model computes; not its name or its past."""
+    told = {k: v for k, v in model_to_dict(model).items() if k not in ("provenance", "name")}
+    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def model_from_dict(data: Any, where: str = "the model") -> CellModel:

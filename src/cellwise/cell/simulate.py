@@ -113,6 +113,30 @@ def simulate(model: CellModel, log: CellLog, soc0: float, h0: float | None = Non
     return Simulation(log, float(soc0), voltage, soc)
 
 
+def simulated_voltages_V(model: CellModel, log: CellLog, soc0: FloatArray) -> FloatArray:
+    """Terminal voltages of one log from many start SOCs, as `simulate` gives them one by one.
+
+    Parameters
+    ----------
+    model : CellModel
+    log : CellLog
+    soc0 : (m,) float     SOC at the first row, each within 0..1
+
+    Returns
+    -------
+    (m, rows) float       terminal voltage [V]
+    """
+    table, grid, scalars = model.parameters()
+    interval, current = log.interval_s, log.known_current_A()
+    temperature = known_temperature_C(model, log)
+    voltage = np.empty((soc0.size, len(log)))
+    soc = np.empty(len(log))
+    for k, start in enumerate(soc0.tolist()):
+        state = empty_state(start, start_hysteresis(start))
+        simulate_rows(table, grid, scalars, state, interval, current, temperature, voltage[k], soc)
+    return voltage
+
+
 def start_hysteresis(soc0: float) -> float:
     """The likelier branch of a resting cell: a full one was charged, an empty one discharged."""
     return 1.0 if soc0 > 0.5 else -1.0

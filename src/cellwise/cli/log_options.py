@@ -52,7 +52,17 @@ def read(path: str, arguments: argparse.Namespace) -> CellLog:
     ------
     InputError        options that are no numbers or no pairs; whatever `read_log` refuses
     """
-    return printing.read(path, arguments.sign, **_told(arguments), partial=arguments.partial)
+    return printing.read(path, **arguments_of_read(arguments))
+
+
+def arguments_of_read(arguments: argparse.Namespace) -> dict[str, Any]:
+    """The arguments as those of `read_log`.
+
+    Raises
+    ------
+    InputError        options that are no numbers or no pairs
+    """
+    return {"sign": arguments.sign, **_told(arguments), "partial": arguments.partial}
 
 
 def read_options(arguments: argparse.Namespace) -> ReadOptions:

@@ -24,6 +24,7 @@ def build_parser() -> argparse.ArgumentParser:
         diagnosing,
         estimating,
         exporting,
+        fleet,
         identifying,
         live,
         logs,
@@ -39,7 +40,7 @@ def build_parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     modules = (
         logs, identifying, estimating, live, diagnosing, exporting, studies, capacity_study,
-        benchmarking, data,
+        benchmarking, fleet, data,
     )  # fmt: skip
     for module in modules:
         module.add_commands(commands)

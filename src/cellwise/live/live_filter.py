@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 from collections.abc import Mapping
@@ -13,7 +12,7 @@ import numpy as np
 
 from cellwise.cell.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
-from cellwise.cell.model_file import model_to_dict
+from cellwise.cell.model_file import model_mark
 from cellwise.errors import InputError
 from cellwise.estimate.ekf import Ekf
 from cellwise.estimate.filter_state import EkfInfo, EkfState
@@ -159,12 +158,6 @@ class LiveFilter:
         self.filter.step(state, 0.0, voltage, dt_s=1.0)
         for current_A in (0.0, self.model.capacity_Ah):
             initial_soc(self.model, _moment(current_A, voltage))
-
-
-def model_mark(model: CellModel) -> str:
-    """A short mark of everything that the filter uses of a model."""
-    told = {k: v for k, v in model_to_dict(model).items() if k not in ("provenance", "name")}
-    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def _moment(current_A: float, voltage_V: float) -> CellLog:

@@ -56,7 +56,9 @@ class Origin:
         return f"'{self.source or self.name}'" if self.source or self.name else "the table"
 
 
-def assemble(raw: RawLog, origin: Origin, sign: str = "auto") -> CellLog:
+def assemble(
+    raw: RawLog, origin: Origin, sign: str = "auto", *, check_sign: bool = True
+) -> CellLog:
     """Make a log of a reader's channels.
 
     Parameters
@@ -64,6 +66,7 @@ def assemble(raw: RawLog, origin: Origin, sign: str = "auto") -> CellLog:
     raw : RawLog          channels with the format's sign
     origin : Origin       where they come from
     sign : str            ``auto`` trusts the format, verifies, and tells; the other two override it
+    check_sign : bool     verify the sign also where nothing but the data speaks against it
 
     Raises
     ------
@@ -101,7 +104,10 @@ def assemble(raw: RawLog, origin: Origin, sign: str = "auto") -> CellLog:
     log, counter, told = _with_checked_counter(log, origin.where)
     notices += told
     notices += check_current_and_time(log, origin.where)
-    log, told = _with_checked_sign(log, counter, sign)
+    opposite = counter is not None and counter.agreement < -SAME_QUANTITY
+    if not (check_sign or opposite):
+        return replace(log, notices=tuple(notices))
+    log, told = _with_checked_sign(log, sign, opposite=opposite)
     return replace(log, notices=(*notices, *told))
 
 
@@ -191,13 +197,10 @@ def _with_checked_counter(
     return log, check, notices
 
 
-def _with_checked_sign(
-    log: CellLog, counter: CounterCheck | None, sign: str
-) -> tuple[CellLog, list[str]]:
+def _with_checked_sign(log: CellLog, sign: str, *, opposite: bool) -> tuple[CellLog, list[str]]:
     """Verify the sign and bring the counter in line with a current that is right."""
     notices: list[str] = []
     check = verify_sign(log)
-    opposite = counter is not None and counter.agreement < -SAME_QUANTITY
     if opposite and log.charge_Ah is not None:
         if check.verdict == "verified" or sign != "auto":
             log = replace(log, charge_Ah=-log.charge_Ah)

@@ -33,6 +33,7 @@ def read_log(
     instance: int | None = None,
     dbc: str | Path | None = None,
     partial: bool = False,
+    check_sign: bool = True,
 ) -> CellLog:
     """Read a log in the tidy form or in a native format, told by its content.
 
@@ -56,6 +57,7 @@ def read_log(
     instance : int          which battery of a file that holds several, counted from 0
     dbc : str or Path       database of the frames of a CAN log
     partial : bool          read a recording that was cut off (loss of power) as far as it goes
+    check_sign : bool       verify the sign from the data, which takes longer than reading
 
     Returns
     -------
@@ -84,7 +86,7 @@ def read_log(
         sign=known.sign,
         current_meaning=known.current_meaning,
     )
-    return assemble(raw, origin, sign)
+    return assemble(raw, origin, sign, check_sign=check_sign)
 
 
 def _plain_name(path: Path) -> str:

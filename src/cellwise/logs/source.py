@@ -21,6 +21,7 @@ Progress = Callable[[int, int], None]
 HEAD_BYTES = 65_536
 GZIP_MAGIC = b"\x1f\x8b"
 TEXT_CONTROLS = b"\t\n\r\f"
+NO_TEXT = bytes(byte for byte in range(32) if byte not in TEXT_CONTROLS)
 MOST_HEADER_LINES = 400
 
 
@@ -43,10 +44,10 @@ class LogSource:
         """The file, for messages."""
         return f"'{self.path}'"
 
-    @property
+    @cached_property
     def is_text(self) -> bool:
         """The file's beginning has no byte that text has not."""
-        return not any(byte < 32 and byte not in TEXT_CONTROLS for byte in set(self.head))
+        return len(self.head.translate(None, NO_TEXT)) == len(self.head)
 
     @cached_property
     def first_lines(self) -> tuple[str, ...]:

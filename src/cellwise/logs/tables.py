@@ -40,3 +40,42 @@ def write_columns(columns: Mapping[str, Any], path: Path) -> Path:
         "a name that ends in .parquet, .csv or .csv.gz",
         "The suffix says in which form the rows are written.",
     )
+
+
+def write_rows(columns: Mapping[str, Any], types: Mapping[str, type], path: Path) -> Path:
+    """Write lists of one length as a parquet file whose types do not depend on the values.
+
+    Parameters
+    ----------
+    columns : mapping       name to list, None for what is missing
+    types : mapping         name to ``int``, ``float`` or ``str``
+    path : Path             appears whole or not at all
+    """
+    import pyarrow as pa
+    import pyarrow.parquet
+
+    kinds = {int: pa.int64(), float: pa.float64(), str: pa.string()}
+    table = pa.table({n: pa.array(list(columns[n]), kinds[kind]) for n, kind in types.items()})
+    return write_atomically(path, lambda target: pa.parquet.write_table(table, target))
+
+
+def read_rows(path: Path) -> dict[str, list[Any]]:
+    """Columns of a parquet file as lists.
+
+    Raises
+    ------
+    InputError        no parquet file
+    """
+    import pyarrow as pa
+    import pyarrow.parquet
+
+    try:
+        with pa.parquet.ParquetFile(path) as file:
+            table = file.read()
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(
+            f"'{path}', which is no parquet file ({str(error).splitlines()[0]})",
+            "a part that this command wrote",
+            "Remove it, or begin anew with --fresh.",
+        ) from None
+    return dict(table.to_pydict())

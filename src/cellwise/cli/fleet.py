@@ -1,0 +1,139 @@
+"""cellwise fleet replay, cellwise fleet diagnose."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cellwise.cli import log_options, printing
+from cellwise.errors import InputError
+
+if TYPE_CHECKING:
+    from cellwise.fleet.tasks import LogTask
+
+
+def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the commands about many logs."""
+    fleet = commands.add_parser("fleet", help="thousands of logs: one row for each")
+    actions = fleet.add_subparsers(dest="action", metavar="ACTION", required=True)
+    replay = actions.add_parser("replay", help="SOC over every log of a folder")
+    _common(replay)
+    replay.add_argument("--estimator", default="ekf", metavar="E", help="as in cellwise replay")
+    replay.add_argument("--soc0-std", type=float, metavar="S", help="how sure the start SOC is")
+    replay.add_argument("--reference-soc0", type=float, metavar="X", help="true SOC at the start")
+    replay.add_argument(
+        "--reference-capacity-ah", type=float, metavar="X", help="for the reference by the counter"
+    )
+    replay.set_defaults(run=run_replay)
+    diagnose = actions.add_parser("diagnose", help="what the model gets wrong about every log")
+    _common(diagnose)
+    diagnose.add_argument(
+        "--baseline", action="append", default=[], metavar="LOG", help="known to be good; several"
+    )
+    diagnose.add_argument(
+        "--cause", action="append", metavar="NAME", help="try only this cause; several"
+    )
+    diagnose.set_defaults(run=run_diagnose)
+
+
+def _common(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--model", required=True, metavar="MODEL")
+    parser.add_argument("folder", metavar="DIR", help="searched with its subfolders")
+    parser.add_argument("-o", "--output", required=True, metavar="OUT", help="folder of parquet")
+    parser.add_argument(
+        "--scheduler",
+        default="local",
+        metavar="S",
+        help="local (threads), processes, or a Dask scheduler's address [local]",
+    )
+    parser.add_argument("--workers", type=int, metavar="N", help="of this machine [its cores]")
+    parser.add_argument("--pattern", default="*", metavar="P", help="of the file names [*]")
+    parser.add_argument("--soc0", default="auto", metavar="X", help="0..1, or auto [auto]")
+    parser.add_argument("--cache", metavar="DIR", help="keep logs as they were read and checked")
+    parser.add_argument("--batch", type=int, default=8, metavar="N", help="logs sent together [8]")
+    parser.add_argument("--fresh", action="store_true", help="begin anew, whatever OUT holds")
+    parser.add_argument(
+        "--retry-failed", action="store_true", help="try the logs again that have failed"
+    )
+    log_options.add_log_options(parser)
+    printing.add_json(parser)
+
+
+def run_replay(arguments: argparse.Namespace) -> None:
+    """Replay every log of a folder."""
+    from cellwise.estimate.replay import make_estimator
+    from cellwise.fleet import ReplayTask
+
+    task = ReplayTask(
+        **_of_task(arguments),
+        estimator=arguments.estimator,
+        soc0_std=arguments.soc0_std,
+        reference_soc0=arguments.reference_soc0,
+        reference_capacity_Ah=arguments.reference_capacity_ah,
+    )
+    make_estimator(task.estimator, task.model)  # refuses an unknown name before any work
+    _run(task, arguments)
+
+
+def run_diagnose(arguments: argparse.Namespace) -> None:
+    """Diagnose every log of a folder."""
+    from cellwise.diagnose.causes import CAUSES
+    from cellwise.fleet import DiagnoseTask
+
+    for name in arguments.cause or ():
+        if name not in CAUSES:
+            raise InputError(f"--cause {name}", f"one of {', '.join(CAUSES)}", "Correct its name.")
+    task = DiagnoseTask(
+        **_of_task(arguments),
+        causes=arguments.cause,
+        baseline=tuple(log_options.read(path, arguments) for path in arguments.baseline),
+    )
+    _run(task, arguments)
+
+
+def _of_task(arguments: argparse.Namespace) -> dict[str, Any]:
+    from cellwise.cell.model_file import read_model
+    from cellwise.cell.simulate import check_soc0
+    from cellwise.cli.estimating import parse_soc0
+
+    soc0 = parse_soc0(arguments.soc0)
+    if soc0 is not None:
+        check_soc0(soc0)
+    return {
+        "model": read_model(arguments.model),
+        "soc0": soc0,
+        "read": log_options.arguments_of_read(arguments),
+        "cache": str(Path(arguments.cache).resolve()) if arguments.cache else "",
+    }
+
+
+def _run(task: LogTask, arguments: argparse.Namespace) -> None:
+    from cellwise.fleet import run_fleet
+
+    with printing.bar() as shown:
+        bar = shown.add_task(f"fleet {task.kind}", total=None)
+
+        def progress(done: int, failed: int, all_: int) -> None:
+            told = f"fleet {task.kind}, {failed} failed" if failed else f"fleet {task.kind}"
+            shown.update(bar, description=told, completed=done, total=all_)
+
+        found = run_fleet(
+            task,
+            arguments.folder,
+            arguments.output,
+            scheduler=arguments.scheduler,
+            workers=arguments.workers,
+            pattern=arguments.pattern,
+            batch=arguments.batch,
+            fresh=arguments.fresh,
+            retry_failed=arguments.retry_failed,
+            progress=progress,
+        )
+    if arguments.json:
+        printing.print_json(found.to_dict())
+        return
+    printing.say(
+        f"{found.done:,} of {found.logs:,} logs done in {found.seconds:.1f} s, {found.failed:,} "
+        f"failed (rows with an error), {found.resumed:,} were done before; rows in {found.folder}"
+    )

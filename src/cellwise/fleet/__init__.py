@@ -1,0 +1,8 @@
+"""Many logs on Dask: one row per log, in parts of parquet, resumable, errors as rows."""
+
+from __future__ import annotations
+
+from cellwise.fleet.run import FleetResult, run_fleet
+from cellwise.fleet.tasks import DiagnoseTask, ReplayTask
+
+__all__ = ["DiagnoseTask", "FleetResult", "ReplayTask", "run_fleet"]

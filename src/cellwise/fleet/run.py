@@ -1,0 +1,129 @@
+"""A folder of logs to a folder of results."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cellwise.cell.model_file import model_mark
+from cellwise.errors import InputError
+from cellwise.fleet.engine import LOCAL, connected, rows_of
+from cellwise.fleet.store import ResultFolder
+from cellwise.fleet.tasks import LogTask
+
+BATCH = 8
+PART_ROWS = 2_000
+PART_S = 10.0
+
+# Called with the logs done, those that failed, and all there are.
+Progress = Callable[[int, int, int], None]
+
+
+@dataclass(frozen=True)
+class FleetResult:
+    """What a run did. ``resumed`` logs had their row before; ``failed`` have one with an error."""
+
+    folder: Path
+    logs: int
+    resumed: int
+    done: int
+    failed: int
+    samples: int
+    seconds: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON values, keys as the command prints them."""
+        rate = self.samples / self.seconds if self.seconds > 0 else None
+        return {**vars(self), "folder": str(self.folder), "samples_per_s": rate}
+
+
+def run_fleet(
+    task: LogTask,
+    folder: Path | str,
+    out: Path | str,
+    *,
+    scheduler: str = LOCAL,
+    workers: int | None = None,
+    pattern: str = "*",
+    batch: int = BATCH,
+    fresh: bool = False,
+    retry_failed: bool = False,
+    progress: Progress | None = None,
+) -> FleetResult:
+    """Do the same with every log of a folder, one row for each, into a folder of parquet parts.
+
+    Parameters
+    ----------
+    task : LogTask            what is done
+    folder : path             searched with its subfolders; a worker must see it at the same path
+    out : path                folder of the results; a run that was interrupted goes on there
+    scheduler : str           ``local`` (threads of this process), ``processes``, or an address
+    workers : int or None     of the first two; None: one for each core
+    pattern : str             of the file names
+    batch : int               logs that are sent together
+    fresh : bool              begin anew
+    retry_failed : bool       do the logs again that have a row with an error
+    progress : callable       called with the logs done, those that failed, and all
+
+    Raises
+    ------
+    InputError                no folder, no logs in it; results of other settings; no scheduler
+    """
+    began = time.perf_counter()
+    place, target = Path(folder), Path(out)
+    if batch < 1 or (workers is not None and workers < 1):
+        raise InputError(f"batch {batch}, workers {workers}", "numbers from 1 up", "Correct them.")
+    there = find_logs(place, pattern, target)
+    settings = {**task.settings(), "model": model_mark(task.model)}
+    store = ResultFolder(target, task.columns, settings, fresh=fresh)
+    store.begin()
+    ready = store.done(there, retry_failed=retry_failed)
+    names = [name for name in there if name not in ready]
+    done = failed = samples = 0
+    kept: list[dict[str, Any]] = []
+    written_s = time.monotonic()
+    if names:
+        with connected(scheduler, workers) as client:
+            try:
+                for rows in rows_of(client, task, place.resolve(), names, batch):
+                    kept += rows
+                    done += len(rows)
+                    failed += sum(row["error"] is not None for row in rows)
+                    samples += sum(row.get("samples") or 0 for row in rows)
+                    if progress is not None:
+                        progress(len(ready) + done, failed, len(there))
+                    if len(kept) >= PART_ROWS or time.monotonic() - written_s >= PART_S:
+                        store.add(kept)
+                        kept, written_s = [], time.monotonic()
+            finally:
+                store.add(kept)
+    seconds = time.perf_counter() - began
+    resumed = len(there) - len(names)
+    return FleetResult(target, len(there), resumed, done, failed, samples, seconds)
+
+
+def find_logs(folder: Path, pattern: str, out: Path) -> dict[str, tuple[int, int]]:
+    """Path below the folder, size and time of change of every file, in order of the paths.
+
+    Raises
+    ------
+    InputError        no folder, or no such file in it
+    """
+    if not folder.is_dir():
+        raise InputError(f"no folder '{folder}'", "a folder of logs", "Check the path.")
+    own = out.resolve()
+    found = {}
+    for path in sorted(folder.rglob(pattern)):
+        hidden = any(part.startswith((".", "_")) for part in path.relative_to(folder).parts)
+        if hidden or not path.is_file() or own in path.resolve().parents:
+            continue
+        told = path.stat()
+        found[path.relative_to(folder).as_posix()] = (told.st_size, told.st_mtime_ns)
+    if not found:
+        raise InputError(
+            f"no file '{pattern}' in '{folder}'", "logs", "Check the folder and --pattern."
+        )
+    return found

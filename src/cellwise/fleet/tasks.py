@@ -1,0 +1,233 @@
+"""What is done with one log: replay or diagnosis, to one row."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from cellwise.cell.initial_soc import InitialSoc, initial_soc
+from cellwise.cell.model import CellModel
+from cellwise.errors import InputError
+from cellwise.estimate.replay import Estimator, Replay, make_estimator, reference_soc
+from cellwise.estimate.status import INNOVATION_REJECTED
+from cellwise.fleet import columns
+from cellwise.logs.cell_log import CellLog
+from cellwise.logs.prepared import read_prepared
+from cellwise.logs.sign import verify_sign
+
+# From here on the model does not know the log, and its sign is worth a look.
+SURPRISED_SHARE = 0.02
+SURPRISED_TIMES = 4.0
+
+
+@dataclass(frozen=True)
+class LogTask:
+    """How logs of a fleet are read.
+
+    Parameters
+    ----------
+    model : CellModel
+    soc0 : float or None      start SOC of every log; None: found in each
+    read : mapping            arguments of `read_log`
+    cache : str               folder for logs that were read and checked before; empty: none
+    """
+
+    kind: ClassVar[str] = ""
+    columns: ClassVar[Mapping[str, type]] = {}
+
+    model: CellModel
+    soc0: float | None = None
+    read: Mapping[str, Any] = field(default_factory=dict)
+    cache: str = ""
+
+    def settings(self) -> dict[str, Any]:
+        """What must be the same when a run is resumed, as JSON values."""
+        told = {k: v for k, v in vars(self).items() if k not in ("model", "cache")}
+        return {"kind": self.kind, **json.loads(json.dumps(told, default=str))}
+
+    def rows(self, folder: str, names: Sequence[str]) -> list[dict[str, Any]]:
+        """One row for each log; one that fails is a row with its error."""
+        return list(self._rows(Path(folder), names))
+
+    def _rows(self, folder: Path, names: Sequence[str]) -> Iterator[dict[str, Any]]:
+        work = self.begin()
+        for name in names:
+            began = time.perf_counter()
+            row = identity(folder, name)
+            try:
+                log = read_prepared(folder / name, self.cache, **self.read)
+                row |= work(log)
+            except InputError as error:
+                row["error"] = str(error)
+            except Exception as error:
+                row["error"] = f"internal error, {type(error).__name__}: {error}"
+            row["seconds"] = time.perf_counter() - began
+            yield row
+
+    def begin(self) -> Any:
+        """What makes a row of a log; made once for several."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class ReplayTask(LogTask):
+    """SOC over each log, and how it did.
+
+    Parameters
+    ----------
+    estimator : str                       a name of `ESTIMATORS`
+    soc0_std : float or None              how sure ``soc0`` is
+    reference_soc0 : float or None        true SOC at every log's first row
+    reference_capacity_Ah : float or None     charge between SOC 1 and 0, for a judgement
+    """
+
+    kind: ClassVar[str] = "replay"
+    columns: ClassVar[Mapping[str, type]] = columns.REPLAY
+
+    estimator: str = "ekf"
+    soc0_std: float | None = None
+    reference_soc0: float | None = None
+    reference_capacity_Ah: float | None = None
+
+    def begin(self) -> Any:
+        """An estimator for some logs in a row."""
+        filter_ = make_estimator(self.estimator, self.model)
+        return lambda log: self._replay(filter_, log)
+
+    def _replay(self, filter_: Estimator, log: CellLog) -> dict[str, Any]:
+        start = initial_soc(self.model, log, self.soc0)
+        if self.soc0_std is not None:
+            start = InitialSoc(start.soc, self.soc0_std, start.how)
+        began = time.perf_counter()
+        trace = filter_.run(log, start.soc, start.std)
+        ns = 1e9 * (time.perf_counter() - began) / len(log)
+        reference = None
+        if self.reference_capacity_Ah is not None:
+            told = self.reference_soc0
+            true0 = initial_soc(self.model, log).soc if told is None else told
+            reference = reference_soc(log, true0, self.reference_capacity_Ah)
+        found = Replay(log, filter_.name, start, trace, ns, reference)
+        return {**_of_log(log), **self._figures(found)}
+
+    def _figures(self, found: Replay) -> dict[str, Any]:
+        told = found.to_dict()
+        settled, learnt = told.pop("settled"), told.pop("parameters", None) or {}
+        start = told.pop("soc0")
+        trace = found.trace
+        rejected = float(np.mean((trace.status & INNOVATION_REJECTED) != 0))
+        row = {
+            **told,
+            "soc0": start["value"],
+            "soc0_std": start["std"],
+            "soc0_how": start["how"],
+            "soc_min": float(np.min(trace.soc)),
+            "soc_max": float(np.max(trace.soc)),
+            "settled_rmse": None if settled is None else settled["rmse"],
+            "rejected_share": rejected,
+            "status": int(np.bitwise_or.reduce(trace.status)),
+            "sign": self._sign(found, rejected),
+        }
+        for name in ("offset_A", "capacity_Ah"):
+            if name in learnt:
+                stem, _, unit = name.rpartition("_")
+                row[name] = learnt[name]["value"]
+                row[f"{stem}_std_{unit}"] = learnt[name]["std"]
+        if learnt:
+            row["resistance_scale"] = learnt["resistance_scale"]["value"]
+            row |= {k: learnt[k] for k in ("soh_capacity", "soh_resistance")}
+        return row
+
+    def _sign(self, found: Replay, rejected: float) -> str:
+        """The sign's verdict where the filter is surprised; elsewhere the filter has shown it."""
+        usual = max(float(np.median(self.model.error.at(self.model.soc))), 2e-3)
+        known = found.voltage_rmse_V <= SURPRISED_TIMES * usual and rejected <= SURPRISED_SHARE
+        return "not checked" if known else verify_sign(found.log).verdict
+
+
+@dataclass(frozen=True)
+class DiagnoseTask(LogTask):
+    """What the model gets wrong about each log, and why.
+
+    Parameters
+    ----------
+    causes : sequence of str or None      only these causes
+    baseline : sequence of CellLog        logs of the same kind that are known to be good
+    """
+
+    kind: ClassVar[str] = "diagnose"
+    columns: ClassVar[Mapping[str, type]] = columns.DIAGNOSE
+
+    causes: Sequence[str] | None = None
+    baseline: Sequence[CellLog] = ()
+
+    def settings(self) -> dict[str, Any]:
+        """As of every task; of the baseline, the names."""
+        return {**super().settings(), "baseline": [log.name for log in self.baseline]}
+
+    def begin(self) -> Any:
+        """The diagnosis of one log."""
+        return self._diagnose
+
+    def _diagnose(self, log: CellLog) -> dict[str, Any]:
+        from cellwise.diagnose.diagnosis import diagnose
+
+        found = diagnose(
+            self.model,
+            log,
+            baseline=tuple(self.baseline),
+            soc0="auto" if self.soc0 is None else self.soc0,
+            causes=self.causes,
+        ).to_dict()
+        causes = found["causes"]
+        row = {
+            **_of_log(log),
+            "sign": verify_sign(log).verdict,
+            "verdict": found["verdict"],
+            "causes": ",".join(c["name"] for c in causes),
+            "parameters": json.dumps({k: v for c in causes for k, v in c["parameters"].items()}),
+            "next_test": found["next_test"],
+        }
+        if causes:
+            low, high = causes[-1]["gain_ci95"]
+            row |= {
+                "gain": causes[-1]["gain"],
+                "gain_low": low,
+                "gain_high": high,
+                "rmse_before_V": causes[0]["holdout_rmse_before_V"],
+                "rmse_after_V": causes[-1]["holdout_rmse_after_V"],
+            }
+        return row
+
+
+def identity(folder: Path, name: str) -> dict[str, Any]:
+    """Which log a row is of; its cell is the folder that it lies in, else its own name."""
+    try:
+        told = (folder / name).stat()
+        size, modified = told.st_size, told.st_mtime_ns
+    except OSError:
+        size = modified = -1
+    parent = Path(name).parent.as_posix()
+    cell = parent if parent != "." else Path(name).name.partition(".")[0]
+    return {"log": name, "cell": cell, "bytes": size, "modified_ns": modified, "error": None}
+
+
+def _of_log(log: CellLog) -> dict[str, Any]:
+    return {
+        "samples": len(log),
+        "duration_s": log.duration_s,
+        "gaps": int(np.count_nonzero(log.gap_rows)),
+        "format": log.format,
+        "notices": "; ".join(log.notices) or None,
+    }
+
+
+def failed_row(folder: Path, name: str, reason: str) -> dict[str, Any]:
+    """A row of a log that nobody could finish."""
+    return identity(folder, name) | {"error": reason, "seconds": math.nan}

@@ -1,0 +1,257 @@
+"""A fleet against one replay after another; errors, resuming, deaths of workers."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import sys
+import time
+from dataclasses import dataclass
+
+import pytest
+
+from cellwise.errors import InputError
+from cellwise.estimate.replay import replay
+from cellwise.fleet import DiagnoseTask, ReplayTask, run_fleet
+from cellwise.logs import read_log
+from cellwise.logs.tables import read_rows
+
+
+def rows_in(out):
+    """Every row of the parts, by log."""
+    found = {}
+    for part in sorted(out.glob("part-*.parquet")):
+        columns = read_rows(part)
+        for k, log in enumerate(columns["log"]):
+            assert log not in found, f"{log} has two rows"
+            found[log] = {name: values[k] for name, values in columns.items()}
+    return found
+
+
+@pytest.mark.parametrize("scheduler", ["local", "processes"])
+def test_every_log_has_the_row_that_its_replay_gives(model, folder, tmp_path, scheduler):
+    out = tmp_path / "out"
+    told = run_fleet(ReplayTask(model), folder, out, scheduler=scheduler, workers=2, batch=2)
+    rows = rows_in(out)
+    assert (told.logs, told.done, told.failed, told.resumed) == (8, 8, 2, 0)
+    assert set(rows) == {p.relative_to(folder).as_posix() for p in folder.rglob("*.*")}
+    for name, row in rows.items():
+        if row["error"] is not None:
+            continue
+        whole = replay(model, read_log(folder / name)).to_dict()
+        assert row["soc_final"] == pytest.approx(whole["soc_final"], abs=1e-12)
+        assert row["voltage_rmse_V"] == pytest.approx(whole["voltage_rmse_V"], rel=1e-9)
+        assert row["soc0_how"] == whole["soc0"]["how"]
+    assert "empty" in rows["empty.parquet"]["error"]
+    assert rows["notes.md"]["soc_final"] is None
+    assert rows["truck_2/day_3.parquet"]["cell"] == "truck_2"
+    assert rows["turned.parquet"]["cell"] == "turned"
+
+
+def test_a_log_that_surprises_the_filter_has_its_sign_checked(model, folder, tmp_path):
+    run_fleet(ReplayTask(model), folder, tmp_path / "out", workers=1)
+    rows = rows_in(tmp_path / "out")
+    assert rows["turned.parquet"]["sign"] == "contradicted"
+    assert rows["truck_1/day_0.parquet"]["sign"] == "not checked"
+
+
+def test_the_judgement_is_that_of_a_replay(model, folder, tmp_path):
+    task = ReplayTask(model, soc0=0.4, reference_soc0=0.5, reference_capacity_Ah=3.0)
+    run_fleet(task, folder, tmp_path / "out", pattern="day_0*", workers=1)
+    (row,) = rows_in(tmp_path / "out").values()
+    whole = replay(
+        model,
+        read_log(folder / row["log"]),
+        soc0=0.4,
+        reference_soc0=0.5,
+        reference_capacity_Ah=3.0,
+    ).to_dict()
+    for name in ("soc_rmse", "soc_max_error", "convergence_s", "coverage_2sigma", "nis_mean"):
+        assert row[name] == pytest.approx(whole[name])
+    assert row["settled_rmse"] == pytest.approx(whole["settled"]["rmse"])
+
+
+def test_the_adaptive_estimator_tells_its_parameters(model, folder, tmp_path):
+    task = ReplayTask(model, estimator="adaptive")
+    run_fleet(task, folder, tmp_path / "out", pattern="day_4*", workers=1)
+    (row,) = rows_in(tmp_path / "out").values()
+    told = replay(model, read_log(folder / row["log"]), "adaptive").to_dict()["parameters"]
+    assert row["offset_A"] == pytest.approx(told["offset_A"]["value"])
+    assert row["capacity_std_Ah"] == pytest.approx(told["capacity_Ah"]["std"])
+    assert row["soh_resistance"] == pytest.approx(told["soh_resistance"])
+
+
+class StopError(Exception):
+    pass
+
+
+def test_an_interrupted_run_goes_on_where_it_stopped(model, folder, tmp_path):
+    out = tmp_path / "out"
+
+    def stop(done, failed, total):
+        if done >= 3:
+            raise StopError
+
+    with pytest.raises(StopError):
+        run_fleet(ReplayTask(model), folder, out, workers=1, batch=1, progress=stop)
+    before = rows_in(out)
+    assert 3 <= len(before) < 8
+    told = run_fleet(ReplayTask(model), folder, out, workers=1)
+    assert told.resumed == len(before)
+    assert told.done == 8 - len(before)
+    after = rows_in(out)
+    assert len(after) == 8
+    assert all(after[name] == row for name, row in before.items())
+    assert run_fleet(ReplayTask(model), folder, out, workers=1).done == 0
+
+
+def test_what_has_changed_is_done_again_and_what_failed_on_request(model, folder, tmp_path):
+    out = tmp_path / "out"
+    run_fleet(ReplayTask(model), folder, out, workers=1)
+    shutil.copy(folder / "truck_1" / "day_0.parquet", folder / "empty.parquet")
+    changed = folder / "truck_1" / "day_1.parquet"
+    os.utime(changed, (time.time() + 10, time.time() + 10))
+    told = run_fleet(ReplayTask(model), folder, out, workers=1)
+    assert told.done == 2
+    assert rows_in(out)["empty.parquet"]["error"] is None
+    told = run_fleet(ReplayTask(model), folder, out, workers=1, retry_failed=True)
+    assert (told.done, told.failed) == (1, 1)  # notes.md is still none
+    assert len(rows_in(out)) == 8
+
+
+def test_other_settings_and_other_folders_are_refused_and_stay(model, folder, tmp_path):
+    out = tmp_path / "out"
+    run_fleet(ReplayTask(model), folder, out, pattern="day_0*", workers=1)
+    before = rows_in(out)
+    with pytest.raises(InputError, match="estimator"):
+        run_fleet(ReplayTask(model, estimator="ukf"), folder, out, pattern="day_0*", workers=1)
+    assert rows_in(out) == before
+    told = run_fleet(
+        ReplayTask(model, estimator="ukf"), folder, out, pattern="day_0*", workers=1, fresh=True
+    )
+    assert told.done == 1
+    precious = tmp_path / "precious"
+    precious.mkdir()
+    (precious / "thesis.txt").write_text("chapter 4")
+    for fresh in (False, True):
+        with pytest.raises(InputError, match="something else"):
+            run_fleet(ReplayTask(model), folder, precious, fresh=fresh)
+    assert os.listdir(precious) == ["thesis.txt"]
+
+
+def test_no_folder_no_logs_no_scheduler(model, folder, tmp_path):
+    for arguments, more in (
+        ((tmp_path / "nowhere", tmp_path / "o1"), {}),
+        ((folder, tmp_path / "o2"), {"pattern": "*.xyz"}),
+        ((folder, tmp_path / "o3"), {"workers": 0}),
+    ):
+        with pytest.raises(InputError):
+            run_fleet(ReplayTask(model), *arguments, **more)
+        assert not arguments[1].exists()
+
+
+def test_results_inside_the_folder_of_logs_are_not_taken_for_logs(model, folder):
+    out = folder / "results"
+    run_fleet(ReplayTask(model), folder, out, workers=1)
+    assert run_fleet(ReplayTask(model), folder, out, workers=1).logs == 8
+
+
+@pytest.mark.slow
+def test_an_address_is_a_cluster(model, folder, tmp_path):
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None
+    ) as cluster:
+        run_fleet(ReplayTask(model), folder, tmp_path / "out", scheduler=cluster.scheduler_address)
+    assert len(rows_in(tmp_path / "out")) == 8
+
+
+@dataclass(frozen=True)
+class Deadly(ReplayTask):
+    """Kills its worker on one log: once, or each time."""
+
+    marker: str = ""
+    always: bool = False
+
+    def settings(self):
+        return {"kind": "deadly"}
+
+    def _rows(self, folder, names):
+        for name in names:
+            if name.endswith("day_2.parquet") and (self.always or not os.path.exists(self.marker)):
+                with open(self.marker, "w"):
+                    pass
+                os.kill(os.getpid(), signal.SIGKILL)
+        yield from super()._rows(folder, names)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="a signal of POSIX")
+@pytest.mark.parametrize("always", [False, True])
+def test_a_killed_worker_loses_nothing(model, folder, tmp_path, always):
+    import cloudpickle
+
+    cloudpickle.register_pickle_by_value(sys.modules[Deadly.__module__])
+    task = Deadly(model, marker=str(tmp_path / "once"), always=always)
+    told = run_fleet(task, folder, tmp_path / "out", scheduler="processes", workers=2, batch=3)
+    rows = rows_in(tmp_path / "out")
+    assert len(rows) == 8
+    assert (tmp_path / "once").exists()
+    deadly = rows["truck_2/day_2.parquet"]
+    if always:
+        assert "the worker died on it" in deadly["error"]
+        assert told.failed == 3
+    else:
+        assert deadly["error"] is None
+        assert told.failed == 2
+
+
+def test_only_a_few_batches_are_in_hand(model, folder, tmp_path, monkeypatch):
+    """However many logs there are: what waits stays a name."""
+    distributed = pytest.importorskip("distributed")
+    from cellwise.fleet.engine import AHEAD
+
+    flying, most = set(), [0]
+    submit, release = distributed.Client.submit, distributed.Future.release
+
+    def counted(self, *args, **kwargs):
+        future = submit(self, *args, **kwargs)
+        flying.add(future.key)
+        most[0] = max(most[0], len(flying))
+        return future
+
+    def released(self):
+        flying.discard(self.key)
+        release(self)
+
+    monkeypatch.setattr(distributed.Client, "submit", counted)
+    monkeypatch.setattr(distributed.Future, "release", released)
+    for k in range(40):
+        shutil.copy(folder / "truck_1" / "day_0.parquet", folder / f"more_{k:02d}.parquet")
+    run_fleet(ReplayTask(model), folder, tmp_path / "out", workers=1, batch=1)
+    assert len(rows_in(tmp_path / "out")) == 48
+    assert most[0] <= AHEAD
+
+
+@pytest.mark.slow
+def test_a_diagnosis_of_every_log(model, tmp_path):
+    from dataclasses import replace
+
+    from cellwise.logs import write_log
+    from fleet_logs import drive
+
+    place = tmp_path / "logs"
+    place.mkdir()
+    good = drive(1, 0.9, rows=3000)
+    write_log(good, place / "good.parquet")
+    wrong = replace(good, current_A=good.current_A + 0.3, charge_Ah=None)
+    write_log(wrong, place / "offset.parquet")
+    (place / "none.csv").write_text("x\n")
+    task = DiagnoseTask(model, soc0=0.9, causes=("current_offset", "resistance_scale"))
+    run_fleet(task, place, tmp_path / "out", workers=1)
+    rows = rows_in(tmp_path / "out")
+    assert rows["offset.parquet"]["verdict"] == "current_offset"
+    assert "offset_A" in rows["offset.parquet"]["parameters"]
+    assert rows["good.parquet"]["verdict"] in ("none", "undetermined")
+    assert rows["none.csv"]["error"]
