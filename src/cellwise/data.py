@@ -34,9 +34,15 @@ def datasets_folder() -> Path:
     )
 
 
-def list_datasets() -> list[dict[str, Any]]:
-    """Catalogue entries of the embedded data sets, in order."""
-    return list(_read(datasets_folder() / CATALOGUE)["dataset"])
+def list_datasets(folder: Path | str | None = None) -> list[dict[str, Any]]:
+    """Catalogue entries of the embedded data sets, or of a folder that was imported, in order.
+
+    Raises
+    ------
+    InputError        a folder without a catalogue
+    """
+    place = _folder(folder)
+    return list(_read(place / CATALOGUE)["dataset"])
 
 
 def list_originals() -> list[dict[str, Any]]:
@@ -44,19 +50,32 @@ def list_originals() -> list[dict[str, Any]]:
     return list(_read(datasets_folder() / REGISTRY)["original"])
 
 
-def load_dataset(name: str) -> CellLog:
-    """One embedded data set as a log.
+def load_dataset(name: str, folder: Path | str | None = None) -> CellLog:
+    """One embedded data set as a log, or one of a folder that `cellwise data import` wrote.
 
     Raises
     ------
     InputError        no data set of that name; the message lists those there are
     """
-    entries = {str(e["name"]): e for e in list_datasets()}
+    entries = {str(e["name"]): e for e in list_datasets(folder)}
     if name not in entries:
         raise InputError(
             f"data set '{name}'", f"one of {', '.join(entries)}", "See `cellwise data list`."
         )
-    return read_log(datasets_folder() / str(entries[name]["file"]), name=name)
+    return read_log(_folder(folder) / str(entries[name]["file"]), name=name)
+
+
+def _folder(folder: Path | str | None) -> Path:
+    if folder is None:
+        return datasets_folder()
+    place = Path(folder)
+    if not (place / CATALOGUE).is_file():
+        raise InputError(
+            f"no {CATALOGUE} in '{folder}'",
+            "a folder that `cellwise data import` wrote",
+            "Import the original first.",
+        )
+    return place
 
 
 def generate_datasets(

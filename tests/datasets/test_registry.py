@@ -15,7 +15,8 @@ LISTS = ("window_V", "tests", "temperatures_C", "flaws")
 
 @pytest.mark.parametrize("original", ORIGINALS, ids=[entry["name"] for entry in ORIGINALS])
 def test_entry_is_complete(original):
-    assert set(original) == {*TEXTS, *LISTS, "nominal_Ah", "used_by_tests"}
+    assert original.get("listing", "https://").startswith("https://")
+    assert set(original) - {"listing"} == {*TEXTS, *LISTS, "nominal_Ah", "used_by_tests"}
     assert all(isinstance(original[key], str) and original[key] for key in TEXTS)
     assert all(isinstance(original[key], list) and original[key] for key in LISTS)
     assert 0.0 < original["window_V"][0] < original["window_V"][1] < 5.0

@@ -25,9 +25,10 @@ MAY_IMPORT = {
     "export": BASE | TOOLS,
     "report": BASE | TOOLS,
     "benchmark": BASE | TOOLS | {"report"},
+    "originals": BASE | {"logs", "data"},
     "live": BASE | {"logs", "cell", "estimate"},
     "fleet": BASE | {"logs", "cell", "estimate", "diagnose"},
-    "cli": BASE | TOOLS | {"export", "report", "benchmark", "live", "fleet"},
+    "cli": BASE | TOOLS | {"export", "report", "benchmark", "live", "fleet", "originals"},
 }
 MODULES = sorted(path for path in PACKAGE.rglob("*.py") if path.parent != PACKAGE) + sorted(
     PACKAGE / f"{name}.py" for name in (*BASE, "data")

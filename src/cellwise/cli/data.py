@@ -1,4 +1,4 @@
-"""cellwise data list, cellwise data generate."""
+"""cellwise data list, generate, fetch, import."""
 
 from __future__ import annotations
 
@@ -20,6 +20,20 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     generate.add_argument("--only", action="append", metavar="NAME", help="a test or a cell")
     printing.add_json(generate)
     generate.set_defaults(run=run_generate)
+    fetch = actions.add_parser("fetch", help="download a public original, checksums verified")
+    fetch.add_argument("name", metavar="NAME", help="as in `cellwise data list`")
+    fetch.add_argument("-o", "--output", required=True, metavar="DIR")
+    fetch.add_argument(
+        "--listing", metavar="URL", help="list of files with checksums [the registry's]"
+    )
+    printing.add_json(fetch)
+    fetch.set_defaults(run=run_fetch)
+    bring = actions.add_parser("import", help="a downloaded original to tidy parquet")
+    bring.add_argument("name", metavar="NAME", help="as in `cellwise data list`")
+    bring.add_argument("source", metavar="SOURCE", help="folder or zip archive as downloaded")
+    bring.add_argument("-o", "--output", required=True, metavar="DIR")
+    printing.add_json(bring)
+    bring.set_defaults(run=run_import)
 
 
 def run_list(arguments: argparse.Namespace) -> None:
@@ -81,3 +95,58 @@ def run_generate(arguments: argparse.Namespace) -> None:
         return
     for path in written:
         printing.say(str(path))
+
+
+def run_fetch(arguments: argparse.Namespace) -> None:
+    """Fetch a public original."""
+    from cellwise.originals import fetch_original
+
+    with printing.bar() as progress:
+        task = progress.add_task("fetch", total=None)
+        files = fetch_original(
+            arguments.name,
+            arguments.output,
+            arguments.listing,
+            lambda name, done, total: progress.update(
+                task, description=name, completed=done, total=total
+            ),
+        )
+    if arguments.json:
+        printing.print_json({"files": [str(path) for path in files]})
+        return
+    printing.say(f"{len(files)} file(s) in {arguments.output}, every checksum right")
+
+
+def run_import(arguments: argparse.Namespace) -> None:
+    """Import a public original."""
+    from cellwise.originals import import_original
+
+    with printing.bar() as progress:
+        task = progress.add_task("import", total=None)
+        found = import_original(
+            arguments.name,
+            arguments.source,
+            arguments.output,
+            lambda name, done, total: progress.update(
+                task, description=name, completed=done, total=total
+            ),
+        )
+    if arguments.json:
+        printing.print_json(found.to_dict())
+        return
+    printing.table(
+        f"{len(found.entries)} log(s) in {found.folder}",
+        ("name", "kind", "degC", "rows", "format"),
+        [
+            (
+                e["name"],
+                e["kind"],
+                "-" if e["temperature_C"] is None else f"{e['temperature_C']:g}",
+                f"{e['rows']:,}",
+                e["format"],
+            )
+            for e in found.entries
+        ],
+    )
+    for name, reason in found.left_out:
+        printing.say(f"  ! {name} left out: {reason}")

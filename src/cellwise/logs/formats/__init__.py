@@ -10,6 +10,7 @@ from cellwise.logs.formats.bitrode import BITRODE_CSV
 from cellwise.logs.formats.can import CAN_LOG
 from cellwise.logs.formats.dataflash import ARDUPILOT_DATAFLASH
 from cellwise.logs.formats.digatron import DIGATRON_CSV, DIGATRON_MAT
+from cellwise.logs.formats.excel import ARBIN_EXCEL
 from cellwise.logs.formats.maccor import MACCOR_TEXT
 from cellwise.logs.formats.mdf import ASAM_MDF
 from cellwise.logs.formats.neware import NEWARE_CSV, NEWARE_STORED
@@ -24,6 +25,7 @@ FORMATS: tuple[Format, ...] = (
     NEWARE_STORED,
     DIGATRON_MAT,
     ASAM_MDF,
+    ARBIN_EXCEL,
     CAN_LOG,
     BDF_PARQUET,
     TIDY_PARQUET,
