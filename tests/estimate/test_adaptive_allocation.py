@@ -21,7 +21,8 @@ def call(rows):
     voltage[::7] = np.nan
     voltage.setflags(write=False)  # as a log's
     held, status = np.empty((3, rows), np.int32), np.empty(rows, np.int32)
-    state, room = ADAPTIVE.init(0.5), (np.empty(7), np.empty(7))
+    begun, room = ADAPTIVE.init(0.5), (np.empty(7), np.empty(7))
+    state = begun.x, begun.covariance.ravel(), begun.memory
     kernel_arguments = (
         *ADAPTIVE.model.parameters(), ADAPTIVE._noise, ADAPTIVE._learn, ADAPTIVE._anew, *state,
         *room, rng.normal(0, 3, rows), voltage, np.full(rows, 25.0), np.full(rows, 0.1),

@@ -113,7 +113,7 @@ class Adaptive:
     def init(self, soc0: float, soc0_std: float = 0.15, current_A: float = 0.0) -> AdaptiveState:
         """State at ``soc0`` that is known to ``soc0_std``; see :meth:`Ekf.init`."""
         state = AdaptiveState(np.empty(STATES), np.empty((STATES, STATES)), np.empty(MEMORY))
-        adaptive_start(self.start(soc0, soc0_std), self._learn, float(current_A), *state)
+        adaptive_start(self.start(soc0, soc0_std), self._learn, float(current_A), *_flat(state))
         return state
 
     def step(
@@ -140,7 +140,7 @@ class Adaptive:
             self._noise,
             self._learn,
             self._anew,
-            *after,
+            *_flat(after),
             *self._room,
             float(current_A),
             float(voltage_V),
@@ -148,6 +148,8 @@ class Adaptive:
             float(dt_s),
             bool(gap),
         )
+        below = np.tril_indices(STATES, -1)  # the kernels keep the upper triangle
+        after.covariance[below] = after.covariance.T[below]
         charge, charge_std = 1.0 + told.charge, math.sqrt(max(told.charge_variance, 0.0))
         capacity, capacity_std, gain, gain_std = self._charge(charge, charge_std)
         return after, AdaptiveInfo(
@@ -184,7 +186,7 @@ class Adaptive:
             self._noise,
             self._learn,
             self._anew,
-            *state,
+            *_flat(state),
             *self._room,
             # What the tester's counter says of a gap is not for the filter's eyes.
             np.array(log.interval_current_A),
@@ -236,3 +238,8 @@ class Adaptive:
         if self.settings.learns_gain:
             return capacity * one, none, inverse, spread
         return capacity * inverse, capacity * spread, one, none
+
+
+def _flat(state: AdaptiveState) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The state as the kernels take it: P row by row, a view."""
+    return state.x, state.covariance.reshape(-1), state.memory

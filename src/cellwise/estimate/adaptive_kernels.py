@@ -31,14 +31,23 @@ from cellwise.cell.kernels import (
 )
 from cellwise.estimate.adaptive_mixture_kernels import Mixture, mix
 from cellwise.estimate.adaptive_state_kernels import (
+    BB,
+    BQ,
     FAST,
     FAST_VAR,
     HEAT_K,
     MISMATCH,
+    P11,
+    P22,
+    P33,
+    QQ,
     REJECTIONS,
     REST_A,
     REST_S,
+    SB,
     SOC,
+    SQ,
+    SS,
     STATES,
     TAIL,
     TAIL_VAR,
@@ -138,9 +147,9 @@ def begin_branches(
     cell: CellScalars, point: CellPoint, current_A: float, x: FloatArray, p: FloatArray
 ) -> None:
     """What the branches may hold at the first sample."""
-    x[V1], p[V1, V1] = start_branch(cell, point.r1_ohm, current_A)
-    x[V2], p[V2, V2] = start_branch(cell, point.r2_ohm, current_A)
-    x[V3], p[V3, V3] = start_branch(cell, point.r3_ohm, current_A)
+    x[V1], p[P11] = start_branch(cell, point.r1_ohm, current_A)
+    x[V2], p[P22] = start_branch(cell, point.r2_ohm, current_A)
+    x[V3], p[P33] = start_branch(cell, point.r3_ohm, current_A)
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -166,7 +175,7 @@ def predict(
     flow = counts * (s.flow_A - x[B])
     gs = dt_s / cell.charge_As * (1.0 if flow > 0.0 else cell.charge_efficiency)
     soc = x[SOC] - x[Q] * gs * flow - cell.leak_A * dt_s / cell.charge_As
-    if not (math.isfinite(soc) and math.isfinite(p[SOC, SOC])):
+    if not (math.isfinite(soc) and math.isfinite(p[SS])):
         adaptive_start(anew, learn, s.current_A, x, p, memory)
         begins = True
         soc = x[SOC]
@@ -192,16 +201,16 @@ def predict(
 
     spread(p, a1, a2, a3, ah, counts * x[Q] * gs, -gs * flow, counts * g1, counts * g2, counts * g3)
     if gap:
-        p[SOC, SOC] += noise.gap_soc * noise.gap_soc
+        p[SS] += noise.gap_soc * noise.gap_soc
     if s.lost_A > 0.0:
         # It may keep one sign for as long as it is away: the deviation grows, not the variance.
-        drift = math.sqrt(p[SOC, SOC]) + s.lost_A * dt_s / cell.charge_As
-        p[SOC, SOC] = drift * drift
+        drift = math.sqrt(p[SS]) + s.lost_A * dt_s / cell.charge_As
+        p[SS] = drift * drift
     slope = point.ocv_slope_V
     bend = 0.0
-    wide = p[SOC, SOC] > WIDE_VARIANCE
+    wide = p[SS] > WIDE_VARIANCE
     if wide:
-        w = wide_slopes(table, grid, cell, soc, point, math.sqrt(p[SOC, SOC]), warm, load)
+        w = wide_slopes(table, grid, cell, soc, point, math.sqrt(p[SS]), warm, load)
         slope = w.voltage_V
         bend = w.bend_V
         lean(
@@ -212,12 +221,12 @@ def predict(
     qb = q + s.gap_A2
     share = noise.branch_share * flow
     share = share * share + s.lost_A * s.lost_A
-    p[SOC, SOC] += q * gs * gs + noise.soc_per_sqrt_s * noise.soc_per_sqrt_s * dt_s
-    p[V1, V1] += qb * g1 * g1 + share * point.r1_ohm * point.r1_ohm * (1.0 - a1 * a1)
-    p[V2, V2] += qb * g2 * g2 + share * point.r2_ohm * point.r2_ohm * (1.0 - a2 * a2)
-    p[V3, V3] += qb * g3 * g3 + share * point.r3_ohm * point.r3_ohm * (1.0 - a3 * a3)
-    p[B, B] += learn.offset_walk * dt_s
-    p[Q, Q] += learn.charge_walk * dt_s
+    p[SS] += q * gs * gs + noise.soc_per_sqrt_s * noise.soc_per_sqrt_s * dt_s
+    p[P11] += qb * g1 * g1 + share * point.r1_ohm * point.r1_ohm * (1.0 - a1 * a1)
+    p[P22] += qb * g2 * g2 + share * point.r2_ohm * point.r2_ohm * (1.0 - a2 * a2)
+    p[P33] += qb * g3 * g3 + share * point.r3_ohm * point.r3_ohm * (1.0 - a3 * a3)
+    p[BB] += learn.offset_walk * dt_s
+    p[QQ] += learn.charge_walk * dt_s
     # Doubt of the resistances comes back, up to what it was before any data.
     if memory[FAST_VAR] < learn.resistance_variance:
         memory[FAST_VAR] += learn.resistance_walk * dt_s
@@ -242,13 +251,15 @@ def use_rest(
         memory[REST_S] = 0.0
         return
     if watch_rest(learn, memory, current_A, dt_s) and learn.learn_offset:
-        for i in range(STATES):
-            d[i] = p[i, B]
+        for i in range(B):
+            d[i] = p[i * STATES + B]
+        d[B] = p[BB]
+        d[Q] = p[BQ]
         inverse = 1.0 / (d[B] + learn.rest_variance)
         correct(x, p, d, inverse, memory[REST_A] - x[B], False, not learn.learn_charge)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def take_step(
     table: FloatArray,
     grid: FloatArray,
@@ -339,7 +350,7 @@ def take_step(
         # explain speaks against the SOC more slowly.
         size = abs(point.r0_ohm * load) + branches
         far = square > gate * variance + 4.0 * size * size
-        memory[REJECTIONS] += 1.0 if far else UNDER_LOAD_COUNT
+        memory[REJECTIONS] += 1.0 if far else UNDER_LOAD_COUNT * min(dt_s, 1.0)
         if memory[REJECTIONS] >= noise.recovery_after:
             # The gate may have locked the truth out: admit a SOC error as large as what is seen
             # and branches that hold anything, so that the next voltage passes.
@@ -348,11 +359,11 @@ def take_step(
             mismatch = 1.0
             evidence = 0.0
             missed = innovation / max(slope, SLOPE_FLOOR_V)
-            p[SOC, SOC] += min(missed * missed, RECOVERY_VARIANCE)
+            p[SS] += min(missed * missed, RECOVERY_VARIANCE)
             held = RECOVERY_RATE * cell.charge_As / 3600.0
-            p[V1, V1] += x[V1] * x[V1] + held * held * point.r1_ohm * point.r1_ohm
-            p[V2, V2] += x[V2] * x[V2] + held * held * point.r2_ohm * point.r2_ohm
-            p[V3, V3] += x[V3] * x[V3] + held * held * point.r3_ohm * point.r3_ohm
+            p[P11] += x[V1] * x[V1] + held * held * point.r1_ohm * point.r1_ohm
+            p[P22] += x[V2] * x[V2] + held * held * point.r2_ohm * point.r2_ohm
+            p[P33] += x[V3] * x[V3] + held * held * point.r3_ohm * point.r3_ohm
     elif used:
         memory[REJECTIONS] = max(memory[REJECTIONS] - FORGIVEN, 0.0)
         resting = abs(load) * 3600.0 < REST_RATE * cell.charge_As
@@ -362,7 +373,7 @@ def take_step(
             # The gain is that of the slope here; what it is worth is said by the slope where it
             # leads, if that is flatter.
             flat = min(slope, point.ocv_slope_V)
-            wander = math.sqrt(p[SOC, SOC])
+            wander = math.sqrt(p[SS])
             move = d[SOC] * inverse * innovation
             if abs(move) > SMALL_MOVE * wander:
                 there = x[SOC] + move
@@ -391,10 +402,11 @@ def mixture(learn: AdaptiveScalars, x: FloatArray, p: FloatArray, memory: FloatA
     """The hypotheses' common word; a misfit that none of them explains speaks for the model's."""
     odds = learn.odds
     if memory[MISMATCH] > 1.0:
-        odds *= memory[MISMATCH] ** learn.doubt
+        # A power costs as much as the rest of the mixture.
+        square = memory[MISMATCH] * memory[MISMATCH]
+        odds *= square if learn.doubt == 2.0 else memory[MISMATCH] ** learn.doubt
     return mix(
-        x[SOC], p[SOC, SOC], x[B], x[Q] - 1.0,
-        p[SOC, B], p[SOC, Q], p[B, B], p[B, Q], p[Q, Q],
+        x[SOC], p[SS], x[B], x[Q] - 1.0, p[SB], p[SQ], p[BB], p[BQ], p[QQ],
         learn.offset_variance, learn.charge_variance, odds,
     )  # fmt: skip
 

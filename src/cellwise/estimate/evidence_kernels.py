@@ -97,12 +97,13 @@ def weigh(
         if ratio > 1.0:
             status |= INNOVATION_REJECTED
             # Under load the resistances may be what is wrong: what three times the polarisation
-            # can explain speaks against the SOC more slowly.
+            # can explain speaks against the SOC more slowly, and by time: ten samples a second
+            # repeat one such error.
             polarisation = abs(r0_ohm * s.seen_A) + branches_V
             if square > gate * variance + 4.0 * polarisation * polarisation:
                 rejections += 1.0
             else:
-                rejections += UNDER_LOAD_COUNT
+                rejections += UNDER_LOAD_COUNT * min(dt_s, 1.0)
             if unsure and resting and evidence_s < 0.0:
                 rejections = noise.recovery_after
             if rejections >= noise.recovery_after:
