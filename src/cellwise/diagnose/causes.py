@@ -72,7 +72,7 @@ CAUSES: dict[str, Cause] = {
             "The current sensor multiplies the true current by a factor.",
             "I = (I_log - offset_A) / gain",
             "Drops and SOC drift are wrong by the same share.",
-            (Parameter("gain", "1", 1.0, (0.9, 1.111), "ln_gain", 0.05),),
+            (Parameter("gain", "1", 1.0, (0.5, 2.0), "ln_gain", 0.05),),
             ("capacity", "resistance_scale"),
         ),
         Cause(

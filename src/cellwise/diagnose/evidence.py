@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -75,6 +76,22 @@ class Evidence:
     def rows(self) -> int:
         """Number of scored rows."""
         return int(self.role.size)
+
+    @cached_property
+    def fitted(self) -> Evidence:
+        """The logs that have rows to fit: those that are only held out are left off."""
+        many = sum(bool(np.any(g.role == FITTED)) for g in self.logs)
+        if many == len(self.logs):
+            return self
+        rows = slice(0, sum(g.scored for g in self.logs[:many]))
+        return Evidence(
+            self.logs[:many],
+            self.dt_s[rows],
+            self.voltage_V[rows],
+            self.known[rows],
+            self.role[rows],
+            self.block[rows],
+        )
 
     def starts(self) -> list[str]:
         """Names of the coordinates of the logs' starts."""

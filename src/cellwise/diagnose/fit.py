@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_solve, solve_triangular
+from scipy.optimize import lsq_linear
 
 from cellwise.diagnose.coordinates import Coordinates
 from cellwise.diagnose.evidence import FITTED, HELD, START, Evidence
@@ -77,15 +78,14 @@ class Prior:
 class Fit:
     """A point, its covariance, and how well it explains what was fitted and what was held out.
 
-    ``log_evidence`` is ln p(fitted rows), ``held_terms`` ln p of every held-out row given what
-    came before, ``fit_terms`` the same of the fitted rows.
+    ``log_evidence`` is ln p(fitted rows). Logs that are only held out are NaN in ``voltage_V`` and
+    ``soc`` until the fit is completed (:func:`complete`).
     """
 
     z: dict[str, float]
     names: tuple[str, ...]
     covariance: FloatArray
     log_evidence: float
-    terms: FloatArray
     voltage_V: FloatArray
     soc: FloatArray
     coordinates: Coordinates
@@ -103,6 +103,12 @@ class Objective:
     evidence: Evidence
     noise: NoiseLevel
     amplitude: FloatArray
+
+    @property
+    def fitted(self) -> Objective:
+        """The same over the logs that have rows to fit."""
+        part = self.evidence.fitted
+        return Objective(part, self.noise, self.amplitude[: part.rows])
 
     def whitened(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Columns (rows, P) as independent unit normal terms, and ln of each row's deviation^2."""
@@ -152,14 +158,14 @@ def fit(
 ) -> Fit:
     """Most likely point under the prior, by damped Gauss-Newton with analytic sensitivities.
 
-    The starts of held-out logs are found from their first part alone, at the point that the fitted
-    rows give. ``fixed`` holds coordinates that are no part of the fit at given values. With
-    ``frozen`` only the derivatives by ``moving`` and by the starts are taken anew at every point.
+    Only the logs that have rows to fit are simulated; :func:`complete` adds the others. ``fixed``
+    holds coordinates that are no part of the fit at given values. With ``frozen`` only the
+    derivatives by ``moving`` and by the starts are taken anew at every point.
     """
     held_still = dict(fixed or {})
-    evidence = objective.evidence
+    train = objective.fitted
+    evidence = train.evidence
     names = prior.names
-    fitted = evidence.role == FITTED
     mean = np.array([prior.mean.get(n, 0.0) for n in names])
     weight = prior.precision()
     low = np.array([prior.low.get(n, -np.inf) for n in names])
@@ -168,17 +174,18 @@ def fit(
     still = () if frozen is None else tuple(n for n in frozen.names if n not in moving)
     fresh = [k for k, n in enumerate(names) if n not in still]
     kept = [k for k, n in enumerate(names) if n in still]
+    rows = (evidence.role == FITTED) & evidence.known
     white = np.empty((evidence.rows, 1 + len(names)))
     if frozen is not None and kept:
-        columns = np.column_stack([frozen.column(names[k]) for k in kept])
-        white[:, [1 + k for k in kept]], _ = objective.whitened(columns)
+        columns = np.column_stack([frozen.column(names[k])[: evidence.rows] for k in kept])
+        white[:, [1 + k for k in kept]], _ = train.whitened(columns)
 
     def cost_of(point: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         z = {**held_still, **dict(zip(names, point, strict=True))}
         voltage, soc = evidence.simulate(coordinates, z)
-        terms = objective.terms(evidence.voltage_V - voltage)
+        terms = train.terms(evidence.voltage_V - voltage)
         penalty = 0.5 * float((point - mean) @ weight @ (point - mean))
-        value = penalty - float(np.sum(terms[fitted]))
+        value = penalty - float(np.sum(terms[rows]))
         return (value if math.isfinite(value) else math.inf), voltage, soc
 
     cost, voltage, soc = cost_of(x)
@@ -187,9 +194,9 @@ def fit(
         z = {**held_still, **dict(zip(names, x, strict=True))}
         jacobian = evidence.jacobian(coordinates, z, [names[k] for k in fresh])
         residual = np.nan_to_num(evidence.voltage_V - voltage)
-        part, _ = objective.whitened(np.column_stack((residual, jacobian)))
+        part, _ = train.whitened(np.column_stack((residual, jacobian)))
         white[:, [0, *(1 + k for k in fresh)]] = part
-        normal, gradient = _normal(white, fitted, weight, x - mean)
+        normal, gradient = _normal(white, rows, weight, x - mean)
         step = _bounded_step(normal, gradient, x, low, high)
         expected = float(gradient @ step) / 2
         trial, value, v, s = x, math.inf, voltage, soc
@@ -208,51 +215,73 @@ def fit(
     covariance = np.asarray(np.linalg.pinv(normal), dtype=np.float64)
     _, ln_det = np.linalg.slogdet(normal)
     log_evidence = -cost - 0.5 * float(ln_det) + 0.5 * float(np.linalg.slogdet(weight)[1])
+    missing = np.full(objective.evidence.rows - evidence.rows, np.nan)
+    voltage, soc = np.concatenate((voltage, missing)), np.concatenate((soc, missing))
+    return Fit(z, tuple(names), covariance, log_evidence, voltage, soc, coordinates)
+
+
+def complete(objective: Objective, found: Fit, prior: Prior) -> Fit:
+    """The fit with the held-out logs simulated, each from where its first part says it starts."""
+    evidence = objective.evidence
     if np.any(evidence.role == START):
-        z, voltage, soc = _held_starts(objective, coordinates, prior, z, voltage)
-    terms = objective.terms(evidence.voltage_V - voltage)
-    return Fit(z, tuple(names), covariance, log_evidence, terms, voltage, soc, coordinates)
+        z, voltage, soc = _held_starts(objective, found.coordinates, prior, found.z)
+    elif evidence.fitted is evidence:
+        return found
+    else:
+        z = found.z
+        voltage, soc = evidence.simulate(found.coordinates, z)
+    return replace(found, z=z, voltage_V=voltage, soc=soc)
+
+
+def normal_of(white: FloatArray, rows: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Normal matrix and gradient of whitened rows [e, J], residuals beyond CLIP held (Huber)."""
+    many = white.shape[1] - 1
+    normal, gradient = np.zeros((many, many)), np.zeros(many)
+    normal_equations(white, rows, CLIP, normal, gradient)
+    return normal, gradient
 
 
 def _normal(
     white: FloatArray, rows: BoolArray, weight: FloatArray, away: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Normal matrix and gradient, residuals beyond CLIP held (Huber)."""
-    many = white.shape[1] - 1
-    normal, gradient = np.zeros((many, many)), np.zeros(many)
-    normal_equations(white, rows, CLIP, normal, gradient)
+    """Normal matrix and gradient with the prior's."""
+    normal, gradient = normal_of(white, rows)
     return normal + weight, gradient - weight @ away
 
 
 def _bounded_step(
     normal: FloatArray, gradient: FloatArray, x: FloatArray, low: FloatArray, high: FloatArray
 ) -> FloatArray:
-    """Gauss-Newton step over the coordinates that their bounds leave free."""
-    free = ~((x <= low) & (gradient < 0) | (x >= high) & (gradient > 0))
-    step = np.zeros_like(x)
-    if free.any():
-        part = normal[np.ix_(free, free)]
-        step[free] = cho_solve(cho_factor(part + 1e-12 * np.diag(np.diag(part))), gradient[free])
-    return step
+    """The Gauss-Newton step that is best within the bounds.
+
+    Cutting the free step off at the bounds would leave the other coordinates where they make up
+    for what was cut; so the quadratic is minimised inside the box (bounded least squares).
+    """
+    size = 1.0 / np.sqrt(np.diag(normal))
+    root = np.linalg.cholesky(normal * np.outer(size, size) + 1e-10 * np.eye(x.size))
+    target = solve_triangular(root, gradient * size, lower=True)
+    ends = ((low - x) / size, (high - x) / size)
+    free = cho_solve((root, True), gradient * size)
+    if np.all((free >= ends[0]) & (free <= ends[1])):
+        return np.asarray(free * size)
+    found = lsq_linear(root.T, target, ends, method="bvls", max_iter=4 * x.size)
+    return np.asarray(found.x * size)
 
 
 def _held_starts(
-    objective: Objective,
-    coordinates: Coordinates,
-    prior: Prior,
-    z: dict[str, float],
-    voltage: FloatArray,
+    objective: Objective, coordinates: Coordinates, prior: Prior, z: dict[str, float]
 ) -> tuple[dict[str, float], FloatArray, FloatArray]:
     """Starts of the held-out logs from their first rows, everything else as it is."""
     evidence = objective.evidence
+    voltage, soc = evidence.simulate(coordinates, z)
     names = [
         n
         for n, g in zip(evidence.starts(), evidence.logs, strict=True)
         if np.any(g.role == START) and n in prior.std
     ]
     if not names:
-        return z, voltage, evidence.simulate(coordinates, z)[1]
-    rows = evidence.role == START
+        return z, voltage, soc
+    rows = (evidence.role == START) & evidence.known
     weight = np.diag([1.0 / prior.std[n] ** 2 for n in names])
     for _ in range(4):
         jacobian = evidence.jacobian(coordinates, z, names)

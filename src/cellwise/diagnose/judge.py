@@ -9,12 +9,22 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from cellwise.diagnose.acceptance import (
+    CLEAR_SCORE,
+    CLEAR_SIGMAS,
+    LEAST_SCORE,
+    PART_OF,
+    immaterial,
+    simpler_first,
+    unphysical,
+)
 from cellwise.diagnose.causes import Cause
 from cellwise.diagnose.coordinates import Coordinates
 from cellwise.diagnose.evidence import FITTED, Evidence
-from cellwise.diagnose.fit import Fit, Frozen, Objective, Prior, fit, freeze, held_rows
+from cellwise.diagnose.fit import Fit, Frozen, Objective, Prior, complete, fit, freeze
 from cellwise.diagnose.noise import at_least, estimate_noise
-from cellwise.diagnose.priors import USUAL_ACTIVATION_K, freed, needs_activation
+from cellwise.diagnose.prediction import Prediction, predict
+from cellwise.diagnose.priors import USUAL_ACTIVATION_K, freed, needs_activation, shortest_tau3_s
 from cellwise.diagnose.rest_reading import RestReading
 from cellwise.diagnose.rivals import Candidate, Gain, difference, gain_of
 from cellwise.diagnose.whitening_kernels import NoiseLevel
@@ -22,22 +32,6 @@ from cellwise.typing import FloatArray
 
 Progress = Callable[[float, str], None]
 
-# Nats by which an explanation must be better than none (a factor of three million in
-# likelihood).
-LEAST_SCORE = 15.0
-# A gain below this share, or below this share of the model's own slow error, is nobody's business.
-LEAST_GAIN = 0.02
-LEAST_OF_ERROR = 0.2
-LEAST_CHANGE_V = 2e-4
-# Rivals closer than this, or than so many standard errors, cannot be told apart.
-CLEAR_SCORE = 2.0
-CLEAR_SIGMAS = 0.3
-# Of these the first says less and the second can do all that the first does: when the first is
-# ahead, it is what happened.
-PART_OF = {
-    "voltage_offset": "ocv_shift",
-    "temperature_dependence": "self_heating",
-}
 MOST_CAUSES = 5
 FINALISTS = 5
 # The search begins with a noise that is forgiving at once and firm in the long run, so that what
@@ -98,11 +92,13 @@ class Judge:
     progress: Progress | None = None
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)
     _said: float = field(default=0.0)
+    _accepted: list[Accepted] = field(default_factory=list)
     _amplitude: FloatArray = field(default_factory=lambda: np.ones(1))
 
     def run(self, causes: Sequence[Cause], base: Fit, noise: NoiseLevel) -> Judgement:
         """Accept causes one by one on top of the :meth:`base` until nothing is left to explain."""
-        accepted: list[Accepted] = []
+        accepted = self._accepted
+        accepted.clear()
         prior = self.prior
         plain_base = base
         first: tuple[Candidate, ...] = ()
@@ -141,7 +137,7 @@ class Judge:
         for _ in range(2):
             noise = self._noise(found)
             found = self._fit(noise, self.coordinates, prior, found.z, 4)
-        return found, noise
+        return complete(self._objective(noise), found, prior), noise
 
     def alone(self, found: Fit, keep: set[str], starts_free: bool) -> Fit:
         """The causes' coordinates as found, tolerances at neutral.
@@ -162,7 +158,9 @@ class Judge:
             self.evidence, NoiseLevel(2e-3, 1e-3, 20.0, 3e-3, 600.0), self._amplitude
         )
         start = {n: found.z[n] for n in free}
-        return fit(objective, found.coordinates, Prior(std, {}, low, high), start, 4, fixed)
+        prior = Prior(std, {}, low, high)
+        one = fit(objective, found.coordinates, prior, start, 4, fixed)
+        return complete(objective, one, prior)
 
     def point(self, found: Fit, keep: set[str]) -> dict[str, float]:
         """The causes' coordinates and what good logs taught of the cell, nothing else."""
@@ -207,7 +205,7 @@ class Judge:
         frozen = freeze(
             Objective(self.evidence, noise, self._amplitude), base.coordinates, prior.names, base.z
         )
-        none = base.log_evidence + self.rest.ln_likelihood(base.z)
+        none = self._explained(base, noise, prior)
 
         def work(cause: Cause) -> Candidate:
             return self._candidate(cause, prior, base, noise, firm, frozen, none)
@@ -222,7 +220,7 @@ class Judge:
             ranked[:FINALISTS] = threads.map(
                 lambda c: self._again(c, prior, base, noise, frozen, none), ranked[:FINALISTS]
             )
-        return tuple(sorted(ranked, key=lambda c: -c.score))
+        return simpler_first(sorted(ranked, key=lambda c: -c.score))
 
     def _again(
         self,
@@ -231,13 +229,13 @@ class Judge:
         base: Fit,
         usual: NoiseLevel,
         frozen: Frozen,
-        none: float,
+        none: Prediction,
     ) -> Candidate:
         noise = self._noise(c.fit, usual)
         wide = freed(prior, c.cause, c.fit.coordinates, self.evidence)
         moving = [*kept_coordinates((c.cause,)), *self.evidence.starts()]
         found = self._fit(noise, c.fit.coordinates, wide, c.fit.z, 5, frozen, moving)
-        return self._scored(c.cause, found, noise, base, none)
+        return self._scored(c.cause, found, noise, wide, none)
 
     def _candidate(
         self,
@@ -247,7 +245,7 @@ class Judge:
         usual: NoiseLevel,
         firm: NoiseLevel,
         frozen: Frozen,
-        none: float,
+        none: Prediction,
     ) -> Candidate:
         """One cause fitted on top of the base; over several shapes where it has one."""
         best: Fit | None = None
@@ -277,15 +275,24 @@ class Judge:
             again = self._fit(usual, best.coordinates, wide, base.z, 5, frozen, moving)
             if again.log_evidence > best.log_evidence:
                 best, noise = again, usual
-        return self._scored(cause, best, noise, base, none)
+        return self._scored(cause, best, noise, wide, none)
 
     def _scored(
-        self, cause: Cause, best: Fit, noise: NoiseLevel, base: Fit, none: float
+        self, cause: Cause, best: Fit, noise: NoiseLevel, prior: Prior, none: Prediction
     ) -> Candidate:
-        held = held_rows(self.evidence)
-        held_score = float(np.sum((best.terms - base.terms)[held]))
-        explained = best.log_evidence + self.rest.ln_likelihood(best.z) - none
-        return Candidate(cause, best, noise, explained + held_score, held_score)
+        best = complete(self._objective(noise), best, prior)
+        one = self._explained(best, noise, prior, (cause,))
+        return Candidate(
+            cause, best, noise, one.total - none.total, one.held - none.held, one.terms
+        )
+
+    def _explained(
+        self, found: Fit, noise: NoiseLevel, prior: Prior, causes: Sequence[Cause] = ()
+    ) -> Prediction:
+        """How likely all rows are under a fit, and what the current reads at rest."""
+        free = kept_coordinates((*causes, *(a.cause for a in self._accepted)))
+        found_so = predict(self._objective(noise), found, prior, free)
+        return found_so._replace(total=found_so.total + self.rest.ln_likelihood(found.z))
 
     def _shapes(self, cause: Cause, coordinates: Coordinates) -> list[Coordinates]:
         if cause.shape is None:
@@ -296,18 +303,23 @@ class Judge:
         if name == "ln_gamma" and coordinates.has_hysteresis:
             return [coordinates]
         span = max(float(g.clock_s[-1] - g.clock_s[0]) for g in self.evidence.logs)
+        least = shortest_tau3_s(coordinates.model) if name == "ln_tau3" else 0.0
         if name != "ln_gamma":
-            values = tuple(v for v in values if v < span) or values[:1]
+            values = tuple(v for v in values if least <= v < span) or (max(least, values[0]),)
         return [replace(coordinates, shapes={**coordinates.shapes, name: v}) for v in values]
 
-    def _gain(self, candidate: Candidate, base: Fit, accepted: Sequence[Accepted]) -> Gain:
-        """Gain on held-out rows of the causes alone, without what tolerances took up."""
+    def _gain(
+        self, candidate: Candidate, base: Fit, accepted: Sequence[Accepted]
+    ) -> tuple[Gain, Gain]:
+        """Gain on held-out rows of the causes alone, and with what tolerances take up."""
         keep = kept_coordinates(a.cause for a in accepted)
         starts_free = any(a.cause.kind == "start" for a in accepted)
         one = self.alone(base, keep, starts_free)
         keep |= kept_coordinates((candidate.cause,))
         two = self.alone(candidate.fit, keep, starts_free or candidate.cause.kind == "start")
-        return gain_of(self.evidence, one.voltage_V, two.voltage_V, self.rng)
+        alone = gain_of(self.evidence, one.voltage_V, two.voltage_V, self.rng)
+        together = gain_of(self.evidence, base.voltage_V, candidate.fit.voltage_V, self.rng)
+        return alone, together
 
     def _material(
         self,
@@ -318,28 +330,18 @@ class Judge:
     ) -> tuple[tuple[Candidate, ...], Gain | None, list[str]]:
         """Candidates from the first one on that gains something on held-out data, and its gain."""
         refused = []
+        claim = float(np.mean(self.coordinates.model.error.slow_V))
         for k, candidate in enumerate(ranked):
             if candidate.score < LEAST_SCORE:
                 refused.append(f"{candidate.name} explains no more than tolerances do")
                 break
-            gain = self._gain(candidate, base, accepted)
+            alone, together = self._gain(candidate, base, accepted)
             wide = freed(prior, candidate.cause, candidate.fit.coordinates, self.evidence)
-            refusal = _unphysical(candidate, wide) or self._refusal(candidate, gain)
+            refusal = unphysical(candidate, wide) or immaterial(candidate, alone, together, claim)
             if not refusal:
-                return ranked[k:], gain, refused
+                return ranked[k:], alone, refused
             refused.append(refusal)
         return ranked, None, refused
-
-    def _refusal(self, candidate: Candidate, gain: Gain) -> str:
-        """Why a candidate is not accepted; empty if it is."""
-        name = candidate.name
-        if gain.low <= 0.0:
-            return f"{name} fits, but gains nothing sure on held-out data"
-        error = float(np.mean(self.coordinates.model.error.slow_V))
-        saved = gain.held_before_V - gain.held_after_V
-        if gain.gain < LEAST_GAIN or saved < max(LEAST_CHANGE_V, LEAST_OF_ERROR * error):
-            return f"{name} would save {1e3 * saved:.2f} mV, less than the model claims to know"
-        return ""
 
     def _rivals(self, ranked: Sequence[Candidate]) -> tuple[Candidate, ...]:
         """Those that explain as much as the best one."""
@@ -357,7 +359,7 @@ class Judge:
         wide = freed(prior, best.cause, best.fit.coordinates, self.evidence)
         objective = Objective(self.evidence, best.noise, self._amplitude)
         frozen = freeze(objective, best.fit.coordinates, wide.names, best.fit.z)
-        none = best.fit.log_evidence + self.rest.ln_likelihood(best.fit.z)
+        none = self._explained(best.fit, best.noise, wide)
         for other in rivals[:2]:
             both = self._candidate(
                 other.cause, wide, best.fit, best.noise, best.noise, frozen, none
@@ -372,17 +374,3 @@ class Judge:
         share = 1.0 - 0.5 ** (turn + part)
         self._said = max(self._said, share)
         self.progress(self._said, name.replace("_", " "))
-
-
-def _unphysical(candidate: Candidate, prior: Prior) -> str:
-    """Whether what switches an effect on has stayed off, or a value stands at its bound."""
-    z = candidate.fit.z
-    if candidate.cause.shape is not None:
-        switch = candidate.cause.parameters[0]
-        if z.get(switch.coordinate, 0.0) == 0.0:
-            return f"{candidate.name} fits best with {switch.name} at zero"
-    for p in candidate.cause.parameters:
-        x = z.get(p.coordinate)
-        if x is not None and x in (prior.low.get(p.coordinate), prior.high.get(p.coordinate)):
-            return f"{candidate.name} would need {p.name} beyond what is physical"
-    return ""

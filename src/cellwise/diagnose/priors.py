@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from cellwise.cell.effects import TemperatureDependence
+from cellwise.cell.model import CellModel
 from cellwise.diagnose.causes import Cause
 from cellwise.diagnose.coordinates import OCV_NAMES, R_NAMES, Coordinates
 from cellwise.diagnose.evidence import Evidence
@@ -24,7 +25,8 @@ USUAL_ACTIVATION_K = 3000.0
 USUAL_SPREAD_K = 1500.0
 # A start that was given is right to this; one that was found, to its own standard deviation.
 GIVEN_SOC_STD = 0.0015
-TOLERANCE_ENDS = 2.0
+TOLERANCE_ENDS = 4.0
+SLOWER_THAN_TAU2 = 2.0
 
 # What a known-good log may teach of the cell: how far from the model it may lead.
 STRUCTURE = {
@@ -61,9 +63,9 @@ def tolerances(coordinates: Coordinates, evidence: Evidence) -> Prior:
         "ln_scale": 0.01,
         **dict.fromkeys(OCV_NAMES, max(OCV_LEAST_V, OCV_SHARE * slow)),
         **dict.fromkeys(R_NAMES, max(R_LEAST, R_SHARE * model.error.resistance_share)),
-        "ln_r0": 0.02,
-        "ln_r1": 0.04,
-        "ln_r2": 0.04,
+        "ln_r0": 0.012,
+        "ln_r1": 0.025,
+        "ln_r2": 0.025,
         "ln_tau1": 0.08,
         "ln_tau2": 0.08,
         "r3": 0.15 if coordinates.has_slow else 0.02,
@@ -122,6 +124,11 @@ def needs_activation(coordinates: Coordinates) -> bool:
     return coordinates.model.temperature_C.size == 1 and abs(known) < 300.0
 
 
+def shortest_tau3_s(model: CellModel) -> float:
+    """Slow is what the second branch does not reach [s]."""
+    return SLOWER_THAN_TAU2 * float(np.median(model.tau2_s))
+
+
 def coordinate_bounds(
     name: str, bounds: tuple[float, float], coordinates: Coordinates
 ) -> tuple[float, float]:
@@ -133,6 +140,7 @@ def coordinate_bounds(
     if name in ("ln_gain", "ln_scale", "ln_charge_scale"):
         return math.log(low), math.log(high)
     if name == "ln_tau3":
+        low = max(low, shortest_tau3_s(model))
         return math.log(low / coordinates.tau3_s), math.log(high / coordinates.tau3_s)
     if name == "ln_gamma":
         return math.log(low / coordinates.gamma), math.log(high / coordinates.gamma)

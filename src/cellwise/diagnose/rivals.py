@@ -20,7 +20,7 @@ class Candidate:
     """A cause, fitted on the fitted rows on top of what was accepted before.
 
     ``score`` is ln of how much more likely all rows are than without it: the evidence of the
-    fitted ones plus the prediction of the held-out ones.
+    fitted ones plus the prediction of the held-out ones. ``terms`` are each row's part.
     """
 
     cause: Cause
@@ -28,6 +28,7 @@ class Candidate:
     noise: NoiseLevel
     score: float
     held_score: float
+    terms: FloatArray
 
     @property
     def name(self) -> str:
@@ -89,7 +90,7 @@ def block_sums(block: IntArray, values: FloatArray) -> FloatArray:
 def difference(one: Candidate, other: Candidate, evidence: Evidence) -> tuple[float, float]:
     """By how much one explains the rows better than another, and its standard error [nats]."""
     used = ((evidence.role == HELD) | (evidence.role == FITTED)) & evidence.known
-    terms = (one.fit.terms - other.fit.terms)[used]
+    terms = (one.terms - other.terms)[used]
     sums = block_sums(evidence.block[used], terms[:, None])[:, 0]
     error = float(np.sqrt(sums.size * np.var(sums, ddof=1))) if sums.size > 1 else float("inf")
     return one.score - other.score, error

@@ -16,6 +16,7 @@ from numba import njit
 from cellwise.typing import BoolArray, FloatArray
 
 TINY = 1e-60
+BLOCK_ROWS = 256
 
 
 class NoiseLevel(NamedTuple):
@@ -44,14 +45,17 @@ def whiten(
     v2 = noise.slow_V * noise.slow_V
     w = noise.white_V * noise.white_V
     p11, p12, p22 = v1, 0.0, v2
+    last, a1, a2 = -1.0, 1.0, 1.0
     for k in range(rows):
         if not math.isfinite(dt_s[k]):
             p11, p12, p22 = v1, 0.0, v2
             one[:] = 0.0
             two[:] = 0.0
         else:
-            a1 = math.exp(-dt_s[k] / noise.fast_s)
-            a2 = math.exp(-dt_s[k] / noise.slow_s)
+            if dt_s[k] != last:  # most intervals are alike
+                last = dt_s[k]
+                a1 = math.exp(-last / noise.fast_s)
+                a2 = math.exp(-last / noise.slow_s)
             p11 = a1 * a1 * p11 + (1.0 - a1 * a1) * v1
             p12 = a1 * a2 * p12
             p22 = a2 * a2 * p22 + (1.0 - a2 * a2) * v2
@@ -96,14 +100,17 @@ def minus_log_likelihood(
     one = 0.0
     two = 0.0
     total = 0.0
+    last, a1, a2 = -1.0, 1.0, 1.0
     for k in range(residual.size):
         if not math.isfinite(dt_s[k]):
             p11, p12, p22 = v1, 0.0, v2
             one = 0.0
             two = 0.0
         else:
-            a1 = math.exp(-dt_s[k] / noise.fast_s)
-            a2 = math.exp(-dt_s[k] / noise.slow_s)
+            if dt_s[k] != last:
+                last = dt_s[k]
+                a1 = math.exp(-last / noise.fast_s)
+                a2 = math.exp(-last / noise.slow_s)
             p11 = a1 * a1 * p11 + (1.0 - a1 * a1) * v1
             p12 = a1 * a2 * p12
             p22 = a2 * a2 * p22 + (1.0 - a2 * a2) * v2
@@ -126,23 +133,37 @@ def minus_log_likelihood(
     return total
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True, fastmath={"reassoc", "contract"})
 def normal_equations(
     white: FloatArray, used: BoolArray, clip: float, normal: FloatArray, gradient: FloatArray
 ) -> None:
-    """Add J' W J and J' W e of whitened rows [e, J]; W holds residuals beyond ``clip`` (Huber)."""
+    """Add J' W J and J' W e of whitened rows [e, J]; W holds residuals beyond ``clip`` (Huber).
+
+    Rows are gathered in blocks that fit the cache, one column after the other: a product that
+    needs no threads of a linear algebra library beside those of the judge.
+    """
     rows, many = white.shape
+    block = np.empty((many, BLOCK_ROWS))
+    filled = 0
     for k in range(rows):
-        if not used[k]:
-            continue
-        e = white[k, 0]
-        w = 1.0 if abs(e) <= clip else clip / abs(e)
-        for i in range(1, many):
-            wi = w * white[k, i]
-            gradient[i - 1] += wi * e
-            if wi != 0.0:
+        if used[k]:
+            size = abs(white[k, 0])
+            w = 1.0 if size <= clip else math.sqrt(clip / size)
+            for c in range(many):
+                block[c, filled] = w * white[k, c]
+            filled += 1
+        if filled == BLOCK_ROWS or (k == rows - 1 and filled > 0):
+            for i in range(1, many):
+                total = 0.0
+                for r in range(filled):
+                    total += block[i, r] * block[0, r]
+                gradient[i - 1] += total
                 for j in range(i, many):
-                    normal[i - 1, j - 1] += wi * white[k, j]
+                    total = 0.0
+                    for r in range(filled):
+                        total += block[i, r] * block[j, r]
+                    normal[i - 1, j - 1] += total
+            filled = 0
     for i in range(many - 1):
         for j in range(i):
             normal[i, j] = normal[j, i]

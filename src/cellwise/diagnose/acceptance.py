@@ -1,0 +1,71 @@
+"""When a cause is accepted: how much it must explain, how clearly, and of what it may be a part."""
+
+from __future__ import annotations
+
+from cellwise.diagnose.fit import Prior
+from cellwise.diagnose.rivals import Candidate, Gain
+
+# Nats by which an explanation must be better than none.
+LEAST_SCORE = 10.0
+# A model claims to be right within an error, and a fault within that claim is nobody's business: of
+# the claim's square, the least that a cause must take off the mean squared error. A model that
+# proves better than its claim is taken at CLAIM_FACTOR times what a cause leaves.
+LEAST_OF_CLAIM = 0.6
+CLAIM_FACTOR = 3.0
+LEAST_GAIN = 0.02
+LEAST_CHANGE_V = 2e-4
+# Rivals closer than this, or than so many standard errors, cannot be told apart.
+CLEAR_SCORE = 1.0
+CLEAR_SIGMAS = 0.3
+# Of these the first says less and the second can do all that the first does: unless the second is
+# ahead by SIMPLER nats, the first is what happened.
+SIMPLER = 10.0
+PART_OF = {
+    "voltage_offset": "ocv_shift",
+    "temperature_dependence": "self_heating",
+}
+
+
+def immaterial(candidate: Candidate, alone: Gain, together: Gain, claim_V: float) -> str:
+    """Why a candidate's gain does not count; empty if it does.
+
+    ``alone`` is the gain of the causes by themselves, which is what an extended model brings;
+    ``together`` that on top of what tolerances take up, where a small effect shows clearer.
+    ``claim_V`` is the error that the model owns up to.
+    """
+    name = candidate.name
+    if alone.gain <= 0.0 or max(alone.low, together.low) <= 0.0:
+        return f"{name} fits, but gains nothing sure on held-out data"
+    saved = alone.held_before_V - alone.held_after_V
+    claim = min(claim_V, CLAIM_FACTOR * alone.held_after_V)
+    square = max(
+        alone.held_before_V**2 - alone.held_after_V**2,
+        alone.train_before_V**2 - alone.train_after_V**2,
+    )
+    small = alone.gain < LEAST_GAIN or saved < LEAST_CHANGE_V
+    if small or square < LEAST_OF_CLAIM * claim * claim:
+        return f"{name} would save {1e3 * saved:.2f} mV, less than the model claims to know"
+    return ""
+
+
+def simpler_first(ranked: list[Candidate]) -> tuple[Candidate, ...]:
+    """The best first; a cause that another contains goes before it if it explains as much."""
+    best = ranked[0]
+    for k, other in enumerate(ranked[1:], 1):
+        if PART_OF.get(other.name) == best.name and best.score - other.score < SIMPLER:
+            return (other, best, *ranked[1:k], *ranked[k + 1 :])
+    return tuple(ranked)
+
+
+def unphysical(candidate: Candidate, prior: Prior) -> str:
+    """Whether what switches an effect on has stayed off, or a value stands at its bound."""
+    z = candidate.fit.z
+    if candidate.cause.shape is not None:
+        switch = candidate.cause.parameters[0]
+        if z.get(switch.coordinate, 0.0) == 0.0:
+            return f"{candidate.name} fits best with {switch.name} at zero"
+    for p in candidate.cause.parameters:
+        x = z.get(p.coordinate)
+        if x is not None and x in (prior.low.get(p.coordinate), prior.high.get(p.coordinate)):
+            return f"{candidate.name} would need {p.name} beyond what is physical"
+    return ""
