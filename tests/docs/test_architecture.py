@@ -10,12 +10,13 @@ import pytest
 REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGE = REPOSITORY / "src" / "cellwise"
 
-BASE = {"errors", "typing", "files"}
+BASE = {"errors", "typing", "files", "plotting"}
 TOOLS = {"logs", "cell", "identify", "estimate", "diagnose", "data"}
 MAY_IMPORT = {
     "errors": set(),
     "typing": set(),
     "files": {"errors"},
+    "plotting": {"errors", "typing"},
     "logs": BASE,
     "cell": BASE | {"logs"},
     "identify": BASE | {"logs", "cell"},

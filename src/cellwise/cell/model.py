@@ -23,6 +23,7 @@ from cellwise.cell.effects import (
 )
 from cellwise.cell.kernels import ZERO_CELSIUS_K, CellScalars, table_rows
 from cellwise.errors import InputError
+from cellwise.plotting import Line, Panel, Plottable
 from cellwise.typing import FloatArray
 
 E = TypeVar(
@@ -73,7 +74,7 @@ class ModelError:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class CellModel:
+class CellModel(Plottable):
     """Second-order Thevenin model with SOC-indexed tables and effects.
 
     v = OCV(soc) - R0 I - V1 - V2 [- V3 + M h], discharge current positive.
@@ -124,6 +125,24 @@ class CellModel:
             object.__setattr__(self, name, table)
         object.__setattr__(self, "effects", tuple(self.effects))
         check_model(self)
+
+    def panels(self) -> tuple[str, tuple[Panel, ...]]:
+        """OCV, resistances and time constants over SOC, one curve for each temperature."""
+        names = [f"{t:g} °C" for t in self.temperature_C] if self.temperature_C.size > 1 else [""]
+
+        def lines(symbol: str, table: FloatArray, factor: float) -> list[Line]:
+            return [
+                Line(f"{symbol} {name}".strip(), self.soc, factor * row)
+                for name, row in zip(names, table, strict=False)
+            ]
+
+        ohms = [("R0", self.r0_ohm), ("R1", self.r1_ohm), ("R2", self.r2_ohm)]
+        taus = [("tau1", self.tau1_s), ("tau2", self.tau2_s)]
+        return "SOC", (
+            Panel("OCV [V]", tuple(lines("OCV", self.ocv_V, 1.0))),
+            Panel("[mohm]", tuple(x for s, table in ohms for x in lines(s, table, 1e3))),
+            Panel("[s]", tuple(x for s, table in taus for x in lines(s, table, 1.0))),
+        )
 
     def __repr__(self) -> str:
         grid = f"{self.points} SOC points"

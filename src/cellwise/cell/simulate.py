@@ -18,11 +18,12 @@ from cellwise.cell.metrics import (
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
+from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import FloatArray
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Simulation:
+class Simulation(Plottable, Tabular):
     """A log and what the model makes of it.
 
     ``voltage_V`` and ``soc`` are the model's, shape (n,); ``error_V`` is measured minus model, NaN
@@ -64,6 +65,27 @@ class Simulation:
                 {"soc": [b.soc_low, b.soc_high], **metrics_to_dict(b.metrics)} for b in self.bands
             ],
         }
+
+    def columns(self) -> dict[str, FloatArray]:
+        """Time, current, measured and simulated voltage, error, SOC."""
+        return {
+            "time_s": self.log.time_s,
+            "current_A": self.log.current_A,
+            "measured_voltage_V": self.log.voltage_V,
+            "voltage_V": self.voltage_V,
+            "error_V": self.error_V,
+            "soc": self.soc,
+        }
+
+    def panels(self) -> tuple[str, tuple[Panel, ...]]:
+        """Both voltages, their difference, and the SOC over time."""
+        hours = self.log.time_s / 3600.0
+        both = Line("measured", hours, self.log.voltage_V), Line("model", hours, self.voltage_V)
+        return "time [h]", (
+            Panel("voltage [V]", both),
+            Panel("error [mV]", (Line("error", hours, 1e3 * self.error_V),)),
+            Panel("SOC", (Line("SOC", hours, self.soc),)),
+        )
 
     def __repr__(self) -> str:
         m = self.metrics

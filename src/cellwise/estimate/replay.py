@@ -21,10 +21,15 @@ from cellwise.estimate.status import INNOVATION_REJECTED, VOLTAGE_FROZEN, VOLTAG
 from cellwise.estimate.trace import Trace
 from cellwise.estimate.ukf import Ukf
 from cellwise.logs.cell_log import CellLog
+from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import FloatArray
 
 CONVERGED_SOC = 0.02
 SUSTAINED_S = 600.0
+TRACE_COLUMNS = (
+    *("time_s", "soc", "soc_std", "voltage_V", "innovation_V", "innovation_variance_V2"),
+    *("test_ratio", "status"),
+)
 
 
 class Estimator(Protocol):
@@ -94,7 +99,7 @@ class SocErrors:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Replay:
+class Replay(Plottable, Tabular):
     """A log, what the estimator made of it, and the judgement where there is a reference.
 
     ``reference_soc`` is the tester's counter over the reference capacity, None without either; it
@@ -183,6 +188,26 @@ class Replay:
         if isinstance(self.trace, AdaptiveTrace):
             told["parameters"] = self.trace.parameters().to_dict()
         return told
+
+    def columns(self) -> dict[str, Any]:
+        """What the estimator said of every row, and the reference where there is one."""
+        found = {name: getattr(self.trace, name) for name in TRACE_COLUMNS}
+        if self.reference_soc is not None:
+            found["reference_soc"] = self.reference_soc
+        return found
+
+    def panels(self) -> tuple[str, tuple[Panel, ...]]:
+        """SOC with two standard deviations, its error where it is known, the innovation."""
+        hours = self.log.time_s / 3600.0
+        trace = self.trace
+        soc = [Line(self.estimator, hours, trace.soc, 2.0 * trace.soc_std)]
+        panels = []
+        if self.reference_soc is not None and self.soc_error is not None:
+            soc.append(Line("reference", hours, self.reference_soc))
+            panels.append(Panel("SOC error [%]", (Line("error", hours, 100 * self.soc_error),)))
+        innovation = Line("innovation", hours, 1e3 * trace.innovation_V)
+        panels.append(Panel("innovation [mV]", (innovation,)))
+        return "time [h]", (Panel("SOC", tuple(soc)), *panels)
 
     def __repr__(self) -> str:
         text = f"Replay({self.estimator} on {self.log.name or 'log'}: "

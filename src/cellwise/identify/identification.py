@@ -18,6 +18,7 @@ from cellwise.identify.refinement.refine import RefineResult
 from cellwise.identify.soc_anchor import SocAnchor
 from cellwise.identify.tables import TableKind
 from cellwise.logs.cell_log import CellLog
+from cellwise.plotting import Panel, Plottable
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ class TemperatureResult:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Identification:
+class Identification(Plottable):
     """A model and all that led to it."""
 
     model: CellModel
@@ -108,6 +109,10 @@ class Identification:
                 for pulse in short:
                     counts[pulse.quality] += 1
         return counts
+
+    def panels(self) -> tuple[str, tuple[Panel, ...]]:
+        """As of its model."""
+        return self.model.panels()
 
     def to_dict(self) -> dict[str, Any]:
         """The figures as JSON values, keys as the command prints them."""

@@ -117,9 +117,9 @@ def log_from_table(table: Mapping[str, Any], *, sign: str, name: str, source: st
     header = getattr(table, "column_names", None)  # pyarrow
     if header is None:
         header = getattr(table, "columns", None)  # pandas, polars
-    header = [str(h) for h in (table if header is None else header)]
+    names = list(table if header is None else header)
+    header = [str(name) for name in names]
     columns, notices = choose_columns(header, TIDY_CHANNELS, origin.where)
-    names = list(table if not hasattr(table, "column_names") else header)
     channels: dict[str, FloatArray] = {}
     for column in columns:
         values = table[names[column.index]]

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cellwise.errors import InputError
 from cellwise.logs.gaps import Gap, find_gaps
+from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ COUNTER_BRIDGE_S = 60.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class CellLog:
+class CellLog(Plottable, Tabular):
     """One cell, one log.
 
     Parameters
@@ -119,6 +120,32 @@ class CellLog:
         from cellwise.logs.writing import arrow_table
 
         return arrow_table(self)
+
+    def columns(self) -> dict[str, Any]:
+        """The tidy form's columns, as `to_pandas` and `to_polars` have them."""
+        optional = {
+            "temperature_C": self.temperature_C,
+            "ampere_hours": self.charge_Ah,
+            "step": self.step,
+        }
+        return {
+            "time_s": self.time_s,
+            "current_A": self.interval_current_A,
+            "voltage_V": self.voltage_V,
+            **{name: values for name, values in optional.items() if values is not None},
+        }
+
+    def panels(self) -> tuple[str, tuple[Panel, ...]]:
+        """Voltage, current and, where they are measured, temperature and counter over time."""
+        hours = self.time_s / 3600.0
+        shown = [
+            ("voltage [V]", self.voltage_V),
+            ("current [A]", self.current_A),
+            ("temperature [°C]", self.temperature_C),
+            ("counter [Ah]", self.charge_Ah),
+        ]
+        panels = [Panel(y, (Line(y, hours, v),)) for y, v in shown if v is not None]
+        return "time [h]", tuple(panels)
 
     def __len__(self) -> int:
         return self.time_s.size

@@ -1,0 +1,132 @@
+"""What results have in common for people: a plot, and their columns as a data frame.
+
+A result says what is to be seen, as data; the drawing and the data frame libraries are imported
+when somebody asks for them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import import_module
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cellwise.errors import InputError
+from cellwise.typing import FloatArray
+
+MOST_POINTS = 20_000  # of a line: more than any screen has columns
+
+
+class Line(NamedTuple):
+    """One curve; ``band`` is half the height of the shade around it."""
+
+    label: str
+    x: FloatArray
+    y: FloatArray
+    band: FloatArray | None = None
+
+
+class Panel(NamedTuple):
+    """Curves over one pair of axes; the name of the y axis carries its unit."""
+
+    y_label: str
+    lines: tuple[Line, ...]
+
+
+class Plottable:
+    """Adds ``plot()`` to what can say its panels."""
+
+    def panels(self) -> tuple[str, tuple[Panel, ...]]:
+        """Name of the common x axis with its unit, and the panels from top to bottom."""
+        raise NotImplementedError
+
+    def plot(self, figure: Any = None) -> Any:
+        """Draw it with matplotlib.
+
+        Parameters
+        ----------
+        figure : matplotlib figure or None    to draw into; None: a new one
+
+        Returns
+        -------
+        matplotlib figure                     shown by a notebook, saved with ``savefig``
+
+        Raises
+        ------
+        InputError                            matplotlib is not installed
+        """
+        x_label, panels = self.panels()
+        if figure is None:
+            pyplot = _need("matplotlib.pyplot", "report")
+            figure = pyplot.figure(figsize=(8.0, 1.2 + 2.0 * len(panels)), layout="constrained")
+        axes = np.atleast_1d(figure.subplots(len(panels), 1, sharex=True))
+        for place, panel in zip(axes, panels, strict=True):
+            for line in panel.lines:
+                _draw(place, line)
+            place.set_ylabel(panel.y_label)
+            place.grid(visible=True, alpha=0.3)
+            if len(panel.lines) > 1:
+                place.legend(loc="best", fontsize="small")
+        axes[-1].set_xlabel(x_label)
+        figure.suptitle(repr(self), fontsize="small")
+        return figure
+
+
+class Tabular:
+    """Adds ``to_pandas()`` and ``to_polars()`` to what can say its columns."""
+
+    def columns(self) -> Mapping[str, Any]:
+        """Name, which carries the unit, to array; all of one length."""
+        raise NotImplementedError
+
+    def to_pandas(self) -> Any:
+        """The columns as a pandas data frame.
+
+        Raises
+        ------
+        InputError      pandas is not installed
+        """
+        return _need("pandas", "").DataFrame({k: np.array(v) for k, v in self.columns().items()})
+
+    def to_polars(self) -> Any:
+        """The columns as a polars data frame; a missing value is NaN.
+
+        Raises
+        ------
+        InputError      polars is not installed
+        """
+        return _need("polars", "").DataFrame({k: np.array(v) for k, v in self.columns().items()})
+
+
+def _draw(axes: Any, line: Line) -> None:
+    rows = _telling_rows(line.y)
+    x, y = line.x[rows], line.y[rows]
+    (drawn,) = axes.plot(x, y, label=line.label, linewidth=1.0)
+    if line.band is not None:
+        band = line.band[rows]
+        axes.fill_between(x, y - band, y + band, color=drawn.get_color(), alpha=0.2, linewidth=0)
+
+
+def _telling_rows(y: FloatArray) -> Any:
+    """Rows to draw: all of a short line; of a long one the lowest and highest of each stretch."""
+    if y.size <= MOST_POINTS:
+        return slice(None)
+    edges = np.linspace(0, y.size, MOST_POINTS // 2 + 1).astype(np.int64)
+    low = np.where(np.isnan(y), np.inf, y)
+    high = np.where(np.isnan(y), -np.inf, y)
+    rows = [f(part[a:b]) + a for a, b in pairwise(edges)
+            for part, f in ((low, np.argmin), (high, np.argmax))]  # fmt: skip
+    return np.unique(rows)
+
+
+def _need(module: str, extra: str) -> Any:
+    try:
+        return import_module(module)
+    except ModuleNotFoundError:
+        name = module.partition(".")[0]
+        way = f"pip install 'cellwise[{extra}]'" if extra else f"pip install {name}"
+        raise InputError(
+            f"no {name} in this environment", f"the library {name}", f"Install it: {way}."
+        ) from None
