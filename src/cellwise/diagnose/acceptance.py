@@ -30,11 +30,13 @@ def immaterial(candidate: Candidate, alone: Gain, together: Gain, claim_V: float
     """Why a candidate's gain does not count; empty if it does.
 
     ``alone`` is the gain of the causes by themselves, which is what an extended model brings;
-    ``together`` that on top of what tolerances take up, where a small effect shows clearer.
+    ``together`` that on top of what tolerances take up, where a small effect shows clearer. Where
+    a few hours carry most of the squared error, the likelihood, which knows how wrong the model
+    may be there, tells what they do not.
     ``claim_V`` is the error that the model owns up to.
     """
     name = candidate.name
-    if alone.gain <= 0.0 or max(alone.low, together.low) <= 0.0:
+    if alone.gain <= 0.0 or max(alone.low, together.low, candidate.held_low) <= 0.0:
         return f"{name} fits, but gains nothing sure on held-out data"
     saved = alone.held_before_V - alone.held_after_V
     claim = min(claim_V, CLAIM_FACTOR * alone.held_after_V)

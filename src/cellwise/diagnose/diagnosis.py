@@ -38,6 +38,9 @@ from cellwise.logs.cell_log import CellLog
 # Shares of the model's own slow error that stay unexplained whatever is found.
 SLOW_FLOOR = 0.1
 FAST_FLOOR = 0.05
+# While a good log teaches, nothing slow passes for noise: else its fast details would be learned at
+# the expense of what lasts.
+FIRM_SLOW_V = 1e-3
 
 Logs = CellLog | Sequence[CellLog]
 
@@ -172,9 +175,10 @@ def _judge(
     return Judge(
         evidence,
         coordinates,
-        np.random.default_rng(seed),
+        seed,
         tolerances(coordinates, evidence),
         floor,
+        slow,
         rest_reading([g.log for g in evidence.logs], model.capacity_Ah),
         progress,
     )
@@ -184,6 +188,7 @@ def _learn(judge: Judge, model: CellModel, good: list[tuple[CellLog, InitialSoc]
     """What the model gets wrong of a good log becomes what is expected of it."""
     evidence = gather(model, good, whole=True)
     known = _judge(evidence, judge.coordinates, 0, None)
+    known.most_slow_V = FIRM_SLOW_V
     prior = structure_prior(known.prior)
     found, noise = known.base(prior)
     judge.prior = learned(judge.prior, found)

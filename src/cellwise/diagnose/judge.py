@@ -20,13 +20,13 @@ from cellwise.diagnose.acceptance import (
 )
 from cellwise.diagnose.causes import Cause
 from cellwise.diagnose.coordinates import Coordinates
-from cellwise.diagnose.evidence import FITTED, Evidence
+from cellwise.diagnose.evidence import IGNORED, Evidence
 from cellwise.diagnose.fit import Fit, Frozen, Objective, Prior, complete, fit, freeze
 from cellwise.diagnose.noise import at_least, estimate_noise
 from cellwise.diagnose.prediction import Prediction, predict
 from cellwise.diagnose.priors import USUAL_ACTIVATION_K, freed, needs_activation, shortest_tau3_s
 from cellwise.diagnose.rest_reading import RestReading
-from cellwise.diagnose.rivals import Candidate, Gain, difference, gain_of
+from cellwise.diagnose.rivals import Candidate, Gain, difference, gain_of, held_interval_low
 from cellwise.diagnose.whitening_kernels import NoiseLevel
 from cellwise.typing import FloatArray
 
@@ -80,20 +80,27 @@ class Judgement:
 class Judge:
     """One diagnosis at work; :meth:`run` gives the :class:`Judgement`.
 
-    ``floor`` is a noise below which nothing counts; ``rest`` what the log reads at rest.
+    ``floor`` is a noise below which nothing counts; ``most_slow_V`` is the slow error that the
+    model owns up to: what lasts and is larger is to be explained, or noise would explain all.
+    ``rest`` is what the log reads at rest.
     """
 
     evidence: Evidence
     coordinates: Coordinates
-    rng: np.random.Generator
+    seed: int
     prior: Prior
     floor: NoiseLevel
+    most_slow_V: float
     rest: RestReading
     progress: Progress | None = None
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)
+    rng: np.random.Generator = field(init=False)
     _said: float = field(default=0.0)
     _accepted: list[Accepted] = field(default_factory=list)
     _amplitude: FloatArray = field(default_factory=lambda: np.ones(1))
+
+    def __post_init__(self) -> None:
+        self.rng = np.random.default_rng(self.seed)
 
     def run(self, causes: Sequence[Cause], base: Fit, noise: NoiseLevel) -> Judgement:
         """Accept causes one by one on top of the :meth:`base` until nothing is left to explain."""
@@ -132,10 +139,10 @@ class Judge:
         """The fit within a prior that frees no cause, and the noise that it leaves."""
         _, soc = self.evidence.simulate(self.coordinates, prior.mean)
         self._amplitude = self.evidence.amplitude(self.coordinates.model, soc)
-        noise = NoiseLevel(1e-3, 1e-3, 20.0, 1e-2, 600.0)
+        noise = NoiseLevel(1e-3, 1e-3, 20.0, min(1e-2, self.most_slow_V), 600.0)
         found = self._fit(noise, self.coordinates, prior, prior.mean, 5)
         for _ in range(2):
-            noise = self._noise(found)
+            noise = self._noise(found, prior)
             found = self._fit(noise, self.coordinates, prior, found.z, 4)
         return complete(self._objective(noise), found, prior), noise
 
@@ -180,12 +187,19 @@ class Judge:
         objective = self._objective(noise)
         return fit(objective, coordinates, prior, start, iterations, None, frozen, moving)
 
-    def _noise(self, found: Fit, other: NoiseLevel | None = None) -> NoiseLevel:
-        """The noise that a fit leaves; ``other`` if that describes it better."""
-        rows = (self.evidence.role == FITTED) & self.evidence.known
+    def _noise(self, found: Fit, prior: Prior, other: NoiseLevel | None = None) -> NoiseLevel:
+        """The noise that a fit leaves on all rows; ``other`` if that describes it better.
+
+        Held-out logs may ask more of the cell than those that were fitted: what a model gets
+        wrong there is no surprise to be paid for row by row.
+        """
+        found = complete(self._objective(other or self.floor), found, prior)
+        rows = self.evidence.known & (self.evidence.role != IGNORED)
         residual = np.nan_to_num(self.evidence.voltage_V - found.voltage_V)
         scaled = residual / self._amplitude
-        levels = [at_least(estimate_noise(scaled, self.evidence.dt_s, rows), self.floor)]
+        level = estimate_noise(scaled, self.evidence.dt_s, rows)
+        level = level._replace(slow_V=min(level.slow_V, self.most_slow_V))
+        levels = [at_least(level, self.floor)]
         if other is not None:
             levels.append(other)
 
@@ -231,8 +245,8 @@ class Judge:
         frozen: Frozen,
         none: Prediction,
     ) -> Candidate:
-        noise = self._noise(c.fit, usual)
         wide = freed(prior, c.cause, c.fit.coordinates, self.evidence)
+        noise = self._noise(c.fit, wide, usual)
         moving = [*kept_coordinates((c.cause,)), *self.evidence.starts()]
         found = self._fit(noise, c.fit.coordinates, wide, c.fit.z, 5, frozen, moving)
         return self._scored(c.cause, found, noise, wide, none)
@@ -268,7 +282,7 @@ class Judge:
         if best is None:
             raise ValueError(f"no shape to try for {cause.name}")
         wide = freed(prior, cause, best.coordinates, self.evidence)
-        noise = self._noise(best, usual)
+        noise = self._noise(best, wide, usual)
         best = self._fit(noise, best.coordinates, wide, best.z, 5, frozen, moving)
         if best.log_evidence < base.log_evidence:
             # The firm noise led it astray: begin where the base stands.
@@ -282,8 +296,11 @@ class Judge:
     ) -> Candidate:
         best = complete(self._objective(noise), best, prior)
         one = self._explained(best, noise, prior, (cause,))
+        low = held_interval_low(
+            self.evidence, one.terms - none.terms, np.random.default_rng(self.seed)
+        )
         return Candidate(
-            cause, best, noise, one.total - none.total, one.held - none.held, one.terms
+            cause, best, noise, one.total - none.total, one.held - none.held, one.terms, low
         )
 
     def _explained(

@@ -8,7 +8,7 @@ from scipy.optimize import minimize
 from cellwise.diagnose.whitening_kernels import NoiseLevel, minus_log_likelihood
 from cellwise.typing import BoolArray, FloatArray
 
-CLIP = 5.0
+CLIP = 30.0
 MOST_ROWS = 5000
 LEAST_V = 2e-5
 FAST_S = (1.0, 60.0)

@@ -20,7 +20,8 @@ class Candidate:
     """A cause, fitted on the fitted rows on top of what was accepted before.
 
     ``score`` is ln of how much more likely all rows are than without it: the evidence of the
-    fitted ones plus the prediction of the held-out ones. ``terms`` are each row's part.
+    fitted ones plus the prediction of the held-out ones. ``terms`` are each row's part;
+    ``held_low`` the lower end of a 95 % interval of the held-out rows' part, over blocks of time.
     """
 
     cause: Cause
@@ -29,6 +30,7 @@ class Candidate:
     score: float
     held_score: float
     terms: FloatArray
+    held_low: float
 
     @property
     def name(self) -> str:
@@ -77,6 +79,14 @@ def gain_of(
         float(low),
         float(high),
     )
+
+
+def held_interval_low(evidence: Evidence, more: FloatArray, rng: np.random.Generator) -> float:
+    """Lower end of the 95 % interval of a sum over held-out rows [nats]; blocks drawn whole."""
+    held = (evidence.role == HELD) & evidence.known
+    sums = block_sums(evidence.block[held], more[held][:, None])[:, 0]
+    drawn = rng.integers(0, sums.size, (RESAMPLES, sums.size))
+    return float(np.quantile(sums[drawn].sum(axis=1), 0.025))
 
 
 def block_sums(block: IntArray, values: FloatArray) -> FloatArray:
