@@ -1,0 +1,79 @@
+"""Hooks of the documentation site: equations as MathML, the API's page from the public face.
+
+A browser draws MathML by itself, so the site needs no script of others and no network.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+from typing import Any
+
+import latex2mathml.converter
+from mkdocs.structure.files import File, Files
+
+FACE = Path(__file__).resolve().parents[1] / "src" / "cellwise" / "__init__.py"
+CODE = re.compile(r"(^```.*?^```\s*?$|`[^`\n]*`)", re.S | re.M)
+DISPLAY = re.compile(r"\$\$(.+?)\$\$", re.S)
+INLINE = re.compile(r"(?<![\\$])\$(?!\s)([^$\n]+?)(?<!\s)\$(?!\d)")
+GROUPS = {
+    "Logs": "cellwise.logs",
+    "Model": "cellwise.cell",
+    "Identification": "cellwise.identify",
+    "Estimators": "cellwise.estimate",
+    "Diagnosis": "cellwise.diagnose",
+    "Data": "cellwise.data",
+    "Errors": "cellwise.errors",
+}
+MORE = {
+    "Streams": ("cellwise.live.LiveFilter", "cellwise.live.Sample", "cellwise.live.run_live"),
+    "Fleets": ("cellwise.fleet.run_fleet", "cellwise.fleet.ReplayTask",
+               "cellwise.fleet.DiagnoseTask"),
+    "Pages": ("cellwise.report.identify_page", "cellwise.report.replay_page",
+              "cellwise.report.diagnose_page"),
+    "Originals": ("cellwise.originals.fetch_original", "cellwise.originals.import_original"),
+}  # fmt: skip
+
+
+def on_files(files: Files, config: Any) -> Files:
+    """Add the API's page."""
+    files.append(File.generated(config, "api.md", content=api_page()))
+    return files
+
+
+def on_page_markdown(markdown: str, **_: object) -> str:
+    """Equations to MathML, outside of code."""
+    parts = CODE.split(markdown)
+    for k in range(0, len(parts), 2):  # the odd ones are code
+        parts[k] = DISPLAY.sub(lambda m: "\n" + mathml(m[1], "block") + "\n", parts[k])
+        parts[k] = INLINE.sub(lambda m: mathml(m[1], "inline"), parts[k])
+    return "".join(parts)
+
+
+def mathml(tex: str, display: str) -> str:
+    """One equation; on one line, so that Markdown leaves it alone."""
+    told = latex2mathml.converter.convert(" ".join(tex.split()), display=display)
+    return told.replace("\n", " ")
+
+
+def homes() -> dict[str, str]:
+    """Public name to the module that it comes from, as the face says."""
+    for node in ast.parse(FACE.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "_HOMES":
+            return dict(ast.literal_eval(node.value))
+    raise LookupError("no _HOMES in the public face")
+
+
+def api_page() -> str:
+    """Every public name under its group."""
+    lines = ["# API", "", "`import cellwise as cw` has the names of the first groups; the others "
+             "are imported from where they stand.", ""]  # fmt: skip
+    for group, package in GROUPS.items():
+        lines += [f"## {group}", ""]
+        for name, home in sorted(homes().items()):
+            if home == package or home.startswith(package + "."):
+                lines += [f"::: {home}.{name}", ""]
+    for group, names in MORE.items():
+        lines += [f"## {group}", "", *(f"::: {name}\n" for name in names)]
+    return "\n".join(lines)
