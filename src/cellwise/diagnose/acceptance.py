@@ -20,6 +20,8 @@ CLEAR_SIGMAS = 0.3
 # Of these the first says less and the second can do all that the first does: unless the second is
 # ahead by SIMPLER nats, the first is what happened.
 SIMPLER = 10.0
+FOREIGN_K = 8.0
+FOREIGN_SHARE = 0.8
 PART_OF = {
     "voltage_offset": "ocv_shift",
     "temperature_dependence": "self_heating",
@@ -50,9 +52,18 @@ def immaterial(candidate: Candidate, alone: Gain, together: Gain, claim_V: float
     return ""
 
 
-def simpler_first(ranked: list[Candidate]) -> tuple[Candidate, ...]:
-    """The best first; a cause that another contains goes before it if it explains as much."""
+def likelier_first(ranked: list[Candidate], foreign: bool) -> tuple[Candidate, ...]:
+    """The best first, but for what was more likely before any row was read.
+
+    A cause that another contains goes before it if it explains as much. ``foreign`` logs are of
+    temperatures that the model was not measured at: there a change of the cell that explains
+    nearly as much goes before a fault of the instrument.
+    """
     best = ranked[0]
+    if foreign and best.cause.kind == "measurement":
+        for k, other in enumerate(ranked[1:], 1):
+            if other.cause.kind == "cell" and other.score > FOREIGN_SHARE * best.score:
+                return (other, *ranked[:k], *ranked[k + 1 :])
     for k, other in enumerate(ranked[1:], 1):
         if PART_OF.get(other.name) == best.name and best.score - other.score < SIMPLER:
             return (other, best, *ranked[1:k], *ranked[k + 1 :])

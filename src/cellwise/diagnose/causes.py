@@ -93,7 +93,9 @@ CAUSES: dict[str, Cause] = {
             (Parameter("skew_s", "s", 0.0, (-60.0, 60.0), "skew_s", 1.0),),
             ("resistance_scale",),
             # Edges that are seconds apart do not pull at each other.
-            beginnings=tuple({"skew_s": x} for x in (0.0, 0.4, -0.4, 1.2, -1.2, 2.2, -2.2, 3.5, 5.0)),
+            beginnings=tuple(
+                {"skew_s": x} for x in (0.0, 0.4, -0.4, 1.2, -1.2, 2.2, -2.2, 3.5, 5.0)
+            ),
         ),
         Cause(
             "initial_soc",

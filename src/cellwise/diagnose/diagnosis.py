@@ -10,6 +10,7 @@ import numpy as np
 from cellwise.cell.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.kernels import R3, TAU2, TAU3
 from cellwise.cell.model import CellModel
+from cellwise.diagnose.acceptance import FOREIGN_K
 from cellwise.diagnose.anatomy import anatomy
 from cellwise.diagnose.causes import CAUSES, Cause
 from cellwise.diagnose.coordinates import Coordinates
@@ -180,8 +181,16 @@ def _judge(
         floor,
         slow,
         rest_reading([g.log for g in evidence.logs], model.capacity_Ah),
+        _foreign(model, evidence),
         progress,
     )
+
+
+def _foreign(model: CellModel, evidence: Evidence) -> bool:
+    """Whether the logs' temperature is one that the model was not measured at."""
+    middle = float(np.median(np.concatenate([g.temperature_C for g in evidence.logs])))
+    coldest, warmest = float(np.min(model.temperature_C)), float(np.max(model.temperature_C))
+    return middle < coldest - FOREIGN_K or middle > warmest + FOREIGN_K
 
 
 def _learn(judge: Judge, model: CellModel, good: list[tuple[CellLog, InitialSoc]]) -> None:

@@ -15,7 +15,7 @@ from cellwise.diagnose.acceptance import (
     LEAST_SCORE,
     PART_OF,
     immaterial,
-    simpler_first,
+    likelier_first,
     unphysical,
 )
 from cellwise.diagnose.causes import Cause
@@ -82,7 +82,7 @@ class Judge:
 
     ``floor`` is a noise below which nothing counts; ``most_slow_V`` is the slow error that the
     model owns up to: what lasts and is larger is to be explained, or noise would explain all.
-    ``rest`` is what the log reads at rest.
+    ``rest`` is what the log reads at rest, ``foreign`` whether its temperature is not the model's.
     """
 
     evidence: Evidence
@@ -92,6 +92,7 @@ class Judge:
     floor: NoiseLevel
     most_slow_V: float
     rest: RestReading
+    foreign: bool = False
     progress: Progress | None = None
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)
     rng: np.random.Generator = field(init=False)
@@ -234,7 +235,7 @@ class Judge:
             ranked[:FINALISTS] = threads.map(
                 lambda c: self._again(c, prior, base, noise, frozen, none), ranked[:FINALISTS]
             )
-        return simpler_first(sorted(ranked, key=lambda c: -c.score))
+        return likelier_first(sorted(ranked, key=lambda c: -c.score), self.foreign)
 
     def _again(
         self,
