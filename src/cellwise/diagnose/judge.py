@@ -363,10 +363,12 @@ class Judge:
 
     def _rivals(self, ranked: Sequence[Candidate]) -> tuple[Candidate, ...]:
         """Those that explain as much as the best one."""
-        rivals = []
+        rivals, best = [], ranked[0].cause.kind
         for other in ranked[1:]:
             ahead, error = difference(ranked[0], other, self.evidence)
             if PART_OF.get(ranked[0].name) == other.name:
+                continue
+            if self.foreign and (best, other.cause.kind) == ("cell", "measurement"):
                 continue
             if other.score >= LEAST_SCORE and ahead < max(CLEAR_SCORE, CLEAR_SIGMAS * error):
                 rivals.append(other)
