@@ -231,12 +231,15 @@ def replay(log, *, off=-0.3, forget_s=50.0, estimator="ekf", reference=True, var
 
 
 class Page(HTMLParser):
-    """What a page holds: tags in order, ids, addresses, texts; complains of wrong nesting."""
+    """What a page holds: tags in order, ids, addresses, texts; complains of wrong nesting.
+
+    ``scripts`` are the figures for machines, ``programs`` whatever else stands in a script.
+    """
 
     def __init__(self, text):
         super().__init__(convert_charrefs=True)
         self.open, self.tags, self.ids, self.addresses = [], [], [], []
-        self.scripts, self.texts, self.references = [], [], []
+        self.scripts, self.programs, self.texts, self.references = [], [], [], []
         self.feed(text)
         self.close()
         assert self.open == [], f"left open: {self.open}"
@@ -251,7 +254,8 @@ class Page(HTMLParser):
             if key in ("clip-path", "style") and value and "url(" in value:
                 self.references.append(value.split("url(")[1].split(")")[0])
         if tag == "script":
-            self.scripts.append((dict(attrs), ""))
+            self._scripts_of(dict(attrs)).append((dict(attrs), ""))
+            self._last = dict(attrs)
         if tag not in VOID:
             self.open.append(tag)
 
@@ -267,10 +271,14 @@ class Page(HTMLParser):
 
     def handle_data(self, data):
         if self.open and self.open[-1] == "script":
-            attrs, text = self.scripts[-1]
-            self.scripts[-1] = (attrs, text + data)
+            into = self._scripts_of(self._last)
+            attrs, text = into[-1]
+            into[-1] = (attrs, text + data)
         elif data.strip():
             self.texts.append((tuple(self.open), data.strip()))
+
+    def _scripts_of(self, attrs):
+        return self.scripts if attrs.get("type") == "application/json" else self.programs
 
     def text_in(self, tag):
         return " ".join(text for path, text in self.texts if tag in path)

@@ -13,6 +13,7 @@ from cellwise.identify.identification import Identification
 from cellwise.report.capacity_section import capacity_content, capacity_picture
 from cellwise.report.findings import identify_finding, replay_finding, simulation_finding
 from cellwise.report.flight_section import flight_finding, flight_section
+from cellwise.report.interactive import trace_section
 from cellwise.report.markup import Markup, bullets, paragraph, tiles
 from cellwise.report.numerals import (
     ampere_hours,
@@ -98,6 +99,9 @@ def replay_page(
     sections = replay_sections(replays, simulations)
     if flights:
         sections = (flight_section(flights), *sections)
+    few = [(f"{r.estimator} on {r.log.name or 'log'}", r) for r in replays[:MOST_DETAILED]]
+    logs = {r.log.name: (f"{r.log.name or 'log'} as it was measured", r.log) for r in replays}
+    sections = (*sections, trace_section([*few, *logs.values()]))
     data: dict[str, object] = {**replay_data(replays, simulations)}
     if flights:
         data["flights"] = [{"log": f.name, **f.to_dict()} for f in flights]

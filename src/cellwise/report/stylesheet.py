@@ -5,10 +5,12 @@ from __future__ import annotations
 STYLESHEET = """
 :root { color-scheme: light dark;
   --paper: #fefefe; --back: #f3f4f6; --ink: #1f2329; --muted: #57606b; --grid: #dfe3e8;
-  --line: #d3d8de; --accent: #0b67a3; --mark: #e5f1fa; --warn: #b35900; }
+  --line: #d3d8de; --accent: #0b67a3; --mark: #e5f1fa; --warn: #b35900;
+  --line-1: #0b67a3; --line-2: #c8501a; --line-3: #1a7f4b; --line-4: #7a4fb5; }
 @media (prefers-color-scheme: dark) { :root {
   --paper: #1b1f25; --back: #12151a; --ink: #e9ecf0; --muted: #a3acb7; --grid: #323943;
-  --line: #363d47; --accent: #6cb8ea; --mark: #1c3447; --warn: #f0a85a; } }
+  --line: #363d47; --accent: #6cb8ea; --mark: #1c3447; --warn: #f0a85a;
+  --line-1: #6cb8ea; --line-2: #f0935a; --line-3: #62c893; --line-4: #b79bea; } }
 * { box-sizing: border-box; }
 html { scroll-behavior: smooth; }
 body { margin: 0; background: var(--back); color: var(--ink);
@@ -48,6 +50,10 @@ th { font-weight: 600; white-space: nowrap; border-bottom-color: var(--muted); }
 .n { text-align: right; white-space: nowrap; }
 tr.marked td { background: var(--mark); font-weight: 600; }
 .notices { border-left: 3px solid var(--warn); padding: .1rem 0 .1rem 1.6rem; margin: .6rem 0; }
+div.trace { touch-action: pan-y; user-select: none; cursor: crosshair; outline-offset: 4px; }
+div.trace canvas { display: block; width: 100%; }
+.readout { color: var(--muted); font-size: .82rem; font-variant-numeric: tabular-nums;
+  min-height: 2.6em; max-width: none; }
 details { margin: .7rem 0; } summary { cursor: pointer; color: var(--accent); }
 footer { color: var(--muted); font-size: .85rem; padding: 0 2px; }
 @media (max-width: 700px) { main { padding: 16px 10px; } section { padding: 14px 12px; }
