@@ -22,6 +22,10 @@ CLEAR_SIGMAS = 0.3
 SIMPLER = 10.0
 FOREIGN_K = 8.0
 FOREIGN_SHARE = 0.8
+# A current read so much too low is the same as a cell that has lost as much capacity and gained as
+# much resistance: age does that to every cell, and few sensors are so far off. Unless the sensor is
+# ahead by SIMPLER nats, it is age.
+AGED_GAIN = 0.95
 PART_OF = {
     "voltage_offset": "ocv_shift",
     "temperature_dependence": "self_heating",

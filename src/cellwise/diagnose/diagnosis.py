@@ -19,13 +19,8 @@ from cellwise.diagnose.evidence import Evidence, gather
 from cellwise.diagnose.experiment import propose
 from cellwise.diagnose.extend import correct_log, extend_model, parameters_of, split_skew, value_of
 from cellwise.diagnose.fit import held_rows
-from cellwise.diagnose.judge import (
-    Accepted,
-    Judge,
-    Judgement,
-    Progress,
-    kept_coordinates,
-)
+from cellwise.diagnose.judge import Judge, Progress
+from cellwise.diagnose.judgement import Accepted, Judgement, kept_coordinates
 from cellwise.diagnose.noise import at_least
 from cellwise.diagnose.priors import GIVEN_SOC_STD, learned, structure_prior, tolerances
 from cellwise.diagnose.rest_reading import rest_reading

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from cellwise.diagnose.acceptance import (
+    AGED_GAIN,
     CLEAR_SCORE,
     CLEAR_SIGMAS,
     LEAST_SCORE,
     PART_OF,
+    SIMPLER,
     immaterial,
     likelier_first,
     unphysical,
@@ -22,6 +25,7 @@ from cellwise.diagnose.causes import Cause
 from cellwise.diagnose.coordinates import Coordinates
 from cellwise.diagnose.evidence import IGNORED, Evidence
 from cellwise.diagnose.fit import Fit, Frozen, Objective, Prior, complete, fit, freeze
+from cellwise.diagnose.judgement import Accepted, Judgement, kept_coordinates
 from cellwise.diagnose.noise import at_least, estimate_noise
 from cellwise.diagnose.prediction import Prediction, predict
 from cellwise.diagnose.priors import USUAL_ACTIVATION_K, freed, needs_activation, shortest_tau3_s
@@ -37,43 +41,6 @@ FINALISTS = 5
 # The search begins with a noise that is forgiving at once and firm in the long run, so that what
 # drifts is not taken for noise before any cause was tried.
 FIRST_SLOW_V = 1e-3
-
-
-def kept_coordinates(causes: Iterable[Cause]) -> set[str]:
-    """Coordinates that the causes move, and the activation that self-heating needs."""
-    kept = set()
-    for c in causes:
-        kept |= set(c.coordinates)
-        if c.name == "self_heating":
-            kept.add("activation_K")
-    return kept
-
-
-@dataclass(frozen=True, eq=False)
-class Accepted:
-    """A cause that was accepted, with what it gained when it was."""
-
-    cause: Cause
-    gain: Gain
-    score: float
-    rivals: tuple[str, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class Judgement:
-    """What the judge found: accepted causes, the last fit, all candidates of the first round.
-
-    ``open_between`` are the candidates that could not be told apart where the search stopped.
-    """
-
-    accepted: tuple[Accepted, ...]
-    fit: Fit
-    base: Fit
-    first: tuple[Candidate, ...]
-    open_between: tuple[Candidate, ...]
-    noise: NoiseLevel
-    prior: Prior
-    reasons: tuple[str, ...]
 
 
 @dataclass(eq=False)
@@ -112,12 +79,16 @@ class Judge:
         first: tuple[Candidate, ...] = ()
         between: tuple[Candidate, ...] = ()
         reasons: list[str] = []
+        cleared: set[str] = set()
         for turn in range(MOST_CAUSES):
-            left = [c for c in causes if c.name not in {a.cause.name for a in accepted}]
+            left = [c for c in causes if c.name not in {a.cause.name for a in accepted} | cleared]
             if not left:
                 break
             ranked = self._rank(left, prior, base, noise, turn)
             first = first or ranked
+            if self._is_age(ranked, prior, base, noise):
+                cleared.add("current_gain")
+                ranked = tuple(sorted(ranked[1:], key=lambda c: (c.name != "capacity", -c.score)))
             ranked, gain, refused = self._material(ranked, prior, base, accepted)
             if gain is None:
                 reasons += refused
@@ -360,6 +331,26 @@ class Judge:
                 return ranked[k:], alone, refused
             refused.append(refusal)
         return ranked, None, refused
+
+    def _is_age(
+        self, ranked: Sequence[Candidate], prior: Prior, base: Fit, noise: NoiseLevel
+    ) -> bool:
+        """Whether what looks like a sensor's gain is as well a cell that has aged."""
+        best = ranked[0]
+        tried = {c.name: c.cause for c in ranked}
+        age = [tried[n] for n in ("capacity", "resistance_scale") if n in tried]
+        ln_gain = best.fit.z.get("ln_gain", 0.0)
+        if best.name != "current_gain" or len(age) < 2 or ln_gain > math.log(AGED_GAIN):
+            return False
+        wide = prior
+        for cause in age:
+            wide = freed(wide, cause, base.coordinates, self.evidence)
+        start = {**best.fit.z, "ln_gain": 0.0, "ln_capacity": ln_gain, "ln_scale": -ln_gain}
+        found = self._fit(best.noise, base.coordinates, wide, start, 5)
+        found = complete(self._objective(best.noise), found, wide)
+        both = self._explained(found, best.noise, wide, age).total
+        none = self._explained(base, noise, prior).total
+        return both - none > best.score - SIMPLER
 
     def _rivals(self, ranked: Sequence[Candidate]) -> tuple[Candidate, ...]:
         """Those that explain as much as the best one."""

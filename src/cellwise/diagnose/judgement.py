@@ -1,0 +1,48 @@
+"""What the judge hands over: the accepted causes, the last fit, and what stayed open."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from cellwise.diagnose.causes import Cause
+from cellwise.diagnose.fit import Fit, Prior
+from cellwise.diagnose.rivals import Candidate, Gain
+from cellwise.diagnose.whitening_kernels import NoiseLevel
+
+
+def kept_coordinates(causes: Iterable[Cause]) -> set[str]:
+    """Coordinates that the causes move, and the activation that self-heating needs."""
+    kept = set()
+    for c in causes:
+        kept |= set(c.coordinates)
+        if c.name == "self_heating":
+            kept.add("activation_K")
+    return kept
+
+
+@dataclass(frozen=True, eq=False)
+class Accepted:
+    """A cause that was accepted, with what it gained when it was."""
+
+    cause: Cause
+    gain: Gain
+    score: float
+    rivals: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """What the judge found: accepted causes, the last fit, all candidates of the first round.
+
+    ``open_between`` are the candidates that could not be told apart where the search stopped.
+    """
+
+    accepted: tuple[Accepted, ...]
+    fit: Fit
+    base: Fit
+    first: tuple[Candidate, ...]
+    open_between: tuple[Candidate, ...]
+    noise: NoiseLevel
+    prior: Prior
+    reasons: tuple[str, ...]
