@@ -81,7 +81,7 @@ def test_a_fresh_seed_in_every_run():
     seed = fresh_seed()
     print(f"fresh seed {seed}: CELLWISE_HIDDEN_SEED={seed} repeats it")
     rng = np.random.default_rng(seed)
-    names = rng.permutation(NAMES)[:8]
+    names = rng.permutation(NAMES)[:5]
     single = [outcome(seed + k, (str(n),), rng.uniform(2.0, 5.0)) for k, n in enumerate(names)]
     check(single, MISS_SINGLE, f"single effects of seed {seed}")
-    check([outcome(seed + 50 + k, ()) for k in range(4)], MISS_NONE, f"nothing, seed {seed}")
+    check([outcome(seed + 50 + k, ()) for k in range(2)], MISS_NONE, f"nothing, seed {seed}")

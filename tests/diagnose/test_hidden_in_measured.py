@@ -12,8 +12,8 @@ from hide import hidden_real_case, measured_cell
 
 SIZE_V = 0.020
 SEED = 2
-# One effect of each kind: instrument, start, drift, drop, curve.
-EFFECTS = ("voltage_offset", "initial_soc", "capacity", "resistance_scale", "ocv_shift")
+# One effect of each kind: instrument, drift, drop; `benchmarks.hidden_effects` runs them all.
+EFFECTS = ("voltage_offset", "capacity", "resistance_scale")
 # 3 of 13 were missed on the development seed; the target is 0.10.
 MISS = 0.25
 
