@@ -31,12 +31,19 @@
 #define CELLWISE_GATE_RECOVERY 128u      /* too many rejections in a row: the variance was widened */
 #define CELLWISE_TEMPERATURE_INVALID 256u /* not finite or out of range: the last one was held */
 #define CELLWISE_OUT_OF_RANGE 512u /* a reading that no cell of this kind gives, treated as missing */
+#define CELLWISE_VOLTAGE_FROZEN 1024u /* it repeats itself while the current changes: not used */
+#define CELLWISE_CURRENT_LOST 2048u /* missing for longer than is held: nothing is counted */
+#define CELLWISE_VOLTAGE_LOST 4096u /* missing or frozen for as long: charge is counted */
 
 /* One point of the SOC grid. A branch's lag is 1 / (1 - exp(-dt/tau)), in time
  * steps: it is all but linear in tau, so that it may be interpolated as tau is. */
 typedef struct {
     float ocv_V;
+#if CELLWISE_WIDE
+    float error_V; /* slow error of the model's voltage */
+#else
     float noise_V2; /* variance of a measured voltage about a perfect state, at rest */
+#endif
     float r0_ohm;
     float r1_ohm;
     float lag1;
@@ -56,7 +63,7 @@ typedef struct {
     float soc_per_A;           /* SOC that 1 A takes in one step */
     float soc_walk;            /* variance that SOC gains in one step */
     float current_variance_A2; /* of the current sensor */
-    float missing_variance_A2; /* of a current that was held because its sample was invalid */
+    float lost_A2;             /* variance of a current that nobody measured */
     float share_variance;      /* of the resistances, relative */
     float gate_square;         /* innovations beyond this many variances are rejected */
     float shared_start;        /* samples that share one model error, just after the first */
@@ -68,9 +75,25 @@ typedef struct {
     float voltage_low_V;
     float voltage_high_V;
     float branch_variance_V2; /* of a branch voltage at the start, at rest */
-    float capacity_A;         /* the current that empties the cell in an hour */
-    uint32_t recovery_after;  /* twentieths of rejections in a row */
+    float rest_A;       /* below it a cell counts as resting */
+    float start_rest_A; /* what may have flowed before a start at rest, */
+    float start_load_A; /* and, at least, before one under load */
+    uint32_t recovery_after;  /* count of rejections in a row, 20000 each, */
+    uint32_t under_load;      /* and one that wrong resistances could explain */
     uint32_t gap_steps;       /* missing samples that are bridged */
+#if CELLWISE_WATCH
+    uint32_t hold_steps; /* samples for which a missing current is held */
+    float lost_soc;      /* deviation that SOC gains in one step after that */
+    float frozen_V;      /* how far a voltage must have moved to be called frozen */
+#else
+    float lost_walk; /* variance that SOC gains in one step without a current */
+#endif
+#if CELLWISE_WIDE
+    float flat_slope_V; /* below it the OCV is flat for its kind */
+    float fixed_V2;     /* variance of the voltage sensor */
+    float ocv_soc2;     /* variance of the OCV along the SOC axis */
+    float recovery_A;   /* what branches may hold after a lock-out */
+#endif
 #if CELLWISE_EFFICIENCY
     float charge_efficiency;
 #endif
@@ -133,6 +156,9 @@ typedef struct {
     float offset_A; /* what the sensor adds to the true current */
 #endif
     float ss;
+#if CELLWISE_WIDE
+    float ss_carry; /* what rounding has kept from ss: thousands of steps change it by less */
+#endif
     float s1;
     float s2;
 #if CELLWISE_SLOW
@@ -191,8 +217,15 @@ typedef struct {
 #if CELLWISE_NEEDS_TEMPERATURE
     float temperature_C; /* last valid one */
 #endif
+#if CELLWISE_WATCH
+    float voltage_V; /* last valid one, */
+    float frozen_A;  /* the current when it came, */
+    uint32_t repeats; /* and how often it has come since */
+    uint32_t no_current; /* steps without a valid one */
+    uint32_t no_voltage; /* steps without one that could be used */
+#endif
     uint32_t sequence;
-    uint32_t rejections; /* in twentieths: under load a rejection counts less */
+    uint32_t rejections; /* 20000 each: under load a rejection counts less */
     uint32_t evidence;   /* 0: no sample yet, 1: no voltage yet, then 2 + steps since the first */
 } cellwise_state;
 

@@ -1,3 +1,15 @@
-/* Included before the sources when Frama-C reads them. In C a comparison with NaN is false; this
- * version of Eva keeps NaN in a float that has passed one, but not in one that equals itself. */
+/* Included before the sources when Frama-C reads them: the same tests on floats in a form that this
+ * version of Eva follows. In C a comparison with NaN is false; Eva keeps NaN in a float that has passed
+ * one, but not in one that equals itself; and of a float's bits it knows nothing. That the tests on bits
+ * are these tests is checked by float_bits.c. */
 #define WITHIN(x, low, high) (((x) == (x)) && ((x) >= (low)) && ((x) <= (high)))
+#define VALUE_OF_LARGE_BITS 0x1p+20f
+#define VALUE_OF_CARRY_BITS 0x1p-10f
+#define VALUE_OF_ONE_BITS 1.0f
+#define NO_LARGER(x, limit) WITHIN(x, -VALUE_OF_##limit, VALUE_OF_##limit)
+#define NOT_NEGATIVE(x, limit) WITHIN(x, 0.0f, VALUE_OF_##limit)
+#define SIZE_WITHIN(x, limit) WITHIN(x, -(limit), limit)
+#define SIZE_BELOW(x, limit) (((x) > -(limit)) && ((x) < (limit)))
+#define POSITIVE_WITHIN(x, low, high) WITHIN(x, low, high)
+#define IS_NUMBER(x) WITHIN(x, -0x1.fffffep+127f, 0x1.fffffep+127f)
+#define MAGNITUDE(x) (((x) < 0.0f) ? -(x) : (x))

@@ -20,11 +20,11 @@ pytestmark = [
 # Name, what is replaced, by what: bugs that a review may overlook.
 MUTANTS = {
     "index clamp removed": (
-        "(x < (float)(CELLWISE_POINTS - 2u)) ? (uint32_t)x : (CELLWISE_POINTS - 2u)",
-        "(uint32_t)x",
+        "(held < (float)(CELLWISE_POINTS - 2u)) ? (uint32_t)held : (CELLWISE_POINTS - 2u)",
+        "(uint32_t)held",
     ),
     "NaN through the range test": (
-        "if (!WITHIN(voltage, c->voltage_low_V, c->voltage_high_V)) {",
+        "if (!POSITIVE_WITHIN(voltage, c->voltage_low_V, c->voltage_high_V)) {",
         "if ((voltage < c->voltage_low_V) || (voltage > c->voltage_high_V)) {",
     ),
     "floor of the innovation variance removed": (
@@ -32,15 +32,15 @@ MUTANTS = {
         "return variance;",
     ),
     "upper clamp of SOC removed": (
-        "x->soc = clip(x->soc, 0.0f, 1.0f);",
-        "x->soc = (x->soc < 0.0f) ? 0.0f : x->soc;",
+        "        x->soc = within_one(x->soc);",
+        "        x->soc = (x->soc < 0.0f) ? 0.0f : x->soc;",
     ),
 }
 
 
 def eva(folder, entry, mutant=None):
     """Alarms and assertions that Eva could not prove."""
-    tables = fixed_step_tables(curved_cell(5), 1.0, wide=False)
+    tables = fixed_step_tables(curved_cell(5), 1.0, wide=False, watch=False)
     for name, text in write_sources(tables, "0" * 64):
         if mutant and name == "cellwise_ekf.c":
             assert text.count(mutant[0]) == 1
@@ -70,3 +70,18 @@ def test_no_alarm_whatever_bits(tmp_path, entry):
 def test_seeded_bugs_are_found(tmp_path, name):
     alarms, _ = eva(tmp_path, "eva_any_bits", MUTANTS[name])
     assert alarms
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")
+def test_what_eva_reads_instead_of_bits_is_the_same(tmp_path):
+    tables = fixed_step_tables(curved_cell(5), 1.0, wide=False, watch=False)
+    for name, text in write_sources(tables, "0" * 64):
+        (tmp_path / name).write_text(text)
+    source = firmware_folder() / "analysis" / "float_bits.c"
+    build = ["gcc", "-O3", "-std=c99", "-ffp-contract=off", f"-I{tmp_path}", str(source)]
+    subprocess.run([*build, "-o", str(tmp_path / "bits")], check=True)
+    done = subprocess.run(
+        [str(tmp_path / "bits"), "101"], capture_output=True, text=True, check=False
+    )
+    assert done.stdout == "0\n"
+    assert done.returncode == 0

@@ -36,7 +36,7 @@ def full_model():
 def tables_of(name, dt_s=1.0):
     """Tables by the name of a case."""
     if name == "lean":
-        return fixed_step_tables(curved_cell(), dt_s, wide=False)
+        return fixed_step_tables(curved_cell(), dt_s, wide=False, watch=False)
     if name == "plain":
         return fixed_step_tables(curved_cell(), dt_s)
     if name == "slow":
@@ -57,6 +57,14 @@ def stress_samples(rows, seed=0, scale_A=3.0):
     samples["temperature_C"] = rng.uniform(-25.0, 50.0, rows)
     jumps = rng.choice([1] * 50 + [0, 2, 3, 50, 10**5, 10**9, 2**32 - 3], rows)
     samples["sequence"] = np.cumsum(jumps.astype(np.uint64)).astype(np.uint32)
+    for first in range(0, rows - 900, 3000):  # sensors that fall silent, freeze, are off by volts
+        samples["current_A"][first : first + 60] = np.nan
+        samples["voltage_V"][first + 100 : first + 160] = np.nan
+        samples["voltage_V"][first + 200 : first + 300] = 3.7
+        samples["voltage_V"][first + 400 : first + 500] = rng.choice([3.1, 3.4, 4.1])
+        samples["voltage_V"][first + 400 : first + 500] += rng.normal(0.0, 0.01, 100)
+        samples["current_A"][first + 400 : first + 450] = 0.0
+        samples["current_A"][first + 500 : first + 700] = rng.choice([-40.0, 40.0]) * scale_A
     for field in ("current_A", "voltage_V", "temperature_C"):
         at = rng.integers(0, rows, rows // 30)
         bits = rng.integers(0, 2**32, at.size, dtype=np.uint64).astype(np.uint32)

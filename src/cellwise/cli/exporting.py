@@ -27,7 +27,9 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--offset-std-a", type=float, default=0.0, metavar="A", help="current offset as a state"
     )
     export.add_argument(
-        "--lean", action="store_true", help="smaller code, slower from a start far off"
+        "--lean",
+        action="store_true",
+        help="smaller code, slower from a start far off, no watch for frozen or lost sensors",
     )
     export.add_argument("--flash", type=int, metavar="BYTES", help="refuse larger tables")
     export.add_argument("--log", metavar="LOG", help="accuracy lost, against the float64 EKF")
@@ -50,6 +52,7 @@ def run_export(arguments: argparse.Namespace) -> None:
         points=arguments.points,
         offset_std_A=arguments.offset_std_a,
         wide=not arguments.lean,
+        watch=not arguments.lean,
     )
     check_flash(tables, arguments.flash)
     told = describe(model, tables)

@@ -55,6 +55,7 @@ class FixedStep:
     points : int or None        SOC points of the tables; None: the model's own
     offset_std_A : float        above 0 the current sensor's offset is a state [A]
     wide : bool                 take care of slopes while SOC is badly known
+    watch : bool                watch for sensors that freeze or fall silent
     """
 
     name = "fixed-step"
@@ -68,13 +69,14 @@ class FixedStep:
         points: int | None = None,
         offset_std_A: float = 0.0,
         wide: bool = True,
+        watch: bool = True,
     ) -> None:
         self.model = model
         self.noise = Noise.of_model(model) if noise is None else noise
         self.dt_s = dt_s
         self._points = points
         self._offset_std_A = offset_std_A
-        self._wide = wide
+        self._wide, self._watch = wide, watch
         self._stepper: Stepper | None = None
         self._sample = np.zeros(1, dtype=INPUT)
         self.stepper(1.0 if dt_s is None else dt_s)  # refuses now what it would refuse later
@@ -89,6 +91,7 @@ class FixedStep:
                 points=self._points,
                 offset_std_A=self._offset_std_A,
                 wide=self._wide,
+                watch=self._watch,
             )
             self._stepper = self._make(tables)
         return self._stepper

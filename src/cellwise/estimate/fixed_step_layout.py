@@ -45,7 +45,8 @@ class Options:
     """What is compiled in: effects as 0 or 1, sizes of tables.
 
     ``arrhenius`` is the number of points of the factor's table over temperature, 0 without it;
-    ``wide`` the care taken while SOC is badly known, without which the code is smaller.
+    ``wide`` the care taken while SOC is badly known, ``watch`` that of sensors which freeze or fall
+    silent; without them the code is smaller.
     """
 
     points: int
@@ -61,6 +62,7 @@ class Options:
     asymmetry: int = 0
     heating: int = 0
     wide: int = 1
+    watch: int = 1
 
     @property
     def needs_temperature(self) -> bool:
@@ -78,7 +80,12 @@ class Options:
 
 
 def options_of(
-    model: CellModel, *, offset: bool = False, wide: bool = True, arrhenius_points: int = 0
+    model: CellModel,
+    *,
+    offset: bool = False,
+    wide: bool = True,
+    watch: bool = True,
+    arrhenius_points: int = 0,
 ) -> Options:
     """What a model needs; an effect at its neutral value needs nothing.
 
@@ -86,6 +93,7 @@ def options_of(
     ----------
     offset : bool             carry the current sensor's offset as a state
     wide : bool               take care of slopes while SOC is badly known
+    watch : bool              watch for sensors that freeze or fall silent
     arrhenius_points : int    points of the Arrhenius table where the model has that effect
     """
     arrhenius = arrhenius_points if model.effect(TemperatureDependence).activation_K != 0.0 else 0
@@ -104,12 +112,14 @@ def options_of(
         asymmetry=int(model.effect(ChargeAsymmetry).charge_scale != 1.0),
         heating=int(warm and model.effect(SelfHeating).rth_K_per_W != 0.0),
         wide=int(wide),
+        watch=int(watch),
     )
 
 
 def row_fields(options: Options) -> Fields:
     """Names of a table row, in order."""
-    names = ["ocv_V", "noise_V2", "r0_ohm", "r1_ohm", "lag1", "r2_ohm", "lag2"]
+    names = ["ocv_V", "error_V" if options.wide else "noise_V2"]
+    names += ["r0_ohm", "r1_ohm", "lag1", "r2_ohm", "lag2"]
     names += ["r3_ohm", "lag3"] if options.slow else []
     names += ["m_V"] if options.hysteresis else []
     return [(name, "f4") for name in names]
@@ -124,7 +134,7 @@ def constant_fields(options: Options) -> Fields:
             "soc_per_A",
             "soc_walk",
             "current_variance_A2",
-            "missing_variance_A2",
+            "lost_A2",
             "share_variance",
             "gate_square",
             "shared_start",
@@ -136,11 +146,18 @@ def constant_fields(options: Options) -> Fields:
             "voltage_low_V",
             "voltage_high_V",
             "branch_variance_V2",
-            "capacity_A",
+            "rest_A",
+            "start_rest_A",
+            "start_load_A",
         )
     ]
-    found += [("recovery_after", "u4"), ("gap_steps", "u4")]
+    found += [("recovery_after", "u4"), ("under_load", "u4"), ("gap_steps", "u4")]
+    if o.watch:
+        found += [("hold_steps", "u4"), ("lost_soc", "f4"), ("frozen_V", "f4")]
+    else:
+        found += [("lost_walk", "f4")]
     optional = (
+        (o.wide, ["flat_slope_V", "fixed_V2", "ocv_soc2", "recovery_A"]),
         (o.efficiency, ["charge_efficiency"]),
         (o.leak, ["leak_soc"]),
         (o.skew, ["skew_share"]),
@@ -181,10 +198,15 @@ def state_fields(options: Options) -> Fields:
     names += ["offset_A"] if options.offset else []
     for i, first in enumerate(kept):
         names += [(first if first == "s" else f"p{first}") + second for second in kept[i:]]
+    if options.wide:
+        names.insert(names.index("ss") + 1, "ss_carry")
     names += ["current_A", "mismatch"]
     names += ["heat_K"] if options.heating else []
     names += ["temperature_C"] if options.needs_temperature else []
+    names += ["voltage_V", "frozen_A"] if options.watch else []
     found: Fields = [(name, "f4") for name in names]
+    counts = ["repeats", "no_current", "no_voltage"] if options.watch else []
+    found += [(name, "u4") for name in counts]
     return [*found, ("sequence", "u4"), ("rejections", "u4"), ("evidence", "u4")]
 
 

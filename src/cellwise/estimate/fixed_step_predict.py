@@ -1,170 +1,75 @@
-"""State of the fixed step: is it sound, its start, prediction; see fixed_step_kernels."""
+"""Prediction of the fixed step; see fixed_step_kernels."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from cellwise.estimate.fixed_step_kernels import (
-    CARRY_MOST,
     GROW,
-    HALF,
-    HEAT_MOST_K,
-    LARGE,
-    NOT_BEGUN,
     ONE,
-    QUARTER,
-    REST_RATE,
     SOC_VARIANCE_MOST,
-    START_LOAD_RATE,
-    START_LOAD_SHARE,
-    START_REST_RATE,
-    TEMPERATURE_HIGH_C,
-    TEMPERATURE_LOW_C,
     TWO,
     ZERO,
     F,
-    U,
     add,
     clip,
-    decay,
-    helper,
     kernel,
     magnitude,
-    within,
+    risen,
 )
-
-
-@helper
-def variance_is_sound(variance: float) -> Any:
-    """A variance in its range."""
-    return within(variance, ZERO, LARGE)
-
-
-@helper
-def is_small(x: Any) -> Any:
-    """A voltage or a covariance in its range."""
-    return within(x, -LARGE, LARGE)
+from cellwise.estimate.fixed_step_state import add_variance
 
 
 @kernel
-def is_sound(
-    c: Any, x: Any, SLOW: int, HYSTERESIS: int, OFFSET: int, HEATING: int, WARM: int
-) -> Any:
-    """Every number in its range: memory that lost its content is noticed."""
-    sound = within(x.soc, ZERO, ONE) & within(x.soc_carry, -CARRY_MOST, CARRY_MOST)
-    sound &= is_small(x.v1_V) & is_small(x.v2_V)
-    sound &= variance_is_sound(x.ss) & is_small(x.s1) & is_small(x.s2)
-    sound &= variance_is_sound(x.p11) & is_small(x.p12) & variance_is_sound(x.p22)
-    sound &= within(x.current_A, -c.current_limit_A, c.current_limit_A)
-    sound &= variance_is_sound(x.mismatch)
-    if SLOW:
-        sound &= is_small(x.v3_V) & within(x.v3_carry_V, -CARRY_MOST, CARRY_MOST)
-        sound &= is_small(x.s3) & is_small(x.p13) & is_small(x.p23)
-        sound &= variance_is_sound(x.p33)
-    if HYSTERESIS:
-        sound &= within(x.h, -ONE, ONE)
-        sound &= is_small(x.sh) & is_small(x.p1h) & is_small(x.p2h)
-        sound &= variance_is_sound(x.phh)
-    if HYSTERESIS and SLOW:
-        sound &= is_small(x.p3h)
-    if OFFSET:
-        sound &= within(x.offset_A, -c.current_limit_A, c.current_limit_A)
-        sound &= is_small(x.so) & is_small(x.p1o) & is_small(x.p2o)
-        sound &= variance_is_sound(x.poo)
-    if OFFSET and SLOW:
-        sound &= is_small(x.p3o)
-    if OFFSET and HYSTERESIS:
-        sound &= is_small(x.pho)
-    if HEATING:
-        sound &= within(x.heat_K, -HEAT_MOST_K, HEAT_MOST_K)
-    if WARM:
-        sound &= within(x.temperature_C, TEMPERATURE_LOW_C, TEMPERATURE_HIGH_C)
-    return sound
-
-
-@kernel
-def start(
-    c: Any,
+def relax(
     x: Any,
-    soc: float,
-    soc_variance: float,
+    p: Any,
+    gain1: float,
+    gain2: float,
+    gain3: float,
+    flow: float,
+    square_A2: float,
     SLOW: int,
     HYSTERESIS: int,
     OFFSET: int,
-    HEATING: int,
-    WARM: int,
 ) -> None:
-    """A cell at rest."""
-    x.soc = soc
-    x.soc_carry = ZERO
-    x.v1_V = ZERO
-    x.v2_V = ZERO
-    x.ss = soc_variance
-    x.s1 = ZERO
-    x.s2 = ZERO
-    x.p11 = c.branch_variance_V2
-    x.p12 = ZERO
-    x.p22 = c.branch_variance_V2
-    if SLOW:
-        x.v3_V = ZERO
-        x.v3_carry_V = ZERO
-        x.s3 = ZERO
-        x.p13 = ZERO
-        x.p23 = ZERO
-        x.p33 = c.branch_variance_V2
-    if HYSTERESIS:
-        x.h = ONE if soc > HALF else -ONE
-        x.sh = ZERO
-        x.p1h = ZERO
-        x.p2h = ZERO
-        x.phh = ONE
-    if HYSTERESIS and SLOW:
-        x.p3h = ZERO
-    if OFFSET:
-        x.offset_A = ZERO
-        x.so = ZERO
-        x.p1o = ZERO
-        x.p2o = ZERO
-        x.poo = c.offset_variance_A2
-    if OFFSET and SLOW:
-        x.p3o = ZERO
-    if OFFSET and HYSTERESIS:
-        x.pho = ZERO
-    x.current_A = ZERO
-    x.mismatch = ONE
-    if HEATING:
-        x.heat_K = ZERO
-    if WARM:
-        x.temperature_C = c.temperature_C
-    x.sequence = U(0)
-    x.rejections = U(0)
-    x.evidence = NOT_BEGUN
+    """The branches over one interval of constant current, exactly, and their covariance.
 
-
-@kernel
-def guess_branch(c: Any, r_ohm: float, current: float) -> Any:
-    """What a branch holds when nobody knows what was before, and its variance.
-
-    Nearly nothing at rest, half of the load's steady voltage under load.
+    A current that is not known to ``square_A2`` drives them too; 1 - a^2 keeps the stationary
+    spread independent of the time step.
     """
-    spread = START_REST_RATE * c.capacity_A
-    v = ZERO
-    if magnitude(current) >= (REST_RATE * c.capacity_A):
-        least = START_LOAD_RATE * c.capacity_A
-        spread = START_LOAD_SHARE * magnitude(current)
-        spread = spread if spread > least else least
-        v = (START_LOAD_SHARE * current) * r_ohm
-    spread = spread * r_ohm
-    return v, c.branch_variance_V2 + (spread * spread)
-
-
-@kernel
-def guess_branches(c: Any, x: Any, p: Any, current: float, SLOW: int) -> None:
-    """All branches at the first sample."""
-    x.v1_V, x.p11 = guess_branch(c, p.r1_ohm, current)
-    x.v2_V, x.p22 = guess_branch(c, p.r2_ohm, current)
+    a1 = ONE - gain1
+    a2 = ONE - gain2
+    x.v1_V = x.v1_V + (gain1 * ((p.r1_ohm * flow) - x.v1_V))
+    x.v2_V = x.v2_V + (gain2 * ((p.r2_ohm * flow) - x.v2_V))
+    x.s1 = a1 * x.s1
+    x.s2 = a2 * x.s2
+    x.p11 = (((a1 * a1) * GROW) * x.p11) + (
+        (square_A2 * (p.r1_ohm * p.r1_ohm)) * (gain1 * (ONE + a1))
+    )
+    x.p12 = (a1 * a2) * x.p12
+    x.p22 = (((a2 * a2) * GROW) * x.p22) + (
+        (square_A2 * (p.r2_ohm * p.r2_ohm)) * (gain2 * (ONE + a2))
+    )
     if SLOW:
-        x.v3_V, x.p33 = guess_branch(c, p.r3_ohm, current)
+        a3 = ONE - gain3
+        x.v3_V, x.v3_carry_V = add(x.v3_V, x.v3_carry_V, gain3 * ((p.r3_ohm * flow) - x.v3_V))
+        x.s3 = a3 * x.s3
+        x.p13 = (a1 * a3) * x.p13
+        x.p23 = (a2 * a3) * x.p23
+        x.p33 = (((a3 * a3) * GROW) * x.p33) + (
+            (square_A2 * (p.r3_ohm * p.r3_ohm)) * (gain3 * (ONE + a3))
+        )
+        if HYSTERESIS:
+            x.p3h = a3 * x.p3h
+        if OFFSET:
+            x.p3o = a3 * x.p3o
+    if HYSTERESIS:
+        x.p1h = a1 * x.p1h
+        x.p2h = a2 * x.p2h
+    if OFFSET:
+        x.p1o = a1 * x.p1o
+        x.p2o = a2 * x.p2o
 
 
 @kernel
@@ -180,40 +85,40 @@ def taken(c: Any, current: float, EFFICIENCY: int, LEAK: int) -> Any:
 
 @kernel
 def cross_gap(
+    c: Any,
     x: Any,
     p: Any,
-    missing: float,
-    flow: float,
-    unknown_A2: float,
+    missing: Any,
+    current: float,
+    bridge: float,
     SLOW: int,
     HYSTERESIS: int,
     OFFSET: int,
+    WIDE: int,
 ) -> None:
-    """Samples are missing: the branches relax towards the mean of the currents on both sides.
+    """Samples are missing: the branches may hold what the currents on both sides can have left.
 
-    They may hold what these currents can have left in them.
+    With WIDE they relax towards the mean of these currents, too.
     """
-    left1 = decay(missing * p.gain1)
-    left2 = decay(missing * p.gain2)
-    fed1 = (ONE - left1) * p.r1_ohm
-    fed2 = (ONE - left2) * p.r2_ohm
-    x.v1_V = (left1 * x.v1_V) + (fed1 * flow)
-    x.v2_V = (left2 * x.v2_V) + (fed2 * flow)
-    x.s1 = left1 * x.s1
-    x.s2 = left2 * x.s2
-    x.p11 = ((left1 * left1) * x.p11) + ((fed1 * fed1) * unknown_A2)
-    x.p12 = (left1 * left2) * x.p12
-    x.p22 = ((left2 * left2) * x.p22) + ((fed2 * fed2) * unknown_A2)
-    if SLOW:
-        left3 = decay(missing * p.gain3)
-        fed3 = (ONE - left3) * p.r3_ohm
-        x.v3_V = (left3 * x.v3_V) + (fed3 * flow)
-        x.s3 = left3 * x.s3
-        x.p13 = (left1 * left3) * x.p13
-        x.p23 = (left2 * left3) * x.p23
-        x.p33 = ((left3 * left3) * x.p33) + ((fed3 * fed3) * unknown_A2)
-        if OFFSET:
-            x.p3o = left3 * x.p3o
+    unknown_A2 = (current * current) + (x.current_A * x.current_A)
+    steps = F(missing)
+    spread = c.gap_variance
+    if missing <= c.gap_steps:
+        moved = c.soc_per_A * steps
+        spread = (moved * moved) * unknown_A2
+    x.ss = x.ss + spread
+    if WIDE:
+        gain3 = ZERO
+        if SLOW:
+            gain3 = risen(steps * p.gain3)
+        gain1 = risen(steps * p.gain1)
+        gain2 = risen(steps * p.gain2)
+        relax(x, p, gain1, gain2, gain3, bridge, unknown_A2, SLOW, HYSTERESIS, OFFSET)
+    else:
+        x.p11 = x.p11 + (unknown_A2 * (p.r1_ohm * p.r1_ohm))
+        x.p22 = x.p22 + (unknown_A2 * (p.r2_ohm * p.r2_ohm))
+        if SLOW:
+            x.p33 = x.p33 + (unknown_A2 * (p.r3_ohm * p.r3_ohm))
     if HYSTERESIS:
         x.sh = ZERO
         x.p1h = ZERO
@@ -223,34 +128,6 @@ def cross_gap(
         x.p3h = ZERO
     if HYSTERESIS and OFFSET:
         x.pho = ZERO
-    if OFFSET:
-        x.p1o = left1 * x.p1o
-        x.p2o = left2 * x.p2o
-
-
-@kernel
-def admit_doubt(
-    c: Any,
-    x: Any,
-    p: Any,
-    missing: Any,
-    current: float,
-    bridge: float,
-    missing_A2: float,
-    SLOW: int,
-    HYSTERESIS: int,
-    OFFSET: int,
-) -> None:
-    """Currents that nobody measured: over ``missing`` samples, and in this one."""
-    x.ss = x.ss + ((c.soc_per_A * c.soc_per_A) * missing_A2)
-    if missing != U(0):
-        unknown_A2 = (current * current) + (x.current_A * x.current_A)
-        spread = c.gap_variance
-        if missing <= c.gap_steps:
-            steps = c.soc_per_A * F(missing)
-            spread = (steps * steps) * unknown_A2
-        x.ss = x.ss + spread
-        cross_gap(x, p, F(missing), bridge, unknown_A2, SLOW, HYSTERESIS, OFFSET)
 
 
 @kernel
@@ -279,20 +156,6 @@ def tilt(x: Any, p: Any, w: Any, flow: float, SLOW: int, HYSTERESIS: int, OFFSET
         x.p2o = x.p2o + (f2 * x.so)
     x.s1 = x.s1 + (f1 * x.ss)
     x.s2 = x.s2 + (f2 * x.ss)
-
-
-@kernel
-def shrink_soc_variance(x: Any, SLOW: int, HYSTERESIS: int, OFFSET: int) -> None:
-    """SOC lies in 0..1: a standard deviation beyond that is halved, its correlations kept."""
-    x.ss = QUARTER * x.ss
-    x.s1 = HALF * x.s1
-    x.s2 = HALF * x.s2
-    if SLOW:
-        x.s3 = HALF * x.s3
-    if HYSTERESIS:
-        x.sh = HALF * x.sh
-    if OFFSET:
-        x.so = HALF * x.so
 
 
 @kernel
@@ -343,61 +206,34 @@ def predict(
     p: Any,
     w: Any,
     flow: float,
-    missing_A2: float,
+    unmeasured_A2: float,
     SLOW: int,
     HYSTERESIS: int,
     OFFSET: int,
     WIDE: int,
 ) -> None:
-    """The branches over one interval of constant current, exactly, and the covariance.
+    """One interval of constant current.
 
-    A resistance that is off by a share drives its branch like a current that is off by it; 1 - a^2
-    keeps the stationary spread independent of the time step.
+    A resistance that is off by a share drives its branch like a current that is off by it, and so
+    does a current that nobody measured.
     """
-    share = c.share_variance * (flow * flow)
-    a1 = ONE - p.gain1
-    a2 = ONE - p.gain2
-    r11 = p.r1_ohm * p.r1_ohm
-    r22 = p.r2_ohm * p.r2_ohm
-    x.v1_V = x.v1_V + (p.gain1 * ((p.r1_ohm * flow) - x.v1_V))
-    x.v2_V = x.v2_V + (p.gain2 * ((p.r2_ohm * flow) - x.v2_V))
-    x.s1 = a1 * x.s1
-    x.s2 = a2 * x.s2
-    x.p11 = (((a1 * a1) * GROW) * x.p11) + ((share * r11) * (p.gain1 * (ONE + a1)))
-    x.p12 = (a1 * a2) * x.p12
-    x.p22 = (((a2 * a2) * GROW) * x.p22) + ((share * r22) * (p.gain2 * (ONE + a2)))
-    if missing_A2 > ZERO:
-        x.p11 = x.p11 + (missing_A2 * (r11 * (p.gain1 * p.gain1)))
-        x.p22 = x.p22 + (missing_A2 * (r22 * (p.gain2 * p.gain2)))
-    if SLOW:
-        a3 = ONE - p.gain3
-        r33 = p.r3_ohm * p.r3_ohm
-        x.v3_V, x.v3_carry_V = add(x.v3_V, x.v3_carry_V, p.gain3 * ((p.r3_ohm * flow) - x.v3_V))
-        x.s3 = a3 * x.s3
-        x.p13 = (a1 * a3) * x.p13
-        x.p23 = (a2 * a3) * x.p23
-        x.p33 = (((a3 * a3) * GROW) * x.p33) + ((share * r33) * (p.gain3 * (ONE + a3)))
-        if OFFSET:
-            x.p3o = a3 * x.p3o
+    square_A2 = (c.share_variance * (flow * flow)) + unmeasured_A2
+    relax(x, p, p.gain1, p.gain2, p.gain3, flow, square_A2, SLOW, HYSTERESIS, OFFSET)
     if HYSTERESIS:
-        ah = decay(c.hysteresis_per_A * magnitude(flow))
-        towards = (ONE - ah) if flow < ZERO else (ah - ONE)
-        x.h = clip((ah * x.h) + towards, -ONE, ONE)
+        rise = risen(c.hysteresis_per_A * magnitude(flow))
+        ah = ONE - rise
+        x.h = clip((ah * x.h) + (rise if flow < ZERO else -rise), -ONE, ONE)
         x.sh = ah * x.sh
-        x.p1h = (a1 * ah) * x.p1h
-        x.p2h = (a2 * ah) * x.p2h
+        x.p1h = ah * x.p1h
+        x.p2h = ah * x.p2h
         x.phh = (ah * ah) * x.phh
         if SLOW:
-            x.p3h = ((ONE - p.gain3) * ah) * x.p3h
+            x.p3h = ah * x.p3h
         if OFFSET:
             x.pho = ah * x.pho
-    if OFFSET:
-        x.p1o = a1 * x.p1o
-        x.p2o = a2 * x.p2o
     if WIDE and w.spread > ZERO:
         tilt(x, p, w, flow, SLOW, HYSTERESIS, OFFSET)
-    x.ss = (x.ss * GROW) + c.soc_walk
+    if x.ss < SOC_VARIANCE_MOST:  # SOC lies in 0..1: more says nothing
+        add_variance(x, c.soc_walk, WIDE)
     if OFFSET:
         spread_offset(c, x, p, SLOW, HYSTERESIS)
-    if x.ss > SOC_VARIANCE_MOST:
-        shrink_soc_variance(x, SLOW, HYSTERESIS, OFFSET)

@@ -10,6 +10,7 @@ from numba import njit
 
 from cellwise.estimate.fixed_step_correct import correct
 from cellwise.estimate.fixed_step_kernels import (
+    COUNT_MOST,
     EVIDENCE_MOST,
     FIRST_VOLTAGE,
     HALF,
@@ -23,33 +24,40 @@ from cellwise.estimate.fixed_step_kernels import (
     WIDE_VARIANCE,
     ZERO,
     F,
-    Slopes,
     U,
     add,
     clip,
     kernel,
-    load_of,
-    look_up,
+    not_negative,
     out_of_range,
-    place_of,
     root,
-    slopes_of,
     within,
 )
 from cellwise.estimate.fixed_step_kernels import TEMPERATURE_HIGH_C as HIGH_C
 from cellwise.estimate.fixed_step_kernels import TEMPERATURE_LOW_C as LOW_C
 from cellwise.estimate.fixed_step_layout import Options
+from cellwise.estimate.fixed_step_lookup import (
+    Slopes,
+    load_of,
+    look_up,
+    place_of,
+    slopes_of,
+    within_one,
+)
 from cellwise.estimate.fixed_step_predict import (
-    admit_doubt,
+    cross_gap,
+    predict,
+    taken,
+)
+from cellwise.estimate.fixed_step_state import (
     guess_branches,
     is_sound,
-    predict,
     start,
-    taken,
 )
 from cellwise.estimate.status import (
     CLAMPED,
     CURRENT_INVALID,
+    CURRENT_LOST,
     DUPLICATE,
     SEQUENCE_GAP,
     STATE_RESET,
@@ -78,19 +86,21 @@ def step(
     WARM: int,
     WIDE: int,
     SCALED: int,
+    WATCH: int,
 ) -> None:
     """One time step: predict over the interval that ends now, then use the voltage read now."""
     status = U(0)
     news = 1
     missing = U(0)
+    silent = U(0)  # no current that could be used
     current = sample.current_A
-    bridge = ZERO
-    missing_A2 = ZERO
+    unmeasured_A2 = ZERO
 
-    if not is_sound(c, x, SLOW, HYSTERESIS, OFFSET, HEATING, WARM):
-        start(
-            c, x, KNOW_NOTHING_SOC, KNOW_NOTHING_VARIANCE, SLOW, HYSTERESIS, OFFSET, HEATING, WARM
-        )
+    if not is_sound(c, x, SLOW, HYSTERESIS, OFFSET, HEATING, WARM, WIDE, WATCH):
+        # fmt: off
+        start(c, x, KNOW_NOTHING_SOC, KNOW_NOTHING_VARIANCE, SLOW, HYSTERESIS, OFFSET, HEATING,
+              WARM, WIDE, WATCH)
+        # fmt: on
         status = U(status | U(STATE_RESET))
     # The first sample ends no interval; a sequence number that was taken before ends none either.
     if x.evidence != NOT_BEGUN:
@@ -102,10 +112,9 @@ def step(
             news = 2
             missing = U(elapsed - U(1))
     if not within(current, -c.current_limit_A, c.current_limit_A):
-        current = x.current_A
-        missing_A2 = c.missing_variance_A2
         status = U(status | U(U(CURRENT_INVALID) | out_of_range(sample.current_A)))
-    if news == 0:
+        silent = U(1)
+    if silent != U(0) or news == 0:
         current = x.current_A
     temperature = ZERO
     if WARM:
@@ -123,6 +132,21 @@ def step(
     flow = seen
     if OFFSET:
         flow = seen - x.offset_A
+    bridge = ZERO
+    if WATCH:
+        # Held for a while; then whatever was held is no guide any more: nothing is counted, and as
+        # much as half a rate may flow either way.
+        if silent != U(0) or news == 0:
+            silent = x.no_current
+            if news == 2 and silent < COUNT_MOST:
+                silent = U(silent + U(1))
+        if silent > c.hold_steps:
+            status = U(status | U(CURRENT_LOST))
+            seen = ZERO
+            flow = ZERO
+            unmeasured_A2 = c.lost_A2
+    elif silent != U(0):
+        unmeasured_A2 = c.lost_A2
 
     # Charge first, then the branches at the new SOC.
     if news == 2:
@@ -130,19 +154,25 @@ def step(
         if missing != U(0):
             status = U(status | U(SEQUENCE_GAP))
             if missing <= c.gap_steps:
-                bridge = HALF * (current + x.current_A)
+                if not WATCH or silent <= c.hold_steps:
+                    bridge = HALF * (current + x.current_A)
                 used = used + (taken(c, bridge, EFFICIENCY, LEAK) * F(missing))
-            elif missing > U(LONGEST_GAP):
-                missing = U(LONGEST_GAP)
+            else:  # nobody knows what flowed
+                missing = missing if missing < U(LONGEST_GAP) else U(LONGEST_GAP)
         x.soc, x.soc_carry = add(x.soc, x.soc_carry, -used)
-    load = load_of(c, RATE, ASYMMETRY)
-    point = look_up(t, place, x.soc, seen, load, TEMPERATURES, SLOW, HYSTERESIS, SCALED)
+        if WATCH and unmeasured_A2 > ZERO:
+            # It may keep one sign for as long as it is away: the deviation grows, not the variance.
+            drift = root(x.ss) + c.lost_soc
+            x.ss = drift * drift
+        if not WATCH and unmeasured_A2 > ZERO:
+            x.ss = x.ss + c.lost_walk
+    load = load_of(c, RATE, ASYMMETRY, WIDE)
+    point = look_up(t, place, x.soc, seen, load, TEMPERATURES, SLOW, HYSTERESIS, SCALED, WIDE)
     if x.evidence == NOT_BEGUN:
-        guess_branches(c, x, point, seen, SLOW)
+        guess_branches(c, x, point, seen, SLOW, HYSTERESIS, OFFSET, WIDE)
         x.evidence = NO_VOLTAGE_YET
-    if missing != U(0) or missing_A2 > ZERO:
-        doubt = missing_A2 if news == 2 else ZERO
-        admit_doubt(c, x, point, missing, current, bridge, doubt, SLOW, HYSTERESIS, OFFSET)
+    if missing != U(0):
+        cross_gap(c, x, point, missing, current, bridge, SLOW, HYSTERESIS, OFFSET, WIDE)
     spread = ZERO
     if WIDE and x.ss > WIDE_VARIANCE:
         spread = root(x.ss)
@@ -152,7 +182,7 @@ def step(
         slopes = slopes_of(t, place, x.soc, spread, seen, point, load, SLOW, HYSTERESIS, SCALED)
         # fmt: on
     if news == 2:
-        predict(c, x, point, slopes, flow, missing_A2, SLOW, HYSTERESIS, OFFSET, WIDE)
+        predict(c, x, point, slopes, flow, unmeasured_A2, SLOW, HYSTERESIS, OFFSET, WIDE)
     if HEATING and news == 2:
         fall = (point.r0_ohm * seen) + (x.v1_V + x.v2_V)
         if SLOW:
@@ -165,19 +195,21 @@ def step(
     # fmt: off
     status = U(
         status
-        | correct(c, t, place, x, point, slopes, seen, sample.voltage_V, news, out, load, SLOW,
-                  HYSTERESIS, OFFSET, SCALED, WIDE)
+        | correct(c, t, place, x, point, slopes, seen, unmeasured_A2, sample.voltage_V, news, out,
+                  load, SLOW, HYSTERESIS, OFFSET, SCALED, WIDE, WATCH)
     )
     # fmt: on
 
-    if not within(x.soc, ZERO, ONE):
-        x.soc = clip(x.soc, ZERO, ONE)
+    if not not_negative(x.soc, ONE):
+        x.soc = within_one(x.soc)
         x.soc_carry = ZERO
         status = U(status | U(CLAMPED))
     if news != 0:
         x.current_A = current
         x.sequence = sample.sequence
-        if news == 2 and x.evidence >= FIRST_VOLTAGE and x.evidence < EVIDENCE_MOST:
+        if WATCH:
+            x.no_current = silent
+        if news == 2 and U(x.evidence - FIRST_VOLTAGE) < EVIDENCE_MOST:
             x.evidence = U(x.evidence + U(U(1) + missing))
     out.soc = x.soc
     out.soc_variance = x.ss
@@ -195,7 +227,7 @@ def compiled_rows(options: Options) -> Callable[..., None]:
     SLOW, HYSTERESIS, OFFSET = options.slow, options.hysteresis, options.offset
     EFFICIENCY, LEAK, SKEW = options.efficiency, options.leak, options.skew
     RATE, ASYMMETRY, HEATING = options.rate, options.asymmetry, options.heating
-    WARM, WIDE = int(options.needs_temperature), options.wide
+    WARM, WIDE, WATCH = int(options.needs_temperature), options.wide, options.watch
     SCALED = int(options.arrhenius > 0 or options.rate or options.asymmetry)
 
     @njit(cache=True, error_model="numpy", fastmath=False, nogil=True)
@@ -221,6 +253,7 @@ def compiled_rows(options: Options) -> Callable[..., None]:
                 WARM,
                 WIDE,
                 SCALED,
+                WATCH,
             )
 
     return rows
@@ -231,11 +264,13 @@ def compiled_start(options: Options) -> Callable[..., None]:
     """``begin(constants, state, soc, soc_variance)`` for one set of options."""
     SLOW, HYSTERESIS, OFFSET = options.slow, options.hysteresis, options.offset
     HEATING, WARM = options.heating, int(options.needs_temperature)
+    WIDE, WATCH = options.wide, options.watch
 
     @njit(cache=True, error_model="numpy", fastmath=False)
     def begin(constants: Any, state: Any, soc: float, soc_variance: float) -> None:
-        start(
-            constants[0], state[0], F(soc), F(soc_variance), SLOW, HYSTERESIS, OFFSET, HEATING, WARM
-        )
+        # fmt: off
+        start(constants[0], state[0], F(soc), F(soc_variance), SLOW, HYSTERESIS, OFFSET, HEATING,
+              WARM, WIDE, WATCH)
+        # fmt: on
 
     return begin

@@ -24,30 +24,39 @@ from cellwise.cell.kernels import ZERO_CELSIUS_K
 from cellwise.cell.model import TABLES, CellModel
 from cellwise.cell.simulate import model_temperature_C
 from cellwise.errors import InputError
+from cellwise.estimate.evidence_kernels import UNDER_LOAD_COUNT
 from cellwise.estimate.fixed_step_layout import (
     Options,
     constant_type,
     options_of,
     row_fields,
 )
+from cellwise.estimate.measurement_kernels import (
+    FLAT_SHARE,
+    START_BRANCH_V,
+    START_LOAD_RATE,
+    START_REST_RATE,
+)
 from cellwise.estimate.noise import Noise
+from cellwise.estimate.recovery_kernels import RECOVERY_RATE
+from cellwise.estimate.sample_kernels import LOST_RATE, REST_RATE
 from cellwise.typing import FloatArray
 
 Float32Array = NDArray[np.float32]
 
-START_BRANCH_V = 0.005
-REJECTION_COUNT = 20  # what a rejection adds to the count, as in fixed_step_kernels
+REJECTION_COUNT = 20_000  # what a rejection adds to the count, as in fixed_step_kernels
 MEMORY_START_S = 10.0  # for how long the model's error is remembered at first
 CURRENT_LIMIT_C = 200.0  # no cell gives that; a sensor fault does
 VOLTAGE_MOST_V = 1000.0
+LEAST_V = 1e-3  # above zero: the C compares bits
 BRIDGED_S = 5.0  # missing samples up to here are bridged by the currents on both sides
-MISSING_CURRENT_C = 1.0  # what may flow while the current sensor is silent,
-MISSING_S = 60.0  # and for how long it may go on
+MISSING_S = 60.0  # without a watch: for how long a current that nobody measures keeps its sign
 OFFSET_WALK_H = 24.0  # the sensor's offset is new after so long
 SMALLEST_GAIN = 1e-6  # below it float32 rounds a branch's variance away
 ARRHENIUS_LOW_C, ARRHENIUS_HIGH_C = -60.0, 100.0
 ARRHENIUS_POINTS = 161
 MOST_POINTS = 4001
+MOST_STEPS = 1_000_000_000
 MOST_TEMPERATURES = 32
 
 
@@ -105,6 +114,7 @@ def fixed_step_tables(
     points: int | None = None,
     offset_std_A: float = 0.0,
     wide: bool = True,
+    watch: bool = True,
 ) -> FixedStepTables:
     """Tables of a model at a time step.
 
@@ -116,6 +126,7 @@ def fixed_step_tables(
                               offset is a state
     wide : bool               take care of slopes while SOC is badly known; without it the code is
                               smaller, and slower to recover from a start that is far off
+    watch : bool              watch for sensors that freeze or fall silent
 
     Raises
     ------
@@ -132,7 +143,11 @@ def fixed_step_tables(
     if points is not None and points != model.points:
         model = resampled(model, points)
     options = options_of(
-        model, offset=offset_std_A > 0, wide=wide, arrhenius_points=ARRHENIUS_POINTS
+        model,
+        offset=offset_std_A > 0,
+        wide=wide,
+        watch=watch,
+        arrhenius_points=ARRHENIUS_POINTS,
     )
     check_holds(model, dt_s, options)
     columns = _columns(model, dt_s, noise)
@@ -184,6 +199,7 @@ def _columns(model: CellModel, dt_s: float, noise: Noise) -> dict[str, FloatArra
     error = noise.error_scale * effect_table(model.error.at(model.soc), shape)
     return {
         "ocv_V": model.ocv_V,
+        "error_V": error,
         "noise_V2": noise.voltage_V**2 + error * error + noise.ocv_soc**2 * at_points,
         "r0_ohm": model.r0_ohm,
         "r1_ohm": model.r1_ohm,
@@ -203,12 +219,17 @@ def _constants(
     slow_s = noise.slow_s
     adapts = noise.mismatch_cap > 0 and slow_s > 0
     heating = model.effect(SelfHeating)
+    lost_A = LOST_RATE * model.capacity_Ah
     return {
         "soc_per_A": per_A,
         "soc_walk": noise.soc_per_sqrt_h**2 / 3600.0 * dt_s + (per_A * noise.current_A) ** 2,
         "current_variance_A2": noise.current_A**2,
-        "missing_variance_A2": (MISSING_CURRENT_C * model.capacity_Ah) ** 2
-        * max(1.0, 2.0 * MISSING_S / dt_s),
+        "lost_A2": lost_A**2,
+        "lost_soc": per_A * lost_A,
+        "lost_walk": (per_A * lost_A) ** 2 * max(1.0, 2.0 * MISSING_S / dt_s),
+        "hold_steps": steps_within(noise.hold_s, dt_s),
+        "frozen_V": noise.frozen_V,
+        "flat_slope_V": FLAT_SHARE * float(model.ocv_V[0, -1] - model.ocv_V[0, 0]),
         "share_variance": noise.branch_share**2,
         "gate_square": noise.gate**2,
         "shared_start": 2.0 * MEMORY_START_S / dt_s,
@@ -217,11 +238,17 @@ def _constants(
         "mismatch_cap": noise.mismatch_cap,
         "gap_variance": noise.gap_soc**2,
         "current_limit_A": min(noise.current_limit_A, CURRENT_LIMIT_C * model.capacity_Ah),
-        "voltage_low_V": max(noise.voltage_low_V, 0.0),
+        "voltage_low_V": max(noise.voltage_low_V, LEAST_V),
         "voltage_high_V": min(noise.voltage_high_V, VOLTAGE_MOST_V),
         "branch_variance_V2": START_BRANCH_V**2,
-        "capacity_A": model.capacity_Ah,
+        "rest_A": REST_RATE * model.capacity_Ah,
+        "start_rest_A": START_REST_RATE * model.capacity_Ah,
+        "start_load_A": START_LOAD_RATE * model.capacity_Ah,
+        "fixed_V2": noise.voltage_V**2,
+        "ocv_soc2": noise.ocv_soc**2,
+        "recovery_A": RECOVERY_RATE * model.capacity_Ah,
         "recovery_after": REJECTION_COUNT * int(noise.recovery_after),
+        "under_load": max(round(REJECTION_COUNT * UNDER_LOAD_COUNT * min(dt_s, 1.0)), 1),
         "gap_steps": int(np.ceil(BRIDGED_S / dt_s)),
         "charge_efficiency": model.charge_efficiency,
         "leak_soc": per_A * model.effect(SelfDischarge).leak_A,
@@ -236,6 +263,11 @@ def _constants(
         "temperature_C": model_temperature_C(model),
         **_temperature_tables(model, options),
     }
+
+
+def steps_within(seconds: float, dt_s: float) -> int:
+    """Whole time steps within a time; one that falls on its end belongs to it."""
+    return int(min(np.floor(seconds / dt_s * (1.0 + 1e-9)), MOST_STEPS))
 
 
 def _temperature_tables(model: CellModel, options: Options) -> dict[str, Any]:
