@@ -19,7 +19,7 @@ from hidden_score import DETECTION_LIMIT_V, Outcome, allowed_misses, judge
 
 FIXED = 41_000
 ROWS = 4000
-# Shares that the build may miss: what it missed on development seeds (1 of 120 singles, 1 of 12
+# Shares that the build may miss: what it missed on development seeds (1 of 90 singles, 1 of 12
 # with nothing hidden) and on the fixed ones below, rounded up. The targets are 0.05, 0.05, 0.20.
 MISS_SINGLE, MISS_NONE, MISS_PAIR = 0.07, 0.10, 0.25
 
