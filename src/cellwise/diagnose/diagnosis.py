@@ -19,7 +19,7 @@ from cellwise.diagnose.evidence import Evidence, gather
 from cellwise.diagnose.experiment import propose
 from cellwise.diagnose.extend import correct_log, extend_model, parameters_of, split_skew, value_of
 from cellwise.diagnose.fit import held_rows
-from cellwise.diagnose.judge import Judge, Progress
+from cellwise.diagnose.judge import FIRM_SLOW_V, Judge, Progress
 from cellwise.diagnose.judgement import Accepted, Judgement, kept_coordinates
 from cellwise.diagnose.noise import at_least
 from cellwise.diagnose.priors import GIVEN_SOC_STD, learned, structure_prior, tolerances
@@ -34,9 +34,6 @@ from cellwise.logs.cell_log import CellLog
 # Shares of the model's own slow error that stay unexplained whatever is found.
 SLOW_FLOOR = 0.1
 FAST_FLOOR = 0.05
-# While a good log teaches, nothing slow passes for noise: else its fast details would be learned at
-# the expense of what lasts.
-FIRM_SLOW_V = 1e-3
 
 Logs = CellLog | Sequence[CellLog]
 
@@ -192,6 +189,7 @@ def _learn(judge: Judge, model: CellModel, good: list[tuple[CellLog, InitialSoc]
     """What the model gets wrong of a good log becomes what is expected of it."""
     evidence = gather(model, good, whole=True)
     known = _judge(evidence, judge.coordinates, 0, None)
+    # Nothing slow passes for noise: else fast details would be learned, and what lasts lost.
     known.most_slow_V = FIRM_SLOW_V
     prior = structure_prior(known.prior)
     found, noise = known.base(prior)

@@ -40,7 +40,7 @@ MOST_CAUSES = 5
 FINALISTS = 5
 # The search begins with a noise that is forgiving at once and firm in the long run, so that what
 # drifts is not taken for noise before any cause was tried.
-FIRST_SLOW_V = 1e-3
+FIRM_SLOW_V = 1e-3
 
 
 @dataclass(eq=False)
@@ -187,7 +187,7 @@ class Judge:
         self, causes: Sequence[Cause], prior: Prior, base: Fit, noise: NoiseLevel, turn: int
     ) -> tuple[Candidate, ...]:
         """Every cause fitted, each under the noise that it leaves itself; the best one first."""
-        firm = at_least(noise._replace(slow_V=min(noise.slow_V, FIRST_SLOW_V)), self.floor)
+        firm = at_least(noise._replace(slow_V=min(noise.slow_V, FIRM_SLOW_V)), self.floor)
         frozen = freeze(
             Objective(self.evidence, noise, self._amplitude), base.coordinates, prior.names, base.z
         )
