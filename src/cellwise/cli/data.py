@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from cellwise.cli import printing
@@ -77,18 +79,27 @@ def run_list(arguments: argparse.Namespace) -> None:
     )
 
 
+@contextmanager
+def _followed(what: str) -> Iterator[Callable[[str, int, int | None], None]]:
+    """A bar, and what moves it: the item at work, how much is done, of how much."""
+    with printing.bar() as progress:
+        task = progress.add_task(what, total=None)
+
+        def follow(name: str, done: int, total: int | None) -> None:
+            progress.update(task, description=name, completed=done, total=total)
+
+        yield follow
+
+
 def run_generate(arguments: argparse.Namespace) -> None:
     """Generate data sets."""
     from cellwise.data import generate_datasets
 
-    with printing.bar() as progress:
-        task = progress.add_task("generate", total=None)
+    with _followed("generate") as follow:
         written = generate_datasets(
             Path(arguments.output),
             arguments.only,
-            lambda name, done, total: progress.update(
-                task, description=name, completed=done, total=total
-            ),
+            follow,
         )
     if arguments.json:
         printing.print_json({"written": [str(path) for path in written]})
@@ -101,15 +112,12 @@ def run_fetch(arguments: argparse.Namespace) -> None:
     """Fetch a public original."""
     from cellwise.originals import fetch_original
 
-    with printing.bar() as progress:
-        task = progress.add_task("fetch", total=None)
+    with _followed("fetch") as follow:
         files = fetch_original(
             arguments.name,
             arguments.output,
             arguments.listing,
-            lambda name, done, total: progress.update(
-                task, description=name, completed=done, total=total
-            ),
+            follow,
         )
     if arguments.json:
         printing.print_json({"files": [str(path) for path in files]})
@@ -121,15 +129,12 @@ def run_import(arguments: argparse.Namespace) -> None:
     """Import a public original."""
     from cellwise.originals import import_original
 
-    with printing.bar() as progress:
-        task = progress.add_task("import", total=None)
+    with _followed("import") as follow:
         found = import_original(
             arguments.name,
             arguments.source,
             arguments.output,
-            lambda name, done, total: progress.update(
-                task, description=name, completed=done, total=total
-            ),
+            follow,
         )
     if arguments.json:
         printing.print_json(found.to_dict())
