@@ -13,7 +13,9 @@ from typing import Any
 import latex2mathml.converter
 from mkdocs.structure.files import File, Files
 
-FACE = Path(__file__).resolve().parents[1] / "src" / "cellwise" / "__init__.py"
+REPOSITORY = Path(__file__).resolve().parents[1]
+FACE = REPOSITORY / "src" / "cellwise" / "__init__.py"
+INSERTED = re.compile(r"^<!-- code: (\S+) -->$", re.M)
 CODE = re.compile(r"(^```.*?^```\s*?$|`[^`\n]*`)", re.S | re.M)
 DISPLAY = re.compile(r"\$\$(.+?)\$\$", re.S)
 INLINE = re.compile(r"(?<![\\$])\$(?!\s)([^$\n]+?)(?<!\s)\$(?!\d)")
@@ -43,12 +45,18 @@ def on_files(files: Files, config: Any) -> Files:
 
 
 def on_page_markdown(markdown: str, **_: object) -> str:
-    """Equations to MathML, outside of code."""
+    """Scripts that a page names in place of their mark; equations to MathML, outside of code."""
+    markdown = INSERTED.sub(inserted, markdown)
     parts = CODE.split(markdown)
     for k in range(0, len(parts), 2):  # the odd ones are code
         parts[k] = DISPLAY.sub(lambda m: "\n" + mathml(m[1], "block") + "\n", parts[k])
         parts[k] = INLINE.sub(lambda m: mathml(m[1], "inline"), parts[k])
     return "".join(parts)
+
+
+def inserted(mark: re.Match[str]) -> str:
+    """A script as a block of code."""
+    return f"```python\n{(REPOSITORY / mark[1]).read_text(encoding='utf-8')}```"
 
 
 def mathml(tex: str, display: str) -> str:

@@ -15,7 +15,7 @@ from doc_blocks import PAGES, page_blocks, page_name
 from cellwise.cli import main
 
 RUN = ("python", "console")
-SLOW = ("docs/howto.md",)
+SLOW = ("docs/howto.md", "docs/tutorial.md")
 OTHER = ("", "text", "math", "toml", "json")
 
 RUNNING = [
