@@ -9,7 +9,7 @@ STAMP := $(VENV)/.installed
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: setup demo test check papers benchmark firmware clean
+.PHONY: setup demo test check papers benchmark firmware pages clean
 
 setup: $(STAMP)
 
@@ -45,6 +45,12 @@ firmware: $(STAMP)
 	command -v arm-none-eabi-gcc qemu-system-arm frama-c cppcheck clang >/dev/null || \
 	  { apt-get update -qq && apt-get install -y -qq --no-install-recommends $(FIRMWARE_PACKAGES); }
 	$(BIN)/pytest -n 2 tests/firmware tests/export tests/estimate/test_fixed_step_twin.py
+
+# Debian's Chromium, and every page opened in it.
+pages: $(STAMP)
+	command -v chromium >/dev/null || \
+	  { apt-get update -qq && apt-get install -y -qq --no-install-recommends chromium; }
+	$(BIN)/pytest tests/report/test_in_browser.py
 
 clean:
 	rm -rf $(VENV) demo

@@ -14,11 +14,11 @@ from cellwise.cell.simulate import Simulation
 from cellwise.errors import InputError
 from cellwise.report import demo_page, identify_page, replay_page
 from cellwise.report.findings import replay_finding
-from cellwise.report.interactive import script
 from cellwise.report.markup import finite, page, table
 from cellwise.report.pages import identify_sections, notices, replay_data, replay_sections
 from cellwise.report.replay_figures import replay_figures
 from cellwise.report.replay_section import MOST_DETAILED
+from cellwise.report.scripts import script
 from cellwise.report.section import pictures_of, rendered
 from report_cases import Page, drive, hppc, identification, replay, simulation
 
@@ -82,8 +82,10 @@ def test_nothing_is_loaded_and_only_our_plots_run(pages, kind):
     assert all(a.startswith(("#", "data:image/png;base64,")) for a in parsed.addresses)
     assert len(parsed.scripts) == 1
     running = [program for attrs, program in parsed.programs if "type" not in attrs]
-    assert running == ([script()] if kind == "replay" else [])
-    assert "http" not in script().replace("http://www.w3.org", "")
+    traces = ["interactive.js"] if kind in ("identify", "replay") else []
+    assert running == [script(name) for name in ("zoom.js", *traces)]
+    for program in running:
+        assert "http" not in program.replace("http://www.w3.org", "")
     assert not {"link", "iframe", "object", "embed", "img", "audio", "video"} & set(parsed.tags)
     assert "@import" not in text
     assert parsed.tags.count("style") == 1

@@ -15,10 +15,14 @@ from cellwise.benchmark.capacity_study_text import (
 )
 from cellwise.errors import InputError
 from cellwise.report.capacity_study_page import StudyOnPage, write_study_page
+from cellwise.report.picture import FigureFiles
 
 
 def capacity_study_page(
-    studies: Sequence[CellStudy], path: str | Path, *, figures: str | Path | None = None
+    studies: Sequence[CellStudy],
+    path: str | Path,
+    *,
+    figures: str | Path | FigureFiles | None = None,
 ) -> Path:
     """Write the page of a capacity study.
 
@@ -26,7 +30,7 @@ def capacity_study_page(
     ----------
     studies : of CellStudy        the first one gives the page's first line
     path : str or Path            of the HTML file; it appears whole or not at all
-    figures : str, Path or None   folder for the same pictures as PNG and SVG files
+    figures : folder or FigureFiles   for the same pictures as PNG and SVG files
 
     Raises
     ------

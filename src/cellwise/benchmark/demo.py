@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cellwise.cell.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model_file import write_model
@@ -14,6 +14,9 @@ from cellwise.data import list_datasets, load_dataset
 from cellwise.errors import InputError
 from cellwise.estimate.replay import Replay, replay
 from cellwise.identify import Identification, IdentifySettings, TestLogs, identify_cell
+
+if TYPE_CHECKING:
+    from cellwise.report.picture import FigureFiles
 
 HELD_OUT = "nmc_drive_b"
 START_ERROR = 0.3
@@ -43,7 +46,11 @@ class Demo:
         }
 
 
-def run_demo(folder: Path, progress: Callable[[str], None] | None = None) -> Demo:
+def run_demo(
+    folder: Path,
+    progress: Callable[[str], None] | None = None,
+    figures: FigureFiles | None = None,
+) -> Demo:
     """Identify the embedded NMC cell, judge it on a drive it has not seen, write the page.
 
     Raises
@@ -89,5 +96,5 @@ def run_demo(folder: Path, progress: Callable[[str], None] | None = None) -> Dem
     )
     say("page")
     page = folder / "index.html"
-    demo_page(found, [simulation], list(replays), page)
+    demo_page(found, [simulation], list(replays), page, figures=figures)
     return Demo(found, ((simulation, start),), replays, model_path, page)

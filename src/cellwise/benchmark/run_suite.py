@@ -13,7 +13,7 @@ from importlib.metadata import version
 from itertools import groupby
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from cellwise.benchmark.adapter import is_adapter, load_adapter
 from cellwise.benchmark.figures import COLUMNS
@@ -23,6 +23,9 @@ from cellwise.benchmark.suite_logs import check_files, digest, judged_log, locat
 from cellwise.benchmark.work import Place, make_model, run_all
 from cellwise.errors import InputError
 from cellwise.logs.tables import write_columns
+
+if TYPE_CHECKING:
+    from cellwise.report.picture import FigureFiles
 
 T = TypeVar("T")
 Progress = Callable[[str, int, int], None]
@@ -63,6 +66,7 @@ def run_suite(
     processes: int = 1,
     fresh: bool = False,
     page: bool = True,
+    figures: FigureFiles | None = None,
     progress: Progress | None = None,
 ) -> BenchmarkResult:
     """Run a suite and write ``results.parquet`` and ``index.html``.
@@ -77,6 +81,7 @@ def run_suite(
     processes : int        1: in this process
     fresh : bool           forget what an earlier run left
     page : bool            write the page as well (needs matplotlib)
+    figures : FigureFiles  where the page's pictures go as files
     progress : callable    told (what, done, total)
 
     Raises
@@ -118,11 +123,15 @@ def run_suite(
             file.flush()
             done += len(rows)
             say(f"{rows[-1]['log']}, {rows[-1]['fault']}", done, len(runs))
-    return _finish(place, [kept[names[run]] for run in runs], resumed, page)
+    return _finish(place, [kept[names[run]] for run in runs], resumed, page, figures)
 
 
 def _finish(
-    place: Place, kept: Sequence[dict[str, Any]], resumed: int, page: bool
+    place: Place,
+    kept: Sequence[dict[str, Any]],
+    resumed: int,
+    page: bool,
+    figures: FigureFiles | None,
 ) -> BenchmarkResult:
     rows = tuple({name: row[name] for name in COLUMNS} for row in kept)
     curves = {k: row["curve"] for k, row in enumerate(kept) if row.get("curve")}
@@ -135,7 +144,7 @@ def _finish(
 
         about = place.suite.about or f"suite {place.suite.name}"
         table = BenchmarkTable(place.suite.name, about, rows, curves)
-        written = benchmark_page(table, place.folder / "index.html")
+        written = benchmark_page(table, place.folder / "index.html", figures=figures)
     return BenchmarkResult(place.suite, rows, curves, parquet, written, resumed)
 
 

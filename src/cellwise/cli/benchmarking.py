@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cellwise.cli import printing
+from cellwise.cli import page_options, printing
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
@@ -41,6 +41,7 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     p.add_argument("--fresh", action="store_true", help="forget what an earlier run left in DIR")
     p.add_argument("--no-page", action="store_true", help="no index.html (it needs matplotlib)")
     p.add_argument("--list", action="store_true", help="suites that come with cellwise")
+    page_options.add_figure_options(p)
     printing.add_json(p)
     p.set_defaults(run=run_benchmark)
 
@@ -56,6 +57,9 @@ def run_benchmark(arguments: argparse.Namespace) -> None:
         raise InputError(
             f"--processes {arguments.processes}", f"1 to {MOST_PROCESSES}", "Give e.g. 2."
         )
+    page_options.check_page_options(arguments)
+    if arguments.no_page and arguments.figures:
+        raise InputError("--figures with --no-page", "one of them", "Leave --no-page away.")
     suite = _chosen(arguments)
     folder = arguments.data or os.environ.get("CELLWISE_DATA")
     data = None if not folder else Path(folder)
@@ -70,6 +74,7 @@ def run_benchmark(arguments: argparse.Namespace) -> None:
             processes=arguments.processes,
             fresh=arguments.fresh,
             page=not arguments.no_page,
+            figures=page_options.figure_files(arguments),
             progress=lambda what, done, total: progress.update(
                 task, description=f"{what} ({done} of {total})", completed=done, total=total
             ),

@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cellwise.cli import log_options, printing
+from cellwise.cli import log_options, page_options, printing
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     own.add_argument("--reference-soc0", type=float, default=1.0, metavar="X", help="[1]")
     p.add_argument("--choice", action="append", metavar="C", help="only these choices [all]")
     p.add_argument("--estimator", action="append", metavar="E", help="only these [all four]")
-    p.add_argument("--report", metavar="F.html", help="page with pictures")
+    page_options.add_page_options(p)
     log_options.add_log_options(p)
     printing.add_json(p)
     p.set_defaults(run=run_capacity_study)
@@ -54,7 +54,7 @@ def run_capacity_study(arguments: argparse.Namespace) -> None:
     from cellwise.benchmark.capacity_study_cells import published_orders, study_cells
     from cellwise.estimate.replay import ESTIMATORS
 
-    printing.check_places(arguments.report)
+    page_options.check_page_options(arguments)
     estimators = tuple(arguments.estimator or STUDIED)
     for name in estimators:
         if name not in ESTIMATORS:
@@ -78,18 +78,18 @@ def run_capacity_study(arguments: argparse.Namespace) -> None:
             )
             for cell in cells
         ]
-        if arguments.report:
-            from cellwise.benchmark.capacity_study_page import capacity_study_page
+        with page_options.page_places(arguments) as places:
+            if places is not None:
+                from cellwise.benchmark.capacity_study_page import capacity_study_page
 
-            progress.update(task, description="page")
-            capacity_study_page(studies, arguments.report)
+                progress.update(task, description="page")
+                capacity_study_page(studies, places.page, figures=places.figures)
     if arguments.json:
         orders = {name: list(order) for name, order in published_orders().items()}
         printing.print_json({"studies": [s.to_dict() for s in studies], "published_orders": orders})
         return
     print_studies(studies)
-    if arguments.report:
-        printing.say(f"page to open: {arguments.report}")
+    page_options.say_pages(arguments)
 
 
 def own_cell(arguments: argparse.Namespace) -> StudyCell | None:

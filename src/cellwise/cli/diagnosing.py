@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellwise.cli import log_options, printing
+from cellwise.cli import log_options, page_options, printing
 from cellwise.cli.estimating import parse_soc0
 from cellwise.errors import InputError
 
@@ -37,7 +37,7 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     p.add_argument("-o", "--output", metavar="MODEL2", help="the model with the causes known")
     p.add_argument("--corrected", metavar="DIR", help="folder for logs without the sensors' faults")
-    p.add_argument("--report", metavar="F.html", help="page with pictures")
+    page_options.add_page_options(p)
     log_options.add_log_options(p)
     printing.add_json(p)
     p.set_defaults(run=run_diagnose)
@@ -90,12 +90,8 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
 
 def _check_places(arguments: argparse.Namespace) -> None:
     """Refuse what could only fail after the work is done."""
-    printing.check_places(arguments.output, arguments.report)
-    if arguments.report:
-        from cellwise.report.style import drawing
-
-        with drawing():  # says so now if pictures cannot be drawn
-            pass
+    printing.check_places(arguments.output)
+    page_options.check_page_options(arguments)
     if arguments.corrected and Path(arguments.corrected).is_file():
         raise InputError(
             f"a file at '{arguments.corrected}'", "a folder for the corrected logs", "Rename it."
@@ -116,10 +112,13 @@ def _write(found: Diagnosis, arguments: argparse.Namespace) -> dict[str, Any]:
 
     extended: CellModel | None = found.extended_model
     written: dict[str, Any] = {"extended_model": None, "corrected": [], "report": None}
-    if arguments.report:
-        from cellwise.report.diagnose_page import diagnose_page
+    with page_options.page_places(arguments) as places:
+        if places is not None:
+            from cellwise.report.diagnose_page import diagnose_page
 
-        written["report"] = str(diagnose_page(found, arguments.report))
+            diagnose_page(found, places.page, figures=places.figures)
+    if arguments.report:
+        written["report"] = arguments.report
     if arguments.corrected and any(c.kind == "measurement" for c in found.causes):
         written["corrected"] = _write_logs(found.corrected, arguments.logs, arguments.corrected)
     if arguments.output and extended is not None:

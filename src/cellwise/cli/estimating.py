@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellwise.cli import log_options, parameters, printing
+from cellwise.cli import log_options, page_options, parameters, printing
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
         default="power",
         help="what of the load stays [power]",
     )
-    replay.add_argument("--report", metavar="F.html", help="page with pictures")
+    page_options.add_page_options(replay)
     replay.set_defaults(run=run_replay)
 
 
@@ -104,7 +104,8 @@ def run_replay(arguments: argparse.Namespace) -> None:
     from cellwise.estimate.replay import make_estimator, replay
     from cellwise.logs.resample import resample
 
-    printing.check_places(arguments.output, arguments.report)
+    printing.check_places(arguments.output)
+    page_options.check_page_options(arguments)
     true0 = arguments.reference_soc0
     if true0 is not None and not 0.0 <= true0 <= 1.0:
         raise InputError(f"--reference-soc0 {true0:g}", "a fraction from 0 to 1", "Correct it.")
@@ -142,10 +143,12 @@ def run_replay(arguments: argparse.Namespace) -> None:
         if found.reference_soc is not None:
             columns["reference_soc"] = found.reference_soc
         _write(arguments.output, columns)
-    if arguments.report:
-        from cellwise.report import replay_page
+    with page_options.page_places(arguments) as places:
+        if places is not None:
+            from cellwise.report import replay_page
 
-        replay_page([found], arguments.report, flights=() if flight is None else (flight,))
+            flights = () if flight is None else (flight,)
+            replay_page([found], places.page, flights=flights, figures=places.figures)
     if arguments.json:
         told = None if flight is None else flight.to_dict()
         printing.print_json({**found.to_dict(), "forecast": told, "notices": list(log.notices)})
@@ -155,8 +158,7 @@ def run_replay(arguments: argparse.Namespace) -> None:
         print_flight(flight)
     for notice in log.notices:
         printing.say(f"  ! {notice}")
-    if arguments.report:
-        printing.say(f"page to open: {arguments.report}")
+    page_options.say_pages(arguments)
 
 
 def parse_soc0(text: str) -> float | None:

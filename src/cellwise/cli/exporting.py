@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellwise.cli import log_options, printing
+from cellwise.cli import log_options, page_options, printing
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
@@ -34,6 +34,7 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     export.add_argument("--flash", type=int, metavar="BYTES", help="refuse larger tables")
     export.add_argument("--log", metavar="LOG", help="accuracy lost, against the float64 EKF")
     export.add_argument("--soc0", type=float, metavar="X", help="SOC at the log's start [auto]")
+    page_options.add_page_options(export)
     log_options.add_log_options(export)
     printing.add_json(export)
     export.set_defaults(run=run_export)
@@ -45,6 +46,7 @@ def run_export(arguments: argparse.Namespace) -> None:
     from cellwise.estimate.fixed_step_tables import fixed_step_tables
     from cellwise.export.package import check_flash, describe, write_package
 
+    page_options.check_page_options(arguments)
     model = read_model(arguments.model)
     tables = fixed_step_tables(
         model,
@@ -59,10 +61,34 @@ def run_export(arguments: argparse.Namespace) -> None:
     told["targets"] = target_costs(model, tables, arguments)
     told["accuracy"] = lost_accuracy(model, arguments)
     told["files"] = write_package(model, tables, Path(arguments.output), told)
+    write_pages(model, told, arguments)
     if arguments.json:
         printing.print_json(told)
         return
     print_export(arguments.output, told)
+    page_options.say_pages(arguments)
+
+
+def write_pages(model: CellModel, told: dict[str, Any], arguments: argparse.Namespace) -> None:
+    """The page and its pictures, where they are wanted."""
+    with page_options.page_places(arguments) as places:
+        if places is None:
+            return
+        from cellwise.export.on_log import fixed_and_float
+        from cellwise.report.export_page import export_page
+
+        both = None
+        if arguments.log is not None:
+            both = fixed_and_float(
+                model,
+                read(arguments),
+                arguments.dt,
+                soc0=arguments.soc0,
+                points=arguments.points,
+                offset_std_A=arguments.offset_std_a,
+                lean=arguments.lean,
+            )
+        export_page(told, places.page, both, figures=places.figures)
 
 
 def target_costs(

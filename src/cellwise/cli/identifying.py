@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from cellwise.cli import log_options, printing
+from cellwise.cli import log_options, page_options, printing
 
 if TYPE_CHECKING:
     from cellwise.identify import Identification
@@ -38,7 +38,7 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     p.add_argument("--name", default="", help="name of the cell, written into the model")
     p.add_argument("--chemistry", default="")
     p.add_argument("-o", "--output", required=True, metavar="MODEL", help="model file (JSON)")
-    p.add_argument("--report", metavar="F.html", help="page with pictures")
+    page_options.add_page_options(p)
     log_options.add_log_options(p)
     printing.add_json(p)
     p.set_defaults(run=run_identify)
@@ -49,7 +49,8 @@ def run_identify(arguments: argparse.Namespace) -> None:
     from cellwise.cell.model_file import write_model
     from cellwise.identify import IdentifySettings, TestLogs, identify_cell
 
-    printing.check_places(arguments.output, arguments.report)
+    printing.check_places(arguments.output)
+    page_options.check_page_options(arguments)
     printing.check_temperature(arguments.temperature_c)
 
     def with_temperature(items: list[str]) -> tuple[tuple[CellLog, float | None], ...]:
@@ -77,19 +78,19 @@ def run_identify(arguments: argparse.Namespace) -> None:
     with printing.bar() as progress:
         task = progress.add_task("identify", total=None)
         found = identify_cell(tests, settings, lambda text: progress.update(task, description=text))
-        if arguments.report:
-            from cellwise.report import identify_page
+        with page_options.page_places(arguments) as places:
+            if places is not None:
+                from cellwise.report import identify_page
 
-            progress.update(task, description="page")
-            identify_page(found, arguments.report)
+                progress.update(task, description="page")
+                identify_page(found, places.page, figures=places.figures)
     write_model(found.model, arguments.output)
     if arguments.json:
         printing.print_json({**found.to_dict(), "model": arguments.output})
         return
     print_identification(found)
     printing.say(f"model written to {arguments.output}")
-    if arguments.report:
-        printing.say(f"page to open: {arguments.report}")
+    page_options.say_pages(arguments)
 
 
 def print_identification(found: Identification) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from cellwise.cli import printing
+from cellwise.cli import page_options, printing
 
 
 def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -15,6 +15,7 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     papers.set_defaults(run=run_papers)
     demo = commands.add_parser("demo", help="identify, simulate and replay on embedded data")
     demo.add_argument("-o", "--output", default="demo", metavar="DIR")
+    page_options.add_figure_options(demo)
     printing.add_json(demo)
     demo.set_defaults(run=run_demo)
 
@@ -39,9 +40,14 @@ def run_demo(arguments: argparse.Namespace) -> None:
     """The main job on embedded data: identify, simulate, replay, one page."""
     from cellwise.benchmark.demo import run_demo as run
 
+    page_options.check_page_options(arguments)
     with printing.bar() as progress:
         task = progress.add_task("demo", total=None)
-        found = run(Path(arguments.output), lambda text: progress.update(task, description=text))
+        found = run(
+            Path(arguments.output),
+            lambda text: progress.update(task, description=text),
+            page_options.figure_files(arguments),
+        )
     if arguments.json:
         printing.print_json(found.to_dict())
         return

@@ -4,14 +4,24 @@ from __future__ import annotations
 
 from cellwise.report.demo_page import demo_page
 from cellwise.report.diagnose_page import diagnose_page
+from cellwise.report.export_page import export_page
 from cellwise.report.hero import hero_figure
 from cellwise.report.pages import identify_page, replay_page
-from cellwise.report.picture import Picture, figure_png, figure_svg, save_figure, save_figures
+from cellwise.report.picture import (
+    FigureFiles,
+    Picture,
+    figure_png,
+    figure_svg,
+    save_figure,
+    save_figures,
+)
 
 __all__ = [
+    "FigureFiles",
     "Picture",
     "demo_page",
     "diagnose_page",
+    "export_page",
     "figure_png",
     "figure_svg",
     "hero_figure",

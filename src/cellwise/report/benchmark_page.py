@@ -26,6 +26,7 @@ from cellwise.report.benchmark_pictures import (
 )
 from cellwise.report.markup import EMPTY, Markup, bullets, details, paragraph, table
 from cellwise.report.numerals import duration, percent, plural, significant
+from cellwise.report.picture import FigureFiles
 from cellwise.report.section import Section, write_page
 
 MOST_ROWS = 2000
@@ -47,7 +48,7 @@ class BenchmarkTable(NamedTuple):
 
 
 def benchmark_page(
-    found: BenchmarkTable, path: str | Path, *, figures: str | Path | None = None
+    found: BenchmarkTable, path: str | Path, *, figures: str | Path | FigureFiles | None = None
 ) -> Path:
     """Write the page of a benchmark.
 
@@ -55,7 +56,7 @@ def benchmark_page(
     ----------
     found : BenchmarkTable
     path : str or Path            of the HTML file; it appears whole or not at all
-    figures : str, Path or None   folder for the same pictures as PNG and SVG files
+    figures : folder or FigureFiles   for the same pictures as PNG and SVG files
 
     Raises
     ------

@@ -26,6 +26,7 @@ from cellwise.report.style import (
     labels,
     legend,
     new_figure,
+    plain_numbers,
     styled,
     zero_line,
 )
@@ -77,7 +78,7 @@ def draw_logs(matrix: Matrix) -> Figure:
     axes.set_xscale("log")
     axes.set_yticks(place, matrix.labels)
     axes.set_ylim(len(matrix.labels) - 0.5, -0.5)
-    axes.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
+    plain_numbers(axes.xaxis)
     if matrix.values.size:
         best = float(np.nanmin(matrix.values)) if np.isfinite(matrix.values).any() else np.nan
         finding(axes, f"From {percent(best)} up, by log and estimator")
@@ -156,7 +157,7 @@ def draw_starts(rows: Rows, matrix: Matrix) -> Figure:
     for axes in (left, right):
         axes.set_yscale("log")
         axes.set_xticks(place, [start_name(e) for e in errors])
-        axes.yaxis.set_major_formatter(lambda y, _: f"{y:g}")
+        plain_numbers(axes.yaxis)
     right.axhline(TWO_POINTS, color=MUTED, linewidth=0.8, linestyle=(0, (1, 2)))
     finding(left, "How long a wrong start lasts", 0.42)
     finding(right, "What is left of it", 0.42)
@@ -193,7 +194,7 @@ def draw_temperature(rows: Rows, estimators: Sequence[str]) -> Figure:
             continue
         axes.plot(*np.array(dots).T, linestyle="none", markersize=5, label=name, **style[name])
     axes.set_yscale("log")
-    axes.yaxis.set_major_formatter(lambda y, _: f"{y:g}")
+    plain_numbers(axes.yaxis)
     finding(axes, "Settled error over temperature")
     labels(axes, "temperature of the log [°C]", "settled SOC RMSE [%]")
     axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from cellwise.report.markup import Markup, bullets, paragraph, table
-from cellwise.report.picture import Picture
+from cellwise.report.picture import FigureFiles, Picture
 from cellwise.report.section import Section, write_page
 from cellwise.report.style import (
     AMBER,
@@ -63,7 +63,7 @@ def write_study_page(
     first_line: str,
     papers: Sequence[str],
     data: Mapping[str, Any],
-    figures: str | Path | None = None,
+    figures: str | Path | FigureFiles | None = None,
 ) -> Path:
     """Write the page: a section per cell, the papers' order, the figures for machines.
 
@@ -140,7 +140,8 @@ def draw_study(study: StudyOnPage) -> Figure:
         )
     for axes in (left, right):
         axes.axvline(study.reference_Ah, color=MUTED, linewidth=1.0)
-        axes.set_ylim(bottom=0.0)
+        axes.margins(y=0.0)
+        axes.set_ylim(0.0, 1.3 * axes.get_ylim()[1])  # room for the names
     _name_choices(left, study)
     finding(left, study.said[0], 0.42)
     labels(left, "capacity [Ah]", "voltage RMSE [mV]")

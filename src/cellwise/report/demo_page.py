@@ -24,7 +24,7 @@ from cellwise.report.pages import (
     replay_data,
 )
 from cellwise.report.parameter_section import parameter_content, parameter_picture
-from cellwise.report.picture import Picture
+from cellwise.report.picture import FigureFiles, Picture
 from cellwise.report.provenance_section import provenance_content
 from cellwise.report.pulse_example import pulse_example_picture
 from cellwise.report.pulse_section import pulse_content, pulse_picture, pulse_sets
@@ -40,7 +40,7 @@ def demo_page(
     replays: Sequence[Replay],
     path: str | Path,
     *,
-    figures: str | Path | None = None,
+    figures: str | Path | FigureFiles | None = None,
 ) -> Path:
     """Write one page with the whole story, every picture explained for a newcomer.
 
@@ -50,7 +50,7 @@ def demo_page(
     simulations : of Simulation   drives that were not fitted
     replays : of Replay           the first one from a wrong start, of a simulated log
     path : str or Path            of the HTML file; it appears whole or not at all
-    figures : str, Path or None   folder for the same pictures as PNG and SVG files
+    figures : folder or FigureFiles   for the same pictures as PNG and SVG files
 
     Raises
     ------

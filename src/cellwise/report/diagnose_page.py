@@ -7,6 +7,7 @@ from pathlib import Path
 
 from cellwise.diagnose.causes import CAUSES
 from cellwise.diagnose.verdict import Diagnosis, FoundCause
+from cellwise.plotting import Line, Panel
 from cellwise.report.anatomy_section import anatomy_section
 from cellwise.report.diagnose_pictures import (
     BEFORE_AFTER_CAPTION,
@@ -14,6 +15,7 @@ from cellwise.report.diagnose_pictures import (
     UNCHANGED_CAPTION,
     draw_before_after,
     draw_candidates,
+    drawn_runs,
 )
 from cellwise.report.diagnose_runs import BeforeAfter, before_after, with_anatomy
 from cellwise.report.diagnose_words import (
@@ -23,16 +25,17 @@ from cellwise.report.diagnose_words import (
     said_of,
     valued,
 )
+from cellwise.report.interactive import Traces, trace_section
 from cellwise.report.markup import EMPTY, Markup, bullets, details, escape, paragraph, table, tiles
 from cellwise.report.numerals import counted, listed, millivolt, percent, plural, significant
-from cellwise.report.picture import Picture, safe_key
+from cellwise.report.picture import FigureFiles, Picture, safe_key
 from cellwise.report.section import Section, write_page
 
 MOST_PICTURES = 4
 
 
 def diagnose_page(
-    diagnosis: Diagnosis, path: str | Path, *, figures: str | Path | None = None
+    diagnosis: Diagnosis, path: str | Path, *, figures: str | Path | FigureFiles | None = None
 ) -> Path:
     """Write the page of a diagnosis.
 
@@ -40,7 +43,7 @@ def diagnose_page(
     ----------
     diagnosis : Diagnosis
     path : str or Path            of the HTML file; it appears whole or not at all
-    figures : str, Path or None   folder for the same pictures as PNG and SVG files
+    figures : folder or FigureFiles   for the same pictures as PNG and SVG files
 
     Raises
     ------
@@ -86,7 +89,29 @@ def diagnosis_sections(diagnosis: Diagnosis, runs: Sequence[BeforeAfter]) -> tup
     sections.append(anatomy_section(diagnosis.anatomy, diagnosis.logs[0].name or "log"))
     if pictures[1:]:
         sections.append(Section("logs", "The other logs", tuple(pictures[1:])))
+    sections.append(trace_section([(named(r), run_traces(r, mended)) for r in runs]))
     return tuple(sections)
+
+
+def run_traces(run: BeforeAfter, mended: bool) -> Traces:
+    """Voltages, residuals and current of a log, before and after."""
+    hours = run.log.time_s / 3600.0
+    drawn = drawn_runs(run, mended)
+    voltages = [Line("measured", hours, run.log.voltage_V)]
+    voltages += [Line(name, hours, voltage) for name, voltage, _, _ in drawn]
+    residuals = tuple(Line(name, hours, 1e3 * error) for name, _, error, _ in drawn)
+    current = Line("current", hours, run.log.current_A)
+    panels = (
+        Panel("voltage [V]", tuple(voltages)),
+        Panel("residual [mV]", residuals),
+        Panel("current [A]", (current,)),
+    )
+    return Traces("time [h]", panels)
+
+
+def named(run: BeforeAfter) -> str:
+    """A log's name, and whether the fit has seen it."""
+    return f"{run.log.name or 'log'}{' (held out)' if run.held_out else ''}"
 
 
 def diagnosis_data(diagnosis: Diagnosis, runs: Sequence[BeforeAfter]) -> dict[str, object]:

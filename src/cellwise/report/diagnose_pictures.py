@@ -71,7 +71,7 @@ def draw_before_after(run: BeforeAfter, mended: bool) -> Figure:
     length_s = close_up_s(log.time_s)
     part = worst_window(log.time_s, run.before.error_V, length_s, None, log.known_current_A())
     rows = slice(*part)
-    runs = _drawn(run, mended)
+    runs = drawn_runs(run, mended)
     gaps = log.gap_rows
     top, middle, bottom = left
     top.plot(*thin(t, log.voltage_V, gaps=gaps), color=MEASURED, linewidth=1.6, label="measured")
@@ -99,7 +99,7 @@ def draw_before_after(run: BeforeAfter, mended: bool) -> Figure:
     return figure
 
 
-def _drawn(run: BeforeAfter, mended: bool) -> list[tuple[str, np.ndarray, np.ndarray, str]]:
+def drawn_runs(run: BeforeAfter, mended: bool) -> list[tuple[str, np.ndarray, np.ndarray, str]]:
     """Name, voltage as the sensor would read it, residual and colour of what is drawn."""
     before = ("before" if mended else "simulated", run.before.voltage_V, run.before.error_V, MODEL)
     if not mended:

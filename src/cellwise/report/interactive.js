@@ -1,8 +1,17 @@
 // Plots that zoom: every sample is here, each drawing shows the extremes of every pixel column.
 "use strict";
 (() => {
-  const MISSING = 65535, LEFT = 64, RIGHT = 12, TOP = 8, BOTTOM = 22;
-  const COLOURS = ["--line-1", "--line-2", "--line-3", "--line-4"];
+  const MISSING = 65535, LEFT = 64, RIGHT = 12, HEIGHT = 120, NAMES = 18, BARE = 6, AXIS = 34;
+  const COLOURS = ["--line-1", "--line-3", "--line-4", "--line-2"];
+  // What is measured is grey and what a model says without looking is red, as in the pictures.
+  const KNOWN = { measured: "--measured", reference: "--measured", model: "--line-2",
+    before: "--line-2", simulated: "--line-2" };
+
+  function inks(lines) {
+    const free = COLOURS.filter((c) => !lines.some((line) => KNOWN[line.label] === c));
+    let next = 0;
+    return lines.map((line) => KNOWN[line.label] || free[next++ % free.length]);
+  }
 
   async function inflated(text) {
     const packed = atob(text), bytes = new Uint8Array(packed.length);
@@ -101,15 +110,17 @@
 
     function drawPanel(canvas, panel, style, last) {
       const ratio = window.devicePixelRatio || 1, wide = root.clientWidth;
-      const tall = last ? 166 : 150;
+      const above = panel.lines.length > 1 ? NAMES : BARE, tall = above + HEIGHT + (last ? AXIS : 6);
       canvas.style.height = `${tall}px`;
       canvas.width = Math.round(wide * ratio);
       canvas.height = Math.round(tall * ratio);
+      const colour = (name) => style.getPropertyValue(name).trim();
       const pen = canvas.getContext("2d");
       pen.scale(ratio, ratio);
       pen.font = "11px system-ui, sans-serif";
       const width = Math.max(Math.round(wide - LEFT - RIGHT), 10);
-      const height = 150 - TOP - BOTTOM;
+      const height = HEIGHT, inked = inks(panel.lines).map((name) => colour(name));
+      let along = LEFT + 2;
       const drawn = panel.lines.map((line) => ({
         line,
         seen: columns(plot, line, view[0], view[1], width),
@@ -126,25 +137,27 @@
       const room = 0.06 * (high - low) || 0.05 * Math.abs(high) || 0.5;
       low -= room;
       high += room;
-      const y = (v) => TOP + height * (1 - (v - low) / (high - low));
-      const colour = (name) => style.getPropertyValue(name).trim();
-      axes(pen, panel, colour, { low, high, y, width, height, last });
+      const y = (v) => above + height * (1 - (v - low) / (high - low));
+      axes(pen, panel, colour, { low, high, y, width, height, last, above });
       drawn.forEach(({ line, seen, band }, k) => {
-        const ink = colour(COLOURS[k % COLOURS.length]);
+        const ink = inked[k];
         pen.save();
         pen.beginPath();
-        pen.rect(LEFT, TOP, width, height);
+        pen.rect(LEFT, above, width, height);
         pen.clip();
         if (band) shade(pen, line, seen, band, y, ink);
         trace(pen, line, seen, y, ink);
         pen.restore();
+        if (panel.lines.length < 2) return;
         pen.fillStyle = ink;
-        if (panel.lines.length > 1) pen.fillText(line.label, LEFT + 8 + 110 * k, TOP + 11);
+        pen.fillRect(along, above - 9, 16, 2.5);
+        pen.fillText(line.label, along + 21, above - 4);
+        along += 39 + pen.measureText(line.label).width;
       });
-      if (pointer !== null || grip) mark(pen, colour, height, width);
+      if (pointer !== null || grip) mark(pen, colour, height, width, above);
     }
 
-    function axes(pen, panel, colour, { low, high, y, width, height, last }) {
+    function axes(pen, panel, colour, { low, high, y, width, height, last, above }) {
       pen.strokeStyle = colour("--grid");
       pen.fillStyle = colour("--muted");
       pen.lineWidth = 1;
@@ -155,21 +168,21 @@
         pen.moveTo(LEFT, y(v));
         pen.lineTo(LEFT + width, y(v));
         pen.stroke();
-        pen.fillText(v.toFixed(up.digits), LEFT - 6, y(v) + 4);
+        pen.fillText(v.toFixed(up.digits).replace("-", "\u2212"), LEFT - 6, y(v) + 4);
       }
       pen.textAlign = "center";
       const along = ticks(view[0], view[1], 8);
       for (const t of along.found) {
         const px = LEFT + (width * (t - view[0])) / (view[1] - view[0]);
         pen.beginPath();
-        pen.moveTo(px, TOP);
-        pen.lineTo(px, TOP + height);
+        pen.moveTo(px, above);
+        pen.lineTo(px, above + height);
         pen.stroke();
-        if (last) pen.fillText(t.toFixed(along.digits), px, TOP + height + 15);
+        if (last) pen.fillText(t.toFixed(along.digits), px, above + height + 14);
       }
-      if (last) pen.fillText(plot.xLabel, LEFT + width / 2, TOP + height + 31);
+      if (last) pen.fillText(plot.xLabel, LEFT + width / 2, above + height + 29);
       pen.save();
-      pen.translate(11, TOP + height / 2);
+      pen.translate(11, above + height / 2);
       pen.rotate(-Math.PI / 2);
       pen.fillText(panel.label, 0, 0);
       pen.restore();
@@ -206,17 +219,18 @@
       pen.globalAlpha = 1;
     }
 
-    function mark(pen, colour, height, width) {
+    function mark(pen, colour, height, width, above) {
       const px = (t) => LEFT + (width * (t - view[0])) / (view[1] - view[0]);
       pen.fillStyle = pen.strokeStyle = colour("--muted");
       if (grip) {
         pen.globalAlpha = 0.15;
-        pen.fillRect(px(Math.min(grip, pointer)), TOP, Math.abs(px(grip) - px(pointer)), height);
+        pen.fillRect(px(Math.min(grip, pointer)), above,
+          Math.abs(px(grip) - px(pointer)), height);
         pen.globalAlpha = 1;
       } else {
         pen.beginPath();
-        pen.moveTo(px(pointer), TOP);
-        pen.lineTo(px(pointer), TOP + height);
+        pen.moveTo(px(pointer), above);
+        pen.lineTo(px(pointer), above + height);
         pen.stroke();
       }
     }
@@ -258,6 +272,7 @@
     };
 
     root.addEventListener("wheel", (event) => {
+      if (!(event.ctrlKey || document.activeElement === root)) return;
       event.preventDefault();
       zoom(event.deltaY > 0 ? 1.25 : 0.8, time(event));
     }, { passive: false });

@@ -5,38 +5,71 @@ from __future__ import annotations
 import base64
 import json
 import zlib
-from functools import cache
-from importlib.resources import files
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from cellwise.plotting import Line, Plottable
+from cellwise.cell.simulate import Simulation
+from cellwise.plotting import Line, Panel
 from cellwise.report.markup import Markup, escape, paragraph
+from cellwise.report.numerals import listed
 from cellwise.report.section import Section
 from cellwise.typing import FloatArray
 
 LEVELS = 65_534
 MISSING = 65_535
 UNEVEN = 1e-3  # of a step
-USE = (
-    "Drag to zoom in, turn the wheel to zoom, double-click to see all again; arrow keys, + and - "
-    "work too. Every sample is drawn, however many there are."
-)
+MOST_SAMPLES = 3_000_000
 
 
-def trace_section(results: list[tuple[str, Plottable]], key: str = "trace") -> Section:
-    """A section with one plot that zooms for each result, under its name."""
-    blocks: list[Markup] = [paragraph(USE)]
+class Traces(NamedTuple):
+    """Panels over one time axis, as `Plottable` tells them."""
+
+    x_label: str
+    shown: tuple[Panel, ...]
+
+    def panels(self) -> tuple[str, tuple[Panel, ...]]:
+        """As they were given."""
+        return self.x_label, self.shown
+
+
+class HasPanels(Protocol):
+    """Whatever can say its panels."""
+
+    def panels(self) -> tuple[str, tuple[Panel, ...]]:
+        """Name of the common x axis with its unit, and the panels from top to bottom."""
+
+
+def simulation_traces(simulation: Simulation) -> Traces:
+    """Voltages, their difference, SOC and the current that made them."""
+    x_label, panels = simulation.panels()
+    hours = panels[0].lines[0].x
+    current = Panel("current [A]", (Line("current", hours, simulation.log.current_A),))
+    return Traces(x_label, (*panels, current))
+
+
+def trace_section(results: Sequence[tuple[str, HasPanels]], key: str = "trace") -> Section:
+    """A section with one plot that zooms for each result, under its name.
+
+    Results beyond three million samples are left out, and that is said.
+    """
+    blocks: list[Markup] = [paragraph("Every sample is here, however many there are.")]
+    samples, left_out = 0, []
     for k, (name, result) in enumerate(results):
+        samples += result.panels()[1][0].lines[0].x.size
+        if samples > MOST_SAMPLES and k:
+            left_out.append(name)
+            continue
         blocks.append(Markup(f"<h3>{escape(name)}</h3>"))
         blocks.append(trace(result, f"{key}-{k + 1}"))
-    blocks.append(Markup(f"<script>{script()}</script>"))
+    if left_out:
+        blocks.append(paragraph(f"Left out, for the page's size: {listed(left_out)}."))
     return Section(key, "Every sample", tuple(blocks))
 
 
-def trace(result: Plottable, key: str) -> Markup:
-    """A plot that zooms; it needs `script` once on its page.
+def trace(result: HasPanels, key: str) -> Markup:
+    """A plot that zooms; `scripts_for` gives its page the program.
 
     Values are kept in 65,534 steps between the lowest and the highest: finer than a screen shows.
     """
@@ -56,13 +89,6 @@ def trace(result: Plottable, key: str) -> Markup:
         f'<div class="trace" id="{escape(key)}" data-source="{escape(key)}-data"></div>\n'
         f'<script type="application/vnd.cellwise.trace" id="{escape(key)}-data">{text}</script>'
     )
-
-
-@cache
-def script() -> str:
-    """What draws the plots."""
-    text = (files("cellwise.report") / "interactive.js").read_text(encoding="utf-8")
-    return text.replace("</", "<\\/")
 
 
 def _axis(x: FloatArray) -> dict[str, Any]:

@@ -18,6 +18,11 @@ class Markup(str):
 
 
 EMPTY = Markup("")
+MANY_COLUMNS = 9
+USE = (
+    "Plots zoom: drag over the part to see, or click a plot and turn the wheel; arrow keys, + and "
+    "− move; a double click shows all."
+)
 
 
 def escape(text: object) -> Markup:
@@ -56,12 +61,13 @@ def table(
         )
 
     mark = ' class="marked"'
+    many = ' class="many"' if len(head) > MANY_COLUMNS else ""
     body = "".join(
         f"<tr{mark if k == marked else ''}>{cells(row, 'td')}</tr>\n" for k, row in enumerate(rows)
     )
     said = paragraph(caption, "said") if caption else ""
     return Markup(
-        f'{said}<div class="scroll"><table><thead><tr>{cells(head, "th")}</tr></thead>\n'
+        f'{said}<div class="scroll"><table{many}><thead><tr>{cells(head, "th")}</tr></thead>\n'
         f"<tbody>\n{body}</tbody></table></div>"
     )
 
@@ -99,6 +105,7 @@ def page(
     *,
     lead: Markup = EMPTY,
     title: str = "",
+    scripts: Sequence[Markup] = (),
 ) -> str:
     """A whole page, nothing outside it needed.
 
@@ -110,6 +117,7 @@ def page(
     data : mapping      the figures for machines, see :func:`data_block`
     lead : Markup       between the finding and the sections
     title : str         of the window
+    scripts : of Markup    programs that run when the page is there
     """
     links = "".join(
         f'<a href="#{escape(key)}">{escape(short)}</a>'
@@ -117,6 +125,8 @@ def page(
         if inside
     )
     parts = "\n".join(section(key, name, inside) for key, name, _, inside in sections if inside)
+    use = paragraph(USE, "about") if scripts else EMPTY
+    programs = "\n".join(f"<script>{program}</script>" for program in scripts)
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>
@@ -133,12 +143,14 @@ def page(
 <p class="about">{escape(about)}</p>
 {lead}
 <nav aria-label="Contents">{links}</nav>
+{use}
 </header>
 {parts}
 <footer>Written by cellwise. Nothing on this page is loaded from elsewhere; the figures for
 machines are in the block <code>cellwise-data</code> of its source.</footer>
 </main>
 {data_block(data)}
+{programs}
 </body>
 </html>
 """

@@ -13,7 +13,7 @@ from cellwise.identify.identification import Identification
 from cellwise.report.capacity_section import capacity_content, capacity_picture
 from cellwise.report.findings import identify_finding, replay_finding, simulation_finding
 from cellwise.report.flight_section import flight_finding, flight_section
-from cellwise.report.interactive import trace_section
+from cellwise.report.interactive import HasPanels, simulation_traces, trace_section
 from cellwise.report.markup import Markup, bullets, paragraph, tiles
 from cellwise.report.numerals import (
     ampere_hours,
@@ -26,16 +26,24 @@ from cellwise.report.numerals import (
 )
 from cellwise.report.ocv_section import ocv_content, ocv_evidence, ocv_picture
 from cellwise.report.parameter_section import parameter_content, parameter_picture
+from cellwise.report.picture import FigureFiles
 from cellwise.report.provenance_section import provenance_content
 from cellwise.report.pulse_section import pulse_content, pulse_picture, pulse_sets
 from cellwise.report.replay_figures import reached, replay_content
 from cellwise.report.replay_section import MOST_DETAILED, replay_pictures
 from cellwise.report.section import Section, write_page
-from cellwise.report.simulation_section import simulation_content, simulation_pictures
+from cellwise.report.simulation_section import (
+    log_name,
+    simulation_content,
+    simulation_pictures,
+)
 
 
 def identify_page(
-    identification: Identification, path: str | Path, *, figures: str | Path | None = None
+    identification: Identification,
+    path: str | Path,
+    *,
+    figures: str | Path | FigureFiles | None = None,
 ) -> Path:
     """Write the page of an identification: OCV, capacity, pulses, tables, fit, provenance.
 
@@ -43,7 +51,7 @@ def identify_page(
     ----------
     identification : Identification
     path : str or Path            of the HTML file; it appears whole or not at all
-    figures : str, Path or None   folder for the same pictures as PNG and SVG files
+    figures : folder or FigureFiles   for the same pictures as PNG and SVG files
 
     Raises
     ------
@@ -66,7 +74,7 @@ def replay_page(
     simulations: Sequence[Simulation] = (),
     *,
     flights: Sequence[Flight] = (),
-    figures: str | Path | None = None,
+    figures: str | Path | FigureFiles | None = None,
 ) -> Path:
     """Write the page of one or more replays, and of simulations beside them.
 
@@ -76,7 +84,7 @@ def replay_page(
     path : str or Path            of the HTML file; it appears whole or not at all
     simulations : of Simulation   of the same or other logs
     flights : of Flight           what is left along them (`cellwise.estimate.flight.forecast`)
-    figures : str, Path or None   folder for the same pictures as PNG and SVG files
+    figures : folder or FigureFiles   for the same pictures as PNG and SVG files
 
     Raises
     ------
@@ -99,7 +107,9 @@ def replay_page(
     sections = replay_sections(replays, simulations)
     if flights:
         sections = (flight_section(flights), *sections)
-    few = [(f"{r.estimator} on {r.log.name or 'log'}", r) for r in replays[:MOST_DETAILED]]
+    few: list[tuple[str, HasPanels]] = [
+        (f"{r.estimator} on {r.log.name or 'log'}", r) for r in replays[:MOST_DETAILED]
+    ]
     logs = {r.log.name: (f"{r.log.name or 'log'} as it was measured", r.log) for r in replays}
     sections = (*sections, trace_section([*few, *logs.values()]))
     data: dict[str, object] = {**replay_data(replays, simulations)}
@@ -150,6 +160,12 @@ def identify_sections(identification: Identification) -> tuple[Section, ...]:
                 simulation_content(identification.simulations),
                 *simulation_pictures(identification.simulations, "fit"),
             ),
+        ),
+        trace_section(
+            [
+                (f"{log_name(s)}, measured and simulated", simulation_traces(s))
+                for s in identification.simulations
+            ]
         ),
         Section(
             "provenance",

@@ -14,12 +14,15 @@ from cellwise.errors import InputError
 from cellwise.files import write_atomically
 from cellwise.report.markup import Markup, escape
 from cellwise.report.style import GRID, INK, MUTED, PAPER, RASTER_DPI, drawing
+from cellwise.report.zooming import axes_attribute, marked, marked_axes, rounded
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # A figure with more points than this is drawn as pixels: its paths would outweigh them.
 VECTOR_POINTS = 6000
+# In a page, where pictures zoom, so many are drawn as paths.
+PAGE_POINTS = 60_000
 SUFFIXES = (".png", ".svg", ".pdf")
 VARIABLES = {INK: "--ink", MUTED: "--muted", GRID: "--grid", PAPER: "--paper"}
 
@@ -32,6 +35,13 @@ class Picture(NamedTuple):
     caption: str
 
 
+class FigureFiles(NamedTuple):
+    """A folder for pictures, and the suffixes of the files that each is written to."""
+
+    folder: Path
+    suffixes: tuple[str, ...] = (".png", ".svg")
+
+
 def figure_png(figure: Figure, dpi: int = RASTER_DPI) -> bytes:
     """A figure as the bytes of a PNG."""
     return _rendered(figure, "png", dpi)
@@ -39,15 +49,19 @@ def figure_png(figure: Figure, dpi: int = RASTER_DPI) -> bytes:
 
 def figure_svg(figure: Figure) -> str:
     """A figure as an SVG document, traces of very many points as pixels within it."""
+    with drawing():
+        _prepare(figure)
+        return _svg(figure)
+
+
+def _svg(figure: Figure) -> str:
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     target = io.StringIO()
-    with drawing():
-        _prepare(figure)
-        figure.set_dpi(RASTER_DPI)
-        # Straight to the canvas: saving would draw everything twice.
-        canvas: Any = FigureCanvasSVG(figure)
-        canvas.print_svg(target, metadata=_no_metadata("svg"))
+    figure.set_dpi(RASTER_DPI)
+    # Straight to the canvas: saving would draw everything twice.
+    canvas: Any = FigureCanvasSVG(figure)
+    canvas.print_svg(target, metadata=_no_metadata("svg"))
     return target.getvalue()
 
 
@@ -92,12 +106,18 @@ def save_figures(
 
 
 def inline(picture: Picture) -> Markup:
-    """The picture as an HTML figure: SVG in the page's own colours, caption below."""
+    """The picture as an HTML figure: SVG in the page's own colours that zooms, caption below."""
     key = f"figure-{safe_key(picture.key)}"
     title = _main_title(picture.figure)
-    svg = _for_page(figure_svg(picture.figure), key, title)
+    with drawing(closely=True):
+        _prepare(picture.figure, PAGE_POINTS)
+        with marked_axes(picture.figure) as told:
+            text = _svg(picture.figure)
+    svg = _for_page(rounded(marked(text)), key, title)
     return Markup(
-        f'<figure id="{key}">\n{svg}\n<figcaption>{escape(picture.caption)}</figcaption>\n</figure>'
+        f'<figure id="{key}" data-axes="{escape(axes_attribute(told))}">\n<div>{svg}'
+        f'<p class="readout"></p></div>\n'
+        f"<figcaption>{escape(picture.caption)}</figcaption>\n</figure>"
     )
 
 
@@ -120,16 +140,17 @@ def _no_metadata(kind: str) -> dict[str, None]:
     return dict.fromkeys(names.get(kind, ()))
 
 
-def rasterise(figure: Figure) -> None:
+def rasterise(figure: Figure, most: int = VECTOR_POINTS) -> None:
     """Turn the traces of a figure into pixels when there are too many points for paths."""
     lines = [(line, np.size(line.get_xdata())) for axes in figure.axes for line in axes.lines]
-    if sum(size for _, size in lines) > VECTOR_POINTS:
-        for line, size in lines:
-            line.set_rasterized(size > VECTOR_POINTS // 10)
+    many = sum(size for _, size in lines) > most
+    for line, size in lines:
+        line.set_rasterized(many and size > VECTOR_POINTS // 10)
+        line.recache(always=True)  # how closely it is drawn is a part of its path
 
 
-def _prepare(figure: Figure) -> None:
-    rasterise(figure)
+def _prepare(figure: Figure, most: int = VECTOR_POINTS) -> None:
+    rasterise(figure, most)
     settle(figure)
 
 

@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 
 from cellwise.files import write_atomically
 from cellwise.report.markup import EMPTY, Markup, page
-from cellwise.report.picture import Picture, inline, save_figures
+from cellwise.report.picture import FigureFiles, Picture, inline, save_figures
+from cellwise.report.scripts import scripts_for
 
 
 class Section(NamedTuple):
@@ -39,16 +40,19 @@ def write_page(
     data: Mapping[str, Any],
     *,
     lead: Markup = EMPTY,
-    figures: str | Path | None = None,
+    figures: str | Path | FigureFiles | None = None,
 ) -> Path:
     """Render a page and write it whole; its pictures too, where a folder for them is given."""
+    parts = [(s.key, s.title, s.short or s.title, rendered(s)) for s in sections]
     text = page(
         finding,
         about,
-        [(s.key, s.title, s.short or s.title, rendered(s)) for s in sections],
+        parts,
         data,
         lead=lead,
+        scripts=scripts_for(inside for *_, inside in parts),
     )
     if figures is not None:
-        save_figures(pictures_of(sections), figures)
+        told = figures if isinstance(figures, FigureFiles) else FigureFiles(Path(figures))
+        save_figures(pictures_of(sections), *told)
     return write_atomically(path, text)

@@ -12,6 +12,7 @@ from cellwise.errors import InputError
 if TYPE_CHECKING:
     # Named so that pages outside this folder can say what they draw on.
     from matplotlib.axes import Axes as Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure as Figure
 
 P = ParamSpec("P")
@@ -92,11 +93,14 @@ RC: Any = {
     "svg.fonttype": "none",
     "svg.hashsalt": "cellwise",
 }
+CLOSELY: Any = {"path.simplify_threshold": 0.02}
 
 
 @contextmanager
-def drawing() -> Iterator[None]:
+def drawing(*, closely: bool = False) -> Iterator[None]:
     """The style while a picture is made or written; nobody else's settings change.
+
+    ``closely`` keeps what is finer than a screen shows, for pictures that zoom.
 
     Raises
     ------
@@ -110,7 +114,7 @@ def drawing() -> Iterator[None]:
             "the extra 'report'",
             "Install it: pip install 'cellwise[report]'",
         ) from error
-    with matplotlib.rc_context(RC):
+    with matplotlib.rc_context(RC | CLOSELY if closely else RC):
         yield
 
 
@@ -197,6 +201,20 @@ def legend(axes: Axes, *, columns: int = 1, place: str = "best") -> None:
 def zero_line(axes: Axes) -> None:
     """A quiet line at zero."""
     axes.axhline(0.0, color=MUTED, linewidth=0.7, zorder=1.5)
+
+
+def plain_numbers(axis: Axis) -> None:
+    """Numbers of a logarithmic axis written out: decades, and parts of them where it spans few."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    low, high = axis.get_data_interval()
+    span = high / low if low > 0.0 else 1e9
+    parts = (
+        (1.0, 1.5, 2.0, 3.0, 5.0, 7.0) if span < 10 else (1.0, 2.0, 5.0) if span < 100 else (1.0,)
+    )
+    axis.set_major_locator(LogLocator(subs=parts, numticks=12))
+    axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:,.10g}".replace(",", " ")))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def soc_axis(axes: Axes, label: bool = True) -> None:

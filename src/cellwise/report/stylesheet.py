@@ -6,11 +6,13 @@ STYLESHEET = """
 :root { color-scheme: light dark;
   --paper: #fefefe; --back: #f3f4f6; --ink: #1f2329; --muted: #57606b; --grid: #dfe3e8;
   --line: #d3d8de; --accent: #0b67a3; --mark: #e5f1fa; --warn: #b35900;
-  --line-1: #0b67a3; --line-2: #c8501a; --line-3: #1a7f4b; --line-4: #7a4fb5; }
+  --line-1: #0b67a3; --line-2: #c8501a; --line-3: #1a7f4b; --line-4: #7a4fb5;
+  --measured: #77818d; }
 @media (prefers-color-scheme: dark) { :root {
   --paper: #1b1f25; --back: #12151a; --ink: #e9ecf0; --muted: #a3acb7; --grid: #323943;
   --line: #363d47; --accent: #6cb8ea; --mark: #1c3447; --warn: #f0a85a;
-  --line-1: #6cb8ea; --line-2: #f0935a; --line-3: #62c893; --line-4: #b79bea; } }
+  --line-1: #6cb8ea; --line-2: #f0935a; --line-3: #62c893; --line-4: #b79bea;
+  --measured: #9aa4b0; } }
 * { box-sizing: border-box; }
 html { scroll-behavior: smooth; }
 body { margin: 0; background: var(--back); color: var(--ink);
@@ -47,13 +49,23 @@ table { border-collapse: collapse; font-size: .88rem; font-variant-numeric: tabu
 th, td { padding: 4px 14px 4px 0; text-align: left; vertical-align: baseline;
   border-bottom: 1px solid var(--grid); }
 th { font-weight: 600; white-space: nowrap; border-bottom-color: var(--muted); }
+.many th { white-space: normal; vertical-align: bottom; }
+.many th, .many td { padding-right: 10px; }
 .n { text-align: right; white-space: nowrap; }
 tr.marked td { background: var(--mark); font-weight: 600; }
 .notices { border-left: 3px solid var(--warn); padding: .1rem 0 .1rem 1.6rem; margin: .6rem 0; }
 div.trace { touch-action: pan-y; user-select: none; cursor: crosshair; outline-offset: 4px; }
-div.trace canvas { display: block; width: 100%; }
+div.trace canvas { display: block; width: 100%; margin-bottom: 2px; }
 .readout { color: var(--muted); font-size: .82rem; font-variant-numeric: tabular-nums;
-  min-height: 2.6em; max-width: none; }
+  min-height: 1.3em; margin: .2rem 0 1.2rem; max-width: none; }
+figure[data-axes] svg { touch-action: pan-y; user-select: none; }
+figure[data-axes] svg [data-plot] { cursor: crosshair; }
+figure[data-axes] svg:focus { outline: 1px solid var(--line); outline-offset: 4px; }
+figure svg .grid { stroke: var(--grid); stroke-width: .7; }
+figure svg .tick { fill: var(--muted); font: 8.5px "DejaVu Sans", Verdana, sans-serif; }
+figure svg .grip { fill: var(--muted); opacity: .18; }
+figure div { position: relative; }
+figure .readout { position: absolute; right: 0; bottom: 0; margin: 0; min-height: 0; }
 details { margin: .7rem 0; } summary { cursor: pointer; color: var(--accent); }
 footer { color: var(--muted); font-size: .85rem; padding: 0 2px; }
 @media (max-width: 700px) { main { padding: 16px 10px; } section { padding: 14px 12px; }

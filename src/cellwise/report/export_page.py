@@ -1,0 +1,273 @@
+"""The page of an export: what the filter costs on the target, and what it loses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cellwise.report.interactive import HasPanels, trace_section
+from cellwise.report.markup import Markup, bullets, paragraph, table, tiles
+from cellwise.report.numerals import counted, listed, plural, significant
+from cellwise.report.picture import FigureFiles, Picture
+from cellwise.report.section import Section, write_page
+from cellwise.report.style import (
+    FILTER,
+    MODEL,
+    MUTED,
+    finding,
+    labels,
+    legend,
+    new_figure,
+    plain_numbers,
+    styled,
+)
+
+if TYPE_CHECKING:
+    from cellwise.report.style import Figure
+
+Row = Mapping[str, Any]
+COSTS = {
+    "text_bytes": "code [B]",
+    "model_bytes": "tables [B]",
+    "ram_bytes": "static RAM [B]",
+    "state_bytes": "state per cell [B]",
+    "stack_bytes": "stack [B]",
+    "instructions_mean": "instructions a step",
+    "instructions_most": "most on the log",
+    "instructions_stress": "under every fault",
+    "instructions_anew": "SOC looked for anew",
+}
+COST_CAPTION = (
+    "Instructions of one step, mean and most, over samples of a drive in an emulator (QEMU counts "
+    "instructions, not cycles; the scale is logarithmic), and the bytes of code and tables."
+)
+GRID_CAPTION = (
+    "Every dot is a number of SOC points: how far SOC is from the float64 EKF of the full model on "
+    "the log, over the bytes of its tables. The ring is what was exported. The ordinate is "
+    "logarithmic."
+)
+
+
+def export_page(
+    told: Mapping[str, Any],
+    path: str | Path,
+    on_log: HasPanels | None = None,
+    *,
+    figures: str | Path | FigureFiles | None = None,
+) -> Path:
+    """Write the page of an export.
+
+    Parameters
+    ----------
+    told : mapping               what `cellwise export --json` prints
+    path : str or Path           of the HTML file; it appears whole or not at all
+    on_log : with panels, None   the exported filter beside the float64 one over a log
+    figures : folder or FigureFiles   for the same pictures as files
+
+    Raises
+    ------
+    InputError        matplotlib is missing; the path cannot be written
+    """
+    return write_page(
+        path,
+        export_finding(told),
+        f"{told['model'] or 'A model'} as C for a step of {told['dt_s']:g} s, by cellwise",
+        export_sections(told, on_log),
+        told,
+        lead=export_tiles(told),
+        figures=figures,
+    )
+
+
+def export_finding(told: Mapping[str, Any]) -> str:
+    """What a step costs and what it loses."""
+    name = told["model"] or "The model"
+    text = f"{name} in C takes {counted(told['model_bytes'])} bytes of tables and "
+    text += f"{told['state_bytes']} bytes per cell"
+    cheapest = _cheapest(told["targets"])
+    if cheapest is not None:
+        text += f", {counted(round(cheapest['instructions_mean']))} instructions a step on "
+        text += cheapest["core"]
+    mine = _exported(told)
+    if mine is not None:
+        text += f"; SOC stays within {_points(mine['soc_max'])} of the float64 EKF's"
+    return text + "."
+
+
+def export_tiles(told: Mapping[str, Any]) -> Markup:
+    """Key figures."""
+    facts: list[tuple[object, object]] = [
+        ("tables in flash", f"{counted(told['model_bytes'])} B"),
+        ("state per cell", f"{told['state_bytes']} B"),
+        ("time step", f"{told['dt_s']:g} s"),
+        ("states", told["states"]),
+    ]
+    cheapest = _cheapest(told["targets"])
+    if cheapest is not None:
+        facts.append((f"code, {cheapest['core']}", f"{counted(cheapest['text_bytes'])} B"))
+        facts.append((f"stack, {cheapest['core']}", f"{counted(cheapest['stack_bytes'])} B"))
+    mine = _exported(told)
+    if mine is not None:
+        facts.append(("SOC RMSE against float64", _points(mine["soc_rmse"])))
+    return tiles(facts)
+
+
+def export_sections(told: Mapping[str, Any], on_log: HasPanels | None) -> list[Section]:
+    """The parts of the page."""
+    targets, accuracy = told["targets"], told["accuracy"]
+    cost: list[Markup | Picture] = (
+        [Picture("export-cost", draw_cost(targets), COST_CAPTION), cost_table(targets)]
+        if targets
+        else [paragraph("No cross compiler was there: code, stack and instructions are unknown.")]
+    )
+    sections = [Section("cost", "Cost on the target", tuple(cost), "Cost")]
+    if accuracy:
+        grid = Picture("export-accuracy", draw_accuracy(told), GRID_CAPTION)
+        sections.append(
+            Section("accuracy", "What is lost", (grid, accuracy_table(told)), "Accuracy")
+        )
+    else:
+        said = paragraph("No log was given (--log), so what single precision loses is not known.")
+        sections.append(Section("accuracy", "What is lost", (said,), "Accuracy"))
+    if on_log is not None:
+        sections.append(trace_section([("exported filter and float64 EKF", on_log)]))
+    sections.append(Section("files", "What was written", (files_content(told),), "Files"))
+    return sections
+
+
+@styled
+def draw_cost(targets: Sequence[Row]) -> Figure:
+    """Instructions and flash of every core."""
+    figure = new_figure(2.9)
+    left, right = figure.subplots(1, 2)
+    place = np.arange(len(targets))
+    names = [c["core"] for c in targets]
+    cheapest = _cheapest(targets)
+    if cheapest is not None:
+        mean = [c["instructions_mean"] or 0.0 for c in targets]
+        most = [c["instructions_most"] or 0.0 for c in targets]
+        left.bar(place - 0.2, mean, 0.38, color=FILTER, label="mean")
+        left.bar(place + 0.2, most, 0.38, color=MODEL, label="most on the log")
+        left.set_yscale("log")
+        left.set_ylim(bottom=0.3 * min(v for v in mean if v > 0.0))
+        plain_numbers(left.yaxis)
+        legend(left)
+        said = f"{counted(round(cheapest['instructions_mean']))} instructions on {cheapest['core']}"
+        finding(left, said, 0.42)
+    code = np.array([c["text_bytes"] for c in targets])
+    tables = np.array([c["model_bytes"] for c in targets])
+    right.bar(place, code, 0.6, color=FILTER, label="code")
+    right.bar(place, tables, 0.6, bottom=code, color=MUTED, label="tables")
+    legend(right)
+    finding(right, f"{counted(int((code + tables).max()))} bytes of flash at most", 0.42)
+    for axes, label in ((left, "instructions [1 per step]"), (right, "flash [B]")):
+        axes.set_xticks(place, names)
+        axes.grid(axis="x", visible=False)
+        labels(axes, "core [name]", label)
+    return figure
+
+
+@styled
+def draw_accuracy(told: Mapping[str, Any]) -> Figure:
+    """SOC lost over the bytes of the tables."""
+    figure = new_figure(3.2)
+    axes = figure.subplots()
+    rows = sorted(told["accuracy"], key=lambda a: a["flash_bytes"])
+    size = [a["flash_bytes"] for a in rows]
+    for key, colour, name in (("soc_max", MODEL, "largest"), ("soc_rmse", FILTER, "RMSE")):
+        values = [max(100.0 * a[key], 1e-6) for a in rows]
+        axes.plot(size, values, "o-", color=colour, linewidth=1.0, markersize=4, label=name)
+    for a in rows:
+        axes.annotate(
+            f"{a['points']}",
+            (a["flash_bytes"], max(100.0 * a["soc_max"], 1e-6)),
+            (0, 5),
+            textcoords="offset points",
+            ha="center",
+            fontsize=7,
+            color=MUTED,
+        )
+    mine = _exported(told)
+    if mine is not None:
+        spot = ([mine["flash_bytes"]], [max(100.0 * mine["soc_rmse"], 1e-6)])
+        axes.plot(*spot, "o", markersize=11, markerfacecolor="none", color=MUTED, label="exported")
+        finding(
+            axes,
+            f"{mine['points']} SOC points: {_points(mine['soc_rmse'])} RMSE, "
+            f"{_points(mine['soc_max'])} at most",
+        )
+    axes.set_yscale("log")
+    plain_numbers(axes.yaxis)
+    axes.margins(y=0.15)
+    legend(axes)
+    labels(axes, "tables in flash [B]", "SOC against float64 [points]")
+    return figure
+
+
+def cost_table(targets: Sequence[Row]) -> Markup:
+    """All costs of every core."""
+
+    def shown(value: float | None) -> str:
+        return "" if value is None else counted(round(value))
+
+    rows = [
+        (
+            c["core"],
+            *(shown(c.get(key)) for key in COSTS),
+        )
+        for c in targets
+    ]
+    return table(("core", *COSTS.values()), rows)
+
+
+def accuracy_table(told: Mapping[str, Any]) -> Markup:
+    """SOC lost by number of points, what was exported marked."""
+    mine = _exported(told)
+    rows = [
+        (
+            a["points"],
+            counted(a["flash_bytes"]),
+            f"{100 * a['soc_rmse']:.4f}",
+            f"{100 * a['soc_max']:.4f}",
+        )
+        for a in told["accuracy"]
+    ]
+    chosen = None if mine is None else list(told["accuracy"]).index(mine)
+    head = ("SOC points", "tables [B]", "RMSE [points]", "largest [points]")
+    said = "SOC of the exported filter minus that of the float64 EKF on the same samples."
+    return table(head, rows, caption=said, marked=chosen)
+
+
+def files_content(told: Mapping[str, Any]) -> Markup:
+    """Files, options, and the model they are of."""
+    options = told["options"]
+    on = [k for k, v in options.items() if v and k not in ("points", "temperatures")]
+    said = [
+        f"{plural(len(told['files']), 'file')}: {listed(list(told['files']))}.",
+        f"Tables of {plural(options['points'], 'SOC point')} and "
+        f"{plural(options['temperatures'], 'temperature')}.",
+        f"Compiled in: {listed(on) or 'nothing beyond the plain model'}.",
+        f"A sample is {told['input_bytes']} bytes, an answer {told['output_bytes']}.",
+        f"SHA-256 of the model: {told['model_sha256']}.",
+    ]
+    return bullets(said)
+
+
+def _cheapest(targets: Sequence[Row]) -> Row | None:
+    """The core that takes the fewest instructions; None where none was counted."""
+    known = [c for c in targets if c["instructions_mean"] is not None]
+    return min(known, key=lambda c: float(c["instructions_mean"]), default=None)
+
+
+def _points(share: float) -> str:
+    """A small SOC error in points, two digits."""
+    return f"{significant(100.0 * share, 2)} points"
+
+
+def _exported(told: Mapping[str, Any]) -> Row | None:
+    """The row of the accuracy that is of what was exported."""
+    points = told["options"]["points"]
+    return next((a for a in told["accuracy"] if a["points"] == points), None)
