@@ -1,4 +1,7 @@
-"""The filter is as wrong as it says: data drawn with the very noise that it assumes."""
+"""The filter is as wrong as it says: data drawn with the very noise that it assumes.
+
+No error of the data stays for good, so the filter is told of none (``test_lasting_error.py``).
+"""
 
 from __future__ import annotations
 
@@ -79,8 +82,12 @@ def replayed(model, noise, rows, dt, soc0=0.5, soc0_std=0.05, seed=1):
 
 
 WHITE = Noise(
-    current_A=0.05, soc_per_sqrt_h=0.02, voltage_V=0.005, slow_s=0.0, gate=1e9, mismatch_cap=0.0
-)
+    current_A=0.05, soc_per_sqrt_h=0.02, voltage_V=0.005, slow_s=0.0, gate=1e9, mismatch_cap=0.0,
+    lasting_share=0.0,
+)  # fmt: skip
+
+
+MINUTES = Noise(current_A=0.01, soc_per_sqrt_h=0.005, slow_s=300.0, lasting_share=0.0)
 
 
 @pytest.mark.parametrize(
@@ -115,7 +122,7 @@ def test_with_a_model_error_that_lasts_for_minutes(cell, dt, least):
     lost. A filter that forgot the duration covers less than 70 % (below).
     """
     model = replace(cell(), error=ModelError(slow_V=(0.010,)))
-    noise = Noise(current_A=0.01, soc_per_sqrt_h=0.005, slow_s=300.0, gate=1e9, mismatch_cap=0.0)
+    noise = replace(MINUTES, gate=1e9, mismatch_cap=0.0)
     rows = int(10_000 / dt)
     error, std, nis = replayed(model, noise, rows, dt, soc0_std=0.1)
     looks = slice(rows // 10, None, rows // 10)
@@ -131,7 +138,7 @@ def test_a_start_that_is_20_points_unsure_is_not_overtrusted_after_one_voltage()
     a few points of coverage in the first minutes.
     """
     model = replace(curved_cell(), error=ModelError(slow_V=(0.010,)))
-    noise = Noise(current_A=0.01, soc_per_sqrt_h=0.005, slow_s=300.0)
+    noise = MINUTES
     error, std, _ = replayed(model, noise, 1000, 10.0, soc0_std=0.2, seed=5)
     for rows, least in ((slice(0, 20), 0.89), (slice(200, None, 100), 0.92)):
         assert np.mean(np.abs(error[rows]) <= 2 * std[rows]) >= least
@@ -141,7 +148,7 @@ def test_a_start_that_is_20_points_unsure_is_not_overtrusted_after_one_voltage()
 def test_taking_every_sample_for_new_evidence_would_not_cover():
     """The same data to a filter that believes in independent samples: the check can fail."""
     model = curved_cell()
-    told = Noise(current_A=0.01, soc_per_sqrt_h=0.005, slow_s=300.0, gate=1e9, mismatch_cap=0.0)
+    told = replace(MINUTES, gate=1e9, mismatch_cap=0.0)
     rng = np.random.default_rng(2)
     truth, current, voltage = draw(model, told, 4000, 1.0, 0.5, 0.1, rng)
     naive = Ekf(model, replace(told, slow_s=0.0))

@@ -32,7 +32,11 @@ from cellwise.estimate.ukf import SigmaPoints, Ukf
 from cellwise.logs.cell_log import CellLog
 from example_cells import EFFECTS, curved_cell, linear_cell, random_log, random_model
 
-POINTS = (SigmaPoints(), SigmaPoints(1.0, 2.0, 0.0), SigmaPoints(0.3, 2.0, -1.0))
+# Every point with the resistances of its own SOC, as filterpy's.
+POINTS = tuple(
+    SigmaPoints(*shape, resistances_from=0.0)
+    for shape in ((1.0, 0.0, -2.0), (1.0, 2.0, 0.0), (0.3, 2.0, -1.0))
+)
 FIGURES = ("soc", "soc_std", "voltage_V", "innovation_V", "innovation_variance_V2")
 
 
@@ -42,7 +46,9 @@ def test_three_points_are_all_eleven(seed, points):
     """Mean, deviation, prediction and its variance, from a start 10 points wide, off the knots."""
     rng = np.random.default_rng(20 + seed)
     model = random_model(rng, temperatures=1 + seed)
-    noise = Noise(current_A=0.02, gate=OPEN_GATE, mismatch_cap=0.0, gap_soc=0.002)
+    noise = Noise(
+        current_A=0.02, gate=OPEN_GATE, mismatch_cap=0.0, gap_soc=0.002, lasting_share=0.0
+    )
     log = difficult_log(rng, model, rows=320)
     ours = Ukf(model, noise, points).run(log, 0.503, 0.1)
     theirs = FilterpyUkf(model, noise, points).run(log, 0.503, 0.1)
@@ -65,12 +71,12 @@ def test_three_points_are_all_eleven(seed, points):
 def test_it_agrees_with_filterpy_whatever_the_effects(effects):
     model = curved_cell(effects=effects)
     rng = np.random.default_rng(4)
-    noise = Noise(gate=OPEN_GATE, mismatch_cap=0.0)
+    noise = Noise(gate=OPEN_GATE, mismatch_cap=0.0, lasting_share=0.0)
     log = random_log(rng, 250, temperature_C=(0.0, 40.0))
     log = replace(
         log, voltage_V=simulate(model, log, 0.8).voltage_V + 0.003 * rng.standard_normal(250)
     )
-    ours, theirs = (f.run(log, 0.603, 0.15) for f in (Ukf(model, noise), FilterpyUkf(model, noise)))
+    ours, theirs = (f(model, noise, POINTS[0]).run(log, 0.603, 0.15) for f in (Ukf, FilterpyUkf))
     for name in FIGURES:
         np.testing.assert_allclose(
             getattr(ours, name), getattr(theirs, name), rtol=1e-7, atol=1e-9, err_msg=name
@@ -121,6 +127,18 @@ def test_on_a_linear_cell_it_is_the_ekf():
     a, b = (f.run(log, 0.5, 0.1) for f in (Ekf(model), Ukf(model)))
     for name in FIGURES:
         np.testing.assert_allclose(getattr(a, name), getattr(b, name), rtol=1e-7, atol=1e-10)
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_resistances_that_change_with_soc_vouch_for_it_only_if_asked(held):
+    """On a straight OCV what is left between EKF and UKF are the resistances' slopes."""
+    model = linear_cell()
+    model = replace(model, r0_ohm=model.r0_ohm * np.linspace(3.0, 1.0, model.r0_ohm.shape[1]))
+    log = kalman_log(model)
+    points = SigmaPoints(resistances_from=0.02 if held else 0.0)
+    ekf, ukf = Ekf(model).run(log, 0.6, 0.01), Ukf(model, points=points).run(log, 0.6, 0.01)
+    apart = float(np.max(np.abs(ekf.soc - ukf.soc)))
+    assert apart < 1e-9 if held else apart > 1e-4
 
 
 def test_one_step_at_a_time_is_the_compiled_loop():
@@ -186,7 +204,14 @@ def test_faults_mean_the_same_as_in_the_ekf():
 
 
 @pytest.mark.parametrize(
-    "changes", [{"alpha": 0.0}, {"kappa": -5.0}, {"beta": np.nan}, {"alpha": -1.0}]
+    "changes",
+    [
+        {"alpha": 0.0},
+        {"kappa": -5.0},
+        {"beta": np.nan},
+        {"alpha": -1.0},
+        {"resistances_from": -0.1},
+    ],
 )
 def test_sigma_points_that_make_no_sense_are_refused(changes):
     with pytest.raises(InputError):

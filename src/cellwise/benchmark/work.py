@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 import zlib
 from functools import lru_cache
 from pathlib import Path
@@ -20,11 +21,15 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import read_model, write_model
 from cellwise.errors import InputError
 from cellwise.estimate.noise import Noise
-from cellwise.estimate.replay import Estimator, make_estimator, replay
+from cellwise.estimate.replay import Estimator, Replay, make_estimator, replay
 from cellwise.files import write_atomically
+from cellwise.logs.cell_log import CellLog
 
 SEED = 20240725
 KEPT_LOGS = 4
+# A replay that takes less is clocked again: its first touch of the memory is not its step.
+SHORT_S = 0.1
+CLOCKED = 3
 
 
 class Place(NamedTuple):
@@ -129,7 +134,21 @@ def _judge(
     if lost:
         return {"problem": f"no SOC in {lost} of {len(log)} rows"}, error_curve(found, judged.truth)
     figures = figures_of(found, judged.truth)
+    if run.fault.name == NONE:
+        figures["ns_per_step"] = _best_ns(found, log, estimator, suite.soc0_std)
     return {**figures, "state_bytes": state_bytes(estimator)}, error_curve(found, judged.truth)
+
+
+def _best_ns(found: Replay, log: CellLog, estimator: Estimator, soc0_std: float) -> float:
+    """Nanoseconds per step, the best of a few replays where one is short."""
+    best = found.ns_per_step
+    for _ in range(CLOCKED):
+        if best * len(log) > 1e9 * SHORT_S:
+            break
+        began = time.perf_counter()
+        estimator.run(log, found.start.soc, soc0_std)
+        best = min(best, 1e9 * (time.perf_counter() - began) / len(log))
+    return best
 
 
 def _estimator(suite: Suite, name: str, model: CellModel, noise: Noise | None) -> Estimator:

@@ -11,6 +11,7 @@ import numpy as np
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.estimate import adaptive_kernels as kernel
+from cellwise.estimate.adaptive_mixture_kernels import told_deviation
 from cellwise.estimate.adaptive_settings import AdaptiveSettings
 from cellwise.estimate.adaptive_state_kernels import (
     FAST,
@@ -154,7 +155,7 @@ class Adaptive:
         capacity, capacity_std, gain, gain_std = self._charge(charge, charge_std)
         return after, AdaptiveInfo(
             soc=min(max(told.soc, 0.0), 1.0),
-            soc_std=math.sqrt(max(told.soc_variance, 0.0)),
+            soc_std=told_deviation(told, after.memory),
             voltage_V=step.voltage_V,
             innovation_V=step.innovation_V,
             innovation_variance_V2=step.innovation_variance_V2,

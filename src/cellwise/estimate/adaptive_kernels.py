@@ -22,69 +22,53 @@ from typing import NamedTuple
 from numba import njit
 
 from cellwise.cell.kernels import (
-    CellPoint,
     CellScalars,
     heat_step,
-    hysteresis_decay,
     look_up,
     under_load,
 )
-from cellwise.estimate.adaptive_mixture_kernels import Mixture, mix
+from cellwise.estimate.adaptive_mixture_kernels import Mixture, mixture, told_deviation
+from cellwise.estimate.adaptive_predict_kernels import predict
 from cellwise.estimate.adaptive_state_kernels import (
-    BB,
-    BQ,
     FAST,
     FAST_VAR,
     HEAT_K,
+    LASTING,
     MISMATCH,
     P11,
     P22,
     P33,
-    QQ,
     REJECTIONS,
-    REST_A,
-    REST_S,
-    SB,
     SOC,
-    SQ,
     SS,
-    STATES,
     TAIL,
     TAIL_VAR,
     V1,
     V2,
     V3,
-    VARIANCE_FLOOR,
     AdaptiveScalars,
-    B,
     H,
-    Q,
-    adaptive_start,
     correct,
     flatten,
     keep_watch,
-    lean,
     observe,
     settled_variance,
-    spread,
     watch_of,
 )
-from cellwise.estimate.adaptive_watch_kernels import watch_resistance, watch_rest
+from cellwise.estimate.adaptive_watch_kernels import use_rest, watch_resistance
 from cellwise.estimate.ekf_kernels import (
     SLOPE_FLOOR_V,
     SMALL_MOVE,
-    WIDE_VARIANCE,
 )
 from cellwise.estimate.evidence_kernels import FORGIVEN, UNDER_LOAD_COUNT
 from cellwise.estimate.filter_state import EkfStart
-from cellwise.estimate.measurement_kernels import start_branch, voltage_variance, wide_slopes
+from cellwise.estimate.measurement_kernels import lasting_step, voltage_variance, wide_slopes
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.recovery_kernels import RECOVERY_RATE, RECOVERY_VARIANCE
 from cellwise.estimate.sample_kernels import (
     NO_VOLTAGE_YET,
     NOT_BEGUN,
     REST_RATE,
-    Sample,
     read_sample,
     repeated_evidence,
     watch_on,
@@ -95,7 +79,6 @@ from cellwise.estimate.status import (
     CURRENT_INVALID,
     GATE_RECOVERY,
     INNOVATION_REJECTED,
-    STATE_RESET,
     VOLTAGE_FROZEN,
     VOLTAGE_INVALID,
 )
@@ -128,135 +111,6 @@ class AdaptiveStep(NamedTuple):
     held_offset: int
     held_resistance: int
     held_charge: int
-
-
-class Predicted(NamedTuple):
-    """What the prediction hands to the update; slope and bend are chords while SOC is far off."""
-
-    point: CellPoint
-    load_A: float
-    warm_C: float
-    slope_V: float
-    bend_V: float
-    wide: bool
-    status: int
-
-
-@njit(cache=True, error_model="numpy", inline="always")
-def begin_branches(
-    cell: CellScalars, point: CellPoint, current_A: float, x: FloatArray, p: FloatArray
-) -> None:
-    """What the branches may hold at the first sample."""
-    x[V1], p[P11] = start_branch(cell, point.r1_ohm, current_A)
-    x[V2], p[P22] = start_branch(cell, point.r2_ohm, current_A)
-    x[V3], p[P33] = start_branch(cell, point.r3_ohm, current_A)
-
-
-@njit(cache=True, error_model="numpy", inline="always")
-def predict(
-    table: FloatArray,
-    grid: FloatArray,
-    cell: CellScalars,
-    noise: NoiseScalars,
-    learn: AdaptiveScalars,
-    anew: EkfStart,
-    x: FloatArray,
-    p: FloatArray,
-    memory: FloatArray,
-    s: Sample,
-    begins: bool,
-    dt_s: float,
-    gap: bool,
-) -> Predicted:
-    """Over the interval that ends now: the state with the tables at the new SOC, then P."""
-    status = 0
-    counts = 0.0 if gap or s.lost_A > 0.0 else 1.0  # whether what flowed is known
-    load = s.seen_A - x[B]
-    flow = counts * (s.flow_A - x[B])
-    gs = dt_s / cell.charge_As * (1.0 if flow > 0.0 else cell.charge_efficiency)
-    soc = x[SOC] - x[Q] * gs * flow - cell.leak_A * dt_s / cell.charge_As
-    if not (math.isfinite(soc) and math.isfinite(p[SS])):
-        adaptive_start(anew, learn, s.current_A, x, p, memory)
-        begins = True
-        soc = x[SOC]
-        load = s.seen_A
-        flow = counts * s.flow_A
-        status |= STATE_RESET
-    warm = s.temperature_C + memory[HEAT_K]
-    point = under_load(cell, look_up(table, grid, cell, soc, warm), load)
-    if begins:
-        begin_branches(cell, point, load, x, p)
-    a1 = math.exp(-dt_s / point.tau1_s)
-    a2 = math.exp(-dt_s / point.tau2_s)
-    a3 = math.exp(-dt_s / point.tau3_s) if point.r3_ohm != 0.0 else 1.0
-    ah = hysteresis_decay(cell, flow, dt_s) if cell.hysteresis_rate != 0.0 else 1.0
-    g1 = point.r1_ohm * (1.0 - a1)
-    g2 = point.r2_ohm * (1.0 - a2)
-    g3 = point.r3_ohm * (1.0 - a3)
-    x[SOC] = soc
-    x[V1] = a1 * x[V1] + g1 * flow
-    x[V2] = a2 * x[V2] + g2 * flow
-    x[V3] = a3 * x[V3] + g3 * flow
-    x[H] = ah * x[H] - (1.0 - ah) * math.copysign(1.0, flow)
-
-    spread(p, a1, a2, a3, ah, counts * x[Q] * gs, -gs * flow, counts * g1, counts * g2, counts * g3)
-    if gap:
-        p[SS] += noise.gap_soc * noise.gap_soc
-    if s.lost_A > 0.0:
-        # It may keep one sign for as long as it is away: the deviation grows, not the variance.
-        drift = math.sqrt(p[SS]) + s.lost_A * dt_s / cell.charge_As
-        p[SS] = drift * drift
-    slope = point.ocv_slope_V
-    bend = 0.0
-    wide = p[SS] > WIDE_VARIANCE
-    if wide:
-        w = wide_slopes(table, grid, cell, soc, point, math.sqrt(p[SS]), warm, load)
-        slope = w.voltage_V
-        bend = w.bend_V
-        lean(
-            p, w.r1_ohm * (1.0 - a1) * flow, w.r2_ohm * (1.0 - a2) * flow,
-            w.r3_ohm * (1.0 - a3) * flow,
-        )  # fmt: skip
-    q = noise.current_A * noise.current_A
-    qb = q + s.gap_A2
-    share = noise.branch_share * flow
-    share = share * share + s.lost_A * s.lost_A
-    p[SS] += q * gs * gs + noise.soc_per_sqrt_s * noise.soc_per_sqrt_s * dt_s
-    p[P11] += qb * g1 * g1 + share * point.r1_ohm * point.r1_ohm * (1.0 - a1 * a1)
-    p[P22] += qb * g2 * g2 + share * point.r2_ohm * point.r2_ohm * (1.0 - a2 * a2)
-    p[P33] += qb * g3 * g3 + share * point.r3_ohm * point.r3_ohm * (1.0 - a3 * a3)
-    p[BB] += learn.offset_walk * dt_s
-    p[QQ] += learn.charge_walk * dt_s
-    # Doubt of the resistances comes back, up to what it was before any data.
-    if memory[FAST_VAR] < learn.resistance_variance:
-        memory[FAST_VAR] += learn.resistance_walk * dt_s
-    if memory[TAIL_VAR] < learn.resistance_variance:
-        memory[TAIL_VAR] += learn.resistance_walk * dt_s
-    return Predicted(point, load, warm, slope, bend, wide, status)
-
-
-@njit(cache=True, error_model="numpy", inline="always")
-def use_rest(
-    learn: AdaptiveScalars,
-    x: FloatArray,
-    p: FloatArray,
-    memory: FloatArray,
-    d: FloatArray,
-    current_A: float,
-    dt_s: float,
-    blind: bool,
-) -> None:
-    """A rest shows the offset by itself: a measurement of b."""
-    if blind:
-        memory[REST_S] = 0.0
-        return
-    if watch_rest(learn, memory, current_A, dt_s) and learn.learn_offset:
-        for i in range(B):
-            d[i] = p[i * STATES + B]
-        d[B] = p[BB]
-        d[Q] = p[BQ]
-        inverse = 1.0 / (d[B] + learn.rest_variance)
-        correct(x, p, d, inverse, memory[REST_A] - x[B], False, not learn.learn_charge)
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -358,6 +212,7 @@ def take_step(
             memory[REJECTIONS] = 0.0
             mismatch = 1.0
             evidence = 0.0
+            memory[LASTING] = 0.0
             missed = innovation / max(slope, SLOPE_FLOOR_V)
             p[SS] += min(missed * missed, RECOVERY_VARIANCE)
             held = RECOVERY_RATE * cell.charge_As / 3600.0
@@ -381,6 +236,10 @@ def take_step(
                 w = wide_slopes(table, grid, cell, there, landed, wander, warm, load)
                 flat = min(min(w.voltage_V, landed.ocv_slope_V), slope)
             flatten(p, d, c, inverse, flat - slope)
+        memory[LASTING] = lasting_step(
+            noise, point.error_V, point.ocv_slope_V, mismatch, d[SOC] * inverse, slope,
+            memory[LASTING],
+        )  # fmt: skip
         correct(x, p, d, inverse, innovation, held_offset != 0, held_charge != 0)
         evidence = max(evidence, 0.0)
     if evidence >= 0.0:
@@ -395,20 +254,6 @@ def take_step(
     return AdaptiveStep(
         predicted, innovation, variance, ratio, status, held_offset, held_resistance, held_charge
     )
-
-
-@njit(cache=True, error_model="numpy", inline="always")
-def mixture(learn: AdaptiveScalars, x: FloatArray, p: FloatArray, memory: FloatArray) -> Mixture:
-    """The hypotheses' common word; a misfit that none of them explains speaks for the model's."""
-    odds = learn.odds
-    if memory[MISMATCH] > 1.0:
-        # A power costs as much as the rest of the mixture.
-        square = memory[MISMATCH] * memory[MISMATCH]
-        odds *= square if learn.doubt == 2.0 else memory[MISMATCH] ** learn.doubt
-    return mix(
-        x[SOC], p[SS], x[B], x[Q] - 1.0, p[SB], p[SQ], p[BB], p[BQ], p[QQ],
-        learn.offset_variance, learn.charge_variance, odds,
-    )  # fmt: skip
 
 
 @njit(cache=True, error_model="numpy")
@@ -468,7 +313,7 @@ def adaptive_rows(
         )  # fmt: skip
         told = mixture(learn, x, p, memory)
         out[OUT_SOC, k] = min(max(told.soc, 0.0), 1.0)
-        out[OUT_STD, k] = math.sqrt(max(told.soc_variance, VARIANCE_FLOOR))
+        out[OUT_STD, k] = told_deviation(told, memory)
         out[OUT_VOLTAGE, k] = info.voltage_V
         out[OUT_INNOVATION, k] = info.innovation_V
         out[OUT_VARIANCE, k] = info.innovation_variance_V2

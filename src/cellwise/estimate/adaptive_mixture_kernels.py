@@ -20,7 +20,23 @@ from typing import NamedTuple
 
 from numba import njit
 
-from cellwise.estimate.adaptive_state_kernels import NEARLY
+from cellwise.estimate.adaptive_state_kernels import (
+    BB,
+    BQ,
+    LASTING,
+    MISMATCH,
+    NEARLY,
+    QQ,
+    SB,
+    SOC,
+    SQ,
+    SS,
+    VARIANCE_FLOOR,
+    AdaptiveScalars,
+    B,
+    Q,
+)
+from cellwise.typing import FloatArray
 
 
 class Mixture(NamedTuple):
@@ -149,3 +165,24 @@ def mix(
         w1 + wq,
         w1 + wb,
     )
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def mixture(learn: AdaptiveScalars, x: FloatArray, p: FloatArray, memory: FloatArray) -> Mixture:
+    """The hypotheses' common word; a misfit that none of them explains speaks for the model's."""
+    odds = learn.odds
+    if memory[MISMATCH] > 1.0:
+        # A power costs as much as the rest of the mixture.
+        square = memory[MISMATCH] * memory[MISMATCH]
+        odds *= square if learn.doubt == 2.0 else memory[MISMATCH] ** learn.doubt
+    return mix(
+        x[SOC], p[SS], x[B], x[Q] - 1.0, p[SB], p[SQ], p[BB], p[BQ], p[QQ],
+        learn.offset_variance, learn.charge_variance, odds,
+    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def told_deviation(told: Mixture, memory: FloatArray) -> float:
+    """Standard deviation of the SOC: the hypotheses', and what an error that stays has brought."""
+    lasting = memory[LASTING]
+    return math.sqrt(max(told.soc_variance, VARIANCE_FLOOR) + lasting * lasting)

@@ -27,13 +27,14 @@ QQ = 48
 
 # What is carried beside x and P: how the model has done, the rest that may be going on, the
 # resistances' two factors and the running means that they are learnt from, the sensors' past
-# (the fields of Watch).
+# (the fields of Watch), what an error of the model that stays has brought into the SOC.
 REJECTIONS, MISMATCH, HEAT_K, REST_S, REST_A, REST_USED = range(6)
 FAST, FAST_VAR, TAIL, TAIL_VAR = range(6, 10)
 DROP, MISS, DROP_MOVES, MISS_MOVES = range(10, 14)
 TAIL_NEAR, TAIL_FAR, MISS_FAR, TAIL_MOVES, FAR_MOVES = range(14, 19)
 WATCH = 19
-MEMORY = 27
+LASTING = 27
+MEMORY = 28
 
 VARIANCE_FLOOR = 1e-12
 CHARGE_LOW, CHARGE_HIGH = 0.5, 2.5

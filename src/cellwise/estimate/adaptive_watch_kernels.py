@@ -5,6 +5,8 @@ from __future__ import annotations
 from numba import njit
 
 from cellwise.estimate.adaptive_state_kernels import (
+    BB,
+    BQ,
     DROP,
     DROP_MOVES,
     FAR_MOVES,
@@ -16,12 +18,16 @@ from cellwise.estimate.adaptive_state_kernels import (
     REST_A,
     REST_S,
     REST_USED,
+    STATES,
     TAIL,
     TAIL_FAR,
     TAIL_MOVES,
     TAIL_NEAR,
     TAIL_VAR,
     AdaptiveScalars,
+    B,
+    Q,
+    correct,
 )
 from cellwise.typing import FloatArray
 
@@ -50,6 +56,30 @@ def watch_rest(learn: AdaptiveScalars, memory: FloatArray, current_A: float, dt_
         memory[REST_USED] = 1.0
         return True
     return False
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def use_rest(
+    learn: AdaptiveScalars,
+    x: FloatArray,
+    p: FloatArray,
+    memory: FloatArray,
+    d: FloatArray,
+    current_A: float,
+    dt_s: float,
+    blind: bool,
+) -> None:
+    """A rest shows the offset by itself: a measurement of b."""
+    if blind:
+        memory[REST_S] = 0.0
+        return
+    if watch_rest(learn, memory, current_A, dt_s) and learn.learn_offset:
+        for i in range(B):
+            d[i] = p[i * STATES + B]
+        d[B] = p[BB]
+        d[Q] = p[BQ]
+        inverse = 1.0 / (d[B] + learn.rest_variance)
+        correct(x, p, d, inverse, memory[REST_A] - x[B], False, not learn.learn_charge)
 
 
 @njit(cache=True, error_model="numpy", inline="always")

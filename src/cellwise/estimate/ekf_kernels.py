@@ -36,6 +36,7 @@ from cellwise.estimate.filter_state import EkfStart as EkfStart
 from cellwise.estimate.measurement_kernels import chord as chord
 from cellwise.estimate.measurement_kernels import (
     flat_slope,
+    lasting_step,
 )
 from cellwise.estimate.measurement_kernels import start_branch as start_branch
 from cellwise.estimate.measurement_kernels import voltage_variance as voltage_variance
@@ -213,6 +214,7 @@ def ekf_step_inline(
     # fmt: on
     status |= seen_as.status
     innovation = seen_as.innovation_V
+    lasting = 0.0 if seen_as.recover else x.lasting
     if seen_as.recover:
         # The gate may have locked the truth out: the SOC is looked for anew.
         # fmt: off
@@ -239,6 +241,11 @@ def ekf_step_inline(
         k3 = d3 * inverse
         kh = dh * inverse
         soc += ks * innovation
+        # fmt: off
+        lasting = lasting_step(
+            noise, point.error_V, point.ocv_slope_V, seen_as.mismatch, ks, slope, lasting
+        )
+        # fmt: on
         v1 += k1 * innovation
         v2 += k2 * innovation
         v3 += k3 * innovation
@@ -303,12 +310,11 @@ def ekf_step_inline(
         p22, p23, p2h,
         p33, p3h,
         phh,
-        heat, seen_as.rejections, seen_as.mismatch, seen_as.watch,
+        heat, seen_as.rejections, seen_as.mismatch, lasting, seen_as.watch,
     )
     # fmt: on
-    return state, EkfInfo(
-        soc, math.sqrt(ss), predicted, innovation, variance, seen_as.ratio, status
-    )
+    std = math.sqrt(ss + lasting * lasting)
+    return state, EkfInfo(soc, std, predicted, innovation, variance, seen_as.ratio, status)
 
 
 @njit(cache=True, error_model="numpy")

@@ -23,7 +23,9 @@ class EkfState(NamedTuple):
     """What must be carried: x, the upper triangle of P, how the model has done, the sensors' past.
 
     ``rejections`` counts voltages rejected in a row, those under load less; ``mismatch`` is the
-    running mean of the squared innovations over the variance that the model alone explains.
+    running mean of the squared innovations over the variance that the model alone explains;
+    ``lasting`` what an error of the model that stays may have brought into the SOC, one standard
+    deviation.
     """
 
     soc: float
@@ -49,6 +51,7 @@ class EkfState(NamedTuple):
     heat_K: float
     rejections: float
     mismatch: float
+    lasting: float
     watch: Watch
 
     @property
@@ -59,7 +62,7 @@ class EkfState(NamedTuple):
     @property
     def soc_std(self) -> float:
         """Standard deviation of the state of charge."""
-        return math.sqrt(self.ss)
+        return math.sqrt(self.ss + self.lasting * self.lasting)
 
 
 class EkfInfo(NamedTuple):
@@ -91,6 +94,6 @@ def ekf_start(start: EkfStart, current_A: float) -> EkfState:
         0.0, 0.0, 0.0,
         0.0, 0.0,
         start.hysteresis_variance,
-        0.0, 0.0, 1.0, first_watch(current_A),
+        0.0, 0.0, 1.0, 0.0, first_watch(current_A),
     )
     # fmt: on

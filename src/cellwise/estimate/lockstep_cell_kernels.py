@@ -14,6 +14,7 @@ from cellwise.estimate.lockstep_layout import (
     FROZEN_A,
     HEAT,
     LANES,
+    LASTING,
     MISMATCH,
     NO_CURRENT,
     NO_VOLTAGE,
@@ -87,7 +88,7 @@ def full_lane(
         block[at + P2H * LANES], block[at + P33 * LANES], block[at + P3H * LANES],
         block[at + PHH * LANES],
         block[at + HEAT * LANES], block[at + REJECTIONS * LANES], block[at + MISMATCH * LANES],
-        watch,
+        block[at + LASTING * LANES], watch,
     )
     x, info = ekf_step(
         table, grid, cell, noise, anew, x, current_A, voltage_V, temperature_C, dt_s, gap
@@ -112,7 +113,7 @@ def put_state(block: FloatArray, lane: int, x: EkfState) -> None:
     values = (
         x.soc, x.v1_V, x.v2_V, x.v3_V, x.h, x.ss, x.s1, x.s2, x.s3, x.sh,
         x.p11, x.p12, x.p13, x.p1h, x.p22, x.p23, x.p2h, x.p33, x.p3h, x.phh,
-        x.heat_K, x.rejections, x.mismatch,
+        x.heat_K, x.rejections, x.mismatch, x.lasting,
         w.current_A, w.temperature_C, w.evidence_s, w.no_current_s, w.no_voltage_s,
         w.voltage_V, w.frozen_A, w.repeats,
     )

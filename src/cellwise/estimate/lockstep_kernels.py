@@ -28,6 +28,7 @@ from cellwise.estimate.lockstep_layout import (
     FIELDS,
     FROZEN_A,
     LANES,
+    LASTING,
     LONG_FROZEN,
     MISMATCH,
     O_INNOVATION,
@@ -201,8 +202,12 @@ def plain_block(
         memory = memory if memory < noise.slow_s else noise.slow_s
         shared = memory * per_dt
         shared = shared if shared > 1.0 else 1.0
-        inverse = 1.0 / (state_variance + one * shared * (mismatch if mismatch > 1.0 else 1.0))
+        worse = mismatch if mismatch > 1.0 else 1.0
+        inverse = 1.0 / (state_variance + one * shared * worse)
         ks = ds * inverse
+        stays = noise.lasting * math.sqrt((error * error + along * along) * worse)
+        lasting = block[LASTING * LANES + lane]
+        lasting = lasting + ks * (stays - slope * lasting)
         k1 = d1 * inverse
         k2 = d2 * inverse
         k3 = d3 * inverse
@@ -247,6 +252,7 @@ def plain_block(
         rejections = rejections if rejections > 0.0 else 0.0
         block[REJECTIONS * LANES + lane] = rejections if plain else block[REJECTIONS * LANES + lane]
         block[MISMATCH * LANES + lane] = mismatch if plain else block[MISMATCH * LANES + lane]
+        block[LASTING * LANES + lane] = lasting if plain else block[LASTING * LANES + lane]
         block[EVIDENCE * LANES + lane] = (
             (evidence + dt_s) if plain else block[EVIDENCE * LANES + lane]
         )
@@ -258,7 +264,7 @@ def plain_block(
         sound = plain & (warm >= COLDEST_C) & (warm <= HOTTEST_C)
         block[WARM * LANES + lane] = warm if sound else block[WARM * LANES + lane]
         out[O_SOC * LANES + lane] = soc
-        out[O_STD * LANES + lane] = math.sqrt(ss)
+        out[O_STD * LANES + lane] = math.sqrt(ss + lasting * lasting)
         out[O_VOLTAGE * LANES + lane] = predicted
         out[O_INNOVATION * LANES + lane] = innovation
         out[O_VARIANCE * LANES + lane] = variance

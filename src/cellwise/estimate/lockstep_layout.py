@@ -7,10 +7,10 @@ LANES = 16  # fewer than sixteen turns are not worth a vector to the compiler
 SOC, V1, V2, V3, H = range(5)
 SS, S1, S2, S3, SH = range(5, 10)
 P11, P12, P13, P1H, P22, P23, P2H, P33, P3H, PHH = range(10, 20)
-HEAT, REJECTIONS, MISMATCH = range(20, 23)
-CURRENT, WARM, EVIDENCE, NO_CURRENT, NO_VOLTAGE, VOLTAGE, FROZEN_A, REPEATS = range(23, 31)
-FACTOR, FACTOR_C = range(31, 33)
-FIELDS = 33
+HEAT, REJECTIONS, MISMATCH, LASTING = range(20, 24)
+CURRENT, WARM, EVIDENCE, NO_CURRENT, NO_VOLTAGE, VOLTAGE, FROZEN_A, REPEATS = range(24, 32)
+FACTOR, FACTOR_C = range(32, 34)
+FIELDS = 34
 # Columns of the table of one time step.
 T_OCV, T_R0, T_A1, T_G1, T_B1, T_A2, T_G2, T_B2, T_ERROR, T_A3, T_G3, T_B3, T_M = range(13)
 PLAIN_COLUMNS = 9  # what a model without third branch and hysteresis needs

@@ -135,6 +135,28 @@ def voltage_variance(
 
 
 @njit(cache=True, error_model="numpy", inline="always")
+def lasting_step(
+    noise: NoiseScalars,
+    error_V: float,
+    ocv_slope_V: float,
+    mismatch: float,
+    gain: float,
+    slope_V: float,
+    lasting: float,
+) -> float:
+    """What an error that stays has brought into the SOC, after an update with a gain of the SOC.
+
+    No further voltage averages such an error out: with every voltage the SOC goes where the
+    error leads, error over slope in the end. Beside P, which takes each memory of the error for
+    new, it makes up the variance that is told (consider covariance; Schmidt 1966, p. 293).
+    """
+    slow = noise.error_scale * error_V
+    scale = noise.ocv_soc * ocv_slope_V
+    error = noise.lasting * math.sqrt((slow * slow + scale * scale) * max(mismatch, 1.0))
+    return lasting + gain * (error - slope_V * lasting)
+
+
+@njit(cache=True, error_model="numpy", inline="always")
 def flat_slope(table: FloatArray) -> float:
     """OCV slope below which the OCV is flat for its kind: a quarter of its mean slope [V]."""
     return FLAT_SHARE * float(table[0, table.shape[1] - 1, OCV] - table[0, 0, OCV])

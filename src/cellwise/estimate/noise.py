@@ -32,6 +32,7 @@ class NoiseScalars(NamedTuple):
     gap_soc: float
     hold_s: float
     frozen_V: float
+    lasting: float
     current_limit_A: float
     voltage_low_V: float
     voltage_high_V: float
@@ -60,6 +61,8 @@ class Noise:
     hold_s : float            a current missing for longer is lost, not held any more
     frozen_V : float          a voltage that repeats itself is frozen when R0 times the change of
                               current exceeds this
+    lasting_share : float     share of the slow error's variance that comes back at the same SOC for
+                              good: it widens the SOC's deviation that is told, never the gain
     current_limit_A, voltage_low_V, voltage_high_V : float
                               readings beyond are the sensor's fault and count as missing
     """
@@ -77,6 +80,7 @@ class Noise:
     gap_soc: float = 0.05
     hold_s: float = 10.0
     frozen_V: float = 0.02
+    lasting_share: float = 0.5
     current_limit_A: float = 1e6
     voltage_low_V: float = -1e6
     voltage_high_V: float = 1e6
@@ -85,6 +89,10 @@ class Noise:
         for name, value in vars(self).items():
             if not np.isfinite(value) or (value < 0 and name != "voltage_low_V"):
                 raise InputError(f"noise {name} = {value}", "a number of at least 0", "Correct it.")
+        if self.lasting_share > 1:
+            raise InputError(
+                f"noise lasting_share = {self.lasting_share}", "a share of at most 1", "Correct it."
+            )
         if self.voltage_V <= 0 or self.gate <= 0:
             raise InputError(
                 f"voltage_V = {self.voltage_V}, gate = {self.gate}",
@@ -123,6 +131,7 @@ class Noise:
             float(self.gap_soc),
             float(self.hold_s),
             float(self.frozen_V),
+            float(np.sqrt(self.lasting_share)),
             float(self.current_limit_A),
             float(self.voltage_low_V),
             float(self.voltage_high_V),

@@ -13,7 +13,7 @@ from cellwise.estimate.filter_state import EkfState
 from cellwise.estimate.sample_kernels import Watch
 from cellwise.files import write_atomically
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 INFINITE = {"inf": math.inf, "-inf": -math.inf}
 MAY_BE_MISSING = {"temperature_C", "voltage_V", "current_A"}  # not measured yet
 

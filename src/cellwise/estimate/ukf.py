@@ -20,7 +20,9 @@ class SigmaPoints:
     """Scaled sigma points of a state of five: spread alpha, prior beta, secondary kappa.
 
     The defaults put the outer points at sqrt(3) standard deviations with the weights of a
-    three-point Gauss-Hermite rule, whatever the number of states.
+    three-point Gauss-Hermite rule, whatever the number of states. While the SOC's standard
+    deviation is below ``resistances_from`` every point has the resistances of the mean, as in the
+    EKF: a resistance that is off must not vouch for the SOC. 0: each has those of its own SOC.
 
     Source: E. Wan, R. van der Merwe, The unscented Kalman filter for nonlinear estimation, 2000,
     10.1109/ASSPCC.2000.882463.
@@ -29,16 +31,18 @@ class SigmaPoints:
     alpha: float = 1.0
     beta: float = 0.0
     kappa: float = 3.0 - STATES
+    resistances_from: float = 0.02
 
     def __post_init__(self) -> None:
         if not (
-            np.all(np.isfinite([self.alpha, self.beta, self.kappa]))
+            np.all(np.isfinite([*vars(self).values()]))
             and self.alpha > 0.0
             and self.kappa > -STATES
+            and self.resistances_from >= 0.0
         ):
             raise InputError(
-                f"sigma points with alpha = {self.alpha}, beta = {self.beta}, kappa = {self.kappa}",
-                f"finite numbers, alpha above 0, kappa above -{STATES}",
+                f"sigma points with {vars(self)}",
+                f"alpha above 0, kappa above -{STATES}, resistances_from at least 0, all finite",
                 "Leave them out, or give e.g. alpha = 1, beta = 0, kappa = -2.",
             )
 
@@ -49,7 +53,8 @@ class SigmaPoints:
         centre = (square - STATES) / square + 1.0 - self.alpha**2 + self.beta
         centre += 2.0 * (STATES - 1) * side  # every point of that SOC
         curve = 2.0 * side * (0.5 - side) ** 2 + centre * side * side
-        return SigmaScalars(float(np.sqrt(square)), float(side), float(curve))
+        wide = float(self.resistances_from) ** 2
+        return SigmaScalars(float(np.sqrt(square)), float(side), float(curve), wide)
 
 
 class Ukf(KalmanFilter):

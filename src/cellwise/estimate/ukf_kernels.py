@@ -42,6 +42,7 @@ from cellwise.estimate.ekf_kernels import (
 from cellwise.estimate.evidence_kernels import weigh
 from cellwise.estimate.filter_state import EkfInfo, EkfStart, EkfState, ekf_start
 from cellwise.estimate.measurement_kernels import (
+    lasting_step,
     start_branch,
     voltage_variance,
 )
@@ -57,18 +58,20 @@ class SigmaScalars(NamedTuple):
 
     ``reach`` is c = sqrt(n + lambda), how many standard deviations out a point lies; ``side`` the
     weight of one outer point, 1 / (2 c^2); ``curve`` what the square of a second difference adds to
-    a covariance.
+    a covariance. While the SOC's variance is below ``wide_variance`` every point has the
+    resistances of the centre.
     """
 
     reach: float
     side: float
     curve: float
+    wide_variance: float
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def point_voltage(point: CellPoint, current_A: float, branches_V: float, h: float) -> float:
+def point_voltage(point: CellPoint, drop_V: float, h: float) -> float:
     """Terminal voltage of one sigma point."""
-    return (point.ocv_V - point.r0_ohm * current_A) - branches_V + point.m_V * h
+    return (point.ocv_V + point.m_V * h) - drop_V
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -129,8 +132,14 @@ def ukf_step_inline(
     l2 = x.s2 / root
     l3 = x.s3 / root
     lh = x.sh / root
-    up = under_load(cell, look_up(table, grid, cell, soc + step, warm), seen)
-    low = under_load(cell, look_up(table, grid, cell, soc - step, warm), seen)
+    # A resistance that is off by a share must not vouch for the SOC: unless the SOC is badly known,
+    # every point has the centre's.
+    wide = ss > sigma.wide_variance
+    up = point
+    low = point
+    if wide:
+        up = under_load(cell, look_up(table, grid, cell, soc + step, warm), seen)
+        low = under_load(cell, look_up(table, grid, cell, soc - step, warm), seen)
     a1 = math.exp(-dt_s / point.tau1_s)
     a2 = math.exp(-dt_s / point.tau2_s)
     a3 = 1.0
@@ -210,9 +219,11 @@ def ukf_step_inline(
     along = c * ((l1 + l2) + l3)
     up = under_load(cell, look_up(table, grid, cell, soc + step, warm), seen)
     low = under_load(cell, look_up(table, grid, cell, soc - step, warm), seen)
-    centre = point_voltage(point, seen, branches, h)
-    above = point_voltage(up, seen, branches + along, h + c * lh)
-    below = point_voltage(low, seen, branches - along, h - c * lh)
+    r_up = up.r0_ohm if wide else point.r0_ohm
+    r_low = low.r0_ohm if wide else point.r0_ohm
+    centre = point_voltage(point, point.r0_ohm * seen + branches, h)
+    above = point_voltage(up, r_up * seen + branches + along, h + c * lh)
+    below = point_voltage(low, r_low * seen + branches - along, h - c * lh)
     dz = (above - below) * per
     ez = (above + below) - 2.0 * centre
     predicted = centre + sigma.side * ez
@@ -244,6 +255,7 @@ def ukf_step_inline(
     # fmt: on
     status |= seen_as.status
     innovation = seen_as.innovation_V
+    lasting = 0.0 if seen_as.recover else x.lasting
     if seen_as.recover:
         # The gate may have locked the truth out: the SOC is looked for anew.
         # fmt: off
@@ -270,6 +282,12 @@ def ukf_step_inline(
         k3 = z3 * inverse
         kh = zh * inverse
         soc += ks * innovation
+        slope = ((up.ocv_V - low.ocv_V) - (r_up - r_low) * seen) / (2.0 * step)
+        # fmt: off
+        lasting = lasting_step(
+            noise, point.error_V, point.ocv_slope_V, seen_as.mismatch, ks, slope, lasting
+        )
+        # fmt: on
         v1 += k1 * innovation
         v2 += k2 * innovation
         v3 += k3 * innovation
@@ -300,12 +318,11 @@ def ukf_step_inline(
         p22, p23, p2h,
         p33, p3h,
         phh,
-        heat, seen_as.rejections, seen_as.mismatch, seen_as.watch,
+        heat, seen_as.rejections, seen_as.mismatch, lasting, seen_as.watch,
     )
     # fmt: on
-    return state, EkfInfo(
-        soc, math.sqrt(ss), predicted, innovation, variance, seen_as.ratio, status
-    )
+    std = math.sqrt(ss + lasting * lasting)
+    return state, EkfInfo(soc, std, predicted, innovation, variance, seen_as.ratio, status)
 
 
 @njit(cache=True, error_model="numpy")
