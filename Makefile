@@ -37,13 +37,18 @@ benchmark: $(STAMP)
 	$(BIN)/pip install --quiet --editable '.[benchmark]'
 	$(BIN)/python benchmarks/speed.py
 	$(BIN)/python benchmarks/accuracy.py
+	$(BIN)/python benchmarks/firmware.py
 
 # Cross compiler, emulator and proof from Debian; then everything that needs them.
 FIRMWARE_PACKAGES := gcc gcc-arm-none-eabi libnewlib-arm-none-eabi libc6-dev qemu-system-arm frama-c-base cppcheck \
 	clang libclang-rt-14-dev
+RISCV_PACKAGES := gcc-riscv64-unknown-elf qemu-system-misc
 firmware: $(STAMP)
 	command -v arm-none-eabi-gcc qemu-system-arm frama-c cppcheck clang >/dev/null || \
 	  { apt-get update -qq && apt-get install -y -qq --no-install-recommends $(FIRMWARE_PACKAGES); }
+	command -v riscv64-unknown-elf-gcc qemu-system-riscv32 >/dev/null || \
+	  { apt-get update -qq && apt-get install -y -qq --no-install-recommends $(RISCV_PACKAGES); } || \
+	  echo "no RISC-V tools: its tests are skipped"
 	$(BIN)/pytest -n 2 tests/firmware tests/export tests/estimate/test_fixed_step_twin.py
 
 # Debian's Chromium, and every page opened in it.

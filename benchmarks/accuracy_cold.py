@@ -42,7 +42,7 @@ def cold_figures(data: Path, say: Progress) -> list[Figure]:
 
 def _panasonic(data: Path, say: Progress) -> list[Figure]:
     figures: list[Figure] = []
-    tests = {t: _panasonic_tests(data, tag, t) for t, tag in TAGS.items()}
+    tests = {t: panasonic_tests(data, tag, t) for t, tag in TAGS.items()}
     held_out = {t: _held_out(data, tag) for t, tag in TAGS.items()}
     settled: dict[float, float] = {}
     settings = IdentifySettings(nominal_Ah=2.9, name="Panasonic 18650PF")
@@ -81,7 +81,8 @@ def _panasonic(data: Path, say: Progress) -> list[Figure]:
     return figures
 
 
-def _panasonic_tests(data: Path, tag: str, temperature_C: float) -> TestLogs:
+def panasonic_tests(data: Path, tag: str, temperature_C: float) -> TestLogs:
+    """What the cell of one temperature is identified from."""
     def log(name: str) -> CellLog:
         return measured_log(data, f"{PANASONIC}/{name}")
 

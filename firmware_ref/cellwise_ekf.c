@@ -53,7 +53,11 @@
 #define SIZE_BELOW(x, limit) ((bits_of(x) << 1) < (bits_of(limit) << 1))
 #define POSITIVE_WITHIN(x, low, high) \
     ((bits_of(x) >= bits_of(low)) && (bits_of(x) <= bits_of(high)))
+#define POSITIVE_ABOVE(x, y) (bits_of(x) > bits_of(y))
 #define IS_NUMBER(x) ((bits_of(x) << 1) < (INFINITY_BITS << 1))
+#endif
+#ifndef WITHIN_ONE /* what is within 0..1 already: said for analysers */
+#define WITHIN_ONE(x) (x)
 #endif
 #define IS_SMALL(x) NO_LARGER(x, LARGE_BITS)
 #define IS_VARIANCE(x) NOT_NEGATIVE(x, LARGE_BITS)
@@ -144,12 +148,17 @@ static uint32_t bits_of(float x)
     return word.bits;
 }
 
+/* The builtin is one instruction, or two, and never a call. */
 static float magnitude(float x)
 {
+#if defined(__GNUC__)
+    return __builtin_fabsf(x);
+#else
     cellwise_word word;
     word.value = x;
     word.bits = word.bits & 0x7FFFFFFFu;
     return word.value;
+#endif
 }
 #else
 static float magnitude(float x)
@@ -259,10 +268,11 @@ static uint32_t index_of(float x)
 {
 #if CELLWISE_WIDE
     const float held = (x > 0.0f) ? x : 0.0f;
-#else
-    const float held = x;
-#endif
     return (held < (float)(CELLWISE_POINTS - 2u)) ? (uint32_t)held : (CELLWISE_POINTS - 2u);
+#else
+    const uint32_t k = (uint32_t)x; /* x is within 0..POINTS - 1 */
+    return (k < (CELLWISE_POINTS - 2u)) ? k : (CELLWISE_POINTS - 2u);
+#endif
 }
 
 #define POINTS_SCALE ((float)(CELLWISE_POINTS - 1u))
@@ -291,7 +301,7 @@ static void look_up(const cellwise_model *m, const cellwise_place *place, float 
 #else
     const float x = within_one(soc) * POINTS_SCALE;
     const uint32_t k = index_of(x);
-    const float f = within_one(x - (float)k); /* never beyond: said for analysers */
+    const float f = WITHIN_ONE(x - (float)k);
     const float g = f;
 #endif
     const cellwise_row *const low = m->row[place->low];
@@ -522,7 +532,7 @@ static void forget_correlations(cellwise_state *x)
 
 static APART void start(const cellwise_model *m, cellwise_state *x, float soc, float soc_variance)
 {
-    x->soc = soc + 0.0f; /* never -0 */
+    x->soc = soc;
     x->soc_carry = 0.0f;
     x->v1_V = 0.0f;
     x->v2_V = 0.0f;
@@ -573,44 +583,42 @@ static APART void start(const cellwise_model *m, cellwise_state *x, float soc, f
 
 /* The branches over one interval of constant current, exactly, and their covariance. A current that
  * is not known to `square_A2` drives them too; 1 - a^2 keeps the stationary spread independent of
- * the time step. */
+ * the time step. What decays slowly is told by how much it loses: 1 - 1e-5 as a float is off by
+ * 0.3 % of that. */
 static void relax(cellwise_state *x, BRANCHES, float flow, float square_A2)
 {
     const float a1 = 1.0f - gain1;
     const float a2 = 1.0f - gain2;
     x->v1_V = x->v1_V + (gain1 * ((r1_ohm * flow) - x->v1_V));
     x->v2_V = x->v2_V + (gain2 * ((r2_ohm * flow) - x->v2_V));
-    x->s1 = a1 * x->s1;
-    x->s2 = a2 * x->s2;
-    x->p11 = (((a1 * a1) * GROW) * x->p11) +
-             ((square_A2 * (r1_ohm * r1_ohm)) * (gain1 * (1.0f + a1)));
+    x->s1 = x->s1 - (gain1 * x->s1);
+    x->s2 = x->s2 - (gain2 * x->s2);
+    x->p11 = x->p11 + ((gain1 * (1.0f + a1)) * ((square_A2 * (r1_ohm * r1_ohm)) - x->p11));
     x->p12 = (a1 * a2) * x->p12;
-    x->p22 = (((a2 * a2) * GROW) * x->p22) +
-             ((square_A2 * (r2_ohm * r2_ohm)) * (gain2 * (1.0f + a2)));
+    x->p22 = x->p22 + ((gain2 * (1.0f + a2)) * ((square_A2 * (r2_ohm * r2_ohm)) - x->p22));
 #if CELLWISE_SLOW
     {
         const float a3 = 1.0f - gain3;
         add(&x->v3_V, &x->v3_carry_V, gain3 * ((r3_ohm * flow) - x->v3_V));
-        x->s3 = a3 * x->s3;
+        x->s3 = x->s3 - (gain3 * x->s3);
         x->p13 = (a1 * a3) * x->p13;
-        x->p23 = (a2 * a3) * x->p23;
-        x->p33 = (((a3 * a3) * GROW) * x->p33) +
-                 ((square_A2 * (r3_ohm * r3_ohm)) * (gain3 * (1.0f + a3)));
+        x->p23 = x->p23 - ((gain2 + (gain3 * a2)) * x->p23);
+        x->p33 = x->p33 + ((gain3 * (1.0f + a3)) * ((square_A2 * (r3_ohm * r3_ohm)) - x->p33));
 #if CELLWISE_HYSTERESIS
-        x->p3h = a3 * x->p3h;
+        x->p3h = x->p3h - (gain3 * x->p3h);
 #endif
 #if CELLWISE_OFFSET
-        x->p3o = a3 * x->p3o;
+        x->p3o = x->p3o - (gain3 * x->p3o);
 #endif
     }
 #endif
 #if CELLWISE_HYSTERESIS
-    x->p1h = a1 * x->p1h;
-    x->p2h = a2 * x->p2h;
+    x->p1h = x->p1h - (gain1 * x->p1h);
+    x->p2h = x->p2h - (gain2 * x->p2h);
 #endif
 #if CELLWISE_OFFSET
-    x->p1o = a1 * x->p1o;
-    x->p2o = a2 * x->p2o;
+    x->p1o = x->p1o - (gain1 * x->p1o);
+    x->p2o = x->p2o - (gain2 * x->p2o);
 #endif
 }
 
@@ -827,7 +835,7 @@ static void predict(const cellwise_constants *c, cellwise_state *x, const cellwi
 #else
     (void)w;
 #endif
-    if (x->ss < SOC_VARIANCE_MOST) { /* SOC lies in 0..1: more says nothing */
+    if (POSITIVE_ABOVE(SOC_VARIANCE_MOST, x->ss)) { /* SOC lies in 0..1: more says nothing */
         add_variance(x, c->soc_walk);
     }
 #if CELLWISE_OFFSET
@@ -935,7 +943,11 @@ static void narrow(cellwise_state *x, const cellwise_column *d, float inverse)
 {
     float k = d->s * inverse;
     add_variance(x, -(k * d->s));
+#if CELLWISE_WIDE
+    x->ss = clip(x->ss, VARIANCE_FLOOR, LARGE);
+#else
     x->ss = at_least(x->ss, VARIANCE_FLOOR);
+#endif
     x->s1 = x->s1 - (k * d->v1);
     x->s2 = x->s2 - (k * d->v2);
 #if CELLWISE_SLOW
@@ -1026,7 +1038,7 @@ static APART uint32_t rejudge(const cellwise_model *m, const cellwise_place *pla
     less = flat - w->slope_V;
     e = less * ((2.0f * d->s) + (less * x->ss));
     wider = rejudged(ks, ks, less * x->ss, less * x->ss, e);
-    if (wider < (ks * d->s)) {
+    if (SIZE_WITHIN(wider, LARGE) && (wider < (ks * d->s))) {
         const float cs = less * x->ss;
         const float c1 = less * x->s1;
         const float c2 = less * x->s2;
@@ -1303,7 +1315,7 @@ static uint32_t weigh(const cellwise_model *m, const cellwise_place *place, cell
         ratio = (ratio < c->mismatch_cap) ? ratio : c->mismatch_cap;
         x->mismatch = x->mismatch + (c->lately * (ratio - x->mismatch));
     }
-    if (square > most) {
+    if (POSITIVE_ABOVE(square, most)) {
         status = CELLWISE_INNOVATION_REJECTED;
         x->rejections +=
             ((square - most) > (4.0f * (polarisation * polarisation))) ? REJECTION : c->under_load;
@@ -1331,7 +1343,7 @@ static uint32_t weigh(const cellwise_model *m, const cellwise_place *place, cell
     else {
         const float shared = shared_by(c, x, seen);
         float weight = one * shared;
-        if (x->mismatch > 1.0f) {
+        if (POSITIVE_ABOVE(x->mismatch, 1.0f)) {
             weight = weight * x->mismatch;
         }
         if ((news == 2u) || (shared <= 1.0f)) {
@@ -1417,10 +1429,11 @@ static uint32_t correct(const cellwise_model *m, const cellwise_place *place, ce
 uint32_t cellwise_init(const cellwise_model *model, cellwise_state *x, float soc,
                        float soc_variance)
 {
+    const float positive = soc + 0.0f; /* never -0 */
     uint32_t status = 0u;
-    if (WITHIN(soc, 0.0f, 1.0f) &&
+    if (NOT_NEGATIVE(positive, ONE_BITS) &&
         POSITIVE_WITHIN(soc_variance, VARIANCE_FLOOR, SOC_VARIANCE_MOST)) {
-        start(model, x, soc, soc_variance);
+        start(model, x, positive, soc_variance);
     } else {
         start(model, x, KNOW_NOTHING_SOC, KNOW_NOTHING_VARIANCE);
         status = CELLWISE_STATE_RESET;

@@ -2,7 +2,11 @@
  * outputs are finite and in range; nor has the step after it. */
 #include "cellwise_cell.h"
 
-#define INTEGERS 3u /* the last fields of the state */
+#if CELLWISE_WATCH
+#define INTEGERS 6u /* the last fields of the state */
+#else
+#define INTEGERS 3u
+#endif
 #define FLOATS ((sizeof(cellwise_state) / sizeof(float)) - INTEGERS)
 
 volatile float any_float; /* to Eva: every bit pattern, NaN and infinities too */
@@ -15,6 +19,11 @@ static void any_state(cellwise_state *x)
     for (uint32_t k = 0u; k < FLOATS; k++) {
         field[k] = any_float;
     }
+#if CELLWISE_WATCH
+    x->repeats = any_integer;
+    x->no_current = any_integer;
+    x->no_voltage = any_integer;
+#endif
     x->sequence = any_integer;
     x->rejections = any_integer;
     x->evidence = any_integer;

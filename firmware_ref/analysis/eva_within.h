@@ -11,5 +11,7 @@
 #define SIZE_WITHIN(x, limit) WITHIN(x, -(limit), limit)
 #define SIZE_BELOW(x, limit) (((x) > -(limit)) && ((x) < (limit)))
 #define POSITIVE_WITHIN(x, low, high) WITHIN(x, low, high)
+#define POSITIVE_ABOVE(x, y) ((x) > (y))
+#define WITHIN_ONE(x) within_one(x)
 #define IS_NUMBER(x) WITHIN(x, -0x1.fffffep+127f, 0x1.fffffep+127f)
 #define MAGNITUDE(x) (((x) < 0.0f) ? -(x) : (x))

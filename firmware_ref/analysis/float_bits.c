@@ -1,6 +1,6 @@
 /* The tests on a float's bits are the tests on its value: for every so-manyth of the 2^32 floats (argument;
  * 1: every one) and for all within 4096 of a limit. -0 is refused by NOT_NEGATIVE and POSITIVE_WITHIN: no
- * state and no voltage limit holds it. */
+ * state and no voltage limit holds it. And what is left of a SOC above its point is within 0..1. */
 #include <stdio.h>
 #include <stdlib.h>
 
@@ -25,6 +25,14 @@ static uint32_t wrong_at(uint32_t pattern)
     SAME(SIZE_WITHIN(x, 3.25f), (x >= -3.25f) && (x <= 3.25f));
     SAME(SIZE_BELOW(x, 3.25f), (x > -3.25f) && (x < 3.25f));
     SAME(POSITIVE_WITHIN(x, low, 5.5f), (x >= low) && (x <= 5.5f));
+    if (NOT_NEGATIVE(x, INFINITY_BITS)) {
+        SAME(POSITIVE_ABOVE(x, 3.25f), x > 3.25f);
+    }
+    if (NOT_NEGATIVE(x, ONE_BITS)) {
+        const float scaled = x * POINTS_SCALE;
+        const float f = scaled - (float)index_of(scaled);
+        SAME((f >= 0.0f) && (f <= 1.0f), 1);
+    }
     return wrong;
 }
 

@@ -1,27 +1,24 @@
 /* Steps the samples of in.bin and writes every output to out.bin, then the state, then what was
- * measured: instructions by SysTick (QEMU -icount shift=0), stack by paint.
+ * measured: instructions (ticks.h), stack by paint.
  *
- * in.bin: soc, soc_variance (float), every how many samples to measure, 0 (uint32), then records of
- * cellwise_input. */
+ * in.bin: soc, soc_variance (float), every how many samples to measure and the first of them (uint32),
+ * then records of cellwise_input. */
 #include <stddef.h>
 
 #include "cellwise_cell.h"
 #include "semihosting.h"
+#include "ticks.h"
 
 #define CHUNK 64u
 #define REPEATS 64u
 #define PAINTED 512u
 #define PAINT 0xA5A5A5A5u
 
-#define SYST_CSR (*(volatile uint32_t *)0xE000E010u)
-#define SYST_RVR (*(volatile uint32_t *)0xE000E014u)
-#define SYST_CVR (*(volatile uint32_t *)0xE000E018u)
-
 typedef struct {
     float soc;
     float soc_variance;
     uint32_t measure_every;
-    uint32_t reserved;
+    uint32_t measure_first;
 } request;
 
 typedef struct {
@@ -61,12 +58,11 @@ static __attribute__((noinline)) uint32_t ticks_of(step_function step, const cel
     for (uint32_t k = 0u; k < REPEATS; k++) {
         copies[k] = state;
     }
-    SYST_CVR = 0u;
-    before = SYST_CVR;
+    before = ticks();
     for (uint32_t k = 0u; k < REPEATS; k++) {
         (void)called(&cellwise_cell, &copies[k], in, &scratch);
     }
-    return (before - SYST_CVR) & 0xFFFFFFu;
+    return (ticks() - before) & TICKS_MASK;
 }
 
 /* Bytes below this function's own frame that one step has written. */
@@ -76,7 +72,7 @@ static __attribute__((noinline)) uint32_t stack_of(const cellwise_input *in)
     uint32_t top;
     uint32_t untouched = 0u;
     copies[0] = state;
-    __asm__ volatile("mov %0, sp" : "=r"(top));
+    STACK_POINTER(top);
     for (uint32_t k = 1u; k <= PAINTED; k++) {
         ((volatile uint32_t *)top)[-(int32_t)k] = PAINT;
     }
@@ -112,13 +108,13 @@ int main(void)
     if ((in < 0) || (out < 0) || (host_read(in, &asked, sizeof asked) != sizeof asked)) {
         return 1;
     }
-    SYST_RVR = 0xFFFFFFu;
-    SYST_CSR = 5u;
+    ticks_begin();
     (void)cellwise_init(&cellwise_cell, &state, asked.soc, asked.soc_variance);
     while ((got = host_read(in, samples, sizeof samples)) >= sizeof samples[0]) {
         const uint32_t rows = got / (uint32_t)sizeof samples[0];
         for (uint32_t k = 0u; k < rows; k++) {
-            if ((asked.measure_every != 0u) && ((row % asked.measure_every) == 0u)) {
+            if ((asked.measure_every != 0u) && (row >= asked.measure_first) &&
+                (((row - asked.measure_first) % asked.measure_every) == 0u)) {
                 measure(&found, &samples[k]);
             }
             (void)cellwise_step(&cellwise_cell, &state, &samples[k], &outputs[k]);

@@ -15,8 +15,8 @@ from cellwise.cell.effects import (
     SlowDiffusion,
 )
 from cellwise.estimate.fixed_step_c import STRICT_FLAGS, WARNING_FLAGS, write_sources
-from cellwise.estimate.fixed_step_layout import INPUT
 from cellwise.estimate.fixed_step_tables import fixed_step_tables
+from cellwise.export.stress import stress_samples as stress_samples
 from example_cells import curved_cell, random_model
 
 
@@ -46,30 +46,6 @@ def tables_of(name, dt_s=1.0):
     if name == "offset":
         return fixed_step_tables(curved_cell(), dt_s, offset_std_A=0.1)
     return fixed_step_tables(full_model(), dt_s, offset_std_A=0.1)
-
-
-def stress_samples(rows, seed=0, scale_A=3.0):
-    """Random samples with every fault: any bits, repeated and missing sequence numbers."""
-    rng = np.random.default_rng(seed)
-    samples = np.zeros(rows, dtype=INPUT)
-    samples["current_A"] = rng.normal(0.2, 1.0, rows) * scale_A
-    samples["voltage_V"] = 3.7 + rng.normal(0.0, 0.1, rows)
-    samples["temperature_C"] = rng.uniform(-25.0, 50.0, rows)
-    jumps = rng.choice([1] * 50 + [0, 2, 3, 50, 10**5, 10**9, 2**32 - 3], rows)
-    samples["sequence"] = np.cumsum(jumps.astype(np.uint64)).astype(np.uint32)
-    for first in range(0, rows - 900, 3000):  # sensors that fall silent, freeze, are off by volts
-        samples["current_A"][first : first + 60] = np.nan
-        samples["voltage_V"][first + 100 : first + 160] = np.nan
-        samples["voltage_V"][first + 200 : first + 300] = 3.7
-        samples["voltage_V"][first + 400 : first + 500] = rng.choice([3.1, 3.4, 4.1])
-        samples["voltage_V"][first + 400 : first + 500] += rng.normal(0.0, 0.01, 100)
-        samples["current_A"][first + 400 : first + 450] = 0.0
-        samples["current_A"][first + 500 : first + 700] = rng.choice([-40.0, 40.0]) * scale_A
-    for field in ("current_A", "voltage_V", "temperature_C"):
-        at = rng.integers(0, rows, rows // 30)
-        bits = rng.integers(0, 2**32, at.size, dtype=np.uint64).astype(np.uint32)
-        samples[field].view(np.uint32)[at] = bits
-    return samples
 
 
 def compile_and_run(tables, folder: Path, program: str, *, flags=("-O2",), cc="gcc", run=()):

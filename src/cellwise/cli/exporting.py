@@ -96,24 +96,32 @@ def target_costs(
 ) -> list[dict[str, Any]]:
     """Code, stack and instructions on every core; empty without a cross compiler.
 
-    Counted on the log that is given, else on the embedded drive of an NMC cell.
+    Counted on the log that is given, else on the embedded drive of an NMC cell; and under stress:
+    every fault, and the step that looks for SOC anew after a lock-out.
     """
     from dataclasses import asdict
 
     from cellwise.data import load_dataset
     from cellwise.estimate.fixed_step import samples_of
-    from cellwise.export.cross import CORES, has_tools, run_on_target
+    from cellwise.export.cross import cores_here, run_on_target
+    from cellwise.export.stress import worst_case
 
-    if not has_tools():
+    here = cores_here()
+    if not here:
         return []
     log = load_dataset("nmc_drive_b") if arguments.log is None else read(arguments)
     records = samples_of(model, log, arguments.dt).records[:STEPS_TO_MEASURE]
     costs = []
     with printing.bar() as progress:
-        for core in CORES:
+        for core in here:
             task = progress.add_task(f"counting instructions on {core}", total=None)
             run = run_on_target(tables, core, records, 0.5, 0.0225, measure_every=10)
-            costs.append(asdict(run.cost))
+            worst = worst_case(model, tables, core)
+            told = asdict(run.cost)
+            told["stack_bytes"] = max(told["stack_bytes"], worst.stack_bytes)
+            told["instructions_stress"] = worst.stress
+            told["instructions_anew"] = worst.anew
+            costs.append(told)
             progress.remove_task(task)
     return costs
 
@@ -160,7 +168,10 @@ def print_export(folder: str, told: dict[str, Any]) -> None:
     if told["targets"]:
         printing.table(
             "Cost on the target (instructions, not cycles; counted in QEMU)",
-            ("core", "code", "static RAM", "stack", "instructions a step", "most"),
+            (
+                "core", "code", "static RAM", "stack", "instructions a step", "most on the log",
+                "worst case", "SOC looked for anew",
+            ),
             [
                 (
                     c["core"],
@@ -169,10 +180,12 @@ def print_export(folder: str, told: dict[str, Any]) -> None:
                     f"{c['stack_bytes']} B",
                     f"{c['instructions_mean']:,.0f}",
                     f"{c['instructions_most']:,.0f}",
+                    f"{c['instructions_stress']:,.0f}",
+                    told_anew(c["instructions_anew"]),
                 )
                 for c in told["targets"]
             ],
-        )
+        )  # fmt: skip
     else:
         printing.say("no cross compiler: code size, stack and instructions are not known")
     if told["accuracy"]:
@@ -189,3 +202,8 @@ def print_export(folder: str, told: dict[str, Any]) -> None:
                 for a in told["accuracy"]
             ],
         )
+
+
+def told_anew(instructions: float | None) -> str:
+    """Instructions of a step that looks for SOC anew."""
+    return "-" if instructions is None else f"{instructions:,.0f}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from cellwise.estimate.fixed_step_kernels import (
+    LARGE,
     ONE,
     SMALL_MOVE,
     TWO,
@@ -23,6 +24,7 @@ from cellwise.estimate.fixed_step_lookup import (
 )
 from cellwise.estimate.fixed_step_state import (
     add_variance,
+    is_small,
 )
 
 
@@ -116,7 +118,7 @@ def narrow(
     """P - K d', row by row."""
     k = d.s * inverse
     add_variance(x, -(k * d.s), WIDE)
-    x.ss = at_least(x.ss, VARIANCE_FLOOR)
+    x.ss = clip(x.ss, VARIANCE_FLOOR, LARGE) if WIDE else at_least(x.ss, VARIANCE_FLOOR)
     x.s1 = x.s1 - (k * d.v1)
     x.s2 = x.s2 - (k * d.v2)
     if SLOW:
@@ -202,7 +204,7 @@ def rejudge(
     e = less * ((TWO * d.s) + (less * x.ss))
     cs = less * x.ss
     wider = rejudged(ks, ks, cs, cs, e)
-    learnt = wider < (ks * d.s)
+    learnt = is_small(wider) & (wider < (ks * d.s))
     if learnt:
         x.ss = x.ss + wider
         c1 = less * x.s1

@@ -1,7 +1,7 @@
-"""Build the exported C for a Cortex-M and run it in QEMU: its outputs, its size, its instructions.
+"""Build the exported C for a Cortex-M or a RISC-V and run it in QEMU: outputs, size, instructions.
 
 What is counted are instructions, not cycles: QEMU with ``-icount shift=0`` lets one pass per
-nanosecond, SysTick counts them, and the count repeats exactly.
+nanosecond, SysTick or minstret counts them, and the count repeats exactly.
 """
 
 from __future__ import annotations
@@ -23,9 +23,6 @@ from cellwise.estimate.fixed_step_c import STRICT_FLAGS, firmware_folder, write_
 from cellwise.estimate.fixed_step_layout import INPUT, OUTPUT, state_type
 from cellwise.estimate.fixed_step_tables import FixedStepTables
 
-GCC = "arm-none-eabi-gcc"
-SIZE = "arm-none-eabi-size"
-QEMU = "qemu-system-arm"
 REPEATS = 64  # as in target_main.c
 OPTIMISE = "-Os"  # smaller than -O2, and here no slower: constants are loaded less often
 FINDINGS = struct.Struct("<8I")
@@ -34,12 +31,21 @@ TIMEOUT_S = 1800.0
 
 @dataclass(frozen=True)
 class Core:
-    """A processor: compiler flags, the machine of QEMU, nanoseconds per tick of its SysTick."""
+    """A processor: compiler flags, the machine of QEMU, nanoseconds per tick of its counter.
+
+    ``tools`` is the prefix of compiler and binutils, ``qemu`` the emulator with its options,
+    ``startup`` the source of its reset, ``script`` that of the linker.
+    """
 
     name: str
     flags: tuple[str, ...]
     machine: str
     tick_ns: float
+    script: str
+    tools: str = "arm-none-eabi-"
+    qemu: tuple[str, ...] = ("qemu-system-arm",)
+    startup: str = "startup"
+    libraries: tuple[str, ...] = ("-lc", "-lgcc")
 
 
 CORES = {
@@ -50,8 +56,29 @@ CORES = {
             ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16"),
             "mps2-an386",
             40.0,
+            "cortex-m4f.ld",
         ),
-        Core("cortex-m0plus", ("-mcpu=cortex-m0plus", "-mthumb"), "microbit", 62.5),
+        Core(
+            "cortex-m0plus",
+            ("-mcpu=cortex-m0plus", "-mthumb"),
+            "microbit",
+            62.5,
+            "cortex-m0plus.ld",
+        ),
+        *(
+            Core(
+                name,
+                (f"-march={name}", f"-mabi={abi}", "-mcmodel=medany"),
+                "virt",
+                1.0,
+                "riscv32.ld",
+                "riscv64-unknown-elf-",
+                ("qemu-system-riscv32", "-bios", "none"),
+                "startup_riscv",
+                ("-lgcc",),
+            )
+            for name, abi in (("rv32imac", "ilp32"), ("rv32imafc", "ilp32f"))
+        ),
     )
 }
 
@@ -85,24 +112,33 @@ class TargetRun:
     cost: Cost
 
 
-def has_tools() -> bool:
-    """Whether compiler and emulator are installed."""
-    return all(shutil.which(tool) for tool in (GCC, SIZE, QEMU))
+def has_tools(core_name: str) -> bool:
+    """Whether compiler and emulator of a core are installed."""
+    core = known_core(core_name)
+    return all(
+        shutil.which(tool) for tool in (f"{core.tools}gcc", f"{core.tools}size", core.qemu[0])
+    )
 
 
-def check_tools() -> None:
+def cores_here() -> list[str]:
+    """Cores whose compiler and emulator are installed."""
+    return [name for name in CORES if has_tools(name)]
+
+
+def check_tools(core: Core) -> None:
     """Refuse to go on without compiler and emulator.
 
     Raises
     ------
     InputError        one of them is missing
     """
-    if not has_tools():
+    if not has_tools(core.name):
         raise InputError(
-            f"no {GCC} or no {QEMU}",
+            f"no {core.tools}gcc or no {core.qemu[0]}",
             "a cross compiler and an emulator",
             "Install them: apt-get install --no-install-recommends gcc-arm-none-eabi "
-            "libnewlib-arm-none-eabi qemu-system-arm.",
+            "libnewlib-arm-none-eabi qemu-system-arm; gcc-riscv64-unknown-elf qemu-system-misc for "
+            "RISC-V.",
         )
 
 
@@ -115,15 +151,15 @@ def build(tables: FixedStepTables, core: Core, folder: Path, optimise: str = OPT
         shutil.copy(path, folder)
     flags = [*core.flags, optimise, *STRICT_FLAGS, "-ffreestanding", "-ffunction-sections"]
     objects = []
-    for source in ("cellwise_ekf", "cell_table", "target_main", "semihosting", "startup"):
+    gcc = f"{core.tools}gcc"
+    for source in ("cellwise_ekf", "cell_table", "target_main", "semihosting", core.startup):
         made = folder / f"{source}.o"
-        extra = ["-fno-builtin"] if source == "startup" else []
-        _run([GCC, *flags, *extra, "-c", str(folder / f"{source}.c"), "-o", str(made)])
+        extra = ["-fno-builtin"] if source == core.startup else []
+        _run([gcc, *flags, *extra, "-c", str(folder / f"{source}.c"), "-o", str(made)])
         objects.append(str(made))
     elf = folder / "target.elf"
-    libraries = ["-Wl,--gc-sections", "-lc", "-lgcc"]
-    link = [GCC, *core.flags, "-nostartfiles", f"-T{folder / f'{core.name}.ld'}"]
-    _run([*link, *objects, *libraries, "-o", str(elf)])
+    link = [gcc, *core.flags, "-nostdlib", f"-T{folder / core.script}", "-Wl,--gc-sections"]
+    _run([*link, *objects, *core.libraries, "-o", str(elf)])
     return elf
 
 
@@ -135,6 +171,7 @@ def run_on_target(
     soc_variance: float,
     *,
     measure_every: int = 0,
+    measure_first: int = 0,
     optimise: str = OPTIMISE,
 ) -> TargetRun:
     """Step samples on an emulated core.
@@ -144,42 +181,41 @@ def run_on_target(
     samples : (n,) records of INPUT
     soc, soc_variance : float      where the state starts
     measure_every : int            count instructions and stack of every so many samples; 0: none
+    measure_first : int            the first of them
 
     Raises
     ------
     InputError        no tools, or a core that is not known
     """
-    check_tools()
     core = known_core(core_name)
+    check_tools(core)
     samples = np.ascontiguousarray(samples, dtype=INPUT)
     with tempfile.TemporaryDirectory(prefix="cellwise-") as name:
         folder = Path(name)
         elf = build(tables, core, folder, optimise)
-        asked = struct.pack("<ffII", soc, soc_variance, measure_every, 0)
+        asked = struct.pack("<ffII", soc, soc_variance, measure_every, measure_first)
         (folder / "in.bin").write_bytes(asked + samples.tobytes())
-        command = [QEMU, "-M", core.machine, "-nographic", "-monitor", "none", "-serial", "none"]
+        command = [
+            *core.qemu,
+            "-M",
+            core.machine,
+            "-nographic",
+            "-monitor",
+            "none",
+            "-serial",
+            "none",
+        ]
         command += ["-semihosting-config", "enable=on,target=native"]
         command += ["-icount", "shift=0"] if measure_every else []
         _run([*command, "-kernel", str(elf)], folder)
         data = (folder / "out.bin").read_bytes()
-        text, ram = section_bytes(folder / "cellwise_ekf.o")
+        text, ram = section_bytes(core, folder / "cellwise_ekf.o")
     kind = state_type(tables.options)
     ends = samples.size * OUTPUT.itemsize
     outputs = np.frombuffer(data[:ends], dtype=OUTPUT)
     state = np.frombuffer(data[ends : ends + kind.itemsize], dtype=kind)
     found = FINDINGS.unpack(data[ends + kind.itemsize :])
     return TargetRun(outputs, state, _cost(core, text, ram, found))
-
-
-def cost_without_run(tables: FixedStepTables, core_name: str) -> Cost:
-    """Sizes on a core, without counting instructions."""
-    check_tools()
-    with tempfile.TemporaryDirectory(prefix="cellwise-") as name:
-        folder = Path(name)
-        build(tables, known_core(core_name), folder)
-        text, ram = section_bytes(folder / "cellwise_ekf.o")
-    state = state_type(tables.options).itemsize
-    return Cost(core_name, text, ram, state, tables.flash_bytes)
 
 
 def known_core(name: str) -> Core:
@@ -189,9 +225,9 @@ def known_core(name: str) -> Core:
     return CORES[name]
 
 
-def section_bytes(path: Path) -> tuple[int, int]:
+def section_bytes(core: Core, path: Path) -> tuple[int, int]:
     """Code with its constants, and static data, of an object file."""
-    line = _run([SIZE, str(path)]).splitlines()[1].split()
+    line = _run([f"{core.tools}size", str(path)]).splitlines()[1].split()
     return int(line[0]), int(line[1]) + int(line[2])
 
 
