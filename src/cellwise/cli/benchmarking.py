@@ -113,6 +113,7 @@ def print_benchmark(found: BenchmarkResult) -> None:
     """A benchmark for people: overview, faults, what could not be judged."""
     from cellwise.report.benchmark_overview import (
         OVERVIEW_HEAD,
+        coverage_text,
         fault_matrix,
         overview_row,
         overviews,
@@ -135,6 +136,8 @@ def print_benchmark(found: BenchmarkResult) -> None:
                 for k, label in enumerate(faults.labels)
             ],
         )
+        if coverage_text(rows):
+            printing.say(coverage_text(rows))
     for text in dict.fromkeys(f"{r['estimator']}: {r['problem']}" for r in rows if r["problem"]):
         printing.say(f"  ! {text}")
     taken = f", {found.resumed} of them from an earlier run" if found.resumed else ""

@@ -80,7 +80,7 @@ class Noise:
     gap_soc: float = 0.05
     hold_s: float = 10.0
     frozen_V: float = 0.02
-    lasting_share: float = 0.5
+    lasting_share: float = 1.0
     current_limit_A: float = 1e6
     voltage_low_V: float = -1e6
     voltage_high_V: float = 1e6

@@ -133,6 +133,28 @@ def fault_matrix(rows: Rows) -> Matrix:
     return _matrix(chosen, [HEALTHY, *faults], lambda row: str(row["fault"]))
 
 
+def suite_coverage(rows: Rows) -> dict[str, float]:
+    """Share of rows inside 2σ by estimator, mean over its every run, with and without a fault.
+
+    Only estimators that ran with faults.
+    """
+    found: dict[str, float] = {}
+    for one in overviews(rows):
+        own = [row for row in good(rows) if row["estimator"] == one.estimator]
+        share = mean_of(own, "coverage_2sigma")
+        if any(row["fault"] != HEALTHY for row in own) and np.isfinite(share):
+            found[one.estimator] = share
+    return found
+
+
+def coverage_text(rows: Rows) -> str:
+    """The same as a sentence; empty where nothing ran with a fault."""
+    shares = [f"{name} {percent(share, 1)}" for name, share in suite_coverage(rows).items()]
+    if not shares:
+        return ""
+    return f"Inside 2σ over every run, with and without a fault: {', '.join(shares)}."
+
+
 def log_matrix(rows: Rows) -> Matrix:
     """By log, over every start, without a fault."""
     chosen = healthy(rows)

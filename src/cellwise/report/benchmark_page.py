@@ -10,6 +10,7 @@ from cellwise.errors import InputError
 from cellwise.report.benchmark_overview import (
     OVERVIEW_HEAD,
     Matrix,
+    coverage_text,
     fault_matrix,
     log_matrix,
     overview_row,
@@ -111,7 +112,7 @@ def benchmark_sections(found: BenchmarkTable) -> list[Section]:
             Section(
                 "faults",
                 "With a fault that the filter does not know of",
-                (fault_picture(faults), matrix_table(faults)),
+                (fault_picture(faults), matrix_table(faults), _coverage(rows)),
                 "Faults",
             )
         )
@@ -132,6 +133,11 @@ def matrix_table(matrix: Matrix) -> Markup:
         for k, label in enumerate(matrix.labels)
     ]
     return table(("fault", *matrix.estimators), body, caption="Mean settled RMSE.")
+
+
+def _coverage(rows: Sequence[Mapping[str, Any]]) -> Markup:
+    text = coverage_text(rows)
+    return Markup(paragraph(text)) if text else EMPTY
 
 
 def every_row(rows: Sequence[Mapping[str, Any]]) -> Markup:
