@@ -1,0 +1,144 @@
+"""Effects on the target: each follows the float64 EKF, and costs nothing where it is not."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cellwise.cell.effects import (
+    ChargeAsymmetry,
+    Hysteresis,
+    RateDependence,
+    SelfDischarge,
+    SelfHeating,
+    SlowDiffusion,
+    TemperatureDependence,
+    TimeSkew,
+)
+from cellwise.cell.simulate import simulate
+from cellwise.data import load_dataset
+from cellwise.estimate.ekf import Ekf
+from cellwise.estimate.fixed_step import Firmware, samples_of, start_state
+from cellwise.estimate.fixed_step_c import write_sources
+from cellwise.estimate.fixed_step_tables import fixed_step_tables
+from cellwise.logs.resample import resample
+from example_cells import curved_cell
+
+pytest.importorskip("cffi")
+pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")
+DT_S = 1.0
+# An effect, what it compiles in, and words that the C then needs.
+EFFECTS = {
+    "slow": (SlowDiffusion(r3_ohm=0.015, tau3_s=1500.0), ("v3_V", "lag3")),
+    "hysteresis": (Hysteresis(m_V=0.02, gamma=40.0), ("m_V", "phh")),
+    "arrhenius": (
+        TemperatureDependence(activation_K=2500.0, reference_C=25.0),
+        ("arrhenius_low_C",),
+    ),
+    "skew": (TimeSkew(skew_s=0.4), ("skew_share",)),
+    "rate": (RateDependence(0.1), ("rate_per_A",)),
+    "asymmetry": (ChargeAsymmetry(0.8), ("charge_scale",)),
+    "heating": (SelfHeating(3.0, 300.0), ("heat_K",)),  # felt by what depends on temperature
+    "leak": (SelfDischarge(0.01), ("leak_soc",)),
+}
+
+
+def warmed(model):
+    """The model at three temperatures, resistances falling from one to the next."""
+    fall = np.array([[2.0], [1.0], [0.7]])
+
+    def at(table, scale):
+        return table[0][None, :] * scale
+
+    return replace(
+        model,
+        temperature_C=np.array([0.0, 25.0, 45.0]),
+        ocv_V=at(model.ocv_V, np.ones_like(fall)),
+        r0_ohm=at(model.r0_ohm, fall),
+        r1_ohm=at(model.r1_ohm, fall),
+        r2_ohm=at(model.r2_ohm, fall),
+        tau1_s=at(model.tau1_s, fall**0.5),
+        tau2_s=at(model.tau2_s, fall**0.5),
+    )
+
+
+def model_with(name):
+    model = curved_cell(capacity_Ah=5.1)
+    if name == "temperatures":
+        return warmed(model)
+    if name == "efficiency":
+        return replace(model, charge_efficiency=0.98)
+    if name == "heating":
+        model = model.with_effect(EFFECTS["arrhenius"][0])
+    return model.with_effect(EFFECTS[name][0])
+
+
+def drive_of(model):
+    """Two hours of driving while the cell warms from 5 to 40 degC, its voltage with noise."""
+    log = resample(load_dataset("nmc_drive_b"), DT_S).part(0, 7200)
+    log = replace(log, temperature_C=np.linspace(5.0, 40.0, len(log)))
+    noise = 0.002 * np.random.default_rng(0).normal(size=len(log))
+    return replace(log, voltage_V=simulate(model, log, 0.9).voltage_V + noise)
+
+
+@pytest.mark.parametrize("name", [*EFFECTS, "temperatures", "efficiency"])
+def test_every_effect_follows_the_float64_ekf(name):
+    model = model_with(name)
+    log = drive_of(model)
+    ours = Firmware(model, dt_s=DT_S).run(log, 0.85, 0.05).soc
+    apart = ours - Ekf(model).run(log, 0.85, 0.05).soc
+    assert 100 * np.sqrt(np.mean(apart**2)) < 0.05
+    # Without the effect the filter comes to something else: it is compiled in, and used.
+    without = model_with("arrhenius") if name == "heating" else curved_cell(capacity_Ah=5.1)
+    plain = Firmware(without, dt_s=DT_S).run(log, 0.85, 0.05).soc
+    assert np.max(np.abs(plain - ours)) > 1e-5
+
+
+@pytest.mark.parametrize("offset_A", [0.3, -0.1])
+def test_an_offset_is_found_and_its_charge_kept(offset_A):
+    model = curved_cell(capacity_Ah=5.1)
+    log = drive_of(model)
+    truth = simulate(model, log, 0.9).soc
+    records = samples_of(model, replace(log, current_A=log.current_A + offset_A), DT_S).records
+    rmse, states = [], []
+    for std_A in (0.0, 0.3):
+        stepper = Firmware(model, dt_s=DT_S, offset_std_A=std_A).stepper(DT_S)
+        state = start_state(stepper, 0.9, 0.02)
+        soc = stepper.rows(state, records)["soc"]
+        rmse.append(np.sqrt(np.mean((soc - truth) ** 2)))
+        states.append(state)
+    assert rmse[1] < 0.5 * rmse[0]
+    std_A = float(states[1]["poo"][0]) ** 0.5
+    assert states[1]["offset_A"][0] == pytest.approx(offset_A, abs=2 * std_A)
+    assert std_A < 0.1
+
+
+@pytest.mark.parametrize("name", [*EFFECTS, "offset"])
+def test_what_is_not_compiled_in_is_not_there(name, tmp_path):
+    words = ("offset_A", "poo") if name == "offset" else EFFECTS[name][1]
+    plain = preprocessed(curved_cell(), tmp_path)
+    assert not any(word in plain for word in words)
+    if name == "offset":
+        built = preprocessed(curved_cell(), tmp_path, offset_std_A=0.1)
+    else:
+        built = preprocessed(model_with(name), tmp_path)
+    assert all(word in built for word in words)
+
+
+def preprocessed(model, folder, **options):
+    """The C that the compiler sees of a lean build."""
+    tables = fixed_step_tables(model, DT_S, wide=False, watch=False, **options)
+    for file, text in write_sources(tables, "0" * 64):
+        (folder / file).write_text(text)
+    done = subprocess.run(
+        ["gcc", "-E", "-P", "cellwise_ekf.c"],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return done.stdout
