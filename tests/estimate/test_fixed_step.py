@@ -145,12 +145,9 @@ def test_as_good_as_the_float64_ekf(dt_s):
     drive = replace(drive, voltage_V=simulate(model, drive, 0.95).voltage_V + noise)
     log = resample(drive, dt_s)
     reference, ours = Ekf(model), FixedStep(model, dt_s=dt_s)
-    error = ours.run(log, 0.95, 0.01).soc - reference.run(log, 0.95, 0.01).soc
-    assert np.sqrt(np.mean(error**2)) < 5e-4
-    # From a start that is far off the float64 filter also weighs how unsure its first voltage is,
-    # which the target does not: both have come near after ten minutes, not to the same place.
-    error = ours.run(log, 0.7, 0.15).soc - reference.run(log, 0.7, 0.15).soc
-    assert np.sqrt(np.mean(error[int(600 / dt_s) :] ** 2)) < 0.02
+    for start, std in ((0.95, 0.01), (0.7, 0.15), (0.2, 0.3), (0.5, 0.05)):
+        error = ours.run(log, start, std).soc - reference.run(log, start, std).soc
+        assert np.sqrt(np.mean(error**2)) < 2e-4, start
 
 
 def test_compiled_code_is_single_precision_without_liberties():
