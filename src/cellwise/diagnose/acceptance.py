@@ -42,7 +42,8 @@ def immaterial(candidate: Candidate, alone: Gain, together: Gain, claim_V: float
     ``claim_V`` is the error that the model owns up to.
     """
     name = candidate.name
-    if alone.gain <= 0.0 or max(alone.low, together.low, candidate.held_low) <= 0.0:
+    lows = (alone.low, alone.low_in_size, together.low, together.low_in_size, candidate.held_low)
+    if alone.gain <= 0.0 or max(lows) <= 0.0:
         return f"{name} fits, but gains nothing sure on held-out data"
     saved = alone.held_before_V - alone.held_after_V
     claim = min(claim_V, CLAIM_FACTOR * alone.held_after_V)

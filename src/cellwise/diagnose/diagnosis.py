@@ -194,7 +194,7 @@ def _learn(judge: Judge, model: CellModel, good: list[tuple[CellLog, InitialSoc]
     prior = structure_prior(known.prior)
     found, noise = known.base(prior)
     judge.prior = learned(judge.prior, found)
-    judge.floor = at_least(judge.floor, noise)
+    judge.floor = at_least(judge.floor, noise.level)
 
 
 def _diagnosis(
@@ -240,7 +240,7 @@ def _diagnosis(
         corrected,
         tuple(g.start.to_dict() for g in evidence.logs),
         gain,
-        judgement.noise._asdict(),
+        judgement.noise.level._asdict(),
     )
 
 

@@ -26,13 +26,13 @@ from cellwise.diagnose.coordinates import Coordinates
 from cellwise.diagnose.evidence import IGNORED, Evidence
 from cellwise.diagnose.fit import Fit, Frozen, Objective, Prior, complete, fit, freeze
 from cellwise.diagnose.judgement import Accepted, Judgement, kept_coordinates
-from cellwise.diagnose.noise import at_least, estimate_noise
+from cellwise.diagnose.noise import Noise, at_least, estimate_noise, log_scales
 from cellwise.diagnose.prediction import Prediction, predict
 from cellwise.diagnose.priors import USUAL_ACTIVATION_K, freed, needs_activation, shortest_tau3_s
 from cellwise.diagnose.rest_reading import RestReading
 from cellwise.diagnose.rivals import Candidate, Gain, difference, gain_of, held_interval_low
 from cellwise.diagnose.whitening_kernels import NoiseLevel
-from cellwise.typing import FloatArray
+from cellwise.typing import BoolArray, FloatArray
 
 Progress = Callable[[float, str], None]
 
@@ -41,6 +41,8 @@ FINALISTS = 5
 # The search begins with a noise that is forgiving at once and firm in the long run, so that what
 # drifts is not taken for noise before any cause was tried.
 FIRM_SLOW_V = 1e-3
+# From this ratio on logs are not alike in what they leave.
+LOGS_DIFFER = 1.15
 
 
 @dataclass(eq=False)
@@ -70,7 +72,7 @@ class Judge:
     def __post_init__(self) -> None:
         self.rng = np.random.default_rng(self.seed)
 
-    def run(self, causes: Sequence[Cause], base: Fit, noise: NoiseLevel) -> Judgement:
+    def run(self, causes: Sequence[Cause], base: Fit, noise: Noise) -> Judgement:
         """Accept causes one by one on top of the :meth:`base` until nothing is left to explain."""
         accepted = self._accepted
         accepted.clear()
@@ -107,11 +109,11 @@ class Judge:
             tuple(accepted), base, plain_base, first, between, noise, prior, tuple(reasons)
         )
 
-    def base(self, prior: Prior) -> tuple[Fit, NoiseLevel]:
+    def base(self, prior: Prior) -> tuple[Fit, Noise]:
         """The fit within a prior that frees no cause, and the noise that it leaves."""
         _, soc = self.evidence.simulate(self.coordinates, prior.mean)
         self._amplitude = self.evidence.amplitude(self.coordinates.model, soc)
-        noise = NoiseLevel(1e-3, 1e-3, 20.0, min(1e-2, self.most_slow_V), 600.0)
+        noise = Noise(NoiseLevel(1e-3, 1e-3, 20.0, min(1e-2, self.most_slow_V), 600.0))
         found = self._fit(noise, self.coordinates, prior, prior.mean, 5)
         for _ in range(2):
             noise = self._noise(found, prior)
@@ -148,7 +150,7 @@ class Judge:
 
     def _fit(
         self,
-        noise: NoiseLevel,
+        noise: Noise,
         coordinates: Coordinates,
         prior: Prior,
         start: Mapping[str, float],
@@ -159,38 +161,48 @@ class Judge:
         objective = self._objective(noise)
         return fit(objective, coordinates, prior, start, iterations, None, frozen, moving)
 
-    def _noise(self, found: Fit, prior: Prior, other: NoiseLevel | None = None) -> NoiseLevel:
+    def _noise(self, found: Fit, prior: Prior, other: Noise | None = None) -> Noise:
         """The noise that a fit leaves on all rows; ``other`` if that describes it better.
 
         Held-out logs may ask more of the cell than those that were fitted: what a model gets
-        wrong there is no surprise to be paid for row by row.
+        wrong there is no surprise to be paid for row by row. And some logs ask more than others.
         """
-        found = complete(self._objective(other or self.floor), found, prior)
+        found = complete(self._objective(other or Noise(self.floor)), found, prior)
         rows = self.evidence.known & (self.evidence.role != IGNORED)
         residual = np.nan_to_num(self.evidence.voltage_V - found.voltage_V)
-        scaled = residual / self._amplitude
+        noise = Noise(self._level(residual, rows, Noise(self.floor)))
+        white, _ = self._objective(noise).whitened(residual[:, None])
+        scale = log_scales(white[:, 0], rows, [g.scored for g in self.evidence.logs])
+        if max(scale) > LOGS_DIFFER * min(scale):
+            noise = Noise(self._level(residual, rows, Noise(self.floor, scale)), scale)
+        if other is None:
+            return noise
+
+        def explained(noise: Noise) -> float:
+            return float(np.sum(self._objective(noise).terms(residual)[rows]))
+
+        return max((noise, other), key=explained)
+
+    def _level(self, residual_V: FloatArray, rows: BoolArray, noise: Noise) -> NoiseLevel:
+        """Most likely level on the rows, each log at its scale."""
+        scaled = residual_V / self._objective(noise).amplitude
         level = estimate_noise(scaled, self.evidence.dt_s, rows)
         level = level._replace(slow_V=min(level.slow_V, self.most_slow_V))
-        levels = [at_least(level, self.floor)]
-        if other is not None:
-            levels.append(other)
+        return at_least(level, self.floor)
 
-        def explained(level: NoiseLevel) -> float:
-            return float(np.sum(self._objective(level).terms(residual)[rows]))
-
-        return max(levels, key=explained) if other is not None else levels[0]
-
-    def _objective(self, noise: NoiseLevel) -> Objective:
-        return Objective(self.evidence, noise, self._amplitude)
+    def _objective(self, noise: Noise) -> Objective:
+        if not noise.scale:
+            return Objective(self.evidence, noise.level, self._amplitude)
+        times = np.repeat(noise.scale, [g.scored for g in self.evidence.logs])
+        return Objective(self.evidence, noise.level, self._amplitude * times)
 
     def _rank(
-        self, causes: Sequence[Cause], prior: Prior, base: Fit, noise: NoiseLevel, turn: int
+        self, causes: Sequence[Cause], prior: Prior, base: Fit, noise: Noise, turn: int
     ) -> tuple[Candidate, ...]:
         """Every cause fitted, each under the noise that it leaves itself; the best one first."""
-        firm = at_least(noise._replace(slow_V=min(noise.slow_V, FIRM_SLOW_V)), self.floor)
-        frozen = freeze(
-            Objective(self.evidence, noise, self._amplitude), base.coordinates, prior.names, base.z
-        )
+        level = noise.level._replace(slow_V=min(noise.level.slow_V, FIRM_SLOW_V))
+        firm = Noise(at_least(level, self.floor), noise.scale)
+        frozen = freeze(self._objective(noise), base.coordinates, prior.names, base.z)
         none = self._explained(base, noise, prior)
 
         def work(cause: Cause) -> Candidate:
@@ -213,7 +225,7 @@ class Judge:
         c: Candidate,
         prior: Prior,
         base: Fit,
-        usual: NoiseLevel,
+        usual: Noise,
         frozen: Frozen,
         none: Prediction,
     ) -> Candidate:
@@ -228,8 +240,8 @@ class Judge:
         cause: Cause,
         prior: Prior,
         base: Fit,
-        usual: NoiseLevel,
-        firm: NoiseLevel,
+        usual: Noise,
+        firm: Noise,
         frozen: Frozen,
         none: Prediction,
     ) -> Candidate:
@@ -264,7 +276,7 @@ class Judge:
         return self._scored(cause, best, noise, wide, none)
 
     def _scored(
-        self, cause: Cause, best: Fit, noise: NoiseLevel, prior: Prior, none: Prediction
+        self, cause: Cause, best: Fit, noise: Noise, prior: Prior, none: Prediction
     ) -> Candidate:
         best = complete(self._objective(noise), best, prior)
         one = self._explained(best, noise, prior, (cause,))
@@ -276,7 +288,7 @@ class Judge:
         )
 
     def _explained(
-        self, found: Fit, noise: NoiseLevel, prior: Prior, causes: Sequence[Cause] = ()
+        self, found: Fit, noise: Noise, prior: Prior, causes: Sequence[Cause] = ()
     ) -> Prediction:
         """How likely all rows are under a fit, and what the current reads at rest."""
         free = kept_coordinates((*causes, *(a.cause for a in self._accepted)))
@@ -306,8 +318,10 @@ class Judge:
         one = self.alone(base, keep, starts_free)
         keep |= kept_coordinates((candidate.cause,))
         two = self.alone(candidate.fit, keep, starts_free or candidate.cause.kind == "start")
-        alone = gain_of(self.evidence, one.voltage_V, two.voltage_V, self.rng)
-        together = gain_of(self.evidence, base.voltage_V, candidate.fit.voltage_V, self.rng)
+        alone = gain_of(self.evidence, one.voltage_V, two.voltage_V, self._amplitude, self.rng)
+        together = gain_of(
+            self.evidence, base.voltage_V, candidate.fit.voltage_V, self._amplitude, self.rng
+        )
         return alone, together
 
     def _material(
@@ -332,9 +346,7 @@ class Judge:
             refused.append(refusal)
         return ranked, None, refused
 
-    def _is_age(
-        self, ranked: Sequence[Candidate], prior: Prior, base: Fit, noise: NoiseLevel
-    ) -> bool:
+    def _is_age(self, ranked: Sequence[Candidate], prior: Prior, base: Fit, noise: Noise) -> bool:
         """Whether what looks like a sensor's gain is as well a cell that has aged."""
         best = ranked[0]
         tried = {c.name: c.cause for c in ranked}
@@ -368,7 +380,7 @@ class Judge:
     def _both_needed(self, best: Candidate, rivals: Sequence[Candidate], prior: Prior) -> bool:
         """Whether some rival explains more on top of the best one: they are two effects."""
         wide = freed(prior, best.cause, best.fit.coordinates, self.evidence)
-        objective = Objective(self.evidence, best.noise, self._amplitude)
+        objective = self._objective(best.noise)
         frozen = freeze(objective, best.fit.coordinates, wide.names, best.fit.z)
         none = self._explained(best.fit, best.noise, wide)
         for other in rivals[:2]:

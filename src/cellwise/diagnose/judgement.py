@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from cellwise.diagnose.causes import Cause
 from cellwise.diagnose.fit import Fit, Prior
+from cellwise.diagnose.noise import Noise
 from cellwise.diagnose.rivals import Candidate, Gain
-from cellwise.diagnose.whitening_kernels import NoiseLevel
 
 
 def kept_coordinates(causes: Iterable[Cause]) -> set[str]:
@@ -43,6 +43,6 @@ class Judgement:
     base: Fit
     first: tuple[Candidate, ...]
     open_between: tuple[Candidate, ...]
-    noise: NoiseLevel
+    noise: Noise
     prior: Prior
     reasons: tuple[str, ...]

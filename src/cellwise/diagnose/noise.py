@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.optimize import minimize
 
@@ -13,6 +15,17 @@ MOST_ROWS = 5000
 LEAST_V = 2e-5
 FAST_S = (1.0, 60.0)
 SLOW_S = (60.0, 7200.0)
+
+# One log may leave so much more or less than another.
+LOG_SCALE = (0.25, 4.0)
+SCALE_CLIP = 6.0
+
+
+class Noise(NamedTuple):
+    """What no cause explains: a level, and how many times it each log leaves (empty: alike)."""
+
+    level: NoiseLevel
+    scale: tuple[float, ...] = ()
 
 
 def estimate_noise(residual_V: FloatArray, dt_s: FloatArray, known: BoolArray) -> NoiseLevel:
@@ -81,4 +94,22 @@ def at_least(level: NoiseLevel, floor: NoiseLevel) -> NoiseLevel:
         level.fast_s if fast else floor.fast_s,
         level.slow_V if slow else floor.slow_V,
         level.slow_s if slow else floor.slow_s,
+    )
+
+
+def log_scales(white: FloatArray, rows: BoolArray, lengths: list[int]) -> tuple[float, ...]:
+    """How many times the noise each log leaves: root mean square of its whitened residual.
+
+    Parameters
+    ----------
+    white : (rows,) float     whitened residual of one log after the other
+    rows : (rows,) bool       rows to use
+    lengths : rows of each log
+    """
+    square = np.minimum(white * white, SCALE_CLIP**2)
+    ends = np.cumsum(lengths)[:-1]
+    parts = zip(np.split(square, ends), np.split(rows, ends), strict=True)
+    return tuple(
+        float(np.clip(np.sqrt(np.mean(s[use])) if use.any() else 1.0, *LOG_SCALE))
+        for s, use in parts
     )

@@ -9,7 +9,7 @@ import numpy as np
 from cellwise.diagnose.causes import Cause
 from cellwise.diagnose.evidence import FITTED, HELD, Evidence
 from cellwise.diagnose.fit import Fit
-from cellwise.diagnose.whitening_kernels import NoiseLevel
+from cellwise.diagnose.noise import Noise
 from cellwise.typing import BoolArray, FloatArray, IntArray
 
 RESAMPLES = 1000
@@ -26,7 +26,7 @@ class Candidate:
 
     cause: Cause
     fit: Fit
-    noise: NoiseLevel
+    noise: Noise
     score: float
     held_score: float
     terms: FloatArray
@@ -40,7 +40,11 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Gain:
-    """RMSE [V] with and without a cause, and 1 - after / before with its 95 % interval."""
+    """RMSE [V] with and without a cause, and 1 - after / before with its 95 % interval.
+
+    ``low_in_size`` is the interval's lower end where every row counts by how wrong the model may
+    be there: near empty a few rows, hundreds of mV off, would drown all others.
+    """
 
     train_before_V: float
     train_after_V: float
@@ -49,6 +53,7 @@ class Gain:
     gain: float
     low: float
     high: float
+    low_in_size: float
 
 
 def rmse(residual: FloatArray, rows: BoolArray) -> float:
@@ -57,18 +62,25 @@ def rmse(residual: FloatArray, rows: BoolArray) -> float:
 
 
 def gain_of(
-    evidence: Evidence, before_V: FloatArray, after_V: FloatArray, rng: np.random.Generator
+    evidence: Evidence,
+    before_V: FloatArray,
+    after_V: FloatArray,
+    size: FloatArray,
+    rng: np.random.Generator,
 ) -> Gain:
-    """What a cause gains, from simulated voltages before and after; blocks are drawn whole."""
+    """What a cause gains, from simulated voltages before and after; blocks are drawn whole.
+
+    ``size`` (rows,) is the relative size of the model's error.
+    """
     b = evidence.voltage_V - before_V
     a = evidence.voltage_V - after_V
     held = (evidence.role == HELD) & evidence.known
     train = (evidence.role == FITTED) & evidence.known
-    sums = block_sums(evidence.block[held], np.column_stack((b[held] ** 2, a[held] ** 2)))
-    drawn = rng.integers(0, len(sums), (RESAMPLES, len(sums)))
-    totals = sums[drawn].sum(axis=1)
-    gains = 1.0 - np.sqrt(totals[:, 1] / np.maximum(totals[:, 0], 1e-30))
-    low, high = np.quantile(gains, (0.025, 0.975))
+    squares = np.column_stack((b, a, b / size, a / size))[held] ** 2
+    sums = block_sums(evidence.block[held], squares)
+    totals = sums[rng.integers(0, len(sums), (RESAMPLES, len(sums)))].sum(axis=1)
+    gains = 1.0 - np.sqrt(totals[:, 1::2] / np.maximum(totals[:, ::2], 1e-30))
+    low, high = np.quantile(gains[:, 0], (0.025, 0.975))
     before, after = rmse(b, held), rmse(a, held)
     return Gain(
         rmse(b, train),
@@ -78,6 +90,7 @@ def gain_of(
         1.0 - after / before if before > 0 else 0.0,
         float(low),
         float(high),
+        float(np.quantile(gains[:, 1], 0.025)),
     )
 
 
