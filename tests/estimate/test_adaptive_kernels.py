@@ -102,16 +102,39 @@ def test_flatten_then_correct_is_the_steep_slopes_gain_on_the_flat_one():
     h = np.zeros(STATES)
     h[[SOC, V1, V2, V3, H]] = 0.8, -1.0, -1.0, -1.0, 0.02
     flat = h.copy()
-    flat[SOC] = 0.1
+    flat[SOC] = 0.7
     d, c = p @ h, np.empty(STATES)
     inverse = 1.0 / (h @ d + noise)
     k = d * inverse
     a = np.eye(STATES) - np.outer(k, flat)
     want = a @ p @ a.T + noise * np.outer(k, k)
     found = upper(p)
-    flatten(found, d, c, inverse, flat[SOC] - h[SOC])
+    assert want[SOC, SOC] < p[SOC, SOC]  # something was learnt
+    assert flatten(found, d, c, inverse, flat[SOC] - h[SOC])
     correct(np.zeros(STATES) + 0.5, found, d, inverse, 0.0, True, True)
     np.testing.assert_allclose(whole(found), want, atol=1e-9)
+
+
+@pytest.mark.parametrize("flat_V", [0.0, 0.1, 0.3, 0.45])
+def test_a_plateau_teaches_nothing_and_unteaches_nothing(flat_V):
+    """A gain of a steep slope that leads onto a flat one never makes the SOC less known."""
+    slope, soc_variance = 0.5, 0.0225
+    noise = slope**2 * soc_variance
+    p = np.zeros((STATES, STATES))
+    p[SOC, SOC] = soc_variance
+    d, c = np.zeros(STATES), np.empty(STATES)
+    d[SOC] = slope * soc_variance
+    inverse = 1.0 / (slope * d[SOC] + noise)
+    gain = d[SOC] * inverse
+    want = (1.0 - gain * flat_V) ** 2 * soc_variance + gain**2 * noise
+    found = upper(p)
+    learnt = flatten(found, d, c, inverse, flat_V - slope)
+    assert learnt == (want < soc_variance)
+    if learnt:
+        correct(np.zeros(STATES) + 0.5, found, d, inverse, 0.0, True, True)
+        assert found[0] == pytest.approx(want)
+    else:
+        np.testing.assert_array_equal(found, upper(p))
 
 
 @pytest.mark.parametrize("known", [(), (B,), (Q,), (B, Q)])

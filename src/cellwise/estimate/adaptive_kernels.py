@@ -53,6 +53,7 @@ from cellwise.estimate.adaptive_state_kernels import (
     keep_watch,
     observe,
     settled_variance,
+    shift,
     watch_of,
 )
 from cellwise.estimate.adaptive_watch_kernels import use_rest, watch_resistance
@@ -224,6 +225,7 @@ def take_step(
         resting = abs(load) * 3600.0 < REST_RATE * cell.charge_As
         shared = repeated_evidence(noise, evidence, dt_s, resting)
         inverse = 1.0 / (state_variance + one * shared * max(mismatch, 1.0))
+        learnt = True
         if wide:
             # The gain is that of the slope here; what it is worth is said by the slope where it
             # leads, if that is flatter.
@@ -235,12 +237,15 @@ def take_step(
                 landed = under_load(cell, look_up(table, grid, cell, there, warm), load)
                 w = wide_slopes(table, grid, cell, there, landed, wander, warm, load)
                 flat = min(min(w.voltage_V, landed.ocv_slope_V), slope)
-            flatten(p, d, c, inverse, flat - slope)
+            learnt = flatten(p, d, c, inverse, flat - slope)
         memory[LASTING] = lasting_step(
             noise, point.error_V, point.ocv_slope_V, mismatch, d[SOC] * inverse, slope,
             memory[LASTING],
         )  # fmt: skip
-        correct(x, p, d, inverse, innovation, held_offset != 0, held_charge != 0)
+        if learnt:
+            correct(x, p, d, inverse, innovation, held_offset != 0, held_charge != 0)
+        else:
+            shift(x, d, inverse, innovation, held_offset != 0, held_charge != 0)
         evidence = max(evidence, 0.0)
     if evidence >= 0.0:
         evidence += dt_s

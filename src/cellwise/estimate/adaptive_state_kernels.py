@@ -225,13 +225,17 @@ def lean(p: FloatArray, f1: float, f2: float, f3: float) -> None:
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def flatten(p: FloatArray, d: FloatArray, c: FloatArray, inverse: float, less_V: float) -> None:
+def flatten(p: FloatArray, d: FloatArray, c: FloatArray, inverse: float, less_V: float) -> bool:
     """Before :func:`correct`: its gain, worth only a slope that is flatter by ``-less_V``.
 
     Joseph's form with d = P H' of the steeper slope, as in the EKF; c is room to work in. Offset
-    and capacity are not corrected while SOC is as far off.
+    and capacity are not corrected while SOC is as far off. False, and P as it was, where nothing
+    was learnt: the SOC would be known no better for it.
     """
     e = less_V * (2.0 * d[SOC] + less_V * p[SS])
+    gain = d[SOC] * inverse
+    if not gain * (gain * e - 2.0 * less_V * p[SS]) < gain * d[SOC]:
+        return False
     for i in range(STATES):
         c[i] = less_V * p[SOC * STATES + i]
     for i in range(B):
@@ -239,6 +243,28 @@ def flatten(p: FloatArray, d: FloatArray, c: FloatArray, inverse: float, less_V:
         for j in range(i, B):
             kj = d[j] * inverse
             p[i * STATES + j] += ki * kj * e - ki * c[j] - c[i] * kj
+    return True
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def shift(
+    x: FloatArray,
+    d: FloatArray,
+    inverse: float,
+    innovation: float,
+    hold_offset: bool,
+    hold_charge: bool,
+) -> None:
+    """The state's part of :func:`correct`: x moved, P as it was."""
+    b, q = x[B], x[Q]
+    for i in range(STATES):
+        x[i] += d[i] * inverse * innovation
+    if hold_offset:
+        x[B] = b
+    if hold_charge:
+        x[Q] = q
+    x[H] = min(max(x[H], -1.0), 1.0)
+    x[Q] = min(max(x[Q], CHARGE_LOW), CHARGE_HIGH)
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -256,26 +282,21 @@ def correct(
     A held parameter keeps value and variance, and its uncertainty still counts in all others
     (consider filter: S. F. Schmidt, Advances in Control Systems 3, 1966, p. 293).
     """
-    b, q = x[B], x[Q]
+    shift(x, d, inverse, innovation, hold_offset, hold_charge)
     bb, bq, qq = p[BB], p[BQ], p[QQ]
     for i in range(STATES):
         k = d[i] * inverse
-        x[i] += k * innovation
         for j in range(i, STATES):
             p[i * STATES + j] -= k * d[j]
     if hold_offset:
-        x[B] = b
         p[BB] = bb
     if hold_charge:
-        x[Q] = q
         p[QQ] = qq
     if hold_offset and hold_charge:
         p[BQ] = bq
     for i in range(STATES):
         p[i * STATES + i] = max(p[i * STATES + i], 0.0)
     p[SS] = max(p[SS], VARIANCE_FLOOR)
-    x[H] = min(max(x[H], -1.0), 1.0)
-    x[Q] = min(max(x[Q], CHARGE_LOW), CHARGE_HIGH)
 
 
 @njit(cache=True, error_model="numpy", inline="always")
