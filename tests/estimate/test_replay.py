@@ -280,3 +280,19 @@ def test_a_drive_through_gaps_is_followed():
     assert 0 <= r.soc_error[row] <= missed  # it cannot know, but the voltage tells the direction
     assert abs(r.soc_error[-1]) < 0.2 * missed  # and it finds out
     assert r.coverage_2sigma > 0.9
+
+
+def test_the_sums_of_a_trace_are_those_of_its_arrays():
+    rng = np.random.default_rng(5)
+    innovation = rng.normal(0.0, 0.01, 500)
+    innovation[rng.integers(0, 500, 20)] = np.nan
+    variance = rng.uniform(1e-5, 1e-3, 500)
+    variance[:5] = np.nan
+    status = rng.choice([0, 0, 0, Status.INNOVATION_REJECTED, Status.VOLTAGE_FROZEN], 500)
+    run = by_hand(np.zeros(500), innovation=innovation, variance=variance, status=status)
+    known = innovation[np.isfinite(innovation)]
+    nis = (innovation**2 / variance)[(status == 0) & np.isfinite(innovation**2 / variance)]
+    assert run.voltage_rmse_V == pytest.approx(np.sqrt(np.mean(known**2)), rel=1e-12)
+    assert run.nis_mean == pytest.approx(np.mean(nis), rel=1e-12)
+    assert run.sums.rejected == np.count_nonzero(status == Status.INNOVATION_REJECTED)
+    assert run.sums.status == Status.INNOVATION_REJECTED | Status.VOLTAGE_FROZEN

@@ -9,10 +9,10 @@ import numpy as np
 from cellwise.cell.effects import Hysteresis
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import (
+    best_start_soc,
     check_soc0,
     known_temperature_C,
     model_temperature_C,
-    simulated_voltages_V,
 )
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
@@ -78,7 +78,7 @@ def initial_soc(
         rest_s = float(log.time_s[last] - log.time_s[0])
         unfinished = SHORT_REST_V * np.exp(-rest_s / RELAXED_S)
         return _from_rest(model, log, last, rest_s, unfinished)
-    return _from_first_minute(model, log, likeliest)
+    return _from_first_minute(model, log, current, likeliest)
 
 
 def soc_of_ocv(
@@ -110,20 +110,17 @@ def _from_rest(model: CellModel, log: CellLog, row: int, rest_s: float, std_V: f
     return InitialSoc(soc, max(std, 0.005), how)
 
 
-def _from_first_minute(model: CellModel, log: CellLog, likeliest: bool) -> InitialSoc:
+def _from_first_minute(
+    model: CellModel, log: CellLog, current: FloatArray, likeliest: bool
+) -> InitialSoc:
     first = int(np.flatnonzero(np.isfinite(log.voltage_V))[0])
     rows = max(first + 2, int(np.searchsorted(log.time_s, log.time_s[first] + FIT_S, side="right")))
-    current = log.known_current_A()
-    head = replace(log, current_A=current, current_meaning="interval_end").part(0, rows)
+    head = replace(log.part(0, rows), current_A=current[:rows], current_meaning="interval_end")
     if log.temperature_C is None:
         head = replace(head, temperature_C=np.full(len(head), model_temperature_C(model)))
-    grid = np.linspace(0.0, 1.0, 101)
-    cost = _fit_cost(model, head, grid)
-    best = grid[int(np.argmin(cost))]
-    grid = np.linspace(max(0.0, best - 0.01), min(1.0, best + 0.01), 41)
-    cost = _fit_cost(model, head, grid)
-    best = float(grid[int(np.argmin(cost))])
-    rms = float(np.sqrt(cost.min()))
+    best, _ = best_start_soc(model, head, np.linspace(0.0, 1.0, 101))
+    near = np.linspace(max(0.0, best - 0.01), min(1.0, best + 0.01), 41)
+    best, rms = best_start_soc(model, head, near)
     # The cell did not begin at rest here, so its past is in the voltage; and what the fit takes
     # for a low SOC may be a high resistance: say so in the spread.
     temperature = float(known_temperature_C(model, head)[0])
@@ -135,8 +132,3 @@ def _from_first_minute(model: CellModel, log: CellLog, likeliest: bool) -> Initi
     inside = 0.0 if likeliest else min(HALF_NORMAL * std, 0.5)
     best = min(max(best, inside), 1.0 - inside)
     return InitialSoc(best, max(std, 0.01), f"fit of the first {head.duration_s:.0f} s under load")
-
-
-def _fit_cost(model: CellModel, head: CellLog, grid: FloatArray) -> FloatArray:
-    error_V = head.voltage_V - simulated_voltages_V(model, head, grid)
-    return np.asarray(np.nanmean(error_V**2, axis=1))

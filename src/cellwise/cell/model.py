@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -194,6 +195,11 @@ class CellModel(Plottable):
 
     def parameters(self) -> tuple[FloatArray, FloatArray, CellScalars]:
         """What the kernels take: the packed table, its temperatures, the scalars."""
+        table, grid, scalars = self._parameters
+        return table.copy(), grid.copy(), scalars
+
+    @cached_property
+    def _parameters(self) -> tuple[FloatArray, FloatArray, CellScalars]:
         shape = self.ocv_V.shape
         slow = self.effect(SlowDiffusion)
         hysteresis = self.effect(Hysteresis)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,10 +17,13 @@ from cellwise.cell.metrics import (
     metrics_to_dict,
 )
 from cellwise.cell.model import CellModel
+from cellwise.cell.start_kernels import best_start
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import FloatArray
+
+UPPER_HALF = 0.5  # from here on a rested cell was charged, not discharged
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -135,8 +139,8 @@ def simulate(model: CellModel, log: CellLog, soc0: float, h0: float | None = Non
     return Simulation(log, float(soc0), voltage, soc)
 
 
-def simulated_voltages_V(model: CellModel, log: CellLog, soc0: FloatArray) -> FloatArray:
-    """Terminal voltages of one log from many start SOCs, as `simulate` gives them one by one.
+def best_start_soc(model: CellModel, log: CellLog, soc0: FloatArray) -> tuple[float, float]:
+    """The start SOC from which `simulate` fits a log's voltage best, of those given.
 
     Parameters
     ----------
@@ -146,22 +150,22 @@ def simulated_voltages_V(model: CellModel, log: CellLog, soc0: FloatArray) -> Fl
 
     Returns
     -------
-    (m, rows) float       terminal voltage [V]
+    float, float          the SOC, and the root mean square of the voltage error from there [V]
     """
     table, grid, scalars = model.parameters()
-    interval, current = log.interval_s, log.known_current_A()
-    temperature = known_temperature_C(model, log)
-    voltage = np.empty((soc0.size, len(log)))
-    soc = np.empty(len(log))
-    for k, start in enumerate(soc0.tolist()):
-        state = empty_state(start, start_hysteresis(start))
-        simulate_rows(table, grid, scalars, state, interval, current, temperature, voltage[k], soc)
-    return voltage
+    starts = np.array(soc0, dtype=np.float64)
+    h0 = np.where(starts > UPPER_HALF, 1.0, -1.0)
+    number, total = best_start(
+        table, grid, scalars, starts, h0, log.interval_s, log.known_current_A(),
+        known_temperature_C(model, log), np.array(log.voltage_V),
+    )  # fmt: skip
+    known = max(int(np.count_nonzero(np.isfinite(log.voltage_V))), 1)
+    return float(starts[number]), math.sqrt(total / known)
 
 
 def start_hysteresis(soc0: float) -> float:
     """The likelier branch of a resting cell: a full one was charged, an empty one discharged."""
-    return 1.0 if soc0 > 0.5 else -1.0
+    return 1.0 if soc0 > UPPER_HALF else -1.0
 
 
 def check_soc0(soc0: float) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -19,6 +21,7 @@ from cellwise.estimate.noise import Noise
 from cellwise.estimate.rest_ocv import RestOcv
 from cellwise.estimate.status import INNOVATION_REJECTED, VOLTAGE_FROZEN, VOLTAGE_INVALID
 from cellwise.estimate.trace import Trace
+from cellwise.estimate.trace_kernels import TraceSums, trace_sums
 from cellwise.estimate.ukf import Ukf
 from cellwise.logs.cell_log import CellLog
 from cellwise.plotting import Line, Panel, Plottable, Tabular
@@ -151,20 +154,29 @@ class Replay(Plottable, Tabular):
         within = np.abs(self.soc_error) <= 2.0 * self.trace.soc_std
         return float(np.mean(within[known])) if known.any() else None
 
+    @cached_property
+    def sums(self) -> TraceSums:
+        """Sums over the trace: innovations, their squares, what was rejected."""
+        trace = self.trace
+        unused = INNOVATION_REJECTED | VOLTAGE_INVALID | VOLTAGE_FROZEN
+        return trace_sums(
+            np.ascontiguousarray(trace.innovation_V),
+            np.ascontiguousarray(trace.innovation_variance_V2),
+            np.ascontiguousarray(trace.status, dtype=np.int32),
+            int(unused),
+            int(INNOVATION_REJECTED),
+        )
+
     @property
     def nis_mean(self) -> float | None:
         """Mean of innovation squared over its variance, over the voltages that were used."""
-        unused = INNOVATION_REJECTED | VOLTAGE_INVALID | VOLTAGE_FROZEN
-        kept = (self.trace.status & unused) == 0
-        nis = self.trace.innovation_V[kept] ** 2 / self.trace.innovation_variance_V2[kept]
-        nis = nis[np.isfinite(nis)]
-        return float(np.mean(nis)) if nis.size else None
+        return self.sums.nis / self.sums.used if self.sums.used else None
 
     @property
     def voltage_rmse_V(self) -> float:
         """RMSE of the voltage predicted before each measurement was used [V]; NaN: none was."""
-        e = self.trace.innovation_V[np.isfinite(self.trace.innovation_V)]
-        return float(np.sqrt(np.mean(e * e))) if e.size else float("nan")
+        sums = self.sums
+        return math.sqrt(sums.squares_V2 / sums.known) if sums.known else math.nan
 
     def to_dict(self) -> dict[str, Any]:
         """The figures as JSON values, keys as the command prints them."""
@@ -182,7 +194,7 @@ class Replay(Plottable, Tabular):
             "settled": None if settled is None else vars(settled),
             "coverage_2sigma": self.coverage_2sigma,
             "nis_mean": self.nis_mean,
-            "voltage_rmse_V": self.voltage_rmse_V if np.isfinite(self.voltage_rmse_V) else None,
+            "voltage_rmse_V": self.voltage_rmse_V if self.sums.known else None,
             "ns_per_step": self.ns_per_step,
         }
         if isinstance(self.trace, AdaptiveTrace):

@@ -62,7 +62,7 @@ def connected(scheduler: str, workers: int | None) -> Iterator[Any]:
                 n_workers=1 if threads else count,
                 threads_per_worker=count if threads else 1,
                 processes=not threads,
-                dashboard_address=None,
+                dashboard_address=":0",  # any port that is free
                 silence_logs="CRITICAL",
             ) as cluster,
             distributed.Client(cluster, set_as_default=False) as client,

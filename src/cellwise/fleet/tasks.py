@@ -16,7 +16,6 @@ from cellwise.cell.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.estimate.replay import Estimator, Replay, make_estimator, reference_soc
-from cellwise.estimate.status import INNOVATION_REJECTED
 from cellwise.fleet import columns
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.prepared import read_prepared
@@ -121,7 +120,7 @@ class ReplayTask(LogTask):
         settled, learnt = told.pop("settled"), told.pop("parameters", None) or {}
         start = told.pop("soc0")
         trace = found.trace
-        rejected = float(np.mean((trace.status & INNOVATION_REJECTED) != 0))
+        rejected = found.sums.rejected / len(trace)
         row = {
             **told,
             "soc0": start["value"],
@@ -131,7 +130,7 @@ class ReplayTask(LogTask):
             "soc_max": float(np.max(trace.soc)),
             "settled_rmse": None if settled is None else settled["rmse"],
             "rejected_share": rejected,
-            "status": int(np.bitwise_or.reduce(trace.status)),
+            "status": found.sums.status,
             "sign": self._sign(found, rejected),
         }
         for name in ("offset_A", "capacity_Ah"):

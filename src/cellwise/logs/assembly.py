@@ -106,9 +106,9 @@ def assemble(
     notices += check_current_and_time(log, origin.where)
     opposite = counter is not None and counter.agreement < -SAME_QUANTITY
     if not (check_sign or opposite):
-        return replace(log, notices=tuple(notices))
+        return log.told(notices)
     log, told = _with_checked_sign(log, sign, opposite=opposite)
-    return replace(log, notices=(*notices, *told))
+    return log.told((*notices, *told))
 
 
 def log_from_table(table: Mapping[str, Any], *, sign: str, name: str, source: str) -> CellLog:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -72,7 +72,8 @@ class CellLog(Plottable, Tabular):
                 object.__setattr__(self, field, _channel(getattr(self, field), field, n, where))
         _check_time(self.time_s, where)
         for field in ("current_A", "voltage_V"):
-            if np.all(np.isnan(getattr(self, field))):
+            values = getattr(self, field)
+            if np.isnan(values[0]) and np.all(np.isnan(values)):
                 raise InputError(
                     f"no finite value of {field} in {where}",
                     "at least some measured values",
@@ -245,6 +246,24 @@ class CellLog(Plottable, Tabular):
         counted = summed + drift - (summed[0] + drift[0])
         return counted
 
+    @classmethod
+    def checked_before(cls, **values: Any) -> CellLog:
+        """A log of what another log held: float64 channels that were checked when it was made."""
+        log = object.__new__(cls)
+        for one in fields(cls):
+            value = values.get(one.name, one.default)
+            if isinstance(value, np.ndarray) and value.flags.writeable:
+                value.setflags(write=False)
+            object.__setattr__(log, one.name, value)
+        return log
+
+    def told(self, notices: Iterable[str]) -> CellLog:
+        """The same log with other notices; nothing is checked again, nothing copied."""
+        log = object.__new__(type(self))
+        log.__dict__.update(self.__dict__)
+        object.__setattr__(log, "notices", tuple(notices))
+        return log
+
     def part(self, start: int, stop: int) -> CellLog:
         """Rows ``start`` to ``stop`` (not included) as a log of their own, time kept."""
         return self.rows(np.arange(*slice(start, stop).indices(len(self))))
@@ -270,7 +289,7 @@ def _channel(value: ArrayLike, field: str, n: int, where: str) -> FloatArray:
     """A read-only float64 view or copy of one channel; infinite readings become missing ones."""
     array: FloatArray = np.ascontiguousarray(value, dtype=np.float64)
     _check_shape(array, field, n, where)
-    if field != "time_s" and np.isinf(array).any():
+    if field != "time_s" and not np.isfinite(np.sum(array)) and np.isinf(array).any():
         # An infinite reading must not reach a sum.
         array = np.where(np.isinf(array), np.nan, array)
     array = array.view()  # the caller's own array stays writeable
@@ -312,15 +331,17 @@ def _check_time(time_s: FloatArray, where: str) -> None:
             "at least two rows",
             "Check that the file is complete.",
         )
-    if not np.all(np.isfinite(time_s)):
+    # A sum is finite only where every stamp is: one pass without a mask.
+    if not (np.isfinite(np.sum(time_s)) or np.all(np.isfinite(time_s))):
         row = int(np.flatnonzero(~np.isfinite(time_s))[0])
         raise InputError(
             f"time_s = {time_s[row]} at row {row} of {where}",
             "a finite time in every row",
             "Drop the row or repair its stamp.",
         )
-    back = np.flatnonzero(np.diff(time_s) < 0)
-    if back.size:
+    interval = np.diff(time_s)
+    if np.min(interval) < 0:
+        back = np.flatnonzero(interval < 0)
         k = int(back[0])
         raise InputError(
             f"time running backwards in {where}: {time_s[k]:.3f} s at row {k}, then "

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     import pyarrow
 
 PARQUET_MAGIC = b"PAR1"
+SMALL_ROWS = 1_000_000
 
 
 def is_parquet(source: LogSource) -> bool:
@@ -30,10 +31,10 @@ def parquet_has(source: LogSource, *groups: tuple[str, ...]) -> bool:
     if not is_parquet(source):
         return False
     import pyarrow as pa
-    from pyarrow import parquet
 
     try:
-        names = {folded(name) for name in parquet.read_schema(source.path).names}
+        schema = source.parquet_metadata.schema.to_arrow_schema()
+        names = {folded(name) for name in schema.names}
     except (pa.ArrowException, OSError):
         return False
     return all(names.intersection(map(folded, group)) for group in groups)
@@ -51,7 +52,7 @@ def read_parquet(source: LogSource, known: Format) -> RawLog:
 
     where = source.where
     try:
-        with parquet.ParquetFile(source.path) as file:
+        with parquet.ParquetFile(source.path, metadata=source.parquet_metadata) as file:
             columns, notices = choose_columns(
                 file.schema_arrow.names,
                 known.channels,
@@ -62,9 +63,16 @@ def read_parquet(source: LogSource, known: Format) -> RawLog:
             if file.metadata.num_rows == 0:
                 raise InputError(f"no rows in {where}", "rows of numbers", "Check the export.")
             arrays: dict[str, FloatArray] = {}
+            header = file.schema_arrow.names
+            wanted = [header[column.index] for column in columns]
+            small = file.metadata.num_rows <= SMALL_ROWS
+            # At once and on this thread alone, where there are many small files; else a column at
+            # a time, for the memory's sake.
+            table = file.read(columns=wanted, use_threads=False) if small else None
             for k, column in enumerate(columns):
-                name = file.schema_arrow.names[column.index]
-                values = _numbers(file.read(columns=[name]).column(0), column.unit, name, where)
+                name = header[column.index]
+                read = table if table is not None else file.read(columns=[name])
+                values = _numbers(read.column(name), column.unit, name, where)
                 arrays[column.field] = column.unit.convert(values)
                 source.tell(k + 1, len(columns))
     except (pa.ArrowException, OSError) as error:
@@ -89,5 +97,7 @@ def _numbers(column: pyarrow.ChunkedArray, unit: Unit, name: str, where: str) ->
             "a column of numbers",
             "Write the time as seconds from the log's start, and quantities as floating point.",
         )
-    chunks = [to_numpy(chunk) for chunk in column.cast(pa.float64()).chunks]
-    return np.concatenate(chunks)
+    if column.type != pa.float64():
+        column = column.cast(pa.float64())
+    chunks = [to_numpy(chunk) for chunk in column.chunks]
+    return chunks[0] if len(chunks) == 1 else np.concatenate(chunks)

@@ -1,4 +1,4 @@
-"""Logs that were read and checked before: arrays in a file that is mapped, not parsed.
+"""Logs that were read and checked before: arrays as they lie in memory, not parsed.
 
 Reading a log, checking its units, counter and sign takes longer than a filter over it. Whoever goes
 through the same logs again and again, with another model or filter, need not do it again.
@@ -8,19 +8,25 @@ from __future__ import annotations
 
 import hashlib
 import json
+import mmap
+import os
+import struct
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from cellwise.errors import InputError
 from cellwise.files import write_atomically
-from cellwise.logs.arrow_arrays import from_numpy, to_numpy
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.reading import read_log
 
-VERSION = 1
+VERSION = 2
 CHANNELS = ("time_s", "current_A", "voltage_V", "temperature_C", "charge_Ah")
-NOTE = b"cellwise"
+HEAD = struct.Struct("<8sQ")
+MAGIC = b"cellwise"
+MAPPED_FROM = 64_000_000  # bytes
 
 
 def read_prepared(path: Path, cache: str | Path = "", **options: Any) -> CellLog:
@@ -43,7 +49,7 @@ def read_prepared(path: Path, cache: str | Path = "", **options: Any) -> CellLog
     """
     if not cache:
         return read_log(path, check_sign=False, **options)
-    place = Path(cache) / f"{_key(path, options)}.arrow"
+    place = Path(cache) / f"{_key(path, options)}.log"
     if place.is_file():
         found = _load(place, path)
         if found is not None:
@@ -62,42 +68,56 @@ def read_prepared(path: Path, cache: str | Path = "", **options: Any) -> CellLog
 def _key(path: Path, options: dict[str, Any]) -> str:
     """A name that changes with the file, and with how it is read."""
     try:
-        told = path.stat()
+        told = os.stat(path)
     except OSError:
         return "none"
-    what = [VERSION, str(path.resolve()), told.st_size, told.st_mtime_ns, sorted(options.items())]
+    what = [VERSION, os.path.abspath(path), told.st_size, told.st_mtime_ns, sorted(options.items())]
     return hashlib.sha256(json.dumps(what, default=str).encode()).hexdigest()[:24]
 
 
 def _store(log: CellLog, target: Path) -> None:
-    import pyarrow as pa
-
+    """Length of a description, the description, then the channels one after another."""
+    names = [f for f in CHANNELS if getattr(log, f) is not None]
     told = {
         "name": log.name,
         "format": log.format,
         "current_meaning": log.current_meaning,
         "notices": log.notices,
+        "rows": len(log),
+        "channels": names,
     }
-    fields = [f for f in CHANNELS if getattr(log, f) is not None]
-    arrays = [from_numpy(getattr(log, f)) for f in fields]
-    schema = pa.schema([(f, pa.float64()) for f in fields], {NOTE: json.dumps(told).encode()})
-    with pa.OSFile(str(target), "wb") as file, pa.ipc.new_file(file, schema) as writer:
-        writer.write_batch(pa.RecordBatch.from_arrays(arrays, schema=schema))
+    text = json.dumps(told).encode()
+    text += b" " * (-(len(text) + HEAD.size) % 8)  # the channels begin at a multiple of 8
+    with target.open("wb") as file:
+        file.write(HEAD.pack(MAGIC, len(text)) + text)
+        for name in names:
+            file.write(np.ascontiguousarray(getattr(log, name), dtype="<f8").tobytes())
 
 
 def _load(place: Path, path: Path) -> CellLog | None:
-    """The log, its arrays mapped from the file; None for a file that is not whole."""
-    import pyarrow as pa
-
+    """The log as it was kept; None for a file that is not whole."""
     try:
-        with pa.memory_map(str(place)) as file:
-            reader = pa.ipc.open_file(file)
-            told = json.loads(reader.schema.metadata[NOTE])
-            batch = reader.get_batch(0)
-        channels: dict[str, Any] = {
-            name: to_numpy(batch.column(name)) for name in batch.schema.names
+        data = _content(place)
+        magic, length = HEAD.unpack_from(data)
+        if magic != MAGIC:
+            return None
+        told = json.loads(bytes(data[HEAD.size : HEAD.size + length]))
+        rows, names = int(told.pop("rows")), told.pop("channels")
+        start, size = HEAD.size + length, 8 * rows
+        if len(data) != start + size * len(names):
+            return None
+        channels = {
+            name: np.frombuffer(data, "<f8", rows, start + k * size) for k, name in enumerate(names)
         }
-    except (pa.ArrowException, OSError, KeyError, TypeError, ValueError):
+        told["notices"] = tuple(told["notices"])
+        return CellLog.checked_before(**channels, source=str(path), **told)
+    except (OSError, KeyError, TypeError, ValueError, struct.error):
         return None
-    told["notices"] = tuple(told["notices"])
-    return CellLog(**channels, source=str(path), **told)
+
+
+def _content(place: Path) -> bytes | mmap.mmap:
+    """A small file read, which is quicker; a large one mapped, which needs no memory."""
+    with place.open("rb", buffering=0) as file:
+        if os.fstat(file.fileno()).st_size < MAPPED_FROM:
+            return file.read()
+        return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)

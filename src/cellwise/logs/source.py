@@ -9,11 +9,14 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cached_property
 from pathlib import Path
-from typing import IO, cast
+from typing import IO, TYPE_CHECKING, cast
 
 from cellwise.errors import InputError
 from cellwise.logs.options import NOTHING_SAID, ReadOptions
 from cellwise.typing import FloatArray
+
+if TYPE_CHECKING:
+    import pyarrow
 
 # Called with the bytes (or columns) done and the number there are in all.
 Progress = Callable[[int, int], None]
@@ -47,6 +50,8 @@ class LogSource:
     @cached_property
     def is_text(self) -> bool:
         """The file's beginning has no byte that text has not."""
+        if b"\0" in self.head:
+            return False
         return len(self.head.translate(None, NO_TEXT)) == len(self.head)
 
     @cached_property
@@ -55,6 +60,18 @@ class LogSource:
         if not self.is_text:
             return ()
         return tuple(line.strip() for line in decoded(self.head).splitlines()[:MOST_HEADER_LINES])
+
+    @cached_property
+    def parquet_metadata(self) -> pyarrow.parquet.FileMetaData:
+        """The footer of a parquet file, read once.
+
+        Raises
+        ------
+        pyarrow.ArrowException, OSError      a file that is not whole
+        """
+        from pyarrow import parquet
+
+        return parquet.read_metadata(self.path)
 
     def open(self) -> IO[bytes]:
         """The content as a binary stream, decompressed."""

@@ -1,0 +1,80 @@
+"""The start SOC from which a simulation fits a log best."""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+from cellwise.cell.kernels import (
+    CellScalars,
+    CellState,
+    advance,
+    look_up,
+    seen_current,
+    terminal_voltage,
+)
+from cellwise.typing import FloatArray
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def best_start(
+    table: FloatArray,
+    grid: FloatArray,
+    cell: CellScalars,
+    soc0: FloatArray,
+    h0: FloatArray,
+    dt_s: FloatArray,
+    current_A: FloatArray,
+    temperature_C: FloatArray,
+    voltage_V: FloatArray,
+) -> tuple[int, float]:
+    """Which of the rested starts has the smallest sum of squared voltage errors, and that sum.
+
+    ``soc0`` and ``h0`` are SOC and hysteresis state of every start, the others the log's rows as
+    `simulate_rows` takes them; a missing voltage counts nothing. A start is left as soon as it is
+    worse than the best one before it. Returns its number and the sum [V^2].
+    """
+    best, least = 0, math.inf
+    likely = nearest_start(table, grid, cell, soc0, h0, current_A, temperature_C, voltage_V)
+    for place in range(-1, soc0.size):
+        k = likely if place < 0 else place  # the likely one first: most others are left early then
+        state = CellState(soc0[k], 0.0, 0.0, 0.0, h0[k], 0.0)
+        previous, total = current_A[0], 0.0
+        for i in range(dt_s.size):
+            seen = seen_current(cell, current_A[i], previous, dt_s[i])
+            previous = current_A[i]
+            state, point = advance(table, grid, cell, state, seen, dt_s[i], temperature_C[i])
+            error = voltage_V[i] - terminal_voltage(point, state, seen)
+            if error == error:  # not NaN
+                total += error * error
+                if total > least:
+                    break
+        if total < least or (total == least and k < best):
+            best, least = k, total
+    return best, least
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def nearest_start(
+    table: FloatArray,
+    grid: FloatArray,
+    cell: CellScalars,
+    soc0: FloatArray,
+    h0: FloatArray,
+    current_A: FloatArray,
+    temperature_C: FloatArray,
+    voltage_V: FloatArray,
+) -> int:
+    """The start whose voltage is nearest at the first row where one was measured."""
+    row = 0
+    while row < voltage_V.size - 1 and not math.isfinite(voltage_V[row]):
+        row += 1
+    nearest, least = 0, math.inf
+    for k in range(soc0.size):
+        state = CellState(soc0[k], 0.0, 0.0, 0.0, h0[k], 0.0)
+        point = look_up(table, grid, cell, soc0[k], temperature_C[row])
+        error = abs(voltage_V[row] - terminal_voltage(point, state, current_A[row]))
+        if error < least:
+            nearest, least = k, error
+    return nearest
