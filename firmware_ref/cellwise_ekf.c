@@ -225,6 +225,16 @@ static APART float root(float square)
 
 /* ---- tables ---- */
 
+#if CELLWISE_ARRHENIUS > 0
+/* The parabola through three neighbouring points: an exponential bends too much for a line. */
+static float through_three(const float *table, float f)
+{
+    const float first = table[1] - table[0];
+    const float second = table[2] - table[1];
+    return table[0] + (f * (first + ((0.5f * (f - 1.0f)) * (second - first))));
+}
+#endif
+
 static cellwise_place place_of(const cellwise_model *m, float temperature_C)
 {
     cellwise_place place = {0u, 0.0f, 1.0f};
@@ -243,11 +253,10 @@ static cellwise_place place_of(const cellwise_model *m, float temperature_C)
                                  m->constant.arrhenius_per_K,
                              0.0f, (float)(CELLWISE_ARRHENIUS - 1u));
         uint32_t k = (uint32_t)y;
-        if (k > (CELLWISE_ARRHENIUS - 2u)) {
-            k = CELLWISE_ARRHENIUS - 2u;
+        if (k > (CELLWISE_ARRHENIUS - 3u)) {
+            k = CELLWISE_ARRHENIUS - 3u;
         }
-        place.scale = between(m->constant.arrhenius[k], m->constant.arrhenius[k + 1u],
-                              y - (float)k);
+        place.scale = through_three(&m->constant.arrhenius[k], y - (float)k);
     }
 #endif
 #if !CELLWISE_NEEDS_TEMPERATURE

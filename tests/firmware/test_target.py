@@ -11,6 +11,7 @@ from cellwise.data import load_dataset
 from cellwise.estimate.fixed_step import numba_stepper, samples_of
 from cellwise.estimate.fixed_step_layout import state_type
 from cellwise.export.cross import CORES, has_tools, run_on_target
+from cellwise.export.stress import worst_case
 from example_cells import curved_cell
 from firmware_cases import stress_samples, tables_of
 
@@ -49,15 +50,38 @@ def test_the_same_bytes_on_a_drive_and_under_stress(core, case):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("core", "instructions", "stack"), [("cortex-m4f", 520, 96), ("cortex-m0plus", 16_500, 224)]
+    ("core", "instructions", "text", "stack"),
+    [("cortex-m4f", 520, 2048, 96), ("cortex-m0plus", 16_500, 2800, 224)],
 )
-def test_three_states_stay_within_the_room_there_is(core, instructions, stack):
+def test_three_states_stay_within_the_room_there_is(core, instructions, text, stack):
     run = run_on_target(tables_of("lean"), core, drive_samples(5000), 0.9, 1e-4, measure_every=10)
     assert run.cost.measured == 500
     assert 100 < run.cost.instructions_mean <= run.cost.instructions_most <= instructions
+    assert 1000 < run.cost.text_bytes <= text
     assert 0 < run.cost.stack_bytes <= stack
     assert run.cost.state_bytes <= 64
     assert run.cost.ram_bytes == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("core", "instructions"), [("cortex-m4f", 520), ("cortex-m0plus", 16_500)])
+def test_under_stress_too(core, instructions):
+    run = run_on_target(
+        tables_of("lean"), core, stress_samples(4000), 0.9, 1e-2, measure_every=1
+    ).cost
+    assert run.measured == 4000
+    assert run.instructions_most <= instructions
+    assert worst_case(curved_cell(), tables_of("lean"), core).stress <= instructions
+
+
+@pytest.mark.slow
+def test_looking_anew_is_counted():
+    lean, full = (
+        worst_case(curved_cell(), tables_of(case), "cortex-m4f") for case in ("lean", "plain")
+    )
+    assert lean.anew is not None
+    assert full.anew is not None
+    assert full.stress >= full.anew > 100 * lean.anew
 
 
 @pytest.mark.slow

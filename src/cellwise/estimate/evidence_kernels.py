@@ -25,6 +25,7 @@ from cellwise.estimate.status import (
 )
 
 UNDER_LOAD_COUNT = 0.05  # a rejection that wrong resistances could explain
+COUNT_ROUNDING = 1e-6  # a sum of thousands of small counts reaches a whole number
 FORGIVEN = 0.1  # of the count, by a voltage that passes
 
 
@@ -106,7 +107,7 @@ def weigh(
                 rejections += UNDER_LOAD_COUNT * min(dt_s, 1.0)
             if unsure and resting and evidence_s < 0.0:
                 rejections = noise.recovery_after
-            if rejections >= noise.recovery_after:
+            if rejections >= noise.recovery_after - COUNT_ROUNDING:
                 status |= GATE_RECOVERY
                 recover = True
                 rejections = 0.0

@@ -90,9 +90,14 @@ def place_of(c: Any, temperature_C: float, TEMPERATURES: int, ARRHENIUS: int) ->
             (temperature_C - c.arrhenius_low_C) * c.arrhenius_per_K, ZERO, F(c.arrhenius.size - 1)
         )
         k = U(y)
-        if k > U(c.arrhenius.size - 2):
-            k = U(c.arrhenius.size - 2)
-        scale = between(c.arrhenius[k], c.arrhenius[k + U(1)], y - F(k))
+        if k > U(c.arrhenius.size - 3):
+            k = U(c.arrhenius.size - 3)
+        # The parabola through three neighbouring points: an exponential bends too much for a line.
+        f = y - F(k)
+        start = c.arrhenius[k]
+        first = c.arrhenius[k + U(1)] - start
+        second = c.arrhenius[k + U(2)] - c.arrhenius[k + U(1)]
+        scale = start + (f * (first + ((HALF * (f - ONE)) * (second - first))))
     return Place(low, weight, scale)
 
 
