@@ -15,6 +15,7 @@ from cellwise.errors import InputError
 from cellwise.fleet.tasks import LogTask, failed_row
 
 LOCAL, PROCESSES = "local", "processes"
+WORKER_DIED = "the worker died"
 POLL_S = 0.01
 AHEAD = 3  # batches in hand for each thread: enough to keep it busy, few enough to stay small
 
@@ -122,7 +123,7 @@ def rows_of(
             yield future.result()
         except Exception as error:  # of Dask: those of the logs are rows
             if len(logs) == 1 and logs[0] in blamed:
-                reason = f"the worker died on it ({type(error).__name__})"
+                reason = f"{WORKER_DIED} on it ({type(error).__name__})"
                 yield [failed_row(folder, logs[0], reason)]
             else:
                 blamed.update(logs)

@@ -10,9 +10,9 @@ from typing import Any
 
 from cellwise.cell.model_file import model_mark
 from cellwise.errors import InputError
-from cellwise.fleet.engine import LOCAL, connected, rows_of
+from cellwise.fleet.engine import LOCAL, WORKER_DIED, connected, rows_of
 from cellwise.fleet.store import ResultFolder
-from cellwise.fleet.tasks import LogTask
+from cellwise.fleet.tasks import INTERNAL, LogTask
 
 BATCH = 8
 PART_ROWS = 2_000
@@ -70,7 +70,8 @@ def run_fleet(
 
     Raises
     ------
-    InputError                no folder, no logs in it; results of other settings; no scheduler
+    InputError                no folder, no logs in it, none that can be read; results of other
+                              settings; no scheduler
     """
     began = time.perf_counter()
     place, target = Path(folder), Path(out)
@@ -83,6 +84,7 @@ def run_fleet(
     ready = store.done(there, retry_failed=retry_failed)
     names = [name for name in there if name not in ready]
     done = failed = samples = 0
+    refusals: list[str] = []
     kept: list[dict[str, Any]] = []
     written_s = time.monotonic()
     if names:
@@ -93,6 +95,7 @@ def run_fleet(
                     done += len(rows)
                     failed += sum(row["error"] is not None for row in rows)
                     samples += sum(row.get("samples") or 0 for row in rows)
+                    refusals += refused(rows)
                     if progress is not None:
                         progress(len(ready) + done, failed, len(there))
                     if len(kept) >= PART_ROWS or time.monotonic() - written_s >= PART_S:
@@ -100,9 +103,24 @@ def run_fleet(
                         kept, written_s = [], time.monotonic()
             finally:
                 store.add(kept)
+    if len(refusals) == len(there):
+        store.drop()
+        raise InputError(
+            f"none of the {len(there)} files of '{place}' a log that can be read (the first: "
+            f"{refusals[0].rstrip('.')})",
+            "a folder with logs in it",
+            "Check the folder, --pattern, and how the logs are read.",
+        )
     seconds = time.perf_counter() - began
     resumed = len(there) - len(names)
     return FleetResult(target, len(there), resumed, done, failed, samples, seconds)
+
+
+def refused(rows: list[dict[str, Any]]) -> list[str]:
+    """Errors of the logs that were refused, not of those that something of ours broke on."""
+    ours = (INTERNAL, WORKER_DIED)
+    errors = [row["error"] for row in rows if row["error"] is not None]
+    return [error for error in errors if not error.startswith(ours)]
 
 
 def find_logs(folder: Path, pattern: str, out: Path) -> dict[str, tuple[int, int]]:

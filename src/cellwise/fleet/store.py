@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -87,6 +88,13 @@ class ResultFolder:
             elif not all(keep):
                 write_rows(kept, self._columns, part)
         return found
+
+    def drop(self) -> None:
+        """Take away what a run has written, and the folder if nothing else is in it."""
+        for path in (*self.parts(), self.place / MANIFEST):
+            path.unlink(missing_ok=True)
+        with suppress(OSError):
+            self.place.rmdir()
 
     def add(self, rows: Iterable[Mapping[str, Any]]) -> None:
         """One more part."""

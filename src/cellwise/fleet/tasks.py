@@ -24,6 +24,7 @@ from cellwise.logs.sign import verify_sign
 # From here on the model does not know the log, and its sign is worth a look.
 SURPRISED_SHARE = 0.02
 SURPRISED_TIMES = 4.0
+INTERNAL = "internal error"
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ class LogTask:
             except InputError as error:
                 row["error"] = str(error)
             except Exception as error:
-                row["error"] = f"internal error, {type(error).__name__}: {error}"
+                row["error"] = f"{INTERNAL}, {type(error).__name__}: {error}"
             row["seconds"] = time.perf_counter() - began
             yield row
 
