@@ -45,13 +45,16 @@ def immaterial(candidate: Candidate, alone: Gain, together: Gain, claim_V: float
     lows = (alone.low, alone.low_in_size, together.low, together.low_in_size, candidate.held_low)
     if alone.gain <= 0.0 or max(lows) <= 0.0:
         return f"{name} fits, but gains nothing sure on held-out data"
-    saved = alone.held_before_V - alone.held_after_V
-    claim = min(claim_V, CLAIM_FACTOR * alone.held_after_V)
+    saved = max(
+        alone.held_before_V - alone.held_after_V, alone.before_in_size_V - alone.after_in_size_V
+    )
+    claim = min(claim_V, CLAIM_FACTOR * min(alone.held_after_V, alone.after_in_size_V))
     square = max(
         alone.held_before_V**2 - alone.held_after_V**2,
         alone.train_before_V**2 - alone.train_after_V**2,
+        alone.before_in_size_V**2 - alone.after_in_size_V**2,
     )
-    small = alone.gain < LEAST_GAIN or saved < LEAST_CHANGE_V
+    small = max(alone.gain, alone.gain_in_size) < LEAST_GAIN or saved < LEAST_CHANGE_V
     if small or square < LEAST_OF_CLAIM * claim * claim:
         return f"{name} would save {1e3 * saved:.2f} mV, less than the model claims to know"
     return ""

@@ -42,8 +42,8 @@ class Candidate:
 class Gain:
     """RMSE [V] with and without a cause, and 1 - after / before with its 95 % interval.
 
-    ``low_in_size`` is the interval's lower end where every row counts by how wrong the model may
-    be there: near empty a few rows, hundreds of mV off, would drown all others.
+    Those ``in_size`` count every row by how wrong the model may be there, on held-out rows: near
+    empty a few rows, hundreds of mV off, would drown all others.
     """
 
     train_before_V: float
@@ -53,7 +53,16 @@ class Gain:
     gain: float
     low: float
     high: float
+    before_in_size_V: float
+    after_in_size_V: float
     low_in_size: float
+
+    @property
+    def gain_in_size(self) -> float:
+        """1 - after / before, every row by how wrong the model may be there."""
+        if self.before_in_size_V <= 0.0:
+            return 0.0
+        return 1.0 - self.after_in_size_V / self.before_in_size_V
 
 
 def rmse(residual: FloatArray, rows: BoolArray) -> float:
@@ -90,6 +99,8 @@ def gain_of(
         1.0 - after / before if before > 0 else 0.0,
         float(low),
         float(high),
+        rmse(b / size, held),
+        rmse(a / size, held),
         float(np.quantile(gains[:, 1], 0.025)),
     )
 
