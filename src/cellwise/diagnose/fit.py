@@ -112,7 +112,8 @@ class Objective:
 
     def whitened(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Columns (rows, P) as independent unit normal terms, and ln of each row's deviation^2."""
-        work = np.ascontiguousarray(columns / self.amplitude[:, None])
+        with np.errstate(over="ignore"):  # a step too far is refused by its cost
+            work = np.ascontiguousarray(columns / self.amplitude[:, None])
         ln_s = np.empty(work.shape[0])
         work[~self.evidence.known] = 0.0
         whiten(work, self.evidence.dt_s, self.evidence.known, self.noise, ln_s)
@@ -122,7 +123,8 @@ class Objective:
         """Ln likelihood of every row; beyond CLIP deviations it falls in proportion (Huber)."""
         e, ln_s = self.whitened(np.nan_to_num(residual_V)[:, None])
         size = np.abs(e[:, 0])
-        square = np.where(size < CLIP, size * size, CLIP * (2.0 * size - CLIP))
+        with np.errstate(over="ignore"):
+            square = np.where(size < CLIP, size * size, CLIP * (2.0 * size - CLIP))
         terms = -0.5 * (square + ln_s)
         return np.where(self.evidence.known, terms, 0.0)
 
