@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from benchmarks import accuracy, speed
+from benchmarks import accuracy, firmware, speed
 from benchmarks.example_cell import START_SOC, load_log, three_branches
 from benchmarks.judging import from_the_middle, judge_soc, voltage_rmse_mV
 from benchmarks.measured_data import data_folder
@@ -51,10 +51,11 @@ def test_without_measured_cells_it_says_so(monkeypatch, tmp_path):
     assert data_folder() is None
     figures = accuracy.measure(["panasonic", "leaf", "a123"], lambda _: None)
     assert len(figures) == 3
+    figures += firmware.measure(["agreement"], lambda _: None)
     assert all(f.value is None and "CELLWISE_DATA" in f.note for f in figures)
 
 
-@pytest.mark.parametrize("main", [accuracy.main, speed.main])
+@pytest.mark.parametrize("main", [accuracy.main, firmware.main, speed.main])
 def test_unknown_part_is_refused(main, capsys):
     with pytest.raises(SystemExit) as stop:
         main(["--only", "nothing"])
