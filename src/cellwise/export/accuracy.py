@@ -39,14 +39,14 @@ def accuracy_by_grid(
     """Accuracy lost by every grid, the model's own among them.
 
     Both filters take the log resampled to ``dt_s``, and the same start; soc0 None: as found at the
-    log's start.
+    log's start. wide False: as with ``--lean``.
     """
     even = resample(log, dt_s)
     start = initial_soc(model, even, soc0)
     reference = Ekf(model).run(even, start.soc, start.std).soc
     found = []
     for points in sorted({*grids, model.points}):
-        step = FixedStep(model, dt_s=dt_s, points=points, wide=wide)
+        step = FixedStep(model, dt_s=dt_s, points=points, wide=wide, watch=wide)
         error = step.run(even, start.soc, start.std).soc - reference
         found.append(
             GridAccuracy(
