@@ -19,6 +19,13 @@ WORKER_DIED = "the worker died"
 POLL_S = 0.01
 AHEAD = 3  # batches in hand for each thread: enough to keep it busy, few enough to stay small
 
+# Of a cluster in this machine nobody looks at the profile, and little can have changed in 10 s.
+QUIET = {
+    "distributed.worker.profile.enabled": False,
+    "distributed.worker.memory.monitor-interval": "10s",
+    "distributed.admin.system-monitor.interval": "10s",
+}
+
 Rows = list[dict[str, Any]]
 
 
@@ -59,6 +66,7 @@ def connected(scheduler: str, workers: int | None) -> Iterator[Any]:
     if scheduler in (LOCAL, PROCESSES):
         threads = scheduler == LOCAL
         with (
+            import_module("dask").config.set(QUIET),
             distributed.LocalCluster(
                 n_workers=1 if threads else count,
                 threads_per_worker=count if threads else 1,
