@@ -7,10 +7,9 @@ from cellwise.diagnose.rivals import Candidate, Gain
 
 # Nats by which an explanation must be better than none.
 LEAST_SCORE = 10.0
-# A model claims to be right within an error, and a fault within that claim is nobody's business: of
-# the claim's square, the least that a cause must take off the mean squared error. A model that
-# proves better than its claim is taken at CLAIM_FACTOR times what a cause leaves.
-LEAST_OF_CLAIM = 0.6
+# A model claims to be right within an error, and a fault within that claim is nobody's business: a
+# cause must take more than the claim's square off the mean squared error. A model that proves
+# better than its claim is taken at CLAIM_FACTOR times what a cause leaves.
 CLAIM_FACTOR = 3.0
 LEAST_GAIN = 0.02
 LEAST_CHANGE_V = 2e-4
@@ -55,7 +54,7 @@ def immaterial(candidate: Candidate, alone: Gain, together: Gain, claim_V: float
         alone.before_in_size_V**2 - alone.after_in_size_V**2,
     )
     small = max(alone.gain, alone.gain_in_size) < LEAST_GAIN or saved < LEAST_CHANGE_V
-    if small or square < LEAST_OF_CLAIM * claim * claim:
+    if small or square < claim * claim:
         return f"{name} would save {1e3 * saved:.2f} mV, less than the model claims to know"
     return ""
 

@@ -40,7 +40,6 @@ STRUCTURE = {
     "ln_tau2": 0.1,
     "r3": 0.1,
     "m_V": 0.001,
-    "activation_K": 50.0,
     "rate_h": 0.015,
     "ln_charge_scale": 0.03,
     "skew_s": 0.03,
