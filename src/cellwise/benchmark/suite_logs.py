@@ -140,10 +140,14 @@ def judged_log(one: SuiteLog, suite: Suite, data: Path | None) -> JudgedLog:
 
 
 def at_step(judged: JudgedLog, dt_s: float | None) -> JudgedLog:
-    """The same on an even time step; None: as it is."""
+    """The same on an even time step, gaps left as gaps; None: as it is."""
     if dt_s is None:
         return judged
     log = resample(judged.log, dt_s)
+    kept = np.ones(len(log), dtype=np.bool_)
+    for gap in judged.log.gaps:  # a week's pause is no reason to step through it
+        kept &= (log.time_s <= gap.start_s) | (log.time_s >= gap.start_s + gap.duration_s)
+    log = log.rows(kept)
     if log.charge_Ah is None:
         raise InputError("no counter", "the tester's counter", "Judge on another log.")
     first = judged.log.charge_Ah

@@ -1,0 +1,27 @@
+"""A judged log on an even time step: what was a gap stays one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cellwise.benchmark.suite_logs import JudgedLog, at_step
+from cellwise.logs.cell_log import CellLog
+
+
+def test_a_week_without_rows_is_no_week_of_steps():
+    rows, week = 2000, 604800.0
+    time = 0.1 * np.arange(rows)
+    time[rows // 2 :] += week
+    current = np.full(rows, 2.0)
+    charge = 2.0 * 0.1 * np.arange(rows) / 3600.0  # nothing flowed in the gap
+    log = CellLog(time, current, np.full(rows, 3.7), charge_Ah=charge)
+    judged = JudgedLog(log, 0.9 - charge / 3.0, 3.0)
+    even = at_step(judged, 1.0)
+    assert len(even.log) < 250
+    (gap,) = even.log.gaps
+    assert gap.duration_s == pytest.approx(week, abs=2.5)
+    np.testing.assert_allclose(
+        even.truth, np.interp(even.log.time_s, log.time_s, judged.truth), atol=1e-4
+    )
+    assert np.count_nonzero(even.log.gap_rows) == 1
