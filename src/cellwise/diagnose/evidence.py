@@ -164,6 +164,13 @@ class Evidence:
         used = self.known & (self.role != IGNORED)
         return np.asarray(size / np.sqrt(np.mean(size[used] ** 2))) if used.any() else size
 
+    def claim_V(self, model: CellModel, soc: FloatArray) -> float:
+        """Root mean square of the slow error that the model owns up to at the rows' SOC [V]."""
+        used = self.known & (self.role != IGNORED) & np.isfinite(soc)
+        if not used.any():
+            return float(np.mean(model.error.slow_V))
+        return float(np.sqrt(np.mean(model.error.at(np.clip(soc[used], 0.0, 1.0)) ** 2)))
+
 
 def _flow(log: LogRows, inputs: KernelInputs) -> tuple[FloatArray, dict[str, FloatArray]]:
     """The current that flowed [A], and its derivatives."""

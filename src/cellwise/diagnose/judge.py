@@ -333,7 +333,7 @@ class Judge:
     ) -> tuple[tuple[Candidate, ...], Gain | None, list[str]]:
         """Candidates from the first one on that gains something on held-out data, and its gain."""
         refused = []
-        claim = float(np.mean(self.coordinates.model.error.slow_V))
+        claim = self.evidence.claim_V(self.coordinates.model, base.soc)
         for k, candidate in enumerate(ranked):
             if candidate.score < LEAST_SCORE:
                 refused.append(f"{candidate.name} explains no more than tolerances do")
