@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import re
 import subprocess
 import sys
@@ -51,6 +52,15 @@ def test_equations_are_mathml_and_none_is_left(site):
     visible = re.sub(r"<(math|script|code|pre|style)\b.*?</\1>", "", text, flags=re.S)
     assert "$$" not in visible
     assert not re.search(r"\\(frac|Delta|mathrm)", visible)
+
+
+@pytest.mark.slow
+def test_the_examples_stand_on_their_page_whole(site):
+    page = (site / "examples.html").read_text(encoding="utf-8")
+    text = html.unescape(re.sub(r"<[^>]+>", "", page))
+    for path in (REPOSITORY / "examples").glob("*.py"):
+        for line in (path.read_text(encoding="utf-8").splitlines()[k] for k in (0, -1)):
+            assert line in text, (path.name, line)
 
 
 @pytest.mark.slow
