@@ -65,7 +65,8 @@ figure svg .grid { stroke: var(--grid); stroke-width: .7; }
 figure svg .tick { fill: var(--muted); font: 8.5px "DejaVu Sans", Verdana, sans-serif; }
 figure svg .grip { fill: var(--muted); opacity: .18; }
 figure div { position: relative; }
-figure .readout { position: absolute; right: 0; bottom: 0; margin: 0; min-height: 0; }
+figure .readout { position: absolute; right: 0; bottom: -.8em; margin: 0; min-height: 0;
+  background: var(--paper); }
 details { margin: .7rem 0; } summary { cursor: pointer; color: var(--accent); }
 footer { color: var(--muted); font-size: .85rem; padding: 0 2px; }
 @media (max-width: 700px) { main { padding: 16px 10px; } section { padding: 14px 12px; }

@@ -102,6 +102,7 @@
     const [left, top, wide, tall] = told.box;
     const plot = { told, view: { x: WHOLE, y: WHOLE }, moving: movers(group, told, svg) };
     const own = { x: made("g", group), y: made("g", group) };
+    group.prepend(own.x, own.y);  // below the data
     const ticks = {};
     for (const side of ["x", "y"])
       ticks[side] = [...group.querySelectorAll(`[data-axis="${side}"] > [data-tick]`)];
@@ -169,7 +170,10 @@
 
   function start(figure) {
     const svg = figure.querySelector("svg");
-    const plots = JSON.parse(figure.dataset.axes).map((told, k) => plotOf(svg, told, k));
+    const all = JSON.parse(figure.dataset.axes);
+    for (const told of all)  // of panels over one another only the lowest names x
+      told.x.label ||= (all.find((t) => t.share === told.share && t.x.label) || told).x.label;
+    const plots = all.map((told, k) => plotOf(svg, told, k));
     const said = figure.querySelector(".readout");
     let grip = null, looked = plots[0], waiting = new Set();
 
