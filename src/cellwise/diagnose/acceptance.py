@@ -25,6 +25,8 @@ FOREIGN_SHARE = 0.8
 # much resistance: age does that to every cell, and few sensors are so far off. Unless the sensor is
 # ahead by SIMPLER nats, it is age.
 AGED_GAIN = 0.95
+# Of an OCV's change a constant part that explains four fifths goes first; the rest may follow.
+MOST_OF_WHOLE = {"voltage_offset": 0.8}
 PART_OF = {
     "voltage_offset": "ocv_shift",
     "temperature_dependence": "self_heating",
@@ -72,7 +74,8 @@ def likelier_first(ranked: list[Candidate], foreign: bool) -> tuple[Candidate, .
             if other.cause.kind == "cell" and other.score > FOREIGN_SHARE * best.score:
                 return (other, *ranked[:k], *ranked[k + 1 :])
     for k, other in enumerate(ranked[1:], 1):
-        if PART_OF.get(other.name) == best.name and best.score - other.score < SIMPLER:
+        most = MOST_OF_WHOLE.get(other.name, 1.0) * best.score
+        if PART_OF.get(other.name) == best.name and other.score > min(most, best.score - SIMPLER):
             return (other, best, *ranked[1:k], *ranked[k + 1 :])
     return tuple(ranked)
 
