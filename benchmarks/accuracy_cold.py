@@ -83,6 +83,7 @@ def _panasonic(data: Path, say: Progress) -> list[Figure]:
 
 def panasonic_tests(data: Path, tag: str, temperature_C: float) -> TestLogs:
     """What the cell of one temperature is identified from."""
+
     def log(name: str) -> CellLog:
         return measured_log(data, f"{PANASONIC}/{name}")
 

@@ -20,7 +20,9 @@ CLEAR_SIGMAS = 0.3
 # ahead by SIMPLER nats, the first is what happened.
 SIMPLER = 10.0
 FOREIGN_K = 8.0
-FOREIGN_SHARE = 0.8
+FOREIGN_SHARE = 0.9
+# No temperature lets a cell hold so much more than the model (ln of the capacity's ratio).
+MOST_GROWTH = 0.05
 # A current read so much too low is the same as a cell that has lost as much capacity and gained as
 # much resistance: age does that to every cell, and few sensors are so far off. Unless the sensor is
 # ahead by SIMPLER nats, it is age.
@@ -71,7 +73,10 @@ def likelier_first(ranked: list[Candidate], foreign: bool) -> tuple[Candidate, .
     best = ranked[0]
     if foreign and best.cause.kind == "measurement":
         for k, other in enumerate(ranked[1:], 1):
-            if other.cause.kind == "cell" and other.score > FOREIGN_SHARE * best.score:
+            whole = PART_OF.get(best.name) == other.name
+            grown = other.fit.z.get("ln_capacity", 0.0) > MOST_GROWTH
+            near = other.cause.kind == "cell" and other.score > FOREIGN_SHARE * best.score
+            if near and not whole and not grown:
                 return (other, *ranked[:k], *ranked[k + 1 :])
     for k, other in enumerate(ranked[1:], 1):
         most = MOST_OF_WHOLE.get(other.name, 1.0) * best.score

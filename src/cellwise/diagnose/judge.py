@@ -88,7 +88,8 @@ class Judge:
                 break
             ranked = self._rank(left, prior, base, noise, turn)
             first = first or ranked
-            if self._is_age(ranked, prior, base, noise):
+            aged = self._is_age(ranked, prior, base, noise)
+            if aged:
                 cleared.add("current_gain")
                 ranked = tuple(sorted(ranked[1:], key=lambda c: (c.name != "capacity", -c.score)))
             ranked, gain, refused = self._material(ranked, prior, base, accepted)
@@ -96,7 +97,7 @@ class Judge:
                 reasons += refused
                 break
             best = ranked[0]
-            rivals = self._rivals(ranked)
+            rivals = () if aged else self._rivals(ranked)
             if rivals and not self._both_needed(best, rivals, prior):
                 between = (best, *rivals)
                 break
