@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+from cellwise.diagnose.evidence import Evidence
 from cellwise.diagnose.fit import Prior
-from cellwise.diagnose.rivals import Candidate, Gain
+from cellwise.diagnose.rivals import Candidate, Gain, difference
 
 # Nats by which an explanation must be better than none.
 LEAST_SCORE = 10.0
@@ -97,3 +100,23 @@ def unphysical(candidate: Candidate, prior: Prior) -> str:
         if x is not None and x in (prior.low.get(p.coordinate), prior.high.get(p.coordinate)):
             return f"{candidate.name} would need {p.name} beyond what is physical"
     return ""
+
+
+def rivals_of(
+    ranked: Sequence[Candidate], evidence: Evidence, foreign: bool
+) -> tuple[Candidate, ...]:
+    """Those that explain as much as the first one.
+
+    Not what the first is a part of, nor, at ``foreign`` temperatures, a fault of the instrument
+    beside a change of the cell.
+    """
+    rivals, best = [], ranked[0].cause.kind
+    for other in ranked[1:]:
+        ahead, error = difference(ranked[0], other, evidence)
+        if PART_OF.get(ranked[0].name) == other.name:
+            continue
+        if foreign and (best, other.cause.kind) == ("cell", "measurement"):
+            continue
+        if other.score >= LEAST_SCORE and ahead < max(CLEAR_SCORE, CLEAR_SIGMAS * error):
+            rivals.append(other)
+    return tuple(rivals)

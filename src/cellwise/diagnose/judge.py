@@ -6,19 +6,17 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from cellwise.diagnose.acceptance import (
     AGED_GAIN,
-    CLEAR_SCORE,
-    CLEAR_SIGMAS,
     LEAST_SCORE,
-    PART_OF,
     SIMPLER,
     immaterial,
     likelier_first,
+    rivals_of,
     unphysical,
 )
 from cellwise.diagnose.causes import Cause
@@ -28,9 +26,15 @@ from cellwise.diagnose.fit import Fit, Frozen, Objective, Prior, complete, fit, 
 from cellwise.diagnose.judgement import Accepted, Judgement, kept_coordinates
 from cellwise.diagnose.noise import Noise, at_least, estimate_noise, log_scales
 from cellwise.diagnose.prediction import Prediction, predict
-from cellwise.diagnose.priors import USUAL_ACTIVATION_K, freed, needs_activation, shortest_tau3_s
+from cellwise.diagnose.priors import USUAL_ACTIVATION_K, freed, needs_activation, shapes_to_try
 from cellwise.diagnose.rest_reading import RestReading
-from cellwise.diagnose.rivals import Candidate, Gain, difference, gain_of, held_interval_low
+from cellwise.diagnose.rivals import (
+    Candidate,
+    Gain,
+    clearly_ahead,
+    gain_of,
+    held_interval_low,
+)
 from cellwise.diagnose.whitening_kernels import NoiseLevel
 from cellwise.typing import BoolArray, FloatArray
 
@@ -97,10 +101,14 @@ class Judge:
                 reasons += refused
                 break
             best = ranked[0]
-            rivals = () if aged else self._rivals(ranked)
+            rivals = () if aged else rivals_of(ranked, self.evidence, self.foreign)
             if rivals and not self._both_needed(best, rivals, prior):
                 between = (best, *rivals)
-                break
+                ahead = self._ahead(between, accepted)
+                if ahead is None:
+                    break
+                best, between = between[ahead], ()
+                gain = self._gain(best, base, accepted)[0]
             accepted.append(
                 Accepted(best.cause, gain, best.score, tuple(c.name for c in ranked[1:3]))
             )
@@ -249,7 +257,7 @@ class Judge:
         """One cause fitted on top of the base; over several shapes where it has one."""
         best: Fit | None = None
         moving = [*cause.coordinates, *self.evidence.starts()]
-        shapes = self._shapes(cause, base.coordinates)
+        shapes = shapes_to_try(cause, base.coordinates, self.evidence)
         beginnings = [(c, b) for c in shapes for b in cause.beginnings or ({},)]
         for shaped, beginning in beginnings:
             wide = freed(prior, cause, shaped, self.evidence)
@@ -296,20 +304,6 @@ class Judge:
         found_so = predict(self._objective(noise), found, prior, free)
         return found_so._replace(total=found_so.total + self.rest.ln_likelihood(found.z))
 
-    def _shapes(self, cause: Cause, coordinates: Coordinates) -> list[Coordinates]:
-        if cause.shape is None:
-            return [coordinates]
-        name, values = cause.shape
-        if name == "ln_tau3" and coordinates.has_slow:
-            return [coordinates]
-        if name == "ln_gamma" and coordinates.has_hysteresis:
-            return [coordinates]
-        span = max(float(g.clock_s[-1] - g.clock_s[0]) for g in self.evidence.logs)
-        least = shortest_tau3_s(coordinates.model) if name == "ln_tau3" else 0.0
-        if name != "ln_gamma":
-            values = tuple(v for v in values if least <= v < span) or (max(least, values[0]),)
-        return [replace(coordinates, shapes={**coordinates.shapes, name: v}) for v in values]
-
     def _gain(
         self, candidate: Candidate, base: Fit, accepted: Sequence[Accepted]
     ) -> tuple[Gain, Gain]:
@@ -324,6 +318,20 @@ class Judge:
             self.evidence, base.voltage_V, candidate.fit.voltage_V, self._amplitude, self.rng
         )
         return alone, together
+
+    def _ahead(self, close: Sequence[Candidate], accepted: Sequence[Accepted]) -> int | None:
+        """Which of those that explain as much foretells held-out rows best, if one clearly does."""
+        known = [a.cause for a in accepted]
+        started = any(c.kind == "start" for c in known)
+        alone = [
+            self.alone(
+                c.fit, kept_coordinates((*known, c.cause)), started or c.cause.kind == "start"
+            )
+            for c in close
+        ]
+        return clearly_ahead(
+            self.evidence, [f.voltage_V for f in alone], self._amplitude, self.seed
+        )
 
     def _material(
         self,
@@ -364,19 +372,6 @@ class Judge:
         both = self._explained(found, best.noise, wide, age).total
         none = self._explained(base, noise, prior).total
         return both - none > best.score - SIMPLER
-
-    def _rivals(self, ranked: Sequence[Candidate]) -> tuple[Candidate, ...]:
-        """Those that explain as much as the best one."""
-        rivals, best = [], ranked[0].cause.kind
-        for other in ranked[1:]:
-            ahead, error = difference(ranked[0], other, self.evidence)
-            if PART_OF.get(ranked[0].name) == other.name:
-                continue
-            if self.foreign and (best, other.cause.kind) == ("cell", "measurement"):
-                continue
-            if other.score >= LEAST_SCORE and ahead < max(CLEAR_SCORE, CLEAR_SIGMAS * error):
-                rivals.append(other)
-        return tuple(rivals)
 
     def _both_needed(self, best: Candidate, rivals: Sequence[Candidate], prior: Prior) -> bool:
         """Whether some rival explains more on top of the best one: they are two effects."""

@@ -176,3 +176,19 @@ def learned(prior: Prior, found: Fit) -> Prior:
     mean = {n: found.z[n] for n in names}
     wider = _bounded(prior.widened(std, mean, {}, {}), std)
     return replace(wider, linked=tuple(names), cross=covariance)
+
+
+def shapes_to_try(cause: Cause, coordinates: Coordinates, evidence: Evidence) -> list[Coordinates]:
+    """Coordinates with every memory that a cause begins with: while neutral, any means the same."""
+    if cause.shape is None:
+        return [coordinates]
+    name, values = cause.shape
+    if name == "ln_tau3" and coordinates.has_slow:
+        return [coordinates]
+    if name == "ln_gamma" and coordinates.has_hysteresis:
+        return [coordinates]
+    span = max(float(g.clock_s[-1] - g.clock_s[0]) for g in evidence.logs)
+    least = shortest_tau3_s(coordinates.model) if name == "ln_tau3" else 0.0
+    if name != "ln_gamma":
+        values = tuple(v for v in values if least <= v < span) or (max(least, values[0]),)
+    return [replace(coordinates, shapes={**coordinates.shapes, name: v}) for v in values]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -128,3 +129,22 @@ def difference(one: Candidate, other: Candidate, evidence: Evidence) -> tuple[fl
     sums = block_sums(evidence.block[used], terms[:, None])[:, 0]
     error = float(np.sqrt(sums.size * np.var(sums, ddof=1))) if sums.size > 1 else float("inf")
     return one.score - other.score, error
+
+
+def clearly_ahead(
+    evidence: Evidence, voltages: Sequence[FloatArray], size: FloatArray, seed: int
+) -> int | None:
+    """Which of several simulations is nearer to the held-out rows than each other; None if none is.
+
+    Nearer: the 95 % interval of the one's gain over the other excludes zero, plainly or with every
+    row by how wrong the model may be there, and neither measure says the opposite.
+    """
+    for k, one in enumerate(voltages):
+        over = [
+            gain_of(evidence, other, one, size, np.random.default_rng(seed))
+            for j, other in enumerate(voltages)
+            if j != k
+        ]
+        if all(max(g.low, g.low_in_size) > 0.0 < min(g.gain, g.gain_in_size) for g in over):
+            return k
+    return None
