@@ -5,53 +5,22 @@ python -m benchmarks.accuracy [--only panasonic,cold,leaf,a123,embedded] [--json
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
-import time
 from pathlib import Path
 
 if not __package__:  # run as a file
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.figures import Figure, Progress, missing, print_figures, report_json, write_json
-from benchmarks.machine import describe_machine, machine_lines
+from benchmarks.figures import Figure, Progress, missing
+from benchmarks.judged_run import judged_run
 from benchmarks.measured_data import HOW, data_folder
-from benchmarks.speed import progress
 
 PARTS = ("panasonic", "cold", "leaf", "a123", "embedded")
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Judge the cells asked for and print them."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--only", default=",".join(PARTS), help="comma-separated cells")
-    parser.add_argument("--json", action="store_true", help="one JSON object instead of the table")
-    parser.add_argument("-o", "--output", type=Path, help="write the JSON to this file as well")
-    chosen = parser.parse_args(arguments)
-    wanted = [part for part in PARTS if part in chosen.only.split(",")]
-    if not wanted:
-        parser.error(f"--only {chosen.only}: name at least one of {', '.join(PARTS)}")
-    began = time.perf_counter()
-    machine = describe_machine()
-    figures = measure(wanted, progress())
-    report = report_json(figures, machine, began)
-    if chosen.output:
-        write_json(chosen.output, report)
-    if chosen.json:
-        print(json.dumps(report))
-        return 0
-    met = report["targets"]
-    print_figures(
-        figures,
-        "Accuracy",
-        [
-            f"{met['met']} of {met['judged']} targets met",
-            *machine_lines(machine),
-            f"{report['seconds']:.0f} s",
-        ],
-    )
-    return 0
+    return judged_run("Accuracy", __doc__, PARTS, measure, arguments)
 
 
 def measure(parts: list[str], say: Progress) -> list[Figure]:
