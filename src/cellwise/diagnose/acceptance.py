@@ -22,6 +22,10 @@ CLEAR_SIGMAS = 0.3
 # Of these the first says less and the second can do all that the first does: unless the second is
 # ahead by SIMPLER nats, the first is what happened.
 SIMPLER = 10.0
+# Who is behind the likeliest by less than the scatter of the difference may still be right; who by
+# itself leaves this much less of the held-out error than another such one, is.
+CONTEST_SIGMAS = 1.0
+CONTEST_GAIN = 0.2
 FOREIGN_K = 8.0
 FOREIGN_SHARE = 0.9
 # No temperature lets a cell hold so much more than the model (ln of the capacity's ratio).
@@ -29,7 +33,7 @@ MOST_GROWTH = 0.05
 # A current read so much too low is the same as a cell that has lost as much capacity and gained as
 # much resistance: age does that to every cell, and few sensors are so far off. Unless the sensor is
 # ahead by SIMPLER nats, it is age.
-AGED_GAIN = 0.95
+AGED_GAIN = 0.94
 # Of an OCV's change a constant part that explains four fifths goes first; the rest may follow.
 MOST_OF_WHOLE = {"voltage_offset": 0.8}
 PART_OF = {
@@ -64,6 +68,19 @@ def immaterial(candidate: Candidate, alone: Gain, together: Gain, claim_V: float
     if small or square < claim * claim:
         return f"{name} would save {1e3 * saved:.2f} mV, less than the model claims to know"
     return ""
+
+
+def sure_by(candidate: Candidate, alone: Gain, together: Gain) -> str:
+    """What makes a gain sure where the interval of its plain RMSE holds zero."""
+    if alone.low_in_size > 0.0:
+        return (
+            "with every row over the model's error there it gains "
+            f"{100 * alone.gain_in_size:.0f} % (at least {100 * alone.low_in_size:.0f} %)"
+        )
+    most = max(together.low, together.low_in_size)
+    if most > 0.0:
+        return f"beside what tolerances take up it gains at least {100 * most:.0f} %"
+    return f"held-out rows are at least e^{candidate.held_low:.0f} times as likely with it"
 
 
 def likelier_first(ranked: list[Candidate], foreign: bool) -> tuple[Candidate, ...]:
@@ -120,3 +137,26 @@ def rivals_of(
         if other.score >= LEAST_SCORE and ahead < max(CLEAR_SCORE, CLEAR_SIGMAS * error):
             rivals.append(other)
     return tuple(rivals)
+
+
+def contenders(ranked: Sequence[Candidate], evidence: Evidence) -> list[Candidate]:
+    """The first one and those that it does not surely beat."""
+    close = [ranked[0]]
+    for other in ranked[1:]:
+        ahead, error = difference(ranked[0], other, evidence)
+        if other.score >= LEAST_SCORE and ahead < CONTEST_SIGMAS * error:
+            close.append(other)
+    return close
+
+
+def beaten_by(one: Candidate, lead: Candidate, gain: Gain, foreign: bool) -> bool:
+    """Whether another candidate by itself foretells held-out rows so much better.
+
+    ``gain`` is the lead's over the one. What a cause is a part of always foretells better.
+    """
+    if one is lead or PART_OF.get(one.name) == lead.name:
+        return False
+    if foreign and (one.cause.kind, lead.cause.kind) == ("cell", "measurement"):
+        return False
+    sure = max(gain.low, gain.low_in_size) > 0.0
+    return sure and min(gain.gain, gain.gain_in_size) > CONTEST_GAIN

@@ -19,6 +19,7 @@ from cellwise.diagnose.evidence import Evidence, gather
 from cellwise.diagnose.experiment import propose
 from cellwise.diagnose.extend import correct_log, extend_model, parameters_of, split_skew, value_of
 from cellwise.diagnose.fit import held_rows
+from cellwise.diagnose.fitter import Fitter
 from cellwise.diagnose.judge import FIRM_SLOW_V, Judge, Progress
 from cellwise.diagnose.judgement import Accepted, Judgement, kept_coordinates
 from cellwise.diagnose.noise import at_least
@@ -83,15 +84,16 @@ def diagnose(
     slowest = _slowest(model)
     evidence = gather(model, starts[0], starts[1], slowest)
     coordinates = Coordinates(model)
-    judge = _judge(evidence, coordinates, seed, progress)
+    fitter = _fitter(evidence, coordinates, seed)
     if groups[2]:
-        _learn(judge, model, starts[2])
-    base, noise = judge.base(judge.prior)
+        _learn(fitter, model, starts[2])
+    base, noise = fitter.base(fitter.prior)
     other = another_cell(model, evidence, base, base.soc)
     if other:
         return _undetermined(model, groups, f"this looks like another cell: {other}")
+    judge = Judge(fitter, _foreign(model, evidence), progress)
     judgement = judge.run(chosen, base, noise)
-    return _diagnosis(model, groups[0], groups[1], evidence, judge, judgement)
+    return _diagnosis(model, groups[0], groups[1], fitter, judgement)
 
 
 def _undetermined(model: CellModel, groups: tuple[tuple[CellLog, ...], ...], why: str) -> Diagnosis:
@@ -152,10 +154,8 @@ def _starts(
     return result
 
 
-def _judge(
-    evidence: Evidence, coordinates: Coordinates, seed: int, progress: Progress | None
-) -> Judge:
-    """A judge with the tolerances of a good laboratory."""
+def _fitter(evidence: Evidence, coordinates: Coordinates, seed: int) -> Fitter:
+    """Fits with the tolerances of a good laboratory."""
     model = coordinates.model
     slow = float(np.mean(model.error.slow_V))
     floor = NoiseLevel(
@@ -165,16 +165,14 @@ def _judge(
         SLOW_FLOOR * slow,
         max(model.error.correlation_s, 60.0),
     )
-    return Judge(
+    return Fitter(
         evidence,
         coordinates,
-        seed,
         tolerances(coordinates, evidence),
         floor,
         slow,
         rest_reading([g.log for g in evidence.logs], model.capacity_Ah),
-        _foreign(model, evidence),
-        progress,
+        seed,
     )
 
 
@@ -185,31 +183,31 @@ def _foreign(model: CellModel, evidence: Evidence) -> bool:
     return middle < coldest - FOREIGN_K or middle > warmest + FOREIGN_K
 
 
-def _learn(judge: Judge, model: CellModel, good: list[tuple[CellLog, InitialSoc]]) -> None:
+def _learn(fitter: Fitter, model: CellModel, good: list[tuple[CellLog, InitialSoc]]) -> None:
     """What the model gets wrong of a good log becomes what is expected of it."""
     evidence = gather(model, good, whole=True)
-    known = _judge(evidence, judge.coordinates, 0, None)
+    known = _fitter(evidence, fitter.coordinates, 0)
     # Nothing slow passes for noise: else fast details would be learned, and what lasts lost.
     known.most_slow_V = FIRM_SLOW_V
     prior = structure_prior(known.prior)
     found, noise = known.base(prior)
-    judge.prior = learned(judge.prior, found)
-    judge.floor = at_least(judge.floor, noise.level)
+    fitter.prior = learned(fitter.prior, found)
+    fitter.floor = at_least(fitter.floor, noise.level)
 
 
 def _diagnosis(
     model: CellModel,
     logs: tuple[CellLog, ...],
     holdout: tuple[CellLog, ...],
-    evidence: Evidence,
-    judge: Judge,
+    fitter: Fitter,
     judgement: Judgement,
 ) -> Diagnosis:
+    evidence = fitter.evidence
     causes = tuple(_found(a, judgement, evidence) for a in judgement.accepted)
     verdict = causes[0].name if causes else ("undetermined" if judgement.open_between else "none")
     final = judgement.fit
     keep = kept_coordinates(a.cause for a in judgement.accepted)
-    z = judge.point(final, keep)
+    z = fitter.point(final, keep)
     note = {"causes": [c.name for c in causes]}
     interval = float(np.median(np.concatenate([g.dt_s[1:] for g in evidence.logs])))
     of_model, of_log = split_skew(final.coordinates, z, interval)
@@ -229,7 +227,7 @@ def _diagnosis(
     return Diagnosis(
         verdict,
         causes,
-        tuple(_tried(c, evidence, judge) for c in judgement.first),
+        tuple(_tried(c, fitter) for c in judgement.first),
         anatomy(model, logs[0], evidence.logs[0].start.soc),
         _next_test(judgement),
         reasons,
@@ -277,12 +275,15 @@ def _found(accepted: Accepted, judgement: Judgement, evidence: Evidence) -> Foun
 def _evidence(accepted: Accepted) -> tuple[str, ...]:
     """Why a cause was accepted, in sentences."""
     gain = accepted.gain
+    least = f"{100 * gain.low:.0f}" if gain.low >= 0.0 else f"{-100 * gain.low:.0f} % more"
     said = [
         f"held-out RMSE falls from {1e3 * gain.held_before_V:.1f} to "
-        f"{1e3 * gain.held_after_V:.1f} mV ({100 * gain.low:.0f} to {100 * gain.high:.0f} % less, "
+        f"{1e3 * gain.held_after_V:.1f} mV ({least} to {100 * gain.high:.0f} % less, "
         "95 % interval over blocks of time)",
         f"the data are e^{accepted.score:.0f} times as likely as with tolerances alone",
     ]
+    if gain.low <= 0.0 and accepted.sure:
+        said.insert(1, f"by RMSE alone that would not be sure, but {accepted.sure}")
     if accepted.rivals:
         said.append(f"next best: {', '.join(accepted.rivals)}")
     said.append(accepted.cause.signature)
@@ -301,9 +302,9 @@ def _next_test(judgement: Judgement) -> str:
     return proposal.sentence(names) if proposal else ""
 
 
-def _tried(candidate: Candidate, evidence: Evidence, judge: Judge) -> TriedCause:
-    c, f = candidate.cause, candidate.fit
-    alone = judge.alone(f, kept_coordinates((c,)), c.kind == "start")
+def _tried(candidate: Candidate, fitter: Fitter) -> TriedCause:
+    c, f, evidence = candidate.cause, candidate.fit, fitter.evidence
+    alone = fitter.alone(f, (c,))
     error = rmse(evidence.voltage_V - alone.voltage_V, held_rows(evidence))
     values = parameters_of(c, f.coordinates, f.z, evidence.logs[0].start.soc)
     return TriedCause(

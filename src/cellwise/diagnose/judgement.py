@@ -23,12 +23,28 @@ def kept_coordinates(causes: Iterable[Cause]) -> set[str]:
 
 @dataclass(frozen=True, eq=False)
 class Accepted:
-    """A cause that was accepted, with what it gained when it was."""
+    """A cause that was accepted, with what it gained when it was, and what made that sure."""
 
     cause: Cause
     gain: Gain
     score: float
     rivals: tuple[str, ...]
+    sure: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """How far a diagnosis has come: the causes accepted so far, free in the prior and fitted."""
+
+    accepted: tuple[Accepted, ...]
+    prior: Prior
+    fit: Fit
+    noise: Noise
+
+    @property
+    def causes(self) -> tuple[Cause, ...]:
+        """The causes, in the order in which they were accepted."""
+        return tuple(a.cause for a in self.accepted)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,98 @@
+"""What was accepted, seen again: causes that later ones made needless, and a cell that has aged."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from cellwise.diagnose.acceptance import AGED_GAIN, LEAST_SCORE, SIMPLER
+from cellwise.diagnose.fit import Fit, Prior, complete
+from cellwise.diagnose.fitter import THOROUGH, Fitter
+from cellwise.diagnose.judgement import Accepted, Stage, kept_coordinates
+from cellwise.diagnose.noise import Noise
+from cellwise.diagnose.rivals import Candidate
+
+AGE = ("capacity", "resistance_scale")
+
+
+def aged(fitter: Fitter, ranked: Sequence[Candidate], stage: Stage) -> Stage | None:
+    """What looks like a sensor's gain told as the loss of a cell that has aged, if it can be.
+
+    Not beside a good log of the same cell: between one log and the next none ages so much.
+    """
+    if fitter.prior.linked:
+        return None
+    best = ranked[0]
+    tried = {c.name: c for c in ranked}
+    ln_gain = best.fit.z.get("ln_gain", 0.0)
+    new = [tried[n] for n in AGE if n in tried]
+    if best.name != "current_gain" or len(new) < len(AGE) or ln_gain > math.log(AGED_GAIN):
+        return None
+    causes = (*stage.causes, *(c.cause for c in new))
+    coordinates, noise = stage.fit.coordinates, best.noise
+    wide = fitter.freed(causes, coordinates)
+    start = {**best.fit.z, "ln_gain": 0.0, "ln_capacity": ln_gain, "ln_scale": -ln_gain}
+    found = fitter.fit(noise, coordinates, wide, start, THOROUGH)
+    found = complete(fitter.objective(noise), found, wide)
+    both = fitter.explained(found, noise, wide, causes).total
+    none = fitter.explained(stage.fit, stage.noise, stage.prior, stage.causes).total
+    if both - none <= best.score - SIMPLER:
+        return None
+    gain = fitter.gain(stage.fit.voltage_V, found.voltage_V)
+    entries = (Accepted(c.cause, gain, c.score, ("current_gain",)) for c in new)
+    return Stage((*stage.accepted, *entries), wide, found, noise)
+
+
+def needless(fitter: Fitter, stage: Stage) -> str | None:
+    """The cause before the last whose absence would cost least, if that is next to nothing."""
+    causes = stage.causes
+    if len(causes) < 2:
+        return None
+    every = fitter.explained(stage.fit, stage.noise, stage.prior, causes).total
+    costs: dict[str, float] = {}
+    for cause in causes[:-1]:
+        others = [c for c in causes if c is not cause]
+        prior = fitter.freed(others, stage.fit.coordinates)
+        found = _fitted(fitter, stage.noise, stage.fit, prior, kept_coordinates(others))
+        costs[cause.name] = every - fitter.explained(found, stage.noise, prior, others).total
+    name = min(costs, key=lambda n: costs[n])
+    return name if costs[name] < LEAST_SCORE else None
+
+
+def refitted(fitter: Fitter, accepted: Sequence[Accepted], base: Fit, last: Fit) -> Stage:
+    """The same causes fitted anew from a point nearby, and what each gains on top of those before.
+
+    ``base`` is the fit without any cause.
+    """
+    causes = [a.cause for a in accepted]
+    entries: list[Accepted] = []
+    before, prior, noise = base, fitter.prior, Noise(fitter.floor)
+    for k, one in enumerate(accepted):
+        known = causes[: k + 1]
+        prior = fitter.freed(known, last.coordinates)
+        keep = kept_coordinates(known)
+        noise = fitter.noise(last, prior)
+        found = _fitted(fitter, noise, last, prior, keep)
+        noise = fitter.noise(found, prior)
+        found = _fitted(fitter, noise, found, prior, keep)
+        gain = fitter.gain(
+            fitter.alone(before, causes[:k]).voltage_V, fitter.alone(found, known).voltage_V
+        )
+        entries.append(replace(one, gain=gain))
+        before = found
+    return Stage(tuple(entries), prior, before, noise)
+
+
+def _fitted(fitter: Fitter, noise: Noise, near: Fit, prior: Prior, keep: set[str]) -> Fit:
+    """A fit that starts nearby, with what is no longer free where its tolerance can hold it."""
+    low = {n: prior.low.get(n, -math.inf) for n in prior.names}
+    high = {n: prior.high.get(n, math.inf) for n in prior.names}
+    start = {
+        n: near.z.get(n, 0.0) if n in keep else float(np.clip(near.z.get(n, 0.0), low[n], high[n]))
+        for n in prior.names
+    }
+    found = fitter.fit(noise, near.coordinates, prior, start, THOROUGH)
+    return complete(fitter.objective(noise), found, prior)
