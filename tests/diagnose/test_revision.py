@@ -124,7 +124,13 @@ def gain(plain: float, in_size: float, low: float) -> SimpleNamespace:
         ("capacity", "current_offset", (0.4, 0.3, -0.1), False, False),  # not sure
         ("capacity", "current_offset", (0.4, 0.1, 0.1), False, False),  # only near empty
         ("capacity", "current_offset", (0.4, 0.3, 0.1), True, False),  # another temperature
-        ("voltage_offset", "ocv_shift", (0.4, 0.3, 0.1), False, False),  # a part of it
+        (
+            "voltage_offset",
+            "ocv_shift",
+            (0.4, 0.3, 0.1),
+            False,
+            True,
+        ),  # more than its constant part
     ],
 )
 def test_who_foretells_far_better_goes_first(one, lead, over, foreign, beaten):

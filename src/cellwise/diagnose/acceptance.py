@@ -152,9 +152,9 @@ def contenders(ranked: Sequence[Candidate], evidence: Evidence) -> list[Candidat
 def beaten_by(one: Candidate, lead: Candidate, gain: Gain, foreign: bool) -> bool:
     """Whether another candidate by itself foretells held-out rows so much better.
 
-    ``gain`` is the lead's over the one. What a cause is a part of always foretells better.
+    ``gain`` is the lead's over the one.
     """
-    if one is lead or PART_OF.get(one.name) == lead.name:
+    if one is lead:
         return False
     if foreign and (one.cause.kind, lead.cause.kind) == ("cell", "measurement"):
         return False
