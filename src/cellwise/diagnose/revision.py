@@ -21,25 +21,31 @@ AGE = ("capacity", "resistance_scale")
 def aged(fitter: Fitter, ranked: Sequence[Candidate], stage: Stage) -> Stage | None:
     """What looks like a sensor's gain told as the loss of a cell that has aged, if it can be.
 
-    Not beside a good log of the same cell: between one log and the next none ages so much.
+    Also where the gain explains most and a lower capacity was put before it. Not beside a good log
+    of the same cell: between one log and the next none ages so much.
     """
     if fitter.prior.linked:
         return None
     best = ranked[0]
     tried = {c.name: c for c in ranked}
-    ln_gain = best.fit.z.get("ln_gain", 0.0)
     new = [tried[n] for n in AGE if n in tried]
-    if best.name != "current_gain" or len(new) < len(AGE) or ln_gain > math.log(AGED_GAIN):
+    sensor = tried.get("current_gain")
+    if sensor is None or len(new) < len(AGE) or best not in (sensor, new[0]):
+        return None
+    ln_gain = sensor.fit.z["ln_gain"]
+    if sensor.score < best.score or ln_gain > math.log(AGED_GAIN):
         return None
     causes = (*stage.causes, *(c.cause for c in new))
-    coordinates, noise = stage.fit.coordinates, best.noise
+    coordinates, noise = stage.fit.coordinates, sensor.noise
     wide = fitter.freed(causes, coordinates)
-    start = {**best.fit.z, "ln_gain": 0.0, "ln_capacity": ln_gain, "ln_scale": -ln_gain}
+    start = {**sensor.fit.z, "ln_gain": 0.0, "ln_capacity": ln_gain, "ln_scale": -ln_gain}
     found = fitter.fit(noise, coordinates, wide, start, THOROUGH)
     found = complete(fitter.objective(noise), found, wide)
     both = fitter.explained(found, noise, wide, causes).total
     none = fitter.explained(stage.fit, stage.noise, stage.prior, stage.causes).total
-    if both - none <= best.score - SIMPLER:
+    # The sensor's one number counts for SIMPLER; so does a capacity's that is all there is.
+    least = sensor.score - SIMPLER if best is sensor else best.score + SIMPLER
+    if both - none <= least:
         return None
     gain = fitter.gain(stage.fit.voltage_V, found.voltage_V)
     entries = (Accepted(c.cause, gain, c.score, ("current_gain",)) for c in new)
