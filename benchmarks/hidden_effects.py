@@ -32,7 +32,7 @@ def main(arguments: list[str] | None = None) -> int:
         "--cases", type=int, default=15, help="cases of each part (limit: of each effect)"
     )
     parser.add_argument("--effects", default="", help="only these effects, comma-separated")
-    parser.add_argument("--size-mv", type=float, help="size of every effect; else 2 to 5 limits")
+    parser.add_argument("--size-mv", type=float, help="size of every effect; else 10 to 25")
     parser.add_argument("--rows", type=int, default=5000, help="rows of a log at 1 Hz")
     parser.add_argument("--model", choices=("known", "identified"), help="else either")
     parser.add_argument("--workers", type=int, default=min(2, os.cpu_count() or 1))

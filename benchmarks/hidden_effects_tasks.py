@@ -20,7 +20,7 @@ sys.path.insert(0, str(REPOSITORY / "tests" / "support"))
 
 from emulator_effects import NAMES
 from hidden_cases import Plan, Sealed, hidden_case, random_pair
-from hidden_score import DETECTION_LIMIT_V, Outcome, judge, smallest_found
+from hidden_score import SMALL_V, Outcome, judge, smallest_found
 from hide import POSSIBLE, hidden_real_case, measured_cell
 
 SIZES_V = tuple(0.001 * 2.0 ** (k / 2.0) for k in range(11))  # 1 to 32 mV
@@ -74,7 +74,7 @@ def tasks(
             made += _real(seed + k, k, effects, size_mV, rng)
             continue
         hidden = _hidden(part, k, effects, rng)
-        size = rng.uniform(2.0, 5.0) * max((DETECTION_LIMIT_V[e] for e in hidden), default=0.0)
+        size = rng.uniform(2.0, 5.0) * SMALL_V if hidden else 0.0
         made.append(Task(part, seed + k, hidden, 1e-3 * size_mV if size_mV else size, rows, model))
     return made
 

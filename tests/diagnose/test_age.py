@@ -67,3 +67,13 @@ def test_a_small_gain_is_the_sensor() -> None:
     said = diagnose(model, logs[:2], logs[2], soc0=SOC0)
     assert said.verdict == "current_gain"
     assert said.causes[0].parameters["gain"] == pytest.approx(1.04, abs=0.008)
+
+
+@pytest.mark.slow
+def test_beside_a_good_log_of_the_same_cell_it_is_the_sensor() -> None:
+    model = curved_cell()
+    good = drives(model, 1.0)[2]
+    logs = drives(model, 1.0, gain=0.9)
+    said = diagnose(model, logs[0], logs[1], baseline=good, soc0=SOC0)
+    assert said.verdict == "current_gain"
+    assert said.causes[0].parameters["gain"] == pytest.approx(0.9, abs=0.01)

@@ -15,7 +15,7 @@ import numpy as np
 from cellwise.diagnose import diagnose
 from emulator_effects import NAMES
 from hidden_cases import Plan, hidden_case, random_pair
-from hidden_score import DETECTION_LIMIT_V, Outcome, allowed_misses, judge
+from hidden_score import SMALL_V, Outcome, allowed_misses, judge
 
 FIXED = 41_000
 ROWS = 4000
@@ -25,8 +25,8 @@ MISS_SINGLE, MISS_NONE, MISS_PAIR = 0.07, 0.10, 0.25
 
 
 def outcome(seed: int, effects: tuple[str, ...], times: float = 3.0) -> Outcome:
-    """The diagnosis of a case whose effects have so many times their detection limit."""
-    size = times * max((DETECTION_LIMIT_V[e] for e in effects), default=0.0)
+    """The diagnosis of a case whose effects have so many times SMALL_V."""
+    size = times * SMALL_V if effects else 0.0
     case = hidden_case(seed, effects, size, Plan(rows=ROWS))
     said = diagnose(
         case.model, case.logs, holdout=case.holdout, baseline=case.baseline, soc0=case.soc0

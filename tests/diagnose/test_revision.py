@@ -10,7 +10,7 @@ import pytest
 
 from cellwise import simulate
 from cellwise.cell.initial_soc import initial_soc
-from cellwise.diagnose.acceptance import beaten_by, contenders
+from cellwise.diagnose.acceptance import LEAST_SCORE, beaten_by, contenders
 from cellwise.diagnose.causes import CAUSES
 from cellwise.diagnose.coordinates import Coordinates
 from cellwise.diagnose.evidence import FITTED, HELD, gather
@@ -30,7 +30,7 @@ GAIN, CAPACITY = CAUSES["current_gain"], CAUSES["capacity"]
 
 
 def fitter_of(capacity_share: float, gain: float) -> Fitter:
-    """Two loads to fit, one held out, of a smaller cell whose current is read with a gain."""
+    """Two loads to fit, one held out, of another capacity whose current is read with a gain."""
     model = curved_cell()
     cell = replace(model, capacity_Ah=capacity_share * model.capacity_Ah)
     rng, logs = np.random.default_rng(5), []
@@ -80,12 +80,13 @@ def test_what_a_later_cause_makes_needless_is_given_up():
 
 
 def test_what_is_true_beside_another_stays():
-    fitter = fitter_of(0.9, 1.06)
+    fitter = fitter_of(1.1, 1.06)
     stage, base = staged(fitter)
     assert needless(fitter, stage) is None
     both = refitted(fitter, stage.accepted, base, stage.fit)
     assert np.exp(both.fit.z["ln_gain"]) == pytest.approx(1.06, abs=0.012)  # resistance: 1 %
-    assert np.exp(both.fit.z["ln_capacity"]) == pytest.approx(0.9, abs=0.012)
+    assert np.exp(both.fit.z["ln_capacity"]) == pytest.approx(1.1, abs=0.015)
+    assert min(a.score for a in both.accepted) > LEAST_SCORE  # each over those before it
     first, second = (a.gain for a in both.accepted)
     assert first.held_after_V == pytest.approx(second.held_before_V)
     assert second.held_after_V < first.held_after_V

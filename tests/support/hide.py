@@ -24,6 +24,8 @@ from emulator_effects import EFFECTS, World, amplitude, draw_effect, size_of
 from hidden_cases import HiddenEffect, Sealed, Truth
 
 FROM_FULL = 1.0
+# Share of the nominal charge at which drives are cut.
+ABOVE_EMPTY = 0.15
 
 # What the measured loads can show at all: Panasonic drives at one temperature, A123 drives from
 # full to the middle of the plateau, where charge leaves hardly a trace.
@@ -121,37 +123,47 @@ def hide_in(log: CellLog, plain: World, changed: World, soc0: float, name: str) 
 
 
 def hidden_real_case(
-    cell: MeasuredCell, seed: int, effects: tuple[str, ...] = (), size_V: float = 0.020
+    cell: MeasuredCell,
+    seed: int,
+    effects: tuple[str, ...] = (),
+    size_V: float = 0.020,
+    drives: int = 1,
 ) -> Sealed:
-    """A drive to learn from and one to judge by with the effects in both, and a good one."""
+    """Drives to learn from and as many to judge by with the effects in all, and a good one."""
     rng = np.random.default_rng([seed, len(effects), 17])
     order = rng.permutation(len(cell.drives))
-    train, holdout = (cell.drives[k] for k in order[:2])
-    good = cell.good or (cell.drives[order[2]],)
+    chosen = [cell.drives[k] for k in order]
+    train, holdout = chosen[:drives], chosen[drives : 2 * drives]
+    good = cell.good or (chosen[2 * drives],)
     soc0 = FROM_FULL
     plain = World(emulated_cell(cell.model))
+    loads = [(load_of(log), soc0) for log in train]
     world, hidden = plain, []
     for name in effects:
         draw = draw_effect(rng)
         if name == "initial_soc":
             draw = replace(draw, sign=-1.0)  # nothing is fuller than full
-        put, x = EFFECTS[name][0], amplitude(name, draw, plain, [(load_of(train), soc0)], size_V)
+        put, x = EFFECTS[name][0], amplitude(name, draw, plain, loads, size_V)
         alone, values = put(plain, draw, x)
         world = put(world, draw, x)[0]
         if name == "initial_soc":
             values = {"soc0": soc0 + values["soc0"]}
-        size = size_of(plain, alone, [(load_of(train), soc0)])
+        size = size_of(plain, alone, loads)
         hidden.append(HiddenEffect(name, values, size))
 
     def answer() -> Truth:
-        possible = simulate(cell.model, holdout, soc0).metrics.rmse_V
+        left = [simulate(cell.model, log, soc0).metrics.rmse_V for log in holdout]
+        possible = float(np.sqrt(np.mean(np.square(left))))
         return Truth(tuple(hidden), world, plain, (soc0,), possible, cell.name)
 
     return Sealed(
         label=f"{cell.name} {seed}",
         model=cell.model,
-        logs=[hide_in(train, plain, world, soc0, "log 1")],
-        holdout=[hide_in(holdout, plain, world, soc0, "log 2")],
+        logs=[hide_in(log, plain, world, soc0, f"log {k + 1}") for k, log in enumerate(train)],
+        holdout=[
+            hide_in(log, plain, world, soc0, f"log {drives + k + 1}")
+            for k, log in enumerate(holdout)
+        ],
         baseline=[
             hide_in(log, plain, plain, soc0, f"good log {k + 1}") for k, log in enumerate(good)
         ],
@@ -179,8 +191,15 @@ def _panasonic(folder: Path) -> MeasuredCell:
     model = identify_cell(tests, IdentifySettings(nominal_Ah=2.9)).model
     names = ("cycle_3", "cycle_4", "us06", "hwfta", "hwftb", "nn")
     # At 1 Hz the mean current no longer fits the voltage at its end: 5 Hz keeps the pulses.
-    drives = tuple(resample(log(f"drive_p25_{name}"), 0.2).part(0, 15000) for name in names)
+    drives = tuple(_above_empty(resample(log(f"drive_p25_{name}"), 0.2), 2.9) for name in names)
     return MeasuredCell("panasonic", model, drives, ())
+
+
+def _above_empty(log: CellLog, nominal_Ah: float) -> CellLog:
+    """The log until ABOVE_EMPTY of the charge is left: below, a few rows would rule the rest."""
+    spent = log.counted_charge_Ah() - log.counted_charge_Ah()[0]
+    low = np.flatnonzero(spent > (1.0 - ABOVE_EMPTY) * nominal_Ah)
+    return log.part(0, int(low[0])) if low.size else log
 
 
 def _a123(folder: Path) -> MeasuredCell:

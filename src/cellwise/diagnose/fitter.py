@@ -146,9 +146,12 @@ class Fitter:
         return complete(objective, one, prior)
 
     def point(self, found: Fit, keep: set[str]) -> dict[str, float]:
-        """The causes' coordinates and what good logs taught of the cell, nothing else."""
-        taught = set(self.prior.linked)
-        return {n: v for n, v in found.z.items() if n in keep or n in taught}
+        """The causes' coordinates as found, the cell's as good logs taught them, nothing else.
+
+        Not what the fit made of them since: there a cause that is not named might hide.
+        """
+        taught = {n: self.prior.mean[n] for n in self.prior.linked}
+        return taught | {n: v for n, v in found.z.items() if n in keep}
 
     def gain(self, before_V: FloatArray, after_V: FloatArray) -> Gain:
         """What one simulation gains over another; every call draws the same blocks."""

@@ -25,7 +25,7 @@ from cellwise.diagnose.fitter import Fitter
 from cellwise.diagnose.judgement import Accepted, Judgement, Stage, kept_coordinates
 from cellwise.diagnose.noise import Noise, at_least
 from cellwise.diagnose.prediction import Prediction
-from cellwise.diagnose.priors import USUAL_ACTIVATION_K, freed, needs_activation, shapes_to_try
+from cellwise.diagnose.priors import USUAL_ACTIVATION_K, freed, needs_activation, starts_to_try
 from cellwise.diagnose.revision import aged, needless, refitted
 from cellwise.diagnose.rivals import Candidate, Gain, clearly_ahead, held_interval_low
 
@@ -146,13 +146,12 @@ class Judge:
     def _candidate(
         self, cause: Cause, stage: Stage, firm: Noise, frozen: Frozen, none: Prediction
     ) -> Candidate:
-        """One cause fitted on top of the stage; over several shapes where it has one."""
+        """One cause fitted on top of the stage; from several starts where one may mislead."""
         fitter, base = self.fitter, stage.fit
         evidence = fitter.evidence
         best: Fit | None = None
         moving = [*cause.coordinates, *evidence.starts()]
-        shapes = shapes_to_try(cause, base.coordinates, evidence)
-        beginnings = [(c, b) for c in shapes for b in cause.beginnings or ({},)]
+        beginnings = starts_to_try(cause, base.coordinates, evidence)
         for shaped, beginning in beginnings:
             wide = freed(stage.prior, cause, shaped, evidence)
             start = {**base.z, **beginning}

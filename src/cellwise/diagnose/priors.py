@@ -26,6 +26,8 @@ USUAL_SPREAD_K = 1500.0
 # A start that was given is right to this; one that was found, to its own standard deviation.
 GIVEN_SOC_STD = 0.0015
 TOLERANCE_ENDS = 4.0
+# Memories are another one from this factor on (its logarithm).
+ANOTHER = 0.7
 SLOWER_THAN_TAU2 = 2.0
 
 # What a known-good log may teach of the cell: how far from the model it may lead. Three times as
@@ -178,17 +180,28 @@ def learned(prior: Prior, found: Fit) -> Prior:
     return replace(wider, linked=tuple(names), cross=covariance)
 
 
-def shapes_to_try(cause: Cause, coordinates: Coordinates, evidence: Evidence) -> list[Coordinates]:
-    """Coordinates with every memory that a cause begins with: while neutral, any means the same."""
+def starts_to_try(
+    cause: Cause, coordinates: Coordinates, evidence: Evidence
+) -> list[tuple[Coordinates, dict[str, float]]]:
+    """Where the search for a cause begins: coordinates, and what is not at the base there.
+
+    While an effect is neutral its memory means nothing: any is tried. Where the model has the
+    effect, its own memory and the others: a change of both may hide behind a ridge.
+    """
+    plain = [(coordinates, dict(b)) for b in cause.beginnings or ({},)]
     if cause.shape is None:
-        return [coordinates]
+        return plain
     name, values = cause.shape
-    if name == "ln_tau3" and coordinates.has_slow:
-        return [coordinates]
-    if name == "ln_gamma" and coordinates.has_hysteresis:
-        return [coordinates]
     span = max(float(g.clock_s[-1] - g.clock_s[0]) for g in evidence.logs)
     least = shortest_tau3_s(coordinates.model) if name == "ln_tau3" else 0.0
     if name != "ln_gamma":
         values = tuple(v for v in values if least <= v < span) or (max(least, values[0]),)
-    return [replace(coordinates, shapes={**coordinates.shapes, name: v}) for v in values]
+    own = None
+    if name == "ln_tau3" and coordinates.has_slow:
+        own = coordinates.tau3_s
+    if name == "ln_gamma" and coordinates.has_hysteresis:
+        own = coordinates.gamma
+    if own is None:
+        return [(replace(coordinates, shapes={**coordinates.shapes, name: v}), {}) for v in values]
+    away = [math.log(v / own) for v in values]
+    return plain + [(coordinates, {name: x}) for x in away if abs(x) > ANOTHER]

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from cellwise.diagnose.acceptance import AGED_GAIN, LEAST_SCORE, SIMPLER
+from cellwise.diagnose.coordinates import Coordinates
 from cellwise.diagnose.fit import Fit, Prior, complete
 from cellwise.diagnose.fitter import THOROUGH, Fitter
 from cellwise.diagnose.judgement import Accepted, Stage, kept_coordinates
@@ -62,7 +63,8 @@ def needless(fitter: Fitter, stage: Stage) -> str | None:
     for cause in causes[:-1]:
         others = [c for c in causes if c is not cause]
         prior = fitter.freed(others, stage.fit.coordinates)
-        found = _fitted(fitter, stage.noise, stage.fit, prior, kept_coordinates(others))
+        coordinates, keep = stage.fit.coordinates, kept_coordinates(others)
+        found = _fitted(fitter, stage.noise, coordinates, stage.fit, prior, keep)
         costs[cause.name] = every - fitter.explained(found, stage.noise, prior, others).total
     name = min(costs, key=lambda n: costs[n])
     return name if costs[name] < LEAST_SCORE else None
@@ -75,24 +77,37 @@ def refitted(fitter: Fitter, accepted: Sequence[Accepted], base: Fit, last: Fit)
     """
     causes = [a.cause for a in accepted]
     entries: list[Accepted] = []
-    before, prior, noise = base, fitter.prior, Noise(fitter.floor)
+    prior = fitter.prior
+    before, noise = base, fitter.noise(base, prior)
+    told = fitter.explained(base, noise, prior, ()).total
     for k, one in enumerate(accepted):
         known = causes[: k + 1]
         prior = fitter.freed(known, last.coordinates)
         keep = kept_coordinates(known)
         noise = fitter.noise(last, prior)
-        found = _fitted(fitter, noise, last, prior, keep)
+        starts = (
+            _fitted(fitter, noise, last.coordinates, near, prior, keep) for near in (last, before)
+        )
+        found = max(starts, key=lambda f: f.log_evidence)
         noise = fitter.noise(found, prior)
-        found = _fitted(fitter, noise, found, prior, keep)
+        found = _fitted(fitter, noise, last.coordinates, found, prior, keep)
         gain = fitter.gain(
             fitter.alone(before, causes[:k]).voltage_V, fitter.alone(found, known).voltage_V
         )
-        entries.append(replace(one, gain=gain))
-        before = found
+        now = fitter.explained(found, noise, prior, known).total
+        entries.append(replace(one, gain=gain, score=now - told))
+        before, told = found, now
     return Stage(tuple(entries), prior, before, noise)
 
 
-def _fitted(fitter: Fitter, noise: Noise, near: Fit, prior: Prior, keep: set[str]) -> Fit:
+def _fitted(
+    fitter: Fitter,
+    noise: Noise,
+    coordinates: Coordinates,
+    near: Fit,
+    prior: Prior,
+    keep: set[str],
+) -> Fit:
     """A fit that starts nearby, with what is no longer free where its tolerance can hold it."""
     low = {n: prior.low.get(n, -math.inf) for n in prior.names}
     high = {n: prior.high.get(n, math.inf) for n in prior.names}
@@ -100,5 +115,5 @@ def _fitted(fitter: Fitter, noise: Noise, near: Fit, prior: Prior, keep: set[str
         n: near.z.get(n, 0.0) if n in keep else float(np.clip(near.z.get(n, 0.0), low[n], high[n]))
         for n in prior.names
     }
-    found = fitter.fit(noise, near.coordinates, prior, start, THOROUGH)
+    found = fitter.fit(noise, coordinates, prior, start, THOROUGH)
     return complete(fitter.objective(noise), found, prior)
