@@ -43,8 +43,8 @@ class Proposal:
 
     def sentence(self, rivals: Sequence[str]) -> str:
         """What to do, for people."""
-        names = " and ".join(r.replace("_", " ") for r in rivals[:2])
-        verdict = "separates" if self.separation_V >= CLEAR_V else "separates barely"
+        names = " and ".join(r.replace("_", " ").replace("soc", "SOC") for r in rivals[:2])
+        verdict = "separates" if self.separation_V >= CLEAR_V else "barely separates"
         return (
             f"{self.name} ({self.hours:.2g} h): predicted to differ by "
             f"{1e3 * self.separation_V:.1f} mV RMS between {names}, which {verdict} them"
