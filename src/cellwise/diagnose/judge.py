@@ -28,6 +28,7 @@ from cellwise.diagnose.prediction import Prediction
 from cellwise.diagnose.priors import USUAL_ACTIVATION_K, freed, needs_activation, starts_to_try
 from cellwise.diagnose.revision import aged, needless, refitted
 from cellwise.diagnose.rivals import Candidate, Gain, clearly_ahead, held_interval_low
+from cellwise.typing import FloatArray
 
 Progress = Callable[[float, str], None]
 
@@ -200,7 +201,7 @@ class Judge:
         close = contenders(ranked, self.fitter.evidence)
         if len(close) < 2:
             return ranked
-        alone = [self.fitter.alone(c.fit, (*stage.causes, c.cause)).voltage_V for c in close]
+        alone = self._foretold(close, stage)
         plain = self.fitter.alone(stage.fit, stage.causes).voltage_V
         gains = [self.fitter.gain(plain, v) for v in alone]
         lead = max(range(len(close)), key=lambda k: min(gains[k].gain, gains[k].gain_in_size))
@@ -211,6 +212,10 @@ class Judge:
             if beaten_by(c, close[lead], gain, self.foreign)
         ]
         return (*(c for c in ranked if c not in late), *late)
+
+    def _foretold(self, close: Sequence[Candidate], stage: Stage) -> list[FloatArray]:
+        """What each foretells by itself on top of the causes so far [V]."""
+        return [self.fitter.alone(c.fit, (*stage.causes, c.cause)).voltage_V for c in close]
 
     def _gains(self, candidate: Candidate, stage: Stage) -> tuple[Gain, Gain]:
         """Gain on held-out rows of the causes alone, and with what tolerances take up."""
@@ -230,7 +235,7 @@ class Judge:
         if not rivals or self._both_needed(best, rivals, stage):
             return best, ()
         close = (best, *rivals)
-        alone = [self.fitter.alone(c.fit, (*stage.causes, c.cause)).voltage_V for c in close]
+        alone = self._foretold(close, stage)
         ahead = clearly_ahead(self.fitter.evidence, alone, self.fitter.amplitude, self.fitter.seed)
         return (None, close) if ahead is None else (close[ahead], ())
 

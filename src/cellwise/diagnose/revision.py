@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-
-import numpy as np
 
 from cellwise.diagnose.acceptance import AGED_GAIN, LEAST_SCORE, SIMPLER
 from cellwise.diagnose.coordinates import Coordinates
 from cellwise.diagnose.fit import Fit, Prior, complete
 from cellwise.diagnose.fitter import THOROUGH, Fitter
-from cellwise.diagnose.judgement import Accepted, Stage, kept_coordinates
+from cellwise.diagnose.judgement import Accepted, Stage
 from cellwise.diagnose.noise import Noise
 from cellwise.diagnose.rivals import Candidate
 
@@ -40,8 +38,7 @@ def aged(fitter: Fitter, ranked: Sequence[Candidate], stage: Stage) -> Stage | N
     coordinates, noise = stage.fit.coordinates, sensor.noise
     wide = fitter.freed(causes, coordinates)
     start = {**sensor.fit.z, "ln_gain": 0.0, "ln_capacity": ln_gain, "ln_scale": -ln_gain}
-    found = fitter.fit(noise, coordinates, wide, start, THOROUGH)
-    found = complete(fitter.objective(noise), found, wide)
+    found = _fitted(fitter, noise, coordinates, start, wide)
     both = fitter.explained(found, noise, wide, causes).total
     none = fitter.explained(stage.fit, stage.noise, stage.prior, stage.causes).total
     # The sensor's one number counts for SIMPLER; so does a capacity's that is all there is.
@@ -63,8 +60,7 @@ def needless(fitter: Fitter, stage: Stage) -> str | None:
     for cause in causes[:-1]:
         others = [c for c in causes if c is not cause]
         prior = fitter.freed(others, stage.fit.coordinates)
-        coordinates, keep = stage.fit.coordinates, kept_coordinates(others)
-        found = _fitted(fitter, stage.noise, coordinates, stage.fit, prior, keep)
+        found = _fitted(fitter, stage.noise, stage.fit.coordinates, stage.fit.z, prior)
         costs[cause.name] = every - fitter.explained(found, stage.noise, prior, others).total
     name = min(costs, key=lambda n: costs[n])
     return name if costs[name] < LEAST_SCORE else None
@@ -83,14 +79,11 @@ def refitted(fitter: Fitter, accepted: Sequence[Accepted], base: Fit, last: Fit)
     for k, one in enumerate(accepted):
         known = causes[: k + 1]
         prior = fitter.freed(known, last.coordinates)
-        keep = kept_coordinates(known)
         noise = fitter.noise(last, prior)
-        starts = (
-            _fitted(fitter, noise, last.coordinates, near, prior, keep) for near in (last, before)
-        )
-        found = max(starts, key=lambda f: f.log_evidence)
+        tried = [_fitted(fitter, noise, last.coordinates, near.z, prior) for near in (last, before)]
+        found = max(tried, key=lambda f: f.log_evidence)
         noise = fitter.noise(found, prior)
-        found = _fitted(fitter, noise, last.coordinates, found, prior, keep)
+        found = _fitted(fitter, noise, last.coordinates, found.z, prior)
         gain = fitter.gain(
             fitter.alone(before, causes[:k]).voltage_V, fitter.alone(found, known).voltage_V
         )
@@ -101,19 +94,8 @@ def refitted(fitter: Fitter, accepted: Sequence[Accepted], base: Fit, last: Fit)
 
 
 def _fitted(
-    fitter: Fitter,
-    noise: Noise,
-    coordinates: Coordinates,
-    near: Fit,
-    prior: Prior,
-    keep: set[str],
+    fitter: Fitter, noise: Noise, coordinates: Coordinates, start: Mapping[str, float], prior: Prior
 ) -> Fit:
-    """A fit that starts nearby, with what is no longer free where its tolerance can hold it."""
-    low = {n: prior.low.get(n, -math.inf) for n in prior.names}
-    high = {n: prior.high.get(n, math.inf) for n in prior.names}
-    start = {
-        n: near.z.get(n, 0.0) if n in keep else float(np.clip(near.z.get(n, 0.0), low[n], high[n]))
-        for n in prior.names
-    }
+    """A thorough fit of all logs; a start outside the prior's bounds is taken to them."""
     found = fitter.fit(noise, coordinates, prior, start, THOROUGH)
     return complete(fitter.objective(noise), found, prior)
