@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 
 from cellwise import simulate
+from cellwise.cell.effects import SlowDiffusion
 from cellwise.cell.initial_soc import initial_soc
-from cellwise.diagnose.acceptance import LEAST_SCORE, beaten_by, contenders
+from cellwise.diagnose.acceptance import LEAST_SCORE, beaten_by, contenders, sure_by
 from cellwise.diagnose.causes import CAUSES
 from cellwise.diagnose.coordinates import Coordinates
 from cellwise.diagnose.evidence import FITTED, HELD, gather
 from cellwise.diagnose.fit import complete
 from cellwise.diagnose.fitter import Fitter
 from cellwise.diagnose.judgement import Accepted, Stage
-from cellwise.diagnose.priors import tolerances
+from cellwise.diagnose.priors import starts_to_try, tolerances
 from cellwise.diagnose.rest_reading import rest_reading
 from cellwise.diagnose.revision import needless, refitted
 from cellwise.diagnose.whitening_kernels import NoiseLevel
@@ -90,6 +91,43 @@ def test_what_is_true_beside_another_stays():
     first, second = (a.gain for a in both.accepted)
     assert first.held_after_V == pytest.approx(second.held_before_V)
     assert second.held_after_V < first.held_after_V
+
+
+def test_what_a_good_log_taught_stays_as_taught_where_a_gain_is_measured():
+    fitter = fitter_of(0.9, 1.0)
+    stage, _ = staged(fitter)
+    taught = {"ocv_4": 0.004, "ln_r0": 0.02}
+    cross = np.zeros((len(taught), len(taught)))
+    mean = {**fitter.prior.mean, **taught}
+    fitter.prior = replace(fitter.prior, mean=mean, linked=tuple(taught), cross=cross)
+    assert stage.fit.z["ocv_4"] != taught["ocv_4"]  # the fit has made something else of it
+    at = fitter.point(stage.fit, {"ln_capacity"})
+    assert at == {**taught, "ln_capacity": stage.fit.z["ln_capacity"]}
+
+
+def test_a_memory_that_the_model_has_is_tried_from_others_too():
+    fitter, slow = fitter_of(1.0, 1.0), CAUSES["slow_diffusion"]
+    plain = fitter.coordinates
+    shapes = [c.tau3_s for c, start in starts_to_try(slow, plain, fitter.evidence) if not start]
+    assert len(shapes) > 1
+    has = Coordinates(plain.model.with_effect(SlowDiffusion(0.01, 1000.0)))
+    begun = [start.get("ln_tau3", 0.0) for _, start in starts_to_try(slow, has, fitter.evidence)]
+    assert begun[0] == 0.0
+    assert min(abs(x) for x in begun[1:]) > 0.5  # none is its own once more
+
+
+@pytest.mark.parametrize(
+    ("alone", "together", "says"),
+    [
+        ((0.3, 0.1), (-0.2, -0.2), "gains 30 % (at least 10 %)"),
+        ((0.3, -0.1), (0.04, 0.02), "at least 4 %"),
+        ((0.3, -0.1), (-0.2, -0.2), "e^12 times"),
+    ],
+)
+def test_where_rmse_alone_is_not_sure_it_says_what_is(alone, together, says):
+    one = SimpleNamespace(gain_in_size=alone[0], low_in_size=alone[1])
+    both = SimpleNamespace(low=together[0], low_in_size=together[1])
+    assert says in sure_by(SimpleNamespace(held_low=12.0), one, both)
 
 
 def candidate(name: str, score: float, terms: np.ndarray) -> SimpleNamespace:

@@ -13,8 +13,7 @@ from emulator_cells import FINE
 from emulator_effects import PRINCIPAL
 from hidden_cases import HiddenEffect, Sealed, Truth
 
-# What the sizes of cases are multiples of [V], alike for every effect: cases of two to five times
-# this are smaller than most of the measured limits (README), so the tests ask for more.
+# What the sizes of cases are multiples of [V], alike for every effect; limits are in README.
 SMALL_V = 0.005
 
 
