@@ -12,8 +12,8 @@ from benchmarks.measured_data import measured_log
 from cellwise import IdentifySettings, TestLogs, identify_cell
 from cellwise.cell.initial_soc import initial_soc
 from cellwise.cell.model import CellModel
-from cellwise.estimate.ekf import Ekf
-from cellwise.estimate.fixed_step import FixedStep
+from cellwise.estimate.filters.ekf import Ekf
+from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.logs import CellLog
 from cellwise.logs.resample import resample
 

@@ -8,8 +8,8 @@ from benchmarks.example_cell import SAMPLES, START_SOC, load_log, three_branches
 from benchmarks.figures import Figure, Progress, clock, missing
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
-from cellwise.estimate.fixed_step import Stepper, numba_stepper, samples_of, start_state
-from cellwise.estimate.fixed_step_tables import FixedStepTables, fixed_step_tables
+from cellwise.estimate.fixed.fixed_step import Stepper, numba_stepper, samples_of, start_state
+from cellwise.estimate.fixed.tables import FixedStepTables, fixed_step_tables
 from cellwise.export.cross import Cost, cores_here, run_on_target
 from cellwise.export.stress import WorstCase, worst_case
 
@@ -123,7 +123,7 @@ def host_figures(say: Progress) -> list[Figure]:
 
 
 def _host(tables: FixedStepTables) -> Stepper:
-    from cellwise.estimate.fixed_step_host import HostLibrary
+    from cellwise.export.host_library import HostLibrary
 
     library = HostLibrary(tables)
     return Stepper(tables, library.init, library.rows)

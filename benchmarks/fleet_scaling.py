@@ -28,7 +28,7 @@ if not __package__:  # run as a file
 
 from benchmarks.example_cell import load_log, three_branches
 from benchmarks.machine import describe_machine, machine_lines
-from cellwise.estimate.replay import make_estimator
+from cellwise.estimate.estimators import make_estimator
 from cellwise.fleet import ReplayTask, run_fleet
 from cellwise.logs import write_log
 

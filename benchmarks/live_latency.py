@@ -63,10 +63,10 @@ def play(channel: str, dbc: Path, rate_Hz: float, samples: int, sent: list[float
 def follow(rate_Hz: float, seconds: float) -> dict[str, float]:
     """Figures of one rate."""
     from cellwise.cli.live import LineWriter
+    from cellwise.forecast.outlook import Outlook
     from cellwise.live import Counts, LiveFilter, open_source, run_live
     from cellwise.live.can_stream import SocSender
     from cellwise.live.latency import LatencyMeter
-    from cellwise.live.outlook import Outlook
     from cellwise.logs.options import ReadOptions
 
     samples = round(rate_Hz * seconds)

@@ -13,10 +13,10 @@ from benchmarks.figures import Figure, Progress, clock, missing, with_ratios
 from benchmarks.measured_data import HOW, measured_log
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import known_temperature_C, simulate
-from cellwise.estimate import ekf_kernels as kernel
-from cellwise.estimate.ekf import Ekf
-from cellwise.estimate.lockstep import LockstepEkf, LockstepState
-from cellwise.estimate.replay import make_estimator
+from cellwise.estimate.estimators import make_estimator
+from cellwise.estimate.filters import ekf_kernels as kernel
+from cellwise.estimate.filters.ekf import Ekf
+from cellwise.estimate.lockstep.lockstep import LockstepEkf, LockstepState
 from cellwise.logs import CellLog
 
 UNIT = "ns/step"

@@ -1,7 +1,7 @@
 """Replay a flight: SOC with its band, time and energy to empty. Nobody says the start SOC."""
 
 import cellwise as cw
-from cellwise.estimate.flight import forecast
+from cellwise.forecast.remaining import forecast
 from cellwise.report import replay_page
 
 tests = cw.TestLogs(

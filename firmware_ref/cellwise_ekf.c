@@ -1,6 +1,6 @@
 #include "cellwise_ekf.h"
 
-/* Constants of the algorithm, the same in fixed_step_kernels.py. Hex literals are exact. */
+/* Constants of the algorithm, the same in estimate/fixed/arithmetic.py. Hex literals are exact. */
 #define KNOW_NOTHING_SOC 0.5f
 #define KNOW_NOTHING_VARIANCE 0x1.70a3d8p-4f /* 0.09 */
 #define SOC_VARIANCE_MOST 1.0f

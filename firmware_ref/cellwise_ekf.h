@@ -1,7 +1,7 @@
 /* State of charge of one battery cell: float32 extended Kalman filter at a fixed time step.
  *
  * The caller owns every object. No heap, no static data, no libm, no double. The same sentences in
- * the same order stand in src/cellwise/estimate/fixed_step_kernels.py, and give the same bits.
+ * the same order stand in src/cellwise/estimate/fixed, and give the same bits.
  * Current is positive on discharge. cell_table.h is written by `cellwise export`.
  */
 #ifndef CELLWISE_EKF_H

@@ -13,13 +13,13 @@ if TYPE_CHECKING:
     from cellwise.data import list_datasets, load_dataset
     from cellwise.diagnose import Diagnosis, diagnose
     from cellwise.errors import InputError
-    from cellwise.estimate.coulomb import Coulomb
-    from cellwise.estimate.ekf import Ekf
-    from cellwise.estimate.lockstep import LockstepEkf
+    from cellwise.estimate.filters.coulomb import Coulomb
+    from cellwise.estimate.filters.ekf import Ekf
+    from cellwise.estimate.filters.ukf import SigmaPoints, Ukf
+    from cellwise.estimate.lockstep.lockstep import LockstepEkf
     from cellwise.estimate.noise import Noise
     from cellwise.estimate.replay import Replay, replay
     from cellwise.estimate.status import Status
-    from cellwise.estimate.ukf import SigmaPoints, Ukf
     from cellwise.identify import Identification, IdentifySettings, TestLogs, identify_cell
     from cellwise.logs import CellLog, inspect_log, read_log, write_log
 
@@ -42,15 +42,15 @@ _HOMES = {
     "identify_cell": "cellwise.identify",
     "Diagnosis": "cellwise.diagnose",
     "diagnose": "cellwise.diagnose",
-    "Coulomb": "cellwise.estimate.coulomb",
-    "Ekf": "cellwise.estimate.ekf",
-    "LockstepEkf": "cellwise.estimate.lockstep",
+    "Coulomb": "cellwise.estimate.filters.coulomb",
+    "Ekf": "cellwise.estimate.filters.ekf",
+    "LockstepEkf": "cellwise.estimate.lockstep.lockstep",
     "Noise": "cellwise.estimate.noise",
     "Replay": "cellwise.estimate.replay",
     "replay": "cellwise.estimate.replay",
     "Status": "cellwise.estimate.status",
-    "SigmaPoints": "cellwise.estimate.ukf",
-    "Ukf": "cellwise.estimate.ukf",
+    "SigmaPoints": "cellwise.estimate.filters.ukf",
+    "Ukf": "cellwise.estimate.filters.ukf",
     "list_datasets": "cellwise.data",
     "load_dataset": "cellwise.data",
     "InputError": "cellwise.errors",

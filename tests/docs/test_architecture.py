@@ -11,7 +11,7 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGE = REPOSITORY / "src" / "cellwise"
 
 BASE = {"errors", "typing", "files", "plotting"}
-TOOLS = {"logs", "cell", "identify", "estimate", "diagnose", "data"}
+TOOLS = {"logs", "cell", "identify", "estimate", "forecast", "diagnose", "data"}
 MAY_IMPORT = {
     "errors": set(),
     "typing": set(),
@@ -21,13 +21,14 @@ MAY_IMPORT = {
     "cell": BASE | {"logs"},
     "identify": BASE | {"logs", "cell"},
     "estimate": BASE | {"logs", "cell"},
+    "forecast": BASE | {"logs", "cell", "estimate"},
     "diagnose": BASE | {"logs", "cell", "identify", "estimate"},
     "data": BASE | {"logs"},
     "export": BASE | TOOLS,
     "report": BASE | TOOLS,
     "benchmark": BASE | TOOLS | {"report"},
     "originals": BASE | {"logs", "data"},
-    "live": BASE | {"logs", "cell", "estimate"},
+    "live": BASE | {"logs", "cell", "estimate", "forecast"},
     "fleet": BASE | {"logs", "cell", "estimate", "diagnose"},
     "cli": BASE | TOOLS | {"export", "report", "benchmark", "live", "fleet", "originals"},
 }
@@ -79,7 +80,7 @@ def test_numba_stays_in_the_kernels():
     for path in MODULES:
         if any(dotted.split(".")[0] == "numba" for dotted in imported(path)):
             own = part_of(path)
-            assert own in ("cell", "estimate", "identify", "diagnose"), name(path)
+            assert own in ("cell", "estimate", "forecast", "identify", "diagnose"), name(path)
             assert own not in ("identify", "diagnose") or path.stem.endswith("_kernels"), name(path)
 
 

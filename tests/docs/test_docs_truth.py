@@ -16,9 +16,10 @@ from cellwise.cell.effects import EFFECTS
 from cellwise.cell.initial_soc import InitialSoc
 from cellwise.cell.kernels import CellState
 from cellwise.cli.main import build_parser
-from cellwise.estimate.coulomb import CoulombInfo, CoulombState
-from cellwise.estimate.ekf_kernels import EkfInfo, EkfState
-from cellwise.estimate.replay import ESTIMATORS, SocErrors
+from cellwise.estimate.estimators import ESTIMATORS
+from cellwise.estimate.filters.coulomb import CoulombInfo, CoulombState
+from cellwise.estimate.filters.ekf_kernels import EkfInfo, EkfState
+from cellwise.estimate.replay import SocErrors
 from cellwise.estimate.trace import Trace
 from cellwise.identify.capacity.capacity_choice import CapacityRow
 from cellwise.identify.capacity.capacity_test import CapacityTest
@@ -98,7 +99,9 @@ def anchors(page):
 def test_files_that_are_named_exist(page):
     for name in re.findall(r"`((?:tests|datasets|docs|benchmarks)/[\w./]+\.\w+)`", prose(page)):
         assert (REPOSITORY / name).exists(), f"{page_name(page)}: {name}"
-    for name in re.findall(r"`((?:cell|identify|estimate|logs|cli|report)/\w+\.py)`", prose(page)):
+    for name in re.findall(
+        r"`((?:cell|identify|estimate|logs|cli|report)/[\w/]+\.py)`", prose(page)
+    ):
         assert (PACKAGE / name).exists(), f"{page_name(page)}: {name}"
 
 

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from cellwise.estimate.adaptive_mixture_kernels import mix
-from cellwise.estimate.adaptive_settings import AdaptiveSettings
-from cellwise.estimate.adaptive_state_kernels import (
+from cellwise.estimate.filters.adaptive_mixture_kernels import mix
+from cellwise.estimate.filters.adaptive_settings import AdaptiveSettings
+from cellwise.estimate.filters.adaptive_state_kernels import (
     MEMORY,
     SOC,
     STATES,
@@ -26,7 +26,7 @@ from cellwise.estimate.adaptive_state_kernels import (
     settled_variance,
     spread,
 )
-from cellwise.estimate.adaptive_watch_kernels import watch_rest
+from cellwise.estimate.filters.adaptive_watch_kernels import watch_rest
 
 
 def upper(p: np.ndarray) -> np.ndarray:

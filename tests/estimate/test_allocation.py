@@ -11,10 +11,10 @@ from numba.core.runtime import _nrt_python, rtsys
 
 from cellwise.cell import protocol_kernels
 from cellwise.cell.kernels import empty_state, simulate_rows
-from cellwise.estimate import ekf_kernels, ukf_kernels
-from cellwise.estimate.coulomb import coulomb_rows
-from cellwise.estimate.ekf import Ekf
-from cellwise.estimate.ukf import SigmaPoints
+from cellwise.estimate.filters import ekf_kernels, ukf_kernels
+from cellwise.estimate.filters.coulomb import coulomb_rows
+from cellwise.estimate.filters.ekf import Ekf
+from cellwise.estimate.filters.ukf import SigmaPoints
 from example_cells import EFFECTS, curved_cell
 
 MODEL = curved_cell(effects=EFFECTS)

@@ -10,7 +10,7 @@ import pytest
 from cellwise.cell.protocol import hppc_test, run_protocol
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
-from cellwise.estimate.coulomb import Coulomb
+from cellwise.estimate.filters.coulomb import Coulomb
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.status import Status
 from cellwise.logs.reading import read_log

@@ -12,7 +12,7 @@ from cellwise.cell.effects import Hysteresis
 from cellwise.cell.protocol import ConstantCurrent, Rest, run_protocol
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
-from cellwise.estimate.ekf import Ekf
+from cellwise.estimate.filters.ekf import Ekf
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.status import Status
 from cellwise.logs.cell_log import CellLog

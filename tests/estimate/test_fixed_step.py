@@ -11,11 +11,11 @@ from numba import njit
 from cellwise.cell.simulate import simulate
 from cellwise.data import load_dataset
 from cellwise.errors import InputError
-from cellwise.estimate.ekf import Ekf
-from cellwise.estimate.fixed_step import FixedStep, numba_stepper, samples_of, start_state
-from cellwise.estimate.fixed_step_layout import INPUT, OUTPUT
-from cellwise.estimate.fixed_step_rows import compiled_rows
-from cellwise.estimate.fixed_step_tables import fixed_step_tables
+from cellwise.estimate.filters.ekf import Ekf
+from cellwise.estimate.fixed.fixed_step import FixedStep, numba_stepper, samples_of, start_state
+from cellwise.estimate.fixed.layout import INPUT, OUTPUT
+from cellwise.estimate.fixed.rows import compiled_rows
+from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.estimate.status import Status
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.resample import resample

@@ -21,10 +21,11 @@ from cellwise.cell.effects import (
 )
 from cellwise.cell.simulate import simulate
 from cellwise.data import load_dataset
-from cellwise.estimate.ekf import Ekf
-from cellwise.estimate.fixed_step import Firmware, samples_of, start_state
-from cellwise.estimate.fixed_step_c import write_sources
-from cellwise.estimate.fixed_step_tables import fixed_step_tables
+from cellwise.estimate.filters.ekf import Ekf
+from cellwise.estimate.fixed.fixed_step import samples_of, start_state
+from cellwise.estimate.fixed.tables import fixed_step_tables
+from cellwise.export.c_tables import write_sources
+from cellwise.export.firmware import Firmware
 from cellwise.logs.resample import resample
 from example_cells import curved_cell
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from cellwise.cell.initial_soc import initial_soc
-from cellwise.estimate.ekf import Ekf
-from cellwise.estimate.fixed_step import Firmware
+from cellwise.estimate.filters.ekf import Ekf
+from cellwise.export.firmware import Firmware
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell
 from cellwise.logs import read_log
 from cellwise.logs.resample import resample

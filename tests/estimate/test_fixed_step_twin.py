@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from cellwise.data import load_dataset
-from cellwise.estimate import fixed_step_kernels as kernels
-from cellwise.estimate.fixed_step import numba_stepper, samples_of
-from cellwise.estimate.fixed_step_c import firmware_folder, hex_float
-from cellwise.estimate.fixed_step_layout import INPUT, OUTPUT, constant_type, row_type, state_type
+from cellwise.estimate.fixed import arithmetic as kernels
+from cellwise.estimate.fixed.fixed_step import numba_stepper, samples_of
+from cellwise.estimate.fixed.layout import INPUT, OUTPUT, constant_type, row_type, state_type
 from cellwise.estimate.status import Status
+from cellwise.export.c_tables import firmware_folder, hex_float
 from example_cells import curved_cell
 from firmware_cases import compile_and_run, stress_samples, tables_of
 
@@ -75,7 +75,7 @@ def test_hex_floats_are_exact():
 @pytest.mark.slow
 @pytest.mark.parametrize("case", ["lean", "full"])
 def test_the_same_bits(case):
-    from cellwise.estimate.fixed_step_host import HostLibrary
+    from cellwise.export.host_library import HostLibrary
 
     tables = tables_of(case)
     drive = samples_of(curved_cell(), load_dataset("nmc_drive_b"), 1.0).records
@@ -101,7 +101,7 @@ def compilers():
 
 @needs_gcc
 def test_one_buffer_is_stepped_by_either():
-    from cellwise.estimate.fixed_step_host import HostLibrary
+    from cellwise.export.host_library import HostLibrary
 
     tables = tables_of("lean")
     stepper, library = numba_stepper(tables), HostLibrary(tables)

@@ -10,9 +10,9 @@ import pytest
 from cellwise.cell.initial_soc import InitialSoc
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
-from cellwise.estimate.flight import forecast
 from cellwise.estimate.replay import Replay, replay
 from cellwise.estimate.trace import Trace
+from cellwise.forecast.remaining import forecast
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell, lfp_cell, linear_cell
 

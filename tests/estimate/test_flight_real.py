@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellwise.estimate.flight import forecast
 from cellwise.estimate.replay import replay
+from cellwise.forecast.remaining import forecast
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell
 from cellwise.logs import read_log
 

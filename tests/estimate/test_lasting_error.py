@@ -10,10 +10,10 @@ import pytest
 from cellwise.cell.model import ModelError
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
-from cellwise.estimate.adaptive import Adaptive
-from cellwise.estimate.ekf import Ekf
+from cellwise.estimate.filters.adaptive import Adaptive
+from cellwise.estimate.filters.ekf import Ekf
+from cellwise.estimate.filters.ukf import Ukf
 from cellwise.estimate.noise import Noise
-from cellwise.estimate.ukf import Ukf
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell, linear_cell
 

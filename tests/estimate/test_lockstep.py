@@ -19,8 +19,8 @@ from cellwise.cell.effects import (
 )
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
-from cellwise.estimate.ekf import Ekf
-from cellwise.estimate.lockstep import LockstepEkf
+from cellwise.estimate.filters.ekf import Ekf
+from cellwise.estimate.lockstep.lockstep import LockstepEkf
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
 

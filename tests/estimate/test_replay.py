@@ -11,15 +11,8 @@ import pytest
 from cellwise.cell.initial_soc import InitialSoc
 from cellwise.cell.protocol import ConstantCurrent, DriveProfile, Rest, run_protocol
 from cellwise.errors import InputError
-from cellwise.estimate.replay import (
-    ESTIMATORS,
-    Replay,
-    converged_row,
-    make_estimator,
-    reference_soc,
-    replay,
-    soc_errors,
-)
+from cellwise.estimate.estimators import ESTIMATORS, make_estimator
+from cellwise.estimate.replay import Replay, converged_row, reference_soc, replay, soc_errors
 from cellwise.estimate.status import Status
 from cellwise.estimate.trace import Trace
 from cellwise.logs.cell_log import CellLog

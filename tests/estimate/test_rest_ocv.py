@@ -9,9 +9,9 @@ import pytest
 
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
-from cellwise.estimate.coulomb import Coulomb
+from cellwise.estimate.filters.coulomb import Coulomb
+from cellwise.estimate.filters.rest_ocv import REST_S, RestOcv
 from cellwise.estimate.replay import replay
-from cellwise.estimate.rest_ocv import REST_S, RestOcv
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell, lfp_cell, linear_cell, random_log
 

@@ -12,7 +12,8 @@ from cellwise.cell.effects import TemperatureDependence
 from cellwise.cell.protocol import ConstantCurrent, ConstantVoltage, Rest, run_protocol
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
-from cellwise.estimate.ekf import Ekf
+from cellwise.estimate.filters.ekf import Ekf
+from cellwise.estimate.filters.ukf import Ukf
 from cellwise.estimate.saved_state import (
     read_state,
     state_from_dict,
@@ -20,7 +21,6 @@ from cellwise.estimate.saved_state import (
     write_state,
 )
 from cellwise.estimate.status import Status
-from cellwise.estimate.ukf import Ukf
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell, random_log
 

@@ -24,11 +24,11 @@ from cellwise.cell.effects import (
 )
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
-from cellwise.estimate.ekf import Ekf
-from cellwise.estimate.filterpy_ukf import FilterpyUkf
+from cellwise.estimate.baselines.filterpy_ukf import FilterpyUkf
+from cellwise.estimate.filters.ekf import Ekf
+from cellwise.estimate.filters.ukf import SigmaPoints, Ukf
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.status import Status
-from cellwise.estimate.ukf import SigmaPoints, Ukf
 from cellwise.logs.cell_log import CellLog
 from example_cells import EFFECTS, curved_cell, linear_cell, random_log, random_model
 

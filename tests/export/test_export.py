@@ -15,8 +15,8 @@ from cellwise.cell.simulate import simulate
 from cellwise.cli import main
 from cellwise.data import load_dataset
 from cellwise.errors import InputError
-from cellwise.estimate.fixed_step_c import STRICT_FLAGS, WARNING_FLAGS
 from cellwise.export.accuracy import accuracy_by_grid
+from cellwise.export.c_tables import STRICT_FLAGS, WARNING_FLAGS
 from cellwise.export.package import check_flash, describe, model_sha256
 from example_cells import curved_cell
 from firmware_cases import tables_of

@@ -9,8 +9,8 @@ import subprocess
 import pytest
 
 from cellwise.cell.effects import Hysteresis, SlowDiffusion
-from cellwise.estimate.fixed_step_c import firmware_folder, write_sources
-from cellwise.estimate.fixed_step_tables import fixed_step_tables
+from cellwise.estimate.fixed.tables import fixed_step_tables
+from cellwise.export.c_tables import firmware_folder, write_sources
 from example_cells import curved_cell
 
 pytestmark = [

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from cellwise.data import load_dataset
-from cellwise.estimate.fixed_step import numba_stepper, samples_of
-from cellwise.estimate.fixed_step_layout import state_type
+from cellwise.estimate.fixed.fixed_step import numba_stepper, samples_of
+from cellwise.estimate.fixed.layout import state_type
 from cellwise.export.cross import CORES, has_tools, run_on_target
 from cellwise.export.stress import worst_case
 from example_cells import curved_cell

@@ -6,11 +6,11 @@ import math
 
 import pytest
 
-from cellwise.estimate.flight import cutoff_of, forecast
 from cellwise.estimate.replay import replay
+from cellwise.forecast.outlook import Outlook
+from cellwise.forecast.remaining import cutoff_of, forecast
 from cellwise.live import LiveFilter
 from cellwise.live.latency import LatencyMeter
-from cellwise.live.outlook import Outlook
 from example_cells import curved_cell
 from streams import driven, samples
 
@@ -20,7 +20,7 @@ def followed(model, log, soc0):
     outlook = Outlook(model, cutoff_of(model, 3.0))
     for sample in samples(log):
         outlook.take(live.take(sample))
-    return outlook.left(live, 25.0)
+    return outlook.left(live.state, 25.0)
 
 
 def test_a_steady_load_leaves_what_a_replay_foretells():

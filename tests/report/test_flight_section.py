@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 
-from cellwise.estimate.flight import forecast
+from cellwise.forecast.remaining import forecast
 from cellwise.report import replay_page
 from cellwise.report.flight_section import draw_flight, flight_finding
 from report_cases import drive, model, replay

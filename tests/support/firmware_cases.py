@@ -14,8 +14,8 @@ from cellwise.cell.effects import (
     SelfHeating,
     SlowDiffusion,
 )
-from cellwise.estimate.fixed_step_c import STRICT_FLAGS, WARNING_FLAGS, write_sources
-from cellwise.estimate.fixed_step_tables import fixed_step_tables
+from cellwise.estimate.fixed.tables import fixed_step_tables
+from cellwise.export.c_tables import STRICT_FLAGS, WARNING_FLAGS, write_sources
 from cellwise.export.stress import stress_samples as stress_samples
 from example_cells import curved_cell, random_model
 

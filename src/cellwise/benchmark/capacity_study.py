@@ -18,7 +18,8 @@ from cellwise.benchmark.capacity_study_stats import Difference, axis_share, diff
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
-from cellwise.estimate.replay import ESTIMATORS, reference_soc, replay
+from cellwise.estimate.estimators import ESTIMATORS
+from cellwise.estimate.replay import reference_soc, replay
 from cellwise.identify.identification import IdentifySettings, TestLogs
 from cellwise.identify.pipeline import Progress, identify_cell
 from cellwise.logs.cell_log import CellLog

@@ -11,7 +11,7 @@ from cellwise.benchmark.adapter import is_adapter, short_name
 from cellwise.benchmark.faults import FAULTS, GROUPS, NONE, Fault
 from cellwise.benchmark.toml_tables import checked, records
 from cellwise.errors import InputError
-from cellwise.estimate.replay import ESTIMATORS
+from cellwise.estimate.estimators import ESTIMATORS
 
 BASELINES = ("coulomb", "rest-ocv", "filterpy-ekf", "filterpy-ukf")
 SUITES = Path(__file__).with_name("suites")

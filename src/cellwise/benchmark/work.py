@@ -20,8 +20,9 @@ from cellwise.benchmark.suite_logs import JudgedLog, at_step, cell_model, judged
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import read_model, write_model
 from cellwise.errors import InputError
+from cellwise.estimate.estimators import Estimator, make_estimator
 from cellwise.estimate.noise import Noise
-from cellwise.estimate.replay import Estimator, Replay, make_estimator, replay
+from cellwise.estimate.replay import Replay, replay
 from cellwise.files import write_atomically
 from cellwise.logs.cell_log import CellLog
 

@@ -52,7 +52,7 @@ def run_capacity_study(arguments: argparse.Namespace) -> None:
     """Study the cells, print which choice wins, write the page."""
     from cellwise.benchmark.capacity_study import STUDIED, study_cell
     from cellwise.benchmark.capacity_study_cells import published_orders, study_cells
-    from cellwise.estimate.replay import ESTIMATORS
+    from cellwise.estimate.estimators import ESTIMATORS
 
     page_options.check_page_options(arguments)
     estimators = tuple(arguments.estimator or STUDIED)

@@ -12,8 +12,8 @@ from cellwise.errors import InputError
 if TYPE_CHECKING:
     from cellwise.cell.initial_soc import InitialSoc
     from cellwise.cell.simulate import Simulation
-    from cellwise.estimate.flight import Flight
     from cellwise.estimate.replay import Replay
+    from cellwise.forecast.remaining import Flight
 
 
 def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -100,8 +100,9 @@ def run_simulate(arguments: argparse.Namespace) -> None:
 def run_replay(arguments: argparse.Namespace) -> None:
     """Replay a log through an estimator and print how it did."""
     from cellwise.cell.model_file import read_model
-    from cellwise.estimate.flight import cutoff_of, forecast
-    from cellwise.estimate.replay import make_estimator, replay
+    from cellwise.estimate.estimators import make_estimator
+    from cellwise.estimate.replay import replay
+    from cellwise.forecast.remaining import cutoff_of, forecast
     from cellwise.logs.resample import resample
 
     printing.check_places(arguments.output)

@@ -11,7 +11,7 @@ from cellwise.errors import InputError
 
 if TYPE_CHECKING:
     from cellwise.cell.model import CellModel
-    from cellwise.estimate.fixed_step_tables import FixedStepTables
+    from cellwise.estimate.fixed.tables import FixedStepTables
 
 STEPS_TO_MEASURE = 4000
 
@@ -43,7 +43,7 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run_export(arguments: argparse.Namespace) -> None:
     """Write the C of a model and say what it costs."""
     from cellwise.cell.model_file import read_model
-    from cellwise.estimate.fixed_step_tables import fixed_step_tables
+    from cellwise.estimate.fixed.tables import fixed_step_tables
     from cellwise.export.package import check_flash, describe, write_package
 
     page_options.check_page_options(arguments)
@@ -102,7 +102,7 @@ def target_costs(
     from dataclasses import asdict
 
     from cellwise.data import load_dataset
-    from cellwise.estimate.fixed_step import samples_of
+    from cellwise.estimate.fixed.fixed_step import samples_of
     from cellwise.export.cross import cores_here, run_on_target
     from cellwise.export.stress import worst_case
 

@@ -62,7 +62,7 @@ def _common(parser: argparse.ArgumentParser) -> None:
 
 def run_replay(arguments: argparse.Namespace) -> None:
     """Replay every log of a folder."""
-    from cellwise.estimate.replay import make_estimator
+    from cellwise.estimate.estimators import make_estimator
     from cellwise.fleet import ReplayTask
 
     task = ReplayTask(

@@ -15,8 +15,8 @@ from cellwise.cli import log_options, printing
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
+    from cellwise.forecast.outlook import Outlook
     from cellwise.live import Counts, LiveFilter, Update
-    from cellwise.live.outlook import Outlook
     from cellwise.live.sample import Source
 
 LEFT_EVERY_S = 1.0
@@ -60,10 +60,10 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run_live_command(arguments: argparse.Namespace) -> None:
     """Follow a stream: JSON lines, a view for people, or one object at the end."""
     from cellwise.cell.model_file import read_model
-    from cellwise.estimate.flight import cutoff_of
+    from cellwise.forecast.outlook import Outlook
+    from cellwise.forecast.remaining import cutoff_of
     from cellwise.live import Counts, open_source, run_live
     from cellwise.live.latency import LatencyMeter
-    from cellwise.live.outlook import Outlook
     from cellwise.live.run import check_any
 
     _check(arguments)
@@ -157,7 +157,7 @@ def told_of(update: Update) -> dict[str, Any]:
 
 def left_of(live: LiveFilter, outlook: Outlook, update: Update) -> dict[str, Any]:
     """Time and energy to empty, nulls where there is no load."""
-    left = outlook.left(live, _temperature(live, update))
+    left = outlook.left(live.state, _temperature(live, update))
     if left is None:
         return {"remaining_s": None, "remaining_s_band": None, "remaining_Wh": None}
     return {

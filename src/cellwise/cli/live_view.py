@@ -14,8 +14,8 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 
 from cellwise.estimate.status import Status
+from cellwise.forecast.outlook import LeftNow, Outlook
 from cellwise.live import Counts, LiveFilter, Update
-from cellwise.live.outlook import LeftNow, Outlook
 
 if TYPE_CHECKING:
     from cellwise.live.sample import Source
@@ -94,7 +94,7 @@ class LiveView:
                 f"{_number(sample.voltage_V, 4)} V measured, {_number(info.voltage_V, 4)} expected",
             ),
             ("temperature", f"{_number(warm, 1)} degC"),
-            ("left", _left(self._outlook.left(self._filter, warm if warm == warm else 25.0))),
+            ("left", _left(self._outlook.left(self._filter.state, warm if warm == warm else 25.0))),
             ("told", flags),
             (
                 "stream",

@@ -9,7 +9,7 @@ from numba import njit
 
 from cellwise.cell.kernels import CellScalars
 from cellwise.estimate.noise import NoiseScalars
-from cellwise.estimate.sample_kernels import (
+from cellwise.estimate.sensing_kernels import (
     REST_RATE,
     Sample,
     Watch,

@@ -9,7 +9,7 @@ from numba import njit
 
 from cellwise.cell.kernels import OCV, CellPoint, CellScalars, look_up, under_load
 from cellwise.estimate.noise import NoiseScalars
-from cellwise.estimate.sample_kernels import REST_RATE
+from cellwise.estimate.sensing_kernels import REST_RATE
 from cellwise.typing import FloatArray
 
 SHORTEST_CHORD = 1e-6

@@ -6,23 +6,19 @@ import math
 import time
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from cellwise.cell.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
-from cellwise.estimate.adaptive import Adaptive
-from cellwise.estimate.adaptive_trace import AdaptiveTrace
-from cellwise.estimate.coulomb import Coulomb
-from cellwise.estimate.ekf import Ekf
+from cellwise.estimate.estimators import Estimator, make_estimator
+from cellwise.estimate.filters.adaptive_trace import AdaptiveTrace
 from cellwise.estimate.noise import Noise
-from cellwise.estimate.rest_ocv import RestOcv
 from cellwise.estimate.status import INNOVATION_REJECTED, VOLTAGE_FROZEN, VOLTAGE_INVALID
 from cellwise.estimate.trace import Trace
 from cellwise.estimate.trace_kernels import TraceSums, trace_sums
-from cellwise.estimate.ukf import Ukf
 from cellwise.logs.cell_log import CellLog
 from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import FloatArray
@@ -32,63 +28,6 @@ SUSTAINED_S = 600.0
 TRACE_COLUMNS = (
     *("time_s", "soc", "soc_std", "voltage_V", "innovation_V", "innovation_variance_V2"),
     *("test_ratio", "status"),
-)
-
-
-class Estimator(Protocol):
-    """Whatever can replay a log."""
-
-    name: str
-
-    def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> Trace:
-        """Estimate over a whole log from a start SOC and its standard deviation."""
-        ...
-
-
-def make_estimator(name: str, model: CellModel, noise: Noise | None = None) -> Estimator:
-    """An estimator by its name in the command line.
-
-    Raises
-    ------
-    InputError        a name that is not known
-    """
-    if name == "ekf":
-        return Ekf(model, noise)
-    if name == "adaptive":
-        return Adaptive(model, noise)
-    if name == "ukf":
-        return Ukf(model, noise)
-    if name == "coulomb":
-        return Coulomb(model, noise)
-    if name == "rest-ocv":
-        return RestOcv(model, noise)
-    if name == "filterpy-ekf":
-        from cellwise.estimate.filterpy_ekf import FilterpyEkf
-
-        return FilterpyEkf(model, noise)
-    if name == "filterpy-ukf":
-        from cellwise.estimate.filterpy_ukf import FilterpyUkf
-
-        return FilterpyUkf(model, noise)
-    if name in ("fixed-step", "firmware"):
-        from cellwise.estimate.fixed_step import Firmware, FixedStep
-
-        return FixedStep(model, noise) if name == "fixed-step" else Firmware(model, noise)
-    raise InputError(
-        f"estimator '{name}'", f"one of {', '.join(ESTIMATORS)}", "Choose one of them."
-    )
-
-
-ESTIMATORS = (
-    "coulomb",
-    "ekf",
-    "ukf",
-    "adaptive",
-    "rest-ocv",
-    "fixed-step",
-    "firmware",
-    "filterpy-ekf",
-    "filterpy-ukf",
 )
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from cellwise.errors import InputError
-from cellwise.estimate.filter_state import EkfState
-from cellwise.estimate.sample_kernels import Watch
+from cellwise.estimate.filters.filter_state import EkfState
+from cellwise.estimate.sensing_kernels import Watch
 from cellwise.files import write_atomically
 
 SCHEMA_VERSION = 2

@@ -9,8 +9,8 @@ import numpy as np
 
 from cellwise.cell.initial_soc import initial_soc
 from cellwise.cell.model import CellModel
-from cellwise.estimate.ekf import Ekf
-from cellwise.estimate.fixed_step import FixedStep
+from cellwise.estimate.filters.ekf import Ekf
+from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.resample import resample
 

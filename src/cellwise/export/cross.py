@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellwise.errors import InputError
-from cellwise.estimate.fixed_step_c import STRICT_FLAGS, firmware_folder, write_sources
-from cellwise.estimate.fixed_step_layout import INPUT, OUTPUT, state_type
-from cellwise.estimate.fixed_step_tables import FixedStepTables
+from cellwise.estimate.fixed.layout import INPUT, OUTPUT, state_type
+from cellwise.estimate.fixed.tables import FixedStepTables
+from cellwise.export.c_tables import STRICT_FLAGS, firmware_folder, write_sources
 
 REPEATS = 64  # as in target_main.c
 OPTIMISE = "-Os"  # smaller than -O2, and here no slower: constants are loaded less often

@@ -13,9 +13,9 @@ from typing import Any
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import model_to_dict
 from cellwise.errors import InputError
-from cellwise.estimate.fixed_step_c import write_sources
-from cellwise.estimate.fixed_step_layout import INPUT, OUTPUT, state_type
-from cellwise.estimate.fixed_step_tables import FixedStepTables
+from cellwise.estimate.fixed.layout import INPUT, OUTPUT, state_type
+from cellwise.estimate.fixed.tables import FixedStepTables
+from cellwise.export.c_tables import write_sources
 
 DESCRIPTION = "cellwise_export.json"
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import model_temperature_C
-from cellwise.estimate.fixed_step_layout import INPUT
-from cellwise.estimate.fixed_step_tables import FixedStepTables
+from cellwise.estimate.fixed.layout import INPUT
+from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.estimate.status import GATE_RECOVERY
 from cellwise.export.cross import run_on_target
 

@@ -15,7 +15,8 @@ import numpy as np
 from cellwise.cell.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
-from cellwise.estimate.replay import Estimator, Replay, make_estimator, reference_soc
+from cellwise.estimate.estimators import Estimator, make_estimator
+from cellwise.estimate.replay import Replay, reference_soc
 from cellwise.fleet import columns
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.prepared import read_prepared

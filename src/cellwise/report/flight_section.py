@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cellwise.estimate.flight import Flight, Left
+from cellwise.forecast.remaining import Flight, Left
 from cellwise.report.markup import Markup, paragraph, table
 from cellwise.report.numerals import duration, percent, points, significant, time_unit
 from cellwise.report.picture import Picture, safe_key

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from cellwise.cell.simulate import Simulation
 from cellwise.errors import InputError
-from cellwise.estimate.flight import Flight
 from cellwise.estimate.replay import Replay
+from cellwise.forecast.remaining import Flight
 from cellwise.identify.identification import Identification
 from cellwise.report.capacity_section import capacity_content, capacity_picture
 from cellwise.report.findings import identify_finding, replay_finding, simulation_finding
@@ -83,7 +83,7 @@ def replay_page(
     replays : of Replay           the first one gives the page's first line
     path : str or Path            of the HTML file; it appears whole or not at all
     simulations : of Simulation   of the same or other logs
-    flights : of Flight           what is left along them (`cellwise.estimate.flight.forecast`)
+    flights : of Flight           what is left along them (`cellwise.forecast.remaining.forecast`)
     figures : folder or FigureFiles   for the same pictures as PNG and SVG files
 
     Raises

@@ -1,0 +1,1 @@
+"""The same filters written with filterpy: baselines for speed, oracles for correctness."""

@@ -1,0 +1,167 @@
+"""What the filterpy baselines share: the model as matrices, the same noise, the row loop.
+
+No innovation gate, no recovery, no watch over the sensors: what a user of filterpy writes first.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from cellwise.cell.kernels import CellPoint, CellState, advance, look_up, seen_current, under_load
+from cellwise.cell.model import CellModel
+from cellwise.cell.simulate import known_temperature_C
+from cellwise.estimate.filters.ekf import Ekf
+from cellwise.estimate.measurement_kernels import start_branch
+from cellwise.estimate.noise import Noise
+from cellwise.estimate.sensing_kernels import REST_RATE, repeated_evidence
+from cellwise.estimate.trace import Trace
+from cellwise.logs.cell_log import CellLog
+from cellwise.typing import FloatArray
+
+
+class Interval(NamedTuple):
+    """One interval: length, currents, what may have flowed unseen, temperature."""
+
+    dt_s: float
+    seen_A: float
+    flow_A: float
+    gap_A2: float
+    temperature_C: float
+
+
+class HasMoments(Protocol):
+    """A filterpy filter: mean and covariance."""
+
+    x: Any
+    P: Any
+
+
+class FilterpyFilter:
+    """A filterpy filter over [soc, v1, v2, v3, h]; predict and update are the subclass's."""
+
+    name = ""
+
+    def __init__(self, model: CellModel, noise: Noise | None = None) -> None:
+        self.model = model
+        self.noise = Noise.of_model(model) if noise is None else noise
+        self.table, self.grid, self.cell = model.parameters()
+
+    def init(self, soc0: float, soc0_std: float = 0.15) -> Any:
+        """A filterpy filter with the start state and covariance of :class:`Ekf`."""
+        raise NotImplementedError
+
+    def predict(self, kf: Any, now: Interval, heat_K: float) -> float:
+        """Over one interval; the heat after it."""
+        raise NotImplementedError
+
+    def update(
+        self, kf: Any, voltage_V: float, now: Interval, warm_C: float, one: float, shared: float
+    ) -> tuple[float, float]:
+        """With a voltage whose variance is ``one`` times ``shared``: predicted, its variance."""
+        raise NotImplementedError
+
+    def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> Trace:
+        """Replay a whole log, sample by sample."""
+        kf = self.init(soc0, soc0_std)
+        gaps = log.gap_rows
+        current = log.interval_current_A
+        temperature = known_temperature_C(self.model, log)
+        noise = self.noise.scalars()
+        n = len(log)
+        soc, std, predicted, variance = (np.empty(n) for _ in range(4))
+        previous = float(np.nan_to_num(current[0]))
+        evidence = -1.0
+        heat = 0.0
+        for k, dt in enumerate(log.interval_s):
+            now = float(current[k]) if np.isfinite(current[k]) else previous
+            seen = float(seen_current(self.cell, now, previous, dt))
+            unknown = seen**2 + previous**2 if gaps[k] else 0.0
+            previous = now
+            row = Interval(
+                float(dt), seen, 0.0 if gaps[k] else seen, unknown, float(temperature[k])
+            )
+            warm = row.temperature_C + heat
+            if k == 0:
+                self._branches(kf, row, warm)
+            if gaps[k]:
+                kf.P[0, 0] += self.noise.gap_soc**2
+            heat = self.predict(kf, row, heat)
+            one = self.voltage_variance(kf.x, seen, warm)
+            resting = abs(seen) < REST_RATE * self.model.capacity_Ah
+            shared = float(repeated_evidence(noise, evidence, float(dt), resting))
+            if not np.isfinite(log.voltage_V[k]):
+                shared = np.inf
+            else:
+                evidence = max(evidence, 0.0)
+            predicted[k], variance[k] = self.update(
+                kf, float(log.voltage_V[k]), row, warm, one, shared
+            )
+            if evidence >= 0.0:
+                evidence += float(dt)
+            kf.x[0] = min(max(kf.x[0], 0.0), 1.0)
+            kf.x[4] = min(max(kf.x[4], -1.0), 1.0)
+            soc[k], std[k] = kf.x[0], np.sqrt(kf.P[0, 0])
+        innovation = log.voltage_V - predicted
+        ratio = innovation**2 / (self.noise.gate**2 * variance)
+        status = np.zeros(n, dtype=np.int32)
+        return Trace(log.time_s, soc, std, predicted, innovation, variance, ratio, status)
+
+    def start(self, kf: HasMoments, soc0: float, soc0_std: float) -> None:
+        """The start of :class:`Ekf`, its branches still empty."""
+        start = Ekf(self.model, self.noise).start(soc0, soc0_std)
+        kf.x = np.array([soc0, 0.0, 0.0, 0.0, 1.0 if soc0 > 0.5 else -1.0])
+        kf.P = np.diag([start.variance, 0.0, 0.0, 0.0, start.hysteresis_variance])
+
+    def _branches(self, kf: HasMoments, row: Interval, warm_C: float) -> None:
+        point = self.point(float(kf.x[0]), row.seen_A, warm_C)
+        for j, r in enumerate((point.r1_ohm, point.r2_ohm, point.r3_ohm), start=1):
+            kf.x[j], kf.P[j, j] = start_branch(self.cell, float(r), row.seen_A)
+
+    def point(self, soc: float, current_A: float, warm_C: float) -> CellPoint:
+        """The tables at one SOC, under load."""
+        here = look_up(self.table, self.grid, self.cell, soc, warm_C)
+        return CellPoint(*under_load(self.cell, here, current_A))
+
+    def transition(self, x: FloatArray, now: Interval, heat_K: float) -> CellState:
+        """The model's own step of a whole state."""
+        before = CellState._make((*(float(v) for v in x), heat_K))
+        after, _ = advance(
+            self.table, self.grid, self.cell, before, now.flow_A, now.dt_s, now.temperature_C
+        )
+        return CellState(*after)
+
+    def process(self, soc: float, now: Interval, warm_C: float) -> tuple[FloatArray, FloatArray]:
+        """Diagonal of the transition, shape (5,), and process noise, shape (5, 5)."""
+        noise, cell = self.noise, self.cell
+        point = self.point(soc, now.flow_A, warm_C)
+        r = np.array([point.r1_ohm, point.r2_ohm, point.r3_ohm])
+        a = np.exp(-now.dt_s / np.array([point.tau1_s, point.tau2_s, point.tau3_s]))
+        a[r == 0] = 1.0
+        hold = np.exp(-cell.hysteresis_rate * abs(now.flow_A) * now.dt_s / cell.charge_As)
+        g = np.array([-now.dt_s / cell.charge_As, *(r * (1 - a)), 0.0])
+        walk = noise.scalars().soc_per_sqrt_s ** 2 * now.dt_s
+        branch = (noise.branch_share * now.flow_A * r) ** 2 * (1 - a * a)
+        q = noise.current_A**2 * np.outer(g, g) + np.diag([walk, *branch, 0.0])
+        branches = np.array([0.0, *g[1:]])
+        q += now.gap_A2 * np.outer(branches, branches)
+        return np.array([1.0, *a, hold]), q
+
+    def voltage(self, x: FloatArray, current_A: float, warm_C: float) -> float:
+        """Terminal voltage of a state."""
+        point = self.point(float(x[0]), current_A, warm_C)
+        return float(point.ocv_V - point.r0_ohm * current_A - x[1] - x[2] - x[3] + point.m_V * x[4])
+
+    def voltage_variance(self, x: FloatArray, current_A: float, warm_C: float) -> float:
+        """Variance of one voltage about a perfect state."""
+        noise = self.noise
+        point = self.point(float(x[0]), current_A, warm_C)
+        drop = abs(point.r0_ohm * current_A) + float(np.abs(x[1:4]).sum())
+        return float(
+            noise.voltage_V**2
+            + (noise.error_scale * point.error_V) ** 2
+            + (noise.ocv_soc * point.ocv_slope_V) ** 2
+            + (noise.branch_share * drop) ** 2
+            + (noise.current_A * point.r0_ohm) ** 2
+        )

@@ -1,0 +1,246 @@
+"""Adaptive estimator: SOC with current-sensor offset, resistances and capacity (or gain)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from cellwise.cell.model import CellModel
+from cellwise.errors import InputError
+from cellwise.estimate.filters import adaptive_kernels as kernel
+from cellwise.estimate.filters.adaptive_mixture_kernels import told_deviation
+from cellwise.estimate.filters.adaptive_settings import AdaptiveSettings
+from cellwise.estimate.filters.adaptive_state_kernels import (
+    FAST,
+    MEMORY,
+    STATES,
+    TAIL,
+    adaptive_start,
+)
+from cellwise.estimate.filters.adaptive_trace import AdaptiveTrace
+from cellwise.estimate.filters.ekf import Ekf, measured_temperature_C
+from cellwise.estimate.filters.filter_state import EkfStart
+from cellwise.estimate.noise import Noise
+from cellwise.logs.cell_log import CellLog
+from cellwise.typing import FloatArray
+
+
+class AdaptiveState(NamedTuple):
+    """What must be carried: x (7,), P (7, 7), and what is remembered of the last samples."""
+
+    x: FloatArray
+    covariance: FloatArray
+    memory: FloatArray
+
+
+class AdaptiveInfo(NamedTuple):
+    """What may be looked at after a step; voltage to status as in ``EkfInfo``.
+
+    ``capacity_Ah`` and ``gain`` stand for one change of charge: the one that was not chosen is the
+    model's. ``*_probability`` is the chance that the model's value does not hold. ``held_*`` are
+    the bits of :class:`cellwise.estimate.filters.adaptive_settings.Held`, 0 where it is learnt.
+    """
+
+    soc: float
+    soc_std: float
+    voltage_V: float
+    innovation_V: float
+    innovation_variance_V2: float
+    test_ratio: float
+    status: int
+    offset_A: float
+    offset_std_A: float
+    offset_probability: float
+    capacity_Ah: float
+    capacity_std_Ah: float
+    gain: float
+    gain_std: float
+    charge_probability: float
+    resistance_scale: float
+    polarisation_scale: float
+    held_offset: int
+    held_resistance: int
+    held_charge: int
+
+
+class Adaptive:
+    """Kalman filter over SOC, branch voltages, hysteresis, sensor offset, capacity, resistances.
+
+    Parameters
+    ----------
+    model : CellModel
+    noise : Noise or None                 None: from the model's own validation error
+    settings : AdaptiveSettings or None   which parameters, and what is believed of them
+
+    Examples
+    --------
+    >>> adaptive = Adaptive(model)                                       # doctest: +SKIP
+    >>> state = adaptive.init(soc0=0.5, soc0_std=0.2)                    # doctest: +SKIP
+    >>> state, info = adaptive.step(state, 1.2, 3.71, 25.0, dt_s=0.1)    # doctest: +SKIP
+    """
+
+    name = "adaptive"
+
+    def __init__(
+        self,
+        model: CellModel,
+        noise: Noise | None = None,
+        settings: AdaptiveSettings | None = None,
+    ) -> None:
+        self.model = model
+        self.noise = Noise.of_model(model) if noise is None else noise
+        self.settings = AdaptiveSettings() if settings is None else settings
+        self._cell = model.parameters()
+        # Errors along the SOC axis last for minutes, whatever a short log has shown.
+        slow_s = max(self.noise.slow_s, self.settings.memory_s)
+        self._noise = replace(self.noise, slow_s=slow_s).scalars()
+        self._learn = self.settings.scalars(model.capacity_Ah)
+        self._ekf = Ekf(model, self.noise)
+        self._anew = self.start(0.5, 0.3)  # for a state that is no longer finite: know nothing
+        self._room = np.empty(STATES), np.empty(STATES)
+
+    def start(self, soc0: float, soc0_std: float = 0.15) -> EkfStart:
+        """Start of a cell at rest at ``soc0``, known to ``soc0_std``; as the EKF's.
+
+        Raises
+        ------
+        InputError        soc0 outside 0..1, soc0_std not above zero
+        """
+        return self._ekf.start(soc0, soc0_std)
+
+    def init(self, soc0: float, soc0_std: float = 0.15, current_A: float = 0.0) -> AdaptiveState:
+        """State at ``soc0`` that is known to ``soc0_std``; see :meth:`Ekf.init`."""
+        state = AdaptiveState(np.empty(STATES), np.empty((STATES, STATES)), np.empty(MEMORY))
+        adaptive_start(self.start(soc0, soc0_std), self._learn, float(current_A), *_flat(state))
+        return state
+
+    def step(
+        self,
+        state: AdaptiveState,
+        current_A: float,
+        voltage_V: float,
+        temperature_C: float | None = None,
+        *,
+        dt_s: float,
+        gap: bool = False,
+    ) -> tuple[AdaptiveState, AdaptiveInfo]:
+        """Take the sample that ends an interval of ``dt_s`` seconds; ``state`` is left as it was.
+
+        Raises
+        ------
+        InputError        dt_s negative or not finite
+        """
+        if not (np.isfinite(dt_s) and dt_s >= 0):
+            raise InputError(f"dt_s = {dt_s}", "seconds, at least 0", "Pass the interval's length.")
+        after = AdaptiveState(*(np.array(part) for part in state))
+        step, told = kernel.adaptive_step(
+            *self._cell,
+            self._noise,
+            self._learn,
+            self._anew,
+            *_flat(after),
+            *self._room,
+            float(current_A),
+            float(voltage_V),
+            math.nan if temperature_C is None else float(temperature_C),
+            float(dt_s),
+            bool(gap),
+        )
+        below = np.tril_indices(STATES, -1)  # the kernels keep the upper triangle
+        after.covariance[below] = after.covariance.T[below]
+        charge, charge_std = 1.0 + told.charge, math.sqrt(max(told.charge_variance, 0.0))
+        capacity, capacity_std, gain, gain_std = self._charge(charge, charge_std)
+        return after, AdaptiveInfo(
+            soc=min(max(told.soc, 0.0), 1.0),
+            soc_std=told_deviation(told, after.memory),
+            voltage_V=step.voltage_V,
+            innovation_V=step.innovation_V,
+            innovation_variance_V2=step.innovation_variance_V2,
+            test_ratio=step.test_ratio,
+            status=step.status,
+            offset_A=told.offset_A,
+            offset_std_A=math.sqrt(max(told.offset_variance, 0.0)),
+            offset_probability=told.offset_probability,
+            capacity_Ah=float(capacity),
+            capacity_std_Ah=float(capacity_std),
+            gain=float(gain),
+            gain_std=float(gain_std),
+            charge_probability=told.charge_probability,
+            resistance_scale=float(after.memory[FAST]),
+            polarisation_scale=float(after.memory[TAIL]),
+            held_offset=step.held_offset,
+            held_resistance=step.held_resistance,
+            held_charge=step.held_charge,
+        )
+
+    def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> AdaptiveTrace:
+        """Replay a whole log; the same steps in one compiled loop."""
+        state = self.init(soc0, soc0_std)
+        out = np.empty((kernel.OUTPUTS, len(log)))
+        status = np.empty(len(log), dtype=np.int32)
+        held = np.empty((3, len(log)), dtype=np.int32)
+        kernel.adaptive_rows(
+            *self._cell,
+            self._noise,
+            self._learn,
+            self._anew,
+            *_flat(state),
+            *self._room,
+            # What the tester's counter says of a gap is not for the filter's eyes.
+            np.array(log.interval_current_A),
+            log.voltage_V,
+            measured_temperature_C(log),
+            log.interval_s,
+            log.gap_rows,
+            out,
+            status,
+            held,
+        )
+        capacity, capacity_std, gain, gain_std = self._charge(
+            out[kernel.OUT_CHARGE], out[kernel.OUT_CHARGE_STD]
+        )
+        return AdaptiveTrace(
+            time_s=log.time_s,
+            soc=out[kernel.OUT_SOC],
+            soc_std=out[kernel.OUT_STD],
+            voltage_V=out[kernel.OUT_VOLTAGE],
+            innovation_V=out[kernel.OUT_INNOVATION],
+            innovation_variance_V2=out[kernel.OUT_VARIANCE],
+            test_ratio=out[kernel.OUT_RATIO],
+            status=status,
+            offset_A=out[kernel.OUT_OFFSET],
+            offset_std_A=out[kernel.OUT_OFFSET_STD],
+            offset_probability=out[kernel.OUT_OFFSET_FREE],
+            gain=np.asarray(gain),
+            gain_std=np.asarray(gain_std),
+            capacity_Ah=np.asarray(capacity),
+            capacity_std_Ah=np.asarray(capacity_std),
+            charge_probability=out[kernel.OUT_CHARGE_FREE],
+            resistance_scale=out[kernel.OUT_FAST],
+            resistance_std=out[kernel.OUT_FAST_STD],
+            polarisation_scale=out[kernel.OUT_TAIL],
+            polarisation_std=out[kernel.OUT_TAIL_STD],
+            held=held,
+            model_capacity_Ah=self.model.capacity_Ah,
+            learns_gain=self.settings.learns_gain,
+        )
+
+    def _charge(
+        self, q: FloatArray | float, q_std: FloatArray | float
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Capacity [Ah] and gain, each with its deviation, out of the one factor on the charge."""
+        q, q_std = np.asarray(q), np.asarray(q_std)
+        inverse, spread = 1.0 / q, q_std / (q * q)
+        one, none = np.ones_like(q), np.zeros_like(q)
+        capacity = self.model.capacity_Ah
+        if self.settings.learns_gain:
+            return capacity * one, none, inverse, spread
+        return capacity * inverse, capacity * spread, one, none
+
+
+def _flat(state: AdaptiveState) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The state as the kernels take it: P row by row, a view."""
+    return state.x, state.covariance.reshape(-1), state.memory

@@ -1,0 +1,188 @@
+r"""Is there an offset, is the capacity another one: four hypotheses out of one covariance.
+
+Each of the two is either what the model says or free. The filter carries the case in which both
+are free; the others are that one conditioned on the values that they fix, and their evidence is the
+posterior density at those values over the prior's (Savage-Dickey):
+
+.. math:: \ln \frac{p(y | \theta_F = \theta_0)}{p(y)} =
+   -\tfrac12 \delta^T P_{FF}^{-1} \delta - \tfrac12 \ln \frac{|P_{FF}|}{|P^0_{FF}|}
+
+So a freedom that the data do not ask for costs hardly anything in SOC, and a parameter without
+evidence goes back to the model's value.
+
+Source: J. M. Dickey, Ann. Math. Statist. 42 (1971) 204, doi:10.1214/aoms/1177693507.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from numba import njit
+
+from cellwise.estimate.filters.adaptive_state_kernels import (
+    BB,
+    BQ,
+    LASTING,
+    MISMATCH,
+    NEARLY,
+    QQ,
+    SB,
+    SOC,
+    SQ,
+    SS,
+    VARIANCE_FLOOR,
+    AdaptiveScalars,
+    B,
+    Q,
+)
+from cellwise.typing import FloatArray
+
+
+class Mixture(NamedTuple):
+    """What the hypotheses say together: means, variances, probabilities of being free.
+
+    ``charge`` is q - 1: the model's capacity over the cell's, less one.
+    """
+
+    soc: float
+    soc_variance: float
+    offset_A: float
+    offset_variance: float
+    charge: float
+    charge_variance: float
+    offset_probability: float
+    charge_probability: float
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def evidence(away: float, per_variance: float, prior: float, odds: float) -> float:
+    """How much likelier one parameter is at the model's value than free.
+
+    ``per_variance`` is one over its variance.
+    """
+    sharper = math.sqrt(prior * per_variance)
+    return odds * sharper * math.exp(-0.5 * away * away * per_variance)
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def fixed_or_free(
+    soc: float, ss: float, away: float, cross: float, variance: float, fixed: float
+) -> tuple[float, float, float, float, float]:
+    """One parameter's two hypotheses: SOC, its variance, the parameter, its, probability of free.
+
+    ``cross`` is the covariance of SOC and the parameter.
+    """
+    free = 1.0 / (1.0 + fixed)
+    move = -cross / variance * away
+    both = free * (1.0 - free)
+    told = ss - (1.0 - free) * cross * cross / variance + both * move * move
+    return (
+        soc + (1.0 - free) * move,
+        told,
+        free * away,
+        free * variance + both * away * away,
+        free,
+    )
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def mix(
+    soc: float,
+    ss: float,
+    b: float,
+    q: float,
+    sb: float,
+    sq: float,
+    bb: float,
+    bq: float,
+    qq: float,
+    prior_b: float,
+    prior_q: float,
+    odds: float,
+) -> Mixture:
+    """Weigh: both free, offset fixed, capacity fixed, both fixed; what has no prior is fixed.
+
+    Parameters
+    ----------
+    soc, ss : float            SOC and its variance, everything free
+    b, q : float               offset [A] and capacity factor, less the model's values
+    sb, sq, bb, bq, qq : float their covariances
+    prior_b, prior_q : float   their variances before any data, 0 where not learnt
+    odds : float               for the model's value, before any data
+    """
+    free_b = prior_b > 0.0 and bb > 0.0
+    free_q = prior_q > 0.0 and qq > 0.0
+    if not free_b and not free_q:
+        return Mixture(soc, ss, b, 0.0, q, 0.0, 0.0, 0.0)
+    if not free_q:
+        fixed = evidence(b, 1.0 / bb, prior_b, odds)
+        s, v, m, w, free = fixed_or_free(soc, ss, b, sb, bb, fixed)
+        return Mixture(s, v, m, w, 0.0, 0.0, free, 0.0)
+    if not free_b:
+        fixed = evidence(q, 1.0 / qq, prior_q, odds)
+        s, v, m, w, free = fixed_or_free(soc, ss, q, sq, qq, fixed)
+        return Mixture(s, v, 0.0, 0.0, m, w, 0.0, free)
+    det = max(bb * qq - bq * bq, NEARLY * bb * qq)
+    ib, iq, i0 = 1.0 / bb, 1.0 / qq, 1.0 / det
+    # The offset at zero.
+    kb = sb * ib
+    soc_b = soc - kb * b
+    ss_b = ss - kb * sb
+    q_b = q - bq * ib * b
+    qq_b = det * ib
+    # The model's capacity.
+    kq = sq * iq
+    soc_q = soc - kq * q
+    ss_q = ss - kq * sq
+    b_q = b - bq * iq * q
+    bb_q = det * iq
+    # Both.
+    kb = (sb * qq - sq * bq) * i0
+    kq = (sq * bb - sb * bq) * i0
+    soc_0 = soc - (kb * b + kq * q)
+    ss_0 = ss - (kb * sb + kq * sq)
+    wb = evidence(b, ib, prior_b, odds)
+    wq = evidence(q, iq, prior_q, odds)
+    w0 = wb * evidence(q_b, bb * i0, prior_q, odds)
+    w1 = 1.0 / ((1.0 + wb) + (wq + w0))
+    wb *= w1
+    wq *= w1
+    w0 *= w1
+    # Away from the first, so that nothing is lost in differences of squares.
+    eb, eq, e0 = soc_b - soc, soc_q - soc, soc_0 - soc
+    mean = (wb * eb + wq * eq) + w0 * e0
+    square = (w1 * ss + wb * (ss_b + eb * eb)) + (wq * (ss_q + eq * eq) + w0 * (ss_0 + e0 * e0))
+    mean_b = w1 * b + wq * b_q
+    mean_q = w1 * q + wb * q_b
+    return Mixture(
+        soc + mean,
+        square - mean * mean,
+        mean_b,
+        w1 * (bb + b * b) + wq * (bb_q + b_q * b_q) - mean_b * mean_b,
+        mean_q,
+        w1 * (qq + q * q) + wb * (qq_b + q_b * q_b) - mean_q * mean_q,
+        w1 + wq,
+        w1 + wb,
+    )
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def mixture(learn: AdaptiveScalars, x: FloatArray, p: FloatArray, memory: FloatArray) -> Mixture:
+    """The hypotheses' common word; a misfit that none of them explains speaks for the model's."""
+    odds = learn.odds
+    if memory[MISMATCH] > 1.0:
+        # A power costs as much as the rest of the mixture.
+        square = memory[MISMATCH] * memory[MISMATCH]
+        odds *= square if learn.doubt == 2.0 else memory[MISMATCH] ** learn.doubt
+    return mix(
+        x[SOC], p[SS], x[B], x[Q] - 1.0, p[SB], p[SQ], p[BB], p[BQ], p[QQ],
+        learn.offset_variance, learn.charge_variance, odds,
+    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def told_deviation(told: Mixture, memory: FloatArray) -> float:
+    """Standard deviation of the SOC: the hypotheses', and what an error that stays has brought."""
+    lasting = memory[LASTING]
+    return math.sqrt(max(told.soc_variance, VARIANCE_FLOOR) + lasting * lasting)

@@ -1,0 +1,142 @@
+"""What the Kalman filters share: start, online step, replay of a whole log."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import numpy as np
+
+from cellwise.cell.kernels import M
+from cellwise.cell.model import CellModel
+from cellwise.cell.simulate import check_soc0, model_temperature_C
+from cellwise.errors import InputError
+from cellwise.estimate.filters import ekf_kernels as kernel
+from cellwise.estimate.filters.filter_state import EkfInfo, EkfStart, EkfState, ekf_start
+from cellwise.estimate.noise import Noise
+from cellwise.estimate.trace import Trace
+from cellwise.logs.cell_log import CellLog
+from cellwise.typing import FloatArray
+
+
+class KalmanFilter:
+    """A filter over SOC, branch voltages and hysteresis; its kernels are the subclass's.
+
+    Parameters
+    ----------
+    model : CellModel
+    noise : Noise or None     None: from the model's own validation error
+    """
+
+    name = ""
+    step_kernel: ClassVar[Callable[..., tuple[EkfState, EkfInfo]]]
+    rows_kernel: ClassVar[Callable[..., EkfState]]
+
+    def __init__(self, model: CellModel, noise: Noise | None = None) -> None:
+        self.model = model
+        self.noise = Noise.of_model(model) if noise is None else noise
+        self._cell = model.parameters()
+        self._default_C = model_temperature_C(model)
+        self._told: tuple[Any, ...] = (self.noise.scalars(),)
+        self._anew = self.start(0.5, 0.3)  # for a state that is no longer finite: know nothing
+
+    def start(self, soc0: float, soc0_std: float = 0.15) -> EkfStart:
+        """Start at ``soc0``, known to ``soc0_std``.
+
+        Raises
+        ------
+        InputError        soc0 outside 0..1, soc0_std not above zero
+        """
+        check_soc0(soc0)
+        if not (np.isfinite(soc0_std) and soc0_std > 0):
+            raise InputError(
+                f"a start SOC deviation of {soc0_std}", "a number above zero", "Give e.g. 0.15."
+            )
+        table = self._cell[0]
+        return EkfStart(
+            soc=float(soc0),
+            variance=float(soc0_std) ** 2,
+            hysteresis_variance=1.0 if np.any(table[..., M]) else 0.0,
+            temperature_C=self._default_C,
+        )
+
+    def init(self, soc0: float, soc0_std: float = 0.15, current_A: float = 0.0) -> EkfState:
+        """State at ``soc0`` that is known to ``soc0_std``; see :meth:`start`.
+
+        ``current_A`` is what is held if the first current is missing. What the branches hold is
+        guessed at the first sample: nearly nothing at rest, about half the load's steady voltage
+        under load.
+        """
+        return EkfState(*ekf_start(self.start(soc0, soc0_std), float(current_A)))
+
+    def step(
+        self,
+        state: EkfState,
+        current_A: float,
+        voltage_V: float,
+        temperature_C: float | None = None,
+        *,
+        dt_s: float,
+        gap: bool = False,
+    ) -> tuple[EkfState, EkfInfo]:
+        """Take the sample that ends an interval of ``dt_s`` seconds.
+
+        A missing voltage (NaN) gives a prediction, a missing current holds the last one for
+        ``Noise.hold_s``, a missing temperature the last one that was measured, or the model's own;
+        all are told in ``Info.status``.
+
+        Raises
+        ------
+        InputError        dt_s negative or not finite
+        """
+        if not (np.isfinite(dt_s) and dt_s >= 0):
+            raise InputError(f"dt_s = {dt_s}", "seconds, at least 0", "Pass the interval's length.")
+        return type(self).step_kernel(
+            *self._cell,
+            *self._told,
+            self._anew,
+            state,
+            float(current_A),
+            float(voltage_V),
+            np.nan if temperature_C is None else float(temperature_C),
+            float(dt_s),
+            bool(gap),
+        )
+
+    def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> Trace:
+        """Replay a whole log; the same steps in one compiled loop."""
+        gap = log.gap_rows
+        # What the tester's counter says of a gap is not for the filter's eyes.
+        current = np.array(log.interval_current_A)
+        out = np.empty((kernel.OUTPUTS, len(log)))
+        status = np.empty(len(log), dtype=np.int32)
+        type(self).rows_kernel(
+            *self._cell,
+            *self._told,
+            self.start(soc0, soc0_std),
+            self._anew,
+            current,
+            log.voltage_V,
+            measured_temperature_C(log),
+            log.interval_s,
+            gap,
+            out,
+            status,
+        )
+        return Trace(
+            time_s=log.time_s,
+            soc=out[kernel.OUT_SOC],
+            soc_std=out[kernel.OUT_STD],
+            voltage_V=out[kernel.OUT_VOLTAGE],
+            innovation_V=out[kernel.OUT_INNOVATION],
+            innovation_variance_V2=out[kernel.OUT_VARIANCE],
+            test_ratio=out[kernel.OUT_RATIO],
+            status=status,
+        )
+
+
+def measured_temperature_C(log: CellLog) -> FloatArray:
+    """Temperature of every row as measured, NaN where nobody did, shape (rows,)."""
+    if log.temperature_C is None:
+        return np.full(len(log), np.nan)
+    return np.array(log.temperature_C)  # a copy: kernels are compiled for one kind of array

@@ -1,0 +1,219 @@
+"""Open-circuit voltage of rests, counting between them: what a simple gauge does."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from cellwise.cell.initial_soc import RELAXED_S, REST_RATE, SHORT_REST_V
+from cellwise.cell.kernels import CellScalars, look_up
+from cellwise.cell.model import CellModel
+from cellwise.cell.simulate import model_temperature_C
+from cellwise.errors import InputError
+from cellwise.estimate.filters.coulomb import Coulomb, coulomb_step
+from cellwise.estimate.filters.kalman import measured_temperature_C
+from cellwise.estimate.noise import Noise
+from cellwise.estimate.status import Status
+from cellwise.estimate.trace import Trace
+from cellwise.logs.cell_log import CellLog
+from cellwise.typing import BoolArray, FloatArray, IntArray
+
+REST_S = 600.0
+HALVINGS = 24
+SMALLEST_STD = 1e-3
+
+
+class RestOcvState(NamedTuple):
+    """What must be carried: SOC, its variance, the last valid current, how long it has rested.
+
+    ``rest_s`` is infinite before the first sample: a cell that is switched on at rest has rested.
+    """
+
+    soc: float
+    variance: float
+    previous_A: float
+    rest_s: float
+
+
+class RestOcvInfo(NamedTuple):
+    """What may be looked at after a step; ``rested`` says that the voltage was used."""
+
+    soc: float
+    soc_std: float
+    rested: bool
+    status: Status
+
+
+@njit(cache=True, error_model="numpy")
+def soc_at(
+    table: FloatArray, grid: FloatArray, cell: CellScalars, voltage_V: float, temperature_C: float
+) -> float:
+    """SOC from 0 to 1 whose OCV is nearest to a voltage, by halving."""
+    low = 0.0
+    high = 1.0
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        if look_up(table, grid, cell, middle, temperature_C).ocv_V < voltage_V:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
+
+
+@njit(cache=True, error_model="numpy")
+def rest_ocv_step(
+    table: FloatArray,
+    grid: FloatArray,
+    cell: CellScalars,
+    state: RestOcvState,
+    current_A: float,
+    voltage_V: float,
+    temperature_C: float,
+    dt_s: float,
+    walk: float,
+    gap_soc: float,
+    gap: bool,
+    rest_after_s: float,
+) -> tuple[float, float, float, float, bool, int]:
+    """Count one interval; where the cell has rested for long enough, read the OCV instead."""
+    soc, variance, current, bits = coulomb_step(
+        cell, state.soc, state.variance, state.previous_A, current_A, dt_s, walk, gap_soc, gap
+    )
+    resting = math.isfinite(current_A) and abs(current_A) * 3600.0 < REST_RATE * cell.charge_As
+    rest = state.rest_s + dt_s if resting else 0.0
+    rested = False
+    if resting and rest >= rest_after_s and math.isfinite(voltage_V):
+        here = soc_at(table, grid, cell, voltage_V, temperature_C)
+        point = look_up(table, grid, cell, here, temperature_C)
+        left = SHORT_REST_V * math.exp(-min(rest, 1e9) / RELAXED_S)
+        off = math.sqrt(point.error_V**2 + point.m_V**2 + left * left)
+        # Over a flat OCV every SOC of that voltage is as good.
+        wide = soc_at(table, grid, cell, voltage_V + off, temperature_C)
+        spread = max(
+            0.5 * (wide - soc_at(table, grid, cell, voltage_V - off, temperature_C)), SMALLEST_STD
+        )
+        if spread * spread < variance or math.isinf(rest):
+            soc = here
+            variance = spread * spread
+            rested = True
+    if math.isinf(rest):
+        rest = 0.0
+    return soc, variance, current, rest, rested, bits
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def rest_ocv_rows(
+    table: FloatArray,
+    grid: FloatArray,
+    cell: CellScalars,
+    start: RestOcvState,
+    current_A: FloatArray,
+    voltage_V: FloatArray,
+    temperature_C: FloatArray,
+    default_C: float,
+    dt_s: FloatArray,
+    gap: BoolArray,
+    walk: float,
+    gap_soc: float,
+    rest_after_s: float,
+    out: FloatArray,
+    status: IntArray,
+) -> None:
+    """Every row of a log through :func:`rest_ocv_step`; ``out`` holds SOC and its deviation."""
+    state = start
+    warm = default_C
+    for k in range(dt_s.size):
+        if math.isfinite(temperature_C[k]):
+            warm = temperature_C[k]
+        soc, variance, previous, rest, _, bits = rest_ocv_step(
+            table, grid, cell, state, current_A[k], voltage_V[k], warm, dt_s[k],
+            walk, gap_soc, gap[k], rest_after_s,
+        )  # fmt: skip
+        state = RestOcvState(soc, variance, previous, rest)
+        out[0, k] = soc
+        out[1, k] = math.sqrt(variance)
+        status[k] = bits
+
+
+class RestOcv:
+    """SOC by the open-circuit voltage wherever the cell rests, by counting in between.
+
+    Parameters
+    ----------
+    model : CellModel
+    noise : Noise or None     for the drift of the count; None: from the model
+    rest_s : float            how long the current has to be below C/100 [s]
+    """
+
+    name = "rest-ocv"
+
+    def __init__(
+        self, model: CellModel, noise: Noise | None = None, rest_s: float = REST_S
+    ) -> None:
+        if not (np.isfinite(rest_s) and rest_s >= 0.0):
+            raise InputError(f"rest_s = {rest_s}", "seconds, at least 0", "Give e.g. 600.")
+        self.model = model
+        self.noise = Noise.of_model(model) if noise is None else noise
+        self.rest_s = float(rest_s)
+        self._cell = model.parameters()
+        self._default_C = model_temperature_C(model)
+        self._noise = self.noise.scalars()
+        self._count = Coulomb(model, self.noise)
+
+    def init(self, soc0: float, soc0_std: float = 0.15) -> RestOcvState:
+        """State at ``soc0``; raises InputError outside 0..1."""
+        begun = self._count.init(soc0, soc0_std)
+        return RestOcvState(begun.soc, begun.variance, begun.previous_A, math.inf)
+
+    def step(
+        self,
+        state: RestOcvState,
+        current_A: float,
+        voltage_V: float,
+        temperature_C: float | None = None,
+        *,
+        dt_s: float,
+        gap: bool = False,
+    ) -> tuple[RestOcvState, RestOcvInfo]:
+        """Take the sample that ends an interval of ``dt_s`` seconds."""
+        warm = self._default_C if temperature_C is None else float(temperature_C)
+        soc, variance, previous, rest, rested, bits = rest_ocv_step(
+            *self._cell,
+            state,
+            float(current_A),
+            float(voltage_V),
+            warm,
+            float(dt_s),
+            self._noise.soc_per_sqrt_s,
+            self._noise.gap_soc,
+            gap,
+            self.rest_s,
+        )
+        info = RestOcvInfo(soc, math.sqrt(variance), rested, Status(bits))
+        return RestOcvState(soc, variance, previous, rest), info
+
+    def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> Trace:
+        """Replay a whole log; it predicts no voltage, so those figures are missing (NaN)."""
+        n = len(log)
+        out = np.empty((2, n))
+        status = np.empty(n, dtype=np.int32)
+        rest_ocv_rows(
+            *self._cell,
+            self.init(soc0, soc0_std),
+            np.array(log.interval_current_A),
+            log.voltage_V,
+            measured_temperature_C(log),
+            self._default_C,
+            log.interval_s,
+            log.gap_rows,
+            self._noise.soc_per_sqrt_s,
+            self._noise.gap_soc,
+            self.rest_s,
+            out,
+            status,
+        )
+        missing = np.full(n, np.nan)
+        return Trace(log.time_s, out[0], out[1], missing, missing, missing, missing, status)

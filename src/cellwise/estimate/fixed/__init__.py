@@ -1,0 +1,1 @@
+"""The fixed step in float32: the source of the C twin in ``firmware_ref``."""

@@ -1,0 +1,259 @@
+"""The embedded filter in Python: float32 at a fixed time step, bit for bit what the C computes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellwise.cell.model import CellModel
+from cellwise.cell.simulate import check_soc0, known_temperature_C, model_temperature_C
+from cellwise.errors import InputError
+from cellwise.estimate.fixed.layout import INPUT, OUTPUT, state_type
+from cellwise.estimate.fixed.tables import FixedStepTables, fixed_step_tables
+from cellwise.estimate.noise import Noise
+from cellwise.estimate.status import VOLTAGE_INVALID
+from cellwise.estimate.trace import Trace
+from cellwise.logs.cell_log import CellLog
+from cellwise.logs.resample import resample
+from cellwise.typing import IntArray
+
+EVEN = 0.02  # intervals that differ by less from the time step need no resampling
+MOST_VARIANCE = 1.0
+
+
+class FixedStepInfo(NamedTuple):
+    """What may be looked at after a step; fields as in :class:`EkfInfo`."""
+
+    soc: float
+    soc_std: float
+    voltage_V: float
+    innovation_V: float
+    innovation_variance_V2: float
+    test_ratio: float
+    status: int
+
+
+class Samples(NamedTuple):
+    """A log as a target would see it: records of INPUT, and the sample of every row of the log."""
+
+    records: NDArray[Any]
+    row_sample: IntArray
+
+
+class FixedStep:
+    """Fixed-step EKF, compiled by numba.
+
+    Parameters
+    ----------
+    model : CellModel
+    noise : Noise or None       None: from the model's own validation error
+    dt_s : float or None        time step [s]; None: the median interval of the log that is run
+    points : int or None        SOC points of the tables; None: the model's own
+    offset_std_A : float        above 0 the current sensor's offset is a state [A]
+    wide : bool                 take care of slopes while SOC is badly known
+    watch : bool                watch for sensors that freeze or fall silent
+    """
+
+    name = "fixed-step"
+
+    def __init__(
+        self,
+        model: CellModel,
+        noise: Noise | None = None,
+        *,
+        dt_s: float | None = None,
+        points: int | None = None,
+        offset_std_A: float = 0.0,
+        wide: bool = True,
+        watch: bool = True,
+    ) -> None:
+        self.model = model
+        self.noise = Noise.of_model(model) if noise is None else noise
+        self.dt_s = dt_s
+        self._points = points
+        self._offset_std_A = offset_std_A
+        self._wide, self._watch = wide, watch
+        self._stepper: Stepper | None = None
+        self._sample = np.zeros(1, dtype=INPUT)
+        self.stepper(1.0 if dt_s is None else dt_s)  # refuses now what it would refuse later
+
+    def stepper(self, dt_s: float) -> Stepper:
+        """What runs the step at a time step, kept for the next call."""
+        if self._stepper is None or self._stepper.tables.dt_s != dt_s:
+            tables = fixed_step_tables(
+                self.model,
+                dt_s,
+                self.noise,
+                points=self._points,
+                offset_std_A=self._offset_std_A,
+                wide=self._wide,
+                watch=self._watch,
+            )
+            self._stepper = self._make(tables)
+        return self._stepper
+
+    def _make(self, tables: FixedStepTables) -> Stepper:
+        return numba_stepper(tables)
+
+    def init(self, soc0: float, soc0_std: float = 0.15) -> NDArray[Any]:
+        """A state of one record: a cell at rest at ``soc0``, known to ``soc0_std``.
+
+        Raises
+        ------
+        InputError        soc0 outside 0..1, soc0_std not above zero
+        """
+        return start_state(self._need_stepper(), soc0, soc0_std)
+
+    def step(
+        self,
+        state: NDArray[Any],
+        current_A: float,
+        voltage_V: float,
+        temperature_C: float | None = None,
+        *,
+        sequence: int,
+    ) -> FixedStepInfo:
+        """Take the sample of one time step; the state is stepped in place.
+
+        ``sequence`` counts time steps and wraps at 2**32: one that is skipped is a gap, one that
+        comes again is a duplicate.
+        """
+        stepper = self._need_stepper()
+        warm = model_temperature_C(self.model) if temperature_C is None else temperature_C
+        self._sample[0] = (current_A, voltage_V, warm, sequence % 2**32)
+        out = stepper.rows(state, self._sample)[0]
+        return FixedStepInfo(
+            float(out["soc"]),
+            float(np.sqrt(out["soc_variance"])),
+            float(out["voltage_V"]),
+            *seen(out["innovation_V"], out["status"], out["innovation_variance_V2"], self.noise),
+            int(out["status"]),
+        )
+
+    def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> Trace:
+        """Replay a whole log at the time step; an uneven log is resampled first.
+
+        Every row shows the last time step that ended at it or before.
+        """
+        dt_s = median_interval_s(log) if self.dt_s is None else self.dt_s
+        stepper = self.stepper(dt_s)
+        samples = samples_of(self.model, log, dt_s)
+        state = start_state(stepper, soc0, soc0_std)
+        out = stepper.rows(state, samples.records)[samples.row_sample]
+        variance = out["innovation_variance_V2"].astype(np.float64)
+        innovation = out["innovation_V"].astype(np.float64)
+        innovation[(out["status"] & VOLTAGE_INVALID) != 0] = np.nan
+        return Trace(
+            time_s=log.time_s,
+            soc=out["soc"].astype(np.float64),
+            soc_std=np.sqrt(out["soc_variance"].astype(np.float64)),
+            voltage_V=out["voltage_V"].astype(np.float64),
+            innovation_V=innovation,
+            innovation_variance_V2=variance,
+            test_ratio=innovation**2 / (self.noise.gate**2 * variance),
+            status=out["status"].astype(np.int32),
+        )
+
+    def _need_stepper(self) -> Stepper:
+        if self.dt_s is None:
+            raise InputError(
+                "no time step", "dt_s, which the tables hold for", "Give FixedStep(..., dt_s=0.1)."
+            )
+        return self.stepper(self.dt_s)
+
+
+class Stepper(NamedTuple):
+    """Tables with the compiled code that steps them: numba's or C's."""
+
+    tables: FixedStepTables
+    begin: Callable[[NDArray[Any], float, float], object]
+    rows: Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]]
+
+
+def numba_stepper(tables: FixedStepTables) -> Stepper:
+    """The step in numba."""
+    from cellwise.estimate.fixed.rows import compiled_rows, compiled_start
+
+    begin, loop = compiled_start(tables.options), compiled_rows(tables.options)
+
+    def rows(state: NDArray[Any], samples: NDArray[Any]) -> NDArray[Any]:
+        outputs = np.zeros(samples.size, dtype=OUTPUT)
+        loop(tables.constants, tables.table, state, samples, outputs)
+        return outputs
+
+    def start(state: NDArray[Any], soc: float, variance: float) -> None:
+        begin(tables.constants, state, soc, variance)
+
+    return Stepper(tables, start, rows)
+
+
+def start_state(stepper: Stepper, soc0: float, soc0_std: float) -> NDArray[Any]:
+    """A state record at rest; see :meth:`FixedStep.init`."""
+    check_soc0(soc0)
+    if not (np.isfinite(soc0_std) and soc0_std > 0):
+        raise InputError(
+            f"a start SOC deviation of {soc0_std}", "a number above zero", "Give e.g. 0.15."
+        )
+    state = np.zeros(1, dtype=state_type(stepper.tables.options))
+    stepper.begin(state, float(soc0), min(max(float(soc0_std) ** 2, 1e-11), MOST_VARIANCE))
+    return state
+
+
+def seen(
+    innovation_V: float, status: int, variance: float, noise: Noise
+) -> tuple[float, float, float]:
+    """Innovation, its variance and test ratio for people: NaN where there was no voltage."""
+    if int(status) & VOLTAGE_INVALID:
+        return np.nan, float(variance), np.nan
+    ratio = float(innovation_V) ** 2 / (noise.gate**2 * float(variance))
+    return float(innovation_V), float(variance), ratio
+
+
+def median_interval_s(log: CellLog) -> float:
+    """The usual interval between two rows [s]."""
+    interval = np.diff(log.time_s)
+    return float(np.median(interval[interval > 0])) if np.any(interval > 0) else 1.0
+
+
+def samples_of(model: CellModel, log: CellLog, dt_s: float) -> Samples:
+    """A log as samples at a fixed time step.
+
+    An even log is taken row by row. Any other is resampled between its gaps, charge kept; a gap is
+    a jump of the sequence number, as where a target was switched off.
+    """
+    whole = np.round(log.interval_s / dt_s)
+    gaps = log.gap_rows
+    even = np.abs(log.interval_s - dt_s) <= EVEN * dt_s
+    if np.all(even[1:] | gaps[1:]):
+        records = _records(model, log)
+        records["sequence"] = np.cumsum(whole).astype(np.uint64).astype(np.uint32)
+        return Samples(records, np.arange(len(log), dtype=np.int32))
+    edges = [0, *np.flatnonzero(gaps).tolist(), len(log)]
+    parts, times = [], []
+    for first, last in pairwise(edges):
+        piece = log.part(first, last) if last - first > 1 else None
+        if piece is not None and piece.duration_s >= dt_s:
+            piece = resample(piece, dt_s)
+            part, time = _records(model, piece), log.time_s[first] + piece.time_s - piece.time_s[0]
+        else:
+            alone = slice(first, first + 1)
+            part, time = _records(model, log)[alone], log.time_s[alone]
+        parts.append(part)
+        times.append(time)
+    records, time_s = np.concatenate(parts), np.concatenate(times)
+    step = np.maximum(np.round((time_s - time_s[0]) / dt_s), 0.0)
+    records["sequence"] = step.astype(np.uint64).astype(np.uint32)
+    row = np.searchsorted(time_s, log.time_s + 1e-9, side="right") - 1
+    return Samples(records, np.maximum(row, 0).astype(np.int32))
+
+
+def _records(model: CellModel, log: CellLog) -> NDArray[Any]:
+    records = np.zeros(len(log), dtype=INPUT)
+    records["current_A"] = log.interval_current_A
+    records["voltage_V"] = log.voltage_V
+    records["temperature_C"] = known_temperature_C(model, log)
+    return records

@@ -1,0 +1,295 @@
+"""A CellModel at a fixed time step as float32 tables: computed in float64, rounded once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellwise.cell.effects import (
+    ChargeAsymmetry,
+    Effect,
+    Hysteresis,
+    RateDependence,
+    SelfDischarge,
+    SelfHeating,
+    SlowDiffusion,
+    TemperatureDependence,
+    TimeSkew,
+    effect_table,
+)
+from cellwise.cell.kernels import ZERO_CELSIUS_K
+from cellwise.cell.model import TABLES, CellModel
+from cellwise.cell.simulate import model_temperature_C
+from cellwise.errors import InputError
+from cellwise.estimate.evidence_kernels import UNDER_LOAD_COUNT
+from cellwise.estimate.fixed.layout import (
+    Options,
+    constant_type,
+    options_of,
+    row_fields,
+)
+from cellwise.estimate.measurement_kernels import (
+    FLAT_SHARE,
+    START_BRANCH_V,
+    START_LOAD_RATE,
+    START_REST_RATE,
+)
+from cellwise.estimate.noise import Noise
+from cellwise.estimate.recovery_kernels import RECOVERY_RATE
+from cellwise.estimate.sensing_kernels import LOST_RATE, REST_RATE
+from cellwise.typing import FloatArray
+
+Float32Array = NDArray[np.float32]
+
+REJECTION_COUNT = 20_000  # what a rejection adds to the count, as in ``arithmetic``
+MEMORY_START_S = 10.0  # for how long the model's error is remembered at first
+CURRENT_LIMIT_C = 200.0  # no cell gives that; a sensor fault does
+VOLTAGE_MOST_V = 1000.0
+LEAST_V = 1e-3  # above zero: the C compares bits
+BRIDGED_S = 5.0  # missing samples up to here are bridged by the currents on both sides
+MISSING_S = 60.0  # without a watch: for how long a current that nobody measures keeps its sign
+OFFSET_WALK_H = 24.0  # the sensor's offset is new after so long
+SMALLEST_GAIN = 1e-6  # below it float32 rounds a branch's variance away
+ARRHENIUS_LOW_C, ARRHENIUS_HIGH_C = -60.0, 100.0
+ARRHENIUS_POINTS = 161
+MOST_POINTS = 4001
+MOST_STEPS = 1_000_000_000
+MOST_TEMPERATURES = 32
+
+
+@dataclass(frozen=True, eq=False)
+class FixedStepTables:
+    """What a fixed step reads: options, one record of constants, table (temperatures, points, row).
+
+    ``dt_s`` is the time step they hold for.
+    """
+
+    dt_s: float
+    options: Options
+    constants: NDArray[Any]
+    table: Float32Array
+
+    @property
+    def flash_bytes(self) -> int:
+        """Size of the model in read-only memory."""
+        return int(self.constants.nbytes + self.table.nbytes)
+
+    def to_bytes(self) -> bytes:
+        """The bytes of the C struct ``cellwise_model``."""
+        return self.constants.tobytes() + self.table.tobytes()
+
+
+def resampled(model: CellModel, points: int) -> CellModel:
+    """The model on another number of SOC points, linear between its own.
+
+    Raises
+    ------
+    InputError        fewer than 3 points
+    """
+    if points < 3:
+        raise InputError(f"{points} SOC points", "at least 3", "Give e.g. --points 101.")
+    soc = np.linspace(0.0, 1.0, points)
+
+    def over(table: FloatArray) -> FloatArray:
+        return np.array([np.interp(soc, model.soc, row) for row in table])
+
+    def effect_over(effect: Effect) -> Effect:
+        tables: dict[str, Any] = {
+            key: over(value) for key, value in vars(effect).items() if np.ndim(value) == 2
+        }
+        return replace(effect, **tables)
+
+    tables: dict[str, Any] = {name: over(getattr(model, name)) for name in TABLES}
+    return replace(model, **tables, effects=tuple(effect_over(e) for e in model.effects))
+
+
+def fixed_step_tables(
+    model: CellModel,
+    dt_s: float,
+    noise: Noise | None = None,
+    *,
+    points: int | None = None,
+    offset_std_A: float = 0.0,
+    wide: bool = True,
+    watch: bool = True,
+) -> FixedStepTables:
+    """Tables of a model at a time step.
+
+    Parameters
+    ----------
+    noise : Noise or None     None: from the model's own validation error
+    points : int or None      SOC points; None: the model's own
+    offset_std_A : float      how far off the current sensor may be at the start [A]; above 0 its
+                              offset is a state
+    wide : bool               take care of slopes while SOC is badly known; without it the code is
+                              smaller, and slower to recover from a start that is far off
+    watch : bool              watch for sensors that freeze or fall silent
+
+    Raises
+    ------
+    InputError        a time step that is not above zero; a model that float32 at this time step
+                      cannot hold (see :func:`check_holds`)
+    """
+    if not (np.isfinite(dt_s) and dt_s > 0):
+        raise InputError(f"a time step of {dt_s} s", "seconds above zero", "Give e.g. --dt 0.1.")
+    if not (np.isfinite(offset_std_A) and offset_std_A >= 0):
+        raise InputError(
+            f"an offset deviation of {offset_std_A} A", "ampere, at least 0", "Give e.g. 0.1."
+        )
+    noise = Noise.of_model(model) if noise is None else noise
+    if points is not None and points != model.points:
+        model = resampled(model, points)
+    options = options_of(
+        model,
+        offset=offset_std_A > 0,
+        wide=wide,
+        watch=watch,
+        arrhenius_points=ARRHENIUS_POINTS,
+    )
+    check_holds(model, dt_s, options)
+    columns = _columns(model, dt_s, noise)
+    table = np.stack([columns[name] for name, _ in row_fields(options)], axis=-1)
+    constants = np.zeros(1, dtype=constant_type(options))
+    for name, value in _constants(model, dt_s, noise, options, offset_std_A).items():
+        if name in (constants.dtype.names or ()):
+            constants[name] = value
+    for name in constants.dtype.names or ():
+        _check_float32(name, constants[name])
+    _check_float32("a table", table.astype(np.float32))
+    return FixedStepTables(float(dt_s), options, constants, table.astype(np.float32))
+
+
+def check_holds(model: CellModel, dt_s: float, options: Options) -> None:
+    """Refuse what the target cannot hold.
+
+    Raises
+    ------
+    InputError        a time constant beyond 1e6 steps, too many SOC points or temperatures
+    """
+    if not 3 <= options.points <= MOST_POINTS or options.temperatures > MOST_TEMPERATURES:
+        raise InputError(
+            f"{options.points} SOC points at {options.temperatures} temperature(s)",
+            f"3 to {MOST_POINTS} points, at most {MOST_TEMPERATURES} temperatures",
+            "Give --points 101, or fewer temperatures.",
+        )
+    slowest = float(np.max(model.tau2_s))
+    if options.slow:
+        slowest = max(slowest, float(np.max(np.asarray(model.effect(SlowDiffusion).tau3_s))))
+    if dt_s / slowest < SMALLEST_GAIN:
+        raise InputError(
+            f"a time constant of {slowest:g} s at a time step of {dt_s:g} s",
+            f"at most {1 / SMALLEST_GAIN:g} steps: float32 cannot hold slower ones",
+            f"Give a time step of at least {SMALLEST_GAIN * slowest:.2g} s.",
+        )
+
+
+def _columns(model: CellModel, dt_s: float, noise: Noise) -> dict[str, FloatArray]:
+    shape = (model.temperature_C.size, model.points)
+    slow = model.effect(SlowDiffusion)
+
+    def lag(tau_s: FloatArray) -> FloatArray:
+        return np.asarray(-1.0 / np.expm1(-dt_s / tau_s))
+
+    slope = np.diff(model.ocv_V, axis=1) * (model.points - 1)
+    square = np.pad(slope * slope, ((0, 0), (1, 1)), mode="edge")
+    at_points = 0.5 * (square[:, :-1] + square[:, 1:])
+    error = noise.error_scale * effect_table(model.error.at(model.soc), shape)
+    return {
+        "ocv_V": model.ocv_V,
+        "error_V": error,
+        "noise_V2": noise.voltage_V**2 + error * error + noise.ocv_soc**2 * at_points,
+        "r0_ohm": model.r0_ohm,
+        "r1_ohm": model.r1_ohm,
+        "lag1": lag(model.tau1_s),
+        "r2_ohm": model.r2_ohm,
+        "lag2": lag(model.tau2_s),
+        "r3_ohm": effect_table(slow.r3_ohm, shape),
+        "lag3": lag(effect_table(slow.tau3_s, shape)),
+        "m_V": effect_table(model.effect(Hysteresis).m_V, shape),
+    }
+
+
+def _constants(
+    model: CellModel, dt_s: float, noise: Noise, options: Options, offset_std_A: float
+) -> dict[str, Any]:
+    per_A = dt_s / (3600.0 * model.capacity_Ah)
+    slow_s = noise.slow_s
+    adapts = noise.mismatch_cap > 0 and slow_s > 0
+    heating = model.effect(SelfHeating)
+    lost_A = LOST_RATE * model.capacity_Ah
+    return {
+        "soc_per_A": per_A,
+        "soc_walk": noise.soc_per_sqrt_h**2 / 3600.0 * dt_s + (per_A * noise.current_A) ** 2,
+        "current_variance_A2": noise.current_A**2,
+        "lost_A2": lost_A**2,
+        "lost_soc": per_A * lost_A,
+        "lost_walk": (per_A * lost_A) ** 2 * max(1.0, 2.0 * MISSING_S / dt_s),
+        "hold_steps": steps_within(noise.hold_s, dt_s),
+        "frozen_V": noise.frozen_V,
+        "flat_slope_V": FLAT_SHARE * float(model.ocv_V[0, -1] - model.ocv_V[0, 0]),
+        "share_variance": noise.branch_share**2,
+        "gate_square": noise.gate**2,
+        "shared_start": 2.0 * MEMORY_START_S / dt_s,
+        "shared": max(2.0 * slow_s / dt_s, 1.0),
+        "lately": min(dt_s / slow_s, 1.0) if adapts else 0.0,
+        "mismatch_cap": noise.mismatch_cap,
+        "gap_variance": noise.gap_soc**2,
+        "current_limit_A": min(noise.current_limit_A, CURRENT_LIMIT_C * model.capacity_Ah),
+        "voltage_low_V": max(noise.voltage_low_V, LEAST_V),
+        "voltage_high_V": min(noise.voltage_high_V, VOLTAGE_MOST_V),
+        "branch_variance_V2": START_BRANCH_V**2,
+        "rest_A": REST_RATE * model.capacity_Ah,
+        "start_rest_A": START_REST_RATE * model.capacity_Ah,
+        "start_load_A": START_LOAD_RATE * model.capacity_Ah,
+        "fixed_V2": noise.voltage_V**2,
+        "ocv_soc2": noise.ocv_soc**2,
+        "recovery_A": RECOVERY_RATE * model.capacity_Ah,
+        "recovery_after": REJECTION_COUNT * int(noise.recovery_after),
+        "under_load": max(round(REJECTION_COUNT * UNDER_LOAD_COUNT * min(dt_s, 1.0)), 1),
+        "gap_steps": int(np.ceil(BRIDGED_S / dt_s)),
+        "charge_efficiency": model.charge_efficiency,
+        "leak_soc": per_A * model.effect(SelfDischarge).leak_A,
+        "skew_share": min(model.effect(TimeSkew).skew_s / dt_s, 1.0),
+        "rate_per_A": model.effect(RateDependence).rate_h / model.capacity_Ah,
+        "charge_scale": model.effect(ChargeAsymmetry).charge_scale,
+        "hysteresis_per_A": model.effect(Hysteresis).gamma * per_A,
+        "offset_variance_A2": offset_std_A**2,
+        "offset_walk_A2": offset_std_A**2 * dt_s / (3600.0 * OFFSET_WALK_H),
+        "heat_K_per_W": heating.rth_K_per_W,
+        "heat_gain": -np.expm1(-dt_s / heating.thermal_s),
+        "temperature_C": model_temperature_C(model),
+        **_temperature_tables(model, options),
+    }
+
+
+def steps_within(seconds: float, dt_s: float) -> int:
+    """Whole time steps within a time; one that falls on its end belongs to it."""
+    return int(min(np.floor(seconds / dt_s * (1.0 + 1e-9)), MOST_STEPS))
+
+
+def _temperature_tables(model: CellModel, options: Options) -> dict[str, Any]:
+    effect = model.effect(TemperatureDependence)
+    grid = np.linspace(ARRHENIUS_LOW_C, ARRHENIUS_HIGH_C, max(options.arrhenius, 2))
+    kelvin = grid + ZERO_CELSIUS_K
+    reference_K = effect.reference_C + ZERO_CELSIUS_K
+    with np.errstate(over="ignore"):
+        factor = np.exp(effect.activation_K * (1.0 / kelvin - 1.0 / reference_K))
+    found: dict[str, Any] = {
+        "arrhenius_low_C": ARRHENIUS_LOW_C,
+        "arrhenius_per_K": (grid.size - 1) / (ARRHENIUS_HIGH_C - ARRHENIUS_LOW_C),
+        "arrhenius": factor,
+    }
+    if options.temperatures > 1:
+        found["grid_C"] = model.temperature_C
+        found["per_K"] = 1.0 / np.diff(model.temperature_C)
+    return found
+
+
+def _check_float32(name: str, value: NDArray[Any]) -> None:
+    if not np.all(np.isfinite(value)):
+        raise InputError(
+            f"{name} that float32 cannot hold", "finite values", "Check the model's parameters."
+        )

@@ -1,0 +1,1 @@
+"""Many cells of one model, one EKF each, stepped side by side."""

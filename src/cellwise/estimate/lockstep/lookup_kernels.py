@@ -1,0 +1,183 @@
+"""What a block of cells has read, and the table at their SOC, side by side."""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+from cellwise.cell.kernels import BEYOND, CellScalars, arrhenius
+from cellwise.estimate.filters.ekf_kernels import WIDE_VARIANCE
+from cellwise.estimate.lockstep.layout import (
+    CURRENT,
+    EVIDENCE,
+    FACTOR,
+    FACTOR_C,
+    LANES,
+    NO_CURRENT,
+    NO_VOLTAGE,
+    PLAIN_COLUMNS,
+    SERIES_LIMIT,
+    SOC,
+    SS,
+    T_B1,
+    T_B2,
+    T_B3,
+    T_G1,
+    T_G2,
+    T_G3,
+    T_OCV,
+    T_R0,
+    TABLE_COLUMNS,
+    W_AT,
+    W_BEYOND,
+    W_DECAY,
+    W_FLOW,
+    W_INSIDE,
+    W_PLAIN,
+    W_SLOPE,
+    W_SOC,
+)
+from cellwise.estimate.noise import NoiseScalars
+from cellwise.estimate.sensing_kernels import COLDEST_C, HOTTEST_C
+from cellwise.typing import FloatArray
+
+THIRD, SIXTH, SEVENTH = 1.0 / 3.0, 1.0 / 6.0, 1.0 / 7.0
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def read_block(
+    cell: CellScalars,
+    noise: NoiseScalars,
+    points: int,
+    block: FloatArray,
+    work: FloatArray,
+    current_A: FloatArray,
+    voltage_V: FloatArray,
+    temperature_C: FloatArray,
+    dt_s: float,
+    needs_temperature: bool,
+) -> None:
+    """Which lanes are plain so far, their SOC after the interval, and where it is in the table."""
+    held_share = min(cell.skew_s / dt_s, 1.0) if cell.skew_s > 0.0 else 0.0
+    per_As = dt_s / cell.charge_As
+    last = points - 2.0
+    reach = BEYOND * (points - 1)
+    coldest = COLDEST_C if needs_temperature else -math.inf
+    hottest = HOTTEST_C if needs_temperature else math.inf
+    for lane in range(LANES):
+        current = current_A[lane]
+        voltage = voltage_V[lane]
+        warm = temperature_C[lane]
+        flow = current + held_share * (block[CURRENT * LANES + lane] - current)
+        soc = block[SOC * LANES + lane]
+        soc -= (flow * (1.0 if flow > 0.0 else cell.charge_efficiency) + cell.leak_A) * per_As
+        x = cell.hysteresis_rate * abs(flow) * per_As
+        away = block[NO_CURRENT * LANES + lane] + block[NO_VOLTAGE * LANES + lane]
+        plain = (
+            (abs(current) <= noise.current_limit_A)
+            & (voltage >= noise.voltage_low_V)
+            & (voltage <= noise.voltage_high_V)
+            & ((not needs_temperature) | ((warm >= coldest) & (warm <= hottest)))
+            & (block[SS * LANES + lane] <= WIDE_VARIANCE)
+            & (block[EVIDENCE * LANES + lane] >= 0.0)
+            & (abs(soc) < 2.0)
+            & (x <= SERIES_LIMIT)
+            & (away == 0.0)
+        )
+        # e^-x to 4e-10 where x <= 1/4; divisions cost more than all the rest.
+        series = 1.0 - x * SIXTH * (1.0 - x * SEVENTH)
+        series = 1.0 - x * THIRD * (1.0 - x * 0.25 * (1.0 - x * 0.2 * series))
+        at = soc * (points - 1)
+        at = at if plain else 0.0
+        k = at if at > 0.0 else 0.0
+        k = math.floor(k if k < last else last)
+        f = at - k
+        f = f if f > -reach else -reach
+        f = f if f < 1.0 + reach else 1.0 + reach
+        g = f if f > 0.0 else 0.0
+        work[W_INSIDE * LANES + lane] = g if g < 1.0 else 1.0
+        work[W_BEYOND * LANES + lane] = f
+        work[W_AT * LANES + lane] = k
+        work[W_PLAIN * LANES + lane] = 1.0 if plain else 0.0
+        work[W_SOC * LANES + lane] = soc
+        work[W_FLOW * LANES + lane] = flow
+        work[W_DECAY * LANES + lane] = 1.0 - x * (1.0 - x * 0.5 * series)
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def look_up_lane(
+    fast: FloatArray, row: int, slope_scale: float, work: FloatArray, lane: int, whole: bool
+) -> None:
+    """The table of one temperature at one lane's SOC."""
+    start = (row + int(work[W_AT * LANES + lane])) * TABLE_COLUMNS
+    pair = fast[start : start + 2 * TABLE_COLUMNS]
+    g = work[W_INSIDE * LANES + lane]
+    for c in range(T_R0, PLAIN_COLUMNS):
+        work[c * LANES + lane] = pair[c] + g * (pair[TABLE_COLUMNS + c] - pair[c])
+    if whole:
+        for c in range(PLAIN_COLUMNS, TABLE_COLUMNS):
+            work[c * LANES + lane] = pair[c] + g * (pair[TABLE_COLUMNS + c] - pair[c])
+    rise = pair[TABLE_COLUMNS + T_OCV] - pair[T_OCV]
+    work[T_OCV * LANES + lane] = pair[T_OCV] + work[W_BEYOND * LANES + lane] * rise
+    work[W_SLOPE * LANES + lane] = rise * slope_scale
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def look_up_warm_lane(
+    fast: FloatArray,
+    grid: FloatArray,
+    points: int,
+    work: FloatArray,
+    lane: int,
+    temperature_C: float,
+) -> None:
+    """The same between two temperatures, linear."""
+    low = 0
+    last = grid.size - 2
+    while low < last and temperature_C > grid[low + 1]:
+        low += 1
+    w = (temperature_C - grid[low]) / (grid[low + 1] - grid[low])
+    w = min(max(w, 0.0), 1.0)
+    look_up_lane(fast, low * points, points - 1.0, work, lane, True)
+    start = ((low + 1) * points + int(work[W_AT * LANES + lane])) * TABLE_COLUMNS
+    pair = fast[start : start + 2 * TABLE_COLUMNS]
+    g = work[W_INSIDE * LANES + lane]
+    rise = pair[TABLE_COLUMNS + T_OCV] - pair[T_OCV]
+    ocv = work[T_OCV * LANES + lane]
+    ocv += w * (pair[T_OCV] + work[W_BEYOND * LANES + lane] * rise - ocv)
+    for c in range(TABLE_COLUMNS):
+        here = work[c * LANES + lane]
+        there = pair[c] + g * (pair[TABLE_COLUMNS + c] - pair[c])
+        work[c * LANES + lane] = here + w * (there - here)
+    work[T_OCV * LANES + lane] = ocv
+    slope = work[W_SLOPE * LANES + lane]
+    work[W_SLOPE * LANES + lane] = slope + w * (rise * (points - 1.0) - slope)
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def scale_lane(
+    cell: CellScalars, block: FloatArray, work: FloatArray, lane: int, temperature_C: float
+) -> None:
+    """Resistances at one temperature and current; the Arrhenius factor is kept until it moves."""
+    scale = 1.0
+    if cell.activation_K != 0.0:
+        if temperature_C != block[FACTOR_C * LANES + lane]:
+            block[FACTOR_C * LANES + lane] = temperature_C
+            block[FACTOR * LANES + lane] = arrhenius(
+                temperature_C, cell.activation_K, cell.reference_K
+            )
+        scale = block[FACTOR * LANES + lane]
+    slow = scale  # the third branch knows no rate
+    flow = work[W_FLOW * LANES + lane]
+    scale /= 1.0 + cell.rate_per_A * abs(flow)
+    if flow < 0.0:
+        scale *= cell.charge_scale
+        slow *= cell.charge_scale
+    work[T_R0 * LANES + lane] *= scale
+    work[T_G1 * LANES + lane] *= scale
+    work[T_B1 * LANES + lane] *= scale * scale
+    work[T_G2 * LANES + lane] *= scale
+    work[T_B2 * LANES + lane] *= scale * scale
+    work[T_G3 * LANES + lane] *= slow
+    work[T_B3 * LANES + lane] *= slow * slow

@@ -1,0 +1,137 @@
+"""Tables of a fixed step as C: cell_table.h says what is in, cell_table.c holds the numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cellwise.errors import InputError
+from cellwise.estimate.fixed.layout import row_fields
+from cellwise.estimate.fixed.tables import FixedStepTables
+
+SOURCES = ("cellwise_ekf.h", "cellwise_ekf.c")
+# Every optimisation that keeps IEEE 754 float32, and no contraction.
+STRICT_FLAGS = ("-std=c99", "-ffp-contract=off", "-fno-math-errno")
+WARNING_FLAGS = (
+    "-Wall",
+    "-Wextra",
+    "-Wpedantic",
+    "-Wdouble-promotion",
+    "-Wconversion",
+    "-Wfloat-equal",
+    "-Wshadow",
+    "-Werror",
+)
+
+
+def firmware_folder() -> Path:
+    """Folder of the C sources: inside an installed package, else in the source tree.
+
+    Raises
+    ------
+    InputError        neither is there
+    """
+    package = Path(__file__).resolve().parents[1]
+    for folder in (package / "_firmware", package.parents[1] / "firmware_ref"):
+        if (folder / SOURCES[0]).is_file():
+            return folder
+    raise InputError(
+        "no C sources beside this installation of cellwise",
+        f"a folder with {SOURCES[0]}",
+        "Install cellwise from its wheel or its source tree.",
+    )
+
+
+def hex_float(value: float) -> str:
+    """A float32 as a C literal that every compiler reads to the same bits."""
+    text = float(np.float32(value)).hex()
+    mantissa, exponent = text.split("p")
+    if "." in mantissa:
+        mantissa = mantissa.rstrip("0").rstrip(".")
+    return f"{mantissa}p{exponent}f"
+
+
+def header_text(tables: FixedStepTables, sha256: str, name: str = "") -> str:
+    """cell_table.h: what is compiled in, the time step, and which model it was."""
+    lines = [
+        "/* Written by `cellwise export`; do not edit. */",
+        f"/* cell: {comment(name) or 'unnamed'} */",
+        f"/* sha256 of the model: {sha256} */",
+        "#ifndef CELLWISE_CELL_TABLE_H",
+        "#define CELLWISE_CELL_TABLE_H",
+        "",
+        f"#define CELLWISE_DT_S {hex_float(tables.dt_s)} /* {tables.dt_s:g} s */",
+        f'#define CELLWISE_MODEL_SHA256 "{sha256}"',
+        "",
+    ]
+    for key, value in tables.options.defines().items():
+        unsigned = "u" if key in ("CELLWISE_POINTS", "CELLWISE_TEMPERATURES") or value > 1 else ""
+        lines.append(f"#define {key} {value}{unsigned}")
+    return "\n".join([*lines, "", "#endif", ""])
+
+
+def source_text(tables: FixedStepTables) -> str:
+    """cell_table.c: the constant ``cellwise_cell``, every number a hex float."""
+    lines = [
+        "/* Written by `cellwise export`; do not edit. */",
+        '#include "cellwise_cell.h"',
+        "",
+        "const cellwise_model cellwise_cell = {",
+        "    {",
+    ]
+    record = tables.constants[0]
+    for name in tables.constants.dtype.names or ():
+        lines.append(f"        {initialiser(record[name])}, /* {name} */")
+    lines += ["    },", "    {"]
+    lines.append(f"        /* {', '.join(name for name, _ in row_fields(tables.options))} */")
+    for rows in tables.table:
+        lines.append("        {")
+        lines += (f"            {initialiser(row)}," for row in rows)
+        lines.append("        },")
+    return "\n".join([*lines, "    },", "};", ""])
+
+
+CELL_HEADER = """\
+/* Written by `cellwise export`; do not edit. */
+#ifndef CELLWISE_CELL_H
+#define CELLWISE_CELL_H
+
+#include "cellwise_ekf.h"
+
+extern const cellwise_model cellwise_cell;
+
+#endif
+"""
+
+
+def write_sources(
+    tables: FixedStepTables, sha256: str, name: str = ""
+) -> Iterator[tuple[str, str]]:
+    """Names and texts of every file that a target compiles."""
+    folder = firmware_folder()
+    for source in SOURCES:
+        yield source, (folder / source).read_text(encoding="utf-8")
+    yield "cell_table.h", header_text(tables, sha256, name)
+    yield "cellwise_cell.h", CELL_HEADER
+    yield "cell_table.c", source_text(tables)
+
+
+def initialiser(value: Any) -> str:
+    """A number or an array of numbers as C."""
+    if np.ndim(value):
+        return "{" + ", ".join(initialiser(v) for v in value) + "}"
+    if np.issubdtype(np.asarray(value).dtype, np.integer):
+        return f"{int(value)}u"
+    return hex_float(float(value))
+
+
+def comment(text: str) -> str:
+    """Text that cannot end a comment."""
+    return _plain(text.replace("*/", "* /"))
+
+
+def _plain(characters: Iterable[str]) -> str:
+    return "".join(ch if ch.isprintable() and ord(ch) < 127 else "?" for ch in characters)

@@ -1,0 +1,17 @@
+"""The firmware's C as an estimator of this machine."""
+
+from __future__ import annotations
+
+from cellwise.estimate.fixed.fixed_step import FixedStep, Stepper
+from cellwise.estimate.fixed.tables import FixedStepTables
+from cellwise.export.host_library import HostLibrary
+
+
+class Firmware(FixedStep):
+    """The fixed-step filter as compiled C, through cffi; parameters as :class:`FixedStep`."""
+
+    name = "firmware"
+
+    def _make(self, tables: FixedStepTables) -> Stepper:
+        library = HostLibrary(tables)
+        return Stepper(tables, library.init, library.rows)

@@ -1,0 +1,127 @@
+"""The C sources as a library of this machine: compiled for a model, called through cffi."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellwise.errors import InputError
+from cellwise.estimate.fixed.layout import INPUT, OUTPUT, state_type
+from cellwise.estimate.fixed.tables import FixedStepTables
+from cellwise.export.c_tables import STRICT_FLAGS, firmware_folder, write_sources
+
+DECLARATIONS = """
+uint32_t cellwise_init(const void *model, void *x, float soc, float soc_variance);
+uint32_t cellwise_step(const void *model, void *x, const void *in, void *out);
+void cellwise_rows(const void *model, void *x, const void *in, void *out, uint32_t samples);
+extern const char cellwise_cell[];
+"""
+
+
+class HostLibrary:
+    """The compiled C of one set of tables.
+
+    Parameters
+    ----------
+    compiler : sequence of str or None    command and flags; None: $CC or cc with -O2
+
+    Raises
+    ------
+    InputError        no C compiler, no cffi, or C that does not compile
+    """
+
+    def __init__(self, tables: FixedStepTables, compiler: Sequence[str] | None = None) -> None:
+        try:
+            from cffi import FFI
+        except ImportError as error:
+            raise InputError(
+                "no cffi in this Python",
+                "the extra 'firmware'",
+                "Install it: pip install 'cellwise[firmware]'.",
+            ) from error
+        self.tables = tables
+        self._ffi = FFI()
+        self._ffi.cdef(DECLARATIONS)
+        with tempfile.TemporaryDirectory(prefix="cellwise-") as folder:
+            path = build_library(tables, Path(folder), compiler or host_compiler())
+            self._library = self._ffi.dlopen(str(path))
+        self._model = self._library.cellwise_cell
+
+    def model_bytes(self) -> bytes:
+        """The model as it stands in the library's read-only memory."""
+        return bytes(self._ffi.buffer(self._model, self.tables.flash_bytes))
+
+    def state(self) -> NDArray[Any]:
+        """An empty state."""
+        return np.zeros(1, dtype=state_type(self.tables.options))
+
+    def init(self, state: NDArray[Any], soc: float, soc_variance: float) -> int:
+        """``cellwise_init``: its status."""
+        x = self._ffi.from_buffer(state, require_writable=True)
+        return int(self._library.cellwise_init(self._model, x, soc, soc_variance))
+
+    def rows(self, state: NDArray[Any], samples: NDArray[Any]) -> NDArray[Any]:
+        """``cellwise_step`` for every sample: records of OUTPUT, shape (n,)."""
+        samples = np.ascontiguousarray(samples, dtype=INPUT)
+        outputs = np.zeros(samples.size, dtype=OUTPUT)
+        if samples.size:
+            self._library.cellwise_rows(
+                self._model,
+                self._ffi.from_buffer(state, require_writable=True),
+                self._ffi.from_buffer(samples),
+                self._ffi.from_buffer(outputs, require_writable=True),
+                samples.size,
+            )
+        return outputs
+
+
+def host_compiler() -> list[str]:
+    """$CC with its flags, else cc, gcc or clang, at -O2.
+
+    Raises
+    ------
+    InputError        none is there
+    """
+    named = shlex.split(os.environ.get("CC", ""))
+    for command in [named] if named else [["cc"], ["gcc"], ["clang"]]:
+        if shutil.which(command[0]):
+            return [*command, "-O2"]
+    raise InputError(
+        "no C compiler", "cc, gcc or clang, or $CC", "Install one: apt-get install gcc."
+    )
+
+
+def build_library(tables: FixedStepTables, folder: Path, compiler: Sequence[str]) -> Path:
+    """Compile the C of a model into a shared library in ``folder``.
+
+    Raises
+    ------
+    InputError        the compiler refuses
+    """
+    for name, text in write_sources(tables, "0" * 64):
+        (folder / name).write_text(text, encoding="utf-8")
+    port = folder / "port"
+    port.mkdir(exist_ok=True)
+    shutil.copy(firmware_folder() / "port" / "host_rows.c", port)
+    library = folder / "libcellwise.so"
+    sources = [str(folder / "cellwise_ekf.c"), str(folder / "cell_table.c")]
+    command = [*compiler, *STRICT_FLAGS, "-shared", "-fPIC", "-o", str(library), *sources]
+    done = subprocess.run(
+        [*command, str(port / "host_rows.c")], capture_output=True, text=True, check=False
+    )
+    if done.returncode != 0:
+        raise InputError(
+            f"C that {compiler[0]} does not compile: {done.stderr.strip()[:300]}",
+            "a C99 compiler with IEEE 754 float",
+            "Set $CC to another compiler.",
+        )
+    return library

@@ -1,0 +1,116 @@
+"""What is left at the present load, from the state of the moment."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, Protocol
+
+from cellwise.cell.kernels import CellState
+from cellwise.cell.model import CellModel
+from cellwise.estimate.filters.filter_state import EkfInfo, EkfState
+from cellwise.forecast.remaining import LEAST_LOAD_C, WINDOW_S
+from cellwise.forecast.remaining_kernels import NEVER, Remaining, to_empty
+
+
+class Reading(Protocol):
+    """Current and voltage of one sample; NaN where nothing was measured."""
+
+    @property
+    def current_A(self) -> float:
+        """[A], positive on discharge."""
+        ...
+
+    @property
+    def voltage_V(self) -> float:
+        """[V]."""
+        ...
+
+
+class Step(Protocol):
+    """What one sample has made of a filter's state."""
+
+    @property
+    def sample(self) -> Reading:
+        """The sample itself."""
+        ...
+
+    @property
+    def info(self) -> EkfInfo:
+        """What the filter says of it."""
+        ...
+
+    @property
+    def dt_s(self) -> float:
+        """Time since the sample before [s]."""
+        ...
+
+    @property
+    def gap(self) -> bool:
+        """Whether what flowed since then is unknown."""
+        ...
+
+
+class LeftNow(NamedTuple):
+    """Time and energy to empty, with the band that two deviations of the SOC leave."""
+
+    load_A: float
+    remaining_s: float
+    remaining_s_band: tuple[float, float]
+    remaining_Wh: float
+
+
+class Outlook:
+    """Follows the load of the last minute and goes on with its power to empty, when asked.
+
+    Parameters
+    ----------
+    model : CellModel
+    cutoff_V : float      terminal voltage at which the load gives up [V]
+    """
+
+    def __init__(self, model: CellModel, cutoff_V: float) -> None:
+        self._cell = model.parameters()
+        self._least_A = LEAST_LOAD_C * model.capacity_Ah
+        self._cutoff_V = cutoff_V
+        self._load_A = self._load_W = self._bias_V = 0.0
+        self._seen_s = 0.0
+        full = CellState(1.0, 0.0, 0.0, 0.0, 0.0)
+        self._to_empty(full, self._least_A, float(model.ocv_V.max()), 25.0)  # compiles, or loads
+
+    def take(self, update: Step) -> None:
+        """Follow one sample."""
+        sample, info = update.sample, update.info
+        if update.gap:
+            self._seen_s = 0.0
+        if not (math.isfinite(sample.current_A) and math.isfinite(sample.voltage_V)):
+            return
+        self._seen_s += update.dt_s
+        # A plain mean until the window is full.
+        share = min(update.dt_s / max(min(self._seen_s, WINDOW_S), 1e-9), 1.0)
+        if self._seen_s == 0.0:
+            share = 1.0
+        self._load_A += share * (sample.current_A - self._load_A)
+        self._load_W += share * (sample.current_A * sample.voltage_V - self._load_W)
+        if math.isfinite(info.innovation_V):
+            self._bias_V += share * (info.innovation_V - self._bias_V)
+
+    def left(self, state: EkfState | None, temperature_C: float) -> LeftNow | None:
+        """What is left now; None without a state, or without a load of at least C/50."""
+        if state is None or self._load_A < self._least_A:
+            return None
+        found = []
+        for k in (-2.0, 0.0, 2.0):
+            soc = min(max(state.soc + k * state.soc_std, 0.0), 1.0)
+            at = CellState(soc, state.v1_V, state.v2_V, state.v3_V, state.h, state.heat_K)
+            voltage = self._load_W / self._load_A
+            found.append(self._to_empty(at, self._load_A, voltage, temperature_C))
+        times = [math.inf if e.reason == NEVER else e.time_s for e in found]
+        return LeftNow(self._load_A, times[1], (times[0], times[2]), found[1].energy_J / 3600.0)
+
+    def _to_empty(
+        self, at: CellState, load_A: float, voltage_V: float, temperature_C: float
+    ) -> Remaining:
+        end: Remaining = to_empty(
+            *self._cell, at, load_A, True, voltage_V, self._bias_V, self._cutoff_V, temperature_C
+        )
+        return end

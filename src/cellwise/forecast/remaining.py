@@ -1,0 +1,271 @@
+"""Replay of a flight or a drive: what is left, in time and energy, if the load goes on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple, get_args
+
+import numpy as np
+
+from cellwise.cell.kernels import empty_state
+from cellwise.cell.model import CellModel
+from cellwise.cell.simulate import known_temperature_C, start_hysteresis
+from cellwise.errors import InputError
+from cellwise.estimate.replay import Replay
+from cellwise.forecast.remaining_kernels import BY_VOLTAGE, NEVER, forecast_rows
+from cellwise.logs.cell_log import CellLog
+from cellwise.typing import BoolArray, FloatArray
+
+Hold = Literal["power", "current"]
+
+WINDOW_S = 60.0
+MOST_FORECASTS = 400
+LEAST_LOAD_C = 0.02  # below C/50 nothing flies
+
+
+class Left(NamedTuple):
+    """What is left at one moment, each with a band of two standard deviations of the SOC.
+
+    ``end_voltage_V`` and ``end_soc`` are those of the moment at which the cell is empty, ``by``
+    says why it is: its charge ends, or its voltage reaches the cutoff.
+    """
+
+    time_s: float
+    soc: float
+    soc_std: float
+    load_A: float
+    load_W: float
+    remaining_s: float
+    remaining_s_band: tuple[float, float]
+    remaining_Wh: float
+    remaining_Wh_band: tuple[float, float]
+    end_voltage_V: float
+    end_voltage_V_band: tuple[float, float]
+    end_soc: float
+    by: str
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Flight:
+    """Forecasts along a log; arrays have shape (moments,), bands (moments, 2).
+
+    ``load_A`` is the mean current of the last ``window_s``, the present load; a moment without a
+    load of at least C/50 has no forecast. ``typical`` is a forecast from the last moment at the
+    median of all these loads: a vehicle that stands idles, and would do so for days.
+    """
+
+    name: str
+    cutoff_V: float
+    hold: Hold
+    window_s: float
+    time_s: FloatArray
+    soc: FloatArray
+    soc_std: FloatArray
+    load_A: FloatArray
+    load_W: FloatArray
+    remaining_s: FloatArray
+    remaining_s_band: FloatArray
+    remaining_Wh: FloatArray
+    remaining_Wh_band: FloatArray
+    end_voltage_V: FloatArray
+    end_voltage_V_band: FloatArray
+    end_soc: FloatArray
+    by_voltage: BoolArray
+    typical: Flight | None = None
+
+    def __len__(self) -> int:
+        return self.time_s.size
+
+    @property
+    def last(self) -> Left:
+        """The last moment under load."""
+        return self.at(len(self) - 1)
+
+    def at(self, k: int) -> Left:
+        """One moment."""
+
+        def band(values: FloatArray) -> tuple[float, float]:
+            return float(values[k, 0]), float(values[k, 1])
+
+        return Left(
+            time_s=float(self.time_s[k]),
+            soc=float(self.soc[k]),
+            soc_std=float(self.soc_std[k]),
+            load_A=float(self.load_A[k]),
+            load_W=float(self.load_W[k]),
+            remaining_s=float(self.remaining_s[k]),
+            remaining_s_band=band(self.remaining_s_band),
+            remaining_Wh=float(self.remaining_Wh[k]),
+            remaining_Wh_band=band(self.remaining_Wh_band),
+            end_voltage_V=float(self.end_voltage_V[k]),
+            end_voltage_V_band=band(self.end_voltage_V_band),
+            end_soc=float(self.end_soc[k]),
+            by="voltage" if self.by_voltage[k] else "charge",
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """The last moment as JSON values, keys as the command prints them."""
+        return {
+            "cutoff_V": self.cutoff_V,
+            "hold": self.hold,
+            "window_s": self.window_s,
+            "moments": len(self),
+            **self.last._asdict(),
+            "typical": None if self.typical is None else self.typical.last._asdict(),
+        }
+
+    def __repr__(self) -> str:
+        left = self.last
+        return (
+            f"Flight({self.name or 'log'}: {left.remaining_s:.0f} s and {left.remaining_Wh:.3g} Wh "
+            f"left at {left.time_s:.0f} s, SOC {left.soc:.3f} +- {left.soc_std:.3f})"
+        )
+
+
+def forecast(
+    model: CellModel,
+    replay: Replay,
+    *,
+    cutoff_V: float | None = None,
+    hold: Hold = "power",
+    window_s: float = WINDOW_S,
+) -> Flight | None:
+    """Remaining time and energy along a replay, at the load of each moment.
+
+    From the filter's SOC, with the branch voltages that the log's current left, the model goes on
+    with the mean load of the last minute until the terminal voltage reaches the cutoff or the
+    charge ends. What the model was off by of late (an aged cell's resistance) is taken to stay.
+
+    Parameters
+    ----------
+    model : CellModel         the one of the replay
+    replay : Replay
+    cutoff_V : float or None  terminal voltage at which the load gives up; None: the model's lower
+                              limit, else its OCV at SOC 0
+    hold : str                what of the load stays: its ``power`` or its ``current``
+    window_s : float          what counts as now [s]
+
+    Returns
+    -------
+    Flight or None            None where the log holds no load of C/50 or more
+
+    Raises
+    ------
+    InputError                a cutoff above the model's full OCV, an unknown ``hold``, no window
+    """
+    cutoff = cutoff_of(model, cutoff_V)
+    if hold not in get_args(Hold):
+        raise InputError(f"hold '{hold}'", f"one of {', '.join(get_args(Hold))}", "Choose one.")
+    if not (np.isfinite(window_s) and window_s > 0):
+        raise InputError(f"a window of {window_s} s", "a time above zero", "Give 60, say.")
+    log = replay.log
+    current = log.known_current_A()
+    load_A, load_W = _present_load(log, current, window_s)
+    wanted = _moments(load_A, model.capacity_Ah)
+    if not wanted.any():
+        return None
+    flight = _forecast(
+        model, replay, np.ascontiguousarray(current), load_A, load_W, wanted, cutoff, hold, window_s
+    )
+    last = np.zeros_like(wanted)
+    last[np.flatnonzero(wanted)[-1]] = True
+    usual_A = np.full(len(log), float(np.median(flight.load_A)))
+    usual_W = np.full(len(log), float(np.median(flight.load_W)))
+    typical = _forecast(
+        model, replay, np.ascontiguousarray(current), usual_A, usual_W, last, cutoff, hold, window_s
+    )
+    return replace(flight, typical=typical)
+
+
+def _forecast(
+    model: CellModel,
+    replay: Replay,
+    current_A: FloatArray,
+    load_A: FloatArray,
+    load_W: FloatArray,
+    wanted: BoolArray,
+    cutoff_V: float,
+    hold: Hold,
+    window_s: float,
+) -> Flight:
+    """The wanted rows through the kernel."""
+    log, trace = replay.log, replay.trace
+    table, grid, scalars = model.parameters()
+    out = np.empty((int(np.count_nonzero(wanted)), 3, 5))
+    soc = np.ascontiguousarray(trace.soc, dtype=np.float64)
+    std = np.nan_to_num(np.ascontiguousarray(trace.soc_std, dtype=np.float64))
+    forecast_rows(
+        table, grid, scalars, empty_state(soc[0], start_hysteresis(float(soc[0]))), log.interval_s,
+        current_A, known_temperature_C(model, log), np.array(log.voltage_V), soc, std, load_A,
+        wanted, hold == "power", float(window_s), cutoff_V, out,
+    )  # fmt: skip
+    out[out[:, :, 4] == NEVER, :2] = np.inf
+    return Flight(
+        name=log.name,
+        cutoff_V=cutoff_V,
+        hold=hold,
+        window_s=float(window_s),
+        time_s=log.time_s[wanted],
+        soc=soc[wanted],
+        soc_std=std[wanted],
+        load_A=load_A[wanted],
+        load_W=load_W[wanted],
+        remaining_s=out[:, 1, 0],
+        remaining_s_band=out[:, ::2, 0],
+        remaining_Wh=out[:, 1, 1] / 3600.0,
+        remaining_Wh_band=out[:, ::2, 1] / 3600.0,
+        end_voltage_V=out[:, 1, 2],
+        end_voltage_V_band=np.sort(out[:, ::2, 2], axis=1),
+        end_soc=out[:, 1, 3],
+        by_voltage=out[:, 1, 4] == BY_VOLTAGE,
+    )
+
+
+def cutoff_of(model: CellModel, given: float | None) -> float:
+    """The voltage at which a load gives up: as given, the model's limit, its OCV at SOC 0.
+
+    Raises
+    ------
+    InputError        above the model's full OCV, or not above zero
+    """
+    if given is None:
+        given = model.voltage_min_V
+    lowest, highest = float(np.min(model.ocv_V)), float(np.max(model.ocv_V))
+    cutoff = lowest if given is None else float(given)
+    if not 0.0 < cutoff < highest:
+        raise InputError(
+            f"a cutoff of {cutoff:g} V for a cell of {lowest:.2f} to {highest:.2f} V",
+            "a voltage of one cell, below its full one",
+            "Give the voltage of a cell, not of the pack.",
+        )
+    return cutoff
+
+
+def _present_load(
+    log: CellLog, current_A: FloatArray, window_s: float
+) -> tuple[FloatArray, FloatArray]:
+    """Mean current [A] and power [W] of the last ``window_s`` at every row."""
+    voltage = log.voltage_V
+    known = np.isfinite(voltage)
+    held = np.interp(np.arange(voltage.size), np.flatnonzero(known), voltage[known])
+    charge = np.cumsum(current_A * log.interval_s)
+    energy = np.cumsum(current_A * held * log.interval_s)
+    begins = np.maximum(log.time_s - window_s, log.time_s[0])
+    span = log.time_s - begins
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean_A = (charge - np.interp(begins, log.time_s, charge)) / span
+        mean_W = (energy - np.interp(begins, log.time_s, energy)) / span
+    first = span <= 0
+    mean_A[first], mean_W[first] = current_A[first], (current_A * held)[first]
+    return mean_A, mean_W
+
+
+def _moments(load_A: FloatArray, capacity_Ah: float) -> BoolArray:
+    """Rows at which to forecast: at most a few hundred of those under load, the last among them."""
+    rows = np.flatnonzero(load_A > LEAST_LOAD_C * capacity_Ah)
+    if rows.size > MOST_FORECASTS:
+        places = np.linspace(0, rows.size - 1, MOST_FORECASTS).round().astype(np.int64)
+        rows = rows[np.unique(places)]
+    wanted = np.zeros(load_A.size, dtype=np.bool_)
+    wanted[rows] = True
+    return wanted
