@@ -1,4 +1,4 @@
-r"""The states of a cell and its filters: what each does over an interval, what the voltage is of it.
+r"""The states of a cell and its filters: what each does over an interval, what voltage it gives.
 
 Over an interval of constant current I every state but the SOC is linear,
 
