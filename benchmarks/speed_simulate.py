@@ -11,9 +11,10 @@ from benchmarks import peers_simulate as peers
 from benchmarks.example_cell import SAMPLES, START_SOC, load_log, three_branches, two_branches
 from benchmarks.figures import Figure, Progress, clock, missing, with_ratios
 from benchmarks.measured_data import HOW, measured_log
-from cellwise.cell.kernels import empty_state, simulate_rows
+from cellwise.cell.equations import empty_state
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import known_temperature_C, simulate
+from cellwise.cell.simulate_kernels import simulate_rows
 from cellwise.logs import CellLog
 
 UNIT = "ns/sample"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellwise.cell.kernels import CellState
+from cellwise.cell.equations import CellState
 from cellwise.cell.simulate import start_hysteresis
 from cellwise.diagnose.rivals import Candidate
 from cellwise.diagnose.sensitivity_kernels import voltage_rows

@@ -21,12 +21,8 @@ from typing import NamedTuple
 
 from numba import njit
 
-from cellwise.cell.kernels import (
-    CellScalars,
-    heat_step,
-    look_up,
-    under_load,
-)
+from cellwise.cell.equations import heat_step, look_up, under_load
+from cellwise.cell.point_kernels import CellScalars
 from cellwise.estimate.evidence_kernels import FORGIVEN, UNDER_LOAD_COUNT
 from cellwise.estimate.filters.adaptive_mixture_kernels import Mixture, mixture, told_deviation
 from cellwise.estimate.filters.adaptive_predict_kernels import predict

@@ -10,13 +10,8 @@ from typing import NamedTuple
 
 from numba import njit
 
-from cellwise.cell.kernels import (
-    CellPoint,
-    CellScalars,
-    hysteresis_decay,
-    look_up,
-    under_load,
-)
+from cellwise.cell.equations import hysteresis_decay, look_up, under_load
+from cellwise.cell.point_kernels import CellPoint, CellScalars
 from cellwise.estimate.filters.adaptive_state_kernels import (
     BB,
     FAST_VAR,
