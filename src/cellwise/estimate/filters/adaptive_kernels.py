@@ -141,7 +141,7 @@ def take_step(
         current_A, voltage_V, temperature_C, dt_s, gap,
     )  # fmt: skip
     begins = past.evidence_s == NOT_BEGUN
-    point, load, warm, slope, bend, wide, more = predict(
+    point, load, flow, warm, slope, bend, wide, more = predict(
         table, grid, cell, noise, learn, anew, x, p, memory, s, begins, dt_s, gap
     )
     status = s.status | more
@@ -155,7 +155,7 @@ def take_step(
     tail = x[V2] + x[V3]
     polarisation = fast * drop + behind * tail
     if cell.heating_K_per_W != 0.0:
-        memory[HEAT_K] = heat_step(cell, memory[HEAT_K], load, polarisation, dt_s)
+        memory[HEAT_K] = heat_step(cell, memory[HEAT_K], flow, polarisation, dt_s)
     predicted = (point.ocv_V + point.m_V * x[H]) - polarisation
     state_variance = observe(p, d, slope, point.m_V, fast, behind, point.r0_ohm)
     state_variance += 3.0 * bend * bend

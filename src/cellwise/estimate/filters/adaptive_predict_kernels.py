@@ -49,10 +49,15 @@ from cellwise.typing import FloatArray
 
 
 class Predicted(NamedTuple):
-    """What the prediction hands to the update; slope and bend are chords while SOC is far off."""
+    """What the prediction hands to the update; slope and bend are chords while SOC is far off.
+
+    ``load_A`` is what the voltage has seen without the sensor's offset, ``flow_A`` what moved
+    charge: 0 where nobody knows.
+    """
 
     point: CellPoint
     load_A: float
+    flow_A: float
     warm_C: float
     slope_V: float
     bend_V: float
@@ -150,4 +155,4 @@ def predict(
         memory[FAST_VAR] += learn.resistance_walk * dt_s
     if memory[TAIL_VAR] < learn.resistance_variance:
         memory[TAIL_VAR] += learn.resistance_walk * dt_s
-    return Predicted(point, load, warm, slope, bend, wide, status)
+    return Predicted(point, load, flow, warm, slope, bend, wide, status)
