@@ -27,7 +27,7 @@ from cellwise.cell.kernels import (
     look_up,
     under_load,
 )
-from cellwise.estimate.evidence_kernels import FORGIVEN, UNDER_LOAD_COUNT
+from cellwise.estimate.evidence_kernels import weigh
 from cellwise.estimate.filters.adaptive_mixture_kernels import Mixture, mixture, told_deviation
 from cellwise.estimate.filters.adaptive_predict_kernels import predict
 from cellwise.estimate.filters.adaptive_state_kernels import (
@@ -39,6 +39,7 @@ from cellwise.estimate.filters.adaptive_state_kernels import (
     P11,
     P22,
     P33,
+    PHH,
     REJECTIONS,
     SOC,
     SS,
@@ -49,6 +50,7 @@ from cellwise.estimate.filters.adaptive_state_kernels import (
     V3,
     AdaptiveScalars,
     H,
+    begin_anew,
     correct,
     flatten,
     keep_watch,
@@ -59,29 +61,28 @@ from cellwise.estimate.filters.adaptive_state_kernels import (
 )
 from cellwise.estimate.filters.adaptive_watch_kernels import use_rest, watch_resistance
 from cellwise.estimate.filters.ekf_kernels import (
-    SLOPE_FLOOR_V,
     SMALL_MOVE,
+    WIDE_VARIANCE,
 )
 from cellwise.estimate.filters.filter_state import EkfStart
-from cellwise.estimate.measurement_kernels import lasting_step, voltage_variance, wide_slopes
+from cellwise.estimate.measurement_kernels import (
+    flat_slope,
+    lasting_step,
+    voltage_variance,
+    wide_slopes,
+)
 from cellwise.estimate.noise import NoiseScalars
-from cellwise.estimate.recovery_kernels import RECOVERY_RATE, RECOVERY_VARIANCE
+from cellwise.estimate.recovery_kernels import recovered
 from cellwise.estimate.sensing_kernels import (
     NO_VOLTAGE_YET,
     NOT_BEGUN,
-    REST_RATE,
+    Sample,
     read_sample,
-    repeated_evidence,
-    watch_on,
-    watch_voltage,
 )
 from cellwise.estimate.status import (
     CLAMPED,
     CURRENT_INVALID,
-    GATE_RECOVERY,
-    INNOVATION_REJECTED,
     VOLTAGE_FROZEN,
-    VOLTAGE_INVALID,
 )
 from cellwise.typing import BoolArray, FloatArray, IntArray
 
@@ -112,6 +113,17 @@ class AdaptiveStep(NamedTuple):
     held_offset: int
     held_resistance: int
     held_charge: int
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def without_offset(s: Sample, load_A: float) -> Sample:
+    """The sample with the current that the voltage has seen, less the sensor's offset."""
+    # fmt: off
+    return Sample(
+        s.current_A, load_A, s.flow_A, s.gap_A2, s.lost_A, s.voltage_V, s.temperature_C,
+        s.no_current_s, s.status,
+    )
+    # fmt: on
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -165,17 +177,17 @@ def take_step(
     one += drop * drop * memory[FAST_VAR] + tail * tail * memory[TAIL_VAR]
     one += s.lost_A * s.lost_A * r0 * r0
     variance = state_variance + one
-    innovation = s.voltage_V - predicted
-    square = innovation * innovation
-    gate = noise.gate * noise.gate
-    ratio = square / (gate * variance)
-    reading = watch_voltage(noise, past, s, innovation, point.r0_ohm)
-    status |= reading[3]
+    seen_as = weigh(
+        cell, noise, past, without_offset(s, load), evidence, memory[REJECTIONS], memory[MISMATCH],
+        s.voltage_V - predicted, state_variance, one, point.r0_ohm, branches, dt_s,
+        p[SS] > WIDE_VARIANCE, 3.0 * bend * bend > one or slope < flat_slope(table),
+    )  # fmt: skip
+    status |= seen_as.status
+    innovation = seen_as.innovation_V
     used = math.isfinite(innovation) and status & VOLTAGE_FROZEN == 0
-    mismatch = memory[MISMATCH]
-    if used and noise.mismatch_cap > 0.0 and noise.slow_s > 0.0:
-        lately = min(dt_s / noise.slow_s, 1.0)
-        mismatch += lately * (min(square / variance, noise.mismatch_cap) - mismatch)
+    memory[REJECTIONS] = seen_as.rejections
+    memory[MISMATCH] = seen_as.mismatch
+    keep_watch(memory, seen_as.watch)
 
     # What the data cannot tell now is held.
     why = NO_CURRENT if status & CURRENT_INVALID else 0
@@ -190,41 +202,23 @@ def take_step(
             learn, memory, drop, tail, innovation, white, dt_s, held_resistance != 0
         ):
             held_resistance |= NO_EXCITATION
-    if mismatch > learn.misfit:
+    if seen_as.mismatch > learn.misfit:
         why |= MODEL_MISFIT
     held_offset = why | (0 if learn.learn_offset else NOT_CHOSEN)
     held_charge = why | (0 if learn.learn_charge else NOT_CHOSEN)
 
-    if not math.isfinite(innovation):
-        status |= VOLTAGE_INVALID
-        innovation = math.nan
-        ratio = math.nan
-    elif used and ratio > 1.0:
-        status |= INNOVATION_REJECTED
-        # Under load the resistances may be what is wrong: what three times the polarisation can
-        # explain speaks against the SOC more slowly.
-        size = abs(point.r0_ohm * load) + branches
-        far = square > gate * variance + 4.0 * size * size
-        memory[REJECTIONS] += 1.0 if far else UNDER_LOAD_COUNT * min(dt_s, 1.0)
-        if memory[REJECTIONS] >= noise.recovery_after:
-            # The gate may have locked the truth out: admit a SOC error as large as what is seen
-            # and branches that hold anything, so that the next voltage passes.
-            status |= GATE_RECOVERY
-            memory[REJECTIONS] = 0.0
-            mismatch = 1.0
-            evidence = 0.0
-            memory[LASTING] = 0.0
-            missed = innovation / max(slope, SLOPE_FLOOR_V)
-            p[SS] += min(missed * missed, RECOVERY_VARIANCE)
-            held = RECOVERY_RATE * cell.charge_As / 3600.0
-            p[P11] += x[V1] * x[V1] + held * held * point.r1_ohm * point.r1_ohm
-            p[P22] += x[V2] * x[V2] + held * held * point.r2_ohm * point.r2_ohm
-            p[P33] += x[V3] * x[V3] + held * held * point.r3_ohm * point.r3_ohm
-    elif used:
-        memory[REJECTIONS] = max(memory[REJECTIONS] - FORGIVEN, 0.0)
-        resting = abs(load) * 3600.0 < REST_RATE * cell.charge_As
-        shared = repeated_evidence(noise, evidence, dt_s, resting)
-        inverse = 1.0 / (state_variance + one * shared * max(mismatch, 1.0))
+    if seen_as.recover:
+        # The gate may have locked the truth out: the SOC is looked for anew, with the voltage that
+        # a cell with the model's own resistances would have shown.
+        memory[LASTING] = 0.0
+        x[SOC], ss, p11, p22, p33 = recovered(
+            table, grid, cell, warm, load, s.voltage_V + (polarisation - (drop + tail)),
+            (x[V1], x[V2], x[V3]), (p[P11], p[P22], p[P33]), x[H], p[PHH], one,
+            abs(point.r0_ohm * load) + branches, evidence >= 0.0, x[SOC], p[SS],
+        )  # fmt: skip
+        begin_anew(p, ss, p11, p22, p33)
+    elif seen_as.accepted:
+        inverse = seen_as.inverse
         learnt = True
         if wide:
             # The gain is that of the slope here; what it is worth is said by the slope where it
@@ -239,25 +233,25 @@ def take_step(
                 flat = min(min(w.voltage_V, landed.ocv_slope_V), slope)
             learnt = flatten(p, d, c, inverse, flat - slope)
         memory[LASTING] = lasting_step(
-            noise, point.error_V, point.ocv_slope_V, mismatch, d[SOC] * inverse, slope,
+            noise, point.error_V, point.ocv_slope_V, seen_as.mismatch, d[SOC] * inverse, slope,
             memory[LASTING],
         )  # fmt: skip
         if learnt:
             correct(x, p, d, inverse, innovation, held_offset != 0, held_charge != 0)
         else:
             shift(x, d, inverse, innovation, held_offset != 0, held_charge != 0)
-        evidence = max(evidence, 0.0)
-    if evidence >= 0.0:
-        evidence += dt_s
-    watch, away = watch_on(noise, s, dt_s, used, evidence, past.no_voltage_s, reading)
-    keep_watch(memory, watch)
-    status |= away
-    memory[MISMATCH] = mismatch
     if x[SOC] < 0.0 or x[SOC] > 1.0:
         x[SOC] = min(max(x[SOC], 0.0), 1.0)
         status |= CLAMPED
     return AdaptiveStep(
-        predicted, innovation, variance, ratio, status, held_offset, held_resistance, held_charge
+        predicted,
+        innovation,
+        variance,
+        seen_as.ratio,
+        status,
+        held_offset,
+        held_resistance,
+        held_charge,
     )
 
 

@@ -300,6 +300,21 @@ def correct(
 
 
 @njit(cache=True, error_model="numpy", inline="always")
+def begin_anew(p: FloatArray, ss: float, p11: float, p22: float, p33: float) -> None:
+    """P after a lock-out: variances of SOC and branches as found, offset and capacity as they were.
+
+    What SOC and branches had in common with anything belongs to the state that was given up.
+    """
+    for i in range(B):
+        for j in range(i + 1, STATES):
+            p[i * STATES + j] = 0.0
+    p[SS] = ss
+    p[P11] = p11
+    p[P22] = p22
+    p[P33] = p33
+
+
+@njit(cache=True, error_model="numpy", inline="always")
 def settled_variance(p: FloatArray) -> float:
     """Variance that SOC would have if offset and capacity were known."""
     free_b = p[BB] > 0.0
