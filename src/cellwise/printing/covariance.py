@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from cellwise.cell.description import OFFSET, SOC, State, entry, triangle
+from cellwise.cell.description import CELL, OFFSET, SOC, State, entry, triangle
 from cellwise.printing.text import head, wrapped_call
 
 Pattern = Callable[[State, State], str]
@@ -170,6 +170,29 @@ class CovariancePrinter:
                 else f"p.{entry(a, b)}"
             ),
         )
+
+    def parameters_set(self) -> list[str]:
+        """Other variances of the parameters that stand behind the cell's states."""
+        kept = [s for s in self.states if s not in CELL]
+        names = [entry(a, b) for a, b in self.pairs if a in kept]
+        return self.function(
+            "with_parameters",
+            f"p: {self.name}Covariance, " + ", ".join(f"{n}: float" for n in names),
+            "The same with other variances of offset and capacity.",
+            lambda a, b: entry(a, b) if a in kept else f"p.{entry(a, b)}",
+        )
+
+    def column_of(self, state: State, name: str) -> list[str]:
+        """One column of P."""
+        return [
+            *("", "", "@inline"),
+            f"def {name}(p: {self.name}Covariance) -> {self.name}Column:",
+            f'    """Covariance of every state with the {state.name.split("_")[0]}."""',
+            *wrapped_call(
+                f"    return {self.name}Column",
+                [f"p.{pair(self.states, state, s)}" for s in self.states],
+            ),
+        ]
 
     def given_soc(self) -> list[str]:
         """P less an outer product, for the states beside SOC."""

@@ -21,7 +21,6 @@ from cellwise.cell.equations import (
     CellState,
     CellTables,
     heat_step,
-    loaded,
     polarisation,
     terminal_voltage,
 )
@@ -60,7 +59,6 @@ from cellwise.estimate.filters.filter_state import (
 from cellwise.estimate.filters.predict_kernels import (
     SOC_HIGH,
     SOC_LOW,
-    WIDE_VARIANCE,
     begin_interval,
     branch_variance,
     drifted,
@@ -70,25 +68,18 @@ from cellwise.estimate.gate_kernels import Innovation, Verdict, gate
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.recovery_kernels import recovered
 from cellwise.estimate.sensing_kernels import Reading, Sample, read_sample
-from cellwise.estimate.slopes_kernels import flat_slope, wide_slopes
+from cellwise.estimate.slopes_kernels import WIDE_VARIANCE, Slopes, bends, landing_slope, slopes_at
 from cellwise.estimate.status import CLAMPED
-
-SMALL_MOVE = 0.05  # of a standard deviation: the slope is that of the spot left
 
 
 class Predicted(NamedTuple):
-    """State, covariance and slopes at the end of an interval, before its voltage is used.
-
-    ``spread`` is the standard deviation of SOC where it is badly known, else 0.
-    """
+    """State, covariance and slopes at the end of an interval, before its voltage is used."""
 
     state: EkfState
     x: CellState
     p: Covariance
     point: CellPoint
-    slope_V: float
-    bend_V: float
-    spread: float
+    at: Slopes
     warm_C: float
     evidence_s: float
     status: int
@@ -99,10 +90,11 @@ def predict(
     tables: CellTables, noise: NoiseScalars, start: EkfStart, state: EkfState, s: Sample
 ) -> Predicted:
     """Over the interval that ends now: the state with the tables at the new SOC, then P."""
-    now = begin_interval(tables, start, state, s)
+    begun = begin_interval(tables, start, state, s)
+    now = begun.now
     point, t = now.point, now.t
     p = branches_noisy(
-        decayed(now.p, t),
+        decayed(begun.p, t),
         branch_variance(noise, s, point.r1_ohm, t.a1),
         branch_variance(noise, s, point.r2_ohm, t.a2),
         branch_variance(noise, s, point.r3_ohm, t.a3),
@@ -112,19 +104,13 @@ def predict(
         ss += noise.gap_soc * noise.gap_soc
     ss = drifted(tables, s, ss)
     p = with_soc_variance(p, ss)
-    slope = point.ocv_slope_V
-    bend = 0.0
-    spread = 0.0
-    if ss > WIDE_VARIANCE:
-        spread = math.sqrt(ss)
-        w = wide_slopes(tables, now.end.soc, point, spread, now.warm_C, s.seen_A)
-        slope = w.voltage_V
-        bend = w.bend_V
+    at = slopes_at(tables, now.end.soc, ss, point, now.warm_C, s.seen_A)
+    if at.spread > 0.0:
         p = leaned(
             p,
-            w.r1_ohm * (1.0 - t.a1) * s.flow_A,
-            w.r2_ohm * (1.0 - t.a2) * s.flow_A,
-            w.r3_ohm * (1.0 - t.a3) * s.flow_A,
+            at.r1_ohm * (1.0 - t.a1) * s.flow_A,
+            at.r2_ohm * (1.0 - t.a2) * s.flow_A,
+            at.r3_ohm * (1.0 - t.a3) * s.flow_A,
         )
     q = noise.current_A * noise.current_A
     p = noisy(p, t, q, q + s.gap_A2, soc_walk(noise, s.dt_s), 0.0, 0.0, 0.0)
@@ -133,7 +119,7 @@ def predict(
     x = CellState(now.end.soc, now.end.v1_V, now.end.v2_V, now.end.v3_V, now.end.h, heat)
     # fmt: off
     return Predicted(
-        now.state, x, p, point, slope, bend, spread, now.warm_C, now.evidence_s, now.status
+        begun.state, x, p, point, at, now.warm_C, begun.evidence_s, begun.status
     )
     # fmt: on
 
@@ -147,11 +133,11 @@ def innovate(
     drop = polarisation(point.r0_ohm, s.seen_A, x.v1_V, x.v2_V, x.v3_V)
     predicted = terminal_voltage(point, x.h, drop)
     # An OCV that bends by c at one standard deviation is off its tangent by c z^2, 3 c^2 in square.
-    bend2 = 3.0 * now.bend_V * now.bend_V
-    state_variance = explained(d, now.slope_V, point.m_V) + bend2
+    bend2 = 3.0 * now.at.bend_V * now.at.bend_V
+    state_variance = explained(d, now.at.slope_V, point.m_V) + bend2
     branches = abs(x.v1_V) + (abs(x.v2_V) + abs(x.v3_V))
     one = voltage_variance(noise, point, point.r0_ohm, s.seen_A, s.lost_A, branches)
-    bent = bend2 > one or now.slope_V < flat_slope(tables)
+    bent = bends(tables, now.at, bend2, one)
     # fmt: off
     return Innovation(
         predicted, s.voltage_V - predicted, state_variance, one, point.r0_ohm, branches,
@@ -197,17 +183,6 @@ def moved(x: CellState, k: Column, innovation_V: float) -> CellState:
 
 
 @inline
-def landing_slope(tables: CellTables, s: Sample, now: Predicted, move: float) -> float:
-    """The flattest slope between where the estimate stands and where the gain takes it [V]."""
-    if abs(move) <= SMALL_MOVE * now.spread:
-        return min(now.slope_V, now.point.ocv_slope_V)
-    soc = now.x.soc + move
-    landed = loaded(tables, soc, now.warm_C, s.seen_A)
-    there = wide_slopes(tables, soc, landed, now.spread, now.warm_C, s.seen_A)
-    return min(min(there.voltage_V, landed.ocv_slope_V), now.slope_V)
-
-
-@inline
 def update(
     tables: CellTables,
     noise: NoiseScalars,
@@ -221,10 +196,12 @@ def update(
     x = moved(now.x, k, v.innovation_V)
     p = now.p
     learnt = True
-    if now.spread > 0.0:
+    if now.at.spread > 0.0:
         # The gain was that of the slope here; what it is worth is said by the slope where it
         # leads, if that is flatter (Joseph's form): on a plateau nothing was learnt.
-        less = landing_slope(tables, s, now, k.s * v.innovation_V) - now.slope_V
+        move = k.s * v.innovation_V
+        flat = landing_slope(tables, now.x.soc, now.at, now.warm_C, s.seen_A, move)
+        less = flat - now.at.slope_V
         e = less * (2.0 * d.s + less * p.ss)
         c = soc_row(p, less)
         learnt = k.s * (k.s * e - 2.0 * c.s) < k.s * d.s
@@ -233,7 +210,7 @@ def update(
     if learnt:
         p = corrected(p, k, d)
     persistent = persistent_step(
-        noise, now.point, v.mismatch, k.s, now.slope_V, now.state.persistent
+        noise, now.point, v.mismatch, k.s, now.at.slope_V, now.state.persistent
     )
     return x, p, persistent
 
@@ -261,7 +238,7 @@ def ekf_step_inline(
     """One step: predict over the interval that ends now, then use the voltage read now."""
     s = read_sample(tables, noise, state.watch, start.temperature_C, reading)
     now = predict(tables, noise, start, state, s)
-    d = column(now.p, now.slope_V, now.point.m_V)
+    d = column(now.p, now.at.slope_V, now.point.m_V)
     i = innovate(tables, noise, s, now, d)
     old = now.state
     # fmt: off

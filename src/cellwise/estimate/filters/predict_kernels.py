@@ -24,58 +24,77 @@ from cellwise.estimate.recovery_kernels import start_branch
 from cellwise.estimate.sensing_kernels import NO_VOLTAGE_YET, NOT_BEGUN, Sample
 from cellwise.estimate.status import STATE_RESET
 
-WIDE_VARIANCE = 4e-4  # beyond 2 points of SOC the tangent is no guide
 SOC_LOW = 0.0
 SOC_HIGH = 1.0
 
 
 class Interval(NamedTuple):
-    """An interval as a filter finds it: where it starts, and the tables at its end.
+    """An interval as a filter finds it: where it starts, what it does, the tables at its end.
 
-    ``state`` is what was carried, or a new start where that was no longer finite.
+    Where the cell is new to the filter, ``old`` holds what its branches may hold and ``v`` their
+    variances.
     """
 
-    state: EkfState
-    p: Covariance
+    old: CellState
     point: CellPoint
     t: Transition
     end: CellState
     warm_C: float
+    v11: float
+    v22: float
+    v33: float
+
+
+class Begun(NamedTuple):
+    """The state that a step goes on from: what was carried, or a new start."""
+
+    state: EkfState
+    now: Interval
+    p: Covariance
     evidence_s: float
     status: int
 
 
 @inline
-def begin_interval(tables: CellTables, start: EkfStart, state: EkfState, s: Sample) -> Interval:
-    """Charge first, then everything else at the new SOC; heat is the start's."""
+def over_interval(
+    tables: CellTables, x: CellState, soc: float, s: Sample, begins: bool
+) -> Interval:
+    """Everything at the new SOC; heat is the start's."""
     cell = tables.cell
-    status = 0
-    soc = soc_step(cell, state.cell.soc, s.flow_A, s.dt_s)
-    if not (math.isfinite(soc) and math.isfinite(state.p.ss)):
-        state = ekf_start(start, s.current_A)
-        soc = state.cell.soc
-        status = STATE_RESET
-    x = state.cell
-    p = state.p
     warm = s.temperature_C + x.heat_K
     point = loaded(tables, soc, warm, s.seen_A)
-    evidence = state.watch.evidence_s
     old1, old2, old3 = x.v1_V, x.v2_V, x.v3_V
-    if evidence == NOT_BEGUN:
-        old1, p11 = start_branch(cell, point.r1_ohm, s.seen_A)
-        old2, p22 = start_branch(cell, point.r2_ohm, s.seen_A)
-        old3, p33 = start_branch(cell, point.r3_ohm, s.seen_A)
-        p = uncorrelated(p.ss, p11, p22, p33, p.phh)
-        evidence = NO_VOLTAGE_YET
+    v11, v22, v33 = 0.0, 0.0, 0.0
+    if begins:
+        old1, v11 = start_branch(cell, point.r1_ohm, s.seen_A)
+        old2, v22 = start_branch(cell, point.r2_ohm, s.seen_A)
+        old3, v33 = start_branch(cell, point.r3_ohm, s.seen_A)
     t = transition(cell, point, s.flow_A, s.dt_s)
-    old = CellState(x.soc, old1, old2, old3, x.h, x.heat_K)
-    begun = EkfState(old, p, state.rejections, state.mismatch, state.persistent, state.watch)
     v1 = relaxed(old1, t.a1, t.g1, s.flow_A)
     v2 = relaxed(old2, t.a2, t.g2, s.flow_A)
     v3 = relaxed(old3, t.a3, t.g3, s.flow_A)
     h = hysteresis_step(x.h, t.ah, s.flow_A)
+    old = CellState(x.soc, old1, old2, old3, x.h, x.heat_K)
     end = CellState(soc, v1, v2, v3, h, x.heat_K)
-    return Interval(begun, p, point, t, end, warm, evidence, status)
+    return Interval(old, point, t, end, warm, v11, v22, v33)
+
+
+@inline
+def begin_interval(tables: CellTables, start: EkfStart, state: EkfState, s: Sample) -> Begun:
+    """Charge first; a state that is no longer finite starts again."""
+    status = 0
+    soc = soc_step(tables.cell, state.cell.soc, s.flow_A, s.dt_s)
+    if not (math.isfinite(soc) and math.isfinite(state.p.ss)):
+        state = ekf_start(start, s.current_A)
+        soc = state.cell.soc
+        status = STATE_RESET
+    p = state.p
+    evidence = state.watch.evidence_s
+    now = over_interval(tables, state.cell, soc, s, evidence == NOT_BEGUN)
+    if evidence == NOT_BEGUN:
+        p = uncorrelated(p.ss, now.v11, now.v22, now.v33, p.phh)
+        evidence = NO_VOLTAGE_YET
+    return Begun(state, now, p, evidence, status)
 
 
 @inline

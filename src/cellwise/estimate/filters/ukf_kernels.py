@@ -50,8 +50,7 @@ from cellwise.estimate.filters.filter_state import (
     ekf_start,
 )
 from cellwise.estimate.filters.predict_kernels import (
-    WIDE_VARIANCE,
-    Interval,
+    Begun,
     begin_interval,
     branch_variance,
     drifted,
@@ -60,6 +59,7 @@ from cellwise.estimate.filters.predict_kernels import (
 from cellwise.estimate.gate_kernels import Innovation, gate
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import Reading, Sample, read_sample
+from cellwise.estimate.slopes_kernels import WIDE_VARIANCE
 
 
 class SigmaScalars(NamedTuple):
@@ -112,14 +112,15 @@ def pair_of(sigma: SigmaScalars, p: Covariance, ss: float) -> Pair:
 
 @inline
 def predict(
-    tables: CellTables, noise: NoiseScalars, sigma: SigmaScalars, s: Sample, now: Interval
+    tables: CellTables, noise: NoiseScalars, sigma: SigmaScalars, s: Sample, begun: Begun
 ) -> Spread:
     """First and second differences along the pair, what is left of P mapped, and noise."""
-    old, point, t, c = now.state.cell, now.point, now.t, sigma.reach
-    ss = now.p.ss
+    now = begun.now
+    old, point, t, c = now.old, now.point, now.t, sigma.reach
+    ss = begun.p.ss
     if s.gap:
         ss += noise.gap_soc * noise.gap_soc
-    pair = pair_of(sigma, now.p, ss)
+    pair = pair_of(sigma, begun.p, ss)
     along = pair.along
     # A resistance that is off by a share must not vouch for the SOC: unless the SOC is badly known,
     # every point has the centre's.
@@ -151,7 +152,7 @@ def predict(
         x.h,
         x.heat_K,
     )
-    p = decayed(without_outer(now.p, along), t)
+    p = decayed(without_outer(begun.p, along), t)
     p = with_outer(p, d, sigma.curve, Column(0.0, e1, e2, e3, 0.0))
     p = with_soc_row(p, drifted(tables, s, ss), d, pair.root)
     q = noise.current_A * noise.current_A
@@ -206,11 +207,11 @@ def ukf_step_inline(
     """One step: predict over the interval that ends now, then use the voltage read now."""
     s = read_sample(tables, noise, state.watch, start.temperature_C, reading)
     begun = begin_interval(tables, start, state, s)
-    old, point = begun.state, begun.point
+    old, point, warm = begun.state, begun.now.point, begun.now.warm_C
     now = predict(tables, noise, sigma, s, begun)
     x, p = now.x, now.p
     pair = pair_of(sigma, p, p.ss)
-    seen = voltages(tables, sigma, s, point, begun.warm_C, now, pair)
+    seen = voltages(tables, sigma, s, point, warm, now, pair)
     branches = (x.v1_V + x.v2_V) + x.v3_V
     drop = point.r0_ohm * s.seen_A + branches
     heat = heat_step(tables.cell, x.heat_K, s.flow_A, drop, s.dt_s)
@@ -241,7 +242,7 @@ def ukf_step_inline(
     # fmt: on
     persistent = old.persistent
     if v.recover:
-        x, p = recover(tables, s, x, p, i, begun.warm_C, begun.evidence_s >= 0.0)
+        x, p = recover(tables, s, x, p, i, warm, begun.evidence_s >= 0.0)
         persistent = 0.0
     elif v.accepted:
         k = scaled(d, v.inverse)

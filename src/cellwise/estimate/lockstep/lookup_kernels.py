@@ -7,7 +7,6 @@ import math
 from cellwise.cell.compiled import inline
 from cellwise.cell.equations import BEYOND, arrhenius
 from cellwise.cell.point_kernels import CellScalars
-from cellwise.estimate.filters.predict_kernels import WIDE_VARIANCE
 from cellwise.estimate.lockstep.lane_kernels import (
     EVIDENCE,
     FACTOR,
@@ -42,6 +41,7 @@ from cellwise.estimate.lockstep.layout import (
 )
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import COLDEST_C, HOTTEST_C
+from cellwise.estimate.slopes_kernels import WIDE_VARIANCE
 from cellwise.typing import FloatArray
 
 THIRD, SIXTH, SEVENTH = 1.0 / 3.0, 1.0 / 6.0, 1.0 / 7.0
