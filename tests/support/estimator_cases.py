@@ -29,6 +29,7 @@ from cellwise.estimate.filters.adaptive import Adaptive
 from cellwise.estimate.filters.adaptive_settings import AdaptiveSettings
 from cellwise.estimate.filters.adaptive_state_kernels import HEAT_K
 from cellwise.estimate.fixed.layout import INPUT
+from cellwise.estimate.lockstep.layout import CURRENT, FIELDS, LANES
 from cellwise.estimate.lockstep.lockstep import LockstepEkf
 from cellwise.estimate.noise import Noise
 from cellwise.logs.cell_log import CellLog
@@ -97,11 +98,14 @@ class Rows:
         return replace(self, dt_s=dt, gap=gaps)
 
     def log(self) -> CellLog:
-        """The same as a log; it finds its gaps by itself."""
-        voltage = self.voltage_V.copy()
-        if not np.isfinite(voltage).any():
-            voltage[-1] = 3.7  # a log has at least one
-        return CellLog(np.cumsum(self.dt_s), self.current_A, voltage, self.temperature_C)
+        """The same as a log, which finds its gaps by itself; a last row has the one voltage."""
+        end = self.dt_s.sum() + self.tick_s
+        return CellLog(
+            np.append(np.cumsum(self.dt_s), end),
+            np.append(self.current_A, 0.0),
+            np.append(self.voltage_V, 3.7),
+            np.append(self.temperature_C, 25.0),
+        )
 
 
 class Path(NamedTuple):
@@ -139,7 +143,8 @@ def _online(name, model, rows, soc0, soc0_std, noise):
         if name == "adaptive"
         else make_estimator(name, model, noise)
     )
-    state = estimator.init(soc0, soc0_std)
+    held = () if name == "coulomb" else (rows.current_A[0],)
+    state = estimator.init(soc0, soc0_std, *held)
     for k in range(len(rows)):
         state, info = estimator.step(
             state, rows.current_A[k], rows.voltage_V[k], rows.temperature_C[k],
@@ -157,6 +162,7 @@ def _lockstep(name, model, rows, soc0, soc0_std, noise):
     """Its gaps last one time step; it takes no repeated stamp."""
     fleet = LockstepEkf(model, 1, rows.tick_s, noise)
     state = fleet.init(soc0, soc0_std)
+    state.blocks.reshape(-1, FIELDS, LANES)[:, CURRENT] = rows.current_A[0]
     for k in range(len(rows)):
         state, info = fleet.step(
             state, rows.current_A[k], rows.voltage_V[k], rows.temperature_C[k],
@@ -208,5 +214,5 @@ def _filterpy(name, model, rows, soc0, soc0_std, noise):
 
     estimator.predict, estimator.update = watched_predict, watched_update
     trace = estimator.run(rows.log(), soc0, soc0_std)
-    for k, carried in enumerate(seen):
+    for k, carried in enumerate(seen[:-1]):
         yield {**carried, "soc": trace.soc[k], "voltage_V": trace.voltage_V[k]}
