@@ -64,7 +64,8 @@ NEUTRAL = {
     )
 }
 NOTHING = AdaptiveSettings(learn=(), memory_s=0.0)
-SHOWN = ("soc", "v1_V", "v2_V", "v3_V", "h", "heat_K", "voltage_V")
+MEANS = ("soc", "v1_V", "v2_V", "v3_V", "h")
+SHOWN = (*MEANS, "heat_K", "voltage_V", "soc_std", "p11", "p22", "p33")
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +119,10 @@ class Path(NamedTuple):
     h: Array
     heat_K: Array
     voltage_V: Array
+    soc_std: Array
+    p11: Array
+    p22: Array
+    p33: Array
     status: Array
 
 
@@ -151,11 +156,19 @@ def _online(name, model, rows, soc0, soc0_std, noise):
             dt_s=rows.dt_s[k], gap=bool(rows.gap[k]),
         )  # fmt: skip
         if name == "adaptive":
-            carried = dict(zip(SHOWN, state.x, strict=False), heat_K=state.memory[HEAT_K])
+            carried = _moments(state.x, state.covariance) | {"heat_K": state.memory[HEAT_K]}
         else:
             carried = {field: getattr(state, field, np.nan) for field in SHOWN}
         carried["voltage_V"] = getattr(info, "voltage_V", np.nan)
         yield {**carried, "status": int(info.status)}
+
+
+def _moments(x, covariance):
+    """Mean and variances by name, of a filter that carries them as arrays."""
+    variances = np.diag(covariance)
+    carried = dict(zip(MEANS, x, strict=False))
+    carried |= {f"p{j}{j}": variances[j] for j in (1, 2, 3)}
+    return {**carried, "soc_std": np.sqrt(variances[0])}
 
 
 def _lockstep(name, model, rows, soc0, soc0_std, noise):
@@ -209,7 +222,7 @@ def _filterpy(name, model, rows, soc0, soc0_std, noise):
 
     def watched_update(kf, *given):
         told = update(kf, *given)
-        seen[-1] |= dict(zip(SHOWN, kf.x, strict=False))
+        seen[-1] |= _moments(kf.x, kf.P)
         return told
 
     estimator.predict, estimator.update = watched_predict, watched_update
