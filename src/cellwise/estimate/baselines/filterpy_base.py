@@ -135,7 +135,7 @@ class FilterpyFilter:
     def process(self, soc: float, now: Interval, warm_C: float) -> tuple[FloatArray, FloatArray]:
         """Diagonal of the transition, shape (5,), and process noise, shape (5, 5)."""
         noise, cell = self.noise, self.cell
-        point = self.point(soc, now.flow_A, warm_C)
+        point = self.point(soc, now.seen_A, warm_C)
         r = np.array([point.r1_ohm, point.r2_ohm, point.r3_ohm])
         a = np.exp(-now.dt_s / np.array([point.tau1_s, point.tau2_s, point.tau3_s]))
         a[r == 0] = 1.0
