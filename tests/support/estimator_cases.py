@@ -27,7 +27,7 @@ from cellwise.cell.effects import (
 from cellwise.estimate.estimators import make_estimator
 from cellwise.estimate.filters.adaptive import Adaptive
 from cellwise.estimate.filters.adaptive_settings import AdaptiveSettings
-from cellwise.estimate.filters.adaptive_state_kernels import HEAT_K
+from cellwise.estimate.filters.adaptive_state_kernels import HEAT_K, B
 from cellwise.estimate.fixed.layout import INPUT
 from cellwise.estimate.lockstep.layout import CURRENT, FIELDS, LANES
 from cellwise.estimate.lockstep.lockstep import LockstepEkf
@@ -126,15 +126,21 @@ class Path(NamedTuple):
     status: Array
 
 
-def follow(name: str, model, rows: Rows, soc0: float, soc0_std: float = 0.01, noise=None) -> Path:
-    """One estimator over every sample; the adaptive filter has nothing to learn."""
+def follow(
+    name: str, model, rows: Rows, soc0: float, soc0_std: float = 0.01, noise=None, offset_A=0.0
+) -> Path:
+    """One estimator over every sample.
+
+    The adaptive filter has nothing to learn; it knows that its sensor adds ``offset_A``.
+    """
     noise = Noise.of_model(model) if noise is None else noise
     walk = {
         "coulomb": _online, "ekf": _online, "ukf": _online, "adaptive": _online,
         "lockstep": _lockstep, "fixed-step": _fixed, "firmware": _fixed,
         "filterpy-ekf": _filterpy, "filterpy-ukf": _filterpy,
     }[name]  # fmt: skip
-    told = walk(name, model, rows, soc0, soc0_std, noise)
+    known = (offset_A,) if name == "adaptive" else ()
+    told = walk(name, model, rows, soc0, soc0_std, noise, *known)
     found = np.full((len(SHOWN) + 1, len(rows)), np.nan)
     for k, values in enumerate(told):
         for i, field in enumerate((*SHOWN, "status")):
@@ -142,7 +148,7 @@ def follow(name: str, model, rows: Rows, soc0: float, soc0_std: float = 0.01, no
     return Path(*found)
 
 
-def _online(name, model, rows, soc0, soc0_std, noise):
+def _online(name, model, rows, soc0, soc0_std, noise, offset_A=0.0):
     estimator = (
         Adaptive(model, noise, NOTHING)
         if name == "adaptive"
@@ -150,6 +156,8 @@ def _online(name, model, rows, soc0, soc0_std, noise):
     )
     held = () if name == "coulomb" else (rows.current_A[0],)
     state = estimator.init(soc0, soc0_std, *held)
+    if name == "adaptive":
+        state.x[B] = offset_A
     for k in range(len(rows)):
         state, info = estimator.step(
             state, rows.current_A[k], rows.voltage_V[k], rows.temperature_C[k],
