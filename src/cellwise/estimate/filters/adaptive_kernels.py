@@ -169,7 +169,8 @@ def take_step(
     if cell.heating_K_per_W != 0.0:
         memory[HEAT_K] = heat_step(cell, memory[HEAT_K], flow, polarisation, dt_s)
     predicted = (point.ocv_V + point.m_V * x[H]) - polarisation
-    state_variance = observe(p, d, slope, point.m_V, fast, behind, point.r0_ohm)
+    by_offset = point.r0_ohm if s.lost_A == 0.0 else 0.0
+    state_variance = observe(p, d, slope, point.m_V, fast, behind, by_offset)
     state_variance += 3.0 * bend * bend
     branches = abs(x[V1]) + (abs(x[V2]) + abs(x[V3]))
     r0 = fast * point.r0_ohm

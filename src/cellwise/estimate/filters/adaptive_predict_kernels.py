@@ -94,7 +94,8 @@ def predict(
     """Over the interval that ends now: the state with the tables at the new SOC, then P."""
     status = 0
     counts = 0.0 if gap or s.lost_A > 0.0 else 1.0  # whether what flowed is known
-    load = s.seen_A - x[B]
+    # A current that is lost has no offset, either.
+    load = s.seen_A - x[B] if s.lost_A == 0.0 else s.seen_A
     flow = counts * (s.flow_A - x[B])
     gs = dt_s / cell.charge_As * (1.0 if flow > 0.0 else cell.charge_efficiency)
     soc = x[SOC] - x[Q] * gs * flow - cell.leak_A * dt_s / cell.charge_As
