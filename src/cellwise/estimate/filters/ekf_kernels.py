@@ -55,7 +55,6 @@ SOC_LOW = 0.0
 SOC_HIGH = 1.0
 VARIANCE_FLOOR = 1e-12
 WIDE_VARIANCE = 4e-4  # beyond 2 points of SOC the tangent is no guide
-SLOPE_FLOOR_V = 0.05
 SMALL_MOVE = 0.05  # of a standard deviation: the slope is that of the spot left
 
 
