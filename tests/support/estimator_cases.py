@@ -27,8 +27,9 @@ from cellwise.cell.effects import (
 from cellwise.estimate.estimators import make_estimator
 from cellwise.estimate.filters.adaptive import Adaptive
 from cellwise.estimate.filters.adaptive_settings import AdaptiveSettings
-from cellwise.estimate.filters.adaptive_state_kernels import HEAT_K
+from cellwise.estimate.filters.adaptive_state_kernels import HEAT_K, B
 from cellwise.estimate.fixed.layout import INPUT
+from cellwise.estimate.lockstep.layout import CURRENT, FIELDS, LANES
 from cellwise.estimate.lockstep.lockstep import LockstepEkf
 from cellwise.estimate.noise import Noise
 from cellwise.logs.cell_log import CellLog
@@ -63,7 +64,8 @@ NEUTRAL = {
     )
 }
 NOTHING = AdaptiveSettings(learn=(), memory_s=0.0)
-SHOWN = ("soc", "v1_V", "v2_V", "v3_V", "h", "heat_K", "voltage_V")
+MEANS = ("soc", "v1_V", "v2_V", "v3_V", "h")
+SHOWN = (*MEANS, "heat_K", "voltage_V", "soc_std", "p11", "p22", "p33")
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,11 +99,14 @@ class Rows:
         return replace(self, dt_s=dt, gap=gaps)
 
     def log(self) -> CellLog:
-        """The same as a log; it finds its gaps by itself."""
-        voltage = self.voltage_V.copy()
-        if not np.isfinite(voltage).any():
-            voltage[-1] = 3.7  # a log has at least one
-        return CellLog(np.cumsum(self.dt_s), self.current_A, voltage, self.temperature_C)
+        """The same as a log, which finds its gaps by itself; a last row has the one voltage."""
+        end = self.dt_s.sum() + self.tick_s
+        return CellLog(
+            np.append(np.cumsum(self.dt_s), end),
+            np.append(self.current_A, 0.0),
+            np.append(self.voltage_V, 3.7),
+            np.append(self.temperature_C, 25.0),
+        )
 
 
 class Path(NamedTuple):
@@ -114,18 +119,28 @@ class Path(NamedTuple):
     h: Array
     heat_K: Array
     voltage_V: Array
+    soc_std: Array
+    p11: Array
+    p22: Array
+    p33: Array
     status: Array
 
 
-def follow(name: str, model, rows: Rows, soc0: float, soc0_std: float = 0.01, noise=None) -> Path:
-    """One estimator over every sample; the adaptive filter has nothing to learn."""
+def follow(
+    name: str, model, rows: Rows, soc0: float, soc0_std: float = 0.01, noise=None, offset_A=0.0
+) -> Path:
+    """One estimator over every sample.
+
+    The adaptive filter has nothing to learn; it knows that its sensor adds ``offset_A``.
+    """
     noise = Noise.of_model(model) if noise is None else noise
     walk = {
         "coulomb": _online, "ekf": _online, "ukf": _online, "adaptive": _online,
         "lockstep": _lockstep, "fixed-step": _fixed, "firmware": _fixed,
         "filterpy-ekf": _filterpy, "filterpy-ukf": _filterpy,
     }[name]  # fmt: skip
-    told = walk(name, model, rows, soc0, soc0_std, noise)
+    known = (offset_A,) if name == "adaptive" else ()
+    told = walk(name, model, rows, soc0, soc0_std, noise, *known)
     found = np.full((len(SHOWN) + 1, len(rows)), np.nan)
     for k, values in enumerate(told):
         for i, field in enumerate((*SHOWN, "status")):
@@ -133,30 +148,42 @@ def follow(name: str, model, rows: Rows, soc0: float, soc0_std: float = 0.01, no
     return Path(*found)
 
 
-def _online(name, model, rows, soc0, soc0_std, noise):
+def _online(name, model, rows, soc0, soc0_std, noise, offset_A=0.0):
     estimator = (
         Adaptive(model, noise, NOTHING)
         if name == "adaptive"
         else make_estimator(name, model, noise)
     )
-    state = estimator.init(soc0, soc0_std)
+    held = () if name == "coulomb" else (rows.current_A[0],)
+    state = estimator.init(soc0, soc0_std, *held)
+    if name == "adaptive":
+        state.x[B] = offset_A
     for k in range(len(rows)):
         state, info = estimator.step(
             state, rows.current_A[k], rows.voltage_V[k], rows.temperature_C[k],
             dt_s=rows.dt_s[k], gap=bool(rows.gap[k]),
         )  # fmt: skip
         if name == "adaptive":
-            carried = dict(zip(SHOWN, state.x, strict=False), heat_K=state.memory[HEAT_K])
+            carried = _moments(state.x, state.covariance) | {"heat_K": state.memory[HEAT_K]}
         else:
             carried = {field: getattr(state, field, np.nan) for field in SHOWN}
         carried["voltage_V"] = getattr(info, "voltage_V", np.nan)
         yield {**carried, "status": int(info.status)}
 
 
+def _moments(x, covariance):
+    """Mean and variances by name, of a filter that carries them as arrays."""
+    variances = np.diag(covariance)
+    carried = dict(zip(MEANS, x, strict=False))
+    carried |= {f"p{j}{j}": variances[j] for j in (1, 2, 3)}
+    return {**carried, "soc_std": np.sqrt(variances[0])}
+
+
 def _lockstep(name, model, rows, soc0, soc0_std, noise):
     """Its gaps last one time step; it takes no repeated stamp."""
     fleet = LockstepEkf(model, 1, rows.tick_s, noise)
     state = fleet.init(soc0, soc0_std)
+    state.blocks.reshape(-1, FIELDS, LANES)[:, CURRENT] = rows.current_A[0]
     for k in range(len(rows)):
         state, info = fleet.step(
             state, rows.current_A[k], rows.voltage_V[k], rows.temperature_C[k],
@@ -203,10 +230,10 @@ def _filterpy(name, model, rows, soc0, soc0_std, noise):
 
     def watched_update(kf, *given):
         told = update(kf, *given)
-        seen[-1] |= dict(zip(SHOWN, kf.x, strict=False))
+        seen[-1] |= _moments(kf.x, kf.P)
         return told
 
     estimator.predict, estimator.update = watched_predict, watched_update
     trace = estimator.run(rows.log(), soc0, soc0_std)
-    for k, carried in enumerate(seen):
+    for k, carried in enumerate(seen[:-1]):
         yield {**carried, "soc": trace.soc[k], "voltage_V": trace.voltage_V[k]}
