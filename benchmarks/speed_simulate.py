@@ -46,14 +46,14 @@ def simulate_figures(data: Path | None, say: Progress, *, full: bool = False) ->
 
 def _kernel(group: str, who: str, model: CellModel, log: CellLog, say: Progress) -> Figure:
     say(who)
-    table, grid, cell = model.parameters()
+    tables = model.parameters()
     dt, current = log.interval_s, log.known_current_A()
     temperature = known_temperature_C(model, log)
     voltage, soc = np.empty(len(log)), np.empty(len(log))
     start = empty_state(START_SOC)
 
     def work() -> None:
-        simulate_rows(table, grid, cell, start, dt, current, temperature, voltage, soc)
+        simulate_rows(tables, start, dt, current, temperature, voltage, soc)
 
     timing = clock(work)
     return Figure(

@@ -70,7 +70,8 @@ def simulate_call(rows):
 def coulomb_call(rows):
     current = np.random.default_rng(1).normal(0, 3, rows)
     gap = np.zeros(rows, dtype=np.bool_)
-    return (coulomb_rows, MODEL.parameters().cell, 0.5, 0.01, current, np.full(rows, 0.1), gap, 1e-5,
+    cell = MODEL.parameters().cell
+    return (coulomb_rows, cell, 0.5, 0.01, current, np.full(rows, 0.1), gap, 1e-5,
             0.05, np.empty(rows), np.empty(rows), np.empty(rows, dtype=np.int32))  # fmt: skip
 
 

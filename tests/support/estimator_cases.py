@@ -27,7 +27,6 @@ from cellwise.cell.effects import (
 from cellwise.estimate.estimators import make_estimator
 from cellwise.estimate.filters.adaptive import Adaptive
 from cellwise.estimate.filters.adaptive_settings import AdaptiveSettings
-from cellwise.estimate.filters.adaptive_state_kernels import HEAT_K, B
 from cellwise.estimate.fixed.layout import INPUT
 from cellwise.estimate.lockstep.layout import CURRENT, FIELDS, LANES
 from cellwise.estimate.lockstep.lockstep import LockstepEkf
@@ -157,18 +156,24 @@ def _online(name, model, rows, soc0, soc0_std, noise, offset_A=0.0):
     held = () if name == "coulomb" else (rows.current_A[0],)
     state = estimator.init(soc0, soc0_std, *held)
     if name == "adaptive":
-        state.x[B] = offset_A
+        state = state._replace(offset_A=offset_A)
     for k in range(len(rows)):
         state, info = estimator.step(
             state, rows.current_A[k], rows.voltage_V[k], rows.temperature_C[k],
             dt_s=rows.dt_s[k], gap=bool(rows.gap[k]),
         )  # fmt: skip
-        if name == "adaptive":
-            carried = _moments(state.x, state.covariance) | {"heat_K": state.memory[HEAT_K]}
-        else:
-            carried = {field: getattr(state, field, np.nan) for field in SHOWN}
+        carried = _carried(state)
         carried["voltage_V"] = getattr(info, "voltage_V", np.nan)
         yield {**carried, "status": int(info.status)}
+
+
+def _carried(state):
+    """What a state carries, by name, wherever it stands in the record."""
+    parts = (state, getattr(state, "cell", None), getattr(state, "p", None))
+    return {
+        field: next((getattr(p, field) for p in parts if hasattr(p, field)), np.nan)
+        for field in SHOWN
+    }
 
 
 def _moments(x, covariance):
@@ -190,7 +195,7 @@ def _lockstep(name, model, rows, soc0, soc0_std, noise):
             gap=rows.gap[k : k + 1],
         )  # fmt: skip
         cell = fleet.cell_state(state, 0)
-        carried = {field: getattr(cell, field, np.nan) for field in SHOWN}
+        carried = _carried(cell)
         yield {**carried, "voltage_V": info.voltage_V[0], "status": int(info.status[0])}
 
 
