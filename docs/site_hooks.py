@@ -33,7 +33,7 @@ MORE = {
     "Fleets": ("cellwise.fleet.run_fleet", "cellwise.fleet.ReplayTask",
                "cellwise.fleet.DiagnoseTask"),
     "Pages": ("cellwise.report.identify_page", "cellwise.report.replay_page",
-              "cellwise.report.diagnose_page"),
+              "cellwise.report.diagnosis.page"),
     "Originals": ("cellwise.originals.fetch_original", "cellwise.originals.import_original"),
 }  # fmt: skip
 

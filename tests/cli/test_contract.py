@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from cellwise.cli import main
-from cellwise.cli.printing import clean, split_temperature
+from cellwise.cli.common.printing import clean, split_temperature
 from cellwise.data import datasets_folder
 from cellwise.errors import InputError
 from cellwise.logs import read_log

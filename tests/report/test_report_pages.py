@@ -14,12 +14,13 @@ from cellwise.cell.simulate import Simulation
 from cellwise.errors import InputError
 from cellwise.report import demo_page, identify_page, replay_page
 from cellwise.report.findings import replay_finding
-from cellwise.report.markup import finite, page, table
-from cellwise.report.pages import identify_sections, notices, replay_data, replay_sections
-from cellwise.report.replay_figures import replay_figures
-from cellwise.report.replay_section import MOST_DETAILED
-from cellwise.report.scripts import script
-from cellwise.report.section import pictures_of, rendered
+from cellwise.report.identification.page import identify_sections, notices
+from cellwise.report.page.markup import finite, page, table
+from cellwise.report.page.scripts import script
+from cellwise.report.page.section import pictures_of, rendered
+from cellwise.report.replay.page import replay_data, replay_sections
+from cellwise.report.replay.replay_figures import replay_figures
+from cellwise.report.replay.replay_section import MOST_DETAILED
 from report_cases import Page, drive, hppc, identification, replay, simulation
 
 NASTY = "<script>alert('1')</script> & \"$x_1^2$\" </svg> \\u003c"
@@ -323,7 +324,7 @@ def test_table_marks_its_row_and_escapes():
 
 
 def test_an_empty_section_is_left_out():
-    from cellwise.report.markup import Markup
+    from cellwise.report.page.markup import Markup
 
     text = page("f 1", "a", [("k", "t", "t", Markup("")), ("m", "u", "u", Markup("<p>v</p>"))], {})
     parsed = Page(text)

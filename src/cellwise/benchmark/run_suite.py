@@ -25,7 +25,7 @@ from cellwise.errors import InputError
 from cellwise.logs.tables import write_columns
 
 if TYPE_CHECKING:
-    from cellwise.report.picture import FigureFiles
+    from cellwise.report.page.picture import FigureFiles
 
 T = TypeVar("T")
 Progress = Callable[[str, int, int], None]
@@ -140,7 +140,7 @@ def _finish(
     )
     written = None
     if page:
-        from cellwise.report.benchmark_page import BenchmarkTable, benchmark_page
+        from cellwise.report.benchmark.page import BenchmarkTable, benchmark_page
 
         about = place.suite.about or f"suite {place.suite.name}"
         table = BenchmarkTable(place.suite.name, about, rows, curves)

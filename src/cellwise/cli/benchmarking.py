@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cellwise.cli import page_options, printing
+from cellwise.cli.common import page_options, printing
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
@@ -111,7 +111,7 @@ def list_suites(as_json: bool) -> None:
 
 def print_benchmark(found: BenchmarkResult) -> None:
     """A benchmark for people: overview, faults, what could not be judged."""
-    from cellwise.report.benchmark_overview import (
+    from cellwise.report.benchmark.overview import (
         OVERVIEW_HEAD,
         coverage_text,
         fault_matrix,

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellwise.cli import log_options, page_options, parameters, printing
+from cellwise.cli.common import log_options, page_options, parameters, printing
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellwise.cli import log_options, printing
+from cellwise.cli.common import log_options, printing
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def run_replay(arguments: argparse.Namespace) -> None:
 
 def run_diagnose(arguments: argparse.Namespace) -> None:
     """Diagnose every log of a folder."""
-    from cellwise.diagnose.causes import CAUSES
+    from cellwise.diagnose.causes.catalogue import CAUSES
     from cellwise.fleet import DiagnoseTask
 
     for name in arguments.cause or ():

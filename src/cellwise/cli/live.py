@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
-from cellwise.cli import log_options, printing
+from cellwise.cli.common import log_options, printing
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from types import ModuleType
 from typing import Any
 
 from cellwise.diagnose.diagnosis import diagnose
-from cellwise.diagnose.verdict import Diagnosis, FoundCause, TriedCause
+from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
 
 __all__ = ["Diagnosis", "FoundCause", "TriedCause", "diagnose"]
 

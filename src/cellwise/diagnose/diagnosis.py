@@ -10,25 +10,32 @@ import numpy as np
 from cellwise.cell.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.kernels import R3, TAU2, TAU3
 from cellwise.cell.model import CellModel
-from cellwise.diagnose.acceptance import FOREIGN_K
 from cellwise.diagnose.anatomy import anatomy
-from cellwise.diagnose.causes import CAUSES, Cause
-from cellwise.diagnose.coordinates import Coordinates
-from cellwise.diagnose.doubts import another_cell, too_little
-from cellwise.diagnose.evidence import Evidence, gather
-from cellwise.diagnose.experiment import propose
-from cellwise.diagnose.extend import correct_log, extend_model, parameters_of, split_skew, value_of
-from cellwise.diagnose.fit import held_rows
-from cellwise.diagnose.fitter import Fitter
-from cellwise.diagnose.judge import FIRM_SLOW_V, Judge, Progress
-from cellwise.diagnose.judgement import Accepted, Judgement, kept_coordinates
-from cellwise.diagnose.noise import at_least
-from cellwise.diagnose.priors import GIVEN_SOC_STD, learned, structure_prior, tolerances
-from cellwise.diagnose.rest_reading import rest_reading
-from cellwise.diagnose.rivals import Candidate, rmse
+from cellwise.diagnose.causes.catalogue import CAUSES, Cause, kept_coordinates
+from cellwise.diagnose.causes.coordinates import Coordinates
+from cellwise.diagnose.decision.acceptance import FOREIGN_K
+from cellwise.diagnose.decision.candidates import Candidate
+from cellwise.diagnose.decision.model_comparison import FIRM_SLOW_V, Judge, Progress
+from cellwise.diagnose.decision.outcome import Accepted, Judgement
+from cellwise.diagnose.decision.preconditions import another_cell, too_little
+from cellwise.diagnose.extension import (
+    correct_log,
+    extend_model,
+    parameters_of,
+    split_skew,
+    value_of,
+)
+from cellwise.diagnose.fit.cause_fits import Fitter
+from cellwise.diagnose.fit.gain import rmse
+from cellwise.diagnose.fit.least_squares import held_rows
+from cellwise.diagnose.fit.noise import at_least
+from cellwise.diagnose.fit.priors import GIVEN_SOC_STD, learned, structure_prior, tolerances
+from cellwise.diagnose.fit.rest_current import rest_reading
+from cellwise.diagnose.fit.rows import Evidence, gather
+from cellwise.diagnose.fit.whitening_kernels import NoiseLevel
+from cellwise.diagnose.next_test import propose
+from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
 from cellwise.diagnose.soc_gain import soc_gain
-from cellwise.diagnose.verdict import Diagnosis, FoundCause, TriedCause
-from cellwise.diagnose.whitening_kernels import NoiseLevel
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 

@@ -19,8 +19,8 @@ from cellwise.estimate.estimators import Estimator, make_estimator
 from cellwise.estimate.replay import Replay, reference_soc
 from cellwise.fleet import columns
 from cellwise.logs.cell_log import CellLog
+from cellwise.logs.checks.sign import verify_sign
 from cellwise.logs.prepared import read_prepared
-from cellwise.logs.sign import verify_sign
 
 # From here on the model does not know the log, and its sign is worth a look.
 SURPRISED_SHARE = 0.02

@@ -36,7 +36,7 @@ from cellwise.identify.soc_anchor import anchor_soc
 from cellwise.identify.stack import stack_models
 from cellwise.identify.tables import pulse_tables
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.sign import verify_sign
+from cellwise.logs.checks.sign import verify_sign
 
 Progress = Callable[[str], None]
 REFERENCE_C = 25.0

@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 from cellwise.errors import InputError
 from cellwise.live.channels import CellScale
 from cellwise.live.sample import Sample, Stray
-from cellwise.logs.can_database import can_database
-from cellwise.logs.columns import Unit
-from cellwise.logs.extras import need
-from cellwise.logs.options import ReadOptions
-from cellwise.logs.signal_choice import Signal, choose_signals
+from cellwise.logs.files.columns import Unit
+from cellwise.logs.files.extras import need
+from cellwise.logs.files.options import ReadOptions
+from cellwise.logs.vehicle.can_database import can_database
+from cellwise.logs.vehicle.signal_choice import Signal, choose_signals
 
 POLL_S = 0.2
 # A voltage that has not come for so long is missing: charge is counted without it.

@@ -7,8 +7,8 @@ from typing import Any
 
 from cellwise.errors import InputError
 from cellwise.live.sample import Sample, Stray
-from cellwise.logs.columns import TIDY_CHANNELS, Unit
-from cellwise.logs.options import ReadOptions
+from cellwise.logs.files.columns import TIDY_CHANNELS, Unit
+from cellwise.logs.files.options import ReadOptions
 
 FIELDS = ("time_s", "current_A", "voltage_V", "temperature_C")
 CELL_FIELDS = FIELDS[1:]

@@ -17,8 +17,8 @@ from typing import NamedTuple
 from cellwise.live.channels import CellScale
 from cellwise.live.pieces import Pieces
 from cellwise.live.sample import Sample, Stray
+from cellwise.logs.files.options import ReadOptions
 from cellwise.logs.formats.ulog import MAGIC, TOPIC, UNKNOWN
-from cellwise.logs.options import ReadOptions
 
 HEADER_BYTES = 16
 HEAD = struct.Struct("<HB")

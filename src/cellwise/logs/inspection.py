@@ -8,9 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.counter import compare_counter
-from cellwise.logs.gaps import Gap, find_gaps
-from cellwise.logs.oddities import (
+from cellwise.logs.checks.counter import compare_counter
+from cellwise.logs.checks.oddities import (
     Rest,
     Saturation,
     Stretch,
@@ -20,7 +19,8 @@ from cellwise.logs.oddities import (
     is_quiet,
     resolution,
 )
-from cellwise.logs.sign import Verdict, contradiction, verify_sign
+from cellwise.logs.checks.sign import Verdict, contradiction, verify_sign
+from cellwise.logs.gaps import Gap, find_gaps
 from cellwise.typing import FloatArray
 
 JITTER = 0.25

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from cellwise.errors import InputError
-from cellwise.logs.options import FROM_FILE, ReadOptions
-from cellwise.logs.source import RawLog
+from cellwise.logs.files.options import FROM_FILE, ReadOptions
+from cellwise.logs.files.source import RawLog
 
 
 def to_cell(raw: RawLog, options: ReadOptions, where: str) -> RawLog:

@@ -6,14 +6,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
-from cellwise.logs.assembly import Origin, assemble
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.completion import complete
-from cellwise.logs.format import tell_format
+from cellwise.logs.files.assembly import Origin, assemble
+from cellwise.logs.files.completion import complete
+from cellwise.logs.files.format import tell_format
+from cellwise.logs.files.options import ReadOptions
+from cellwise.logs.files.source import Progress, open_source
 from cellwise.logs.formats import FORMATS
-from cellwise.logs.options import ReadOptions
 from cellwise.logs.pack import to_cell
-from cellwise.logs.source import Progress, open_source
 
 _SUFFIXES = (
     *(".gz", ".csv", ".parquet", ".txt", ".bdf", ".ulg", ".bin", ".mat", ".mf4", ".mdf", ".nda"),
@@ -86,7 +86,7 @@ def read_log(
         sign=known.sign,
         current_meaning=known.current_meaning,
     )
-    return assemble(raw, origin, sign, check_sign=check_sign)
+    return assemble(CellLog, raw, origin, sign, check_sign=check_sign)
 
 
 def _plain_name(path: Path) -> str:

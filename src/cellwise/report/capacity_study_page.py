@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from cellwise.report.markup import Markup, bullets, paragraph, table
-from cellwise.report.picture import FigureFiles, Picture
-from cellwise.report.section import Section, write_page
-from cellwise.report.style import (
+from cellwise.report.page.markup import Markup, bullets, paragraph, table
+from cellwise.report.page.picture import FigureFiles, Picture
+from cellwise.report.page.section import Section, write_page
+from cellwise.report.page.style import (
     AMBER,
     BLUE,
     GREEN,
@@ -27,7 +27,7 @@ from cellwise.report.style import (
 )
 
 if TYPE_CHECKING:
-    from cellwise.report.style import Axes, Figure
+    from cellwise.report.page.style import Axes, Figure
 
 COLOURS = {"coulomb": AMBER, "ekf": BLUE, "ukf": GREEN, "adaptive": PURPLE}
 MARKERS = {"coulomb": "s", "ekf": "o", "ukf": "^", "adaptive": "D"}

@@ -11,27 +11,26 @@ from cellwise.cell.simulate import Simulation
 from cellwise.estimate.replay import Replay
 from cellwise.identify.identification import Identification
 from cellwise.logs.cell_log import CellLog
-from cellwise.report.capacity_section import capacity_content, capacity_picture
 from cellwise.report.findings import demo_finding, replay_finding, simulation_finding
 from cellwise.report.hero import hero_picture
-from cellwise.report.markup import Markup, bullets, details, paragraph, table
-from cellwise.report.numerals import counted, duration, listed, plural, significant
-from cellwise.report.ocv_section import ocv_content, ocv_evidence, ocv_picture
-from cellwise.report.pages import (
-    cell_name,
-    identify_tiles,
-    notices,
-    replay_data,
+from cellwise.report.identification.capacity_section import capacity_content, capacity_picture
+from cellwise.report.identification.ocv_section import ocv_content, ocv_evidence, ocv_picture
+from cellwise.report.identification.page import cell_name, identify_tiles, notices
+from cellwise.report.identification.parameter_section import parameter_content, parameter_picture
+from cellwise.report.identification.provenance_section import provenance_content
+from cellwise.report.identification.pulse_example import pulse_example_picture
+from cellwise.report.identification.pulse_section import pulse_content, pulse_picture, pulse_sets
+from cellwise.report.identification.simulation_section import (
+    simulation_content,
+    simulation_pictures,
 )
-from cellwise.report.parameter_section import parameter_content, parameter_picture
-from cellwise.report.picture import FigureFiles, Picture
-from cellwise.report.provenance_section import provenance_content
-from cellwise.report.pulse_example import pulse_example_picture
-from cellwise.report.pulse_section import pulse_content, pulse_picture, pulse_sets
-from cellwise.report.replay_figures import replay_content
-from cellwise.report.replay_section import comparison_pictures, replay_pictures
-from cellwise.report.section import Section, write_page
-from cellwise.report.simulation_section import simulation_content, simulation_pictures
+from cellwise.report.page.markup import Markup, bullets, details, paragraph, table
+from cellwise.report.page.numerals import counted, duration, listed, plural, significant
+from cellwise.report.page.picture import FigureFiles, Picture
+from cellwise.report.page.section import Section, write_page
+from cellwise.report.replay.page import replay_data
+from cellwise.report.replay.replay_figures import replay_content
+from cellwise.report.replay.replay_section import comparison_pictures, replay_pictures
 
 
 def demo_page(

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cellwise.report.interactive import HasPanels, trace_section
-from cellwise.report.markup import Markup, bullets, paragraph, table, tiles
-from cellwise.report.numerals import counted, listed, plural, significant
-from cellwise.report.picture import FigureFiles, Picture
-from cellwise.report.section import Section, write_page
-from cellwise.report.style import (
+from cellwise.report.page.interactive import HasPanels, trace_section
+from cellwise.report.page.markup import Markup, bullets, paragraph, table, tiles
+from cellwise.report.page.numerals import counted, listed, plural, significant
+from cellwise.report.page.picture import FigureFiles, Picture
+from cellwise.report.page.section import Section, write_page
+from cellwise.report.page.style import (
     FILTER,
     MODEL,
     MUTED,
@@ -26,7 +26,7 @@ from cellwise.report.style import (
 )
 
 if TYPE_CHECKING:
-    from cellwise.report.style import Figure
+    from cellwise.report.page.style import Figure
 
 Row = Mapping[str, Any]
 COSTS = {

@@ -9,7 +9,7 @@ import numpy as np
 from cellwise.cell.simulate import Simulation
 from cellwise.estimate.replay import CONVERGED_SOC, Replay
 from cellwise.identify.identification import Identification
-from cellwise.report.numerals import (
+from cellwise.report.page.numerals import (
     ampere_hours,
     celsius,
     duration,

@@ -18,7 +18,7 @@ from cellwise.identify.pulse_fit.pulse_parameters import (
 from cellwise.identify.pulse_fit.pulse_trend import local_trends
 from cellwise.identify.pulse_fit.segments import SegmentOptions, fit_segments
 from cellwise.identify.pulse_fit.swarm import SwarmOptions, fit_swarm
-from cellwise.identify.pulse_fit.varpro import VarproOptions, fit_varpro
+from cellwise.identify.pulse_fit.variable_projection.varpro import VarproOptions, fit_varpro
 
 Method = Literal["varpro", "segments", "pso"]
 TREND_TOLERANCE = 1e-3  # a trend too small to be felt is still the better model

@@ -30,8 +30,13 @@ from cellwise.identify.pulse_fit.pulse_problem import (
     window_tau_bounds,
 )
 from cellwise.identify.pulse_fit.swarm_kernels import swarm_costs
-from cellwise.identify.pulse_fit.varpro import describe
-from cellwise.identify.pulse_fit.varpro_kernels import COLUMNS, LINEAR, TILE, accumulate
+from cellwise.identify.pulse_fit.variable_projection.varpro import describe
+from cellwise.identify.pulse_fit.variable_projection.varpro_kernels import (
+    COLUMNS,
+    LINEAR,
+    TILE,
+    accumulate,
+)
 from cellwise.typing import FloatArray
 
 PAPER_BOUNDS = TauBounds(0.5, 15.0, 15.0, 120.0)

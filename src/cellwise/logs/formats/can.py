@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.alignment import Series, aligned
-from cellwise.logs.can_bits import physical_values
-from cellwise.logs.can_database import can_database
-from cellwise.logs.columns import OWN, Channel
-from cellwise.logs.extras import need
-from cellwise.logs.format import Format, damaged, library_at_work
-from cellwise.logs.signal_choice import Signal, choose_signals
-from cellwise.logs.source import LogSource, RawLog
+from cellwise.logs.files.columns import OWN, Channel
+from cellwise.logs.files.extras import need
+from cellwise.logs.files.format import Format, damaged, library_at_work
+from cellwise.logs.files.source import LogSource, RawLog
+from cellwise.logs.vehicle.alignment import Series, aligned
+from cellwise.logs.vehicle.can_bits import physical_values
+from cellwise.logs.vehicle.can_database import can_database
+from cellwise.logs.vehicle.signal_choice import Signal, choose_signals
 
 _BLF = b"LOGG"
 _CANDUMP = re.compile(r"\(\d+\.\d+\)\s+\S+\s+[0-9A-Fa-f]+#")

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.columns import MILLI, OWN, Channel, Unit
-from cellwise.logs.extras import need
-from cellwise.logs.format import Format, cut_off, library_at_work
-from cellwise.logs.named_arrays import channels_of
-from cellwise.logs.source import LogSource, RawLog
+from cellwise.logs.files.columns import MILLI, OWN, Channel, Unit
+from cellwise.logs.files.extras import need
+from cellwise.logs.files.format import Format, cut_off, library_at_work
+from cellwise.logs.files.named_arrays import channels_of
+from cellwise.logs.files.source import LogSource, RawLog
 from cellwise.typing import FloatArray
 
 _MAGIC = b"\xa3\x95\x80"

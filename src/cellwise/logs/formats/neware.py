@@ -10,14 +10,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from cellwise.logs.columns import CLOCK, MILLI, OWN, TURNED_MILLI, Channel
-from cellwise.logs.csv_layout import has_names
-from cellwise.logs.csv_text import read_csv
-from cellwise.logs.extras import need
-from cellwise.logs.format import Format, library_at_work
-from cellwise.logs.named_arrays import channels_of
-from cellwise.logs.source import LogSource, RawLog
-from cellwise.logs.text_cells import words
+from cellwise.logs.files.columns import CLOCK, MILLI, OWN, TURNED_MILLI, Channel
+from cellwise.logs.files.csv_layout import has_names
+from cellwise.logs.files.csv_text import read_csv
+from cellwise.logs.files.extras import need
+from cellwise.logs.files.format import Format, library_at_work
+from cellwise.logs.files.named_arrays import channels_of
+from cellwise.logs.files.source import LogSource, RawLog
+from cellwise.logs.files.text_cells import words
 
 _MAGIC = b"NEWARE"
 _ZIP = b"PK\x03\x04"

@@ -1,0 +1,280 @@
+"""The judge: which causes are accepted, in which order, and when it must leave it open."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cellwise.diagnose.causes.catalogue import Cause, kept_coordinates
+from cellwise.diagnose.decision.acceptance import (
+    LEAST_SCORE,
+    beaten_by,
+    contenders,
+    immaterial,
+    likelier_first,
+    rivals_of,
+    sure_by,
+    unphysical,
+)
+from cellwise.diagnose.decision.candidates import Candidate, clearly_ahead, held_interval_low
+from cellwise.diagnose.decision.outcome import Accepted, Judgement, Stage
+from cellwise.diagnose.decision.revision import aged, needless, refitted
+from cellwise.diagnose.fit.cause_fits import Fitter
+from cellwise.diagnose.fit.gain import Gain
+from cellwise.diagnose.fit.least_squares import Fit, Frozen, complete, freeze
+from cellwise.diagnose.fit.likelihood import Prediction
+from cellwise.diagnose.fit.noise import Noise, at_least
+from cellwise.diagnose.fit.priors import USUAL_ACTIVATION_K, freed, needs_activation, starts_to_try
+from cellwise.typing import FloatArray
+
+Progress = Callable[[float, str], None]
+
+MOST_CAUSES = 5
+FINALISTS = 5
+# The search begins with a noise that is forgiving at once and firm in the long run, so that what
+# drifts is not taken for noise before any cause was tried.
+FIRM_SLOW_V = 1e-3
+
+
+@dataclass(eq=False)
+class Judge:
+    """One diagnosis at work; :meth:`run` gives the :class:`Judgement`.
+
+    ``foreign`` says whether the logs' temperature is not the model's.
+    """
+
+    fitter: Fitter
+    foreign: bool = False
+    progress: Progress | None = None
+    workers: int = field(default_factory=lambda: os.cpu_count() or 1)
+    _said: float = field(default=0.0)
+
+    def run(self, causes: Sequence[Cause], base: Fit, noise: Noise) -> Judgement:
+        """Accept causes one by one on top of the base until nothing is left to explain."""
+        stage = Stage((), self.fitter.prior, base, noise)
+        first: tuple[Candidate, ...] = ()
+        between: tuple[Candidate, ...] = ()
+        reasons: list[str] = []
+        cleared: set[str] = set()
+        for turn in range(MOST_CAUSES):
+            left = [c for c in causes if c not in stage.causes and c.name not in cleared]
+            if not left:
+                break
+            ranked = self._contested(self._rank(left, stage, turn), stage)
+            first = first or ranked
+            ranked, gains, refused = self._material(ranked, stage)
+            if gains is None:
+                reasons += refused
+                break
+            age = aged(self.fitter, ranked, stage)
+            if age is not None:
+                cleared.add("current_gain")
+                stage = refitted(self.fitter, age.accepted, base, age.fit)
+            else:
+                chosen, between = self._chosen(ranked, stage)
+                if chosen is None:
+                    break
+                if chosen is not ranked[0]:
+                    gains = self._gains(chosen, stage)
+                others = tuple(c.name for c in ranked if c is not chosen)[:2]
+                stage = self._with(stage, chosen, gains, others)
+            while (name := needless(self.fitter, stage)) is not None:
+                cleared.add(name)
+                kept = [a for a in stage.accepted if a.cause.name != name]
+                stage = refitted(self.fitter, kept, base, stage.fit)
+        return Judgement(
+            stage.accepted,
+            stage.fit,
+            base,
+            first,
+            between,
+            stage.noise,
+            stage.prior,
+            tuple(reasons),
+        )
+
+    def _with(
+        self,
+        stage: Stage,
+        chosen: Candidate,
+        gains: tuple[Gain, Gain],
+        others: tuple[str, ...] = (),
+    ) -> Stage:
+        """The stage with one more cause."""
+        prior = freed(stage.prior, chosen.cause, chosen.fit.coordinates, self.fitter.evidence)
+        one = Accepted(chosen.cause, gains[0], chosen.score, others, sure_by(chosen, *gains))
+        return Stage((*stage.accepted, one), prior, chosen.fit, chosen.noise)
+
+    def _rank(self, causes: Sequence[Cause], stage: Stage, turn: int) -> tuple[Candidate, ...]:
+        """Every cause fitted, each under the noise that it leaves itself; the best one first."""
+        fitter, noise = self.fitter, stage.noise
+        level = noise.level._replace(slow_V=min(noise.level.slow_V, FIRM_SLOW_V))
+        firm = Noise(at_least(level, fitter.floor), noise.scale)
+        frozen = freeze(
+            fitter.objective(noise), stage.fit.coordinates, stage.prior.names, stage.fit.z
+        )
+        none = self._explained(stage)
+
+        def work(cause: Cause) -> Candidate:
+            return self._candidate(cause, stage, firm, frozen, none)
+
+        ranked: list[Candidate] = []
+        with ThreadPoolExecutor(self.workers) as threads:
+            for k, candidate in enumerate(threads.map(work, causes)):
+                ranked.append(candidate)
+                self._say(turn, (k + 1) / len(causes), candidate.name)
+            ranked.sort(key=lambda c: -c.score)
+            # Those that matter once more, under the noise that they now leave.
+            ranked[:FINALISTS] = threads.map(
+                lambda c: self._again(c, stage, frozen, none), ranked[:FINALISTS]
+            )
+        return likelier_first(sorted(ranked, key=lambda c: -c.score), self.foreign)
+
+    def _explained(self, stage: Stage) -> Prediction:
+        return self.fitter.explained(stage.fit, stage.noise, stage.prior, stage.causes)
+
+    def _again(self, c: Candidate, stage: Stage, frozen: Frozen, none: Prediction) -> Candidate:
+        fitter = self.fitter
+        wide = freed(stage.prior, c.cause, c.fit.coordinates, fitter.evidence)
+        noise = fitter.noise(c.fit, wide, stage.noise)
+        moving = [*kept_coordinates((c.cause,)), *fitter.evidence.starts()]
+        found = fitter.fit(noise, c.fit.coordinates, wide, c.fit.z, 5, frozen, moving)
+        return self._scored(c.cause, found, noise, stage, none)
+
+    def _candidate(
+        self, cause: Cause, stage: Stage, firm: Noise, frozen: Frozen, none: Prediction
+    ) -> Candidate:
+        """One cause fitted on top of the stage; from several starts where one may mislead."""
+        fitter, base = self.fitter, stage.fit
+        evidence = fitter.evidence
+        best: Fit | None = None
+        moving = [*cause.coordinates, *evidence.starts()]
+        beginnings = starts_to_try(cause, base.coordinates, evidence)
+        for shaped, beginning in beginnings:
+            wide = freed(stage.prior, cause, shaped, evidence)
+            start = {**base.z, **beginning}
+            if cause.name == "self_heating":
+                start["rth_K_per_W"] = 1.0
+                moving.append("activation_K")
+                if needs_activation(shaped):
+                    start["activation_K"] = USUAL_ACTIVATION_K
+            found = fitter.fit(
+                firm, shaped, wide, start, 3 if len(beginnings) > 1 else 5, frozen, moving
+            )
+            if best is None or found.log_evidence > best.log_evidence:
+                best = found
+        if best is None:
+            raise ValueError(f"no shape to try for {cause.name}")
+        wide = freed(stage.prior, cause, best.coordinates, evidence)
+        noise = fitter.noise(best, wide, stage.noise)
+        best = fitter.fit(noise, best.coordinates, wide, best.z, 5, frozen, moving)
+        if best.log_evidence < base.log_evidence:
+            # The firm noise led it astray: begin where the base stands.
+            again = fitter.fit(stage.noise, best.coordinates, wide, base.z, 5, frozen, moving)
+            if again.log_evidence > best.log_evidence:
+                best, noise = again, stage.noise
+        return self._scored(cause, best, noise, stage, none)
+
+    def _scored(
+        self, cause: Cause, best: Fit, noise: Noise, stage: Stage, none: Prediction
+    ) -> Candidate:
+        fitter = self.fitter
+        wide = freed(stage.prior, cause, best.coordinates, fitter.evidence)
+        best = complete(fitter.objective(noise), best, wide)
+        one = fitter.explained(best, noise, wide, (cause, *stage.causes))
+        low = held_interval_low(
+            fitter.evidence, one.terms - none.terms, np.random.default_rng(fitter.seed)
+        )
+        return Candidate(
+            cause, best, noise, one.total - none.total, one.held - none.held, one.terms, low
+        )
+
+    def _contested(self, ranked: tuple[Candidate, ...], stage: Stage) -> tuple[Candidate, ...]:
+        """The likeliest first, but after all that by itself foretells held-out rows far better.
+
+        What explains most may owe it to small changes of everything else, which a mended model
+        does not have.
+        """
+        close = contenders(ranked, self.fitter.evidence)
+        if len(close) < 2:
+            return ranked
+        alone = self._foretold(close, stage)
+        plain = self.fitter.alone(stage.fit, stage.causes).voltage_V
+        gains = [self.fitter.gain(plain, v) for v in alone]
+        lead = max(range(len(close)), key=lambda k: min(gains[k].gain, gains[k].gain_in_size))
+        over = [self.fitter.gain(v, alone[lead]) for v in alone]
+        late = [
+            c
+            for c, gain in zip(close, over, strict=True)
+            if beaten_by(c, close[lead], gain, self.foreign)
+        ]
+        return (*(c for c in ranked if c not in late), *late)
+
+    def _foretold(self, close: Sequence[Candidate], stage: Stage) -> list[FloatArray]:
+        """What each foretells by itself on top of the causes so far [V]."""
+        return [self.fitter.alone(c.fit, (*stage.causes, c.cause)).voltage_V for c in close]
+
+    def _gains(self, candidate: Candidate, stage: Stage) -> tuple[Gain, Gain]:
+        """Gain on held-out rows of the causes alone, and with what tolerances take up."""
+        one = self.fitter.alone(stage.fit, stage.causes)
+        two = self.fitter.alone(candidate.fit, (*stage.causes, candidate.cause))
+        return (
+            self.fitter.gain(one.voltage_V, two.voltage_V),
+            self.fitter.gain(stage.fit.voltage_V, candidate.fit.voltage_V),
+        )
+
+    def _chosen(
+        self, ranked: Sequence[Candidate], stage: Stage
+    ) -> tuple[Candidate | None, tuple[Candidate, ...]]:
+        """The first one, or who of its equals foretells best; none and all of them if none does."""
+        best = ranked[0]
+        rivals = rivals_of(ranked, self.fitter.evidence, self.foreign)
+        if not rivals or self._both_needed(best, rivals, stage):
+            return best, ()
+        close = (best, *rivals)
+        alone = self._foretold(close, stage)
+        ahead = clearly_ahead(self.fitter.evidence, alone, self.fitter.amplitude, self.fitter.seed)
+        return (None, close) if ahead is None else (close[ahead], ())
+
+    def _material(
+        self, ranked: tuple[Candidate, ...], stage: Stage
+    ) -> tuple[tuple[Candidate, ...], tuple[Gain, Gain] | None, list[str]]:
+        """Candidates from the first one on that gains something on held-out data, its gains."""
+        refused = []
+        evidence = self.fitter.evidence
+        claim = evidence.claim_V(self.fitter.coordinates.model, stage.fit.soc)
+        for k, candidate in enumerate(ranked):
+            if candidate.score < LEAST_SCORE:
+                refused.append(f"{candidate.name} explains no more than tolerances do")
+                break
+            alone, together = self._gains(candidate, stage)
+            wide = freed(stage.prior, candidate.cause, candidate.fit.coordinates, evidence)
+            refusal = unphysical(candidate, wide) or immaterial(candidate, alone, together, claim)
+            if not refusal:
+                return ranked[k:], (alone, together), refused
+            refused.append(refusal)
+        return ranked, None, refused
+
+    def _both_needed(self, best: Candidate, rivals: Sequence[Candidate], stage: Stage) -> bool:
+        """Whether some rival explains more on top of the best one: they are two effects."""
+        after = self._with(stage, best, self._gains(best, stage))
+        frozen = freeze(
+            self.fitter.objective(after.noise),
+            after.fit.coordinates,
+            after.prior.names,
+            after.fit.z,
+        )
+        none = self._explained(after)
+        tried = (self._candidate(r.cause, after, after.noise, frozen, none) for r in rivals[:2])
+        return any(c.score > LEAST_SCORE for c in tried)
+
+    def _say(self, turn: int, part: float, name: str) -> None:
+        if self.progress is None:
+            return
+        share = 1.0 - 0.5 ** (turn + part)
+        self._said = max(self._said, share)
+        self.progress(self._said, name.replace("_", " "))
