@@ -1,4 +1,4 @@
-"""Criticism: what a simulation gets wrong, why, and what the model gains when it is mended."""
+"""Diagnosis: where a simulation is wrong, the cause, and what an extended model gains."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Accepted causes put to work: a new model, or a mended log."""
+"""Accepted causes applied: an extended model, or a corrected log."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def split_skew(
 def extend_model(
     coordinates: Coordinates, z: Mapping[str, float], note: Mapping[str, Any]
 ) -> CellModel:
-    """The model with everything of a point that belongs to the cell, and the instrument's skew."""
+    """The model with everything of a point that belongs to the cell, and the sampling delay."""
     model = coordinates.model
     cell = {n: v for n, v in z.items() if n not in _MEASUREMENT and ":" not in n}
     inputs = coordinates.inputs({**cell, "skew_s": z.get("skew_s", 0.0)})

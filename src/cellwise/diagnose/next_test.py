@@ -1,4 +1,4 @@
-"""The shortest experiment that tells rival causes apart, from simulating all of them."""
+"""The shortest experiment that separates competing causes, from simulating all of them."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Proposal:
     hours: float
     separation_V: float
 
-    def sentence(self, rivals: Sequence[str]) -> str:
+    def text(self, rivals: Sequence[str]) -> str:
         """What to do, for people."""
         names = " and ".join(r.replace("_", " ").replace("soc", "SOC") for r in rivals[:2])
         verdict = "separates" if self.separation_V >= CLEAR_V else "barely separates"

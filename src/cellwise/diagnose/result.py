@@ -1,4 +1,4 @@
-"""What a diagnosis says: records with the keys of the command's JSON."""
+"""The result of a diagnosis: records with the keys of the command's JSON."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class FoundCause:
 
     ``parameters`` carry their unit in the name, ``ci95`` their 95 % intervals; ``gain`` is
     1 - after / before of the held-out RMSE with its interval from whole blocks of time.
-    ``kind`` says whether the log ("measurement", "start") or the model ("cell") is mended.
+    ``kind`` says whether the log ("measurement", "start") or the model ("cell") is corrected.
     """
 
     name: str
@@ -77,7 +77,7 @@ class TriedCause:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Diagnosis:
-    """What was found wrong, in order, and the model that knows it.
+    """The causes that were found, in order, and the model extended by them.
 
     ``verdict`` is the first cause, "none" or "undetermined"; ``reasons`` say why the search ended.
     """

@@ -1,4 +1,4 @@
-"""What decides between explanations: each log's own noise, and who foretells held-out rows."""
+"""What decides between explanations: each log's own noise, and who predicts held-out rows."""
 
 from __future__ import annotations
 

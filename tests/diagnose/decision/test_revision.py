@@ -15,8 +15,8 @@ from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.decision.acceptance import LEAST_SCORE, beaten_by, contenders, sure_by
 from cellwise.diagnose.decision.outcome import Accepted, Stage
-from cellwise.diagnose.decision.revision import needless, refitted
-from cellwise.diagnose.fit.cause_fits import Fitter
+from cellwise.diagnose.decision.revision import refitted, unnecessary
+from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.least_squares import complete
 from cellwise.diagnose.fit.priors import starts_to_try, tolerances
 from cellwise.diagnose.fit.rest_current import rest_reading
@@ -30,7 +30,7 @@ SOC0 = 0.9
 GAIN, CAPACITY = CAUSES["current_gain"], CAUSES["capacity"]
 
 
-def fitter_of(capacity_share: float, gain: float) -> Fitter:
+def fitter_of(capacity_share: float, gain: float) -> CauseFits:
     """Two loads to fit, one held out, of another capacity whose current is read with a gain."""
     model = curved_cell()
     cell = replace(model, capacity_Ah=capacity_share * model.capacity_Ah)
@@ -46,7 +46,7 @@ def fitter_of(capacity_share: float, gain: float) -> Fitter:
         logs.append((log, initial_soc(model, log, SOC0, 0.002)))
     evidence, coordinates = gather(model, logs[:2], logs[2:]), Coordinates(model)
     slow = float(np.mean(model.error.slow_V))
-    return Fitter(
+    return CauseFits(
         evidence,
         coordinates,
         tolerances(coordinates, evidence),
@@ -57,23 +57,23 @@ def fitter_of(capacity_share: float, gain: float) -> Fitter:
     )
 
 
-def staged(fitter: Fitter) -> tuple[Stage, object]:
+def staged(fits: CauseFits) -> tuple[Stage, object]:
     """Gain and capacity accepted in this order, whatever is true; and the fit without any."""
-    base, noise = fitter.base(fitter.prior)
+    base, noise = fits.base(fits.prior)
     entries, causes = [], (GAIN, CAPACITY)
-    prior = fitter.freed(causes, fitter.coordinates)
-    found = fitter.fit(noise, fitter.coordinates, prior, base.z, 9)
-    found = complete(fitter.objective(noise), found, prior)
-    gain = fitter.gain(base.voltage_V, found.voltage_V)
+    prior = fits.widened_for(causes, fits.coordinates)
+    found = fits.fit(noise, fits.coordinates, prior, base.z, 9)
+    found = complete(fits.objective(noise), found, prior)
+    gain = fits.gain(base.voltage_V, found.voltage_V)
     entries = [Accepted(c, gain, 100.0, ()) for c in causes]
-    return Stage(tuple(entries), prior, found, fitter.noise(found, prior)), base
+    return Stage(tuple(entries), prior, found, fits.noise(found, prior)), base
 
 
 def test_what_a_later_cause_makes_needless_is_given_up():
-    fitter = fitter_of(0.9, 1.0)
-    stage, base = staged(fitter)
-    assert needless(fitter, stage) == "current_gain"
-    left = refitted(fitter, stage.accepted[1:], base, stage.fit)
+    fits = fitter_of(0.9, 1.0)
+    stage, base = staged(fits)
+    assert unnecessary(fits, stage) == "current_gain"
+    left = refitted(fits, stage.accepted[1:], base, stage.fit)
     assert left.causes == (CAPACITY,)
     assert np.exp(left.fit.z["ln_capacity"]) == pytest.approx(0.9, abs=0.003)
     assert abs(left.fit.z["ln_gain"]) < 0.006  # back within its tolerance
@@ -81,10 +81,10 @@ def test_what_a_later_cause_makes_needless_is_given_up():
 
 
 def test_what_is_true_beside_another_stays():
-    fitter = fitter_of(1.1, 1.06)
-    stage, base = staged(fitter)
-    assert needless(fitter, stage) is None
-    both = refitted(fitter, stage.accepted, base, stage.fit)
+    fits = fitter_of(1.1, 1.06)
+    stage, base = staged(fits)
+    assert unnecessary(fits, stage) is None
+    both = refitted(fits, stage.accepted, base, stage.fit)
     assert np.exp(both.fit.z["ln_gain"]) == pytest.approx(1.06, abs=0.012)  # resistance: 1 %
     assert np.exp(both.fit.z["ln_capacity"]) == pytest.approx(1.1, abs=0.015)
     assert min(a.score for a in both.accepted) > LEAST_SCORE  # each over those before it
@@ -94,24 +94,24 @@ def test_what_is_true_beside_another_stays():
 
 
 def test_what_a_good_log_taught_stays_as_taught_where_a_gain_is_measured():
-    fitter = fitter_of(0.9, 1.0)
-    stage, _ = staged(fitter)
-    taught = {"ocv_4": 0.004, "ln_r0": 0.02}
-    cross = np.zeros((len(taught), len(taught)))
-    mean = {**fitter.prior.mean, **taught}
-    fitter.prior = replace(fitter.prior, mean=mean, linked=tuple(taught), cross=cross)
-    assert stage.fit.z["ocv_4"] != taught["ocv_4"]  # the fit has made something else of it
-    at = fitter.point(stage.fit, {"ln_capacity"})
-    assert at == {**taught, "ln_capacity": stage.fit.z["ln_capacity"]}
+    fits = fitter_of(0.9, 1.0)
+    stage, _ = staged(fits)
+    calibrated = {"ocv_4": 0.004, "ln_r0": 0.02}
+    cross = np.zeros((len(calibrated), len(calibrated)))
+    mean = {**fits.prior.mean, **calibrated}
+    fits.prior = replace(fits.prior, mean=mean, linked=tuple(calibrated), cross=cross)
+    assert stage.fit.z["ocv_4"] != calibrated["ocv_4"]  # the fit has made something else of it
+    at = fits.point(stage.fit, {"ln_capacity"})
+    assert at == {**calibrated, "ln_capacity": stage.fit.z["ln_capacity"]}
 
 
 def test_a_memory_that_the_model_has_is_tried_from_others_too():
-    fitter, slow = fitter_of(1.0, 1.0), CAUSES["slow_diffusion"]
-    plain = fitter.coordinates
-    shapes = [c.tau3_s for c, start in starts_to_try(slow, plain, fitter.evidence) if not start]
+    fits, slow = fitter_of(1.0, 1.0), CAUSES["slow_diffusion"]
+    plain = fits.coordinates
+    shapes = [c.tau3_s for c, start in starts_to_try(slow, plain, fits.evidence) if not start]
     assert len(shapes) > 1
     has = Coordinates(plain.model.with_effect(SlowDiffusion(0.01, 1000.0)))
-    begun = [start.get("ln_tau3", 0.0) for _, start in starts_to_try(slow, has, fitter.evidence)]
+    begun = [start.get("ln_tau3", 0.0) for _, start in starts_to_try(slow, has, fits.evidence)]
     assert begun[0] == 0.0
     assert min(abs(x) for x in begun[1:]) > 0.5  # none is its own once more
 
@@ -157,7 +157,7 @@ def gain(plain: float, in_size: float, low: float) -> SimpleNamespace:
 
 
 @pytest.mark.parametrize(
-    ("one", "lead", "over", "foreign", "beaten"),
+    ("one", "lead", "over", "extrapolated", "beaten"),
     [
         ("capacity", "current_offset", (0.4, 0.3, 0.1), False, True),
         ("capacity", "current_offset", (0.4, 0.3, -0.1), False, False),  # not sure
@@ -172,7 +172,7 @@ def gain(plain: float, in_size: float, low: float) -> SimpleNamespace:
         ),  # more than its constant part
     ],
 )
-def test_who_foretells_far_better_goes_first(one, lead, over, foreign, beaten):
+def test_who_predicts_far_better_goes_first(one, lead, over, extrapolated, beaten):
     flat = np.zeros(1200)
     pair = candidate(one, 100.0, flat), candidate(lead, 90.0, flat)
-    assert beaten_by(*pair, gain(*over), foreign) is beaten
+    assert beaten_by(*pair, gain(*over), extrapolated) is beaten

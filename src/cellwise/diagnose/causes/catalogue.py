@@ -16,7 +16,7 @@ class Parameter:
     """One number of a cause.
 
     ``coordinate`` is how the fit moves it (:mod:`cellwise.diagnose.causes.coordinates`),
-    ``wide`` the standard deviation that is thinkable of it in that coordinate, in units of
+    ``wide`` the prior standard deviation of a fault in that coordinate, in units of
     ``per``: 1, the capacity in Ah ("capacity"), or the interval of the log ("interval").
     """
 
@@ -33,7 +33,7 @@ class Parameter:
 class Cause:
     """A reason for a simulation to be wrong.
 
-    ``kind`` says what is mended: the log ("measurement"), where it starts ("start") or the model
+    ``kind`` says what is corrected: the log ("measurement"), where it starts ("start") or the model
     ("cell"). ``shape`` is a coordinate that means nothing while the effect is neutral, with the
     values from which the search starts; ``beginnings`` are other points to start from, where a
     fit that starts at neutral may stop half way.
@@ -51,7 +51,7 @@ class Cause:
 
     @property
     def coordinates(self) -> tuple[str, ...]:
-        """Names of the coordinates that it frees."""
+        """Names of the coordinates that are estimated for it."""
         return tuple(p.coordinate for p in self.parameters)
 
 
@@ -101,9 +101,9 @@ CAUSES: dict[str, Cause] = {
         Cause(
             "initial_soc",
             "start",
-            "The log does not start at the SOC that was said.",
+            "The log does not start at the stated SOC.",
             "soc(0) = soc0",
-            "The OCV of another SOC from the first row on, a shift that stays.",
+            "The OCV of another SOC from the first row on: a persistent shift.",
             (Parameter("soc0", "1", 0.0, (0.0, 1.0), "soc0", 0.25),),
             ("voltage_offset", "ocv_shift", "capacity"),
         ),
@@ -112,7 +112,7 @@ CAUSES: dict[str, Cause] = {
             "cell",
             "The cell holds more or less charge than the model.",
             "soc' = -I / (3600 capacity_Ah)",
-            "SOC error grows with the charge that has passed, drops stay right.",
+            "SOC error grows with the charge that has passed, ohmic drops stay right.",
             (Parameter("capacity_Ah", "Ah", 0.0, (0.0, 1e5), "ln_capacity", 0.2),),
             ("current_gain", "current_offset", "ocv_shift"),
         ),
@@ -130,7 +130,7 @@ CAUSES: dict[str, Cause] = {
             "cell",
             "The OCV curve has another shape (age, another batch).",
             "OCV(soc) -> OCV(soc) + shift(soc), linear between knots",
-            "Error that belongs to SOC and not to current or time.",
+            "Error that depends on SOC and not on current or time.",
             tuple(
                 Parameter(f"shift_{round(1000 * k / 8):04d}_V", "V", 0.0, (-0.5, 0.5), name, 0.03)
                 for k, name in enumerate(OCV_NAMES)

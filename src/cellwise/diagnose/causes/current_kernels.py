@@ -1,4 +1,4 @@
-"""The current that flowed, from what was logged: shifted in time, freed of offset and gain."""
+"""The current that flowed, from what was logged: shifted in time, without offset and gain."""
 
 from __future__ import annotations
 

@@ -11,13 +11,13 @@ from cellwise.diagnose.fit.rows import Evidence
 
 # Nats by which an explanation must be better than none.
 LEAST_SCORE = 10.0
-# A model claims to be right within an error, and a fault within that claim is nobody's business: a
+# A model claims to be right within an error, and an error within that claim needs no cause: a
 # cause must take more than the claim's square off the mean squared error. A model that proves
 # better than its claim is taken at CLAIM_FACTOR times what a cause leaves.
 CLAIM_FACTOR = 3.0
 LEAST_GAIN = 0.02
 LEAST_CHANGE_V = 2e-4
-# Rivals closer than this, or than so many standard errors, cannot be told apart.
+# Alternatives closer than this, or than so many standard errors, cannot be separated.
 CLEAR_SCORE = 1.0
 CLEAR_SIGMAS = 0.3
 # Of these the first says less and the second can do all that the first does: unless the second is
@@ -25,10 +25,10 @@ CLEAR_SIGMAS = 0.3
 SIMPLER = 10.0
 # Who is behind the likeliest by less than the scatter of the difference may still be right; who by
 # itself leaves this much less of the held-out error than another such one, is.
-CONTEST_SIGMAS = 1.0
-CONTEST_GAIN = 0.2
-FOREIGN_K = 8.0
-FOREIGN_SHARE = 0.9
+CLOSE_SIGMAS = 1.0
+CLOSE_GAIN = 0.2
+OUTSIDE_K = 8.0
+OUTSIDE_SHARE = 0.9
 # No temperature lets a cell hold so much more than the model (ln of the capacity's ratio).
 MOST_GROWTH = 0.05
 # A current read so much too low is the same as a cell that has lost as much capacity and gained as
@@ -49,8 +49,8 @@ def immaterial(candidate: Candidate, alone: Gain, together: Gain, claim_V: float
     ``alone`` is the gain of the causes by themselves, which is what an extended model brings;
     ``together`` that on top of what tolerances take up, where a small effect shows clearer. Where
     a few hours carry most of the squared error, the likelihood, which knows how wrong the model
-    may be there, tells what they do not.
-    ``claim_V`` is the error that the model owns up to.
+    may be there, shows what they do not.
+    ``claim_V`` is the error that the model states of itself.
     """
     name = candidate.name
     lows = (alone.low, alone.low_in_size, together.low, together.low_in_size, candidate.held_low)
@@ -84,19 +84,19 @@ def sure_by(candidate: Candidate, alone: Gain, together: Gain) -> str:
     return f"held-out rows are at least e^{candidate.held_low:.0f} times as likely with it"
 
 
-def likelier_first(ranked: list[Candidate], foreign: bool) -> tuple[Candidate, ...]:
+def likelier_first(ranked: list[Candidate], extrapolated: bool) -> tuple[Candidate, ...]:
     """The best first, but for what was more likely before any row was read.
 
-    A cause that another contains goes before it if it explains as much. ``foreign`` logs are of
-    temperatures that the model was not measured at: there a change of the cell that explains
-    nearly as much goes before a fault of the instrument.
+    A cause that another contains goes before it if it explains as much. ``extrapolated``: the logs
+    are of temperatures that the model was not measured at; there a change of the cell that
+    explains nearly as much goes before a fault of the instrument.
     """
     best = ranked[0]
-    if foreign and best.cause.kind == "measurement":
+    if extrapolated and best.cause.kind == "measurement":
         for k, other in enumerate(ranked[1:], 1):
             whole = PART_OF.get(best.name) == other.name
             grown = other.fit.z.get("ln_capacity", 0.0) > MOST_GROWTH
-            near = other.cause.kind == "cell" and other.score > FOREIGN_SHARE * best.score
+            near = other.cause.kind == "cell" and other.score > OUTSIDE_SHARE * best.score
             if near and not whole and not grown:
                 return (other, *ranked[:k], *ranked[k + 1 :])
     for k, other in enumerate(ranked[1:], 1):
@@ -121,19 +121,19 @@ def unphysical(candidate: Candidate, prior: Prior) -> str:
 
 
 def rivals_of(
-    ranked: Sequence[Candidate], evidence: Evidence, foreign: bool
+    ranked: Sequence[Candidate], evidence: Evidence, extrapolated: bool
 ) -> tuple[Candidate, ...]:
     """Those that explain as much as the first one.
 
-    Not what the first is a part of, nor, at ``foreign`` temperatures, a fault of the instrument
-    beside a change of the cell.
+    Not what the first is a part of; nor, where the model is ``extrapolated`` in temperature, a
+    fault of the instrument beside a change of the cell.
     """
     rivals, best = [], ranked[0].cause.kind
     for other in ranked[1:]:
         ahead, error = difference(ranked[0], other, evidence)
         if PART_OF.get(ranked[0].name) == other.name:
             continue
-        if foreign and (best, other.cause.kind) == ("cell", "measurement"):
+        if extrapolated and (best, other.cause.kind) == ("cell", "measurement"):
             continue
         if other.score >= LEAST_SCORE and ahead < max(CLEAR_SCORE, CLEAR_SIGMAS * error):
             rivals.append(other)
@@ -145,19 +145,19 @@ def contenders(ranked: Sequence[Candidate], evidence: Evidence) -> list[Candidat
     close = [ranked[0]]
     for other in ranked[1:]:
         ahead, error = difference(ranked[0], other, evidence)
-        if other.score >= LEAST_SCORE and ahead < CONTEST_SIGMAS * error:
+        if other.score >= LEAST_SCORE and ahead < CLOSE_SIGMAS * error:
             close.append(other)
     return close
 
 
-def beaten_by(one: Candidate, lead: Candidate, gain: Gain, foreign: bool) -> bool:
-    """Whether another candidate by itself foretells held-out rows so much better.
+def beaten_by(one: Candidate, lead: Candidate, gain: Gain, extrapolated: bool) -> bool:
+    """Whether another candidate by itself predicts held-out rows so much better.
 
     ``gain`` is the lead's over the one.
     """
     if one is lead:
         return False
-    if foreign and (one.cause.kind, lead.cause.kind) == ("cell", "measurement"):
+    if extrapolated and (one.cause.kind, lead.cause.kind) == ("cell", "measurement"):
         return False
     sure = max(gain.low, gain.low_in_size) > 0.0
-    return sure and min(gain.gain, gain.gain_in_size) > CONTEST_GAIN
+    return sure and min(gain.gain, gain.gain_in_size) > CLOSE_GAIN

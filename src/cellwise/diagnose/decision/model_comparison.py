@@ -1,4 +1,4 @@
-"""The judge: which causes are accepted, in which order, and when it must leave it open."""
+"""Model comparison: which causes are accepted, in which order, and when it stays undecided."""
 
 from __future__ import annotations
 
@@ -21,14 +21,19 @@ from cellwise.diagnose.decision.acceptance import (
     unphysical,
 )
 from cellwise.diagnose.decision.candidates import Candidate, clearly_ahead, held_interval_low
-from cellwise.diagnose.decision.outcome import Accepted, Judgement, Stage
-from cellwise.diagnose.decision.revision import aged, needless, refitted
-from cellwise.diagnose.fit.cause_fits import Fitter
+from cellwise.diagnose.decision.outcome import Accepted, Outcome, Stage
+from cellwise.diagnose.decision.revision import aged, refitted, unnecessary
+from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.gain import Gain
 from cellwise.diagnose.fit.least_squares import Fit, Frozen, complete, freeze
 from cellwise.diagnose.fit.likelihood import Prediction
 from cellwise.diagnose.fit.noise import Noise, at_least
-from cellwise.diagnose.fit.priors import USUAL_ACTIVATION_K, freed, needs_activation, starts_to_try
+from cellwise.diagnose.fit.priors import (
+    USUAL_ACTIVATION_K,
+    needs_activation,
+    starts_to_try,
+    widened_for,
+)
 from cellwise.typing import FloatArray
 
 Progress = Callable[[float, str], None]
@@ -41,21 +46,21 @@ FIRM_SLOW_V = 1e-3
 
 
 @dataclass(eq=False)
-class Judge:
-    """One diagnosis at work; :meth:`run` gives the :class:`Judgement`.
+class ModelComparison:
+    """One diagnosis at work; :meth:`run` gives the :class:`Outcome`.
 
-    ``foreign`` says whether the logs' temperature is not the model's.
+    ``extrapolated`` says whether the logs' temperature lies outside the model's.
     """
 
-    fitter: Fitter
-    foreign: bool = False
+    fits: CauseFits
+    extrapolated: bool = False
     progress: Progress | None = None
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)
     _said: float = field(default=0.0)
 
-    def run(self, causes: Sequence[Cause], base: Fit, noise: Noise) -> Judgement:
+    def run(self, causes: Sequence[Cause], base: Fit, noise: Noise) -> Outcome:
         """Accept causes one by one on top of the base until nothing is left to explain."""
-        stage = Stage((), self.fitter.prior, base, noise)
+        stage = Stage((), self.fits.prior, base, noise)
         first: tuple[Candidate, ...] = ()
         between: tuple[Candidate, ...] = ()
         reasons: list[str] = []
@@ -64,16 +69,16 @@ class Judge:
             left = [c for c in causes if c not in stage.causes and c.name not in cleared]
             if not left:
                 break
-            ranked = self._contested(self._rank(left, stage, turn), stage)
+            ranked = self._compared_alone(self._rank(left, stage, turn), stage)
             first = first or ranked
             ranked, gains, refused = self._material(ranked, stage)
             if gains is None:
                 reasons += refused
                 break
-            age = aged(self.fitter, ranked, stage)
+            age = aged(self.fits, ranked, stage)
             if age is not None:
                 cleared.add("current_gain")
-                stage = refitted(self.fitter, age.accepted, base, age.fit)
+                stage = refitted(self.fits, age.accepted, base, age.fit)
             else:
                 chosen, between = self._chosen(ranked, stage)
                 if chosen is None:
@@ -82,11 +87,11 @@ class Judge:
                     gains = self._gains(chosen, stage)
                 others = tuple(c.name for c in ranked if c is not chosen)[:2]
                 stage = self._with(stage, chosen, gains, others)
-            while (name := needless(self.fitter, stage)) is not None:
+            while (name := unnecessary(self.fits, stage)) is not None:
                 cleared.add(name)
                 kept = [a for a in stage.accepted if a.cause.name != name]
-                stage = refitted(self.fitter, kept, base, stage.fit)
-        return Judgement(
+                stage = refitted(self.fits, kept, base, stage.fit)
+        return Outcome(
             stage.accepted,
             stage.fit,
             base,
@@ -105,17 +110,17 @@ class Judge:
         others: tuple[str, ...] = (),
     ) -> Stage:
         """The stage with one more cause."""
-        prior = freed(stage.prior, chosen.cause, chosen.fit.coordinates, self.fitter.evidence)
+        prior = widened_for(stage.prior, chosen.cause, chosen.fit.coordinates, self.fits.evidence)
         one = Accepted(chosen.cause, gains[0], chosen.score, others, sure_by(chosen, *gains))
         return Stage((*stage.accepted, one), prior, chosen.fit, chosen.noise)
 
     def _rank(self, causes: Sequence[Cause], stage: Stage, turn: int) -> tuple[Candidate, ...]:
         """Every cause fitted, each under the noise that it leaves itself; the best one first."""
-        fitter, noise = self.fitter, stage.noise
+        fits, noise = self.fits, stage.noise
         level = noise.level._replace(slow_V=min(noise.level.slow_V, FIRM_SLOW_V))
-        firm = Noise(at_least(level, fitter.floor), noise.scale)
+        firm = Noise(at_least(level, fits.floor), noise.scale)
         frozen = freeze(
-            fitter.objective(noise), stage.fit.coordinates, stage.prior.names, stage.fit.z
+            fits.objective(noise), stage.fit.coordinates, stage.prior.names, stage.fit.z
         )
         none = self._explained(stage)
 
@@ -132,49 +137,49 @@ class Judge:
             ranked[:FINALISTS] = threads.map(
                 lambda c: self._again(c, stage, frozen, none), ranked[:FINALISTS]
             )
-        return likelier_first(sorted(ranked, key=lambda c: -c.score), self.foreign)
+        return likelier_first(sorted(ranked, key=lambda c: -c.score), self.extrapolated)
 
     def _explained(self, stage: Stage) -> Prediction:
-        return self.fitter.explained(stage.fit, stage.noise, stage.prior, stage.causes)
+        return self.fits.explained(stage.fit, stage.noise, stage.prior, stage.causes)
 
     def _again(self, c: Candidate, stage: Stage, frozen: Frozen, none: Prediction) -> Candidate:
-        fitter = self.fitter
-        wide = freed(stage.prior, c.cause, c.fit.coordinates, fitter.evidence)
-        noise = fitter.noise(c.fit, wide, stage.noise)
-        moving = [*kept_coordinates((c.cause,)), *fitter.evidence.starts()]
-        found = fitter.fit(noise, c.fit.coordinates, wide, c.fit.z, 5, frozen, moving)
+        fits = self.fits
+        wide = widened_for(stage.prior, c.cause, c.fit.coordinates, fits.evidence)
+        noise = fits.noise(c.fit, wide, stage.noise)
+        moving = [*kept_coordinates((c.cause,)), *fits.evidence.starts()]
+        found = fits.fit(noise, c.fit.coordinates, wide, c.fit.z, 5, frozen, moving)
         return self._scored(c.cause, found, noise, stage, none)
 
     def _candidate(
         self, cause: Cause, stage: Stage, firm: Noise, frozen: Frozen, none: Prediction
     ) -> Candidate:
         """One cause fitted on top of the stage; from several starts where one may mislead."""
-        fitter, base = self.fitter, stage.fit
-        evidence = fitter.evidence
+        fits, base = self.fits, stage.fit
+        evidence = fits.evidence
         best: Fit | None = None
         moving = [*cause.coordinates, *evidence.starts()]
         beginnings = starts_to_try(cause, base.coordinates, evidence)
         for shaped, beginning in beginnings:
-            wide = freed(stage.prior, cause, shaped, evidence)
+            wide = widened_for(stage.prior, cause, shaped, evidence)
             start = {**base.z, **beginning}
             if cause.name == "self_heating":
                 start["rth_K_per_W"] = 1.0
                 moving.append("activation_K")
                 if needs_activation(shaped):
                     start["activation_K"] = USUAL_ACTIVATION_K
-            found = fitter.fit(
+            found = fits.fit(
                 firm, shaped, wide, start, 3 if len(beginnings) > 1 else 5, frozen, moving
             )
             if best is None or found.log_evidence > best.log_evidence:
                 best = found
         if best is None:
             raise ValueError(f"no shape to try for {cause.name}")
-        wide = freed(stage.prior, cause, best.coordinates, evidence)
-        noise = fitter.noise(best, wide, stage.noise)
-        best = fitter.fit(noise, best.coordinates, wide, best.z, 5, frozen, moving)
+        wide = widened_for(stage.prior, cause, best.coordinates, evidence)
+        noise = fits.noise(best, wide, stage.noise)
+        best = fits.fit(noise, best.coordinates, wide, best.z, 5, frozen, moving)
         if best.log_evidence < base.log_evidence:
             # The firm noise led it astray: begin where the base stands.
-            again = fitter.fit(stage.noise, best.coordinates, wide, base.z, 5, frozen, moving)
+            again = fits.fit(stage.noise, best.coordinates, wide, base.z, 5, frozen, moving)
             if again.log_evidence > best.log_evidence:
                 best, noise = again, stage.noise
         return self._scored(cause, best, noise, stage, none)
@@ -182,62 +187,62 @@ class Judge:
     def _scored(
         self, cause: Cause, best: Fit, noise: Noise, stage: Stage, none: Prediction
     ) -> Candidate:
-        fitter = self.fitter
-        wide = freed(stage.prior, cause, best.coordinates, fitter.evidence)
-        best = complete(fitter.objective(noise), best, wide)
-        one = fitter.explained(best, noise, wide, (cause, *stage.causes))
+        fits = self.fits
+        wide = widened_for(stage.prior, cause, best.coordinates, fits.evidence)
+        best = complete(fits.objective(noise), best, wide)
+        one = fits.explained(best, noise, wide, (cause, *stage.causes))
         low = held_interval_low(
-            fitter.evidence, one.terms - none.terms, np.random.default_rng(fitter.seed)
+            fits.evidence, one.terms - none.terms, np.random.default_rng(fits.seed)
         )
         return Candidate(
             cause, best, noise, one.total - none.total, one.held - none.held, one.terms, low
         )
 
-    def _contested(self, ranked: tuple[Candidate, ...], stage: Stage) -> tuple[Candidate, ...]:
-        """The likeliest first, but after all that by itself foretells held-out rows far better.
+    def _compared_alone(self, ranked: tuple[Candidate, ...], stage: Stage) -> tuple[Candidate, ...]:
+        """The likeliest first, but after all that by themselves predict held-out rows far better.
 
-        What explains most may owe it to small changes of everything else, which a mended model
-        does not have.
+        What explains most may owe it to small changes of everything else, which an extended
+        model does not have.
         """
-        close = contenders(ranked, self.fitter.evidence)
+        close = contenders(ranked, self.fits.evidence)
         if len(close) < 2:
             return ranked
-        alone = self._foretold(close, stage)
-        plain = self.fitter.alone(stage.fit, stage.causes).voltage_V
-        gains = [self.fitter.gain(plain, v) for v in alone]
+        alone = self._predictions(close, stage)
+        plain = self.fits.alone(stage.fit, stage.causes).voltage_V
+        gains = [self.fits.gain(plain, v) for v in alone]
         lead = max(range(len(close)), key=lambda k: min(gains[k].gain, gains[k].gain_in_size))
-        over = [self.fitter.gain(v, alone[lead]) for v in alone]
+        over = [self.fits.gain(v, alone[lead]) for v in alone]
         late = [
             c
             for c, gain in zip(close, over, strict=True)
-            if beaten_by(c, close[lead], gain, self.foreign)
+            if beaten_by(c, close[lead], gain, self.extrapolated)
         ]
         return (*(c for c in ranked if c not in late), *late)
 
-    def _foretold(self, close: Sequence[Candidate], stage: Stage) -> list[FloatArray]:
-        """What each foretells by itself on top of the causes so far [V]."""
-        return [self.fitter.alone(c.fit, (*stage.causes, c.cause)).voltage_V for c in close]
+    def _predictions(self, close: Sequence[Candidate], stage: Stage) -> list[FloatArray]:
+        """What each predicts by itself on top of the causes so far [V]."""
+        return [self.fits.alone(c.fit, (*stage.causes, c.cause)).voltage_V for c in close]
 
     def _gains(self, candidate: Candidate, stage: Stage) -> tuple[Gain, Gain]:
         """Gain on held-out rows of the causes alone, and with what tolerances take up."""
-        one = self.fitter.alone(stage.fit, stage.causes)
-        two = self.fitter.alone(candidate.fit, (*stage.causes, candidate.cause))
+        one = self.fits.alone(stage.fit, stage.causes)
+        two = self.fits.alone(candidate.fit, (*stage.causes, candidate.cause))
         return (
-            self.fitter.gain(one.voltage_V, two.voltage_V),
-            self.fitter.gain(stage.fit.voltage_V, candidate.fit.voltage_V),
+            self.fits.gain(one.voltage_V, two.voltage_V),
+            self.fits.gain(stage.fit.voltage_V, candidate.fit.voltage_V),
         )
 
     def _chosen(
         self, ranked: Sequence[Candidate], stage: Stage
     ) -> tuple[Candidate | None, tuple[Candidate, ...]]:
-        """The first one, or who of its equals foretells best; none and all of them if none does."""
+        """The first one, or who of its equals predicts best; none and all of them if none does."""
         best = ranked[0]
-        rivals = rivals_of(ranked, self.fitter.evidence, self.foreign)
+        rivals = rivals_of(ranked, self.fits.evidence, self.extrapolated)
         if not rivals or self._both_needed(best, rivals, stage):
             return best, ()
         close = (best, *rivals)
-        alone = self._foretold(close, stage)
-        ahead = clearly_ahead(self.fitter.evidence, alone, self.fitter.amplitude, self.fitter.seed)
+        alone = self._predictions(close, stage)
+        ahead = clearly_ahead(self.fits.evidence, alone, self.fits.amplitude, self.fits.seed)
         return (None, close) if ahead is None else (close[ahead], ())
 
     def _material(
@@ -245,14 +250,14 @@ class Judge:
     ) -> tuple[tuple[Candidate, ...], tuple[Gain, Gain] | None, list[str]]:
         """Candidates from the first one on that gains something on held-out data, its gains."""
         refused = []
-        evidence = self.fitter.evidence
-        claim = evidence.claim_V(self.fitter.coordinates.model, stage.fit.soc)
+        evidence = self.fits.evidence
+        claim = evidence.claim_V(self.fits.coordinates.model, stage.fit.soc)
         for k, candidate in enumerate(ranked):
             if candidate.score < LEAST_SCORE:
                 refused.append(f"{candidate.name} explains no more than tolerances do")
                 break
             alone, together = self._gains(candidate, stage)
-            wide = freed(stage.prior, candidate.cause, candidate.fit.coordinates, evidence)
+            wide = widened_for(stage.prior, candidate.cause, candidate.fit.coordinates, evidence)
             refusal = unphysical(candidate, wide) or immaterial(candidate, alone, together, claim)
             if not refusal:
                 return ranked[k:], (alone, together), refused
@@ -263,7 +268,7 @@ class Judge:
         """Whether some rival explains more on top of the best one: they are two effects."""
         after = self._with(stage, best, self._gains(best, stage))
         frozen = freeze(
-            self.fitter.objective(after.noise),
+            self.fits.objective(after.noise),
             after.fit.coordinates,
             after.prior.names,
             after.fit.z,

@@ -1,4 +1,4 @@
-"""What the judge hands over: the accepted causes, the last fit, and what stayed open."""
+"""The outcome of a model comparison: accepted causes, the last fit, what stayed undecided."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Accepted:
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """How far a diagnosis has come: the causes accepted so far, free in the prior and fitted."""
+    """How far a diagnosis has come: the causes accepted so far, widened in the prior and fitted."""
 
     accepted: tuple[Accepted, ...]
     prior: Prior
@@ -38,10 +38,10 @@ class Stage:
 
 
 @dataclass(frozen=True, eq=False)
-class Judgement:
-    """What the judge found: accepted causes, the last fit, all candidates of the first round.
+class Outcome:
+    """Accepted causes, the last fit, all candidates of the first round.
 
-    ``open_between`` are the candidates that could not be told apart where the search stopped.
+    ``open_between`` are the candidates that could not be separated where the search stopped.
     """
 
     accepted: tuple[Accepted, ...]

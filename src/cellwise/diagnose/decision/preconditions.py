@@ -1,4 +1,4 @@
-"""When nothing can be told: too little data, or a log of another cell."""
+"""When no diagnosis is possible: too little data, or a log of another cell."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fits of one diagnosis: a cause set free, its noise, how likely that is, what it gains alone."""
+"""Fits of one diagnosis: a cause estimated, its noise, its likelihood, what it gains alone."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cellwise.diagnose.fit.gain import Gain, gain_of
 from cellwise.diagnose.fit.least_squares import Fit, Frozen, Objective, Prior, complete, fit
 from cellwise.diagnose.fit.likelihood import Prediction, predict
 from cellwise.diagnose.fit.noise import Noise, at_least, estimate_noise, log_scales
-from cellwise.diagnose.fit.priors import freed
+from cellwise.diagnose.fit.priors import widened_for
 from cellwise.diagnose.fit.rest_current import RestReading
 from cellwise.diagnose.fit.rows import IGNORED, Evidence
 from cellwise.diagnose.fit.whitening_kernels import NoiseLevel
@@ -26,11 +26,11 @@ THOROUGH = 7
 
 
 @dataclass(eq=False)
-class Fitter:
+class CauseFits:
     """What every fit of a diagnosis shares.
 
-    ``prior`` are the tolerances, no cause set free. ``floor`` is a noise below which nothing
-    counts; ``most_slow_V`` is the slow error that the model owns up to: what lasts and is larger
+    ``prior`` are the tolerances, no cause estimated. ``floor`` is a noise below which nothing
+    counts; ``most_slow_V`` is the slow error that the model states: persistent error beyond it
     is to be explained, or noise would explain all. ``rest`` is what the logs read at rest.
     """
 
@@ -44,7 +44,7 @@ class Fitter:
     amplitude: FloatArray = field(default_factory=lambda: np.ones(1))
 
     def base(self, prior: Prior) -> tuple[Fit, Noise]:
-        """The fit within a prior that frees no cause, and the noise that it leaves."""
+        """The fit within the tolerances, no cause estimated, and the noise that it leaves."""
         _, soc = self.evidence.simulate(self.coordinates, prior.mean)
         self.amplitude = self.evidence.amplitude(self.coordinates.model, soc)
         noise = Noise(NoiseLevel(1e-3, 1e-3, 20.0, min(1e-2, self.most_slow_V), 600.0))
@@ -68,11 +68,11 @@ class Fitter:
         objective = self.objective(noise)
         return fit(objective, coordinates, prior, start, iterations, None, frozen, moving)
 
-    def freed(self, causes: Iterable[Cause], coordinates: Coordinates) -> Prior:
-        """The tolerances with all of the causes set free."""
+    def widened_for(self, causes: Iterable[Cause], coordinates: Coordinates) -> Prior:
+        """The tolerances, widened for all of the causes."""
         prior = self.prior
         for cause in causes:
-            prior = freed(prior, cause, coordinates, self.evidence)
+            prior = widened_for(prior, cause, coordinates, self.evidence)
         return prior
 
     def noise(self, found: Fit, prior: Prior, other: Noise | None = None) -> Noise:
@@ -114,7 +114,7 @@ class Fitter:
     def explained(
         self, found: Fit, noise: Noise, prior: Prior, causes: Iterable[Cause]
     ) -> Prediction:
-        """How likely all rows are with the causes free, and what the current reads at rest."""
+        """How likely all rows are with the causes estimated, and what the current reads at rest."""
         found_so = predict(self.objective(noise), found, prior, kept_coordinates(causes))
         return found_so._replace(total=found_so.total + self.rest.ln_likelihood(found.z))
 
@@ -127,30 +127,30 @@ class Fitter:
         named = dict(zip(self.evidence.starts(), self.evidence.logs, strict=True))
         known = tuple(causes)
         moved = any(c.kind == "start" for c in known)
-        free = [n for n, g in named.items() if moved or g.start.how != "given"]
+        estimated = [n for n, g in named.items() if moved or g.start.how != "given"]
         fixed = self.point(found, kept_coordinates(known))
-        fixed |= {n: 0.0 for n in named if n not in free}
+        fixed |= {n: 0.0 for n in named if n not in estimated}
         if moved:
-            fixed |= {n: found.z[n] for n in free}
-            free = []
-        std = {n: self.prior.std[n] for n in free}
-        low = {n: self.prior.low[n] for n in free}
-        high = {n: self.prior.high[n] for n in free}
+            fixed |= {n: found.z[n] for n in estimated}
+            estimated = []
+        std = {n: self.prior.std[n] for n in estimated}
+        low = {n: self.prior.low[n] for n in estimated}
+        high = {n: self.prior.high[n] for n in estimated}
         objective = Objective(
             self.evidence, NoiseLevel(2e-3, 1e-3, 20.0, 3e-3, 600.0), self.amplitude
         )
-        start = {n: found.z[n] for n in free}
+        start = {n: found.z[n] for n in estimated}
         prior = Prior(std, {}, low, high)
         one = fit(objective, found.coordinates, prior, start, 4, fixed)
         return complete(objective, one, prior)
 
     def point(self, found: Fit, keep: set[str]) -> dict[str, float]:
-        """The causes' coordinates as found, the cell's as good logs taught them, nothing else.
+        """The causes' coordinates as found, the cell's as calibrated on a baseline, nothing else.
 
         Not what the fit made of them since: there a cause that is not named might hide.
         """
-        taught = {n: self.prior.mean[n] for n in self.prior.linked}
-        return taught | {n: v for n, v in found.z.items() if n in keep}
+        baseline = {n: self.prior.mean[n] for n in self.prior.linked}
+        return baseline | {n: v for n, v in found.z.items() if n in keep}
 
     def gain(self, before_V: FloatArray, after_V: FloatArray) -> Gain:
         """What one simulation gains over another; every call draws the same blocks."""

@@ -1,7 +1,7 @@
 """Bayesian least squares in the coordinates of :mod:`cellwise.diagnose.causes.coordinates`.
 
 Every coordinate is always in the fit, held near zero by what a good laboratory leaves uncertain
-(its *tolerance*); a cause is a coordinate that is set free. So a small error of identification
+(its *tolerance*); a cause is a coordinate with a wide prior. So a small error of identification
 does not pass for a fault, and two explanations compete by how much they explain for what they
 cost: the marginal likelihood (Laplace).
 """
@@ -31,7 +31,7 @@ class Prior:
     """Mean and standard deviation of every coordinate in a fit, with bounds.
 
     ``cross`` (m, m) are covariances between the coordinates ``linked``, zero on its diagonal: what
-    was learned together of a good log stays together.
+    was calibrated together on a baseline log stays correlated.
     """
 
     std: Mapping[str, float]
@@ -53,7 +53,7 @@ class Prior:
         low: Mapping[str, float],
         high: Mapping[str, float],
     ) -> Prior:
-        """The prior with some coordinates set free."""
+        """The prior with some coordinates widened."""
         return Prior(
             {**self.std, **std},
             {**self.mean, **mean},
@@ -162,7 +162,7 @@ def fit(
 
     Only the logs that have rows to fit are simulated; :func:`complete` adds the others. ``fixed``
     holds coordinates that are no part of the fit at given values. With ``frozen`` only the
-    derivatives by ``moving`` and by the starts are taken anew at every point.
+    derivatives by ``moving`` and by the starts are computed at every point.
     """
     held_still = dict(fixed or {})
     train = objective.fitted

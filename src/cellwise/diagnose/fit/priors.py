@@ -1,4 +1,4 @@
-"""What is uncertain of a good model and a good log, and what is thinkable of a fault."""
+"""Priors: what is uncertain of a good model and a good log, and how large a fault may be."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ TOLERANCE_ENDS = 4.0
 ANOTHER = 0.7
 SLOWER_THAN_TAU2 = 2.0
 
-# What a known-good log may teach of the cell: how far from the model it may lead. Three times as
-# far fits the good log better and foretells other measured drives worse than the model untaught.
+# How far a calibration on baseline logs may move the model. Three times as far fits the baseline
+# better and predicts other measured drives worse than the model without calibration.
 STRUCTURE = {
     **dict.fromkeys(OCV_NAMES, 0.003),
     **dict.fromkeys(R_NAMES, 0.03),
@@ -46,7 +46,7 @@ STRUCTURE = {
     "ln_charge_scale": 0.03,
     "skew_s": 0.03,
 }
-# Of what was learned, this share stays open: the next log is another day.
+# Of what was calibrated, this share stays uncertain: the next log is another day.
 STILL_OPEN = 0.3
 
 
@@ -88,14 +88,14 @@ def tolerances(coordinates: Coordinates, evidence: Evidence) -> Prior:
 
 
 def _bounded(prior: Prior, names: Iterable[str]) -> Prior:
-    """Tolerances are no hiding place: they end at TOLERANCE_ENDS standard deviations."""
+    """Tolerances are bounded: they end at TOLERANCE_ENDS standard deviations."""
     low = {n: prior.mean.get(n, 0.0) - TOLERANCE_ENDS * prior.std[n] for n in names}
     high = {n: prior.mean.get(n, 0.0) + TOLERANCE_ENDS * prior.std[n] for n in names}
     return prior.widened({}, {}, low, high)
 
 
-def freed(prior: Prior, cause: Cause, coordinates: Coordinates, evidence: Evidence) -> Prior:
-    """The prior with a cause's coordinates as wide as is thinkable."""
+def widened_for(prior: Prior, cause: Cause, coordinates: Coordinates, evidence: Evidence) -> Prior:
+    """The prior with a cause's coordinates as wide as a fault may be."""
     model = coordinates.model
     std: dict[str, float] = {}
     mean: dict[str, float] = {}
@@ -157,14 +157,14 @@ def coordinate_bounds(
 
 
 def structure_prior(prior: Prior) -> Prior:
-    """The prior under which a known-good log teaches what the cell is like."""
+    """The prior of a calibration on baseline logs."""
     std = {n: max(v, prior.std[n]) for n, v in STRUCTURE.items() if n in prior.std}
     starts = {n: v for n, v in prior.std.items() if n.startswith("soc0:")}
     return _bounded(Prior({**std, **starts}, {}, {}, {}), (*std, *starts))
 
 
-def learned(prior: Prior, found: Fit) -> Prior:
-    """Tolerances about what a known-good log has taught, with what it could not tell apart."""
+def calibrated(prior: Prior, found: Fit) -> Prior:
+    """Tolerances about what was calibrated on a baseline, with the correlations that it leaves."""
     names = [n for n in STRUCTURE if n in prior.std]
     place = [found.names.index(n) for n in names]
     covariance = found.covariance[np.ix_(place, place)].copy()

@@ -1,4 +1,4 @@
-"""What a log's current reads at rest: a sensor's offset shows there, a leak does not."""
+"""What a log's current reads at rest: a sensor's offset shows there, self-discharge does not."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from cellwise.logs.cell_log import CellLog
 REST_S = 60.0
 SMALL_C = 0.06
 QUIET_C = 0.02
-# How well a reading at rest tells the offset; a load that never switches off may look like a rest,
-# so the reading never outweighs what the voltage says beyond MOST nats.
+# How well a reading at rest determines the offset; a load that never switches off may look like a
+# rest, so the reading never outweighs the voltage by more than MOST nats.
 STD_C = 0.001
 MOST = 12.0
 

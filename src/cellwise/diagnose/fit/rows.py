@@ -23,7 +23,7 @@ from cellwise.typing import BoolArray, FloatArray, IntArray
 SCORED_ROWS = 24_000
 # Of a log without others to test on: which tenths are fitted, which are held out.
 PATTERN = "FFHFHFFHFH"
-# Of a log that is held out: this first part tells where it starts, and is not scored.
+# Of a log that is held out: this first part determines its initial SOC, and is not scored.
 START_PART = 0.15
 BLOCKS_LEAST = 12
 
@@ -56,7 +56,7 @@ class LogRows:
         return self.log.voltage_V[:: self.stride]
 
     def state(self, soc_shift: float) -> CellState:
-        """The cell at rest at the start, ``soc_shift`` away from where it was said to be."""
+        """The cell at rest at the start, ``soc_shift`` away from its stated SOC."""
         soc = self.start.soc + soc_shift
         return CellState(soc, 0.0, 0.0, 0.0, start_hysteresis(self.start.soc), 0.0)
 
@@ -165,7 +165,7 @@ class Evidence:
         return np.asarray(size / np.sqrt(np.mean(size[used] ** 2))) if used.any() else size
 
     def claim_V(self, model: CellModel, soc: FloatArray) -> float:
-        """Root mean square of the slow error that the model owns up to at the rows' SOC [V]."""
+        """Root mean square of the slow error that the model states at the rows' SOC [V]."""
         used = self.known & (self.role != IGNORED) & np.isfinite(soc)
         if not used.any():
             return float(np.mean(model.error.slow_V))
@@ -192,8 +192,8 @@ def gather(
     """Make logs ready: rows thinned evenly, fitted and held-out rows marked.
 
     Without ``holdout`` the later blocks of every log are held out; with it every row of ``logs`` is
-    fitted, and each held-out log is scored after its first part, which tells where it starts.
-    ``whole`` fits every row: nothing is to be judged.
+    fitted, and each held-out log is scored after its first part, which determines its initial SOC.
+    ``whole`` fits every row: nothing is held out.
     """
     every = [*((g, s, False) for g, s in logs), *((g, s, True) for g, s in holdout)]
     total = sum(len(g) for g, _, _ in every)

@@ -1,4 +1,4 @@
-"""Residuals freed of their memory: a scalar Kalman filter for white noise and two slow parts.
+"""Residuals whitened: a scalar Kalman filter for white noise and two slow parts.
 
 What a model gets wrong stays for a while, so a thousand rows may hold the evidence of ten. Two
 exponentially correlated parts and a white one describe it; the filter's innovations are white,
@@ -36,7 +36,7 @@ def whiten(
     """Replace every column of (rows, P) by its normalised innovations; ``ln_S`` is ln variance.
 
     ``dt_s`` is the time since the row before; a NaN in it (a new log) forgets everything. Rows
-    that are not ``known`` are left at zero and tell nothing.
+    that are not ``known`` are left at zero and carry no information.
     """
     rows, many = columns.shape
     one = np.zeros(many)
@@ -140,7 +140,7 @@ def normal_equations(
     """Add J' W J and J' W e of whitened rows [e, J]; W holds residuals beyond ``clip`` (Huber).
 
     Rows are gathered in blocks that fit the cache, one column after the other: a product that
-    needs no threads of a linear algebra library beside those of the judge.
+    needs no threads of a linear algebra library beside those of the model comparison.
     """
     rows, many = white.shape
     block = np.empty((many, BLOCK_ROWS))
