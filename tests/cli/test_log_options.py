@@ -94,7 +94,7 @@ def test_a_replay_says_what_is_left(flight, model, run_json, tmp_path):
     assert 0 <= low <= left["remaining_s"] <= high
     assert left["end_voltage_V"] >= 3.0 - 1e-9
     assert left["typical"]["load_A"] > 0
-    assert "What is left" in page.read_text(encoding="utf-8")
+    assert "Remaining time and energy" in page.read_text(encoding="utf-8")
 
 
 def test_a_cutoff_of_the_pack_is_refused(flight, model, refused):

@@ -36,7 +36,7 @@ TOO_NEAR = 0.004
 
 
 class StudyOnPage(NamedTuple):
-    """One cell's study as it is drawn and told.
+    """One cell's study as the page shows it.
 
     ``soc_rmse`` holds one RMSE per choice under every estimator, ``names`` what people call it;
     ``said`` are the titles of the two axes; ``head`` and ``rows`` the table.

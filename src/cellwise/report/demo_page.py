@@ -148,7 +148,11 @@ def _logs(identification: Identification, simulations: Sequence[Simulation]) -> 
             paragraph(
                 "Everything below is computed from these logs; positive current discharges." + more
             ),
-            table(("log", "used for", "rows", "length", "current", "voltage"), rows, words=(0, 1)),
+            table(
+                ("log", "used for", "rows", "length", "current", "voltage"),
+                rows,
+                text_columns=(0, 1),
+            ),
         ),
     )
 
@@ -209,7 +213,7 @@ def _held_out(simulations: Sequence[Simulation]) -> Section:
         return Section("held-out", "Held-out drives", ())
     return Section(
         "held-out",
-        "Does it foretell drives it has never seen?",
+        "Does it predict drives it was not fitted on?",
         (
             paragraph(simulation_finding(simulations)),
             simulation_content(simulations),

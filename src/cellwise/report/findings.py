@@ -1,4 +1,4 @@
-"""The first line of every page: what was found, in words, with the numbers of the data."""
+"""The first line of every page: what was found, with the numbers of the data."""
 
 from __future__ import annotations
 
@@ -54,16 +54,16 @@ def identify_finding(identification: Identification) -> str:
 
 
 def replay_finding(replay: Replay) -> str:
-    """What a replay found: how far off it began, how fast it came back, how well it stays."""
+    """What a replay found: its initial error, its convergence, its settled error."""
     who = ESTIMATORS.get(replay.estimator, replay.estimator)
     settled = replay.settled
     if replay.reference_soc is None or settled is None:
-        return _sentence(
+        return _capitalised(
             f"{who} ends at {percent(float(replay.trace.soc[-1]), 1)} SOC, give or take "
-            f"{percent(2.0 * float(replay.trace.soc_std[-1]), 1)}; nothing to judge it by"
+            f"{percent(2.0 * float(replay.trace.soc_std[-1]), 1)}; there is no reference"
         )
     off = abs(float(replay.start.soc - replay.reference_soc[0]))
-    begin = "From the right start" if off < 0.005 else f"From {100.0 * off:.0f} points off"
+    begin = "From the right initial SOC" if off < 0.005 else f"From {100.0 * off:.0f} points off"
     if replay.convergence_s is None:
         return (
             f"{begin} {who} never comes within {TWO} for ten minutes; over the second half it is "
@@ -78,7 +78,7 @@ def replay_finding(replay: Replay) -> str:
 
 
 def simulation_finding(simulations: Sequence[Simulation]) -> str:
-    """How well the model foretells the logs it is simulated on."""
+    """How well the model predicts the logs it is simulated on."""
     each = [s.rmse_above_10pct_V for s in simulations]
     known = [e for e in each if np.isfinite(e)]
     if not known:
@@ -98,7 +98,7 @@ def simulation_finding(simulations: Sequence[Simulation]) -> str:
 def demo_finding(
     identification: Identification, simulations: Sequence[Simulation], replays: Sequence[Replay]
 ) -> str:
-    """The whole story in one or two sentences."""
+    """The main result in one or two sentences."""
     model = identification.model
     name = model.name or "the cell"
     alone = "laboratory tests alone" if not fitted_drives(identification) else "test logs"
@@ -133,5 +133,5 @@ def _own(identification: Identification) -> str:
     return "log" if logs == 1 else plural(logs, "log")
 
 
-def _sentence(text: str) -> str:
+def _capitalised(text: str) -> str:
     return text[:1].upper() + text[1:] + "."

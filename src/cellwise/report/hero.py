@@ -1,4 +1,4 @@
-"""One picture of the whole thing: a drive nobody fitted, simulated, and its SOC found."""
+"""One picture of the main result: a held-out drive simulated, and its SOC estimated."""
 
 from __future__ import annotations
 

@@ -184,7 +184,7 @@ def test_every_part_is_there(written):
     names = {p.name for p in folder.iterdir()}
     assert {"candidates.png", "anatomy.png"} <= names
     text = " ".join(t for _, t in page.texts).replace("\N{NO-BREAK SPACE}", " ")
-    for phrase in ("98 mA", "self discharge", "rest an hour at 50 %", "the log is mended"):
+    for phrase in ("98 mA", "self discharge", "rest an hour at 50 %", "the log is corrected"):
         assert phrase in text
 
 

@@ -1,4 +1,4 @@
-"""What is left, on a page: first line, table, picture, figures for machines."""
+"""Remaining time and energy, on a page: first line, table, picture, figures for machines."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_the_picture_shows_both_with_their_bands(flight):
 def test_the_page_holds_the_figures(flight, tmp_path):
     run, left = flight
     page = replay_page([run], tmp_path / "page.html", flights=[left]).read_text(encoding="utf-8")
-    assert "What is left" in page
+    assert "Remaining time and energy" in page
     (data,) = re.findall(r"<script[^>]*application/json[^>]*>(.*?)</script>", page, flags=re.S)
     told = json.loads(data)["flights"][0]
     assert told["remaining_s"] == pytest.approx(left.last.remaining_s)

@@ -14,7 +14,7 @@ Rows = Sequence[Mapping[str, Any]]
 
 
 class Overview(NamedTuple):
-    """One estimator over runs without a fault; means, NaN where nobody can say.
+    """One estimator over runs without a fault; means, NaN where there is no reference.
 
     ``runs`` that could be judged, ``converged`` of them; ``problems`` that could not.
     """
@@ -148,7 +148,7 @@ def suite_coverage(rows: Rows) -> dict[str, float]:
 
 
 def coverage_text(rows: Rows) -> str:
-    """The same as a sentence; empty where nothing ran with a fault."""
+    """The same as text; empty where nothing ran with a fault."""
     shares = [f"{name} {percent(share, 1)}" for name, share in suite_coverage(rows).items()]
     if not shares:
         return ""

@@ -34,8 +34,8 @@ MOST_ROWS = 2000
 MEANS = (
     "Settled: after the error has stayed within two points for ten minutes, over the second half "
     "of a log where it never did. Reference: the tester's counter, never what the filter saw. "
-    "Inside 2σ: rows whose error the filter's own band holds, 95 % if it is honest. Mean NIS: "
-    "squared innovation over its variance, 1 if noise is as told."
+    "Inside 2σ: rows whose error the filter's own band holds, 95 % if it is consistent. Mean NIS: "
+    "squared innovation over its variance, 1 if noise is as modelled."
 )
 
 
@@ -166,7 +166,7 @@ def every_row(rows: Sequence[Mapping[str, Any]]) -> Markup:
         "within 2 points after", "last 10 % SOC", "inside 2σ", "NIS", "per step", "problem",
     )  # fmt: skip
     more = f", the first {MOST_ROWS} here, all in the data block" if len(rows) > MOST_ROWS else ""
-    inside = table(head, shown, words=(0, 1, 2, 3, 13))
+    inside = table(head, shown, text_columns=(0, 1, 2, 3, 13))
     return details(f"{plural(len(rows), 'run')}{more}", inside)
 
 

@@ -40,7 +40,7 @@ MOST_CURVES = 3
 LEAST_PERCENT = 0.02
 WARM_SPREAD_K = 4.0
 TWO_POINTS = 2.0
-MOST_POINTS = 12.0  # a start that lasts would press all else to zero
+MOST_POINTS = 12.0  # an initial error that persists would press all else to zero
 GOOD, FAIR, POOR = 1.0, 2.0, 5.0  # per cent of SOC
 TINTS = {GOOD: "#cde8dd", FAIR: "#e7efc9", POOR: "#fbe3c0"}
 BAD = "#f4c9b0"
@@ -127,7 +127,7 @@ def start_picture(rows: Rows, matrix: Matrix) -> Picture:
     """Time to converge and settled error, by start error."""
     caption = (
         "Left: median time until the error stays within two points for ten minutes, over the "
-        "runs that get there; a hollow mark where some never do. Right: what is left then."
+        "runs that get there; a hollow mark where some never do. Right: the settled error."
     )
     return Picture("benchmark-starts", draw_starts(rows, matrix), caption)
 
@@ -159,8 +159,8 @@ def draw_starts(rows: Rows, matrix: Matrix) -> Figure:
         axes.set_xticks(place, [start_name(e) for e in errors])
         plain_numbers(axes.yaxis)
     right.axhline(TWO_POINTS, color=MUTED, linewidth=0.8, linestyle=(0, (1, 2)))
-    finding(left, "How long a wrong start lasts", 0.42)
-    finding(right, "What is left of it", 0.42)
+    finding(left, "Time to correct a wrong initial SOC", 0.42)
+    finding(right, "The settled error", 0.42)
     labels(left, "start", "within 2 points after [min]")
     labels(right, "start", "settled SOC RMSE [%]")
     legend(right)

@@ -39,24 +39,24 @@ if TYPE_CHECKING:
 
 Group = Mapping[str, Any]
 CAPTION = (
-    "The residual of the first log before anything was mended, divided in six ways. Bars: root "
-    "mean square of the rows in a group; dots: their mean, which tells the sign (positive: the "
+    "The residual of the first log before any correction, divided in six ways. Bars: root "
+    "mean square of the rows in a group; dots: their mean, with its sign (positive: the "
     "model is too low). Numbers: the group's share of the whole squared error."
 )
 PANEL = 0.25
 
 
 def anatomy_section(anatomy: Mapping[str, Any], name: str) -> Section:
-    """Pictures and tables of where the error sits."""
+    """Pictures and tables of where the error lies."""
     return Section(
         "anatomy",
-        f"Where the error sits ({name})",
+        f"Where the error lies ({name})",
         (
-            anatomy_words(anatomy),
+            anatomy_text(anatomy),
             Picture("anatomy", draw_anatomy(anatomy), CAPTION),
             anatomy_tables(anatomy),
         ),
-        "Where it sits",
+        "Where it lies",
     )
 
 
@@ -152,8 +152,8 @@ def _title(what: str, groups: Sequence[Group], name: Callable[[Group], str], wor
     return f"{percent(top['share'], 0)} of the error: {said}{part}"
 
 
-def anatomy_words(anatomy: Mapping[str, Any]) -> Markup:
-    """Noise, memory and drift in a sentence each."""
+def anatomy_text(anatomy: Mapping[str, Any]) -> Markup:
+    """Noise, correlation and drift as text."""
     noise, white, drift = anatomy["noise"], anatomy["whiteness"], anatomy["drift"]
     said = [
         f"{counted(anatomy['rows'])} rows, {millivolt(anatomy['rmse_V'])} RMSE, mean "
@@ -161,13 +161,13 @@ def anatomy_words(anatomy: Mapping[str, Any]) -> Markup:
     ]
     if noise["floor_V"] is not None:
         said.append(
-            f"What jumps from row to row, and no model can foretell, is "
+            f"The noise from row to row, which no model can predict, is "
             f"{millivolt(noise['floor_V'])}: {percent(noise['share'], 1)} of the squared error."
         )
     if white["white"]:
-        said.append("The residual is white: no row foretells the next.")
+        said.append("The residual is white: successive rows are uncorrelated.")
     elif white["correlation_s"] is not None:
-        said.append(f"An error lasts: it is remembered for {duration(white['correlation_s'])}.")
+        said.append(f"Errors are correlated over {duration(white['correlation_s'])}.")
     sure = [
         f"{millivolt(drift[key])} per {unit}"
         for key, unit in (("V_per_h", "hour"), ("V_per_Ah", "ampere-hour"))

@@ -22,7 +22,7 @@ from cellwise.report.diagnosis.statements import (
     KINDS,
     cause_name,
     diagnosis_finding,
-    said_of,
+    statement,
     valued,
 )
 from cellwise.report.page.interactive import Traces, trace_section
@@ -64,7 +64,7 @@ def diagnose_page(
     return write_page(
         path,
         diagnosis_finding(diagnosis),
-        f"What {name} gets wrong about {_names(diagnosis)}, by cellwise",
+        f"Errors of {name} on {_names(diagnosis)}, by cellwise",
         diagnosis_sections(diagnosis, runs),
         diagnosis_data(diagnosis, runs),
         lead=Markup(diagnosis_tiles(diagnosis) + bullets(lead_said(diagnosis))),
@@ -74,21 +74,21 @@ def diagnose_page(
 
 def diagnosis_sections(diagnosis: Diagnosis, runs: Sequence[BeforeAfter]) -> tuple[Section, ...]:
     """The parts of the page."""
-    mended = bool(diagnosis.causes)
-    caption = BEFORE_AFTER_CAPTION if mended else UNCHANGED_CAPTION
+    explained = bool(diagnosis.causes)
+    caption = BEFORE_AFTER_CAPTION if explained else UNCHANGED_CAPTION
     pictures = [
         Picture(
             f"before-after-{k + 1}-{safe_key(r.log.name or 'log')}",
-            draw_before_after(r, mended),
+            draw_before_after(r, explained),
             caption,
         )
         for k, r in enumerate(runs[:MOST_PICTURES])
     ]
-    title = "Before and after" if mended else "Measured and simulated"
-    sections = [Section("before-after", title, (pictures[0], runs_table(runs, mended)))]
-    if mended:
-        told = tuple(cause_content(c, diagnosis) for c in diagnosis.causes)
-        sections.append(Section("causes", "What it is", told, "Causes"))
+    title = "Before and after" if explained else "Measured and simulated"
+    sections = [Section("before-after", title, (pictures[0], runs_table(runs, explained)))]
+    if explained:
+        contents = tuple(cause_content(c, diagnosis) for c in diagnosis.causes)
+        sections.append(Section("causes", "What it is", contents, "Causes"))
     if diagnosis.candidates:
         evidence = Picture("candidates", draw_candidates(diagnosis), CANDIDATES_CAPTION)
         shown = (evidence, bullets(diagnosis.reasons), candidates_table(diagnosis))
@@ -98,14 +98,14 @@ def diagnosis_sections(diagnosis: Diagnosis, runs: Sequence[BeforeAfter]) -> tup
     sections.append(anatomy_section(diagnosis.anatomy, diagnosis.logs[0].name or "log"))
     if pictures[1:]:
         sections.append(Section("logs", "The other logs", tuple(pictures[1:])))
-    sections.append(trace_section([(named(r), run_traces(r, mended)) for r in runs]))
+    sections.append(trace_section([(named(r), run_traces(r, explained)) for r in runs]))
     return tuple(sections)
 
 
-def run_traces(run: BeforeAfter, mended: bool) -> Traces:
+def run_traces(run: BeforeAfter, explained: bool) -> Traces:
     """Voltages, residuals and current of a log, before and after."""
     hours = run.log.time_s / 3600.0
-    drawn = drawn_runs(run, mended)
+    drawn = drawn_runs(run, explained)
     voltages = [Line("measured", hours, run.log.voltage_V)]
     voltages += [Line(name, hours, voltage) for name, voltage, _, _ in drawn]
     residuals = tuple(Line(name, hours, 1e3 * error) for name, _, error, _ in drawn)
@@ -156,7 +156,7 @@ def diagnosis_tiles(diagnosis: Diagnosis) -> Markup:
 def lead_said(diagnosis: Diagnosis) -> list[str]:
     """What follows the first line: every further cause, and what it means for the user."""
     said = [
-        f"{said_of(c, diagnosis)}: {percent(c.gain, 0)} less error on held-out data, on top of "
+        f"{statement(c, diagnosis)}: {percent(c.gain, 0)} less error on held-out data, on top of "
         f"the causes before it."
         for c in diagnosis.causes[1:]
     ]
@@ -164,11 +164,11 @@ def lead_said(diagnosis: Diagnosis) -> list[str]:
     for kind in kinds:
         names = listed([cause_name(c.name) for c in diagnosis.causes if c.kind == kind])
         prefix = f"{names[:1].upper()}{names[1:]} – " if len(kinds) > 1 else ""
-        told = KINDS[kind]
-        said.append(f"{prefix}{told[:1].lower()}{told[1:]}" if prefix else told)
+        meaning = KINDS[kind]
+        said.append(f"{prefix}{meaning[:1].lower()}{meaning[1:]}" if prefix else meaning)
     if diagnosis.causes:
         where = (
-            f"Held out: {_held(diagnosis)}; nothing of it was used in the fit but where it starts."
+            f"Held out: {_held(diagnosis)}; only its initial SOC was fitted."
             if diagnosis.holdout
             else "Held out: later blocks of the logs themselves, never used in the fit."
         )
@@ -189,8 +189,8 @@ def cause_content(cause: FoundCause, diagnosis: Diagnosis) -> Markup:
     """One cause: meaning, numbers, evidence, what it is confused with."""
     known = CAUSES[cause.name]
     name = cause_name(cause.name)
-    told = Markup(f"<h3>{escape(name[:1].upper() + name[1:])}</h3>")
-    told = Markup(told + paragraph(f"{said_of(cause, diagnosis)}. {cause.meaning}"))
+    head_line = Markup(f"<h3>{escape(name[:1].upper() + name[1:])}</h3>")
+    head_line = Markup(head_line + paragraph(f"{statement(cause, diagnosis)}. {cause.meaning}"))
     units = {p.name: p.unit for p in known.parameters}
     rows = [
         (k, valued(v, units.get(k, "1")), _between(cause.ci95.get(k), units.get(k, "1")))
@@ -215,10 +215,10 @@ def cause_content(cause: FoundCause, diagnosis: Diagnosis) -> Markup:
     ]
     if confused:
         said.append(f"Easily confused with {listed([cause_name(c) for c in confused])}.")
-    return Markup(told + bullets(said) + numbers + table(head, before_after_rows))
+    return Markup(head_line + bullets(said) + numbers + table(head, before_after_rows))
 
 
-def runs_table(runs: Sequence[BeforeAfter], mended: bool) -> Markup:
+def runs_table(runs: Sequence[BeforeAfter], explained: bool) -> Markup:
     """Every log before and after."""
     rows = [
         (
@@ -226,17 +226,17 @@ def runs_table(runs: Sequence[BeforeAfter], mended: bool) -> Markup:
             "held out" if r.held_out else "fitted",
             counted(len(r.log)),
             millivolt(r.before.metrics.rmse_V),
-            *((millivolt(r.after.metrics.rmse_V), percent(r.gain, 0)) if mended else ()),
+            *((millivolt(r.after.metrics.rmse_V), percent(r.gain, 0)) if explained else ()),
         )
         for r in runs
     ]
-    head = ("log", "used", "rows", "RMSE before" if mended else "RMSE")
-    extra = ("after", "less by") if mended else ()
+    head = ("log", "used", "rows", "RMSE before" if explained else "RMSE")
+    extra = ("after", "less by") if explained else ()
     caption = (
-        "All rows of every log; the judge leaves out the first part of a held-out log, which tells "
-        "where it starts. A start that was found, not given, is found again by each model."
+        "All rows of every log; the model comparison leaves out the first part of a held-out log, "
+        "which determines its initial SOC. One that was not given is found by each model."
     )
-    return table((*head, *extra), rows, caption=caption, words=(0, 1))
+    return table((*head, *extra), rows, caption=caption, text_columns=(0, 1))
 
 
 def candidates_table(diagnosis: Diagnosis) -> Markup:
@@ -251,7 +251,7 @@ def candidates_table(diagnosis: Diagnosis) -> Markup:
         return EMPTY
     head = ("cause", "score", "held-out RMSE", "parameters when tried alone")
     return details(
-        f"All figures of {plural(len(rows), 'candidate')}", table(head, rows, words=(0, 3))
+        f"All figures of {plural(len(rows), 'candidate')}", table(head, rows, text_columns=(0, 3))
     )
 
 

@@ -41,19 +41,19 @@ if TYPE_CHECKING:
 
 BEFORE_AFTER_CAPTION = (
     "Measured voltage (grey), the model as it was (vermillion), and with the causes known (blue). "
-    "Below, what is left between measurement and model, before and after. Right: the minutes where "
+    "Below, the residual, measured minus simulated, before and after. Right: the minutes where "
     "the model was worst, and RMSE by tenth of SOC, before and after."
 )
 UNCHANGED_CAPTION = (
-    "Measured voltage (grey) and the model's (vermillion); below, what is left between them. "
+    "Measured voltage (grey) and the model's (vermillion); below, the residual. "
     "Right: the minutes where the model is worst, and RMSE by tenth of SOC."
 )
 CANDIDATES_CAPTION = (
     "Every cause that was tried alone, the likeliest on top. Left: error on held-out data with it, "
     "the line is the error without any. Right: by how much likelier the data are with it than "
     "with none, as a natural logarithm; below zero it explains less than the usual tolerances of "
-    "a good laboratory do. A cause is judged by both: an error can be pressed down by a cause "
-    "that is not the right one."
+    "a good laboratory do. A cause is accepted by both: a wrong cause can also reduce "
+    "the error."
 )
 
 
@@ -61,7 +61,7 @@ SURE_NATS = 10.0
 
 
 @styled
-def draw_before_after(run: BeforeAfter, mended: bool) -> Figure:
+def draw_before_after(run: BeforeAfter, explained: bool) -> Figure:
     """Voltage and residual of a log before and after, the worst minutes, error by SOC."""
     figure = new_figure(6.0)
     left, right = two_columns(figure, (2.3, 0.8, 1.9), (2.3, 1.9))
@@ -71,7 +71,7 @@ def draw_before_after(run: BeforeAfter, mended: bool) -> Figure:
     length_s = close_up_s(log.time_s)
     part = worst_window(log.time_s, run.before.error_V, length_s, None, log.known_current_A())
     rows = slice(*part)
-    runs = drawn_runs(run, mended)
+    runs = drawn_runs(run, explained)
     gaps = log.gap_rows
     top, middle, bottom = left
     top.plot(*thin(t, log.voltage_V, gaps=gaps), color=MEASURED, linewidth=1.6, label="measured")
@@ -79,7 +79,7 @@ def draw_before_after(run: BeforeAfter, mended: bool) -> Figure:
         top.plot(*thin(t, voltage, gaps=gaps), color=colour, linewidth=0.8, label=name)
     before, after = run.before.metrics.rmse_V, run.after.metrics.rmse_V
     which = f"{log.name or 'log'}{' (held out)' if run.held_out else ''}"
-    said = f"error {fall(before, after)}" if mended else f"{millivolt(before)} RMSE"
+    said = f"error {fall(before, after)}" if explained else f"{millivolt(before)} RMSE"
     finding(top, f"{which}: {said}", WIDE)
     labels(top, "", "voltage [V]")
     legend(top, columns=3)
@@ -95,14 +95,19 @@ def draw_before_after(run: BeforeAfter, mended: bool) -> Figure:
         axes.set_xlim(t[0], t[-1])
         mark_window(axes, t[part[0]], t[part[1] - 1])
     _draw_worst(right[0], run, runs, rows, length_s)
-    _draw_by_soc(right[1], run, mended)
+    _draw_by_soc(right[1], run, explained)
     return figure
 
 
-def drawn_runs(run: BeforeAfter, mended: bool) -> list[tuple[str, np.ndarray, np.ndarray, str]]:
+def drawn_runs(run: BeforeAfter, explained: bool) -> list[tuple[str, np.ndarray, np.ndarray, str]]:
     """Name, voltage as the sensor would read it, residual and colour of what is drawn."""
-    before = ("before" if mended else "simulated", run.before.voltage_V, run.before.error_V, MODEL)
-    if not mended:
+    before = (
+        "before" if explained else "simulated",
+        run.before.voltage_V,
+        run.before.error_V,
+        MODEL,
+    )
+    if not explained:
         return [before]
     # What was taken off the measured voltage stands on the model's here: one measurement is drawn.
     moved = run.log.voltage_V - run.after.log.voltage_V
@@ -128,15 +133,17 @@ def _draw_worst(
     labels(axes, f"time [{unit}]", "voltage [V]")
 
 
-def _draw_by_soc(axes: Axes, run: BeforeAfter, mended: bool) -> None:
+def _draw_by_soc(axes: Axes, run: BeforeAfter, explained: bool) -> None:
     """RMSE by tenth of SOC, before and after side by side."""
     pairs = [(run.before, MODEL, -2.1, "before")]
-    pairs += [(run.after, FILTER, 2.1, "after")] if mended else []
+    pairs += [(run.after, FILTER, 2.1, "after")] if explained else []
     for simulation, colour, shift, name in pairs:
         bands = [b for b in simulation.bands if np.isfinite(b.metrics.rmse_V)]
         centre = np.array([50.0 * (b.soc_low + b.soc_high) for b in bands])
         sizes = [1e3 * b.metrics.rmse_V for b in bands]
-        axes.bar(centre + shift * mended, sizes, 4.2 if mended else 8.4, color=colour, label=name)
+        axes.bar(
+            centre + shift * explained, sizes, 4.2 if explained else 8.4, color=colour, label=name
+        )
     bands = [b for b in run.before.bands if np.isfinite(b.metrics.rmse_V)]
     if bands:
         worst = max(bands, key=lambda b: b.metrics.rmse_V)
@@ -213,7 +220,7 @@ def _evidence_title(order: list[TriedCause]) -> str:
     ahead = _number(order[0].score, 0.0) - _number(order[1].score, 0.0)
     lead, next_one = _named(order[0]), cause_name(order[1].name)
     if ahead > SURE_NATS:
-        return f"{lead} is beyond doubt likelier than {next_one}, by {ahead:.0f}"
+        return f"{lead} is certainly likelier than {next_one}, by {ahead:.0f}"
     return f"{lead} is {significant(float(np.exp(ahead)), 2)} times likelier than {next_one}"
 
 

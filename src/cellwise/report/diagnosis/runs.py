@@ -18,7 +18,7 @@ from cellwise.diagnose.extension import correct_log
 from cellwise.diagnose.result import Diagnosis
 from cellwise.logs.cell_log import CellLog
 
-# Of a held-out log this part tells where it starts, as for the judge.
+# This part of a held-out log determines its initial SOC, as in the model comparison.
 START_PART = 0.15
 REACH = 0.3
 
@@ -46,15 +46,15 @@ def before_after(diagnosis: Diagnosis) -> tuple[BeforeAfter, ...]:
     count = len(diagnosis.logs)
     result = []
     for k, log in enumerate((*diagnosis.logs, *diagnosis.holdout)):
-        told = _told(diagnosis, k, log)
-        before = simulate(diagnosis.model, log, _start(diagnosis.model, log, told, k >= count))
+        initial = _initial(diagnosis, k, log)
+        before = simulate(diagnosis.model, log, _start(diagnosis.model, log, initial, k >= count))
         if extended is None:
             after = before
         else:
-            mended = fixed[k] if k in fixed else _corrected(diagnosis, log)
-            free = any(c.name == "initial_soc" for c in diagnosis.causes)
-            told = {**told, "how": "open"} if free else told
-            after = simulate(extended, mended, _start(extended, mended, told, k >= count))
+            corrected = fixed[k] if k in fixed else _corrected(diagnosis, log)
+            estimated = any(c.name == "initial_soc" for c in diagnosis.causes)
+            initial = {**initial, "how": "open"} if estimated else initial
+            after = simulate(extended, corrected, _start(extended, corrected, initial, k >= count))
         result.append(BeforeAfter(log, k >= count, before, after))
     return tuple(sorted(result, key=lambda r: not r.held_out))
 
@@ -64,11 +64,11 @@ def with_anatomy(diagnosis: Diagnosis) -> Diagnosis:
     if diagnosis.anatomy:
         return diagnosis
     log = diagnosis.logs[0]
-    start = min(max(float(_told(diagnosis, 0, log)["value"]), 0.0), 1.0)
+    start = min(max(float(_initial(diagnosis, 0, log)["value"]), 0.0), 1.0)
     return replace(diagnosis, anatomy=anatomy(diagnosis.model, log, start))
 
 
-def _told(diagnosis: Diagnosis, k: int, log: CellLog) -> dict[str, Any]:
+def _initial(diagnosis: Diagnosis, k: int, log: CellLog) -> dict[str, Any]:
     """Where a log starts; found again where the search ended before that."""
     if k < len(diagnosis.soc0):
         return diagnosis.soc0[k]
@@ -76,7 +76,7 @@ def _told(diagnosis: Diagnosis, k: int, log: CellLog) -> dict[str, Any]:
 
 
 def _model_after(diagnosis: Diagnosis) -> CellModel | None:
-    """The extended model for corrected logs: the skew that was found is out of those already."""
+    """The extended model for corrected logs, whose sampling delay is removed already."""
     model = diagnosis.extended_model
     if model is None:
         return None
@@ -96,10 +96,10 @@ def _corrected(diagnosis: Diagnosis, log: CellLog) -> CellLog:
     return correct_log(log, Coordinates(diagnosis.model), z)
 
 
-def _start(model: CellModel, log: CellLog, told: dict[str, Any], held_out: bool) -> float:
+def _start(model: CellModel, log: CellLog, initial: dict[str, Any], held_out: bool) -> float:
     """SOC at the first row: as given, else where the log's first part fits best."""
-    value = min(max(float(told["value"]), 0.0), 1.0)
-    if told.get("how") == "given":
+    value = min(max(float(initial["value"]), 0.0), 1.0)
+    if initial.get("how") == "given":
         return value
     span = log.time_s[-1] - log.time_s[0]
     part = START_PART if held_out else 1.0

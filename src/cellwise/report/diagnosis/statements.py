@@ -1,4 +1,4 @@
-"""A diagnosis in words: what every cause means with its numbers, the first line of its page."""
+"""A diagnosis as text: what every cause means with its numbers, the first line of its page."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from cellwise.report.page.numerals import (
 )
 
 KINDS = {
-    "measurement": "A fault of the measurement: the log is mended, the model of the cell stays.",
-    "start": "The start of the log: neither the cell nor its model is to blame.",
+    "measurement": "A fault of the measurement: the log is corrected, the model of the cell is kept.",
+    "start": "The initial SOC of the log: neither the cell nor its model is wrong.",
     "cell": "A property of the cell: the model is extended.",
 }
 UNITS = {"A": 1e3, "V": 1e3}
-LEAST_SCORE = 8.0  # below it a candidate explains nothing, as for the judge
+LEAST_SCORE = 8.0  # below it a candidate explains nothing, as for the model comparison
 
 
 def cause_name(name: str) -> str:
@@ -31,32 +31,32 @@ def cause_name(name: str) -> str:
 
 
 def diagnosis_finding(diagnosis: Diagnosis) -> str:
-    """The first line: what is wrong and what knowing it gains."""
+    """The first line: what is wrong and what its correction gains."""
     if diagnosis.causes:
         first, last = diagnosis.causes[0], diagnosis.causes[-1]
-        said = said_of(first, diagnosis)
+        said = statement(first, diagnosis)
         others = [cause_name(c.name) for c in diagnosis.causes[1:]]
         more = f", with {listed(others)}" if others else ""
         before, after = first.holdout_rmse_before_V, last.holdout_rmse_after_V
         return f"{said}{more}: held-out error {fall(before, after)}."
     if diagnosis.verdict == "none":
         error = diagnosis.anatomy.get("rmse_V")
-        left = "" if error is None else f" What is left is {millivolt(error)} RMSE."
-        return f"Nothing is wrong that these data can show.{left}"
+        rest = "" if error is None else f" The residual is {millivolt(error)} RMSE."
+        return f"Nothing is wrong that these data can show.{rest}"
     alike = _alike(diagnosis)
     if len(alike) < 2:
         why = f": {diagnosis.reasons[0].rstrip('.')}" if diagnosis.reasons else ""
-        return f"These data do not tell what is wrong, if anything is{why}."
+        return f"These data do not show what is wrong, if anything is{why}."
     one, other = sorted(alike, key=lambda c: -c.score)[:2]
     return (
-        f"Something is wrong, but these data do not tell {cause_name(one.name)} from "
+        f"The model is wrong, but these data do not separate {cause_name(one.name)} from "
         f"{cause_name(other.name)}: held-out error {millivolt(one.holdout_rmse_V)} with the one, "
         f"{millivolt(other.holdout_rmse_V)} with the other."
     )
 
 
 def _alike(diagnosis: Diagnosis) -> list[TriedCause]:
-    """Candidates between which it stays open: those that a reason names, else all that explain."""
+    """Candidates that are not separated: those that a reason names, else all that explain."""
     named = {w for r in diagnosis.reasons if r.endswith("equally well") for w in r.split()}
     open_between = [c for c in diagnosis.candidates if c.name in named]
     if len(open_between) > 1:
@@ -73,8 +73,8 @@ def fall(before_V: float, after_V: float) -> str:
     return f"{verb} from {millivolt(before_V)} to {millivolt(after_V)} ({percent(change, 0)})"
 
 
-def said_of(cause: FoundCause, diagnosis: Diagnosis) -> str:
-    """One sentence without a full stop: the cause with its numbers."""
+def statement(cause: FoundCause, diagnosis: Diagnosis) -> str:
+    """The cause with its numbers, without a full stop."""
     if cause.kind == "cell":
         return _of_cell(cause, diagnosis)
     p = cause.parameters
@@ -91,8 +91,8 @@ def said_of(cause: FoundCause, diagnosis: Diagnosis) -> str:
         late = "after" if p["skew_s"] > 0 else "before"
         return f"The voltage is logged {duration(abs(p['skew_s']))} {late} the current"
     if cause.name == "initial_soc":
-        told = diagnosis.soc0[0].get("value") if diagnosis.soc0 else None
-        instead = f", not at {points(float(told))}" if told is not None else ""
+        stated = diagnosis.soc0[0].get("value") if diagnosis.soc0 else None
+        instead = f", not at {points(float(stated))}" if stated is not None else ""
         return f"The log starts at {points(p['soc0'])} SOC{instead}"
     return cause.meaning.rstrip(".")
 
@@ -113,7 +113,7 @@ def _of_cell(cause: FoundCause, diagnosis: Diagnosis) -> str:
     if name == "ocv_shift":
         knot = max(p, key=lambda k: abs(p[k]))
         soc = int(knot.split("_")[1]) / 1000.0
-        return f"The OCV curve is another one, by {millivolt(p[knot])} at {points(soc)} SOC"
+        return f"The OCV curve differs, by {millivolt(p[knot])} at {points(soc)} SOC"
     if name == "slow_diffusion":
         factor, unit = ohm_unit(abs(p["r3_ohm"]) or 1.0)
         size = f"{significant(factor * p['r3_ohm'])} {unit}"
@@ -134,7 +134,7 @@ def _of_cell(cause: FoundCause, diagnosis: Diagnosis) -> str:
         after = duration(p["thermal_s"])
         return f"The cell is warmer inside than logged, {rise} K per watt after {after}"
     if name == "self_discharge":
-        return f"The cell loses {ampere(p['leak_A'])} inside"
+        return f"The cell discharges itself by {ampere(p['leak_A'])}"
     return cause.meaning.rstrip(".")
 
 

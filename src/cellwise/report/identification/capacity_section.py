@@ -94,7 +94,7 @@ def capacity_picture(identification: Identification) -> Picture:
     """Charge per rate, and the choices."""
     caption = (
         "Left: charge that came out at each rate; a fast discharge meets the lower limit early, "
-        "and what is left comes only while the limit is held. Right: the numbers that could be "
+        "and the remainder flows only while the limit is held. Right: the numbers that could be "
         "called the capacity. SOC, OCV and every table refer to the one that is taken, so a wrong "
         "one tilts them all."
     )

@@ -118,7 +118,7 @@ def ocv_content(identification: Identification, evidence: OcvEvidence) -> Markup
     chosen = next(k for k, fit in enumerate(evidence.fits) if fit is curve.fit)
     said = (
         f"Fits to {plural(curve.points_soc.size, 'point')}; the marked one was chosen. Left-out: "
-        "every fifth point in turn foretold by the others. Rests: against the voltages at rest, "
+        "every fifth point in turn predicted from the others. Rests: against the voltages at rest, "
         "where a steep end turns errors of SOC into volts."
     )
     notes = bullets(curve.notes)

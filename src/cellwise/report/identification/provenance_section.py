@@ -42,7 +42,7 @@ def provenance_content(identification: Identification) -> Markup:
         *_error_rows(identification),
     ]
     found = table(
-        ("quantity", "value", "from", "how", "standard error (median)"), rows, words=range(5)
+        ("quantity", "value", "from", "how", "standard error (median)"), rows, text_columns=range(5)
     )
     record = json.dumps(
         finite(identification.model.provenance), indent=2, ensure_ascii=False, allow_nan=False

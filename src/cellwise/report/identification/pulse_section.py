@@ -80,7 +80,7 @@ def pulse_content(identification: Identification) -> Markup:
     reasons = table(
         ("log", "SOC", "current", "duration", "role", "verdict", "score", "why"),
         shown,
-        words=(0, 4, 5, 7),
+        text_columns=(0, 4, 5, 7),
     )
     summary = f"Why {plural(len(rows), 'pulse')} and moves were not called healthy{cut}"
     return Markup(counts + details(summary, reasons))

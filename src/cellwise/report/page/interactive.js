@@ -300,8 +300,8 @@
 
   async function all() {
     for (const root of document.querySelectorAll("div.trace")) {
-      const told = document.getElementById(root.dataset.source);
-      start(root, await decoded(JSON.parse(told.textContent)));
+      const source = document.getElementById(root.dataset.source);
+      start(root, await decoded(JSON.parse(source.textContent)));
     }
     document.documentElement.dataset.plots = "ready";
   }

@@ -24,7 +24,7 @@ MOST_SAMPLES = 3_000_000
 
 
 class Traces(NamedTuple):
-    """Panels over one time axis, as `Plottable` tells them."""
+    """Panels over one time axis, as `Plottable` gives them."""
 
     x_label: str
     shown: tuple[Panel, ...]
@@ -100,10 +100,10 @@ def _axis(x: FloatArray) -> dict[str, Any]:
 
 
 def _line(line: Line) -> dict[str, Any]:
-    told: dict[str, Any] = {"label": line.label, **_series(line.y)}
+    series: dict[str, Any] = {"label": line.label, **_series(line.y)}
     if line.band is not None:
-        told["band"] = _series(line.band)
-    return told
+        series["band"] = _series(line.band)
+    return series
 
 
 def _series(values: FloatArray) -> dict[str, Any]:

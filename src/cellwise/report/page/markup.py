@@ -49,10 +49,10 @@ def table(
     *,
     caption: str = "",
     marked: int | None = None,
-    words: Iterable[int] = (0,),
+    text_columns: Iterable[int] = (0,),
 ) -> Markup:
-    """A table; columns hold numbers but for those named in ``words``; one row may be marked."""
-    text = set(words)
+    """A table; columns hold numbers but for ``text_columns``; one row may be marked."""
+    text = set(text_columns)
 
     def cells(row: Sequence[object], tag: str) -> str:
         kinds = ("" if k in text else ' class="n"' for k in range(len(row)))

@@ -108,7 +108,7 @@ def plural(count: int, one: str, many: str = "") -> str:
 
 
 def listed(words: list[str]) -> str:
-    """Words as a sentence lists them: ``a, b and c``."""
+    """Items as text lists them: ``a, b and c``."""
     if len(words) < 2:
         return "".join(words)
     return f"{', '.join(words[:-1])} and {words[-1]}"

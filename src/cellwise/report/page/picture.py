@@ -111,11 +111,11 @@ def inline(picture: Picture) -> Markup:
     title = _main_title(picture.figure)
     with drawing(closely=True):
         _prepare(picture.figure, PAGE_POINTS)
-        with marked_axes(picture.figure) as told:
+        with marked_axes(picture.figure) as axes:
             text = _svg(picture.figure)
     svg = _for_page(rounded(marked(text)), key, title)
     return Markup(
-        f'<figure id="{key}" data-axes="{escape(axes_attribute(told))}">\n<div>{svg}'
+        f'<figure id="{key}" data-axes="{escape(axes_attribute(axes))}">\n<div>{svg}'
         f'<p class="readout"></p></div>\n'
         f"<figcaption>{escape(picture.caption)}</figcaption>\n</figure>"
     )

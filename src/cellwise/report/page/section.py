@@ -53,6 +53,6 @@ def write_page(
         scripts=scripts_for(inside for *_, inside in parts),
     )
     if figures is not None:
-        told = figures if isinstance(figures, FigureFiles) else FigureFiles(Path(figures))
-        save_figures(pictures_of(sections), *told)
+        files = figures if isinstance(figures, FigureFiles) else FigureFiles(Path(figures))
+        save_figures(pictures_of(sections), *files)
     return write_atomically(path, text)

@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 
 P = ParamSpec("P")
 
-# Okabe and Ito's colours, which people with any colour vision tell apart; the blue is lightened so
-# that it reads on a dark page too. Truth is grey, the model vermillion, the filter blue.
+# Okabe and Ito's colours, which people with any colour vision can distinguish; the blue is
+# lightened so that it reads on a dark page too. Truth is grey, the model vermillion, the filter blue.
 BLUE, SKY, GREEN = "#1f83c4", "#56b4e9", "#009e73"
 AMBER, VERMILLION, PURPLE = "#e69f00", "#d55e00", "#cc79a7"
 MEASURED, MODEL, FILTER = "#808a96", VERMILLION, BLUE
 CYCLE = (BLUE, VERMILLION, GREEN, AMBER, PURPLE, SKY, MEASURED)
 COLD_TO_WARM = (BLUE, SKY, GREEN, AMBER, VERMILLION, PURPLE)
-# Verdicts on pulses: colour and marker, so that neither alone has to tell.
+# Verdicts on pulses: colour and marker, so that neither has to be relied on alone.
 VERDICTS = {
     "healthy": (GREEN, "o"),
     "trimmed": (AMBER, "s"),
@@ -98,7 +98,7 @@ CLOSELY: Any = {"path.simplify_threshold": 0.02}
 
 @contextmanager
 def drawing(*, closely: bool = False) -> Iterator[None]:
-    """The style while a picture is made or written; nobody else's settings change.
+    """The style while a picture is made or written; other settings do not change.
 
     ``closely`` keeps what is finer than a screen shows, for pictures that zoom.
 

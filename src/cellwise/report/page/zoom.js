@@ -49,8 +49,8 @@
     };
   }
 
-  function movers(group, told, svg) {
-    const [left, top, wide, tall] = told.box, found = [];
+  function movers(group, axes, svg) {
+    const [left, top, wide, tall] = axes.box, found = [];
     const inside = (x, y) =>
       x >= left - 1 && x <= left + wide + 1 && y >= top - 1 && y <= top + tall + 1;
     for (const clipped of group.querySelectorAll("[clip-path]")) {
@@ -62,7 +62,7 @@
         else if (part.tagName === "image") found.push(imageMover(part));
       }
     }
-    told.texts.forEach((place, k) => {
+    axes.texts.forEach((place, k) => {
       const text = group.querySelector(`[data-text="${k}"]`);
       if (text) found.push(textMover(text, place, inside));
     });
@@ -97,10 +97,10 @@
     return ((axis.log ? Math.log10(v) : v) - a) / (b - a);
   };
 
-  function plotOf(svg, told, number) {
+  function plotOf(svg, axes, number) {
     const group = svg.querySelector(`[data-plot="${number}"]`);
-    const [left, top, wide, tall] = told.box;
-    const plot = { told, view: { x: WHOLE, y: WHOLE }, moving: movers(group, told, svg) };
+    const [left, top, wide, tall] = axes.box;
+    const plot = { axes, view: { x: WHOLE, y: WHOLE }, moving: movers(group, axes, svg) };
     const own = { x: made("g", group), y: made("g", group) };
     group.prepend(own.x, own.y);  // below the data
     const ticks = {};
@@ -112,7 +112,7 @@
     };
 
     function axis(side) {
-      const axis = told[side], view = plot.view[side], whole = view[0] === 0 && view[1] === 1;
+      const axis = axes[side], view = plot.view[side], whole = view[0] === 0 && view[1] === 1;
       own[side].replaceChildren();
       for (const tick of ticks[side]) {
         const use = tick.querySelector("use");
@@ -156,9 +156,9 @@
     });
     plot.reading = (at) => {
       const shares = plot.shares(at);
-      const said = [["x", shares.x], ["y", 1 - shares.y]].filter(([side]) => !told[side].words);
+      const said = [["x", shares.x], ["y", 1 - shares.y]].filter(([side]) => !axes[side].words);
       return said.map(([side, share]) => {
-        const axis = told[side], shown = axis.label.replace(/\s*\[.*\]/, "");
+        const axis = axes[side], shown = axis.label.replace(/\s*\[.*\]/, "");
         const unit = (axis.label.match(/\[(.*)\]/) || ["", ""])[1];
         return `${shown} ${+value(axis, share).toPrecision(5)} ${unit}`.trim();
       }).join(", ");
@@ -171,9 +171,9 @@
   function start(figure) {
     const svg = figure.querySelector("svg");
     const all = JSON.parse(figure.dataset.axes);
-    for (const told of all)  // of panels over one another only the lowest names x
-      told.x.label ||= (all.find((t) => t.share === told.share && t.x.label) || told).x.label;
-    const plots = all.map((told, k) => plotOf(svg, told, k));
+    for (const axes of all)  // of panels over one another only the lowest names x
+      axes.x.label ||= (all.find((t) => t.share === axes.share && t.x.label) || axes).x.label;
+    const plots = all.map((axes, k) => plotOf(svg, axes, k));
     const said = figure.querySelector(".readout");
     let grip = null, looked = plots[0], waiting = new Set();
 
@@ -183,7 +183,7 @@
       const kept = [Math.max(a, 0), Math.min(b, 1)];
       const shown = span(kept) > 0 ? kept : WHOLE;
       for (const one of plots)
-        if (one === plot || (side === "x" && one.told.share === plot.told.share)) {
+        if (one === plot || (side === "x" && one.axes.share === plot.axes.share)) {
           one.view[side] = shown;
           waiting.add(one);
         }
@@ -250,7 +250,7 @@
 
   // A drag that is nearly level is of x alone, one nearly upright of y alone.
   function drawnBox({ plot, at }, end) {
-    const [left, top, wide, tall] = plot.told.box;
+    const [left, top, wide, tall] = plot.axes.box;
     const level = Math.abs(at.y - end.y) <= CLICK, upright = Math.abs(at.x - end.x) <= CLICK;
     return [upright ? left : Math.min(at.x, end.x), level ? top : Math.min(at.y, end.y),
       upright ? wide : Math.abs(at.x - end.x), level ? tall : Math.abs(at.y - end.y)];

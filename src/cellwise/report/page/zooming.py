@@ -68,13 +68,13 @@ def marked(svg: str) -> str:
 
 
 def rounded(svg: str) -> str:
-    """Places in paths to a hundredth of a point, which nobody sees."""
+    """Places in paths to a hundredth of a point, which is not visible."""
     return DRAWN.sub(lambda d: DIGITS.sub(lambda n: f"{float(n[0]):.2f}", d[0]), svg)
 
 
-def axes_attribute(told: list[dict[str, Any]]) -> str:
+def axes_attribute(axes: list[dict[str, Any]]) -> str:
     """What `marked_axes` found, as JSON."""
-    return json.dumps(told, allow_nan=False, separators=(",", ":"))
+    return json.dumps(axes, allow_nan=False, separators=(",", ":"))
 
 
 def _place(figure: Figure, xy: Any) -> list[float]:

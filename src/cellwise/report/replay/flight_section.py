@@ -1,4 +1,4 @@
-"""What is left along a flight: time and energy with their bands, as a picture and a table."""
+"""Remaining time and energy along a flight, with their bands, as a picture and a table."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from cellwise.report.page.style import FILTER, finding, labels, legend, new_figu
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-IDLE = 4.0  # times the median; what is left above it is left out of the picture
+IDLE = 4.0  # times the median; longer times are left out of the picture
 CAPTION = (
     "At every moment: how long each cell would last, and what energy it would still give, if the "
     "mean load of the last minute went on, with the band that two standard deviations of the state "
-    "of charge leave. A load that changes moves the curves; a filter that learns narrows the band. "
+    "of charge leave. A load that changes moves the curves; a converging filter narrows the band. "
     "What is more than four times the median is cut off."
 )
 EXPLAINED = (
@@ -37,7 +37,7 @@ def flight_finding(flight: Flight) -> str:
     low, high = (duration(x) for x in left.remaining_s_band)
     return (
         f"At {duration(left.time_s)} the cells are at {percent(left.soc, 0)}: "
-        f"{duration(left.remaining_s)} left at the present load ({low} to {high})."
+        f"{duration(left.remaining_s)} remaining at the present load ({low} to {high})."
     )
 
 
@@ -47,7 +47,7 @@ def flight_section(flights: Sequence[Flight]) -> Section:
         Picture(f"flight-{k + 1}-{safe_key(f.name or 'log')}", draw_flight(f), CAPTION)
         for k, f in enumerate(flights)
     ]
-    return Section("left", "What is left", (*pictures, flight_content(flights)))
+    return Section("left", "Remaining time and energy", (*pictures, flight_content(flights)))
 
 
 def flight_content(flights: Sequence[Flight]) -> Markup:
@@ -58,8 +58,17 @@ def flight_content(flights: Sequence[Flight]) -> Markup:
         rows.append((f"{name}present load", *_figures(flight.last)))
         if flight.typical is not None:
             rows.append((f"{name}median load", *_figures(flight.typical.last)))
-    head = ("", "load", "SOC", "time left", "energy left", "end voltage", "SOC then", "ends by")
-    return Markup(paragraph(EXPLAINED, "said") + table(head, rows, words=(0, 7)))
+    head = (
+        "",
+        "load",
+        "SOC",
+        "remaining time",
+        "remaining energy",
+        "end voltage",
+        "SOC then",
+        "ends by",
+    )
+    return Markup(paragraph(EXPLAINED, "said") + table(head, rows, text_columns=(0, 7)))
 
 
 def _figures(left: Left) -> tuple[str, ...]:

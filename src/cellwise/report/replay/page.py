@@ -45,7 +45,7 @@ def replay_page(
     replays : of Replay           the first one gives the page's first line
     path : str or Path            of the HTML file; it appears whole or not at all
     simulations : of Simulation   of the same or other logs
-    flights : of Flight           what is left along them (`cellwise.forecast.remaining.forecast`)
+    flights : of Flight           forecasts along them (`cellwise.forecast.remaining.forecast`)
     figures : folder or FigureFiles   for the same pictures as PNG and SVG files
 
     Raises
@@ -61,7 +61,7 @@ def replay_page(
     first = replay_finding(replays[0])
     if (
         flights and replays[0].reference_soc is None
-    ):  # nothing to judge by: what is left comes first
+    ):  # no reference: remaining time and energy come first
         said.insert(0, first)
         first = flight_finding(flights[0])
     elif flights:
@@ -123,7 +123,7 @@ def replay_data(
 def replay_tiles(replay: Replay) -> Markup:
     """Key figures of a replay."""
     facts: list[tuple[object, object]] = [
-        ("start SOC", points(replay.start.soc)),
+        ("initial SOC", points(replay.start.soc)),
         ("final SOC", points(float(replay.trace.soc[-1]))),
     ]
     settled = replay.settled
@@ -134,7 +134,7 @@ def replay_tiles(replay: Replay) -> Markup:
             ("error inside 2σ", percent(replay.coverage_2sigma, 1)),
         ]
     facts += [
-        ("voltage foretold to", millivolt(replay.voltage_rmse_V)),
+        ("voltage prediction RMSE", millivolt(replay.voltage_rmse_V)),
         ("per step", f"{significant(replay.ns_per_step)} ns"),
     ]
     return tiles(facts)

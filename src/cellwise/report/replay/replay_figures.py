@@ -34,7 +34,9 @@ def replay_content(replays: Sequence[Replay]) -> Markup:
         body = [(name, *(column[k][1] for column in columns)) for k, name in enumerate(names)]
         return Markup(paragraph(EXPLAINED, "said") + table(head, body))
     rows = [(r.estimator, *(text for _, text in c)) for r, c in zip(replays, columns, strict=True)]
-    return Markup(paragraph(EXPLAINED, "said") + table(("estimator", *names), rows, words=(0, 1)))
+    return Markup(
+        paragraph(EXPLAINED, "said") + table(("estimator", *names), rows, text_columns=(0, 1))
+    )
 
 
 def replay_figures(replay: Replay) -> list[tuple[str, str]]:
@@ -44,7 +46,7 @@ def replay_figures(replay: Replay) -> list[tuple[str, str]]:
     return [
         ("log", replay.log.name or "log"),
         ("samples", counted(len(trace))),
-        ("start SOC (1σ)", f"{points(start.soc)} ± {points(start.std)}, {start.how}"),
+        ("initial SOC (1σ)", f"{points(start.soc)} ± {points(start.std)}, {start.how}"),
         ("final SOC (1σ)", f"{points(end[0])} ± {percent(end[1])}"),
         *_errors("", replay.errors),
         (f"within {percent(CONVERGED_SOC, 0)} after", reached(replay)),

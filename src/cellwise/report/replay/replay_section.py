@@ -48,18 +48,18 @@ MOST_DETAILED = 4
 SOC_CAPTION = (
     "Above: the filter's state of charge (blue) with the band of two of its own standard "
     "deviations, and the reference that the tester counted (grey). Below: their difference; a "
-    "filter that is honest about itself keeps it inside its band. Right: the beginning, where a "
-    "wrong start is forgotten; dotted lines mark two points of SOC."
+    "filter with consistent uncertainty keeps it inside its band. Right: the beginning, where a "
+    "wrong initial SOC is corrected; dotted lines mark two points of SOC."
 )
 VOLTAGE_CAPTION = (
-    "What the filter sees: the measured voltage (grey) and the one it foretold before it looked "
+    "What the filter sees: the measured voltage (grey) and the one it predicted before the update "
     "(vermillion). Below, the difference, called innovation, within the band of two standard "
     "deviations that the filter expects. Right: innovations as multiples of that deviation, "
     "against the normal distribution."
 )
 COMPARISON_CAPTION = (
-    "The same log through every estimator and start. Counting charge alone keeps the error it "
-    "began with; a filter that also looks at the voltage gets rid of it."
+    "The same log through every estimator and start. Counting charge alone keeps its initial "
+    "error; a filter that also uses the voltage corrects it."
 )
 
 
@@ -176,16 +176,18 @@ def draw_soc_error(
 
 @styled
 def draw_voltage(replay: Replay) -> Figure:
-    """Measured and foretold voltage, innovations with their band, their distribution."""
+    """Measured and predicted voltage, innovations with their band, their distribution."""
     figure = new_figure(4.6)
     (top, bottom), (right,) = two_columns(figure, (1.2, 1.0), (1.0,))
     log, trace = replay.log, replay.trace
     scale, unit = time_unit(log.duration_s)
     t = (log.time_s - log.time_s[0]) / scale
     top.plot(*thin(t, log.voltage_V), color=MEASURED, linewidth=1.5, label="measured")
-    top.plot(*thin(t, trace.voltage_V), color=MODEL, linewidth=0.8, label="foretold")
+    top.plot(*thin(t, trace.voltage_V), color=MODEL, linewidth=0.8, label="predicted")
     finding(
-        top, f"{replay_name(replay)}: voltage foretold to {millivolt(replay.voltage_rmse_V)}", WIDE
+        top,
+        f"{replay_name(replay)}: voltage predicted within {millivolt(replay.voltage_rmse_V)}",
+        WIDE,
     )
     labels(top, "", "voltage [V]")
     legend(top, columns=2)
@@ -196,7 +198,7 @@ def draw_voltage(replay: Replay) -> Figure:
     zero_line(bottom)
     least = 2.4 * float(np.nanmedian(std))
     symmetric_limits(bottom, trace.innovation_V, "mV", least=least, factor=1e3)
-    finding(bottom, f"Mean NIS {significant(replay.nis_mean)} (1 is just right)", WIDE)
+    finding(bottom, f"Mean NIS {significant(replay.nis_mean)} (1 is consistent)", WIDE)
     labels(bottom, f"time [{unit}]", "innovation [mV]")
     for axes in (top, bottom):
         axes.set_xlim(t[0], t[-1])
