@@ -55,7 +55,7 @@ def identify_cell(
     ----------
     tests : TestLogs          at least one HPPC or drive log
     settings : IdentifySettings or None
-    progress : callable or None       told what is being done
+    progress : callable or None       called with what is being done
 
     Returns
     -------
@@ -333,7 +333,7 @@ def _pulse_set(
 
 
 def _counts(found: Sequence[tuple[CellLog, Sequence[Pulse]]]) -> tuple[str, int]:
-    """The pulses of each log by quality, in words, and how many are healthy."""
+    """The pulses of each log by quality, as text, and how many are healthy."""
     said, healthy = [], 0
     for log, pulses in found:
         counts: dict[str, int] = {}

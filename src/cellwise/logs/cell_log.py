@@ -34,7 +34,7 @@ class CellLog(MeasuredLog, Plottable, Tabular):
     current_meaning : str       ``interval_end``: the current of row k flowed during the interval
                                 that ends at row k (what testers mean); ``interval_start``: it
                                 flows from row k on
-    format : str                what the file was told to be, empty for a log made in memory
+    format : str                the file's format as detected, empty for a log made in memory
     notices : tuple of str      what a person should know of how the log was read
 
     Raises

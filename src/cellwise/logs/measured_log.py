@@ -126,7 +126,7 @@ class MeasuredLog:
         """Current of each interval with gaps and missing values filled by a stated policy [A].
 
         Over a gap it is what the tester's counter says flowed; without a counter zero (a pause is
-        a rest until somebody says otherwise). Where samples are missing it is their last known
+        a rest until stated otherwise). Where samples are missing it is their last known
         value, and over more than a minute of missing samples what the counter says.
 
         Returns
@@ -142,8 +142,8 @@ class MeasuredLog:
             current[gaps] = 0.0
             if self.charge_Ah is not None:
                 moved = np.diff(self.charge_Ah, prepend=self.charge_Ah[0])
-                told = gaps & np.isfinite(moved)
-                current[told] = 3600.0 * moved[told] / self.interval_s[told]
+                counted = gaps & np.isfinite(moved)
+                current[counted] = 3600.0 * moved[counted] / self.interval_s[counted]
         return current
 
     def counted_charge_Ah(self) -> FloatArray:
@@ -177,7 +177,7 @@ class MeasuredLog:
             object.__setattr__(log, one.name, value)
         return log
 
-    def told(self, notices: Iterable[str]) -> Self:
+    def with_notices(self, notices: Iterable[str]) -> Self:
         """The same log with other notices; nothing is checked again, nothing copied."""
         log = object.__new__(type(self))
         log.__dict__.update(self.__dict__)
@@ -237,10 +237,10 @@ def _bridge(
     value = current[before]
     value[np.isnan(value)] = 0.0  # the log begins with missing current
     if charge_Ah is not None:
-        lasting = time_s[last] - time_s[before]
+        seconds = time_s[last] - time_s[before]
         moved = charge_Ah[last] - charge_Ah[before]
-        told = (lasting > COUNTER_BRIDGE_S) & np.isfinite(moved)
-        value[told] = 3600.0 * moved[told] / lasting[told]
+        counted = (seconds > COUNTER_BRIDGE_S) & np.isfinite(moved)
+        value[counted] = 3600.0 * moved[counted] / seconds[counted]
     current[missing] = np.repeat(value, last - first + 1)
 
 

@@ -9,7 +9,7 @@ from typing import Literal
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.files.assembly import Origin, assemble
 from cellwise.logs.files.completion import complete
-from cellwise.logs.files.format import tell_format
+from cellwise.logs.files.format import detect_format
 from cellwise.logs.files.options import ReadOptions
 from cellwise.logs.files.source import Progress, open_source
 from cellwise.logs.formats import FORMATS
@@ -35,24 +35,24 @@ def read_log(
     partial: bool = False,
     check_sign: bool = True,
 ) -> CellLog:
-    """Read a log in the tidy form or in a native format, told by its content.
+    """Read a log in the tidy form or in a native format detected from its content.
 
     The tidy form has the columns ``time_s, current_A, voltage_V[, temperature_C]
     [, ampere_hours][, step]`` in any order, as CSV (plain or gzip) or parquet, positive current =
-    discharge. Other units are converted when the name tells them (``current_mA``, ``time_h``, ...).
+    discharge. Other units are converted when the name gives them (``current_mA``, ``time_h``, ...).
     `FORMATS` holds the others; what they need beyond pyarrow is in the extra ``importers``.
 
     Parameters
     ----------
     path : str or Path
-    sign : str          ``auto`` trusts the format's sign, verifies it and tells; the other two,
+    sign : str          ``auto`` trusts the format's sign and verifies it; the other two,
                         ``charge-positive`` and ``discharge-positive``, override the format
     name : str          for people; the file's name without suffix if not given
     progress : callable     called with what is done and the total, while reading
     series : int or "auto"  cells in series, to read a pack as its mean cell; ``auto``: the number
                             that the file states
     parallel : int          cells in parallel
-    channels : mapping      which column or signal is which: a tidy name, which tells the unit, to
+    channels : mapping      which column or signal is which: a tidy name, which gives the unit, to
                             the name in the file (``{"current_mA": "I_pack"}``)
     instance : int          which battery of a file that holds several, counted from 0
     dbc : str or Path       database of the frames of a CAN log
@@ -76,7 +76,7 @@ def read_log(
         partial=partial,
     )
     source = open_source(path, progress, options)
-    known = tell_format(source, FORMATS)
+    known = detect_format(source, FORMATS)
     raw = complete(known.read(source, known), known.sign, source.where)
     raw = to_cell(raw, options, source.where)
     origin = Origin(

@@ -172,7 +172,7 @@ class PulseFit:
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """What a person should know before believing the numbers, in words."""
+        """What a person should know before using the numbers."""
         said = []
         for name, value, error, known in zip(
             self.value._fields, self.value, self.error, self.identified, strict=True

@@ -9,7 +9,7 @@ drawn to the best places of all its neighbours at once,
     \qquad \chi = 2 / (\varphi - 2 + \sqrt{\varphi^2 - 4 \varphi})
 
 with cognition phi = 4.1, 64 particles, 180 iterations and a ring lattice of order 8: neighbours are
-the four particles on either side. Kept as the paper's method and as a yardstick.
+the four particles on either side. Kept as the paper's method and as a reference.
 """
 
 from __future__ import annotations

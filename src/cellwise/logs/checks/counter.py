@@ -115,7 +115,7 @@ def joined_counter(
 
 
 def counts_throughput(drawn: FloatArray, counted: FloatArray) -> bool:
-    """The counter adds charge and discharge alike, so it tells nothing of the net charge."""
+    """The counter adds charge and discharge alike, so it does not contain the net charge."""
     summed, moved, counter = np.cumsum(drawn), np.cumsum(np.abs(drawn)), np.cumsum(counted)
     return _correlation(moved, counter) > 0.999 > 1.02 * abs(_correlation(summed, counter))
 

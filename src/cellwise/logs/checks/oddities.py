@@ -25,7 +25,7 @@ DECIMAL_PLACES = 9
 
 
 class Rest(NamedTuple):
-    """A time without current: where it starts, how long it lasts, the voltage at its end."""
+    """A time without current: where it starts, its length, the voltage at its end."""
 
     start_s: float
     duration_s: float

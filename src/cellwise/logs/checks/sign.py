@@ -1,4 +1,4 @@
-"""Does the current's sign fit the voltage? Told from the data, or not told at all."""
+"""Does the current's sign fit the voltage? Verified from the data, or left undetermined."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Contrast(NamedTuple):
     def lead(self) -> float:
         """Lead of discharge-positive over charge-positive, -1..1; 0 where noise would do as well.
 
-        Where both readings explain much the window cannot tell them apart: it has no lead either.
+        Where both readings explain much the window cannot separate them: it has no lead either.
         """
         best = max(self.discharge, self.charge)
         freedom = max(self.pairs - 1 - len(MEMORY_WINDOWS) - 1, 0)
@@ -62,8 +62,8 @@ class Contrast(NamedTuple):
         lead = self.discharge - self.charge
         return lead if abs(lead) >= LEAST_LEAD and ratio >= LEAST_VARIANCE_RATIO else 0.0
 
-    def sentence(self) -> str:
-        """The contrast in words."""
+    def text(self) -> str:
+        """The contrast as text."""
         where = (
             "voltage level against charge and current over the whole log"
             if self.window_s == 0
@@ -92,7 +92,7 @@ class SignCheck:
 
 
 def verify_sign(log: MeasuredLog) -> SignCheck:
-    """Tell from voltage and current whether positive current discharges the cell.
+    """Determine from voltage and current whether positive current discharges the cell.
 
     A cell is passive: after a step of discharge current its voltage falls, and does not come back
     while the current lasts. Every such answer is a sum, with positive weights, of running means of
@@ -112,11 +112,11 @@ def verify_sign(log: MeasuredLog) -> SignCheck:
 
     Notes
     -----
-    The tester's counter is compared with the current and told as evidence, but has no vote: a file
+    The tester's counter is compared with the current and stated as evidence, but has no vote: a file
     with the wrong sign usually has it wrong in both.
     """
     drawn = log.known_current_A() * log.interval_s
-    counter = _counter_sentence(log, drawn)
+    counter = _counter_text(log, drawn)
     time, current, voltage = log.time_s, log.current_A, log.voltage_V
     charge = np.cumsum(drawn, out=drawn)
     usable = np.isfinite(current) & np.isfinite(voltage)
@@ -140,21 +140,21 @@ def verify_sign(log: MeasuredLog) -> SignCheck:
     verdict: Verdict = "undetermined"
     if abs(score) >= DECISION:
         verdict = "verified" if score > 0 else "contradicted"
-    return SignCheck(verdict, (*(c.sentence() for c in votes), *counter), float(score))
+    return SignCheck(verdict, (*(c.text() for c in votes), *counter), float(score))
 
 
 def contradiction(way_out: str) -> str:
     """Notice of a sign that looks wrong, and with which ``--sign`` to read the log."""
     return (
-        "THE SIGN OF THE CURRENT LOOKS WRONG: the voltage rises when current is said to discharge "
-        f"the cell. Nothing was turned round; read the log with --sign {way_out}"
+        "THE SIGN OF THE CURRENT LOOKS WRONG: the voltage rises when the stated current discharges "
+        f"the cell. Nothing was inverted; read the log with --sign {way_out}"
     )
 
 
 def _row_to_row(
     time: FloatArray, current: FloatArray, voltage: FloatArray, charge: FloatArray
 ) -> Contrast:
-    """Contrast at the sampling interval, where the current moves most, at the most telling lag."""
+    """Contrast at the sampling interval, where the current moves most, at the clearest lag."""
     if time.size > BUSY_ROWS:
         starts = np.arange(0, time.size - BUSY_ROWS // 2, BUSY_ROWS)
         activity = np.add.reduceat(np.abs(np.diff(current, prepend=current[0])), starts)
@@ -172,7 +172,7 @@ def _row_to_row(
 def _all_windows(
     time: FloatArray, current: FloatArray, voltage: FloatArray, charge: FloatArray
 ) -> list[Contrast]:
-    """The levels' contrast, and one for each window at its more telling lag."""
+    """The levels' contrast, and one for each window at its clearer lag."""
     found = [_levels(time, current, voltage, charge)]
     steps = np.diff(time)
     interval = float(np.median(steps[steps > 0]))
@@ -258,7 +258,7 @@ def _share(gram: FloatArray, aim: FloatArray, total: float) -> float:
 
 
 def _nothing_to_see(current: FloatArray, voltage: FloatArray) -> str:
-    """Reason why a log cannot tell; empty where it may.
+    """Reason why a log cannot show the sign; empty where it may.
 
     A sensor's zero on a resting cell is a steady current, and the resting voltage drifts either
     way; unlike the voltage of a cell under load it soon stops drifting.
@@ -283,7 +283,7 @@ def _row_noise(x: FloatArray) -> float:
     return 1.05 * float(np.median(np.abs(np.diff(x))))  # 1.48 of a median, sqrt(2) of a difference
 
 
-def _counter_sentence(log: MeasuredLog, drawn: FloatArray) -> tuple[str, ...]:
+def _counter_text(log: MeasuredLog, drawn: FloatArray) -> tuple[str, ...]:
     """What the tester's counter says of the sign of the charge drawn in each interval."""
     if log.charge_Ah is None:
         return ()
@@ -294,8 +294,8 @@ def _counter_sentence(log: MeasuredLog, drawn: FloatArray) -> tuple[str, ...]:
     if size == 0.0:
         return ()
     agreement = float(moved[usable] @ drawn[usable]) / size
-    word = "with" if agreement > 0 else "against"
-    return (f"the tester's counter runs {word} the current (correlation {agreement:+.2f})",)
+    direction = "with" if agreement > 0 else "against"
+    return (f"the tester's counter runs {direction} the current (correlation {agreement:+.2f})",)
 
 
 def _reduced(*series: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

@@ -1,4 +1,4 @@
-"""Are the units what the column names say? Told from the data; definite mistakes are refused."""
+"""Are the units what the column names say? Checked on the data; definite mistakes are refused."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ LOWEST_KELVIN = 200.0
 POSSIBLE_C = (-100.0, 200.0)
 EDGE_OF_LARGEST = 0.05
 EPOCH_S = 1e8
-TYPICAL_OF = 4000  # values tell the unit as well as a million
+TYPICAL_OF = 4000  # values show the unit as well as a million
 FACTOR_TOLERANCE = 0.1
 LEAST_AGREEMENT = 0.95
 
 
 def check_voltage(log: MeasuredLog, where: str) -> list[str]:
-    """Refuse millivolts; tell when the voltage is that of a string.
+    """Refuse millivolts; note when the voltage is that of a string.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def check_voltage(log: MeasuredLog, where: str) -> list[str]:
 
 
 def check_current_and_time(log: MeasuredLog, where: str) -> list[str]:
-    """Refuse milliampere and milliseconds, or tell of them, from the voltage's answer alone.
+    """Refuse milliampere and milliseconds, or note them, from the voltage's answer alone.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""From channels to a `CellLog`: rows without time, units, sign, counter, and what to tell."""
+"""From channels to a `CellLog`: rows without time, units, sign, counter, and notices."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ Log = TypeVar("Log", bound=MeasuredLog)
 MOST_ROWS_WITHOUT_TIME = 0.01
 LEAST_AGREEMENT = 0.9  # below this correlation a counter may count something else
 SAME_QUANTITY = 0.5
-TELLING_MISMATCH_PERCENT = 2.0
+NOTED_MISMATCH_PERCENT = 2.0
 NO_STEP = -1
 
 
@@ -67,7 +67,7 @@ def assemble(
     kind : type           the class of the log, `CellLog`
     raw : RawLog          channels with the format's sign
     origin : Origin       where they come from
-    sign : str            ``auto`` trusts the format, verifies, and tells; the other two override it
+    sign : str            ``auto`` trusts the format, verifies, and notes; the other two override it
     check_sign : bool     verify the sign also where nothing but the data speaks against it
 
     Raises
@@ -81,15 +81,15 @@ def assemble(
     channels = dict(raw.channels)
     notices = list(raw.notices)
     notices += _drop_rows_without_time(channels, origin.where)
-    channels["time_s"], told = time_from_start(channels["time_s"])
-    notices += told
+    channels["time_s"], noted = time_from_start(channels["time_s"])
+    notices += noted
     temperature = channels.get("temperature_C")
     if temperature is not None:
-        temperature, told = plausible_temperature(temperature)
-        notices += told
+        temperature, noted = plausible_temperature(temperature)
+        notices += noted
     if (origin.sign if sign == "auto" else sign) == "charge-positive":
         channels["current_A"] = -channels["current_A"]
-        notices.append("positive current was read as charge and turned round")
+        notices.append("positive current was read as charge and inverted")
     log = kind(
         time_s=channels["time_s"],
         current_A=channels["current_A"],
@@ -103,14 +103,14 @@ def assemble(
         format=origin.format,
     )
     notices += check_voltage(log, origin.where)
-    log, counter, told = _with_checked_counter(log, origin.where)
-    notices += told
+    log, counter, noted = _with_checked_counter(log, origin.where)
+    notices += noted
     notices += check_current_and_time(log, origin.where)
     opposite = counter is not None and counter.agreement < -SAME_QUANTITY
     if not (check_sign or opposite):
-        return log.told(notices)
-    log, told = _with_checked_sign(log, sign, opposite=opposite)
-    return log.told((*notices, *told))
+        return log.with_notices(notices)
+    log, noted = _with_checked_sign(log, sign, opposite=opposite)
+    return log.with_notices((*notices, *noted))
 
 
 def log_from_table(
@@ -177,10 +177,10 @@ def _with_checked_counter(log: Log, where: str) -> tuple[Log, CounterCheck | Non
     if check is None:
         return log, None, []
     if abs(check.agreement) < LEAST_AGREEMENT and counts_throughput(drawn, counted):
-        told = "the counter ampere_hours adds up charge and discharge alike and was left out"
-        return replace(log, charge_Ah=None), None, [told]
-    factor, told_factor = counter_factor(log, check, where)
-    notices += told_factor
+        noted = "the counter ampere_hours adds up charge and discharge alike and was left out"
+        return replace(log, charge_Ah=None), None, [noted]
+    factor, more = counter_factor(log, check, where)
+    notices += more
     counter = log.charge_Ah * factor if factor != 1.0 else log.charge_Ah
     joined = None
     if np.all(np.isfinite(counter)):
@@ -191,7 +191,7 @@ def _with_checked_counter(log: Log, where: str) -> tuple[Log, CounterCheck | Non
     if counter is not log.charge_Ah:
         log = replace(log, charge_Ah=counter)
         check = compare_counter(log) or check
-    if check.mismatch_percent > TELLING_MISMATCH_PERCENT and check.agreement > 0:
+    if check.mismatch_percent > NOTED_MISMATCH_PERCENT and check.agreement > 0:
         notices.append(
             f"the counter ampere_hours differs from the summed current by "
             f"{check.mismatch_percent:.1f} % of the charge moved"
@@ -206,7 +206,7 @@ def _with_checked_sign(log: Log, sign: str, *, opposite: bool) -> tuple[Log, lis
     if opposite and log.charge_Ah is not None:
         if check.verdict == "verified" or sign != "auto":
             log = replace(log, charge_Ah=-log.charge_Ah)
-            notices.append("the counter ampere_hours runs against the current and was turned round")
+            notices.append("the counter ampere_hours runs against the current and was inverted")
         else:
             notices.append("the counter ampere_hours runs against the current")
     if check.verdict == "contradicted":

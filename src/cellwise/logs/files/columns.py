@@ -13,7 +13,7 @@ from cellwise.typing import FloatArray
 KELVIN_OFFSET = -273.15
 
 
-CellKind = Literal["number", "clock", "word"]
+CellKind = Literal["number", "clock", "label"]
 
 
 @dataclass(frozen=True)
@@ -21,13 +21,13 @@ class Unit:
     """Conversion to the channel's own unit: ``value * factor + offset``.
 
     ``kind`` says how the cells are written: as numbers, as a clock (``1d 02:03:04.5``, in seconds),
-    or as words, of which ``words`` gives the value (a word that is not among them: missing).
+    or as labels, of which ``labels`` gives the value (a label that is not among them: missing).
     """
 
     factor: float = 1.0
     offset: float = 0.0
     kind: CellKind = "number"
-    words: Mapping[str, float] = field(default_factory=dict, hash=False)
+    labels: Mapping[str, float] = field(default_factory=dict, hash=False)
 
     def convert(self, values: FloatArray) -> FloatArray:
         """Values in the channel's own unit; the same array where nothing changes."""
@@ -113,7 +113,7 @@ TIDY_CHANNELS = (
     Channel("step", {"step": OWN}),
 )
 
-# Words by which other people call the same thing, for the suggestion when a column is missing.
+# Other names of the same thing, for the suggestion when a column is missing.
 _SYNONYMS = {
     "time_s": ("time", "test_time", "testtime", "t", "timestamp", "seconds", "zeit", "elapsed"),
     "current_A": ("current", "i", "amps", "ampere", "strom", "curr", "ibat"),
@@ -137,7 +137,7 @@ def choose_columns(
     channels : sequence             what the format knows
     where : str                     the file, for messages
     known : sequence of str         names that belong to the format and are of no use here
-    chosen : mapping                what the user said: a tidy name, which tells the unit, to the
+    chosen : mapping                what the user stated: a tidy name, which gives the unit, to the
                                     name in the file
 
     Returns
@@ -150,11 +150,11 @@ def choose_columns(
     InputError                      a required column is missing, or stands there twice
     """
     keys = [folded(name) for name in header]
-    columns = [_told(tidy, name, header, keys, where) for tidy, name in (chosen or {}).items()]
-    notices = [f"column '{c.name}' was taken for {c.field}, as told" for c in columns]
-    told = {column.field for column in columns}
+    columns = [_stated(tidy, name, header, keys, where) for tidy, name in (chosen or {}).items()]
+    notices = [f"column '{c.name}' was taken for {c.field}, as stated" for c in columns]
+    stated = {column.field for column in columns}
     for channel in channels:
-        if channel.field in told:
+        if channel.field in stated:
             continue
         column = _find(channel, header, keys, where)
         if column is None:
@@ -173,7 +173,7 @@ def choose_columns(
     return columns, notices + _unused_columns(unused, channels, known)
 
 
-def _told(tidy: str, name: str, header: Sequence[str], keys: Sequence[str], where: str) -> Column:
+def _stated(tidy: str, name: str, header: Sequence[str], keys: Sequence[str], where: str) -> Column:
     """The column that the user named for a channel."""
     fields = [(c.field, u) for c in TIDY_CHANNELS for n, u in c.names.items() if n == tidy]
     if not fields:
@@ -182,7 +182,7 @@ def _told(tidy: str, name: str, header: Sequence[str], keys: Sequence[str], wher
         raise InputError(
             f"a channel '{tidy}'",
             f"one of {', '.join(known)}",
-            f"Did you mean {near[0]}?" if near else "The name tells the unit.",
+            f"Did you mean {near[0]}?" if near else "The name gives the unit.",
         )
     places = [k for k, text in enumerate(header) if text.strip() == name.strip()]
     places = places or [k for k, text in enumerate(keys) if text == folded(name)]
@@ -204,18 +204,18 @@ def no_such_name(name: str, names: Sequence[str], where: str, what: str = "colum
 def _unused_columns(
     unused: Sequence[str], channels: Sequence[Channel], known: Sequence[str] | None
 ) -> list[str]:
-    """What is told of columns that are not used."""
+    """Notices of columns that are not used."""
     if not unused:
         return []
     if known is None:
         return [f"column(s) not used: {listed(unused)}"]
     expected = {folded(n): n for n in (*(n for c in channels for n in c.names), *known)}
-    told = []
+    unused = []
     for name in unused:
         if folded(name) not in expected:
             near = get_close_matches(folded(name), expected, n=1)
-            told.append(f"'{name}'" + (f" (nearest: '{expected[near[0]]}')" if near else ""))
-    return [f"column(s) that this format does not know: {', '.join(told)}"] if told else []
+            unused.append(f"'{name}'" + (f" (nearest: '{expected[near[0]]}')" if near else ""))
+    return [f"column(s) that this format does not know: {', '.join(unused)}"] if unused else []
 
 
 def _find(
@@ -259,7 +259,7 @@ def _missing_columns(
     optional = ", ".join(c.usual_name for c in channels if not c.required)
     required = ", ".join(c.usual_name for c in channels if c.required)
     action = (
-        "Give the file these column names, or a unit the name tells (current_mA, voltage_mV, "
+        "Give the file these column names, or a unit that the name gives (current_mA, voltage_mV, "
         "time_ms, time_min, time_h)"
     )
     return InputError(

@@ -1,10 +1,10 @@
 """What testers write in pieces: unsigned currents with a state, counters in two halves, step times.
 
-A reader may hand over, beside the fields of `CellLog`:
+A reader may give, beside the fields of `CellLog`:
 
 ``direction``      +1 discharge, -1 charge, 0 rest, NaN unknown; signs a current without sign
-``moved_Ah``       a counter without sign that starts anew with every step; needs ``direction``
-``charged_Ah``, ``discharged_Ah``    two counters that only rise, until they start anew
+``moved_Ah``       a counter without sign that restarts with every step; needs ``direction``
+``charged_Ah``, ``discharged_Ah``    two counters that only rise, until they restart
 ``step_time_s``    time since the tester's step began, where there is no time of the test
 """
 
@@ -37,8 +37,8 @@ def complete(raw: RawLog, sign: SignConvention, where: str) -> RawLog:
         notices.append("the time of the steps was joined up")
     direction = channels.pop("direction", None)
     if direction is not None and "current_A" in channels:
-        channels["current_A"], told = _signed(channels["current_A"], direction, sign, where)
-        notices += told
+        channels["current_A"], noted = _signed(channels["current_A"], direction, sign, where)
+        notices += noted
     moved = channels.pop("moved_Ah", None)
     charged = channels.pop("charged_Ah", None)
     discharged = channels.pop("discharged_Ah", None)
@@ -87,7 +87,7 @@ def _signed(
         raise InputError(
             f"a current without sign in {np.count_nonzero(unknown)} row(s) of {where} whose state "
             f"is not known (row {row + 1} first)",
-            "a state that tells charge from discharge",
+            "a state that separates charge from discharge",
             "Export the current with its sign.",
         )
     if not np.any(direction[load] < 0) and sign == "discharge-positive":

@@ -176,6 +176,6 @@ def _decimal(cells: Sequence[Sequence[str]], delimiter: str) -> str:
 
 
 def is_numeric(line: str) -> bool:
-    """No cell of the line is a word."""
+    """Every cell of the line is a number or empty."""
     cells = [cell.strip() for cell in re.split(r"[,;\t|]", line)]
     return any(cells) and all(not c or _NUMBER.fullmatch(c) for c in cells)

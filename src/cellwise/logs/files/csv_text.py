@@ -19,7 +19,7 @@ from cellwise.logs.files.csv_layout import (
     is_numeric,
     native_layout,
 )
-from cellwise.logs.files.format import Format, no_last_words
+from cellwise.logs.files.format import Format, without_late_errors
 from cellwise.logs.files.source import LogSource, RawLog, damaged_gzip
 from cellwise.logs.files.text_cells import arrow_type, arrow_values
 from cellwise.typing import FloatArray
@@ -95,7 +95,7 @@ def _read_batches(
 
     grown = [array("d") for _ in columns]  # grows in place: no second copy at the end
     try:
-        with pa.OSFile(str(source.path)) as file, no_last_words():
+        with pa.OSFile(str(source.path)) as file, without_late_errors():
             stream = pa.CompressedInputStream(file, "gzip") if source.gzipped else file
             stream.read(layout.offset)
             # One thread: only then do messages carry the row's number, and no slower.
@@ -121,7 +121,7 @@ def _read_batches(
                     if unread:
                         raise _no_clock(unread, column, source)
                     into.frombytes(values.tobytes())
-                source.tell(file.tell(), source.size)
+                source.report(file.tell(), source.size)
     except pa.ArrowInvalid as error:
         if "Empty CSV file" not in str(error):
             raise _refused(str(error), source, layout, columns) from None

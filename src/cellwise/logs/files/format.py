@@ -1,4 +1,4 @@
-"""What a log format is: one record per format, told by its content, never by its file name."""
+"""Log formats: one record each, detected from the content, never from the file name."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Format:
     current_meaning : str       which interval the current of a row belongs to
     known : sequence of str     columns that belong to it and are not used; None: any may
     instances : bool            a file may hold several batteries
-    uses_dbc : bool             a CAN database tells what its frames hold
+    uses_dbc : bool             a CAN database says what its frames hold
     """
 
     name: str
@@ -49,7 +49,7 @@ class Format:
     uses_dbc: bool = False
 
 
-# Content that people feed to a log reader by mistake, and the way out.
+# Content that is given to a log reader by mistake, and what to do about it.
 _OTHER_CONTENT = (
     (b"PK\x03\x04", "a zip archive or an Excel workbook", "Export the sheet as CSV, or unpack it."),
     (b"\xd0\xcf\x11\xe0", "an old Excel workbook", "Export the sheet as CSV."),
@@ -63,7 +63,7 @@ _OTHER_CONTENT = (
 )
 
 
-def tell_format(source: LogSource, formats: Sequence[Format]) -> Format:
+def detect_format(source: LogSource, formats: Sequence[Format]) -> Format:
     """The first format whose content test the file passes.
 
     Raises
@@ -75,9 +75,9 @@ def tell_format(source: LogSource, formats: Sequence[Format]) -> Format:
             _check_options(source, known)
             return known
     what, action = "content of no known format", "Export the log as CSV with a header line."
-    for magic, kind, way_out in _OTHER_CONTENT:
+    for magic, kind, action_for in _OTHER_CONTENT:
         if source.head.startswith(magic):
-            what, action = kind, way_out
+            what, action = kind, action_for
     raise InputError(
         f"{what} in '{source.path}' (first bytes {source.head[:12]!r})",
         "a log in one of the formats: " + ", ".join(known.name for known in formats),
@@ -104,16 +104,16 @@ def _check_options(source: LogSource, known: Format) -> None:
 
 def damaged(source: LogSource, kind: str, reason: object) -> InputError:
     """The refusal of a file that its own library cannot read to the end."""
-    told = " ".join(str(reason).split()).rstrip(".")[:200] or type(reason).__name__
+    said = " ".join(str(reason).split()).rstrip(".")[:200] or type(reason).__name__
     return InputError(
-        f"a cut off or damaged {kind} {source.where} ({told})",
+        f"a cut off or damaged {kind} {source.where} ({said})",
         "a complete file",
         "Copy it again, or have it written again.",
     )
 
 
 @contextmanager
-def no_last_words() -> Iterator[None]:
+def without_late_errors() -> Iterator[None]:
     """Keep what cannot be raised (in a callback, in a destructor) from being printed."""
     hook = sys.unraisablehook
     sys.unraisablehook = lambda _: None
@@ -130,7 +130,7 @@ def library_at_work(source: LogSource, kind: str) -> Iterator[None]:
     These libraries check little: a file that was cut off ends in an index, a key, a struct or an
     assertion error, as it happens, and talk meanwhile.
     """
-    told = logging.root.manager.disable
+    level = logging.root.manager.disable
     logging.disable(logging.CRITICAL)
     try:
         with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
@@ -138,11 +138,11 @@ def library_at_work(source: LogSource, kind: str) -> Iterator[None]:
     except InputError:
         raise
     except Exception as error:
-        with no_last_words():
+        with without_late_errors():
             _let_go(error)
         raise damaged(source, kind, f"{type(error).__name__}: {error}") from error
     finally:
-        logging.disable(told)
+        logging.disable(level)
 
 
 def _let_go(error: BaseException) -> None:

@@ -11,7 +11,7 @@ from cellwise.errors import InputError
 from cellwise.logs.files.columns import Unit, choose_columns
 from cellwise.logs.files.format import Format
 from cellwise.logs.files.source import LogSource, RawLog
-from cellwise.logs.files.text_cells import word_value
+from cellwise.logs.files.text_cells import label_value
 from cellwise.typing import FloatArray
 
 
@@ -40,9 +40,9 @@ def channels_of(
     if lengths == {0}:
         raise InputError(f"no rows in {source.where}", "rows of numbers", "Check the recording.")
     if len(lengths) > 1:
-        told = ", ".join(f"{c.name} {channels[c.field].size}" for c in columns)
+        listed = ", ".join(f"{c.name} {channels[c.field].size}" for c in columns)
         raise InputError(
-            f"channels of unequal lengths in {source.where} ({told})",
+            f"channels of unequal lengths in {source.where} ({listed})",
             "one value per row in each",
             "Choose channels of one group with --channel.",
         )
@@ -51,9 +51,9 @@ def channels_of(
 
 def _numbers(values: Any, unit: Unit, name: str, source: LogSource) -> FloatArray:
     array = np.asarray(values)
-    if unit.kind == "word":
-        meaning = {word: word_value(unit, str(word)) for word in set(array.tolist())}
-        return np.array([meaning[word] for word in array.tolist()], dtype=np.float64)
+    if unit.kind == "label":
+        meaning = {label: label_value(unit, str(label)) for label in set(array.tolist())}
+        return np.array([meaning[label] for label in array.tolist()], dtype=np.float64)
     try:
         numbers: FloatArray = np.asarray(array, dtype=np.float64).ravel()
     except (TypeError, ValueError) as error:

@@ -21,10 +21,10 @@ class ReadOptions:
     series : int or "auto"      cells in series: the voltage is divided by it; ``auto`` takes the
                                 number that the file states
     parallel : int              cells in parallel: current and counter are divided by it
-    channels : mapping          tidy column name, which tells the unit, to the name in the file:
+    channels : mapping          tidy column name, which gives the unit, to the name in the file:
                                 ``{"current_mA": "I_pack"}``
     instance : int or None      which battery of a file that has several, counted from 0
-    dbc : Path or None          the database that tells what is in a CAN frame
+    dbc : Path or None          the database of the CAN frames
     partial : bool              read a recording that was cut off as far as it goes
 
     Raises

@@ -74,7 +74,7 @@ def read_parquet(source: LogSource, known: Format) -> RawLog:
                 read = table if table is not None else file.read(columns=[name])
                 values = _numbers(read.column(name), column.unit, name, where)
                 arrays[column.field] = column.unit.convert(values)
-                source.tell(k + 1, len(columns))
+                source.report(k + 1, len(columns))
     except (pa.ArrowException, OSError) as error:
         raise damaged(source, "parquet file", str(error).splitlines()[0]) from None
     return RawLog(arrays, tuple(notices))

@@ -79,7 +79,7 @@ class LogSource:
             return cast("IO[bytes]", gzip.open(self.path, "rb"))
         return self.path.open("rb")
 
-    def tell(self, done: int, total: int) -> None:
+    def report(self, done: int, total: int) -> None:
         """Report progress if anybody listens."""
         if self.progress is not None:
             self.progress(min(done, total), total)
@@ -153,7 +153,7 @@ def damaged_gzip(source: LogSource, reason: str) -> InputError:
     return InputError(
         f"a cut off or damaged gzip file '{source.path}' ({reason.rstrip('.')})",
         "a complete file",
-        "Copy or download it again; 'gzip -t' tells when it is whole.",
+        "Copy or download it again; 'gzip -t' checks that it is whole.",
     )
 
 

@@ -1,4 +1,4 @@
-"""Columns of text that mean numbers: clocks and words."""
+"""Columns of text that mean numbers: clocks and labels."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def arrow_type(unit: Unit) -> pyarrow.DataType:
 
     if unit.kind == "clock":
         return pa.string()
-    if unit.kind == "word":
+    if unit.kind == "label":
         return pa.dictionary(pa.int32(), pa.string())
     return pa.float64()
 
@@ -39,19 +39,19 @@ def arrow_values(unit: Unit, column: pyarrow.Array) -> tuple[FloatArray, str]:
     """
     if unit.kind == "clock":
         return _clock_seconds(column)
-    if unit.kind == "word":
+    if unit.kind == "label":
         return _word_values(unit, column), ""
     return to_numpy(column), ""
 
 
-def word_value(unit: Unit, word: str) -> float:
-    """What a word means; NaN for one that the format does not know."""
-    return unit.words.get(" ".join(word.replace("_", " ").split()).casefold(), np.nan)
+def label_value(unit: Unit, label: str) -> float:
+    """The value of a label; NaN for one that the format does not know."""
+    return unit.labels.get(" ".join(label.replace("_", " ").split()).casefold(), np.nan)
 
 
-def words(**values: float) -> Unit:
-    """A unit of words: ``words(chg=-1.0, dchg=1.0)``; an underscore stands for a blank."""
-    return Unit(kind="word", words={k.replace("_", " ").casefold(): v for k, v in values.items()})
+def labels(**values: float) -> Unit:
+    """A unit of labels: ``labels(chg=-1.0, dchg=1.0)``; an underscore is a blank."""
+    return Unit(kind="label", labels={k.replace("_", " ").casefold(): v for k, v in values.items()})
 
 
 def _clock_seconds(column: pyarrow.Array) -> tuple[FloatArray, str]:
@@ -74,14 +74,14 @@ def _clock_seconds(column: pyarrow.Array) -> tuple[FloatArray, str]:
 
 
 def _word_values(unit: Unit, column: pyarrow.Array) -> FloatArray:
-    """Value of every cell's word, through the dictionary."""
+    """Value of every cell's label, through the dictionary."""
     import pyarrow as pa
     import pyarrow.compute as pc
 
     if not pa.types.is_dictionary(column.type):
         column = pc.dictionary_encode(column)
     meaning = np.array(
-        [word_value(unit, w or "") for w in column.dictionary.to_pylist()] + [np.nan]
+        [label_value(unit, w or "") for w in column.dictionary.to_pylist()] + [np.nan]
     )
     index = to_numpy(pc.cast(column.indices, pa.float64()))
     return meaning[np.where(np.isnan(index), meaning.size - 1, index).astype(np.intp)]

@@ -1,4 +1,4 @@
-"""CAN logs (BLF, ASC, ``candump -L``, TRC) with a database that tells what the frames hold."""
+"""CAN logs (BLF, ASC, ``candump -L``, TRC) with a database of what the frames hold."""
 
 from __future__ import annotations
 
@@ -88,8 +88,8 @@ def _read(source: LogSource, known: Format) -> RawLog:
         series[field] = Series(np.frombuffer(stamps, np.float64)[whole], unit.convert(values))
     start = min(float(samples.time_s[0]) for samples in series.values())
     series = {field: Series(s.time_s - start, s.values) for field, s in series.items()}
-    channels, told = aligned(series, source.where)
-    return RawLog(channels, (*notices, *told))
+    channels, noted = aligned(series, source.where)
+    return RawLog(channels, (*notices, *noted))
 
 
 def _database(source: LogSource) -> Any:
@@ -110,7 +110,7 @@ def _frames(source: LogSource, database: Any) -> tuple[Frames, set[int]]:
                 into[0].append(message.timestamp)
                 into[1].append(bytes(message.data))
             if count % _TELL_EVERY == 0:
-                source.tell(count, max(count + 1, source.size // 16))
+                source.report(count, max(count + 1, source.size // 16))
     return {key: found for key, found in frames.items() if found[1]}, ids
 
 
@@ -131,7 +131,7 @@ CAN_LOG = Format(
     name="can-log",
     matches=lambda source: bool(_kind(source)),
     channels=(
-        # Names are everybody's own: `choose_signals` goes by unit and words.
+        # Names differ by maker: `choose_signals` goes by unit and name.
         Channel("time_s", {"time_s": OWN}, required=True),
         Channel("current_A", {"current_A": OWN}, required=True),
         Channel("voltage_V", {"voltage_V": OWN}, required=True),

@@ -89,7 +89,7 @@ def _rows(
         rows.setdefault((name, battery), []).append(
             [getattr(message, field) for field in message._fieldnames]
         )
-        source.tell(int(log.percent * source.size / 100.0), source.size)
+        source.report(int(log.percent * source.size / 100.0), source.size)
     return rows
 
 

@@ -1,4 +1,4 @@
-"""The database that tells what is in a CAN frame."""
+"""The database of the signals in CAN frames."""
 
 from __future__ import annotations
 
@@ -23,15 +23,13 @@ def can_database(path: Path | None, of: str) -> Any:
     """
     cantools = need("cantools", "a CAN log")
     if path is None:
-        raise InputError(
-            of, "the database that tells what is in them", "Give it with --dbc FILE.dbc."
-        )
+        raise InputError(of, "the database that describes them", "Give it with --dbc FILE.dbc.")
     try:
         return cantools.database.load_file(str(path), strict=False)
     except Exception as error:  # parsers of four formats raise what they like
-        told = " ".join(str(error).split())[:160]
+        said = " ".join(str(error).split())[:160]
         raise InputError(
-            f"a file that is no CAN database, '{path}' ({told})",
+            f"a file that is no CAN database, '{path}' ({said})",
             "a DBC, ARXML, KCD or SYM file",
             "Choose the database of this log.",
         ) from error

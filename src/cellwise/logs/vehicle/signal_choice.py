@@ -1,6 +1,6 @@
 """Which signal of a vehicle's recording is the battery's current, which its voltage.
 
-The names are everybody's own, so they are only taken when units and words leave one choice.
+Names differ by maker, so they are only taken when units and names leave one choice.
 """
 
 from __future__ import annotations
@@ -68,14 +68,14 @@ class Chosen(NamedTuple):
 
 
 def choose_signals(
-    signals: Sequence[Signal], told: Mapping[str, str], where: str
+    signals: Sequence[Signal], stated: Mapping[str, str], where: str
 ) -> tuple[list[Chosen], list[str]]:
     """Find current, voltage and, where they are clear, temperature and counter.
 
     Parameters
     ----------
     signals : sequence of Signal
-    told : mapping          tidy name, which tells the unit, to the signal's name
+    stated : mapping          tidy name, which gives the unit, to the signal's name
     where : str             for messages
 
     Returns
@@ -87,7 +87,7 @@ def choose_signals(
     ------
     InputError              no such signal, none of that unit, or several that it could be
     """
-    chosen = [_told(tidy, name, signals, where) for tidy, name in told.items()]
+    chosen = [_stated(tidy, name, signals, where) for tidy, name in stated.items()]
     notices: list[str] = []
     fields = {c.field for c in chosen}
     for field, units in UNITS.items():
@@ -104,7 +104,7 @@ def choose_signals(
     return chosen, notices
 
 
-def _told(tidy: str, name: str, signals: Sequence[Signal], where: str) -> Chosen:
+def _stated(tidy: str, name: str, signals: Sequence[Signal], where: str) -> Chosen:
     fields = [(c.field, u) for c in TIDY_CHANNELS for n, u in c.names.items() if n == tidy]
     if not fields or fields[0][0] not in UNITS:
         known = [n for c in TIDY_CHANNELS if c.field in UNITS for n in c.names]
@@ -143,7 +143,7 @@ def _score(field: str, name: str) -> int:
 def _unit(signal: Signal, field: str) -> str:
     """The unit, folded; of a signal without one, what its name says (``current_mA``, ``PackVolt``).
 
-    Without a unit the name must have the quantity's own word.
+    Without a unit the name must have the quantity's own name.
     """
     unit = signal.unit.strip().strip("[]()").casefold()
     if unit and unit != "-":

@@ -17,7 +17,7 @@ from cellwise.report.page.numerals import (
 )
 
 KINDS = {
-    "measurement": "A fault of the measurement: the log is corrected, the model of the cell is kept.",
+    "measurement": "A fault of the measurement: the log is corrected, the cell's model is kept.",
     "start": "The initial SOC of the log: neither the cell nor its model is wrong.",
     "cell": "A property of the cell: the model is extended.",
 }

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 P = ParamSpec("P")
 
 # Okabe and Ito's colours, which people with any colour vision can distinguish; the blue is
-# lightened so that it reads on a dark page too. Truth is grey, the model vermillion, the filter blue.
+# lightened so that it reads on a dark page too.
+# Truth is grey, the model vermillion, the filter blue.
 BLUE, SKY, GREEN = "#1f83c4", "#56b4e9", "#009e73"
 AMBER, VERMILLION, PURPLE = "#e69f00", "#d55e00", "#cc79a7"
 MEASURED, MODEL, FILTER = "#808a96", VERMILLION, BLUE

@@ -186,7 +186,7 @@ def draw_voltage(replay: Replay) -> Figure:
     top.plot(*thin(t, trace.voltage_V), color=MODEL, linewidth=0.8, label="predicted")
     finding(
         top,
-        f"{replay_name(replay)}: voltage predicted within {millivolt(replay.voltage_rmse_V)}",
+        f"{replay_name(replay)}: voltage prediction RMSE {millivolt(replay.voltage_rmse_V)}",
         WIDE,
     )
     labels(top, "", "voltage [V]")

@@ -1,4 +1,4 @@
-"""Standard errors where the Jacobian at the optimum does not tell the whole story.
+"""Standard errors where the Jacobian at the optimum is not enough.
 
 A window that is short against tau2 fits almost as well with a tau2 twice as long, an OCV slope a
 little lower and a larger R2: a long valley, or a second one. The curvature at its lowest point

@@ -181,7 +181,7 @@ def describe(
     trend: PulseTrend,
     method: str,
 ) -> PulseFit:
-    """A solution as a `PulseFit`: values, standard errors, bounds reached, words."""
+    """A solution as a `PulseFit`: values, standard errors, bounds reached, notes."""
     statistics = residual_statistics(problem, solution)
     error, condition = standard_errors(problem, solution, statistics)
     c = solution.coefficients

@@ -1,7 +1,7 @@
 """Compiled kernels of the pulse fit: algebra on the small matrix of normal equations.
 
 Nothing here sees samples except through `varpro_kernels.accumulate`. The unknowns that enter
-linearly are solved exactly, with their sign bounds, at every pair of time constants; what is left
+linearly are solved exactly, with their sign bounds, at every pair of time constants; what remains
 is a bounded minimisation in two variables, log tau1 and log tau2.
 """
 

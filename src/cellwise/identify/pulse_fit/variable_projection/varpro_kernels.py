@@ -218,7 +218,7 @@ def thin(
 
     A group of rows grows to ``part`` of the time since the last current step; the rows on either
     side of a step stay alone. A group carries its mean time, voltage and charge and its summed
-    weight, so against the rows it stands for it errs by the square of ``part`` only.
+    weight, so against the rows that it replaces it errs by the square of ``part`` only.
 
     Parameters
     ----------
