@@ -69,7 +69,7 @@ def a123_figures(data: Path, say: Progress) -> list[Figure]:
     ]
     part, true_soc = from_the_middle(drive, FROM_FULL, REFERENCE_AH)
     for off in (-POINTS_OFF, POINTS_OFF):
-        told = judge_soc(
+        found = judge_soc(
             model,
             part,
             start=true_soc + off,
@@ -80,12 +80,12 @@ def a123_figures(data: Path, say: Progress) -> list[Figure]:
         figures.append(
             Figure(
                 group,
-                f"EKF from {100 * told.start:.0f} % at {100 * true_soc:.0f} %: SOC RMSE after "
+                f"EKF from {100 * found.start:.0f} % at {100 * true_soc:.0f} %: SOC RMSE after "
                 "30 min",
-                100 * told.late_rmse,
+                100 * found.late_rmse,
                 "%",
-                note="on the plateau of LFP the voltage hardly tells SOC; "
-                f"2-sigma band covers {100 * told.coverage:.0f} % of rows",
+                note="on the plateau of LFP the voltage hardly depends on SOC; "
+                f"2-sigma band covers {100 * found.coverage:.0f} % of rows",
             )
         )
     return figures

@@ -49,14 +49,20 @@ def _panasonic(data: Path, say: Progress) -> list[Figure]:
     for temperature, target in TARGETS.items():
         say(f"Panasonic {temperature:.0f} degC")
         model = identify_cell(tests[temperature], settings).model
-        group = f"Panasonic {temperature:.0f} degC, identified there; 70 % told at full"
+        group = f"Panasonic {temperature:.0f} degC, identified there; 70 % stated at full"
         found = _cycles(group, model, held_out[temperature], target)
         settled[temperature] = float(np.mean([f.value for f in found if f.value is not None]))
         figures += [*found, Figure(group, "EKF settled SOC RMSE, mean", settled[temperature], "%",
                                    target=target)]  # fmt: skip
         ukf = [_judge(model, log, "ukf") for log in held_out[temperature]]
         figures.append(
-            Figure(group, "UKF settled SOC RMSE, mean", _mean_settled(ukf), "%", note=_told(ukf))
+            Figure(
+                group,
+                "UKF settled SOC RMSE, mean",
+                _mean_settled(ukf),
+                "%",
+                note=_settled_note(ukf),
+            )
         )
     say("Panasonic: one model")
     together = TestLogs(
@@ -75,7 +81,7 @@ def _panasonic(data: Path, say: Progress) -> list[Figure]:
                 _mean_settled(runs),
                 "%",
                 target=settled[temperature] + LOST_BY_ONE_MODEL,
-                note=_told(runs),
+                note=_settled_note(runs),
             )
         )
     return figures
@@ -100,7 +106,7 @@ def _began_full(log: CellLog) -> CellLog:
     """A row of rest at full before a log that begins under load.
 
     The data's own notes: every drive begins full, rested for an hour; the files of cycle 1 to 3
-    begin with the load, and in the cold no first minute under load tells full from half.
+    begin with the load, whose first minute does not separate full from half in the cold.
     """
     if abs(log.current_A[0]) < REST_SHARE * PANASONIC_AH:
         return log
@@ -138,7 +144,7 @@ def _cycles(group: str, model: CellModel, logs: list[CellLog], target: float) ->
                 _mean_settled([run]),
                 "%",
                 target=2.0 * target,
-                note=_told([run]),
+                note=_settled_note([run]),
             )
         )
     return figures
@@ -165,7 +171,7 @@ def _mean_settled(runs: list[Replay]) -> float:
     return 100 * float(np.mean([r.settled.rmse for r in runs if r.settled is not None]))
 
 
-def _told(runs: list[Replay]) -> str:
+def _settled_note(runs: list[Replay]) -> str:
     late = [r.convergence_s for r in runs]
     within = "never" if None in late else f"{max(t for t in late if t is not None):.0f} s"
     covered = np.mean([r.coverage_2sigma for r in runs if r.coverage_2sigma is not None])
@@ -198,11 +204,11 @@ def _a123(data: Path, say: Progress) -> list[Figure]:
         rmse = float("nan") if right.errors is None else 100 * right.errors.rmse
         figures += [
             Figure(group, "EKF from the right start: SOC RMSE", rmse, "%", target=2.0,
-                   note=_told([right])),
+                   note=_settled_note([right])),
             Figure(group, "EKF from 70 % at full: settled SOC RMSE", _mean_settled([wrong]), "%",
-                   target=3.0, note=_told([wrong])),
+                   target=3.0, note=_settled_note([wrong])),
             Figure(group, "UKF from 70 % at full: settled SOC RMSE", _mean_settled([ukf]), "%",
-                   note=_told([ukf])),
+                   note=_settled_note([ukf])),
         ]  # fmt: skip
     return figures
 

@@ -37,7 +37,7 @@ def embedded_figures(say: Progress) -> list[Figure]:
         model = identify_cell(TestLogs(**laboratory, drive=drive), settings).model
         for name in HELD_OUT:
             log = _log(folder, name)
-            told = judge_soc(
+            found = judge_soc(
                 model,
                 log,
                 start=TRUE_START - POINTS_OFF,
@@ -55,9 +55,9 @@ def embedded_figures(say: Progress) -> list[Figure]:
                 Figure(
                     group,
                     f"EKF from 70 % at full: SOC RMSE after 300 s, {name}",
-                    100 * told.late_rmse,
+                    100 * found.late_rmse,
                     "%",
-                    note=f"2-sigma band covers {100 * told.coverage:.0f} % of rows",
+                    note=f"2-sigma band covers {100 * found.coverage:.0f} % of rows",
                 ),
             ]
     return figures

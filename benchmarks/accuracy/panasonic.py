@@ -63,10 +63,10 @@ def _voltage(
 
 
 def _soc(group: str, model: CellModel, logs: list[CellLog], *, after: float) -> list[Figure]:
-    """From 30 points wrong: at full, where the target is set, and in the middle, for honesty."""
+    """From 30 points wrong: at full, where the target is set, and in the middle."""
     figures = []
     for log in logs:
-        told = judge_soc(
+        found = judge_soc(
             model,
             log,
             start=FROM_FULL - POINTS_OFF,
@@ -78,18 +78,18 @@ def _soc(group: str, model: CellModel, logs: list[CellLog], *, after: float) -> 
             Figure(
                 group,
                 f"EKF from 70 % at full: time to within 2 %, {log.name}",
-                told.convergence_s,
+                found.convergence_s,
                 "s",
                 target=AFTER_S,
-                note="" if told.convergence_s is not None else "never for ten minutes",
+                note="" if found.convergence_s is not None else "never for ten minutes",
             ),
             Figure(
                 group,
                 f"EKF from 70 % at full: SOC RMSE after 300 s, {log.name}",
-                100 * told.late_rmse,
+                100 * found.late_rmse,
                 "%",
                 target=after,
-                note=f"2-sigma band covers {100 * told.coverage:.0f} % of rows",
+                note=f"2-sigma band covers {100 * found.coverage:.0f} % of rows",
             ),
         ]
         figures.append(_from_middle(group, model, log))
@@ -98,7 +98,7 @@ def _soc(group: str, model: CellModel, logs: list[CellLog], *, after: float) -> 
 
 def _from_middle(group: str, model: CellModel, log: CellLog) -> Figure:
     part, true_soc = from_the_middle(log, FROM_FULL, REFERENCE_AH)
-    told = [
+    found = [
         judge_soc(
             model,
             part,
@@ -109,9 +109,9 @@ def _from_middle(group: str, model: CellModel, log: CellLog) -> Figure:
         )
         for off in (-POINTS_OFF, POINTS_OFF)
     ]
-    worst = max(told, key=lambda t: t.late_rmse)
+    worst = max(found, key=lambda t: t.late_rmse)
     times = ", ".join(
-        "never" if t.convergence_s is None else f"{t.convergence_s:.0f} s" for t in told
+        "never" if t.convergence_s is None else f"{t.convergence_s:.0f} s" for t in found
     )
     return Figure(
         group,

@@ -79,7 +79,7 @@ def _cost(
                note=design if held else ""),
         Figure(group, "most under stress", worst.stress, "instructions", target=instructions,
                note="any bits, every fault"),
-        Figure(group, "after a lock-out", worst.anew, "instructions"),
+        Figure(group, "after a lock-out", worst.reset, "instructions"),
         Figure(group, "code", float(cost.text_bytes), "B", target=text, note="-Os"),
         Figure(group, "stack", float(max(cost.stack_bytes or 0, worst.stack_bytes)), "B",
                target=stack),

@@ -31,15 +31,15 @@ def endurance_figures(say: Progress) -> list[Figure]:
         say(f"{STEPS:,} steps, {name}")
         tables = fixed_step_tables(two_branches(), DT_S, wide=wide, watch=wide)
         try:
-            told = long_run(tables, STEPS)
+            output = long_run(tables, STEPS)
         except InputError as error:
             figures.append(missing(GROUP, name, "", str(error)))
             continue
-        found = re.search(r"smallest minor ([-\d.e+]+)", told)
+        found = re.search(r"smallest minor ([-\d.e+]+)", output)
         least = float(found.group(1)) if found else float("nan")
         figures.append(
             Figure(
-                GROUP, f"smallest minor, {name}", least, "", target=0.0, at_least=True, note=told
+                GROUP, f"smallest minor, {name}", least, "", target=0.0, at_least=True, note=output
             )
         )
     return figures

@@ -44,7 +44,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Broken:
-    """What stands for a diagnosis that raised."""
+    """The outcome of a diagnosis that raised."""
 
     verdict: str
     causes: tuple[Any, ...] = ()

@@ -23,7 +23,9 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the parts asked for and print them."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", default=",".join(PARTS), help="comma-separated parts")
-    parser.add_argument("--full", action="store_true", help="slow peers over 36,000 samples too")
+    parser.add_argument(
+        "--full", action="store_true", help="slow references over 36,000 samples too"
+    )
     parser.add_argument("--json", action="store_true", help="one JSON object instead of the table")
     parser.add_argument("-o", "--output", type=Path, help="write the JSON to this file as well")
     chosen = parser.parse_args(arguments)

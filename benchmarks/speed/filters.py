@@ -86,7 +86,7 @@ def _kernel(group: str, who: str, model: CellModel, log: CellLog, say: Progress)
     say(who)
     ekf = Ekf(model)
     cell, noise = model.parameters(), ekf.noise.scalars()
-    start = anew = ekf.start(START_SOC - 0.3)
+    start = restart = ekf.start(START_SOC - 0.3)
     dt, gap = log.interval_s, log.gap_rows
     current = np.where(gap, 0.0, log.interval_current_A)
     temperature = known_temperature_C(model, log)
@@ -94,7 +94,7 @@ def _kernel(group: str, who: str, model: CellModel, log: CellLog, say: Progress)
 
     def work() -> None:
         kernel.ekf_rows(
-            *cell, noise, start, anew, current, log.voltage_V, temperature, dt, gap, out, status
+            *cell, noise, start, restart, current, log.voltage_V, temperature, dt, gap, out, status
         )
 
     timing = clock(work)

@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.example_cell import SAMPLES, START_SOC, load_log, three_branches, two_branches
 from benchmarks.figures import Figure, Progress, clock, missing, with_ratios
 from benchmarks.measured_data import HOW, measured_log
-from benchmarks.speed import simulation_references as peers
+from benchmarks.speed import simulation_references as references
 from cellwise.cell.kernels import empty_state, simulate_rows
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import known_temperature_C, simulate
@@ -32,10 +32,10 @@ def simulate_figures(data: Path | None, say: Progress, *, full: bool = False) ->
         _drive(group, data, say),
     ]
     lengths = {
-        "plain NumPy loop": (peers.plain_loop, SAMPLES),
-        "PyBaMM Thevenin": (peers.pybamm_thevenin, SAMPLES if full else 7200),
-        "thevenin Simulation": (peers.thevenin_simulation, SAMPLES if full else 1800),
-        "thevenin Prediction": (peers.thevenin_prediction, SAMPLES if full else 1800),
+        "plain NumPy loop": (references.plain_loop, SAMPLES),
+        "PyBaMM Thevenin": (references.pybamm_thevenin, SAMPLES if full else 7200),
+        "thevenin Simulation": (references.thevenin_simulation, SAMPLES if full else 1800),
+        "thevenin Prediction": (references.thevenin_prediction, SAMPLES if full else 1800),
     }
     for who, (run, samples) in lengths.items():
         say(who)
@@ -86,7 +86,7 @@ def _drive(group: str, data: Path | None, say: Progress) -> Figure:
 def _peer(
     group: str,
     who: str,
-    run: Callable[[CellModel, CellLog, float], peers.Answer],
+    run: Callable[[CellModel, CellLog, float], references.Answer],
     log: CellLog,
 ) -> Figure:
     """Somebody else over the log; their voltage is compared with ours, so that both did the job."""

@@ -48,7 +48,7 @@ reference_Ah = 3.0
 ADAPTER = '''
 import math
 
-from cellwise.benchmark.adapter import Told
+from cellwise.benchmark.adapter import FilterOutput
 
 
 class Counter:
@@ -63,7 +63,7 @@ class Counter:
     def step(self, current_A, voltage_V, temperature_C, dt_s):
         if math.isfinite(current_A):
             self.soc -= current_A * dt_s / self.ampere_seconds
-        return Told(self.soc, self.std)
+        return FilterOutput(self.soc, self.std)
 
 
 class Broken(Counter):

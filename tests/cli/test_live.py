@@ -207,7 +207,7 @@ def test_the_view_shows_what_a_person_asks_for(model, stream_file):
     console.print(shown)
     text = written.getvalue()
     assert f"{100 * counts.last.info.soc:.2f} %" in text
-    for word in ("current", "voltage", "left", "latency", "1,500 samples", "nothing for 5 s"):
+    for word in ("current", "voltage", "remaining", "latency", "1,500 samples", "nothing for 5 s"):
         assert word in text
 
 

@@ -100,10 +100,10 @@ def list_suites(as_json: bool) -> None:
 
     suites = [read_suite(name) for name in shipped_suites()]
     if as_json:
-        told = [
+        shown = [
             {"name": s.name, "about": s.about, "logs": [g.shown for g in s.logs]} for s in suites
         ]
-        printing.print_json({"suites": told})
+        printing.print_json({"suites": shown})
         return
     for suite in suites:
         printing.say(f"{suite.name}: {suite.about}")

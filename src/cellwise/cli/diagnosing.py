@@ -155,7 +155,7 @@ def print_diagnosis(found: Diagnosis) -> None:
 
     printing.say(f"verdict: {found.verdict}\n{diagnosis_finding(found)}\n")
     if found.causes:
-        head = ("cause", "mends", "value (95 %)", "held-out RMSE mV", "gain (95 %)")
+        head = ("cause", "corrects", "value (95 %)", "held-out RMSE mV", "gain (95 %)")
         printing.table("what was found", head, [_cause_row(c) for c in found.causes])
         for c in found.causes:
             printing.say(f"  {c.name}: {c.meaning}")
@@ -195,7 +195,7 @@ def _cause_row(c: FoundCause) -> tuple[str, ...]:
     low, high = c.gain_ci95
     return (
         c.name,
-        {"cell": "the model", "start": "the start"}.get(c.kind, "the log"),
+        {"cell": "the model", "start": "the initial SOC"}.get(c.kind, "the log"),
         "\n".join(values),
         f"{printing.millivolt(c.holdout_rmse_before_V)} -> "
         f"{printing.millivolt(c.holdout_rmse_after_V)}",

@@ -178,7 +178,7 @@ def layout_of(fields: str) -> Layout | None:
 
 
 def _known(name: str, values: dict[str, float]) -> float:
-    """A value, NaN for what stands for "unknown"."""
+    """A value, NaN for the code of "unknown"."""
     value = values.get(name, math.nan)
     marks = UNKNOWN.get(name, ())
     return math.nan if any(abs(value - mark) < 1e-6 for mark in marks) else value

@@ -1,6 +1,6 @@
 """How the choice of the capacity moves voltage and SOC: everything redone for every choice.
 
-SOC, OCV and every table refer to one capacity. For each choice the cell is identified anew, and
+SOC, OCV and every table refer to one capacity. For each choice the cell is identified again, and
 logs that took no part in it are simulated and estimated. The reference is the tester's counter over
 one stated capacity, the same for all choices, so that a choice cannot judge itself.
 """
@@ -109,7 +109,7 @@ class Winner:
 
     @property
     def alike(self) -> tuple[str, ...]:
-        """Choices that cannot be told from the best: their interval holds zero."""
+        """Choices that cannot be separated from the best: their interval holds zero."""
         return tuple(name for name, d in self.behind.items() if d.low <= 0.0)
 
 
@@ -245,8 +245,8 @@ def judge(
         axes.append((judged.soc0 - truth) * (1.0 - cell.reference_Ah / model.capacity_Ah))
         lowest.append(int(np.nanargmin(truth)))
         for name in estimators:
-            told = replay(model, log, name, soc0=judged.soc0, soc0_std=START_STD)
-            soc_errors[name].append(np.asarray(told.trace.soc - truth))
+            found = replay(model, log, name, soc0=judged.soc0, soc0_std=START_STD)
+            soc_errors[name].append(np.asarray(found.trace.soc - truth))
     return ChoiceResult(
         choice=choice,
         capacity_Ah=model.capacity_Ah,

@@ -58,7 +58,7 @@ def on_page(study: CellStudy) -> StudyOnPage:
     estimators = tuple(study.choices[0].soc)
     return StudyOnPage(
         name=study.name,
-        about=f"Identified anew for every choice, judged on {', '.join(study.logs)}. SOC "
+        about=f"Identified again for every choice, judged on {', '.join(study.logs)}. SOC "
         f"reference: the tester's counter over {study.reference_Ah:g} Ah ({study.reference}), the "
         "same for all.",
         reference_Ah=study.reference_Ah,

@@ -31,7 +31,7 @@ def difference(
     """How much larger one RMSE is than another on the same logs.
 
     The logs are cut into blocks that hold an error for longer than it is remembered, and the blocks
-    are drawn anew, for both errors together: errors that go up and down together leave a narrow
+    are drawn again, for both errors together: errors that go up and down together leave a narrow
     interval (paired block bootstrap; H. R. Kuensch, Ann. Statist. 17 (1989) 1217,
     doi:10.1214/aos/1176347265).
 

@@ -26,7 +26,7 @@ SHORT = {"coulomb": "count", "ekf": "EKF", "ukf": "UKF", "adaptive": "adapt"}
 
 
 def named(kind: str) -> str:
-    """A figure's name in a sentence."""
+    """A figure's name in text."""
     return NAMES.get(kind, kind)
 
 
@@ -59,7 +59,7 @@ def choice_row(result: ChoiceResult) -> tuple[str, ...]:
 
 
 def verdicts(study: CellStudy) -> list[str]:
-    """One sentence per figure: the winner, the next one that is truly behind, and why."""
+    """One line per figure: the winner, the next one that is truly behind, and why."""
     return [_verdict(study, study.winner(kind)) for kind in study.kinds]
 
 
@@ -84,7 +84,7 @@ def _verdict(study: CellStudy, winner: Winner) -> str:
     text = f"{named(winner.kind)}: {winner.choice} wins with {amount(winner.kind, winner.value)}"
     alike = [name for name in others if name in winner.alike]
     if alike:
-        text += f"; not to be told from it: {', '.join(alike)}"
+        text += f"; not separable from it: {', '.join(alike)}"
     apart = [name for name in others if name not in winner.alike]
     if apart:
         next_one = apart[0]

@@ -1,7 +1,7 @@
 """The tables of the two papers that cellwise starts from, on the embedded data, in one call.
 
 The embedded cells are not the papers' cells: the published numbers stand beside ours as a
-yardstick for the method, not as a target.
+reference for the method, not as a target.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def paper_tables(
     Parameters
     ----------
     datasets : Path           folder with ``lfp`` and ``nmc``
-    progress : callable       told what is being done
+    progress : callable       called with what is being done
     method : str              for the pulses of the LFP paper: ``pso`` as printed there, or
                               ``varpro``, which is quicker
 

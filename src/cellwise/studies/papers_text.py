@@ -224,9 +224,9 @@ def _errors(found: LfpTables) -> Table:
 
 def _table(title: str, *columns: str) -> Table:
     table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE, pad_edge=False)
-    words = {"method", "chosen as", "rate", ""}
+    text_columns = {"method", "chosen as", "rate", ""}
     for name in columns:
-        table.add_column(name, justify="left" if name in words else "right")
+        table.add_column(name, justify="left" if name in text_columns else "right")
     return table
 
 

@@ -38,7 +38,7 @@ def add_pack_options(parser: argparse.ArgumentParser, series: str = "") -> argpa
         action="append",
         default=[],
         metavar="NAME=COLUMN",
-        help="which column or signal is which, e.g. current_mA=I_pack; NAME tells the unit",
+        help="which column or signal is which, e.g. current_mA=I_pack; NAME gives the unit",
     )
     group.add_argument("--instance", metavar="K", help="which battery of several, from 0")
     group.add_argument("--dbc", metavar="FILE", help="database of the frames of a CAN log")
@@ -62,7 +62,7 @@ def arguments_of_read(arguments: argparse.Namespace) -> dict[str, Any]:
     ------
     InputError        options that are no numbers or no pairs
     """
-    return {"sign": arguments.sign, **_told(arguments), "partial": arguments.partial}
+    return {"sign": arguments.sign, **_stated(arguments), "partial": arguments.partial}
 
 
 def read_options(arguments: argparse.Namespace) -> ReadOptions:
@@ -72,13 +72,13 @@ def read_options(arguments: argparse.Namespace) -> ReadOptions:
     ------
     InputError        options that are no numbers or no pairs; what `ReadOptions` refuses
     """
-    told = _told(arguments)
-    if told["dbc"] is not None:
-        told["dbc"] = Path(told["dbc"])
-    return ReadOptions(**told)
+    stated = _stated(arguments)
+    if stated["dbc"] is not None:
+        stated["dbc"] = Path(stated["dbc"])
+    return ReadOptions(**stated)
 
 
-def _told(arguments: argparse.Namespace) -> dict[str, Any]:
+def _stated(arguments: argparse.Namespace) -> dict[str, Any]:
     instance = arguments.instance
     return {
         "series": "auto" if arguments.series == "auto" else _count("--series", arguments.series),

@@ -66,7 +66,7 @@ def check_page_options(arguments: argparse.Namespace) -> None:
 
 
 def figure_files(arguments: argparse.Namespace) -> FigureFiles | None:
-    """Folder and formats of the pictures, None where nobody asked for them."""
+    """Folder and formats of the pictures, None where they were not asked for."""
     if not arguments.figures:
         return None
     from cellwise.report.page.picture import FigureFiles

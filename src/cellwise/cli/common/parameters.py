@@ -1,4 +1,4 @@
-"""What the adaptive estimator learnt: rows for people, columns for files."""
+"""What the adaptive estimator estimated: rows for people, columns for files."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ UNITS = {"offset_A": ("sensor offset", "A"), "gain": ("sensor gain", ""),
 
 def parameter_rows(data: dict[str, Any]) -> list[tuple[str, str]]:
     """Rows of the table of a replay; none for an estimator without parameters."""
-    told = data.get("parameters")
-    if told is None:
+    values = data.get("parameters")
+    if values is None:
         return []
     rows = []
     for name, (label, unit) in UNITS.items():
-        one = told[name]
+        one = values[name]
         text = f"{one['value']:.4f} +- {one['std']:.4f} {unit}".rstrip()
         if one["held"] is not None:
             text += f" (held: {one['held']})"
         elif one["probability"] is not None:
             text += f" ({100 * one['probability']:.0f} % that it is not the model's)"
         rows.append((label, text))
-    soh = f"{printing.percent(told['soh_capacity'], 1)} % by capacity, resistance x "
-    rows.append(("state of health", soh + f"{told['soh_resistance']:.3f}"))
+    soh = f"{printing.percent(values['soh_capacity'], 1)} % by capacity, resistance x "
+    rows.append(("state of health", soh + f"{values['soh_resistance']:.3f}"))
     return rows
 
 

@@ -69,7 +69,7 @@ def split_temperature(text: str) -> tuple[str, float | None]:
 
 
 def check_temperature(temperature_C: float | None) -> None:
-    """Refuse what is no temperature of a cell in degC; None is nobody's."""
+    """Refuse what is no temperature of a cell in degC; None is not stated."""
     if temperature_C is not None and not -80.0 <= temperature_C <= 120.0:
         raise InputError(
             f"a temperature of {temperature_C:g} degC", "degrees Celsius", "Not in kelvin."
@@ -100,7 +100,7 @@ def check_places(*paths: str | None) -> None:
 
 @contextmanager
 def bar() -> Iterator[Progress]:
-    """A progress bar on standard error that leaves nothing behind; none where nobody looks."""
+    """A progress bar on standard error that leaves nothing behind; none without a terminal."""
     console = Console(stderr=True)
     with Progress(
         SpinnerColumn(),

@@ -11,7 +11,7 @@ from scipy.optimize import isotonic_regression
 from cellwise.errors import InputError
 from cellwise.typing import FloatArray
 
-# A plateau that is flatter than this carries no information for a filter; the floor only keeps the sign.
+# A plateau that is flatter than this carries no information; the floor only keeps the sign.
 MIN_SLOPE_V = 1e-3
 MIN_POINTS = 4
 # A low-rate log has thousands of rows that say the same: so many points are kept.

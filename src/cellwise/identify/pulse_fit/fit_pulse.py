@@ -98,9 +98,10 @@ def fit_pulses(
 ) -> list[PulseFit]:
     """Parameters of all pulses of a test.
 
-    With ``varpro`` in two passes: each pulse by itself; then again, with the change of the parameters
-    over SOC taken from its neighbours (see `local_trends`). A strong pulse near empty moves
-    every parameter by some percent, and without the second pass that much error stays.
+    With ``varpro`` in two passes: each pulse by itself; then again, with the
+    change of the parameters over SOC taken from its neighbours (see `local_trends`). A strong
+    pulse near empty moves every parameter by some percent, which is the error without the second
+    pass.
 
     Parameters
     ----------

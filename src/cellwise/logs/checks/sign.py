@@ -112,7 +112,7 @@ def verify_sign(log: MeasuredLog) -> SignCheck:
 
     Notes
     -----
-    The tester's counter is compared with the current and stated as evidence, but has no vote: a file
+    The tester's counter is compared with the current and is evidence without a vote: a file
     with the wrong sign usually has it wrong in both.
     """
     drawn = log.known_current_A() * log.interval_s

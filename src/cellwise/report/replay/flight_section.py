@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cellwise.forecast.remaining import Flight, Left
+from cellwise.forecast.remaining import Flight, Forecast
 from cellwise.report.page.markup import Markup, paragraph, table
 from cellwise.report.page.numerals import duration, percent, points, significant, time_unit
 from cellwise.report.page.picture import Picture, safe_key
@@ -33,11 +33,11 @@ EXPLAINED = (
 
 def flight_finding(flight: Flight) -> str:
     """The first line of a flight's page."""
-    left = flight.last
-    low, high = (duration(x) for x in left.remaining_s_band)
+    now = flight.last
+    low, high = (duration(x) for x in now.remaining_s_band)
     return (
-        f"At {duration(left.time_s)} the cells are at {percent(left.soc, 0)}: "
-        f"{duration(left.remaining_s)} remaining at the present load ({low} to {high})."
+        f"At {duration(now.time_s)} the cells are at {percent(now.soc, 0)}: "
+        f"{duration(now.remaining_s)} remaining at the present load ({low} to {high})."
     )
 
 
@@ -71,17 +71,17 @@ def flight_content(flights: Sequence[Flight]) -> Markup:
     return Markup(paragraph(EXPLAINED, "said") + table(head, rows, text_columns=(0, 7)))
 
 
-def _figures(left: Left) -> tuple[str, ...]:
-    low, high = (duration(x) for x in left.remaining_s_band)
-    least, most = (significant(x) for x in left.remaining_Wh_band)
+def _figures(now: Forecast) -> tuple[str, ...]:
+    low, high = (duration(x) for x in now.remaining_s_band)
+    least, most = (significant(x) for x in now.remaining_Wh_band)
     return (
-        f"{significant(left.load_A)} A, {significant(left.load_W)} W",
-        f"{points(left.soc)} ± {percent(left.soc_std, 1)}",
-        f"{duration(left.remaining_s)} ({low} to {high})",
-        f"{significant(left.remaining_Wh)} Wh ({least} to {most})",
-        f"{left.end_voltage_V:.3f} V",
-        percent(left.end_soc, 1),
-        left.by,
+        f"{significant(now.load_A)} A, {significant(now.load_W)} W",
+        f"{points(now.soc)} ± {percent(now.soc_std, 1)}",
+        f"{duration(now.remaining_s)} ({low} to {high})",
+        f"{significant(now.remaining_Wh)} Wh ({least} to {most})",
+        f"{now.end_voltage_V:.3f} V",
+        percent(now.end_soc, 1),
+        now.by,
     )
 
 
