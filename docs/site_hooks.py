@@ -33,7 +33,7 @@ MORE = {
     "Fleets": ("cellwise.fleet.run_fleet", "cellwise.fleet.ReplayTask",
                "cellwise.fleet.DiagnoseTask"),
     "Pages": ("cellwise.report.identify_page", "cellwise.report.replay_page",
-              "cellwise.report.diagnosis.page"),
+              "cellwise.report.diagnose_page"),
     "Originals": ("cellwise.originals.fetch_original", "cellwise.originals.import_original"),
 }  # fmt: skip
 
@@ -61,8 +61,8 @@ def inserted(mark: re.Match[str]) -> str:
 
 def mathml(tex: str, display: str) -> str:
     """One equation; on one line, so that Markdown leaves it alone."""
-    told = latex2mathml.converter.convert(" ".join(tex.split()), display=display)
-    return told.replace("\n", " ")
+    markup = latex2mathml.converter.convert(" ".join(tex.split()), display=display)
+    return markup.replace("\n", " ")
 
 
 def homes() -> dict[str, str]:

@@ -160,7 +160,7 @@ def state_row(update: Update) -> dict[str, Any]:
 def forecast_row(live: LiveFilter, outlook: Outlook, update: Update) -> dict[str, Any]:
     """Time and energy to empty, nulls where there is no load."""
     now = outlook.forecast(live.state, _temperature(live, update))
-    if left is None:
+    if now is None:
         return {"remaining_s": None, "remaining_s_band": None, "remaining_Wh": None}
     return {
         "remaining_s": now.remaining_s,
