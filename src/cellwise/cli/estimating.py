@@ -48,7 +48,7 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--hold",
         choices=("power", "current"),
         default="power",
-        help="what of the load stays [power]",
+        help="what of the load is held constant [power]",
     )
     page_options.add_page_options(replay)
     replay.set_defaults(run=run_replay)

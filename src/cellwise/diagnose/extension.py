@@ -77,7 +77,7 @@ def value_of(coordinate: str, x: float, coordinates: Coordinates, soc0: float) -
 def split_skew(
     coordinates: Coordinates, z: Mapping[str, float], interval_s: float
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """A point as the model takes it and as the log takes it: the skew goes to one of them.
+    """A point as the model takes it and as the log takes it: the sampling delay goes to one.
 
     A filter can live with a voltage that is late by up to one interval, so that belongs to the
     model (:class:`TimeSkew`); any other skew is taken out of the log.
@@ -134,7 +134,7 @@ def extend_model(
 def correct_log(log: CellLog, coordinates: Coordinates, z: Mapping[str, float]) -> CellLog:
     """The log with what belongs to the instrument taken out: offset, gain, voltage offset, skew.
 
-    The model's own skew stays in the model; a skew that was found is taken out of the current.
+    The model's own sampling delay stays in the model; one that was found is taken out of the current.
     """
     if not any(z.get(n, 0.0) for n in _MEASUREMENT):
         return log

@@ -86,7 +86,7 @@ class ReplayTask(LogTask):
     estimator : str                       a name of `ESTIMATORS`
     soc0_std : float or None              how sure ``soc0`` is
     reference_soc0 : float or None        true SOC at every log's first row
-    reference_capacity_Ah : float or None     charge between SOC 1 and 0, for a judgement
+    reference_capacity_Ah : float or None     charge between SOC 1 and 0, for the error of SOC
     """
 
     kind: ClassVar[str] = "replay"

@@ -142,7 +142,7 @@ def forecast(
     replay : Replay
     cutoff_V : float or None  terminal voltage at which the load gives up; None: the model's lower
                               limit, else its OCV at SOC 0
-    hold : str                what of the load stays: its ``power`` or its ``current``
+    hold : str                what of the load is held constant: its ``power`` or its ``current``
     window_s : float          what counts as now [s]
 
     Returns

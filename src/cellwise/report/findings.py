@@ -98,7 +98,7 @@ def simulation_finding(simulations: Sequence[Simulation]) -> str:
 def demo_finding(
     identification: Identification, simulations: Sequence[Simulation], replays: Sequence[Replay]
 ) -> str:
-    """The main result in one or two sentences."""
+    """The main result in short."""
     model = identification.model
     name = model.name or "the cell"
     alone = "laboratory tests alone" if not fitted_drives(identification) else "test logs"

@@ -1,6 +1,6 @@
 """Residuals whitened: a scalar Kalman filter for white noise and two slow parts.
 
-What a model gets wrong stays for a while, so a thousand rows may hold the evidence of ten. Two
+The error of a model is correlated in time, so a thousand rows may hold the evidence of ten. Two
 exponentially correlated parts and a white one describe it; the filter's innovations are white,
 and the same gains turn every column of a Jacobian into what the innovations see of it.
 """

@@ -42,7 +42,7 @@ class RefineSettings:
     hysteresis : bool         fit M(soc) and gamma
     activation_K, activation_std_K : float   prior of the Arrhenius activation; a standard
                               deviation of 0 keeps it
-    skew : bool               fit the skew of the logs that say they may have one
+    skew : bool               fit the sampling delay of the logs that may have one
     smooth : float            weight of the tables' curvature, in units of the residual variance
     ocv_smooth, ocv_size : float      weight of the OCV correction's curvature and size [V^-2]
     hold : float              weight of the start values, for what the data do not determine

@@ -64,10 +64,10 @@ def find_rests(log: MeasuredLog) -> list[Rest]:
     """Times of at least a minute without current; a gap ends a rest."""
     first, last = _runs(is_quiet(log) & ~log.gap_rows)
     begins = np.maximum(first - 1, 0)  # the interval that ends at the first quiet row is at rest
-    lasting = log.time_s[last] - log.time_s[begins]
+    duration_s = log.time_s[last] - log.time_s[begins]
     return [
         Rest(float(log.time_s[a]), float(seconds), float(log.voltage_V[b]))
-        for a, b, seconds in zip(begins, last, lasting, strict=True)
+        for a, b, seconds in zip(begins, last, duration_s, strict=True)
         if seconds >= LEAST_REST_S
     ]
 
@@ -126,9 +126,9 @@ def _longest_standstill(time_s: FloatArray, held: FloatArray, other: FloatArray)
     if not stuck.any():
         return None
     begins = time_s[np.maximum(first - 1, 0)][stuck]
-    lasting = time_s[last][stuck] - begins
-    longest = int(np.argmax(lasting))
-    return Stretch(float(begins[longest]), float(lasting[longest]))
+    duration_s = time_s[last][stuck] - begins
+    longest = int(np.argmax(duration_s))
+    return Stretch(float(begins[longest]), float(duration_s[longest]))
 
 
 def find_saturations(log: MeasuredLog) -> dict[str, Saturation]:

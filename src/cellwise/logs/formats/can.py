@@ -23,7 +23,7 @@ from cellwise.logs.vehicle.signal_choice import Signal, choose_signals
 _BLF = b"LOGG"
 _CANDUMP = re.compile(r"\(\d+\.\d+\)\s+\S+\s+[0-9A-Fa-f]+#")
 _ASC = re.compile(r"base\s+(hex|dec)\s+timestamps\s+(absolute|relative)", re.I)
-_TELL_EVERY = 50_000
+_REPORT_EVERY = 50_000
 
 Frames = dict[tuple[int, bool], tuple["array[float]", list[bytes]]]
 
@@ -109,7 +109,7 @@ def _frames(source: LogSource, database: Any) -> tuple[Frames, set[int]]:
             if into is not None and not (message.is_error_frame or message.is_remote_frame):
                 into[0].append(message.timestamp)
                 into[1].append(bytes(message.data))
-            if count % _TELL_EVERY == 0:
+            if count % _REPORT_EVERY == 0:
                 source.report(count, max(count + 1, source.size // 16))
     return {key: found for key, found in frames.items() if found[1]}, ids
 
