@@ -80,7 +80,7 @@ def test_a_line_comes_out_while_the_stream_goes_on(model, lines):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a signal of POSIX")
 @pytest.mark.parametrize("number", ["SIGTERM", "SIGINT"])
-def test_a_program_that_is_told_to_stop_keeps_its_state(model, lines, tmp_path, number):
+def test_a_program_that_is_asked_to_stop_keeps_its_state(model, lines, tmp_path, number):
     state = tmp_path / "state.json"
     run = started("--model", model, "--source", "stdin", "--state", str(state))
     for line in lines[:50]:

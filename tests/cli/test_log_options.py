@@ -108,7 +108,7 @@ def test_a_can_log_with_its_database(tmp_path, run_json):
     assert run_json("inspect", str(log), "--dbc", str(dbc))["format"] == "can-log"
 
 
-def test_columns_are_told_on_the_command_line(tmp_path, run_json):
+def test_columns_are_stated_on_the_command_line(tmp_path, run_json):
     path = tmp_path / "rig.csv"
     path.write_text("t,Strom,Klemme\n0,1500,3.9\n1,1500,3.8\n")
     told = ("time_s=t", "current_mA=Strom", "voltage_V=Klemme")

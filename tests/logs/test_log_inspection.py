@@ -76,7 +76,7 @@ def test_gap_repeated_stamps_missing_values():
     assert found.missing["current_A"] == 5
 
 
-def test_wrong_sign_is_told_once():
+def test_wrong_sign_is_reported_once():
     columns = pulse_channels(6000)
     columns["current_A"] = -columns["current_A"]
     columns["ampere_hours"] = -columns["ampere_hours"]

@@ -41,7 +41,7 @@ def test_long_segment_holds_the_whole_relaxation():
 
 
 @pytest.mark.parametrize("part", [0.02, 0.1, 0.5])
-def test_fast_segment_ends_where_it_is_told(part):
+def test_fast_segment_ends_where_it_is_stated(part):
     log, stop, end = pulse_and_rest()
     (found,) = relaxation_segments(log, [(stop, end, CURRENT, 0.5)], SegmentOptions(part))
     assert found.tau1_s == pytest.approx(part * 3599.0 / 5.0, abs=0.2)

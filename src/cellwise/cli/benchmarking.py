@@ -47,7 +47,7 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run_benchmark(arguments: argparse.Namespace) -> None:
-    """Run a suite, print who did best, write table and page."""
+    """Run a suite, print the ranking, write table and page."""
     from cellwise.benchmark.run_suite import run_suite
 
     if arguments.list:

@@ -189,7 +189,7 @@ def _check(arguments: argparse.Namespace) -> None:
         raise InputError(
             f"--send {arguments.send} for a source that is no CAN bus",
             "--source can:INTERFACE:CHANNEL",
-            "Leave --send away, or name the bus.",
+            "Omit --send, or name the bus.",
         )
 
 

@@ -290,7 +290,7 @@ def _evidence(accepted: Accepted) -> tuple[str, ...]:
         f"the data are e^{accepted.score:.0f} times as likely as with tolerances alone",
     ]
     if gain.low <= 0.0 and accepted.sure:
-        said.insert(1, f"by RMSE alone that would not be sure, but {accepted.sure}")
+        said.insert(1, f"the RMSE alone is not significant, but {accepted.sure}")
     if accepted.rivals:
         said.append(f"next best: {', '.join(accepted.rivals)}")
     said.append(accepted.cause.signature)

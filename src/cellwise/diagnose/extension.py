@@ -134,7 +134,7 @@ def extend_model(
 def correct_log(log: CellLog, coordinates: Coordinates, z: Mapping[str, float]) -> CellLog:
     """The log with what belongs to the instrument taken out: offset, gain, voltage offset, skew.
 
-    The model's own sampling delay stays in the model; one that was found is taken out of the current.
+    The model's own sampling delay stays in the model; one that was found is removed here.
     """
     if not any(z.get(n, 0.0) for n in _MEASUREMENT):
         return log

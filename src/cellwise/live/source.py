@@ -34,9 +34,9 @@ def open_source(
     """
     kind, _, rest = name.partition(":")
     if options.dbc is not None and kind != "can":
-        raise InputError("a DBC file for a stream without CAN frames", "can:...", "Leave it away.")
+        raise InputError("a DBC file for a stream without CAN frames", "can:...", "Omit it.")
     if options.instance is not None and kind != "ulog":
-        raise InputError("--instance for a stream of one battery", "ulog:...", "Leave it away.")
+        raise InputError("--instance for a stream of one battery", "ulog:...", "Omit it.")
     if name in ("stdin", STDIN):
         return JsonLines(Pieces(STDIN), options, sign)
     if kind == "json" and rest:

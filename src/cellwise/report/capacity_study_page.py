@@ -108,7 +108,7 @@ def study_picture(study: StudyOnPage, number: int = 0) -> Picture:
     """Voltage and SOC error over the capacity that was chosen."""
     caption = (
         "Every dot is a choice of the capacity, with the whole identification redone. Left: the "
-        "voltage hardly minds until the scale ends before the cell does. Right: SOC minds at once, "
+        "voltage hardly depends on it until the scale ends before the cell does. Right: SOC does, "
         "and a filter can only follow the scale that its OCV was given. The line is the reference."
     )
     return Picture(f"capacity_study_{number}", draw_study(study), caption)

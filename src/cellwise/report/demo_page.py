@@ -41,7 +41,7 @@ def demo_page(
     *,
     figures: str | Path | FigureFiles | None = None,
 ) -> Path:
-    """Write one page with the whole story, every picture explained for a newcomer.
+    """Write one page from tests to SOC, every picture explained for a newcomer.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def demo_sections(
     simulations: Sequence[Simulation],
     replays: Sequence[Replay],
 ) -> tuple[Section, ...]:
-    """The steps of the story, in the order in which a laboratory takes them."""
+    """The steps, in the order in which a laboratory takes them."""
     sections = [
         _result(identification, simulations, replays),
         _logs(identification, simulations),
@@ -94,7 +94,7 @@ def demo_sections(
 def _result(
     identification: Identification, simulations: Sequence[Simulation], replays: Sequence[Replay]
 ) -> Section:
-    """The picture of the whole thing: the first drive that was simulated and replayed."""
+    """The main picture: the first drive that was simulated and replayed."""
     blocks: list[Markup | Picture] = [
         paragraph(
             "A battery's state of charge cannot be measured, only inferred from current, voltage "

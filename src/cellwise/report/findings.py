@@ -43,9 +43,8 @@ def identify_finding(identification: Identification) -> str:
     if model.temperature_C.size > 1:
         low, high = model.temperature_C[0], model.temperature_C[-1]
         text += f", from {celsius(float(low))} to {celsius(float(high))}"
-    text += (
-        f", explains its own {_own(identification)} to {millivolt(identification.fit.rmse_V)} RMSE"
-    )
+    error = millivolt(identification.fit.rmse_V)
+    text += f", reproduces its own {_own(identification)} with {error} RMSE"
     counts = identification.pulse_counts
     total = sum(counts.values())
     if total:
@@ -59,7 +58,7 @@ def replay_finding(replay: Replay) -> str:
     settled = replay.settled
     if replay.reference_soc is None or settled is None:
         return _capitalised(
-            f"{who} ends at {percent(float(replay.trace.soc[-1]), 1)} SOC, give or take "
+            f"{who} ends at {percent(float(replay.trace.soc[-1]), 1)} SOC, plus or minus "
             f"{percent(2.0 * float(replay.trace.soc_std[-1]), 1)}; there is no reference"
         )
     off = abs(float(replay.start.soc - replay.reference_soc[0]))
@@ -86,12 +85,12 @@ def simulation_finding(simulations: Sequence[Simulation]) -> str:
     if len(known) == 1:
         name = simulations[0].log.name or "a log"
         return (
-            f"The voltage of {name} is simulated to {millivolt(known[0])} RMSE above {TENTH} SOC."
+            f"The voltage of {name} is simulated with {millivolt(known[0])} RMSE above {TENTH} SOC."
         )
     mean = float(np.mean(known))
     return (
-        f"The voltage of {plural(len(known), 'log')} is simulated to {millivolt(mean)} RMSE above "
-        f"{TENTH} SOC in the mean, {millivolt(max(known))} at worst."
+        f"The voltage of {plural(len(known), 'log')} is simulated with {millivolt(mean)} RMSE "
+        f"above {TENTH} SOC in the mean, {millivolt(max(known))} at worst."
     )
 
 
@@ -104,13 +103,13 @@ def demo_finding(
     alone = "laboratory tests alone" if not fitted_drives(identification) else "test logs"
     text = (
         f"From {alone} to SOC on the road: a model of {name}, "
-        f"{ampere_hours(model.capacity_Ah)}, explains its own "
-        f"{_own(identification)} to "
+        f"{ampere_hours(model.capacity_Ah)}, reproduces its own "
+        f"{_own(identification)} with "
         f"{millivolt(identification.fit.rmse_V)} RMSE"
     )
     known = [s.rmse_above_10pct_V for s in simulations if np.isfinite(s.rmse_above_10pct_V)]
     if known:
-        text += f" and {plural(len(known), 'drive')} it has not seen to "
+        text += f" and {plural(len(known), 'drive')} it has not seen with "
         text += f"{millivolt(float(np.mean(known)))}"
     text += "."
     judged = [r for r in replays if r.settled is not None]

@@ -41,8 +41,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CAPTION = (
-    "A drive that took no part in the identification: voltage from the current alone, what is "
-    "left, and the state of charge that the filter finds from a wrong start."
+    "A drive that took no part in the identification: voltage from the current alone, the "
+    "residual, and the state of charge that the filter finds from a wrong start."
 )
 HEIGHT_IN = 6.4
 CLOSE_UP_S = 180.0

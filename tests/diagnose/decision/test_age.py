@@ -50,7 +50,7 @@ def test_a_low_gain_is_exactly_age() -> None:
 
 
 @pytest.mark.slow
-def test_of_the_two_it_is_the_cell_that_is_blamed() -> None:
+def test_of_the_two_it_is_the_cell_that_is_named() -> None:
     model = curved_cell()
     logs = drives(model, 0.9)
     said = diagnose(model, logs[:2], logs[2], soc0=SOC0)

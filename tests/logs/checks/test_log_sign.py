@@ -63,7 +63,7 @@ def test_voltage_and_current_read_at_different_times(late_rows):
     assert verify_sign(flipped(log)).verdict == "contradicted"
 
 
-def test_constant_current_without_an_edge_is_told_by_the_drift():
+def test_constant_current_without_an_edge_is_determined_by_the_drift():
     time = np.arange(0.0, 3000.0, 10.0)
     log = CellLog(time, np.full(300, 3.0), 4.0 - 0.9 * time / 3000 - 0.1 * (time / 3000) ** 8)
     assert verify_sign(log).verdict == "verified"
@@ -158,7 +158,7 @@ def test_charge_positive_leaves_a_counter_that_was_right(tmp_path):
     np.testing.assert_array_equal(log.charge_Ah, truth["ampere_hours"])
 
 
-def test_an_order_against_the_data_is_told(tmp_path):
+def test_an_order_against_the_data_is_reported(tmp_path):
     path = write_csv(tmp_path / "log.csv", pulse_channels())
     log = read_log(path, sign="charge-positive")
     assert any("--sign discharge-positive" in notice for notice in log.notices)

@@ -99,7 +99,7 @@ def test_millivolts_are_refused():
 @pytest.mark.parametrize(
     ("cells", "says"), [(6, "some 7 cells in series"), (96, "pack of some 106 cells")]
 )
-def test_a_pack_is_told_as_such(cells, says):
+def test_a_pack_is_reported_as_such(cells, says):
     assert says in notices(scaled("voltage_V", cells))
 
 
@@ -153,7 +153,7 @@ def test_counter_of_throughput_is_left_out():
     assert any("alike" in notice for notice in log.notices)
 
 
-def test_counter_that_disagrees_is_told():
+def test_counter_that_disagrees_is_reported():
     """Net 180 - 30 = 150 A s of 210 A s moved in every period: 5 % of the net is 3.6 %."""
     assert "3.6 % of the charge moved" in notices(scaled("ampere_hours", 1.05))
 
@@ -173,7 +173,7 @@ def test_measured_hppc_in_milliseconds_is_refused(real_data, name):
         CellLog.from_table(columns)
 
 
-def test_measured_drive_in_milliseconds_is_told(real_data):
+def test_measured_drive_in_milliseconds_is_reported(real_data):
     log = read_log(real_data / "panasonic_18650pf" / "drive_p25_us06.csv.gz")
     columns = {"time_s": 1000 * log.time_s, "current_A": log.current_A, "voltage_V": log.voltage_V}
     assert "time_ms" in notices(columns)

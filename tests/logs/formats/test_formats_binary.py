@@ -84,7 +84,7 @@ def test_a_matlab_file_of_something_else_lists_what_it_holds(tmp_path):
     assert "'Zeit', 'Strom'" in caught.value.found
 
 
-def test_columns_of_a_matlab_file_can_be_told(tmp_path):
+def test_columns_of_a_matlab_file_can_be_stated(tmp_path):
     from scipy.io import savemat
 
     path = tmp_path / "other.mat"

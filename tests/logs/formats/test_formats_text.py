@@ -314,7 +314,7 @@ def test_an_unsigned_current_in_an_unknown_state_is_refused(tmp_path):
         read_log(path)
 
 
-def test_a_bdf_parquet_is_told_by_its_columns(tmp_path):
+def test_a_bdf_parquet_is_detected_by_its_columns(tmp_path):
     path = tmp_path / "log.parquet"
     columns = {"Test Time / s": T, "Voltage / V": V, "Current / A": -I, "Net Capacity / Ah": -Q}
     pq.write_table(pa.table(columns), path)
@@ -324,7 +324,7 @@ def test_a_bdf_parquet_is_told_by_its_columns(tmp_path):
     np.testing.assert_array_equal(log.charge_Ah, Q)
 
 
-def test_a_counter_that_starts_anew_with_every_cycle_is_joined(tmp_path):
+def test_a_counter_that_restarts_with_every_cycle_is_joined(tmp_path):
     """Arbin's two capacities go to zero where a cycle begins; the net charge goes on."""
     half = T.size // 2
     charged, discharged = CHARGED.copy(), DISCHARGED.copy()
@@ -359,7 +359,7 @@ def test_a_column_that_is_missing_is_named_with_the_nearest(tmp_path):
     np.testing.assert_array_equal(log.current_A, I)
 
 
-def test_a_column_that_the_format_does_not_know_is_told_with_the_nearest(tmp_path):
+def test_a_column_that_the_format_does_not_know_is_reported_with_the_nearest(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text(arbin_old().replace("Aux_Temperature_1(C)", "Aux_Temperatur_1(C)"))
     notices = " ".join(read_log(path).notices)

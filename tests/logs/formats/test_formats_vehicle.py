@@ -191,7 +191,7 @@ def test_an_mdf_file_with_two_packs_is_refused_with_its_candidates(tmp_path):
     np.testing.assert_allclose(log.current_A, CELL["current_A"], atol=1e-9)
 
 
-def test_signals_of_one_name_are_told_by_their_group(tmp_path):
+def test_signals_of_one_name_are_chosen_by_their_group(tmp_path):
     t, c = CELL["time_s"], pack()
     groups = [
         [("Current", "A", t, -t), ("Voltage", "V", t, c["voltage_V"])],
@@ -272,7 +272,7 @@ def test_a_can_log_without_a_database_asks_for_it(tmp_path):
     assert "--dbc" in refused(write_can(tmp_path / "drive", pack(), "log")).action
 
 
-def test_the_wrong_database_is_told_with_both_sides(tmp_path):
+def test_the_wrong_database_is_reported_with_both_sides(tmp_path):
     dbc = write_dbc(tmp_path / "other.dbc", DBC.replace("256", "257").replace("512", "513"))
     error = refused(write_can(tmp_path / "drive", pack(), "log"), dbc=dbc)
     assert "0x100" in error.found

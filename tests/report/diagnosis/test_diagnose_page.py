@@ -5,42 +5,19 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from cellwise.cell.effects import TimeSkew
 from cellwise.cell.simulate import simulate
-from cellwise.diagnose.causes.catalogue import CAUSES
-from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
-from cellwise.logs.cell_log import CellLog
 from cellwise.report.diagnosis.page import diagnose_page, diagnosis_sections
 from cellwise.report.diagnosis.pictures import candidates_finding
 from cellwise.report.diagnosis.runs import before_after
-from cellwise.report.diagnosis.statements import diagnosis_finding, said_of
+from cellwise.report.diagnosis.statements import diagnosis_finding, statement
 from cellwise.report.page.markup import finite
 from cellwise.report.page.section import pictures_of
-from example_cells import curved_cell
+from diagnosis_cases import CELL, VALUES, diagnosis, found, measured
 from report_cases import Page
 
-CELL = replace(curved_cell(), name="cell <b>&amp;</b>")
-OFFSET_A = 0.098
-VALUES = {
-    "current_offset": {"offset_A": OFFSET_A},
-    "current_gain": {"gain": 1.032},
-    "voltage_offset": {"offset_V": -0.012},
-    "time_skew": {"skew_s": 0.4},
-    "initial_soc": {"soc0": 0.85},
-    "capacity": {"capacity_Ah": 2.7},
-    "resistance_scale": {"scale": 1.35},
-    "ocv_shift": {"shift_0125_V": 0.003, "shift_0500_V": -0.012},
-    "slow_diffusion": {"r3_ohm": 0.012, "tau3_s": 1000.0},
-    "hysteresis": {"m_V": 0.018, "gamma": 30.0},
-    "temperature_dependence": {"activation_K": 2500.0},
-    "rate_dependence": {"rate_h": 0.25},
-    "charge_asymmetry": {"charge_scale": 1.3},
-    "self_heating": {"rth_K_per_W": 5.0, "thermal_s": 600.0},
-    "self_discharge": {"leak_A": 0.02},
-}
 # What a battery engineer must read of each of them, once.
 SAID = {
     "current_offset": "98 mA too much",
@@ -59,57 +36,6 @@ SAID = {
     "self_heating": "5 K per watt",
     "self_discharge": "20 mA",
 }
-
-
-def measured(name, seed, offset=OFFSET_A):
-    rng = np.random.default_rng(seed)
-    true = np.repeat(rng.uniform(-1.0, 3.0, 60), 20)
-    log = CellLog(np.arange(1200.0), true, np.full(1200, 3.7))
-    voltage = simulate(CELL, log, 0.9).voltage_V + rng.normal(0.0, 1e-3, 1200)
-    return CellLog(log.time_s, true + offset, voltage, name=name)
-
-
-def found(name, **changes):
-    cause = CAUSES[name]
-    values = VALUES[name]
-    record = FoundCause(
-        name=name,
-        kind=cause.kind,
-        meaning=cause.meaning,
-        parameters=values,
-        ci95={k: (0.9 * v, 1.1 * v) for k, v in values.items()},
-        train_rmse_before_V=0.020,
-        train_rmse_after_V=0.008,
-        holdout_rmse_before_V=0.024,
-        holdout_rmse_after_V=0.009,
-        gain=0.625,
-        gain_ci95=(0.55, 0.68),
-        evidence=("seen at <every> edge",),
-        confusable_with=cause.confused_with,
-    )
-    return replace(record, **changes)
-
-
-def diagnosis(*names, **changes):
-    logs, held = (measured("drive", 0),), (measured("held <&>", 1),)
-    fixed = tuple(replace(g, current_A=g.current_A - OFFSET_A) for g in logs)
-    tried = [TriedCause(n, 0.009 + 0.001 * k, VALUES[n], 80.0 - 20.0 * k)
-             for k, n in enumerate(VALUES)]  # fmt: skip
-    record = Diagnosis(
-        verdict=names[0] if names else "none",
-        causes=tuple(found(n) for n in names),
-        candidates=tuple(tried),
-        anatomy={},
-        next_test="rest an hour at 50 %",
-        reasons=("nothing more explains anything",),
-        model=CELL,
-        extended_model=CELL if names else None,
-        logs=logs,
-        holdout=held,
-        corrected=fixed,
-        soc0=({"value": 0.9, "std": 0.0015, "how": "given"},) * 2,
-    )
-    return replace(record, **changes)
 
 
 @pytest.fixture(scope="module")
@@ -131,21 +57,21 @@ def test_the_first_line_is_the_finding(written):
 
 @pytest.mark.parametrize("name", VALUES)
 def test_every_cause_is_said_with_its_numbers(name):
-    said = said_of(found(name), diagnosis(name)).replace("\N{NO-BREAK SPACE}", " ")
+    said = statement(found(name), diagnosis(name)).replace("\N{NO-BREAK SPACE}", " ")
     assert SAID[name] in said
     assert not said.endswith(".")
 
 
 def test_a_sign_is_a_direction():
     little = found("current_offset", parameters={"offset_A": -0.05})
-    assert "too little" in said_of(little, diagnosis("current_offset"))
+    assert "too little" in statement(little, diagnosis("current_offset"))
     early = found("time_skew", parameters={"skew_s": -0.4})
-    assert "before the current" in said_of(early, diagnosis("time_skew"))
+    assert "before the current" in statement(early, diagnosis("time_skew"))
 
 
 def test_none_and_undetermined_are_said():
     none = diagnosis(anatomy={"rmse_V": 0.0021})
-    assert "Nothing is wrong" in diagnosis_finding(none)
+    assert "no error beyond the stated one" in diagnosis_finding(none)
     assert "2.1" in diagnosis_finding(none)
     open_verdict = replace(none, verdict="undetermined")
     assert "do not tell current offset from current gain" in diagnosis_finding(open_verdict)
@@ -235,7 +161,7 @@ def test_a_search_that_ended_before_it_began_has_a_page(tmp_path):
     assert "anatomy" in page.ids
 
 
-def test_soc_before_and_after_is_told(tmp_path):
+def test_soc_before_and_after_is_reported(tmp_path):
     gain = {"log": "held", "soc_rmse_before": 0.031, "soc_rmse_after": 0.004}
     record = diagnosis("current_offset", soc_gain=gain)
     page = Page(diagnose_page(record, tmp_path / "p.html").read_text("utf-8"))

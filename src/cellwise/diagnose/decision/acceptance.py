@@ -23,8 +23,8 @@ CLEAR_SIGMAS = 0.3
 # Of these the first says less and the second can do all that the first does: unless the second is
 # ahead by SIMPLER nats, the first is what happened.
 SIMPLER = 10.0
-# Who is behind the likeliest by less than the scatter of the difference may still be right; who by
-# itself leaves this much less of the held-out error than another such one, is.
+# A candidate behind the likeliest by less than the scatter of the difference may still be right;
+# one that by itself leaves this much less of the held-out error than another is preferred.
 CLOSE_SIGMAS = 1.0
 CLOSE_GAIN = 0.2
 OUTSIDE_K = 8.0
@@ -47,7 +47,7 @@ def immaterial(candidate: Candidate, alone: Gain, together: Gain, claim_V: float
     """Why a candidate's gain does not count; empty if it does.
 
     ``alone`` is the gain of the causes by themselves, which is what an extended model brings;
-    ``together`` that on top of what tolerances take up, where a small effect shows clearer. Where
+    ``together`` that on top of the fitted tolerances, where a small effect shows clearer. Where
     a few hours carry most of the squared error, the likelihood, which knows how wrong the model
     may be there, shows what they do not.
     ``claim_V`` is the error that the model states of itself.
@@ -55,7 +55,7 @@ def immaterial(candidate: Candidate, alone: Gain, together: Gain, claim_V: float
     name = candidate.name
     lows = (alone.low, alone.low_in_size, together.low, together.low_in_size, candidate.held_low)
     if alone.gain <= 0.0 or max(lows) <= 0.0:
-        return f"{name} fits, but gains nothing sure on held-out data"
+        return f"{name} fits, but its gain on held-out data is not significant"
     saved = max(
         alone.held_before_V - alone.held_after_V, alone.before_in_size_V - alone.after_in_size_V
     )
@@ -67,12 +67,14 @@ def immaterial(candidate: Candidate, alone: Gain, together: Gain, claim_V: float
     )
     small = max(alone.gain, alone.gain_in_size) < LEAST_GAIN or saved < LEAST_CHANGE_V
     if small or square < claim * claim:
-        return f"{name} would save {1e3 * saved:.2f} mV, less than the model claims to know"
+        return (
+            f"{name} reduces the error by {1e3 * saved:.2f} mV, less than the model's stated error"
+        )
     return ""
 
 
 def sure_by(candidate: Candidate, alone: Gain, together: Gain) -> str:
-    """What makes a gain sure where the interval of its plain RMSE holds zero."""
+    """What makes a gain significant where the interval of its plain RMSE holds zero."""
     if alone.low_in_size > 0.0:
         return (
             "with every row over the model's error there it gains "
@@ -80,7 +82,7 @@ def sure_by(candidate: Candidate, alone: Gain, together: Gain) -> str:
         )
     most = max(together.low, together.low_in_size)
     if most > 0.0:
-        return f"beside what tolerances take up it gains at least {100 * most:.0f} %"
+        return f"on top of the tolerances it gains at least {100 * most:.0f} %"
     return f"held-out rows are at least e^{candidate.held_low:.0f} times as likely with it"
 
 
@@ -116,7 +118,7 @@ def unphysical(candidate: Candidate, prior: Prior) -> str:
     for p in candidate.cause.parameters:
         x = z.get(p.coordinate)
         if x is not None and x in (prior.low.get(p.coordinate), prior.high.get(p.coordinate)):
-            return f"{candidate.name} would need {p.name} beyond what is physical"
+            return f"{candidate.name} would need {p.name} outside its physical bounds"
     return ""
 
 

@@ -178,7 +178,7 @@ class ModelComparison:
         noise = fits.noise(best, wide, stage.noise)
         best = fits.fit(noise, best.coordinates, wide, best.z, 5, frozen, moving)
         if best.log_evidence < base.log_evidence:
-            # The firm noise led it astray: begin where the base stands.
+            # The firm noise misled it: start from the base.
             again = fits.fit(stage.noise, best.coordinates, wide, base.z, 5, frozen, moving)
             if again.log_evidence > best.log_evidence:
                 best, noise = again, stage.noise
@@ -224,7 +224,7 @@ class ModelComparison:
         return [self.fits.alone(c.fit, (*stage.causes, c.cause)).voltage_V for c in close]
 
     def _gains(self, candidate: Candidate, stage: Stage) -> tuple[Gain, Gain]:
-        """Gain on held-out rows of the causes alone, and with what tolerances take up."""
+        """Gain on held-out rows of the causes alone, and with the tolerances fitted."""
         one = self.fits.alone(stage.fit, stage.causes)
         two = self.fits.alone(candidate.fit, (*stage.causes, candidate.cause))
         return (
@@ -235,7 +235,7 @@ class ModelComparison:
     def _chosen(
         self, ranked: Sequence[Candidate], stage: Stage
     ) -> tuple[Candidate | None, tuple[Candidate, ...]]:
-        """The first one, or who of its equals predicts best; none and all of them if none does."""
+        """The first one, or the best predictor of its equals; none and all of them if none is."""
         best = ranked[0]
         rivals = rivals_of(ranked, self.fits.evidence, self.extrapolated)
         if not rivals or self._both_needed(best, rivals, stage):
@@ -254,7 +254,7 @@ class ModelComparison:
         claim = evidence.claim_V(self.fits.coordinates.model, stage.fit.soc)
         for k, candidate in enumerate(ranked):
             if candidate.score < LEAST_SCORE:
-                refused.append(f"{candidate.name} explains no more than tolerances do")
+                refused.append(f"{candidate.name} explains no more than the tolerances")
                 break
             alone, together = self._gains(candidate, stage)
             wide = widened_for(stage.prior, candidate.cause, candidate.fit.coordinates, evidence)

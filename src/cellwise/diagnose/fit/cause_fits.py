@@ -79,7 +79,7 @@ class CauseFits:
         """The noise that a fit leaves on all rows; ``other`` if that describes it better.
 
         Held-out logs may ask more of the cell than those that were fitted: what a model gets
-        wrong there is no surprise to be paid for row by row. And some logs ask more than others.
+        wrong there is expected there. And some logs ask more than others.
         """
         found = complete(self.objective(other or Noise(self.floor)), found, prior)
         rows = self.evidence.known & (self.evidence.role != IGNORED)

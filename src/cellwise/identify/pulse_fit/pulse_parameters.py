@@ -1,4 +1,4 @@
-"""What a pulse fit returns: parameters, their standard errors, and what may be believed."""
+"""What a pulse fit returns: parameters, their standard errors, and what is identified."""
 
 from __future__ import annotations
 

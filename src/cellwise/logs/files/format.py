@@ -92,13 +92,13 @@ def _check_options(source: LogSource, known: Format) -> None:
         raise InputError(
             f"an instance for {source.where}, whose format {known.name} holds one battery",
             "a log of several batteries",
-            "Leave --instance away, or choose the columns with --channel.",
+            "Omit --instance, or choose the columns with --channel.",
         )
     if options.dbc is not None and not known.uses_dbc:
         raise InputError(
             f"a DBC file for {source.where}, whose format is {known.name}",
             "a log of CAN frames",
-            "Leave --dbc away.",
+            "Omit --dbc.",
         )
 
 
@@ -128,7 +128,7 @@ def library_at_work(source: LogSource, kind: str) -> Iterator[None]:
     """Turn whatever a library raises on a damaged file into one refusal.
 
     These libraries check little: a file that was cut off ends in an index, a key, a struct or an
-    assertion error, as it happens, and talk meanwhile.
+    assertion error, and print meanwhile.
     """
     level = logging.root.manager.disable
     logging.disable(logging.CRITICAL)

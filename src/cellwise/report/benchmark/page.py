@@ -1,4 +1,4 @@
-"""The page of a benchmark: who did best, on what, under which fault, at what cost."""
+"""The page of a benchmark: accuracy by estimator, log and fault, and its cost."""
 
 from __future__ import annotations
 

@@ -118,7 +118,7 @@ def draw_faults(matrix: Matrix) -> Figure:
     if values.shape[0] > 1 and np.isfinite(values[1:]).any():
         worst = np.array([np.nanmax(c) if np.isfinite(c).any() else np.inf for c in values[1:].T])
         best = int(np.argmin(worst))
-        text = f"{matrix.estimators[best]} holds out best: at most {worst[best]:.2f} % settled"
+        text = f"{matrix.estimators[best]} is most robust: at most {worst[best]:.2f} % settled"
         finding(axes, text)
     return figure
 

@@ -42,7 +42,7 @@ def diagnosis_finding(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == "none":
         error = diagnosis.anatomy.get("rmse_V")
         rest = "" if error is None else f" The residual is {millivolt(error)} RMSE."
-        return f"Nothing is wrong that these data can show.{rest}"
+        return f"These data show no error beyond the stated one.{rest}"
     alike = _alike(diagnosis)
     if len(alike) < 2:
         why = f": {diagnosis.reasons[0].rstrip('.')}" if diagnosis.reasons else ""

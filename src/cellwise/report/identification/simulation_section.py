@@ -41,8 +41,8 @@ if TYPE_CHECKING:
 LOW_SOC = 0.1
 MOST_PICTURES = 8
 CAPTION = (
-    "Left: measured voltage (grey), the model's (vermillion) from the current alone, and what is "
-    "left between them. Right: the minutes above 10 % SOC where the model is worst, with their "
+    "Left: measured voltage (grey), the model's (vermillion) from the current alone, and the "
+    "residual. Right: the minutes above 10 % SOC where the model is worst, with their "
     "current; below, the error over SOC – mean, and the band that holds 95 % of it."
 )
 

@@ -21,7 +21,7 @@ EXPLAINED = (
     "Errors are estimate minus reference, in points of SOC. Settled: after the error has come "
     "within 2 points and stayed there for ten minutes; where it never did, the log's second half. "
     "Inside 2σ: share of rows whose error is within two of the filter's own standard deviations. "
-    "NIS: innovation squared over its variance, 1 for a filter that is just right."
+    "NIS: innovation squared over its variance, 1 for a consistent filter."
 )
 
 
