@@ -42,7 +42,7 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--cutoff-v",
         type=float,
         metavar="V",
-        help="cell voltage at which the load gives up [model]",
+        help="cell voltage at which the load stops [model]",
     )
     replay.add_argument(
         "--hold",

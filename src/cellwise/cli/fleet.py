@@ -28,7 +28,7 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--reference-capacity-ah", type=float, metavar="X", help="for the reference by the counter"
     )
     replay.set_defaults(run=run_replay)
-    diagnose = actions.add_parser("diagnose", help="what the model gets wrong about every log")
+    diagnose = actions.add_parser("diagnose", help="the errors of the model on every log")
     _common(diagnose)
     diagnose.add_argument(
         "--baseline", action="append", default=[], metavar="LOG", help="known to be good; several"

@@ -48,7 +48,9 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     live.add_argument("--view", action="store_true", help="a view instead of lines [on a terminal]")
     live.add_argument("--send", metavar="MESSAGE.SIGNAL", help="SOC back on the CAN bus")
     live.add_argument("--send-every", type=float, default=0.1, metavar="S", help="seconds [0.1]")
-    live.add_argument("--cutoff-v", type=float, metavar="V", help="where the load gives up [model]")
+    live.add_argument(
+        "--cutoff-v", type=float, metavar="V", help="voltage at which the load stops [model]"
+    )
     live.add_argument("--deadline-ms", type=float, metavar="MS", help="[the sample's interval]")
     live.add_argument("--samples", type=int, metavar="N", help="stop after N samples")
     live.add_argument(

@@ -101,7 +101,7 @@ def groups(
     """The error by what lies between edges: rows, RMSE, mean, share of the squared error.
 
     A value at an edge belongs to the group above it. Groups without a row are left out; ``first``
-    and ``last`` are only said, not enforced: what lies beyond belongs to the outer groups.
+    and ``last`` are only stated, not enforced: what lies beyond belongs to the outer groups.
     """
     use = np.isfinite(error_V) & np.isfinite(by)
     e = error_V[use]

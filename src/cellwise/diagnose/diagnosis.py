@@ -142,12 +142,12 @@ def _starts(
     """Every log with its start."""
     flat = [g for group in groups for g in group]
     if isinstance(soc0, (str, float, int)):
-        said: list[float | str] = [soc0] * len(flat)
+        stated: list[float | str] = [soc0] * len(flat)
     else:
-        said = list(soc0)
-        if len(said) < len(flat):
-            said += ["auto"] * (len(flat) - len(said))
-    found = iter(zip(flat, said, strict=False))
+        stated = list(soc0)
+        if len(stated) < len(flat):
+            stated += ["auto"] * (len(flat) - len(stated))
+    found = iter(zip(flat, stated, strict=False))
     result = []
     for group in groups:
         pairs = []
@@ -283,18 +283,18 @@ def _evidence(accepted: Accepted) -> tuple[str, ...]:
     """Why a cause was accepted."""
     gain = accepted.gain
     least = f"{100 * gain.low:.0f}" if gain.low >= 0.0 else f"{-100 * gain.low:.0f} % more"
-    said = [
+    lines = [
         f"held-out RMSE falls from {1e3 * gain.held_before_V:.1f} to "
         f"{1e3 * gain.held_after_V:.1f} mV ({least} to {100 * gain.high:.0f} % less, "
         "95 % interval over blocks of time)",
         f"the data are e^{accepted.score:.0f} times as likely as with tolerances alone",
     ]
     if gain.low <= 0.0 and accepted.sure:
-        said.insert(1, f"the RMSE alone is not significant, but {accepted.sure}")
+        lines.insert(1, f"the RMSE alone is not significant, but {accepted.sure}")
     if accepted.rivals:
-        said.append(f"next best: {', '.join(accepted.rivals)}")
-    said.append(accepted.cause.signature)
-    return tuple(said)
+        lines.append(f"next best: {', '.join(accepted.rivals)}")
+    lines.append(accepted.cause.signature)
+    return tuple(lines)
 
 
 def _next_test(outcome: Outcome) -> str:

@@ -334,15 +334,15 @@ def _pulse_set(
 
 def _counts(found: Sequence[tuple[CellLog, Sequence[Pulse]]]) -> tuple[str, int]:
     """The pulses of each log by quality, as text, and how many are healthy."""
-    said, healthy = [], 0
+    values, healthy = [], 0
     for log, pulses in found:
         counts: dict[str, int] = {}
         for p in pulses:
             counts[p.quality] = counts.get(p.quality, 0) + 1
         listed = ", ".join(f"{n} {quality}" for quality, n in counts.items())
-        said.append(f"{listed + ' pulse(s)' if listed else 'no pulse at all'} in '{log.name}'")
+        values.append(f"{listed + ' pulse(s)' if listed else 'no pulse at all'} in '{log.name}'")
         healthy += counts.get("healthy", 0)
-    return "; ".join(said), healthy
+    return "; ".join(values), healthy
 
 
 def _limit(tests: TestLogs, measured: tuple[CapacityTest, ...], *, low: bool) -> float | None:

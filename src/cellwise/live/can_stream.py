@@ -66,9 +66,9 @@ class CanStream:
         try:
             self.bus = self._can.Bus(interface=interface, channel=channel)
         except Exception as error:  # every interface has errors of its own
-            said = " ".join(str(error).split())[:160] or type(error).__name__
+            text = " ".join(str(error).split())[:160] or type(error).__name__
             raise InputError(
-                f"no bus '{channel}' of python-can's interface '{interface}' ({said})",
+                f"no bus '{channel}' of python-can's interface '{interface}' ({text})",
                 "a bus that is up",
                 "Write --source can:INTERFACE:CHANNEL, e.g. can:socketcan:can0.",
             ) from error

@@ -39,7 +39,7 @@ class StudyOnPage(NamedTuple):
     """One cell's study as the page shows it.
 
     ``soc_rmse`` holds one RMSE per choice under every estimator, ``names`` what people call it;
-    ``said`` are the titles of the two axes; ``head`` and ``rows`` the table.
+    ``titles`` are the titles of the two axes; ``head`` and ``rows`` the table.
     """
 
     name: str
@@ -50,7 +50,7 @@ class StudyOnPage(NamedTuple):
     voltage_rmse_V: Sequence[float]
     soc_rmse: Mapping[str, Sequence[float]]
     names: Mapping[str, str]
-    said: tuple[str, str]
+    titles: tuple[str, str]
     verdicts: Sequence[str]
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
@@ -143,11 +143,11 @@ def draw_study(study: StudyOnPage) -> Figure:
         axes.margins(y=0.0)
         axes.set_ylim(0.0, 1.3 * axes.get_ylim()[1])  # room for the names
     _name_choices(left, study)
-    finding(left, study.said[0], 0.42)
+    finding(left, study.titles[0], 0.42)
     labels(left, "capacity [Ah]", "voltage RMSE [mV]")
     if study.soc_rmse:
         legend(right)
-        finding(right, study.said[1], 0.42)
+        finding(right, study.titles[1], 0.42)
     labels(right, "capacity [Ah]", "SOC RMSE [points]")
     return figure
 

@@ -130,8 +130,8 @@ def export_sections(report: Mapping[str, Any], on_log: HasPanels | None) -> list
             Section("accuracy", "What is lost", (grid, accuracy_table(report)), "Accuracy")
         )
     else:
-        said = paragraph("No log was given (--log), so what single precision loses is not known.")
-        sections.append(Section("accuracy", "What is lost", (said,), "Accuracy"))
+        text = paragraph("No log was given (--log), so what single precision loses is not known.")
+        sections.append(Section("accuracy", "What is lost", (text,), "Accuracy"))
     if on_log is not None:
         sections.append(trace_section([("exported filter and float64 EKF", on_log)]))
     sections.append(Section("files", "What was written", (files_content(report),), "Files"))
@@ -155,8 +155,8 @@ def draw_cost(targets: Sequence[Row]) -> Figure:
         left.set_ylim(bottom=0.3 * min(v for v in mean if v > 0.0))
         plain_numbers(left.yaxis)
         legend(left)
-        said = f"{counted(round(cheapest['instructions_mean']))} instructions on {cheapest['core']}"
-        finding(left, said, 0.42)
+        text = f"{counted(round(cheapest['instructions_mean']))} instructions on {cheapest['core']}"
+        finding(left, text, 0.42)
     code = np.array([c["text_bytes"] for c in targets])
     tables = np.array([c["model_bytes"] for c in targets])
     right.bar(place, code, 0.6, color=FILTER, label="code")
@@ -237,15 +237,15 @@ def accuracy_table(report: Mapping[str, Any]) -> Markup:
     ]
     chosen = None if mine is None else list(report["accuracy"]).index(mine)
     head = ("SOC points", "tables [B]", "RMSE [points]", "largest [points]")
-    said = "SOC of the exported filter minus that of the float64 EKF on the same samples."
-    return table(head, rows, caption=said, marked=chosen)
+    text = "SOC of the exported filter minus that of the float64 EKF on the same samples."
+    return table(head, rows, caption=text, marked=chosen)
 
 
 def files_content(report: Mapping[str, Any]) -> Markup:
     """Files, options, and the model they are of."""
     options = report["options"]
     on = [k for k, v in options.items() if v and k not in ("points", "temperatures")]
-    said = [
+    lines = [
         f"{plural(len(report['files']), 'file')}: {listed(list(report['files']))}.",
         f"Tables of {plural(options['points'], 'SOC point')} and "
         f"{plural(options['temperatures'], 'temperature')}.",
@@ -253,7 +253,7 @@ def files_content(report: Mapping[str, Any]) -> Markup:
         f"A sample is {report['input_bytes']} bytes, an answer {report['output_bytes']}.",
         f"SHA-256 of the model: {report['model_sha256']}.",
     ]
-    return bullets(said)
+    return bullets(lines)
 
 
 def _cheapest(targets: Sequence[Row]) -> Row | None:

@@ -24,7 +24,7 @@ EFFECTS = {
     "slow_diffusion": "a slow third branch",
     "hysteresis": "hysteresis",
     "temperature_dependence": "an Arrhenius factor",
-    "time_skew": "the logger's time skew",
+    "time_skew": "the sampling delay of the logger",
 }
 TWO, TENTH = percent(CONVERGED_SOC, 0), percent(0.1, 0)
 ESTIMATORS = {

@@ -67,7 +67,7 @@ def on_page(study: CellStudy) -> StudyOnPage:
         voltage_rmse_V=[c.voltage_rmse_V for c in study.choices],
         soc_rmse={e: [c.soc[e].rmse for c in study.choices] for e in estimators},
         names={e: named(e) for e in estimators},
-        said=(f"voltage: {voltage.choice} best, {1e3 * voltage.value:.1f} mV", soc),
+        titles=(f"voltage: {voltage.choice} best, {1e3 * voltage.value:.1f} mV", soc),
         verdicts=verdicts(study),
         head=choice_head(study),
         rows=[choice_row(c) for c in study.choices],

@@ -126,9 +126,9 @@ def _capacity(found: LfpTables) -> Table:
     )
     for row in found.capacities:
         there = LFP_CAPACITIES.get(row.rate)
-        said = ("", "", "") if there is None else tuple(f"{x:.4g}" for x in there)
+        values = ("", "", "") if there is None else tuple(f"{x:.4g}" for x in there)
         table.add_row(
-            row.rate, f"{row.total_Ah:.3f}", f"{row.cc_Ah:.3f}", f"{row.cv_Ah:.3f}", *said
+            row.rate, f"{row.total_Ah:.3f}", f"{row.cc_Ah:.3f}", f"{row.cv_Ah:.3f}", *values
         )
     return table
 

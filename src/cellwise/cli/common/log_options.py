@@ -23,7 +23,7 @@ def add_log_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_pack_options(parser: argparse.ArgumentParser, series: str = "") -> argparse._ArgumentGroup:
-    """Add what is to be said of a log and a stream alike: sign, pack, channels, database."""
+    """Add the options of a log and a stream alike: sign, pack, channels, database."""
     printing.add_sign(parser)
     group = parser.add_argument_group("packs and native logs")
     group.add_argument(

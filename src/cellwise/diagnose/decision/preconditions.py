@@ -31,7 +31,7 @@ def too_little(model: CellModel, logs: Sequence[CellLog]) -> str:
         )
     current = np.concatenate([g.current_A[np.isfinite(g.current_A)] for g in logs])
     if current.size == 0:
-        return "no current in the log: nothing says what the cell was asked to do"
+        return "no current in the log"
     swing = float(np.quantile(np.abs(current), 0.99))
     if swing < QUIET_C * model.capacity_Ah:
         return (

@@ -250,12 +250,12 @@ def _missing_columns(
 ) -> InputError:
     names = [name.strip() for name in header]
     hints: list[str] = []
-    said: list[str] = []
+    lines: list[str] = []
     for channel in missing:
         near = _nearest(channel, names)
         if near:
             hints.append(f"rename '{near}' to '{channel.usual_name}' if that is what it holds")
-            said.append(f"--channel {_tidy_name(channel)}='{near}'")
+            lines.append(f"--channel {_tidy_name(channel)}='{near}'")
     optional = ", ".join(c.usual_name for c in channels if not c.required)
     required = ", ".join(c.usual_name for c in channels if c.required)
     action = (
@@ -266,7 +266,7 @@ def _missing_columns(
         f"column(s) {listed(names) or 'without any name'} in {where}; missing: "
         f"{', '.join(c.usual_name for c in missing)}",
         f"the columns {required} (and, where measured, {optional})",
-        f"{action}: {'; '.join(hints)}, or say it with {' '.join(said)}."
+        f"{action}: {'; '.join(hints)}, or say it with {' '.join(lines)}."
         if hints
         else f"{action}, or name the columns with --channel.",
     )

@@ -68,7 +68,7 @@ def detect_format(source: LogSource, formats: Sequence[Format]) -> Format:
 
     Raises
     ------
-    InputError        none does, or the format has no use for what the user said
+    InputError        none does, or the format has no use for what the user stated
     """
     for known in formats:
         if known.matches(source):
@@ -104,9 +104,9 @@ def _check_options(source: LogSource, known: Format) -> None:
 
 def damaged(source: LogSource, kind: str, reason: object) -> InputError:
     """The refusal of a file that its own library cannot read to the end."""
-    said = " ".join(str(reason).split()).rstrip(".")[:200] or type(reason).__name__
+    text = " ".join(str(reason).split()).rstrip(".")[:200] or type(reason).__name__
     return InputError(
-        f"a cut off or damaged {kind} {source.where} ({said})",
+        f"a cut off or damaged {kind} {source.where} ({text})",
         "a complete file",
         "Copy it again, or have it written again.",
     )

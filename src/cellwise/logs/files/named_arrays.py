@@ -23,7 +23,7 @@ def channels_of(
     Parameters
     ----------
     arrays : mapping        name to array, in the file's order
-    source : LogSource      where they come from, and what the user said of it
+    source : LogSource      where they come from, and what the user stated of it
     known : Format          the column map
     cells : int or None     cells in series, if the file states them
 

@@ -33,7 +33,7 @@ def _read(source: LogSource, known: Format) -> RawLog:
                 raise InputError(
                     f"no frame of {source.where} in the database '{source.options.dbc}'",
                     "the database of these frames",
-                    "Choose another DBC file, or leave --dbc away.",
+                    "Choose another DBC file, or omit --dbc.",
                 )
         elif signals and all(s.name.rpartition(".")[2].startswith("CAN_") for s in signals):
             raise InputError(

@@ -27,9 +27,9 @@ def can_database(path: Path | None, of: str) -> Any:
     try:
         return cantools.database.load_file(str(path), strict=False)
     except Exception as error:  # parsers of four formats raise what they like
-        said = " ".join(str(error).split())[:160]
+        text = " ".join(str(error).split())[:160]
         raise InputError(
-            f"a file that is no CAN database, '{path}' ({said})",
+            f"a file that is no CAN database, '{path}' ({text})",
             "a DBC, ARXML, KCD or SYM file",
             "Choose the database of this log.",
         ) from error

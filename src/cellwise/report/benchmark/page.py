@@ -175,8 +175,8 @@ def problems(rows: Sequence[Mapping[str, Any]]) -> Markup:
     bad = [row for row in rows if row["problem"]]
     if not bad:
         return EMPTY
-    said = dict.fromkeys(f"{row['estimator']}: {row['problem']}" for row in bad)
+    text = dict.fromkeys(f"{row['estimator']}: {row['problem']}" for row in bad)
     return Markup(
         paragraph(f"{plural(len(bad), 'run')} of {len(rows)} not judged:")
-        + bullets(list(said)[:8], "notices")
+        + bullets(list(text)[:8], "notices")
     )

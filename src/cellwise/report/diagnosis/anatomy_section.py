@@ -142,39 +142,39 @@ def _title(what: str, groups: Sequence[Group], name: Callable[[Group], str], wor
     where = f"{name(top)}{units.get(what, '')}"
     rows = sum(g.get("rows", 0) for g in groups)
     part = f", {percent(top['rows'] / rows, 0)} of rows" if rows else ""
-    said = {
+    text = {
         "elapsed time": f"part {worst + 1} of {len(groups)} of the time",
         "charge moved": f"part {worst + 1} of {len(groups)} of the charge",
         "current": "rest" if where == "restC" else where.replace("c ", "charge at "),
         "time since an edge": f"{where} s after an edge",
         "period": "a constant" if worst == 0 else f"periods of {where} s",
     }.get(what, where)
-    return f"{percent(top['share'], 0)} of the error: {said}{part}"
+    return f"{percent(top['share'], 0)} of the error: {text}{part}"
 
 
 def anatomy_text(anatomy: Mapping[str, Any]) -> Markup:
     """Noise, correlation and drift as text."""
     noise, white, drift = anatomy["noise"], anatomy["whiteness"], anatomy["drift"]
-    said = [
+    lines = [
         f"{counted(anatomy['rows'])} rows, {millivolt(anatomy['rmse_V'])} RMSE, mean "
         f"{millivolt(anatomy['mean_V'])}."
     ]
     if noise["floor_V"] is not None:
-        said.append(
+        lines.append(
             f"The noise from row to row, which no model can predict, is "
             f"{millivolt(noise['floor_V'])}: {percent(noise['share'], 1)} of the squared error."
         )
     if white["white"]:
-        said.append("The residual is white: successive rows are uncorrelated.")
+        lines.append("The residual is white: successive rows are uncorrelated.")
     elif white["correlation_s"] is not None:
-        said.append(f"Errors are correlated over {duration(white['correlation_s'])}.")
+        lines.append(f"Errors are correlated over {duration(white['correlation_s'])}.")
     sure = [
         f"{millivolt(drift[key])} per {unit}"
         for key, unit in (("V_per_h", "hour"), ("V_per_Ah", "ampere-hour"))
         if drift[key] is not None and abs(drift[key]) > 2.0 * (drift[f"{key}_std"] or 0.0)
     ]
-    said.append(f"It drifts by {listed(sure)}." if sure else "No drift is certain.")
-    return paragraph(" ".join(said))
+    lines.append(f"It drifts by {listed(sure)}." if sure else "No drift is certain.")
+    return paragraph(" ".join(lines))
 
 
 def anatomy_tables(anatomy: Mapping[str, Any]) -> Markup:

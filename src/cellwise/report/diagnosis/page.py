@@ -67,7 +67,7 @@ def diagnose_page(
         f"Errors of {name} on {_names(diagnosis)}, by cellwise",
         diagnosis_sections(diagnosis, runs),
         diagnosis_data(diagnosis, runs),
-        lead=Markup(diagnosis_tiles(diagnosis) + bullets(lead_said(diagnosis))),
+        lead=Markup(diagnosis_tiles(diagnosis) + bullets(lead_lines(diagnosis))),
         figures=figures,
     )
 
@@ -153,9 +153,9 @@ def diagnosis_tiles(diagnosis: Diagnosis) -> Markup:
     return tiles(facts)
 
 
-def lead_said(diagnosis: Diagnosis) -> list[str]:
+def lead_lines(diagnosis: Diagnosis) -> list[str]:
     """What follows the first line: every further cause, and what it means for the user."""
-    said = [
+    lines = [
         f"{statement(c, diagnosis)}: {percent(c.gain, 0)} less error on held-out data, on top of "
         f"the causes before it."
         for c in diagnosis.causes[1:]
@@ -165,24 +165,24 @@ def lead_said(diagnosis: Diagnosis) -> list[str]:
         names = listed([cause_name(c.name) for c in diagnosis.causes if c.kind == kind])
         prefix = f"{names[:1].upper()}{names[1:]} – " if len(kinds) > 1 else ""
         meaning = KINDS[kind]
-        said.append(f"{prefix}{meaning[:1].lower()}{meaning[1:]}" if prefix else meaning)
+        lines.append(f"{prefix}{meaning[:1].lower()}{meaning[1:]}" if prefix else meaning)
     if diagnosis.causes:
         where = (
             f"Held out: {_held(diagnosis)}; only its initial SOC was fitted."
             if diagnosis.holdout
             else "Held out: later blocks of the logs themselves, never used in the fit."
         )
-        said.append(where)
+        lines.append(where)
     gain = diagnosis.soc_gain
     if gain and "soc_rmse_before" in gain and "soc_rmse_after" in gain:
-        said.append(
+        lines.append(
             f"SOC by the EKF on {gain.get('log') or 'the log'}: RMSE "
             f"{percent(gain['soc_rmse_before'])} before, {percent(gain['soc_rmse_after'])} after, "
             "against the tester's counter."
         )
     if diagnosis.next_test:
-        said.append(f"Next test: {diagnosis.next_test}")
-    return said
+        lines.append(f"Next test: {diagnosis.next_test}")
+    return lines
 
 
 def cause_content(cause: FoundCause, diagnosis: Diagnosis) -> Markup:
@@ -207,15 +207,15 @@ def cause_content(cause: FoundCause, diagnosis: Diagnosis) -> Markup:
     ]
     head = ("rows", "RMSE before", "after", "gain", "95 % interval")
     confused = cause.confusable_with
-    said = [
+    lines = [
         KINDS[cause.kind],
         f"In the model: {known.term}.",
         f"What it leaves in the residual: {known.signature}",
         *(e for e in cause.evidence if e != known.signature),
     ]
     if confused:
-        said.append(f"Easily confused with {listed([cause_name(c) for c in confused])}.")
-    return Markup(head_line + bullets(said) + numbers + table(head, before_after_rows))
+        lines.append(f"Easily confused with {listed([cause_name(c) for c in confused])}.")
+    return Markup(head_line + bullets(lines) + numbers + table(head, before_after_rows))
 
 
 def runs_table(runs: Sequence[BeforeAfter], explained: bool) -> Markup:

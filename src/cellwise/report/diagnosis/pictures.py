@@ -79,8 +79,8 @@ def draw_before_after(run: BeforeAfter, explained: bool) -> Figure:
         top.plot(*thin(t, voltage, gaps=gaps), color=colour, linewidth=0.8, label=name)
     before, after = run.before.metrics.rmse_V, run.after.metrics.rmse_V
     which = f"{log.name or 'log'}{' (held out)' if run.held_out else ''}"
-    said = f"error {fall(before, after)}" if explained else f"{millivolt(before)} RMSE"
-    finding(top, f"{which}: {said}", WIDE)
+    text = f"error {fall(before, after)}" if explained else f"{millivolt(before)} RMSE"
+    finding(top, f"{which}: {text}", WIDE)
     labels(top, "", "voltage [V]")
     legend(top, columns=3)
     middle.plot(*thin(t, log.known_current_A(), gaps=gaps), color=MEASURED, linewidth=0.8)
@@ -128,8 +128,8 @@ def _draw_worst(
     for _, voltage, _, colour in runs:
         axes.plot(*thin(t, voltage[rows], 300), color=colour, linewidth=1.2)
     sizes = [error_metrics(error[rows]).rmse_V for _, _, error, _ in runs]
-    said = " → ".join(millivolt(s) for s in sizes)
-    finding(axes, f"Worst {duration(length_s)}: {said} RMSE", NARROW)
+    text = " → ".join(millivolt(s) for s in sizes)
+    finding(axes, f"Worst {duration(length_s)}: {text} RMSE", NARROW)
     labels(axes, f"time [{unit}]", "voltage [V]")
 
 

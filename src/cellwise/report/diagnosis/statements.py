@@ -34,11 +34,11 @@ def diagnosis_finding(diagnosis: Diagnosis) -> str:
     """The first line: what is wrong and what its correction gains."""
     if diagnosis.causes:
         first, last = diagnosis.causes[0], diagnosis.causes[-1]
-        said = statement(first, diagnosis)
+        text = statement(first, diagnosis)
         others = [cause_name(c.name) for c in diagnosis.causes[1:]]
         more = f", with {listed(others)}" if others else ""
         before, after = first.holdout_rmse_before_V, last.holdout_rmse_after_V
-        return f"{said}{more}: held-out error {fall(before, after)}."
+        return f"{text}{more}: held-out error {fall(before, after)}."
     if diagnosis.verdict == "none":
         error = diagnosis.anatomy.get("rmse_V")
         rest = "" if error is None else f" The residual is {millivolt(error)} RMSE."

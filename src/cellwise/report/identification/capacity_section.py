@@ -80,13 +80,13 @@ def capacity_content(identification: Identification) -> Markup:
         )
     )
     content = beside(*parts)
-    said = [
+    lines = [
         f"{test.name} ({significant(test.current_A)} A): {notice}"
         for test in identification.capacity_tests
         for notice in test.notices
     ]
-    if said:
-        content = Markup(content + details("Notices on single tests", bullets(said)))
+    if lines:
+        content = Markup(content + details("Notices on single tests", bullets(lines)))
     return content
 
 

@@ -116,14 +116,14 @@ def ocv_content(identification: Identification, evidence: OcvEvidence) -> Markup
         sizes = [millivolt(_rms(error)), millivolt(_median_size(error))]
         rows.append(["in the model, refined", "", "", "", *sizes])
     chosen = next(k for k, fit in enumerate(evidence.fits) if fit is curve.fit)
-    said = (
+    text = (
         f"Fits to {plural(curve.points_soc.size, 'point')}; the marked one was chosen. Left-out: "
         "every fifth point in turn predicted from the others. Rests: against the voltages at rest, "
         "where a steep end turns errors of SOC into volts."
     )
     notes = bullets(curve.notes)
     return Markup(
-        table(head, rows, caption=said, marked=chosen)
+        table(head, rows, caption=text, marked=chosen)
         + (details(f"Where the OCV came from: {curve.source}", notes) if notes else "")
     )
 

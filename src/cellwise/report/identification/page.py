@@ -137,5 +137,5 @@ def notices(identification: Identification) -> Markup:
     """What a person should know before believing the numbers."""
     if not identification.notices:
         return Markup("")
-    said = paragraph(f"{plural(len(identification.notices), 'notice')} on the way:")
-    return Markup(said + bullets(identification.notices, "notices"))
+    text = paragraph(f"{plural(len(identification.notices), 'notice')} on the way:")
+    return Markup(text + bullets(identification.notices, "notices"))

@@ -66,9 +66,9 @@ def _ocv_rows(identification: Identification) -> list[tuple[object, ...]]:
     value = f"{model.ocv_V.min():.3f} to {model.ocv_V.max():.3f} V"
     how = f"{curve.function.kind}, {plural(curve.points_soc.size, 'point')}"
     errors = _errors(identification, "ocv_V")
-    said = listed([millivolt(e) for e in errors])
+    text = listed([millivolt(e) for e in errors])
     refined = ", corrected by refinement" if errors else ""
-    return [("OCV", value, curve.source, how + refined, said)]
+    return [("OCV", value, curve.source, how + refined, text)]
 
 
 def _table_rows(identification: Identification) -> list[tuple[object, ...]]:
@@ -93,8 +93,8 @@ def _table_rows(identification: Identification) -> list[tuple[object, ...]]:
         v = np.asarray(value)
         factor, unit = (1e3, "mΩ") if name.endswith("ohm") else (1.0, "s")
         text = f"{significant(factor * v.min())} to {significant(factor * v.max())} {unit}"
-        said = listed([percent(e, 1) for e in _errors(identification, name)])
-        rows.append((WORDS[name], text, source, how, said))
+        note = listed([percent(e, 1) for e in _errors(identification, name)])
+        rows.append((WORDS[name], text, source, how, note))
     return rows
 
 
@@ -106,15 +106,15 @@ def _effect_rows(identification: Identification) -> list[tuple[object, ...]]:
     if Hysteresis.name in names:
         h = model.effect(Hysteresis)
         text = f"M up to {millivolt(float(np.max(h.m_V)))}, γ {significant(float(h.gamma))}"
-        said = listed([millivolt(e) for e in _errors(identification, "m_V")])
-        rows.append(("hysteresis", text, "gap of the branches", how, said))
+        note = listed([millivolt(e) for e in _errors(identification, "m_V")])
+        rows.append(("hysteresis", text, "gap of the branches", how, note))
     if TemperatureDependence.name in names:
         t = model.effect(TemperatureDependence)
         text = f"{significant(float(t.activation_K))} K at {celsius(t.reference_C)}"
         rows.append(("Arrhenius activation", text, "measured temperatures", how, ""))
     if TimeSkew.name in names:
         skew = model.effect(TimeSkew).skew_s
-        rows.append(("time skew", f"{significant(skew)} s", "the drives", how, ""))
+        rows.append(("sampling delay", f"{significant(skew)} s", "the drives", how, ""))
     return rows
 
 

@@ -90,10 +90,10 @@ def simulation_content(simulations: Sequence[Simulation]) -> Markup:
             )
         )
     head = ("log", "rows", "RMSE", "above 10 % SOC", "MAE", "max", "mean", "sd", "95 % interval")
-    said = "Measured minus simulated voltage. 95 % interval: mean ± 1.96 sd."
+    text = "Measured minus simulated voltage. 95 % interval: mean ± 1.96 sd."
     if len(simulations) > MOST_PICTURES:
-        said += f" Pictures show the {MOST_PICTURES} logs with the largest errors."
-    return Markup(table(head, rows, caption=said) + _band_table(simulations))
+        text += f" Pictures show the {MOST_PICTURES} logs with the largest errors."
+    return Markup(table(head, rows, caption=text) + _band_table(simulations))
 
 
 def _band_table(simulations: Sequence[Simulation]) -> Markup:

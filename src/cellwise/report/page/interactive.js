@@ -91,9 +91,9 @@
       root.append(canvas);
       return canvas;
     });
-    const said = document.createElement("p");
-    said.className = "readout";
-    root.append(said);
+    const readout = document.createElement("p");
+    readout.className = "readout";
+    root.append(readout);
     root.tabIndex = 0;
 
     function draw() {
@@ -248,7 +248,7 @@
             if (line.levels[i] !== MISSING)
               text += ` | ${line.label} ${valueOf(line, line.levels[i]).toPrecision(5)}`;
       }
-      said.textContent = text;
+      readout.textContent = text;
     }
 
     function show(from, to) {

@@ -52,7 +52,7 @@ def simulation_traces(simulation: Simulation) -> Traces:
 def trace_section(results: Sequence[tuple[str, HasPanels]], key: str = "trace") -> Section:
     """A section with one plot that zooms for each result, under its name.
 
-    Results beyond three million samples are left out, and that is said.
+    Results beyond three million samples are left out, with a note.
     """
     blocks: list[Markup] = [paragraph("Every sample is here, however many there are.")]
     samples, left_out = 0, []

@@ -65,9 +65,9 @@ def table(
     body = "".join(
         f"<tr{mark if k == marked else ''}>{cells(row, 'td')}</tr>\n" for k, row in enumerate(rows)
     )
-    said = paragraph(caption, "said") if caption else ""
+    note = paragraph(caption, "note") if caption else ""
     return Markup(
-        f'{said}<div class="scroll"><table{many}><thead><tr>{cells(head, "th")}</tr></thead>\n'
+        f'{note}<div class="scroll"><table{many}><thead><tr>{cells(head, "th")}</tr></thead>\n'
         f"<tbody>\n{body}</tbody></table></div>"
     )
 

@@ -43,9 +43,9 @@ figure svg * { stroke-linejoin: round; stroke-linecap: butt; }
 figcaption { color: var(--muted); font-size: .9rem; max-width: 100ch; margin-top: .35rem; }
 .scroll { overflow-x: auto; margin: .8rem 0 1rem; }
 table { border-collapse: collapse; font-size: .88rem; font-variant-numeric: tabular-nums; }
-.said { color: var(--muted); font-size: .9rem; margin: 1rem 0 0; }
-.said + .scroll { margin-top: .35rem; }
-.beside { display: flex; flex-wrap: wrap; gap: 0 48px; } .beside .said { max-width: 42ch; }
+.note { color: var(--muted); font-size: .9rem; margin: 1rem 0 0; }
+.note + .scroll { margin-top: .35rem; }
+.beside { display: flex; flex-wrap: wrap; gap: 0 48px; } .beside .note { max-width: 42ch; }
 th, td { padding: 4px 14px 4px 0; text-align: left; vertical-align: baseline;
   border-bottom: 1px solid var(--grid); }
 th { font-weight: 600; white-space: nowrap; border-bottom-color: var(--muted); }

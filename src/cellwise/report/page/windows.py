@@ -98,7 +98,7 @@ def robust_limit(values: FloatArray, share: float = 99.5) -> tuple[float, bool]:
 def symmetric_limits(
     axes: Axes, values: FloatArray, unit: str, least: float = 0.0, factor: float = 1.0
 ) -> None:
-    """Limits around zero; what lies beyond is said in the corner rather than hidden."""
+    """Limits around zero; what lies beyond is stated in the corner rather than hidden."""
     limit, beyond = robust_limit(values)
     limit = max(limit, least)
     axes.set_ylim(-factor * limit, factor * limit)

@@ -156,8 +156,8 @@
     });
     plot.reading = (at) => {
       const shares = plot.shares(at);
-      const said = [["x", shares.x], ["y", 1 - shares.y]].filter(([side]) => !axes[side].words);
-      return said.map(([side, share]) => {
+      const sides = [["x", shares.x], ["y", 1 - shares.y]].filter(([side]) => !axes[side].words);
+      return sides.map(([side, share]) => {
         const axis = axes[side], shown = axis.label.replace(/\s*\[.*\]/, "");
         const unit = (axis.label.match(/\[(.*)\]/) || ["", ""])[1];
         return `${shown} ${+value(axis, share).toPrecision(5)} ${unit}`.trim();
@@ -174,7 +174,7 @@
     for (const axes of all)  // of panels over one another only the lowest names x
       axes.x.label ||= (all.find((t) => t.share === axes.share && t.x.label) || axes).x.label;
     const plots = all.map((axes, k) => plotOf(svg, axes, k));
-    const said = figure.querySelector(".readout");
+    const readout = figure.querySelector(".readout");
     let grip = null, looked = plots[0], waiting = new Set();
 
     function show(plot, side, view) {
@@ -221,7 +221,7 @@
     });
     svg.addEventListener("pointermove", (event) => {
       const at = where(event), plot = grip ? grip.plot : under(at);
-      said.textContent = plot ? plot.reading(at) : "";
+      readout.textContent = plot ? plot.reading(at) : "";
       if (!grip) return;
       const [x, y, wide, tall] = drawnBox(grip, at);
       for (const [key, v] of Object.entries({ x, y, width: wide, height: tall }))
@@ -237,7 +237,7 @@
         if (size[side] > CLICK) show(plot, side, [from[side], to[side]].sort((a, b) => a - b));
     });
     svg.addEventListener("pointercancel", () => { if (grip) grip.box.remove(); grip = null; });
-    svg.addEventListener("pointerleave", () => { said.textContent = ""; });
+    svg.addEventListener("pointerleave", () => { readout.textContent = ""; });
     svg.addEventListener("dblclick", (event) => { const p = under(where(event)); if (p) whole(p); });
     svg.addEventListener("keydown", (event) => {
       const zoom = (factor) =>

@@ -1,4 +1,4 @@
-"""Pictures that zoom in a page: where their axes are, said to the script that moves their parts."""
+"""Pictures that zoom in a page: where their axes are, for the script that moves their parts."""
 
 from __future__ import annotations
 

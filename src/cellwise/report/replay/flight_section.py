@@ -68,7 +68,7 @@ def flight_content(flights: Sequence[Flight]) -> Markup:
         "SOC then",
         "ends by",
     )
-    return Markup(paragraph(EXPLAINED, "said") + table(head, rows, text_columns=(0, 7)))
+    return Markup(paragraph(EXPLAINED, "note") + table(head, rows, text_columns=(0, 7)))
 
 
 def _figures(now: Forecast) -> tuple[str, ...]:

@@ -55,17 +55,17 @@ def replay_page(
     if not replays:
         raise InputError("no replay for the page", "at least one", "Replay a log first.")
     names = list(dict.fromkeys(r.log.name or "log" for r in replays))
-    said = [replay_finding(r) for r in replays[1:]]
+    lines = [replay_finding(r) for r in replays[1:]]
     if simulations:
-        said.append(simulation_finding(simulations))
+        lines.append(simulation_finding(simulations))
     first = replay_finding(replays[0])
     if (
         flights and replays[0].reference_soc is None
     ):  # no reference: remaining time and energy come first
-        said.insert(0, first)
+        lines.insert(0, first)
         first = flight_finding(flights[0])
     elif flights:
-        said.append(flight_finding(flights[0]))
+        lines.append(flight_finding(flights[0]))
     sections = replay_sections(replays, simulations)
     if flights:
         sections = (flight_section(flights), *sections)
@@ -83,7 +83,7 @@ def replay_page(
         f"State of charge on {listed(names)}, by cellwise",
         sections,
         data,
-        lead=Markup(replay_tiles(replays[0]) + bullets(said)),
+        lead=Markup(replay_tiles(replays[0]) + bullets(lines)),
         figures=figures,
     )
 
@@ -92,8 +92,8 @@ def replay_sections(
     replays: Sequence[Replay], simulations: Sequence[Simulation] = ()
 ) -> tuple[Section, ...]:
     """The parts of a replay page."""
-    said = f"The first {MOST_DETAILED} replays have pictures of their own; the table has all."
-    few = (paragraph(said),) if len(replays) > MOST_DETAILED else ()
+    text = f"The first {MOST_DETAILED} replays have pictures of their own; the table has all."
+    few = (paragraph(text),) if len(replays) > MOST_DETAILED else ()
     sections = [
         Section("soc", "State of charge", (*few, *replay_pictures(replays))),
         Section("figures", "All figures", (replay_content(replays),)),

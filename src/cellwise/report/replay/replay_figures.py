@@ -32,10 +32,10 @@ def replay_content(replays: Sequence[Replay]) -> Markup:
     if len(columns) <= MOST_COLUMNS:
         head = ("", *(r.estimator for r in replays))
         body = [(name, *(column[k][1] for column in columns)) for k, name in enumerate(names)]
-        return Markup(paragraph(EXPLAINED, "said") + table(head, body))
+        return Markup(paragraph(EXPLAINED, "note") + table(head, body))
     rows = [(r.estimator, *(text for _, text in c)) for r, c in zip(replays, columns, strict=True)]
     return Markup(
-        paragraph(EXPLAINED, "said") + table(("estimator", *names), rows, text_columns=(0, 1))
+        paragraph(EXPLAINED, "note") + table(("estimator", *names), rows, text_columns=(0, 1))
     )
 
 
