@@ -25,6 +25,7 @@ RETIRED = {
     r"\bpeers?\b": "reference implementation",
     r"instrument('s)? skew|\bthe skew\b": "sampling delay",
     r"what is left": "remaining time and energy, residual",
+    r"\brivals?\b": "alternative, candidate",
     r"\bforeign": "outside the model's temperatures, of another kind",
     r"\bdoubt": "uncertain",
     r"\bowns? up": "state",

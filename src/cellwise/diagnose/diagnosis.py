@@ -291,8 +291,8 @@ def _evidence(accepted: Accepted) -> tuple[str, ...]:
     ]
     if gain.low <= 0.0 and accepted.sure:
         lines.insert(1, f"the RMSE alone is not significant, but {accepted.sure}")
-    if accepted.rivals:
-        lines.append(f"next best: {', '.join(accepted.rivals)}")
+    if accepted.alternatives:
+        lines.append(f"next best: {', '.join(accepted.alternatives)}")
     lines.append(accepted.cause.signature)
     return tuple(lines)
 

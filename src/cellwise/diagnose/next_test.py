@@ -35,15 +35,15 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Proposal:
-    """An experiment and by how much it separates the rivals [V RMS]."""
+    """An experiment and by how much it separates the alternatives [V RMS]."""
 
     name: str
     hours: float
     separation_V: float
 
-    def text(self, rivals: Sequence[str]) -> str:
+    def text(self, alternatives: Sequence[str]) -> str:
         """What to do, for people."""
-        names = " and ".join(r.replace("_", " ").replace("soc", "SOC") for r in rivals[:2])
+        names = " and ".join(r.replace("_", " ").replace("soc", "SOC") for r in alternatives[:2])
         verdict = "separates" if self.separation_V >= CLEAR_V else "barely separates"
         return (
             f"{self.name} ({self.hours:.2g} h): predicted to differ by "
@@ -77,13 +77,13 @@ def experiments() -> tuple[Experiment, ...]:
     )
 
 
-def propose(rivals: Sequence[Candidate]) -> Proposal | None:
+def propose(alternatives: Sequence[Candidate]) -> Proposal | None:
     """The shortest experiment with a clear separation; else the one with the largest."""
-    if len(rivals) < 2:
+    if len(alternatives) < 2:
         return None
     best: Proposal | None = None
     for e in sorted(experiments(), key=lambda e: e.hours):
-        one, two = (_voltage(c, e) for c in rivals[:2])
+        one, two = (_voltage(c, e) for c in alternatives[:2])
         # Where a start or a constant would do, only the shape counts for a known start: keep all.
         separation = float(np.sqrt(np.mean((one - two) ** 2)))
         found = Proposal(e.name, e.hours, separation)

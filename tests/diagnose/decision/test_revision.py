@@ -13,7 +13,12 @@ from cellwise.cell.effects import SlowDiffusion
 from cellwise.cell.initial_soc import initial_soc
 from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.causes.coordinates import Coordinates
-from cellwise.diagnose.decision.acceptance import LEAST_SCORE, beaten_by, contenders, sure_by
+from cellwise.diagnose.decision.acceptance import (
+    LEAST_SCORE,
+    close_candidates,
+    predicts_worse,
+    significance_of,
+)
 from cellwise.diagnose.decision.outcome import Accepted, Stage
 from cellwise.diagnose.decision.revision import refitted, unnecessary
 from cellwise.diagnose.fit.cause_fits import CauseFits
@@ -127,7 +132,7 @@ def test_a_memory_that_the_model_has_is_tried_from_others_too():
 def test_where_rmse_alone_is_not_sure_it_says_what_is(alone, together, says):
     one = SimpleNamespace(gain_in_size=alone[0], low_in_size=alone[1])
     both = SimpleNamespace(low=together[0], low_in_size=together[1])
-    assert says in sure_by(SimpleNamespace(held_low=12.0), one, both)
+    assert says in significance_of(SimpleNamespace(held_low=12.0), one, both)
 
 
 def candidate(name: str, score: float, terms: np.ndarray) -> SimpleNamespace:
@@ -148,7 +153,7 @@ def test_who_is_surely_behind_does_not_contend(rows):
     uneven = candidate("current_offset", 280.0, 0.25 + rng.choice([-2.0, 2.0], 24).repeat(50))
     evenly_behind = candidate("self_discharge", 200.0, np.full(1200, 0.25 - 100.0 / 1200))
     nothing = candidate("hysteresis", 4.0, 0.25 + rng.choice([-9.0, 9.0], 24).repeat(50))
-    close = contenders([first, uneven, evenly_behind, nothing], rows)
+    close = close_candidates([first, uneven, evenly_behind, nothing], rows)
     assert [c.name for c in close] == ["capacity", "current_offset"]
 
 
@@ -157,7 +162,7 @@ def gain(plain: float, in_size: float, low: float) -> SimpleNamespace:
 
 
 @pytest.mark.parametrize(
-    ("one", "lead", "over", "extrapolated", "beaten"),
+    ("one", "lead", "over", "extrapolated", "worse"),
     [
         ("capacity", "current_offset", (0.4, 0.3, 0.1), False, True),
         ("capacity", "current_offset", (0.4, 0.3, -0.1), False, False),  # not sure
@@ -172,7 +177,7 @@ def gain(plain: float, in_size: float, low: float) -> SimpleNamespace:
         ),  # more than its constant part
     ],
 )
-def test_who_predicts_far_better_goes_first(one, lead, over, extrapolated, beaten):
+def test_who_predicts_far_better_goes_first(one, lead, over, extrapolated, worse):
     flat = np.zeros(1200)
     pair = candidate(one, 100.0, flat), candidate(lead, 90.0, flat)
-    assert beaten_by(*pair, gain(*over), extrapolated) is beaten
+    assert predicts_worse(*pair, gain(*over), extrapolated) is worse

@@ -73,7 +73,7 @@ def immaterial(candidate: Candidate, alone: Gain, together: Gain, claim_V: float
     return ""
 
 
-def sure_by(candidate: Candidate, alone: Gain, together: Gain) -> str:
+def significance_of(candidate: Candidate, alone: Gain, together: Gain) -> str:
     """What makes a gain significant where the interval of its plain RMSE holds zero."""
     if alone.low_in_size > 0.0:
         return (
@@ -122,7 +122,7 @@ def unphysical(candidate: Candidate, prior: Prior) -> str:
     return ""
 
 
-def rivals_of(
+def alternatives_to(
     ranked: Sequence[Candidate], evidence: Evidence, extrapolated: bool
 ) -> tuple[Candidate, ...]:
     """Those that explain as much as the first one.
@@ -130,7 +130,7 @@ def rivals_of(
     Not what the first is a part of; nor, where the model is ``extrapolated`` in temperature, a
     fault of the instrument beside a change of the cell.
     """
-    rivals, best = [], ranked[0].cause.kind
+    alternatives, best = [], ranked[0].cause.kind
     for other in ranked[1:]:
         ahead, error = difference(ranked[0], other, evidence)
         if PART_OF.get(ranked[0].name) == other.name:
@@ -138,11 +138,11 @@ def rivals_of(
         if extrapolated and (best, other.cause.kind) == ("cell", "measurement"):
             continue
         if other.score >= LEAST_SCORE and ahead < max(CLEAR_SCORE, CLEAR_SIGMAS * error):
-            rivals.append(other)
-    return tuple(rivals)
+            alternatives.append(other)
+    return tuple(alternatives)
 
 
-def contenders(ranked: Sequence[Candidate], evidence: Evidence) -> list[Candidate]:
+def close_candidates(ranked: Sequence[Candidate], evidence: Evidence) -> list[Candidate]:
     """The first one and those that it does not surely beat."""
     close = [ranked[0]]
     for other in ranked[1:]:
@@ -152,7 +152,7 @@ def contenders(ranked: Sequence[Candidate], evidence: Evidence) -> list[Candidat
     return close
 
 
-def beaten_by(one: Candidate, lead: Candidate, gain: Gain, extrapolated: bool) -> bool:
+def predicts_worse(one: Candidate, lead: Candidate, gain: Gain, extrapolated: bool) -> bool:
     """Whether another candidate by itself predicts held-out rows so much better.
 
     ``gain`` is the lead's over the one.

@@ -12,12 +12,12 @@ import numpy as np
 from cellwise.diagnose.causes.catalogue import Cause, kept_coordinates
 from cellwise.diagnose.decision.acceptance import (
     LEAST_SCORE,
-    beaten_by,
-    contenders,
+    alternatives_to,
+    close_candidates,
     immaterial,
     likelier_first,
-    rivals_of,
-    sure_by,
+    predicts_worse,
+    significance_of,
     unphysical,
 )
 from cellwise.diagnose.decision.candidates import Candidate, clearly_ahead, held_interval_low
@@ -111,7 +111,9 @@ class ModelComparison:
     ) -> Stage:
         """The stage with one more cause."""
         prior = widened_for(stage.prior, chosen.cause, chosen.fit.coordinates, self.fits.evidence)
-        one = Accepted(chosen.cause, gains[0], chosen.score, others, sure_by(chosen, *gains))
+        one = Accepted(
+            chosen.cause, gains[0], chosen.score, others, significance_of(chosen, *gains)
+        )
         return Stage((*stage.accepted, one), prior, chosen.fit, chosen.noise)
 
     def _rank(self, causes: Sequence[Cause], stage: Stage, turn: int) -> tuple[Candidate, ...]:
@@ -204,7 +206,7 @@ class ModelComparison:
         What explains most may owe it to small changes of everything else, which an extended
         model does not have.
         """
-        close = contenders(ranked, self.fits.evidence)
+        close = close_candidates(ranked, self.fits.evidence)
         if len(close) < 2:
             return ranked
         alone = self._predictions(close, stage)
@@ -215,7 +217,7 @@ class ModelComparison:
         late = [
             c
             for c, gain in zip(close, over, strict=True)
-            if beaten_by(c, close[lead], gain, self.extrapolated)
+            if predicts_worse(c, close[lead], gain, self.extrapolated)
         ]
         return (*(c for c in ranked if c not in late), *late)
 
@@ -237,10 +239,10 @@ class ModelComparison:
     ) -> tuple[Candidate | None, tuple[Candidate, ...]]:
         """The first one, or the best predictor of its equals; none and all of them if none is."""
         best = ranked[0]
-        rivals = rivals_of(ranked, self.fits.evidence, self.extrapolated)
-        if not rivals or self._both_needed(best, rivals, stage):
+        alternatives = alternatives_to(ranked, self.fits.evidence, self.extrapolated)
+        if not alternatives or self._both_needed(best, alternatives, stage):
             return best, ()
-        close = (best, *rivals)
+        close = (best, *alternatives)
         alone = self._predictions(close, stage)
         ahead = clearly_ahead(self.fits.evidence, alone, self.fits.amplitude, self.fits.seed)
         return (None, close) if ahead is None else (close[ahead], ())
@@ -264,8 +266,10 @@ class ModelComparison:
             refused.append(refusal)
         return ranked, None, refused
 
-    def _both_needed(self, best: Candidate, rivals: Sequence[Candidate], stage: Stage) -> bool:
-        """Whether some rival explains more on top of the best one: they are two effects."""
+    def _both_needed(
+        self, best: Candidate, alternatives: Sequence[Candidate], stage: Stage
+    ) -> bool:
+        """Whether some alternative explains more on top of the best one: they are two effects."""
         after = self._with(stage, best, self._gains(best, stage))
         frozen = freeze(
             self.fits.objective(after.noise),
@@ -274,7 +278,9 @@ class ModelComparison:
             after.fit.z,
         )
         none = self._explained(after)
-        tried = (self._candidate(r.cause, after, after.noise, frozen, none) for r in rivals[:2])
+        tried = (
+            self._candidate(r.cause, after, after.noise, frozen, none) for r in alternatives[:2]
+        )
         return any(c.score > LEAST_SCORE for c in tried)
 
     def _say(self, turn: int, part: float, name: str) -> None:

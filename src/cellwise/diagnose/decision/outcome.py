@@ -18,7 +18,7 @@ class Accepted:
     cause: Cause
     gain: Gain
     score: float
-    rivals: tuple[str, ...]
+    alternatives: tuple[str, ...]
     sure: str = ""
 
 
