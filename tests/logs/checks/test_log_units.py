@@ -128,7 +128,7 @@ def test_impossible_temperatures_are_missing_values():
 def test_counter_of_opposite_sign_is_turned_round_when_the_voltage_bears_the_current_out():
     log = CellLog.from_table(scaled("ampere_hours", -1.0))
     np.testing.assert_array_equal(log.charge_Ah, pulse_channels()["ampere_hours"])
-    assert any("turned round" in notice for notice in log.notices)
+    assert any("inverted" in notice for notice in log.notices)
 
 
 def test_counter_that_restarts_is_joined_up():
