@@ -35,9 +35,9 @@ papers: $(STAMP)
 
 benchmark: $(STAMP)
 	$(BIN)/pip install --quiet --editable '.[benchmark]'
-	$(BIN)/python benchmarks/speed.py
-	$(BIN)/python benchmarks/accuracy.py
-	$(BIN)/python benchmarks/firmware.py
+	$(BIN)/python -m benchmarks.speed
+	$(BIN)/python -m benchmarks.accuracy
+	$(BIN)/python -m benchmarks.firmware
 
 # Cross compiler, emulator and proof from Debian; then everything that needs them.
 FIRMWARE_PACKAGES := gcc gcc-arm-none-eabi libnewlib-arm-none-eabi libc6-dev qemu-system-arm frama-c-base cppcheck \

@@ -108,7 +108,7 @@ def print_figures(figures: Iterable[Figure], title: str, notes: Sequence[str] = 
 
 
 def _table(group: str, rows: Sequence[Figure]) -> Table:
-    """One group; columns that nobody fills are left out."""
+    """One group; empty columns are left out."""
     table = Table(title=group, title_justify="left", title_style="bold", box=SIMPLE, pad_edge=False)
     columns = [("", [f.who for f in rows]), ("value", [_value(f) for f in rows])]
     columns += [

@@ -5,8 +5,8 @@ python -m benchmarks.fleet_scaling [--logs 2000] [--samples 36000] [--json]
 The logs are a few distinct drives under many names (hard links): what is read comes out of the
 system's file cache. `kernel` is the estimator's compiled loop over a log in memory, on as many
 threads as the fleet has workers, measured right before and after each run. Its share is
-told twice: by the clock, and by the processor time that a sample takes in the kernel and in all
-of the run, which is what the clock says of a machine that nobody else uses. `csv`, `parquet` are
+stated twice: by the clock, and by the processor time that a sample takes in the kernel and in all
+of the run, which is what the clock says of an idle machine. `csv`, `parquet` are
 read as `read_log` does, without the check of the sign; `prepared` maps what --cache kept of an
 earlier run.
 """
@@ -114,25 +114,25 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--schedulers", default="local,processes")
     parser.add_argument("--kinds", default="csv,parquet,prepared")
     parser.add_argument("--json", action="store_true")
-    told = parser.parse_args(arguments)
+    chosen = parser.parse_args(arguments)
     rows = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        kinds = told.kinds.split(",")
+        kinds = chosen.kinds.split(",")
         for kind in {"parquet", *kinds} - {"prepared"}:
-            make_fleet(folder / kind, told.logs, told.samples, kind)
+            make_fleet(folder / kind, chosen.logs, chosen.samples, kind)
         filled = ReplayTask(three_branches(), cache=str(folder / "cache"))
         first_s = 0.0
         if "prepared" in kinds:
             first = run_fleet(filled, folder / "parquet", folder / "out", scheduler="processes")
             first_s = first.seconds
-        for estimator in told.estimators.split(","):
-            for scheduler in told.schedulers.split(","):
+        for estimator in chosen.estimators.split(","):
+            for scheduler in chosen.schedulers.split(","):
                 for how in kinds:
                     for workers in (1, 2):
-                        row = measure(folder, estimator, workers, told.samples, how, scheduler)
+                        row = measure(folder, estimator, workers, chosen.samples, how, scheduler)
                         rows.append(row)
-                        if not told.json:
+                        if not chosen.json:
                             print(
                                 f"{estimator:9s} {scheduler:9s} {how:8s} {workers} worker(s): "
                                 f"{row['seconds']:6.1f} s, {1e-6 * row['samples_per_s']:5.2f} M "
@@ -142,7 +142,7 @@ def main(arguments: list[str] | None = None) -> int:
                                 flush=True,
                             )
     machine = describe_machine()
-    if told.json:
+    if chosen.json:
         print(json.dumps({"machine": machine, "first_run_s": first_s, "fleet": rows}))
     else:
         print(f"first run, that reads, checks and keeps every log: {first_s:.1f} s")

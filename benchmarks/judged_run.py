@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 from benchmarks.figures import Figure, Progress, print_figures, report_json, write_json
 from benchmarks.machine import describe_machine, machine_lines
-from benchmarks.speed import progress
 
 Measure = Callable[[list[str], Progress], list[Figure]]
 
@@ -44,3 +44,12 @@ def judged_run(
     lines = [f"{met['met']} of {met['judged']} targets met", *machine_lines(machine)]
     print_figures(figures, title, [*lines, f"{report['seconds']:.0f} s"])
     return 0
+
+
+def progress() -> Progress:
+    """Say on standard error what is being measured."""
+
+    def say(what: str) -> None:
+        print(f"  {what} ...", file=sys.stderr, flush=True)
+
+    return say

@@ -67,7 +67,7 @@ def follow(rate_Hz: float, seconds: float) -> dict[str, float]:
     from cellwise.live import Counts, LiveFilter, open_source, run_live
     from cellwise.live.can_stream import SocSender
     from cellwise.live.latency import LatencyMeter
-    from cellwise.logs.options import ReadOptions
+    from cellwise.logs.files.options import ReadOptions
 
     samples = round(rate_Hz * seconds)
     with tempfile.TemporaryDirectory() as folder:
@@ -106,15 +106,15 @@ def follow(rate_Hz: float, seconds: float) -> dict[str, float]:
             )
             cpu_s = time.process_time() - began
         vehicle.join()
-    told = counts.latency.to_dict()
+    latency = counts.latency.to_dict()
     return {
         "rate_Hz": rate_Hz,
         "samples": counts.samples,
-        "p50_ms": told["p50_ms"],
-        "p99_ms": told["p99_ms"],
-        "max_ms": told["max_ms"],
-        "missed_deadlines": told["missed_deadlines"],
-        "missed_share": told["missed_deadlines"] / max(counts.samples, 1),
+        "p50_ms": latency["p50_ms"],
+        "p99_ms": latency["p99_ms"],
+        "max_ms": latency["max_ms"],
+        "missed_deadlines": latency["missed_deadlines"],
+        "missed_share": latency["missed_deadlines"] / max(counts.samples, 1),
         "sender_late_max_ms": 1e3 * max(behind),
         "cpu_share": cpu_s / seconds,
         "soc_frames_sent": sender.sent,
@@ -126,10 +126,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--json", action="store_true")
-    told = parser.parse_args(arguments)
+    chosen = parser.parse_args(arguments)
     machine = describe_machine()
-    rows = [follow(rate_Hz, told.seconds) for rate_Hz in (100.0, 1000.0)]
-    if told.json:
+    rows = [follow(rate_Hz, chosen.seconds) for rate_Hz in (100.0, 1000.0)]
+    if chosen.json:
         print(json.dumps({"machine": machine, "live": rows}))
         return 0
     for row in rows:

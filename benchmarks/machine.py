@@ -25,7 +25,7 @@ def describe_machine() -> dict[str, Any]:
 
 
 def machine_lines(machine: dict[str, Any]) -> list[str]:
-    """The same in words."""
+    """The same as text."""
     packages = ", ".join(f"{name} {machine[name]}" for name in PACKAGES if machine[name])
     load = "" if machine["load"] is None else f", load average {machine['load']:.1f}"
     return [

@@ -19,7 +19,7 @@ from benchmarks.measured_data import HOW, data_folder, measured_log
 from cellwise import CellModel, IdentifySettings, TestLogs, identify_cell
 from cellwise.diagnose import diagnose
 from cellwise.logs import CellLog
-from cellwise.report.diagnose_page import diagnose_page
+from cellwise.report.diagnosis.page import diagnose_page
 
 PANASONIC, A123, LEAF = "panasonic_18650pf", "plett_a123", "nissan_leaf"
 A123_AH = 2.0725

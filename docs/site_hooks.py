@@ -61,8 +61,8 @@ def inserted(mark: re.Match[str]) -> str:
 
 def mathml(tex: str, display: str) -> str:
     """One equation; on one line, so that Markdown leaves it alone."""
-    told = latex2mathml.converter.convert(" ".join(tex.split()), display=display)
-    return told.replace("\n", " ")
+    markup = latex2mathml.converter.convert(" ".join(tex.split()), display=display)
+    return markup.replace("\n", " ")
 
 
 def homes() -> dict[str, str]:

@@ -9,7 +9,7 @@ tests = cw.TestLogs(
 )
 cell = cw.identify_cell(tests, cw.IdentifySettings(nominal_Ah=5.0, refine=False)).model
 
-# The fault that nobody is told of. The counter would give it away.
+# The hidden fault. The counter would reveal it.
 good = cw.load_dataset("nmc_drive_b")
 logged = replace(good, current_A=good.current_A + 0.15, charge_Ah=None)
 

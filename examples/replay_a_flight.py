@@ -1,4 +1,4 @@
-"""Replay a flight: SOC with its band, time and energy to empty. Nobody says the start SOC."""
+"""Replay a flight: SOC with its band, time and energy to empty, from an unknown initial SOC."""
 
 import cellwise as cw
 from cellwise.forecast.remaining import forecast
@@ -14,12 +14,13 @@ flight = cw.load_dataset("nmc_flight")
 run = cw.replay(cell, flight)
 print(run, "| start:", run.start.how)
 
-left = forecast(cell, run, cutoff_V=3.0)
-if left is not None:
-    now = left.last
+outlook = forecast(cell, run, cutoff_V=3.0)
+if outlook is not None:
+    now = outlook.last
     low, high = (seconds / 60 for seconds in now.remaining_s_band)
     print(
-        f"{now.remaining_s / 60:.1f} min left ({low:.1f} to {high:.1f}), {now.remaining_Wh:.1f} Wh"
+        f"{now.remaining_s / 60:.1f} min ({low:.1f} to {high:.1f}) and "
+        f"{now.remaining_Wh:.1f} Wh remaining"
     )
-replay_page([run], "flight.html", flights=() if left is None else (left,))
+replay_page([run], "flight.html", flights=() if outlook is None else (outlook,))
 run.to_pandas().to_csv("flight.csv", index=False)

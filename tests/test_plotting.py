@@ -10,7 +10,7 @@ import pytest
 
 import cellwise as cw
 from cellwise.errors import InputError
-from cellwise.plotting import MOST_POINTS, Line, Panel, Plottable, _telling_rows
+from cellwise.plotting import MOST_POINTS, Line, Panel, Plottable, _extreme_rows
 from example_cells import curved_cell, random_log, random_model
 
 
@@ -66,7 +66,7 @@ class Long(Plottable):
 
 def test_a_million_points_keep_their_peaks():
     line = Long().panels()[1][0].lines[0]
-    rows = _telling_rows(line.y)
+    rows = _extreme_rows(line.y)
     assert rows.size <= MOST_POINTS
     assert {777_777, 333_333} <= set(rows.tolist())
 

@@ -16,7 +16,7 @@ def orbit_steps(nominal_Ah: float, orbits: int, rng: np.random.Generator) -> lis
     """Orbits of 90 minutes: 36 in eclipse on the battery, 54 in the sun to charge it to its limit.
 
     An eclipse takes about 30 % of nominal, by the bus and by a payload that is on for some minutes;
-    the charge is held at the upper limit for what is left of the sun.
+    the charge is held at the upper limit for the rest of the sunlit part.
     """
     steps: list[Step] = []
     for _ in range(orbits):

@@ -25,7 +25,7 @@ from .physics import (
 RowPlan = tuple[tuple[float, float], ...]
 """Pairs (until_s, period_s): rows every `period_s` until `until_s` from the step's start."""
 
-# Rows nearer to each other than this would tell nothing new: the recorder drops the earlier one
+# Rows nearer to each other than this would add nothing: the recorder drops the earlier one
 # of a row at a limit and a row of the plan.
 MIN_ROW_GAP_S = 0.02
 

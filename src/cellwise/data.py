@@ -83,7 +83,7 @@ def generate_datasets(
     only: list[str] | None = None,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> list[Path]:
-    """Generate the embedded data anew with PyBaMM's physics, which shares no code with cellwise.
+    """Generate the embedded data again with PyBaMM's physics, which shares no code with cellwise.
 
     Raises
     ------

@@ -101,7 +101,7 @@ class Tabular:
 
 
 def _draw(axes: Any, line: Line) -> None:
-    rows = _telling_rows(line.y)
+    rows = _extreme_rows(line.y)
     x, y = line.x[rows], line.y[rows]
     (drawn,) = axes.plot(x, y, label=line.label, linewidth=1.0)
     if line.band is not None:
@@ -109,7 +109,7 @@ def _draw(axes: Any, line: Line) -> None:
         axes.fill_between(x, y - band, y + band, color=drawn.get_color(), alpha=0.2, linewidth=0)
 
 
-def _telling_rows(y: FloatArray) -> Any:
+def _extreme_rows(y: FloatArray) -> Any:
     """Rows to draw: all of a short line; of a long one the lowest and highest of each stretch."""
     if y.size <= MOST_POINTS:
         return slice(None)

@@ -48,7 +48,7 @@ reference_Ah = 3.0
 ADAPTER = '''
 import math
 
-from cellwise.benchmark.adapter import Told
+from cellwise.benchmark.adapter import FilterOutput
 
 
 class Counter:
@@ -63,7 +63,7 @@ class Counter:
     def step(self, current_A, voltage_V, temperature_C, dt_s):
         if math.isfinite(current_A):
             self.soc -= current_A * dt_s / self.ampere_seconds
-        return Told(self.soc, self.std)
+        return FilterOutput(self.soc, self.std)
 
 
 class Broken(Counter):
@@ -144,7 +144,7 @@ def test_an_adapter_is_judged_like_everybody_else(found):
     assert rows_of(found, estimator="Counter")[0]["coverage_2sigma"] == 1.0
 
 
-def test_a_filter_that_fails_is_told_of_and_the_others_go_on(found):
+def test_a_filter_that_fails_is_reported_and_the_others_go_on(found):
     assert {r["problem"] for r in rows_of(found, estimator="Broken")} == {
         "RuntimeError: out of ideas"
     }

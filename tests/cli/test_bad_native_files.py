@@ -152,7 +152,7 @@ def test_a_folder_in_place_of_a_log(refused, model, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["readme.md", "empty.csv", "photo.jpg", "model.json"])
-def test_a_foreign_file(name, refused, model, tmp_path):
+def test_a_file_of_another_kind(name, refused, model, tmp_path):
     path = foreign(tmp_path / "logs") / name
     for command in commands(path, tmp_path):
         assert name in refused(*command)
@@ -160,7 +160,7 @@ def test_a_foreign_file(name, refused, model, tmp_path):
     assert only(tmp_path, "logs")
 
 
-def test_a_fleet_of_foreign_files_alone(refused, model, tmp_path):
+def test_a_fleet_of_other_files_alone(refused, model, tmp_path):
     place = foreign(tmp_path / "logs")
     message = refused("fleet", "replay", "--model", model, str(place), "-o", str(tmp_path / "out"))
     assert "none of the 5 files" in message
@@ -170,7 +170,7 @@ def test_a_fleet_of_foreign_files_alone(refused, model, tmp_path):
     assert only(tmp_path, "logs")
 
 
-def test_an_original_from_a_folder_of_foreign_files(refused, tmp_path):
+def test_an_original_from_a_folder_of_other_files(refused, tmp_path):
     place = foreign(tmp_path / "logs")
     refused("data", "import", "lg_hg2", str(place), "-o", str(tmp_path / "out"))
     assert only(tmp_path, "logs")

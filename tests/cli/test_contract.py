@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from cellwise.cli import main
-from cellwise.cli.printing import clean, split_temperature
+from cellwise.cli.common.printing import clean, split_temperature
 from cellwise.data import datasets_folder
 from cellwise.errors import InputError
 from cellwise.logs import read_log
@@ -221,7 +221,7 @@ def test_convert_and_back(run_json, drive, tmp_path, suffix):
         np.testing.assert_array_equal(getattr(before, name), getattr(after, name))
 
 
-def test_the_sign_can_be_told(run_json, drive, tmp_path):
+def test_the_sign_can_be_stated(run_json, drive, tmp_path):
     rows = pd.read_parquet(drive)
     rows["current_A"] *= -1.0
     rows["ampere_hours"] *= -1.0

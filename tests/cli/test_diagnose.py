@@ -10,7 +10,7 @@ import pytest
 from cellwise.cell.model_file import read_model, write_model
 from cellwise.cell.simulate import simulate
 from cellwise.cli import main
-from cellwise.diagnose.causes import CAUSES
+from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.logs import read_log, write_log
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell

@@ -80,7 +80,7 @@ def test_a_line_comes_out_while_the_stream_goes_on(model, lines):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a signal of POSIX")
 @pytest.mark.parametrize("number", ["SIGTERM", "SIGINT"])
-def test_a_program_that_is_told_to_stop_keeps_its_state(model, lines, tmp_path, number):
+def test_a_program_that_is_asked_to_stop_keeps_its_state(model, lines, tmp_path, number):
     state = tmp_path / "state.json"
     run = started("--model", model, "--source", "stdin", "--state", str(state))
     for line in lines[:50]:
@@ -207,7 +207,7 @@ def test_the_view_shows_what_a_person_asks_for(model, stream_file):
     console.print(shown)
     text = written.getvalue()
     assert f"{100 * counts.last.info.soc:.2f} %" in text
-    for word in ("current", "voltage", "left", "latency", "1,500 samples", "nothing for 5 s"):
+    for word in ("current", "voltage", "remaining", "latency", "1,500 samples", "nothing for 5 s"):
         assert word in text
 
 

@@ -94,7 +94,7 @@ def test_a_replay_says_what_is_left(flight, model, run_json, tmp_path):
     assert 0 <= low <= left["remaining_s"] <= high
     assert left["end_voltage_V"] >= 3.0 - 1e-9
     assert left["typical"]["load_A"] > 0
-    assert "What is left" in page.read_text(encoding="utf-8")
+    assert "Remaining time and energy" in page.read_text(encoding="utf-8")
 
 
 def test_a_cutoff_of_the_pack_is_refused(flight, model, refused):
@@ -108,7 +108,7 @@ def test_a_can_log_with_its_database(tmp_path, run_json):
     assert run_json("inspect", str(log), "--dbc", str(dbc))["format"] == "can-log"
 
 
-def test_columns_are_told_on_the_command_line(tmp_path, run_json):
+def test_columns_are_stated_on_the_command_line(tmp_path, run_json):
     path = tmp_path / "rig.csv"
     path.write_text("t,Strom,Klemme\n0,1500,3.9\n1,1500,3.8\n")
     told = ("time_s=t", "current_mA=Strom", "voltage_V=Klemme")

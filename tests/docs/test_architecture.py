@@ -27,14 +27,22 @@ MAY_IMPORT = {
     "export": BASE | TOOLS,
     "report": BASE | TOOLS,
     "benchmark": BASE | TOOLS | {"report"},
+    "studies": BASE | TOOLS | {"report"},
     "originals": BASE | {"logs", "data"},
     "live": BASE | {"logs", "cell", "estimate", "forecast"},
     "fleet": BASE | {"logs", "cell", "estimate", "diagnose"},
-    "cli": BASE | TOOLS | {"export", "report", "benchmark", "live", "fleet", "originals"},
+    "cli": BASE
+    | TOOLS
+    | {"export", "report", "benchmark", "studies", "live", "fleet", "originals"},
 }
 MODULES = sorted(path for path in PACKAGE.rglob("*.py") if path.parent != PACKAGE) + sorted(
     PACKAGE / f"{name}.py" for name in (*BASE, "data")
 )
+
+
+MOST_MODULES = 15
+# Folders that are being rearranged, and how many modules they may hold until then.
+LARGER = {"src/cellwise/estimate/filters": 16, "tests/estimate": 24}
 
 
 def part_of(path):
@@ -74,6 +82,71 @@ def test_imports_run_one_way(path):
         assert len(parts) > 1, f"{name(path)} imports the public face"
         assert parts[1] in MAY_IMPORT, f"{name(path)} imports {dotted} through the public face"
         assert parts[1] == own or parts[1] in MAY_IMPORT[own], f"{name(path)} imports {dotted}"
+
+
+def dotted_name(path):
+    """Name of a module of the package; of a folder for its ``__init__``."""
+    parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def for_type_checkers_only(tree):
+    """Import statements below ``if TYPE_CHECKING``."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+            yield from (inner for line in node.body for inner in ast.walk(line))
+
+
+def needs(path, modules):
+    """Modules of the package that a module imports, at its head or inside a function."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    left_out = set(for_type_checkers_only(tree))
+    for node in ast.walk(tree):
+        if node in left_out:
+            continue
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name in modules)
+        elif isinstance(node, ast.ImportFrom):
+            for alias in node.names:
+                submodule = f"{node.module}.{alias.name}"
+                found = submodule if submodule in modules else node.module
+                if found in modules:
+                    yield found
+
+
+def circles(graph):
+    """Nodes that reach themselves: what remains when everything that needs nobody is taken away.
+
+    Taken away from both ends, so that only what lies on or between circles remains.
+    """
+    left = {node: set(targets) - {node} for node, targets in graph.items()}
+    while True:
+        wanted = set().union(*left.values()) if left else set()
+        free = {node for node, targets in left.items() if not targets or node not in wanted}
+        if not free:
+            return left
+        left = {n: targets - free for n, targets in left.items() if n not in free}
+
+
+def test_circles_are_found():
+    assert circles({"a": {"b"}, "b": {"c"}, "c": set()}) == {}
+    assert set(circles({"a": {"b"}, "b": {"c"}, "c": {"b", "d"}, "d": set()})) == {"b", "c"}
+
+
+def test_no_module_imports_itself_through_others():
+    modules = {dotted_name(path): path for path in PACKAGE.rglob("*.py")}
+    graph = {one: set(needs(path, modules)) for one, path in modules.items()}
+    assert len(graph) > 250
+    assert circles(graph) == {}
+
+
+@pytest.mark.parametrize("root", ["src/cellwise", "benchmarks", "tests"])
+def test_a_folder_holds_at_most_fifteen_modules(root):
+    folders = [REPOSITORY / root, *(p for p in (REPOSITORY / root).rglob("*") if p.is_dir())]
+    for folder in folders:
+        modules = [path for path in folder.glob("*.py") if path.stem != "__init__"]
+        relative = folder.relative_to(REPOSITORY).as_posix()
+        assert len(modules) <= LARGER.get(relative, MOST_MODULES), relative
 
 
 def test_numba_stays_in_the_kernels():

@@ -7,16 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import minimize
-from test_refine import (
-    CAPACITY_AH,
-    CURVED,
-    Truth,
-    log_of,
-    ocv,
-    pulse_current,
-    start_tables,
-    two_logs,
-)
 
 from cellwise.cell.effects import Hysteresis, SlowDiffusion, TemperatureDependence, TimeSkew
 from cellwise.cell.model import CellModel
@@ -30,6 +20,16 @@ from cellwise.identify.assemble import (
     table_summary,
 )
 from cellwise.identify.refinement.refine import RefineSettings, refine
+from refine_cases import (
+    CAPACITY_AH,
+    CURVED,
+    Truth,
+    log_of,
+    ocv,
+    pulse_current,
+    start_tables,
+    two_logs,
+)
 
 
 def refined(truth, *, branches=2, skewed=False, warm=False):
@@ -104,7 +104,7 @@ def test_monotone_leaves_a_rising_curve_alone():
     np.testing.assert_allclose(flat, 3.3, atol=1e-3)
 
 
-def test_relative_errors_are_told_for_every_table(plain):
+def test_relative_errors_are_given_for_every_table(plain):
     result = plain[2]
     found = relative_errors(result)
     assert set(found) == {"ocv_V", "r0_ohm", "r1_ohm", "tau1_s", "r2_ohm", "tau2_s"}

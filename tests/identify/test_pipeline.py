@@ -302,7 +302,7 @@ def test_provenance_tells_where_every_number_came_from(nmc):
     assert 0.0 < refinement["standard_error"]["r0_ohm"] < 0.2
 
 
-def test_progress_is_told_in_order():
+def test_progress_is_reported_in_order():
     told = []
     identify_cell(nmc_tests(), QUICK, told.append)
     assert told[:2] == ["capacity", "OCV"]

@@ -244,7 +244,7 @@ def test_a_gap_is_not_bridged(hppc, counter):
     assert found.fit.rmse_V < 3e-3
 
 
-def test_an_ocv_of_another_cell_is_told(drive, low_rate):
+def test_an_ocv_of_another_cell_is_reported(drive, low_rate):
     soc = 1.0 - low_rate.counted_charge_Ah() / 3.0
     other = replace(low_rate, voltage_V=low_rate.voltage_V + 0.2 * np.clip(0.9 - soc, 0.0, 0.4))
     found = run(drives(drive, ocv=(other,)))
@@ -260,7 +260,7 @@ def test_a_log_whose_start_is_unknown_takes_no_part(hppc, low_rate):
     assert r0_error(found) < 0.06
 
 
-def test_a_log_that_moves_more_than_the_cell_holds_is_told(hppc, drive):
+def test_a_log_that_moves_more_than_the_cell_holds_is_reported(hppc, drive):
     twice = replace(drive, current_A=2.5 * drive.current_A, name="too much")
     found = run(pulses(hppc, drive=((twice, None),)))
     assert any("'too much' would run from SOC" in n for n in found.notices)

@@ -41,7 +41,7 @@ def drive_from(cell, soc, *, hours=0.4, rest_s=1200, load_first=False, noise_V=5
     return driven_log(cell, current, 1.0, soc=soc, noise_V=noise_V, rng=rng)
 
 
-def honest(anchor, truth, floor=0.005):
+def consistent(anchor, truth, floor=0.005):
     return abs(anchor.soc - truth) <= 2.0 * anchor.std + floor
 
 
@@ -66,17 +66,17 @@ def test_a_test_that_begins_empty_and_is_charged_full():
 def test_a_rest_in_the_middle_of_a_steep_ocv(soc):
     anchor = anchor_soc(drive_from(NMC, soc, hours=0.1), NMC_OCV, NMC.capacity_Ah, 0.05)
     assert anchor.soc == pytest.approx(soc, abs=0.015)
-    assert honest(anchor, soc)
+    assert consistent(anchor, soc)
     assert anchor.std < 0.03
 
 
 @pytest.mark.parametrize("soc", [0.4, 0.55, 0.7])
-def test_a_log_without_any_rest_is_told_from_its_first_minute(soc):
+def test_a_log_without_any_rest_is_anchored_in_its_first_minute(soc):
     log = drive_from(NMC, soc, hours=0.3, load_first=True)
     assert log.current_A[0] != 0.0
     anchor = anchor_soc(log, NMC_OCV, NMC.capacity_Ah, 0.044)
     assert "load" in anchor.how
-    assert honest(anchor, soc)
+    assert consistent(anchor, soc)
     assert anchor.std > 0.005
 
 
@@ -91,10 +91,10 @@ def test_under_load_the_drop_is_taken_out():
 
 
 @pytest.mark.parametrize("soc", [0.2, 0.35, 0.5, 0.8])
-def test_on_a_plateau_the_spread_is_honest(soc):
+def test_on_a_plateau_the_spread_is_consistent(soc):
     log = drive_from(LFP, soc, hours=0.05)
     anchor = anchor_soc(log, LFP_OCV, LFP.capacity_Ah, 0.05)
-    assert honest(anchor, soc)
+    assert consistent(anchor, soc)
     steep = anchor_soc(drive_from(NMC, soc, hours=0.05), NMC_OCV, NMC.capacity_Ah, 0.05)
     assert anchor.std > steep.std, "a plateau says less than a slope"
 
@@ -106,7 +106,7 @@ def test_a_gap_between_the_branches_widens_what_a_rest_may_read():
     plain = anchor_soc(low, LFP_OCV, LFP.capacity_Ah, 0.05)
     aware = anchor_soc(low, curve(LFP, 0.015), LFP.capacity_Ah, 0.05)
     assert aware.std > plain.std
-    assert honest(aware, 0.5)
+    assert consistent(aware, 0.5)
 
 
 def test_a_plateau_that_ends_in_a_knee_is_known_by_the_knee():
@@ -117,7 +117,7 @@ def test_a_plateau_that_ends_in_a_knee_is_known_by_the_knee():
     alone = anchor_soc(log.part(0, 1200), LFP_OCV, capacity, 0.05)
     anchor = anchor_soc(log, LFP_OCV, capacity, 0.05)
     assert anchor.std < 0.5 * alone.std
-    assert honest(anchor, 0.4)
+    assert consistent(anchor, 0.4)
     assert anchor.soc == pytest.approx(0.4, abs=0.04)
 
 

@@ -209,7 +209,7 @@ def test_refused_without_a_known_soc():
         pulse_tables([replace(p, soc=float("nan")) for p in paper_pulses()])
 
 
-def test_scatter_between_pulses_is_told_as_relative_error():
+def test_scatter_between_pulses_is_given_as_relative_error():
     rng = np.random.default_rng(5)
     wild = [
         replace(p, value=p.value._replace(r0_ohm=p.r0_ohm * np.exp(0.2 * rng.standard_normal())))

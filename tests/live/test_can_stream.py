@@ -10,7 +10,7 @@ import pytest
 from cellwise.errors import InputError
 from cellwise.live import Sample, Stray, open_source
 from cellwise.live.can_stream import SocSender
-from cellwise.logs.options import ReadOptions
+from cellwise.logs.files.options import ReadOptions
 from streams import DBC
 
 can = pytest.importorskip("can")
@@ -97,7 +97,7 @@ def test_values_outside_the_range_of_the_database_are_missing(joined):
     assert math.isnan(sample.voltage_V)
 
 
-def test_foreign_and_broken_frames_are_survived(joined):
+def test_unknown_and_broken_frames_are_survived(joined):
     stream, bus, send, _ = joined
     bus.send(can.Message(arbitration_id=0x7FF, data=b"\x01\x02", is_extended_id=False))
     bus.send(can.Message(arbitration_id=257, data=b"\x01", is_extended_id=False))

@@ -14,7 +14,7 @@ from cellwise.errors import InputError
 from cellwise.live import Sample, Stray, open_source
 from cellwise.live.channels import ObjectReader
 from cellwise.live.json_lines import LONGEST_LINE, JsonLines
-from cellwise.logs.options import NOTHING_SAID, ReadOptions
+from cellwise.logs.files.options import NOTHING_SAID, ReadOptions
 from streams import Given
 
 
@@ -57,7 +57,7 @@ def test_a_last_line_without_an_end_counts():
     ["{", "nonsense", "\x00\xff", "[1, 2]", "3", '{"time_s": 1}', '{"voltage_V": "high"}',
      '{"voltage_V": true}', "[" * 5000, '{"current_A": 1' + "0" * 400 + "}"],
 )  # fmt: skip
-def test_garbage_is_told_and_passed_over(garbage):
+def test_garbage_is_reported_and_passed_over(garbage):
     first, second, *_ = LINES.encode().splitlines(keepends=True)
     before, between, after = found(first + garbage.encode("latin-1") + b"\n" + second)
     assert isinstance(between, Stray)

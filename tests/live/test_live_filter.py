@@ -31,7 +31,7 @@ def test_a_stream_gives_what_a_replay_gives(estimator):
 
 @pytest.mark.parametrize("model", [curved_cell(), lfp_cell()], ids=["nmc", "lfp"])
 @pytest.mark.parametrize("soc0", [0.08, 0.35, 0.6, 0.93])
-def test_a_start_that_nobody_told_is_honest(model, soc0):
+def test_a_start_that_was_not_given_is_consistent(model, soc0):
     """The first sample, at rest or under load: the truth lies within what it says."""
     for rest in (0, 100):
         log = driven(model, soc0, seed=3, rest=rest)
@@ -78,7 +78,7 @@ def test_a_saved_state_is_one_that_the_estimator_reads_too(tmp_path):
     assert read_state(tmp_path / "state.json") == live.state
 
 
-def test_no_state_yet_and_a_file_that_a_loss_of_power_left_empty_begin_anew(tmp_path):
+def test_no_state_yet_and_a_file_that_a_loss_of_power_left_empty_start_again(tmp_path):
     live = LiveFilter(curved_cell())
     assert not live.resume(tmp_path / "none.json", 0.0)
     (tmp_path / "empty.json").touch()

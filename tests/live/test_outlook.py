@@ -1,4 +1,4 @@
-"""What is left now, against the forecast of a replay of the same samples."""
+"""Remaining time and energy now, against the forecast of a replay of the same samples."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ def followed(model, log, soc0):
     outlook = Outlook(model, cutoff_of(model, 3.0))
     for sample in samples(log):
         outlook.take(live.take(sample))
-    return outlook.left(live.state, 25.0)
+    return outlook.forecast(live.state, 25.0)
 
 
-def test_a_steady_load_leaves_what_a_replay_foretells():
+def test_a_steady_load_leaves_what_a_replay_predicts():
     model = curved_cell()
     log = driven(model, 0.8, rows=900)
     log = type(log)(log.time_s, 0.0 * log.time_s + 2.0, log.voltage_V)

@@ -76,7 +76,7 @@ def test_gap_repeated_stamps_missing_values():
     assert found.missing["current_A"] == 5
 
 
-def test_wrong_sign_is_told_once():
+def test_wrong_sign_is_reported_once():
     columns = pulse_channels(6000)
     columns["current_A"] = -columns["current_A"]
     columns["ampere_hours"] = -columns["ampere_hours"]
@@ -92,7 +92,7 @@ def test_wrong_sign_is_told_once():
 def test_undetermined_sign_says_why():
     log = CellLog(np.arange(100.0), np.zeros(100), np.full(100, 3.7))
     assert inspect_log(log).sign == "undetermined"
-    assert told(log, "could not be told", "at rest")
+    assert told(log, "could not be determined", "at rest")
 
 
 def test_no_rest_and_a_first_row_under_load():

@@ -36,7 +36,7 @@ def test_csv(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["log.csv.gz", "log.csv", "log.bin", "log"])
-def test_gzip_is_told_by_content(tmp_path, name):
+def test_gzip_is_detected_by_content(tmp_path, name):
     path = tmp_path / name
     path.write_bytes(gzip.compress(csv_text(CHANNELS).encode()))
     check(read_log(path))
@@ -51,7 +51,7 @@ def test_gzip_of_several_members(tmp_path):
 
 @pytest.mark.parametrize("name", ["log.parquet", "log.csv"])
 @pytest.mark.parametrize("compression", ["none", "snappy", "zstd"])
-def test_parquet_is_told_by_content(tmp_path, name, compression):
+def test_parquet_is_detected_by_content(tmp_path, name, compression):
     path = tmp_path / name
     pq.write_table(pa.table(CHANNELS), path, compression=compression, row_group_size=100)
     log = read_log(path)

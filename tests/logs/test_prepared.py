@@ -46,7 +46,7 @@ def test_the_second_time_the_file_is_not_parsed(path, tmp_path, monkeypatch):
     assert len(read_prepared(path, tmp_path / "cache")) == 400
 
 
-def test_another_file_and_other_words_are_read_anew(path, tmp_path):
+def test_another_file_and_other_options_are_read_again(path, tmp_path):
     cache = tmp_path / "cache"
     first = read_prepared(path, cache)
     turned = read_prepared(path, cache, sign="charge-positive")

@@ -8,12 +8,12 @@ import json
 import matplotlib.image
 import numpy as np
 import pytest
-from test_diagnose_page import diagnosis
 
 from browser import CHROMIUM, Browser
 from cellwise.logs import CellLog
-from cellwise.report.interactive import trace_section
-from cellwise.report.section import write_page
+from cellwise.report.page.interactive import trace_section
+from cellwise.report.page.section import write_page
+from diagnosis_cases import diagnosis
 from page_cases import KINDS, every_page
 
 pytest.importorskip("tornado")

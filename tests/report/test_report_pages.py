@@ -14,12 +14,13 @@ from cellwise.cell.simulate import Simulation
 from cellwise.errors import InputError
 from cellwise.report import demo_page, identify_page, replay_page
 from cellwise.report.findings import replay_finding
-from cellwise.report.markup import finite, page, table
-from cellwise.report.pages import identify_sections, notices, replay_data, replay_sections
-from cellwise.report.replay_figures import replay_figures
-from cellwise.report.replay_section import MOST_DETAILED
-from cellwise.report.scripts import script
-from cellwise.report.section import pictures_of, rendered
+from cellwise.report.identification.page import identify_sections, notices
+from cellwise.report.page.markup import finite, page, table
+from cellwise.report.page.scripts import script
+from cellwise.report.page.section import pictures_of, rendered
+from cellwise.report.replay.page import replay_data, replay_sections
+from cellwise.report.replay.replay_figures import replay_figures
+from cellwise.report.replay.replay_section import MOST_DETAILED
 from report_cases import Page, drive, hppc, identification, replay, simulation
 
 NASTY = "<script>alert('1')</script> & \"$x_1^2$\" </svg> \\u003c"
@@ -148,7 +149,7 @@ def test_replay_findings_of_other_ends():
     right = replay_finding(replay(drive(), off=0.001))
     assert right.startswith("From the right start the EKF holds 0.0")
     blind = replay_finding(replay(drive(), reference=False))
-    assert "nothing to judge it by" in blind
+    assert "there is no reference" in blind
     at_once = replay_finding(replay(drive(), off=-0.3, forget_s=0.05))
     assert "after" in at_once  # the first row is still 30 points off
 
@@ -164,7 +165,7 @@ def test_all_figures_of_the_contract_are_in_the_table():
     assert text["SOC max. error"] == "30.0 %"
     assert text["within 2 % after"] == "136 s"
     assert text["settled: SOC max. error"] == f"{100 * np.abs(error[136:]).max():.2f} %"
-    assert text["start SOC (1σ)"] == "70 % ± 15 %, given"
+    assert text["initial SOC (1σ)"] == "70 % ± 15 %, given"
     assert text["voltage RMSE"] == "7.1 mV"  # 0.01 cos
     assert text["mean NIS"] == "0.500"  # of 1e-4 cos squared over 1e-4
     assert text["time per step"] == "95 ns"
@@ -323,7 +324,7 @@ def test_table_marks_its_row_and_escapes():
 
 
 def test_an_empty_section_is_left_out():
-    from cellwise.report.markup import Markup
+    from cellwise.report.page.markup import Markup
 
     text = page("f 1", "a", [("k", "t", "t", Markup("")), ("m", "u", "u", Markup("<p>v</p>"))], {})
     parsed = Page(text)

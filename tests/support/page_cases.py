@@ -9,10 +9,10 @@ import numpy as np
 
 from cellwise.benchmark.figures import COLUMNS
 from cellwise.report import export_page, identify_page, replay_page
-from cellwise.report.benchmark_page import BenchmarkTable, benchmark_page
+from cellwise.report.benchmark.page import BenchmarkTable, benchmark_page
 from cellwise.report.capacity_study_page import StudyOnPage, write_study_page
-from cellwise.report.diagnose_page import diagnose_page
-from cellwise.report.interactive import simulation_traces
+from cellwise.report.diagnosis.page import diagnose_page
+from cellwise.report.page.interactive import simulation_traces
 from report_cases import drive, identification, replay, simulation
 
 ESTIMATORS = ("ekf", "ukf", "coulomb")

@@ -23,8 +23,8 @@ from cellwise.estimate.trace import Trace
 from cellwise.logs.cell_log import CellLog
 
 
-class Told(NamedTuple):
-    """What a filter tells after a sample; what it does not know stays NaN.
+class FilterOutput(NamedTuple):
+    """What a filter gives after a sample; what it does not know is NaN.
 
     ``voltage_V`` is predicted before the sample's own voltage was used, ``voltage_std_V`` how well.
     """
@@ -44,11 +44,11 @@ class OnlineFilter(Protocol):
 
     def step(
         self, current_A: float, voltage_V: float, temperature_C: float, dt_s: float
-    ) -> Told | float:
-        """Take the sample that ends an interval; the SOC, alone or with more (:class:`Told`).
+    ) -> FilterOutput | float:
+        """Take the sample that ends an interval; the SOC, or a :class:`FilterOutput`.
 
         Positive current is discharge, and flowed during the interval. A missing reading is NaN;
-        the first sample has ``dt_s`` = 0, and in a gap of the log nobody knows what flowed.
+        the first sample has ``dt_s`` = 0, and in a gap of the log the current is unknown.
         """
         ...
 
@@ -67,7 +67,7 @@ class Adapted:
     def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> Trace:
         """Hand a whole log to the filter, sample by sample."""
         n = len(log)
-        told = np.full((4, n), np.nan)
+        outputs = np.full((4, n), np.nan)
         current = np.array(log.interval_current_A)
         current[log.gap_rows] = np.nan
         temperature = known_temperature_C(self._model, log)
@@ -83,8 +83,8 @@ class Adapted:
         ):
             answer = self.filter.step(*row)
             parts = answer if isinstance(answer, tuple) else (answer,)
-            told[: len(parts), k] = parts
-        soc, std, voltage, voltage_std = told
+            outputs[: len(parts), k] = parts
+        soc, std, voltage, voltage_std = outputs
         innovation = log.voltage_V - voltage
         missing = np.full(n, np.nan)
         status = np.zeros(n, dtype=np.int32)

@@ -1,4 +1,4 @@
-"""What may be wrong with what a filter sees: sensors, samples, and the capacity it was told.
+"""What may be wrong with what a filter sees: sensors, samples, and the capacity in its model.
 
 A fault never touches the truth: the reference is the tester's own counter.
 """
@@ -32,7 +32,7 @@ class Fault:
     current_noise_C, voltage_noise_V : float    white noise, standard deviations
     voltage_lag_samples : int     the voltage of a row is that of so many rows before
     dropout_share : float         share of the samples that are missing
-    dropout_s : float             how long each drop-out lasts [s]
+    dropout_s : float             length of each drop-out [s]
     temperature_K : float         added to the temperature
     capacity : float              factor on the capacity that the filter's model states
     chemistry : str               only cells of this chemistry have it; empty: all
@@ -103,7 +103,7 @@ FAULTS = {fault.name: fault for fault in (Fault(NONE), *STANDARD, *LFP)}
 def applies(fault: Fault, chemistry: str, log: CellLog) -> bool:
     """Whether a log of a cell can have the fault.
 
-    A temperature that nobody measures cannot be wrong; some faults are asked of one chemistry.
+    A temperature that is not measured cannot be wrong; some faults are asked of one chemistry.
     """
     if fault.temperature_K and log.temperature_C is None:
         return False

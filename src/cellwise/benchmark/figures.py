@@ -34,7 +34,7 @@ def figures_of(found: Replay, truth: FloatArray) -> dict[str, Any]:
     settled = found.settled or soc_errors(error)
     low = error[truth <= LOW_SOC]
     known = np.flatnonzero(np.isfinite(error))
-    told: dict[str, Any] = {
+    row: dict[str, Any] = {
         "soc_rmse": every.rmse,
         "soc_mae": every.mae,
         "soc_max_error": every.max,
@@ -50,17 +50,17 @@ def figures_of(found: Replay, truth: FloatArray) -> dict[str, Any]:
         "ns_per_step": found.ns_per_step,
     }
     if isinstance(found.trace, AdaptiveTrace):
-        learnt = found.trace.parameters()
-        told["offset_A"] = learnt.offset_A.value
-        told["capacity_Ah"] = learnt.capacity_Ah.value
-        told["resistance_scale"] = learnt.resistance_scale.value
-    return told
+        estimated = found.trace.parameters()
+        row["offset_A"] = estimated.offset_A.value
+        row["capacity_Ah"] = estimated.capacity_Ah.value
+        row["resistance_scale"] = estimated.resistance_scale.value
+    return row
 
 
-def whole_row(told: dict[str, Any]) -> dict[str, Any]:
+def whole_row(row: dict[str, Any]) -> dict[str, Any]:
     """A row with every column."""
     empty = {str: "", float: MISSING, int: 0}
-    return {name: told.get(name, empty[kind]) for name, kind in COLUMNS.items()}
+    return {name: row.get(name, empty[kind]) for name, kind in COLUMNS.items()}
 
 
 def error_curve(found: Replay, truth: FloatArray) -> dict[str, list[float]]:
@@ -101,7 +101,7 @@ def _bytes(value: Any) -> int:
 
 
 def _coverage(error: FloatArray, std: FloatArray) -> float:
-    """Share of rows within two standard deviations; NaN where the filter tells none."""
+    """Share of rows within two standard deviations; NaN where the filter gives none."""
     known = np.isfinite(error) & np.isfinite(std)
     return float(np.mean(np.abs(error[known]) <= 2.0 * std[known])) if known.any() else MISSING
 

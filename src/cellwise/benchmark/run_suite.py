@@ -25,7 +25,7 @@ from cellwise.errors import InputError
 from cellwise.logs.tables import write_columns
 
 if TYPE_CHECKING:
-    from cellwise.report.picture import FigureFiles
+    from cellwise.report.page.picture import FigureFiles
 
 T = TypeVar("T")
 Progress = Callable[[str, int, int], None]
@@ -82,7 +82,7 @@ def run_suite(
     fresh : bool           forget what an earlier run left
     page : bool            write the page as well (needs matplotlib)
     figures : FigureFiles  where the page's pictures go as files
-    progress : callable    told (what, done, total)
+    progress : callable    called with (what, done, total)
 
     Raises
     ------
@@ -140,7 +140,7 @@ def _finish(
     )
     written = None
     if page:
-        from cellwise.report.benchmark_page import BenchmarkTable, benchmark_page
+        from cellwise.report.benchmark.page import BenchmarkTable, benchmark_page
 
         about = place.suite.about or f"suite {place.suite.name}"
         table = BenchmarkTable(place.suite.name, about, rows, curves)
@@ -220,7 +220,7 @@ def _kept_rows(path: Path) -> dict[str, dict[str, Any]]:
 
 @contextmanager
 def _pool(processes: int) -> Iterator[Executor | None]:
-    """Processes that begin anew (a fork would copy the threads of the bar); None: this one."""
+    """Spawned processes (a fork would copy the threads of the bar); None: this one."""
     if processes == 1:
         yield None
         return

@@ -110,7 +110,7 @@ class Suite:
     faults : of Fault                 beside the run without any
     fault_start_error : float         the start of runs with a fault
     every_start : bool                faults from every start
-    soc0_std : float                  how sure a filter is told to be of its start
+    soc0_std : float                  standard deviation of the initial SOC given to a filter
     dt_s : float or None              resample every log to this step
     cells, logs, slow
     folder : Path                     where paths begin

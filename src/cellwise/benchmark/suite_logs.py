@@ -93,7 +93,7 @@ def check_files(suite: Suite, data: Path | None) -> None:
 
 
 def digest(path: Path) -> str:
-    """What tells one file's content from another's."""
+    """Digest of a file's content."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
@@ -193,7 +193,7 @@ def _tests(cell: SuiteCell, suite: Suite, data: Path | None) -> TestLogs:
 def _began_full(cell: SuiteCell, log: CellLog, capacity_Ah: float) -> CellLog:
     """A row of rest at full before a log that begins under load, where the suite says so.
 
-    In the cold no first minute under load tells full from half.
+    In the cold the first minute under load does not separate full from half.
     """
     full = cell.rested_full_V
     if full is None or abs(log.current_A[0]) < REST_SHARE * capacity_Ah:

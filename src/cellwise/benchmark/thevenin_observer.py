@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 import thevenin
 
-from cellwise.benchmark.adapter import Told
+from cellwise.benchmark.adapter import FilterOutput
 from cellwise.cell.model import CellModel
 from cellwise.typing import FloatArray
 
@@ -37,7 +37,9 @@ class TheveninObserver:
         self.state = thevenin.TransientState(soc0, ROOM_K, 0.0, np.zeros(2))
         self.held_A = 0.0
 
-    def step(self, current_A: float, voltage_V: float, temperature_C: float, dt_s: float) -> Told:
+    def step(
+        self, current_A: float, voltage_V: float, temperature_C: float, dt_s: float
+    ) -> FilterOutput:
         """Their prediction, then a share of its error."""
         self.held_A = current_A if math.isfinite(current_A) else self.held_A
         self.state = self.cell.take_step(self.state, self.held_A, max(dt_s, SHORTEST_S))
@@ -48,7 +50,7 @@ class TheveninObserver:
             slope = max(float(ends[1] - ends[0]) / 0.02, FLATTEST_V)
             share = 1.0 - math.exp(-dt_s / SLOW_S)
             self.state.soc = float(np.clip(soc + share * (voltage_V - predicted) / slope, 0.0, 1.0))
-        return Told(self.state.soc, voltage_V=predicted)
+        return FilterOutput(self.state.soc, voltage_V=predicted)
 
 
 def parameters(model: CellModel) -> dict[str, object]:

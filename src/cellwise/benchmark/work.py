@@ -90,7 +90,7 @@ def _run(place: Place, run: Run, key: str) -> dict[str, Any]:
     one = suite.logs[run.log]
     judged = _judged(place, run.log, run.dt_s)
     true_model, noise = _model(place.model_file(key), place.noise_file(key))
-    told: dict[str, Any] = {
+    row: dict[str, Any] = {
         "suite": suite.name,
         "cell": one.cell,
         "log": judged.log.name,
@@ -109,10 +109,10 @@ def _run(place: Place, run: Run, key: str) -> dict[str, Any]:
     curve: dict[str, list[float]] | None = None
     try:
         figures, curve = _judge(suite, run, judged, true_model, noise)
-        told |= figures
+        row |= figures
     except Exception as error:  # whatever somebody's filter does, the others go on
-        told["problem"] = f"{error.__class__.__name__}: {error}"
-    return {**whole_row(told), "curve": curve if run.fault.name == NONE else None}
+        row["problem"] = f"{error.__class__.__name__}: {error}"
+    return {**whole_row(row), "curve": curve if run.fault.name == NONE else None}
 
 
 def _judge(

@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cellwise.cli import page_options, printing
+from cellwise.cli.common import page_options, printing
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run_benchmark(arguments: argparse.Namespace) -> None:
-    """Run a suite, print who did best, write table and page."""
+    """Run a suite, print the ranking, write table and page."""
     from cellwise.benchmark.run_suite import run_suite
 
     if arguments.list:
@@ -100,10 +100,10 @@ def list_suites(as_json: bool) -> None:
 
     suites = [read_suite(name) for name in shipped_suites()]
     if as_json:
-        told = [
+        shown = [
             {"name": s.name, "about": s.about, "logs": [g.shown for g in s.logs]} for s in suites
         ]
-        printing.print_json({"suites": told})
+        printing.print_json({"suites": shown})
         return
     for suite in suites:
         printing.say(f"{suite.name}: {suite.about}")
@@ -111,7 +111,7 @@ def list_suites(as_json: bool) -> None:
 
 def print_benchmark(found: BenchmarkResult) -> None:
     """A benchmark for people: overview, faults, what could not be judged."""
-    from cellwise.report.benchmark_overview import (
+    from cellwise.report.benchmark.overview import (
         OVERVIEW_HEAD,
         coverage_text,
         fault_matrix,

@@ -7,11 +7,11 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cellwise.cli import log_options, page_options, printing
+from cellwise.cli.common import log_options, page_options, printing
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
-    from cellwise.benchmark.capacity_study import CellStudy, StudyCell
+    from cellwise.studies.capacity_study import CellStudy, StudyCell
 
 
 def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -50,9 +50,9 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run_capacity_study(arguments: argparse.Namespace) -> None:
     """Study the cells, print which choice wins, write the page."""
-    from cellwise.benchmark.capacity_study import STUDIED, study_cell
-    from cellwise.benchmark.capacity_study_cells import published_orders, study_cells
     from cellwise.estimate.estimators import ESTIMATORS
+    from cellwise.studies.capacity_study import STUDIED, study_cell
+    from cellwise.studies.capacity_study_cells import published_orders, study_cells
 
     page_options.check_page_options(arguments)
     estimators = tuple(arguments.estimator or STUDIED)
@@ -80,7 +80,7 @@ def run_capacity_study(arguments: argparse.Namespace) -> None:
         ]
         with page_options.page_places(arguments) as places:
             if places is not None:
-                from cellwise.benchmark.capacity_study_page import capacity_study_page
+                from cellwise.studies.capacity_study_page import capacity_study_page
 
                 progress.update(task, description="page")
                 capacity_study_page(studies, places.page, figures=places.figures)
@@ -99,8 +99,8 @@ def own_cell(arguments: argparse.Namespace) -> StudyCell | None:
     ------
     InputError        tests without a log to judge on, a reference that is missing or impossible
     """
-    from cellwise.benchmark.capacity_study import JudgedLog, StudyCell
     from cellwise.identify import IdentifySettings, TestLogs
+    from cellwise.studies.capacity_study import JudgedLog, StudyCell
 
     tests = arguments.hppc + arguments.ocv + arguments.capacity + arguments.drive
     if not tests and not arguments.judge:
@@ -144,7 +144,7 @@ def own_cell(arguments: argparse.Namespace) -> StudyCell | None:
 
 def print_studies(studies: list[CellStudy]) -> None:
     """Tables and verdicts for people."""
-    from cellwise.benchmark.capacity_study_text import (
+    from cellwise.studies.capacity_study_text import (
         choice_head,
         choice_row,
         papers_beside,

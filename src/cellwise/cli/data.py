@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from cellwise.cli import printing
+from cellwise.cli.common import printing
 
 
 def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -17,7 +17,9 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     listing = actions.add_parser("list", help="what there is, with DOI and licence")
     printing.add_json(listing)
     listing.set_defaults(run=run_list)
-    generate = actions.add_parser("generate", help="make the embedded data anew (needs PyBaMM)")
+    generate = actions.add_parser(
+        "generate", help="generate the embedded data again (needs PyBaMM)"
+    )
     generate.add_argument("-o", "--output", required=True, metavar="DIR")
     generate.add_argument("--only", action="append", metavar="NAME", help="a test or a cell")
     printing.add_json(generate)

@@ -7,13 +7,13 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellwise.cli import log_options, page_options, printing
+from cellwise.cli.common import log_options, page_options, printing
 from cellwise.cli.estimating import parse_soc0
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
     from cellwise.cell.model import CellModel
-    from cellwise.diagnose.verdict import Diagnosis, FoundCause
+    from cellwise.diagnose.result import Diagnosis, FoundCause
     from cellwise.logs import CellLog
 
 SHOWN = 6
@@ -48,7 +48,7 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
     from cellwise.cell.model_file import read_model
     from cellwise.cell.simulate import check_soc0
     from cellwise.diagnose import diagnose
-    from cellwise.report.diagnose_runs import with_anatomy
+    from cellwise.report.diagnosis.runs import with_anatomy
 
     _check_places(arguments)
     soc0 = parse_soc0(arguments.soc0)
@@ -114,7 +114,7 @@ def _write(found: Diagnosis, arguments: argparse.Namespace) -> dict[str, Any]:
     written: dict[str, Any] = {"extended_model": None, "corrected": [], "report": None}
     with page_options.page_places(arguments) as places:
         if places is not None:
-            from cellwise.report.diagnose_page import diagnose_page
+            from cellwise.report.diagnosis.page import diagnose_page
 
             diagnose_page(found, places.page, figures=places.figures)
     if arguments.report:
@@ -151,11 +151,11 @@ def _write_logs(logs: tuple[CellLog, ...], sources: list[str], folder: str) -> l
 
 def print_diagnosis(found: Diagnosis) -> None:
     """A diagnosis for people."""
-    from cellwise.report.diagnose_words import diagnosis_finding
+    from cellwise.report.diagnosis.statements import diagnosis_finding
 
     printing.say(f"verdict: {found.verdict}\n{diagnosis_finding(found)}\n")
     if found.causes:
-        head = ("cause", "mends", "value (95 %)", "held-out RMSE mV", "gain (95 %)")
+        head = ("cause", "corrects", "value (95 %)", "held-out RMSE mV", "gain (95 %)")
         printing.table("what was found", head, [_cause_row(c) for c in found.causes])
         for c in found.causes:
             printing.say(f"  {c.name}: {c.meaning}")
@@ -195,7 +195,7 @@ def _cause_row(c: FoundCause) -> tuple[str, ...]:
     low, high = c.gain_ci95
     return (
         c.name,
-        {"cell": "the model", "start": "the start"}.get(c.kind, "the log"),
+        {"cell": "the model", "start": "the initial SOC"}.get(c.kind, "the log"),
         "\n".join(values),
         f"{printing.millivolt(c.holdout_rmse_before_V)} -> "
         f"{printing.millivolt(c.holdout_rmse_after_V)}",

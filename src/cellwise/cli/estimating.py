@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellwise.cli import log_options, page_options, parameters, printing
+from cellwise.cli.common import log_options, page_options, parameters, printing
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
@@ -30,7 +30,9 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="coulomb, rest-ocv, ekf, ukf, adaptive, fixed-step, firmware, filterpy-ekf, "
         "filterpy-ukf [ekf]",
     )
-    replay.add_argument("--soc0-std", type=float, metavar="S", help="how sure the start SOC is")
+    replay.add_argument(
+        "--soc0-std", type=float, metavar="S", help="standard deviation of the initial SOC"
+    )
     replay.add_argument("--dt", type=float, metavar="S", help="resample to an even step")
     replay.add_argument("--reference-soc0", type=float, metavar="X", help="true SOC at the start")
     replay.add_argument(
@@ -40,13 +42,13 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--cutoff-v",
         type=float,
         metavar="V",
-        help="cell voltage at which the load gives up [model]",
+        help="cell voltage at which the load stops [model]",
     )
     replay.add_argument(
         "--hold",
         choices=("power", "current"),
         default="power",
-        help="what of the load stays [power]",
+        help="what of the load is held constant [power]",
     )
     page_options.add_page_options(replay)
     replay.set_defaults(run=run_replay)
@@ -151,8 +153,8 @@ def run_replay(arguments: argparse.Namespace) -> None:
             flights = () if flight is None else (flight,)
             replay_page([found], places.page, flights=flights, figures=places.figures)
     if arguments.json:
-        told = None if flight is None else flight.to_dict()
-        printing.print_json({**found.to_dict(), "forecast": told, "notices": list(log.notices)})
+        outlook = None if flight is None else flight.to_dict()
+        printing.print_json({**found.to_dict(), "forecast": outlook, "notices": list(log.notices)})
         return
     print_replay(found)
     if flight is not None:
@@ -202,7 +204,7 @@ def print_replay(found: Replay) -> None:
     data = found.to_dict()
     settled = data["settled"]
     rows = [
-        ("start SOC", f"{found.start.soc:.4f} +- {found.start.std:.4f} ({found.start.how})"),
+        ("initial SOC", f"{found.start.soc:.4f} +- {found.start.std:.4f} ({found.start.how})"),
         ("final SOC", f"{data['soc_final']:.4f} +- {data['soc_final_std']:.4f}"),
         ("voltage RMSE, one step ahead", f"{printing.millivolt(data['voltage_rmse_V'])} mV"),
         ("mean NIS", "-" if data["nis_mean"] is None else f"{data['nis_mean']:.3f}"),
@@ -226,10 +228,10 @@ def print_replay(found: Replay) -> None:
 
 
 def print_flight(flight: Flight) -> None:
-    """What is left, for people."""
-    lefts = [("at the present load", flight.last)]
+    """Remaining time and energy, for people."""
+    forecasts = [("at the present load", flight.last)]
     if flight.typical is not None:
-        lefts.append(("at the log's median load", flight.typical.last))
+        forecasts.append(("at the log's median load", flight.typical.last))
 
     def span(value: float, band: tuple[float, float], scale: float, digits: int) -> str:
         low, high = (f"{x / scale:.{digits}f}" for x in band)
@@ -238,18 +240,18 @@ def print_flight(flight: Flight) -> None:
     rows = [
         (
             name,
-            f"{left.load_A:.2f}",
-            f"{left.load_W:.1f}",
-            span(left.remaining_s, left.remaining_s_band, 60.0, 1),
-            span(left.remaining_Wh, left.remaining_Wh_band, 1.0, 2),
-            f"{left.end_voltage_V:.3f}",
-            f"{100 * left.end_soc:.1f}",
-            left.by,
+            f"{at.load_A:.2f}",
+            f"{at.load_W:.1f}",
+            span(at.remaining_s, at.remaining_s_band, 60.0, 1),
+            span(at.remaining_Wh, at.remaining_Wh_band, 1.0, 2),
+            f"{at.end_voltage_V:.3f}",
+            f"{100 * at.end_soc:.1f}",
+            at.by,
         )
-        for name, left in lefts
+        for name, at in forecasts
     ]
     printing.table(
-        f"left of each cell at {flight.last.time_s:.0f} s, SOC {100 * flight.last.soc:.1f} +- "
+        f"remaining in each cell at {flight.last.time_s:.0f} s, SOC {100 * flight.last.soc:.1f} +- "
         f"{100 * flight.last.soc_std:.1f} %, {flight.hold} held to {flight.cutoff_V:.2f} V",
         ("", "A", "W", "minutes (2 sigma)", "Wh (2 sigma)", "end V", "end SOC %", "ends by"),
         rows,

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellwise.cli import log_options, page_options, printing
+from cellwise.cli.common import log_options, page_options, printing
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
@@ -57,19 +57,19 @@ def run_export(arguments: argparse.Namespace) -> None:
         watch=not arguments.lean,
     )
     check_flash(tables, arguments.flash)
-    told = describe(model, tables)
-    told["targets"] = target_costs(model, tables, arguments)
-    told["accuracy"] = lost_accuracy(model, arguments)
-    told["files"] = write_package(model, tables, Path(arguments.output), told)
-    write_pages(model, told, arguments)
+    report = describe(model, tables)
+    report["targets"] = target_costs(model, tables, arguments)
+    report["accuracy"] = lost_accuracy(model, arguments)
+    report["files"] = write_package(model, tables, Path(arguments.output), report)
+    write_pages(model, report, arguments)
     if arguments.json:
-        printing.print_json(told)
+        printing.print_json(report)
         return
-    print_export(arguments.output, told)
+    print_export(arguments.output, report)
     page_options.say_pages(arguments)
 
 
-def write_pages(model: CellModel, told: dict[str, Any], arguments: argparse.Namespace) -> None:
+def write_pages(model: CellModel, report: dict[str, Any], arguments: argparse.Namespace) -> None:
     """The page and its pictures, where they are wanted."""
     with page_options.page_places(arguments) as places:
         if places is None:
@@ -88,7 +88,7 @@ def write_pages(model: CellModel, told: dict[str, Any], arguments: argparse.Name
                 offset_std_A=arguments.offset_std_a,
                 lean=arguments.lean,
             )
-        export_page(told, places.page, both, figures=places.figures)
+        export_page(report, places.page, both, figures=places.figures)
 
 
 def target_costs(
@@ -97,7 +97,7 @@ def target_costs(
     """Code, stack and instructions on every core; empty without a cross compiler.
 
     Counted on the log that is given, else on the embedded drive of an NMC cell; and under stress:
-    every fault, and the step that looks for SOC anew after a lock-out.
+    every fault, and the step that re-initialises SOC after a lock-out.
     """
     from dataclasses import asdict
 
@@ -117,11 +117,11 @@ def target_costs(
             task = progress.add_task(f"counting instructions on {core}", total=None)
             run = run_on_target(tables, core, records, 0.5, 0.0225, measure_every=10)
             worst = worst_case(model, tables, core)
-            told = asdict(run.cost)
-            told["stack_bytes"] = max(told["stack_bytes"], worst.stack_bytes)
-            told["instructions_stress"] = worst.stress
-            told["instructions_anew"] = worst.anew
-            costs.append(told)
+            report = asdict(run.cost)
+            report["stack_bytes"] = max(report["stack_bytes"], worst.stack_bytes)
+            report["instructions_stress"] = worst.stress
+            report["instructions_anew"] = worst.reset
+            costs.append(report)
             progress.remove_task(task)
     return costs
 
@@ -149,28 +149,28 @@ def read(arguments: argparse.Namespace) -> Any:
     return log_options.read(arguments.log, arguments)
 
 
-def print_export(folder: str, told: dict[str, Any]) -> None:
+def print_export(folder: str, report: dict[str, Any]) -> None:
     """What was written, for people."""
-    on = [k for k, v in told["options"].items() if v and k not in ("points", "temperatures")]
+    on = [k for k, v in report["options"].items() if v and k not in ("points", "temperatures")]
     printing.table(
-        f"{folder}: {len(told['files'])} files for a step of {told['dt_s']:g} s",
+        f"{folder}: {len(report['files'])} files for a step of {report['dt_s']:g} s",
         ("what", "value"),
         [
-            ("model", f"{told['model'] or 'unnamed'}, sha256 {told['model_sha256'][:16]}..."),
-            ("SOC points x temperatures", f"{told['options']['points']} x "
-             f"{told['options']['temperatures']}"),
-            ("states", str(told["states"])),
+            ("model", f"{report['model'] or 'unnamed'}, sha256 {report['model_sha256'][:16]}..."),
+            ("SOC points x temperatures", f"{report['options']['points']} x "
+             f"{report['options']['temperatures']}"),
+            ("states", str(report["states"])),
             ("compiled in", ", ".join(on) or "nothing beyond the plain model"),
-            ("tables in flash", f"{told['model_bytes']:,} bytes"),
-            ("state per cell", f"{told['state_bytes']} bytes"),
+            ("tables in flash", f"{report['model_bytes']:,} bytes"),
+            ("state per cell", f"{report['state_bytes']} bytes"),
         ],
     )  # fmt: skip
-    if told["targets"]:
+    if report["targets"]:
         printing.table(
             "Cost on the target (instructions, not cycles; counted in QEMU)",
             (
                 "core", "code", "static RAM", "stack", "instructions a step", "most on the log",
-                "worst case", "SOC looked for anew",
+                "worst case", "SOC re-initialised",
             ),
             [
                 (
@@ -181,14 +181,14 @@ def print_export(folder: str, told: dict[str, Any]) -> None:
                     f"{c['instructions_mean']:,.0f}",
                     f"{c['instructions_most']:,.0f}",
                     f"{c['instructions_stress']:,.0f}",
-                    told_anew(c["instructions_anew"]),
+                    instructions_text(c["instructions_anew"]),
                 )
-                for c in told["targets"]
+                for c in report["targets"]
             ],
         )  # fmt: skip
     else:
         printing.say("no cross compiler: code size, stack and instructions are not known")
-    if told["accuracy"]:
+    if report["accuracy"]:
         printing.table(
             "SOC against the float64 EKF on the log, in points of SOC",
             ("SOC points", "tables", "RMSE", "max"),
@@ -199,11 +199,11 @@ def print_export(folder: str, told: dict[str, Any]) -> None:
                     f"{100 * a['soc_rmse']:.4f}",
                     f"{100 * a['soc_max']:.4f}",
                 )
-                for a in told["accuracy"]
+                for a in report["accuracy"]
             ],
         )
 
 
-def told_anew(instructions: float | None) -> str:
-    """Instructions of a step that looks for SOC anew."""
+def instructions_text(instructions: float | None) -> str:
+    """Instructions of a step that re-initialises SOC."""
     return "-" if instructions is None else f"{instructions:,.0f}"

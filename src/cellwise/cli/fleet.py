@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellwise.cli import log_options, printing
+from cellwise.cli.common import log_options, printing
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
@@ -20,13 +20,15 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     replay = actions.add_parser("replay", help="SOC over every log of a folder")
     _common(replay)
     replay.add_argument("--estimator", default="ekf", metavar="E", help="as in cellwise replay")
-    replay.add_argument("--soc0-std", type=float, metavar="S", help="how sure the start SOC is")
+    replay.add_argument(
+        "--soc0-std", type=float, metavar="S", help="standard deviation of the initial SOC"
+    )
     replay.add_argument("--reference-soc0", type=float, metavar="X", help="true SOC at the start")
     replay.add_argument(
         "--reference-capacity-ah", type=float, metavar="X", help="for the reference by the counter"
     )
     replay.set_defaults(run=run_replay)
-    diagnose = actions.add_parser("diagnose", help="what the model gets wrong about every log")
+    diagnose = actions.add_parser("diagnose", help="the errors of the model on every log")
     _common(diagnose)
     diagnose.add_argument(
         "--baseline", action="append", default=[], metavar="LOG", help="known to be good; several"
@@ -52,7 +54,7 @@ def _common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--soc0", default="auto", metavar="X", help="0..1, or auto [auto]")
     parser.add_argument("--cache", metavar="DIR", help="keep logs as they were read and checked")
     parser.add_argument("--batch", type=int, default=8, metavar="N", help="logs sent together [8]")
-    parser.add_argument("--fresh", action="store_true", help="begin anew, whatever OUT holds")
+    parser.add_argument("--fresh", action="store_true", help="start again, whatever OUT holds")
     parser.add_argument(
         "--retry-failed", action="store_true", help="try the logs again that have failed"
     )
@@ -78,7 +80,7 @@ def run_replay(arguments: argparse.Namespace) -> None:
 
 def run_diagnose(arguments: argparse.Namespace) -> None:
     """Diagnose every log of a folder."""
-    from cellwise.diagnose.causes import CAUSES
+    from cellwise.diagnose.causes.catalogue import CAUSES
     from cellwise.fleet import DiagnoseTask
 
     for name in arguments.cause or ():
@@ -115,8 +117,8 @@ def _run(task: LogTask, arguments: argparse.Namespace) -> None:
         bar = shown.add_task(f"fleet {task.kind}", total=None)
 
         def progress(done: int, failed: int, all_: int) -> None:
-            told = f"fleet {task.kind}, {failed} failed" if failed else f"fleet {task.kind}"
-            shown.update(bar, description=told, completed=done, total=all_)
+            label = f"fleet {task.kind}, {failed} failed" if failed else f"fleet {task.kind}"
+            shown.update(bar, description=label, completed=done, total=all_)
 
         found = run_fleet(
             task,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from cellwise.cli import log_options, page_options, printing
+from cellwise.cli.common import log_options, page_options, printing
 
 if TYPE_CHECKING:
     from cellwise.identify import Identification

@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
-from cellwise.cli import log_options, printing
+from cellwise.cli.common import log_options, printing
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from cellwise.live import Counts, LiveFilter, Update
     from cellwise.live.sample import Source
 
-LEFT_EVERY_S = 1.0
+FORECAST_EVERY_S = 1.0
 
 
 def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -35,9 +35,11 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     live.add_argument("--follow", action="store_true", help="wait for more at a file's end")
     live.add_argument("--estimator", default="ekf", metavar="E", help="ekf or ukf [ekf]")
     live.add_argument("--soc0", default="auto", metavar="X", help="0..1, or auto [auto]")
-    live.add_argument("--soc0-std", type=float, metavar="S", help="how sure the start SOC is")
+    live.add_argument(
+        "--soc0-std", type=float, metavar="S", help="standard deviation of the initial SOC"
+    )
     live.add_argument("--state", metavar="FILE", help="goes on where FILE says, and keeps it there")
-    live.add_argument("--fresh", action="store_true", help="begin anew, whatever FILE says")
+    live.add_argument("--fresh", action="store_true", help="start again, whatever FILE says")
     live.add_argument("--save-every", type=float, default=10.0, metavar="S", help="seconds [10]")
     live.add_argument("-o", "--output", metavar="OUT", help="JSON lines, added at the end of OUT")
     live.add_argument(
@@ -46,7 +48,9 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     live.add_argument("--view", action="store_true", help="a view instead of lines [on a terminal]")
     live.add_argument("--send", metavar="MESSAGE.SIGNAL", help="SOC back on the CAN bus")
     live.add_argument("--send-every", type=float, default=0.1, metavar="S", help="seconds [0.1]")
-    live.add_argument("--cutoff-v", type=float, metavar="V", help="where the load gives up [model]")
+    live.add_argument(
+        "--cutoff-v", type=float, metavar="V", help="voltage at which the load stops [model]"
+    )
     live.add_argument("--deadline-ms", type=float, metavar="MS", help="[the sample's interval]")
     live.add_argument("--samples", type=int, metavar="N", help="stop after N samples")
     live.add_argument(
@@ -104,7 +108,7 @@ def run_live_command(arguments: argparse.Namespace) -> None:
             idle_s=arguments.idle,
         )
     check_any(source, counts)
-    _tell(arguments, live, counts, outlook, viewed)
+    _report_end(arguments, live, counts, outlook, viewed)
 
 
 def _hand_out(takers: list[Callable[[Update], None]], update: Update) -> None:
@@ -119,24 +123,24 @@ class LineWriter:
         self, file: IO[str], live: LiveFilter, outlook: Outlook, every_s: float = 0.0
     ) -> None:
         self._file, self._live, self._outlook, self._every_s = file, live, outlook, every_s
-        self._waited_s = self._left_s = float("inf")
+        self._waited_s = self._since_forecast_s = float("inf")
 
     def __call__(self, update: Update) -> None:
         """Write a line if it is time."""
         self._waited_s += update.dt_s
-        self._left_s += update.dt_s
+        self._since_forecast_s += update.dt_s
         if self._waited_s < self._every_s * (1.0 - 1e-9):
             return
         self._waited_s = 0.0
-        told = told_of(update)
-        if self._left_s >= LEFT_EVERY_S:
-            self._left_s = 0.0
-            told |= left_of(self._live, self._outlook, update)
-        self._file.write(json.dumps(printing.clean(told), allow_nan=False) + "\n")
+        row = state_row(update)
+        if self._since_forecast_s >= FORECAST_EVERY_S:
+            self._since_forecast_s = 0.0
+            row |= forecast_row(self._live, self._outlook, update)
+        self._file.write(json.dumps(printing.clean(row), allow_nan=False) + "\n")
         self._file.flush()
 
 
-def told_of(update: Update) -> dict[str, Any]:
+def state_row(update: Update) -> dict[str, Any]:
     """An update as values for JSON; what the filter predicts beside what was measured."""
     from cellwise.estimate.status import Status
 
@@ -155,15 +159,15 @@ def told_of(update: Update) -> dict[str, Any]:
     }
 
 
-def left_of(live: LiveFilter, outlook: Outlook, update: Update) -> dict[str, Any]:
+def forecast_row(live: LiveFilter, outlook: Outlook, update: Update) -> dict[str, Any]:
     """Time and energy to empty, nulls where there is no load."""
-    left = outlook.left(live.state, _temperature(live, update))
-    if left is None:
+    now = outlook.forecast(live.state, _temperature(live, update))
+    if now is None:
         return {"remaining_s": None, "remaining_s_band": None, "remaining_Wh": None}
     return {
-        "remaining_s": left.remaining_s,
-        "remaining_s_band": list(left.remaining_s_band),
-        "remaining_Wh": left.remaining_Wh,
+        "remaining_s": now.remaining_s,
+        "remaining_s_band": list(now.remaining_s_band),
+        "remaining_Wh": now.remaining_Wh,
     }
 
 
@@ -187,7 +191,7 @@ def _check(arguments: argparse.Namespace) -> None:
         raise InputError(
             f"--send {arguments.send} for a source that is no CAN bus",
             "--source can:INTERFACE:CHANNEL",
-            "Leave --send away, or name the bus.",
+            "Omit --send, or name the bus.",
         )
 
 
@@ -209,7 +213,7 @@ def _filter(model: Any, arguments: argparse.Namespace) -> LiveFilter:
         and not live.resume(arguments.state, time.time())
         and Path(arguments.state).exists()
     ):
-        print(f"cellwise live: '{arguments.state}' is empty: begun anew", file=sys.stderr)
+        print(f"cellwise live: '{arguments.state}' is empty: started again", file=sys.stderr)
     return live
 
 
@@ -257,7 +261,7 @@ def _stopped_by_signal() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def _tell(
+def _report_end(
     arguments: argparse.Namespace,
     live: LiveFilter,
     counts: Counts,
@@ -269,8 +273,8 @@ def _tell(
     if last is None or live.start is None:
         return
     data = {
-        **told_of(last),
-        **left_of(live, outlook, last),
+        **state_row(last),
+        **forecast_row(live, outlook, last),
         "estimator": live.filter.name,
         "soc0": live.start.to_dict(),
         **counts.to_dict(),

@@ -14,7 +14,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 
 from cellwise.estimate.status import Status
-from cellwise.forecast.outlook import LeftNow, Outlook
+from cellwise.forecast.outlook import ForecastNow, Outlook
 from cellwise.live import Counts, LiveFilter, Update
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ class LiveView:
         sample, info = last.sample, last.info
         warm = sample.temperature_C
         flags = ", ".join(str(bit.name).lower() for bit in Status(info.status)) or "-"
-        told = counts.latency.to_dict()
+        latency = counts.latency.to_dict()
         return [
             ("current", f"{_number(sample.current_A, 3)} A"),
             (
@@ -94,8 +94,13 @@ class LiveView:
                 f"{_number(sample.voltage_V, 4)} V measured, {_number(info.voltage_V, 4)} expected",
             ),
             ("temperature", f"{_number(warm, 1)} degC"),
-            ("left", _left(self._outlook.left(self._filter.state, warm if warm == warm else 25.0))),
-            ("told", flags),
+            (
+                "remaining",
+                _remaining(
+                    self._outlook.forecast(self._filter.state, warm if warm == warm else 25.0)
+                ),
+            ),
+            ("flags", flags),
             (
                 "stream",
                 f"{counts.samples:,} samples, {counts.gaps} gap(s), {counts.late} late, "
@@ -103,8 +108,8 @@ class LiveView:
             ),
             (
                 "latency",
-                f"{told['p50_ms']:.2f} ms, 99 % {told['p99_ms']:.2f} ms, "
-                f"{told['missed_deadlines']} too late",
+                f"{latency['p50_ms']:.2f} ms, 99 % {latency['p99_ms']:.2f} ms, "
+                f"{latency['missed_deadlines']} too late",
             ),
         ]
 
@@ -113,15 +118,15 @@ def _number(value: float, digits: int) -> str:
     return f"{value:.{digits}f}" if math.isfinite(value) else "-"
 
 
-def _left(left: LeftNow | None) -> str:
-    if left is None:
+def _remaining(now: ForecastNow | None) -> str:
+    if now is None:
         return "no load"
-    low, high = left.remaining_s_band
+    low, high = now.remaining_s_band
 
     def minutes(seconds: float) -> str:
         return f"{seconds / 60:.1f}" if math.isfinite(seconds) else "-"
 
     return (
-        f"{minutes(left.remaining_s)} min ({minutes(low)} to {minutes(high)}), "
-        f"{left.remaining_Wh:.2f} Wh at {left.load_A:.2f} A"
+        f"{minutes(now.remaining_s)} min ({minutes(low)} to {minutes(high)}), "
+        f"{now.remaining_Wh:.2f} Wh at {now.load_A:.2f} A"
     )

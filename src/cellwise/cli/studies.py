@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from cellwise.cli import page_options, printing
+from cellwise.cli.common import page_options, printing
 
 
 def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -22,8 +22,8 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run_papers(arguments: argparse.Namespace) -> None:
     """Print the tables of both papers."""
-    from cellwise.benchmark.papers import paper_tables, print_paper_tables
     from cellwise.data import datasets_folder
+    from cellwise.studies.papers import paper_tables, print_paper_tables
 
     with printing.bar() as progress:
         task = progress.add_task("papers", total=None)
@@ -38,7 +38,7 @@ def run_papers(arguments: argparse.Namespace) -> None:
 
 def run_demo(arguments: argparse.Namespace) -> None:
     """The main job on embedded data: identify, simulate, replay, one page."""
-    from cellwise.benchmark.demo import run_demo as run
+    from cellwise.studies.demo import run_demo as run
 
     page_options.check_page_options(arguments)
     with printing.bar() as progress:

@@ -1,4 +1,4 @@
-"""Criticism: what a simulation gets wrong, why, and what the model gains when it is mended."""
+"""Diagnosis: where a simulation is wrong, the cause, and what an extended model gains."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from types import ModuleType
 from typing import Any
 
 from cellwise.diagnose.diagnosis import diagnose
-from cellwise.diagnose.verdict import Diagnosis, FoundCause, TriedCause
+from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
 
 __all__ = ["Diagnosis", "FoundCause", "TriedCause", "diagnose"]
 

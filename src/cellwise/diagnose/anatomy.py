@@ -54,7 +54,7 @@ def anatomy(model: CellModel, log: CellLog, soc0: float, h0: float | None = None
         it has fallen to 1/e, ``white``;
 
         ``drift``: slopes ``V_per_h`` and ``V_per_Ah`` with standard deviations that know how long
-        the error lasts; ``noise``: what jumps from row to row, ``floor_V``, and its ``share``.
+        the error persists; ``noise``: what jumps from row to row, ``floor_V``, and its ``share``.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def groups(
     """The error by what lies between edges: rows, RMSE, mean, share of the squared error.
 
     A value at an edge belongs to the group above it. Groups without a row are left out; ``first``
-    and ``last`` are only said, not enforced: what lies beyond belongs to the outer groups.
+    and ``last`` are only stated, not enforced: what lies beyond belongs to the outer groups.
     """
     use = np.isfinite(error_V) & np.isfinite(by)
     e = error_V[use]
@@ -226,7 +226,7 @@ def _lag1(error_V: FloatArray, known: BoolArray) -> float | None:
 
 
 def _white(error_V: FloatArray, known: BoolArray) -> bool:
-    """Whether no row foretells the next: Bartlett's bound of three standard deviations."""
+    """Whether successive rows are uncorrelated: Bartlett's bound of three standard deviations."""
     first = _lag1(error_V, known)
     return first is None or bool(abs(first) < 3.0 / np.sqrt(known.sum()))
 
@@ -246,7 +246,7 @@ def _block_means(error_V: FloatArray, seconds: FloatArray, width_s: float) -> Fl
 def _slope(
     x: FloatArray, y: FloatArray, seconds: FloatArray, correlation_s: float
 ) -> tuple[float | None, float | None]:
-    """Slope of a line and its standard deviation for errors that last ``correlation_s``."""
+    """Slope of a line and its standard deviation; errors are correlated over ``correlation_s``."""
     if x.size < 3 or np.ptp(x) <= 0.0:
         return None, None
     dx = x - np.mean(x)

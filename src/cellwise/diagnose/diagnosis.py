@@ -1,4 +1,4 @@
-"""`diagnose`: from a model and measured logs to named causes, a mended model, a measured gain."""
+"""`diagnose`: from a model and measured logs to causes, an extended model, a measured gain."""
 
 from __future__ import annotations
 
@@ -10,29 +10,36 @@ import numpy as np
 from cellwise.cell.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.point_kernels import R3, TAU2, TAU3
-from cellwise.diagnose.acceptance import FOREIGN_K
 from cellwise.diagnose.anatomy import anatomy
-from cellwise.diagnose.causes import CAUSES, Cause
-from cellwise.diagnose.coordinates import Coordinates
-from cellwise.diagnose.doubts import another_cell, too_little
-from cellwise.diagnose.evidence import Evidence, gather
-from cellwise.diagnose.experiment import propose
-from cellwise.diagnose.extend import correct_log, extend_model, parameters_of, split_skew, value_of
-from cellwise.diagnose.fit import held_rows
-from cellwise.diagnose.fitter import Fitter
-from cellwise.diagnose.judge import FIRM_SLOW_V, Judge, Progress
-from cellwise.diagnose.judgement import Accepted, Judgement, kept_coordinates
-from cellwise.diagnose.noise import at_least
-from cellwise.diagnose.priors import GIVEN_SOC_STD, learned, structure_prior, tolerances
-from cellwise.diagnose.rest_reading import rest_reading
-from cellwise.diagnose.rivals import Candidate, rmse
+from cellwise.diagnose.causes.catalogue import CAUSES, Cause, kept_coordinates
+from cellwise.diagnose.causes.coordinates import Coordinates
+from cellwise.diagnose.decision.acceptance import OUTSIDE_K
+from cellwise.diagnose.decision.candidates import Candidate
+from cellwise.diagnose.decision.model_comparison import FIRM_SLOW_V, ModelComparison, Progress
+from cellwise.diagnose.decision.outcome import Accepted, Outcome
+from cellwise.diagnose.decision.preconditions import another_cell, too_little
+from cellwise.diagnose.extension import (
+    correct_log,
+    extend_model,
+    parameters_of,
+    split_skew,
+    value_of,
+)
+from cellwise.diagnose.fit.cause_fits import CauseFits
+from cellwise.diagnose.fit.gain import rmse
+from cellwise.diagnose.fit.least_squares import held_rows
+from cellwise.diagnose.fit.noise import at_least
+from cellwise.diagnose.fit.priors import GIVEN_SOC_STD, calibrated, structure_prior, tolerances
+from cellwise.diagnose.fit.rest_current import rest_reading
+from cellwise.diagnose.fit.rows import Evidence, gather
+from cellwise.diagnose.fit.whitening_kernels import NoiseLevel
+from cellwise.diagnose.next_test import propose
+from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
 from cellwise.diagnose.soc_gain import soc_gain
-from cellwise.diagnose.verdict import Diagnosis, FoundCause, TriedCause
-from cellwise.diagnose.whitening_kernels import NoiseLevel
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 
-# Shares of the model's own slow error that stay unexplained whatever is found.
+# Shares of the model's own slow error that remain unexplained whatever is found.
 SLOW_FLOOR = 0.1
 FAST_FLOOR = 0.05
 
@@ -50,7 +57,7 @@ def diagnose(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Diagnosis:
-    """Say what a model gets wrong about measured logs, name the cause, measure the gain.
+    """Find where a model is wrong on measured logs, name the cause, measure the gain.
 
     Parameters
     ----------
@@ -59,7 +66,7 @@ def diagnose(
     holdout : CellLog or sequence     on which gains are judged; without it later blocks of time of
                                       ``logs``, never used in the fit
     baseline : CellLog or sequence    logs known to be good, of the same cell and instruments: what
-                                      the model gets wrong there is learned and not blamed later
+                                      the model gets wrong there is calibrated, not diagnosed
     soc0 : float, "auto" or a sequence of them, one per log (logs, holdout, baseline)
     causes : names to try; default all
     seed : of the block bootstrap
@@ -84,16 +91,16 @@ def diagnose(
     slowest = _slowest(model)
     evidence = gather(model, starts[0], starts[1], slowest)
     coordinates = Coordinates(model)
-    fitter = _fitter(evidence, coordinates, seed)
+    fits = _cause_fits(evidence, coordinates, seed)
     if groups[2]:
-        _learn(fitter, model, starts[2])
-    base, noise = fitter.base(fitter.prior)
+        _calibrate(fits, model, starts[2])
+    base, noise = fits.base(fits.prior)
     other = another_cell(model, evidence, base, base.soc)
     if other:
         return _undetermined(model, groups, f"this looks like another cell: {other}")
-    judge = Judge(fitter, _foreign(model, evidence), progress)
-    judgement = judge.run(chosen, base, noise)
-    return _diagnosis(model, groups[0], groups[1], fitter, judgement)
+    comparison = ModelComparison(fits, _extrapolated(model, evidence), progress)
+    outcome = comparison.run(chosen, base, noise)
+    return _diagnosis(model, groups[0], groups[1], fits, outcome)
 
 
 def _undetermined(model: CellModel, groups: tuple[tuple[CellLog, ...], ...], why: str) -> Diagnosis:
@@ -135,12 +142,12 @@ def _starts(
     """Every log with its start."""
     flat = [g for group in groups for g in group]
     if isinstance(soc0, (str, float, int)):
-        said: list[float | str] = [soc0] * len(flat)
+        stated: list[float | str] = [soc0] * len(flat)
     else:
-        said = list(soc0)
-        if len(said) < len(flat):
-            said += ["auto"] * (len(flat) - len(said))
-    found = iter(zip(flat, said, strict=False))
+        stated = list(soc0)
+        if len(stated) < len(flat):
+            stated += ["auto"] * (len(flat) - len(stated))
+    found = iter(zip(flat, stated, strict=False))
     result = []
     for group in groups:
         pairs = []
@@ -154,7 +161,7 @@ def _starts(
     return result
 
 
-def _fitter(evidence: Evidence, coordinates: Coordinates, seed: int) -> Fitter:
+def _cause_fits(evidence: Evidence, coordinates: Coordinates, seed: int) -> CauseFits:
     """Fits with the tolerances of a good laboratory."""
     model = coordinates.model
     slow = float(np.mean(model.error.slow_V))
@@ -165,7 +172,7 @@ def _fitter(evidence: Evidence, coordinates: Coordinates, seed: int) -> Fitter:
         SLOW_FLOOR * slow,
         max(model.error.correlation_s, 60.0),
     )
-    return Fitter(
+    return CauseFits(
         evidence,
         coordinates,
         tolerances(coordinates, evidence),
@@ -176,38 +183,38 @@ def _fitter(evidence: Evidence, coordinates: Coordinates, seed: int) -> Fitter:
     )
 
 
-def _foreign(model: CellModel, evidence: Evidence) -> bool:
+def _extrapolated(model: CellModel, evidence: Evidence) -> bool:
     """Whether the logs' temperature is one that the model was not measured at."""
     middle = float(np.median(np.concatenate([g.temperature_C for g in evidence.logs])))
     coldest, warmest = float(np.min(model.temperature_C)), float(np.max(model.temperature_C))
-    return middle < coldest - FOREIGN_K or middle > warmest + FOREIGN_K
+    return middle < coldest - OUTSIDE_K or middle > warmest + OUTSIDE_K
 
 
-def _learn(fitter: Fitter, model: CellModel, good: list[tuple[CellLog, InitialSoc]]) -> None:
-    """What the model gets wrong of a good log becomes what is expected of it."""
+def _calibrate(fits: CauseFits, model: CellModel, good: list[tuple[CellLog, InitialSoc]]) -> None:
+    """Calibrate the prior on baseline logs: what the model gets wrong there is expected."""
     evidence = gather(model, good, whole=True)
-    known = _fitter(evidence, fitter.coordinates, 0)
-    # Nothing slow passes for noise: else fast details would be learned, and what lasts lost.
+    known = _cause_fits(evidence, fits.coordinates, 0)
+    # Nothing slow passes for noise: else fast details would be fitted, and persistent error lost.
     known.most_slow_V = FIRM_SLOW_V
     prior = structure_prior(known.prior)
     found, noise = known.base(prior)
-    fitter.prior = learned(fitter.prior, found)
-    fitter.floor = at_least(fitter.floor, noise.level)
+    fits.prior = calibrated(fits.prior, found)
+    fits.floor = at_least(fits.floor, noise.level)
 
 
 def _diagnosis(
     model: CellModel,
     logs: tuple[CellLog, ...],
     holdout: tuple[CellLog, ...],
-    fitter: Fitter,
-    judgement: Judgement,
+    fits: CauseFits,
+    outcome: Outcome,
 ) -> Diagnosis:
-    evidence = fitter.evidence
-    causes = tuple(_found(a, judgement, evidence) for a in judgement.accepted)
-    verdict = causes[0].name if causes else ("undetermined" if judgement.open_between else "none")
-    final = judgement.fit
-    keep = kept_coordinates(a.cause for a in judgement.accepted)
-    z = fitter.point(final, keep)
+    evidence = fits.evidence
+    causes = tuple(_found(a, outcome, evidence) for a in outcome.accepted)
+    verdict = causes[0].name if causes else ("undetermined" if outcome.open_between else "none")
+    final = outcome.fit
+    keep = kept_coordinates(a.cause for a in outcome.accepted)
+    z = fits.point(final, keep)
     note = {"causes": [c.name for c in causes]}
     interval = float(np.median(np.concatenate([g.dt_s[1:] for g in evidence.logs])))
     of_model, of_log = split_skew(final.coordinates, z, interval)
@@ -218,18 +225,18 @@ def _diagnosis(
         last = len(logs) if holdout else 0
         judged = (*logs, *holdout)[last]
         start = evidence.logs[last].start.soc + final.z.get(f"soc0:{last}", 0.0)
-        mended = correct_log(judged, final.coordinates, of_log)
-        gain = soc_gain(model, extended, judged, mended, start)
-    reasons = judgement.reasons
-    if judgement.open_between:
-        names = " and ".join(c.name for c in judgement.open_between[:3])
+        seen = correct_log(judged, final.coordinates, of_log)
+        gain = soc_gain(model, extended, judged, seen, start)
+    reasons = outcome.reasons
+    if outcome.open_between:
+        names = " and ".join(c.name for c in outcome.open_between[:3])
         reasons = (*reasons, f"{names} explain the same equally well")
     return Diagnosis(
         verdict,
         causes,
-        tuple(_tried(c, fitter) for c in judgement.first),
+        tuple(_tried(c, fits) for c in outcome.first),
         anatomy(model, logs[0], evidence.logs[0].start.soc),
-        _next_test(judgement),
+        _next_test(outcome),
         reasons,
         model,
         extended,
@@ -238,12 +245,12 @@ def _diagnosis(
         corrected,
         tuple(g.start.to_dict() for g in evidence.logs),
         gain,
-        judgement.noise.level._asdict(),
+        outcome.noise.level._asdict(),
     )
 
 
-def _found(accepted: Accepted, judgement: Judgement, evidence: Evidence) -> FoundCause:
-    final, cause, gain = judgement.fit, accepted.cause, accepted.gain
+def _found(accepted: Accepted, outcome: Outcome, evidence: Evidence) -> FoundCause:
+    final, cause, gain = outcome.fit, accepted.cause, accepted.gain
     soc0 = evidence.logs[0].start.soc
     values = parameters_of(cause, final.coordinates, final.z, soc0)
     intervals = {}
@@ -273,38 +280,38 @@ def _found(accepted: Accepted, judgement: Judgement, evidence: Evidence) -> Foun
 
 
 def _evidence(accepted: Accepted) -> tuple[str, ...]:
-    """Why a cause was accepted, in sentences."""
+    """Why a cause was accepted."""
     gain = accepted.gain
     least = f"{100 * gain.low:.0f}" if gain.low >= 0.0 else f"{-100 * gain.low:.0f} % more"
-    said = [
+    lines = [
         f"held-out RMSE falls from {1e3 * gain.held_before_V:.1f} to "
         f"{1e3 * gain.held_after_V:.1f} mV ({least} to {100 * gain.high:.0f} % less, "
         "95 % interval over blocks of time)",
         f"the data are e^{accepted.score:.0f} times as likely as with tolerances alone",
     ]
     if gain.low <= 0.0 and accepted.sure:
-        said.insert(1, f"by RMSE alone that would not be sure, but {accepted.sure}")
-    if accepted.rivals:
-        said.append(f"next best: {', '.join(accepted.rivals)}")
-    said.append(accepted.cause.signature)
-    return tuple(said)
+        lines.insert(1, f"the RMSE alone is not significant, but {accepted.sure}")
+    if accepted.alternatives:
+        lines.append(f"next best: {', '.join(accepted.alternatives)}")
+    lines.append(accepted.cause.signature)
+    return tuple(lines)
 
 
-def _next_test(judgement: Judgement) -> str:
-    """The experiment that would separate what is confused: open rivals, else the runner-up."""
-    if judgement.open_between:
-        proposal = propose(judgement.open_between)
-        names = [c.name for c in judgement.open_between]
+def _next_test(outcome: Outcome) -> str:
+    """The experiment that would separate the alternatives: undecided ones, else the runner-up."""
+    if outcome.open_between:
+        proposal = propose(outcome.open_between)
+        names = [c.name for c in outcome.open_between]
     else:
-        close = [c for c in judgement.first if c.score > 0.0][:2]
-        proposal = propose(close) if judgement.accepted else None
+        close = [c for c in outcome.first if c.score > 0.0][:2]
+        proposal = propose(close) if outcome.accepted else None
         names = [c.name for c in close]
-    return proposal.sentence(names) if proposal else ""
+    return proposal.text(names) if proposal else ""
 
 
-def _tried(candidate: Candidate, fitter: Fitter) -> TriedCause:
-    c, f, evidence = candidate.cause, candidate.fit, fitter.evidence
-    alone = fitter.alone(f, (c,))
+def _tried(candidate: Candidate, fits: CauseFits) -> TriedCause:
+    c, f, evidence = candidate.cause, candidate.fit, fits.evidence
+    alone = fits.alone(f, (c,))
     error = rmse(evidence.voltage_V - alone.voltage_V, held_rows(evidence))
     values = parameters_of(c, f.coordinates, f.z, evidence.logs[0].start.soc)
     return TriedCause(

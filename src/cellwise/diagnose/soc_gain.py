@@ -1,4 +1,4 @@
-"""What the mended model or log means for the EKF, in points of SOC."""
+"""What the extended model or corrected log means for the EKF, in points of SOC."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cellwise.logs.cell_log import CellLog
 
 
 def soc_gain(
-    model: CellModel, extended: CellModel, log: CellLog, mended: CellLog, soc0: float
+    model: CellModel, extended: CellModel, log: CellLog, corrected: CellLog, soc0: float
 ) -> dict[str, Any] | None:
     """SOC RMSE [1] of the EKF with the model as it was and as it is now, on one log.
 
@@ -33,7 +33,7 @@ def soc_gain(
         )
 
     try:
-        before, after = judged(model, log).errors, judged(extended, mended).errors
+        before, after = judged(model, log).errors, judged(extended, corrected).errors
     except InputError:
         return None
     if before is None or after is None:

@@ -15,7 +15,7 @@ from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.estimate.status import GATE_RECOVERY
 from cellwise.export.cross import run_on_target
 
-ROUND = 3000  # samples between two rounds of lasting faults
+ROUND = 3000  # samples between two rounds of persistent faults
 STEPS = 3000
 EVERY = 5
 START_SOC, START_VARIANCE, NARROW = 0.9, 0.01, 1e-5
@@ -26,13 +26,13 @@ LOCK_OUT_STEPS, SETTLED = 200, 50
 class WorstCase:
     """Instructions of the costliest steps [1].
 
-    ``stress`` is the most under stress, ``anew`` that of a step which looks for SOC anew after a
+    ``stress`` is the most under stress, ``reset`` that of a step which re-initialises SOC after a
     lock-out, or widens its variance (None where the voltage of an empty cell locks nothing out);
     ``stack_bytes`` the most that either took.
     """
 
     stress: float
-    anew: float | None
+    reset: float | None
     stack_bytes: int
 
 
@@ -89,7 +89,7 @@ def lock_out(model: CellModel) -> NDArray[Any]:
 
 
 def worst_case(model: CellModel, tables: FixedStepTables, core: str) -> WorstCase:
-    """Count the instructions of stress, and of a step that looks for SOC anew.
+    """Count the instructions of stress, and of a step that re-initialises SOC.
 
     Raises
     ------
@@ -108,5 +108,5 @@ def worst_case(model: CellModel, tables: FixedStepTables, core: str) -> WorstCas
     once = run_on_target(
         tables, core, samples[: at + 1], START_SOC, NARROW, measure_every=at + 1, measure_first=at
     ).cost
-    anew = once.instructions_most or 0.0
-    return WorstCase(max(most, anew), anew, max(stack, once.stack_bytes or 0))
+    reset = once.instructions_most or 0.0
+    return WorstCase(max(most, reset), reset, max(stack, once.stack_bytes or 0))

@@ -19,7 +19,7 @@ WORKER_DIED = "the worker died"
 POLL_S = 0.01
 AHEAD = 3  # batches in hand for each thread: enough to keep it busy, few enough to stay small
 
-# Of a cluster in this machine nobody looks at the profile, and little can have changed in 10 s.
+# The profile of a cluster in this machine is not used, and little can have changed in 10 s.
 QUIET = {
     "distributed.worker.profile.enabled": False,
     "distributed.worker.memory.monitor-interval": "10s",
@@ -59,7 +59,7 @@ def connected(scheduler: str, workers: int | None) -> Iterator[Any]:
 
     Raises
     ------
-    InputError              Dask is not installed, nobody answers at the address
+    InputError              Dask is not installed, there is no answer at the address
     """
     distributed = _distributed()
     count = workers or usable_cores()
@@ -96,7 +96,7 @@ def rows_of(
     """Rows of all logs, batch by batch as they are finished.
 
     A batch whose worker dies is done again elsewhere. Where one has cost several workers their
-    life, its logs are done at the end, one at a time so that no log is blamed for its neighbour;
+    life, its logs are done at the end, one at a time so that no log fails for its neighbour;
     the log that does it becomes a row with that error. Only a few batches are in hand at a time,
     however many logs there are.
     """
@@ -118,7 +118,7 @@ def rows_of(
         future = client.submit(_rows, task, str(folder), logs, pure=False)
         flying[future] = logs
 
-    blamed: set[str] = set()
+    suspected: set[str] = set()
     send()
     while flying:
         future = next((f for f in flying if f.done()), None)
@@ -130,11 +130,11 @@ def rows_of(
         try:
             yield future.result()
         except Exception as error:  # of Dask: those of the logs are rows
-            if len(logs) == 1 and logs[0] in blamed:
+            if len(logs) == 1 and logs[0] in suspected:
                 reason = f"{WORKER_DIED} on it ({type(error).__name__})"
                 yield [failed_row(folder, logs[0], reason)]
             else:
-                blamed.update(logs)
+                suspected.update(logs)
                 suspects.extend(logs)
         future.release()
         send()

@@ -64,7 +64,7 @@ def run_fleet(
     workers : int or None     of the first two; None: one for each core
     pattern : str             of the file names
     batch : int               logs that are sent together
-    fresh : bool              begin anew
+    fresh : bool              start again
     retry_failed : bool       do the logs again that have a row with an error
     progress : callable       called with the logs done, those that failed, and all
 
@@ -138,8 +138,8 @@ def find_logs(folder: Path, pattern: str, out: Path) -> dict[str, tuple[int, int
         hidden = any(part.startswith((".", "_")) for part in path.relative_to(folder).parts)
         if hidden or not path.is_file() or own in path.resolve().parents:
             continue
-        told = path.stat()
-        found[path.relative_to(folder).as_posix()] = (told.st_size, told.st_mtime_ns)
+        status = path.stat()
+        found[path.relative_to(folder).as_posix()] = (status.st_size, status.st_mtime_ns)
     if not found:
         raise InputError(
             f"no file '{pattern}' in '{folder}'", "logs", "Check the folder and --pattern."

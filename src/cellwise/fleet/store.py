@@ -24,7 +24,7 @@ class ResultFolder:
     place : Path
     columns : mapping       name to type, the same in every part
     settings : mapping      JSON values that must be the same when a run goes on
-    fresh : bool            begin anew: drop the parts of another run
+    fresh : bool            start again: drop the parts of another run
 
     Raises
     ------
@@ -131,5 +131,5 @@ class ResultFolder:
             raise InputError(
                 f"results in '{place}' of a run with another {', '.join(wrong) or 'setting'}",
                 "the settings of that run, to go on with it",
-                "Begin anew with --fresh, or name another folder.",
+                "Start again with --fresh, or name another folder.",
             )

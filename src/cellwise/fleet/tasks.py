@@ -19,8 +19,8 @@ from cellwise.estimate.estimators import Estimator, make_estimator
 from cellwise.estimate.replay import Replay, reference_soc
 from cellwise.fleet import columns
 from cellwise.logs.cell_log import CellLog
+from cellwise.logs.checks.sign import verify_sign
 from cellwise.logs.prepared import read_prepared
-from cellwise.logs.sign import verify_sign
 
 # From here on the model does not know the log, and its sign is worth a look.
 SURPRISED_SHARE = 0.02
@@ -35,7 +35,7 @@ class LogTask:
     Parameters
     ----------
     model : CellModel
-    soc0 : float or None      start SOC of every log; None: found in each
+    soc0 : float or None      initial SOC of every log; None: found in each
     read : mapping            arguments of `read_log`
     cache : str               folder for logs that were read and checked before; empty: none
     """
@@ -50,8 +50,8 @@ class LogTask:
 
     def settings(self) -> dict[str, Any]:
         """What must be the same when a run is resumed, as JSON values."""
-        told = {k: v for k, v in vars(self).items() if k not in ("model", "cache")}
-        return {"kind": self.kind, **json.loads(json.dumps(told, default=str))}
+        fields = {k: v for k, v in vars(self).items() if k not in ("model", "cache")}
+        return {"kind": self.kind, **json.loads(json.dumps(fields, default=str))}
 
     def rows(self, folder: str, names: Sequence[str]) -> list[dict[str, Any]]:
         """One row for each log; one that fails is a row with its error."""
@@ -86,7 +86,7 @@ class ReplayTask(LogTask):
     estimator : str                       a name of `ESTIMATORS`
     soc0_std : float or None              how sure ``soc0`` is
     reference_soc0 : float or None        true SOC at every log's first row
-    reference_capacity_Ah : float or None     charge between SOC 1 and 0, for a judgement
+    reference_capacity_Ah : float or None     charge between SOC 1 and 0, for the error of SOC
     """
 
     kind: ClassVar[str] = "replay"
@@ -111,20 +111,20 @@ class ReplayTask(LogTask):
         ns = 1e9 * (time.perf_counter() - began) / len(log)
         reference = None
         if self.reference_capacity_Ah is not None:
-            told = self.reference_soc0
-            true0 = initial_soc(self.model, log).soc if told is None else told
+            given = self.reference_soc0
+            true0 = initial_soc(self.model, log).soc if given is None else given
             reference = reference_soc(log, true0, self.reference_capacity_Ah)
         found = Replay(log, filter_.name, start, trace, ns, reference)
         return {**_of_log(log), **self._figures(found)}
 
     def _figures(self, found: Replay) -> dict[str, Any]:
-        told = found.to_dict()
-        settled, learnt = told.pop("settled"), told.pop("parameters", None) or {}
-        start = told.pop("soc0")
+        figures = found.to_dict()
+        settled, estimated = figures.pop("settled"), figures.pop("parameters", None) or {}
+        start = figures.pop("soc0")
         trace = found.trace
         rejected = found.sums.rejected / len(trace)
         row = {
-            **told,
+            **figures,
             "soc0": start["value"],
             "soc0_std": start["std"],
             "soc0_how": start["how"],
@@ -136,13 +136,13 @@ class ReplayTask(LogTask):
             "sign": self._sign(found, rejected),
         }
         for name in ("offset_A", "capacity_Ah"):
-            if name in learnt:
+            if name in estimated:
                 stem, _, unit = name.rpartition("_")
-                row[name] = learnt[name]["value"]
-                row[f"{stem}_std_{unit}"] = learnt[name]["std"]
-        if learnt:
-            row["resistance_scale"] = learnt["resistance_scale"]["value"]
-            row |= {k: learnt[k] for k in ("soh_capacity", "soh_resistance")}
+                row[name] = estimated[name]["value"]
+                row[f"{stem}_std_{unit}"] = estimated[name]["std"]
+        if estimated:
+            row["resistance_scale"] = estimated["resistance_scale"]["value"]
+            row |= {k: estimated[k] for k in ("soh_capacity", "soh_resistance")}
         return row
 
     def _sign(self, found: Replay, rejected: float) -> str:
@@ -210,8 +210,8 @@ class DiagnoseTask(LogTask):
 def identity(folder: Path, name: str) -> dict[str, Any]:
     """Which log a row is of; its cell is the folder that it lies in, else its own name."""
     try:
-        told = (folder / name).stat()
-        size, modified = told.st_size, told.st_mtime_ns
+        status = (folder / name).stat()
+        size, modified = status.st_size, status.st_mtime_ns
     except OSError:
         size = modified = -1
     parent = Path(name).parent.as_posix()
@@ -230,5 +230,5 @@ def _of_log(log: CellLog) -> dict[str, Any]:
 
 
 def failed_row(folder: Path, name: str, reason: str) -> dict[str, Any]:
-    """A row of a log that nobody could finish."""
+    """A row of a log that could not be finished."""
     return identity(folder, name) | {"error": reason, "seconds": math.nan}

@@ -1,4 +1,4 @@
-"""What is left at the present load, from the state of the moment."""
+"""Remaining time and energy at the present load, from the present state."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Step(Protocol):
         ...
 
 
-class LeftNow(NamedTuple):
+class ForecastNow(NamedTuple):
     """Time and energy to empty, with the band that two deviations of the SOC leave."""
 
     load_A: float
@@ -65,7 +65,7 @@ class Outlook:
     Parameters
     ----------
     model : CellModel
-    cutoff_V : float      terminal voltage at which the load gives up [V]
+    cutoff_V : float      terminal voltage at which the load stops [V]
     """
 
     def __init__(self, model: CellModel, cutoff_V: float) -> None:
@@ -94,8 +94,8 @@ class Outlook:
         if math.isfinite(info.innovation_V):
             self._bias_V += share * (info.innovation_V - self._bias_V)
 
-    def left(self, state: EkfState | None, temperature_C: float) -> LeftNow | None:
-        """What is left now; None without a state, or without a load of at least C/50."""
+    def forecast(self, state: EkfState | None, temperature_C: float) -> ForecastNow | None:
+        """Remaining time and energy now; None without a state or a load of at least C/50."""
         if state is None or self._load_A < self._least_A:
             return None
         found = []
@@ -105,7 +105,7 @@ class Outlook:
             voltage = self._load_W / self._load_A
             found.append(self._to_empty(at, self._load_A, voltage, temperature_C))
         times = [math.inf if e.reason == NEVER else e.time_s for e in found]
-        return LeftNow(self._load_A, times[1], (times[0], times[2]), found[1].energy_J / 3600.0)
+        return ForecastNow(self._load_A, times[1], (times[0], times[2]), found[1].energy_J / 3600.0)
 
     def _to_empty(
         self, at: CellState, load_A: float, voltage_V: float, temperature_C: float

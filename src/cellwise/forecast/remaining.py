@@ -1,4 +1,4 @@
-"""Replay of a flight or a drive: what is left, in time and energy, if the load goes on."""
+"""Replay of a flight or a drive: remaining time and energy if the load goes on."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ MOST_FORECASTS = 400
 LEAST_LOAD_C = 0.02  # below C/50 nothing flies
 
 
-class Left(NamedTuple):
-    """What is left at one moment, each with a band of two standard deviations of the SOC.
+class Forecast(NamedTuple):
+    """Remaining time and energy at one moment, with bands of two standard deviations of SOC.
 
     ``end_voltage_V`` and ``end_soc`` are those of the moment at which the cell is empty, ``by``
     says why it is: its charge ends, or its voltage reaches the cutoff.
@@ -77,17 +77,17 @@ class Flight:
         return self.time_s.size
 
     @property
-    def last(self) -> Left:
+    def last(self) -> Forecast:
         """The last moment under load."""
         return self.at(len(self) - 1)
 
-    def at(self, k: int) -> Left:
+    def at(self, k: int) -> Forecast:
         """One moment."""
 
         def band(values: FloatArray) -> tuple[float, float]:
             return float(values[k, 0]), float(values[k, 1])
 
-        return Left(
+        return Forecast(
             time_s=float(self.time_s[k]),
             soc=float(self.soc[k]),
             soc_std=float(self.soc_std[k]),
@@ -115,10 +115,10 @@ class Flight:
         }
 
     def __repr__(self) -> str:
-        left = self.last
+        now = self.last
         return (
-            f"Flight({self.name or 'log'}: {left.remaining_s:.0f} s and {left.remaining_Wh:.3g} Wh "
-            f"left at {left.time_s:.0f} s, SOC {left.soc:.3f} +- {left.soc_std:.3f})"
+            f"Flight({self.name or 'log'}: {now.remaining_s:.0f} s and {now.remaining_Wh:.3g} Wh "
+            f"remaining at {now.time_s:.0f} s, SOC {now.soc:.3f} +- {now.soc_std:.3f})"
         )
 
 
@@ -142,7 +142,7 @@ def forecast(
     replay : Replay
     cutoff_V : float or None  terminal voltage at which the load gives up; None: the model's lower
                               limit, else its OCV at SOC 0
-    hold : str                what of the load stays: its ``power`` or its ``current``
+    hold : str                what of the load is held constant: its ``power`` or its ``current``
     window_s : float          what counts as now [s]
 
     Returns

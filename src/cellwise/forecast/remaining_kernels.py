@@ -1,4 +1,4 @@
-"""What is left in a cell if the present load goes on: from a state to empty, compiled."""
+"""From a state of a cell to empty if the present load goes on, compiled."""
 
 from __future__ import annotations
 

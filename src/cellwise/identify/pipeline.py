@@ -36,7 +36,7 @@ from cellwise.identify.soc_anchor import anchor_soc
 from cellwise.identify.stack import stack_models
 from cellwise.identify.tables import pulse_tables
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.sign import verify_sign
+from cellwise.logs.checks.sign import verify_sign
 
 Progress = Callable[[str], None]
 REFERENCE_C = 25.0
@@ -55,7 +55,7 @@ def identify_cell(
     ----------
     tests : TestLogs          at least one HPPC or drive log
     settings : IdentifySettings or None
-    progress : callable or None       told what is being done
+    progress : callable or None       called with what is being done
 
     Returns
     -------
@@ -333,16 +333,16 @@ def _pulse_set(
 
 
 def _counts(found: Sequence[tuple[CellLog, Sequence[Pulse]]]) -> tuple[str, int]:
-    """The pulses of each log by quality, in words, and how many are healthy."""
-    said, healthy = [], 0
+    """The pulses of each log by quality, as text, and how many are healthy."""
+    values, healthy = [], 0
     for log, pulses in found:
         counts: dict[str, int] = {}
         for p in pulses:
             counts[p.quality] = counts.get(p.quality, 0) + 1
         listed = ", ".join(f"{n} {quality}" for quality, n in counts.items())
-        said.append(f"{listed + ' pulse(s)' if listed else 'no pulse at all'} in '{log.name}'")
+        values.append(f"{listed + ' pulse(s)' if listed else 'no pulse at all'} in '{log.name}'")
         healthy += counts.get("healthy", 0)
-    return "; ".join(said), healthy
+    return "; ".join(values), healthy
 
 
 def _limit(tests: TestLogs, measured: tuple[CapacityTest, ...], *, low: bool) -> float | None:

@@ -12,7 +12,7 @@ from cellwise.identify.ocv.ocv_rests import find_ocv_rests
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
-FULL_FROM = 0.97  # a log that seems to begin above this begins full: nobody stops charging at 98 %
+FULL_FROM = 0.97  # a log that seems to begin above this begins full: charging does not stop at 98 %
 EMPTY_TO = 0.02
 OCV_ERROR_V = 0.005
 CAPACITY_ERROR = 0.03

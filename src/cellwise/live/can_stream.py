@@ -1,4 +1,4 @@
-"""A CAN bus through python-can, frames told by a database; SOC goes back on the same bus."""
+"""A CAN bus through python-can, frames decoded with a database; SOC goes back on the same bus."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 from cellwise.errors import InputError
 from cellwise.live.channels import CellScale
 from cellwise.live.sample import Sample, Stray
-from cellwise.logs.can_database import can_database
-from cellwise.logs.columns import Unit
-from cellwise.logs.extras import need
-from cellwise.logs.options import ReadOptions
-from cellwise.logs.signal_choice import Signal, choose_signals
+from cellwise.logs.files.columns import Unit
+from cellwise.logs.files.extras import need
+from cellwise.logs.files.options import ReadOptions
+from cellwise.logs.vehicle.can_database import can_database
+from cellwise.logs.vehicle.signal_choice import Signal, choose_signals
 
 POLL_S = 0.2
 # A voltage that has not come for so long is missing: charge is counted without it.
@@ -66,16 +66,16 @@ class CanStream:
         try:
             self.bus = self._can.Bus(interface=interface, channel=channel)
         except Exception as error:  # every interface has errors of its own
-            told = " ".join(str(error).split())[:160] or type(error).__name__
+            text = " ".join(str(error).split())[:160] or type(error).__name__
             raise InputError(
-                f"no bus '{channel}' of python-can's interface '{interface}' ({told})",
+                f"no bus '{channel}' of python-can's interface '{interface}' ({text})",
                 "a bus that is up",
                 "Write --source can:INTERFACE:CHANNEL, e.g. can:socketcan:can0.",
             ) from error
         self._currents: list[float] = []
         self._last = dict.fromkeys(("current_A", "temperature_C"), math.nan)
         self._at = dict.fromkeys(("current_A", "temperature_C"), -math.inf)
-        self._told_s = math.nan
+        self._emitted_s = math.nan
 
     def __iter__(self) -> Iterator[Sample | Stray | None]:
         failures = 0
@@ -146,9 +146,9 @@ class CanStream:
                 self._last[one.field], self._at[one.field] = value, stamp
                 if one.field == "current_A":
                     self._currents.append(value)
-        if math.isnan(self._told_s):
-            self._told_s = stamp
-        if has_voltage or (self._currents and stamp - self._told_s > NO_VOLTAGE_S):
+        if math.isnan(self._emitted_s):
+            self._emitted_s = stamp
+        if has_voltage or (self._currents and stamp - self._emitted_s > NO_VOLTAGE_S):
             return self._sample(stamp, voltage)
         return None
 
@@ -162,9 +162,9 @@ class CanStream:
         warm = stamp - self._at["temperature_C"] <= HOLD_S
         temperature = self._last["temperature_C"] if warm else math.nan
         self._currents.clear()
-        self._told_s = stamp
+        self._emitted_s = stamp
         now_s = time.time()
-        # A stamp of this machine's clock tells how long the frame has waited to be read.
+        # A stamp of this machine's clock shows how long the frame has waited to be read.
         arrived_s = stamp if 0.0 <= now_s - stamp < SAME_CLOCK_S else now_s
         return self._scale.sample(stamp, current, voltage, temperature, arrived_s)
 
@@ -229,5 +229,5 @@ class SocSender:
 
 def _initial(signal: Any) -> float:
     """What the other signals of the message say."""
-    told = signal.initial
-    return float(told) if told is not None else float(signal.offset)
+    value = signal.initial
+    return float(value) if value is not None else float(signal.offset)

@@ -1,4 +1,4 @@
-"""How a user's words about a stream (channels, pack, sign) turn values into samples."""
+"""How a user's options of a stream (channels, pack, sign) turn values into samples."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import Any
 
 from cellwise.errors import InputError
 from cellwise.live.sample import Sample, Stray
-from cellwise.logs.columns import TIDY_CHANNELS, Unit
-from cellwise.logs.options import ReadOptions
+from cellwise.logs.files.columns import TIDY_CHANNELS, Unit
+from cellwise.logs.files.options import ReadOptions
 
 FIELDS = ("time_s", "current_A", "voltage_V", "temperature_C")
 CELL_FIELDS = FIELDS[1:]
@@ -47,7 +47,7 @@ class CellScale:
 
 
 class ObjectReader:
-    """JSON objects with tidy names, which tell the unit, to samples."""
+    """JSON objects with tidy names, which give the unit, to samples."""
 
     def __init__(self, options: ReadOptions, sign: str) -> None:
         self._scale = CellScale(options, sign)

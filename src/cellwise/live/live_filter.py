@@ -40,8 +40,8 @@ class Update(NamedTuple):
 class LiveFilter:
     """An EKF or UKF that is fed sample by sample and can be put away and taken up again.
 
-    Without ``soc0`` the first sample with current and voltage gives the start, with an honest
-    deviation: at rest by the OCV, under load by the model.
+    Without ``soc0`` the first sample with current and voltage gives the initial SOC, with a
+    consistent deviation: at rest by the OCV, under load by the model.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ class LiveFilter:
             raise InputError(
                 f"a state in '{place}' that another model or program wrote",
                 "a state of this model",
-                "Begin anew with --fresh, or name another file.",
+                "Start again with --fresh, or name another file.",
             )
         self.state = state
         self.start = InitialSoc(state.soc, state.soc_std, "saved state")
@@ -161,7 +161,7 @@ class LiveFilter:
 
 
 def _moment(current_A: float, voltage_V: float) -> CellLog:
-    """A log of one moment, told twice: a log has two rows."""
+    """A log of one moment, repeated: a log has two rows."""
     return CellLog(np.zeros(2), np.full(2, current_A), np.full(2, voltage_V))
 
 
@@ -172,12 +172,12 @@ def _json_object(place: Path) -> dict[str, Any]:
         raise InputError(
             f"no state in '{place}' ({error})",
             "a file that cellwise live wrote",
-            "Begin anew with --fresh, or name another file.",
+            "Start again with --fresh, or name another file.",
         ) from None
     if not isinstance(saved, dict):
         raise InputError(
             f"a {type(saved).__name__} in '{place}'",
             "a file that cellwise live wrote",
-            "Begin anew with --fresh, or name another file.",
+            "Start again with --fresh, or name another file.",
         )
     return saved

@@ -6,13 +6,13 @@ from cellwise.errors import InputError
 from cellwise.live.json_lines import JsonLines
 from cellwise.live.pieces import STDIN, Pieces
 from cellwise.live.sample import Source
-from cellwise.logs.options import NOTHING_SAID, ReadOptions
+from cellwise.logs.files.options import NOTHING_SAID, ReadOptions
 
 WAYS = "stdin, json:FILE, can:INTERFACE:CHANNEL, ulog:FILE (- for standard input)"
 
 
 def open_source(
-    told: str,
+    name: str,
     options: ReadOptions = NOTHING_SAID,
     sign: str = "auto",
     *,
@@ -22,7 +22,7 @@ def open_source(
 
     Parameters
     ----------
-    told : str              ``stdin``, ``json:FILE``, ``can:INTERFACE:CHANNEL``, ``ulog:FILE``; a
+    name : str              ``stdin``, ``json:FILE``, ``can:INTERFACE:CHANNEL``, ``ulog:FILE``; a
                             FILE of ``-`` is standard input
     options : ReadOptions   pack, channels, instance, database
     sign : str              ``charge-positive`` turns the current round
@@ -32,12 +32,12 @@ def open_source(
     ------
     InputError              none of these, or what it names cannot be opened
     """
-    kind, _, rest = told.partition(":")
+    kind, _, rest = name.partition(":")
     if options.dbc is not None and kind != "can":
-        raise InputError("a DBC file for a stream without CAN frames", "can:...", "Leave it away.")
+        raise InputError("a DBC file for a stream without CAN frames", "can:...", "Omit it.")
     if options.instance is not None and kind != "ulog":
-        raise InputError("--instance for a stream of one battery", "ulog:...", "Leave it away.")
-    if told in ("stdin", STDIN):
+        raise InputError("--instance for a stream of one battery", "ulog:...", "Omit it.")
+    if name in ("stdin", STDIN):
         return JsonLines(Pieces(STDIN), options, sign)
     if kind == "json" and rest:
         return JsonLines(Pieces(rest, follow=follow), options, sign)
@@ -50,4 +50,4 @@ def open_source(
         from cellwise.live.ulog_stream import UlogStream
 
         return UlogStream(Pieces(rest, follow=follow), options, sign)
-    raise InputError(f"--source {told}", f"one of {WAYS}", "Name where the samples come from.")
+    raise InputError(f"--source {name}", f"one of {WAYS}", "Name where the samples come from.")

@@ -14,7 +14,7 @@ AGREEING = 5
 
 
 class Interval(NamedTuple):
-    """The interval that ends at a sample, and whether nobody knows what flowed in it."""
+    """The interval that ends at a sample, and whether its current is unknown."""
 
     dt_s: float
     gap: bool
@@ -23,8 +23,8 @@ class Interval(NamedTuple):
 class Timeline:
     """Takes stamps in the order in which samples come.
 
-    A gap is what :func:`cellwise.logs.gaps.find_gaps` calls one, told from the past alone. A sample
-    that is older than the one before comes late and is left out. A stamp that jumps back, or
+    A gap is what :func:`cellwise.logs.gaps.find_gaps` calls one, detected from the past alone. A
+    sample that is older than the one before comes late and is left out. A stamp that jumps back, or
     forward by more than an hour, is left out until five samples in a row go on from there: then
     the sender's clock was set, and what has passed is what this machine's clock says.
     """

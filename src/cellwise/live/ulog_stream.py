@@ -17,8 +17,8 @@ from typing import NamedTuple
 from cellwise.live.channels import CellScale
 from cellwise.live.pieces import Pieces
 from cellwise.live.sample import Sample, Stray
+from cellwise.logs.files.options import ReadOptions
 from cellwise.logs.formats.ulog import MAGIC, TOPIC, UNKNOWN
-from cellwise.logs.options import ReadOptions
 
 HEADER_BYTES = 16
 HEAD = struct.Struct("<HB")
@@ -178,7 +178,7 @@ def layout_of(fields: str) -> Layout | None:
 
 
 def _known(name: str, values: dict[str, float]) -> float:
-    """A value, NaN for what stands for "unknown"."""
+    """A value, NaN for the code of "unknown"."""
     value = values.get(name, math.nan)
     marks = UNKNOWN.get(name, ())
     return math.nan if any(abs(value - mark) < 1e-6 for mark in marks) else value

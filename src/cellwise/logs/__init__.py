@@ -1,11 +1,11 @@
 """Measured logs: read, checked, inspected, written."""
 
 from cellwise.logs.cell_log import CellLog, CurrentMeaning
+from cellwise.logs.checks.sign import SignCheck, verify_sign
 from cellwise.logs.formats import FORMATS
 from cellwise.logs.gaps import Gap, find_gaps
 from cellwise.logs.inspection import Inspection, inspect_log
 from cellwise.logs.reading import read_log
-from cellwise.logs.sign import SignCheck, verify_sign
 from cellwise.logs.writing import write_log
 
 __all__ = [

@@ -8,9 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.counter import compare_counter
-from cellwise.logs.gaps import Gap, find_gaps
-from cellwise.logs.oddities import (
+from cellwise.logs.checks.counter import compare_counter
+from cellwise.logs.checks.oddities import (
     Rest,
     Saturation,
     Stretch,
@@ -20,13 +19,14 @@ from cellwise.logs.oddities import (
     is_quiet,
     resolution,
 )
-from cellwise.logs.sign import Verdict, contradiction, verify_sign
+from cellwise.logs.checks.sign import Verdict, contradiction, verify_sign
+from cellwise.logs.gaps import Gap, find_gaps
 from cellwise.typing import FloatArray
 
 JITTER = 0.25
-TELLING_JITTER = 0.2
-TELLING_MISMATCH_PERCENT = 0.5
-MOST_SENTENCES = 5
+NOTED_JITTER = 0.2
+NOTED_MISMATCH_PERCENT = 0.5
+MOST_NOTICES = 5
 
 
 class Range(NamedTuple):
@@ -107,7 +107,7 @@ def inspect_log(log: CellLog) -> Inspection:
 
     Returns
     -------
-    Inspection        its ``notices`` are sentences: those of reading, and one for every oddity
+    Inspection        its ``notices``: those of reading, and one for every oddity
     """
     check = verify_sign(log)
     counter = compare_counter(log)
@@ -122,10 +122,10 @@ def inspect_log(log: CellLog) -> Inspection:
     }
     notices = [
         *log.notices,
-        *_sign_sentences(log, check.verdict, check.evidence),
-        *_time_sentences(log, sampling),
-        *_channel_sentences(log, missing, stuck, mismatch),
-        *_rest_sentences(log, rests),
+        *_sign_notices(log, check.verdict, check.evidence),
+        *_time_notices(log, sampling),
+        *_channel_notices(log, missing, stuck, mismatch),
+        *_rest_notices(log, rests),
     ]
     return Inspection(
         name=log.name,
@@ -175,79 +175,77 @@ def _sampling(log: CellLog) -> Sampling:
     )
 
 
-def _sign_sentences(log: CellLog, verdict: Verdict, evidence: tuple[str, ...]) -> list[str]:
+def _sign_notices(log: CellLog, verdict: Verdict, evidence: tuple[str, ...]) -> list[str]:
     if verdict == "undetermined":
-        return [f"the sign of the current could not be told from the data: {evidence[0]}"]
+        return [f"the sign of the current could not be determined from the data: {evidence[0]}"]
     if verdict == "contradicted" and not any(contradiction("") in n for n in log.notices):
         return [contradiction("charge-positive")]
     return []
 
 
-def _time_sentences(log: CellLog, sampling: Sampling) -> list[str]:
-    sentences = []
+def _time_notices(log: CellLog, sampling: Sampling) -> list[str]:
+    notices = []
     gaps = log.gaps
-    for gap in gaps[:MOST_SENTENCES]:
+    for gap in gaps[:MOST_NOTICES]:
         counted = (
-            "no counter tells what flowed"
+            "no counter shows what flowed"
             if gap.charge_Ah is None
             else f"the counter moved by {gap.charge_Ah:.4f} Ah"
         )
-        sentences.append(
+        notices.append(
             f"a gap of {_duration(gap.duration_s)} without rows at {gap.start_s:.1f} s: {counted}"
         )
-    if len(gaps) > MOST_SENTENCES:
-        sentences.append(f"{len(gaps) - MOST_SENTENCES} more gaps")
+    if len(gaps) > MOST_NOTICES:
+        notices.append(f"{len(gaps) - MOST_NOTICES} more gaps")
     if log.repeated_stamps:
-        sentences.append(f"{log.repeated_stamps} row(s) repeat the time of the row before")
+        notices.append(f"{log.repeated_stamps} row(s) repeat the time of the row before")
     if np.ptp(log.time_s) == 0.0:
-        sentences.append("all rows have the same time")
+        notices.append("all rows have the same time")
     if sampling.late:
-        sentences.append(
+        notices.append(
             f"{sampling.late} row(s) come after more than ten times the usual interval of "
             f"{sampling.median_s:.3g} s, yet too soon for a gap: their current is taken to have "
             "flowed all that time"
         )
-    if sampling.jitter_share > TELLING_JITTER:
-        sentences.append(
+    if sampling.jitter_share > NOTED_JITTER:
+        notices.append(
             f"{100 * sampling.jitter_share:.0f} % of the intervals differ by over a quarter "
             f"from the one before (median {sampling.median_s:.3g} s)"
         )
-    return sentences
+    return notices
 
 
-def _channel_sentences(
+def _channel_notices(
     log: CellLog, missing: dict[str, int], stuck: dict[str, Stretch], mismatch: float | None
 ) -> list[str]:
-    sentences = [
+    notices = [
         f"{count} of {len(log)} rows without {field}" for field, count in missing.items() if count
     ]
     for field, stretch in stuck.items():
         other = "current" if field == "voltage_V" else "voltage"
-        sentences.append(
+        notices.append(
             f"{field} stands still for {_duration(stretch.duration_s)} from "
             f"{stretch.start_s:.1f} s on while the {other} moves: a stuck channel?"
         )
-    told = any("differs from the summed current" in notice for notice in log.notices)
-    if mismatch is not None and mismatch > TELLING_MISMATCH_PERCENT and not told:
-        sentences.append(
+    noted = any("differs from the summed current" in notice for notice in log.notices)
+    if mismatch is not None and mismatch > NOTED_MISMATCH_PERCENT and not noted:
+        notices.append(
             f"the counter ampere_hours differs from the summed current by {mismatch:.1f} % of the "
             "charge moved"
         )
-    return sentences
+    return notices
 
 
-def _rest_sentences(log: CellLog, rests: tuple[Rest, ...]) -> list[str]:
-    sentences = []
+def _rest_notices(log: CellLog, rests: tuple[Rest, ...]) -> list[str]:
+    notices = []
     if not rests:
-        sentences.append(
-            "no rest of a minute or more anywhere: no open-circuit voltage can be read"
-        )
+        notices.append("no rest of a minute or more anywhere: no open-circuit voltage can be read")
     if not is_quiet(log)[0]:
-        sentences.append(
+        notices.append(
             f"the first row is under load ({log.interval_current_A[0]:.3g} A): its voltage is no "
             "open-circuit voltage"
         )
-    return sentences
+    return notices
 
 
 def _duration(seconds: float) -> str:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from cellwise.errors import InputError
-from cellwise.logs.options import FROM_FILE, ReadOptions
-from cellwise.logs.source import RawLog
+from cellwise.logs.files.options import FROM_FILE, ReadOptions
+from cellwise.logs.files.source import RawLog
 
 
 def to_cell(raw: RawLog, options: ReadOptions, where: str) -> RawLog:
@@ -12,7 +12,7 @@ def to_cell(raw: RawLog, options: ReadOptions, where: str) -> RawLog:
 
     Raises
     ------
-    InputError        the file is to tell the cells in series and does not
+    InputError        the file does not state the cells in series
     """
     series = options.series
     if series == FROM_FILE:
@@ -29,7 +29,9 @@ def to_cell(raw: RawLog, options: ReadOptions, where: str) -> RawLog:
             f"the file states {raw.cells} cells in series: --series auto reads their mean cell"
         )
     elif raw.cells is not None and raw.cells != series:
-        notices.append(f"the file states {raw.cells} cells in series, {series} were told")
+        notices.append(
+            f"the file states {raw.cells} cells in series, {series} were stated by the user"
+        )
     channels = dict(raw.channels)
     if series > 1:
         channels["voltage_V"] = channels["voltage_V"] / series

@@ -68,17 +68,23 @@ def read_prepared(path: Path, cache: str | Path = "", **options: Any) -> CellLog
 def _key(path: Path, options: dict[str, Any]) -> str:
     """A name that changes with the file, and with how it is read."""
     try:
-        told = os.stat(path)
+        status = os.stat(path)
     except OSError:
         return "none"
-    what = [VERSION, os.path.abspath(path), told.st_size, told.st_mtime_ns, sorted(options.items())]
+    what = [
+        VERSION,
+        os.path.abspath(path),
+        status.st_size,
+        status.st_mtime_ns,
+        sorted(options.items()),
+    ]
     return hashlib.sha256(json.dumps(what, default=str).encode()).hexdigest()[:24]
 
 
 def _store(log: CellLog, target: Path) -> None:
     """Length of a description, the description, then the channels one after another."""
     names = [f for f in CHANNELS if getattr(log, f) is not None]
-    told = {
+    fields = {
         "name": log.name,
         "format": log.format,
         "current_meaning": log.current_meaning,
@@ -86,7 +92,7 @@ def _store(log: CellLog, target: Path) -> None:
         "rows": len(log),
         "channels": names,
     }
-    text = json.dumps(told).encode()
+    text = json.dumps(fields).encode()
     text += b" " * (-(len(text) + HEAD.size) % 8)  # the channels begin at a multiple of 8
     with target.open("wb") as file:
         file.write(HEAD.pack(MAGIC, len(text)) + text)
@@ -101,16 +107,16 @@ def _load(place: Path, path: Path) -> CellLog | None:
         magic, length = HEAD.unpack_from(data)
         if magic != MAGIC:
             return None
-        told = json.loads(bytes(data[HEAD.size : HEAD.size + length]))
-        rows, names = int(told.pop("rows")), told.pop("channels")
+        fields = json.loads(bytes(data[HEAD.size : HEAD.size + length]))
+        rows, names = int(fields.pop("rows")), fields.pop("channels")
         start, size = HEAD.size + length, 8 * rows
         if len(data) != start + size * len(names):
             return None
         channels = {
             name: np.frombuffer(data, "<f8", rows, start + k * size) for k, name in enumerate(names)
         }
-        told["notices"] = tuple(told["notices"])
-        return CellLog.checked_before(**channels, source=str(path), **told)
+        fields["notices"] = tuple(fields["notices"])
+        return CellLog.checked_before(**channels, source=str(path), **fields)
     except (OSError, KeyError, TypeError, ValueError, struct.error):
         return None
 

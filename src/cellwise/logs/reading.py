@@ -6,14 +6,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
-from cellwise.logs.assembly import Origin, assemble
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.completion import complete
-from cellwise.logs.format import tell_format
+from cellwise.logs.files.assembly import Origin, assemble
+from cellwise.logs.files.completion import complete
+from cellwise.logs.files.format import detect_format
+from cellwise.logs.files.options import ReadOptions
+from cellwise.logs.files.source import Progress, open_source
 from cellwise.logs.formats import FORMATS
-from cellwise.logs.options import ReadOptions
 from cellwise.logs.pack import to_cell
-from cellwise.logs.source import Progress, open_source
 
 _SUFFIXES = (
     *(".gz", ".csv", ".parquet", ".txt", ".bdf", ".ulg", ".bin", ".mat", ".mf4", ".mdf", ".nda"),
@@ -35,24 +35,24 @@ def read_log(
     partial: bool = False,
     check_sign: bool = True,
 ) -> CellLog:
-    """Read a log in the tidy form or in a native format, told by its content.
+    """Read a log in the tidy form or in a native format detected from its content.
 
     The tidy form has the columns ``time_s, current_A, voltage_V[, temperature_C]
     [, ampere_hours][, step]`` in any order, as CSV (plain or gzip) or parquet, positive current =
-    discharge. Other units are converted when the name tells them (``current_mA``, ``time_h``, ...).
+    discharge. Other units are converted when the name gives them (``current_mA``, ``time_h``, ...).
     `FORMATS` holds the others; what they need beyond pyarrow is in the extra ``importers``.
 
     Parameters
     ----------
     path : str or Path
-    sign : str          ``auto`` trusts the format's sign, verifies it and tells; the other two,
+    sign : str          ``auto`` trusts the format's sign and verifies it; the other two,
                         ``charge-positive`` and ``discharge-positive``, override the format
     name : str          for people; the file's name without suffix if not given
     progress : callable     called with what is done and the total, while reading
     series : int or "auto"  cells in series, to read a pack as its mean cell; ``auto``: the number
                             that the file states
     parallel : int          cells in parallel
-    channels : mapping      which column or signal is which: a tidy name, which tells the unit, to
+    channels : mapping      which column or signal is which: a tidy name, which gives the unit, to
                             the name in the file (``{"current_mA": "I_pack"}``)
     instance : int          which battery of a file that holds several, counted from 0
     dbc : str or Path       database of the frames of a CAN log
@@ -76,7 +76,7 @@ def read_log(
         partial=partial,
     )
     source = open_source(path, progress, options)
-    known = tell_format(source, FORMATS)
+    known = detect_format(source, FORMATS)
     raw = complete(known.read(source, known), known.sign, source.where)
     raw = to_cell(raw, options, source.where)
     origin = Origin(
@@ -86,7 +86,7 @@ def read_log(
         sign=known.sign,
         current_meaning=known.current_meaning,
     )
-    return assemble(raw, origin, sign, check_sign=check_sign)
+    return assemble(CellLog, raw, origin, sign, check_sign=check_sign)
 
 
 def _plain_name(path: Path) -> str:

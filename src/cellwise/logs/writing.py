@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 from cellwise.errors import InputError
 from cellwise.files import write_atomically
-from cellwise.logs.arrow_arrays import from_numpy
-from cellwise.logs.cell_log import CellLog
-from cellwise.logs.columns import tidy_header
+from cellwise.logs.files.arrow_arrays import from_numpy
+from cellwise.logs.files.columns import tidy_header
+from cellwise.logs.measured_log import MeasuredLog
 
 if TYPE_CHECKING:
     import pyarrow
@@ -22,7 +22,7 @@ ROWS_AT_ONCE = 250_000
 GZIP_LEVEL = 4
 
 
-def write_log(log: CellLog, path: str | Path) -> Path:
+def write_log(log: MeasuredLog, path: str | Path) -> Path:
     """Write a log as ``.csv``, ``.csv.gz`` or ``.parquet``, whole or not at all.
 
     Every number is written so that it reads back the same. Missing values are empty cells.
@@ -50,14 +50,14 @@ def write_log(log: CellLog, path: str | Path) -> Path:
     )
 
 
-def arrow_table(log: CellLog) -> pyarrow.Table:
+def arrow_table(log: MeasuredLog) -> pyarrow.Table:
     """The log as a pyarrow table in the tidy form: `CellLog.to_arrow`."""
     import pyarrow as pa
 
     return pa.Table.from_batches(_batches(log), schema=_schema(log))
 
 
-def _schema(log: CellLog) -> pyarrow.Schema:
+def _schema(log: MeasuredLog) -> pyarrow.Schema:
     import pyarrow as pa
 
     fields = [field for field in FIELDS if getattr(log, field) is not None]
@@ -65,7 +65,7 @@ def _schema(log: CellLog) -> pyarrow.Schema:
     return pa.schema(list(zip(tidy_header(fields), types, strict=True)))
 
 
-def _batches(log: CellLog) -> Iterator[pyarrow.RecordBatch]:
+def _batches(log: MeasuredLog) -> Iterator[pyarrow.RecordBatch]:
     """The tidy columns, some rows at a time."""
     import pyarrow as pa
 
@@ -80,7 +80,7 @@ def _batches(log: CellLog) -> Iterator[pyarrow.RecordBatch]:
         yield pa.RecordBatch.from_arrays(columns, schema=schema)
 
 
-def _write_parquet(log: CellLog, target: Path) -> None:
+def _write_parquet(log: MeasuredLog, target: Path) -> None:
     from pyarrow import parquet
 
     schema = _schema(log)
@@ -94,7 +94,7 @@ def _write_parquet(log: CellLog, target: Path) -> None:
             writer.write_batch(batch)
 
 
-def _write_csv(log: CellLog, target: Path, *, compressed: bool) -> None:
+def _write_csv(log: MeasuredLog, target: Path, *, compressed: bool) -> None:
     from pyarrow import csv
 
     schema = _schema(log)

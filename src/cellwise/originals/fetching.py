@@ -19,7 +19,7 @@ PIECE_BYTES = 1 << 20
 TIMEOUT_S = 60.0
 MOST_LISTING_BYTES = 1 << 26
 
-# Called with the file's name, the bytes that are here, and all it has (None: nobody said).
+# Called with the file's name, the bytes that are here, and all it has (None: not stated).
 Progress = Callable[[str, int, int | None], None]
 
 
@@ -54,7 +54,7 @@ def fetch_original(
 
     Raises
     ------
-    InputError              no such original, nowhere to fetch it from, nobody answers, a file whose
+    InputError              no such original, nowhere to fetch it from, no answer, a file whose
                             checksum is not the listed one (it is not kept)
     """
     address = listing or find_original(name).get("listing")

@@ -186,8 +186,8 @@ def _write(
 
 def kind_of(path: str) -> str:
     """What a path says of the test: hppc, ocv, drive, charge, capacity, else other."""
-    words = Path(path).name.casefold()
-    for text in (words, path.casefold()):
+    name_text = Path(path).name.casefold()
+    for text in (name_text, path.casefold()):
         for kind, pattern in KINDS:
             if re.search(pattern, text):
                 return kind

@@ -59,11 +59,11 @@ def read_listing(text: str, url: str) -> list[RemoteFile]:
 def _entry(entry: Any, url: str) -> RemoteFile:
     try:
         if "content_details" in entry:
-            told = entry["content_details"]
-            checksum = str(told["sha256_hash"])
+            details = entry["content_details"]
+            checksum = str(details["sha256_hash"])
             return RemoteFile(
-                str(entry["filename"]), str(told["download_url"]), "sha256", checksum,
-                told.get("size"),
+                str(entry["filename"]), str(details["download_url"]), "sha256", checksum,
+                details.get("size"),
             )  # fmt: skip
         algorithm, _, checksum = str(entry["checksum"]).rpartition(":")
         address = str(entry["links"].get("self") or entry["links"]["content"])

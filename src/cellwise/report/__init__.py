@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from cellwise.report.demo_page import demo_page
-from cellwise.report.diagnose_page import diagnose_page
+from cellwise.report.diagnosis.page import diagnose_page
 from cellwise.report.export_page import export_page
 from cellwise.report.hero import hero_figure
-from cellwise.report.pages import identify_page, replay_page
-from cellwise.report.picture import (
+from cellwise.report.identification.page import identify_page
+from cellwise.report.page.picture import (
     FigureFiles,
     Picture,
     figure_png,
@@ -15,6 +15,7 @@ from cellwise.report.picture import (
     save_figure,
     save_figures,
 )
+from cellwise.report.replay.page import replay_page
 
 __all__ = [
     "FigureFiles",

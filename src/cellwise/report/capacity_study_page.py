@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from cellwise.report.markup import Markup, bullets, paragraph, table
-from cellwise.report.picture import FigureFiles, Picture
-from cellwise.report.section import Section, write_page
-from cellwise.report.style import (
+from cellwise.report.page.markup import Markup, bullets, paragraph, table
+from cellwise.report.page.picture import FigureFiles, Picture
+from cellwise.report.page.section import Section, write_page
+from cellwise.report.page.style import (
     AMBER,
     BLUE,
     GREEN,
@@ -27,7 +27,7 @@ from cellwise.report.style import (
 )
 
 if TYPE_CHECKING:
-    from cellwise.report.style import Axes, Figure
+    from cellwise.report.page.style import Axes, Figure
 
 COLOURS = {"coulomb": AMBER, "ekf": BLUE, "ukf": GREEN, "adaptive": PURPLE}
 MARKERS = {"coulomb": "s", "ekf": "o", "ukf": "^", "adaptive": "D"}
@@ -36,10 +36,10 @@ TOO_NEAR = 0.004
 
 
 class StudyOnPage(NamedTuple):
-    """One cell's study as it is drawn and told.
+    """One cell's study as the page shows it.
 
     ``soc_rmse`` holds one RMSE per choice under every estimator, ``names`` what people call it;
-    ``said`` are the titles of the two axes; ``head`` and ``rows`` the table.
+    ``titles`` are the titles of the two axes; ``head`` and ``rows`` the table.
     """
 
     name: str
@@ -50,7 +50,7 @@ class StudyOnPage(NamedTuple):
     voltage_rmse_V: Sequence[float]
     soc_rmse: Mapping[str, Sequence[float]]
     names: Mapping[str, str]
-    said: tuple[str, str]
+    titles: tuple[str, str]
     verdicts: Sequence[str]
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
@@ -108,7 +108,7 @@ def study_picture(study: StudyOnPage, number: int = 0) -> Picture:
     """Voltage and SOC error over the capacity that was chosen."""
     caption = (
         "Every dot is a choice of the capacity, with the whole identification redone. Left: the "
-        "voltage hardly minds until the scale ends before the cell does. Right: SOC minds at once, "
+        "voltage hardly depends on it until the scale ends before the cell does. Right: SOC does, "
         "and a filter can only follow the scale that its OCV was given. The line is the reference."
     )
     return Picture(f"capacity_study_{number}", draw_study(study), caption)
@@ -143,11 +143,11 @@ def draw_study(study: StudyOnPage) -> Figure:
         axes.margins(y=0.0)
         axes.set_ylim(0.0, 1.3 * axes.get_ylim()[1])  # room for the names
     _name_choices(left, study)
-    finding(left, study.said[0], 0.42)
+    finding(left, study.titles[0], 0.42)
     labels(left, "capacity [Ah]", "voltage RMSE [mV]")
     if study.soc_rmse:
         legend(right)
-        finding(right, study.said[1], 0.42)
+        finding(right, study.titles[1], 0.42)
     labels(right, "capacity [Ah]", "SOC RMSE [points]")
     return figure
 

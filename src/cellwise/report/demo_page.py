@@ -11,27 +11,26 @@ from cellwise.cell.simulate import Simulation
 from cellwise.estimate.replay import Replay
 from cellwise.identify.identification import Identification
 from cellwise.logs.cell_log import CellLog
-from cellwise.report.capacity_section import capacity_content, capacity_picture
 from cellwise.report.findings import demo_finding, replay_finding, simulation_finding
 from cellwise.report.hero import hero_picture
-from cellwise.report.markup import Markup, bullets, details, paragraph, table
-from cellwise.report.numerals import counted, duration, listed, plural, significant
-from cellwise.report.ocv_section import ocv_content, ocv_evidence, ocv_picture
-from cellwise.report.pages import (
-    cell_name,
-    identify_tiles,
-    notices,
-    replay_data,
+from cellwise.report.identification.capacity_section import capacity_content, capacity_picture
+from cellwise.report.identification.ocv_section import ocv_content, ocv_evidence, ocv_picture
+from cellwise.report.identification.page import cell_name, identify_tiles, notices
+from cellwise.report.identification.parameter_section import parameter_content, parameter_picture
+from cellwise.report.identification.provenance_section import provenance_content
+from cellwise.report.identification.pulse_example import pulse_example_picture
+from cellwise.report.identification.pulse_section import pulse_content, pulse_picture, pulse_sets
+from cellwise.report.identification.simulation_section import (
+    simulation_content,
+    simulation_pictures,
 )
-from cellwise.report.parameter_section import parameter_content, parameter_picture
-from cellwise.report.picture import FigureFiles, Picture
-from cellwise.report.provenance_section import provenance_content
-from cellwise.report.pulse_example import pulse_example_picture
-from cellwise.report.pulse_section import pulse_content, pulse_picture, pulse_sets
-from cellwise.report.replay_figures import replay_content
-from cellwise.report.replay_section import comparison_pictures, replay_pictures
-from cellwise.report.section import Section, write_page
-from cellwise.report.simulation_section import simulation_content, simulation_pictures
+from cellwise.report.page.markup import Markup, bullets, details, paragraph, table
+from cellwise.report.page.numerals import counted, duration, listed, plural, significant
+from cellwise.report.page.picture import FigureFiles, Picture
+from cellwise.report.page.section import Section, write_page
+from cellwise.report.replay.page import replay_data
+from cellwise.report.replay.replay_figures import replay_content
+from cellwise.report.replay.replay_section import comparison_pictures, replay_pictures
 
 
 def demo_page(
@@ -42,7 +41,7 @@ def demo_page(
     *,
     figures: str | Path | FigureFiles | None = None,
 ) -> Path:
-    """Write one page with the whole story, every picture explained for a newcomer.
+    """Write one page from tests to SOC, every picture explained for a newcomer.
 
     Parameters
     ----------
@@ -72,7 +71,7 @@ def demo_sections(
     simulations: Sequence[Simulation],
     replays: Sequence[Replay],
 ) -> tuple[Section, ...]:
-    """The steps of the story, in the order in which a laboratory takes them."""
+    """The steps, in the order in which a laboratory takes them."""
     sections = [
         _result(identification, simulations, replays),
         _logs(identification, simulations),
@@ -95,7 +94,7 @@ def demo_sections(
 def _result(
     identification: Identification, simulations: Sequence[Simulation], replays: Sequence[Replay]
 ) -> Section:
-    """The picture of the whole thing: the first drive that was simulated and replayed."""
+    """The main picture: the first drive that was simulated and replayed."""
     blocks: list[Markup | Picture] = [
         paragraph(
             "A battery's state of charge cannot be measured, only inferred from current, voltage "
@@ -149,7 +148,11 @@ def _logs(identification: Identification, simulations: Sequence[Simulation]) -> 
             paragraph(
                 "Everything below is computed from these logs; positive current discharges." + more
             ),
-            table(("log", "used for", "rows", "length", "current", "voltage"), rows, words=(0, 1)),
+            table(
+                ("log", "used for", "rows", "length", "current", "voltage"),
+                rows,
+                text_columns=(0, 1),
+            ),
         ),
     )
 
@@ -210,7 +213,7 @@ def _held_out(simulations: Sequence[Simulation]) -> Section:
         return Section("held-out", "Held-out drives", ())
     return Section(
         "held-out",
-        "Does it foretell drives it has never seen?",
+        "Does it predict drives it was not fitted on?",
         (
             paragraph(simulation_finding(simulations)),
             simulation_content(simulations),

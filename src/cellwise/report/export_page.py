@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cellwise.report.interactive import HasPanels, trace_section
-from cellwise.report.markup import Markup, bullets, paragraph, table, tiles
-from cellwise.report.numerals import counted, listed, plural, significant
-from cellwise.report.picture import FigureFiles, Picture
-from cellwise.report.section import Section, write_page
-from cellwise.report.style import (
+from cellwise.report.page.interactive import HasPanels, trace_section
+from cellwise.report.page.markup import Markup, bullets, paragraph, table, tiles
+from cellwise.report.page.numerals import counted, listed, plural, significant
+from cellwise.report.page.picture import FigureFiles, Picture
+from cellwise.report.page.section import Section, write_page
+from cellwise.report.page.style import (
     FILTER,
     MODEL,
     MUTED,
@@ -26,7 +26,7 @@ from cellwise.report.style import (
 )
 
 if TYPE_CHECKING:
-    from cellwise.report.style import Figure
+    from cellwise.report.page.style import Figure
 
 Row = Mapping[str, Any]
 COSTS = {
@@ -38,7 +38,7 @@ COSTS = {
     "instructions_mean": "instructions a step",
     "instructions_most": "most on the log",
     "instructions_stress": "under every fault",
-    "instructions_anew": "SOC looked for anew",
+    "instructions_anew": "SOC re-initialised",
 }
 COST_CAPTION = (
     "Instructions of one step, mean and most, over samples of a drive in an emulator (QEMU counts "
@@ -52,7 +52,7 @@ GRID_CAPTION = (
 
 
 def export_page(
-    told: Mapping[str, Any],
+    report: Mapping[str, Any],
     path: str | Path,
     on_log: HasPanels | None = None,
     *,
@@ -62,7 +62,7 @@ def export_page(
 
     Parameters
     ----------
-    told : mapping               what `cellwise export --json` prints
+    report : mapping             what `cellwise export --json` prints
     path : str or Path           of the HTML file; it appears whole or not at all
     on_log : with panels, None   the exported filter beside the float64 one over a log
     figures : folder or FigureFiles   for the same pictures as files
@@ -73,51 +73,51 @@ def export_page(
     """
     return write_page(
         path,
-        export_finding(told),
-        f"{told['model'] or 'A model'} as C for a step of {told['dt_s']:g} s, by cellwise",
-        export_sections(told, on_log),
-        told,
-        lead=export_tiles(told),
+        export_finding(report),
+        f"{report['model'] or 'A model'} as C for a step of {report['dt_s']:g} s, by cellwise",
+        export_sections(report, on_log),
+        report,
+        lead=export_tiles(report),
         figures=figures,
     )
 
 
-def export_finding(told: Mapping[str, Any]) -> str:
+def export_finding(report: Mapping[str, Any]) -> str:
     """What a step costs and what it loses."""
-    name = told["model"] or "The model"
-    text = f"{name} in C takes {counted(told['model_bytes'])} bytes of tables and "
-    text += f"{told['state_bytes']} bytes per cell"
-    cheapest = _cheapest(told["targets"])
+    name = report["model"] or "The model"
+    text = f"{name} in C takes {counted(report['model_bytes'])} bytes of tables and "
+    text += f"{report['state_bytes']} bytes per cell"
+    cheapest = _cheapest(report["targets"])
     if cheapest is not None:
         text += f", {counted(round(cheapest['instructions_mean']))} instructions a step on "
         text += cheapest["core"]
-    mine = _exported(told)
+    mine = _exported(report)
     if mine is not None:
         text += f"; SOC stays within {_points(mine['soc_max'])} of the float64 EKF's"
     return text + "."
 
 
-def export_tiles(told: Mapping[str, Any]) -> Markup:
+def export_tiles(report: Mapping[str, Any]) -> Markup:
     """Key figures."""
     facts: list[tuple[object, object]] = [
-        ("tables in flash", f"{counted(told['model_bytes'])} B"),
-        ("state per cell", f"{told['state_bytes']} B"),
-        ("time step", f"{told['dt_s']:g} s"),
-        ("states", told["states"]),
+        ("tables in flash", f"{counted(report['model_bytes'])} B"),
+        ("state per cell", f"{report['state_bytes']} B"),
+        ("time step", f"{report['dt_s']:g} s"),
+        ("states", report["states"]),
     ]
-    cheapest = _cheapest(told["targets"])
+    cheapest = _cheapest(report["targets"])
     if cheapest is not None:
         facts.append((f"code, {cheapest['core']}", f"{counted(cheapest['text_bytes'])} B"))
         facts.append((f"stack, {cheapest['core']}", f"{counted(cheapest['stack_bytes'])} B"))
-    mine = _exported(told)
+    mine = _exported(report)
     if mine is not None:
         facts.append(("SOC RMSE against float64", _points(mine["soc_rmse"])))
     return tiles(facts)
 
 
-def export_sections(told: Mapping[str, Any], on_log: HasPanels | None) -> list[Section]:
+def export_sections(report: Mapping[str, Any], on_log: HasPanels | None) -> list[Section]:
     """The parts of the page."""
-    targets, accuracy = told["targets"], told["accuracy"]
+    targets, accuracy = report["targets"], report["accuracy"]
     cost: list[Markup | Picture] = (
         [Picture("export-cost", draw_cost(targets), COST_CAPTION), cost_table(targets)]
         if targets
@@ -125,16 +125,16 @@ def export_sections(told: Mapping[str, Any], on_log: HasPanels | None) -> list[S
     )
     sections = [Section("cost", "Cost on the target", tuple(cost), "Cost")]
     if accuracy:
-        grid = Picture("export-accuracy", draw_accuracy(told), GRID_CAPTION)
+        grid = Picture("export-accuracy", draw_accuracy(report), GRID_CAPTION)
         sections.append(
-            Section("accuracy", "What is lost", (grid, accuracy_table(told)), "Accuracy")
+            Section("accuracy", "What is lost", (grid, accuracy_table(report)), "Accuracy")
         )
     else:
-        said = paragraph("No log was given (--log), so what single precision loses is not known.")
-        sections.append(Section("accuracy", "What is lost", (said,), "Accuracy"))
+        text = paragraph("No log was given (--log), so what single precision loses is not known.")
+        sections.append(Section("accuracy", "What is lost", (text,), "Accuracy"))
     if on_log is not None:
         sections.append(trace_section([("exported filter and float64 EKF", on_log)]))
-    sections.append(Section("files", "What was written", (files_content(told),), "Files"))
+    sections.append(Section("files", "What was written", (files_content(report),), "Files"))
     return sections
 
 
@@ -155,8 +155,8 @@ def draw_cost(targets: Sequence[Row]) -> Figure:
         left.set_ylim(bottom=0.3 * min(v for v in mean if v > 0.0))
         plain_numbers(left.yaxis)
         legend(left)
-        said = f"{counted(round(cheapest['instructions_mean']))} instructions on {cheapest['core']}"
-        finding(left, said, 0.42)
+        text = f"{counted(round(cheapest['instructions_mean']))} instructions on {cheapest['core']}"
+        finding(left, text, 0.42)
     code = np.array([c["text_bytes"] for c in targets])
     tables = np.array([c["model_bytes"] for c in targets])
     right.bar(place, code, 0.6, color=FILTER, label="code")
@@ -171,11 +171,11 @@ def draw_cost(targets: Sequence[Row]) -> Figure:
 
 
 @styled
-def draw_accuracy(told: Mapping[str, Any]) -> Figure:
+def draw_accuracy(report: Mapping[str, Any]) -> Figure:
     """SOC lost over the bytes of the tables."""
     figure = new_figure(3.2)
     axes = figure.subplots()
-    rows = sorted(told["accuracy"], key=lambda a: a["flash_bytes"])
+    rows = sorted(report["accuracy"], key=lambda a: a["flash_bytes"])
     size = [a["flash_bytes"] for a in rows]
     for key, colour, name in (("soc_max", MODEL, "largest"), ("soc_rmse", FILTER, "RMSE")):
         values = [max(100.0 * a[key], 1e-6) for a in rows]
@@ -190,7 +190,7 @@ def draw_accuracy(told: Mapping[str, Any]) -> Figure:
             fontsize=7,
             color=MUTED,
         )
-    mine = _exported(told)
+    mine = _exported(report)
     if mine is not None:
         spot = ([mine["flash_bytes"]], [max(100.0 * mine["soc_rmse"], 1e-6)])
         axes.plot(*spot, "o", markersize=11, markerfacecolor="none", color=MUTED, label="exported")
@@ -223,9 +223,9 @@ def cost_table(targets: Sequence[Row]) -> Markup:
     return table(("core", *COSTS.values()), rows)
 
 
-def accuracy_table(told: Mapping[str, Any]) -> Markup:
+def accuracy_table(report: Mapping[str, Any]) -> Markup:
     """SOC lost by number of points, what was exported marked."""
-    mine = _exported(told)
+    mine = _exported(report)
     rows = [
         (
             a["points"],
@@ -233,27 +233,27 @@ def accuracy_table(told: Mapping[str, Any]) -> Markup:
             f"{100 * a['soc_rmse']:.4f}",
             f"{100 * a['soc_max']:.4f}",
         )
-        for a in told["accuracy"]
+        for a in report["accuracy"]
     ]
-    chosen = None if mine is None else list(told["accuracy"]).index(mine)
+    chosen = None if mine is None else list(report["accuracy"]).index(mine)
     head = ("SOC points", "tables [B]", "RMSE [points]", "largest [points]")
-    said = "SOC of the exported filter minus that of the float64 EKF on the same samples."
-    return table(head, rows, caption=said, marked=chosen)
+    text = "SOC of the exported filter minus that of the float64 EKF on the same samples."
+    return table(head, rows, caption=text, marked=chosen)
 
 
-def files_content(told: Mapping[str, Any]) -> Markup:
+def files_content(report: Mapping[str, Any]) -> Markup:
     """Files, options, and the model they are of."""
-    options = told["options"]
+    options = report["options"]
     on = [k for k, v in options.items() if v and k not in ("points", "temperatures")]
-    said = [
-        f"{plural(len(told['files']), 'file')}: {listed(list(told['files']))}.",
+    lines = [
+        f"{plural(len(report['files']), 'file')}: {listed(list(report['files']))}.",
         f"Tables of {plural(options['points'], 'SOC point')} and "
         f"{plural(options['temperatures'], 'temperature')}.",
         f"Compiled in: {listed(on) or 'nothing beyond the plain model'}.",
-        f"A sample is {told['input_bytes']} bytes, an answer {told['output_bytes']}.",
-        f"SHA-256 of the model: {told['model_sha256']}.",
+        f"A sample is {report['input_bytes']} bytes, an answer {report['output_bytes']}.",
+        f"SHA-256 of the model: {report['model_sha256']}.",
     ]
-    return bullets(said)
+    return bullets(lines)
 
 
 def _cheapest(targets: Sequence[Row]) -> Row | None:
@@ -267,7 +267,7 @@ def _points(share: float) -> str:
     return f"{significant(100.0 * share, 2)} points"
 
 
-def _exported(told: Mapping[str, Any]) -> Row | None:
+def _exported(report: Mapping[str, Any]) -> Row | None:
     """The row of the accuracy that is of what was exported."""
-    points = told["options"]["points"]
-    return next((a for a in told["accuracy"] if a["points"] == points), None)
+    points = report["options"]["points"]
+    return next((a for a in report["accuracy"] if a["points"] == points), None)

@@ -1,4 +1,4 @@
-"""The first line of every page: what was found, in words, with the numbers of the data."""
+"""The first line of every page: what was found, with the numbers of the data."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from cellwise.cell.simulate import Simulation
 from cellwise.estimate.replay import CONVERGED_SOC, Replay
 from cellwise.identify.identification import Identification
-from cellwise.report.numerals import (
+from cellwise.report.page.numerals import (
     ampere_hours,
     celsius,
     duration,
@@ -24,7 +24,7 @@ EFFECTS = {
     "slow_diffusion": "a slow third branch",
     "hysteresis": "hysteresis",
     "temperature_dependence": "an Arrhenius factor",
-    "time_skew": "the logger's time skew",
+    "time_skew": "the sampling delay of the logger",
 }
 TWO, TENTH = percent(CONVERGED_SOC, 0), percent(0.1, 0)
 ESTIMATORS = {
@@ -43,9 +43,8 @@ def identify_finding(identification: Identification) -> str:
     if model.temperature_C.size > 1:
         low, high = model.temperature_C[0], model.temperature_C[-1]
         text += f", from {celsius(float(low))} to {celsius(float(high))}"
-    text += (
-        f", explains its own {_own(identification)} to {millivolt(identification.fit.rmse_V)} RMSE"
-    )
+    error = millivolt(identification.fit.rmse_V)
+    text += f", reproduces its own {_own(identification)} with {error} RMSE"
     counts = identification.pulse_counts
     total = sum(counts.values())
     if total:
@@ -54,16 +53,16 @@ def identify_finding(identification: Identification) -> str:
 
 
 def replay_finding(replay: Replay) -> str:
-    """What a replay found: how far off it began, how fast it came back, how well it stays."""
+    """What a replay found: its initial error, its convergence, its settled error."""
     who = ESTIMATORS.get(replay.estimator, replay.estimator)
     settled = replay.settled
     if replay.reference_soc is None or settled is None:
-        return _sentence(
-            f"{who} ends at {percent(float(replay.trace.soc[-1]), 1)} SOC, give or take "
-            f"{percent(2.0 * float(replay.trace.soc_std[-1]), 1)}; nothing to judge it by"
+        return _capitalised(
+            f"{who} ends at {percent(float(replay.trace.soc[-1]), 1)} SOC, plus or minus "
+            f"{percent(2.0 * float(replay.trace.soc_std[-1]), 1)}; there is no reference"
         )
     off = abs(float(replay.start.soc - replay.reference_soc[0]))
-    begin = "From the right start" if off < 0.005 else f"From {100.0 * off:.0f} points off"
+    begin = "From the right initial SOC" if off < 0.005 else f"From {100.0 * off:.0f} points off"
     if replay.convergence_s is None:
         return (
             f"{begin} {who} never comes within {TWO} for ten minutes; over the second half it is "
@@ -78,7 +77,7 @@ def replay_finding(replay: Replay) -> str:
 
 
 def simulation_finding(simulations: Sequence[Simulation]) -> str:
-    """How well the model foretells the logs it is simulated on."""
+    """How well the model predicts the logs it is simulated on."""
     each = [s.rmse_above_10pct_V for s in simulations]
     known = [e for e in each if np.isfinite(e)]
     if not known:
@@ -86,31 +85,31 @@ def simulation_finding(simulations: Sequence[Simulation]) -> str:
     if len(known) == 1:
         name = simulations[0].log.name or "a log"
         return (
-            f"The voltage of {name} is simulated to {millivolt(known[0])} RMSE above {TENTH} SOC."
+            f"The voltage of {name} is simulated with {millivolt(known[0])} RMSE above {TENTH} SOC."
         )
     mean = float(np.mean(known))
     return (
-        f"The voltage of {plural(len(known), 'log')} is simulated to {millivolt(mean)} RMSE above "
-        f"{TENTH} SOC in the mean, {millivolt(max(known))} at worst."
+        f"The voltage of {plural(len(known), 'log')} is simulated with {millivolt(mean)} RMSE "
+        f"above {TENTH} SOC in the mean, {millivolt(max(known))} at worst."
     )
 
 
 def demo_finding(
     identification: Identification, simulations: Sequence[Simulation], replays: Sequence[Replay]
 ) -> str:
-    """The whole story in one or two sentences."""
+    """The main result in short."""
     model = identification.model
     name = model.name or "the cell"
     alone = "laboratory tests alone" if not fitted_drives(identification) else "test logs"
     text = (
         f"From {alone} to SOC on the road: a model of {name}, "
-        f"{ampere_hours(model.capacity_Ah)}, explains its own "
-        f"{_own(identification)} to "
+        f"{ampere_hours(model.capacity_Ah)}, reproduces its own "
+        f"{_own(identification)} with "
         f"{millivolt(identification.fit.rmse_V)} RMSE"
     )
     known = [s.rmse_above_10pct_V for s in simulations if np.isfinite(s.rmse_above_10pct_V)]
     if known:
-        text += f" and {plural(len(known), 'drive')} it has not seen to "
+        text += f" and {plural(len(known), 'drive')} it has not seen with "
         text += f"{millivolt(float(np.mean(known)))}"
     text += "."
     judged = [r for r in replays if r.settled is not None]
@@ -133,5 +132,5 @@ def _own(identification: Identification) -> str:
     return "log" if logs == 1 else plural(logs, "log")
 
 
-def _sentence(text: str) -> str:
+def _capitalised(text: str) -> str:
     return text[:1].upper() + text[1:] + "."

@@ -1,4 +1,4 @@
-"""One picture of the whole thing: a drive nobody fitted, simulated, and its SOC found."""
+"""One picture of the main result: a held-out drive simulated, and its SOC estimated."""
 
 from __future__ import annotations
 
@@ -11,17 +11,16 @@ from cellwise.cell.simulate import Simulation
 from cellwise.estimate.replay import Replay
 from cellwise.identify.identification import Identification
 from cellwise.report.findings import fitted_drives
-from cellwise.report.numerals import (
+from cellwise.report.identification.simulation_section import draw_close_up, draw_residual
+from cellwise.report.page.numerals import (
     ampere_hours,
     millivolt,
     percent,
     plural,
     time_unit,
 )
-from cellwise.report.picture import Picture, save_figure
-from cellwise.report.replay_section import draw_soc_axes, draw_soc_error
-from cellwise.report.simulation_section import draw_close_up, draw_residual
-from cellwise.report.style import (
+from cellwise.report.page.picture import Picture, save_figure
+from cellwise.report.page.style import (
     MEASURED,
     MODEL,
     NARROW,
@@ -33,16 +32,17 @@ from cellwise.report.style import (
     styled,
     two_columns,
 )
-from cellwise.report.thinning import thin
-from cellwise.report.windows import close_up_s, mark_window
+from cellwise.report.page.thinning import thin
+from cellwise.report.page.windows import close_up_s, mark_window
+from cellwise.report.replay.replay_section import draw_soc_axes, draw_soc_error
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 CAPTION = (
-    "A drive that took no part in the identification: voltage from the current alone, what is "
-    "left, and the state of charge that the filter finds from a wrong start."
+    "A drive that took no part in the identification: voltage from the current alone, the "
+    "residual, and the state of charge that the filter finds from a wrong start."
 )
 HEIGHT_IN = 6.4
 CLOSE_UP_S = 180.0

@@ -46,7 +46,7 @@ def capacity_test(cell, rate, *, hz=1.0, noise_V=0.0, noise_A=0.0, cutoff=0.02):
 
 @pytest.mark.parametrize("hz", [2.0, 0.2, 1 / 60])
 @pytest.mark.parametrize("cell", [nmc_cell(), lfp_cell()], ids=["nmc", "lfp"])
-def test_a_capacity_test_is_told_into_its_parts(cell, hz):
+def test_a_capacity_test_is_split_into_its_parts(cell, hz):
     made, _ = capacity_test(cell, 1.0, hz=hz)
     phases = find_phases(made.log)
     assert kinds(phases) == ["rest", "cc", "cv", "rest", "cc", "cv", "rest"]
@@ -215,7 +215,7 @@ def real(folder, name):
         ("nissan_leaf/cap_2c_p23.csv.gz", (["rest", "cc", "cv", "rest", "cc"] * 6)[:25]),
     ],
 )
-def test_measured_tests_are_told_into_their_parts(real_data, name, expected):
+def test_measured_tests_are_split_into_their_parts(real_data, name, expected):
     log = real(real_data, name)
     phases = find_phases(log)
     assert tiles(phases, log)

@@ -105,7 +105,7 @@ def held_out(rests, low_rate):
 
 
 @pytest.mark.parametrize("tag", ["p05", "p25", "p35", "p45"])
-def test_a123_rests_on_a_drive_are_foretold_by_others_and_the_low_rate_curve(real_data, tag):
+def test_a123_rests_on_a_drive_are_predicted_by_others_and_the_low_rate_curve(real_data, tag):
     folder = real_data / "plett_a123"
     low = ocv_from_low_rate([read_log(folder / f"ocv_{tag}_s{k}.csv.gz") for k in (1, 2, 3, 4)])
     drive = read_log(folder / f"dyn_{tag}_s1.csv.gz")

@@ -234,9 +234,7 @@ def discharge_curve(path):
         ("lg_18650hg2/ocv_c20_p25_549", 4e-3),
     ],
 )
-def test_spline_through_every_twentieth_foretells_the_rest_of_a_real_curve(
-    real_data, path, limit_V
-):
+def test_spline_through_every_twentieth_predicts_the_rest_of_a_real_curve(real_data, path, limit_V):
     s, v = discharge_curve(real_data / f"{path}.csv.gz")
     order = np.argsort(s)
     some = np.interp(np.arange(0.05, 1.0, 0.05), s[order], v[order])

@@ -176,7 +176,7 @@ def test_leaf_log_begins_empty_and_is_full_after_its_charge(real_data, tag):
     assert curve.fit.rmse_V < 6e-3
 
 
-def test_panasonic_rests_foretell_one_another(real_data):
+def test_panasonic_rests_predict_one_another(real_data):
     log = read_log(real_data / "panasonic_18650pf/hppc_p25.csv.gz")
     curve = ocv_from_rests(log, capacity_Ah=2.997, extrapolate=True)
     assert curve.points_soc.size > 60

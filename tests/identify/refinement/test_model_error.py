@@ -79,7 +79,7 @@ def test_slow_error_memory_and_white_noise_come_back():
 
 
 @pytest.mark.parametrize("share", [0.05, 0.2])
-def test_a_resistance_that_is_wrong_is_told_as_its_share(share):
+def test_a_resistance_that_is_wrong_is_given_as_its_share(share):
     rng = np.random.default_rng(4)
     log = residual_log(rng, slow_V=0.002, white_V=0.0005, share=share)
     found = estimate_model_error([log], R0_OHM)

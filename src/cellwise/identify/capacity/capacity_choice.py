@@ -187,7 +187,7 @@ def capacity_choices(
 
 
 def default_choice(choices: Mapping[str, float]) -> str:
-    """Name of the capacity taken where nobody chose.
+    """Name of the capacity taken by default.
 
     The slowest complete discharge: what a slow current takes out is nearest to the charge between
     full and empty, which is what SOC means and what the OCV spans. Without a capacity test the

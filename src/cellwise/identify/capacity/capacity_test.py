@@ -1,4 +1,4 @@
-"""Capacity tests: every full discharge at constant current in a log, CC and CV parts told apart.
+"""Capacity tests: every full discharge at constant current in a log, CC and CV parts separated.
 
 A test runs from full to the lower voltage limit. What flows at the constant current until the
 limit is met is the CC part, what still flows while the tester holds the limit is the CV part.

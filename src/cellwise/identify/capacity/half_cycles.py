@@ -24,7 +24,7 @@ STEADY_OF_CURRENT = 0.1
 # What a tester that dithers at a limit moves back, as a share of the half cycle.
 DITHER = 0.005
 RUN_OF_CHARGE = 0.02
-# What tells the end of a discharge where nobody gives the limit: see looks_like_end.
+# What shows the end of a discharge where the limit is not given: see looks_like_end.
 KNEE = 1.3
 ROUND_V, ROUND_TOLERANCE_V = 0.1, 0.004
 
@@ -124,7 +124,7 @@ def steady_rows(trace: Trace, half: HalfCycle) -> BoolArray:
 
 
 def _steady_span(steady: BoolArray, share: FloatArray) -> tuple[int, int]:
-    """First and past-the-last row of the runs at the main current that move something to speak of.
+    """First and past-the-last row of the runs at the main current that move a noticeable charge.
 
     A dither at the limit passes through the main current too, for moments.
     """

@@ -56,7 +56,7 @@ def channels_of(log: CellLog) -> Channels:
 class Misfit(NamedTuple):
     """What no passive circuit explains of a response.
 
-    rms_V, noise_V : what is left, and what the noise alone would leave [V]
+    rms_V, noise_V : the residual, and what the noise alone would leave [V]
     response_V : size of the voltage response [V]
     growth : |dV/dt| in the last third of the pulse over that in the middle third
     """
@@ -90,7 +90,7 @@ def passive_misfit(
 
     Returns
     -------
-    Misfit, or None where the pulse has too few rows to tell
+    Misfit, or None where the pulse has too few rows
     """
     channels = channels_of(source) if isinstance(source, CellLog) else source
     window = _window(channels, load, relaxation)

@@ -1,4 +1,4 @@
-"""Levels of a current: runs of rows at one level, as far as the noise can tell."""
+"""Levels of a current: runs of rows at one level, as far as the noise allows."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ SMALL_STEP_OF_LEVEL = 0.1
 
 
 class CurrentScale(NamedTuple):
-    """What the noise and the range of a current allow to be told apart [A].
+    """What the noise and the range of a current allow to be separated [A].
 
     noise_A : standard deviation of one sample about its level
     zero_A : what the sensor reads at rest
@@ -180,7 +180,7 @@ def _resolution(current_A: FloatArray, top: float) -> float:
 
 
 def _noise(current_A: FloatArray, top: float, lsb: float) -> float:
-    """Standard deviation of a sample about its level [A], 0 where the log cannot tell.
+    """Standard deviation of a sample about its level [A], 0 where the log does not show it.
 
     Second differences, because a slope is not noise; of the quietest blocks, because most blocks
     of a drive hold steps; at two distances of the samples, because the differences of noise do
@@ -229,17 +229,17 @@ def _flat_pieces(
     high = np.maximum.reduceat(x, start)
     allowed = np.maximum(scale.step_A, FLAT_OF_LEVEL * np.abs(0.5 * (low + high)))
     flat = (rows >= 2) & ((high - low <= allowed) | rest[start])
-    doubtful = np.flatnonzero(~flat & (rows >= FLAT_CHUNKS))
-    if doubtful.size:
+    uncertain = np.flatnonzero(~flat & (rows >= FLAT_CHUNKS))
+    if uncertain.size:
         # Noise widens the range of a long run without bending it: compare means of eighths.
-        parts = np.arange(FLAT_CHUNKS + 1) * rows[doubtful, None] // FLAT_CHUNKS
-        cuts = start[doubtful, None] + parts
+        parts = np.arange(FLAT_CHUNKS + 1) * rows[uncertain, None] // FLAT_CHUNKS
+        cuts = start[uncertain, None] + parts
         means = np.diff(total[cuts], axis=1) / np.diff(cuts, axis=1)
         bound = np.maximum(
-            6.0 * scale.noise_A / np.sqrt(rows[doubtful] / FLAT_CHUNKS),
+            6.0 * scale.noise_A / np.sqrt(rows[uncertain] / FLAT_CHUNKS),
             FLAT_OF_LEVEL * np.abs(means).max(axis=1),
         )
-        flat[doubtful] = np.ptp(means, axis=1) <= bound
+        flat[uncertain] = np.ptp(means, axis=1) <= bound
     pieces = [np.column_stack((start[flat], stop[flat]))]
     for k in np.flatnonzero(~flat & (rows >= 2 * FLAT_CHUNKS)).tolist():
         a, b = int(start[k]), int(stop[k])

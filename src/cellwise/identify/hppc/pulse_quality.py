@@ -1,6 +1,6 @@
 """How good a current pulse is for identification, and why: judged from the log itself.
 
-Four verdicts, in the LFP paper's words. *Spurious*: an edge without a pulse. *Trimmed*: a voltage
+Four verdicts, named as in the LFP paper. *Spurious*: an edge without a pulse. *Trimmed*: a voltage
 limit ended the constant current. *Distorted*: the response is none of a linear circuit, which
 happens at the ends of the SOC range where the OCV bends. *Healthy*: the rest.
 
@@ -8,7 +8,7 @@ The test for distortion needs no model order. With constant current, any circuit
 resistances and capacitances answers with a sum of saturating exponentials, and afterwards with
 the same ones decaying; the OCV adds a term linear in charge as long as it is straight. So the
 measured response is fitted by *all* of them at once, with amplitudes that may not be negative
-(non-negative least squares over a grid of time constants). What is left over beyond the noise
+(non-negative least squares over a grid of time constants). The residual beyond the noise
 no 2-RC model can explain either, whatever its parameters.
 """
 
@@ -57,7 +57,7 @@ MISFIT_SIGMAS = 3.0
 
 
 class Verdict(NamedTuple):
-    """Quality of a pulse, the reason in words, and a figure from 0 (useless) to 1."""
+    """Quality of a pulse, the reason, and a figure from 0 (useless) to 1."""
 
     quality: PulseQuality
     reason: str

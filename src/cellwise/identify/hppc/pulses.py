@@ -49,7 +49,7 @@ class Pulse:
     duration_s, charge_Ah : of rows start to stop; charge from the current [s, Ah]
     voltage_before_V : mean over the last 10 s of the rest before [V]
     role : ``pulse``, or ``move``: a long one that takes the cell to another SOC
-    quality, reason, score : verdict, why in words, and a figure from 0 to 1
+    quality, reason, score : verdict, its reason, and a figure from 0 to 1
     """
 
     start: int

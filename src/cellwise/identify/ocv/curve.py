@@ -123,7 +123,7 @@ def combine_ocv(rests: OcvCurve, low_rate: OcvCurve, kind: OcvKind | None = None
 
     with the low-rate curve L, one stretch and a smooth correction, constant beyond the outermost
     rests. Rests left out, level by level, choose the stretch and how stiff the correction is; the
-    stretch stays at 1 unless it foretells them clearly better.
+    stretch is 1 unless another predicts them clearly better.
 
     Parameters
     ----------

@@ -60,7 +60,7 @@ def fit_ocv_function(
     *,
     weight: FloatArray | None = None,
 ) -> OcvFit:
-    """Fit one form of OCV function to points, or the form that foretells left-out points best.
+    """Fit one form of OCV function to points, or the form that predicts left-out points best.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def held_out_rmse(
     """RMS error at points left out of the fit, every fifth in turn, both ends kept [V].
 
     nan where fewer than ``MIN_POINTS + 2`` points are given. The spline's penalty is chosen by
-    this very figure: one number against many points, so the figure stays honest enough.
+    this very figure: one number against many points, so the figure is hardly biased.
     """
     s, v, w = condense(*checked_points(soc, voltage_V, weight))
     if kind == "spline" or s.size < MIN_POINTS + 2:

@@ -1,4 +1,4 @@
-"""Functions of SOC that stand for an open-circuit voltage: one interface, three forms.
+"""Functions of SOC for an open-circuit voltage: one interface, three forms.
 
 ``log-linear-exp`` has six parameters and a meaning in print, ``spline`` follows any cell,
 ``table`` is what runs on a microcontroller. All three rise strictly with SOC, because a filter

@@ -44,7 +44,7 @@ LIMIT_TOLERANCE_V = 0.01
 
 # Averaged branches have currents alike within this factor.
 ALIKE_RATE = 2.0
-# A voltage after so long without current tells how full the cell is.
+# A voltage after so long without current gives the SOC.
 RESTED_S = 600.0
 NO_CURRENT = 0.02
 

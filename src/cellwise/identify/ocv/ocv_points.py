@@ -11,7 +11,7 @@ from scipy.optimize import isotonic_regression
 from cellwise.errors import InputError
 from cellwise.typing import FloatArray
 
-# A plateau that is flatter than this tells a filter nothing; the floor only keeps the sign.
+# A plateau that is flatter than this carries no information; the floor only keeps the sign.
 MIN_SLOPE_V = 1e-3
 MIN_POINTS = 4
 # A low-rate log has thousands of rows that say the same: so many points are kept.
@@ -93,7 +93,7 @@ def leave_out_turns(s: FloatArray, *, keep_ends: bool = True) -> NDArray[np.intp
     """Turn at which each point is left out, shape (n,); -1 for the ends, if they are kept.
 
     Rests that lie close together, as those between the pulses of one level do, take one turn
-    together: a neighbour a millivolt away would foretell anything.
+    together: a neighbour a millivolt away would predict anything.
     """
     group = np.arange(s.size)
     if s.size <= MAX_RESTS:

@@ -18,7 +18,7 @@ from cellwise.typing import BoolArray, FloatArray
 Anchor = Literal["full", "empty"]
 
 AVERAGE_S = 10.0
-# Shorter rests tell more about relaxation than about OCV, unless there are no longer ones.
+# Shorter rests show relaxation more than OCV, unless there are no longer ones.
 MIN_REST_S = 300.0
 MIN_RESTS = 4
 # A phase called rest that moved more than this share of the largest current was none.

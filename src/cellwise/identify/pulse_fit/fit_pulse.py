@@ -18,7 +18,7 @@ from cellwise.identify.pulse_fit.pulse_parameters import (
 from cellwise.identify.pulse_fit.pulse_trend import local_trends
 from cellwise.identify.pulse_fit.segments import SegmentOptions, fit_segments
 from cellwise.identify.pulse_fit.swarm import SwarmOptions, fit_swarm
-from cellwise.identify.pulse_fit.varpro import VarproOptions, fit_varpro
+from cellwise.identify.pulse_fit.variable_projection.varpro import VarproOptions, fit_varpro
 
 Method = Literal["varpro", "segments", "pso"]
 TREND_TOLERANCE = 1e-3  # a trend too small to be felt is still the better model
@@ -98,9 +98,10 @@ def fit_pulses(
 ) -> list[PulseFit]:
     """Parameters of all pulses of a test.
 
-    With ``varpro`` in two passes: each pulse by itself; then again, told by its neighbours how the
-    parameters change with SOC while it lasts (see `local_trends`). A strong pulse near empty moves
-    every parameter by some percent, and without the second pass that much error stays.
+    With ``varpro`` in two passes: each pulse by itself; then again, with the
+    change of the parameters over SOC taken from its neighbours (see `local_trends`). A strong
+    pulse near empty moves every parameter by some percent, which is the error without the second
+    pass.
 
     Parameters
     ----------
@@ -123,17 +124,17 @@ def fit_pulses(
     chosen = options if isinstance(options, VarproOptions) else None
     trends = local_trends(fits)
     return [
-        fit if trend is None else _told(data, fit, chosen, trend)
+        fit if trend is None else _with_trend(data, fit, chosen, trend)
         for data, fit, trend in zip(pulses, fits, trends, strict=True)
     ]
 
 
-def _told(
+def _with_trend(
     data: PulseData, alone: PulseFit, options: VarproOptions | None, trend: PulseTrend
 ) -> PulseFit:
     """The pulse fitted with its neighbours' trend, unless it fits worse than alone.
 
     On a real cell a trend between levels need not hold inside a pulse.
     """
-    told = fit_varpro(data, options, trend, (alone.tau1_s, alone.tau2_s))
-    return told if told.rmse_V <= (1.0 + TREND_TOLERANCE) * alone.rmse_V else alone
+    second = fit_varpro(data, options, trend, (alone.tau1_s, alone.tau2_s))
+    return second if second.rmse_V <= (1.0 + TREND_TOLERANCE) * alone.rmse_V else alone

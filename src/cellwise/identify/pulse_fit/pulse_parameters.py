@@ -1,4 +1,4 @@
-"""What a pulse fit returns: parameters, their standard errors, and what may be believed."""
+"""What a pulse fit returns: parameters, their standard errors, and what is identified."""
 
 from __future__ import annotations
 
@@ -172,8 +172,8 @@ class PulseFit:
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """What a person should know before believing the numbers, in words."""
-        said = []
+        """What a person should know before using the numbers."""
+        lines = []
         for name, value, error, known in zip(
             self.value._fields, self.value, self.error, self.identified, strict=True
         ):
@@ -181,12 +181,12 @@ class PulseFit:
                 continue
             symbol, unit = name.rsplit("_", 1)
             why = "at its bound" if name in self.at_bound else f"+- {error:.3g}"
-            said.append(
+            lines.append(
                 f"{symbol} = {value:.3g} {unit} ({why}) is not seen by a pulse of "
                 f"{self.duration_s:.3g} s in a window of {self.window_s:.4g} s"
             )
         if self.left_out:
-            said.append(f"{self.left_out} rows left out while the voltage settled after an edge")
+            lines.append(f"{self.left_out} rows left out while the voltage settled after an edge")
         if not self.converged:
-            said.append("the search for the time constants did not converge")
-        return tuple(said)
+            lines.append("the search for the time constants did not converge")
+        return tuple(lines)

@@ -9,8 +9,8 @@ import numpy as np
 from cellwise.errors import InputError
 from cellwise.identify.pulse_fit.pulse_data import PulseData, Weighting, row_weights
 from cellwise.identify.pulse_fit.pulse_parameters import PulseTrend, TauBounds
-from cellwise.identify.pulse_fit.varpro_algebra_kernels import Window
-from cellwise.identify.pulse_fit.varpro_kernels import predict
+from cellwise.identify.pulse_fit.variable_projection.varpro_algebra_kernels import Window
+from cellwise.identify.pulse_fit.variable_projection.varpro_kernels import predict
 from cellwise.typing import BoolArray, FloatArray
 
 FASTEST_TAU_S = 0.5

@@ -64,7 +64,7 @@ def _reach(levels: FloatArray, at: float) -> float:
 def _slope(
     soc: FloatArray, log_value: FloatArray, weight: FloatArray, at: float, reach: float
 ) -> float:
-    """Slope of the local polynomial at one SOC, shrunk as far as its scatter leaves it in doubt.
+    """Slope of the local polynomial at one SOC, shrunk as far as its scatter leaves it uncertain.
 
     Shrunk by 1 - 1/t^2, with t the slope over its standard error: a slope below its error is none.
     """

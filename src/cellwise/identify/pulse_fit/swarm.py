@@ -9,7 +9,7 @@ drawn to the best places of all its neighbours at once,
     \qquad \chi = 2 / (\varphi - 2 + \sqrt{\varphi^2 - 4 \varphi})
 
 with cognition phi = 4.1, 64 particles, 180 iterations and a ring lattice of order 8: neighbours are
-the four particles on either side. Kept as the paper's method and as a yardstick.
+the four particles on either side. Kept as the paper's method and as a reference.
 """
 
 from __future__ import annotations
@@ -30,8 +30,13 @@ from cellwise.identify.pulse_fit.pulse_problem import (
     window_tau_bounds,
 )
 from cellwise.identify.pulse_fit.swarm_kernels import swarm_costs
-from cellwise.identify.pulse_fit.varpro import describe
-from cellwise.identify.pulse_fit.varpro_kernels import COLUMNS, LINEAR, TILE, accumulate
+from cellwise.identify.pulse_fit.variable_projection.varpro import describe
+from cellwise.identify.pulse_fit.variable_projection.varpro_kernels import (
+    COLUMNS,
+    LINEAR,
+    TILE,
+    accumulate,
+)
 from cellwise.typing import FloatArray
 
 PAPER_BOUNDS = TauBounds(0.5, 15.0, 15.0, 120.0)

@@ -6,7 +6,7 @@ import math
 
 from numba import njit
 
-from cellwise.identify.pulse_fit.varpro_kernels import SAME_INTERVAL
+from cellwise.identify.pulse_fit.variable_projection.varpro_kernels import SAME_INTERVAL
 from cellwise.typing import FloatArray
 
 

@@ -42,10 +42,10 @@ class RefineSettings:
     hysteresis : bool         fit M(soc) and gamma
     activation_K, activation_std_K : float   prior of the Arrhenius activation; a standard
                               deviation of 0 keeps it
-    skew : bool               fit the skew of the logs that say they may have one
+    skew : bool               fit the sampling delay of the logs that may have one
     smooth : float            weight of the tables' curvature, in units of the residual variance
     ocv_smooth, ocv_size : float      weight of the OCV correction's curvature and size [V^-2]
-    hold : float              weight of the start values, for what the data cannot tell
+    hold : float              weight of the start values, for what the data do not determine
     robust : float            residuals beyond this many standard deviations count linearly
     iterations : int
     """
@@ -125,7 +125,7 @@ def refine(
     logs : sequence of RefineLog      every log has the weight of its mean squared error
     start : StartTables
     capacity_Ah : float               for the hysteresis' rate
-    progress : callable or None       told the iteration and the RMSE [V] after each step
+    progress : callable or None       called with the iteration and the RMSE [V] after each step
 
     Returns
     -------

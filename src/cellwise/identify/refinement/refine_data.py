@@ -118,7 +118,7 @@ def prepare_log(
 
 
 def _inverse_kelvin(log: CellLog, reference_C: float) -> FloatArray:
-    """1/T - 1/T_ref of every row [1/K]; zero where nobody measured."""
+    """1/T - 1/T_ref of every row [1/K]; zero where it was not measured."""
     if log.temperature_C is None:
         return np.zeros(len(log))
     measured = log.temperature_C

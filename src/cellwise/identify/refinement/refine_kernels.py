@@ -63,7 +63,7 @@ class Layout(NamedTuple):
 
     @property
     def skew(self) -> int:
-        """Instrument skew in units of SKEW_UNIT_S."""
+        """Sampling delay in units of SKEW_UNIT_S."""
         return self.activation + 1
 
     @property

@@ -21,7 +21,7 @@ from cellwise.identify.tables import PulseTables
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
-SLOW_FROM_S = 1800.0  # a log must last this long to show the slow branch
+SLOW_FROM_S = 1800.0  # a log must be this long to show the slow branch
 HYSTERESIS_FROM_V = 0.004  # half gap between the low-rate branches, polarisation taken out
 LARGEST_SOC_ERROR = 0.05
 LARGEST_OCV_MOVE_V = 0.03
@@ -104,7 +104,7 @@ def refine_temperature(
     )
     hot = any(item.log.temperature_C is not None for item in logs)
     values = refined_tables(result, start)
-    _tell_moved_ocv(result, notices)
+    _note_moved_ocv(result, notices)
     model = CellModel(
         capacity_Ah,
         *values,
@@ -115,8 +115,8 @@ def refine_temperature(
     return Refined(model, result, tuple(starts))
 
 
-def _tell_moved_ocv(result: RefineResult, notices: list[str]) -> None:
-    """Say so where the logs contradict the OCV they were given: mostly a wrong start SOC."""
+def _note_moved_ocv(result: RefineResult, notices: list[str]) -> None:
+    """Note where the logs contradict the OCV they were given: mostly a wrong initial SOC."""
     seen = np.concatenate([p.soc[p.evaluate] for p in result.logs])
     soc = np.linspace(max(seen.min(), 0.1), min(seen.max(), 0.9), 81)
     rows = spline_rows(soc, result.ocv_knots)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cellwise.logs.format import Format
+from cellwise.logs.files.format import Format
 from cellwise.logs.formats.arbin import ARBIN_CSV
 from cellwise.logs.formats.bdf import BDF_CSV, BDF_PARQUET
 from cellwise.logs.formats.biologic import BIOLOGIC_MPR, BIOLOGIC_MPT

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from cellwise.logs.columns import MILLI, OWN, Channel
-from cellwise.logs.csv_layout import has_names
-from cellwise.logs.csv_text import read_csv
-from cellwise.logs.format import Format
+from cellwise.logs.files.columns import MILLI, OWN, Channel
+from cellwise.logs.files.csv_layout import has_names
+from cellwise.logs.files.csv_text import read_csv
+from cellwise.logs.files.format import Format
 
 _TIME = {"Test_Time(s)": OWN, "Test_Time": OWN}
 _OF_ARBIN = (

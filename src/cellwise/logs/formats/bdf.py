@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from cellwise.logs.columns import OWN, TURNED, Channel
-from cellwise.logs.csv_layout import has_names
-from cellwise.logs.csv_text import read_csv
-from cellwise.logs.format import Format
-from cellwise.logs.parquet_file import parquet_has, read_parquet
+from cellwise.logs.files.columns import OWN, TURNED, Channel
+from cellwise.logs.files.csv_layout import has_names
+from cellwise.logs.files.csv_text import read_csv
+from cellwise.logs.files.format import Format
+from cellwise.logs.files.parquet_file import parquet_has, read_parquet
 
 # Every quantity has a label for people and a name for machines.
 _VOLTAGE = {"Voltage / V": OWN, "voltage_volt": OWN}

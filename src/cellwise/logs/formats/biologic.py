@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from cellwise.logs.columns import MILLI, OWN, TURNED, TURNED_MILLI, Channel
-from cellwise.logs.csv_layout import has_names
-from cellwise.logs.csv_text import read_csv
-from cellwise.logs.extras import need
-from cellwise.logs.format import Format, library_at_work
-from cellwise.logs.named_arrays import channels_of
-from cellwise.logs.source import LogSource, RawLog
+from cellwise.logs.files.columns import MILLI, OWN, TURNED, TURNED_MILLI, Channel
+from cellwise.logs.files.csv_layout import has_names
+from cellwise.logs.files.csv_text import read_csv
+from cellwise.logs.files.extras import need
+from cellwise.logs.files.format import Format, library_at_work
+from cellwise.logs.files.named_arrays import channels_of
+from cellwise.logs.files.source import LogSource, RawLog
 
 _TEXT = "EC-Lab ASCII FILE"
 _BINARY = b"BIO-LOGIC MODULAR FILE"

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from cellwise.logs.columns import CLOCK, OWN, TURNED, Channel
-from cellwise.logs.csv_layout import has_names
-from cellwise.logs.csv_text import read_csv
-from cellwise.logs.format import Format
-from cellwise.logs.text_cells import words
+from cellwise.logs.files.columns import CLOCK, OWN, TURNED, Channel
+from cellwise.logs.files.csv_layout import has_names
+from cellwise.logs.files.csv_text import read_csv
+from cellwise.logs.files.format import Format
+from cellwise.logs.files.text_cells import labels
 
-_MODE = words(DCHG=1.0, DCHRG=1.0, DISCHARGE=1.0, CHRG=-1.0, CHG=-1.0, CHARGE=-1.0, REST=0.0)
+_MODE = labels(DCHG=1.0, DCHRG=1.0, DISCHARGE=1.0, CHRG=-1.0, CHG=-1.0, CHARGE=-1.0, REST=0.0)
 
 BITRODE_CSV = Format(
     name="bitrode-csv",

@@ -1,4 +1,4 @@
-"""CAN logs (BLF, ASC, ``candump -L``, TRC) with a database that tells what the frames hold."""
+"""CAN logs (BLF, ASC, ``candump -L``, TRC) with a database of what the frames hold."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from typing import Any
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.alignment import Series, aligned
-from cellwise.logs.can_bits import physical_values
-from cellwise.logs.can_database import can_database
-from cellwise.logs.columns import OWN, Channel
-from cellwise.logs.extras import need
-from cellwise.logs.format import Format, damaged, library_at_work
-from cellwise.logs.signal_choice import Signal, choose_signals
-from cellwise.logs.source import LogSource, RawLog
+from cellwise.logs.files.columns import OWN, Channel
+from cellwise.logs.files.extras import need
+from cellwise.logs.files.format import Format, damaged, library_at_work
+from cellwise.logs.files.source import LogSource, RawLog
+from cellwise.logs.vehicle.alignment import Series, aligned
+from cellwise.logs.vehicle.can_bits import physical_values
+from cellwise.logs.vehicle.can_database import can_database
+from cellwise.logs.vehicle.signal_choice import Signal, choose_signals
 
 _BLF = b"LOGG"
 _CANDUMP = re.compile(r"\(\d+\.\d+\)\s+\S+\s+[0-9A-Fa-f]+#")
 _ASC = re.compile(r"base\s+(hex|dec)\s+timestamps\s+(absolute|relative)", re.I)
-_TELL_EVERY = 50_000
+_REPORT_EVERY = 50_000
 
 Frames = dict[tuple[int, bool], tuple["array[float]", list[bytes]]]
 
@@ -88,8 +88,8 @@ def _read(source: LogSource, known: Format) -> RawLog:
         series[field] = Series(np.frombuffer(stamps, np.float64)[whole], unit.convert(values))
     start = min(float(samples.time_s[0]) for samples in series.values())
     series = {field: Series(s.time_s - start, s.values) for field, s in series.items()}
-    channels, told = aligned(series, source.where)
-    return RawLog(channels, (*notices, *told))
+    channels, noted = aligned(series, source.where)
+    return RawLog(channels, (*notices, *noted))
 
 
 def _database(source: LogSource) -> Any:
@@ -109,8 +109,8 @@ def _frames(source: LogSource, database: Any) -> tuple[Frames, set[int]]:
             if into is not None and not (message.is_error_frame or message.is_remote_frame):
                 into[0].append(message.timestamp)
                 into[1].append(bytes(message.data))
-            if count % _TELL_EVERY == 0:
-                source.tell(count, max(count + 1, source.size // 16))
+            if count % _REPORT_EVERY == 0:
+                source.report(count, max(count + 1, source.size // 16))
     return {key: found for key, found in frames.items() if found[1]}, ids
 
 
@@ -131,7 +131,7 @@ CAN_LOG = Format(
     name="can-log",
     matches=lambda source: bool(_kind(source)),
     channels=(
-        # Names are everybody's own: `choose_signals` goes by unit and words.
+        # Names differ by maker: `choose_signals` goes by unit and name.
         Channel("time_s", {"time_s": OWN}, required=True),
         Channel("current_A", {"current_A": OWN}, required=True),
         Channel("voltage_V", {"voltage_V": OWN}, required=True),

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.columns import MILLI, OWN, Channel, Unit
-from cellwise.logs.extras import need
-from cellwise.logs.format import Format, cut_off, library_at_work
-from cellwise.logs.named_arrays import channels_of
-from cellwise.logs.source import LogSource, RawLog
+from cellwise.logs.files.columns import MILLI, OWN, Channel, Unit
+from cellwise.logs.files.extras import need
+from cellwise.logs.files.format import Format, cut_off, library_at_work
+from cellwise.logs.files.named_arrays import channels_of
+from cellwise.logs.files.source import LogSource, RawLog
 from cellwise.typing import FloatArray
 
 _MAGIC = b"\xa3\x95\x80"
@@ -89,7 +89,7 @@ def _rows(
         rows.setdefault((name, battery), []).append(
             [getattr(message, field) for field in message._fieldnames]
         )
-        source.tell(int(log.percent * source.size / 100.0), source.size)
+        source.report(int(log.percent * source.size / 100.0), source.size)
     return rows
 
 

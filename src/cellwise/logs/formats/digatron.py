@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.columns import CLOCK, OWN, TURNED, Channel
-from cellwise.logs.csv_layout import has_names
-from cellwise.logs.csv_text import read_csv
-from cellwise.logs.extras import need
-from cellwise.logs.format import Format, library_at_work
-from cellwise.logs.named_arrays import channels_of
-from cellwise.logs.source import LogSource, RawLog
+from cellwise.logs.files.columns import CLOCK, OWN, TURNED, Channel
+from cellwise.logs.files.csv_layout import has_names
+from cellwise.logs.files.csv_text import read_csv
+from cellwise.logs.files.extras import need
+from cellwise.logs.files.format import Format, library_at_work
+from cellwise.logs.files.named_arrays import channels_of
+from cellwise.logs.files.source import LogSource, RawLog
 
 _MATLAB_5 = b"MATLAB 5.0"
 _MATLAB_7 = b"MATLAB 7.3"

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.columns import folded
-from cellwise.logs.extras import need
-from cellwise.logs.format import Format, library_at_work
+from cellwise.logs.files.columns import folded
+from cellwise.logs.files.extras import need
+from cellwise.logs.files.format import Format, library_at_work
+from cellwise.logs.files.named_arrays import channels_of
+from cellwise.logs.files.source import LogSource, RawLog
 from cellwise.logs.formats.arbin import ARBIN_CSV
-from cellwise.logs.named_arrays import channels_of
-from cellwise.logs.source import LogSource, RawLog
 
 _XLSX, _XLS = b"PK\x03\x04", b"\xd0\xcf\x11\xe0"
 _INSIDE_XLSX = (b"xl/", b"[Content_Types].xml")

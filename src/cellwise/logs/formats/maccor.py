@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from cellwise.logs.columns import CLOCK, MILLI, OWN, Channel, Unit
-from cellwise.logs.csv_layout import has_names
-from cellwise.logs.csv_text import read_csv
-from cellwise.logs.format import Format
-from cellwise.logs.text_cells import words
+from cellwise.logs.files.columns import CLOCK, MILLI, OWN, Channel, Unit
+from cellwise.logs.files.csv_layout import has_names
+from cellwise.logs.files.csv_text import read_csv
+from cellwise.logs.files.format import Format
+from cellwise.logs.files.text_cells import labels
 
 # Charge, discharge, rest, pause, suspend, end, open circuit, internal resistance, auxiliary.
-_STATE = words(C=-1.0, D=1.0, R=0.0, P=0.0, S=0.0, E=0.0, O=0.0, I=0.0, A=0.0)
+_STATE = labels(C=-1.0, D=1.0, R=0.0, P=0.0, S=0.0, E=0.0, O=0.0, I=0.0, A=0.0)
 
 MACCOR_TEXT = Format(
     name="maccor-text",

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.alignment import Series, aligned
-from cellwise.logs.columns import OWN, Channel
-from cellwise.logs.extras import need
-from cellwise.logs.format import Format, library_at_work
-from cellwise.logs.signal_choice import Signal, choose_signals
-from cellwise.logs.source import LogSource, RawLog
+from cellwise.logs.files.columns import OWN, Channel
+from cellwise.logs.files.extras import need
+from cellwise.logs.files.format import Format, library_at_work
+from cellwise.logs.files.source import LogSource, RawLog
+from cellwise.logs.vehicle.alignment import Series, aligned
+from cellwise.logs.vehicle.signal_choice import Signal, choose_signals
 
 _MAGIC = (b"MDF     ", b"UnFinMF ")
 _FRAMES = "CAN_DataFrame"
@@ -33,12 +33,12 @@ def _read(source: LogSource, known: Format) -> RawLog:
                 raise InputError(
                     f"no frame of {source.where} in the database '{source.options.dbc}'",
                     "the database of these frames",
-                    "Choose another DBC file, or leave --dbc away.",
+                    "Choose another DBC file, or omit --dbc.",
                 )
         elif signals and all(s.name.rpartition(".")[2].startswith("CAN_") for s in signals):
             raise InputError(
                 f"CAN frames only in {source.where}",
-                "the database that tells what is in them",
+                "the database that describes them",
                 "Give it with --dbc FILE.dbc.",
             )
         chosen, notices = choose_signals(signals, source.options.channels, source.where)
@@ -51,8 +51,8 @@ def _read(source: LogSource, known: Format) -> RawLog:
                 series[field] = Series(
                     np.asarray(read.timestamps, dtype=np.float64), unit.convert(values)
                 )
-    channels, told = aligned(series, source.where)
-    return RawLog(channels, (*notices, *told))
+    channels, noted = aligned(series, source.where)
+    return RawLog(channels, (*notices, *noted))
 
 
 def _signals(file: Any) -> list[Signal]:
@@ -75,7 +75,7 @@ ASAM_MDF = Format(
     name="asam-mdf",
     matches=lambda source: source.head.startswith(_MAGIC),
     channels=(
-        # Names are everybody's own: `choose_signals` goes by unit and words.
+        # Names differ by maker: `choose_signals` goes by unit and name.
         Channel("time_s", {"time_s": OWN}, required=True),
         Channel("current_A", {"current_A": OWN}, required=True),
         Channel("voltage_V", {"voltage_V": OWN}, required=True),

@@ -10,20 +10,20 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from cellwise.logs.columns import CLOCK, MILLI, OWN, TURNED_MILLI, Channel
-from cellwise.logs.csv_layout import has_names
-from cellwise.logs.csv_text import read_csv
-from cellwise.logs.extras import need
-from cellwise.logs.format import Format, library_at_work
-from cellwise.logs.named_arrays import channels_of
-from cellwise.logs.source import LogSource, RawLog
-from cellwise.logs.text_cells import words
+from cellwise.logs.files.columns import CLOCK, MILLI, OWN, TURNED_MILLI, Channel
+from cellwise.logs.files.csv_layout import has_names
+from cellwise.logs.files.csv_text import read_csv
+from cellwise.logs.files.extras import need
+from cellwise.logs.files.format import Format, library_at_work
+from cellwise.logs.files.named_arrays import channels_of
+from cellwise.logs.files.source import LogSource, RawLog
+from cellwise.logs.files.text_cells import labels
 
 _MAGIC = b"NEWARE"
 _ZIP = b"PK\x03\x04"
 _IN_ZIP = (b".ndc", b"VersionInfo.xml", b"TestInfo.xml", b"Step.xml")
 
-_STEP_TYPE = words(
+_STEP_TYPE = labels(
     **dict.fromkeys(
         ("CC_Chg", "CV_Chg", "CCCV_Chg", "CP_Chg", "CR_Chg", "CPCV_Chg", "Charge"), -1.0
     ),
@@ -115,19 +115,19 @@ def _read_stored(source: LogSource, known: Format) -> RawLog:
     with (
         _own_zlib(),
         tempfile.TemporaryDirectory() as folder,
-        warnings.catch_warnings(record=True) as told,
+        warnings.catch_warnings(record=True) as caught,
         library_at_work(source, kind),
     ):
         warnings.simplefilter("always")
         fastnda = need("fastnda", "a Neware file")
         path = source.path
-        if path.suffix.casefold() != suffix:  # the library tells them by their suffix
+        if path.suffix.casefold() != suffix:  # the library goes by their suffix
             path = Path(folder) / f"log{suffix}"
             path.symlink_to(source.path.resolve())
         frame: Any = fastnda.read(path)
         arrays = {name: frame[name].to_numpy() for name in frame.columns}
     raw = channels_of(arrays, source, known)
-    notices = tuple(str(warning.message).split(" If you can")[0] for warning in told)
+    notices = tuple(str(warning.message).split(" If you can")[0] for warning in caught)
     return RawLog(raw.channels, (*raw.notices, *notices))
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from cellwise.logs.columns import TIDY_CHANNELS
-from cellwise.logs.csv_text import read_csv
-from cellwise.logs.format import Format
-from cellwise.logs.parquet_file import is_parquet, read_parquet
+from cellwise.logs.files.columns import TIDY_CHANNELS
+from cellwise.logs.files.csv_text import read_csv
+from cellwise.logs.files.format import Format
+from cellwise.logs.files.parquet_file import is_parquet, read_parquet
 
 TIDY_PARQUET = Format(
     name="tidy-parquet",

@@ -7,17 +7,17 @@ from typing import IO, Any
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.columns import MILLI, OWN, Channel, Unit
-from cellwise.logs.extras import need
-from cellwise.logs.format import Format, cut_off, library_at_work
-from cellwise.logs.named_arrays import channels_of
-from cellwise.logs.source import LogSource, RawLog
+from cellwise.logs.files.columns import MILLI, OWN, Channel, Unit
+from cellwise.logs.files.extras import need
+from cellwise.logs.files.format import Format, cut_off, library_at_work
+from cellwise.logs.files.named_arrays import channels_of
+from cellwise.logs.files.source import LogSource, RawLog
 from cellwise.typing import FloatArray
 
 MAGIC = b"ULog\x01\x12\x35"
 TOPIC = "battery_status"
 _HEADER_BYTES = 3  # of a message; where one would begin, a file may end
-# What stands for "unknown", by the message's definition.
+# The code of "unknown", by the message's definition.
 UNKNOWN = {
     "voltage_v": (-1.0, 0.0),
     "current_a": (-1.0,),
@@ -76,15 +76,15 @@ class _Watched:
 
 def _choose(found: dict[int, Any], source: LogSource) -> tuple[int, list[str]]:
     """The battery that was asked for, else the first that is connected and measured."""
-    told = source.options.instance
-    if told is not None and told not in found:
+    stated = source.options.instance
+    if stated is not None and stated not in found:
         raise InputError(
-            f"no battery {told} in {source.where}, which has {', '.join(map(str, sorted(found)))}",
+            f"no battery {stated} in {source.where}, but {', '.join(map(str, sorted(found)))}",
             "the number of a battery that is there",
             "Choose one of them with --instance.",
         )
     live = [k for k in sorted(found) if _is_measured(found[k].data)]
-    chosen = told if told is not None else (live or sorted(found))[0]
+    chosen = stated if stated is not None else (live or sorted(found))[0]
     if len(found) == 1:
         return chosen, []
     typical = ", ".join(f"{k}: {_typical(found[k].data):.1f} V" for k in sorted(found))
@@ -103,7 +103,7 @@ def _typical(data: dict[str, Any]) -> float:
 
 
 def _without_unknown(name: str, values: Any) -> FloatArray:
-    """Values with what stands for "unknown" as NaN."""
+    """Values with the code of "unknown" as NaN."""
     array: FloatArray = np.asarray(values, dtype=np.float64)
     for mark in UNKNOWN.get(name, ()):
         array = np.where(np.isclose(array, mark), np.nan, array)

@@ -1,0 +1,1 @@
+"""Accuracy on measured cells, on logs that no identification has seen."""

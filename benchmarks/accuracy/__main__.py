@@ -1,0 +1,51 @@
+"""Accuracy on measured cells, on logs that no identification has seen, beside the targets.
+
+python -m benchmarks.accuracy [--only panasonic,cold,leaf,a123,embedded] [--json]
+"""
+
+from __future__ import annotations
+
+import sys
+
+from benchmarks.figures import Figure, Progress, missing
+from benchmarks.judged_run import judged_run
+from benchmarks.measured_data import HOW, data_folder
+
+PARTS = ("panasonic", "cold", "leaf", "a123", "embedded")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Judge the cells asked for and print them."""
+    return judged_run("Accuracy", __doc__, PARTS, measure, arguments)
+
+
+def measure(parts: list[str], say: Progress) -> list[Figure]:
+    """Figures of the cells, in order; a row that says so where the data are not there."""
+    from benchmarks.accuracy.a123 import a123_figures
+    from benchmarks.accuracy.cold import cold_figures
+    from benchmarks.accuracy.embedded import embedded_figures
+    from benchmarks.accuracy.leaf import leaf_figures
+    from benchmarks.accuracy.panasonic import panasonic_figures
+
+    measured = {
+        "panasonic": panasonic_figures,
+        "cold": cold_figures,
+        "leaf": leaf_figures,
+        "a123": a123_figures,
+    }
+    data = data_folder()
+    figures: list[Figure] = []
+    for part in parts:
+        if part == "embedded":
+            figures += embedded_figures(say)
+        elif data is None:
+            figures.append(
+                missing(f"{part}: measured cell", "not measured", "", f"no measured data: {HOW}")
+            )
+        else:
+            figures += measured[part](data, say)
+    return figures
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,122 @@
+"""Panasonic 18650PF at 25 degC: identified with and without drives, judged on other drives."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.accuracy.judging import POINTS_OFF, from_the_middle, judge_soc, voltage_rmse_mV
+from benchmarks.figures import Figure, Progress
+from benchmarks.measured_data import measured_log
+from cellwise import IdentifySettings, TestLogs, identify_cell
+from cellwise.cell.model import CellModel
+from cellwise.logs import CellLog
+
+CELL = "panasonic_18650pf"
+NOMINAL_AH = 2.9
+REFERENCE_AH = 2.997
+HELD_OUT = ("us06", "hwfta", "nn", "cycle_4")
+FROM_FULL = 1.0
+AFTER_S = 300.0
+
+
+def panasonic_figures(data: Path, say: Progress) -> list[Figure]:
+    """Both identifications, four held-out drives each."""
+
+    def log(name: str) -> CellLog:
+        return measured_log(data, f"{CELL}/{name}")
+
+    laboratory = {
+        "hppc": ((log("hppc_p25"), None),),
+        "ocv": (log("ocv_c20_p25"),),
+        "capacity": (log("cap_1c_p25_start_1"), log("cap_1c_p25_start_2")),
+    }
+    drives = tuple((log(f"drive_p25_cycle_{k}"), None) for k in (2, 3))
+    held_out = [log(f"drive_p25_{name}") for name in HELD_OUT]
+    settings = IdentifySettings(nominal_Ah=NOMINAL_AH, name="Panasonic 18650PF")
+    say("Panasonic: identified with two drives")
+    driven = identify_cell(TestLogs(**laboratory, drive=drives), settings)
+    say("Panasonic: identified on laboratory tests")
+    plain = identify_cell(TestLogs(**laboratory), settings)
+    group = "Panasonic 25 degC, laboratory tests + drives cycle 2, 3"
+    figures = _voltage(group, driven.model, held_out, each=18.0, mean=12.0)
+    figures += _soc(group, driven.model, held_out, after=0.6)
+    group = "Panasonic 25 degC, laboratory tests alone"
+    figures += _voltage(group, plain.model, held_out, each=25.0, mean=None)
+    return figures + _soc(group, plain.model, held_out, after=1.2)
+
+
+def _voltage(
+    group: str, model: CellModel, logs: list[CellLog], *, each: float, mean: float | None
+) -> list[Figure]:
+    values = [voltage_rmse_mV(model, log, FROM_FULL) for log in logs]
+    figures = [
+        Figure(group, f"voltage RMSE above 10 % SOC, {log.name}", value, "mV", target=each)
+        for log, value in zip(logs, values, strict=True)
+    ]
+    average = float(np.mean(values))
+    return [
+        *figures,
+        Figure(group, "voltage RMSE above 10 % SOC, mean", average, "mV", target=mean),
+    ]
+
+
+def _soc(group: str, model: CellModel, logs: list[CellLog], *, after: float) -> list[Figure]:
+    """From 30 points wrong: at full, where the target is set, and in the middle."""
+    figures = []
+    for log in logs:
+        found = judge_soc(
+            model,
+            log,
+            start=FROM_FULL - POINTS_OFF,
+            true_start=FROM_FULL,
+            reference_Ah=REFERENCE_AH,
+            after_s=AFTER_S,
+        )
+        figures += [
+            Figure(
+                group,
+                f"EKF from 70 % at full: time to within 2 %, {log.name}",
+                found.convergence_s,
+                "s",
+                target=AFTER_S,
+                note="" if found.convergence_s is not None else "never for ten minutes",
+            ),
+            Figure(
+                group,
+                f"EKF from 70 % at full: SOC RMSE after 300 s, {log.name}",
+                100 * found.late_rmse,
+                "%",
+                target=after,
+                note=f"2-sigma band covers {100 * found.coverage:.0f} % of rows",
+            ),
+        ]
+        figures.append(_from_middle(group, model, log))
+    return figures
+
+
+def _from_middle(group: str, model: CellModel, log: CellLog) -> Figure:
+    part, true_soc = from_the_middle(log, FROM_FULL, REFERENCE_AH)
+    found = [
+        judge_soc(
+            model,
+            part,
+            start=true_soc + off,
+            true_start=true_soc,
+            reference_Ah=REFERENCE_AH,
+            after_s=AFTER_S,
+        )
+        for off in (-POINTS_OFF, POINTS_OFF)
+    ]
+    worst = max(found, key=lambda t: t.late_rmse)
+    times = ", ".join(
+        "never" if t.convergence_s is None else f"{t.convergence_s:.0f} s" for t in found
+    )
+    return Figure(
+        group,
+        f"EKF 30 points off at 60 %: SOC RMSE after 300 s, {log.name}",
+        100 * worst.late_rmse,
+        "%",
+        note=f"the worse of 30 % and 90 %; within 2 % after {times}",
+    )

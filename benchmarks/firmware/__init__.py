@@ -1,0 +1,1 @@
+"""Cost, agreement and endurance of the C99 twin."""

@@ -1,0 +1,129 @@
+"""What a fixed step costs: instructions on emulated cores, nanoseconds on this machine."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from benchmarks.example_cell import SAMPLES, START_SOC, load_log, three_branches, two_branches
+from benchmarks.figures import Figure, Progress, clock, missing
+from cellwise.cell.model import CellModel
+from cellwise.errors import InputError
+from cellwise.estimate.fixed.fixed_step import Stepper, numba_stepper, samples_of, start_state
+from cellwise.estimate.fixed.tables import FixedStepTables, fixed_step_tables
+from cellwise.export.cross import Cost, cores_here, run_on_target
+from cellwise.export.stress import WorstCase, worst_case
+
+DT_S = 1.0
+POINTS = 101
+STEPS = 5000
+EVERY = 10
+START_STD = 0.01
+HOST_NS = 100.0
+# Instructions, code [B], stack [B], state [B] that three states with --lean are held to.
+LIMITS = {"cortex-m4f": (520.0, 2048.0, 96.0, 64.0), "cortex-m0plus": (16_500.0, None, None, 64.0)}
+DESIGN = {
+    "cortex-m4f": "prototype: 457 to 502 instructions, 1.75 kB at -O2, stack 80 B, state 48 B",
+    "cortex-m0plus": "prototype: 15,500 instructions",
+}
+
+
+def configurations() -> dict[str, tuple[CellModel, FixedStepTables]]:
+    """What is compiled in, by name."""
+    two, three = two_branches(), three_branches()
+    return {
+        "3 states, --lean": (two, _tables(two, lean=True)),
+        "4 states, --lean": (three, _tables(three, lean=True)),
+        "3 states": (two, _tables(two)),
+        "4 states": (three, _tables(three)),
+        "5 states, with current offset": (three, _tables(three, offset_std_A=0.1)),
+    }
+
+
+def _tables(model: CellModel, *, lean: bool = False, offset_std_A: float = 0.0) -> FixedStepTables:
+    return fixed_step_tables(
+        model, DT_S, points=POINTS, offset_std_A=offset_std_A, wide=not lean, watch=not lean
+    )
+
+
+def target_figures(say: Progress) -> list[Figure]:
+    """Every configuration on every core; targets where the design sets them."""
+    if not cores_here():
+        return [missing("Firmware", "emulated cores", "", "no cross tools: make firmware")]
+    figures = []
+    log = load_log(STEPS)
+    for core in cores_here():
+        for name, (model, tables) in configurations().items():
+            say(f"{core}, {name}")
+            records = samples_of(model, log, DT_S).records
+            cost = run_on_target(
+                tables, core, records, START_SOC, START_STD**2, measure_every=EVERY
+            ).cost
+            worst = worst_case(model, tables, core)
+            held = LIMITS.get(core) if name == "3 states, --lean" else None
+            figures += _cost(f"{core}: {name}", cost, worst, held, DESIGN.get(core, ""))
+    return figures
+
+
+def _cost(
+    group: str,
+    cost: Cost,
+    worst: WorstCase,
+    held: tuple[float | None, ...] | None,
+    design: str,
+) -> list[Figure]:
+    instructions, text, stack, state = held or (None, None, None, None)
+    note = f"{cost.measured} steps counted in QEMU; instructions, not cycles"
+    return [
+        Figure(group, "mean of a drive", cost.instructions_mean, "instructions", note=note),
+        Figure(group, "most on it", cost.instructions_most, "instructions", target=instructions,
+               note=design if held else ""),
+        Figure(group, "most under stress", worst.stress, "instructions", target=instructions,
+               note="any bits, every fault"),
+        Figure(group, "after a lock-out", worst.reset, "instructions"),
+        Figure(group, "code", float(cost.text_bytes), "B", target=text, note="-Os"),
+        Figure(group, "stack", float(max(cost.stack_bytes or 0, worst.stack_bytes)), "B",
+               target=stack),
+        Figure(group, "state", float(cost.state_bytes), "B", target=state),
+        Figure(group, "static RAM", float(cost.ram_bytes), "B", target=0.0 if held else None),
+        Figure(group, f"tables of {POINTS} points", float(cost.model_bytes), "B"),
+    ]  # fmt: skip
+
+
+def host_figures(say: Progress) -> list[Figure]:
+    """Nanoseconds per step of numba and of the C that this machine's compiler makes."""
+    group = f"Fixed step on this machine, {SAMPLES:,} samples at 1 Hz, start 30 points wrong"
+    log = load_log()
+    figures = []
+    for name, (model, tables) in configurations().items():
+        records = samples_of(model, log, DT_S).records
+        for who, make in (("numba", numba_stepper), ("C, -O2", _host)):
+            say(f"{who}, {name}")
+            try:
+                stepper = make(tables)
+            except InputError as error:
+                figures.append(missing(group, f"{who}, {name}", "ns/step", str(error)))
+                continue
+            start = start_state(stepper, START_SOC - 0.3, 0.15)
+
+            def work(stepper: Stepper = stepper, start: np.ndarray = start) -> None:
+                stepper.rows(start.copy(), records)  # noqa: B023
+
+            timing = clock(work)
+            figures.append(
+                Figure(
+                    group,
+                    f"{who}, {name}",
+                    1e9 * timing.best / SAMPLES,
+                    "ns/step",
+                    target=HOST_NS,
+                    note=f"best of {timing.runs}, median {1e9 * timing.median / SAMPLES:.0f}",
+                )
+            )
+    return figures
+
+
+def _host(tables: FixedStepTables) -> Stepper:
+    from cellwise.export.host_library import HostLibrary
+
+    library = HostLibrary(tables)
+    return Stepper(tables, library.init, library.rows)

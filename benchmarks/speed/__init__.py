@@ -1,0 +1,1 @@
+"""Speed of simulation, filters and identification, with references in the same run."""

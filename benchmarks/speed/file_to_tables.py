@@ -1,0 +1,167 @@
+"""From a file of 1.4 million rows to tables: wall clock on two cores, and what came out."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.figures import Figure, Progress
+from benchmarks.measured_data import REPOSITORY
+from benchmarks.speed.synthetic_truth import (
+    CAPACITY_AH,
+    LEVELS,
+    PARAMETERS,
+    level_of,
+    relative_error,
+    synthetic_hppc,
+)
+from cellwise.identify.identification import Identification
+from cellwise.identify.pipeline import IdentifySettings, TestLogs, identify_cell
+from cellwise.logs import write_log
+
+TARGET_S = 5.0
+TARGET_PERCENT = 1.0
+CORES = 2
+
+
+def file_figures(say: Progress) -> list[Figure]:
+    """Times by format, cold and warm, then the errors by level."""
+    say("synthetic HPPC test at 135 Hz")
+    made = synthetic_hppc()
+    with tempfile.TemporaryDirectory(prefix="cellwise-bench-") as folder:
+        figures = _times(made, Path(folder), say)
+    say("errors by level")
+    settings = IdentifySettings(nominal_Ah=CAPACITY_AH, capacity_choice="nominal", refine=False)
+    plain = identify_cell(TestLogs(hppc=((made.log, None),)), settings)
+    return figures + _errors(plain, made.cell)
+
+
+def _times(made: Any, folder: Path, say: Progress) -> list[Figure]:
+    group = f"file to tables, {len(made.log):,} rows, {CORES} cores"
+    figures: list[Figure] = []
+    for form in ("parquet", "csv"):
+        file = folder / f"hppc.{form}"
+        write_log(made.log, file)
+        cache = folder / f"cache-{form}"
+        megabytes = file.stat().st_size / 1e6
+        for when in ("cold", "warm"):
+            say(f"{form}, {when}")
+            run = _process(file, cache)
+            first = run["runs"][0] if when == "cold" else _quickest(run["runs"])
+            how = (
+                "first run ever: everything is compiled"
+                if when == "cold"
+                else f"process that runs on; its first run took {run['runs'][0]['tables_s']:.1f}"
+            )
+            whole = f"with refinement and check {first['model_s']:.1f} s"
+            start = f"import {run['import_s']:.1f} s more"
+            figures.append(
+                Figure(
+                    group,
+                    f"{form} ({megabytes:.0f} MB), {when}",
+                    first["tables_s"],
+                    "s",
+                    target=TARGET_S if when == "warm" else None,
+                    note=f"reading {first['read_s']:.2f} s; {whole}; {start}; {how}",
+                )
+            )
+            if when == "warm":
+                figures.append(
+                    Figure(
+                        group,
+                        f"{form}, warm, refined model",
+                        first["model_s"],
+                        "s",
+                        target=TARGET_S,
+                        note=f"RMSE {1e3 * first['rmse_V']:.2f} mV with 1 mV of noise",
+                    )
+                )
+    return figures
+
+
+def _quickest(runs: list[dict[str, Any]]) -> dict[str, Any]:
+    return min(runs, key=lambda r: r["model_s"])
+
+
+def _process(file: Path, cache: Path) -> dict[str, Any]:
+    """A fresh Python on two cores, one BLAS thread; its compiled code is kept in ``cache``."""
+    environment = {
+        **os.environ,
+        "NUMBA_CACHE_DIR": str(cache),
+        "PYTHONPATH": os.pathsep.join([str(REPOSITORY / "src"), os.environ.get("PYTHONPATH", "")]),
+    }
+    script = Path(__file__).with_name("file_run.py")
+    done = subprocess.run(
+        [sys.executable, str(script), str(file), str(CAPACITY_AH)],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+        preexec_fn=_two_cores if hasattr(os, "sched_setaffinity") else None,
+    )
+    if done.returncode != 0:
+        raise RuntimeError(f"{script.name} failed: {done.stderr.strip().splitlines()[-1]}")
+    answer: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return answer
+
+
+def _two_cores() -> None:
+    usable = sorted(os.sched_getaffinity(0))
+    os.sched_setaffinity(0, set(usable[:CORES]))
+
+
+def _errors(found: Identification, cell: Any) -> list[Figure]:
+    """Median error of the pulses' parameters at every level, and of the table there."""
+    group = "varpro against the truth, median error over the healthy pulses of a level"
+    fits = [f for t in found.temperatures for s in t.pulse_sets for f in s.fits]
+    level = level_of(np.array([f.soc for f in fits]))
+    figures = []
+    for at in LEVELS:
+        here = [f for f, x in zip(fits, level, strict=True) if x == at]
+        if not here:
+            figures.append(
+                Figure(
+                    group,
+                    f"SOC {at:.2f}",
+                    None,
+                    "%",
+                    target=TARGET_PERCENT,
+                    note="no healthy pulse",
+                )
+            )
+            continue
+        errors = {
+            name: 100.0
+            * float(
+                np.median([abs(relative_error(cell, name, f.soc, getattr(f, name))) for f in here])
+            )
+            for name in PARAMETERS
+        }
+        said = ", ".join(f"{n.split('_')[0]} {e:.2f}" for n, e in errors.items())
+        table = max(
+            100.0
+            * abs(
+                relative_error(
+                    cell, n, at, float(np.interp(at, found.model.soc, getattr(found.model, n)[0]))
+                )
+            )
+            for n in PARAMETERS
+        )
+        figures.append(
+            Figure(
+                group,
+                f"SOC {at:.2f}, the worst parameter",
+                max(errors.values()),
+                "%",
+                target=TARGET_PERCENT,
+                note=f"{said}; {len(here)} pulses; smooth table at most {table:.2f} off",
+            )
+        )
+    return figures

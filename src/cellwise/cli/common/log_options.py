@@ -1,0 +1,105 @@
+"""What every command that takes a LOG lets a user say about it."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from cellwise.cli.common import printing
+from cellwise.errors import InputError
+from cellwise.logs import CellLog
+from cellwise.logs.files.options import ReadOptions
+
+
+def add_log_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that say how a log is to be read."""
+    group = add_pack_options(parser, "; auto: as the log states")
+    group.add_argument(
+        "--partial",
+        action="store_true",
+        help="read a recording that was cut off, as far as it goes",
+    )
+
+
+def add_pack_options(parser: argparse.ArgumentParser, series: str = "") -> argparse._ArgumentGroup:
+    """Add the options of a log and a stream alike: sign, pack, channels, database."""
+    printing.add_sign(parser)
+    group = parser.add_argument_group("packs and native logs")
+    group.add_argument(
+        "--series",
+        default="1",
+        metavar="N",
+        help=f"cells in series, to read a pack as its mean cell{series} [1]",
+    )
+    group.add_argument("--parallel", default="1", metavar="N", help="cells in parallel [1]")
+    group.add_argument(
+        "--channel",
+        action="append",
+        default=[],
+        metavar="NAME=COLUMN",
+        help="which column or signal is which, e.g. current_mA=I_pack; NAME gives the unit",
+    )
+    group.add_argument("--instance", metavar="K", help="which battery of several, from 0")
+    group.add_argument("--dbc", metavar="FILE", help="database of the frames of a CAN log")
+    return group
+
+
+def read(path: str, arguments: argparse.Namespace) -> CellLog:
+    """Read a log as the arguments say.
+
+    Raises
+    ------
+    InputError        options that are no numbers or no pairs; whatever `read_log` refuses
+    """
+    return printing.read(path, **arguments_of_read(arguments))
+
+
+def arguments_of_read(arguments: argparse.Namespace) -> dict[str, Any]:
+    """The arguments as those of `read_log`.
+
+    Raises
+    ------
+    InputError        options that are no numbers or no pairs
+    """
+    return {"sign": arguments.sign, **_stated(arguments), "partial": arguments.partial}
+
+
+def read_options(arguments: argparse.Namespace) -> ReadOptions:
+    """What the arguments say of a stream.
+
+    Raises
+    ------
+    InputError        options that are no numbers or no pairs; what `ReadOptions` refuses
+    """
+    stated = _stated(arguments)
+    if stated["dbc"] is not None:
+        stated["dbc"] = Path(stated["dbc"])
+    return ReadOptions(**stated)
+
+
+def _stated(arguments: argparse.Namespace) -> dict[str, Any]:
+    instance = arguments.instance
+    return {
+        "series": "auto" if arguments.series == "auto" else _count("--series", arguments.series),
+        "parallel": _count("--parallel", arguments.parallel),
+        "channels": dict(_pair(text) for text in arguments.channel),
+        "instance": None if instance is None else _count("--instance", instance),
+        "dbc": arguments.dbc,
+    }
+
+
+def _count(option: str, text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise InputError(f"{option} {text}", "a whole number", "Correct it.") from None
+
+
+def _pair(text: str) -> tuple[str, str]:
+    name, equals, column = text.partition("=")
+    if not (equals and name.strip() and column.strip()):
+        raise InputError(
+            f"--channel {text}", "NAME=COLUMN", "Write e.g. --channel current_mA=I_pack."
+        )
+    return name.strip(), column.strip()

@@ -1,0 +1,99 @@
+"""Options of every command that has a page: the page, and its pictures as files."""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from cellwise.cli.common import printing
+from cellwise.errors import InputError
+
+if TYPE_CHECKING:
+    from cellwise.report.page.picture import FigureFiles
+
+FORMATS = ("png", "svg", "pdf")
+
+
+class PagePlaces(NamedTuple):
+    """Where a page goes, and its pictures if they were asked for."""
+
+    page: Path
+    figures: FigureFiles | None
+
+
+def add_page_options(parser: argparse.ArgumentParser) -> None:
+    """Add ``--report``, ``--figures`` and ``--figure-format``."""
+    parser.add_argument("--report", metavar="F.html", help="page with pictures")
+    add_figure_options(parser)
+
+
+def add_figure_options(parser: argparse.ArgumentParser) -> None:
+    """Add ``--figures`` and ``--figure-format``, of a command that writes its page anyway."""
+    parser.add_argument("--figures", metavar="DIR", help="folder for the pictures as files")
+    parser.add_argument(
+        "--figure-format",
+        action="append",
+        choices=FORMATS,
+        metavar="K",
+        help="png, svg or pdf; several [png]",
+    )
+
+
+def check_page_options(arguments: argparse.Namespace) -> None:
+    """Refuse what could only fail after the work is done.
+
+    Raises
+    ------
+    InputError        no place for page or pictures; nothing to draw with; a format without folder
+    """
+    report = getattr(arguments, "report", None)
+    printing.check_places(report)
+    if arguments.figure_format and not arguments.figures:
+        raise InputError(
+            "--figure-format without --figures", "a folder for the pictures", "Add --figures DIR."
+        )
+    if arguments.figures and Path(arguments.figures).is_file():
+        raise InputError(f"a file at '{arguments.figures}'", "a folder for pictures", "Rename it.")
+    if report or arguments.figures:
+        from cellwise.report.page.style import drawing
+
+        with drawing():  # says so now if pictures cannot be drawn
+            pass
+
+
+def figure_files(arguments: argparse.Namespace) -> FigureFiles | None:
+    """Folder and formats of the pictures, None where they were not asked for."""
+    if not arguments.figures:
+        return None
+    from cellwise.report.page.picture import FigureFiles
+
+    kinds = dict.fromkeys(arguments.figure_format or ("png",))
+    return FigureFiles(Path(arguments.figures), tuple(f".{kind}" for kind in kinds))
+
+
+@contextmanager
+def page_places(arguments: argparse.Namespace) -> Iterator[PagePlaces | None]:
+    """Where the page and its pictures go; None where neither is wanted.
+
+    Pictures without a page: the page goes to a folder that is dropped.
+    """
+    figures = figure_files(arguments)
+    if arguments.report:
+        yield PagePlaces(Path(arguments.report), figures)
+    elif figures is not None:
+        with tempfile.TemporaryDirectory() as folder:
+            yield PagePlaces(Path(folder) / "page.html", figures)
+    else:
+        yield None
+
+
+def say_pages(arguments: argparse.Namespace) -> None:
+    """Name for people what was written."""
+    if getattr(arguments, "report", None):
+        printing.say(f"page to open: {arguments.report}")
+    if arguments.figures:
+        printing.say(f"pictures in {arguments.figures}")

@@ -1,0 +1,160 @@
+"""What commands share: reading logs with a progress bar, tables for people, one JSON object."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from cellwise.errors import InputError
+from cellwise.logs import CellLog, read_log
+
+SIGNS = ("auto", "charge-positive", "discharge-positive")
+BIG_FILE = 20_000_000
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """Add ``--json``."""
+    parser.add_argument("--json", action="store_true", help="print one JSON object and no more")
+
+
+def add_sign(parser: argparse.ArgumentParser) -> None:
+    """Add ``--sign``."""
+    parser.add_argument(
+        "--sign", choices=SIGNS, default="auto", help="sign of the current in the file [auto]"
+    )
+
+
+def read(path: str, sign: str = "auto", **options: Any) -> CellLog:
+    """Read a log, with a bar for a big file; the options are those of `read_log`."""
+    place = Path(path)
+    if not place.is_file() or place.stat().st_size < BIG_FILE:
+        return read_log(place, sign=sign, **options)
+    with bar() as progress:
+        task = progress.add_task(f"reading {place.name}", total=None)
+        return read_log(
+            place,
+            sign=sign,
+            progress=lambda done, total: progress.update(task, completed=done, total=total),
+            **options,
+        )
+
+
+def split_temperature(text: str) -> tuple[str, float | None]:
+    """``LOG@TEMP`` as a path and a temperature [degC]; a file whose name has an @ stays whole.
+
+    Raises
+    ------
+    InputError        what stands behind the @ is not a number
+    """
+    if "@" not in text or Path(text).exists():
+        return text, None
+    path, _, tail = text.rpartition("@")
+    try:
+        temperature = float(tail.removesuffix("C"))
+    except ValueError:
+        raise InputError(
+            f"'{text}'", "LOG or LOG@TEMPERATURE in degC", "Write e.g. hppc.csv@-10."
+        ) from None
+    check_temperature(temperature)
+    return path, temperature
+
+
+def check_temperature(temperature_C: float | None) -> None:
+    """Refuse what is no temperature of a cell in degC; None is not stated."""
+    if temperature_C is not None and not -80.0 <= temperature_C <= 120.0:
+        raise InputError(
+            f"a temperature of {temperature_C:g} degC", "degrees Celsius", "Not in kelvin."
+        )
+
+
+def check_places(*paths: str | None) -> None:
+    """Refuse output files without a folder to stand in, before the work is done.
+
+    Raises
+    ------
+    InputError        no such folder, or a folder where the file would be
+    """
+    for path in paths:
+        if path is None:
+            continue
+        place = Path(path)
+        if place.is_dir():
+            raise InputError(f"a folder at '{place}'", "a file to write", "Give a file name.")
+        folder = place.resolve().parent
+        if not folder.is_dir():
+            raise InputError(
+                f"no folder '{folder}' to write '{place.name}' into",
+                "an existing folder",
+                "Create it first.",
+            )
+
+
+@contextmanager
+def bar() -> Iterator[Progress]:
+    """A progress bar on standard error that leaves nothing behind; none without a terminal."""
+    console = Console(stderr=True)
+    with Progress(
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TimeElapsedColumn(),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    ) as progress:
+        yield progress
+
+
+def print_json(data: Mapping[str, Any]) -> None:
+    """One JSON object on standard output; what is not a number becomes null."""
+    print(json.dumps(clean(data), allow_nan=False))
+
+
+def clean(value: Any) -> Any:
+    """JSON values only: numpy scalars to Python's, NaN and infinities to null."""
+    if isinstance(value, Mapping):
+        return {str(k): clean(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [clean(v) for v in value]
+    if hasattr(value, "tolist"):
+        return clean(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """A table for people; numbers to the right."""
+    shown = Table(title=title, title_justify="left", header_style="bold")
+    for k, column in enumerate(columns):
+        shown.add_column(column, justify="left" if k == 0 else "right")
+    for row in rows:
+        shown.add_row(*row)
+    console = Console()
+    if console.width < 100 and not console.is_terminal:
+        console = Console(width=140)
+    console.print(shown)
+
+
+def say(text: str) -> None:
+    """A line for people."""
+    Console(soft_wrap=True, highlight=False, markup=False).print(text)
+
+
+def millivolt(value: float | None) -> str:
+    """A voltage in millivolts, for a table."""
+    return "-" if value is None or not math.isfinite(value) else f"{1e3 * value:.1f}"
+
+
+def percent(value: float | None, digits: int = 2) -> str:
+    """A fraction in per cent, for a table."""
+    return "-" if value is None or not math.isfinite(value) else f"{100 * value:.{digits}f}"

@@ -1,0 +1,226 @@
+"""The causes that cellwise knows: meaning, parameters, signature, what they are confused with."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+from cellwise.diagnose.causes.coordinates import OCV_NAMES
+
+Kind = Literal["measurement", "start", "cell"]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of a cause.
+
+    ``coordinate`` is how the fit moves it (:mod:`cellwise.diagnose.causes.coordinates`),
+    ``wide`` the prior standard deviation of a fault in that coordinate, in units of
+    ``per``: 1, the capacity in Ah ("capacity"), or the interval of the log ("interval").
+    """
+
+    name: str
+    unit: str
+    neutral: float
+    bounds: tuple[float, float]
+    coordinate: str
+    wide: float
+    per: Literal["one", "capacity"] = "one"
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A reason for a simulation to be wrong.
+
+    ``kind`` says what is corrected: the log ("measurement"), where it starts ("start") or the model
+    ("cell"). ``shape`` is a coordinate that means nothing while the effect is neutral, with the
+    values from which the search starts; ``beginnings`` are other points to start from, where a
+    fit that starts at neutral may stop half way.
+    """
+
+    name: str
+    kind: Kind
+    meaning: str
+    term: str
+    signature: str
+    parameters: tuple[Parameter, ...]
+    confused_with: tuple[str, ...]
+    shape: tuple[str, tuple[float, ...]] | None = None
+    beginnings: tuple[dict[str, float], ...] = ()
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the coordinates that are estimated for it."""
+        return tuple(p.coordinate for p in self.parameters)
+
+
+CAUSES: dict[str, Cause] = {
+    c.name: c
+    for c in (
+        Cause(
+            "current_offset",
+            "measurement",
+            "The current sensor adds a constant to the true current.",
+            "I = (I_log - offset_A) / gain",
+            "SOC drifts with time, also at rest; a small constant drop across the resistances.",
+            (Parameter("offset_A", "A", 0.0, (-1e4, 1e4), "offset_A", 0.1, "capacity"),),
+            ("self_discharge", "capacity", "current_gain"),
+        ),
+        Cause(
+            "current_gain",
+            "measurement",
+            "The current sensor multiplies the true current by a factor.",
+            "I = (I_log - offset_A) / gain",
+            "Drops and SOC drift are wrong by the same share.",
+            (Parameter("gain", "1", 1.0, (0.5, 2.0), "ln_gain", 0.05),),
+            ("capacity", "resistance_scale"),
+        ),
+        Cause(
+            "voltage_offset",
+            "measurement",
+            "The voltage sensor adds a constant.",
+            "v_log = v + offset_V",
+            "The same error at any current, SOC and time.",
+            (Parameter("offset_V", "V", 0.0, (-1.0, 1.0), "offset_V", 0.03),),
+            ("ocv_shift", "initial_soc"),
+        ),
+        Cause(
+            "time_skew",
+            "measurement",
+            "The voltage is logged later than the current (positive) or earlier.",
+            "I(t) -> I(t - skew_s)",
+            "Spikes at every edge of the current that change sign with it, nothing between.",
+            (Parameter("skew_s", "s", 0.0, (-60.0, 60.0), "skew_s", 1.0),),
+            ("resistance_scale",),
+            # Edges that are seconds apart do not pull at each other.
+            beginnings=tuple(
+                {"skew_s": x} for x in (0.0, 0.4, -0.4, 1.2, -1.2, 2.2, -2.2, 3.5, 5.0)
+            ),
+        ),
+        Cause(
+            "initial_soc",
+            "start",
+            "The log does not start at the stated SOC.",
+            "soc(0) = soc0",
+            "The OCV of another SOC from the first row on: a persistent shift.",
+            (Parameter("soc0", "1", 0.0, (0.0, 1.0), "soc0", 0.25),),
+            ("voltage_offset", "ocv_shift", "capacity"),
+        ),
+        Cause(
+            "capacity",
+            "cell",
+            "The cell holds more or less charge than the model.",
+            "soc' = -I / (3600 capacity_Ah)",
+            "SOC error grows with the charge that has passed, ohmic drops stay right.",
+            (Parameter("capacity_Ah", "Ah", 0.0, (0.0, 1e5), "ln_capacity", 0.2),),
+            ("current_gain", "current_offset", "ocv_shift"),
+        ),
+        Cause(
+            "resistance_scale",
+            "cell",
+            "Every resistance is larger or smaller by one factor (age, temperature).",
+            "R -> scale R",
+            "Error in proportion to the drop, at every SOC.",
+            (Parameter("scale", "1", 1.0, (0.1, 10.0), "ln_scale", 0.5),),
+            ("current_gain", "temperature_dependence", "rate_dependence", "time_skew"),
+        ),
+        Cause(
+            "ocv_shift",
+            "cell",
+            "The OCV curve has another shape (age, another batch).",
+            "OCV(soc) -> OCV(soc) + shift(soc), linear between knots",
+            "Error that depends on SOC and not on current or time.",
+            tuple(
+                Parameter(f"shift_{round(1000 * k / 8):04d}_V", "V", 0.0, (-0.5, 0.5), name, 0.03)
+                for k, name in enumerate(OCV_NAMES)
+            ),
+            ("voltage_offset", "capacity", "initial_soc", "hysteresis"),
+        ),
+        Cause(
+            "slow_diffusion",
+            "cell",
+            "A slow polarisation that the two branches do not have.",
+            "- V3, V3' = (r3_ohm I - V3) / tau3_s",
+            "Error that follows the mean current of the last minutes to hours and decays in rests.",
+            (
+                Parameter("r3_ohm", "ohm", 0.0, (0.0, 100.0), "r3", 1.0),
+                Parameter("tau3_s", "s", 600.0, (5.0, 1e5), "ln_tau3", 1.5),
+            ),
+            ("hysteresis", "resistance_scale", "current_offset"),
+            ("ln_tau3", (30.0, 100.0, 300.0, 1000.0, 3000.0, 10000.0)),
+        ),
+        Cause(
+            "hysteresis",
+            "cell",
+            "The OCV depends on whether the cell was charged or discharged into its SOC.",
+            "+ m_V h, h' = -gamma |I| / (3600 Q) (h + sgn I)",
+            "Error that turns with the direction of charge and does not decay in rests.",
+            (
+                Parameter("m_V", "V", 0.0, (-0.3, 0.3), "m_V", 0.02),
+                Parameter("gamma", "1", 30.0, (0.5, 5000.0), "ln_gamma", 1.5),
+            ),
+            ("slow_diffusion", "charge_asymmetry", "ocv_shift"),
+            ("ln_gamma", (5.0, 20.0, 80.0, 300.0)),
+        ),
+        Cause(
+            "temperature_dependence",
+            "cell",
+            "Resistances change with temperature more, or less, than the model says.",
+            "R -> R exp(activation_K (1/T - 1/T_ref))",
+            "Error in proportion to the drop, and following the temperature.",
+            (Parameter("activation_K", "K", 0.0, (-2000.0, 15000.0), "activation_K", 3000.0),),
+            ("resistance_scale", "self_heating"),
+        ),
+        Cause(
+            "rate_dependence",
+            "cell",
+            "Resistances fall (or rise) with the size of the current.",
+            "R -> R / (1 + rate_h |I| / Q), for R0, R1, R2",
+            "The drop is too large at large currents and too small at small ones, or the reverse.",
+            (Parameter("rate_h", "h", 0.0, (-0.05, 10.0), "rate_h", 0.2),),
+            ("resistance_scale", "charge_asymmetry"),
+        ),
+        Cause(
+            "charge_asymmetry",
+            "cell",
+            "Resistances on charge differ from those on discharge.",
+            "R -> charge_scale R where I < 0",
+            "Error in proportion to the drop on charge alone.",
+            (Parameter("charge_scale", "1", 1.0, (0.1, 10.0), "ln_charge_scale", 0.5),),
+            ("hysteresis", "resistance_scale", "rate_dependence"),
+        ),
+        Cause(
+            "self_heating",
+            "cell",
+            "The cell is warmer inside than the temperature that was logged.",
+            "T = T_log + heat, heat' = (rth_K_per_W P - heat) / thermal_s",
+            "The drop shrinks after minutes of load and comes back after a rest.",
+            (
+                Parameter("rth_K_per_W", "K/W", 0.0, (0.0, 200.0), "rth_K_per_W", 10.0),
+                Parameter("thermal_s", "s", 600.0, (10.0, 3e4), "ln_thermal_s", 1.0),
+            ),
+            ("temperature_dependence", "resistance_scale", "rate_dependence"),
+            ("ln_thermal_s", (100.0, 300.0, 1000.0, 3000.0)),
+        ),
+        Cause(
+            "self_discharge",
+            "cell",
+            "Charge is lost inside the cell.",
+            "soc' = -(I + leak_A) / (3600 Q)",
+            "SOC falls with time, also at rest; no drop goes with it.",
+            (Parameter("leak_A", "A", 0.0, (0.0, 1e3), "leak_A", 0.05, "capacity"),),
+            ("current_offset", "capacity"),
+        ),
+    )
+}
+
+
+def kept_coordinates(causes: Iterable[Cause]) -> set[str]:
+    """Coordinates that the causes move, and the activation that self-heating needs."""
+    kept = set()
+    for c in causes:
+        kept |= set(c.coordinates)
+        if c.name == "self_heating":
+            kept.add("activation_K")
+    return kept

@@ -1,0 +1,264 @@
+"""The coordinates in which a model and a log may be off, and how the kernels see each of them.
+
+Every coordinate is zero where the model and the log are as stated. Positive quantities move on a
+logarithm, so that a step of 0.1 is ten per cent of whatever the value is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from cellwise.cell.effects import Hysteresis, SlowDiffusion
+from cellwise.cell.model import CellModel
+from cellwise.cell.point_kernels import OCV, R0, R1, R2, R3, TAU1, TAU2, TAU3, CellScalars, M
+from cellwise.diagnose.causes import sensitivity_kernels as kernel
+from cellwise.typing import FloatArray, IntArray
+
+OCV_KNOTS = 9
+R_KNOTS = 5
+
+# Where the shape of an effect starts when the model has none of it.
+START_TAU3_S = 600.0
+START_GAMMA = 30.0
+START_HEATING_S = 600.0
+
+OCV_NAMES = tuple(f"ocv_{k}" for k in range(OCV_KNOTS))
+R_NAMES = tuple(f"ln_r_{k}" for k in range(R_KNOTS))
+SHARED = (
+    "offset_A",
+    "ln_gain",
+    "offset_V",
+    "skew_s",
+    "ln_capacity",
+    "ln_scale",
+    *OCV_NAMES,
+    *R_NAMES,
+    "ln_r0",
+    "ln_r1",
+    "ln_r2",
+    "ln_tau1",
+    "ln_tau2",
+    "r3",
+    "ln_tau3",
+    "m_V",
+    "ln_gamma",
+    "activation_K",
+    "rate_h",
+    "ln_charge_scale",
+    "leak_A",
+    "rth_K_per_W",
+    "ln_thermal_s",
+)
+# Where each enters: the current, the table or the scalars of the cell.
+CURRENT_NAMES = ("offset_A", "ln_gain", "skew_s")
+
+
+class KernelInputs(NamedTuple):
+    """A point in these coordinates as the kernels take it."""
+
+    table: FloatArray
+    grid: FloatArray
+    scalars: CellScalars
+    added_V: float
+    offset_A: float
+    gain: float
+    skew_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class Coordinates:
+    """Coordinates about one model.
+
+    ``r3`` is the resistance of the slow branch over the median R0 where the model has no such
+    branch, and the logarithm of a factor where it has one; ``ln_tau3``, ``ln_gamma`` and
+    ``ln_thermal_s`` are about the model's values or the START values above.
+    """
+
+    model: CellModel
+    shapes: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        table, grid, scalars = self.model.parameters()
+        slow = self.model.effect(SlowDiffusion)
+        object.__setattr__(self, "has_slow", bool(np.any(slow.r3_ohm)))
+        object.__setattr__(self, "has_hysteresis", bool(np.any(self.model.effect(Hysteresis).m_V)))
+        object.__setattr__(self, "_table", table)
+        object.__setattr__(self, "_grid", grid)
+        object.__setattr__(self, "_scalars", scalars)
+        object.__setattr__(self, "r_typical_ohm", float(np.median(table[..., R0])))
+        object.__setattr__(self, "_hats", _hats(table.shape[1], OCV_KNOTS))
+        object.__setattr__(self, "_r_hats", _hats(table.shape[1], R_KNOTS))
+
+    has_slow: bool = field(init=False)
+    has_hysteresis: bool = field(init=False)
+    r_typical_ohm: float = field(init=False)
+    _table: FloatArray = field(init=False)
+    _grid: FloatArray = field(init=False)
+    _scalars: CellScalars = field(init=False)
+    _hats: FloatArray = field(init=False)
+    _r_hats: FloatArray = field(init=False)
+
+    @property
+    def tau3_s(self) -> float:
+        """Time constant of the slow branch where ``ln_tau3`` is zero [s]."""
+        if self.has_slow:
+            return float(np.median(self._table[..., TAU3]))
+        return self.shapes.get("ln_tau3", START_TAU3_S)
+
+    @property
+    def gamma(self) -> float:
+        """Hysteresis rate where ``ln_gamma`` is zero."""
+        if self.has_hysteresis:
+            return self._scalars.hysteresis_rate
+        return self.shapes.get("ln_gamma", START_GAMMA)
+
+    @property
+    def thermal_s(self) -> float:
+        """Thermal time constant where ``ln_thermal_s`` is zero [s]."""
+        if self._scalars.heating_K_per_W != 0.0:
+            return self._scalars.heating_s
+        return self.shapes.get("ln_thermal_s", START_HEATING_S)
+
+    def r3_ohm(self, z: Mapping[str, float]) -> float:
+        """Median resistance of the slow branch [ohm]."""
+        if self.has_slow:
+            return float(np.median(self._table[..., R3]) * math.exp(z.get("r3", 0.0)))
+        return max(z.get("r3", 0.0), 0.0) * self.r_typical_ohm
+
+    def inputs(self, z: Mapping[str, float]) -> KernelInputs:
+        """The kernels' inputs at a point; coordinates that are not named are zero."""
+
+        def at(name: str) -> float:
+            return z.get(name, 0.0)
+
+        base = self._scalars
+        t = self._table.copy()
+        t[..., OCV] += np.array([at(n) for n in OCV_NAMES]) @ self._hats
+        common = at("ln_scale") + np.array([at(n) for n in R_NAMES]) @ self._r_hats
+        factor = np.exp(common)
+        t[..., R0] *= factor * math.exp(at("ln_r0"))
+        t[..., R1] *= factor * math.exp(at("ln_r1"))
+        t[..., R2] *= factor * math.exp(at("ln_r2"))
+        t[..., TAU1] *= math.exp(at("ln_tau1"))
+        t[..., TAU2] *= math.exp(at("ln_tau2"))
+        if self.has_slow:
+            t[..., R3] *= factor * math.exp(at("r3"))
+            t[..., TAU3] *= math.exp(at("ln_tau3"))
+        else:
+            t[..., R3] = at("r3") * self.r_typical_ohm
+            t[..., TAU3] = self.tau3_s * math.exp(at("ln_tau3"))
+        t[..., M] += at("m_V")
+        scalars = base._replace(
+            charge_As=base.charge_As * math.exp(at("ln_capacity")),
+            hysteresis_rate=self.gamma * math.exp(at("ln_gamma")),
+            activation_K=base.activation_K + at("activation_K"),
+            rate_per_A=base.rate_per_A + at("rate_h") / self.model.capacity_Ah,
+            charge_scale=base.charge_scale * math.exp(at("ln_charge_scale")),
+            leak_A=base.leak_A + at("leak_A"),
+            heating_K_per_W=base.heating_K_per_W + at("rth_K_per_W"),
+            heating_s=self.thermal_s * math.exp(at("ln_thermal_s")),
+            skew_s=0.0,  # the current is shifted before it reaches the kernel
+        )
+        return KernelInputs(
+            t,
+            self._grid,
+            scalars,
+            at("offset_V"),
+            at("offset_A"),
+            math.exp(at("ln_gain")),
+            base.skew_s + at("skew_s"),
+        )
+
+    def table_direction(self, name: str, inputs: KernelInputs) -> FloatArray | None:
+        """Derivative of the packed table with respect to one coordinate, or None."""
+        t = inputs.table
+        d = np.zeros_like(t)
+        resistances = (R0, R1, R2, R3) if self.has_slow else (R0, R1, R2)
+        if name in OCV_NAMES:
+            d[..., OCV] = self._hats[OCV_NAMES.index(name)]
+        elif name in R_NAMES:
+            for c in resistances:
+                d[..., c] = t[..., c] * self._r_hats[R_NAMES.index(name)]
+        elif name == "ln_scale":
+            for c in resistances:
+                d[..., c] = t[..., c]
+        elif name in _SINGLE:
+            d[..., _SINGLE[name]] = t[..., _SINGLE[name]]
+        elif name == "r3":
+            d[..., R3] = t[..., R3] if self.has_slow else self.r_typical_ohm
+        elif name == "m_V":
+            d[..., M] = 1.0
+        else:
+            return None
+        return d
+
+    def scalar_direction(self, name: str) -> FloatArray:
+        """Derivatives of the scalars with respect to one coordinate."""
+        d = np.zeros(kernel.D_SCALARS)
+        if name in _SCALAR:
+            d[_SCALAR[name]] = 1.0
+        elif name == "rate_h":
+            d[kernel.D_RATE] = 1.0 / self.model.capacity_Ah
+        return d
+
+    def directions(
+        self, names: Sequence[str], inputs: KernelInputs, currents: Mapping[str, FloatArray]
+    ) -> kernel.Directions:
+        """What :func:`derivative_rows` takes for the named coordinates."""
+        tables: list[FloatArray] = []
+        flows: list[FloatArray] = []
+        table_of: list[int] = []
+        flow_of: list[int] = []
+        for name in names:
+            table = self.table_direction(name, inputs)
+            table_of.append(len(tables) if table is not None else -1)
+            if table is not None:
+                tables.append(table)
+            flow_of.append(len(flows) if name in currents else -1)
+            if name in currents:
+                flows.append(currents[name])
+        none = np.zeros((1, *inputs.table.shape))
+        return kernel.Directions(
+            np.array([self.scalar_direction(n) for n in names]),
+            np.array(tables) if tables else none,
+            _ints(table_of),
+            np.array(flows) if flows else np.zeros((1, 1)),
+            _ints(flow_of),
+        )
+
+
+def _ints(values: Sequence[int]) -> IntArray:
+    return np.array(values, dtype=np.int32)
+
+
+def _hats(points: int, knots: int) -> FloatArray:
+    """Hat functions over SOC, shape (knots, points): they add up to one."""
+    soc = np.linspace(0.0, 1.0, points)
+    places = np.linspace(0.0, 1.0, knots)
+    return np.array([np.interp(soc, places, row) for row in np.eye(knots)])
+
+
+_SINGLE = {
+    "ln_r0": R0,
+    "ln_r1": R1,
+    "ln_r2": R2,
+    "ln_tau1": TAU1,
+    "ln_tau2": TAU2,
+    "ln_tau3": TAU3,
+}
+_SCALAR = {
+    "soc0": kernel.D_SOC0,
+    "offset_V": kernel.D_VOLTAGE,
+    "ln_capacity": kernel.D_LN_CHARGE,
+    "activation_K": kernel.D_ACTIVATION,
+    "ln_gamma": kernel.D_LN_HYSTERESIS,
+    "ln_charge_scale": kernel.D_LN_CHARGE_SCALE,
+    "leak_A": kernel.D_LEAK,
+    "rth_K_per_W": kernel.D_HEATING,
+    "ln_thermal_s": kernel.D_LN_HEATING_S,
+}

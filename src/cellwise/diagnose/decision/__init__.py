@@ -1,0 +1,1 @@
+"""Which causes are accepted: candidates compared, acceptance, revision, the outcome."""

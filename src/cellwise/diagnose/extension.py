@@ -1,0 +1,147 @@
+"""Accepted causes applied: an extended model, or a corrected log."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from cellwise.cell.effects import (
+    ChargeAsymmetry,
+    Hysteresis,
+    RateDependence,
+    SelfDischarge,
+    SelfHeating,
+    SlowDiffusion,
+    TemperatureDependence,
+    TimeSkew,
+)
+from cellwise.cell.equations import ZERO_CELSIUS_K
+from cellwise.cell.model import CellModel
+from cellwise.cell.point_kernels import OCV, R0, R1, R2, R3, TAU1, TAU2, TAU3, M
+from cellwise.diagnose.causes.catalogue import Cause
+from cellwise.diagnose.causes.coordinates import CURRENT_NAMES, Coordinates
+from cellwise.diagnose.causes.current_kernels import shift_rows
+from cellwise.logs.cell_log import CellLog
+
+_MEASUREMENT = (*CURRENT_NAMES, "offset_V")
+
+
+def parameters_of(
+    cause: Cause, coordinates: Coordinates, z: Mapping[str, float], soc0: float
+) -> dict[str, float]:
+    """The values of a cause's parameters as people see them."""
+    return {
+        p.name: value_of(p.coordinate, z.get(_key(p.coordinate), 0.0), coordinates, soc0)
+        for p in cause.parameters
+    }
+
+
+def _key(coordinate: str) -> str:
+    return "soc0:0" if coordinate == "soc0" else coordinate
+
+
+def value_of(coordinate: str, x: float, coordinates: Coordinates, soc0: float) -> float:
+    """A parameter's value at ``x`` in its coordinate."""
+    model = coordinates.model
+    scalars = coordinates.inputs({}).scalars
+    if coordinate == "ln_capacity":
+        return model.capacity_Ah * math.exp(x)
+    if coordinate in ("ln_gain", "ln_scale"):
+        return math.exp(x)
+    if coordinate == "ln_charge_scale":
+        return scalars.charge_scale * math.exp(x)
+    if coordinate == "ln_tau3":
+        return coordinates.tau3_s * math.exp(x)
+    if coordinate == "ln_gamma":
+        return coordinates.gamma * math.exp(x)
+    if coordinate == "ln_thermal_s":
+        return coordinates.thermal_s * math.exp(x)
+    if coordinate == "r3":
+        return coordinates.r3_ohm({"r3": x})
+    if coordinate == "soc0":
+        return soc0 + x
+    if coordinate == "activation_K":
+        return scalars.activation_K + x
+    if coordinate == "rate_h":
+        return scalars.rate_per_A * model.capacity_Ah + x
+    if coordinate == "leak_A":
+        return scalars.leak_A + x
+    if coordinate == "rth_K_per_W":
+        return scalars.heating_K_per_W + x
+    return x
+
+
+def split_skew(
+    coordinates: Coordinates, z: Mapping[str, float], interval_s: float
+) -> tuple[dict[str, float], dict[str, float]]:
+    """A point as the model takes it and as the log takes it: the sampling delay goes to one.
+
+    A filter can live with a voltage that is late by up to one interval, so that belongs to the
+    model (:class:`TimeSkew`); any other skew is taken out of the log.
+    """
+    total = coordinates.inputs(z).skew_s
+    model, log = dict(z), dict(z)
+    if 0.0 <= total <= interval_s:
+        log.pop("skew_s", None)
+    else:
+        model.pop("skew_s", None)
+    return model, log
+
+
+def extend_model(
+    coordinates: Coordinates, z: Mapping[str, float], note: Mapping[str, Any]
+) -> CellModel:
+    """The model with everything of a point that belongs to the cell, and the sampling delay."""
+    model = coordinates.model
+    cell = {n: v for n, v in z.items() if n not in _MEASUREMENT and ":" not in n}
+    inputs = coordinates.inputs({**cell, "skew_s": z.get("skew_s", 0.0)})
+    t, s = inputs.table, inputs.scalars
+    ocv = np.maximum.accumulate(t[..., OCV], axis=1)
+    tau1 = np.minimum(t[..., TAU1], 0.99 * t[..., TAU2])
+    new = replace(
+        model,
+        capacity_Ah=s.charge_As / 3600.0,
+        ocv_V=ocv,
+        r0_ohm=t[..., R0],
+        r1_ohm=t[..., R1],
+        tau1_s=tau1,
+        r2_ohm=t[..., R2],
+        tau2_s=t[..., TAU2],
+        provenance={**model.provenance, "diagnosed": dict(note)},
+    )
+    if coordinates.has_slow or cell.get("r3", 0.0) > 0.0:
+        new = new.with_effect(SlowDiffusion(np.maximum(t[..., R3], 0.0), t[..., TAU3]))
+    if np.any(t[..., M]):
+        new = new.with_effect(Hysteresis(t[..., M], s.hysteresis_rate))
+    if s.activation_K != 0.0:
+        new = new.with_effect(TemperatureDependence(s.activation_K, s.reference_K - ZERO_CELSIUS_K))
+    if s.rate_per_A != 0.0:
+        new = new.with_effect(RateDependence(s.rate_per_A * new.capacity_Ah))
+    if s.charge_scale != 1.0:
+        new = new.with_effect(ChargeAsymmetry(s.charge_scale))
+    if s.heating_K_per_W > 0.0:
+        new = new.with_effect(SelfHeating(s.heating_K_per_W, s.heating_s))
+    if s.leak_A > 0.0:
+        new = new.with_effect(SelfDischarge(s.leak_A))
+    if inputs.skew_s > 0.0:
+        new = new.with_effect(TimeSkew(min(inputs.skew_s, 60.0)))
+    return new
+
+
+def correct_log(log: CellLog, coordinates: Coordinates, z: Mapping[str, float]) -> CellLog:
+    """The log with what belongs to the instrument taken out: offset, gain, voltage offset, skew.
+
+    The model's own sampling delay stays in the model; one that was found is removed here.
+    """
+    if not any(z.get(n, 0.0) for n in _MEASUREMENT):
+        return log
+    known = log.known_current_A()
+    shifted, slope = np.empty_like(known), np.empty_like(known)
+    shift_rows(log.time_s, log.interval_s, known, z.get("skew_s", 0.0), shifted, slope)
+    current = (shifted - z.get("offset_A", 0.0)) / math.exp(z.get("ln_gain", 0.0))
+    current[~np.isfinite(log.current_A)] = np.nan
+    return replace(log, current_A=current, voltage_V=log.voltage_V - z.get("offset_V", 0.0))

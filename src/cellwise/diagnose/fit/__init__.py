@@ -1,0 +1,1 @@
+"""Fits of causes to logs: rows, noise, priors, least squares, likelihood."""

@@ -1,0 +1,207 @@
+"""Priors: what is uncertain of a good model and a good log, and how large a fault may be."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from cellwise.cell.effects import TemperatureDependence
+from cellwise.cell.model import CellModel
+from cellwise.diagnose.causes.catalogue import Cause
+from cellwise.diagnose.causes.coordinates import OCV_NAMES, R_NAMES, Coordinates
+from cellwise.diagnose.fit.least_squares import Fit, Prior
+from cellwise.diagnose.fit.rows import Evidence
+
+# Share of the model's own slow error that its OCV may owe at any knot; least of all in volts.
+OCV_SHARE = 0.25
+OCV_LEAST_V = 0.0015
+R_SHARE = 0.5
+R_LEAST = 0.015
+# A cell without a temperature law that heats itself: activation of a usual electrolyte.
+USUAL_ACTIVATION_K = 3000.0
+USUAL_SPREAD_K = 1500.0
+# A start that was given is right to this; one that was found, to its own standard deviation.
+GIVEN_SOC_STD = 0.0015
+TOLERANCE_ENDS = 4.0
+# Memories are another one from this factor on (its logarithm).
+ANOTHER = 0.7
+SLOWER_THAN_TAU2 = 2.0
+
+# How far a calibration on baseline logs may move the model. Three times as far fits the baseline
+# better and predicts other measured drives worse than the model without calibration.
+STRUCTURE = {
+    **dict.fromkeys(OCV_NAMES, 0.003),
+    **dict.fromkeys(R_NAMES, 0.03),
+    "ln_r0": 0.03,
+    "ln_r1": 0.05,
+    "ln_r2": 0.05,
+    "ln_tau1": 0.1,
+    "ln_tau2": 0.1,
+    "r3": 0.1,
+    "m_V": 0.001,
+    "rate_h": 0.015,
+    "ln_charge_scale": 0.03,
+    "skew_s": 0.03,
+}
+# Of what was calibrated, this share stays uncertain: the next log is another day.
+STILL_OPEN = 0.3
+
+
+def tolerances(coordinates: Coordinates, evidence: Evidence) -> Prior:
+    """Standard deviations about neutral of everything that a good laboratory leaves uncertain."""
+    model = coordinates.model
+    capacity = model.capacity_Ah
+    slow = float(np.mean(model.error.slow_V))
+    interval = float(np.median(np.concatenate([g.dt_s[1:] for g in evidence.logs])))
+    std = {
+        "offset_A": 7e-4 * capacity,
+        "ln_gain": 0.0015,
+        "offset_V": 5e-4,
+        "skew_s": min(0.02, 0.2 * max(interval, 1e-3)),
+        "ln_capacity": 0.0025,
+        "ln_scale": 0.01,
+        **dict.fromkeys(OCV_NAMES, max(OCV_LEAST_V, OCV_SHARE * slow)),
+        **dict.fromkeys(R_NAMES, max(R_LEAST, R_SHARE * model.error.resistance_share)),
+        "ln_r0": 0.012,
+        "ln_r1": 0.025,
+        "ln_r2": 0.025,
+        "ln_tau1": 0.08,
+        "ln_tau2": 0.08,
+        "r3": 0.15 if coordinates.has_slow else 0.02,
+        "m_V": 5e-4,
+        "activation_K": 100.0,
+        "rate_h": 0.003,
+        "ln_charge_scale": 0.01,
+        "leak_A": 2e-4 * capacity,
+        "rth_K_per_W": 0.2,
+    }
+    if coordinates.has_slow:
+        std["ln_tau3"] = 0.2
+    if coordinates.has_hysteresis:
+        std["ln_gamma"] = 0.2
+    for name, log in zip(evidence.starts(), evidence.logs, strict=True):
+        std[name] = max(log.start.std, GIVEN_SOC_STD)
+    return _bounded(Prior(std, {}, {}, {}), std)
+
+
+def _bounded(prior: Prior, names: Iterable[str]) -> Prior:
+    """Tolerances are bounded: they end at TOLERANCE_ENDS standard deviations."""
+    low = {n: prior.mean.get(n, 0.0) - TOLERANCE_ENDS * prior.std[n] for n in names}
+    high = {n: prior.mean.get(n, 0.0) + TOLERANCE_ENDS * prior.std[n] for n in names}
+    return prior.widened({}, {}, low, high)
+
+
+def widened_for(prior: Prior, cause: Cause, coordinates: Coordinates, evidence: Evidence) -> Prior:
+    """The prior with a cause's coordinates as wide as a fault may be."""
+    model = coordinates.model
+    std: dict[str, float] = {}
+    mean: dict[str, float] = {}
+    low: dict[str, float] = {}
+    high: dict[str, float] = {}
+    for p in cause.parameters:
+        wide = p.wide * (model.capacity_Ah if p.per == "capacity" else 1.0)
+        if p.coordinate == "soc0":
+            std.update(dict.fromkeys(evidence.starts(), wide))
+            for name, log in zip(evidence.starts(), evidence.logs, strict=True):
+                low[name], high[name] = -0.05 - log.start.soc, 1.05 - log.start.soc
+            continue
+        if p.coordinate == "r3" and coordinates.has_slow:
+            wide = 0.7
+        std[p.coordinate] = wide
+        bounds = coordinate_bounds(p.coordinate, p.bounds, coordinates)
+        low[p.coordinate], high[p.coordinate] = bounds
+    if cause.name == "self_heating" and needs_activation(coordinates):
+        std["activation_K"] = USUAL_SPREAD_K
+        mean["activation_K"] = USUAL_ACTIVATION_K
+        low["activation_K"], high["activation_K"] = 500.0, 8000.0
+    return prior.widened(std, mean, low, high)
+
+
+def needs_activation(coordinates: Coordinates) -> bool:
+    """Whether the model does not know what a warmer cell would do."""
+    known = coordinates.model.effect(TemperatureDependence).activation_K
+    return coordinates.model.temperature_C.size == 1 and abs(known) < 300.0
+
+
+def shortest_tau3_s(model: CellModel) -> float:
+    """Slow is what the second branch does not reach [s]."""
+    return SLOWER_THAN_TAU2 * float(np.median(model.tau2_s))
+
+
+def coordinate_bounds(
+    name: str, bounds: tuple[float, float], coordinates: Coordinates
+) -> tuple[float, float]:
+    """Bounds of a parameter as bounds of its coordinate."""
+    model = coordinates.model
+    low, high = bounds
+    if name == "ln_capacity":
+        return math.log(0.3), math.log(2.0)
+    if name in ("ln_gain", "ln_scale", "ln_charge_scale"):
+        return math.log(low), math.log(high)
+    if name == "ln_tau3":
+        low = max(low, shortest_tau3_s(model))
+        return math.log(low / coordinates.tau3_s), math.log(high / coordinates.tau3_s)
+    if name == "ln_gamma":
+        return math.log(low / coordinates.gamma), math.log(high / coordinates.gamma)
+    if name == "ln_thermal_s":
+        return math.log(low / coordinates.thermal_s), math.log(high / coordinates.thermal_s)
+    if name == "r3":
+        return (-3.0, 3.0) if coordinates.has_slow else (0.0, high / coordinates.r_typical_ohm)
+    if name == "activation_K":
+        has = model.effect(TemperatureDependence).activation_K
+        return low - has, high - has
+    return low, high
+
+
+def structure_prior(prior: Prior) -> Prior:
+    """The prior of a calibration on baseline logs."""
+    std = {n: max(v, prior.std[n]) for n, v in STRUCTURE.items() if n in prior.std}
+    starts = {n: v for n, v in prior.std.items() if n.startswith("soc0:")}
+    return _bounded(Prior({**std, **starts}, {}, {}, {}), (*std, *starts))
+
+
+def calibrated(prior: Prior, found: Fit) -> Prior:
+    """Tolerances about what was calibrated on a baseline, with the correlations that it leaves."""
+    names = [n for n in STRUCTURE if n in prior.std]
+    place = [found.names.index(n) for n in names]
+    covariance = found.covariance[np.ix_(place, place)].copy()
+    drift = np.array([STILL_OPEN * prior.std[n] for n in names])
+    deviation = np.sqrt(np.diag(covariance) + drift**2)
+    np.fill_diagonal(covariance, 0.0)
+    # Same cell, same instruments: what else could be off has shown there too.
+    std = {n: v if n.startswith("soc0:") else STILL_OPEN * v for n, v in prior.std.items()} | dict(
+        zip(names, (float(v) for v in deviation), strict=True)
+    )
+    mean = {n: found.z[n] for n in names}
+    wider = _bounded(prior.widened(std, mean, {}, {}), std)
+    return replace(wider, linked=tuple(names), cross=covariance)
+
+
+def starts_to_try(
+    cause: Cause, coordinates: Coordinates, evidence: Evidence
+) -> list[tuple[Coordinates, dict[str, float]]]:
+    """Where the search for a cause begins: coordinates, and what is not at the base there.
+
+    While an effect is neutral its memory means nothing: any is tried. Where the model has the
+    effect, its own memory and the others: a change of both may hide behind a ridge.
+    """
+    plain = [(coordinates, dict(b)) for b in cause.beginnings or ({},)]
+    if cause.shape is None:
+        return plain
+    name, values = cause.shape
+    span = max(float(g.clock_s[-1] - g.clock_s[0]) for g in evidence.logs)
+    least = shortest_tau3_s(coordinates.model) if name == "ln_tau3" else 0.0
+    if name != "ln_gamma":
+        values = tuple(v for v in values if least <= v < span) or (max(least, values[0]),)
+    own = None
+    if name == "ln_tau3" and coordinates.has_slow:
+        own = coordinates.tau3_s
+    if name == "ln_gamma" and coordinates.has_hysteresis:
+        own = coordinates.gamma
+    if own is None:
+        return [(replace(coordinates, shapes={**coordinates.shapes, name: v}), {}) for v in values]
+    away = [math.log(v / own) for v in values]
+    return plain + [(coordinates, {name: x}) for x in away if abs(x) > ANOTHER]

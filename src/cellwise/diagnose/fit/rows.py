@@ -1,0 +1,255 @@
+"""Logs made ready for a fit: rows that count, rows held out, blocks of time for the bootstrap."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from cellwise.cell.equations import CellState
+from cellwise.cell.initial_soc import InitialSoc
+from cellwise.cell.model import CellModel
+from cellwise.cell.simulate import known_temperature_C, start_hysteresis
+from cellwise.diagnose.causes.coordinates import CURRENT_NAMES, Coordinates, KernelInputs
+from cellwise.diagnose.causes.current_kernels import shift_rows
+from cellwise.diagnose.causes.sensitivity_kernels import derivative_rows, voltage_rows
+from cellwise.logs.cell_log import CellLog
+from cellwise.typing import BoolArray, FloatArray, IntArray
+
+# Rows that are compared, over all logs: evidence of more is no better, only slower.
+SCORED_ROWS = 24_000
+# Of a log without others to test on: which tenths are fitted, which are held out.
+PATTERN = "FFHFHFFHFH"
+# Of a log that is held out: this first part determines its initial SOC, and is not scored.
+START_PART = 0.15
+BLOCKS_LEAST = 12
+
+IGNORED, FITTED, HELD, START = range(4)
+Role = Literal["fit", "hold"]
+
+
+@dataclass(frozen=True, eq=False)
+class LogRows:
+    """One log as the kernels take it, and what its scored rows (every ``stride``-th) are for."""
+
+    log: CellLog
+    start: InitialSoc
+    dt_s: FloatArray
+    current_A: FloatArray
+    temperature_C: FloatArray
+    stride: int
+    role: IntArray
+    block: IntArray
+    clock_s: FloatArray
+
+    @property
+    def scored(self) -> int:
+        """Number of scored rows."""
+        return int(self.role.size)
+
+    @property
+    def voltage_V(self) -> FloatArray:
+        """Measured voltage of the scored rows [V]."""
+        return self.log.voltage_V[:: self.stride]
+
+    def state(self, soc_shift: float) -> CellState:
+        """The cell at rest at the start, ``soc_shift`` away from its stated SOC."""
+        soc = self.start.soc + soc_shift
+        return CellState(soc, 0.0, 0.0, 0.0, start_hysteresis(self.start.soc), 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """All logs of a diagnosis; arrays run over the scored rows of one log after the other."""
+
+    logs: tuple[LogRows, ...]
+    dt_s: FloatArray
+    voltage_V: FloatArray
+    known: BoolArray
+    role: IntArray
+    block: IntArray
+
+    @property
+    def rows(self) -> int:
+        """Number of scored rows."""
+        return int(self.role.size)
+
+    @cached_property
+    def fitted(self) -> Evidence:
+        """The logs that have rows to fit: those that are only held out are left off."""
+        many = sum(bool(np.any(g.role == FITTED)) for g in self.logs)
+        if many == len(self.logs):
+            return self
+        rows = slice(0, sum(g.scored for g in self.logs[:many]))
+        return Evidence(
+            self.logs[:many],
+            self.dt_s[rows],
+            self.voltage_V[rows],
+            self.known[rows],
+            self.role[rows],
+            self.block[rows],
+        )
+
+    def starts(self) -> list[str]:
+        """Names of the coordinates of the logs' starts."""
+        return [f"soc0:{k}" for k in range(len(self.logs))]
+
+    def simulate(
+        self, coordinates: Coordinates, z: Mapping[str, float]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Voltage [V] and SOC of every scored row."""
+        inputs = coordinates.inputs(z)
+        voltage, soc = np.empty(self.rows), np.empty(self.rows)
+        place = 0
+        for k, log in enumerate(self.logs):
+            flow, _ = _flow(log, inputs)
+            rows = slice(place, place + log.scored)
+            voltage_rows(
+                inputs.table,
+                inputs.grid,
+                inputs.scalars,
+                log.state(z.get(f"soc0:{k}", 0.0)),
+                log.dt_s,
+                flow,
+                log.temperature_C,
+                inputs.added_V,
+                log.stride,
+                voltage[rows],
+                soc[rows],
+            )
+            place += log.scored
+        return voltage, soc
+
+    def jacobian(
+        self, coordinates: Coordinates, z: Mapping[str, float], names: Sequence[str]
+    ) -> FloatArray:
+        """Derivatives of the simulated voltage, shape (rows, names)."""
+        inputs = coordinates.inputs(z)
+        result = np.zeros((self.rows, len(names)))
+        place = 0
+        for k, log in enumerate(self.logs):
+            mine = [j for j, n in enumerate(names) if ":" not in n or n == f"soc0:{k}"]
+            if not mine:
+                place += log.scored
+                continue
+            local = [names[j].split(":")[0] for j in mine]
+            flow, by = _flow(log, inputs)
+            directions = coordinates.directions(local, inputs, by)
+            part = np.empty((log.scored, len(mine)))
+            derivative_rows(
+                inputs.table,
+                inputs.grid,
+                inputs.scalars,
+                log.state(z.get(f"soc0:{k}", 0.0)),
+                log.dt_s,
+                flow,
+                log.temperature_C,
+                *directions,
+                log.stride,
+                part,
+            )
+            result[place : place + log.scored, mine] = part
+            place += log.scored
+        return result
+
+    def amplitude(self, model: CellModel, soc: FloatArray) -> FloatArray:
+        """Size of the model's error at every scored row, over its mean square."""
+        current = np.concatenate([g.current_A[:: g.stride] for g in self.logs])
+        table = model.r0_ohm[model.r0_ohm.shape[0] // 2]
+        drop = np.interp(soc, model.soc, table) * current * model.error.resistance_share
+        size = np.sqrt(model.error.at(np.clip(soc, 0.0, 1.0)) ** 2 + drop**2)
+        used = self.known & (self.role != IGNORED)
+        return np.asarray(size / np.sqrt(np.mean(size[used] ** 2))) if used.any() else size
+
+    def claim_V(self, model: CellModel, soc: FloatArray) -> float:
+        """Root mean square of the slow error that the model states at the rows' SOC [V]."""
+        used = self.known & (self.role != IGNORED) & np.isfinite(soc)
+        if not used.any():
+            return float(np.mean(model.error.slow_V))
+        return float(np.sqrt(np.mean(model.error.at(np.clip(soc[used], 0.0, 1.0)) ** 2)))
+
+
+def _flow(log: LogRows, inputs: KernelInputs) -> tuple[FloatArray, dict[str, FloatArray]]:
+    """The current that flowed [A], and its derivatives."""
+    shifted, by_skew = np.empty_like(log.current_A), np.empty_like(log.current_A)
+    shift_rows(log.log.time_s, log.dt_s, log.current_A, inputs.skew_s, shifted, by_skew)
+    flow = (shifted - inputs.offset_A) / inputs.gain
+    by_offset = np.full(flow.size, -1.0 / inputs.gain)
+    values = (by_offset, -flow, by_skew / inputs.gain)
+    return flow, dict(zip(CURRENT_NAMES, values, strict=True))
+
+
+def gather(
+    model: CellModel,
+    logs: Sequence[tuple[CellLog, InitialSoc]],
+    holdout: Sequence[tuple[CellLog, InitialSoc]] = (),
+    slowest_s: float = 0.0,
+    whole: bool = False,
+) -> Evidence:
+    """Make logs ready: rows thinned evenly, fitted and held-out rows marked.
+
+    Without ``holdout`` the later blocks of every log are held out; with it every row of ``logs`` is
+    fitted, and each held-out log is scored after its first part, which determines its initial SOC.
+    ``whole`` fits every row: nothing is held out.
+    """
+    every = [*((g, s, False) for g, s in logs), *((g, s, True) for g, s in holdout)]
+    total = sum(len(g) for g, _, _ in every)
+    stride = max(1, -(-total // SCORED_ROWS))
+    made = []
+    offset = 0
+    for log, start, held in every:
+        rows = _rows(model, log, start, stride, held, whole or bool(holdout), slowest_s, offset)
+        offset = int(rows.block.max()) + 1
+        made.append(rows)
+    dt = []
+    for g in made:
+        gap = np.diff(g.clock_s, prepend=np.nan)
+        dt.append(gap)
+    voltage = np.concatenate([g.voltage_V for g in made])
+    return Evidence(
+        tuple(made),
+        np.concatenate(dt),
+        voltage,
+        np.isfinite(voltage),
+        np.concatenate([g.role for g in made]),
+        np.concatenate([g.block for g in made]),
+    )
+
+
+def _rows(
+    model: CellModel,
+    log: CellLog,
+    start: InitialSoc,
+    stride: int,
+    held: bool,
+    others: bool,
+    slowest_s: float,
+    offset: int,
+) -> LogRows:
+    clock = log.time_s[::stride]
+    span = max(float(clock[-1] - clock[0]), 1e-9)
+    part = (clock - clock[0]) / span
+    tenth = np.minimum((part * len(PATTERN)).astype(np.int64), len(PATTERN) - 1)
+    if held:
+        role = np.where(part < START_PART, START, HELD)
+    elif others:
+        role = np.full(clock.size, FITTED)
+    else:
+        role = np.where(np.array(list(PATTERN))[tenth] == "F", FITTED, HELD)
+    # Blocks for the bootstrap: as long as the slowest memory, but enough of them to draw from.
+    length = min(max(slowest_s, span / 60.0), span / BLOCKS_LEAST)
+    block = offset + (part * span / length).astype(np.int64)
+    return LogRows(
+        log,
+        start,
+        log.interval_s,
+        log.known_current_A(),
+        known_temperature_C(model, log),
+        stride,
+        role.astype(np.int32),
+        block.astype(np.int32),
+        clock,
+    )

@@ -1,0 +1,122 @@
+"""The shortest experiment that separates competing causes, from simulating all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellwise.cell.equations import CellState
+from cellwise.cell.simulate import start_hysteresis
+from cellwise.diagnose.causes.sensitivity_kernels import voltage_rows
+from cellwise.diagnose.decision.candidates import Candidate
+from cellwise.typing import FloatArray
+
+STEP_S = 1.0
+# A separation that a cell's own scatter cannot hide.
+CLEAR_V = 3e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """A test on the bench: current over time, from a known SOC."""
+
+    name: str
+    soc0: float
+    current_C: FloatArray
+    temperature_C: float = 25.0
+
+    @property
+    def hours(self) -> float:
+        """Length [h]."""
+        return self.current_C.size * STEP_S / 3600.0
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """An experiment and by how much it separates the alternatives [V RMS]."""
+
+    name: str
+    hours: float
+    separation_V: float
+
+    def text(self, alternatives: Sequence[str]) -> str:
+        """What to do, for people."""
+        names = " and ".join(r.replace("_", " ").replace("soc", "SOC") for r in alternatives[:2])
+        verdict = "separates" if self.separation_V >= CLEAR_V else "barely separates"
+        return (
+            f"{self.name} ({self.hours:.2g} h): predicted to differ by "
+            f"{1e3 * self.separation_V:.1f} mV RMS between {names}, which {verdict} them"
+        )
+
+
+def _steady(c_rate: float, hours: float) -> FloatArray:
+    return np.full(int(hours * 3600 / STEP_S), c_rate)
+
+
+def experiments() -> tuple[Experiment, ...]:
+    """Tests that every laboratory can run, short ones first."""
+    rest = _steady(0.0, 1.0)
+    pulse = np.concatenate([_steady(c, 10 / 3600) for c in (2.0, 0.0, -2.0, 0.0, 0.5, 0.0)])
+    pulses = np.concatenate([np.concatenate([pulse, _steady(0.0, 0.02)]) for _ in range(6)])
+    cycle = np.concatenate([_steady(0.5, 0.25), _steady(-0.5, 0.25), _steady(0.0, 0.5)])
+    return (
+        Experiment("Pulses of 10 s at 2C and C/2, both directions, at half charge", 0.5, pulses),
+        Experiment("The same pulses at 45 degC", 0.5, pulses, 45.0),
+        Experiment("The same pulses at 0 degC", 0.5, pulses, 0.0),
+        Experiment("A quarter of an hour of C/2 out and in again, then a rest", 0.5, cycle),
+        Experiment(
+            "1C from full for 50 minutes, then a rest",
+            1.0,
+            np.concatenate([_steady(1.0, 5 / 6), rest]),
+        ),
+        Experiment("C/5 from full for 4.5 hours", 1.0, _steady(0.2, 4.5)),
+        Experiment("A rest of 24 hours at half charge, connected", 0.5, _steady(0.0, 24.0)),
+        Experiment("C/20 from full for 19 hours", 1.0, _steady(0.05, 19.0)),
+    )
+
+
+def propose(alternatives: Sequence[Candidate]) -> Proposal | None:
+    """The shortest experiment with a clear separation; else the one with the largest."""
+    if len(alternatives) < 2:
+        return None
+    best: Proposal | None = None
+    for e in sorted(experiments(), key=lambda e: e.hours):
+        one, two = (_voltage(c, e) for c in alternatives[:2])
+        # Where a start or a constant would do, only the shape counts for a known start: keep all.
+        separation = float(np.sqrt(np.mean((one - two) ** 2)))
+        found = Proposal(e.name, e.hours, separation)
+        if separation >= CLEAR_V:
+            return found
+        if best is None or separation > best.separation_V:
+            best = found
+    return best
+
+
+def _voltage(candidate: Candidate, experiment: Experiment) -> FloatArray:
+    """Voltage that would be logged if the candidate were right."""
+    coordinates = candidate.fit.coordinates
+    keep = set(candidate.cause.coordinates)
+    # A known start: a cause that was the log's start predicts nothing new.
+    z = {n: v for n, v in candidate.fit.z.items() if n in keep and ":" not in n}
+    inputs = coordinates.inputs(z)
+    current = experiment.current_C * coordinates.model.capacity_Ah
+    flow = (current - inputs.offset_A) / inputs.gain
+    n = current.size
+    voltage, soc = np.empty(n), np.empty(n)
+    start = CellState(experiment.soc0, 0.0, 0.0, 0.0, start_hysteresis(experiment.soc0), 0.0)
+    voltage_rows(
+        inputs.table,
+        inputs.grid,
+        inputs.scalars,
+        start,
+        np.full(n, STEP_S),
+        flow,
+        np.full(n, experiment.temperature_C),
+        inputs.added_V,
+        1,
+        voltage,
+        soc,
+    )
+    return voltage

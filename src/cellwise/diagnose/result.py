@@ -1,0 +1,126 @@
+"""The result of a diagnosis: records with the keys of the command's JSON."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from cellwise.cell.model import CellModel
+from cellwise.logs.cell_log import CellLog
+
+
+@dataclass(frozen=True)
+class FoundCause:
+    """A cause that was accepted.
+
+    ``parameters`` carry their unit in the name, ``ci95`` their 95 % intervals; ``gain`` is
+    1 - after / before of the held-out RMSE with its interval from whole blocks of time.
+    ``kind`` says whether the log ("measurement", "start") or the model ("cell") is corrected.
+    """
+
+    name: str
+    kind: str
+    meaning: str
+    parameters: dict[str, float]
+    ci95: dict[str, tuple[float, float]]
+    train_rmse_before_V: float
+    train_rmse_after_V: float
+    holdout_rmse_before_V: float
+    holdout_rmse_after_V: float
+    gain: float
+    gain_ci95: tuple[float, float]
+    evidence: tuple[str, ...]
+    confusable_with: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON values."""
+        return {
+            "name": self.name,
+            "kind": self.kind,
+            "meaning": self.meaning,
+            "parameters": self.parameters,
+            "ci95": {k: list(v) for k, v in self.ci95.items()},
+            "train_rmse_before_V": self.train_rmse_before_V,
+            "train_rmse_after_V": self.train_rmse_after_V,
+            "holdout_rmse_before_V": self.holdout_rmse_before_V,
+            "holdout_rmse_after_V": self.holdout_rmse_after_V,
+            "gain": self.gain,
+            "gain_ci95": list(self.gain_ci95),
+            "evidence": list(self.evidence),
+            "confusable_with": list(self.confusable_with),
+        }
+
+
+@dataclass(frozen=True)
+class TriedCause:
+    """A candidate of the first round: RMSE on held-out data with it alone, and how likely it is.
+
+    ``score`` is ln of how much more likely the data are with it than with none.
+    """
+
+    name: str
+    holdout_rmse_V: float
+    parameters: dict[str, float]
+    score: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON values."""
+        return {
+            "name": self.name,
+            "holdout_rmse_V": self.holdout_rmse_V,
+            "parameters": self.parameters,
+            "score": self.score,
+        }
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Diagnosis:
+    """The causes that were found, in order, and the model extended by them.
+
+    ``verdict`` is the first cause, "none" or "undetermined"; ``reasons`` say why the search ended.
+    """
+
+    verdict: str
+    causes: tuple[FoundCause, ...]
+    candidates: tuple[TriedCause, ...]
+    anatomy: dict[str, Any]
+    next_test: str
+    reasons: tuple[str, ...]
+    model: CellModel
+    extended_model: CellModel | None
+    logs: tuple[CellLog, ...] = ()
+    holdout: tuple[CellLog, ...] = ()
+    corrected: tuple[CellLog, ...] = ()
+    soc0: tuple[dict[str, Any], ...] = ()
+    soc_gain: dict[str, Any] | None = None
+    noise: dict[str, float] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON values, keys as the command prints them."""
+        return {
+            "verdict": self.verdict,
+            "causes": [c.to_dict() for c in self.causes],
+            "candidates": [c.to_dict() for c in self.candidates],
+            "anatomy": self.anatomy,
+            "next_test": self.next_test,
+            "reasons": list(self.reasons),
+            "soc0": list(self.soc0),
+            "soc_gain": self.soc_gain,
+            "noise": self.noise,
+        }
+
+    def __repr__(self) -> str:
+        if not self.causes:
+            return f"Diagnosis({self.verdict}: {'; '.join(self.reasons)})"
+        parts = []
+        for c in self.causes:
+            values = ", ".join(f"{k} {v:.4g}" for k, v in list(c.parameters.items())[:3])
+            parts.append(f"{c.name} ({values}; held-out RMSE -{100 * c.gain:.0f} %)")
+        return f"Diagnosis({', then '.join(parts)})"
+
+
+def finite(value: float) -> float | None:
+    """A JSON number, or null."""
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,1 @@
+"""Checks of a log against itself: sign, units, the tester's counter, oddities."""

@@ -1,0 +1,309 @@
+"""Which column of a file is which channel of a log, and in which unit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from typing import Literal
+
+from cellwise.errors import InputError
+from cellwise.typing import FloatArray
+
+KELVIN_OFFSET = -273.15
+
+
+CellKind = Literal["number", "clock", "label"]
+
+
+@dataclass(frozen=True)
+class Unit:
+    """Conversion to the channel's own unit: ``value * factor + offset``.
+
+    ``kind`` says how the cells are written: as numbers, as a clock (``1d 02:03:04.5``, in seconds),
+    or as labels, of which ``labels`` gives the value (a label that is not among them: missing).
+    """
+
+    factor: float = 1.0
+    offset: float = 0.0
+    kind: CellKind = "number"
+    labels: Mapping[str, float] = field(default_factory=dict, hash=False)
+
+    def convert(self, values: FloatArray) -> FloatArray:
+        """Values in the channel's own unit; the same array where nothing changes."""
+        if self.factor == 1.0 and self.offset == 0.0:
+            return values
+        return values * self.factor + self.offset
+
+
+OWN = Unit()
+MILLI = Unit(1e-3)
+TURNED = Unit(-1.0)  # a counter that runs with a charge-positive current
+TURNED_MILLI = Unit(-1e-3)
+CLOCK = Unit(kind="clock")
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One channel of a log and the column names a format gives it.
+
+    Parameters
+    ----------
+    field : str             field of `CellLog`
+    names : mapping         column name to unit, the usual one first; compared without regard to
+                            case, blanks and underscores, the first one present is taken
+    required : bool         a log without it is refused
+    instead : str           field of another channel that will do in its place
+    """
+
+    field: str
+    names: Mapping[str, Unit]
+    required: bool = False
+    instead: str = ""
+
+    @property
+    def usual_name(self) -> str:
+        """The name to ask for."""
+        return next(iter(self.names))
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column chosen for a channel: its place and name in the file, its unit."""
+
+    field: str
+    index: int
+    name: str
+    unit: Unit
+
+
+TIDY_CHANNELS = (
+    Channel(
+        "time_s",
+        {
+            "time_s": OWN,
+            "time_ms": Unit(1e-3),
+            "time_us": Unit(1e-6),
+            "time_min": Unit(60.0),
+            "time_h": Unit(3600.0),
+        },
+        required=True,
+    ),
+    Channel("current_A", {"current_A": OWN, "current_mA": Unit(1e-3)}, required=True),
+    Channel("voltage_V", {"voltage_V": OWN, "voltage_mV": Unit(1e-3)}, required=True),
+    Channel(
+        "temperature_C",
+        {
+            "temperature_C": OWN,
+            "temperature_degC": OWN,
+            "temperature_K": Unit(1.0, KELVIN_OFFSET),
+            "temperature_F": Unit(5.0 / 9.0, -160.0 / 9.0),
+        },
+    ),
+    Channel(
+        "charge_Ah",
+        {
+            "ampere_hours": OWN,
+            "charge_Ah": OWN,
+            "milliampere_hours": Unit(1e-3),
+            "charge_mAh": Unit(1e-3),
+            "ampere_seconds": Unit(1.0 / 3600.0),
+        },
+    ),
+    Channel("step", {"step": OWN}),
+)
+
+# Other names of the same thing, for the suggestion when a column is missing.
+_SYNONYMS = {
+    "time_s": ("time", "test_time", "testtime", "t", "timestamp", "seconds", "zeit", "elapsed"),
+    "current_A": ("current", "i", "amps", "ampere", "strom", "curr", "ibat"),
+    "voltage_V": ("voltage", "v", "u", "volts", "ewe", "spannung", "potential", "volt", "vbat"),
+}
+
+
+def choose_columns(
+    header: Sequence[str],
+    channels: Sequence[Channel],
+    where: str,
+    *,
+    known: Sequence[str] | None = None,
+    chosen: Mapping[str, str] | None = None,
+) -> tuple[list[Column], list[str]]:
+    """Find the channels' columns in a header.
+
+    Parameters
+    ----------
+    header : sequence of str        column names as they stand in the file
+    channels : sequence             what the format knows
+    where : str                     the file, for messages
+    known : sequence of str         names that belong to the format and are of no use here
+    chosen : mapping                what the user stated: a tidy name, which gives the unit, to the
+                                    name in the file
+
+    Returns
+    -------
+    columns : list of Column
+    notices : list of str           units converted, columns not used
+
+    Raises
+    ------
+    InputError                      a required column is missing, or stands there twice
+    """
+    keys = [folded(name) for name in header]
+    columns = [_stated(tidy, name, header, keys, where) for tidy, name in (chosen or {}).items()]
+    notices = [f"column '{c.name}' was taken for {c.field}, as stated" for c in columns]
+    stated = {column.field for column in columns}
+    for channel in channels:
+        if channel.field in stated:
+            continue
+        column = _find(channel, header, keys, where)
+        if column is None:
+            continue
+        columns.append(column)
+        if known is None and column.unit != OWN:
+            notices.append(f"column '{column.name}' was converted to {_tidy_name(channel)}")
+    found = {column.field for column in columns}
+    missing = [
+        c for c in channels if c.required and c.field not in found and c.instead not in found
+    ]
+    if missing:
+        raise _missing_columns(missing, header, channels, where)
+    used = {column.index for column in columns}
+    unused = [header[k].strip() for k in range(len(header)) if k not in used and header[k].strip()]
+    return columns, notices + _unused_columns(unused, channels, known)
+
+
+def _stated(tidy: str, name: str, header: Sequence[str], keys: Sequence[str], where: str) -> Column:
+    """The column that the user named for a channel."""
+    fields = [(c.field, u) for c in TIDY_CHANNELS for n, u in c.names.items() if n == tidy]
+    if not fields:
+        known = [n for c in TIDY_CHANNELS for n in c.names]
+        near = get_close_matches(tidy, known, n=1)
+        raise InputError(
+            f"a channel '{tidy}'",
+            f"one of {', '.join(known)}",
+            f"Did you mean {near[0]}?" if near else "The name gives the unit.",
+        )
+    places = [k for k, text in enumerate(header) if text.strip() == name.strip()]
+    places = places or [k for k, text in enumerate(keys) if text == folded(name)]
+    if not places:
+        raise no_such_name(name, [text.strip() for text in header], where)
+    return Column(fields[0][0], places[0], header[places[0]].strip(), fields[0][1])
+
+
+def no_such_name(name: str, names: Sequence[str], where: str, what: str = "column") -> InputError:
+    """The refusal of a name that the user gave and the file has not."""
+    near = get_close_matches(name, names, n=3, cutoff=0.4)
+    return InputError(
+        f"no {what} '{name}' in {where}, which has {listed(names)}",
+        f"the name of a {what} that is there",
+        f"Nearest: {listed(near)}." if near else "Choose one of those.",
+    )
+
+
+def _unused_columns(
+    unused: Sequence[str], channels: Sequence[Channel], known: Sequence[str] | None
+) -> list[str]:
+    """Notices of columns that are not used."""
+    if not unused:
+        return []
+    if known is None:
+        return [f"column(s) not used: {listed(unused)}"]
+    expected = {folded(n): n for n in (*(n for c in channels for n in c.names), *known)}
+    unused = []
+    for name in unused:
+        if folded(name) not in expected:
+            near = get_close_matches(folded(name), expected, n=1)
+            unused.append(f"'{name}'" + (f" (nearest: '{expected[near[0]]}')" if near else ""))
+    return [f"column(s) that this format does not know: {', '.join(unused)}"] if unused else []
+
+
+def _find(
+    channel: Channel, header: Sequence[str], keys: Sequence[str], where: str
+) -> Column | None:
+    for name, unit in channel.names.items():
+        places = [k for k, text in enumerate(keys) if text == folded(name)]
+        if len(places) > 1:
+            raise InputError(
+                f"{len(places)} columns named '{name}' in {where} "
+                f"(columns {', '.join(str(k + 1) for k in places)})",
+                "one column for each channel",
+                "Rename or remove the one that is not meant.",
+            )
+        if places:
+            return Column(channel.field, places[0], header[places[0]].strip(), unit)
+    return None
+
+
+def folded(name: str) -> str:
+    """A column name as names are compared."""
+    return name.casefold().replace(" ", "").replace("_", "").strip('"\t\ufeff')
+
+
+def _tidy_name(channel: Channel) -> str:
+    """The name in the tidy form, or the field where the tidy form has none."""
+    return next((c.usual_name for c in TIDY_CHANNELS if c.field == channel.field), channel.field)
+
+
+def _missing_columns(
+    missing: Sequence[Channel], header: Sequence[str], channels: Sequence[Channel], where: str
+) -> InputError:
+    names = [name.strip() for name in header]
+    hints: list[str] = []
+    lines: list[str] = []
+    for channel in missing:
+        near = _nearest(channel, names)
+        if near:
+            hints.append(f"rename '{near}' to '{channel.usual_name}' if that is what it holds")
+            lines.append(f"--channel {_tidy_name(channel)}='{near}'")
+    optional = ", ".join(c.usual_name for c in channels if not c.required)
+    required = ", ".join(c.usual_name for c in channels if c.required)
+    action = (
+        "Give the file these column names, or a unit that the name gives (current_mA, voltage_mV, "
+        "time_ms, time_min, time_h)"
+    )
+    return InputError(
+        f"column(s) {listed(names) or 'without any name'} in {where}; missing: "
+        f"{', '.join(c.usual_name for c in missing)}",
+        f"the columns {required} (and, where measured, {optional})",
+        f"{action}: {'; '.join(hints)}, or say it with {' '.join(lines)}."
+        if hints
+        else f"{action}, or name the columns with --channel.",
+    )
+
+
+def _nearest(channel: Channel, names: Sequence[str]) -> str:
+    """The column that most likely holds a missing channel, empty if none does."""
+    plain = {_plain(name): name for name in reversed(names) if _plain(name)}
+    words = [*(_plain(name) for name in channel.names), *_SYNONYMS.get(channel.field, ())]
+    for word in words:
+        if word in plain:
+            return plain[word]
+    for word in words:
+        near = get_close_matches(word, plain, n=1, cutoff=0.75) if len(word) > 2 else []
+        if near:
+            return plain[near[0]]
+    return ""
+
+
+def _plain(name: str) -> str:
+    """A column name without its unit and decoration: 'Current (A)' -> 'current'."""
+    text = name.strip().casefold()
+    for mark in "([{/<":
+        text = text.split(mark)[0]
+    text = text.strip(" _-.\t").replace(" ", "_")
+    base, _, unit = text.rpartition("_")
+    units = ("s", "ms", "min", "h", "a", "ma", "v", "mv", "sec", "amp", "volt")
+    return base if base and unit in units else text
+
+
+def listed(names: Sequence[str], most: int = 12) -> str:
+    """Names in quotes, the first dozen."""
+    shown = ", ".join(f"'{name}'" for name in names[:most])
+    return shown + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+def tidy_header(fields: Sequence[str]) -> list[str]:
+    """Column names of the tidy form for fields of `CellLog`."""
+    names = {channel.field: channel.usual_name for channel in TIDY_CHANNELS}
+    return [names[field] for field in fields]

@@ -1,0 +1,181 @@
+"""Where a text table's header stands, what separates its cells, how its numbers are written."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+from cellwise.errors import InputError
+from cellwise.logs.files.columns import folded
+from cellwise.logs.files.source import LogSource, decoded
+
+DELIMITERS = ",;\t|"
+MOST_UNIT_ROWS = 2
+
+DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
+_NUMBER = re.compile(r"[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?")
+
+
+@dataclass(frozen=True)
+class CsvLayout:
+    """How one CSV file is laid out.
+
+    ``offset`` is the first byte of the rows, ``line`` the (1-based) line they begin in.
+    """
+
+    header: tuple[str, ...]
+    delimiter: str
+    decimal: str
+    offset: int
+    line: int
+
+
+def csv_layout(source: LogSource) -> CsvLayout:
+    """Find header, delimiter and decimal sign in the first bytes of a file.
+
+    A byte order mark, blank lines and comment lines beginning with ``#`` may stand before the
+    header; where there is no header but a commented one, that is taken.
+
+    Raises
+    ------
+    InputError        no line with column names
+    """
+    lines = _head_lines(source.head)
+    offset, number, comment = 0, 0, ""
+    for raw in lines:
+        text = raw.decode("utf-8", errors="replace").lstrip("\ufeff").strip()
+        if text and not text.startswith("#"):
+            break
+        comment = text or comment
+        offset += len(raw)
+        number += 1
+    else:
+        raise InputError(
+            f"only blank lines and comments at the beginning of '{source.path}'",
+            "a line with column names and rows of numbers",
+            "Check the export that wrote it.",
+        )
+    header_line, rows = text, lines[number:]
+    if is_numeric(text):
+        header_line = comment.lstrip("# ")
+        if not header_line or is_numeric(header_line):
+            raise InputError(
+                f"no column names in '{source.path}': its first row reads '{text[:60]}'",
+                "a first line with the names time_s, current_A, voltage_V",
+                "Put a line with the column names at the top.",
+            )
+    else:
+        offset += len(lines[number])
+        number += 1
+        rows = lines[number:]
+    delimiter = _delimiter(header_line)
+    header = next(csv.reader([header_line], delimiter=delimiter, skipinitialspace=True))
+    cells = [row for row in _cells(rows[:50], delimiter) if row]
+    if cells and all(len(row) == len(header) + 1 and not row[-1].strip() for row in cells):
+        header = [*header, ""]  # rows end with a delimiter, the header does not
+    return CsvLayout(tuple(header), delimiter, _decimal(cells, delimiter), offset, number + 1)
+
+
+def native_layout(source: LogSource, names: Collection[str]) -> CsvLayout:
+    """Find the header below a program's own preamble: the line with most of the names it knows.
+
+    Rows between the header and the first row with a digit (units) are passed over.
+
+    Parameters
+    ----------
+    source : LogSource
+    names : collection of str       column names of the format
+
+    Raises
+    ------
+    InputError        no line holds two of them
+    """
+    wanted = {folded(name) for name in names}
+    lines = _head_lines(source.head)
+    best, found, header = 1, -1, list[str]()
+    for k, raw in enumerate(lines):
+        names_there = header_cells(decoded(raw))
+        score = len(wanted.intersection(folded(name) for name in names_there))
+        if score > best:
+            best, found, header = score, k, names_there
+    if found < 0:
+        raise InputError(
+            f"no line with column names at the beginning of '{source.path}'",
+            "a header line",
+            "Check the export that wrote it.",
+        )
+    first = found + 1
+    while first < min(len(lines), found + 1 + MOST_UNIT_ROWS) and not _has_digit(lines[first]):
+        first += 1
+    delimiter = _delimiter(decoded(lines[found]))
+    cells = [row for row in _cells(lines[first : first + 50], delimiter) if row]
+    if cells and all(len(row) == len(header) + 1 and not row[-1].strip() for row in cells):
+        header = [*header, ""]
+    offset = sum(len(raw) for raw in lines[:first])
+    return CsvLayout(tuple(header), delimiter, _decimal(cells, delimiter), offset, first + 1)
+
+
+def header_cells(line: str) -> list[str]:
+    """The cells of a line, by the delimiter it has most of."""
+    text = line.rstrip("\r\n").lstrip("\ufeff")
+    return next(csv.reader([text], delimiter=_delimiter(text), skipinitialspace=True), [])
+
+
+def header_names(source: LogSource, names: Collection[str]) -> int:
+    """Most of these names that one of a text's first lines holds."""
+    wanted = {folded(name) for name in names}
+    return max(
+        (len(wanted.intersection(map(folded, header_cells(line)))) for line in source.first_lines),
+        default=0,
+    )
+
+
+def has_names(source: LogSource, *groups: Collection[str]) -> bool:
+    """One of a text's first lines holds a name of each group."""
+    sought = [{folded(name) for name in group} for group in groups]
+    for line in source.first_lines:
+        text = folded(line)
+        if all(any(name in text for name in group) for group in sought):
+            cells = {folded(cell) for cell in header_cells(line)}
+            if all(group & cells for group in sought):
+                return True
+    return False
+
+
+def _delimiter(line: str) -> str:
+    return max(DELIMITERS, key=line.count)
+
+
+def _has_digit(line: bytes) -> bool:
+    return any(48 <= byte <= 57 for byte in line)
+
+
+def _head_lines(head: bytes) -> list[bytes]:
+    """Lines with their ends; a cut off last one only if it is the only one."""
+    lines = head.splitlines(keepends=True)
+    if len(lines) > 1 and not lines[-1].endswith((b"\n", b"\r")):
+        return lines[:-1] if len(lines) > 2 else lines
+    return lines
+
+
+def _cells(rows: Sequence[bytes], delimiter: str) -> list[list[str]]:
+    text = [row.decode("utf-8", errors="replace") for row in rows]
+    return list(csv.reader(text, delimiter=delimiter))
+
+
+def _decimal(cells: Sequence[Sequence[str]], delimiter: str) -> str:
+    """A comma where cells are written so and no cell has a decimal point, else a point."""
+    if delimiter == ",":
+        return "."
+    flat = [cell.strip() for row in cells for cell in row]
+    commas = any(DECIMAL_COMMA.fullmatch(cell) for cell in flat)
+    points = any("." in cell and _NUMBER.fullmatch(cell) for cell in flat)
+    return "," if commas and not points else "."
+
+
+def is_numeric(line: str) -> bool:
+    """Every cell of the line is a number or empty."""
+    cells = [cell.strip() for cell in re.split(r"[,;\t|]", line)]
+    return any(cells) and all(not c or _NUMBER.fullmatch(c) for c in cells)

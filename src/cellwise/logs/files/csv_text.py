@@ -1,0 +1,197 @@
+"""CSV as testers, spreadsheets and programs write it, read in record batches."""
+
+from __future__ import annotations
+
+import re
+from array import array
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cellwise.errors import InputError
+from cellwise.logs.files.columns import Column, choose_columns
+from cellwise.logs.files.csv_layout import (
+    DECIMAL_COMMA,
+    CsvLayout,
+    csv_layout,
+    header_names,
+    is_numeric,
+    native_layout,
+)
+from cellwise.logs.files.format import Format, without_late_errors
+from cellwise.logs.files.source import LogSource, RawLog, damaged_gzip
+from cellwise.logs.files.text_cells import arrow_type, arrow_values
+from cellwise.typing import FloatArray
+
+if TYPE_CHECKING:
+    from pyarrow.csv import InvalidRow
+
+BLOCK_BYTES = 4 << 20
+TAIL_BYTES = 4096
+# What loggers and spreadsheets write where there is no value.
+MISSING = ["", "nan", "NaN", "NAN", "-nan", "null", "NULL", "none", "None", "NA", "N/A", "n/a"]
+MISSING += ["#N/A", "#NA", "#DIV/0!", "#VALUE!", "-", "--", "---"]
+
+
+def read_csv(source: LogSource, known: Format) -> RawLog:
+    """Read the channels' columns of a CSV file, a block of 4 MB at a time.
+
+    Raises
+    ------
+    InputError        columns missing, no rows, text where numbers belong, rows of another length,
+                      damaged gzip; a last line that was cut off is dropped with a notice
+    """
+    layout = _layout(source, known)
+    where = source.where
+    columns, notices = choose_columns(
+        layout.header, known.channels, where, known=known.known, chosen=source.options.channels
+    )
+    if layout.decimal == ",":
+        notices.append("decimal commas were read as such")
+    odd_rows: list[tuple[int, int, str]] = []
+    values = _read_batches(source, layout, columns, odd_rows)
+    n = values[0].size
+    if odd_rows:
+        notices.append(_odd_rows(odd_rows, n, layout, where))
+    elif _ends_short(source):
+        notices.append("the last line is shorter and has no line end: its last number may be cut")
+    if n == 0:
+        raise InputError(
+            f"a header but no rows in {where}", "rows of numbers", "Check the export that wrote it."
+        )
+    arrays: dict[str, FloatArray] = {}
+    for column in columns:
+        arrays[column.field] = column.unit.convert(values.pop(0))
+    return RawLog(arrays, tuple(notices))
+
+
+def _layout(source: LogSource, known: Format) -> CsvLayout:
+    """The header of a program's own export, else the first line that is none of a comment."""
+    chosen = tuple(source.options.channels.values())
+    names = (*(name for c in known.channels for name in c.names), *(known.known or ()), *chosen)
+    if known.known is not None or (chosen and header_names(source, names) > 1):
+        return native_layout(source, names)
+    return csv_layout(source)
+
+
+def _read_batches(
+    source: LogSource,
+    layout: CsvLayout,
+    columns: Sequence[Column],
+    odd_rows: list[tuple[int, int, str]],
+) -> list[FloatArray]:
+    """The columns' values in the file's unit, in the order of ``columns``."""
+    import pyarrow as pa
+    from pyarrow import csv as pa_csv
+
+    names = [f"{k}" for k in range(len(layout.header))]
+    wanted = [names[column.index] for column in columns]
+    types = {names[column.index]: arrow_type(column.unit) for column in columns}
+
+    def keep_odd(row: InvalidRow) -> str:
+        odd_rows.append((row.number or 0, row.actual_columns, row.text))
+        return "skip" if len(odd_rows) < 100 else "error"
+
+    grown = [array("d") for _ in columns]  # grows in place: no second copy at the end
+    try:
+        with pa.OSFile(str(source.path)) as file, without_late_errors():
+            stream = pa.CompressedInputStream(file, "gzip") if source.gzipped else file
+            stream.read(layout.offset)
+            # One thread: only then do messages carry the row's number, and no slower.
+            reader = pa_csv.open_csv(
+                stream,
+                read_options=pa_csv.ReadOptions(
+                    column_names=names, block_size=BLOCK_BYTES, use_threads=False
+                ),
+                parse_options=pa_csv.ParseOptions(
+                    delimiter=layout.delimiter, invalid_row_handler=keep_odd
+                ),
+                convert_options=pa_csv.ConvertOptions(
+                    column_types=types,
+                    include_columns=wanted,
+                    null_values=MISSING,
+                    strings_can_be_null=True,
+                    decimal_point=layout.decimal,
+                ),
+            )
+            for batch in reader:
+                for into, name, column in zip(grown, wanted, columns, strict=True):
+                    values, unread = arrow_values(column.unit, batch.column(name))
+                    if unread:
+                        raise _no_clock(unread, column, source)
+                    into.frombytes(values.tobytes())
+                source.report(file.tell(), source.size)
+    except pa.ArrowInvalid as error:
+        if "Empty CSV file" not in str(error):
+            raise _refused(str(error), source, layout, columns) from None
+    except OSError as error:
+        if not source.gzipped:
+            raise
+        raise damaged_gzip(source, str(error)) from None
+    return [np.frombuffer(values, np.float64) for values in grown]
+
+
+def _no_clock(text: str, column: Column, source: LogSource) -> InputError:
+    return InputError(
+        f"'{text[:40]}' in column '{column.name}' of {source.where}",
+        "a time as 12.5, 02:03:04.5 or 1d 02:03:04",
+        "Correct the cell, or export the time in seconds.",
+    )
+
+
+def _refused(
+    message: str, source: LogSource, layout: CsvLayout, columns: Sequence[Column]
+) -> InputError:
+    """The refusal of a cell that is no number, or of text that is no table."""
+    found = re.search(r"column #(\d+): (?:Row #(\d+): )?.*invalid value '(.*)'", message, re.S)
+    if found is None:
+        return InputError(
+            f"text in '{source.path}' that cannot be read as a table ({message.splitlines()[0]})",
+            f"rows of {len(layout.header)} cells, separated by '{layout.delimiter}'",
+            "Check the lines' ends and quotation marks; the file may be cut off or not CSV.",
+        )
+    index = int(found.group(1))
+    name = next((c.name for c in columns if c.index == index), layout.header[index])
+    row = f"row {found.group(2)} " if found.group(2) else "a row "
+    value = found.group(3)
+    action = "Correct or blank the cell; a missing value is an empty cell or 'nan'."
+    if DECIMAL_COMMA.fullmatch(value.strip()) or value.count(".") > 1:
+        action = "Write numbers with one decimal point and without thousands separators."
+    elif ":" in value and name.casefold().startswith("time"):
+        action = "Write the time as seconds from the log's start."
+    return InputError(
+        f"'{value[:40]}' in column '{name}', {row}after the header of '{source.path}'",
+        "a number in every cell of that column",
+        action,
+    )
+
+
+def _odd_rows(odd: Sequence[tuple[int, int, str]], rows: int, layout: CsvLayout, where: str) -> str:
+    """Notice about a cut off last line; anything else is refused."""
+    number, cells, text = odd[0]
+    expected = len(layout.header)
+    if len(odd) == 1 and cells < expected and number == rows + 1:
+        return f"the last line is cut off ('{text[:40]}') and was left out"
+    action = "Repair or remove these lines."
+    if layout.delimiter == "," and cells > expected and is_numeric(text):
+        action = "If the numbers are written with decimal commas, separate the cells by semicolons."
+    raise InputError(
+        f"{cells} cells in row {number} after the header of {where} ('{text[:60]}')"
+        + (f" and {len(odd) - 1} or more such rows" if len(odd) > 1 else ""),
+        f"{expected} cells as in the header",
+        action,
+    )
+
+
+def _ends_short(source: LogSource) -> bool:
+    """The file breaks off in a line whose last cell is shorter than that of the line before."""
+    if source.gzipped:
+        return False
+    with source.path.open("rb") as file:
+        file.seek(max(0, source.size - TAIL_BYTES))
+        lines = file.read().splitlines(keepends=True)
+    if len(lines) < 3 or lines[-1].endswith((b"\n", b"\r")):
+        return False
+    last, before = (re.split(rb"[,;\t|]", line.rstrip())[-1] for line in (lines[-1], lines[-2]))
+    return len(last) < len(before)

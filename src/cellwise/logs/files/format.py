@@ -1,0 +1,163 @@
+"""Log formats: one record each, detected from the content, never from the file name."""
+
+from __future__ import annotations
+
+import gc
+import io
+import logging
+import sys
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from typing import Literal
+
+from cellwise.errors import InputError
+from cellwise.logs.files.columns import Channel
+from cellwise.logs.files.source import LogSource, RawLog
+from cellwise.logs.measured_log import CurrentMeaning
+
+SignConvention = Literal["discharge-positive", "charge-positive"]
+Reader = Callable[[LogSource, "Format"], RawLog]
+
+
+@dataclass(frozen=True)
+class Format:
+    """One log format.
+
+    Parameters
+    ----------
+    name : str                  what ``cellwise inspect`` calls it
+    matches : callable          whether a file's first bytes are of this format
+    channels : sequence         its column map
+    read : callable             file and format to channels
+    sign : str                  what its positive current means
+    current_meaning : str       which interval the current of a row belongs to
+    known : sequence of str     columns that belong to it and are not used; None: any may
+    instances : bool            a file may hold several batteries
+    uses_dbc : bool             a CAN database says what its frames hold
+    """
+
+    name: str
+    matches: Callable[[LogSource], bool]
+    channels: Sequence[Channel]
+    read: Reader
+    sign: SignConvention
+    current_meaning: CurrentMeaning = "interval_end"
+    known: Sequence[str] | None = None
+    instances: bool = False
+    uses_dbc: bool = False
+
+
+# Content that is given to a log reader by mistake, and what to do about it.
+_OTHER_CONTENT = (
+    (b"PK\x03\x04", "a zip archive or an Excel workbook", "Export the sheet as CSV, or unpack it."),
+    (b"\xd0\xcf\x11\xe0", "an old Excel workbook", "Export the sheet as CSV."),
+    (b"\x00\x01\x00\x00Standard", "an Access database (Arbin .res)", "Export the test as CSV."),
+    (b"\x89HDF", "an HDF5 file", "Export time, current and voltage as CSV."),
+    (b"BZh", "a bzip2 file", "Decompress it first."),
+    (b"\xfd7zXZ", "an xz file", "Decompress it first."),
+    (b"\x28\xb5\x2f\xfd", "a zstd file", "Decompress it first."),
+    (b"\xff\xfe", "a file in UTF-16", "Save it as UTF-8."),
+    (b"\xfe\xff", "a file in UTF-16", "Save it as UTF-8."),
+)
+
+
+def detect_format(source: LogSource, formats: Sequence[Format]) -> Format:
+    """The first format whose content test the file passes.
+
+    Raises
+    ------
+    InputError        none does, or the format has no use for what the user stated
+    """
+    for known in formats:
+        if known.matches(source):
+            _check_options(source, known)
+            return known
+    what, action = "content of no known format", "Export the log as CSV with a header line."
+    for magic, kind, action_for in _OTHER_CONTENT:
+        if source.head.startswith(magic):
+            what, action = kind, action_for
+    raise InputError(
+        f"{what} in '{source.path}' (first bytes {source.head[:12]!r})",
+        "a log in one of the formats: " + ", ".join(known.name for known in formats),
+        action,
+    )
+
+
+def _check_options(source: LogSource, known: Format) -> None:
+    """Refuse what this format cannot follow."""
+    options = source.options
+    if options.instance is not None and not known.instances:
+        raise InputError(
+            f"an instance for {source.where}, whose format {known.name} holds one battery",
+            "a log of several batteries",
+            "Omit --instance, or choose the columns with --channel.",
+        )
+    if options.dbc is not None and not known.uses_dbc:
+        raise InputError(
+            f"a DBC file for {source.where}, whose format is {known.name}",
+            "a log of CAN frames",
+            "Omit --dbc.",
+        )
+
+
+def damaged(source: LogSource, kind: str, reason: object) -> InputError:
+    """The refusal of a file that its own library cannot read to the end."""
+    text = " ".join(str(reason).split()).rstrip(".")[:200] or type(reason).__name__
+    return InputError(
+        f"a cut off or damaged {kind} {source.where} ({text})",
+        "a complete file",
+        "Copy it again, or have it written again.",
+    )
+
+
+@contextmanager
+def without_late_errors() -> Iterator[None]:
+    """Keep what cannot be raised (in a callback, in a destructor) from being printed."""
+    hook = sys.unraisablehook
+    sys.unraisablehook = lambda _: None
+    try:
+        yield
+    finally:
+        sys.unraisablehook = hook
+
+
+@contextmanager
+def library_at_work(source: LogSource, kind: str) -> Iterator[None]:
+    """Turn whatever a library raises on a damaged file into one refusal.
+
+    These libraries check little: a file that was cut off ends in an index, a key, a struct or an
+    assertion error, and print meanwhile.
+    """
+    level = logging.root.manager.disable
+    logging.disable(logging.CRITICAL)
+    try:
+        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
+            yield
+    except InputError:
+        raise
+    except Exception as error:
+        with without_late_errors():
+            _let_go(error)
+        raise damaged(source, kind, f"{type(error).__name__}: {error}") from error
+    finally:
+        logging.disable(level)
+
+
+def _let_go(error: BaseException) -> None:
+    """Drop the half-made objects that an error holds."""
+    link: BaseException | None = error
+    while link is not None:
+        traceback.clear_frames(link.__traceback__)
+        link = link.__context__
+    gc.collect()
+
+
+def cut_off(source: LogSource, kind: str) -> InputError:
+    """The refusal of a recording that ends within a message, as after a loss of power."""
+    return InputError(
+        f"a cut off {kind} {source.where}: it ends within a message",
+        "a complete file",
+        "Copy it again; if the recorder lost power, read what there is with --partial.",
+    )

@@ -1,0 +1,184 @@
+"""A file as it lies there: its size, its first bytes, whether it is compressed."""
+
+from __future__ import annotations
+
+import gzip
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from difflib import get_close_matches
+from functools import cached_property
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, cast
+
+from cellwise.errors import InputError
+from cellwise.logs.files.options import NOTHING_SAID, ReadOptions
+from cellwise.typing import FloatArray
+
+if TYPE_CHECKING:
+    import pyarrow
+
+# Called with the bytes (or columns) done and the number there are in all.
+Progress = Callable[[int, int], None]
+
+HEAD_BYTES = 65_536
+GZIP_MAGIC = b"\x1f\x8b"
+TEXT_CONTROLS = b"\t\n\r\f"
+NO_TEXT = bytes(byte for byte in range(32) if byte not in TEXT_CONTROLS)
+MOST_HEADER_LINES = 400
+
+
+@dataclass(frozen=True)
+class LogSource:
+    """A log file before anything is known of its format.
+
+    ``head`` holds the first bytes of the content, decompressed when the file is gzip.
+    """
+
+    path: Path
+    size: int
+    gzipped: bool
+    head: bytes
+    progress: Progress | None = None
+    options: ReadOptions = NOTHING_SAID
+
+    @property
+    def where(self) -> str:
+        """The file, for messages."""
+        return f"'{self.path}'"
+
+    @cached_property
+    def is_text(self) -> bool:
+        """The file's beginning has no byte that text has not."""
+        if b"\0" in self.head:
+            return False
+        return len(self.head.translate(None, NO_TEXT)) == len(self.head)
+
+    @cached_property
+    def first_lines(self) -> tuple[str, ...]:
+        """The first lines of a text, stripped; none of another file."""
+        if not self.is_text:
+            return ()
+        return tuple(line.strip() for line in decoded(self.head).splitlines()[:MOST_HEADER_LINES])
+
+    @cached_property
+    def parquet_metadata(self) -> pyarrow.parquet.FileMetaData:
+        """The footer of a parquet file, read once.
+
+        Raises
+        ------
+        pyarrow.ArrowException, OSError      a file that is not whole
+        """
+        from pyarrow import parquet
+
+        return parquet.read_metadata(self.path)
+
+    def open(self) -> IO[bytes]:
+        """The content as a binary stream, decompressed."""
+        if self.gzipped:
+            return cast("IO[bytes]", gzip.open(self.path, "rb"))
+        return self.path.open("rb")
+
+    def report(self, done: int, total: int) -> None:
+        """Report progress if anybody listens."""
+        if self.progress is not None:
+            self.progress(min(done, total), total)
+
+
+@dataclass(frozen=True)
+class RawLog:
+    """What a reader takes from a file: channels by field of `CellLog`, in the channel's own unit.
+
+    ``channels["time_s"]``, ``["current_A"]`` and ``["voltage_V"]`` are there once `complete` has
+    seen it; missing values are NaN; the sign is still the format's. ``cells`` is the number of
+    cells in series that the file states.
+    """
+
+    channels: dict[str, FloatArray]
+    notices: tuple[str, ...] = ()
+    cells: int | None = None
+
+
+def open_source(
+    path: str | Path, progress: Progress | None = None, options: ReadOptions | None = None
+) -> LogSource:
+    """Look at a file's first bytes.
+
+    Raises
+    ------
+    InputError        nothing there, a folder, not readable, empty, or damaged gzip
+    """
+    place = Path(path)
+    if place.is_dir():
+        raise InputError(f"a folder at '{place}'", "a log file", "Name one of the files in it.")
+    try:
+        size = place.stat().st_size
+        with place.open("rb") as file:
+            magic = file.read(2)
+    except FileNotFoundError:
+        raise InputError(f"no file '{place}'", "a log file", _near_files(place)) from None
+    except OSError as error:
+        raise InputError(
+            f"'{place}', which cannot be read ({error.strerror})",
+            "a readable log file",
+            "Check its permissions and that the disk is there.",
+        ) from None
+    if size == 0:
+        raise _empty(place)
+    source = LogSource(place, size, magic == GZIP_MAGIC, b"", progress)
+    try:
+        with source.open() as stream:
+            head = stream.read(HEAD_BYTES)
+    except (OSError, EOFError, zlib.error) as error:
+        head = _gzip_head(source)
+        if not head:
+            raise damaged_gzip(source, str(error)) from None
+    if not head:
+        raise _empty(place)
+    return LogSource(place, size, source.gzipped, head, progress, options or NOTHING_SAID)
+
+
+def decoded(text: bytes) -> str:
+    """Bytes as UTF-8, else as Latin-1, which old programs write (a degree sign, a micro sign)."""
+    try:
+        return text.decode("utf-8")
+    except UnicodeDecodeError as error:
+        if error.start >= len(text) - 3:  # cut within a character
+            return text.decode("utf-8", errors="ignore")
+        return text.decode("latin-1")
+
+
+def damaged_gzip(source: LogSource, reason: str) -> InputError:
+    """The refusal of a gzip file that ends early or does not decompress."""
+    return InputError(
+        f"a cut off or damaged gzip file '{source.path}' ({reason.rstrip('.')})",
+        "a complete file",
+        "Copy or download it again; 'gzip -t' checks that it is whole.",
+    )
+
+
+def _gzip_head(source: LogSource) -> bytes:
+    """What can still be decompressed from the beginning of a damaged gzip file."""
+    try:
+        with source.path.open("rb") as file:
+            return zlib.decompressobj(wbits=31).decompress(file.read(HEAD_BYTES), HEAD_BYTES)
+    except zlib.error:
+        return b""
+
+
+def _empty(path: Path) -> InputError:
+    return InputError(
+        f"the empty file '{path}'",
+        "a log with a header and rows",
+        "Check the export, or the copy, that wrote it.",
+    )
+
+
+def _near_files(path: Path) -> str:
+    folder = path.parent
+    if not folder.is_dir():
+        return f"There is no folder '{folder}' either: check the path."
+    near = get_close_matches(path.name, [p.name for p in folder.iterdir()], n=3)
+    if near:
+        return f"Did you mean {' or '.join(repr(name) for name in near)} in the same folder?"
+    return "Check the path."

@@ -1,0 +1,160 @@
+"""A diagnosis as text: what every cause means with its numbers, the first line of its page."""
+
+from __future__ import annotations
+
+import math
+
+from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
+from cellwise.report.page.numerals import (
+    ampere_hours,
+    duration,
+    listed,
+    millivolt,
+    ohm_unit,
+    percent,
+    points,
+    significant,
+)
+
+KINDS = {
+    "measurement": "A fault of the measurement: the log is corrected, the cell's model is kept.",
+    "start": "The initial SOC of the log: neither the cell nor its model is wrong.",
+    "cell": "A property of the cell: the model is extended.",
+}
+UNITS = {"A": 1e3, "V": 1e3}
+LEAST_SCORE = 8.0  # below it a candidate explains nothing, as for the model comparison
+
+
+def cause_name(name: str) -> str:
+    """A name of the contract for people."""
+    return name.replace("_", " ").replace("ocv", "OCV").replace("soc", "SOC")
+
+
+def diagnosis_finding(diagnosis: Diagnosis) -> str:
+    """The first line: what is wrong and what its correction gains."""
+    if diagnosis.causes:
+        first, last = diagnosis.causes[0], diagnosis.causes[-1]
+        text = statement(first, diagnosis)
+        others = [cause_name(c.name) for c in diagnosis.causes[1:]]
+        more = f", with {listed(others)}" if others else ""
+        before, after = first.holdout_rmse_before_V, last.holdout_rmse_after_V
+        return f"{text}{more}: held-out error {fall(before, after)}."
+    if diagnosis.verdict == "none":
+        error = diagnosis.anatomy.get("rmse_V")
+        rest = "" if error is None else f" The residual is {millivolt(error)} RMSE."
+        return f"These data show no error beyond the stated one.{rest}"
+    alike = _alike(diagnosis)
+    if len(alike) < 2:
+        why = f": {diagnosis.reasons[0].rstrip('.')}" if diagnosis.reasons else ""
+        return f"These data do not show what is wrong, if anything is{why}."
+    one, other = sorted(alike, key=lambda c: -c.score)[:2]
+    return (
+        f"The model is wrong, but these data do not separate {cause_name(one.name)} from "
+        f"{cause_name(other.name)}: held-out error {millivolt(one.holdout_rmse_V)} with the one, "
+        f"{millivolt(other.holdout_rmse_V)} with the other."
+    )
+
+
+def _alike(diagnosis: Diagnosis) -> list[TriedCause]:
+    """Candidates that are not separated: those that a reason names, else all that explain."""
+    named = {w for r in diagnosis.reasons if r.endswith("equally well") for w in r.split()}
+    open_between = [c for c in diagnosis.candidates if c.name in named]
+    if len(open_between) > 1:
+        return open_between
+    return [c for c in diagnosis.candidates if c.score > LEAST_SCORE]
+
+
+def fall(before_V: float, after_V: float) -> str:
+    """``falls from 24 mV to 9 mV (−62 %)``."""
+    if not (math.isfinite(before_V) and before_V > 0.0):
+        return f"is {millivolt(after_V)}"
+    change = after_V / before_V - 1.0
+    verb = "falls" if change < 0.0 else "rises"
+    return f"{verb} from {millivolt(before_V)} to {millivolt(after_V)} ({percent(change, 0)})"
+
+
+def statement(cause: FoundCause, diagnosis: Diagnosis) -> str:
+    """The cause with its numbers, without a full stop."""
+    if cause.kind == "cell":
+        return _of_cell(cause, diagnosis)
+    p = cause.parameters
+    if cause.name == "current_offset":
+        return f"The current sensor reads {ampere(abs(p['offset_A']))} too {_much(p['offset_A'])}"
+    if cause.name == "current_gain":
+        share = p["gain"] - 1.0
+        return f"The current sensor reads {percent(abs(share), 1)} too {_much(share)}"
+    if cause.name == "voltage_offset":
+        return (
+            f"The voltage sensor reads {millivolt(abs(p['offset_V']))} too {_much(p['offset_V'])}"
+        )
+    if cause.name == "time_skew":
+        late = "after" if p["skew_s"] > 0 else "before"
+        return f"The voltage is logged {duration(abs(p['skew_s']))} {late} the current"
+    if cause.name == "initial_soc":
+        stated = diagnosis.soc0[0].get("value") if diagnosis.soc0 else None
+        instead = f", not at {points(float(stated))}" if stated is not None else ""
+        return f"The log starts at {points(p['soc0'])} SOC{instead}"
+    return cause.meaning.rstrip(".")
+
+
+def _of_cell(cause: FoundCause, diagnosis: Diagnosis) -> str:
+    p = cause.parameters
+    name = cause.name
+    if name == "capacity":
+        was = diagnosis.model.capacity_Ah
+        share = p["capacity_Ah"] / was - 1.0
+        more = "more" if share > 0.0 else "less"
+        return (
+            f"The cell holds {ampere_hours(p['capacity_Ah'])}, {percent(abs(share), 1)} {more} "
+            f"than the model's {ampere_hours(was)}"
+        )
+    if name == "resistance_scale":
+        return f"Every resistance is {significant(p['scale'])} times the model's"
+    if name == "ocv_shift":
+        knot = max(p, key=lambda k: abs(p[k]))
+        soc = int(knot.split("_")[1]) / 1000.0
+        return f"The OCV curve differs, by {millivolt(p[knot])} at {points(soc)} SOC"
+    if name == "slow_diffusion":
+        factor, unit = ohm_unit(abs(p["r3_ohm"]) or 1.0)
+        size = f"{significant(factor * p['r3_ohm'])} {unit}"
+        return f"A slow polarisation is missing, {size} with {duration(p['tau3_s'])}"
+    if name == "hysteresis":
+        return f"The OCV depends on the direction, by {millivolt(p['m_V'])} to either side"
+    if name == "temperature_dependence":
+        change = p["activation_K"] * (1 / 288.15 - 1 / 298.15)
+        return f"Resistances at 15 °C are {significant(math.exp(change))} times those at 25 °C"
+    if name == "rate_dependence":
+        factor = 1.0 / (1.0 + p["rate_h"])
+        return f"Resistances at 1C are {significant(factor)} times those at small currents"
+    if name == "charge_asymmetry":
+        scale = significant(p["charge_scale"])
+        return f"Resistances on charge are {scale} times those on discharge"
+    if name == "self_heating":
+        rise = significant(p["rth_K_per_W"])
+        after = duration(p["thermal_s"])
+        return f"The cell is warmer inside than logged, {rise} K per watt after {after}"
+    if name == "self_discharge":
+        return f"The cell discharges itself by {ampere(p['leak_A'])}"
+    return cause.meaning.rstrip(".")
+
+
+def ampere(current_A: float) -> str:
+    """A current as ``98 mA`` or ``1.2 A``."""
+    if abs(current_A) < 0.9995:
+        return f"{significant(1e3 * current_A)} mA"
+    return f"{significant(current_A)} A"
+
+
+def valued(value: float, unit: str) -> str:
+    """A parameter with its unit, in thousandths where that reads better."""
+    scale = UNITS.get(unit)
+    if scale is not None and abs(value) < 1.0:
+        return f"{significant(scale * value)} m{unit}"
+    if unit == "ohm":
+        factor, name = ohm_unit(abs(value) or 1.0)
+        return f"{significant(factor * value)} {name}"
+    return significant(value) if unit == "1" else f"{significant(value)} {unit}"
+
+
+def _much(value: float) -> str:
+    return "much" if value > 0.0 else "little"

@@ -1,0 +1,177 @@
+"""Pieces of HTML: escaped text, tables, lists, the page around them, data for machines."""
+
+from __future__ import annotations
+
+import html
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from cellwise.report.page.stylesheet import STYLESHEET
+
+
+class Markup(str):
+    """Text that is HTML already; everything else is escaped before it enters a page."""
+
+    __slots__ = ()
+
+
+EMPTY = Markup("")
+MANY_COLUMNS = 9
+USE = (
+    "Plots zoom: drag over the part to see, or click a plot and turn the wheel; arrow keys, + and "
+    "− move; a double click shows all."
+)
+
+
+def escape(text: object) -> Markup:
+    """Text made safe inside an element or an attribute; markup stays as it is."""
+    return text if isinstance(text, Markup) else Markup(html.escape(str(text), quote=True))
+
+
+def paragraph(text: object, kind: str = "") -> Markup:
+    """A paragraph, of a class if one is named."""
+    named = f' class="{escape(kind)}"' if kind else ""
+    return Markup(f"<p{named}>{escape(text)}</p>")
+
+
+def bullets(items: Iterable[object], kind: str = "") -> Markup:
+    """A list; nothing where there is nothing to list."""
+    inside = "".join(f"<li>{escape(item)}</li>" for item in items)
+    named = f' class="{escape(kind)}"' if kind else ""
+    return Markup(f"<ul{named}>{inside}</ul>" if inside else "")
+
+
+def table(
+    head: Sequence[object],
+    rows: Iterable[Sequence[object]],
+    *,
+    caption: str = "",
+    marked: int | None = None,
+    text_columns: Iterable[int] = (0,),
+) -> Markup:
+    """A table; columns hold numbers but for ``text_columns``; one row may be marked."""
+    text = set(text_columns)
+
+    def cells(row: Sequence[object], tag: str) -> str:
+        kinds = ("" if k in text else ' class="n"' for k in range(len(row)))
+        return "".join(
+            f"<{tag}{kind}>{escape(cell)}</{tag}>" for kind, cell in zip(kinds, row, strict=True)
+        )
+
+    mark = ' class="marked"'
+    many = ' class="many"' if len(head) > MANY_COLUMNS else ""
+    body = "".join(
+        f"<tr{mark if k == marked else ''}>{cells(row, 'td')}</tr>\n" for k, row in enumerate(rows)
+    )
+    note = paragraph(caption, "note") if caption else ""
+    return Markup(
+        f'{note}<div class="scroll"><table{many}><thead><tr>{cells(head, "th")}</tr></thead>\n'
+        f"<tbody>\n{body}</tbody></table></div>"
+    )
+
+
+def details(summary: object, inside: Markup) -> Markup:
+    """Something long that opens on a click, without any script."""
+    return Markup(f"<details><summary>{escape(summary)}</summary>\n{inside}\n</details>")
+
+
+def tiles(facts: Iterable[tuple[object, object]]) -> Markup:
+    """A row of key figures: value large, name small."""
+    inside = "".join(
+        f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>" for name, value in facts
+    )
+    return Markup(f'<dl class="tiles">{inside}</dl>')
+
+
+def beside(*blocks: str) -> Markup:
+    """Blocks beside one another where the window is wide enough."""
+    inside = "".join(f"<div>{block}</div>" for block in blocks if block)
+    return Markup(f'<div class="beside">{inside}</div>')
+
+
+def section(key: str, title: str, *blocks: str) -> Markup:
+    """A headed part of the page that can be linked to."""
+    inside = "\n".join(block for block in blocks if block)
+    return Markup(f'<section id="{escape(key)}">\n<h2>{escape(title)}</h2>\n{inside}\n</section>')
+
+
+def page(
+    finding: str,
+    about: str,
+    sections: Sequence[tuple[str, str, str, Markup]],
+    data: Mapping[str, Any],
+    *,
+    lead: Markup = EMPTY,
+    title: str = "",
+    scripts: Sequence[Markup] = (),
+) -> str:
+    """A whole page, nothing outside it needed.
+
+    Parameters
+    ----------
+    finding : str       the first line: what was found, with numbers
+    about : str         what the page is, in a few words
+    sections : of (key, title, short title for the links, content)
+    data : mapping      the figures for machines, see :func:`data_block`
+    lead : Markup       between the finding and the sections
+    title : str         of the window
+    scripts : of Markup    programs that run when the page is there
+    """
+    links = "".join(
+        f'<a href="#{escape(key)}">{escape(short)}</a>'
+        for key, _, short, inside in sections
+        if inside
+    )
+    parts = "\n".join(section(key, name, inside) for key, name, _, inside in sections if inside)
+    use = paragraph(USE, "about") if scripts else EMPTY
+    programs = "\n".join(f"<script>{program}</script>" for program in scripts)
+    return f"""<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta name="generator" content="cellwise">
+<title>{escape(title or about)}</title>
+<style>{STYLESHEET}</style>
+</head>
+<body>
+<main>
+<header>
+<h1>{escape(finding)}</h1>
+<p class="about">{escape(about)}</p>
+{lead}
+<nav aria-label="Contents">{links}</nav>
+{use}
+</header>
+{parts}
+<footer>Written by cellwise. Nothing on this page is loaded from elsewhere; the figures for
+machines are in the block <code>cellwise-data</code> of its source.</footer>
+</main>
+{data_block(data)}
+{programs}
+</body>
+</html>
+"""
+
+
+def data_block(data: Mapping[str, Any]) -> Markup:
+    """The figures as JSON in the page, under the id ``cellwise-data``.
+
+    A figure that does not exist is null. No ``<`` stands in it, so nothing in it can end it.
+    """
+    text = json.dumps(finite(data), ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")
+    return Markup(f'<script type="application/json" id="cellwise-data">{text}</script>')
+
+
+def finite(value: Any) -> Any:
+    """JSON values with null for what is not finite."""
+    if isinstance(value, Mapping):
+        return {str(key): finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(item) for item in value]
+    if isinstance(value, bool | int | str) or value is None:
+        return value
+    number = float(value)
+    return number if math.isfinite(number) else None

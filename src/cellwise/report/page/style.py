@@ -1,0 +1,225 @@
+"""How every picture looks: one palette, one font size, light grid, and the lazy matplotlib."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, ParamSpec, cast
+
+from cellwise.errors import InputError
+
+if TYPE_CHECKING:
+    # Named so that pages outside this folder can say what they draw on.
+    from matplotlib.axes import Axes as Axes
+    from matplotlib.axis import Axis
+    from matplotlib.figure import Figure as Figure
+
+P = ParamSpec("P")
+
+# Okabe and Ito's colours, which people with any colour vision can distinguish; the blue is
+# lightened so that it reads on a dark page too.
+# Truth is grey, the model vermillion, the filter blue.
+BLUE, SKY, GREEN = "#1f83c4", "#56b4e9", "#009e73"
+AMBER, VERMILLION, PURPLE = "#e69f00", "#d55e00", "#cc79a7"
+MEASURED, MODEL, FILTER = "#808a96", VERMILLION, BLUE
+CYCLE = (BLUE, VERMILLION, GREEN, AMBER, PURPLE, SKY, MEASURED)
+COLD_TO_WARM = (BLUE, SKY, GREEN, AMBER, VERMILLION, PURPLE)
+# Verdicts on pulses: colour and marker, so that neither has to be relied on alone.
+VERDICTS = {
+    "healthy": (GREEN, "o"),
+    "trimmed": (AMBER, "s"),
+    "distorted": (PURPLE, "^"),
+    "spurious": (MEASURED, "x"),
+}
+# Ink, quiet ink, grid and paper: the page replaces these by its own colours of day and night.
+INK, MUTED, GRID, PAPER = "#1f2329", "#57606b", "#dfe3e8", "#fefefe"
+
+WIDTH_IN = 10.0
+FONT_PT = 9.0
+# Shares of the figure's width that titles over the wide and the narrow of two columns may take.
+WIDE, NARROW = 0.575, 0.265
+RASTER_DPI = 150
+
+RC: Any = {
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans", "Verdana", "Geneva", "sans-serif"],
+    "font.size": FONT_PT,
+    "text.color": INK,
+    "text.parse_math": False,
+    "figure.facecolor": PAPER,
+    "figure.dpi": 100,
+    "axes.facecolor": "none",
+    "axes.edgecolor": MUTED,
+    "axes.labelcolor": MUTED,
+    "axes.labelsize": FONT_PT,
+    "axes.linewidth": 0.7,
+    "axes.titlesize": FONT_PT + 0.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.titlecolor": INK,
+    "axes.titlepad": 6.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.unicode_minus": True,
+    "axes.formatter.useoffset": False,
+    "grid.color": GRID,
+    "grid.linewidth": 0.7,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.labelsize": FONT_PT - 0.5,
+    "ytick.labelsize": FONT_PT - 0.5,
+    "xtick.major.size": 3.0,
+    "ytick.major.size": 3.0,
+    "xtick.major.width": 0.7,
+    "ytick.major.width": 0.7,
+    "xtick.minor.size": 0.0,
+    "ytick.minor.size": 0.0,
+    "lines.linewidth": 1.2,
+    "lines.solid_joinstyle": "round",
+    "legend.frameon": True,
+    "legend.framealpha": 0.85,
+    "legend.facecolor": PAPER,
+    "legend.edgecolor": "none",
+    "legend.fontsize": FONT_PT - 0.5,
+    "legend.borderpad": 0.25,
+    "legend.handlelength": 1.5,
+    "legend.labelspacing": 0.3,
+    "path.simplify": True,
+    "path.simplify_threshold": 0.1,
+    "savefig.facecolor": PAPER,
+    "savefig.dpi": RASTER_DPI,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "cellwise",
+}
+CLOSELY: Any = {"path.simplify_threshold": 0.02}
+
+
+@contextmanager
+def drawing(*, closely: bool = False) -> Iterator[None]:
+    """The style while a picture is made or written; other settings do not change.
+
+    ``closely`` keeps what is finer than a screen shows, for pictures that zoom.
+
+    Raises
+    ------
+    InputError        matplotlib is not installed
+    """
+    try:
+        import matplotlib
+    except ImportError as error:
+        raise InputError(
+            "no matplotlib, which draws the pictures",
+            "the extra 'report'",
+            "Install it: pip install 'cellwise[report]'",
+        ) from error
+    with matplotlib.rc_context(RC | CLOSELY if closely else RC):
+        yield
+
+
+def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+    """Decorator: draw a figure within :func:`drawing`."""
+
+    @functools.wraps(draw)
+    def inside(*args: P.args, **kwargs: P.kwargs) -> Figure:
+        with drawing():
+            return draw(*args, **kwargs)
+
+    return inside
+
+
+def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:
+    """An empty figure whose parts find their own places."""
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    engine = ConstrainedLayoutEngine(w_pad=0.06, h_pad=0.06, wspace=0.03, hspace=0.02)
+    return Figure(figsize=(width_in, height_in), layout=engine)
+
+
+def two_columns(
+    figure: Figure, left: tuple[float, ...], right: tuple[float, ...], share: float = 0.655
+) -> tuple[list[Axes], list[Axes]]:
+    """A wide and a narrow column of axes, each with heights of its own.
+
+    Each column takes its rows' places for itself, so labels in one leave no hole in the other.
+    """
+    parts: Any = figure.subfigures(1, 2, width_ratios=(share, 1.0 - share))
+    columns: list[list[Axes]] = []
+    for part, heights in zip(parts, (left, right), strict=True):
+        part.set_facecolor("none")
+        grid = part.add_gridspec(len(heights), 1, height_ratios=heights)
+        columns.append([part.add_subplot(grid[k, 0]) for k in range(len(heights))])
+    return columns[0], columns[1]
+
+
+def finding(axes: Axes, text: str, share: float = 0.9, width_in: float = WIDTH_IN) -> None:
+    """Title of an axes that may take ``share`` of the figure's width: what was found, wrapped."""
+    axes.set_title("\n".join(wrapped(text, 72.0 * width_in * share)))
+
+
+def wrapped(text: str, width_pt: float) -> list[str]:
+    """Text broken at its spaces into lines no wider than so many points in the titles' font."""
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.textpath import TextToPath
+
+    size = RC["axes.titlesize"]
+    font = FontProperties(family=RC["font.sans-serif"][0], weight="bold", size=size)
+    measure = TextToPath().get_text_width_height_descent
+
+    def width(word: str) -> float:
+        return float(measure(f"{word} ", font, False)[0])
+
+    lines, room = [""], 0.0
+    for word in text.split(" "):
+        needs = width(word)
+        if lines[-1] and needs > room:
+            lines.append("")
+        if not lines[-1]:
+            room = width_pt
+        lines[-1] += f" {word}" if lines[-1] else word
+        room -= needs
+    return lines
+
+
+def labels(axes: Axes, x: str = "", y: str = "") -> None:
+    """Axis labels; an empty one belongs to a shared axis, whose tick labels go as well."""
+    axes.set_xlabel(x)
+    axes.set_ylabel(y)
+    if not x:
+        axes.tick_params(labelbottom=False)
+
+
+def legend(axes: Axes, *, columns: int = 1, place: str = "best") -> None:
+    """A legend, if there is anything to name."""
+    handles, names = axes.get_legend_handles_labels()
+    if handles:
+        axes.legend(handles, names, ncols=columns, loc=cast(Any, place)).set_zorder(6)
+
+
+def zero_line(axes: Axes) -> None:
+    """A quiet line at zero."""
+    axes.axhline(0.0, color=MUTED, linewidth=0.7, zorder=1.5)
+
+
+def plain_numbers(axis: Axis) -> None:
+    """Numbers of a logarithmic axis written out: decades, and parts of them where it spans few."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    low, high = axis.get_data_interval()
+    span = high / low if low > 0.0 else 1e9
+    parts = (
+        (1.0, 1.5, 2.0, 3.0, 5.0, 7.0) if span < 10 else (1.0, 2.0, 5.0) if span < 100 else (1.0,)
+    )
+    axis.set_major_locator(LogLocator(subs=parts, numticks=12))
+    axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:,.10g}".replace(",", " ")))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def soc_axis(axes: Axes, label: bool = True) -> None:
+    """SOC from 0 to 100 % on the x axis."""
+    axes.set_xlim(-2.0, 102.0)
+    axes.set_xticks([0, 20, 40, 60, 80, 100])
+    labels(axes, "SOC [%]" if label else "", axes.get_ylabel())

@@ -1,0 +1,1 @@
+"""Sections of the page of a replay: SOC, figures, remaining time and energy."""

@@ -1,0 +1,140 @@
+"""The page of replays: SOC against its reference, all figures, remaining time and energy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from cellwise.cell.simulate import Simulation
+from cellwise.errors import InputError
+from cellwise.estimate.replay import Replay
+from cellwise.forecast.remaining import Flight
+from cellwise.report.findings import replay_finding, simulation_finding
+from cellwise.report.identification.simulation_section import (
+    simulation_content,
+    simulation_pictures,
+)
+from cellwise.report.page.interactive import HasPanels, trace_section
+from cellwise.report.page.markup import Markup, bullets, paragraph, tiles
+from cellwise.report.page.numerals import (
+    listed,
+    millivolt,
+    percent,
+    points,
+    significant,
+)
+from cellwise.report.page.picture import FigureFiles
+from cellwise.report.page.section import Section, write_page
+from cellwise.report.replay.flight_section import flight_finding, flight_section
+from cellwise.report.replay.replay_figures import reached, replay_content
+from cellwise.report.replay.replay_section import MOST_DETAILED, replay_pictures
+
+
+def replay_page(
+    replays: Sequence[Replay],
+    path: str | Path,
+    simulations: Sequence[Simulation] = (),
+    *,
+    flights: Sequence[Flight] = (),
+    figures: str | Path | FigureFiles | None = None,
+) -> Path:
+    """Write the page of one or more replays, and of simulations beside them.
+
+    Parameters
+    ----------
+    replays : of Replay           the first one gives the page's first line
+    path : str or Path            of the HTML file; it appears whole or not at all
+    simulations : of Simulation   of the same or other logs
+    flights : of Flight           forecasts along them (`cellwise.forecast.remaining.forecast`)
+    figures : folder or FigureFiles   for the same pictures as PNG and SVG files
+
+    Raises
+    ------
+    InputError        no replay; matplotlib is missing; the path cannot be written
+    """
+    if not replays:
+        raise InputError("no replay for the page", "at least one", "Replay a log first.")
+    names = list(dict.fromkeys(r.log.name or "log" for r in replays))
+    lines = [replay_finding(r) for r in replays[1:]]
+    if simulations:
+        lines.append(simulation_finding(simulations))
+    first = replay_finding(replays[0])
+    if (
+        flights and replays[0].reference_soc is None
+    ):  # no reference: remaining time and energy come first
+        lines.insert(0, first)
+        first = flight_finding(flights[0])
+    elif flights:
+        lines.append(flight_finding(flights[0]))
+    sections = replay_sections(replays, simulations)
+    if flights:
+        sections = (flight_section(flights), *sections)
+    few: list[tuple[str, HasPanels]] = [
+        (f"{r.estimator} on {r.log.name or 'log'}", r) for r in replays[:MOST_DETAILED]
+    ]
+    logs = {r.log.name: (f"{r.log.name or 'log'} as it was measured", r.log) for r in replays}
+    sections = (*sections, trace_section([*few, *logs.values()]))
+    data: dict[str, object] = {**replay_data(replays, simulations)}
+    if flights:
+        data["flights"] = [{"log": f.name, **f.to_dict()} for f in flights]
+    return write_page(
+        path,
+        first,
+        f"State of charge on {listed(names)}, by cellwise",
+        sections,
+        data,
+        lead=Markup(replay_tiles(replays[0]) + bullets(lines)),
+        figures=figures,
+    )
+
+
+def replay_sections(
+    replays: Sequence[Replay], simulations: Sequence[Simulation] = ()
+) -> tuple[Section, ...]:
+    """The parts of a replay page."""
+    text = f"The first {MOST_DETAILED} replays have pictures of their own; the table has all."
+    few = (paragraph(text),) if len(replays) > MOST_DETAILED else ()
+    sections = [
+        Section("soc", "State of charge", (*few, *replay_pictures(replays))),
+        Section("figures", "All figures", (replay_content(replays),)),
+    ]
+    if simulations:
+        content = simulation_content(simulations)
+        sections.append(
+            Section(
+                "simulation",
+                "Measured and simulated voltage",
+                (content, *simulation_pictures(simulations)),
+            )
+        )
+    return tuple(sections)
+
+
+def replay_data(
+    replays: Sequence[Replay], simulations: Sequence[Simulation]
+) -> dict[str, list[dict[str, object]]]:
+    """Figures of replays and simulations as JSON values, each with the name of its log."""
+    return {
+        "replays": [{"log": r.log.name, **r.to_dict()} for r in replays],
+        "simulations": [{"log": s.log.name, **s.to_dict()} for s in simulations],
+    }
+
+
+def replay_tiles(replay: Replay) -> Markup:
+    """Key figures of a replay."""
+    facts: list[tuple[object, object]] = [
+        ("initial SOC", points(replay.start.soc)),
+        ("final SOC", points(float(replay.trace.soc[-1]))),
+    ]
+    settled = replay.settled
+    if settled is not None:
+        facts += [
+            ("within 2 points after", reached(replay)),
+            ("settled SOC RMSE", percent(settled.rmse)),
+            ("error inside 2σ", percent(replay.coverage_2sigma, 1)),
+        ]
+    facts += [
+        ("voltage prediction RMSE", millivolt(replay.voltage_rmse_V)),
+        ("per step", f"{significant(replay.ns_per_step)} ns"),
+    ]
+    return tiles(facts)

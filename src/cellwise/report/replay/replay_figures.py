@@ -1,0 +1,73 @@
+"""All figures of replays as a table: the estimators beside one another."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from cellwise.estimate.replay import CONVERGED_SOC, Replay, SocErrors
+from cellwise.report.page.markup import Markup, paragraph, table
+from cellwise.report.page.numerals import (
+    counted,
+    duration,
+    millivolt,
+    percent,
+    points,
+    significant,
+)
+
+# Beyond this many replays the table is turned: one row each.
+MOST_COLUMNS = 6
+EXPLAINED = (
+    "Errors are estimate minus reference, in points of SOC. Settled: after the error has come "
+    "within 2 points and stayed there for ten minutes; where it never did, the log's second half. "
+    "Inside 2σ: share of rows whose error is within two of the filter's own standard deviations. "
+    "NIS: innovation squared over its variance, 1 for a consistent filter."
+)
+
+
+def replay_content(replays: Sequence[Replay]) -> Markup:
+    """All figures of every replay."""
+    columns = [replay_figures(r) for r in replays]
+    names = [name for name, _ in columns[0]]
+    if len(columns) <= MOST_COLUMNS:
+        head = ("", *(r.estimator for r in replays))
+        body = [(name, *(column[k][1] for column in columns)) for k, name in enumerate(names)]
+        return Markup(paragraph(EXPLAINED, "note") + table(head, body))
+    rows = [(r.estimator, *(text for _, text in c)) for r, c in zip(replays, columns, strict=True)]
+    return Markup(
+        paragraph(EXPLAINED, "note") + table(("estimator", *names), rows, text_columns=(0, 1))
+    )
+
+
+def replay_figures(replay: Replay) -> list[tuple[str, str]]:
+    """Every figure of a replay by its name, as text."""
+    trace = replay.trace
+    start, end = replay.start, (float(trace.soc[-1]), float(trace.soc_std[-1]))
+    return [
+        ("log", replay.log.name or "log"),
+        ("samples", counted(len(trace))),
+        ("initial SOC (1σ)", f"{points(start.soc)} ± {points(start.std)}, {start.how}"),
+        ("final SOC (1σ)", f"{points(end[0])} ± {percent(end[1])}"),
+        *_errors("", replay.errors),
+        (f"within {percent(CONVERGED_SOC, 0)} after", reached(replay)),
+        *_errors("settled: ", replay.settled),
+        ("error inside 2σ", percent(replay.coverage_2sigma, 1)),
+        ("mean NIS", significant(replay.nis_mean)),
+        ("voltage RMSE", millivolt(replay.voltage_rmse_V)),
+        ("time per step", f"{significant(replay.ns_per_step)} ns"),
+    ]
+
+
+def reached(replay: Replay) -> str:
+    """How long the error took to come within two points and stay."""
+    if replay.soc_error is None:
+        return duration(None)
+    if replay.convergence_s is None:
+        return "never"
+    return "at once" if replay.convergence_s == 0.0 else duration(replay.convergence_s)
+
+
+def _errors(prefix: str, errors: SocErrors | None) -> list[tuple[str, str]]:
+    values = (None, None, None) if errors is None else (errors.rmse, errors.mae, errors.max)
+    names = ("SOC RMSE", "SOC MAE", "SOC max. error")
+    return [(prefix + n, percent(v)) for n, v in zip(names, values, strict=True)]

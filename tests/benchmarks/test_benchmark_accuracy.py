@@ -1,0 +1,73 @@
+"""Judgements of the accuracy benchmark, on logs whose answer is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from benchmarks.accuracy import __main__ as accuracy
+from benchmarks.accuracy.judging import from_the_middle, judge_soc, voltage_rmse_mV
+from benchmarks.example_cell import START_SOC, load_log, three_branches
+from benchmarks.firmware import __main__ as firmware
+from benchmarks.measured_data import data_folder
+from benchmarks.speed import __main__ as speed
+
+from cellwise.logs import CellLog
+
+
+@pytest.fixture(scope="module")
+def counted():
+    log = load_log()
+    model = three_branches()
+    counter = np.cumsum(log.current_A * log.interval_s) / 3600.0
+    return CellLog(log.time_s, log.current_A, log.voltage_V, charge_Ah=counter), model
+
+
+def test_noise_is_all_that_is_left_of_the_right_model(counted):
+    log, model = counted
+    assert voltage_rmse_mV(model, log, START_SOC) == pytest.approx(1.0, rel=0.05)
+
+
+def test_right_model_finds_back_from_30_points(counted):
+    log, model = counted
+    told = judge_soc(model, log, start=START_SOC - 0.3, true_start=START_SOC,
+                     reference_Ah=model.capacity_Ah, after_s=300.0)  # fmt: skip
+    assert told.convergence_s is not None
+    assert told.convergence_s <= 300.0
+    assert told.late_rmse < 0.02
+    wrong = judge_soc(model, log, start=START_SOC, true_start=START_SOC - 0.2,
+                      reference_Ah=model.capacity_Ah, after_s=300.0)  # fmt: skip
+    assert wrong.late_rmse > 0.1
+
+
+def test_middle_begins_where_the_counter_says(counted):
+    log, model = counted
+    part, soc = from_the_middle(log, START_SOC, model.capacity_Ah, 0.6)
+    assert soc == pytest.approx(0.6, abs=2e-3)
+    assert len(part) < len(log)
+    used = (part.charge_Ah[0] - log.charge_Ah[0]) / model.capacity_Ah
+    assert used == pytest.approx(START_SOC - soc, abs=1e-9)
+
+
+def test_without_measured_cells_it_says_so(monkeypatch, tmp_path):
+    monkeypatch.setenv("CELLWISE_DATA", str(tmp_path / "nowhere"))
+    assert data_folder() is None
+    figures = accuracy.measure(["panasonic", "leaf", "a123"], lambda _: None)
+    assert len(figures) == 3
+    figures += firmware.measure(["agreement"], lambda _: None)
+    assert all(f.value is None and "CELLWISE_DATA" in f.note for f in figures)
+
+
+@pytest.mark.parametrize("main", [accuracy.main, firmware.main, speed.main])
+def test_unknown_part_is_refused(main, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["--only", "nothing"])
+    assert stop.value.code == 2
+    assert "name at least one of" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_measured_cells_meet_their_targets(real_data):
+    figures = accuracy.measure(["panasonic", "leaf", "a123"], lambda _: None)
+    missed = [f"{f.group}: {f.who} = {f.value}" for f in figures if f.passed is False]
+    assert not missed
+    assert sum(f.passed is True for f in figures) == 33

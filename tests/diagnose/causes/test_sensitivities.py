@@ -1,0 +1,93 @@
+"""Derivatives of a whole log against finite differences; whitening against its definition."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import cellwise
+from cellwise.cell.effects import Hysteresis, RateDependence, SelfHeating, SlowDiffusion
+from cellwise.cell.initial_soc import InitialSoc
+from cellwise.cell.simulate import simulate
+from cellwise.diagnose import diagnose
+from cellwise.diagnose.causes.coordinates import SHARED, Coordinates
+from cellwise.diagnose.fit.noise import estimate_noise
+from cellwise.diagnose.fit.rows import gather
+from cellwise.diagnose.fit.whitening_kernels import NoiseLevel, whiten
+from cellwise.logs.cell_log import CellLog
+from example_cells import linear_cell, random_log
+
+START = InitialSoc(0.8, 0.01, "given")
+
+
+def model_with_effects():
+    model = linear_cell()
+    for effect in (SlowDiffusion(0.01, 900.0), Hysteresis(0.01, 20.0), RateDependence(0.05),
+                   SelfHeating(4.0, 300.0)):  # fmt: skip
+        model = model.with_effect(effect)
+    return model
+
+
+@pytest.mark.parametrize("name", [*SHARED, "soc0:0"])
+def test_derivatives_are_those_of_the_simulation(name):
+    log = random_log(np.random.default_rng(3), 400)
+    coordinates = Coordinates(model_with_effects())
+    evidence = gather(coordinates.model, [(log, START)])
+    point = {"offset_A": 0.02, "ln_gain": 0.01, "skew_s": 0.03, "activation_K": 800.0}
+    step = 1e-5 * (1000.0 if name == "activation_K" else 1.0)
+    ends = [
+        evidence.simulate(coordinates, {**point, name: point.get(name, 0.0) + sign * step})[0]
+        for sign in (1.0, -1.0)
+    ]
+    expected = (ends[0] - ends[1]) / (2.0 * step)
+    found = evidence.jacobian(coordinates, point, [name])[:, 0]
+    assert found == pytest.approx(expected, rel=1e-3, abs=1e-3 * (np.abs(expected).max() + 1e-9))
+
+
+def test_a_neutral_point_is_the_plain_simulation():
+    log = random_log(np.random.default_rng(4), 400)
+    model = model_with_effects()
+    voltage, _ = gather(model, [(log, START)]).simulate(Coordinates(model), {})
+    assert voltage == pytest.approx(simulate(model, log, 0.8).voltage_V, abs=1e-12)
+
+
+def test_whitened_noise_is_white_and_its_level_is_found():
+    rng = np.random.default_rng(5)
+    n, level = 20_000, NoiseLevel(1e-3, 1e-5, 10.0, 4e-3, 300.0)
+    slow = np.zeros(n)
+    a = np.exp(-1.0 / level.slow_s)
+    for k in range(1, n):
+        slow[k] = a * slow[k - 1] + np.sqrt(1 - a * a) * level.slow_V * rng.normal()
+    x = slow + level.white_V * rng.normal(size=n)
+    dt, known = np.ones(n), np.ones(n, dtype=bool)
+    dt[0] = np.nan
+    found = estimate_noise(x, dt, known)
+    assert found.white_V == pytest.approx(level.white_V, rel=0.15)
+    assert found.slow_V == pytest.approx(level.slow_V, rel=0.5)
+    columns = x[:, None].copy()
+    whiten(columns, dt, known, level, np.empty(n))
+    e = columns[:, 0]
+    assert np.var(e) == pytest.approx(1.0, abs=0.05)
+    assert abs(np.corrcoef(e[1:], e[:-1])[0, 1]) < 0.03
+
+
+def test_too_little_and_another_cell_are_undetermined_and_say_why():
+    model = linear_cell()
+    time = np.arange(600.0)
+    quiet = CellLog(time, np.zeros(600), np.full(600, 3.7))
+    assert diagnose(model, quiet).verdict == "undetermined"
+    assert "too quiet" in diagnose(model, quiet).reasons[0]
+    short = CellLog(time[:40], np.ones(40), np.full(40, 3.7))
+    assert "too short" in diagnose(model, short).reasons[0]
+    other = CellLog(time, np.ones(600) * model.capacity_Ah, np.full(600, 1.2))
+    found = diagnose(model, other, soc0=0.5)
+    assert found.verdict == "undetermined"
+    assert "another cell" in found.reasons[0]
+    assert not found.causes
+
+
+@pytest.mark.parametrize("causes", [["rust"], ["current_offset", "moon"]])
+def test_unknown_causes_are_refused(causes):
+    log = random_log(np.random.default_rng(6), 400)
+    with pytest.raises(cellwise.InputError, match=causes[-1]):
+        diagnose(linear_cell(), log, causes=causes)

@@ -1,0 +1,200 @@
+"""The sign check: right, mirrored by a flip, and silent where there is nothing to see."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cellwise.logs import CellLog, read_log, verify_sign
+from log_files import pulse_channels, write_csv
+
+OPPOSITE = {
+    "verified": "contradicted",
+    "contradicted": "verified",
+    "undetermined": "undetermined",
+}
+
+
+def flipped(log: CellLog) -> CellLog:
+    return replace(log, current_A=-log.current_A)
+
+
+def cell(time, current, tau=30.0, r0=0.02, r1=0.02, capacity=3.0, slope=0.8) -> np.ndarray:
+    """Voltage of a cell with R0, one RC pair and a linear OCV; exact for held current."""
+    voltage = np.empty(time.size)
+    branch, charge = 0.0, 0.0
+    for k, dt in enumerate(np.diff(time, prepend=time[0])):
+        a = np.exp(-dt / tau)
+        branch = a * branch + (1 - a) * r1 * current[k]
+        charge += current[k] * dt / 3600.0
+        voltage[k] = 3.9 - slope * charge / capacity - r0 * current[k] - branch
+    return voltage
+
+
+def test_pulses_are_verified_with_evidence_and_their_flip_contradicted():
+    columns = pulse_channels()
+    log = CellLog(columns["time_s"], columns["current_A"], columns["voltage_V"])
+    check = verify_sign(log)
+    assert check.verdict == "verified"
+    assert check.score > 0.9
+    assert len(check.evidence) >= 3
+    assert verify_sign(flipped(log)).verdict == "contradicted"
+
+
+def test_flip_mirrors_the_score():
+    rng = np.random.default_rng(2)
+    time = np.cumsum(rng.uniform(0.08, 0.12, 5000))
+    current = np.repeat(rng.normal(2.0, 3.0, 500), 10)
+    log = CellLog(time, current, cell(time, current) + rng.normal(0, 0.005, 5000))
+    assert verify_sign(flipped(log)).score == pytest.approx(-verify_sign(log).score, abs=1e-9)
+
+
+@pytest.mark.parametrize("late_rows", [-5, -2, 0, 2, 5, 20])
+def test_voltage_and_current_read_at_different_times(late_rows):
+    """At the full rate the correlation of dV and dI then tells nothing, or the wrong thing."""
+    rng = np.random.default_rng(4)
+    time = np.arange(0.0, 600.0, 0.1)
+    current = np.repeat(np.abs(rng.normal(10.0, 6.0, 600)), 10)
+    voltage = np.roll(cell(time, current), late_rows) + rng.normal(0, 0.02, time.size)
+    log = CellLog(time, current, voltage)
+    assert verify_sign(log).verdict == "verified"
+    assert verify_sign(flipped(log)).verdict == "contradicted"
+
+
+def test_constant_current_without_an_edge_is_determined_by_the_drift():
+    time = np.arange(0.0, 3000.0, 10.0)
+    log = CellLog(time, np.full(300, 3.0), 4.0 - 0.9 * time / 3000 - 0.1 * (time / 3000) ** 8)
+    assert verify_sign(log).verdict == "verified"
+    assert verify_sign(flipped(log)).verdict == "contradicted"
+
+
+def test_one_short_pulse_in_a_long_rest():
+    time = np.arange(0.0, 7200.0, 1.0)
+    current = np.where((time >= 3600) & (time < 3610), 5.0, 0.0)
+    noise = np.random.default_rng(6).normal(0, 1e-3, time.size)
+    log = CellLog(time, current, cell(time, current) + noise)
+    assert verify_sign(log).verdict == "verified"
+    assert verify_sign(flipped(log)).verdict == "contradicted"
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.005, 0.05])
+@pytest.mark.parametrize("rising", [1.0, -1.0])
+def test_a_rest_is_undetermined_whatever_the_sensor_zero(offset, rising):
+    """A relaxing voltage under a sensor's zero is no evidence of anything."""
+    rng = np.random.default_rng(7)
+    time = np.arange(0.0, 3600.0, 1.0)
+    current = offset + rng.normal(0, 0.002, time.size)
+    voltage = 3.7 - rising * 0.08 * np.exp(-time / 400.0) + rng.normal(0, 2e-4, time.size)
+    assert verify_sign(CellLog(time, current, voltage)).verdict == "undetermined"
+
+
+def test_noise_is_undetermined():
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        time = np.arange(2000.0)
+        log = CellLog(time, rng.normal(0, 1.0, 2000), 3.7 + rng.normal(0, 0.01, 2000))
+        assert verify_sign(log).verdict == "undetermined", seed
+
+
+def test_no_current_and_fixed_voltage_are_undetermined():
+    time = np.arange(100.0)
+    for current, voltage in (
+        (np.zeros(100), 3.7 + 0.01 * np.sin(time)),
+        (np.sin(time), np.full(100, 3.7)),
+    ):
+        check = verify_sign(CellLog(time, current, voltage))
+        assert check.verdict == "undetermined"
+        assert check.evidence
+
+
+def test_missing_values_and_gaps_do_not_disturb():
+    columns = pulse_channels(6000)
+    current, voltage = columns["current_A"].copy(), columns["voltage_V"].copy()
+    current[::13] = np.nan
+    voltage[::17] = np.nan
+    time = columns["time_s"] + np.where(columns["time_s"] > 3000, 86400.0, 0.0)
+    log = CellLog(time, current, voltage)
+    assert verify_sign(log).verdict == "verified"
+    assert verify_sign(flipped(log)).verdict == "contradicted"
+
+
+def test_the_counter_is_evidence():
+    columns = pulse_channels()
+    log = CellLog(
+        columns["time_s"], columns["current_A"], columns["voltage_V"], None, columns["ampere_hours"]
+    )
+    assert any("runs with the current" in e for e in verify_sign(log).evidence)
+    assert any("runs against the current" in e for e in verify_sign(flipped(log)).evidence)
+
+
+def test_auto_tells_of_a_wrong_sign_and_turns_nothing_round(tmp_path):
+    columns = pulse_channels()
+    for name in ("current_A", "ampere_hours"):
+        columns[name] = -columns[name]
+    path = write_csv(tmp_path / "log.csv", columns)
+    log = read_log(path)
+    np.testing.assert_array_equal(log.current_A, columns["current_A"])
+    assert any("--sign charge-positive" in notice for notice in log.notices)
+
+
+def test_charge_positive_turns_current_and_counter_round(tmp_path):
+    truth, columns = pulse_channels(), pulse_channels()
+    for name in ("current_A", "ampere_hours"):
+        columns[name] = -columns[name]
+    log = read_log(write_csv(tmp_path / "log.csv", columns), sign="charge-positive")
+    np.testing.assert_array_equal(log.current_A, truth["current_A"])
+    np.testing.assert_array_equal(log.charge_Ah, truth["ampere_hours"])
+    assert verify_sign(log).verdict == "verified"
+    assert not any("LOOKS WRONG" in notice for notice in log.notices)
+
+
+def test_charge_positive_leaves_a_counter_that_was_right(tmp_path):
+    truth, columns = pulse_channels(), pulse_channels()
+    columns["current_A"] = -columns["current_A"]
+    log = read_log(write_csv(tmp_path / "log.csv", columns), sign="charge-positive")
+    np.testing.assert_array_equal(log.current_A, truth["current_A"])
+    np.testing.assert_array_equal(log.charge_Ah, truth["ampere_hours"])
+
+
+def test_an_order_against_the_data_is_reported(tmp_path):
+    path = write_csv(tmp_path / "log.csv", pulse_channels())
+    log = read_log(path, sign="charge-positive")
+    assert any("--sign discharge-positive" in notice for notice in log.notices)
+
+
+@pytest.mark.slow
+def test_every_measured_log_and_its_flip(real_data):
+    """Never a wrong word; a verdict on nearly all, and the same one mirrored."""
+    files = sorted(real_data.glob("*/*.csv.gz"))
+    told = 0
+    for path in files:
+        log = read_log(path)
+        verdict = verify_sign(log).verdict
+        assert verdict != "contradicted", path.name
+        assert verify_sign(flipped(log)).verdict == OPPOSITE[verdict], path.name
+        told += verdict == "verified"
+    assert told >= 0.98 * len(files)
+
+
+def test_parts_of_measured_logs(real_data):
+    """Ten minutes anywhere: undetermined is an answer, contradicted is not."""
+    rng = np.random.default_rng(8)
+    verdicts = []
+    for path in sorted(real_data.glob("*/*.csv.gz"))[::8]:
+        log = read_log(path)
+        for start in rng.uniform(0, max(log.duration_s - 600.0, 1.0), 5):
+            rows = np.flatnonzero((log.time_s >= start) & (log.time_s < start + 600.0))
+            if rows.size > 10:
+                verdicts.append(verify_sign(log.rows(rows)).verdict)
+    assert "contradicted" not in verdicts
+    assert verdicts.count("verified") > 0.5 * len(verdicts)
+
+
+@pytest.mark.parametrize("seconds", [-1.0, -0.3, 0.3, 1.0])
+def test_measured_drive_with_shifted_voltage(real_data, seconds):
+    log = read_log(real_data / "panasonic_18650pf" / "drive_p25_us06.csv.gz")
+    shifted = replace(log, voltage_V=np.interp(log.time_s - seconds, log.time_s, log.voltage_V))
+    assert verify_sign(shifted).verdict == "verified"
+    assert verify_sign(flipped(shifted)).verdict == "contradicted"

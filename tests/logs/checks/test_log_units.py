@@ -1,0 +1,189 @@
+"""Wrong units under a plain name: refused when definite, told when likely, never silent."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cellwise.errors import InputError
+from cellwise.logs import CellLog, read_log
+from log_files import pulse_channels
+
+
+def without_counter(columns):
+    return {k: v for k, v in columns.items() if k != "ampere_hours"}
+
+
+def scaled(name: str, factor: float, offset: float = 0.0) -> dict[str, np.ndarray]:
+    columns = pulse_channels()
+    columns[name] = columns[name] * factor + offset
+    return columns
+
+
+def notices(columns) -> str:
+    return " / ".join(CellLog.from_table(columns).notices)
+
+
+def test_right_units_raise_no_notice():
+    assert notices(pulse_channels()) == ""
+    assert notices(without_counter(pulse_channels())) == ""
+
+
+def test_milliampere_against_the_counter_is_refused():
+    with pytest.raises(InputError, match=r"1000 times the counter.*current_mA"):
+        CellLog.from_table(scaled("current_A", 1000.0))
+
+
+def test_milliampere_without_a_counter():
+    """3 A pulses of a 30 mOhm cell read as 3000 A through 30 microohm."""
+    told = notices(without_counter(scaled("current_A", 1000.0)))
+    assert "microohm" in told
+    assert "current_mA" in told
+    with pytest.raises(InputError, match="current_mA"):
+        CellLog.from_table(without_counter(scaled("current_A", 3000.0)))
+
+
+def test_a_large_cell_is_not_taken_for_milliampere():
+    """1500 A through 0.2 mOhm: a 300 Ah cell, and possible."""
+    columns = pulse_channels()
+    columns["current_A"] = columns["current_A"] * 500.0
+    columns["ampere_hours"] = columns["ampere_hours"] * 500.0
+    columns["voltage_V"] = 4.1 - 0.003 * columns["ampere_hours"] - 2e-4 * columns["current_A"]
+    assert notices(columns) == ""
+    assert notices(without_counter(columns)) == ""
+
+
+def test_milliseconds_against_the_counter_are_refused():
+    with pytest.raises(InputError, match=r"1000 times the counter.*time_ms"):
+        CellLog.from_table(scaled("time_s", 1000.0))
+
+
+def test_milliseconds_without_a_counter():
+    """R0 times capacity, the drop at 1C, is 90 mV here; read in ms it is 90 V."""
+    columns = without_counter(pulse_channels(24 * 3600))
+    columns["time_s"] = 1000.0 * columns["time_s"]
+    with pytest.raises(InputError, match="time_ms"):
+        CellLog.from_table(columns)
+    part = {k: v[:3600] for k, v in columns.items()}  # a small part of the capacity
+    assert "time_ms" in notices(part)
+
+
+@pytest.mark.parametrize(("factor", "name"), [(1 / 60, "time_min"), (1 / 3600, "time_h")])
+def test_minutes_and_hours_against_the_counter_are_refused(factor, name):
+    with pytest.raises(InputError, match=name):
+        CellLog.from_table(scaled("time_s", factor))
+
+
+def test_microseconds_against_the_counter_are_refused():
+    with pytest.raises(InputError, match="time_us"):
+        CellLog.from_table(scaled("time_s", 1e6))
+
+
+def test_counter_in_milliampere_hours_is_converted():
+    log = CellLog.from_table(scaled("ampere_hours", 1000.0))
+    np.testing.assert_allclose(log.charge_Ah, pulse_channels()["ampere_hours"], rtol=1e-12)
+    assert any("milliampere hours" in notice for notice in log.notices)
+
+
+def test_counter_in_ampere_seconds_is_converted():
+    log = CellLog.from_table(scaled("ampere_hours", 3600.0))
+    np.testing.assert_allclose(log.charge_Ah, pulse_channels()["ampere_hours"], rtol=1e-12)
+    assert any("ampere seconds" in notice for notice in log.notices)
+
+
+def test_millivolts_are_refused():
+    with pytest.raises(InputError, match="voltage_mV"):
+        CellLog.from_table(scaled("voltage_V", 1000.0))
+
+
+@pytest.mark.parametrize(
+    ("cells", "says"), [(6, "some 7 cells in series"), (96, "pack of some 106 cells")]
+)
+def test_a_pack_is_reported_as_such(cells, says):
+    assert says in notices(scaled("voltage_V", cells))
+
+
+def test_voltage_near_zero_and_below():
+    assert "too low" in notices(scaled("voltage_V", 0.01))
+    columns = pulse_channels()
+    columns["voltage_V"][30] = -0.5
+    assert "below zero" in notices(columns)
+
+
+def test_kelvin_is_converted():
+    log = CellLog.from_table(scaled("temperature_C", 1.0, 273.15))
+    np.testing.assert_allclose(log.temperature_C, 25.0, atol=1e-12)
+    assert any("kelvin" in notice for notice in log.notices)
+
+
+def test_impossible_temperatures_are_missing_values():
+    columns = pulse_channels()
+    columns["temperature_C"][5:8] = -273.15  # an open thermocouple
+    log = CellLog.from_table(columns)
+    assert np.isnan(log.temperature_C[5:8]).all()
+    assert np.isfinite(log.temperature_C).sum() == len(log) - 3
+    assert any("3 temperature(s)" in notice for notice in log.notices)
+
+
+def test_counter_of_opposite_sign_is_turned_round_when_the_voltage_bears_the_current_out():
+    log = CellLog.from_table(scaled("ampere_hours", -1.0))
+    np.testing.assert_array_equal(log.charge_Ah, pulse_channels()["ampere_hours"])
+    assert any("inverted" in notice for notice in log.notices)
+
+
+def test_counter_that_restarts_is_joined_up():
+    """As testers count: from zero in every step."""
+    columns = pulse_channels()
+    counter, truth = columns["ampere_hours"].copy(), columns["ampere_hours"]
+    for row in (400, 700, 1000):
+        counter[row:] -= counter[row - 1]
+    log = CellLog.from_table({**columns, "ampere_hours": counter})
+    np.testing.assert_allclose(log.charge_Ah, truth, atol=1e-12)
+    assert any("restarts 3 time(s)" in notice for notice in log.notices)
+
+
+def test_counter_of_throughput_is_left_out():
+    columns = pulse_channels()
+    period = columns["time_s"] % 300.0
+    columns["current_A"] = np.where(period < 100, 3.0, np.where(period < 200, -3.0, 0.0))
+    moved = np.abs(columns["current_A"]) / 3600.0
+    columns["ampere_hours"] = np.cumsum(moved)
+    log = CellLog.from_table(columns)
+    assert log.charge_Ah is None
+    assert any("alike" in notice for notice in log.notices)
+
+
+def test_counter_that_disagrees_is_reported():
+    """Net 180 - 30 = 150 A s of 210 A s moved in every period: 5 % of the net is 3.6 %."""
+    assert "3.6 % of the charge moved" in notices(scaled("ampere_hours", 1.05))
+
+
+def test_measured_logs_raise_no_suspicion_of_units(real_data):
+    words = ("looks like", "name the column", "more than a cell holds", "LOOKS WRONG", "restarts")
+    for path in sorted(real_data.glob("*/*.csv.gz"))[::5]:
+        for notice in read_log(path).notices:
+            assert not any(word in notice for word in words), (path.name, notice)
+
+
+@pytest.mark.parametrize("name", ["panasonic_18650pf/hppc_p25", "nissan_leaf/hppc_p25"])
+def test_measured_hppc_in_milliseconds_is_refused(real_data, name):
+    log = read_log(real_data / f"{name}.csv.gz")
+    columns = {"time_s": 1000 * log.time_s, "current_A": log.current_A, "voltage_V": log.voltage_V}
+    with pytest.raises(InputError, match="time_ms"):
+        CellLog.from_table(columns)
+
+
+def test_measured_drive_in_milliseconds_is_reported(real_data):
+    log = read_log(real_data / "panasonic_18650pf" / "drive_p25_us06.csv.gz")
+    columns = {"time_s": 1000 * log.time_s, "current_A": log.current_A, "voltage_V": log.voltage_V}
+    assert "time_ms" in notices(columns)
+
+
+@pytest.mark.parametrize("name", ["panasonic_18650pf/hppc_p25", "lg_18650hg2/drive_us06_n10_601"])
+def test_measured_logs_in_milliampere_are_refused(real_data, name):
+    log = read_log(real_data / f"{name}.csv.gz")
+    columns = {"time_s": log.time_s, "current_A": 1000 * log.current_A, "voltage_V": log.voltage_V}
+    with pytest.raises(InputError, match="current_mA"):
+        CellLog.from_table(columns)
+    with pytest.raises(InputError, match="current_mA"):
+        CellLog.from_table({**columns, "ampere_hours": log.charge_Ah})

@@ -1,0 +1,336 @@
+"""Flight and vehicle logs: batteries, unknown values, units, clocks of their own."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cellwise.errors import InputError
+from cellwise.logs import read_log
+from log_files import pulse_channels
+from vehicle_files import (
+    DBC,
+    write_can,
+    write_dataflash,
+    write_dbc,
+    write_mdf,
+    write_mdf_frames,
+    write_ulog,
+)
+
+pytest.importorskip("pyulog")
+pytest.importorskip("pymavlink")
+pytest.importorskip("asammdf")
+pytest.importorskip("cantools")
+
+CELL = pulse_channels(600)
+
+
+def pack(cells=4, parallel=2, **changes):
+    c = {name: values.copy() for name, values in CELL.items()}
+    c["voltage_V"] *= cells
+    c["current_A"] *= parallel
+    c["ampere_hours"] *= parallel
+    return {**c, **changes}
+
+
+def assert_is_the_cell(log, current=1e-6, voltage=1e-5, charge=1e-6):
+    np.testing.assert_allclose(log.time_s, CELL["time_s"], atol=1e-5)
+    np.testing.assert_allclose(log.current_A, CELL["current_A"], atol=current)
+    np.testing.assert_allclose(log.voltage_V, CELL["voltage_V"], atol=voltage)
+    if log.charge_Ah is not None:
+        np.testing.assert_allclose(log.charge_Ah, CELL["ampere_hours"], atol=charge)
+
+
+def refused(*arguments, **options):
+    with pytest.raises(InputError) as caught:
+        read_log(*arguments, **options)
+    return caught.value
+
+
+# ULog
+
+
+def test_a_ulog_is_read_as_its_mean_cell(tmp_path):
+    path = write_ulog(tmp_path / "flight", [pack()])
+    log = read_log(path, series="auto", parallel=2)
+    assert log.format == "px4-ulog"
+    assert_is_the_cell(log)
+
+
+def test_a_ulog_says_how_many_cells_it_states(tmp_path):
+    path = write_ulog(tmp_path / "flight", [pack()])
+    assert any("4 cells in series: --series auto" in n for n in read_log(path).notices)
+    assert any("3 were told" in n for n in read_log(path, series=3).notices)
+
+
+def test_minus_one_is_unknown_not_one_ampere(tmp_path):
+    current = pack()["current_A"]
+    unknown = np.zeros(current.size, dtype=bool)
+    unknown[50:60] = True
+    c = pack(current_A=np.where(unknown, -1.0, current))
+    c["ampere_hours"][:] = -1e-3  # written in mAh
+    c["temperature_C"][:] = np.nan
+    log = read_log(write_ulog(tmp_path / "flight", [c]))
+    assert np.array_equal(np.isnan(log.current_A), unknown)
+    assert log.charge_Ah is None
+    assert log.temperature_C is None
+
+
+def test_of_several_batteries_the_measured_one_or_the_one_asked_for(tmp_path):
+    nothing = pack(current_A=np.full(600, -1.0))
+    path = write_ulog(tmp_path / "flight", [nothing, pack(cells=6), pack(cells=12)])
+    log = read_log(path, series=6, parallel=2)
+    assert_is_the_cell(log)
+    assert any("3 batteries" in n and "read number 1" in n for n in log.notices)
+    assert_is_the_cell(read_log(path, series=12, parallel=2, instance=2))
+    error = refused(path, instance=7)
+    assert "no battery 7" in error.found
+    assert "0, 1, 2" in error.found
+
+
+def test_a_ulog_without_a_battery_lists_its_topics(tmp_path):
+    error = refused(write_ulog(tmp_path / "flight", [pack()], topic="vehicle_status"))
+    assert "no topic 'battery_status'" in error.found
+    assert "vehicle_status" in error.found
+
+
+def test_a_ulog_that_was_cut_off_is_refused_unless_told(tmp_path, capfd):
+    path = write_ulog(tmp_path / "flight", [pack()])
+    path.write_bytes(path.read_bytes()[:-7])
+    error = refused(path)
+    assert "cut off ULog" in error.found
+    assert "--partial" in error.action
+    log = read_log(path, partial=True, series=4, parallel=2)
+    assert len(log) == 599
+    assert any("cut off" in n for n in log.notices)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_ulog_of_a_header_only(tmp_path):
+    path = write_ulog(tmp_path / "flight", [pack()])
+    path.write_bytes(path.read_bytes()[:16])
+    assert "no topic" in refused(path).found
+
+
+# dataflash
+
+
+@pytest.mark.parametrize("form", ["instances", "two messages"])
+def test_a_dataflash_log_is_read_as_its_mean_cell(form, tmp_path):
+    path = write_dataflash(tmp_path / "flight", [pack(), pack(cells=6)], form)
+    log = read_log(path, series=4, parallel=2)
+    assert log.format == "ardupilot-dataflash"
+    assert_is_the_cell(log)
+    assert_is_the_cell(read_log(path, series=6, parallel=2, instance=1))
+    np.testing.assert_allclose(log.temperature_C, 25.0)
+    assert "no battery 2" in refused(path, instance=2).found
+
+
+def test_old_dataflash_logs_count_in_hundredths(tmp_path):
+    path = write_dataflash(tmp_path / "flight", [pack()], "old")
+    log = read_log(path, series=4, parallel=2)
+    assert_is_the_cell(log, current=0.0026, voltage=0.0013)
+
+
+def test_a_dataflash_log_without_a_battery_lists_its_messages(tmp_path):
+    path = write_dataflash(tmp_path / "flight", [pack()], "old")
+    path.write_bytes(path.read_bytes().replace(b"CURR", b"OTHR"))
+    error = refused(path)
+    assert "no battery message" in error.found
+    assert "OTHR" in error.found
+
+
+def test_a_dataflash_log_that_was_cut_off(tmp_path, capfd):
+    path = write_dataflash(tmp_path / "flight", [pack()], "instances")
+    path.write_bytes(path.read_bytes()[:-10])
+    assert "--partial" in refused(path).action
+    assert len(read_log(path, partial=True)) == 599
+    assert capfd.readouterr() == ("", "")
+
+
+# MDF
+
+
+def mdf(path, current_every=1, voltage_every=1, more=()):
+    c = pack()
+    t = c["time_s"] + 3.0
+    i, v = slice(None, None, current_every), slice(None, None, voltage_every)
+    return write_mdf(
+        path,
+        [
+            [("BMS_PackCurrent", "A", t[i], c["current_A"][i])],
+            [("BMS_PackVoltage", "mV", t[v], 1000 * c["voltage_V"][v])],
+            [("BatteryTemp", "°C", t[::60], c["temperature_C"][::60])],
+            *more,
+        ],
+    )
+
+
+def test_an_mdf_file_is_read_by_units_and_names(tmp_path):
+    t = CELL["time_s"]
+    more = [
+        [("MotorCurrent", "A", t, t), ("AuxVoltage", "V", t, t), ("CellVoltageMin", "V", t, t)],
+        [("VehicleSpeed", "km/h", t, t)],
+    ]
+    log = read_log(mdf(tmp_path / "drive", more=more), series=4, parallel=2)
+    assert log.format == "asam-mdf"
+    np.testing.assert_allclose(log.current_A, CELL["current_A"], atol=1e-9)
+    np.testing.assert_allclose(log.voltage_V, CELL["voltage_V"], atol=1e-9)
+    np.testing.assert_allclose(log.temperature_C, 25.0)
+
+
+def test_an_mdf_file_with_two_packs_is_refused_with_its_candidates(tmp_path):
+    t = CELL["time_s"]
+    path = mdf(tmp_path / "drive", more=[[("Pack2Current", "A", t, t)]])
+    error = refused(path)
+    assert "BMS_PackCurrent" in error.found
+    assert "Pack2Current" in error.found
+    assert "--channel current_A=" in error.action
+    log = read_log(path, channels={"current_A": "BMS_PackCurrent"}, parallel=2)
+    np.testing.assert_allclose(log.current_A, CELL["current_A"], atol=1e-9)
+
+
+def test_signals_of_one_name_are_chosen_by_their_group(tmp_path):
+    t, c = CELL["time_s"], pack()
+    groups = [
+        [("Current", "A", t, -t), ("Voltage", "V", t, c["voltage_V"])],
+        [("Current", "A", t, c["current_A"])],
+    ]
+    path = write_mdf(tmp_path / "drive", groups)
+    error = refused(path, channels={"current_A": "Current"})
+    assert "'0.Current', '1.Current'" in error.found
+    log = read_log(path, channels={"current_A": "1.Current"}, parallel=2)
+    np.testing.assert_allclose(log.current_A, CELL["current_A"], atol=1e-9)
+
+
+def test_an_mdf_file_without_volts(tmp_path):
+    t = CELL["time_s"]
+    path = write_mdf(tmp_path / "drive", [[("Speed", "km/h", t, t), ("Pack I", "A", t, t)]])
+    error = refused(path)
+    assert "no signal with a unit of voltage_V" in error.found
+    assert "Speed [km/h]" in error.found
+
+
+def test_an_mdf_file_of_can_frames_is_read_through_its_database(tmp_path):
+    path = write_mdf_frames(tmp_path / "drive", pack())
+    assert "--dbc" in refused(path).action
+    log = read_log(path, dbc=write_dbc(tmp_path / "bms.dbc"), series=4, parallel=2)
+    np.testing.assert_allclose(log.current_A, CELL["current_A"], atol=0.0051)
+    np.testing.assert_allclose(log.voltage_V, CELL["voltage_V"], atol=0.0126)
+    assert not any("apart" in n for n in log.notices)  # both are in one frame
+    other = write_dbc(tmp_path / "other.dbc", DBC.replace("256", "257").replace("512", "513"))
+    assert "no frame of" in refused(path, dbc=other).found
+
+
+@pytest.mark.parametrize(
+    ("current", "voltage", "factor"),
+    [
+        (("Batt_I_A", ""), ("Batt_U_V", ""), 1),
+        (("battery_current_mA", ""), ("battery_voltage", "V"), 1000),
+        (("PackCurr", "-"), ("PackVolt", "-"), 1),
+        (("I", "A"), ("U", "V"), 1),
+        (("HVBattCurrent", "Ampere"), ("HV Battery Voltage", "[V]"), 1),
+    ],
+)
+def test_signals_of_many_namings(current, voltage, factor, tmp_path):
+    t, c = CELL["time_s"], pack()
+    groups = [
+        [(*current, t, factor * c["current_A"]), ("MaxChargeCurrent", "A", t, t)],
+        [(*voltage, t, c["voltage_V"]), ("Odometer", "", t, t), ("DCDC Voltage", "V", t, t)],
+    ]
+    log = read_log(write_mdf(tmp_path / "drive", groups), series=4, parallel=2)
+    np.testing.assert_allclose(log.current_A, CELL["current_A"], atol=1e-9)
+    np.testing.assert_allclose(log.voltage_V, CELL["voltage_V"], atol=1e-9)
+
+
+@pytest.mark.parametrize("keep", [0.9, 0.4])
+def test_an_mdf_file_that_was_cut_off(keep, tmp_path, capfd):
+    path = mdf(tmp_path / "drive")
+    content = path.read_bytes()
+    path.write_bytes(content[: int(keep * len(content))])
+    assert refused(path).action
+    assert capfd.readouterr() == ("", "")
+
+
+# CAN
+
+
+@pytest.mark.parametrize("kind", ["blf", "asc", "log", "trc"])
+def test_a_can_log_is_read_through_its_database(kind, tmp_path):
+    dbc = write_dbc(tmp_path / "bms.dbc")
+    path = write_can(tmp_path / "drive", pack(), kind)
+    log = read_log(path, dbc=dbc, series=4, parallel=2)
+    assert log.format == "can-log"
+    np.testing.assert_allclose(log.time_s, CELL["time_s"], atol=1.1e-3)  # TRC: 0.1 ms, ASC: 1 us
+    np.testing.assert_allclose(log.current_A, CELL["current_A"], atol=0.0051)
+    np.testing.assert_allclose(log.voltage_V, CELL["voltage_V"], atol=0.0126)
+    np.testing.assert_allclose(log.temperature_C, 25.0)
+
+
+def test_a_can_log_without_a_database_asks_for_it(tmp_path):
+    assert "--dbc" in refused(write_can(tmp_path / "drive", pack(), "log")).action
+
+
+def test_the_wrong_database_is_reported_with_both_sides(tmp_path):
+    dbc = write_dbc(tmp_path / "other.dbc", DBC.replace("256", "257").replace("512", "513"))
+    error = refused(write_can(tmp_path / "drive", pack(), "log"), dbc=dbc)
+    assert "0x100" in error.found
+    assert "0x101 BMS_Pack" in error.found
+
+
+def test_a_database_with_longer_frames_is_the_wrong_one(tmp_path):
+    long = DBC.replace("BMS_Pack: 8", "BMS_Pack: 16")
+    dbc = write_dbc(tmp_path / "other.dbc", long)
+    error = refused(write_can(tmp_path / "drive", pack(), "log"), dbc=dbc)
+    assert "frames of 8 byte(s)" in error.found
+
+
+def test_values_outside_the_databases_range_are_missing(tmp_path):
+    """A BMS that is not awake sends all ones: no current of -327 A, but none at all."""
+    c = pack(current_A=np.where(np.arange(600) < 5, 327.0, pack()["current_A"]))
+    dbc = write_dbc(tmp_path / "bms.dbc")
+    log = read_log(write_can(tmp_path / "drive", c, "blf"), dbc=dbc, parallel=2)
+    assert np.nanmax(log.current_A) < 5
+    assert any("5 value(s) of 'BMS_Pack.PackCurrent' outside" in n for n in log.notices)
+
+
+@pytest.mark.parametrize("content", ["", "hello", "BO_ nonsense"])
+def test_a_file_that_is_no_database(content, tmp_path):
+    dbc = write_dbc(tmp_path / "x.dbc", content)
+    found = refused(write_can(tmp_path / "drive", pack(), "log"), dbc=dbc).found
+    assert "no CAN database" in found or "no frame" in found
+
+
+def test_a_blf_that_was_cut_off(tmp_path, capfd):
+    path = write_can(tmp_path / "drive", pack(), "blf")
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+    error = refused(path, dbc=write_dbc(tmp_path / "bms.dbc"))
+    assert "cut off or damaged CAN log" in error.found
+    assert capfd.readouterr() == ("", "")
+
+
+# options that do not fit
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"series": 0}, "series = 0"),
+        ({"parallel": -1}, "parallel = -1"),
+        ({"instance": -1}, "instance -1"),
+        ({"dbc": "nowhere.dbc"}, "no DBC file"),
+    ],
+)
+def test_options_that_cannot_be(options, says, tmp_path):
+    path = write_ulog(tmp_path / "flight", [pack()])
+    assert says in refused(path, **options).found
+
+
+def test_options_that_the_format_cannot_follow(tmp_path):
+    dbc = write_dbc(tmp_path / "bms.dbc")
+    assert "a DBC file for" in refused(write_ulog(tmp_path / "f", [pack()]), dbc=dbc).found
+    can = write_can(tmp_path / "drive", pack(), "log")
+    assert "holds one battery" in refused(can, dbc=dbc, instance=1).found
+    assert "does not state" in refused(can, dbc=dbc, series="auto").found

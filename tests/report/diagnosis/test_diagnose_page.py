@@ -1,0 +1,195 @@
+"""The page of a diagnosis: the finding first, self-contained, figures equal to the diagnosis."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from cellwise.cell.effects import TimeSkew
+from cellwise.cell.simulate import simulate
+from cellwise.report.diagnosis.page import diagnose_page, diagnosis_sections
+from cellwise.report.diagnosis.pictures import candidates_finding
+from cellwise.report.diagnosis.runs import before_after
+from cellwise.report.diagnosis.statements import diagnosis_finding, statement
+from cellwise.report.page.markup import finite
+from cellwise.report.page.section import pictures_of
+from diagnosis_cases import CELL, VALUES, diagnosis, found, measured
+from report_cases import Page
+
+# What a battery engineer must read of each of them, once.
+SAID = {
+    "current_offset": "98 mA too much",
+    "current_gain": "3.2 % too much",
+    "voltage_offset": "12.0 mV too little",
+    "time_skew": "0.40 s after the current",
+    "initial_soc": "starts at 85 % SOC, not at 90 %",
+    "capacity": "2.700 Ah, 10 % less than the model's 3 Ah",
+    "resistance_scale": "1.35 times",
+    "ocv_shift": "−12.0 mV at 50 % SOC",
+    "slow_diffusion": "12 mΩ with 17 min",
+    "hysteresis": "18.0 mV to either side",
+    "temperature_dependence": "1.34 times those at 25 °C",
+    "rate_dependence": "0.800 times those at small currents",
+    "charge_asymmetry": "1.30 times those on discharge",
+    "self_heating": "5 K per watt",
+    "self_discharge": "20 mA",
+}
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("page")
+    record = diagnosis("current_offset")
+    text = diagnose_page(record, folder / "p.html", figures=folder / "f").read_text("utf-8")
+    return record, text, Page(text), folder / "f"
+
+
+def test_the_first_line_is_the_finding(written):
+    _, _, page, _ = written
+    said = page.text_in("h1").replace("\N{NO-BREAK SPACE}", " ")
+    assert said == (
+        "The current sensor reads 98 mA too much: held-out error falls from 24.0 mV to 9.0 mV "
+        "(−62 %)."
+    )
+
+
+@pytest.mark.parametrize("name", VALUES)
+def test_every_cause_is_said_with_its_numbers(name):
+    said = statement(found(name), diagnosis(name)).replace("\N{NO-BREAK SPACE}", " ")
+    assert SAID[name] in said
+    assert not said.endswith(".")
+
+
+def test_a_sign_is_a_direction():
+    little = found("current_offset", parameters={"offset_A": -0.05})
+    assert "too little" in statement(little, diagnosis("current_offset"))
+    early = found("time_skew", parameters={"skew_s": -0.4})
+    assert "before the current" in statement(early, diagnosis("time_skew"))
+
+
+def test_none_and_undetermined_are_said():
+    none = diagnosis(anatomy={"rmse_V": 0.0021})
+    assert "no error beyond the stated one" in diagnosis_finding(none)
+    assert "2.1" in diagnosis_finding(none)
+    open_verdict = replace(none, verdict="undetermined")
+    assert "do not tell current offset from current gain" in diagnosis_finding(open_verdict)
+    said = ("capacity fits not", "hysteresis and capacity explain the same equally well")
+    told = diagnosis_finding(replace(open_verdict, reasons=said))
+    assert "do not tell capacity from hysteresis" in told
+    quiet = replace(open_verdict, candidates=(), reasons=("the log is too short",))
+    assert "the log is too short" in diagnosis_finding(quiet)
+
+
+def test_it_is_one_valid_file_and_loads_nothing(written):
+    _, text, page, _ = written
+    assert len(page.ids) == len(set(page.ids))
+    inner = [a for a in (*page.addresses, *page.references) if a.startswith("#")]
+    assert inner
+    assert {a[1:] for a in inner} <= set(page.ids)
+    assert not [a for a in page.addresses if not a.startswith(("#", "data:"))]
+    assert "cell <b>" not in text
+    assert "held <&>" not in text
+    assert [a["type"] for a, _ in page.scripts] == ["application/json"]
+
+
+def test_the_figures_for_machines_are_the_diagnosis(written):
+    record, _, page, _ = written
+    data = json.loads(page.scripts[0][1])
+    expected = finite(record.to_dict())
+    for key in set(expected) - {"anatomy"}:
+        assert data[key] == expected[key]
+    assert data["anatomy"]["rows"] == 1200
+    assert [g["held_out"] for g in data["logs"]] == [True, False]
+
+
+def test_every_part_is_there(written):
+    _, _, page, folder = written
+    assert {"before-after", "causes", "evidence", "next", "anatomy", "logs"} <= set(page.ids)
+    names = {p.name for p in folder.iterdir()}
+    assert {"candidates.png", "anatomy.png"} <= names
+    text = " ".join(t for _, t in page.texts).replace("\N{NO-BREAK SPACE}", " ")
+    for phrase in ("98 mA", "self discharge", "rest an hour at 50 %", "the log is corrected"):
+        assert phrase in text
+
+
+def test_before_and_after_are_simulated_on_the_held_out_log():
+    """What remains of a log whose only fault was taken out is its noise."""
+    runs = before_after(diagnosis("current_offset"))
+    assert [r.held_out for r in runs] == [True, False]
+    for run in runs:
+        assert run.after.metrics.rmse_V == pytest.approx(1e-3, rel=0.1)
+        assert run.before.metrics.rmse_V > 2e-3
+        assert run.gain > 0.5
+
+
+def test_a_skew_is_not_taken_out_twice():
+    """The corrected log has no skew any more, so the extended model's must not act on it."""
+    skewed = CELL.with_effect(TimeSkew(0.6))
+    log = measured("late", 3, offset=0.0)
+    late = replace(log, voltage_V=simulate(skewed, log, 0.9).voltage_V)
+    record = diagnosis(
+        "time_skew", logs=(late,), holdout=(late,), corrected=(), extended_model=skewed
+    )
+    cause = replace(record.causes[0], parameters={"skew_s": 0.6})
+    runs = before_after(replace(record, causes=(cause,)))
+    assert runs[0].after.metrics.rmse_V < 0.1 * runs[0].before.metrics.rmse_V
+
+
+def test_a_start_that_was_found_is_found_again():
+    wrong = ({"value": 0.8, "std": 0.05, "how": "rest"},) * 2
+    runs = before_after(diagnosis("current_offset", soc0=wrong))
+    assert runs[0].after.metrics.rmse_V < 2e-3
+
+
+def test_without_causes_nothing_is_drawn_twice():
+    record = diagnosis()
+    runs = before_after(record)
+    assert all(r.before is r.after for r in runs)
+    sections = diagnosis_sections(replace(record, anatomy=_anatomy(record)), runs)
+    assert "causes" not in [s.key for s in sections]
+    title = sections[0].title
+    assert title == "Measured and simulated"
+
+
+def test_a_search_that_ended_before_it_began_has_a_page(tmp_path):
+    why = "the log is too quiet: its current never leaves C/50"
+    record = diagnosis(verdict="undetermined", candidates=(), soc0=(), reasons=(why,))
+    page = Page(diagnose_page(record, tmp_path / "p.html").read_text("utf-8"))
+    assert why in page.text_in("h1")
+    assert "anatomy" in page.ids
+
+
+def test_soc_before_and_after_is_reported(tmp_path):
+    gain = {"log": "held", "soc_rmse_before": 0.031, "soc_rmse_after": 0.004}
+    record = diagnosis("current_offset", soc_gain=gain)
+    page = Page(diagnose_page(record, tmp_path / "p.html").read_text("utf-8"))
+    said = page.text_in("li").replace("\N{NO-BREAK SPACE}", " ")
+    assert "3.10 % before, 0.40 % after" in said
+
+
+@pytest.mark.parametrize("tried", [0, 1])
+def test_few_candidates_are_enough(tried, tmp_path):
+    record = diagnosis("current_offset")
+    record = replace(record, candidates=record.candidates[:tried], holdout=())
+    path = diagnose_page(record, tmp_path / "p.html")
+    assert ("evidence" in Page(path.read_text("utf-8")).ids) == (tried > 0)
+    assert candidates_finding(record)
+
+
+def test_titles_say_what_was_found_and_axes_have_names():
+    record = diagnosis("current_offset")
+    record = replace(record, anatomy=_anatomy(record))
+    for picture in pictures_of(diagnosis_sections(record, before_after(record))):
+        for axes in picture.figure.axes:
+            titled = axes.get_title(loc="left")
+            assert not titled or any(c.isdigit() for c in titled), (picture.key, titled)
+        named = [axes.get_xlabel() for axes in picture.figure.axes]
+        assert any("[" in x or "data are" in x for x in named), picture.key
+
+
+def _anatomy(record):
+    from cellwise.diagnose.anatomy import anatomy
+
+    return anatomy(record.model, record.logs[0], 0.9)

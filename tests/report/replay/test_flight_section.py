@@ -1,0 +1,46 @@
+"""Remaining time and energy, on a page: first line, table, picture, figures for machines."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+from cellwise.forecast.remaining import forecast
+from cellwise.report import replay_page
+from cellwise.report.replay.flight_section import draw_flight, flight_finding
+from report_cases import drive, model, replay
+
+
+@pytest.fixture(scope="module")
+def flight():
+    run = replay(drive())
+    return run, forecast(model(), run, cutoff_V=2.8)
+
+
+def test_the_picture_shows_both_with_their_bands(flight):
+    _, left = flight
+    figure = draw_flight(left)
+    above, below = figure.axes
+    for axes, values in ((above, left.remaining_s / 60), (below, left.remaining_Wh)):
+        (line,) = axes.lines
+        np.testing.assert_allclose(line.get_ydata(), values)
+        assert len(axes.collections) == 1
+    assert "min" in above.get_ylabel()
+
+
+def test_the_page_holds_the_figures(flight, tmp_path):
+    run, left = flight
+    page = replay_page([run], tmp_path / "page.html", flights=[left]).read_text(encoding="utf-8")
+    assert "Remaining time and energy" in page
+    (data,) = re.findall(r"<script[^>]*application/json[^>]*>(.*?)</script>", page, flags=re.S)
+    told = json.loads(data)["flights"][0]
+    assert told["remaining_s"] == pytest.approx(left.last.remaining_s)
+    assert told["end_voltage_V"] == pytest.approx(left.last.end_voltage_V)
+
+
+def test_the_finding_names_time_and_band(flight):
+    _, left = flight
+    assert re.search(r"left at the present load \(.* to .*\)\.$", flight_finding(left))

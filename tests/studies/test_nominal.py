@@ -1,0 +1,118 @@
+"""The rated capacity as the capacity: the LFP paper's worst choice."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cellwise.studies.capacity_study import study_cell
+from cellwise.studies.capacity_study_cells import (
+    PAPER_RATIOS,
+    embedded_lfp,
+    embedded_nmc,
+    panasonic,
+    published_orders,
+)
+from cellwise.studies.published import LFP_ERRORS
+
+AS_NOMINAL = "as 40 of 47.7"
+
+
+def test_the_paper_has_it_last():
+    assert published_orders()["lfp"] == ("cc-average", "cc-cv-average", "hppc-total", "nominal")
+    assert PAPER_RATIOS[AS_NOMINAL] == pytest.approx(40.0 / 47.7)
+    rms = {name: row.rms_mV for name, row in LFP_ERRORS.items()}
+    assert rms["nominal"] > 3 * rms["cc-average"]
+
+
+@pytest.fixture(scope="module")
+def lfp_cell():
+    return embedded_lfp()
+
+
+@pytest.fixture(scope="module")
+def lfp_study(quick, lfp_cell):
+    names = (AS_NOMINAL, "as 45.7 of 47.7", "cc-cv-average", "as 50.7 of 47.7")
+    return quick(lfp_cell, *names)
+
+
+class TestLfp:
+    """A cell that gives 19 % more than it is rated for, as the paper's did."""
+
+    def test_it_is_last_in_voltage_as_in_the_paper(self, lfp_study):
+        assert lfp_study.order("voltage")[-1] == AS_NOMINAL
+        behind = lfp_study.winner("voltage").behind[AS_NOMINAL]
+        assert behind.low > 0.0
+        assert behind.value > 0.08  # the paper: 167 mV against 43
+
+    def test_above_ten_per_cent_the_voltage_hardly_minds(self, lfp_study, by_choice):
+        """The paper's window of 5 to 180 min puts its 40 Ah first, at 0.579 %."""
+        found = by_choice(lfp_study)
+        assert found[AS_NOMINAL].voltage_above_10pct_V < 0.5 * found[AS_NOMINAL].voltage_rmse_V
+        window = {name: row.mean_window_pct for name, row in LFP_ERRORS.items()}
+        assert min(window, key=window.get) == "nominal"
+
+    def test_soc_is_off_by_many_points_and_no_filter_cures_it(self, lfp_study, by_choice):
+        found = by_choice(lfp_study)[AS_NOMINAL]
+        assert found.soc["coulomb"].rmse > 0.05
+        assert found.soc["ekf"].rmse > 0.8 * found.soc["coulomb"].rmse
+        assert found.axis_share["coulomb"] > 0.5
+
+    def test_counting_is_off_by_what_arithmetic_says(
+        self, lfp_study, lfp_cell, counting_error, by_choice
+    ):
+        for choice in by_choice(lfp_study).values():
+            expected = counting_error(lfp_cell, choice.capacity_Ah)
+            assert choice.soc["coulomb"].end == pytest.approx(expected, abs=2e-3)
+
+
+@pytest.fixture(scope="module")
+def nmc_cell():
+    return embedded_nmc()
+
+
+@pytest.fixture(scope="module")
+def nmc_study(quick, nmc_cell):
+    return quick(nmc_cell, "nominal", "rate:C/20", estimators=("coulomb", "ekf", "adaptive"))
+
+
+class TestNmc:
+    """A cell that gives 3 % more than it is rated for."""
+
+    def test_the_measured_one_wins_in_every_estimator(self, nmc_study):
+        for kind in ("coulomb", "ekf", "adaptive"):
+            winner = nmc_study.winner(kind)
+            assert winner.choice == "rate:C/20"
+            assert winner.behind["nominal"].low > 0.005
+
+    def test_the_error_is_the_scale(self, nmc_study, nmc_cell, counting_error, by_choice):
+        nominal = by_choice(nmc_study)["nominal"]
+        assert nominal.capacity_Ah == 5.0
+        assert nominal.axis_share["coulomb"] > 0.95
+        assert nominal.axis_share["ekf"] > 0.7
+        expected = counting_error(nmc_cell, 5.0)
+        assert nominal.soc["coulomb"].end == pytest.approx(expected, abs=2e-3)
+        assert nominal.soc["ekf"].end == pytest.approx(expected, abs=0.01)
+
+
+def test_two_names_of_one_number_are_one_model(quick):
+    cell = embedded_nmc()
+    same = replace(cell, values_Ah={"mine": 5.0})
+    study = quick(same, "nominal", "mine", estimators=("coulomb",))
+    first, second = study.choices
+    assert (first.choice, second.choice) == ("nominal", "mine")
+    assert first.errors is second.errors
+
+
+@pytest.mark.slow
+def test_panasonic(real_data):
+    cell = panasonic(real_data)
+    study = study_cell(replace(cell, judged=cell.judged[:1]), ("nominal", "rate:C/20"), ("ekf",))
+    winner = study.winner("ekf")
+    assert winner.choice == "rate:C/20"
+    assert winner.behind["nominal"].low > 0.005
+    nominal = next(c for c in study.choices if c.choice == "nominal")
+    assert nominal.axis_share["ekf"] > 0.8
+    assert np.sign(nominal.soc["ekf"].end) == -1  # 2.9 of 2.997 Ah: empty too early

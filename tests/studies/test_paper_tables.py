@@ -1,0 +1,145 @@
+"""Both papers' tables on the embedded data: what must hold whatever the cell."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from cellwise.errors import InputError
+from cellwise.studies.lfp_paper import CHOICES
+from cellwise.studies.papers import paper_tables, print_paper_tables
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def told():
+    return []
+
+
+@pytest.fixture(scope="module")
+def tables(datasets, told):
+    return paper_tables(datasets, told.append, method="varpro")
+
+
+@pytest.fixture(scope="module")
+def as_dict(tables):
+    return json.loads(json.dumps(tables.to_dict(), allow_nan=False))
+
+
+def test_capacity_parts_add_up(as_dict):
+    rows = as_dict["lfp"]["capacity"]
+    assert [r["rate"] for r in rows] == ["C/2", "1C", "2C", "3C"]
+    for row in rows:
+        assert row["cc_Ah"] + row["cv_Ah"] == pytest.approx(row["total_Ah"], abs=1e-9)
+        assert row["published"]["total_Ah"] > 40.0
+
+
+def test_cc_part_shrinks_with_rate_and_total_does_not(as_dict):
+    rows = as_dict["lfp"]["capacity"]
+    cc = [r["cc_Ah"] for r in rows]
+    assert cc == sorted(cc, reverse=True)
+    totals = [r["total_Ah"] for r in rows]
+    assert max(totals) - min(totals) < 0.005 * max(totals)
+
+
+def test_choices_follow_from_the_tables(as_dict):
+    q = {e["choice"]: e["capacity_Ah"] for e in as_dict["lfp"]["errors"]}
+    rows = as_dict["lfp"]["capacity"]
+    assert set(q) == set(CHOICES)
+    assert q["cc-average"] == pytest.approx(np.mean([r["cc_Ah"] for r in rows]))
+    assert q["cc-cv-average"] == pytest.approx(np.mean([r["total_Ah"] for r in rows]))
+    assert q["nominal"] == 2.3
+    # Charge that the charge pulses put back is taken out again: net, the tests hold it all.
+    assert q["hppc-total"] == pytest.approx(as_dict["lfp"]["hppc_total_Ah"], rel=0.01)
+
+
+def test_capacity_is_near_the_truth_of_the_physics_model(as_dict):
+    q = {e["choice"]: e["capacity_Ah"] for e in as_dict["lfp"]["errors"]}
+    assert q["cc-cv-average"] == pytest.approx(2.30345, rel=0.002)  # true_capacity_Ah
+
+
+def test_eighteen_tests_of_eight_pulses(as_dict):
+    tests = as_dict["lfp"]["pulses"]
+    assert len(tests) == 18
+    for t in tests:
+        assert t["healthy"] + t["trimmed"] + t["distorted"] + t["spurious"] == 8
+        assert t["published_charge_Ah"] > 0.0
+    soc = [t["soc_start"] for t in tests]
+    assert soc == sorted(soc, reverse=True)
+
+
+def test_trimmed_pulses_are_at_the_ends(as_dict):
+    for t in as_dict["lfp"]["pulses"]:
+        if 0.15 < t["soc_start"] < 0.95:
+            assert t["trimmed"] == 0
+    middle = [t for t in as_dict["lfp"]["pulses"] if 0.2 < t["soc_start"] < 0.9]
+    assert sum(t["healthy"] for t in middle) >= 0.9 * 8 * len(middle)
+
+
+def test_polynomials_are_positive_in_the_middle(as_dict):
+    soc = np.linspace(0.2, 0.9, 50)
+    rows = as_dict["lfp"]["polynomials"]
+    assert [p["parameter"] for p in rows] == ["R0", "R1", "R2", "C1", "C2"]
+    for p in rows:
+        if p["parameter"] in ("R0", "C1", "C2"):
+            value = np.polynomial.polynomial.polyval(soc, [p[k] for k in "abcd"])
+            assert np.all(value > 0.0), p["parameter"]
+
+
+def test_errors_are_finite_and_ordered(as_dict):
+    for row in as_dict["lfp"]["errors"]:
+        for method in ("paper_method", "ours"):
+            e = row[method]
+            assert 0.0 < e["rms_V"] < 0.2
+            assert 0.0 < e["mean_abs"] <= e["peak"] < 0.3
+            assert e["mean_abs_window"] <= e["peak_window"] <= e["peak"]
+
+
+def test_ours_is_never_worse_on_the_same_hppc(tables):
+    assert [row.rate for row in tables.ncr] == ["C/20", "C/5", "C/3"]
+    for row in tables.ncr:
+        ours = row.errors["ours"]
+        for name in ("segments", "segments-relaxation"):
+            assert ours.rmse_V <= row.errors[name].rmse_V, (row.rate, name)
+            assert ours.mae_V <= row.errors[name].mae_V, (row.rate, name)
+
+
+def test_residual_figures_agree_with_each_other(tables):
+    for row in tables.ncr:
+        for m in row.errors.values():
+            assert m.rmse_V == pytest.approx(np.hypot(m.mean_error_V, m.std_error_V))
+            assert m.ci95_V[1] - m.ci95_V[0] == pytest.approx(2 * 1.96 * m.std_error_V)
+            assert m.mae_V <= m.rmse_V <= m.max_error_V
+
+
+def test_slower_rate_measures_more_capacity(tables):
+    capacities = [row.capacity_Ah for row in tables.ncr]
+    assert capacities == sorted(capacities, reverse=True)
+    assert capacities[0] <= 5.1532  # true_capacity_Ah
+
+
+def test_text_says_that_the_published_cells_are_others(tables):
+    text = tables.text(width=140)
+    assert text.count("measured on another cell") == 2
+    for word in ("Capacity by discharge tests", "Pulses of the HPPC tests", "Polynomials",
+                 "capacity choice", "Residuals", "47.71", "196.9"):  # fmt: skip
+        assert word in text
+
+
+def test_printing_shows_the_same(tables, capsys):
+    print_paper_tables(tables)
+    assert "LFP040AHA paper" in capsys.readouterr().out
+
+
+def test_progress_names_both_papers(tables, told):
+    assert tables.seconds > 0.0
+    assert any(s.startswith("LFP paper") for s in told)
+    assert any(s.startswith("NCR18650B paper") for s in told)
+
+
+def test_missing_log_is_named(tmp_path):
+    with pytest.raises(InputError, match=r"lfp/hppc\.parquet"):
+        paper_tables(tmp_path)
