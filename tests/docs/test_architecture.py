@@ -21,6 +21,7 @@ MAY_IMPORT = {
     "cell": BASE | {"logs"},
     "identify": BASE | {"logs", "cell"},
     "estimate": BASE | {"logs", "cell"},
+    "printing": BASE | {"cell", "estimate"},
     "forecast": BASE | {"logs", "cell", "estimate"},
     "diagnose": BASE | {"logs", "cell", "identify", "estimate"},
     "data": BASE | {"logs"},
