@@ -188,7 +188,7 @@ def soc_step(cell: CellScalars, soc: float, current_A: float, dt_s: float) -> fl
 
     .. math:: z^{+} = z - \frac{(\eta I + I_{sd}) \Delta t}{3600\,Q}
     """
-    return soc - charge_used(cell, current_A) * dt_s / cell.charge_As
+    return soc - charge_used(cell, current_A) * (dt_s / cell.charge_As)
 
 
 @inline
@@ -239,7 +239,7 @@ def hysteresis_decay(cell: CellScalars, current_A: float, dt_s: float) -> float:
 
     .. math:: a_h = e^{-\gamma |I| \Delta t / (3600 Q)}
     """
-    return math.exp(-cell.hysteresis_rate * abs(current_A) * dt_s / cell.charge_As)
+    return math.exp(-cell.hysteresis_rate * abs(current_A) * (dt_s / cell.charge_As))
 
 
 @inline
@@ -270,7 +270,7 @@ def transition(cell: CellScalars, point: CellPoint, current_A: float, dt_s: floa
         a2,
         a3,
         ah,
-        -dt_s / cell.charge_As,
+        -(dt_s / cell.charge_As),
         branch_gain(point.r1_ohm, a1),
         branch_gain(point.r2_ohm, a2),
         branch_gain(point.r3_ohm, a3),
