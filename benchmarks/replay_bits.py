@@ -24,9 +24,11 @@ import numpy as np
 import cellwise as cw
 from benchmarks.measured_data import data_folder
 from cellwise.cell import effects as effect
+from cellwise.cell.model_file import model_from_dict, model_to_dict
 
 ESTIMATORS = ("coulomb", "ekf", "ukf", "adaptive", "fixed-step", "firmware")
 ROWS = 4000
+CHANNELS = ("time_s", "current_A", "voltage_V", "temperature_C")
 DRIVES = (
     "panasonic_18650pf/drive_p25_us06",
     "panasonic_18650pf/drive_n10_cycle_1",
@@ -159,11 +161,29 @@ def lockstep(model: cw.CellModel, log: cw.CellLog, soc0: float, std: float) -> t
     return np.array(rows)[:, :20].copy(), digest(np.array(rows), state.blocks)
 
 
-def record(say=lambda text: None) -> tuple[dict[str, str], dict[str, np.ndarray]]:
+def stored(old: dict[str, np.ndarray], name: str, log: cw.CellLog) -> cw.CellLog:
+    """The log that the earlier record was made of."""
+    channels = {c: old[f"log/{name}/{c}"] for c in CHANNELS if f"log/{name}/{c}" in old}
+    return cw.CellLog(**channels)
+
+
+def record(
+    models_json: dict[str, str], old: dict[str, np.ndarray], say=lambda text: None
+) -> tuple[dict[str, str], dict[str, np.ndarray]]:
+    """Digests of every replay, and SOC; logs and identified models are those of ``old``, if any."""
     found: dict[str, str] = {}
     socs: dict[str, np.ndarray] = {}
-    for name, model, log, soc0, std in cases():
+    for name, made, log, soc0, std in cases():
         say(name)
+        model = made
+        if name.startswith("nmc/"):
+            text = models_json.setdefault("nmc", json.dumps(model_to_dict(made)))
+            model = model_from_dict(json.loads(text))
+        if old:
+            log = stored(old, name, log)
+        for c in CHANNELS:
+            if getattr(log, c) is not None:
+                socs[f"log/{name}/{c}"] = getattr(log, c)
         simulated = cw.simulate(model, log, soc0=soc0)
         found[f"simulate/{name}"] = digest(simulated.voltage_V, simulated.soc)
         for estimator in ESTIMATORS:
@@ -183,14 +203,17 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--against", type=Path, help="compare with an earlier record")
     parser.add_argument("--tolerance", type=float, default=0.0, help="difference of SOC to accept")
     options = parser.parse_args(arguments)
-    found, socs = record(lambda text: print(text, file=sys.stderr, flush=True))
+    before, old = {}, {}
+    if options.against:
+        before = json.loads(options.against.read_text())
+        old = dict(np.load(options.against.with_suffix(".npz")))
+    models_json = before.pop("models", {})
+    found, socs = record(models_json, old, lambda text: print(text, file=sys.stderr, flush=True))
     if options.record:
-        options.record.write_text(json.dumps(found, indent=1))
+        options.record.write_text(json.dumps({**found, "models": models_json}, indent=1))
         np.savez_compressed(options.record.with_suffix(".npz"), **socs)
     if not options.against:
         return 0
-    before = json.loads(options.against.read_text())
-    old = np.load(options.against.with_suffix(".npz"))
     bad = 0
     for name in sorted({*before, *found}):
         if before.get(name) == found.get(name):

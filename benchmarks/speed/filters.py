@@ -12,10 +12,12 @@ from benchmarks.example_cell import SAMPLES, START_SOC, load_log, three_branches
 from benchmarks.figures import Figure, Progress, clock, missing, with_ratios
 from benchmarks.measured_data import HOW, measured_log
 from cellwise.cell.model import CellModel
-from cellwise.cell.simulate import known_temperature_C, simulate
+from cellwise.cell.simulate import simulate
 from cellwise.estimate.estimators import make_estimator
-from cellwise.estimate.filters import ekf_kernels as kernel
 from cellwise.estimate.filters.ekf import Ekf
+from cellwise.estimate.filters.ekf_kernels import ekf_rows
+from cellwise.estimate.filters.filter_state import OUTPUTS, TraceArrays
+from cellwise.estimate.filters.kalman import log_arrays
 from cellwise.estimate.lockstep.lockstep import LockstepEkf, LockstepState
 from cellwise.logs import CellLog
 
@@ -85,17 +87,13 @@ def lockstep_figures(say: Progress) -> list[Figure]:
 def _kernel(group: str, who: str, model: CellModel, log: CellLog, say: Progress) -> Figure:
     say(who)
     ekf = Ekf(model)
-    cell, noise = model.parameters(), ekf.noise.scalars()
-    start = restart = ekf.start(START_SOC - 0.3)
-    dt, gap = log.interval_s, log.gap_rows
-    current = np.where(gap, 0.0, log.interval_current_A)
-    temperature = known_temperature_C(model, log)
-    out, status = np.empty((kernel.OUTPUTS, len(log))), np.empty(len(log), dtype=np.int32)
+    tables, noise = model.parameters(), ekf.noise.scalars()
+    start = ekf.start(START_SOC - 0.3)
+    rows = log_arrays(log)
+    out = TraceArrays(np.empty((OUTPUTS, len(log))), np.empty(len(log), dtype=np.int32))
 
     def work() -> None:
-        kernel.ekf_rows(
-            *cell, noise, start, restart, current, log.voltage_V, temperature, dt, gap, out, status
-        )
+        ekf_rows(tables, noise, start, start, rows, out)
 
     timing = clock(work)
     return Figure(

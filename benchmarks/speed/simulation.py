@@ -11,9 +11,10 @@ from benchmarks.example_cell import SAMPLES, START_SOC, load_log, three_branches
 from benchmarks.figures import Figure, Progress, clock, missing, with_ratios
 from benchmarks.measured_data import HOW, measured_log
 from benchmarks.speed import simulation_references as references
-from cellwise.cell.kernels import empty_state, simulate_rows
+from cellwise.cell.equations import empty_state
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import known_temperature_C, simulate
+from cellwise.cell.simulate_kernels import simulate_rows
 from cellwise.logs import CellLog
 
 UNIT = "ns/sample"
@@ -45,14 +46,14 @@ def simulate_figures(data: Path | None, say: Progress, *, full: bool = False) ->
 
 def _kernel(group: str, who: str, model: CellModel, log: CellLog, say: Progress) -> Figure:
     say(who)
-    table, grid, cell = model.parameters()
+    tables = model.parameters()
     dt, current = log.interval_s, log.known_current_A()
     temperature = known_temperature_C(model, log)
     voltage, soc = np.empty(len(log)), np.empty(len(log))
     start = empty_state(START_SOC)
 
     def work() -> None:
-        simulate_rows(table, grid, cell, start, dt, current, temperature, voltage, soc)
+        simulate_rows(tables, start, dt, current, temperature, voltage, soc)
 
     timing = clock(work)
     return Figure(

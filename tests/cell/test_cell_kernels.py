@@ -10,9 +10,9 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import RegularGridInterpolator
 from scipy.linalg import expm
 
-from cellwise.cell import kernels
+from cellwise.cell import equations as kernels
 from cellwise.cell.effects import Hysteresis, SlowDiffusion
-from cellwise.cell.kernels import CellState
+from cellwise.cell.equations import CellState
 from cellwise.cell.model import ModelError
 from example_cells import EFFECTS, curved_cell, linear_cell, random_model
 
@@ -21,7 +21,7 @@ seconds = st.floats(1e-3, 500.0)
 
 
 def advance(model, state, current, dt, temperature=25.0):
-    return kernels.advance(*model.parameters(), state, current, dt, temperature)
+    return kernels.advance(model.parameters(), state, current, dt, temperature)
 
 
 @given(v=st.floats(-1, 1), i=currents, r=st.floats(1e-4, 1), tau=st.floats(0.1, 1e4), dt=seconds)
@@ -67,7 +67,7 @@ def test_one_step_of_2_dt_differs_from_two_by_second_order_where_tables_depend_o
 
 @given(soc=st.floats(0.0, 1.0), i=currents, dt=seconds, efficiency=st.floats(0.9, 1.0))
 def test_charge_is_counted_and_comes_back(soc, i, dt, efficiency):
-    cell = linear_cell(charge_efficiency=efficiency).parameters()[2]
+    cell = linear_cell(charge_efficiency=efficiency).parameters().cell
     after = kernels.soc_step(cell, soc, i, dt)
     moved = i * dt / (3600 * 3.0)
     assert soc - after == pytest.approx(moved if i > 0 else efficiency * moved, abs=1e-15)
@@ -113,25 +113,23 @@ def test_third_branch_is_one_more_rc():
     after, point = advance(model, CellState(0.5, 0.0, 0.0, 0.01, 0.0), 2.0, 60.0)
     assert after.v3_V == pytest.approx(kernels.rc_step(0.01, 2.0, 0.05, 600.0, 60.0), rel=1e-14)
     without = after._replace(v3_V=0.0)
-    gap = kernels.terminal_voltage(point, without, 2.0) - kernels.terminal_voltage(
-        point, after, 2.0
-    )
+    gap = kernels.voltage_of(point, without, 2.0) - kernels.voltage_of(point, after, 2.0)
     assert gap == pytest.approx(after.v3_V, rel=1e-10)
 
 
 def test_terminal_voltage_is_the_sum_of_its_terms():
-    point = kernels.look_up(*linear_cell().parameters(), 0.5, 25.0)
+    point = kernels.look_up(linear_cell().parameters(), 0.5, 25.0)
     point = point._replace(ocv_V=3.7, r0_ohm=0.03, m_V=0.02)
     state = CellState(0.5, 0.011, 0.022, 0.033, -0.5)
     exact = 3.7 - 0.03 * 2.0 - 0.011 - 0.022 - 0.033 - 0.01
-    assert kernels.terminal_voltage(point, state, 2.0) == pytest.approx(exact, abs=1e-15)
+    assert kernels.voltage_of(point, state, 2.0) == pytest.approx(exact, abs=1e-15)
 
 
 class TestLookUp:
     def test_the_model_error_is_looked_up_as_well(self):
         model = curved_cell(error=ModelError(slow_V=(0.03, 0.01, 0.02)))
         for soc, error in ((0.0, 0.03), (0.25, 0.02), (0.5, 0.01), (1.0, 0.02), (1.5, 0.02)):
-            assert kernels.look_up(*model.parameters(), soc, 25.0).error_V == pytest.approx(error)
+            assert kernels.look_up(model.parameters(), soc, 25.0).error_V == pytest.approx(error)
             assert float(model.error.at(soc)) == pytest.approx(error)
 
     names = ("r0_ohm", "r1_ohm", "tau1_s", "r2_ohm", "tau2_s")
@@ -139,7 +137,7 @@ class TestLookUp:
     @pytest.mark.parametrize("soc", [0.0, 0.013, 0.5, 0.77, 0.999, 1.0, -0.3, 1.2])
     def test_along_soc_it_is_numpy_interp(self, soc):
         model = random_model(np.random.default_rng(1), temperatures=1, effects=False)
-        point = kernels.look_up(*model.parameters(), soc, 25.0)
+        point = kernels.look_up(model.parameters(), soc, 25.0)
         for name in self.names:
             table = getattr(model, name)[0]
             assert getattr(point, name) == pytest.approx(np.interp(soc, model.soc, table))
@@ -153,7 +151,7 @@ class TestLookUp:
         model = random_model(np.random.default_rng(2), temperatures=1, effects=False)
         ocv, grid = model.ocv_V[0], model.soc
         slope = (ocv[end] - ocv[inner]) / (grid[end] - grid[inner])
-        point = kernels.look_up(*model.parameters(), soc, 25.0)
+        point = kernels.look_up(model.parameters(), soc, 25.0)
         beyond = np.clip(soc - grid[end], -kernels.BEYOND, kernels.BEYOND)
         assert point.ocv_V == pytest.approx(ocv[end] + slope * beyond)
         assert point.ocv_slope_V == pytest.approx(slope)
@@ -164,7 +162,7 @@ class TestLookUp:
         model = random_model(np.random.default_rng(3), temperatures=4, effects=False)
         grid = model.temperature_C
         at = [np.clip(temperature, grid[0], grid[-1]), soc]
-        point = kernels.look_up(*model.parameters(), soc, temperature)
+        point = kernels.look_up(model.parameters(), soc, temperature)
         for name in (*self.names, "ocv_V"):
             exact = RegularGridInterpolator((grid, model.soc), getattr(model, name))(at)[0]
             assert getattr(point, name) == pytest.approx(exact, rel=1e-12)
@@ -174,10 +172,10 @@ class TestLookUp:
         model = random_model(np.random.default_rng(4), temperatures=3, effects=False)
         for soc in (0.031, 0.52, 0.97):
             near = [
-                kernels.look_up(*model.parameters(), soc + d, temperature).ocv_V
+                kernels.look_up(model.parameters(), soc + d, temperature).ocv_V
                 for d in (-1e-6, 1e-6)
             ]
-            slope = kernels.look_up(*model.parameters(), soc, temperature).ocv_slope_V
+            slope = kernels.look_up(model.parameters(), soc, temperature).ocv_slope_V
             assert slope == pytest.approx((near[1] - near[0]) / 2e-6, rel=1e-6)
 
     def test_agrees_with_the_model_at_one_temperature(self):
@@ -185,14 +183,14 @@ class TestLookUp:
         for temperature in (-40.0, 3.0, 21.0, 80.0):
             cold = model.at_temperature(temperature)
             for soc in (0.02, 0.49, 0.9):
-                a = kernels.look_up(*model.parameters(), soc, temperature)
-                b = kernels.look_up(*cold.parameters(), soc, temperature)
+                a = kernels.look_up(model.parameters(), soc, temperature)
+                b = kernels.look_up(cold.parameters(), soc, temperature)
                 np.testing.assert_allclose(a, b, rtol=1e-12)
 
 
 def test_seen_current_lies_between_the_last_two():
-    cell = linear_cell(effects=EFFECTS).parameters()[2]  # 0.4 s of skew
+    cell = linear_cell(effects=EFFECTS).parameters().cell  # 0.4 s of skew
     assert kernels.seen_current(cell, 5.0, 1.0, 1.0) == pytest.approx(0.6 * 5.0 + 0.4 * 1.0)
     assert kernels.seen_current(cell, 5.0, 1.0, 0.2) == 1.0  # no more than one interval
     assert kernels.seen_current(cell, 5.0, 1.0, 0.0) == 5.0
-    assert kernels.seen_current(linear_cell().parameters()[2], 5.0, 1.0, 1.0) == 5.0
+    assert kernels.seen_current(linear_cell().parameters().cell, 5.0, 1.0, 1.0) == 5.0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cellwise.cell.effects import Hysteresis, SlowDiffusion
-from cellwise.cell.kernels import COLUMNS, M
+from cellwise.cell.point_kernels import COLUMNS, M
 from cellwise.errors import InputError
 from example_cells import EFFECTS, curved_cell, linear_cell, random_model
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from cellwise.cell.effects import Hysteresis, SlowDiffusion
-from cellwise.cell.kernels import BEYOND
+from cellwise.cell.equations import BEYOND
 from cellwise.cell.protocol import (
     ConstantCurrent,
     ConstantVoltage,

@@ -13,8 +13,8 @@ from doc_blocks import DOCS, PAGES, REPOSITORY, page_blocks, page_name, prose
 
 import cellwise
 from cellwise.cell.effects import EFFECTS
+from cellwise.cell.equations import CellState
 from cellwise.cell.initial_soc import InitialSoc
-from cellwise.cell.kernels import CellState
 from cellwise.cli.main import build_parser
 from cellwise.estimate.estimators import ESTIMATORS
 from cellwise.estimate.filters.coulomb import CoulombInfo, CoulombState

@@ -10,6 +10,7 @@ from numba.core.runtime import _nrt_python, rtsys
 
 from cellwise.estimate.filters import adaptive_kernels as kernel
 from cellwise.estimate.filters.adaptive import Adaptive
+from cellwise.estimate.filters.filter_state import LogArrays
 from example_cells import EFFECTS, curved_cell
 
 ADAPTIVE = Adaptive(curved_cell(effects=EFFECTS))
@@ -19,14 +20,14 @@ def call(rows):
     rng = np.random.default_rng(1)
     voltage = rng.normal(3.7, 0.1, rows)
     voltage[::7] = np.nan
-    voltage.setflags(write=False)  # as a log's
     held, status = np.empty((3, rows), np.int32), np.empty(rows, np.int32)
-    begun, room = ADAPTIVE.init(0.5), (np.empty(7), np.empty(7))
-    state = begun.x, begun.covariance.ravel(), begun.memory
+    log = LogArrays(
+        rng.normal(0, 3, rows), voltage, np.full(rows, 25.0), np.full(rows, 0.1),
+        np.zeros(rows, np.bool_),
+    )  # fmt: skip
     kernel_arguments = (
-        *ADAPTIVE.model.parameters(), ADAPTIVE._noise, ADAPTIVE._learn, ADAPTIVE._anew, *state,
-        *room, rng.normal(0, 3, rows), voltage, np.full(rows, 25.0), np.full(rows, 0.1),
-        np.zeros(rows, np.bool_), np.empty((kernel.OUTPUTS, rows)), status, held,
+        ADAPTIVE.model.parameters(), ADAPTIVE._noise, ADAPTIVE._learn, ADAPTIVE._unknown,
+        ADAPTIVE.init(0.5), log, np.empty((kernel.OUTPUTS, rows)), status, held,
     )  # fmt: skip
     gc.collect()
     before = rtsys.get_allocation_stats()

@@ -1,4 +1,4 @@
-"""The adaptive filter's algebra against the matrix formulas that it stands for."""
+"""The adaptive filter's parameters: hypotheses, rests, what is known once they are."""
 
 from __future__ import annotations
 
@@ -7,37 +7,14 @@ import math
 import numpy as np
 import pytest
 
+from cellwise.estimate.filters.adaptive_covariance_kernels import AdaptiveCovariance
 from cellwise.estimate.filters.adaptive_mixture_kernels import mix
 from cellwise.estimate.filters.adaptive_settings import AdaptiveSettings
-from cellwise.estimate.filters.adaptive_state_kernels import (
-    MEMORY,
-    SOC,
-    STATES,
-    V1,
-    V2,
-    V3,
-    B,
-    H,
-    Q,
-    correct,
-    flatten,
-    lean,
-    observe,
-    settled_variance,
-    spread,
-)
+from cellwise.estimate.filters.adaptive_state_kernels import Rest, settled_variance
 from cellwise.estimate.filters.adaptive_watch_kernels import watch_rest
 
-
-def upper(p: np.ndarray) -> np.ndarray:
-    """P as the kernels take it: row by row, nothing below the diagonal."""
-    return np.triu(p).ravel()
-
-
-def whole(flat: np.ndarray) -> np.ndarray:
-    """And back."""
-    p = flat.reshape(STATES, STATES)
-    return np.triu(p) + np.triu(p, 1).T
+SOC, B, Q = 0, 5, 6
+STATES = 7
 
 
 def covariance(seed: int, n: int = STATES) -> np.ndarray:
@@ -45,96 +22,9 @@ def covariance(seed: int, n: int = STATES) -> np.ndarray:
     return a @ a.T + 0.1 * np.eye(n)
 
 
-def test_spread_is_f_p_f_transposed():
-    p = covariance(1)
-    a1, a2, a3, ah, sb, sq, g1, g2, g3 = 0.9, 0.8, 0.99, 0.7, 0.3, -0.2, 0.05, 0.06, 0.02
-    f = np.diag([1.0, a1, a2, a3, ah, 1.0, 1.0])
-    f[SOC, B], f[SOC, Q] = sb, sq
-    f[V1, B], f[V2, B], f[V3, B] = -g1, -g2, -g3
-    found = upper(p)
-    spread(found, a1, a2, a3, ah, sb, sq, g1, g2, g3)
-    np.testing.assert_allclose(whole(found), f @ p @ f.T, rtol=1e-12)
-
-
-def test_lean_is_f_p_f_transposed():
-    p = covariance(2)
-    f = np.eye(STATES)
-    f[V1, SOC], f[V2, SOC], f[V3, SOC] = 0.1, -0.2, 0.3
-    found = upper(p)
-    lean(found, 0.1, -0.2, 0.3)
-    np.testing.assert_allclose(whole(found), f @ p @ f.T, rtol=1e-12)
-
-
-def test_observe_is_p_h_transposed():
-    p, d = covariance(3), np.empty(STATES)
-    slope, m, r, w, r0 = 0.8, 0.02, 1.2, 0.7, 0.03
-    h = np.zeros(STATES)
-    h[[SOC, V1, V2, V3, H, B]] = slope, -r, -w, -w, m, r * r0
-    variance = observe(upper(p), d, slope, m, r, w, r0)
-    np.testing.assert_allclose(d, p @ h, rtol=1e-12)
-    assert variance == pytest.approx(h @ p @ h)
-
-
-@pytest.mark.parametrize("hold_b", [False, True])
-@pytest.mark.parametrize("hold_q", [False, True])
-def test_correction_is_the_consider_filters(hold_b, hold_q):
-    """Any gain K gives (I - K h') P (I - K h')' + K R K'; held rows of K are zero."""
-    p, h, noise, innovation = covariance(4), np.zeros(STATES), 0.5, 0.03
-    h[[SOC, V1, V2, V3, H, B]] = 0.8, -1.0, -1.0, -1.0, 0.02, 0.03
-    x = np.array([0.5, 0.01, 0.0, 0.0, 0.2, 0.1, 1.0])
-    d = p @ h
-    inverse = 1.0 / (h @ d + noise)
-    k = d * inverse
-    k[B] *= not hold_b
-    k[Q] *= not hold_q
-    a = np.eye(STATES) - np.outer(k, h)
-    want_p = a @ p @ a.T + noise * np.outer(k, k)
-    want_x = x + k * innovation
-    found = upper(p)
-    correct(x, found, d, inverse, innovation, hold_b, hold_q)
-    np.testing.assert_allclose(x, want_x, rtol=1e-12)
-    np.testing.assert_allclose(whole(found), want_p, atol=1e-12)
-
-
-def test_flatten_then_correct_is_the_steep_slopes_gain_on_the_flat_one():
-    p, noise = covariance(5), 0.5
-    p[B:, :] = p[:, B:] = 0.0  # offset and capacity known: all states are corrected
-    h = np.zeros(STATES)
-    h[[SOC, V1, V2, V3, H]] = 0.8, -1.0, -1.0, -1.0, 0.02
-    flat = h.copy()
-    flat[SOC] = 0.7
-    d, c = p @ h, np.empty(STATES)
-    inverse = 1.0 / (h @ d + noise)
-    k = d * inverse
-    a = np.eye(STATES) - np.outer(k, flat)
-    want = a @ p @ a.T + noise * np.outer(k, k)
-    found = upper(p)
-    assert want[SOC, SOC] < p[SOC, SOC]  # something was learnt
-    assert flatten(found, d, c, inverse, flat[SOC] - h[SOC])
-    correct(np.zeros(STATES) + 0.5, found, d, inverse, 0.0, True, True)
-    np.testing.assert_allclose(whole(found), want, atol=1e-9)
-
-
-@pytest.mark.parametrize("flat_V", [0.0, 0.1, 0.3, 0.45])
-def test_a_plateau_teaches_nothing_and_unteaches_nothing(flat_V):
-    """A gain of a steep slope that leads onto a flat one never makes the SOC less known."""
-    slope, soc_variance = 0.5, 0.0225
-    noise = slope**2 * soc_variance
-    p = np.zeros((STATES, STATES))
-    p[SOC, SOC] = soc_variance
-    d, c = np.zeros(STATES), np.empty(STATES)
-    d[SOC] = slope * soc_variance
-    inverse = 1.0 / (slope * d[SOC] + noise)
-    gain = d[SOC] * inverse
-    want = (1.0 - gain * flat_V) ** 2 * soc_variance + gain**2 * noise
-    found = upper(p)
-    learnt = flatten(found, d, c, inverse, flat_V - slope)
-    assert learnt == (want < soc_variance)
-    if learnt:
-        correct(np.zeros(STATES) + 0.5, found, d, inverse, 0.0, True, True)
-        assert found[0] == pytest.approx(want)
-    else:
-        np.testing.assert_array_equal(found, upper(p))
+def upper(p: np.ndarray) -> AdaptiveCovariance:
+    """P as the kernels take it."""
+    return AdaptiveCovariance(*(float(v) for v in p[np.triu_indices(STATES)]))
 
 
 @pytest.mark.parametrize("known", [(), (B,), (Q,), (B, Q)])
@@ -219,8 +109,11 @@ class TestRest:
     learn = AdaptiveSettings(rest_s=100.0, rest_limit_C=0.05, rest_band_C=0.01).scalars(2.0)
 
     def rests(self, current):
-        memory = np.zeros(MEMORY)
-        return [watch_rest(self.learn, memory, float(i), 1.0) for i in current]
+        rest, found = Rest(0.0, 0.0, False), []
+        for i in current:
+            rest, shows = watch_rest(self.learn, rest, float(i), 1.0)
+            found.append(shows)
+        return found
 
     def test_a_still_small_current_is_a_rest_once(self):
         told = self.rests(np.full(500, 0.08))

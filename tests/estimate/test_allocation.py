@@ -10,10 +10,12 @@ from numba import njit
 from numba.core.runtime import _nrt_python, rtsys
 
 from cellwise.cell import protocol_kernels
-from cellwise.cell.kernels import empty_state, simulate_rows
+from cellwise.cell.equations import empty_state
+from cellwise.cell.simulate_kernels import simulate_rows
 from cellwise.estimate.filters import ekf_kernels, ukf_kernels
 from cellwise.estimate.filters.coulomb import coulomb_rows
 from cellwise.estimate.filters.ekf import Ekf
+from cellwise.estimate.filters.filter_state import OUTPUTS, LogArrays, TraceArrays
 from cellwise.estimate.filters.ukf import SigmaPoints
 from example_cells import EFFECTS, curved_cell
 
@@ -45,37 +47,37 @@ def ekf_call(rows):
     rng = np.random.default_rng(1)
     current, voltage = rng.normal(0, 3, rows), rng.normal(3.7, 0.1, rows)
     voltage[::7] = np.nan
-    voltage.setflags(write=False)  # as a log's: no second compilation
     dt, warm = np.full(rows, 0.1), np.full(rows, 25.0)
     gap = np.zeros(rows, dtype=np.bool_)
     start = EKF.start(0.5)
-    out, status = np.empty((ekf_kernels.OUTPUTS, rows)), np.empty(rows, dtype=np.int32)
-    return (ekf_kernels.ekf_rows, *MODEL.parameters(), EKF.noise.scalars(), start, start, current,
-            voltage, warm, dt, gap, out, status)  # fmt: skip
+    out = TraceArrays(np.empty((OUTPUTS, rows)), np.empty(rows, dtype=np.int32))
+    log = LogArrays(current, voltage, warm, dt, gap)
+    return ekf_kernels.ekf_rows, MODEL.parameters(), EKF.noise.scalars(), start, start, log, out
 
 
 def ukf_call(rows):
-    _, table, grid, cell, noise, *rest = ekf_call(rows)
-    return (ukf_kernels.ukf_rows, table, grid, cell, noise, SigmaPoints().scalars(), *rest)
+    _, tables, noise, *rest = ekf_call(rows)
+    return ukf_kernels.ukf_rows, tables, noise, SigmaPoints().scalars(), *rest
 
 
 def simulate_call(rows):
     current = np.random.default_rng(1).normal(0, 3, rows)
     dt, warm = np.full(rows, 0.1), np.full(rows, 25.0)
-    return (simulate_rows, *MODEL.parameters(), empty_state(0.5), dt, current, warm,
+    return (simulate_rows, MODEL.parameters(), empty_state(0.5), dt, current, warm,
             np.empty(rows), np.empty(rows))  # fmt: skip
 
 
 def coulomb_call(rows):
     current = np.random.default_rng(1).normal(0, 3, rows)
     gap = np.zeros(rows, dtype=np.bool_)
-    return (coulomb_rows, MODEL.parameters()[2], 0.5, 0.01, current, np.full(rows, 0.1), gap, 1e-5,
+    cell = MODEL.parameters().cell
+    return (coulomb_rows, cell, 0.5, 0.01, current, np.full(rows, 0.1), gap, 1e-5,
             0.05, np.empty(rows), np.empty(rows), np.empty(rows, dtype=np.int32))  # fmt: skip
 
 
 def profile_call(rows):
     current = np.random.default_rng(1).normal(0, 9, rows)
-    return (protocol_kernels.profile_rows, *MODEL.parameters(), empty_state(0.5),
+    return (protocol_kernels.profile_rows, MODEL.parameters(), empty_state(0.5),
             0.1 * np.arange(1.0, rows + 1), current, 3.4, 3.8, 25.0,
             np.empty((protocol_kernels.ROW, rows)))  # fmt: skip
 

@@ -17,18 +17,16 @@ from cellwise.estimate.filters.ekf import Ekf
 from cellwise.estimate.noise import Noise
 from example_cells import EFFECTS, curved_cell, linear_cell, random_log, random_model
 
-ORDER = ("ss", "s1", "s2", "s3", "sh", "p11", "p12", "p13", "p1h", "p22", "p23", "p2h", "p33",
-         "p3h", "phh")  # fmt: skip
 OPEN_GATE = 1e9
 
 
 def mean_of(state):
-    return np.array([state.soc, state.v1_V, state.v2_V, state.v3_V, state.h])
+    return np.array(state.cell[:5])
 
 
 def covariance_of(state):
     matrix = np.zeros((5, 5))
-    matrix[np.triu_indices(5)] = [getattr(state, name) for name in ORDER]
+    matrix[np.triu_indices(5)] = state.p
     return matrix + np.triu(matrix, 1).T
 
 
@@ -199,7 +197,7 @@ def test_mean_and_covariance_are_those_of_the_matrix_form(seed, slow_s, mismatch
             state, log.current_A[k], log.voltage_V[k], log.temperature_C[k],
             dt_s=log.interval_s[k], gap=bool(log.gap_rows[k]),
         )  # fmt: skip
-        assert state.ss < 4e-4  # where the tangent is used
+        assert state.p.ss < 4e-4  # where the tangent is used
         np.testing.assert_allclose(mean_of(state), x, rtol=0, atol=1e-10)
         np.testing.assert_allclose(covariance_of(state), p, rtol=1e-9, atol=1e-12)
         assert info.voltage_V == pytest.approx(predicted, abs=1e-10)

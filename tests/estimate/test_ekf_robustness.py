@@ -273,7 +273,9 @@ class TestStatus:
     @pytest.mark.parametrize("field", ["soc", "ss"])
     def test_a_state_that_is_not_finite_is_started_anew(self, field):
         ekf = Ekf(CURVED)
-        state = ekf.init(0.5, 0.1)._replace(**{field: np.nan})
+        state = ekf.init(0.5, 0.1)
+        part = "cell" if field == "soc" else "p"
+        state = state._replace(**{part: getattr(state, part)._replace(**{field: np.nan})})
         state, info = ekf.step(state, 1.0, 3.9, dt_s=1.0)
         assert info.status & Status.STATE_RESET
         assert np.all(np.isfinite(mean_of(state)))
@@ -326,7 +328,7 @@ def test_covariance_stays_positive_semidefinite_and_soc_in_bounds(model, steps):
     for state, info in random_walk(Ekf(model), model, steps, 3):
         matrices.append(covariance_of(state))
         socs.append(state.soc)
-        assert -1.0 <= state.h <= 1.0
+        assert -1.0 <= state.cell.h <= 1.0
         seen |= info.status
     matrices, socs = np.array(matrices), np.array(socs)
     assert np.all(np.isfinite(matrices))

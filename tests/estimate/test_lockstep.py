@@ -113,7 +113,7 @@ def test_every_cell_is_the_ekf_of_its_own_samples(name):
     assert share == 0.0 if name == "heating" else share > 0.5
     for j in (0, 15, 36):
         assert fleet.cell_state(state, j).watch.repeats == one_by_one[j].watch.repeats
-        assert fleet.cell_state(state, j).p12 == pytest.approx(one_by_one[j].p12, abs=1e-7)
+        assert fleet.cell_state(state, j).p.p12 == pytest.approx(one_by_one[j].p.p12, abs=1e-7)
 
 
 def test_one_number_is_for_all_and_a_whole_number_of_blocks_is_no_other():

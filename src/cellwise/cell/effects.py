@@ -14,6 +14,9 @@ import numpy as np
 from cellwise.errors import InputError
 from cellwise.typing import FloatArray
 
+# Resistances and time constants with an activation energy of their own.
+BRANCH_ACTIVATIONS = ("r0", "r1", "tau1", "r2", "tau2", "r3", "tau3")
+
 
 @dataclass(frozen=True, eq=False)
 class SlowDiffusion:
@@ -47,18 +50,44 @@ class Hysteresis:
 
 @dataclass(frozen=True, eq=False)
 class TemperatureDependence:
-    """Arrhenius factor exp(E (1/T - 1/T_ref)) on every resistance. Neutral: E = 0 K.
+    """Arrhenius factors exp(E (1/T - 1/T_ref)). Neutral: every E = 0 K.
 
-    ``activation_K`` [K] is the activation energy over the gas constant; ``reference_C`` [degC] is
-    where the tables hold.
+    ``activation_K`` [K] is the activation energy over the gas constant that every resistance has
+    in common, ``r0_K`` ... ``r3_K`` what one resistance has beside it, ``tau1_K`` ... ``tau3_K``
+    those of the time constants; ``reference_C`` [degC] is where the tables hold.
     """
 
     name: ClassVar[str] = "temperature_dependence"
     bounds: ClassVar[dict[str, tuple[float, float]]] = {
         "activation_K": (-2000.0, 15000.0),
         "reference_C": (-50.0, 90.0),
+        **{f"{branch}_K": (-15000.0, 15000.0) for branch in BRANCH_ACTIVATIONS},
     }
     activation_K: float = 0.0
+    reference_C: float = 25.0
+    r0_K: float = 0.0
+    r1_K: float = 0.0
+    tau1_K: float = 0.0
+    r2_K: float = 0.0
+    tau2_K: float = 0.0
+    r3_K: float = 0.0
+    tau3_K: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Entropy:
+    """The OCV moves with temperature: + dOCV/dT (T - T_ref). Neutral: dOCV/dT = 0.
+
+    ``docv_dT_V_per_K`` [V/K] is the entropy of the reaction over the Faraday constant, a number or
+    a table over SOC; ``reference_C`` [degC] is where the OCV table holds.
+    """
+
+    name: ClassVar[str] = "entropy"
+    bounds: ClassVar[dict[str, tuple[float, float]]] = {
+        "docv_dT_V_per_K": (-0.005, 0.005),
+        "reference_C": (-50.0, 90.0),
+    }
+    docv_dT_V_per_K: FloatArray | float = 0.0
     reference_C: float = 25.0
 
 
@@ -133,6 +162,7 @@ Effect = (
     | ChargeAsymmetry
     | SelfHeating
     | SelfDischarge
+    | Entropy
 )
 EFFECTS: dict[str, type[Effect]] = {
     e.name: e
@@ -145,6 +175,7 @@ EFFECTS: dict[str, type[Effect]] = {
         ChargeAsymmetry,
         SelfHeating,
         SelfDischarge,
+        Entropy,
     )
 }
 

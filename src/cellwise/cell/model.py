@@ -9,35 +9,14 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from cellwise.cell.effects import (
-    ChargeAsymmetry,
-    Effect,
-    Hysteresis,
-    RateDependence,
-    SelfDischarge,
-    SelfHeating,
-    SlowDiffusion,
-    TemperatureDependence,
-    TimeSkew,
-    check_effect,
-    effect_table,
-)
-from cellwise.cell.kernels import ZERO_CELSIUS_K, CellScalars, table_rows
+from cellwise.cell.effects import Effect, check_effect
+from cellwise.cell.equations import CellTables
+from cellwise.cell.parameters import packed
 from cellwise.errors import InputError
 from cellwise.plotting import Line, Panel, Plottable
 from cellwise.typing import FloatArray
 
-E = TypeVar(
-    "E",
-    SlowDiffusion,
-    Hysteresis,
-    TemperatureDependence,
-    TimeSkew,
-    RateDependence,
-    ChargeAsymmetry,
-    SelfHeating,
-    SelfDischarge,
-)
+E = TypeVar("E", bound=Effect)
 
 
 class ModelTables(NamedTuple):
@@ -193,46 +172,14 @@ class CellModel(Plottable):
         others = tuple(e for e in self.effects if e.name != effect.name)
         return replace(self, effects=(*others, effect))
 
-    def parameters(self) -> tuple[FloatArray, FloatArray, CellScalars]:
+    def parameters(self) -> CellTables:
         """What the kernels take: the packed table, its temperatures, the scalars."""
         table, grid, scalars = self._parameters
-        return table.copy(), grid.copy(), scalars
+        return CellTables(table.copy(), grid.copy(), scalars)
 
     @cached_property
-    def _parameters(self) -> tuple[FloatArray, FloatArray, CellScalars]:
-        shape = self.ocv_V.shape
-        slow = self.effect(SlowDiffusion)
-        hysteresis = self.effect(Hysteresis)
-        temperature = self.effect(TemperatureDependence)
-        heating = self.effect(SelfHeating)
-        table = table_rows(
-            [
-                self.ocv_V,
-                self.r0_ohm,
-                self.r1_ohm,
-                self.tau1_s,
-                self.r2_ohm,
-                self.tau2_s,
-                effect_table(slow.r3_ohm, shape),
-                effect_table(slow.tau3_s, shape),
-                effect_table(hysteresis.m_V, shape),
-                effect_table(self.error.at(self.soc), shape),
-            ]
-        )
-        scalars = CellScalars(
-            charge_As=3600.0 * self.capacity_Ah,
-            charge_efficiency=float(self.charge_efficiency),
-            activation_K=float(temperature.activation_K),
-            reference_K=float(temperature.reference_C) + ZERO_CELSIUS_K,
-            hysteresis_rate=float(hysteresis.gamma) if np.any(hysteresis.m_V) else 0.0,
-            skew_s=float(self.effect(TimeSkew).skew_s),
-            rate_per_A=float(self.effect(RateDependence).rate_h) / self.capacity_Ah,
-            charge_scale=float(self.effect(ChargeAsymmetry).charge_scale),
-            leak_A=float(self.effect(SelfDischarge).leak_A),
-            heating_K_per_W=float(heating.rth_K_per_W),
-            heating_s=float(heating.thermal_s),
-        )
-        return table, np.ascontiguousarray(self.temperature_C), scalars
+    def _parameters(self) -> CellTables:
+        return packed(self)
 
     def at_temperature(self, temperature_C: float) -> CellModel:
         """The model's tables at one temperature, linear between its own."""

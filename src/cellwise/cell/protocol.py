@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.cell import protocol_kernels as kernel
-from cellwise.cell.kernels import CellState, empty_state
+from cellwise.cell.equations import CellState, empty_state
 from cellwise.cell.model import CellModel
 from cellwise.cell.protocol_steps import (
     ConstantCurrent,
@@ -127,7 +127,7 @@ class _Supply:
     def __init__(
         self, model: CellModel, state: CellState, dt_s: float, temperature_C: float
     ) -> None:
-        self.cell = model.parameters()
+        self.tables = model.parameters()
         self.limits = (model.voltage_min_V, model.voltage_max_V)
         self.state = state
         self.dt_s = dt_s
@@ -135,7 +135,7 @@ class _Supply:
         self.clock_s = 0.0
         self.number = 0
         self.notices: list[str] = []
-        _, voltage = kernel.interval(*self.cell, state, 0.0, 0.0, temperature_C)
+        _, voltage = kernel.interval(self.tables, state, 0.0, 0.0, temperature_C)
         self.parts: list[FloatArray] = [np.array([[0.0], [0.0], [voltage], [1.0]])]
         self.rows = 1
 
@@ -207,7 +207,7 @@ class _Supply:
         return end, end in asked
 
     def _time_to_soc(self, current_A: float, soc: float) -> float:
-        scalars = self.cell[2]
+        scalars = self.tables.cell
         used = current_A if current_A > 0.0 else current_A * scalars.charge_efficiency
         return (self.state.soc - soc) * scalars.charge_As / used
 
@@ -224,7 +224,7 @@ class _Supply:
         until = np.nan if step.until_current_A is None else step.until_current_A
         period = self._period(step)
         asked = kernel.holding_current(
-            *self.cell, self.state, step.voltage_V, 0.0, self.temperature_C, -np.inf, np.inf, 0.0
+            self.tables, self.state, step.voltage_V, 0.0, self.temperature_C, -np.inf, np.inf, 0.0
         )
         elapsed = 0.0
         if abs(asked) > most:
@@ -248,7 +248,7 @@ class _Supply:
         high = _limit(step.voltage_max_V, self.limits[1])
         current = np.ascontiguousarray(step.current_A[flows])
         progress: kernel.Progress = kernel.profile_rows(
-            *self.cell, self.state, end, current, low, high, self.temperature_C, out
+            self.tables, self.state, end, current, low, high, self.temperature_C, out
         )
         self._keep(out, progress)
         return progress
@@ -260,7 +260,7 @@ class _Supply:
         while progress.reason == kernel.FULL:
             out = np.empty((kernel.ROW, CHUNK_ROWS))
             progress = kernel.constant_current_rows(
-                *self.cell, self.state, current_A, self.temperature_C, progress.elapsed_s, end_s,
+                self.tables, self.state, current_A, self.temperature_C, progress.elapsed_s, end_s,
                 period_s, limit_V, out,
             )  # fmt: skip
             self._keep(out, progress)
@@ -277,7 +277,7 @@ class _Supply:
         while progress.reason == kernel.FULL:
             out = np.empty((kernel.ROW, CHUNK_ROWS))
             progress = kernel.constant_voltage_rows(
-                *self.cell, self.state, *bounds, self.temperature_C, progress.elapsed_s, end_s,
+                self.tables, self.state, *bounds, self.temperature_C, progress.elapsed_s, end_s,
                 period_s, out,
             )  # fmt: skip
             self._keep(out, progress)

@@ -9,9 +9,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from numba import njit
-
-from cellwise.cell.kernels import BEYOND, CellScalars, CellState, advance, terminal_voltage
+from cellwise.cell.compiled import kernel, rows
+from cellwise.cell.equations import BEYOND, CellState, CellTables, advance, voltage_of
 from cellwise.typing import FloatArray
 
 # Rows of the output: time since the step's start, current, voltage.
@@ -38,26 +37,22 @@ class Progress(NamedTuple):
     reason: int
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def interval(
-    table: FloatArray,
-    grid: FloatArray,
-    cell: CellScalars,
+    tables: CellTables,
     state: CellState,
     current_A: float,
     dt_s: float,
     temperature_C: float,
 ) -> tuple[CellState, float]:
     """State and terminal voltage at the end of an interval of constant current."""
-    after, point = advance(table, grid, cell, state, current_A, dt_s, temperature_C)
-    return after, terminal_voltage(point, after, current_A)
+    after, point = advance(tables, state, current_A, dt_s, temperature_C)
+    return after, voltage_of(point, after, current_A)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def time_to_voltage(
-    table: FloatArray,
-    grid: FloatArray,
-    cell: CellScalars,
+    tables: CellTables,
     state: CellState,
     current_A: float,
     dt_s: float,
@@ -70,10 +65,10 @@ def time_to_voltage(
     far side of it, by less than can be told apart.
     """
     near, far = 0.0, dt_s
-    beyond = interval(table, grid, cell, state, current_A, far, temperature_C)[1] > voltage_V
+    beyond = interval(tables, state, current_A, far, temperature_C)[1] > voltage_V
     for _ in range(BISECTIONS):
         middle = 0.5 * (near + far)
-        v = interval(table, grid, cell, state, current_A, middle, temperature_C)[1]
+        v = interval(tables, state, current_A, middle, temperature_C)[1]
         if v == voltage_V:
             return middle
         if (v > voltage_V) == beyond:
@@ -83,11 +78,9 @@ def time_to_voltage(
     return far
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def holding_current(
-    table: FloatArray,
-    grid: FloatArray,
-    cell: CellScalars,
+    tables: CellTables,
     state: CellState,
     voltage_V: float,
     dt_s: float,
@@ -102,8 +95,8 @@ def holding_current(
     (Illinois); where even a bound does not get there, the bound is the answer.
     """
     a = min(max(guess_A, low_A), high_A)
-    after, point = advance(table, grid, cell, state, a, dt_s, temperature_C)
-    fa = terminal_voltage(point, after, a) - voltage_V
+    after, point = advance(tables, state, a, dt_s, temperature_C)
+    fa = voltage_of(point, after, a) - voltage_V
     if abs(fa) <= VOLTAGE_TOLERANCE_V:
         return a
     # Bracket: step outwards, at first by what R0 alone would ask for.
@@ -111,7 +104,7 @@ def holding_current(
     b, fb = a, fa
     while True:
         b = min(max(a + step, low_A), high_A)
-        fb = interval(table, grid, cell, state, b, dt_s, temperature_C)[1] - voltage_V
+        fb = interval(tables, state, b, dt_s, temperature_C)[1] - voltage_V
         if (fb > 0.0) != (fa > 0.0):
             break
         if b in (low_A, high_A) or not math.isfinite(fb):
@@ -121,7 +114,7 @@ def holding_current(
     side = 0
     for _ in range(2 * BISECTIONS):
         c = (a * fb - b * fa) / (fb - fa)
-        fc = interval(table, grid, cell, state, c, dt_s, temperature_C)[1] - voltage_V
+        fc = interval(tables, state, c, dt_s, temperature_C)[1] - voltage_V
         if abs(fc) <= VOLTAGE_TOLERANCE_V or c in (a, b):
             return c
         if (fc > 0.0) == (fb > 0.0):
@@ -137,7 +130,7 @@ def holding_current(
     return b
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def next_row(elapsed_s: float, period_s: float, end_s: float) -> float:
     """Instant of the next row: the next multiple of the period, or the end."""
     k = math.floor(elapsed_s / period_s + SLIVER) + 1.0
@@ -147,11 +140,9 @@ def next_row(elapsed_s: float, period_s: float, end_s: float) -> float:
     return following
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@rows
 def constant_current_rows(
-    table: FloatArray,
-    grid: FloatArray,
-    cell: CellScalars,
+    tables: CellTables,
     state: CellState,
     current_A: float,
     temperature_C: float,
@@ -166,7 +157,7 @@ def constant_current_rows(
     On discharge the limit is a lower one, on charge an upper one; the last row is at its instant.
     """
     sign = 1.0 if current_A > 0.0 else -1.0
-    _, v = interval(table, grid, cell, state, current_A, 0.0, temperature_C)
+    _, v = interval(tables, state, current_A, 0.0, temperature_C)
     if sign * (v - limit_V) <= 0.0:
         return Progress(state, elapsed_s, 0, AT_LIMIT)
     rows = 0
@@ -175,11 +166,11 @@ def constant_current_rows(
             return Progress(state, elapsed_s, rows, FULL)
         stop = next_row(elapsed_s, period_s, end_s)
         dt = stop - elapsed_s
-        after, v = interval(table, grid, cell, state, current_A, dt, temperature_C)
+        after, v = interval(tables, state, current_A, dt, temperature_C)
         reached = sign * (v - limit_V) <= 0.0
         if reached:
-            dt = time_to_voltage(table, grid, cell, state, current_A, dt, temperature_C, limit_V)
-            after, v = interval(table, grid, cell, state, current_A, dt, temperature_C)
+            dt = time_to_voltage(tables, state, current_A, dt, temperature_C, limit_V)
+            after, v = interval(tables, state, current_A, dt, temperature_C)
             stop = elapsed_s + dt
         state = after
         elapsed_s = stop
@@ -192,11 +183,9 @@ def constant_current_rows(
     return Progress(state, elapsed_s, rows, ENDED)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@rows
 def constant_voltage_rows(
-    table: FloatArray,
-    grid: FloatArray,
-    cell: CellScalars,
+    tables: CellTables,
     state: CellState,
     voltage_V: float,
     low_A: float,
@@ -213,9 +202,7 @@ def constant_voltage_rows(
     The last row is at the instant at which the current has come down to ``until_A``.
     """
     # What the supply would deliver at this instant tells the direction.
-    current = holding_current(
-        table, grid, cell, state, voltage_V, 0.0, temperature_C, low_A, high_A, 0.0
-    )
+    current = holding_current(tables, state, voltage_V, 0.0, temperature_C, low_A, high_A, 0.0)
     sign = 1.0 if current > 0.0 else -1.0
     if sign * current <= until_A:
         return Progress(state, elapsed_s, 0, AT_LIMIT)
@@ -226,14 +213,14 @@ def constant_voltage_rows(
         stop = next_row(elapsed_s, period_s, end_s)
         dt = stop - elapsed_s
         current = holding_current(
-            table, grid, cell, state, voltage_V, dt, temperature_C, low_A, high_A, current
+            tables, state, voltage_V, dt, temperature_C, low_A, high_A, current
         )
         reached = sign * current <= until_A
         if reached:
             current = sign * until_A
-            dt = time_to_voltage(table, grid, cell, state, current, dt, temperature_C, voltage_V)
+            dt = time_to_voltage(tables, state, current, dt, temperature_C, voltage_V)
             stop = elapsed_s + dt
-        state, v = interval(table, grid, cell, state, current, dt, temperature_C)
+        state, v = interval(tables, state, current, dt, temperature_C)
         elapsed_s = stop
         out[TIME, rows] = elapsed_s
         out[CURRENT, rows] = current
@@ -246,11 +233,9 @@ def constant_voltage_rows(
     return Progress(state, elapsed_s, rows, ENDED)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@rows
 def profile_rows(
-    table: FloatArray,
-    grid: FloatArray,
-    cell: CellScalars,
+    tables: CellTables,
     state: CellState,
     end_s: FloatArray,
     current_A: FloatArray,
@@ -268,17 +253,17 @@ def profile_rows(
     for k in range(end_s.size):
         dt = end_s[k] - elapsed
         current = current_A[k]
-        after, v = interval(table, grid, cell, state, current, dt, temperature_C)
+        after, v = interval(tables, state, current, dt, temperature_C)
         if current > 0.0 and v < low_V:
             current = holding_current(
-                table, grid, cell, state, low_V, dt, temperature_C, 0.0, current, current
+                tables, state, low_V, dt, temperature_C, 0.0, current, current
             )
-            after, v = interval(table, grid, cell, state, current, dt, temperature_C)
+            after, v = interval(tables, state, current, dt, temperature_C)
         elif current < 0.0 and v > high_V:
             current = holding_current(
-                table, grid, cell, state, high_V, dt, temperature_C, current, 0.0, current
+                tables, state, high_V, dt, temperature_C, current, 0.0, current
             )
-            after, v = interval(table, grid, cell, state, current, dt, temperature_C)
+            after, v = interval(tables, state, current, dt, temperature_C)
         state = after
         elapsed = end_s[k]
         out[TIME, k] = elapsed

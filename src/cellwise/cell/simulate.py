@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cellwise.cell.kernels import empty_state, simulate_rows
+from cellwise.cell.equations import empty_state
 from cellwise.cell.metrics import (
     BandMetrics,
     ErrorMetrics,
@@ -17,6 +17,7 @@ from cellwise.cell.metrics import (
     metrics_to_dict,
 )
 from cellwise.cell.model import CellModel
+from cellwise.cell.simulate_kernels import simulate_rows
 from cellwise.cell.start_kernels import best_start
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
@@ -122,13 +123,11 @@ def simulate(model: CellModel, log: CellLog, soc0: float, h0: float | None = Non
     InputError            soc0 outside 0..1
     """
     check_soc0(soc0)
-    table, grid, scalars = model.parameters()
+    tables = model.parameters()
     voltage = np.empty(len(log))
     soc = np.empty(len(log))
     simulate_rows(
-        table,
-        grid,
-        scalars,
+        tables,
         empty_state(soc0, start_hysteresis(soc0) if h0 is None else h0),
         log.interval_s,
         log.known_current_A(),
@@ -152,11 +151,11 @@ def best_start_soc(model: CellModel, log: CellLog, soc0: FloatArray) -> tuple[fl
     -------
     float, float          the SOC, and the root mean square of the voltage error from there [V]
     """
-    table, grid, scalars = model.parameters()
+    tables = model.parameters()
     starts = np.array(soc0, dtype=np.float64)
     h0 = np.where(starts > UPPER_HALF, 1.0, -1.0)
     number, total = best_start(
-        table, grid, scalars, starts, h0, log.interval_s, log.known_current_A(),
+        tables, starts, h0, log.interval_s, log.known_current_A(),
         known_temperature_C(model, log), np.array(log.voltage_V),
     )  # fmt: skip
     known = max(int(np.count_nonzero(np.isfinite(log.voltage_V))), 1)

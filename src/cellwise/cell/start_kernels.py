@@ -4,24 +4,21 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
-from cellwise.cell.kernels import (
-    CellScalars,
+from cellwise.cell.compiled import rows
+from cellwise.cell.equations import (
     CellState,
+    CellTables,
     advance,
     look_up,
     seen_current,
-    terminal_voltage,
+    voltage_of,
 )
 from cellwise.typing import FloatArray
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@rows
 def best_start(
-    table: FloatArray,
-    grid: FloatArray,
-    cell: CellScalars,
+    tables: CellTables,
     soc0: FloatArray,
     h0: FloatArray,
     dt_s: FloatArray,
@@ -36,16 +33,16 @@ def best_start(
     worse than the best one before it. Returns its number and the sum [V^2].
     """
     best, least = 0, math.inf
-    likely = nearest_start(table, grid, cell, soc0, h0, current_A, temperature_C, voltage_V)
+    likely = nearest_start(tables, soc0, h0, current_A, temperature_C, voltage_V)
     for place in range(-1, soc0.size):
         k = likely if place < 0 else place  # the likely one first: most others are left early then
         state = CellState(soc0[k], 0.0, 0.0, 0.0, h0[k], 0.0)
         previous, total = current_A[0], 0.0
         for i in range(dt_s.size):
-            seen = seen_current(cell, current_A[i], previous, dt_s[i])
+            seen = seen_current(tables.cell, current_A[i], previous, dt_s[i])
             previous = current_A[i]
-            state, point = advance(table, grid, cell, state, seen, dt_s[i], temperature_C[i])
-            error = voltage_V[i] - terminal_voltage(point, state, seen)
+            state, point = advance(tables, state, seen, dt_s[i], temperature_C[i])
+            error = voltage_V[i] - voltage_of(point, state, seen)
             if error == error:  # not NaN
                 total += error * error
                 if total > least:
@@ -55,11 +52,9 @@ def best_start(
     return best, least
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@rows
 def nearest_start(
-    table: FloatArray,
-    grid: FloatArray,
-    cell: CellScalars,
+    tables: CellTables,
     soc0: FloatArray,
     h0: FloatArray,
     current_A: FloatArray,
@@ -73,8 +68,8 @@ def nearest_start(
     nearest, least = 0, math.inf
     for k in range(soc0.size):
         state = CellState(soc0[k], 0.0, 0.0, 0.0, h0[k], 0.0)
-        point = look_up(table, grid, cell, soc0[k], temperature_C[row])
-        error = abs(voltage_V[row] - terminal_voltage(point, state, current_A[row]))
+        point = look_up(tables, soc0[k], temperature_C[row])
+        error = abs(voltage_V[row] - voltage_of(point, state, current_A[row]))
         if error < least:
             nearest, least = k, error
     return nearest

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from cellwise.cell.initial_soc import InitialSoc, initial_soc
-from cellwise.cell.kernels import R3, TAU2, TAU3
 from cellwise.cell.model import CellModel
+from cellwise.cell.point_kernels import R3, TAU2, TAU3
 from cellwise.diagnose.anatomy import anatomy
 from cellwise.diagnose.causes.catalogue import CAUSES, Cause, kept_coordinates
 from cellwise.diagnose.causes.coordinates import Coordinates

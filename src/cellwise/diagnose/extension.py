@@ -19,8 +19,9 @@ from cellwise.cell.effects import (
     TemperatureDependence,
     TimeSkew,
 )
-from cellwise.cell.kernels import OCV, R0, R1, R2, R3, TAU1, TAU2, TAU3, ZERO_CELSIUS_K, M
+from cellwise.cell.equations import ZERO_CELSIUS_K
 from cellwise.cell.model import CellModel
+from cellwise.cell.point_kernels import OCV, R0, R1, R2, R3, TAU1, TAU2, TAU3, M
 from cellwise.diagnose.causes.catalogue import Cause
 from cellwise.diagnose.causes.coordinates import CURRENT_NAMES, Coordinates
 from cellwise.diagnose.causes.current_kernels import shift_rows

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellwise.cell.kernels import CellState
+from cellwise.cell.equations import CellState
 from cellwise.cell.simulate import start_hysteresis
 from cellwise.diagnose.causes.sensitivity_kernels import voltage_rows
 from cellwise.diagnose.decision.candidates import Candidate

@@ -8,13 +8,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from cellwise.cell.equations import CellState
 from cellwise.errors import InputError
+from cellwise.estimate.filters.covariance_kernels import Covariance
 from cellwise.estimate.filters.filter_state import EkfState
 from cellwise.estimate.sensing_kernels import Watch
 from cellwise.files import write_atomically
 
 SCHEMA_VERSION = 2
 INFINITE = {"inf": math.inf, "-inf": -math.inf}
+# What a file of this version calls them.
+COUNTS = {"rejections": "rejections", "mismatch": "mismatch", "lasting": "persistent"}
 MAY_BE_MISSING = {"temperature_C", "voltage_V", "current_A"}  # not measured yet
 
 
@@ -24,7 +28,8 @@ def state_to_dict(state: EkfState, estimator: str = "ekf") -> dict[str, Any]:
     After a restart pass ``gap=True`` and the time that has passed as ``dt_s`` with the first
     sample: nobody knows what has flowed meanwhile.
     """
-    values = {name: getattr(state, name) for name in EkfState._fields if name != "watch"}
+    values = {**state.cell._asdict(), **state.p._asdict()}
+    values |= {name: getattr(state, field) for name, field in COUNTS.items()}
     return {
         "schema_version": SCHEMA_VERSION,
         "estimator": estimator,
@@ -48,8 +53,14 @@ def state_from_dict(saved: Mapping[str, Any], estimator: str = "ekf") -> EkfStat
             "Start anew with init() where there is no such state.",
         )
     watch = Watch(**_numbers(saved.get("watch"), Watch._fields))
-    fields = tuple(name for name in EkfState._fields if name != "watch")
-    return EkfState(**_numbers(saved.get("state"), fields), watch=watch)
+    names = (*CellState._fields, *Covariance._fields, *COUNTS)
+    values = _numbers(saved.get("state"), names)
+    return EkfState(
+        CellState(**{name: values[name] for name in CellState._fields}),
+        Covariance(**{name: values[name] for name in Covariance._fields}),
+        **{field: values[name] for name, field in COUNTS.items()},
+        watch=watch,
+    )
 
 
 def write_state(state: EkfState, path: Path | str, estimator: str = "ekf") -> None:

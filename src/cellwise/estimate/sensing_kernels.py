@@ -8,9 +8,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from numba import njit
-
-from cellwise.cell.kernels import CellScalars, seen_current
+from cellwise.cell.compiled import inline
+from cellwise.cell.equations import CellTables, needs_temperature, seen_current
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.status import (
     CURRENT_INVALID,
@@ -30,8 +29,6 @@ HOTTEST_C = 120.0
 FROZEN_READINGS = 3.0
 REST_RATE = 0.01  # below C/100 a cell counts as resting
 LOST_RATE = 0.5  # a current that nobody measures is taken to be of this size
-MEMORY_START_S = 10.0
-MEMORY_GROWTH = 2.0
 
 
 class Watch(NamedTuple):
@@ -52,6 +49,19 @@ class Watch(NamedTuple):
     repeats: float
 
 
+class Reading(NamedTuple):
+    """What the sensors say at the end of an interval of ``dt_s`` seconds; NaN where missing.
+
+    ``gap`` says that nobody knows what flowed within the interval.
+    """
+
+    current_A: float
+    voltage_V: float
+    temperature_C: float
+    dt_s: float
+    gap: bool
+
+
 class Sample(NamedTuple):
     """A sample as the filter takes it.
 
@@ -68,32 +78,26 @@ class Sample(NamedTuple):
     voltage_V: float
     temperature_C: float
     no_current_s: float
+    dt_s: float
+    gap: bool
     status: int
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inline
 def first_watch(current_A: float) -> Watch:
     """Nothing seen yet but a current to hold."""
     return Watch(current_A, math.nan, NOT_BEGUN, 0.0, 0.0, math.nan, 0.0, 0.0)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inline
 def read_sample(
-    cell: CellScalars,
-    noise: NoiseScalars,
-    watch: Watch,
-    default_C: float,
-    needs_temperature: bool,
-    current_A: float,
-    voltage_V: float,
-    temperature_C: float,
-    dt_s: float,
-    gap: bool,
+    tables: CellTables, noise: NoiseScalars, watch: Watch, default_C: float, reading: Reading
 ) -> Sample:
-    """Readings that are missing or impossible replaced, and told in the status."""
+    """Readings that are missing or impossible replaced, and flagged in the status."""
     status = 0
+    dt_s, gap = reading.dt_s, reading.gap
     held = watch.current_A if math.isfinite(watch.current_A) else 0.0
-    current = current_A
+    current = reading.current_A
     no_current = 0.0
     if not abs(current) <= noise.current_limit_A:  # catches what is not a number, too
         status |= CURRENT_INVALID
@@ -101,17 +105,17 @@ def read_sample(
             status |= OUT_OF_RANGE
         current = held
         no_current = watch.no_current_s + (0.0 if gap else dt_s)
-    warm = temperature_C
+    warm = reading.temperature_C
     if not COLDEST_C <= warm <= HOTTEST_C:
         warm = watch.temperature_C if math.isfinite(watch.temperature_C) else default_C
-        if needs_temperature:
+        if needs_temperature(tables):
             status |= TEMPERATURE_INVALID
-    voltage = voltage_V
+    voltage = reading.voltage_V
     if not noise.voltage_low_V <= voltage <= noise.voltage_high_V:
         if math.isfinite(voltage):
             status |= OUT_OF_RANGE
         voltage = math.nan
-    seen = seen_current(cell, current, held, dt_s)
+    seen = seen_current(tables.cell, current, held, dt_s)
     flow = seen
     unknown = 0.0
     lost = 0.0
@@ -121,7 +125,7 @@ def read_sample(
         status |= CURRENT_LOST
         seen = 0.0
         flow = 0.0
-        lost = LOST_RATE * cell.charge_As / 3600.0
+        lost = LOST_RATE * tables.cell.charge_As / 3600.0
     elif gap:
         # What flowed is not known: no charge is moved, and the branches may hold what the currents
         # on either side can have left there. The voltage is still read under the row's current.
@@ -131,10 +135,10 @@ def read_sample(
         status |= SEQUENCE_GAP
     elif dt_s <= 0.0:
         status |= DUPLICATE
-    return Sample(current, seen, flow, unknown, lost, voltage, warm, no_current, status)
+    return Sample(current, seen, flow, unknown, lost, voltage, warm, no_current, dt_s, gap, status)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inline
 def watch_voltage(
     noise: NoiseScalars, watch: Watch, s: Sample, innovation_V: float, r0_ohm: float
 ) -> tuple[float, float, float, int]:
@@ -157,11 +161,10 @@ def watch_voltage(
     return s.voltage_V, watch.frozen_A, repeats, 0
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inline
 def watch_on(
     noise: NoiseScalars,
     s: Sample,
-    dt_s: float,
     used: bool,
     evidence_s: float,
     no_voltage_s: float,
@@ -170,27 +173,9 @@ def watch_on(
     """The watch after a sample, and the bit of a voltage that has been away for long."""
     away = 0.0
     if not used:
-        away = no_voltage_s + (0.0 if s.status & SEQUENCE_GAP else dt_s)
+        away = no_voltage_s + (0.0 if s.gap else s.dt_s)
     watch = Watch(
         s.current_A, s.temperature_C, evidence_s, s.no_current_s, away,
         reading[0], reading[1], reading[2],
     )  # fmt: skip
     return watch, VOLTAGE_LOST if away > noise.hold_s else 0
-
-
-@njit(cache=True, error_model="numpy", inline="always")
-def repeated_evidence(noise: NoiseScalars, evidence_s: float, dt_s: float, resting: bool) -> float:
-    """How many samples share one model error: the factor on a voltage's variance.
-
-    An error of memory tau counts once in 2 tau (its spectral density at rest). What the model
-    gets wrong it gets wrong on every time scale, so the memory grows with the time since the
-    first voltage until it is the model's own. A repeated stamp repeats the error.
-    """
-    if noise.slow_s <= 0.0:
-        return 1.0
-    if evidence_s < 0.0 and resting:
-        return 1.0  # the first voltage at rest is evidence by itself
-    if dt_s <= 0.0:
-        return math.inf
-    memory = min(noise.slow_s, MEMORY_START_S + MEMORY_GROWTH * max(evidence_s, 0.0))
-    return max(2.0 * memory / dt_s, 1.0)

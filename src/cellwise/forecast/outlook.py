@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple, Protocol
 
-from cellwise.cell.kernels import CellState
+from cellwise.cell.equations import CellState
 from cellwise.cell.model import CellModel
 from cellwise.estimate.filters.filter_state import EkfInfo, EkfState
 from cellwise.forecast.remaining import LEAST_LOAD_C, WINDOW_S
@@ -69,7 +69,7 @@ class Outlook:
     """
 
     def __init__(self, model: CellModel, cutoff_V: float) -> None:
-        self._cell = model.parameters()
+        self._tables = model.parameters()
         self._least_A = LEAST_LOAD_C * model.capacity_Ah
         self._cutoff_V = cutoff_V
         self._load_A = self._load_W = self._bias_V = 0.0
@@ -101,7 +101,7 @@ class Outlook:
         found = []
         for k in (-2.0, 0.0, 2.0):
             soc = min(max(state.soc + k * state.soc_std, 0.0), 1.0)
-            at = CellState(soc, state.v1_V, state.v2_V, state.v3_V, state.h, state.heat_K)
+            at = state.cell._replace(soc=soc)
             voltage = self._load_W / self._load_A
             found.append(self._to_empty(at, self._load_A, voltage, temperature_C))
         times = [math.inf if e.reason == NEVER else e.time_s for e in found]
@@ -111,6 +111,6 @@ class Outlook:
         self, at: CellState, load_A: float, voltage_V: float, temperature_C: float
     ) -> Remaining:
         end: Remaining = to_empty(
-            *self._cell, at, load_A, True, voltage_V, self._bias_V, self._cutoff_V, temperature_C
+            self._tables, at, load_A, True, voltage_V, self._bias_V, self._cutoff_V, temperature_C
         )
         return end

@@ -7,7 +7,7 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from cellwise.cell.kernels import empty_state
+from cellwise.cell.equations import empty_state
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import known_temperature_C, start_hysteresis
 from cellwise.errors import InputError
@@ -190,12 +190,12 @@ def _forecast(
 ) -> Flight:
     """The wanted rows through the kernel."""
     log, trace = replay.log, replay.trace
-    table, grid, scalars = model.parameters()
+    tables = model.parameters()
     out = np.empty((int(np.count_nonzero(wanted)), 3, 5))
     soc = np.ascontiguousarray(trace.soc, dtype=np.float64)
     std = np.nan_to_num(np.ascontiguousarray(trace.soc_std, dtype=np.float64))
     forecast_rows(
-        table, grid, scalars, empty_state(soc[0], start_hysteresis(float(soc[0]))), log.interval_s,
+        tables, empty_state(soc[0], start_hysteresis(float(soc[0]))), log.interval_s,
         current_A, known_temperature_C(model, log), np.array(log.voltage_V), soc, std, load_A,
         wanted, hold == "power", float(window_s), cutoff_V, out,
     )  # fmt: skip

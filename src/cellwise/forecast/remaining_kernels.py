@@ -4,15 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from numba import njit
-
-from cellwise.cell.kernels import (
-    CellScalars,
-    CellState,
-    advance,
-    seen_current,
-    terminal_voltage,
-)
+from cellwise.cell.compiled import rows
+from cellwise.cell.equations import CellState, CellTables, advance, seen_current, voltage_of
 from cellwise.typing import BoolArray, FloatArray
 
 # Why a forecast ended.
@@ -31,11 +24,9 @@ class Remaining(NamedTuple):
     reason: int
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@rows
 def to_empty(
-    table: FloatArray,
-    grid: FloatArray,
-    cell: CellScalars,
+    tables: CellTables,
     start: CellState,
     load_A: float,
     hold_power: bool,
@@ -59,7 +50,7 @@ def to_empty(
     Steps of 1/400 of the capacity at the present current; the last one is cut where the voltage,
     taken as linear within it, crosses the cutoff, or where the charge ends.
     """
-    dt_s = cell.charge_As / (STEPS * load_A)
+    dt_s = tables.cell.charge_As / (STEPS * load_A)
     power_W = load_A * start_V
     state = start
     time_s = 0.0
@@ -67,8 +58,8 @@ def to_empty(
     before_V = start_V
     for _ in range(MOST_STEPS):
         current = power_W / before_V if hold_power else load_A
-        state_next, point = advance(table, grid, cell, state, current, dt_s, temperature_C)
-        voltage = terminal_voltage(point, state_next, current) + bias_V
+        state_next, point = advance(tables, state, current, dt_s, temperature_C)
+        voltage = voltage_of(point, state_next, current) + bias_V
         share = 1.0
         reason = NEVER
         if state_next.soc <= 0.0:
@@ -90,11 +81,9 @@ def to_empty(
     return Remaining(time_s, energy_J, before_V, state.soc, NEVER)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@rows
 def forecast_rows(
-    table: FloatArray,
-    grid: FloatArray,
-    cell: CellScalars,
+    tables: CellTables,
     start: CellState,
     dt_s: FloatArray,
     current_A: FloatArray,
@@ -121,11 +110,11 @@ def forecast_rows(
     begun = False
     place = 0
     for k in range(dt_s.size):
-        seen = seen_current(cell, current_A[k], previous, dt_s[k])
+        seen = seen_current(tables.cell, current_A[k], previous, dt_s[k])
         previous = current_A[k]
-        state, point = advance(table, grid, cell, state, seen, dt_s[k], temperature_C[k])
+        state, point = advance(tables, state, seen, dt_s[k], temperature_C[k])
         state = CellState(soc[k], state.v1_V, state.v2_V, state.v3_V, state.h, state.heat_K)
-        voltage = terminal_voltage(point, state, seen)
+        voltage = voltage_of(point, state, seen)
         if measured_V[k] == measured_V[k]:  # not NaN
             error = measured_V[k] - voltage
             if not begun:
@@ -137,10 +126,10 @@ def forecast_rows(
         for j in range(3):
             s = min(max(soc[k] + (j - 1) * 2.0 * soc_std[k], 0.0), 1.0)
             at = CellState(s, state.v1_V, state.v2_V, state.v3_V, state.h, state.heat_K)
-            _, there = advance(table, grid, cell, at, load_A[k], 0.0, temperature_C[k])
-            now_V = terminal_voltage(there, at, load_A[k]) + bias
+            _, there = advance(tables, at, load_A[k], 0.0, temperature_C[k])
+            now_V = voltage_of(there, at, load_A[k]) + bias
             left = to_empty(
-                table, grid, cell, at, load_A[k], hold_power, now_V, bias, cutoff_V,
+                tables, at, load_A[k], hold_power, now_V, bias, cutoff_V,
                 temperature_C[k],
             )  # fmt: skip
             out[place, j, 0] = left.time_s

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.cell.effects import Hysteresis, SlowDiffusion
-from cellwise.cell.kernels import OCV, R0, R1, R2, R3, TAU1, TAU2, TAU3, CellScalars, M
 from cellwise.cell.model import CellModel
+from cellwise.cell.point_kernels import OCV, R0, R1, R2, R3, TAU1, TAU2, TAU3, CellScalars, M
 from cellwise.diagnose.causes import sensitivity_kernels as kernel
 from cellwise.typing import FloatArray, IntArray
 

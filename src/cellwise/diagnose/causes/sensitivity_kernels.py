@@ -2,7 +2,7 @@
 
 A *direction* says how a parameter enters: as a change of the packed table (looked up like the
 table itself), of a scalar of the cell, of the start, of the current that flows. Each direction
-carries the derivative of every state; the equations are those of :mod:`cellwise.cell.kernels`,
+carries the derivative of every state; the equations are those of :mod:`cellwise.cell.equations`,
 differentiated line by line.
 """
 
@@ -14,8 +14,15 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from cellwise.cell.kernels import (
+from cellwise.cell.equations import (
     BEYOND,
+    ZERO_CELSIUS_K,
+    CellState,
+    CellTables,
+    advance,
+    voltage_of,
+)
+from cellwise.cell.point_kernels import (
     COLUMNS,
     ERROR,
     OCV,
@@ -26,12 +33,8 @@ from cellwise.cell.kernels import (
     TAU1,
     TAU2,
     TAU3,
-    ZERO_CELSIUS_K,
     CellScalars,
-    CellState,
     M,
-    advance,
-    terminal_voltage,
 )
 from cellwise.typing import FloatArray, IntArray
 
@@ -87,12 +90,13 @@ def voltage_rows(
     soc: FloatArray,
 ) -> None:
     """Voltage and SOC of every ``stride``-th row, ``flow_A`` being the current that flows."""
+    tables_ = CellTables(table, grid, cell)
     state = start
     out = 0
     for k in range(dt_s.size):
-        state, point = advance(table, grid, cell, state, flow_A[k], dt_s[k], temperature_C[k])
+        state, point = advance(tables_, state, flow_A[k], dt_s[k], temperature_C[k])
         if k % stride == 0:
-            voltage_V[out] = terminal_voltage(point, state, flow_A[k]) + added_V
+            voltage_V[out] = voltage_of(point, state, flow_A[k]) + added_V
             soc[out] = state.soc
             out += 1
 
@@ -140,13 +144,14 @@ def derivative_rows(
     change = np.zeros(COLUMNS)
     resistance = np.zeros(4)
     tau = np.zeros(4)
+    tables_ = CellTables(table, grid, cell)
     state = start
     out = 0
     for row in range(dt_s.size):
         dt = dt_s[row]
         current = flow_A[row]
         before = state
-        state, _ = advance(table, grid, cell, before, current, dt, temperature_C[row])
+        state, _ = advance(tables_, before, current, dt, temperature_C[row])
         # The point again, with its slopes.
         kelvin = temperature_C[row] + before.heat_K + ZERO_CELSIUS_K
         position = state.soc * (n - 1)

@@ -9,13 +9,15 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from cellwise.cell.kernels import CellPoint, CellState, advance, look_up, seen_current, under_load
+from cellwise.cell.equations import CellState, advance, loaded, seen_current, transition, voltage_of
 from cellwise.cell.model import CellModel
+from cellwise.cell.point_kernels import CellPoint
 from cellwise.cell.simulate import known_temperature_C
+from cellwise.estimate.evidence_kernels import repeated_evidence, voltage_variance
 from cellwise.estimate.filters.ekf import Ekf
-from cellwise.estimate.measurement_kernels import start_branch
 from cellwise.estimate.noise import Noise
-from cellwise.estimate.sensing_kernels import REST_RATE, repeated_evidence
+from cellwise.estimate.recovery_kernels import start_branch
+from cellwise.estimate.sensing_kernels import REST_RATE
 from cellwise.estimate.trace import Trace
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
@@ -46,7 +48,8 @@ class FilterpyFilter:
     def __init__(self, model: CellModel, noise: Noise | None = None) -> None:
         self.model = model
         self.noise = Noise.of_model(model) if noise is None else noise
-        self.table, self.grid, self.cell = model.parameters()
+        self.tables = model.parameters()
+        self.cell = self.tables.cell
 
     def init(self, soc0: float, soc0_std: float = 0.15) -> Any:
         """A filterpy filter with the start state and covariance of :class:`Ekf`."""
@@ -121,47 +124,37 @@ class FilterpyFilter:
 
     def point(self, soc: float, current_A: float, warm_C: float) -> CellPoint:
         """The tables at one SOC, under load."""
-        here = look_up(self.table, self.grid, self.cell, soc, warm_C)
-        return CellPoint(*under_load(self.cell, here, current_A))
+        return loaded(self.tables, soc, warm_C, current_A)
 
     def transition(self, x: FloatArray, now: Interval, heat_K: float) -> CellState:
         """The model's own step of a whole state."""
         before = CellState._make((*(float(v) for v in x), heat_K))
-        after, _ = advance(
-            self.table, self.grid, self.cell, before, now.flow_A, now.dt_s, now.temperature_C
-        )
-        return CellState(*after)
+        after, _ = advance(self.tables, before, now.flow_A, now.dt_s, now.temperature_C)
+        return after
 
     def process(self, soc: float, now: Interval, warm_C: float) -> tuple[FloatArray, FloatArray]:
         """Diagonal of the transition, shape (5,), and process noise, shape (5, 5)."""
         noise, cell = self.noise, self.cell
-        point = self.point(soc, now.flow_A, warm_C)
+        point = self.point(soc, now.seen_A, warm_C)
+        t = transition(cell, point, now.flow_A, now.dt_s)
         r = np.array([point.r1_ohm, point.r2_ohm, point.r3_ohm])
-        a = np.exp(-now.dt_s / np.array([point.tau1_s, point.tau2_s, point.tau3_s]))
-        a[r == 0] = 1.0
-        hold = np.exp(-cell.hysteresis_rate * abs(now.flow_A) * now.dt_s / cell.charge_As)
-        g = np.array([-now.dt_s / cell.charge_As, *(r * (1 - a)), 0.0])
+        a = np.array([t.a1, t.a2, t.a3])
+        g = np.array([t.gs, t.g1, t.g2, t.g3, 0.0])
         walk = noise.scalars().soc_per_sqrt_s ** 2 * now.dt_s
         branch = (noise.branch_share * now.flow_A * r) ** 2 * (1 - a * a)
         q = noise.current_A**2 * np.outer(g, g) + np.diag([walk, *branch, 0.0])
         branches = np.array([0.0, *g[1:]])
         q += now.gap_A2 * np.outer(branches, branches)
-        return np.array([1.0, *a, hold]), q
+        return np.array([1.0, *a, t.ah]), q
 
     def voltage(self, x: FloatArray, current_A: float, warm_C: float) -> float:
         """Terminal voltage of a state."""
-        point = self.point(float(x[0]), current_A, warm_C)
-        return float(point.ocv_V - point.r0_ohm * current_A - x[1] - x[2] - x[3] + point.m_V * x[4])
+        state = CellState._make((*(float(v) for v in x), 0.0))
+        return float(voltage_of(self.point(state.soc, current_A, warm_C), state, current_A))
 
     def voltage_variance(self, x: FloatArray, current_A: float, warm_C: float) -> float:
         """Variance of one voltage about a perfect state."""
-        noise = self.noise
         point = self.point(float(x[0]), current_A, warm_C)
-        drop = abs(point.r0_ohm * current_A) + float(np.abs(x[1:4]).sum())
-        return float(
-            noise.voltage_V**2
-            + (noise.error_scale * point.error_V) ** 2
-            + (noise.ocv_soc * point.ocv_slope_V) ** 2
-            + (noise.branch_share * drop) ** 2
-            + (noise.current_A * point.r0_ohm) ** 2
-        )
+        held = float(np.abs(x[1:4]).sum())
+        noise = self.noise.scalars()
+        return float(voltage_variance(noise, point, point.r0_ohm, current_A, 0.0, held))

@@ -13,27 +13,15 @@ from cellwise.errors import InputError
 from cellwise.estimate.filters import adaptive_kernels as kernel
 from cellwise.estimate.filters.adaptive_mixture_kernels import told_deviation
 from cellwise.estimate.filters.adaptive_settings import AdaptiveSettings
-from cellwise.estimate.filters.adaptive_state_kernels import (
-    FAST,
-    MEMORY,
-    STATES,
-    TAIL,
-    adaptive_start,
-)
+from cellwise.estimate.filters.adaptive_state_kernels import AdaptiveState, adaptive_start
 from cellwise.estimate.filters.adaptive_trace import AdaptiveTrace
-from cellwise.estimate.filters.ekf import Ekf, measured_temperature_C
+from cellwise.estimate.filters.ekf import Ekf
 from cellwise.estimate.filters.filter_state import EkfStart
+from cellwise.estimate.filters.kalman import log_arrays
 from cellwise.estimate.noise import Noise
+from cellwise.estimate.sensing_kernels import Reading
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
-
-
-class AdaptiveState(NamedTuple):
-    """What must be carried: x (7,), P (7, 7), and what is remembered of the last samples."""
-
-    x: FloatArray
-    covariance: FloatArray
-    memory: FloatArray
 
 
 class AdaptiveInfo(NamedTuple):
@@ -93,14 +81,13 @@ class Adaptive:
         self.model = model
         self.noise = Noise.of_model(model) if noise is None else noise
         self.settings = AdaptiveSettings() if settings is None else settings
-        self._cell = model.parameters()
+        self._tables = model.parameters()
         # Errors along the SOC axis last for minutes, whatever a short log has shown.
         slow_s = max(self.noise.slow_s, self.settings.memory_s)
         self._noise = replace(self.noise, slow_s=slow_s).scalars()
         self._learn = self.settings.scalars(model.capacity_Ah)
         self._ekf = Ekf(model, self.noise)
-        self._anew = self.start(0.5, 0.3)  # for a state that is no longer finite: know nothing
-        self._room = np.empty(STATES), np.empty(STATES)
+        self._unknown = self.start(0.5, 0.3)  # for a state that is no longer finite: know nothing
 
     def start(self, soc0: float, soc0_std: float = 0.15) -> EkfStart:
         """Start of a cell at rest at ``soc0``, known to ``soc0_std``; as the EKF's.
@@ -113,9 +100,7 @@ class Adaptive:
 
     def init(self, soc0: float, soc0_std: float = 0.15, current_A: float = 0.0) -> AdaptiveState:
         """State at ``soc0`` that is known to ``soc0_std``; see :meth:`Ekf.init`."""
-        state = AdaptiveState(np.empty(STATES), np.empty((STATES, STATES)), np.empty(MEMORY))
-        adaptive_start(self.start(soc0, soc0_std), self._learn, float(current_A), *_flat(state))
-        return state
+        return adaptive_start(self.start(soc0, soc0_std), self._learn, float(current_A))
 
     def step(
         self,
@@ -127,7 +112,7 @@ class Adaptive:
         dt_s: float,
         gap: bool = False,
     ) -> tuple[AdaptiveState, AdaptiveInfo]:
-        """Take the sample that ends an interval of ``dt_s`` seconds; ``state`` is left as it was.
+        """Take the sample that ends an interval of ``dt_s`` seconds.
 
         Raises
         ------
@@ -135,27 +120,21 @@ class Adaptive:
         """
         if not (np.isfinite(dt_s) and dt_s >= 0):
             raise InputError(f"dt_s = {dt_s}", "seconds, at least 0", "Pass the interval's length.")
-        after = AdaptiveState(*(np.array(part) for part in state))
-        step, told = kernel.adaptive_step(
-            *self._cell,
-            self._noise,
-            self._learn,
-            self._anew,
-            *_flat(after),
-            *self._room,
+        reading = Reading(
             float(current_A),
             float(voltage_V),
             math.nan if temperature_C is None else float(temperature_C),
             float(dt_s),
             bool(gap),
         )
-        below = np.tril_indices(STATES, -1)  # the kernels keep the upper triangle
-        after.covariance[below] = after.covariance.T[below]
+        after, step, told = kernel.adaptive_step(
+            self._tables, self._noise, self._learn, self._unknown, state, reading
+        )
         charge, charge_std = 1.0 + told.charge, math.sqrt(max(told.charge_variance, 0.0))
         capacity, capacity_std, gain, gain_std = self._charge(charge, charge_std)
         return after, AdaptiveInfo(
             soc=min(max(told.soc, 0.0), 1.0),
-            soc_std=told_deviation(told, after.memory),
+            soc_std=told_deviation(told, after.persistent),
             voltage_V=step.voltage_V,
             innovation_V=step.innovation_V,
             innovation_variance_V2=step.innovation_variance_V2,
@@ -169,11 +148,11 @@ class Adaptive:
             gain=float(gain),
             gain_std=float(gain_std),
             charge_probability=told.charge_probability,
-            resistance_scale=float(after.memory[FAST]),
-            polarisation_scale=float(after.memory[TAIL]),
-            held_offset=step.held_offset,
-            held_resistance=step.held_resistance,
-            held_charge=step.held_charge,
+            resistance_scale=after.resistances.fast,
+            polarisation_scale=after.resistances.tail,
+            held_offset=step.held.offset,
+            held_resistance=step.held.resistance,
+            held_charge=step.held.charge,
         )
 
     def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> AdaptiveTrace:
@@ -183,18 +162,12 @@ class Adaptive:
         status = np.empty(len(log), dtype=np.int32)
         held = np.empty((3, len(log)), dtype=np.int32)
         kernel.adaptive_rows(
-            *self._cell,
+            self._tables,
             self._noise,
             self._learn,
-            self._anew,
-            *_flat(state),
-            *self._room,
-            # What the tester's counter says of a gap is not for the filter's eyes.
-            np.array(log.interval_current_A),
-            log.voltage_V,
-            measured_temperature_C(log),
-            log.interval_s,
-            log.gap_rows,
+            self._unknown,
+            state,
+            log_arrays(log),
             out,
             status,
             held,
@@ -239,8 +212,3 @@ class Adaptive:
         if self.settings.learns_gain:
             return capacity * one, none, inverse, spread
         return capacity * inverse, capacity * spread, one, none
-
-
-def _flat(state: AdaptiveState) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The state as the kernels take it: P row by row, a view."""
-    return state.x, state.covariance.reshape(-1), state.memory

@@ -9,7 +9,7 @@ the model's capacity over the cell's (q); beside it the factors r on R0, R1 and 
 
 A sensor's gain and a capacity move the counted charge alike, so q stands for either.
 
-A voltage says two things, and they are heard apart. Its slow part, weighed as in the EKF with the
+A voltage says two things, and they are used apart. Its slow part, weighed as in the EKF with the
 number of samples that share one model error, tells of soc, b and q. Its fast part, against the
 fast part of the drop, tells of the resistances by recursive least squares.
 """
@@ -19,71 +19,47 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from numba import njit
-
-from cellwise.cell.kernels import (
-    CellScalars,
-    heat_step,
-    look_up,
-    under_load,
+from cellwise.cell.compiled import inline, kernel, rows
+from cellwise.cell.equations import CellState, CellTables, heat_step, terminal_voltage
+from cellwise.estimate.evidence_kernels import persistent_step, voltage_variance
+from cellwise.estimate.filters.adaptive_covariance_kernels import (
+    AdaptiveColumn,
+    AdaptiveCovariance,
+    column,
+    corrected,
+    explained,
+    offset_column,
+    rejudged,
+    scaled,
+    soc_row,
+    uncorrelated,
+    with_parameters,
 )
-from cellwise.estimate.evidence_kernels import FORGIVEN, UNDER_LOAD_COUNT
 from cellwise.estimate.filters.adaptive_mixture_kernels import Mixture, mixture, told_deviation
-from cellwise.estimate.filters.adaptive_predict_kernels import predict
+from cellwise.estimate.filters.adaptive_predict_kernels import Predicted, predict
 from cellwise.estimate.filters.adaptive_state_kernels import (
-    FAST,
-    FAST_VAR,
-    HEAT_K,
-    LASTING,
-    MISMATCH,
-    P11,
-    P22,
-    P33,
-    REJECTIONS,
-    SOC,
-    SS,
-    TAIL,
-    TAIL_VAR,
-    V1,
-    V2,
-    V3,
+    CHARGE_HIGH,
+    CHARGE_LOW,
     AdaptiveScalars,
-    H,
-    correct,
-    flatten,
-    keep_watch,
-    observe,
+    AdaptiveState,
+    Resistances,
+    Rest,
     settled_variance,
-    shift,
-    watch_of,
 )
-from cellwise.estimate.filters.adaptive_watch_kernels import use_rest, watch_resistance
-from cellwise.estimate.filters.ekf_kernels import (
-    SLOPE_FLOOR_V,
-    SMALL_MOVE,
+from cellwise.estimate.filters.adaptive_watch_kernels import (
+    walk_resistances,
+    watch_resistances,
+    watch_rest,
 )
-from cellwise.estimate.filters.filter_state import EkfStart
-from cellwise.estimate.measurement_kernels import lasting_step, voltage_variance, wide_slopes
+from cellwise.estimate.filters.ekf_kernels import reading_of
+from cellwise.estimate.filters.filter_state import EkfStart, LogArrays
+from cellwise.estimate.gate_kernels import Innovation, Verdict, gate
 from cellwise.estimate.noise import NoiseScalars
-from cellwise.estimate.recovery_kernels import RECOVERY_RATE, RECOVERY_VARIANCE
-from cellwise.estimate.sensing_kernels import (
-    NO_VOLTAGE_YET,
-    NOT_BEGUN,
-    REST_RATE,
-    read_sample,
-    repeated_evidence,
-    watch_on,
-    watch_voltage,
-)
-from cellwise.estimate.status import (
-    CLAMPED,
-    CURRENT_INVALID,
-    GATE_RECOVERY,
-    INNOVATION_REJECTED,
-    VOLTAGE_FROZEN,
-    VOLTAGE_INVALID,
-)
-from cellwise.typing import BoolArray, FloatArray, IntArray
+from cellwise.estimate.recovery_kernels import recovered
+from cellwise.estimate.sensing_kernels import Reading, Sample, read_sample
+from cellwise.estimate.slopes_kernels import WIDE_VARIANCE, bends, landing_slope
+from cellwise.estimate.status import CLAMPED, CURRENT_INVALID
+from cellwise.typing import FloatArray, IntArray
 
 # Columns of the per-sample output: the EKF's, then value and deviation of each parameter.
 OUT_SOC, OUT_STD, OUT_VOLTAGE, OUT_INNOVATION, OUT_VARIANCE, OUT_RATIO = range(6)
@@ -101,239 +77,300 @@ NO_VOLTAGE = 16
 NO_CURRENT = 32
 
 
+class Held(NamedTuple):
+    """Why a parameter is held, 0 where it is estimated."""
+
+    offset: int
+    resistance: int
+    charge: int
+
+
 class AdaptiveStep(NamedTuple):
-    """What may be looked at after a step; ``held_*`` are reasons, 0 where it is learnt."""
+    """What may be looked at after a step."""
 
     voltage_V: float
     innovation_V: float
     innovation_variance_V2: float
     test_ratio: float
     status: int
-    held_offset: int
-    held_resistance: int
-    held_charge: int
+    held: Held
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def take_step(
-    table: FloatArray,
-    grid: FloatArray,
-    cell: CellScalars,
-    noise: NoiseScalars,
-    learn: AdaptiveScalars,
-    anew: EkfStart,
-    x: FloatArray,
-    p: FloatArray,
-    memory: FloatArray,
-    d: FloatArray,
-    c: FloatArray,
-    current_A: float,
-    voltage_V: float,
-    temperature_C: float,
-    dt_s: float,
-    gap: bool,
-) -> AdaptiveStep:
-    """One step: predict over the interval that ends now, then use the voltage read now."""
-    needs_temperature = table.shape[0] > 1 or cell.activation_K != 0.0
-    past = watch_of(memory)
-    s = read_sample(
-        cell, noise, past, anew.temperature_C, needs_temperature,
-        current_A, voltage_V, temperature_C, dt_s, gap,
-    )  # fmt: skip
-    begins = past.evidence_s == NOT_BEGUN
-    point, load, warm, slope, bend, wide, more = predict(
-        table, grid, cell, noise, learn, anew, x, p, memory, s, begins, dt_s, gap
+class Polarisation(NamedTuple):
+    """What the load takes off the OCV: its fast part and its tail without factors, all with [V]."""
+
+    drop_V: float
+    tail_V: float
+    whole_V: float
+
+
+class Estimate(NamedTuple):
+    """Cell, parameters and covariance in the middle of a step."""
+
+    x: CellState
+    offset_A: float
+    charge: float
+    p: AdaptiveCovariance
+
+
+@inline
+def polarised(now: Predicted, x: CellState, r: Resistances) -> Polarisation:
+    """The polarisation with the factors as they are known."""
+    drop = now.point.r0_ohm * now.s.seen_A + x.v1_V
+    tail = x.v2_V + x.v3_V
+    return Polarisation(drop, tail, r.fast * drop + r.tail * tail)
+
+
+@inline
+def moved(e: Estimate, p: AdaptiveCovariance, k: AdaptiveColumn, by: float) -> Estimate:
+    """Estimate + k times an innovation, with its new covariance."""
+    x = e.x
+    cell = CellState(
+        x.soc + k.s * by,
+        x.v1_V + k.v1 * by,
+        x.v2_V + k.v2 * by,
+        x.v3_V + k.v3 * by,
+        min(max(x.h + k.h * by, -1.0), 1.0),
+        x.heat_K,
     )
-    status = s.status | more
-    evidence = NO_VOLTAGE_YET if begins or more else past.evidence_s
-    blind = gap or status & CURRENT_INVALID != 0
-    use_rest(learn, x, p, memory, d, s.current_A, dt_s, blind)
+    charge = min(max(e.charge + k.q * by, CHARGE_LOW), CHARGE_HIGH)
+    return Estimate(cell, e.offset_A + k.o * by, charge, p)
 
-    # Innovation and its variance.
-    fast, behind = memory[FAST], memory[TAIL]
-    drop = point.r0_ohm * load + x[V1]
-    tail = x[V2] + x[V3]
-    polarisation = fast * drop + behind * tail
-    if cell.heating_K_per_W != 0.0:
-        memory[HEAT_K] = heat_step(cell, memory[HEAT_K], load, polarisation, dt_s)
-    predicted = (point.ocv_V + point.m_V * x[H]) - polarisation
-    state_variance = observe(p, d, slope, point.m_V, fast, behind, point.r0_ohm)
-    state_variance += 3.0 * bend * bend
-    branches = abs(x[V1]) + (abs(x[V2]) + abs(x[V3]))
-    r0 = fast * point.r0_ohm
-    one = voltage_variance(noise, point.error_V, point.ocv_slope_V, r0, load, branches)
-    one += drop * drop * memory[FAST_VAR] + tail * tail * memory[TAIL_VAR]
-    one += s.lost_A * s.lost_A * r0 * r0
-    variance = state_variance + one
-    innovation = s.voltage_V - predicted
-    square = innovation * innovation
-    gate = noise.gate * noise.gate
-    ratio = square / (gate * variance)
-    reading = watch_voltage(noise, past, s, innovation, point.r0_ohm)
-    status |= reading[3]
-    used = math.isfinite(innovation) and status & VOLTAGE_FROZEN == 0
-    mismatch = memory[MISMATCH]
-    if used and noise.mismatch_cap > 0.0 and noise.slow_s > 0.0:
-        lately = min(dt_s / noise.slow_s, 1.0)
-        mismatch += lately * (min(square / variance, noise.mismatch_cap) - mismatch)
 
-    # What the data cannot tell now is held.
+@inline
+def consider(
+    k: AdaptiveColumn, d: AdaptiveColumn, p: AdaptiveCovariance, held_offset: bool, held_q: bool
+) -> tuple[AdaptiveColumn, AdaptiveCovariance]:
+    """Gain and covariance of an update in which some parameters are held.
+
+    A held parameter keeps value and variance, and its uncertainty still counts in all others
+    (consider filter: S. F. Schmidt, Advances in Control Systems 3, 1966, p. 293).
+    """
+    after = corrected(p, k, d)
+    after = with_parameters(
+        after,
+        p.poo if held_offset else after.poo,
+        p.poq if held_offset and held_q else after.poq,
+        p.pqq if held_q else after.pqq,
+    )
+    gain = AdaptiveColumn(
+        k.s, k.v1, k.v2, k.v3, k.h, 0.0 if held_offset else k.o, 0.0 if held_q else k.q
+    )
+    return gain, after
+
+
+@inline
+def use_rest(
+    learn: AdaptiveScalars, rest: Rest, e: Estimate, s: Sample, blind: bool
+) -> tuple[Rest, Estimate]:
+    """A rest shows the offset by itself: a measurement of b."""
+    if blind:
+        return Rest(0.0, rest.current_A, rest.used), e
+    after, shows = watch_rest(learn, rest, s.current_A, s.dt_s)
+    if not (shows and learn.learn_offset):
+        return after, e
+    d = offset_column(e.p)
+    k, p = consider(
+        scaled(d, 1.0 / (d.o + learn.rest_variance)), d, e.p, False, not learn.learn_charge
+    )
+    return after, moved(e, p, k, after.current_A - e.offset_A)
+
+
+@inline
+def innovate(
+    tables: CellTables,
+    noise: NoiseScalars,
+    now: Predicted,
+    e: Estimate,
+    r: Resistances,
+    pol: Polarisation,
+    explained_V2: float,
+) -> Innovation:
+    """Measured less predicted voltage; H = [slope, -r, -w, -w, m, r R0, 0]."""
+    s, x, point = now.s, e.x, now.point
+    r0 = r.fast * point.r0_ohm
+    predicted = terminal_voltage(point, x.h, pol.whole_V)
+    bend2 = 3.0 * now.at.bend_V * now.at.bend_V
+    state_variance = explained_V2 + bend2
+    branches = abs(x.v1_V) + (abs(x.v2_V) + abs(x.v3_V))
+    one = voltage_variance(noise, point, r0, s.seen_A, s.lost_A, branches)
+    drop2, tail2 = pol.drop_V * pol.drop_V, pol.tail_V * pol.tail_V
+    one += drop2 * r.fast_variance + tail2 * r.tail_variance
+    unsure = e.p.ss > WIDE_VARIANCE
+    bent = bends(tables, now.at, bend2, one)
+    miss = s.voltage_V - predicted
+    return Innovation(predicted, miss, state_variance, one, point.r0_ohm, branches, unsure, bent)
+
+
+@inline
+def recover(
+    tables: CellTables, now: Predicted, e: Estimate, pol: Polarisation, i: Innovation
+) -> Estimate:
+    """The gate may have locked the truth out: the SOC is searched for over all of 0..1.
+
+    The voltage is what a cell with the model's own resistances would have shown; offset and
+    capacity keep what they are known to, what SOC and branches had in common with anything goes.
+    """
+    x, p, s = e.x, e.p, now.s
+    own = s.voltage_V + (pol.whole_V - (pol.drop_V + pol.tail_V))
+    # fmt: off
+    soc, ss, p11, p22, p33 = recovered(
+        tables, now.warm_C, s.seen_A, own, (x.v1_V, x.v2_V, x.v3_V), (p.p11, p.p22, p.p33),
+        x.h, p.phh, i.one, abs(i.r0_ohm * s.seen_A) + i.branches_V, now.evidence_s >= 0.0,
+        x.soc, p.ss,
+    )
+    # fmt: on
+    found = CellState(soc, x.v1_V, x.v2_V, x.v3_V, x.h, x.heat_K)
+    fresh = uncorrelated(ss, p11, p22, p33, p.phh, p.poo, p.pqq)
+    return Estimate(found, e.offset_A, e.charge, with_parameters(fresh, p.poo, p.poq, p.pqq))
+
+
+@inline
+def update(
+    tables: CellTables, now: Predicted, e: Estimate, d: AdaptiveColumn, v: Verdict, held: Held
+) -> Estimate:
+    """After an accepted voltage; as in the EKF, and parameters held where the data cannot tell."""
+    k = scaled(d, v.inverse)
+    p = e.p
+    learnt = True
+    if now.at.spread > 0.0:
+        move = k.s * v.innovation_V
+        flat = landing_slope(tables, e.x.soc, now.at, now.warm_C, now.s.seen_A, move)
+        less = flat - now.at.slope_V
+        extra = less * (2.0 * d.s + less * p.ss)
+        c = soc_row(p, less)
+        learnt = k.s * (k.s * extra - 2.0 * c.s) < k.s * d.s
+        if learnt:
+            p = rejudged(p, k, c, extra)
+    gain, after = consider(k, d, p, held.offset != 0, held.charge != 0)
+    return moved(e, after if learnt else p, gain, v.innovation_V)
+
+
+@inline
+def why_held(
+    learn: AdaptiveScalars, p: AdaptiveCovariance, status: int, v: Verdict, moves: bool
+) -> Held:
+    """What the data cannot tell now is held."""
     why = NO_CURRENT if status & CURRENT_INVALID else 0
-    if not used:
+    if not v.used:
         why |= NO_VOLTAGE
     if settled_variance(p) > learn.settled_variance:
         why |= SOC_UNSURE
-    held_resistance = why | (0 if learn.learn_resistance else NOT_CHOSEN)
-    if used and not gap:
-        white = noise.voltage_V * noise.voltage_V
-        if not watch_resistance(
-            learn, memory, drop, tail, innovation, white, dt_s, held_resistance != 0
-        ):
-            held_resistance |= NO_EXCITATION
-    if mismatch > learn.misfit:
+    resistance = why | (0 if learn.learn_resistance else NOT_CHOSEN)
+    if not moves:
+        resistance |= NO_EXCITATION
+    if v.mismatch > learn.misfit:
         why |= MODEL_MISFIT
-    held_offset = why | (0 if learn.learn_offset else NOT_CHOSEN)
-    held_charge = why | (0 if learn.learn_charge else NOT_CHOSEN)
+    offset = why | (0 if learn.learn_offset else NOT_CHOSEN)
+    return Held(offset, resistance, why | (0 if learn.learn_charge else NOT_CHOSEN))
 
-    if not math.isfinite(innovation):
-        status |= VOLTAGE_INVALID
-        innovation = math.nan
-        ratio = math.nan
-    elif used and ratio > 1.0:
-        status |= INNOVATION_REJECTED
-        # Under load the resistances may be what is wrong: what three times the polarisation can
-        # explain speaks against the SOC more slowly.
-        size = abs(point.r0_ohm * load) + branches
-        far = square > gate * variance + 4.0 * size * size
-        memory[REJECTIONS] += 1.0 if far else UNDER_LOAD_COUNT * min(dt_s, 1.0)
-        if memory[REJECTIONS] >= noise.recovery_after:
-            # The gate may have locked the truth out: admit a SOC error as large as what is seen
-            # and branches that hold anything, so that the next voltage passes.
-            status |= GATE_RECOVERY
-            memory[REJECTIONS] = 0.0
-            mismatch = 1.0
-            evidence = 0.0
-            memory[LASTING] = 0.0
-            missed = innovation / max(slope, SLOPE_FLOOR_V)
-            p[SS] += min(missed * missed, RECOVERY_VARIANCE)
-            held = RECOVERY_RATE * cell.charge_As / 3600.0
-            p[P11] += x[V1] * x[V1] + held * held * point.r1_ohm * point.r1_ohm
-            p[P22] += x[V2] * x[V2] + held * held * point.r2_ohm * point.r2_ohm
-            p[P33] += x[V3] * x[V3] + held * held * point.r3_ohm * point.r3_ohm
-    elif used:
-        memory[REJECTIONS] = max(memory[REJECTIONS] - FORGIVEN, 0.0)
-        resting = abs(load) * 3600.0 < REST_RATE * cell.charge_As
-        shared = repeated_evidence(noise, evidence, dt_s, resting)
-        inverse = 1.0 / (state_variance + one * shared * max(mismatch, 1.0))
-        learnt = True
-        if wide:
-            # The gain is that of the slope here; what it is worth is said by the slope where it
-            # leads, if that is flatter.
-            flat = min(slope, point.ocv_slope_V)
-            wander = math.sqrt(p[SS])
-            move = d[SOC] * inverse * innovation
-            if abs(move) > SMALL_MOVE * wander:
-                there = x[SOC] + move
-                landed = under_load(cell, look_up(table, grid, cell, there, warm), load)
-                w = wide_slopes(table, grid, cell, there, landed, wander, warm, load)
-                flat = min(min(w.voltage_V, landed.ocv_slope_V), slope)
-            learnt = flatten(p, d, c, inverse, flat - slope)
-        memory[LASTING] = lasting_step(
-            noise, point.error_V, point.ocv_slope_V, mismatch, d[SOC] * inverse, slope,
-            memory[LASTING],
-        )  # fmt: skip
-        if learnt:
-            correct(x, p, d, inverse, innovation, held_offset != 0, held_charge != 0)
-        else:
-            shift(x, d, inverse, innovation, held_offset != 0, held_charge != 0)
-        evidence = max(evidence, 0.0)
-    if evidence >= 0.0:
-        evidence += dt_s
-    watch, away = watch_on(noise, s, dt_s, used, evidence, past.no_voltage_s, reading)
-    keep_watch(memory, watch)
-    status |= away
-    memory[MISMATCH] = mismatch
-    if x[SOC] < 0.0 or x[SOC] > 1.0:
-        x[SOC] = min(max(x[SOC], 0.0), 1.0)
+
+@inline
+def take_step(
+    tables: CellTables,
+    noise: NoiseScalars,
+    learn: AdaptiveScalars,
+    start: EkfStart,
+    state: AdaptiveState,
+    reading: Reading,
+) -> tuple[AdaptiveState, AdaptiveStep]:
+    """One step: predict over the interval that ends now, then use the voltage read now."""
+    raw = read_sample(tables, noise, state.watch, start.temperature_C, reading)
+    now = predict(tables, noise, learn, start, state, raw)
+    old, s, point = now.state, now.s, now.point
+    blind = s.gap or s.status & CURRENT_INVALID != 0
+    e = Estimate(now.x, old.offset_A, old.charge, now.p)
+    rest, e = use_rest(learn, old.rest, e, raw, blind)
+    r = walk_resistances(learn, old.resistances, s.dt_s)
+    pol = polarised(now, e.x, r)
+    x = e.x
+    heat = heat_step(tables.cell, x.heat_K, s.flow_A, pol.whole_V, s.dt_s)
+    x = CellState(x.soc, x.v1_V, x.v2_V, x.v3_V, x.h, heat)
+    e = Estimate(x, e.offset_A, e.charge, e.p)
+    by_offset = r.fast * point.r0_ohm if s.lost_A == 0.0 else 0.0
+    d = column(e.p, now.at.slope_V, point.m_V, r.fast, r.tail, by_offset)
+    explained_V2 = explained(d, now.at.slope_V, point.m_V, r.fast, r.tail, by_offset)
+    i = innovate(tables, noise, now, e, r, pol, explained_V2)
+    v = gate(tables.cell, noise, old.watch, s, now.evidence_s, old.rejections, old.mismatch, i)
+    status = s.status | now.status | v.status
+
+    held = why_held(learn, e.p, status, v, True)
+    if v.used and not s.gap:
+        white = noise.voltage_V * noise.voltage_V
+        hold = held.resistance != 0
+        r, moves = watch_resistances(
+            learn, r, pol.drop_V, pol.tail_V, v.innovation_V, white, s.dt_s, hold
+        )
+        held = why_held(learn, e.p, status, v, moves)
+    persistent = old.persistent
+    if v.recover:
+        e = recover(tables, now, e, pol, i)
+        persistent = 0.0
+    elif v.accepted:
+        gain = d.s * v.inverse
+        persistent = persistent_step(noise, point, v.mismatch, gain, now.at.slope_V, persistent)
+        e = update(tables, now, e, d, v, held)
+    x = e.x
+    if x.soc < 0.0 or x.soc > 1.0:
+        x = CellState(min(max(x.soc, 0.0), 1.0), x.v1_V, x.v2_V, x.v3_V, x.h, x.heat_K)
         status |= CLAMPED
-    return AdaptiveStep(
-        predicted, innovation, variance, ratio, status, held_offset, held_resistance, held_charge
+    # fmt: off
+    after = AdaptiveState(
+        x, e.offset_A, e.charge, e.p, v.rejections, v.mismatch, persistent, rest, r, v.watch
     )
+    # fmt: on
+    step = AdaptiveStep(i.predicted_V, v.innovation_V, v.variance, v.ratio, status, held)
+    return after, step
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def adaptive_step(
-    table: FloatArray,
-    grid: FloatArray,
-    cell: CellScalars,
+    tables: CellTables,
     noise: NoiseScalars,
     learn: AdaptiveScalars,
-    anew: EkfStart,
-    x: FloatArray,
-    p: FloatArray,
-    memory: FloatArray,
-    d: FloatArray,
-    c: FloatArray,
-    current_A: float,
-    voltage_V: float,
-    temperature_C: float,
-    dt_s: float,
-    gap: bool,
-) -> tuple[AdaptiveStep, Mixture]:
-    """One step for online use; x, p and memory are moved on, d and c are room to work in."""
-    info = take_step(
-        table, grid, cell, noise, learn, anew, x, p, memory, d, c,
-        current_A, voltage_V, temperature_C, dt_s, gap,
-    )  # fmt: skip
-    return info, mixture(learn, x, p, memory)
+    start: EkfStart,
+    state: AdaptiveState,
+    reading: Reading,
+) -> tuple[AdaptiveState, AdaptiveStep, Mixture]:
+    """One step for online use."""
+    after, info = take_step(tables, noise, learn, start, state, reading)
+    return after, info, mixture(learn, after)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@rows
 def adaptive_rows(
-    table: FloatArray,
-    grid: FloatArray,
-    cell: CellScalars,
+    tables: CellTables,
     noise: NoiseScalars,
     learn: AdaptiveScalars,
-    anew: EkfStart,
-    x: FloatArray,
-    p: FloatArray,
-    memory: FloatArray,
-    d: FloatArray,
-    c: FloatArray,
-    current_A: FloatArray,
-    voltage_V: FloatArray,
-    temperature_C: FloatArray,
-    dt_s: FloatArray,
-    gap: BoolArray,
+    start: EkfStart,
+    state: AdaptiveState,
+    log: LogArrays,
     out: FloatArray,
     status: IntArray,
     held: IntArray,
 ) -> None:
     """Every row of a log through one step each; ``out`` (OUTPUTS, rows), ``held`` (3, rows)."""
-    for k in range(dt_s.size):
-        info = take_step(
-            table, grid, cell, noise, learn, anew, x, p, memory, d, c,
-            current_A[k], voltage_V[k], temperature_C[k], dt_s[k], gap[k],
-        )  # fmt: skip
-        told = mixture(learn, x, p, memory)
+    for k in range(log.dt_s.size):
+        state, info = take_step(tables, noise, learn, start, state, reading_of(log, k))
+        told = mixture(learn, state)
+        r = state.resistances
         out[OUT_SOC, k] = min(max(told.soc, 0.0), 1.0)
-        out[OUT_STD, k] = told_deviation(told, memory)
+        out[OUT_STD, k] = told_deviation(told, state.persistent)
         out[OUT_VOLTAGE, k] = info.voltage_V
         out[OUT_INNOVATION, k] = info.innovation_V
         out[OUT_VARIANCE, k] = info.innovation_variance_V2
         out[OUT_RATIO, k] = info.test_ratio
         out[OUT_OFFSET, k] = told.offset_A
-        out[OUT_FAST, k] = memory[FAST]
-        out[OUT_TAIL, k] = memory[TAIL]
+        out[OUT_FAST, k] = r.fast
+        out[OUT_TAIL, k] = r.tail
         out[OUT_CHARGE, k] = 1.0 + told.charge
         out[OUT_OFFSET_STD, k] = math.sqrt(max(told.offset_variance, 0.0))
-        out[OUT_FAST_STD, k] = math.sqrt(memory[FAST_VAR])
-        out[OUT_TAIL_STD, k] = math.sqrt(memory[TAIL_VAR])
+        out[OUT_FAST_STD, k] = math.sqrt(r.fast_variance)
+        out[OUT_TAIL_STD, k] = math.sqrt(r.tail_variance)
         out[OUT_CHARGE_STD, k] = math.sqrt(max(told.charge_variance, 0.0))
         out[OUT_OFFSET_FREE, k] = told.offset_probability
         out[OUT_CHARGE_FREE, k] = told.charge_probability
         status[k] = info.status
-        held[0, k] = info.held_offset
-        held[1, k] = info.held_resistance
-        held[2, k] = info.held_charge
+        held[0, k] = info.held.offset
+        held[1, k] = info.held.resistance
+        held[2, k] = info.held.charge

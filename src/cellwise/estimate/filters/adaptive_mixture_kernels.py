@@ -18,25 +18,13 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from numba import njit
-
+from cellwise.cell.compiled import inline
+from cellwise.estimate.filters.adaptive_covariance_kernels import VARIANCE_FLOOR
 from cellwise.estimate.filters.adaptive_state_kernels import (
-    BB,
-    BQ,
-    LASTING,
-    MISMATCH,
     NEARLY,
-    QQ,
-    SB,
-    SOC,
-    SQ,
-    SS,
-    VARIANCE_FLOOR,
     AdaptiveScalars,
-    B,
-    Q,
+    AdaptiveState,
 )
-from cellwise.typing import FloatArray
 
 
 class Mixture(NamedTuple):
@@ -55,7 +43,7 @@ class Mixture(NamedTuple):
     charge_probability: float
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inline
 def evidence(away: float, per_variance: float, prior: float, odds: float) -> float:
     """How much likelier one parameter is at the model's value than free.
 
@@ -65,7 +53,7 @@ def evidence(away: float, per_variance: float, prior: float, odds: float) -> flo
     return odds * sharper * math.exp(-0.5 * away * away * per_variance)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inline
 def fixed_or_free(
     soc: float, ss: float, away: float, cross: float, variance: float, fixed: float
 ) -> tuple[float, float, float, float, float]:
@@ -86,7 +74,7 @@ def fixed_or_free(
     )
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inline
 def mix(
     soc: float,
     ss: float,
@@ -167,22 +155,21 @@ def mix(
     )
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def mixture(learn: AdaptiveScalars, x: FloatArray, p: FloatArray, memory: FloatArray) -> Mixture:
-    """The hypotheses' common word; a misfit that none of them explains speaks for the model's."""
-    odds = learn.odds
-    if memory[MISMATCH] > 1.0:
+@inline
+def mixture(learn: AdaptiveScalars, state: AdaptiveState) -> Mixture:
+    """The hypotheses together; a misfit that none of them explains speaks for the model's."""
+    odds, mismatch, p = learn.odds, state.mismatch, state.p
+    if mismatch > 1.0:
         # A power costs as much as the rest of the mixture.
-        square = memory[MISMATCH] * memory[MISMATCH]
-        odds *= square if learn.doubt == 2.0 else memory[MISMATCH] ** learn.doubt
+        odds *= mismatch * mismatch if learn.doubt == 2.0 else mismatch**learn.doubt
     return mix(
-        x[SOC], p[SS], x[B], x[Q] - 1.0, p[SB], p[SQ], p[BB], p[BQ], p[QQ],
+        state.cell.soc, p.ss, state.offset_A, state.charge - 1.0,
+        p.so, p.sq, p.poo, p.poq, p.pqq,
         learn.offset_variance, learn.charge_variance, odds,
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def told_deviation(told: Mixture, memory: FloatArray) -> float:
-    """Standard deviation of the SOC: the hypotheses', and what an error that stays has brought."""
-    lasting = memory[LASTING]
-    return math.sqrt(max(told.soc_variance, VARIANCE_FLOOR) + lasting * lasting)
+@inline
+def told_deviation(told: Mixture, persistent: float) -> float:
+    """Standard deviation of the SOC: the hypotheses', and what a persistent error has brought."""
+    return math.sqrt(max(told.soc_variance, VARIANCE_FLOOR) + persistent * persistent)

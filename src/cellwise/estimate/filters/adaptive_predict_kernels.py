@@ -1,153 +1,133 @@
-"""The adaptive filter's prediction: the state over an interval, then its covariance.
-
-x = [soc, v1, v2, v3, h, b, q]; the equations stand in ``adaptive_kernels``.
-"""
+"""The adaptive filter's prediction: the state over an interval, then its covariance."""
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
-from numba import njit
-
-from cellwise.cell.kernels import (
-    CellPoint,
-    CellScalars,
-    hysteresis_decay,
-    look_up,
-    under_load,
+from cellwise.cell.compiled import inline
+from cellwise.cell.equations import CellState, CellTables, soc_step
+from cellwise.cell.point_kernels import CellPoint
+from cellwise.estimate.filters.adaptive_covariance_kernels import (
+    AdaptiveCovariance,
+    branches_noisy,
+    charge_driven,
+    decayed,
+    leaned,
+    noisy,
+    offset_driven,
+    uncorrelated,
+    with_parameters,
+    with_soc_variance,
 )
 from cellwise.estimate.filters.adaptive_state_kernels import (
-    BB,
-    FAST_VAR,
-    HEAT_K,
-    P11,
-    P22,
-    P33,
-    QQ,
-    SOC,
-    SS,
-    TAIL_VAR,
-    V1,
-    V2,
-    V3,
     AdaptiveScalars,
-    B,
-    H,
-    Q,
+    AdaptiveState,
     adaptive_start,
-    lean,
-    spread,
+    is_sound,
 )
-from cellwise.estimate.filters.ekf_kernels import WIDE_VARIANCE
 from cellwise.estimate.filters.filter_state import EkfStart
-from cellwise.estimate.measurement_kernels import start_branch, wide_slopes
+from cellwise.estimate.filters.predict_kernels import (
+    branch_variance,
+    drifted,
+    over_interval,
+    soc_walk,
+)
 from cellwise.estimate.noise import NoiseScalars
-from cellwise.estimate.sensing_kernels import Sample
+from cellwise.estimate.sensing_kernels import NO_VOLTAGE_YET, NOT_BEGUN, Sample
+from cellwise.estimate.slopes_kernels import Slopes, slopes_at
 from cellwise.estimate.status import STATE_RESET
-from cellwise.typing import FloatArray
 
 
 class Predicted(NamedTuple):
-    """What the prediction hands to the update; slope and bend are chords while SOC is far off."""
+    """What the prediction hands to the update; ``s`` is the sample without the sensor's offset."""
 
+    state: AdaptiveState
+    s: Sample
+    x: CellState
+    p: AdaptiveCovariance
     point: CellPoint
-    load_A: float
+    at: Slopes
     warm_C: float
-    slope_V: float
-    bend_V: float
-    wide: bool
+    evidence_s: float
     status: int
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def begin_branches(
-    cell: CellScalars, point: CellPoint, current_A: float, x: FloatArray, p: FloatArray
-) -> None:
-    """What the branches may hold at the first sample."""
-    x[V1], p[P11] = start_branch(cell, point.r1_ohm, current_A)
-    x[V2], p[P22] = start_branch(cell, point.r2_ohm, current_A)
-    x[V3], p[P33] = start_branch(cell, point.r3_ohm, current_A)
+@inline
+def without_offset(s: Sample, offset_A: float) -> Sample:
+    """The sample less what the sensor adds; nothing is counted where nobody knows what flowed.
+
+    A current that is lost has no offset, either.
+    """
+    known = 0.0 if s.gap or s.lost_A > 0.0 else 1.0
+    seen = s.seen_A if s.lost_A > 0.0 else s.seen_A - offset_A
+    # fmt: off
+    return Sample(
+        s.current_A, seen, known * (s.flow_A - offset_A), s.gap_A2, s.lost_A,
+        s.voltage_V, s.temperature_C, s.no_current_s, s.dt_s, s.gap, s.status,
+    )
+    # fmt: on
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inline
 def predict(
-    table: FloatArray,
-    grid: FloatArray,
-    cell: CellScalars,
+    tables: CellTables,
     noise: NoiseScalars,
     learn: AdaptiveScalars,
-    anew: EkfStart,
-    x: FloatArray,
-    p: FloatArray,
-    memory: FloatArray,
-    s: Sample,
-    begins: bool,
-    dt_s: float,
-    gap: bool,
+    start: EkfStart,
+    state: AdaptiveState,
+    raw: Sample,
 ) -> Predicted:
     """Over the interval that ends now: the state with the tables at the new SOC, then P."""
+    cell = tables.cell
     status = 0
-    counts = 0.0 if gap or s.lost_A > 0.0 else 1.0  # whether what flowed is known
-    load = s.seen_A - x[B]
-    flow = counts * (s.flow_A - x[B])
-    gs = dt_s / cell.charge_As * (1.0 if flow > 0.0 else cell.charge_efficiency)
-    soc = x[SOC] - x[Q] * gs * flow - cell.leak_A * dt_s / cell.charge_As
-    if not (math.isfinite(soc) and math.isfinite(p[SS])):
-        adaptive_start(anew, learn, s.current_A, x, p, memory)
-        begins = True
-        soc = x[SOC]
-        load = s.seen_A
-        flow = counts * s.flow_A
-        status |= STATE_RESET
-    warm = s.temperature_C + memory[HEAT_K]
-    point = under_load(cell, look_up(table, grid, cell, soc, warm), load)
-    if begins:
-        begin_branches(cell, point, load, x, p)
-    a1 = math.exp(-dt_s / point.tau1_s)
-    a2 = math.exp(-dt_s / point.tau2_s)
-    a3 = math.exp(-dt_s / point.tau3_s) if point.r3_ohm != 0.0 else 1.0
-    ah = hysteresis_decay(cell, flow, dt_s) if cell.hysteresis_rate != 0.0 else 1.0
-    g1 = point.r1_ohm * (1.0 - a1)
-    g2 = point.r2_ohm * (1.0 - a2)
-    g3 = point.r3_ohm * (1.0 - a3)
-    x[SOC] = soc
-    x[V1] = a1 * x[V1] + g1 * flow
-    x[V2] = a2 * x[V2] + g2 * flow
-    x[V3] = a3 * x[V3] + g3 * flow
-    x[H] = ah * x[H] - (1.0 - ah) * math.copysign(1.0, flow)
+    s = without_offset(raw, state.offset_A)
+    soc = soc_step(cell, state.cell.soc, state.charge * s.flow_A, s.dt_s)
+    if not is_sound(soc, state.p):
+        state = adaptive_start(start, learn, raw.current_A)
+        soc = state.cell.soc
+        s = without_offset(raw, 0.0)
+        status = STATE_RESET
+    p = state.p
+    evidence = state.watch.evidence_s
+    now = over_interval(tables, state.cell, soc, s, evidence == NOT_BEGUN)
+    if evidence == NOT_BEGUN:
+        p = uncorrelated(p.ss, now.v11, now.v22, now.v33, p.phh, p.poo, p.pqq)
+        evidence = NO_VOLTAGE_YET
+    point, t, end = now.point, now.t, now.end
 
-    spread(p, a1, a2, a3, ah, counts * x[Q] * gs, -gs * flow, counts * g1, counts * g2, counts * g3)
-    if gap:
-        p[SS] += noise.gap_soc * noise.gap_soc
-    if s.lost_A > 0.0:
-        # It may keep one sign for as long as it is away: the deviation grows, not the variance.
-        drift = math.sqrt(p[SS]) + s.lost_A * dt_s / cell.charge_As
-        p[SS] = drift * drift
-    slope = point.ocv_slope_V
-    bend = 0.0
-    wide = p[SS] > WIDE_VARIANCE
-    if wide:
-        w = wide_slopes(table, grid, cell, soc, point, math.sqrt(p[SS]), warm, load)
-        slope = w.voltage_V
-        bend = w.bend_V
-        lean(
-            p, w.r1_ohm * (1.0 - a1) * flow, w.r2_ohm * (1.0 - a2) * flow,
-            w.r3_ohm * (1.0 - a3) * flow,
-        )  # fmt: skip
+    # One ampere of offset is one ampere that did not flow; a share of charge, one of what flowed.
+    counts = 0.0 if s.gap or s.lost_A > 0.0 else 1.0
+    per_A = t.gs * (1.0 if s.flow_A > 0.0 else cell.charge_efficiency)
+    p = offset_driven(
+        decayed(p, t),
+        -counts * state.charge * per_A,
+        -counts * t.g1,
+        -counts * t.g2,
+        -counts * t.g3,
+    )
+    p = charge_driven(p, per_A * s.flow_A)
+    p = branches_noisy(
+        p,
+        branch_variance(noise, s, point.r1_ohm, t.a1),
+        branch_variance(noise, s, point.r2_ohm, t.a2),
+        branch_variance(noise, s, point.r3_ohm, t.a3),
+    )
+    ss = p.ss
+    if s.gap:
+        ss += noise.gap_soc * noise.gap_soc
+    ss = drifted(tables, s, ss)
+    p = with_soc_variance(p, ss)
+    at = slopes_at(tables, soc, ss, point, now.warm_C, s.seen_A)
+    if at.spread > 0.0:
+        p = leaned(
+            p,
+            at.r1_ohm * (1.0 - t.a1) * s.flow_A,
+            at.r2_ohm * (1.0 - t.a2) * s.flow_A,
+            at.r3_ohm * (1.0 - t.a3) * s.flow_A,
+        )
     q = noise.current_A * noise.current_A
-    qb = q + s.gap_A2
-    share = noise.branch_share * flow
-    share = share * share + s.lost_A * s.lost_A
-    p[SS] += q * gs * gs + noise.soc_per_sqrt_s * noise.soc_per_sqrt_s * dt_s
-    p[P11] += qb * g1 * g1 + share * point.r1_ohm * point.r1_ohm * (1.0 - a1 * a1)
-    p[P22] += qb * g2 * g2 + share * point.r2_ohm * point.r2_ohm * (1.0 - a2 * a2)
-    p[P33] += qb * g3 * g3 + share * point.r3_ohm * point.r3_ohm * (1.0 - a3 * a3)
-    p[BB] += learn.offset_walk * dt_s
-    p[QQ] += learn.charge_walk * dt_s
-    # Doubt of the resistances comes back, up to what it was before any data.
-    if memory[FAST_VAR] < learn.resistance_variance:
-        memory[FAST_VAR] += learn.resistance_walk * dt_s
-    if memory[TAIL_VAR] < learn.resistance_variance:
-        memory[TAIL_VAR] += learn.resistance_walk * dt_s
-    return Predicted(point, load, warm, slope, bend, wide, status)
+    p = noisy(p, t, q, q + s.gap_A2, soc_walk(noise, s.dt_s), 0.0, 0.0, 0.0)
+    p = with_parameters(
+        p, p.poo + learn.offset_walk * s.dt_s, p.poq, p.pqq + learn.charge_walk * s.dt_s
+    )
+    return Predicted(state, s, end, p, point, at, now.warm_C, evidence, status)

@@ -2,97 +2,55 @@
 
 from __future__ import annotations
 
-from numba import njit
-
-from cellwise.estimate.filters.adaptive_state_kernels import (
-    BB,
-    BQ,
-    DROP,
-    DROP_MOVES,
-    FAR_MOVES,
-    FAST,
-    FAST_VAR,
-    MISS,
-    MISS_FAR,
-    MISS_MOVES,
-    REST_A,
-    REST_S,
-    REST_USED,
-    STATES,
-    TAIL,
-    TAIL_FAR,
-    TAIL_MOVES,
-    TAIL_NEAR,
-    TAIL_VAR,
-    AdaptiveScalars,
-    B,
-    Q,
-    correct,
-)
-from cellwise.typing import FloatArray
+from cellwise.cell.compiled import inline
+from cellwise.estimate.filters.adaptive_state_kernels import AdaptiveScalars, Resistances, Rest
 
 SCALE_LOW, SCALE_HIGH = 0.2, 5.0
 # Mean squares are taken over this many times the means.
 LONGER = 10.0
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def watch_rest(learn: AdaptiveScalars, memory: FloatArray, current_A: float, dt_s: float) -> bool:
+@inline
+def watch_rest(
+    learn: AdaptiveScalars, rest: Rest, current_A: float, dt_s: float
+) -> tuple[Rest, bool]:
     """Whether the current has stood still near zero for long enough to be nothing but offset.
 
     True once per rest: a rest is one piece of evidence, so that a small constant load that is
     taken for a rest can be outvoted by the voltage.
     """
     near = abs(current_A) <= learn.rest_limit_A
-    if not near or abs(current_A - memory[REST_A]) > learn.rest_band_A:
-        memory[REST_S] = 0.0
-        memory[REST_A] = current_A
-        memory[REST_USED] = 0.0
-        return False
-    memory[REST_S] += dt_s
-    if memory[REST_S] > 0.0:
-        memory[REST_A] += min(dt_s / memory[REST_S], 1.0) * (current_A - memory[REST_A])
-    if memory[REST_USED] == 0.0 and memory[REST_S] >= learn.rest_after_s:
-        memory[REST_USED] = 1.0
-        return True
-    return False
+    if not near or abs(current_A - rest.current_A) > learn.rest_band_A:
+        return Rest(0.0, current_A, False), False
+    since = rest.since_s + dt_s
+    mean = rest.current_A
+    if since > 0.0:
+        mean += min(dt_s / since, 1.0) * (current_A - mean)
+    shows = not rest.used and since >= learn.rest_after_s
+    return Rest(since, mean, rest.used or shows), shows
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def use_rest(
+@inline
+def least_squares(
+    factor: float, variance: float, drive_V: float, miss_V: float, noise_V2: float
+) -> tuple[float, float]:
+    """One step of recursive least squares for a factor on what the load drives."""
+    k = variance * drive_V / (drive_V * drive_V * variance + noise_V2)
+    moved = min(max(factor - k * miss_V, SCALE_LOW), SCALE_HIGH)
+    return moved, variance - k * drive_V * variance
+
+
+@inline
+def watch_resistances(
     learn: AdaptiveScalars,
-    x: FloatArray,
-    p: FloatArray,
-    memory: FloatArray,
-    d: FloatArray,
-    current_A: float,
-    dt_s: float,
-    blind: bool,
-) -> None:
-    """A rest shows the offset by itself: a measurement of b."""
-    if blind:
-        memory[REST_S] = 0.0
-        return
-    if watch_rest(learn, memory, current_A, dt_s) and learn.learn_offset:
-        for i in range(B):
-            d[i] = p[i * STATES + B]
-        d[B] = p[BB]
-        d[Q] = p[BQ]
-        inverse = 1.0 / (d[B] + learn.rest_variance)
-        correct(x, p, d, inverse, memory[REST_A] - x[B], False, not learn.learn_charge)
-
-
-@njit(cache=True, error_model="numpy", inline="always")
-def watch_resistance(
-    learn: AdaptiveScalars,
-    memory: FloatArray,
+    r: Resistances,
     drop_V: float,
     tail_V: float,
     innovation_V: float,
     white_V2: float,
     dt_s: float,
     hold: bool,
-) -> bool:
+) -> tuple[Resistances, bool]:
     """Factors on R0, R1 and on R2, R3 by recursive least squares; whether the load moves enough.
 
     ``drop_V`` is R0 I + v1, ``tail_V`` is v2 + v3, both without their factor. The first is judged
@@ -101,32 +59,51 @@ def watch_resistance(
     evidence in twice the band's time.
     """
     near = min(dt_s / learn.fast_s, 1.0)
-    memory[DROP] += near * (drop_V - memory[DROP])
-    memory[MISS] += near * (innovation_V - memory[MISS])
-    memory[TAIL_NEAR] += near * (tail_V - memory[TAIL_NEAR])
-    drop = drop_V - memory[DROP]
-    miss = innovation_V - memory[MISS]
+    drop_mean = r.drop_V + near * (drop_V - r.drop_V)
+    miss_mean = r.miss_V + near * (innovation_V - r.miss_V)
+    near_mean = r.near_V + near * (tail_V - r.near_V)
+    drop = drop_V - drop_mean
+    miss = innovation_V - miss_mean
     share = near / LONGER
-    memory[DROP_MOVES] += share * (drop * drop - memory[DROP_MOVES])
-    memory[MISS_MOVES] += share * (miss * miss - memory[MISS_MOVES])
-    moves = memory[DROP_MOVES] >= learn.swing_V2
+    drop2 = r.drop_V2 + share * (drop * drop - r.drop_V2)
+    miss2 = r.miss_V2 + share * (miss * miss - r.miss_V2)
+    moves = drop2 >= learn.swing_V2
+    fast, fast_variance = r.fast, r.fast_variance
     if moves and not hold and dt_s > 0.0:
-        noise = max(memory[MISS_MOVES], white_V2) * max(2.0 * learn.fast_s / dt_s, 1.0)
-        k = memory[FAST_VAR] * drop / (drop * drop * memory[FAST_VAR] + noise)
-        memory[FAST] = min(max(memory[FAST] - k * miss, SCALE_LOW), SCALE_HIGH)
-        memory[FAST_VAR] -= k * drop * memory[FAST_VAR]
+        noise = max(miss2, white_V2) * max(2.0 * learn.fast_s / dt_s, 1.0)
+        fast, fast_variance = least_squares(fast, fast_variance, drop, miss, noise)
 
     far = min(dt_s / learn.tail_s, 1.0)
-    memory[TAIL_FAR] += far * (memory[TAIL_NEAR] - memory[TAIL_FAR])
-    memory[MISS_FAR] += far * (memory[MISS] - memory[MISS_FAR])
-    tail = memory[TAIL_NEAR] - memory[TAIL_FAR]
-    miss = memory[MISS] - memory[MISS_FAR]
+    far_mean = r.far_V + far * (near_mean - r.far_V)
+    miss_far = r.miss_far_V + far * (miss_mean - r.miss_far_V)
+    lag = near_mean - far_mean
+    miss = miss_mean - miss_far
     share = far * 3.0 / LONGER
-    memory[TAIL_MOVES] += share * (tail * tail - memory[TAIL_MOVES])
-    memory[FAR_MOVES] += share * (miss * miss - memory[FAR_MOVES])
-    if memory[TAIL_MOVES] >= learn.swing_V2 and not hold and dt_s > 0.0:
-        noise = max(memory[FAR_MOVES], white_V2) * max(2.0 * learn.tail_s / dt_s, 1.0)
-        k = memory[TAIL_VAR] * tail / (tail * tail * memory[TAIL_VAR] + noise)
-        memory[TAIL] = min(max(memory[TAIL] - k * miss, SCALE_LOW), SCALE_HIGH)
-        memory[TAIL_VAR] -= k * tail * memory[TAIL_VAR]
-    return bool(moves)
+    tail2 = r.tail_V2 + share * (lag * lag - r.tail_V2)
+    far2 = r.miss_far_V2 + share * (miss * miss - r.miss_far_V2)
+    tail, tail_variance = r.tail, r.tail_variance
+    if tail2 >= learn.swing_V2 and not hold and dt_s > 0.0:
+        noise = max(far2, white_V2) * max(2.0 * learn.tail_s / dt_s, 1.0)
+        tail, tail_variance = least_squares(tail, tail_variance, lag, miss, noise)
+    # fmt: off
+    return Resistances(
+        fast, fast_variance, tail, tail_variance, drop_mean, miss_mean, drop2, miss2,
+        near_mean, far_mean, miss_far, tail2, far2,
+    ), moves
+    # fmt: on
+
+
+@inline
+def walk_resistances(learn: AdaptiveScalars, r: Resistances, dt_s: float) -> Resistances:
+    """Uncertainty of the resistances comes back, up to what it was before any data."""
+    fast, tail = r.fast_variance, r.tail_variance
+    if fast < learn.resistance_variance:
+        fast += learn.resistance_walk * dt_s
+    if tail < learn.resistance_variance:
+        tail += learn.resistance_walk * dt_s
+    # fmt: off
+    return Resistances(
+        r.fast, fast, r.tail, tail, r.drop_V, r.miss_V, r.drop_V2, r.miss_V2,
+        r.near_V, r.far_V, r.miss_far_V, r.tail_V2, r.miss_far_V2,
+    )
+    # fmt: on

@@ -6,10 +6,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from cellwise.cell.kernels import CellScalars, soc_step
+from cellwise.cell.compiled import kernel, rows
+from cellwise.cell.equations import soc_step
 from cellwise.cell.model import CellModel
+from cellwise.cell.point_kernels import CellScalars
 from cellwise.cell.simulate import check_soc0, simulate
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.status import CLAMPED, CURRENT_INVALID, DUPLICATE, SEQUENCE_GAP, Status
@@ -34,7 +35,7 @@ class CoulombInfo(NamedTuple):
     status: Status
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def coulomb_step(
     cell: CellScalars,
     soc: float,
@@ -65,7 +66,7 @@ def coulomb_step(
     return soc, variance, current, status
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@rows
 def coulomb_rows(
     cell: CellScalars,
     soc0: float,
@@ -100,7 +101,7 @@ class Coulomb:
     def __init__(self, model: CellModel, noise: Noise | None = None) -> None:
         self.model = model
         self.noise = Noise.of_model(model) if noise is None else noise
-        self._cell = model.parameters()[2]
+        self._cell = model.parameters().cell
         self._noise = self.noise.scalars()
 
     def init(self, soc0: float, soc0_std: float = 0.15) -> CoulombState:

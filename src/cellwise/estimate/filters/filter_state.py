@@ -1,17 +1,19 @@
-"""Start, state and info of the Kalman filters, as the kernels carry them."""
+"""Start, state, sample and info of the Kalman filters, as the kernels carry them."""
 
 from __future__ import annotations
 
 import math
 from typing import NamedTuple
 
-from numba import njit
-
+from cellwise.cell.compiled import kernel
+from cellwise.cell.equations import CellState
+from cellwise.estimate.filters.covariance_kernels import Covariance, uncorrelated
 from cellwise.estimate.sensing_kernels import Watch, first_watch
+from cellwise.typing import BoolArray, FloatArray, IntArray
 
 
 class EkfStart(NamedTuple):
-    """Where a state begins, and begins anew when it is no longer finite."""
+    """Where a state begins, and is re-initialised when it is no longer finite."""
 
     soc: float
     variance: float
@@ -20,39 +22,25 @@ class EkfStart(NamedTuple):
 
 
 class EkfState(NamedTuple):
-    """What must be carried: x, the upper triangle of P, how the model has done, the sensors' past.
+    """What must be carried: the cell, P, how the model has done, the sensors' past.
 
     ``rejections`` counts voltages rejected in a row, those under load less; ``mismatch`` is the
     running mean of the squared innovations over the variance that the model alone explains;
-    ``lasting`` what an error of the model that stays may have brought into the SOC, one standard
-    deviation.
+    ``persistent`` is what a persistent error of the model may have brought into the SOC, one
+    standard deviation.
     """
 
-    soc: float
-    v1_V: float
-    v2_V: float
-    v3_V: float
-    h: float
-    ss: float
-    s1: float
-    s2: float
-    s3: float
-    sh: float
-    p11: float
-    p12: float
-    p13: float
-    p1h: float
-    p22: float
-    p23: float
-    p2h: float
-    p33: float
-    p3h: float
-    phh: float
-    heat_K: float
+    cell: CellState
+    p: Covariance
     rejections: float
     mismatch: float
-    lasting: float
+    persistent: float
     watch: Watch
+
+    @property
+    def soc(self) -> float:
+        """State of charge."""
+        return self.cell.soc
 
     @property
     def current_A(self) -> float:
@@ -62,7 +50,7 @@ class EkfState(NamedTuple):
     @property
     def soc_std(self) -> float:
         """Standard deviation of the state of charge."""
-        return math.sqrt(self.ss + self.lasting * self.lasting)
+        return math.sqrt(self.p.ss + self.persistent * self.persistent)
 
 
 class EkfInfo(NamedTuple):
@@ -82,18 +70,32 @@ class EkfInfo(NamedTuple):
     status: int
 
 
-@njit(cache=True, error_model="numpy")
+class LogArrays(NamedTuple):
+    """The rows of a log as a filter reads them, shape (rows,) each."""
+
+    current_A: FloatArray
+    voltage_V: FloatArray
+    temperature_C: FloatArray
+    dt_s: FloatArray
+    gap: BoolArray
+
+
+class TraceArrays(NamedTuple):
+    """What a filter writes: ``values`` of shape (OUTPUTS, rows), ``status`` (rows,)."""
+
+    values: FloatArray
+    status: IntArray
+
+
+# Rows of ``values``: the fields of EkfInfo but the status.
+OUT_SOC, OUT_STD, OUT_VOLTAGE, OUT_INNOVATION, OUT_VARIANCE, OUT_RATIO = range(6)
+OUTPUTS = 6
+
+
+@kernel
 def ekf_start(start: EkfStart, current_A: float) -> EkfState:
     """A cell known as ``start`` says; its branches are guessed at the first sample."""
     h = 1.0 if start.soc > 0.5 else -1.0
-    # fmt: off
-    return EkfState(
-        start.soc, 0.0, 0.0, 0.0, h,
-        start.variance, 0.0, 0.0, 0.0, 0.0,
-        0.0, 0.0, 0.0, 0.0,
-        0.0, 0.0, 0.0,
-        0.0, 0.0,
-        start.hysteresis_variance,
-        0.0, 0.0, 1.0, 0.0, first_watch(current_A),
-    )
-    # fmt: on
+    cell = CellState(start.soc, 0.0, 0.0, 0.0, h, 0.0)
+    p = uncorrelated(start.variance, 0.0, 0.0, 0.0, start.hysteresis_variance)
+    return EkfState(cell, p, 0.0, 1.0, 0.0, first_watch(current_A))

@@ -7,13 +7,14 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from cellwise.cell.kernels import M
 from cellwise.cell.model import CellModel
+from cellwise.cell.point_kernels import M
 from cellwise.cell.simulate import check_soc0, model_temperature_C
 from cellwise.errors import InputError
-from cellwise.estimate.filters import ekf_kernels as kernel
+from cellwise.estimate.filters import filter_state as layout
 from cellwise.estimate.filters.filter_state import EkfInfo, EkfStart, EkfState, ekf_start
 from cellwise.estimate.noise import Noise
+from cellwise.estimate.sensing_kernels import Reading
 from cellwise.estimate.trace import Trace
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
@@ -35,10 +36,10 @@ class KalmanFilter:
     def __init__(self, model: CellModel, noise: Noise | None = None) -> None:
         self.model = model
         self.noise = Noise.of_model(model) if noise is None else noise
-        self._cell = model.parameters()
+        self._tables = model.parameters()
         self._default_C = model_temperature_C(model)
-        self._told: tuple[Any, ...] = (self.noise.scalars(),)
-        self._anew = self.start(0.5, 0.3)  # for a state that is no longer finite: know nothing
+        self._settings: tuple[Any, ...] = (self.noise.scalars(),)
+        self._unknown = self.start(0.5, 0.3)  # for a state that is no longer finite: know nothing
 
     def start(self, soc0: float, soc0_std: float = 0.15) -> EkfStart:
         """Start at ``soc0``, known to ``soc0_std``.
@@ -52,7 +53,7 @@ class KalmanFilter:
             raise InputError(
                 f"a start SOC deviation of {soc0_std}", "a number above zero", "Give e.g. 0.15."
             )
-        table = self._cell[0]
+        table = self._tables.table
         return EkfStart(
             soc=float(soc0),
             variance=float(soc0_std) ** 2,
@@ -67,7 +68,7 @@ class KalmanFilter:
         guessed at the first sample: nearly nothing at rest, about half the load's steady voltage
         under load.
         """
-        return EkfState(*ekf_start(self.start(soc0, soc0_std), float(current_A)))
+        return ekf_start(self.start(soc0, soc0_std), float(current_A))
 
     def step(
         self,
@@ -91,48 +92,51 @@ class KalmanFilter:
         """
         if not (np.isfinite(dt_s) and dt_s >= 0):
             raise InputError(f"dt_s = {dt_s}", "seconds, at least 0", "Pass the interval's length.")
-        return type(self).step_kernel(
-            *self._cell,
-            *self._told,
-            self._anew,
-            state,
+        reading = Reading(
             float(current_A),
             float(voltage_V),
             np.nan if temperature_C is None else float(temperature_C),
             float(dt_s),
             bool(gap),
         )
+        return type(self).step_kernel(self._tables, *self._settings, self._unknown, state, reading)
 
     def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> Trace:
         """Replay a whole log; the same steps in one compiled loop."""
-        gap = log.gap_rows
-        # What the tester's counter says of a gap is not for the filter's eyes.
-        current = np.array(log.interval_current_A)
-        out = np.empty((kernel.OUTPUTS, len(log)))
+        out = np.empty((layout.OUTPUTS, len(log)))
         status = np.empty(len(log), dtype=np.int32)
+        start = self.start(soc0, soc0_std)
         type(self).rows_kernel(
-            *self._cell,
-            *self._told,
-            self.start(soc0, soc0_std),
-            self._anew,
-            current,
-            log.voltage_V,
-            measured_temperature_C(log),
-            log.interval_s,
-            gap,
-            out,
-            status,
+            self._tables,
+            *self._settings,
+            start,
+            self._unknown,
+            log_arrays(log),
+            layout.TraceArrays(out, status),
         )
         return Trace(
             time_s=log.time_s,
-            soc=out[kernel.OUT_SOC],
-            soc_std=out[kernel.OUT_STD],
-            voltage_V=out[kernel.OUT_VOLTAGE],
-            innovation_V=out[kernel.OUT_INNOVATION],
-            innovation_variance_V2=out[kernel.OUT_VARIANCE],
-            test_ratio=out[kernel.OUT_RATIO],
+            soc=out[layout.OUT_SOC],
+            soc_std=out[layout.OUT_STD],
+            voltage_V=out[layout.OUT_VOLTAGE],
+            innovation_V=out[layout.OUT_INNOVATION],
+            innovation_variance_V2=out[layout.OUT_VARIANCE],
+            test_ratio=out[layout.OUT_RATIO],
             status=status,
         )
+
+
+def log_arrays(log: CellLog) -> layout.LogArrays:
+    """The rows of a log as the kernels read them."""
+    # What the tester's counter says of a gap is not for the filter's eyes. Copies: kernels are
+    # compiled for one kind of array.
+    return layout.LogArrays(
+        np.array(log.interval_current_A),
+        np.array(log.voltage_V),
+        measured_temperature_C(log),
+        np.array(log.interval_s),
+        np.array(log.gap_rows),
+    )
 
 
 def measured_temperature_C(log: CellLog) -> FloatArray:

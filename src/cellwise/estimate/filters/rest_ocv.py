@@ -6,10 +6,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from cellwise.cell.compiled import kernel, rows
+from cellwise.cell.equations import CellTables, look_up
 from cellwise.cell.initial_soc import RELAXED_S, REST_RATE, SHORT_REST_V
-from cellwise.cell.kernels import CellScalars, look_up
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import model_temperature_C
 from cellwise.errors import InputError
@@ -47,27 +47,23 @@ class RestOcvInfo(NamedTuple):
     status: Status
 
 
-@njit(cache=True, error_model="numpy")
-def soc_at(
-    table: FloatArray, grid: FloatArray, cell: CellScalars, voltage_V: float, temperature_C: float
-) -> float:
+@kernel
+def soc_at(tables: CellTables, voltage_V: float, temperature_C: float) -> float:
     """SOC from 0 to 1 whose OCV is nearest to a voltage, by halving."""
     low = 0.0
     high = 1.0
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
-        if look_up(table, grid, cell, middle, temperature_C).ocv_V < voltage_V:
+        if look_up(tables, middle, temperature_C).ocv_V < voltage_V:
             low = middle
         else:
             high = middle
     return 0.5 * (low + high)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def rest_ocv_step(
-    table: FloatArray,
-    grid: FloatArray,
-    cell: CellScalars,
+    tables: CellTables,
     state: RestOcvState,
     current_A: float,
     voltage_V: float,
@@ -80,21 +76,29 @@ def rest_ocv_step(
 ) -> tuple[float, float, float, float, bool, int]:
     """Count one interval; where the cell has rested for long enough, read the OCV instead."""
     soc, variance, current, bits = coulomb_step(
-        cell, state.soc, state.variance, state.previous_A, current_A, dt_s, walk, gap_soc, gap
+        tables.cell,
+        state.soc,
+        state.variance,
+        state.previous_A,
+        current_A,
+        dt_s,
+        walk,
+        gap_soc,
+        gap,
     )
-    resting = math.isfinite(current_A) and abs(current_A) * 3600.0 < REST_RATE * cell.charge_As
+    resting = (
+        math.isfinite(current_A) and abs(current_A) * 3600.0 < REST_RATE * tables.cell.charge_As
+    )
     rest = state.rest_s + dt_s if resting else 0.0
     rested = False
     if resting and rest >= rest_after_s and math.isfinite(voltage_V):
-        here = soc_at(table, grid, cell, voltage_V, temperature_C)
-        point = look_up(table, grid, cell, here, temperature_C)
+        here = soc_at(tables, voltage_V, temperature_C)
+        point = look_up(tables, here, temperature_C)
         left = SHORT_REST_V * math.exp(-min(rest, 1e9) / RELAXED_S)
         off = math.sqrt(point.error_V**2 + point.m_V**2 + left * left)
         # Over a flat OCV every SOC of that voltage is as good.
-        wide = soc_at(table, grid, cell, voltage_V + off, temperature_C)
-        spread = max(
-            0.5 * (wide - soc_at(table, grid, cell, voltage_V - off, temperature_C)), SMALLEST_STD
-        )
+        wide = soc_at(tables, voltage_V + off, temperature_C)
+        spread = max(0.5 * (wide - soc_at(tables, voltage_V - off, temperature_C)), SMALLEST_STD)
         if spread * spread < variance or math.isinf(rest):
             soc = here
             variance = spread * spread
@@ -104,11 +108,9 @@ def rest_ocv_step(
     return soc, variance, current, rest, rested, bits
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@rows
 def rest_ocv_rows(
-    table: FloatArray,
-    grid: FloatArray,
-    cell: CellScalars,
+    tables: CellTables,
     start: RestOcvState,
     current_A: FloatArray,
     voltage_V: FloatArray,
@@ -129,7 +131,7 @@ def rest_ocv_rows(
         if math.isfinite(temperature_C[k]):
             warm = temperature_C[k]
         soc, variance, previous, rest, _, bits = rest_ocv_step(
-            table, grid, cell, state, current_A[k], voltage_V[k], warm, dt_s[k],
+            tables, state, current_A[k], voltage_V[k], warm, dt_s[k],
             walk, gap_soc, gap[k], rest_after_s,
         )  # fmt: skip
         state = RestOcvState(soc, variance, previous, rest)
@@ -158,7 +160,7 @@ class RestOcv:
         self.model = model
         self.noise = Noise.of_model(model) if noise is None else noise
         self.rest_s = float(rest_s)
-        self._cell = model.parameters()
+        self._tables = model.parameters()
         self._default_C = model_temperature_C(model)
         self._noise = self.noise.scalars()
         self._count = Coulomb(model, self.noise)
@@ -181,7 +183,7 @@ class RestOcv:
         """Take the sample that ends an interval of ``dt_s`` seconds."""
         warm = self._default_C if temperature_C is None else float(temperature_C)
         soc, variance, previous, rest, rested, bits = rest_ocv_step(
-            *self._cell,
+            self._tables,
             state,
             float(current_A),
             float(voltage_V),
@@ -201,7 +203,7 @@ class RestOcv:
         out = np.empty((2, n))
         status = np.empty(n, dtype=np.int32)
         rest_ocv_rows(
-            *self._cell,
+            self._tables,
             self.init(soc0, soc0_std),
             np.array(log.interval_current_A),
             log.voltage_V,

@@ -20,26 +20,26 @@ from cellwise.cell.effects import (
     TimeSkew,
     effect_table,
 )
-from cellwise.cell.kernels import ZERO_CELSIUS_K
+from cellwise.cell.equations import ZERO_CELSIUS_K
 from cellwise.cell.model import TABLES, CellModel
 from cellwise.cell.simulate import model_temperature_C
 from cellwise.errors import InputError
-from cellwise.estimate.evidence_kernels import UNDER_LOAD_COUNT
 from cellwise.estimate.fixed.layout import (
     Options,
     constant_type,
     options_of,
     row_fields,
 )
-from cellwise.estimate.measurement_kernels import (
-    FLAT_SHARE,
+from cellwise.estimate.gate_kernels import UNDER_LOAD_COUNT
+from cellwise.estimate.noise import Noise
+from cellwise.estimate.recovery_kernels import (
+    RECOVERY_RATE,
     START_BRANCH_V,
     START_LOAD_RATE,
     START_REST_RATE,
 )
-from cellwise.estimate.noise import Noise
-from cellwise.estimate.recovery_kernels import RECOVERY_RATE
 from cellwise.estimate.sensing_kernels import LOST_RATE, REST_RATE
+from cellwise.estimate.slopes_kernels import FLAT_SHARE
 from cellwise.typing import FloatArray
 
 Float32Array = NDArray[np.float32]

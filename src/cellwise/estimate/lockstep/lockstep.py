@@ -7,15 +7,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cellwise.cell.kernels import ERROR, OCV, R0, R1, R2, R3, TAU1, TAU2, TAU3, M
 from cellwise.cell.model import CellModel
+from cellwise.cell.point_kernels import ERROR, OCV, R0, R1, R2, R3, TAU1, TAU2, TAU3, M
 from cellwise.errors import InputError
 from cellwise.estimate.filters.ekf import Ekf
 from cellwise.estimate.filters.filter_state import EkfState, ekf_start
+from cellwise.estimate.lockstep import lane_kernels as lanes
 from cellwise.estimate.lockstep import layout
+from cellwise.estimate.lockstep.cell_kernels import begin_lane, state_of
 from cellwise.estimate.lockstep.plain_kernels import lockstep
 from cellwise.estimate.noise import Noise
-from cellwise.estimate.sensing_kernels import Watch
 from cellwise.typing import BoolArray, FloatArray, IntArray
 
 FINER = 4  # points of the table of one time step per point of the model's
@@ -80,14 +81,14 @@ class LockstepEkf:
         self.model, self.cells, self.dt_s = model, int(cells), float(dt_s)
         self._ekf = Ekf(model, noise)
         self.noise = self._ekf.noise
-        self._told = self.noise.scalars()
-        self._cell = model.parameters()
-        self._fast = step_table(self._cell[0], self.dt_s)
-        self._anew = self._ekf.start(0.5, 0.3)
-        padded = -(-self.cells // layout.LANES) * layout.LANES
-        self._work = np.zeros(layout.SCRATCH_ROWS * layout.LANES)
-        self._work.reshape(-1, layout.LANES)[layout.T_A3] = 1.0  # a third branch that is none
-        self._told_block = np.zeros(layout.OUTPUTS * layout.LANES)
+        self._noise = self.noise.scalars()
+        self._tables = model.parameters()
+        self._fast = step_table(self._tables.table, self.dt_s)
+        self._unknown = self._ekf.start(0.5, 0.3)
+        padded = -(-self.cells // lanes.LANES) * lanes.LANES
+        self._work = np.zeros(layout.SCRATCH_ROWS * lanes.LANES)
+        self._work.reshape(-1, lanes.LANES)[layout.T_A3] = 1.0  # a third branch that is none
+        self._shown = np.zeros(layout.OUTPUTS * lanes.LANES)
         # Lanes that no cell fills rest at half charge.
         self._samples = np.zeros((3, padded))
         self._samples[1] = float(np.interp(0.5, model.soc, model.ocv_V[0]))
@@ -103,16 +104,18 @@ class LockstepEkf:
         InputError        soc0 outside 0..1, soc0_std not above zero, another number of cells
         """
         starts = self._each(soc0, "soc0"), self._each(soc0_std, "soc0_std")
-        blocks = self._status.size // layout.LANES
-        state = np.zeros(blocks * layout.FIELDS * layout.LANES)
-        fields = state.reshape(blocks, layout.FIELDS, layout.LANES)
+        blocks = self._status.size // lanes.LANES
+        state = np.zeros(blocks * lanes.FIELDS * lanes.LANES)
+        fields = state.reshape(blocks, lanes.FIELDS, lanes.LANES)
         known: dict[tuple[float, float], FloatArray] = {}
         every = [*zip(*(a.tolist() for a in starts), strict=True)]
         for k, one in enumerate(every + [(0.5, 0.15)] * (self._status.size - self.cells)):
             if one not in known:
-                begun = EkfState(*ekf_start(self._ekf.start(*one), 0.0))
-                known[one] = np.array([*begun[:-1], *begun.watch, 1.0, np.nan])
-            block, lane = divmod(k, layout.LANES)
+                room = np.zeros(lanes.FIELDS * lanes.LANES)
+                begin_lane(room, 0, ekf_start(self._ekf.start(*one), 0.0))
+                known[one] = room.reshape(lanes.FIELDS, lanes.LANES)[:, 0]
+                known[one][lanes.FACTOR :] = 1.0, np.nan
+            block, lane = divmod(k, lanes.LANES)
             fields[block, :, lane] = known[one]
         return LockstepState(state, self.cells)
 
@@ -147,13 +150,13 @@ class LockstepEkf:
         )
         self._gap[: self.cells] = False if gap is None else gap
         short = lockstep(
-            *self._cell,
+            self._tables,
             self._fast,
-            self._told,
-            self._anew,
+            self._noise,
+            self._unknown,
             state.blocks,
             self._work,
-            self._told_block,
+            self._shown,
             *samples,
             self._gap,
             self.cells,
@@ -167,10 +170,9 @@ class LockstepEkf:
 
     def cell_state(self, state: LockstepState, cell: int) -> EkfState:
         """One cell's state as the EKF carries it."""
-        block, lane = divmod(range(self.cells)[cell], layout.LANES)
-        fields = state.blocks.reshape(-1, layout.FIELDS, layout.LANES)[block, :, lane].tolist()
-        watch = Watch(*fields[layout.CURRENT : layout.FACTOR])
-        return EkfState._make((*fields[: layout.CURRENT], watch))
+        block, lane = divmod(range(self.cells)[cell], lanes.LANES)
+        size = lanes.FIELDS * lanes.LANES
+        return state_of(state.blocks[block * size : (block + 1) * size], lane)
 
     def _each(self, values: ArrayLike, name: str) -> FloatArray:
         array = np.asarray(values, dtype=np.float64)

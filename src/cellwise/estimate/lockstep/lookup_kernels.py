@@ -4,22 +4,23 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
-from cellwise.cell.kernels import BEYOND, CellScalars, arrhenius
-from cellwise.estimate.filters.ekf_kernels import WIDE_VARIANCE
-from cellwise.estimate.lockstep.layout import (
-    CURRENT,
+from cellwise.cell.compiled import inline
+from cellwise.cell.equations import BEYOND, arrhenius
+from cellwise.cell.point_kernels import CellScalars
+from cellwise.estimate.lockstep.lane_kernels import (
     EVIDENCE,
     FACTOR,
     FACTOR_C,
     LANES,
+    LAST_A,
     NO_CURRENT,
     NO_VOLTAGE,
-    PLAIN_COLUMNS,
-    SERIES_LIMIT,
     SOC,
     SS,
+)
+from cellwise.estimate.lockstep.layout import (
+    PLAIN_COLUMNS,
+    SERIES_LIMIT,
     T_B1,
     T_B2,
     T_B3,
@@ -40,12 +41,13 @@ from cellwise.estimate.lockstep.layout import (
 )
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import COLDEST_C, HOTTEST_C
+from cellwise.estimate.slopes_kernels import WIDE_VARIANCE
 from cellwise.typing import FloatArray
 
 THIRD, SIXTH, SEVENTH = 1.0 / 3.0, 1.0 / 6.0, 1.0 / 7.0
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inline
 def read_block(
     cell: CellScalars,
     noise: NoiseScalars,
@@ -69,7 +71,7 @@ def read_block(
         current = current_A[lane]
         voltage = voltage_V[lane]
         warm = temperature_C[lane]
-        flow = current + held_share * (block[CURRENT * LANES + lane] - current)
+        flow = current + held_share * (block[LAST_A * LANES + lane] - current)
         soc = block[SOC * LANES + lane]
         soc -= (flow * (1.0 if flow > 0.0 else cell.charge_efficiency) + cell.leak_A) * per_As
         x = cell.hysteresis_rate * abs(flow) * per_As
@@ -105,7 +107,7 @@ def read_block(
         work[W_DECAY * LANES + lane] = 1.0 - x * (1.0 - x * 0.5 * series)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inline
 def look_up_lane(
     fast: FloatArray, row: int, slope_scale: float, work: FloatArray, lane: int, whole: bool
 ) -> None:
@@ -123,7 +125,7 @@ def look_up_lane(
     work[W_SLOPE * LANES + lane] = rise * slope_scale
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inline
 def look_up_warm_lane(
     fast: FloatArray,
     grid: FloatArray,
@@ -155,7 +157,7 @@ def look_up_warm_lane(
     work[W_SLOPE * LANES + lane] = slope + w * (rise * (points - 1.0) - slope)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inline
 def scale_lane(
     cell: CellScalars, block: FloatArray, work: FloatArray, lane: int, temperature_C: float
 ) -> None:

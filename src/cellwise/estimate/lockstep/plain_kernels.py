@@ -2,60 +2,53 @@
 
 State lies in blocks of LANES cells, field by field, so that one loop over the lanes compiles to
 vector instructions. A cell whose step is plain (SOC well known, readings sound, voltage within the
-gate) takes the short way: the same sentences as in ``ekf_kernels``, with what depends on the time
-step tabulated over SOC. Every other cell takes the EKF's own step.
+gate) takes the short way: the EKF's own equations, with what depends on the time step tabulated
+over SOC, and without a branch. Every other cell takes the EKF's own step.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from cellwise.cell.kernels import R3, CellScalars, M
-from cellwise.estimate.filters.ekf_kernels import (
-    FORGIVEN,
-    SOC_HIGH,
-    SOC_LOW,
-    VARIANCE_FLOOR,
+from cellwise.cell.compiled import inline, rows
+from cellwise.cell.equations import (
+    CellState,
+    CellTables,
+    Transition,
+    hysteresis_step,
+    needs_temperature,
+    polarisation,
+    relaxed,
+    terminal_voltage,
 )
-from cellwise.estimate.filters.filter_state import EkfStart
-from cellwise.estimate.lockstep.cell_kernels import full_lane
+from cellwise.cell.point_kernels import R3, CellPoint, CellScalars, M
+from cellwise.estimate.evidence_kernels import (
+    mismatch_step,
+    model_memory,
+    persistent_step,
+    voltage_variance,
+)
+from cellwise.estimate.filters.covariance_kernels import (
+    branches_noisy,
+    column,
+    corrected,
+    decayed,
+    explained,
+    noisy,
+    scaled,
+)
+from cellwise.estimate.filters.ekf_kernels import moved
+from cellwise.estimate.filters.filter_state import OUT_SOC, EkfInfo, EkfStart, EkfState
+from cellwise.estimate.filters.predict_kernels import SOC_HIGH, SOC_LOW, soc_walk
+from cellwise.estimate.gate_kernels import FORGIVEN
+from cellwise.estimate.lockstep.cell_kernels import full_lane, put_info
+from cellwise.estimate.lockstep.lane_kernels import FIELDS, LANES, choose, get_state, put_state
 from cellwise.estimate.lockstep.layout import (
-    CURRENT,
-    EVIDENCE,
-    FIELDS,
-    FROZEN_A,
-    LANES,
-    LASTING,
     LONG_FROZEN,
-    MISMATCH,
-    O_INNOVATION,
-    O_RATIO,
-    O_SOC,
-    O_STD,
-    O_VARIANCE,
-    O_VOLTAGE,
     OUTPUTS,
-    P1H,
-    P2H,
-    P3H,
-    P11,
-    P12,
-    P13,
-    P22,
-    P23,
-    P33,
-    PHH,
-    REJECTIONS,
-    REPEATS,
-    S1,
-    S2,
-    S3,
-    SH,
-    SOC,
-    SS,
     T_A1,
     T_A2,
     T_A3,
@@ -70,17 +63,11 @@ from cellwise.estimate.lockstep.layout import (
     T_OCV,
     T_R0,
     TABLE_COLUMNS,
-    V1,
-    V2,
-    V3,
-    VOLTAGE,
     W_DECAY,
     W_FLOW,
     W_PLAIN,
     W_SLOPE,
     W_SOC,
-    WARM,
-    H,
 )
 from cellwise.estimate.lockstep.lookup_kernels import (
     look_up_lane,
@@ -93,14 +80,136 @@ from cellwise.estimate.sensing_kernels import (
     COLDEST_C,
     FROZEN_READINGS,
     HOTTEST_C,
-    MEMORY_GROWTH,
-    MEMORY_START_S,
+    Reading,
+    Watch,
 )
 from cellwise.estimate.status import CLAMPED
 from cellwise.typing import BoolArray, FloatArray, IntArray
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+class LaneTables(NamedTuple):
+    """The table of one time step at one lane's SOC; ``b`` are R^2 (1 - a^2)."""
+
+    point: CellPoint
+    t: Transition
+    b1: float
+    b2: float
+    b3: float
+
+
+@inline
+def lane_tables(work: FloatArray, lane: int, gs: float) -> LaneTables:
+    """What the look-up has left in the scratch of a block."""
+    point = CellPoint(
+        ocv_V=work[T_OCV * LANES + lane],
+        ocv_slope_V=work[W_SLOPE * LANES + lane],
+        r0_ohm=work[T_R0 * LANES + lane],
+        r1_ohm=0.0,
+        tau1_s=0.0,
+        r2_ohm=0.0,
+        tau2_s=0.0,
+        r3_ohm=0.0,
+        tau3_s=0.0,
+        m_V=work[T_M * LANES + lane],
+        error_V=work[T_ERROR * LANES + lane],
+        entropy_V=0.0,
+        entropy_slope_V=0.0,
+    )
+    t = Transition(
+        work[T_A1 * LANES + lane],
+        work[T_A2 * LANES + lane],
+        work[T_A3 * LANES + lane],
+        work[W_DECAY * LANES + lane],
+        gs,
+        work[T_G1 * LANES + lane],
+        work[T_G2 * LANES + lane],
+        work[T_G3 * LANES + lane],
+    )
+    b1, b2, b3 = (
+        work[T_B1 * LANES + lane],
+        work[T_B2 * LANES + lane],
+        work[T_B3 * LANES + lane],
+    )
+    return LaneTables(point, t, b1, b2, b3)
+
+
+@inline
+def plain_step(
+    noise: NoiseScalars,
+    old: EkfState,
+    at: LaneTables,
+    soc: float,
+    flow: float,
+    current_A: float,
+    voltage_V: float,
+    warm_C: float,
+    dt_s: float,
+) -> tuple[EkfState, EkfInfo, bool]:
+    """The EKF's step where SOC is well known; whether gate and sensors allow it."""
+    x, point, t = old.cell, at.point, at.t
+    v1 = relaxed(x.v1_V, t.a1, t.g1, flow)
+    v2 = relaxed(x.v2_V, t.a2, t.g2, flow)
+    v3 = relaxed(x.v3_V, t.a3, t.g3, flow)
+    h = hysteresis_step(x.h, t.ah, flow)
+    share = noise.branch_share * flow
+    share = share * share
+    p = branches_noisy(decayed(old.p, t), share * at.b1, share * at.b2, share * at.b3)
+    q = noise.current_A * noise.current_A
+    p = noisy(p, t, q, q, soc_walk(noise, dt_s), 0.0, 0.0, 0.0)
+
+    drop = polarisation(point.r0_ohm, flow, v1, v2, v3)
+    predicted = terminal_voltage(point, h, drop)
+    d = column(p, point.ocv_slope_V, point.m_V)
+    state_variance = explained(d, point.ocv_slope_V, point.m_V)
+    branches = abs(v1) + (abs(v2) + abs(v3))
+    one = voltage_variance(noise, point, point.r0_ohm, flow, 0.0, branches)
+    variance = state_variance + one
+    innovation = voltage_V - predicted
+    square = innovation * innovation
+    ratio = square / (noise.gate * noise.gate * variance)
+
+    # The sensors' past: is the voltage frozen?
+    w = old.watch
+    same = voltage_V == w.voltage_V
+    repeats = w.repeats + 1.0 if same else 0.0
+    frozen_A = w.frozen_A if same else flow
+    change = abs(point.r0_ohm * (flow - frozen_A))
+    frozen = (repeats >= FROZEN_READINGS) & (
+        (w.repeats > LONG_FROZEN) | ((change > noise.frozen_V) & (abs(innovation) > 0.5 * change))
+    )
+    sound = (warm_C >= COLDEST_C) & (warm_C <= HOTTEST_C)
+    watch = Watch(
+        current_A,
+        warm_C if sound else w.temperature_C,
+        w.evidence_s + dt_s,
+        0.0,
+        0.0,
+        voltage_V,
+        frozen_A,
+        repeats,
+    )
+
+    mismatch = mismatch_step(noise, old.mismatch, square, variance, dt_s)
+    shared = model_memory(noise, w.evidence_s) * (2.0 / dt_s)
+    shared = shared if shared > 1.0 else 1.0
+    worse = mismatch if mismatch > 1.0 else 1.0
+    inverse = 1.0 / (state_variance + one * shared * worse)
+    k = scaled(d, inverse)
+    persistent = persistent_step(noise, point, mismatch, k.s, point.ocv_slope_V, old.persistent)
+    end = moved(CellState(soc, v1, v2, v3, h, x.heat_K), k, innovation)
+    rejections = old.rejections - FORGIVEN
+    rejections = rejections if rejections > 0.0 else 0.0
+    soc = end.soc if end.soc < SOC_HIGH else SOC_HIGH
+    soc = soc if soc > SOC_LOW else SOC_LOW
+    p = corrected(p, k, d)
+    kept = CellState(soc, end.v1_V, end.v2_V, end.v3_V, end.h, end.heat_K)
+    state = EkfState(kept, p, rejections, mismatch, persistent, watch)
+    std = math.sqrt(p.ss + persistent * persistent)
+    info = EkfInfo(soc, std, predicted, innovation, variance, ratio, 0)
+    return state, info, (ratio <= 1.0) & (not frozen)
+
+
+@inline
 def plain_block(
     cell: CellScalars,
     noise: NoiseScalars,
@@ -112,176 +221,36 @@ def plain_block(
     dt_s: float,
     out: FloatArray,
 ) -> None:
-    """The EKF's step for the plain lanes of a block; the others keep their state."""
-    per_gate = 1.0 / (noise.gate * noise.gate)
-    per_dt = 2.0 / dt_s
-    q = noise.current_A * noise.current_A
+    """The plain lanes of a block; the others keep their state."""
     gs = -dt_s / cell.charge_As
-    walk = noise.soc_per_sqrt_s * noise.soc_per_sqrt_s * dt_s
-    lately = 0.0
-    if noise.mismatch_cap > 0.0 and noise.slow_s > 0.0:
-        lately = min(dt_s / noise.slow_s, 1.0)
     for lane in range(LANES):
-        flow = work[W_FLOW * LANES + lane]
-        voltage = voltage_V[lane]
-        soc = work[W_SOC * LANES + lane]
-        slope = work[W_SLOPE * LANES + lane]
-        ah = work[W_DECAY * LANES + lane]
-        r0 = work[T_R0 * LANES + lane]
-        a1 = work[T_A1 * LANES + lane]
-        a2 = work[T_A2 * LANES + lane]
-        a3 = work[T_A3 * LANES + lane]
-        g1 = work[T_G1 * LANES + lane]
-        g2 = work[T_G2 * LANES + lane]
-        g3 = work[T_G3 * LANES + lane]
-        m = work[T_M * LANES + lane]
-        v1 = a1 * block[V1 * LANES + lane] + g1 * flow
-        v2 = a2 * block[V2 * LANES + lane] + g2 * flow
-        v3 = a3 * block[V3 * LANES + lane] + g3 * flow
-        h = ah * block[H * LANES + lane] - (1.0 - ah) * (1.0 if flow >= 0.0 else -1.0)
-
-        share = noise.branch_share * flow
-        share = share * share
-        ss = block[SS * LANES + lane] + (q * gs * gs + walk)
-        s1 = a1 * block[S1 * LANES + lane] + q * gs * g1
-        s2 = a2 * block[S2 * LANES + lane] + q * gs * g2
-        s3 = a3 * block[S3 * LANES + lane] + q * gs * g3
-        sh = ah * block[SH * LANES + lane]
-        p11 = a1 * a1 * block[P11 * LANES + lane] + share * work[T_B1 * LANES + lane]
-        p12 = a1 * a2 * block[P12 * LANES + lane] + q * g1 * g2
-        p13 = a1 * a3 * block[P13 * LANES + lane] + q * g1 * g3
-        p1h = a1 * ah * block[P1H * LANES + lane]
-        p22 = a2 * a2 * block[P22 * LANES + lane] + share * work[T_B2 * LANES + lane]
-        p23 = a2 * a3 * block[P23 * LANES + lane] + q * g2 * g3
-        p2h = a2 * ah * block[P2H * LANES + lane]
-        p33 = a3 * a3 * block[P33 * LANES + lane] + share * work[T_B3 * LANES + lane]
-        p3h = a3 * ah * block[P3H * LANES + lane]
-        phh = ah * ah * block[PHH * LANES + lane]
-        p11 += q * g1 * g1
-        p22 += q * g2 * g2
-        p33 += q * g3 * g3
-
-        drop = (r0 * flow + v1) + (v2 + v3)
-        predicted = (work[T_OCV * LANES + lane] + m * h) - drop
-        ds = (slope * ss + m * sh) - ((s1 + s2) + s3)
-        d1 = (slope * s1 + m * p1h) - ((p11 + p12) + p13)
-        d2 = (slope * s2 + m * p2h) - ((p12 + p22) + p23)
-        d3 = (slope * s3 + m * p3h) - ((p13 + p23) + p33)
-        dh = (slope * sh + m * phh) - ((p1h + p2h) + p3h)
-        state_variance = (slope * ds + m * dh) - ((d1 + d2) + d3)
-        branches = abs(v1) + (abs(v2) + abs(v3))
-        along = noise.ocv_soc * slope
-        ohmic = noise.branch_share * (abs(r0 * flow) + branches)
-        jitter = noise.current_A * r0
-        error = noise.error_scale * work[T_ERROR * LANES + lane]
-        one = noise.voltage_V * noise.voltage_V + error * error
-        one = one + (along * along + (ohmic * ohmic + jitter * jitter))
-        variance = state_variance + one
-        innovation = voltage - predicted
-        square = innovation * innovation
-        beyond = square / variance
-        ratio = beyond * per_gate
-
-        # The sensors' past: is the voltage frozen?
-        same = voltage == block[VOLTAGE * LANES + lane]
-        old = block[REPEATS * LANES + lane]
-        repeats = old + 1.0 if same else 0.0
-        frozen_A = block[FROZEN_A * LANES + lane] if same else flow
-        moved = abs(r0 * (flow - frozen_A))
-        frozen = (repeats >= FROZEN_READINGS) & (
-            (old > LONG_FROZEN) | ((moved > noise.frozen_V) & (abs(innovation) > 0.5 * moved))
+        old = get_state(block, lane)
+        new, info, fits = plain_step(
+            noise,
+            old,
+            lane_tables(work, lane, gs),
+            work[W_SOC * LANES + lane],
+            work[W_FLOW * LANES + lane],
+            current_A[lane],
+            voltage_V[lane],
+            temperature_C[lane],
+            dt_s,
         )
-        plain = (work[W_PLAIN * LANES + lane] > 0.0) & (ratio <= 1.0) & (not frozen)
+        plain = (work[W_PLAIN * LANES + lane] > 0.0) & fits
         work[W_PLAIN * LANES + lane] = 1.0 if plain else 0.0
-
-        mismatch = block[MISMATCH * LANES + lane]
-        beyond = beyond if beyond < noise.mismatch_cap else noise.mismatch_cap
-        mismatch = mismatch + lately * (beyond - mismatch)
-        evidence = block[EVIDENCE * LANES + lane]
-        memory = MEMORY_START_S + MEMORY_GROWTH * evidence
-        memory = memory if memory < noise.slow_s else noise.slow_s
-        shared = memory * per_dt
-        shared = shared if shared > 1.0 else 1.0
-        worse = mismatch if mismatch > 1.0 else 1.0
-        inverse = 1.0 / (state_variance + one * shared * worse)
-        ks = ds * inverse
-        stays = noise.lasting * math.sqrt((error * error + along * along) * worse)
-        lasting = block[LASTING * LANES + lane]
-        lasting = lasting + ks * (stays - slope * lasting)
-        k1 = d1 * inverse
-        k2 = d2 * inverse
-        k3 = d3 * inverse
-        kh = dh * inverse
-        soc += ks * innovation
-        h += kh * innovation
-        h = h if h < 1.0 else 1.0
-        h = h if h > -1.0 else -1.0
-        soc = soc if soc < SOC_HIGH else SOC_HIGH
-        soc = soc if soc > SOC_LOW else SOC_LOW
-        ss -= ks * ds
-        p11 -= k1 * d1
-        p22 -= k2 * d2
-        p33 -= k3 * d3
-        phh -= kh * dh
-        rejections = block[REJECTIONS * LANES + lane] - FORGIVEN
-        block[SOC * LANES + lane] = soc if plain else block[SOC * LANES + lane]
-        block[V1 * LANES + lane] = (v1 + k1 * innovation) if plain else block[V1 * LANES + lane]
-        block[V2 * LANES + lane] = (v2 + k2 * innovation) if plain else block[V2 * LANES + lane]
-        block[V3 * LANES + lane] = (v3 + k3 * innovation) if plain else block[V3 * LANES + lane]
-        block[H * LANES + lane] = h if plain else block[H * LANES + lane]
-        ss = ss if ss > VARIANCE_FLOOR else VARIANCE_FLOOR
-        block[SS * LANES + lane] = ss if plain else block[SS * LANES + lane]
-        block[S1 * LANES + lane] = (s1 - ks * d1) if plain else block[S1 * LANES + lane]
-        block[S2 * LANES + lane] = (s2 - ks * d2) if plain else block[S2 * LANES + lane]
-        block[S3 * LANES + lane] = (s3 - ks * d3) if plain else block[S3 * LANES + lane]
-        block[SH * LANES + lane] = (sh - ks * dh) if plain else block[SH * LANES + lane]
-        p11 = p11 if p11 > 0.0 else 0.0
-        block[P11 * LANES + lane] = p11 if plain else block[P11 * LANES + lane]
-        block[P12 * LANES + lane] = (p12 - k1 * d2) if plain else block[P12 * LANES + lane]
-        block[P13 * LANES + lane] = (p13 - k1 * d3) if plain else block[P13 * LANES + lane]
-        block[P1H * LANES + lane] = (p1h - k1 * dh) if plain else block[P1H * LANES + lane]
-        p22 = p22 if p22 > 0.0 else 0.0
-        block[P22 * LANES + lane] = p22 if plain else block[P22 * LANES + lane]
-        block[P23 * LANES + lane] = (p23 - k2 * d3) if plain else block[P23 * LANES + lane]
-        block[P2H * LANES + lane] = (p2h - k2 * dh) if plain else block[P2H * LANES + lane]
-        p33 = p33 if p33 > 0.0 else 0.0
-        block[P33 * LANES + lane] = p33 if plain else block[P33 * LANES + lane]
-        block[P3H * LANES + lane] = (p3h - k3 * dh) if plain else block[P3H * LANES + lane]
-        phh = phh if phh > 0.0 else 0.0
-        block[PHH * LANES + lane] = phh if plain else block[PHH * LANES + lane]
-        rejections = rejections if rejections > 0.0 else 0.0
-        block[REJECTIONS * LANES + lane] = rejections if plain else block[REJECTIONS * LANES + lane]
-        block[MISMATCH * LANES + lane] = mismatch if plain else block[MISMATCH * LANES + lane]
-        block[LASTING * LANES + lane] = lasting if plain else block[LASTING * LANES + lane]
-        block[EVIDENCE * LANES + lane] = (
-            (evidence + dt_s) if plain else block[EVIDENCE * LANES + lane]
-        )
-        block[VOLTAGE * LANES + lane] = voltage if plain else block[VOLTAGE * LANES + lane]
-        block[FROZEN_A * LANES + lane] = frozen_A if plain else block[FROZEN_A * LANES + lane]
-        block[REPEATS * LANES + lane] = repeats if plain else block[REPEATS * LANES + lane]
-        block[CURRENT * LANES + lane] = current_A[lane] if plain else block[CURRENT * LANES + lane]
-        warm = temperature_C[lane]
-        sound = plain & (warm >= COLDEST_C) & (warm <= HOTTEST_C)
-        block[WARM * LANES + lane] = warm if sound else block[WARM * LANES + lane]
-        out[O_SOC * LANES + lane] = soc
-        out[O_STD * LANES + lane] = math.sqrt(ss + lasting * lasting)
-        out[O_VOLTAGE * LANES + lane] = predicted
-        out[O_INNOVATION * LANES + lane] = innovation
-        out[O_VARIANCE * LANES + lane] = variance
-        out[O_RATIO * LANES + lane] = ratio
+        put_state(block, lane, choose(plain, new, old))
+        put_info(out, lane, info)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@rows
 def lockstep(
-    table: FloatArray,
-    grid: FloatArray,
-    cell: CellScalars,
+    tables: CellTables,
     fast: FloatArray,
     noise: NoiseScalars,
-    anew: EkfStart,
+    start: EkfStart,
     state: FloatArray,
     work: FloatArray,
-    told: FloatArray,
+    shown: FloatArray,
     current_A: FloatArray,
     voltage_V: FloatArray,
     temperature_C: FloatArray,
@@ -294,11 +263,14 @@ def lockstep(
     """One sample of every cell; how many took the short way.
 
     ``state`` is in blocks of LANES cells with FIELDS rows each; the other arrays have one value
-    per cell, a multiple of LANES of them, ``out`` OUTPUTS times as many. ``work`` and ``told`` are
-    scratch; the first ``cells`` are real.
+    per cell, a multiple of LANES of them, ``out`` OUTPUTS times as many. ``work`` and ``shown``
+    are scratch; the first ``cells`` are real.
     """
-    needs_temperature = table.shape[0] > 1 or cell.activation_K != 0.0
-    scaled = cell.activation_K != 0.0 or cell.rate_per_A != 0.0 or cell.charge_scale != 1.0
+    table, grid, cell = tables.table, tables.grid_C, tables.cell
+    warm_tables = needs_temperature(tables)
+    scaled_tables = cell.activation_K != 0.0 or cell.rate_per_A != 0.0 or cell.charge_scale != 1.0
+    # What the table of one time step does not hold takes the EKF's own step.
+    beyond = cell.heating_K_per_W != 0.0 or cell.branch_activation != 0.0 or cell.entropy_K != 0.0
     blocks = gap.size // LANES
     lanes = gap.size
     whole = bool(np.any(table[..., R3])) or bool(np.any(table[..., M]))
@@ -312,45 +284,41 @@ def lockstep(
         current = current_A[first : first + LANES]
         voltage = voltage_V[first : first + LANES]
         warm = temperature_C[first : first + LANES]
-        read_block(
-            cell, noise, points, block, work, current, voltage, warm, dt_s, needs_temperature
-        )
+        read_block(cell, noise, points, block, work, current, voltage, warm, dt_s, warm_tables)
         if table.shape[0] > 1:
             for lane in range(LANES):
                 look_up_warm_lane(fast, grid, points, work, lane, warm[lane])
         else:
             for lane in range(LANES):
                 look_up_lane(fast, 0, points - 1.0, work, lane, whole)
-        if scaled:
+        if scaled_tables:
             for lane in range(LANES):
                 scale_lane(cell, block, work, lane, warm[lane])
-        if cell.heating_K_per_W != 0.0:
+        if beyond:
             work[W_PLAIN * LANES : (W_PLAIN + 1) * LANES] = 0.0
         if some_gap:
             for lane in range(LANES):
                 if gap[first + lane]:
                     work[W_PLAIN * LANES + lane] = 0.0
-        plain_block(cell, noise, block, work, current, voltage, warm, dt_s, told)
+        plain_block(cell, noise, block, work, current, voltage, warm, dt_s, shown)
         bits = status[first : first + LANES]
         plain = 0
         for lane in range(LANES):
-            soc = told[O_SOC * LANES + lane]
+            soc = shown[OUT_SOC * LANES + lane]
             bits[lane] = CLAMPED if (soc <= SOC_LOW) | (soc >= SOC_HIGH) else 0
             plain += 1 if work[W_PLAIN * LANES + lane] > 0.0 else 0
         short += plain
         if plain < LANES:
             for lane in range(LANES):
                 if not work[W_PLAIN * LANES + lane] > 0.0:
-                    # fmt: off
-                    bits[lane] = full_lane(
-                        table, grid, cell, noise, anew, block, lane, current[lane], voltage[lane],
-                        warm[lane], dt_s, gap[first + lane], told,
+                    reading = Reading(
+                        current[lane], voltage[lane], warm[lane], dt_s, gap[first + lane]
                     )
-                    # fmt: on
+                    bits[lane] = full_lane(tables, noise, start, block, lane, reading, shown)
         for row in range(OUTPUTS):
-            shown = out[row * lanes + first : row * lanes + first + LANES]
+            told = out[row * lanes + first : row * lanes + first + LANES]
             for lane in range(LANES):
-                shown[lane] = told[row * LANES + lane]
+                told[lane] = shown[row * LANES + lane]
     for lane in range(cells - (blocks - 1) * LANES, LANES):  # nobody's
         short -= 1 if work[W_PLAIN * LANES + lane] > 0.0 else 0
     return short

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellwise.cell.kernels import ZERO_CELSIUS_K
+from cellwise.cell.equations import ZERO_CELSIUS_K
 from cellwise.errors import InputError
 from cellwise.identify.refinement.refine_kernels import choose_rows
 from cellwise.identify.refinement.splines import SplineRows, spline_rows

@@ -1,0 +1,127 @@
+"""The start of every filter's step: charge counted, tables looked up, branches of a new cell."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from cellwise.cell.compiled import inline
+from cellwise.cell.equations import (
+    CellState,
+    CellTables,
+    Transition,
+    hysteresis_step,
+    loaded,
+    relaxed,
+    soc_step,
+    transition,
+)
+from cellwise.cell.point_kernels import CellPoint
+from cellwise.estimate.filters.covariance_kernels import Covariance, uncorrelated
+from cellwise.estimate.filters.filter_state import EkfStart, EkfState, ekf_start
+from cellwise.estimate.noise import NoiseScalars
+from cellwise.estimate.recovery_kernels import start_branch
+from cellwise.estimate.sensing_kernels import NO_VOLTAGE_YET, NOT_BEGUN, Sample
+from cellwise.estimate.status import STATE_RESET
+
+SOC_LOW = 0.0
+SOC_HIGH = 1.0
+
+
+class Interval(NamedTuple):
+    """An interval as a filter finds it: where it starts, what it does, the tables at its end.
+
+    Where the cell is new to the filter, ``old`` holds what its branches may hold and ``v`` their
+    variances.
+    """
+
+    old: CellState
+    point: CellPoint
+    t: Transition
+    end: CellState
+    warm_C: float
+    v11: float
+    v22: float
+    v33: float
+
+
+class Begun(NamedTuple):
+    """The state that a step goes on from: what was carried, or a new start."""
+
+    state: EkfState
+    now: Interval
+    p: Covariance
+    evidence_s: float
+    status: int
+
+
+@inline
+def over_interval(
+    tables: CellTables, x: CellState, soc: float, s: Sample, begins: bool
+) -> Interval:
+    """Everything at the new SOC; heat is the start's."""
+    cell = tables.cell
+    warm = s.temperature_C + x.heat_K
+    point = loaded(tables, soc, warm, s.seen_A)
+    old1, old2, old3 = x.v1_V, x.v2_V, x.v3_V
+    v11, v22, v33 = 0.0, 0.0, 0.0
+    if begins:
+        old1, v11 = start_branch(cell, point.r1_ohm, s.seen_A)
+        old2, v22 = start_branch(cell, point.r2_ohm, s.seen_A)
+        old3, v33 = start_branch(cell, point.r3_ohm, s.seen_A)
+    t = transition(cell, point, s.flow_A, s.dt_s)
+    v1 = relaxed(old1, t.a1, t.g1, s.flow_A)
+    v2 = relaxed(old2, t.a2, t.g2, s.flow_A)
+    v3 = relaxed(old3, t.a3, t.g3, s.flow_A)
+    h = hysteresis_step(x.h, t.ah, s.flow_A)
+    old = CellState(x.soc, old1, old2, old3, x.h, x.heat_K)
+    end = CellState(soc, v1, v2, v3, h, x.heat_K)
+    return Interval(old, point, t, end, warm, v11, v22, v33)
+
+
+@inline
+def begin_interval(tables: CellTables, start: EkfStart, state: EkfState, s: Sample) -> Begun:
+    """Charge first; a state that is no longer finite starts again."""
+    status = 0
+    soc = soc_step(tables.cell, state.cell.soc, s.flow_A, s.dt_s)
+    if not (math.isfinite(soc) and math.isfinite(state.p.ss)):
+        state = ekf_start(start, s.current_A)
+        soc = state.cell.soc
+        status = STATE_RESET
+    p = state.p
+    evidence = state.watch.evidence_s
+    now = over_interval(tables, state.cell, soc, s, evidence == NOT_BEGUN)
+    if evidence == NOT_BEGUN:
+        p = uncorrelated(p.ss, now.v11, now.v22, now.v33, p.phh)
+        evidence = NO_VOLTAGE_YET
+    return Begun(state, now, p, evidence, status)
+
+
+@inline
+def branch_variance(noise: NoiseScalars, s: Sample, r_ohm: float, a: float) -> float:
+    """What a branch gains over an interval because its resistance, or a current, is uncertain.
+
+    A resistance that is off by a share drives its branch like a current that is off by it, and so
+    does a current that is lost; 1 - a^2 keeps the stationary spread independent of the interval.
+    """
+    share = noise.branch_share * s.flow_A
+    share = share * share + s.lost_A * s.lost_A
+    return share * r_ohm * r_ohm * (1.0 - a * a)
+
+
+@inline
+def drifted(tables: CellTables, s: Sample, ss: float) -> float:
+    """SOC's variance while the current is lost.
+
+    It may keep one sign for as long as it is away: the deviation grows, not the variance.
+    """
+    if s.lost_A <= 0.0:
+        return ss
+    drift = math.sqrt(ss) + s.lost_A * s.dt_s / tables.cell.charge_As
+    return drift * drift
+
+
+@inline
+def soc_walk(noise: NoiseScalars, dt_s: float) -> float:
+    """Variance that SOC gains over an interval."""
+    return noise.soc_per_sqrt_s * noise.soc_per_sqrt_s * dt_s

@@ -1,0 +1,31 @@
+"""`python -m cellwise.printing [--check]`: print everything again, or say what differs."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+from cellwise.printing.outputs import OUTPUTS, SOURCE
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Write every printed file; with ``--check`` only compare, 1 where one differs."""
+    parser = argparse.ArgumentParser(prog="python -m cellwise.printing", description=__doc__)
+    parser.add_argument("--check", action="store_true", help="compare, write nothing")
+    options = parser.parse_args(arguments)
+    differ = 0
+    for name, text in OUTPUTS.items():
+        path = SOURCE / name
+        new = text()
+        if path.exists() and path.read_text(encoding="utf-8") == new:
+            continue
+        differ += 1
+        sys.stdout.write(f"{name}{' differs' if options.check else ''}\n")
+        if not options.check:
+            path.write_text(new, encoding="utf-8")
+    return 1 if options.check and differ else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
