@@ -18,7 +18,7 @@ from cellwise.cell.initial_soc import InitialSoc
 from cellwise.cli.main import build_parser
 from cellwise.estimate.estimators import ESTIMATORS
 from cellwise.estimate.filters.coulomb import CoulombInfo, CoulombState
-from cellwise.estimate.filters.ekf_kernels import EkfInfo, EkfState
+from cellwise.estimate.filters.filter_state import EkfInfo, EkfState
 from cellwise.estimate.replay import SocErrors
 from cellwise.estimate.trace import Trace
 from cellwise.identify.capacity.capacity_choice import CapacityRow
