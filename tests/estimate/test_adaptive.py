@@ -11,8 +11,8 @@ from cellwise.cell.effects import SlowDiffusion
 from cellwise.cell.model import ModelError
 from cellwise.cell.protocol import ConstantCurrent, DriveProfile, Rest, run_protocol
 from cellwise.errors import InputError
-from cellwise.estimate.filters.adaptive import Adaptive
-from cellwise.estimate.filters.adaptive_settings import LEARNABLE, AdaptiveSettings, Held, reason
+from cellwise.estimate.adaptive.adaptive import Adaptive
+from cellwise.estimate.adaptive.settings import LEARNABLE, AdaptiveSettings, Held, reason
 from cellwise.estimate.filters.ekf import Ekf
 from cellwise.estimate.status import Status
 from example_cells import EFFECTS, curved_cell, lfp_cell

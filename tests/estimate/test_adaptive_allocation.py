@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numba.core.runtime import _nrt_python, rtsys
 
-from cellwise.estimate.filters import adaptive_kernels as kernel
-from cellwise.estimate.filters.adaptive import Adaptive
+from cellwise.estimate.adaptive import step_kernels as kernel
+from cellwise.estimate.adaptive.adaptive import Adaptive
 from cellwise.estimate.filters.filter_state import LogArrays
 from example_cells import EFFECTS, curved_cell
 

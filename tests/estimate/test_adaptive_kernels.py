@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from cellwise.estimate.filters.adaptive_covariance_kernels import AdaptiveCovariance
-from cellwise.estimate.filters.adaptive_mixture_kernels import mix
-from cellwise.estimate.filters.adaptive_settings import AdaptiveSettings
-from cellwise.estimate.filters.adaptive_state_kernels import Rest, settled_variance
-from cellwise.estimate.filters.adaptive_watch_kernels import watch_rest
+from cellwise.estimate.adaptive.covariance_kernels import AdaptiveCovariance
+from cellwise.estimate.adaptive.mixture_kernels import mix
+from cellwise.estimate.adaptive.settings import AdaptiveSettings
+from cellwise.estimate.adaptive.state_kernels import Rest, settled_variance
+from cellwise.estimate.adaptive.watch_kernels import watch_rest
 
 SOC, B, Q = 0, 5, 6
 STATES = 7

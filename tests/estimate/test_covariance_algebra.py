@@ -9,7 +9,7 @@ import pytest
 
 from cellwise.cell.description import ADAPTIVE, CELL, entry, triangle
 from cellwise.cell.equations import Transition
-from cellwise.estimate.filters import adaptive_covariance_kernels as seven
+from cellwise.estimate.adaptive import covariance_kernels as seven
 from cellwise.estimate.filters import covariance_kernels as five
 
 T = Transition(a1=0.9, a2=0.8, a3=0.99, ah=0.7, gs=-1e-3, g1=0.05, g2=0.06, g3=0.02)
@@ -176,7 +176,7 @@ def test_given_the_soc_and_back():
 @pytest.mark.parametrize("hold_q", [False, True])
 def test_held_parameters_are_the_consider_filters(hold_b, hold_q):
     """Any gain K gives (I - K h') P (I - K h')' + K R K'; held rows of K are zero."""
-    from cellwise.estimate.filters.adaptive_kernels import consider
+    from cellwise.estimate.adaptive.step_kernels import consider
 
     case = CASES[1].values[0]
     p, noise, h = drawn(case, 9), 0.5, row_of_derivatives(case)

@@ -24,7 +24,7 @@ NO_COMPILER = shutil.which("gcc") is None or find_spec("cffi") is None
 FIRMWARE = pytest.param(
     "firmware", marks=pytest.mark.skipif(NO_COMPILER, reason="needs gcc and cffi")
 )
-FIXED = ("fixed-step", FIRMWARE)
+FIXED = (pytest.param("fixed-step", marks=pytest.mark.slow), FIRMWARE)
 GATED = ("ekf", "ukf", "adaptive", "lockstep")
 
 
@@ -41,7 +41,7 @@ def test_every_effect_is_here():
     assert set(ACTIVE) == set(NEUTRAL) == set(EFFECTS)
 
 
-@pytest.mark.parametrize("name", FLOAT64)
+@estimators(FLOAT64)
 def test_over_a_gap_heat_only_decays(name):
     """Nobody knows what flowed, so nothing heats: exp(-gap / thermal_s) of it is left."""
     model = curved_cell(effects=WARM)
@@ -72,7 +72,7 @@ def driven(model, seconds=400, tick_s=1.0, soc0=0.7, rest_s=5.0, spread_A=1.0):
     return replace(rows, voltage_V=follow("ekf", model, rows, soc0).voltage_V)
 
 
-@pytest.mark.parametrize("name", GATED)
+@estimators(GATED)
 def test_the_gate_counts_alike(name):
     """Rejections that resistances could explain add up to the same sample in every filter.
 
@@ -90,7 +90,7 @@ def test_the_gate_counts_alike(name):
 
 
 @pytest.mark.parametrize("make", [curved_cell, lfp_cell])
-@pytest.mark.parametrize("name", ["adaptive", "lockstep"])
+@estimators(["adaptive", "lockstep"])
 def test_a_first_voltage_at_rest_says_the_same(name, make):
     """A resting cell shows its OCV: a start that knows little of itself believes it at once."""
     model = make()
@@ -101,7 +101,7 @@ def test_a_first_voltage_at_rest_says_the_same(name, make):
         np.testing.assert_allclose(mine.soc, ekf.soc, atol=2e-4)
 
 
-@pytest.mark.parametrize("name", ["ukf", "adaptive", "lockstep"])
+@estimators(["ukf", "adaptive", "lockstep"])
 def test_a_lock_out_ends_at_the_same_soc(name):
     """A filter that is sure of a wrong SOC looks for it over the whole range, as the EKF does."""
     model = curved_cell()

@@ -10,7 +10,7 @@ import pytest
 from cellwise.cell.model import ModelError
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
-from cellwise.estimate.filters.adaptive import Adaptive
+from cellwise.estimate.adaptive.adaptive import Adaptive
 from cellwise.estimate.filters.ekf import Ekf
 from cellwise.estimate.filters.ukf import Ukf
 from cellwise.estimate.noise import Noise

@@ -24,11 +24,11 @@ from cellwise.cell.effects import (
     TemperatureDependence,
     TimeSkew,
 )
+from cellwise.estimate.adaptive.adaptive import Adaptive
+from cellwise.estimate.adaptive.settings import AdaptiveSettings
 from cellwise.estimate.estimators import make_estimator
-from cellwise.estimate.filters.adaptive import Adaptive
-from cellwise.estimate.filters.adaptive_settings import AdaptiveSettings
 from cellwise.estimate.fixed.layout import INPUT
-from cellwise.estimate.lockstep.layout import CURRENT, FIELDS, LANES
+from cellwise.estimate.lockstep.lane_kernels import FIELDS, LANES, LAST_A
 from cellwise.estimate.lockstep.lockstep import LockstepEkf
 from cellwise.estimate.noise import Noise
 from cellwise.logs.cell_log import CellLog
@@ -188,7 +188,7 @@ def _lockstep(name, model, rows, soc0, soc0_std, noise):
     """Its gaps last one time step; it takes no repeated stamp."""
     fleet = LockstepEkf(model, 1, rows.tick_s, noise)
     state = fleet.init(soc0, soc0_std)
-    state.blocks.reshape(-1, FIELDS, LANES)[:, CURRENT] = rows.current_A[0]
+    state.blocks.reshape(-1, FIELDS, LANES)[:, LAST_A] = rows.current_A[0]
     for k in range(len(rows)):
         state, info = fleet.step(
             state, rows.current_A[k], rows.voltage_V[k], rows.temperature_C[k],

@@ -16,7 +16,7 @@ HOMES = {
     "coulomb": "cellwise.estimate.filters.coulomb:Coulomb",
     "ekf": "cellwise.estimate.filters.ekf:Ekf",
     "ukf": "cellwise.estimate.filters.ukf:Ukf",
-    "adaptive": "cellwise.estimate.filters.adaptive:Adaptive",
+    "adaptive": "cellwise.estimate.adaptive.adaptive:Adaptive",
     "rest-ocv": "cellwise.estimate.filters.rest_ocv:RestOcv",
     "fixed-step": "cellwise.estimate.fixed.fixed_step:FixedStep",
     "firmware": "cellwise.export.firmware:Firmware",

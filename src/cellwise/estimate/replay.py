@@ -13,8 +13,8 @@ import numpy as np
 from cellwise.cell.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
+from cellwise.estimate.adaptive.trace import AdaptiveTrace
 from cellwise.estimate.estimators import Estimator, make_estimator
-from cellwise.estimate.filters.adaptive_trace import AdaptiveTrace
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.status import INNOVATION_REJECTED, VOLTAGE_FROZEN, VOLTAGE_INVALID
 from cellwise.estimate.trace import Trace

@@ -52,6 +52,6 @@ def adaptive_covariance_text() -> str:
 OUTPUTS: dict[str, Callable[[], str]] = {
     "src/cellwise/cell/point_kernels.py": points_text,
     f"{FILTERS}/covariance_kernels.py": covariance_text,
-    f"{FILTERS}/adaptive_covariance_kernels.py": adaptive_covariance_text,
+    "src/cellwise/estimate/adaptive/covariance_kernels.py": adaptive_covariance_text,
     "src/cellwise/estimate/lockstep/lane_kernels.py": lanes_text,
 }

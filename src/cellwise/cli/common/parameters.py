@@ -35,7 +35,7 @@ def parameter_rows(data: dict[str, Any]) -> list[tuple[str, str]]:
 
 def parameter_columns(trace: Trace) -> dict[str, Any]:
     """Columns of the file of a replay; none for an estimator without parameters."""
-    from cellwise.estimate.filters.adaptive_trace import AdaptiveTrace
+    from cellwise.estimate.adaptive.trace import AdaptiveTrace
 
     if not isinstance(trace, AdaptiveTrace):
         return {}

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from cellwise.cell.compiled import inline, kernel
 from cellwise.cell.equations import CellState
-from cellwise.estimate.filters.adaptive_covariance_kernels import (
+from cellwise.estimate.adaptive.covariance_kernels import (
     AdaptiveCovariance,
     uncorrelated,
 )

@@ -19,8 +19,8 @@ import math
 from typing import NamedTuple
 
 from cellwise.cell.compiled import inline
-from cellwise.estimate.filters.adaptive_covariance_kernels import VARIANCE_FLOOR
-from cellwise.estimate.filters.adaptive_state_kernels import (
+from cellwise.estimate.adaptive.covariance_kernels import VARIANCE_FLOOR
+from cellwise.estimate.adaptive.state_kernels import (
     NEARLY,
     AdaptiveScalars,
     AdaptiveState,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cellwise.cell.compiled import inline
-from cellwise.estimate.filters.adaptive_state_kernels import AdaptiveScalars, Resistances, Rest
+from cellwise.estimate.adaptive.state_kernels import AdaptiveScalars, Resistances, Rest
 
 SCALE_LOW, SCALE_HIGH = 0.2, 5.0
 # Mean squares are taken over this many times the means.

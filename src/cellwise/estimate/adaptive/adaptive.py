@@ -10,11 +10,11 @@ import numpy as np
 
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
-from cellwise.estimate.filters import adaptive_kernels as kernel
-from cellwise.estimate.filters.adaptive_mixture_kernels import told_deviation
-from cellwise.estimate.filters.adaptive_settings import AdaptiveSettings
-from cellwise.estimate.filters.adaptive_state_kernels import AdaptiveState, adaptive_start
-from cellwise.estimate.filters.adaptive_trace import AdaptiveTrace
+from cellwise.estimate.adaptive import step_kernels as kernel
+from cellwise.estimate.adaptive.mixture_kernels import told_deviation
+from cellwise.estimate.adaptive.settings import AdaptiveSettings
+from cellwise.estimate.adaptive.state_kernels import AdaptiveState, adaptive_start
+from cellwise.estimate.adaptive.trace import AdaptiveTrace
 from cellwise.estimate.filters.ekf import Ekf
 from cellwise.estimate.filters.filter_state import EkfStart
 from cellwise.estimate.filters.kalman import log_arrays
@@ -29,7 +29,7 @@ class AdaptiveInfo(NamedTuple):
 
     ``capacity_Ah`` and ``gain`` stand for one change of charge: the one that was not chosen is the
     model's. ``*_probability`` is the chance that the model's value does not hold. ``held_*`` are
-    the bits of :class:`cellwise.estimate.filters.adaptive_settings.Held`, 0 where it is learnt.
+    the bits of :class:`cellwise.estimate.adaptive.settings.Held`, 0 where it is learnt.
     """
 
     soc: float

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from cellwise.cell.compiled import inline
 from cellwise.cell.equations import CellState, CellTables, soc_step
 from cellwise.cell.point_kernels import CellPoint
-from cellwise.estimate.filters.adaptive_covariance_kernels import (
+from cellwise.estimate.adaptive.covariance_kernels import (
     AdaptiveCovariance,
     branches_noisy,
     charge_driven,
@@ -19,7 +19,7 @@ from cellwise.estimate.filters.adaptive_covariance_kernels import (
     with_parameters,
     with_soc_variance,
 )
-from cellwise.estimate.filters.adaptive_state_kernels import (
+from cellwise.estimate.adaptive.state_kernels import (
     AdaptiveScalars,
     AdaptiveState,
     adaptive_start,

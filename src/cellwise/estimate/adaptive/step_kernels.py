@@ -21,8 +21,7 @@ from typing import NamedTuple
 
 from cellwise.cell.compiled import inline, kernel, rows
 from cellwise.cell.equations import CellState, CellTables, heat_step, terminal_voltage
-from cellwise.estimate.evidence_kernels import persistent_step, voltage_variance
-from cellwise.estimate.filters.adaptive_covariance_kernels import (
+from cellwise.estimate.adaptive.covariance_kernels import (
     AdaptiveColumn,
     AdaptiveCovariance,
     column,
@@ -35,9 +34,9 @@ from cellwise.estimate.filters.adaptive_covariance_kernels import (
     uncorrelated,
     with_parameters,
 )
-from cellwise.estimate.filters.adaptive_mixture_kernels import Mixture, mixture, told_deviation
-from cellwise.estimate.filters.adaptive_predict_kernels import Predicted, predict
-from cellwise.estimate.filters.adaptive_state_kernels import (
+from cellwise.estimate.adaptive.mixture_kernels import Mixture, mixture, told_deviation
+from cellwise.estimate.adaptive.predict_kernels import Predicted, predict
+from cellwise.estimate.adaptive.state_kernels import (
     CHARGE_HIGH,
     CHARGE_LOW,
     AdaptiveScalars,
@@ -46,11 +45,12 @@ from cellwise.estimate.filters.adaptive_state_kernels import (
     Rest,
     settled_variance,
 )
-from cellwise.estimate.filters.adaptive_watch_kernels import (
+from cellwise.estimate.adaptive.watch_kernels import (
     walk_resistances,
     watch_resistances,
     watch_rest,
 )
+from cellwise.estimate.evidence_kernels import persistent_step, voltage_variance
 from cellwise.estimate.filters.ekf_kernels import reading_of
 from cellwise.estimate.filters.filter_state import EkfStart, LogArrays
 from cellwise.estimate.gate_kernels import Innovation, Verdict, gate

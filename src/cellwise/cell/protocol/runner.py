@@ -11,36 +11,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell import protocol_kernels as kernel
 from cellwise.cell.equations import CellState, empty_state
 from cellwise.cell.model import CellModel
-from cellwise.cell.protocol_steps import (
+from cellwise.cell.protocol import supply_kernels as kernel
+from cellwise.cell.protocol.steps import (
     ConstantCurrent,
     ConstantVoltage,
     DriveProfile,
     Rest,
     Step,
-    capacity_test,
-    hppc_test,
-    repeat,
 )
 from cellwise.cell.simulate import check_soc0, start_hysteresis
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
-
-__all__ = [
-    "ConstantCurrent",
-    "ConstantVoltage",
-    "DriveProfile",
-    "Rest",
-    "SensorNoise",
-    "Step",
-    "capacity_test",
-    "hppc_test",
-    "repeat",
-    "run_protocol",
-]
 
 LONGEST_S = 30 * 86400.0  # a step that has not ended by then ends, and the log says so
 CHUNK_ROWS = 4096

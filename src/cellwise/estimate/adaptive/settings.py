@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import IntFlag
 
 from cellwise.errors import InputError
-from cellwise.estimate.filters.adaptive_state_kernels import AdaptiveScalars
+from cellwise.estimate.adaptive.state_kernels import AdaptiveScalars
 
 LEARNABLE = ("current_offset", "resistance", "capacity", "current_gain")
 

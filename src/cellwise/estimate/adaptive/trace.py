@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cellwise.estimate.filters.adaptive_settings import reason
+from cellwise.estimate.adaptive.settings import reason
 from cellwise.estimate.trace import Trace
 from cellwise.typing import FloatArray, IntArray
 
@@ -67,7 +67,7 @@ class Parameters(NamedTuple):
 class AdaptiveTrace(Trace):
     """A trace with the parameters, every array of shape (rows,); ``held`` is (3, rows).
 
-    ``held`` are the bits of :class:`cellwise.estimate.filters.adaptive_settings.Held` for offset,
+    ``held`` are the bits of :class:`cellwise.estimate.adaptive.settings.Held` for offset,
     resistance and capacity or gain.
     """
 

@@ -1,0 +1,1 @@
+"""The adaptive filter: SOC together with sensor offset, resistances and capacity."""

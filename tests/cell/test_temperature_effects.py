@@ -1,0 +1,123 @@
+"""Activation energies of single branches, and the OCV's temperature coefficient."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import cellwise as cw
+from cellwise.cell.effects import BRANCH_ACTIVATIONS, Entropy, SlowDiffusion, TemperatureDependence
+from cellwise.cell.equations import look_up
+from cellwise.cell.model_file import model_from_dict, model_to_dict
+from cellwise.errors import InputError
+from example_cells import curved_cell
+
+SLOW = SlowDiffusion(r3_ohm=0.015, tau3_s=1500.0)
+ENERGIES = {f"{name}_K": 300.0 * (k + 1) for k, name in enumerate(BRANCH_ACTIVATIONS)}
+FIELDS = {
+    "r0": "r0_ohm", "r1": "r1_ohm", "tau1": "tau1_s", "r2": "r2_ohm", "tau2": "tau2_s",
+    "r3": "r3_ohm", "tau3": "tau3_s",
+}  # fmt: skip
+
+
+def factor(energy_K, temperature_C, reference_C=25.0):
+    return np.exp(energy_K * (1.0 / (temperature_C + 273.15) - 1.0 / (reference_C + 273.15)))
+
+
+@pytest.mark.parametrize("temperature", [-20.0, 5.0, 25.0, 45.0])
+@pytest.mark.parametrize("common", [0.0, 2500.0])
+def test_every_branch_has_its_own_activation_energy(temperature, common):
+    plain = curved_cell(effects=(SLOW,))
+    own = plain.with_effect(TemperatureDependence(common, 25.0, **ENERGIES))
+    for soc in (0.05, 0.4, 0.93):
+        before = look_up(plain.parameters(), soc, 25.0)
+        after = look_up(own.parameters(), soc, temperature)
+        for name, field in FIELDS.items():
+            shared = common if name.startswith("r") else 0.0
+            want = getattr(before, field) * factor(ENERGIES[f"{name}_K"] + shared, temperature)
+            assert getattr(after, field) == pytest.approx(want, rel=1e-13), name
+        assert after.ocv_V == before.ocv_V
+
+
+@pytest.mark.parametrize("temperature", [-20.0, 25.0, 45.0])
+def test_the_ocv_moves_with_temperature_as_the_entropy_says(temperature):
+    plain = curved_cell()
+    coefficient = 2e-4 * (plain.soc - 0.4)
+    cell = plain.with_effect(Entropy(coefficient[None, :], 20.0))
+    for soc in (-0.02, 0.13, 0.7, 1.02):
+        before = look_up(plain.parameters(), soc, temperature)
+        after = look_up(cell.parameters(), soc, temperature)
+        moved = 2e-4 * (soc - 0.4) * (temperature - 20.0)
+        assert after.ocv_V - before.ocv_V == pytest.approx(moved, abs=1e-13)
+        slope = 2e-4 * (temperature - 20.0)
+        assert after.ocv_slope_V - before.ocv_slope_V == pytest.approx(slope, abs=1e-11)
+
+
+def test_a_warming_cell_at_rest_shows_its_entropy():
+    """The terminal voltage of a resting cell is its OCV at its temperature."""
+    cell = curved_cell(effects=(Entropy(3e-4, 25.0),))
+    time = np.arange(0.0, 600.0, 1.0)
+    log = cw.CellLog(
+        time_s=time,
+        current_A=np.zeros_like(time),
+        voltage_V=np.full_like(time, 3.7),
+        temperature_C=np.linspace(-10.0, 40.0, time.size),
+    )
+    found = cw.simulate(cell, log, soc0=0.5).voltage_V
+    slope = np.polyfit(log.temperature_C, found, 1)[0]
+    assert slope == pytest.approx(3e-4, rel=1e-9)
+
+
+@pytest.mark.parametrize("estimator", ["ekf", "ukf", "adaptive", "filterpy-ekf", "lockstep"])
+def test_every_filter_follows_them(estimator):
+    """A filter that knows the effects stays at the truth; without them it does not."""
+    known = (TemperatureDependence(1500.0, 25.0, r1_K=3000.0, tau2_K=2500.0), Entropy(4e-4, 25.0))
+    cell = curved_cell(effects=known)
+    rng = np.random.default_rng(3)
+    time = np.arange(0.0, 1800.0, 1.0)
+    current = np.repeat(rng.choice([0.0, 2.0, 4.0, -1.0], 60), 30).astype(float)
+    current[:120] = 0.0
+    log = cw.CellLog(
+        time_s=time, current_A=current, voltage_V=np.full_like(time, 3.7),
+        temperature_C=np.linspace(-15.0, 5.0, time.size),
+    )  # fmt: skip
+    simulated = cw.simulate(cell, log, soc0=0.7)
+    log = replace(log, voltage_V=simulated.voltage_V)
+
+    def error(model):
+        if estimator != "lockstep":
+            soc = cw.replay(model, log, estimator, soc0=0.7, soc0_std=0.05).trace.soc
+            return float(np.max(np.abs(soc - simulated.soc)))
+        fleet = cw.LockstepEkf(model, 3, 1.0)
+        state = fleet.init(0.7, 0.05)
+        worst = 0.0
+        for k in range(len(log)):
+            warm = float(log.temperature_C[k])
+            state, info = fleet.step(state, current[k], log.voltage_V[k], warm)
+            worst = max(worst, float(np.max(np.abs(info.soc - simulated.soc[k]))))
+        return worst
+
+    assert error(cell) < 2e-3
+    assert error(curved_cell()) > 5e-3
+
+
+def test_a_model_file_keeps_them_and_an_older_one_loads():
+    cell = curved_cell(effects=(TemperatureDependence(1500.0, 25.0, r1_K=10.0), Entropy(1e-4)))
+    again = model_from_dict(model_to_dict(cell))
+    assert again.effect(TemperatureDependence).r1_K == 10.0
+    assert again.effect(Entropy).docv_dT_V_per_K == 1e-4
+    old = model_to_dict(curved_cell(effects=(TemperatureDependence(1500.0, 25.0),)))
+    for effect in old["effects"]:
+        for name in BRANCH_ACTIVATIONS:
+            effect.pop(f"{name}_K", None)
+    assert model_from_dict(old).effect(TemperatureDependence).activation_K == 1500.0
+
+
+@pytest.mark.parametrize(
+    "effect", [Entropy(0.1), TemperatureDependence(r1_K=1e6), Entropy(np.zeros((2, 3)))]
+)
+def test_an_impossible_value_is_refused(effect):
+    with pytest.raises(InputError):
+        curved_cell(effects=(effect,))
