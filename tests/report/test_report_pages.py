@@ -147,7 +147,7 @@ def test_replay_findings_of_other_ends():
     never = replay_finding(replay(drive(), forget_s=1e9))
     assert "never comes within" in never
     right = replay_finding(replay(drive(), off=0.001))
-    assert right.startswith("From the right start the EKF holds 0.0")
+    assert right.startswith("From the right initial SOC the EKF holds 0.0")
     blind = replay_finding(replay(drive(), reference=False))
     assert "there is no reference" in blind
     at_once = replay_finding(replay(drive(), off=-0.3, forget_s=0.05))
