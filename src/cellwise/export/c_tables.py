@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.estimate.fixed.layout import row_fields
+from cellwise.estimate.fixed.layout import row_names
 from cellwise.estimate.fixed.tables import FixedStepTables
 
 SOURCES = ("cellwise_ekf.h", "cellwise_ekf.c")
@@ -86,7 +86,7 @@ def source_text(tables: FixedStepTables) -> str:
     for name in tables.constants.dtype.names or ():
         lines.append(f"        {initialiser(record[name])}, /* {name} */")
     lines += ["    },", "    {"]
-    lines.append(f"        /* {', '.join(name for name, _ in row_fields(tables.options))} */")
+    lines.append(f"        /* {', '.join(row_names(tables.options))} */")
     for rows in tables.table:
         lines.append("        {")
         lines += (f"            {initialiser(row)}," for row in rows)
