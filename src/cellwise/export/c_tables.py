@@ -12,7 +12,7 @@ from cellwise.errors import InputError
 from cellwise.estimate.fixed.layout import row_names
 from cellwise.estimate.fixed.tables import FixedStepTables
 
-SOURCES = ("cellwise_ekf.h", "cellwise_ekf.c")
+SOURCES = ("cellwise_ekf.h", "cellwise_ekf.c", "cellwise_float.h")
 # Every optimisation that keeps IEEE 754 float32, and no contraction.
 STRICT_FLAGS = ("-std=c99", "-ffp-contract=off", "-fno-math-errno")
 WARNING_FLAGS = (

@@ -85,7 +85,7 @@ def place_of(m: Model, temperature_C: Float) -> Place:
     weight = ZERO
     scale = ONE
     if TEMPERATURES:
-        while low < U(m.constant.per_K.size - 1) and temperature_C > m.constant.grid_C[low + 1]:
+        while low < U(m.constant.grid_C.size - 2) and temperature_C > m.constant.grid_C[low + 1]:
             low = U(low + 1)
         weight = (temperature_C - m.constant.grid_C[low]) * m.constant.per_K[low]
         weight = clip(weight, ZERO, ONE)
@@ -114,10 +114,12 @@ def index_of(x: Float, points: Count) -> Count:
     """Lower point of the SOC interval that holds x, a SOC in units of the grid."""
     if WIDE:
         held = x if x > ZERO else ZERO
-        return U(held) if held < F(points - 2) else U(points - 2)
-    else:  # x is within 0..points - 1
+        k = U(held) if held < F(points - 2) else U(points - 2)
+    else:
+        # x is within 0..points - 1
         k = U(x)
-        return k if k < U(points - 2) else U(points - 2)
+        k = k if k < U(points - 2) else U(points - 2)
+    return k
 
 
 def read(m: Model, place: Place, k: Count, column: int, f: Float) -> Any:

@@ -25,7 +25,7 @@ from cellwise.estimate.fixed import (
     state,
 )
 from cellwise.estimate.fixed import step as whole_step
-from cellwise.estimate.fixed.arithmetic import F
+from cellwise.estimate.fixed.arithmetic import F, U
 from cellwise.estimate.fixed.layout import ROW, Model, row_names
 from cellwise.estimate.fixed.options import Options, flags_of
 from cellwise.estimate.fixed.step import init, step
@@ -57,8 +57,8 @@ def begin(constants: Any, table: Any, state: Any, soc: float, soc_variance: floa
 @lru_cache
 def specialised(options: Options) -> dict[str, Any]:
     """Every function of the step with the globals of one set of options, compiled when called."""
-    columns = {field.name.upper(): 0 for field in ROW}
-    columns |= {name.upper(): k for k, name in enumerate(row_names(options))}
+    columns = {field.name.upper(): U(0) for field in ROW}
+    columns |= {name.upper(): U(k) for k, name in enumerate(row_names(options))}
     made: dict[str, Any] = {}
     for f in [f for module in STEP_MODULES for f in functions_of(module)]:
         scope = {**f.__globals__, **columns, **flags_of(options), **made}

@@ -135,7 +135,8 @@ def look_anew(
     variance = one_V2 + c.branch_variance_V2
     kept1 = ZERO
     kept2 = ZERO
-    kept3 = ZERO
+    if SLOW:
+        kept3 = ZERO
     if x.evidence >= FIRST_VOLTAGE:
         held_A = c.recovery_A
         limit_V = LOAD_LIMIT_V
