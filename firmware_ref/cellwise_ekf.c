@@ -203,6 +203,10 @@ static void look_up(const cellwise_model *m, const cellwise_place *place, float 
                     cellwise_point *point)
 {
     (void)current;
+    const cellwise_row *const low = m->row[place->low];
+#if CELLWISE_TEMPERATURES > 1
+    const cellwise_row *const high = m->row[place->low + 1u];
+#endif
     const uint32_t points = CELLWISE_POINTS;
 #if CELLWISE_WIDE
     const float x = soc * (float)(points - 1u);
@@ -216,26 +220,26 @@ static void look_up(const cellwise_model *m, const cellwise_place *place, float 
     float f = KNOWN_FRACTION(x - (float)k);
     const float g = f;
 #endif
-    point->ocv_V = READ(m, place, k, ocv_V, f);
-    point->slope_V = RISE(m, place, k, ocv_V) * (float)(points - 1u);
+    point->ocv_V = READ(k, ocv_V, f);
+    point->slope_V = RISE(k, ocv_V) * (float)(points - 1u);
 #if CELLWISE_WIDE
-    point->noise_V2 = READ(m, place, k, error_V, g);
+    point->noise_V2 = READ(k, error_V, g);
     point->noise_V2 = m->constant.fixed_V2 + (point->noise_V2 * point->noise_V2);
     point->noise_V2 = point->noise_V2 + (m->constant.ocv_soc2 * (point->slope_V * point->slope_V));
 #else
-    point->noise_V2 = READ(m, place, k, noise_V2, g);
+    point->noise_V2 = READ(k, noise_V2, g);
 #endif
-    point->r0_ohm = READ(m, place, k, r0_ohm, g);
-    point->r1_ohm = READ(m, place, k, r1_ohm, g);
-    point->gain1 = 1.0f / READ(m, place, k, lag1, g);
-    point->r2_ohm = READ(m, place, k, r2_ohm, g);
-    point->gain2 = 1.0f / READ(m, place, k, lag2, g);
+    point->r0_ohm = READ(k, r0_ohm, g);
+    point->r1_ohm = READ(k, r1_ohm, g);
+    point->gain1 = 1.0f / READ(k, lag1, g);
+    point->r2_ohm = READ(k, r2_ohm, g);
+    point->gain2 = 1.0f / READ(k, lag2, g);
 #if CELLWISE_SLOW
-    point->r3_ohm = READ(m, place, k, r3_ohm, g);
-    point->gain3 = 1.0f / READ(m, place, k, lag3, g);
+    point->r3_ohm = READ(k, r3_ohm, g);
+    point->gain3 = 1.0f / READ(k, lag3, g);
 #endif
 #if CELLWISE_HYSTERESIS
-    point->m_V = READ(m, place, k, m_V, g);
+    point->m_V = READ(k, m_V, g);
 #endif
 #if (CELLWISE_ARRHENIUS > 0) || CELLWISE_RATE || CELLWISE_ASYMMETRY
     float scale = place->scale;
@@ -488,21 +492,21 @@ static void relax(cellwise_state *x, float r1_ohm, float gain1, float r2_ohm, fl
     float flow, float square_A2)
 {
     const float a1 = 1.0f - gain1;
-    x->v1_V = x->v1_V + (gain1 * ((r1_ohm * flow) - x->v1_V));
-    x->s1 = x->s1 - (gain1 * x->s1);
-    x->p11 = x->p11 + ((gain1 * (1.0f + a1)) * ((square_A2 * (r1_ohm * r1_ohm)) - x->p11));
     const float a2 = 1.0f - gain2;
+    x->v1_V = x->v1_V + (gain1 * ((r1_ohm * flow) - x->v1_V));
     x->v2_V = x->v2_V + (gain2 * ((r2_ohm * flow) - x->v2_V));
+    x->s1 = x->s1 - (gain1 * x->s1);
     x->s2 = x->s2 - (gain2 * x->s2);
-    x->p22 = x->p22 + ((gain2 * (1.0f + a2)) * ((square_A2 * (r2_ohm * r2_ohm)) - x->p22));
+    x->p11 = x->p11 + ((gain1 * (1.0f + a1)) * ((square_A2 * (r1_ohm * r1_ohm)) - x->p11));
     x->p12 = (a1 * a2) * x->p12;
+    x->p22 = x->p22 + ((gain2 * (1.0f + a2)) * ((square_A2 * (r2_ohm * r2_ohm)) - x->p22));
 #if CELLWISE_SLOW
     const float a3 = 1.0f - gain3;
     add(&x->v3_V, &x->v3_carry_V, gain3 * ((r3_ohm * flow) - x->v3_V));
     x->s3 = x->s3 - (gain3 * x->s3);
-    x->p33 = x->p33 + ((gain3 * (1.0f + a3)) * ((square_A2 * (r3_ohm * r3_ohm)) - x->p33));
     x->p13 = (a1 * a3) * x->p13;
     x->p23 = x->p23 - ((gain2 + (gain3 * a2)) * x->p23);
+    x->p33 = x->p33 + ((gain3 * (1.0f + a3)) * ((square_A2 * (r3_ohm * r3_ohm)) - x->p33));
 #endif
 #if CELLWISE_HYSTERESIS
     x->p1h = x->p1h - (gain1 * x->p1h);
@@ -1303,11 +1307,11 @@ typedef struct {
     float bridge;
 } cellwise_charge;
 
-/* Sequence number, current and temperature of a sample. */
+/* Sequence number, current and temperature of a sample; the status `before` with theirs. */
 static void see(const cellwise_constants *c, cellwise_state *x, const cellwise_input *sample,
-                cellwise_reading *reading)
+                uint32_t before, cellwise_reading *reading)
 {
-    reading->status = 0u;
+    reading->status = before;
     reading->news = NO_INTERVAL;
     reading->missing = 0u;
     reading->silent = 0u;
@@ -1319,7 +1323,7 @@ static void see(const cellwise_constants *c, cellwise_state *x, const cellwise_i
         const uint32_t elapsed = sample->sequence - x->sequence;
         if (elapsed == 0u) {
             reading->news = REPEATED;
-            reading->status = CELLWISE_DUPLICATE;
+            reading->status = reading->status | CELLWISE_DUPLICATE;
         } else {
             reading->news = INTERVAL;
             reading->missing = elapsed - 1u;
@@ -1383,13 +1387,13 @@ static void see(const cellwise_constants *c, cellwise_state *x, const cellwise_i
 static void count_charge(const cellwise_constants *c, cellwise_state *x, const cellwise_reading *s,
                          cellwise_charge *charge)
 {
-    charge->status = 0u;
+    charge->status = s->status;
     charge->missing = s->missing;
     charge->bridge = 0.0f;
     if (s->news == INTERVAL) {
         float used = taken(c, s->flow);
         if (charge->missing != 0u) {
-            charge->status = CELLWISE_SEQUENCE_GAP;
+            charge->status = charge->status | CELLWISE_SEQUENCE_GAP;
             if (charge->missing <= c->gap_steps) {
                 charge->bridge = 0.5f * (s->current + x->current_A);
 #if CELLWISE_WATCH
@@ -1444,26 +1448,17 @@ static uint32_t finish(cellwise_state *x, const cellwise_reading *s, uint32_t mi
 /* ---- innovation.py: What a measured voltage means to the fixed step: prediction, gate,
  * recovery, weight. */
 
-/* Measured minus predicted voltage, and whether it is looked at. `variance_V2` is that of a
- * single one, `explained_V2` what the state and `one_V2` what the voltage brings to it;
+/* What the state says of the next voltage, before it is looked at. `variance_V2` is that of a
+ * single innovation, `explained_V2` what the state and `one_V2` what the voltage brings to it;
  * `polarisation_V` how much of the voltage is current's doing. */
 typedef struct {
-    uint32_t status;
-    bool looked_at;
-    float value_V;
+    float voltage_V;
     float variance_V2;
     float explained_V2;
     float one_V2;
     float polarisation_V;
     cellwise_column column;
 } cellwise_innovation;
-
-/* What an innovation leads to: SOC is searched, or corrected with `inverse` if above 0. */
-typedef struct {
-    uint32_t status;
-    bool anew;
-    float inverse;
-} cellwise_judgement;
 
 #if CELLWISE_WATCH
 /* Whether the voltage is frozen. A reading that repeats itself is frozen once R0 times the
@@ -1512,25 +1507,17 @@ static float shared_by(const cellwise_constants *c, const cellwise_state *x, flo
     return shared;
 }
 
-/* Predicted voltage, innovation and their variances; whether the voltage can be used. */
-static void innovate(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
-                     const cellwise_slopes *w, const cellwise_reading *s, float voltage,
-    cellwise_output *out, cellwise_innovation *innovation)
+/* Predicted voltage, and the variances of what is measured about it. */
+static void innovate(const cellwise_constants *c, const cellwise_state *x, const cellwise_point *p,
+                     const cellwise_slopes *w, const cellwise_reading *s,
+    cellwise_innovation *innovation)
 {
-    innovation->status = 0u;
-    innovation->looked_at = false;
     const float drop = p->r0_ohm * s->seen;
     innovation->polarisation_V = (magnitude(drop) + magnitude(x->v1_V)) + magnitude(x->v2_V);
-#if CELLWISE_WATCH
-    uint32_t away = x->no_voltage;
-    if ((s->news == INTERVAL) && (away < COUNT_MOST)) {
-        away = away + 1u;
-    }
-#endif
 #if CELLWISE_SLOW
     innovation->polarisation_V = innovation->polarisation_V + magnitude(x->v3_V);
 #endif
-    const float predicted = voltage_of(x, p, drop);
+    innovation->voltage_V = voltage_of(x, p, drop);
     innovation->one_V2 = p->noise_V2 +
         ((c->share_variance * (innovation->polarisation_V * innovation->polarisation_V)) +
          ((c->current_variance_A2 + s->unmeasured_A2) * (p->r0_ohm * p->r0_ohm)));
@@ -1538,135 +1525,162 @@ static void innovate(const cellwise_constants *c, cellwise_state *x, const cellw
     column_of(x, p, w->slope_V, &innovation->column);
     innovation->explained_V2 = innovation->column.variance + (3.0f * (w->bend_V * w->bend_V));
     innovation->variance_V2 = innovation->explained_V2 + innovation->one_V2;
-    innovation->value_V = 0.0f;
-    if (!POSITIVE_WITHIN(voltage, c->voltage_low_V, c->voltage_high_V)) {
-        innovation->status = CELLWISE_VOLTAGE_INVALID | out_of_range(voltage);
-    } else {
-        innovation->value_V = voltage - predicted;
-        innovation->looked_at = s->news != REPEATED; /* a repeated sample is no evidence */
-#if CELLWISE_WATCH
-        if (innovation->looked_at) {
-            innovation->status =
-                watch_voltage(c, x, voltage, s->seen, p->r0_ohm, innovation->value_V);
-            innovation->looked_at = innovation->status == 0u;
-            if (innovation->looked_at) {
-                away = 0u;
-            }
+}
+
+/* ---- correct.py: Correction of the fixed step by a measured voltage: gate, recovery, weight. */
+
+/* A voltage beyond the gate, and recovery after too many of them in a row. Under load the
+ * resistances may be what is wrong: what three times the polarisation can explain speaks against
+ * the SOC more slowly. A start that is unsure of itself believes the first voltage at rest at
+ * once. */
+static uint32_t reject(const cellwise_model *m, const cellwise_place *place, cellwise_state *x,
+                       const cellwise_point *p, const cellwise_innovation *i, float seen,
+    float voltage, float beyond_V2, bool unsure)
+{
+    (void)place;
+    (void)p;
+    (void)voltage;
+    (void)unsure;
+    const cellwise_constants *const c = &m->constant;
+    uint32_t status = CELLWISE_INNOVATION_REJECTED;
+    const float explicable_V2 = 4.0f * (i->polarisation_V * i->polarisation_V);
+    x->rejections = x->rejections + ((beyond_V2 > explicable_V2) ? REJECTION : c->under_load);
+#if CELLWISE_WIDE
+    if (unsure) {
+        x->rejections = c->recovery_after;
+    }
+#endif
+    if (x->rejections >= c->recovery_after) {
+        status = status | CELLWISE_GATE_RECOVERY;
+        x->rejections = 0u;
+        x->mismatch = 1.0f;
+#if CELLWISE_WIDE
+        look_anew(m, place, x, seen, voltage, i->one_V2, i->polarisation_V);
+#else
+        widen(c, x, p, seen);
+#endif
+    }
+    return status;
+}
+
+/* State and covariance after a voltage within the gate. What the innovations have lately shown
+ * beyond their variance makes evidence weigh less. A first sample under load tells of the load
+ * more than of the SOC. */
+static void learn(const cellwise_model *m, const cellwise_place *place, cellwise_state *x,
+                  const cellwise_point *p, const cellwise_slopes *w, const cellwise_reading *s,
+    const cellwise_innovation *i, float innovation)
+{
+    (void)place;
+    (void)p;
+    (void)w;
+    const float shared = shared_by(&m->constant, x, s->seen);
+    float weight = i->one_V2 * shared;
+    if (POSITIVE_ABOVE(x->mismatch, 1.0f)) {
+        weight = weight * x->mismatch;
+    }
+    if ((s->news == INTERVAL) || (shared <= 1.0f)) {
+        const float inverse = 1.0f / (i->explained_V2 + weight);
+        bool learnt = true;
+#if CELLWISE_WIDE
+        if (w->spread > 0.0f) {
+            learnt = rejudge(m, place, x, p, w, &i->column, inverse, innovation, s->seen);
         }
 #endif
+        move(&m->constant, x, &i->column, inverse, innovation);
+        if (learnt) {
+            narrow(x, &i->column, inverse);
+        }
+    }
+    x->rejections = (x->rejections > FORGIVEN) ? (x->rejections - FORGIVEN) : 0u;
+    if (x->evidence < FIRST_VOLTAGE) {
+        x->evidence = FIRST_VOLTAGE;
+    }
+}
+
+/* A voltage that is looked at: rejected, SOC searched for it, or learnt from. */
+static uint32_t weigh(const cellwise_model *m, const cellwise_place *place, cellwise_state *x,
+                      const cellwise_point *p, const cellwise_slopes *w, const cellwise_reading *s,
+    const cellwise_innovation *i, float voltage, float innovation)
+{
+    const cellwise_constants *const c = &m->constant;
+    const float square = innovation * innovation;
+    const float most = c->gate_square * i->variance_V2;
+    uint32_t status = 0u;
+    bool unsure = false;
+    bool bent = false;
+#if CELLWISE_WIDE
+    /* The first voltage at rest of a start that is unsure of itself is looked for where the OCV
+     * bends too much for a slope. */
+    if ((w->spread > 0.0f) && (x->evidence < FIRST_VOLTAGE) && SIZE_BELOW(s->seen, c->rest_A)) {
+        unsure = true;
+        bent = ((3.0f * (w->bend_V * w->bend_V)) > i->one_V2) || (w->slope_V < c->flat_slope_V);
+    }
+#endif
+    if (s->news == INTERVAL) {
+        float ratio = square / i->variance_V2;
+        ratio = (ratio < c->mismatch_cap) ? ratio : c->mismatch_cap;
+        x->mismatch = x->mismatch + (c->lately * (ratio - x->mismatch));
+    }
+    if (POSITIVE_ABOVE(square, most)) {
+        status = reject(m, place, x, p, i, s->seen, voltage, square - most, unsure);
+    } else if (bent) {
+#if CELLWISE_WIDE
+        look_anew(m, place, x, s->seen, voltage, i->one_V2, i->polarisation_V);
+#endif
+    } else {
+        learn(m, place, x, p, w, s, i, innovation);
+    }
+    return status;
+}
+
+/* Predicted voltage, innovation, and what follows from it. */
+static uint32_t correct(const cellwise_model *m, const cellwise_place *place, cellwise_state *x,
+                        const cellwise_point *p, const cellwise_slopes *w,
+    const cellwise_reading *s, float voltage, cellwise_output *out)
+{
+    const cellwise_constants *const c = &m->constant;
+    uint32_t status = 0u;
+#if CELLWISE_WATCH
+    uint32_t away = x->no_voltage;
+    if ((s->news == INTERVAL) && (away < COUNT_MOST)) {
+        away = away + 1u;
+    }
+#endif
+    cellwise_innovation i;
+    innovate(c, x, p, w, s, &i);
+    out->voltage_V = i.voltage_V;
+    out->innovation_variance_V2 = i.variance_V2;
+    out->innovation_V = 0.0f;
+    if (!POSITIVE_WITHIN(voltage, c->voltage_low_V, c->voltage_high_V)) {
+        status = CELLWISE_VOLTAGE_INVALID | out_of_range(voltage);
+    } else {
+        const float innovation = voltage - i.voltage_V;
+        out->innovation_V = innovation;
+        if (s->news != REPEATED) { /* a repeated sample is no evidence */
+#if CELLWISE_WATCH
+            status = watch_voltage(c, x, voltage, s->seen, p->r0_ohm, innovation);
+            if (status == 0u) {
+                away = 0u;
+            }
+#endif
+            if (status == 0u) {
+                status = weigh(m, place, x, p, w, s, &i, voltage, innovation);
+            }
+        }
     }
 #if CELLWISE_WATCH
     if (s->news != REPEATED) {
         x->no_voltage = away;
     }
     if (away > c->hold_steps) {
-        innovation->status = innovation->status | CELLWISE_VOLTAGE_LOST;
+        status = status | CELLWISE_VOLTAGE_LOST;
     }
 #endif
-    out->voltage_V = predicted;
-    out->innovation_V = innovation->value_V;
-    out->innovation_variance_V2 = innovation->variance_V2;
-}
-
-/* An innovation that is looked at: gate, recovery, weight. Under load the resistances may be
- * what is wrong: what three times the polarisation can explain speaks against the SOC more
- * slowly. What the innovations have lately shown beyond their variance makes evidence weigh
- * less. A first sample under load tells of the load more than of the SOC. */
-static void judge(const cellwise_constants *c, cellwise_state *x, const cellwise_slopes *w,
-                  const cellwise_innovation *i, float seen, uint32_t news,
-    cellwise_judgement *judgement)
-{
-    (void)w;
-    const float square = i->value_V * i->value_V;
-    const float most = c->gate_square * i->variance_V2;
-    judgement->status = 0u;
-    judgement->anew = false;
-    judgement->inverse = 0.0f;
-#if CELLWISE_WIDE
-    /* A start that is unsure of itself believes the first voltage at rest at once, and looks for
-     * it where the OCV bends too much for a slope. */
-    const bool unsure = (w->spread > 0.0f) && (x->evidence < FIRST_VOLTAGE) &&
-        SIZE_BELOW(seen, c->rest_A);
-    const bool bends = ((3.0f * (w->bend_V * w->bend_V)) > i->one_V2) ||
-        (w->slope_V < c->flat_slope_V);
-    judgement->anew = unsure && bends;
-#endif
-    if (news == INTERVAL) {
-        float ratio = square / i->variance_V2;
-        ratio = (ratio < c->mismatch_cap) ? ratio : c->mismatch_cap;
-        x->mismatch = x->mismatch + (c->lately * (ratio - x->mismatch));
-    }
-    if (POSITIVE_ABOVE(square, most)) {
-        judgement->status = CELLWISE_INNOVATION_REJECTED;
-        judgement->anew = false;
-        if ((square - most) > (4.0f * (i->polarisation_V * i->polarisation_V))) {
-            x->rejections = x->rejections + REJECTION;
-        } else {
-            x->rejections = x->rejections + c->under_load;
-        }
-#if CELLWISE_WIDE
-        if (unsure) {
-            x->rejections = c->recovery_after;
-        }
-#endif
-        if (x->rejections >= c->recovery_after) {
-            judgement->status = judgement->status | CELLWISE_GATE_RECOVERY;
-            x->rejections = 0u;
-            x->mismatch = 1.0f;
-            judgement->anew = true;
-        }
-    } else if (!judgement->anew) {
-        const float shared = shared_by(c, x, seen);
-        float weight = i->one_V2 * shared;
-        if (POSITIVE_ABOVE(x->mismatch, 1.0f)) {
-            weight = weight * x->mismatch;
-        }
-        if ((news == INTERVAL) || (shared <= 1.0f)) {
-            judgement->inverse = 1.0f / (i->explained_V2 + weight);
-        }
-        x->rejections = (x->rejections > FORGIVEN) ? (x->rejections - FORGIVEN) : 0u;
-        if (x->evidence < FIRST_VOLTAGE) {
-            x->evidence = FIRST_VOLTAGE;
-        }
-    } else {
-        /* as before */
-    }
+    return status;
 }
 
 /* ---- step.py: One fixed step: predict over the interval that ends now, then use the voltage
  * read now. */
-
-/* What a voltage that is looked at changes; what it led to. */
-static uint32_t correct(const cellwise_model *m, const cellwise_place *place, cellwise_state *x,
-                        const cellwise_point *p, const cellwise_slopes *w,
-    const cellwise_reading *s, const cellwise_innovation *i, float voltage)
-{
-    (void)place;
-    (void)voltage;
-    const cellwise_constants *const c = &m->constant;
-    cellwise_judgement j;
-    judge(c, x, w, i, s->seen, s->news, &j);
-    if (j.anew) {
-#if CELLWISE_WIDE
-        look_anew(m, place, x, s->seen, voltage, i->one_V2, i->polarisation_V);
-#else
-        widen(c, x, p, s->seen);
-#endif
-    }
-    if (j.inverse > 0.0f) {
-        bool learnt = true;
-#if CELLWISE_WIDE
-        if (w->spread > 0.0f) {
-            learnt = rejudge(m, place, x, p, w, &i->column, j.inverse, i->value_V, s->seen);
-        }
-#endif
-        move(c, x, &i->column, j.inverse, i->value_V);
-        if (learnt) {
-            narrow(x, &i->column, j.inverse);
-        }
-    }
-    return j.status;
-}
 
 /* A cell at rest at `soc`, known with `soc_variance`. Arguments that are no such numbers give a
  * state that knows nothing. Returns 0 or CELLWISE_STATE_RESET. */
@@ -1696,7 +1710,7 @@ uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwis
         status = CELLWISE_STATE_RESET;
     }
     cellwise_reading s;
-    see(c, x, sample, &s);
+    see(c, x, sample, status, &s);
 #if CELLWISE_NEEDS_TEMPERATURE
     cellwise_place place;
     place_of(m, s.temperature_C, &place);
@@ -1732,12 +1746,7 @@ uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwis
         heat(c, x, p.r0_ohm, s.seen, s.flow);
 #endif
     }
-    cellwise_innovation i;
-    innovate(c, x, &p, &w, &s, sample->voltage_V, out, &i);
-    status = ((status | s.status) | charge.status) | i.status;
-    if (i.looked_at) {
-        status = status | correct(m, &place, x, &p, &w, &s, &i, sample->voltage_V);
-    }
+    status = charge.status | correct(m, &place, x, &p, &w, &s, sample->voltage_V, out);
     status = status | finish(x, &s, charge.missing, sample->sequence, out);
     out->status = status;
     return status;

@@ -75,22 +75,17 @@ static void add(float *total, float *carry, float value)
     *total = sum;
 }
 
-/* One table at a fraction of an interval, and how far it rises over the interval. */
+/* One table at a fraction of an interval, and how far it rises over the interval, between the rows
+ * `low` and `high` of two temperatures where there are several. */
 #if CELLWISE_TEMPERATURES > 1
-#define READ(m, place, k, field, f)                                                              \
-    between(between((m)->row[(place)->low][k].field, (m)->row[(place)->low][(k) + 1u].field, f), \
-            between((m)->row[(place)->low + 1u][k].field,                                        \
-                    (m)->row[(place)->low + 1u][(k) + 1u].field, f),                             \
-            (place)->weight)
-#define RISE(m, place, k, field)                                                                 \
-    between((m)->row[(place)->low][(k) + 1u].field - (m)->row[(place)->low][k].field,            \
-            (m)->row[(place)->low + 1u][(k) + 1u].field - (m)->row[(place)->low + 1u][k].field,  \
-            (place)->weight)
+#define READ(k, field, f)                                     \
+    between(between(low[k].field, low[(k) + 1u].field, (f)),  \
+            between(high[k].field, high[(k) + 1u].field, (f)), place->weight)
+#define RISE(k, field)                                        \
+    between(low[(k) + 1u].field - low[k].field, high[(k) + 1u].field - high[k].field, place->weight)
 #else
-#define READ(m, place, k, field, f) \
-    between((m)->row[(place)->low][k].field, (m)->row[(place)->low][(k) + 1u].field, f)
-#define RISE(m, place, k, field) \
-    ((m)->row[(place)->low][(k) + 1u].field - (m)->row[(place)->low][k].field)
+#define READ(k, field, f) between(low[k].field, low[(k) + 1u].field, (f))
+#define RISE(k, field) (low[(k) + 1u].field - low[k].field)
 #endif
 
 #endif

@@ -37,6 +37,13 @@ MACROS = {
 }  # fmt: skip
 BY_HAND = {"magnitude": "Float", "add": "", **dict.fromkeys(MACROS, "Flag"), "known_fraction": "Float"}
 POINTS = "m.row.shape[1]"
+# What READ and RISE of cellwise_float.h read: rows of the neighbouring temperatures.
+ROWS = [
+    "    const cellwise_row *const low = m->row[place->low];",
+    "#if CELLWISE_TEMPERATURES > 1",
+    "    const cellwise_row *const high = m->row[place->low + 1u];",
+    "#endif",
+]
 OPERATORS = {
     ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.BitOr: "|", ast.Lt: "<",
     ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!=", ast.And: "&&",
@@ -254,7 +261,7 @@ class Function:
         if name in ("F", "U"):
             return f"({'float' if name == 'F' else 'uint32_t'}){self.expression(node.args[0])}"
         if name in ("read", "rise"):
-            args = [self.program.columns.get(ast.unparse(a)) or self.bare(a) for a in node.args]
+            args = [self.program.columns.get(ast.unparse(a)) or self.bare(a) for a in node.args[2:]]
             return f"{name.upper()}({', '.join(args)})"
         args = [self.argument(a) for a in node.args]
         return f"{name.upper() if name in MACROS else name}({', '.join(args)})"
@@ -279,6 +286,8 @@ class Function:
             found = {guard - own for n, guard in self.uses if n == parameter}
             if ALWAYS not in resolved(found):
                 self._guarded(own, [f"    (void){parameter};"])
+        if any(isinstance(n, ast.Call) and ast.unparse(n.func) == "read" for n in ast.walk(self.node)):
+            self.lines += ROWS
         self._block(self._body(), 4)
         return [*comment(ast.get_docstring(self.node) or ""), *self.signature(name, static), "{",
                 *merged(self.lines), "}"]  # fmt: skip

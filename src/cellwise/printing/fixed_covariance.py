@@ -82,25 +82,24 @@ def hysteresis(left: str, square: str) -> str:
 
 
 def relax() -> str:
-    """Branches and their rows over an interval; the slow one is told by what it loses."""
-    found: list[Line] = []
+    """Branches and their rows over an interval; the slow one is stated by what it loses."""
+    found: list[Line] = [((s,), f"a{s.letter} = ONE - gain{s.letter}") for s in BRANCHES]
     for s in BRANCHES:
-        k, v = s.letter, f"x.{s.name}"
-        step = f"gain{k} * ((r{k}_ohm * flow) - {v})"
-        own, cross, driven = e(s, s), e(SOC, s), f"square_A2 * (r{k}_ohm * r{k}_ohm)"
-        found += [
-            ((s,), f"a{k} = ONE - gain{k}"),
-            ((s,), f"{v}, x.v3_carry_V = add({v}, x.v3_carry_V, {step})" if s is V3
-             else f"{v} = {v} + ({step})"),
-            ((s,), f"{cross} = {cross} - (gain{k} * {cross})"),
-            ((s,), f"{own} = {own} + ((gain{k} * (ONE + a{k})) * (({driven}) - {own}))"),
-        ]  # fmt: skip
-        found += [((s, o), f"{e(s, o)} = {e(s, o)} - (gain{k} * {e(s, o)})") for o in OTHERS]
-    found += [
-        ((V1, V2), "x.p12 = (a1 * a2) * x.p12"),
-        ((V1, V3), "x.p13 = (a1 * a3) * x.p13"),
-        ((V2, V3), "x.p23 = x.p23 - ((gain2 + (gain3 * a2)) * x.p23)"),
-    ]
+        v = f"x.{s.name}"
+        step = f"gain{s.letter} * ((r{s.letter}_ohm * flow) - {v})"
+        kept = f"{v}, x.v3_carry_V = add({v}, x.v3_carry_V, {step})"
+        found.append(((s,), kept if s is V3 else f"{v} = {v} + ({step})"))
+    for a, b in PAIRS:
+        both, gain, r = e(a, b), f"gain{b.letter if a is SOC else a.letter}", f"r{a.letter}_ohm"
+        if a in BRANCHES and b is a:
+            driven = f"(square_A2 * ({r} * {r})) - {both}"
+            found.append(((a,), f"{both} = {both} + (({gain} * (ONE + a{a.letter})) * ({driven}))"))
+        elif a in BRANCHES and b in BRANCHES:
+            slowly = f"{both} - ((gain2 + (gain3 * a2)) * {both})"
+            decayed = f"(a{a.letter} * a{b.letter}) * {both}"
+            found.append(((a, b), f"{both} = {slowly if (a, b) == (V2, V3) else decayed}"))
+        elif a in BRANCHES or b in BRANCHES:
+            found.append(((a, b), f"{both} = {both} - ({gain} * {both})"))
     return lines(*by_option(found))
 
 

@@ -156,21 +156,21 @@ def relax(
     as a float is off by 0.3 % of that.
     """
     a1 = ONE - gain1
-    x.v1_V = x.v1_V + (gain1 * ((r1_ohm * flow) - x.v1_V))
-    x.s1 = x.s1 - (gain1 * x.s1)
-    x.p11 = x.p11 + ((gain1 * (ONE + a1)) * ((square_A2 * (r1_ohm * r1_ohm)) - x.p11))
     a2 = ONE - gain2
+    x.v1_V = x.v1_V + (gain1 * ((r1_ohm * flow) - x.v1_V))
     x.v2_V = x.v2_V + (gain2 * ((r2_ohm * flow) - x.v2_V))
+    x.s1 = x.s1 - (gain1 * x.s1)
     x.s2 = x.s2 - (gain2 * x.s2)
-    x.p22 = x.p22 + ((gain2 * (ONE + a2)) * ((square_A2 * (r2_ohm * r2_ohm)) - x.p22))
+    x.p11 = x.p11 + ((gain1 * (ONE + a1)) * ((square_A2 * (r1_ohm * r1_ohm)) - x.p11))
     x.p12 = (a1 * a2) * x.p12
+    x.p22 = x.p22 + ((gain2 * (ONE + a2)) * ((square_A2 * (r2_ohm * r2_ohm)) - x.p22))
     if SLOW:
         a3 = ONE - gain3
         x.v3_V, x.v3_carry_V = add(x.v3_V, x.v3_carry_V, gain3 * ((r3_ohm * flow) - x.v3_V))
         x.s3 = x.s3 - (gain3 * x.s3)
-        x.p33 = x.p33 + ((gain3 * (ONE + a3)) * ((square_A2 * (r3_ohm * r3_ohm)) - x.p33))
         x.p13 = (a1 * a3) * x.p13
         x.p23 = x.p23 - ((gain2 + (gain3 * a2)) * x.p23)
+        x.p33 = x.p33 + ((gain3 * (ONE + a3)) * ((square_A2 * (r3_ohm * r3_ohm)) - x.p33))
     if HYSTERESIS:
         x.p1h = x.p1h - (gain1 * x.p1h)
         x.p2h = x.p2h - (gain2 * x.p2h)

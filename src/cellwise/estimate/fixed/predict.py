@@ -68,9 +68,7 @@ def cross_gap(
         forget_hysteresis(x)
 
 
-def predict(
-    c: Constants, x: State, p: Point, w: Slopes, flow: Float, unmeasured_A2: Float
-) -> None:
+def predict(c: Constants, x: State, p: Point, w: Slopes, flow: Float, unmeasured_A2: Float) -> None:
     """One interval of constant current.
 
     A resistance that is off by a share drives its branch like a current that is off by it, and so

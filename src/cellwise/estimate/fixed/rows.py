@@ -15,6 +15,7 @@ from typing import Any
 from numba import njit
 
 from cellwise.estimate.fixed import (
+    correct,
     covariance,
     gain,
     innovation,
@@ -31,7 +32,18 @@ from cellwise.estimate.fixed.options import Options, flags_of
 from cellwise.estimate.fixed.step import init, step
 
 # In the order of their calls; the C is printed in it, too.
-STEP_MODULES = (lookup, covariance, state, predict, search, gain, sensing, innovation, whole_step)
+STEP_MODULES = (
+    lookup,
+    covariance,
+    state,
+    predict,
+    search,
+    gain,
+    sensing,
+    innovation,
+    correct,
+    whole_step,
+)
 
 
 def functions_of(module: ModuleType) -> list[FunctionType]:

@@ -74,9 +74,9 @@ class Charge(NamedTuple):
     bridge: Float
 
 
-def see(c: Constants, x: State, sample: Sample) -> Reading:
-    """Sequence number, current and temperature of a sample."""
-    status = U(0)
+def see(c: Constants, x: State, sample: Sample, before: Count) -> Reading:
+    """Sequence number, current and temperature of a sample; the status ``before`` with theirs."""
+    status = before
     news = NO_INTERVAL
     missing = U(0)
     silent = U(0)
@@ -87,7 +87,7 @@ def see(c: Constants, x: State, sample: Sample) -> Reading:
         elapsed = U(sample.sequence - x.sequence)
         if elapsed == U(0):
             news = REPEATED
-            status = U(DUPLICATE)
+            status = U(status | DUPLICATE)
         else:
             news = INTERVAL
             missing = U(elapsed - 1)
@@ -125,20 +125,18 @@ def see(c: Constants, x: State, sample: Sample) -> Reading:
             unmeasured_A2 = c.lost_A2
     elif silent != U(0):
         unmeasured_A2 = c.lost_A2
-    return Reading(
-        status, news, missing, silent, current, seen, flow, unmeasured_A2, temperature_C
-    )
+    return Reading(status, news, missing, silent, current, seen, flow, unmeasured_A2, temperature_C)
 
 
 def count_charge(c: Constants, x: State, s: Reading) -> Charge:
     """SOC over the interval that ends now: charge comes first, then the branches at the new SOC."""
-    status = U(0)
+    status = s.status
     missing = s.missing
     bridge = ZERO
     if s.news == INTERVAL:
         used = taken(c, s.flow)
         if missing != U(0):
-            status = U(SEQUENCE_GAP)
+            status = U(status | SEQUENCE_GAP)
             if missing <= c.gap_steps:
                 bridge = HALF * (s.current + x.current_A)
                 if WATCH and s.silent > c.hold_steps:

@@ -13,7 +13,6 @@ from cellwise.estimate.fixed.arithmetic import (
     VARIANCE_FLOOR,
     WIDE_VARIANCE,
     ZERO,
-    Constants,
     Count,
     Float,
     Output,
@@ -24,46 +23,14 @@ from cellwise.estimate.fixed.arithmetic import (
     positive_within,
     root,
 )
-from cellwise.estimate.fixed.covariance import Column, move, narrow
-from cellwise.estimate.fixed.gain import rejudge
-from cellwise.estimate.fixed.innovation import Innovation, innovate, judge
+from cellwise.estimate.fixed.correct import correct
 from cellwise.estimate.fixed.layout import Model
-from cellwise.estimate.fixed.lookup import (
-    Place,
-    Point,
-    Slopes,
-    look_up,
-    no_slopes,
-    place_of,
-    slopes_of,
-)
+from cellwise.estimate.fixed.lookup import look_up, no_slopes, place_of, slopes_of
 from cellwise.estimate.fixed.options import HEATING, WARM, WIDE
 from cellwise.estimate.fixed.predict import cross_gap, heat, predict
-from cellwise.estimate.fixed.search import look_anew, widen
-from cellwise.estimate.fixed.sensing import Reading, count_charge, finish, see
+from cellwise.estimate.fixed.sensing import count_charge, finish, see
 from cellwise.estimate.fixed.state import guess_branches, is_sound, start
 from cellwise.estimate.status import STATE_RESET
-
-
-def correct(
-    m: Model, place: Place, x: State, p: Point, w: Slopes, s: Reading, i: Innovation, voltage: Float
-) -> Count:
-    """What a voltage that is looked at changes; what it led to."""
-    c = m.constant
-    j = judge(c, x, w, i, s.seen, s.news)
-    if j.anew:
-        if WIDE:
-            look_anew(m, place, x, s.seen, voltage, i.one_V2, i.polarisation_V)
-        else:
-            widen(c, x, p, s.seen)
-    if j.inverse > ZERO:
-        learnt = True
-        if WIDE and w.spread > ZERO:
-            learnt = rejudge(m, place, x, p, w, i.column, j.inverse, i.value_V, s.seen)
-        move(c, x, i.column, j.inverse, i.value_V)
-        if learnt:
-            narrow(x, i.column, j.inverse)
-    return j.status
 
 
 def init(m: Model, x: State, soc: Float, soc_variance: Float) -> Count:
@@ -93,7 +60,7 @@ def step(m: Model, x: State, sample: Sample, out: Output) -> Count:
     if not is_sound(c, x):
         start(c, x, KNOW_NOTHING_SOC, KNOW_NOTHING_VARIANCE)
         status = U(STATE_RESET)
-    s = see(c, x, sample)
+    s = see(c, x, sample, status)
     if WARM:
         place = place_of(m, s.temperature_C)
     else:
@@ -112,10 +79,7 @@ def step(m: Model, x: State, sample: Sample, out: Output) -> Count:
         predict(c, x, p, w, s.flow, s.unmeasured_A2)
         if HEATING:
             heat(c, x, p.r0_ohm, s.seen, s.flow)
-    i = innovate(c, x, p, w, s, sample.voltage_V, out)
-    status = U(status | s.status | charge.status | i.status)
-    if i.looked_at:
-        status = U(status | correct(m, place, x, p, w, s, i, sample.voltage_V))
+    status = U(charge.status | correct(m, place, x, p, w, s, sample.voltage_V, out))
     status = U(status | finish(x, s, charge.missing, sample.sequence, out))
     out.status = status
     return status
