@@ -957,9 +957,7 @@ static float admitted(float rested_V2, float held_V, float limit_V)
     (void)limit_V;
     float most = held_V;
 #if CELLWISE_WIDE
-    if (limit_V < held_V) {
-        most = limit_V;
-    }
+    most = (held_V < limit_V) ? held_V : limit_V;
 #endif
     return rested_V2 + (most * most);
 }
@@ -1271,8 +1269,9 @@ static APART bool rejudge(const cellwise_model *m, const cellwise_place *place, 
     const float less = flat - w->slope_V;
     const float e = less * ((2.0f * d->s) + (less * x->ss));
     const float wider = rejudged(ks, ks, less * x->ss, less * x->ss, e);
-    const bool learnt = SIZE_WITHIN(wider, LARGE) && (wider < (ks * d->s));
-    if (learnt) {
+    bool learnt = false;
+    if (SIZE_WITHIN(wider, LARGE) && (wider < (ks * d->s))) {
+        learnt = true;
         rejudge_covariance(x, d, inverse, less, e, wider);
     }
     return learnt;

@@ -46,7 +46,8 @@ def rejudge(
     less = flat - w.slope_V
     e = less * ((TWO * d.s) + (less * x.ss))
     wider = rejudged(ks, ks, less * x.ss, less * x.ss, e)
-    learnt = size_within(wider, LARGE) and wider < (ks * d.s)
-    if learnt:
+    learnt = False
+    if size_within(wider, LARGE) and wider < (ks * d.s):
+        learnt = True
         rejudge_covariance(x, d, inverse, less, e, wider)
     return learnt

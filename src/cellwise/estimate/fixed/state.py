@@ -98,8 +98,8 @@ def start(c: Constants, x: State, soc: Float, soc_variance: Float) -> None:
 def admitted(rested_V2: Float, held_V: Float, limit_V: Float) -> Float:
     """Variance of a branch that holds anything up to what a current leaves there."""
     most = held_V
-    if WIDE and limit_V < held_V:
-        most = limit_V
+    if WIDE:
+        most = held_V if held_V < limit_V else limit_V
     return rested_V2 + (most * most)
 
 
