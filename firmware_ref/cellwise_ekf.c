@@ -722,9 +722,8 @@ static void move(const cellwise_constants *c, cellwise_state *x, const cellwise_
     x->h = clip(x->h + ((d->h * inverse) * innovation), -1.0f, 1.0f);
 #endif
 #if CELLWISE_OFFSET
-    x->offset_A =
-        clip(x->offset_A + ((d->o * inverse) * innovation), -c->current_limit_A,
-             c->current_limit_A);
+    const float offset_A = x->offset_A + ((d->o * inverse) * innovation);
+    x->offset_A = clip(offset_A, -c->current_limit_A, c->current_limit_A);
 #endif
 }
 
@@ -1607,9 +1606,9 @@ static uint32_t weigh(const cellwise_model *m, const cellwise_place *place, cell
     uint32_t status = 0u;
     bool unsure = false;
     bool bent = false;
-#if CELLWISE_WIDE
     /* The first voltage at rest of a start that is unsure of itself is looked for where the OCV
      * bends too much for a slope. */
+#if CELLWISE_WIDE
     if ((w->spread > 0.0f) && (x->evidence < FIRST_VOLTAGE) && SIZE_BELOW(s->seen, c->rest_A)) {
         unsure = true;
         bent = ((3.0f * (w->bend_V * w->bend_V)) > i->one_V2) || (w->slope_V < c->flat_slope_V);

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.estimate.fixed.layout import row_names
+from cellwise.estimate.fixed.layout import hex_float, row_names
 from cellwise.estimate.fixed.tables import FixedStepTables
 
 SOURCES = ("cellwise_ekf.h", "cellwise_ekf.c", "cellwise_float.h")
@@ -43,15 +43,6 @@ def firmware_folder() -> Path:
         f"a folder with {SOURCES[0]}",
         "Install cellwise from its wheel or its source tree.",
     )
-
-
-def hex_float(value: float) -> str:
-    """A float32 as a C literal that every compiler reads to the same bits."""
-    text = float(np.float32(value)).hex()
-    mantissa, exponent = text.split("p")
-    if "." in mantissa:
-        mantissa = mantissa.rstrip("0").rstrip(".")
-    return f"{mantissa}p{exponent}f"
 
 
 def header_text(tables: FixedStepTables, sha256: str, name: str = "") -> str:

@@ -9,34 +9,10 @@ only where the option is.
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
-from dataclasses import dataclass, field
 
-from cellwise.printing.c_text import (
-    ALWAYS,
-    Guard,
-    broken,
-    comment,
-    merged,
-    opposite,
-    preprocessor,
-    resolved,
-)
+from cellwise.printing.c_reading import FLOATS, RECORDS, SCALARS, Reading, refuted
+from cellwise.printing.c_text import ALWAYS, Guard, broken, comment, merged, preprocessor, resolved
 
-FLOATS = {"Float": "", "SlowFloat": "SLOW", "HysteresisFloat": "HYSTERESIS"}
-FLOATS |= {"OffsetFloat": "OFFSET", "WarmFloat": "WARM"}  # and the option of each
-SCALARS = {**dict.fromkeys(FLOATS, "float"), "Count": "uint32_t", "Flag": "bool"}
-RECORDS = {
-    "Model": "const cellwise_model", "Constants": "const cellwise_constants",
-    "State": "cellwise_state", "Sample": "const cellwise_input", "Output": "cellwise_output",
-}  # fmt: skip
-# Done on bits in cellwise_float.h: macros, and functions.
-MACROS = {
-    "within", "size_within", "size_below", "not_negative", "positive_within", "positive_above",
-    "is_number", "known_fraction",
-}  # fmt: skip
-BY_HAND = {"magnitude": "Float", "add": "", **dict.fromkeys(MACROS, "Flag"), "known_fraction": "Float"}
-POINTS = "m.row.shape[1]"
 # What READ and RISE of cellwise_float.h read: rows of the neighbouring temperatures.
 ROWS = [
     "    const cellwise_row *const low = m->row[place->low];",
@@ -44,241 +20,15 @@ ROWS = [
     "    const cellwise_row *const high = m->row[place->low + 1u];",
     "#endif",
 ]
-OPERATORS = {
-    ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.BitOr: "|", ast.Lt: "<",
-    ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!=", ast.And: "&&",
-    ast.Or: "||",
-}  # fmt: skip
 
 
-@dataclass
-class Program:
-    """What the functions stand on.
-
-    ``structs`` are the fields of every record and named tuple with their type, ``constants`` the
-    type and text of every name that is one, ``columns`` the fields of the table by column.
-    """
-
-    options: set[str]
-    structs: dict[str, dict[str, str]]
-    constants: dict[str, tuple[str, str]]
-    columns: dict[str, str]
-    sizes: dict[str, str]
-    functions: dict[str, Function] = field(default_factory=dict)
-
-
-class Function:
-    """One function of the step: what it calls under which options, and its text in C."""
-
-    def __init__(
-        self, node: ast.FunctionDef, program: Program, notes: tuple[dict[int, str], dict[int, str]]
-    ) -> None:
-        self.node, self.program = node, program
-        self.alone, self.behind = notes
-        self.parameters = {a.arg: ast.unparse(a.annotation) for a in node.args.args if a.annotation}
-        self.returns = ast.unparse(node.returns) if node.returns else "None"
-        self.apart = any(ast.unparse(d) == "apart" for d in node.decorator_list)
-        self.types = dict(self.parameters)
-        self.pointers = {n for n, t in self.parameters.items() if t not in SCALARS}
-        self.renamed = self._renamed()
-        self.uses = [(name, guard) for s in self._body() for name, guard in self._walk(s, ALWAYS)]
-        self.mutates = self._mutates()
-
-    def _body(self) -> list[ast.stmt]:
-        return self.node.body[1:] if ast.get_docstring(self.node) else self.node.body
-
-    @property
-    def fills(self) -> bool:
-        """Whether it returns a named tuple, in C through a pointer."""
-        return self.returns in self.program.structs
-
-    @property
-    def filled(self) -> str:
-        """Name of that pointer."""
-        return self.returns.lower()
-
-    def _renamed(self) -> dict[str, tuple[str, str]]:
-        """Locals that are a field of the struct which is filled: text and type."""
-        last = self.node.body[-1]
-        if not self.fills or not isinstance(last, ast.Return) or not isinstance(last.value, ast.Call):
-            return {}
-        fields = self.program.structs[self.returns].items()
-        return {
-            a.id: (f"{self.filled}->{name}", kind)
-            for (name, kind), a in zip(fields, last.value.args, strict=True)
-            if isinstance(a, ast.Name) and a.id not in self.parameters
-            and a.id not in self.program.constants
-        }  # fmt: skip
-
-    def _mutates(self) -> bool:
-        for node in ast.walk(self.node):
-            if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
-                if self.parameters.get(ast.unparse(node.value)) == "State":
-                    return True
-            elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-                called = self.program.functions.get(node.func.id)
-                if called and called.mutates:
-                    return True
-        return False
-
-    # ---- options ----
-
-    def _options(self, test: ast.expr) -> tuple[Guard, ast.expr | None]:
-        """The options that a test asks for first, and what is left of it."""
-        parts = test.values if isinstance(test, ast.BoolOp) and isinstance(test.op, ast.And) else [test]
-        found: list[str] = []
-        for part in parts:
-            inner = part.operand if isinstance(part, ast.UnaryOp) else part
-            if not (isinstance(inner, ast.Name) and inner.id in self.program.options):
-                break
-            found.append(("not " if inner is not part else "") + inner.id)
-        rest = parts[len(found) :]
-        if not rest:
-            return frozenset(found), None
-        left = rest[0] if len(rest) == 1 else ast.BoolOp(ast.And(), rest)
-        return frozenset(found), left
-
-    def _guard_of(self, node: ast.stmt) -> Guard:
-        """Options without which a sentence has no meaning: that of its target."""
-        if isinstance(node, ast.Assign):
-            target = node.targets[0]
-            kind = self.renamed.get(target.id, ("", ""))[1] if isinstance(target, ast.Name) else ""
-            option = FLOATS.get(kind, "")
-            if not option and isinstance(node.value, ast.IfExp):
-                guard, rest = self._options(node.value.test)
-                if guard and rest is None and ast.unparse(node.value.orelse) == "ZERO":
-                    return guard
-            return frozenset({option}) if option else ALWAYS
-        return ALWAYS
-
-    def _walk(self, node: ast.AST, guard: Guard) -> Iterator[tuple[str, Guard]]:
-        """Every name that is read, with the options under which it is."""
-        if isinstance(node, ast.stmt):
-            guard = guard | self._guard_of(node)
-        if isinstance(node, ast.If | ast.IfExp):
-            asked, rest = self._options(node.test)
-            if rest is not None:
-                yield from self._walk(rest, guard | asked)
-            for part, inner in ((node.body, guard | asked), (node.orelse, guard | _not(asked))):
-                for child in part if isinstance(part, list) else [part]:
-                    yield from self._walk(child, inner)
-            return
-        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
-            yield node.id, guard
-        called = self._called(node)
-        kinds = list(called.parameters.values()) if called else []
-        for k, child in enumerate(ast.iter_child_nodes(node)):
-            option = FLOATS.get(kinds[k - 1], "") if kinds and 0 < k <= len(kinds) else ""
-            yield from self._walk(child, guard | {option} if option else guard)
-
-    def _called(self, node: ast.AST) -> Function | None:
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-            return self.program.functions.get(node.func.id)
-        return None
-
-    # ---- expressions ----
-
-    def type_of(self, node: ast.expr) -> str:
-        """Float, Count, Flag or the name of a record."""
-        match node:
-            case ast.Name():
-                if node.id in self.renamed:
-                    return self.renamed[node.id][1]
-                known = self.types.get(node.id) or self.program.constants.get(node.id, ("",))[0]
-                return known or "Count"
-            case ast.Attribute():
-                return self.program.structs.get(self.type_of(node.value), {}).get(node.attr, "Count")
-            case ast.Call():
-                name = ast.unparse(node.func)
-                made = {"F": "Float", "U": "Count", "read": "Float", "rise": "Float", **BY_HAND}
-                called = self._called(node)
-                return called.returns if called else made[name]
-            case ast.BinOp():
-                return self.type_of(node.left)
-            case ast.IfExp():
-                return self.type_of(node.body)
-            case ast.Compare() | ast.BoolOp():
-                return "Flag"
-            case ast.UnaryOp():
-                return "Flag" if isinstance(node.op, ast.Not) else self.type_of(node.operand)
-            case ast.Constant():
-                return "Flag" if isinstance(node.value, bool) else "Count"
-            case ast.Subscript():
-                return "Count" if ast.unparse(node) == POINTS else "Float"
-        return "Float"
-
-    def expression(self, node: ast.expr) -> str:
-        """An expression with the parentheses that it needs inside another."""
-        node = self._unwrapped(node)
-        text = self.bare(node)
-        compound = isinstance(node, ast.BinOp | ast.Compare | ast.BoolOp | ast.IfExp)
-        return f"({text})" if compound else text
-
-    def bare(self, node: ast.expr) -> str:
-        """An expression as it stands alone."""
-        node = self._unwrapped(node)
-        of = self.expression
-        match node:
-            case ast.Name():
-                if node.id in self.renamed:
-                    return self.renamed[node.id][0]
-                return self.program.constants.get(node.id, ("", node.id))[1]
-            case ast.Constant():
-                return str(node.value).lower() + ("" if isinstance(node.value, bool) else "u")
-            case ast.Attribute():
-                if node.attr == "size":
-                    return self.program.sizes[node.value.attr]  # type: ignore[attr-defined]
-                arrow = isinstance(node.value, ast.Name) and node.value.id in self.pointers
-                return f"{self.bare(node.value)}{'->' if arrow else '.'}{node.attr}"
-            case ast.Subscript():
-                if ast.unparse(node) == POINTS:
-                    return "CELLWISE_POINTS"
-                return f"{of(node.value)}[{self.bare(node.slice)}]"
-            case ast.UnaryOp():
-                return f"{'!' if isinstance(node.op, ast.Not) else '-'}{of(node.operand)}"
-            case ast.BinOp():
-                return f"{of(node.left)} {OPERATORS[type(node.op)]} {of(node.right)}"
-            case ast.Compare():
-                return f"{of(node.left)} {OPERATORS[type(node.ops[0])]} {of(node.comparators[0])}"
-            case ast.BoolOp():
-                return f" {OPERATORS[type(node.op)]} ".join(map(of, node.values))
-            case ast.IfExp():
-                return f"{of(node.test)} ? {of(node.body)} : {of(node.orelse)}"
-            case ast.Call():
-                return self._call(node)
-        raise ValueError(f"no C for '{ast.unparse(node)}' in {self.node.name}")
-
-    def _unwrapped(self, node: ast.expr) -> ast.expr:
-        """Without a conversion that C does not need."""
-        while isinstance(node, ast.Call) and ast.unparse(node.func) in ("F", "U"):
-            if (ast.unparse(node.func) == "F") != (self.type_of(node.args[0]) in FLOATS):
-                break
-            node = node.args[0]
-        return node
-
-    def _call(self, node: ast.Call) -> str:
-        name = ast.unparse(node.func)
-        if name in ("F", "U"):
-            return f"({'float' if name == 'F' else 'uint32_t'}){self.expression(node.args[0])}"
-        if name in ("read", "rise"):
-            args = [self.program.columns.get(ast.unparse(a)) or self.bare(a) for a in node.args[2:]]
-            return f"{name.upper()}({', '.join(args)})"
-        args = [self.argument(a) for a in node.args]
-        return f"{name.upper() if name in MACROS else name}({', '.join(args)})"
-
-    def argument(self, node: ast.expr) -> str:
-        """An argument: records by their address."""
-        by_address = self.type_of(node) in (*self.program.structs, *RECORDS)
-        if by_address and not (isinstance(node, ast.Name) and node.id in self.pointers):
-            return f"&{self.bare(node)}"
-        return self.bare(node)
-
-    # ---- sentences ----
+class Function(Reading):
+    """One function of the step, printed."""
 
     def text(self, name: str, static: bool) -> list[str]:
         """The function in C with what it says of itself."""
         self.lines: list[str] = []
-        self.declared: set[str] = set(self.parameters)
+        self.declared: dict[str, Guard] = dict.fromkeys(self.parameters, ALWAYS)
         self.line = self.node.body[0].end_lineno or 0
         self.held: Guard = ALWAYS
         for parameter, kind in self.parameters.items():
@@ -286,8 +36,8 @@ class Function:
             found = {guard - own for n, guard in self.uses if n == parameter}
             if ALWAYS not in resolved(found):
                 self._guarded(own, [f"    (void){parameter};"])
-        if any(isinstance(n, ast.Call) and ast.unparse(n.func) == "read" for n in ast.walk(self.node)):
-            self.lines += ROWS
+        calls = [n for n in ast.walk(self.node) if isinstance(n, ast.Call)]
+        self.lines += ROWS if any(ast.unparse(n.func) == "read" for n in calls) else []
         self._block(self._body(), 4)
         return [*comment(ast.get_docstring(self.node) or ""), *self.signature(name, static), "{",
                 *merged(self.lines), "}"]  # fmt: skip
@@ -297,7 +47,10 @@ class Function:
         kind = "void" if self.fills or self.returns == "None" else SCALARS[self.returns]
         start = f"{'static ' if static else ''}{'APART ' if self.apart else ''}{kind} {name}("
         parts = [
-            (f"{self._pointer_to(t)}{n}" if t not in SCALARS else f"{SCALARS[t]} {n}", FLOATS.get(t, ""))
+            (
+                f"{SCALARS[t]} {n}" if t in SCALARS else f"{self._pointer_to(t)}{n}",
+                FLOATS.get(t, ""),
+            )
             for n, t in self.parameters.items()
         ]
         if self.fills:
@@ -313,14 +66,15 @@ class Function:
         """What stands between parentheses, the optional ones on lines of their own."""
         if not any(option for _, option in parts):
             return broken(start + ", ".join(text for text, _ in parts) + end, indent)
-        lines, said = [], start
+        lines: list[str] = []
+        said = start
         for k, (text, option) in enumerate(parts):
             piece = text + (", " if k < len(parts) - 1 else end)
             if option:
                 pad = indent + 4 if lines else indent
                 lines += broken(said.rstrip(), pad) if said else []
-                lines += [f"#if {preprocessor(frozenset({option}))}", " " * (indent + 4) + piece.rstrip()]
-                lines.append("#endif")
+                lines.append(f"#if {preprocessor(frozenset({option}))}")
+                lines += [" " * (indent + 4) + piece.rstrip(), "#endif"]
                 said = ""
             else:
                 said += piece
@@ -328,7 +82,8 @@ class Function:
 
     def _block(self, body: list[ast.stmt], indent: int) -> None:
         for node in body:
-            note = " ".join(self.alone[k] for k in range(self.line + 1, node.lineno) if k in self.alone)
+            above = range(self.line + 1, node.lineno)
+            note = " ".join(self.alone[k] for k in above if k in self.alone)
             guard = self._guard_of(node)
             start = len(self.lines)
             if note:
@@ -375,7 +130,7 @@ class Function:
                 raise ValueError(f"no C for '{ast.unparse(node)}' in {self.node.name}")
 
     def _scope(self, body: list[ast.stmt], indent: int) -> None:
-        before = set(self.declared)
+        before = dict(self.declared)
         self._block(body, indent + 4)
         self.declared = before
 
@@ -383,15 +138,16 @@ class Function:
         guard, rest = self._options(node.test)
         if guard and rest is None:
             self.lines.append(f"#if {preprocessor(guard - self.held)}")
-            before, held = set(self.declared), self.held
+            before, held = dict(self.declared), self.held
             self.held = held | guard
             self._block(node.body, indent)
             if node.orelse:
                 self.lines.append("#else")
                 after, self.declared = self.declared, before
-                self.held = held | _not(guard)
+                self.held = held | refuted(guard)
                 self._block(node.orelse, indent)
-                self.declared |= after
+                both = dict.fromkeys(after.keys() & self.declared.keys(), held)
+                self.declared = after | self.declared | both | before
             self.held = held
             self.lines.append("#endif")
             return
@@ -458,8 +214,10 @@ class Function:
         name = target.id if isinstance(target, ast.Name) else ""
         new = bool(name) and name not in self.declared and name not in self.renamed
         if new:
-            self.declared.add(name)
+            self.declared[name] = self.held
             self.types[name] = kind
+        elif not self.declared.get(name, ALWAYS) <= self.held:
+            raise ValueError(f"{name} in {self.node.name} is there only with an option")
         if called and called.fills:
             if new:
                 self._say(f"cellwise_{kind.lower()} {name};", indent)
@@ -484,7 +242,7 @@ class Function:
             self._assign(first, indent)
             return
         self.lines.append(f"#if {preprocessor(guard)}")
-        before = set(self.declared)
+        before = dict(self.declared)
         self._assign(first, indent)
         self.declared = before
         self.lines.append("#else")
@@ -501,14 +259,6 @@ class Function:
             for a, kind in zip(node.args, kinds, strict=True)
         ]
         self.lines += self._listed(f"{called.node.name}(", [*parts, *more], ");", indent)
-
-
-def _not(guard: Guard) -> Guard:
-    """What holds in the else of options: exact for one of them."""
-    if len(guard) != 1:
-        return ALWAYS
-    (term,) = guard
-    return frozenset({opposite(term)})
 
 
 def assignments(name: str, body: list[ast.stmt]) -> int:

@@ -7,9 +7,9 @@ import re
 import textwrap
 import tokenize
 from collections.abc import Iterable
+from typing import Any
 
-import numpy as np
-
+from cellwise.estimate.fixed.layout import hex_float
 from cellwise.estimate.fixed.options import IN_C
 
 WIDTH = 100
@@ -28,7 +28,8 @@ def comment(text: str, indent: int = 0) -> list[str]:
 
 def comments_of(source: str) -> tuple[dict[int, str], dict[int, str]]:
     """Comments of a Python source by line: those that stand alone, those behind a sentence."""
-    alone, behind = {}, {}
+    alone: dict[int, str] = {}
+    behind: dict[int, str] = {}
     for token in tokenize.generate_tokens(io.StringIO(source).readline):
         text = token.string.lstrip("# ").rstrip()
         if token.type == tokenize.COMMENT and not re.match(r"(fmt|type|noqa)\b", text):
@@ -57,13 +58,12 @@ def broken(line: str, indent: int) -> list[str]:
     return [*pieces, " " * column + line]
 
 
-def float_literal(value: float, *, shortest: bool = True) -> str:
+def float_literal(value: Any) -> str:
     """A float32 as C reads it to the same bits: short decimals as they are, else a hex float."""
     decimal = f"{float(value):.7g}"
-    if shortest and float(decimal) == float(value) and 1e-3 < abs(value) < 1e5 or value == 0:
-        return decimal + ("f" if "." in decimal or "e" in decimal else ".0f")
-    mantissa, exponent = float(np.float32(value)).hex().split("p")
-    return f"{mantissa.rstrip('0').rstrip('.') if '.' in mantissa else mantissa}p{exponent}f"
+    if value == 0 or (float(decimal) == float(value) and 1e-3 < abs(value) < 1e5):
+        return decimal + ("f" if "." in decimal else ".0f")
+    return hex_float(value)
 
 
 def preprocessor(guard: Guard) -> str:

@@ -13,12 +13,12 @@ import numpy as np
 from cellwise.estimate import status
 from cellwise.estimate.fixed import arithmetic, layout, options
 from cellwise.estimate.fixed.rows import STEP_MODULES
-from cellwise.printing.c99 import FLOATS, SCALARS, Function, Program
+from cellwise.printing.c99 import Function
+from cellwise.printing.c_reading import FLOATS, SCALARS, Program
 from cellwise.printing.c_text import (
     ALWAYS,
     Guard,
     any_of,
-    broken,
     comment,
     comments_of,
     float_literal,
@@ -26,6 +26,7 @@ from cellwise.printing.c_text import (
     preprocessor,
 )
 
+READS = ("read", "rise")  # macros of cellwise_float.h
 PUBLIC = {"init": "cellwise_init", "step": "cellwise_step"}
 NUMERALS = {"ZERO", "QUARTER", "HALF", "ONE", "TWO", "THREE", "FOUR", "SIXTY_FOURTH"}
 MODULES = (arithmetic, *STEP_MODULES)
@@ -63,7 +64,9 @@ def constants() -> dict[str, tuple[str, str]]:
             found[name] = ("Float", float_literal(value) if name in NUMERALS else name)
         elif isinstance(value, np.uint32):
             found[name] = ("Count", name)
-    return found | {bit.name: ("Count", f"CELLWISE_{bit.name}") for bit in status.Status if bit.name}
+    for bit in status.Status:
+        found[str(bit.name)] = ("Count", f"CELLWISE_{bit.name}")
+    return found
 
 
 def program(read: list[Source]) -> Program:
@@ -77,7 +80,9 @@ def program(read: list[Source]) -> Program:
         for node in source.tree.body:
             if isinstance(node, ast.ClassDef):
                 fields = [n for n in node.body if isinstance(n, ast.AnnAssign)]
-                structs[node.name] = {ast.unparse(f.target): ast.unparse(f.annotation) for f in fields}
+                structs[node.name] = {
+                    ast.unparse(f.target): ast.unparse(f.annotation) for f in fields
+                }
     made = Program(
         options=set(options.flags_of(options.Options(points=3))),
         structs=structs,
@@ -87,8 +92,9 @@ def program(read: list[Source]) -> Program:
     )
     for source in read:
         for node in source.tree.body:
-            printed = isinstance(node, ast.FunctionDef) and node.lineno > source.first
-            if printed and isinstance(node, ast.FunctionDef) and node.name not in ("read", "rise", "apart"):
+            if not isinstance(node, ast.FunctionDef) or node.lineno < source.first:
+                continue
+            if node.name not in READS:
                 made.functions[node.name] = Function(node, made, source.notes)
     return made
 
@@ -102,9 +108,7 @@ def conditions(made: Program) -> dict[str, set[Guard]]:
         for used, guard in made.functions[name].uses:
             if used in found:
                 found[used] |= {guard | outer for outer in found[name] if consistent(guard | outer)}
-    for name in ("read", "rise"):  # macros of cellwise_float.h
-        found[name] = {ALWAYS}
-    found["between"].add(ALWAYS)
+    found["between"].add(ALWAYS)  # in the macros of cellwise_float.h
     return found
 
 
@@ -149,7 +153,8 @@ def named_tuple(node: ast.ClassDef, fields: dict[str, str]) -> list[str]:
         option = FLOATS.get(kind, "")
         condition = preprocessor(frozenset({option})) if option else ""
         found.append((SCALARS.get(kind, f"cellwise_{kind.lower()}"), name, condition, ""))
-    return [*comment(ast.get_docstring(node) or ""), *struct(f"cellwise_{node.name.lower()}", found)]
+    about = ast.get_docstring(node) or ""
+    return [*comment(about), *struct(f"cellwise_{node.name.lower()}", found)]
 
 
 def defines(read: Source, made: Program) -> Iterator[str]:
@@ -193,12 +198,16 @@ def print_source() -> str:
         for node in source.tree.body:
             if isinstance(node, ast.ClassDef):
                 lines += [*named_tuple(node, made.structs[node.name]), ""]
-            elif isinstance(node, ast.FunctionDef) and node.name in made.functions and node.lineno > source.first:
-                condition = any_of(found[node.name])
-                text = made.functions[node.name].text(PUBLIC.get(node.name, node.name), node.name not in PUBLIC)
-                text = [f"#if {condition}", *text, "#endif"] if condition else text
-                lines += [*text, ""]
+            elif isinstance(node, ast.FunctionDef) and node.name in made.functions:
+                lines += [*function(made.functions[node.name], found[node.name]), ""]
     return "\n".join(lines)
+
+
+def function(one: Function, called: set[Guard]) -> list[str]:
+    """A function of C, where it is called at all."""
+    name, condition = one.node.name, any_of(called)
+    text = one.text(PUBLIC.get(name, name), name not in PUBLIC)
+    return [f"#if {condition}", *text, "#endif"] if condition else text
 
 
 def print_header() -> str:
@@ -243,7 +252,7 @@ HEAD = (
     "State of charge of one battery cell: float32 extended Kalman filter at a fixed time step. "
     "Printed from {what} by `python -m cellwise.printing`; do not edit."
 )
-HEADER = '''\
+HEADER = """\
 [head]
 /* The caller owns every object. No heap, no static data, no libm, no double; the same bits as the
  * Python. Current is positive on discharge. cell_table.h is written by `cellwise export`. */
@@ -290,4 +299,4 @@ typedef struct {
 [cellwise_step]
 
 #endif
-'''
+"""

@@ -13,8 +13,10 @@ from cellwise.cell.description import FIXED, OFFSET, SOC, V1, V2, V3, H, State, 
 BRANCHES = (V1, V2, V3)
 OTHERS = (H, OFFSET)
 PAIRS = triangle(FIXED)
-ORDER = ("", "SLOW", "HYSTERESIS", "SLOW and HYSTERESIS", "OFFSET", "SLOW and OFFSET")
-ORDER += ("HYSTERESIS and OFFSET",)
+ORDER = [
+    "", "SLOW", "HYSTERESIS", "SLOW and HYSTERESIS", "OFFSET", "SLOW and OFFSET",
+    "HYSTERESIS and OFFSET",
+]  # fmt: skip
 COLUMN = {SOC: "s", V1: "v1", V2: "v2", V3: "v3", H: "h", OFFSET: "o"}  # fields of a Column
 OUTPUT = {SOC: "slope", H: "p.m_V", OFFSET: "p.r0_ohm"}  # a branch's is -1
 
@@ -56,6 +58,7 @@ def sound() -> str:
         for _, test in group:
             refused = f"{option} and not {test}" if option else f"not {test}"
             text += [f"    if {refused}:", "        return False"]
+    text[-2] += "  # noqa: SIM103"
     return "\n".join([*text, "    return True"])
 
 
@@ -173,8 +176,10 @@ def move() -> str:
             carry = "x.soc_carry" if s is SOC else "x.v3_carry_V"
             said = f"{v}, {carry} = add({v}, {carry}, {step})"
         elif s in OTHERS:
-            most = "ONE" if s is H else "c.current_limit_A"
-            said = f"{v} = clip({v} + ({step}), -{most}, {most})"
+            said = f"{v} = clip({v} + ({step}), -ONE, ONE)"
+            if s is OFFSET:
+                found.append(((s,), f"offset_A = {v} + ({step})"))
+                said = f"{v} = clip(offset_A, -c.current_limit_A, c.current_limit_A)"
         found.append(((s,), said))
     return lines(*found)
 

@@ -124,12 +124,11 @@ def weigh(
     status = U(0)
     unsure = False
     bent = False
-    if WIDE:
-        # The first voltage at rest of a start that is unsure of itself is looked for where the OCV
-        # bends too much for a slope.
-        if w.spread > ZERO and x.evidence < FIRST_VOLTAGE and size_below(s.seen, c.rest_A):
-            unsure = True
-            bent = (THREE * (w.bend_V * w.bend_V)) > i.one_V2 or w.slope_V < c.flat_slope_V
+    # The first voltage at rest of a start that is unsure of itself is looked for where the OCV
+    # bends too much for a slope.
+    if WIDE and w.spread > ZERO and x.evidence < FIRST_VOLTAGE and size_below(s.seen, c.rest_A):
+        unsure = True
+        bent = (THREE * (w.bend_V * w.bend_V)) > i.one_V2 or w.slope_V < c.flat_slope_V
     if s.news == INTERVAL:
         ratio = square / i.variance_V2
         ratio = ratio if ratio < c.mismatch_cap else c.mismatch_cap

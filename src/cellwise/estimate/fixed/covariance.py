@@ -94,7 +94,7 @@ def covariance_is_sound(x: State) -> Flag:
         return False
     if SLOW and OFFSET and not size_within(x.p3o, LARGE):
         return False
-    if HYSTERESIS and OFFSET and not size_within(x.pho, LARGE):
+    if HYSTERESIS and OFFSET and not size_within(x.pho, LARGE):  # noqa: SIM103
         return False
     return True
 
@@ -330,7 +330,8 @@ def move(c: Constants, x: State, d: Column, inverse: Float, innovation: Float) -
     if HYSTERESIS:
         x.h = clip(x.h + ((d.h * inverse) * innovation), -ONE, ONE)
     if OFFSET:
-        x.offset_A = clip(x.offset_A + ((d.o * inverse) * innovation), -c.current_limit_A, c.current_limit_A)
+        offset_A = x.offset_A + ((d.o * inverse) * innovation)
+        x.offset_A = clip(offset_A, -c.current_limit_A, c.current_limit_A)
 
 
 def narrow(x: State, d: Column, inverse: Float) -> None:

@@ -1,4 +1,4 @@
-"""Memory layout of the fixed-step estimator: one table of fields for NumPy's records and C's structs.
+"""Memory layout of the fixed-step estimator: one table of fields for NumPy and for C.
 
 One buffer can be stepped by numba and by C. ``firmware_ref/cellwise_ekf.h`` is printed from these
 tables; a test compares offsets and sizes with the compiler's.
@@ -197,3 +197,11 @@ def constant_type(options: Options) -> np.dtype[Any]:
 def row_type(options: Options) -> np.dtype[Any]:
     """Record type of a table row: float32 only, so that a table is also an array."""
     return _record_type(ROW, options)
+
+
+def hex_float(value: float) -> str:
+    """A float32 as a C literal that every compiler reads to the same bits."""
+    mantissa, exponent = float(np.float32(value)).hex().split("p")
+    if "." in mantissa:
+        mantissa = mantissa.rstrip("0").rstrip(".")
+    return f"{mantissa}p{exponent}f"

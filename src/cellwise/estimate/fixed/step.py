@@ -61,10 +61,7 @@ def step(m: Model, x: State, sample: Sample, out: Output) -> Count:
         start(c, x, KNOW_NOTHING_SOC, KNOW_NOTHING_VARIANCE)
         status = U(STATE_RESET)
     s = see(c, x, sample, status)
-    if WARM:
-        place = place_of(m, s.temperature_C)
-    else:
-        place = place_of(m, ZERO)
+    place = place_of(m, s.temperature_C) if WARM else place_of(m, ZERO)
     charge = count_charge(c, x, s)
     p = look_up(m, place, x.soc, s.seen)
     if x.evidence == NOT_BEGUN:
