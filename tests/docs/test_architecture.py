@@ -21,6 +21,7 @@ MAY_IMPORT = {
     "cell": BASE | {"logs"},
     "identify": BASE | {"logs", "cell"},
     "estimate": BASE | {"logs", "cell"},
+    "printing": BASE | {"cell", "estimate"},  # for developers: nobody imports it
     "forecast": BASE | {"logs", "cell", "estimate"},
     "diagnose": BASE | {"logs", "cell", "identify", "estimate"},
     "data": BASE | {"logs"},
@@ -74,6 +75,10 @@ def test_imports_run_one_way(path):
         assert len(parts) > 1, f"{name(path)} imports the public face"
         assert parts[1] in MAY_IMPORT, f"{name(path)} imports {dotted} through the public face"
         assert parts[1] == own or parts[1] in MAY_IMPORT[own], f"{name(path)} imports {dotted}"
+
+
+def test_nobody_needs_the_printers():
+    assert not any("printing" in allowed for allowed in MAY_IMPORT.values())
 
 
 def test_numba_stays_in_the_kernels():

@@ -120,15 +120,13 @@ class Reading:
 
     def _guard_of(self, node: ast.stmt) -> Guard:
         """Options without which a sentence has no meaning: that of its target."""
-        if isinstance(node, ast.Assign):
-            target = node.targets[0]
-            kind = self.renamed.get(target.id, ("", ""))[1] if isinstance(target, ast.Name) else ""
-            option = FLOATS.get(kind, "")
-            if not option and isinstance(node.value, ast.IfExp):
+        if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
+            option = FLOATS.get(self.renamed.get(node.targets[0].id, ("", ""))[1], "")
+            if option:
+                return frozenset({option})
+            if isinstance(node.value, ast.IfExp) and ast.unparse(node.value.orelse) == "ZERO":
                 guard, rest = self._options(node.value.test)
-                if guard and rest is None and ast.unparse(node.value.orelse) == "ZERO":
-                    return guard
-            return frozenset({option}) if option else ALWAYS
+                return guard if rest is None else ALWAYS
         return ALWAYS
 
     def _walk(self, node: ast.AST, guard: Guard) -> Iterator[tuple[str, Guard]]:
