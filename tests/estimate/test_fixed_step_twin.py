@@ -11,9 +11,16 @@ import pytest
 from cellwise.data import load_dataset
 from cellwise.estimate.fixed import arithmetic as kernels
 from cellwise.estimate.fixed.fixed_step import numba_stepper, samples_of
-from cellwise.estimate.fixed.layout import INPUT, OUTPUT, constant_type, row_type, state_type
+from cellwise.estimate.fixed.layout import (
+    INPUT,
+    OUTPUT,
+    constant_type,
+    hex_float,
+    row_type,
+    state_type,
+)
 from cellwise.estimate.status import Status
-from cellwise.export.c_tables import firmware_folder, hex_float
+from cellwise.export.c_tables import firmware_folder
 from example_cells import curved_cell
 from firmware_cases import compile_and_run, stress_samples, tables_of
 

@@ -7,6 +7,8 @@ from pathlib import Path
 
 from cellwise.cell.description import ADAPTIVE, CELL, CHARGE, OFFSET, SOC, V1, V2, V3
 from cellwise.printing.covariance import CovariancePrinter
+from cellwise.printing.firmware import print_header, print_source
+from cellwise.printing.fixed_covariance import print_covariance
 from cellwise.printing.lanes import lanes_text
 from cellwise.printing.points import points_text
 
@@ -54,4 +56,8 @@ OUTPUTS: dict[str, Callable[[], str]] = {
     f"{FILTERS}/covariance_kernels.py": covariance_text,
     "src/cellwise/estimate/adaptive/covariance_kernels.py": adaptive_covariance_text,
     "src/cellwise/estimate/lockstep/lane_kernels.py": lanes_text,
+    # What the C follows from comes first.
+    "src/cellwise/estimate/fixed/covariance.py": print_covariance,
+    "firmware_ref/cellwise_ekf.h": print_header,
+    "firmware_ref/cellwise_ekf.c": print_source,
 }

@@ -24,12 +24,8 @@ from cellwise.cell.equations import ZERO_CELSIUS_K
 from cellwise.cell.model import TABLES, CellModel
 from cellwise.cell.simulate import model_temperature_C
 from cellwise.errors import InputError
-from cellwise.estimate.fixed.layout import (
-    Options,
-    constant_type,
-    options_of,
-    row_fields,
-)
+from cellwise.estimate.fixed.layout import constant_type, row_names
+from cellwise.estimate.fixed.options import Options, options_of
 from cellwise.estimate.gate_kernels import UNDER_LOAD_COUNT
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.recovery_kernels import (
@@ -151,7 +147,7 @@ def fixed_step_tables(
     )
     check_holds(model, dt_s, options)
     columns = _columns(model, dt_s, noise)
-    table = np.stack([columns[name] for name, _ in row_fields(options)], axis=-1)
+    table = np.stack([columns[name] for name in row_names(options)], axis=-1)
     constants = np.zeros(1, dtype=constant_type(options))
     for name, value in _constants(model, dt_s, noise, options, offset_std_A).items():
         if name in (constants.dtype.names or ()):
