@@ -22,7 +22,6 @@ MAY_IMPORT = {
     "printing": BASE | {"cell"},
     "identify": BASE | {"logs", "cell"},
     "estimate": BASE | {"logs", "cell"},
-    "printing": BASE | {"cell", "estimate"},
     "forecast": BASE | {"logs", "cell", "estimate"},
     "diagnose": BASE | {"logs", "cell", "identify", "estimate"},
     "data": BASE | {"logs"},

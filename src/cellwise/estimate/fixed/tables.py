@@ -22,6 +22,7 @@ from cellwise.cell.effects import (
 )
 from cellwise.cell.equations import ZERO_CELSIUS_K
 from cellwise.cell.model import TABLES, CellModel
+from cellwise.cell.resolved import needs_rows, over_temperature
 from cellwise.cell.simulate import model_temperature_C
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.layout import constant_type, row_names
@@ -54,6 +55,8 @@ ARRHENIUS_POINTS = 161
 MOST_POINTS = 4001
 MOST_STEPS = 1_000_000_000
 MOST_TEMPERATURES = 32
+# Rows of tables where a temperature effect has no other form on a target.
+ROWS_C = np.arange(-30.0, 65.0, 5.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,6 +141,8 @@ def fixed_step_tables(
     noise = Noise.of_model(model) if noise is None else noise
     if points is not None and points != model.points:
         model = resampled(model, points)
+    if needs_rows(model):
+        model = over_temperature(model, ROWS_C)
     options = options_of(
         model,
         offset=offset_std_A > 0,
