@@ -29,7 +29,6 @@ from cellwise.printing.c_text import (
 READS = ("read", "rise")  # macros of cellwise_float.h
 PUBLIC = {"init": "cellwise_init", "step": "cellwise_step"}
 NUMERALS = {"ZERO", "QUARTER", "HALF", "ONE", "TWO", "THREE", "FOUR", "SIXTY_FOURTH"}
-MODULES = (arithmetic, *STEP_MODULES)
 RECORDS = {
     "Constants": layout.CONSTANTS, "State": layout.STATE, "Sample": layout.INPUT_FIELDS,
     "Output": layout.OUTPUT_FIELDS,
@@ -48,7 +47,7 @@ class Source(NamedTuple):
 def sources() -> list[Source]:
     """The modules as they are read."""
     found = []
-    for module in MODULES:
+    for module in STEP_MODULES:
         text = inspect.getsource(module)
         line = text.find("# ---- from here on the C is printed ----")
         notes = comments_of(text)

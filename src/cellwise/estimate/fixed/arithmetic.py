@@ -16,7 +16,6 @@ from collections.abc import Callable
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
-from numba import njit
 
 from cellwise.estimate.status import OUT_OF_RANGE
 
@@ -79,7 +78,6 @@ COUNT_MOST = U(2_000_000_000)
 REJECTION = U(20_000)  # in the count of rejections in a row
 FORGIVEN = U(2_000)
 
-helper = njit(error_model="numpy", fastmath=False, forceinline=True)
 Step = TypeVar("Step", bound=Callable[..., Any])
 
 
@@ -92,61 +90,51 @@ def apart(function: Step) -> Step:
 # ---- tests and operations that C does on the bits of a float: cellwise_float.h ----
 
 
-@helper
 def magnitude(x: Float) -> Float:
     """Absolute value, of -0 too."""
     return math.fabs(x)
 
 
-@helper
 def within(x: Float, low: Float, high: Float) -> Flag:
     """False for NaN too."""
     return (x >= low) & (x <= high)
 
 
-@helper
 def size_within(x: Float, limit: Float) -> Flag:
     """Whether the absolute value is at most the limit; false for NaN."""
     return (x >= -limit) & (x <= limit)
 
 
-@helper
 def size_below(x: Float, limit: Float) -> Flag:
     """Whether the absolute value is below the limit; false for NaN."""
     return (x > -limit) & (x < limit)
 
 
-@helper
 def not_negative(x: Float, limit: Float) -> Flag:
     """Within 0..limit, and not -0: the C compares bits."""
     return (math.copysign(ONE, x) > ZERO) & (x <= limit)
 
 
-@helper
 def positive_within(x: Float, low: Float, high: Float) -> Flag:
     """Within low..high, both of them positive."""
     return (x >= low) & (x <= high)
 
 
-@helper
 def positive_above(x: Float, y: Float) -> Flag:
     """Whether x > y, neither of them negative or NaN."""
     return x > y
 
 
-@helper
 def is_number(x: Float) -> Flag:
     """Neither infinite nor NaN."""
     return (x >= -LARGEST_FLOAT) & (x <= LARGEST_FLOAT)
 
 
-@helper
 def known_fraction(x: Float) -> Float:
     """What is within 0..1 already: said for analysers of the C."""
     return x
 
 
-@helper
 def add(total: Float, carry: Float, value: Float) -> tuple[Float, Float]:
     """Compensated sum: what rounding keeps from the total stays in the carry."""
     missed = value - carry
@@ -157,32 +145,27 @@ def add(total: Float, carry: Float, value: Float) -> tuple[Float, Float]:
 # ---- from here on the C is printed ----
 
 
-@helper
 def between(a: Float, b: Float, f: Float) -> Float:
     """From a at f = 0 to b at f = 1."""
     return a + (f * (b - a))
 
 
-@helper
 def clip(x: Float, low: Float, high: Float) -> Float:
     """Held within low..high."""
     return low if x < low else (high if x > high else x)
 
 
-@helper
 def at_least(x: Float, low: Float) -> Float:
     """Held above low."""
     return low if x < low else x
 
 
-@helper
 @apart
 def out_of_range(x: Float) -> Count:
     """Bit for a number that no cell of this kind gives; asked of readings that were refused."""
     return U(OUT_OF_RANGE) if is_number(x) else U(0)
 
 
-@helper
 @apart
 def risen(z: Float) -> Float:
     """1 - exp(-z) for z >= 0, with exp(z) by its first five terms: exact at 0, rises to 1."""
@@ -191,7 +174,6 @@ def risen(z: Float) -> Float:
     return grown / (ONE + grown)
 
 
-@helper
 @apart
 def root(square: Float) -> Float:
     """Square root of a number up to 4 by five Newton steps from 1.
