@@ -7,6 +7,7 @@ from pathlib import Path
 
 from cellwise.cell.description import ADAPTIVE, CELL, CHARGE, OFFSET, SOC, V1, V2, V3
 from cellwise.printing.covariance import CovariancePrinter
+from cellwise.printing.derivatives import derivatives_text
 from cellwise.printing.lanes import lanes_text
 from cellwise.printing.points import points_text
 
@@ -51,6 +52,7 @@ def adaptive_covariance_text() -> str:
 
 OUTPUTS: dict[str, Callable[[], str]] = {
     "src/cellwise/cell/point_kernels.py": points_text,
+    "src/cellwise/cell/derivative_kernels.py": derivatives_text,
     f"{FILTERS}/covariance_kernels.py": covariance_text,
     "src/cellwise/estimate/adaptive/covariance_kernels.py": adaptive_covariance_text,
     "src/cellwise/estimate/lockstep/lane_kernels.py": lanes_text,
