@@ -326,9 +326,15 @@ def polarisation(r0_ohm: float, current_A: float, v1_V: float, v2_V: float, v3_V
 
 
 @inline
-def terminal_voltage(point: CellPoint, h: float, polarisation_V: float) -> float:
+def loaded_voltage(ocv_V: float, m_V: float, h: float, polarisation_V: float) -> float:
     """V = OCV + M h - (R0 I + V1 + V2 + V3)."""
-    return (point.ocv_V + point.m_V * h) - polarisation_V
+    return (ocv_V + m_V * h) - polarisation_V
+
+
+@inline
+def terminal_voltage(point: CellPoint, h: float, polarisation_V: float) -> float:
+    """Terminal voltage at one point of the tables [V]."""
+    return loaded_voltage(point.ocv_V, point.m_V, h, polarisation_V)
 
 
 @inline

@@ -58,12 +58,20 @@ class Derivatives:
     outputs : names of lines that stay; everything else is taken out
     inputs : names with respect to which derivatives are taken
     edges : derivatives that are not those of a line, by name and by what they are with respect to
+    constants : whether derivatives of 1 and -1 have a field of the record, too
     """
 
     def __init__(
-        self, reader: Reader, outputs: Sequence[str], inputs: Sequence[str], edges: Edges
+        self,
+        reader: Reader,
+        outputs: Sequence[str],
+        inputs: Sequence[str],
+        edges: Edges | None = None,
+        *,
+        constants: bool = False,
     ) -> None:
-        self.lines, self.outputs = reader.lines, outputs
+        self.lines, self.outputs, self.constants = reader.lines, outputs, constants
+        edges = edges or {}
         self.edges: Edges = dict(edges)
         self.chain: list[Line] = []
         active = {*inputs, *edges}
@@ -105,7 +113,7 @@ class Derivatives:
     def kept(self) -> list[tuple[str, str]]:
         """Outputs and what they follow, where that is not a constant."""
         pairs = [(u, by) for u in self.outputs for by in self.edges[u]]
-        return [(u, by) for u, by in pairs if not self.constant(u, by)]
+        return [(u, by) for u, by in pairs if self.constants or not self.constant(u, by)]
 
     def constant(self, name: str, by: str) -> bool:
         """Whether a derivative is 1 or -1."""
