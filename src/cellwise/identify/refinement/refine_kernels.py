@@ -204,7 +204,7 @@ def voltage_and_jacobian(
         voltage_V[k] = loaded_voltage(ocv, m, h, drop)
         if evaluate[k]:
             of = voltage_partials(ocv, m, h, r0, seen, v[0], v[1], v[2])
-            by_branch = (of.voltage_by_v1_V, of.voltage_by_v2_V, of.voltage_by_v3_V)
+            by_branch = of.voltage_by_v1_V  # all of them alike
             row = jacobian[out]
             row[:] = 0.0
             for q in range(SUPPORT):
@@ -217,10 +217,10 @@ def voltage_and_jacobian(
             for j in range(branches):
                 o_r = knots_ocv + knots * (1 + 2 * j)
                 for q in range(knots):
-                    row[o_r + q] = by_branch[j] * sens[2 * j, q]
-                    row[o_r + knots + q] = by_branch[j] * sens[2 * j + 1, q]
-                act += by_branch[j] * sens_act[j]
-                skw += by_branch[j] * sens_skew[j]
+                    row[o_r + q] = by_branch * sens[2 * j, q]
+                    row[o_r + knots + q] = by_branch * sens[2 * j + 1, q]
+                act += by_branch * sens_act[j]
+                skw += by_branch * sens_skew[j]
             if hysteresis:
                 row[o_gamma] = of.voltage_by_h * h_gamma
                 skw += of.voltage_by_h * h_skew
