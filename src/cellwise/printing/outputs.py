@@ -7,9 +7,11 @@ from pathlib import Path
 
 from cellwise.cell.description import ADAPTIVE, CELL, CHARGE, OFFSET, SOC, V1, V2, V3
 from cellwise.printing.covariance import CovariancePrinter
+from cellwise.printing.derivatives import derivatives_text
 from cellwise.printing.firmware import print_header, print_source
 from cellwise.printing.fixed_covariance import print_covariance
 from cellwise.printing.lanes import lanes_text
+from cellwise.printing.part_derivatives import part_derivatives_text
 from cellwise.printing.points import points_text
 
 # The repository's root: files are named from there.
@@ -53,6 +55,8 @@ def adaptive_covariance_text() -> str:
 
 OUTPUTS: dict[str, Callable[[], str]] = {
     "src/cellwise/cell/point_kernels.py": points_text,
+    "src/cellwise/cell/derivative_kernels.py": derivatives_text,
+    "src/cellwise/identify/refinement/derivative_kernels.py": part_derivatives_text,
     f"{FILTERS}/covariance_kernels.py": covariance_text,
     "src/cellwise/estimate/adaptive/covariance_kernels.py": adaptive_covariance_text,
     "src/cellwise/estimate/lockstep/lane_kernels.py": lanes_text,
