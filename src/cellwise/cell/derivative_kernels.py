@@ -141,7 +141,8 @@ def partials(
     a2 = math.exp(-dt_s / tau2)
     a3 = math.exp(-dt_s / tau3)
     # hysteresis_decay
-    folds = -cell.hysteresis_rate * abs(current_A) * (dt_s / cell.charge_As)
+    per_A = dt_s / cell.charge_As
+    folds = -cell.hysteresis_rate * abs(current_A) * per_A
     # transition
     ah = math.exp(folds)
     # advance
@@ -159,6 +160,7 @@ def partials(
     heat_by_b = state.heat_K - cell.heating_K_per_W * (current_A * drop)
     h_by_ah = state.h + math.copysign(1.0, current_A)
     h_by_folds = h_by_ah * ah
+    h_by_per_A = h_by_folds * (-cell.hysteresis_rate * abs(current_A))
     v3_by_a3 = state.v3_V - r3_3 * current_A
     v2_by_a2 = state.v2_V - r2_4 * current_A
     v1_by_a1 = state.v1_V - r1_4 * current_A
@@ -268,13 +270,9 @@ def partials(
         v3_by_kelvin + v3_by_r3_ohm * by_kelvin.r3_ohm + v3_by_tau3_s * by_kelvin.tau3_s
     )
     v3_by_soc = v3_by_r3_ohm * by_soc.r3_ohm + v3_by_tau3_s * by_soc.tau3_s
-    h_by_hysteresis_rate = -(abs(current_A) * (dt_s / cell.charge_As) * h_by_folds)
-    h_by_current_A = (
-        -(cell.hysteresis_rate * math.copysign(1.0, current_A) * (dt_s / cell.charge_As) * h_by_folds)
-    )
-    h_by_charge_As = (
-        -(dt_s / cell.charge_As / cell.charge_As * (-cell.hysteresis_rate * abs(current_A)) * h_by_folds)
-    )
+    h_by_hysteresis_rate = -(abs(current_A) * per_A * h_by_folds)
+    h_by_current_A = -(cell.hysteresis_rate * math.copysign(1.0, current_A) * per_A * h_by_folds)
+    h_by_charge_As = -(per_A / cell.charge_As * h_by_per_A)
     drop_by_current_A = r0_4 + drop_by_growth * growth_by_current_A
     drop_by_charge_scale = current_A * (r0_3 if current_A < 0.0 else 0.0)
     drop_by_rate_per_A = drop_by_growth * growth_by_rate_per_A

@@ -280,7 +280,8 @@ def hysteresis_decay(cell: CellScalars, current_A: float, dt_s: float) -> float:
 
     .. math:: a_h = e^{-\gamma |I| \Delta t / (3600 Q)}
     """
-    folds = -cell.hysteresis_rate * abs(current_A) * (dt_s / cell.charge_As)
+    per_A = dt_s / cell.charge_As
+    folds = -cell.hysteresis_rate * abs(current_A) * per_A
     return math.exp(folds)
 
 

@@ -94,14 +94,15 @@ def hysteresis_partials(
 ) -> HysteresisPartials:
     """Of the hysteresis state after an interval."""
     # hysteresis_decay
-    folds = -cell.hysteresis_rate * abs(current_A) * (dt_s / cell.charge_As)
+    per_A = dt_s / cell.charge_As
+    folds = -cell.hysteresis_rate * abs(current_A) * per_A
     ah = math.exp(folds)
     # chain rule, from the last line to the first
     new_by_ah = h + math.copysign(1.0, current_A)
     new_by_folds = new_by_ah * ah
-    new_by_hysteresis_rate = -(abs(current_A) * (dt_s / cell.charge_As) * new_by_folds)
+    new_by_hysteresis_rate = -(abs(current_A) * per_A * new_by_folds)
     new_by_current_A = (
-        -(cell.hysteresis_rate * math.copysign(1.0, current_A) * (dt_s / cell.charge_As) * new_by_folds)
+        -(cell.hysteresis_rate * math.copysign(1.0, current_A) * per_A * new_by_folds)
     )
     return HysteresisPartials(ah, new_by_hysteresis_rate, new_by_current_A)
 
