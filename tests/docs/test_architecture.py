@@ -19,7 +19,7 @@ MAY_IMPORT = {
     "plotting": {"errors", "typing"},
     "logs": BASE,
     "cell": BASE | {"logs"},
-    "printing": BASE | {"cell"},
+    "printing": BASE | {"cell", "estimate"},
     "identify": BASE | {"logs", "cell"},
     "estimate": BASE | {"logs", "cell"},
     "forecast": BASE | {"logs", "cell", "estimate"},

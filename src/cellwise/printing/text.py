@@ -39,6 +39,8 @@ def broken_sum(start: str, value: ast.expr) -> list[str]:
     if len(whole := start + ast.unparse(value)) <= WIDTH:
         return [whole]
     indent = " " * (len(start) - len(start.lstrip()))
+    if isinstance(value, ast.UnaryOp):
+        return [f"{start}-(", f"{indent}    {ast.unparse(value.operand)}", f"{indent})"]
     if len(inner := f"{indent}    {ast.unparse(value)}") <= WIDTH:
         return [f"{start}(", inner, f"{indent})"]
     if isinstance(value, ast.BinOp) and isinstance(value.op, ast.Mult):

@@ -101,8 +101,8 @@ def hysteresis_partials(
     new_by_ah = h + math.copysign(1.0, current_A)
     new_by_folds = new_by_ah * ah
     new_by_hysteresis_rate = -(abs(current_A) * per_A * new_by_folds)
-    new_by_current_A = (
-        -(cell.hysteresis_rate * math.copysign(1.0, current_A) * per_A * new_by_folds)
+    new_by_current_A = -(
+        cell.hysteresis_rate * math.copysign(1.0, current_A) * per_A * new_by_folds
     )
     return HysteresisPartials(ah, new_by_hysteresis_rate, new_by_current_A)
 
