@@ -10,6 +10,7 @@ from cellwise.printing.covariance import CovariancePrinter
 from cellwise.printing.derivatives import derivatives_text
 from cellwise.printing.firmware import print_header, print_source
 from cellwise.printing.fixed_covariance import print_covariance
+from cellwise.printing.formulas import theory_text
 from cellwise.printing.lanes import lanes_text
 from cellwise.printing.part_derivatives import part_derivatives_text
 from cellwise.printing.points import points_text
@@ -60,6 +61,7 @@ OUTPUTS: dict[str, Callable[[], str]] = {
     f"{FILTERS}/covariance_kernels.py": covariance_text,
     "src/cellwise/estimate/adaptive/covariance_kernels.py": adaptive_covariance_text,
     "src/cellwise/estimate/lockstep/lane_kernels.py": lanes_text,
+    "docs/theory.md": lambda: theory_text(SOURCE / "docs" / "theory.md"),
     # What the C follows from comes first.
     "src/cellwise/estimate/fixed/covariance.py": print_covariance,
     "firmware_ref/cellwise_ekf.h": print_header,
