@@ -22,7 +22,7 @@ Edges = dict[str, dict[str, ast.expr]]
 POINT, SCALARS, STATE = CellPoint._fields, CellScalars._fields, CellState._fields
 # What stays a name of its own over an interval, in the order of the equations.
 OUTPUTS = ("soc", "v1", "v2", "v3", "h", "drop", "heat", "voltage")
-FIELDS = [c.field for c in COLUMNS if c.field != "error_V"]
+FIELDS = [c.field for c in COLUMNS]
 CELL_ARGUMENTS = ["cell: CellScalars", "state: CellState"]
 NOW = ["current_A: float", "dt_s: float", "temperature_C: float"]
 IMPORTS = """
