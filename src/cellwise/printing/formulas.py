@@ -94,7 +94,7 @@ def formula(node: ast.expr) -> str:
     if isinstance(node, ast.Attribute):
         return symbol(node.attr)
     if isinstance(node, ast.Constant):
-        return f"{node.value:g}"
+        return f"{float(str(node.value)):g}"
     if isinstance(node, ast.UnaryOp):
         return f"-{bracketed(node.operand)}"
     if isinstance(node, ast.BinOp):

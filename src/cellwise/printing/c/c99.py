@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import ast
 
-from cellwise.printing.c_reading import FLOATS, RECORDS, SCALARS, Reading, refuted
-from cellwise.printing.c_text import ALWAYS, Guard, broken, comment, merged, preprocessor, resolved
+from cellwise.printing.c.reading import FLOATS, RECORDS, SCALARS, Reading, refuted
+from cellwise.printing.c.text import ALWAYS, Guard, broken, comment, merged, preprocessor, resolved
 
 # What READ and RISE of cellwise_float.h read: rows of the neighbouring temperatures.
 ROWS = [

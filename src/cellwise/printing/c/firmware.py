@@ -13,9 +13,9 @@ import numpy as np
 from cellwise.estimate import status
 from cellwise.estimate.fixed import arithmetic, layout, options
 from cellwise.estimate.fixed.rows import STEP_MODULES
-from cellwise.printing.c99 import Function
-from cellwise.printing.c_reading import FLOATS, SCALARS, Program
-from cellwise.printing.c_text import (
+from cellwise.printing.c.c99 import Function
+from cellwise.printing.c.reading import FLOATS, SCALARS, Program
+from cellwise.printing.c.text import (
     ALWAYS,
     Guard,
     any_of,

@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from cellwise.cell.description import COLUMNS
 from cellwise.cell.equations import CellState
 from cellwise.cell.point_kernels import CellPoint, CellScalars
-from cellwise.printing.gradients import added, gradient, is_number, product
-from cellwise.printing.straight_line import Line, Reader, Value, Wish, record, unused
+from cellwise.printing.tangents.gradients import added, gradient, is_number, product
+from cellwise.printing.tangents.straight_line import Line, Reader, Value, Wish, record, unused
 from cellwise.printing.text import broken_sum, head, wrapped_call
 
 Edges = dict[str, dict[str, ast.expr]]
@@ -22,7 +22,7 @@ Edges = dict[str, dict[str, ast.expr]]
 POINT, SCALARS, STATE = CellPoint._fields, CellScalars._fields, CellState._fields
 # What stays a name of its own over an interval, in the order of the equations.
 OUTPUTS = ("soc", "v1", "v2", "v3", "h", "drop", "heat", "voltage")
-FIELDS = [c.field for c in COLUMNS if c.field != "error_V"]
+FIELDS = [c.field for c in COLUMNS]
 CELL_ARGUMENTS = ["cell: CellScalars", "state: CellState"]
 NOW = ["current_A: float", "dt_s: float", "temperature_C: float"]
 IMPORTS = """

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from cellwise.cell.point_kernels import CellScalars
-from cellwise.printing.derivatives import Derivatives
-from cellwise.printing.straight_line import Reader, Value, Wish, record
+from cellwise.printing.tangents.derivatives import Derivatives
+from cellwise.printing.tangents.straight_line import Reader, Value, Wish, record
 from cellwise.printing.text import head, wrapped_call
 
 IMPORTS = """

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from cellwise.printing.c_text import ALWAYS, Guard, opposite
+from cellwise.printing.c.text import ALWAYS, Guard, opposite
 
 FLOATS = {"Float": "", "SlowFloat": "SLOW", "HysteresisFloat": "HYSTERESIS"}
 FLOATS |= {"OffsetFloat": "OFFSET", "WarmFloat": "WARM"}  # and the option of each

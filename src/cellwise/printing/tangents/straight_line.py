@@ -57,10 +57,11 @@ def number(value: Value | None) -> ast.expr:
     raise ValueError(f"a number is needed, not {value}")
 
 
-def parsed() -> dict[str, ast.FunctionDef]:
-    """Every function of the equations."""
-    tree = ast.parse(Path(equations.__file__).read_text(encoding="utf-8"))
-    return {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
+def parsed(text: str | None = None) -> dict[str, ast.FunctionDef]:
+    """Every function of the equations, or of another text."""
+    if text is None:
+        text = Path(equations.__file__).read_text(encoding="utf-8")
+    return {n.name: n for n in ast.parse(text).body if isinstance(n, ast.FunctionDef)}
 
 
 def record(holder: str, names: tuple[str, ...]) -> Value:
