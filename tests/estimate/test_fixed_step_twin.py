@@ -54,7 +54,7 @@ def test_layouts_are_the_compilers(case, tmp_path):
 
 def test_status_bits_are_those_of_the_header():
     text = (firmware_folder() / "cellwise_ekf.h").read_text()
-    bits = dict(re.findall(r"#define CELLWISE_([A-Z_]+) (\d+)u ", text))
+    bits = dict(re.findall(r"#define CELLWISE_([A-Z_]+) (\d+)u\s", text))
     assert len(bits) >= 10
     for name, value in bits.items():
         assert int(Status[name]) == int(value), name
