@@ -96,7 +96,7 @@ SKEW_UNIT_S = 0.1
 
 
 def scalars_of(layout: Layout, theta: FloatArray, charge_As: float, *, skewed: bool) -> CellScalars:
-    """Scalars of a parameter vector; the skew is that of a log that has one."""
+    """Scalars of a parameter vector; ``skewed`` logs have its sampling delay, others none."""
     plain = CellScalars(*(0.0 for _ in CellScalars._fields))
     return plain._replace(
         charge_As=charge_As,

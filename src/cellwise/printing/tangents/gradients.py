@@ -56,7 +56,7 @@ def gradient(
             return {name: ONE} if name in active else {}
         case ast.UnaryOp(op=ast.USub(), operand=operand):
             return {n: negative(g) for n, g in gradient(operand, active).items()}
-        case ast.BinOp(left=a, op=op, right=b):
+        case ast.BinOp(left=a, op=ast.Add() | ast.Sub() | ast.Mult() | ast.Div() as op, right=b):
             found: dict[str, ast.expr] = {}
             for n, g in gradient(a, active).items():
                 match op:
