@@ -76,7 +76,7 @@ def study_page(path):
         voltage_rmse_V=[0.012, 0.01, 0.011],
         soc_rmse={"coulomb": [0.04, 0.002, 0.02], "ekf": [0.02, 0.003, 0.01]},
         names={"coulomb": "counting", "ekf": "the EKF"},
-        said=("voltage: rate:C/20 best, 10.0 mV", "SOC by counting: rate:C/20 best"),
+        titles=("voltage: rate:C/20 best, 10.0 mV", "SOC by counting: rate:C/20 best"),
         verdicts=["rate:C/20 wins"],
         head=["choice", "Ah"],
         rows=[["nominal", "2.8"], ["rate:C/20", "3.0"], ["rate:1C", "2.9"]],

@@ -61,7 +61,7 @@ def test_a_ulog_is_read_as_its_mean_cell(tmp_path):
 def test_a_ulog_says_how_many_cells_it_states(tmp_path):
     path = write_ulog(tmp_path / "flight", [pack()])
     assert any("4 cells in series: --series auto" in n for n in read_log(path).notices)
-    assert any("3 were told" in n for n in read_log(path, series=3).notices)
+    assert any("3 were stated" in n for n in read_log(path, series=3).notices)
 
 
 def test_minus_one_is_unknown_not_one_ampere(tmp_path):

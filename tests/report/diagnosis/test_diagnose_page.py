@@ -74,10 +74,10 @@ def test_none_and_undetermined_are_said():
     assert "no error beyond the stated one" in diagnosis_finding(none)
     assert "2.1" in diagnosis_finding(none)
     open_verdict = replace(none, verdict="undetermined")
-    assert "do not tell current offset from current gain" in diagnosis_finding(open_verdict)
+    assert "do not separate current offset from current gain" in diagnosis_finding(open_verdict)
     said = ("capacity fits not", "hysteresis and capacity explain the same equally well")
     told = diagnosis_finding(replace(open_verdict, reasons=said))
-    assert "do not tell capacity from hysteresis" in told
+    assert "do not separate capacity from hysteresis" in told
     quiet = replace(open_verdict, candidates=(), reasons=("the log is too short",))
     assert "the log is too short" in diagnosis_finding(quiet)
 

@@ -43,4 +43,4 @@ def test_the_page_holds_the_figures(flight, tmp_path):
 
 def test_the_finding_names_time_and_band(flight):
     _, left = flight
-    assert re.search(r"left at the present load \(.* to .*\)\.$", flight_finding(left))
+    assert re.search(r"remaining at the present load \(.* to .*\)\.$", flight_finding(left))
