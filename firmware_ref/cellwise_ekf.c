@@ -70,13 +70,25 @@ static APART uint32_t out_of_range(float x)
     return IS_NUMBER(x) ? CELLWISE_OUT_OF_RANGE : 0u;
 }
 
-#if CELLWISE_HYSTERESIS || CELLWISE_WIDE
+#if CELLWISE_HEATING || CELLWISE_HYSTERESIS || CELLWISE_WIDE
 /* 1 - exp(-z) for z >= 0, with exp(z) by its first five terms: exact at 0, rises to 1. */
 static APART float risen(float z)
 {
     const float fourth = SIXTH + (z * TWENTY_FOURTH);
     const float grown = z * (1.0f + (z * (0.5f + (z * fourth))));
     return grown / (1.0f + grown);
+}
+#endif
+
+#if CELLWISE_HEATING || CELLWISE_WIDE
+/* exp(-z) for z >= 0, to 1e-4 of itself. */
+static float vanishing(float z)
+{
+    float left = 1.0f - risen(((z < FURTHEST) ? z : FURTHEST) * 0.015625f);
+    for (uint32_t k = 0u; k < 6u; k++) {
+        left = left * left;
+    }
+    return left;
 }
 #endif
 
@@ -1050,6 +1062,9 @@ static void cross_gap(const cellwise_constants *c, cellwise_state *x, const cell
 #if CELLWISE_HYSTERESIS
     forget_hysteresis(x);
 #endif
+#if CELLWISE_HEATING
+    x->heat_K = x->heat_K * vanishing(steps * c->heat_rate);
+#endif
 }
 
 /* One interval of constant current. A resistance that is off by a share drives its branch like a
@@ -1113,18 +1128,6 @@ static float voltage_of(const cellwise_state *x, const cellwise_point *p, float 
 #endif
     return voltage;
 }
-
-#if CELLWISE_WIDE
-/* exp(-z) for z >= 0, to 1e-4 of itself. */
-static float vanishing(float z)
-{
-    float left = 1.0f - risen(((z < FURTHEST) ? z : FURTHEST) * 0.015625f);
-    for (uint32_t k = 0u; k < 6u; k++) {
-        left = left * left;
-    }
-    return left;
-}
-#endif
 
 #if CELLWISE_WIDE
 /* SOC and its variance over the whole of 0..1, when a voltage contradicts the estimate. Every
@@ -1241,39 +1244,6 @@ static void widen(const cellwise_constants *c, cellwise_state *x, const cellwise
         p->r3_ohm,
 #endif
         seen);
-}
-#endif
-
-/* ---- gain.py: What a gain of the fixed step is worth: judged by the slope where it leads. */
-
-#if CELLWISE_WIDE
-/* Judge the gain by the slope where it leads, if that is flatter; whether anything was learnt.
- * The gain itself was that of the slope here: on a plateau nothing is learnt, and the covariance
- * stays as it is. */
-static APART bool rejudge(const cellwise_model *m, const cellwise_place *place, cellwise_state *x,
-                          const cellwise_point *p, const cellwise_slopes *w,
-    const cellwise_column *d, float inverse, float innovation, float seen)
-{
-    const float ks = d->s * inverse;
-    const float move = ks * innovation;
-    float flat = (p->slope_V < w->slope_V) ? p->slope_V : w->slope_V;
-    if (magnitude(move) > (SMALL_MOVE * w->spread)) {
-        cellwise_point landed;
-        look_up(m, place, x->soc + move, seen, &landed);
-        cellwise_slopes there;
-        slopes_of(m, place, x->soc + move, w->spread, seen, &landed, &there);
-        flat = (there.slope_V < landed.slope_V) ? there.slope_V : landed.slope_V;
-        flat = (flat < w->slope_V) ? flat : w->slope_V;
-    }
-    const float less = flat - w->slope_V;
-    const float e = less * ((2.0f * d->s) + (less * x->ss));
-    const float wider = rejudged(ks, ks, less * x->ss, less * x->ss, e);
-    bool learnt = false;
-    if (SIZE_WITHIN(wider, LARGE) && (wider < (ks * d->s))) {
-        learnt = true;
-        rejudge_covariance(x, d, inverse, less, e, wider);
-    }
-    return learnt;
 }
 #endif
 
@@ -1400,8 +1370,11 @@ static void count_charge(const cellwise_constants *c, cellwise_state *x, const c
                 }
 #endif
                 used = used + (taken(c, charge->bridge) * (float)charge->missing);
-            } else { /* nobody knows what flowed */
+            } else { /* nobody knows what flowed; self-discharge goes on */
                 charge->missing = (charge->missing < LONGEST_GAP) ? charge->missing : LONGEST_GAP;
+#if CELLWISE_LEAK
+                used = used + (c->leak_soc * (float)charge->missing);
+#endif
             }
         }
         add(&x->soc, &x->soc_carry, -used);
@@ -1526,6 +1499,37 @@ static void innovate(const cellwise_constants *c, const cellwise_state *x, const
 }
 
 /* ---- correct.py: Correction of the fixed step by a measured voltage: gate, recovery, weight. */
+
+#if CELLWISE_WIDE
+/* Judge the gain by the slope where it leads, if that is flatter; whether anything was learnt.
+ * The gain itself was that of the slope here: on a plateau nothing is learnt, and the covariance
+ * stays as it is. */
+static APART bool rejudge(const cellwise_model *m, const cellwise_place *place, cellwise_state *x,
+                          const cellwise_point *p, const cellwise_slopes *w,
+    const cellwise_column *d, float inverse, float innovation, float seen)
+{
+    const float ks = d->s * inverse;
+    const float move = ks * innovation;
+    float flat = (p->slope_V < w->slope_V) ? p->slope_V : w->slope_V;
+    if (magnitude(move) > (SMALL_MOVE * w->spread)) {
+        cellwise_point landed;
+        look_up(m, place, x->soc + move, seen, &landed);
+        cellwise_slopes there;
+        slopes_of(m, place, x->soc + move, w->spread, seen, &landed, &there);
+        flat = (there.slope_V < landed.slope_V) ? there.slope_V : landed.slope_V;
+        flat = (flat < w->slope_V) ? flat : w->slope_V;
+    }
+    const float less = flat - w->slope_V;
+    const float e = less * ((2.0f * d->s) + (less * x->ss));
+    const float wider = rejudged(ks, ks, less * x->ss, less * x->ss, e);
+    bool learnt = false;
+    if (SIZE_WITHIN(wider, LARGE) && (wider < (ks * d->s))) {
+        learnt = true;
+        rejudge_covariance(x, d, inverse, less, e, wider);
+    }
+    return learnt;
+}
+#endif
 
 /* A voltage beyond the gate, and recovery after too many of them in a row. Under load the
  * resistances may be what is wrong: what three times the polarisation can explain speaks against

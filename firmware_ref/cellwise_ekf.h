@@ -124,6 +124,7 @@ typedef struct {
 #if CELLWISE_HEATING
     float heat_K_per_W;
     float heat_gain; /* 1 - exp(-dt / thermal time constant) */
+    float heat_rate; /* dt / thermal time constant */
 #endif
 #if CELLWISE_NEEDS_TEMPERATURE
     float temperature_C; /* until the first valid one */

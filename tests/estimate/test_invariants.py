@@ -174,7 +174,6 @@ def test_charge_is_conserved_on_the_target(name):
     np.testing.assert_allclose(soc, 0.5 - np.cumsum(flowed) / (3600.0 * 3.0), atol=1e-6)
 
 
-@pytest.mark.xfail(strict=True, reason="the fixed step crosses a long gap in one time step")
 @estimators([FIRMWARE])
 @pytest.mark.parametrize("field", ["heat_K", "soc"])
 def test_over_a_long_gap_on_the_target_only_the_current_is_unknown(name, field):

@@ -174,6 +174,14 @@ def risen(z: Float) -> Float:
     return grown / (ONE + grown)
 
 
+def vanishing(z: Float) -> Float:
+    """exp(-z) for z >= 0, to 1e-4 of itself."""
+    left = ONE - risen((z if z < FURTHEST else FURTHEST) * SIXTY_FOURTH)
+    for _ in range(6):
+        left = left * left
+    return left
+
+
 @apart
 def root(square: Float) -> Float:
     """Square root of a number up to 4 by five Newton steps from 1.

@@ -8,10 +8,13 @@ from cellwise.estimate.fixed.arithmetic import (
     FORGIVEN,
     FOUR,
     INTERVAL,
+    LARGE,
     ONE,
     REJECTION,
     REPEATED,
+    SMALL_MOVE,
     THREE,
+    TWO,
     ZERO,
     Count,
     Flag,
@@ -19,16 +22,24 @@ from cellwise.estimate.fixed.arithmetic import (
     Output,
     State,
     U,
+    apart,
+    magnitude,
     out_of_range,
     positive_above,
     positive_within,
     size_below,
+    size_within,
 )
-from cellwise.estimate.fixed.covariance import move, narrow
-from cellwise.estimate.fixed.gain import rejudge
+from cellwise.estimate.fixed.covariance import (
+    Column,
+    move,
+    narrow,
+    rejudge_covariance,
+    rejudged,
+)
 from cellwise.estimate.fixed.innovation import Innovation, innovate, shared_by, watch_voltage
 from cellwise.estimate.fixed.layout import Model
-from cellwise.estimate.fixed.lookup import Place, Point, Slopes
+from cellwise.estimate.fixed.lookup import Place, Point, Slopes, look_up, slopes_of
 from cellwise.estimate.fixed.options import WATCH, WIDE
 from cellwise.estimate.fixed.search import look_anew, widen
 from cellwise.estimate.fixed.sensing import Reading
@@ -38,6 +49,41 @@ from cellwise.estimate.status import (
     VOLTAGE_INVALID,
     VOLTAGE_LOST,
 )
+
+
+@apart
+def rejudge(
+    m: Model,
+    place: Place,
+    x: State,
+    p: Point,
+    w: Slopes,
+    d: Column,
+    inverse: Float,
+    innovation: Float,
+    seen: Float,
+) -> Flag:
+    """Judge the gain by the slope where it leads, if that is flatter; whether anything was learnt.
+
+    The gain itself was that of the slope here: on a plateau nothing is learnt, and the covariance
+    stays as it is.
+    """
+    ks = d.s * inverse
+    move = ks * innovation
+    flat = p.slope_V if p.slope_V < w.slope_V else w.slope_V
+    if magnitude(move) > (SMALL_MOVE * w.spread):
+        landed = look_up(m, place, x.soc + move, seen)
+        there = slopes_of(m, place, x.soc + move, w.spread, seen, landed)
+        flat = there.slope_V if there.slope_V < landed.slope_V else landed.slope_V
+        flat = flat if flat < w.slope_V else w.slope_V
+    less = flat - w.slope_V
+    e = less * ((TWO * d.s) + (less * x.ss))
+    wider = rejudged(ks, ks, less * x.ss, less * x.ss, e)
+    learnt = False
+    if size_within(wider, LARGE) and wider < (ks * d.s):
+        learnt = True
+        rejudge_covariance(x, d, inverse, less, e, wider)
+    return learnt
 
 
 def reject(

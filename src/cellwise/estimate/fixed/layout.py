@@ -93,6 +93,7 @@ CONSTANTS = (
     Field("offset_walk_A2", "gained in one step", "OFFSET"),
     Field("heat_K_per_W", "", "HEATING"),
     Field("heat_gain", "1 - exp(-dt / thermal time constant)", "HEATING"),
+    Field("heat_rate", "dt / thermal time constant", "HEATING"),
     Field("temperature_C", "until the first valid one", "WARM"),
     Field("grid_C", "temperatures of the tables", "TEMPERATURES", "f4", "temperatures"),
     Field("per_K", "1 / distance of neighbours", "TEMPERATURES", "f4", "temperatures", 1),

@@ -16,6 +16,7 @@ from cellwise.estimate.fixed.arithmetic import (
     magnitude,
     positive_above,
     risen,
+    vanishing,
 )
 from cellwise.estimate.fixed.covariance import (
     add_variance,
@@ -26,7 +27,15 @@ from cellwise.estimate.fixed.covariance import (
     tilt,
 )
 from cellwise.estimate.fixed.lookup import Point, Slopes
-from cellwise.estimate.fixed.options import EFFICIENCY, HYSTERESIS, LEAK, OFFSET, SLOW, WIDE
+from cellwise.estimate.fixed.options import (
+    EFFICIENCY,
+    HEATING,
+    HYSTERESIS,
+    LEAK,
+    OFFSET,
+    SLOW,
+    WIDE,
+)
 
 
 def taken(c: Constants, current: Float) -> Float:
@@ -66,6 +75,8 @@ def cross_gap(
             x.p33 = x.p33 + (unknown_A2 * (p.r3_ohm * p.r3_ohm))
     if HYSTERESIS:
         forget_hysteresis(x)
+    if HEATING:
+        x.heat_K = x.heat_K * vanishing(steps * c.heat_rate)
 
 
 def predict(c: Constants, x: State, p: Point, w: Slopes, flow: Float, unmeasured_A2: Float) -> None:

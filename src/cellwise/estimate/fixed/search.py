@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from cellwise.estimate.fixed.arithmetic import (
     FIRST_VOLTAGE,
-    FURTHEST,
     HALF,
     LARGE,
     LOAD_LIMIT_V,
@@ -14,7 +13,6 @@ from cellwise.estimate.fixed.arithmetic import (
     RESTART_POINTS,
     RESTART_ROUNDING,
     RESTART_STEP,
-    SIXTY_FOURTH,
     ZERO,
     Constants,
     F,
@@ -23,8 +21,8 @@ from cellwise.estimate.fixed.arithmetic import (
     apart,
     at_least,
     clip,
-    risen,
     root,
+    vanishing,
     within,
 )
 from cellwise.estimate.fixed.covariance import forget_correlations
@@ -42,14 +40,6 @@ def voltage_of(x: State, p: Point, drop: Float) -> Float:
     if HYSTERESIS:
         voltage = voltage + (p.m_V * x.h)
     return voltage
-
-
-def vanishing(z: Float) -> Float:
-    """exp(-z) for z >= 0, to 1e-4 of itself."""
-    left = ONE - risen((z if z < FURTHEST else FURTHEST) * SIXTY_FOURTH)
-    for _ in range(6):
-        left = left * left
-    return left
 
 
 @apart

@@ -35,7 +35,7 @@ from cellwise.estimate.fixed.arithmetic import (
     within,
 )
 from cellwise.estimate.fixed.lookup import within_one
-from cellwise.estimate.fixed.options import HEATING, OFFSET, SKEW, WARM, WATCH
+from cellwise.estimate.fixed.options import HEATING, LEAK, OFFSET, SKEW, WARM, WATCH
 from cellwise.estimate.fixed.predict import taken
 from cellwise.estimate.status import (
     CLAMPED,
@@ -142,8 +142,10 @@ def count_charge(c: Constants, x: State, s: Reading) -> Charge:
                 if WATCH and s.silent > c.hold_steps:
                     bridge = ZERO
                 used = used + (taken(c, bridge) * F(missing))
-            else:  # nobody knows what flowed
+            else:  # nobody knows what flowed; self-discharge goes on
                 missing = missing if missing < LONGEST_GAP else LONGEST_GAP
+                if LEAK:
+                    used = used + (c.leak_soc * F(missing))
         x.soc, x.soc_carry = add(x.soc, x.soc_carry, -used)
         if s.unmeasured_A2 > ZERO:
             if WATCH:

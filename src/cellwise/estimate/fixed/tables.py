@@ -261,6 +261,7 @@ def _constants(
         "offset_walk_A2": offset_std_A**2 * dt_s / (3600.0 * OFFSET_WALK_H),
         "heat_K_per_W": heating.rth_K_per_W,
         "heat_gain": -np.expm1(-dt_s / heating.thermal_s),
+        "heat_rate": dt_s / heating.thermal_s,
         "temperature_C": model_temperature_C(model),
         **_temperature_tables(model, options),
     }
