@@ -1,82 +1,124 @@
+/* State of charge of one battery cell: float32 extended Kalman filter at a fixed time step.
+ * Printed from src/cellwise/estimate/fixed by `python -m cellwise.printing`; do not edit. */
 #include "cellwise_ekf.h"
+#include "cellwise_float.h"
 
-/* Constants of the algorithm, the same in estimate/fixed/arithmetic.py. Hex literals are exact. */
+/* Constants of the algorithm. */
+#define SIXTH 0x1.555556p-3f /* 0.166667 */
+#define TWENTY_FOURTH 0x1.555556p-5f /* 0.0416667 */
 #define KNOW_NOTHING_SOC 0.5f
 #define KNOW_NOTHING_VARIANCE 0x1.70a3d8p-4f /* 0.09 */
-#define SOC_VARIANCE_MOST 1.0f
+#define SOC_VARIANCE_MOST 1.0f /* SOC lies in 0..1: more says nothing */
 #define VARIANCE_FLOOR 0x1.197998p-40f /* 1e-12 */
-#define GROW 0x1.000004p+0f            /* above rounding, so that P stays positive */
-#define BEYOND 0x1.99999ap-5f          /* 0.05: how far the OCV goes on outside 0..1 */
-#define WIDE_VARIANCE 0x1.a36e2ep-12f  /* 4e-4: beyond it the tangent is no guide */
-#define SMALL_MOVE 0x1.99999ap-5f /* 0.05 of a deviation: the slope is that of the spot left */
-#define SHORTEST_CHORD 0x1.0c6f7ap-20f /* 1e-6 */
-#define RECOVERY_VARIANCE 0x1.70a3d8p-4f
+#define GROW 0x1.000004p+0f /* above rounding, so that P stays positive */
+#define BEYOND 0x1.99999ap-5f /* 0.05: how far the OCV goes on outside 0..1 */
+#define WIDE_VARIANCE 0x1.a36e2ep-12f /* 0.0004: beyond it the tangent is no guide */
+#define SHORTEST_CHORD 0x1.0c6f7ap-20f /* 1e-06 */
+#define SMALL_MOVE 0x1.99999ap-5f /* 0.05: of a deviation: the slope is that of the spot left */
+#define RECOVERY_VARIANCE 0x1.70a3d8p-4f /* 0.09 */
 #define TEMPERATURE_LOW_C (-60.0f)
 #define TEMPERATURE_HIGH_C 120.0f
 #define HEAT_MOST_K 200.0f
 #define LARGE 0x1p+20f /* no sound state goes beyond it, in V, A or their squares */
-#define LARGE_BITS 0x49800000u /* of LARGE */
-#define CARRY_BITS 0x3A800000u /* 2^-10 */
-#define ONE_BITS 0x3F800000u
+#define CARRY_MOST 0x1p-10f
 #define LEAST_FALL 0x1.99999ap-4f /* 0.1: with the current a resistance rises by ten at most */
-#define LONGEST_GAP 0x100000u
+#define LONGEST_GAP 0x100000u /* samples */
 #define NOT_BEGUN 0u /* evidence before the first sample */
 #define NO_VOLTAGE_YET 1u
 #define FIRST_VOLTAGE 2u
 #define EVIDENCE_MOST 0x200000u
+#define REPEATED 0u /* a sample that was seen before, */
+#define NO_INTERVAL 1u /* the first one, which ends no interval, */
+#define INTERVAL 2u /* and one that ends an interval */
 #define SHARED_GROWTH 4.0f /* twice the growth of the memory, in steps a step */
 #define START_LOAD_SHARE 0.5f
-#define REJECTION 20000u /* in the count of rejections in a row */
-#define FORGIVEN 2000u
-#define INFINITY_BITS 0x7F800000u
-#define LOAD_LIMIT_V 0x1.333334p-2f   /* 0.3 */
-#define REST_LIMIT_V 0x1.eb851ep-6f   /* 0.03: a rested branch holds no more */
+#define REST_LIMIT_V 0x1.eb851ep-6f /* 0.03: a rested branch holds no more */
+#define LOAD_LIMIT_V 0x1.333334p-2f /* 0.3 */
 #define RESTART_POINTS 201u
-#define RESTART_STEP 0x1.47ae14p-8f         /* 1/200 */
-#define RESTART_ROUNDING 0x1.179ecap-19f    /* of a SOC between two points: 1/200^2/12 */
-#define FURTHEST 2000.0f                    /* beyond it exp(-z) is nothing */
+#define RESTART_STEP 0x1.47ae14p-8f /* 0.005 */
+#define RESTART_ROUNDING 0x1.179ecap-19f /* 2.08333e-06: of a SOC between two points: 1/200^2/12 */
+#define FURTHEST 2000.0f /* beyond it exp(-z) is nothing */
 #define FROZEN_READINGS 3u
 #define FROZEN 0xFFFFFFFFu /* repeats of a voltage that was found frozen */
 #define COUNT_MOST 2000000000u
+#define REJECTION 20000u /* in the count of rejections in a row */
+#define FORGIVEN 2000u
 
-/* False for NaN too. Macros, so that what is tested is known of the object itself afterwards, to
- * people and to analysers. */
-#ifndef WITHIN /* analysis/eva_within.h says the same to Frama-C */
-#define WITHIN(x, low, high) (((x) >= (low)) && ((x) <= (high)))
-#endif
-/* The bits of a float order its size: one integer comparison refuses what is too large, what is not
- * a number and, of a variance, what is negative. */
-#ifndef NO_LARGER
-#define NO_LARGER(x, limit) ((bits_of(x) << 1) <= ((limit) << 1))
-#define NOT_NEGATIVE(x, limit) (bits_of(x) <= (limit))
-#define SIZE_WITHIN(x, limit) ((bits_of(x) << 1) <= (bits_of(limit) << 1))
-#define SIZE_BELOW(x, limit) ((bits_of(x) << 1) < (bits_of(limit) << 1))
-#define POSITIVE_WITHIN(x, low, high) \
-    ((bits_of(x) >= bits_of(low)) && (bits_of(x) <= bits_of(high)))
-#define POSITIVE_ABOVE(x, y) (bits_of(x) > bits_of(y))
-#define IS_NUMBER(x) ((bits_of(x) << 1) < (INFINITY_BITS << 1))
-#endif
-#ifndef WITHIN_ONE /* what is within 0..1 already: said for analysers */
-#define WITHIN_ONE(x) (x)
-#endif
-#define IS_SMALL(x) NO_LARGER(x, LARGE_BITS)
-#define IS_VARIANCE(x) NOT_NEGATIVE(x, LARGE_BITS)
+/* ---- arithmetic.py: The fixed step in float32: its constants and its small helpers. */
 
-/* What few steps need is kept out of the others' registers and stack. */
-#if defined(__GNUC__) && !defined(__FRAMAC__)
-#define APART __attribute__((noinline))
-#else
-#define APART
+/* From a at f = 0 to b at f = 1. */
+static float between(float a, float b, float f)
+{
+    return a + (f * (b - a));
+}
+
+/* Held within low..high. */
+static float clip(float x, float low, float high)
+{
+    return (x < low) ? low : ((x > high) ? high : x);
+}
+
+/* Held above low. */
+static float at_least(float x, float low)
+{
+    return (x < low) ? low : x;
+}
+
+/* Bit for a number that no cell of this kind gives; asked of readings that were refused. */
+static APART uint32_t out_of_range(float x)
+{
+    return IS_NUMBER(x) ? CELLWISE_OUT_OF_RANGE : 0u;
+}
+
+#if CELLWISE_HYSTERESIS || CELLWISE_WIDE
+/* 1 - exp(-z) for z >= 0, with exp(z) by its first five terms: exact at 0, rises to 1. */
+static APART float risen(float z)
+{
+    const float fourth = SIXTH + (z * TWENTY_FOURTH);
+    const float grown = z * (1.0f + (z * (0.5f + (z * fourth))));
+    return grown / (1.0f + grown);
+}
 #endif
 
-/* The tables at one SOC and temperature. */
+#if CELLWISE_WATCH || CELLWISE_WIDE
+/* Square root of a number up to 4 by five Newton steps from 1. One below 1/4 is multiplied by 4
+ * until it is not. */
+static APART float root(float square)
+{
+    float scaled = square;
+    float unit = 1.0f;
+    float r = 1.0f;
+    for (uint32_t k = 0u; k < 24u; k++) {
+        if (scaled >= 0.25f) {
+            break;
+        }
+        scaled = 4.0f * scaled;
+        unit = 0.5f * unit;
+    }
+    for (uint32_t k = 0u; k < 5u; k++) {
+        r = 0.5f * (r + (scaled / r));
+    }
+    return r * unit;
+}
+#endif
+
+/* ---- lookup.py: Tables of the fixed step at one SOC, temperature and current. */
+
+/* Where a temperature lies between two tables, and what it does to every resistance. */
+typedef struct {
+    uint32_t low;
+    float weight;
+    float scale;
+} cellwise_place;
+
+/* The tables at one SOC and temperature; a gain is 1 - exp(-dt/tau). */
 typedef struct {
     float ocv_V;
     float slope_V;
     float noise_V2;
     float r0_ohm;
     float r1_ohm;
-    float gain1; /* 1 - exp(-dt/tau) */
+    float gain1;
     float r2_ohm;
     float gain2;
 #if CELLWISE_SLOW
@@ -88,24 +130,12 @@ typedef struct {
 #endif
 } cellwise_point;
 
-/* The branches of a point as arguments, which stay in registers. */
-#if CELLWISE_SLOW
-#define BRANCHES float r1_ohm, float gain1, float r2_ohm, float gain2, float r3_ohm, float gain3
-#define BRANCHES_OF(p) (p).r1_ohm, (p).gain1, (p).r2_ohm, (p).gain2, (p).r3_ohm, (p).gain3
-#define RESISTANCES float r1_ohm, float r2_ohm, float r3_ohm
-#define RESISTANCES_OF(p) (p).r1_ohm, (p).r2_ohm, (p).r3_ohm
-#else
-#define BRANCHES float r1_ohm, float gain1, float r2_ohm, float gain2
-#define BRANCHES_OF(p) (p).r1_ohm, (p).gain1, (p).r2_ohm, (p).gain2
-#define RESISTANCES float r1_ohm, float r2_ohm
-#define RESISTANCES_OF(p) (p).r1_ohm, (p).r2_ohm
-#endif
-
-/* Slopes over SOC, while it is badly known: of the voltage, the OCV's bend, of the branches. */
+/* Slopes over SOC, while it is badly known: of the voltage, the OCV's bend, of the branches.
+ * `spread` is the standard deviation of SOC, 0 while it is well known. */
 typedef struct {
     float slope_V;
     float bend_V;
-    float spread; /* standard deviation of SOC; 0 while it is well known */
+    float spread;
     float rise1;
     float rise2;
 #if CELLWISE_SLOW
@@ -113,74 +143,200 @@ typedef struct {
 #endif
 } cellwise_slopes;
 
-/* Where a temperature lies between two tables, and what it does to every resistance. */
+/* Neighbouring tables of a temperature, and the Arrhenius factor. */
+static void place_of(const cellwise_model *m, float temperature_C, cellwise_place *place)
+{
+    (void)m;
+    (void)temperature_C;
+    place->low = 0u;
+    place->weight = 0.0f;
+    place->scale = 1.0f;
+#if CELLWISE_TEMPERATURES > 1
+    while ((place->low < (CELLWISE_TEMPERATURES - 2u)) &&
+           (temperature_C > m->constant.grid_C[place->low + 1u])) {
+        place->low = place->low + 1u;
+    }
+    place->weight = (temperature_C - m->constant.grid_C[place->low]) *
+        m->constant.per_K[place->low];
+    place->weight = clip(place->weight, 0.0f, 1.0f);
+#endif
+#if CELLWISE_ARRHENIUS > 0
+    const float most = (float)(CELLWISE_ARRHENIUS - 1u);
+    float y = (temperature_C - m->constant.arrhenius_low_C) * m->constant.arrhenius_per_K;
+    y = clip(y, 0.0f, most);
+    uint32_t k = (uint32_t)y;
+    if (k > (CELLWISE_ARRHENIUS - 3u)) {
+        k = CELLWISE_ARRHENIUS - 3u;
+    }
+    /* The parabola through three neighbouring points: an exponential bends too much for a line. */
+    const float f = y - (float)k;
+    const float start = m->constant.arrhenius[k];
+    const float first = m->constant.arrhenius[k + 1u] - start;
+    const float second = m->constant.arrhenius[k + 2u] - m->constant.arrhenius[k + 1u];
+    place->scale = start + (f * (first + ((0.5f * (f - 1.0f)) * (second - first))));
+#endif
+}
+
+/* The nearer end of 0..1 for a SOC beyond it. */
+static float within_one(float soc)
+{
+    return NOT_NEGATIVE(soc, 1.0f) ? soc : ((soc < 0.5f) ? 0.0f : 1.0f);
+}
+
+/* Lower point of the SOC interval that holds x, a SOC in units of the grid. */
+static uint32_t index_of(float x, uint32_t points)
+{
+#if CELLWISE_WIDE
+    const float held = (x > 0.0f) ? x : 0.0f;
+    uint32_t k = (held < (float)(points - 2u)) ? (uint32_t)held : (points - 2u);
+#else
+    /* x is within 0..points - 1 */
+    uint32_t k = (uint32_t)x;
+    k = (k < (points - 2u)) ? k : (points - 2u);
+#endif
+    return k;
+}
+
+/* Outside 0..1 the OCV goes on along its last segment, every other table stays at its end.
+ * Without CELLWISE_WIDE the OCV stays, too. */
+static void look_up(const cellwise_model *m, const cellwise_place *place, float soc, float current,
+                    cellwise_point *point)
+{
+    (void)current;
+    const cellwise_row *const low = m->row[place->low];
+#if CELLWISE_TEMPERATURES > 1
+    const cellwise_row *const high = m->row[place->low + 1u];
+#endif
+    const uint32_t points = CELLWISE_POINTS;
+#if CELLWISE_WIDE
+    const float x = soc * (float)(points - 1u);
+    const uint32_t k = index_of(x, points);
+    float f = x - (float)k;
+    f = clip(f, -(BEYOND * (float)(points - 1u)), 1.0f + (BEYOND * (float)(points - 1u)));
+    const float g = clip(f, 0.0f, 1.0f);
+#else
+    const float x = within_one(soc) * (float)(points - 1u);
+    const uint32_t k = index_of(x, points);
+    float f = KNOWN_FRACTION(x - (float)k);
+    const float g = f;
+#endif
+    point->ocv_V = READ(k, ocv_V, f);
+    point->slope_V = RISE(k, ocv_V) * (float)(points - 1u);
+#if CELLWISE_WIDE
+    point->noise_V2 = READ(k, error_V, g);
+    point->noise_V2 = m->constant.fixed_V2 + (point->noise_V2 * point->noise_V2);
+    point->noise_V2 = point->noise_V2 + (m->constant.ocv_soc2 * (point->slope_V * point->slope_V));
+#else
+    point->noise_V2 = READ(k, noise_V2, g);
+#endif
+    point->r0_ohm = READ(k, r0_ohm, g);
+    point->r1_ohm = READ(k, r1_ohm, g);
+    point->gain1 = 1.0f / READ(k, lag1, g);
+    point->r2_ohm = READ(k, r2_ohm, g);
+    point->gain2 = 1.0f / READ(k, lag2, g);
+#if CELLWISE_SLOW
+    point->r3_ohm = READ(k, r3_ohm, g);
+    point->gain3 = 1.0f / READ(k, lag3, g);
+#endif
+#if CELLWISE_HYSTERESIS
+    point->m_V = READ(k, m_V, g);
+#endif
+#if (CELLWISE_ARRHENIUS > 0) || CELLWISE_RATE || CELLWISE_ASYMMETRY
+    float scale = place->scale;
+#if CELLWISE_ASYMMETRY
+    if (current < 0.0f) {
+        scale = scale * m->constant.charge_scale;
+    }
+#endif
+#if CELLWISE_SLOW
+    point->r3_ohm = point->r3_ohm * scale;
+#endif
+#if CELLWISE_RATE
+    const float fall = 1.0f + (m->constant.rate_per_A * magnitude(current));
+    scale = scale / clip(fall, LEAST_FALL, LARGE);
+#endif
+    point->r0_ohm = point->r0_ohm * scale;
+    point->r1_ohm = point->r1_ohm * scale;
+    point->r2_ohm = point->r2_ohm * scale;
+#endif
+}
+
+/* SOC is well known: the OCV's tangent, and nothing else. */
+static void no_slopes(const cellwise_point *p, cellwise_slopes *slopes)
+{
+    slopes->slope_V = p->slope_V;
+    slopes->bend_V = 0.0f;
+    slopes->spread = 0.0f;
+    slopes->rise1 = 0.0f;
+    slopes->rise2 = 0.0f;
+#if CELLWISE_SLOW
+    slopes->rise3 = 0.0f;
+#endif
+}
+
+#if CELLWISE_WIDE
+/* While SOC is badly known slopes are chords over one standard deviation to either side. A
+ * far-off start must not be corrected with the slope of where it stands. A SOC that is far off
+ * brings the resistances of another SOC with it, so R0's slope joins the OCV's. */
+static APART void slopes_of(const cellwise_model *m, const cellwise_place *place, float soc,
+                            float spread, float current, const cellwise_point *p,
+    cellwise_slopes *slopes)
+{
+    const float low = clip(soc - spread, 0.0f, 1.0f);
+    const float high = clip(soc + spread, 0.0f, 1.0f);
+    slopes->slope_V = p->slope_V;
+    slopes->bend_V = 0.0f;
+    slopes->rise1 = 0.0f;
+    slopes->rise2 = 0.0f;
+#if CELLWISE_SLOW
+    slopes->rise3 = 0.0f;
+#endif
+    if ((high - low) >= SHORTEST_CHORD) {
+        const float per = 1.0f / (high - low);
+        cellwise_point end;
+        look_up(m, place, low, current, &end);
+        float ocv = end.ocv_V;
+        float ohmic = end.r0_ohm;
+        slopes->rise1 = end.r1_ohm;
+        slopes->rise2 = end.r2_ohm;
+#if CELLWISE_SLOW
+        slopes->rise3 = end.r3_ohm;
+#endif
+        slopes->bend_V = end.ocv_V - p->ocv_V;
+        look_up(m, place, high, current, &end);
+        ocv = (end.ocv_V - ocv) * per;
+        ohmic = (end.r0_ohm - ohmic) * per;
+        slopes->rise1 = (end.r1_ohm - slopes->rise1) * per;
+        slopes->rise2 = (end.r2_ohm - slopes->rise2) * per;
+#if CELLWISE_SLOW
+        slopes->rise3 = (end.r3_ohm - slopes->rise3) * per;
+#endif
+        slopes->slope_V = ocv - (ohmic * current);
+        slopes->bend_V = slopes->bend_V + (ocv * (soc - low));
+    }
+    slopes->spread = spread;
+}
+#endif
+
+/* ---- covariance.py: Covariance of the fixed step: what a step does to P and to the state
+ * through it. */
+
+/* P H', with H = [slope, -1, -1, -1, m, r0], and the innovation variance it explains. */
 typedef struct {
-    uint32_t low;
-    float weight;
-    float scale;
-} cellwise_place;
-
-static float between(float a, float b, float f)
-{
-    return a + (f * (b - a));
-}
-
-static float clip(float x, float low, float high)
-{
-    return (x < low) ? low : ((x > high) ? high : x);
-}
-
-static float at_least(float x, float low)
-{
-    return (x < low) ? low : x;
-}
-
-#ifndef MAGNITUDE
-typedef union {
-    float value;
-    uint32_t bits;
-} cellwise_word;
-
-static uint32_t bits_of(float x)
-{
-    cellwise_word word;
-    word.value = x;
-    return word.bits;
-}
-
-/* The builtin is one instruction, or two, and never a call. */
-static float magnitude(float x)
-{
-#if defined(__GNUC__)
-    return __builtin_fabsf(x);
-#else
-    cellwise_word word;
-    word.value = x;
-    word.bits = word.bits & 0x7FFFFFFFu;
-    return word.value;
+    float s;
+    float v1;
+    float v2;
+#if CELLWISE_SLOW
+    float v3;
 #endif
-}
-#else
-static float magnitude(float x)
-{
-    return MAGNITUDE(x);
-}
+#if CELLWISE_HYSTERESIS
+    float h;
 #endif
-
-/* A number, but one that no cell of this kind gives; asked only of readings that were refused. */
-static APART uint32_t out_of_range(float x)
-{
-    return IS_NUMBER(x) ? CELLWISE_OUT_OF_RANGE : 0u;
-}
-
-/* Compensated sum: what rounding keeps from `sum` stays in `carry`. */
-static void add(float *sum, float *carry, float value)
-{
-    const float missed = value - *carry;
-    const float total = *sum + missed;
-    *carry = (total - *sum) - missed;
-    *sum = total;
-}
+#if CELLWISE_OFFSET
+    float o;
+#endif
+    float variance;
+} cellwise_column;
 
 /* A variance of SOC that is large changes by less than rounding keeps of it. */
 static void add_variance(cellwise_state *x, float value)
@@ -192,322 +348,88 @@ static void add_variance(cellwise_state *x, float value)
 #endif
 }
 
-#if CELLWISE_WIDE || CELLWISE_HYSTERESIS
-/* 1 - exp(-z) for z >= 0, with exp(z) by its first five terms: exact at 0, rises to 1. */
-static APART float risen(float z)
+/* Every entry in its range. */
+static bool covariance_is_sound(const cellwise_state *x)
 {
-    const float fourth = 0x1.555556p-3f + (z * 0x1.555556p-5f); /* 1/6, 1/24 */
-    const float grown = z * (1.0f + (z * (0.5f + (z * fourth))));
-    return grown / (1.0f + grown);
-}
-#endif
-
-#if CELLWISE_WIDE || CELLWISE_WATCH
-/* Square root of a number up to 4 by five Newton steps from 1; one below 1/4 is multiplied by 4 until
- * it is not. */
-static APART float root(float square)
-{
-    float scaled = square;
-    float unit = 1.0f;
-    float r = 1.0f;
-    for (uint32_t k = 0u; k < 24u; k++) {
-        if (scaled < 0.25f) {
-            scaled = 4.0f * scaled;
-            unit = 0.5f * unit;
-        }
+    if (!NOT_NEGATIVE(x->ss, LARGE)) {
+        return false;
     }
-    for (uint32_t k = 0u; k < 5u; k++) {
-        r = 0.5f * (r + (scaled / r));
+    if (!SIZE_WITHIN(x->s1, LARGE)) {
+        return false;
     }
-    return r * unit;
-}
-#endif
-
-/* ---- tables ---- */
-
-#if CELLWISE_ARRHENIUS > 0
-/* The parabola through three neighbouring points: an exponential bends too much for a line. */
-static float through_three(const float *table, float f)
-{
-    const float first = table[1] - table[0];
-    const float second = table[2] - table[1];
-    return table[0] + (f * (first + ((0.5f * (f - 1.0f)) * (second - first))));
-}
-#endif
-
-static cellwise_place place_of(const cellwise_model *m, float temperature_C)
-{
-    cellwise_place place = {0u, 0.0f, 1.0f};
-#if CELLWISE_TEMPERATURES > 1
-    while ((place.low < (CELLWISE_TEMPERATURES - 2u)) &&
-           (temperature_C > m->constant.grid_C[place.low + 1u])) {
-        place.low++;
+    if (!SIZE_WITHIN(x->s2, LARGE)) {
+        return false;
     }
-    place.weight =
-        clip((temperature_C - m->constant.grid_C[place.low]) * m->constant.per_K[place.low], 0.0f,
-             1.0f);
-#endif
-#if CELLWISE_ARRHENIUS > 0
-    {
-        const float y = clip((temperature_C - m->constant.arrhenius_low_C) *
-                                 m->constant.arrhenius_per_K,
-                             0.0f, (float)(CELLWISE_ARRHENIUS - 1u));
-        uint32_t k = (uint32_t)y;
-        if (k > (CELLWISE_ARRHENIUS - 3u)) {
-            k = CELLWISE_ARRHENIUS - 3u;
-        }
-        place.scale = through_three(&m->constant.arrhenius[k], y - (float)k);
+    if (!NOT_NEGATIVE(x->p11, LARGE)) {
+        return false;
     }
-#endif
-#if !CELLWISE_NEEDS_TEMPERATURE
-    (void)m;
-    (void)temperature_C;
-#endif
-    return place;
-}
-
-/* The nearer end of 0..1 for a SOC beyond it. */
-static float within_one(float soc)
-{
-    return NOT_NEGATIVE(soc, ONE_BITS) ? soc : ((soc < 0.5f) ? 0.0f : 1.0f);
-}
-
-/* Lower point of the SOC interval that holds x, a SOC in units of the grid. */
-static uint32_t index_of(float x)
-{
-#if CELLWISE_WIDE
-    const float held = (x > 0.0f) ? x : 0.0f;
-    return (held < (float)(CELLWISE_POINTS - 2u)) ? (uint32_t)held : (CELLWISE_POINTS - 2u);
-#else
-    const uint32_t k = (uint32_t)x; /* x is within 0..POINTS - 1 */
-    return (k < (CELLWISE_POINTS - 2u)) ? k : (CELLWISE_POINTS - 2u);
-#endif
-}
-
-#define POINTS_SCALE ((float)(CELLWISE_POINTS - 1u))
-
-#if CELLWISE_TEMPERATURES > 1
-#define READ(field, f)                                                                     \
-    between(between(low[k].field, low[k + 1u].field, (f)),                                 \
-            between(high[k].field, high[k + 1u].field, (f)), place->weight)
-#define RISE(field)                                                                        \
-    between(low[k + 1u].field - low[k].field, high[k + 1u].field - high[k].field, place->weight)
-#else
-#define READ(field, f) between(low[k].field, low[k + 1u].field, (f))
-#define RISE(field) (low[k + 1u].field - low[k].field)
-#endif
-
-/* Outside 0..1 the OCV goes on along its last segment, every other table stays at its end; without
- * CELLWISE_WIDE the OCV stays, too. */
-static void look_up(const cellwise_model *m, const cellwise_place *place, float soc,
-                    float current, cellwise_point *p)
-{
-#if CELLWISE_WIDE
-    const float x = soc * POINTS_SCALE;
-    const uint32_t k = index_of(x);
-    const float f = clip(x - (float)k, -(BEYOND * POINTS_SCALE), 1.0f + (BEYOND * POINTS_SCALE));
-    const float g = clip(f, 0.0f, 1.0f);
-#else
-    const float x = within_one(soc) * POINTS_SCALE;
-    const uint32_t k = index_of(x);
-    const float f = WITHIN_ONE(x - (float)k);
-    const float g = f;
-#endif
-    const cellwise_row *const low = m->row[place->low];
-#if CELLWISE_TEMPERATURES > 1
-    const cellwise_row *const high = m->row[place->low + 1u];
-#endif
-    p->ocv_V = READ(ocv_V, f);
-    p->slope_V = RISE(ocv_V) * POINTS_SCALE;
-#if CELLWISE_WIDE
-    p->noise_V2 = READ(error_V, g);
-    p->noise_V2 = (m->constant.fixed_V2 + (p->noise_V2 * p->noise_V2)) +
-                  (m->constant.ocv_soc2 * (p->slope_V * p->slope_V));
-#else
-    p->noise_V2 = READ(noise_V2, g);
-#endif
-    p->r0_ohm = READ(r0_ohm, g);
-    p->r1_ohm = READ(r1_ohm, g);
-    p->gain1 = 1.0f / READ(lag1, g);
-    p->r2_ohm = READ(r2_ohm, g);
-    p->gain2 = 1.0f / READ(lag2, g);
-#if CELLWISE_SLOW
-    p->r3_ohm = READ(r3_ohm, g);
-    p->gain3 = 1.0f / READ(lag3, g);
-#endif
-#if CELLWISE_HYSTERESIS
-    p->m_V = READ(m_V, g);
-#endif
-#if (CELLWISE_ARRHENIUS > 0) || CELLWISE_ASYMMETRY || CELLWISE_RATE
-    {
-        float scale = place->scale;
-#if CELLWISE_ASYMMETRY
-        if (current < 0.0f) {
-            scale = scale * m->constant.charge_scale;
-        }
-#endif
-#if CELLWISE_SLOW
-        p->r3_ohm = p->r3_ohm * scale;
-#endif
-#if CELLWISE_RATE
-        scale = scale / clip(1.0f + (m->constant.rate_per_A * magnitude(current)), LEAST_FALL,
-                             LARGE);
-#endif
-        p->r0_ohm = p->r0_ohm * scale;
-        p->r1_ohm = p->r1_ohm * scale;
-        p->r2_ohm = p->r2_ohm * scale;
+    if (!SIZE_WITHIN(x->p12, LARGE)) {
+        return false;
     }
-#endif
-#if !CELLWISE_ASYMMETRY && !CELLWISE_RATE
-    (void)current;
-#endif
-}
-
-/* SOC is well known: the OCV's tangent, and nothing else. */
-static void no_slopes(const cellwise_point *p, cellwise_slopes *w)
-{
-    w->slope_V = p->slope_V;
-    w->bend_V = 0.0f;
-    w->spread = 0.0f;
-    w->rise1 = 0.0f;
-    w->rise2 = 0.0f;
-#if CELLWISE_SLOW
-    w->rise3 = 0.0f;
-#endif
-}
-
-/* While SOC is known to worse than WIDE_VARIANCE slopes are chords over one standard deviation to
- * either side: a far-off start must not be corrected with the slope of where it stands. A SOC that
- * is far off brings the resistances of another SOC with it, so R0's slope joins the OCV's. */
-#if CELLWISE_WIDE
-static APART void slopes_of(const cellwise_model *m, const cellwise_place *place, float soc,
-                            float spread, float current, const cellwise_point *p,
-                            cellwise_slopes *w)
-{
-    const float low = clip(soc - spread, 0.0f, 1.0f);
-    const float high = clip(soc + spread, 0.0f, 1.0f);
-    w->spread = spread;
-    if ((high - low) >= SHORTEST_CHORD) {
-        const float per = 1.0f / (high - low);
-        cellwise_point end;
-        float ocv;
-        float ohmic;
-        look_up(m, place, low, current, &end);
-        ocv = end.ocv_V;
-        ohmic = end.r0_ohm;
-        w->rise1 = end.r1_ohm;
-        w->rise2 = end.r2_ohm;
-#if CELLWISE_SLOW
-        w->rise3 = end.r3_ohm;
-#endif
-        w->bend_V = end.ocv_V - p->ocv_V;
-        look_up(m, place, high, current, &end);
-        ocv = (end.ocv_V - ocv) * per;
-        ohmic = (end.r0_ohm - ohmic) * per;
-        w->rise1 = (end.r1_ohm - w->rise1) * per;
-        w->rise2 = (end.r2_ohm - w->rise2) * per;
-#if CELLWISE_SLOW
-        w->rise3 = (end.r3_ohm - w->rise3) * per;
-#endif
-        w->slope_V = ocv - (ohmic * current);
-        w->bend_V = w->bend_V + (ocv * (soc - low));
-    } else {
-        no_slopes(p, w);
-        w->spread = spread;
-    }
-}
-#endif
-
-/* ---- state ---- */
-
-/* Every number in its range: memory that lost its content, or was never initialised, is noticed. */
-static uint32_t is_sound(const cellwise_model *m, const cellwise_state *x)
-{
-    if (!NOT_NEGATIVE(x->soc, ONE_BITS) || !NO_LARGER(x->soc_carry, CARRY_BITS)) {
-        return 0u;
-    }
-#if CELLWISE_WIDE
-    if (!NO_LARGER(x->ss_carry, CARRY_BITS)) {
-        return 0u;
-    }
-#endif
-    if (!IS_SMALL(x->v1_V) || !IS_SMALL(x->v2_V)) {
-        return 0u;
-    }
-    if (!IS_VARIANCE(x->ss) || !IS_SMALL(x->s1) ||
-        !IS_SMALL(x->s2)) {
-        return 0u;
-    }
-    if (!IS_VARIANCE(x->p11) || !IS_SMALL(x->p12) ||
-        !IS_VARIANCE(x->p22)) {
-        return 0u;
-    }
-    if (!IS_SMALL(x->current_A) || !IS_VARIANCE(x->mismatch)) {
-        return 0u;
+    if (!NOT_NEGATIVE(x->p22, LARGE)) {
+        return false;
     }
 #if CELLWISE_SLOW
-    if (!IS_SMALL(x->v3_V) || !NO_LARGER(x->v3_carry_V, CARRY_BITS)) {
-        return 0u;
+    if (!SIZE_WITHIN(x->s3, LARGE)) {
+        return false;
     }
-    if (!IS_SMALL(x->s3) || !IS_SMALL(x->p13) || !IS_SMALL(x->p23) ||
-        !IS_VARIANCE(x->p33)) {
-        return 0u;
+    if (!SIZE_WITHIN(x->p13, LARGE)) {
+        return false;
+    }
+    if (!SIZE_WITHIN(x->p23, LARGE)) {
+        return false;
+    }
+    if (!NOT_NEGATIVE(x->p33, LARGE)) {
+        return false;
     }
 #endif
 #if CELLWISE_HYSTERESIS
-    if (!NO_LARGER(x->h, ONE_BITS)) {
-        return 0u;
+    if (!SIZE_WITHIN(x->sh, LARGE)) {
+        return false;
     }
-    if (!IS_SMALL(x->sh) || !IS_SMALL(x->p1h) || !IS_SMALL(x->p2h) ||
-        !IS_VARIANCE(x->phh)) {
-        return 0u;
+    if (!SIZE_WITHIN(x->p1h, LARGE)) {
+        return false;
     }
-#if CELLWISE_SLOW
-    if (!IS_SMALL(x->p3h)) {
-        return 0u;
+    if (!SIZE_WITHIN(x->p2h, LARGE)) {
+        return false;
+    }
+    if (!NOT_NEGATIVE(x->phh, LARGE)) {
+        return false;
     }
 #endif
+#if CELLWISE_HYSTERESIS && CELLWISE_SLOW
+    if (!SIZE_WITHIN(x->p3h, LARGE)) {
+        return false;
+    }
 #endif
 #if CELLWISE_OFFSET
-    if (!SIZE_WITHIN(x->offset_A, m->constant.current_limit_A)) {
-        return 0u;
+    if (!SIZE_WITHIN(x->so, LARGE)) {
+        return false;
     }
-    if (!IS_SMALL(x->so) || !IS_SMALL(x->p1o) || !IS_SMALL(x->p2o) ||
-        !IS_VARIANCE(x->poo)) {
-        return 0u;
+    if (!SIZE_WITHIN(x->p1o, LARGE)) {
+        return false;
     }
-#if CELLWISE_SLOW
-    if (!IS_SMALL(x->p3o)) {
-        return 0u;
+    if (!SIZE_WITHIN(x->p2o, LARGE)) {
+        return false;
     }
-#endif
-#if CELLWISE_HYSTERESIS
-    if (!IS_SMALL(x->pho)) {
-        return 0u;
+    if (!NOT_NEGATIVE(x->poo, LARGE)) {
+        return false;
     }
 #endif
-#endif
-#if CELLWISE_HEATING
-    if (!WITHIN(x->heat_K, -HEAT_MOST_K, HEAT_MOST_K)) {
-        return 0u;
+#if CELLWISE_OFFSET && CELLWISE_SLOW
+    if (!SIZE_WITHIN(x->p3o, LARGE)) {
+        return false;
     }
 #endif
-#if CELLWISE_NEEDS_TEMPERATURE
-    if (!WITHIN(x->temperature_C, TEMPERATURE_LOW_C, TEMPERATURE_HIGH_C)) {
-        return 0u;
+#if CELLWISE_HYSTERESIS && CELLWISE_OFFSET
+    if (!SIZE_WITHIN(x->pho, LARGE)) {
+        return false;
     }
 #endif
-#if CELLWISE_WATCH
-    if (!IS_SMALL(x->voltage_V) || !IS_SMALL(x->frozen_A)) {
-        return 0u;
-    }
-#endif
-#if !CELLWISE_OFFSET
-    (void)m;
-#endif
-    return 1u;
+    return true;
 }
 
+/* Only the diagonal stays. */
 static void forget_correlations(cellwise_state *x)
 {
     x->s1 = 0.0f;
@@ -522,79 +444,52 @@ static void forget_correlations(cellwise_state *x)
     x->sh = 0.0f;
     x->p1h = 0.0f;
     x->p2h = 0.0f;
-#if CELLWISE_SLOW
-    x->p3h = 0.0f;
 #endif
+#if CELLWISE_HYSTERESIS && CELLWISE_SLOW
+    x->p3h = 0.0f;
 #endif
 #if CELLWISE_OFFSET
     x->so = 0.0f;
     x->p1o = 0.0f;
     x->p2o = 0.0f;
-#if CELLWISE_SLOW
+#endif
+#if CELLWISE_OFFSET && CELLWISE_SLOW
     x->p3o = 0.0f;
 #endif
-#if CELLWISE_HYSTERESIS
+#if CELLWISE_HYSTERESIS && CELLWISE_OFFSET
     x->pho = 0.0f;
-#endif
 #endif
 }
 
-static APART void start(const cellwise_model *m, cellwise_state *x, float soc, float soc_variance)
+/* SOC known with a variance, branches at rest, nothing known of hysteresis. */
+static void start_covariance(const cellwise_constants *c, cellwise_state *x, float soc_variance)
 {
-    x->soc = soc;
-    x->soc_carry = 0.0f;
-    x->v1_V = 0.0f;
-    x->v2_V = 0.0f;
-    x->ss = soc_variance;
-#if CELLWISE_WIDE
-    x->ss_carry = 0.0f;
-#endif
-    x->p11 = 0.0f; /* guessed at the first sample */
-    x->p22 = 0.0f;
+    (void)c;
     forget_correlations(x);
+    x->ss = soc_variance;
+    x->p11 = 0.0f;
+    x->p22 = 0.0f;
 #if CELLWISE_SLOW
-    x->v3_V = 0.0f;
-    x->v3_carry_V = 0.0f;
     x->p33 = 0.0f;
 #endif
 #if CELLWISE_HYSTERESIS
-    x->h = (soc > 0.5f) ? 1.0f : -1.0f;
     x->phh = 1.0f;
 #endif
 #if CELLWISE_OFFSET
-    x->offset_A = 0.0f;
-    x->poo = m->constant.offset_variance_A2;
-#endif
-    x->current_A = 0.0f;
-    x->mismatch = 1.0f;
-#if CELLWISE_HEATING
-    x->heat_K = 0.0f;
-#endif
-#if CELLWISE_NEEDS_TEMPERATURE
-    x->temperature_C = m->constant.temperature_C;
-#endif
-#if CELLWISE_WATCH
-    x->voltage_V = 0.0f;
-    x->frozen_A = 0.0f;
-    x->repeats = 0u;
-    x->no_current = 0u;
-    x->no_voltage = 0u;
-#endif
-    x->sequence = 0u;
-    x->rejections = 0u;
-    x->evidence = NOT_BEGUN;
-#if !CELLWISE_OFFSET && !CELLWISE_NEEDS_TEMPERATURE
-    (void)m;
+    x->poo = c->offset_variance_A2;
 #endif
 }
 
-/* ---- predict ---- */
-
-/* The branches over one interval of constant current, exactly, and their covariance. A current that
- * is not known to `square_A2` drives them too; 1 - a^2 keeps the stationary spread independent of
- * the time step. What decays slowly is told by how much it loses: 1 - 1e-5 as a float is off by
- * 0.3 % of that. */
-static void relax(cellwise_state *x, BRANCHES, float flow, float square_A2)
+/* The branches over one interval of constant current, exactly, and their covariance. A current
+ * that is not known to `square_A2` drives them too; 1 - a^2 keeps the stationary spread
+ * independent of the time step. What decays slowly is stated by how much it loses: 1 - 1e-5 as a
+ * float is off by 0.3 % of that. */
+static void relax(cellwise_state *x, float r1_ohm, float gain1, float r2_ohm, float gain2,
+#if CELLWISE_SLOW
+    float r3_ohm,
+    float gain3,
+#endif
+    float flow, float square_A2)
 {
     const float a1 = 1.0f - gain1;
     const float a2 = 1.0f - gain2;
@@ -606,174 +501,67 @@ static void relax(cellwise_state *x, BRANCHES, float flow, float square_A2)
     x->p12 = (a1 * a2) * x->p12;
     x->p22 = x->p22 + ((gain2 * (1.0f + a2)) * ((square_A2 * (r2_ohm * r2_ohm)) - x->p22));
 #if CELLWISE_SLOW
-    {
-        const float a3 = 1.0f - gain3;
-        add(&x->v3_V, &x->v3_carry_V, gain3 * ((r3_ohm * flow) - x->v3_V));
-        x->s3 = x->s3 - (gain3 * x->s3);
-        x->p13 = (a1 * a3) * x->p13;
-        x->p23 = x->p23 - ((gain2 + (gain3 * a2)) * x->p23);
-        x->p33 = x->p33 + ((gain3 * (1.0f + a3)) * ((square_A2 * (r3_ohm * r3_ohm)) - x->p33));
-#if CELLWISE_HYSTERESIS
-        x->p3h = x->p3h - (gain3 * x->p3h);
-#endif
-#if CELLWISE_OFFSET
-        x->p3o = x->p3o - (gain3 * x->p3o);
-#endif
-    }
+    const float a3 = 1.0f - gain3;
+    add(&x->v3_V, &x->v3_carry_V, gain3 * ((r3_ohm * flow) - x->v3_V));
+    x->s3 = x->s3 - (gain3 * x->s3);
+    x->p13 = (a1 * a3) * x->p13;
+    x->p23 = x->p23 - ((gain2 + (gain3 * a2)) * x->p23);
+    x->p33 = x->p33 + ((gain3 * (1.0f + a3)) * ((square_A2 * (r3_ohm * r3_ohm)) - x->p33));
 #endif
 #if CELLWISE_HYSTERESIS
     x->p1h = x->p1h - (gain1 * x->p1h);
     x->p2h = x->p2h - (gain2 * x->p2h);
 #endif
+#if CELLWISE_HYSTERESIS && CELLWISE_SLOW
+    x->p3h = x->p3h - (gain3 * x->p3h);
+#endif
 #if CELLWISE_OFFSET
     x->p1o = x->p1o - (gain1 * x->p1o);
     x->p2o = x->p2o - (gain2 * x->p2o);
 #endif
-}
-
-/* Variance of a branch that holds anything up to what a current leaves there. */
-static float admitted(float rested_V2, float held_V, float limit_V)
-{
-#if CELLWISE_WIDE
-    const float most = (held_V < limit_V) ? held_V : limit_V;
-    return rested_V2 + (most * most);
-#else
-    (void)limit_V;
-    return rested_V2 + (held_V * held_V);
+#if CELLWISE_OFFSET && CELLWISE_SLOW
+    x->p3o = x->p3o - (gain3 * x->p3o);
 #endif
 }
 
-/* What the branches hold when nobody knows what was before: nearly nothing at rest, half of the
- * load's steady voltage under load. */
-static APART void guess_branches(const cellwise_constants *c, cellwise_state *x, RESISTANCES,
-                                 float current)
+#if CELLWISE_HYSTERESIS
+/* The row of h where a share of h is kept. */
+static void fade_hysteresis(cellwise_state *x, float keep)
 {
-#if CELLWISE_WIDE
-    float flow = 0.0f;
-    float spread = c->start_rest_A;
-    float limit_V = REST_LIMIT_V;
-    if (!SIZE_BELOW(current, c->rest_A)) {
-        flow = START_LOAD_SHARE * current;
-        spread = at_least(magnitude(flow), c->start_load_A);
-        limit_V = LARGE;
-    }
-#else
-    const float flow = START_LOAD_SHARE * current;
-    const float spread = magnitude(flow) + c->start_rest_A;
-    const float limit_V = LARGE;
+    (void)x;
+    (void)keep;
+#if CELLWISE_HYSTERESIS
+    x->sh = keep * x->sh;
+    x->p1h = keep * x->p1h;
+    x->p2h = keep * x->p2h;
+    x->phh = (keep * keep) * x->phh;
 #endif
-    forget_correlations(x);
-    x->v1_V = r1_ohm * flow;
-    x->v2_V = r2_ohm * flow;
-    x->p11 = admitted(c->branch_variance_V2, spread * r1_ohm, limit_V);
-    x->p22 = admitted(c->branch_variance_V2, spread * r2_ohm, limit_V);
-#if CELLWISE_SLOW
-    x->v3_V = r3_ohm * flow;
-    x->v3_carry_V = 0.0f;
-    x->p33 = admitted(c->branch_variance_V2, spread * r3_ohm, limit_V);
+#if CELLWISE_HYSTERESIS && CELLWISE_SLOW
+    x->p3h = keep * x->p3h;
+#endif
+#if CELLWISE_HYSTERESIS && CELLWISE_OFFSET
+    x->pho = keep * x->pho;
 #endif
 }
+#endif
 
-/* Charge that leaves the cell in one step, in SOC. */
-static float taken(const cellwise_constants *c, float current)
+#if CELLWISE_HYSTERESIS
+/* Nothing is known of h. */
+static void forget_hysteresis(cellwise_state *x)
 {
-    float used = current;
-#if CELLWISE_EFFICIENCY
-    if (used < 0.0f) {
-        used = used * c->charge_efficiency;
-    }
-#endif
-#if CELLWISE_LEAK
-    return (c->soc_per_A * used) + c->leak_soc;
-#else
-    return c->soc_per_A * used;
-#endif
-}
-
-/* Samples are missing. The branches may hold what the currents on both sides can have left in them;
- * with CELLWISE_WIDE they relax towards the mean of these currents, too. */
-static void cross_gap(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
-                      uint32_t missing, float current, float bridge)
-{
-    const float unknown_A2 = (current * current) + (x->current_A * x->current_A);
-    const float steps = (float)missing;
-    float spread = c->gap_variance;
-    if (missing <= c->gap_steps) {
-        const float moved = c->soc_per_A * steps;
-        spread = (moved * moved) * unknown_A2;
-    }
-    x->ss = x->ss + spread;
-#if !CELLWISE_WIDE
-    x->p11 = x->p11 + (unknown_A2 * (p->r1_ohm * p->r1_ohm));
-    x->p22 = x->p22 + (unknown_A2 * (p->r2_ohm * p->r2_ohm));
-#if CELLWISE_SLOW
-    x->p33 = x->p33 + (unknown_A2 * (p->r3_ohm * p->r3_ohm));
-#endif
-    (void)bridge;
-#elif CELLWISE_SLOW
-    relax(x, p->r1_ohm, risen(steps * p->gain1), p->r2_ohm, risen(steps * p->gain2), p->r3_ohm,
-          risen(steps * p->gain3), bridge, unknown_A2);
-#else
-    relax(x, p->r1_ohm, risen(steps * p->gain1), p->r2_ohm, risen(steps * p->gain2), bridge,
-          unknown_A2);
-#endif
+    (void)x;
 #if CELLWISE_HYSTERESIS
     x->sh = 0.0f;
     x->p1h = 0.0f;
     x->p2h = 0.0f;
     x->phh = 1.0f;
-#if CELLWISE_SLOW
+#endif
+#if CELLWISE_HYSTERESIS && CELLWISE_SLOW
     x->p3h = 0.0f;
 #endif
-#if CELLWISE_OFFSET
+#if CELLWISE_HYSTERESIS && CELLWISE_OFFSET
     x->pho = 0.0f;
 #endif
-#endif
-}
-
-#if CELLWISE_OFFSET
-/* The sensor's offset drives every state that the current drives: P* is P with the offset's column
- * already decayed, e is what one ampere of offset does to a state in one step. */
-static void spread_offset(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p)
-{
-    const float es = c->soc_per_A;
-    const float e1 = -(p->gain1 * p->r1_ohm);
-    const float e2 = -(p->gain2 * p->r2_ohm);
-    const float cs = x->so + (es * x->poo);
-    const float c1 = x->p1o + (e1 * x->poo);
-    const float c2 = x->p2o + (e2 * x->poo);
-    x->ss = x->ss + (es * (x->so + cs));
-    x->s1 = x->s1 + ((e1 * x->so) + (es * c1));
-    x->s2 = x->s2 + ((e2 * x->so) + (es * c2));
-    x->p11 = x->p11 + (e1 * (x->p1o + c1));
-    x->p12 = x->p12 + ((e2 * x->p1o) + (e1 * c2));
-    x->p22 = x->p22 + (e2 * (x->p2o + c2));
-#if CELLWISE_SLOW
-    {
-        const float e3 = -(p->gain3 * p->r3_ohm);
-        const float c3 = x->p3o + (e3 * x->poo);
-        x->s3 = x->s3 + ((e3 * x->so) + (es * c3));
-        x->p13 = x->p13 + ((e3 * x->p1o) + (e1 * c3));
-        x->p23 = x->p23 + ((e3 * x->p2o) + (e2 * c3));
-        x->p33 = x->p33 + (e3 * (x->p3o + c3));
-#if CELLWISE_HYSTERESIS
-        x->p3h = x->p3h + (e3 * x->pho);
-#endif
-        x->p3o = c3;
-    }
-#endif
-#if CELLWISE_HYSTERESIS
-    x->sh = x->sh + (es * x->pho);
-    x->p1h = x->p1h + (e1 * x->pho);
-    x->p2h = x->p2h + (e2 * x->pho);
-#endif
-    x->so = cs;
-    x->p1o = c1;
-    x->p2o = c2;
-    x->poo = x->poo * GROW;
-    if (x->poo < c->offset_variance_A2) {
-        x->poo = x->poo + c->offset_walk_A2;
-    }
 }
 #endif
 
@@ -787,149 +575,143 @@ static void tilt(cellwise_state *x, const cellwise_point *p, const cellwise_slop
     x->p12 = x->p12 + (((f1 * x->s2) + (f2 * x->s1)) + ((f1 * f2) * x->ss));
     x->p22 = x->p22 + (f2 * ((2.0f * x->s2) + (f2 * x->ss)));
 #if CELLWISE_SLOW
-    {
-        const float f3 = (w->rise3 * p->gain3) * flow;
-        x->p13 = x->p13 + (((f1 * x->s3) + (f3 * x->s1)) + ((f1 * f3) * x->ss));
-        x->p23 = x->p23 + (((f2 * x->s3) + (f3 * x->s2)) + ((f2 * f3) * x->ss));
-        x->p33 = x->p33 + (f3 * ((2.0f * x->s3) + (f3 * x->ss)));
-        x->s3 = x->s3 + (f3 * x->ss);
-#if CELLWISE_HYSTERESIS
-        x->p3h = x->p3h + (f3 * x->sh);
-#endif
-#if CELLWISE_OFFSET
-        x->p3o = x->p3o + (f3 * x->so);
-#endif
-    }
+    const float f3 = (w->rise3 * p->gain3) * flow;
+    x->p13 = x->p13 + (((f1 * x->s3) + (f3 * x->s1)) + ((f1 * f3) * x->ss));
+    x->p23 = x->p23 + (((f2 * x->s3) + (f3 * x->s2)) + ((f2 * f3) * x->ss));
+    x->p33 = x->p33 + (f3 * ((2.0f * x->s3) + (f3 * x->ss)));
 #endif
 #if CELLWISE_HYSTERESIS
     x->p1h = x->p1h + (f1 * x->sh);
     x->p2h = x->p2h + (f2 * x->sh);
 #endif
+#if CELLWISE_HYSTERESIS && CELLWISE_SLOW
+    x->p3h = x->p3h + (f3 * x->sh);
+#endif
 #if CELLWISE_OFFSET
     x->p1o = x->p1o + (f1 * x->so);
     x->p2o = x->p2o + (f2 * x->so);
 #endif
+#if CELLWISE_OFFSET && CELLWISE_SLOW
+    x->p3o = x->p3o + (f3 * x->so);
+#endif
     x->s1 = x->s1 + (f1 * x->ss);
     x->s2 = x->s2 + (f2 * x->ss);
+#if CELLWISE_SLOW
+    x->s3 = x->s3 + (f3 * x->ss);
+#endif
 }
 #endif
 
-/* One interval of constant current. A resistance that is off by a share drives its branch like a
- * current that is off by it, and so does a current that nobody measured. */
-static void predict(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
-                    const cellwise_slopes *w, float flow, float unmeasured_A2)
+#if CELLWISE_OFFSET
+/* The sensor's offset drives every state that the current drives. The offset's column of P has
+ * decayed already; e is what one ampere of offset does to a state in one step. */
+static void spread_offset(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p)
 {
-    relax(x, BRANCHES_OF(*p), flow, (c->share_variance * (flow * flow)) + unmeasured_A2);
-#if CELLWISE_HYSTERESIS
-    {
-        const float rise = risen(c->hysteresis_per_A * magnitude(flow));
-        const float ah = 1.0f - rise;
-        x->h = clip((ah * x->h) + ((flow < 0.0f) ? rise : -rise), -1.0f, 1.0f);
-        x->sh = ah * x->sh;
-        x->p1h = ah * x->p1h;
-        x->p2h = ah * x->p2h;
-        x->phh = (ah * ah) * x->phh;
+    const float es = c->soc_per_A;
+    const float cs = x->so + (es * x->poo);
+    const float e1 = -(p->gain1 * p->r1_ohm);
+    const float c1 = x->p1o + (e1 * x->poo);
+    const float e2 = -(p->gain2 * p->r2_ohm);
+    const float c2 = x->p2o + (e2 * x->poo);
+    x->ss = x->ss + (es * (x->so + cs));
+    x->s1 = x->s1 + ((e1 * x->so) + (es * c1));
+    x->s2 = x->s2 + ((e2 * x->so) + (es * c2));
+    x->p11 = x->p11 + (e1 * (x->p1o + c1));
+    x->p12 = x->p12 + ((e2 * x->p1o) + (e1 * c2));
+    x->p22 = x->p22 + (e2 * (x->p2o + c2));
 #if CELLWISE_SLOW
-        x->p3h = ah * x->p3h;
+    const float e3 = -(p->gain3 * p->r3_ohm);
+    const float c3 = x->p3o + (e3 * x->poo);
+    x->s3 = x->s3 + ((e3 * x->so) + (es * c3));
+    x->p13 = x->p13 + ((e3 * x->p1o) + (e1 * c3));
+    x->p23 = x->p23 + ((e3 * x->p2o) + (e2 * c3));
+    x->p33 = x->p33 + (e3 * (x->p3o + c3));
 #endif
-#if CELLWISE_OFFSET
-        x->pho = ah * x->pho;
+#if CELLWISE_HYSTERESIS
+    x->sh = x->sh + (es * x->pho);
+    x->p1h = x->p1h + (e1 * x->pho);
+    x->p2h = x->p2h + (e2 * x->pho);
 #endif
+#if CELLWISE_HYSTERESIS && CELLWISE_SLOW
+    x->p3h = x->p3h + (e3 * x->pho);
+#endif
+    x->so = cs;
+    x->p1o = c1;
+    x->p2o = c2;
+#if CELLWISE_SLOW
+    x->p3o = c3;
+#endif
+    x->poo = x->poo * GROW;
+    if (x->poo < c->offset_variance_A2) {
+        x->poo = x->poo + c->offset_walk_A2;
     }
-#endif
-#if CELLWISE_WIDE
-    if (w->spread > 0.0f) {
-        tilt(x, p, w, flow);
-    }
-#else
-    (void)w;
-#endif
-    if (POSITIVE_ABOVE(SOC_VARIANCE_MOST, x->ss)) { /* SOC lies in 0..1: more says nothing */
-        add_variance(x, c->soc_walk);
-    }
-#if CELLWISE_OFFSET
-    spread_offset(c, x, p);
-#endif
 }
-
-/* ---- correct ---- */
-
-/* P H', with H = [slope, -1, -1, -1, m, r0]. */
-typedef struct {
-    float s;
-    float v1;
-    float v2;
-#if CELLWISE_SLOW
-    float v3;
 #endif
-#if CELLWISE_HYSTERESIS
-    float h;
-#endif
-#if CELLWISE_OFFSET
-    float o;
-#endif
-} cellwise_column;
 
 /* The column, and the innovation variance that the state explains. */
-static float column_of(const cellwise_state *x, const cellwise_point *p, float slope,
-                       cellwise_column *d)
+static void column_of(const cellwise_state *x, const cellwise_point *p, float slope,
+                      cellwise_column *column)
 {
-    float variance;
-    d->s = (slope * x->ss) - (x->s1 + x->s2);
-    d->v1 = (slope * x->s1) - (x->p11 + x->p12);
-    d->v2 = (slope * x->s2) - (x->p12 + x->p22);
-#if CELLWISE_SLOW
-    d->s = d->s - x->s3;
-    d->v1 = d->v1 - x->p13;
-    d->v2 = d->v2 - x->p23;
-    d->v3 = (slope * x->s3) - ((x->p13 + x->p23) + x->p33);
-#endif
-#if CELLWISE_HYSTERESIS
-    d->s = d->s + (p->m_V * x->sh);
-    d->v1 = d->v1 + (p->m_V * x->p1h);
-    d->v2 = d->v2 + (p->m_V * x->p2h);
-    d->h = (slope * x->sh) - (x->p1h + x->p2h);
-    d->h = d->h + (p->m_V * x->phh);
-#if CELLWISE_SLOW
-    d->v3 = d->v3 + (p->m_V * x->p3h);
-    d->h = d->h - x->p3h;
-#endif
-#endif
-#if CELLWISE_OFFSET
-    d->s = d->s + (p->r0_ohm * x->so);
-    d->v1 = d->v1 + (p->r0_ohm * x->p1o);
-    d->v2 = d->v2 + (p->r0_ohm * x->p2o);
-    d->o = (slope * x->so) - (x->p1o + x->p2o);
-    d->o = d->o + (p->r0_ohm * x->poo);
-#if CELLWISE_SLOW
-    d->v3 = d->v3 + (p->r0_ohm * x->p3o);
-    d->o = d->o - x->p3o;
-#endif
-#if CELLWISE_HYSTERESIS
-    d->h = d->h + (p->r0_ohm * x->pho);
-    d->o = d->o + (p->m_V * x->pho);
-#endif
-#endif
-    variance = (slope * d->s) - (d->v1 + d->v2);
-#if CELLWISE_SLOW
-    variance = variance - d->v3;
-#endif
-#if CELLWISE_HYSTERESIS
-    variance = variance + (p->m_V * d->h);
-#endif
-#if CELLWISE_OFFSET
-    variance = variance + (p->r0_ohm * d->o);
-#endif
-#if !CELLWISE_HYSTERESIS && !CELLWISE_OFFSET
     (void)p;
+    column->s = (slope * x->ss) - (x->s1 + x->s2);
+    column->v1 = (slope * x->s1) - (x->p11 + x->p12);
+    column->v2 = (slope * x->s2) - (x->p12 + x->p22);
+#if CELLWISE_SLOW
+    column->v3 = (slope * x->s3) - ((x->p13 + x->p23) + x->p33);
 #endif
-    return (variance > 0.0f) ? variance : 0.0f;
+#if CELLWISE_HYSTERESIS
+    column->h = (slope * x->sh) - (x->p1h + x->p2h);
+#endif
+#if CELLWISE_OFFSET
+    column->o = (slope * x->so) - (x->p1o + x->p2o);
+#endif
+#if CELLWISE_SLOW
+    column->s = column->s - x->s3;
+    column->v1 = column->v1 - x->p13;
+    column->v2 = column->v2 - x->p23;
+#endif
+#if CELLWISE_HYSTERESIS
+    column->s = column->s + (p->m_V * x->sh);
+    column->v1 = column->v1 + (p->m_V * x->p1h);
+    column->v2 = column->v2 + (p->m_V * x->p2h);
+    column->h = column->h + (p->m_V * x->phh);
+#endif
+#if CELLWISE_HYSTERESIS && CELLWISE_SLOW
+    column->v3 = column->v3 + (p->m_V * x->p3h);
+    column->h = column->h - x->p3h;
+#endif
+#if CELLWISE_OFFSET
+    column->s = column->s + (p->r0_ohm * x->so);
+    column->v1 = column->v1 + (p->r0_ohm * x->p1o);
+    column->v2 = column->v2 + (p->r0_ohm * x->p2o);
+    column->o = column->o + (p->r0_ohm * x->poo);
+#endif
+#if CELLWISE_OFFSET && CELLWISE_SLOW
+    column->v3 = column->v3 + (p->r0_ohm * x->p3o);
+    column->o = column->o - x->p3o;
+#endif
+#if CELLWISE_HYSTERESIS && CELLWISE_OFFSET
+    column->h = column->h + (p->r0_ohm * x->pho);
+    column->o = column->o + (p->m_V * x->pho);
+#endif
+    column->variance = (slope * column->s) - (column->v1 + column->v2);
+#if CELLWISE_SLOW
+    column->variance = column->variance - column->v3;
+#endif
+#if CELLWISE_HYSTERESIS
+    column->variance = column->variance + (p->m_V * column->h);
+#endif
+#if CELLWISE_OFFSET
+    column->variance = column->variance + (p->r0_ohm * column->o);
+#endif
+    column->variance = (column->variance > 0.0f) ? column->variance : 0.0f;
 }
 
-/* x + K innovation. */
+/* State + K innovation. */
 static void move(const cellwise_constants *c, cellwise_state *x, const cellwise_column *d,
                  float inverse, float innovation)
 {
+    (void)c;
     add(&x->soc, &x->soc_carry, (d->s * inverse) * innovation);
     x->v1_V = x->v1_V + ((d->v1 * inverse) * innovation);
     x->v2_V = x->v2_V + ((d->v2 * inverse) * innovation);
@@ -940,10 +722,8 @@ static void move(const cellwise_constants *c, cellwise_state *x, const cellwise_
     x->h = clip(x->h + ((d->h * inverse) * innovation), -1.0f, 1.0f);
 #endif
 #if CELLWISE_OFFSET
-    x->offset_A = clip(x->offset_A + ((d->o * inverse) * innovation), -c->current_limit_A,
-                       c->current_limit_A);
-#else
-    (void)c;
+    const float offset_A = x->offset_A + ((d->o * inverse) * innovation);
+    x->offset_A = clip(offset_A, -c->current_limit_A, c->current_limit_A);
 #endif
 }
 
@@ -994,19 +774,19 @@ static void narrow(cellwise_state *x, const cellwise_column *d, float inverse)
 #if CELLWISE_SLOW
     k = d->v3 * inverse;
     x->p33 = at_least(x->p33 - (k * d->v3), 0.0f);
-#if CELLWISE_HYSTERESIS
+#endif
+#if CELLWISE_HYSTERESIS && CELLWISE_SLOW
     x->p3h = x->p3h - (k * d->h);
 #endif
-#if CELLWISE_OFFSET
+#if CELLWISE_OFFSET && CELLWISE_SLOW
     x->p3o = x->p3o - (k * d->o);
-#endif
 #endif
 #if CELLWISE_HYSTERESIS
     k = d->h * inverse;
     x->phh = at_least(x->phh - (k * d->h), 0.0f);
-#if CELLWISE_OFFSET
-    x->pho = x->pho - (k * d->o);
 #endif
+#if CELLWISE_HYSTERESIS && CELLWISE_OFFSET
+    x->pho = x->pho - (k * d->o);
 #endif
 #if CELLWISE_OFFSET
     k = d->o * inverse;
@@ -1015,92 +795,311 @@ static void narrow(cellwise_state *x, const cellwise_column *d, float inverse)
 }
 
 #if CELLWISE_WIDE
-/* What is added to an entry of P when a gain of one slope is judged by another (Joseph's form). */
+/* What is added to an entry of P when a gain of one slope is judged by another (Joseph). */
 static float rejudged(float ki, float kj, float ci, float cj, float e)
 {
     return ((ki * kj) * e) - ((ki * cj) + (kj * ci));
 }
+#endif
 
-/* The gain was that of the slope here; what it is worth is said by the slope where it leads, if
- * that is flatter: on a plateau nothing was learnt, and the covariance stays as it is: 0. */
-static APART uint32_t rejudge(const cellwise_model *m, const cellwise_place *place,
-                              cellwise_state *x, const cellwise_point *p, const cellwise_slopes *w,
-                              const cellwise_column *d, float inverse, float innovation, float seen)
+#if CELLWISE_WIDE
+/* The gain was that of another slope: by `less` than what it is judged by. */
+static void rejudge_covariance(cellwise_state *x, const cellwise_column *d, float inverse,
+                               float less, float e, float wider)
 {
     const float ks = d->s * inverse;
+    const float cs = less * x->ss;
     const float k1 = d->v1 * inverse;
+    const float c1 = less * x->s1;
     const float k2 = d->v2 * inverse;
-    const float move = ks * innovation;
-    float flat = (p->slope_V < w->slope_V) ? p->slope_V : w->slope_V;
-    float less;
-    float e;
-    float wider;
-    uint32_t learnt = 0u;
-    if (magnitude(move) > (SMALL_MOVE * w->spread)) {
-        cellwise_point landed;
-        cellwise_slopes there;
-        look_up(m, place, x->soc + move, seen, &landed);
-        slopes_of(m, place, x->soc + move, w->spread, seen, &landed, &there);
-        flat = (there.slope_V < landed.slope_V) ? there.slope_V : landed.slope_V;
-        flat = (flat < w->slope_V) ? flat : w->slope_V;
-    }
-    less = flat - w->slope_V;
-    e = less * ((2.0f * d->s) + (less * x->ss));
-    wider = rejudged(ks, ks, less * x->ss, less * x->ss, e);
-    if (SIZE_WITHIN(wider, LARGE) && (wider < (ks * d->s))) {
-        const float cs = less * x->ss;
-        const float c1 = less * x->s1;
-        const float c2 = less * x->s2;
-        learnt = 1u;
-        x->ss = x->ss + wider;
-        x->s1 = x->s1 + rejudged(ks, k1, cs, c1, e);
-        x->s2 = x->s2 + rejudged(ks, k2, cs, c2, e);
-        x->p11 = x->p11 + rejudged(k1, k1, c1, c1, e);
-        x->p12 = x->p12 + rejudged(k1, k2, c1, c2, e);
-        x->p22 = x->p22 + rejudged(k2, k2, c2, c2, e);
+    const float c2 = less * x->s2;
+    x->ss = x->ss + wider;
+    x->s1 = x->s1 + rejudged(ks, k1, cs, c1, e);
+    x->s2 = x->s2 + rejudged(ks, k2, cs, c2, e);
+    x->p11 = x->p11 + rejudged(k1, k1, c1, c1, e);
+    x->p12 = x->p12 + rejudged(k1, k2, c1, c2, e);
+    x->p22 = x->p22 + rejudged(k2, k2, c2, c2, e);
 #if CELLWISE_SLOW
-        {
-            const float k3 = d->v3 * inverse;
-            const float c3 = less * x->s3;
-            x->s3 = x->s3 + rejudged(ks, k3, cs, c3, e);
-            x->p13 = x->p13 + rejudged(k1, k3, c1, c3, e);
-            x->p23 = x->p23 + rejudged(k2, k3, c2, c3, e);
-            x->p33 = x->p33 + rejudged(k3, k3, c3, c3, e);
-#if CELLWISE_HYSTERESIS
-            x->p3h = x->p3h + rejudged(k3, d->h * inverse, c3, less * x->sh, e);
-#endif
-#if CELLWISE_OFFSET
-            x->p3o = x->p3o + rejudged(k3, d->o * inverse, c3, less * x->so, e);
-#endif
-        }
+    const float k3 = d->v3 * inverse;
+    const float c3 = less * x->s3;
+    x->s3 = x->s3 + rejudged(ks, k3, cs, c3, e);
+    x->p13 = x->p13 + rejudged(k1, k3, c1, c3, e);
+    x->p23 = x->p23 + rejudged(k2, k3, c2, c3, e);
+    x->p33 = x->p33 + rejudged(k3, k3, c3, c3, e);
 #endif
 #if CELLWISE_HYSTERESIS
-        {
-            const float kh = d->h * inverse;
-            const float ch = less * x->sh;
-            x->sh = x->sh + rejudged(ks, kh, cs, ch, e);
-            x->p1h = x->p1h + rejudged(k1, kh, c1, ch, e);
-            x->p2h = x->p2h + rejudged(k2, kh, c2, ch, e);
-            x->phh = x->phh + rejudged(kh, kh, ch, ch, e);
-#if CELLWISE_OFFSET
-            x->pho = x->pho + rejudged(kh, d->o * inverse, ch, less * x->so, e);
+    const float kh = d->h * inverse;
+    const float ch = less * x->sh;
+    x->sh = x->sh + rejudged(ks, kh, cs, ch, e);
+    x->p1h = x->p1h + rejudged(k1, kh, c1, ch, e);
+    x->p2h = x->p2h + rejudged(k2, kh, c2, ch, e);
+    x->phh = x->phh + rejudged(kh, kh, ch, ch, e);
 #endif
-        }
+#if CELLWISE_HYSTERESIS && CELLWISE_SLOW
+    x->p3h = x->p3h + rejudged(k3, kh, c3, ch, e);
 #endif
 #if CELLWISE_OFFSET
-        {
-            const float ko = d->o * inverse;
-            const float co = less * x->so;
-            x->so = x->so + rejudged(ks, ko, cs, co, e);
-            x->p1o = x->p1o + rejudged(k1, ko, c1, co, e);
-            x->p2o = x->p2o + rejudged(k2, ko, c2, co, e);
-            x->poo = x->poo + rejudged(ko, ko, co, co, e);
-        }
+    const float ko = d->o * inverse;
+    const float co = less * x->so;
+    x->so = x->so + rejudged(ks, ko, cs, co, e);
+    x->p1o = x->p1o + rejudged(k1, ko, c1, co, e);
+    x->p2o = x->p2o + rejudged(k2, ko, c2, co, e);
+    x->poo = x->poo + rejudged(ko, ko, co, co, e);
 #endif
-    }
-    return learnt;
+#if CELLWISE_OFFSET && CELLWISE_SLOW
+    x->p3o = x->p3o + rejudged(k3, ko, c3, co, e);
+#endif
+#if CELLWISE_HYSTERESIS && CELLWISE_OFFSET
+    x->pho = x->pho + rejudged(kh, ko, ch, co, e);
+#endif
 }
 #endif
+
+/* ---- state.py: State of the fixed step: whether it is sound, where it starts. */
+
+/* Every number in its range: memory that lost its content, or was never set, is noticed. */
+static bool is_sound(const cellwise_constants *c, const cellwise_state *x)
+{
+    (void)c;
+    if (!(NOT_NEGATIVE(x->soc, 1.0f) && SIZE_WITHIN(x->soc_carry, CARRY_MOST))) {
+        return false;
+    }
+#if CELLWISE_WIDE
+    if (!SIZE_WITHIN(x->ss_carry, CARRY_MOST)) {
+        return false;
+    }
+#endif
+    if (!(SIZE_WITHIN(x->v1_V, LARGE) && SIZE_WITHIN(x->v2_V, LARGE))) {
+        return false;
+    }
+#if CELLWISE_SLOW
+    if (!(SIZE_WITHIN(x->v3_V, LARGE) && SIZE_WITHIN(x->v3_carry_V, CARRY_MOST))) {
+        return false;
+    }
+#endif
+#if CELLWISE_HYSTERESIS
+    if (!SIZE_WITHIN(x->h, 1.0f)) {
+        return false;
+    }
+#endif
+#if CELLWISE_OFFSET
+    if (!SIZE_WITHIN(x->offset_A, c->current_limit_A)) {
+        return false;
+    }
+#endif
+    if (!(SIZE_WITHIN(x->current_A, LARGE) && NOT_NEGATIVE(x->mismatch, LARGE))) {
+        return false;
+    }
+#if CELLWISE_HEATING
+    if (!WITHIN(x->heat_K, -HEAT_MOST_K, HEAT_MOST_K)) {
+        return false;
+    }
+#endif
+#if CELLWISE_NEEDS_TEMPERATURE
+    if (!WITHIN(x->temperature_C, TEMPERATURE_LOW_C, TEMPERATURE_HIGH_C)) {
+        return false;
+    }
+#endif
+#if CELLWISE_WATCH
+    if (!(SIZE_WITHIN(x->voltage_V, LARGE) && SIZE_WITHIN(x->frozen_A, LARGE))) {
+        return false;
+    }
+#endif
+    return covariance_is_sound(x);
+}
+
+/* A cell at rest; its branches are guessed at the first sample. */
+static APART void start(const cellwise_constants *c, cellwise_state *x, float soc,
+                        float soc_variance)
+{
+    x->soc = soc;
+    x->soc_carry = 0.0f;
+    x->v1_V = 0.0f;
+    x->v2_V = 0.0f;
+#if CELLWISE_WIDE
+    x->ss_carry = 0.0f;
+#endif
+#if CELLWISE_SLOW
+    x->v3_V = 0.0f;
+    x->v3_carry_V = 0.0f;
+#endif
+#if CELLWISE_HYSTERESIS
+    x->h = (soc > 0.5f) ? 1.0f : -1.0f;
+#endif
+#if CELLWISE_OFFSET
+    x->offset_A = 0.0f;
+#endif
+    start_covariance(c, x, soc_variance);
+    x->current_A = 0.0f;
+    x->mismatch = 1.0f;
+#if CELLWISE_HEATING
+    x->heat_K = 0.0f;
+#endif
+#if CELLWISE_NEEDS_TEMPERATURE
+    x->temperature_C = c->temperature_C;
+#endif
+#if CELLWISE_WATCH
+    x->voltage_V = 0.0f;
+    x->frozen_A = 0.0f;
+    x->repeats = 0u;
+    x->no_current = 0u;
+    x->no_voltage = 0u;
+#endif
+    x->sequence = 0u;
+    x->rejections = 0u;
+    x->evidence = NOT_BEGUN;
+}
+
+/* Variance of a branch that holds anything up to what a current leaves there. */
+static float admitted(float rested_V2, float held_V, float limit_V)
+{
+    (void)limit_V;
+    float most = held_V;
+#if CELLWISE_WIDE
+    most = (held_V < limit_V) ? held_V : limit_V;
+#endif
+    return rested_V2 + (most * most);
+}
+
+/* What the branches hold when nobody knows what was before. Nearly nothing at rest, half of the
+ * load's steady voltage under load. */
+static APART void guess_branches(const cellwise_constants *c, cellwise_state *x, float r1_ohm,
+                                 float r2_ohm,
+#if CELLWISE_SLOW
+    float r3_ohm,
+#endif
+    float current)
+{
+#if CELLWISE_WIDE
+    float flow = 0.0f;
+    float spread = c->start_rest_A;
+    float limit_V = REST_LIMIT_V;
+    if (!SIZE_BELOW(current, c->rest_A)) {
+        flow = START_LOAD_SHARE * current;
+        spread = at_least(magnitude(flow), c->start_load_A);
+        limit_V = LARGE;
+    }
+#else
+    float flow = START_LOAD_SHARE * current;
+    float spread = magnitude(flow) + c->start_rest_A;
+    float limit_V = LARGE;
+#endif
+    forget_correlations(x);
+    x->v1_V = r1_ohm * flow;
+    x->v2_V = r2_ohm * flow;
+    x->p11 = admitted(c->branch_variance_V2, spread * r1_ohm, limit_V);
+    x->p22 = admitted(c->branch_variance_V2, spread * r2_ohm, limit_V);
+#if CELLWISE_SLOW
+    x->v3_V = r3_ohm * flow;
+    x->v3_carry_V = 0.0f;
+    x->p33 = admitted(c->branch_variance_V2, spread * r3_ohm, limit_V);
+#endif
+}
+
+/* ---- predict.py: Prediction of the fixed step: charge, gaps, one interval of constant current. */
+
+/* Charge that leaves the cell in one step, in SOC. */
+static float taken(const cellwise_constants *c, float current)
+{
+    float used = current;
+#if CELLWISE_EFFICIENCY
+    if (used < 0.0f) {
+        used = used * c->charge_efficiency;
+    }
+#endif
+    used = c->soc_per_A * used;
+#if CELLWISE_LEAK
+    used = used + c->leak_soc;
+#endif
+    return used;
+}
+
+/* Samples are missing: the branches may hold what the currents on both sides can have left. With
+ * CELLWISE_WIDE they relax towards the mean of these currents, too. */
+static void cross_gap(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
+                      uint32_t missing, float current, float bridge)
+{
+    (void)bridge;
+    const float unknown_A2 = (current * current) + (x->current_A * x->current_A);
+    const float steps = (float)missing;
+    float spread = c->gap_variance;
+    if (missing <= c->gap_steps) {
+        const float moved = c->soc_per_A * steps;
+        spread = (moved * moved) * unknown_A2;
+    }
+    x->ss = x->ss + spread;
+#if CELLWISE_WIDE
+    const float gain1 = risen(steps * p->gain1);
+    const float gain2 = risen(steps * p->gain2);
+#if CELLWISE_SLOW
+    const float gain3 = risen(steps * p->gain3);
+#endif
+    relax(x, p->r1_ohm, gain1, p->r2_ohm, gain2,
+#if CELLWISE_SLOW
+        p->r3_ohm,
+        gain3,
+#endif
+        bridge, unknown_A2);
+#else
+    x->p11 = x->p11 + (unknown_A2 * (p->r1_ohm * p->r1_ohm));
+    x->p22 = x->p22 + (unknown_A2 * (p->r2_ohm * p->r2_ohm));
+#if CELLWISE_SLOW
+    x->p33 = x->p33 + (unknown_A2 * (p->r3_ohm * p->r3_ohm));
+#endif
+#endif
+#if CELLWISE_HYSTERESIS
+    forget_hysteresis(x);
+#endif
+}
+
+/* One interval of constant current. A resistance that is off by a share drives its branch like a
+ * current that is off by it, and so does a current that nobody measured. */
+static void predict(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
+                    const cellwise_slopes *w, float flow, float unmeasured_A2)
+{
+    (void)w;
+    const float square_A2 = (c->share_variance * (flow * flow)) + unmeasured_A2;
+    relax(x, p->r1_ohm, p->gain1, p->r2_ohm, p->gain2,
+#if CELLWISE_SLOW
+        p->r3_ohm,
+        p->gain3,
+#endif
+        flow, square_A2);
+#if CELLWISE_HYSTERESIS
+    const float rise = risen(c->hysteresis_per_A * magnitude(flow));
+    const float keep = 1.0f - rise;
+    x->h = clip((keep * x->h) + ((flow < 0.0f) ? rise : -rise), -1.0f, 1.0f);
+    fade_hysteresis(x, keep);
+#endif
+#if CELLWISE_WIDE
+    if (w->spread > 0.0f) {
+        tilt(x, p, w, flow);
+    }
+#endif
+    if (POSITIVE_ABOVE(SOC_VARIANCE_MOST, x->ss)) {
+        add_variance(x, c->soc_walk);
+    }
+#if CELLWISE_OFFSET
+    spread_offset(c, x, p);
+#endif
+}
+
+#if CELLWISE_HEATING
+/* The cell's own warming over one interval. */
+static void heat(const cellwise_constants *c, cellwise_state *x, float r0_ohm, float seen,
+                 float flow)
+{
+    float fall = (r0_ohm * seen) + (x->v1_V + x->v2_V);
+#if CELLWISE_SLOW
+    fall = fall + x->v3_V;
+#endif
+    const float change_K = c->heat_gain * ((c->heat_K_per_W * (flow * fall)) - x->heat_K);
+    x->heat_K = clip(x->heat_K + change_K, -HEAT_MOST_K, HEAT_MOST_K);
+}
+#endif
+
+/* ---- search.py: The fixed step after a lock-out, and at a first voltage that cannot be
+ * weighed: SOC searched. */
 
 /* The voltage that the state gives at a point of the tables. */
 static float voltage_of(const cellwise_state *x, const cellwise_point *p, float drop)
@@ -1125,12 +1124,15 @@ static float vanishing(float z)
     }
     return left;
 }
+#endif
 
-/* SOC and its variance over the whole of 0..1, when a voltage contradicts the estimate: every SOC
- * weighs as the estimate, widened, and the voltage, known to `variance`, say together. Branches may
- * hold what `held_A` would leave there. Beyond either end of the OCV that end is meant. */
+#if CELLWISE_WIDE
+/* SOC and its variance over the whole of 0..1, when a voltage contradicts the estimate. Every
+ * SOC weighs as the estimate, widened, and the voltage, known to `variance`, say together.
+ * Branches may hold what `held_A` would leave there. Beyond either end of the OCV that end is
+ * meant. */
 static APART void search(const cellwise_model *m, const cellwise_place *place, cellwise_state *x,
-                         float seen, float measured, float variance, float held_A, float limit_V)
+                         float seen, float voltage, float variance, float held_A, float limit_V)
 {
     const float before = 1.0f / at_least(x->ss, RECOVERY_VARIANCE);
     const float most_V2 = limit_V * limit_V;
@@ -1138,35 +1140,27 @@ static APART void search(const cellwise_model *m, const cellwise_place *place, c
     float total = 0.0f;
     float first = 0.0f;
     float second = 0.0f;
-    float low;
-    float high;
-    float voltage;
     cellwise_point p;
     look_up(m, place, 0.0f, seen, &p);
-    low = voltage_of(x, &p, p.r0_ohm * seen);
+    const float low = voltage_of(x, &p, p.r0_ohm * seen);
     look_up(m, place, 1.0f, seen, &p);
-    high = voltage_of(x, &p, p.r0_ohm * seen);
-    voltage = (low < high) ? clip(measured, low, high) : clip(measured, high, low);
+    const float high = voltage_of(x, &p, p.r0_ohm * seen);
+    const float target = (low < high) ? clip(voltage, low, high) : clip(voltage, high, low);
     for (uint32_t k = 0u; k < RESTART_POINTS; k++) {
         const float away = ((float)k * RESTART_STEP) - x->soc;
-        float held;
-        float about;
-        float off;
-        float cost;
-        float weight;
         look_up(m, place, (float)k * RESTART_STEP, seen, &p);
-        held = (p.r1_ohm * p.r1_ohm) + (p.r2_ohm * p.r2_ohm);
+        float held = (p.r1_ohm * p.r1_ohm) + (p.r2_ohm * p.r2_ohm);
 #if CELLWISE_SLOW
         held = held + (p.r3_ohm * p.r3_ohm);
 #endif
         held = (held_A * held_A) * held;
-        about = (variance + p.noise_V2) + ((held < most_V2) ? held : most_V2);
+        float about = (variance + p.noise_V2) + ((held < most_V2) ? held : most_V2);
 #if CELLWISE_HYSTERESIS
         about = about + ((p.m_V * p.m_V) * x->phh);
 #endif
-        off = voltage - voltage_of(x, &p, p.r0_ohm * seen);
-        cost = 0.5f * (((away * away) * before) + ((off * off) / about));
-        weight = 1.0f / root(about);
+        const float off = target - voltage_of(x, &p, p.r0_ohm * seen);
+        const float cost = 0.5f * (((away * away) * before) + ((off * off) / about));
+        float weight = 1.0f / root(about);
         if (cost < least) {
             const float faded = vanishing(least - cost);
             total = faded * total;
@@ -1191,36 +1185,39 @@ static APART void search(const cellwise_model *m, const cellwise_place *place, c
         }
     }
 }
+#endif
 
-/* The gate may have locked the truth out, or a first voltage of a cell at rest says more than can be
- * weighed: SOC is looked for anew. Branches that have been followed may hold anything; under load the
- * resistances may be what is wrong, by as much as they are. */
+#if CELLWISE_WIDE
+/* The gate may have locked the truth out, or a first voltage at rest says more than is weighed.
+ * Branches that have been followed may hold anything; under load the resistances may be what is
+ * wrong, by as much as they are. */
 static APART void look_anew(const cellwise_model *m, const cellwise_place *place,
-                            cellwise_state *x, float seen, float voltage, float one,
-                            float polarisation)
+                            cellwise_state *x, float seen, float voltage, float one_V2,
+    float polarisation_V)
 {
     const cellwise_constants *const c = &m->constant;
     float held_A = c->start_rest_A;
     float limit_V = REST_LIMIT_V;
-    float variance = one + c->branch_variance_V2;
+    float variance = one_V2 + c->branch_variance_V2;
     float kept1 = 0.0f;
     float kept2 = 0.0f;
 #if CELLWISE_SLOW
     float kept3 = 0.0f;
 #endif
-    cellwise_point p;
     if (x->evidence >= FIRST_VOLTAGE) {
         held_A = c->recovery_A;
         limit_V = LOAD_LIMIT_V;
         kept1 = x->v1_V * x->v1_V;
         kept2 = x->v2_V * x->v2_V;
-        variance = (one + (polarisation * polarisation)) + ((kept1 + x->p11) + (kept2 + x->p22));
+        variance = one_V2 + (polarisation_V * polarisation_V);
+        variance = variance + ((kept1 + x->p11) + (kept2 + x->p22));
 #if CELLWISE_SLOW
         kept3 = x->v3_V * x->v3_V;
         variance = variance + (kept3 + x->p33);
 #endif
     }
     search(m, place, x, seen, voltage, variance, held_A, limit_V);
+    cellwise_point p;
     look_up(m, place, x->soc, seen, &p);
     forget_correlations(x);
     x->p11 = admitted(c->branch_variance_V2, held_A * p.r1_ohm, limit_V) + kept1;
@@ -1230,24 +1227,242 @@ static APART void look_anew(const cellwise_model *m, const cellwise_place *place
 #endif
     x->evidence = FIRST_VOLTAGE;
 }
-#else
-/* The gate may have locked the truth out: anything is admitted, so that the next voltage passes. */
-static void widen(const cellwise_constants *c, cellwise_state *x, RESISTANCES, float seen)
+#endif
+
+#if !CELLWISE_WIDE
+/* Without CELLWISE_WIDE anything is admitted instead, so that the next voltage passes. */
+static void widen(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
+                  float seen)
 {
     x->ss = RECOVERY_VARIANCE;
     x->evidence = FIRST_VOLTAGE;
+    guess_branches(c, x, p->r1_ohm, p->r2_ohm,
 #if CELLWISE_SLOW
-    guess_branches(c, x, r1_ohm, r2_ohm, r3_ohm, seen);
-#else
-    guess_branches(c, x, r1_ohm, r2_ohm, seen);
+        p->r3_ohm,
 #endif
+        seen);
 }
 #endif
 
+/* ---- gain.py: What a gain of the fixed step is worth: judged by the slope where it leads. */
+
+#if CELLWISE_WIDE
+/* Judge the gain by the slope where it leads, if that is flatter; whether anything was learnt.
+ * The gain itself was that of the slope here: on a plateau nothing is learnt, and the covariance
+ * stays as it is. */
+static APART bool rejudge(const cellwise_model *m, const cellwise_place *place, cellwise_state *x,
+                          const cellwise_point *p, const cellwise_slopes *w,
+    const cellwise_column *d, float inverse, float innovation, float seen)
+{
+    const float ks = d->s * inverse;
+    const float move = ks * innovation;
+    float flat = (p->slope_V < w->slope_V) ? p->slope_V : w->slope_V;
+    if (magnitude(move) > (SMALL_MOVE * w->spread)) {
+        cellwise_point landed;
+        look_up(m, place, x->soc + move, seen, &landed);
+        cellwise_slopes there;
+        slopes_of(m, place, x->soc + move, w->spread, seen, &landed, &there);
+        flat = (there.slope_V < landed.slope_V) ? there.slope_V : landed.slope_V;
+        flat = (flat < w->slope_V) ? flat : w->slope_V;
+    }
+    const float less = flat - w->slope_V;
+    const float e = less * ((2.0f * d->s) + (less * x->ss));
+    const float wider = rejudged(ks, ks, less * x->ss, less * x->ss, e);
+    bool learnt = false;
+    if (SIZE_WITHIN(wider, LARGE) && (wider < (ks * d->s))) {
+        learnt = true;
+        rejudge_covariance(x, d, inverse, less, e, wider);
+    }
+    return learnt;
+}
+#endif
+
+/* ---- sensing.py: What a sample means to the fixed step: numbers missing, a current that is
+ * held; the charge. */
+
+/* A sample as the filter takes it. `news` says whether it ends an interval, `missing` how many
+ * were left out, `silent` for how many steps there was no current that could be used. `current`
+ * is the one that is held, `seen` what the voltage has seen of it, `flow` what flows without the
+ * sensor's offset. */
+typedef struct {
+    uint32_t status;
+    uint32_t news;
+    uint32_t missing;
+    uint32_t silent;
+    float current;
+    float seen;
+    float flow;
+    float unmeasured_A2;
+#if CELLWISE_NEEDS_TEMPERATURE
+    float temperature_C;
+#endif
+} cellwise_reading;
+
+/* What an interval took: samples missing, and the current that bridges them. */
+typedef struct {
+    uint32_t status;
+    uint32_t missing;
+    float bridge;
+} cellwise_charge;
+
+/* Sequence number, current and temperature of a sample; the status `before` with theirs. */
+static void see(const cellwise_constants *c, cellwise_state *x, const cellwise_input *sample,
+                uint32_t before, cellwise_reading *reading)
+{
+    reading->status = before;
+    reading->news = NO_INTERVAL;
+    reading->missing = 0u;
+    reading->silent = 0u;
+    reading->current = sample->current_A;
+    reading->unmeasured_A2 = 0.0f;
+    /* The first sample ends no interval; a sequence number that was taken before ends none
+     * either. */
+    if (x->evidence != NOT_BEGUN) {
+        const uint32_t elapsed = sample->sequence - x->sequence;
+        if (elapsed == 0u) {
+            reading->news = REPEATED;
+            reading->status = reading->status | CELLWISE_DUPLICATE;
+        } else {
+            reading->news = INTERVAL;
+            reading->missing = elapsed - 1u;
+        }
+    }
+    if (!SIZE_WITHIN(reading->current, c->current_limit_A)) {
+        reading->status = (reading->status | CELLWISE_CURRENT_INVALID) |
+            out_of_range(reading->current);
+        reading->silent = 1u;
+    }
+    if ((reading->silent != 0u) || (reading->news == REPEATED)) {
+        reading->current = x->current_A;
+    }
+#if CELLWISE_NEEDS_TEMPERATURE
+    reading->temperature_C = 0.0f;
+    if (!WITHIN(sample->temperature_C, TEMPERATURE_LOW_C, TEMPERATURE_HIGH_C)) {
+        reading->status = reading->status | CELLWISE_TEMPERATURE_INVALID;
+    } else if (reading->news != REPEATED) {
+        x->temperature_C = sample->temperature_C;
+    } else {
+        /* as before */
+    }
+    reading->temperature_C = x->temperature_C;
+#if CELLWISE_HEATING
+    reading->temperature_C = reading->temperature_C + x->heat_K;
+#endif
+#endif
+    reading->seen = reading->current;
+#if CELLWISE_SKEW
+    if (reading->news == INTERVAL) {
+        reading->seen = reading->current + (c->skew_share * (x->current_A - reading->current));
+    }
+#endif
+    reading->flow = reading->seen;
+#if CELLWISE_OFFSET
+    reading->flow = reading->seen - x->offset_A;
+#endif
 #if CELLWISE_WATCH
-/* A reading that repeats itself is frozen once R0 times the change of current says that it must have
- * moved, and the prediction is off by half of that: a held voltage repeats itself, too, but the model
- * expects it there. It stays frozen until it changes. */
+    /* Held for a while; then whatever was held is no guide any more: nothing is counted, and as
+     * much as half a rate may flow either way. */
+    if ((reading->silent != 0u) || (reading->news == REPEATED)) {
+        reading->silent = x->no_current;
+        if ((reading->news == INTERVAL) && (reading->silent < COUNT_MOST)) {
+            reading->silent = reading->silent + 1u;
+        }
+    }
+    if (reading->silent > c->hold_steps) {
+        reading->status = reading->status | CELLWISE_CURRENT_LOST;
+        reading->seen = 0.0f;
+        reading->flow = 0.0f;
+        reading->unmeasured_A2 = c->lost_A2;
+    }
+#else
+    if (reading->silent != 0u) {
+        reading->unmeasured_A2 = c->lost_A2;
+    }
+#endif
+}
+
+/* SOC over the interval that ends now: charge comes first, then the branches at the new SOC. */
+static void count_charge(const cellwise_constants *c, cellwise_state *x, const cellwise_reading *s,
+                         cellwise_charge *charge)
+{
+    charge->status = s->status;
+    charge->missing = s->missing;
+    charge->bridge = 0.0f;
+    if (s->news == INTERVAL) {
+        float used = taken(c, s->flow);
+        if (charge->missing != 0u) {
+            charge->status = charge->status | CELLWISE_SEQUENCE_GAP;
+            if (charge->missing <= c->gap_steps) {
+                charge->bridge = 0.5f * (s->current + x->current_A);
+#if CELLWISE_WATCH
+                if (s->silent > c->hold_steps) {
+                    charge->bridge = 0.0f;
+                }
+#endif
+                used = used + (taken(c, charge->bridge) * (float)charge->missing);
+            } else { /* nobody knows what flowed */
+                charge->missing = (charge->missing < LONGEST_GAP) ? charge->missing : LONGEST_GAP;
+            }
+        }
+        add(&x->soc, &x->soc_carry, -used);
+        if (s->unmeasured_A2 > 0.0f) {
+#if CELLWISE_WATCH
+            /* It may keep one sign for as long as it is away: the deviation grows, not the
+             * variance. */
+            const float drift = root(x->ss) + c->lost_soc;
+            x->ss = drift * drift;
+#else
+            x->ss = x->ss + c->lost_walk;
+#endif
+        }
+    }
+}
+
+/* Hold SOC within its bounds, remember the sample: the status of the clamp. */
+static uint32_t finish(cellwise_state *x, const cellwise_reading *s, uint32_t missing,
+                       uint32_t sequence, cellwise_output *out)
+{
+    uint32_t status = 0u;
+    if (!NOT_NEGATIVE(x->soc, 1.0f)) {
+        x->soc = within_one(x->soc);
+        x->soc_carry = 0.0f;
+        status = CELLWISE_CLAMPED;
+    }
+    if (s->news != REPEATED) {
+        x->current_A = s->current;
+        x->sequence = sequence;
+#if CELLWISE_WATCH
+        x->no_current = s->silent;
+#endif
+        if ((s->news == INTERVAL) && ((x->evidence - FIRST_VOLTAGE) < EVIDENCE_MOST)) {
+            x->evidence = (x->evidence + 1u) + missing;
+        }
+    }
+    out->soc = x->soc;
+    out->soc_variance = x->ss;
+    return status;
+}
+
+/* ---- innovation.py: What a measured voltage means to the fixed step: prediction, gate,
+ * recovery, weight. */
+
+/* What the state says of the next voltage, before it is looked at. `variance_V2` is that of a
+ * single innovation, `explained_V2` what the state and `one_V2` what the voltage brings to it;
+ * `polarisation_V` how much of the voltage is current's doing. */
+typedef struct {
+    float voltage_V;
+    float variance_V2;
+    float explained_V2;
+    float one_V2;
+    float polarisation_V;
+    cellwise_column column;
+} cellwise_innovation;
+
+#if CELLWISE_WATCH
+/* Whether the voltage is frozen. A reading that repeats itself is frozen once R0 times the
+ * change of current says that it must have moved, and the prediction is off by half of that: a
+ * held voltage repeats itself, too, but the model expects it there. It stays frozen until it
+ * changes. */
 static uint32_t watch_voltage(const cellwise_constants *c, cellwise_state *x, float voltage,
                               float seen, float r0_ohm, float innovation)
 {
@@ -1260,9 +1475,11 @@ static uint32_t watch_voltage(const cellwise_constants *c, cellwise_state *x, fl
         status = CELLWISE_VOLTAGE_FROZEN;
     } else {
         const float moved = magnitude(r0_ohm * (seen - x->frozen_A));
-        x->repeats += (x->repeats < COUNT_MOST) ? 1u : 0u;
-        if ((x->repeats >= FROZEN_READINGS) && (moved > c->frozen_V) &&
-            (magnitude(innovation) > (0.5f * moved))) {
+        const bool off = magnitude(innovation) > (0.5f * moved);
+        if (x->repeats < COUNT_MOST) {
+            x->repeats = x->repeats + 1u;
+        }
+        if ((x->repeats >= FROZEN_READINGS) && (moved > c->frozen_V) && off) {
             x->repeats = FROZEN;
             status = CELLWISE_VOLTAGE_FROZEN;
         }
@@ -1272,345 +1489,263 @@ static uint32_t watch_voltage(const cellwise_constants *c, cellwise_state *x, fl
 #endif
 
 /* How many samples share one model error. What the model gets wrong it gets wrong on every time
- * scale, so the memory grows with the time since the first voltage until it is the model's own. */
+ * scale, so the memory grows with the time since the first voltage until it is the model's own.
+ * The first voltage at rest is evidence by itself. */
 static float shared_by(const cellwise_constants *c, const cellwise_state *x, float seen)
 {
-    float shared = 1.0f; /* the first voltage at rest is evidence by itself */
+    float shared = 1.0f;
     if (x->evidence >= FIRST_VOLTAGE) {
         const float since = (float)(x->evidence - FIRST_VOLTAGE);
         shared = clip(c->shared_start + (SHARED_GROWTH * since), 1.0f, c->shared);
     } else if (!SIZE_BELOW(seen, c->rest_A)) {
         shared = clip(c->shared_start, 1.0f, c->shared);
     } else {
-        /* at rest */
+        /* as before */
     }
     return shared;
 }
 
-/* An innovation that is looked at: gate, recovery, weight. Under load the resistances may be what is
- * wrong: what three times the polarisation can explain speaks against the SOC more slowly. What the
- * innovations have lately shown beyond their variance makes evidence weigh less. A first sample under
- * load tells of the load more than of the SOC. */
-static uint32_t weigh(const cellwise_model *m, const cellwise_place *place, cellwise_state *x,
-                      const cellwise_point *p, const cellwise_slopes *w, const cellwise_column *d,
-                      float seen, float voltage, uint32_t news, float explained, float one,
-                      float polarisation, const cellwise_output *out)
+/* Predicted voltage, and the variances of what is measured about it. */
+static void innovate(const cellwise_constants *c, const cellwise_state *x, const cellwise_point *p,
+                     const cellwise_slopes *w, const cellwise_reading *s,
+    cellwise_innovation *innovation)
 {
-    const cellwise_constants *const c = &m->constant;
-    const float innovation = out->innovation_V;
-    const float square = innovation * innovation;
-    const float most = c->gate_square * out->innovation_variance_V2;
-    uint32_t status = 0u;
-#if CELLWISE_WIDE
-    /* A start that is unsure of itself believes the first voltage at rest at once, and looks for it
-     * where the OCV bends too much for a slope. */
-    uint32_t unsure = 0u;
-    uint32_t bent = 0u;
-#else
-    (void)voltage;
-    (void)w;
+    const float drop = p->r0_ohm * s->seen;
+    innovation->polarisation_V = (magnitude(drop) + magnitude(x->v1_V)) + magnitude(x->v2_V);
+#if CELLWISE_SLOW
+    innovation->polarisation_V = innovation->polarisation_V + magnitude(x->v3_V);
+#endif
+    innovation->voltage_V = voltage_of(x, p, drop);
+    innovation->one_V2 = p->noise_V2 +
+        ((c->share_variance * (innovation->polarisation_V * innovation->polarisation_V)) +
+         ((c->current_variance_A2 + s->unmeasured_A2) * (p->r0_ohm * p->r0_ohm)));
+    /* An OCV that bends by c at one standard deviation is off its tangent by c z^2. */
+    column_of(x, p, w->slope_V, &innovation->column);
+    innovation->explained_V2 = innovation->column.variance + (3.0f * (w->bend_V * w->bend_V));
+    innovation->variance_V2 = innovation->explained_V2 + innovation->one_V2;
+}
+
+/* ---- correct.py: Correction of the fixed step by a measured voltage: gate, recovery, weight. */
+
+/* A voltage beyond the gate, and recovery after too many of them in a row. Under load the
+ * resistances may be what is wrong: what three times the polarisation can explain speaks against
+ * the SOC more slowly. A start that is unsure of itself believes the first voltage at rest at
+ * once. */
+static uint32_t reject(const cellwise_model *m, const cellwise_place *place, cellwise_state *x,
+                       const cellwise_point *p, const cellwise_innovation *i, float seen,
+    float voltage, float beyond_V2, bool unsure)
+{
     (void)place;
-#endif
+    (void)p;
+    (void)voltage;
+    (void)unsure;
+    const cellwise_constants *const c = &m->constant;
+    uint32_t status = CELLWISE_INNOVATION_REJECTED;
+    const float explicable_V2 = 4.0f * (i->polarisation_V * i->polarisation_V);
+    x->rejections = x->rejections + ((beyond_V2 > explicable_V2) ? REJECTION : c->under_load);
 #if CELLWISE_WIDE
-    if ((w->spread > 0.0f) && (x->evidence < FIRST_VOLTAGE) && SIZE_BELOW(seen, c->rest_A)) {
-        unsure = 1u;
-        if (((3.0f * (w->bend_V * w->bend_V)) > one) || (w->slope_V < c->flat_slope_V)) {
-            bent = 1u;
-        }
+    if (unsure) {
+        x->rejections = c->recovery_after;
     }
 #endif
-    if (news == 2u) {
-        float ratio = square / out->innovation_variance_V2;
-        ratio = (ratio < c->mismatch_cap) ? ratio : c->mismatch_cap;
-        x->mismatch = x->mismatch + (c->lately * (ratio - x->mismatch));
-    }
-    if (POSITIVE_ABOVE(square, most)) {
-        status = CELLWISE_INNOVATION_REJECTED;
-        x->rejections +=
-            ((square - most) > (4.0f * (polarisation * polarisation))) ? REJECTION : c->under_load;
+    if (x->rejections >= c->recovery_after) {
+        status = status | CELLWISE_GATE_RECOVERY;
+        x->rejections = 0u;
+        x->mismatch = 1.0f;
 #if CELLWISE_WIDE
-        if (unsure != 0u) {
-            x->rejections = c->recovery_after;
-        }
-#endif
-        if (x->rejections >= c->recovery_after) {
-            status |= CELLWISE_GATE_RECOVERY;
-            x->rejections = 0u;
-            x->mismatch = 1.0f;
-#if CELLWISE_WIDE
-            look_anew(m, place, x, seen, voltage, one, polarisation);
+        look_anew(m, place, x, seen, voltage, i->one_V2, i->polarisation_V);
 #else
-            widen(c, x, RESISTANCES_OF(*p), seen);
+        widen(c, x, p, seen);
 #endif
-        }
-    }
-#if CELLWISE_WIDE
-    else if (bent != 0u) {
-        look_anew(m, place, x, seen, voltage, one, polarisation);
-    }
-#endif
-    else {
-        const float shared = shared_by(c, x, seen);
-        float weight = one * shared;
-        if (POSITIVE_ABOVE(x->mismatch, 1.0f)) {
-            weight = weight * x->mismatch;
-        }
-        if ((news == 2u) || (shared <= 1.0f)) {
-            const float inverse = 1.0f / (explained + weight);
-            uint32_t learnt = 1u;
-#if CELLWISE_WIDE
-            if (w->spread > 0.0f) {
-                learnt = rejudge(m, place, x, p, w, d, inverse, innovation, seen);
-            }
-#endif
-            move(c, x, d, inverse, innovation);
-            if (learnt != 0u) {
-                narrow(x, d, inverse);
-            }
-        }
-        x->rejections = (x->rejections > FORGIVEN) ? (x->rejections - FORGIVEN) : 0u;
-        if (x->evidence < FIRST_VOLTAGE) {
-            x->evidence = FIRST_VOLTAGE;
-        }
     }
     return status;
 }
 
-/* Predicted voltage, innovation, and what follows from it. `news` is 0 where the sample was seen
- * before, 1 where it ends no interval, 2 where time has passed since the last one. */
+/* State and covariance after a voltage within the gate. What the innovations have lately shown
+ * beyond their variance makes evidence weigh less. A first sample under load tells of the load
+ * more than of the SOC. */
+static void learn(const cellwise_model *m, const cellwise_place *place, cellwise_state *x,
+                  const cellwise_point *p, const cellwise_slopes *w, const cellwise_reading *s,
+    const cellwise_innovation *i, float innovation)
+{
+    (void)place;
+    (void)p;
+    (void)w;
+    const float shared = shared_by(&m->constant, x, s->seen);
+    float weight = i->one_V2 * shared;
+    if (POSITIVE_ABOVE(x->mismatch, 1.0f)) {
+        weight = weight * x->mismatch;
+    }
+    if ((s->news == INTERVAL) || (shared <= 1.0f)) {
+        const float inverse = 1.0f / (i->explained_V2 + weight);
+        bool learnt = true;
+#if CELLWISE_WIDE
+        if (w->spread > 0.0f) {
+            learnt = rejudge(m, place, x, p, w, &i->column, inverse, innovation, s->seen);
+        }
+#endif
+        move(&m->constant, x, &i->column, inverse, innovation);
+        if (learnt) {
+            narrow(x, &i->column, inverse);
+        }
+    }
+    x->rejections = (x->rejections > FORGIVEN) ? (x->rejections - FORGIVEN) : 0u;
+    if (x->evidence < FIRST_VOLTAGE) {
+        x->evidence = FIRST_VOLTAGE;
+    }
+}
+
+/* A voltage that is looked at: rejected, SOC searched for it, or learnt from. */
+static uint32_t weigh(const cellwise_model *m, const cellwise_place *place, cellwise_state *x,
+                      const cellwise_point *p, const cellwise_slopes *w, const cellwise_reading *s,
+    const cellwise_innovation *i, float voltage, float innovation)
+{
+    const cellwise_constants *const c = &m->constant;
+    const float square = innovation * innovation;
+    const float most = c->gate_square * i->variance_V2;
+    uint32_t status = 0u;
+    bool unsure = false;
+    bool bent = false;
+    /* The first voltage at rest of a start that is unsure of itself is looked for where the OCV
+     * bends too much for a slope. */
+#if CELLWISE_WIDE
+    if ((w->spread > 0.0f) && (x->evidence < FIRST_VOLTAGE) && SIZE_BELOW(s->seen, c->rest_A)) {
+        unsure = true;
+        bent = ((3.0f * (w->bend_V * w->bend_V)) > i->one_V2) || (w->slope_V < c->flat_slope_V);
+    }
+#endif
+    if (s->news == INTERVAL) {
+        float ratio = square / i->variance_V2;
+        ratio = (ratio < c->mismatch_cap) ? ratio : c->mismatch_cap;
+        x->mismatch = x->mismatch + (c->lately * (ratio - x->mismatch));
+    }
+    if (POSITIVE_ABOVE(square, most)) {
+        status = reject(m, place, x, p, i, s->seen, voltage, square - most, unsure);
+    } else if (bent) {
+#if CELLWISE_WIDE
+        look_anew(m, place, x, s->seen, voltage, i->one_V2, i->polarisation_V);
+#endif
+    } else {
+        learn(m, place, x, p, w, s, i, innovation);
+    }
+    return status;
+}
+
+/* Predicted voltage, innovation, and what follows from it. */
 static uint32_t correct(const cellwise_model *m, const cellwise_place *place, cellwise_state *x,
-                        const cellwise_point *p, const cellwise_slopes *w, float seen,
-                        float unmeasured_A2, float voltage, uint32_t news, cellwise_output *out)
+                        const cellwise_point *p, const cellwise_slopes *w,
+    const cellwise_reading *s, float voltage, cellwise_output *out)
 {
     const cellwise_constants *const c = &m->constant;
     uint32_t status = 0u;
-    cellwise_column d;
-    const float drop = p->r0_ohm * seen;
-    float polarisation = (magnitude(drop) + magnitude(x->v1_V)) + magnitude(x->v2_V);
-    float one;
-    float explained;
 #if CELLWISE_WATCH
     uint32_t away = x->no_voltage;
-    if ((news == 2u) && (away < COUNT_MOST)) {
+    if ((s->news == INTERVAL) && (away < COUNT_MOST)) {
         away = away + 1u;
     }
 #endif
-#if CELLWISE_SLOW
-    polarisation = polarisation + magnitude(x->v3_V);
-#endif
-    out->voltage_V = voltage_of(x, p, drop);
-    one = p->noise_V2 + ((c->share_variance * (polarisation * polarisation)) +
-                         ((c->current_variance_A2 + unmeasured_A2) * (p->r0_ohm * p->r0_ohm)));
-    /* An OCV that bends by c at one standard deviation is off its tangent by c z^2. */
-    explained = column_of(x, p, w->slope_V, &d) + (3.0f * (w->bend_V * w->bend_V));
-    out->innovation_variance_V2 = explained + one;
+    cellwise_innovation i;
+    innovate(c, x, p, w, s, &i);
+    out->voltage_V = i.voltage_V;
+    out->innovation_variance_V2 = i.variance_V2;
     out->innovation_V = 0.0f;
     if (!POSITIVE_WITHIN(voltage, c->voltage_low_V, c->voltage_high_V)) {
         status = CELLWISE_VOLTAGE_INVALID | out_of_range(voltage);
     } else {
-        out->innovation_V = voltage - out->voltage_V;
-        if (news != 0u) { /* a repeated sample is no evidence */
+        const float innovation = voltage - i.voltage_V;
+        out->innovation_V = innovation;
+        if (s->news != REPEATED) { /* a repeated sample is no evidence */
 #if CELLWISE_WATCH
-            status = watch_voltage(c, x, voltage, seen, p->r0_ohm, out->innovation_V);
+            status = watch_voltage(c, x, voltage, s->seen, p->r0_ohm, innovation);
             if (status == 0u) {
                 away = 0u;
             }
 #endif
             if (status == 0u) {
-                status = weigh(m, place, x, p, w, &d, seen, voltage, news, explained, one,
-                               polarisation, out);
+                status = weigh(m, place, x, p, w, s, &i, voltage, innovation);
             }
         }
     }
 #if CELLWISE_WATCH
-    if (news != 0u) {
+    if (s->news != REPEATED) {
         x->no_voltage = away;
     }
     if (away > c->hold_steps) {
-        status |= CELLWISE_VOLTAGE_LOST;
+        status = status | CELLWISE_VOLTAGE_LOST;
     }
 #endif
     return status;
 }
 
-/* ---- interface ---- */
+/* ---- step.py: One fixed step: predict over the interval that ends now, then use the voltage
+ * read now. */
 
-uint32_t cellwise_init(const cellwise_model *model, cellwise_state *x, float soc,
-                       float soc_variance)
+/* A cell at rest at `soc`, known with `soc_variance`. Arguments that are no such numbers give a
+ * state that knows nothing. Returns 0 or CELLWISE_STATE_RESET. */
+uint32_t cellwise_init(const cellwise_model *m, cellwise_state *x, float soc, float soc_variance)
 {
     const float positive = soc + 0.0f; /* never -0 */
     uint32_t status = 0u;
-    if (NOT_NEGATIVE(positive, ONE_BITS) &&
-        POSITIVE_WITHIN(soc_variance, VARIANCE_FLOOR, SOC_VARIANCE_MOST)) {
-        start(model, x, positive, soc_variance);
+    const bool known = POSITIVE_WITHIN(soc_variance, VARIANCE_FLOOR, SOC_VARIANCE_MOST);
+    if (NOT_NEGATIVE(positive, 1.0f) && known) {
+        start(&m->constant, x, positive, soc_variance);
     } else {
-        start(model, x, KNOW_NOTHING_SOC, KNOW_NOTHING_VARIANCE);
+        start(&m->constant, x, KNOW_NOTHING_SOC, KNOW_NOTHING_VARIANCE);
         status = CELLWISE_STATE_RESET;
     }
     return status;
 }
 
-uint32_t cellwise_step(const cellwise_model *model, cellwise_state *x, const cellwise_input *in,
+/* One time step: predict over the interval that ends now, then use the voltage read now. Returns
+ * the status bits, which are in `out` too. */
+uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwise_input *sample,
                        cellwise_output *out)
 {
-    const cellwise_constants *const c = &model->constant;
-    cellwise_place place;
-    cellwise_point point;
-    cellwise_slopes slopes;
+    const cellwise_constants *const c = &m->constant;
     uint32_t status = 0u;
-    uint32_t news = 1u;
-    uint32_t missing = 0u;
-    uint32_t silent = 0u; /* no current that could be used */
-    float current = in->current_A;
-    float seen;
-    float flow;
-    float bridge = 0.0f;
-    float unmeasured_A2 = 0.0f;
-
-    if (is_sound(model, x) == 0u) {
-        start(model, x, KNOW_NOTHING_SOC, KNOW_NOTHING_VARIANCE);
-        status |= CELLWISE_STATE_RESET;
+    if (!is_sound(c, x)) {
+        start(c, x, KNOW_NOTHING_SOC, KNOW_NOTHING_VARIANCE);
+        status = CELLWISE_STATE_RESET;
     }
-    /* The first sample ends no interval; a sequence number that was taken before ends none. */
-    if (x->evidence != NOT_BEGUN) {
-        const uint32_t elapsed = in->sequence - x->sequence;
-        if (elapsed == 0u) {
-            news = 0u;
-            status |= CELLWISE_DUPLICATE;
-        } else {
-            news = 2u;
-            missing = elapsed - 1u;
-        }
-    }
-    if (!SIZE_WITHIN(current, c->current_limit_A)) {
-        status |= CELLWISE_CURRENT_INVALID | out_of_range(in->current_A);
-        silent = 1u;
-    }
-    if ((silent != 0u) || (news == 0u)) {
-        current = x->current_A;
-    }
+    cellwise_reading s;
+    see(c, x, sample, status, &s);
 #if CELLWISE_NEEDS_TEMPERATURE
-    if (!WITHIN(in->temperature_C, TEMPERATURE_LOW_C, TEMPERATURE_HIGH_C)) {
-        status |= CELLWISE_TEMPERATURE_INVALID;
-    } else if (news != 0u) {
-        x->temperature_C = in->temperature_C;
-    } else {
-        /* as before */
-    }
-#if CELLWISE_HEATING
-    place = place_of(model, x->temperature_C + x->heat_K);
+    cellwise_place place;
+    place_of(m, s.temperature_C, &place);
 #else
-    place = place_of(model, x->temperature_C);
+    cellwise_place place;
+    place_of(m, 0.0f, &place);
 #endif
-#else
-    place = place_of(model, 0.0f);
-#endif
-    seen = current;
-#if CELLWISE_SKEW
-    if (news == 2u) {
-        seen = current + (c->skew_share * (x->current_A - current));
-    }
-#endif
-    flow = seen;
-#if CELLWISE_OFFSET
-    flow = seen - x->offset_A;
-#endif
-#if CELLWISE_WATCH
-    /* Held for a while; then whatever was held is no guide any more: nothing is counted, and as much
-     * as half a rate may flow either way. */
-    if ((silent != 0u) || (news == 0u)) {
-        silent = x->no_current;
-        if ((news == 2u) && (silent < COUNT_MOST)) {
-            silent = silent + 1u;
-        }
-    }
-    if (silent > c->hold_steps) {
-        status |= CELLWISE_CURRENT_LOST;
-        seen = 0.0f;
-        flow = 0.0f;
-        unmeasured_A2 = c->lost_A2;
-    }
-#else
-    if (silent != 0u) {
-        unmeasured_A2 = c->lost_A2;
-    }
-#endif
-
-    /* Charge first, then the branches at the new SOC. */
-    if (news == 2u) {
-        float used = taken(c, flow);
-        if (missing != 0u) {
-            status |= CELLWISE_SEQUENCE_GAP;
-            if (missing <= c->gap_steps) {
-#if CELLWISE_WATCH
-                bridge = (silent > c->hold_steps) ? 0.0f : (0.5f * (current + x->current_A));
-#else
-                bridge = 0.5f * (current + x->current_A);
-#endif
-                used = used + (taken(c, bridge) * (float)missing);
-            } else { /* nobody knows what flowed */
-                missing = (missing < LONGEST_GAP) ? missing : LONGEST_GAP;
-            }
-        }
-        add(&x->soc, &x->soc_carry, -used);
-        if (unmeasured_A2 > 0.0f) {
-#if CELLWISE_WATCH
-            /* It may keep one sign for as long as it is away: the deviation grows, not the
-             * variance. */
-            const float drift = root(x->ss) + c->lost_soc;
-            x->ss = drift * drift;
-#else
-            x->ss = x->ss + c->lost_walk;
-#endif
-        }
-    }
-    look_up(model, &place, x->soc, seen, &point);
+    cellwise_charge charge;
+    count_charge(c, x, &s, &charge);
+    cellwise_point p;
+    look_up(m, &place, x->soc, s.seen, &p);
     if (x->evidence == NOT_BEGUN) {
-        guess_branches(c, x, RESISTANCES_OF(point), seen);
+        guess_branches(c, x, p.r1_ohm, p.r2_ohm,
+#if CELLWISE_SLOW
+            p.r3_ohm,
+#endif
+            s.seen);
         x->evidence = NO_VOLTAGE_YET;
     }
-    if (missing != 0u) {
-        cross_gap(c, x, &point, missing, current, bridge);
+    if (charge.missing != 0u) {
+        cross_gap(c, x, &p, charge.missing, s.current, charge.bridge);
     }
-    no_slopes(&point, &slopes);
+    cellwise_slopes w;
+    no_slopes(&p, &w);
 #if CELLWISE_WIDE
     if (x->ss > WIDE_VARIANCE) {
-        slopes_of(model, &place, x->soc, root(x->ss), seen, &point, &slopes);
+        slopes_of(m, &place, x->soc, root(x->ss), s.seen, &p, &w);
     }
 #endif
-    if (news == 2u) {
-        predict(c, x, &point, &slopes, flow, unmeasured_A2);
-    }
+    if (s.news == INTERVAL) {
+        predict(c, x, &p, &w, s.flow, s.unmeasured_A2);
 #if CELLWISE_HEATING
-    if (news == 2u) {
-        float fall = (point.r0_ohm * seen) + (x->v1_V + x->v2_V);
-#if CELLWISE_SLOW
-        fall = fall + x->v3_V;
+        heat(c, x, p.r0_ohm, s.seen, s.flow);
 #endif
-        fall = c->heat_gain * ((c->heat_K_per_W * (flow * fall)) - x->heat_K);
-        x->heat_K = clip(x->heat_K + fall, -HEAT_MOST_K, HEAT_MOST_K);
     }
-#endif
-    status |= correct(model, &place, x, &point, &slopes, seen, unmeasured_A2, in->voltage_V, news,
-                      out);
-
-    if (!NOT_NEGATIVE(x->soc, ONE_BITS)) {
-        x->soc = within_one(x->soc);
-        x->soc_carry = 0.0f;
-        status |= CELLWISE_CLAMPED;
-    }
-    if (news != 0u) {
-        x->current_A = current;
-        x->sequence = in->sequence;
-#if CELLWISE_WATCH
-        x->no_current = silent;
-#endif
-        if ((news == 2u) && ((x->evidence - FIRST_VOLTAGE) < EVIDENCE_MOST)) {
-            x->evidence += 1u + missing;
-        }
-    }
-    out->soc = x->soc;
-    out->soc_variance = x->ss;
+    status = charge.status | correct(m, &place, x, &p, &w, &s, sample->voltage_V, out);
+    status = status | finish(x, &s, charge.missing, sample->sequence, out);
     out->status = status;
     return status;
 }

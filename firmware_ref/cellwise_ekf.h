@@ -1,9 +1,8 @@
 /* State of charge of one battery cell: float32 extended Kalman filter at a fixed time step.
- *
- * The caller owns every object. No heap, no static data, no libm, no double. The same sentences in
- * the same order stand in src/cellwise/estimate/fixed, and give the same bits.
- * Current is positive on discharge. cell_table.h is written by `cellwise export`.
- */
+ * Printed from src/cellwise/estimate/fixed/layout.py by `python -m cellwise.printing`; do not
+ * edit. */
+/* The caller owns every object. No heap, no static data, no libm, no double; the same bits as the
+ * Python. Current is positive on discharge. cell_table.h is written by `cellwise export`. */
 #ifndef CELLWISE_EKF_H
 #define CELLWISE_EKF_H
 
@@ -21,32 +20,37 @@
 #define CELLWISE_NEEDS_TEMPERATURE ((CELLWISE_TEMPERATURES > 1) || (CELLWISE_ARRHENIUS > 0))
 
 /* Status bits, the values of cellwise.Status in Python. */
-#define CELLWISE_CURRENT_INVALID 1u      /* not finite or out of range: the last one was held */
-#define CELLWISE_VOLTAGE_INVALID 2u      /* not finite or out of range: prediction only */
-#define CELLWISE_SEQUENCE_GAP 4u         /* samples are missing: see README for their charge */
-#define CELLWISE_DUPLICATE 8u            /* this sequence number was taken before: nothing flowed */
+#define CELLWISE_CURRENT_INVALID 1u /* missing or not finite: the last valid current was held */
+#define CELLWISE_VOLTAGE_INVALID 2u /* missing or not finite: prediction only */
+#define CELLWISE_SEQUENCE_GAP 4u /* the log has a gap here: charge unknown, variance widened */
+#define CELLWISE_DUPLICATE 8u /* repeated time stamp: nothing flowed */
 #define CELLWISE_INNOVATION_REJECTED 16u /* the innovation gate kept the voltage out */
-#define CELLWISE_CLAMPED 32u             /* SOC was held at 0 or 1 */
-#define CELLWISE_STATE_RESET 64u         /* the state was not sound: it starts anew, knowing nothing */
-#define CELLWISE_GATE_RECOVERY 128u      /* too many rejections in a row: the variance was widened */
-#define CELLWISE_TEMPERATURE_INVALID 256u /* not finite or out of range: the last one was held */
-#define CELLWISE_OUT_OF_RANGE 512u /* a reading that no cell of this kind gives, treated as missing */
-#define CELLWISE_VOLTAGE_FROZEN 1024u /* it repeats itself while the current changes: not used */
-#define CELLWISE_CURRENT_LOST 2048u /* missing for longer than is held: nothing is counted */
-#define CELLWISE_VOLTAGE_LOST 4096u /* missing or frozen for as long: charge is counted */
+#define CELLWISE_CLAMPED 32u /* SOC was held at a bound */
+#define CELLWISE_STATE_RESET 64u /* the state was not finite and was started anew */
+/* too many rejections in a row: variance widened, voltage let in */
+#define CELLWISE_GATE_RECOVERY 128u
+/* not finite or out of range: the last valid temperature was held */
+#define CELLWISE_TEMPERATURE_INVALID 256u
+/* a reading that no cell of this kind gives: treated as missing */
+#define CELLWISE_OUT_OF_RANGE 512u
+/* the voltage repeats itself while the current changes: not used */
+#define CELLWISE_VOLTAGE_FROZEN 1024u
+/* current missing for longer than is held: on voltage alone, variance grows */
+#define CELLWISE_CURRENT_LOST 2048u
+#define CELLWISE_VOLTAGE_LOST 4096u /* voltage missing or frozen for as long: counting charge */
 
-/* One point of the SOC grid. A branch's lag is 1 / (1 - exp(-dt/tau)), in time
- * steps: it is all but linear in tau, so that it may be interpolated as tau is. */
+/* One point of the SOC grid. A branch's lag is in time steps. */
 typedef struct {
     float ocv_V;
 #if CELLWISE_WIDE
     float error_V; /* slow error of the model's voltage */
-#else
-    float noise_V2; /* variance of a measured voltage about a perfect state, at rest */
+#endif
+#if !CELLWISE_WIDE
+    float noise_V2; /* variance of a voltage about a perfect state, at rest */
 #endif
     float r0_ohm;
     float r1_ohm;
-    float lag1;
+    float lag1; /* 1 / (1 - exp(-dt/tau)): all but linear in tau, so it is interpolated as tau is */
     float r2_ohm;
     float lag2;
 #if CELLWISE_SLOW
@@ -60,39 +64,40 @@ typedef struct {
 
 /* What depends on cell, time step and noise but not on SOC. */
 typedef struct {
-    float soc_per_A;           /* SOC that 1 A takes in one step */
-    float soc_walk;            /* variance that SOC gains in one step */
+    float soc_per_A; /* SOC that 1 A takes in one step */
+    float soc_walk; /* variance that SOC gains in one step */
     float current_variance_A2; /* of the current sensor */
-    float lost_A2;             /* variance of a current that nobody measured */
-    float share_variance;      /* of the resistances, relative */
-    float gate_square;         /* innovations beyond this many variances are rejected */
-    float shared_start;        /* samples that share one model error, just after the first */
-    float shared;              /* and after long */
-    float lately;              /* weight of one sample in the running mismatch */
+    float lost_A2; /* variance of a current that nobody measured */
+    float share_variance; /* of the resistances, relative */
+    float gate_square; /* innovations beyond this many variances are rejected */
+    float shared_start; /* samples that share one model error, just after the first, */
+    float shared; /* and after long */
+    float lately; /* weight of one sample in the running mismatch */
     float mismatch_cap;
     float gap_variance; /* of SOC over a long gap */
     float current_limit_A;
     float voltage_low_V;
     float voltage_high_V;
     float branch_variance_V2; /* of a branch voltage at the start, at rest */
-    float rest_A;       /* below it a cell counts as resting */
+    float rest_A; /* below it a cell counts as resting */
     float start_rest_A; /* what may have flowed before a start at rest, */
     float start_load_A; /* and, at least, before one under load */
-    uint32_t recovery_after;  /* count of rejections in a row, 20000 each, */
-    uint32_t under_load;      /* and one that wrong resistances could explain */
-    uint32_t gap_steps;       /* missing samples that are bridged */
+    uint32_t recovery_after; /* count of rejections in a row, 20000 each, */
+    uint32_t under_load; /* and one that wrong resistances could explain */
+    uint32_t gap_steps; /* missing samples that are bridged */
 #if CELLWISE_WATCH
     uint32_t hold_steps; /* samples for which a missing current is held */
-    float lost_soc;      /* deviation that SOC gains in one step after that */
-    float frozen_V;      /* how far a voltage must have moved to be called frozen */
-#else
+    float lost_soc; /* deviation that SOC gains in one step after that */
+    float frozen_V; /* how far a voltage must have moved to be called frozen */
+#endif
+#if !CELLWISE_WATCH
     float lost_walk; /* variance that SOC gains in one step without a current */
 #endif
 #if CELLWISE_WIDE
     float flat_slope_V; /* below it the OCV is flat for its kind */
-    float fixed_V2;     /* variance of the voltage sensor */
-    float ocv_soc2;     /* variance of the OCV along the SOC axis */
-    float recovery_A;   /* what branches may hold after a lock-out */
+    float fixed_V2; /* variance of the voltage sensor */
+    float ocv_soc2; /* variance of the OCV along the SOC axis */
+    float recovery_A; /* what branches may hold after a lock-out */
 #endif
 #if CELLWISE_EFFICIENCY
     float charge_efficiency;
@@ -104,32 +109,32 @@ typedef struct {
     float skew_share; /* of the previous current in what the voltage has seen */
 #endif
 #if CELLWISE_RATE
-    float rate_per_A;
+    float rate_per_A; /* fall of the resistances with the current */
 #endif
 #if CELLWISE_ASYMMETRY
-    float charge_scale;
+    float charge_scale; /* factor on the resistances while charging */
 #endif
 #if CELLWISE_HYSTERESIS
     float hysteresis_per_A; /* e-folds of h in one step at 1 A */
 #endif
 #if CELLWISE_OFFSET
     float offset_variance_A2; /* at the start */
-    float offset_walk_A2;     /* gained in one step */
+    float offset_walk_A2; /* gained in one step */
 #endif
 #if CELLWISE_HEATING
     float heat_K_per_W;
-    float heat_gain;
+    float heat_gain; /* 1 - exp(-dt / thermal time constant) */
 #endif
 #if CELLWISE_NEEDS_TEMPERATURE
     float temperature_C; /* until the first valid one */
 #endif
 #if CELLWISE_TEMPERATURES > 1
-    float grid_C[CELLWISE_TEMPERATURES];
+    float grid_C[CELLWISE_TEMPERATURES]; /* temperatures of the tables */
     float per_K[CELLWISE_TEMPERATURES - 1u]; /* 1 / distance of neighbours */
 #endif
 #if CELLWISE_ARRHENIUS > 0
     float arrhenius_low_C;
-    float arrhenius_per_K;                /* points per kelvin */
+    float arrhenius_per_K; /* points per kelvin */
     float arrhenius[CELLWISE_ARRHENIUS]; /* factor on every resistance */
 #endif
 } cellwise_constants;
@@ -141,23 +146,23 @@ typedef struct {
 
 /* What is carried from step to step: x, the upper triangle of P, and what was seen last. */
 typedef struct {
-    float soc;
+    float soc; /* state of charge */
     float soc_carry; /* what rounding has kept from soc, to be subtracted */
-    float v1_V;
-    float v2_V;
+    float v1_V; /* voltage of the fast branch */
+    float v2_V; /* voltage of the second branch */
 #if CELLWISE_SLOW
-    float v3_V;
-    float v3_carry_V;
+    float v3_V; /* voltage of the slow branch */
+    float v3_carry_V; /* and from v3_V */
 #endif
 #if CELLWISE_HYSTERESIS
-    float h;
+    float h; /* hysteresis, -1 to 1 */
 #endif
 #if CELLWISE_OFFSET
-    float offset_A; /* what the sensor adds to the true current */
+    float offset_A; /* what the current sensor adds */
 #endif
     float ss;
 #if CELLWISE_WIDE
-    float ss_carry; /* what rounding has kept from ss: thousands of steps change it by less */
+    float ss_carry; /* what rounding has kept from ss */
 #endif
     float s1;
     float s2;
@@ -193,67 +198,66 @@ typedef struct {
 #endif
 #if CELLWISE_SLOW
     float p33;
-#if CELLWISE_HYSTERESIS
+#endif
+#if CELLWISE_HYSTERESIS && CELLWISE_SLOW
     float p3h;
 #endif
-#if CELLWISE_OFFSET
+#if CELLWISE_OFFSET && CELLWISE_SLOW
     float p3o;
-#endif
 #endif
 #if CELLWISE_HYSTERESIS
     float phh;
-#if CELLWISE_OFFSET
-    float pho;
 #endif
+#if CELLWISE_HYSTERESIS && CELLWISE_OFFSET
+    float pho;
 #endif
 #if CELLWISE_OFFSET
     float poo;
 #endif
     float current_A; /* last valid one */
-    float mismatch;  /* running mean of squared innovation over variance */
+    float mismatch; /* running mean of squared innovation over variance */
 #if CELLWISE_HEATING
-    float heat_K;
+    float heat_K; /* own warming */
 #endif
 #if CELLWISE_NEEDS_TEMPERATURE
     float temperature_C; /* last valid one */
 #endif
 #if CELLWISE_WATCH
     float voltage_V; /* last valid one, */
-    float frozen_A;  /* the current when it came, */
+    float frozen_A; /* the current when it came, */
     uint32_t repeats; /* and how often it has come since */
     uint32_t no_current; /* steps without a valid one */
     uint32_t no_voltage; /* steps without one that could be used */
 #endif
-    uint32_t sequence;
+    uint32_t sequence; /* of the last sample */
     uint32_t rejections; /* 20000 each: under load a rejection counts less */
-    uint32_t evidence;   /* 0: no sample yet, 1: no voltage yet, then 2 + steps since the first */
+    uint32_t evidence; /* 0: no sample yet, 1: no voltage yet, then 2 + steps since */
 } cellwise_state;
 
 typedef struct {
-    float current_A;     /* mean over the interval that ends now, positive on discharge */
-    float voltage_V;     /* now */
+    float current_A; /* mean over the interval that ends now, positive on discharge */
+    float voltage_V; /* now */
     float temperature_C; /* now; read only where CELLWISE_NEEDS_TEMPERATURE */
-    uint32_t sequence;   /* counts time steps, wraps */
+    uint32_t sequence; /* counts time steps, wraps */
 } cellwise_input;
 
 /* Never NaN, never infinite. */
 typedef struct {
     float soc;
     float soc_variance;
-    float voltage_V;              /* predicted, before the measured one was used */
-    float innovation_V;           /* measured minus predicted; 0 where the voltage is invalid */
+    float voltage_V; /* predicted, before the measured one was used */
+    float innovation_V; /* measured minus predicted; 0 where the voltage is invalid */
     float innovation_variance_V2; /* of a single sample */
-    uint32_t status;
+    uint32_t status; /* what happened: bits */
 } cellwise_output;
 
 /* A cell at rest at `soc`, known with `soc_variance`. Arguments that are no such numbers give a
  * state that knows nothing. Returns 0 or CELLWISE_STATE_RESET. */
-uint32_t cellwise_init(const cellwise_model *model, cellwise_state *x, float soc,
-                       float soc_variance);
+uint32_t cellwise_init(const cellwise_model *m, cellwise_state *x, float soc, float soc_variance);
 
-/* One time step: predict over the interval that ends now, then use the voltage read now.
- * Returns the status bits, which are in `out` too. */
-uint32_t cellwise_step(const cellwise_model *model, cellwise_state *x, const cellwise_input *in,
+/* One time step: predict over the interval that ends now, then use the voltage read now. Returns
+ * the status bits, which are in `out` too. */
+uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwise_input *sample,
                        cellwise_output *out);
 
 #endif

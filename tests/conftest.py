@@ -3,11 +3,25 @@
 from __future__ import annotations
 
 import os
+from itertools import chain
 from pathlib import Path
 
 import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[1]
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """No compiled code of an older source: numba's cache does not see what a kernel inlines."""
+    os.environ.setdefault("CELLWISE_QUIET", "1")
+    if hasattr(config, "workerinput"):
+        return
+    package = REPOSITORY / "src" / "cellwise"
+    sources = [path.stat().st_mtime for path in package.rglob("*.py")]
+    caches = [*chain(package.rglob("*.nbi"), package.rglob("*.nbc"))]
+    if caches and min(path.stat().st_mtime for path in caches) < max(sources):
+        for path in caches:
+            path.unlink(missing_ok=True)
 
 
 def measured_data_folder() -> Path | None:

@@ -3,15 +3,11 @@
  * one, but not in one that equals itself; and of a float's bits it knows nothing. That the tests on bits
  * are these tests is checked by float_bits.c. */
 #define WITHIN(x, low, high) (((x) == (x)) && ((x) >= (low)) && ((x) <= (high)))
-#define VALUE_OF_LARGE_BITS 0x1p+20f
-#define VALUE_OF_CARRY_BITS 0x1p-10f
-#define VALUE_OF_ONE_BITS 1.0f
-#define NO_LARGER(x, limit) WITHIN(x, -VALUE_OF_##limit, VALUE_OF_##limit)
-#define NOT_NEGATIVE(x, limit) WITHIN(x, 0.0f, VALUE_OF_##limit)
 #define SIZE_WITHIN(x, limit) WITHIN(x, -(limit), limit)
 #define SIZE_BELOW(x, limit) (((x) > -(limit)) && ((x) < (limit)))
+#define NOT_NEGATIVE(x, limit) WITHIN(x, 0.0f, limit)
 #define POSITIVE_WITHIN(x, low, high) WITHIN(x, low, high)
 #define POSITIVE_ABOVE(x, y) ((x) > (y))
-#define WITHIN_ONE(x) within_one(x)
+#define KNOWN_FRACTION(x) within_one(x)
 #define IS_NUMBER(x) WITHIN(x, -0x1.fffffep+127f, 0x1.fffffep+127f)
 #define MAGNITUDE(x) (((x) < 0.0f) ? -(x) : (x))

@@ -18,19 +18,19 @@ static uint32_t wrong_at(uint32_t pattern)
     word.bits = pattern;
     x = word.value;
     SAME(IS_NUMBER(x), (x >= -0x1.fffffep+127f) && (x <= 0x1.fffffep+127f));
-    SAME(IS_SMALL(x), (x >= -LARGE) && (x <= LARGE));
-    SAME(IS_VARIANCE(x), (x >= 0.0f) && (x <= LARGE) && (zero == 0u));
-    SAME(NO_LARGER(x, CARRY_BITS), (x >= -0x1p-10f) && (x <= 0x1p-10f));
-    SAME(NOT_NEGATIVE(x, ONE_BITS), (x >= 0.0f) && (x <= 1.0f) && (zero == 0u));
+    SAME(SIZE_WITHIN(x, LARGE), (x >= -LARGE) && (x <= LARGE));
+    SAME(NOT_NEGATIVE(x, LARGE), (x >= 0.0f) && (x <= LARGE) && (zero == 0u));
+    SAME(SIZE_WITHIN(x, CARRY_MOST), (x >= -0x1p-10f) && (x <= 0x1p-10f));
+    SAME(NOT_NEGATIVE(x, 1.0f), (x >= 0.0f) && (x <= 1.0f) && (zero == 0u));
     SAME(SIZE_WITHIN(x, 3.25f), (x >= -3.25f) && (x <= 3.25f));
     SAME(SIZE_BELOW(x, 3.25f), (x > -3.25f) && (x < 3.25f));
     SAME(POSITIVE_WITHIN(x, low, 5.5f), (x >= low) && (x <= 5.5f));
-    if (NOT_NEGATIVE(x, INFINITY_BITS)) {
+    if (bits_of(x) <= 0x7F800000u) {
         SAME(POSITIVE_ABOVE(x, 3.25f), x > 3.25f);
     }
-    if (NOT_NEGATIVE(x, ONE_BITS)) {
-        const float scaled = x * POINTS_SCALE;
-        const float f = scaled - (float)index_of(scaled);
+    if (NOT_NEGATIVE(x, 1.0f)) {
+        const float scaled = x * (float)(CELLWISE_POINTS - 1u);
+        const float f = scaled - (float)index_of(scaled, CELLWISE_POINTS);
         SAME((f >= 0.0f) && (f <= 1.0f), 1);
     }
     return wrong;

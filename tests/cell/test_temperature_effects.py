@@ -11,6 +11,7 @@ import cellwise as cw
 from cellwise.cell.effects import BRANCH_ACTIVATIONS, Entropy, SlowDiffusion, TemperatureDependence
 from cellwise.cell.equations import look_up
 from cellwise.cell.model_file import model_from_dict, model_to_dict
+from cellwise.cell.resolved import over_temperature
 from cellwise.errors import InputError
 from example_cells import curved_cell
 
@@ -121,3 +122,37 @@ def test_a_model_file_keeps_them_and_an_older_one_loads():
 def test_an_impossible_value_is_refused(effect):
     with pytest.raises(InputError):
         curved_cell(effects=(effect,))
+
+
+def test_rows_over_temperature_are_the_effects_themselves():
+    effects = (SLOW, TemperatureDependence(900.0, 25.0, r1_K=2000.0, tau3_K=1000.0), Entropy(2e-4))
+    cell = curved_cell(effects=effects)
+    grid = np.arange(-20.0, 41.0, 5.0)
+    rows = over_temperature(cell, grid)
+    assert {e.name for e in rows.effects} == {"slow_diffusion"}
+    for temperature in (-20.0, 5.0, 40.0):
+        for soc in (0.1, 0.55):
+            a = look_up(cell.parameters(), soc, temperature)
+            b = look_up(rows.parameters(), soc, temperature)
+            np.testing.assert_allclose(b[:10], a[:10], rtol=1e-12)
+    middle = look_up(rows.parameters(), 0.5, -17.5), look_up(cell.parameters(), 0.5, -17.5)
+    assert middle[0].r1_ohm == pytest.approx(middle[1].r1_ohm, rel=0.01)
+
+
+@pytest.mark.parametrize("estimator", ["fixed-step", "firmware"])
+def test_a_target_has_them_as_rows_of_its_tables(estimator):
+    known = (TemperatureDependence(1500.0, 25.0, r1_K=3000.0, tau2_K=2500.0), Entropy(4e-4, 25.0))
+    cell = curved_cell(21, effects=known)
+    time = np.arange(0.0, 1800.0, 1.0)
+    current = np.repeat(np.random.default_rng(3).choice([0.0, 2.0, 4.0, -1.0], 60), 30)
+    current[:120] = 0.0
+    log = cw.CellLog(
+        time_s=time, current_A=current, voltage_V=np.full_like(time, 3.7),
+        temperature_C=np.linspace(-15.0, 5.0, time.size),
+    )  # fmt: skip
+    simulated = cw.simulate(cell, log, soc0=0.7)
+    log = replace(log, voltage_V=simulated.voltage_V)
+    soc = cw.replay(cell, log, estimator, soc0=0.7, soc0_std=0.05).trace.soc
+    float64 = cw.replay(cell, log, "ekf", soc0=0.7, soc0_std=0.05).trace.soc
+    assert np.max(np.abs(soc - float64)) < 2e-3
+    assert np.max(np.abs(soc - simulated.soc)) < 3e-3

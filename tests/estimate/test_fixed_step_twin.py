@@ -11,9 +11,16 @@ import pytest
 from cellwise.data import load_dataset
 from cellwise.estimate.fixed import arithmetic as kernels
 from cellwise.estimate.fixed.fixed_step import numba_stepper, samples_of
-from cellwise.estimate.fixed.layout import INPUT, OUTPUT, constant_type, row_type, state_type
+from cellwise.estimate.fixed.layout import (
+    INPUT,
+    OUTPUT,
+    constant_type,
+    hex_float,
+    row_type,
+    state_type,
+)
 from cellwise.estimate.status import Status
-from cellwise.export.c_tables import firmware_folder, hex_float
+from cellwise.export.c_tables import firmware_folder
 from example_cells import curved_cell
 from firmware_cases import compile_and_run, stress_samples, tables_of
 
@@ -47,7 +54,7 @@ def test_layouts_are_the_compilers(case, tmp_path):
 
 def test_status_bits_are_those_of_the_header():
     text = (firmware_folder() / "cellwise_ekf.h").read_text()
-    bits = dict(re.findall(r"#define CELLWISE_([A-Z_]+) (\d+)u ", text))
+    bits = dict(re.findall(r"#define CELLWISE_([A-Z_]+) (\d+)u\s", text))
     assert len(bits) >= 10
     for name, value in bits.items():
         assert int(Status[name]) == int(value), name

@@ -21,16 +21,16 @@ pytestmark = [
 # Name, what is replaced, by what: bugs that a review may overlook.
 MUTANTS = {
     "index clamp removed": (
-        "(k < (CELLWISE_POINTS - 2u)) ? k : (CELLWISE_POINTS - 2u)",
-        "k",
+        "    k = (k < (points - 2u)) ? k : (points - 2u);\n",
+        "",
     ),
     "NaN through the range test": (
         "if (!POSITIVE_WITHIN(voltage, c->voltage_low_V, c->voltage_high_V)) {",
         "if ((voltage < c->voltage_low_V) || (voltage > c->voltage_high_V)) {",
     ),
     "floor of the innovation variance removed": (
-        "return (variance > 0.0f) ? variance : 0.0f;",
-        "return variance;",
+        "column->variance = (column->variance > 0.0f) ? column->variance : 0.0f;",
+        "",
     ),
     "upper clamp of SOC removed": (
         "        x->soc = within_one(x->soc);",
@@ -41,7 +41,8 @@ MUTANTS = {
 
 # States are kept apart where the sentences after them depend on it; elsewhere they are joined.
 PRECISION = ["-eva-precision", "1", "-eva-split-return", "full"]
-PRECISION += ["-eva-slevel-function", "is_sound:400,cellwise_step:30"]
+APART = "is_sound:400,covariance_is_sound:400,see:30,count_charge:30,cellwise_step:30"
+PRECISION += ["-eva-slevel-function", APART]
 # 5 SOC points: the code does not depend on their number.
 BUILDS = {
     "lean": {"model": curved_cell(5), "wide": False, "watch": False},

@@ -58,9 +58,23 @@ class Transition(NamedTuple):
     g3: float
 
 
+class Place(NamedTuple):
+    """Where in the packed table one SOC and temperature lie.
+
+    Between SOC points k and k + 1, temperatures lo and lo + 1: f of the way for columns that go on
+    beyond 0..1, g for the others, w of the way in temperature.
+    """
+
+    lo: np.uint64
+    k: np.uint64
+    f: float
+    g: float
+    w: float
+
+
 @inline
-def look_up(tables: CellTables, soc: float, temperature_C: float) -> CellPoint:
-    """Tables at one SOC and temperature, linear between grid points, under no load.
+def place_of(tables: CellTables, soc: float, temperature_C: float) -> Place:
+    """Where one SOC and temperature lie in the tables.
 
     Outside 0..1 the OCV goes on along its last segment for BEYOND, so that a filter keeps a slope
     to come back on; every other parameter stays at its end value. Temperature is held at the ends.
@@ -79,10 +93,37 @@ def look_up(tables: CellTables, soc: float, temperature_C: float) -> CellPoint:
             lo += np.uint64(1)
         w = (temperature_C - grid[lo]) / (grid[lo + np.uint64(1)] - grid[lo])
         w = min(max(w, 0.0), 1.0)
-    point = point_of(table, lo, k, f, g)
-    if w > 0.0:
-        point = between(point, point_of(table, lo + np.uint64(1), k, f, g), w)
+    return Place(lo, k, f, g, w)
+
+
+@inline
+def tables_at(table: FloatArray, place: Place) -> CellPoint:
+    """Tables at one place, linear between grid points."""
+    point = point_of(table, place.lo, place.k, place.f, place.g)
+    if place.w > 0.0:
+        warm = point_of(table, place.lo + np.uint64(1), place.k, place.f, place.g)
+        point = between(point, warm, place.w)
+    return point
+
+
+@inline
+def look_up(tables: CellTables, soc: float, temperature_C: float) -> CellPoint:
+    """Tables at one SOC and temperature, and what temperature does beside, under no load."""
+    point = tables_at(tables.table, place_of(tables, soc, temperature_C))
     return at_temperature(tables.cell, point, temperature_C)
+
+
+@inline
+def inverse_kelvin(temperature_C: float, reference_K: float) -> float:
+    """How far a temperature is from the reference, 1/T - 1/T_ref [1/K]."""
+    kelvin = temperature_C + ZERO_CELSIUS_K
+    return 1.0 / kelvin - 1.0 / reference_K
+
+
+@inline
+def thermal_factor(activation_K: float, inverse_K: float) -> float:
+    """Arrhenius factor at ``inverse_K`` = 1/T - 1/T_ref."""
+    return math.exp(activation_K * inverse_K)
 
 
 @inline
@@ -91,8 +132,7 @@ def arrhenius(temperature_C: float, activation_K: float, reference_K: float) -> 
 
     .. math:: e^{E (1/T - 1/T_{ref})}
     """
-    kelvin = temperature_C + ZERO_CELSIUS_K
-    return math.exp(activation_K * (1.0 / kelvin - 1.0 / reference_K))
+    return thermal_factor(activation_K, inverse_kelvin(temperature_C, reference_K))
 
 
 @inline
@@ -144,7 +184,8 @@ def under_load(cell: CellScalars, point: CellPoint, current_A: float) -> CellPoi
     """
     r0, r1, r2, r3 = point.r0_ohm, point.r1_ohm, point.r2_ohm, point.r3_ohm
     if cell.rate_per_A != 0.0:
-        fall = 1.0 / (1.0 + cell.rate_per_A * abs(current_A))
+        growth = 1.0 + cell.rate_per_A * abs(current_A)
+        fall = 1.0 / growth
         r0 *= fall
         r1 *= fall
         r2 *= fall
@@ -188,7 +229,7 @@ def soc_step(cell: CellScalars, soc: float, current_A: float, dt_s: float) -> fl
 
     .. math:: z^{+} = z - \frac{(\eta I + I_{sd}) \Delta t}{3600\,Q}
     """
-    return soc - charge_used(cell, current_A) * dt_s / cell.charge_As
+    return soc - charge_used(cell, current_A) * (dt_s / cell.charge_As)
 
 
 @inline
@@ -239,7 +280,9 @@ def hysteresis_decay(cell: CellScalars, current_A: float, dt_s: float) -> float:
 
     .. math:: a_h = e^{-\gamma |I| \Delta t / (3600 Q)}
     """
-    return math.exp(-cell.hysteresis_rate * abs(current_A) * dt_s / cell.charge_As)
+    per_A = dt_s / cell.charge_As
+    folds = -cell.hysteresis_rate * abs(current_A) * per_A
+    return math.exp(folds)
 
 
 @inline
@@ -270,7 +313,7 @@ def transition(cell: CellScalars, point: CellPoint, current_A: float, dt_s: floa
         a2,
         a3,
         ah,
-        -dt_s / cell.charge_As,
+        -(dt_s / cell.charge_As),
         branch_gain(point.r1_ohm, a1),
         branch_gain(point.r2_ohm, a2),
         branch_gain(point.r3_ohm, a3),
@@ -284,9 +327,15 @@ def polarisation(r0_ohm: float, current_A: float, v1_V: float, v2_V: float, v3_V
 
 
 @inline
-def terminal_voltage(point: CellPoint, h: float, polarisation_V: float) -> float:
+def loaded_voltage(ocv_V: float, m_V: float, h: float, polarisation_V: float) -> float:
     """V = OCV + M h - (R0 I + V1 + V2 + V3)."""
-    return (point.ocv_V + point.m_V * h) - polarisation_V
+    return (ocv_V + m_V * h) - polarisation_V
+
+
+@inline
+def terminal_voltage(point: CellPoint, h: float, polarisation_V: float) -> float:
+    """Terminal voltage at one point of the tables [V]."""
+    return loaded_voltage(point.ocv_V, point.m_V, h, polarisation_V)
 
 
 @inline
@@ -330,7 +379,8 @@ def advance(
     """One interval of constant current: charge first, then the branches at the new SOC."""
     cell = tables.cell
     soc = soc_step(cell, state.soc, current_A, dt_s)
-    point = loaded(tables, soc, temperature_C + state.heat_K, current_A)
+    cell_C = temperature_C + state.heat_K
+    point = loaded(tables, soc, cell_C, current_A)
     t = transition(cell, point, current_A, dt_s)
     v1 = relaxed(state.v1_V, t.a1, t.g1, current_A)
     v2 = relaxed(state.v2_V, t.a2, t.g2, current_A)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from cellwise.cell.compiled import announce
 from cellwise.cell.equations import empty_state
 from cellwise.cell.metrics import (
     BandMetrics,
@@ -126,6 +127,7 @@ def simulate(model: CellModel, log: CellLog, soc0: float, h0: float | None = Non
     tables = model.parameters()
     voltage = np.empty(len(log))
     soc = np.empty(len(log))
+    announce(simulate_rows, "the simulation")
     simulate_rows(
         tables,
         empty_state(soc0, start_hysteresis(soc0) if h0 is None else h0),

@@ -60,18 +60,16 @@ def repeated_evidence(noise: NoiseScalars, evidence_s: float, dt_s: float, resti
 
 
 @inline
-def mismatch_step(
-    noise: NoiseScalars, mismatch: float, square: float, variance: float, dt_s: float
-) -> float:
-    """Running mean over ``slow_s`` of the squared innovation over its variance.
+def mismatch_step(noise: NoiseScalars, mismatch: float, excess: float, dt_s: float) -> float:
+    """Running mean over ``slow_s`` of ``excess``, the squared innovation over its variance.
 
     A model of another temperature, age or cell is wrong all the time: evidence weighs less by what
     the innovations have lately shown beyond their variance.
     """
     if noise.mismatch_cap <= 0.0 or noise.slow_s <= 0.0:
         return mismatch
-    lately = min(dt_s / noise.slow_s, 1.0)
-    return mismatch + lately * (min(square / variance, noise.mismatch_cap) - mismatch)
+    lately = min(dt_s * noise.per_slow_s, 1.0)
+    return mismatch + lately * (min(excess, noise.mismatch_cap) - mismatch)
 
 
 @inline

@@ -80,8 +80,8 @@ def gate(
     innovation_V = i.innovation_V
     variance = i.state_variance + i.one
     square = innovation_V * innovation_V
-    limit = noise.gate * noise.gate
-    ratio = square / (limit * variance)
+    excess = square / variance
+    ratio = excess * noise.per_gate2
     reading = watch_voltage(noise, watch, s, innovation_V, i.r0_ohm)
     status |= reading[3]
     used = False
@@ -96,14 +96,14 @@ def gate(
         ratio = math.nan
     elif status & VOLTAGE_FROZEN == 0:
         used = True
-        mismatch = mismatch_step(noise, mismatch, square, variance, s.dt_s)
+        mismatch = mismatch_step(noise, mismatch, excess, s.dt_s)
         if ratio > 1.0:
             status |= INNOVATION_REJECTED
             # Under load the resistances may be what is wrong: what three times the polarisation
             # can explain speaks against the SOC more slowly, and by time: ten samples a second
             # repeat one such error.
             size = abs(i.r0_ohm * s.seen_A) + i.branches_V
-            if square > limit * variance + 4.0 * size * size:
+            if square > noise.gate * noise.gate * variance + 4.0 * size * size:
                 rejections += 1.0
             else:
                 rejections += UNDER_LOAD_COUNT * min(s.dt_s, 1.0)

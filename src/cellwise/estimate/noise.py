@@ -36,6 +36,8 @@ class NoiseScalars(NamedTuple):
     current_limit_A: float
     voltage_low_V: float
     voltage_high_V: float
+    per_slow_s: float  # divided once, not in every step
+    per_gate2: float
 
 
 @dataclass(frozen=True)
@@ -135,4 +137,6 @@ class Noise:
             float(self.current_limit_A),
             float(self.voltage_low_V),
             float(self.voltage_high_V),
+            per_slow_s=1.0 / self.slow_s if self.slow_s > 0.0 else 0.0,
+            per_gate2=1.0 / (self.gate * self.gate),
         )

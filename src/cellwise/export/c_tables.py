@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.estimate.fixed.layout import row_fields
+from cellwise.estimate.fixed.layout import hex_float, row_names
 from cellwise.estimate.fixed.tables import FixedStepTables
 
-SOURCES = ("cellwise_ekf.h", "cellwise_ekf.c")
+SOURCES = ("cellwise_ekf.h", "cellwise_ekf.c", "cellwise_float.h")
 # Every optimisation that keeps IEEE 754 float32, and no contraction.
 STRICT_FLAGS = ("-std=c99", "-ffp-contract=off", "-fno-math-errno")
 WARNING_FLAGS = (
@@ -43,15 +43,6 @@ def firmware_folder() -> Path:
         f"a folder with {SOURCES[0]}",
         "Install cellwise from its wheel or its source tree.",
     )
-
-
-def hex_float(value: float) -> str:
-    """A float32 as a C literal that every compiler reads to the same bits."""
-    text = float(np.float32(value)).hex()
-    mantissa, exponent = text.split("p")
-    if "." in mantissa:
-        mantissa = mantissa.rstrip("0").rstrip(".")
-    return f"{mantissa}p{exponent}f"
 
 
 def header_text(tables: FixedStepTables, sha256: str, name: str = "") -> str:
@@ -86,7 +77,7 @@ def source_text(tables: FixedStepTables) -> str:
     for name in tables.constants.dtype.names or ():
         lines.append(f"        {initialiser(record[name])}, /* {name} */")
     lines += ["    },", "    {"]
-    lines.append(f"        /* {', '.join(name for name, _ in row_fields(tables.options))} */")
+    lines.append(f"        /* {', '.join(row_names(tables.options))} */")
     for rows in tables.table:
         lines.append("        {")
         lines += (f"            {initialiser(row)}," for row in rows)

@@ -1,1 +1,4 @@
-"""The model's equations printed as code and formulas; needed by developers, not by users."""
+"""The model's equations printed as code and formulas; needed by developers, not by users.
+
+``python -m cellwise.printing`` prints everything again, ``--check`` says what differs.
+"""

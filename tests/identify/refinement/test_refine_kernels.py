@@ -15,6 +15,7 @@ from cellwise.identify.refinement.refine_kernels import (
     SKEW_UNIT_S,
     Layout,
     choose_rows,
+    scalars_of,
     voltage_and_jacobian,
 )
 from cellwise.identify.refinement.splines import OCV_KNOTS, TABLE_KNOTS, greville, spline_count
@@ -70,8 +71,9 @@ def evaluate(log: CellLog, theta, layout: Layout, *, soc=None, skewed=True, h0=0
     shown = np.ones(prepared.dt_s.size, dtype=np.bool_) if every else prepared.evaluate
     jacobian = np.full((int(shown.sum()), layout.size), np.nan)
     voltage = np.full(prepared.dt_s.size, np.nan)
+    cell = scalars_of(layout, theta, 3600.0 * CAPACITY_AH, skewed=skewed)
     voltage_and_jacobian(
-        prepared.dt_s, prepared.current_A, prepared.inverse_K, 3600.0 * CAPACITY_AH, h0, skewed,
+        prepared.dt_s, prepared.current_A, prepared.inverse_K, cell, h0, skewed,
         prepared.rows.first, prepared.rows.values, prepared.ocv_rows.first,
         prepared.ocv_rows.values, 3.2 + 0.8 * prepared.soc, theta, layout.knots_ocv, layout.knots,
         layout.branches, layout.hysteresis, shown, jacobian, voltage,

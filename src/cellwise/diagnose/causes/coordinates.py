@@ -16,7 +16,7 @@ import numpy as np
 from cellwise.cell.effects import Hysteresis, SlowDiffusion
 from cellwise.cell.model import CellModel
 from cellwise.cell.point_kernels import OCV, R0, R1, R2, R3, TAU1, TAU2, TAU3, CellScalars, M
-from cellwise.diagnose.causes import sensitivity_kernels as kernel
+from cellwise.diagnose.causes.sensitivity_kernels import Directions
 from cellwise.typing import FloatArray, IntArray
 
 OCV_KNOTS = 9
@@ -197,18 +197,20 @@ class Coordinates:
             return None
         return d
 
-    def scalar_direction(self, name: str) -> FloatArray:
+    def scalar_direction(self, name: str, inputs: KernelInputs) -> FloatArray:
         """Derivatives of the scalars with respect to one coordinate."""
-        d = np.zeros(kernel.D_SCALARS)
-        if name in _SCALAR:
-            d[_SCALAR[name]] = 1.0
-        elif name == "rate_h":
-            d[kernel.D_RATE] = 1.0 / self.model.capacity_Ah
+        d = np.zeros(len(CellScalars._fields))
+        scalar = _SCALAR.get(name)
+        if scalar is not None:
+            unit = getattr(inputs.scalars, scalar) if name.startswith("ln_") else 1.0
+            if name == "rate_h":
+                unit = 1.0 / self.model.capacity_Ah
+            d[CellScalars._fields.index(scalar)] = unit
         return d
 
     def directions(
         self, names: Sequence[str], inputs: KernelInputs, currents: Mapping[str, FloatArray]
-    ) -> kernel.Directions:
+    ) -> Directions:
         """What :func:`derivative_rows` takes for the named coordinates."""
         tables: list[FloatArray] = []
         flows: list[FloatArray] = []
@@ -223,8 +225,10 @@ class Coordinates:
             if name in currents:
                 flows.append(currents[name])
         none = np.zeros((1, *inputs.table.shape))
-        return kernel.Directions(
-            np.array([self.scalar_direction(n) for n in names]),
+        return Directions(
+            np.array([self.scalar_direction(n, inputs) for n in names]),
+            np.array([float(n == "soc0") for n in names]),
+            np.array([float(n == "offset_V") for n in names]),
             np.array(tables) if tables else none,
             _ints(table_of),
             np.array(flows) if flows else np.zeros((1, 1)),
@@ -252,13 +256,12 @@ _SINGLE = {
     "ln_tau3": TAU3,
 }
 _SCALAR = {
-    "soc0": kernel.D_SOC0,
-    "offset_V": kernel.D_VOLTAGE,
-    "ln_capacity": kernel.D_LN_CHARGE,
-    "activation_K": kernel.D_ACTIVATION,
-    "ln_gamma": kernel.D_LN_HYSTERESIS,
-    "ln_charge_scale": kernel.D_LN_CHARGE_SCALE,
-    "leak_A": kernel.D_LEAK,
-    "rth_K_per_W": kernel.D_HEATING,
-    "ln_thermal_s": kernel.D_LN_HEATING_S,
+    "ln_capacity": "charge_As",
+    "activation_K": "activation_K",
+    "ln_gamma": "hysteresis_rate",
+    "rate_h": "rate_per_A",
+    "ln_charge_scale": "charge_scale",
+    "leak_A": "leak_A",
+    "rth_K_per_W": "heating_K_per_W",
+    "ln_thermal_s": "heating_s",
 }

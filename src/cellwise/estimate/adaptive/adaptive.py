@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cellwise.cell.compiled import announce
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.estimate.adaptive import step_kernels as kernel
@@ -127,6 +128,7 @@ class Adaptive:
             float(dt_s),
             bool(gap),
         )
+        announce(kernel.adaptive_step, f"the {self.name} step")
         after, step, told = kernel.adaptive_step(
             self._tables, self._noise, self._learn, self._unknown, state, reading
         )
@@ -161,6 +163,7 @@ class Adaptive:
         out = np.empty((kernel.OUTPUTS, len(log)))
         status = np.empty(len(log), dtype=np.int32)
         held = np.empty((3, len(log)), dtype=np.int32)
+        announce(kernel.adaptive_rows, f"the estimator '{self.name}'")
         kernel.adaptive_rows(
             self._tables,
             self._noise,

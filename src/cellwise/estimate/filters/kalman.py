@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from cellwise.cell.compiled import announce
 from cellwise.cell.model import CellModel
 from cellwise.cell.point_kernels import M
 from cellwise.cell.simulate import check_soc0, model_temperature_C
@@ -99,6 +100,7 @@ class KalmanFilter:
             float(dt_s),
             bool(gap),
         )
+        announce(type(self).step_kernel, f"the {self.name} step")
         return type(self).step_kernel(self._tables, *self._settings, self._unknown, state, reading)
 
     def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> Trace:
@@ -106,6 +108,7 @@ class KalmanFilter:
         out = np.empty((layout.OUTPUTS, len(log)))
         status = np.empty(len(log), dtype=np.int32)
         start = self.start(soc0, soc0_std)
+        announce(type(self).rows_kernel, f"the estimator '{self.name}'")
         type(self).rows_kernel(
             self._tables,
             *self._settings,

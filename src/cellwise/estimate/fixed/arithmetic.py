@@ -1,128 +1,181 @@
-"""The fixed step in float32: the same sentences, in the same order, as firmware_ref/cellwise_ekf.c.
+"""The fixed step in float32: its constants and its small helpers.
 
-Same bits as the C: full parentheses, no contraction, no exp, pow or sqrt, every constant float32,
-every conversion written out. Upper-case arguments are known when a loop is compiled, so that what
-is not compiled in costs nothing; an effect's fields exist in the records only where it is.
+``firmware_ref/cellwise_ekf.c`` is printed from these modules (:mod:`cellwise.printing`) and gives
+the same bits: full parentheses, no contraction, no exp, pow or sqrt, every constant float32, every
+conversion written out. What names a type here is C's type there.
 
-Constants and small helpers stand here; then follow lookup, state, predict, anew, correct, rows.
-State x = [soc, v1, v2, v3, h, offset]; ``c`` are the constants, ``t`` the table of shape
-(temperatures, points, fields of a row), ``x`` the state: see ``layout``.
+State x = [soc, v1, v2, v3, h, offset]; ``m`` is the model, ``c`` its constants, ``x`` the state,
+``p`` the tables at one SOC, ``w`` slopes over SOC, ``d`` the column P H': see ``layout``. Order:
+lookup, covariance, state, predict, search, gain, innovation, sensing, step, rows.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
-from numba import njit
 
 from cellwise.estimate.status import OUT_OF_RANGE
 
-# Typed as anything: numba sees float32 and uint32, a type checker should not see more.
+# Typed as anything: numba sees float32, uint32 and records, a type checker should not see more.
 F: Any = np.float32
 U: Any = np.uint32
+Float: TypeAlias = Any
+Count: TypeAlias = Any
+Flag: TypeAlias = Any
+Constants: TypeAlias = Any
+State: TypeAlias = Any
+Sample: TypeAlias = Any
+Output: TypeAlias = Any
+# There where an option is.
+SlowFloat: TypeAlias = Any
+HysteresisFloat: TypeAlias = Any
+OffsetFloat: TypeAlias = Any
+WarmFloat: TypeAlias = Any
 
 ZERO, QUARTER, HALF, ONE, TWO = F(0.0), F(0.25), F(0.5), F(1.0), F(2.0)
 THREE, FOUR, SIXTY_FOURTH = F(3.0), F(4.0), F(0.015625)
+SIXTH, TWENTY_FOURTH = F(1.0 / 6.0), F(1.0 / 24.0)
+LARGEST_FLOAT = F(float.fromhex("0x1.fffffep+127"))
+
 KNOW_NOTHING_SOC = F(0.5)
 KNOW_NOTHING_VARIANCE = F(0.09)
-SOC_VARIANCE_MOST = F(1.0)
+SOC_VARIANCE_MOST = F(1.0)  # SOC lies in 0..1: more says nothing
 VARIANCE_FLOOR = F(1e-12)
-GROW = F(float.fromhex("0x1.000004p+0"))
-BEYOND = F(0.05)
-WIDE_VARIANCE = F(4e-4)
+GROW = F(float.fromhex("0x1.000004p+0"))  # above rounding, so that P stays positive
+BEYOND = F(0.05)  # how far the OCV goes on outside 0..1
+WIDE_VARIANCE = F(4e-4)  # beyond it the tangent is no guide
 SHORTEST_CHORD = F(1e-6)
-SMALL_MOVE = F(0.05)
+SMALL_MOVE = F(0.05)  # of a deviation: the slope is that of the spot left
 RECOVERY_VARIANCE = F(0.09)
-TEMPERATURE_LOW_C, TEMPERATURE_HIGH_C = F(-60.0), F(120.0)
+TEMPERATURE_LOW_C = F(-60.0)
+TEMPERATURE_HIGH_C = F(120.0)
 HEAT_MOST_K = F(200.0)
-LARGE = F(2.0**20)
+LARGE = F(2.0**20)  # no sound state goes beyond it, in V, A or their squares
 CARRY_MOST = F(2.0**-10)
-LEAST_FALL = F(0.1)
-LONGEST_GAP = 0x100000
-NOT_BEGUN, NO_VOLTAGE_YET, FIRST_VOLTAGE, EVIDENCE_MOST = U(0), U(1), U(2), U(0x200000)
-SHARED_GROWTH = F(4.0)
+LEAST_FALL = F(0.1)  # with the current a resistance rises by ten at most
+LONGEST_GAP = U(0x100000)  # samples
+NOT_BEGUN = U(0)  # evidence before the first sample
+NO_VOLTAGE_YET = U(1)
+FIRST_VOLTAGE = U(2)
+EVIDENCE_MOST = U(0x200000)
+REPEATED = U(0)  # a sample that was seen before,
+NO_INTERVAL = U(1)  # the first one, which ends no interval,
+INTERVAL = U(2)  # and one that ends an interval
+SHARED_GROWTH = F(4.0)  # twice the growth of the memory, in steps a step
 START_LOAD_SHARE = F(0.5)
-REST_LIMIT_V, LOAD_LIMIT_V = F(0.03), F(0.3)
-RESTART_POINTS, RESTART_STEP = 201, F(1.0 / 200.0)
-RESTART_ROUNDING = F(1.0 / 200.0**2 / 12.0)
-FURTHEST = F(2000.0)
-FROZEN_READINGS, FROZEN, COUNT_MOST = U(3), U(0xFFFFFFFF), U(2_000_000_000)
-REJECTION, FORGIVEN = U(20_000), U(2_000)
-LARGEST_FLOAT = F(float.fromhex("0x1.fffffep+127"))
-SIXTH, TWENTY_FOURTH = F(1.0 / 6.0), F(1.0 / 24.0)
+REST_LIMIT_V = F(0.03)  # a rested branch holds no more
+LOAD_LIMIT_V = F(0.3)
+RESTART_POINTS = U(201)
+RESTART_STEP = F(1.0 / 200.0)
+RESTART_ROUNDING = F(1.0 / 200.0**2 / 12.0)  # of a SOC between two points: 1/200^2/12
+FURTHEST = F(2000.0)  # beyond it exp(-z) is nothing
+FROZEN_READINGS = U(3)
+FROZEN = U(0xFFFFFFFF)  # repeats of a voltage that was found frozen
+COUNT_MOST = U(2_000_000_000)
+REJECTION = U(20_000)  # in the count of rejections in a row
+FORGIVEN = U(2_000)
 
-helper = njit(cache=True, error_model="numpy", fastmath=False)
-kernel = njit(cache=True, error_model="numpy", fastmath=False, inline="always")  # prunes options
-
-
-@helper
-def between(a: float, b: float, f: float) -> Any:
-    """From a at f = 0 to b at f = 1."""
-    return a + (f * (b - a))
+Step = TypeVar("Step", bound=Callable[..., Any])
 
 
-@helper
-def clip(x: Any, low: float, high: float) -> Any:
-    """Held within low..high."""
-    if x < low:
-        return low
-    if x > high:
-        return high
-    return x
+def apart(function: Step) -> Step:
+    """Mark what few steps need: not inlined, out of the others' registers and stack."""
+    function.apart = True  # type: ignore[attr-defined]
+    return function
 
 
-@helper
-def magnitude(x: Any) -> Any:
+# ---- tests and operations that C does on the bits of a float: cellwise_float.h ----
+
+
+def magnitude(x: Float) -> Float:
     """Absolute value, of -0 too."""
     return math.fabs(x)
 
 
-@helper
-def at_least(x: Any, low: float) -> Any:
-    """Held above low."""
-    return low if x < low else x
-
-
-@helper
-def not_negative(x: Any, limit: float) -> Any:
-    """Within 0..limit, and not -0: the C compares bits."""
-    return (math.copysign(ONE, x) > ZERO) & (x <= limit)
-
-
-@helper
-def within(x: Any, low: float, high: float) -> Any:
+def within(x: Float, low: Float, high: Float) -> Flag:
     """False for NaN too."""
     return (x >= low) & (x <= high)
 
 
-@helper
-def out_of_range(x: float) -> Any:
-    """Bit for a number that no cell of this kind gives; asked of readings that were refused."""
-    if within(x, -LARGEST_FLOAT, LARGEST_FLOAT):
-        return U(OUT_OF_RANGE)
-    return U(0)
+def size_within(x: Float, limit: Float) -> Flag:
+    """Whether the absolute value is at most the limit; false for NaN."""
+    return (x >= -limit) & (x <= limit)
 
 
-@helper
-def add(total: float, carry: float, value: float) -> tuple[float, float]:
+def size_below(x: Float, limit: Float) -> Flag:
+    """Whether the absolute value is below the limit; false for NaN."""
+    return (x > -limit) & (x < limit)
+
+
+def not_negative(x: Float, limit: Float) -> Flag:
+    """Within 0..limit, and not -0: the C compares bits."""
+    return (math.copysign(ONE, x) > ZERO) & (x <= limit)
+
+
+def positive_within(x: Float, low: Float, high: Float) -> Flag:
+    """Within low..high, both of them positive."""
+    return (x >= low) & (x <= high)
+
+
+def positive_above(x: Float, y: Float) -> Flag:
+    """Whether x > y, neither of them negative or NaN."""
+    return x > y
+
+
+def is_number(x: Float) -> Flag:
+    """Neither infinite nor NaN."""
+    return (x >= -LARGEST_FLOAT) & (x <= LARGEST_FLOAT)
+
+
+def known_fraction(x: Float) -> Float:
+    """What is within 0..1 already: said for analysers of the C."""
+    return x
+
+
+def add(total: Float, carry: Float, value: Float) -> tuple[Float, Float]:
     """Compensated sum: what rounding keeps from the total stays in the carry."""
     missed = value - carry
     new = total + missed
     return new, (new - total) - missed
 
 
-@helper
-def risen(z: float) -> Any:
+# ---- from here on the C is printed ----
+
+
+def between(a: Float, b: Float, f: Float) -> Float:
+    """From a at f = 0 to b at f = 1."""
+    return a + (f * (b - a))
+
+
+def clip(x: Float, low: Float, high: Float) -> Float:
+    """Held within low..high."""
+    return low if x < low else (high if x > high else x)
+
+
+def at_least(x: Float, low: Float) -> Float:
+    """Held above low."""
+    return low if x < low else x
+
+
+@apart
+def out_of_range(x: Float) -> Count:
+    """Bit for a number that no cell of this kind gives; asked of readings that were refused."""
+    return U(OUT_OF_RANGE) if is_number(x) else U(0)
+
+
+@apart
+def risen(z: Float) -> Float:
     """1 - exp(-z) for z >= 0, with exp(z) by its first five terms: exact at 0, rises to 1."""
     fourth = SIXTH + (z * TWENTY_FOURTH)
     grown = z * (ONE + (z * (HALF + (z * fourth))))
     return grown / (ONE + grown)
 
 
-@helper
-def root(square: float) -> Any:
+@apart
+def root(square: Float) -> Float:
     """Square root of a number up to 4 by five Newton steps from 1.
 
     One below 1/4 is multiplied by 4 until it is not.

@@ -186,7 +186,7 @@ def numba_stepper(tables: FixedStepTables) -> Stepper:
         return outputs
 
     def start(state: NDArray[Any], soc: float, variance: float) -> None:
-        begin(tables.constants, state, soc, variance)
+        begin(tables.constants, tables.table, state, soc, variance)
 
     return Stepper(tables, start, rows)
 

@@ -1,225 +1,207 @@
-"""Memory layout of the fixed-step estimator: the C structs as NumPy record types.
+"""Memory layout of the fixed-step estimator: one table of fields for NumPy and for C.
 
-One buffer can be stepped by numba and by C. Fields and their order are those of
-``firmware_ref/cellwise_ekf.h``; a test compares offsets and sizes with the compiler's.
+One buffer can be stepped by numba and by C. ``firmware_ref/cellwise_ekf.h`` is printed from these
+tables; a test compares offsets and sizes with the compiler's.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from cellwise.cell.effects import (
-    ChargeAsymmetry,
-    Hysteresis,
-    RateDependence,
-    SelfDischarge,
-    SelfHeating,
-    SlowDiffusion,
-    TemperatureDependence,
-    TimeSkew,
-)
-from cellwise.cell.model import CellModel
-
-Fields = list[tuple[str, Any]]
-
-INPUT = np.dtype(
-    [("current_A", "f4"), ("voltage_V", "f4"), ("temperature_C", "f4"), ("sequence", "u4")]
-)
-OUTPUT = np.dtype(
-    [
-        ("soc", "f4"),
-        ("soc_variance", "f4"),
-        ("voltage_V", "f4"),
-        ("innovation_V", "f4"),
-        ("innovation_variance_V2", "f4"),
-        ("status", "u4"),
-    ]
-)
+from cellwise.cell.description import FIXED, SOC, V3, State, entry, triangle
+from cellwise.estimate.fixed.options import Options, flags_of
 
 
-@dataclass(frozen=True)
-class Options:
-    """What is compiled in: effects as 0 or 1, sizes of tables.
+class Field(NamedTuple):
+    """A field of a record.
 
-    ``arrhenius`` is the number of points of the factor's table over temperature, 0 without it;
-    ``wide`` the care taken while SOC is badly known, ``watch`` that of sensors which freeze or fall
-    silent; without them the code is smaller.
+    ``option`` are the options that compile it in, ``size`` what an array has as many elements of,
+    ``fewer`` by how many less.
     """
 
-    points: int
-    temperatures: int = 1
-    slow: int = 0
-    hysteresis: int = 0
-    offset: int = 0
-    arrhenius: int = 0
-    efficiency: int = 0
-    leak: int = 0
-    skew: int = 0
-    rate: int = 0
-    asymmetry: int = 0
-    heating: int = 0
-    wide: int = 1
-    watch: int = 1
-
-    @property
-    def needs_temperature(self) -> bool:
-        """Whether a step reads the temperature."""
-        return self.temperatures > 1 or self.arrhenius > 0
-
-    @property
-    def states(self) -> int:
-        """States of the filter: SOC, two branches, and what is compiled in."""
-        return 3 + self.slow + self.hysteresis + self.offset
-
-    def defines(self) -> dict[str, int]:
-        """The values as the C preprocessor sees them."""
-        return {f"CELLWISE_{f.name.upper()}": int(getattr(self, f.name)) for f in fields(self)}
+    name: str
+    meaning: str = ""
+    option: str = ""
+    type: str = "f4"
+    size: str = ""
+    fewer: int = 0
 
 
-def options_of(
-    model: CellModel,
-    *,
-    offset: bool = False,
-    wide: bool = True,
-    watch: bool = True,
-    arrhenius_points: int = 0,
-) -> Options:
-    """What a model needs; an effect at its neutral value needs nothing.
+class Model(NamedTuple):
+    """What a step reads of a cell: a record of CONSTANTS, and the table of rows.
 
-    Parameters
-    ----------
-    offset : bool             carry the current sensor's offset as a state
-    wide : bool               take care of slopes while SOC is badly known
-    watch : bool              watch for sensors that freeze or fall silent
-    arrhenius_points : int    points of the Arrhenius table where the model has that effect
+    ``row`` has the shape (temperatures, points, fields of a row).
     """
-    arrhenius = arrhenius_points if model.effect(TemperatureDependence).activation_K != 0.0 else 0
-    warm = model.temperature_C.size > 1 or arrhenius > 0
-    return Options(
-        points=model.points,
-        temperatures=model.temperature_C.size,
-        slow=int(np.any(np.asarray(model.effect(SlowDiffusion).r3_ohm) != 0.0)),
-        hysteresis=int(np.any(np.asarray(model.effect(Hysteresis).m_V) != 0.0)),
-        offset=int(offset),
-        arrhenius=arrhenius,
-        efficiency=int(model.charge_efficiency != 1.0),
-        leak=int(model.effect(SelfDischarge).leak_A != 0.0),
-        skew=int(model.effect(TimeSkew).skew_s != 0.0),
-        rate=int(model.effect(RateDependence).rate_h != 0.0),
-        asymmetry=int(model.effect(ChargeAsymmetry).charge_scale != 1.0),
-        heating=int(warm and model.effect(SelfHeating).rth_K_per_W != 0.0),
-        wide=int(wide),
-        watch=int(watch),
+
+    constant: Any
+    row: Any
+
+
+ROW = (
+    Field("ocv_V"),
+    Field("error_V", "slow error of the model's voltage", "WIDE"),
+    Field("noise_V2", "variance of a voltage about a perfect state, at rest", "not WIDE"),
+    Field("r0_ohm"),
+    Field("r1_ohm"),
+    Field("lag1", "1 / (1 - exp(-dt/tau)): all but linear in tau, so it is interpolated as tau is"),
+    Field("r2_ohm"),
+    Field("lag2"),
+    Field("r3_ohm", "", "SLOW"),
+    Field("lag3", "", "SLOW"),
+    Field("m_V", "", "HYSTERESIS"),
+)
+
+CONSTANTS = (
+    Field("soc_per_A", "SOC that 1 A takes in one step"),
+    Field("soc_walk", "variance that SOC gains in one step"),
+    Field("current_variance_A2", "of the current sensor"),
+    Field("lost_A2", "variance of a current that nobody measured"),
+    Field("share_variance", "of the resistances, relative"),
+    Field("gate_square", "innovations beyond this many variances are rejected"),
+    Field("shared_start", "samples that share one model error, just after the first,"),
+    Field("shared", "and after long"),
+    Field("lately", "weight of one sample in the running mismatch"),
+    Field("mismatch_cap"),
+    Field("gap_variance", "of SOC over a long gap"),
+    Field("current_limit_A"),
+    Field("voltage_low_V"),
+    Field("voltage_high_V"),
+    Field("branch_variance_V2", "of a branch voltage at the start, at rest"),
+    Field("rest_A", "below it a cell counts as resting"),
+    Field("start_rest_A", "what may have flowed before a start at rest,"),
+    Field("start_load_A", "and, at least, before one under load"),
+    Field("recovery_after", "count of rejections in a row, 20000 each,", "", "u4"),
+    Field("under_load", "and one that wrong resistances could explain", "", "u4"),
+    Field("gap_steps", "missing samples that are bridged", "", "u4"),
+    Field("hold_steps", "samples for which a missing current is held", "WATCH", "u4"),
+    Field("lost_soc", "deviation that SOC gains in one step after that", "WATCH"),
+    Field("frozen_V", "how far a voltage must have moved to be called frozen", "WATCH"),
+    Field("lost_walk", "variance that SOC gains in one step without a current", "not WATCH"),
+    Field("flat_slope_V", "below it the OCV is flat for its kind", "WIDE"),
+    Field("fixed_V2", "variance of the voltage sensor", "WIDE"),
+    Field("ocv_soc2", "variance of the OCV along the SOC axis", "WIDE"),
+    Field("recovery_A", "what branches may hold after a lock-out", "WIDE"),
+    Field("charge_efficiency", "", "EFFICIENCY"),
+    Field("leak_soc", "SOC that self-discharge takes in one step", "LEAK"),
+    Field("skew_share", "of the previous current in what the voltage has seen", "SKEW"),
+    Field("rate_per_A", "fall of the resistances with the current", "RATE"),
+    Field("charge_scale", "factor on the resistances while charging", "ASYMMETRY"),
+    Field("hysteresis_per_A", "e-folds of h in one step at 1 A", "HYSTERESIS"),
+    Field("offset_variance_A2", "at the start", "OFFSET"),
+    Field("offset_walk_A2", "gained in one step", "OFFSET"),
+    Field("heat_K_per_W", "", "HEATING"),
+    Field("heat_gain", "1 - exp(-dt / thermal time constant)", "HEATING"),
+    Field("temperature_C", "until the first valid one", "WARM"),
+    Field("grid_C", "temperatures of the tables", "TEMPERATURES", "f4", "temperatures"),
+    Field("per_K", "1 / distance of neighbours", "TEMPERATURES", "f4", "temperatures", 1),
+    Field("arrhenius_low_C", "", "ARRHENIUS"),
+    Field("arrhenius_per_K", "points per kelvin", "ARRHENIUS"),
+    Field("arrhenius", "factor on every resistance", "ARRHENIUS", "f4", "arrhenius"),
+)
+
+
+def _option(*states: State) -> str:
+    return " and ".join(dict.fromkeys(s.option.upper() for s in states if s.option))
+
+
+def _state() -> tuple[Field, ...]:
+    """The state x, the upper triangle of P row by row, what was seen last."""
+    found = []
+    for state in FIXED:
+        found.append(Field(state.name, state.meaning, _option(state)))
+        if state is SOC:
+            found.append(Field("soc_carry", "what rounding has kept from soc, to be subtracted"))
+        if state is V3:
+            found.append(Field("v3_carry_V", "and from v3_V", "SLOW"))
+    for a, b in triangle(FIXED):
+        found.append(Field(entry(a, b), "", _option(a, b)))
+        if b is SOC:
+            found.append(Field("ss_carry", "what rounding has kept from ss", "WIDE"))
+    return (
+        *found,
+        Field("current_A", "last valid one"),
+        Field("mismatch", "running mean of squared innovation over variance"),
+        Field("heat_K", "own warming", "HEATING"),
+        Field("temperature_C", "last valid one", "WARM"),
+        Field("voltage_V", "last valid one,", "WATCH"),
+        Field("frozen_A", "the current when it came,", "WATCH"),
+        Field("repeats", "and how often it has come since", "WATCH", "u4"),
+        Field("no_current", "steps without a valid one", "WATCH", "u4"),
+        Field("no_voltage", "steps without one that could be used", "WATCH", "u4"),
+        Field("sequence", "of the last sample", "", "u4"),
+        Field("rejections", "20000 each: under load a rejection counts less", "", "u4"),
+        Field("evidence", "0: no sample yet, 1: no voltage yet, then 2 + steps since", "", "u4"),
     )
 
 
-def row_fields(options: Options) -> Fields:
-    """Names of a table row, in order."""
-    names = ["ocv_V", "error_V" if options.wide else "noise_V2"]
-    names += ["r0_ohm", "r1_ohm", "lag1", "r2_ohm", "lag2"]
-    names += ["r3_ohm", "lag3"] if options.slow else []
-    names += ["m_V"] if options.hysteresis else []
-    return [(name, "f4") for name in names]
+STATE = _state()
+
+INPUT_FIELDS = (
+    Field("current_A", "mean over the interval that ends now, positive on discharge"),
+    Field("voltage_V", "now"),
+    Field("temperature_C", "now; read only where CELLWISE_NEEDS_TEMPERATURE"),
+    Field("sequence", "counts time steps, wraps", "", "u4"),
+)
+
+OUTPUT_FIELDS = (
+    Field("soc"),
+    Field("soc_variance"),
+    Field("voltage_V", "predicted, before the measured one was used"),
+    Field("innovation_V", "measured minus predicted; 0 where the voltage is invalid"),
+    Field("innovation_variance_V2", "of a single sample"),
+    Field("status", "what happened: bits", "", "u4"),
+)
 
 
-def constant_fields(options: Options) -> Fields:
-    """Names of the constants, in order."""
-    o = options
-    found: Fields = [
-        (name, "f4")
-        for name in (
-            "soc_per_A",
-            "soc_walk",
-            "current_variance_A2",
-            "lost_A2",
-            "share_variance",
-            "gate_square",
-            "shared_start",
-            "shared",
-            "lately",
-            "mismatch_cap",
-            "gap_variance",
-            "current_limit_A",
-            "voltage_low_V",
-            "voltage_high_V",
-            "branch_variance_V2",
-            "rest_A",
-            "start_rest_A",
-            "start_load_A",
-        )
-    ]
-    found += [("recovery_after", "u4"), ("under_load", "u4"), ("gap_steps", "u4")]
-    if o.watch:
-        found += [("hold_steps", "u4"), ("lost_soc", "f4"), ("frozen_V", "f4")]
-    else:
-        found += [("lost_walk", "f4")]
-    optional = (
-        (o.wide, ["flat_slope_V", "fixed_V2", "ocv_soc2", "recovery_A"]),
-        (o.efficiency, ["charge_efficiency"]),
-        (o.leak, ["leak_soc"]),
-        (o.skew, ["skew_share"]),
-        (o.rate, ["rate_per_A"]),
-        (o.asymmetry, ["charge_scale"]),
-        (o.hysteresis, ["hysteresis_per_A"]),
-        (o.offset, ["offset_variance_A2", "offset_walk_A2"]),
-        (o.heating, ["heat_K_per_W", "heat_gain"]),
-        (o.needs_temperature, ["temperature_C"]),
+def fields_of(table: tuple[Field, ...], options: Options) -> list[Field]:
+    """The fields that are compiled in, in order."""
+    flags = flags_of(options)
+
+    def there(term: str) -> bool:
+        return not flags[term[4:]] if term.startswith("not ") else bool(flags[term])
+
+    return [f for f in table if not f.option or all(map(there, f.option.split(" and ")))]
+
+
+def _record_type(table: tuple[Field, ...], options: Options) -> np.dtype[Any]:
+    return np.dtype(
+        [
+            (f.name, f.type, (getattr(options, f.size) - f.fewer,) if f.size else ())
+            for f in fields_of(table, options)
+        ],
+        align=True,
     )
-    for present, names in optional:
-        found += [(name, "f4") for name in names if present]
-    if o.temperatures > 1:
-        found += [("grid_C", "f4", (o.temperatures,)), ("per_K", "f4", (o.temperatures - 1,))]  # type: ignore[list-item]
-    if o.arrhenius:
-        found += [("arrhenius_low_C", "f4"), ("arrhenius_per_K", "f4")]
-        found += [("arrhenius", "f4", (o.arrhenius,))]  # type: ignore[list-item]
-    return found
 
 
-def state_fields(options: Options) -> Fields:
-    """Names of the state, in order: x, the upper triangle of P row by row, what was seen last."""
-    kept = [
-        suffix
-        for suffix, present in (
-            ("s", True),
-            ("1", True),
-            ("2", True),
-            ("3", options.slow),
-            ("h", options.hysteresis),
-            ("o", options.offset),
-        )
-        if present
-    ]
-    names = ["soc", "soc_carry", "v1_V", "v2_V"]
-    names += ["v3_V", "v3_carry_V"] if options.slow else []
-    names += ["h"] if options.hysteresis else []
-    names += ["offset_A"] if options.offset else []
-    for i, first in enumerate(kept):
-        names += [(first if first == "s" else f"p{first}") + second for second in kept[i:]]
-    if options.wide:
-        names.insert(names.index("ss") + 1, "ss_carry")
-    names += ["current_A", "mismatch"]
-    names += ["heat_K"] if options.heating else []
-    names += ["temperature_C"] if options.needs_temperature else []
-    names += ["voltage_V", "frozen_A"] if options.watch else []
-    found: Fields = [(name, "f4") for name in names]
-    counts = ["repeats", "no_current", "no_voltage"] if options.watch else []
-    found += [(name, "u4") for name in counts]
-    return [*found, ("sequence", "u4"), ("rejections", "u4"), ("evidence", "u4")]
+INPUT = _record_type(INPUT_FIELDS, Options(points=3))
+OUTPUT = _record_type(OUTPUT_FIELDS, Options(points=3))
+
+
+def row_names(options: Options) -> list[str]:
+    """Columns of the table, in order."""
+    return [f.name for f in fields_of(ROW, options)]
 
 
 def state_type(options: Options) -> np.dtype[Any]:
     """Record type of the state."""
-    return np.dtype(state_fields(options), align=True)
+    return _record_type(STATE, options)
 
 
 def constant_type(options: Options) -> np.dtype[Any]:
     """Record type of the constants."""
-    return np.dtype(constant_fields(options), align=True)
+    return _record_type(CONSTANTS, options)
 
 
 def row_type(options: Options) -> np.dtype[Any]:
     """Record type of a table row: float32 only, so that a table is also an array."""
-    return np.dtype(row_fields(options), align=True)
+    return _record_type(ROW, options)
+
+
+def hex_float(value: float) -> str:
+    """A float32 as a C literal that every compiler reads to the same bits."""
+    mantissa, exponent = float(np.float32(value)).hex().split("p")
+    if "." in mantissa:
+        mantissa = mantissa.rstrip("0").rstrip(".")
+    return f"{mantissa}p{exponent}f"

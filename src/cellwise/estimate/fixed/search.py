@@ -1,8 +1,6 @@
-"""The fixed step after a lock-out, and at a first voltage that cannot be weighed: SOC anew."""
+"""The fixed step after a lock-out, and at a first voltage that cannot be weighed: SOC searched."""
 
 from __future__ import annotations
-
-from typing import Any
 
 from cellwise.estimate.fixed.arithmetic import (
     FIRST_VOLTAGE,
@@ -18,27 +16,25 @@ from cellwise.estimate.fixed.arithmetic import (
     RESTART_STEP,
     SIXTY_FOURTH,
     ZERO,
+    Constants,
     F,
+    Float,
+    State,
+    apart,
     at_least,
     clip,
-    helper,
-    kernel,
     risen,
     root,
     within,
 )
-from cellwise.estimate.fixed.lookup import (
-    look_up_many_or_one,
-)
-from cellwise.estimate.fixed.state import (
-    admitted,
-    forget_correlations,
-    guess_branches,
-)
+from cellwise.estimate.fixed.covariance import forget_correlations
+from cellwise.estimate.fixed.layout import Model
+from cellwise.estimate.fixed.lookup import Place, Point, look_up
+from cellwise.estimate.fixed.options import HYSTERESIS, SLOW
+from cellwise.estimate.fixed.state import admitted, guess_branches
 
 
-@kernel
-def voltage_of(x: Any, p: Any, drop: float, SLOW: int, HYSTERESIS: int) -> Any:
+def voltage_of(x: State, p: Point, drop: Float) -> Float:
     """The voltage that the state gives at a point of the tables."""
     voltage = p.ocv_V - (drop + (x.v1_V + x.v2_V))
     if SLOW:
@@ -48,8 +44,7 @@ def voltage_of(x: Any, p: Any, drop: float, SLOW: int, HYSTERESIS: int) -> Any:
     return voltage
 
 
-@helper
-def vanishing(z: float) -> Any:
+def vanishing(z: Float) -> Float:
     """exp(-z) for z >= 0, to 1e-4 of itself."""
     left = ONE - risen((z if z < FURTHEST else FURTHEST) * SIXTY_FOURTH)
     for _ in range(6):
@@ -57,20 +52,16 @@ def vanishing(z: float) -> Any:
     return left
 
 
-@kernel
+@apart
 def search(
-    t: Any,
-    place: Any,
-    x: Any,
-    seen: float,
-    voltage: float,
-    variance: float,
-    held_A: float,
-    limit_V: float,
-    load: Any,
-    SLOW: int,
-    HYSTERESIS: int,
-    SCALED: int,
+    m: Model,
+    place: Place,
+    x: State,
+    seen: Float,
+    voltage: Float,
+    variance: Float,
+    held_A: Float,
+    limit_V: Float,
 ) -> None:
     """SOC and its variance over the whole of 0..1, when a voltage contradicts the estimate.
 
@@ -84,14 +75,14 @@ def search(
     total = ZERO
     first = ZERO
     second = ZERO
-    p = look_up_many_or_one(t, place, ZERO, seen, load, SLOW, HYSTERESIS, SCALED)
-    low = voltage_of(x, p, p.r0_ohm * seen, SLOW, HYSTERESIS)
-    p = look_up_many_or_one(t, place, ONE, seen, load, SLOW, HYSTERESIS, SCALED)
-    high = voltage_of(x, p, p.r0_ohm * seen, SLOW, HYSTERESIS)
+    p = look_up(m, place, ZERO, seen)
+    low = voltage_of(x, p, p.r0_ohm * seen)
+    p = look_up(m, place, ONE, seen)
+    high = voltage_of(x, p, p.r0_ohm * seen)
     target = clip(voltage, low, high) if low < high else clip(voltage, high, low)
     for k in range(RESTART_POINTS):
         away = (F(k) * RESTART_STEP) - x.soc
-        p = look_up_many_or_one(t, place, F(k) * RESTART_STEP, seen, load, SLOW, HYSTERESIS, SCALED)
+        p = look_up(m, place, F(k) * RESTART_STEP, seen)
         held = (p.r1_ohm * p.r1_ohm) + (p.r2_ohm * p.r2_ohm)
         if SLOW:
             held = held + (p.r3_ohm * p.r3_ohm)
@@ -99,7 +90,7 @@ def search(
         about = (variance + p.noise_V2) + (held if held < most_V2 else most_V2)
         if HYSTERESIS:
             about = about + ((p.m_V * p.m_V) * x.phh)
-        off = target - voltage_of(x, p, p.r0_ohm * seen, SLOW, HYSTERESIS)
+        off = target - voltage_of(x, p, p.r0_ohm * seen)
         cost = HALF * (((away * away) * before) + ((off * off) / about))
         weight = ONE / root(about)
         if cost < least:
@@ -123,47 +114,42 @@ def search(
             x.ss = at_least(square, ZERO) + RESTART_ROUNDING
 
 
-@kernel
+@apart
 def look_anew(
-    c: Any,
-    t: Any,
-    place: Any,
-    x: Any,
-    seen: float,
-    voltage: float,
-    one: float,
-    polarisation: float,
-    load: Any,
-    SLOW: int,
-    HYSTERESIS: int,
-    OFFSET: int,
-    SCALED: int,
+    m: Model,
+    place: Place,
+    x: State,
+    seen: Float,
+    voltage: Float,
+    one_V2: Float,
+    polarisation_V: Float,
 ) -> None:
     """The gate may have locked the truth out, or a first voltage at rest says more than is weighed.
 
     Branches that have been followed may hold anything; under load the resistances may be what is
     wrong, by as much as they are.
     """
+    c = m.constant
     held_A = c.start_rest_A
     limit_V = REST_LIMIT_V
-    variance = one + c.branch_variance_V2
+    variance = one_V2 + c.branch_variance_V2
     kept1 = ZERO
     kept2 = ZERO
-    kept3 = ZERO
+    if SLOW:
+        kept3 = ZERO
     if x.evidence >= FIRST_VOLTAGE:
         held_A = c.recovery_A
         limit_V = LOAD_LIMIT_V
         kept1 = x.v1_V * x.v1_V
         kept2 = x.v2_V * x.v2_V
-        variance = (one + (polarisation * polarisation)) + ((kept1 + x.p11) + (kept2 + x.p22))
+        variance = one_V2 + (polarisation_V * polarisation_V)
+        variance = variance + ((kept1 + x.p11) + (kept2 + x.p22))
         if SLOW:
             kept3 = x.v3_V * x.v3_V
             variance = variance + (kept3 + x.p33)
-    # fmt: off
-    search(t, place, x, seen, voltage, variance, held_A, limit_V, load, SLOW, HYSTERESIS, SCALED)
-    # fmt: on
-    p = look_up_many_or_one(t, place, x.soc, seen, load, SLOW, HYSTERESIS, SCALED)
-    forget_correlations(x, SLOW, HYSTERESIS, OFFSET)
+    search(m, place, x, seen, voltage, variance, held_A, limit_V)
+    p = look_up(m, place, x.soc, seen)
+    forget_correlations(x)
     x.p11 = admitted(c.branch_variance_V2, held_A * p.r1_ohm, limit_V) + kept1
     x.p22 = admitted(c.branch_variance_V2, held_A * p.r2_ohm, limit_V) + kept2
     if SLOW:
@@ -171,9 +157,8 @@ def look_anew(
     x.evidence = FIRST_VOLTAGE
 
 
-@kernel
-def widen(c: Any, x: Any, p: Any, seen: float, SLOW: int, HYSTERESIS: int, OFFSET: int) -> None:
-    """Without WIDE anything is admitted instead, so that the next voltage passes."""
+def widen(c: Constants, x: State, p: Point, seen: Float) -> None:
+    """Without CELLWISE_WIDE anything is admitted instead, so that the next voltage passes."""
     x.ss = RECOVERY_VARIANCE
     x.evidence = FIRST_VOLTAGE
-    guess_branches(c, x, p, seen, SLOW, HYSTERESIS, OFFSET, 0)
+    guess_branches(c, x, p.r1_ohm, p.r2_ohm, p.r3_ohm, seen)

@@ -1,35 +1,41 @@
-"""What a sample means to the fixed step: numbers missing, a current that is held; the charge.
-
-See ``arithmetic``.
-"""
+"""What a sample means to the fixed step: numbers missing, a current that is held; the charge."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from cellwise.estimate.fixed.arithmetic import (
     COUNT_MOST,
     EVIDENCE_MOST,
     FIRST_VOLTAGE,
     HALF,
-    HEAT_MOST_K,
+    INTERVAL,
     LONGEST_GAP,
+    NO_INTERVAL,
     NOT_BEGUN,
     ONE,
+    REPEATED,
+    TEMPERATURE_HIGH_C,
+    TEMPERATURE_LOW_C,
     ZERO,
+    Constants,
+    Count,
     F,
+    Float,
+    Output,
+    Sample,
+    State,
     U,
+    WarmFloat,
     add,
-    clip,
-    kernel,
     not_negative,
     out_of_range,
     root,
+    size_within,
     within,
 )
-from cellwise.estimate.fixed.arithmetic import TEMPERATURE_HIGH_C as HIGH_C
-from cellwise.estimate.fixed.arithmetic import TEMPERATURE_LOW_C as LOW_C
 from cellwise.estimate.fixed.lookup import within_one
+from cellwise.estimate.fixed.options import HEATING, OFFSET, SKEW, WARM, WATCH
 from cellwise.estimate.fixed.predict import taken
 from cellwise.estimate.status import (
     CLAMPED,
@@ -41,33 +47,37 @@ from cellwise.estimate.status import (
 )
 
 
-class Seen(NamedTuple):
+class Reading(NamedTuple):
     """A sample as the filter takes it.
 
-    ``news`` is 0 where the sample was seen before, 1 where it ends no interval, 2 where time has
-    passed since the last one; ``missing`` how many were left out, ``silent`` for how many steps
-    there was no current that could be used. ``current`` is the one that is held, ``seen`` what the
-    voltage has seen of it, ``flow`` what flows without the sensor's offset.
+    ``news`` says whether it ends an interval, ``missing`` how many were left out, ``silent`` for
+    how many steps there was no current that could be used. ``current`` is the one that is held,
+    ``seen`` what the voltage has seen of it, ``flow`` what flows without the sensor's offset.
     """
 
-    status: int
-    news: int
-    missing: int
-    silent: int
-    current: float
-    seen: float
-    flow: float
-    unmeasured_A2: float
-    temperature_C: float
+    status: Count
+    news: Count
+    missing: Count
+    silent: Count
+    current: Float
+    seen: Float
+    flow: Float
+    unmeasured_A2: Float
+    temperature_C: WarmFloat
 
 
-@kernel
-def see(
-    c: Any, x: Any, sample: Any, OFFSET: int, SKEW: int, HEATING: int, WARM: int, WATCH: int
-) -> Seen:
-    """Sequence number, current and temperature of a sample."""
-    status = U(0)
-    news = 1
+class Charge(NamedTuple):
+    """What an interval took: samples missing, and the current that bridges them."""
+
+    status: Count
+    missing: Count
+    bridge: Float
+
+
+def see(c: Constants, x: State, sample: Sample, before: Count) -> Reading:
+    """Sequence number, current and temperature of a sample; the status ``before`` with theirs."""
+    status = before
+    news = NO_INTERVAL
     missing = U(0)
     silent = U(0)
     current = sample.current_A
@@ -76,27 +86,27 @@ def see(
     if x.evidence != NOT_BEGUN:
         elapsed = U(sample.sequence - x.sequence)
         if elapsed == U(0):
-            news = 0
-            status = U(status | U(DUPLICATE))
+            news = REPEATED
+            status = U(status | DUPLICATE)
         else:
-            news = 2
-            missing = U(elapsed - U(1))
-    if not within(current, -c.current_limit_A, c.current_limit_A):
-        status = U(status | U(U(CURRENT_INVALID) | out_of_range(sample.current_A)))
+            news = INTERVAL
+            missing = U(elapsed - 1)
+    if not size_within(current, c.current_limit_A):
+        status = U(status | CURRENT_INVALID | out_of_range(current))
         silent = U(1)
-    if silent != U(0) or news == 0:
+    if silent != U(0) or news == REPEATED:
         current = x.current_A
-    temperature = ZERO
+    temperature_C = ZERO
     if WARM:
-        if not within(sample.temperature_C, LOW_C, HIGH_C):
-            status = U(status | U(TEMPERATURE_INVALID))
-        elif news != 0:
+        if not within(sample.temperature_C, TEMPERATURE_LOW_C, TEMPERATURE_HIGH_C):
+            status = U(status | TEMPERATURE_INVALID)
+        elif news != REPEATED:
             x.temperature_C = sample.temperature_C
-        temperature = x.temperature_C
+        temperature_C = x.temperature_C
         if HEATING:
-            temperature = x.temperature_C + x.heat_K
+            temperature_C = temperature_C + x.heat_K
     seen = current
-    if SKEW and news == 2:
+    if SKEW and news == INTERVAL:
         seen = current + (c.skew_share * (x.current_A - current))
     flow = seen
     if OFFSET:
@@ -104,79 +114,62 @@ def see(
     if WATCH:
         # Held for a while; then whatever was held is no guide any more: nothing is counted, and as
         # much as half a rate may flow either way.
-        if silent != U(0) or news == 0:
+        if silent != U(0) or news == REPEATED:
             silent = x.no_current
-            if news == 2 and silent < COUNT_MOST:
-                silent = U(silent + U(1))
+            if news == INTERVAL and silent < COUNT_MOST:
+                silent = U(silent + 1)
         if silent > c.hold_steps:
-            status = U(status | U(CURRENT_LOST))
+            status = U(status | CURRENT_LOST)
             seen = ZERO
             flow = ZERO
             unmeasured_A2 = c.lost_A2
     elif silent != U(0):
         unmeasured_A2 = c.lost_A2
-    return Seen(status, news, missing, silent, current, seen, flow, unmeasured_A2, temperature)
+    return Reading(status, news, missing, silent, current, seen, flow, unmeasured_A2, temperature_C)
 
 
-@kernel
-def count_charge(
-    c: Any, x: Any, s: Any, EFFICIENCY: int, LEAK: int, WATCH: int
-) -> tuple[int, int, float]:
-    """SOC over the interval that ends now: status, samples missing, the current that bridges them.
-
-    Charge comes first, then the branches at the new SOC.
-    """
-    status = U(0)
+def count_charge(c: Constants, x: State, s: Reading) -> Charge:
+    """SOC over the interval that ends now: charge comes first, then the branches at the new SOC."""
+    status = s.status
     missing = s.missing
     bridge = ZERO
-    if s.news == 2:
-        used = taken(c, s.flow, EFFICIENCY, LEAK)
+    if s.news == INTERVAL:
+        used = taken(c, s.flow)
         if missing != U(0):
-            status = U(SEQUENCE_GAP)
+            status = U(status | SEQUENCE_GAP)
             if missing <= c.gap_steps:
-                if not WATCH or s.silent <= c.hold_steps:
-                    bridge = HALF * (s.current + x.current_A)
-                used = used + (taken(c, bridge, EFFICIENCY, LEAK) * F(missing))
+                bridge = HALF * (s.current + x.current_A)
+                if WATCH and s.silent > c.hold_steps:
+                    bridge = ZERO
+                used = used + (taken(c, bridge) * F(missing))
             else:  # nobody knows what flowed
-                missing = missing if missing < U(LONGEST_GAP) else U(LONGEST_GAP)
+                missing = missing if missing < LONGEST_GAP else LONGEST_GAP
         x.soc, x.soc_carry = add(x.soc, x.soc_carry, -used)
-        if WATCH and s.unmeasured_A2 > ZERO:
-            # It may keep one sign for as long as it is away: the deviation grows, not the variance.
-            drift = root(x.ss) + c.lost_soc
-            x.ss = drift * drift
-        if not WATCH and s.unmeasured_A2 > ZERO:
-            x.ss = x.ss + c.lost_walk
-    return status, missing, bridge
+        if s.unmeasured_A2 > ZERO:
+            if WATCH:
+                # It may keep one sign for as long as it is away: the deviation grows, not the
+                # variance.
+                drift = root(x.ss) + c.lost_soc
+                x.ss = drift * drift
+            else:
+                x.ss = x.ss + c.lost_walk
+    return Charge(status, missing, bridge)
 
 
-@kernel
-def heat(c: Any, x: Any, r0_ohm: float, seen: float, flow: float, SLOW: int) -> None:
-    """The cell's own warming over one interval."""
-    fall = (r0_ohm * seen) + (x.v1_V + x.v2_V)
-    if SLOW:
-        fall = fall + x.v3_V
-    x.heat_K = clip(
-        x.heat_K + (c.heat_gain * ((c.heat_K_per_W * (flow * fall)) - x.heat_K)),
-        -HEAT_MOST_K,
-        HEAT_MOST_K,
-    )
-
-
-@kernel
-def finish(x: Any, s: Any, missing: int, sequence: int, out: Any, WATCH: int) -> Any:
-    """Hold SOC within its bounds, remember the sample, tell: the status of the clamp."""
+def finish(x: State, s: Reading, missing: Count, sequence: Count, out: Output) -> Count:
+    """Hold SOC within its bounds, remember the sample: the status of the clamp."""
     status = U(0)
     if not not_negative(x.soc, ONE):
         x.soc = within_one(x.soc)
         x.soc_carry = ZERO
         status = U(CLAMPED)
-    if s.news != 0:
+    if s.news != REPEATED:
         x.current_A = s.current
         x.sequence = sequence
         if WATCH:
             x.no_current = s.silent
-        if s.news == 2 and U(x.evidence - FIRST_VOLTAGE) < EVIDENCE_MOST:
-            x.evidence = U(x.evidence + U(U(1) + missing))
+        if s.news == INTERVAL and U(x.evidence - FIRST_VOLTAGE) < EVIDENCE_MOST:
+            x.evidence = U(x.evidence + 1 + missing)
     out.soc = x.soc
     out.soc_variance = x.ss
     return status

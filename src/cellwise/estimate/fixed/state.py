@@ -1,15 +1,12 @@
-"""State of the fixed step: whether it is sound, where it starts; see ``arithmetic``."""
+"""State of the fixed step: whether it is sound, where it starts."""
 
 from __future__ import annotations
-
-from typing import Any
 
 from cellwise.estimate.fixed.arithmetic import (
     CARRY_MOST,
     HALF,
     HEAT_MOST_K,
     LARGE,
-    LARGEST_FLOAT,
     NOT_BEGUN,
     ONE,
     REST_LIMIT_V,
@@ -17,147 +14,70 @@ from cellwise.estimate.fixed.arithmetic import (
     TEMPERATURE_HIGH_C,
     TEMPERATURE_LOW_C,
     ZERO,
+    Constants,
+    Flag,
+    Float,
+    SlowFloat,
+    State,
     U,
-    add,
+    apart,
     at_least,
-    helper,
-    kernel,
     magnitude,
     not_negative,
+    size_below,
+    size_within,
     within,
 )
+from cellwise.estimate.fixed.covariance import (
+    covariance_is_sound,
+    forget_correlations,
+    start_covariance,
+)
+from cellwise.estimate.fixed.options import HEATING, HYSTERESIS, OFFSET, SLOW, WARM, WATCH, WIDE
 
 
-@helper
-def variance_is_sound(variance: float) -> Any:
-    """A variance in its range."""
-    return not_negative(variance, LARGE)
+def is_sound(c: Constants, x: State) -> Flag:
+    """Every number in its range: memory that lost its content, or was never set, is noticed."""
+    if not (not_negative(x.soc, ONE) and size_within(x.soc_carry, CARRY_MOST)):
+        return False
+    if WIDE and not size_within(x.ss_carry, CARRY_MOST):
+        return False
+    if not (size_within(x.v1_V, LARGE) and size_within(x.v2_V, LARGE)):
+        return False
+    if SLOW and not (size_within(x.v3_V, LARGE) and size_within(x.v3_carry_V, CARRY_MOST)):
+        return False
+    if HYSTERESIS and not size_within(x.h, ONE):
+        return False
+    if OFFSET and not size_within(x.offset_A, c.current_limit_A):
+        return False
+    if not (size_within(x.current_A, LARGE) and not_negative(x.mismatch, LARGE)):
+        return False
+    if HEATING and not within(x.heat_K, -HEAT_MOST_K, HEAT_MOST_K):
+        return False
+    if WARM and not within(x.temperature_C, TEMPERATURE_LOW_C, TEMPERATURE_HIGH_C):
+        return False
+    if WATCH and not (size_within(x.voltage_V, LARGE) and size_within(x.frozen_A, LARGE)):
+        return False
+    return covariance_is_sound(x)
 
 
-@helper
-def is_small(x: Any) -> Any:
-    """A voltage or a covariance in its range."""
-    return within(x, -LARGE, LARGE)
-
-
-@kernel
-def is_sound(
-    c: Any,
-    x: Any,
-    SLOW: int,
-    HYSTERESIS: int,
-    OFFSET: int,
-    HEATING: int,
-    WARM: int,
-    WIDE: int,
-    WATCH: int,
-) -> Any:
-    """Every number in its range: memory that lost its content is noticed."""
-    sound = not_negative(x.soc, ONE) & within(x.soc_carry, -CARRY_MOST, CARRY_MOST)
-    if WIDE:
-        sound &= within(x.ss_carry, -CARRY_MOST, CARRY_MOST)
-    sound &= is_small(x.v1_V) & is_small(x.v2_V)
-    sound &= variance_is_sound(x.ss) & is_small(x.s1) & is_small(x.s2)
-    sound &= variance_is_sound(x.p11) & is_small(x.p12) & variance_is_sound(x.p22)
-    sound &= is_small(x.current_A)
-    sound &= variance_is_sound(x.mismatch)
-    if SLOW:
-        sound &= is_small(x.v3_V) & within(x.v3_carry_V, -CARRY_MOST, CARRY_MOST)
-        sound &= is_small(x.s3) & is_small(x.p13) & is_small(x.p23)
-        sound &= variance_is_sound(x.p33)
-    if HYSTERESIS:
-        sound &= within(x.h, -ONE, ONE)
-        sound &= is_small(x.sh) & is_small(x.p1h) & is_small(x.p2h)
-        sound &= variance_is_sound(x.phh)
-    if HYSTERESIS and SLOW:
-        sound &= is_small(x.p3h)
-    if OFFSET:
-        sound &= within(x.offset_A, -c.current_limit_A, c.current_limit_A)
-        sound &= is_small(x.so) & is_small(x.p1o) & is_small(x.p2o)
-        sound &= variance_is_sound(x.poo)
-    if OFFSET and SLOW:
-        sound &= is_small(x.p3o)
-    if OFFSET and HYSTERESIS:
-        sound &= is_small(x.pho)
-    if HEATING:
-        sound &= within(x.heat_K, -HEAT_MOST_K, HEAT_MOST_K)
-    if WARM:
-        sound &= within(x.temperature_C, TEMPERATURE_LOW_C, TEMPERATURE_HIGH_C)
-    if WATCH:
-        sound &= is_small(x.voltage_V) & is_small(x.frozen_A)
-    return sound
-
-
-@kernel
-def add_variance(x: Any, value: float, WIDE: int) -> None:
-    """A variance of SOC that is large changes by less than rounding keeps of it."""
-    if WIDE:
-        x.ss, x.ss_carry = add(x.ss, x.ss_carry, value)
-    else:
-        x.ss = x.ss + value
-
-
-@kernel
-def forget_correlations(x: Any, SLOW: int, HYSTERESIS: int, OFFSET: int) -> None:
-    """Only the diagonal of the covariance stays."""
-    x.s1 = ZERO
-    x.s2 = ZERO
-    x.p12 = ZERO
-    if SLOW:
-        x.s3 = ZERO
-        x.p13 = ZERO
-        x.p23 = ZERO
-    if HYSTERESIS:
-        x.sh = ZERO
-        x.p1h = ZERO
-        x.p2h = ZERO
-    if HYSTERESIS and SLOW:
-        x.p3h = ZERO
-    if OFFSET:
-        x.so = ZERO
-        x.p1o = ZERO
-        x.p2o = ZERO
-    if OFFSET and SLOW:
-        x.p3o = ZERO
-    if OFFSET and HYSTERESIS:
-        x.pho = ZERO
-
-
-@kernel
-def start(
-    c: Any,
-    x: Any,
-    soc: float,
-    soc_variance: float,
-    SLOW: int,
-    HYSTERESIS: int,
-    OFFSET: int,
-    HEATING: int,
-    WARM: int,
-    WIDE: int,
-    WATCH: int,
-) -> None:
+@apart
+def start(c: Constants, x: State, soc: Float, soc_variance: Float) -> None:
     """A cell at rest; its branches are guessed at the first sample."""
-    x.soc = soc + ZERO  # never -0
+    x.soc = soc
     x.soc_carry = ZERO
     x.v1_V = ZERO
     x.v2_V = ZERO
-    x.ss = soc_variance
     if WIDE:
         x.ss_carry = ZERO
-    x.p11 = ZERO
-    x.p22 = ZERO
-    forget_correlations(x, SLOW, HYSTERESIS, OFFSET)
     if SLOW:
         x.v3_V = ZERO
         x.v3_carry_V = ZERO
-        x.p33 = ZERO
     if HYSTERESIS:
         x.h = ONE if soc > HALF else -ONE
-        x.phh = ONE
     if OFFSET:
         x.offset_A = ZERO
-        x.poo = c.offset_variance_A2
+    start_covariance(c, x, soc_variance)
     x.current_A = ZERO
     x.mismatch = ONE
     if HEATING:
@@ -175,16 +95,17 @@ def start(
     x.evidence = NOT_BEGUN
 
 
-@helper
-def admitted(rested_V2: float, held_V: float, limit_V: float) -> Any:
+def admitted(rested_V2: Float, held_V: Float, limit_V: Float) -> Float:
     """Variance of a branch that holds anything up to what a current leaves there."""
-    most = held_V if held_V < limit_V else limit_V
+    most = held_V
+    if WIDE:
+        most = held_V if held_V < limit_V else limit_V
     return rested_V2 + (most * most)
 
 
-@kernel
+@apart
 def guess_branches(
-    c: Any, x: Any, p: Any, current: float, SLOW: int, HYSTERESIS: int, OFFSET: int, WIDE: int
+    c: Constants, x: State, r1_ohm: Float, r2_ohm: Float, r3_ohm: SlowFloat, current: Float
 ) -> None:
     """What the branches hold when nobody knows what was before.
 
@@ -194,20 +115,20 @@ def guess_branches(
         flow = ZERO
         spread = c.start_rest_A
         limit_V = REST_LIMIT_V
-        if magnitude(current) >= c.rest_A:
+        if not size_below(current, c.rest_A):
             flow = START_LOAD_SHARE * current
             spread = at_least(magnitude(flow), c.start_load_A)
             limit_V = LARGE
     else:
         flow = START_LOAD_SHARE * current
         spread = magnitude(flow) + c.start_rest_A
-        limit_V = LARGEST_FLOAT
-    forget_correlations(x, SLOW, HYSTERESIS, OFFSET)
-    x.v1_V = p.r1_ohm * flow
-    x.v2_V = p.r2_ohm * flow
-    x.p11 = admitted(c.branch_variance_V2, spread * p.r1_ohm, limit_V)
-    x.p22 = admitted(c.branch_variance_V2, spread * p.r2_ohm, limit_V)
+        limit_V = LARGE
+    forget_correlations(x)
+    x.v1_V = r1_ohm * flow
+    x.v2_V = r2_ohm * flow
+    x.p11 = admitted(c.branch_variance_V2, spread * r1_ohm, limit_V)
+    x.p22 = admitted(c.branch_variance_V2, spread * r2_ohm, limit_V)
     if SLOW:
-        x.v3_V = p.r3_ohm * flow
+        x.v3_V = r3_ohm * flow
         x.v3_carry_V = ZERO
-        x.p33 = admitted(c.branch_variance_V2, spread * p.r3_ohm, limit_V)
+        x.p33 = admitted(c.branch_variance_V2, spread * r3_ohm, limit_V)

@@ -22,14 +22,11 @@ from cellwise.cell.effects import (
 )
 from cellwise.cell.equations import ZERO_CELSIUS_K
 from cellwise.cell.model import TABLES, CellModel
+from cellwise.cell.resolved import needs_rows, over_temperature
 from cellwise.cell.simulate import model_temperature_C
 from cellwise.errors import InputError
-from cellwise.estimate.fixed.layout import (
-    Options,
-    constant_type,
-    options_of,
-    row_fields,
-)
+from cellwise.estimate.fixed.layout import constant_type, row_names
+from cellwise.estimate.fixed.options import Options, options_of
 from cellwise.estimate.gate_kernels import UNDER_LOAD_COUNT
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.recovery_kernels import (
@@ -58,6 +55,8 @@ ARRHENIUS_POINTS = 161
 MOST_POINTS = 4001
 MOST_STEPS = 1_000_000_000
 MOST_TEMPERATURES = 32
+# Rows of tables where a temperature effect has no other form on a target.
+ROWS_C = np.arange(-30.0, 65.0, 5.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,6 +141,8 @@ def fixed_step_tables(
     noise = Noise.of_model(model) if noise is None else noise
     if points is not None and points != model.points:
         model = resampled(model, points)
+    if needs_rows(model):
+        model = over_temperature(model, ROWS_C)
     options = options_of(
         model,
         offset=offset_std_A > 0,
@@ -151,7 +152,7 @@ def fixed_step_tables(
     )
     check_holds(model, dt_s, options)
     columns = _columns(model, dt_s, noise)
-    table = np.stack([columns[name] for name, _ in row_fields(options)], axis=-1)
+    table = np.stack([columns[name] for name in row_names(options)], axis=-1)
     constants = np.zeros(1, dtype=constant_type(options))
     for name, value in _constants(model, dt_s, noise, options, offset_std_A).items():
         if name in (constants.dtype.names or ()):

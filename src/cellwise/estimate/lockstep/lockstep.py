@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from cellwise.cell.compiled import announce
 from cellwise.cell.model import CellModel
 from cellwise.cell.point_kernels import ERROR, OCV, R0, R1, R2, R3, TAU1, TAU2, TAU3, M
 from cellwise.errors import InputError
@@ -149,6 +150,7 @@ class LockstepEkf:
             self._channel(2, warm, "temperature_C"),
         )
         self._gap[: self.cells] = False if gap is None else gap
+        announce(lockstep, "the lockstep filter")
         short = lockstep(
             self._tables,
             self._fast,

@@ -166,7 +166,8 @@ def plain_step(
     variance = state_variance + one
     innovation = voltage_V - predicted
     square = innovation * innovation
-    ratio = square / (noise.gate * noise.gate * variance)
+    excess = square / variance
+    ratio = excess * noise.per_gate2
 
     # The sensors' past: is the voltage frozen?
     w = old.watch
@@ -189,7 +190,7 @@ def plain_step(
         repeats,
     )
 
-    mismatch = mismatch_step(noise, old.mismatch, square, variance, dt_s)
+    mismatch = mismatch_step(noise, old.mismatch, excess, dt_s)
     shared = model_memory(noise, w.evidence_s) * (2.0 / dt_s)
     shared = shared if shared > 1.0 else 1.0
     worse = mismatch if mismatch > 1.0 else 1.0

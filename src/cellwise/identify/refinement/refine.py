@@ -15,7 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from cellwise.identify.refinement.refine_data import PreparedLog, RefineLog, prepare_log
-from cellwise.identify.refinement.refine_kernels import ACTIVATION_UNIT_K, SKEW_UNIT_S, Layout
+from cellwise.identify.refinement.refine_kernels import (
+    ACTIVATION_UNIT_K,
+    SKEW_UNIT_S,
+    Layout,
+    scalars_of,
+)
 from cellwise.identify.refinement.refine_kernels import voltage_and_jacobian as kernel
 from cellwise.identify.refinement.splines import (
     OCV_KNOTS,
@@ -212,13 +217,14 @@ class _Problem:
         log, lay = self.logs[index], self.layout
         jacobian = self._jacobian[: log.compared]
         voltage = self._voltage[: log.dt_s.size]
+        skewed = log.skewed and self.settings.skew
         kernel(
             log.dt_s,
             log.current_A,
             log.inverse_K,
-            self.charge_As,
+            scalars_of(lay, theta, self.charge_As, skewed=skewed),
             log.h0,
-            log.skewed and self.settings.skew,
+            skewed,
             log.rows.first,
             log.rows.values,
             log.ocv_rows.first,

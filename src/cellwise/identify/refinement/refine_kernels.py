@@ -3,9 +3,11 @@
 SOC is known here (the tester's counter), so the look-ups do not depend on the parameters and
 every sensitivity obeys the branch's own recursion with a source at the knots that are active:
 
-    v'  = a v + R (1 - a) I
-    S'  = a S + B R (1 - a) I            with respect to the spline coefficients of ln R
-    S'  = a S + B a x (v - R I)          with respect to those of ln tau, x = dt / tau
+    v'  = rc_step(v, I, R, tau, dt)
+    S'  = dv'/dv S + B R dv'/dR          with respect to the spline coefficients of ln R
+    S'  = dv'/dv S + B tau dv'/dtau      with respect to those of ln tau
+
+The equations are those of the cell, their derivatives are printed from them.
 """
 
 from __future__ import annotations
@@ -16,6 +18,23 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from cellwise.cell.equations import (
+    hysteresis_decay,
+    hysteresis_step,
+    loaded_voltage,
+    polarisation,
+    rc_step,
+    seen_current,
+    thermal_factor,
+)
+from cellwise.cell.point_kernels import CellScalars
+from cellwise.identify.refinement.derivative_kernels import (
+    branch_partials,
+    hysteresis_partials,
+    seen_partials,
+    thermal_partials,
+    voltage_partials,
+)
 from cellwise.typing import BoolArray, FloatArray
 
 SUPPORT = 4  # cubic B-splines: four are active at any SOC
@@ -76,12 +95,25 @@ ACTIVATION_UNIT_K = 1000.0
 SKEW_UNIT_S = 0.1
 
 
+def scalars_of(layout: Layout, theta: FloatArray, charge_As: float, *, skewed: bool) -> CellScalars:
+    """Scalars of a parameter vector; ``skewed`` logs have its sampling delay, others none."""
+    plain = CellScalars(*(0.0 for _ in CellScalars._fields))
+    return plain._replace(
+        charge_As=charge_As,
+        charge_efficiency=1.0,
+        charge_scale=1.0,
+        activation_K=float(theta[layout.activation]) * ACTIVATION_UNIT_K,
+        hysteresis_rate=math.exp(theta[layout.gamma]) if layout.hysteresis else 0.0,
+        skew_s=float(theta[layout.skew]) * SKEW_UNIT_S if skewed else 0.0,
+    )
+
+
 @njit(cache=True, error_model="numpy", nogil=True)
 def voltage_and_jacobian(
     dt_s: FloatArray,
     current_A: FloatArray,
     inverse_K: FloatArray,
-    charge_As: float,
+    cell: CellScalars,
     h0: float,
     skewed: bool,
     first: FloatArray,
@@ -98,16 +130,16 @@ def voltage_and_jacobian(
     jacobian: FloatArray,
     voltage_V: FloatArray,
 ) -> None:
-    """Fill ``voltage_V`` (rows,) and ``jacobian`` (evaluated rows, parameters)."""
+    """Fill ``voltage_V`` (rows,) and ``jacobian`` (evaluated rows, parameters).
+
+    ``cell`` are the scalars of ``theta``, see :func:`scalars_of`.
+    """
     o_r0 = knots_ocv
     o_m = knots_ocv + knots * (1 + 2 * branches)
     o_gamma = o_m + knots
     o_act = o_m + (knots + 1 if hysteresis else 0)
     o_skew = o_act + 1
-    activation = theta[o_act] * ACTIVATION_UNIT_K
-    skew = theta[o_skew] * SKEW_UNIT_S if skewed else 0.0
-    gamma = math.exp(theta[o_gamma]) if hysteresis else 0.0
-    v = np.zeros(branches)
+    v = np.zeros(3)
     sens = np.zeros((2 * branches, knots))
     sens_act = np.zeros(branches)
     sens_skew = np.zeros(branches)
@@ -118,18 +150,15 @@ def voltage_and_jacobian(
     out = 0
     for k in range(dt_s.size):
         dt = dt_s[k]
-        now = current_A[k]
+        seen = seen_current(cell, current_A[k], previous, dt)
         slope = 0.0
-        seen = now
-        if skewed and dt > 0.0:
-            w = min(skew / dt, 1.0)
-            seen = now + w * (previous - now)
-            slope = (previous - now) / dt * SKEW_UNIT_S if w < 1.0 else 0.0
-        previous = now
-        scale = math.exp(activation * inverse_K[k])
-        dscale = inverse_K[k] * ACTIVATION_UNIT_K
+        if skewed:
+            slope = seen_partials(cell, current_A[k], previous, dt).seen_by_skew_s * SKEW_UNIT_S
+        previous = current_A[k]
+        scale = thermal_factor(cell.activation_K, inverse_K[k])
+        thermal = thermal_partials(cell.activation_K, inverse_K[k])
+        dscale = thermal.factor_by_activation_K * ACTIVATION_UNIT_K
         f = first[k]
-        total = 0.0
         for j in range(branches):
             o_r = knots_ocv + knots * (1 + 2 * j)
             o_t = o_r + knots
@@ -138,22 +167,23 @@ def voltage_and_jacobian(
             for q in range(SUPPORT):
                 ln_r += basis[k, q] * theta[o_r + f + q]
                 ln_tau += basis[k, q] * theta[o_t + f + q]
-            r = scale * math.exp(ln_r)
-            x = dt / math.exp(ln_tau)
-            a = math.exp(-x)
-            gain = r * (1.0 - a)
-            by_tau = a * x * (v[j] - r * seen)
-            if a < 1.0:
+            warm_r = math.exp(ln_r)
+            r = warm_r * scale
+            tau = math.exp(ln_tau)
+            by = branch_partials(v[j], seen, r, tau, dt)
+            by_ln_r = by.new_by_r_ohm * r
+            by_ln_tau = by.new_by_tau_s * tau
+            left = by.new_by_v_V
+            if left < 1.0:
                 for q in range(knots):
-                    sens[2 * j, q] *= a
-                    sens[2 * j + 1, q] *= a
+                    sens[2 * j, q] *= left
+                    sens[2 * j + 1, q] *= left
             for q in range(SUPPORT):
-                sens[2 * j, f + q] += basis[k, q] * gain * seen
-                sens[2 * j + 1, f + q] += basis[k, q] * by_tau
-            sens_act[j] = a * sens_act[j] + gain * seen * dscale
-            sens_skew[j] = a * sens_skew[j] + gain * slope
-            v[j] = a * v[j] + gain * seen
-            total += v[j]
+                sens[2 * j, f + q] += basis[k, q] * by_ln_r
+                sens[2 * j + 1, f + q] += basis[k, q] * by_ln_tau
+            sens_act[j] = left * sens_act[j] + by.new_by_r_ohm * warm_r * dscale
+            sens_skew[j] = left * sens_skew[j] + by.new_by_current_A * slope
+            v[j] = rc_step(v[j], seen, r, tau, dt)
         ln_r0 = 0.0
         ocv = base_ocv_V[k]
         m = 0.0
@@ -162,35 +192,38 @@ def voltage_and_jacobian(
             ocv += ocv_basis[k, q] * theta[ocv_first[k] + q]
             if hysteresis:
                 m += basis[k, q] * theta[o_m + f + q]
-        r0 = scale * math.exp(ln_r0)
+        warm_r0 = math.exp(ln_r0)
+        r0 = warm_r0 * scale
         if hysteresis:
-            x = gamma * abs(seen) * dt / charge_As
-            a = math.exp(-x)
-            sign = math.copysign(1.0, seen)
-            h_gamma = a * h_gamma - x * a * (h + sign)
-            h_skew = a * h_skew - gamma * sign * slope * dt / charge_As * a * (h + sign)
-            h = a * (h + sign) - sign
-        voltage_V[k] = ocv - r0 * seen - total + m * h
+            of_h = hysteresis_partials(cell, h, seen, dt)
+            by_ln_rate = of_h.new_by_hysteresis_rate * cell.hysteresis_rate
+            h_gamma = of_h.new_by_h * h_gamma + by_ln_rate
+            h_skew = of_h.new_by_h * h_skew + of_h.new_by_current_A * slope
+            h = hysteresis_step(h, hysteresis_decay(cell, seen, dt), seen)
+        drop = polarisation(r0, seen, v[0], v[1], v[2])
+        voltage_V[k] = loaded_voltage(ocv, m, h, drop)
         if evaluate[k]:
+            of = voltage_partials(ocv, m, h, r0, seen, v[0], v[1], v[2])
+            by_branch = of.voltage_by_v1_V  # all of them alike
             row = jacobian[out]
             row[:] = 0.0
             for q in range(SUPPORT):
-                row[ocv_first[k] + q] = ocv_basis[k, q]
-                row[o_r0 + f + q] = -basis[k, q] * r0 * seen
+                row[ocv_first[k] + q] = of.voltage_by_ocv_V * ocv_basis[k, q]
+                row[o_r0 + f + q] = basis[k, q] * of.voltage_by_r0_ohm * r0
                 if hysteresis:
-                    row[o_m + f + q] = basis[k, q] * h
-            act = -r0 * seen * dscale
-            skw = -r0 * slope
+                    row[o_m + f + q] = basis[k, q] * of.voltage_by_m_V
+            act = of.voltage_by_r0_ohm * warm_r0 * dscale
+            skw = of.voltage_by_current_A * slope
             for j in range(branches):
                 o_r = knots_ocv + knots * (1 + 2 * j)
                 for q in range(knots):
-                    row[o_r + q] = -sens[2 * j, q]
-                    row[o_r + knots + q] = -sens[2 * j + 1, q]
-                act -= sens_act[j]
-                skw -= sens_skew[j]
+                    row[o_r + q] = by_branch * sens[2 * j, q]
+                    row[o_r + knots + q] = by_branch * sens[2 * j + 1, q]
+                act += by_branch * sens_act[j]
+                skw += by_branch * sens_skew[j]
             if hysteresis:
-                row[o_gamma] = m * h_gamma
-                skw += m * h_skew
+                row[o_gamma] = of.voltage_by_h * h_gamma
+                skw += of.voltage_by_h * h_skew
             row[o_act] = act
             row[o_skew] = skw
             out += 1

@@ -1,0 +1,68 @@
+"""A model whose temperature effects have become rows of its temperature axis."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from cellwise.cell.effects import (
+    BRANCH_ACTIVATIONS,
+    Effect,
+    Entropy,
+    Hysteresis,
+    SlowDiffusion,
+    TemperatureDependence,
+)
+from cellwise.cell.equations import look_up
+from cellwise.cell.model import CellModel
+from cellwise.typing import FloatArray
+
+
+def needs_rows(model: CellModel) -> bool:
+    """Whether an effect of temperature has no other form on a target than rows of tables.
+
+    The factor that all resistances have in common has one of its own.
+    """
+    thermal = model.effect(TemperatureDependence)
+    own = any(getattr(thermal, f"{name}_K") != 0.0 for name in BRANCH_ACTIVATIONS)
+    return own or bool(np.any(model.effect(Entropy).docv_dT_V_per_K))
+
+
+def over_temperature(model: CellModel, temperature_C: FloatArray) -> CellModel:
+    """The model with one row of tables for each temperature, and no effect of temperature left.
+
+    Between the rows everything is linear: an Arrhenius factor bends, so rows of 5 K are within
+    about 1 % of it at 5,000 K and -20 degC.
+
+    Parameters
+    ----------
+    temperature_C : (temperatures,) float      ascending [degC]
+    """
+    tables = model.parameters()
+    rows = [[look_up(tables, soc, float(warm)) for soc in model.soc] for warm in temperature_C]
+
+    def over(field: str) -> FloatArray:
+        return np.array([[getattr(point, field) for point in row] for row in rows])
+
+    others: list[Effect] = [
+        e
+        for e in model.effects
+        if not isinstance(e, TemperatureDependence | Entropy | SlowDiffusion | Hysteresis)
+    ]
+    slow, hysteresis = model.effect(SlowDiffusion), model.effect(Hysteresis)
+    if np.any(slow.r3_ohm):
+        others.append(SlowDiffusion(over("r3_ohm"), over("tau3_s")))
+    if np.any(hysteresis.m_V):
+        others.append(replace(hysteresis, m_V=over("m_V")))
+    return replace(
+        model,
+        ocv_V=over("ocv_V"),
+        r0_ohm=over("r0_ohm"),
+        r1_ohm=over("r1_ohm"),
+        tau1_s=over("tau1_s"),
+        r2_ohm=over("r2_ohm"),
+        tau2_s=over("tau2_s"),
+        temperature_C=np.asarray(temperature_C, dtype=np.float64),
+        effects=tuple(others),
+    )

@@ -1,0 +1,177 @@
+"""Correction of the fixed step by a measured voltage: gate, recovery, weight."""
+
+from __future__ import annotations
+
+from cellwise.estimate.fixed.arithmetic import (
+    COUNT_MOST,
+    FIRST_VOLTAGE,
+    FORGIVEN,
+    FOUR,
+    INTERVAL,
+    ONE,
+    REJECTION,
+    REPEATED,
+    THREE,
+    ZERO,
+    Count,
+    Flag,
+    Float,
+    Output,
+    State,
+    U,
+    out_of_range,
+    positive_above,
+    positive_within,
+    size_below,
+)
+from cellwise.estimate.fixed.covariance import move, narrow
+from cellwise.estimate.fixed.gain import rejudge
+from cellwise.estimate.fixed.innovation import Innovation, innovate, shared_by, watch_voltage
+from cellwise.estimate.fixed.layout import Model
+from cellwise.estimate.fixed.lookup import Place, Point, Slopes
+from cellwise.estimate.fixed.options import WATCH, WIDE
+from cellwise.estimate.fixed.search import look_anew, widen
+from cellwise.estimate.fixed.sensing import Reading
+from cellwise.estimate.status import (
+    GATE_RECOVERY,
+    INNOVATION_REJECTED,
+    VOLTAGE_INVALID,
+    VOLTAGE_LOST,
+)
+
+
+def reject(
+    m: Model,
+    place: Place,
+    x: State,
+    p: Point,
+    i: Innovation,
+    seen: Float,
+    voltage: Float,
+    beyond_V2: Float,
+    unsure: Flag,
+) -> Count:
+    """A voltage beyond the gate, and recovery after too many of them in a row.
+
+    Under load the resistances may be what is wrong: what three times the polarisation can explain
+    speaks against the SOC more slowly. A start that is unsure of itself believes the first voltage
+    at rest at once.
+    """
+    c = m.constant
+    status = U(INNOVATION_REJECTED)
+    explicable_V2 = FOUR * (i.polarisation_V * i.polarisation_V)
+    x.rejections = U(x.rejections + (REJECTION if beyond_V2 > explicable_V2 else c.under_load))
+    if WIDE and unsure:
+        x.rejections = c.recovery_after
+    if x.rejections >= c.recovery_after:
+        status = U(status | GATE_RECOVERY)
+        x.rejections = U(0)
+        x.mismatch = ONE
+        if WIDE:
+            look_anew(m, place, x, seen, voltage, i.one_V2, i.polarisation_V)
+        else:
+            widen(c, x, p, seen)
+    return status
+
+
+def learn(
+    m: Model,
+    place: Place,
+    x: State,
+    p: Point,
+    w: Slopes,
+    s: Reading,
+    i: Innovation,
+    innovation: Float,
+) -> None:
+    """State and covariance after a voltage within the gate.
+
+    What the innovations have lately shown beyond their variance makes evidence weigh less. A first
+    sample under load tells of the load more than of the SOC.
+    """
+    shared = shared_by(m.constant, x, s.seen)
+    weight = i.one_V2 * shared
+    if positive_above(x.mismatch, ONE):
+        weight = weight * x.mismatch
+    if s.news == INTERVAL or shared <= ONE:
+        inverse = ONE / (i.explained_V2 + weight)
+        learnt = True
+        if WIDE and w.spread > ZERO:
+            learnt = rejudge(m, place, x, p, w, i.column, inverse, innovation, s.seen)
+        move(m.constant, x, i.column, inverse, innovation)
+        if learnt:
+            narrow(x, i.column, inverse)
+    x.rejections = U(x.rejections - FORGIVEN) if x.rejections > FORGIVEN else U(0)
+    if x.evidence < FIRST_VOLTAGE:
+        x.evidence = FIRST_VOLTAGE
+
+
+def weigh(
+    m: Model,
+    place: Place,
+    x: State,
+    p: Point,
+    w: Slopes,
+    s: Reading,
+    i: Innovation,
+    voltage: Float,
+    innovation: Float,
+) -> Count:
+    """A voltage that is looked at: rejected, SOC searched for it, or learnt from."""
+    c = m.constant
+    square = innovation * innovation
+    most = c.gate_square * i.variance_V2
+    status = U(0)
+    unsure = False
+    bent = False
+    # The first voltage at rest of a start that is unsure of itself is looked for where the OCV
+    # bends too much for a slope.
+    if WIDE and w.spread > ZERO and x.evidence < FIRST_VOLTAGE and size_below(s.seen, c.rest_A):
+        unsure = True
+        bent = (THREE * (w.bend_V * w.bend_V)) > i.one_V2 or w.slope_V < c.flat_slope_V
+    if s.news == INTERVAL:
+        ratio = square / i.variance_V2
+        ratio = ratio if ratio < c.mismatch_cap else c.mismatch_cap
+        x.mismatch = x.mismatch + (c.lately * (ratio - x.mismatch))
+    if positive_above(square, most):
+        status = reject(m, place, x, p, i, s.seen, voltage, square - most, unsure)
+    elif bent:
+        if WIDE:
+            look_anew(m, place, x, s.seen, voltage, i.one_V2, i.polarisation_V)
+    else:
+        learn(m, place, x, p, w, s, i, innovation)
+    return status
+
+
+def correct(
+    m: Model, place: Place, x: State, p: Point, w: Slopes, s: Reading, voltage: Float, out: Output
+) -> Count:
+    """Predicted voltage, innovation, and what follows from it."""
+    c = m.constant
+    status = U(0)
+    if WATCH:
+        away = x.no_voltage
+        if s.news == INTERVAL and away < COUNT_MOST:
+            away = U(away + 1)
+    i = innovate(c, x, p, w, s)
+    out.voltage_V = i.voltage_V
+    out.innovation_variance_V2 = i.variance_V2
+    out.innovation_V = ZERO
+    if not positive_within(voltage, c.voltage_low_V, c.voltage_high_V):
+        status = U(VOLTAGE_INVALID | out_of_range(voltage))
+    else:
+        innovation = voltage - i.voltage_V
+        out.innovation_V = innovation
+        if s.news != REPEATED:  # a repeated sample is no evidence
+            if WATCH:
+                status = watch_voltage(c, x, voltage, s.seen, p.r0_ohm, innovation)
+                if status == U(0):
+                    away = U(0)
+            if status == U(0):
+                status = weigh(m, place, x, p, w, s, i, voltage, innovation)
+    if WATCH:
+        if s.news != REPEATED:
+            x.no_voltage = away
+        if away > c.hold_steps:
+            status = U(status | VOLTAGE_LOST)
+    return status

@@ -1,0 +1,126 @@
+"""What is compiled into a fixed step: effects, care and watch, as a model needs them.
+
+The upper-case names stand for the options inside the step. They are known when a loop is compiled
+(``rows``) and when C is (``#if CELLWISE_SLOW``), so that what is not compiled in costs nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from cellwise.cell.effects import (
+    ChargeAsymmetry,
+    Hysteresis,
+    RateDependence,
+    SelfDischarge,
+    SelfHeating,
+    SlowDiffusion,
+    TemperatureDependence,
+    TimeSkew,
+)
+from cellwise.cell.model import CellModel
+
+
+@dataclass(frozen=True)
+class Options:
+    """What is compiled in: effects as 0 or 1, sizes of tables.
+
+    ``arrhenius`` is the number of points of the factor's table over temperature, 0 without it;
+    ``wide`` the care taken while SOC is badly known, ``watch`` that of sensors which freeze or fall
+    silent; without them the code is smaller.
+    """
+
+    points: int
+    temperatures: int = 1
+    slow: int = 0
+    hysteresis: int = 0
+    offset: int = 0
+    arrhenius: int = 0
+    efficiency: int = 0
+    leak: int = 0
+    skew: int = 0
+    rate: int = 0
+    asymmetry: int = 0
+    heating: int = 0
+    wide: int = 1
+    watch: int = 1
+
+    @property
+    def needs_temperature(self) -> bool:
+        """Whether a step reads the temperature."""
+        return self.temperatures > 1 or self.arrhenius > 0
+
+    @property
+    def states(self) -> int:
+        """States of the filter: SOC, two branches, and what is compiled in."""
+        return 3 + self.slow + self.hysteresis + self.offset
+
+    def defines(self) -> dict[str, int]:
+        """The values as the C preprocessor sees them."""
+        return {f"CELLWISE_{f.name.upper()}": int(getattr(self, f.name)) for f in fields(self)}
+
+
+def options_of(
+    model: CellModel,
+    *,
+    offset: bool = False,
+    wide: bool = True,
+    watch: bool = True,
+    arrhenius_points: int = 0,
+) -> Options:
+    """What a model needs; an effect at its neutral value needs nothing.
+
+    Parameters
+    ----------
+    offset : bool             carry the current sensor's offset as a state
+    wide : bool               take care of slopes while SOC is badly known
+    watch : bool              watch for sensors that freeze or fall silent
+    arrhenius_points : int    points of the Arrhenius table where the model has that effect
+    """
+    arrhenius = arrhenius_points if model.effect(TemperatureDependence).activation_K != 0.0 else 0
+    warm = model.temperature_C.size > 1 or arrhenius > 0
+    return Options(
+        points=model.points,
+        temperatures=model.temperature_C.size,
+        slow=int(np.any(np.asarray(model.effect(SlowDiffusion).r3_ohm) != 0.0)),
+        hysteresis=int(np.any(np.asarray(model.effect(Hysteresis).m_V) != 0.0)),
+        offset=int(offset),
+        arrhenius=arrhenius,
+        efficiency=int(model.charge_efficiency != 1.0),
+        leak=int(model.effect(SelfDischarge).leak_A != 0.0),
+        skew=int(model.effect(TimeSkew).skew_s != 0.0),
+        rate=int(model.effect(RateDependence).rate_h != 0.0),
+        asymmetry=int(model.effect(ChargeAsymmetry).charge_scale != 1.0),
+        heating=int(warm and model.effect(SelfHeating).rth_K_per_W != 0.0),
+        wide=int(wide),
+        watch=int(watch),
+    )
+
+
+SLOW = HYSTERESIS = OFFSET = 0  # states
+EFFICIENCY = LEAK = SKEW = RATE = ASYMMETRY = HEATING = 0  # effects
+TEMPERATURES = ARRHENIUS = WARM = SCALED = 0  # several temperatures, the factor, either, any factor
+WIDE = WATCH = 0  # care and watch
+
+# What a name means to the C preprocessor where it is not CELLWISE_ and the name.
+IN_C = {
+    "TEMPERATURES": "CELLWISE_TEMPERATURES > 1",
+    "ARRHENIUS": "CELLWISE_ARRHENIUS > 0",
+    "WARM": "CELLWISE_NEEDS_TEMPERATURE",
+    "SCALED": "(CELLWISE_ARRHENIUS > 0) || CELLWISE_RATE || CELLWISE_ASYMMETRY",
+}
+
+
+def flags_of(options: Options) -> dict[str, int]:
+    """The values of the upper-case names for one set of options."""
+    flags = {f.name.upper(): int(getattr(options, f.name)) for f in fields(options)}
+    del flags["POINTS"]
+    return {
+        **flags,
+        "TEMPERATURES": int(options.temperatures > 1),
+        "ARRHENIUS": int(options.arrhenius > 0),
+        "WARM": int(options.needs_temperature),
+        "SCALED": int(options.arrhenius > 0 or bool(options.rate or options.asymmetry)),
+    }

@@ -1,0 +1,135 @@
+"""Derivatives of single equations of a cell.
+
+Printed from :mod:`cellwise.cell.equations` by `python -m cellwise.printing`; do not edit.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from cellwise.cell.compiled import inline
+from cellwise.cell.point_kernels import CellScalars
+
+
+class SeenPartials(NamedTuple):
+    """Of the current that the voltage has seen."""
+
+    seen_by_skew_s: float
+
+
+@inline
+def seen_partials(
+    cell: CellScalars,
+    current_A: float,
+    previous_A: float,
+    dt_s: float,
+) -> SeenPartials:
+    """Of the current that the voltage has seen."""
+    # chain rule, from the last line to the first
+    seen_by_w = 0.0 if dt_s <= 0.0 else previous_A - current_A
+    seen_by_skew_s = seen_by_w * (1.0 / dt_s if cell.skew_s / dt_s < 1.0 else 0.0)
+    return SeenPartials(seen_by_skew_s)
+
+
+class ThermalPartials(NamedTuple):
+    """Of an Arrhenius factor."""
+
+    factor_by_activation_K: float
+
+
+@inline
+def thermal_partials(activation_K: float, inverse_K: float) -> ThermalPartials:
+    """Of an Arrhenius factor."""
+    # thermal_factor
+    factor = math.exp(activation_K * inverse_K)
+    # chain rule, from the last line to the first
+    factor_by_activation_K = factor * inverse_K
+    return ThermalPartials(factor_by_activation_K)
+
+
+class BranchPartials(NamedTuple):
+    """Of a branch's voltage after an interval."""
+
+    new_by_v_V: float
+    new_by_current_A: float
+    new_by_r_ohm: float
+    new_by_tau_s: float
+
+
+@inline
+def branch_partials(
+    v_V: float,
+    current_A: float,
+    r_ohm: float,
+    tau_s: float,
+    dt_s: float,
+) -> BranchPartials:
+    """Of a branch's voltage after an interval."""
+    # rc_step
+    a = math.exp(-dt_s / tau_s)
+    # branch_gain
+    branch_gain = r_ohm * (1.0 - a)
+    # chain rule, from the last line to the first
+    new_by_a = v_V - r_ohm * current_A
+    new_by_r_ohm = current_A * (1.0 - a)
+    new_by_tau_s = -(-dt_s / tau_s / tau_s * a * new_by_a)
+    return BranchPartials(a, branch_gain, new_by_r_ohm, new_by_tau_s)
+
+
+class HysteresisPartials(NamedTuple):
+    """Of the hysteresis state after an interval."""
+
+    new_by_h: float
+    new_by_hysteresis_rate: float
+    new_by_current_A: float
+
+
+@inline
+def hysteresis_partials(
+    cell: CellScalars,
+    h: float,
+    current_A: float,
+    dt_s: float,
+) -> HysteresisPartials:
+    """Of the hysteresis state after an interval."""
+    # hysteresis_decay
+    per_A = dt_s / cell.charge_As
+    folds = -cell.hysteresis_rate * abs(current_A) * per_A
+    ah = math.exp(folds)
+    # chain rule, from the last line to the first
+    new_by_ah = h + math.copysign(1.0, current_A)
+    new_by_folds = new_by_ah * ah
+    new_by_hysteresis_rate = -(abs(current_A) * per_A * new_by_folds)
+    new_by_current_A = -(
+        cell.hysteresis_rate * math.copysign(1.0, current_A) * per_A * new_by_folds
+    )
+    return HysteresisPartials(ah, new_by_hysteresis_rate, new_by_current_A)
+
+
+class VoltagePartials(NamedTuple):
+    """Of the terminal voltage."""
+
+    voltage_by_ocv_V: float
+    voltage_by_m_V: float
+    voltage_by_h: float
+    voltage_by_r0_ohm: float
+    voltage_by_current_A: float
+    voltage_by_v1_V: float
+    voltage_by_v2_V: float
+    voltage_by_v3_V: float
+
+
+@inline
+def voltage_partials(
+    ocv_V: float,
+    m_V: float,
+    h: float,
+    r0_ohm: float,
+    current_A: float,
+    v1_V: float,
+    v2_V: float,
+    v3_V: float,
+) -> VoltagePartials:
+    """Of the terminal voltage."""
+    return VoltagePartials(1.0, h, m_V, -current_A, -r0_ohm, -1.0, -1.0, -1.0)

@@ -1,0 +1,1 @@
+"""The fixed step in Python printed as C99."""

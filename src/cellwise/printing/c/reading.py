@@ -1,0 +1,262 @@
+"""A Python function of the fixed step as C reads it: names, types, options, expressions."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from cellwise.printing.c.text import ALWAYS, Guard, opposite
+
+FLOATS = {"Float": "", "SlowFloat": "SLOW", "HysteresisFloat": "HYSTERESIS"}
+FLOATS |= {"OffsetFloat": "OFFSET", "WarmFloat": "WARM"}  # and the option of each
+SCALARS = {**dict.fromkeys(FLOATS, "float"), "Count": "uint32_t", "Flag": "bool"}
+RECORDS = {
+    "Model": "const cellwise_model", "Constants": "const cellwise_constants",
+    "State": "cellwise_state", "Sample": "const cellwise_input", "Output": "cellwise_output",
+}  # fmt: skip
+# Done on bits in cellwise_float.h: macros, and functions.
+MACROS = {
+    "within", "size_within", "size_below", "not_negative", "positive_within", "positive_above",
+    "is_number", "known_fraction",
+}  # fmt: skip
+BY_HAND = {**dict.fromkeys(MACROS, "Flag"), "known_fraction": "Float", "magnitude": "Float"}
+POINTS = "m.row.shape[1]"
+OPERATORS = {
+    ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.BitOr: "|", ast.Lt: "<",
+    ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!=", ast.And: "&&",
+    ast.Or: "||",
+}  # fmt: skip
+
+
+@dataclass
+class Program:
+    """What the functions stand on.
+
+    ``structs`` are the fields of every record and named tuple with their type, ``constants`` the
+    type and text of every name that is one, ``columns`` the fields of the table by column.
+    """
+
+    options: set[str]
+    structs: dict[str, dict[str, str]]
+    constants: dict[str, tuple[str, str]]
+    columns: dict[str, str]
+    sizes: dict[str, str]
+    functions: dict[str, Any] = field(default_factory=dict)
+
+
+class Reading:
+    """One function of the step: what it calls under which options, and its text in C."""
+
+    def __init__(
+        self, node: ast.FunctionDef, program: Program, notes: tuple[dict[int, str], dict[int, str]]
+    ) -> None:
+        self.node, self.program = node, program
+        self.alone, self.behind = notes
+        self.parameters = {a.arg: ast.unparse(a.annotation) for a in node.args.args if a.annotation}
+        self.returns = ast.unparse(node.returns) if node.returns else "None"
+        self.apart = any(ast.unparse(d) == "apart" for d in node.decorator_list)
+        self.types = dict(self.parameters)
+        self.pointers = {n for n, t in self.parameters.items() if t not in SCALARS}
+        self.renamed = self._renamed()
+        self.uses = [(name, guard) for s in self._body() for name, guard in self._walk(s, ALWAYS)]
+        self.mutates = self._mutates()
+
+    def _body(self) -> list[ast.stmt]:
+        return self.node.body[1:] if ast.get_docstring(self.node) else self.node.body
+
+    @property
+    def fills(self) -> bool:
+        """Whether it returns a named tuple, in C through a pointer."""
+        return self.returns in self.program.structs
+
+    @property
+    def filled(self) -> str:
+        """Name of that pointer."""
+        return self.returns.lower()
+
+    def _renamed(self) -> dict[str, tuple[str, str]]:
+        """Locals that are a field of the struct which is filled: text and type."""
+        last = self.node.body[-1]
+        if not (self.fills and isinstance(last, ast.Return) and isinstance(last.value, ast.Call)):
+            return {}
+        fields = self.program.structs[self.returns].items()
+        return {
+            a.id: (f"{self.filled}->{name}", kind)
+            for (name, kind), a in zip(fields, last.value.args, strict=True)
+            if isinstance(a, ast.Name) and a.id not in self.parameters
+            and a.id not in self.program.constants
+        }  # fmt: skip
+
+    def _mutates(self) -> bool:
+        for node in ast.walk(self.node):
+            if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+                if self.parameters.get(ast.unparse(node.value)) == "State":
+                    return True
+            elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+                called = self.program.functions.get(node.func.id)
+                if called and called.mutates:
+                    return True
+        return False
+
+    # ---- options ----
+
+    def _options(self, test: ast.expr) -> tuple[Guard, ast.expr | None]:
+        """The options that a test asks for first, and what is left of it."""
+        both = isinstance(test, ast.BoolOp) and isinstance(test.op, ast.And)
+        parts = test.values if both else [test]  # type: ignore[attr-defined]
+        found: list[str] = []
+        for part in parts:
+            inner = part.operand if isinstance(part, ast.UnaryOp) else part
+            if not (isinstance(inner, ast.Name) and inner.id in self.program.options):
+                break
+            found.append(("not " if inner is not part else "") + inner.id)
+        rest = parts[len(found) :]
+        if not rest:
+            return frozenset(found), None
+        left = rest[0] if len(rest) == 1 else ast.BoolOp(ast.And(), rest)
+        return frozenset(found), left
+
+    def _guard_of(self, node: ast.stmt) -> Guard:
+        """Options without which a sentence has no meaning: that of its target."""
+        if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
+            option = FLOATS.get(self.renamed.get(node.targets[0].id, ("", ""))[1], "")
+            if option:
+                return frozenset({option})
+            if isinstance(node.value, ast.IfExp) and ast.unparse(node.value.orelse) == "ZERO":
+                guard, rest = self._options(node.value.test)
+                return guard if rest is None else ALWAYS
+        return ALWAYS
+
+    def _walk(self, node: ast.AST, guard: Guard) -> Iterator[tuple[str, Guard]]:
+        """Every name that is read, with the options under which it is."""
+        if isinstance(node, ast.stmt):
+            guard = guard | self._guard_of(node)
+        if isinstance(node, ast.If | ast.IfExp):
+            asked, rest = self._options(node.test)
+            if rest is not None:
+                yield from self._walk(rest, guard | asked)
+            for part, inner in ((node.body, guard | asked), (node.orelse, guard | refuted(asked))):
+                children: list[Any] = part if isinstance(part, list) else [part]
+                for each in children:
+                    yield from self._walk(each, inner)
+            return
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
+            yield node.id, guard
+        called = self._called(node)
+        kinds = list(called.parameters.values()) if called else []
+        for k, child in enumerate(ast.iter_child_nodes(node)):
+            option = FLOATS.get(kinds[k - 1], "") if kinds and 0 < k <= len(kinds) else ""
+            yield from self._walk(child, guard | {option} if option else guard)
+
+    def _called(self, node: ast.AST) -> Reading | None:
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+            return self.program.functions.get(node.func.id)
+        return None
+
+    # ---- expressions ----
+
+    def type_of(self, node: ast.expr) -> str:
+        """Float, Count, Flag or the name of a record."""
+        match node:
+            case ast.Name():
+                if node.id in self.renamed:
+                    return self.renamed[node.id][1]
+                known = self.types.get(node.id) or self.program.constants.get(node.id, ("",))[0]
+                return known or "Count"
+            case ast.Attribute():
+                fields = self.program.structs.get(self.type_of(node.value), {})
+                return fields.get(node.attr, "Count")
+            case ast.Call():
+                name = ast.unparse(node.func)
+                made = {"F": "Float", "U": "Count", "read": "Float", "rise": "Float", **BY_HAND}
+                called = self._called(node)
+                return called.returns if called else made[name]
+            case ast.BinOp():
+                return self.type_of(node.left)
+            case ast.IfExp():
+                return self.type_of(node.body)
+            case ast.Compare() | ast.BoolOp():
+                return "Flag"
+            case ast.UnaryOp():
+                return "Flag" if isinstance(node.op, ast.Not) else self.type_of(node.operand)
+            case ast.Constant():
+                return "Flag" if isinstance(node.value, bool) else "Count"
+            case ast.Subscript():
+                return "Count" if ast.unparse(node) == POINTS else "Float"
+        return "Float"
+
+    def expression(self, node: ast.expr) -> str:
+        """An expression with the parentheses that it needs inside another."""
+        node = self._unwrapped(node)
+        text = self.bare(node)
+        compound = isinstance(node, ast.BinOp | ast.Compare | ast.BoolOp | ast.IfExp)
+        return f"({text})" if compound else text
+
+    def bare(self, node: ast.expr) -> str:
+        """An expression as it stands alone."""
+        node = self._unwrapped(node)
+        of = self.expression
+        match node:
+            case ast.Name():
+                if node.id in self.renamed:
+                    return self.renamed[node.id][0]
+                return self.program.constants.get(node.id, ("", node.id))[1]
+            case ast.Constant():
+                return str(node.value).lower() + ("" if isinstance(node.value, bool) else "u")
+            case ast.Attribute():
+                if node.attr == "size":
+                    return self.program.sizes[node.value.attr]  # type: ignore[attr-defined]
+                arrow = isinstance(node.value, ast.Name) and node.value.id in self.pointers
+                return f"{self.bare(node.value)}{'->' if arrow else '.'}{node.attr}"
+            case ast.Subscript():
+                if ast.unparse(node) == POINTS:
+                    return "CELLWISE_POINTS"
+                return f"{of(node.value)}[{self.bare(node.slice)}]"
+            case ast.UnaryOp():
+                return f"{'!' if isinstance(node.op, ast.Not) else '-'}{of(node.operand)}"
+            case ast.BinOp():
+                return f"{of(node.left)} {OPERATORS[type(node.op)]} {of(node.right)}"
+            case ast.Compare():
+                return f"{of(node.left)} {OPERATORS[type(node.ops[0])]} {of(node.comparators[0])}"
+            case ast.BoolOp():
+                return f" {OPERATORS[type(node.op)]} ".join(map(of, node.values))
+            case ast.IfExp():
+                return f"{of(node.test)} ? {of(node.body)} : {of(node.orelse)}"
+            case ast.Call():
+                return self._call(node)
+        raise ValueError(f"no C for '{ast.unparse(node)}' in {self.node.name}")
+
+    def _unwrapped(self, node: ast.expr) -> ast.expr:
+        """Without a conversion that C does not need."""
+        while isinstance(node, ast.Call) and ast.unparse(node.func) in ("F", "U"):
+            if (ast.unparse(node.func) == "F") != (self.type_of(node.args[0]) in FLOATS):
+                break
+            node = node.args[0]
+        return node
+
+    def _call(self, node: ast.Call) -> str:
+        name = ast.unparse(node.func)
+        if name in ("F", "U"):
+            return f"({'float' if name == 'F' else 'uint32_t'}){self.expression(node.args[0])}"
+        if name in ("read", "rise"):
+            args = [self.program.columns.get(ast.unparse(a)) or self.bare(a) for a in node.args[2:]]
+            return f"{name.upper()}({', '.join(args)})"
+        args = [self.argument(a) for a in node.args]
+        return f"{name.upper() if name in MACROS else name}({', '.join(args)})"
+
+    def argument(self, node: ast.expr) -> str:
+        """An argument: records by their address."""
+        by_address = self.type_of(node) in (*self.program.structs, *RECORDS)
+        if by_address and not (isinstance(node, ast.Name) and node.id in self.pointers):
+            return f"&{self.bare(node)}"
+        return self.bare(node)
+
+
+def refuted(guard: Guard) -> Guard:
+    """What holds in the else of options: exact for one of them."""
+    if len(guard) != 1:
+        return ALWAYS
+    (term,) = guard
+    return frozenset({opposite(term)})

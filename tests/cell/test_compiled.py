@@ -1,0 +1,55 @@
+"""How kernels are compiled: inlined ones can be called, the first call is not silent."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from cellwise.cell.compiled import inline, kernel
+from cellwise.cell.equations import rc_step
+
+PROGRAM = """
+import numpy as np, cellwise as cw
+soc = np.linspace(0.0, 1.0, 11)
+flat = np.full(11, 0.02)
+model = cw.CellModel(3.0, 3.2 + 0.9 * soc, flat, flat, 5.0 + flat, flat, 60.0 + flat)
+log = cw.CellLog(time_s=np.arange(9.0), current_A=np.ones(9), voltage_V=np.full(9, 3.7))
+cw.simulate(model, log, soc0=0.5)
+cw.simulate(model, log, soc0=0.5)
+"""
+
+
+def test_an_inlined_function_can_be_called_from_python():
+    assert rc_step(0.01, 2.0, 0.03, 5.0, 1.0) == pytest.approx(
+        np.exp(-0.2) * 0.01 + 0.03 * (1 - np.exp(-0.2)) * 2.0
+    )
+
+
+def test_an_inlined_function_is_part_of_a_kernel():
+    @inline
+    def twice(x):
+        return 2.0 * x
+
+    @kernel
+    def four_times(x):
+        return twice(twice(x))
+
+    assert four_times(1.5) == 6.0
+
+
+@pytest.mark.slow
+def test_the_first_call_says_that_it_compiles_and_the_next_is_silent(tmp_path):
+    env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    env.pop("CELLWISE_QUIET", None)
+    said = [
+        subprocess.run(
+            [sys.executable, "-c", PROGRAM], env=env, capture_output=True, text=True, check=True
+        ).stderr
+        for _ in range(2)
+    ]
+    assert said[0].count("compiling the simulation") == 1
+    assert said[1] == ""

@@ -1,0 +1,188 @@
+"""What is printed is what stands in the tree; what the printer makes of a sentence."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import itertools
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+from cellwise.cell.description import FIXED, entry, triangle
+from cellwise.estimate.fixed import covariance, layout
+from cellwise.estimate.fixed.options import Options, flags_of
+from cellwise.estimate.status import Status
+from cellwise.export.c_tables import firmware_folder
+from cellwise.printing.__main__ import main
+from cellwise.printing.c.c99 import Function
+from cellwise.printing.c.firmware import print_header, print_source
+from cellwise.printing.c.reading import Program
+from cellwise.printing.c.text import any_of, broken, comment, float_literal, merged
+from cellwise.printing.outputs import OUTPUTS, SOURCE
+
+PROGRAM = Program(
+    options={"SLOW", "WIDE"},
+    structs={
+        "State": {"soc": "Float", "soc_carry": "Float"},
+        "Pair": {"a": "Float", "b": "SlowFloat"},
+    },
+    constants={"ZERO": ("Float", "0.0f"), "MOST": ("Count", "MOST")},
+    columns={},
+    sizes={},
+)  # fmt: skip
+
+
+def c_of(source):
+    """A function in C, without comments and white space at its ends."""
+    function = Function(ast.parse(source).body[0], PROGRAM, ({}, {}))
+    return [line.strip() for line in function.text("f", True)]
+
+
+def test_the_tree_holds_what_is_printed():
+    for name, text in OUTPUTS.items():
+        stands = (SOURCE / name).read_text(encoding="utf-8")
+        assert stands == text(), f"python -m cellwise.printing ({name})"
+    assert main(["--check"]) == 0
+
+
+def test_printing_twice_is_the_same():
+    assert print_source() == print_source()
+    assert print_header() == print_header()
+
+
+@pytest.mark.parametrize(
+    ("python", "c"),
+    [
+        ("x.soc = a - b - (a - b)", "x->soc = (a - b) - (a - b);"),
+        ("x.soc = a * (b / a) + b", "x->soc = (a * (b / a)) + b;"),
+        ("x.soc = -(a * b)", "x->soc = -(a * b);"),
+        ("x.soc = a if a < b else b", "x->soc = (a < b) ? a : b;"),
+        ("x.soc = F(k) * a", "x->soc = (float)k * a;"),
+        ("x.soc, x.soc_carry = add(x.soc, x.soc_carry, a)", "add(&x->soc, &x->soc_carry, a);"),
+        ("n = U(k + 1)", "const uint32_t n = k + 1u;"),
+        ("n = U(a * b)", "const uint32_t n = (uint32_t)(a * b);"),
+    ],
+)
+def test_sentences_keep_their_order(python, c):
+    found = c_of(f"def f(x: State, a: Float, b: Float, k: Count) -> None:\n    {python}\n")
+    assert c in found
+
+
+def test_options_become_conditions_of_the_preprocessor():
+    text = c_of(
+        "def f(x: State, a: Float) -> None:\n"
+        "    if SLOW:\n        x.soc = a\n"
+        "    if SLOW and a < ZERO:\n        x.soc = ZERO\n"
+        "    x.soc_carry = a if WIDE else ZERO\n"
+    )
+    assert text == [
+        "static void f(cellwise_state *x, float a)", "{", "(void)a;",
+        "#if CELLWISE_SLOW", "x->soc = a;", "if (a < 0.0f) {", "x->soc = 0.0f;", "}", "#endif",
+        "#if CELLWISE_WIDE", "x->soc_carry = a;", "#else", "x->soc_carry = 0.0f;", "#endif", "}",
+    ]  # fmt: skip
+
+
+def test_a_named_tuple_is_filled_in_place():
+    text = c_of(
+        "def f(a: Float) -> Pair:\n    b = a * a\n    c = a + b if SLOW else ZERO\n"
+        "    return Pair(b, c)\n"
+    )
+    assert "static void f(float a, cellwise_pair *pair)" in text
+    at = text.index("pair->a = a * a;")
+    assert text[at + 1 : at + 4] == ["#if CELLWISE_SLOW", "pair->b = a + pair->a;", "#endif"]
+
+
+def test_what_c_does_not_say_is_refused():
+    for sentence in ("x.soc = [a]", "del a", "x.soc = a ** 2"):
+        with pytest.raises((ValueError, KeyError)):
+            c_of(f"def f(x: State, a: Float) -> None:\n    {sentence}\n")
+    with pytest.raises(ValueError, match="only with an option"):
+        c_of("def f(a: Float) -> None:\n    if SLOW:\n        b = a\n    b = a + a\n")
+
+
+def test_conditions_cancel():
+    slow, wide = frozenset({"SLOW"}), frozenset({"WIDE"})
+    assert any_of([slow, frozenset({"not SLOW"})]) == ""
+    assert any_of([slow, slow | wide]) == "CELLWISE_SLOW"
+    assert (
+        any_of([frozenset({"TEMPERATURES"}), wide])
+        == "(CELLWISE_TEMPERATURES > 1) || CELLWISE_WIDE"
+    )
+
+
+def test_lines_keep_the_width_and_their_words():
+    line = "x = " + " + ".join(f"(a{k} * b{k})" for k in range(40)) + ";"
+    pieces = broken(line, 4)
+    assert all(len(p) <= 100 for p in pieces)
+    assert " ".join(p.strip() for p in pieces) == line
+    assert all(len(p) <= 100 for p in comment("word " * 60, 8))
+    assert merged(["#if A", "x", "#endif", "#if A", "y", "#endif"]) == ["#if A", "x", "y", "#endif"]
+
+
+def test_literals_are_exact():
+    values = np.random.default_rng(1).integers(0, 2**31, 2000).astype(np.uint32).view(np.float32)
+    for value in [*values[np.isfinite(values)], *np.float32([0.5, 120, 1e-6, 2000, 0.015625, 0])]:
+        text = float_literal(value).removesuffix("f")
+        assert np.float32(float.fromhex(text) if "0x" in text else float(text)) == value
+
+
+def test_every_entry_of_the_covariance_is_moved_once():
+    """Decay and gain touch every entry of the upper triangle, each by one sentence."""
+    tree = ast.parse(inspect.getsource(covariance))
+    functions = {f.name: f for f in tree.body if isinstance(f, ast.FunctionDef)}
+    entries = {entry(a, b) for a, b in triangle(FIXED)}
+
+    def assigned(name):
+        found = [
+            ast.unparse(n.targets[0])
+            for n in ast.walk(functions[name])
+            if isinstance(n, ast.Assign)
+        ]
+        return [t.removeprefix("x.") for t in found if t.removeprefix("x.") in entries]
+
+    diagonal = {entry(s, s) for s in FIXED}
+    assert sorted(assigned("rejudge_covariance")) == sorted(entries)
+    assert sorted(assigned("narrow")) == sorted(entries)
+    assert sorted(assigned("forget_correlations")) == sorted(entries - diagonal)
+    assert sorted(assigned("start_covariance")) == sorted(diagonal)
+    tested = re.findall(r"x\.(\w+), LARGE", ast.unparse(functions["covariance_is_sound"]))
+    assert sorted(tested) == sorted(entries)
+
+
+def test_header_names_every_bit_and_field():
+    text = print_header()
+    for bit in Status:
+        assert f"#define CELLWISE_{bit.name} {int(bit)}u" in text
+    for table in (layout.ROW, layout.CONSTANTS, layout.STATE, layout.OUTPUT_FIELDS):
+        for field in table:
+            assert re.search(rf"(float|uint32_t) {field.name}[;\[]", text), field.name
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")
+@pytest.mark.parametrize("states", list(itertools.product([0, 1], repeat=3)))
+def test_every_set_of_options_is_c(states, tmp_path):
+    """The preprocessor leaves no name undeclared, whatever is compiled in."""
+    (tmp_path / "cellwise_ekf.h").write_text(print_header())
+    (tmp_path / "cellwise_ekf.c").write_text(print_source())
+    slow, hysteresis, offset = states
+    effects = ("efficiency", "leak", "skew", "rate", "asymmetry", "heating", "wide", "watch")
+    sizes = [(1, 0), (3, 0), (1, 161)]
+    for k, (temperatures, arrhenius) in enumerate(sizes):
+        for some in (effects, (), effects[k::2], effects[k::3]):
+            options = Options(
+                5, temperatures, slow, hysteresis, offset, arrhenius,
+                **{e: int(e in some and (e != "heating" or k > 0)) for e in effects},
+            )  # fmt: skip
+            assert set(flags_of(options)) >= {e.upper() for e in effects}
+            defines = [f"#define {n} {v}" for n, v in options.defines().items()]
+            (tmp_path / "cell_table.h").write_text("\n".join(defines) + "\n")
+            done = subprocess.run(
+                ["gcc", "-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only",
+                 f"-I{firmware_folder()}", "cellwise_ekf.c"],
+                cwd=tmp_path, capture_output=True, text=True, check=False,
+            )  # fmt: skip
+            assert done.returncode == 0, done.stderr[:1000]
