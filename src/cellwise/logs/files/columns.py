@@ -210,12 +210,12 @@ def _unused_columns(
     if known is None:
         return [f"column(s) not used: {listed(unused)}"]
     expected = {folded(n): n for n in (*(n for c in channels for n in c.names), *known)}
-    unused = []
+    unknown = []
     for name in unused:
         if folded(name) not in expected:
             near = get_close_matches(folded(name), expected, n=1)
-            unused.append(f"'{name}'" + (f" (nearest: '{expected[near[0]]}')" if near else ""))
-    return [f"column(s) that this format does not know: {', '.join(unused)}"] if unused else []
+            unknown.append(f"'{name}'" + (f" (nearest: '{expected[near[0]]}')" if near else ""))
+    return [f"column(s) that this format does not know: {', '.join(unknown)}"] if unknown else []
 
 
 def _find(
