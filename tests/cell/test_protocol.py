@@ -344,7 +344,7 @@ class TestEndings:
             run_protocol(linear_cell(), [Rest(5.0)], **{"soc0": 0.5, **arguments})
 
     def test_too_many_rows_are_refused(self, monkeypatch):
-        monkeypatch.setattr("cellwise.cell.protocol.MOST_ROWS", 10_000)
+        monkeypatch.setattr("cellwise.cell.protocol.runner.MOST_ROWS", 10_000)
         assert len(run_protocol(linear_cell(), [Rest(9_999.0)], 0.5)) == 10_000
         with pytest.raises(InputError, match="10000 rows"):
             run_protocol(linear_cell(), [Rest(10_000.0)], 0.5)

@@ -67,7 +67,9 @@ def test_names_and_units_of_the_nomenclature_agree():
         assert len(cells) == 5, cells
         for name in names:
             suffix = name.rpartition("_")[2]
-            if "_" in name and suffix in UNITS and name != "rate_C":  # in C, not in degrees
+            if name.endswith("_V_per_K"):
+                assert cells[2] == "V/K", name
+            elif "_" in name and suffix in UNITS and name != "rate_C":  # in C, not in degrees
                 assert UNITS[suffix] in re.split(r",\s*", cells[2]), f"{name}: unit '{cells[2]}'"
 
 
