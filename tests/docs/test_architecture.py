@@ -43,7 +43,7 @@ MODULES = sorted(path for path in PACKAGE.rglob("*.py") if path.parent != PACKAG
 
 MOST_MODULES = 15
 # Folders that are being rearranged, and how many modules they may hold until then.
-LARGER = {"tests/estimate": 26}
+LARGER = {"src/cellwise/estimate/fixed": 16, "tests/estimate": 26}
 
 
 def part_of(path):
