@@ -1501,8 +1501,8 @@ static void innovate(const cellwise_constants *c, const cellwise_state *x, const
 /* ---- correct.py: Correction of the fixed step by a measured voltage: gate, recovery, weight. */
 
 #if CELLWISE_WIDE
-/* Judge the gain by the slope where it leads, if that is flatter; whether anything was learnt.
- * The gain itself was that of the slope here: on a plateau nothing is learnt, and the covariance
+/* Judge the gain by the slope where it leads, if that is flatter; whether anything was gained.
+ * The gain itself was that of the slope here: on a plateau nothing is gained, and the covariance
  * stays as it is. */
 static APART bool rejudge(const cellwise_model *m, const cellwise_place *place, cellwise_state *x,
                           const cellwise_point *p, const cellwise_slopes *w,
@@ -1522,12 +1522,12 @@ static APART bool rejudge(const cellwise_model *m, const cellwise_place *place, 
     const float less = flat - w->slope_V;
     const float e = less * ((2.0f * d->s) + (less * x->ss));
     const float wider = rejudged(ks, ks, less * x->ss, less * x->ss, e);
-    bool learnt = false;
+    bool gained = false;
     if (SIZE_WITHIN(wider, LARGE) && (wider < (ks * d->s))) {
-        learnt = true;
+        gained = true;
         rejudge_covariance(x, d, inverse, less, e, wider);
     }
-    return learnt;
+    return gained;
 }
 #endif
 
@@ -1566,10 +1566,10 @@ static uint32_t reject(const cellwise_model *m, const cellwise_place *place, cel
 }
 
 /* State and covariance after a voltage within the gate. What the innovations have lately shown
- * beyond their variance makes evidence weigh less. A first sample under load tells of the load
- * more than of the SOC. */
-static void learn(const cellwise_model *m, const cellwise_place *place, cellwise_state *x,
-                  const cellwise_point *p, const cellwise_slopes *w, const cellwise_reading *s,
+ * beyond their variance makes evidence weigh less. A first sample under load says more of the
+ * load than of the SOC. */
+static void fuse(const cellwise_model *m, const cellwise_place *place, cellwise_state *x,
+                 const cellwise_point *p, const cellwise_slopes *w, const cellwise_reading *s,
     const cellwise_innovation *i, float innovation)
 {
     (void)place;
@@ -1582,14 +1582,14 @@ static void learn(const cellwise_model *m, const cellwise_place *place, cellwise
     }
     if ((s->news == INTERVAL) || (shared <= 1.0f)) {
         const float inverse = 1.0f / (i->explained_V2 + weight);
-        bool learnt = true;
+        bool gained = true;
 #if CELLWISE_WIDE
         if (w->spread > 0.0f) {
-            learnt = rejudge(m, place, x, p, w, &i->column, inverse, innovation, s->seen);
+            gained = rejudge(m, place, x, p, w, &i->column, inverse, innovation, s->seen);
         }
 #endif
         move(&m->constant, x, &i->column, inverse, innovation);
-        if (learnt) {
+        if (gained) {
             narrow(x, &i->column, inverse);
         }
     }
@@ -1599,7 +1599,7 @@ static void learn(const cellwise_model *m, const cellwise_place *place, cellwise
     }
 }
 
-/* A voltage that is looked at: rejected, SOC searched for it, or learnt from. */
+/* A voltage that is looked at: rejected, SOC searched for it, or used. */
 static uint32_t weigh(const cellwise_model *m, const cellwise_place *place, cellwise_state *x,
                       const cellwise_point *p, const cellwise_slopes *w, const cellwise_reading *s,
     const cellwise_innovation *i, float voltage, float innovation)
@@ -1630,7 +1630,7 @@ static uint32_t weigh(const cellwise_model *m, const cellwise_place *place, cell
         look_anew(m, place, x, s->seen, voltage, i->one_V2, i->polarisation_V);
 #endif
     } else {
-        learn(m, place, x, p, w, s, i, innovation);
+        fuse(m, place, x, p, w, s, i, innovation);
     }
     return status;
 }

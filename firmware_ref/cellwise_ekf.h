@@ -26,7 +26,7 @@
 #define CELLWISE_DUPLICATE 8u /* repeated time stamp: nothing flowed */
 #define CELLWISE_INNOVATION_REJECTED 16u /* the innovation gate kept the voltage out */
 #define CELLWISE_CLAMPED 32u /* SOC was held at a bound */
-#define CELLWISE_STATE_RESET 64u /* the state was not finite and was started anew */
+#define CELLWISE_STATE_RESET 64u /* the state was not finite and was re-initialised */
 /* too many rejections in a row: variance widened, voltage let in */
 #define CELLWISE_GATE_RECOVERY 128u
 /* not finite or out of range: the last valid temperature was held */

@@ -12,7 +12,7 @@ from cellwise.cell.model import ModelError
 from cellwise.cell.protocol import ConstantCurrent, DriveProfile, Rest, run_protocol
 from cellwise.errors import InputError
 from cellwise.estimate.adaptive.adaptive import Adaptive
-from cellwise.estimate.adaptive.settings import LEARNABLE, AdaptiveSettings, Held, reason
+from cellwise.estimate.adaptive.settings import ESTIMABLE, AdaptiveSettings, Held, reason
 from cellwise.estimate.filters.ekf import Ekf
 from cellwise.estimate.status import Status
 from example_cells import EFFECTS, curved_cell, lfp_cell
@@ -181,7 +181,7 @@ class TestHeld:
 
     def test_capacity_and_gain_cannot_both_be_learnt(self):
         with pytest.raises(InputError, match="no data can tell them apart"):
-            AdaptiveSettings(learn=LEARNABLE)
+            AdaptiveSettings(learn=ESTIMABLE)
         with pytest.raises(InputError, match="current_offset"):
             AdaptiveSettings(learn=("bias",))
 

@@ -26,7 +26,7 @@ def call(rows):
         np.zeros(rows, np.bool_),
     )  # fmt: skip
     kernel_arguments = (
-        ADAPTIVE.model.parameters(), ADAPTIVE._noise, ADAPTIVE._learn, ADAPTIVE._unknown,
+        ADAPTIVE.model.parameters(), ADAPTIVE._noise, ADAPTIVE._rules, ADAPTIVE._unknown,
         ADAPTIVE.init(0.5), log, np.empty((kernel.OUTPUTS, rows)), status, held,
     )  # fmt: skip
     gc.collect()

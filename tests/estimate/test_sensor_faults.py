@@ -267,7 +267,7 @@ class TestRestart:
     def test_a_state_that_is_none_is_refused(self, spoil):
         saved = state_to_dict(Ekf(CURVED).init(0.5))
         spoil(saved)
-        with pytest.raises(InputError, match="Start anew"):
+        with pytest.raises(InputError, match="Start again"):
             state_from_dict(saved)
 
     @pytest.mark.parametrize("text", ["", "{", "[1]", "3"])

@@ -5,7 +5,7 @@ Over an interval of constant current I every state but the SOC is linear,
 .. math:: x_i^{+} = a_i x_i + g_i I, \qquad v = v_0 + \sum_i H_i x_i
 
 so transition, covariance and row of derivatives follow from three names a state: its decay a, its
-drive g and its output H. The sentences themselves, SOC's among them, stand in
+drive g and its output H. The equations themselves, SOC's among them, stand in
 :mod:`cellwise.cell.equations`; what is printed from this table says so in its head.
 """
 

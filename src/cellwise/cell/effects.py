@@ -93,7 +93,7 @@ class Entropy:
 
 @dataclass(frozen=True, eq=False)
 class TimeSkew:
-    """The instrument's skew [s]: the logged voltage lags the logged current by it. Neutral: 0.
+    """The sampling delay [s]: the logged voltage lags the logged current by it. Neutral: 0.
 
     It belongs to the logger, not to the cell; it is kept with the model because a filter that
     runs on the same logger needs it.

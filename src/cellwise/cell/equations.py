@@ -234,7 +234,7 @@ def soc_step(cell: CellScalars, soc: float, current_A: float, dt_s: float) -> fl
 
 @inline
 def decay(dt_s: float, tau_s: float) -> float:
-    r"""What is left of a state after an interval, :math:`e^{-\Delta t / \tau}`."""
+    r"""The share of a state that remains after an interval, :math:`e^{-\Delta t / \tau}`."""
     return math.exp(-dt_s / tau_s)
 
 

@@ -62,7 +62,7 @@ def initial_soc(
     Returns
     -------
     InitialSoc        the standard deviation includes the model's own voltage error, an unfinished
-                      relaxation and a flat OCV: on a plateau it is honestly large
+                      relaxation and a flat OCV: on a plateau it is large
     """
     if given is not None:
         check_soc0(given)
@@ -128,7 +128,7 @@ def _from_first_minute(
     dropped = ocv - float(np.nanmean(head.voltage_V))
     std_V = float(np.sqrt(SHORT_REST_V**2 + rms**2 + (UNKNOWN_RESISTANCE * dropped) ** 2))
     _, std = soc_of_ocv(model, ocv, std_V, temperature)
-    # Beyond full and empty there is nothing: at an end, the mean of what is left lies inside.
+    # Beyond full and empty there is nothing: at an end, the mean of the remaining part lies inside.
     inside = 0.0 if likeliest else min(HALF_NORMAL * std, 0.5)
     best = min(max(best, inside), 1.0 - inside)
     return InitialSoc(best, max(std, 0.01), f"fit of the first {head.duration_s:.0f} s under load")

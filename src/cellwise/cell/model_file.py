@@ -40,8 +40,8 @@ def model_to_dict(model: CellModel) -> dict[str, Any]:
 
 def model_mark(model: CellModel) -> str:
     """A short mark of everything that changes what a model computes; not its name or its past."""
-    told = {k: v for k, v in model_to_dict(model).items() if k not in ("provenance", "name")}
-    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:16]
+    kept = {k: v for k, v in model_to_dict(model).items() if k not in ("provenance", "name")}
+    return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def model_from_dict(data: Any, where: str = "the model") -> CellModel:

@@ -141,7 +141,7 @@ def simulate(model: CellModel, log: CellLog, soc0: float, h0: float | None = Non
 
 
 def best_start_soc(model: CellModel, log: CellLog, soc0: FloatArray) -> tuple[float, float]:
-    """The start SOC from which `simulate` fits a log's voltage best, of those given.
+    """The initial SOC from which `simulate` fits a log's voltage best, of those given.
 
     Parameters
     ----------
@@ -170,11 +170,13 @@ def start_hysteresis(soc0: float) -> float:
 
 
 def check_soc0(soc0: float) -> None:
-    """Refuse a start SOC outside 0..1."""
+    """Refuse an initial SOC outside 0..1."""
     if not (np.isfinite(soc0) and 0.0 <= soc0 <= 1.0):
         hint = " Per cent? Divide by 100." if 1.0 < soc0 <= 100.0 else ""
         raise InputError(
-            f"a start SOC of {soc0:g}", "a fraction from 0 to 1", f"Give --soc0 0.5 or auto.{hint}"
+            f"an initial SOC of {soc0:g}",
+            "a fraction from 0 to 1",
+            f"Give --soc0 0.5 or auto.{hint}",
         )
 
 

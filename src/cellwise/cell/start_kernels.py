@@ -1,4 +1,4 @@
-"""The start SOC from which a simulation fits a log best."""
+"""The initial SOC from which a simulation fits a log best."""
 
 from __future__ import annotations
 

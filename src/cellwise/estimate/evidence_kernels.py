@@ -89,5 +89,5 @@ def persistent_step(
     """
     slow = noise.error_scale * point.error_V
     scale = noise.ocv_soc * point.ocv_slope_V
-    error = noise.lasting * math.sqrt((slow * slow + scale * scale) * max(mismatch, 1.0))
+    error = noise.persistent * math.sqrt((slow * slow + scale * scale) * max(mismatch, 1.0))
     return persistent + gain * (error - slope_V * persistent)

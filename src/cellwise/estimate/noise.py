@@ -1,4 +1,4 @@
-"""What a filter is told about the errors of sensors and model."""
+"""What a filter assumes about the errors of sensors and model."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class NoiseScalars(NamedTuple):
     gap_soc: float
     hold_s: float
     frozen_V: float
-    lasting: float
+    persistent: float
     current_limit_A: float
     voltage_low_V: float
     voltage_high_V: float
@@ -64,7 +64,7 @@ class Noise:
     frozen_V : float          a voltage that repeats itself is frozen when R0 times the change of
                               current exceeds this
     lasting_share : float     share of the slow error's variance that comes back at the same SOC for
-                              good: it widens the SOC's deviation that is told, never the gain
+                              good: it widens the SOC's stated deviation, never the gain
     current_limit_A, voltage_low_V, voltage_high_V : float
                               readings beyond are the sensor's fault and count as missing
     """

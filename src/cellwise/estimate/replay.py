@@ -42,7 +42,7 @@ class SocErrors:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Replay(Plottable, Tabular):
-    """A log, what the estimator made of it, and the judgement where there is a reference.
+    """A log, what the estimator made of it, and the errors where there is a reference.
 
     ``reference_soc`` is the tester's counter over the reference capacity, None without either; it
     never uses the current that the filter sees, nor the model's capacity.
@@ -120,7 +120,7 @@ class Replay(Plottable, Tabular):
     def to_dict(self) -> dict[str, Any]:
         """The figures as JSON values, keys as the command prints them."""
         errors, settled = self.errors, self.settled
-        told = {
+        found = {
             "estimator": self.estimator,
             "samples": len(self.trace),
             "soc0": self.start.to_dict(),
@@ -137,8 +137,8 @@ class Replay(Plottable, Tabular):
             "ns_per_step": self.ns_per_step,
         }
         if isinstance(self.trace, AdaptiveTrace):
-            told["parameters"] = self.trace.parameters().to_dict()
-        return told
+            found["parameters"] = self.trace.parameters().to_dict()
+        return found
 
     def columns(self) -> dict[str, Any]:
         """What the estimator said of every row, and the reference where there is one."""
@@ -226,13 +226,13 @@ def replay(
     Parameters
     ----------
     estimator : str or Estimator      a name of ``ESTIMATORS`` or anything with its ``run``
-    soc0 : float or None              start SOC; None: from a rest or a fit at the log's start
+    soc0 : float or None              initial SOC; None: from a rest or a fit at the log's start
     soc0_std : float or None          its standard deviation; None: 0.15 for a given start, else
                                       what the search for it says
     reference_soc0 : float or None    true SOC at the first row; None: as ``soc0`` is found when it
                                       is not given
     reference_capacity_Ah : float or None   charge between SOC 1 and 0 for the reference; None: no
-                                      judgement
+                                      errors
 
     Returns
     -------

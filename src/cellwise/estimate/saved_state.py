@@ -50,7 +50,7 @@ def state_from_dict(saved: Mapping[str, Any], estimator: str = "ekf") -> EkfStat
         raise InputError(
             f"a state of version {found[0]} of estimator '{found[1]}'",
             f"version {SCHEMA_VERSION} of '{estimator}'",
-            "Start anew with init() where there is no such state.",
+            "Start again with init() where there is no such state.",
         )
     watch = Watch(**_numbers(saved.get("watch"), Watch._fields))
     names = (*CellState._fields, *Covariance._fields, *COUNTS)
@@ -75,10 +75,10 @@ def read_state(path: Path | str, estimator: str = "ekf") -> EkfState:
         saved = json.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise InputError(
-            f"no state in '{path}' ({error})", "a JSON file that write_state wrote", "Start anew."
+            f"no state in '{path}' ({error})", "a JSON file that write_state wrote", "Start again."
         ) from None
     if not isinstance(saved, Mapping):
-        raise InputError(f"a {type(saved).__name__} in '{path}'", "a JSON object", "Start anew.")
+        raise InputError(f"a {type(saved).__name__} in '{path}'", "a JSON object", "Start again.")
     return state_from_dict(saved, estimator)
 
 
@@ -93,7 +93,7 @@ def _numbers(values: Any, names: tuple[str, ...]) -> dict[str, float]:
         raise InputError(
             f"a saved state with {sorted(values) if isinstance(values, Mapping) else values}",
             f"the fields {', '.join(names)}",
-            "Start anew with init().",
+            "Start again with init().",
         )
     return {name: _number(name, values[name]) for name in names}
 
@@ -104,5 +104,5 @@ def _number(name: str, value: Any) -> float:
     if isinstance(value, str) and value in INFINITE and name == "repeats":
         return INFINITE[value]
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise InputError(f"{name} = {value} in a saved state", "a finite number", "Start anew.")
+        raise InputError(f"{name} = {value} in a saved state", "a finite number", "Start again.")
     return float(value)

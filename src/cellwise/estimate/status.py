@@ -14,7 +14,7 @@ class Status(IntFlag):
     DUPLICATE = 8  # repeated time stamp: nothing flowed
     INNOVATION_REJECTED = 16  # the innovation gate kept the voltage out
     CLAMPED = 32  # SOC was held at a bound
-    STATE_RESET = 64  # the state was not finite and was started anew
+    STATE_RESET = 64  # the state was not finite and was re-initialised
     GATE_RECOVERY = 128  # too many rejections in a row: variance widened, voltage let in
     TEMPERATURE_INVALID = 256  # not finite or out of range: the last valid temperature was held
     OUT_OF_RANGE = 512  # a reading that no cell of this kind gives: treated as missing

@@ -54,10 +54,10 @@ class NoiseTuning:
         }
 
     def __repr__(self) -> str:
-        told = ", ".join(f"{k} {a:.3g} -> {b:.3g}" for k, (a, b) in self.changed.items())
+        given = ", ".join(f"{k} {a:.3g} -> {b:.3g}" for k, (a, b) in self.changed.items())
         return (
             f"NoiseTuning(mean NIS {np.mean(self.nis_before):.2f} -> "
-            f"{np.mean(self.nis_after):.2f}; {told})"
+            f"{np.mean(self.nis_after):.2f}; {given})"
         )
 
 
@@ -74,7 +74,7 @@ def tune_noise(
        - \tfrac12 \sum_j \left( \frac{\ln \theta_j - \ln \theta_{j0}}{\ln f_j} \right)^2
 
     The weight :math:`w_k = \min(\Delta t / 2 \tau_c, 1)` counts the samples that share one model
-    error once. Tuned are the sensors' noise (f = 1.3 about what is told), the model error's scale
+    error once. Tuned are the sensors' noise (f = 1.3 about what is stated), the model error's scale
     and the resistances' share (f = 3 about the model's own validation).
 
     Parameters
@@ -82,7 +82,7 @@ def tune_noise(
     model : CellModel
     logs : sequence of CellLog     of the cell in use; never those on which it is judged afterwards
     sensors : Noise or None        where to start, with the sensors' data; None: from the model
-    soc0 : sequence or None        start SOC of every log, None where it has to be found
+    soc0 : sequence or None        initial SOC of every log, None where it has to be found
 
     Raises
     ------
@@ -90,13 +90,15 @@ def tune_noise(
     """
     if not logs:
         raise InputError("no log to tune with", "at least one", "Give a log of the cell in use.")
-    told = [None] * len(logs) if soc0 is None else list(soc0)
-    if len(told) != len(logs):
+    given = [None] * len(logs) if soc0 is None else list(soc0)
+    if len(given) != len(logs):
         raise InputError(
-            f"{len(told)} start SOCs for {len(logs)} logs", "one each", "Give None where unknown."
+            f"{len(given)} initial SOCs for {len(logs)} logs",
+            "one each",
+            "Give None where unknown.",
         )
     before = Noise.of_model(model) if sensors is None else sensors
-    starts = [initial_soc(model, log, s) for log, s in zip(logs, told, strict=True)]
+    starts = [initial_soc(model, log, s) for log, s in zip(logs, given, strict=True)]
     names = tuple(n for n in (*SENSORS, *MODEL) if getattr(before, n) > SMALLEST)
     first = np.log([getattr(before, n) for n in names])
     width = np.log([SENSOR_FACTOR if n in SENSORS else MODEL_FACTOR for n in names])
@@ -146,7 +148,7 @@ def tune_noise(
 def log_likelihood(log: CellLog, trace: Trace, noise: Noise) -> float:
     """Of the innovations of one replay, samples that share an error counted once."""
     known = np.isfinite(trace.innovation_V)
-    known[: int(np.argmax(known)) + 1] = False  # the first tells of the start, not of the noise
+    known[: int(np.argmax(known)) + 1] = False  # the first is about the start, not of the noise
     variance = trace.innovation_variance_V2[known]
     square = np.minimum(trace.innovation_V[known] ** 2 / variance, LARGEST_SQUARE)
     memory = 2.0 * noise.slow_s

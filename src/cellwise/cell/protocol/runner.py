@@ -54,7 +54,7 @@ def run_protocol(
 
     Rows follow each other by ``dt_s`` (or the step's own period) and carry the current of the
     interval that ends there; simulating the log again from ``soc0`` gives its voltages back. The
-    counter is the true charge. An instrument's skew is no property of the cell and left out.
+    counter is the true charge. A sampling delay is no property of the cell and left out.
 
     Parameters
     ----------

@@ -62,7 +62,7 @@ def time_to_voltage(
     """Instant within an interval of constant current at which the voltage is reached [s].
 
     The voltage has to lie between those at the interval's two ends; the instant found is on the
-    far side of it, by less than can be told apart.
+    far side of it, by less than rounding.
     """
     near, far = 0.0, dt_s
     beyond = interval(tables, state, current_A, far, temperature_C)[1] > voltage_V
@@ -201,7 +201,7 @@ def constant_voltage_rows(
 
     The last row is at the instant at which the current has come down to ``until_A``.
     """
-    # What the supply would deliver at this instant tells the direction.
+    # What the supply would deliver at this instant gives the direction.
     current = holding_current(tables, state, voltage_V, 0.0, temperature_C, low_A, high_A, 0.0)
     sign = 1.0 if current > 0.0 else -1.0
     if sign * current <= until_A:

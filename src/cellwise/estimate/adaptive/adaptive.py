@@ -12,7 +12,7 @@ from cellwise.cell.compiled import announce
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.estimate.adaptive import step_kernels as kernel
-from cellwise.estimate.adaptive.mixture_kernels import told_deviation
+from cellwise.estimate.adaptive.mixture_kernels import soc_deviation
 from cellwise.estimate.adaptive.settings import AdaptiveSettings
 from cellwise.estimate.adaptive.state_kernels import AdaptiveState, adaptive_start
 from cellwise.estimate.adaptive.trace import AdaptiveTrace
@@ -30,7 +30,7 @@ class AdaptiveInfo(NamedTuple):
 
     ``capacity_Ah`` and ``gain`` stand for one change of charge: the one that was not chosen is the
     model's. ``*_probability`` is the chance that the model's value does not hold. ``held_*`` are
-    the bits of :class:`cellwise.estimate.adaptive.settings.Held`, 0 where it is learnt.
+    the bits of :class:`cellwise.estimate.adaptive.settings.Held`, 0 where it is estimated.
     """
 
     soc: float
@@ -86,7 +86,7 @@ class Adaptive:
         # Errors along the SOC axis last for minutes, whatever a short log has shown.
         slow_s = max(self.noise.slow_s, self.settings.memory_s)
         self._noise = replace(self.noise, slow_s=slow_s).scalars()
-        self._learn = self.settings.scalars(model.capacity_Ah)
+        self._rules = self.settings.scalars(model.capacity_Ah)
         self._ekf = Ekf(model, self.noise)
         self._unknown = self.start(0.5, 0.3)  # for a state that is no longer finite: know nothing
 
@@ -101,7 +101,7 @@ class Adaptive:
 
     def init(self, soc0: float, soc0_std: float = 0.15, current_A: float = 0.0) -> AdaptiveState:
         """State at ``soc0`` that is known to ``soc0_std``; see :meth:`Ekf.init`."""
-        return adaptive_start(self.start(soc0, soc0_std), self._learn, float(current_A))
+        return adaptive_start(self.start(soc0, soc0_std), self._rules, float(current_A))
 
     def step(
         self,
@@ -129,27 +129,27 @@ class Adaptive:
             bool(gap),
         )
         announce(kernel.adaptive_step, f"the {self.name} step")
-        after, step, told = kernel.adaptive_step(
-            self._tables, self._noise, self._learn, self._unknown, state, reading
+        after, step, mixed = kernel.adaptive_step(
+            self._tables, self._noise, self._rules, self._unknown, state, reading
         )
-        charge, charge_std = 1.0 + told.charge, math.sqrt(max(told.charge_variance, 0.0))
+        charge, charge_std = 1.0 + mixed.charge, math.sqrt(max(mixed.charge_variance, 0.0))
         capacity, capacity_std, gain, gain_std = self._charge(charge, charge_std)
         return after, AdaptiveInfo(
-            soc=min(max(told.soc, 0.0), 1.0),
-            soc_std=told_deviation(told, after.persistent),
+            soc=min(max(mixed.soc, 0.0), 1.0),
+            soc_std=soc_deviation(mixed, after.persistent),
             voltage_V=step.voltage_V,
             innovation_V=step.innovation_V,
             innovation_variance_V2=step.innovation_variance_V2,
             test_ratio=step.test_ratio,
             status=step.status,
-            offset_A=told.offset_A,
-            offset_std_A=math.sqrt(max(told.offset_variance, 0.0)),
-            offset_probability=told.offset_probability,
+            offset_A=mixed.offset_A,
+            offset_std_A=math.sqrt(max(mixed.offset_variance, 0.0)),
+            offset_probability=mixed.offset_probability,
             capacity_Ah=float(capacity),
             capacity_std_Ah=float(capacity_std),
             gain=float(gain),
             gain_std=float(gain_std),
-            charge_probability=told.charge_probability,
+            charge_probability=mixed.charge_probability,
             resistance_scale=after.resistances.fast,
             polarisation_scale=after.resistances.tail,
             held_offset=step.held.offset,
@@ -167,7 +167,7 @@ class Adaptive:
         kernel.adaptive_rows(
             self._tables,
             self._noise,
-            self._learn,
+            self._rules,
             self._unknown,
             state,
             log_arrays(log),
@@ -201,7 +201,7 @@ class Adaptive:
             polarisation_std=out[kernel.OUT_TAIL_STD],
             held=held,
             model_capacity_Ah=self.model.capacity_Ah,
-            learns_gain=self.settings.learns_gain,
+            estimates_gain=self.settings.estimates_gain,
         )
 
     def _charge(
@@ -212,6 +212,6 @@ class Adaptive:
         inverse, spread = 1.0 / q, q_std / (q * q)
         one, none = np.ones_like(q), np.zeros_like(q)
         capacity = self.model.capacity_Ah
-        if self.settings.learns_gain:
+        if self.settings.estimates_gain:
             return capacity * one, none, inverse, spread
         return capacity * inverse, capacity * spread, one, none

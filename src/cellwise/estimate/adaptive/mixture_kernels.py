@@ -64,10 +64,10 @@ def fixed_or_free(
     free = 1.0 / (1.0 + fixed)
     move = -cross / variance * away
     both = free * (1.0 - free)
-    told = ss - (1.0 - free) * cross * cross / variance + both * move * move
+    mixed = ss - (1.0 - free) * cross * cross / variance + both * move * move
     return (
         soc + (1.0 - free) * move,
-        told,
+        mixed,
         free * away,
         free * variance + both * away * away,
         free,
@@ -96,7 +96,7 @@ def mix(
     soc, ss : float            SOC and its variance, everything free
     b, q : float               offset [A] and capacity factor, less the model's values
     sb, sq, bb, bq, qq : float their covariances
-    prior_b, prior_q : float   their variances before any data, 0 where not learnt
+    prior_b, prior_q : float   their variances before any data, 0 where not estimated
     odds : float               for the model's value, before any data
     """
     free_b = prior_b > 0.0 and bb > 0.0
@@ -156,20 +156,20 @@ def mix(
 
 
 @inline
-def mixture(learn: AdaptiveScalars, state: AdaptiveState) -> Mixture:
+def mixture(rules: AdaptiveScalars, state: AdaptiveState) -> Mixture:
     """The hypotheses together; a misfit that none of them explains speaks for the model's."""
-    odds, mismatch, p = learn.odds, state.mismatch, state.p
+    odds, mismatch, p = rules.odds, state.mismatch, state.p
     if mismatch > 1.0:
         # A power costs as much as the rest of the mixture.
-        odds *= mismatch * mismatch if learn.doubt == 2.0 else mismatch**learn.doubt
+        odds *= mismatch * mismatch if rules.misfit_power == 2.0 else mismatch**rules.misfit_power
     return mix(
         state.cell.soc, p.ss, state.offset_A, state.charge - 1.0,
         p.so, p.sq, p.poo, p.poq, p.pqq,
-        learn.offset_variance, learn.charge_variance, odds,
+        rules.offset_variance, rules.charge_variance, odds,
     )  # fmt: skip
 
 
 @inline
-def told_deviation(told: Mixture, persistent: float) -> float:
+def soc_deviation(mixed: Mixture, persistent: float) -> float:
     """Standard deviation of the SOC: the hypotheses', and what a persistent error has brought."""
-    return math.sqrt(max(told.soc_variance, VARIANCE_FLOOR) + persistent * persistent)
+    return math.sqrt(max(mixed.soc_variance, VARIANCE_FLOOR) + persistent * persistent)

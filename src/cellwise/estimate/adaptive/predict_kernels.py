@@ -72,7 +72,7 @@ def without_offset(s: Sample, offset_A: float) -> Sample:
 def predict(
     tables: CellTables,
     noise: NoiseScalars,
-    learn: AdaptiveScalars,
+    rules: AdaptiveScalars,
     start: EkfStart,
     state: AdaptiveState,
     raw: Sample,
@@ -83,7 +83,7 @@ def predict(
     s = without_offset(raw, state.offset_A)
     soc = soc_step(cell, state.cell.soc, state.charge * s.flow_A, s.dt_s)
     if not is_sound(soc, state.p):
-        state = adaptive_start(start, learn, raw.current_A)
+        state = adaptive_start(start, rules, raw.current_A)
         soc = state.cell.soc
         s = without_offset(raw, 0.0)
         status = STATE_RESET
@@ -128,6 +128,6 @@ def predict(
     q = noise.current_A * noise.current_A
     p = noisy(p, t, q, q + s.gap_A2, soc_walk(noise, s.dt_s), 0.0, 0.0, 0.0)
     p = with_parameters(
-        p, p.poo + learn.offset_walk * s.dt_s, p.poq, p.pqq + learn.charge_walk * s.dt_s
+        p, p.poo + rules.offset_walk * s.dt_s, p.poq, p.pqq + rules.charge_walk * s.dt_s
     )
     return Predicted(state, s, end, p, point, at, now.warm_C, evidence, status)

@@ -1,4 +1,4 @@
-"""What the adaptive estimator may learn, how fast, and why it does not."""
+"""What the adaptive estimator may rules, how fast, and why it does not."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ from enum import IntFlag
 from cellwise.errors import InputError
 from cellwise.estimate.adaptive.state_kernels import AdaptiveScalars
 
-LEARNABLE = ("current_offset", "resistance", "capacity", "current_gain")
+ESTIMABLE = ("current_offset", "resistance", "capacity", "current_gain")
 
 
 class Held(IntFlag):
-    """Why a parameter was held in a step; 0: it was learnt."""
+    """Why a parameter was held in a step; 0: it was estimated."""
 
     NOT_CHOSEN = 1
-    SOC_UNSURE = 2  # the SOC is not yet known well enough to blame anything else
-    NO_EXCITATION = 4  # the load hardly moves: a resistance cannot be told from an OCV
+    SOC_UNSURE = 2  # the SOC is not yet known well enough to look for anything else
+    NO_EXCITATION = 4  # the load hardly moves: a resistance and an OCV look alike
     MODEL_MISFIT = 8  # no value of the parameters explains the voltage
     NO_VOLTAGE = 16
     NO_CURRENT = 32
 
 
 REASONS = {
-    Held.NOT_CHOSEN: "not among the parameters to learn",
+    Held.NOT_CHOSEN: "not among the parameters to estimate",
     Held.SOC_UNSURE: "SOC not known well enough",
     Held.NO_EXCITATION: "the load hardly moves",
     Held.MODEL_MISFIT: "the model does not explain the voltage",
@@ -34,13 +34,13 @@ REASONS = {
 
 
 def reason(held: int) -> str | None:
-    """The reasons in words; None where the parameter is learnt."""
+    """The reasons in words; None where the parameter is estimated."""
     return "; ".join(text for bit, text in REASONS.items() if held & bit) or None
 
 
 @dataclass(frozen=True)
 class AdaptiveSettings:
-    """Parameters to learn, what is believed of them before, and when they are held.
+    """Parameters to rules, what is believed of them before, and when they are held.
 
     Currents are shares of 1C (the model's capacity over an hour), standard deviations all.
 
@@ -54,15 +54,15 @@ class AdaptiveSettings:
     charge : float               capacity or gain, as a share
     offset_C_per_sqrt_h, resistance_per_sqrt_h, charge_per_sqrt_h : float    how they wander
     fault_probability : float    chance, before any data, that offset or capacity is not the model's
-    doubt : float                how much that chance falls with a misfit that nothing explains
-    settled_soc : float          beyond this deviation of SOC nothing is learnt
+    misfit_power : float         how much that chance falls with a misfit that nothing explains
+    settled_soc : float          beyond this deviation of SOC nothing is estimated
     swing_V : float              below this RMS of the moving drop resistances are held
-    fast_s, tail_s : float       what moves within fast_s tells of R0 and R1, up to tail_s of R2, R3
+    fast_s, tail_s : float       what moves within fast_s shows R0 and R1, up to tail_s of R2, R3
     misfit : float               mean of innovation squared over variance from which all is held
     memory_s : float             the model's error is remembered for at least as long
     rest_s : float               a current that stands still near zero for as long is a rest
     rest_limit_C, rest_band_C : float    what near zero and standing still mean
-    rest_C : float               how well a rest tells the offset
+    rest_C : float               how well a rest shows the offset
     """
 
     learn: tuple[str, ...] = ("current_offset", "resistance", "capacity")
@@ -73,7 +73,7 @@ class AdaptiveSettings:
     resistance_per_sqrt_h: float = 0.1
     charge_per_sqrt_h: float = 0.002
     fault_probability: float = 0.3
-    doubt: float = 2.0
+    misfit_power: float = 2.0
     settled_soc: float = 0.03
     swing_V: float = 0.003
     fast_s: float = 20.0
@@ -86,18 +86,18 @@ class AdaptiveSettings:
     rest_C: float = 0.003
 
     def __post_init__(self) -> None:
-        unknown = [name for name in self.learn if name not in LEARNABLE]
+        unknown = [name for name in self.learn if name not in ESTIMABLE]
         if unknown:
             raise InputError(
-                f"a parameter '{unknown[0]}' to learn",
-                f"some of {', '.join(LEARNABLE)}",
+                f"a parameter '{unknown[0]}' to estimate",
+                f"some of {', '.join(ESTIMABLE)}",
                 "Correct its name.",
             )
         if "capacity" in self.learn and "current_gain" in self.learn:
             raise InputError(
-                "capacity and current_gain both to be learnt",
+                "capacity and current_gain both to be estimated",
                 "one of the two",
-                "They move the counted charge alike, no data can tell them apart: drop one.",
+                "They move the counted charge alike, no data can separate them: drop one.",
             )
         for name, value in vars(self).items():
             if isinstance(value, float) and not (math.isfinite(value) and value >= 0):
@@ -114,7 +114,7 @@ class AdaptiveSettings:
             )
 
     @property
-    def learns_gain(self) -> bool:
+    def estimates_gain(self) -> bool:
         """Whether a wrong charge is laid to the sensor's gain and not to the capacity."""
         return "current_gain" in self.learn
 
@@ -122,7 +122,7 @@ class AdaptiveSettings:
         """What the kernels take, for a model of the given capacity [Ah]."""
         offset = "current_offset" in self.learn and self.offset_C > 0.0
         resistance = "resistance" in self.learn and self.resistance > 0.0
-        charge = ("capacity" in self.learn or self.learns_gain) and self.charge > 0.0
+        charge = ("capacity" in self.learn or self.estimates_gain) and self.charge > 0.0
         hour = 3600.0
         odds = (1.0 - self.fault_probability) / self.fault_probability
         return AdaptiveScalars(
@@ -132,9 +132,9 @@ class AdaptiveSettings:
             offset_walk=(self.offset_C_per_sqrt_h * capacity_Ah) ** 2 / hour if offset else 0.0,
             resistance_walk=self.resistance_per_sqrt_h**2 / hour if resistance else 0.0,
             charge_walk=self.charge_per_sqrt_h**2 / hour if charge else 0.0,
-            learn_offset=offset,
-            learn_resistance=resistance,
-            learn_charge=charge,
+            estimates_offset=offset,
+            estimates_resistance=resistance,
+            estimates_charge=charge,
             settled_variance=self.settled_soc**2,
             swing_V2=self.swing_V**2,
             fast_s=self.fast_s,
@@ -145,5 +145,5 @@ class AdaptiveSettings:
             rest_limit_A=self.rest_limit_C * capacity_Ah,
             rest_variance=(self.rest_C * capacity_Ah) ** 2,
             odds=odds,
-            doubt=self.doubt,
+            misfit_power=self.misfit_power,
         )

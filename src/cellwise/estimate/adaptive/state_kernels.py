@@ -27,9 +27,9 @@ class AdaptiveScalars(NamedTuple):
     offset_walk: float  # variance per second
     resistance_walk: float
     charge_walk: float
-    learn_offset: bool
-    learn_resistance: bool
-    learn_charge: bool
+    estimates_offset: bool
+    estimates_resistance: bool
+    estimates_charge: bool
     settled_variance: float
     swing_V2: float
     fast_s: float
@@ -40,7 +40,7 @@ class AdaptiveScalars(NamedTuple):
     rest_limit_A: float
     rest_variance: float
     odds: float
-    doubt: float
+    misfit_power: float
 
 
 class Rest(NamedTuple):
@@ -104,7 +104,7 @@ class AdaptiveState(NamedTuple):
 
 
 @kernel
-def adaptive_start(start: EkfStart, learn: AdaptiveScalars, current_A: float) -> AdaptiveState:
+def adaptive_start(start: EkfStart, rules: AdaptiveScalars, current_A: float) -> AdaptiveState:
     """A cell known as ``start`` says; parameters at the model's own values."""
     h = 1.0 if start.soc > 0.5 else -1.0
     p = uncorrelated(
@@ -113,10 +113,10 @@ def adaptive_start(start: EkfStart, learn: AdaptiveScalars, current_A: float) ->
         0.0,
         0.0,
         start.hysteresis_variance,
-        learn.offset_variance,
-        learn.charge_variance,
+        rules.offset_variance,
+        rules.charge_variance,
     )
-    unknown = learn.resistance_variance
+    unknown = rules.resistance_variance
     none = 0.0
     # fmt: off
     resistances = Resistances(

@@ -10,8 +10,8 @@ the model's capacity over the cell's (q); beside it the factors r on R0, R1 and 
 A sensor's gain and a capacity move the counted charge alike, so q stands for either.
 
 A voltage says two things, and they are used apart. Its slow part, weighed as in the EKF with the
-number of samples that share one model error, tells of soc, b and q. Its fast part, against the
-fast part of the drop, tells of the resistances by recursive least squares.
+number of samples that share one model error, bears on soc, b and q. Its fast part, against the
+fast part of the drop, bears on the resistances by recursive least squares.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from cellwise.estimate.adaptive.covariance_kernels import (
     uncorrelated,
     with_parameters,
 )
-from cellwise.estimate.adaptive.mixture_kernels import Mixture, mixture, told_deviation
+from cellwise.estimate.adaptive.mixture_kernels import Mixture, mixture, soc_deviation
 from cellwise.estimate.adaptive.predict_kernels import Predicted, predict
 from cellwise.estimate.adaptive.state_kernels import (
     CHARGE_HIGH,
@@ -161,17 +161,17 @@ def consider(
 
 @inline
 def use_rest(
-    learn: AdaptiveScalars, rest: Rest, e: Estimate, s: Sample, blind: bool
+    rules: AdaptiveScalars, rest: Rest, e: Estimate, s: Sample, blind: bool
 ) -> tuple[Rest, Estimate]:
     """A rest shows the offset by itself: a measurement of b."""
     if blind:
         return Rest(0.0, rest.current_A, rest.used), e
-    after, shows = watch_rest(learn, rest, s.current_A, s.dt_s)
-    if not (shows and learn.learn_offset):
+    after, shows = watch_rest(rules, rest, s.current_A, s.dt_s)
+    if not (shows and rules.estimates_offset):
         return after, e
     d = offset_column(e.p)
     k, p = consider(
-        scaled(d, 1.0 / (d.o + learn.rest_variance)), d, e.p, False, not learn.learn_charge
+        scaled(d, 1.0 / (d.o + rules.rest_variance)), d, e.p, False, not rules.estimates_charge
     )
     return after, moved(e, p, k, after.current_A - e.offset_A)
 
@@ -229,59 +229,59 @@ def recover(
 def update(
     tables: CellTables, now: Predicted, e: Estimate, d: AdaptiveColumn, v: Verdict, held: Held
 ) -> Estimate:
-    """After an accepted voltage; as in the EKF, and parameters held where the data cannot tell."""
+    """After an accepted voltage; as the EKF, with parameters held that the data cannot show."""
     k = scaled(d, v.inverse)
     p = e.p
-    learnt = True
+    gained = True
     if now.at.spread > 0.0:
         move = k.s * v.innovation_V
         flat = landing_slope(tables, e.x.soc, now.at, now.warm_C, now.s.seen_A, move)
         less = flat - now.at.slope_V
         extra = less * (2.0 * d.s + less * p.ss)
         c = soc_row(p, less)
-        learnt = k.s * (k.s * extra - 2.0 * c.s) < k.s * d.s
-        if learnt:
+        gained = k.s * (k.s * extra - 2.0 * c.s) < k.s * d.s
+        if gained:
             p = rejudged(p, k, c, extra)
     gain, after = consider(k, d, p, held.offset != 0, held.charge != 0)
-    return moved(e, after if learnt else p, gain, v.innovation_V)
+    return moved(e, after if gained else p, gain, v.innovation_V)
 
 
 @inline
 def why_held(
-    learn: AdaptiveScalars, p: AdaptiveCovariance, status: int, v: Verdict, moves: bool
+    rules: AdaptiveScalars, p: AdaptiveCovariance, status: int, v: Verdict, moves: bool
 ) -> Held:
-    """What the data cannot tell now is held."""
+    """What the data cannot show now is held."""
     why = NO_CURRENT if status & CURRENT_INVALID else 0
     if not v.used:
         why |= NO_VOLTAGE
-    if settled_variance(p) > learn.settled_variance:
+    if settled_variance(p) > rules.settled_variance:
         why |= SOC_UNSURE
-    resistance = why | (0 if learn.learn_resistance else NOT_CHOSEN)
+    resistance = why | (0 if rules.estimates_resistance else NOT_CHOSEN)
     if not moves:
         resistance |= NO_EXCITATION
-    if v.mismatch > learn.misfit:
+    if v.mismatch > rules.misfit:
         why |= MODEL_MISFIT
-    offset = why | (0 if learn.learn_offset else NOT_CHOSEN)
-    return Held(offset, resistance, why | (0 if learn.learn_charge else NOT_CHOSEN))
+    offset = why | (0 if rules.estimates_offset else NOT_CHOSEN)
+    return Held(offset, resistance, why | (0 if rules.estimates_charge else NOT_CHOSEN))
 
 
 @inline
 def take_step(
     tables: CellTables,
     noise: NoiseScalars,
-    learn: AdaptiveScalars,
+    rules: AdaptiveScalars,
     start: EkfStart,
     state: AdaptiveState,
     reading: Reading,
 ) -> tuple[AdaptiveState, AdaptiveStep]:
     """One step: predict over the interval that ends now, then use the voltage read now."""
     raw = read_sample(tables, noise, state.watch, start.temperature_C, reading)
-    now = predict(tables, noise, learn, start, state, raw)
+    now = predict(tables, noise, rules, start, state, raw)
     old, s, point = now.state, now.s, now.point
     blind = s.gap or s.status & CURRENT_INVALID != 0
     e = Estimate(now.x, old.offset_A, old.charge, now.p)
-    rest, e = use_rest(learn, old.rest, e, raw, blind)
-    r = walk_resistances(learn, old.resistances, s.dt_s)
+    rest, e = use_rest(rules, old.rest, e, raw, blind)
+    r = walk_resistances(rules, old.resistances, s.dt_s)
     pol = polarised(now, e.x, r)
     x = e.x
     heat = heat_step(tables.cell, x.heat_K, s.flow_A, pol.whole_V, s.dt_s)
@@ -294,14 +294,14 @@ def take_step(
     v = gate(tables.cell, noise, old.watch, s, now.evidence_s, old.rejections, old.mismatch, i)
     status = s.status | now.status | v.status
 
-    held = why_held(learn, e.p, status, v, True)
+    held = why_held(rules, e.p, status, v, True)
     if v.used and not s.gap:
         white = noise.voltage_V * noise.voltage_V
         hold = held.resistance != 0
         r, moves = watch_resistances(
-            learn, r, pol.drop_V, pol.tail_V, v.innovation_V, white, s.dt_s, hold
+            rules, r, pol.drop_V, pol.tail_V, v.innovation_V, white, s.dt_s, hold
         )
-        held = why_held(learn, e.p, status, v, moves)
+        held = why_held(rules, e.p, status, v, moves)
     persistent = old.persistent
     if v.recover:
         e = recover(tables, now, e, pol, i)
@@ -327,21 +327,21 @@ def take_step(
 def adaptive_step(
     tables: CellTables,
     noise: NoiseScalars,
-    learn: AdaptiveScalars,
+    rules: AdaptiveScalars,
     start: EkfStart,
     state: AdaptiveState,
     reading: Reading,
 ) -> tuple[AdaptiveState, AdaptiveStep, Mixture]:
     """One step for online use."""
-    after, info = take_step(tables, noise, learn, start, state, reading)
-    return after, info, mixture(learn, after)
+    after, info = take_step(tables, noise, rules, start, state, reading)
+    return after, info, mixture(rules, after)
 
 
 @rows
 def adaptive_rows(
     tables: CellTables,
     noise: NoiseScalars,
-    learn: AdaptiveScalars,
+    rules: AdaptiveScalars,
     start: EkfStart,
     state: AdaptiveState,
     log: LogArrays,
@@ -351,25 +351,25 @@ def adaptive_rows(
 ) -> None:
     """Every row of a log through one step each; ``out`` (OUTPUTS, rows), ``held`` (3, rows)."""
     for k in range(log.dt_s.size):
-        state, info = take_step(tables, noise, learn, start, state, reading_of(log, k))
-        told = mixture(learn, state)
+        state, info = take_step(tables, noise, rules, start, state, reading_of(log, k))
+        mixed = mixture(rules, state)
         r = state.resistances
-        out[OUT_SOC, k] = min(max(told.soc, 0.0), 1.0)
-        out[OUT_STD, k] = told_deviation(told, state.persistent)
+        out[OUT_SOC, k] = min(max(mixed.soc, 0.0), 1.0)
+        out[OUT_STD, k] = soc_deviation(mixed, state.persistent)
         out[OUT_VOLTAGE, k] = info.voltage_V
         out[OUT_INNOVATION, k] = info.innovation_V
         out[OUT_VARIANCE, k] = info.innovation_variance_V2
         out[OUT_RATIO, k] = info.test_ratio
-        out[OUT_OFFSET, k] = told.offset_A
+        out[OUT_OFFSET, k] = mixed.offset_A
         out[OUT_FAST, k] = r.fast
         out[OUT_TAIL, k] = r.tail
-        out[OUT_CHARGE, k] = 1.0 + told.charge
-        out[OUT_OFFSET_STD, k] = math.sqrt(max(told.offset_variance, 0.0))
+        out[OUT_CHARGE, k] = 1.0 + mixed.charge
+        out[OUT_OFFSET_STD, k] = math.sqrt(max(mixed.offset_variance, 0.0))
         out[OUT_FAST_STD, k] = math.sqrt(r.fast_variance)
         out[OUT_TAIL_STD, k] = math.sqrt(r.tail_variance)
-        out[OUT_CHARGE_STD, k] = math.sqrt(max(told.charge_variance, 0.0))
-        out[OUT_OFFSET_FREE, k] = told.offset_probability
-        out[OUT_CHARGE_FREE, k] = told.charge_probability
+        out[OUT_CHARGE_STD, k] = math.sqrt(max(mixed.charge_variance, 0.0))
+        out[OUT_OFFSET_FREE, k] = mixed.offset_probability
+        out[OUT_CHARGE_FREE, k] = mixed.charge_probability
         status[k] = info.status
         held[0, k] = info.held.offset
         held[1, k] = info.held.resistance

@@ -11,16 +11,16 @@ from cellwise.estimate.adaptive.settings import reason
 from cellwise.estimate.trace import Trace
 from cellwise.typing import FloatArray, IntArray
 
-# The share of rows in which a parameter has to be held for the reason to be told at the end.
+# The share of rows in which a parameter has to be held for the reason to be reported at the end.
 MOSTLY = 0.5
 SHOWN = 0.5
 
 
-class Learned(NamedTuple):
+class Estimated(NamedTuple):
     """One parameter: value, standard deviation, and what is to be said of it.
 
     ``probability`` is the chance that it differs from the model's value (None: not asked);
-    ``held`` says why it was held over most of the log, None where it was learnt.
+    ``held`` says why it was held over most of the log, None where it was estimated.
     """
 
     value: float
@@ -47,18 +47,18 @@ class Parameters(NamedTuple):
     chosen has the model's value.
     """
 
-    offset_A: Learned
-    gain: Learned
-    resistance_scale: Learned
-    polarisation_scale: Learned
-    capacity_Ah: Learned
+    offset_A: Estimated
+    gain: Estimated
+    resistance_scale: Estimated
+    polarisation_scale: Estimated
+    capacity_Ah: Estimated
     soh_capacity: float
     soh_resistance: float
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON values."""
         return {
-            name: value.to_dict() if isinstance(value, Learned) else value
+            name: value.to_dict() if isinstance(value, Estimated) else value
             for name, value in self._asdict().items()
         }
 
@@ -85,7 +85,7 @@ class AdaptiveTrace(Trace):
     polarisation_std: FloatArray
     held: IntArray
     model_capacity_Ah: float
-    learns_gain: bool
+    estimates_gain: bool
 
     def parameters(self, row: int = -1) -> Parameters:
         """Values at one row, the last by default; reasons are those of most rows up to there."""
@@ -98,8 +98,8 @@ class AdaptiveTrace(Trace):
             self.capacity_Ah,
             self.capacity_std_Ah,
             row,
-            None if self.learns_gain else charge,
-            fixed if self.learns_gain else why[2],
+            None if self.estimates_gain else charge,
+            fixed if self.estimates_gain else why[2],
         )
         return Parameters(
             offset_A=_at(
@@ -113,8 +113,8 @@ class AdaptiveTrace(Trace):
                 self.gain,
                 self.gain_std,
                 row,
-                charge if self.learns_gain else None,
-                why[2] if self.learns_gain else fixed,
+                charge if self.estimates_gain else None,
+                why[2] if self.estimates_gain else fixed,
             ),
             resistance_scale=resistance,
             polarisation_scale=_at(
@@ -128,8 +128,8 @@ class AdaptiveTrace(Trace):
 
 def _at(
     value: FloatArray, std: FloatArray, row: int, probability: float | None, held: str | None
-) -> Learned:
-    return Learned(float(value[row]), float(std[row]), probability, held)
+) -> Estimated:
+    return Estimated(float(value[row]), float(std[row]), probability, held)
 
 
 def _mostly(bits: IntArray) -> str | None:

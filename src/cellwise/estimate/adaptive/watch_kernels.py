@@ -12,21 +12,21 @@ LONGER = 10.0
 
 @inline
 def watch_rest(
-    learn: AdaptiveScalars, rest: Rest, current_A: float, dt_s: float
+    rules: AdaptiveScalars, rest: Rest, current_A: float, dt_s: float
 ) -> tuple[Rest, bool]:
     """Whether the current has stood still near zero for long enough to be nothing but offset.
 
     True once per rest: a rest is one piece of evidence, so that a small constant load that is
     taken for a rest can be outvoted by the voltage.
     """
-    near = abs(current_A) <= learn.rest_limit_A
-    if not near or abs(current_A - rest.current_A) > learn.rest_band_A:
+    near = abs(current_A) <= rules.rest_limit_A
+    if not near or abs(current_A - rest.current_A) > rules.rest_band_A:
         return Rest(0.0, current_A, False), False
     since = rest.since_s + dt_s
     mean = rest.current_A
     if since > 0.0:
         mean += min(dt_s / since, 1.0) * (current_A - mean)
-    shows = not rest.used and since >= learn.rest_after_s
+    shows = not rest.used and since >= rules.rest_after_s
     return Rest(since, mean, rest.used or shows), shows
 
 
@@ -42,7 +42,7 @@ def least_squares(
 
 @inline
 def watch_resistances(
-    learn: AdaptiveScalars,
+    rules: AdaptiveScalars,
     r: Resistances,
     drop_V: float,
     tail_V: float,
@@ -58,7 +58,7 @@ def watch_resistances(
     of an OCV is that fast. The noise is what the innovations show in the same band, one piece of
     evidence in twice the band's time.
     """
-    near = min(dt_s / learn.fast_s, 1.0)
+    near = min(dt_s / rules.fast_s, 1.0)
     drop_mean = r.drop_V + near * (drop_V - r.drop_V)
     miss_mean = r.miss_V + near * (innovation_V - r.miss_V)
     near_mean = r.near_V + near * (tail_V - r.near_V)
@@ -67,13 +67,13 @@ def watch_resistances(
     share = near / LONGER
     drop2 = r.drop_V2 + share * (drop * drop - r.drop_V2)
     miss2 = r.miss_V2 + share * (miss * miss - r.miss_V2)
-    moves = drop2 >= learn.swing_V2
+    moves = drop2 >= rules.swing_V2
     fast, fast_variance = r.fast, r.fast_variance
     if moves and not hold and dt_s > 0.0:
-        noise = max(miss2, white_V2) * max(2.0 * learn.fast_s / dt_s, 1.0)
+        noise = max(miss2, white_V2) * max(2.0 * rules.fast_s / dt_s, 1.0)
         fast, fast_variance = least_squares(fast, fast_variance, drop, miss, noise)
 
-    far = min(dt_s / learn.tail_s, 1.0)
+    far = min(dt_s / rules.tail_s, 1.0)
     far_mean = r.far_V + far * (near_mean - r.far_V)
     miss_far = r.miss_far_V + far * (miss_mean - r.miss_far_V)
     lag = near_mean - far_mean
@@ -82,8 +82,8 @@ def watch_resistances(
     tail2 = r.tail_V2 + share * (lag * lag - r.tail_V2)
     far2 = r.miss_far_V2 + share * (miss * miss - r.miss_far_V2)
     tail, tail_variance = r.tail, r.tail_variance
-    if tail2 >= learn.swing_V2 and not hold and dt_s > 0.0:
-        noise = max(far2, white_V2) * max(2.0 * learn.tail_s / dt_s, 1.0)
+    if tail2 >= rules.swing_V2 and not hold and dt_s > 0.0:
+        noise = max(far2, white_V2) * max(2.0 * rules.tail_s / dt_s, 1.0)
         tail, tail_variance = least_squares(tail, tail_variance, lag, miss, noise)
     # fmt: off
     return Resistances(
@@ -94,13 +94,13 @@ def watch_resistances(
 
 
 @inline
-def walk_resistances(learn: AdaptiveScalars, r: Resistances, dt_s: float) -> Resistances:
+def walk_resistances(rules: AdaptiveScalars, r: Resistances, dt_s: float) -> Resistances:
     """Uncertainty of the resistances comes back, up to what it was before any data."""
     fast, tail = r.fast_variance, r.tail_variance
-    if fast < learn.resistance_variance:
-        fast += learn.resistance_walk * dt_s
-    if tail < learn.resistance_variance:
-        tail += learn.resistance_walk * dt_s
+    if fast < rules.resistance_variance:
+        fast += rules.resistance_walk * dt_s
+    if tail < rules.resistance_variance:
+        tail += rules.resistance_walk * dt_s
     # fmt: off
     return Resistances(
         r.fast, fast, r.tail, tail, r.drop_V, r.miss_V, r.drop_V2, r.miss_V2,

@@ -195,19 +195,19 @@ def update(
     k = scaled(d, v.inverse)
     x = moved(now.x, k, v.innovation_V)
     p = now.p
-    learnt = True
+    gained = True
     if now.at.spread > 0.0:
         # The gain was that of the slope here; what it is worth is said by the slope where it
-        # leads, if that is flatter (Joseph's form): on a plateau nothing was learnt.
+        # leads, if that is flatter (Joseph's form): on a plateau nothing was gained.
         move = k.s * v.innovation_V
         flat = landing_slope(tables, now.x.soc, now.at, now.warm_C, s.seen_A, move)
         less = flat - now.at.slope_V
         e = less * (2.0 * d.s + less * p.ss)
         c = soc_row(p, less)
-        learnt = k.s * (k.s * e - 2.0 * c.s) < k.s * d.s
-        if learnt:
+        gained = k.s * (k.s * e - 2.0 * c.s) < k.s * d.s
+        if gained:
             p = rejudged(p, k, c, e)
-    if learnt:
+    if gained:
         p = corrected(p, k, d)
     persistent = persistent_step(
         noise, now.point, v.mismatch, k.s, now.at.slope_V, now.state.persistent
@@ -219,7 +219,7 @@ def update(
 def finish(
     x: CellState, p: Covariance, persistent: float, i: Innovation, v: Verdict, status: int
 ) -> tuple[EkfState, EkfInfo]:
-    """SOC held within 0..1, and what there is to tell."""
+    """SOC held within 0..1, and what there is to report."""
     soc = x.soc
     if soc < SOC_LOW or soc > SOC_HIGH:
         soc = min(max(soc, SOC_LOW), SOC_HIGH)

@@ -52,7 +52,7 @@ class KalmanFilter:
         check_soc0(soc0)
         if not (np.isfinite(soc0_std) and soc0_std > 0):
             raise InputError(
-                f"a start SOC deviation of {soc0_std}", "a number above zero", "Give e.g. 0.15."
+                f"an initial SOC deviation of {soc0_std}", "a number above zero", "Give e.g. 0.15."
             )
         table = self._tables.table
         return EkfStart(
@@ -85,7 +85,7 @@ class KalmanFilter:
 
         A missing voltage (NaN) gives a prediction, a missing current holds the last one for
         ``Noise.hold_s``, a missing temperature the last one that was measured, or the model's own;
-        all are told in ``Info.status``.
+        all are flagged in ``Info.status``.
 
         Raises
         ------

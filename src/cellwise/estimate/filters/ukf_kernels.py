@@ -114,7 +114,7 @@ def pair_of(sigma: SigmaScalars, p: Covariance, ss: float) -> Pair:
 def predict(
     tables: CellTables, noise: NoiseScalars, sigma: SigmaScalars, s: Sample, begun: Begun
 ) -> Spread:
-    """First and second differences along the pair, what is left of P mapped, and noise."""
+    """First and second differences along the pair, the rest of P mapped, and noise."""
     now = begun.now
     old, point, t, c = now.old, now.point, now.t, sigma.reach
     ss = begun.p.ss

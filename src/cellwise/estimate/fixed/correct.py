@@ -63,9 +63,9 @@ def rejudge(
     innovation: Float,
     seen: Float,
 ) -> Flag:
-    """Judge the gain by the slope where it leads, if that is flatter; whether anything was learnt.
+    """Judge the gain by the slope where it leads, if that is flatter; whether anything was gained.
 
-    The gain itself was that of the slope here: on a plateau nothing is learnt, and the covariance
+    The gain itself was that of the slope here: on a plateau nothing is gained, and the covariance
     stays as it is.
     """
     ks = d.s * inverse
@@ -79,11 +79,11 @@ def rejudge(
     less = flat - w.slope_V
     e = less * ((TWO * d.s) + (less * x.ss))
     wider = rejudged(ks, ks, less * x.ss, less * x.ss, e)
-    learnt = False
+    gained = False
     if size_within(wider, LARGE) and wider < (ks * d.s):
-        learnt = True
+        gained = True
         rejudge_covariance(x, d, inverse, less, e, wider)
-    return learnt
+    return gained
 
 
 def reject(
@@ -120,7 +120,7 @@ def reject(
     return status
 
 
-def learn(
+def fuse(
     m: Model,
     place: Place,
     x: State,
@@ -133,7 +133,7 @@ def learn(
     """State and covariance after a voltage within the gate.
 
     What the innovations have lately shown beyond their variance makes evidence weigh less. A first
-    sample under load tells of the load more than of the SOC.
+    sample under load says more of the load than of the SOC.
     """
     shared = shared_by(m.constant, x, s.seen)
     weight = i.one_V2 * shared
@@ -141,11 +141,11 @@ def learn(
         weight = weight * x.mismatch
     if s.news == INTERVAL or shared <= ONE:
         inverse = ONE / (i.explained_V2 + weight)
-        learnt = True
+        gained = True
         if WIDE and w.spread > ZERO:
-            learnt = rejudge(m, place, x, p, w, i.column, inverse, innovation, s.seen)
+            gained = rejudge(m, place, x, p, w, i.column, inverse, innovation, s.seen)
         move(m.constant, x, i.column, inverse, innovation)
-        if learnt:
+        if gained:
             narrow(x, i.column, inverse)
     x.rejections = U(x.rejections - FORGIVEN) if x.rejections > FORGIVEN else U(0)
     if x.evidence < FIRST_VOLTAGE:
@@ -163,7 +163,7 @@ def weigh(
     voltage: Float,
     innovation: Float,
 ) -> Count:
-    """A voltage that is looked at: rejected, SOC searched for it, or learnt from."""
+    """A voltage that is looked at: rejected, SOC searched for it, or used."""
     c = m.constant
     square = innovation * innovation
     most = c.gate_square * i.variance_V2
@@ -185,7 +185,7 @@ def weigh(
         if WIDE:
             look_anew(m, place, x, s.seen, voltage, i.one_V2, i.polarisation_V)
     else:
-        learn(m, place, x, p, w, s, i, innovation)
+        fuse(m, place, x, p, w, s, i, innovation)
     return status
 
 

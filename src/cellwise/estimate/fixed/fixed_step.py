@@ -196,7 +196,7 @@ def start_state(stepper: Stepper, soc0: float, soc0_std: float) -> NDArray[Any]:
     check_soc0(soc0)
     if not (np.isfinite(soc0_std) and soc0_std > 0):
         raise InputError(
-            f"a start SOC deviation of {soc0_std}", "a number above zero", "Give e.g. 0.15."
+            f"an initial SOC deviation of {soc0_std}", "a number above zero", "Give e.g. 0.15."
         )
     state = np.zeros(1, dtype=state_type(stepper.tables.options))
     stepper.begin(state, float(soc0), min(max(float(soc0_std) ** 2, 1e-11), MOST_VARIANCE))

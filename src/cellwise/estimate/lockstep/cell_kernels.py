@@ -24,7 +24,7 @@ from cellwise.typing import FloatArray
 
 @inline
 def put_info(out: FloatArray, lane: int, info: EkfInfo) -> None:
-    """What there is to tell of one lane."""
+    """What there is to report of one lane."""
     out[OUT_SOC * LANES + lane] = info.soc
     out[OUT_STD * LANES + lane] = info.soc_std
     out[OUT_VOLTAGE * LANES + lane] = info.voltage_V

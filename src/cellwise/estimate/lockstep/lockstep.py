@@ -166,8 +166,8 @@ class LockstepEkf:
             self._out.ravel(),
             self._status,
         )
-        told = self._out[:, : self.cells]
-        info = LockstepInfo._make((*told, self._status[: self.cells], int(short)))
+        shown_now = self._out[:, : self.cells]
+        info = LockstepInfo._make((*shown_now, self._status[: self.cells], int(short)))
         return state, info
 
     def cell_state(self, state: LockstepState, cell: int) -> EkfState:

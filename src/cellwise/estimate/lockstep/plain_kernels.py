@@ -317,9 +317,9 @@ def lockstep(
                     )
                     bits[lane] = full_lane(tables, noise, start, block, lane, reading, shown)
         for row in range(OUTPUTS):
-            told = out[row * lanes + first : row * lanes + first + LANES]
+            shown_now = out[row * lanes + first : row * lanes + first + LANES]
             for lane in range(LANES):
-                told[lane] = shown[row * LANES + lane]
+                shown_now[lane] = shown[row * LANES + lane]
     for lane in range(cells - (blocks - 1) * LANES, LANES):  # nobody's
         short -= 1 if work[W_PLAIN * LANES + lane] > 0.0 else 0
     return short

@@ -1,9 +1,9 @@
-"""Python functions of the fixed step as C99, sentence by sentence, in the same order.
+"""Python functions of the fixed step as C99, statement by statement, in the same order.
 
 What the sources may say is what C can: floats, counts, flags, records; ``if``, loops, calls. An
 ``if`` about options becomes ``#if``. A function that returns a named tuple fills a struct: what it
-names in its last sentence is that struct's field from the start. ``a if OPTION else ZERO`` is there
-only where the option is.
+names in its last statement is that struct's field from the start. ``a if OPTION else ZERO`` is
+there only where the option is.
 """
 
 from __future__ import annotations

@@ -103,7 +103,7 @@ class Reading:
     # ---- options ----
 
     def _options(self, test: ast.expr) -> tuple[Guard, ast.expr | None]:
-        """The options that a test asks for first, and what is left of it."""
+        """The options that a test asks for first, and the rest of it."""
         both = isinstance(test, ast.BoolOp) and isinstance(test.op, ast.And)
         parts = test.values if both else [test]  # type: ignore[attr-defined]
         found: list[str] = []
@@ -119,7 +119,7 @@ class Reading:
         return frozenset(found), left
 
     def _guard_of(self, node: ast.stmt) -> Guard:
-        """Options without which a sentence has no meaning: that of its target."""
+        """Options without which a statement has no meaning: that of its target."""
         if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
             option = FLOATS.get(self.renamed.get(node.targets[0].id, ("", ""))[1], "")
             if option:

@@ -27,7 +27,7 @@ def comment(text: str, indent: int = 0) -> list[str]:
 
 
 def comments_of(source: str) -> tuple[dict[int, str], dict[int, str]]:
-    """Comments of a Python source by line: those that stand alone, those behind a sentence."""
+    """Comments of a Python source by line: those that stand alone, those behind a statement."""
     alone: dict[int, str] = {}
     behind: dict[int, str] = {}
     for token in tokenize.generate_tokens(io.StringIO(source).readline):

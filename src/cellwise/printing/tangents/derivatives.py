@@ -1,7 +1,7 @@
 """Prints `cell/derivative_kernels.py`: the derivatives of the cell's equations, from their text.
 
 Every line of the equations has derivatives with respect to the names in it. Lines in between are
-then taken out, from the last to the first, by the chain rule: what is left is how the new state
+then taken out, from the last to the first, by the chain rule: what remains is how the new state
 and the voltage follow the old state, the current, the tables and the scalars.
 """
 
