@@ -49,7 +49,7 @@ firmware: $(STAMP)
 	command -v riscv64-unknown-elf-gcc qemu-system-riscv32 >/dev/null || \
 	  { apt-get update -qq && apt-get install -y -qq --no-install-recommends $(RISCV_PACKAGES); } || \
 	  echo "no RISC-V tools: its tests are skipped"
-	$(BIN)/pytest -n 2 tests/firmware tests/export tests/estimate/test_fixed_step_twin.py
+	$(BIN)/pytest -n 2 tests/firmware tests/export tests/estimate/fixed/test_fixed_step_twin.py
 
 # Debian's Chromium, and every page opened in it.
 pages: $(STAMP)

@@ -42,8 +42,6 @@ MODULES = sorted(path for path in PACKAGE.rglob("*.py") if path.parent != PACKAG
 
 
 MOST_MODULES = 15
-# Folders that are being rearranged, and how many modules they may hold until then.
-LARGER = {"src/cellwise/estimate/fixed": 16, "tests/estimate": 26}
 
 
 def part_of(path):
@@ -147,7 +145,7 @@ def test_a_folder_holds_at_most_fifteen_modules(root):
     for folder in folders:
         modules = [path for path in folder.glob("*.py") if path.stem != "__init__"]
         relative = folder.relative_to(REPOSITORY).as_posix()
-        assert len(modules) <= LARGER.get(relative, MOST_MODULES), relative
+        assert len(modules) <= MOST_MODULES, relative
 
 
 def test_numba_stays_in_the_kernels():
