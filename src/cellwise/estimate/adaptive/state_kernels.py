@@ -102,6 +102,11 @@ class AdaptiveState(NamedTuple):
         """The last valid current [A]."""
         return self.watch.current_A
 
+    @property
+    def soc_std(self) -> float:
+        """Standard deviation of the state of charge, every parameter free."""
+        return math.sqrt(self.p.ss + self.persistent * self.persistent)
+
 
 @kernel
 def adaptive_start(start: EkfStart, rules: AdaptiveScalars, current_A: float) -> AdaptiveState:
