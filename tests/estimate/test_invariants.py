@@ -177,12 +177,12 @@ def test_charge_is_conserved_on_the_target(name):
 @estimators([FIRMWARE])
 @pytest.mark.parametrize("field", ["heat_K", "soc"])
 def test_over_a_long_gap_on_the_target_only_the_current_is_unknown(name, field):
-    """The heat decays, the cell leaks: as in the float64 EKF."""
+    """The heat decays, self-discharge goes on: as in the float64 EKF, up to the tables' rows."""
     effects = WARM if field == "heat_K" else (ACTIVE["self_discharge"],)
     model = linear_cell(effects=effects)
     rows = Rows.of([0.0, *[5.0] * 100, 0.0, 0.0]).interval(101, 900.0, gap=True)
     mine, ekf = (follow(n, model, rows, 0.8) for n in (name, "ekf"))
-    np.testing.assert_allclose(getattr(mine, field), getattr(ekf, field), rtol=1e-3, atol=1e-5)
+    np.testing.assert_allclose(getattr(mine, field), getattr(ekf, field), rtol=5e-3, atol=1e-5)
 
 
 def rough(model, seed=6):

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from cellwise.cell.effects import (
     ChargeAsymmetry,
+    Entropy,
     Hysteresis,
     RateDependence,
     SelfDischarge,
@@ -41,12 +42,13 @@ ACTIVE = {
     for effect in (
         SlowDiffusion(r3_ohm=0.015, tau3_s=1500.0),
         Hysteresis(m_V=0.02, gamma=40.0),
-        TemperatureDependence(activation_K=2500.0, reference_C=20.0),
+        TemperatureDependence(activation_K=2500.0, reference_C=20.0, r1_K=900.0, tau2_K=1500.0),
         TimeSkew(skew_s=0.4),
         RateDependence(rate_h=0.1),
         ChargeAsymmetry(charge_scale=1.3),
         SelfHeating(rth_K_per_W=8.0, thermal_s=400.0),
         SelfDischarge(leak_A=0.02),
+        Entropy(docv_dT_V_per_K=3e-4, reference_C=10.0),
     )
 }
 NEUTRAL = {
@@ -60,6 +62,7 @@ NEUTRAL = {
         ChargeAsymmetry(charge_scale=1.0),
         SelfHeating(rth_K_per_W=0.0, thermal_s=33.0),
         SelfDischarge(leak_A=0.0),
+        Entropy(docv_dT_V_per_K=0.0, reference_C=-7.0),
     )
 }
 NOTHING = AdaptiveSettings(learn=(), memory_s=0.0)

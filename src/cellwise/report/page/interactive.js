@@ -91,9 +91,9 @@
       root.append(canvas);
       return canvas;
     });
-    const readout = document.createElement("p");
-    readout.className = "readout";
-    root.append(readout);
+    const line = document.createElement("p");
+    line.className = "readout";
+    root.append(line);
     root.tabIndex = 0;
 
     function draw() {
@@ -248,7 +248,7 @@
             if (line.levels[i] !== MISSING)
               text += ` | ${line.label} ${valueOf(line, line.levels[i]).toPrecision(5)}`;
       }
-      readout.textContent = text;
+      line.textContent = text;
     }
 
     function show(from, to) {
