@@ -180,7 +180,7 @@ class TestHeld:
         assert told.offset_A.held == told.capacity_Ah.held == reason(Held.NOT_CHOSEN)
 
     def test_capacity_and_gain_cannot_both_be_learnt(self):
-        with pytest.raises(InputError, match="no data can tell them apart"):
+        with pytest.raises(InputError, match="no data can separate them"):
             AdaptiveSettings(learn=ESTIMABLE)
         with pytest.raises(InputError, match="current_offset"):
             AdaptiveSettings(learn=("bias",))
