@@ -21,11 +21,12 @@ if TYPE_CHECKING:
     from cellwise.estimate.replay import Replay, replay
     from cellwise.estimate.status import Status
     from cellwise.identify import Identification, IdentifySettings, TestLogs, identify_cell
-    from cellwise.logs import CellLog, inspect_log, read_log, write_log
+    from cellwise.logs import CellLog, Stated, inspect_log, read_log, write_log
 
 # Loaded on first use: importing cellwise must not wait for compilers.
 _HOMES = {
     "CellLog": "cellwise.logs",
+    "Stated": "cellwise.logs",
     "inspect_log": "cellwise.logs",
     "read_log": "cellwise.logs",
     "write_log": "cellwise.logs",
@@ -72,6 +73,7 @@ __all__ = [
     "Replay",
     "SigmaPoints",
     "Simulation",
+    "Stated",
     "Status",
     "TestLogs",
     "Ukf",

@@ -12,9 +12,8 @@ import pandas as pd
 import pytest
 
 from cellwise.cli import main
-from cellwise.cli.common.printing import clean, split_temperature
+from cellwise.cli.common.printing import clean
 from cellwise.data import datasets_folder
-from cellwise.errors import InputError
 from cellwise.logs import read_log
 
 NUMBER = (int, float)
@@ -230,34 +229,6 @@ def test_the_sign_can_be_stated(run_json, drive, tmp_path):
     run_json("convert", str(path), "--sign", "charge-positive", "-o", str(out))
     np.testing.assert_allclose(read_log(out).current_A, read_log(drive).current_A)
     assert run_json("inspect", str(path))["sign"] == "contradicted"
-
-
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("a.csv", ("a.csv", None)),
-        ("a.csv@25", ("a.csv", 25.0)),
-        ("a.csv@-10", ("a.csv", -10.0)),
-        ("a.csv@0", ("a.csv", 0.0)),
-        ("a.csv@-7.5C", ("a.csv", -7.5)),
-        ("me@work/a.csv@40", ("me@work/a.csv", 40.0)),
-    ],
-)
-def test_log_at_temperature(text, expected):
-    assert split_temperature(text) == expected
-
-
-def test_a_file_whose_name_has_an_at_stays_whole(tmp_path):
-    path = tmp_path / "cell@lab.csv"
-    path.touch()
-    assert split_temperature(str(path)) == (str(path), None)
-    assert split_temperature(f"{path}@10") == (str(path), 10.0)
-
-
-@pytest.mark.parametrize("text", ["a.csv@hot", "a.csv@298", "a.csv@-300", "a.csv@nan", "a.csv@"])
-def test_no_temperature(text):
-    with pytest.raises(InputError):
-        split_temperature(text)
 
 
 def test_a_log_of_a_temperature_makes_an_axis(run_json, tmp_path):

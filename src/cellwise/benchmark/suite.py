@@ -12,6 +12,7 @@ from cellwise.benchmark.faults import FAULTS, GROUPS, NONE, Fault
 from cellwise.benchmark.toml_tables import checked, records
 from cellwise.errors import InputError
 from cellwise.estimate.estimators import ESTIMATORS
+from cellwise.logs.stated import Stated
 
 BASELINES = ("coulomb", "rest-ocv", "filterpy-ekf", "filterpy-ukf")
 SUITES = Path(__file__).with_name("suites")
@@ -23,7 +24,7 @@ class SuiteCell:
     """How a model comes about: a model file, or the tests that it is identified on.
 
     Every log is ``embedded:NAME`` or a path, beside the suite or in the folder of measured data,
-    with ``@TEMPERATURE`` [degC] behind it where the log does not say.
+    with what is known of it behind an @ (``@-10``, ``@temperature_C=-10,soc0=1``).
 
     Parameters
     ----------
@@ -83,7 +84,7 @@ class SuiteLog:
         """Name in tables."""
         if self.name:
             return self.name
-        stem = Path(split(self.log)[0].removeprefix(EMBEDDED)).name.split(".")[0]
+        stem = Path(Stated.parse(self.log).path.removeprefix(EMBEDDED)).name.split(".")[0]
         return stem if self.from_soc is None else f"{stem} from {100 * self.from_soc:g} %"
 
 
@@ -201,27 +202,6 @@ def with_estimators(suite: Suite, names: tuple[str, ...]) -> Suite:
     return replace(suite, estimators=_with_baselines(names))
 
 
-def split(location: str) -> tuple[str, float | None]:
-    """``LOG@TEMPERATURE`` as the log and its temperature [degC].
-
-    Raises
-    ------
-    InputError        behind the @ stands no temperature
-    """
-    place, at, tail = location.rpartition("@")
-    if not at:
-        return location, None
-    try:
-        temperature = float(tail.removesuffix("C"))
-    except ValueError:
-        raise InputError(f"'{location}'", "LOG or LOG@TEMPERATURE in degC", "Correct it.") from None
-    if not -80.0 <= temperature <= 120.0:
-        raise InputError(
-            f"a temperature of {temperature:g} degC", "degC, not kelvin", "Correct it."
-        )
-    return place, temperature
-
-
 def _with_baselines(names: tuple[str, ...]) -> tuple[str, ...]:
     for name in names:
         if not is_adapter(name) and name not in ESTIMATORS:
@@ -303,7 +283,7 @@ def _check_cell(cell: SuiteCell) -> None:
             "Give one of the two.",
         )
     for location in cell.tests:
-        split(location)
+        Stated.parse(location)
 
 
 def _check_log(log: SuiteLog, cells: set[str]) -> None:
@@ -313,8 +293,13 @@ def _check_log(log: SuiteLog, cells: set[str]) -> None:
             f"one of {', '.join(sorted(cells))}",
             "Add a [[cell]] of that name.",
         )
-    place, _ = split(log.log)
-    if not place.startswith(EMBEDDED) and (log.soc0 is None or log.reference_Ah is None):
+    stated = Stated.parse(log.log)
+    if log.soc0 is not None and stated.soc0 not in (None, log.soc0):
+        raise InputError(
+            f"soc0 = {log.soc0:g} of log '{log.log}'", "one initial SOC", "Leave out one of them."
+        )
+    known = (log.soc0 is not None or stated.soc0 is not None) and log.reference_Ah is not None
+    if not known and not stated.path.startswith(EMBEDDED):
         raise InputError(
             f"log '{log.shown}' without soc0 or reference_Ah",
             "the true SOC at its first row and the charge between full and empty",

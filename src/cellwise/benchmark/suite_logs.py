@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cellwise.benchmark.suite import EMBEDDED, Suite, SuiteCell, SuiteLog, split
+from cellwise.benchmark.suite import EMBEDDED, Suite, SuiteCell, SuiteLog
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import read_model
 from cellwise.data import datasets_folder, list_datasets
@@ -21,6 +21,7 @@ from cellwise.identify.pipeline import identify_cell
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.reading import read_log
 from cellwise.logs.resample import resample
+from cellwise.logs.stated import Stated
 from cellwise.typing import FloatArray
 
 REST_SHARE = 0.01
@@ -54,7 +55,7 @@ def locate(location: str, suite: Suite, data: Path | None) -> Path:
     ------
     InputError        nowhere
     """
-    place, _ = split(location)
+    place = Stated.parse(location).path
     if place.startswith(EMBEDDED):
         name = place.removeprefix(EMBEDDED)
         return datasets_folder() / str(_entry(name)["file"])
@@ -98,12 +99,8 @@ def digest(path: Path) -> str:
 
 
 def read_at(location: str, suite: Suite, data: Path | None) -> CellLog:
-    """A log, with the stated temperature where it measured none."""
-    _, temperature = split(location)
-    log = read_log(locate(location, suite, data))
-    if temperature is not None and log.temperature_C is None:
-        log = replace(log, temperature_C=np.full(len(log), temperature))
-    return log
+    """A log, with what is stated of it."""
+    return Stated.parse(location).applied(read_log(locate(location, suite, data)))
 
 
 def judged_log(one: SuiteLog, suite: Suite, data: Path | None) -> JudgedLog:
@@ -115,9 +112,9 @@ def judged_log(one: SuiteLog, suite: Suite, data: Path | None) -> JudgedLog:
                       ``from_soc``
     """
     log = read_at(one.log, suite, data)
-    soc0, capacity = one.soc0, one.reference_Ah
+    soc0, capacity = log.soc0 if one.soc0 is None else one.soc0, one.reference_Ah
     if soc0 is None or capacity is None:
-        entry = _entry(split(one.log)[0].removeprefix(EMBEDDED))
+        entry = _entry(Stated.parse(one.log).path.removeprefix(EMBEDDED))
         soc0 = float(str(entry["initial_soc"])) if soc0 is None else soc0
         capacity = float(str(entry["true_capacity_Ah"])) if capacity is None else capacity
     truth = reference_soc(log, soc0, capacity)
@@ -181,11 +178,12 @@ def _settings(cell: SuiteCell) -> IdentifySettings:
 def _tests(cell: SuiteCell, suite: Suite, data: Path | None) -> TestLogs:
     capacity = cell.nominal_Ah or 0.0
     return TestLogs(
-        hppc=tuple((read_at(p, suite, data), split(p)[1]) for p in cell.hppc),
+        hppc=tuple((read_at(p, suite, data), Stated.parse(p).temperature_C) for p in cell.hppc),
         ocv=tuple(read_at(p, suite, data) for p in cell.ocv),
         capacity=tuple(read_at(p, suite, data) for p in cell.capacity),
         drive=tuple(
-            (_began_full(cell, read_at(p, suite, data), capacity), split(p)[1]) for p in cell.drive
+            (_began_full(cell, read_at(p, suite, data), capacity), Stated.parse(p).temperature_C)
+            for p in cell.drive
         ),
     )
 
@@ -196,7 +194,7 @@ def _began_full(cell: SuiteCell, log: CellLog, capacity_Ah: float) -> CellLog:
     In the cold the first minute under load does not separate full from half.
     """
     full = cell.rested_full_V
-    if full is None or abs(log.current_A[0]) < REST_SHARE * capacity_Ah:
+    if full is None or log.soc0 is not None or abs(log.current_A[0]) < REST_SHARE * capacity_Ah:
         return log
 
     def put(values: FloatArray | None, first: float) -> FloatArray | None:

@@ -21,6 +21,7 @@ REST_RATE = 0.01  # below C/100 a cell counts as resting
 FIT_S = 60.0
 SHORT_REST_V = 0.010  # what may be left of an unknown past when the rest seen is short
 RELAXED_S = 1800.0
+STATED_STD = 0.005  # a start that is known: full and empty of two tests differ by about this
 # By how much a used cell's resistance differs from its model's; aged or cold ones by more.
 UNKNOWN_RESISTANCE = 0.3
 HALF_NORMAL = 0.8  # mean of a half normal distribution, in its deviations: sqrt(2 / pi)
@@ -49,8 +50,9 @@ def initial_soc(
 ) -> InitialSoc:
     """SOC at the first row of a log.
 
-    Taken as given; else from the voltage of a rest at the log's start through the OCV; else from
-    the SOC at which the simulation fits the log's first minute best.
+    Taken as given, else as the log states it (`CellLog.soc0`); else from the voltage of a rest at
+    the log's start through the OCV; else from the SOC at which the simulation fits the log's first
+    minute best.
 
     Parameters
     ----------
@@ -67,6 +69,8 @@ def initial_soc(
     if given is not None:
         check_soc0(given)
         return InitialSoc(float(given), given_std, "given")
+    if log.soc0 is not None:
+        return InitialSoc(log.soc0, STATED_STD, "stated")
     current = log.known_current_A()
     resting = np.abs(current) < REST_RATE * model.capacity_Ah
     resting[: int(np.argmax(np.isfinite(log.interval_current_A)))] = False  # nobody knows

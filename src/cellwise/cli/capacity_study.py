@@ -30,16 +30,16 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     p.add_argument("--data", metavar="DIR", help="folder of the measured cells [$CELLWISE_DATA]")
     own = p.add_argument_group("a cell of your own")
     for option, metavar, text in (
-        ("--hppc", "LOG[@TEMP]", "pulse test to identify on"),
+        ("--hppc", "LOG[@...]", "pulse test to identify on"),
         ("--ocv", "LOG", "low-rate discharge, charge or both"),
         ("--capacity", "LOG", "capacity test"),
-        ("--drive", "LOG[@TEMP]", "drive log to refine on"),
+        ("--drive", "LOG[@...]", "drive log to refine on"),
         ("--judge", "LOG", "log with a charge counter that the choices are judged on"),
     ):
         own.add_argument(option, action="append", default=[], metavar=metavar, help=text)
     own.add_argument("--nominal-ah", type=float, metavar="X", help="rated capacity")
     own.add_argument("--reference-capacity-ah", type=float, metavar="X", help="of the reference")
-    own.add_argument("--reference-soc0", type=float, default=1.0, metavar="X", help="[1]")
+    own.add_argument("--reference-soc0", type=float, metavar="X", help="[as stated, else 1]")
     p.add_argument("--choice", action="append", metavar="C", help="only these choices [all]")
     p.add_argument("--estimator", action="append", metavar="E", help="only these [all four]")
     page_options.add_page_options(p)
@@ -113,29 +113,27 @@ def own_cell(arguments: argparse.Namespace) -> StudyCell | None:
             "tests, --judge LOG and --reference-capacity-ah X",
             "Give all three, or --cell for a cell that is known.",
         )
-    if not capacity > 0.0 or not 0.0 <= soc0 <= 1.0:
+    if not capacity > 0.0 or not (soc0 is None or 0.0 <= soc0 <= 1.0):
         raise InputError(
-            f"a reference of {capacity:g} Ah from SOC {soc0:g}",
+            f"a reference of {capacity:g} Ah from SOC {1.0 if soc0 is None else soc0:g}",
             "a capacity above zero, a SOC from 0 to 1",
             "Correct it.",
         )
 
-    def with_temperature(items: list[str]) -> list[tuple[str, float | None]]:
-        return [printing.split_temperature(item) for item in items]
+    def judged(path: str) -> JudgedLog:
+        log = log_options.read(path, arguments)
+        start = log_options.start_of(log.soc0, arguments.reference_soc0, "--reference-soc0")
+        return JudgedLog(log, log.soc0 if log.soc0 is not None else 1.0 if start is None else start)
 
     return StudyCell(
         name=Path(arguments.judge[0]).name.split(".")[0],
         tests=TestLogs(
-            hppc=tuple(
-                (log_options.read(p, arguments), t) for p, t in with_temperature(arguments.hppc)
-            ),
-            drive=tuple(
-                (log_options.read(p, arguments), t) for p, t in with_temperature(arguments.drive)
-            ),
+            hppc=log_options.read_with_temperature(arguments.hppc, arguments),
+            drive=log_options.read_with_temperature(arguments.drive, arguments),
             ocv=tuple(log_options.read(p, arguments) for p in arguments.ocv),
             capacity=tuple(log_options.read(p, arguments) for p in arguments.capacity),
         ),
-        judged=tuple(JudgedLog(log_options.read(p, arguments), soc0) for p in arguments.judge),
+        judged=tuple(judged(path) for path in arguments.judge),
         reference_Ah=capacity,
         reference="given",
         settings=IdentifySettings(nominal_Ah=arguments.nominal_ah),

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cellwise.cli.common import log_options, page_options, printing
-from cellwise.cli.estimating import parse_soc0
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
@@ -31,7 +30,12 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
         p.add_argument(
             option, action="extend", nargs="+", default=[], metavar="LOG", help=f"{text}; several"
         )
-    p.add_argument("--soc0", default="auto", metavar="X", help="of every log: 0..1, or auto [auto]")
+    p.add_argument(
+        "--soc0",
+        default="auto",
+        metavar="X",
+        help="of logs without LOG@soc0=X: 0..1, or auto [auto]",
+    )
     p.add_argument(
         "--cause", action="append", metavar="C", help="try only this cause; several [all]"
     )
@@ -51,7 +55,7 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
     from cellwise.report.diagnosis.runs import with_anatomy
 
     _check_places(arguments)
-    soc0 = parse_soc0(arguments.soc0)
+    soc0 = log_options.parse_soc0(arguments.soc0)
     if soc0 is not None:
         check_soc0(soc0)
     model = read_model(arguments.model)
@@ -96,14 +100,21 @@ def _check_places(arguments: argparse.Namespace) -> None:
         raise InputError(
             f"a file at '{arguments.corrected}'", "a folder for the corrected logs", "Rename it."
         )
-    seen = {Path(p).resolve() for p in arguments.logs}
+    seen = {_place(p) for p in arguments.logs}
     for path in (*arguments.holdout, *arguments.baseline):
-        if Path(path).resolve() in seen:
+        if _place(path) in seen:
             raise InputError(
                 f"'{path}' both as LOG and as --holdout or --baseline",
                 "logs that the fit has not seen",
                 "Give another log, or leave it out: later parts of LOG are held out then.",
             )
+
+
+def _place(text: str) -> Path:
+    """Where a log lies, whatever is stated of it."""
+    from cellwise.logs import Stated
+
+    return Path(Stated.parse(text).path).resolve()
 
 
 def _write(found: Diagnosis, arguments: argparse.Namespace) -> dict[str, Any]:
@@ -141,7 +152,7 @@ def _write_logs(logs: tuple[CellLog, ...], sources: list[str], folder: str) -> l
         ) from error
     names: list[str] = []
     for log, source in zip(logs, sources, strict=True):
-        name = stem = Path(source).name.split(".")[0]
+        name = stem = _place(source).name.split(".")[0]
         while name in names:
             name = f"{stem}_{len(names) + 1}"
         names.append(name)

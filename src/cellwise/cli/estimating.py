@@ -74,7 +74,8 @@ def run_simulate(arguments: argparse.Namespace) -> None:
     printing.check_places(arguments.output)
     model = read_model(arguments.model)
     log = log_options.read(arguments.log, arguments)
-    start = initial_soc(model, log, parse_soc0(arguments.soc0), likeliest=True)
+    given = log_options.start_of(log.soc0, log_options.parse_soc0(arguments.soc0))
+    start = initial_soc(model, log, given, likeliest=True)
     simulate(model, log.part(0, 2), start.soc)  # compiles outside the clock
     began = time.perf_counter()
     found = simulate(model, log, start.soc)
@@ -124,9 +125,9 @@ def run_replay(arguments: argparse.Namespace) -> None:
             model,
             log,
             arguments.estimator,
-            soc0=parse_soc0(arguments.soc0),
+            soc0=log_options.start_of(log.soc0, log_options.parse_soc0(arguments.soc0)),
             soc0_std=arguments.soc0_std,
-            reference_soc0=arguments.reference_soc0,
+            reference_soc0=log_options.start_of(log.soc0, true0, "--reference-soc0"),
             reference_capacity_Ah=arguments.reference_capacity_ah,
         )
     flight = forecast(model, found, cutoff_V=cutoff, hold=arguments.hold)
@@ -162,23 +163,6 @@ def run_replay(arguments: argparse.Namespace) -> None:
     for notice in log.notices:
         printing.say(f"  ! {notice}")
     page_options.say_pages(arguments)
-
-
-def parse_soc0(text: str) -> float | None:
-    """``auto`` as None, else the number.
-
-    Raises
-    ------
-    InputError        neither
-    """
-    if text == "auto":
-        return None
-    try:
-        return float(text)
-    except ValueError:
-        raise InputError(
-            f"--soc0 {text}", "auto or a fraction from 0 to 1", "Correct it."
-        ) from None
 
 
 def print_simulation(found: Simulation, start: InitialSoc) -> None:

@@ -79,11 +79,12 @@ def write_pages(model: CellModel, report: dict[str, Any], arguments: argparse.Na
 
         both = None
         if arguments.log is not None:
+            log = read(arguments)
             both = fixed_and_float(
                 model,
-                read(arguments),
+                log,
                 arguments.dt,
-                soc0=arguments.soc0,
+                soc0=log_options.start_of(log.soc0, arguments.soc0),
                 points=arguments.points,
                 offset_std_A=arguments.offset_std_a,
                 lean=arguments.lean,
@@ -136,8 +137,9 @@ def lost_accuracy(model: CellModel, arguments: argparse.Namespace) -> list[dict[
         return []
     grids = {*GRIDS, arguments.points or model.points}
     log = read(arguments)
+    start = log_options.start_of(log.soc0, arguments.soc0)
     found = accuracy_by_grid(
-        model, log, arguments.dt, soc0=arguments.soc0, wide=not arguments.lean, grids=sorted(grids)
+        model, log, arguments.dt, soc0=start, wide=not arguments.lean, grids=sorted(grids)
     )
     return [asdict(row) for row in found]
 

@@ -41,7 +41,11 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def _common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--model", required=True, metavar="MODEL")
-    parser.add_argument("folder", metavar="DIR", help="searched with its subfolders")
+    parser.add_argument(
+        "folder",
+        metavar="DIR",
+        help="searched with its subfolders; DIR@temperature_C=25,soc0=1 says it of every log",
+    )
     parser.add_argument("-o", "--output", required=True, metavar="OUT", help="folder of parquet")
     parser.add_argument(
         "--scheduler",
@@ -97,12 +101,16 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
 def _of_task(arguments: argparse.Namespace) -> dict[str, Any]:
     from cellwise.cell.model_file import read_model
     from cellwise.cell.simulate import check_soc0
-    from cellwise.cli.estimating import parse_soc0
+    from cellwise.logs import Stated
 
-    soc0 = parse_soc0(arguments.soc0)
+    soc0 = log_options.parse_soc0(arguments.soc0)
     if soc0 is not None:
         check_soc0(soc0)
+    stated = Stated.parse(arguments.folder)
+    arguments.folder = stated.path
+    log_options.start_of(stated.soc0, soc0)
     return {
+        "stated": None if stated.says_nothing else stated,
         "model": read_model(arguments.model),
         "soc0": soc0,
         "read": log_options.arguments_of_read(arguments),

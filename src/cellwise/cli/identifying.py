@@ -9,17 +9,16 @@ from cellwise.cli.common import log_options, page_options, printing
 
 if TYPE_CHECKING:
     from cellwise.identify import Identification
-    from cellwise.logs import CellLog
 
 
 def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command that makes models."""
     p = commands.add_parser("identify", help="laboratory tests to a model")
     for option, metavar, text in (
-        ("--hppc", "LOG[@TEMP]", "pulse test, with its temperature in degC if not measured"),
-        ("--ocv", "LOG", "low-rate discharge, charge or both"),
-        ("--capacity", "LOG", "capacity test"),
-        ("--drive", "LOG[@TEMP]", "drive log to refine on"),
+        ("--hppc", "LOG[@...]", "pulse test; @-10 or @temperature_C=-10,soc0=1 says what is known"),
+        ("--ocv", "LOG[@...]", "low-rate discharge, charge or both"),
+        ("--capacity", "LOG[@...]", "capacity test"),
+        ("--drive", "LOG[@...]", "drive log to refine on"),
     ):
         p.add_argument(option, action="append", default=[], metavar=metavar, help=text)
     p.add_argument("--nominal-ah", type=float, metavar="X", help="rated capacity")
@@ -48,18 +47,15 @@ def run_identify(arguments: argparse.Namespace) -> None:
     """Identify a cell, write the model and the page."""
     from cellwise.cell.model_file import write_model
     from cellwise.identify import IdentifySettings, TestLogs, identify_cell
+    from cellwise.logs.stated import check_temperature
 
     printing.check_places(arguments.output)
     page_options.check_page_options(arguments)
-    printing.check_temperature(arguments.temperature_c)
-
-    def with_temperature(items: list[str]) -> tuple[tuple[CellLog, float | None], ...]:
-        pairs = [printing.split_temperature(item) for item in items]
-        return tuple((log_options.read(path, arguments), t) for path, t in pairs)
+    check_temperature(arguments.temperature_c)
 
     tests = TestLogs(
-        hppc=with_temperature(arguments.hppc),
-        drive=with_temperature(arguments.drive),
+        hppc=log_options.read_with_temperature(arguments.hppc, arguments),
+        drive=log_options.read_with_temperature(arguments.drive, arguments),
         ocv=tuple(log_options.read(path, arguments) for path in arguments.ocv),
         capacity=tuple(log_options.read(path, arguments) for path in arguments.capacity),
     )

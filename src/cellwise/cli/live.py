@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from cellwise.forecast.outlook import Outlook
     from cellwise.live import Counts, LiveFilter, Update
     from cellwise.live.sample import Source
+    from cellwise.logs import Stated
 
 FORECAST_EVERY_S = 1.0
 
@@ -30,7 +31,8 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--source",
         required=True,
         metavar="S",
-        help="stdin (JSON lines), json:FILE, can:INTERFACE:CHANNEL, ulog:FILE (- for stdin)",
+        help="stdin (JSON lines), json:FILE, can:INTERFACE:CHANNEL, ulog:FILE (- for stdin); "
+        "json:FILE@soc0=1 says how it begins",
     )
     live.add_argument("--follow", action="store_true", help="wait for more at a file's end")
     live.add_argument("--estimator", default="ekf", metavar="E", help="ekf or ukf [ekf]")
@@ -73,9 +75,10 @@ def run_live_command(arguments: argparse.Namespace) -> None:
     _check(arguments)
     model = read_model(arguments.model)
     outlook = Outlook(model, cutoff_of(model, arguments.cutoff_v))
-    live = _filter(model, arguments)
+    name, stated = _stated(arguments.source)
+    live = _filter(model, stated, arguments)
     options = log_options.read_options(arguments)
-    source = open_source(arguments.source, options, arguments.sign, follow=arguments.follow)
+    source = open_source(name, options, arguments.sign, follow=arguments.follow)
     deadline = arguments.deadline_ms
     counts = Counts(latency=LatencyMeter(None if deadline is None else 1e-3 * deadline))
     with ExitStack() as stack:
@@ -176,7 +179,7 @@ def _temperature(live: LiveFilter, update: Update) -> float:
 
     from cellwise.cell.simulate import model_temperature_C
 
-    measured = update.sample.temperature_C
+    measured = live.known_temperature_C(update.sample)
     return measured if isfinite(measured) else model_temperature_C(live.model)
 
 
@@ -195,17 +198,30 @@ def _check(arguments: argparse.Namespace) -> None:
         )
 
 
-def _filter(model: Any, arguments: argparse.Namespace) -> LiveFilter:
+def _stated(source: str) -> tuple[str, Stated]:
+    """A source's name, and what is stated of its stream behind it."""
+    from cellwise.logs import Stated
+
+    kind, colon, rest = source.partition(":")
+    stated = Stated.parse(rest if colon else kind)
+    return f"{kind}:{stated.path}" if colon else stated.path, stated
+
+
+def _filter(model: Any, stated: Stated, arguments: argparse.Namespace) -> LiveFilter:
+    import math
     import time
 
-    from cellwise.cli.estimating import parse_soc0
+    from cellwise.cell.initial_soc import STATED_STD
     from cellwise.live import LiveFilter
 
+    given = log_options.start_of(stated.soc0, log_options.parse_soc0(arguments.soc0))
+    std = arguments.soc0_std
     live = LiveFilter(
         model,
         arguments.estimator,
-        soc0=parse_soc0(arguments.soc0),
-        soc0_std=arguments.soc0_std,
+        soc0=given if stated.soc0 is None else stated.soc0,
+        soc0_std=STATED_STD if std is None and stated.soc0 is not None else std,
+        temperature_C=math.nan if stated.temperature_C is None else stated.temperature_C,
     )
     if (
         arguments.state

@@ -40,6 +40,9 @@ def run_convert(arguments: argparse.Namespace) -> None:
 
     printing.check_places(arguments.output)
     log = log_options.read(arguments.log, arguments)
+    if log.soc0 is not None:
+        said = f"the file has no place for the stated start: write LOG@soc0={log.soc0:g} behind it"
+        log = log.with_notices((*log.notices, said))
     path = write_log(log, arguments.output)
     if arguments.json:
         printing.print_json({"output": str(path), "samples": len(log), "notices": log.notices})
@@ -71,6 +74,8 @@ def print_inspection(found: dict[str, Any]) -> None:
         ("gaps", str(len(found["gaps"]))),
         ("repeated stamps", str(found["duplicates"])),
     ]
+    if found["soc0"] is not None:
+        rows.append(("initial SOC", f"{found['soc0']:g}, as stated"))
     if found["counter_mismatch_percent"] is not None:
         rows.append(("counter against current", f"{found['counter_mismatch_percent']:.3f} %"))
     printing.table(str(found["name"]), ("what", "found"), rows)

@@ -67,7 +67,8 @@ def diagnose(
                                       ``logs``, never used in the fit
     baseline : CellLog or sequence    logs known to be good, of the same cell and instruments: what
                                       the model gets wrong there is calibrated, not diagnosed
-    soc0 : float, "auto" or a sequence of them, one per log (logs, holdout, baseline)
+    soc0 : float, "auto" or a sequence of them, one per log (logs, holdout, baseline); a log's own
+        stated start (``CellLog.soc0``) goes before "auto" and before one number for all
     causes : names to try; default all
     seed : of the block bootstrap
     progress : called with the share done and what is being tried
@@ -142,7 +143,7 @@ def _starts(
     """Every log with its start."""
     flat = [g for group in groups for g in group]
     if isinstance(soc0, (str, float, int)):
-        stated: list[float | str] = [soc0] * len(flat)
+        stated: list[float | str] = [soc0 if g.soc0 is None else g.soc0 for g in flat]
     else:
         stated = list(soc0)
         if len(stated) < len(flat):
@@ -153,10 +154,12 @@ def _starts(
         pairs = []
         for _ in group:
             log, value = next(found)
-            if value == "auto":
-                pairs.append((log, initial_soc(model, log)))
-            else:
+            if value != "auto":
                 pairs.append((log, initial_soc(model, log, float(value), GIVEN_SOC_STD)))
+            elif log.soc0 is not None:
+                pairs.append((log, initial_soc(model, log, log.soc0, GIVEN_SOC_STD)))
+            else:
+                pairs.append((log, initial_soc(model, log)))
         result.append(pairs)
     return result
 

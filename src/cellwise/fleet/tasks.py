@@ -21,6 +21,7 @@ from cellwise.fleet import columns
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.sign import verify_sign
 from cellwise.logs.prepared import read_prepared
+from cellwise.logs.stated import Stated
 
 # From here on the model does not know the log, and its sign is worth a look.
 SURPRISED_SHARE = 0.02
@@ -38,6 +39,7 @@ class LogTask:
     soc0 : float or None      initial SOC of every log; None: found in each
     read : mapping            arguments of `read_log`
     cache : str               folder for logs that were read and checked before; empty: none
+    stated : Stated or None   what is known of every log
     """
 
     kind: ClassVar[str] = ""
@@ -47,10 +49,13 @@ class LogTask:
     soc0: float | None = None
     read: Mapping[str, Any] = field(default_factory=dict)
     cache: str = ""
+    stated: Stated | None = None
 
     def settings(self) -> dict[str, Any]:
         """What must be the same when a run is resumed, as JSON values."""
-        fields = {k: v for k, v in vars(self).items() if k not in ("model", "cache")}
+        fields = {k: v for k, v in vars(self).items() if k not in ("model", "cache", "stated")}
+        if self.stated is not None:
+            fields["stated"] = [self.stated.temperature_C, self.stated.soc0]
         return {"kind": self.kind, **json.loads(json.dumps(fields, default=str))}
 
     def rows(self, folder: str, names: Sequence[str]) -> list[dict[str, Any]]:
@@ -64,6 +69,8 @@ class LogTask:
             row = identity(folder, name)
             try:
                 log = read_prepared(folder / name, self.cache, **self.read)
+                if self.stated is not None:
+                    log = self.stated.applied(log)
                 row |= work(log)
             except InputError as error:
                 row["error"] = str(error)

@@ -254,7 +254,7 @@ def _ocv(tests: TestLogs, capacity: float, notices: list[str]) -> OcvCurve:
 def _ocv_from_drives(tests: TestLogs, capacity: float, notices: list[str]) -> OcvCurve:
     """A first OCV out of drives that begin full: the median voltage at each SOC."""
     log = max((log for log, _ in tests.drive), key=lambda x: float(np.ptp(x.counted_charge_Ah())))
-    soc = 1.0 - log.counted_charge_Ah() / capacity
+    soc = (1.0 if log.soc0 is None else log.soc0) - log.counted_charge_Ah() / capacity
     edges = np.linspace(max(float(np.nanmin(soc)), 0.0), 1.0, 31)
     points, level = [], []
     for low, high in pairwise(edges):
@@ -268,7 +268,8 @@ def _ocv_from_drives(tests: TestLogs, capacity: float, notices: list[str]) -> Oc
             "a low-rate discharge or an HPPC log with rests",
             "Add --ocv or --hppc.",
         )
-    notices.append(f"no OCV test: first OCV from the voltages of drive '{log.name}', begun full")
+    begun = "begun full" if log.soc0 is None else f"begun at SOC {log.soc0:g}"
+    notices.append(f"no OCV test: first OCV from the voltages of drive '{log.name}', {begun}")
     return curve_from_points(
         np.array(points), np.array(level), capacity_Ah=capacity, source=f"drive {log.name}"
     )

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cellwise.cell.initial_soc import STATED_STD
 from cellwise.errors import InputError
 from cellwise.identify.ocv.curve import OcvCurve
 from cellwise.identify.ocv.ocv_rests import find_ocv_rests
@@ -38,7 +39,7 @@ def anchor_soc(
     capacity_Ah: float,
     resistance_ohm: float,
 ) -> SocAnchor:
-    """SOC at the first row that fits the rests of the whole log best.
+    """SOC at the first row: as stated of the log, else what fits the rests of the whole log best.
 
     Every rest says where the log stood on the OCV, the counter says how far that is from the
     start; on a steep OCV a rest counts more than on a flat one. Without a rest, the first minute
@@ -54,6 +55,8 @@ def anchor_soc(
     ------
     InputError        a log without a single voltage
     """
+    if log.soc0 is not None:
+        return SocAnchor(log.soc0, STATED_STD, "stated")
     grid = np.linspace(0.0, 1.0, 1001)
     level = np.maximum.accumulate(ocv.function.evaluate(grid))
     half = _half_gap(ocv, grid)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -50,6 +51,7 @@ class LiveFilter:
     soc0 : float or None      SOC at the first sample, 0..1
     soc0_std : float or None  its deviation; None: 0.15 where ``soc0`` is given
     noise : Noise or None     None: from the model's own validation error
+    temperature_C : float     of the cell where a sample measured none [degC]; NaN: not known
 
     Raises
     ------
@@ -64,6 +66,7 @@ class LiveFilter:
         soc0: float | None = None,
         soc0_std: float | None = None,
         noise: Noise | None = None,
+        temperature_C: float = math.nan,
     ) -> None:
         if estimator not in ESTIMATORS:
             raise InputError(
@@ -72,6 +75,7 @@ class LiveFilter:
                 "Choose one of them; the others replay whole logs.",
             )
         self.model = model
+        self.temperature_C = temperature_C
         self.filter = ESTIMATORS[estimator](model, noise)
         self.state: EkfState | None = None
         self.start: InitialSoc | None = None
@@ -96,11 +100,15 @@ class LiveFilter:
             begun,
             sample.current_A,
             sample.voltage_V,
-            sample.temperature_C,
+            self.known_temperature_C(sample),
             dt_s=interval.dt_s,
             gap=interval.gap,
         )
         return Update(sample, info, interval.dt_s, interval.gap)
+
+    def known_temperature_C(self, sample: Sample) -> float:
+        """Temperature of a sample [degC]: measured, else stated; NaN where neither is known."""
+        return sample.temperature_C if math.isfinite(sample.temperature_C) else self.temperature_C
 
     def save(self, path: Path | str, now_s: float) -> None:
         """Put the state away; ``now_s`` is the clock of the day [s]. Whole or not at all."""
@@ -148,7 +156,11 @@ class LiveFilter:
             possible = noise.voltage_low_V <= sample.voltage_V <= noise.voltage_high_V
             if not (possible and abs(sample.current_A) <= noise.current_limit_A):
                 return None
-            self.start = initial_soc(self.model, _moment(sample.current_A, sample.voltage_V))
+            moment = _moment(sample.current_A, sample.voltage_V)
+            temperature = self.known_temperature_C(sample)
+            if math.isfinite(temperature):
+                moment = replace(moment, temperature_C=np.full(2, temperature))
+            self.start = initial_soc(self.model, moment)
         return self.filter.init(self.start.soc, self.start.std)
 
     def _warm_up(self) -> None:

@@ -6,6 +6,7 @@ from cellwise.logs.formats import FORMATS
 from cellwise.logs.gaps import Gap, find_gaps
 from cellwise.logs.inspection import Inspection, inspect_log
 from cellwise.logs.reading import read_log
+from cellwise.logs.stated import Stated
 from cellwise.logs.writing import write_log
 
 __all__ = [
@@ -15,6 +16,7 @@ __all__ = [
     "Gap",
     "Inspection",
     "SignCheck",
+    "Stated",
     "find_gaps",
     "inspect_log",
     "read_log",

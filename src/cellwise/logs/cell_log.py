@@ -36,11 +36,13 @@ class CellLog(MeasuredLog, Plottable, Tabular):
                                 flows from row k on
     format : str                the file's format as detected, empty for a log made in memory
     notices : tuple of str      what a person should know of how the log was read
+    soc0 : float or None        true SOC at the first row where somebody knows it, 0..1: it is
+                                believed
 
     Raises
     ------
     InputError        unequal lengths, fewer than two rows, time that is not finite or runs
-                      backwards, a channel without one finite value
+                      backwards, a channel without one finite value, a SOC outside 0..1
     """
 
     @classmethod

@@ -56,7 +56,7 @@ class Inspection:
     ``charge_Ah`` is the net charge drawn, by the tester's counter where there is one;
     ``counter_mismatch_percent`` how far the summed current ends from the counter, in percent of the
     charge moved; ``resolution`` the step of a channel's last digit; ``missing`` the rows without a
-    value, by channel.
+    value, by channel; ``soc0`` the stated SOC at the first row.
     """
 
     name: str
@@ -79,6 +79,7 @@ class Inspection:
     resolution: dict[str, float | None]
     missing: dict[str, int]
     notices: tuple[str, ...]
+    soc0: float | None = None
 
     def to_dict(self) -> dict[str, object]:
         """Plain lists, dicts and numbers for JSON."""
@@ -151,6 +152,7 @@ def inspect_log(log: CellLog) -> Inspection:
         },
         missing=missing,
         notices=tuple(notices),
+        soc0=log.soc0,
     )
 
 

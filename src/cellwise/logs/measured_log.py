@@ -40,6 +40,7 @@ class MeasuredLog:
     current_meaning: CurrentMeaning = "interval_end"
     format: str = ""
     notices: tuple[str, ...] = ()
+    soc0: float | None = None
 
     def __post_init__(self) -> None:
         n = np.atleast_1d(np.asarray(self.time_s)).size
@@ -66,6 +67,12 @@ class MeasuredLog:
                 f"current_meaning '{self.current_meaning}' in {where}",
                 "'interval_end' or 'interval_start'",
                 "Say which interval the current of a row belongs to.",
+            )
+        if self.soc0 is not None and not 0.0 <= self.soc0 <= 1.0:
+            raise InputError(
+                f"soc0 = {self.soc0:g} of {where}",
+                "a fraction from 0 to 1, or None where it is not known",
+                "Divide per cent by 100.",
             )
 
     def __len__(self) -> int:
@@ -189,13 +196,16 @@ class MeasuredLog:
         return self.rows(np.arange(*slice(start, stop).indices(len(self))))
 
     def rows(self, rows: NDArray[np.integer[Any]] | BoolArray) -> Self:
-        """The log with the chosen rows only, time kept."""
+        """The log with the chosen rows only, time kept; a stated start only with the first row."""
 
         def take(a: FloatArray | None) -> FloatArray | None:
             return None if a is None else a[rows]
 
+        chosen = np.arange(len(self))[rows]
+        begins = chosen.size > 0 and int(chosen[0]) == 0
         return replace(
             self,
+            soc0=self.soc0 if begins else None,
             time_s=self.time_s[rows],
             current_A=self.current_A[rows],
             voltage_V=self.voltage_V[rows],

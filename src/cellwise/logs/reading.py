@@ -14,6 +14,7 @@ from cellwise.logs.files.options import ReadOptions
 from cellwise.logs.files.source import Progress, open_source
 from cellwise.logs.formats import FORMATS
 from cellwise.logs.pack import to_cell
+from cellwise.logs.stated import Stated
 
 _SUFFIXES = (
     *(".gz", ".csv", ".parquet", ".txt", ".bdf", ".ulg", ".bin", ".mat", ".mf4", ".mdf", ".nda"),
@@ -22,7 +23,7 @@ _SUFFIXES = (
 
 
 def read_log(
-    path: str | Path,
+    path: str | Path | Stated,
     *,
     sign: str = "auto",
     name: str | None = None,
@@ -44,7 +45,8 @@ def read_log(
 
     Parameters
     ----------
-    path : str or Path
+    path : str, Path or Stated      a string may state what is known of the log behind an @
+                        (``"LOG@temperature_C=-20,soc0=1"``); a Path is taken as it is
     sign : str          ``auto`` trusts the format's sign and verifies it; the other two,
                         ``charge-positive`` and ``discharge-positive``, override the format
     name : str          for people; the file's name without suffix if not given
@@ -67,6 +69,9 @@ def read_log(
     ------
     InputError          the file cannot be read as a log: see the message for what to do
     """
+    stated = path if isinstance(path, Stated) else Stated(str(path))
+    if isinstance(path, str):
+        stated = Stated.parse(path)
     options = ReadOptions(
         series=series,
         parallel=parallel,
@@ -75,7 +80,7 @@ def read_log(
         dbc=None if dbc is None else Path(dbc),
         partial=partial,
     )
-    source = open_source(path, progress, options)
+    source = open_source(stated.path, progress, options)
     known = detect_format(source, FORMATS)
     raw = complete(known.read(source, known), known.sign, source.where)
     raw = to_cell(raw, options, source.where)
@@ -86,7 +91,8 @@ def read_log(
         sign=known.sign,
         current_meaning=known.current_meaning,
     )
-    return assemble(CellLog, raw, origin, sign, check_sign=check_sign)
+    log = assemble(CellLog, raw, origin, sign, check_sign=check_sign)
+    return stated.applied(log)
 
 
 def _plain_name(path: Path) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 
 from cellwise.cli.common import printing
 from cellwise.errors import InputError
-from cellwise.logs import CellLog
+from cellwise.logs import CellLog, Stated
 from cellwise.logs.files.options import ReadOptions
 
 
@@ -46,13 +46,60 @@ def add_pack_options(parser: argparse.ArgumentParser, series: str = "") -> argpa
 
 
 def read(path: str, arguments: argparse.Namespace) -> CellLog:
-    """Read a log as the arguments say.
+    """Read a log as the arguments and what is stated behind its path say.
 
     Raises
     ------
     InputError        options that are no numbers or no pairs; whatever `read_log` refuses
     """
     return printing.read(path, **arguments_of_read(arguments))
+
+
+def read_with_temperature(
+    texts: list[str], arguments: argparse.Namespace
+) -> tuple[tuple[CellLog, float | None], ...]:
+    """Logs, each with its stated temperature [degC] or None, as `TestLogs` takes them.
+
+    Raises
+    ------
+    InputError        as :func:`read`
+    """
+    return tuple((read(text, arguments), Stated.parse(text).temperature_C) for text in texts)
+
+
+def parse_soc0(text: str) -> float | None:
+    """``auto`` as None, else the number.
+
+    Raises
+    ------
+    InputError        neither
+    """
+    if text == "auto":
+        return None
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(
+            f"--soc0 {text}", "auto or a fraction from 0 to 1", "Correct it."
+        ) from None
+
+
+def start_of(stated: float | None, given: float | None, option: str = "--soc0") -> float | None:
+    """The start that is asked for; None where the log's own stated one holds, or none is known.
+
+    Raises
+    ------
+    InputError        an option that contradicts what is stated of the log
+    """
+    if stated is None:
+        return given
+    if given is not None and given != stated:
+        raise InputError(
+            f"{option} {given:g} for a log whose initial SOC is stated as {stated:g}",
+            "one initial SOC",
+            f"Leave out {option}, or what is stated behind the @.",
+        )
+    return None
 
 
 def arguments_of_read(arguments: argparse.Namespace) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from rich.table import Table
 
 from cellwise.errors import InputError
-from cellwise.logs import CellLog, read_log
+from cellwise.logs import CellLog, Stated, read_log
 
 SIGNS = ("auto", "charge-positive", "discharge-positive")
 BIG_FILE = 20_000_000
@@ -34,45 +34,18 @@ def add_sign(parser: argparse.ArgumentParser) -> None:
 
 
 def read(path: str, sign: str = "auto", **options: Any) -> CellLog:
-    """Read a log, with a bar for a big file; the options are those of `read_log`."""
-    place = Path(path)
+    """Read a log and what is stated of it, with a bar for a big file; options as of `read_log`."""
+    stated = Stated.parse(path)
+    place = Path(stated.path)
     if not place.is_file() or place.stat().st_size < BIG_FILE:
-        return read_log(place, sign=sign, **options)
+        return read_log(stated, sign=sign, **options)
     with bar() as progress:
         task = progress.add_task(f"reading {place.name}", total=None)
         return read_log(
-            place,
+            stated,
             sign=sign,
             progress=lambda done, total: progress.update(task, completed=done, total=total),
             **options,
-        )
-
-
-def split_temperature(text: str) -> tuple[str, float | None]:
-    """``LOG@TEMP`` as a path and a temperature [degC]; a file whose name has an @ stays whole.
-
-    Raises
-    ------
-    InputError        what stands behind the @ is not a number
-    """
-    if "@" not in text or Path(text).exists():
-        return text, None
-    path, _, tail = text.rpartition("@")
-    try:
-        temperature = float(tail.removesuffix("C"))
-    except ValueError:
-        raise InputError(
-            f"'{text}'", "LOG or LOG@TEMPERATURE in degC", "Write e.g. hppc.csv@-10."
-        ) from None
-    check_temperature(temperature)
-    return path, temperature
-
-
-def check_temperature(temperature_C: float | None) -> None:
-    """Refuse what is no temperature of a cell in degC; None is not stated."""
-    if temperature_C is not None and not -80.0 <= temperature_C <= 120.0:
-        raise InputError(
-            f"a temperature of {temperature_C:g} degC", "degrees Celsius", "Not in kelvin."
         )
 
 

@@ -1,0 +1,114 @@
+"""What is known about a log beside what stands in it: ``LOG@temperature_C=-20,soc0=1``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from cellwise.errors import InputError
+from cellwise.logs.cell_log import CellLog
+
+KEYS = ("temperature_C", "soc0")
+FORM = "LOG@TEMPERATURE or LOG@temperature_C=-20,soc0=1"
+OTHER_TEMPERATURE_K = 10.0  # a surface warms by less than this above its chamber in most tests
+
+
+@dataclass(frozen=True)
+class Stated:
+    """A log's path, and what whoever gives it knows of it.
+
+    Parameters
+    ----------
+    path : str                      of the log
+    temperature_C : float or None   of the cell where the log measured none [degC]
+    soc0 : float or None            true SOC at the first row, 0..1: it is believed
+
+    Raises
+    ------
+    InputError        a temperature outside -80..120 degC, a SOC outside 0..1
+    """
+
+    path: str
+    temperature_C: float | None = None
+    soc0: float | None = None
+
+    def __post_init__(self) -> None:
+        check_temperature(self.temperature_C)
+        if self.soc0 is not None and not 0.0 <= self.soc0 <= 1.0:
+            hint = " Per cent? Divide by 100." if 1.0 < self.soc0 <= 100.0 else ""
+            raise InputError(
+                f"a stated initial SOC of {self.soc0:g} ('{self.path}')",
+                "a fraction from 0 to 1",
+                f"Write e.g. LOG@soc0=1.{hint}",
+            )
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """The record of ``LOG``, ``LOG@-20`` or ``LOG@temperature_C=-20,soc0=1``.
+
+        What stands behind the last ``@`` is the statement, unless a file has the whole name or a
+        folder's name holds that ``@``.
+
+        Raises
+        ------
+        InputError        an unknown or repeated key, what is no number or out of range
+        """
+        path, at, tail = text.rpartition("@")
+        if not at or "/" in tail or "\\" in tail or Path(text).exists():
+            return cls(text)
+        if not path:
+            raise InputError(f"'{text}' without a log", FORM, "Put the log before the @.")
+        values: dict[str, float] = {}
+        for item in tail.split(","):
+            name, equals, value = (part.strip() for part in item.partition("="))
+            if not equals:
+                name, value = "temperature_C", name.removesuffix("C")
+            if name not in KEYS:
+                raise InputError(
+                    f"'{name}' stated of '{path}'", " or ".join(KEYS), f"Write {FORM}."
+                )
+            if name in values:
+                raise InputError(f"{name} stated twice in '{text}'", "one value", "Keep one.")
+            try:
+                values[name] = float(value)
+            except ValueError:
+                raise InputError(
+                    f"{name} of '{value}' in '{text}', and no file of that name",
+                    FORM,
+                    "Write e.g. hppc.csv@-10, or correct the file's name.",
+                ) from None
+        return cls(path, **values)
+
+    @property
+    def says_nothing(self) -> bool:
+        """Nothing is stated."""
+        return self.temperature_C is None and self.soc0 is None
+
+    def applied(self, log: CellLog) -> CellLog:
+        """The log with what is stated: a measured temperature stays, an initial SOC is believed."""
+        if self.soc0 is not None:
+            log = replace(log, soc0=self.soc0)
+        if self.temperature_C is None:
+            return log
+        measured = log.temperature_C
+        if measured is None or not np.any(np.isfinite(measured)):
+            return replace(log, temperature_C=np.full(len(log), self.temperature_C))
+        middle = float(np.nanmedian(measured))
+        if abs(middle - self.temperature_C) > OTHER_TEMPERATURE_K:
+            said = (
+                f"'{log.name}' is stated to be at {self.temperature_C:g} degC and measured "
+                f"{middle:.1f} degC in the median: its rows keep what was measured"
+            )
+            return log.with_notices((said, *log.notices))
+        return log
+
+
+def check_temperature(temperature_C: float | None) -> None:
+    """Refuse what is no temperature of a cell in degC; None is not stated."""
+    if temperature_C is not None and not -80.0 <= temperature_C <= 120.0:
+        raise InputError(
+            f"a temperature of {temperature_C:g} degC", "degrees Celsius", "Not in kelvin."
+        )

@@ -1,0 +1,106 @@
+"""A stated start is believed by every command that takes a log."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import pytest
+
+from cellwise import load_dataset, read_model, write_log, write_model
+from cellwise.data import datasets_folder
+
+NMC = datasets_folder() / "nmc"
+
+
+@pytest.fixture
+def middle(tmp_path):
+    """A drive without its first rest, whose true SOC at the first row is known."""
+    log = load_dataset("nmc_drive_b")
+    begun = log.part(4000, len(log))
+    return str(write_log(begun, tmp_path / "middle.parquet"))
+
+
+def test_simulate_begins_where_it_is_stated(run_json, model, middle):
+    found = run_json("simulate", "--model", model, f"{middle}@soc0=0.6")
+    assert found["soc0"]["value"] == 0.6
+    assert found["soc0"]["how"] == "stated"
+    same = run_json("simulate", "--model", model, middle, "--soc0", "0.6")
+    assert found["rmse_V"] == same["rmse_V"]
+
+
+def test_replay_has_its_reference_from_there(run_json, model, middle):
+    common = ("--model", model, "--estimator", "ekf", "--reference-capacity-ah", "5")
+    found = run_json("replay", f"{middle}@soc0=0.6", *common)
+    same = run_json("replay", middle, *common, "--soc0", "0.6", "--reference-soc0", "0.6",
+                    "--soc0-std", str(found["soc0"]["std"]))  # fmt: skip
+    assert found["soc0"]["how"] == "stated"
+    assert found["soc_rmse"] == same["soc_rmse"]
+
+
+@pytest.mark.parametrize("command", ["simulate", "replay"])
+def test_a_contradiction_is_refused(refused, model, middle, command):
+    said = refused(command, "--model", model, f"{middle}@soc0=0.6", "--soc0", "0.7")
+    assert "--soc0 0.7" in said
+    assert "0.6" in said
+
+
+def test_a_reference_that_contradicts_is_refused(refused, model, middle):
+    said = refused("replay", "--model", model, f"{middle}@soc0=0.6",
+                   "--reference-soc0", "1")  # fmt: skip
+    assert "--reference-soc0 1" in said
+
+
+def test_inspect_and_convert_understand_it(run_json, middle, tmp_path):
+    assert run_json("inspect", f"{middle}@-20,soc0=0.6")["soc0"] == 0.6
+    assert run_json("inspect", f"{middle}@soc0=0.6")["soc0"] == 0.6
+    out = tmp_path / "out.csv"
+    found = run_json("convert", f"{middle}@soc0=0.6", "-o", str(out))
+    assert any("soc0=0.6" in n for n in found["notices"])
+
+
+def test_diagnose_takes_it_before_soc0(run_json, model, middle):
+    common = ("diagnose", "--model", model, "--cause", "initial_soc")
+    found = run_json(*common, f"{middle}@soc0=0.6", "--soc0", "0.1")
+    same = run_json(*common, middle, "--soc0", "0.6")
+    assert found["anatomy"] == same["anatomy"]
+    assert found["candidates"] == same["candidates"]
+
+
+def test_live_begins_there(run_json, model, middle, tmp_path):
+    stream = tmp_path / "stream.json"
+    rows = [{"time_s": k, "current_A": 1.0, "voltage_V": 3.7} for k in range(5)]
+    stream.write_text("\n".join(json.dumps(r) for r in rows) + "\n")
+    found = run_json("live", "--model", model, "--source", f"json:{stream}@-5,soc0=0.6")
+    assert found["soc0"]["value"] == 0.6
+    assert found["soc0"]["std"] < 0.01
+
+
+def test_fleet_takes_it_of_every_log(run_json, model, middle, tmp_path):
+    import pyarrow.parquet
+
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    shutil.copy(middle, folder / "a.parquet")
+    run_json("fleet", "replay", "--model", model, f"{folder}@soc0=0.6", "-o",
+             str(tmp_path / "out"))  # fmt: skip
+    (part,) = (tmp_path / "out").glob("*.parquet")
+    row = pyarrow.parquet.read_table(part).to_pylist()[0]
+    assert (row["soc0"], row["soc0_how"]) == (0.6, "stated")
+
+
+def test_no_stated_log_is_left_out_of_the_refinement(run_json, tmp_path):
+    """A drive that begins under load, where its voltage says nothing of SOC."""
+    drive = load_dataset("nmc_drive_b").part(0, 9000)
+    truth = 1.0
+    under_load = drive.rows(drive.known_current_A() > 0.5)
+    begun = truth - float(under_load.charge_Ah[0] - drive.charge_Ah[0]) / 5.0
+    path = write_log(under_load, tmp_path / "cold.parquet")
+    out = str(tmp_path / "model.json")
+    found = run_json(
+        "identify", "--hppc", str(NMC / "hppc.parquet"), "--ocv", str(NMC / "ocv_c20.parquet"),
+        "--drive", f"{path}@temperature_C=25,soc0={begun:.4f}", "-o", out,
+    )  # fmt: skip
+    assert "cold" in found["fit"]["logs"]
+    assert any("'cold' begins at SOC" in n and "stated" in n for n in found["notices"])
+    write_model(read_model(out), tmp_path / "again.json")
