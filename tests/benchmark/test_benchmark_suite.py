@@ -7,7 +7,7 @@ import tomllib
 import pytest
 
 from cellwise.benchmark.faults import Fault
-from cellwise.benchmark.suite import BASELINES, read_suite, shipped_suites, split, suite_from_table
+from cellwise.benchmark.suite import BASELINES, read_suite, shipped_suites, suite_from_table
 from cellwise.benchmark.suite_logs import check_files
 from cellwise.errors import InputError
 
@@ -115,6 +115,10 @@ def test_no_file_and_no_toml_are_refused(tmp_path):
         read_suite(bad)
 
 
-def test_a_temperature_stands_behind_an_at():
-    assert split("a/b.csv@-10") == ("a/b.csv", -10.0)
-    assert split("a/b.csv") == ("a/b.csv", None)
+def test_what_is_known_of_a_log_stands_behind_an_at(tmp_path):
+    stated = GOOD.replace(
+        'log = "embedded:nmc_drive_b"', 'log = "drive.csv@25,soc0=0.9"\nreference_Ah = 5.0'
+    )
+    assert parsed(stated, tmp_path).logs[0].shown == "drive"
+    with pytest.raises(InputError, match="one initial SOC"):
+        parsed(stated + "soc0 = 0.8\n", tmp_path)

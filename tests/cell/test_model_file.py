@@ -22,7 +22,7 @@ from cellwise.cell.model_file import (
 from cellwise.errors import InputError
 from example_cells import EFFECTS, linear_cell, random_model
 
-positive = arrays(np.float64, 11, elements=st.floats(1e-300, 1e300, allow_subnormal=False))
+ohms = arrays(np.float64, 11, elements=st.floats(1e-4, 1e-3))
 
 
 def same(a, b):
@@ -43,10 +43,10 @@ def same(a, b):
 
 
 @given(
-    capacity=st.floats(1e-6, 1e6),
-    r0=positive,
-    r1=positive,
-    ocv=arrays(np.float64, 11, elements=st.floats(-1e3, 1e3)),
+    capacity=st.floats(1e-4, 1e3),
+    r0=ohms,
+    r1=ohms,
+    ocv=arrays(np.float64, 11, elements=st.floats(0.0, 6.0)),
     white=st.floats(0.0, 1.0),
     slow=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=30),
     name=st.text(max_size=20),
@@ -112,7 +112,7 @@ def broken(change):
         (lambda d: d.update(r1_ohm=[[float("nan")] * 11]), "missing values"),
         (lambda d: d.update(soc=[0.0, 0.2, 1.0]), "not uniform"),
         (lambda d: d.update(soc=np.linspace(0, 1, 12).tolist()), "12 points"),
-        (lambda d: d.update(error={"white_V": 0.1, "other": 1.0}), "wrong entry"),
+        (lambda d: d.update(error={"white_V": 0.1, "other": 1.0}), "unknown entry 'other'"),
         (lambda d: d["error"].update(slow_V=0.01), "wrong entry"),
         (lambda d: d["error"].update(slow_V=[0.01, -0.01]), "model error"),
         (lambda d: d["error"].update(slow_V=[]), "model error"),
@@ -121,7 +121,10 @@ def broken(change):
         (lambda d: d.update(effects=["hysteresis"]), "wrong entry"),
         (lambda d: d.update(effects=[{"name": "gravity", "g": 9.81}]), "'gravity'"),
         (lambda d: d.update(effects=[{"m_V": 0.01}]), "effect None"),
-        (lambda d: d.update(effects=[{"name": "time_skew", "lag_s": 1.0}]), "wrong entry"),
+        (
+            lambda d: d.update(effects=[{"name": "time_skew", "lag_s": 1.0}]),
+            "unknown entry 'lag_s'",
+        ),
         (lambda d: d.update(effects=[{"name": "time_skew", "skew_s": -1.0}]), "skew_s"),
         (lambda d: d.update(effects=[{"name": "time_skew", "skew_s": "x"}]), "wrong entry"),
     ],
@@ -164,3 +167,122 @@ def test_a_failed_write_leaves_the_old_file(tmp_path):
         write_model(linear_cell(provenance={"bad": float("nan")}), path)
     assert read_model(path).name == "old"
     assert [p.name for p in tmp_path.iterdir()] == ["model.json"]
+
+
+def scaled(name, factor):
+    return lambda d: d.update({name: (factor * np.array(d[name])).tolist()})
+
+
+@pytest.mark.parametrize(
+    ("change", "message", "hint"),
+    [
+        (scaled("ocv_V", 1e3), "ocv_V of 3200 to 4100 V", "not mV"),
+        (scaled("ocv_V", 4.0), "ocv_V of", "pack in series"),
+        (scaled("r0_ohm", 1e300), "r0_ohm with a drop of", "not mohm"),
+        (scaled("r0_ohm", 1e308), "r0_ohm with a drop of", "not mohm"),
+        (
+            lambda d: d.update(r1_ohm=[[2000.0] * 11]),
+            "r1_ohm with a drop of 6000 V at 1C",
+            "not mohm",
+        ),
+        (scaled("r2_ohm", 1e3), "r2_ohm with a drop of 60 V at 1C", "not mohm"),
+        (scaled("r2_ohm", 1e-300), "r2_ohm with a drop of", "mohm"),
+        (scaled("capacity_Ah", 1e12), "capacity_Ah of 3e", "not mAh"),
+        (scaled("capacity_Ah", 1e-300), "capacity_Ah of 3e-300", "Ah"),
+        (scaled("tau2_s", 1e9), "tau2_s of", "Seconds"),
+        (lambda d: d.update(temperature_C=[298.15]), "temperature_C of 298", "kelvin"),
+        (lambda d: d.update(voltage_max_V=4200.0), "voltage_max_V of 4200 V", "not mV"),
+        (lambda d: d["error"].update(white_V=1e300), "white_V of the error", "not mV"),
+        (lambda d: d["error"].update(resistance_share=1e9), "resistance_share", "share"),
+        (
+            lambda d: d["effects"][0].update(r3_ohm=90.0),
+            "r3_ohm with a drop of 270 V at 1C",
+            "not mohm",
+        ),
+    ],
+)
+def test_what_no_cell_can_have_is_refused(change, message, hint):
+    with pytest.raises(InputError, match=message) as refused:
+        model_from_dict(broken(change), "cell.json")
+    assert hint in refused.value.action
+    assert "cell.json" in refused.value.found
+
+
+@pytest.mark.parametrize("name", ["ocv_v", "R0_ohm", "capacity_ah", "r3_ohm", "comment"])
+def test_an_entry_that_nothing_reads_is_refused(name):
+    with pytest.raises(InputError, match=f"unknown entry '{name}'"):
+        model_from_dict(broken(lambda d: d.update({name: 1.0})))
+
+
+def test_a_misspelt_entry_is_told_its_name():
+    def misspell(d):
+        d["volatge_min_V"] = d.pop("voltage_min_V")
+
+    with pytest.raises(InputError, match="expected 'voltage_min_V'"):
+        model_from_dict(broken(misspell))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda d: d.update(capacity_Ah=True),
+        lambda d: d.update(capacity_Ah="3.0"),
+        lambda d: d.update(capacity_Ah=10**400),
+        lambda d: d.update(r0_ohm=[["0.03"] * 11]),
+        lambda d: d.update(soc=[]),
+        lambda d: d.update(soc=None),
+        lambda d: d.update(ocv_V=[]),
+        lambda d: d.update(ocv_V=[[None] * 11]),
+        lambda d: d.update(ocv_V=[[10**400] * 11]),
+        lambda d: d.update(temperature_C=[]),
+        lambda d: d.update(schema_version=True),
+        lambda d: d.update(error=None),
+        lambda d: d.update(error=[0.1]),
+        lambda d: d["error"].update(white_V=None),
+        lambda d: d["error"].update(correlation_s=float("inf")),
+        lambda d: d.update(effects=[[]]),
+        lambda d: d.update(provenance=3),
+    ],
+)
+def test_what_is_no_number_is_refused(change):
+    with pytest.raises(InputError):
+        model_from_dict(broken(change))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"capacity_Ah": 3.0', '"capacity_Ah": NaN', "holds NaN"),
+        ('"capacity_Ah": 3.0', '"capacity_Ah": Infinity', "holds Infinity"),
+        ('"capacity_Ah": 3.0', '"capacity_Ah": 1e999', "capacity_Ah"),
+        ('"capacity_Ah": 3.0', '"capacity_Ah": 3.0, "capacity_Ah": 5.0', "stands twice"),
+        ('"provenance": {}', '"provenance": ' + 100_000 * "[" + 100_000 * "]", "nested deeper"),
+        ('"provenance": {}', '"provenance": ' + 100_000 * '{"a":' + "1" + 100_000 * "}", "nested"),
+        ('"capacity_Ah": 3.0', '"capacity_Ah": ' + 5000 * "9", "model.json"),
+    ],
+)
+def test_a_damaged_file_is_refused(tmp_path, old, new, message):
+    path = tmp_path / "model.json"
+    write_model(linear_cell(), path)
+    text = path.read_text()
+    assert text.count(old) == 1
+    path.write_text(text.replace(old, new))
+    with pytest.raises(InputError, match=message) as refused:
+        read_model(path)
+    assert str(path) in refused.value.found
+
+
+def test_what_cannot_be_read_back_is_not_written(tmp_path):
+    path = tmp_path / "model.json"
+    with pytest.raises(InputError, match="ocv_V of"):
+        write_model(linear_cell(ocv_V=1e3 * np.linspace(3.2, 4.1, 11)), path)
+    assert not path.exists()
+
+
+def test_the_bounds_hold_for_cells_of_every_size(tmp_path):
+    """A button cell of 1 mAh and 40 ohm, a cell of 3 kAh and 0.05 mohm."""
+    for capacity, ohm in ((1e-3, 40.0), (3e3, 5e-5)):
+        tables = {name: np.full(11, ohm) for name in ("r0_ohm", "r1_ohm", "r2_ohm")}
+        model = linear_cell(capacity_Ah=capacity, **tables)
+        write_model(model, tmp_path / "model.json")
+        assert same(read_model(tmp_path / "model.json"), model)

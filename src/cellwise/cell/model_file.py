@@ -1,21 +1,45 @@
-"""A CellModel as JSON: written whole, read with its version checked."""
+"""A CellModel as JSON: written whole, read with its version, entries and sizes checked."""
 
 from __future__ import annotations
 
+import difflib
 import hashlib
 import json
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
-from cellwise.cell.effects import EFFECTS, Effect
+from cellwise.cell.effects import EFFECTS, Effect, SlowDiffusion
 from cellwise.cell.model import TABLES, CellModel, ModelError, ModelTables
 from cellwise.errors import InputError
 from cellwise.files import write_atomically
+from cellwise.typing import FloatArray
 
 SCHEMA_VERSION = 1
+ENTRIES = ("schema_version", "kind", "soc", *(f.name for f in fields(CellModel)))
+
+
+class Range(NamedTuple):
+    """What a number of a model may be, and the slip that mostly stands behind another."""
+
+    low: float
+    high: float
+    unit: str
+    hint: str
+
+
+# Of a cell: wider than any chemistry, narrow enough for every slip of a unit by a thousand.
+VOLTAGE = Range(0.0, 6.0, "V", "Volts of one cell: not mV, and not a pack in series.")
+CAPACITY = Range(1e-7, 1e5, "Ah", "Ampere hours: not mAh, not coulombs.")
+# What a resistance takes at 1C: resistances alone differ by cells' sizes. Today's cells take
+# 0.02 to 0.2 V at room temperature, in the cold and empty up to some volts.
+DROP = Range(1e-9, 30.0, "V at 1C", "Ohms: not mohm.")
+TIME = Range(1e-6, 1e7, "s", "Seconds: not ms, not minutes.")
+TEMPERATURE = Range(-80.0, 120.0, "degC", "Degrees Celsius, not kelvin.")
+ERROR = Range(0.0, 6.0, "V", "Volts: not mV.")
 
 
 def model_to_dict(model: CellModel) -> dict[str, Any]:
@@ -49,7 +73,8 @@ def model_from_dict(data: Any, where: str = "the model") -> CellModel:
 
     Raises
     ------
-    InputError        not a cellwise model, another schema version, a missing or wrong entry
+    InputError        not a cellwise model, another schema version, a missing, unknown or wrong
+                      entry, a number that no cell can have
     """
     if not isinstance(data, dict) or data.get("kind") != "cellwise.CellModel":
         raise InputError(
@@ -58,14 +83,15 @@ def model_from_dict(data: Any, where: str = "the model") -> CellModel:
             "Write one with `cellwise identify ... -o MODEL`.",
         )
     version = data.get("schema_version")
-    if version != SCHEMA_VERSION:
+    if isinstance(version, bool) or version != SCHEMA_VERSION:
         raise InputError(
             f"schema_version {version!r} in {where}",
             f"schema_version {SCHEMA_VERSION}",
             "Identify the model again with this cellwise, or use the cellwise that wrote it.",
         )
+    _check_entries(data, ENTRIES, where)
     try:
-        soc = np.asarray(data["soc"], dtype=np.float64)
+        soc = _array(data["soc"])
         if not np.allclose(soc, np.linspace(0.0, 1.0, soc.size), atol=1e-9):
             raise InputError(
                 f"a SOC grid that is not uniform from 0 to 1 in {where}",
@@ -79,31 +105,44 @@ def model_from_dict(data: Any, where: str = "the model") -> CellModel:
                 "one table column per SOC point",
                 "Write the model again.",
             )
-        return CellModel(
-            float(data["capacity_Ah"]),
-            *ModelTables(*(np.asarray(data[name], dtype=np.float64) for name in TABLES)),
-            temperature_C=np.asarray(data["temperature_C"], dtype=np.float64),
+        model = CellModel(
+            _number(data["capacity_Ah"]),
+            *ModelTables(*(_array(data[name]) for name in TABLES)),
+            temperature_C=_array(data["temperature_C"]),
             effects=tuple(_effect_from_dict(e, where) for e in data["effects"]),
-            charge_efficiency=float(data["charge_efficiency"]),
-            error=_error_from_dict(data["error"]),
-            voltage_min_V=data["voltage_min_V"],
-            voltage_max_V=data["voltage_max_V"],
+            charge_efficiency=_number(data["charge_efficiency"]),
+            error=_error_from_dict(data["error"], where),
+            voltage_min_V=_limit(data["voltage_min_V"]),
+            voltage_max_V=_limit(data["voltage_max_V"]),
             name=str(data["name"]),
             chemistry=str(data["chemistry"]),
             provenance=dict(data["provenance"]),
         )
-    except InputError:
-        raise
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+    except InputError as error:
+        if where in error.found:
+            raise
+        raise InputError(f"{error.found} in {where}", error.expected, error.action) from None
+    except (
+        *(KeyError, TypeError, ValueError, AttributeError, IndexError),
+        *(OverflowError, RecursionError),
+    ) as error:
         raise InputError(
             f"{where} with a missing or wrong entry: {error}",
             "every entry that `cellwise identify` writes",
             "Write the model again.",
         ) from error
+    check_physical(model, where)
+    return model
 
 
 def write_model(model: CellModel, path: str | Path) -> None:
-    """Write the model as JSON; the file appears whole or not at all."""
+    """Write the model as JSON; the file appears whole or not at all.
+
+    Raises
+    ------
+    InputError        a number that no cell can have: the file could not be read back
+    """
+    check_physical(model, "the model")
     text = json.dumps(model_to_dict(model), indent=1, allow_nan=False) + "\n"
     write_atomically(Path(path), text)
 
@@ -120,18 +159,118 @@ def read_model(path: str | Path) -> CellModel:
             "Check the path.",
         ) from error
     try:
-        data = json.loads(text)
+        data = json.loads(text, parse_constant=_no_constant, object_pairs_hook=_no_double)
     except json.JSONDecodeError as error:
-        raise InputError(
-            f"{path} that is not JSON (line {error.lineno}: {error.msg})",
-            "a JSON file written by `cellwise identify`",
-            "Check that the file is complete.",
-        ) from error
+        raise _not_json(path, f"line {error.lineno}: {error.msg}") from error
+    except RecursionError:
+        raise _not_json(path, "nested deeper than any model") from None
+    except ValueError as error:
+        raise _not_json(path, str(error)) from None
     return model_from_dict(data, str(path))
 
 
-def _error_from_dict(data: dict[str, Any]) -> ModelError:
-    return ModelError(**{**data, "slow_V": tuple(float(v) for v in data["slow_V"])})
+def check_physical(model: CellModel, where: str) -> None:
+    """Refuse numbers that no cell can have: they are slips of a unit, or a file that is damaged.
+
+    Raises
+    ------
+    InputError        names the entry, its values, what is possible, and the likely slip
+    """
+    for name, values, allowed in _sizes(model):
+        low, high = float(np.min(values)), float(np.max(values))
+        if not (allowed.low <= low and high <= allowed.high):
+            raise InputError(
+                f"{name} of {_span(low, high)} {allowed.unit} in {where}",
+                f"{allowed.low:g} to {allowed.high:g} {allowed.unit}",
+                allowed.hint,
+            )
+
+
+def _sizes(model: CellModel) -> Iterator[tuple[str, Any, Range]]:
+    """Every entry with its range; resistances as the voltage that they take at 1C."""
+    yield "capacity_Ah", model.capacity_Ah, CAPACITY
+    yield "temperature_C", model.temperature_C, TEMPERATURE
+    yield "ocv_V", model.ocv_V, VOLTAGE
+    for name in ("r0_ohm", "r1_ohm", "r2_ohm"):
+        with np.errstate(over="ignore"):  # beyond every number is beyond every bound
+            yield f"{name} with a drop", getattr(model, name) * model.capacity_Ah, DROP
+    slow = np.asarray(model.effect(SlowDiffusion).r3_ohm) * model.capacity_Ah
+    yield "r3_ohm with a drop", slow, DROP._replace(low=0.0)
+    for name in ("tau1_s", "tau2_s"):
+        yield name, getattr(model, name), TIME
+    for name in ("voltage_min_V", "voltage_max_V"):
+        if getattr(model, name) is not None:
+            yield name, getattr(model, name), VOLTAGE
+    error = model.error
+    yield "white_V of the error", error.white_V, ERROR
+    yield "slow_V of the error", error.slow_V, ERROR
+    yield "correlation_s of the error", error.correlation_s, TIME._replace(low=0.0)
+    yield (
+        "resistance_share of the error",
+        error.resistance_share,
+        Range(0.0, 10.0, "of R0 I", "A share, not per cent."),
+    )
+
+
+def _span(low: float, high: float) -> str:
+    return f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
+
+
+def _not_json(path: Path, why: str) -> InputError:
+    return InputError(
+        f"{path} that is not JSON ({why})",
+        "a JSON file written by `cellwise identify`",
+        "Check that the file is complete.",
+    )
+
+
+def _no_constant(name: str) -> NoReturn:
+    raise ValueError(f"it holds {name}, which is no number")
+
+
+def _no_double(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object whose every key stands once."""
+    found = dict(pairs)
+    if len(found) != len(pairs):
+        names = [name for name, _ in pairs]
+        raise ValueError(f"'{next(n for n in names if names.count(n) > 1)}' stands twice in it")
+    return found
+
+
+def _check_entries(data: Mapping[str, Any], known: Collection[str], where: str) -> None:
+    """Refuse an entry that nothing would read: mostly a misspelt one."""
+    for name in data:
+        if name not in known:
+            near = difflib.get_close_matches(name, [n for n in known if n not in data], 1, 0.6)
+            raise InputError(
+                f"an unknown entry '{name}' in {where}",
+                f"'{near[0]}'" if near else f"only {', '.join(known)}",
+                "Correct its name, or use the cellwise that wrote the model.",
+            )
+
+
+def _array(value: Any) -> FloatArray:
+    """Numbers in lists, all rows of one length."""
+    array = np.asarray(value)
+    if array.dtype.kind not in "iuf":
+        raise TypeError(f"{str(value)[:40]} where numbers belong")
+    return np.asarray(array, dtype=np.float64)
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise TypeError(f"{str(value)[:40]!r} where a number belongs")
+    return float(value)
+
+
+def _limit(value: Any) -> float | None:
+    return None if value is None else _number(value)
+
+
+def _error_from_dict(data: dict[str, Any], where: str) -> ModelError:
+    _check_entries(data, [f.name for f in fields(ModelError)], f"the error of {where}")
+    values: dict[str, Any] = {k: _number(v) for k, v in data.items() if k != "slow_V"}
+    return ModelError(**values, slow_V=tuple(_number(v) for v in data["slow_V"]))
 
 
 def _effect_to_dict(effect: Effect) -> dict[str, Any]:
@@ -150,8 +289,10 @@ def _effect_from_dict(data: dict[str, Any], where: str) -> Effect:
             f"one of {', '.join(EFFECTS)}",
             "Use the cellwise that wrote the model.",
         )
+    known = ("name", *(f.name for f in fields(kind)))
+    _check_entries(data, known, f"effect {data['name']} of {where}")
     values: dict[str, Any] = {
-        key: np.asarray(value, dtype=np.float64) if isinstance(value, list) else float(value)
+        key: _array(value) if isinstance(value, list) else _number(value)
         for key, value in data.items()
         if key != "name"
     }
