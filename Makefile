@@ -1,5 +1,6 @@
 # make demo: sets up and runs the main job on embedded data, and names the page to open.
-# make test: sets up and passes every check and test.
+# make test: sets up and passes style, types and the quick tests, one of every capability.
+# make deep: the slow tests: whole logs, measured cells, hidden effects, every page of the docs.
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -9,7 +10,7 @@ STAMP := $(VENV)/.installed
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: setup demo test check papers benchmark firmware pages clean
+.PHONY: setup demo test deep check papers benchmark firmware pages clean
 
 setup: $(STAMP)
 
@@ -28,7 +29,11 @@ check: $(STAMP)
 	$(BIN)/mypy
 
 test: check
-	$(BIN)/pytest -n 2
+	$(BIN)/pytest -n 2 -m "not slow"
+
+# What `make firmware` and `make pages` run is left to them.
+deep: $(STAMP)
+	$(BIN)/pytest -n 2 -m slow --ignore tests/firmware --ignore tests/report/test_in_browser.py
 
 papers: $(STAMP)
 	$(BIN)/cellwise papers

@@ -24,6 +24,14 @@ def pytest_configure(config: pytest.Config) -> None:
             path.unlink(missing_ok=True)
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Measured cells are long logs: what reads them is slow."""
+    for item in items:
+        if "real_data" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.slow)
+
+
 def measured_data_folder() -> Path | None:
     """Folder with the measured cells: $CELLWISE_DATA, else ../shared/data beside the project."""
     named = os.environ.get("CELLWISE_DATA")

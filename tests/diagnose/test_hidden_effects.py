@@ -1,8 +1,9 @@
 """An effect is hidden, the diagnosis must find it; the answer stays sealed until the verdict.
 
-Every case is drawn from its seed: cell, loads, instrument, effect, size. Beside the fixed seeds a
-fresh one is drawn in every run and printed; its bound is one that a build as good as this one was
-misses less than once in a thousand runs (the binomial tail, see `allowed_misses`).
+Every case is drawn from its seed: cell, loads, instrument, effect, size. One effect of each kind
+and one cell without any are quick tests, all of them slow ones. Beside the fixed seeds a fresh one
+is drawn in every slow run and printed; its bound is one that a build as good as this one was misses
+less than once in a thousand runs (the binomial tail, see `allowed_misses`).
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import os
 from functools import lru_cache
 
 import numpy as np
+import pytest
 
 from cellwise.diagnose import diagnose
 from emulator_effects import NAMES
@@ -18,6 +20,7 @@ from hidden_cases import Plan, hidden_case, random_pair
 from hidden_score import SMALL_V, Outcome, allowed_misses, judge
 
 FIXED = 41_000
+QUICK = ("voltage_offset", "capacity", "resistance_scale")  # instrument, drift, drop
 ROWS = 4000
 # Shares that the build may miss: what it missed on development seeds (1 of 90 singles, 1 of 12
 # with nothing hidden) and on the fixed ones below, rounded up. The targets are 0.05, 0.05, 0.20.
@@ -48,35 +51,53 @@ def fresh_seed() -> int:
     return int(os.environ.get("CELLWISE_HIDDEN_SEED", 0)) or int.from_bytes(os.urandom(4)) + 10**6
 
 
-@lru_cache(maxsize=1)
+@lru_cache
+def fixed_single(name: str) -> Outcome:
+    return outcome(FIXED + NAMES.index(name), (name,))
+
+
 def fixed_singles() -> list[Outcome]:
-    return [outcome(FIXED + k, (name,)) for k, name in enumerate(NAMES)]
+    return [fixed_single(name) for name in NAMES]
 
 
+def test_one_effect_of_each_kind_is_named_first():
+    check([fixed_single(name) for name in QUICK], MISS_SINGLE, "one of each", once_in=20.0)
+
+
+def test_nothing_is_found_in_one_cell_without_any():
+    assert outcome(FIXED + 100, ()).right
+
+
+@pytest.mark.slow
 def test_single_effects_of_fixed_seeds_are_named_first():
     check(fixed_singles(), MISS_SINGLE, "single effects", once_in=20.0)
 
 
+@pytest.mark.slow
 def test_the_size_of_what_was_named_is_within_a_fifth():
     errors = np.array([o.parameter_error for o in fixed_singles() if o.right])
     assert np.mean(errors <= 0.2) >= 0.9, [o.line() for o in fixed_singles()]
 
 
+@pytest.mark.slow
 def test_what_was_named_gains_most_of_what_could_be_gained():
     shares = np.array([o.gain_share for o in fixed_singles() if o.right])
     assert np.mean(shares >= 0.8) >= 0.9, [o.line() for o in fixed_singles()]
 
 
+@pytest.mark.slow
 def test_nothing_is_found_where_nothing_is_hidden():
     check([outcome(FIXED + 100 + k, ()) for k in range(8)], MISS_NONE, "nothing", once_in=20.0)
 
 
+@pytest.mark.slow
 def test_pairs_of_effects_are_both_named():
     pairs = [random_pair(np.random.default_rng(FIXED + 200 + k)) for k in range(6)]
     found = [outcome(FIXED + 200 + k, pair) for k, pair in enumerate(pairs)]
     check(found, MISS_PAIR, "pairs", once_in=20.0)
 
 
+@pytest.mark.slow
 def test_a_fresh_seed_in_every_run():
     seed = fresh_seed()
     print(f"fresh seed {seed}: CELLWISE_HIDDEN_SEED={seed} repeats it")

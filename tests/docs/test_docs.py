@@ -15,7 +15,8 @@ from doc_blocks import PAGES, page_blocks, page_name
 from cellwise.cli import main
 
 RUN = ("python", "console")
-SLOW = ("docs/howto.md", "docs/tutorial.md")
+# Pages whose blocks run a whole command on whole logs; the tests of the commands run without them.
+SLOW = ("README.md", "docs/benchmark.md", "docs/fleet.md", "docs/howto.md", "docs/tutorial.md")
 OTHER = ("", "text", "math", "toml", "json")
 
 RUNNING = [

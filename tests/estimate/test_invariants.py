@@ -19,7 +19,10 @@ from estimator_cases import ACTIVE, MEANS, NEUTRAL, Rows, follow
 from example_cells import curved_cell, lfp_cell, linear_cell
 
 WARM = (ACTIVE["temperature_dependence"], ACTIVE["self_heating"])
-FLOAT64 = ("ekf", "ukf", "adaptive", "lockstep", "filterpy-ekf", "filterpy-ukf")
+FAST = ("ekf", "ukf", "adaptive", "lockstep", "filterpy-ekf")
+FLOAT64 = (*FAST, "filterpy-ukf")
+# Sigma points in plain Python take a second where the others take a hundredth.
+DEEP_UKF = (*FAST, pytest.param("filterpy-ukf", marks=pytest.mark.slow))
 NO_COMPILER = shutil.which("gcc") is None or find_spec("cffi") is None
 FIRMWARE = pytest.param(
     "firmware", marks=pytest.mark.skipif(NO_COMPILER, reason="needs gcc and cffi")
@@ -147,7 +150,7 @@ def counted(model, rows, soc0, delayed=True):
     return np.array(soc)
 
 
-@estimators(("coulomb", *FLOAT64))
+@estimators(("coulomb", *DEEP_UKF))
 @every_effect
 def test_charge_is_conserved(name, effects):
     """Missing currents are held, over a gap nothing is counted, a repeated stamp moves nothing."""
@@ -206,7 +209,7 @@ def same_bits(name, models, rows):
         np.testing.assert_array_equal(other, first)
 
 
-@estimators(("coulomb", *FLOAT64))
+@estimators(("coulomb", *DEEP_UKF))
 @pytest.mark.parametrize("effects", cases(NEUTRAL).values(), ids=cases(NEUTRAL))
 def test_a_neutral_effect_is_none(name, effects):
     plain = curved_cell()
@@ -225,7 +228,7 @@ def test_a_neutral_effect_is_none_on_the_target(effects):
     assert one.to_bytes() == other.to_bytes()
 
 
-@estimators(("coulomb", *FLOAT64))
+@estimators(("coulomb", *DEEP_UKF))
 def test_the_order_of_the_effects_does_not_matter(name):
     plain = curved_cell()
     effects = [*ACTIVE.values()]
@@ -251,7 +254,7 @@ COOL = {name: effects for name, effects in cases(ACTIVE).items() if name != "all
 COOL["all but heating"] = tuple(e for e in ACTIVE.values() if e.name != "self_heating")
 
 
-@estimators(("coulomb", *FLOAT64))
+@estimators(("coulomb", *DEEP_UKF))
 @pytest.mark.parametrize("effects", COOL.values(), ids=COOL)
 def test_one_step_of_two_dt_is_two_steps_of_dt(name, effects):
     """At constant current and constant parameters the step is exact, whatever its length.
@@ -276,7 +279,7 @@ def test_one_step_of_two_dt_is_two_steps_of_dt_on_the_target(name):
         np.testing.assert_allclose(getattr(one, field), getattr(two, field)[::2], atol=2e-6)
 
 
-@estimators([n for n in FLOAT64 if n != "ekf"])
+@estimators([n for n in DEEP_UKF if n != "ekf"])
 @every_effect
 def test_without_a_voltage_all_filters_carry_the_same_cell(name, effects):
     """Mean of SOC, branches, hysteresis and heat, and their variances: one cell, one noise.

@@ -172,7 +172,7 @@ class TestReference:
 
     @pytest.mark.parametrize("estimator", ESTIMATORS)
     def test_neither_the_seen_current_nor_the_models_capacity_touch_it(self, estimator):
-        log = drive(300)
+        log = drive(60)
         known = {"soc0": 0.7, "reference_soc0": 0.8, "reference_capacity_Ah": 3.0}
         plain = replay(MODEL, log, estimator, **known)
         biased = replace(log, current_A=1.2 * log.current_A + 0.3)

@@ -128,6 +128,7 @@ def test_the_default_capacity_is_that_of_the_slowest_discharge(nmc):
 @pytest.mark.parametrize(
     "choice", ["nominal", "cc-average", "cc-cv-average", "hppc-total", "rate:C/3", "rate:C/5"]
 )
+@pytest.mark.slow
 def test_a_capacity_choice_changes_the_capacity_and_all_that_refers_to_it(quick, choice):
     found = identify_cell(nmc_tests(), replace(QUICK, capacity_choice=choice))
     assert found.capacity_choice == choice
@@ -142,7 +143,9 @@ def test_a_rate_may_be_written_in_any_way(quick):
     assert found.model.capacity_Ah == quick.capacities["rate:C/5"]
 
 
-@pytest.mark.parametrize("method", ["varpro", "segments", "pso"])
+@pytest.mark.parametrize(
+    "method", ["varpro", "segments", pytest.param("pso", marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize("tables", ["spline", "cubic"])
 def test_every_method_and_table_gives_a_working_model(method, tables):
     found = identify_cell(nmc_tests(), replace(QUICK, method=method, tables=tables))
@@ -208,6 +211,7 @@ def test_a_temperature_axis_beats_the_warm_model_in_the_cold(nmc):
     assert stays < 1.3 * simulate(nmc.model, warm, 0.997).rmse_above_10pct_V
 
 
+@pytest.mark.slow
 def test_a_stated_temperature_overrides_the_measured_one():
     tests = nmc_tests()
     found = identify_cell(replace(tests, hppc=((tests.hppc[0][0], 21.0),)), QUICK)
@@ -233,6 +237,7 @@ def test_long_discharges_serve_as_pulses_where_there_are_no_short_ones():
 
 @pytest.mark.parametrize("method", ["varpro", "segments", "pso"])
 @pytest.mark.parametrize("tables", ["spline", "cubic"])
+@pytest.mark.slow
 def test_every_method_gives_a_model_of_long_discharges(method, tables):
     log = load_dataset("nmc_hppc_c3")
     tests = TestLogs(hppc=((log, None),), ocv=(load_dataset("nmc_ocv_c20"),))
@@ -252,6 +257,7 @@ def test_one_pulse_is_enough_for_a_model():
     np.testing.assert_allclose(found.model.r0_ohm, found.model.r0_ohm[0, 0], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_missing_voltages_in_the_middle_change_little(nmc):
     log = load_dataset("nmc_hppc")
     voltage = log.voltage_V.copy()
@@ -309,6 +315,7 @@ def test_progress_is_reported_in_order():
     assert "pulses at 25 degC" in told
 
 
+@pytest.mark.slow
 def test_the_same_tests_give_the_same_model(quick):
     again = identify_cell(nmc_tests(), QUICK).model
     for name in TABLES:

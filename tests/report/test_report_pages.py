@@ -197,6 +197,7 @@ def test_names_of_logs_are_escaped_everywhere(tmp_path):
     assert json.loads(parsed.scripts[0][1])["replays"][0]["log"] == NASTY
 
 
+@pytest.mark.slow
 def test_page_of_a_million_rows_is_small(tmp_path):
     log = drive(1_000_000)
     log = replace(log, current_A=np.random.default_rng(1).normal(0, 5, len(log)), charge_Ah=None)

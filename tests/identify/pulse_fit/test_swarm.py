@@ -42,6 +42,7 @@ def test_comes_close_to_the_optimum_with_five_free_parameters():
     assert np.median(ratio) < 1.1
 
 
+@pytest.mark.slow
 def test_more_iterations_come_closer():
     data = closed_pulse(FLAT, stamps(pulse_hz=5.0))
 
@@ -102,6 +103,7 @@ def test_costs_are_those_of_the_model():
 
 
 @pytest.mark.parametrize("free", [5, 7])
+@pytest.mark.slow
 def test_never_a_better_fit_than_varpro(free):
     rng = np.random.default_rng(6)
     for _ in range(6):
@@ -114,6 +116,7 @@ def test_never_a_better_fit_than_varpro(free):
         assert fit_varpro(data).rmse_V <= swarm.rmse_V
 
 
+@pytest.mark.slow
 def test_varpro_is_fifty_times_faster_at_full_rate():
     t = stamps(pulse_hz=135.0, fast_s=60.0, rest_s=1200.0)
     noise = 1e-3 * np.random.default_rng(1).standard_normal(t.size)
