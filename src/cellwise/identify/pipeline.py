@@ -18,6 +18,7 @@ from cellwise.errors import InputError
 from cellwise.identify.assemble import GRID_POINTS, plain_model, table_summary
 from cellwise.identify.capacity.capacity_choice import capacity_choices, choose_capacity
 from cellwise.identify.capacity.capacity_test import CapacityTest, hppc_total_Ah, measure_capacities
+from cellwise.identify.capacity.current_offset import without_current_offset
 from cellwise.identify.hppc.pulses import Pulse, find_pulses, pulses_to_fit
 from cellwise.identify.identification import (
     Identification,
@@ -69,8 +70,11 @@ def identify_cell(
     began = time.perf_counter()
     settings = IdentifySettings() if settings is None else settings
     say = progress or (lambda _: None)
-    notices: list[str] = []
     _check(tests, settings)
+    low_rate, found_offset = without_current_offset(
+        tests.ocv, tests.capacity, nominal_Ah=settings.nominal_Ah
+    )
+    tests, notices = replace(tests, ocv=low_rate), [*found_offset]
     say("capacity")
     caps, choice, capacity, measured = _capacity(tests, settings, notices)
     say("OCV")

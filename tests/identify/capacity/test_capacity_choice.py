@@ -1,5 +1,6 @@
 """The capacity choices: names of rates, the LFP paper's table, temperatures, what is refused."""
 
+import numpy as np
 import pytest
 
 from cellwise.errors import InputError
@@ -178,3 +179,20 @@ def test_lg_cell_at_six_temperatures(real_data):
     assert slow == sorted(slow)
     assert fast == sorted(fast)
     assert fast[0] / fast[-1] < 0.5 < 0.85 < slow[0] / slow[-1]
+
+
+def test_every_rate_can_be_read_back_from_its_name():
+    # A C/100 test was once called "C/1e+02", which no choice could be made of.
+    for rate in np.geomspace(1e-4, 200.0, 400):
+        name = rate_name(rate)
+        assert "e" not in name
+        assert parse_rate(name) == pytest.approx(rate, rel=0.14)
+    assert rate_name(0.0101) == "C/100"
+
+
+@pytest.mark.parametrize("rate", [1.0 / 100.0, 1.0 / 65.0, 1.0 / 333.0])
+def test_the_slowest_test_is_the_default_however_slow(rate):
+    choices = capacity_choices([measured(rate, 41.0), measured(0.5, 40.0)])
+    name = default_choice(choices)
+    assert choices[name] == pytest.approx(41.0)
+    assert choose_capacity(choices, name)[1] == pytest.approx(41.0)

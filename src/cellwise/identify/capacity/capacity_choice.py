@@ -16,7 +16,7 @@ from cellwise.errors import InputError
 from cellwise.identify.capacity.capacity_test import CapacityTest
 
 # Rates that laboratories write down; a measured one is called by the nearest of them.
-FRACTIONS = (50, 40, 30, 25, 20, 15, 12, 10, 8, 6, 5, 4, 3, 2)
+FRACTIONS = (200, 100, 50, 40, 30, 25, 20, 15, 12, 10, 8, 6, 5, 4, 3, 2)
 MULTIPLES = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0)
 SNAP = 0.12
 REFERENCE_C = 25.0
@@ -49,7 +49,14 @@ def rate_name(rate_C: float) -> str:
     value, name = min(usual, key=lambda pair: abs(np.log(rate_C / pair[0])))
     if abs(rate_C / value - 1.0) <= SNAP:
         return name
-    return f"{rate_C:.2g}C" if rate_C >= 1.0 else f"C/{1.0 / rate_C:.2g}"
+    if rate_C >= 1.0:
+        return f"{_two_digits(rate_C)}C"
+    return f"C/{_two_digits(1.0 / rate_C)}"
+
+
+def _two_digits(value: float) -> str:
+    """Two significant digits, never with an exponent: 7.1, 65, 130."""
+    return f"{float(f'{value:.2g}'):.12g}"
 
 
 def parse_rate(name: str) -> float:
