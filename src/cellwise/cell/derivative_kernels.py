@@ -25,6 +25,7 @@ class Partials(NamedTuple):
     soc_by_charge_efficiency: float
     v1_by_old_v1_V: float
     v1_by_current_A: float
+    v1_by_asinh_per_V: float
     v1_by_charge_scale: float
     v1_by_rate_per_A: float
     v1_by_tau1_activation_K: float
@@ -136,6 +137,19 @@ def partials(
     r1_4 = r1_3 * cell.charge_scale if current_A < 0.0 else r1_3
     r2_4 = r2_3 * cell.charge_scale if current_A < 0.0 else r2_3
     r3_3 = r3_2 * cell.charge_scale if current_A < 0.0 else r3_2
+    # charge_transfer
+    overvoltage = cell.asinh_per_V * r1_4 * current_A
+    y = abs(overvoltage)
+    above = 0.42143288 + y * 0.01126451
+    above_2 = 0.66171232 + y * above
+    above_3 = 1.0 + y * above_2
+    below = 0.11957555 + y * 0.00170013
+    below_2 = 0.59291773 + y * below
+    below_3 = 0.66171232 + y * below_2
+    below_4 = 1.0 + y * below_3
+    charge_transfer = above_3 / below_4
+    # under_load
+    r1_5 = r1_4 * charge_transfer
     # transition
     a1 = math.exp(-dt_s / tau1)
     a2 = math.exp(-dt_s / tau2)
@@ -146,7 +160,7 @@ def partials(
     # transition
     ah = math.exp(folds)
     # advance
-    g1 = r1_4 * (1.0 - a1)
+    g1 = r1_5 * (1.0 - a1)
     g2 = r2_4 * (1.0 - a2)
     g3 = r3_3 * (1.0 - a3)
     v1 = a1 * state.v1_V + g1 * current_A
@@ -163,10 +177,29 @@ def partials(
     h_by_per_A = h_by_folds * (-cell.hysteresis_rate * abs(current_A))
     v3_by_a3 = state.v3_V - r3_3 * current_A
     v2_by_a2 = state.v2_V - r2_4 * current_A
-    v1_by_a1 = state.v1_V - r1_4 * current_A
+    v1_by_a1 = state.v1_V - r1_5 * current_A
+    v1_by_r1_5 = current_A * (1.0 - a1)
+    v1_by_charge_transfer = v1_by_r1_5 * r1_4
+    v1_by_below_4 = -(charge_transfer / below_4 * v1_by_charge_transfer)
+    v1_by_below_3 = v1_by_below_4 * y
+    v1_by_below_2 = v1_by_below_3 * y
+    v1_by_below = v1_by_below_2 * y
+    v1_by_above_3 = v1_by_charge_transfer * (1.0 / below_4)
+    v1_by_above_2 = v1_by_above_3 * y
+    v1_by_above = v1_by_above_2 * y
+    v1_by_y = (
+        v1_by_below_4 * below_3
+        + v1_by_below_3 * below_2
+        + v1_by_below_2 * below
+        + v1_by_below * 0.00170013
+        + v1_by_above_3 * above_2
+        + v1_by_above_2 * above
+        + v1_by_above * 0.01126451
+    )
+    v1_by_overvoltage = v1_by_y * math.copysign(1.0, overvoltage)
     v3_by_r3_3 = current_A * (1.0 - a3)
     v2_by_r2_4 = current_A * (1.0 - a2)
-    v1_by_r1_4 = current_A * (1.0 - a1)
+    v1_by_r1_4 = v1_by_r1_5 * charge_transfer + v1_by_overvoltage * (cell.asinh_per_V * current_A)
     v2_by_r2_3 = v2_by_r2_4 * (cell.charge_scale if current_A < 0.0 else 1.0)
     v1_by_r1_3 = v1_by_r1_4 * (cell.charge_scale if current_A < 0.0 else 1.0)
     drop_by_r0_3 = current_A * (cell.charge_scale if current_A < 0.0 else 1.0)
@@ -239,7 +272,10 @@ def partials(
     soc_by_charge_As = dt_s / cell.charge_As / cell.charge_As * charge_used
     soc_by_current_A = soc_by_charge_used * (1.0 if current_A > 0.0 else cell.charge_efficiency)
     soc_by_charge_efficiency = soc_by_charge_used * (0.0 if current_A > 0.0 else current_A)
-    v1_by_current_A = g1 + v1_by_growth * growth_by_current_A
+    v1_by_current_A = (
+        g1 + v1_by_overvoltage * (cell.asinh_per_V * r1_4) + v1_by_growth * growth_by_current_A
+    )
+    v1_by_asinh_per_V = v1_by_overvoltage * (r1_4 * current_A)
     v1_by_charge_scale = v1_by_r1_4 * (r1_3 if current_A < 0.0 else 0.0)
     v1_by_rate_per_A = v1_by_growth * growth_by_rate_per_A
     v1_by_tau1_activation_K = v1_by_tau1_factor * (tau1_factor * inverse_kelvin)
@@ -296,6 +332,7 @@ def partials(
         soc_by_charge_efficiency,
         a1,
         v1_by_current_A,
+        v1_by_asinh_per_V,
         v1_by_charge_scale,
         v1_by_rate_per_A,
         v1_by_tau1_activation_K,
@@ -416,7 +453,8 @@ def driven(p: Partials, d: CellScalars) -> tuple[CellState, float]:
         + p.soc_by_charge_efficiency * d.charge_efficiency
     )
     v1 = (
-        p.v1_by_charge_scale * d.charge_scale
+        p.v1_by_asinh_per_V * d.asinh_per_V
+        + p.v1_by_charge_scale * d.charge_scale
         + p.v1_by_rate_per_A * d.rate_per_A
         + p.v1_by_tau1_activation_K * d.tau1_activation_K
         + p.v1_by_r1_activation_K * d.r1_activation_K
@@ -508,4 +546,5 @@ def scalars_of(rows: FloatArray, p: int) -> CellScalars:
         rows[p, 17],
         rows[p, 18],
         rows[p, 19],
+        rows[p, 20],
     )

@@ -149,5 +149,6 @@ SCALARS = (
     Scalar("tau2_activation_K", "temperature_dependence.tau2_K", "of tau2"),
     Scalar("r3_activation_K", "temperature_dependence.r3_K", "of R3 beside the common one"),
     Scalar("tau3_activation_K", "temperature_dependence.tau3_K", "of tau3"),
+    Scalar("asinh_per_V", "charge_transfer.asinh_per_V", "of the fast branch's charge transfer"),
     Scalar("entropy_K", "entropy.reference_C", "where the OCV holds; 0: no entropy term"),
 )

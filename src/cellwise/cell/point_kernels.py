@@ -39,6 +39,7 @@ class CellScalars(NamedTuple):
     tau2_activation_K: float  # of tau2
     r3_activation_K: float  # of R3 beside the common one
     tau3_activation_K: float  # of tau3
+    asinh_per_V: float  # of the fast branch's charge transfer
     entropy_K: float  # where the OCV holds; 0: no entropy term
 
 

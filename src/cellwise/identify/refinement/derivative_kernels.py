@@ -48,6 +48,52 @@ def thermal_partials(activation_K: float, inverse_K: float) -> ThermalPartials:
     return ThermalPartials(factor_by_activation_K)
 
 
+class TransferPartials(NamedTuple):
+    """Of the resistance of a charge transfer."""
+
+    new_by_r_ohm: float
+    new_by_asinh_per_V: float
+    new_by_current_A: float
+
+
+@inline
+def transfer_partials(asinh_per_V: float, r_ohm: float, current_A: float) -> TransferPartials:
+    """Of the resistance of a charge transfer."""
+    # charge_transfer
+    overvoltage = asinh_per_V * r_ohm * current_A
+    y = abs(overvoltage)
+    above = 0.42143288 + y * 0.01126451
+    above_2 = 0.66171232 + y * above
+    above_3 = 1.0 + y * above_2
+    below = 0.11957555 + y * 0.00170013
+    below_2 = 0.59291773 + y * below
+    below_3 = 0.66171232 + y * below_2
+    below_4 = 1.0 + y * below_3
+    charge_transfer = above_3 / below_4
+    # chain rule, from the last line to the first
+    new_by_below_4 = -(charge_transfer / below_4 * r_ohm)
+    new_by_below_3 = new_by_below_4 * y
+    new_by_below_2 = new_by_below_3 * y
+    new_by_below = new_by_below_2 * y
+    new_by_above_3 = r_ohm * (1.0 / below_4)
+    new_by_above_2 = new_by_above_3 * y
+    new_by_above = new_by_above_2 * y
+    new_by_y = (
+        new_by_below_4 * below_3
+        + new_by_below_3 * below_2
+        + new_by_below_2 * below
+        + new_by_below * 0.00170013
+        + new_by_above_3 * above_2
+        + new_by_above_2 * above
+        + new_by_above * 0.01126451
+    )
+    new_by_overvoltage = new_by_y * math.copysign(1.0, overvoltage)
+    new_by_r_ohm = charge_transfer + new_by_overvoltage * (asinh_per_V * current_A)
+    new_by_asinh_per_V = new_by_overvoltage * (r_ohm * current_A)
+    new_by_current_A = new_by_overvoltage * (asinh_per_V * r_ohm)
+    return TransferPartials(new_by_r_ohm, new_by_asinh_per_V, new_by_current_A)
+
+
 class BranchPartials(NamedTuple):
     """Of a branch's voltage after an interval."""
 

@@ -59,6 +59,13 @@ PARTS = (
         ("activation_K",),
     ),
     Part(
+        "transfer_partials",
+        "Of the resistance of a charge transfer.",
+        (("transfer_resistance", ("asinh_per_V", "r_ohm", "current_A"), "new"),),
+        ("asinh_per_V", "r_ohm", "current_A"),
+        ("asinh_per_V", "r_ohm", "current_A"),
+    ),
+    Part(
         "branch_partials",
         "Of a branch's voltage after an interval.",
         (("rc_step", ("v_V", "current_A", "r_ohm", "tau_s", "dt_s"), "new"),),
