@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from cellwise.cell.effects import (
+    ChargeTransfer,
     Effect,
     Hysteresis,
     SlowDiffusion,
@@ -16,6 +19,7 @@ from cellwise.cell.effects import (
 from cellwise.cell.model import CellModel, ModelTables
 from cellwise.identify.ocv.curve import OcvCurve
 from cellwise.identify.refinement.refine import RefineResult, StartTables
+from cellwise.identify.refinement.refine_data import BEYOND
 from cellwise.identify.refinement.splines import spline_rows, spline_values
 from cellwise.identify.tables import NAMES, PulseTables
 from cellwise.typing import FloatArray
@@ -24,51 +28,95 @@ GRID_POINTS = 201
 LEAST_RISE_V = 1e-6  # per grid step, so that the OCV can be inverted everywhere
 LEAST_M_V = 1e-4
 LEAST_SKEW_S = 0.005
+STEP_K = 5.0  # at 5,000 K and -20 degC a straight line is within about 1 % of the exponential
 
 
-def refined_tables(result: RefineResult, start: StartTables) -> ModelTables:
-    """The fitted tables on the grid."""
-    grid = np.linspace(0.0, 1.0, GRID_POINTS)
-    lay, theta = result.layout, result.theta
-    rows = spline_rows(grid, result.knots)
-    correction = spline_values(spline_rows(grid, result.ocv_knots), theta[: lay.knots_ocv])
+def refined_model(
+    result: RefineResult, start: StartTables, capacity_Ah: float, skewed: bool, hot: bool
+) -> CellModel:
+    """The fitted tables and effects as a model.
 
-    def table(at: int) -> FloatArray:
-        return np.asarray(np.exp(spline_values(rows, theta[at : at + lay.knots])))
+    With several temperatures it has a row of tables at least every STEP_K, because a model is
+    straight over temperature between its rows and a resistance is not.
 
-    return ModelTables(
-        ocv_V=monotone(start.ocv(grid) + correction),
-        r0_ohm=table(lay.r0),
-        r1_ohm=table(lay.r(0)),
-        tau1_s=table(lay.tau(0)),
-        r2_ohm=table(lay.r(1)),
-        tau2_s=table(lay.tau(1)),
+    Parameters
+    ----------
+    skewed : bool      a log with a sampling delay was among the data
+    hot : bool         a temperature was measured
+    """
+    rows = [result.at(t) for t in temperatures_of(result)]
+    tables = [refined_tables(row, start) for row in rows]
+    return CellModel(
+        capacity_Ah,
+        *(np.array(t) for t in zip(*tables, strict=True)),
+        temperature_C=np.array([row.grid_C[0] for row in rows]),
+        effects=refined_effects(result, rows, skewed, hot),
     )
 
 
-def refined_effects(result: RefineResult, skewed: bool, hot: bool) -> tuple[Effect, ...]:
-    """Effects that the refinement fitted.
+def temperatures_of(result: RefineResult) -> FloatArray:
+    """Temperatures at which the model has rows: the grid's, steps between, and what was seen.
 
-    ``skewed``: a log with a skew was among the data; ``hot``: a temperature was measured.
+    Beyond the grid a row is added where logs were warmer or colder by more than a kelvin.
     """
+    grid = result.grid_C
+    if grid.size == 1:
+        return grid
+    seen = np.concatenate([log.temperature_C(result.reference_C) for log in result.logs])
+    cold, warm = np.percentile(seen, [1.0, 99.0])
+    first = max(cold, grid[0] - BEYOND * (grid[1] - grid[0]))
+    last = min(warm, grid[-1] + BEYOND * (grid[-1] - grid[-2]))
+    ends = [*([first] if first < grid[0] - 1.0 else []), *grid]
+    ends += [last] if last > grid[-1] + 1.0 else []
+    rows = [np.array(ends[:1])]
+    for a, b in pairwise(ends):
+        rows.append(np.linspace(a, b, int(np.ceil((b - a) / STEP_K)) + 1)[1:])
+    return np.concatenate(rows)
+
+
+def refined_tables(result: RefineResult, start: StartTables) -> ModelTables:
+    """The fitted tables of one temperature on the grid."""
     grid = np.linspace(0.0, 1.0, GRID_POINTS)
     lay, theta = result.layout, result.theta
-    rows = spline_rows(grid, result.knots)
+    correction = spline_values(spline_rows(grid, result.ocv_knots), theta[: lay.knots_ocv])
+    return ModelTables(
+        ocv_V=monotone(start.ocv(grid) + correction),
+        r0_ohm=_table(result, lay.r0),
+        r1_ohm=_table(result, lay.r(0)),
+        tau1_s=_table(result, lay.tau(0)),
+        r2_ohm=_table(result, lay.r(1)),
+        tau2_s=_table(result, lay.tau(1)),
+    )
+
+
+def _table(result: RefineResult, at: int) -> FloatArray:
+    """A table of logarithms on the grid."""
+    rows = spline_rows(np.linspace(0.0, 1.0, GRID_POINTS), result.knots)
+    return np.asarray(np.exp(spline_values(rows, result.theta[at : at + result.layout.knots])))
+
+
+def refined_effects(
+    result: RefineResult, rows: Sequence[RefineResult], skewed: bool, hot: bool
+) -> tuple[Effect, ...]:
+    """Effects that the refinement fitted; see :func:`refined_model`."""
+    lay = rows[0].layout
     found: list[Effect] = []
     if lay.branches == 3:
-        r3, tau3 = lay.r(2), lay.tau(2)
         found.append(
             SlowDiffusion(
-                np.exp(spline_values(rows, theta[r3 : r3 + lay.knots]))[None, :],
-                np.exp(spline_values(rows, theta[tau3 : tau3 + lay.knots]))[None, :],
+                np.array([_table(row, lay.r(2)) for row in rows]),
+                np.array([_table(row, lay.tau(2)) for row in rows]),
             )
         )
     if lay.hysteresis:
-        m = np.maximum(spline_values(rows, theta[lay.m : lay.m + lay.knots]), 0.0)
+        knots = spline_rows(np.linspace(0.0, 1.0, GRID_POINTS), result.knots)
+        m = [spline_values(knots, row.theta[lay.m : lay.m + lay.knots]) for row in rows]
         if float(np.max(m)) > LEAST_M_V:
-            found.append(Hysteresis(m[None, :], float(np.exp(theta[lay.gamma]))))
-    if hot:
+            found.append(Hysteresis(np.maximum(m, 0.0), float(np.exp(rows[0].theta[lay.gamma]))))
+    if hot and result.layout.temperatures == 1:
         found.append(TemperatureDependence(result.activation_K, result.reference_C))
+    if result.asinh_per_V > 0.0:
+        found.append(ChargeTransfer(result.asinh_per_V))
     if skewed and result.skew_s > LEAST_SKEW_S:
         found.append(TimeSkew(result.skew_s))
     return tuple(found)

@@ -32,7 +32,7 @@ from cellwise.identify.ocv.ocv_lowrate import ocv_from_low_rate
 from cellwise.identify.ocv.ocv_rests import ocv_from_rests
 from cellwise.identify.pulse_fit.fit_pulse import fit_pulses
 from cellwise.identify.pulse_fit.pulse_window import cut_pulses, has_enough_rows
-from cellwise.identify.refinement.refine_stage import Refined, refine_temperature
+from cellwise.identify.refinement.refine_stage import Group, Refined, refine_cell
 from cellwise.identify.soc_anchor import anchor_soc
 from cellwise.identify.stack import stack_models
 from cellwise.identify.tables import pulse_tables
@@ -79,48 +79,35 @@ def identify_cell(
     caps, choice, capacity, measured = _capacity(tests, settings, notices)
     say("OCV")
     ocv = _ocv(tests, capacity, notices)
-    found: list[TemperatureResult] = []
-    models: list[CellModel] = []
-    refined_logs: list[Refined] = []
-    for temperature, part in _by_temperature(tests, settings).items():
-        say(f"pulses at {temperature:.0f} degC")
-        sets = tuple(_pulse_set(log, ocv, capacity, settings) for log, _ in part.hppc)
-        fits = [f for s in sets for f in s.fits]
-        if part.hppc and not fits and not part.drive:
-            raise InputError(
-                _counts([(s.log, s.pulses) for s in sets])[0],
-                "a healthy pulse after a rest that moves less than a third of the charge",
-                "Give an HPPC log whose pulses stay within the voltage limits, or a drive.",
-            )
-        tables = pulse_tables(fits, GRID_POINTS, settings.tables) if fits else None
-        say(f"refinement at {temperature:.0f} degC")
-        refined = None
-        if settings.refine:
-            refined = refine_temperature(
-                part, sets, ocv, tables, capacity, temperature, settings, notices
-            )
-            refined_logs.append(refined)
-            models.append(refined.model)
-        elif tables is not None:
-            models.append(plain_model(tables, ocv, capacity, temperature))
-        else:
-            raise InputError(
-                "a drive log alone without refinement",
-                "an HPPC log with pulses, or refinement",
-                "Leave out --no-refine.",
-            )
-        found.append(
-            TemperatureResult(temperature, sets, None if refined is None else refined.result)
+    say("pulses")
+    groups = [
+        _group(temperature, part, ocv, capacity, settings)
+        for temperature, part in _by_temperature(tests, settings).items()
+    ]
+    refined = None
+    if settings.refine:
+        say("refinement")
+        refined = refine_cell(groups, tests.ocv, ocv, capacity, settings, notices)
+        model = refined.model
+    else:
+        model = stack_models([_plain(g, ocv, capacity) for g in groups])
+    found = [
+        TemperatureResult(
+            g.temperature_C,
+            g.pulse_sets,
+            None if refined is None else refined.result.at(g.temperature_C),
         )
+        for g in groups
+    ]
     model = replace(
-        stack_models(models),
+        model,
         name=settings.name,
         chemistry=settings.chemistry,
         voltage_min_V=_limit(tests, measured, low=True),
         voltage_max_V=_limit(tests, measured, low=False),
     )
     say("validation on its own logs")
-    sims = _own_simulations(model, tests, ocv, refined_logs)
+    sims = _own_simulations(model, tests, ocv, refined)
     fit = error_metrics(np.concatenate([s.error_V for s in sims]))
     seconds = time.perf_counter() - began
     model = replace(
@@ -139,6 +126,33 @@ def identify_cell(
         notices=tuple(dict.fromkeys(notices)),
         seconds=seconds,
     )
+
+
+def _group(
+    temperature_C: float, part: TestLogs, ocv: OcvCurve, capacity: float, settings: IdentifySettings
+) -> Group:
+    """The pulses of one temperature and their tables."""
+    sets = tuple(_pulse_set(log, ocv, capacity, settings) for log, _ in part.hppc)
+    fits = [f for s in sets for f in s.fits]
+    if part.hppc and not fits and not part.drive:
+        raise InputError(
+            _counts([(s.log, s.pulses) for s in sets])[0],
+            "a healthy pulse after a rest that moves less than a third of the charge",
+            "Give an HPPC log whose pulses stay within the voltage limits, or a drive.",
+        )
+    tables = pulse_tables(fits, GRID_POINTS, settings.tables) if fits else None
+    return Group(temperature_C, part, sets, tables)
+
+
+def _plain(group: Group, ocv: OcvCurve, capacity: float) -> CellModel:
+    """A model of the pulses' tables as they are."""
+    if group.tables is None:
+        raise InputError(
+            f"no pulse at {group.temperature_C:g} degC without refinement",
+            "an HPPC log with pulses, or refinement",
+            "Leave out --no-refine.",
+        )
+    return plain_model(group.tables, ocv, capacity, group.temperature_C)
 
 
 def _check(tests: TestLogs, settings: IdentifySettings) -> None:
@@ -235,7 +249,9 @@ def _ocv(tests: TestLogs, capacity: float, notices: list[str]) -> OcvCurve:
         except InputError as error:
             notices.append(f"no OCV from the rests of '{log.name}': {error}")
     if low_rate is not None and rests is not None and rests.points_soc.size >= 4:
-        return combine_ocv(rests, low_rate)
+        both = combine_ocv(rests, low_rate)
+        notices.extend(both.notes[len(low_rate.notes) + len(rests.notes) + 1 :])
+        return both
     if low_rate is not None:
         return low_rate
     if rests is not None:
@@ -361,14 +377,14 @@ def _limit(tests: TestLogs, measured: tuple[CapacityTest, ...], *, low: bool) ->
 
 
 def _own_simulations(
-    model: CellModel, tests: TestLogs, ocv: OcvCurve, refined: list[Refined]
+    model: CellModel, tests: TestLogs, ocv: OcvCurve, refined: Refined | None
 ) -> tuple[Simulation, ...]:
     """The model over the logs it was fitted on, from the SOC they were taken to begin at."""
-    if refined:
-        starts = [item for r in refined for item in r.starts]
+    if refined is not None:
+        starts = refined.starts
     else:
         logs = [log for log, _ in tests.hppc]
-        starts = [(log, anchor_soc(log, ocv, model.capacity_Ah, 0.0).soc) for log in logs]
+        starts = tuple((log, anchor_soc(log, ocv, model.capacity_Ah, 0.0).soc) for log in logs)
     return tuple(simulate(model, log, min(max(soc0, 0.0), 1.0)) for log, soc0 in starts)
 
 

@@ -9,25 +9,27 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from cellwise.identify.refinement.refine_data import RefineLog, prepare_log
-from cellwise.identify.refinement.refine_kernels import (
+from cellwise.identify.refinement.layout import (
     ACTIVATION_UNIT_K,
     SKEW_UNIT_S,
     Layout,
-    choose_rows,
     scalars_of,
-    voltage_and_jacobian,
 )
+from cellwise.identify.refinement.problem import blocks_of
+from cellwise.identify.refinement.refine_data import RefineLog, prepare_log
+from cellwise.identify.refinement.refine_kernels import choose_rows, voltage_and_jacobian
 from cellwise.identify.refinement.splines import OCV_KNOTS, TABLE_KNOTS, greville, spline_count
 from cellwise.logs.cell_log import CellLog
 
 CAPACITY_AH = 3.0
 REFERENCE_C = 25.0
-LAYOUTS = [(2, False), (2, True), (3, False), (3, True)]
+LAYOUTS = [(2, False, 1), (2, True, 1), (3, False, 1), (3, True, 1), (3, True, 3)]
+GRID_C = {1: None, 3: np.array([5.0, 22.0, 38.0])}
 
 
-def make_layout(branches=3, hysteresis=True) -> Layout:
-    return Layout(spline_count(OCV_KNOTS), spline_count(TABLE_KNOTS), branches, hysteresis)
+def make_layout(branches=3, hysteresis=True, temperatures=1) -> Layout:
+    knots = spline_count(OCV_KNOTS), spline_count(TABLE_KNOTS)
+    return Layout(*knots, branches, hysteresis, temperatures)
 
 
 def make_log(rng, rows=260, *, temperature=True, jitter=0.4) -> CellLog:
@@ -50,16 +52,20 @@ def make_theta(layout: Layout, rng) -> np.ndarray:
     """Parameters that differ from knot to knot, every block alive."""
     theta = np.zeros(layout.size)
     theta[: layout.knots_ocv] = 0.02 * rng.standard_normal(layout.knots_ocv)
-    spread = 0.3 * rng.standard_normal((7, layout.knots))
-    theta[layout.r0 : layout.r0 + layout.knots] = np.log(0.02) + spread[0]
+    spread = 0.3 * rng.standard_normal((7, layout.block))
+    theta[layout.r0 : layout.r0 + layout.block] = np.log(0.02) + spread[0]
     for j in range(layout.branches):
         at = layout.r(j), layout.tau(j)
-        theta[at[0] : at[0] + layout.knots] = np.log((0.01, 0.015, 0.02)[j]) + spread[1 + 2 * j]
-        theta[at[1] : at[1] + layout.knots] = np.log((5.0, 80.0, 1500.0)[j]) + spread[2 + 2 * j]
+        theta[at[0] : at[0] + layout.block] = np.log((0.01, 0.015, 0.02)[j]) + spread[1 + 2 * j]
+        theta[at[1] : at[1] + layout.block] = np.log((5.0, 80.0, 1500.0)[j]) + spread[2 + 2 * j]
     if layout.hysteresis:
-        theta[layout.m : layout.m + layout.knots] = 0.02 + 0.01 * rng.standard_normal(layout.knots)
+        theta[layout.m : layout.m + layout.block] = 0.02 + 0.01 * rng.standard_normal(layout.block)
         theta[layout.gamma] = np.log(60.0)
+    theta[layout.warm : layout.activation] = 0.01 * rng.standard_normal(
+        layout.activation - layout.warm
+    )
     theta[layout.activation] = 2.3
+    theta[layout.asinh] = 1.7
     theta[layout.skew] = 7.0  # 0.7 s: shorter than every interval here
     return theta
 
@@ -67,46 +73,48 @@ def make_theta(layout: Layout, rng) -> np.ndarray:
 def evaluate(log: CellLog, theta, layout: Layout, *, soc=None, skewed=True, h0=0.3, every=True):
     """Voltage of all prepared rows, Jacobian and rows that are compared; base OCV 3.2 + 0.8 soc."""
     item = RefineLog(log, soc_of(log) if soc is None else soc, skewed=skewed, h0=h0)
-    prepared = prepare_log(item, TABLE_KNOTS, OCV_KNOTS, REFERENCE_C)
+    prepared = prepare_log(
+        item, TABLE_KNOTS, OCV_KNOTS, REFERENCE_C, grid_C=GRID_C[layout.temperatures]
+    )
+    assert prepared.temperatures == layout.temperatures
     shown = np.ones(prepared.dt_s.size, dtype=np.bool_) if every else prepared.evaluate
     jacobian = np.full((int(shown.sum()), layout.size), np.nan)
     voltage = np.full(prepared.dt_s.size, np.nan)
     cell = scalars_of(layout, theta, 3600.0 * CAPACITY_AH, skewed=skewed)
-    voltage_and_jacobian(
-        prepared.dt_s, prepared.current_A, prepared.inverse_K, cell, h0, skewed,
-        prepared.rows.first, prepared.rows.values, prepared.ocv_rows.first,
-        prepared.ocv_rows.values, 3.2 + 0.8 * prepared.soc, theta, layout.knots_ocv, layout.knots,
-        layout.branches, layout.hysteresis, shown, jacobian, voltage,
-    )  # fmt: skip
+    rows = prepared.for_kernel(3.2 + 0.8 * prepared.soc)._replace(evaluate=shown)
+    voltage_and_jacobian(rows, cell, blocks_of(layout), h0, skewed, theta, jacobian, voltage)
     return prepared, voltage, jacobian
 
 
 def blocks(layout: Layout) -> dict[str, slice]:
-    found = {"ocv": slice(0, layout.knots_ocv), "r0": slice(layout.r0, layout.r0 + layout.knots)}
+    found = {"ocv": slice(0, layout.knots_ocv), "r0": slice(layout.r0, layout.r0 + layout.block)}
     for j in range(layout.branches):
-        found[f"r{j + 1}"] = slice(layout.r(j), layout.r(j) + layout.knots)
-        found[f"tau{j + 1}"] = slice(layout.tau(j), layout.tau(j) + layout.knots)
+        found[f"r{j + 1}"] = slice(layout.r(j), layout.r(j) + layout.block)
+        found[f"tau{j + 1}"] = slice(layout.tau(j), layout.tau(j) + layout.block)
     if layout.hysteresis:
-        found["m"] = slice(layout.m, layout.m + layout.knots)
+        found["m"] = slice(layout.m, layout.m + layout.block)
         found["gamma"] = slice(layout.gamma, layout.gamma + 1)
+    if layout.temperatures > 1:
+        found["warm"] = slice(layout.warm, layout.activation)
     found["activation"] = slice(layout.activation, layout.activation + 1)
     found["skew"] = slice(layout.skew, layout.skew + 1)
+    found["asinh"] = slice(layout.asinh, layout.asinh + 1)
     return found
 
 
-@pytest.mark.parametrize(("branches", "hysteresis"), LAYOUTS)
-def test_blocks_fill_the_vector_without_overlap(branches, hysteresis):
-    layout = make_layout(branches, hysteresis)
+@pytest.mark.parametrize(("branches", "hysteresis", "temperatures"), LAYOUTS)
+def test_blocks_fill_the_vector_without_overlap(branches, hysteresis, temperatures):
+    layout = make_layout(branches, hysteresis, temperatures)
     parts = sorted(blocks(layout).values(), key=lambda s: s.start)
     assert parts[0].start == 0
     assert all(a.stop == b.start for a, b in pairwise(parts))
     assert parts[-1].stop == layout.size
 
 
-@pytest.mark.parametrize(("branches", "hysteresis"), LAYOUTS)
-def test_jacobian_is_the_central_difference_of_the_voltage(branches, hysteresis):
+@pytest.mark.parametrize(("branches", "hysteresis", "temperatures"), LAYOUTS)
+def test_jacobian_is_the_central_difference_of_the_voltage(branches, hysteresis, temperatures):
     rng = np.random.default_rng(branches + 10 * hysteresis)
-    layout = make_layout(branches, hysteresis)
+    layout = make_layout(branches, hysteresis, temperatures)
     log, theta = make_log(rng), make_theta(layout, rng)
     _, _, jacobian = evaluate(log, theta, layout)
     step = 1e-4
@@ -164,6 +172,7 @@ def test_resistances_follow_arrhenius():
     rng = np.random.default_rng(6)
     layout = make_layout(3, False)
     log, theta = make_log(rng, temperature=False), make_theta(layout, rng)
+    theta[layout.asinh] = 0.0  # that law is not linear
     prepared, warm, _ = evaluate(log, theta, layout, skewed=False)
     theta_ocv = theta.copy()
     theta_ocv[layout.r0 : layout.r0 + layout.knots] = -40.0
@@ -269,7 +278,7 @@ def test_merging_keeps_the_charge_and_the_time():
 def choose(time, current, threshold=0.05):
     keep = np.zeros(time.size, dtype=np.bool_)
     shown = np.zeros(time.size, dtype=np.bool_)
-    choose_rows(time, current, threshold, 0.95, 0.03, keep, shown)
+    choose_rows(time, current, threshold, 0.95, 0.03, np.inf, keep, shown)
     return keep, shown
 
 

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cellwise.cell.metrics import drawn_sums
 from cellwise.diagnose.fit.rows import FITTED, HELD, Evidence
-from cellwise.typing import BoolArray, FloatArray, IntArray
-
-RESAMPLES = 1000
+from cellwise.typing import BoolArray, FloatArray
 
 
 @dataclass(frozen=True)
@@ -60,8 +59,7 @@ def gain_of(
     held = (evidence.role == HELD) & evidence.known
     train = (evidence.role == FITTED) & evidence.known
     squares = np.column_stack((b, a, b / size, a / size))[held] ** 2
-    sums = block_sums(evidence.block[held], squares)
-    totals = sums[rng.integers(0, len(sums), (RESAMPLES, len(sums)))].sum(axis=1)
+    totals = drawn_sums(evidence.block[held], squares, rng)
     gains = 1.0 - np.sqrt(totals[:, 1::2] / np.maximum(totals[:, ::2], 1e-30))
     low, high = np.quantile(gains[:, 0], (0.025, 0.975))
     before, after = rmse(b, held), rmse(a, held)
@@ -77,11 +75,3 @@ def gain_of(
         rmse(a / size, held),
         float(np.quantile(gains[:, 1], 0.025)),
     )
-
-
-def block_sums(block: IntArray, values: FloatArray) -> FloatArray:
-    """Sums of the values (rows, m) over each block, shape (blocks, m)."""
-    _, place = np.unique(block, return_inverse=True)
-    sums = np.zeros((int(place.max()) + 1, values.shape[1]))
-    np.add.at(sums, place, values)
-    return sums

@@ -135,6 +135,24 @@ def _steady_span(steady: BoolArray, share: FloatArray) -> tuple[int, int]:
     return large[0][0], large[-1][1]
 
 
+def discharge_rows(log: CellLog) -> BoolArray:
+    """Rows of the first whole discharge of a log, from the row before it to its lowest voltage.
+
+    Whole: at least half of what the largest one of the log moves. Shape (n,); all False without
+    a discharge.
+    """
+    trace = join_logs(log)
+    down = [h for h in find_half_cycles(trace) if h.charge_Ah > 0.0]
+    rows = np.zeros(len(log), dtype=np.bool_)
+    if down:
+        most = max(h.charge_Ah for h in down)
+        half = next(h for h in down if h.charge_Ah >= 0.5 * most)
+        first = max(half.steady_start - 1, 0)
+        last = first + int(np.argmin(trace.voltage_V[first : half.steady_stop]))
+        rows[first : last + 1] = True
+    return rows
+
+
 def settled_end(trace: Trace, halves: tuple[HalfCycle, ...], k: int) -> int:
     """Last row before the next half cycle's current, where a dither at the limit has settled.
 

@@ -40,7 +40,8 @@ class OcvCurve:
     source : str                             log or logs, and method
     notes : tuple of str                     what a person should know
     temperature_C : float or None            median over the test
-    stretch : float                          see :func:`combine_ocv`; 1 where nothing was stretched
+    stretch : float                          by which bends of rests and low rate lie apart, see
+                                             :func:`combine_ocv`; nothing is stretched by it
     """
 
     soc: FloatArray
@@ -116,14 +117,14 @@ def combine_ocv(rests: OcvCurve, low_rate: OcvCurve, kind: OcvKind | None = None
     r"""Shape of the low-rate curve, level and scale of the rests.
 
     A low-rate branch sees every bend of the OCV but carries polarisation, and half of the
-    hysteresis; rests are relaxed but few. The two tests are often months apart, and a cell that
-    has lost capacity in between shows its bends earlier. So
+    hysteresis; rests are relaxed but few. So
 
-    .. math:: OCV(s) = L(1 - \rho (1 - s)) + c(s)
+    .. math:: OCV(s) = L(s) + c(s)
 
-    with the low-rate curve L, one stretch and a smooth correction, constant beyond the outermost
-    rests. Rests left out, level by level, choose the stretch and how stiff the correction is; the
-    stretch is 1 unless another predicts them clearly better.
+    with the low-rate curve L and a smooth correction, constant beyond the outermost rests. Rests
+    left out, level by level, choose how stiff the correction is. There is one SOC scale: where
+    bends of the two tests lie apart, as if the cell had held another capacity in the one or its
+    current sensor had been off, a note says by how much, and the curve stays as counted.
 
     Parameters
     ----------
@@ -144,40 +145,47 @@ def combine_ocv(rests: OcvCurve, low_rate: OcvCurve, kind: OcvKind | None = None
             "one capacity for both",
             "Make both with the same capacity_Ah.",
         )
-    stretch, stiffness = _choose_correction(rests, low_rate)
+    apart, _ = _choose_correction(rests, low_rate)
+    stiffness = _stiffness(rests, low_rate)
     s = rests.points_soc
-    difference = rests.points_V - _stretched(low_rate.function, s, stretch)
+    difference = rests.points_V - low_rate.function.evaluate(s)
     weight = _weights(rests)
     nodes, (correction,) = _penalised_lines(s, difference, weight, np.array([stiffness]))
     grid = low_rate.soc
-    level = _stretched(low_rate.function, grid, stretch) + np.interp(grid, nodes, correction)
+    level = low_rate.function.evaluate(grid) + np.interp(grid, nodes, correction)
     left = weight * (difference - np.interp(s, nodes, correction)) ** 2
-    note = (
-        f"low-rate curve stretched by {stretch:.3f} and moved by"
-        f" {1e3 * correction.min():+.1f} to {1e3 * correction.max():+.1f} mV to {s.size} rests,"
-        f" {1e3 * np.sqrt(left.sum() / weight.sum()):.1f} mV RMS left"
-    )
-    if stretch != 1.0:
-        note += f": as if the cell held {low_rate.capacity_Ah / stretch:.3f} Ah when it rested"
-    at = 1.0 - stretch * (1.0 - grid)
-    branches = [
-        None if b is None else np.interp(at, grid, b, left=np.nan)
-        for b in (low_rate.discharge_V, low_rate.charge_V)
+    notes = [
+        f"low-rate curve moved by {1e3 * correction.min():+.1f} to {1e3 * correction.max():+.1f} mV"
+        f" to {s.size} rests, {1e3 * np.sqrt(left.sum() / weight.sum()):.1f} mV RMS left"
     ]
+    if apart != 1.0:
+        held = low_rate.capacity_Ah / apart
+        notes.append(
+            f"the rests lie on the low-rate curve as if the cell had held {held:.3f} Ah, not "
+            f"{low_rate.capacity_Ah:.3f} Ah: another capacity then, or a current sensor that was "
+            "off in one of the tests. SOC stays as counted, and the model is a compromise"
+        )
     return curve_from_points(
         grid,
         level,
         capacity_Ah=rests.capacity_Ah,
         kind=kind,
-        discharge_V=branches[0],
-        charge_V=branches[1],
+        discharge_V=low_rate.discharge_V,
+        charge_V=low_rate.charge_V,
         source=f"{low_rate.source}; {rests.source}",
-        notes=(*low_rate.notes, *rests.notes, note),
+        notes=(*low_rate.notes, *rests.notes, *notes),
         temperature_C=rests.temperature_C
         if low_rate.temperature_C is None
         else low_rate.temperature_C,
-        stretch=stretch,
+        stretch=apart,
     )
+
+
+def _stiffness(rests: OcvCurve, low_rate: OcvCurve) -> float:
+    """Stiffness of the correction with the least error at rests that are left out."""
+    if rests.points_soc.size < MIN_POINTS + 2:
+        return USUAL_STIFFNESS
+    return float(STIFFNESS[int(np.argmin(_left_out_errors(rests, low_rate, 1.0)))])
 
 
 def _choose_correction(rests: OcvCurve, low_rate: OcvCurve) -> tuple[float, float]:

@@ -1,21 +1,26 @@
-"""A log made ready for refinement: few rows, known SOC, splines laid out."""
+"""A log made ready for refinement: few rows, known SOC and temperature, splines laid out."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cellwise.cell.equations import ZERO_CELSIUS_K
 from cellwise.errors import InputError
-from cellwise.identify.refinement.refine_kernels import choose_rows
+from cellwise.identify.refinement.refine_kernels import LogRows, choose_rows
 from cellwise.identify.refinement.splines import SplineRows, spline_rows
 from cellwise.logs.cell_log import CellLog
-from cellwise.typing import BoolArray, FloatArray
+from cellwise.typing import BoolArray, FloatArray, IndexArray
 
 EDGE_SHARE = 0.005  # of the largest current: smaller changes are noise
 SHORTEST_S = 0.95
 GROWTH = 0.03
+MOST_SOC = 0.0025  # that a constant load moves between two compared rows
+MOST_ROWS = 4000  # compared of one log
+BEYOND = 0.5  # how far a temperature may lie outside the grid, in its first and last step
+SELDOM = 0.02  # of the charge: temperatures at which less flowed bring no row of tables along
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,8 +28,9 @@ class RefineLog:
     """One log for refinement.
 
     ``soc`` is known at every row (the tester's counter over the capacity, from a known start);
-    ``skewed`` logs share the fitted skew between current and voltage; ``h0`` is the hysteresis
-    state at the first row.
+    ``skewed`` logs share the fitted sampling delay; ``h0`` is the hysteresis state at the first
+    row; ``compare`` marks rows that may be compared (None: all); ``temperature_C`` holds where the
+    log measured none.
     """
 
     log: CellLog
@@ -32,11 +38,17 @@ class RefineLog:
     skewed: bool = False
     h0: float = 1.0
     weight: float = 1.0
+    compare: BoolArray | None = None
+    temperature_C: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class PreparedLog:
-    """What the kernel reads: merged rows; ``error``-relevant arrays cover compared rows only."""
+    """What the kernel reads: merged rows; ``error``-relevant arrays cover compared rows only.
+
+    ``row`` and ``share`` say between which temperatures of the log's own a row lies; these are
+    ``temperatures`` of the grid's, from ``first_temperature`` on.
+    """
 
     name: str
     dt_s: FloatArray
@@ -51,11 +63,36 @@ class PreparedLog:
     skewed: bool
     h0: float
     weight: float
+    row: IndexArray
+    share: FloatArray
+    first_temperature: int = 0
+    temperatures: int = 1
 
     @property
     def compared(self) -> int:
         """Number of rows that are compared with the measurement."""
         return int(self.measured_V.size)
+
+    def temperature_C(self, reference_C: float) -> FloatArray:
+        """Temperature of the compared rows [degC]."""
+        kelvin = reference_C + ZERO_CELSIUS_K
+        return np.asarray(1.0 / (self.inverse_K[self.evaluate] + 1.0 / kelvin) - ZERO_CELSIUS_K)
+
+    def for_kernel(self, base_ocv_V: FloatArray) -> LogRows:
+        """The arrays that the kernel takes."""
+        return LogRows(
+            self.dt_s,
+            self.current_A,
+            self.inverse_K,
+            self.row,
+            self.share,
+            self.rows.first,
+            self.rows.values,
+            self.ocv_rows.first,
+            self.ocv_rows.values,
+            base_ocv_V,
+            self.evaluate,
+        )
 
 
 def prepare_log(
@@ -64,8 +101,16 @@ def prepare_log(
     ocv_knots: FloatArray,
     reference_C: float,
     soc_low: float = 0.0,
+    grid_C: FloatArray | None = None,
+    capacity_Ah: float = np.inf,
+    most_rows: int = MOST_ROWS,
 ) -> PreparedLog:
     """Merge rows of equal current, choose the rows to compare, lay out the splines.
+
+    Parameters
+    ----------
+    grid_C : (temperatures,) float or None      ascending; temperatures with tables of their own
+    capacity_Ah : float                         for the spacing of rows under a constant load
 
     Raises
     ------
@@ -74,14 +119,10 @@ def prepare_log(
     log = item.log
     current = log.known_current_A()
     n = len(log)
-    keep = np.zeros(n, dtype=np.bool_)
-    evaluate = np.zeros(n, dtype=np.bool_)
-    threshold = EDGE_SHARE * float(np.max(np.abs(current)))
-    choose_rows(log.time_s, current, threshold, SHORTEST_S, GROWTH, keep, evaluate)
-    gaps = log.gap_rows
-    keep |= gaps
-    keep[:-1] |= gaps[1:]
-    evaluate &= np.isfinite(log.voltage_V) & np.isfinite(item.soc) & (item.soc >= soc_low)
+    usable = np.isfinite(log.voltage_V) & np.isfinite(item.soc) & (item.soc >= soc_low)
+    if item.compare is not None:
+        usable &= item.compare
+    keep, evaluate = _chosen_rows(log, current, capacity_Ah, usable, most_rows)
     if not evaluate.any():
         raise InputError(
             f"no row with a voltage above SOC {soc_low:g} in log '{log.name}'",
@@ -95,16 +136,16 @@ def prepare_log(
     merged = np.diff(moved, prepend=moved[0])
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = np.where(dt > 0, merged / dt, current[kept])
-    soc = np.interp(
-        np.arange(n), np.flatnonzero(np.isfinite(item.soc)), item.soc[np.isfinite(item.soc)]
-    )
-    soc = soc[kept]
+    finite = np.isfinite(item.soc)
+    soc = np.interp(np.arange(n), np.flatnonzero(finite), item.soc[finite])[kept]
     shown = evaluate[kept]
+    inverse = _inverse_kelvin(log, reference_C, item.temperature_C)[kept]
+    first, count, row, share = _between(inverse, np.abs(mean) * dt, reference_C, grid_C)
     return PreparedLog(
         name=log.name,
         dt_s=dt,
         current_A=mean,
-        inverse_K=_inverse_kelvin(log, reference_C)[kept],
+        inverse_K=inverse,
         rows=spline_rows(soc, knots),
         ocv_rows=spline_rows(soc, ocv_knots),
         soc=soc,
@@ -114,16 +155,94 @@ def prepare_log(
         skewed=item.skewed,
         h0=item.h0,
         weight=item.weight,
+        row=row,
+        share=share,
+        first_temperature=first,
+        temperatures=count,
     )
 
 
-def _inverse_kelvin(log: CellLog, reference_C: float) -> FloatArray:
-    """1/T - 1/T_ref of every row [1/K]; zero where it was not measured."""
-    if log.temperature_C is None:
-        return np.zeros(len(log))
+def _chosen_rows(
+    log: CellLog, current: FloatArray, capacity_Ah: float, usable: BoolArray, most_rows: int
+) -> tuple[BoolArray, BoolArray]:
+    """Rows to keep and rows to compare; of a long log fewer a second."""
+    threshold = EDGE_SHARE * float(np.max(np.abs(current)))
+    charge = MOST_SOC * 3600.0 * capacity_Ah
+    shortest = SHORTEST_S
+    while True:
+        keep = np.zeros(len(log), dtype=np.bool_)
+        evaluate = np.zeros(len(log), dtype=np.bool_)
+        choose_rows(log.time_s, current, threshold, shortest, GROWTH, charge, keep, evaluate)
+        evaluate &= usable
+        count = int(np.count_nonzero(evaluate))
+        if count <= most_rows:
+            break
+        shortest *= max(1.1, count / most_rows)
+    gaps = log.gap_rows
+    keep |= gaps
+    keep[:-1] |= gaps[1:]
+    return keep, evaluate
+
+
+def inverse_K(temperature_C: FloatArray | float, reference_C: float) -> FloatArray:
+    """1/T - 1/T_ref [1/K]."""
+    kelvin = np.asarray(temperature_C) + ZERO_CELSIUS_K
+    return np.asarray(1.0 / kelvin - 1.0 / (reference_C + ZERO_CELSIUS_K))
+
+
+def _inverse_kelvin(log: CellLog, reference_C: float, otherwise_C: float | None) -> FloatArray:
+    """1/T - 1/T_ref of every row [1/K]; at the reference where nothing is known."""
     measured = log.temperature_C
-    good = np.isfinite(measured)
-    if not good.any():
-        return np.zeros(len(log))
-    held = np.interp(np.arange(len(log)), np.flatnonzero(good), measured[good])
-    return np.asarray(1.0 / (held + ZERO_CELSIUS_K) - 1.0 / (reference_C + ZERO_CELSIUS_K))
+    good = None if measured is None else np.isfinite(measured)
+    if measured is None or good is None or not good.any():
+        held = np.full(len(log), reference_C if otherwise_C is None else otherwise_C)
+    else:
+        held = np.interp(np.arange(len(log)), np.flatnonzero(good), measured[good])
+    return inverse_K(held, reference_C)
+
+
+def _between(
+    inverse: FloatArray, charge: FloatArray, reference_C: float, grid_C: FloatArray | None
+) -> tuple[int, int, IndexArray, FloatArray]:
+    """First temperature of the log, how many, and between which of them its rows lie."""
+    if grid_C is None or grid_C.size == 1:
+        return 0, 1, np.zeros(inverse.size, dtype=np.int64), np.zeros(inverse.size)
+    grid = inverse_K(grid_C, reference_C)  # falls as the temperature rises
+    order = np.argsort(inverse)
+    moved = np.cumsum(charge[order])
+    share = moved / moved[-1] if moved[-1] > 0.0 else np.linspace(0.0, 1.0, moved.size)
+    warmest = float(inverse[order][np.searchsorted(share, SELDOM)])
+    coldest = float(inverse[order][np.searchsorted(share, 1.0 - SELDOM)])
+    last = grid.size - 2
+    low = int(np.clip(np.searchsorted(-grid, -coldest, side="right") - 1, 0, last))
+    high = int(np.clip(np.searchsorted(-grid, -warmest, side="left"), low + 1, grid.size - 1))
+    part = grid[low : high + 1]
+    row = np.clip(np.searchsorted(-part, -inverse, side="right") - 1, 0, part.size - 2)
+    way = (inverse - part[row]) / (part[row + 1] - part[row])
+    return (
+        low,
+        part.size,
+        row.astype(np.int64),
+        np.clip(way, -BEYOND, 1.0 + BEYOND),
+    )
+
+
+def warmed(
+    item: RefineLog, ocv: Callable[[FloatArray], FloatArray], rth_K_per_W: float, thermal_s: float
+) -> RefineLog:
+    """The log with the temperature inside the cell: its surface's, and what its losses heat it.
+
+    The losses are measured: current times what the terminal voltage lacks of the OCV.
+    """
+    log = item.log
+    if log.temperature_C is None:
+        return item
+    lost = log.known_current_A() * (ocv(np.clip(item.soc, 0.0, 1.0)) - log.voltage_V)
+    lost = np.where(log.gap_rows | ~np.isfinite(lost), 0.0, np.maximum(lost, 0.0))
+    left = np.exp(-log.interval_s / thermal_s)
+    heat = np.empty(len(log))
+    now = 0.0
+    for k, (a, power) in enumerate(zip(left.tolist(), lost.tolist(), strict=True)):
+        now = a * now + (1.0 - a) * rth_K_per_W * power
+        heat[k] = now
+    return replace(item, log=replace(log, temperature_C=log.temperature_C + heat))

@@ -1,13 +1,15 @@
 """Simulated voltage and its analytic sensitivities over one log, in one pass of scalar code.
 
-SOC is known here (the tester's counter), so the look-ups do not depend on the parameters and
-every sensitivity obeys the branch's own recursion with a source at the knots that are active:
+SOC and temperature are known here (the tester's counter, the sensor), so the look-ups do not depend
+on the parameters and every sensitivity obeys the branch's own recursion with a source at the knots
+that are active:
 
     v'  = rc_step(v, I, R, tau, dt)
     S'  = dv'/dv S + B R dv'/dR          with respect to the spline coefficients of ln R
     S'  = dv'/dv S + B tau dv'/dtau      with respect to those of ln tau
 
-The equations are those of the cell, their derivatives are printed from them.
+Between temperatures ln R and ln tau are straight over 1/T, so that what lies between two of them is
+an activation energy. The equations are those of the cell, their derivatives are printed from them.
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ from cellwise.cell.equations import (
     rc_step,
     seen_current,
     thermal_factor,
+    transfer_resistance,
 )
 from cellwise.cell.point_kernels import CellScalars
 from cellwise.identify.refinement.derivative_kernels import (
@@ -33,168 +36,157 @@ from cellwise.identify.refinement.derivative_kernels import (
     hysteresis_partials,
     seen_partials,
     thermal_partials,
+    transfer_partials,
     voltage_partials,
 )
-from cellwise.typing import BoolArray, FloatArray
+from cellwise.identify.refinement.layout import ACTIVATION_UNIT_K, ASINH_UNIT_PER_V, SKEW_UNIT_S
+from cellwise.typing import BoolArray, FloatArray, IndexArray
 
 SUPPORT = 4  # cubic B-splines: four are active at any SOC
 
 
-class Layout(NamedTuple):
-    """Where each parameter stands in the vector; every block but the OCV's has ``knots`` entries.
+class LogRows(NamedTuple):
+    """What the kernel reads of one log, arrays over its kept rows.
 
-    ``ocv`` entries 0..knots_ocv; then ln R0; then (ln R, ln tau) per branch; then M and ln gamma
-    (when ``hysteresis``), activation [K / 1000], skew [s / 10].
+    ``row`` is the number of the first of the two temperatures between which a row lies, ``share``
+    how much of the way to the second it is, over 1/T; ``first`` and ``basis`` (rows, 4) are the
+    splines of the tables, ``ocv_first`` and ``ocv_basis`` those of the OCV; ``base_ocv_V`` is what
+    the OCV's correction is added to; ``evaluate`` marks the compared rows.
     """
+
+    dt_s: FloatArray
+    current_A: FloatArray
+    inverse_K: FloatArray
+    row: IndexArray
+    share: FloatArray
+    first: IndexArray
+    basis: FloatArray
+    ocv_first: IndexArray
+    ocv_basis: FloatArray
+    base_ocv_V: FloatArray
+    evaluate: BoolArray
+
+
+class Blocks(NamedTuple):
+    """A layout as numbers for the kernel."""
 
     knots_ocv: int
     knots: int
     branches: int
     hysteresis: bool
-
-    @property
-    def r0(self) -> int:
-        """First coefficient of ln R0."""
-        return self.knots_ocv
-
-    def r(self, branch: int) -> int:
-        """First coefficient of ln R of a branch, 0-based."""
-        return self.knots_ocv + self.knots * (1 + 2 * branch)
-
-    def tau(self, branch: int) -> int:
-        """First coefficient of ln tau of a branch, 0-based."""
-        return self.r(branch) + self.knots
-
-    @property
-    def m(self) -> int:
-        """First coefficient of the hysteresis voltage M."""
-        return self.r(self.branches)
-
-    @property
-    def gamma(self) -> int:
-        """Ln of the hysteresis rate."""
-        return self.m + self.knots
-
-    @property
-    def activation(self) -> int:
-        """Arrhenius activation in units of ACTIVATION_UNIT_K."""
-        return self.m + (self.knots + 1 if self.hysteresis else 0)
-
-    @property
-    def skew(self) -> int:
-        """Sampling delay in units of SKEW_UNIT_S."""
-        return self.activation + 1
-
-    @property
-    def size(self) -> int:
-        """Number of parameters."""
-        return self.skew + 1
+    temperatures: int
+    m: int
+    gamma: int
+    warm: int
+    activation: int
+    skew: int
+    asinh: int
 
 
-ACTIVATION_UNIT_K = 1000.0
-SKEW_UNIT_S = 0.1
-
-
-def scalars_of(layout: Layout, theta: FloatArray, charge_As: float, *, skewed: bool) -> CellScalars:
-    """Scalars of a parameter vector; ``skewed`` logs have its sampling delay, others none."""
-    plain = CellScalars(*(0.0 for _ in CellScalars._fields))
-    return plain._replace(
-        charge_As=charge_As,
-        charge_efficiency=1.0,
-        charge_scale=1.0,
-        activation_K=float(theta[layout.activation]) * ACTIVATION_UNIT_K,
-        hysteresis_rate=math.exp(theta[layout.gamma]) if layout.hysteresis else 0.0,
-        skew_s=float(theta[layout.skew]) * SKEW_UNIT_S if skewed else 0.0,
-    )
+@njit(cache=True, error_model="numpy", inline="always")
+def _value(
+    theta: FloatArray, at: int, basis: FloatArray, k: int, share: float, knots: int
+) -> float:
+    """A spline's value at row ``k``; ``at`` is its first active coefficient."""
+    here = 0.0
+    for q in range(SUPPORT):
+        here += basis[k, q] * theta[at + q]
+    if share != 0.0:
+        there = 0.0
+        for q in range(SUPPORT):
+            there += basis[k, q] * theta[at + knots + q]
+        here += share * (there - here)
+    return here
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def voltage_and_jacobian(
-    dt_s: FloatArray,
-    current_A: FloatArray,
-    inverse_K: FloatArray,
+    log: LogRows,
     cell: CellScalars,
+    lay: Blocks,
     h0: float,
     skewed: bool,
-    first: FloatArray,
-    basis: FloatArray,
-    ocv_first: FloatArray,
-    ocv_basis: FloatArray,
-    base_ocv_V: FloatArray,
     theta: FloatArray,
-    knots_ocv: int,
-    knots: int,
-    branches: int,
-    hysteresis: bool,
-    evaluate: BoolArray,
     jacobian: FloatArray,
     voltage_V: FloatArray,
 ) -> None:
     """Fill ``voltage_V`` (rows,) and ``jacobian`` (evaluated rows, parameters).
 
-    ``cell`` are the scalars of ``theta``, see :func:`scalars_of`.
+    ``cell`` are the scalars of ``theta``, see `scalars_of` of the layout.
     """
-    o_r0 = knots_ocv
-    o_m = knots_ocv + knots * (1 + 2 * branches)
-    o_gamma = o_m + knots
-    o_act = o_m + (knots + 1 if hysteresis else 0)
-    o_skew = o_act + 1
+    knots, branches, hysteresis = lay.knots, lay.branches, lay.hysteresis
+    block = lay.temperatures * knots
     v = np.zeros(3)
-    sens = np.zeros((2 * branches, knots))
+    sens = np.zeros((2 * branches, block))
     sens_act = np.zeros(branches)
     sens_skew = np.zeros(branches)
+    sens_asinh = 0.0
     h = h0
     h_gamma = 0.0
     h_skew = 0.0
-    previous = current_A[0]
+    previous = log.current_A[0]
     out = 0
-    for k in range(dt_s.size):
-        dt = dt_s[k]
-        seen = seen_current(cell, current_A[k], previous, dt)
+    for k in range(log.dt_s.size):
+        dt = log.dt_s[k]
+        seen = seen_current(cell, log.current_A[k], previous, dt)
         slope = 0.0
         if skewed:
-            slope = seen_partials(cell, current_A[k], previous, dt).seen_by_skew_s * SKEW_UNIT_S
-        previous = current_A[k]
-        scale = thermal_factor(cell.activation_K, inverse_K[k])
-        thermal = thermal_partials(cell.activation_K, inverse_K[k])
+            partials = seen_partials(cell, log.current_A[k], previous, dt)
+            slope = partials.seen_by_skew_s * SKEW_UNIT_S
+        previous = log.current_A[k]
+        scale = thermal_factor(cell.activation_K, log.inverse_K[k])
+        thermal = thermal_partials(cell.activation_K, log.inverse_K[k])
         dscale = thermal.factor_by_activation_K * ACTIVATION_UNIT_K
-        f = first[k]
+        share = log.share[k]
+        # Where the active coefficients of this row's temperature stand within a block.
+        f = log.row[k] * knots + log.first[k]
         for j in range(branches):
-            o_r = knots_ocv + knots * (1 + 2 * j)
-            o_t = o_r + knots
-            ln_r = 0.0
-            ln_tau = 0.0
-            for q in range(SUPPORT):
-                ln_r += basis[k, q] * theta[o_r + f + q]
-                ln_tau += basis[k, q] * theta[o_t + f + q]
-            warm_r = math.exp(ln_r)
+            o_r = lay.knots_ocv + block * (1 + 2 * j)
+            o_t = o_r + block
+            warm_r = math.exp(_value(theta, o_r + f, log.basis, k, share, knots))
             r = warm_r * scale
-            tau = math.exp(ln_tau)
-            by = branch_partials(v[j], seen, r, tau, dt)
-            by_ln_r = by.new_by_r_ohm * r
+            tau = math.exp(_value(theta, o_t + f, log.basis, k, share, knots))
+            loaded_r = r
+            by_r = 1.0
+            by_asinh = 0.0
+            by_seen = 0.0
+            if j == 0 and cell.asinh_per_V != 0.0:
+                loaded_r = transfer_resistance(cell.asinh_per_V, r, seen)
+                transfer = transfer_partials(cell.asinh_per_V, r, seen)
+                by_r = transfer.new_by_r_ohm
+                by_asinh = transfer.new_by_asinh_per_V * ASINH_UNIT_PER_V
+                by_seen = transfer.new_by_current_A
+            by = branch_partials(v[j], seen, loaded_r, tau, dt)
+            by_ln_r = by.new_by_r_ohm * by_r * r
             by_ln_tau = by.new_by_tau_s * tau
             left = by.new_by_v_V
             if left < 1.0:
-                for q in range(knots):
+                for q in range(block):
                     sens[2 * j, q] *= left
                     sens[2 * j + 1, q] *= left
             for q in range(SUPPORT):
-                sens[2 * j, f + q] += basis[k, q] * by_ln_r
-                sens[2 * j + 1, f + q] += basis[k, q] * by_ln_tau
-            sens_act[j] = left * sens_act[j] + by.new_by_r_ohm * warm_r * dscale
-            sens_skew[j] = left * sens_skew[j] + by.new_by_current_A * slope
-            v[j] = rc_step(v[j], seen, r, tau, dt)
-        ln_r0 = 0.0
-        ocv = base_ocv_V[k]
+                sens[2 * j, f + q] += (1.0 - share) * log.basis[k, q] * by_ln_r
+                sens[2 * j + 1, f + q] += (1.0 - share) * log.basis[k, q] * by_ln_tau
+                if share != 0.0:
+                    sens[2 * j, f + knots + q] += share * log.basis[k, q] * by_ln_r
+                    sens[2 * j + 1, f + knots + q] += share * log.basis[k, q] * by_ln_tau
+            sens_act[j] = left * sens_act[j] + by.new_by_r_ohm * by_r * warm_r * dscale
+            by_current = by.new_by_current_A + by.new_by_r_ohm * by_seen
+            sens_skew[j] = left * sens_skew[j] + by_current * slope
+            if j == 0:
+                sens_asinh = left * sens_asinh + by.new_by_r_ohm * by_asinh
+            v[j] = rc_step(v[j], seen, loaded_r, tau, dt)
+        warm_r0 = math.exp(_value(theta, lay.knots_ocv + f, log.basis, k, share, knots))
+        ocv = log.base_ocv_V[k]
+        of = log.ocv_first[k]
+        ocv += _value(theta, of, log.ocv_basis, k, 0.0, 0)
+        if lay.temperatures > 1:
+            at = lay.warm + log.row[k] * lay.knots_ocv + of
+            ocv += _value(theta, at, log.ocv_basis, k, share, lay.knots_ocv)
         m = 0.0
-        for q in range(SUPPORT):
-            ln_r0 += basis[k, q] * theta[o_r0 + f + q]
-            ocv += ocv_basis[k, q] * theta[ocv_first[k] + q]
-            if hysteresis:
-                m += basis[k, q] * theta[o_m + f + q]
-        warm_r0 = math.exp(ln_r0)
         r0 = warm_r0 * scale
         if hysteresis:
+            m = _value(theta, lay.m + f, log.basis, k, share, knots)
             of_h = hysteresis_partials(cell, h, seen, dt)
             by_ln_rate = of_h.new_by_hysteresis_rate * cell.hysteresis_rate
             h_gamma = of_h.new_by_h * h_gamma + by_ln_rate
@@ -202,30 +194,43 @@ def voltage_and_jacobian(
             h = hysteresis_step(h, hysteresis_decay(cell, seen, dt), seen)
         drop = polarisation(r0, seen, v[0], v[1], v[2])
         voltage_V[k] = loaded_voltage(ocv, m, h, drop)
-        if evaluate[k]:
-            of = voltage_partials(ocv, m, h, r0, seen, v[0], v[1], v[2])
-            by_branch = of.voltage_by_v1_V  # all of them alike
+        if log.evaluate[k]:
+            by_v = voltage_partials(ocv, m, h, r0, seen, v[0], v[1], v[2])
+            by_branch = by_v.voltage_by_v1_V  # all of them alike
             row = jacobian[out]
             row[:] = 0.0
             for q in range(SUPPORT):
-                row[ocv_first[k] + q] = of.voltage_by_ocv_V * ocv_basis[k, q]
-                row[o_r0 + f + q] = basis[k, q] * of.voltage_by_r0_ohm * r0
+                by_ocv = by_v.voltage_by_ocv_V * log.ocv_basis[k, q]
+                row[of + q] = by_ocv
+                if lay.temperatures > 1:
+                    at = lay.warm + log.row[k] * lay.knots_ocv + of + q
+                    row[at] = (1.0 - share) * by_ocv
+                    if share != 0.0:
+                        row[at + lay.knots_ocv] = share * by_ocv
+                by_r0 = log.basis[k, q] * by_v.voltage_by_r0_ohm * r0
+                by_m = log.basis[k, q] * by_v.voltage_by_m_V
+                row[lay.knots_ocv + f + q] = (1.0 - share) * by_r0
                 if hysteresis:
-                    row[o_m + f + q] = basis[k, q] * of.voltage_by_m_V
-            act = of.voltage_by_r0_ohm * warm_r0 * dscale
-            skw = of.voltage_by_current_A * slope
+                    row[lay.m + f + q] = (1.0 - share) * by_m
+                if share != 0.0:
+                    row[lay.knots_ocv + f + knots + q] = share * by_r0
+                    if hysteresis:
+                        row[lay.m + f + knots + q] = share * by_m
+            act = by_v.voltage_by_r0_ohm * warm_r0 * dscale
+            skw = by_v.voltage_by_current_A * slope
             for j in range(branches):
-                o_r = knots_ocv + knots * (1 + 2 * j)
-                for q in range(knots):
+                o_r = lay.knots_ocv + block * (1 + 2 * j)
+                for q in range(block):
                     row[o_r + q] = by_branch * sens[2 * j, q]
-                    row[o_r + knots + q] = by_branch * sens[2 * j + 1, q]
+                    row[o_r + block + q] = by_branch * sens[2 * j + 1, q]
                 act += by_branch * sens_act[j]
                 skw += by_branch * sens_skew[j]
             if hysteresis:
-                row[o_gamma] = of.voltage_by_h * h_gamma
-                skw += of.voltage_by_h * h_skew
-            row[o_act] = act
-            row[o_skew] = skw
+                row[lay.gamma] = by_v.voltage_by_h * h_gamma
+                skw += by_v.voltage_by_h * h_skew
+            row[lay.activation] = act
+            row[lay.skew] = skw
+            row[lay.asinh] = by_branch * sens_asinh
             out += 1
 
 
@@ -236,6 +241,7 @@ def choose_rows(
     threshold_A: float,
     shortest_s: float,
     growth: float,
+    most_charge_As: float,
     keep: BoolArray,
     evaluate: BoolArray,
 ) -> None:
@@ -243,23 +249,29 @@ def choose_rows(
 
     Compared rows lie evenly on the logarithm of the time since the last change of current
     (at least ``shortest_s`` apart, then ``growth`` times that time), so that hours of rest do not
-    outvote seconds of pulse. Between them only rows at which the current changes are kept: merging
-    rows of equal current loses nothing, because the branches are solved exactly.
+    outvote seconds of pulse; under load they are no further apart than ``most_charge_As``, so that
+    hours of a low rate show every bend of the OCV. Between them only rows at which the current
+    changes are kept: merging rows of equal current loses nothing, because the branches are solved
+    exactly.
     """
     kept = 0
     edge_s = time_s[0]
     compared_s = time_s[0]
+    moved_As = 0.0
     keep[0] = True
     evaluate[0] = True
     for k in range(1, time_s.size):
+        moved_As += abs(current_A[k]) * (time_s[k] - time_s[k - 1])
         if abs(current_A[k] - current_A[kept]) > threshold_A:
             keep[k - 1] = True
             keep[k] = True
             kept = k
             edge_s = time_s[k - 1]
         spacing = max(shortest_s, growth * (time_s[k] - edge_s))
-        if time_s[k] - compared_s >= spacing:
+        since_s = time_s[k] - compared_s
+        if since_s >= spacing or (since_s >= shortest_s and moved_As >= most_charge_As):
             evaluate[k] = True
             keep[k] = True
             compared_s = time_s[k]
+            moved_As = 0.0
     keep[-1] = True

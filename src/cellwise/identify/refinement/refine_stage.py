@@ -1,118 +1,173 @@
-"""The refinement of one temperature: which logs, from where, with which effects."""
+"""The refinement of a cell: which logs, from where, over which temperatures."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cellwise.cell.model import CellModel, ModelError
 from cellwise.cell.simulate import start_hysteresis
 from cellwise.errors import InputError
-from cellwise.identify.assemble import refined_effects, refined_tables
+from cellwise.identify.assemble import refined_model
+from cellwise.identify.capacity.half_cycles import discharge_rows
 from cellwise.identify.identification import IdentifySettings, PulseSet, TestLogs
 from cellwise.identify.ocv.curve import OcvCurve
+from cellwise.identify.refinement.effects import Decided, decide
 from cellwise.identify.refinement.model_error import ResidualLog, estimate_model_error
-from cellwise.identify.refinement.refine import RefineResult, RefineSettings, StartTables, refine
-from cellwise.identify.refinement.refine_data import RefineLog
+from cellwise.identify.refinement.refine import RefineResult, RefineSettings, StartTables
+from cellwise.identify.refinement.refine_data import RefineLog, inverse_K
 from cellwise.identify.refinement.splines import TABLE_KNOTS, greville, spline_rows, spline_values
-from cellwise.identify.soc_anchor import anchor_soc
+from cellwise.identify.soc_anchor import SocAnchor, anchor_soc
 from cellwise.identify.tables import PulseTables
 from cellwise.logs.cell_log import CellLog
-from cellwise.typing import FloatArray
+from cellwise.typing import BoolArray, FloatArray
 
 SLOW_FROM_S = 1800.0  # a log must be this long to show the slow branch
 HYSTERESIS_FROM_V = 0.004  # half gap between the low-rate branches, polarisation taken out
 LARGEST_SOC_ERROR = 0.05
 LARGEST_OCV_MOVE_V = 0.03
 OUTSIDE_SOC = 0.1
+REFERENCE_C = 25.0
+USUAL_ACTIVATION_K = 3000.0
+BALANCE = 0.5
+REST_MOVES = 0.01  # of the capacity: what a test may move before its discharge begins
+LIKELY_FULL = 0.8
+FULL_STD = 0.01
 
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """The model of one temperature, its refinement, and the SOC each log was taken to begin at."""
+    """The refined model, its refinement, and what was taken and decided on the way.
+
+    ``starts`` holds the SOC at which each log was taken to begin, ``decided`` which effects the
+    cell needs and which it does not.
+    """
 
     model: CellModel
     result: RefineResult
     starts: tuple[tuple[CellLog, float], ...]
+    decided: tuple[Decided, ...] = ()
 
 
-def refine_temperature(
-    tests: TestLogs,
-    pulse_sets: tuple[PulseSet, ...],
+@dataclass(frozen=True, eq=False)
+class Group:
+    """The tests of one temperature and what their pulses gave."""
+
+    temperature_C: float
+    tests: TestLogs
+    pulse_sets: tuple[PulseSet, ...]
+    tables: PulseTables | None
+
+
+def refine_cell(
+    groups: Sequence[Group],
+    low_rate: Sequence[CellLog],
     ocv: OcvCurve,
-    tables: PulseTables | None,
     capacity_Ah: float,
-    temperature_C: float,
     settings: IdentifySettings,
     notices: list[str],
 ) -> Refined:
-    """Refine the tables on the HPPC logs and drives of one temperature.
+    """Refine the tables of all temperatures on every log whose SOC is known.
 
-    Without a drive the capacity tests join in: they are the only long loads there are.
+    Low-rate and capacity tests take part with their discharge: it is what the SOC scale and the OCV
+    near empty are known from.
 
     Raises
     ------
     InputError        no log whose SOC is known well enough
     """
-    resistance = _rough_resistance(tables, tests)
-    anchors = {id(s.log): s.anchor for s in pulse_sets}
+    tests = [g.tests for g in groups]
+    found = next((g.tables for g in groups if g.tables is not None), None)
+    resistance = _rough_resistance(found, tests)
+    anchors = {id(s.log): s.anchor for g in groups for s in g.pulse_sets}
     logs: list[RefineLog] = []
     starts: list[tuple[CellLog, float]] = []
-    candidates = [(log, False) for log, _ in tests.hppc] + [(log, True) for log, _ in tests.drive]
-    if not tests.drive:
-        candidates += [(log, False) for log in tests.capacity]
-    for log, drive in candidates:
-        anchor = anchors.get(id(log))
-        if anchor is None:
-            anchor = anchor_soc(log, ocv, capacity_Ah, resistance)
-        if anchor.std > LARGEST_SOC_ERROR:
-            notices.append(
-                f"'{log.name}' left out of the refinement: its SOC at the start is known to "
-                f"+-{100 * anchor.std:.0f} % only"
+    for g in groups:
+        for log, drive, part in _candidates(g, low_rate if g is groups[-1] else ()):
+            anchor = anchors.get(id(log)) or anchor_soc(log, ocv, capacity_Ah, resistance)
+            if part is not None and log.soc0 is None and part.any():
+                anchor = _full_before(log, part, capacity_Ah, anchor)
+            if anchor.std > LARGEST_SOC_ERROR:
+                notices.append(
+                    f"'{log.name}' left out of the refinement: its SOC at the start is known to "
+                    f"+-{100 * anchor.std:.0f} % only"
+                )
+                continue
+            soc = anchor.soc - log.counted_charge_Ah() / capacity_Ah
+            notices.append(f"'{log.name}' begins at SOC {anchor.soc:.3f} ({anchor.how})")
+            _note_outside(log, soc, capacity_Ah, notices)
+            starts.append((log, anchor.soc))
+            logs.append(
+                RefineLog(
+                    log,
+                    soc,
+                    skewed=drive,
+                    h0=start_hysteresis(anchor.soc),
+                    compare=part,
+                    temperature_C=g.temperature_C,
+                )
             )
-            continue
-        soc = anchor.soc - log.counted_charge_Ah() / capacity_Ah
-        notices.append(f"'{log.name}' begins at SOC {anchor.soc:.3f} ({anchor.how})")
-        low, high = float(np.nanmin(soc)), float(np.nanmax(soc))
-        if low < -OUTSIDE_SOC or high > 1.0 + OUTSIDE_SOC:
-            notices.append(
-                f"'{log.name}' would run from SOC {low:.2f} to {high:.2f}: check the capacity of "
-                f"{capacity_Ah:.4g} Ah and the unit of the current"
-            )
-        starts.append((log, anchor.soc))
-        logs.append(RefineLog(log, soc, skewed=drive, h0=start_hysteresis(anchor.soc)))
     if not logs:
         raise InputError(
             "no log whose SOC at the start is known",
             "a log with a rest where the OCV is steep, or one that begins full",
             "Let the cell rest before the test, or log the charge before it.",
         )
-    start, hysteresis = _start(tables, ocv, resistance, capacity_Ah, settings)
+    start, hysteresis = _start(groups, ocv, resistance, capacity_Ah, settings)
     long = any(item.log.duration_s >= SLOW_FROM_S for item in logs)
-    result = refine(
-        logs,
-        start,
-        settings=RefineSettings(
-            branches=settings.branches if long else 2,
-            hysteresis=hysteresis,
-            activation_std_K=settings.activation_std_K,
-            skew=bool(tests.drive),
-        ),
-        capacity_Ah=capacity_Ah,
-        reference_C=temperature_C,
+    several = len(groups) > 1
+    grid = np.array([g.temperature_C for g in groups])
+    plain = RefineSettings(
+        branches=settings.branches if long else 2,
+        hysteresis=hysteresis,
+        activation_std_K=settings.activation_std_K,
+        skew=any(item.skewed for item in logs),
+        balance=BALANCE if several else 0.0,
     )
-    hot = any(item.log.temperature_C is not None for item in logs)
-    values = refined_tables(result, start)
+    reference = float(grid[int(np.argmin(np.abs(grid - REFERENCE_C)))])
+    decision = decide(logs, start, plain, capacity_Ah, reference, grid)
+    result = decision.result
     _note_moved_ocv(result, notices)
-    model = CellModel(
-        capacity_Ah,
-        *values,
-        temperature_C=np.array([temperature_C]),
-        effects=refined_effects(result, bool(tests.drive), hot),
-        error=_error(result, float(np.median(values.r0_ohm))),
-    )
-    return Refined(model, result, tuple(starts))
+    hot = any(item.log.temperature_C is not None for item in logs)
+    model = refined_model(result, start, capacity_Ah, plain.skew, hot)
+    if decision.heating is not None:
+        model = model.with_effect(decision.heating)
+    model = replace(model, error=_error(result, float(np.median(model.r0_ohm))))
+    return Refined(model, result, tuple(starts), decision.decided)
+
+
+def _candidates(
+    group: Group, low_rate: Sequence[CellLog]
+) -> list[tuple[CellLog, bool, BoolArray | None]]:
+    """Logs of a temperature, whether their current may lag, and the rows to compare (None: all)."""
+    found: list[tuple[CellLog, bool, BoolArray | None]] = []
+    found += [(log, False, None) for log, _ in group.tests.hppc]
+    found += [(log, True, None) for log, _ in group.tests.drive]
+    for log in (*low_rate, *group.tests.capacity):
+        part = discharge_rows(log)
+        if part.any():
+            found.append((log, False, part))
+    return found
+
+
+def _full_before(log: CellLog, part: BoolArray, capacity_Ah: float, anchor: SocAnchor) -> SocAnchor:
+    """The start of a test that begins full: what SOC means is that its discharge begins at 1."""
+    first = int(np.argmax(part))
+    before = float(log.counted_charge_Ah()[first]) / capacity_Ah
+    if abs(before) > REST_MOVES or anchor.soc < LIKELY_FULL:
+        return anchor
+    return SocAnchor(1.0, min(anchor.std, FULL_STD), "a test of the capacity: full")
+
+
+def _note_outside(log: CellLog, soc: FloatArray, capacity_Ah: float, notices: list[str]) -> None:
+    low, high = float(np.nanmin(soc)), float(np.nanmax(soc))
+    if low < -OUTSIDE_SOC or high > 1.0 + OUTSIDE_SOC:
+        notices.append(
+            f"'{log.name}' would run from SOC {low:.2f} to {high:.2f}: check the capacity of "
+            f"{capacity_Ah:.4g} Ah and the unit of the current"
+        )
 
 
 def _note_moved_ocv(result: RefineResult, notices: list[str]) -> None:
@@ -129,12 +184,13 @@ def _note_moved_ocv(result: RefineResult, notices: list[str]) -> None:
         )
 
 
-def _rough_resistance(tables: PulseTables | None, tests: TestLogs) -> float:
+def _rough_resistance(tables: PulseTables | None, tests: Sequence[TestLogs]) -> float:
     """R0 + R1 of the pulses, else the steepest answer of voltage to current in a drive."""
     if tables is not None:
         return float(np.median(tables.values["r0_ohm"] + tables.values["r1_ohm"]))
     slopes = []
-    for log, _ in tests.drive:
+    loads = [log for t in tests for log, _ in t.drive]
+    for log in loads or [log for t in tests for log in t.capacity]:
         di, dv = np.diff(log.known_current_A()), np.diff(log.voltage_V)
         strong = (np.abs(di) > 0.2 * np.max(np.abs(di))) & np.isfinite(dv)
         if strong.any():
@@ -143,42 +199,53 @@ def _rough_resistance(tables: PulseTables | None, tests: TestLogs) -> float:
 
 
 def _start(
-    tables: PulseTables | None,
+    groups: Sequence[Group],
     ocv: OcvCurve,
     resistance: float,
     capacity_Ah: float,
     settings: IdentifySettings,
 ) -> tuple[StartTables, bool]:
-    """Start of the refinement: the pulses' tables, or one rough resistance shared out."""
+    """Start of the refinement: the pulses' tables, or one rough resistance shared out.
+
+    A temperature without pulses takes those of the nearest one that has some, carried over with a
+    usual activation energy.
+    """
     at = greville(TABLE_KNOTS)
+    known = [g for g in groups if g.tables is not None]
 
     def on_knots(name: str, otherwise: float) -> FloatArray:
-        if tables is None:
-            return np.full(at.size, otherwise)
-        return np.asarray(np.exp(np.interp(at, tables.soc, np.log(tables.values[name]))))
+        rows = []
+        for g in groups:
+            source = min(known, key=lambda k: abs(k.temperature_C - g.temperature_C), default=None)
+            if source is None or source.tables is None:
+                home, row = REFERENCE_C, np.full(at.size, otherwise)
+            else:
+                table = np.log(source.tables.values[name])
+                home, row = source.temperature_C, np.exp(np.interp(at, source.tables.soc, table))
+            usual = 0.0 if name.startswith("tau") else USUAL_ACTIVATION_K
+            if source is None and len(groups) == 1:
+                usual = 0.0  # the resistance is that of this temperature
+            rows.append(row * np.exp(usual * inverse_K(g.temperature_C, home)))
+        return np.array(rows)
 
+    r0 = on_knots("r0_ohm", resistance)
     r2 = on_knots("r2_ohm", 0.5 * resistance)
     tau2 = np.clip(on_knots("tau2_s", 60.0), 5.0, 600.0)
     tau1 = np.minimum(on_knots("tau1_s", 3.0), 0.4 * tau2)
-    start = StartTables(
-        ocv=ocv.function.evaluate,
-        r0_ohm=on_knots("r0_ohm", resistance),
-        r_ohm=(on_knots("r1_ohm", 0.4 * resistance), r2, np.full(at.size, 0.5 * resistance)),
-        tau_s=(tau1, tau2, np.maximum(1200.0, 4.0 * tau2)),
-        m_V=None,
-    )
     half = half_gap(ocv, resistance, capacity_Ah)
     wanted = settings.hysteresis
     if wanted is None:
         wanted = half is not None and float(np.median(half)) > HYSTERESIS_FROM_V
-    if wanted and half is not None:
-        start = StartTables(
-            start.ocv, start.r0_ohm, start.r_ohm, start.tau_s, np.interp(at, ocv.soc, half), 50.0
-        )
-    elif wanted:
-        start = StartTables(
-            start.ocv, start.r0_ohm, start.r_ohm, start.tau_s, np.full(at.size, 0.005), 50.0
-        )
+    m = None
+    if wanted:
+        m = np.full(at.size, 0.005) if half is None else np.interp(at, ocv.soc, half)
+    start = StartTables(
+        ocv=ocv.function.evaluate,
+        r0_ohm=r0,
+        r_ohm=(on_knots("r1_ohm", 0.4 * resistance), r2, 0.5 * resistance * r0 / np.median(r0)),
+        tau_s=(tau1, tau2, np.maximum(1200.0, 4.0 * tau2)),
+        m_V=m,
+    )
     return start, wanted
 
 

@@ -1,0 +1,410 @@
+"""Cost, gradient and Gauss-Newton matrix of the refinement, and its Levenberg-Marquardt."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from os import cpu_count
+
+import numpy as np
+from scipy.linalg.blas import dsyrk
+
+from cellwise.identify.refinement.layout import (
+    ACTIVATION_UNIT_K,
+    ASINH_UNIT_PER_V,
+    Layout,
+    scalars_of,
+)
+from cellwise.identify.refinement.refine_data import PreparedLog, inverse_K
+from cellwise.identify.refinement.refine_kernels import Blocks
+from cellwise.identify.refinement.refine_kernels import voltage_and_jacobian as kernel
+from cellwise.identify.refinement.splines import curvature_penalty, greville
+from cellwise.typing import FloatArray
+
+LEAST_RATIO = 2.0  # between neighbouring time constants, at every knot
+TAU_LIMITS_S = (0.05, 30_000.0)
+R_LIMITS_OHM = (1e-7, 10.0)
+LARGEST_STEP = 0.7  # of a logarithm in one iteration: a factor of two
+LEAST_SIGMA_V = 2e-4
+# OCV between temperatures: what the entropy of intercalation leaves room for.
+ENTROPY_V_PER_K = 4e-4
+
+
+@dataclass(frozen=True)
+class RefineSettings:
+    """How far the data may pull the tables.
+
+    Parameters
+    ----------
+    branches : int            2, or 3 with the slow branch
+    hysteresis : bool         fit M(soc) and gamma
+    charge_transfer : bool    fit the asinh law of the fast branch
+    activation_K, activation_std_K : float   prior of the Arrhenius activation; a standard
+                              deviation of 0 keeps it; with several temperatures it is not fitted
+    skew : bool               fit the sampling delay of the logs that may have one
+    smooth : float            weight of the tables' curvature, in units of the residual variance
+    straight : float          weight of their curvature over 1/T, where 0 is one activation energy
+    ocv_smooth, ocv_size : float      weight of the OCV correction's curvature and size [V^-2]
+    hold : float              weight of the start values, for what the data do not determine
+    robust : float            residuals beyond this many standard deviations count linearly
+    balance : float           0: every log has one weight; 1: one that is fitted worse counts less
+    iterations : int
+    """
+
+    branches: int = 3
+    hysteresis: bool = False
+    charge_transfer: bool = False
+    activation_K: float = 2000.0
+    activation_std_K: float = 1000.0
+    skew: bool = True
+    smooth: float = 0.01
+    straight: float = 0.1
+    ocv_smooth: float = 1e-3
+    ocv_size: float = 1e-6
+    hold: float = 1e-3
+    robust: float = 10.0
+    balance: float = 0.0
+    iterations: int = 40
+
+
+@dataclass(frozen=True, eq=False)
+class StartTables:
+    """Where refinement starts: base OCV over SOC, and values at the table knots.
+
+    Every table has shape (knots,), or (temperatures, knots).
+    """
+
+    ocv: Callable[[FloatArray], FloatArray]
+    r0_ohm: FloatArray
+    r_ohm: tuple[FloatArray, ...]
+    tau_s: tuple[FloatArray, ...]
+    m_V: FloatArray | None = None
+    gamma: float = 50.0
+    asinh_per_V: float = 4.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Normal:
+    """Robust cost, gradient, Gauss-Newton matrix, and the residuals of every log."""
+
+    cost: float
+    gradient: FloatArray
+    matrix: FloatArray
+    residuals: tuple[FloatArray, ...]
+
+    @property
+    def rmse_V(self) -> float:
+        """Root of the mean over the logs of their mean squares."""
+        return float(np.sqrt(np.mean([np.mean(r * r) for r in self.residuals])))
+
+
+class Problem:
+    """Cost, gradient and Gauss-Newton matrix of the refinement.
+
+    ``sizes_V`` is how well each log can be fitted, a standard deviation of its residual; ``sigma``
+    that of the logs that are fitted best, which scales what holds and smooths the tables.
+    """
+
+    def __init__(
+        self,
+        logs: Sequence[PreparedLog],
+        start: StartTables,
+        settings: RefineSettings,
+        layout: Layout,
+        knots: FloatArray,
+        ocv_knots: FloatArray,
+        charge_As: float,
+        grid_C: FloatArray,
+        reference_C: float,
+    ) -> None:
+        self.logs = tuple(logs)
+        self.start = start
+        self.settings = settings
+        self.layout = layout
+        self.table_curvature = curvature_penalty(knots)
+        self.ocv_curvature = curvature_penalty(ocv_knots)
+        self.soc = greville(knots)
+        self.charge_As = charge_As
+        self.grid_C, self.reference_C = grid_C, reference_C
+        self.base_ocv = tuple(start.ocv(log.soc) for log in self.logs)
+        self.places = tuple(
+            layout.part(log.first_temperature, log.temperatures) for log in self.logs
+        )
+        self.layouts = tuple(layout._replace(temperatures=log.temperatures) for log in self.logs)
+        weights = np.array([log.weight for log in self.logs])
+        self.weight = weights / weights.sum()
+        self.share = self.weight
+        self.sizes_V = np.full(len(self.logs), 0.01)
+
+    @property
+    def sigma(self) -> float:
+        """Residual of the logs that are fitted best: the lower quartile [V]."""
+        return max(float(np.percentile(self.sizes_V, 25.0)), LEAST_SIGMA_V)
+
+    def judge(self, residuals: Sequence[FloatArray]) -> None:
+        """Take the size of every log's residual, and with it its share of the cost."""
+        self.sizes_V = np.array(
+            [max(1.4826 * float(np.median(np.abs(r))), LEAST_SIGMA_V) for r in residuals]
+        )
+        worse = np.maximum(self.sizes_V / self.sigma, 1.0)
+        self.share = self.weight / worse**self.settings.balance
+
+    def start_vector(self) -> FloatArray:
+        """Start values as a parameter vector."""
+        lay, start = self.layout, self.start
+        theta = np.zeros(lay.size)
+
+        def put(at: int, values: FloatArray) -> None:
+            theta[at : at + lay.block] = np.broadcast_to(
+                values, (lay.temperatures, lay.knots)
+            ).ravel()
+
+        put(lay.r0, np.log(start.r0_ohm))
+        for j in range(lay.branches):
+            put(lay.r(j), np.log(start.r_ohm[j]))
+            put(lay.tau(j), np.log(start.tau_s[j]))
+        if lay.hysteresis:
+            put(lay.m, np.zeros(lay.knots) if start.m_V is None else start.m_V)
+            theta[lay.gamma] = np.log(start.gamma)
+        if lay.temperatures == 1:
+            theta[lay.activation] = self.settings.activation_K / ACTIVATION_UNIT_K
+        if self.settings.charge_transfer:
+            theta[lay.asinh] = start.asinh_per_V / ASINH_UNIT_PER_V
+        return self.inside(theta)
+
+    def evaluate(self, index: int, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Residual (measured minus model) and Jacobian of one log's compared rows and places."""
+        log, lay = self.logs[index], self.layouts[index]
+        own = theta[self.places[index]]
+        jacobian = np.empty((log.compared, lay.size))
+        voltage = np.empty(log.dt_s.size)
+        skewed = log.skewed and self.settings.skew
+        kernel(
+            log.for_kernel(self.base_ocv[index]),
+            scalars_of(lay, own, self.charge_As, skewed=skewed),
+            blocks_of(lay),
+            log.h0,
+            skewed,
+            own,
+            jacobian,
+            voltage,
+        )
+        return log.measured_V - voltage[log.evaluate], jacobian
+
+    def residuals(self, theta: FloatArray) -> tuple[FloatArray, ...]:
+        """Residuals of every log."""
+        return tuple(self.evaluate(i, theta)[0] for i in range(len(self.logs)))
+
+    def _blocks(self, at: int, weight: FloatArray, matrix: FloatArray, size: int) -> None:
+        """The same weight on the coefficients of every temperature of one table."""
+        for t in range(self.layout.temperatures):
+            part = slice(at + t * size, at + (t + 1) * size)
+            matrix[part, part] += weight
+
+    def _straight(self, at: int, weight: float, matrix: FloatArray, size: int) -> None:
+        """Weight on the curvature over 1/T of every coefficient of one table."""
+        bend = self._bend()
+        for a, b in np.argwhere(bend != 0.0):
+            rows, columns = at + a * size + np.arange(size), at + b * size + np.arange(size)
+            matrix[rows, columns] += weight * bend[a, b]
+
+    def _bend(self) -> FloatArray:
+        """Squared second divided differences over 1/T, per step of 15 K at room temperature."""
+        x = inverse_K(self.grid_C, self.reference_C)
+        n = x.size
+        d = np.zeros((max(n - 2, 0), n))
+        unit = abs(float(inverse_K(25.0, 10.0)))
+        for i in range(n - 2):
+            left, right = x[i + 1] - x[i], x[i + 2] - x[i + 1]
+            d[i, i : i + 3] = np.array([1 / left, -1 / left - 1 / right, 1 / right]) * unit
+        return np.asarray(d.T @ d)
+
+    def penalty(self, sigma: float) -> FloatArray:
+        """Quadratic penalty of smoothness over SOC and temperature."""
+        lay, s = self.layout, self.settings
+        matrix = np.zeros((lay.size, lay.size))
+        n = lay.knots_ocv
+        ocv = s.ocv_smooth * self.ocv_curvature + s.ocv_size * np.eye(n)
+        matrix[:n, :n] = ocv
+        for at in lay.tables():
+            self._blocks(at, s.smooth * sigma**2 * self.table_curvature, matrix, lay.knots)
+            self._straight(at, s.straight * sigma**2, matrix, lay.knots)
+        if lay.hysteresis:
+            self._blocks(lay.m, s.ocv_smooth * self.table_curvature, matrix, lay.knots)
+        if lay.temperatures > 1:
+            self._blocks(lay.warm, s.ocv_smooth * self.ocv_curvature, matrix, n)
+            away = np.abs(self.grid_C - self.reference_C)
+            home = int(np.argmin(away))
+            for t, kelvin in enumerate(np.maximum(away, 1.0)):
+                held = np.eye(n) * (sigma / (ENTROPY_V_PER_K * kelvin)) ** 2 / n
+                part = slice(lay.warm + t * n, lay.warm + (t + 1) * n)
+                matrix[part, part] += np.eye(n) if t == home else held
+        return matrix
+
+    def prior(self, sigma: float) -> FloatArray:
+        """Diagonal weight that holds parameters at their start values."""
+        lay, s = self.layout, self.settings
+        weight = np.zeros(lay.size)
+        weight[lay.r0 : lay.m] = s.hold * sigma**2
+        if lay.hysteresis:
+            weight[lay.gamma] = 0.1 * sigma**2
+        fixed = 1e6 * sigma**2
+        std = s.activation_std_K / ACTIVATION_UNIT_K
+        known = std == 0 or lay.temperatures > 1
+        weight[lay.activation] = fixed if known else (0.3 * sigma) ** 2 / std**2
+        weight[lay.skew] = 1e-2 * sigma**2 if s.skew else fixed
+        weight[lay.asinh] = 1e-2 * sigma**2 if s.charge_transfer else fixed
+        return weight
+
+    def _one(
+        self, index: int, theta: FloatArray
+    ) -> tuple[float, FloatArray, FloatArray, FloatArray]:
+        """Cost, gradient, matrix (upper triangle) and residual of one log."""
+        r, jacobian = self.evaluate(index, theta)
+        scale = self.settings.robust * self.sizes_V[index]
+        root = np.sqrt(1.0 + (r / scale) ** 2)
+        share = self.share[index]
+        w = share / (r.size * root)
+        gradient = jacobian.T @ (w * r)
+        jacobian *= np.sqrt(w)[:, None]
+        matrix = dsyrk(1.0, jacobian.T)
+        return share * float(np.mean(2.0 * scale**2 * (root - 1.0))), gradient, matrix, r
+
+    def normal_equations(self, theta: FloatArray) -> _Normal:
+        """Everything that an iteration needs; the logs run side by side."""
+        lay = self.layout
+        upper = np.zeros((lay.size, lay.size))
+        gradient = np.zeros(lay.size)
+        cost = 0.0
+        residuals = []
+        with ThreadPoolExecutor(max(1, min(4, cpu_count() or 1))) as pool:
+            found = pool.map(lambda i: self._one(i, theta), range(len(self.logs)))
+            for places, (part, g, m, r) in zip(self.places, found, strict=True):
+                cost += part
+                gradient[places] += g
+                upper[np.ix_(places, places)] += m
+                residuals.append(r)
+        # Places rise, so upper triangles stay upper ones.
+        matrix = np.triu(upper) + np.triu(upper, 1).T
+        return _Normal(cost, gradient, matrix, tuple(residuals))
+
+    def minimise(
+        self,
+        theta: FloatArray,
+        iterations: int,
+        progress: Callable[[int, float], None] | None,
+    ) -> tuple[FloatArray, int, tuple[FloatArray, ...]]:
+        """Levenberg-Marquardt with bounds by projection."""
+        sigma = self.sigma
+        penalty, prior = self.penalty(sigma), self.prior(sigma)
+        anchor = self.start_vector()
+
+        def total(cost: float, at: FloatArray) -> float:
+            return cost + float(at @ penalty @ at + prior @ (at - anchor) ** 2)
+
+        now = self.normal_equations(theta)
+        best = total(now.cost, theta)
+        damping = 1e-3
+        for step in range(iterations):
+            system = now.matrix + penalty + np.diag(prior)
+            slope = now.gradient - penalty @ theta - prior * (theta - anchor)
+            move = np.linalg.solve(system + damping * np.diag(np.diag(system)), slope)
+            trial = self.inside(theta + np.clip(move, -LARGEST_STEP, LARGEST_STEP))
+            new = self.normal_equations(trial)
+            value = total(new.cost, trial)
+            if value < best:
+                gain = (best - value) / best
+                theta, best, now = trial, value, new
+                damping = max(damping / 5.0, 1e-9)
+                if progress is not None:
+                    progress(step, now.rmse_V)
+                if gain < 2e-4:
+                    return theta, step + 1, now.residuals
+            else:
+                damping *= 8.0
+                if damping > 1e6:
+                    return theta, step + 1, now.residuals
+        return theta, iterations, now.residuals
+
+    def standard_errors(self, theta: FloatArray) -> FloatArray:
+        """Standard error of every parameter.
+
+        Every log counts with its own residual and that residual's own correlation, because a short
+        log has the weight of a long one: A^-1 (sum of share_i s_i^2 / n_i A_i) A^-1, not A^-1.
+        """
+        sigma = self.sigma
+        held = self.penalty(sigma) + np.diag(self.prior(sigma))
+        system, middle = held.copy(), np.zeros_like(held)
+        mean_variance = 0.0
+        for i, share in enumerate(self.share):
+            r, jacobian = self.evaluate(i, theta)
+            w = 1.0 / np.sqrt(1.0 + (r / (self.settings.robust * self.sizes_V[i])) ** 2)
+            information = share / r.size * (jacobian * w[:, None]).T @ jacobian
+            variance = share * float(np.mean(w * r * r)) / independent_samples(r)
+            at = np.ix_(self.places[i], self.places[i])
+            system[at] += information
+            middle[at] += variance * information
+            mean_variance += share * variance
+        inverse = np.linalg.pinv(system, hermitian=True)
+        covariance = inverse @ (middle + mean_variance * held) @ inverse
+        return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
+
+    def inside(self, theta: FloatArray) -> FloatArray:
+        """Project on the bounds: positive sizes, time constants in order at every knot."""
+        lay = self.layout
+        theta = theta.copy()
+        low, high = np.log(R_LIMITS_OHM)
+        for at in (lay.r0, *(lay.r(j) for j in range(lay.branches))):
+            block = theta[at : at + lay.block]
+            np.clip(block, low, high, out=block)
+        low, high = np.log(TAU_LIMITS_S)
+        floor = np.full(lay.block, low)
+        for j in range(lay.branches):
+            block = theta[lay.tau(j) : lay.tau(j) + lay.block]
+            # B-splines are positive and sum to one: ordered coefficients give ordered tables.
+            np.clip(block, floor, high, out=block)
+            floor = block + np.log(LEAST_RATIO)
+        if lay.hysteresis:
+            block = theta[lay.m : lay.m + lay.block]
+            np.clip(block, 0.0, 0.5, out=block)
+            theta[lay.gamma] = np.clip(theta[lay.gamma], np.log(0.5), np.log(5000.0))
+        theta[lay.activation] = np.clip(theta[lay.activation], -2.0, 15.0)
+        theta[lay.skew] = max(theta[lay.skew], 0.0)
+        if self.settings.charge_transfer:
+            theta[lay.asinh] = np.clip(theta[lay.asinh], 0.01, 20.0)
+        return theta
+
+
+def blocks_of(lay: Layout) -> Blocks:
+    """A layout as numbers for the kernel."""
+    return Blocks(
+        lay.knots_ocv,
+        lay.knots,
+        lay.branches,
+        lay.hysteresis,
+        lay.temperatures,
+        lay.m,
+        lay.gamma,
+        lay.warm,
+        lay.activation,
+        lay.skew,
+        lay.asinh,
+    )
+
+
+def independent_samples(residual: FloatArray) -> float:
+    """Number of independent values that a correlated series is worth.
+
+    n / (1 + 2 sum of autocorrelations), summed up to the first that is not positive.
+    """
+    r = residual - np.mean(residual)
+    n = r.size
+    power = float(r @ r)
+    if n < 8 or power == 0.0:
+        return float(n)
+    size = 1 << (2 * n - 1).bit_length()
+    spectrum = np.fft.rfft(r, size)
+    correlation = np.fft.irfft(spectrum * np.conj(spectrum), size)[: n // 2] / power
+    end = int(np.argmax(correlation <= 0.0)) or correlation.size
+    return float(max(n / (1.0 + 2.0 * float(np.sum(correlation[1:end]))), 1.0))
