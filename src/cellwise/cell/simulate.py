@@ -18,6 +18,8 @@ from cellwise.cell.metrics import (
     metrics_to_dict,
 )
 from cellwise.cell.model import CellModel
+from cellwise.cell.plausibility.notice import in_order
+from cellwise.cell.plausibility.simulated import error_notices, soc_notices
 from cellwise.cell.simulate_kernels import simulate_rows
 from cellwise.cell.start_kernels import best_start
 from cellwise.errors import InputError
@@ -50,6 +52,12 @@ class Simulation(Plottable, Tabular):
     def metrics(self) -> ErrorMetrics:
         """Error over all rows."""
         return error_metrics(self.error_V)
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """What a person should know, the most harmful first; those of reading the log last."""
+        found = soc_notices(self.log, self.soc) + error_notices(self.log, self.error_V, self.soc)
+        return in_order(found, self.log.notices)
 
     @property
     def bands(self) -> tuple[BandMetrics, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -69,11 +70,13 @@ def run_simulate(arguments: argparse.Namespace) -> None:
 
     from cellwise.cell.initial_soc import initial_soc
     from cellwise.cell.model_file import read_model
+    from cellwise.cell.plausibility.cells_in_series import check_cells_in_series
     from cellwise.cell.simulate import simulate
 
     printing.check_places(arguments.output)
     model = read_model(arguments.model)
     log = log_options.read(arguments.log, arguments)
+    check_cells_in_series(model, log)
     given = log_options.start_of(log.soc0, log_options.parse_soc0(arguments.soc0))
     start = initial_soc(model, log, given, likeliest=True)
     simulate(model, log.part(0, 2), start.soc)  # compiles outside the clock
@@ -93,7 +96,7 @@ def run_simulate(arguments: argparse.Namespace) -> None:
             },
         )
     data = {**found.to_dict(), "soc0": start.to_dict(), "seconds": seconds}
-    data["notices"] = list(log.notices)
+    data["notices"] = list(found.notices)
     if arguments.json:
         printing.print_json(data)
         return
@@ -103,6 +106,7 @@ def run_simulate(arguments: argparse.Namespace) -> None:
 def run_replay(arguments: argparse.Namespace) -> None:
     """Replay a log through an estimator and print how it did."""
     from cellwise.cell.model_file import read_model
+    from cellwise.cell.plausibility.cells_in_series import check_cells_in_series
     from cellwise.estimate.estimators import make_estimator
     from cellwise.estimate.replay import replay
     from cellwise.forecast.remaining import cutoff_of, forecast
@@ -117,6 +121,7 @@ def run_replay(arguments: argparse.Namespace) -> None:
     make_estimator(arguments.estimator, model)
     cutoff = cutoff_of(model, arguments.cutoff_v)
     log = log_options.read(arguments.log, arguments)
+    check_cells_in_series(model, log)
     if arguments.dt is not None:
         log = resample(log, arguments.dt)
     with printing.bar() as progress:
@@ -155,13 +160,13 @@ def run_replay(arguments: argparse.Namespace) -> None:
             replay_page([found], places.page, flights=flights, figures=places.figures)
     if arguments.json:
         outlook = None if flight is None else flight.to_dict()
-        printing.print_json({**found.to_dict(), "forecast": outlook, "notices": list(log.notices)})
+        data = {**found.to_dict(), "forecast": outlook, "notices": list(found.notices)}
+        printing.print_json(data)
         return
     print_replay(found)
     if flight is not None:
         print_flight(flight)
-    for notice in log.notices:
-        printing.say(f"  ! {notice}")
+    say_notices(found.notices)
     page_options.say_pages(arguments)
 
 
@@ -181,6 +186,13 @@ def print_simulation(found: Simulation, start: InitialSoc) -> None:
         rows,
     )
     printing.say(f"RMSE above 10 % SOC: {printing.millivolt(found.rmse_above_10pct_V)} mV")
+    say_notices(found.notices)
+
+
+def say_notices(notices: Sequence[str]) -> None:
+    """Notices for people."""
+    for notice in notices:
+        printing.say(f"  ! {notice}")
 
 
 def print_replay(found: Replay) -> None:

@@ -12,6 +12,7 @@ from cellwise.errors import InputError
 if TYPE_CHECKING:
     from cellwise.cell.model import CellModel
     from cellwise.estimate.fixed.tables import FixedStepTables
+    from cellwise.logs import CellLog
 
 STEPS_TO_MEASURE = 4000
 
@@ -79,7 +80,7 @@ def write_pages(model: CellModel, report: dict[str, Any], arguments: argparse.Na
 
         both = None
         if arguments.log is not None:
-            log = read(arguments)
+            log = read(model, arguments)
             both = fixed_and_float(
                 model,
                 log,
@@ -110,7 +111,7 @@ def target_costs(
     here = cores_here()
     if not here:
         return []
-    log = load_dataset("nmc_drive_b") if arguments.log is None else read(arguments)
+    log = load_dataset("nmc_drive_b") if arguments.log is None else read(model, arguments)
     records = samples_of(model, log, arguments.dt).records[:STEPS_TO_MEASURE]
     costs = []
     with printing.bar() as progress:
@@ -136,7 +137,7 @@ def lost_accuracy(model: CellModel, arguments: argparse.Namespace) -> list[dict[
     if arguments.log is None:
         return []
     grids = {*GRIDS, arguments.points or model.points}
-    log = read(arguments)
+    log = read(model, arguments)
     start = log_options.start_of(log.soc0, arguments.soc0)
     found = accuracy_by_grid(
         model, log, arguments.dt, soc0=start, wide=not arguments.lean, grids=sorted(grids)
@@ -144,11 +145,15 @@ def lost_accuracy(model: CellModel, arguments: argparse.Namespace) -> list[dict[
     return [asdict(row) for row in found]
 
 
-def read(arguments: argparse.Namespace) -> Any:
+def read(model: CellModel, arguments: argparse.Namespace) -> CellLog:
     """The log that is given."""
+    from cellwise.cell.plausibility.cells_in_series import check_cells_in_series
+
     if arguments.soc0 is not None and not 0.0 <= arguments.soc0 <= 1.0:
         raise InputError(f"--soc0 {arguments.soc0:g}", "a fraction from 0 to 1", "Correct it.")
-    return log_options.read(arguments.log, arguments)
+    log = log_options.read(arguments.log, arguments)
+    check_cells_in_series(model, log)
+    return log
 
 
 def print_export(folder: str, report: dict[str, Any]) -> None:

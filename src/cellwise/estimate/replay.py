@@ -12,6 +12,8 @@ import numpy as np
 
 from cellwise.cell.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
+from cellwise.cell.plausibility.notice import in_order
+from cellwise.cell.plausibility.simulated import prediction_notices, soc_notices
 from cellwise.errors import InputError
 from cellwise.estimate.adaptive.trace import AdaptiveTrace
 from cellwise.estimate.estimators import Estimator, make_estimator
@@ -116,6 +118,15 @@ class Replay(Plottable, Tabular):
         """RMSE of the voltage predicted before each measurement was used [V]; NaN: none was."""
         sums = self.sums
         return math.sqrt(sums.squares_V2 / sums.known) if sums.known else math.nan
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """What a person should know, the most harmful first; those of reading the log last."""
+        found = soc_notices(self.log, self.trace.soc)
+        if np.any(np.isfinite(self.trace.voltage_V)):  # counting predicts none
+            rejected = self.sums.rejected / len(self.trace)
+            found += prediction_notices(self.log, self.voltage_rmse_V, rejected)
+        return in_order(found, self.log.notices)
 
     def to_dict(self) -> dict[str, Any]:
         """The figures as JSON values, keys as the command prints them."""

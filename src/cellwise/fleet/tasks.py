@@ -14,6 +14,7 @@ import numpy as np
 
 from cellwise.cell.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
+from cellwise.cell.plausibility.cells_in_series import check_cells_in_series
 from cellwise.errors import InputError
 from cellwise.estimate.estimators import Estimator, make_estimator
 from cellwise.estimate.replay import Replay, reference_soc
@@ -71,6 +72,7 @@ class LogTask:
                 log = read_prepared(folder / name, self.cache, **self.read)
                 if self.stated is not None:
                     log = self.stated.applied(log)
+                check_cells_in_series(self.model, log)
                 row |= work(log)
             except InputError as error:
                 row["error"] = str(error)
@@ -122,7 +124,8 @@ class ReplayTask(LogTask):
             true0 = initial_soc(self.model, log).soc if given is None else given
             reference = reference_soc(log, true0, self.reference_capacity_Ah)
         found = Replay(log, filter_.name, start, trace, ns, reference)
-        return {**_of_log(log), **self._figures(found)}
+        notices = "; ".join(found.notices) or None
+        return {**_of_log(log), **self._figures(found), "notices": notices}
 
     def _figures(self, found: Replay) -> dict[str, Any]:
         figures = found.to_dict()

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import numpy as np
+
 from cellwise.cell.metrics import ErrorMetrics
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import Simulation
@@ -19,6 +21,8 @@ from cellwise.identify.soc_anchor import SocAnchor
 from cellwise.identify.tables import TableKind
 from cellwise.logs.cell_log import CellLog
 from cellwise.plotting import Panel, Plottable
+
+REFERENCE_C = 25.0
 
 
 @dataclass(frozen=True)
@@ -62,6 +66,15 @@ class TestLogs:
     ocv: tuple[CellLog, ...] = ()
     capacity: tuple[CellLog, ...] = ()
     drive: tuple[tuple[CellLog, float | None], ...] = ()
+
+
+def log_temperature_C(log: CellLog, stated: float | None, default: float = REFERENCE_C) -> float:
+    """Temperature of a log: stated, else its measured median, else the default [degC]."""
+    if stated is not None:
+        return float(stated)
+    if log.temperature_C is not None and np.any(np.isfinite(log.temperature_C)):
+        return float(np.nanmedian(log.temperature_C))
+    return default
 
 
 @dataclass(frozen=True, eq=False)

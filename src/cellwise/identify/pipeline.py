@@ -13,19 +13,30 @@ import numpy as np
 
 from cellwise.cell.metrics import error_metrics
 from cellwise.cell.model import CellModel
+from cellwise.cell.plausibility.notice import in_order
 from cellwise.cell.simulate import Simulation, simulate
 from cellwise.errors import InputError
 from cellwise.identify.assemble import GRID_POINTS, plain_model, table_summary
 from cellwise.identify.capacity.capacity_choice import capacity_choices, choose_capacity
 from cellwise.identify.capacity.capacity_test import CapacityTest, hppc_total_Ah, measure_capacities
 from cellwise.identify.capacity.current_offset import without_current_offset
+from cellwise.identify.contradictions import (
+    capacity_notices,
+    check_possible,
+    contradictions,
+    own_log_notices,
+    reading_notices,
+    rest_notices,
+)
 from cellwise.identify.hppc.pulses import Pulse, find_pulses, pulses_to_fit
 from cellwise.identify.identification import (
+    REFERENCE_C,
     Identification,
     IdentifySettings,
     PulseSet,
     TemperatureResult,
     TestLogs,
+    log_temperature_C,
 )
 from cellwise.identify.ocv.curve import OcvCurve, combine_ocv, curve_from_points
 from cellwise.identify.ocv.ocv_lowrate import ocv_from_low_rate
@@ -40,7 +51,6 @@ from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.sign import verify_sign
 
 Progress = Callable[[str], None]
-REFERENCE_C = 25.0
 SAME_TEMPERATURE_C = 3.0
 FAR_FROM_NOMINAL = 2.5  # an aged cell keeps a third, a wrong unit is a thousand
 LARGEST_PULSE = 1.0 / 3.0  # of the capacity: a discharge beyond it has no parameters of one SOC
@@ -71,14 +81,18 @@ def identify_cell(
     settings = IdentifySettings() if settings is None else settings
     say = progress or (lambda _: None)
     _check(tests, settings)
+    default = REFERENCE_C if settings.temperature_C is None else settings.temperature_C
+    found_wrong = contradictions(tests, default, settings.nominal_Ah)
     low_rate, found_offset = without_current_offset(
         tests.ocv, tests.capacity, nominal_Ah=settings.nominal_Ah
     )
     tests, notices = replace(tests, ocv=low_rate), [*found_offset]
     say("capacity")
     caps, choice, capacity, measured = _capacity(tests, settings, notices)
+    found_wrong += capacity_notices(tests, capacity, choice, settings.nominal_Ah)
     say("OCV")
     ocv = _ocv(tests, capacity, notices)
+    found_wrong += rest_notices(tests, ocv, capacity)
     say("pulses")
     groups = [
         _group(temperature, part, ocv, capacity, settings)
@@ -106,8 +120,13 @@ def identify_cell(
         voltage_min_V=_limit(tests, measured, low=True),
         voltage_max_V=_limit(tests, measured, low=False),
     )
+    check_possible(model, found_wrong)
     say("validation on its own logs")
     sims = _own_simulations(model, tests, ocv, refined)
+    notices = [
+        *in_order(found_wrong),
+        *in_order(own_log_notices(model, tests, sims), (*notices, *reading_notices(tests))),
+    ]
     fit = error_metrics(np.concatenate([s.error_V for s in sims]))
     seconds = time.perf_counter() - began
     model = replace(
@@ -323,15 +342,6 @@ def _by_temperature(tests: TestLogs, settings: IdentifySettings) -> dict[float, 
         )
         for t in merged
     }
-
-
-def log_temperature_C(log: CellLog, stated: float | None, default: float = REFERENCE_C) -> float:
-    """Temperature of a log: stated, else its measured median, else the default [degC]."""
-    if stated is not None:
-        return float(stated)
-    if log.temperature_C is not None and np.any(np.isfinite(log.temperature_C)):
-        return float(np.nanmedian(log.temperature_C))
-    return default
 
 
 def _pulse_set(

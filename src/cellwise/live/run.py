@@ -135,5 +135,5 @@ def check_any(source: Source, counts: Counts) -> None:
     raise InputError(
         f"no sample in {source.name} ({strays or 'nothing came'})",
         "samples with current and voltage",
-        "Check the source, its channels and its units.",
+        "Check the source, its channels, their units and the cells in series.",
     )

@@ -13,7 +13,7 @@ from cellwise.logs.cell_log import CellLog
 
 KEYS = ("temperature_C", "soc0")
 FORM = "LOG@TEMPERATURE or LOG@temperature_C=-20,soc0=1"
-OTHER_TEMPERATURE_K = 10.0  # a surface warms by less than this above its chamber in most tests
+OTHER_TEMPERATURE_K = 10.0  # sensors, chambers and the way between them differ by less
 
 
 @dataclass(frozen=True)
@@ -96,14 +96,27 @@ class Stated:
         measured = log.temperature_C
         if measured is None or not np.any(np.isfinite(measured)):
             return replace(log, temperature_C=np.full(len(log), self.temperature_C))
-        middle = float(np.nanmedian(measured))
-        if abs(middle - self.temperature_C) > OTHER_TEMPERATURE_K:
-            said = (
-                f"'{log.name}' is stated to be at {self.temperature_C:g} degC and measured "
-                f"{middle:.1f} degC in the median: its rows keep what was measured"
-            )
-            return log.with_notices((said, *log.notices))
-        return log
+        found = other_temperature(log, self.temperature_C)
+        return log if found is None else log.with_notices((found[1], *log.notices))
+
+
+def other_temperature(log: CellLog, stated_C: float) -> tuple[float, str] | None:
+    """By how much [K] and how a stated temperature contradicts all measured ones; None: not.
+
+    A cell may warm up by much from what it was stated to be at.
+    """
+    measured = log.temperature_C
+    if measured is None or not np.any(np.isfinite(measured)):
+        return None
+    coldest, warmest = float(np.nanmin(measured)), float(np.nanmax(measured))
+    off_K = max(coldest - stated_C, stated_C - warmest)
+    if off_K <= OTHER_TEMPERATURE_K:
+        return None
+    text = (
+        f"'{log.name}' is stated to be at {stated_C:g} degC and measured {coldest:.1f} to "
+        f"{warmest:.1f} degC: its rows keep what was measured"
+    )
+    return off_K, text
 
 
 def check_temperature(temperature_C: float | None) -> None:

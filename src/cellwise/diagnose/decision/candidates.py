@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellwise.diagnose.causes.catalogue import Cause
 from cellwise.cell.metrics import RESAMPLES, block_sums
+from cellwise.diagnose.causes.catalogue import Cause
 from cellwise.diagnose.fit.gain import gain_of
 from cellwise.diagnose.fit.least_squares import Fit
 from cellwise.diagnose.fit.noise import Noise

@@ -1,0 +1,105 @@
+"""What a simulated or filtered log shows against the model: charge, SOC, size of the error."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from cellwise.cell.metrics import band_metrics, error_metrics
+from cellwise.cell.plausibility.notice import RANGE_V, Notice
+from cellwise.logs.measured_log import MeasuredLog
+from cellwise.typing import FloatArray
+
+# No cell holds this much more than another of its kind.
+MUCH_CHARGE = 1.15
+SHOWN_SOC = 5e-4  # what shows in three digits
+LARGE_RMSE_V = 0.1
+LARGE_ERROR_V = 0.2
+NEAR_EMPTY = 0.1
+MANY_REJECTED = 0.1
+OTHER = "a log of another cell, number of cells in series (--series), temperature, age"
+
+
+def soc_notices(log: MeasuredLog, soc: FloatArray) -> list[Notice]:
+    """A SOC outside 0..1, and more charge than such a cell holds.
+
+    Parameters
+    ----------
+    soc : (n,) float      simulated, or counted
+    """
+    low, high = float(np.nanmin(soc)), float(np.nanmax(soc))
+    outside = max(-low, high - 1.0)
+    if outside <= SHOWN_SOC:
+        return []
+    name = f"'{log.name or 'the log'}'"
+    ran = f"SOC from {low:.3f} to {high:.3f}, outside 0..1"
+    moved = float(np.ptp(log.counted_charge_Ah()))
+    if high - low > MUCH_CHARGE:
+        return [
+            Notice(
+                math.inf,  # every other figure follows from it
+                f"{name} moves {moved:.4g} Ah, {high - low:.3g} times the model's capacity ({ran}):"
+                " the unit of the current (mA?), the cells in parallel (--parallel), or a log of "
+                "another cell?",
+            )
+        ]
+    return [
+        Notice(
+            RANGE_V * outside,
+            f"{name} runs through {ran}, beginning at {soc[0]:.3f}: check the initial SOC "
+            "(LOG@soc0=X states it) and the capacity",
+        )
+    ]
+
+
+def error_notices(log: MeasuredLog, error_V: FloatArray, soc: FloatArray) -> list[Notice]:
+    """An error of hundreds of millivolts, with where it is largest.
+
+    Parameters
+    ----------
+    error_V : (n,) float      measured minus model, NaN where nothing was measured
+    soc : (n,) float
+    """
+    all_rows = error_metrics(error_V)
+    if all_rows.samples == 0:
+        return []
+    worst = max(b.metrics.rmse_V for b in band_metrics(error_V, soc))
+    if all_rows.max_error_V < LARGE_ERROR_V and worst < LARGE_RMSE_V:
+        return []
+    row = int(np.nanargmax(np.abs(error_V)))
+    at = float(soc[row])
+    text = (
+        f"'{log.name or 'the log'}' is up to {1e3 * all_rows.max_error_V:.0f} mV off (RMSE "
+        f"{1e3 * all_rows.rmse_V:.0f} mV), most at SOC {at:.3f} after "
+        f"{(log.time_s[row] - log.time_s[0]) / 3600.0:.2f} h"
+    )
+    if all_rows.rmse_V >= LARGE_RMSE_V:
+        text += f": {OTHER} or initial SOC than the model's?"
+    elif at < NEAR_EMPTY:
+        text += ": near empty, where the OCV is steep and the resistance high"
+    return [Notice(all_rows.rmse_V, text)]
+
+
+def prediction_notices(log: MeasuredLog, rmse_V: float, rejected: float) -> list[Notice]:
+    """A filter whose predictions are far off, or that refuses many voltages.
+
+    Parameters
+    ----------
+    rmse_V : float        of the voltages predicted one step ahead; NaN: none was used
+    rejected : float      share of the rows whose voltage was rejected
+    """
+    name = f"'{log.name or 'the log'}'"
+    if math.isnan(rmse_V):
+        if not np.any(np.isfinite(log.voltage_V)):
+            return []
+        text = f"no voltage of {name} was used: all are missing, or outside what a sensor reads"
+        return [Notice(RANGE_V, f"{text} (another pack count?)")]
+    notices = []
+    if rmse_V >= LARGE_RMSE_V:
+        text = f"the voltage of {name} is {1e3 * rmse_V:.0f} mV off one step ahead (RMSE)"
+        notices.append(Notice(rmse_V, f"{text}: {OTHER} than the model's?"))
+    if rejected >= MANY_REJECTED:
+        text = f"{100.0 * rejected:.0f} % of the voltages of {name} were rejected as too far off"
+        notices.append(Notice(RANGE_V * rejected, text))
+    return notices
