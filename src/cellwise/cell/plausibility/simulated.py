@@ -18,7 +18,7 @@ LARGE_RMSE_V = 0.1
 LARGE_ERROR_V = 0.2
 NEAR_EMPTY = 0.1
 MANY_REJECTED = 0.1
-OTHER = "a log of another cell, number of cells in series (--series), temperature, age"
+OTHER = "a log of another cell, number of cells in series (--series), temperature or age"
 
 
 def soc_notices(log: MeasuredLog, soc: FloatArray) -> list[Notice]:
@@ -75,7 +75,7 @@ def error_notices(log: MeasuredLog, error_V: FloatArray, soc: FloatArray) -> lis
         f"{(log.time_s[row] - log.time_s[0]) / 3600.0:.2f} h"
     )
     if all_rows.rmse_V >= LARGE_RMSE_V:
-        text += f": {OTHER} or initial SOC than the model's?"
+        text += f": {OTHER} than the model's, or another initial SOC?"
     elif at < NEAR_EMPTY:
         text += ": near empty, where the OCV is steep and the resistance high"
     return [Notice(all_rows.rmse_V, text)]
@@ -95,11 +95,9 @@ def prediction_notices(log: MeasuredLog, rmse_V: float, rejected: float) -> list
             return []
         text = f"no voltage of {name} was used: all are missing, or outside what a sensor reads"
         return [Notice(RANGE_V, f"{text} (another pack count?)")]
-    notices = []
-    if rmse_V >= LARGE_RMSE_V:
-        text = f"the voltage of {name} is {1e3 * rmse_V:.0f} mV off one step ahead (RMSE)"
-        notices.append(Notice(rmse_V, f"{text}: {OTHER} than the model's?"))
-    if rejected >= MANY_REJECTED:
-        text = f"{100.0 * rejected:.0f} % of the voltages of {name} were rejected as too far off"
-        notices.append(Notice(RANGE_V * rejected, text))
-    return notices
+    if rmse_V < LARGE_RMSE_V and rejected < MANY_REJECTED:
+        return []
+    text = f"the voltage of {name} is {1e3 * rmse_V:.0f} mV off one step ahead (RMSE)"
+    if rejected > 0.0:
+        text += f" and was rejected in {100.0 * rejected:.0f} % of the rows"
+    return [Notice(max(rmse_V, RANGE_V * rejected), f"{text}: {OTHER} than the model's?")]
