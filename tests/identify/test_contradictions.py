@@ -12,6 +12,7 @@ from cellwise.cell.plausibility.notice import Notice, in_order
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell
 from cellwise.identify.contradictions import (
     capacity_notices,
+    check_serves,
     contradictions,
     step_resistance,
     whole_charge_Ah,
@@ -113,18 +114,21 @@ def test_another_capacity_than_the_nominal_one_is_said_with_both(hppc):
 
 def test_a_capacity_log_of_another_cell_is_said_first(hppc, low_rate):
     other = scaled(load_dataset("nmc_cap_c5"), 1.6, "other")
-    found = identify_cell(together((hppc,), ocv=(low_rate,), capacity=(other,)), QUICK)
-    assert "'other'" in found.notices[0]
+    tests = together((hppc,), ocv=(low_rate,), capacity=(other,))
+    assert "'other'" in first_said(tests, QUICK)
+
+
+def first_said(tests, settings):
+    try:
+        return identify_cell(tests, settings).notices[0]
+    except InputError as error:
+        return error.found
 
 
 def test_a_drive_of_another_cell_is_said_first(hppc, low_rate, lfp_drive):
     wrong = replace(lfp_drive, name="other")
     tests = together((hppc,), (wrong,), ocv=(low_rate,))
-    try:
-        first = identify_cell(tests, replace(QUICK, refine=True)).notices[0]
-    except InputError as error:
-        first = error.found
-    assert "'other'" in first
+    assert "'other'" in first_said(tests, replace(QUICK, refine=True))
 
 
 def test_exchanged_temperatures_are_said_with_the_resistances(hppc):
@@ -168,6 +172,14 @@ def test_the_most_harmful_comes_first_and_a_wrong_sign_before_all():
     sign = contradiction("charge-positive")
     found = in_order([Notice(0.1, "b"), Notice(0.5, "a")], ("read", sign))
     assert found == (sign, "a", "b", "read")
+
+
+def test_a_model_of_contradictory_tests_is_made_only_if_it_serves():
+    wrong = [Notice(0.5, "two cells")]
+    check_serves(0.05, wrong)
+    check_serves(0.5, [])
+    with pytest.raises(InputError, match=r"500 mV off its own logs; two cells"):
+        check_serves(0.5, wrong)
 
 
 @pytest.mark.parametrize(

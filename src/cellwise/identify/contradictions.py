@@ -14,7 +14,12 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import check_physical
 from cellwise.cell.plausibility.cells_in_series import check_one_cell
 from cellwise.cell.plausibility.notice import RANGE_V, Notice, in_order
-from cellwise.cell.plausibility.simulated import LARGE_RMSE_V, error_notices, soc_notices
+from cellwise.cell.plausibility.simulated import (
+    LARGE_ERROR_V,
+    LARGE_RMSE_V,
+    error_notices,
+    soc_notices,
+)
 from cellwise.cell.simulate import Simulation, simulate
 from cellwise.errors import InputError
 from cellwise.identify.identification import TestLogs, log_temperature_C
@@ -162,6 +167,21 @@ def check_possible(model: CellModel, found: Sequence[Notice]) -> None:
             error.expected,
             "Check that the logs are of one cell and in one scale, and their temperatures.",
         ) from None
+
+
+def check_serves(rmse_V: float, found: Sequence[Notice]) -> None:
+    """Refuse a model of tests that contradict each other if it is far from what made it.
+
+    Raises
+    ------
+    InputError        an error of hundreds of millivolts on its own logs, and a contradiction
+    """
+    if found and rmse_V >= LARGE_ERROR_V:
+        raise InputError(
+            f"tests that give a model {1e3 * rmse_V:.0f} mV off its own logs; {in_order(found)[0]}",
+            "logs of one cell, in one scale",
+            "Leave out the log that does not belong to them.",
+        )
 
 
 def own_log_notices(

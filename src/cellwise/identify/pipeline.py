@@ -23,6 +23,7 @@ from cellwise.identify.capacity.current_offset import without_current_offset
 from cellwise.identify.contradictions import (
     capacity_notices,
     check_possible,
+    check_serves,
     contradictions,
     own_log_notices,
     reading_notices,
@@ -128,6 +129,7 @@ def identify_cell(
         *in_order(own_log_notices(model, tests, sims), (*notices, *reading_notices(tests))),
     ]
     fit = error_metrics(np.concatenate([s.error_V for s in sims]))
+    check_serves(fit.rmse_V, found_wrong)
     seconds = time.perf_counter() - began
     model = replace(
         model,
