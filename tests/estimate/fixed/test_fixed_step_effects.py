@@ -11,6 +11,7 @@ import pytest
 
 from cellwise.cell.effects import (
     ChargeAsymmetry,
+    ChargeTransfer,
     Hysteresis,
     RateDependence,
     SelfDischarge,
@@ -43,6 +44,7 @@ EFFECTS = {
     "skew": (TimeSkew(skew_s=0.4), ("skew_share",)),
     "rate": (RateDependence(0.1), ("rate_per_A",)),
     "asymmetry": (ChargeAsymmetry(0.8), ("charge_scale",)),
+    "transfer": (ChargeTransfer(60.0), ("asinh_per_V", "charge_transfer")),
     "heating": (SelfHeating(3.0, 300.0), ("heat_K",)),  # felt by what depends on temperature
     "leak": (SelfDischarge(0.01), ("leak_soc",)),
 }
