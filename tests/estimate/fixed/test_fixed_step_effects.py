@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cellwise.cell import equations
 from cellwise.cell.effects import (
     ChargeAsymmetry,
     ChargeTransfer,
@@ -23,6 +24,7 @@ from cellwise.cell.effects import (
 from cellwise.cell.simulate import simulate
 from cellwise.data import load_dataset
 from cellwise.estimate.filters.ekf import Ekf
+from cellwise.estimate.fixed import lookup
 from cellwise.estimate.fixed.fixed_step import samples_of, start_state
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.export.c_tables import write_sources
@@ -99,6 +101,14 @@ def test_every_effect_follows_the_float64_ekf(name):
     without = model_with("arrhenius") if name == "heating" else curved_cell(capacity_Ah=5.1)
     plain = Firmware(without, dt_s=DT_S).run(log, 0.85, 0.05).soc
     assert np.max(np.abs(plain - ours)) > 1e-5
+
+
+def test_the_fraction_of_a_charge_transfer_is_that_of_the_equations():
+    y = np.concatenate(([0.0], np.geomspace(1e-3, 1e5, 2000)))
+    found = np.array([lookup.charge_transfer(np.float32(value)) for value in y])
+    assert found.dtype == np.float32
+    np.testing.assert_allclose(found, [equations.charge_transfer(v) for v in y], rtol=1e-6)
+    assert np.isfinite(lookup.charge_transfer(np.float32(np.inf)))
 
 
 @pytest.mark.parametrize("offset_A", [0.3, -0.1])
