@@ -223,7 +223,7 @@ static float charge_transfer(float overvoltage)
     const float y = (overvoltage < LARGE) ? overvoltage : LARGE;
     const float above = 1.0f + (y * (TRANSFER_1 + (y * (ABOVE_2 + (y * ABOVE_3)))));
     const float below = TRANSFER_1 + (y * (BELOW_2 + (y * (BELOW_3 + (y * BELOW_4)))));
-    return above / (1.0f + (y * below));
+    return KNOWN_FRACTION(above / (1.0f + (y * below)));
 }
 #endif
 

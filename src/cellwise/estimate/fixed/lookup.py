@@ -156,7 +156,7 @@ def charge_transfer(overvoltage: Float) -> Float:
     y = overvoltage if overvoltage < LARGE else LARGE
     above = ONE + (y * (TRANSFER_1 + (y * (ABOVE_2 + (y * ABOVE_3)))))
     below = TRANSFER_1 + (y * (BELOW_2 + (y * (BELOW_3 + (y * BELOW_4)))))
-    return above / (ONE + (y * below))
+    return known_fraction(above / (ONE + (y * below)))
 
 
 def look_up(m: Model, place: Place, soc: Float, current: Float) -> Point:
