@@ -111,7 +111,8 @@ def test_the_fraction_of_a_charge_transfer_is_that_of_the_equations():
     assert 0.0 < lookup.charge_transfer(np.float32(np.inf)) < 1e-4
     # What the analyser of the C is told.
     tiny = [lookup.charge_transfer(np.float32(v)) for v in np.geomspace(1e-30, 1e-2, 2000)]
-    assert 0.0 < np.min(found) and np.max((found.max(), *tiny)) <= 1.0
+    assert np.min(found) > 0.0
+    assert np.max((found.max(), *tiny)) <= 1.0
 
 
 @pytest.mark.parametrize("offset_A", [0.3, -0.1])
