@@ -40,6 +40,7 @@ EFFECTS = (
     effect.TemperatureDependence(activation_K=2500.0, reference_C=25.0),
     effect.TimeSkew(skew_s=0.4),
     effect.RateDependence(rate_h=0.08),
+    effect.ChargeTransfer(asinh_per_V=60.0),
     effect.ChargeAsymmetry(charge_scale=1.2),
     effect.SelfHeating(rth_K_per_W=6.0, thermal_s=500.0),
     effect.SelfDischarge(leak_A=0.01),

@@ -22,6 +22,12 @@
 #define LARGE 0x1p+20f /* no sound state goes beyond it, in V, A or their squares */
 #define CARRY_MOST 0x1p-10f
 #define LEAST_FALL 0x1.99999ap-4f /* 0.1: with the current a resistance rises by ten at most */
+#define TRANSFER_1 0x1.52cbf6p-1f /* 0.661712: asinh(y) / y as a fraction in powers of y */
+#define ABOVE_2 0x1.af8c1ap-2f /* 0.421433 */
+#define ABOVE_3 0x1.711d9p-7f /* 0.0112645 */
+#define BELOW_2 0x1.2f92eap-1f /* 0.592918 */
+#define BELOW_3 0x1.e9c80ep-4f /* 0.119576 */
+#define BELOW_4 0x1.bdadcap-10f /* 0.00170013 */
 #define LONGEST_GAP 0x100000u /* samples */
 #define NOT_BEGUN 0u /* evidence before the first sample */
 #define NO_VOLTAGE_YET 1u
@@ -209,6 +215,18 @@ static uint32_t index_of(float x, uint32_t points)
     return k;
 }
 
+#if CELLWISE_TRANSFER
+/* Factor on a resistance whose voltage follows asinh, for an overvoltage y >= 0. The fraction of
+ * the float64 equations, which is asinh(y) / y to 0.05 % up to y = 60. */
+static float charge_transfer(float overvoltage)
+{
+    const float y = (overvoltage < LARGE) ? overvoltage : LARGE;
+    const float above = 1.0f + (y * (TRANSFER_1 + (y * (ABOVE_2 + (y * ABOVE_3)))));
+    const float below = TRANSFER_1 + (y * (BELOW_2 + (y * (BELOW_3 + (y * BELOW_4)))));
+    return KNOWN_FRACTION(above / (1.0f + (y * below)));
+}
+#endif
+
 /* Outside 0..1 the OCV goes on along its last segment, every other table stays at its end.
  * Without CELLWISE_WIDE the OCV stays, too. */
 static void look_up(const cellwise_model *m, const cellwise_place *place, float soc, float current,
@@ -270,6 +288,10 @@ static void look_up(const cellwise_model *m, const cellwise_place *place, float 
     point->r0_ohm = point->r0_ohm * scale;
     point->r1_ohm = point->r1_ohm * scale;
     point->r2_ohm = point->r2_ohm * scale;
+#endif
+#if CELLWISE_TRANSFER
+    point->r1_ohm = point->r1_ohm *
+        charge_transfer((m->constant.asinh_per_V * point->r1_ohm) * magnitude(current));
 #endif
 }
 

@@ -114,6 +114,9 @@ typedef struct {
 #if CELLWISE_ASYMMETRY
     float charge_scale; /* factor on the resistances while charging */
 #endif
+#if CELLWISE_TRANSFER
+    float asinh_per_V; /* of the charge transfer of the fast branch */
+#endif
 #if CELLWISE_HYSTERESIS
     float hysteresis_per_A; /* e-folds of h in one step at 1 A */
 #endif

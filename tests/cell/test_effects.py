@@ -7,7 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise.cell.effects import Hysteresis, SlowDiffusion, TemperatureDependence, TimeSkew
+from cellwise.cell.effects import (
+    ChargeTransfer,
+    Hysteresis,
+    SlowDiffusion,
+    TemperatureDependence,
+    TimeSkew,
+)
+from cellwise.cell.equations import advance, charge_transfer, empty_state
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
@@ -18,6 +25,7 @@ NEUTRAL = (
     Hysteresis(m_V=0.0, gamma=77.0),
     TemperatureDependence(activation_K=0.0, reference_C=3.0),
     TimeSkew(skew_s=0.0),
+    ChargeTransfer(asinh_per_V=0.0),
 )
 
 
@@ -40,6 +48,25 @@ def test_each_effect_changes_the_voltage(effect):
     assert np.max(np.abs(simulate(curved_cell(effects=(effect,)), log, 0.7).voltage_V - plain)) > (
         1e-3
     )
+
+
+@pytest.mark.parametrize("current_A", [-200.0, -12.0, -0.5, 0.01, 3.0, 40.0, 250.0])
+def test_the_fast_branch_settles_at_the_overpotential_of_a_reaction(current_A):
+    """Butler-Volmer, symmetric: I = 2 I0 sinh(eta F / (2 R T)), so eta is an asinh of I."""
+    per_V = 96485.33212 / (2.0 * 8.314462618 * 298.15)
+    model = linear_cell(effects=(ChargeTransfer(per_V),))
+    exchange_A = 1.0 / (2.0 * per_V * model.r1_ohm[0, 0])
+    state, _ = advance(model.parameters(), empty_state(0.5), current_A, 1e3, 25.0)
+    assert 2.0 * exchange_A * np.sinh(per_V * state.v1_V) == pytest.approx(current_A, rel=3e-3)
+    assert state.v1_V == pytest.approx(np.arcsinh(current_A / (2 * exchange_A)) / per_V, rel=5e-4)
+    assert state.v2_V == pytest.approx(model.r2_ohm[0, 0] * current_A, rel=1e-4)
+
+
+def test_the_fraction_of_a_charge_transfer_is_asinh():
+    y = np.concatenate((np.geomspace(1e-4, 60.0, 4000), -np.geomspace(1e-4, 60.0, 4000)))
+    found = np.array([charge_transfer(value) for value in y])
+    np.testing.assert_allclose(found, np.arcsinh(y) / y, rtol=5e-4)
+    assert charge_transfer(0.0) == 1.0
 
 
 def test_gap_between_the_branches_is_2_m():

@@ -169,7 +169,9 @@ def test_every_set_of_options_is_c(states, tmp_path):
     (tmp_path / "cellwise_ekf.h").write_text(print_header())
     (tmp_path / "cellwise_ekf.c").write_text(print_source())
     slow, hysteresis, offset = states
-    effects = ("efficiency", "leak", "skew", "rate", "asymmetry", "heating", "wide", "watch")
+    effects = (
+        "efficiency", "leak", "skew", "rate", "asymmetry", "transfer", "heating", "wide", "watch",
+    )  # fmt: skip
     sizes = [(1, 0), (3, 0), (1, 161)]
     for k, (temperatures, arrhenius) in enumerate(sizes):
         for some in (effects, (), effects[k::2], effects[k::3]):

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from cellwise.cell.effects import (
     ChargeAsymmetry,
+    ChargeTransfer,
     Entropy,
     Hysteresis,
     RateDependence,
@@ -45,6 +46,7 @@ ACTIVE = {
         TemperatureDependence(activation_K=2500.0, reference_C=20.0, r1_K=900.0, tau2_K=1500.0),
         TimeSkew(skew_s=0.4),
         RateDependence(rate_h=0.1),
+        ChargeTransfer(asinh_per_V=60.0),
         ChargeAsymmetry(charge_scale=1.3),
         SelfHeating(rth_K_per_W=8.0, thermal_s=400.0),
         SelfDischarge(leak_A=0.02),
@@ -59,6 +61,7 @@ NEUTRAL = {
         TemperatureDependence(activation_K=0.0, reference_C=-13.0),
         TimeSkew(skew_s=0.0),
         RateDependence(rate_h=0.0),
+        ChargeTransfer(asinh_per_V=0.0),
         ChargeAsymmetry(charge_scale=1.0),
         SelfHeating(rth_K_per_W=0.0, thermal_s=33.0),
         SelfDischarge(leak_A=0.0),

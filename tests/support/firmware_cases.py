@@ -9,6 +9,7 @@ import numpy as np
 
 from cellwise.cell.effects import (
     ChargeAsymmetry,
+    ChargeTransfer,
     RateDependence,
     SelfDischarge,
     SelfHeating,
@@ -26,6 +27,7 @@ def full_model():
     for effect in (
         RateDependence(0.1),
         ChargeAsymmetry(0.8),
+        ChargeTransfer(40.0),
         SelfHeating(3.0, 300.0),
         SelfDischarge(0.01),
     ):
@@ -43,6 +45,8 @@ def tables_of(name, dt_s=1.0):
         return fixed_step_tables(
             curved_cell(effects=(SlowDiffusion(r3_ohm=0.015, tau3_s=1500.0),)), dt_s
         )
+    if name == "transfer":
+        return fixed_step_tables(curved_cell(effects=(ChargeTransfer(60.0),)), dt_s)
     if name == "offset":
         return fixed_step_tables(curved_cell(), dt_s, offset_std_A=0.1)
     return fixed_step_tables(full_model(), dt_s, offset_std_A=0.1)

@@ -19,7 +19,6 @@ from cellwise.cell.effects import (
     TemperatureDependence,
     TimeSkew,
 )
-from cellwise.cell.equations import ZERO_CELSIUS_K
 from cellwise.cell.model import CellModel
 from cellwise.cell.point_kernels import OCV, R0, R1, R2, R3, TAU1, TAU2, TAU3, M
 from cellwise.diagnose.causes.catalogue import Cause
@@ -118,7 +117,8 @@ def extend_model(
     if np.any(t[..., M]):
         new = new.with_effect(Hysteresis(t[..., M], s.hysteresis_rate))
     if s.activation_K != 0.0:
-        new = new.with_effect(TemperatureDependence(s.activation_K, s.reference_K - ZERO_CELSIUS_K))
+        own = model.effect(TemperatureDependence)
+        new = new.with_effect(replace(own, activation_K=s.activation_K))
     if s.rate_per_A != 0.0:
         new = new.with_effect(RateDependence(s.rate_per_A * new.capacity_Ah))
     if s.charge_scale != 1.0:

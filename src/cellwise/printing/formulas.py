@@ -18,7 +18,8 @@ SHOWN = (
     ("inverse_kelvin", "distance from the reference temperature"),
     ("thermal_factor", "Arrhenius factor"),
     ("at_temperature", "temperature (`temperature_dependence`, `entropy`)"),
-    ("under_load", "load (`rate_dependence`, `charge_asymmetry`)"),
+    ("charge_transfer", "factor $f(u)$ of a charge transfer"),
+    ("under_load", "load (`rate_dependence`, `charge_asymmetry`, `charge_transfer`)"),
     ("decay", "decay"),
     ("branch_gain", "gain of a branch"),
     ("relaxed", "branch voltage (`slow_diffusion` is the third)"),
@@ -31,7 +32,10 @@ SHOWN = (
 SYMBOLS = {
     "activation_K": "E",
     "branch_activation": "E_j",
+    "above": "p",
     "ah": "a_h",
+    "asinh_per_V": "k_1",
+    "below": "q",
     "charge_As": r"3600\,Q",
     "charge_efficiency": r"\eta",
     "charge_scale": "c",
@@ -56,6 +60,7 @@ SYMBOLS = {
     "ocv": "OCV",
     "ocv_V": "OCV",
     "old": "x",
+    "overvoltage": "u",
     "per_A": r"\delta",
     "polarisation_V": "v_p",
     "previous_A": "I_{-}",
@@ -94,7 +99,7 @@ def formula(node: ast.expr) -> str:
     if isinstance(node, ast.Attribute):
         return symbol(node.attr)
     if isinstance(node, ast.Constant):
-        return f"{float(str(node.value)):g}"
+        return f"{float(str(node.value)):.9g}"
     if isinstance(node, ast.UnaryOp):
         return f"-{bracketed(node.operand)}"
     if isinstance(node, ast.BinOp):
@@ -118,7 +123,10 @@ def operation(node: ast.BinOp) -> str:
     if isinstance(node.op, ast.Div):
         return rf"\frac{{{formula(node.left)}}}{{{formula(node.right)}}}"
     if isinstance(node.op, ast.Mult):
-        return rf"{bracketed(node.left)}\, {bracketed(node.right)}"
+        first, second = node.left, node.right
+        if isinstance(second, ast.Constant):
+            first, second = second, first
+        return rf"{bracketed(first)}\, {bracketed(second)}"
     sign = "+" if isinstance(node.op, ast.Add) else "-"
     right = formula(node.right) if sign == "+" else bracketed(node.right)
     return f"{formula(node.left)} {sign} {right}"
@@ -144,15 +152,46 @@ def call(node: ast.Call) -> str:
         return rf"e^{{-\frac{{{given[0]}}}{{{given[1]}}}}}"
     if name == "arrhenius":
         return rf"\alpha({given[1]})"
+    if name == "transfer_resistance":
+        return rf"{given[1]}\, f({given[0]}\, {given[1]}\, {given[2]})"
     if name == "charge_used":
         return "I_u"
     return rf"\{name}({', '.join(given)})"  # min and max
 
 
+def reads(node: ast.expr, name: str) -> bool:
+    """Whether an expression reads a name."""
+    return any(isinstance(n, ast.Name) and n.id == name for n in ast.walk(node))
+
+
+def in_one(body: list[ast.stmt]) -> list[ast.stmt]:
+    """The same with assignments in a row to one name, each reading the last, as one (Horner)."""
+    found: list[ast.stmt] = []
+    for node in body:
+        last = found[-1] if found else None
+        if isinstance(node, ast.Assign) and isinstance(last, ast.Assign):
+            name = ast.unparse(node.targets[0])
+            if name == ast.unparse(last.targets[0]) and reads(node.value, name):
+                found[-1] = ast.Assign(node.targets, put_in_place(node.value, name, last.value))
+                continue
+        found.append(node)
+    return found
+
+
+def put_in_place(node: ast.expr, name: str, value: ast.expr) -> ast.expr:
+    """An expression with another one in place of a name."""
+    if isinstance(node, ast.Name) and node.id == name:
+        return value
+    if isinstance(node, ast.BinOp):
+        left, right = (put_in_place(side, name, value) for side in (node.left, node.right))
+        return ast.BinOp(left, node.op, right)
+    return node
+
+
 def statements(body: list[ast.stmt]) -> list[str]:
     """The assignments and the result of a function, guards left out: neutral values do nothing."""
     found: list[str] = []
-    for node in body:
+    for node in in_one(body):
         if isinstance(node, ast.If):
             last = node.body[-1]
             if not (isinstance(last, ast.Return) and isinstance(last.value, ast.Name)):
@@ -162,7 +201,8 @@ def statements(body: list[ast.stmt]) -> list[str]:
             found.append(f"{formula(node.target)} := {formula(value)}")
         elif isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
             if not isinstance(node.value, ast.Attribute):
-                found.append(f"{formula(node.targets[0])} = {formula(node.value)}")
+                sign = ":=" if reads(node.value, node.targets[0].id) else "="
+                found.append(f"{formula(node.targets[0])} {sign} {formula(node.value)}")
         elif isinstance(node, ast.Return) and node.value is not None:
             result = node.value
             if not (isinstance(result, ast.Call) and ast.unparse(result.func)[:1].isupper()):

@@ -39,14 +39,15 @@ NEUTRAL = CellScalars(
     hysteresis_rate=0.0, skew_s=SKEW_S, rate_per_A=0.0, charge_scale=1.0, leak_A=0.0,
     heating_K_per_W=0.0, heating_s=400.0, branch_activation=0.0, r0_activation_K=0.0,
     r1_activation_K=0.0, tau1_activation_K=0.0, r2_activation_K=0.0, tau2_activation_K=0.0,
-    r3_activation_K=0.0, tau3_activation_K=0.0, entropy_K=298.15,
+    r3_activation_K=0.0, tau3_activation_K=0.0, asinh_per_V=0.0,
+    entropy_K=298.15,
 )  # fmt: skip
 # Size of every number: what a step is a small share of.
 SIZE = NEUTRAL._replace(
     activation_K=1000.0, hysteresis_rate=10.0, rate_per_A=0.1, leak_A=0.1, heating_K_per_W=1.0,
     r0_activation_K=1000.0, r1_activation_K=1000.0, tau1_activation_K=1000.0,
     r2_activation_K=1000.0, tau2_activation_K=1000.0, r3_activation_K=1000.0,
-    tau3_activation_K=1000.0,
+    tau3_activation_K=1000.0, asinh_per_V=20.0,
 )  # fmt: skip
 COLUMN_SIZE = {
     OCV: 0.1, R0: 0.02, R1: 0.01, TAU1: 5.0, R2: 0.01, TAU2: 60.0, R3: 0.02, TAU3: 900.0, M: 0.03,
@@ -70,6 +71,7 @@ EFFECTS = {
     "entropy": ({}, {ENTROPY}),
     "rate": ({"rate_per_A": 0.15}, set()),
     "charge asymmetry": ({"charge_scale": 1.3}, set()),
+    "charge transfer": ({"asinh_per_V": 40.0}, set()),
     "leak": ({"leak_A": 0.02}, set()),
     "self-heating": ({"heating_K_per_W": 6.0}, set()),
     "coulombic efficiency": ({"charge_efficiency": 0.97}, set()),

@@ -9,8 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cellwise.cell import equations
 from cellwise.cell.effects import (
     ChargeAsymmetry,
+    ChargeTransfer,
     Hysteresis,
     RateDependence,
     SelfDischarge,
@@ -22,6 +24,7 @@ from cellwise.cell.effects import (
 from cellwise.cell.simulate import simulate
 from cellwise.data import load_dataset
 from cellwise.estimate.filters.ekf import Ekf
+from cellwise.estimate.fixed import lookup
 from cellwise.estimate.fixed.fixed_step import samples_of, start_state
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.export.c_tables import write_sources
@@ -43,6 +46,7 @@ EFFECTS = {
     "skew": (TimeSkew(skew_s=0.4), ("skew_share",)),
     "rate": (RateDependence(0.1), ("rate_per_A",)),
     "asymmetry": (ChargeAsymmetry(0.8), ("charge_scale",)),
+    "transfer": (ChargeTransfer(60.0), ("asinh_per_V", "charge_transfer")),
     "heating": (SelfHeating(3.0, 300.0), ("heat_K",)),  # felt by what depends on temperature
     "leak": (SelfDischarge(0.01), ("leak_soc",)),
 }
@@ -97,6 +101,18 @@ def test_every_effect_follows_the_float64_ekf(name):
     without = model_with("arrhenius") if name == "heating" else curved_cell(capacity_Ah=5.1)
     plain = Firmware(without, dt_s=DT_S).run(log, 0.85, 0.05).soc
     assert np.max(np.abs(plain - ours)) > 1e-5
+
+
+def test_the_fraction_of_a_charge_transfer_is_that_of_the_equations():
+    y = np.concatenate(([0.0], np.geomspace(1e-3, 1e5, 2000)))
+    found = np.array([lookup.charge_transfer(np.float32(value)) for value in y])
+    assert found.dtype == np.float32
+    np.testing.assert_allclose(found, [equations.charge_transfer(v) for v in y], rtol=1e-6)
+    assert 0.0 < lookup.charge_transfer(np.float32(np.inf)) < 1e-4
+    # What the analyser of the C is told.
+    tiny = [lookup.charge_transfer(np.float32(v)) for v in np.geomspace(1e-30, 1e-2, 2000)]
+    assert np.min(found) > 0.0
+    assert np.max((found.max(), *tiny)) <= 1.0
 
 
 @pytest.mark.parametrize("offset_A", [0.3, -0.1])

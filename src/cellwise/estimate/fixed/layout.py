@@ -88,6 +88,7 @@ CONSTANTS = (
     Field("skew_share", "of the previous current in what the voltage has seen", "SKEW"),
     Field("rate_per_A", "fall of the resistances with the current", "RATE"),
     Field("charge_scale", "factor on the resistances while charging", "ASYMMETRY"),
+    Field("asinh_per_V", "of the charge transfer of the fast branch", "TRANSFER"),
     Field("hysteresis_per_A", "e-folds of h in one step at 1 A", "HYSTERESIS"),
     Field("offset_variance_A2", "at the start", "OFFSET"),
     Field("offset_walk_A2", "gained in one step", "OFFSET"),

@@ -5,12 +5,18 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from cellwise.estimate.fixed.arithmetic import (
+    ABOVE_2,
+    ABOVE_3,
+    BELOW_2,
+    BELOW_3,
+    BELOW_4,
     BEYOND,
     HALF,
     LARGE,
     LEAST_FALL,
     ONE,
     SHORTEST_CHORD,
+    TRANSFER_1,
     ZERO,
     Count,
     F,
@@ -34,6 +40,7 @@ from cellwise.estimate.fixed.options import (
     SCALED,
     SLOW,
     TEMPERATURES,
+    TRANSFER,
     WIDE,
 )
 
@@ -141,6 +148,17 @@ def rise(m: Model, place: Place, k: Count, column: int) -> Any:
     return low
 
 
+def charge_transfer(overvoltage: Float) -> Float:
+    """Factor on a resistance whose voltage follows asinh, for an overvoltage y >= 0.
+
+    The fraction of the float64 equations, which is asinh(y) / y to 0.05 % up to y = 60.
+    """
+    y = overvoltage if overvoltage < LARGE else LARGE
+    above = ONE + (y * (TRANSFER_1 + (y * (ABOVE_2 + (y * ABOVE_3)))))
+    below = TRANSFER_1 + (y * (BELOW_2 + (y * (BELOW_3 + (y * BELOW_4)))))
+    return known_fraction(above / (ONE + (y * below)))
+
+
 def look_up(m: Model, place: Place, soc: Float, current: Float) -> Point:
     """Outside 0..1 the OCV goes on along its last segment, every other table stays at its end.
 
@@ -186,6 +204,8 @@ def look_up(m: Model, place: Place, soc: Float, current: Float) -> Point:
         r0_ohm = r0_ohm * scale
         r1_ohm = r1_ohm * scale
         r2_ohm = r2_ohm * scale
+    if TRANSFER:
+        r1_ohm = r1_ohm * charge_transfer((m.constant.asinh_per_V * r1_ohm) * magnitude(current))
     # fmt: off
     return Point(ocv_V, slope_V, noise_V2, r0_ohm, r1_ohm, gain1, r2_ohm, gain2, r3_ohm, gain3, m_V)
     # fmt: on

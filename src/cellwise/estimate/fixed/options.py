@@ -12,6 +12,7 @@ import numpy as np
 
 from cellwise.cell.effects import (
     ChargeAsymmetry,
+    ChargeTransfer,
     Hysteresis,
     RateDependence,
     SelfDischarge,
@@ -43,6 +44,7 @@ class Options:
     skew: int = 0
     rate: int = 0
     asymmetry: int = 0
+    transfer: int = 0
     heating: int = 0
     wide: int = 1
     watch: int = 1
@@ -93,6 +95,7 @@ def options_of(
         skew=int(model.effect(TimeSkew).skew_s != 0.0),
         rate=int(model.effect(RateDependence).rate_h != 0.0),
         asymmetry=int(model.effect(ChargeAsymmetry).charge_scale != 1.0),
+        transfer=int(model.effect(ChargeTransfer).asinh_per_V != 0.0),
         heating=int(warm and model.effect(SelfHeating).rth_K_per_W != 0.0),
         wide=int(wide),
         watch=int(watch),
@@ -100,7 +103,7 @@ def options_of(
 
 
 SLOW = HYSTERESIS = OFFSET = 0  # states
-EFFICIENCY = LEAK = SKEW = RATE = ASYMMETRY = HEATING = 0  # effects
+EFFICIENCY = LEAK = SKEW = RATE = ASYMMETRY = TRANSFER = HEATING = 0  # effects
 TEMPERATURES = ARRHENIUS = WARM = SCALED = 0  # several temperatures, the factor, either, any factor
 WIDE = WATCH = 0  # care and watch
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from cellwise.cell.effects import (
     ChargeAsymmetry,
+    ChargeTransfer,
     Effect,
     Hysteresis,
     RateDependence,
@@ -256,6 +257,7 @@ def _constants(
         "skew_share": min(model.effect(TimeSkew).skew_s / dt_s, 1.0),
         "rate_per_A": model.effect(RateDependence).rate_h / model.capacity_Ah,
         "charge_scale": model.effect(ChargeAsymmetry).charge_scale,
+        "asinh_per_V": model.effect(ChargeTransfer).asinh_per_V,
         "hysteresis_per_A": model.effect(Hysteresis).gamma * per_A,
         "offset_variance_A2": offset_std_A**2,
         "offset_walk_A2": offset_std_A**2 * dt_s / (3600.0 * OFFSET_WALK_H),

@@ -271,7 +271,8 @@ def lockstep(
     warm_tables = needs_temperature(tables)
     scaled_tables = cell.activation_K != 0.0 or cell.rate_per_A != 0.0 or cell.charge_scale != 1.0
     # What the table of one time step does not hold takes the EKF's own step.
-    beyond = cell.heating_K_per_W != 0.0 or cell.branch_activation != 0.0 or cell.entropy_K != 0.0
+    beyond = cell.heating_K_per_W != 0.0 or cell.branch_activation != 0.0
+    beyond = beyond or cell.entropy_K != 0.0 or cell.asinh_per_V != 0.0
     blocks = gap.size // LANES
     lanes = gap.size
     whole = bool(np.any(table[..., R3])) or bool(np.any(table[..., M]))

@@ -1,0 +1,64 @@
+"""An extended model is the cell that the fit has seen, whatever effects the model had before."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cellwise.cell.effects import ChargeTransfer
+from cellwise.cell.initial_soc import InitialSoc
+from cellwise.cell.simulate import simulate
+from cellwise.diagnose import diagnose
+from cellwise.diagnose.causes.coordinates import Coordinates
+from cellwise.diagnose.extension import extend_model
+from cellwise.diagnose.fit.rows import gather
+from cellwise.logs.cell_log import CellLog
+from estimator_cases import ACTIVE
+from example_cells import curved_cell
+
+SOC0 = 0.8
+# Where the cell differs from its model, in what belongs to the cell.
+AWAY = {
+    "ln_capacity": 0.04, "ln_scale": 0.1, "ln_r0": -0.05, "ln_r1": 0.15, "ln_tau2": 0.1,
+    "activation_K": 300.0, "rate_h": 0.02, "ln_charge_scale": 0.1, "leak_A": 0.01,
+}  # fmt: skip
+CASES = {**{name: (effect,) for name, effect in ACTIVE.items()}, "all": tuple(ACTIVE.values())}
+
+
+def drive(seed, rows=1500):
+    rng = np.random.default_rng(seed)
+    current = np.repeat(rng.uniform(-4.0, 6.0, rows // 15), 15)
+    current[:30] = 0.0
+    warm = 18.0 + 10.0 * np.sin(np.arange(rows) / 300.0)
+    return CellLog(np.arange(float(rows)), current, np.full(rows, 3.7), temperature_C=warm)
+
+
+@pytest.mark.parametrize("effects", CASES.values(), ids=CASES)
+@pytest.mark.parametrize("away", [{}, AWAY], ids=["as it is", "away"])
+def test_the_extended_model_is_what_the_fit_has_seen(effects, away):
+    model = curved_cell(effects=effects)
+    coordinates, log = Coordinates(model), drive(1)
+    seen, _ = gather(model, [(log, InitialSoc(SOC0, 0.01, "given"))]).simulate(coordinates, away)
+    extended = extend_model(coordinates, away, {})
+    np.testing.assert_allclose(simulate(extended, log, SOC0).voltage_V, seen, rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("cause", ["resistance_scale", "current_offset"])
+def test_a_model_with_charge_transfer_is_diagnosed_and_keeps_it(cause):
+    """What is wrong is found beside the effect, which stays in the model as it was."""
+    model = curved_cell(effects=(ChargeTransfer(60.0),))
+    logs = []
+    for seed in (2, 3):
+        asked = drive(seed, 3000)
+        truth = model
+        if cause == "resistance_scale":
+            truth = extend_model(Coordinates(model), {"ln_scale": np.log(1.4)}, {})
+        noise = 1e-3 * np.random.default_rng(seed).normal(size=len(asked))
+        voltage = simulate(truth, asked, SOC0).voltage_V + noise
+        offset = 0.15 if cause == "current_offset" else 0.0
+        logs.append(CellLog(asked.time_s, asked.current_A + offset, voltage, asked.temperature_C))
+    said = diagnose(model, logs[0], logs[1], soc0=SOC0)
+    assert said.verdict == cause
+    name, value = next(iter(said.causes[0].parameters.items()))
+    assert value == pytest.approx({"scale": 1.4, "offset_A": 0.15}[name], rel=0.1)
+    assert said.extended_model.effect(ChargeTransfer).asinh_per_V == 60.0
