@@ -10,7 +10,6 @@ import numpy as np
 
 from cellwise.cell.compiled import announce
 from cellwise.cell.model import CellModel
-from cellwise.errors import InputError
 from cellwise.estimate.adaptive import step_kernels as kernel
 from cellwise.estimate.adaptive.mixture_kernels import soc_deviation
 from cellwise.estimate.adaptive.settings import AdaptiveSettings
@@ -18,9 +17,8 @@ from cellwise.estimate.adaptive.state_kernels import AdaptiveState, adaptive_sta
 from cellwise.estimate.adaptive.trace import AdaptiveTrace
 from cellwise.estimate.filters.ekf import Ekf
 from cellwise.estimate.filters.filter_state import EkfStart
-from cellwise.estimate.filters.kalman import log_arrays
+from cellwise.estimate.filters.kalman import log_arrays, reading_from
 from cellwise.estimate.noise import Noise
-from cellwise.estimate.sensing_kernels import Reading
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
@@ -119,15 +117,7 @@ class Adaptive:
         ------
         InputError        dt_s negative or not finite
         """
-        if not (np.isfinite(dt_s) and dt_s >= 0):
-            raise InputError(f"dt_s = {dt_s}", "seconds, at least 0", "Pass the interval's length.")
-        reading = Reading(
-            float(current_A),
-            float(voltage_V),
-            math.nan if temperature_C is None else float(temperature_C),
-            float(dt_s),
-            bool(gap),
-        )
+        reading = reading_from(current_A, voltage_V, temperature_C, dt_s, gap)
         announce(kernel.adaptive_step, f"the {self.name} step")
         after, step, mixed = kernel.adaptive_step(
             self._tables, self._noise, self._rules, self._unknown, state, reading

@@ -91,15 +91,7 @@ class KalmanFilter:
         ------
         InputError        dt_s negative or not finite
         """
-        if not (np.isfinite(dt_s) and dt_s >= 0):
-            raise InputError(f"dt_s = {dt_s}", "seconds, at least 0", "Pass the interval's length.")
-        reading = Reading(
-            float(current_A),
-            float(voltage_V),
-            np.nan if temperature_C is None else float(temperature_C),
-            float(dt_s),
-            bool(gap),
-        )
+        reading = reading_from(current_A, voltage_V, temperature_C, dt_s, gap)
         announce(type(self).step_kernel, f"the {self.name} step")
         return type(self).step_kernel(self._tables, *self._settings, self._unknown, state, reading)
 
@@ -127,6 +119,21 @@ class KalmanFilter:
             test_ratio=out[layout.OUT_RATIO],
             status=status,
         )
+
+
+def reading_from(
+    current_A: float, voltage_V: float, temperature_C: float | None, dt_s: float, gap: bool
+) -> Reading:
+    """What an online step is given, as the kernels read it.
+
+    Raises
+    ------
+    InputError        dt_s negative or not finite
+    """
+    if not (np.isfinite(dt_s) and dt_s >= 0):
+        raise InputError(f"dt_s = {dt_s}", "seconds, at least 0", "Pass the interval's length.")
+    warm = np.nan if temperature_C is None else float(temperature_C)
+    return Reading(float(current_A), float(voltage_V), warm, float(dt_s), bool(gap))
 
 
 def log_arrays(log: CellLog) -> layout.LogArrays:
