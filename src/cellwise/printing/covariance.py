@@ -14,13 +14,8 @@ from cellwise.printing.text import head, wrapped_call
 Pattern = Callable[[State, State], str]
 
 
-def pair(states: tuple[State, ...], a: State, b: State) -> str:
-    """Name of an entry, whichever comes first."""
-    return entry(a, b) if states.index(a) <= states.index(b) else entry(b, a)
-
-
 def of_p(a: State, b: State) -> str:
-    """An entry of P, its states in their order."""
+    """An entry of P."""
     return f"p.{entry(a, b)}"
 
 
@@ -102,7 +97,7 @@ class CovariancePrinter:
         def pattern(a: State, b: State) -> str:
             old, square = of_p(a, b), of_p(source, source)
             ca, cb = targets.get(a), targets.get(b)
-            with_a, with_b = (f"p.{pair(self.states, source, s)}" for s in (b, a))
+            with_a, with_b = of_p(source, b), of_p(source, a)
             if ca and a is b:
                 return f"{old} + {ca} * (2.0 * {with_a} + {ca} * {square})"
             if ca and cb:
@@ -182,7 +177,7 @@ class CovariancePrinter:
             name,
             self.p,
             f"Covariance of every state with the {state.name.split('_')[0]}.",
-            lambda s: f"p.{pair(self.states, state, s)}",
+            lambda s: of_p(state, s),
         )
 
     def given_soc(self) -> list[str]:
@@ -218,7 +213,7 @@ class CovariancePrinter:
         text = "P H', the covariance of every state with the voltage."
         lines = self._function("column", f"{self.p}, {self.outputs}", self.vector, text)
         for s in self.states:
-            total = output_sum(self.states, lambda o, s=s: f"p.{pair(self.states, s, o)}")  # type: ignore[misc]
+            total = output_sum(self.states, lambda o, s=s: of_p(s, o))  # type: ignore[misc]
             lines.append(f"    {s.letter_name} = {total}")
         text = "H P H', the variance of the voltage that the state explains [V^2]."
         return [
