@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cellwise.errors import InputError
+from cellwise.files import made_folder
 from cellwise.logs import CellLog, read_log
 
 CATALOGUE = "catalogue.toml"
@@ -97,12 +98,7 @@ def generate_datasets(
             "the extra that generates data",
             "Install it with: pip install 'cellwise[generate]'.",
         ) from error
-    try:
-        out_dir.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"'{out_dir}', which cannot be made ({error.strerror})", "a folder", "Choose another."
-        ) from error
+    made_folder(out_dir)
     folder = str(datasets_folder())
     if folder not in sys.path:
         sys.path.insert(0, folder)

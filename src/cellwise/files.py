@@ -10,6 +10,25 @@ from pathlib import Path
 from cellwise.errors import InputError
 
 
+def made_folder(path: str | Path, content: str = "") -> Path:
+    """Make a folder where there is none, parents too; ``content`` is what it is for.
+
+    Raises
+    ------
+    InputError        it cannot be made
+    """
+    place = Path(path)
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"'{path}', which cannot be made ({error.strerror})",
+            f"a folder for {content}" if content else "a folder",
+            "Choose another place.",
+        ) from error
+    return place
+
+
 def write_atomically(path: str | Path, content: str | bytes | Callable[[Path], object]) -> Path:
     """Write a file so that it appears whole or not at all.
 

@@ -75,7 +75,11 @@ def only(folder, *names):
     return {p.name for p in folder.iterdir()} == set(names)
 
 
-@pytest.mark.parametrize("keep", [0.0, 0.001, 0.2, 0.6, 0.95])
+# An empty file and a cut near the end are quick tests.
+DEEP_CUTS = [pytest.param(share, marks=pytest.mark.slow) for share in (0.001, 0.2, 0.6)]
+
+
+@pytest.mark.parametrize("keep", [0.0, *DEEP_CUTS, 0.95])
 @pytest.mark.parametrize("name", WRITERS)
 def test_a_file_that_was_cut_off(name, keep, files, refused, tmp_path):
     if name in SHORTER and keep > 0.1:

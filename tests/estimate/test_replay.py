@@ -170,7 +170,13 @@ class TestReference:
         with pytest.raises(InputError, match="capacity"):
             reference_soc(drive(), 0.75, capacity)
 
-    @pytest.mark.parametrize("estimator", ESTIMATORS)
+    @pytest.mark.parametrize(
+        "estimator",
+        [
+            pytest.param(name, marks=[pytest.mark.slow] if name == "filterpy-ukf" else [])
+            for name in ESTIMATORS
+        ],
+    )
     def test_neither_the_seen_current_nor_the_models_capacity_touch_it(self, estimator):
         log = drive(60)
         known = {"soc0": 0.7, "reference_soc0": 0.8, "reference_capacity_Ah": 3.0}

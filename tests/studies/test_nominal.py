@@ -38,6 +38,7 @@ def lfp_study(quick, lfp_cell):
     return quick(lfp_cell, *names)
 
 
+@pytest.mark.slow
 class TestLfp:
     """A cell that gives 19 % more than it is rated for, as the paper's did."""
 

@@ -60,7 +60,8 @@ ADAPTIVE = (*CELL, OFFSET, CHARGE)
 
 
 def entry(a: State, b: State) -> str:
-    """Name of an entry of P, upper triangle: ``ss``, ``s1``, ``p12``."""
+    """Name of the entry of P of two states, whichever comes first: ``ss``, ``s1``, ``p12``."""
+    a, b = sorted((a, b), key=ADAPTIVE.index)
     return f"s{b.letter}" if a is SOC else f"p{a.letter}{b.letter}"
 
 

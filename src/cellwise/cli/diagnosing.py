@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from cellwise.cli.common import log_options, page_options, printing
 from cellwise.errors import InputError
+from cellwise.files import made_folder
 
 if TYPE_CHECKING:
     from cellwise.cell.model import CellModel
@@ -141,15 +142,7 @@ def _write(found: Diagnosis, arguments: argparse.Namespace) -> dict[str, Any]:
 def _write_logs(logs: tuple[CellLog, ...], sources: list[str], folder: str) -> list[str]:
     from cellwise.logs import write_log
 
-    place = Path(folder)
-    try:
-        place.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"'{place}', which cannot be a folder ({error.strerror})",
-            "a folder for the corrected logs",
-            "Choose another place.",
-        ) from error
+    place = made_folder(folder, "the corrected logs")
     names: list[str] = []
     for log, source in zip(logs, sources, strict=True):
         name = stem = _place(source).name.split(".")[0]

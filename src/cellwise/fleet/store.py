@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from cellwise.errors import InputError
-from cellwise.files import write_atomically
+from cellwise.files import made_folder, write_atomically
 from cellwise.logs.tables import read_rows, write_rows
 
 MANIFEST = "_fleet.json"
@@ -48,14 +48,7 @@ class ResultFolder:
 
     def begin(self) -> None:
         """Make the folder, if it is not there."""
-        try:
-            self.place.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(
-                f"'{self.place}', which cannot be made ({error.strerror})",
-                "a folder for the results",
-                "Choose another place.",
-            ) from None
+        made_folder(self.place, "the results")
         text = json.dumps(self._settings, indent=1, sort_keys=True)
         write_atomically(self.place / MANIFEST, text)
         self._next = 1 + max((int(p.stem[5:]) for p in self.parts()), default=-1)

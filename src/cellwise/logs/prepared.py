@@ -17,8 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from cellwise.errors import InputError
-from cellwise.files import write_atomically
+from cellwise.files import made_folder, write_atomically
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.reading import read_log
 
@@ -55,12 +54,7 @@ def read_prepared(path: Path, cache: str | Path = "", **options: Any) -> CellLog
         if found is not None:
             return found
     log = read_log(path, **options)
-    try:
-        place.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"'{cache}', which cannot be made ({error.strerror})", "a folder", "Choose another."
-        ) from None
+    made_folder(cache)
     write_atomically(place, lambda target: _store(log, target))
     return replace(log, step=None)
 

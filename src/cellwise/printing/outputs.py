@@ -30,7 +30,6 @@ def covariance_text() -> str:
             *p.coupled("leaned", SOC, {V1: "f1", V2: "f2", V3: "f3"}, LEAN),
             *p.soc_row_set(),
             *p.given_soc(),
-            *p.plus_outer(),
             *p.rejudged(CELL),
         ],
     )

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from cellwise.studies.capacity_study import VOLTAGE, CellStudy, ChoiceResult, Winner
 from cellwise.studies.capacity_study_cells import published_orders
 from cellwise.studies.published import LFP_CELL, LFP_ERRORS, NCA_CELL, NCA_RESIDUALS
@@ -145,15 +143,3 @@ def _itself(study: CellStudy, best: ChoiceResult) -> str:
 
 def _result(study: CellStudy, choice: str) -> ChoiceResult:
     return next(c for c in study.choices if c.choice == choice)
-
-
-def study_lines(studies: Sequence[CellStudy]) -> list[str]:
-    """Every study's verdicts and both papers' orders, as plain lines."""
-    lines: list[str] = []
-    for study in studies:
-        lines.append(
-            f"{study.name}: reference {study.reference_Ah:g} Ah ({study.reference}); "
-            f"judged on {', '.join(study.logs)}"
-        )
-        lines += [f"  {line}" for line in verdicts(study)]
-    return [*lines, *papers_beside()]

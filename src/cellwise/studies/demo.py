@@ -11,8 +11,8 @@ from cellwise.cell.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model_file import write_model
 from cellwise.cell.simulate import Simulation, simulate
 from cellwise.data import list_datasets, load_dataset
-from cellwise.errors import InputError
 from cellwise.estimate.replay import Replay, replay
+from cellwise.files import made_folder
 from cellwise.identify import Identification, IdentifySettings, TestLogs, identify_cell
 
 if TYPE_CHECKING:
@@ -60,12 +60,7 @@ def run_demo(
     from cellwise.report import demo_page
 
     say = progress or (lambda _: None)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"'{folder}', which cannot be made ({error.strerror})", "a folder", "Choose another."
-        ) from error
+    made_folder(folder)
     say("reading")
     tests = TestLogs(
         hppc=((load_dataset("nmc_hppc"), None),),

@@ -10,17 +10,13 @@ import numpy as np
 
 from cellwise.cell.compiled import announce
 from cellwise.cell.model import CellModel
-from cellwise.errors import InputError
 from cellwise.estimate.adaptive import step_kernels as kernel
 from cellwise.estimate.adaptive.mixture_kernels import soc_deviation
 from cellwise.estimate.adaptive.settings import AdaptiveSettings
 from cellwise.estimate.adaptive.state_kernels import AdaptiveState, adaptive_start
 from cellwise.estimate.adaptive.trace import AdaptiveTrace
-from cellwise.estimate.filters.ekf import Ekf
-from cellwise.estimate.filters.filter_state import EkfStart
-from cellwise.estimate.filters.kalman import log_arrays
+from cellwise.estimate.filters.kalman import FilterOfModel, log_arrays, reading_from
 from cellwise.estimate.noise import Noise
-from cellwise.estimate.sensing_kernels import Reading
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
@@ -55,7 +51,7 @@ class AdaptiveInfo(NamedTuple):
     held_charge: int
 
 
-class Adaptive:
+class Adaptive(FilterOfModel):
     """Kalman filter over SOC, branch voltages, hysteresis, sensor offset, capacity, resistances.
 
     Parameters
@@ -79,28 +75,16 @@ class Adaptive:
         noise: Noise | None = None,
         settings: AdaptiveSettings | None = None,
     ) -> None:
-        self.model = model
-        self.noise = Noise.of_model(model) if noise is None else noise
+        super().__init__(model, noise)
         self.settings = AdaptiveSettings() if settings is None else settings
-        self._tables = model.parameters()
         # Errors along the SOC axis last for minutes, whatever a short log has shown.
         slow_s = max(self.noise.slow_s, self.settings.memory_s)
         self._noise = replace(self.noise, slow_s=slow_s).scalars()
         self._rules = self.settings.scalars(model.capacity_Ah)
-        self._ekf = Ekf(model, self.noise)
         self._unknown = self.start(0.5, 0.3)  # for a state that is no longer finite: know nothing
 
-    def start(self, soc0: float, soc0_std: float = 0.15) -> EkfStart:
-        """Start of a cell at rest at ``soc0``, known to ``soc0_std``; as the EKF's.
-
-        Raises
-        ------
-        InputError        soc0 outside 0..1, soc0_std not above zero
-        """
-        return self._ekf.start(soc0, soc0_std)
-
     def init(self, soc0: float, soc0_std: float = 0.15, current_A: float = 0.0) -> AdaptiveState:
-        """State at ``soc0`` that is known to ``soc0_std``; see :meth:`Ekf.init`."""
+        """State at ``soc0`` that is known to ``soc0_std``; as :meth:`KalmanFilter.init`."""
         return adaptive_start(self.start(soc0, soc0_std), self._rules, float(current_A))
 
     def step(
@@ -119,15 +103,7 @@ class Adaptive:
         ------
         InputError        dt_s negative or not finite
         """
-        if not (np.isfinite(dt_s) and dt_s >= 0):
-            raise InputError(f"dt_s = {dt_s}", "seconds, at least 0", "Pass the interval's length.")
-        reading = Reading(
-            float(current_A),
-            float(voltage_V),
-            math.nan if temperature_C is None else float(temperature_C),
-            float(dt_s),
-            bool(gap),
-        )
+        reading = reading_from(current_A, voltage_V, temperature_C, dt_s, gap)
         announce(kernel.adaptive_step, f"the {self.name} step")
         after, step, mixed = kernel.adaptive_step(
             self._tables, self._noise, self._rules, self._unknown, state, reading

@@ -14,7 +14,7 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.cell.simulate import known_temperature_C
 from cellwise.estimate.evidence_kernels import repeated_evidence, voltage_variance
-from cellwise.estimate.filters.ekf import Ekf
+from cellwise.estimate.filters.kalman import FilterOfModel
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.recovery_kernels import start_branch
 from cellwise.estimate.sensing_kernels import REST_RATE
@@ -40,16 +40,12 @@ class HasMoments(Protocol):
     P: Any
 
 
-class FilterpyFilter:
+class FilterpyFilter(FilterOfModel):
     """A filterpy filter over [soc, v1, v2, v3, h]; predict and update are the subclass's."""
 
-    name = ""
-
     def __init__(self, model: CellModel, noise: Noise | None = None) -> None:
-        self.model = model
-        self.noise = Noise.of_model(model) if noise is None else noise
-        self.tables = model.parameters()
-        self.cell = self.tables.cell
+        super().__init__(model, noise)
+        self.cell = self._tables.cell
 
     def init(self, soc0: float, soc0_std: float = 0.15) -> Any:
         """A filterpy filter with the start state and covariance of :class:`Ekf`."""
@@ -111,9 +107,9 @@ class FilterpyFilter:
         status = np.zeros(n, dtype=np.int32)
         return Trace(log.time_s, soc, std, predicted, innovation, variance, ratio, status)
 
-    def start(self, kf: HasMoments, soc0: float, soc0_std: float) -> None:
+    def begin(self, kf: HasMoments, soc0: float, soc0_std: float) -> None:
         """The start of :class:`Ekf`, its branches still empty."""
-        start = Ekf(self.model, self.noise).start(soc0, soc0_std)
+        start = self.start(soc0, soc0_std)
         kf.x = np.array([soc0, 0.0, 0.0, 0.0, 1.0 if soc0 > 0.5 else -1.0])
         kf.P = np.diag([start.variance, 0.0, 0.0, 0.0, start.hysteresis_variance])
 
@@ -124,12 +120,12 @@ class FilterpyFilter:
 
     def point(self, soc: float, current_A: float, warm_C: float) -> CellPoint:
         """The tables at one SOC, under load."""
-        return loaded(self.tables, soc, warm_C, current_A)
+        return loaded(self._tables, soc, warm_C, current_A)
 
     def transition(self, x: FloatArray, now: Interval, heat_K: float) -> CellState:
         """The model's own step of a whole state."""
         before = CellState._make((*(float(v) for v in x), heat_K))
-        after, _ = advance(self.tables, before, now.flow_A, now.dt_s, now.temperature_C)
+        after, _ = advance(self._tables, before, now.flow_A, now.dt_s, now.temperature_C)
         return after
 
     def process(self, soc: float, now: Interval, warm_C: float) -> tuple[FloatArray, FloatArray]:

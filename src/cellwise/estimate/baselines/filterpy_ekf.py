@@ -20,7 +20,7 @@ class FilterpyEkf(FilterpyFilter):
     def init(self, soc0: float, soc0_std: float = 0.15) -> ExtendedKalmanFilter:
         """A filterpy filter with the start state and covariance of :class:`Ekf`."""
         ekf = ExtendedKalmanFilter(dim_x=5, dim_z=1)
-        self.start(ekf, soc0, soc0_std)
+        self.begin(ekf, soc0, soc0_std)
         return ekf
 
     def predict(self, kf: ExtendedKalmanFilter, now: Interval, heat_K: float) -> float:

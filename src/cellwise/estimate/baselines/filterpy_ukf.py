@@ -34,7 +34,7 @@ class FilterpyUkf(FilterpyFilter):
         ukf = UnscentedKalmanFilter(
             dim_x=STATES, dim_z=1, dt=1.0, hx=self._measured, fx=self._moved, points=points
         )
-        self.start(ukf, soc0, soc0_std)
+        self.begin(ukf, soc0, soc0_std)
         return ukf
 
     def _moved(self, x: FloatArray, dt: float, now: Interval, heat_K: float) -> FloatArray:

@@ -21,8 +21,8 @@ from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
 
-class KalmanFilter:
-    """A filter over SOC, branch voltages and hysteresis; its kernels are the subclass's.
+class FilterOfModel:
+    """A model, its noise, and where a state begins: what every Kalman filter here stands on.
 
     Parameters
     ----------
@@ -31,16 +31,12 @@ class KalmanFilter:
     """
 
     name = ""
-    step_kernel: ClassVar[Callable[..., tuple[EkfState, EkfInfo]]]
-    rows_kernel: ClassVar[Callable[..., EkfState]]
 
     def __init__(self, model: CellModel, noise: Noise | None = None) -> None:
         self.model = model
         self.noise = Noise.of_model(model) if noise is None else noise
         self._tables = model.parameters()
         self._default_C = model_temperature_C(model)
-        self._settings: tuple[Any, ...] = (self.noise.scalars(),)
-        self._unknown = self.start(0.5, 0.3)  # for a state that is no longer finite: know nothing
 
     def start(self, soc0: float, soc0_std: float = 0.15) -> EkfStart:
         """Start at ``soc0``, known to ``soc0_std``.
@@ -61,6 +57,18 @@ class KalmanFilter:
             hysteresis_variance=1.0 if np.any(table[..., M]) else 0.0,
             temperature_C=self._default_C,
         )
+
+
+class KalmanFilter(FilterOfModel):
+    """A filter over SOC, branch voltages and hysteresis; its kernels are the subclass's."""
+
+    step_kernel: ClassVar[Callable[..., tuple[EkfState, EkfInfo]]]
+    rows_kernel: ClassVar[Callable[..., EkfState]]
+
+    def __init__(self, model: CellModel, noise: Noise | None = None) -> None:
+        super().__init__(model, noise)
+        self._settings: tuple[Any, ...] = (self.noise.scalars(),)
+        self._unknown = self.start(0.5, 0.3)  # for a state that is no longer finite: know nothing
 
     def init(self, soc0: float, soc0_std: float = 0.15, current_A: float = 0.0) -> EkfState:
         """State at ``soc0`` that is known to ``soc0_std``; see :meth:`start`.
@@ -91,15 +99,7 @@ class KalmanFilter:
         ------
         InputError        dt_s negative or not finite
         """
-        if not (np.isfinite(dt_s) and dt_s >= 0):
-            raise InputError(f"dt_s = {dt_s}", "seconds, at least 0", "Pass the interval's length.")
-        reading = Reading(
-            float(current_A),
-            float(voltage_V),
-            np.nan if temperature_C is None else float(temperature_C),
-            float(dt_s),
-            bool(gap),
-        )
+        reading = reading_from(current_A, voltage_V, temperature_C, dt_s, gap)
         announce(type(self).step_kernel, f"the {self.name} step")
         return type(self).step_kernel(self._tables, *self._settings, self._unknown, state, reading)
 
@@ -127,6 +127,21 @@ class KalmanFilter:
             test_ratio=out[layout.OUT_RATIO],
             status=status,
         )
+
+
+def reading_from(
+    current_A: float, voltage_V: float, temperature_C: float | None, dt_s: float, gap: bool
+) -> Reading:
+    """What an online step is given, as the kernels read it.
+
+    Raises
+    ------
+    InputError        dt_s negative or not finite
+    """
+    if not (np.isfinite(dt_s) and dt_s >= 0):
+        raise InputError(f"dt_s = {dt_s}", "seconds, at least 0", "Pass the interval's length.")
+    warm = np.nan if temperature_C is None else float(temperature_C)
+    return Reading(float(current_A), float(voltage_V), warm, float(dt_s), bool(gap))
 
 
 def log_arrays(log: CellLog) -> layout.LogArrays:

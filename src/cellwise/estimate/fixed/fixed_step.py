@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import check_soc0, known_temperature_C, model_temperature_C
 from cellwise.errors import InputError
+from cellwise.estimate.filters.filter_state import EkfInfo
 from cellwise.estimate.fixed.layout import INPUT, OUTPUT, state_type
 from cellwise.estimate.fixed.tables import FixedStepTables, fixed_step_tables
 from cellwise.estimate.noise import Noise
@@ -23,18 +24,6 @@ from cellwise.typing import IntArray
 
 EVEN = 0.02  # intervals that differ by less from the time step need no resampling
 MOST_VARIANCE = 1.0
-
-
-class FixedStepInfo(NamedTuple):
-    """What may be looked at after a step; fields as in :class:`EkfInfo`."""
-
-    soc: float
-    soc_std: float
-    voltage_V: float
-    innovation_V: float
-    innovation_variance_V2: float
-    test_ratio: float
-    status: int
 
 
 class Samples(NamedTuple):
@@ -116,7 +105,7 @@ class FixedStep:
         temperature_C: float | None = None,
         *,
         sequence: int,
-    ) -> FixedStepInfo:
+    ) -> EkfInfo:
         """Take the sample of one time step; the state is stepped in place.
 
         ``sequence`` counts time steps and wraps at 2**32: one that is skipped is a gap, one that
@@ -126,7 +115,7 @@ class FixedStep:
         warm = model_temperature_C(self.model) if temperature_C is None else temperature_C
         self._sample[0] = (current_A, voltage_V, warm, sequence % 2**32)
         out = stepper.rows(state, self._sample)[0]
-        return FixedStepInfo(
+        return EkfInfo(
             float(out["soc"]),
             float(np.sqrt(out["soc_variance"])),
             float(out["voltage_V"]),

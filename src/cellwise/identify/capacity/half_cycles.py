@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellwise.errors import InputError
+from cellwise.identify.hppc.phases import filled
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
@@ -90,7 +91,7 @@ def join_logs(logs: CellLog | Sequence[CellLog]) -> Trace:
         charge_Ah=np.concatenate(charge),
         current_A=np.concatenate(current),
         interval_s=np.concatenate(interval),
-        voltage_V=np.concatenate([_filled(part.voltage_V) for part in parts]),
+        voltage_V=np.concatenate([filled(part.voltage_V) for part in parts]),
         temperature_C=np.concatenate(
             [
                 np.full(len(part), np.nan) if part.temperature_C is None else part.temperature_C
@@ -228,11 +229,3 @@ def _turning_rows(charge: FloatArray, threshold: float) -> list[int]:
     if direction:
         turns.append(high if direction > 0 else low)
     return turns
-
-
-def _filled(voltage_V: FloatArray) -> FloatArray:
-    bad = np.isnan(voltage_V)
-    if not bad.any():
-        return voltage_V
-    rows = np.arange(voltage_V.size)
-    return np.interp(rows, rows[~bad], voltage_V[~bad])

@@ -63,11 +63,6 @@ class Phase:
         """Whether charge flows into the cell."""
         return self.kind != "rest" and self.current_A < 0.0
 
-    @property
-    def discharging(self) -> bool:
-        """Whether charge flows out of the cell."""
-        return self.kind != "rest" and self.current_A > 0.0
-
 
 class _Span(NamedTuple):
     kind: PhaseKind
@@ -112,7 +107,7 @@ def find_phases(log: CellLog, *, rest_current_A: float | None = None) -> tuple[P
     scale = current_scale(current)
     if rest_current_A is not None:
         scale = scale._replace(rest_A=rest_current_A, zero_A=0.0)
-    voltage = _filled(log.voltage_V)
+    voltage = filled(log.voltage_V)
     signals = _Signals(log.time_s, current, voltage, voltage_tolerance(log), scale)
     plateaus = without_ramps(find_plateaus(current, scale), log.time_s)
     plateaus = _with_spikes(plateaus, signals)
@@ -122,7 +117,7 @@ def find_phases(log: CellLog, *, rest_current_A: float | None = None) -> tuple[P
 
 def voltage_tolerance(log: CellLog) -> float:
     """Scatter within which a voltage counts as held [V]: noise and resolution of the log."""
-    v = _filled(log.voltage_V)
+    v = filled(log.voltage_V)
     n = v.size // 8 * 8
     noise = 0.0
     if n:
@@ -131,7 +126,8 @@ def voltage_tolerance(log: CellLog) -> float:
     return max(VOLTAGE_SIGMAS * noise, VOLTAGE_TOLERANCE * float(np.median(np.abs(v))))
 
 
-def _filled(voltage_V: FloatArray) -> FloatArray:
+def filled(voltage_V: FloatArray) -> FloatArray:
+    """Voltage with straight lines over what is missing, shape (rows,)."""
     bad = np.isnan(voltage_V)
     if not bad.any():
         return voltage_V

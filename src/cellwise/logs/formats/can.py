@@ -11,14 +11,13 @@ from typing import Any
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.files.columns import OWN, Channel
 from cellwise.logs.files.extras import need
 from cellwise.logs.files.format import Format, damaged, library_at_work
 from cellwise.logs.files.source import LogSource, RawLog
 from cellwise.logs.vehicle.alignment import Series, aligned
 from cellwise.logs.vehicle.can_bits import physical_values
 from cellwise.logs.vehicle.can_database import can_database
-from cellwise.logs.vehicle.signal_choice import Signal, choose_signals
+from cellwise.logs.vehicle.signal_choice import CHOSEN, Signal, choose_signals
 
 _BLF = b"LOGG"
 _CANDUMP = re.compile(r"\(\d+\.\d+\)\s+\S+\s+[0-9A-Fa-f]+#")
@@ -130,12 +129,7 @@ def _messages(source: LogSource) -> Iterator[Any]:
 CAN_LOG = Format(
     name="can-log",
     matches=lambda source: bool(_kind(source)),
-    channels=(
-        # Names differ by maker: `choose_signals` goes by unit and name.
-        Channel("time_s", {"time_s": OWN}, required=True),
-        Channel("current_A", {"current_A": OWN}, required=True),
-        Channel("voltage_V", {"voltage_V": OWN}, required=True),
-    ),
+    channels=CHOSEN,
     read=_read,
     sign="discharge-positive",
     uses_dbc=True,

@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.files.columns import OWN, Channel
 from cellwise.logs.files.extras import need
 from cellwise.logs.files.format import Format, library_at_work
 from cellwise.logs.files.source import LogSource, RawLog
 from cellwise.logs.vehicle.alignment import Series, aligned
-from cellwise.logs.vehicle.signal_choice import Signal, choose_signals
+from cellwise.logs.vehicle.signal_choice import CHOSEN, Signal, choose_signals
 
 _MAGIC = (b"MDF     ", b"UnFinMF ")
 _FRAMES = "CAN_DataFrame"
@@ -74,12 +73,7 @@ def _signals(file: Any) -> list[Signal]:
 ASAM_MDF = Format(
     name="asam-mdf",
     matches=lambda source: source.head.startswith(_MAGIC),
-    channels=(
-        # Names differ by maker: `choose_signals` goes by unit and name.
-        Channel("time_s", {"time_s": OWN}, required=True),
-        Channel("current_A", {"current_A": OWN}, required=True),
-        Channel("voltage_V", {"voltage_V": OWN}, required=True),
-    ),
+    channels=CHOSEN,
     read=_read,
     sign="discharge-positive",
     uses_dbc=True,

@@ -15,12 +15,17 @@ from cellwise.logs.files.columns import (
     MILLI,
     OWN,
     TIDY_CHANNELS,
+    Channel,
     Unit,
     folded,
     listed,
     no_such_name,
 )
 
+# What has been chosen has the tidy names and units.
+CHOSEN = tuple(
+    Channel(name, {name: OWN}, required=True) for name in ("time_s", "current_A", "voltage_V")
+)
 UNITS: Mapping[str, Mapping[str, Unit]] = {
     "current_A": {"a": OWN, "amp": OWN, "amps": OWN, "ampere": OWN, "ma": MILLI},
     "voltage_V": {"v": OWN, "volt": OWN, "volts": OWN, "mv": MILLI},

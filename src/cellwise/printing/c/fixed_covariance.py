@@ -17,7 +17,6 @@ ORDER = [
     "", "SLOW", "HYSTERESIS", "SLOW and HYSTERESIS", "OFFSET", "SLOW and OFFSET",
     "HYSTERESIS and OFFSET",
 ]  # fmt: skip
-COLUMN = {SOC: "s", V1: "v1", V2: "v2", V3: "v3", H: "h", OFFSET: "o"}  # fields of a Column
 OUTPUT = {SOC: "slope", H: "p.m_V", OFFSET: "p.r0_ohm"}  # a branch's is -1
 
 Line = tuple[tuple[State, ...], str]  # the states that it needs, what it says
@@ -25,7 +24,7 @@ Line = tuple[tuple[State, ...], str]  # the states that it needs, what it says
 
 def e(a: State, b: State) -> str:
     """The entry of P of two states."""
-    return "x." + (entry(a, b) if FIXED.index(a) <= FIXED.index(b) else entry(b, a))
+    return f"x.{entry(a, b)}"
 
 
 def lines(*found: Line) -> str:
@@ -151,7 +150,8 @@ def column_of() -> str:
     """P H' by its states, then H P H'; what is always there first, the slow branch after it."""
     first: list[Line] = []
     terms: list[Line] = []
-    for s, d in COLUMN.items():
+    for s in FIXED:
+        d = s.letter_name
         fast = f"{e(s, V1)} + {e(s, V2)}"
         base = f"(slope * {e(SOC, s)}) - ({f'({fast}) + {e(s, V3)}' if s is V3 else fast})"
         option = _option(((s,), ""))
@@ -162,14 +162,15 @@ def column_of() -> str:
             terms.append(((s, t), f"{d} = {d} {term}"))
     last: list[Line] = [((), "variance = (slope * s) - (v1 + v2)")]
     last += [((V3,), "variance = variance - v3")]
-    last += [((s,), f"variance = variance + ({OUTPUT[s]} * {COLUMN[s]})") for s in OTHERS]
+    last += [((s,), f"variance = variance + ({OUTPUT[s]} * {s.letter_name})") for s in OTHERS]
     return lines(*first, *by_option(terms), *last)
 
 
 def move() -> str:
     """State + K innovation."""
     found: list[Line] = []
-    for s, d in COLUMN.items():
+    for s in FIXED:
+        d = s.letter_name
         v, step = f"x.{s.name}", f"(d.{d} * inverse) * innovation"
         said = f"{v} = {v} + ({step})"
         if s in (SOC, V3):
@@ -188,9 +189,9 @@ def narrow() -> str:
     """P - K d', row by row."""
     found: list[Line] = []
     for a, b in PAIRS:
-        both, less = e(a, b), f"(k * d.{COLUMN[b]})"
+        both, less = e(a, b), f"(k * d.{b.letter_name})"
         if a is b:
-            found.append(((a,), f"k = d.{COLUMN[a]} * inverse"))
+            found.append(((a,), f"k = d.{a.letter_name} * inverse"))
         if b is SOC:
             found.append(((), f"add_variance(x, -{less})"))
             found.append(((), f"x.ss = {FLOOR}"))
@@ -204,7 +205,8 @@ def narrow() -> str:
 def rejudge() -> str:
     """Joseph's form for a gain that was that of another slope, entry by entry."""
     found: list[Line] = []
-    for s, d in COLUMN.items():
+    for s in FIXED:
+        d = s.letter_name
         found.append(((s,), f"k{s.letter} = d.{d} * inverse"))
         found.append(((s,), f"c{s.letter} = less * {e(SOC, s)}"))
     for a, b in PAIRS:

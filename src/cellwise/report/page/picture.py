@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.files import write_atomically
+from cellwise.files import made_folder, write_atomically
 from cellwise.report.page.markup import Markup, escape
 from cellwise.report.page.style import GRID, INK, MUTED, PAPER, RASTER_DPI, drawing
 from cellwise.report.page.zooming import axes_attribute, marked, marked_axes, rounded
@@ -90,15 +90,7 @@ def save_figures(
     ------
     InputError        the folder cannot be made or written to
     """
-    place = Path(folder)
-    try:
-        place.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"'{place}', which cannot be a folder ({error.strerror})",
-            "a folder for the pictures",
-            "Choose another place.",
-        ) from error
+    place = made_folder(folder, "the pictures")
     kinds = tuple(suffixes)
     return tuple(
         save_figure(p.figure, place / f"{p.key}{kind}") for p in pictures for kind in kinds
