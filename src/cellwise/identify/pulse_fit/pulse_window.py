@@ -9,7 +9,13 @@ from numpy.typing import NDArray
 
 from cellwise.errors import InputError
 from cellwise.identify.hppc.pulses import Pulse
-from cellwise.identify.pulse_fit.pulse_data import MINIMUM_ROWS, PulseData, check_channel
+from cellwise.identify.pulse_fit.pulse_data import (
+    LEAST_SETTLED_ROWS,
+    MINIMUM_ROWS,
+    PulseData,
+    check_channel,
+    row_weights,
+)
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
@@ -171,10 +177,15 @@ def cut_pulses(
 
 
 def has_enough_rows(log: CellLog, pulse: Pulse) -> bool:
-    """Whether `cut_pulse` would find the rows that a fit needs; else it refuses the pulse."""
+    """Whether a fit finds the rows that it needs in the window that `cut_pulse` would cut."""
     rows = slice(pulse.rest_before_start, max(pulse.relax_stop, pulse.stop))
-    within = log.time_s[rows] >= log.time_s[max(pulse.start - 1, 0)] - REST_SHOWN_S
-    return bool(np.count_nonzero(within & np.isfinite(log.voltage_V[rows])) >= MINIMUM_ROWS)
+    if np.count_nonzero(np.isfinite(log.voltage_V[rows])) < MINIMUM_ROWS:
+        return False
+    try:
+        data = cut_pulse(log, pulse.start, pulse.stop, 1.0)
+    except InputError:
+        return False
+    return bool(np.count_nonzero(row_weights(data)) >= LEAST_SETTLED_ROWS)
 
 
 def _cut(
