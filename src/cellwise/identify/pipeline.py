@@ -17,7 +17,12 @@ from cellwise.cell.simulate import Simulation, simulate
 from cellwise.errors import InputError
 from cellwise.identify.assemble import GRID_POINTS, plain_model, table_summary
 from cellwise.identify.capacity.capacity_choice import capacity_choices, choose_capacity
-from cellwise.identify.capacity.capacity_test import CapacityTest, hppc_total_Ah, measure_capacities
+from cellwise.identify.capacity.capacity_test import (
+    CapacityTest,
+    hppc_reaches_empty,
+    hppc_total_Ah,
+    measure_capacities,
+)
 from cellwise.identify.capacity.current_offset import without_current_offset
 from cellwise.identify.hppc.pulses import Pulse, find_pulses, pulses_to_fit
 from cellwise.identify.identification import (
@@ -44,6 +49,7 @@ REFERENCE_C = 25.0
 SAME_TEMPERATURE_C = 3.0
 FAR_FROM_NOMINAL = 2.5  # an aged cell keeps a third, a wrong unit is a thousand
 LARGEST_PULSE = 1.0 / 3.0  # of the capacity: a discharge beyond it has no parameters of one SOC
+NEARLY_WHOLE = 0.97  # of nominal: an HPPC test that does not end empty and yet is the whole cell
 WHOLE_CELL = 0.7  # of nominal: an HPPC test that moved less went through a part of the SOC range
 
 
@@ -220,8 +226,20 @@ def _capacity(
 
 def _hppc_total_Ah(tests: TestLogs, nominal_Ah: float | None, notices: list[str]) -> float | None:
     """Charge of the HPPC log that moved most; None where it cannot have been the whole cell."""
-    total = max((hppc_total_Ah(log) for log, _ in tests.hppc), default=None)
-    if total is None or nominal_Ah is None or total >= WHOLE_CELL * nominal_Ah:
+    logs = [log for log, _ in tests.hppc]
+    most = max(logs, key=hppc_total_Ah, default=None)
+    if most is None:
+        return None
+    total = hppc_total_Ah(most)
+    whole = hppc_reaches_empty(most)
+    if nominal_Ah is None:
+        if not whole:
+            notices.append(
+                f"'{most.name}' does not end empty: its {total:.3f} Ah are taken for the capacity, "
+                "for want of a nominal one"
+            )
+        return total
+    if total >= (WHOLE_CELL if whole else NEARLY_WHOLE) * nominal_Ah:
         return total
     notices.append(
         f"the HPPC test moved {total:.3f} Ah, {100 * total / nominal_Ah:.0f} % of nominal: "
@@ -245,7 +263,9 @@ def _ocv(tests: TestLogs, capacity: float, notices: list[str]) -> OcvCurve:
     )
     for log, _ in order[:1]:
         try:
-            rests = ocv_from_rests(log, capacity_Ah=capacity, extrapolate=True)
+            rests = ocv_from_rests(
+                log, capacity_Ah=capacity, anchor="auto", soc_start=log.soc0, extrapolate=True
+            )
         except InputError as error:
             notices.append(f"no OCV from the rests of '{log.name}': {error}")
     if low_rate is not None and rests is not None and rests.points_soc.size >= 4:
