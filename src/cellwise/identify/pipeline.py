@@ -369,7 +369,9 @@ def _pulse_set(
     )
     if not chosen:
         return PulseSet(log, anchor, pulses, (), ())
-    fits = fit_pulses(cut_pulses(log, chosen, capacity, soc), settings.method)
+    fits = fit_pulses(
+        cut_pulses(log, chosen, capacity, soc, step_ocv=ocv.function.evaluate), settings.method
+    )
     return PulseSet(log, anchor, pulses, chosen, tuple(fits))
 
 

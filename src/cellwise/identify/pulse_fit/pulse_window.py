@@ -24,6 +24,10 @@ REST_SHOWN_ROWS = 3  # at least
 QUIET_PART = 0.02  # less than this part of the pulse's current is no current
 PARTLY_ROWS = 2  # rows on either side whose interval holds the switch: a mean of both currents
 CHUNK = 4096
+# Of a long step the first minutes are a pulse: over hours two branches go to what is slow, and R0
+# takes in all that is fast. What is slow is for the refinement on the whole log.
+STEP_SHOWN_S = 300.0
+STEP_SHOWN_ROWS = 25
 
 OcvTable = Callable[[FloatArray], FloatArray]
 
@@ -137,10 +141,11 @@ def cut_pulses(
     soc: FloatArray | None = None,
     *,
     ocv: OcvTable | None = None,
+    step_ocv: OcvTable | None = None,
     rest_shown_s: float = REST_SHOWN_S,
     relaxation_s: float = float("inf"),
 ) -> list[PulseData]:
-    """Cut all pulses that `find_pulses` found out of their log.
+    """Cut all pulses that `find_pulses` found out of their log; of a move, its first minutes.
 
     Parameters
     ----------
@@ -168,12 +173,22 @@ def cut_pulses(
     gaps = log.gap_rows
     return [
         _cut(
-            channels, gaps, p.start, p.stop, capacity_Ah,
+            channels, gaps, p.start, fitted_stop(log, p), capacity_Ah,
             float("nan") if soc is None else float(soc[max(p.start - 1, 0)]),
-            ocv, rest_shown_s, relaxation_s, f"{log.name} at {log.time_s[p.start]:.0f} s",
+            step_ocv if p.role == "move" and ocv is None else ocv,
+            rest_shown_s, relaxation_s, f"{log.name} at {log.time_s[p.start]:.0f} s",
         )
         for p in pulses
     ]  # fmt: skip
+
+
+def fitted_stop(log: CellLog, pulse: Pulse) -> int:
+    """Row after the last one that a fit sees as the pulse: of a long move, some minutes."""
+    if pulse.role != "move":
+        return pulse.stop
+    begin = float(log.time_s[max(pulse.start - 1, 0)])
+    shown = int(np.searchsorted(log.time_s, begin + STEP_SHOWN_S, "right"))
+    return min(max(shown, pulse.start + STEP_SHOWN_ROWS), pulse.stop)
 
 
 def has_enough_rows(log: CellLog, pulse: Pulse) -> bool:
@@ -182,7 +197,7 @@ def has_enough_rows(log: CellLog, pulse: Pulse) -> bool:
     if np.count_nonzero(np.isfinite(log.voltage_V[rows])) < MINIMUM_ROWS:
         return False
     try:
-        data = cut_pulse(log, pulse.start, pulse.stop, 1.0)
+        data = cut_pulse(log, pulse.start, fitted_stop(log, pulse), 1.0)
     except InputError:
         return False
     return bool(np.count_nonzero(row_weights(data)) >= LEAST_SETTLED_ROWS)
