@@ -25,6 +25,7 @@ from cellwise.identify.capacity.capacity_test import (
 )
 from cellwise.identify.capacity.current_offset import without_current_offset
 from cellwise.identify.hppc.pulses import Pulse, find_pulses, pulses_to_fit
+from cellwise.identify.hppc.switch_current import with_switch_current
 from cellwise.identify.identification import (
     Identification,
     IdentifySettings,
@@ -35,6 +36,7 @@ from cellwise.identify.identification import (
 from cellwise.identify.ocv.curve import OcvCurve, combine_ocv, curve_from_points
 from cellwise.identify.ocv.ocv_lowrate import ocv_from_low_rate
 from cellwise.identify.ocv.ocv_rests import ocv_from_rests
+from cellwise.identify.ocv.sample_check import sample_notice
 from cellwise.identify.pulse_fit.fit_pulse import fit_pulses
 from cellwise.identify.pulse_fit.pulse_window import cut_pulses, has_enough_rows
 from cellwise.identify.refinement.refine_stage import Group, Refined, refine_cell
@@ -269,6 +271,8 @@ def _ocv(tests: TestLogs, capacity: float, notices: list[str]) -> OcvCurve:
         except InputError as error:
             notices.append(f"no OCV from the rests of '{log.name}': {error}")
     if low_rate is not None and rests is not None and rests.points_soc.size >= 4:
+        unlike = sample_notice(rests, low_rate, capacity)
+        notices.extend([] if unlike is None else [unlike])
         both = combine_ocv(rests, low_rate)
         notices.extend(both.notes[len(low_rate.notes) + len(rests.notes) + 1 :])
         return both
@@ -358,6 +362,7 @@ def _pulse_set(
     log: CellLog, ocv: OcvCurve, capacity: float, settings: IdentifySettings
 ) -> PulseSet:
     pulses = find_pulses(log)
+    switched = with_switch_current(log)
     anchor = anchor_soc(log, ocv, capacity, 0.0)
     soc = anchor.soc - log.counted_charge_Ah() / capacity
     chosen = tuple(
@@ -365,12 +370,12 @@ def _pulse_set(
         for p in pulses_to_fit(pulses)
         if -0.02 <= soc[p.start] <= 1.02
         and abs(p.charge_Ah) <= LARGEST_PULSE * capacity
-        and has_enough_rows(log, p)
+        and has_enough_rows(switched, p)
     )
     if not chosen:
         return PulseSet(log, anchor, pulses, (), ())
     fits = fit_pulses(
-        cut_pulses(log, chosen, capacity, soc, step_ocv=ocv.function.evaluate), settings.method
+        cut_pulses(switched, chosen, capacity, soc, step_ocv=ocv.function.evaluate), settings.method
     )
     return PulseSet(log, anchor, pulses, chosen, tuple(fits))
 
