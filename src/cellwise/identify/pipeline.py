@@ -17,13 +17,9 @@ from cellwise.cell.simulate import Simulation, simulate
 from cellwise.errors import InputError
 from cellwise.identify.assemble import GRID_POINTS, plain_model, table_summary
 from cellwise.identify.capacity.capacity_choice import capacity_choices, choose_capacity
-from cellwise.identify.capacity.capacity_test import (
-    CapacityTest,
-    hppc_reaches_empty,
-    hppc_total_Ah,
-    measure_capacities,
-)
+from cellwise.identify.capacity.capacity_test import CapacityTest, measure_capacities
 from cellwise.identify.capacity.current_offset import without_current_offset
+from cellwise.identify.capacity.hppc_capacity import whole_hppc_Ah
 from cellwise.identify.hppc.pulses import Pulse, find_pulses, pulses_to_fit
 from cellwise.identify.hppc.switch_current import with_switch_current
 from cellwise.identify.identification import (
@@ -38,7 +34,11 @@ from cellwise.identify.ocv.ocv_lowrate import ocv_from_low_rate
 from cellwise.identify.ocv.ocv_rests import ocv_from_rests
 from cellwise.identify.ocv.sample_check import sample_notice
 from cellwise.identify.pulse_fit.fit_pulse import fit_pulses
-from cellwise.identify.pulse_fit.pulse_window import cut_pulses, has_enough_rows
+from cellwise.identify.pulse_fit.pulse_window import (
+    cut_pulses,
+    has_enough_rows,
+    slow_rows_notice,
+)
 from cellwise.identify.refinement.refine_stage import Group, Refined, refine_cell
 from cellwise.identify.soc_anchor import anchor_soc
 from cellwise.identify.stack import stack_models
@@ -51,8 +51,6 @@ REFERENCE_C = 25.0
 SAME_TEMPERATURE_C = 3.0
 FAR_FROM_NOMINAL = 2.5  # an aged cell keeps a third, a wrong unit is a thousand
 LARGEST_PULSE = 1.0 / 3.0  # of the capacity: a discharge beyond it has no parameters of one SOC
-NEARLY_WHOLE = 0.97  # of nominal: an HPPC test that does not end empty and yet is the whole cell
-WHOLE_CELL = 0.7  # of nominal: an HPPC test that moved less went through a part of the SOC range
 
 
 def identify_cell(
@@ -92,6 +90,8 @@ def identify_cell(
         _group(temperature, part, ocv, capacity, settings)
         for temperature, part in _by_temperature(tests, settings).items()
     ]
+    slow_rows = (slow_rows_notice(p.log, p.fitted) for g in groups for p in g.pulse_sets)
+    notices.extend(notice for notice in slow_rows if notice)
     refined = None
     if settings.refine:
         say("refinement")
@@ -202,7 +202,7 @@ def _capacity(
             if settings.nominal_Ah is None and not tests.hppc:
                 raise
             notices.append(f"no capacity test found: {error}")
-    total = _hppc_total_Ah(tests, settings.nominal_Ah, notices)
+    total = whole_hppc_Ah([log for log, _ in tests.hppc], settings.nominal_Ah, notices)
     usable: tuple[CapacityTest, ...] = measured
     if measured and not any(t.complete for t in measured):
         notices.append("no capacity test reached the lower limit: none is used")
@@ -224,30 +224,6 @@ def _capacity(
             "Check the unit of the current (mA for A?) and --nominal-ah, or leave that out.",
         )
     return choices, choice, capacity, measured
-
-
-def _hppc_total_Ah(tests: TestLogs, nominal_Ah: float | None, notices: list[str]) -> float | None:
-    """Charge of the HPPC log that moved most; None where it cannot have been the whole cell."""
-    logs = [log for log, _ in tests.hppc]
-    most = max(logs, key=hppc_total_Ah, default=None)
-    if most is None:
-        return None
-    total = hppc_total_Ah(most)
-    whole = hppc_reaches_empty(most)
-    if nominal_Ah is None:
-        if not whole:
-            notices.append(
-                f"'{most.name}' does not end empty: its {total:.3f} Ah are taken for the capacity, "
-                "for want of a nominal one"
-            )
-        return total
-    if total >= (WHOLE_CELL if whole else NEARLY_WHOLE) * nominal_Ah:
-        return total
-    notices.append(
-        f"the HPPC test moved {total:.3f} Ah, {100 * total / nominal_Ah:.0f} % of nominal: "
-        "it did not go from full to empty and is no capacity"
-    )
-    return None
 
 
 def _ocv(tests: TestLogs, capacity: float, notices: list[str]) -> OcvCurve:
@@ -272,9 +248,9 @@ def _ocv(tests: TestLogs, capacity: float, notices: list[str]) -> OcvCurve:
             notices.append(f"no OCV from the rests of '{log.name}': {error}")
     if low_rate is not None and rests is not None and rests.points_soc.size >= 4:
         unlike = sample_notice(rests, low_rate, capacity)
-        notices.extend([] if unlike is None else [unlike])
         both = combine_ocv(rests, low_rate)
-        notices.extend(both.notes[len(low_rate.notes) + len(rests.notes) + 1 :])
+        apart = both.notes[len(low_rate.notes) + len(rests.notes) + 1 :]
+        notices.extend(apart if unlike is None else [unlike])
         return both
     if low_rate is not None:
         return low_rate

@@ -22,7 +22,6 @@ from cellwise.identify.capacity.half_cycles import (
     looks_like_end,
     settled_end,
 )
-from cellwise.identify.hppc.phases import Phase, find_phases
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
@@ -43,8 +42,6 @@ MUCH_MORE = 1.15
 COOLING_C = 5.0
 # A log that brings back so many times what it takes climbs.
 CLIMBS = 2.0
-# At the lower limit the voltage falls this much faster than in the middle, in every chemistry.
-STEEP_END = 4.0
 # More out than in: the charge was cut short, or the counters differ. Either way no efficiency.
 MAX_EFFICIENCY = 1.02
 
@@ -216,30 +213,6 @@ def hppc_total_Ah(log: CellLog | Sequence[CellLog]) -> float:
     down = float(np.max(charge - np.minimum.accumulate(charge)))
     up = float(np.max(np.maximum.accumulate(charge) - charge))
     return up if up > CLIMBS * down else down
-
-
-def hppc_reaches_empty(log: CellLog) -> bool:
-    """Whether a pulse test ends as a cell does at its lower limit: bending down.
-
-    The slope at the end of the last discharge against that at the end of the usual ones.
-    """
-    steps = [p for p in find_phases(log) if p.kind == "cc" and p.discharging]
-    most = max((p.charge_Ah for p in steps), default=0.0)
-    ends = [_end_slope(log, p) for p in steps if p.charge_Ah >= 0.1 * most]
-    ends = [slope for slope in ends if np.isfinite(slope)]
-    return len(ends) > 1 and ends[-1] >= STEEP_END * float(np.median(ends))
-
-
-def _end_slope(log: CellLog, step: Phase) -> float:
-    """Fall of the voltage over the last third of a constant current's charge [V per Ah]."""
-    rows = slice(max(step.start - 1, 0), step.stop)
-    t, v = log.time_s[rows], log.voltage_V[rows]
-    known = np.isfinite(v)
-    late = t[-1] - 0.3 * (t[-1] - t[0])
-    if np.count_nonzero(known) < 2 or not t[-1] > t[0]:
-        return float("nan")
-    at, end = np.interp(np.array([late, t[-1]]), t[known], v[known])
-    return float((at - end) / (0.3 * step.charge_Ah))
 
 
 def _is_capacity_test(trace: Trace, half: HalfCycle) -> bool:

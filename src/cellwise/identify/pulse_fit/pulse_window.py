@@ -28,6 +28,7 @@ CHUNK = 4096
 # takes in all that is fast. What is slow is for the refinement on the whole log.
 STEP_SHOWN_S = 300.0
 STEP_SHOWN_ROWS = 25
+LATE_ROW_S = 2.5  # a drive changes its current every second or two
 
 OcvTable = Callable[[FloatArray], FloatArray]
 
@@ -189,6 +190,19 @@ def fitted_stop(log: CellLog, pulse: Pulse) -> int:
     begin = float(log.time_s[max(pulse.start - 1, 0)])
     shown = int(np.searchsorted(log.time_s, begin + STEP_SHOWN_S, "right"))
     return min(max(shown, pulse.start + STEP_SHOWN_ROWS), pulse.stop)
+
+
+def slow_rows_notice(log: CellLog, pulses: Sequence[Pulse]) -> str | None:
+    """What a person should know of a log whose first row after a switch comes late."""
+    if not pulses:
+        return None
+    first_s = float(np.median([log.interval_s[p.start] for p in pulses]))
+    if first_s <= LATE_ROW_S:
+        return None
+    return (
+        f"'{log.name}' has its first row {first_s:.3g} s after a switch: what its R0 says is the "
+        "resistance after that time; for a drive log pulses every second or faster"
+    )
 
 
 def has_enough_rows(log: CellLog, pulse: Pulse) -> bool:
