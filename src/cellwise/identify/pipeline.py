@@ -18,8 +18,9 @@ from cellwise.cell.simulate import Simulation, simulate
 from cellwise.errors import InputError
 from cellwise.identify.assemble import GRID_POINTS, plain_model, table_summary
 from cellwise.identify.capacity.capacity_choice import capacity_choices, choose_capacity
-from cellwise.identify.capacity.capacity_test import CapacityTest, hppc_total_Ah, measure_capacities
+from cellwise.identify.capacity.capacity_test import CapacityTest, measure_capacities
 from cellwise.identify.capacity.current_offset import without_current_offset
+from cellwise.identify.capacity.hppc_capacity import whole_hppc_Ah
 from cellwise.identify.contradictions import (
     capacity_notices,
     check_possible,
@@ -30,6 +31,7 @@ from cellwise.identify.contradictions import (
     rest_notices,
 )
 from cellwise.identify.hppc.pulses import Pulse, find_pulses, pulses_to_fit
+from cellwise.identify.hppc.switch_current import with_switch_current
 from cellwise.identify.identification import (
     REFERENCE_C,
     Identification,
@@ -42,8 +44,13 @@ from cellwise.identify.identification import (
 from cellwise.identify.ocv.curve import OcvCurve, combine_ocv, curve_from_points
 from cellwise.identify.ocv.ocv_lowrate import ocv_from_low_rate
 from cellwise.identify.ocv.ocv_rests import ocv_from_rests
+from cellwise.identify.ocv.sample_check import sample_notice
 from cellwise.identify.pulse_fit.fit_pulse import fit_pulses
-from cellwise.identify.pulse_fit.pulse_window import cut_pulses, has_enough_rows
+from cellwise.identify.pulse_fit.pulse_window import (
+    cut_pulses,
+    has_enough_rows,
+    slow_rows_notice,
+)
 from cellwise.identify.refinement.refine_stage import Group, Refined, refine_cell
 from cellwise.identify.soc_anchor import anchor_soc
 from cellwise.identify.stack import stack_models
@@ -55,7 +62,6 @@ Progress = Callable[[str], None]
 SAME_TEMPERATURE_C = 3.0
 FAR_FROM_NOMINAL = 2.5  # an aged cell keeps a third, a wrong unit is a thousand
 LARGEST_PULSE = 1.0 / 3.0  # of the capacity: a discharge beyond it has no parameters of one SOC
-WHOLE_CELL = 0.7  # of nominal: an HPPC test that moved less went through a part of the SOC range
 
 
 def identify_cell(
@@ -99,6 +105,8 @@ def identify_cell(
         _group(temperature, part, ocv, capacity, settings)
         for temperature, part in _by_temperature(tests, settings).items()
     ]
+    slow_rows = (slow_rows_notice(p.log, p.fitted) for g in groups for p in g.pulse_sets)
+    notices.extend(notice for notice in slow_rows if notice)
     refined = None
     if settings.refine:
         say("refinement")
@@ -215,7 +223,7 @@ def _capacity(
             if settings.nominal_Ah is None and not tests.hppc:
                 raise
             notices.append(f"no capacity test found: {error}")
-    total = _hppc_total_Ah(tests, settings.nominal_Ah, notices)
+    total = whole_hppc_Ah([log for log, _ in tests.hppc], settings.nominal_Ah, notices)
     usable: tuple[CapacityTest, ...] = measured
     if measured and not any(t.complete for t in measured):
         notices.append("no capacity test reached the lower limit: none is used")
@@ -239,18 +247,6 @@ def _capacity(
     return choices, choice, capacity, measured
 
 
-def _hppc_total_Ah(tests: TestLogs, nominal_Ah: float | None, notices: list[str]) -> float | None:
-    """Charge of the HPPC log that moved most; None where it cannot have been the whole cell."""
-    total = max((hppc_total_Ah(log) for log, _ in tests.hppc), default=None)
-    if total is None or nominal_Ah is None or total >= WHOLE_CELL * nominal_Ah:
-        return total
-    notices.append(
-        f"the HPPC test moved {total:.3f} Ah, {100 * total / nominal_Ah:.0f} % of nominal: "
-        "it did not go from full to empty and is no capacity"
-    )
-    return None
-
-
 def _ocv(tests: TestLogs, capacity: float, notices: list[str]) -> OcvCurve:
     """OCV from the low-rate logs, from the rests of the HPPC logs, or from both."""
     low_rate = None
@@ -266,12 +262,16 @@ def _ocv(tests: TestLogs, capacity: float, notices: list[str]) -> OcvCurve:
     )
     for log, _ in order[:1]:
         try:
-            rests = ocv_from_rests(log, capacity_Ah=capacity, extrapolate=True)
+            rests = ocv_from_rests(
+                log, capacity_Ah=capacity, anchor="auto", soc_start=log.soc0, extrapolate=True
+            )
         except InputError as error:
             notices.append(f"no OCV from the rests of '{log.name}': {error}")
     if low_rate is not None and rests is not None and rests.points_soc.size >= 4:
+        unlike = sample_notice(rests, low_rate, capacity)
         both = combine_ocv(rests, low_rate)
-        notices.extend(both.notes[len(low_rate.notes) + len(rests.notes) + 1 :])
+        apart = both.notes[len(low_rate.notes) + len(rests.notes) + 1 :]
+        notices.extend(apart if unlike is None else [unlike])
         return both
     if low_rate is not None:
         return low_rate
@@ -350,6 +350,7 @@ def _pulse_set(
     log: CellLog, ocv: OcvCurve, capacity: float, settings: IdentifySettings
 ) -> PulseSet:
     pulses = find_pulses(log)
+    switched = with_switch_current(log)
     anchor = anchor_soc(log, ocv, capacity, 0.0)
     soc = anchor.soc - log.counted_charge_Ah() / capacity
     chosen = tuple(
@@ -357,11 +358,13 @@ def _pulse_set(
         for p in pulses_to_fit(pulses)
         if -0.02 <= soc[p.start] <= 1.02
         and abs(p.charge_Ah) <= LARGEST_PULSE * capacity
-        and has_enough_rows(log, p)
+        and has_enough_rows(switched, p)
     )
     if not chosen:
         return PulseSet(log, anchor, pulses, (), ())
-    fits = fit_pulses(cut_pulses(log, chosen, capacity, soc), settings.method)
+    fits = fit_pulses(
+        cut_pulses(switched, chosen, capacity, soc, step_ocv=ocv.function.evaluate), settings.method
+    )
     return PulseSet(log, anchor, pulses, chosen, tuple(fits))
 
 

@@ -6,6 +6,7 @@ import pytest
 from cellwise.errors import InputError
 from cellwise.identify.ocv.ocv_rests import find_ocv_rests, ocv_from_rests
 from cellwise.logs import CellLog, read_log
+from rich_cell import Logger, gitt, rich_nmc, run
 
 CAPACITY_AH, R0, R1, TAU_S = 5.0, 0.02, 0.015, 400.0
 
@@ -204,3 +205,30 @@ def test_extrapolated_rest_cut_to_a_third_is_nearer_to_its_true_end(real_data, p
         ahead.append(cut.final_V - rest.voltage_V)
     assert len(last) >= 8
     assert np.sqrt(np.mean(np.square(ahead))) < 0.75 * np.sqrt(np.mean(np.square(last)))
+
+
+def climbing_log(seconds=3600.0):
+    cell = rich_nmc(3.0)
+    made = run(cell, gitt(cell, rest_s=seconds, charge=True), 0.0, Logger(1.0), seed=4)
+    return made, cell
+
+
+def test_a_climb_that_ends_at_the_limit_is_known_where_it_began():
+    made, cell = climbing_log()
+    assert made.soc[-1] < 0.97, "the limit came first"
+    inside = np.linspace(0.1, 0.9, 33)
+    auto, full = (
+        ocv_from_rests(made.log, capacity_Ah=3.0, anchor=anchor, extrapolate=True)
+        for anchor in ("auto", "full")
+    )
+    error = [float(np.sqrt(np.mean((c.function.evaluate(inside) - cell.ocv_V(inside)) ** 2)))
+             for c in (auto, full)]  # fmt: skip
+    assert error[0] < 0.005
+    assert error[1] > 0.02
+
+
+def test_auto_takes_a_log_that_begins_at_its_fullest_for_full():
+    cell = rich_nmc(3.0)
+    log = run(cell, gitt(cell, rest_s=3600.0), 1.0, Logger(1.0), seed=4).log
+    auto, full = (ocv_from_rests(log, capacity_Ah=3.0, anchor=a) for a in ("auto", "full"))
+    np.testing.assert_array_equal(auto.voltage_V, full.voltage_V)

@@ -40,6 +40,8 @@ FULL_REST_OF_WINDOW = 0.5
 MUCH_MORE = 1.15
 # A cell warms up under load. One that cools by more than this was moved to another temperature.
 COOLING_C = 5.0
+# A log that brings back so many times what it takes climbs.
+CLIMBS = 2.0
 # More out than in: the charge was cut short, or the counters differ. Either way no efficiency.
 MAX_EFFICIENCY = 1.02
 
@@ -205,10 +207,12 @@ def hppc_total_Ah(log: CellLog | Sequence[CellLog]) -> float:
     """Net charge from the fullest to the emptiest moment after it, all pulses included [Ah].
 
     The ``hppc-total`` choice: it is a capacity as far as the log begins, or is charged, full and
-    ends empty.
+    ends empty. Of a log that climbs, the charge from its emptiest to its fullest moment.
     """
     charge = join_logs(log).charge_Ah
-    return float(np.max(charge - np.minimum.accumulate(charge)))
+    down = float(np.max(charge - np.minimum.accumulate(charge)))
+    up = float(np.max(np.maximum.accumulate(charge) - charge))
+    return up if up > CLIMBS * down else down
 
 
 def _is_capacity_test(trace: Trace, half: HalfCycle) -> bool:

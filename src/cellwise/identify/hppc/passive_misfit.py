@@ -15,6 +15,8 @@ PulseRole = Literal["pulse", "move"]
 # A row whose current is this far from its level, as a share of the pulse, is part of an edge.
 EDGE_SHARE = 0.03
 SETTLING_ROWS = 2
+EDGE_SIGMAS = 4.0
+SCATTER_ROWS = 16
 LONGEST_FALL_ROWS = 3
 BINS = 40
 MINIMUM_BINS = 6
@@ -163,9 +165,10 @@ def _window(c: Channels, x: Load, relaxation: bool) -> _Window | None:
     duration = t_off - float(c.time_s[x.start - 1])
     # A rise that takes rows is a switch at the instant that keeps the charge.
     on, off, last = 0, x.stop - x.start, x.relax_stop - x.start
-    t_on = t_off - min(duration, float(np.sum(share[:off] * dt[:off])))
-    while on < off - 1 and abs(share[on] - 1.0) > EDGE_SHARE:
+    edge = max(EDGE_SHARE, EDGE_SIGMAS * _scatter(share[:off]))
+    while on < off - 1 and abs(share[on] - 1.0) > edge:
         on += 1
+    t_on = float(c.time_s[x.start - 1 + on]) - min(duration, float(np.sum(share[:on] * dt[:on])))
     pulse_stop = off
     while off < min(last - 1, pulse_stop + LONGEST_FALL_ROWS) and abs(share[off]) > EDGE_SHARE:
         t_off += float(share[off] * dt[off])
@@ -187,6 +190,11 @@ def _window(c: Channels, x: Load, relaxation: bool) -> _Window | None:
         pieces.append(_binned(c, x.start + off, min(end, x.relax_stop), t_off, BINS))
     t, v, n = (np.concatenate(p) for p in zip(*pieces, strict=True))
     return _Window(t, v, n, t_on, t_off)
+
+
+def _scatter(share: FloatArray) -> float:
+    """Noise of a held current as a share of it; zero where there are too few rows to tell."""
+    return noise_of(share) if share.size >= SCATTER_ROWS else 0.0
 
 
 def _binned(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +24,15 @@ REST_SIGMAS = 6.0
 # Scatter above this share of the range, or that grows with the distance of the samples, is a
 # moving current and not noise.
 NOISE_OF_RANGE = 0.3
-WHITE_GROWTH = 1.3
+# Rounding alone scatters by 0.29 of a step; more than this share is noise of its own.
+ROUNDING_ONLY = 0.6
+# A level may be noisier than the others (another device makes it): rows between two changes by
+# more than this share, white, flat, and scattered by no more than the share below; of fewer rows
+# all must lie within the second share.
+CHANGE_OF_LEVEL = 0.5
+NOISY_ROWS, NOISY_OF_LEVEL = 16, 0.15
+SHORT_NOISY_ROWS, SHORT_NOISY_OF_LEVEL = 8, 0.04
+WHITE_GROWTH, GROWTH_SCATTER = 1.3, 1.5
 # Mean size of a second difference of white noise of unit sigma: sqrt(6) sqrt(2 / pi).
 MEAN_BEND = 1.954
 # A log whose largest sample lies within this many standard deviations holds no current at all.
@@ -90,7 +99,7 @@ def current_scale(current_A: FloatArray) -> CurrentScale:
     if top < NOISE_ONLY_SIGMAS * noise:  # nothing flows in this log
         return CurrentScale(noise, 0.0, top, 3.0 * top, top, 1)
     # Where the resolution makes the noise, samples jump by one step of it, seldom by two.
-    rounded = noise < lsb
+    rounded = noise < ROUNDING_ONLY * lsb
     width = 1
     if not rounded and STEP_SIGMAS * noise > SMOOTHED_STEP_OF_RANGE * top:
         wanted = (1.25 * STEP_SIGMAS * noise / (SMOOTHED_STEP_OF_RANGE * top)) ** 2
@@ -122,14 +131,16 @@ def find_plateaus(current_A: FloatArray, scale: CurrentScale | None = None) -> P
         x = median_filter(current_A, scale.smoothing_rows, mode="nearest")
     rest = np.abs(x - scale.zero_A) <= scale.rest_A
     broken = (np.abs(np.diff(x)) > scale.step_A) | (rest[1:] != rest[:-1])
+    noise = _level_noise(x, rest, broken, scale)
+    broken &= ~((noise[1:] > scale.noise_A) & (noise[:-1] == noise[1:]))
     start = np.concatenate(([0], np.flatnonzero(broken) + 1))
     stop = np.append(start[1:], x.size)
     total = np.concatenate(([0.0], np.cumsum(x)))
-    start, stop = _flat_pieces(x, total, start, stop, rest, scale)
+    start, stop = _flat_pieces(x, total, start, stop, rest, noise, scale)
     level = (total[stop] - total[start]) / (stop - start)
     plateaus = Plateaus(start, stop, level, rest[start])
     for _ in range(2):  # once for the runs, once for what then has become a neighbour
-        plateaus = _merge_level(plateaus, scale)
+        plateaus = _merge_level(plateaus, noise)
     plateaus = _drifted(x, plateaus)
     return plateaus if scale.smoothing_rows == 1 else _sharpened(current_A, plateaus, scale)
 
@@ -200,12 +211,62 @@ def _noise(current_A: FloatArray, top: float, lsb: float) -> float:
             continue
         quiet = max(float(np.quantile(typical[group], 0.2)), lsb)
         calm = group & (typical <= 4.0 * quiet)
-        # An edge inside a block counts as little more than noise.
+        # An edge inside a block counts as little more than noise, and not at all where most have
+        # none: it bends more of the wide differences than of the narrow ones.
+        whole = calm & (np.max(far, axis=1) <= 10.0 * quiet)
+        if 2 * np.count_nonzero(whole) > np.count_nonzero(calm):
+            calm = whole
         one, two = (float(np.mean(np.minimum(x[calm], 10.0 * quiet))) for x in (near, far))
         sigma = one / MEAN_BEND
         if two < WHITE_GROWTH * one and sigma < NOISE_OF_RANGE * top:
             found = max(found, sigma)
     return found
+
+
+def _level_noise(
+    x: FloatArray, rest: BoolArray, broken: BoolArray, scale: CurrentScale
+) -> FloatArray:
+    """Standard deviation of every row about its level [A], shape (n,).
+
+    That of the whole log, save where a stretch between two large changes is noisier and yet holds
+    one level: a charger may regulate more coarsely than the load beside it.
+    """
+    noise = np.full(x.size, scale.noise_A)
+    size = np.maximum(np.abs(x[1:]), np.abs(x[:-1]))
+    large = np.abs(np.diff(x)) > np.maximum(CHANGE_OF_LEVEL * size, scale.step_A)
+    cut = np.flatnonzero(large | (rest[1:] != rest[:-1])) + 1
+    count = np.concatenate(([0], np.cumsum(broken)))
+    for a, b in pairwise([0, *cut.tolist(), x.size]):
+        if b - a < SHORT_NOISY_ROWS or rest[a] or count[b - 1] == count[a]:
+            continue
+        # The first row, and the last, may hold part of a switch.
+        first, last = a + 1, b - 1
+        sigma = _scatter_of_level(x[first:last], scale)
+        if sigma > 0.0:
+            level = float(np.mean(x[first:last]))
+            near = max(4.0 * sigma, SHORT_NOISY_OF_LEVEL * abs(level))
+            first -= abs(float(x[a]) - level) <= near
+            last += abs(float(x[b - 1]) - level) <= near
+            noise[first:last] = sigma
+    return noise
+
+
+def _scatter_of_level(part: FloatArray, scale: CurrentScale) -> float:
+    """Standard deviation of rows that hold one level and are noisier than the log, else 0 [A]."""
+    level = abs(float(np.mean(part)))
+    if part.size < NOISY_ROWS:
+        width = float(np.ptp(part))
+        return 0.25 * width if width <= SHORT_NOISY_OF_LEVEL * level else 0.0
+    near, far = (_bends(part[None, :], lag) for lag in (1, 2))
+    ceiling = 10.0 * float(np.median(near))
+    one, two = (float(np.mean(np.minimum(d, ceiling))) for d in (near, far))
+    sigma = one / MEAN_BEND
+    cuts = np.arange(FLAT_CHUNKS + 1) * part.size // FLAT_CHUNKS
+    means = np.add.reduceat(part, cuts[:-1]) / np.diff(cuts)
+    flat = np.ptp(means) <= 6.0 * sigma / np.sqrt(part.size / FLAT_CHUNKS)
+    noisier = scale.noise_A < sigma < NOISY_OF_LEVEL * level
+    white = two < (WHITE_GROWTH + GROWTH_SCATTER / np.sqrt(part.size)) * one
+    return sigma if flat and noisier and white else 0.0
 
 
 def _bends(blocks: FloatArray, lag: int) -> FloatArray:
@@ -221,6 +282,7 @@ def _flat_pieces(
     start: RowArray,
     stop: RowArray,
     rest: BoolArray,
+    noise: FloatArray,
     scale: CurrentScale,
 ) -> tuple[RowArray, RowArray]:
     """Runs that hold one level; a run that drifts gives its flat beginning and its flat end."""
@@ -236,7 +298,7 @@ def _flat_pieces(
         cuts = start[uncertain, None] + parts
         means = np.diff(total[cuts], axis=1) / np.diff(cuts, axis=1)
         bound = np.maximum(
-            6.0 * scale.noise_A / np.sqrt(rows[uncertain] / FLAT_CHUNKS),
+            6.0 * noise[start[uncertain]] / np.sqrt(rows[uncertain] / FLAT_CHUNKS),
             FLAT_OF_LEVEL * np.abs(means).max(axis=1),
         )
         flat[uncertain] = np.ptp(means, axis=1) <= bound
@@ -269,14 +331,16 @@ def _flat_head(x: FloatArray, scale: CurrentScale) -> int:
     return knee if knee >= max(FLAT_CHUNKS, head // 2) else head
 
 
-def _merge_level(p: Plateaus, scale: CurrentScale) -> Plateaus:
+def _merge_level(p: Plateaus, noise_A: FloatArray) -> Plateaus:
     """Join neighbours of one level that only a glitch of one row, or nothing, parts."""
     if p.start.size < 2:
         return p
     between = p.start[1:] - p.stop[:-1]
     apart = np.abs(np.diff(p.level_A))
     n = np.minimum(p.stop - p.start, LEVEL_ROWS)
-    error = 4.0 * scale.noise_A * np.sqrt(1.0 / n[1:] + 1.0 / n[:-1])
+    noise = noise_A[p.start]
+    noise = np.maximum(noise[1:], noise[:-1])
+    error = 4.0 * noise * np.sqrt(1.0 / n[1:] + 1.0 / n[:-1])
     larger = np.maximum(np.abs(p.level_A[1:]), np.abs(p.level_A[:-1]))
     same = apart <= np.maximum(error, 0.5 * FLAT_OF_LEVEL * larger)
     same |= p.rest[1:] & p.rest[:-1]

@@ -8,8 +8,9 @@ from typing import Literal
 
 import numpy as np
 
-from cellwise.identify.hppc.passive_misfit import Load, PulseRole
+from cellwise.identify.hppc.passive_misfit import Load, PulseRole, noise_of
 from cellwise.identify.hppc.phases import Phase, find_phases
+from cellwise.identify.hppc.plateaus import NOISY_ROWS
 from cellwise.identify.hppc.pulse_quality import (
     SAME_DURATION,
     PulseQuality,
@@ -34,6 +35,9 @@ ROLE_BORDER_S = (4.0, 900.0)
 LONGEST_PULSE_S = 600.0
 PULSE_MARGIN = 1.25
 RISEN_PART = 0.9
+RISEN_SIGMAS = 3.0
+# So many healthy moves for one short pulse, and the test is one of moves.
+MANY_MOVES = 3
 
 
 @dataclass(frozen=True)
@@ -92,20 +96,21 @@ def find_pulses(
     phases : sequence of Phase    of this log, where they are known already
     """
     found = find_phases(log) if phases is None else tuple(phases)
-    loads = _loads(log, found)
-    verdicts = judge_loads(log, loads, lower_V=lower_V, upper_V=upper_V)
     flow = log.known_current_A() * log.interval_s / 3600.0
+    loads = _loads(log, found, flow)
+    verdicts = judge_loads(log, loads, lower_V=lower_V, upper_V=upper_V)
     return tuple(_pulse(log, flow, x, verdict) for x, verdict in zip(loads, verdicts, strict=True))
 
 
 def pulses_to_fit(pulses: Sequence[Pulse]) -> tuple[Pulse, ...]:
-    """The healthy pulses; where a test has no short ones, its moves serve as pulses."""
-    short = tuple(p for p in pulses if p.role == "pulse" and p.quality != "spurious")
-    chosen = short or tuple(p for p in pulses if p.role == "move")
-    return tuple(p for p in chosen if p.quality == "healthy")
+    """The healthy pulses; where a test has hardly any short ones, its moves serve as pulses."""
+    healthy = [p for p in pulses if p.quality == "healthy"]
+    short = tuple(p for p in healthy if p.role == "pulse")
+    moves = len(healthy) - len(short)
+    return tuple(healthy) if moves >= MANY_MOVES * max(len(short), 1) else short or tuple(healthy)
 
 
-def _loads(log: CellLog, phases: Sequence[Phase]) -> tuple[Load, ...]:
+def _loads(log: CellLog, phases: Sequence[Phase], flow: FloatArray) -> tuple[Load, ...]:
     """Constant currents after a rest, with the voltage-held part that belongs to them."""
     border = _role_border(phases)
     shortest, rested = _shortest(phases)
@@ -146,7 +151,22 @@ def _loads(log: CellLog, phases: Sequence[Phase]) -> tuple[Load, ...]:
                 role="move" if seconds > border else "pulse",
             )
         )
-    return tuple(loads)
+    return _giving_back_are_pulses(loads, flow)
+
+
+def _giving_back_are_pulses(loads: list[Load], flow_Ah: FloatArray) -> tuple[Load, ...]:
+    """Long loads against the way of the moves, of no more charge than the short ones, are pulses.
+
+    A weak current that gives back what a strong pulse took lasts ten times as long as that.
+    """
+    moved = [float(np.sum(flow_Ah[x.start : x.stop])) for x in loads]
+    pairs = list(zip(moved, loads, strict=True))
+    most = max((abs(q) for q, x in pairs if x.role == "pulse"), default=0.0)
+    way = sum(q for q, x in pairs if x.role == "move")
+    return tuple(
+        x._replace(role="pulse") if q * way < 0.0 and abs(q) <= PULSE_MARGIN * most else x
+        for q, x in pairs
+    )
 
 
 def _shortest(phases: Sequence[Phase]) -> tuple[float, float]:
@@ -184,7 +204,11 @@ def _role_border(phases: Sequence[Phase]) -> float:
     repeated = np.concatenate(([False], close)) | np.concatenate((close, [False]))
     if not repeated.any():
         return _widest_gap(d)
-    border = _widest_gap(d[repeated])
+    plan = d[repeated]
+    if plan[0] > LONGEST_PULSE_S and plan[-1] < ROLE_FACTOR * plan[0]:
+        # One plan of moves: what is a little shorter is a move, too, that a limit cut.
+        return min(float(plan[0]) / ROLE_FACTOR, LONGEST_PULSE_S)
+    border = _widest_gap(plan)
     return border if border < LONGEST_PULSE_S else _widest_gap(d[d >= d[repeated][0]])
 
 
@@ -201,7 +225,9 @@ def _widest_gap(d: FloatArray) -> float:
 
 def _level(current: FloatArray) -> float:
     """Level of a constant current without the rows of its rise [A]."""
-    held = np.abs(current) >= RISEN_PART * np.quantile(np.abs(current), 0.9)
+    size = np.abs(current)
+    scatter = noise_of(current) if current.size >= NOISY_ROWS else 0.0
+    held = size >= RISEN_PART * np.quantile(size, 0.9) - RISEN_SIGMAS * scatter
     return float(np.median(current[held]))
 
 

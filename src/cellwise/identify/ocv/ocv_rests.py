@@ -15,7 +15,7 @@ from cellwise.identify.ocv.ocv_functions import OcvKind
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
-Anchor = Literal["full", "empty"]
+Anchor = Literal["full", "empty", "auto"]
 
 AVERAGE_S = 10.0
 # Shorter rests show relaxation more than OCV, unless there are no longer ones.
@@ -28,6 +28,9 @@ UNRELAXED_V = 5e-3
 # Time constants tried for the end of a relaxation, in lengths of the part that is fitted.
 RELAXATION_OF_LENGTH = (0.3, 0.5, 0.8, 1.2, 1.8)
 OUTSIDE = 0.02
+# A log whose charge never goes further above its start than this share of the capacity begins at
+# its fullest.
+BEGINS_FULL = 0.02
 
 
 @dataclass(frozen=True)
@@ -122,14 +125,16 @@ def ocv_from_rests(
 
     SOC is counted by the tester's counter where there is one. It is known at one moment: the
     fullest rest of the log is full (``anchor="full"``: a log may begin empty and be charged first),
-    or the emptiest is empty, or the log begins at ``soc_start``.
+    or the emptiest is empty, or the log begins at ``soc_start``. ``auto`` takes full, save for a
+    log that climbs and was not held at the limit until the current had fallen: it ends short of
+    full, and where it began the OCV is steep.
 
     Parameters
     ----------
     log : CellLog
     capacity_Ah : float     that SOC refers to [Ah]; default the net charge of the whole log from
                             its fullest to its emptiest moment, as the LFP paper takes it
-    anchor : str            ``full`` or ``empty``
+    anchor : str            ``full``, ``empty`` or ``auto``
     soc_start : float       SOC at the first row, 0..1; overrides ``anchor``
     extrapolate : bool      take each rest's extrapolated voltage in place of its last ten
                             seconds. On measured rests cut to a third it about halves the error.
@@ -151,6 +156,8 @@ def ocv_from_rests(
             "a positive capacity, or a log that discharges",
             "Give capacity_Ah.",
         )
+    if anchor == "auto":
+        anchor = "empty" if _climbs_short_of_full(log, q, capacity_Ah) else "full"
     full_at = _charge_when_full(charge, capacity_Ah, anchor, soc_start)
     soc = 1.0 - (charge - full_at) / capacity_Ah
     voltage = np.array([r.final_V if extrapolate else r.voltage_V for r in rests])
@@ -166,6 +173,15 @@ def ocv_from_rests(
         notes=_notes(soc, remaining, inside),
         temperature_C=_median_temperature(log),
     )
+
+
+def _climbs_short_of_full(log: CellLog, charge_Ah: FloatArray, capacity_Ah: float) -> bool:
+    """Whether a log ends its way up without the constant voltage that makes a cell full."""
+    fullest = int(np.argmin(charge_Ah))
+    if charge_Ah[0] - charge_Ah[fullest] <= BEGINS_FULL * capacity_Ah:
+        return False
+    charging = [p for p in find_phases(log) if p.charging and p.start <= fullest]
+    return not charging or charging[-1].kind != "cv"
 
 
 def _charge_when_full(

@@ -11,6 +11,7 @@ from cellwise.errors import InputError
 from cellwise.typing import BoolArray, FloatArray
 
 MINIMUM_ROWS = 12
+LEAST_SETTLED_ROWS = 10  # for seven unknowns
 MINIMUM_PULSE_ROWS = 1
 EDGE_PART = 0.2  # a row-to-row change of current by this part of the pulse's current is an edge
 # A tester that filters its voltage, or a double layer far faster than tau1, makes the voltage

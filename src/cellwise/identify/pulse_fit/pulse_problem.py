@@ -7,7 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.identify.pulse_fit.pulse_data import PulseData, Weighting, row_weights
+from cellwise.identify.pulse_fit.pulse_data import (
+    LEAST_SETTLED_ROWS,
+    PulseData,
+    Weighting,
+    row_weights,
+)
 from cellwise.identify.pulse_fit.pulse_parameters import PulseTrend, TauBounds
 from cellwise.identify.pulse_fit.variable_projection.varpro_algebra_kernels import Window
 from cellwise.identify.pulse_fit.variable_projection.varpro_kernels import predict
@@ -60,10 +65,10 @@ def build_problem(data: PulseData, weighting: Weighting, trend: PulseTrend) -> P
     known = data.voltage_V if data.ocv_change_V is None else data.voltage_V - data.ocv_change_V
     reference = float(np.mean(known[: max(data.start, 1)]))
     weight = row_weights(data, weighting)
-    if np.count_nonzero(weight) < 10:
+    if np.count_nonzero(weight) < LEAST_SETTLED_ROWS:
         raise InputError(
             f"{np.count_nonzero(weight)} settled rows of {len(data)} in pulse '{data.name}'",
-            "at least 10 rows for 7 unknowns",
+            f"at least {LEAST_SETTLED_ROWS} rows for 7 unknowns",
             "Log the pulse faster or longer, or leave it out.",
         )
     return Problem(

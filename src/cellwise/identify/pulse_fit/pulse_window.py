@@ -9,7 +9,13 @@ from numpy.typing import NDArray
 
 from cellwise.errors import InputError
 from cellwise.identify.hppc.pulses import Pulse
-from cellwise.identify.pulse_fit.pulse_data import MINIMUM_ROWS, PulseData, check_channel
+from cellwise.identify.pulse_fit.pulse_data import (
+    LEAST_SETTLED_ROWS,
+    MINIMUM_ROWS,
+    PulseData,
+    check_channel,
+    row_weights,
+)
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
@@ -18,6 +24,11 @@ REST_SHOWN_ROWS = 3  # at least
 QUIET_PART = 0.02  # less than this part of the pulse's current is no current
 PARTLY_ROWS = 2  # rows on either side whose interval holds the switch: a mean of both currents
 CHUNK = 4096
+# Of a long step the first minutes are a pulse: over hours two branches go to what is slow, and R0
+# takes in all that is fast. What is slow is for the refinement on the whole log.
+STEP_SHOWN_S = 300.0
+STEP_SHOWN_ROWS = 25
+LATE_ROW_S = 2.5  # a drive changes its current every second or two
 
 OcvTable = Callable[[FloatArray], FloatArray]
 
@@ -131,10 +142,11 @@ def cut_pulses(
     soc: FloatArray | None = None,
     *,
     ocv: OcvTable | None = None,
+    step_ocv: OcvTable | None = None,
     rest_shown_s: float = REST_SHOWN_S,
     relaxation_s: float = float("inf"),
 ) -> list[PulseData]:
-    """Cut all pulses that `find_pulses` found out of their log.
+    """Cut all pulses that `find_pulses` found out of their log; of a move, its first minutes.
 
     Parameters
     ----------
@@ -162,19 +174,47 @@ def cut_pulses(
     gaps = log.gap_rows
     return [
         _cut(
-            channels, gaps, p.start, p.stop, capacity_Ah,
+            channels, gaps, p.start, fitted_stop(log, p), capacity_Ah,
             float("nan") if soc is None else float(soc[max(p.start - 1, 0)]),
-            ocv, rest_shown_s, relaxation_s, f"{log.name} at {log.time_s[p.start]:.0f} s",
+            step_ocv if p.role == "move" and ocv is None else ocv,
+            rest_shown_s, relaxation_s, f"{log.name} at {log.time_s[p.start]:.0f} s",
         )
         for p in pulses
     ]  # fmt: skip
 
 
+def fitted_stop(log: CellLog, pulse: Pulse) -> int:
+    """Row after the last one that a fit sees as the pulse: of a long move, some minutes."""
+    if pulse.role != "move":
+        return pulse.stop
+    begin = float(log.time_s[max(pulse.start - 1, 0)])
+    shown = int(np.searchsorted(log.time_s, begin + STEP_SHOWN_S, "right"))
+    return min(max(shown, pulse.start + STEP_SHOWN_ROWS), pulse.stop)
+
+
+def slow_rows_notice(log: CellLog, pulses: Sequence[Pulse]) -> str | None:
+    """What a person should know of a log whose first row after a switch comes late."""
+    if not pulses:
+        return None
+    first_s = float(np.median([log.interval_s[p.start] for p in pulses]))
+    if first_s <= LATE_ROW_S:
+        return None
+    return (
+        f"'{log.name}' has its first row {first_s:.3g} s after a switch: what its R0 says is the "
+        "resistance after that time; for a drive log pulses every second or faster"
+    )
+
+
 def has_enough_rows(log: CellLog, pulse: Pulse) -> bool:
-    """Whether `cut_pulse` would find the rows that a fit needs; else it refuses the pulse."""
+    """Whether a fit finds the rows that it needs in the window that `cut_pulse` would cut."""
     rows = slice(pulse.rest_before_start, max(pulse.relax_stop, pulse.stop))
-    within = log.time_s[rows] >= log.time_s[max(pulse.start - 1, 0)] - REST_SHOWN_S
-    return bool(np.count_nonzero(within & np.isfinite(log.voltage_V[rows])) >= MINIMUM_ROWS)
+    if np.count_nonzero(np.isfinite(log.voltage_V[rows])) < MINIMUM_ROWS:
+        return False
+    try:
+        data = cut_pulse(log, pulse.start, fitted_stop(log, pulse), 1.0)
+    except InputError:
+        return False
+    return bool(np.count_nonzero(row_weights(data)) >= LEAST_SETTLED_ROWS)
 
 
 def _cut(

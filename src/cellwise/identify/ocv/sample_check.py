@@ -1,0 +1,106 @@
+"""Whether an OCV test and a pulse test are of one cell: the charge between the same two voltages.
+
+Samples of one type differ by some per cent in capacity, and a cell loses some over a campaign. A
+low-rate curve of the one and pulses of the other then lie on two SOC scales, and nothing in the
+result says so.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from cellwise.identify.ocv.curve import OcvCurve
+from cellwise.typing import FloatArray
+
+# Rests at the steep end read voltages that say nothing of the charge between them.
+BETWEEN_SOC = (0.08, 0.97)
+LEAST_RESTS = 5
+SCALES = np.arange(0.70, 1.4001, 0.0025)
+# Counters, rests cut short and temperatures of a few degrees differ by less than this.
+OTHER_CAPACITY = 0.03
+# The scale has to explain the rests clearly better than one scale does.
+CLEAR_GAIN = 0.7
+# Beyond this a shape is another one: another chemistry, or a cell of another age.
+OTHER_SHAPE_V = 0.015
+STEEP_V, SOC_ERROR = 4e-3, 5e-3
+
+
+class SampleCheck(NamedTuple):
+    """What lies between the same two voltages in both tests.
+
+    high_V, low_V : first and last rest compared [V]
+    ocv_Ah, rests_Ah : charge between them in the low-rate test and in the pulse test [Ah]
+    left_V : RMS between rests and low-rate curve on the better scale [V]
+    one_cell : whether both may be one cell
+    """
+
+    high_V: float
+    low_V: float
+    ocv_Ah: float
+    rests_Ah: float
+    left_V: float
+    one_cell: bool
+
+
+def check_samples(rests: OcvCurve, low_rate: OcvCurve) -> SampleCheck | None:
+    """Compare the rests of a pulse test with a low-rate curve; None with too few rests.
+
+    The low-rate curve carries half the hysteresis and its polarisation: a constant is allowed
+    beside the scale.
+
+    Parameters
+    ----------
+    rests, low_rate : OcvCurve        SOC of both over one capacity
+    """
+    order = np.argsort(rests.points_soc)[::-1]
+    soc, v = rests.points_soc[order], rests.points_V[order]
+    used = (soc >= BETWEEN_SOC[0]) & (soc <= BETWEEN_SOC[1])
+    if np.count_nonzero(used) < LEAST_RESTS:
+        return None
+    soc, v = soc[used], v[used]
+    steep = np.maximum(low_rate.function.slope(np.clip(soc, 0.0, 1.0)), 0.0) * SOC_ERROR
+    weight = 1.0 / (1.0 + (steep / STEEP_V) ** 2)
+    fits = [_left(soc, v, weight, low_rate, scale) for scale in SCALES]
+    errors = np.array([error for error, _ in fits])
+    one = float(np.interp(1.0, SCALES, errors))
+    best = int(np.argmin(errors))
+    scale, moved = float(SCALES[best]), fits[best][1]
+    grid = low_rate.soc
+    level = np.maximum.accumulate(low_rate.function.evaluate(grid)) + moved
+    at = np.interp(np.array([v[0], v[-1]]), level, grid)
+    other = abs(scale - 1.0) > OTHER_CAPACITY and errors[best] < CLEAR_GAIN * one
+    return SampleCheck(
+        high_V=float(v[0]),
+        low_V=float(v[-1]),
+        ocv_Ah=float((at[0] - at[1]) * low_rate.capacity_Ah),
+        rests_Ah=float((soc[0] - soc[-1]) * rests.capacity_Ah),
+        left_V=float(errors[best]),
+        one_cell=not other and float(errors[best]) <= OTHER_SHAPE_V,
+    )
+
+
+def sample_notice(rests: OcvCurve, low_rate: OcvCurve, capacity_Ah: float) -> str | None:
+    """What to tell a person whose OCV test and pulse test are not of one cell."""
+    found = check_samples(rests, low_rate)
+    if found is None or found.one_cell:
+        return None
+    apart = 100.0 * (found.rests_Ah / found.ocv_Ah - 1.0) if found.ocv_Ah > 0.0 else float("nan")
+    return (
+        f"'{low_rate.source}' and '{rests.source}' do not look like one cell: from "
+        f"{found.high_V:.3f} to {found.low_V:.3f} V the first moves {found.ocv_Ah:.3f} Ah, the "
+        f"second {found.rests_Ah:.3f} Ah ({apart:+.1f} %), and {1e3 * found.left_V:.0f} mV RMS "
+        f"are left between them. Two samples, two ages, or a current sensor that is off; SOC "
+        f"refers to {capacity_Ah:.3f} Ah"
+    )
+
+
+def _left(
+    soc: FloatArray, v: FloatArray, weight: FloatArray, low_rate: OcvCurve, scale: float
+) -> tuple[float, float]:
+    """Weighted RMS between rests and the curve on a scale, and the constant between them [V]."""
+    at = np.clip(1.0 - scale * (1.0 - soc), 0.0, 1.0)
+    difference = v - low_rate.function.evaluate(at)
+    moved = float(np.average(difference, weights=weight))
+    return float(np.sqrt(np.average((difference - moved) ** 2, weights=weight))), moved

@@ -1,0 +1,58 @@
+"""What a pulse test says of the capacity, and when it says nothing."""
+
+import numpy as np
+import pytest
+
+from cellwise.data import load_dataset
+from cellwise.identify.capacity.capacity_test import hppc_total_Ah
+from cellwise.identify.capacity.hppc_capacity import hppc_reaches_empty, whole_hppc_Ah
+from cellwise.logs import read_log
+from rich_cell import Logger, gitt, hppc, rich_nmc, run
+
+CELL = rich_nmc(3.0)
+
+
+def steps_of(steps, soc0=1.0):
+    return run(CELL, steps, soc0, Logger(1.0), seed=2, name="steps").log
+
+
+def cut(log, share):
+    q = log.counted_charge_Ah()
+    return log.rows(np.arange(len(log)) <= int(np.argmax(q >= share * q.max())))
+
+
+@pytest.mark.parametrize("steps", [gitt(CELL), gitt(CELL, step=0.05), hppc(CELL)])
+def test_a_whole_test_ends_empty_and_a_part_does_not(steps):
+    log = steps_of(steps)
+    assert hppc_reaches_empty(log)
+    assert whole_hppc_Ah([log], 3.0, []) == pytest.approx(3.0, rel=0.01)
+    notices: list[str] = []
+    assert whole_hppc_Ah([cut(log, 0.85)], 3.0, notices) is None
+    assert "is no capacity" in notices[0]
+
+
+def test_without_a_nominal_capacity_a_part_counts_and_is_said():
+    notices: list[str] = []
+    part = cut(steps_of(gitt(CELL)), 0.8)
+    assert whole_hppc_Ah([part], None, notices) == pytest.approx(hppc_total_Ah(part))
+    assert len(notices) == 1
+
+
+def test_a_climb_moves_what_it_brings_in():
+    log = steps_of(gitt(CELL, charge=True), soc0=0.0)
+    assert hppc_total_Ah(log) == pytest.approx(float(np.ptp(log.charge_Ah)), rel=1e-9)
+
+
+@pytest.mark.parametrize("name", ["nmc_hppc", "nmc_hppc_c3", "nmc_hppc_c20", "lfp_hppc"])
+def test_the_embedded_tests_end_empty(name):
+    assert hppc_reaches_empty(load_dataset(name))
+
+
+def test_measured_tests_end_empty_and_their_parts_do_not(real_data):
+    names = [f"panasonic_18650pf/hppc_{t}" for t in ("p25", "p10", "p00", "n10", "n20")]
+    names += [f"nissan_leaf/hppc_{t}" for t in ("p10", "p25", "p40")]
+    for name in names:
+        log = read_log(real_data / f"{name}.csv.gz")
+        assert hppc_reaches_empty(log), name
+        if "panasonic" in name:
+            assert not hppc_reaches_empty(cut(log, 0.8)), name
