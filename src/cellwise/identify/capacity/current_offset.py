@@ -32,9 +32,9 @@ RESTED_S = 600.0
 IDLE_OF_LOAD = 0.4
 # A test at this rate [1/h] or slower takes nearly all out that a low rate does: it speaks for the
 # offset where it says the corrected capacity within this share, and the counted one not.
-TELLING_RATE = 0.55
+SLOW_ENOUGH_RATE = 0.55
 CONFIRMED = 0.05
-# Part of the charge whose slope tells what a missing voltage is in charge.
+# Part of the charge whose slope turns a missing voltage into charge.
 END_OF_BRANCH = (0.95, 0.99)
 # A sensor that reads this share of the offset at rest has it there too; a relay reads zero.
 SEEN_AT_REST = 0.5
@@ -134,7 +134,7 @@ def without_current_offset(
         f"{found.out_Ah:.3f} Ah out and {found.back_Ah:.3f} Ah back between one state and the same "
         "again"
     )
-    other = _telling_Ah(capacity_logs, nominal_Ah)
+    other = _confirming_Ah(capacity_logs, nominal_Ah)
     left = f"{found.capacity_Ah:.3f} Ah"
     if other is not None and abs(other / found.capacity_Ah - 1.0) <= CONFIRMED:
         why = f"a capacity test says {other:.3f} Ah"
@@ -209,8 +209,8 @@ def _reads_at_rest(reading_A: FloatArray, expected_A: float) -> bool:
     return bool(float(np.median(reading_A)) / expected_A > SEEN_AT_REST)
 
 
-def _telling_Ah(logs: Sequence[CellLog], nominal_Ah: float | None) -> float | None:
-    """Capacity by the slowest complete test whose rate tells [Ah]."""
+def _confirming_Ah(logs: Sequence[CellLog], nominal_Ah: float | None) -> float | None:
+    """Capacity by the slowest complete test at C/2 or slower [Ah]."""
     if not logs:
         return None
     try:
@@ -218,7 +218,9 @@ def _telling_Ah(logs: Sequence[CellLog], nominal_Ah: float | None) -> float | No
     except InputError:
         return None
     whole = [
-        t for t in tests if t.complete and not t.cooled and t.current_A <= TELLING_RATE * t.total_Ah
+        t
+        for t in tests
+        if t.complete and not t.cooled and t.current_A <= SLOW_ENOUGH_RATE * t.total_Ah
     ]
     return min(whole, key=lambda t: t.rate_C).total_Ah if whole else None
 

@@ -193,7 +193,7 @@ def _window(c: Channels, x: Load, relaxation: bool) -> _Window | None:
 
 
 def _scatter(share: FloatArray) -> float:
-    """Noise of a held current as a share of it; zero where there are too few rows to tell."""
+    """Noise of a held current as a share of it; zero with too few rows."""
     return noise_of(share) if share.size >= SCATTER_ROWS else 0.0
 
 

@@ -237,8 +237,10 @@ def _level_noise(
     cut = np.flatnonzero(large | (rest[1:] != rest[:-1])) + 1
     count = np.concatenate(([0], np.cumsum(broken)))
     for a, b in pairwise([0, *cut.tolist(), x.size]):
-        if b - a < SHORT_NOISY_ROWS or rest[a] or count[b - 1] == count[a]:
+        if b - a < SHORT_NOISY_ROWS or rest[a]:
             continue
+        if count[b - 1] == count[a] and float(np.ptp(x[a:b])) <= scale.step_A:
+            continue  # one plateau as it is
         # The first row, and the last, may hold part of a switch.
         first, last = a + 1, b - 1
         sigma = _scatter_of_level(x[first:last], scale)

@@ -15,8 +15,9 @@ from cellwise.logs.cell_log import CellLog
 
 SWITCH_OF_RANGE = 0.2  # a change by this share of the largest current is a switch
 STEADY_OF_RANGE = 0.02
-# The counter is believed where nine of ten steady rows agree with the current within this share.
-AGREES, AGREEING, LEAST_ROWS = 0.05, 0.9, 10
+# The counter is as good as nine of ten steady rows agree with their current; what it says of a
+# switch counts beyond so many times that, and beyond this share of the interval.
+AGREEING, BEYOND, LEAST_SHARE, LEAST_ROWS = 0.9, 3.0, 0.05, 10
 
 
 def with_switch_current(log: CellLog) -> CellLog:
@@ -29,21 +30,21 @@ def with_switch_current(log: CellLog) -> CellLog:
         return log
     current, dt = log.interval_current_A, log.interval_s
     largest = float(np.nanmax(np.abs(current)))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        mean = 3600.0 * np.diff(log.charge_Ah, prepend=log.charge_Ah[0]) / dt
+    counted = 3600.0 * np.diff(log.charge_Ah, prepend=log.charge_Ah[0])
     step = np.diff(current, prepend=current[0])
-    known = np.isfinite(mean) & np.isfinite(step) & (dt > 0.0)
+    known = np.isfinite(counted) & np.isfinite(step) & (dt > 0.0)
     steady = known & (np.abs(step) < STEADY_OF_RANGE * largest)
     steady &= np.abs(current) > SWITCH_OF_RANGE * largest
     if np.count_nonzero(steady) < LEAST_ROWS:
         return log
-    apart = np.abs(mean[steady] - current[steady]) / np.abs(current[steady])
-    if float(np.quantile(apart, AGREEING)) > AGREES:
-        return log
-    switch = known & (np.abs(step) > SWITCH_OF_RANGE * largest)
-    share = np.where(switch, (current - mean) / np.where(step == 0.0, 1.0, step), 0.0)
+    apart = np.where(known, counted - current * dt, 0.0)
+    scatter = float(np.quantile(np.abs(apart[steady]), AGREEING))
+    switch = known & (np.abs(step) > SWITCH_OF_RANGE * largest) & (np.abs(apart) > BEYOND * scatter)
     # The share of the interval in which the old level still flowed.
-    late = switch & (share > AGREES) & (share < 1.0 + AGREES)
+    moved = np.where(switch, step * dt, 1.0)
+    share = np.where(switch, -apart / moved, 0.0)
+    late = (share > LEAST_SHARE) & (share < 1.0 + LEAST_SHARE)
     if not late.any():
         return log
+    mean = current - share * step
     return replace(log, current_A=np.where(late, mean, current), current_meaning="interval_end")

@@ -82,7 +82,7 @@ def check_samples(rests: OcvCurve, low_rate: OcvCurve) -> SampleCheck | None:
 
 
 def sample_notice(rests: OcvCurve, low_rate: OcvCurve, capacity_Ah: float) -> str | None:
-    """What to tell a person whose OCV test and pulse test are not of one cell."""
+    """Notice for a person whose OCV test and pulse test are not of one cell."""
     found = check_samples(rests, low_rate)
     if found is None or found.one_cell:
         return None
