@@ -258,7 +258,7 @@ def _scatter_of_level(part: FloatArray, scale: CurrentScale) -> float:
     level = abs(float(np.mean(part)))
     if part.size < NOISY_ROWS:
         width = float(np.ptp(part))
-        return 0.25 * width if width <= SHORT_NOISY_OF_LEVEL * level else 0.0
+        return 0.5 * width if width <= SHORT_NOISY_OF_LEVEL * level else 0.0
     near, far = (_bends(part[None, :], lag) for lag in (1, 2))
     ceiling = 10.0 * float(np.median(near))
     one, two = (float(np.mean(np.minimum(d, ceiling))) for d in (near, far))
