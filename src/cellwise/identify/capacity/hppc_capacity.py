@@ -53,7 +53,7 @@ def hppc_reaches_empty(log: CellLog) -> bool:
 
     The slope at the end of the last discharge against that at the end of the usual ones.
     """
-    steps = [p for p in find_phases(log) if p.kind == "cc" and p.discharging]
+    steps = [p for p in find_phases(log) if p.kind == "cc" and p.current_A > 0.0]
     most = max((p.charge_Ah for p in steps), default=0.0)
     ends = [_end_slope(log, p) for p in steps if p.charge_Ah >= 0.1 * most]
     ends = [slope for slope in ends if np.isfinite(slope)]
