@@ -46,9 +46,10 @@ def refined_model(
     """
     rows = [result.at(t) for t in temperatures_of(result)]
     tables = [refined_tables(row, start) for row in rows]
+    stacked = ModelTables(*(np.array(t) for t in zip(*tables, strict=True)))
     return CellModel(
         capacity_Ah,
-        *(np.array(t) for t in zip(*tables, strict=True)),
+        **stacked._asdict(),
         temperature_C=np.array([row.grid_C[0] for row in rows]),
         effects=refined_effects(result, rows, skewed, hot),
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -16,11 +16,13 @@ from cellwise.identify.hppc.pulses import Pulse
 from cellwise.identify.ocv.curve import OcvCurve
 from cellwise.identify.pulse_fit.fit_pulse import Method
 from cellwise.identify.pulse_fit.pulse_parameters import PulseFit
+from cellwise.identify.refinement.effects import Decided
 from cellwise.identify.refinement.refine import RefineResult
 from cellwise.identify.soc_anchor import SocAnchor
 from cellwise.identify.tables import TableKind
 from cellwise.logs.cell_log import CellLog
 from cellwise.plotting import Panel, Plottable
+from cellwise.typing import BoolArray, FloatArray
 
 REFERENCE_C = 25.0
 
@@ -97,6 +99,46 @@ class TemperatureResult:
     refinement: RefineResult | None
 
 
+Role = Literal["hppc", "ocv", "capacity", "drive"]
+
+
+@dataclass(frozen=True, eq=False)
+class OwnLog:
+    """A log of the identification simulated back from the SOC it was taken to begin at.
+
+    ``used`` says whether it took part in the fit; ``compared`` are the rows that did (None: all);
+    ``sides_V`` the RMSE of discharge and charge of a low-rate or capacity test; ``reason`` why it
+    did not take part, or what remains and where that comes from.
+    """
+
+    role: Role
+    used: bool
+    simulation: Simulation
+    compared: BoolArray | None
+    sides_V: Mapping[str, float]
+    reason: str
+
+    @property
+    def compared_V(self) -> FloatArray:
+        """Errors of the rows that were compared [V]."""
+        error = self.simulation.error_V
+        return error if self.compared is None else error[self.compared]
+
+    def to_dict(self) -> dict[str, Any]:
+        """As the command prints it."""
+        s = self.simulation
+        return {
+            "log": s.log.name,
+            "role": self.role,
+            "used": self.used,
+            "soc0": s.soc0,
+            "rmse_V": s.metrics.rmse_V,
+            "rmse_above_10pct_V": s.rmse_above_10pct_V,
+            **{f"{name}_rmse_V": value for name, value in self.sides_V.items()},
+            "reason": self.reason,
+        }
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Identification(Plottable):
     """A model and all that led to it."""
@@ -107,10 +149,16 @@ class Identification(Plottable):
     capacity_tests: tuple[CapacityTest, ...]
     ocv: OcvCurve
     temperatures: tuple[TemperatureResult, ...]
-    simulations: tuple[Simulation, ...]
+    own_logs: tuple[OwnLog, ...]
+    decided: tuple[Decided, ...]
     fit: ErrorMetrics
     notices: tuple[str, ...]
     seconds: float
+
+    @property
+    def simulations(self) -> tuple[Simulation, ...]:
+        """The pulse tests and drives that took part in the fit, simulated back."""
+        return tuple(o.simulation for o in self.own_logs if o.used and o.role in ("hppc", "drive"))
 
     @property
     def pulse_counts(self) -> dict[str, int]:
@@ -144,10 +192,25 @@ class Identification(Plottable):
                 },
             },
             "temperatures_C": [t.temperature_C for t in self.temperatures],
-            "effects": [e.name for e in self.model.effects],
+            "own_logs": [o.to_dict() for o in self.own_logs],
+            "effects": self._effects(),
             "notices": list(self.notices),
             "seconds": self.seconds,
         }
+
+    def _effects(self) -> list[dict[str, Any]]:
+        """Effects that were tried, and those that the model has without a trial."""
+        tried = {d.name: d.to_dict() for d in self.decided}
+        for effect in self.model.effects:
+            why = "part of every model whose logs can show it"
+            usual: dict[str, Any] = {
+                "name": effect.name,
+                "accepted": True,
+                "gain": None,
+                "reason": why,
+            }
+            tried.setdefault(effect.name, usual)
+        return list(tried.values())
 
     def __repr__(self) -> str:
         return (

@@ -14,7 +14,6 @@ import numpy as np
 from cellwise.cell.metrics import error_metrics
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import in_order
-from cellwise.cell.simulate import Simulation, simulate
 from cellwise.errors import InputError
 from cellwise.identify.assemble import GRID_POINTS, plain_model, table_summary
 from cellwise.identify.capacity.capacity_choice import capacity_choices, choose_capacity
@@ -45,13 +44,14 @@ from cellwise.identify.ocv.curve import OcvCurve, combine_ocv, curve_from_points
 from cellwise.identify.ocv.ocv_lowrate import ocv_from_low_rate
 from cellwise.identify.ocv.ocv_rests import ocv_from_rests
 from cellwise.identify.ocv.sample_check import sample_notice
+from cellwise.identify.own_logs import simulate_back
 from cellwise.identify.pulse_fit.fit_pulse import fit_pulses
 from cellwise.identify.pulse_fit.pulse_window import (
     cut_pulses,
     has_enough_rows,
     slow_rows_notice,
 )
-from cellwise.identify.refinement.refine_stage import Group, Refined, refine_cell
+from cellwise.identify.refinement.refine_stage import Group, Refined, Start, refine_cell
 from cellwise.identify.soc_anchor import anchor_soc
 from cellwise.identify.stack import stack_models
 from cellwise.identify.tables import pulse_tables
@@ -131,12 +131,17 @@ def identify_cell(
     )
     check_possible(model, found_wrong)
     say("validation on its own logs")
-    sims = _own_simulations(model, tests, ocv, refined)
+    own = simulate_back(model, tests, ocv, _starts(groups, refined))
+    used = [o for o in own if o.used]
     notices = [
         *in_order(found_wrong),
-        *in_order(own_log_notices(model, tests, sims), (*notices, *reading_notices(tests))),
+        *in_order(
+            own_log_notices(model, tests, tuple(o.simulation for o in used)),
+            (*notices, *reading_notices(tests)),
+        ),
     ]
-    fit = error_metrics(np.concatenate([s.error_V for s in sims]))
+    notices += [f"'{o.simulation.log.name}': {o.reason}" for o in own if o.used and o.reason]
+    fit = error_metrics(np.concatenate([o.compared_V for o in used]))
     check_serves(fit.rmse_V, found_wrong)
     seconds = time.perf_counter() - began
     model = replace(
@@ -150,7 +155,8 @@ def identify_cell(
         capacity_tests=measured,
         ocv=ocv,
         temperatures=tuple(found),
-        simulations=sims,
+        own_logs=own,
+        decided=() if refined is None else refined.decided,
         fit=fit,
         notices=tuple(dict.fromkeys(notices)),
         seconds=seconds,
@@ -391,16 +397,11 @@ def _limit(tests: TestLogs, measured: tuple[CapacityTest, ...], *, low: bool) ->
     return round(float(max(np.nanmax(log.voltage_V) for log in logs)), 2)
 
 
-def _own_simulations(
-    model: CellModel, tests: TestLogs, ocv: OcvCurve, refined: Refined | None
-) -> tuple[Simulation, ...]:
-    """The model over the logs it was fitted on, from the SOC they were taken to begin at."""
+def _starts(groups: Sequence[Group], refined: Refined | None) -> tuple[Start, ...]:
+    """The logs that the model was made of, and where they begin."""
     if refined is not None:
-        starts = refined.starts
-    else:
-        logs = [log for log, _ in tests.hppc]
-        starts = tuple((log, anchor_soc(log, ocv, model.capacity_Ah, 0.0).soc) for log in logs)
-    return tuple(simulate(model, log, min(max(soc0, 0.0), 1.0)) for log, soc0 in starts)
+        return refined.starts
+    return tuple(Start(p.log, p.anchor.soc) for g in groups for p in g.pulse_sets)
 
 
 def _provenance(

@@ -13,13 +13,13 @@ from cellwise.cell.metrics import HeldOutGain, held_out_gain
 from cellwise.identify.refinement.layout import ASINH_UNIT_PER_V
 from cellwise.identify.refinement.problem import RefineSettings, StartTables
 from cellwise.identify.refinement.refine import RefineResult, refine, residuals_of
-from cellwise.identify.refinement.refine_data import RefineLog, warmed
+from cellwise.identify.refinement.refine_data import MOST_ROWS, RefineLog, warmed
 from cellwise.typing import FloatArray, IndexArray
 
 LEAST_GAIN = 0.02  # of the held-out RMSE: less is not worth a parameter
 LEAST_DRIVES = 3  # below, nothing can be held out
-QUICK_ROWS = 1500  # compared of one log while effects are compared
-QUICK_ITERATIONS = 20
+QUICK_ROWS = 800  # compared of one log while effects are compared
+QUICK_ITERATIONS = 15
 BLOCK_S = 300.0
 HEATING_K_PER_W, HEATING_S = (3.0, 8.0), 120.0
 
@@ -76,11 +76,12 @@ class Judge:
         logs: Sequence[RefineLog],
         settings: RefineSettings,
         theta: FloatArray | None = None,
-        most_rows: int | None = None,
+        most_rows: int = MOST_ROWS,
     ) -> RefineResult:
         """A refinement."""
-        more = {} if most_rows is None else {"most_rows": most_rows}
-        return refine(logs, self.start, settings=settings, theta=theta, **more, **self.how)
+        return refine(
+            logs, self.start, settings=settings, theta=theta, most_rows=most_rows, **self.how
+        )
 
     def trial(
         self,
@@ -102,22 +103,13 @@ class Judge:
         return _Trial(settings, tuple(logs), heating, result, tuple(r for _, r in found),
                       np.concatenate(blocks))  # fmt: skip
 
-    def without_and_with(self, name: str, before: _Trial, after: Sequence[_Trial]) -> _Verdict:
-        """Whether the best of some trials is better; every log counts by what it was before."""
-        size = [float(np.sqrt(np.mean(r * r))) + 1e-12 for r in before.residual_V]
-        scaled = np.concatenate([r / s for r, s in zip(before.residual_V, size, strict=True)])
-        gains = [
-            held_out_gain(
-                scaled,
-                np.concatenate([r / s for r, s in zip(t.residual_V, size, strict=True)]),
-                before.block,
-            )
-            for t in after
-        ]
-        best = int(np.argmax([g.gain for g in gains]))
-        gain = gains[best]
+    def without_and_with(self, name: str, before: _Trial, after: _Trial) -> _Verdict:
+        """Whether a trial is surely better, in volts: where a model is most wrong counts most."""
+        gain = held_out_gain(
+            np.concatenate(before.residual_V), np.concatenate(after.residual_V), before.block
+        )
         accepted = gain.gain > LEAST_GAIN and gain.low > 0.0
-        return _Verdict(name, after[best] if accepted else before, gain, accepted)
+        return _Verdict(name, after if accepted else before, gain, accepted)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,11 +120,11 @@ class _Verdict:
     accepted: bool
 
     def decided(self, held: int) -> Decided:
-        """As it is told."""
+        """As it is reported."""
         g = self.gain
         reason = (
-            f"held-out RMSE of {held} drive(s) {100 * g.gain:+.1f} % lower "
-            f"({100 * g.low:+.1f} to {100 * g.high:+.1f} %)"
+            f"RMSE on {held} drive(s) held out: {1e3 * g.before_V:.1f} mV without, "
+            f"{1e3 * g.after_V:.1f} mV with it, {100 * g.low:+.0f} to {100 * g.high:+.0f} % gained"
         )
         if not self.accepted:
             reason += f"; needed: surely better, and by {100 * LEAST_GAIN:.0f} %"
@@ -167,19 +159,22 @@ def decide(
     theta[best.result.layout.asinh] = start.asinh_per_V / ASINH_UNIT_PER_V
     law = replace(settings, charge_transfer=True)
     verdicts.append(
-        judge.without_and_with("charge_transfer", best, [judge.trial(logs, law, theta=theta)])
+        judge.without_and_with("charge_transfer", best, judge.trial(logs, law, theta=theta))
     )
     best = verdicts[-1].trial
     if any(item.log.temperature_C is not None for item in logs) and grid_C.size > 1:
-        trials = []
         for rth in HEATING_K_PER_W:
             warm = [warmed(item, start.ocv, rth, HEATING_S) for item in logs]
             heating = SelfHeating(rth, HEATING_S)
-            trials.append(judge.trial(warm, best.settings, heating, best.result.theta))
-        verdicts.append(judge.without_and_with("self_heating", best, trials))
-        best = verdicts[-1].trial
+            trial = judge.trial(warm, best.settings, heating, best.result.theta)
+            verdicts.append(judge.without_and_with("self_heating", best, trial))
+            if not verdicts[-1].accepted:
+                break
+            best = verdicts[-1].trial
     result = judge.fit(best.logs, best.settings, best.result.theta)
-    return Decision(result, tuple(v.decided(len(held)) for v in verdicts), best.heating)
+    # Of several sizes of one effect the first says whether the cell needs it.
+    decided = {v.name: v.decided(len(held)) for v in reversed(verdicts)}
+    return Decision(result, tuple(reversed(decided.values())), best.heating)
 
 
 def held_out(logs: Sequence[RefineLog]) -> tuple[int, ...]:

@@ -59,7 +59,7 @@ class RefineSettings:
     activation_std_K: float = 1000.0
     skew: bool = True
     smooth: float = 0.01
-    straight: float = 0.1
+    straight: float = 0.01
     ocv_smooth: float = 1e-3
     ocv_size: float = 1e-6
     hold: float = 1e-3

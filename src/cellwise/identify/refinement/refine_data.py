@@ -18,7 +18,7 @@ EDGE_SHARE = 0.005  # of the largest current: smaller changes are noise
 SHORTEST_S = 0.95
 GROWTH = 0.03
 MOST_SOC = 0.0025  # that a constant load moves between two compared rows
-MOST_ROWS = 4000  # compared of one log
+MOST_ROWS = 2000  # compared of one log
 BEYOND = 0.5  # how far a temperature may lie outside the grid, in its first and last step
 SELDOM = 0.02  # of the charge: temperatures at which less flowed bring no row of tables along
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,23 +32,32 @@ LARGEST_OCV_MOVE_V = 0.03
 OUTSIDE_SOC = 0.1
 REFERENCE_C = 25.0
 USUAL_ACTIVATION_K = 3000.0
-BALANCE = 0.5
+BALANCE = 1.5
+SMOOTH_OF_SEVERAL = 0.003  # their logs are fitted worse, and what holds scales with that
 REST_MOVES = 0.01  # of the capacity: what a test may move before its discharge begins
 LIKELY_FULL = 0.8
 FULL_STD = 0.01
+
+
+class Start(NamedTuple):
+    """A log, the SOC at which it begins, and the rows that were compared (None: all)."""
+
+    log: CellLog
+    soc0: float
+    rows: BoolArray | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Refined:
     """The refined model, its refinement, and what was taken and decided on the way.
 
-    ``starts`` holds the SOC at which each log was taken to begin, ``decided`` which effects the
-    cell needs and which it does not.
+    ``starts`` holds the SOC at which each log was taken to begin and the rows that were compared
+    (None: all), ``decided`` which effects the cell needs and which it does not.
     """
 
     model: CellModel
     result: RefineResult
-    starts: tuple[tuple[CellLog, float], ...]
+    starts: tuple[Start, ...]
     decided: tuple[Decided, ...] = ()
 
 
@@ -83,7 +93,7 @@ def refine_cell(
     resistance = _rough_resistance(found, tests)
     anchors = {id(s.log): s.anchor for g in groups for s in g.pulse_sets}
     logs: list[RefineLog] = []
-    starts: list[tuple[CellLog, float]] = []
+    starts: list[Start] = []
     for g in groups:
         for log, drive, part in _candidates(g, low_rate if g is groups[-1] else ()):
             anchor = anchors.get(id(log)) or anchor_soc(log, ocv, capacity_Ah, resistance)
@@ -98,7 +108,7 @@ def refine_cell(
             soc = anchor.soc - log.counted_charge_Ah() / capacity_Ah
             notices.append(f"'{log.name}' begins at SOC {anchor.soc:.3f} ({anchor.how})")
             _note_outside(log, soc, capacity_Ah, notices)
-            starts.append((log, anchor.soc))
+            starts.append(Start(log, anchor.soc, part))
             logs.append(
                 RefineLog(
                     log,
@@ -125,6 +135,7 @@ def refine_cell(
         activation_std_K=settings.activation_std_K,
         skew=any(item.skewed for item in logs),
         balance=BALANCE if several else 0.0,
+        smooth=SMOOTH_OF_SEVERAL if several else RefineSettings.smooth,
     )
     reference = float(grid[int(np.argmin(np.abs(grid - REFERENCE_C)))])
     decision = decide(logs, start, plain, capacity_Ah, reference, grid)

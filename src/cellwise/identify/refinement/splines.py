@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import BSpline
 
-from cellwise.typing import FloatArray
+from cellwise.typing import FloatArray, IndexArray
 
 DEGREE = 3
 
@@ -21,7 +21,7 @@ OCV_KNOTS = np.array(
 class SplineRows(NamedTuple):
     """First active spline of each sample and the values of the four that are active."""
 
-    first: FloatArray
+    first: IndexArray
     values: FloatArray
 
 

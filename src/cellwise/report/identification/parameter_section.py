@@ -112,7 +112,8 @@ def _draw_parameter(axes: Axes, identification: Identification, name: str) -> No
     seen: list[FloatArray] = []
     error_at_middle = float("nan")
     for row, line in enumerate(lines):
-        found = identification.temperatures[row] if row < len(identification.temperatures) else None
+        here = model.temperature_C[row]
+        found = next((t for t in identification.temperatures if t.temperature_C == here), None)
         colour = colours[row]
         if found is not None:
             values = pulse_values(found, name)
