@@ -173,8 +173,8 @@ def decide(
             best = verdicts[-1].trial
     result = judge.fit(best.logs, best.settings, best.result.theta)
     # Of several sizes of one effect the first says whether the cell needs it.
-    decided = {v.name: v.decided(len(held)) for v in reversed(verdicts)}
-    return Decision(result, tuple(reversed(decided.values())), best.heating)
+    first = {v.name: v.decided(len(held)) for v in reversed(verdicts)}
+    return Decision(result, tuple(reversed(first.values())), best.heating)
 
 
 def held_out(logs: Sequence[RefineLog]) -> tuple[int, ...]:
