@@ -9,13 +9,11 @@ import pytest
 from scipy.optimize import minimize
 
 from cellwise.cell.effects import Hysteresis, SlowDiffusion, TemperatureDependence, TimeSkew
-from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import simulate
 from cellwise.identify.assemble import (
     GRID_POINTS,
     monotone,
-    refined_effects,
-    refined_tables,
+    refined_model,
     relative_errors,
     table_summary,
 )
@@ -37,9 +35,7 @@ def refined(truth, *, branches=2, skewed=False, warm=False):
     start = start_tables(branches, 1.2, 0.01 if truth.m_V else None)
     settings = RefineSettings(branches=branches, hysteresis=bool(truth.m_V))
     result = refine(logs, start, settings=settings, capacity_Ah=CAPACITY_AH)
-    return logs, start, result, CellModel(
-        CAPACITY_AH, *refined_tables(result, start), effects=refined_effects(result, skewed, warm)
-    )  # fmt: skip
+    return logs, start, result, refined_model(result, start, CAPACITY_AH, skewed, warm)
 
 
 @pytest.fixture(scope="module")
@@ -69,11 +65,11 @@ def test_no_effect_that_was_not_fitted(plain):
 
 def test_effects_that_were_fitted():
     truth = Truth(m_V=0.02, gamma=100.0, skew_s=0.3, activation_K=3000.0)
-    _, _, result, model = refined(truth, skewed=True, warm=True)
+    _, start, result, model = refined(truth, skewed=True, warm=True)
     assert np.median(model.effect(Hysteresis).m_V) == pytest.approx(0.02, rel=0.2)
     assert model.effect(TimeSkew).skew_s == pytest.approx(0.3, abs=0.03)
     assert model.effect(TemperatureDependence).activation_K == pytest.approx(3000.0, rel=0.1)
-    names = {e.name for e in refined_effects(result, False, False)}
+    names = {e.name for e in refined_model(result, start, CAPACITY_AH, False, False).effects}
     assert names == {"hysteresis"}, "nobody measured the rest"
 
 

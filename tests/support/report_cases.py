@@ -15,11 +15,16 @@ from cellwise.estimate.replay import Replay
 from cellwise.estimate.trace import Trace
 from cellwise.identify.capacity.capacity_test import CapacityTest
 from cellwise.identify.hppc.pulses import Pulse
-from cellwise.identify.identification import Identification, PulseSet, TemperatureResult
+from cellwise.identify.identification import (
+    Identification,
+    OwnLog,
+    PulseSet,
+    TemperatureResult,
+)
 from cellwise.identify.ocv.curve import curve_from_points
 from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseParameters
+from cellwise.identify.refinement.layout import Layout
 from cellwise.identify.refinement.refine import RefineResult
-from cellwise.identify.refinement.refine_kernels import Layout
 from cellwise.identify.refinement.splines import OCV_KNOTS, TABLE_KNOTS, spline_count
 from cellwise.identify.soc_anchor import SocAnchor
 from cellwise.logs.cell_log import CellLog
@@ -136,6 +141,7 @@ def refinement(branches=3):
         sigma_V=0.01,
         iterations=3,
         seconds=0.1,
+        grid_C=np.array([25.0]),
     )
 
 
@@ -177,7 +183,8 @@ def identification(
         capacity_tests=(capacity_test(0.05, 3.0, 0.0), capacity_test(1.0, 2.9, 0.08)),
         ocv=ocv,
         temperatures=results,
-        simulations=sims,
+        own_logs=tuple(OwnLog("hppc", True, s, None, {}, "") for s in sims),
+        decided=(),
         fit=error_metrics(sims[0].error_V),
         notices=("a notice with <angle> brackets",),
         seconds=1.5,

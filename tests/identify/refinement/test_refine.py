@@ -11,13 +11,12 @@ import numpy as np
 import pytest
 
 from cellwise.errors import InputError
-from cellwise.identify.refinement.refine import (
+from cellwise.identify.refinement.problem import (
     LEAST_RATIO,
-    RefineResult,
     RefineSettings,
     independent_samples,
-    refine,
 )
+from cellwise.identify.refinement.refine import RefineResult, refine
 from cellwise.identify.refinement.refine_data import RefineLog
 from cellwise.identify.refinement.splines import spline_rows, spline_values
 from refine_cases import (

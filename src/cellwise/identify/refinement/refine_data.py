@@ -122,7 +122,7 @@ def prepare_log(
     usable = np.isfinite(log.voltage_V) & np.isfinite(item.soc) & (item.soc >= soc_low)
     if item.compare is not None:
         usable &= item.compare
-    keep, evaluate = _chosen_rows(log, current, capacity_Ah, usable, most_rows)
+    keep, evaluate = _chosen_rows(item, current, capacity_Ah, usable, most_rows)
     if not evaluate.any():
         raise InputError(
             f"no row with a voltage above SOC {soc_low:g} in log '{log.name}'",
@@ -163,21 +163,21 @@ def prepare_log(
 
 
 def _chosen_rows(
-    log: CellLog, current: FloatArray, capacity_Ah: float, usable: BoolArray, most_rows: int
+    item: RefineLog, current: FloatArray, capacity_Ah: float, usable: BoolArray, most_rows: int
 ) -> tuple[BoolArray, BoolArray]:
-    """Rows to keep and rows to compare; of a long log fewer a second."""
+    """Rows to keep and rows to compare; of a long log evenly chosen ones of these."""
+    log = item.log
     threshold = EDGE_SHARE * float(np.max(np.abs(current)))
-    charge = MOST_SOC * 3600.0 * capacity_Ah
-    shortest = SHORTEST_S
-    while True:
-        keep = np.zeros(len(log), dtype=np.bool_)
-        evaluate = np.zeros(len(log), dtype=np.bool_)
-        choose_rows(log.time_s, current, threshold, shortest, GROWTH, charge, keep, evaluate)
-        evaluate &= usable
-        count = int(np.count_nonzero(evaluate))
-        if count <= most_rows:
-            break
-        shortest *= max(1.1, count / most_rows)
+    # A test whose discharge alone is compared is there for its OCV; pulses have their edges.
+    charge = np.inf if item.compare is None else MOST_SOC * 3600.0 * capacity_Ah
+    keep = np.zeros(len(log), dtype=np.bool_)
+    evaluate = np.zeros(len(log), dtype=np.bool_)
+    choose_rows(log.time_s, current, threshold, SHORTEST_S, GROWTH, charge, keep, evaluate)
+    evaluate &= usable
+    shown = np.flatnonzero(evaluate)
+    if shown.size > most_rows:
+        evaluate[:] = False
+        evaluate[shown[np.linspace(0, shown.size - 1, most_rows).round().astype(np.intp)]] = True
     gaps = log.gap_rows
     keep |= gaps
     keep[:-1] |= gaps[1:]

@@ -15,9 +15,19 @@ from cellwise.identify.assemble import refined_model
 from cellwise.identify.capacity.half_cycles import discharge_rows
 from cellwise.identify.identification import IdentifySettings, PulseSet, TestLogs
 from cellwise.identify.ocv.curve import OcvCurve
-from cellwise.identify.refinement.effects import Decided, decide
+from cellwise.identify.refinement.effects import (
+    QUICK_ITERATIONS,
+    QUICK_ROWS,
+    Decided,
+    decide,
+)
 from cellwise.identify.refinement.model_error import ResidualLog, estimate_model_error
-from cellwise.identify.refinement.refine import RefineResult, RefineSettings, StartTables
+from cellwise.identify.refinement.refine import (
+    RefineResult,
+    RefineSettings,
+    StartTables,
+    refine,
+)
 from cellwise.identify.refinement.refine_data import RefineLog, inverse_K
 from cellwise.identify.refinement.splines import TABLE_KNOTS, greville, spline_rows, spline_values
 from cellwise.identify.soc_anchor import SocAnchor, anchor_soc
@@ -119,7 +129,7 @@ def refine_cell(
                     temperature_C=g.temperature_C,
                 )
             )
-    if not logs:
+    if all(item.compare is not None for item in logs):
         raise InputError(
             "no log whose SOC at the start is known",
             "a log with a rest where the OCV is steep, or one that begins full",
@@ -140,7 +150,14 @@ def refine_cell(
     reference = float(grid[int(np.argmin(np.abs(grid - REFERENCE_C)))])
     decision = decide(logs, start, plain, capacity_Ah, reference, grid)
     result = decision.result
-    _note_moved_ocv(result, notices)
+    loads = [item for item in logs if item.compare is None]
+    alone = result
+    if not several and len(loads) < len(logs):
+        # Low-rate tests hold the OCV; what the loads alone say of it must not differ.
+        quick = replace(plain, iterations=QUICK_ITERATIONS)
+        alone = refine(loads, start, settings=quick, capacity_Ah=capacity_Ah,
+                       reference_C=reference, theta=result.theta, most_rows=QUICK_ROWS)  # fmt: skip
+    _note_moved_ocv(alone, notices)
     hot = any(item.log.temperature_C is not None for item in logs)
     model = refined_model(result, start, capacity_Ah, plain.skew, hot)
     if decision.heating is not None:
@@ -190,8 +207,8 @@ def _note_moved_ocv(result: RefineResult, notices: list[str]) -> None:
     size = float(np.sqrt(np.mean(moved**2)))
     if size > LARGEST_OCV_MOVE_V:
         notices.append(
-            f"the refinement moved the OCV by {1e3 * size:.0f} mV RMS: check at which SOC the logs "
-            "begin, and whether OCV and logs are of one cell and temperature"
+            f"the logs under load would have the OCV moved by {1e3 * size:.0f} mV RMS: check at "
+            "which SOC they begin, and whether OCV and logs are of one cell and temperature"
         )
 
 
