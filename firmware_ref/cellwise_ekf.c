@@ -310,21 +310,21 @@ static void look_up(const cellwise_model *m, const cellwise_place *place, float 
 #else
     point->noise_V2 = READ(k, noise_V2, g);
 #endif
-    uint32_t j = k;
-    float h = g;
+    uint32_t at = k;
+    float share = g;
 #if CELLWISE_SURFACE
     const float below = within_one(soc - place->lag) * (float)(points - 1u);
-    j = index_of(below, points);
-    h = KNOWN_FRACTION(below - (float)j);
+    at = index_of(below, points);
+    share = KNOWN_FRACTION(below - (float)at);
 #endif
-    point->r0_ohm = READ(j, r0_ohm, h);
-    point->r1_ohm = READ(j, r1_ohm, h);
-    point->gain1 = 1.0f / READ(j, lag1, h);
-    point->r2_ohm = READ(j, r2_ohm, h);
-    point->gain2 = 1.0f / READ(j, lag2, h);
+    point->r0_ohm = READ(at, r0_ohm, share);
+    point->r1_ohm = READ(at, r1_ohm, share);
+    point->gain1 = 1.0f / READ(at, lag1, share);
+    point->r2_ohm = READ(at, r2_ohm, share);
+    point->gain2 = 1.0f / READ(at, lag2, share);
 #if CELLWISE_SLOW
-    point->r3_ohm = READ(j, r3_ohm, h);
-    point->gain3 = 1.0f / READ(j, lag3, h);
+    point->r3_ohm = READ(at, r3_ohm, share);
+    point->gain3 = 1.0f / READ(at, lag3, share);
 #endif
 #if CELLWISE_HYSTERESIS
     point->m_V = READ(k, m_V, g);

@@ -122,8 +122,7 @@ def partials(
     # followed
     a = math.exp(-dt_s / cell.surface_s)
     # advance
-    gain = 1.0 - a
-    slow = a * state.slow_A + gain * current_A
+    slow = a * state.slow_A + (1.0 - a) * current_A
     cell_C = temperature_C + state.heat_K
     # inverse_kelvin
     kelvin = cell_C + ZERO_CELSIUS_K
@@ -323,6 +322,7 @@ def partials(
     soc_by_charge_As = dt_s / cell.charge_As / cell.charge_As * charge_used
     soc_by_current_A = soc_by_charge_used * (1.0 if current_A > 0.0 else cell.charge_efficiency)
     soc_by_charge_efficiency = soc_by_charge_used * (0.0 if current_A > 0.0 else current_A)
+    slow_by_current_A = 1.0 - a
     slow_by_surface_s = -(-dt_s / cell.surface_s / cell.surface_s * a * slow_by_a)
     v1_by_current_A = (
         g1 + v1_by_overvoltage * (cell.asinh_per_V * r1_4) + v1_by_growth * growth_by_current_A
@@ -408,7 +408,7 @@ def partials(
         soc_by_current_A,
         soc_by_charge_efficiency,
         a,
-        gain,
+        slow_by_current_A,
         slow_by_surface_s,
         a1,
         v1_by_current_A,

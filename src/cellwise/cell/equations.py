@@ -128,7 +128,7 @@ def followed(cell: CellScalars, slow_A: float, current_A: float, dt_s: float) ->
     .. math:: \bar I^{+} = a \bar I + (1 - a) I, \qquad a = e^{-\Delta t / \tau_s}
     """
     a = decay(dt_s, cell.surface_s)
-    return relaxed(slow_A, a, 1.0 - a, current_A)
+    return a * slow_A + (1.0 - a) * current_A
 
 
 @inline

@@ -214,19 +214,19 @@ def look_up(m: Model, place: Place, soc: Float, current: Float) -> Point:
         noise_V2 = noise_V2 + (m.constant.ocv_soc2 * (slope_V * slope_V))
     else:
         noise_V2 = read(m, place, k, NOISE_V2, g)
-    j = k
-    h = g
+    at = k
+    share = g
     if SURFACE:
         below = within_one(soc - place.lag) * F(points - 1)
-        j = index_of(below, points)
-        h = known_fraction(below - F(j))
-    r0_ohm = read(m, place, j, R0_OHM, h)
-    r1_ohm = read(m, place, j, R1_OHM, h)
-    gain1 = ONE / read(m, place, j, LAG1, h)
-    r2_ohm = read(m, place, j, R2_OHM, h)
-    gain2 = ONE / read(m, place, j, LAG2, h)
-    r3_ohm = read(m, place, j, R3_OHM, h) if SLOW else ZERO
-    gain3 = ONE / read(m, place, j, LAG3, h) if SLOW else ZERO
+        at = index_of(below, points)
+        share = known_fraction(below - F(at))
+    r0_ohm = read(m, place, at, R0_OHM, share)
+    r1_ohm = read(m, place, at, R1_OHM, share)
+    gain1 = ONE / read(m, place, at, LAG1, share)
+    r2_ohm = read(m, place, at, R2_OHM, share)
+    gain2 = ONE / read(m, place, at, LAG2, share)
+    r3_ohm = read(m, place, at, R3_OHM, share) if SLOW else ZERO
+    gain3 = ONE / read(m, place, at, LAG3, share) if SLOW else ZERO
     m_V = read(m, place, k, M_V, g) if HYSTERESIS else ZERO
     if SCALED:
         scale = place.scale
