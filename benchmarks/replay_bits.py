@@ -41,6 +41,7 @@ EFFECTS = (
     effect.TimeSkew(skew_s=0.4),
     effect.RateDependence(rate_h=0.08),
     effect.ChargeTransfer(asinh_per_V=60.0),
+    effect.SurfaceSoc(depth_h=0.06, tau_s=200.0, activation_K=1500.0),
     effect.ChargeAsymmetry(charge_scale=1.2),
     effect.SelfHeating(rth_K_per_W=6.0, thermal_s=500.0),
     effect.SelfDischarge(leak_A=0.01),

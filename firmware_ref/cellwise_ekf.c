@@ -76,7 +76,7 @@ static APART uint32_t out_of_range(float x)
     return IS_NUMBER(x) ? CELLWISE_OUT_OF_RANGE : 0u;
 }
 
-#if CELLWISE_HEATING || CELLWISE_HYSTERESIS || CELLWISE_WIDE
+#if CELLWISE_HEATING || CELLWISE_HYSTERESIS || CELLWISE_SURFACE || CELLWISE_WIDE
 /* 1 - exp(-z) for z >= 0, with exp(z) by its first five terms: exact at 0, rises to 1. */
 static APART float risen(float z)
 {
@@ -86,7 +86,7 @@ static APART float risen(float z)
 }
 #endif
 
-#if CELLWISE_HEATING || CELLWISE_WIDE
+#if CELLWISE_HEATING || CELLWISE_SURFACE || CELLWISE_WIDE
 /* exp(-z) for z >= 0, to 1e-4 of itself. */
 static float vanishing(float z)
 {
@@ -122,11 +122,15 @@ static APART float root(float square)
 
 /* ---- lookup.py: Tables of the fixed step at one SOC, temperature and current. */
 
-/* Where a temperature lies between two tables, and what it does to every resistance. */
+/* Where a temperature lies between two tables, and what it does to every resistance. `lag` is
+ * the SOC that the particles' surface is below the mean. */
 typedef struct {
     uint32_t low;
     float weight;
     float scale;
+#if CELLWISE_SURFACE
+    float lag;
+#endif
 } cellwise_place;
 
 /* The tables at one SOC and temperature; a gain is 1 - exp(-dt/tau). */
@@ -161,6 +165,22 @@ typedef struct {
 #endif
 } cellwise_slopes;
 
+#if (CELLWISE_DEPTH > 0) && CELLWISE_SURFACE
+/* SOC that the particles' surface is below the mean at 1 A and one temperature. */
+static float depth_at(const cellwise_constants *c, float temperature_C)
+{
+    const float most = (float)(CELLWISE_DEPTH - 1u);
+    float y = (temperature_C - c->depth_low_C) * c->depth_per_K;
+    y = clip(y, 0.0f, most);
+    uint32_t k = (uint32_t)y;
+    if (k > (CELLWISE_DEPTH - 2u)) {
+        k = CELLWISE_DEPTH - 2u;
+    }
+    const float f = KNOWN_FRACTION(y - (float)k);
+    return between(c->depth[k], c->depth[k + 1u], f);
+}
+#endif
+
 /* Neighbouring tables of a temperature, and the Arrhenius factor. */
 static void place_of(const cellwise_model *m, float temperature_C, cellwise_place *place)
 {
@@ -193,7 +213,37 @@ static void place_of(const cellwise_model *m, float temperature_C, cellwise_plac
     const float second = m->constant.arrhenius[k + 2u] - m->constant.arrhenius[k + 1u];
     place->scale = start + (f * (first + ((0.5f * (f - 1.0f)) * (second - first))));
 #endif
+#if CELLWISE_SURFACE
+    place->lag = 0.0f;
+#endif
 }
+
+#if CELLWISE_SURFACE
+/* The same place with the lag of the particles' surface. */
+static void under_surface(const cellwise_constants *c, const cellwise_state *x,
+                          const cellwise_place *at,
+#if CELLWISE_NEEDS_TEMPERATURE
+    float temperature_C,
+#endif
+    cellwise_place *place)
+{
+    (void)x;
+#if CELLWISE_NEEDS_TEMPERATURE
+    (void)temperature_C;
+#endif
+#if CELLWISE_DEPTH > 0
+    const float depth = depth_at(c, temperature_C);
+#else
+    const float depth = c->surface_per_A;
+#endif
+#if CELLWISE_SURFACE
+    place->lag = clip(depth * x->slow_A, -1.0f, 1.0f);
+#endif
+    place->low = at->low;
+    place->weight = at->weight;
+    place->scale = at->scale;
+}
+#endif
 
 /* The nearer end of 0..1 for a SOC beyond it. */
 static float within_one(float soc)
@@ -228,7 +278,8 @@ static float charge_transfer(float overvoltage)
 #endif
 
 /* Outside 0..1 the OCV goes on along its last segment, every other table stays at its end.
- * Without CELLWISE_WIDE the OCV stays, too. */
+ * Without CELLWISE_WIDE the OCV stays, too. With CELLWISE_SURFACE resistances and gains are
+ * those of the particles' surface. */
 static void look_up(const cellwise_model *m, const cellwise_place *place, float soc, float current,
                     cellwise_point *point)
 {
@@ -259,14 +310,21 @@ static void look_up(const cellwise_model *m, const cellwise_place *place, float 
 #else
     point->noise_V2 = READ(k, noise_V2, g);
 #endif
-    point->r0_ohm = READ(k, r0_ohm, g);
-    point->r1_ohm = READ(k, r1_ohm, g);
-    point->gain1 = 1.0f / READ(k, lag1, g);
-    point->r2_ohm = READ(k, r2_ohm, g);
-    point->gain2 = 1.0f / READ(k, lag2, g);
+    uint32_t at = k;
+    float share = g;
+#if CELLWISE_SURFACE
+    const float below = within_one(soc - place->lag) * (float)(points - 1u);
+    at = index_of(below, points);
+    share = KNOWN_FRACTION(below - (float)at);
+#endif
+    point->r0_ohm = READ(at, r0_ohm, share);
+    point->r1_ohm = READ(at, r1_ohm, share);
+    point->gain1 = 1.0f / READ(at, lag1, share);
+    point->r2_ohm = READ(at, r2_ohm, share);
+    point->gain2 = 1.0f / READ(at, lag2, share);
 #if CELLWISE_SLOW
-    point->r3_ohm = READ(k, r3_ohm, g);
-    point->gain3 = 1.0f / READ(k, lag3, g);
+    point->r3_ohm = READ(at, r3_ohm, share);
+    point->gain3 = 1.0f / READ(at, lag3, share);
 #endif
 #if CELLWISE_HYSTERESIS
     point->m_V = READ(k, m_V, g);
@@ -929,6 +987,11 @@ static bool is_sound(const cellwise_constants *c, const cellwise_state *x)
         return false;
     }
 #endif
+#if CELLWISE_SURFACE
+    if (!SIZE_WITHIN(x->slow_A, LARGE)) {
+        return false;
+    }
+#endif
 #if CELLWISE_NEEDS_TEMPERATURE
     if (!WITHIN(x->temperature_C, TEMPERATURE_LOW_C, TEMPERATURE_HIGH_C)) {
         return false;
@@ -968,6 +1031,9 @@ static APART void start(const cellwise_constants *c, cellwise_state *x, float so
     x->mismatch = 1.0f;
 #if CELLWISE_HEATING
     x->heat_K = 0.0f;
+#endif
+#if CELLWISE_SURFACE
+    x->slow_A = 0.0f;
 #endif
 #if CELLWISE_NEEDS_TEMPERATURE
     x->temperature_C = c->temperature_C;
@@ -1413,6 +1479,21 @@ static void count_charge(const cellwise_constants *c, cellwise_state *x, const c
     }
 }
 
+#if CELLWISE_SURFACE
+/* Current that the particles' surface follows: over missing samples what bridges them. */
+static void follow(const cellwise_constants *c, cellwise_state *x, const cellwise_reading *s,
+                   const cellwise_charge *charge)
+{
+    if (charge->missing != 0u) {
+        const float left = vanishing((float)charge->missing * c->surface_rate);
+        x->slow_A = charge->bridge + (left * (x->slow_A - charge->bridge));
+    }
+    if (s->news == INTERVAL) {
+        x->slow_A = x->slow_A + (c->surface_gain * (s->flow - x->slow_A));
+    }
+}
+#endif
+
 /* Hold SOC within its bounds, remember the sample: the status of the clamp. */
 static uint32_t finish(cellwise_state *x, const cellwise_reading *s, uint32_t missing,
                        uint32_t sequence, cellwise_output *out)
@@ -1744,6 +1825,14 @@ uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwis
 #endif
     cellwise_charge charge;
     count_charge(c, x, &s, &charge);
+#if CELLWISE_SURFACE
+    follow(c, x, &s, &charge);
+    under_surface(c, x, &place,
+#if CELLWISE_NEEDS_TEMPERATURE
+        s.temperature_C,
+#endif
+        &place);
+#endif
     cellwise_point p;
     look_up(m, &place, x->soc, s.seen, &p);
     if (x->evidence == NOT_BEGUN) {

@@ -17,7 +17,8 @@
 #error "cellwise_ekf: float expressions must be evaluated as float (on 32-bit x86: -mfpmath=sse)"
 #endif
 
-#define CELLWISE_NEEDS_TEMPERATURE ((CELLWISE_TEMPERATURES > 1) || (CELLWISE_ARRHENIUS > 0))
+#define CELLWISE_NEEDS_TEMPERATURE \
+    ((CELLWISE_TEMPERATURES > 1) || (CELLWISE_ARRHENIUS > 0) || (CELLWISE_DEPTH > 0))
 
 /* Status bits, the values of cellwise.Status in Python. */
 #define CELLWISE_CURRENT_INVALID 1u /* missing or not finite: the last valid current was held */
@@ -117,6 +118,13 @@ typedef struct {
 #if CELLWISE_TRANSFER
     float asinh_per_V; /* of the charge transfer of the fast branch */
 #endif
+#if CELLWISE_SURFACE && (!(CELLWISE_DEPTH > 0))
+    float surface_per_A; /* SOC that the particles' surface is below */
+#endif
+#if CELLWISE_SURFACE
+    float surface_gain; /* 1 - exp(-dt / time constant of the current it follows) */
+    float surface_rate; /* dt / that time constant */
+#endif
 #if CELLWISE_HYSTERESIS
     float hysteresis_per_A; /* e-folds of h in one step at 1 A */
 #endif
@@ -140,6 +148,11 @@ typedef struct {
     float arrhenius_low_C;
     float arrhenius_per_K; /* points per kelvin */
     float arrhenius[CELLWISE_ARRHENIUS]; /* factor on every resistance */
+#endif
+#if CELLWISE_DEPTH > 0
+    float depth_low_C;
+    float depth_per_K; /* points per kelvin */
+    float depth[CELLWISE_DEPTH]; /* SOC that the surface is below at 1 A */
 #endif
 } cellwise_constants;
 
@@ -222,6 +235,9 @@ typedef struct {
     float mismatch; /* running mean of squared innovation over variance */
 #if CELLWISE_HEATING
     float heat_K; /* own warming */
+#endif
+#if CELLWISE_SURFACE
+    float slow_A; /* current that the particles' surface has followed */
 #endif
 #if CELLWISE_NEEDS_TEMPERATURE
     float temperature_C; /* last valid one */

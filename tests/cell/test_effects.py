@@ -11,10 +11,11 @@ from cellwise.cell.effects import (
     ChargeTransfer,
     Hysteresis,
     SlowDiffusion,
+    SurfaceSoc,
     TemperatureDependence,
     TimeSkew,
 )
-from cellwise.cell.equations import advance, charge_transfer, empty_state
+from cellwise.cell.equations import CellState, advance, charge_transfer, empty_state, voltage_of
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
@@ -26,6 +27,7 @@ NEUTRAL = (
     TemperatureDependence(activation_K=0.0, reference_C=3.0),
     TimeSkew(skew_s=0.0),
     ChargeTransfer(asinh_per_V=0.0),
+    SurfaceSoc(depth_h=0.0, tau_s=12.0, activation_K=4000.0, reference_C=-5.0),
 )
 
 
@@ -67,6 +69,57 @@ def test_the_fraction_of_a_charge_transfer_is_asinh():
     found = np.array([charge_transfer(value) for value in y])
     np.testing.assert_allclose(found, np.arcsinh(y) / y, rtol=5e-4)
     assert charge_transfer(0.0) == 1.0
+
+
+def by_hand(model, state, current_A, dt_s, temperature_C):
+    """An interval of a cell with a surface: its states, R0 and OCV, as the theory page has them."""
+    effect, capacity = model.effect(SurfaceSoc), model.capacity_Ah
+    soc = state.soc - current_A * dt_s / 3600.0 / capacity
+    a = np.exp(-dt_s / effect.tau_s)
+    slow = a * state.slow_A + (1.0 - a) * current_A
+    colder = 1.0 / (temperature_C + 273.15) - 1.0 / (effect.reference_C + 273.15)
+    surface = soc - effect.depth_h * np.exp(effect.activation_K * colder) * slow / capacity
+
+    def at(name):
+        return np.interp(surface, model.soc, getattr(model, name)[0])
+
+    v1, v2 = (
+        v * np.exp(-dt_s / at(f"tau{j}_s")) + at(f"r{j}_ohm") * current_A * -np.expm1(
+            -dt_s / at(f"tau{j}_s")
+        )
+        for j, v in ((1, state.v1_V), (2, state.v2_V))
+    )  # fmt: skip
+    return soc, v1, v2, slow, at("r0_ohm"), np.interp(soc, model.soc, model.ocv_V[0])
+
+
+@pytest.mark.parametrize("dt_s", [0.5, 60.0, 7200.0])
+@pytest.mark.parametrize("current_A", [4.0, -3.0, 0.0])
+@pytest.mark.parametrize("soc", [0.02, 0.5, 0.97])
+def test_resistances_and_time_constants_are_those_of_the_surface(soc, current_A, dt_s):
+    """Near the ends the surface is beyond them, where the tables are held."""
+    model = curved_cell(effects=(SurfaceSoc(0.08, 250.0, 1800.0, 20.0),))
+    before = CellState(soc, 0.01, -0.02, 0.0, 0.0, 0.0, 2.5)
+    after, point = advance(model.parameters(), before, current_A, dt_s, -5.0)
+    new, v1, v2, slow, r0, ocv = by_hand(model, before, current_A, dt_s, -5.0)
+    found = (after.soc, after.v1_V, after.v2_V, after.slow_A, point.r0_ohm)
+    np.testing.assert_allclose(found, (new, v1, v2, slow, r0), rtol=1e-12, atol=1e-15)
+    if 0.0 <= new <= 1.0:
+        assert point.ocv_V == pytest.approx(ocv, rel=1e-12)
+        expected = ocv - r0 * current_A - v1 - v2
+        assert voltage_of(point, after, current_A) == pytest.approx(expected, rel=1e-12)
+
+
+def test_long_at_1c_the_surface_is_the_depth_below_the_mean():
+    """The steady voltage is that of the resistances 6 % of SOC further down, the OCV's here."""
+    model = curved_cell(effects=(SurfaceSoc(depth_h=0.06, tau_s=30.0),))
+    plain, state = curved_cell(), empty_state(0.9)
+    for _ in range(1200):
+        state, point = advance(model.parameters(), state, plain.capacity_Ah, 1.0, 25.0)
+    r0 = np.interp(state.soc - 0.06, plain.soc, plain.r0_ohm[0])
+    assert point.r0_ohm == pytest.approx(r0, rel=1e-12)
+    assert state.slow_A == pytest.approx(plain.capacity_Ah, rel=1e-12)
+    rested, _ = advance(model.parameters(), state, 0.0, 60.0, 25.0)
+    assert rested.slow_A == pytest.approx(np.exp(-2.0) * plain.capacity_Ah, rel=1e-12)
 
 
 def test_gap_between_the_branches_is_2_m():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellwise.cell.effects import ChargeTransfer
+from cellwise.cell.effects import ChargeTransfer, SurfaceSoc
 from cellwise.cell.initial_soc import InitialSoc
 from cellwise.cell.simulate import simulate
 from cellwise.diagnose import diagnose
@@ -43,10 +43,11 @@ def test_the_extended_model_is_what_the_fit_has_seen(effects, away):
     np.testing.assert_allclose(simulate(extended, log, SOC0).voltage_V, seen, rtol=0.0, atol=1e-9)
 
 
+@pytest.mark.parametrize("effect", [ChargeTransfer(60.0), SurfaceSoc(0.06, 200.0, 1500.0)])
 @pytest.mark.parametrize("cause", ["resistance_scale", "current_offset"])
-def test_a_model_with_charge_transfer_is_diagnosed_and_keeps_it(cause):
+def test_a_model_with_such_an_effect_is_diagnosed_and_keeps_it(cause, effect):
     """What is wrong is found beside the effect, which stays in the model as it was."""
-    model = curved_cell(effects=(ChargeTransfer(60.0),))
+    model = curved_cell(effects=(effect,))
     logs = []
     for seed in (2, 3):
         asked = drive(seed, 3000)
@@ -61,4 +62,5 @@ def test_a_model_with_charge_transfer_is_diagnosed_and_keeps_it(cause):
     assert said.verdict == cause
     name, value = next(iter(said.causes[0].parameters.items()))
     assert value == pytest.approx({"scale": 1.4, "offset_A": 0.15}[name], rel=0.1)
-    assert said.extended_model.effect(ChargeTransfer).asinh_per_V == 60.0
+    kept = said.extended_model.effect(type(effect))
+    assert vars(kept) == pytest.approx(vars(effect), rel=1e-12)

@@ -57,6 +57,19 @@ def test_over_a_gap_heat_only_decays(name):
     assert heat[101] > heat[100]
 
 
+@estimators(FLOAT64)
+def test_over_a_gap_the_surface_comes_back_to_the_mean(name):
+    """Nobody knows what flowed: exp(-gap / tau_s) of the followed current is left."""
+    model = curved_cell(effects=(ACTIVE["surface_soc"],))
+    pause = 1.0 if name == "lockstep" else 300.0  # the lockstep has one time step
+    rows = Rows.of([0.0, *[5.0] * 120]).interval(100, pause, gap=True)
+    slow = follow(name, model, rows, 0.8).slow_A
+    tau_s = ACTIVE["surface_soc"].tau_s
+    assert slow[99] == pytest.approx(-5.0 * np.expm1(-99.0 / tau_s), rel=1e-12)
+    assert slow[100] == pytest.approx(np.exp(-pause / tau_s) * slow[99], rel=1e-12)
+    assert slow[101] > slow[100]
+
+
 def ekf_beside(name, model, rows, soc0, soc0_std=0.01, noise=None):
     """The EKF over the same intervals: the lockstep's first sample ends one, too."""
     return follow("ekf", model, as_taken(name, rows), soc0, soc0_std, noise)
@@ -178,10 +191,11 @@ def test_charge_is_conserved_on_the_target(name):
 
 
 @estimators([FIRMWARE])
-@pytest.mark.parametrize("field", ["heat_K", "soc"])
+@pytest.mark.parametrize("field", ["heat_K", "slow_A", "soc"])
 def test_over_a_long_gap_on_the_target_only_the_current_is_unknown(name, field):
-    """The heat decays, self-discharge goes on: as in the float64 EKF, up to the tables' rows."""
-    effects = WARM if field == "heat_K" else (ACTIVE["self_discharge"],)
+    """Heat and followed current decay, self-discharge goes on: as in the EKF, up to the rows."""
+    surface, leak = (ACTIVE["surface_soc"],), (ACTIVE["self_discharge"],)
+    effects = {"heat_K": WARM, "slow_A": surface, "soc": leak}[field]
     model = linear_cell(effects=effects)
     rows = Rows.of([0.0, *[5.0] * 100, 0.0, 0.0]).interval(101, 900.0, gap=True)
     mine, ekf = (follow(n, model, rows, 0.8) for n in (name, "ekf"))
@@ -265,7 +279,7 @@ def test_one_step_of_two_dt_is_two_steps_of_dt(name, effects):
     for current in (2.0, -2.0):
         one, two = (follow(name, model, steady(t, current), 0.5) for t in (2.0, 1.0))
         skip = 1 if name == "lockstep" else 0  # its first sample ends an interval, too
-        for field in MEANS:
+        for field in (*MEANS, "slow_A"):
             expected = getattr(two, field)[skip::2]
             found = getattr(one, field)[: expected.size]
             np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-10, err_msg=field)
@@ -294,7 +308,7 @@ def test_without_a_voltage_all_filters_carry_the_same_cell(name, effects):
         current[120:135] = np.nan
         rows = replace(rows, current_A=current)
     mine, ekf = (walk(name, model, rows, 0.6, 0.001, noise) for walk in (follow, ekf_beside))
-    for field in (*MEANS, "heat_K", "soc_std", "p11", "p22", "p33"):
+    for field in (*MEANS, "heat_K", "slow_A", "soc_std", "p11", "p22", "p33"):
         np.testing.assert_allclose(
             getattr(mine, field), getattr(ekf, field), rtol=1e-9, atol=1e-9, err_msg=field
         )
@@ -322,7 +336,7 @@ def test_a_voltage_as_expected_moves_nothing(name, effects):
     blind = replace(rows, voltage_V=np.full(len(rows), np.nan))
     rows = replace(rows, voltage_V=follow("ekf", model, blind, 0.7).voltage_V)
     seen, ekf = follow(name, model, rows, 0.7), follow("ekf", model, blind, 0.7)
-    for field in (*MEANS, "heat_K", "voltage_V"):
+    for field in (*MEANS, "heat_K", "slow_A", "voltage_V"):
         np.testing.assert_allclose(
             getattr(seen, field), getattr(ekf, field), rtol=1e-6, atol=1e-8, err_msg=field
         )
@@ -342,7 +356,7 @@ def test_an_offset_that_is_known_is_none(effects):
     shifted = replace(rows, current_A=current + 0.1)
     found = follow("adaptive", model, shifted, 0.7, offset_A=0.1)
     expected = follow("adaptive", model, right, 0.7)
-    for field in (*MEANS, "heat_K", "voltage_V", "soc_std", "p11", "p22", "p33"):
+    for field in (*MEANS, "heat_K", "slow_A", "voltage_V", "soc_std", "p11", "p22", "p33"):
         np.testing.assert_allclose(
             getattr(found, field), getattr(expected, field), rtol=1e-9, atol=1e-11, err_msg=field
         )

@@ -270,6 +270,12 @@ class TestRestart:
         with pytest.raises(InputError, match="Start again"):
             state_from_dict(saved)
 
+    def test_a_state_of_before_the_surface_is_one_without_it(self):
+        state = Ekf(CURVED).init(0.5)
+        saved = state_to_dict(state)
+        del saved["state"]["slow_A"]
+        assert state_from_dict(json.loads(json.dumps(saved))) == state
+
     @pytest.mark.parametrize("text", ["", "{", "[1]", "3"])
     def test_a_file_that_is_none_is_refused(self, tmp_path, text):
         (tmp_path / "state.json").write_text(text)

@@ -170,13 +170,15 @@ def test_every_set_of_options_is_c(states, tmp_path):
     (tmp_path / "cellwise_ekf.c").write_text(print_source())
     slow, hysteresis, offset = states
     effects = (
-        "efficiency", "leak", "skew", "rate", "asymmetry", "transfer", "heating", "wide", "watch",
+        "efficiency", "leak", "skew", "rate", "asymmetry", "transfer", "surface", "heating", "wide",
+        "watch",
     )  # fmt: skip
     sizes = [(1, 0), (3, 0), (1, 161)]
     for k, (temperatures, arrhenius) in enumerate(sizes):
         for some in (effects, (), effects[k::2], effects[k::3]):
             options = Options(
                 5, temperatures, slow, hysteresis, offset, arrhenius,
+                depth=arrhenius if "surface" in some else 0,
                 **{e: int(e in some and (e != "heating" or k > 0)) for e in effects},
             )  # fmt: skip
             assert set(flags_of(options)) >= {e.upper() for e in effects}

@@ -23,6 +23,7 @@ from cellwise.cell.effects import (
     SelfDischarge,
     SelfHeating,
     SlowDiffusion,
+    SurfaceSoc,
     TemperatureDependence,
     TimeSkew,
 )
@@ -47,6 +48,7 @@ ACTIVE = {
         TimeSkew(skew_s=0.4),
         RateDependence(rate_h=0.1),
         ChargeTransfer(asinh_per_V=60.0),
+        SurfaceSoc(depth_h=0.08, tau_s=150.0, activation_K=1500.0, reference_C=15.0),
         ChargeAsymmetry(charge_scale=1.3),
         SelfHeating(rth_K_per_W=8.0, thermal_s=400.0),
         SelfDischarge(leak_A=0.02),
@@ -62,6 +64,7 @@ NEUTRAL = {
         TimeSkew(skew_s=0.0),
         RateDependence(rate_h=0.0),
         ChargeTransfer(asinh_per_V=0.0),
+        SurfaceSoc(depth_h=0.0, tau_s=44.0, activation_K=2000.0, reference_C=5.0),
         ChargeAsymmetry(charge_scale=1.0),
         SelfHeating(rth_K_per_W=0.0, thermal_s=33.0),
         SelfDischarge(leak_A=0.0),
@@ -70,7 +73,7 @@ NEUTRAL = {
 }
 NOTHING = AdaptiveSettings(learn=(), memory_s=0.0)
 MEANS = ("soc", "v1_V", "v2_V", "v3_V", "h")
-SHOWN = (*MEANS, "heat_K", "voltage_V", "soc_std", "p11", "p22", "p33")
+SHOWN = (*MEANS, "heat_K", "slow_A", "voltage_V", "soc_std", "p11", "p22", "p33")
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +126,7 @@ class Path(NamedTuple):
     v3_V: Array
     h: Array
     heat_K: Array
+    slow_A: Array
     voltage_V: Array
     soc_std: Array
     p11: Array
@@ -235,9 +239,10 @@ def _filterpy(name, model, rows, soc0, soc0_std, noise):
     seen = []
     predict, update = estimator.predict, estimator.update
 
-    def watched_predict(kf, now, heat_K):
-        seen.append({"heat_K": predict(kf, now, heat_K)})
-        return seen[-1]["heat_K"]
+    def watched_predict(kf, now, before):
+        after = predict(kf, now, before)
+        seen.append(after._asdict())
+        return after
 
     def watched_update(kf, *given):
         told = update(kf, *given)

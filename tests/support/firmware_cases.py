@@ -14,6 +14,7 @@ from cellwise.cell.effects import (
     SelfDischarge,
     SelfHeating,
     SlowDiffusion,
+    SurfaceSoc,
 )
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.export.c_tables import STRICT_FLAGS, WARNING_FLAGS, write_sources
@@ -28,6 +29,7 @@ def full_model():
         RateDependence(0.1),
         ChargeAsymmetry(0.8),
         ChargeTransfer(40.0),
+        SurfaceSoc(0.06, 200.0, 1500.0),
         SelfHeating(3.0, 300.0),
         SelfDischarge(0.01),
     ):
@@ -47,6 +49,8 @@ def tables_of(name, dt_s=1.0):
         )
     if name == "transfer":
         return fixed_step_tables(curved_cell(effects=(ChargeTransfer(60.0),)), dt_s)
+    if name == "surface":
+        return fixed_step_tables(curved_cell(effects=(SurfaceSoc(0.08, 120.0),)), dt_s)
     if name == "offset":
         return fixed_step_tables(curved_cell(), dt_s, offset_std_A=0.1)
     return fixed_step_tables(full_model(), dt_s, offset_std_A=0.1)

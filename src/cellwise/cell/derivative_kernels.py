@@ -23,6 +23,9 @@ class Partials(NamedTuple):
     soc_by_leak_A: float
     soc_by_current_A: float
     soc_by_charge_efficiency: float
+    slow_by_old_slow_A: float
+    slow_by_current_A: float
+    slow_by_surface_s: float
     v1_by_old_v1_V: float
     v1_by_current_A: float
     v1_by_asinh_per_V: float
@@ -33,9 +36,13 @@ class Partials(NamedTuple):
     v1_by_activation_K: float
     v1_by_reference_K: float
     v1_by_old_heat_K: float
-    v1_by_soc: float
     v1_by_r1_ohm: float
     v1_by_tau1_s: float
+    v1_by_soc: float
+    v1_by_slow: float
+    v1_by_surface_per_A: float
+    v1_by_surface_activation_K: float
+    v1_by_surface_reference_K: float
     v2_by_old_v2_V: float
     v2_by_current_A: float
     v2_by_charge_scale: float
@@ -45,9 +52,13 @@ class Partials(NamedTuple):
     v2_by_activation_K: float
     v2_by_reference_K: float
     v2_by_old_heat_K: float
-    v2_by_soc: float
     v2_by_r2_ohm: float
     v2_by_tau2_s: float
+    v2_by_soc: float
+    v2_by_slow: float
+    v2_by_surface_per_A: float
+    v2_by_surface_activation_K: float
+    v2_by_surface_reference_K: float
     v3_by_old_v3_V: float
     v3_by_current_A: float
     v3_by_charge_scale: float
@@ -56,9 +67,13 @@ class Partials(NamedTuple):
     v3_by_activation_K: float
     v3_by_reference_K: float
     v3_by_old_heat_K: float
-    v3_by_soc: float
     v3_by_r3_ohm: float
     v3_by_tau3_s: float
+    v3_by_soc: float
+    v3_by_slow: float
+    v3_by_surface_per_A: float
+    v3_by_surface_activation_K: float
+    v3_by_surface_reference_K: float
     h_by_old_h: float
     h_by_hysteresis_rate: float
     h_by_current_A: float
@@ -70,8 +85,12 @@ class Partials(NamedTuple):
     drop_by_activation_K: float
     drop_by_reference_K: float
     drop_by_old_heat_K: float
-    drop_by_soc: float
     drop_by_r0_ohm: float
+    drop_by_soc: float
+    drop_by_slow: float
+    drop_by_surface_per_A: float
+    drop_by_surface_activation_K: float
+    drop_by_surface_reference_K: float
     heat_by_old_heat_K: float
     heat_by_heating_K_per_W: float
     heat_by_current_A: float
@@ -100,32 +119,40 @@ def partials(
     # charge_used
     used = current_A if current_A > 0.0 else current_A * cell.charge_efficiency
     charge_used = used + cell.leak_A
+    # followed
+    a = math.exp(-dt_s / cell.surface_s)
     # advance
+    slow = a * state.slow_A + (1.0 - a) * current_A
     cell_C = temperature_C + state.heat_K
+    # inverse_kelvin
+    kelvin = cell_C + ZERO_CELSIUS_K
+    inverse_kelvin = 1.0 / kelvin - 1.0 / cell.surface_reference_K
+    # surface_soc
+    scale = math.exp(cell.surface_activation_K * inverse_kelvin)
+    depth = cell.surface_per_A * scale
     # at_temperature
     warmer = cell_C + ZERO_CELSIUS_K - cell.entropy_K
     # inverse_kelvin
-    kelvin = cell_C + ZERO_CELSIUS_K
-    inverse_kelvin = 1.0 / kelvin - 1.0 / cell.reference_K
+    inverse_kelvin_2 = 1.0 / kelvin - 1.0 / cell.reference_K
     # at_temperature
-    scale = math.exp(cell.activation_K * inverse_kelvin)
-    r0 = table.r0_ohm * scale
-    r1 = table.r1_ohm * scale
-    r2 = table.r2_ohm * scale
-    r3 = table.r3_ohm * scale
-    r0_factor = math.exp(cell.r0_activation_K * inverse_kelvin)
+    scale_2 = math.exp(cell.activation_K * inverse_kelvin_2)
+    r0 = table.r0_ohm * scale_2
+    r1 = table.r1_ohm * scale_2
+    r2 = table.r2_ohm * scale_2
+    r3 = table.r3_ohm * scale_2
+    r0_factor = math.exp(cell.r0_activation_K * inverse_kelvin_2)
     r0_2 = r0 * r0_factor
-    r1_factor = math.exp(cell.r1_activation_K * inverse_kelvin)
+    r1_factor = math.exp(cell.r1_activation_K * inverse_kelvin_2)
     r1_2 = r1 * r1_factor
-    tau1_factor = math.exp(cell.tau1_activation_K * inverse_kelvin)
+    tau1_factor = math.exp(cell.tau1_activation_K * inverse_kelvin_2)
     tau1 = table.tau1_s * tau1_factor
-    r2_factor = math.exp(cell.r2_activation_K * inverse_kelvin)
+    r2_factor = math.exp(cell.r2_activation_K * inverse_kelvin_2)
     r2_2 = r2 * r2_factor
-    tau2_factor = math.exp(cell.tau2_activation_K * inverse_kelvin)
+    tau2_factor = math.exp(cell.tau2_activation_K * inverse_kelvin_2)
     tau2 = table.tau2_s * tau2_factor
-    r3_factor = math.exp(cell.r3_activation_K * inverse_kelvin)
+    r3_factor = math.exp(cell.r3_activation_K * inverse_kelvin_2)
     r3_2 = r3 * r3_factor
-    tau3_factor = math.exp(cell.tau3_activation_K * inverse_kelvin)
+    tau3_factor = math.exp(cell.tau3_activation_K * inverse_kelvin_2)
     tau3 = table.tau3_s * tau3_factor
     # under_load
     growth = 1.0 + cell.rate_per_A * abs(current_A)
@@ -230,93 +257,143 @@ def partials(
     v2_by_r2 = v2_by_r2_2 * r2_factor
     v1_by_r1 = v1_by_r1_2 * r1_factor
     drop_by_r0 = drop_by_r0_2 * r0_factor
-    scale_by_activation_K = scale * inverse_kelvin
-    scale_by_inverse_kelvin = scale * cell.activation_K
-    v1_by_scale = v1_by_r1 * table.r1_ohm
-    v2_by_scale = v2_by_r2 * table.r2_ohm
-    v3_by_scale = v3_by_r3 * table.r3_ohm
-    drop_by_scale = drop_by_r0 * table.r0_ohm
-    inverse_kelvin_by_kelvin = -(1.0 / kelvin / kelvin)
-    inverse_kelvin_by_reference_K = 1.0 / cell.reference_K / cell.reference_K
-    v1_by_inverse_kelvin = (
+    scale_2_by_activation_K = scale_2 * inverse_kelvin_2
+    scale_2_by_inverse_kelvin_2 = scale_2 * cell.activation_K
+    v1_by_scale_2 = v1_by_r1 * table.r1_ohm
+    v2_by_scale_2 = v2_by_r2 * table.r2_ohm
+    v3_by_scale_2 = v3_by_r3 * table.r3_ohm
+    drop_by_scale_2 = drop_by_r0 * table.r0_ohm
+    inverse_kelvin_2_by_kelvin = -(1.0 / kelvin / kelvin)
+    inverse_kelvin_2_by_reference_K = 1.0 / cell.reference_K / cell.reference_K
+    v1_by_inverse_kelvin_2 = (
         v1_by_tau1_factor * (tau1_factor * cell.tau1_activation_K)
         + v1_by_r1_factor * (r1_factor * cell.r1_activation_K)
-        + v1_by_scale * scale_by_inverse_kelvin
+        + v1_by_scale_2 * scale_2_by_inverse_kelvin_2
     )
-    v2_by_inverse_kelvin = (
+    v2_by_inverse_kelvin_2 = (
         v2_by_tau2_factor * (tau2_factor * cell.tau2_activation_K)
         + v2_by_r2_factor * (r2_factor * cell.r2_activation_K)
-        + v2_by_scale * scale_by_inverse_kelvin
+        + v2_by_scale_2 * scale_2_by_inverse_kelvin_2
     )
-    v3_by_inverse_kelvin = (
+    v3_by_inverse_kelvin_2 = (
         v3_by_tau3_factor * (tau3_factor * cell.tau3_activation_K)
         + v3_by_r3_factor * (r3_factor * cell.r3_activation_K)
-        + v3_by_scale * scale_by_inverse_kelvin
+        + v3_by_scale_2 * scale_2_by_inverse_kelvin_2
     )
-    drop_by_inverse_kelvin = (
+    drop_by_inverse_kelvin_2 = (
         drop_by_r0_factor * (r0_factor * cell.r0_activation_K)
-        + drop_by_scale * scale_by_inverse_kelvin
+        + drop_by_scale_2 * scale_2_by_inverse_kelvin_2
     )
-    v1_by_kelvin = v1_by_inverse_kelvin * inverse_kelvin_by_kelvin
-    v2_by_kelvin = v2_by_inverse_kelvin * inverse_kelvin_by_kelvin
-    v3_by_kelvin = v3_by_inverse_kelvin * inverse_kelvin_by_kelvin
-    drop_by_kelvin = drop_by_inverse_kelvin * inverse_kelvin_by_kelvin
-    soc_by_charge_used = -(dt_s / cell.charge_As)
-    drop_by_r0_ohm = drop_by_r0 * scale
-    v1_by_r1_ohm = v1_by_r1 * scale
+    inverse_kelvin_by_kelvin = -(1.0 / kelvin / kelvin)
+    v1_by_kelvin = v1_by_inverse_kelvin_2 * inverse_kelvin_2_by_kelvin
+    v2_by_kelvin = v2_by_inverse_kelvin_2 * inverse_kelvin_2_by_kelvin
+    v3_by_kelvin = v3_by_inverse_kelvin_2 * inverse_kelvin_2_by_kelvin
+    drop_by_kelvin = drop_by_inverse_kelvin_2 * inverse_kelvin_2_by_kelvin
+    drop_by_r0_ohm = drop_by_r0 * scale_2
+    v1_by_r1_ohm = v1_by_r1 * scale_2
     v1_by_tau1_s = v1_by_tau1 * tau1_factor
-    v2_by_r2_ohm = v2_by_r2 * scale
+    v2_by_r2_ohm = v2_by_r2 * scale_2
     v2_by_tau2_s = v2_by_tau2 * tau2_factor
-    v3_by_r3_ohm = v3_by_r3 * scale
+    v3_by_r3_ohm = v3_by_r3 * scale_2
     v3_by_tau3_s = v3_by_tau3 * tau3_factor
+    v1_by_surface = v1_by_r1_ohm * by_soc.r1_ohm + v1_by_tau1_s * by_soc.tau1_s
+    v2_by_surface = v2_by_r2_ohm * by_soc.r2_ohm + v2_by_tau2_s * by_soc.tau2_s
+    v3_by_surface = v3_by_r3_ohm * by_soc.r3_ohm + v3_by_tau3_s * by_soc.tau3_s
+    drop_by_surface = drop_by_r0_ohm * by_soc.r0_ohm
+    v1_by_depth = -(slow * v1_by_surface)
+    v2_by_depth = -(slow * v2_by_surface)
+    v3_by_depth = -(slow * v3_by_surface)
+    drop_by_depth = -(slow * drop_by_surface)
+    scale_by_surface_activation_K = scale * inverse_kelvin
+    scale_by_inverse_kelvin = scale * cell.surface_activation_K
+    v1_by_scale = v1_by_depth * cell.surface_per_A
+    v2_by_scale = v2_by_depth * cell.surface_per_A
+    v3_by_scale = v3_by_depth * cell.surface_per_A
+    drop_by_scale = drop_by_depth * cell.surface_per_A
+    inverse_kelvin_by_surface_reference_K = (
+        1.0 / cell.surface_reference_K / cell.surface_reference_K
+    )
+    v1_by_inverse_kelvin = v1_by_scale * scale_by_inverse_kelvin
+    v2_by_inverse_kelvin = v2_by_scale * scale_by_inverse_kelvin
+    v3_by_inverse_kelvin = v3_by_scale * scale_by_inverse_kelvin
+    drop_by_inverse_kelvin = drop_by_scale * scale_by_inverse_kelvin
+    slow_by_a = state.slow_A - current_A
+    soc_by_charge_used = -(dt_s / cell.charge_As)
     soc_by_charge_As = dt_s / cell.charge_As / cell.charge_As * charge_used
     soc_by_current_A = soc_by_charge_used * (1.0 if current_A > 0.0 else cell.charge_efficiency)
     soc_by_charge_efficiency = soc_by_charge_used * (0.0 if current_A > 0.0 else current_A)
+    slow_by_current_A = 1.0 - a
+    slow_by_surface_s = -(-dt_s / cell.surface_s / cell.surface_s * a * slow_by_a)
     v1_by_current_A = (
         g1 + v1_by_overvoltage * (cell.asinh_per_V * r1_4) + v1_by_growth * growth_by_current_A
     )
     v1_by_asinh_per_V = v1_by_overvoltage * (r1_4 * current_A)
     v1_by_charge_scale = v1_by_r1_4 * (r1_3 if current_A < 0.0 else 0.0)
     v1_by_rate_per_A = v1_by_growth * growth_by_rate_per_A
-    v1_by_tau1_activation_K = v1_by_tau1_factor * (tau1_factor * inverse_kelvin)
-    v1_by_r1_activation_K = v1_by_r1_factor * (r1_factor * inverse_kelvin)
-    v1_by_activation_K = v1_by_scale * scale_by_activation_K
-    v1_by_reference_K = v1_by_inverse_kelvin * inverse_kelvin_by_reference_K
+    v1_by_tau1_activation_K = v1_by_tau1_factor * (tau1_factor * inverse_kelvin_2)
+    v1_by_r1_activation_K = v1_by_r1_factor * (r1_factor * inverse_kelvin_2)
+    v1_by_activation_K = v1_by_scale_2 * scale_2_by_activation_K
+    v1_by_reference_K = v1_by_inverse_kelvin_2 * inverse_kelvin_2_by_reference_K
     v1_by_old_heat_K = (
-        v1_by_kelvin + v1_by_r1_ohm * by_kelvin.r1_ohm + v1_by_tau1_s * by_kelvin.tau1_s
+        v1_by_kelvin
+        + v1_by_r1_ohm * by_kelvin.r1_ohm
+        + v1_by_tau1_s * by_kelvin.tau1_s
+        + v1_by_inverse_kelvin * inverse_kelvin_by_kelvin
     )
-    v1_by_soc = v1_by_r1_ohm * by_soc.r1_ohm + v1_by_tau1_s * by_soc.tau1_s
+    v1_by_slow = -(depth * v1_by_surface)
+    v1_by_surface_per_A = v1_by_depth * scale
+    v1_by_surface_activation_K = v1_by_scale * scale_by_surface_activation_K
+    v1_by_surface_reference_K = v1_by_inverse_kelvin * inverse_kelvin_by_surface_reference_K
     v2_by_current_A = g2 + v2_by_growth * growth_by_current_A
     v2_by_charge_scale = v2_by_r2_4 * (r2_3 if current_A < 0.0 else 0.0)
     v2_by_rate_per_A = v2_by_growth * growth_by_rate_per_A
-    v2_by_tau2_activation_K = v2_by_tau2_factor * (tau2_factor * inverse_kelvin)
-    v2_by_r2_activation_K = v2_by_r2_factor * (r2_factor * inverse_kelvin)
-    v2_by_activation_K = v2_by_scale * scale_by_activation_K
-    v2_by_reference_K = v2_by_inverse_kelvin * inverse_kelvin_by_reference_K
+    v2_by_tau2_activation_K = v2_by_tau2_factor * (tau2_factor * inverse_kelvin_2)
+    v2_by_r2_activation_K = v2_by_r2_factor * (r2_factor * inverse_kelvin_2)
+    v2_by_activation_K = v2_by_scale_2 * scale_2_by_activation_K
+    v2_by_reference_K = v2_by_inverse_kelvin_2 * inverse_kelvin_2_by_reference_K
     v2_by_old_heat_K = (
-        v2_by_kelvin + v2_by_r2_ohm * by_kelvin.r2_ohm + v2_by_tau2_s * by_kelvin.tau2_s
+        v2_by_kelvin
+        + v2_by_r2_ohm * by_kelvin.r2_ohm
+        + v2_by_tau2_s * by_kelvin.tau2_s
+        + v2_by_inverse_kelvin * inverse_kelvin_by_kelvin
     )
-    v2_by_soc = v2_by_r2_ohm * by_soc.r2_ohm + v2_by_tau2_s * by_soc.tau2_s
+    v2_by_slow = -(depth * v2_by_surface)
+    v2_by_surface_per_A = v2_by_depth * scale
+    v2_by_surface_activation_K = v2_by_scale * scale_by_surface_activation_K
+    v2_by_surface_reference_K = v2_by_inverse_kelvin * inverse_kelvin_by_surface_reference_K
     v3_by_charge_scale = v3_by_r3_3 * (r3_2 if current_A < 0.0 else 0.0)
-    v3_by_tau3_activation_K = v3_by_tau3_factor * (tau3_factor * inverse_kelvin)
-    v3_by_r3_activation_K = v3_by_r3_factor * (r3_factor * inverse_kelvin)
-    v3_by_activation_K = v3_by_scale * scale_by_activation_K
-    v3_by_reference_K = v3_by_inverse_kelvin * inverse_kelvin_by_reference_K
+    v3_by_tau3_activation_K = v3_by_tau3_factor * (tau3_factor * inverse_kelvin_2)
+    v3_by_r3_activation_K = v3_by_r3_factor * (r3_factor * inverse_kelvin_2)
+    v3_by_activation_K = v3_by_scale_2 * scale_2_by_activation_K
+    v3_by_reference_K = v3_by_inverse_kelvin_2 * inverse_kelvin_2_by_reference_K
     v3_by_old_heat_K = (
-        v3_by_kelvin + v3_by_r3_ohm * by_kelvin.r3_ohm + v3_by_tau3_s * by_kelvin.tau3_s
+        v3_by_kelvin
+        + v3_by_r3_ohm * by_kelvin.r3_ohm
+        + v3_by_tau3_s * by_kelvin.tau3_s
+        + v3_by_inverse_kelvin * inverse_kelvin_by_kelvin
     )
-    v3_by_soc = v3_by_r3_ohm * by_soc.r3_ohm + v3_by_tau3_s * by_soc.tau3_s
+    v3_by_slow = -(depth * v3_by_surface)
+    v3_by_surface_per_A = v3_by_depth * scale
+    v3_by_surface_activation_K = v3_by_scale * scale_by_surface_activation_K
+    v3_by_surface_reference_K = v3_by_inverse_kelvin * inverse_kelvin_by_surface_reference_K
     h_by_hysteresis_rate = -(abs(current_A) * per_A * h_by_folds)
     h_by_current_A = -(cell.hysteresis_rate * math.copysign(1.0, current_A) * per_A * h_by_folds)
     h_by_charge_As = -(per_A / cell.charge_As * h_by_per_A)
     drop_by_current_A = r0_4 + drop_by_growth * growth_by_current_A
     drop_by_charge_scale = current_A * (r0_3 if current_A < 0.0 else 0.0)
     drop_by_rate_per_A = drop_by_growth * growth_by_rate_per_A
-    drop_by_r0_activation_K = drop_by_r0_factor * (r0_factor * inverse_kelvin)
-    drop_by_activation_K = drop_by_scale * scale_by_activation_K
-    drop_by_reference_K = drop_by_inverse_kelvin * inverse_kelvin_by_reference_K
-    drop_by_old_heat_K = drop_by_kelvin + drop_by_r0_ohm * by_kelvin.r0_ohm
-    drop_by_soc = drop_by_r0_ohm * by_soc.r0_ohm
+    drop_by_r0_activation_K = drop_by_r0_factor * (r0_factor * inverse_kelvin_2)
+    drop_by_activation_K = drop_by_scale_2 * scale_2_by_activation_K
+    drop_by_reference_K = drop_by_inverse_kelvin_2 * inverse_kelvin_2_by_reference_K
+    drop_by_old_heat_K = (
+        drop_by_kelvin
+        + drop_by_r0_ohm * by_kelvin.r0_ohm
+        + drop_by_inverse_kelvin * inverse_kelvin_by_kelvin
+    )
+    drop_by_slow = -(depth * drop_by_surface)
+    drop_by_surface_per_A = drop_by_depth * scale
+    drop_by_surface_activation_K = drop_by_scale * scale_by_surface_activation_K
+    drop_by_surface_reference_K = drop_by_inverse_kelvin * inverse_kelvin_by_surface_reference_K
     heat_by_heating_K_per_W = (1.0 - b) * (current_A * drop)
     heat_by_current_A = cell.heating_K_per_W * (1.0 - b) * drop
     heat_by_drop = cell.heating_K_per_W * (1.0 - b) * current_A
@@ -330,6 +407,9 @@ def partials(
         soc_by_charge_used,
         soc_by_current_A,
         soc_by_charge_efficiency,
+        a,
+        slow_by_current_A,
+        slow_by_surface_s,
         a1,
         v1_by_current_A,
         v1_by_asinh_per_V,
@@ -340,9 +420,13 @@ def partials(
         v1_by_activation_K,
         v1_by_reference_K,
         v1_by_old_heat_K,
-        v1_by_soc,
         v1_by_r1_ohm,
         v1_by_tau1_s,
+        v1_by_surface,
+        v1_by_slow,
+        v1_by_surface_per_A,
+        v1_by_surface_activation_K,
+        v1_by_surface_reference_K,
         a2,
         v2_by_current_A,
         v2_by_charge_scale,
@@ -352,9 +436,13 @@ def partials(
         v2_by_activation_K,
         v2_by_reference_K,
         v2_by_old_heat_K,
-        v2_by_soc,
         v2_by_r2_ohm,
         v2_by_tau2_s,
+        v2_by_surface,
+        v2_by_slow,
+        v2_by_surface_per_A,
+        v2_by_surface_activation_K,
+        v2_by_surface_reference_K,
         a3,
         g3,
         v3_by_charge_scale,
@@ -363,9 +451,13 @@ def partials(
         v3_by_activation_K,
         v3_by_reference_K,
         v3_by_old_heat_K,
-        v3_by_soc,
         v3_by_r3_ohm,
         v3_by_tau3_s,
+        v3_by_surface,
+        v3_by_slow,
+        v3_by_surface_per_A,
+        v3_by_surface_activation_K,
+        v3_by_surface_reference_K,
         ah,
         h_by_hysteresis_rate,
         h_by_current_A,
@@ -377,8 +469,12 @@ def partials(
         drop_by_activation_K,
         drop_by_reference_K,
         drop_by_old_heat_K,
-        drop_by_soc,
         drop_by_r0_ohm,
+        drop_by_surface,
+        drop_by_slow,
+        drop_by_surface_per_A,
+        drop_by_surface_activation_K,
+        drop_by_surface_reference_K,
         b,
         heat_by_heating_K_per_W,
         heat_by_current_A,
@@ -397,29 +493,33 @@ def partials(
 def carried(p: Partials, d: CellState, flow_A: float, at: CellPoint) -> tuple[CellState, float]:
     """Directions after an interval, of those before it, of the current and the tables."""
     soc = d.soc + p.soc_by_current_A * flow_A
+    slow = p.slow_by_old_slow_A * d.slow_A + p.slow_by_current_A * flow_A
     v1 = (
         p.v1_by_old_v1_V * d.v1_V
         + p.v1_by_current_A * flow_A
         + p.v1_by_old_heat_K * d.heat_K
-        + p.v1_by_soc * soc
         + p.v1_by_r1_ohm * at.r1_ohm
         + p.v1_by_tau1_s * at.tau1_s
+        + p.v1_by_soc * soc
+        + p.v1_by_slow * slow
     )
     v2 = (
         p.v2_by_old_v2_V * d.v2_V
         + p.v2_by_current_A * flow_A
         + p.v2_by_old_heat_K * d.heat_K
-        + p.v2_by_soc * soc
         + p.v2_by_r2_ohm * at.r2_ohm
         + p.v2_by_tau2_s * at.tau2_s
+        + p.v2_by_soc * soc
+        + p.v2_by_slow * slow
     )
     v3 = (
         p.v3_by_old_v3_V * d.v3_V
         + p.v3_by_current_A * flow_A
         + p.v3_by_old_heat_K * d.heat_K
-        + p.v3_by_soc * soc
         + p.v3_by_r3_ohm * at.r3_ohm
         + p.v3_by_tau3_s * at.tau3_s
+        + p.v3_by_soc * soc
+        + p.v3_by_slow * slow
     )
     h = p.h_by_old_h * d.h + p.h_by_current_A * flow_A
     drop = (
@@ -428,8 +528,9 @@ def carried(p: Partials, d: CellState, flow_A: float, at: CellPoint) -> tuple[Ce
         + v2
         + v3
         + p.drop_by_old_heat_K * d.heat_K
-        + p.drop_by_soc * soc
         + p.drop_by_r0_ohm * at.r0_ohm
+        + p.drop_by_soc * soc
+        + p.drop_by_slow * slow
     )
     heat = p.heat_by_old_heat_K * d.heat_K + p.heat_by_current_A * flow_A + p.heat_by_drop * drop
     voltage = (
@@ -441,7 +542,7 @@ def carried(p: Partials, d: CellState, flow_A: float, at: CellPoint) -> tuple[Ce
         + p.voltage_by_m_V * at.m_V
         + p.voltage_by_entropy_V * at.entropy_V
     )
-    return CellState(soc, v1, v2, v3, h, heat), voltage
+    return CellState(soc, v1, v2, v3, h, heat, slow), voltage
 
 
 @inline
@@ -452,6 +553,7 @@ def driven(p: Partials, d: CellScalars) -> tuple[CellState, float]:
         + p.soc_by_leak_A * d.leak_A
         + p.soc_by_charge_efficiency * d.charge_efficiency
     )
+    slow = p.slow_by_surface_s * d.surface_s
     v1 = (
         p.v1_by_asinh_per_V * d.asinh_per_V
         + p.v1_by_charge_scale * d.charge_scale
@@ -461,6 +563,10 @@ def driven(p: Partials, d: CellScalars) -> tuple[CellState, float]:
         + p.v1_by_activation_K * d.activation_K
         + p.v1_by_reference_K * d.reference_K
         + p.v1_by_soc * soc
+        + p.v1_by_slow * slow
+        + p.v1_by_surface_per_A * d.surface_per_A
+        + p.v1_by_surface_activation_K * d.surface_activation_K
+        + p.v1_by_surface_reference_K * d.surface_reference_K
     )
     v2 = (
         p.v2_by_charge_scale * d.charge_scale
@@ -470,6 +576,10 @@ def driven(p: Partials, d: CellScalars) -> tuple[CellState, float]:
         + p.v2_by_activation_K * d.activation_K
         + p.v2_by_reference_K * d.reference_K
         + p.v2_by_soc * soc
+        + p.v2_by_slow * slow
+        + p.v2_by_surface_per_A * d.surface_per_A
+        + p.v2_by_surface_activation_K * d.surface_activation_K
+        + p.v2_by_surface_reference_K * d.surface_reference_K
     )
     v3 = (
         p.v3_by_charge_scale * d.charge_scale
@@ -478,6 +588,10 @@ def driven(p: Partials, d: CellScalars) -> tuple[CellState, float]:
         + p.v3_by_activation_K * d.activation_K
         + p.v3_by_reference_K * d.reference_K
         + p.v3_by_soc * soc
+        + p.v3_by_slow * slow
+        + p.v3_by_surface_per_A * d.surface_per_A
+        + p.v3_by_surface_activation_K * d.surface_activation_K
+        + p.v3_by_surface_reference_K * d.surface_reference_K
     )
     h = p.h_by_hysteresis_rate * d.hysteresis_rate + p.h_by_charge_As * d.charge_As
     drop = (
@@ -490,6 +604,10 @@ def driven(p: Partials, d: CellScalars) -> tuple[CellState, float]:
         + p.drop_by_activation_K * d.activation_K
         + p.drop_by_reference_K * d.reference_K
         + p.drop_by_soc * soc
+        + p.drop_by_slow * slow
+        + p.drop_by_surface_per_A * d.surface_per_A
+        + p.drop_by_surface_activation_K * d.surface_activation_K
+        + p.drop_by_surface_reference_K * d.surface_reference_K
     )
     heat = (
         p.heat_by_heating_K_per_W * d.heating_K_per_W
@@ -499,7 +617,7 @@ def driven(p: Partials, d: CellScalars) -> tuple[CellState, float]:
     voltage = (
         p.voltage_by_h * h - drop + p.voltage_by_entropy_K * d.entropy_K + p.voltage_by_soc * soc
     )
-    return CellState(soc, v1, v2, v3, h, heat), voltage
+    return CellState(soc, v1, v2, v3, h, heat, slow), voltage
 
 
 @inline
@@ -547,4 +665,8 @@ def scalars_of(rows: FloatArray, p: int) -> CellScalars:
         rows[p, 18],
         rows[p, 19],
         rows[p, 20],
+        rows[p, 21],
+        rows[p, 22],
+        rows[p, 23],
+        rows[p, 24],
     )

@@ -151,5 +151,9 @@ SCALARS = (
     Scalar("r3_activation_K", "temperature_dependence.r3_K", "of R3 beside the common one"),
     Scalar("tau3_activation_K", "temperature_dependence.tau3_K", "of tau3"),
     Scalar("asinh_per_V", "charge_transfer.asinh_per_V", "of the fast branch's charge transfer"),
+    Scalar("surface_per_A", "surface_soc.depth_h", "SOC that the surface is below the mean"),
+    Scalar("surface_s", "surface_soc.tau_s", "time constant of the current that it follows"),
+    Scalar("surface_activation_K", "surface_soc.activation_K", "of that depth"),
+    Scalar("surface_reference_K", "surface_soc.reference_C", "where that depth holds"),
     Scalar("entropy_K", "entropy.reference_C", "where the OCV holds; 0: no entropy term"),
 )

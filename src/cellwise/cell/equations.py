@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.compiled import inline
+from cellwise.cell.compiled import inline, kernel
 from cellwise.cell.point_kernels import CellPoint, CellScalars, between, point_of
 from cellwise.typing import FloatArray
 
@@ -43,6 +43,7 @@ class CellState(NamedTuple):
     v3_V: float
     h: float
     heat_K: float = 0.0
+    slow_A: float = 0.0
 
 
 class Transition(NamedTuple):
@@ -107,10 +108,67 @@ def tables_at(table: FloatArray, place: Place) -> CellPoint:
 
 
 @inline
-def look_up(tables: CellTables, soc: float, temperature_C: float) -> CellPoint:
-    """Tables at one SOC and temperature, and what temperature does beside, under no load."""
+def look_up(tables: CellTables, soc: float, temperature_C: float, slow_A: float = 0.0) -> CellPoint:
+    """Tables at one SOC and temperature, and what temperature does beside, under no load.
+
+    Resistances and time constants are those of the particles' surface, which follows ``slow_A``.
+    """
+    cell = tables.cell
     point = tables_at(tables.table, place_of(tables, soc, temperature_C))
-    return at_temperature(tables.cell, point, temperature_C)
+    if cell.surface_per_A != 0.0:
+        surface = surface_soc(cell, soc, slow_A, temperature_C)
+        point = at_surface(tables, point, surface, temperature_C)
+    return at_temperature(cell, point, temperature_C)
+
+
+@inline
+def followed(cell: CellScalars, slow_A: float, current_A: float, dt_s: float) -> float:
+    r"""Current that the particles' surface has followed, after an interval.
+
+    .. math:: \bar I^{+} = a \bar I + (1 - a) I, \qquad a = e^{-\Delta t / \tau_s}
+    """
+    a = decay(dt_s, cell.surface_s)
+    return a * slow_A + (1.0 - a) * current_A
+
+
+@inline
+def slow_step(cell: CellScalars, slow_A: float, current_A: float, dt_s: float) -> float:
+    """The same where the surface's SOC is not the mean's; else it stays as it is."""
+    if cell.surface_per_A == 0.0:
+        return slow_A
+    return followed(cell, slow_A, current_A, dt_s)
+
+
+@inline
+def surface_soc(cell: CellScalars, soc: float, slow_A: float, temperature_C: float) -> float:
+    r"""SOC at the surface of the particles: below the mean on discharge, above it on charge.
+
+    .. math:: z_s = z - \frac{d}{Q} e^{E_s (1/T - 1/T_{ref})} \bar I
+    """
+    scale = arrhenius(temperature_C, cell.surface_activation_K, cell.surface_reference_K)
+    depth = cell.surface_per_A * scale
+    return soc - depth * slow_A
+
+
+@kernel
+def at_surface(
+    tables: CellTables, point: CellPoint, surface: float, temperature_C: float
+) -> CellPoint:
+    """A point with resistances and time constants of the SOC at the particles' surface."""
+    below = tables_at(tables.table, place_of(tables, surface, temperature_C))
+    return surfaced(point, below)
+
+
+@inline
+def surfaced(point: CellPoint, below: CellPoint) -> CellPoint:
+    """A point with resistances and time constants of another."""
+    # fmt: off
+    return CellPoint(
+        point.ocv_V, point.ocv_slope_V, below.r0_ohm, below.r1_ohm, below.tau1_s, below.r2_ohm,
+        below.tau2_s, below.r3_ohm, below.tau3_s, point.m_V, point.error_V, point.entropy_V,
+        point.entropy_slope_V,
+    )
+    # fmt: on
 
 
 @inline
@@ -232,9 +290,11 @@ def under_load(cell: CellScalars, point: CellPoint, current_A: float) -> CellPoi
 
 
 @inline
-def loaded(tables: CellTables, soc: float, temperature_C: float, current_A: float) -> CellPoint:
-    """Tables at one SOC, temperature and current."""
-    return under_load(tables.cell, look_up(tables, soc, temperature_C), current_A)
+def loaded(
+    tables: CellTables, soc: float, temperature_C: float, current_A: float, slow_A: float
+) -> CellPoint:
+    """Tables at one SOC, temperature and current, and the one that the surface has followed."""
+    return under_load(tables.cell, look_up(tables, soc, temperature_C, slow_A), current_A)
 
 
 @inline
@@ -242,6 +302,7 @@ def needs_temperature(tables: CellTables) -> bool:
     """Whether anything depends on the temperature."""
     cell = tables.cell
     depends = cell.activation_K != 0.0 or cell.branch_activation != 0.0 or cell.entropy_K != 0.0
+    depends = depends or (cell.surface_per_A != 0.0 and cell.surface_activation_K != 0.0)
     return tables.table.shape[0] > 1 or depends
 
 
@@ -408,8 +469,9 @@ def advance(
     """One interval of constant current: charge first, then the branches at the new SOC."""
     cell = tables.cell
     soc = soc_step(cell, state.soc, current_A, dt_s)
+    slow = slow_step(cell, state.slow_A, current_A, dt_s)
     cell_C = temperature_C + state.heat_K
-    point = loaded(tables, soc, cell_C, current_A)
+    point = loaded(tables, soc, cell_C, current_A, slow)
     t = transition(cell, point, current_A, dt_s)
     v1 = relaxed(state.v1_V, t.a1, t.g1, current_A)
     v2 = relaxed(state.v2_V, t.a2, t.g2, current_A)
@@ -417,9 +479,9 @@ def advance(
     h = hysteresis_step(state.h, t.ah, current_A)
     drop = polarisation(point.r0_ohm, current_A, v1, v2, v3)
     heat = heat_step(cell, state.heat_K, current_A, drop, dt_s)
-    return CellState(soc, v1, v2, v3, h, heat), point
+    return CellState(soc, v1, v2, v3, h, heat, slow), point
 
 
 def empty_state(soc: float, h: float = 0.0) -> CellState:
     """A cell at rest at the given SOC."""
-    return CellState(float(soc), 0.0, 0.0, 0.0, float(h), 0.0)
+    return CellState(float(soc), 0.0, 0.0, 0.0, float(h), 0.0, 0.0)

@@ -29,6 +29,8 @@ CONVERTED: dict[str, Callable[[CellModel, float], float]] = {
     "reference_K": lambda model, value: value + ZERO_CELSIUS_K,
     "hysteresis_rate": lambda model, value: value if np.any(model.effect(Hysteresis).m_V) else 0.0,
     "rate_per_A": lambda model, value: value / model.capacity_Ah,
+    "surface_per_A": lambda model, value: value / model.capacity_Ah,
+    "surface_reference_K": lambda model, value: value + ZERO_CELSIUS_K,
     "branch_activation": lambda model, value: float(_has_branch_activation(model)),
     "entropy_K": lambda model, value: (
         value + ZERO_CELSIUS_K if np.any(model.effect(Entropy).docv_dT_V_per_K) else 0.0

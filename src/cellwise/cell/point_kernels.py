@@ -40,6 +40,10 @@ class CellScalars(NamedTuple):
     r3_activation_K: float  # of R3 beside the common one
     tau3_activation_K: float  # of tau3
     asinh_per_V: float  # of the fast branch's charge transfer
+    surface_per_A: float  # SOC that the surface is below the mean
+    surface_s: float  # time constant of the current that it follows
+    surface_activation_K: float  # of that depth
+    surface_reference_K: float  # where that depth holds
     entropy_K: float  # where the OCV holds; 0: no entropy term
 
 

@@ -36,7 +36,7 @@ def best_start(
     likely = nearest_start(tables, soc0, h0, current_A, temperature_C, voltage_V)
     for place in range(-1, soc0.size):
         k = likely if place < 0 else place  # the likely one first: most others are left early then
-        state = CellState(soc0[k], 0.0, 0.0, 0.0, h0[k], 0.0)
+        state = CellState(soc0[k], 0.0, 0.0, 0.0, h0[k], 0.0, 0.0)
         previous, total = current_A[0], 0.0
         for i in range(dt_s.size):
             seen = seen_current(tables.cell, current_A[i], previous, dt_s[i])
@@ -67,7 +67,7 @@ def nearest_start(
         row += 1
     nearest, least = 0, math.inf
     for k in range(soc0.size):
-        state = CellState(soc0[k], 0.0, 0.0, 0.0, h0[k], 0.0)
+        state = CellState(soc0[k], 0.0, 0.0, 0.0, h0[k], 0.0, 0.0)
         point = look_up(tables, soc0[k], temperature_C[row])
         error = abs(voltage_V[row] - voltage_of(point, state, current_A[row]))
         if error < least:

@@ -16,6 +16,7 @@ from cellwise.cell.effects import (
     SelfDischarge,
     SelfHeating,
     SlowDiffusion,
+    SurfaceSoc,
     TemperatureDependence,
     TimeSkew,
 )
@@ -121,6 +122,9 @@ def extend_model(
         new = new.with_effect(replace(own, activation_K=s.activation_K))
     if s.rate_per_A != 0.0:
         new = new.with_effect(RateDependence(s.rate_per_A * new.capacity_Ah))
+    if s.surface_per_A != 0.0:
+        own_surface = model.effect(SurfaceSoc)
+        new = new.with_effect(replace(own_surface, depth_h=s.surface_per_A * new.capacity_Ah))
     if s.charge_scale != 1.0:
         new = new.with_effect(ChargeAsymmetry(s.charge_scale))
     if s.heating_K_per_W > 0.0:

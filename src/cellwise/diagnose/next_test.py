@@ -105,7 +105,7 @@ def _voltage(candidate: Candidate, experiment: Experiment) -> FloatArray:
     flow = (current - inputs.offset_A) / inputs.gain
     n = current.size
     voltage, soc = np.empty(n), np.empty(n)
-    start = CellState(experiment.soc0, 0.0, 0.0, 0.0, start_hysteresis(experiment.soc0), 0.0)
+    start = CellState(experiment.soc0, 0.0, 0.0, 0.0, start_hysteresis(experiment.soc0), 0.0, 0.0)
     voltage_rows(
         inputs.table,
         inputs.grid,

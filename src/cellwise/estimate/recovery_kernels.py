@@ -44,6 +44,7 @@ def soc_of_voltage(
     tables: CellTables,
     temperature_C: float,
     current_A: float,
+    slow_A: float,
     voltage_V: float,
     branches_V: float,
     h: float,
@@ -62,9 +63,9 @@ def soc_of_voltage(
     plateau every SOC of it is as good: the variance is its width.
     """
     step = 1.0 / (RESTART_POINTS - 1)
-    ends = look_up(tables, 0.0, temperature_C)
+    ends = look_up(tables, 0.0, temperature_C, slow_A)
     low = ends.ocv_V - ends.r0_ohm * current_A - branches_V + ends.m_V * h
-    ends = look_up(tables, 1.0, temperature_C)
+    ends = look_up(tables, 1.0, temperature_C, slow_A)
     high = ends.ocv_V - ends.r0_ohm * current_A - branches_V + ends.m_V * h
     target = min(max(voltage_V, min(low, high)), max(low, high))
     least = math.inf
@@ -74,7 +75,7 @@ def soc_of_voltage(
     for turn in range(2):
         for k in range(RESTART_POINTS):
             s = k * step
-            point = loaded(tables, s, temperature_C, current_A)
+            point = loaded(tables, s, temperature_C, current_A, slow_A)
             seen = point.ocv_V - point.r0_ohm * current_A - branches_V + point.m_V * h
             about = variance + point.error_V * point.error_V
             about += point.m_V * point.m_V * h_variance
@@ -100,6 +101,7 @@ def recovered(
     tables: CellTables,
     temperature_C: float,
     current_A: float,
+    slow_A: float,
     voltage_V: float,
     branches_V: tuple[float, float, float],
     variances: tuple[float, float, float],
@@ -128,11 +130,11 @@ def recovered(
         branch = drop_V * drop_V + v1 * v1 + v2 * v2 + v3 * v3 + ((p11 + p22) + p33)
     # fmt: off
     soc, soc_variance = soc_of_voltage(
-        tables, temperature_C, current_A, voltage_V, (v1 + v2) + v3, h, h_variance,
+        tables, temperature_C, current_A, slow_A, voltage_V, (v1 + v2) + v3, h, h_variance,
         one + branch, held_A, limit_V, soc, max(soc_variance, RECOVERY_VARIANCE),
     )
     # fmt: on
-    new = look_up(tables, soc, temperature_C)
+    new = look_up(tables, soc, temperature_C, slow_A)
     branch = START_BRANCH_V * START_BRANCH_V
     p11 = branch + min(held_A * new.r1_ohm, limit_V) ** 2
     p22 = branch + min(held_A * new.r2_ohm, limit_V) ** 2

@@ -19,6 +19,8 @@ SCHEMA_VERSION = 2
 INFINITE = {"inf": math.inf, "-inf": -math.inf}
 # What a file of this version calls them.
 COUNTS = {"rejections": "rejections", "mismatch": "mismatch", "lasting": "persistent"}
+# Not in files of versions before it was carried; a cell at rest has none.
+NEWER = {"slow_A": 0.0}
 MAY_BE_MISSING = {"temperature_C", "voltage_V", "current_A"}  # not measured yet
 
 
@@ -54,7 +56,10 @@ def state_from_dict(saved: Mapping[str, Any], estimator: str = "ekf") -> EkfStat
         )
     watch = Watch(**_numbers(saved.get("watch"), Watch._fields))
     names = (*CellState._fields, *Covariance._fields, *COUNTS)
-    values = _numbers(saved.get("state"), names)
+    given = saved.get("state")
+    if isinstance(given, Mapping):
+        given = {**NEWER, **given}
+    values = _numbers(given, names)
     return EkfState(
         CellState(**{name: values[name] for name in CellState._fields}),
         Covariance(**{name: values[name] for name in Covariance._fields}),

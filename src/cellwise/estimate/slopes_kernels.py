@@ -33,6 +33,7 @@ def wide_slopes(
     spread: float,
     temperature_C: float,
     current_A: float,
+    slow_A: float,
 ) -> WideSlopes:
     """Chords over one standard deviation of SOC on either side; inside 0..1.
 
@@ -47,8 +48,8 @@ def wide_slopes(
     high = min(max(soc + spread, 0.0), 1.0)
     if high - low < SHORTEST_CHORD:  # both beyond the same end
         return WideSlopes(point.ocv_slope_V, 0.0, 0.0, 0.0, 0.0)
-    a = loaded(tables, low, temperature_C, current_A)
-    b = loaded(tables, high, temperature_C, current_A)
+    a = loaded(tables, low, temperature_C, current_A, slow_A)
+    b = loaded(tables, high, temperature_C, current_A, slow_A)
     per = 1.0 / (high - low)
     ocv = (b.ocv_V - a.ocv_V) * per
     return WideSlopes(
@@ -91,26 +92,33 @@ def slopes_at(
     point: CellPoint,
     temperature_C: float,
     current_A: float,
+    slow_A: float,
 ) -> Slopes:
     """Tangents while SOC is known to WIDE_VARIANCE, chords beyond."""
     tangent = point.ocv_slope_V
     if soc_variance <= WIDE_VARIANCE:
         return Slopes(tangent, 0.0, tangent, 0.0, 0.0, 0.0, 0.0)
     spread = math.sqrt(soc_variance)
-    w = wide_slopes(tables, soc, point, spread, temperature_C, current_A)
+    w = wide_slopes(tables, soc, point, spread, temperature_C, current_A, slow_A)
     return Slopes(w.voltage_V, w.bend_V, tangent, spread, w.r1_ohm, w.r2_ohm, w.r3_ohm)
 
 
 @inline
 def landing_slope(
-    tables: CellTables, soc: float, at: Slopes, temperature_C: float, current_A: float, move: float
+    tables: CellTables,
+    soc: float,
+    at: Slopes,
+    temperature_C: float,
+    current_A: float,
+    slow_A: float,
+    move: float,
 ) -> float:
     """The flattest slope between where the estimate stands and where the gain takes it [V]."""
     if abs(move) <= SMALL_MOVE * at.spread:
         return min(at.slope_V, at.tangent_V)
     there = soc + move
-    landed = loaded(tables, there, temperature_C, current_A)
-    w = wide_slopes(tables, there, landed, at.spread, temperature_C, current_A)
+    landed = loaded(tables, there, temperature_C, current_A, slow_A)
+    w = wide_slopes(tables, there, landed, at.spread, temperature_C, current_A, slow_A)
     return min(min(w.voltage_V, landed.ocv_slope_V), at.slope_V)
 
 

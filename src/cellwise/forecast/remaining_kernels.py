@@ -113,7 +113,11 @@ def forecast_rows(
         seen = seen_current(tables.cell, current_A[k], previous, dt_s[k])
         previous = current_A[k]
         state, point = advance(tables, state, seen, dt_s[k], temperature_C[k])
-        state = CellState(soc[k], state.v1_V, state.v2_V, state.v3_V, state.h, state.heat_K)
+        # fmt: off
+        state = CellState(
+            soc[k], state.v1_V, state.v2_V, state.v3_V, state.h, state.heat_K, state.slow_A
+        )
+        # fmt: on
         voltage = voltage_of(point, state, seen)
         if measured_V[k] == measured_V[k]:  # not NaN
             error = measured_V[k] - voltage
@@ -125,7 +129,11 @@ def forecast_rows(
             continue
         for j in range(3):
             s = min(max(soc[k] + (j - 1) * 2.0 * soc_std[k], 0.0), 1.0)
-            at = CellState(s, state.v1_V, state.v2_V, state.v3_V, state.h, state.heat_K)
+            # fmt: off
+            at = CellState(
+                s, state.v1_V, state.v2_V, state.v3_V, state.h, state.heat_K, state.slow_A
+            )
+            # fmt: on
             _, there = advance(tables, at, load_A[k], 0.0, temperature_C[k])
             now_V = voltage_of(there, at, load_A[k]) + bias
             left = to_empty(

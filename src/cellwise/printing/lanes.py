@@ -17,7 +17,7 @@ WATCH = (
 )
 # Groups of a state as the filters nest them: the record, and its fields.
 GROUPS = (
-    ("cell", "CellState", (*(s.name for s in CELL), "heat_K")),
+    ("cell", "CellState", (*(s.name for s in CELL), "heat_K", "slow_A")),
     ("p", "Covariance", tuple(entry(a, b) for a, b in triangle(CELL))),
     ("", "", ("rejections", "mismatch", "persistent")),
     ("watch", "Watch", WATCH),

@@ -11,7 +11,14 @@ import functools
 import numpy as np
 import pytest
 
-from cellwise.cell.equations import BEYOND, CellState, CellTables, seen_current
+from cellwise.cell.equations import (
+    BEYOND,
+    CellState,
+    CellTables,
+    advance,
+    seen_current,
+    surface_soc,
+)
 from cellwise.cell.point_kernels import (
     COLUMNS,
     ENTROPY,
@@ -39,15 +46,16 @@ NEUTRAL = CellScalars(
     hysteresis_rate=0.0, skew_s=SKEW_S, rate_per_A=0.0, charge_scale=1.0, leak_A=0.0,
     heating_K_per_W=0.0, heating_s=400.0, branch_activation=0.0, r0_activation_K=0.0,
     r1_activation_K=0.0, tau1_activation_K=0.0, r2_activation_K=0.0, tau2_activation_K=0.0,
-    r3_activation_K=0.0, tau3_activation_K=0.0, asinh_per_V=0.0,
-    entropy_K=298.15,
+    r3_activation_K=0.0, tau3_activation_K=0.0, asinh_per_V=0.0, surface_per_A=0.0,
+    surface_s=90.0, surface_activation_K=0.0, surface_reference_K=291.15, entropy_K=298.15,
 )  # fmt: skip
 # Size of every number: what a step is a small share of.
 SIZE = NEUTRAL._replace(
     activation_K=1000.0, hysteresis_rate=10.0, rate_per_A=0.1, leak_A=0.1, heating_K_per_W=1.0,
     r0_activation_K=1000.0, r1_activation_K=1000.0, tau1_activation_K=1000.0,
     r2_activation_K=1000.0, tau2_activation_K=1000.0, r3_activation_K=1000.0,
-    tau3_activation_K=1000.0, asinh_per_V=20.0,
+    tau3_activation_K=1000.0, asinh_per_V=20.0, surface_per_A=0.05,
+    surface_activation_K=1000.0,
 )  # fmt: skip
 COLUMN_SIZE = {
     OCV: 0.1, R0: 0.02, R1: 0.01, TAU1: 5.0, R2: 0.01, TAU2: 60.0, R3: 0.02, TAU3: 900.0, M: 0.03,
@@ -72,6 +80,7 @@ EFFECTS = {
     "rate": ({"rate_per_A": 0.15}, set()),
     "charge asymmetry": ({"charge_scale": 1.3}, set()),
     "charge transfer": ({"asinh_per_V": 40.0}, set()),
+    "surface": ({"surface_per_A": 0.035, "surface_activation_K": 900.0}, set()),
     "leak": ({"leak_A": 0.02}, set()),
     "self-heating": ({"heating_K_per_W": 6.0}, set()),
     "coulombic efficiency": ({"charge_efficiency": 0.97}, set()),
@@ -123,7 +132,7 @@ def start_of(cell):
     """Not at rest; a slow branch or a rise that the cell does not have is zero."""
     slow = 0.002 if np.any(cell.table[..., R3]) else 0.0
     warmer = 1.5 if cell.cell.heating_K_per_W != 0.0 else 0.0
-    return CellState(0.7123, 0.01, -0.005, slow, 0.4, warmer)
+    return CellState(0.7123, 0.01, -0.005, slow, 0.4, warmer, 0.8)
 
 
 @functools.cache
@@ -141,6 +150,17 @@ def simulated(tables, start, gain=1.0):
     voltage, soc = np.empty(dt.size), np.empty(dt.size)
     simulate_rows(tables, start, dt, gain * current, warm, voltage, soc)
     return voltage, soc
+
+
+def surface_of(tables):
+    """SOC at the particles' surface, row by row."""
+    dt, _, warm = LOG
+    state, found = start_of(tables), []
+    for row in zip(seen_by_skew()[0], dt, warm, strict=True):
+        before = state
+        state, _ = advance(tables, before, *row)
+        found.append(surface_soc(tables.cell, state.soc, state.slow_A, row[2] + before.heat_K))
+    return np.array(found)
 
 
 def column_change(name, tables):
@@ -241,7 +261,8 @@ def test_the_log_goes_everywhere():
     assert np.any(current == 0.0)
     for case in CASES:  # no row so near a kink of the tables that a step would cross it
         tables = make_cell(case)
-        place = simulated(tables, start_of(tables))[1] * (POINTS - 1)
+        soc = simulated(tables, start_of(tables))[1]
+        place = np.concatenate((soc, surface_of(tables))) * (POINTS - 1)
         ends = np.array([-BEYOND * (POINTS - 1), (1.0 + BEYOND) * (POINTS - 1)])
         kinks = np.concatenate((np.arange(POINTS), ends))
         assert np.abs(place[:, None] - kinks).min() > 60.0 * STEP, case

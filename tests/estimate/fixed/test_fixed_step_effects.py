@@ -18,6 +18,7 @@ from cellwise.cell.effects import (
     SelfDischarge,
     SelfHeating,
     SlowDiffusion,
+    SurfaceSoc,
     TemperatureDependence,
     TimeSkew,
 )
@@ -47,6 +48,8 @@ EFFECTS = {
     "rate": (RateDependence(0.1), ("rate_per_A",)),
     "asymmetry": (ChargeAsymmetry(0.8), ("charge_scale",)),
     "transfer": (ChargeTransfer(60.0), ("asinh_per_V", "charge_transfer")),
+    "surface": (SurfaceSoc(0.08, 200.0), ("slow_A", "surface_gain")),
+    "surface over temperature": (SurfaceSoc(0.08, 200.0, 2000.0), ("slow_A", "depth_per_K")),
     "heating": (SelfHeating(3.0, 300.0), ("heat_K",)),  # felt by what depends on temperature
     "leak": (SelfDischarge(0.01), ("leak_soc",)),
 }

@@ -21,7 +21,10 @@ from cellwise.cell.equations import (
     CellTables,
     Place,
     advance,
+    followed,
     place_of,
+    surface_soc,
+    surfaced,
     tables_at,
     voltage_of,
 )
@@ -102,6 +105,25 @@ def slopes_at(tables: CellTables, at: Place) -> tuple[CellPoint, CellPoint]:
     return by_soc, by_kelvin
 
 
+@inline
+def with_lag(
+    cell: CellScalars, before: CellState, after: CellState, current_A: float, dt_s: float
+) -> CellState:
+    """The state with the surface's lag, which a model without a surface does not carry.
+
+    The derivative with respect to its depth, at a depth of none, needs it.
+    """
+    slow = followed(cell, before.slow_A, current_A, dt_s)
+    return CellState(after.soc, after.v1_V, after.v2_V, after.v3_V, after.h, after.heat_K, slow)
+
+
+@inline
+def changed(table: FloatArray, mean: Place, surface: Place, apart: bool) -> CellPoint:
+    """A table at the mean SOC; resistances and time constants at the surface's."""
+    here = tables_at(table, mean)
+    return surfaced(here, tables_at(table, surface)) if apart else here
+
+
 @njit(cache=True, error_model="numpy", nogil=True)
 def derivative_rows(
     table: FloatArray,
@@ -129,14 +151,22 @@ def derivative_rows(
         d[p, 0] = soc0[p]
         has_scalars[p] = np.any(scalars[p] != 0.0)
     tables_ = CellTables(table, grid, cell)
+    apart = cell.surface_per_A != 0.0
     state = start
     out = 0
     for row in range(dt_s.size):
         before, current = state, flow_A[row]
-        state, _ = advance(tables_, before, current, dt_s[row], temperature_C[row])
-        place = place_of(tables_, state.soc, temperature_C[row] + before.heat_K)
+        after, _ = advance(tables_, before, current, dt_s[row], temperature_C[row])
+        state = with_lag(cell, before, after, current, dt_s[row])
+        cell_C = temperature_C[row] + before.heat_K
+        place = place_of(tables_, state.soc, cell_C)
+        surface = place
         by_soc, by_kelvin = slopes_at(tables_, place)
-        here = tables_at(table, place)
+        if apart:
+            surface = place_of(tables_, surface_soc(cell, state.soc, state.slow_A, cell_C), cell_C)
+            below_soc, below_kelvin = slopes_at(tables_, surface)
+            by_soc, by_kelvin = surfaced(by_soc, below_soc), surfaced(by_kelvin, below_kelvin)
+        here = changed(table, place, surface, apart)
         now = partials(
             cell, before, current, dt_s[row], temperature_C[row], here, by_soc, by_kelvin
         )
@@ -144,11 +174,15 @@ def derivative_rows(
             flow = currents[current_of[p], row] if current_of[p] >= 0 else 0.0
             change = UNCHANGED
             if table_of[p] >= 0:
-                change = tables_at(tables[table_of[p]], place)
-            old = CellState(d[p, 0], d[p, 1], d[p, 2], d[p, 3], d[p, 4], d[p, 5])
+                change = changed(tables[table_of[p]], place, surface, apart)
+            # fmt: off
+            old = CellState(
+                d[p, 0], d[p, 1], d[p, 2], d[p, 3], d[p, 4], d[p, 5], d[p, 6]
+            )
+            # fmt: on
             new, voltage = carried(now, old, flow, change)
             d[p, 0], d[p, 1], d[p, 2] = new.soc, new.v1_V, new.v2_V
-            d[p, 3], d[p, 4], d[p, 5] = new.v3_V, new.h, new.heat_K
+            d[p, 3], d[p, 4], d[p, 5], d[p, 6] = new.v3_V, new.h, new.heat_K, new.slow_A
             if has_scalars[p]:
                 more, by_scalars = driven(now, scalars_of(scalars, p))
                 d[p, 0] += more.soc
@@ -157,6 +191,7 @@ def derivative_rows(
                 d[p, 3] += more.v3_V
                 d[p, 4] += more.h
                 d[p, 5] += more.heat_K
+                d[p, 6] += more.slow_A
                 voltage += by_scalars
             if row % stride == 0:
                 jacobian[out, p] = voltage + voltage_V[p]

@@ -58,7 +58,7 @@ class LogRows:
     def state(self, soc_shift: float) -> CellState:
         """The cell at rest at the start, ``soc_shift`` away from its stated SOC."""
         soc = self.start.soc + soc_shift
-        return CellState(soc, 0.0, 0.0, 0.0, start_hysteresis(self.start.soc), 0.0)
+        return CellState(soc, 0.0, 0.0, 0.0, start_hysteresis(self.start.soc), 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)

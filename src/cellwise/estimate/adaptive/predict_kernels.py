@@ -117,7 +117,7 @@ def predict(
         ss += noise.gap_soc * noise.gap_soc
     ss = drifted(tables, s, ss)
     p = with_soc_variance(p, ss)
-    at = slopes_at(tables, soc, ss, point, now.warm_C, s.seen_A)
+    at = slopes_at(tables, soc, ss, point, now.warm_C, s.seen_A, end.slow_A)
     if at.spread > 0.0:
         p = leaned(
             p,

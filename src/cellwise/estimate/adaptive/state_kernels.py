@@ -128,7 +128,7 @@ def adaptive_start(start: EkfStart, rules: AdaptiveScalars, current_A: float) ->
         1.0, unknown, 1.0, unknown, none, none, none, none, none, none, none, none, none
     )
     return AdaptiveState(
-        CellState(start.soc, 0.0, 0.0, 0.0, h, 0.0), 0.0, 1.0, p, 0.0, 1.0, 0.0,
+        CellState(start.soc, 0.0, 0.0, 0.0, h, 0.0, 0.0), 0.0, 1.0, p, 0.0, 1.0, 0.0,
         Rest(0.0, 0.0, False), resistances, first_watch(current_A),
     )
     # fmt: on

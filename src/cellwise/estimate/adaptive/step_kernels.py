@@ -132,6 +132,7 @@ def moved(e: Estimate, p: AdaptiveCovariance, k: AdaptiveColumn, by: float) -> E
         x.v3_V + k.v3 * by,
         min(max(x.h + k.h * by, -1.0), 1.0),
         x.heat_K,
+        x.slow_A,
     )
     charge = min(max(e.charge + k.q * by, CHARGE_LOW), CHARGE_HIGH)
     return Estimate(cell, e.offset_A + k.o * by, charge, p)
@@ -215,12 +216,12 @@ def recover(
     own = s.voltage_V + (pol.whole_V - (pol.drop_V + pol.tail_V))
     # fmt: off
     soc, ss, p11, p22, p33 = recovered(
-        tables, now.warm_C, s.seen_A, own, (x.v1_V, x.v2_V, x.v3_V), (p.p11, p.p22, p.p33),
-        x.h, p.phh, i.one, abs(i.r0_ohm * s.seen_A) + i.branches_V, now.evidence_s >= 0.0,
-        x.soc, p.ss,
+        tables, now.warm_C, s.seen_A, x.slow_A, own, (x.v1_V, x.v2_V, x.v3_V),
+        (p.p11, p.p22, p.p33), x.h, p.phh, i.one, abs(i.r0_ohm * s.seen_A) + i.branches_V,
+        now.evidence_s >= 0.0, x.soc, p.ss,
     )
     # fmt: on
-    found = CellState(soc, x.v1_V, x.v2_V, x.v3_V, x.h, x.heat_K)
+    found = CellState(soc, x.v1_V, x.v2_V, x.v3_V, x.h, x.heat_K, x.slow_A)
     fresh = uncorrelated(ss, p11, p22, p33, p.phh, p.poo, p.pqq)
     return Estimate(found, e.offset_A, e.charge, with_parameters(fresh, p.poo, p.poq, p.pqq))
 
@@ -235,7 +236,11 @@ def update(
     gained = True
     if now.at.spread > 0.0:
         move = k.s * v.innovation_V
-        flat = landing_slope(tables, e.x.soc, now.at, now.warm_C, now.s.seen_A, move)
+        # fmt: off
+        flat = landing_slope(
+            tables, e.x.soc, now.at, now.warm_C, now.s.seen_A, e.x.slow_A, move
+        )
+        # fmt: on
         less = flat - now.at.slope_V
         extra = less * (2.0 * d.s + less * p.ss)
         c = soc_row(p, less)
@@ -285,7 +290,7 @@ def take_step(
     pol = polarised(now, e.x, r)
     x = e.x
     heat = heat_step(tables.cell, x.heat_K, s.flow_A, pol.whole_V, s.dt_s)
-    x = CellState(x.soc, x.v1_V, x.v2_V, x.v3_V, x.h, heat)
+    x = CellState(x.soc, x.v1_V, x.v2_V, x.v3_V, x.h, heat, x.slow_A)
     e = Estimate(x, e.offset_A, e.charge, e.p)
     by_offset = r.fast * point.r0_ohm if s.lost_A == 0.0 else 0.0
     d = column(e.p, now.at.slope_V, point.m_V, r.fast, r.tail, by_offset)
@@ -312,7 +317,8 @@ def take_step(
         e = update(tables, now, e, d, v, held)
     x = e.x
     if x.soc < 0.0 or x.soc > 1.0:
-        x = CellState(min(max(x.soc, 0.0), 1.0), x.v1_V, x.v2_V, x.v3_V, x.h, x.heat_K)
+        held_soc = min(max(x.soc, 0.0), 1.0)
+        x = CellState(held_soc, x.v1_V, x.v2_V, x.v3_V, x.h, x.heat_K, x.slow_A)
         status |= CLAMPED
     # fmt: off
     after = AdaptiveState(

@@ -33,6 +33,20 @@ class Interval(NamedTuple):
     temperature_C: float
 
 
+class Beside(NamedTuple):
+    """What the cell carries beside the filter's states, without covariance."""
+
+    heat_K: float = 0.0
+    slow_A: float = 0.0
+
+
+class Inside(NamedTuple):
+    """The cell's temperature, and the current that its particles' surface has followed."""
+
+    warm_C: float
+    slow_A: float
+
+
 class HasMoments(Protocol):
     """A filterpy filter: mean and covariance."""
 
@@ -51,12 +65,12 @@ class FilterpyFilter(FilterOfModel):
         """A filterpy filter with the start state and covariance of :class:`Ekf`."""
         raise NotImplementedError
 
-    def predict(self, kf: Any, now: Interval, heat_K: float) -> float:
-        """Over one interval; the heat after it."""
+    def predict(self, kf: Any, now: Interval, before: Beside) -> Beside:
+        """Over one interval; what the cell carries beside after it."""
         raise NotImplementedError
 
     def update(
-        self, kf: Any, voltage_V: float, now: Interval, warm_C: float, one: float, shared: float
+        self, kf: Any, voltage_V: float, now: Interval, inside: Inside, one: float, shared: float
     ) -> tuple[float, float]:
         """With a voltage whose variance is ``one`` times ``shared``: predicted, its variance."""
         raise NotImplementedError
@@ -72,7 +86,7 @@ class FilterpyFilter(FilterOfModel):
         soc, std, predicted, variance = (np.empty(n) for _ in range(4))
         previous = float(np.nan_to_num(current[0]))
         evidence = -1.0
-        heat = 0.0
+        beside = Beside()
         for k, dt in enumerate(log.interval_s):
             now = float(current[k]) if np.isfinite(current[k]) else previous
             seen = float(seen_current(self.cell, now, previous, dt))
@@ -81,13 +95,14 @@ class FilterpyFilter(FilterOfModel):
             row = Interval(
                 float(dt), seen, 0.0 if gaps[k] else seen, unknown, float(temperature[k])
             )
-            warm = row.temperature_C + heat
+            warm = row.temperature_C + beside.heat_K
             if k == 0:
-                self._branches(kf, row, warm)
+                self._branches(kf, row, Inside(warm, 0.0))
             if gaps[k]:
                 kf.P[0, 0] += self.noise.gap_soc**2
-            heat = self.predict(kf, row, heat)
-            one = self.voltage_variance(kf.x, seen, warm)
+            beside = self.predict(kf, row, beside)
+            inside = Inside(warm, beside.slow_A)
+            one = self.voltage_variance(kf.x, seen, inside)
             resting = abs(seen) < REST_RATE * self.model.capacity_Ah
             shared = float(repeated_evidence(noise, evidence, float(dt), resting))
             if not np.isfinite(log.voltage_V[k]):
@@ -95,7 +110,7 @@ class FilterpyFilter(FilterOfModel):
             else:
                 evidence = max(evidence, 0.0)
             predicted[k], variance[k] = self.update(
-                kf, float(log.voltage_V[k]), row, warm, one, shared
+                kf, float(log.voltage_V[k]), row, inside, one, shared
             )
             if evidence >= 0.0:
                 evidence += float(dt)
@@ -113,25 +128,25 @@ class FilterpyFilter(FilterOfModel):
         kf.x = np.array([soc0, 0.0, 0.0, 0.0, 1.0 if soc0 > 0.5 else -1.0])
         kf.P = np.diag([start.variance, 0.0, 0.0, 0.0, start.hysteresis_variance])
 
-    def _branches(self, kf: HasMoments, row: Interval, warm_C: float) -> None:
-        point = self.point(float(kf.x[0]), row.seen_A, warm_C)
+    def _branches(self, kf: HasMoments, row: Interval, inside: Inside) -> None:
+        point = self.point(float(kf.x[0]), row.seen_A, inside)
         for j, r in enumerate((point.r1_ohm, point.r2_ohm, point.r3_ohm), start=1):
             kf.x[j], kf.P[j, j] = start_branch(self.cell, float(r), row.seen_A)
 
-    def point(self, soc: float, current_A: float, warm_C: float) -> CellPoint:
+    def point(self, soc: float, current_A: float, inside: Inside) -> CellPoint:
         """The tables at one SOC, under load."""
-        return loaded(self._tables, soc, warm_C, current_A)
+        return loaded(self._tables, soc, inside.warm_C, current_A, inside.slow_A)
 
-    def transition(self, x: FloatArray, now: Interval, heat_K: float) -> CellState:
+    def transition(self, x: FloatArray, now: Interval, before: Beside) -> CellState:
         """The model's own step of a whole state."""
-        before = CellState._make((*(float(v) for v in x), heat_K))
-        after, _ = advance(self._tables, before, now.flow_A, now.dt_s, now.temperature_C)
+        state = CellState._make((*(float(v) for v in x), *before))
+        after, _ = advance(self._tables, state, now.flow_A, now.dt_s, now.temperature_C)
         return after
 
-    def process(self, soc: float, now: Interval, warm_C: float) -> tuple[FloatArray, FloatArray]:
+    def process(self, soc: float, now: Interval, inside: Inside) -> tuple[FloatArray, FloatArray]:
         """Diagonal of the transition, shape (5,), and process noise, shape (5, 5)."""
         noise, cell = self.noise, self.cell
-        point = self.point(soc, now.seen_A, warm_C)
+        point = self.point(soc, now.seen_A, inside)
         t = transition(cell, point, now.flow_A, now.dt_s)
         r = np.array([point.r1_ohm, point.r2_ohm, point.r3_ohm])
         a = np.array([t.a1, t.a2, t.a3])
@@ -143,14 +158,14 @@ class FilterpyFilter(FilterOfModel):
         q += now.gap_A2 * np.outer(branches, branches)
         return np.array([1.0, *a, t.ah]), q
 
-    def voltage(self, x: FloatArray, current_A: float, warm_C: float) -> float:
+    def voltage(self, x: FloatArray, current_A: float, inside: Inside) -> float:
         """Terminal voltage of a state."""
-        state = CellState._make((*(float(v) for v in x), 0.0))
-        return float(voltage_of(self.point(state.soc, current_A, warm_C), state, current_A))
+        state = CellState._make((*(float(v) for v in x), *Beside()))
+        return float(voltage_of(self.point(state.soc, current_A, inside), state, current_A))
 
-    def voltage_variance(self, x: FloatArray, current_A: float, warm_C: float) -> float:
+    def voltage_variance(self, x: FloatArray, current_A: float, inside: Inside) -> float:
         """Variance of one voltage about a perfect state."""
-        point = self.point(float(x[0]), current_A, warm_C)
+        point = self.point(float(x[0]), current_A, inside)
         held = float(np.abs(x[1:4]).sum())
         noise = self.noise.scalars()
         return float(voltage_variance(noise, point, point.r0_ohm, current_A, 0.0, held))

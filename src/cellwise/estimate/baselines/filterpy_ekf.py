@@ -8,8 +8,11 @@ from __future__ import annotations
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
-from cellwise.estimate.baselines.filterpy_base import FilterpyFilter, Interval
+from cellwise.cell.description import CELL
+from cellwise.estimate.baselines.filterpy_base import Beside, FilterpyFilter, Inside, Interval
 from cellwise.typing import FloatArray
+
+STATES = len(CELL)
 
 
 class FilterpyEkf(FilterpyFilter):
@@ -23,35 +26,36 @@ class FilterpyEkf(FilterpyFilter):
         self.begin(ekf, soc0, soc0_std)
         return ekf
 
-    def predict(self, kf: ExtendedKalmanFilter, now: Interval, heat_K: float) -> float:
-        """Over one interval; the heat after it."""
-        after = self.transition(kf.x, now, heat_K)
-        diagonal, kf.Q = self.process(after.soc, now, now.temperature_C + heat_K)
+    def predict(self, kf: ExtendedKalmanFilter, now: Interval, before: Beside) -> Beside:
+        """Over one interval; what the cell carries beside after it."""
+        after = self.transition(kf.x, now, before)
+        inside = Inside(now.temperature_C + before.heat_K, after.slow_A)
+        diagonal, kf.Q = self.process(after.soc, now, inside)
         kf.F = np.diag(diagonal)
         kf.P = kf.F @ kf.P @ kf.F.T + kf.Q
-        kf.x = np.array(after[:-1])
-        return after.heat_K
+        kf.x = np.array(after[:STATES])
+        return Beside(after.heat_K, after.slow_A)
 
     def update(
         self,
         kf: ExtendedKalmanFilter,
         voltage_V: float,
         now: Interval,
-        warm_C: float,
+        inside: Inside,
         one: float,
         shared: float,
     ) -> tuple[float, float]:
         """With a voltage whose variance is ``one`` times ``shared``: predicted, its variance."""
-        point = self.point(float(kf.x[0]), now.seen_A, warm_C)
+        point = self.point(float(kf.x[0]), now.seen_A, inside)
         slopes = np.array([[point.ocv_slope_V, -1.0, -1.0, -1.0, point.m_V]])
 
         def jacobian(x: FloatArray) -> FloatArray:
             return slopes
 
         def measured(x: FloatArray) -> FloatArray:
-            return np.array([self.voltage(x, now.seen_A, warm_C)])
+            return np.array([self.voltage(x, now.seen_A, inside)])
 
-        predicted = self.voltage(kf.x, now.seen_A, warm_C)
+        predicted = self.voltage(kf.x, now.seen_A, inside)
         marginal = float((slopes @ kf.P @ slopes.T)[0, 0]) + one
         if np.isfinite(shared):
             weight = np.array([[one * shared]])

@@ -9,7 +9,7 @@ import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
 from cellwise.cell.model import CellModel
-from cellwise.estimate.baselines.filterpy_base import FilterpyFilter, Interval
+from cellwise.estimate.baselines.filterpy_base import Beside, FilterpyFilter, Inside, Interval
 from cellwise.estimate.filters.ukf import STATES, SigmaPoints
 from cellwise.estimate.noise import Noise
 from cellwise.typing import FloatArray
@@ -37,35 +37,36 @@ class FilterpyUkf(FilterpyFilter):
         self.begin(ukf, soc0, soc0_std)
         return ukf
 
-    def _moved(self, x: FloatArray, dt: float, now: Interval, heat_K: float) -> FloatArray:
-        return np.array(self.transition(x, now, heat_K)[:-1])
+    def _moved(self, x: FloatArray, dt: float, now: Interval, before: Beside) -> FloatArray:
+        return np.array(self.transition(x, now, before)[:STATES])
 
-    def _measured(self, x: FloatArray, now: Interval, warm_C: float) -> FloatArray:
-        return np.array([self.voltage(x, now.seen_A, warm_C)])
+    def _measured(self, x: FloatArray, now: Interval, inside: Inside) -> FloatArray:
+        return np.array([self.voltage(x, now.seen_A, inside)])
 
-    def predict(self, kf: UnscentedKalmanFilter, now: Interval, heat_K: float) -> float:
-        """Over one interval; the heat after it."""
-        after = self.transition(kf.x, now, heat_K)
-        _, kf.Q = self.process(after.soc, now, now.temperature_C + heat_K)
-        kf.predict(dt=now.dt_s, now=now, heat_K=heat_K)
-        return after.heat_K
+    def predict(self, kf: UnscentedKalmanFilter, now: Interval, before: Beside) -> Beside:
+        """Over one interval; what the cell carries beside after it."""
+        after = self.transition(kf.x, now, before)
+        inside = Inside(now.temperature_C + before.heat_K, after.slow_A)
+        _, kf.Q = self.process(after.soc, now, inside)
+        kf.predict(dt=now.dt_s, now=now, before=before)
+        return Beside(after.heat_K, after.slow_A)
 
     def update(
         self,
         kf: UnscentedKalmanFilter,
         voltage_V: float,
         now: Interval,
-        warm_C: float,
+        inside: Inside,
         one: float,
         shared: float,
     ) -> tuple[float, float]:
         """With a voltage whose variance is ``one`` times ``shared``: predicted, its variance."""
-        seen = np.array([self._measured(s, now, warm_C) for s in kf.sigmas_f])[:, 0]
+        seen = np.array([self._measured(s, now, inside) for s in kf.sigmas_f])[:, 0]
         predicted = float(kf.Wm @ seen)
         marginal = float(kf.Wc @ (seen - predicted) ** 2) + one
         if np.isfinite(shared):
             weight = np.array([[one * shared]])
-            kf.update(np.array([voltage_V]), R=weight, now=now, warm_C=warm_C)
+            kf.update(np.array([voltage_V]), R=weight, now=now, inside=inside)
         return predicted, marginal
 
 

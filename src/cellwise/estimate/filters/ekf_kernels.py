@@ -104,7 +104,7 @@ def predict(
         ss += noise.gap_soc * noise.gap_soc
     ss = drifted(tables, s, ss)
     p = with_soc_variance(p, ss)
-    at = slopes_at(tables, now.end.soc, ss, point, now.warm_C, s.seen_A)
+    at = slopes_at(tables, now.end.soc, ss, point, now.warm_C, s.seen_A, now.end.slow_A)
     if at.spread > 0.0:
         p = leaned(
             p,
@@ -116,8 +116,10 @@ def predict(
     p = noisy(p, t, q, q + s.gap_A2, soc_walk(noise, s.dt_s), 0.0, 0.0, 0.0)
     drop = polarisation(point.r0_ohm, s.seen_A, now.end.v1_V, now.end.v2_V, now.end.v3_V)
     heat = heat_step(tables.cell, now.end.heat_K, s.flow_A, drop, s.dt_s)
-    x = CellState(now.end.soc, now.end.v1_V, now.end.v2_V, now.end.v3_V, now.end.h, heat)
     # fmt: off
+    x = CellState(
+        now.end.soc, now.end.v1_V, now.end.v2_V, now.end.v3_V, now.end.h, heat, now.end.slow_A
+    )
     return Predicted(
         begun.state, x, p, point, at, now.warm_C, begun.evidence_s, begun.status
     )
@@ -161,11 +163,11 @@ def recover(
     branches = (x.v1_V, x.v2_V, x.v3_V)
     # fmt: off
     soc, ss, p11, p22, p33 = recovered(
-        tables, warm_C, s.seen_A, s.voltage_V, branches, (p.p11, p.p22, p.p33), x.h, p.phh,
-        i.one, drop, followed, x.soc, p.ss,
+        tables, warm_C, s.seen_A, x.slow_A, s.voltage_V, branches, (p.p11, p.p22, p.p33),
+        x.h, p.phh, i.one, drop, followed, x.soc, p.ss,
     )
     # fmt: on
-    found = CellState(soc, x.v1_V, x.v2_V, x.v3_V, x.h, x.heat_K)
+    found = CellState(soc, x.v1_V, x.v2_V, x.v3_V, x.h, x.heat_K, x.slow_A)
     return found, uncorrelated(ss, p11, p22, p33, p.phh)
 
 
@@ -179,6 +181,7 @@ def moved(x: CellState, k: Column, innovation_V: float) -> CellState:
         x.v3_V + k.v3 * innovation_V,
         min(max(x.h + k.h * innovation_V, -1.0), 1.0),
         x.heat_K,
+        x.slow_A,
     )
 
 
@@ -200,7 +203,11 @@ def update(
         # The gain was that of the slope here; what it is worth is said by the slope where it
         # leads, if that is flatter (Joseph's form): on a plateau nothing was gained.
         move = k.s * v.innovation_V
-        flat = landing_slope(tables, now.x.soc, now.at, now.warm_C, s.seen_A, move)
+        # fmt: off
+        flat = landing_slope(
+            tables, now.x.soc, now.at, now.warm_C, s.seen_A, now.x.slow_A, move
+        )
+        # fmt: on
         less = flat - now.at.slope_V
         e = less * (2.0 * d.s + less * p.ss)
         c = soc_row(p, less)
@@ -224,7 +231,7 @@ def finish(
     if soc < SOC_LOW or soc > SOC_HIGH:
         soc = min(max(soc, SOC_LOW), SOC_HIGH)
         status |= CLAMPED
-    kept = CellState(soc, x.v1_V, x.v2_V, x.v3_V, x.h, x.heat_K)
+    kept = CellState(soc, x.v1_V, x.v2_V, x.v3_V, x.h, x.heat_K, x.slow_A)
     state = EkfState(kept, p, v.rejections, v.mismatch, persistent, v.watch)
     std = math.sqrt(p.ss + persistent * persistent)
     info = EkfInfo(soc, std, i.predicted_V, v.innovation_V, v.variance, v.ratio, status)

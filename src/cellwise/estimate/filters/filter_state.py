@@ -96,6 +96,6 @@ OUTPUTS = 6
 def ekf_start(start: EkfStart, current_A: float) -> EkfState:
     """A cell known as ``start`` says; its branches are guessed at the first sample."""
     h = 1.0 if start.soc > 0.5 else -1.0
-    cell = CellState(start.soc, 0.0, 0.0, 0.0, h, 0.0)
+    cell = CellState(start.soc, 0.0, 0.0, 0.0, h, 0.0, 0.0)
     p = uncorrelated(start.variance, 0.0, 0.0, 0.0, start.hysteresis_variance)
     return EkfState(cell, p, 0.0, 1.0, 0.0, first_watch(current_A))

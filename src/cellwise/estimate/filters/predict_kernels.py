@@ -13,6 +13,7 @@ from cellwise.cell.equations import (
     hysteresis_step,
     loaded,
     relaxed,
+    slow_step,
     soc_step,
     transition,
 )
@@ -59,10 +60,11 @@ class Begun(NamedTuple):
 def over_interval(
     tables: CellTables, x: CellState, soc: float, s: Sample, begins: bool
 ) -> Interval:
-    """Everything at the new SOC; heat is the start's."""
+    """Everything at the new SOC and the surface's new lag; heat is the start's."""
     cell = tables.cell
     warm = s.temperature_C + x.heat_K
-    point = loaded(tables, soc, warm, s.seen_A)
+    slow = slow_step(cell, x.slow_A, s.flow_A, s.dt_s)
+    point = loaded(tables, soc, warm, s.seen_A, slow)
     old1, old2, old3 = x.v1_V, x.v2_V, x.v3_V
     v11, v22, v33 = 0.0, 0.0, 0.0
     if begins:
@@ -74,8 +76,8 @@ def over_interval(
     v2 = relaxed(old2, t.a2, t.g2, s.flow_A)
     v3 = relaxed(old3, t.a3, t.g3, s.flow_A)
     h = hysteresis_step(x.h, t.ah, s.flow_A)
-    old = CellState(x.soc, old1, old2, old3, x.h, x.heat_K)
-    end = CellState(soc, v1, v2, v3, h, x.heat_K)
+    old = CellState(x.soc, old1, old2, old3, x.h, x.heat_K, x.slow_A)
+    end = CellState(soc, v1, v2, v3, h, x.heat_K, slow)
     return Interval(old, point, t, end, warm, v11, v22, v33)
 
 

@@ -127,8 +127,8 @@ def predict(
     wide = ss > sigma.wide_variance
     up, low = point, point
     if wide:
-        up = loaded(tables, now.end.soc + pair.step, now.warm_C, s.seen_A)
-        low = loaded(tables, now.end.soc - pair.step, now.warm_C, s.seen_A)
+        up = loaded(tables, now.end.soc + pair.step, now.warm_C, s.seen_A, now.end.slow_A)
+        low = loaded(tables, now.end.soc - pair.step, now.warm_C, s.seen_A, now.end.slow_A)
     up1 = rc_step(old.v1_V + c * along.v1, s.flow_A, up.r1_ohm, up.tau1_s, s.dt_s)
     up2 = rc_step(old.v2_V + c * along.v2, s.flow_A, up.r2_ohm, up.tau2_s, s.dt_s)
     up3 = old.v3_V + c * along.v3
@@ -151,6 +151,7 @@ def predict(
         x.v3_V + sigma.side * e3,
         x.h,
         x.heat_K,
+        x.slow_A,
     )
     p = decayed(without_outer(begun.p, along), t)
     p = with_outer(p, d, sigma.curve, Column(0.0, e1, e2, e3, 0.0))
@@ -183,8 +184,8 @@ def voltages(
     x, c, along = now.x, sigma.reach, pair.along
     branches = (x.v1_V + x.v2_V) + x.v3_V
     away = c * ((along.v1 + along.v2) + along.v3)
-    up = loaded(tables, x.soc + pair.step, warm_C, s.seen_A)
-    low = loaded(tables, x.soc - pair.step, warm_C, s.seen_A)
+    up = loaded(tables, x.soc + pair.step, warm_C, s.seen_A, x.slow_A)
+    low = loaded(tables, x.soc - pair.step, warm_C, s.seen_A, x.slow_A)
     r_up = up.r0_ohm if now.wide else point.r0_ohm
     r_low = low.r0_ohm if now.wide else point.r0_ohm
     centre = terminal_voltage(point, x.h, point.r0_ohm * s.seen_A + branches)
@@ -215,7 +216,7 @@ def ukf_step_inline(
     branches = (x.v1_V + x.v2_V) + x.v3_V
     drop = point.r0_ohm * s.seen_A + branches
     heat = heat_step(tables.cell, x.heat_K, s.flow_A, drop, s.dt_s)
-    x = CellState(x.soc, x.v1_V, x.v2_V, x.v3_V, x.h, heat)
+    x = CellState(x.soc, x.v1_V, x.v2_V, x.v3_V, x.h, heat, x.slow_A)
 
     # Covariance with the voltage: along the pair, and given the SOC.
     rest = column(without_outer(p, pair.along), 0.0, point.m_V)

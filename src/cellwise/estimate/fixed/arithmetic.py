@@ -34,6 +34,7 @@ SlowFloat: TypeAlias = Any
 HysteresisFloat: TypeAlias = Any
 OffsetFloat: TypeAlias = Any
 WarmFloat: TypeAlias = Any
+SurfaceFloat: TypeAlias = Any
 
 ZERO, QUARTER, HALF, ONE, TWO = F(0.0), F(0.25), F(0.5), F(1.0), F(2.0)
 THREE, FOUR, SIXTY_FOURTH = F(3.0), F(4.0), F(0.015625)

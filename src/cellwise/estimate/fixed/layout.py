@@ -89,6 +89,9 @@ CONSTANTS = (
     Field("rate_per_A", "fall of the resistances with the current", "RATE"),
     Field("charge_scale", "factor on the resistances while charging", "ASYMMETRY"),
     Field("asinh_per_V", "of the charge transfer of the fast branch", "TRANSFER"),
+    Field("surface_per_A", "SOC that the particles' surface is below", "SURFACE and not DEPTH"),
+    Field("surface_gain", "1 - exp(-dt / time constant of the current it follows)", "SURFACE"),
+    Field("surface_rate", "dt / that time constant", "SURFACE"),
     Field("hysteresis_per_A", "e-folds of h in one step at 1 A", "HYSTERESIS"),
     Field("offset_variance_A2", "at the start", "OFFSET"),
     Field("offset_walk_A2", "gained in one step", "OFFSET"),
@@ -101,6 +104,9 @@ CONSTANTS = (
     Field("arrhenius_low_C", "", "ARRHENIUS"),
     Field("arrhenius_per_K", "points per kelvin", "ARRHENIUS"),
     Field("arrhenius", "factor on every resistance", "ARRHENIUS", "f4", "arrhenius"),
+    Field("depth_low_C", "", "DEPTH"),
+    Field("depth_per_K", "points per kelvin", "DEPTH"),
+    Field("depth", "SOC that the surface is below at 1 A", "DEPTH", "f4", "depth"),
 )
 
 
@@ -126,6 +132,7 @@ def _state() -> tuple[Field, ...]:
         Field("current_A", "last valid one"),
         Field("mismatch", "running mean of squared innovation over variance"),
         Field("heat_K", "own warming", "HEATING"),
+        Field("slow_A", "current that the particles' surface has followed", "SURFACE"),
         Field("temperature_C", "last valid one", "WARM"),
         Field("voltage_V", "last valid one,", "WATCH"),
         Field("frozen_A", "the current when it came,", "WATCH"),

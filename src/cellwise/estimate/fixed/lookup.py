@@ -18,12 +18,16 @@ from cellwise.estimate.fixed.arithmetic import (
     SHORTEST_CHORD,
     TRANSFER_1,
     ZERO,
+    Constants,
     Count,
     F,
     Float,
     HysteresisFloat,
     SlowFloat,
+    State,
+    SurfaceFloat,
     U,
+    WarmFloat,
     apart,
     between,
     clip,
@@ -35,10 +39,12 @@ from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.options import (
     ARRHENIUS,
     ASYMMETRY,
+    DEPTH,
     HYSTERESIS,
     RATE,
     SCALED,
     SLOW,
+    SURFACE,
     TEMPERATURES,
     TRANSFER,
     WIDE,
@@ -49,11 +55,15 @@ OCV_V = ERROR_V = NOISE_V2 = R0_OHM = R1_OHM = LAG1 = R2_OHM = LAG2 = R3_OHM = L
 
 
 class Place(NamedTuple):
-    """Where a temperature lies between two tables, and what it does to every resistance."""
+    """Where a temperature lies between two tables, and what it does to every resistance.
+
+    ``lag`` is the SOC that the particles' surface is below the mean.
+    """
 
     low: Count
     weight: Float
     scale: Float
+    lag: SurfaceFloat
 
 
 class Point(NamedTuple):
@@ -86,6 +96,18 @@ class Slopes(NamedTuple):
     rise3: SlowFloat
 
 
+def depth_at(c: Constants, temperature_C: Float) -> Float:
+    """SOC that the particles' surface is below the mean at 1 A and one temperature."""
+    most = F(c.depth.size - 1)
+    y = (temperature_C - c.depth_low_C) * c.depth_per_K
+    y = clip(y, ZERO, most)
+    k = U(y)
+    if k > U(c.depth.size - 2):
+        k = U(c.depth.size - 2)
+    f = known_fraction(y - F(k))
+    return between(c.depth[k], c.depth[k + 1], f)
+
+
 def place_of(m: Model, temperature_C: Float) -> Place:
     """Neighbouring tables of a temperature, and the Arrhenius factor."""
     low = U(0)
@@ -109,7 +131,14 @@ def place_of(m: Model, temperature_C: Float) -> Place:
         first = m.constant.arrhenius[k + 1] - start
         second = m.constant.arrhenius[k + 2] - m.constant.arrhenius[k + 1]
         scale = start + (f * (first + ((HALF * (f - ONE)) * (second - first))))
-    return Place(low, weight, scale)
+    return Place(low, weight, scale, ZERO)
+
+
+def under_surface(c: Constants, x: State, at: Place, temperature_C: WarmFloat) -> Place:
+    """The same place with the lag of the particles' surface."""
+    depth = depth_at(c, temperature_C) if DEPTH else c.surface_per_A
+    lag = clip(depth * x.slow_A, -ONE, ONE)
+    return Place(at.low, at.weight, at.scale, lag)
 
 
 def within_one(soc: Float) -> Float:
@@ -162,7 +191,8 @@ def charge_transfer(overvoltage: Float) -> Float:
 def look_up(m: Model, place: Place, soc: Float, current: Float) -> Point:
     """Outside 0..1 the OCV goes on along its last segment, every other table stays at its end.
 
-    Without CELLWISE_WIDE the OCV stays, too.
+    Without CELLWISE_WIDE the OCV stays, too. With CELLWISE_SURFACE resistances and gains are those
+    of the particles' surface.
     """
     points = U(m.row.shape[1])
     if WIDE:
@@ -184,13 +214,19 @@ def look_up(m: Model, place: Place, soc: Float, current: Float) -> Point:
         noise_V2 = noise_V2 + (m.constant.ocv_soc2 * (slope_V * slope_V))
     else:
         noise_V2 = read(m, place, k, NOISE_V2, g)
-    r0_ohm = read(m, place, k, R0_OHM, g)
-    r1_ohm = read(m, place, k, R1_OHM, g)
-    gain1 = ONE / read(m, place, k, LAG1, g)
-    r2_ohm = read(m, place, k, R2_OHM, g)
-    gain2 = ONE / read(m, place, k, LAG2, g)
-    r3_ohm = read(m, place, k, R3_OHM, g) if SLOW else ZERO
-    gain3 = ONE / read(m, place, k, LAG3, g) if SLOW else ZERO
+    at = k
+    share = g
+    if SURFACE:
+        below = within_one(soc - place.lag) * F(points - 1)
+        at = index_of(below, points)
+        share = known_fraction(below - F(at))
+    r0_ohm = read(m, place, at, R0_OHM, share)
+    r1_ohm = read(m, place, at, R1_OHM, share)
+    gain1 = ONE / read(m, place, at, LAG1, share)
+    r2_ohm = read(m, place, at, R2_OHM, share)
+    gain2 = ONE / read(m, place, at, LAG2, share)
+    r3_ohm = read(m, place, at, R3_OHM, share) if SLOW else ZERO
+    gain3 = ONE / read(m, place, at, LAG3, share) if SLOW else ZERO
     m_V = read(m, place, k, M_V, g) if HYSTERESIS else ZERO
     if SCALED:
         scale = place.scale

@@ -18,6 +18,7 @@ from cellwise.cell.effects import (
     SelfDischarge,
     SelfHeating,
     SlowDiffusion,
+    SurfaceSoc,
     TemperatureDependence,
     TimeSkew,
 )
@@ -28,7 +29,8 @@ from cellwise.cell.model import CellModel
 class Options:
     """What is compiled in: effects as 0 or 1, sizes of tables.
 
-    ``arrhenius`` is the number of points of the factor's table over temperature, 0 without it;
+    ``arrhenius`` is the number of points of the factor's table over temperature, ``depth`` that of
+    the table of how far the particles' surface is below the mean, 0 without them;
     ``wide`` the care taken while SOC is badly known, ``watch`` that of sensors which freeze or fall
     silent; without them the code is smaller.
     """
@@ -45,6 +47,8 @@ class Options:
     rate: int = 0
     asymmetry: int = 0
     transfer: int = 0
+    surface: int = 0
+    depth: int = 0
     heating: int = 0
     wide: int = 1
     watch: int = 1
@@ -52,7 +56,7 @@ class Options:
     @property
     def needs_temperature(self) -> bool:
         """Whether a step reads the temperature."""
-        return self.temperatures > 1 or self.arrhenius > 0
+        return self.temperatures > 1 or self.arrhenius > 0 or self.depth > 0
 
     @property
     def states(self) -> int:
@@ -79,10 +83,12 @@ def options_of(
     offset : bool             carry the current sensor's offset as a state
     wide : bool               take care of slopes while SOC is badly known
     watch : bool              watch for sensors that freeze or fall silent
-    arrhenius_points : int    points of the Arrhenius table where the model has that effect
+    arrhenius_points : int    points of each table over temperature where the model has that effect
     """
     arrhenius = arrhenius_points if model.effect(TemperatureDependence).activation_K != 0.0 else 0
-    warm = model.temperature_C.size > 1 or arrhenius > 0
+    surface = model.effect(SurfaceSoc)
+    depth = arrhenius_points if surface.depth_h != 0.0 and surface.activation_K != 0.0 else 0
+    warm = model.temperature_C.size > 1 or arrhenius > 0 or depth > 0
     return Options(
         points=model.points,
         temperatures=model.temperature_C.size,
@@ -96,6 +102,8 @@ def options_of(
         rate=int(model.effect(RateDependence).rate_h != 0.0),
         asymmetry=int(model.effect(ChargeAsymmetry).charge_scale != 1.0),
         transfer=int(model.effect(ChargeTransfer).asinh_per_V != 0.0),
+        surface=int(surface.depth_h != 0.0),
+        depth=depth,
         heating=int(warm and model.effect(SelfHeating).rth_K_per_W != 0.0),
         wide=int(wide),
         watch=int(watch),
@@ -103,14 +111,16 @@ def options_of(
 
 
 SLOW = HYSTERESIS = OFFSET = 0  # states
-EFFICIENCY = LEAK = SKEW = RATE = ASYMMETRY = TRANSFER = HEATING = 0  # effects
-TEMPERATURES = ARRHENIUS = WARM = SCALED = 0  # several temperatures, the factor, either, any factor
+EFFICIENCY = LEAK = SKEW = RATE = ASYMMETRY = TRANSFER = SURFACE = HEATING = 0  # effects
+TEMPERATURES = ARRHENIUS = DEPTH = 0  # several temperatures, tables over temperature
+WARM = SCALED = 0  # any of these, any factor on all resistances
 WIDE = WATCH = 0  # care and watch
 
 # What a name means to the C preprocessor where it is not CELLWISE_ and the name.
 IN_C = {
     "TEMPERATURES": "CELLWISE_TEMPERATURES > 1",
     "ARRHENIUS": "CELLWISE_ARRHENIUS > 0",
+    "DEPTH": "CELLWISE_DEPTH > 0",
     "WARM": "CELLWISE_NEEDS_TEMPERATURE",
     "SCALED": "(CELLWISE_ARRHENIUS > 0) || CELLWISE_RATE || CELLWISE_ASYMMETRY",
 }
@@ -124,6 +134,7 @@ def flags_of(options: Options) -> dict[str, int]:
         **flags,
         "TEMPERATURES": int(options.temperatures > 1),
         "ARRHENIUS": int(options.arrhenius > 0),
+        "DEPTH": int(options.depth > 0),
         "WARM": int(options.needs_temperature),
         "SCALED": int(options.arrhenius > 0 or bool(options.rate or options.asymmetry)),
     }

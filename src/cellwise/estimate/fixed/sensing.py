@@ -32,6 +32,7 @@ from cellwise.estimate.fixed.arithmetic import (
     out_of_range,
     root,
     size_within,
+    vanishing,
     within,
 )
 from cellwise.estimate.fixed.lookup import within_one
@@ -156,6 +157,15 @@ def count_charge(c: Constants, x: State, s: Reading) -> Charge:
             else:
                 x.ss = x.ss + c.lost_walk
     return Charge(status, missing, bridge)
+
+
+def follow(c: Constants, x: State, s: Reading, charge: Charge) -> None:
+    """Current that the particles' surface follows: over missing samples what bridges them."""
+    if charge.missing != U(0):
+        left = vanishing(F(charge.missing) * c.surface_rate)
+        x.slow_A = charge.bridge + (left * (x.slow_A - charge.bridge))
+    if s.news == INTERVAL:
+        x.slow_A = x.slow_A + (c.surface_gain * (s.flow - x.slow_A))
 
 
 def finish(x: State, s: Reading, missing: Count, sequence: Count, out: Output) -> Count:

@@ -33,7 +33,16 @@ from cellwise.estimate.fixed.covariance import (
     forget_correlations,
     start_covariance,
 )
-from cellwise.estimate.fixed.options import HEATING, HYSTERESIS, OFFSET, SLOW, WARM, WATCH, WIDE
+from cellwise.estimate.fixed.options import (
+    HEATING,
+    HYSTERESIS,
+    OFFSET,
+    SLOW,
+    SURFACE,
+    WARM,
+    WATCH,
+    WIDE,
+)
 
 
 def is_sound(c: Constants, x: State) -> Flag:
@@ -53,6 +62,8 @@ def is_sound(c: Constants, x: State) -> Flag:
     if not (size_within(x.current_A, LARGE) and not_negative(x.mismatch, LARGE)):
         return False
     if HEATING and not within(x.heat_K, -HEAT_MOST_K, HEAT_MOST_K):
+        return False
+    if SURFACE and not size_within(x.slow_A, LARGE):
         return False
     if WARM and not within(x.temperature_C, TEMPERATURE_LOW_C, TEMPERATURE_HIGH_C):
         return False
@@ -82,6 +93,8 @@ def start(c: Constants, x: State, soc: Float, soc_variance: Float) -> None:
     x.mismatch = ONE
     if HEATING:
         x.heat_K = ZERO
+    if SURFACE:
+        x.slow_A = ZERO
     if WARM:
         x.temperature_C = c.temperature_C
     if WATCH:

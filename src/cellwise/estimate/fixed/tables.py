@@ -17,6 +17,7 @@ from cellwise.cell.effects import (
     SelfDischarge,
     SelfHeating,
     SlowDiffusion,
+    SurfaceSoc,
     TemperatureDependence,
     TimeSkew,
     effect_table,
@@ -180,6 +181,8 @@ def check_holds(model: CellModel, dt_s: float, options: Options) -> None:
     slowest = float(np.max(model.tau2_s))
     if options.slow:
         slowest = max(slowest, float(np.max(np.asarray(model.effect(SlowDiffusion).tau3_s))))
+    if options.surface:
+        slowest = max(slowest, model.effect(SurfaceSoc).tau_s)
     if dt_s / slowest < SMALLEST_GAIN:
         raise InputError(
             f"a time constant of {slowest:g} s at a time step of {dt_s:g} s",
@@ -221,6 +224,7 @@ def _constants(
     slow_s = noise.slow_s
     adapts = noise.mismatch_cap > 0 and slow_s > 0
     heating = model.effect(SelfHeating)
+    surface = model.effect(SurfaceSoc)
     lost_A = LOST_RATE * model.capacity_Ah
     return {
         "soc_per_A": per_A,
@@ -258,6 +262,9 @@ def _constants(
         "rate_per_A": model.effect(RateDependence).rate_h / model.capacity_Ah,
         "charge_scale": model.effect(ChargeAsymmetry).charge_scale,
         "asinh_per_V": model.effect(ChargeTransfer).asinh_per_V,
+        "surface_per_A": surface.depth_h / model.capacity_Ah,
+        "surface_gain": -np.expm1(-dt_s / surface.tau_s),
+        "surface_rate": dt_s / surface.tau_s,
         "hysteresis_per_A": model.effect(Hysteresis).gamma * per_A,
         "offset_variance_A2": offset_std_A**2,
         "offset_walk_A2": offset_std_A**2 * dt_s / (3600.0 * OFFSET_WALK_H),
@@ -275,21 +282,32 @@ def steps_within(seconds: float, dt_s: float) -> int:
 
 
 def _temperature_tables(model: CellModel, options: Options) -> dict[str, Any]:
-    effect = model.effect(TemperatureDependence)
-    grid = np.linspace(ARRHENIUS_LOW_C, ARRHENIUS_HIGH_C, max(options.arrhenius, 2))
-    kelvin = grid + ZERO_CELSIUS_K
-    reference_K = effect.reference_C + ZERO_CELSIUS_K
-    with np.errstate(over="ignore"):
-        factor = np.exp(effect.activation_K * (1.0 / kelvin - 1.0 / reference_K))
+    effect, surface = model.effect(TemperatureDependence), model.effect(SurfaceSoc)
+    per_A = surface.depth_h / model.capacity_Ah
     found: dict[str, Any] = {
         "arrhenius_low_C": ARRHENIUS_LOW_C,
-        "arrhenius_per_K": (grid.size - 1) / (ARRHENIUS_HIGH_C - ARRHENIUS_LOW_C),
-        "arrhenius": factor,
+        "arrhenius_per_K": _points_per_K(options.arrhenius),
+        "arrhenius": _factors(effect, options.arrhenius),
+        "depth_low_C": ARRHENIUS_LOW_C,
+        "depth_per_K": _points_per_K(options.depth),
+        "depth": per_A * _factors(surface, options.depth),
     }
     if options.temperatures > 1:
         found["grid_C"] = model.temperature_C
         found["per_K"] = 1.0 / np.diff(model.temperature_C)
     return found
+
+
+def _points_per_K(points: int) -> float:
+    return (max(points, 2) - 1) / (ARRHENIUS_HIGH_C - ARRHENIUS_LOW_C)
+
+
+def _factors(effect: TemperatureDependence | SurfaceSoc, points: int) -> FloatArray:
+    """Arrhenius factors of an effect from ARRHENIUS_LOW_C to ARRHENIUS_HIGH_C."""
+    kelvin = np.linspace(ARRHENIUS_LOW_C, ARRHENIUS_HIGH_C, max(points, 2)) + ZERO_CELSIUS_K
+    reference_K = effect.reference_C + ZERO_CELSIUS_K
+    with np.errstate(over="ignore"):
+        return np.asarray(np.exp(effect.activation_K * (1.0 / kelvin - 1.0 / reference_K)))
 
 
 def _check_float32(name: str, value: NDArray[Any]) -> None:

@@ -21,6 +21,7 @@ LANES = 16  # fewer than sixteen turns are not worth a vector to the compiler
     V3,
     H,
     HEAT,
+    SLOW,
     SS,
     S1,
     S2,
@@ -49,8 +50,8 @@ LANES = 16  # fewer than sixteen turns are not worth a vector to the compiler
     REPEATS,
     FACTOR,
     FACTOR_C,
-) = range(34)
-FIELDS = 34
+) = range(35)
+FIELDS = 35
 
 
 @inline
@@ -64,6 +65,7 @@ def get_state(block: FloatArray, lane: int) -> EkfState:
             block[V3 * LANES + lane],
             block[H * LANES + lane],
             block[HEAT * LANES + lane],
+            block[SLOW * LANES + lane],
         ),
         Covariance(
             block[SS * LANES + lane],
@@ -107,6 +109,7 @@ def put_state(block: FloatArray, lane: int, state: EkfState) -> None:
     block[V3 * LANES + lane] = state.cell.v3_V
     block[H * LANES + lane] = state.cell.h
     block[HEAT * LANES + lane] = state.cell.heat_K
+    block[SLOW * LANES + lane] = state.cell.slow_A
     block[SS * LANES + lane] = state.p.ss
     block[S1 * LANES + lane] = state.p.s1
     block[S2 * LANES + lane] = state.p.s2
@@ -146,6 +149,7 @@ def choose(which: bool, yes: EkfState, no: EkfState) -> EkfState:
             yes.cell.v3_V if which else no.cell.v3_V,
             yes.cell.h if which else no.cell.h,
             yes.cell.heat_K if which else no.cell.heat_K,
+            yes.cell.slow_A if which else no.cell.slow_A,
         ),
         Covariance(
             yes.p.ss if which else no.p.ss,

@@ -197,13 +197,13 @@ def plain_step(
     inverse = 1.0 / (state_variance + one * shared * worse)
     k = scaled(d, inverse)
     persistent = persistent_step(noise, point, mismatch, k.s, point.ocv_slope_V, old.persistent)
-    end = moved(CellState(soc, v1, v2, v3, h, x.heat_K), k, innovation)
+    end = moved(CellState(soc, v1, v2, v3, h, x.heat_K, x.slow_A), k, innovation)
     rejections = old.rejections - FORGIVEN
     rejections = rejections if rejections > 0.0 else 0.0
     soc = end.soc if end.soc < SOC_HIGH else SOC_HIGH
     soc = soc if soc > SOC_LOW else SOC_LOW
     p = corrected(p, k, d)
-    kept = CellState(soc, end.v1_V, end.v2_V, end.v3_V, end.h, end.heat_K)
+    kept = CellState(soc, end.v1_V, end.v2_V, end.v3_V, end.h, end.heat_K, end.slow_A)
     state = EkfState(kept, p, rejections, mismatch, persistent, watch)
     std = math.sqrt(p.ss + persistent * persistent)
     info = EkfInfo(soc, std, predicted, innovation, variance, ratio, 0)
@@ -273,6 +273,7 @@ def lockstep(
     # What the table of one time step does not hold takes the EKF's own step.
     beyond = cell.heating_K_per_W != 0.0 or cell.branch_activation != 0.0
     beyond = beyond or cell.entropy_K != 0.0 or cell.asinh_per_V != 0.0
+    beyond = beyond or cell.surface_per_A != 0.0
     blocks = gap.size // LANES
     lanes = gap.size
     whole = bool(np.any(table[..., R3])) or bool(np.any(table[..., M]))

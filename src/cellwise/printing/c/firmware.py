@@ -269,7 +269,8 @@ HEADER = """\
 #error "cellwise_ekf: float expressions must be evaluated as float (on 32-bit x86: -mfpmath=sse)"
 #endif
 
-#define CELLWISE_NEEDS_TEMPERATURE ((CELLWISE_TEMPERATURES > 1) || (CELLWISE_ARRHENIUS > 0))
+#define CELLWISE_NEEDS_TEMPERATURE \\
+    ((CELLWISE_TEMPERATURES > 1) || (CELLWISE_ARRHENIUS > 0) || (CELLWISE_DEPTH > 0))
 
 /* Status bits, the values of cellwise.Status in Python. */
 [status]

@@ -10,7 +10,11 @@ from typing import Any
 from cellwise.printing.c.text import ALWAYS, Guard, opposite
 
 FLOATS = {"Float": "", "SlowFloat": "SLOW", "HysteresisFloat": "HYSTERESIS"}
-FLOATS |= {"OffsetFloat": "OFFSET", "WarmFloat": "WARM"}  # and the option of each
+FLOATS |= {
+    "OffsetFloat": "OFFSET",
+    "WarmFloat": "WARM",
+    "SurfaceFloat": "SURFACE",
+}  # and the option of each
 SCALARS = {**dict.fromkeys(FLOATS, "float"), "Count": "uint32_t", "Flag": "bool"}
 RECORDS = {
     "Model": "const cellwise_model", "Constants": "const cellwise_constants",

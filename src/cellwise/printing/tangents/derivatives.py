@@ -21,8 +21,9 @@ Edges = dict[str, dict[str, ast.expr]]
 
 POINT, SCALARS, STATE = CellPoint._fields, CellScalars._fields, CellState._fields
 # What stays a name of its own over an interval, in the order of the equations.
-OUTPUTS = ("soc", "v1", "v2", "v3", "h", "drop", "heat", "voltage")
+OUTPUTS = ("soc", "slow", "v1", "v2", "v3", "h", "drop", "heat", "voltage")
 FIELDS = [c.field for c in COLUMNS]
+SURFACE = [c.field for c in COLUMNS if c.field.endswith(("_ohm", "_s"))]  # at the surface's SOC
 CELL_ARGUMENTS = ["cell: CellScalars", "state: CellState"]
 NOW = ["current_A: float", "dt_s: float", "temperature_C: float"]
 IMPORTS = """
@@ -81,8 +82,15 @@ class Derivatives:
                 self.edges[line.name] = found
                 active.add(line.name)
         self._names = {line.name for line in self.lines}
-        # From the last to the first; tables, which the lines use, after all of them.
-        for name in [*(n.name for n in reversed(self.lines)), *edges]:
+        # From the last to the first; tables after the lines that use them, and after the tables
+        # the lines that nothing but a look-up uses.
+        late: list[str] = []
+        for line in reversed(self.lines):
+            users = {u for u, by in self.edges.items() if line.name in by}
+            if users and users <= {*edges, *late}:
+                late.append(line.name)
+        early = [line.name for line in reversed(self.lines) if line.name not in late]
+        for name in [*early, *edges, *late]:
             if name not in outputs:
                 self._take_out(name)
         for name in outputs:
@@ -164,6 +172,8 @@ def names_in(node: ast.expr) -> set[str]:
 def interval() -> Derivatives:
     """An interval of constant current, and the voltage at its end."""
     reader = Reader(given={"tables_at": record("table", POINT), "place_of": {}})
+    # Columns that are looked up at the surface's SOC are those that stand there.
+    reader.given["at_surface"] = reader.given["tables_at"]
     tables: Value = {"cell": record("cell", SCALARS), "table": {}}
     now: list[Value] = [ast.Name(n.split(":")[0]) for n in NOW]
     old = record("state", STATE)
@@ -172,7 +182,7 @@ def interval() -> Derivatives:
             reader.call("voltage_of", [point, state, now[0]], Wish("voltage", "voltage_of"))
     looked_up: Edges = {
         f"table.{n}": {
-            "soc": ast.Name(f"by_soc.{n}"),
+            "surface" if n in SURFACE else "soc": ast.Name(f"by_soc.{n}"),
             "cell_C": ast.Name(f"by_kelvin.{n}"),
             f"column.{n}": ast.Constant(1.0),
         }
@@ -196,7 +206,7 @@ def tangent(
     for n in d.outputs:
         value = ast.parse(d.follows(n, directions), mode="eval").body
         lines += broken_sum(f"    {n} = ", value)
-    return [*lines, "    return CellState(soc, v1, v2, v3, h, heat), voltage"]
+    return [*lines, "    return CellState(soc, v1, v2, v3, h, heat, slow), voltage"]
 
 
 def slopes() -> list[str]:
