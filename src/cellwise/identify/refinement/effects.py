@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from cellwise.cell.effects import SelfHeating
+from cellwise.cell.effects import Effect, SelfHeating, SurfaceSoc
 from cellwise.cell.metrics import HeldOutGain, held_out_gain
 from cellwise.identify.refinement.layout import ASINH_UNIT_PER_V
 from cellwise.identify.refinement.problem import RefineSettings, StartTables
@@ -16,12 +16,16 @@ from cellwise.identify.refinement.refine import RefineResult, refine, residuals_
 from cellwise.identify.refinement.refine_data import MOST_ROWS, RefineLog, warmed
 from cellwise.typing import FloatArray, IndexArray
 
+TRIED = ("charge_transfer", "surface_soc", "self_heating")
 LEAST_GAIN = 0.02  # of the held-out RMSE: less is not worth a parameter
 LEAST_DRIVES = 3  # below, nothing can be held out
 QUICK_ROWS = 800  # compared of one log while effects are compared
-QUICK_ITERATIONS = 15
-BLOCK_S = 300.0
-HEATING_K_PER_W, HEATING_S = (3.0, 8.0), 120.0
+QUICK_ITERATIONS = 12
+BLOCK_S = 120.0
+HEATING_K_PER_W, HEATING_S = 3.0, 120.0
+# How far the surface's SOC is tried to lie below the mean at 1C, and what goes with it: solid
+# diffusion takes minutes and slows down in the cold as usual diffusion coefficients do.
+SURFACE_H, SURFACE_S, SURFACE_ACTIVATION_K = (0.06, 0.12), 300.0, 2500.0
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,7 @@ class Decision:
 
     result: RefineResult
     decided: tuple[Decided, ...]
-    heating: SelfHeating | None = None
+    effects: tuple[Effect, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +57,7 @@ class _Trial:
 
     settings: RefineSettings
     logs: tuple[RefineLog, ...]
-    heating: SelfHeating | None
+    effects: tuple[Effect, ...]
     result: RefineResult
     residual_V: tuple[FloatArray, ...]
     block: IndexArray
@@ -87,7 +91,7 @@ class Judge:
         self,
         logs: Sequence[RefineLog],
         settings: RefineSettings,
-        heating: SelfHeating | None = None,
+        effects: tuple[Effect, ...] = (),
         theta: FloatArray | None = None,
     ) -> _Trial:
         """A quick refinement and its residuals on the held-out drives."""
@@ -100,7 +104,7 @@ class Judge:
             block = last + (log.time_s // BLOCK_S).astype(np.int64)
             last = int(block.max()) + 1
             blocks.append(block)
-        return _Trial(settings, tuple(logs), heating, result, tuple(r for _, r in found),
+        return _Trial(settings, tuple(logs), effects, result, tuple(r for _, r in found),
                       np.concatenate(blocks))  # fmt: skip
 
     def without_and_with(self, name: str, before: _Trial, after: _Trial) -> _Verdict:
@@ -151,30 +155,65 @@ def decide(
     if not held:
         drives = sum(item.skewed for item in logs)
         why = f"not tried: {drives} drive(s), {LEAST_DRIVES} are needed to hold one out"
-        decided = tuple(Decided(n, False, None, why) for n in ("charge_transfer", "self_heating"))
+        decided = tuple(Decided(n, False, None, why) for n in TRIED)
         return Decision(judge.fit(logs, settings), decided)
     best = judge.trial(logs, settings)
-    verdicts = []
-    theta = best.result.theta.copy()
-    theta[best.result.layout.asinh] = start.asinh_per_V / ASINH_UNIT_PER_V
-    law = replace(settings, charge_transfer=True)
-    verdicts.append(
-        judge.without_and_with("charge_transfer", best, judge.trial(logs, law, theta=theta))
-    )
-    best = verdicts[-1].trial
-    if any(item.log.temperature_C is not None for item in logs) and grid_C.size > 1:
-        for rth in HEATING_K_PER_W:
-            warm = [warmed(item, start.ocv, rth, HEATING_S) for item in logs]
-            heating = SelfHeating(rth, HEATING_S)
-            trial = judge.trial(warm, best.settings, heating, best.result.theta)
-            verdicts.append(judge.without_and_with("self_heating", best, trial))
-            if not verdicts[-1].accepted:
-                break
-            best = verdicts[-1].trial
+    last: dict[str, _Verdict] = {}
+    candidates = _candidates(start, reference_C, grid_C.size > 1)
+    # What was refused is tried again once something else was accepted: two may need each other.
+    while candidates:
+        refused = {}
+        before = best
+        for name, changes in candidates.items():
+            for change in changes:
+                verdict = judge.without_and_with(name, best, change(judge, best))
+                if verdict.accepted or name not in last:
+                    last[name] = verdict
+                best = verdict.trial
+                if not verdict.accepted:
+                    break
+            if not last[name].accepted:
+                refused[name] = changes
+        candidates = refused if best is not before and len(refused) < len(candidates) else {}
     result = judge.fit(best.logs, best.settings, best.result.theta)
-    # Of several sizes of one effect the first says whether the cell needs it.
-    first = {v.name: v.decided(len(held)) for v in reversed(verdicts)}
-    return Decision(result, tuple(reversed(first.values())), best.heating)
+    return Decision(result, tuple(v.decided(len(held)) for v in last.values()), best.effects)
+
+
+Change = Callable[[Judge, _Trial], _Trial]
+
+
+def _candidates(
+    start: StartTables, reference_C: float, several: bool
+) -> dict[str, tuple[Change, ...]]:
+    """Changes to a trial by the effect's name; of several sizes one after another."""
+
+    def transfer(judge: Judge, best: _Trial) -> _Trial:
+        theta = best.result.theta.copy()
+        theta[best.result.layout.asinh] = start.asinh_per_V / ASINH_UNIT_PER_V
+        law = replace(best.settings, charge_transfer=True)
+        return judge.trial(best.logs, law, best.effects, theta)
+
+    def surface(depth_h: float) -> Change:
+        activation = SURFACE_ACTIVATION_K if several else 0.0
+        effect = SurfaceSoc(depth_h, SURFACE_S, activation, reference_C)
+
+        def change(judge: Judge, best: _Trial) -> _Trial:
+            logs = [replace(item, surface=effect) for item in best.logs]
+            others = tuple(e for e in best.effects if e.name != effect.name)
+            return judge.trial(logs, best.settings, (*others, effect), best.result.theta)
+
+        return change
+
+    def heating(judge: Judge, best: _Trial) -> _Trial:
+        effect = SelfHeating(HEATING_K_PER_W, HEATING_S)
+        logs = [warmed(item, start.ocv, effect.rth_K_per_W, effect.thermal_s) for item in best.logs]
+        return judge.trial(logs, best.settings, (*best.effects, effect), best.result.theta)
+
+    found: dict[str, tuple[Change, ...]] = {
+        "charge_transfer": (transfer,),
+        "surface_soc": tuple(surface(h) for h in SURFACE_H),
+    }
+    return found | ({"self_heating": (heating,)} if several else {})
 
 
 def held_out(logs: Sequence[RefineLog]) -> tuple[int, ...]:

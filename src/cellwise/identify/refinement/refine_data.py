@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from cellwise.cell.effects import SurfaceSoc
 from cellwise.cell.equations import ZERO_CELSIUS_K
 from cellwise.errors import InputError
 from cellwise.identify.refinement.refine_kernels import LogRows, choose_rows
@@ -23,6 +24,9 @@ BEYOND = 0.5  # how far a temperature may lie outside the grid, in its first and
 SELDOM = 0.02  # of the charge: temperatures at which less flowed bring no row of tables along
 
 
+NO_SURFACE = SurfaceSoc()
+
+
 @dataclass(frozen=True, eq=False)
 class RefineLog:
     """One log for refinement.
@@ -30,7 +34,7 @@ class RefineLog:
     ``soc`` is known at every row (the tester's counter over the capacity, from a known start);
     ``skewed`` logs share the fitted sampling delay; ``h0`` is the hysteresis state at the first
     row; ``compare`` marks rows that may be compared (None: all); ``temperature_C`` holds where the
-    log measured none.
+    log measured none; the tables are looked up where ``surface`` says.
     """
 
     log: CellLog
@@ -40,6 +44,7 @@ class RefineLog:
     weight: float = 1.0
     compare: BoolArray | None = None
     temperature_C: float | None = None
+    surface: SurfaceSoc = NO_SURFACE
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +151,7 @@ def prepare_log(
         dt_s=dt,
         current_A=mean,
         inverse_K=inverse,
-        rows=spline_rows(soc, knots),
+        rows=spline_rows(_surface_soc(item, soc, mean, dt, kept, capacity_Ah), knots),
         ocv_rows=spline_rows(soc, ocv_knots),
         soc=soc,
         evaluate=shown,
@@ -188,6 +193,34 @@ def inverse_K(temperature_C: FloatArray | float, reference_C: float) -> FloatArr
     """1/T - 1/T_ref [1/K]."""
     kelvin = np.asarray(temperature_C) + ZERO_CELSIUS_K
     return np.asarray(1.0 / kelvin - 1.0 / (reference_C + ZERO_CELSIUS_K))
+
+
+def _surface_soc(
+    item: RefineLog,
+    soc: FloatArray,
+    current: FloatArray,
+    dt: FloatArray,
+    kept: IndexArray,
+    capacity_Ah: float,
+) -> FloatArray:
+    """SOC at which the tables are looked up, of every kept row."""
+    effect = item.surface
+    if effect.depth_h == 0.0:
+        return soc
+    slow = lagged(current, dt, effect.tau_s)
+    inverse = _inverse_kelvin(item.log, effect.reference_C, item.temperature_C)[kept]
+    depth = effect.depth_h * np.exp(effect.activation_K * inverse) / capacity_Ah
+    return np.asarray(np.clip(soc - depth * slow, 0.0, 1.0))
+
+
+def lagged(values: FloatArray, dt: FloatArray, tau_s: float) -> FloatArray:
+    """Values through a first-order lag, each constant over the interval that ends at its row."""
+    found = np.empty(values.size)
+    now = 0.0
+    for k, (a, x) in enumerate(zip(np.exp(-dt / tau_s).tolist(), values.tolist(), strict=True)):
+        now = a * now + (1.0 - a) * x
+        found[k] = now
+    return found
 
 
 def _inverse_kelvin(log: CellLog, reference_C: float, otherwise_C: float | None) -> FloatArray:
@@ -239,10 +272,5 @@ def warmed(
         return item
     lost = log.known_current_A() * (ocv(np.clip(item.soc, 0.0, 1.0)) - log.voltage_V)
     lost = np.where(log.gap_rows | ~np.isfinite(lost), 0.0, np.maximum(lost, 0.0))
-    left = np.exp(-log.interval_s / thermal_s)
-    heat = np.empty(len(log))
-    now = 0.0
-    for k, (a, power) in enumerate(zip(left.tolist(), lost.tolist(), strict=True)):
-        now = a * now + (1.0 - a) * rth_K_per_W * power
-        heat[k] = now
+    heat = rth_K_per_W * lagged(lost, log.interval_s, thermal_s)
     return replace(item, log=replace(log, temperature_C=log.temperature_C + heat))

@@ -160,8 +160,8 @@ def refine_cell(
     _note_moved_ocv(alone, notices)
     hot = any(item.log.temperature_C is not None for item in logs)
     model = refined_model(result, start, capacity_Ah, plain.skew, hot)
-    if decision.heating is not None:
-        model = model.with_effect(decision.heating)
+    for effect in decision.effects:
+        model = model.with_effect(effect)
     model = replace(model, error=_error(result, float(np.median(model.r0_ohm))))
     return Refined(model, result, tuple(starts), decision.decided)
 
