@@ -86,7 +86,7 @@ def _sides(simulation: Simulation) -> dict[str, float]:
 
 
 def _gaps(simulation: Simulation) -> str:
-    """What is left of a low-rate or capacity test that has a side the model does not follow."""
+    """The residual of a low-rate or capacity test that has a side the model does not follow."""
     parts = directions(simulation.log)
     said = []
     for name, rows in parts.items():

@@ -13,7 +13,7 @@ from cellwise.cell.metrics import HeldOutGain, held_out_gain
 from cellwise.identify.refinement.layout import ASINH_UNIT_PER_V
 from cellwise.identify.refinement.problem import RefineSettings, StartTables
 from cellwise.identify.refinement.refine import RefineResult, refine, residuals_of
-from cellwise.identify.refinement.refine_data import MOST_ROWS, RefineLog, warmed
+from cellwise.identify.refinement.refine_data import RefineLog, warmed
 from cellwise.typing import FloatArray, IndexArray
 
 TRIED = ("charge_transfer", "surface_soc", "self_heating")
@@ -80,7 +80,7 @@ class Judge:
         logs: Sequence[RefineLog],
         settings: RefineSettings,
         theta: FloatArray | None = None,
-        most_rows: int = MOST_ROWS,
+        most_rows: int | None = None,
     ) -> RefineResult:
         """A refinement."""
         return refine(

@@ -34,6 +34,8 @@ from cellwise.identify.refinement.refine_data import (
 from cellwise.identify.refinement.splines import OCV_KNOTS, TABLE_KNOTS, spline_count
 from cellwise.typing import FloatArray
 
+ALL_ROWS = 40_000
+
 __all__ = ["RefineResult", "RefineSettings", "StartTables", "refine"]
 
 
@@ -127,7 +129,7 @@ def refine(
     knots: FloatArray = TABLE_KNOTS,
     ocv_knots: FloatArray = OCV_KNOTS,
     theta: FloatArray | None = None,
-    most_rows: int = MOST_ROWS,
+    most_rows: int | None = None,
     progress: Callable[[int, float], None] | None = None,
 ) -> RefineResult:
     """Fit the tables to the voltage of whole logs.
@@ -139,7 +141,8 @@ def refine(
     capacity_Ah : float               for the hysteresis' rate
     grid_C : (temperatures,) float or None      ascending; None: one temperature, the reference
     theta : (parameters,) float or None         where to begin, if not at ``start``
-    most_rows : int                   compared rows of one log at most
+    most_rows : int or None           compared rows of one log at most; None: all logs together
+                                      share ALL_ROWS, none has fewer than MOST_ROWS
     progress : callable or None       called with the iteration and the RMSE [V] after each step
 
     Returns
@@ -156,6 +159,7 @@ def refine(
         settings.hysteresis,
         int(grid.size),
     )
+    most = max(MOST_ROWS, ALL_ROWS // len(logs)) if most_rows is None else most_rows
     prepared = tuple(
         prepare_log(
             item,
@@ -164,7 +168,7 @@ def refine(
             reference_C,
             grid_C=grid,
             capacity_Ah=capacity_Ah,
-            most_rows=most_rows,
+            most_rows=most,
         )
         for item in logs
     )
@@ -177,8 +181,8 @@ def refine(
     residuals: tuple[FloatArray, ...] = ()
     # The first passes find the size of each log's residual: smoothing, robustness, balance.
     for share in (0.3, 0.4, 1.0):
-        most = max(3, int(share * settings.iterations))
-        theta, done, residuals = problem.minimise(theta, most, progress)
+        count = max(3, int(share * settings.iterations))
+        theta, done, residuals = problem.minimise(theta, count, progress)
         steps += done
         problem.judge(residuals)
     return RefineResult(
