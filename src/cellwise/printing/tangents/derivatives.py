@@ -8,7 +8,7 @@ and the voltage follow the old state, the current, the tables and the scalars.
 from __future__ import annotations
 
 import ast
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from cellwise.cell.description import COLUMNS
 from cellwise.cell.equations import CellState
@@ -23,6 +23,7 @@ POINT, SCALARS, STATE = CellPoint._fields, CellScalars._fields, CellState._field
 # What stays a name of its own over an interval, in the order of the equations.
 OUTPUTS = ("soc", "slow", "v1", "v2", "v3", "h", "drop", "heat", "voltage")
 FIELDS = [c.field for c in COLUMNS]
+SURFACE_ONLY = ("slow", "cell.surface_")
 SURFACE = [c.field for c in COLUMNS if c.field.endswith(("_ohm", "_s"))]  # at the surface's SOC
 CELL_ARGUMENTS = ["cell: CellScalars", "state: CellState"]
 NOW = ["current_A: float", "dt_s: float", "temperature_C: float"]
@@ -151,7 +152,7 @@ class Derivatives:
         """What goes into the record."""
         return [ast.unparse(self.edges[u][by]) for u, by in self.kept()]
 
-    def follows(self, name: str, directions: dict[str, str]) -> str:
+    def follows(self, name: str, directions: Mapping[str, str]) -> str:
         """The direction of an output, given those of what it follows."""
         text = ""
         for by, value in self.edges[name].items():
@@ -200,12 +201,21 @@ def tangent(
     directions = given | {n: n for n in d.outputs}
     lines = ["", "", "@inline"]
     lines += wrapped_call(
-        f"def {name}", ["p: Partials", *arguments], " -> tuple[CellState, float]:"
+        f"def {name}", ["p: Partials", *arguments, "apart: bool"], " -> tuple[CellState, float]:"
     )
     lines += [f'    """{text}"""']
     for n in d.outputs:
-        value = ast.parse(d.follows(n, directions), mode="eval").body
+        # What comes by the surface costs nothing where it is not.
+        by_surface = {by: x for by, x in directions.items() if by.startswith(SURFACE_ONLY)}
+        others = {by: x for by, x in directions.items() if by not in by_surface}
+        if n == "slow":
+            others, by_surface = directions, {}
+        value = ast.parse(d.follows(n, others), mode="eval").body
         lines += broken_sum(f"    {n} = ", value)
+        more = d.follows(n, by_surface)
+        if more != "0.0":
+            lines += ["    if apart:"]
+            lines += broken_sum(f"        {n} += ", ast.parse(more, mode="eval").body)
     return [*lines, "    return CellState(soc, v1, v2, v3, h, heat, slow), voltage"]
 
 
