@@ -114,13 +114,17 @@ def partials(
     table: CellPoint,
     by_soc: CellPoint,
     by_kelvin: CellPoint,
+    apart: bool,
 ) -> Partials:
-    """Derivatives; ``table`` at the new SOC under no load, and its slopes."""
+    """Derivatives; ``table`` at the new SOC under no load, and its slopes.
+
+    Where not ``apart`` nothing of the surface's SOC counts, nor is it right.
+    """
     # charge_used
     used = current_A if current_A > 0.0 else current_A * cell.charge_efficiency
     charge_used = used + cell.leak_A
     # followed
-    a = math.exp(-dt_s / cell.surface_s)
+    a = math.exp(-dt_s / cell.surface_s) if apart else 0.0
     # advance
     slow = a * state.slow_A + (1.0 - a) * current_A
     cell_C = temperature_C + state.heat_K
@@ -128,7 +132,7 @@ def partials(
     kelvin = cell_C + ZERO_CELSIUS_K
     inverse_kelvin = 1.0 / kelvin - 1.0 / cell.surface_reference_K
     # surface_soc
-    scale = math.exp(cell.surface_activation_K * inverse_kelvin)
+    scale = math.exp(cell.surface_activation_K * inverse_kelvin) if apart else 0.0
     depth = cell.surface_per_A * scale
     # at_temperature
     warmer = cell_C + ZERO_CELSIUS_K - cell.entropy_K

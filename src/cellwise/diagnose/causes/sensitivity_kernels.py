@@ -171,7 +171,7 @@ def derivative_rows(
             by_soc, by_kelvin = surfaced(by_soc, below_soc), surfaced(by_kelvin, below_kelvin)
         here = changed(table, place, surface, apart)
         now = partials(
-            cell, before, current, dt_s[row], temperature_C[row], here, by_soc, by_kelvin
+            cell, before, current, dt_s[row], temperature_C[row], here, by_soc, by_kelvin, apart
         )
         for p in range(directions):
             flow = currents[current_of[p], row] if current_of[p] >= 0 else 0.0
@@ -183,11 +183,19 @@ def derivative_rows(
                 d[p, 0], d[p, 1], d[p, 2], d[p, 3], d[p, 4], d[p, 5], d[p, 6]
             )
             # fmt: on
-            new, voltage = carried(now, old, flow, change, apart)
+            # Each compiled for its case, without a branch inside.
+            if apart:
+                new, voltage = carried(now, old, flow, change, True)
+            else:
+                new, voltage = carried(now, old, flow, change, False)
             d[p, 0], d[p, 1], d[p, 2] = new.soc, new.v1_V, new.v2_V
             d[p, 3], d[p, 4], d[p, 5], d[p, 6] = new.v3_V, new.h, new.heat_K, new.slow_A
             if has_scalars[p]:
-                more, by_scalars = driven(now, scalars_of(scalars, p), apart)
+                changes = scalars_of(scalars, p)
+                if apart:
+                    more, by_scalars = driven(now, changes, True)
+                else:
+                    more, by_scalars = driven(now, changes, False)
                 d[p, 0] += more.soc
                 d[p, 1] += more.v1_V
                 d[p, 2] += more.v2_V

@@ -24,6 +24,7 @@ POINT, SCALARS, STATE = CellPoint._fields, CellScalars._fields, CellState._field
 OUTPUTS = ("soc", "slow", "v1", "v2", "v3", "h", "drop", "heat", "voltage")
 FIELDS = [c.field for c in COLUMNS]
 SURFACE_ONLY = ("slow", "cell.surface_")
+SURFACE_ORIGINS = ("followed", "surface_soc")
 SURFACE = [c.field for c in COLUMNS if c.field.endswith(("_ohm", "_s"))]  # at the surface's SOC
 CELL_ARGUMENTS = ["cell: CellScalars", "state: CellState"]
 NOW = ["current_A: float", "dt_s: float", "temperature_C: float"]
@@ -43,6 +44,13 @@ def atomic(node: ast.expr) -> bool:
     if isinstance(node, ast.UnaryOp):
         return atomic(node.operand)
     return isinstance(node, ast.Name | ast.Constant)
+
+
+def only_apart(line: Line) -> ast.expr:
+    """What a line computes; an exponential of the surface only where the surface counts."""
+    if line.origin in SURFACE_ORIGINS and isinstance(line.value, ast.Call):
+        return ast.IfExp(ast.Name("apart"), line.value, ast.Constant(0.0))
+    return line.value
 
 
 def short(name: str) -> str:
@@ -140,7 +148,7 @@ class Derivatives:
         for k, line in enumerate(shown):
             if k == 0 or line.origin != shown[k - 1].origin:
                 text.append(f"    # {line.origin}")
-            text += broken_sum(f"    {line.name} = ", line.value)
+            text += broken_sum(f"    {line.name} = ", only_apart(line))
         return text
 
     def record(self, name: str, text: str, more: Sequence[str] = ()) -> list[str]:
@@ -262,10 +270,14 @@ def derivatives_text() -> str:
                 "table: CellPoint",
                 "by_soc: CellPoint",
                 "by_kelvin: CellPoint",
+                "apart: bool",
             ],
             " -> Partials:",
         ),
-        '    """Derivatives; ``table`` at the new SOC under no load, and its slopes."""',
+        '    """Derivatives; ``table`` at the new SOC under no load, and its slopes.',
+        "",
+        "    Where not ``apart`` nothing of the surface's SOC counts, nor is it right.",
+        '    """',
         *d.body(),
         *wrapped_call("    return Partials", d.values()),
         *tangent(
