@@ -165,22 +165,6 @@ typedef struct {
 #endif
 } cellwise_slopes;
 
-#if (CELLWISE_DEPTH > 0) && CELLWISE_SURFACE
-/* SOC that the particles' surface is below the mean at 1 A and one temperature. */
-static float depth_at(const cellwise_constants *c, float temperature_C)
-{
-    const float most = (float)(CELLWISE_DEPTH - 1u);
-    float y = (temperature_C - c->depth_low_C) * c->depth_per_K;
-    y = clip(y, 0.0f, most);
-    uint32_t k = (uint32_t)y;
-    if (k > (CELLWISE_DEPTH - 2u)) {
-        k = CELLWISE_DEPTH - 2u;
-    }
-    const float f = KNOWN_FRACTION(y - (float)k);
-    return between(c->depth[k], c->depth[k + 1u], f);
-}
-#endif
-
 /* Neighbouring tables of a temperature, and the Arrhenius factor. */
 static void place_of(const cellwise_model *m, float temperature_C, cellwise_place *place)
 {
@@ -218,6 +202,28 @@ static void place_of(const cellwise_model *m, float temperature_C, cellwise_plac
 #endif
 }
 
+/* The nearer end of 0..1 for a SOC beyond it. */
+static float within_one(float soc)
+{
+    return NOT_NEGATIVE(soc, 1.0f) ? soc : ((soc < 0.5f) ? 0.0f : 1.0f);
+}
+
+#if (CELLWISE_DEPTH > 0) && CELLWISE_SURFACE
+/* SOC that the particles' surface is below the mean at 1 A and one temperature. */
+static float depth_at(const cellwise_constants *c, float temperature_C)
+{
+    const float most = (float)(CELLWISE_DEPTH - 1u);
+    float y = (temperature_C - c->depth_low_C) * c->depth_per_K;
+    y = clip(y, 0.0f, most);
+    uint32_t k = (uint32_t)y;
+    if (k > (CELLWISE_DEPTH - 2u)) {
+        k = CELLWISE_DEPTH - 2u;
+    }
+    const float f = KNOWN_FRACTION(y - (float)k);
+    return between(c->depth[k], c->depth[k + 1u], f);
+}
+#endif
+
 #if CELLWISE_SURFACE
 /* The same place with the lag of the particles' surface. */
 static void under_surface(const cellwise_constants *c, const cellwise_state *x,
@@ -244,12 +250,6 @@ static void under_surface(const cellwise_constants *c, const cellwise_state *x,
     place->scale = at->scale;
 }
 #endif
-
-/* The nearer end of 0..1 for a SOC beyond it. */
-static float within_one(float soc)
-{
-    return NOT_NEGATIVE(soc, 1.0f) ? soc : ((soc < 0.5f) ? 0.0f : 1.0f);
-}
 
 /* Lower point of the SOC interval that holds x, a SOC in units of the grid. */
 static uint32_t index_of(float x, uint32_t points)

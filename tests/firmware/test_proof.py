@@ -8,7 +8,7 @@ import subprocess
 
 import pytest
 
-from cellwise.cell.effects import ChargeTransfer, Hysteresis, SlowDiffusion
+from cellwise.cell.effects import ChargeTransfer, Hysteresis, SlowDiffusion, SurfaceSoc
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.export.c_tables import firmware_folder, write_sources
 from example_cells import curved_cell
@@ -50,6 +50,7 @@ BUILDS = {
     "slow": {"model": curved_cell(5, effects=(SlowDiffusion(r3_ohm=0.015, tau3_s=1500.0),))},
     "hysteresis": {"model": curved_cell(5, effects=(Hysteresis(m_V=0.02, gamma=40.0),))},
     "transfer": {"model": curved_cell(5, effects=(ChargeTransfer(60.0),)), "wide": False},
+    "surface": {"model": curved_cell(5, effects=(SurfaceSoc(0.08, 200.0, 1500.0),)), "wide": False},
     "offset": {"model": curved_cell(5), "offset_std_A": 0.1},
 }
 

@@ -114,13 +114,17 @@ def partials(
     table: CellPoint,
     by_soc: CellPoint,
     by_kelvin: CellPoint,
+    apart: bool,
 ) -> Partials:
-    """Derivatives; ``table`` at the new SOC under no load, and its slopes."""
+    """Derivatives; ``table`` at the new SOC under no load, and its slopes.
+
+    Where not ``apart`` nothing of the surface's SOC counts, nor is it right.
+    """
     # charge_used
     used = current_A if current_A > 0.0 else current_A * cell.charge_efficiency
     charge_used = used + cell.leak_A
     # followed
-    a = math.exp(-dt_s / cell.surface_s)
+    a = math.exp(-dt_s / cell.surface_s) if apart else 0.0
     # advance
     slow = a * state.slow_A + (1.0 - a) * current_A
     cell_C = temperature_C + state.heat_K
@@ -128,7 +132,7 @@ def partials(
     kelvin = cell_C + ZERO_CELSIUS_K
     inverse_kelvin = 1.0 / kelvin - 1.0 / cell.surface_reference_K
     # surface_soc
-    scale = math.exp(cell.surface_activation_K * inverse_kelvin)
+    scale = math.exp(cell.surface_activation_K * inverse_kelvin) if apart else 0.0
     depth = cell.surface_per_A * scale
     # at_temperature
     warmer = cell_C + ZERO_CELSIUS_K - cell.entropy_K
@@ -490,7 +494,13 @@ def partials(
 
 
 @inline
-def carried(p: Partials, d: CellState, flow_A: float, at: CellPoint) -> tuple[CellState, float]:
+def carried(
+    p: Partials,
+    d: CellState,
+    flow_A: float,
+    at: CellPoint,
+    apart: bool,
+) -> tuple[CellState, float]:
     """Directions after an interval, of those before it, of the current and the tables."""
     soc = d.soc + p.soc_by_current_A * flow_A
     slow = p.slow_by_old_slow_A * d.slow_A + p.slow_by_current_A * flow_A
@@ -501,8 +511,9 @@ def carried(p: Partials, d: CellState, flow_A: float, at: CellPoint) -> tuple[Ce
         + p.v1_by_r1_ohm * at.r1_ohm
         + p.v1_by_tau1_s * at.tau1_s
         + p.v1_by_soc * soc
-        + p.v1_by_slow * slow
     )
+    if apart:
+        v1 += p.v1_by_slow * slow
     v2 = (
         p.v2_by_old_v2_V * d.v2_V
         + p.v2_by_current_A * flow_A
@@ -510,8 +521,9 @@ def carried(p: Partials, d: CellState, flow_A: float, at: CellPoint) -> tuple[Ce
         + p.v2_by_r2_ohm * at.r2_ohm
         + p.v2_by_tau2_s * at.tau2_s
         + p.v2_by_soc * soc
-        + p.v2_by_slow * slow
     )
+    if apart:
+        v2 += p.v2_by_slow * slow
     v3 = (
         p.v3_by_old_v3_V * d.v3_V
         + p.v3_by_current_A * flow_A
@@ -519,8 +531,9 @@ def carried(p: Partials, d: CellState, flow_A: float, at: CellPoint) -> tuple[Ce
         + p.v3_by_r3_ohm * at.r3_ohm
         + p.v3_by_tau3_s * at.tau3_s
         + p.v3_by_soc * soc
-        + p.v3_by_slow * slow
     )
+    if apart:
+        v3 += p.v3_by_slow * slow
     h = p.h_by_old_h * d.h + p.h_by_current_A * flow_A
     drop = (
         p.drop_by_current_A * flow_A
@@ -530,8 +543,9 @@ def carried(p: Partials, d: CellState, flow_A: float, at: CellPoint) -> tuple[Ce
         + p.drop_by_old_heat_K * d.heat_K
         + p.drop_by_r0_ohm * at.r0_ohm
         + p.drop_by_soc * soc
-        + p.drop_by_slow * slow
     )
+    if apart:
+        drop += p.drop_by_slow * slow
     heat = p.heat_by_old_heat_K * d.heat_K + p.heat_by_current_A * flow_A + p.heat_by_drop * drop
     voltage = (
         p.voltage_by_h * h
@@ -546,7 +560,7 @@ def carried(p: Partials, d: CellState, flow_A: float, at: CellPoint) -> tuple[Ce
 
 
 @inline
-def driven(p: Partials, d: CellScalars) -> tuple[CellState, float]:
+def driven(p: Partials, d: CellScalars, apart: bool) -> tuple[CellState, float]:
     """What the directions of the scalars add to those after the interval."""
     soc = (
         p.soc_by_charge_As * d.charge_As
@@ -563,11 +577,14 @@ def driven(p: Partials, d: CellScalars) -> tuple[CellState, float]:
         + p.v1_by_activation_K * d.activation_K
         + p.v1_by_reference_K * d.reference_K
         + p.v1_by_soc * soc
-        + p.v1_by_slow * slow
-        + p.v1_by_surface_per_A * d.surface_per_A
-        + p.v1_by_surface_activation_K * d.surface_activation_K
-        + p.v1_by_surface_reference_K * d.surface_reference_K
     )
+    if apart:
+        v1 += (
+            p.v1_by_slow * slow
+            + p.v1_by_surface_per_A * d.surface_per_A
+            + p.v1_by_surface_activation_K * d.surface_activation_K
+            + p.v1_by_surface_reference_K * d.surface_reference_K
+        )
     v2 = (
         p.v2_by_charge_scale * d.charge_scale
         + p.v2_by_rate_per_A * d.rate_per_A
@@ -576,11 +593,14 @@ def driven(p: Partials, d: CellScalars) -> tuple[CellState, float]:
         + p.v2_by_activation_K * d.activation_K
         + p.v2_by_reference_K * d.reference_K
         + p.v2_by_soc * soc
-        + p.v2_by_slow * slow
-        + p.v2_by_surface_per_A * d.surface_per_A
-        + p.v2_by_surface_activation_K * d.surface_activation_K
-        + p.v2_by_surface_reference_K * d.surface_reference_K
     )
+    if apart:
+        v2 += (
+            p.v2_by_slow * slow
+            + p.v2_by_surface_per_A * d.surface_per_A
+            + p.v2_by_surface_activation_K * d.surface_activation_K
+            + p.v2_by_surface_reference_K * d.surface_reference_K
+        )
     v3 = (
         p.v3_by_charge_scale * d.charge_scale
         + p.v3_by_tau3_activation_K * d.tau3_activation_K
@@ -588,11 +608,14 @@ def driven(p: Partials, d: CellScalars) -> tuple[CellState, float]:
         + p.v3_by_activation_K * d.activation_K
         + p.v3_by_reference_K * d.reference_K
         + p.v3_by_soc * soc
-        + p.v3_by_slow * slow
-        + p.v3_by_surface_per_A * d.surface_per_A
-        + p.v3_by_surface_activation_K * d.surface_activation_K
-        + p.v3_by_surface_reference_K * d.surface_reference_K
     )
+    if apart:
+        v3 += (
+            p.v3_by_slow * slow
+            + p.v3_by_surface_per_A * d.surface_per_A
+            + p.v3_by_surface_activation_K * d.surface_activation_K
+            + p.v3_by_surface_reference_K * d.surface_reference_K
+        )
     h = p.h_by_hysteresis_rate * d.hysteresis_rate + p.h_by_charge_As * d.charge_As
     drop = (
         v1
@@ -604,11 +627,14 @@ def driven(p: Partials, d: CellScalars) -> tuple[CellState, float]:
         + p.drop_by_activation_K * d.activation_K
         + p.drop_by_reference_K * d.reference_K
         + p.drop_by_soc * soc
-        + p.drop_by_slow * slow
-        + p.drop_by_surface_per_A * d.surface_per_A
-        + p.drop_by_surface_activation_K * d.surface_activation_K
-        + p.drop_by_surface_reference_K * d.surface_reference_K
     )
+    if apart:
+        drop += (
+            p.drop_by_slow * slow
+            + p.drop_by_surface_per_A * d.surface_per_A
+            + p.drop_by_surface_activation_K * d.surface_activation_K
+            + p.drop_by_surface_reference_K * d.surface_reference_K
+        )
     heat = (
         p.heat_by_heating_K_per_W * d.heating_K_per_W
         + p.heat_by_drop * drop

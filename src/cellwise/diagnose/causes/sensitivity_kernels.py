@@ -33,6 +33,9 @@ from cellwise.typing import FloatArray, IntArray
 
 UNCHANGED = CellPoint(*(0.0 for _ in CellPoint._fields))
 STATES = len(CellState._fields)
+# The surface's scalars stand together.
+FIRST = CellScalars._fields.index("surface_per_A")
+SURFACE = slice(FIRST, CellScalars._fields.index("surface_reference_K") + 1)
 
 
 class Directions(NamedTuple):
@@ -151,24 +154,24 @@ def derivative_rows(
         d[p, 0] = soc0[p]
         has_scalars[p] = np.any(scalars[p] != 0.0)
     tables_ = CellTables(table, grid, cell)
-    apart = cell.surface_per_A != 0.0
+    apart = cell.surface_per_A != 0.0 or bool(np.any(scalars[:, SURFACE] != 0.0))
     state = start
     out = 0
     for row in range(dt_s.size):
         before, current = state, flow_A[row]
-        after, _ = advance(tables_, before, current, dt_s[row], temperature_C[row])
-        state = with_lag(cell, before, after, current, dt_s[row])
+        state, _ = advance(tables_, before, current, dt_s[row], temperature_C[row])
         cell_C = temperature_C[row] + before.heat_K
         place = place_of(tables_, state.soc, cell_C)
         surface = place
         by_soc, by_kelvin = slopes_at(tables_, place)
         if apart:
+            state = with_lag(cell, before, state, current, dt_s[row])
             surface = place_of(tables_, surface_soc(cell, state.soc, state.slow_A, cell_C), cell_C)
             below_soc, below_kelvin = slopes_at(tables_, surface)
             by_soc, by_kelvin = surfaced(by_soc, below_soc), surfaced(by_kelvin, below_kelvin)
         here = changed(table, place, surface, apart)
         now = partials(
-            cell, before, current, dt_s[row], temperature_C[row], here, by_soc, by_kelvin
+            cell, before, current, dt_s[row], temperature_C[row], here, by_soc, by_kelvin, apart
         )
         for p in range(directions):
             flow = currents[current_of[p], row] if current_of[p] >= 0 else 0.0
@@ -180,11 +183,19 @@ def derivative_rows(
                 d[p, 0], d[p, 1], d[p, 2], d[p, 3], d[p, 4], d[p, 5], d[p, 6]
             )
             # fmt: on
-            new, voltage = carried(now, old, flow, change)
+            # Each compiled for its case, without a branch inside.
+            if apart:
+                new, voltage = carried(now, old, flow, change, True)
+            else:
+                new, voltage = carried(now, old, flow, change, False)
             d[p, 0], d[p, 1], d[p, 2] = new.soc, new.v1_V, new.v2_V
             d[p, 3], d[p, 4], d[p, 5], d[p, 6] = new.v3_V, new.h, new.heat_K, new.slow_A
             if has_scalars[p]:
-                more, by_scalars = driven(now, scalars_of(scalars, p))
+                changes = scalars_of(scalars, p)
+                if apart:
+                    more, by_scalars = driven(now, changes, True)
+                else:
+                    more, by_scalars = driven(now, changes, False)
                 d[p, 0] += more.soc
                 d[p, 1] += more.v1_V
                 d[p, 2] += more.v2_V

@@ -96,18 +96,6 @@ class Slopes(NamedTuple):
     rise3: SlowFloat
 
 
-def depth_at(c: Constants, temperature_C: Float) -> Float:
-    """SOC that the particles' surface is below the mean at 1 A and one temperature."""
-    most = F(c.depth.size - 1)
-    y = (temperature_C - c.depth_low_C) * c.depth_per_K
-    y = clip(y, ZERO, most)
-    k = U(y)
-    if k > U(c.depth.size - 2):
-        k = U(c.depth.size - 2)
-    f = known_fraction(y - F(k))
-    return between(c.depth[k], c.depth[k + 1], f)
-
-
 def place_of(m: Model, temperature_C: Float) -> Place:
     """Neighbouring tables of a temperature, and the Arrhenius factor."""
     low = U(0)
@@ -134,16 +122,28 @@ def place_of(m: Model, temperature_C: Float) -> Place:
     return Place(low, weight, scale, ZERO)
 
 
+def within_one(soc: Float) -> Float:
+    """The nearer end of 0..1 for a SOC beyond it."""
+    return soc if not_negative(soc, ONE) else (ZERO if soc < HALF else ONE)
+
+
+def depth_at(c: Constants, temperature_C: Float) -> Float:
+    """SOC that the particles' surface is below the mean at 1 A and one temperature."""
+    most = F(c.depth.size - 1)
+    y = (temperature_C - c.depth_low_C) * c.depth_per_K
+    y = clip(y, ZERO, most)
+    k = U(y)
+    if k > U(c.depth.size - 2):
+        k = U(c.depth.size - 2)
+    f = known_fraction(y - F(k))
+    return between(c.depth[k], c.depth[k + 1], f)
+
+
 def under_surface(c: Constants, x: State, at: Place, temperature_C: WarmFloat) -> Place:
     """The same place with the lag of the particles' surface."""
     depth = depth_at(c, temperature_C) if DEPTH else c.surface_per_A
     lag = clip(depth * x.slow_A, -ONE, ONE)
     return Place(at.low, at.weight, at.scale, lag)
-
-
-def within_one(soc: Float) -> Float:
-    """The nearer end of 0..1 for a SOC beyond it."""
-    return soc if not_negative(soc, ONE) else (ZERO if soc < HALF else ONE)
 
 
 def index_of(x: Float, points: Count) -> Count:

@@ -8,7 +8,7 @@ and the voltage follow the old state, the current, the tables and the scalars.
 from __future__ import annotations
 
 import ast
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from cellwise.cell.description import COLUMNS
 from cellwise.cell.equations import CellState
@@ -23,6 +23,8 @@ POINT, SCALARS, STATE = CellPoint._fields, CellScalars._fields, CellState._field
 # What stays a name of its own over an interval, in the order of the equations.
 OUTPUTS = ("soc", "slow", "v1", "v2", "v3", "h", "drop", "heat", "voltage")
 FIELDS = [c.field for c in COLUMNS]
+SURFACE_ONLY = ("slow", "cell.surface_")
+SURFACE_ORIGINS = ("followed", "surface_soc")
 SURFACE = [c.field for c in COLUMNS if c.field.endswith(("_ohm", "_s"))]  # at the surface's SOC
 CELL_ARGUMENTS = ["cell: CellScalars", "state: CellState"]
 NOW = ["current_A: float", "dt_s: float", "temperature_C: float"]
@@ -42,6 +44,13 @@ def atomic(node: ast.expr) -> bool:
     if isinstance(node, ast.UnaryOp):
         return atomic(node.operand)
     return isinstance(node, ast.Name | ast.Constant)
+
+
+def only_apart(line: Line) -> ast.expr:
+    """What a line computes; an exponential of the surface only where the surface counts."""
+    if line.origin in SURFACE_ORIGINS and isinstance(line.value, ast.Call):
+        return ast.IfExp(ast.Name("apart"), line.value, ast.Constant(0.0))
+    return line.value
 
 
 def short(name: str) -> str:
@@ -139,7 +148,7 @@ class Derivatives:
         for k, line in enumerate(shown):
             if k == 0 or line.origin != shown[k - 1].origin:
                 text.append(f"    # {line.origin}")
-            text += broken_sum(f"    {line.name} = ", line.value)
+            text += broken_sum(f"    {line.name} = ", only_apart(line))
         return text
 
     def record(self, name: str, text: str, more: Sequence[str] = ()) -> list[str]:
@@ -151,7 +160,7 @@ class Derivatives:
         """What goes into the record."""
         return [ast.unparse(self.edges[u][by]) for u, by in self.kept()]
 
-    def follows(self, name: str, directions: dict[str, str]) -> str:
+    def follows(self, name: str, directions: Mapping[str, str]) -> str:
         """The direction of an output, given those of what it follows."""
         text = ""
         for by, value in self.edges[name].items():
@@ -200,12 +209,21 @@ def tangent(
     directions = given | {n: n for n in d.outputs}
     lines = ["", "", "@inline"]
     lines += wrapped_call(
-        f"def {name}", ["p: Partials", *arguments], " -> tuple[CellState, float]:"
+        f"def {name}", ["p: Partials", *arguments, "apart: bool"], " -> tuple[CellState, float]:"
     )
     lines += [f'    """{text}"""']
     for n in d.outputs:
-        value = ast.parse(d.follows(n, directions), mode="eval").body
+        # What comes by the surface costs nothing where it is not.
+        by_surface = {by: x for by, x in directions.items() if by.startswith(SURFACE_ONLY)}
+        others = {by: x for by, x in directions.items() if by not in by_surface}
+        if n == "slow":
+            others, by_surface = directions, {}
+        value = ast.parse(d.follows(n, others), mode="eval").body
         lines += broken_sum(f"    {n} = ", value)
+        more = d.follows(n, by_surface)
+        if more != "0.0":
+            lines += ["    if apart:"]
+            lines += broken_sum(f"        {n} += ", ast.parse(more, mode="eval").body)
     return [*lines, "    return CellState(soc, v1, v2, v3, h, heat, slow), voltage"]
 
 
@@ -252,10 +270,14 @@ def derivatives_text() -> str:
                 "table: CellPoint",
                 "by_soc: CellPoint",
                 "by_kelvin: CellPoint",
+                "apart: bool",
             ],
             " -> Partials:",
         ),
-        '    """Derivatives; ``table`` at the new SOC under no load, and its slopes."""',
+        '    """Derivatives; ``table`` at the new SOC under no load, and its slopes.',
+        "",
+        "    Where not ``apart`` nothing of the surface's SOC counts, nor is it right.",
+        '    """',
         *d.body(),
         *wrapped_call("    return Partials", d.values()),
         *tangent(
