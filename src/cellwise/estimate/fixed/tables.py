@@ -201,7 +201,7 @@ def _columns(model: CellModel, dt_s: float, noise: Noise) -> dict[str, FloatArra
     slope = np.diff(model.ocv_V, axis=1) * (model.points - 1)
     square = np.pad(slope * slope, ((0, 0), (1, 1)), mode="edge")
     at_points = 0.5 * (square[:, :-1] + square[:, 1:])
-    error = noise.error_scale * effect_table(model.error.at(model.soc), shape)
+    error = noise.error_scale * effect_table(model.slow_error_V(model.soc), shape)
     return {
         "ocv_V": model.ocv_V,
         "error_V": error,
