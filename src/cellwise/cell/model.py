@@ -169,8 +169,13 @@ class CellModel(Plottable):
         validated = self.error.at(soc)
         if self.validity.soc is None:
             return validated
-        per_soc_V = UNKNOWN_SLOPE * float(np.mean(self.ocv_V[:, -1] - self.ocv_V[:, 0]))
-        return np.asarray(np.hypot(validated, per_soc_V * beyond_soc(self.validity, soc)))
+        beyond = self.unknown_slope_V * beyond_soc(self.validity, soc)
+        return np.asarray(np.hypot(validated, beyond))
+
+    @property
+    def unknown_slope_V(self) -> float:
+        """By how much the OCV's slope over SOC may be off where no data were [V]."""
+        return UNKNOWN_SLOPE * float(np.mean(self.ocv_V[:, -1] - self.ocv_V[:, 0]))
 
     @property
     def tables(self) -> ModelTables:
