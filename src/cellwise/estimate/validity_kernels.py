@@ -30,6 +30,7 @@ ACTIVATION_K = 3600.0
 # What is left of it where the model has one of its own, known from few kelvin of warming.
 ACTIVATION_STD_K = 1000.0
 ENTROPY_V_PER_K = 3e-4  # OCV of lithium-ion cells: up to 0.5 mV/K, either way
+HALF, SIXTH = 0.5, 1.0 / 6.0
 # Of the polarisation, for twice the data's current: asinh(2y) / asinh(y) from y = 1 to 4 takes 18
 # to 32 % off it.
 SHARE_AT_TWICE = 0.25
@@ -92,11 +93,11 @@ def extrapolation_V(
 ) -> float:
     r"""What a model can be off by because of temperature and current, one deviation [V].
 
-    .. math:: \sigma = \left(x + \tfrac{1}{2} x^2 + s_I \, \Delta I\right) v_p
+    .. math:: \sigma = \left(x + \tfrac{1}{2} x^2 + \tfrac{1}{6} x^3 + s_I \, \Delta I\right) v_p
        + s_{OCV} \, \Delta T, \qquad x = s_T \, \Delta T
 
-    with the distances from the data and the polarisation v_p: x + x^2/2 is what an exponential
-    adds to 1, to its second order.
+    with the distances from the data and the polarisation v_p: what an exponential adds to 1, to
+    its third order, because an embedded target has no exponential.
 
     Parameters
     ----------
@@ -105,7 +106,7 @@ def extrapolation_V(
     far_K = max(max(valid.cold_C - temperature_C, temperature_C - valid.warm_C), 0.0)
     far_A = max(max(valid.charge_A - current_A, current_A - valid.discharge_A), 0.0)
     x = valid.share_per_K * far_K
-    share = x + 0.5 * x * x + valid.share_per_A * far_A
+    share = x * (1.0 + x * (HALF + x * SIXTH)) + valid.share_per_A * far_A
     return share * held_V + valid.voltage_per_K * far_K
 
 

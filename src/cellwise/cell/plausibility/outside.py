@@ -36,6 +36,24 @@ def outside_notices(validity: Validity, log: MeasuredLog, soc: FloatArray) -> li
     return [Notice(math.inf, text)]  # first: every other figure is to be read with it
 
 
+def outside_moment(
+    validity: Validity, soc: float, temperature_C: float, current_A: float
+) -> str | None:
+    """Which quantity of one moment lies outside, and where the data end; None inside."""
+    bounds = validity.bounds()
+    found = [
+        f"{name} {value:.{digits}f}{unit} (the model's data: {low:.{digits}f} to {high:.{digits}f})"
+        for name, value, bound, ends, digits, unit in (
+            ("SOC", soc, bounds[:2], validity.soc, 2, ""),
+            ("temperature", temperature_C, bounds[2:4], validity.temperature_C, 1, " degC"),
+            ("current", current_A, bounds[4:], validity.current_A, 2, " A"),
+        )
+        if ends is not None and (value < bound[0] or value > bound[1])
+        for low, high in (ends,)
+    ]
+    return ", ".join(found) or None
+
+
 def _parts(validity: Validity, log: MeasuredLog, soc: FloatArray) -> Iterator[str]:
     """The text for each side of a range that is left."""
     bounds = validity.bounds()
