@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 ROOM_K = 298.15
 # Activation of the resistances of lithium-ion cells: 20 to 60 kJ/mol, 30 in the middle.
 ACTIVATION_K = 3600.0
-# What is left of it where the model has one of its own, known from few kelvin of warming.
+# Its error where the model has one of its own, known from few kelvin of warming.
 ACTIVATION_STD_K = 1000.0
 ENTROPY_V_PER_K = 3e-4  # OCV of lithium-ion cells: up to 0.5 mV/K, either way
 HALF, SIXTH = 0.5, 1.0 / 6.0
