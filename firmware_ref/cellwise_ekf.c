@@ -1581,6 +1581,49 @@ static float shared_by(const cellwise_constants *c, const cellwise_state *x, flo
     return shared;
 }
 
+#if CELLWISE_VALIDITY
+/* Whether SOC, current or temperature is beyond the model's data: CELLWISE_OUTSIDE, or 0. */
+static uint32_t outside(const cellwise_constants *c, const cellwise_state *x,
+                        const cellwise_reading *s)
+{
+    uint32_t status = 0u;
+    if (!WITHIN(x->soc, c->valid_soc_low, c->valid_soc_high)) {
+        status = CELLWISE_OUTSIDE;
+    }
+    if (!WITHIN(s->seen, c->valid_charge_A, c->valid_discharge_A)) {
+        status = CELLWISE_OUTSIDE;
+    }
+#if CELLWISE_VALIDITY > 1
+    if (!WITHIN(x->temperature_C, c->valid_cold_C, c->valid_warm_C)) {
+        status = CELLWISE_OUTSIDE;
+    }
+#endif
+    return status;
+}
+#endif
+
+#if CELLWISE_VALIDITY
+/* What the model can be off by beyond its data's current and temperature, one deviation. The law
+ * of the float64 filters: a share of the polarisation, as of an exponential to its third order;
+ * what lies beyond in SOC is in the table of the error. */
+static float extrapolated(const cellwise_constants *c, const cellwise_state *x,
+                          const cellwise_reading *s, float polarisation_V)
+{
+    (void)x;
+    const float far_A = at_least(c->valid_charge_A - s->seen, s->seen - c->valid_discharge_A);
+    float share = c->share_per_A * at_least(far_A, 0.0f);
+    float moved_V = 0.0f;
+#if CELLWISE_VALIDITY > 1
+    float far_K = at_least(c->valid_cold_C - x->temperature_C, x->temperature_C - c->valid_warm_C);
+    far_K = at_least(far_K, 0.0f);
+    const float z = c->share_per_K * far_K;
+    share = share + (z * (1.0f + (z * (0.5f + (z * SIXTH)))));
+    moved_V = c->voltage_per_K * far_K;
+#endif
+    return (share * polarisation_V) + moved_V;
+}
+#endif
+
 /* Predicted voltage, and the variances of what is measured about it. */
 static void innovate(const cellwise_constants *c, const cellwise_state *x, const cellwise_point *p,
                      const cellwise_slopes *w, const cellwise_reading *s,
@@ -1595,6 +1638,10 @@ static void innovate(const cellwise_constants *c, const cellwise_state *x, const
     innovation->one_V2 = p->noise_V2 +
         ((c->share_variance * (innovation->polarisation_V * innovation->polarisation_V)) +
          ((c->current_variance_A2 + s->unmeasured_A2) * (p->r0_ohm * p->r0_ohm)));
+#if CELLWISE_VALIDITY
+    const float beyond_V = extrapolated(c, x, s, innovation->polarisation_V);
+    innovation->one_V2 = innovation->one_V2 + (beyond_V * beyond_V);
+#endif
     /* An OCV that bends by c at one standard deviation is off its tangent by c z^2. */
     column_of(x, p, w->slope_V, &innovation->column);
     innovation->explained_V2 = innovation->column.variance + (3.0f * (w->bend_V * w->bend_V));
@@ -1859,8 +1906,14 @@ uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwis
         heat(c, x, p.r0_ohm, s.seen, s.flow);
 #endif
     }
+#if CELLWISE_VALIDITY
+    const uint32_t beyond = outside(c, x, &s);
+#else
+    const uint32_t beyond = 0u;
+#endif
     status = charge.status | correct(m, &place, x, &p, &w, &s, sample->voltage_V, out);
     status = status | finish(x, &s, charge.missing, sample->sequence, out);
+    status = status | beyond;
     out->status = status;
     return status;
 }

@@ -18,7 +18,8 @@
 #endif
 
 #define CELLWISE_NEEDS_TEMPERATURE \
-    ((CELLWISE_TEMPERATURES > 1) || (CELLWISE_ARRHENIUS > 0) || (CELLWISE_DEPTH > 0))
+    ((CELLWISE_TEMPERATURES > 1) || (CELLWISE_ARRHENIUS > 0) || (CELLWISE_DEPTH > 0) || \
+     (CELLWISE_VALIDITY > 1))
 
 /* Status bits, the values of cellwise.Status in Python. */
 #define CELLWISE_CURRENT_INVALID 1u /* missing or not finite: the last valid current was held */
@@ -39,6 +40,8 @@
 /* current missing for longer than is held: on voltage alone, variance grows */
 #define CELLWISE_CURRENT_LOST 2048u
 #define CELLWISE_VOLTAGE_LOST 4096u /* voltage missing or frozen for as long: counting charge */
+/* SOC, temperature or current beyond the model's data: variance widened */
+#define CELLWISE_OUTSIDE 8192u
 
 /* One point of the SOC grid. A branch's lag is in time steps. */
 typedef struct {
@@ -139,6 +142,19 @@ typedef struct {
 #endif
 #if CELLWISE_NEEDS_TEMPERATURE
     float temperature_C; /* until the first valid one */
+#endif
+#if CELLWISE_VALIDITY
+    float valid_soc_low; /* the model's data, tolerance included */
+    float valid_soc_high;
+    float valid_charge_A;
+    float valid_discharge_A;
+    float share_per_A; /* of the polarisation, error beyond their current */
+#endif
+#if CELLWISE_VALIDITY > 1
+    float valid_cold_C;
+    float valid_warm_C;
+    float share_per_K; /* of the polarisation, error beyond their temperature */
+    float voltage_per_K; /* of the OCV */
 #endif
 #if CELLWISE_TEMPERATURES > 1
     float grid_C[CELLWISE_TEMPERATURES]; /* temperatures of the tables */

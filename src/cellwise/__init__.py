@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from cellwise.cell.metrics import ErrorMetrics
     from cellwise.cell.model import CellModel, ModelError
     from cellwise.cell.model_file import read_model, write_model
+    from cellwise.cell.plausibility.validity import Validity
     from cellwise.cell.simulate import Simulation, simulate
     from cellwise.data import list_datasets, load_dataset
     from cellwise.diagnose import Diagnosis, diagnose
@@ -34,6 +35,7 @@ _HOMES = {
     "ModelError": "cellwise.cell.model",
     "read_model": "cellwise.cell.model_file",
     "write_model": "cellwise.cell.model_file",
+    "Validity": "cellwise.cell.plausibility.validity",
     "ErrorMetrics": "cellwise.cell.metrics",
     "Simulation": "cellwise.cell.simulate",
     "simulate": "cellwise.cell.simulate",
@@ -77,6 +79,7 @@ __all__ = [
     "Status",
     "TestLogs",
     "Ukf",
+    "Validity",
     "diagnose",
     "identify_cell",
     "inspect_log",

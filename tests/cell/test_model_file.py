@@ -38,7 +38,7 @@ def same(a, b):
             if x.shape != y.shape or x.tobytes() != y.tobytes():
                 return False
     plain = ("capacity_Ah", "charge_efficiency", "error", "voltage_min_V", "voltage_max_V",
-             "name", "chemistry", "provenance")  # fmt: skip
+             "name", "chemistry", "provenance", "validity")  # fmt: skip
     return all(getattr(a, name) == getattr(b, name) for name in plain)
 
 

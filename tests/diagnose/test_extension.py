@@ -7,6 +7,7 @@ import pytest
 
 from cellwise.cell.effects import ChargeTransfer, SurfaceSoc
 from cellwise.cell.initial_soc import InitialSoc
+from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.cell.simulate import simulate
 from cellwise.diagnose import diagnose
 from cellwise.diagnose.causes.coordinates import Coordinates
@@ -64,3 +65,23 @@ def test_a_model_with_such_an_effect_is_diagnosed_and_keeps_it(cause, effect):
     assert value == pytest.approx({"scale": 1.4, "offset_A": 0.15}[name], rel=0.1)
     kept = said.extended_model.effect(type(effect))
     assert vars(kept) == pytest.approx(vars(effect), rel=1e-12)
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["known", "not known"])
+def test_the_logs_that_were_explained_widen_the_validity(known):
+    """At its own temperature more resistance; the drive at 8 to 28 degC belongs to the data now."""
+    valid = Validity((0.6, 0.9), (25.0, 25.0), (-20.0, 20.0)) if known else UNKNOWN
+    model, asked = curved_cell(validity=valid), drive(4, 3000)
+    truth = extend_model(Coordinates(model), {"ln_scale": np.log(1.4)}, {})
+    run = simulate(truth, asked, SOC0)
+    noise = 1e-3 * np.random.default_rng(4).normal(size=len(asked))
+    log = CellLog(asked.time_s, asked.current_A, run.voltage_V + noise, asked.temperature_C)
+    extended = diagnose(model, log, soc0=SOC0).extended_model
+    if not known:
+        assert extended.validity == UNKNOWN
+        return
+    after = extended.validity
+    assert after.soc == pytest.approx((min(0.6, run.soc.min()), max(0.9, run.soc.max())), abs=0.01)
+    warm = float(np.min(asked.temperature_C)), float(np.max(asked.temperature_C))
+    assert after.temperature_C == pytest.approx((warm[0], max(25.0, warm[1])), abs=0.1)
+    assert after.current_A == (-20.0, 20.0)

@@ -5,13 +5,16 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 
 import pytest
 
 from cellwise.cell.effects import ChargeTransfer, Hysteresis, SlowDiffusion, SurfaceSoc
+from cellwise.cell.plausibility.validity import Validity
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.export.c_tables import firmware_folder, write_sources
 from example_cells import curved_cell
+from firmware_cases import VALID
 
 pytestmark = [
     pytest.mark.skipif(shutil.which("frama-c") is None, reason="no frama-c: make firmware"),
@@ -51,6 +54,10 @@ BUILDS = {
     "hysteresis": {"model": curved_cell(5, effects=(Hysteresis(m_V=0.02, gamma=40.0),))},
     "transfer": {"model": curved_cell(5, effects=(ChargeTransfer(60.0),)), "wide": False},
     "surface": {"model": curved_cell(5, effects=(SurfaceSoc(0.08, 200.0, 1500.0),)), "wide": False},
+    # Intervals: a table of one variance that varies much by SOC would look as if it could be
+    # negative between its points, so that the SOC is looked at where the table has its root.
+    "validity": {"model": curved_cell(5, validity=replace(VALID, soc=None)), "wide": False},
+    "validity of SOC": {"model": curved_cell(5, validity=Validity(soc=VALID.soc))},
     "offset": {"model": curved_cell(5), "offset_std_A": 0.1},
 }
 

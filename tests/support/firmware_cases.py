@@ -16,10 +16,13 @@ from cellwise.cell.effects import (
     SlowDiffusion,
     SurfaceSoc,
 )
+from cellwise.cell.plausibility.validity import Validity
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.export.c_tables import STRICT_FLAGS, WARNING_FLAGS, write_sources
 from cellwise.export.stress import stress_samples as stress_samples
 from example_cells import curved_cell, random_model
+
+VALID = Validity(soc=(0.3, 0.8), temperature_C=(0.0, 30.0), current_A=(-3.0, 6.0))
 
 
 def full_model():
@@ -51,6 +54,8 @@ def tables_of(name, dt_s=1.0):
         return fixed_step_tables(curved_cell(effects=(ChargeTransfer(60.0),)), dt_s)
     if name == "surface":
         return fixed_step_tables(curved_cell(effects=(SurfaceSoc(0.08, 120.0),)), dt_s)
+    if name == "validity":
+        return fixed_step_tables(curved_cell(validity=VALID), dt_s)
     if name == "offset":
         return fixed_step_tables(curved_cell(), dt_s, offset_std_A=0.1)
     return fixed_step_tables(full_model(), dt_s, offset_std_A=0.1)

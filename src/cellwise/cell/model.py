@@ -12,11 +12,14 @@ import numpy as np
 from cellwise.cell.effects import Effect, check_effect
 from cellwise.cell.equations import CellTables
 from cellwise.cell.parameters import packed
+from cellwise.cell.plausibility.validity import UNKNOWN, Validity, beyond_soc
 from cellwise.errors import InputError
 from cellwise.plotting import Line, Panel, Plottable
 from cellwise.typing import FloatArray
 
 E = TypeVar("E", bound=Effect)
+# Share of the mean slope of the OCV over SOC by which its slope may be off where no data were.
+UNKNOWN_SLOPE = 0.5
 
 
 class ModelTables(NamedTuple):
@@ -68,6 +71,7 @@ class CellModel(Plottable):
     effects : tuple of Effect      extensions, at most one of a kind
     charge_efficiency : float      share of the charge put in that can be taken out, 0.5..1.05
     error : ModelError             voltage error seen in validation
+    validity : Validity            SOC, temperature and current that its data covered
     voltage_min_V, voltage_max_V : float or None   the cell's limits
     name, chemistry : str
     provenance : mapping           where every number came from: log, method, standard error,
@@ -90,6 +94,7 @@ class CellModel(Plottable):
     effects: tuple[Effect, ...] = ()
     charge_efficiency: float = 1.0
     error: ModelError = ModelError()
+    validity: Validity = UNKNOWN
     voltage_min_V: float | None = None
     voltage_max_V: float | None = None
     name: str = ""
@@ -154,6 +159,23 @@ class CellModel(Plottable):
     def c2_F(self) -> FloatArray:
         """Capacitance of the slow branch, tau2 / R2 [F]."""
         return np.asarray(self.tau2_s / self.r2_ohm)
+
+    def slow_error_V(self, soc: FloatArray | float) -> FloatArray:
+        """Slow voltage error at a SOC [V]: validation's, and beyond the data's SOC more.
+
+        There the OCV's slope is known to half of its mean over SOC, so the error grows by that
+        with the distance from the data.
+        """
+        validated = self.error.at(soc)
+        if self.validity.soc is None:
+            return validated
+        beyond = self.unknown_slope_V * beyond_soc(self.validity, soc)
+        return np.asarray(np.hypot(validated, beyond))
+
+    @property
+    def unknown_slope_V(self) -> float:
+        """By how much the OCV's slope over SOC may be off where no data were [V]."""
+        return UNKNOWN_SLOPE * float(np.mean(self.ocv_V[:, -1] - self.ocv_V[:, 0]))
 
     @property
     def tables(self) -> ModelTables:

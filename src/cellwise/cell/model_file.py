@@ -14,6 +14,8 @@ import numpy as np
 
 from cellwise.cell.effects import EFFECTS, Effect, SlowDiffusion
 from cellwise.cell.model import TABLES, CellModel, ModelError, ModelTables
+from cellwise.cell.plausibility.validity import NAMES as VALIDITY_NAMES
+from cellwise.cell.plausibility.validity import Validity
 from cellwise.errors import InputError
 from cellwise.files import write_atomically
 from cellwise.typing import FloatArray
@@ -40,10 +42,14 @@ DROP = Range(1e-9, 30.0, "V at 1C", "Ohms: not mohm.")
 TIME = Range(1e-6, 1e7, "s", "Seconds: not ms, not minutes.")
 TEMPERATURE = Range(-80.0, 120.0, "degC", "Degrees Celsius, not kelvin.")
 ERROR = Range(0.0, 6.0, "V", "Volts: not mV.")
+# Of the data behind a model: a counter may run a little beyond 0..1, a sensor see a short circuit.
+VALID_SOC = Range(-0.5, 1.5, "", "A fraction, not per cent.")
+VALID_RATE = Range(-1e3, 1e3, "C", "Ampere: not mA.")
 
 
 def model_to_dict(model: CellModel) -> dict[str, Any]:
     """The model as plain JSON values, every number at full precision."""
+    validity = {"validity": model.validity.to_dict()} if model.validity.known else {}
     return {
         "schema_version": SCHEMA_VERSION,
         "kind": "cellwise.CellModel",
@@ -58,6 +64,7 @@ def model_to_dict(model: CellModel) -> dict[str, Any]:
         **{name: getattr(model, name).tolist() for name in TABLES},
         "effects": [_effect_to_dict(e) for e in model.effects],
         "error": asdict(model.error),
+        **validity,
         "provenance": dict(model.provenance),
     }
 
@@ -112,6 +119,7 @@ def model_from_dict(data: Any, where: str = "the model") -> CellModel:
             effects=tuple(_effect_from_dict(e, where) for e in data["effects"]),
             charge_efficiency=_number(data["charge_efficiency"]),
             error=_error_from_dict(data["error"], where),
+            validity=_validity_from_dict(data.get("validity"), where),
             voltage_min_V=_limit(data["voltage_min_V"]),
             voltage_max_V=_limit(data["voltage_max_V"]),
             name=str(data["name"]),
@@ -210,6 +218,14 @@ def _sizes(model: CellModel) -> Iterator[tuple[str, Any, Range]]:
         error.resistance_share,
         Range(0.0, 10.0, "of R0 I", "A share, not per cent."),
     )
+    valid = model.validity
+    if valid.soc is not None:
+        yield "soc of the validity", valid.soc, VALID_SOC
+    if valid.temperature_C is not None:
+        yield "temperature_C of the validity", valid.temperature_C, TEMPERATURE
+    if valid.current_A is not None:
+        rate = np.array(valid.current_A) / model.capacity_Ah
+        yield "current_A of the validity, a rate", rate, VALID_RATE
 
 
 def _span(low: float, high: float) -> str:
@@ -271,6 +287,19 @@ def _error_from_dict(data: dict[str, Any], where: str) -> ModelError:
     _check_entries(data, [f.name for f in fields(ModelError)], f"the error of {where}")
     values: dict[str, Any] = {k: _number(v) for k, v in data.items() if k != "slow_V"}
     return ModelError(**values, slow_V=tuple(_number(v) for v in data["slow_V"]))
+
+
+def _validity_from_dict(data: Any, where: str) -> Validity:
+    """Where the model holds; a file of before has no such entry, and nothing is known."""
+    if data is None:
+        return Validity()
+    _check_entries(data, VALIDITY_NAMES, f"the validity of {where}")
+    found = {}
+    for name, pair in data.items():
+        if pair is not None:
+            low, high = (_number(v) for v in pair)
+            found[name] = (low, high)
+    return Validity(**found)
 
 
 def _effect_to_dict(effect: Effect) -> dict[str, Any]:

@@ -19,7 +19,9 @@ from cellwise.cell.metrics import (
 )
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import in_order
+from cellwise.cell.plausibility.outside import outside_notices
 from cellwise.cell.plausibility.simulated import error_notices, soc_notices
+from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.cell.simulate_kernels import simulate_rows
 from cellwise.cell.start_kernels import best_start
 from cellwise.errors import InputError
@@ -35,13 +37,14 @@ class Simulation(Plottable, Tabular):
     """A log and what the model makes of it.
 
     ``voltage_V`` and ``soc`` are the model's, shape (n,); ``error_V`` is measured minus model, NaN
-    where nothing was measured.
+    where nothing was measured; ``validity`` is the model's.
     """
 
     log: CellLog
     soc0: float
     voltage_V: FloatArray
     soc: FloatArray
+    validity: Validity = UNKNOWN
 
     @property
     def error_V(self) -> FloatArray:
@@ -57,6 +60,7 @@ class Simulation(Plottable, Tabular):
     def notices(self) -> tuple[str, ...]:
         """What a person should know, the most harmful first; those of reading the log last."""
         found = soc_notices(self.log, self.soc) + error_notices(self.log, self.error_V, self.soc)
+        found += outside_notices(self.validity, self.log, self.soc)
         return in_order(found, self.log.notices)
 
     @property
@@ -145,7 +149,7 @@ def simulate(model: CellModel, log: CellLog, soc0: float, h0: float | None = Non
         voltage,
         soc,
     )
-    return Simulation(log, float(soc0), voltage, soc)
+    return Simulation(log, float(soc0), voltage, soc, model.validity)
 
 
 def best_start_soc(model: CellModel, log: CellLog, soc0: FloatArray) -> tuple[float, float]:

@@ -158,15 +158,16 @@ def run_replay(arguments: argparse.Namespace) -> None:
 
             flights = () if flight is None else (flight,)
             replay_page([found], places.page, flights=flights, figures=places.figures)
+    notices = found.notices if flight is None else (*flight.notices, *found.notices)
     if arguments.json:
         outlook = None if flight is None else flight.to_dict()
-        data = {**found.to_dict(), "forecast": outlook, "notices": list(found.notices)}
+        data = {**found.to_dict(), "forecast": outlook, "notices": list(notices)}
         printing.print_json(data)
         return
     print_replay(found)
     if flight is not None:
         print_flight(flight)
-    say_notices(found.notices)
+    say_notices(notices)
     page_options.say_pages(arguments)
 
 

@@ -98,6 +98,8 @@ def run_live_command(arguments: argparse.Namespace) -> None:
             look = stack.enter_context(LiveView(source, live, outlook)).look
         elif not (arguments.output or arguments.json):
             takers.append(LineWriter(sys.stdout, live, outlook, arguments.every))
+        if not viewed:  # the view shows it among its flags
+            takers.append(OutsideNotice(live))
         stack.enter_context(_stopped_by_signal())
         run_live(
             source,
@@ -141,6 +143,31 @@ class LineWriter:
             row |= forecast_row(self._live, self._outlook, update)
         self._file.write(json.dumps(printing.clean(row), allow_nan=False) + "\n")
         self._file.flush()
+
+
+class OutsideNotice:
+    """Says on standard error, once, that the stream leaves what the model's data covered."""
+
+    def __init__(self, live: LiveFilter) -> None:
+        self._live, self._said = live, False
+
+    def __call__(self, update: Update) -> None:
+        """Look at one sample."""
+        from cellwise.cell.plausibility.outside import outside_moment
+        from cellwise.estimate.status import OUTSIDE
+
+        if self._said or not update.info.status & OUTSIDE:
+            return
+        sample = update.sample
+        warm = self._live.known_temperature_C(sample)
+        where = outside_moment(self._live.model.validity, update.info.soc, warm, sample.current_A)
+        if where is not None:
+            self._said = True
+            print(
+                f"cellwise live: at {sample.time_s:.1f} s {where}: not validated there, the "
+                "standard deviation grows",
+                file=sys.stderr,
+            )
 
 
 def state_row(update: Update) -> dict[str, Any]:
@@ -302,7 +329,8 @@ def _report_end(
         printing.say(
             f"{counts.samples:,} samples, SOC {last.info.soc:.4f} +- {last.info.soc_std:.4f} "
             f"(start {live.start.soc:.4f}, {live.start.how}); {counts.gaps} gap(s), "
-            f"{counts.late} late, {sum(counts.stray.values())} not readable; latency "
+            f"{counts.late} late, {sum(counts.stray.values())} not readable, {counts.outside} "
+            "outside the model's data; latency "
             f"{slow['p50_ms']:.3f} ms, 99 % {slow['p99_ms']:.3f} ms, "
             f"{slow['missed_deadlines']} too late"
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from cellwise.diagnose.decision.preconditions import another_cell, too_little
 from cellwise.diagnose.extension import (
     correct_log,
     extend_model,
+    extended_validity,
     parameters_of,
     split_skew,
     value_of,
@@ -225,6 +227,11 @@ def _diagnosis(
     corrected = tuple(correct_log(g, final.coordinates, of_log) for g in logs)
     gain = None
     if extended is not None:
+        starts = [
+            g.start.soc + final.z.get(f"soc0:{k}", 0.0)
+            for k, g in enumerate(evidence.logs[: len(logs)])
+        ]
+        extended = replace(extended, validity=extended_validity(extended, corrected, starts))
         last = len(logs) if holdout else 0
         judged = (*logs, *holdout)[last]
         start = evidence.logs[last].start.soc + final.z.get(f"soc0:{last}", 0.0)

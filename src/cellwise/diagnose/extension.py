@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -21,10 +21,13 @@ from cellwise.cell.effects import (
     TimeSkew,
 )
 from cellwise.cell.model import CellModel
+from cellwise.cell.plausibility.validity import Validity
 from cellwise.cell.point_kernels import OCV, R0, R1, R2, R3, TAU1, TAU2, TAU3, M
+from cellwise.cell.simulate import simulate
 from cellwise.diagnose.causes.catalogue import Cause
 from cellwise.diagnose.causes.coordinates import CURRENT_NAMES, Coordinates
 from cellwise.diagnose.causes.current_kernels import shift_rows
+from cellwise.identify.validity import joined, log_validity
 from cellwise.logs.cell_log import CellLog
 
 _MEASUREMENT = (*CURRENT_NAMES, "offset_V")
@@ -134,6 +137,24 @@ def extend_model(
     if inputs.skew_s > 0.0:
         new = new.with_effect(TimeSkew(min(inputs.skew_s, 60.0)))
     return new
+
+
+def extended_validity(model: CellModel, logs: Sequence[CellLog], soc0: Sequence[float]) -> Validity:
+    """Where the model is valid once it has explained these logs, too.
+
+    Parameters
+    ----------
+    logs : sequence of CellLog      corrected
+    soc0 : sequence of float        SOC at the first row of each
+    """
+    if not model.validity.known:
+        return model.validity
+    starts = (min(max(s, 0.0), 1.0) for s in soc0)
+    parts = [
+        log_validity(log, simulate(model, log, start).soc)
+        for log, start in zip(logs, starts, strict=True)
+    ]
+    return model.validity.extended(joined(parts))
 
 
 def correct_log(log: CellLog, coordinates: Coordinates, z: Mapping[str, float]) -> CellLog:

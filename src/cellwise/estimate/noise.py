@@ -9,6 +9,7 @@ import numpy as np
 
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
+from cellwise.estimate.validity_kernels import EVERYWHERE, ValidityScalars, validity_scalars
 
 # Beyond these a reading is the sensor's fault.
 IMPOSSIBLE_RATE = 200.0
@@ -38,6 +39,7 @@ class NoiseScalars(NamedTuple):
     voltage_high_V: float
     per_slow_s: float  # divided once, not in every step
     per_gate2: float
+    valid: ValidityScalars  # beyond it the model's error grows
 
 
 @dataclass(frozen=True)
@@ -117,8 +119,8 @@ class Noise:
             voltage_high_V=max(high, float(model.ocv_V.max())) + IMPOSSIBLE_RISE_V,
         )
 
-    def scalars(self) -> NoiseScalars:
-        """What the kernels take."""
+    def scalars(self, model: CellModel | None = None) -> NoiseScalars:
+        """What the kernels take; with a ``model``, widened beyond its validity."""
         return NoiseScalars(
             float(self.current_A),
             float(self.soc_per_sqrt_h) / 60.0,
@@ -139,4 +141,5 @@ class Noise:
             float(self.voltage_high_V),
             per_slow_s=1.0 / self.slow_s if self.slow_s > 0.0 else 0.0,
             per_gate2=1.0 / (self.gate * self.gate),
+            valid=EVERYWHERE if model is None else validity_scalars(model),
         )

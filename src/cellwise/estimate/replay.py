@@ -13,7 +13,9 @@ import numpy as np
 from cellwise.cell.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import in_order
+from cellwise.cell.plausibility.outside import outside_notices
 from cellwise.cell.plausibility.simulated import prediction_notices, soc_notices
+from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.errors import InputError
 from cellwise.estimate.adaptive.trace import AdaptiveTrace
 from cellwise.estimate.estimators import Estimator, make_estimator
@@ -47,7 +49,8 @@ class Replay(Plottable, Tabular):
     """A log, what the estimator made of it, and the errors where there is a reference.
 
     ``reference_soc`` is the tester's counter over the reference capacity, None without either; it
-    never uses the current that the filter sees, nor the model's capacity.
+    never uses the current that the filter sees, nor the model's capacity. ``validity`` is the
+    model's.
     """
 
     log: CellLog
@@ -56,6 +59,7 @@ class Replay(Plottable, Tabular):
     trace: Trace
     ns_per_step: float
     reference_soc: FloatArray | None
+    validity: Validity = UNKNOWN
 
     @property
     def soc_error(self) -> FloatArray | None:
@@ -126,6 +130,7 @@ class Replay(Plottable, Tabular):
         if np.any(np.isfinite(self.trace.voltage_V)):  # counting predicts none
             rejected = self.sums.rejected / len(self.trace)
             found += prediction_notices(self.log, self.voltage_rmse_V, rejected)
+        found += outside_notices(self.validity, self.log, self.trace.soc)
         return in_order(found, self.log.notices)
 
     def to_dict(self) -> dict[str, Any]:
@@ -263,4 +268,4 @@ def replay(
     if reference_capacity_Ah is not None:
         true0 = initial_soc(model, log).soc if reference_soc0 is None else reference_soc0
         reference = reference_soc(log, true0, reference_capacity_Ah)
-    return Replay(log, filter_.name, start, trace, ns, reference)
+    return Replay(log, filter_.name, start, trace, ns, reference, model.validity)

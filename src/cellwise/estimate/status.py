@@ -21,6 +21,7 @@ class Status(IntFlag):
     VOLTAGE_FROZEN = 1024  # the voltage repeats itself while the current changes: not used
     CURRENT_LOST = 2048  # current missing for longer than is held: on voltage alone, variance grows
     VOLTAGE_LOST = 4096  # voltage missing or frozen for as long: counting charge
+    OUTSIDE = 8192  # SOC, temperature or current beyond the model's data: variance widened
 
 
 # Kernels take plain integers.
@@ -37,3 +38,4 @@ OUT_OF_RANGE = int(Status.OUT_OF_RANGE)
 VOLTAGE_FROZEN = int(Status.VOLTAGE_FROZEN)
 CURRENT_LOST = int(Status.CURRENT_LOST)
 VOLTAGE_LOST = int(Status.VOLTAGE_LOST)
+OUTSIDE = int(Status.OUTSIDE)

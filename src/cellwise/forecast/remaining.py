@@ -9,9 +9,11 @@ import numpy as np
 
 from cellwise.cell.equations import empty_state
 from cellwise.cell.model import CellModel
+from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.cell.simulate import known_temperature_C, start_hysteresis
 from cellwise.errors import InputError
 from cellwise.estimate.replay import Replay
+from cellwise.estimate.validity_kernels import validity_scalars
 from cellwise.forecast.remaining_kernels import BY_VOLTAGE, NEVER, forecast_rows
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
@@ -72,6 +74,7 @@ class Flight:
     end_soc: FloatArray
     by_voltage: BoolArray
     typical: Flight | None = None
+    validity: Validity = UNKNOWN
 
     def __len__(self) -> int:
         return self.time_s.size
@@ -101,6 +104,18 @@ class Flight:
             end_voltage_V_band=band(self.end_voltage_V_band),
             end_soc=float(self.end_soc[k]),
             by="voltage" if self.by_voltage[k] else "charge",
+        )
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """Whether the last forecast goes where the model's data never were."""
+        now = self.last
+        if self.validity.soc is None or now.end_soc >= self.validity.bounds().soc_low:
+            return ()
+        return (
+            f"the forecast goes on to SOC {max(now.end_soc, 0.0):.2f}, and the model's data end at "
+            f"SOC {self.validity.soc[0]:.2f}: below, its OCV is an extension, and the band is "
+            "widened by that",
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -197,7 +212,7 @@ def _forecast(
     forecast_rows(
         tables, empty_state(soc[0], start_hysteresis(float(soc[0]))), log.interval_s,
         current_A, known_temperature_C(model, log), np.array(log.voltage_V), soc, std, load_A,
-        wanted, hold == "power", float(window_s), cutoff_V, out,
+        wanted, hold == "power", float(window_s), cutoff_V, validity_scalars(model), out,
     )  # fmt: skip
     out[out[:, :, 4] == NEVER, :2] = np.inf
     return Flight(
@@ -218,6 +233,7 @@ def _forecast(
         end_voltage_V_band=np.sort(out[:, ::2, 2], axis=1),
         end_soc=out[:, 1, 3],
         by_voltage=out[:, 1, 4] == BY_VOLTAGE,
+        validity=model.validity,
     )
 
 

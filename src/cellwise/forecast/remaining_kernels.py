@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from cellwise.cell.compiled import rows
 from cellwise.cell.equations import CellState, CellTables, advance, seen_current, voltage_of
+from cellwise.estimate.validity_kernels import ValidityScalars, soc_extrapolation_V
 from cellwise.typing import BoolArray, FloatArray
 
 # Why a forecast ended.
@@ -34,6 +35,8 @@ def to_empty(
     bias_V: float,
     cutoff_V: float,
     temperature_C: float,
+    valid: ValidityScalars,
+    deviations: float,
 ) -> Remaining:
     """Go on with a load until the voltage reaches its cutoff or the charge its end.
 
@@ -44,9 +47,13 @@ def to_empty(
     start_V : float       terminal voltage now
     bias_V : float        measured minus modelled voltage, taken to stay as it is
     cutoff_V : float      terminal voltage at which the load gives up
+    deviations : float    by how many of them the OCV lies off where the model's data end
 
     Notes
     -----
+    Temperature and load stay, so ``bias_V`` has what they do outside ``valid``; what nobody has
+    seen yet is the OCV at a SOC further outside than the present one.
+
     Steps of 1/400 of the capacity at the present current; the last one is cut where the voltage,
     taken as linear within it, crosses the cutoff, or where the charge ends.
     """
@@ -56,10 +63,14 @@ def to_empty(
     time_s = 0.0
     energy_J = 0.0
     before_V = start_V
+    known_V = soc_extrapolation_V(valid, start.soc)
     for _ in range(MOST_STEPS):
         current = power_W / before_V if hold_power else load_A
         state_next, point = advance(tables, state, current, dt_s, temperature_C)
         voltage = voltage_of(point, state_next, current) + bias_V
+        if state_next.soc < valid.soc_low:
+            unseen_V = max(soc_extrapolation_V(valid, state_next.soc) - known_V, 0.0)
+            voltage += deviations * unseen_V
         share = 1.0
         reason = NEVER
         if state_next.soc <= 0.0:
@@ -96,6 +107,7 @@ def forecast_rows(
     hold_power: bool,
     window_s: float,
     cutoff_V: float,
+    valid: ValidityScalars,
     out: FloatArray,
 ) -> None:
     """Carry the cell through a log with the filter's SOC; forecast at the wanted rows.
@@ -138,7 +150,7 @@ def forecast_rows(
             now_V = voltage_of(there, at, load_A[k]) + bias
             left = to_empty(
                 tables, at, load_A[k], hold_power, now_V, bias, cutoff_V,
-                temperature_C[k],
+                temperature_C[k], valid, (j - 1) * 2.0,
             )  # fmt: skip
             out[place, j, 0] = left.time_s
             out[place, j, 1] = left.energy_J

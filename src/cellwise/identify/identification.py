@@ -194,6 +194,7 @@ class Identification(Plottable):
             "temperatures_C": [t.temperature_C for t in self.temperatures],
             "own_logs": [o.to_dict() for o in self.own_logs],
             "effects": self._effects(),
+            "validity": self.model.validity.to_dict(),
             "notices": list(self.notices),
             "seconds": self.seconds,
         }

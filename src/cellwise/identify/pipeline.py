@@ -55,6 +55,7 @@ from cellwise.identify.refinement.refine_stage import Group, Refined, Start, ref
 from cellwise.identify.soc_anchor import anchor_soc
 from cellwise.identify.stack import stack_models
 from cellwise.identify.tables import pulse_tables
+from cellwise.identify.validity import identified_validity
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.sign import verify_sign
 
@@ -146,6 +147,7 @@ def identify_cell(
     seconds = time.perf_counter() - began
     model = replace(
         model,
+        validity=identified_validity(tests, simulated, ocv, settings.temperature_C),
         provenance=_provenance(tests, settings, choice, caps, ocv, found, seconds),
     )
     return Identification(

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from cellwise.errors import InputError
+from cellwise.estimate.status import Status
 from cellwise.live.latency import LatencyMeter
 from cellwise.live.live_filter import LiveFilter, Update
 from cellwise.live.sample import Source, Stray
@@ -20,12 +21,16 @@ MOST_REASONS = 50
 
 @dataclass
 class Counts:
-    """What came so far. ``late`` samples were older than the one before or had a broken stamp."""
+    """What came so far. ``late`` samples were older than the one before or had a broken stamp.
+
+    ``outside`` samples lay beyond the SOC, temperature and current of the model's data.
+    """
 
     samples: int = 0
     late: int = 0
     unused: int = 0
     gaps: int = 0
+    outside: int = 0
     stray: Counter[str] = field(default_factory=Counter)
     latency: LatencyMeter = field(default_factory=LatencyMeter)
     last: Update | None = None
@@ -37,6 +42,7 @@ class Counts:
             "late": self.late,
             "before_start": self.unused,
             "gaps": self.gaps,
+            "outside": self.outside,
             "stray": dict(self.stray),
             "latency": self.latency.to_dict() if self.samples else None,
         }
@@ -101,6 +107,7 @@ def run_live(
                     take(update)
                     counts.samples += 1
                     counts.gaps += update.gap
+                    counts.outside += bool(update.info.status & Status.OUTSIDE)
                     counts.last = update
                     counts.latency.add(time.time() - item.arrived_s, update.dt_s)
                     if counts.samples == most_samples:

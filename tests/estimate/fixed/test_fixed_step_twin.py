@@ -26,7 +26,7 @@ from firmware_cases import compile_and_run, stress_samples, tables_of
 
 pytest.importorskip("cffi")
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")
-CASES = ["lean", "plain", "slow", "transfer", "surface", "offset", "full"]
+CASES = ["lean", "plain", "slow", "transfer", "surface", "validity", "offset", "full"]
 
 
 @needs_gcc

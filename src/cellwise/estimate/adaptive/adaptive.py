@@ -79,7 +79,7 @@ class Adaptive(FilterOfModel):
         self.settings = AdaptiveSettings() if settings is None else settings
         # Errors along the SOC axis last for minutes, whatever a short log has shown.
         slow_s = max(self.noise.slow_s, self.settings.memory_s)
-        self._noise = replace(self.noise, slow_s=slow_s).scalars()
+        self._noise = replace(self.noise, slow_s=slow_s).scalars(model)
         self._rules = self.settings.scalars(model.capacity_Ah)
         self._unknown = self.start(0.5, 0.3)  # for a state that is no longer finite: know nothing
 

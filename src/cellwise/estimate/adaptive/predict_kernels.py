@@ -89,7 +89,8 @@ def predict(
         status = STATE_RESET
     p = state.p
     evidence = state.watch.evidence_s
-    now = over_interval(tables, state.cell, soc, s, evidence == NOT_BEGUN)
+    now = over_interval(tables, noise, state.cell, soc, s, evidence == NOT_BEGUN)
+    status |= now.status
     if evidence == NOT_BEGUN:
         p = uncorrelated(p.ss, now.v11, now.v22, now.v33, p.phh, p.poo, p.pqq)
         evidence = NO_VOLTAGE_YET

@@ -18,7 +18,9 @@ from cellwise.estimate.filters.kalman import FilterOfModel
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.recovery_kernels import start_branch
 from cellwise.estimate.sensing_kernels import REST_RATE
+from cellwise.estimate.status import OUTSIDE
 from cellwise.estimate.trace import Trace
+from cellwise.estimate.validity_kernels import extrapolation_V, is_outside, widened
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
@@ -60,6 +62,7 @@ class FilterpyFilter(FilterOfModel):
     def __init__(self, model: CellModel, noise: Noise | None = None) -> None:
         super().__init__(model, noise)
         self.cell = self._tables.cell
+        self._noise = self.noise.scalars(model)
 
     def init(self, soc0: float, soc0_std: float = 0.15) -> Any:
         """A filterpy filter with the start state and covariance of :class:`Ekf`."""
@@ -81,9 +84,10 @@ class FilterpyFilter(FilterOfModel):
         gaps = log.gap_rows
         current = log.interval_current_A
         temperature = known_temperature_C(self.model, log)
-        noise = self.noise.scalars()
+        noise = self._noise
         n = len(log)
         soc, std, predicted, variance = (np.empty(n) for _ in range(4))
+        status = np.zeros(n, dtype=np.int32)
         previous = float(np.nan_to_num(current[0]))
         evidence = -1.0
         beside = Beside()
@@ -102,7 +106,9 @@ class FilterpyFilter(FilterOfModel):
                 kf.P[0, 0] += self.noise.gap_soc**2
             beside = self.predict(kf, row, beside)
             inside = Inside(warm, beside.slow_A)
-            one = self.voltage_variance(kf.x, seen, inside)
+            beyond = is_outside(noise.valid, float(kf.x[0]), row.temperature_C, seen)
+            status[k] = OUTSIDE if beyond else 0
+            one = self.voltage_variance(kf.x, seen, inside, row.temperature_C if beyond else None)
             resting = abs(seen) < REST_RATE * self.model.capacity_Ah
             shared = float(repeated_evidence(noise, evidence, float(dt), resting))
             if not np.isfinite(log.voltage_V[k]):
@@ -119,7 +125,6 @@ class FilterpyFilter(FilterOfModel):
             soc[k], std[k] = kf.x[0], np.sqrt(kf.P[0, 0])
         innovation = log.voltage_V - predicted
         ratio = innovation**2 / (self.noise.gate**2 * variance)
-        status = np.zeros(n, dtype=np.int32)
         return Trace(log.time_s, soc, std, predicted, innovation, variance, ratio, status)
 
     def begin(self, kf: HasMoments, soc0: float, soc0_std: float) -> None:
@@ -163,9 +168,14 @@ class FilterpyFilter(FilterOfModel):
         state = CellState._make((*(float(v) for v in x), *Beside()))
         return float(voltage_of(self.point(state.soc, current_A, inside), state, current_A))
 
-    def voltage_variance(self, x: FloatArray, current_A: float, inside: Inside) -> float:
-        """Variance of one voltage about a perfect state."""
+    def voltage_variance(
+        self, x: FloatArray, current_A: float, inside: Inside, outside_C: float | None = None
+    ) -> float:
+        """Variance of one voltage about a perfect state; beyond the model's data it is wider."""
         point = self.point(float(x[0]), current_A, inside)
         held = float(np.abs(x[1:4]).sum())
-        noise = self.noise.scalars()
+        noise = self._noise
+        if outside_C is not None:
+            drop = abs(float(point.r0_ohm) * current_A) + held
+            point = widened(point, extrapolation_V(noise.valid, outside_C, current_A, drop))
         return float(voltage_variance(noise, point, point.r0_ohm, current_A, 0.0, held))

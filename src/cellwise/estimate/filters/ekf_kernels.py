@@ -90,7 +90,7 @@ def predict(
     tables: CellTables, noise: NoiseScalars, start: EkfStart, state: EkfState, s: Sample
 ) -> Predicted:
     """Over the interval that ends now: the state with the tables at the new SOC, then P."""
-    begun = begin_interval(tables, start, state, s)
+    begun = begin_interval(tables, noise, start, state, s)
     now = begun.now
     point, t = now.point, now.t
     p = branches_noisy(

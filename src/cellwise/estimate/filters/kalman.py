@@ -67,7 +67,7 @@ class KalmanFilter(FilterOfModel):
 
     def __init__(self, model: CellModel, noise: Noise | None = None) -> None:
         super().__init__(model, noise)
-        self._settings: tuple[Any, ...] = (self.noise.scalars(),)
+        self._settings: tuple[Any, ...] = (self.noise.scalars(model),)
         self._unknown = self.start(0.5, 0.3)  # for a state that is no longer finite: know nothing
 
     def init(self, soc0: float, soc0_std: float = 0.15, current_A: float = 0.0) -> EkfState:

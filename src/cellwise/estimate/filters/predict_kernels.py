@@ -23,7 +23,8 @@ from cellwise.estimate.filters.filter_state import EkfStart, EkfState, ekf_start
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.recovery_kernels import start_branch
 from cellwise.estimate.sensing_kernels import NO_VOLTAGE_YET, NOT_BEGUN, Sample
-from cellwise.estimate.status import STATE_RESET
+from cellwise.estimate.status import OUTSIDE, STATE_RESET
+from cellwise.estimate.validity_kernels import extrapolation_V, is_outside, widened
 
 SOC_LOW = 0.0
 SOC_HIGH = 1.0
@@ -33,7 +34,7 @@ class Interval(NamedTuple):
     """An interval as a filter finds it: where it starts, what it does, the tables at its end.
 
     Where the cell is new to the filter, ``old`` holds what its branches may hold and ``v`` their
-    variances.
+    variances. Beyond the model's validity the point has more slow error, and ``status`` says so.
     """
 
     old: CellState
@@ -44,6 +45,7 @@ class Interval(NamedTuple):
     v11: float
     v22: float
     v33: float
+    status: int
 
 
 class Begun(NamedTuple):
@@ -58,7 +60,7 @@ class Begun(NamedTuple):
 
 @inline
 def over_interval(
-    tables: CellTables, x: CellState, soc: float, s: Sample, begins: bool
+    tables: CellTables, noise: NoiseScalars, x: CellState, soc: float, s: Sample, begins: bool
 ) -> Interval:
     """Everything at the new SOC and the surface's new lag; heat is the start's."""
     cell = tables.cell
@@ -76,13 +78,21 @@ def over_interval(
     v2 = relaxed(old2, t.a2, t.g2, s.flow_A)
     v3 = relaxed(old3, t.a3, t.g3, s.flow_A)
     h = hysteresis_step(x.h, t.ah, s.flow_A)
+    status = 0
+    if is_outside(noise.valid, soc, s.temperature_C, s.seen_A):
+        status = OUTSIDE
+        held = abs(point.r0_ohm * s.seen_A) + (abs(v1) + (abs(v2) + abs(v3)))
+        more = extrapolation_V(noise.valid, s.temperature_C, s.seen_A, held)
+        point = widened(point, more)
     old = CellState(x.soc, old1, old2, old3, x.h, x.heat_K, x.slow_A)
     end = CellState(soc, v1, v2, v3, h, x.heat_K, slow)
-    return Interval(old, point, t, end, warm, v11, v22, v33)
+    return Interval(old, point, t, end, warm, v11, v22, v33, status)
 
 
 @inline
-def begin_interval(tables: CellTables, start: EkfStart, state: EkfState, s: Sample) -> Begun:
+def begin_interval(
+    tables: CellTables, noise: NoiseScalars, start: EkfStart, state: EkfState, s: Sample
+) -> Begun:
     """Charge first; a state that is no longer finite starts again."""
     status = 0
     soc = soc_step(tables.cell, state.cell.soc, s.flow_A, s.dt_s)
@@ -92,7 +102,8 @@ def begin_interval(tables: CellTables, start: EkfStart, state: EkfState, s: Samp
         status = STATE_RESET
     p = state.p
     evidence = state.watch.evidence_s
-    now = over_interval(tables, state.cell, soc, s, evidence == NOT_BEGUN)
+    now = over_interval(tables, noise, state.cell, soc, s, evidence == NOT_BEGUN)
+    status |= now.status
     if evidence == NOT_BEGUN:
         p = uncorrelated(p.ss, now.v11, now.v22, now.v33, p.phh)
         evidence = NO_VOLTAGE_YET

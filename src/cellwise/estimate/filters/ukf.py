@@ -76,4 +76,4 @@ class Ukf(KalmanFilter):
     ) -> None:
         super().__init__(model, noise)
         self.points = SigmaPoints() if points is None else points
-        self._settings = (self.noise.scalars(), self.points.scalars())
+        self._settings = (self.noise.scalars(model), self.points.scalars())

@@ -207,7 +207,7 @@ def ukf_step_inline(
 ) -> tuple[EkfState, EkfInfo]:
     """One step: predict over the interval that ends now, then use the voltage read now."""
     s = read_sample(tables, noise, state.watch, start.temperature_C, reading)
-    begun = begin_interval(tables, start, state, s)
+    begun = begin_interval(tables, noise, start, state, s)
     old, point, warm = begun.state, begun.now.point, begun.now.warm_C
     now = predict(tables, noise, sigma, s, begun)
     x, p = now.x, now.p

@@ -45,6 +45,7 @@ class FixedStep:
     offset_std_A : float        above 0 the current sensor's offset is a state [A]
     wide : bool                 take care of slopes while SOC is badly known
     watch : bool                watch for sensors that freeze or fall silent
+    validity : bool             say and widen beyond the model's data, where these are known
     """
 
     name = "fixed-step"
@@ -59,13 +60,14 @@ class FixedStep:
         offset_std_A: float = 0.0,
         wide: bool = True,
         watch: bool = True,
+        validity: bool = True,
     ) -> None:
         self.model = model
         self.noise = Noise.of_model(model) if noise is None else noise
         self.dt_s = dt_s
         self._points = points
         self._offset_std_A = offset_std_A
-        self._wide, self._watch = wide, watch
+        self._wide, self._watch, self._validity = wide, watch, validity
         self._stepper: Stepper | None = None
         self._sample = np.zeros(1, dtype=INPUT)
         self.stepper(1.0 if dt_s is None else dt_s)  # refuses now what it would refuse later
@@ -81,6 +83,7 @@ class FixedStep:
                 offset_std_A=self._offset_std_A,
                 wide=self._wide,
                 watch=self._watch,
+                validity=self._validity,
             )
             self._stepper = self._make(tables)
         return self._stepper

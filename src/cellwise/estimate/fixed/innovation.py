@@ -12,25 +12,27 @@ from cellwise.estimate.fixed.arithmetic import (
     HALF,
     ONE,
     SHARED_GROWTH,
+    SIXTH,
     THREE,
+    ZERO,
     Constants,
     Count,
     F,
     Float,
     State,
     U,
+    at_least,
     clip,
     magnitude,
     size_below,
+    within,
 )
 from cellwise.estimate.fixed.covariance import Column, column_of
 from cellwise.estimate.fixed.lookup import Point, Slopes
-from cellwise.estimate.fixed.options import SLOW
+from cellwise.estimate.fixed.options import SLOW, THERMAL, VALIDITY
 from cellwise.estimate.fixed.search import voltage_of
 from cellwise.estimate.fixed.sensing import Reading
-from cellwise.estimate.status import (
-    VOLTAGE_FROZEN,
-)
+from cellwise.estimate.status import OUTSIDE, VOLTAGE_FROZEN
 
 
 class Innovation(NamedTuple):
@@ -91,6 +93,36 @@ def shared_by(c: Constants, x: State, seen: Float) -> Float:
     return shared
 
 
+def outside(c: Constants, x: State, s: Reading) -> Count:
+    """Whether SOC, current or temperature is beyond the model's data: CELLWISE_OUTSIDE, or 0."""
+    status = U(0)
+    if not within(x.soc, c.valid_soc_low, c.valid_soc_high):
+        status = U(OUTSIDE)
+    if not within(s.seen, c.valid_charge_A, c.valid_discharge_A):
+        status = U(OUTSIDE)
+    if THERMAL and not within(x.temperature_C, c.valid_cold_C, c.valid_warm_C):
+        status = U(OUTSIDE)
+    return status
+
+
+def extrapolated(c: Constants, x: State, s: Reading, polarisation_V: Float) -> Float:
+    """What the model can be off by beyond its data's current and temperature, one deviation.
+
+    The law of the float64 filters: a share of the polarisation, as of an exponential to its third
+    order; what lies beyond in SOC is in the table of the error.
+    """
+    far_A = at_least(c.valid_charge_A - s.seen, s.seen - c.valid_discharge_A)
+    share = c.share_per_A * at_least(far_A, ZERO)
+    moved_V = ZERO
+    if THERMAL:
+        far_K = at_least(c.valid_cold_C - x.temperature_C, x.temperature_C - c.valid_warm_C)
+        far_K = at_least(far_K, ZERO)
+        z = c.share_per_K * far_K
+        share = share + (z * (ONE + (z * (HALF + (z * SIXTH)))))
+        moved_V = c.voltage_per_K * far_K
+    return (share * polarisation_V) + moved_V
+
+
 def innovate(c: Constants, x: State, p: Point, w: Slopes, s: Reading) -> Innovation:
     """Predicted voltage, and the variances of what is measured about it."""
     drop = p.r0_ohm * s.seen
@@ -102,6 +134,9 @@ def innovate(c: Constants, x: State, p: Point, w: Slopes, s: Reading) -> Innovat
         (c.share_variance * (polarisation_V * polarisation_V))
         + ((c.current_variance_A2 + s.unmeasured_A2) * (p.r0_ohm * p.r0_ohm))
     )
+    if VALIDITY:
+        beyond_V = extrapolated(c, x, s, polarisation_V)
+        one_V2 = one_V2 + (beyond_V * beyond_V)
     # An OCV that bends by c at one standard deviation is off its tangent by c z^2.
     column = column_of(x, p, w.slope_V)
     explained_V2 = column.variance + (THREE * (w.bend_V * w.bend_V))

@@ -32,7 +32,8 @@ class Options:
     ``arrhenius`` is the number of points of the factor's table over temperature, ``depth`` that of
     the table of how far the particles' surface is below the mean, 0 without them;
     ``wide`` the care taken while SOC is badly known, ``watch`` that of sensors which freeze or fall
-    silent; without them the code is smaller.
+    silent; without them the code is smaller. ``validity`` 1 watches SOC and current for what the
+    model's data covered, 2 the temperature, too.
     """
 
     points: int
@@ -52,11 +53,13 @@ class Options:
     heating: int = 0
     wide: int = 1
     watch: int = 1
+    validity: int = 0
 
     @property
     def needs_temperature(self) -> bool:
         """Whether a step reads the temperature."""
-        return self.temperatures > 1 or self.arrhenius > 0 or self.depth > 0
+        found = self.temperatures > 1 or self.arrhenius > 0 or self.depth > 0
+        return found or self.validity > 1
 
     @property
     def states(self) -> int:
@@ -74,6 +77,7 @@ def options_of(
     offset: bool = False,
     wide: bool = True,
     watch: bool = True,
+    validity: bool = True,
     arrhenius_points: int = 0,
 ) -> Options:
     """What a model needs; an effect at its neutral value needs nothing.
@@ -83,6 +87,7 @@ def options_of(
     offset : bool             carry the current sensor's offset as a state
     wide : bool               take care of slopes while SOC is badly known
     watch : bool              watch for sensors that freeze or fall silent
+    validity : bool           say and widen beyond the model's data, where these are known
     arrhenius_points : int    points of each table over temperature where the model has that effect
     """
     arrhenius = arrhenius_points if model.effect(TemperatureDependence).activation_K != 0.0 else 0
@@ -107,7 +112,14 @@ def options_of(
         heating=int(warm and model.effect(SelfHeating).rth_K_per_W != 0.0),
         wide=int(wide),
         watch=int(watch),
+        validity=_watched(model) if validity else 0,
     )
+
+
+def _watched(model: CellModel) -> int:
+    """What of a model's validity a step looks at."""
+    valid = model.validity
+    return 2 if valid.temperature_C is not None else int(valid.known)
 
 
 SLOW = HYSTERESIS = OFFSET = 0  # states
@@ -115,6 +127,7 @@ EFFICIENCY = LEAK = SKEW = RATE = ASYMMETRY = TRANSFER = SURFACE = HEATING = 0  
 TEMPERATURES = ARRHENIUS = DEPTH = 0  # several temperatures, tables over temperature
 WARM = SCALED = 0  # any of these, any factor on all resistances
 WIDE = WATCH = 0  # care and watch
+VALIDITY = THERMAL = 0  # beyond the model's SOC and current, beyond its temperature
 
 # What a name means to the C preprocessor where it is not CELLWISE_ and the name.
 IN_C = {
@@ -122,6 +135,7 @@ IN_C = {
     "ARRHENIUS": "CELLWISE_ARRHENIUS > 0",
     "DEPTH": "CELLWISE_DEPTH > 0",
     "WARM": "CELLWISE_NEEDS_TEMPERATURE",
+    "THERMAL": "CELLWISE_VALIDITY > 1",
     "SCALED": "(CELLWISE_ARRHENIUS > 0) || CELLWISE_RATE || CELLWISE_ASYMMETRY",
 }
 
@@ -136,5 +150,7 @@ def flags_of(options: Options) -> dict[str, int]:
         "ARRHENIUS": int(options.arrhenius > 0),
         "DEPTH": int(options.depth > 0),
         "WARM": int(options.needs_temperature),
+        "VALIDITY": int(options.validity > 0),
+        "THERMAL": int(options.validity > 1),
         "SCALED": int(options.arrhenius > 0 or bool(options.rate or options.asymmetry)),
     }

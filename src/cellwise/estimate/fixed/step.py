@@ -24,9 +24,10 @@ from cellwise.estimate.fixed.arithmetic import (
     root,
 )
 from cellwise.estimate.fixed.correct import correct
+from cellwise.estimate.fixed.innovation import outside
 from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.lookup import look_up, no_slopes, place_of, slopes_of, under_surface
-from cellwise.estimate.fixed.options import HEATING, SURFACE, WARM, WIDE
+from cellwise.estimate.fixed.options import HEATING, SURFACE, VALIDITY, WARM, WIDE
 from cellwise.estimate.fixed.predict import cross_gap, heat, predict
 from cellwise.estimate.fixed.sensing import count_charge, finish, follow, see
 from cellwise.estimate.fixed.state import guess_branches, is_sound, start
@@ -79,7 +80,9 @@ def step(m: Model, x: State, sample: Sample, out: Output) -> Count:
         predict(c, x, p, w, s.flow, s.unmeasured_A2)
         if HEATING:
             heat(c, x, p.r0_ohm, s.seen, s.flow)
+    beyond = outside(c, x, s) if VALIDITY else U(0)
     status = U(charge.status | correct(m, place, x, p, w, s, sample.voltage_V, out))
     status = U(status | finish(x, s, charge.missing, sample.sequence, out))
+    status = U(status | beyond)
     out.status = status
     return status

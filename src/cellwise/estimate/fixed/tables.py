@@ -39,6 +39,7 @@ from cellwise.estimate.recovery_kernels import (
 )
 from cellwise.estimate.sensing_kernels import LOST_RATE, REST_RATE
 from cellwise.estimate.slopes_kernels import FLAT_SHARE
+from cellwise.estimate.validity_kernels import validity_scalars
 from cellwise.typing import FloatArray
 
 Float32Array = NDArray[np.float32]
@@ -55,6 +56,7 @@ SMALLEST_GAIN = 1e-6  # below it float32 rounds a branch's variance away
 ARRHENIUS_LOW_C, ARRHENIUS_HIGH_C = -60.0, 100.0
 ARRHENIUS_POINTS = 161
 MOST_POINTS = 4001
+ENDLESS = 1e6  # beyond any SOC, temperature and current that a step lets pass
 MOST_STEPS = 1_000_000_000
 MOST_TEMPERATURES = 32
 # Rows of tables where a temperature effect has no other form on a target.
@@ -116,6 +118,7 @@ def fixed_step_tables(
     offset_std_A: float = 0.0,
     wide: bool = True,
     watch: bool = True,
+    validity: bool = True,
 ) -> FixedStepTables:
     """Tables of a model at a time step.
 
@@ -128,6 +131,7 @@ def fixed_step_tables(
     wide : bool               take care of slopes while SOC is badly known; without it the code is
                               smaller, and slower to recover from a start that is far off
     watch : bool              watch for sensors that freeze or fall silent
+    validity : bool           say and widen beyond the model's data, where these are known
 
     Raises
     ------
@@ -150,6 +154,7 @@ def fixed_step_tables(
         offset=offset_std_A > 0,
         wide=wide,
         watch=watch,
+        validity=validity,
         arrhenius_points=ARRHENIUS_POINTS,
     )
     check_holds(model, dt_s, options)
@@ -201,7 +206,7 @@ def _columns(model: CellModel, dt_s: float, noise: Noise) -> dict[str, FloatArra
     slope = np.diff(model.ocv_V, axis=1) * (model.points - 1)
     square = np.pad(slope * slope, ((0, 0), (1, 1)), mode="edge")
     at_points = 0.5 * (square[:, :-1] + square[:, 1:])
-    error = noise.error_scale * effect_table(model.error.at(model.soc), shape)
+    error = noise.error_scale * effect_table(model.slow_error_V(model.soc), shape)
     return {
         "ocv_V": model.ocv_V,
         "error_V": error,
@@ -273,6 +278,21 @@ def _constants(
         "heat_rate": dt_s / heating.thermal_s,
         "temperature_C": model_temperature_C(model),
         **_temperature_tables(model, options),
+        **_validity(model, noise),
+    }
+
+
+def _validity(model: CellModel, noise: Noise) -> dict[str, Any]:
+    """Where the model is valid; what is not known is as good as endless."""
+    valid = validity_scalars(model)
+    bounds = np.clip(valid[:6], -ENDLESS, ENDLESS)
+    names = ("soc_low", "soc_high", "cold_C", "warm_C", "charge_A", "discharge_A")
+    scale = noise.error_scale
+    return {
+        **{f"valid_{name}": bound for name, bound in zip(names, bounds, strict=True)},
+        "share_per_A": scale * valid.share_per_A,
+        "share_per_K": scale * valid.share_per_K,
+        "voltage_per_K": scale * valid.voltage_per_K,
     }
 
 

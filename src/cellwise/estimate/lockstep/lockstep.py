@@ -82,7 +82,7 @@ class LockstepEkf:
         self.model, self.cells, self.dt_s = model, int(cells), float(dt_s)
         self._ekf = Ekf(model, noise)
         self.noise = self._ekf.noise
-        self._noise = self.noise.scalars()
+        self._noise = self.noise.scalars(model)
         self._tables = model.parameters()
         self._fast = step_table(self._tables.table, self.dt_s)
         self._unknown = self._ekf.start(0.5, 0.3)

@@ -13,6 +13,7 @@ from cellwise.estimate.lockstep.lane_kernels import (
     FACTOR_C,
     LANES,
     LAST_A,
+    LAST_C,
     NO_CURRENT,
     NO_VOLTAGE,
     SOC,
@@ -42,6 +43,7 @@ from cellwise.estimate.lockstep.layout import (
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import COLDEST_C, HOTTEST_C
 from cellwise.estimate.slopes_kernels import WIDE_VARIANCE
+from cellwise.estimate.validity_kernels import ValidityScalars, is_outside
 from cellwise.typing import FloatArray
 
 THIRD, SIXTH, SEVENTH = 1.0 / 3.0, 1.0 / 6.0, 1.0 / 7.0
@@ -105,6 +107,27 @@ def read_block(
         work[W_SOC * LANES + lane] = soc
         work[W_FLOW * LANES + lane] = flow
         work[W_DECAY * LANES + lane] = 1.0 - x * (1.0 - x * 0.5 * series)
+
+
+@inline
+def watch_validity(
+    valid: ValidityScalars, block: FloatArray, work: FloatArray, temperature_C: FloatArray
+) -> None:
+    """Lanes beyond the model's data are not plain: they take the EKF's own step.
+
+    A temperature that was never measured is beyond nothing.
+    """
+    for lane in range(LANES):
+        warm = temperature_C[lane]
+        sound = (warm >= COLDEST_C) & (warm <= HOTTEST_C)
+        warm = warm if sound else block[LAST_C * LANES + lane]
+        soc, flow = work[W_SOC * LANES + lane], work[W_FLOW * LANES + lane]
+        if (
+            (warm < valid.cold_C)
+            | (warm > valid.warm_C)
+            | is_outside(valid, soc, valid.cold_C, flow)
+        ):
+            work[W_PLAIN * LANES + lane] = 0.0
 
 
 @inline

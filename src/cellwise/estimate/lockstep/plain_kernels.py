@@ -74,6 +74,7 @@ from cellwise.estimate.lockstep.lookup_kernels import (
     look_up_warm_lane,
     read_block,
     scale_lane,
+    watch_validity,
 )
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import (
@@ -274,6 +275,7 @@ def lockstep(
     beyond = cell.heating_K_per_W != 0.0 or cell.branch_activation != 0.0
     beyond = beyond or cell.entropy_K != 0.0 or cell.asinh_per_V != 0.0
     beyond = beyond or cell.surface_per_A != 0.0
+    limited = noise.valid.share_per_K > 0.0
     blocks = gap.size // LANES
     lanes = gap.size
     whole = bool(np.any(table[..., R3])) or bool(np.any(table[..., M]))
@@ -288,6 +290,8 @@ def lockstep(
         voltage = voltage_V[first : first + LANES]
         warm = temperature_C[first : first + LANES]
         read_block(cell, noise, points, block, work, current, voltage, warm, dt_s, warm_tables)
+        if limited:
+            watch_validity(noise.valid, block, work, warm)
         if table.shape[0] > 1:
             for lane in range(LANES):
                 look_up_warm_lane(fast, grid, points, work, lane, warm[lane])

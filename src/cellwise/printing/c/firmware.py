@@ -270,7 +270,8 @@ HEADER = """\
 #endif
 
 #define CELLWISE_NEEDS_TEMPERATURE \\
-    ((CELLWISE_TEMPERATURES > 1) || (CELLWISE_ARRHENIUS > 0) || (CELLWISE_DEPTH > 0))
+    ((CELLWISE_TEMPERATURES > 1) || (CELLWISE_ARRHENIUS > 0) || (CELLWISE_DEPTH > 0) || \\
+     (CELLWISE_VALIDITY > 1))
 
 /* Status bits, the values of cellwise.Status in Python. */
 [status]

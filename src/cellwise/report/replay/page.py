@@ -83,16 +83,19 @@ def replay_page(
         f"State of charge on {listed(names)}, by cellwise",
         sections,
         data,
-        lead=Markup(replay_tiles(replays[0]) + bullets(lines) + noticed(replays, simulations)),
+        lead=Markup(
+            replay_tiles(replays[0]) + bullets(lines) + noticed(replays, simulations, flights)
+        ),
         figures=figures,
     )
 
 
-def noticed(replays: Sequence[Replay], simulations: Sequence[Simulation]) -> str:
+def noticed(
+    replays: Sequence[Replay], simulations: Sequence[Simulation], flights: Sequence[Flight] = ()
+) -> str:
     """What a reader should know of the logs and of how far the model is off."""
-    texts = dict.fromkeys(
-        [n for r in replays for n in r.notices] + [n for s in simulations for n in s.notices]
-    )
+    found = [n for f in flights for n in f.notices] + [n for r in replays for n in r.notices]
+    texts = dict.fromkeys(found + [n for s in simulations for n in s.notices])
     return bullets(list(texts), "notices") if texts else ""
 
 

@@ -1,0 +1,134 @@
+"""Where a model is valid: the SOC, temperature and current that its data covered."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+
+from cellwise.errors import InputError
+from cellwise.typing import FloatArray
+
+Range: TypeAlias = tuple[float, float]
+
+# A hair outside is inside: within these a model is as good as at the edge of its data.
+TOLERANCE_SOC = 0.02
+TOLERANCE_K = 3.0
+TOLERANCE_SHARE = 0.1  # of the largest current in the data
+
+
+class Bounds(NamedTuple):
+    """Where a model is taken to hold, tolerance included; infinite where that is not known."""
+
+    soc_low: float
+    soc_high: float
+    cold_C: float
+    warm_C: float
+    charge_A: float
+    discharge_A: float
+
+
+@dataclass(frozen=True)
+class Validity:
+    """The lowest and highest value that a model's data covered; None: not known.
+
+    Parameters
+    ----------
+    soc : (low, high) or None             SOC, 0..1
+    temperature_C : (low, high) or None   measured at the surface, or stated [degC]
+    current_A : (low, high) or None       positive on discharge [A]
+
+    Raises
+    ------
+    InputError        bounds that are not finite, or in the wrong order
+    """
+
+    soc: Range | None = None
+    temperature_C: Range | None = None
+    current_A: Range | None = None
+
+    def __post_init__(self) -> None:
+        for name in NAMES:
+            given = getattr(self, name)
+            if given is None:
+                continue
+            low, high = (float(v) for v in given)
+            if not (np.isfinite(low) and np.isfinite(high) and low <= high):
+                raise InputError(
+                    f"a validity of {name} from {low:g} to {high:g}",
+                    "two finite numbers, the lower one first",
+                    "Correct them, or leave the quantity out where it is not known.",
+                )
+            object.__setattr__(self, name, (low, high))
+
+    @property
+    def known(self) -> bool:
+        """Whether anything is known of the data."""
+        return any(getattr(self, name) is not None for name in NAMES)
+
+    def joined(self, other: Validity) -> Validity:
+        """What the data of both covered."""
+        return Validity(*(_both(getattr(self, name), getattr(other, name)) for name in NAMES))
+
+    def extended(self, other: Validity) -> Validity:
+        """Widened by further data; what is not known stays so.
+
+        A model whose own data nobody knows does not become one of the further data alone.
+        """
+        both = self.joined(other)
+        return Validity(
+            *(None if getattr(self, name) is None else getattr(both, name) for name in NAMES)
+        )
+
+    @property
+    def largest_A(self) -> float:
+        """Largest current of the data, either way [A]; infinite where that is not known."""
+        return np.inf if self.current_A is None else max(map(abs, self.current_A))
+
+    def bounds(self) -> Bounds:
+        """Where the model is taken to hold, tolerance included."""
+        none = (-np.inf, np.inf)
+        soc, warm, current = (getattr(self, name) or none for name in NAMES)
+        more_A = 0.0 if self.current_A is None else TOLERANCE_SHARE * self.largest_A
+        return Bounds(
+            soc[0] - TOLERANCE_SOC,
+            soc[1] + TOLERANCE_SOC,
+            warm[0] - TOLERANCE_K,
+            warm[1] + TOLERANCE_K,
+            current[0] - more_A,
+            current[1] + more_A,
+        )
+
+    def to_dict(self) -> dict[str, list[float] | None]:
+        """As JSON values: pairs, null where not known."""
+        return {
+            name: None if getattr(self, name) is None else list(getattr(self, name))
+            for name in NAMES
+        }
+
+
+NAMES = tuple(f.name for f in fields(Validity))
+UNKNOWN = Validity()
+
+
+def covered(rows: FloatArray, trim: int = 0) -> Range | None:
+    """Lowest and highest of the finite rows but for ``trim`` at each end; None without any."""
+    known = np.sort(rows[np.isfinite(rows)])
+    if known.size == 0:
+        return None
+    out = min(trim, (known.size - 1) // 2)
+    return float(known[out]), float(known[known.size - 1 - out])
+
+
+def beyond_soc(validity: Validity, soc: FloatArray | float) -> FloatArray:
+    """How far a SOC lies beyond where the model is taken to hold; 0 inside."""
+    bounds = validity.bounds()
+    x = np.asarray(soc, dtype=np.float64)
+    return np.maximum(np.maximum(bounds.soc_low - x, x - bounds.soc_high), 0.0)
+
+
+def _both(a: Range | None, b: Range | None) -> Range | None:
+    if a is None or b is None:
+        return a or b
+    return min(a[0], b[0]), max(a[1], b[1])
