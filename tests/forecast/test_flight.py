@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from cellwise.cell.initial_soc import InitialSoc
+from cellwise.cell.plausibility.validity import Validity
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.estimate.replay import Replay, replay
@@ -191,3 +192,25 @@ def test_through_a_filter_from_an_unknown_start():
     low, high = left.remaining_s_band
     assert low - 20 < end_s - left.time_s < high + 20
     assert high - low < 0.5 * left.remaining_s
+
+
+def test_beyond_the_data_s_soc_the_band_is_wider_and_the_forecast_says_so():
+    """An OCV that is off by 0.3 V per SOC where nobody measured: the truth lies in the band."""
+    truth = curved_cell()
+    s = np.linspace(0.0, 1.0, 101)
+    guessed = truth.ocv_V[0] + 0.3 * np.minimum(s - 0.6, 0.0)
+    narrow = curved_cell(ocv_V=guessed)
+    wide = replace(narrow, validity=Validity(soc=(0.6, 1.0)))
+    whole, run = discharge(truth, np.full(4000, 3.0), 0.95)
+    end_s, _ = until(whole, run.soc, CUTOFF_V)
+    seen = whole.part(0, 600)
+    bands, notices = [], []
+    for model in (wide, narrow):
+        flight = forecast(model, known_replay(seen, run.soc[:600], 0.005), cutoff_V=CUTOFF_V)
+        bands.append(flight.last.remaining_s_band)
+        notices.append(flight.notices)
+    left_s = end_s - seen.time_s[-1]
+    assert bands[0][0] < left_s < bands[0][1]
+    assert not bands[1][0] < left_s < bands[1][1]
+    assert "the model's data end at SOC 0.60" in notices[0][0]
+    assert notices[1] == ()

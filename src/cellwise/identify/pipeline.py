@@ -147,9 +147,7 @@ def identify_cell(
     seconds = time.perf_counter() - began
     model = replace(
         model,
-        validity=identified_validity(
-            tests, tuple(o.simulation for o in used), ocv, settings.temperature_C
-        ),
+        validity=identified_validity(tests, used, ocv, settings.temperature_C),
         provenance=_provenance(tests, settings, choice, caps, ocv, found, seconds),
     )
     return Identification(

@@ -8,36 +8,42 @@ from functools import reduce
 import numpy as np
 
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity, covered
-from cellwise.cell.simulate import Simulation
-from cellwise.identify.identification import TestLogs
+from cellwise.identify.identification import OwnLog, TestLogs
 from cellwise.identify.ocv.curve import OcvCurve
 from cellwise.logs.cell_log import CellLog
-from cellwise.typing import FloatArray
+from cellwise.typing import BoolArray, FloatArray
 
 # At each end: a pulse of a few rows in hours of rest counts, a sensor's single spike does not.
 TRIMMED_ROWS = 2
 TRIMMED_SHARE = 2e-5
 
 
-def log_validity(log: CellLog, soc: FloatArray | None, stated_C: float | None = None) -> Validity:
+def log_validity(
+    log: CellLog,
+    soc: FloatArray | None,
+    stated_C: float | None = None,
+    rows: BoolArray | None = None,
+) -> Validity:
     """What one log covered.
 
     Parameters
     ----------
     soc : (n,) float or None      of every row; None: not known
     stated_C : float or None      temperature where none was measured; None: not known [degC]
+    rows : (n,) bool or None      those that took part; None: all
     """
-    trim = max(TRIMMED_ROWS, round(TRIMMED_SHARE * len(log)))
-    warm = None if log.temperature_C is None else covered(log.temperature_C, trim)
+    part = np.ones(len(log), dtype=np.bool_) if rows is None else rows
+    trim = max(TRIMMED_ROWS, round(TRIMMED_SHARE * np.count_nonzero(part)))
+    warm = None if log.temperature_C is None else covered(log.temperature_C[part], trim)
     if warm is None and stated_C is not None:
         warm = float(stated_C), float(stated_C)
-    seen = None if soc is None else covered(np.clip(soc, 0.0, 1.0), trim)
-    return Validity(seen, warm, covered(log.interval_current_A, trim))
+    seen = None if soc is None else covered(np.clip(soc[part], 0.0, 1.0), trim)
+    return Validity(seen, warm, covered(log.interval_current_A[part], trim))
 
 
 def identified_validity(
     tests: TestLogs,
-    simulations: Sequence[Simulation],
+    used: Sequence[OwnLog],
     ocv: OcvCurve,
     temperature_C: float | None = None,
 ) -> Validity:
@@ -46,15 +52,21 @@ def identified_validity(
     Parameters
     ----------
     tests : TestLogs                        with the temperatures that were stated
-    simulations : sequence of Simulation    of the logs that the model was fitted on
+    used : sequence of OwnLog               the logs that the model was fitted on
     ocv : OcvCurve                          its points count, its extrapolation does not
     temperature_C : float or None           of tests that measured none, as stated [degC]
     """
     stated = {_mark(log): warm for log, warm in (*tests.hppc, *tests.drive) if warm is not None}
     parts = [
-        log_validity(s.log, s.soc, stated.get(_mark(s.log), temperature_C)) for s in simulations
+        log_validity(
+            o.simulation.log,
+            o.simulation.soc,
+            stated.get(_mark(o.simulation.log), temperature_C),
+            o.compared,
+        )
+        for o in used
     ]
-    fitted = {_mark(s.log) for s in simulations}
+    fitted = {_mark(o.simulation.log) for o in used}
     parts += [
         log_validity(log, None, temperature_C) for log in tests.ocv if _mark(log) not in fitted
     ]
