@@ -1,0 +1,261 @@
+"""Identification that starts at a prior: one flight, thirty drives, a capacity test alone."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from importlib.metadata import version
+
+import numpy as np
+
+from cellwise.cell.initial_soc import initial_soc
+from cellwise.cell.metrics import error_metrics
+from cellwise.cell.model import CellModel
+from cellwise.cell.plausibility.notice import in_order
+from cellwise.cell.simulate import simulate
+from cellwise.errors import InputError
+from cellwise.identify.capacity.capacity_choice import capacity_choices, choose_capacity
+from cellwise.identify.capacity.capacity_test import CapacityTest, measure_capacities
+from cellwise.identify.capacity.half_cycles import discharge_rows
+from cellwise.identify.contradictions import (
+    capacity_notices,
+    check_possible,
+    check_serves,
+    contradictions,
+    own_log_notices,
+    reading_notices,
+)
+from cellwise.identify.identification import (
+    REFERENCE_C,
+    Identification,
+    IdentifySettings,
+    TemperatureResult,
+    TestLogs,
+)
+from cellwise.identify.ocv.curve import curve_from_points
+from cellwise.identify.prior.choice import choose_prior
+from cellwise.identify.prior.corrections import Corrections
+from cellwise.identify.prior.seen import error_of, notices_of, seen_by
+from cellwise.identify.prior.update import PriorLog, update
+from cellwise.logs.cell_log import CellLog
+from cellwise.typing import FloatArray
+
+# Standard deviations of ln(capacity): of a cell in use whose rated capacity is known, and measured
+# at a rate whose share of the whole the prior's resistances have to say.
+NOMINAL_STD = 0.1
+MEASURED_STD = 0.02
+STATED_STD = 0.01  # where the nominal capacity was chosen by name
+FULL_STD = 0.01
+LEAST_SOC_STD = 0.01
+WIDE_WINDOW_V = 0.1
+SEEN_ENOUGH = 0.8  # of the SOC range: what a model needs that no prior completes
+
+
+def seen_share(tests: TestLogs, capacity_Ah: float) -> float:
+    """The most that one log moves, as a share of the capacity."""
+    logs = [log for log, _ in (*tests.hppc, *tests.drive)]
+    moved = [float(np.ptp(log.counted_charge_Ah())) for log in (*logs, *tests.ocv, *tests.capacity)]
+    return max(moved, default=0.0) / capacity_Ah
+
+
+def needs_prior(tests: TestLogs, settings: IdentifySettings) -> bool:
+    """Whether the tests alone would leave the OCV to extrapolation.
+
+    Drives without a low-rate, pulse or capacity test that go over less than most of the SOC range.
+    """
+    if tests.hppc or tests.ocv or tests.capacity or settings.nominal_Ah is None:
+        return False
+    return seen_share(tests, settings.nominal_Ah) < SEEN_ENOUGH
+
+
+def identify_from_prior(
+    tests: TestLogs,
+    settings: IdentifySettings,
+    progress: Callable[[str], None] | None = None,
+) -> Identification:
+    """The prior, scaled to the cell's capacity and corrected as far as the logs determine.
+
+    Parameters
+    ----------
+    tests : TestLogs          at least one log of any kind
+    settings : IdentifySettings      ``prior`` None: the most probable stock model
+
+    Returns
+    -------
+    Identification        its model's ``provenance["prior"]`` says which prior, where the data have
+                          been and what is the prior's; its ``error`` is the prior's spread there
+
+    Raises
+    ------
+    InputError        no log; no capacity; no prior that fits; contradictory logs
+    """
+    began = time.perf_counter()
+    say = progress or (lambda _: None)
+    default = REFERENCE_C if settings.temperature_C is None else settings.temperature_C
+    found_wrong = contradictions(tests, default, settings.nominal_Ah)
+    notices: list[str] = []
+    caps, choice, capacity, std, measured = _capacity(tests, settings, default, notices)
+    found_wrong += capacity_notices(tests, capacity, choice, settings.nominal_Ah)
+    logs = _logs(tests)
+    reached = _reached_V(logs)
+
+    def corrections_of(prior: CellModel) -> Corrections:
+        window = np.array([min(_low(prior), reached[0]), max(_high(prior), reached[1])])
+        return Corrections(prior, capacity, std, window)
+
+    def prepared(corrections: Corrections) -> list[PriorLog]:
+        return _prepared(tests, corrections.prior)
+
+    prior, chosen_by = settings.prior, "named"
+    if prior is None:
+        say("prior")
+        prior, notice = choose_prior(logs, corrections_of, prepared)
+        chosen_by = "voltage window and fit"
+        notices.append(notice)
+    name = str(prior.provenance.get("stock", {}).get("name", "")) or prior.name or "given"
+    say(f"update of {name}")
+    corrections = corrections_of(prior)
+    items = prepared(corrections)
+    found = update(corrections, items)
+    seen = seen_by(items, found)
+    error, ocv_std = error_of(items, found, corrections)
+    notices += notices_of(seen, name, prior)
+    for item, soc0, deviation in zip(items, found.soc0, found.soc0_std, strict=True):
+        how = "stated" if item.log.soc0 is not None else f"by the OCV of {name}"
+        notices.append(f"'{item.log.name}' begins at SOC {soc0:.3f} +- {deviation:.3f} ({how})")
+    deviation = corrections.capacity_std * float(np.sqrt(found.covariance[-1, -1]))
+    fitted = found.model.capacity_Ah
+    caps = {**caps, "updated": fitted}
+    notices.append(
+        f"capacity {fitted:.4g} +- {deviation * fitted:.2g} Ah, from {capacity:.4g} Ah ({choice})"
+    )
+    model = replace(
+        found.model,
+        name=settings.name,
+        chemistry=settings.chemistry or prior.chemistry,
+        error=error,
+        voltage_min_V=prior.voltage_min_V,
+        voltage_max_V=prior.voltage_max_V,
+    )
+    check_possible(model, found_wrong)
+    say("validation on its own logs")
+    sims = tuple(simulate(model, i.log, float(s)) for i, s in zip(items, found.soc0, strict=True))
+    fit = error_metrics(np.concatenate(found.residual_V))
+    notices = [
+        *in_order(found_wrong),
+        *in_order(own_log_notices(model, tests, sims), (*notices, *reading_notices(tests))),
+    ]
+    check_serves(fit.rmse_V, found_wrong)
+    seconds = time.perf_counter() - began
+    provenance = {
+        "cellwise_version": version("cellwise"),
+        "prior": {
+            "name": name,
+            "chosen_by": chosen_by,
+            "scaled_from_Ah": prior.capacity_Ah,
+            **seen.to_dict(),
+            "capacity_std_Ah": deviation * fitted,
+            "ocv_std_V": [float(f"{v:.3g}") for v in np.interp(
+                np.linspace(0.0, 1.0, 21), model.soc, ocv_std)],
+        },
+        "capacity": {"choice": choice, "choices_Ah": caps},
+        "logs": {
+            "hppc": [log.source or log.name for log, _ in tests.hppc],
+            "ocv": [log.source or log.name for log in tests.ocv],
+            "capacity": [log.source or log.name for log in tests.capacity],
+            "drive": [log.source or log.name for log, _ in tests.drive],
+        },
+        "seconds": round(seconds, 3),
+    }  # fmt: skip
+    at = model.at_temperature(default).ocv_V[0]
+    return Identification(
+        model=replace(model, provenance=provenance),
+        capacity_choice=choice,
+        capacities=caps,
+        capacity_tests=measured,
+        ocv=curve_from_points(
+            model.soc, at, capacity_Ah=fitted, source=f"prior {name}, updated on its logs"
+        ),
+        temperatures=(TemperatureResult(default, (), None),),
+        simulations=sims,
+        fit=fit,
+        notices=tuple(dict.fromkeys(notices)),
+        seconds=seconds,
+    )
+
+
+def _capacity(
+    tests: TestLogs, settings: IdentifySettings, default_C: float, notices: list[str]
+) -> tuple[dict[str, float], str, float, float, tuple[CapacityTest, ...]]:
+    """Capacity choices, the one taken, the capacity and its deviation (of ln), the tests."""
+    measured: tuple[CapacityTest, ...] = ()
+    sources: list[CellLog | tuple[CellLog, ...]] = [*tests.capacity]
+    if tests.ocv:
+        sources.insert(0, tests.ocv if len(tests.ocv) > 1 else tests.ocv[0])
+    if sources:
+        try:
+            measured = measure_capacities(sources, nominal_Ah=settings.nominal_Ah)
+        except InputError as error:
+            notices.append(f"no capacity test found: {error}")
+    whole = tuple(t for t in measured if t.complete)
+    if not whole and settings.nominal_Ah is None:
+        raise InputError(
+            "a prior, and nothing that says how large the cell is",
+            "a complete capacity test or a nominal capacity",
+            "Add --nominal-ah or --capacity.",
+        )
+    choices = capacity_choices(whole, settings.nominal_Ah, None, temperature_C=default_C)
+    choice, capacity = choose_capacity(choices, settings.capacity_choice)
+    std = MEASURED_STD if choice != "nominal" else NOMINAL_STD
+    if settings.capacity_choice == "nominal":
+        std = STATED_STD
+    return choices, choice, capacity, std, measured
+
+
+def _logs(tests: TestLogs) -> list[CellLog]:
+    return [*(log for log, _ in (*tests.hppc, *tests.drive)), *tests.ocv, *tests.capacity]
+
+
+def _reached_V(logs: Sequence[CellLog]) -> FloatArray:
+    """Lowest and highest voltage of all logs [V]."""
+    return np.array(
+        [
+            min(np.nanmin(log.voltage_V) for log in logs),
+            max(np.nanmax(log.voltage_V) for log in logs),
+        ]
+    )
+
+
+def _low(prior: CellModel) -> float:
+    return float(prior.ocv_V.min()) if prior.voltage_min_V is None else prior.voltage_min_V
+
+
+def _high(prior: CellModel) -> float:
+    return float(prior.ocv_V.max()) if prior.voltage_max_V is None else prior.voltage_max_V
+
+
+def _prepared(tests: TestLogs, prior: CellModel) -> list[PriorLog]:
+    """The logs with their starts by the prior; of tests that begin full, the discharge."""
+    items = [_started(log, prior) for log, _ in (*tests.hppc, *tests.drive)]
+    for log in (*tests.ocv, *tests.capacity):
+        rows = discharge_rows(log)
+        one = _started(log, prior)
+        if not rows.any():
+            items.append(one)
+            continue
+        if log.soc0 is None and one.soc0 + 2.0 * one.soc0_std >= 1.0:
+            before = float(log.counted_charge_Ah()[int(np.argmax(rows))]) / prior.capacity_Ah
+            one = replace(one, soc0=min(1.0 + before, 1.0), soc0_std=FULL_STD)
+        items.append(replace(one, compare=rows))
+    return items
+
+
+def _started(log: CellLog, prior: CellModel) -> PriorLog:
+    """A log with its initial SOC by the prior's OCV: never taken for full because it is a test."""
+    if not np.any(np.isfinite(log.voltage_V)):
+        raise InputError(
+            f"no voltage in log '{log.name}'", "measured voltages", "Check the column."
+        )
+    start = initial_soc(prior, log, likeliest=True)
+    return PriorLog(log, start.soc, max(start.std, 0.5 * LEAST_SOC_STD))
