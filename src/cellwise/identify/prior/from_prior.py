@@ -46,27 +46,36 @@ from cellwise.typing import FloatArray
 NOMINAL_STD = 0.1
 MEASURED_STD = 0.02
 STATED_STD = 0.01  # where the nominal capacity was chosen by name
-FULL_STD = 0.01
-LEAST_SOC_STD = 0.01
+FULL_STD = 0.01  # of a capacity test: SOC 1 is where its discharge begins
+LIKELY_FULL = 0.8
+UNKNOWN_STD = 0.5  # of an initial SOC: the OCV and its correction have to find it in the voltages
 WIDE_WINDOW_V = 0.1
-SEEN_ENOUGH = 0.8  # of the SOC range: what a model needs that no prior completes
-
-
-def seen_share(tests: TestLogs, capacity_Ah: float) -> float:
-    """The most that one log moves, as a share of the capacity."""
-    logs = [log for log, _ in (*tests.hppc, *tests.drive)]
-    moved = [float(np.ptp(log.counted_charge_Ah())) for log in (*logs, *tests.ocv, *tests.capacity)]
-    return max(moved, default=0.0) / capacity_Ah
+# Shares of the SOC range below which the rest is no extrapolation, but a guess.
+SEEN_ENOUGH = 0.8  # by drives
+SEEN_LEAST = 0.5  # by a test at constant current
+FEWEST_ROWS = 30  # with a voltage: fewer say next to nothing that the prior does not
 
 
 def needs_prior(tests: TestLogs, settings: IdentifySettings) -> bool:
-    """Whether the tests alone would leave the OCV to extrapolation.
+    """Whether the tests alone would leave the OCV, or where a drive begins on it, to a guess.
 
-    Drives without a low-rate, pulse or capacity test that go over less than most of the SOC range.
+    Tests at constant current of which none goes over most of the SOC range; drives alone whose
+    initial SOC nobody states, however far they go: a pack off its charger need not have been full.
+    A pulse test has rests: its OCV is measured.
     """
-    if tests.hppc or tests.ocv or tests.capacity or settings.nominal_Ah is None:
+    nominal = settings.nominal_Ah
+    if nominal is None or not settings.refine or tests.hppc:
         return False
-    return seen_share(tests, settings.nominal_Ah) < SEEN_ENOUGH
+    laboratory = [*tests.ocv, *tests.capacity]
+    if laboratory:
+        return _seen_share(laboratory, nominal) < SEEN_LEAST
+    begun = [log for log, _ in tests.drive if log.soc0 is not None]
+    return not begun or _seen_share(begun, nominal) < SEEN_ENOUGH
+
+
+def _seen_share(logs: Sequence[CellLog], capacity_Ah: float) -> float:
+    """The most that one of the logs moves, as a share of the capacity."""
+    return max(float(np.ptp(log.counted_charge_Ah())) for log in logs) / capacity_Ah
 
 
 def identify_from_prior(
@@ -244,7 +253,7 @@ def _prepared(tests: TestLogs, prior: CellModel) -> list[PriorLog]:
         if not rows.any():
             items.append(one)
             continue
-        if log.soc0 is None and one.soc0 + 2.0 * one.soc0_std >= 1.0:
+        if log.soc0 is None and one.soc0 >= LIKELY_FULL:
             before = float(log.counted_charge_Ah()[int(np.argmax(rows))]) / prior.capacity_Ah
             one = replace(one, soc0=min(1.0 + before, 1.0), soc0_std=FULL_STD)
         items.append(replace(one, compare=rows))
@@ -253,9 +262,12 @@ def _prepared(tests: TestLogs, prior: CellModel) -> list[PriorLog]:
 
 def _started(log: CellLog, prior: CellModel) -> PriorLog:
     """A log with its initial SOC by the prior's OCV: never taken for full because it is a test."""
-    if not np.any(np.isfinite(log.voltage_V)):
+    known = int(np.count_nonzero(np.isfinite(log.voltage_V)))
+    if known < FEWEST_ROWS:
         raise InputError(
-            f"no voltage in log '{log.name}'", "measured voltages", "Check the column."
+            f"{known} row(s) with a voltage in log '{log.name}'",
+            f"at least {FEWEST_ROWS}",
+            "Give a longer log, or check the column.",
         )
     start = initial_soc(prior, log, likeliest=True)
-    return PriorLog(log, start.soc, max(start.std, 0.5 * LEAST_SOC_STD))
+    return PriorLog(log, start.soc, UNKNOWN_STD if log.soc0 is None else start.std)
