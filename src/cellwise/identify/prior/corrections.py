@@ -29,6 +29,7 @@ TABLE_LENGTH = 0.3
 LEVEL_SHARE = 0.8
 LEAST_OCV_V = 0.003
 LEAST_LN_R = 0.1  # two samples of one kind
+LARGEST_LN = 3.0  # a factor of twenty: beyond it is not such a cell
 LN_TAU = 0.5
 ACTIVATION_STD_K = 1000.0
 REFERENCE_C = 25.0
@@ -102,7 +103,8 @@ class Corrections:
         factors = []
         for block in range(3):
             part = z[first + block * width : first + (block + 1) * width]
-            factors.append(np.exp(self.table_rows @ (self.table_root @ part)))
+            size = self.table_rows @ (self.table_root @ part)
+            factors.append(np.exp(np.clip(size, -LARGEST_LN, LARGEST_LN)))
         fast, slow = np.exp(LN_TAU * z[-4]), np.exp(LN_TAU * z[-3])
         activation = ACTIVATION_STD_K * float(z[-2])
         warm = np.exp(activation * self.inverse_K)[:, None] if self.inverse_K.size > 1 else 1.0
@@ -126,11 +128,9 @@ class Corrections:
         self, effect: Effect, resistance: FloatArray, time: float, activation_K: float
     ) -> Effect:
         if isinstance(effect, SlowDiffusion):
-            return replace(
-                effect,
-                r3_ohm=resistance * np.asarray(effect.r3_ohm),
-                tau3_s=time * np.asarray(effect.tau3_s),
-            )
+            r3, tau3 = resistance * np.asarray(effect.r3_ohm), time * np.asarray(effect.tau3_s)
+            bounds = SlowDiffusion.bounds
+            return SlowDiffusion(np.clip(r3, *bounds["r3_ohm"]), np.clip(tau3, *bounds["tau3_s"]))
         if isinstance(effect, TemperatureDependence) and self.inverse_K.size == 1:
             return replace(effect, activation_K=effect.activation_K + activation_K)
         return effect
