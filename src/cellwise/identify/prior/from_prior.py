@@ -13,7 +13,6 @@ from cellwise.cell.initial_soc import initial_soc
 from cellwise.cell.metrics import error_metrics
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import in_order
-from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.identify.capacity.capacity_choice import capacity_choices, choose_capacity
 from cellwise.identify.capacity.capacity_test import CapacityTest, measure_capacities
@@ -34,10 +33,12 @@ from cellwise.identify.identification import (
     TestLogs,
 )
 from cellwise.identify.ocv.curve import curve_from_points
+from cellwise.identify.own_logs import simulate_back
 from cellwise.identify.prior.choice import choose_prior
 from cellwise.identify.prior.corrections import Corrections
 from cellwise.identify.prior.seen import error_of, notices_of, seen_by
 from cellwise.identify.prior.update import PriorLog, update
+from cellwise.identify.refinement.refine_stage import Start
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
@@ -149,8 +150,19 @@ def identify_from_prior(
     )
     check_possible(model, found_wrong)
     say("validation on its own logs")
-    sims = tuple(simulate(model, i.log, float(s)) for i, s in zip(items, found.soc0, strict=True))
-    fit = error_metrics(np.concatenate(found.residual_V))
+    curve = curve_from_points(
+        model.soc,
+        model.at_temperature(default).ocv_V[0],
+        capacity_Ah=fitted,
+        source=f"prior {name}, updated on its logs",
+    )
+    starts = [
+        Start(item.log, float(soc0), item.compare)
+        for item, soc0 in zip(items, found.soc0, strict=True)
+    ]
+    own = simulate_back(model, tests, curve, starts)
+    sims = tuple(o.simulation for o in own)
+    fit = error_metrics(np.concatenate([o.compared_V for o in own]))
     notices = [
         *in_order(found_wrong),
         *in_order(own_log_notices(model, tests, sims), (*notices, *reading_notices(tests))),
@@ -177,17 +189,15 @@ def identify_from_prior(
         },
         "seconds": round(seconds, 3),
     }  # fmt: skip
-    at = model.at_temperature(default).ocv_V[0]
     return Identification(
         model=replace(model, provenance=provenance),
         capacity_choice=choice,
         capacities=caps,
         capacity_tests=measured,
-        ocv=curve_from_points(
-            model.soc, at, capacity_Ah=fitted, source=f"prior {name}, updated on its logs"
-        ),
+        ocv=curve,
         temperatures=(TemperatureResult(default, (), None),),
-        simulations=sims,
+        own_logs=own,
+        decided=(),
         fit=fit,
         notices=tuple(dict.fromkeys(notices)),
         seconds=seconds,
