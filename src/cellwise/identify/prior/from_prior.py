@@ -18,7 +18,6 @@ from cellwise.identify.capacity.capacity_choice import capacity_choices, choose_
 from cellwise.identify.capacity.capacity_test import CapacityTest, measure_capacities
 from cellwise.identify.capacity.half_cycles import discharge_rows
 from cellwise.identify.contradictions import (
-    capacity_notices,
     check_possible,
     check_serves,
     contradictions,
@@ -49,6 +48,7 @@ MEASURED_STD = 0.02
 STATED_STD = 0.01  # where the nominal capacity was chosen by name
 FULL_STD = 0.01  # of a capacity test: SOC 1 is where its discharge begins
 LIKELY_FULL = 0.8
+MOST_MOVED = 1.5  # of the capacity
 UNKNOWN_STD = 0.5  # of an initial SOC: the OCV and its correction have to find it in the voltages
 WIDE_WINDOW_V = 0.1
 # Shares of the SOC range below which the rest is no extrapolation, but a guess.
@@ -103,11 +103,12 @@ def identify_from_prior(
     began = time.perf_counter()
     say = progress or (lambda _: None)
     default = REFERENCE_C if settings.temperature_C is None else settings.temperature_C
-    found_wrong = contradictions(tests, default, settings.nominal_Ah)
+    # Without the capacity: the highest and lowest voltages of short drives are not full and empty.
+    found_wrong = contradictions(tests, default)
     notices: list[str] = []
     caps, choice, capacity, std, measured = _capacity(tests, settings, default, notices)
-    found_wrong += capacity_notices(tests, capacity, choice, settings.nominal_Ah)
     logs = _logs(tests)
+    _check_charge(logs, capacity, choice)
     reached = _reached_V(logs)
 
     def corrections_of(prior: CellModel) -> Corrections:
@@ -230,6 +231,23 @@ def _capacity(
     if settings.capacity_choice == "nominal":
         std = STATED_STD
     return choices, choice, capacity, std, measured
+
+
+def _check_charge(logs: Sequence[CellLog], capacity_Ah: float, choice: str) -> None:
+    """Refuse a log that moves more than a cell of that capacity holds.
+
+    That one moves little from its highest to its lowest voltage says nothing: they are those of a
+    part of the SOC range.
+    """
+    for log in logs:
+        moved = float(np.ptp(log.counted_charge_Ah()))
+        if moved > MOST_MOVED * capacity_Ah:
+            raise InputError(
+                f"'{log.name}' that moves {moved:.4g} Ah in a cell of {capacity_Ah:.4g} Ah "
+                f"({choice})",
+                "no more than the cell holds",
+                "Check the unit of the current (mA for A?), --parallel, and --nominal-ah.",
+            )
 
 
 def _logs(tests: TestLogs) -> list[CellLog]:

@@ -106,13 +106,14 @@ def notices_of(seen: Seen, name: str, prior: CellModel) -> list[str]:
             "with its spread as error"
         )
     low, high = seen.temperature_C
-    if prior.temperature_C.size > 1:
-        cold, warm = float(prior.temperature_C[0]), float(prior.temperature_C[-1])
-        if cold < low - SAME_TEMPERATURE_K or warm > high + SAME_TEMPERATURE_K:
-            found.append(
-                f"the data are at {low:g} to {high:g} degC: colder and warmer, down to {cold:g} "
-                f"and up to {warm:g} degC, the model follows the prior {name}"
-            )
+    cold, warm = float(prior.temperature_C[0]), float(prior.temperature_C[-1])
+    beyond = [f"down to {cold:.0f} degC"] if cold < low - SAME_TEMPERATURE_K else []
+    beyond += [f"up to {warm:.0f} degC"] if warm > high + SAME_TEMPERATURE_K else []
+    if beyond:
+        found.append(
+            f"the data are at {low:.0f} to {high:.0f} degC: {' and '.join(beyond)} the model "
+            f"follows the prior {name}"
+        )
     return found
 
 
