@@ -11,7 +11,7 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.stock.catalogue import stock_model, stock_names
 from cellwise.errors import InputError
 from cellwise.identify.prior.corrections import Corrections
-from cellwise.identify.prior.update import PriorLog, Update, update
+from cellwise.identify.prior.update import PriorLog, update
 from cellwise.logs.cell_log import CellLog
 
 OVER_V, UNDER_V = 0.1, 0.3  # beyond the window: charging pulses, and the load in the cold
@@ -79,7 +79,7 @@ def choose_prior(
             prepared(corrections), key=lambda i: -float(np.ptp(i.log.counted_charge_Ah()))
         )
         one = update(corrections, items[:LOGS])
-        found.append(Candidate(name, _misfit(one), float(one.soc0[0])))
+        found.append(Candidate(name, one.misfit, float(one.soc0[0])))
     found.sort(key=lambda c: c.misfit)
     best = found[0]
     close = [c for c in found[1:] if c.misfit - best.misfit < UNDECIDED]
@@ -97,12 +97,3 @@ def choose_prior(
         f"chosen by its voltage window and fit of {', '.join(names)}{others}; "
         "--prior NAME names another"
     )
-
-
-def _misfit(found: Update) -> float:
-    """Minus the log probability, every log counting alike for every candidate."""
-    total = found.distance
-    for r in found.residual_V:
-        worth = float(np.clip(r.size / 20.0, 4.0, 50.0))
-        total += worth * float(np.log(np.sqrt(np.mean(r * r)) + 1e-3))
-    return total

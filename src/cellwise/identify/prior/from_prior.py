@@ -9,10 +9,11 @@ from importlib.metadata import version
 
 import numpy as np
 
-from cellwise.cell.initial_soc import initial_soc
+from cellwise.cell.initial_soc import STATED_STD, initial_soc
 from cellwise.cell.metrics import error_metrics
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import in_order
+from cellwise.cell.simulate import best_start_soc
 from cellwise.errors import InputError
 from cellwise.identify.capacity.capacity_choice import capacity_choices, choose_capacity
 from cellwise.identify.capacity.capacity_test import CapacityTest, measure_capacities
@@ -36,7 +37,7 @@ from cellwise.identify.own_logs import simulate_back
 from cellwise.identify.prior.choice import choose_prior
 from cellwise.identify.prior.corrections import Corrections
 from cellwise.identify.prior.seen import error_of, notices_of, seen_by
-from cellwise.identify.prior.update import PriorLog, update
+from cellwise.identify.prior.update import PriorLog, update_from
 from cellwise.identify.refinement.refine_stage import Start
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
@@ -45,9 +46,10 @@ from cellwise.typing import FloatArray
 # at a rate whose share of the whole the prior's resistances have to say.
 NOMINAL_STD = 0.1
 MEASURED_STD = 0.02
-STATED_STD = 0.01  # where the nominal capacity was chosen by name
+CHOSEN_STD = 0.01  # where the nominal capacity was chosen by name
 FULL_STD = 0.01  # of a capacity test: SOC 1 is where its discharge begins
 LIKELY_FULL = 0.8
+STARTS = 51  # initial SOCs that are tried before the fit
 MOST_MOVED = 1.5  # of the capacity
 UNKNOWN_STD = 0.5  # of an initial SOC: the OCV and its correction have to find it in the voltages
 WIDE_WINDOW_V = 0.1
@@ -116,7 +118,7 @@ def identify_from_prior(
         return Corrections(prior, capacity, std, window)
 
     def prepared(corrections: Corrections) -> list[PriorLog]:
-        return _prepared(tests, corrections.prior)
+        return _prepared(tests, corrections.prior, _by_whole_log)
 
     prior, chosen_by = settings.prior, "named"
     if prior is None:
@@ -128,7 +130,7 @@ def identify_from_prior(
     say(f"update of {name}")
     corrections = corrections_of(prior)
     items = prepared(corrections)
-    found = update(corrections, items)
+    found = update_from(corrections, [items, _prepared(tests, corrections.prior, _by_first_minute)])
     seen = seen_by(items, found)
     error, ocv_std = error_of(items, found, corrections)
     notices += notices_of(seen, name, prior)
@@ -229,7 +231,7 @@ def _capacity(
     choice, capacity = choose_capacity(choices, settings.capacity_choice)
     std = MEASURED_STD if choice != "nominal" else NOMINAL_STD
     if settings.capacity_choice == "nominal":
-        std = STATED_STD
+        std = CHOSEN_STD
     return choices, choice, capacity, std, measured
 
 
@@ -272,23 +274,27 @@ def _high(prior: CellModel) -> float:
     return float(prior.ocv_V.max()) if prior.voltage_max_V is None else prior.voltage_max_V
 
 
-def _prepared(tests: TestLogs, prior: CellModel) -> list[PriorLog]:
+def _prepared(
+    tests: TestLogs, prior: CellModel, guess: Callable[[CellModel, CellLog], float]
+) -> list[PriorLog]:
     """The logs with their starts by the prior; of tests that begin full, the discharge."""
-    items = [_started(log, prior) for log, _ in (*tests.hppc, *tests.drive)]
+    items = [_started(log, prior, guess) for log, _ in (*tests.hppc, *tests.drive)]
     for log in (*tests.ocv, *tests.capacity):
         rows = discharge_rows(log)
-        one = _started(log, prior)
+        one = _started(log, prior, guess)
         if not rows.any():
             items.append(one)
             continue
         if log.soc0 is None and one.soc0 >= LIKELY_FULL:
             before = float(log.counted_charge_Ah()[int(np.argmax(rows))]) / prior.capacity_Ah
-            one = replace(one, soc0=min(1.0 + before, 1.0), soc0_std=FULL_STD)
+            one = replace(one, soc0=min(1.0 + before, 1.0), soc0_std=FULL_STD, h0_std=0.0)
         items.append(replace(one, compare=rows))
     return items
 
 
-def _started(log: CellLog, prior: CellModel) -> PriorLog:
+def _started(
+    log: CellLog, prior: CellModel, guess: Callable[[CellModel, CellLog], float]
+) -> PriorLog:
     """A log with its initial SOC by the prior's OCV: never taken for full because it is a test."""
     known = int(np.count_nonzero(np.isfinite(log.voltage_V)))
     if known < FEWEST_ROWS:
@@ -297,5 +303,16 @@ def _started(log: CellLog, prior: CellModel) -> PriorLog:
             f"at least {FEWEST_ROWS}",
             "Give a longer log, or check the column.",
         )
-    start = initial_soc(prior, log, likeliest=True)
-    return PriorLog(log, start.soc, UNKNOWN_STD if log.soc0 is None else start.std)
+    if log.soc0 is not None:
+        return PriorLog(log, log.soc0, STATED_STD)
+    return PriorLog(log, guess(prior, log), UNKNOWN_STD, h0_std=1.0)
+
+
+def _by_whole_log(prior: CellModel, log: CellLog) -> float:
+    """On a plateau the first minute says nothing, the whole log may."""
+    return best_start_soc(prior, log, np.linspace(0.0, 1.0, STARTS))[0]
+
+
+def _by_first_minute(prior: CellModel, log: CellLog) -> float:
+    """Where the OCV is steep the first minute is what least else can disturb."""
+    return initial_soc(prior, log, likeliest=True).soc
