@@ -88,7 +88,7 @@ def choose_prior(
         texts = ", ".join(f"{c.name} (SOC {c.soc0:.2f})" for c in (best, *apart))
         raise InputError(
             f"{between} that several kinds of cell show alike: {texts}",
-            "a log that tells them apart",
+            "a log that shows which of them it is",
             "Give --prior NAME of the right kind.",
         )
     others = f"; {', '.join(c.name for c in close)} as probable" if close else ""

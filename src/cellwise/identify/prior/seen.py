@@ -16,7 +16,7 @@ from cellwise.identify.refinement.model_error import ResidualLog, estimate_model
 from cellwise.typing import FloatArray
 
 BINS = 50  # of the SOC axis, for where the data have been
-LASTING_S = 3600.0  # how long the prior's own error lasts, as long as a model's may
+PERSISTENT_S = 3600.0  # how long the prior's own error persists, as long as a model's may
 SHORT_OF_ALL = 0.02  # of the SOC range: a gap at an end that is no worth a word
 SAME_TEMPERATURE_K = 5.0
 
@@ -87,11 +87,11 @@ def error_of(
     grid = np.linspace(0.0, 1.0, max(len(shown.slow_V), 2))
     unknown = np.interp(grid, found.model.soc, ocv_std)
     slow = np.hypot(shown.at(grid), unknown)
-    lasting = float(np.mean(unknown**2) / np.mean(slow**2))
+    share = float(np.mean(unknown**2) / np.mean(slow**2))
     return ModelError(
         white_V=shown.white_V,
         slow_V=tuple(float(v) for v in slow),
-        correlation_s=(1.0 - lasting) * shown.correlation_s + lasting * LASTING_S,
+        correlation_s=(1.0 - share) * shown.correlation_s + share * PERSISTENT_S,
         resistance_share=float(np.hypot(shown.resistance_share, np.median(r0_std))),
     ), ocv_std
 

@@ -25,9 +25,9 @@ LEAST_SIGMA_V = 0.005
 FIRST_SIGMA_V = 0.02
 ROBUST = 4.0
 FEWEST_INDEPENDENT = 4.0
-# Residuals of a fit look shorter than the model's error is: tables are wrong for as long as the
-# SOC stays near, some minutes of a drive.
-MEMORY_S = 120.0
+# Residuals of a fit forget sooner than the model's error does: tables are wrong for as long as the
+# SOC stays near. The filters' default noise has the same time.
+MEMORY_S = 300.0
 ROWS_OF_ONE = 20.0  # compared rows that are worth one, where fits are compared
 MOST_OF_A_LOG = 50.0
 SAME_SOC = 0.02
