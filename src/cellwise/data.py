@@ -10,29 +10,16 @@ from pathlib import Path
 from typing import Any
 
 from cellwise.errors import InputError
-from cellwise.files import made_folder
+from cellwise.files import EMBEDDED_MARK, embedded_folder, made_folder
 from cellwise.logs import CellLog, read_log
 
-CATALOGUE = "catalogue.toml"
+CATALOGUE = EMBEDDED_MARK
 REGISTRY = "registry.toml"
 
 
 def datasets_folder() -> Path:
-    """Folder of the embedded data: inside an installed package, else in the source tree.
-
-    Raises
-    ------
-    InputError        neither is there
-    """
-    package = Path(__file__).resolve().parent
-    for folder in (package / "_datasets", package.parents[1] / "datasets"):
-        if (folder / CATALOGUE).is_file():
-            return folder
-    raise InputError(
-        "no embedded data beside this installation of cellwise",
-        f"a folder with {CATALOGUE}",
-        "Install cellwise from its wheel or its source tree.",
-    )
+    """Folder of the embedded data; see :func:`cellwise.files.embedded_folder`."""
+    return embedded_folder()
 
 
 def list_datasets(folder: Path | str | None = None) -> list[dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""Output files that appear whole or not at all."""
+"""Output files that appear whole or not at all, and the folder of the embedded data."""
 
 from __future__ import annotations
 
@@ -8,6 +8,26 @@ from collections.abc import Callable
 from pathlib import Path
 
 from cellwise.errors import InputError
+
+EMBEDDED_MARK = "catalogue.toml"
+
+
+def embedded_folder() -> Path:
+    """Folder of the embedded data: inside an installed package, else in the source tree.
+
+    Raises
+    ------
+    InputError        neither is there
+    """
+    package = Path(__file__).resolve().parent
+    for folder in (package / "_datasets", package.parents[1] / "datasets"):
+        if (folder / EMBEDDED_MARK).is_file():
+            return folder
+    raise InputError(
+        "no embedded data beside this installation of cellwise",
+        f"a folder with {EMBEDDED_MARK}",
+        "Install cellwise from its wheel or its source tree.",
+    )
 
 
 def made_folder(path: str | Path, content: str = "") -> Path:

@@ -11,6 +11,7 @@ import numpy as np
 from cellwise.benchmark.suite import EMBEDDED, Suite, SuiteCell, SuiteLog
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import read_model
+from cellwise.cell.stock.catalogue import stock_model, stock_names
 from cellwise.data import datasets_folder, list_datasets
 from cellwise.errors import InputError
 from cellwise.estimate.noise import Noise
@@ -81,7 +82,7 @@ def check_files(suite: Suite, data: Path | None) -> None:
     seen: dict[str, dict[str, str]] = {}
     for cell in suite.cells:
         if cell.model:
-            locate(cell.model, suite, data)
+            _named(cell.model, suite, data)
         seen[cell.name] = {digest(locate(p, suite, data)): p for p in cell.tests}
     for log in suite.logs:
         same = seen[log.cell].get(digest(locate(log.log, suite, data)))
@@ -156,13 +157,29 @@ def at_step(judged: JudgedLog, dt_s: float | None) -> JudgedLog:
 def cell_model(cell: SuiteCell, suite: Suite, data: Path | None) -> tuple[CellModel, Noise | None]:
     """A cell's model, and its tuned noise where there are logs to tune on."""
     if cell.model:
-        model = read_model(locate(cell.model, suite, data))
+        model = _named(cell.model, suite, data)
     else:
         model = identify_cell(_tests(cell, suite, data), _settings(cell)).model
     if not cell.tune:
         return model, None
     logs = [_began_full(cell, read_at(p, suite, data), model.capacity_Ah) for p in cell.tune]
     return model, tune_noise(model, logs).noise
+
+
+def _named(name: str, suite: Suite, data: Path | None) -> CellModel:
+    """A model file beside the suite or among the measured data, else a stock model.
+
+    Raises
+    ------
+    InputError        neither
+    """
+    try:
+        place = locate(name, suite, data)
+    except InputError:
+        if name not in stock_names():
+            raise
+        return stock_model(name)
+    return read_model(place)
 
 
 def _settings(cell: SuiteCell) -> IdentifySettings:

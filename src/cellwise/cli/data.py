@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -41,15 +42,38 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run_list(arguments: argparse.Namespace) -> None:
-    """Print the embedded data sets and the registry."""
+    """Print the stock models, the embedded data sets and the registry."""
+    from cellwise.cell.stock.catalogue import list_stock
     from cellwise.data import datasets_folder, list_datasets, list_originals
 
-    embedded, originals = list_datasets(), list_originals()
+    embedded, originals, stock = list_datasets(), list_originals(), list_stock()
     if arguments.json:
         printing.print_json(
-            {"folder": str(datasets_folder()), "embedded": embedded, "originals": originals}
+            {
+                "folder": str(datasets_folder()),
+                "embedded": embedded,
+                "originals": originals,
+                "stock": stock,
+            }
         )
         return
+    printing.table(
+        "stock models: names for --model and --prior",
+        ("name", "cell", "Ah", "V", "degC", "OCV +- mV", "R times or /", "licence of the data"),
+        [
+            (
+                s["name"],
+                s["cell"],
+                f"{s['capacity_Ah']:.3g}",
+                "{:g} to {:g}".format(*s["window_V"]),
+                "{:g} to {:g}".format(*s["validity"]["temperature_C"]),
+                f"{1e3 * s['spread']['ocv_V']:.0f}",
+                f"{math.exp(s['spread']['ln_resistance']):.2g}",
+                s["source"]["licence"],
+            )
+            for s in stock
+        ],
+    )
     printing.table(
         f"embedded data in {datasets_folder()}",
         ("name", "cell", "kind", "degC", "rows", "kB"),

@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellwise.cli.common import log_options, page_options, printing
+from cellwise.cli.common import log_options, model_options, page_options, printing
 from cellwise.errors import InputError
 from cellwise.files import made_folder
 
@@ -22,7 +22,7 @@ SHOWN = 6
 def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command that criticises a model."""
     p = commands.add_parser("diagnose", help="model and logs to what is wrong, and by how much")
-    p.add_argument("--model", required=True, metavar="MODEL")
+    model_options.add_model(p)
     p.add_argument("logs", nargs="+", metavar="LOG", help="what is to be explained")
     for option, text in (
         ("--holdout", "log on which gains are measured [later parts of the logs]"),
@@ -50,7 +50,6 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run_diagnose(arguments: argparse.Namespace) -> None:
     """Diagnose, write what was asked for, print the verdict."""
-    from cellwise.cell.model_file import read_model
     from cellwise.cell.simulate import check_soc0
     from cellwise.diagnose import diagnose
     from cellwise.report.diagnosis.runs import with_anatomy
@@ -59,7 +58,7 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
     soc0 = log_options.parse_soc0(arguments.soc0)
     if soc0 is not None:
         check_soc0(soc0)
-    model = read_model(arguments.model)
+    model = model_options.read(arguments)
     logs, holdout, baseline = (
         [log_options.read(path, arguments) for path in paths]
         for paths in (arguments.logs, arguments.holdout, arguments.baseline)

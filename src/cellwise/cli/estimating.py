@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellwise.cli.common import log_options, page_options, parameters, printing
+from cellwise.cli.common import log_options, model_options, page_options, parameters, printing
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def _common(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--model", required=True, metavar="MODEL")
+    model_options.add_model(parser, scalable=True)
     parser.add_argument("log", metavar="LOG")
     parser.add_argument("--soc0", default="auto", metavar="X", help="0..1, or auto [auto]")
     parser.add_argument("-o", "--output", metavar="OUT", help="rows as .csv, .csv.gz or .parquet")
@@ -69,12 +69,11 @@ def run_simulate(arguments: argparse.Namespace) -> None:
     import time
 
     from cellwise.cell.initial_soc import initial_soc
-    from cellwise.cell.model_file import read_model
     from cellwise.cell.plausibility.cells_in_series import check_cells_in_series
     from cellwise.cell.simulate import simulate
 
     printing.check_places(arguments.output)
-    model = read_model(arguments.model)
+    model = model_options.read(arguments)
     log = log_options.read(arguments.log, arguments)
     check_cells_in_series(model, log)
     given = log_options.start_of(log.soc0, log_options.parse_soc0(arguments.soc0))
@@ -105,7 +104,6 @@ def run_simulate(arguments: argparse.Namespace) -> None:
 
 def run_replay(arguments: argparse.Namespace) -> None:
     """Replay a log through an estimator and print how it did."""
-    from cellwise.cell.model_file import read_model
     from cellwise.cell.plausibility.cells_in_series import check_cells_in_series
     from cellwise.estimate.estimators import make_estimator
     from cellwise.estimate.replay import replay
@@ -117,7 +115,7 @@ def run_replay(arguments: argparse.Namespace) -> None:
     true0 = arguments.reference_soc0
     if true0 is not None and not 0.0 <= true0 <= 1.0:
         raise InputError(f"--reference-soc0 {true0:g}", "a fraction from 0 to 1", "Correct it.")
-    model = read_model(arguments.model)
+    model = model_options.read(arguments)
     make_estimator(arguments.estimator, model)
     cutoff = cutoff_of(model, arguments.cutoff_v)
     log = log_options.read(arguments.log, arguments)

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellwise.cli.common import log_options, page_options, printing
+from cellwise.cli.common import log_options, model_options, page_options, printing
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ STEPS_TO_MEASURE = 4000
 def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add ``cellwise export``."""
     export = commands.add_parser("export", help="model to C sources for a target")
-    export.add_argument("--model", required=True, metavar="MODEL")
+    model_options.add_model(export)
     export.add_argument("--dt", type=float, required=True, metavar="S", help="time step [s]")
     export.add_argument("-o", "--output", required=True, metavar="DIR")
     export.add_argument("--points", type=int, metavar="N", help="SOC points [the model's]")
@@ -43,12 +43,11 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run_export(arguments: argparse.Namespace) -> None:
     """Write the C of a model and say what it costs."""
-    from cellwise.cell.model_file import read_model
     from cellwise.estimate.fixed.tables import fixed_step_tables
     from cellwise.export.package import check_flash, describe, write_package
 
     page_options.check_page_options(arguments)
-    model = read_model(arguments.model)
+    model = model_options.read(arguments)
     tables = fixed_step_tables(
         model,
         arguments.dt,

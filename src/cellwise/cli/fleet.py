@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellwise.cli.common import log_options, printing
+from cellwise.cli.common import log_options, model_options, printing
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def _common(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--model", required=True, metavar="MODEL")
+    model_options.add_model(parser, scalable=True)
     parser.add_argument(
         "folder",
         metavar="DIR",
@@ -99,7 +99,6 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
 
 
 def _of_task(arguments: argparse.Namespace) -> dict[str, Any]:
-    from cellwise.cell.model_file import read_model
     from cellwise.cell.simulate import check_soc0
     from cellwise.logs import Stated
 
@@ -111,7 +110,7 @@ def _of_task(arguments: argparse.Namespace) -> dict[str, Any]:
     log_options.start_of(stated.soc0, soc0)
     return {
         "stated": None if stated.says_nothing else stated,
-        "model": read_model(arguments.model),
+        "model": model_options.read(arguments),
         "soc0": soc0,
         "read": log_options.arguments_of_read(arguments),
         "cache": str(Path(arguments.cache).resolve()) if arguments.cache else "",

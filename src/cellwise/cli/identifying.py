@@ -28,6 +28,12 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="nominal, cc-average, cc-cv-average, hppc-total or rate:C/20 "
         "[the slowest complete discharge]",
     )
+    p.add_argument(
+        "--prior",
+        metavar="MODEL",
+        help="a stock model (`cellwise data list`) or a model file of such a cell: scaled to the "
+        "capacity, and corrected as far as the logs determine",
+    )
     p.add_argument("--method", choices=("varpro", "segments", "pso"), default="varpro")
     p.add_argument("--tables", choices=("spline", "cubic"), default="spline")
     p.add_argument("--no-refine", action="store_true", help="keep the tables of the single pulses")
@@ -46,6 +52,7 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run_identify(arguments: argparse.Namespace) -> None:
     """Identify a cell, write the model and the page."""
     from cellwise.cell.model_file import write_model
+    from cellwise.cell.stock.catalogue import named_model
     from cellwise.identify import IdentifySettings, TestLogs, identify_cell
     from cellwise.logs.stated import check_temperature
 
@@ -68,6 +75,7 @@ def run_identify(arguments: argparse.Namespace) -> None:
         branches=arguments.branches,
         hysteresis={"auto": None, "on": True, "off": False}[arguments.hysteresis],
         temperature_C=arguments.temperature_c,
+        prior=None if arguments.prior is None else named_model(arguments.prior),
         name=arguments.name,
         chemistry=arguments.chemistry,
     )

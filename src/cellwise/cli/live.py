@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
-from cellwise.cli.common import log_options, printing
+from cellwise.cli.common import log_options, model_options, printing
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ FORECAST_EVERY_S = 1.0
 def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command that follows a stream."""
     live = commands.add_parser("live", help="a stream of samples to SOC, as they come")
-    live.add_argument("--model", required=True, metavar="MODEL")
+    model_options.add_model(live, scalable=True)
     live.add_argument(
         "--source",
         required=True,
@@ -65,7 +65,6 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run_live_command(arguments: argparse.Namespace) -> None:
     """Follow a stream: JSON lines, a view for people, or one object at the end."""
-    from cellwise.cell.model_file import read_model
     from cellwise.forecast.outlook import Outlook
     from cellwise.forecast.remaining import cutoff_of
     from cellwise.live import Counts, open_source, run_live
@@ -73,7 +72,7 @@ def run_live_command(arguments: argparse.Namespace) -> None:
     from cellwise.live.run import check_any
 
     _check(arguments)
-    model = read_model(arguments.model)
+    model = model_options.read(arguments)
     outlook = Outlook(model, cutoff_of(model, arguments.cutoff_v))
     name, stated = _stated(arguments.source)
     live = _filter(model, stated, arguments)

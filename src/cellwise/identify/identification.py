@@ -42,6 +42,8 @@ class IdentifySettings:
     hysteresis : bool or None          None: when both low-rate branches show a gap
     activation_std_K : float           how far the Arrhenius activation may leave its prior
     temperature_C : float or None      temperature of the tests where no log measures it
+    prior : CellModel or None          a model of such a cell to start from, of any capacity; None:
+                                       a stock model where the logs see too little of the SOC range
     name, chemistry : str              written into the model
     """
 
@@ -54,6 +56,7 @@ class IdentifySettings:
     hysteresis: bool | None = None
     activation_std_K: float = 1000.0
     temperature_C: float | None = None
+    prior: CellModel | None = None
     name: str = ""
     chemistry: str = ""
 
@@ -195,6 +198,7 @@ class Identification(Plottable):
             "own_logs": [o.to_dict() for o in self.own_logs],
             "effects": self._effects(),
             "validity": self.model.validity.to_dict(),
+            "prior": self.model.provenance.get("prior"),
             "notices": list(self.notices),
             "seconds": self.seconds,
         }

@@ -45,6 +45,7 @@ from cellwise.identify.ocv.ocv_lowrate import ocv_from_low_rate
 from cellwise.identify.ocv.ocv_rests import ocv_from_rests
 from cellwise.identify.ocv.sample_check import sample_notice
 from cellwise.identify.own_logs import simulate_back
+from cellwise.identify.prior.from_prior import identify_from_prior, needs_prior
 from cellwise.identify.pulse_fit.fit_pulse import fit_pulses
 from cellwise.identify.pulse_fit.pulse_window import (
     cut_pulses,
@@ -89,6 +90,8 @@ def identify_cell(
     settings = IdentifySettings() if settings is None else settings
     say = progress or (lambda _: None)
     _check(tests, settings)
+    if settings.prior is not None or needs_prior(tests, settings):
+        return identify_from_prior(tests, settings, progress)
     default = REFERENCE_C if settings.temperature_C is None else settings.temperature_C
     found_wrong = contradictions(tests, default, settings.nominal_Ah)
     low_rate, found_offset = without_current_offset(
@@ -194,7 +197,8 @@ def _plain(group: Group, ocv: OcvCurve, capacity: float) -> CellModel:
 
 def _check(tests: TestLogs, settings: IdentifySettings) -> None:
     """Refuse what no later step could make sense of."""
-    if not tests.hppc and not tests.drive:
+    any_serves = settings.prior is not None and (tests.ocv or tests.capacity)
+    if not tests.hppc and not tests.drive and not any_serves:
         raise InputError(
             "neither an HPPC nor a drive log", "at least one of them", "Give --hppc or --drive."
         )

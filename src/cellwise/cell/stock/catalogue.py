@@ -1,0 +1,95 @@
+"""The stock models that are part of cellwise, and a model by its name or by its file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from cellwise.cell.model import CellModel
+from cellwise.cell.model_file import read_model
+from cellwise.cell.stock.scaled import scaled_model
+from cellwise.errors import InputError
+from cellwise.files import embedded_folder
+
+FOLDER = "stock"
+SUFFIX = ".json"
+
+
+def stock_folder() -> Path:
+    """Folder of the stock models.
+
+    Raises
+    ------
+    InputError        no embedded data beside this installation
+    """
+    return embedded_folder() / FOLDER
+
+
+def stock_names() -> tuple[str, ...]:
+    """Names of the stock models, in alphabetical order."""
+    return tuple(sorted(path.stem for path in stock_folder().glob(f"*{SUFFIX}")))
+
+
+def stock_model(name: str) -> CellModel:
+    """A stock model as it was measured.
+
+    Its ``error`` says how far another cell of the kind may be from it, not how well it fits its own
+    data; ``provenance["stock"]`` holds source, validity and spread.
+
+    Raises
+    ------
+    InputError        no stock model of that name; the message lists those there are
+    """
+    names = stock_names()
+    if name not in names:
+        raise InputError(
+            f"stock model '{name}'", f"one of {', '.join(names)}", "See `cellwise data list`."
+        )
+    return read_model(stock_folder() / f"{name}{SUFFIX}")
+
+
+def named_model(text: str | Path, capacity_Ah: float | None = None) -> CellModel:
+    """The model that a user names: a file, else a stock model of that name.
+
+    Parameters
+    ----------
+    text : str or Path            a file has precedence over a stock model of the same name
+    capacity_Ah : float or None   scale the model to this capacity, see :func:`scaled_model`
+
+    Raises
+    ------
+    InputError        neither a file nor the name of a stock model; a file that `read_model`
+                      refuses; a capacity that is not above zero
+    """
+    path = Path(text)
+    stock = str(text) in stock_names()
+    if path.is_file() or (path.exists() and not stock):
+        model = read_model(path)
+    elif stock:
+        model = stock_model(str(text))
+    else:
+        raise InputError(
+            f"no model file and no stock model '{text}'",
+            f"a file written by `cellwise identify`, or one of {', '.join(stock_names())}",
+            "Check the path or the name.",
+        )
+    return model if capacity_Ah is None else scaled_model(model, capacity_Ah)
+
+
+def list_stock() -> list[dict[str, Any]]:
+    """What `cellwise data list` shows: name, cell, capacity, source, licence, validity, spread."""
+    found = []
+    for name in stock_names():
+        model = stock_model(name)
+        about = model.provenance.get("stock", {})
+        found.append(
+            {
+                "name": name,
+                "cell": model.name,
+                "chemistry": model.chemistry,
+                "capacity_Ah": model.capacity_Ah,
+                "window_V": [model.voltage_min_V, model.voltage_max_V],
+                **about,
+            }
+        )
+    return found

@@ -1,0 +1,137 @@
+"""Where the data of an update have been, and what of the model is the prior's."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cellwise.cell.model import CellModel, ModelError
+from cellwise.cell.simulate import known_temperature_C
+from cellwise.identify.prior.corrections import Corrections
+from cellwise.identify.prior.update import PriorLog, Update
+from cellwise.identify.refinement.model_error import ResidualLog, estimate_model_error
+from cellwise.typing import FloatArray
+
+BINS = 50  # of the SOC axis, for where the data have been
+PERSISTENT_S = 3600.0  # how long the prior's own error persists, as long as a model's may
+SHORT_OF_ALL = 0.02  # of the SOC range: a gap at an end that is no worth a word
+SAME_TEMPERATURE_K = 5.0
+
+
+@dataclass(frozen=True)
+class Seen:
+    """SOC, temperature and current over which the data were compared.
+
+    ``soc`` and ``unseen_soc`` are stretches (lowest, highest); the others one range each.
+    """
+
+    soc: tuple[tuple[float, float], ...]
+    unseen_soc: tuple[tuple[float, float], ...]
+    temperature_C: tuple[float, float]
+    current_A: tuple[float, float]
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON values."""
+        return {
+            "seen": {
+                "soc": [list(s) for s in self.soc],
+                "temperature_C": list(self.temperature_C),
+                "current_A": list(self.current_A),
+            },
+            "from_prior": {"soc": [list(s) for s in self.unseen_soc]},
+        }
+
+
+def seen_by(logs: Sequence[PriorLog], found: Update) -> Seen:
+    """Where the compared rows of the logs lie, by the SOC that was found."""
+    soc, temperature, current = [], [], []
+    for item, start, rows in zip(logs, found.soc0, found.rows, strict=True):
+        soc.append(_soc(item, float(start), found.model)[rows])
+        temperature.append(known_temperature_C(found.model, item.log)[rows])
+        current.append(item.log.known_current_A()[rows])
+    counts, edges = np.histogram(np.clip(np.concatenate(soc), 0.0, 1.0), BINS, (0.0, 1.0))
+    warm = np.percentile(np.concatenate(temperature), [1.0, 99.0])
+    flowing = np.concatenate(current)
+    return Seen(
+        soc=_stretches(counts > 0, edges),
+        unseen_soc=tuple(s for s in _stretches(counts == 0, edges) if s[1] - s[0] > SHORT_OF_ALL),
+        temperature_C=(round(float(warm[0]), 1), round(float(warm[1]), 1)),
+        current_A=(float(f"{flowing.min():.4g}"), float(f"{flowing.max():.4g}")),
+    )
+
+
+def error_of(
+    logs: Sequence[PriorLog], found: Update, corrections: Corrections
+) -> tuple[ModelError, FloatArray]:
+    """The updated model's error, and the standard deviation of its OCV over the model's grid [V].
+
+    What the residuals show where the data have been, and what is uncertain of the OCV and the
+    resistances given these data: far from them, as much as of the prior.
+    """
+    median_r0 = float(np.median(found.model.r0_ohm))
+    residuals = [
+        ResidualLog(
+            item.log.time_s[rows],
+            _soc(item, float(start), found.model)[rows],
+            item.log.known_current_A()[rows],
+            r,
+        )
+        for item, start, rows, r in zip(logs, found.soc0, found.rows, found.residual_V, strict=True)
+    ]
+    shown = estimate_model_error(residuals, median_r0)
+    ocv_std = _deviation(corrections.ocv_map(), found.covariance)
+    r0_std = _deviation(corrections.r0_map(), found.covariance)
+    grid = np.linspace(0.0, 1.0, max(len(shown.slow_V), 2))
+    unknown = np.interp(grid, found.model.soc, ocv_std)
+    slow = np.hypot(shown.at(grid), unknown)
+    share = float(np.mean(unknown**2) / np.mean(slow**2))
+    return ModelError(
+        white_V=shown.white_V,
+        slow_V=tuple(float(v) for v in slow),
+        correlation_s=(1.0 - share) * shown.correlation_s + share * PERSISTENT_S,
+        resistance_share=float(np.hypot(shown.resistance_share, np.median(r0_std))),
+    ), ocv_std
+
+
+def notices_of(seen: Seen, name: str, prior: CellModel) -> list[str]:
+    """What of the model is the prior's, for people."""
+    found = []
+    if seen.unseen_soc:
+        listed = " and ".join(f"{low:.2f} to {high:.2f}" for low, high in seen.unseen_soc)
+        found.append(
+            f"the data show nothing at SOC {listed}: there the model is the prior {name}, "
+            "with its spread as error"
+        )
+    low, high = seen.temperature_C
+    cold, warm = float(prior.temperature_C[0]), float(prior.temperature_C[-1])
+    beyond = [f"down to {cold:.0f} degC"] if cold < low - SAME_TEMPERATURE_K else []
+    beyond += [f"up to {warm:.0f} degC"] if warm > high + SAME_TEMPERATURE_K else []
+    if beyond:
+        found.append(
+            f"the data are at {low:.0f} to {high:.0f} degC: {' and '.join(beyond)} the model "
+            f"follows the prior {name}"
+        )
+    return found
+
+
+def _soc(item: PriorLog, soc0: float, model: CellModel) -> FloatArray:
+    return np.asarray(soc0 - item.log.counted_charge_Ah() / model.capacity_Ah)
+
+
+def _deviation(matrix: FloatArray, covariance: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt(np.einsum("ij,jk,ik->i", matrix, covariance, matrix)))
+
+
+def _stretches(
+    inside: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], edges: FloatArray
+) -> tuple[tuple[float, float], ...]:
+    """Runs of bins, as lowest and highest edge."""
+    padded = np.concatenate(([False], inside, [False])).astype(int)
+    starts, stops = np.flatnonzero(np.diff(padded) == 1), np.flatnonzero(np.diff(padded) == -1)
+    return tuple(
+        (round(float(edges[a]), 3), round(float(edges[b]), 3))
+        for a, b in zip(starts, stops, strict=True)
+    )

@@ -1,0 +1,42 @@
+"""A model scaled to a capacity: n cells in parallel are one cell of n times the capacity."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cellwise.cell.effects import SelfDischarge, SelfHeating
+from cellwise.cell.simulate import simulate
+from cellwise.cell.stock.catalogue import named_model, stock_model, stock_names
+from cellwise.cell.stock.scaled import scaled_model
+from cellwise.data import load_dataset
+from cellwise.errors import InputError
+
+
+@pytest.mark.parametrize("name", stock_names())
+@pytest.mark.parametrize("cells", [0.4, 1.0, 3.0])
+def test_parallel_cells_show_the_voltage_of_one(name, cells):
+    model = stock_model(name).with_effect(SelfHeating(8.0, 500.0)).with_effect(SelfDischarge(0.01))
+    log = load_dataset("nmc_drive_a")
+    share = model.capacity_Ah / 5.0
+    one = replace(log, current_A=share * log.current_A, charge_Ah=None)
+    all_ = replace(log, current_A=cells * share * log.current_A, charge_Ah=None)
+    scaled = scaled_model(model, cells * model.capacity_Ah)
+    alone, together = simulate(model, one, 0.9), simulate(scaled, all_, 0.9)
+    np.testing.assert_allclose(together.voltage_V, alone.voltage_V, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(together.soc, alone.soc, rtol=0.0, atol=1e-12)
+
+
+def test_scaling_there_and_back_changes_nothing():
+    model = stock_model("nmc-18650")
+    again = scaled_model(scaled_model(model, 50.0), model.capacity_Ah)
+    np.testing.assert_allclose(again.r0_ohm, model.r0_ohm, rtol=1e-14)
+    assert again.capacity_Ah == model.capacity_Ah
+
+
+@pytest.mark.parametrize("capacity", [0.0, -5.2, float("nan"), float("inf")])
+def test_a_capacity_that_no_cell_has_is_refused(capacity):
+    with pytest.raises(InputError, match="Ah"):
+        named_model("nca-18650", capacity)

@@ -1,0 +1,76 @@
+"""Stock models by name in every command that takes a model, scaled, and as priors."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from cellwise import load_dataset, read_model, write_log
+from cellwise.cell.stock.catalogue import stock_names
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory):
+    """A part of a drive of the embedded NMC cell: nobody knows where it began."""
+    log = load_dataset("nmc_drive_b")
+    soc = 1.0 - log.counted_charge_Ah() / 5.0
+    rows = np.flatnonzero((soc < 0.7) & (soc > 0.5))
+    path = tmp_path_factory.mktemp("flight") / "flight.csv"
+    return str(write_log(log.part(int(rows[0]), int(rows[-1])), path))
+
+
+@pytest.mark.parametrize("command", ["simulate", "replay"])
+def test_a_stock_model_works_at_once(run_json, flight, command):
+    found = run_json(command, "--model", "nmc-18650", "--capacity-ah", "5.2", flight)
+    assert found["soc0"]["std"] > 0.03
+
+
+def test_little_known_is_said_by_the_deviation(run_json, flight, tmp_path):
+    out = tmp_path / "rows.csv"
+    run_json("replay", "--model", "nmc-18650", "--capacity-ah", "5", flight, "-o", str(out))
+    std = np.genfromtxt(out, delimiter=",", names=True)["soc_std"]
+    assert np.median(std) > 0.02
+
+
+def test_a_fleet_takes_a_stock_model(run_json, flight, tmp_path):
+    folder = flight.rsplit("/", 1)[0]
+    found = run_json("fleet", "replay", "--model", "nmc-18650", "--capacity-ah", "5", folder,
+                "-o", str(tmp_path / "out"))  # fmt: skip
+    assert found["done"] == 1
+
+
+@pytest.mark.parametrize("command", ["simulate", "replay", "diagnose"])
+def test_an_unknown_name_is_one_error_with_the_names(refused, flight, command):
+    said = refused(command, "--model", "nmc-21700", flight)
+    assert all(name in said for name in stock_names())
+
+
+@pytest.mark.parametrize("capacity", ["0", "-1", "nan"])
+def test_a_capacity_that_no_cell_has_is_refused(refused, flight, capacity):
+    said = refused("replay", "--model", "nmc-18650", f"--capacity-ah={capacity}", flight)
+    assert "above zero" in said
+
+
+def test_identify_with_a_prior_marks_what_is_the_priors(run_json, flight, tmp_path):
+    out = tmp_path / "model.json"
+    found = run_json("identify", "--drive", flight, "--nominal-ah", "5", "--prior", "nmc-18650",
+                "-o", str(out), "--report", str(tmp_path / "page.html"))  # fmt: skip
+    assert found["prior"]["name"] == "nmc-18650"
+    assert found["prior"]["from_prior"]["soc"]
+    model = read_model(out)
+    assert model.provenance["prior"]["seen"] == found["prior"]["seen"]
+    assert model.ocv_V.min() > 2.4
+
+
+def test_an_unknown_prior_is_refused(refused, flight, tmp_path):
+    said = refused("identify", "--drive", flight, "--nominal-ah", "5", "--prior", "nickel",
+                   "-o", str(tmp_path / "model.json"))  # fmt: skip
+    assert "nca-18650" in said
+
+
+def test_data_list_shows_them(run_json):
+    listed = {e["name"]: e for e in run_json("data", "list")["stock"]}
+    assert set(listed) == set(stock_names())
+    assert json.dumps(listed["lfp-26650"]["window_V"]) == "[2.0, 3.6]"

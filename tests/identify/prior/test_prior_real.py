@@ -1,0 +1,120 @@
+"""Priors on measured cells: never judged on a log, or a cell, that the prior has seen."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from cellwise.cell.simulate import best_start_soc, simulate
+from cellwise.cell.stock.catalogue import named_model, stock_model
+from cellwise.estimate.replay import replay
+from cellwise.identify import IdentifySettings, TestLogs, identify_cell
+from cellwise.logs import CellLog, read_log
+
+PANASONIC_AH = 2.9
+OTHERS = ("drive_p25_cycle_3", "drive_p25_nn")
+MONTHS = ("05", "08", "10")
+
+
+@pytest.fixture(scope="module")
+def panasonic(real_data):
+    def read(name, soc0=None):
+        log = read_log(real_data / "panasonic_18650pf" / f"{name}.csv.gz")
+        return replace(log, soc0=soc0)
+
+    return read
+
+
+@pytest.fixture(scope="module")
+def driven(panasonic):
+    """A NCA cell from the NMC stock model and one drive that began full."""
+    tests = TestLogs(drive=((panasonic("drive_p25_us06", 1.0), None),))
+    prior = stock_model("nmc-18650")
+    return identify_cell(tests, IdentifySettings(nominal_Ah=PANASONIC_AH, prior=prior)).model
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_one_drive_brings_another_kind_of_cell_within_20_mV(panasonic, driven, name):
+    log = panasonic(name)
+    stock = simulate(named_model("nmc-18650", PANASONIC_AH), log, 1.0).rmse_above_10pct_V
+    found = simulate(driven, log, 1.0).rmse_above_10pct_V
+    assert found < 0.020
+    assert found < 0.3 * stock
+
+
+@pytest.mark.parametrize("name", [*OTHERS, "drive_p00_us06"])
+def test_the_deviation_of_a_stock_model_holds_the_truth(panasonic, name):
+    found = replay(
+        named_model("nmc-18650", PANASONIC_AH),
+        panasonic(name),
+        reference_soc0=1.0,
+        reference_capacity_Ah=2.997,
+    )
+    assert found.to_dict()["coverage_2sigma"] > 0.9
+
+
+@pytest.mark.parametrize(("start", "end"), [(0.9, 0.7), (0.66, 0.46), (0.4, 0.2)])
+def test_a_drive_cut_out_of_its_middle_is_placed_within_its_deviation(panasonic, start, end):
+    whole = panasonic("drive_p25_nn")
+    soc = 1.0 - whole.counted_charge_Ah() / 2.997
+    rows = np.flatnonzero((soc < start) & (soc > end))
+    part = whole.part(int(rows[0]), int(rows[-1]))
+    settings = IdentifySettings(nominal_Ah=PANASONIC_AH, prior=stock_model("nmc-18650"))
+    found = identify_cell(TestLogs(drive=((part, None),)), settings)
+    trace = replay(found.model, part).trace
+    away = np.abs(trace.soc - soc[rows[0] : rows[-1]]) / trace.soc_std
+    assert np.median(away) < 2.0
+
+
+def leaf_drives(folder, month):
+    """Mean cell of each segment of a month, 5 s rows, of at least some minutes."""
+    for path in sorted((folder / "leaf_pack").glob(f"leaf_2017{month}*.parquet")):
+        table = pq.read_table(path)
+        column = {n: table[n].to_numpy().astype(float) for n in table.column_names if "cell_" in n}
+        mean = np.mean(list(column.values()), axis=0) / 1000.0
+        time_s, current = table["time_s"].to_numpy(), table["current_A"].to_numpy()
+        warm = np.mean([table[f"temperature_{k}_C"].to_numpy() for k in (1, 2, 4)], axis=0)
+        segment = table["segment"].to_numpy()
+        for number in np.unique(segment):
+            rows = np.flatnonzero((segment == number) & np.isfinite(mean) & np.isfinite(current))
+            if rows.size >= 80:
+                yield CellLog(
+                    time_s=time_s[rows].astype(float) - float(time_s[rows[0]]),
+                    current_A=current[rows],
+                    voltage_V=mean[rows],
+                    temperature_C=warm[rows],
+                    name=f"{path.stem}_{number}",
+                )
+
+
+@pytest.fixture(scope="module")
+def leaf(real_data):
+    """A car's pack from the laboratory's cell of the kind, and June's drives."""
+    june = tuple((log, None) for log in leaf_drives(real_data, "06"))
+    settings = IdentifySettings(nominal_Ah=65.0, prior=stock_model("lmo-pouch"))
+    return identify_cell(TestLogs(drive=june), settings)
+
+
+def test_a_month_of_driving_holds_for_the_other_months(leaf, real_data):
+    (low, high), *_ = leaf.model.provenance["prior"]["seen"]["soc"]
+    grid = np.linspace(0.02, 0.98, 97)
+    errors = {month: [] for month in MONTHS}
+    for month in MONTHS:
+        for log in leaf_drives(real_data, month):
+            soc0, _ = best_start_soc(leaf.model, log, grid)
+            found = simulate(leaf.model, log, soc0)
+            inside = (found.soc >= low) & (found.soc <= high)
+            errors[month].append(found.error_V[inside])
+    rmse = {m: float(np.sqrt(np.mean(np.concatenate(e) ** 2))) for m, e in errors.items()}
+    assert max(rmse.values()) < 0.012, rmse
+    assert rmse["05"] < 0.008, rmse
+
+
+def test_the_aged_pack_is_smaller_than_new(leaf):
+    # 54.4 Ah by the car's own estimate of that month, no reference but the only one there is.
+    found = leaf.model.provenance["prior"]["capacity_std_Ah"]
+    assert abs(leaf.model.capacity_Ah - 54.4) < 2.5 * found
+    assert leaf.model.capacity_Ah < 62.0
