@@ -123,6 +123,10 @@ def print_identification(found: Identification) -> None:
     ]
     columns = ("log (fitted on it)", "RMSE mV", "MAE mV", "max mV", "RMSE above 10 % SOC")
     printing.table(f"{found.model!r}", columns, rows)
+    known = {k: v for k, v in found.model.validity.to_dict().items() if v is not None}
+    printing.say(
+        "valid for " + ", ".join(f"{k} {v[0]:.3g} to {v[1]:.3g}" for k, v in known.items())
+    )
     for notice in found.notices:
         printing.say(f"  ! {notice}")
     printing.say(f"{found.seconds:.1f} s")
