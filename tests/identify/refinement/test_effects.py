@@ -1,0 +1,73 @@
+"""Effects are accepted where a cell has them, on drives held out, and refused where it has not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cellwise.identify.refinement.effects import LEAST_DRIVES, decide, held_out
+from cellwise.identify.refinement.problem import RefineSettings
+from cellwise.identify.refinement.refine_data import RefineLog
+from refine_cases import CAPACITY_AH, Truth, _branch, constant, log_of, pulse_current, start_tables
+from synthetic import drive_current
+
+SLOW = (constant(0.020), constant(90.0))
+TRUTH = Truth(pairs=((constant(0.030), constant(6.0)), SLOW))
+SHARP_PER_V = 25.0
+
+
+def with_charge_transfer(log, soc):
+    """The voltage of `TRUTH` with the fast branch on asinh instead of on a resistance."""
+    r1, tau1 = TRUTH.pairs[0]
+    decay = np.exp(-log.interval_s / tau1(soc))
+    linear = _branch(decay, r1(soc) * log.current_A)
+    law = np.arcsinh(SHARP_PER_V * r1(soc) * log.current_A) / SHARP_PER_V
+    return replace(log, voltage_V=log.voltage_V + linear - _branch(decay, law))
+
+
+def logs_of(change=None):
+    rng = np.random.default_rng(11)
+    found = []
+    drives = [drive_current(2500, 1.0, 9.0, np.random.default_rng(k)) for k in (1, 2, 3)]
+    for k, current in enumerate([pulse_current(), *drives]):
+        log, soc = log_of(current, TRUTH, noise=5e-4, rng=rng)
+        log = log if change is None else change(log, soc)
+        found.append(RefineLog(log, soc, skewed=k > 0, temperature_C=25.0))
+    return found
+
+
+def decided(logs):
+    settings = RefineSettings(branches=2, skew=False)
+    found = decide(logs, start_tables(2, 1.2), settings, CAPACITY_AH, 25.0, np.array([25.0]))
+    return {d.name: d for d in found.decided}, found.result
+
+
+def test_a_charge_transfer_is_found_with_its_size():
+    verdicts, result = decided(logs_of(with_charge_transfer))
+    assert verdicts["charge_transfer"].accepted
+    assert verdicts["charge_transfer"].gain > 0.5
+    assert result.asinh_per_V == pytest.approx(SHARP_PER_V, rel=0.2)
+    assert not verdicts["surface_soc"].accepted
+
+
+def test_a_plain_cell_needs_none():
+    verdicts, result = decided(logs_of())
+    assert [d.name for d in verdicts.values() if d.accepted] == []
+    assert result.asinh_per_V == 0.0
+    assert all("held out" in d.reason for d in verdicts.values())
+
+
+def test_without_drives_to_hold_out_nothing_is_tried():
+    logs = logs_of()[:LEAST_DRIVES]
+    assert held_out(logs) == ()
+    verdicts, _ = decided(logs)
+    assert all(d.gain is None and "not tried" in d.reason for d in verdicts.values())
+
+
+def test_one_drive_of_each_temperature_with_several_is_held_out():
+    logs = logs_of()
+    cold = [replace(item, temperature_C=0.0) for item in logs[1:]]
+    assert held_out([*logs, *cold]) == (3, 6)
+    assert held_out([*logs, cold[0]]) == (3,)
