@@ -68,6 +68,11 @@ def test_elsewhere_the_prior_stands_and_is_marked(known):
     assert known.to_dict()["prior"]["name"] == "nmc-18650"
 
 
+def test_the_model_is_valid_where_its_own_data_have_been(known, flight):
+    assert known.model.validity.soc == pytest.approx((0.45, 0.65), abs=0.02)
+    assert known.model.validity.current_A[1] <= float(np.max(flight.current_A))
+
+
 def test_the_error_grows_from_what_was_seen_to_the_prior(known):
     error, stock = known.model.error, stock_model("nmc-18650").error
     # The drive ends where it ends; a fifth of the range further the prior's spread is back.
