@@ -123,7 +123,7 @@ def main() -> int:
             models[name] = model_of(name, RECIPES, arguments)
         soc, volt = ocv_spread(curves[recipe.class_])
         spread = {"soc": soc, "ocv_V": volt, "empty_V": empty, "ln_resistance": resistance}
-        text = as_text(stock(name, models[name], recipe, spread, arguments.data))
+        text = as_text(stock(name, models[name], recipe, spread))
         path = write_atomically(arguments.output / f"{name}.json", text)
         print(f"{path}: {len(text) / 1000:.0f} kB, spread {spread}")
     return 0
@@ -216,9 +216,7 @@ def resistance_spread(models: Sequence[CellModel]) -> float:
     return round(float(np.std(drops, ddof=1)), 3)
 
 
-def stock(
-    name: str, model: CellModel, recipe: Recipe, spread: Mapping[str, float], data: Path
-) -> CellModel:
+def stock(name: str, model: CellModel, recipe: Recipe, spread: Mapping[str, float]) -> CellModel:
     """The model thinned, with its source, what it is valid for, and the spread as its error."""
     with (HERE / "registry.toml").open("rb") as file:
         entry = next(o for o in tomllib.load(file)["original"] if o["name"] == recipe.original)
@@ -246,33 +244,13 @@ def stock(
             "stock": {
                 "name": name,
                 "source": {"original": recipe.original, **source, "logs": logs},
-                "validity": validity(recipe, data),
+                "validity": model.validity.to_dict(),
                 "spread": dict(spread),
                 "own_error_V": float(f"{np.median(own):.3g}"),
                 **({"prior": recipe.prior} if recipe.prior else {}),
             },
         },
     )
-
-
-def validity(recipe: Recipe, data: Path) -> dict[str, list[float]]:
-    """Temperatures and currents of the logs that the model is from; as C-rates, of any size."""
-    tests = tests_of(recipe, data)
-    logs = [*tests.hppc, *tests.drive, *((log, None) for log in (*tests.ocv, *tests.capacity))]
-    warm, rates = [], []
-    for log, stated in logs:
-        measured = log.temperature_C
-        if stated is not None:
-            warm.append(stated)
-        elif measured is not None and np.any(np.isfinite(measured)):
-            warm += [float(t) for t in np.nanpercentile(measured, [1.0, 99.0])]
-        known = log.known_current_A() / recipe.nominal_Ah
-        rates += [float(np.min(known)), float(np.max(known))]
-    return {
-        "soc": [0.0, 1.0],
-        "temperature_C": [round(min(warm), 1), round(max(warm), 1)],
-        "c_rate": [round(min(rates), 2), round(max(rates), 2)],
-    }
 
 
 def thinned(model: CellModel) -> CellModel:

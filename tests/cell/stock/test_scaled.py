@@ -36,6 +36,15 @@ def test_scaling_there_and_back_changes_nothing():
     assert again.capacity_Ah == model.capacity_Ah
 
 
+def test_the_currents_of_its_data_grow_with_the_cell():
+    model = stock_model("nmc-18650")
+    low, high = model.validity.current_A
+    scaled = scaled_model(model, 2.0 * model.capacity_Ah).validity
+    assert scaled.current_A == pytest.approx((2.0 * low, 2.0 * high))
+    assert scaled.soc == model.validity.soc
+    assert scaled.temperature_C == model.validity.temperature_C
+
+
 @pytest.mark.parametrize("capacity", [0.0, -5.2, float("nan"), float("inf")])
 def test_a_capacity_that_no_cell_has_is_refused(capacity):
     with pytest.raises(InputError, match="Ah"):

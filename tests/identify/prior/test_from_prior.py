@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import CAPACITY_AH, drive_of, other_cell
 
 from cellwise.cell.initial_soc import initial_soc
 from cellwise.cell.simulate import simulate
@@ -15,6 +14,7 @@ from cellwise.errors import InputError
 from cellwise.estimate.replay import replay
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell
 from cellwise.logs.cell_log import CellLog
+from prior_cells import CAPACITY_AH, drive_of, other_cell
 
 SETTINGS = IdentifySettings(nominal_Ah=CAPACITY_AH)
 PRIOR = replace(SETTINGS, prior=stock_model("nmc-18650"))
@@ -66,6 +66,11 @@ def test_elsewhere_the_prior_stands_and_is_marked(known):
     assert [s[0] for s in unseen] == pytest.approx([0.0, 0.65], abs=0.05)
     assert any("the model is the prior nmc-18650" in n for n in known.notices)
     assert known.to_dict()["prior"]["name"] == "nmc-18650"
+
+
+def test_the_model_is_valid_where_its_own_data_have_been(known, flight):
+    assert known.model.validity.soc == pytest.approx((0.45, 0.65), abs=0.02)
+    assert known.model.validity.current_A[1] <= float(np.max(flight.current_A))
 
 
 def test_the_error_grows_from_what_was_seen_to_the_prior(known):

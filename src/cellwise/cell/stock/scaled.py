@@ -8,6 +8,7 @@ import numpy as np
 
 from cellwise.cell.effects import Effect, SelfDischarge, SelfHeating, SlowDiffusion
 from cellwise.cell.model import CellModel
+from cellwise.cell.plausibility.validity import Validity
 from cellwise.errors import InputError
 
 
@@ -39,8 +40,16 @@ def scaled_model(model: CellModel, capacity_Ah: float) -> CellModel:
         r1_ohm=share * model.r1_ohm,
         r2_ohm=share * model.r2_ohm,
         effects=tuple(_scaled(effect, share) for effect in model.effects),
+        validity=_scaled_validity(model.validity, share),
         provenance={**model.provenance, "scaled_from_Ah": float(model.capacity_Ah)},
     )
+
+
+def _scaled_validity(validity: Validity, share: float) -> Validity:
+    if validity.current_A is None:
+        return validity
+    low, high = validity.current_A
+    return replace(validity, current_A=(low / share, high / share))
 
 
 def _scaled(effect: Effect, share: float) -> Effect:

@@ -13,6 +13,7 @@ from cellwise.cell.initial_soc import STATED_STD, initial_soc
 from cellwise.cell.metrics import error_metrics
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import in_order
+from cellwise.cell.plausibility.validity import Validity
 from cellwise.cell.simulate import best_start_soc
 from cellwise.errors import InputError
 from cellwise.identify.capacity.capacity_choice import capacity_choices, choose_capacity
@@ -29,6 +30,7 @@ from cellwise.identify.identification import (
     REFERENCE_C,
     Identification,
     IdentifySettings,
+    OwnLog,
     TemperatureResult,
     TestLogs,
 )
@@ -39,6 +41,7 @@ from cellwise.identify.prior.corrections import Corrections
 from cellwise.identify.prior.seen import error_of, notices_of, seen_by
 from cellwise.identify.prior.update import PriorLog, update_from
 from cellwise.identify.refinement.refine_stage import Start
+from cellwise.identify.validity import joined, log_validity
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
@@ -164,6 +167,7 @@ def identify_from_prior(
         for item, soc0 in zip(items, found.soc0, strict=True)
     ]
     own = simulate_back(model, tests, curve, starts)
+    model = replace(model, validity=joined(_covered(o) for o in own))
     sims = tuple(o.simulation for o in own)
     fit = error_metrics(np.concatenate([o.compared_V for o in own]))
     notices = [
@@ -205,6 +209,14 @@ def identify_from_prior(
         notices=tuple(dict.fromkeys(notices)),
         seconds=seconds,
     )
+
+
+def _covered(own: OwnLog) -> Validity:
+    """What one log covered with the rows that were compared: of the prior's data nothing."""
+    log, soc = own.simulation.log, own.simulation.soc
+    if own.compared is None:
+        return log_validity(log, soc)
+    return log_validity(log.rows(own.compared), soc[own.compared])
 
 
 def _capacity(
