@@ -116,6 +116,12 @@ def refine_cell(
                 )
                 continue
             soc = anchor.soc - log.counted_charge_Ah() / capacity_Ah
+            if part is not None and not np.any(part & (soc >= 0.0) & np.isfinite(log.voltage_V)):
+                notices.append(
+                    f"'{log.name}' left out of the refinement: its discharge would begin at SOC "
+                    f"{float(soc[np.argmax(part)]):.2f}"
+                )
+                continue
             notices.append(f"'{log.name}' begins at SOC {anchor.soc:.3f} ({anchor.how})")
             _note_outside(log, soc, capacity_Ah, notices)
             starts.append(Start(log, anchor.soc, part))
