@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-
 from prior_cells import drive_of, other_cell
 
 

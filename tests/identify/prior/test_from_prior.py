@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from prior_cells import CAPACITY_AH, drive_of, other_cell
 
 from cellwise.cell.initial_soc import initial_soc
 from cellwise.cell.simulate import simulate
@@ -14,7 +15,6 @@ from cellwise.errors import InputError
 from cellwise.estimate.replay import replay
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell
 from cellwise.logs.cell_log import CellLog
-from prior_cells import CAPACITY_AH, drive_of, other_cell
 
 SETTINGS = IdentifySettings(nominal_Ah=CAPACITY_AH)
 PRIOR = replace(SETTINGS, prior=stock_model("nmc-18650"))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from prior_cells import CAPACITY_AH, drive_of, other_cell
 
 from cellwise.cell.stock.catalogue import named_model, stock_model
 from cellwise.identify.prior.corrections import Corrections
 from cellwise.identify.prior.update import PriorLog, update, update_from
-from prior_cells import CAPACITY_AH, drive_of, other_cell
 
 WINDOW = np.array([1.5, 4.5])
 
