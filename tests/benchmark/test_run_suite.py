@@ -193,7 +193,7 @@ def test_two_processes_find_what_one_finds(folder, found, tmp_path):
     for a, b in zip(found.rows, both.rows, strict=True):
         np.testing.assert_equal({**a, "ns_per_step": 0}, {**b, "ns_per_step": 0})
     missing = replace(suite, cells=(replace(suite.cells[0], model="filters.py"),))
-    with pytest.raises(InputError, match=r"cell 'cell'"):  # raised there, told here
+    with pytest.raises(InputError, match=r"filters\.py that is not JSON"):
         run_suite(missing, tmp_path / "bad", page=False, processes=2)
 
 

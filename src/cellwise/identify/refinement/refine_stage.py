@@ -47,6 +47,10 @@ SMOOTH_OF_SEVERAL = 0.003  # their logs are fitted worse, and what holds scales 
 REST_MOVES = 0.01  # of the capacity: what a test may move before its discharge begins
 LIKELY_FULL = 0.8
 FULL_STD = 0.01
+# Pulses alone leave a few rests to set against hundreds of rows of a low-rate test, whose SOC
+# suffers most from a current sensor that is off: hours of a small current.
+LIGHT = 0.8
+LEAST_INSIDE = 0.5  # of a test's discharge, else it began elsewhere
 
 
 class Start(NamedTuple):
@@ -102,10 +106,12 @@ def refine_cell(
     found = next((g.tables for g in groups if g.tables is not None), None)
     resistance = _rough_resistance(found, tests)
     anchors = {id(s.log): s.anchor for g in groups for s in g.pulse_sets}
+    driven = any(g.tests.drive for g in groups)
+    light = {id(log) for log in low_rate}
     logs: list[RefineLog] = []
     starts: list[Start] = []
     for g in groups:
-        for log, drive, part in _candidates(g, low_rate if g is groups[-1] else ()):
+        for log, drive, part in _candidates(g, low_rate if g is groups[-1] else (), driven):
             anchor = anchors.get(id(log)) or anchor_soc(log, ocv, capacity_Ah, resistance)
             if part is not None and log.soc0 is None and part.any():
                 anchor = _full_before(log, part, capacity_Ah, anchor)
@@ -116,7 +122,8 @@ def refine_cell(
                 )
                 continue
             soc = anchor.soc - log.counted_charge_Ah() / capacity_Ah
-            if part is not None and not np.any(part & (soc >= 0.0) & np.isfinite(log.voltage_V)):
+            inside = (soc >= 0.0) & np.isfinite(log.voltage_V)
+            if part is not None and np.mean(inside[part]) < LEAST_INSIDE:
                 notices.append(
                     f"'{log.name}' left out of the refinement: its discharge would begin at SOC "
                     f"{float(soc[np.argmax(part)]):.2f}"
@@ -132,6 +139,7 @@ def refine_cell(
                     skewed=drive,
                     h0=start_hysteresis(anchor.soc),
                     compare=part,
+                    weight=LIGHT if id(log) in light else 1.0,
                     temperature_C=g.temperature_C,
                 )
             )
@@ -168,27 +176,34 @@ def refine_cell(
     model = refined_model(result, start, capacity_Ah, plain.skew, hot)
     for effect in decision.effects:
         model = model.with_effect(effect)
-    model = replace(model, error=_error(result, float(np.median(model.r0_ohm))))
+    loaded = [item.compare is None for item in logs]
+    model = replace(model, error=_error(result, loaded, float(np.median(model.r0_ohm))))
     return Refined(model, result, tuple(starts), decision.decided)
 
 
 def _candidates(
-    group: Group, low_rate: Sequence[CellLog]
+    group: Group, low_rate: Sequence[CellLog], driven: bool
 ) -> list[tuple[CellLog, bool, BoolArray | None]]:
-    """Logs of a temperature, whether their current may lag, and the rows to compare (None: all)."""
+    """Logs of a temperature, whether their current may lag, and the rows to compare (None: all).
+
+    Where no drive is, the charges of capacity tests are the only long ones there are.
+    """
     found: list[tuple[CellLog, bool, BoolArray | None]] = []
     found += [(log, False, None) for log, _ in group.tests.hppc]
     found += [(log, True, None) for log, _ in group.tests.drive]
-    for log in (*low_rate, *group.tests.capacity):
+    for log in low_rate:
         part = discharge_rows(log)
         if part.any():
             found.append((log, False, part))
+    for log in group.tests.capacity:
+        part = discharge_rows(log) if driven else np.ones(len(log), dtype=np.bool_)
+        found.append((log, False, part))
     return found
 
 
 def _full_before(log: CellLog, part: BoolArray, capacity_Ah: float, anchor: SocAnchor) -> SocAnchor:
     """The start of a test that begins full: what SOC means is that its discharge begins at 1."""
-    first = int(np.argmax(part))
+    first = int(np.argmax(part & discharge_rows(log)))
     before = float(log.counted_charge_Ah()[first]) / capacity_Ah
     if abs(before) > REST_MOVES or anchor.soc < LIKELY_FULL:
         return anchor
@@ -299,9 +314,11 @@ def half_gap(ocv: OcvCurve, resistance: float, capacity_Ah: float) -> FloatArray
     return np.clip(0.5 * filled - polarisation, 0.0, 0.2)
 
 
-def _error(result: RefineResult, r0_ohm: float) -> ModelError:
+def _error(result: RefineResult, loaded: Sequence[bool], r0_ohm: float) -> ModelError:
+    """What a filter under load must expect: pulse tests and drives count, low-rate tests do not."""
     logs = [
         ResidualLog(p.time_s, p.soc[p.evaluate], p.current_A[p.evaluate], r)
-        for p, r in zip(result.logs, result.residual_V, strict=True)
+        for p, r, counts in zip(result.logs, result.residual_V, loaded, strict=True)
+        if counts
     ]
     return estimate_model_error(logs, r0_ohm)
