@@ -77,7 +77,8 @@ def test_a_capacity_that_is_10_per_cent_wrong(panasonic, factor):
     assert rmse < 0.032  # as above
     for one in found:
         value = one.trace.parameters().capacity_Ah.value
-        assert value == pytest.approx(REFERENCE_AH, rel=0.07)
+        # C/20 counted 2.997 Ah, the rests of the pulse test lie as if the cell held 2.841 Ah.
+        assert 0.96 * 2.841 < value < 1.03 * REFERENCE_AH
 
 
 def test_without_a_fault_it_is_hardly_worse_than_the_ekf(panasonic):

@@ -25,6 +25,7 @@ from cellwise.typing import FloatArray
 LEAST_RATIO = 2.0  # between neighbouring time constants, at every knot
 TAU_LIMITS_S = (0.05, 30_000.0)
 R_LIMITS_OHM = (1e-7, 10.0)
+LARGEST_DROP_V = 10.0  # of one resistance at 1C: where nothing was measured it may run up
 LARGEST_STEP = 0.7  # of a logarithm in one iteration: a factor of two
 LEAST_SIGMA_V = 2e-4
 # OCV between temperatures: what the entropy of intercalation leaves room for.
@@ -355,6 +356,7 @@ class Problem:
         lay = self.layout
         theta = theta.copy()
         low, high = np.log(R_LIMITS_OHM)
+        high = min(high, np.log(LARGEST_DROP_V * 3600.0 / self.charge_As))
         for at in (lay.r0, *(lay.r(j) for j in range(lay.branches))):
             block = theta[at : at + lay.block]
             np.clip(block, low, high, out=block)
