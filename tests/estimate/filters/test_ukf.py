@@ -6,14 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from filterpy.kalman import KalmanFilter
-from scipy.stats import norm
 from test_ekf_oracle import (
     OPEN_GATE,
-    covariance_of,
+    assert_is_the_kalman_filter,
     difficult_log,
     kalman_log,
-    mean_of,
 )
 
 from cellwise.cell.effects import (
@@ -85,40 +82,10 @@ def test_it_agrees_with_filterpy_whatever_the_effects(effects):
 
 @pytest.mark.parametrize("points", POINTS)
 def test_on_a_linear_cell_it_is_the_kalman_filter(points):
-    """Mean, covariance and likelihood."""
-    model = linear_cell(effects=(SlowDiffusion(0.02, 700.0),))
-    noise = Noise(current_A=0.03, voltage_V=0.01, slow_s=0.0, gate=OPEN_GATE, mismatch_cap=0.0)
-    log = kalman_log(model)
-    ukf = Ukf(model, noise, points)
-    state = ukf.init(0.5, 0.1)
-    kf = KalmanFilter(dim_x=4, dim_z=1, dim_u=1)
-    kf.x = np.array([0.5, 0.0, 0.0, 0.0])
-    r, tau = np.array([0.012, 0.020, 0.02]), np.array([7.0, 90.0, 700.0])
-    kf.P = np.diag([0.01, *(0.005**2 + (0.1 * 3.0 * r) ** 2)])
-    kf.H = np.array([[0.9, -1.0, -1.0, -1.0]])
-    likelihood = [0.0, 0.0]
-    for k, (dt, current) in enumerate(zip(log.interval_s, log.current_A, strict=True)):
-        a = np.exp(-dt / tau)
-        drive = np.array([-dt / (3600 * 3.0), *(r * (1 - a))])
-        share = (noise.branch_share * current * r) ** 2 * (1 - a**2)
-        walk = (noise.soc_per_sqrt_h / 60) ** 2 * dt
-        kf.predict(
-            u=np.array([current]),
-            B=drive[:, None],
-            F=np.diag([1.0, *a]),
-            Q=noise.current_A**2 * np.outer(drive, drive) + np.diag([walk, *share]),
-        )
-        one = noise.voltage_V**2 + float(model.error.at(0.5)) ** 2 + (noise.ocv_soc * 0.9) ** 2
-        drops = abs(0.030 * current) + np.abs(kf.x[1:]).sum()
-        one += (noise.branch_share * drops) ** 2 + (noise.current_A * 0.030) ** 2
-        kf.update(np.array([log.voltage_V[k] - 3.2 + 0.030 * current]), R=np.array([[one]]))
-        state, info = ukf.step(state, current, log.voltage_V[k], dt_s=dt)
-        np.testing.assert_allclose(mean_of(state)[:4], kf.x.ravel(), atol=1e-10)
-        np.testing.assert_allclose(covariance_of(state)[:4, :4], kf.P, rtol=1e-7, atol=1e-12)
-        scale = np.sqrt(info.innovation_variance_V2)
-        likelihood[0] += norm.logpdf(info.innovation_V, scale=scale)
-        likelihood[1] += kf.log_likelihood
-    assert likelihood[0] == pytest.approx(likelihood[1], rel=1e-9)
+    assert_is_the_kalman_filter(
+        lambda model, noise: Ukf(model, noise, points),
+        mean=1e-10, covariance=1e-7, likelihood=1e-9,
+    )  # fmt: skip
 
 
 def test_on_a_linear_cell_it_is_the_ekf():

@@ -44,11 +44,16 @@ class Decided:
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """The refinement of all logs, the effects that were tried, and what the model has of them."""
+    """The refinement of all logs, the effects that were tried, and what the model has of them.
+
+    ``logs`` and ``settings`` are those of the refinement, the accepted effects in them.
+    """
 
     result: RefineResult
     decided: tuple[Decided, ...]
-    effects: tuple[Effect, ...] = ()
+    effects: tuple[Effect, ...]
+    logs: tuple[RefineLog, ...]
+    settings: RefineSettings
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +161,7 @@ def decide(
         drives = sum(item.skewed for item in logs)
         why = f"not tried: {drives} drive(s), {LEAST_DRIVES} are needed to hold one out"
         decided = tuple(Decided(n, False, None, why) for n in TRIED)
-        return Decision(judge.fit(logs, settings), decided)
+        return Decision(judge.fit(logs, settings), decided, (), tuple(logs), settings)
     best = judge.trial(logs, settings)
     last: dict[str, _Verdict] = {}
     candidates = _candidates(start, reference_C, grid_C.size > 1)
@@ -176,7 +181,8 @@ def decide(
                 refused[name] = changes
         candidates = refused if best is not before and len(refused) < len(candidates) else {}
     result = judge.fit(best.logs, best.settings, best.result.theta)
-    return Decision(result, tuple(v.decided(len(held)) for v in last.values()), best.effects)
+    decided = tuple(v.decided(len(held)) for v in last.values())
+    return Decision(result, decided, best.effects, best.logs, best.settings)
 
 
 Change = Callable[[Judge, _Trial], _Trial]

@@ -108,10 +108,11 @@ def refine_cell(
     anchors = {id(s.log): s.anchor for g in groups for s in g.pulse_sets}
     driven = any(g.tests.drive for g in groups)
     light = {id(log) for log in low_rate}
+    home = min(groups, key=lambda g: abs(g.temperature_C - REFERENCE_C))  # of low-rate tests
     logs: list[RefineLog] = []
     starts: list[Start] = []
     for g in groups:
-        for log, drive, part in _candidates(g, low_rate if g is groups[-1] else (), driven):
+        for log, drive, part in _candidates(g, low_rate if g is home else (), driven):
             anchor = anchors.get(id(log)) or anchor_soc(log, ocv, capacity_Ah, resistance)
             if part is not None and log.soc0 is None and part.any():
                 anchor = _full_before(log, part, capacity_Ah, anchor)
@@ -164,11 +165,11 @@ def refine_cell(
     reference = float(grid[int(np.argmin(np.abs(grid - REFERENCE_C)))])
     decision = decide(logs, start, plain, capacity_Ah, reference, grid)
     result = decision.result
-    loads = [item for item in logs if item.compare is None]
+    loads = [item for item in decision.logs if item.compare is None]
     alone = result
     if not several and len(loads) < len(logs):
         # Low-rate tests hold the OCV; what the loads alone say of it must not differ.
-        quick = replace(plain, iterations=QUICK_ITERATIONS)
+        quick = replace(decision.settings, iterations=QUICK_ITERATIONS)
         alone = refine(loads, start, settings=quick, capacity_Ah=capacity_Ah,
                        reference_C=reference, theta=result.theta, most_rows=QUICK_ROWS)  # fmt: skip
     _note_moved_ocv(alone, notices)
