@@ -54,7 +54,11 @@ def test_one_object_one_row_per_run(arguments, capsys):
     assert {r["fault"] for r in told["rows"]} == {"none", "offset +3 % of 1C", "temperature +3 K"}
     ekf = [r for r in told["rows"] if r["estimator"] == "ekf" and r["fault"] == "none"]
     assert {r["log"] for r in ekf} == {"nmc_drive_b", "nmc_flight from 70 %"}
-    assert all(r["settled_rmse"] < 0.02 for r in ekf)
+    # From a rest and full the SOC is known; from 70 % under load it is what the model's voltage
+    # allows, and the deviation has to say so.
+    whole = [r for r in ekf if r["log"] == "nmc_drive_b"]
+    assert all(r["settled_rmse"] < 0.005 for r in whole)
+    assert all(r["coverage_2sigma"] > 0.9 for r in ekf)
     never = [r for r in told["rows"] if r["estimator"] == "coulomb" and r["start_error"]]
     assert all(r["convergence_s"] is None for r in never)
 

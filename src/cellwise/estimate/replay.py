@@ -126,11 +126,11 @@ class Replay(Plottable, Tabular):
     @property
     def notices(self) -> tuple[str, ...]:
         """What a person should know, the most harmful first; those of reading the log last."""
-        found = soc_notices(self.log, self.trace.soc)
+        found = outside_notices(self.validity, self.log, self.trace.soc)
+        found += soc_notices(self.log, self.trace.soc)
         if np.any(np.isfinite(self.trace.voltage_V)):  # counting predicts none
             rejected = self.sums.rejected / len(self.trace)
             found += prediction_notices(self.log, self.voltage_rmse_V, rejected)
-        found += outside_notices(self.validity, self.log, self.trace.soc)
         return in_order(found, self.log.notices)
 
     def to_dict(self) -> dict[str, Any]:

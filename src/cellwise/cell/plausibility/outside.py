@@ -14,6 +14,7 @@ from cellwise.typing import FloatArray
 
 LEAST_ROWS = 3  # fewer are a sensor's spikes
 LEAST_SHARE = 1e-3
+OUTSIDE_V = 100.0  # above every voltage of a cell, below what makes all figures meaningless
 
 
 def outside_notices(validity: Validity, log: MeasuredLog, soc: FloatArray) -> list[Notice]:
@@ -33,7 +34,10 @@ def outside_notices(validity: Validity, log: MeasuredLog, soc: FloatArray) -> li
         f"'{log.name or 'the log'}' leaves what the model's data covered: {'; '.join(found)}. "
         "There the error is not validated and grows with the distance"
     )
-    return [Notice(math.inf, text)]  # first: every other figure is to be read with it
+    # First: every other figure is to be read with it. But a wrong cell or unit, too, drives SOC
+    # and current out of their ranges, and is then the cause: only a temperature stands by itself.
+    by_itself = "degC" in text
+    return [Notice(math.inf if by_itself else OUTSIDE_V, text)]
 
 
 def outside_moment(
