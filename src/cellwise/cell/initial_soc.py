@@ -1,19 +1,23 @@
-"""SOC at a log's first row when nobody says it: from a rest, else from a short fit."""
+"""SOC at a log's first row when nobody says it: a rest, a short fit, or the whole log."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cellwise.cell.effects import Hysteresis
+from cellwise.cell.compiled import announce
+from cellwise.cell.effects import Hysteresis, SlowDiffusion
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import (
     best_start_soc,
     check_soc0,
     known_temperature_C,
     model_temperature_C,
+    start_hysteresis,
 )
+from cellwise.cell.start_kernels import start_errors
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
@@ -25,6 +29,14 @@ STATED_STD = 0.005  # a start that is known: full and empty of two tests differ 
 # By how much a used cell's resistance differs from its model's; aged or cold ones by more.
 UNKNOWN_RESISTANCE = 0.3
 HALF_NORMAL = 0.8  # mean of a half normal distribution, in its deviations: sqrt(2 / pi)
+TOLD_STD = 0.02  # a start known better than this needs no more than the log's beginning
+PIECE = 0.02  # throughput over which the model's error hardly changes, in capacities
+INDEPENDENT_PIECES = 2.0  # of a whole log: one OCV and one capacity are wrong everywhere
+OUTLYING = 25.0  # no piece counts more than at five standard deviations
+BEYOND = 0.01  # how far a counter may run beyond full or empty
+MOST_ROWS = 400_000  # of a longer log the beginning tells enough
+COARSE, FINE = 51, 41  # starts tried over 0..1, then around the likeliest
+PAST_S = 600.0  # the load that an unknown past is taken to be like
 
 
 @dataclass(frozen=True)
@@ -47,12 +59,13 @@ def initial_soc(
     given_std: float = 0.15,
     *,
     likeliest: bool = False,
+    whole_log: bool = False,
 ) -> InitialSoc:
     """SOC at the first row of a log.
 
     Taken as given, else as the log states it (`CellLog.soc0`); else from the voltage of a rest at
     the log's start through the OCV; else from the SOC at which the simulation fits the log's first
-    minute best.
+    minute best. Where that leaves more than two points open, ``whole_log`` asks all of the log.
 
     Parameters
     ----------
@@ -60,6 +73,8 @@ def initial_soc(
     given_std : float         how sure that is
     likeliest : bool          under load, the SOC that fits best instead of the mean of all that
                               are possible: for a simulation, which has to be one of them
+    whole_log : bool          use the whole log where its beginning cannot tell (on a plateau, under
+                              load): not for what claims to work online
 
     Returns
     -------
@@ -81,8 +96,11 @@ def initial_soc(
         last = int(np.flatnonzero(np.isfinite(voltages))[-1])
         rest_s = float(log.time_s[last] - log.time_s[0])
         unfinished = SHORT_REST_V * np.exp(-rest_s / RELAXED_S)
-        return _from_rest(model, log, last, rest_s, unfinished)
-    return _from_first_minute(model, log, current, likeliest)
+        found = _from_rest(model, log, last, rest_s, unfinished)
+        flat = whole_log and found.std > TOLD_STD
+        return _from_whole_log(model, log, found, (0.0, unfinished)) if flat else found
+    found = _from_first_minute(model, log, current, likeliest)
+    return _from_whole_log(model, log, found, _past_V(model, log)) if whole_log else found
 
 
 def soc_of_ocv(
@@ -136,3 +154,80 @@ def _from_first_minute(
     inside = 0.0 if likeliest else min(HALF_NORMAL * std, 0.5)
     best = min(max(best, inside), 1.0 - inside)
     return InitialSoc(best, max(std, 0.01), f"fit of the first {head.duration_s:.0f} s under load")
+
+
+def _from_whole_log(
+    model: CellModel, log: CellLog, beginning: InitialSoc, past_V: tuple[float, float]
+) -> InitialSoc:
+    """The SOC from which all of the log is explained best, over every past that it may have had.
+
+    The squared error of a piece of 2 % throughput counts once, against the model's own claim and
+    the best fit; what an unknown past left in the slow states is a voltage that fades, integrated
+    over its normal distribution (``past_V``: mean and standard deviation).
+    """
+    log = log.part(0, min(len(log), MOST_ROWS))
+    if np.count_nonzero(np.isfinite(log.voltage_V)) < 2:
+        return beginning
+    grid = np.linspace(0.0, 1.0, COARSE)
+    best = float(grid[np.argmin(_start_cost(model, log, grid, past_V))])
+    step = 1.0 / (COARSE - 1)
+    near = np.linspace(max(0.0, best - step), min(1.0, best + step), FINE)
+    soc = np.union1d(grid, near)
+    cost = _start_cost(model, log, soc, past_V)
+    weight = np.exp(-0.5 * (cost - cost.min())) * np.gradient(soc)
+    mean = float(np.average(soc, weights=weight))
+    variance = float(np.average((soc - mean) ** 2, weights=weight))
+    likeliest = float(soc[np.argmin(cost)])
+    std = max(math.hypot(math.sqrt(variance), likeliest - mean), STATED_STD)
+    return InitialSoc(likeliest, std, f"fit of {log.duration_s / 3600.0:.2f} h")
+
+
+def _start_cost(
+    model: CellModel, log: CellLog, soc0: FloatArray, past_V: tuple[float, float]
+) -> FloatArray:
+    """Minus twice the log likelihood of every start, shape (m,)."""
+    charge = log.counted_charge_Ah() / model.capacity_Ah
+    moved = np.cumsum(np.abs(np.diff(charge, prepend=charge[0])))
+    piece = (moved / PIECE).astype(np.int64)
+    past = np.exp(-(log.time_s - log.time_s[0]) / RELAXED_S)
+    finite = np.isfinite(log.voltage_V)
+    pieces = int(piece[-1]) + 1
+    rows = np.bincount(piece[finite], minlength=pieces)
+    squares, products, known = (np.zeros((soc0.size, pieces)) for _ in range(3))
+    beyond = np.zeros(soc0.size)
+    announce(start_errors, "the initial SOC")
+    start_errors(
+        model.parameters(), soc0, np.array([start_hysteresis(s) for s in soc0]), log.interval_s,
+        log.known_current_A(), known_temperature_C(model, log), np.array(log.voltage_V), past,
+        piece, np.array(model.slow_error_V(np.linspace(0.0, 1.0, 101))), squares, products, known,
+        beyond,
+    )  # fmt: skip
+    seen = rows > 0
+    count = rows[seen]
+    left = np.bincount(piece[finite], past[finite] ** 2, minlength=pieces)[seen] / count
+    mean2, mixed = squares[:, seen] / count, products[:, seen] / count
+    best_V2 = float(np.min(np.sum(squares, axis=1))) / float(np.sum(rows))
+    variance = known[:, seen] / count + best_V2
+    share = min(1.0, INDEPENDENT_PIECES / count.size)
+    normal = np.linspace(-3.0, 3.0, 25)
+    costs = np.empty((normal.size, soc0.size))
+    gap_V = float(np.max(np.abs(np.asarray(model.effect(Hysteresis).m_V))))
+    for place, shift in enumerate(past_V[0] + normal * math.hypot(past_V[1], gap_V)):
+        error2 = mean2 - 2.0 * shift * mixed + shift**2 * left
+        costs[place] = share * np.sum(np.minimum(error2 / variance, OUTLYING), axis=1)
+    least = costs.min(axis=0)
+    prior = np.exp(-0.5 * normal**2)
+    likelihood = np.average(np.exp(-0.5 * (costs - least)), axis=0, weights=prior)
+    return np.asarray(least - 2.0 * np.log(likelihood) + (beyond / BEYOND) ** 2)
+
+
+def _past_V(model: CellModel, log: CellLog) -> tuple[float, float]:
+    """What the slow states may hold of a past that was like the first minutes of the log [V].
+
+    Between nothing (the load has just begun) and all of it: the middle, and half of the range.
+    """
+    cell = model.at_temperature(float(known_temperature_C(model, log)[0]))
+    slow_ohm = float(np.median(np.asarray(cell.effect(SlowDiffusion).r3_ohm)))
+    early = log.time_s <= log.time_s[0] + PAST_S
+    full_V = -slow_ohm * float(np.mean(log.known_current_A()[early]))
+    return 0.5 * full_V, math.hypot(SHORT_REST_V, full_V)

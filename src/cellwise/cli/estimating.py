@@ -77,7 +77,7 @@ def run_simulate(arguments: argparse.Namespace) -> None:
     log = log_options.read(arguments.log, arguments)
     check_cells_in_series(model, log)
     given = log_options.start_of(log.soc0, log_options.parse_soc0(arguments.soc0))
-    start = initial_soc(model, log, given, likeliest=True)
+    start = initial_soc(model, log, given, likeliest=True, whole_log=True)
     simulate(model, log.part(0, 2), start.soc)  # compiles outside the clock
     began = time.perf_counter()
     found = simulate(model, log, start.soc)

@@ -199,7 +199,7 @@ def own_log_notices(
     done = {id(s.log) for s in simulations}
     for log in (*tests.ocv, *tests.capacity):
         if id(log) not in done:
-            s = simulate(model, log, initial_soc(model, log, likeliest=True).soc)
+            s = simulate(model, log, initial_soc(model, log, likeliest=True, whole_log=True).soc)
             if s.metrics.rmse_V >= LARGE_RMSE_V:
                 found += error_notices(log, s.error_V, s.soc)
     return found
