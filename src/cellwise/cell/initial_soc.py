@@ -29,12 +29,12 @@ STATED_STD = 0.005  # a start that is known: full and empty of two tests differ 
 # By how much a used cell's resistance differs from its model's; aged or cold ones by more.
 UNKNOWN_RESISTANCE = 0.3
 HALF_NORMAL = 0.8  # mean of a half normal distribution, in its deviations: sqrt(2 / pi)
-TOLD_STD = 0.02  # a start known better than this needs no more than the log's beginning
+SURE_STD = 0.02  # a start known better than this needs no more than the beginning
 PIECE = 0.02  # throughput over which the model's error hardly changes, in capacities
 INDEPENDENT_PIECES = 2.0  # of a whole log: one OCV and one capacity are wrong everywhere
 OUTLYING = 25.0  # no piece counts more than at five standard deviations
 BEYOND = 0.01  # how far a counter may run beyond full or empty
-MOST_ROWS = 400_000  # of a longer log the beginning tells enough
+MOST_ROWS = 400_000  # of a longer log the beginning is enough
 COARSE, FINE = 51, 41  # starts tried over 0..1, then around the likeliest
 PAST_S = 600.0  # the load that an unknown past is taken to be like
 
@@ -73,7 +73,7 @@ def initial_soc(
     given_std : float         how sure that is
     likeliest : bool          under load, the SOC that fits best instead of the mean of all that
                               are possible: for a simulation, which has to be one of them
-    whole_log : bool          use the whole log where its beginning cannot tell (on a plateau, under
+    whole_log : bool          use the whole log where its beginning leaves it open (on a plateau, under
                               load): not for what claims to work online
 
     Returns
@@ -97,7 +97,7 @@ def initial_soc(
         rest_s = float(log.time_s[last] - log.time_s[0])
         unfinished = SHORT_REST_V * np.exp(-rest_s / RELAXED_S)
         found = _from_rest(model, log, last, rest_s, unfinished)
-        flat = whole_log and found.std > TOLD_STD
+        flat = whole_log and found.std > SURE_STD
         return _from_whole_log(model, log, found, (0.0, unfinished)) if flat else found
     found = _from_first_minute(model, log, current, likeliest)
     return _from_whole_log(model, log, found, _past_V(model, log)) if whole_log else found

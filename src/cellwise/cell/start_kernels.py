@@ -75,7 +75,7 @@ def start_errors(
     ----------
     soc0, h0 : (m,) float         SOC and hysteresis state of every start
     dt_s ... voltage_V : (n,)     the log's rows, as `simulate_rows` takes them
-    past : (n,) float             what is left of an unknown past, 1 at the first row
+    past : (n,) float             remaining share of an unknown past, 1 at the first row
     piece : (n,) int              number of the piece that a row belongs to
     slow_error_V : (k,) float     the model's persistent error over even SOC from 0 to 1 [V]
     squares_V2 : (m, pieces)      out: sum of the squared errors
