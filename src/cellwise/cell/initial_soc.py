@@ -73,7 +73,7 @@ def initial_soc(
     given_std : float         how sure that is
     likeliest : bool          under load, the SOC that fits best instead of the mean of all that
                               are possible: for a simulation, which has to be one of them
-    whole_log : bool          use the whole log where its beginning leaves it open (on a plateau, under
+    whole_log : bool          use the whole log where its beginning leaves it open (a plateau, a
                               load): not for what claims to work online
 
     Returns
