@@ -16,9 +16,14 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import in_order
 from cellwise.errors import InputError
 from cellwise.identify.assemble import GRID_POINTS, plain_model, table_summary
+from cellwise.identify.by_temperature import (
+    low_rate_tests,
+    nearest_test,
+    tests_by_temperature,
+    without_offsets,
+)
 from cellwise.identify.capacity.capacity_choice import capacity_choices, choose_capacity
 from cellwise.identify.capacity.capacity_test import CapacityTest, measure_capacities
-from cellwise.identify.capacity.current_offset import without_current_offset
 from cellwise.identify.capacity.hppc_capacity import whole_hppc_Ah
 from cellwise.identify.contradictions import (
     capacity_notices,
@@ -61,7 +66,6 @@ from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.sign import verify_sign
 
 Progress = Callable[[str], None]
-SAME_TEMPERATURE_C = 3.0
 FAR_FROM_NOMINAL = 2.5  # an aged cell keeps a third, a wrong unit is a thousand
 LARGEST_PULSE = 1.0 / 3.0  # of the capacity: a discharge beyond it has no parameters of one SOC
 
@@ -94,27 +98,25 @@ def identify_cell(
         return identify_from_prior(tests, settings, progress)
     default = REFERENCE_C if settings.temperature_C is None else settings.temperature_C
     found_wrong = contradictions(tests, default, settings.nominal_Ah)
-    low_rate, found_offset = without_current_offset(
-        tests.ocv, tests.capacity, nominal_Ah=settings.nominal_Ah
-    )
-    tests, notices = replace(tests, ocv=low_rate), [*found_offset]
+    tests, notices = without_offsets(tests, settings.nominal_Ah, default)
     say("capacity")
     caps, choice, capacity, measured = _capacity(tests, settings, notices)
     found_wrong += capacity_notices(tests, capacity, choice, settings.nominal_Ah)
     say("OCV")
-    ocv = _ocv(tests, capacity, notices)
+    low_rate = nearest_test(low_rate_tests(tests.ocv, default), default)
+    ocv = _ocv(replace(tests, ocv=low_rate), capacity, notices)
     found_wrong += rest_notices(tests, ocv, capacity)
     say("pulses")
     groups = [
         _group(temperature, part, ocv, capacity, settings)
-        for temperature, part in _by_temperature(tests, settings).items()
+        for temperature, part in tests_by_temperature(tests, settings).items()
     ]
     slow_rows = (slow_rows_notice(p.log, p.fitted) for g in groups for p in g.pulse_sets)
     notices.extend(notice for notice in slow_rows if notice)
     refined = None
     if settings.refine:
         say("refinement")
-        refined = refine_cell(groups, tests.ocv, ocv, capacity, settings, notices)
+        refined = refine_cell(groups, ocv, capacity, settings, notices)
         model = refined.model
     else:
         model = stack_models([_plain(g, ocv, capacity) for g in groups])
@@ -224,9 +226,9 @@ def _capacity(
 ) -> tuple[dict[str, float], str, float, tuple[CapacityTest, ...]]:
     """Every capacity choice, the one taken, and the tests behind them."""
     sources: list[CellLog | tuple[CellLog, ...]] = list(tests.capacity)
-    if tests.ocv:
-        # Low-rate logs are parts of one test: discharge, its last per cent, charge.
-        sources.insert(0, tests.ocv if len(tests.ocv) > 1 else tests.ocv[0])
+    default = REFERENCE_C if settings.temperature_C is None else settings.temperature_C
+    # Low-rate logs may be parts of one test: discharge, its last per cent, charge.
+    sources[:0] = low_rate_tests(tests.ocv, default)
     measured: tuple[CapacityTest, ...] = ()
     if sources:
         try:
@@ -246,8 +248,7 @@ def _capacity(
             "a capacity test, an HPPC log over the whole range, or a nominal capacity",
             "Add --capacity, --hppc or --nominal-ah.",
         )
-    temperature = REFERENCE_C if settings.temperature_C is None else settings.temperature_C
-    choices = capacity_choices(usable, settings.nominal_Ah, total, temperature_C=temperature)
+    choices = capacity_choices(usable, settings.nominal_Ah, total, temperature_C=default)
     choice, capacity = choose_capacity(choices, settings.capacity_choice)
     nominal = settings.nominal_Ah
     if nominal is not None and not 1.0 / FAR_FROM_NOMINAL < capacity / nominal < FAR_FROM_NOMINAL:
@@ -326,36 +327,6 @@ def _ocv_from_drives(tests: TestLogs, capacity: float, notices: list[str]) -> Oc
     return curve_from_points(
         np.array(points), np.array(level), capacity_Ah=capacity, source=f"drive {log.name}"
     )
-
-
-def _by_temperature(tests: TestLogs, settings: IdentifySettings) -> dict[float, TestLogs]:
-    """The logs by temperature: those given one, else by what they measured."""
-    default = REFERENCE_C if settings.temperature_C is None else settings.temperature_C
-    stated = [t for _, t in tests.hppc if t is not None]
-    anchors = sorted(
-        set(stated)
-        | {round(log_temperature_C(log, t, default)) * 1.0 for log, t in tests.hppc if t is None}
-    )
-    if not anchors:
-        anchors = [float(round(log_temperature_C(log, t, default))) for log, t in tests.drive[:1]]
-    merged: list[float] = []
-    for t in anchors:
-        if not merged or t - merged[-1] > SAME_TEMPERATURE_C or t in stated:
-            merged.append(t)
-
-    def nearest(item: tuple[CellLog, float | None]) -> float:
-        at = log_temperature_C(item[0], item[1], default)
-        return min(merged, key=lambda t: abs(t - at))
-
-    return {
-        t: TestLogs(
-            hppc=tuple(i for i in tests.hppc if nearest(i) == t),
-            drive=tuple(i for i in tests.drive if nearest(i) == t),
-            capacity=tests.capacity if t == min(merged, key=lambda x: abs(x - REFERENCE_C)) else (),
-            ocv=tests.ocv,
-        )
-        for t in merged
-    }
 
 
 def _pulse_set(

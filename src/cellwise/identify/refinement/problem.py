@@ -30,6 +30,9 @@ LARGEST_STEP = 0.7  # of a logarithm in one iteration: a factor of two
 LEAST_SIGMA_V = 2e-4
 # OCV between temperatures: what the entropy of intercalation leaves room for.
 ENTROPY_V_PER_K = 4e-4
+# Discharges alone cannot tell hysteresis from OCV: there the low-rate branches count, whose
+# polarisation is known to about a third.
+M_SHARE, LEAST_M_STD_V = 0.33, 0.003
 
 
 @dataclass(frozen=True)
@@ -250,6 +253,10 @@ class Problem:
         weight[lay.r0 : lay.m] = s.hold * sigma**2
         if lay.hysteresis:
             weight[lay.gamma] = 0.1 * sigma**2
+            if self.start.m_V is not None:
+                m = np.broadcast_to(self.start.m_V, (lay.temperatures, lay.knots)).ravel()
+                std = np.maximum(M_SHARE * m, LEAST_M_STD_V)
+                weight[lay.m : lay.m + lay.block] = (sigma / std) ** 2 / lay.knots
         fixed = 1e6 * sigma**2
         std = s.activation_std_K / ACTIVATION_UNIT_K
         known = std == 0 or lay.temperatures > 1

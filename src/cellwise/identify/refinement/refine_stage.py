@@ -87,7 +87,6 @@ class Group:
 
 def refine_cell(
     groups: Sequence[Group],
-    low_rate: Sequence[CellLog],
     ocv: OcvCurve,
     capacity_Ah: float,
     settings: IdentifySettings,
@@ -107,12 +106,11 @@ def refine_cell(
     resistance = _rough_resistance(found, tests)
     anchors = {id(s.log): s.anchor for g in groups for s in g.pulse_sets}
     driven = any(g.tests.drive for g in groups)
-    light = {id(log) for log in low_rate}
-    home = min(groups, key=lambda g: abs(g.temperature_C - REFERENCE_C))  # of low-rate tests
+    light = {id(log) for g in groups for log in g.tests.ocv}
     logs: list[RefineLog] = []
     starts: list[Start] = []
     for g in groups:
-        for log, drive, part in _candidates(g, low_rate if g is home else (), driven):
+        for log, drive, part in _candidates(g, driven):
             anchor = anchors.get(id(log)) or anchor_soc(log, ocv, capacity_Ah, resistance)
             if part is not None and log.soc0 is None and part.any():
                 anchor = _full_before(log, part, capacity_Ah, anchor)
@@ -182,9 +180,7 @@ def refine_cell(
     return Refined(model, result, tuple(starts), decision.decided)
 
 
-def _candidates(
-    group: Group, low_rate: Sequence[CellLog], driven: bool
-) -> list[tuple[CellLog, bool, BoolArray | None]]:
+def _candidates(group: Group, driven: bool) -> list[tuple[CellLog, bool, BoolArray | None]]:
     """Logs of a temperature, whether their current may lag, and the rows to compare (None: all).
 
     Where no drive is, the charges of capacity tests are the only long ones there are.
@@ -192,7 +188,7 @@ def _candidates(
     found: list[tuple[CellLog, bool, BoolArray | None]] = []
     found += [(log, False, None) for log, _ in group.tests.hppc]
     found += [(log, True, None) for log, _ in group.tests.drive]
-    for log in low_rate:
+    for log in group.tests.ocv:
         part = discharge_rows(log)
         if part.any():
             found.append((log, False, part))

@@ -1,0 +1,154 @@
+"""Which tests belong together: low-rate tests of one temperature, and all tests by temperature."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from cellwise.errors import InputError
+from cellwise.identify.capacity.current_offset import without_current_offset
+from cellwise.identify.capacity.half_cycles import find_half_cycles, join_logs
+from cellwise.identify.identification import (
+    REFERENCE_C,
+    IdentifySettings,
+    TestLogs,
+    log_temperature_C,
+)
+from cellwise.logs.cell_log import CellLog
+
+SAME_TEMPERATURE_C = 3.0
+OWN_TABLES_C = 5.0  # without pulses: logs nearer than this share their tables
+WHOLE = 0.5  # of the largest discharge: the last per cent of a test is not a test of its own
+
+LowRateTest = tuple[CellLog, ...]
+
+
+def low_rate_tests(logs: Sequence[CellLog], default_C: float = REFERENCE_C) -> list[LowRateTest]:
+    """Low-rate logs by test, in the order given.
+
+    A test may come in parts (discharge, its last per cent at another temperature, charge). The next
+    one begins where a whole discharge at another temperature does.
+    """
+    sizes = [_discharged_Ah(log) for log in logs]
+    most = max(sizes, default=0.0)
+    found: list[list[CellLog]] = []
+    head_C = default_C
+    for log, size in zip(logs, sizes, strict=True):
+        at = log_temperature_C(log, None, default_C)
+        whole = most > 0.0 and size >= WHOLE * most
+        if not found or (whole and abs(at - head_C) > SAME_TEMPERATURE_C):
+            found.append([log])
+            head_C = at
+        else:
+            found[-1].append(log)
+    return [tuple(test) for test in found]
+
+
+def nearest_test(tests: Sequence[LowRateTest], temperature_C: float) -> LowRateTest:
+    """The low-rate test whose temperature is nearest; nothing without one."""
+    return min(
+        tests,
+        key=lambda t: abs(log_temperature_C(t[0], None, temperature_C) - temperature_C),
+        default=(),
+    )
+
+
+def without_offsets(
+    tests: TestLogs, nominal_Ah: float | None, default_C: float
+) -> tuple[TestLogs, list[str]]:
+    """The tests with the current sensor's offset taken out of each low-rate test that shows one.
+
+    A capacity test confirms the offset of a low-rate test of its own temperature only.
+    """
+    corrected: list[CellLog] = []
+    notices: list[str] = []
+    for test in low_rate_tests(tests.ocv, default_C):
+        at = log_temperature_C(test[0], None, default_C)
+        alike = [
+            log
+            for log in tests.capacity
+            if abs(log_temperature_C(log, None, default_C) - at) <= OWN_TABLES_C
+        ]
+        logs, found = without_current_offset(test, alike, nominal_Ah=nominal_Ah)
+        corrected += logs
+        notices += found
+    return replace(tests, ocv=tuple(corrected)), notices
+
+
+def tests_by_temperature(tests: TestLogs, settings: IdentifySettings) -> dict[float, TestLogs]:
+    """The logs by temperature: those given one, else by what they measured.
+
+    HPPC logs say at which temperatures tables are made; without one the low-rate tests, the drives
+    and the capacity tests do, in this order.
+    """
+    default = REFERENCE_C if settings.temperature_C is None else settings.temperature_C
+
+    merged = _of_pulses(tests, default) if tests.hppc else _of_all(tests, default)
+    home = min(merged, key=lambda x: abs(x - REFERENCE_C))
+
+    def nearest(at: float) -> float:
+        return min(merged, key=lambda t: abs(t - at))
+
+    def steady(log: CellLog) -> float:
+        # Beside pulses the low-rate and capacity tests are those of the reference temperature.
+        return home if tests.hppc else nearest(log_temperature_C(log, None, default))
+
+    low_rate = {
+        id(log): steady(test[0]) for test in low_rate_tests(tests.ocv, default) for log in test
+    }
+    return {
+        t: TestLogs(
+            hppc=tuple(
+                (log, at)
+                for log, at in tests.hppc
+                if nearest(log_temperature_C(log, at, default)) == t
+            ),
+            drive=tuple(
+                (log, at)
+                for log, at in tests.drive
+                if nearest(log_temperature_C(log, at, default)) == t
+            ),
+            capacity=tuple(log for log in tests.capacity if steady(log) == t),
+            ocv=tuple(log for log in tests.ocv if low_rate[id(log)] == t),
+        )
+        for t in merged
+    }
+
+
+def _of_pulses(tests: TestLogs, default_C: float) -> list[float]:
+    """Temperatures of the HPPC logs; measured ones that are alike are one."""
+    stated = {t for _, t in tests.hppc if t is not None}
+    measured = {
+        float(round(log_temperature_C(log, t, default_C))) for log, t in tests.hppc if t is None
+    }
+    merged: list[float] = []
+    for t in sorted(stated | measured):
+        if not merged or t - merged[-1] > SAME_TEMPERATURE_C or t in stated:
+            merged.append(t)
+    return merged
+
+
+def _of_all(tests: TestLogs, default_C: float) -> list[float]:
+    """Temperatures of the low-rate tests, and of the drives and capacity tests between them."""
+    known: list[tuple[CellLog, float | None]] = [
+        *((test[0], None) for test in low_rate_tests(tests.ocv, default_C)),
+        *tests.drive,
+        *((log, None) for log in tests.capacity),
+    ]
+    merged: list[float] = []
+    for log, stated in known:
+        if stated is None and log.temperature_C is None and merged:
+            continue  # nothing is known of it
+        at = float(round(log_temperature_C(log, stated, default_C)))
+        if all(abs(at - t) > OWN_TABLES_C for t in merged):
+            merged.append(at)
+    return sorted(merged)
+
+
+def _discharged_Ah(log: CellLog) -> float:
+    """The largest discharge of a log [Ah]."""
+    try:
+        halves = find_half_cycles(join_logs(log))
+    except InputError:
+        return 0.0
+    return max((h.charge_Ah for h in halves), default=0.0)
