@@ -19,6 +19,7 @@ from cellwise.typing import FloatArray, IndexArray
 TRIED = ("charge_transfer", "surface_soc", "self_heating")
 LEAST_GAIN = 0.02  # of the held-out RMSE: less is not worth a parameter
 LEAST_DRIVES = 3  # below, nothing can be held out
+LEAST_LOADS = 3  # of one temperature, where drives are too few
 QUICK_ROWS = 800  # compared of one log while effects are compared
 QUICK_ITERATIONS = 12
 BLOCK_S = 120.0
@@ -223,11 +224,30 @@ def _candidates(
 
 
 def held_out(logs: Sequence[RefineLog]) -> tuple[int, ...]:
-    """Drives to hold out: the last of every temperature that has two and more."""
+    """Logs to hold out: the last drive of every temperature that has two and more.
+
+    Where no temperature has two, every second drive by temperature. Where drives are too few, one
+    discharge of every temperature that has three and more loads, in turn of another rate.
+    """
     drives = [k for k, item in enumerate(logs) if item.skewed]
-    if len(drives) < LEAST_DRIVES:
-        return ()
-    by_temperature: dict[float | None, list[int]] = {}
-    for k in drives:
-        by_temperature.setdefault(logs[k].temperature_C, []).append(k)
-    return tuple(group[-1] for group in by_temperature.values() if len(group) > 1)
+    if len(drives) >= LEAST_DRIVES:
+        groups = _by_temperature(logs, drives)
+        found = tuple(g[-1] for g in groups.values() if len(g) > 1)
+        return found or tuple(groups[t][0] for t in sorted(groups, key=lambda t: t or 0.0)[1::2])
+    steady = [k for k, item in enumerate(logs) if not item.skewed and item.weight >= 1.0]
+    rates = {k: float(np.max(logs[k].log.known_current_A())) for k in steady}
+    groups = _by_temperature(logs, [*drives, *steady])
+    several = [sorted(set(g) - set(drives), key=rates.__getitem__) for g in groups.values()]
+    several = [g for g, all_ in zip(several, groups.values(), strict=True)
+               if len(all_) >= LEAST_LOADS and len(g) > 1]  # fmt: skip
+    return tuple(g[-1 - turn % 2] for turn, g in enumerate(several))
+
+
+def _by_temperature(
+    logs: Sequence[RefineLog], which: Sequence[int]
+) -> dict[float | None, list[int]]:
+    """Numbers of the logs of every temperature."""
+    found: dict[float | None, list[int]] = {}
+    for k in which:
+        found.setdefault(logs[k].temperature_C, []).append(k)
+    return found

@@ -50,6 +50,7 @@ FULL_STD = 0.01
 # Pulses alone leave a few rests to set against hundreds of rows of a low-rate test, whose SOC
 # suffers most from a current sensor that is off: hours of a small current.
 LIGHT = 0.8
+DEEP = 0.3  # of the capacity: what a drive must move to show every SOC under load and at rest
 LEAST_INSIDE = 0.5  # of a test's discharge, else it began elsewhere
 
 
@@ -105,7 +106,7 @@ def refine_cell(
     found = next((g.tables for g in groups if g.tables is not None), None)
     resistance = _rough_resistance(found, tests)
     anchors = {id(s.log): s.anchor for g in groups for s in g.pulse_sets}
-    driven = any(g.tests.drive for g in groups)
+    driven = any(_is_deep(log, capacity_Ah) for g in groups for log, _ in g.tests.drive)
     light = {id(log) for g in groups for log in g.tests.ocv}
     logs: list[RefineLog] = []
     starts: list[Start] = []
@@ -183,7 +184,7 @@ def refine_cell(
 def _candidates(group: Group, driven: bool) -> list[tuple[CellLog, bool, BoolArray | None]]:
     """Logs of a temperature, whether their current may lag, and the rows to compare (None: all).
 
-    Where no drive is, the charges of capacity tests are the only long ones there are.
+    Where no drive goes deep, the charges and rests of capacity tests are the only ones there are.
     """
     found: list[tuple[CellLog, bool, BoolArray | None]] = []
     found += [(log, False, None) for log, _ in group.tests.hppc]
@@ -196,6 +197,10 @@ def _candidates(group: Group, driven: bool) -> list[tuple[CellLog, bool, BoolArr
         part = discharge_rows(log) if driven else np.ones(len(log), dtype=np.bool_)
         found.append((log, False, part))
     return found
+
+
+def _is_deep(log: CellLog, capacity_Ah: float) -> bool:
+    return float(np.ptp(log.counted_charge_Ah())) >= DEEP * capacity_Ah
 
 
 def _full_before(log: CellLog, part: BoolArray, capacity_Ah: float, anchor: SocAnchor) -> SocAnchor:
