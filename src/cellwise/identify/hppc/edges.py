@@ -1,7 +1,7 @@
 """Current edges: where a tester switches from one level to another.
 
 Two detectors. :func:`ema_edges` is the published one, a difference of two exponential averages.
-:func:`robust_edges` is the default: it looks for *plateaus* (runs of rows at one level, as far as
+:func:`robust_edges` looks for *plateaus* (runs of rows at one level, as far as
 the noise allows) and calls the change between two plateaus an edge. A glitch of one sample is
 then no edge, a ramp over many samples is one, and the row is the first one whose interval carries
 the new current, at 135 Hz as well as at 60 s per row.

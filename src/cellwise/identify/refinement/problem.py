@@ -30,9 +30,6 @@ LARGEST_STEP = 0.7  # of a logarithm in one iteration: a factor of two
 LEAST_SIGMA_V = 2e-4
 # OCV between temperatures: what the entropy of intercalation leaves room for.
 ENTROPY_V_PER_K = 4e-4
-# Discharges alone cannot tell hysteresis from OCV: there the low-rate branches count, whose
-# polarisation is known to about a third.
-M_SHARE, LEAST_M_STD_V = 0.33, 0.003
 
 
 @dataclass(frozen=True)
@@ -76,7 +73,8 @@ class RefineSettings:
 class StartTables:
     """Where refinement starts: base OCV over SOC, and values at the table knots.
 
-    Every table has shape (knots,), or (temperatures, knots).
+    Every table has shape (knots,), or (temperatures, knots). ``m_std_V`` is how well hysteresis is
+    known beforehand; None: not at all.
     """
 
     ocv: Callable[[FloatArray], FloatArray]
@@ -84,6 +82,7 @@ class StartTables:
     r_ohm: tuple[FloatArray, ...]
     tau_s: tuple[FloatArray, ...]
     m_V: FloatArray | None = None
+    m_std_V: FloatArray | None = None
     gamma: float = 50.0
     asinh_per_V: float = 4.0
 
@@ -253,10 +252,9 @@ class Problem:
         weight[lay.r0 : lay.m] = s.hold * sigma**2
         if lay.hysteresis:
             weight[lay.gamma] = 0.1 * sigma**2
-            if self.start.m_V is not None:
-                m = np.broadcast_to(self.start.m_V, (lay.temperatures, lay.knots)).ravel()
-                std = np.maximum(M_SHARE * m, LEAST_M_STD_V)
-                weight[lay.m : lay.m + lay.block] = (sigma / std) ** 2 / lay.knots
+            if self.start.m_std_V is not None:
+                m_std = np.broadcast_to(self.start.m_std_V, (lay.temperatures, lay.knots)).ravel()
+                weight[lay.m : lay.m + lay.block] = (sigma / m_std) ** 2 / lay.knots
         fixed = 1e6 * sigma**2
         std = s.activation_std_K / ACTIVATION_UNIT_K
         known = std == 0 or lay.temperatures > 1

@@ -37,6 +37,9 @@ from cellwise.typing import BoolArray, FloatArray
 
 SLOW_FROM_S = 1800.0  # a log must be this long to show the slow branch
 HYSTERESIS_FROM_V = 0.004  # half gap between the low-rate branches, polarisation taken out
+# Discharges alone cannot separate hysteresis from OCV: there the low-rate branches count, whose
+# polarisation is known to about a third.
+M_SHARE, LEAST_M_STD_V = 0.33, 0.003
 LARGEST_SOC_ERROR = 0.05
 LARGEST_OCV_MOVE_V = 0.03
 OUTSIDE_SOC = 0.1
@@ -287,15 +290,19 @@ def _start(
     wanted = settings.hysteresis
     if wanted is None:
         wanted = half is not None and float(np.median(half)) > HYSTERESIS_FROM_V
-    m = None
-    if wanted:
-        m = np.full(at.size, 0.005) if half is None else np.interp(at, ocv.soc, half)
+    m = m_std = None
+    if wanted and half is None:
+        m = np.full(at.size, 0.005)
+    elif wanted and half is not None:
+        m = np.interp(at, ocv.soc, half)
+        m_std = np.maximum(M_SHARE * m, LEAST_M_STD_V)
     start = StartTables(
         ocv=ocv.function.evaluate,
         r0_ohm=r0,
         r_ohm=(on_knots("r1_ohm", 0.4 * resistance), r2, 0.5 * resistance * r0 / np.median(r0)),
         tau_s=(tau1, tau2, np.maximum(1200.0, 4.0 * tau2)),
         m_V=m,
+        m_std_V=m_std,
     )
     return start, wanted
 

@@ -11,6 +11,7 @@ from cellwise.report.identification.ocv_section import ocv_content, ocv_evidence
 from cellwise.report.identification.parameter_section import parameter_content, parameter_picture
 from cellwise.report.identification.provenance_section import provenance_content
 from cellwise.report.identification.pulse_section import pulse_content, pulse_picture, pulse_sets
+from cellwise.report.identification.scope_section import scope_content
 from cellwise.report.identification.simulation_section import (
     log_name,
     simulation_content,
@@ -97,6 +98,12 @@ def identify_sections(identification: Identification) -> tuple[Section, ...]:
                 (f"{log_name(s)}, measured and simulated", simulation_traces(s))
                 for s in identification.simulations
             ]
+        ),
+        Section(
+            "scope",
+            "What the model explains, and where it ends",
+            (scope_content(identification),),
+            "Scope",
         ),
         Section(
             "provenance",

@@ -8,7 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from cellwise.cell.effects import Hysteresis, SlowDiffusion, TemperatureDependence, TimeSkew
+from cellwise.cell.effects import (
+    ChargeTransfer,
+    Hysteresis,
+    SelfHeating,
+    SlowDiffusion,
+    SurfaceSoc,
+    TemperatureDependence,
+    TimeSkew,
+)
 from cellwise.identify.identification import Identification
 from cellwise.report.page.markup import Markup, details, escape, finite, table
 from cellwise.report.page.numerals import (
@@ -115,6 +123,18 @@ def _effect_rows(identification: Identification) -> list[tuple[object, ...]]:
     if TimeSkew.name in names:
         skew = model.effect(TimeSkew).skew_s
         rows.append(("sampling delay", f"{significant(skew)} s", "the drives", how, ""))
+    held_out = "accepted on logs held out"
+    if ChargeTransfer.name in names:
+        k = model.effect(ChargeTransfer).asinh_per_V
+        rows.append(("charge transfer", f"k = {significant(k)} / V", "the loads", held_out, ""))
+    if SurfaceSoc.name in names:
+        surface = model.effect(SurfaceSoc)
+        text = f"{percent(surface.depth_h)} of SOC at 1C, after {significant(surface.tau_s)} s"
+        rows.append(("surface SOC", text, "the loads", held_out, ""))
+    if SelfHeating.name in names:
+        heat = model.effect(SelfHeating)
+        text = f"{significant(heat.rth_K_per_W)} K/W, {significant(heat.thermal_s)} s"
+        rows.append(("self-heating", text, "the loads", held_out, ""))
     return rows
 
 
