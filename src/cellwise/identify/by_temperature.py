@@ -75,7 +75,7 @@ def without_offsets(
     return replace(tests, ocv=tuple(corrected)), notices
 
 
-def tests_by_temperature(tests: TestLogs, settings: IdentifySettings) -> dict[float, TestLogs]:
+def grouped_by_temperature(tests: TestLogs, settings: IdentifySettings) -> dict[float, TestLogs]:
     """The logs by temperature: those given one, else by what they measured.
 
     HPPC logs say at which temperatures tables are made; without one the low-rate tests, the drives

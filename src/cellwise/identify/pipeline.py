@@ -17,9 +17,9 @@ from cellwise.cell.plausibility.notice import in_order
 from cellwise.errors import InputError
 from cellwise.identify.assemble import GRID_POINTS, plain_model, table_summary
 from cellwise.identify.by_temperature import (
+    grouped_by_temperature,
     low_rate_tests,
     nearest_test,
-    tests_by_temperature,
     without_offsets,
 )
 from cellwise.identify.capacity.capacity_choice import capacity_choices, choose_capacity
@@ -109,7 +109,7 @@ def identify_cell(
     say("pulses")
     groups = [
         _group(temperature, part, ocv, capacity, settings)
-        for temperature, part in tests_by_temperature(tests, settings).items()
+        for temperature, part in grouped_by_temperature(tests, settings).items()
     ]
     slow_rows = (slow_rows_notice(p.log, p.fitted) for g in groups for p in g.pulse_sets)
     notices.extend(notice for notice in slow_rows if notice)

@@ -1,0 +1,86 @@
+"""Tests that belong together: low-rate tests apart by temperature, parts of one test together."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cellwise.identify.by_temperature import (
+    grouped_by_temperature,
+    low_rate_tests,
+    nearest_test,
+    without_offsets,
+)
+from cellwise.identify.identification import IdentifySettings, TestLogs
+from cellwise.logs.cell_log import CellLog
+
+
+def log(name, temperature_C, *amperes, hours=20.0):
+    """A log that flows each current for so many hours, with a voltage that follows the charge."""
+    current = np.repeat(np.array([0.0, *amperes]), int(hours * 60))
+    time_s = 60.0 * np.arange(current.size)
+    used = np.cumsum(current) / 60.0
+    measured = None if temperature_C is None else np.full(current.size, float(temperature_C))
+    return CellLog(time_s, current, 4.2 - 0.4 * used - 0.05 * current,
+                   temperature_C=measured, name=name)  # fmt: skip
+
+
+WARM = log("warm", 25.0, 0.15, -0.15)
+COLD = log("cold", -20.0, 0.12, -0.12)
+
+
+def names(logs):
+    return [one.name for one in logs]
+
+
+def test_low_rate_tests_of_two_temperatures_are_two():
+    found = low_rate_tests((WARM, COLD))
+    assert [names(test) for test in found] == [["warm"], ["cold"]]
+    assert names(nearest_test(found, 25.0)) == ["warm"]
+    assert names(nearest_test(found, -10.0)) == ["cold"]
+
+
+def test_parts_of_one_test_stay_together():
+    # Discharged in the cold, its last per cent at 25 degC, charged in the cold.
+    parts = (
+        log("down", -20.0, 0.15), log("rest of it", 25.0, 0.15, hours=1.0), log("up", -20.0, -0.15)
+    )  # fmt: skip
+    assert len(low_rate_tests(parts)) == 1
+    assert [names(t) for t in low_rate_tests((*parts, WARM))] == [names(parts), ["warm"]]
+
+
+def test_none_at_all():
+    assert low_rate_tests(()) == []
+    assert nearest_test([], 25.0) == ()
+
+
+def test_without_pulses_every_temperature_has_its_tests():
+    drive = log("drive", 11.0, 1.5, hours=0.2)
+    tests = TestLogs(
+        ocv=(WARM, COLD),
+        capacity=(log("fast", -18.0, 1.4, hours=2.0), log("hot", 40.0, 1.4, hours=2.0)),
+        drive=((drive, None), (log("stated", None, 1.5, hours=0.2), -20.0)),
+    )
+    found = grouped_by_temperature(tests, IdentifySettings())
+    assert list(found) == [-20.0, 11.0, 25.0, 40.0]
+    assert names(found[-20.0].ocv) == ["cold"]
+    assert names(found[-20.0].capacity) == ["fast"]
+    assert names(d for d, _ in found[-20.0].drive) == ["stated"]
+    assert names(found[25.0].ocv) == ["warm"]
+    assert names(found[40.0].capacity) == ["hot"]
+
+
+def test_beside_pulses_steady_tests_are_those_of_the_reference():
+    pulses = ((log("p25", 25.0, 1.5, hours=0.2), None), (log("p0", 0.0, 1.5, hours=0.2), None))
+    found = grouped_by_temperature(TestLogs(hppc=pulses, ocv=(WARM, COLD)), IdentifySettings())
+    assert list(found) == [0.0, 25.0]
+    assert names(found[25.0].ocv) == ["warm", "cold"]
+    assert found[0.0].ocv == ()
+
+
+@pytest.mark.parametrize("given", [(WARM, COLD), (COLD, WARM)])
+def test_tests_of_two_temperatures_are_not_one_with_an_offset(given):
+    # 3.0 Ah out at 25 degC and 2.4 Ah at -20 degC are no sensor's offset.
+    tests, notices = without_offsets(TestLogs(ocv=given), 3.0, 25.0)
+    assert names(tests.ocv) == names(given)
+    assert notices == []

@@ -1,0 +1,66 @@
+"""LG HG2: no HPPC, no whole drive; C/20 and three rates at six temperatures, and short cycles."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from cellwise.cell.simulate import simulate
+from cellwise.identify import IdentifySettings, TestLogs, identify_cell
+from cellwise.logs import read_log
+
+pytestmark = pytest.mark.slow
+
+RUNS = {"p25": 549, "p10": 575, "p00": 585, "n10": 593, "n20": 607, "p40": 555}
+ONE_C = ("p25_551", "p10_571", "p00_589", "n10_596", "n20_610", "p40_557")
+SHORT = ("n10_604", "n20_611", "p00_590", "p10_571")
+
+
+@pytest.fixture(scope="module")
+def lg(real_data):
+    def log(name, soc0=None):
+        return replace(read_log(real_data / f"lg_18650hg2/{name}.csv.gz"), soc0=soc0)
+
+    found = identify_cell(
+        TestLogs(
+            ocv=tuple(log(f"ocv_c20_{t}_{n}") for t, n in RUNS.items()),
+            capacity=(
+                *(log(f"cap_{rate}_{t}_{n}") for t, n in RUNS.items() for rate in ("0p5c", "2c")),
+                *(log(f"cap_1c_{name}") for name in ONE_C),
+            ),
+            drive=tuple((log(f"pauscycl_{name}", 1.0), None) for name in SHORT),
+        ),
+        IdentifySettings(nominal_Ah=3.0),
+    )
+    return found, log
+
+
+def test_every_temperature_has_its_tables(lg):
+    model = lg[0].model
+    assert model.temperature_C.min() < -18.0
+    assert model.temperature_C.max() > 37.0
+    # The C/20 test at 25 degC alone, neither joined with the others nor rid of an offset.
+    assert model.capacity_Ah == pytest.approx(2.778, rel=2e-3)
+
+
+def test_no_hysteresis_is_invented(lg):
+    charges = [o.sides_V["charge"] for o in lg[0].own_logs if "charge" in o.sides_V]
+    assert len(charges) > 10
+    assert max(charges) < 0.1
+    assert lg[0].decided
+
+
+# 60 mV: pulses were measured near full only, and US06 reaches 12 A where the data end at 8.1 A.
+SHORT_OF_IT = pytest.mark.xfail(
+    strict=True, reason="60 mV: mid-range seen at constant current only"
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "most_V"),
+    [pytest.param("n10_601", 0.040, marks=SHORT_OF_IT), ("n20_610", 0.060)],
+)
+def test_us_06_in_the_cold(lg, name, most_V):
+    found, log = lg
+    assert simulate(found.model, log(f"drive_us06_{name}"), 1.0).rmse_above_10pct_V < most_V
