@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
+from cellwise.logs.apart.reader import read_channels
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.files.assembly import Origin, assemble
 from cellwise.logs.files.completion import complete
@@ -82,7 +83,7 @@ def read_log(
     )
     source = open_source(stated.path, progress, options)
     known = detect_format(source, FORMATS)
-    raw = complete(known.read(source, known), known.sign, source.where)
+    raw = complete(read_channels(source, known), known.sign, source.where)
     raw = to_cell(raw, options, source.where)
     origin = Origin(
         name=_plain_name(source.path) if name is None else name,

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+import zlib
 from array import array
 from collections.abc import Sequence
+from contextlib import closing
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,8 +22,10 @@ from cellwise.logs.files.csv_layout import (
     native_layout,
 )
 from cellwise.logs.files.format import Format, without_late_errors
+from cellwise.logs.files.limits import Limits
 from cellwise.logs.files.source import LogSource, RawLog, damaged_gzip
 from cellwise.logs.files.text_cells import arrow_type, arrow_values
+from cellwise.logs.files.timed_stream import TimedStream
 from cellwise.typing import FloatArray
 
 if TYPE_CHECKING:
@@ -94,13 +98,12 @@ def _read_batches(
         return "skip" if len(odd_rows) < 100 else "error"
 
     grown = [array("d") for _ in columns]  # grows in place: no second copy at the end
+    limits = Limits.of(source.size)
     try:
-        with pa.OSFile(str(source.path)) as file, without_late_errors():
-            stream = pa.CompressedInputStream(file, "gzip") if source.gzipped else file
-            stream.read(layout.offset)
+        with closing(TimedStream(source, limits, layout.offset)) as stream, without_late_errors():
             # One thread: only then do messages carry the row's number, and no slower.
             reader = pa_csv.open_csv(
-                stream,
+                pa.PythonFile(stream, mode="r"),
                 read_options=pa_csv.ReadOptions(
                     column_names=names, block_size=BLOCK_BYTES, use_threads=False
                 ),
@@ -121,11 +124,13 @@ def _read_batches(
                     if unread:
                         raise _no_clock(unread, column, source)
                     into.frombytes(values.tobytes())
-                source.report(file.tell(), source.size)
+                limits.check_rows(len(grown[0]), source.where)
+                stream.check_time()
+                source.report(stream.done(), source.size)
     except pa.ArrowInvalid as error:
         if "Empty CSV file" not in str(error):
             raise _refused(str(error), source, layout, columns) from None
-    except OSError as error:
+    except (OSError, EOFError, zlib.error) as error:
         if not source.gzipped:
             raise
         raise damaged_gzip(source, str(error)) from None

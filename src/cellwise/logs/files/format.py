@@ -36,6 +36,8 @@ class Format:
     known : sequence of str     columns that belong to it and are not used; None: any may
     instances : bool            a file may hold several batteries
     uses_dbc : bool             a CAN database says what its frames hold
+    apart : bool                read by a library that does not withstand every file: in a process
+                                of its own
     """
 
     name: str
@@ -47,6 +49,7 @@ class Format:
     known: Sequence[str] | None = None
     instances: bool = False
     uses_dbc: bool = False
+    apart: bool = False
 
 
 # Content that is given to a log reader by mistake, and what to do about it.
@@ -135,7 +138,7 @@ def library_at_work(source: LogSource, kind: str) -> Iterator[None]:
     try:
         with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
             yield
-    except InputError:
+    except (InputError, MemoryError):
         raise
     except Exception as error:
         with without_late_errors():

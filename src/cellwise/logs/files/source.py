@@ -75,9 +75,11 @@ class LogSource:
 
     def open(self) -> IO[bytes]:
         """The content as a binary stream, decompressed."""
-        if self.gzipped:
-            return cast("IO[bytes]", gzip.open(self.path, "rb"))
-        return self.path.open("rb")
+        return self.content_of(self.path.open("rb"))
+
+    def content_of(self, file: IO[bytes]) -> IO[bytes]:
+        """The content of an open file, decompressed."""
+        return cast("IO[bytes]", gzip.open(file, "rb")) if self.gzipped else file
 
     def report(self, done: int, total: int) -> None:
         """Report progress if anybody listens."""

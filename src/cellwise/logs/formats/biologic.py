@@ -82,4 +82,5 @@ BIOLOGIC_MPR = Format(
     known=_KNOWN,
     read=_read_binary,
     sign="charge-positive",
+    apart=True,
 )

@@ -133,4 +133,5 @@ CAN_LOG = Format(
     read=_read,
     sign="discharge-positive",
     uses_dbc=True,
+    apart=True,
 )
