@@ -51,11 +51,14 @@ def check_voltage(log: MeasuredLog, where: str) -> list[str]:
     cells = f"some {typical / TYPICAL_CELL_V:.0f} cells in series"
     if typical > SUSPECT_STRING_V:
         return [
-            f"the voltage is typically {typical:.0f} V: a pack of {cells}, or a cell logged in "
-            "another unit than volts"
+            f"the voltage LOOKS WRONG for one cell: it is typically {typical:.0f} V, a pack of "
+            f"{cells}, or a cell logged in another unit than volts"
         ]
     if typical > LARGEST_CELL_V:
-        return [f"the voltage is typically {typical:.1f} V: {cells}, read as one cell"]
+        return [
+            f"the voltage LOOKS WRONG for one cell: it is typically {typical:.1f} V, {cells}, read "
+            "as one cell; state their number (--series, series of read_log)"
+        ]
     if np.nanmin(log.voltage_V) < 0:
         return [f"the voltage goes down to {np.nanmin(log.voltage_V):.3f} V, below zero"]
     if typical < 0.5:

@@ -17,6 +17,12 @@ from cellwise.logs.checks.counter import (
     counts_throughput,
     joined_counter,
 )
+from cellwise.logs.checks.grave import (
+    check_time_moves,
+    grave_notices,
+    graves_first,
+    without_spikes,
+)
 from cellwise.logs.checks.sign import contradiction, verify_sign
 from cellwise.logs.checks.units import (
     check_current_and_time,
@@ -81,8 +87,10 @@ def assemble(
     channels = dict(raw.channels)
     notices = list(raw.notices)
     notices += _drop_rows_without_time(channels, origin.where)
+    check_time_moves(channels["time_s"], origin.where)
     channels["time_s"], noted = time_from_start(channels["time_s"])
     notices += noted
+    notices += without_spikes(channels, origin.where)
     temperature = channels.get("temperature_C")
     if temperature is not None:
         temperature, noted = plausible_temperature(temperature)
@@ -102,15 +110,16 @@ def assemble(
         current_meaning=origin.current_meaning,
         format=origin.format,
     )
+    notices += grave_notices(log)
     notices += check_voltage(log, origin.where)
     log, counter, noted = _with_checked_counter(log, origin.where)
     notices += noted
     notices += check_current_and_time(log, origin.where)
     opposite = counter is not None and counter.agreement < -SAME_QUANTITY
     if not (check_sign or opposite):
-        return log.with_notices(notices)
+        return log.with_notices(graves_first(notices))
     log, noted = _with_checked_sign(log, sign, opposite=opposite)
-    return log.with_notices((*notices, *noted))
+    return log.with_notices(graves_first([*noted, *notices]))
 
 
 def log_from_table(

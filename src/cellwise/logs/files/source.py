@@ -111,9 +111,9 @@ def open_source(
     InputError        nothing there, a folder, not readable, empty, or damaged gzip
     """
     place = Path(path)
-    if place.is_dir():
-        raise InputError(f"a folder at '{place}'", "a log file", "Name one of the files in it.")
     try:
+        if place.is_dir():
+            raise InputError(f"a folder at '{place}'", "a log file", "Name one of the files in it.")
         size = place.stat().st_size
         with place.open("rb") as file:
             magic = file.read(2)
@@ -121,7 +121,7 @@ def open_source(
         raise InputError(f"no file '{place}'", "a log file", _near_files(place)) from None
     except OSError as error:
         raise InputError(
-            f"'{place}', which cannot be read ({error.strerror})",
+            f"'{str(place)[:200]}', which cannot be read ({error.strerror})",
             "a readable log file",
             "Check its permissions and that the disk is there.",
         ) from None
