@@ -128,13 +128,22 @@ def write_ndax(path: Path, c: dict[str, np.ndarray]) -> Path:
     return path
 
 
-def write_mpr(path: Path, c: dict[str, np.ndarray], current: bool = True) -> Path:
-    """BioLogic .mpr: a magic line and modules of settings and data; without current, as of GCPL."""
+def write_mpr(
+    path: Path, c: dict[str, np.ndarray], current: bool = True, counter_V: float | None = None
+) -> Path:
+    """BioLogic .mpr: a magic line and modules of settings and data; without current, as of GCPL.
+
+    With ``counter_V`` both electrodes are logged, Ewe and Ece, against a reference.
+    """
     kinds: dict[int, str] = {4: "<f8", 6: "<f4", 13: "<f8"}  # time/s, Ewe/V, (Q-Qo)/mA.h
     columns = [c["time_s"], c["voltage_V"], -1e3 * c["ampere_hours"]]
     if current:
         kinds[76] = "<f4"  # <I>/mA
         columns.append(-1e3 * c["current_A"])
+    if counter_V is not None:
+        kinds[9] = "<f4"  # Ece/V
+        columns[1] = c["voltage_V"] + counter_V
+        columns.append(np.full(c["time_s"].size, counter_V))
     rows = np.zeros(c["time_s"].size, dtype=[(str(k), v) for k, v in kinds.items()])
     for (key, _), values in zip(kinds.items(), columns, strict=True):
         rows[str(key)] = values

@@ -19,7 +19,7 @@ from cellwise.logs.stated import Stated
 
 _SUFFIXES = (
     *(".gz", ".csv", ".parquet", ".txt", ".bdf", ".ulg", ".bin", ".mat", ".mf4", ".mdf", ".nda"),
-    *(".ndax", ".mpr", ".mpt", ".blf", ".asc", ".log", ".trc"),
+    *(".ndax", ".mpr", ".mpt", ".blf", ".asc", ".log", ".trc", ".res", ".xlsx", ".xls"),
 )
 
 
@@ -36,6 +36,7 @@ def read_log(
     dbc: str | Path | None = None,
     partial: bool = False,
     check_sign: bool = True,
+    decimal: str = "auto",
 ) -> CellLog:
     """Read a log in the tidy form or in a native format detected from its content.
 
@@ -80,6 +81,7 @@ def read_log(
         instance=instance,
         dbc=None if dbc is None else Path(dbc),
         partial=partial,
+        decimal=decimal,
     )
     source = open_source(stated.path, progress, options)
     known = detect_format(source, FORMATS)

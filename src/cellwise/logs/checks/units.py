@@ -66,6 +66,18 @@ def check_voltage(log: MeasuredLog, where: str) -> list[str]:
     return []
 
 
+def volts_of_millivolts(channels: dict[str, FloatArray]) -> list[str]:
+    """Turn a tester's millivolts under a name of volts into volts; what was done.
+
+    No tester of cells reaches the voltage that one cell's millivolts would be in volts.
+    """
+    typical = _typical(np.abs(channels["voltage_V"]))
+    if not LARGEST_STRING_V < typical < 1e3 * LARGEST_CELL_V:
+        return []
+    channels["voltage_V"] = channels["voltage_V"] / 1e3
+    return [f"the voltage, typically {typical:.0f}, is in millivolts and was divided by 1000"]
+
+
 def check_current_and_time(log: MeasuredLog, where: str) -> list[str]:
     """Refuse milliampere and milliseconds, or note them, from the voltage's answer alone.
 

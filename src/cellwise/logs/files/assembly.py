@@ -30,6 +30,7 @@ from cellwise.logs.checks.units import (
     counter_factor,
     plausible_temperature,
     time_from_start,
+    volts_of_millivolts,
 )
 from cellwise.logs.files.columns import TIDY_CHANNELS, choose_columns
 from cellwise.logs.files.format import SignConvention
@@ -91,6 +92,8 @@ def assemble(
     channels["time_s"], noted = time_from_start(channels["time_s"])
     notices += noted
     notices += without_spikes(channels, origin.where)
+    if origin.format and not origin.format.startswith(("tidy", "table")):
+        notices += volts_of_millivolts(channels)
     temperature = channels.get("temperature_C")
     if temperature is not None:
         temperature, noted = plausible_temperature(temperature)

@@ -24,7 +24,7 @@ from cellwise.logs.files.csv_layout import (
 from cellwise.logs.files.format import Format, without_late_errors
 from cellwise.logs.files.limits import Limits
 from cellwise.logs.files.source import LogSource, RawLog, damaged_gzip
-from cellwise.logs.files.text_cells import arrow_type, arrow_values
+from cellwise.logs.files.text_cells import DayFirstError, arrow_type, arrow_values
 from cellwise.logs.files.timed_stream import TimedStream
 from cellwise.typing import FloatArray
 
@@ -54,7 +54,11 @@ def read_csv(source: LogSource, known: Format) -> RawLog:
     if layout.decimal == ",":
         notices.append("decimal commas were read as such")
     odd_rows: list[tuple[int, int, str]] = []
-    values = _read_batches(source, layout, columns, odd_rows)
+    try:
+        values = _read_batches(source, layout, columns, odd_rows)
+    except DayFirstError:
+        odd_rows.clear()
+        values = _read_batches(source, layout, columns, odd_rows, day_first=True)
     n = values[0].size
     if odd_rows:
         notices.append(_odd_rows(odd_rows, n, layout, where))
@@ -84,6 +88,8 @@ def _read_batches(
     layout: CsvLayout,
     columns: Sequence[Column],
     odd_rows: list[tuple[int, int, str]],
+    *,
+    day_first: bool = False,
 ) -> list[FloatArray]:
     """The columns' values in the file's unit, in the order of ``columns``."""
     import pyarrow as pa
@@ -94,6 +100,8 @@ def _read_batches(
     types = {names[column.index]: arrow_type(column.unit) for column in columns}
 
     def keep_odd(row: InvalidRow) -> str:
+        if not row.text.strip(f"{layout.delimiter} \t"):
+            return "skip"  # a blank line, of delimiters
         odd_rows.append((row.number or 0, row.actual_columns, row.text))
         return "skip" if len(odd_rows) < 100 else "error"
 
@@ -120,7 +128,9 @@ def _read_batches(
             )
             for batch in reader:
                 for into, name, column in zip(grown, wanted, columns, strict=True):
-                    values, unread = arrow_values(column.unit, batch.column(name))
+                    values, unread = arrow_values(
+                        column.unit, batch.column(name), day_first=day_first
+                    )
                     if unread:
                         raise _no_clock(unread, column, source)
                     into.frombytes(values.tobytes())
@@ -140,7 +150,7 @@ def _read_batches(
 def _no_clock(text: str, column: Column, source: LogSource) -> InputError:
     return InputError(
         f"'{text[:40]}' in column '{column.name}' of {source.where}",
-        "a time as 12.5, 02:03:04.5 or 1d 02:03:04",
+        "a time as 12.5, 02:03:04.5, 1d 02:03:04 or 2024-05-31 02:03:04",
         "Correct the cell, or export the time in seconds.",
     )
 

@@ -56,7 +56,6 @@ class Format:
 _OTHER_CONTENT = (
     (b"PK\x03\x04", "a zip archive or an Excel workbook", "Export the sheet as CSV, or unpack it."),
     (b"\xd0\xcf\x11\xe0", "an old Excel workbook", "Export the sheet as CSV."),
-    (b"\x00\x01\x00\x00Standard", "an Access database (Arbin .res)", "Export the test as CSV."),
     (b"\x89HDF", "an HDF5 file", "Export time, current and voltage as CSV."),
     (b"BZh", "a bzip2 file", "Decompress it first."),
     (b"\xfd7zXZ", "an xz file", "Decompress it first."),

@@ -63,6 +63,17 @@ class Limits:
                 f"Split it; if it is that long, allow more with {_VARIABLES[2]}.",
             )
 
+    def check(self, deadline: float, rows: int, where: str) -> None:
+        """Refuse to go on beyond the rows or the time.
+
+        Raises
+        ------
+        InputError        more rows than these, or later than the deadline
+        """
+        self.check_rows(rows, where)
+        if time.monotonic() > deadline:
+            raise self.too_slow(where)
+
     def deadline(self) -> float:
         """When reading that begins now has to be done, by `time.monotonic`."""
         return time.monotonic() + self.seconds

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import IO
 
 from cellwise.logs.files.limits import Limits
@@ -44,8 +43,7 @@ class TimedStream:
         ------
         InputError        it is
         """
-        if time.monotonic() > self._deadline:
-            raise self._limits.too_slow(self._source.where)
+        self._limits.check(self._deadline, 0, self._source.where)
 
     def done(self) -> int:
         """Bytes of the file that have been read, as they lie there."""
