@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from cellwise.errors import InputError
+from cellwise.errors import InputError, MachineError
 
 EMBEDDED_MARK = "catalogue.toml"
 LONGEST_SHOWN = 200  # characters of a path, in messages
@@ -43,7 +43,7 @@ def made_folder(path: str | Path, content: str = "") -> Path:
     try:
         place.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(
+        raise MachineError(
             f"'{path}', which cannot be made ({error.strerror})",
             f"a folder for {content}" if content else "a folder",
             "Choose another place.",
@@ -101,9 +101,9 @@ def write_atomically(path: str | Path, content: str | bytes | Callable[[Path], o
     return target
 
 
-def _not_written(place: Path, error: OSError) -> InputError:
+def _not_written(place: Path, error: OSError) -> MachineError:
     name = str(place)
-    return InputError(
+    return MachineError(
         f"'{name if len(name) < LONGEST_SHOWN else name[:LONGEST_SHOWN] + '...'}', which cannot be "
         f"written ({error.strerror or error})",
         "a folder with write permission and space left",

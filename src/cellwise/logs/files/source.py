@@ -11,7 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, cast
 
-from cellwise.errors import InputError
+from cellwise.errors import InputError, MachineError
 from cellwise.logs.files.options import NOTHING_SAID, ReadOptions
 from cellwise.typing import FloatArray
 
@@ -120,7 +120,7 @@ def open_source(
     except FileNotFoundError:
         raise InputError(f"no file '{place}'", "a log file", _near_files(place)) from None
     except OSError as error:
-        raise InputError(
+        raise MachineError(
             f"'{str(place)[:200]}', which cannot be read ({error.strerror})",
             "a readable log file",
             "Check its permissions and that the disk is there.",
