@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from datetime import timedelta
 from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
@@ -140,7 +141,9 @@ def log_from_table(
     for column in columns:
         values = table[names[column.index]]
         try:
-            array = np.asarray(values, dtype=np.float64)
+            array = _seconds(values) if column.field == "time_s" else None
+            if array is None:
+                array = np.asarray(values, dtype=np.float64)
         except (TypeError, ValueError) as error:
             raise InputError(
                 f"column '{column.name}' of {origin.where} ({error})",
@@ -149,6 +152,22 @@ def log_from_table(
             ) from None
         channels[column.field] = column.unit.convert(array)
     return assemble(kind, RawLog(channels, tuple(notices)), origin, sign)
+
+
+def _seconds(values: Any) -> FloatArray | None:
+    """Seconds of dates or of durations, from the first; None for a column of numbers."""
+    array = np.asarray(values)
+    if array.dtype == object and array.size and hasattr(array.flat[0], "isoformat"):
+        # Python's own dates, or pandas' with a time zone; numpy wants them without.
+        plain = [x.replace(tzinfo=None) - (x.utcoffset() or timedelta()) for x in array.tolist()]
+        array = np.array(plain, dtype="datetime64[us]")
+    if array.dtype.kind not in "mM":
+        return None
+    known = array[~np.isnat(array)]
+    if known.size == 0:
+        return np.full(array.size, np.nan)
+    seconds: FloatArray = (array - known[0]) / np.timedelta64(1, "s")
+    return seconds
 
 
 def _drop_rows_without_time(channels: dict[str, FloatArray], where: str) -> list[str]:
