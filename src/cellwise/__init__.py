@@ -10,10 +10,12 @@ if TYPE_CHECKING:
     from cellwise.cell.model import CellModel, ModelError
     from cellwise.cell.model_file import read_model, write_model
     from cellwise.cell.plausibility.validity import Validity
-    from cellwise.cell.simulate import Simulation, simulate
+    from cellwise.cell.simulate import Simulation
+    from cellwise.cell.start.simulate_log import simulate
     from cellwise.data import list_datasets, load_dataset
     from cellwise.diagnose import Diagnosis, diagnose
     from cellwise.errors import InputError
+    from cellwise.estimate.adaptive.adaptive import Adaptive
     from cellwise.estimate.filters.coulomb import Coulomb
     from cellwise.estimate.filters.ekf import Ekf
     from cellwise.estimate.filters.ukf import SigmaPoints, Ukf
@@ -21,8 +23,11 @@ if TYPE_CHECKING:
     from cellwise.estimate.noise import Noise
     from cellwise.estimate.replay import Replay, replay
     from cellwise.estimate.status import Status
+    from cellwise.estimate.tune_noise import tune_noise
+    from cellwise.forecast import forecast
     from cellwise.identify import Identification, IdentifySettings, TestLogs, identify_cell
     from cellwise.logs import CellLog, Stated, inspect_log, read_log, write_log
+    from cellwise.logs.resample import resample
 
 # Loaded on first use: importing cellwise must not wait for compilers.
 _HOMES = {
@@ -38,13 +43,17 @@ _HOMES = {
     "Validity": "cellwise.cell.plausibility.validity",
     "ErrorMetrics": "cellwise.cell.metrics",
     "Simulation": "cellwise.cell.simulate",
-    "simulate": "cellwise.cell.simulate",
+    "simulate": "cellwise.cell.start.simulate_log",
     "Identification": "cellwise.identify",
     "IdentifySettings": "cellwise.identify",
     "TestLogs": "cellwise.identify",
     "identify_cell": "cellwise.identify",
     "Diagnosis": "cellwise.diagnose",
     "diagnose": "cellwise.diagnose",
+    "Adaptive": "cellwise.estimate.adaptive.adaptive",
+    "forecast": "cellwise.forecast",
+    "resample": "cellwise.logs.resample",
+    "tune_noise": "cellwise.estimate.tune_noise",
     "Coulomb": "cellwise.estimate.filters.coulomb",
     "Ekf": "cellwise.estimate.filters.ekf",
     "LockstepEkf": "cellwise.estimate.lockstep.lockstep",
@@ -60,6 +69,7 @@ _HOMES = {
 }
 
 __all__ = [
+    "Adaptive",
     "CellLog",
     "CellModel",
     "Coulomb",
@@ -81,6 +91,7 @@ __all__ = [
     "Ukf",
     "Validity",
     "diagnose",
+    "forecast",
     "identify_cell",
     "inspect_log",
     "list_datasets",
@@ -88,7 +99,9 @@ __all__ = [
     "read_log",
     "read_model",
     "replay",
+    "resample",
     "simulate",
+    "tune_noise",
     "write_log",
     "write_model",
 ]

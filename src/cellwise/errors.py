@@ -26,3 +26,15 @@ class InputError(ValueError):
     def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str]]:
         """What another process needs to raise it again."""
         return InputError, (self.found, self.expected, self.action)
+
+
+class MachineError(InputError):
+    """The machine failed, not the input: no space, no permission, a disk that does not answer.
+
+    The same parts as :class:`InputError`, and the same exit code; but the same input may do
+    another time, so a fleet tries it again.
+    """
+
+    def __reduce__(self) -> tuple[type[MachineError], tuple[str, str, str]]:
+        """What another process needs to raise it again."""
+        return MachineError, (self.found, self.expected, self.action)

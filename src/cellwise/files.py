@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 import secrets
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
-from cellwise.errors import InputError
+from cellwise.errors import InputError, MachineError
 
 EMBEDDED_MARK = "catalogue.toml"
+LONGEST_SHOWN = 200  # characters of a path, in messages
 
 
 def embedded_folder() -> Path:
@@ -41,7 +43,7 @@ def made_folder(path: str | Path, content: str = "") -> Path:
     try:
         place.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(
+        raise MachineError(
             f"'{path}', which cannot be made ({error.strerror})",
             f"a folder for {content}" if content else "a folder",
             "Choose another place.",
@@ -71,11 +73,15 @@ def write_atomically(path: str | Path, content: str | bytes | Callable[[Path], o
                       disk is full
     """
     place = Path(path)
-    if place.is_dir():
+    try:
+        folder, device = place.is_dir(), place.exists() and not place.is_file()
+        if device and not folder:  # a device or a pipe has no whole
+            _write(place, content)
+            return place
+    except OSError as error:
+        raise _not_written(place, error) from error
+    if folder:
         raise InputError(f"a folder at '{place}'", "a file to write", "Give a file name.")
-    if place.exists() and not place.is_file():  # a device or a pipe has no whole
-        _write(place, content)
-        return place
     target = place.resolve()  # a link keeps pointing to what it points to
     if not target.parent.is_dir():
         raise InputError(
@@ -88,14 +94,21 @@ def write_atomically(path: str | Path, content: str | bytes | Callable[[Path], o
         _write(temporary, content)
         os.replace(temporary, target)
     except OSError as error:
-        raise InputError(
-            f"'{target}', which cannot be written ({error.strerror or error})",
-            "a folder with write permission and space left",
-            "Check permissions and disk space, or choose another place.",
-        ) from error
+        raise _not_written(target, error) from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
     return target
+
+
+def _not_written(place: Path, error: OSError) -> MachineError:
+    name = str(place)
+    return MachineError(
+        f"'{name if len(name) < LONGEST_SHOWN else name[:LONGEST_SHOWN] + '...'}', which cannot be "
+        f"written ({error.strerror or error})",
+        "a folder with write permission and space left",
+        "Check permissions and disk space, or choose another place.",
+    )
 
 
 def _write(path: Path, content: str | bytes | Callable[[Path], object]) -> None:

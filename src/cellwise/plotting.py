@@ -6,7 +6,9 @@ when somebody asks for them.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
+from html import escape
 from importlib import import_module
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -59,8 +61,7 @@ class Plottable:
         """
         x_label, panels = self.panels()
         if figure is None:
-            pyplot = _need("matplotlib.pyplot", "report")
-            figure = pyplot.figure(figsize=(8.0, 1.2 + 2.0 * len(panels)), layout="constrained")
+            figure = _figure((8.0, 1.2 + 2.0 * len(panels)))
         axes = np.atleast_1d(figure.subplots(len(panels), 1, sharex=True))
         for place, panel in zip(axes, panels, strict=True):
             for line in panel.lines:
@@ -81,6 +82,21 @@ class Tabular:
         """Name, which carries the unit, to array; all of one length."""
         raise NotImplementedError
 
+    def _repr_html_(self) -> str:
+        """For notebooks: what `repr` says, and the first and last rows as a table."""
+        columns = {name: np.asarray(values) for name, values in self.columns().items()}
+        size = min((values.size for values in columns.values()), default=0)
+        rows = sorted({*range(min(size, 3)), *range(max(size - 2, 0), size)})
+        head = "".join(f"<th>{escape(name)}</th>" for name in columns)
+        body = "".join(
+            "<tr>" + "".join(f"<td>{values[k]:.6g}</td>" for values in columns.values()) + "</tr>"
+            for k in rows
+        )
+        return (
+            f"<div><p><code>{escape(repr(self))}</code></p><div style='overflow-x:auto'><table>"
+            f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div></div>"
+        )
+
     def to_pandas(self) -> Any:
         """The columns as a pandas data frame.
 
@@ -98,6 +114,20 @@ class Tabular:
         InputError      polars is not installed
         """
         return _need("polars", "").DataFrame({k: np.array(v) for k, v in self.columns().items()})
+
+
+def _figure(size: tuple[float, float]) -> Any:
+    """A figure: in a notebook one that only its cell's value shows, else pyplot's, for a window.
+
+    A notebook shows what pyplot holds at the end of a cell, and the cell's value besides: the same
+    picture twice.
+    """
+    if "ipykernel" in sys.modules:
+        figures = _need("matplotlib.figure", "report")
+        _need("matplotlib.backends.backend_agg", "report")
+        return figures.Figure(figsize=size, layout="constrained")
+    pyplot = _need("matplotlib.pyplot", "report")
+    return pyplot.figure(figsize=size, layout="constrained")
 
 
 def _draw(axes: Any, line: Line) -> None:

@@ -53,3 +53,24 @@ def test_the_first_call_says_that_it_compiles_and_the_next_is_silent(tmp_path):
     ]
     assert said[0].count("compiling the simulation") == 1
     assert said[1] == ""
+
+
+NO_PLACE = """
+import sys
+from numba.core.caching import CacheImpl
+CacheImpl._locator_classes = []  # a read-only installation without a home: no locator available
+from cellwise.cell.compiled import inline, kernel, rows
+plus = inline(lambda x: x + 1.0)
+twice = kernel(lambda x: 2.0 * x)
+assert twice(3.0) == 6.0
+assert rows(lambda x: x * x)(3.0) == 9.0
+"""
+
+
+def test_without_a_place_for_a_cache_it_compiles_and_says_so_once():
+    env = {k: v for k, v in os.environ.items() if k != "CELLWISE_QUIET"}
+    done = subprocess.run(
+        [sys.executable, "-c", NO_PLACE], env=env, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.count("no place to keep compiled kernels") == 1

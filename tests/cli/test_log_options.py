@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import sys
-
 import numpy as np
 import pytest
 
-from cellwise.cli.main import build_parser
+from cellwise.cli.command_line import build_parser
 from cellwise.logs import read_log
+from cellwise.logs.apart import reader
 from log_files import pulse_channels
 from vehicle_files import write_can, write_dbc, write_ulog
 
@@ -137,8 +136,12 @@ def test_what_cannot_be_followed_is_refused_and_nothing_written(
     assert not out.exists()
 
 
-def test_a_library_that_is_missing_is_named(flight, refused, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pyulog", None)
+def test_a_library_that_is_missing_is_named(flight, refused, monkeypatch, tmp_path):
+    """In the process that reads: a new one, which finds a library that is not there."""
+    missing = "raise ModuleNotFoundError('no pyulog', name='pyulog')\n"
+    (tmp_path / "pyulog.py").write_text(missing)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(reader, "_idle", [])
     message = refused("inspect", flight)
     assert "pyulog is not installed" in message
     assert "pip install 'cellwise[importers]'" in message

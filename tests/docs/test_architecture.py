@@ -67,7 +67,7 @@ def name(path):
 
 
 def test_every_part_has_its_rule():
-    parts = {part_of(path) for path in PACKAGE.rglob("*.py")} - {"__init__"}
+    parts = {part_of(path) for path in PACKAGE.rglob("*.py")} - {"__init__", "__main__"}
     assert parts == set(MAY_IMPORT)
 
 
@@ -183,3 +183,10 @@ def test_the_generator_of_the_embedded_data_shares_no_code_with_cellwise():
             named = [alias.name for alias in getattr(node, "names", ())]
             roots = {n.split(".")[0] for n in (getattr(node, "module", None) or "", *named)}
             assert not (isinstance(node, ast.Import | ast.ImportFrom) and "cellwise" in roots), path
+
+
+def test_kernels_are_compiled_in_one_place():
+    """A cache that cannot be written to is looked after there, and nowhere else."""
+    home = PACKAGE / "cell" / "compiled.py"
+    others = [name(p) for p in PACKAGE.rglob("*.py") if "njit(cache" in p.read_text() and p != home]
+    assert others == []

@@ -15,7 +15,7 @@ import cellwise
 from cellwise.cell.effects import EFFECTS
 from cellwise.cell.equations import CellState
 from cellwise.cell.initial_soc import InitialSoc
-from cellwise.cli.main import build_parser
+from cellwise.cli.command_line import build_parser
 from cellwise.estimate.estimators import ESTIMATORS
 from cellwise.estimate.filters.coulomb import CoulombInfo, CoulombState
 from cellwise.estimate.filters.filter_state import EkfInfo, EkfState

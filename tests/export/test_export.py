@@ -15,9 +15,10 @@ from cellwise.cell.simulate import simulate
 from cellwise.cli import main
 from cellwise.data import load_dataset
 from cellwise.errors import InputError
+from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.export.accuracy import accuracy_by_grid
 from cellwise.export.c_tables import STRICT_FLAGS, WARNING_FLAGS
-from cellwise.export.package import check_flash, describe, model_sha256
+from cellwise.export.package import check_flash, describe, model_sha256, write_package
 from example_cells import curved_cell
 from firmware_cases import tables_of
 
@@ -95,3 +96,135 @@ def test_finer_tables_lose_less():
     assert error[2] <= 1.1 * error[1]  # nothing left to lose but rounding
     assert error[2] < 5e-4
     assert [row.flash_bytes for row in found] == sorted(row.flash_bytes for row in found)
+
+
+FLAGS = ["-O2", *STRICT_FLAGS, *WARNING_FLAGS]
+needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")
+
+
+def made(folder, cell=None, prefix="", **options):
+    """The package of a cell, without counting instructions: the names of its files."""
+    cell = cell or curved_cell()
+    tables = fixed_step_tables(cell, 1.0, **options)
+    return write_package(cell, tables, folder, describe(cell, tables), prefix)
+
+
+def built(folder, sources, program, *options):
+    done = subprocess.run(
+        ["gcc", *FLAGS, *options, *sources, "-o", str(program)],
+        cwd=folder, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return subprocess.run([str(program)], capture_output=True, text=True, check=False)
+
+
+@needs_gcc
+@pytest.mark.parametrize("lean", [False, True])
+def test_the_example_compiles_and_prints_what_is_expected(tmp_path, lean):
+    out = tmp_path / "out"
+    files = made(out, wide=not lean, watch=not lean)
+    assert {"README.md", "example.c", "test_vector.h", "expected_output.txt"} <= set(files)
+    sources = ("example.c", "cellwise_ekf.c", "cellwise_store.c", "cell_table.c")
+    done = built(out, sources, tmp_path / "example")
+    assert done.returncode == 0, done.stdout
+    assert done.stdout == (out / "expected_output.txt").read_text()
+    # One number of the vector, one of the tables: each is noticed.
+    for name, found in (("test_vector.h", 1), ("cell_table.c", 2)):
+        text = (out / name).read_text()
+        place = text.rindex("0x1.")
+        (out / name).write_text(text[:place] + "0x1.8" + text[place + 4 :])
+        assert built(out, sources, tmp_path / "wrong").returncode == found
+        (out / name).write_text(text)
+
+
+STORE = """
+#include <stdio.h>
+#include <string.h>
+#include "cellwise_cell.h"
+#include "cellwise_store.h"
+int main(void) {
+    cellwise_state x, y;
+    cellwise_stored kept;
+    unsigned char *at = (unsigned char *)&kept;
+    unsigned k, missed = 0u;
+    cellwise_init(&cellwise_cell, &x, 0.4f, 0.01f);
+    cellwise_keep(&kept, &x);
+    memset(&y, 0, sizeof y);
+    if (cellwise_restore(&y, &kept) != 0u || memcmp(&x, &y, sizeof x) != 0) return 1;
+    for (k = 0u; k < 8u * sizeof kept; k++) {
+        cellwise_state before = y;
+        at[k / 8u] = (unsigned char)(at[k / 8u] ^ (1u << (k % 8u)));
+        if (cellwise_restore(&y, &kept) == 0u || memcmp(&before, &y, sizeof y) != 0) missed++;
+        at[k / 8u] = (unsigned char)(at[k / 8u] ^ (1u << (k % 8u)));
+    }
+    return missed == 0u ? 0 : 3;
+}
+"""
+
+
+@needs_gcc
+def test_a_stored_state_with_one_flipped_bit_is_not_taken(tmp_path):
+    out = tmp_path / "out"
+    made(out)
+    (out / "store.c").write_text(STORE)
+    sources = ("store.c", "cellwise_ekf.c", "cellwise_store.c", "cell_table.c")
+    assert built(out, sources, tmp_path / "store").returncode == 0
+
+
+BOTH = """
+#include <stdio.h>
+#include "nmc_cell.h"
+#include "lfp_cell.h"
+int main(void) {
+    nmc_state a;
+    lfp_state b[96];
+    unsigned k;
+    nmc_init(&nmc_cell, &a, 0.5f, 0.01f);
+    for (k = 0u; k < 96u; k++) lfp_init(&lfp_cell, &b[k], 0.5f, 0.01f);
+    return sizeof a == sizeof b[0];
+}
+"""
+
+
+@needs_gcc
+def test_two_chemistries_in_one_image(tmp_path):
+    for name, lean in (("nmc", False), ("lfp", True)):
+        out = tmp_path / name
+        made(out, prefix=name, wide=not lean, watch=not lean)
+        assert (out / f"{name}_ekf.c").is_file()
+    (tmp_path / "both.c").write_text(BOTH)
+    parts = [f"{n}/{n}_{part}.c" for n in ("nmc", "lfp") for part in ("ekf", "cell_table")]
+    sources = ["both.c", *parts]
+    done = built(tmp_path, sources, tmp_path / "both", "-Inmc", "-Ilfp")
+    assert done.returncode == 0
+
+
+@pytest.mark.parametrize("prefix", ["1a", "a-b", "cellwise", "CELLWISE", "ä", "a" * 40])
+def test_a_prefix_that_is_no_name_is_refused(model, tmp_path, capsys, prefix):
+    code, message = export(
+        capsys, "--model", model, "--dt", 1, "--prefix", prefix, "-o", tmp_path / "out"
+    )
+    assert code == 2
+    assert "prefix" in message
+    assert not (tmp_path / "out").exists()
+
+
+@needs_gcc
+@pytest.mark.parametrize("name", ["a /* b", "a */ b", "tail\\", "what??/", "line\nbreak"])
+def test_a_cell_of_any_name_compiles(tmp_path, name):
+    out = tmp_path / "out"
+    made(out, curved_cell(name=name))
+    sources = ("example.c", "cellwise_ekf.c", "cellwise_store.c", "cell_table.c")
+    assert built(out, sources, tmp_path / "example").returncode == 0
+
+
+def test_an_effect_can_be_left_out():
+    from cellwise.cell.effects import TimeSkew
+    from cellwise.cli.exporting import without
+
+    plain = curved_cell()
+    skewed = curved_cell(effects=(*plain.effects, TimeSkew(0.3)))
+    assert fixed_step_tables(skewed, 1.0).options.skew
+    assert without(skewed, ["time_skew"]).effects == plain.effects
+    with pytest.raises(InputError, match="time_skew"):
+        without(skewed, ["magic"])

@@ -209,29 +209,106 @@ def test_a_killed_worker_loses_nothing(model, folder, tmp_path, always):
 
 def test_only_a_few_batches_are_in_hand(model, folder, tmp_path, monkeypatch):
     """However many logs there are: what waits stays a name."""
-    distributed = pytest.importorskip("distributed")
-    from cellwise.fleet.engine import AHEAD
+    from cellwise.fleet.engine import AHEAD, Threads
 
-    flying, most = set(), [0]
-    submit, release = distributed.Client.submit, distributed.Future.release
+    flying, most = [0], [0]
+    submit = Threads.submit
 
-    def counted(self, *args, **kwargs):
-        future = submit(self, *args, **kwargs)
-        flying.add(future.key)
-        most[0] = max(most[0], len(flying))
+    def counted(self, work, *arguments, pure=False):
+        flying[0] += 1
+        most[0] = max(most[0], flying[0])
+        future = submit(self, work, *arguments)
+        result = future.result
+
+        def taken():
+            flying[0] -= 1
+            return result()
+
+        future.result = taken
         return future
 
-    def released(self):
-        flying.discard(self.key)
-        release(self)
-
-    monkeypatch.setattr(distributed.Client, "submit", counted)
-    monkeypatch.setattr(distributed.Future, "release", released)
+    monkeypatch.setattr(Threads, "submit", counted)
     for k in range(40):
         shutil.copy(folder / "truck_1" / "day_0.parquet", folder / f"more_{k:02d}.parquet")
     run_fleet(ReplayTask(model), folder, tmp_path / "out", workers=1, batch=1)
     assert len(rows_in(tmp_path / "out")) == 48
     assert most[0] <= AHEAD
+
+
+def test_a_failure_of_the_machine_is_none_of_the_log(model, folder, tmp_path, monkeypatch):
+    """A disk that is full for a while: the logs are tried again, and only they."""
+    from cellwise.fleet import tasks
+
+    out, read = tmp_path / "out", tasks.read_prepared
+
+    def failing(path, *arguments, **more):
+        if path.name in ("day_1.parquet", "day_2.parquet"):
+            raise OSError(28, "No space left on device")
+        return read(path, *arguments, **more)
+
+    monkeypatch.setattr(tasks, "read_prepared", failing)
+    told = run_fleet(ReplayTask(model), folder, out, workers=1)
+    assert (told.done, told.failed, told.machine) == (8, 4, 2)
+    rows = rows_in(out)
+    assert rows["truck_1/day_1.parquet"]["failed_by"] == "machine"
+    assert "No space left" in rows["truck_1/day_1.parquet"]["error"]
+    assert rows["notes.md"]["failed_by"] == "log"
+    monkeypatch.setattr(tasks, "read_prepared", read)
+    told = run_fleet(ReplayTask(model), folder, out, workers=1)
+    assert (told.done, told.resumed, told.failed, told.machine) == (2, 6, 2, 0)
+    assert run_fleet(ReplayTask(model), folder, out, workers=1).failed == 2  # still said
+
+
+def test_a_cache_that_cannot_be_written_is_no_failure(model, folder, tmp_path):
+    (tmp_path / "cache").write_text("a file where the folder would be")
+    task = ReplayTask(model, cache=str(tmp_path / "cache"))
+    told = run_fleet(task, folder, tmp_path / "out", workers=1)
+    assert (told.failed, told.machine) == (2, 0)
+    row = rows_in(tmp_path / "out")["truck_1/day_1.parquet"]
+    assert "not kept in the cache" in row["notices"]
+
+
+def test_results_that_cannot_be_written_end_the_run(model, folder, tmp_path, monkeypatch):
+    from cellwise.errors import MachineError
+    from cellwise.fleet import store
+
+    def full(columns, types, path):
+        raise MachineError("a full disk", "space", "Make some.")
+
+    write = store.write_rows
+    monkeypatch.setattr(store, "write_rows", full)
+    with pytest.raises(MachineError):
+        run_fleet(ReplayTask(model), folder, tmp_path / "out", workers=1)
+    monkeypatch.setattr(store, "write_rows", write)
+    assert run_fleet(ReplayTask(model), folder, tmp_path / "out", workers=1).done == 8
+
+
+def test_a_log_of_another_cell_has_a_notice(model, folder, tmp_path):
+    from dataclasses import replace
+
+    from cellwise.logs import write_log
+
+    wrong = read_log(folder / "truck_1" / "day_0.parquet")
+    write_log(replace(wrong, voltage_V=wrong.voltage_V - 0.44), folder / "other.parquet")
+    run_fleet(ReplayTask(model, soc0=0.5), folder, tmp_path / "out", workers=1)
+    rows = rows_in(tmp_path / "out")
+    assert "another cell" in rows["other.parquet"]["notices"]
+    assert rows["truck_1/day_0.parquet"]["notices"] is None
+
+
+def test_hostile_files_are_rows_that_say_which_limit(model, folder, tmp_path, monkeypatch):
+    pytest.importorskip("python_calamine")
+    from tester_files import far_cell_workbook
+
+    far_cell_workbook(folder / "far.xlsx")
+    monkeypatch.setenv("CELLWISE_READ_ROWS", "950")
+    (folder / "long.csv").write_text("time_s,current_A,voltage_V\n" + "1,1,3.7\n" * 2000)
+    told = run_fleet(ReplayTask(model), folder, tmp_path / "out", workers=2, batch=1)
+    rows = rows_in(tmp_path / "out")
+    assert "limit of memory" in rows["far.xlsx"]["error"]
+    assert "rows or more" in rows["long.csv"]["error"]
+    assert rows["far.xlsx"]["failed_by"] == "log"
+    assert told.logs == 10
 
 
 @pytest.mark.slow

@@ -49,7 +49,7 @@ def test_unreadable_file(tmp_path):
     assert "cannot be read" in refusal(path).found
 
 
-@pytest.mark.parametrize("content", [b"", gzip.compress(b"", mtime=0)])
+@pytest.mark.parametrize("content", [b"", gzip.compress(b"", mtime=0)], ids=["none", "gzip"])
 def test_empty_file(tmp_path, content):
     path = tmp_path / "log.csv"
     path.write_bytes(content)

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from cellwise.cli.main import main
+from cellwise.cli.command_line import main
 
 
 @pytest.fixture(scope="module")

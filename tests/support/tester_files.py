@@ -128,13 +128,22 @@ def write_ndax(path: Path, c: dict[str, np.ndarray]) -> Path:
     return path
 
 
-def write_mpr(path: Path, c: dict[str, np.ndarray], current: bool = True) -> Path:
-    """BioLogic .mpr: a magic line and modules of settings and data; without current, as of GCPL."""
+def write_mpr(
+    path: Path, c: dict[str, np.ndarray], current: bool = True, counter_V: float | None = None
+) -> Path:
+    """BioLogic .mpr: a magic line and modules of settings and data; without current, as of GCPL.
+
+    With ``counter_V`` both electrodes are logged, Ewe and Ece, against a reference.
+    """
     kinds: dict[int, str] = {4: "<f8", 6: "<f4", 13: "<f8"}  # time/s, Ewe/V, (Q-Qo)/mA.h
     columns = [c["time_s"], c["voltage_V"], -1e3 * c["ampere_hours"]]
     if current:
         kinds[76] = "<f4"  # <I>/mA
         columns.append(-1e3 * c["current_A"])
+    if counter_V is not None:
+        kinds[9] = "<f4"  # Ece/V
+        columns[1] = c["voltage_V"] + counter_V
+        columns.append(np.full(c["time_s"].size, counter_V))
     rows = np.zeros(c["time_s"].size, dtype=[(str(k), v) for k, v in kinds.items()])
     for (key, _), values in zip(kinds.items(), columns, strict=True):
         rows[str(key)] = values
@@ -187,3 +196,31 @@ def digatron_columns(c: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         "Battery_Temp_degC": c["temperature_C"],
         "Time": c["time_s"],
     }
+
+
+def far_cell_workbook(path):
+    """A workbook of 1.5 kB with one cell in its last column and row."""
+    sheet = (
+        '<worksheet xmlns="http://schemas.openxmlformats.org/spreadsheetml/2006/main"><sheetData>'
+        '<row r="1"><c r="A1"><v>1</v></c></row><row r="1048576"><c r="XFD1048576"><v>1</v></c>'
+        "</row></sheetData></worksheet>"
+    )
+    office = "http://schemas.openxmlformats.org/officeDocument/2006/relationships"
+    parts = {
+        "[Content_Types].xml": '<Types xmlns="http://schemas.openxmlformats.org/package/2006/'
+        'content-types"><Default Extension="xml" ContentType="application/xml"/></Types>',
+        "_rels/.rels": '<Relationships xmlns="http://schemas.openxmlformats.org/package/2006/'
+        f'relationships"><Relationship Id="r1" Type="{office}/officeDocument" '
+        'Target="xl/workbook.xml"/></Relationships>',
+        "xl/workbook.xml": '<workbook xmlns="http://schemas.openxmlformats.org/spreadsheetml/2006/'
+        f'main" xmlns:r="{office}"><sheets><sheet name="a" sheetId="1" r:id="r1"/></sheets>'
+        "</workbook>",
+        "xl/_rels/workbook.xml.rels": '<Relationships xmlns="http://schemas.openxmlformats.org/'
+        f'package/2006/relationships"><Relationship Id="r1" Type="{office}/worksheet" '
+        'Target="worksheets/sheet1.xml"/></Relationships>',
+        "xl/worksheets/sheet1.xml": sheet,
+    }
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as book:
+        for name, text in parts.items():
+            book.writestr(name, text)
+    return path

@@ -12,6 +12,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any, ParamSpec, TypeVar
 from weakref import WeakKeyDictionary
 
@@ -49,7 +50,7 @@ def _entry(equation: Equation) -> Callable[..., Any]:
 
 def inline(function: Callable[P, R]) -> Callable[P, R]:
     """An equation: part of whatever compiled code calls it."""
-    compiled: Any = njit(**INLINE)(function)
+    compiled: Any = _compiled(function, INLINE)
     if isinstance(compiled, CPUDispatcher):  # with NUMBA_DISABLE_JIT it is the function itself
         compiled.__class__ = Equation
     inlined: Callable[P, R] = compiled
@@ -58,14 +59,45 @@ def inline(function: Callable[P, R]) -> Callable[P, R]:
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
     """A function of its own, called where speed does not matter or the code would grow."""
-    compiled: Callable[P, R] = njit(**OPTIONS)(function)
+    compiled: Callable[P, R] = _compiled(function, OPTIONS)
     return compiled
 
 
 def rows(function: Callable[P, R]) -> Callable[P, R]:
     """A loop over the rows of a log: other threads go on meanwhile."""
-    compiled: Callable[P, R] = njit(**OPTIONS, nogil=True)(function)
+    compiled: Callable[P, R] = _compiled(function, OPTIONS | {"nogil": True})
     return compiled
+
+
+def cached(**options: Any) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Numba's ``njit`` with other options than those above, kept where there is a place."""
+
+    def compiled(function: Callable[P, R]) -> Callable[P, R]:
+        found: Callable[P, R] = _compiled(function, {"cache": True, **options})
+        return found
+
+    return compiled
+
+
+def _compiled(function: Callable[..., Any], options: dict[str, Any]) -> Any:
+    """The function by numba; without its cache where no place of it can be written to."""
+    try:
+        return njit(**options)(function)
+    except RuntimeError as error:
+        if "locator" not in str(error):
+            raise
+    _say_without_cache()
+    return njit(**options | {"cache": False})(function)
+
+
+@lru_cache(maxsize=1)
+def _say_without_cache() -> None:
+    """Once, on standard error."""
+    if not os.environ.get(QUIET):
+        sys.stderr.write(
+            "no place to keep compiled kernels (read-only installation, no home): every start "
+            "compiles again; NUMBA_CACHE_DIR names a folder for them\n"
+        )
 
 
 def announce(function: Any, what: str) -> None:

@@ -89,8 +89,7 @@ def initial_soc(
     current = log.known_current_A()
     resting = np.abs(current) < REST_RATE * model.capacity_Ah
     resting[: int(np.argmax(np.isfinite(log.interval_current_A)))] = False  # nobody knows
-    moving = np.flatnonzero(~resting)
-    rest_end = int(moving[0]) if moving.size else len(log)
+    rest_end = len(log) if resting.all() else int(np.argmin(resting))
     voltages = log.voltage_V[:rest_end]
     if np.any(np.isfinite(voltages)):
         last = int(np.flatnonzero(np.isfinite(voltages))[-1])
@@ -135,7 +134,7 @@ def _from_rest(model: CellModel, log: CellLog, row: int, rest_s: float, std_V: f
 def _from_first_minute(
     model: CellModel, log: CellLog, current: FloatArray, likeliest: bool
 ) -> InitialSoc:
-    first = int(np.flatnonzero(np.isfinite(log.voltage_V))[0])
+    first = int(np.argmax(np.isfinite(log.voltage_V)))
     rows = max(first + 2, int(np.searchsorted(log.time_s, log.time_s[first] + FIT_S, side="right")))
     head = replace(log.part(0, rows), current_A=current[:rows], current_meaning="interval_end")
     if log.temperature_C is None:

@@ -188,7 +188,7 @@ def check_soc0(soc0: float) -> None:
         raise InputError(
             f"an initial SOC of {soc0:g}",
             "a fraction from 0 to 1",
-            f"Give --soc0 0.5 or auto.{hint}",
+            f"Give 0.5, say; left out it is found from the log.{hint}",
         )
 
 

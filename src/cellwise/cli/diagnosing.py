@@ -58,6 +58,8 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
     soc0 = log_options.parse_soc0(arguments.soc0)
     if soc0 is not None:
         check_soc0(soc0)
+    from cellwise.logs.checks.grave import graves_first, is_grave
+
     model = model_options.read(arguments)
     logs, holdout, baseline = (
         [log_options.read(path, arguments) for path in paths]
@@ -78,12 +80,12 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
     found = with_anatomy(found)
     seconds = time.perf_counter() - began
     written = _write(found, arguments)
+    notices = graves_first([n for log in (*logs, *holdout, *baseline) for n in log.notices])
     if arguments.json:
-        notices = [n for log in (*logs, *holdout, *baseline) for n in log.notices]
-        printing.print_json(
-            {**found.to_dict(), **written, "seconds": seconds, "notices": list(notices)}
-        )
+        printing.print_json({**found.to_dict(), **written, "seconds": seconds, "notices": notices})
         return
+    for notice in filter(is_grave, notices):
+        printing.say(f"  ! {notice}")
     print_diagnosis(found)
     for name, place in written.items():
         for path in place if isinstance(place, list) else [place] if place else []:

@@ -32,6 +32,16 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
         action="store_true",
         help="smaller code, slower from a start far off, no watch for frozen or lost sensors",
     )
+    export.add_argument(
+        "--without",
+        action="append",
+        default=[],
+        metavar="EFFECT",
+        help="leave out an effect of the model, e.g. the laboratory's time_skew; several",
+    )
+    export.add_argument(
+        "--prefix", default="", metavar="NAME", help="of every file and name, for several models"
+    )
     export.add_argument("--flash", type=int, metavar="BYTES", help="refuse larger tables")
     export.add_argument("--log", metavar="LOG", help="accuracy lost, against the float64 EKF")
     export.add_argument("--soc0", type=float, metavar="X", help="SOC at the log's start [auto]")
@@ -44,10 +54,13 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run_export(arguments: argparse.Namespace) -> None:
     """Write the C of a model and say what it costs."""
     from cellwise.estimate.fixed.tables import fixed_step_tables
+    from cellwise.export.c_tables import prefixed
     from cellwise.export.package import check_flash, describe, write_package
 
     page_options.check_page_options(arguments)
-    model = model_options.read(arguments)
+    model = without(model_options.read(arguments), arguments.without)
+    if arguments.prefix:
+        prefixed({}, arguments.prefix)  # refuses now what it would refuse later
     tables = fixed_step_tables(
         model,
         arguments.dt,
@@ -60,13 +73,34 @@ def run_export(arguments: argparse.Namespace) -> None:
     report = describe(model, tables)
     report["targets"] = target_costs(model, tables, arguments)
     report["accuracy"] = lost_accuracy(model, arguments)
-    report["files"] = write_package(model, tables, Path(arguments.output), report)
+    report["files"] = write_package(model, tables, Path(arguments.output), report, arguments.prefix)
     write_pages(model, report, arguments)
     if arguments.json:
         printing.print_json(report)
         return
     print_export(arguments.output, report)
     page_options.say_pages(arguments)
+
+
+def without(model: CellModel, names: list[str]) -> CellModel:
+    """The model without some of its effects.
+
+    Raises
+    ------
+    InputError        an effect that it does not have
+    """
+    from dataclasses import replace
+
+    there = [effect.name for effect in model.effects]
+    for name in names:
+        if name not in there:
+            raise InputError(
+                f"--without {name}",
+                f"an effect of the model: {', '.join(there) or 'it has none'}",
+                "Leave it out, or correct its name.",
+            )
+    kept = tuple(effect for effect in model.effects if effect.name not in names)
+    return replace(model, effects=kept) if names else model
 
 
 def write_pages(model: CellModel, report: dict[str, Any], arguments: argparse.Namespace) -> None:

@@ -57,7 +57,9 @@ def _common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--pattern", default="*", metavar="P", help="of the file names [*]")
     parser.add_argument("--soc0", default="auto", metavar="X", help="0..1, or auto [auto]")
     parser.add_argument("--cache", metavar="DIR", help="keep logs as they were read and checked")
-    parser.add_argument("--batch", type=int, default=8, metavar="N", help="logs sent together [8]")
+    parser.add_argument(
+        "--batch", type=int, metavar="N", help="logs sent together [by their number]"
+    )
     parser.add_argument("--fresh", action="store_true", help="start again, whatever OUT holds")
     parser.add_argument(
         "--retry-failed", action="store_true", help="try the logs again that have failed"
@@ -142,6 +144,11 @@ def _run(task: LogTask, arguments: argparse.Namespace) -> None:
     if arguments.json:
         printing.print_json(found.to_dict())
         return
+    if found.machine:
+        printing.say(
+            f"  ! for {found.machine:,} logs the machine failed, not the log (column failed_by): "
+            "run the command again, and they are tried again"
+        )
     printing.say(
         f"{found.done:,} of {found.logs:,} logs done in {found.seconds:.1f} s, {found.failed:,} "
         f"failed (rows with an error), {found.resumed:,} were done before; rows in {found.folder}"

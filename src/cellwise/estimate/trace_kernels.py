@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from numba import njit
-
+from cellwise.cell.compiled import cached
 from cellwise.typing import FloatArray, IntArray
 
 
@@ -25,7 +24,7 @@ class TraceSums(NamedTuple):
     status: int
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@cached(error_model="numpy", nogil=True)
 def trace_sums(
     innovation_V: FloatArray,
     variance_V2: FloatArray,

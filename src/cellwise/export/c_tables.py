@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import re
+import zlib
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,10 @@ from cellwise.errors import InputError
 from cellwise.estimate.fixed.layout import hex_float, row_names
 from cellwise.estimate.fixed.tables import FixedStepTables
 
-SOURCES = ("cellwise_ekf.h", "cellwise_ekf.c", "cellwise_float.h")
+SOURCES = (
+    *("cellwise_ekf.h", "cellwise_ekf.c", "cellwise_float.h"),
+    *("cellwise_store.h", "cellwise_store.c"),
+)
 # Every optimisation that keeps IEEE 754 float32, and no contraction.
 STRICT_FLAGS = ("-std=c99", "-ffp-contract=off", "-fno-math-errno")
 WARNING_FLAGS = (
@@ -56,6 +61,8 @@ def header_text(tables: FixedStepTables, sha256: str, name: str = "") -> str:
         "",
         f"#define CELLWISE_DT_S {hex_float(tables.dt_s)} /* {tables.dt_s:g} s */",
         f'#define CELLWISE_MODEL_SHA256 "{sha256}"',
+        f"#define CELLWISE_MODEL_BYTES {tables.flash_bytes}u",
+        f"#define CELLWISE_MODEL_CRC 0x{zlib.crc32(tables.to_bytes()):08X}u",
         "",
     ]
     for key, value in tables.options.defines().items():
@@ -120,9 +127,39 @@ def initialiser(value: Any) -> str:
 
 
 def comment(text: str) -> str:
-    """Text that cannot end a comment."""
-    return _plain(text.replace("*/", "* /"))
+    """Text that can neither end a comment nor begin one, join lines or be a trigraph."""
+    for marks, apart in (("*/", "* /"), ("/*", "/ *"), ("\\", "/"), ("??", "? ?")):
+        text = text.replace(marks, apart)
+    return _plain(text)
 
 
 def _plain(characters: Iterable[str]) -> str:
     return "".join(ch if ch.isprintable() and ord(ch) < 127 else "?" for ch in characters)
+
+
+def prefixed(files: Mapping[str, str], prefix: str) -> dict[str, str]:
+    """The same files with other names of everything: two chemistries in one image.
+
+    Raises
+    ------
+    InputError        no name of C, or one that is taken
+    """
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,30}", prefix) or prefix.casefold() == "cellwise":
+        raise InputError(
+            f"a prefix '{prefix}'",
+            "a name of C: a letter, then letters, digits and _, up to 31",
+            "Write e.g. --prefix nmc.",
+        )
+    names = {
+        name: f"{prefix}_{name.removeprefix('cellwise_')}"
+        for name in files
+        if name.endswith((".c", ".h"))
+    }
+    found = {}
+    for name, text in files.items():
+        for old, new in names.items():
+            text = re.sub(rf"(?<![A-Za-z0-9_]){re.escape(old)}", new, text)
+        text = re.sub(r"\bcellwise_(?=[a-z])", f"{prefix}_", text)
+        text = re.sub(r"\bCELLWISE_(?=[A-Z])", f"{prefix.upper()}_", text)
+        found[names.get(name, name)] = text
+    return found

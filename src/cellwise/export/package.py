@@ -15,7 +15,8 @@ from cellwise.cell.model_file import model_to_dict
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.layout import INPUT, OUTPUT, state_type
 from cellwise.estimate.fixed.tables import FixedStepTables
-from cellwise.export.c_tables import write_sources
+from cellwise.export.c_tables import prefixed, write_sources
+from cellwise.export.example import example_files
 
 DESCRIPTION = "cellwise_export.json"
 
@@ -57,7 +58,11 @@ def check_flash(tables: FixedStepTables, most_bytes: int | None) -> None:
 
 
 def write_package(
-    model: CellModel, tables: FixedStepTables, folder: Path, description: dict[str, Any]
+    model: CellModel,
+    tables: FixedStepTables,
+    folder: Path,
+    description: dict[str, Any],
+    prefix: str = "",
 ) -> list[str]:
     """Write every file into ``folder``, which is made where it does not exist; their names.
 
@@ -72,6 +77,9 @@ def write_package(
             f"no folder '{folder.resolve().parent}'", "an existing folder", "Create it first."
         )
     files = dict(write_sources(tables, description["model_sha256"], model.name))
+    files |= dict(example_files(model, tables, description))
+    if prefix:
+        files = prefixed(files, prefix)
     files[DESCRIPTION] = json.dumps(description, indent=1, allow_nan=False) + "\n"
     try:
         with tempfile.TemporaryDirectory(dir=folder.resolve().parent, prefix=".export-") as name:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+BY_LOG, BY_MACHINE, BY_US = "log", "machine", "cellwise"  # whose fault a failure is
+
 # Which log this is, and whether it is done; `log` is the path below the fleet's folder.
 IDENTITY: Mapping[str, type] = {
     "log": str,
@@ -11,6 +13,7 @@ IDENTITY: Mapping[str, type] = {
     "bytes": int,
     "modified_ns": int,
     "error": str,
+    "failed_by": str,
     "seconds": float,
 }
 LOG: Mapping[str, type] = {

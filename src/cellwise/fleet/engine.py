@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import os
+import pickle
+import threading
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -16,7 +20,8 @@ from cellwise.fleet.tasks import LogTask, failed_row
 
 LOCAL, PROCESSES = "local", "processes"
 WORKER_DIED = "the worker died"
-POLL_S = 0.01
+POLL_S = 0.25  # for what ends without a call back
+ASK_AGAIN_S = 2.0
 AHEAD = 3  # batches in hand for each thread: enough to keep it busy, few enough to stay small
 
 # The profile of a cluster in this machine is not used, and little can have changed in 10 s.
@@ -47,6 +52,47 @@ def usable_cores() -> int:
     return os.cpu_count() or 1
 
 
+class Threads:
+    """Threads of this process behind the calls of a client of Dask that are used here.
+
+    A scheduler in this process would cost a third of what the kernels take.
+    """
+
+    def __init__(self, pool: ThreadPoolExecutor, count: int) -> None:
+        self._pool = pool
+        self._count = count
+
+    def submit(self, work: Callable[..., Rows], *arguments: Any, pure: bool = False) -> Any:
+        """Do the work in a thread."""
+        return _Future(self._pool.submit(work, *arguments))
+
+    def scheduler_info(self) -> dict[str, Any]:
+        """One worker of so many threads."""
+        return {"workers": {"threads": {"nthreads": self._count}}}
+
+
+class _Future:
+    """A future of a thread, with the names of one of Dask."""
+
+    def __init__(self, future: Future[Rows]) -> None:
+        self._future = future
+
+    def done(self) -> bool:
+        """It has ended."""
+        return self._future.done()
+
+    def result(self) -> Rows:
+        """The rows."""
+        return self._future.result()
+
+    def release(self) -> None:
+        """Forget it: nothing to do in this process."""
+
+    def add_done_callback(self, call: Callable[[Any], object]) -> None:
+        """Call when it has ended."""
+        self._future.add_done_callback(call)
+
+
 @contextmanager
 def connected(scheduler: str, workers: int | None) -> Iterator[Any]:
     """A client of Dask.
@@ -61,16 +107,19 @@ def connected(scheduler: str, workers: int | None) -> Iterator[Any]:
     ------
     InputError              Dask is not installed, there is no answer at the address
     """
-    distributed = _distributed()
     count = workers or usable_cores()
-    if scheduler in (LOCAL, PROCESSES):
-        threads = scheduler == LOCAL
+    if scheduler == LOCAL:
+        with ThreadPoolExecutor(count, thread_name_prefix="fleet") as pool:
+            yield Threads(pool, count)
+        return
+    distributed = _distributed()
+    if scheduler == PROCESSES:
         with (
             import_module("dask").config.set(QUIET),
             distributed.LocalCluster(
-                n_workers=1 if threads else count,
-                threads_per_worker=count if threads else 1,
-                processes=not threads,
+                n_workers=count,
+                threads_per_worker=1,
+                processes=True,
                 dashboard_address=":0",  # any port that is free
                 silence_logs="CRITICAL",
             ) as cluster,
@@ -105,18 +154,21 @@ def rows_of(
     )
     suspects: deque[str] = deque()
     flying: dict[Any, tuple[str, ...]] = {}
+    threads = _Threads(client)
+    packed = task if isinstance(client, Threads) else import_module("cloudpickle").dumps(task)
+    finished = threading.Event()
 
     def send() -> None:
-        threads = sum(w["nthreads"] for w in client.scheduler_info()["workers"].values())
-        while waiting and len(flying) < AHEAD * max(threads, 1):
+        while waiting and len(flying) < AHEAD * threads.now():
             _fly(waiting.popleft())
         if suspects and not flying:
             _fly((suspects.popleft(),))
 
     def _fly(logs: tuple[str, ...]) -> None:
         # The task goes along each time: what was handed out once would die with its worker.
-        future = client.submit(_rows, task, str(folder), logs, pure=False)
+        future = client.submit(_rows, packed, str(folder), logs, pure=False)
         flying[future] = logs
+        future.add_done_callback(lambda _: finished.set())
 
     suspected: set[str] = set()
     send()
@@ -124,7 +176,8 @@ def rows_of(
         future = next((f for f in flying if f.done()), None)
         if future is None:
             # Not `as_completed`: it waits for ever for what was cancelled with its worker.
-            time.sleep(POLL_S)
+            finished.wait(POLL_S)
+            finished.clear()
             continue
         logs = flying.pop(future)
         try:
@@ -140,5 +193,30 @@ def rows_of(
         send()
 
 
-def _rows(task: LogTask, folder: str, names: Sequence[str]) -> Rows:
-    return task.rows(folder, names)
+class _Threads:
+    """Threads of all workers, asked for now and then: an answer costs as much as a log."""
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+        self._count = 0
+        self._asked_s = 0.0
+
+    def now(self) -> int:
+        """How many there are, at least one."""
+        if self._count == 0 or time.monotonic() - self._asked_s > ASK_AGAIN_S:
+            workers = self._client.scheduler_info()["workers"].values()
+            self._count = max(sum(w["nthreads"] for w in workers), 1)
+            self._asked_s = time.monotonic()
+        return self._count
+
+
+@lru_cache(maxsize=2)
+def _unpacked(task: bytes) -> LogTask:
+    """The task, once for all batches of a process."""
+    found: LogTask = pickle.loads(task)
+    return found
+
+
+def _rows(task: LogTask | bytes, folder: str, names: Sequence[str]) -> Rows:
+    known = _unpacked(task) if isinstance(task, bytes) else task
+    return known.rows(folder, names)

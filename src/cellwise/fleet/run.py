@@ -10,11 +10,13 @@ from typing import Any
 
 from cellwise.cell.model_file import model_mark
 from cellwise.errors import InputError
-from cellwise.fleet.engine import LOCAL, WORKER_DIED, connected, rows_of
+from cellwise.fleet.columns import BY_LOG, BY_MACHINE
+from cellwise.fleet.engine import LOCAL, WORKER_DIED, connected, rows_of, usable_cores
 from cellwise.fleet.store import ResultFolder
-from cellwise.fleet.tasks import INTERNAL, LogTask
+from cellwise.fleet.tasks import LogTask
 
-BATCH = 8
+MOST_BATCH = 32  # logs that are lost with a worker
+BATCHES = 16  # of each worker, so that all end together
 PART_ROWS = 2_000
 PART_S = 10.0
 
@@ -24,13 +26,18 @@ Progress = Callable[[int, int, int], None]
 
 @dataclass(frozen=True)
 class FleetResult:
-    """What a run did. ``resumed`` logs had their row before; ``failed`` have one with an error."""
+    """What a run did.
+
+    ``resumed`` logs had their row before; ``failed`` of all logs have one with an error, of which
+    ``machine`` are to be tried again: the machine failed, not the log.
+    """
 
     folder: Path
     logs: int
     resumed: int
     done: int
     failed: int
+    machine: int
     samples: int
     seconds: float
 
@@ -48,7 +55,7 @@ def run_fleet(
     scheduler: str = LOCAL,
     workers: int | None = None,
     pattern: str = "*",
-    batch: int = BATCH,
+    batch: int | None = None,
     fresh: bool = False,
     retry_failed: bool = False,
     progress: Progress | None = None,
@@ -63,7 +70,7 @@ def run_fleet(
     scheduler : str           ``local`` (threads of this process), ``processes``, or an address
     workers : int or None     of the first two; None: one for each core
     pattern : str             of the file names
-    batch : int               logs that are sent together
+    batch : int or None       logs that are sent together; None: by their number
     fresh : bool              start again
     retry_failed : bool       do the logs again that have a row with an error
     progress : callable       called with the logs done, those that failed, and all
@@ -75,25 +82,30 @@ def run_fleet(
     """
     began = time.perf_counter()
     place, target = Path(folder), Path(out)
-    if batch < 1 or (workers is not None and workers < 1):
+    if (batch is not None and batch < 1) or (workers is not None and workers < 1):
         raise InputError(f"batch {batch}, workers {workers}", "numbers from 1 up", "Correct them.")
     there = find_logs(place, pattern, target)
     settings = {**task.settings(), "model": model_mark(task.model)}
     store = ResultFolder(target, task.columns, settings, fresh=fresh)
     store.begin()
-    ready = store.done(there, retry_failed=retry_failed)
+    ready, wrong_before = store.done(there, retry_failed=retry_failed)
     names = [name for name in there if name not in ready]
-    done = failed = samples = 0
+    together = batch or min(
+        max(len(names) // (BATCHES * (workers or usable_cores())), 1), MOST_BATCH
+    )
+    done = samples = machine = 0
+    failed = len(wrong_before)
     refusals: list[str] = []
     kept: list[dict[str, Any]] = []
     written_s = time.monotonic()
     if names:
         with connected(scheduler, workers) as client:
             try:
-                for rows in rows_of(client, task, place.resolve(), names, batch):
+                for rows in rows_of(client, task, place.resolve(), names, together):
                     kept += rows
                     done += len(rows)
                     failed += sum(row["error"] is not None for row in rows)
+                    machine += sum(row.get("failed_by") == BY_MACHINE for row in rows)
                     samples += sum(row.get("samples") or 0 for row in rows)
                     refusals += refused(rows)
                     if progress is not None:
@@ -113,14 +125,16 @@ def run_fleet(
         )
     seconds = time.perf_counter() - began
     resumed = len(there) - len(names)
-    return FleetResult(target, len(there), resumed, done, failed, samples, seconds)
+    return FleetResult(target, len(there), resumed, done, failed, machine, samples, seconds)
 
 
 def refused(rows: list[dict[str, Any]]) -> list[str]:
     """Errors of the logs that were refused, not of those that something of ours broke on."""
-    ours = (INTERNAL, WORKER_DIED)
-    errors = [row["error"] for row in rows if row["error"] is not None]
-    return [error for error in errors if not error.startswith(ours)]
+    return [
+        row["error"]
+        for row in rows
+        if row.get("failed_by") == BY_LOG and not row["error"].startswith(WORKER_DIED)
+    ]
 
 
 def find_logs(folder: Path, pattern: str, out: Path) -> dict[str, tuple[int, int]]:

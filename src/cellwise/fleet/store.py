@@ -10,6 +10,7 @@ from typing import Any
 
 from cellwise.errors import InputError
 from cellwise.files import made_folder, write_atomically
+from cellwise.fleet.columns import BY_MACHINE
 from cellwise.logs.tables import read_rows, write_rows
 
 MANIFEST = "_fleet.json"
@@ -57,8 +58,12 @@ class ResultFolder:
         """The parts that are there."""
         return sorted(self.place.glob("part-[0-9]*.parquet"))
 
-    def done(self, still: Mapping[str, tuple[int, int]], *, retry_failed: bool = False) -> set[str]:
-        """Logs that have their row; rows of logs that have changed since are dropped.
+    def done(
+        self, still: Mapping[str, tuple[int, int]], *, retry_failed: bool = False
+    ) -> tuple[set[str], set[str]]:
+        """Logs that have their row, and those of them whose row is an error.
+
+        Rows of logs that have changed since are dropped, and those of which the machine failed.
 
         Parameters
         ----------
@@ -66,21 +71,28 @@ class ResultFolder:
         retry_failed : bool     drop the rows with an error too
         """
         found: set[str] = set()
+        wrong: set[str] = set()
         for part in self.parts():
             rows = read_rows(part)
+            by = rows.setdefault("failed_by", [None] * len(rows["log"]))
             keys = zip(rows["log"], rows["bytes"], rows["modified_ns"], strict=True)
             keep = [
-                still.get(log) in (None, (size, changed)) and not (retry_failed and error)
-                for (log, size, changed), error in zip(keys, rows["error"], strict=True)
+                still.get(log) in (None, (size, changed))
+                and not (retry_failed and error)
+                and whose != BY_MACHINE
+                for (log, size, changed), error, whose in zip(keys, rows["error"], by, strict=True)
             ]
             kept = {name: [v for v, k in zip(values, keep, strict=True) if k]
                     for name, values in rows.items()}  # fmt: skip
             found.update(kept["log"])
+            wrong.update(
+                log for log, error in zip(kept["log"], kept["error"], strict=True) if error
+            )
             if not kept["log"]:
                 part.unlink()
             elif not all(keep):
                 write_rows(kept, self._columns, part)
-        return found
+        return found, wrong & set(still)
 
     def drop(self) -> None:
         """Take away what a run has written, and the folder if nothing else is in it."""

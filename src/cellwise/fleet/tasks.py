@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import math
+import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -15,10 +17,11 @@ import numpy as np
 from cellwise.cell.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.cells_in_series import check_cells_in_series
-from cellwise.errors import InputError
+from cellwise.errors import InputError, MachineError
 from cellwise.estimate.estimators import Estimator, make_estimator
 from cellwise.estimate.replay import Replay, reference_soc
 from cellwise.fleet import columns
+from cellwise.fleet.columns import BY_LOG, BY_MACHINE, BY_US
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.sign import verify_sign
 from cellwise.logs.prepared import read_prepared
@@ -28,6 +31,8 @@ from cellwise.logs.stated import Stated
 SURPRISED_SHARE = 0.02
 SURPRISED_TIMES = 4.0
 INTERNAL = "internal error"
+
+_of_thread = threading.local()
 
 
 @dataclass(frozen=True)
@@ -54,17 +59,18 @@ class LogTask:
 
     def settings(self) -> dict[str, Any]:
         """What must be the same when a run is resumed, as JSON values."""
-        fields = {k: v for k, v in vars(self).items() if k not in ("model", "cache", "stated")}
+        names = [f.name for f in fields(self) if f.name not in ("model", "cache", "stated")]
+        said = {name: getattr(self, name) for name in names}
         if self.stated is not None:
-            fields["stated"] = [self.stated.temperature_C, self.stated.soc0]
-        return {"kind": self.kind, **json.loads(json.dumps(fields, default=str))}
+            said["stated"] = [self.stated.temperature_C, self.stated.soc0]
+        return {"kind": self.kind, **json.loads(json.dumps(said, default=str))}
 
     def rows(self, folder: str, names: Sequence[str]) -> list[dict[str, Any]]:
         """One row for each log; one that fails is a row with its error."""
         return list(self._rows(Path(folder), names))
 
     def _rows(self, folder: Path, names: Sequence[str]) -> Iterator[dict[str, Any]]:
-        work = self.begin()
+        work = self.work()
         for name in names:
             began = time.perf_counter()
             row = identity(folder, name)
@@ -74,16 +80,22 @@ class LogTask:
                     log = self.stated.applied(log)
                 check_cells_in_series(self.model, log)
                 row |= work(log)
-            except InputError as error:
-                row["error"] = str(error)
             except Exception as error:
-                row["error"] = f"{INTERNAL}, {type(error).__name__}: {error}"
+                row |= failure(error)
             row["seconds"] = time.perf_counter() - began
             yield row
 
     def begin(self) -> Any:
         """What makes a row of a log; made once for several."""
         raise NotImplementedError
+
+    def work(self) -> Any:
+        """`begin`, once for each thread."""
+        task, work = getattr(_of_thread, "kept", (None, None))
+        if task is not self:
+            work = self.begin()
+            _of_thread.kept = self, work
+        return work
 
 
 @dataclass(frozen=True)
@@ -105,6 +117,11 @@ class ReplayTask(LogTask):
     soc0_std: float | None = None
     reference_soc0: float | None = None
     reference_capacity_Ah: float | None = None
+
+    @cached_property
+    def usual_error_V(self) -> float:
+        """The model's own error over the SOC range, not below two millivolts."""
+        return max(float(np.median(self.model.error.at(self.model.soc))), 2e-3)
 
     def begin(self) -> Any:
         """An estimator for some logs in a row."""
@@ -157,8 +174,10 @@ class ReplayTask(LogTask):
 
     def _sign(self, found: Replay, rejected: float) -> str:
         """The sign's verdict where the filter is surprised; elsewhere the filter has shown it."""
-        usual = max(float(np.median(self.model.error.at(self.model.soc))), 2e-3)
-        known = found.voltage_rmse_V <= SURPRISED_TIMES * usual and rejected <= SURPRISED_SHARE
+        known = (
+            found.voltage_rmse_V <= SURPRISED_TIMES * self.usual_error_V
+            and rejected <= SURPRISED_SHARE
+        )
         return "not checked" if known else verify_sign(found.log).verdict
 
 
@@ -239,6 +258,22 @@ def _of_log(log: CellLog) -> dict[str, Any]:
     }
 
 
+def failure(error: Exception) -> dict[str, Any]:
+    """Columns of a log that could not be finished: what happened, and whose fault it is.
+
+    A failure of the machine (no space, no memory, a disk or network that does not answer) is none
+    of the log: it is tried again when the run goes on.
+    """
+    if isinstance(error, MachineError):
+        return {"error": str(error), "failed_by": BY_MACHINE}
+    if isinstance(error, InputError):
+        return {"error": str(error), "failed_by": BY_LOG}
+    if isinstance(error, (OSError, MemoryError)):
+        said = getattr(error, "strerror", None) or str(error) or "out of memory"
+        return {"error": f"{type(error).__name__}: {said}", "failed_by": BY_MACHINE}
+    return {"error": f"{INTERNAL}, {type(error).__name__}: {error}", "failed_by": BY_US}
+
+
 def failed_row(folder: Path, name: str, reason: str) -> dict[str, Any]:
     """A row of a log that could not be finished."""
-    return identity(folder, name) | {"error": reason, "seconds": math.nan}
+    return identity(folder, name) | {"error": reason, "failed_by": BY_LOG, "seconds": math.nan}

@@ -11,6 +11,7 @@ import numpy as np
 from cellwise.cell.metrics import ErrorMetrics
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import Simulation
+from cellwise.errors import InputError
 from cellwise.identify.capacity.capacity_test import CapacityTest
 from cellwise.identify.hppc.pulses import Pulse
 from cellwise.identify.ocv.curve import OcvCurve
@@ -63,7 +64,17 @@ class IdentifySettings:
 
 @dataclass(frozen=True, eq=False)
 class TestLogs:
-    """Logs of one cell by what they are; an HPPC or drive log may say its temperature [degC]."""
+    """Logs of one cell by what they are; an HPPC or drive log may say its temperature [degC].
+
+    Parameters
+    ----------
+    hppc, drive : a log, logs, or pairs of a log and its stated temperature [degC] or None
+    ocv, capacity : a log, or logs
+
+    Raises
+    ------
+    InputError        something else
+    """
 
     __test__: ClassVar[bool] = False  # not a test class, whatever pytest thinks of its name
 
@@ -71,6 +82,50 @@ class TestLogs:
     ocv: tuple[CellLog, ...] = ()
     capacity: tuple[CellLog, ...] = ()
     drive: tuple[tuple[CellLog, float | None], ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("hppc", "drive"):
+            object.__setattr__(self, name, tuple(_pairs(getattr(self, name), name)))
+        for name in ("ocv", "capacity"):
+            pairs = _pairs(getattr(self, name), name)
+            object.__setattr__(self, name, tuple(log for log, _ in pairs))
+
+
+def _pairs(given: Any, name: str) -> list[tuple[CellLog, float | None]]:
+    """Logs with the temperature that is stated of each, whichever way they were given."""
+    if isinstance(given, CellLog):
+        given = (given,)
+    if not isinstance(given, (tuple, list)):
+        raise _no_logs(given, name)
+    if len(given) == 2 and isinstance(given[0], CellLog) and _is_temperature(given[1]):
+        given = (given,)
+    pairs: list[tuple[CellLog, float | None]] = []
+    for one in given:
+        if isinstance(one, CellLog):
+            pairs.append((one, None))
+        elif (
+            isinstance(one, (tuple, list))
+            and len(one) == 2
+            and isinstance(one[0], CellLog)
+            and _is_temperature(one[1])
+        ):
+            pairs.append((one[0], one[1]))
+        else:
+            raise _no_logs(one, name)
+    return pairs
+
+
+def _is_temperature(value: Any) -> bool:
+    return value is None or (isinstance(value, (int, float)) and not isinstance(value, bool))
+
+
+def _no_logs(found: Any, name: str) -> InputError:
+    return InputError(
+        f"{name} of TestLogs with a {type(found).__name__}",
+        "a log, logs, or pairs of a log and its temperature [degC]",
+        f"Write TestLogs({name}=read_log('a.csv')) or "
+        f"TestLogs({name}=[(cold, -10.0), (warm, 25.0)]).",
+    )
 
 
 def log_temperature_C(log: CellLog, stated: float | None, default: float = REFERENCE_C) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.counter import compare_counter
+from cellwise.logs.checks.grave import grave_notices, is_grave
 from cellwise.logs.checks.oddities import (
     Rest,
     Saturation,
@@ -122,7 +123,9 @@ def inspect_log(log: CellLog) -> Inspection:
         if (values := getattr(log, field)) is not None
     }
     notices = [
-        *log.notices,
+        *(n for n in log.notices if is_grave(n)),
+        *(n for n in grave_notices(log) if n not in log.notices),
+        *(n for n in log.notices if not is_grave(n)),
         *_sign_notices(log, check.verdict, check.evidence),
         *_time_notices(log, sampling),
         *_channel_notices(log, missing, stuck, mismatch),

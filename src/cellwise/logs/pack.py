@@ -20,7 +20,7 @@ def to_cell(raw: RawLog, options: ReadOptions, where: str) -> RawLog:
             raise InputError(
                 f"--series auto for {where}, which does not state its cells in series",
                 "a number of cells",
-                "Give it: --series 4, say.",
+                "Give it: --series 4 (series=4), say.",
             )
         series = raw.cells
     notices = list(raw.notices)

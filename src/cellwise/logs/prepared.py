@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from cellwise.errors import MachineError
 from cellwise.files import made_folder, write_atomically
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.reading import read_log
@@ -44,7 +45,7 @@ def read_prepared(path: Path, cache: str | Path = "", **options: Any) -> CellLog
 
     Raises
     ------
-    InputError              as `read_log`; a cache that cannot be written to
+    InputError              as `read_log`
     """
     if not cache:
         return read_log(path, check_sign=False, **options)
@@ -53,10 +54,14 @@ def read_prepared(path: Path, cache: str | Path = "", **options: Any) -> CellLog
         found = _load(place, path)
         if found is not None:
             return found
-    log = read_log(path, **options)
-    made_folder(cache)
-    write_atomically(place, lambda target: _store(log, target))
-    return replace(log, step=None)
+    log = replace(read_log(path, **options), step=None)
+    try:
+        made_folder(cache)
+        write_atomically(place, lambda target: _store(log, target))
+    except MachineError as error:
+        # What is wrong with the cache is not wrong with the log.
+        return log.with_notices((*log.notices, f"not kept in the cache: {error.found}"))
+    return log
 
 
 def _key(path: Path, options: dict[str, Any]) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
+from cellwise.logs.apart.reader import read_channels
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.files.assembly import Origin, assemble
 from cellwise.logs.files.completion import complete
@@ -18,7 +19,7 @@ from cellwise.logs.stated import Stated
 
 _SUFFIXES = (
     *(".gz", ".csv", ".parquet", ".txt", ".bdf", ".ulg", ".bin", ".mat", ".mf4", ".mdf", ".nda"),
-    *(".ndax", ".mpr", ".mpt", ".blf", ".asc", ".log", ".trc"),
+    *(".ndax", ".mpr", ".mpt", ".blf", ".asc", ".log", ".trc", ".res", ".xlsx", ".xls"),
 )
 
 
@@ -35,6 +36,7 @@ def read_log(
     dbc: str | Path | None = None,
     partial: bool = False,
     check_sign: bool = True,
+    decimal: str = "auto",
 ) -> CellLog:
     """Read a log in the tidy form or in a native format detected from its content.
 
@@ -79,10 +81,11 @@ def read_log(
         instance=instance,
         dbc=None if dbc is None else Path(dbc),
         partial=partial,
+        decimal=decimal,
     )
     source = open_source(stated.path, progress, options)
     known = detect_format(source, FORMATS)
-    raw = complete(known.read(source, known), known.sign, source.where)
+    raw = complete(read_channels(source, known), known.sign, source.where)
     raw = to_cell(raw, options, source.where)
     origin = Origin(
         name=_plain_name(source.path) if name is None else name,

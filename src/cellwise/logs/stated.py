@@ -57,7 +57,7 @@ class Stated:
         InputError        an unknown or repeated key, what is no number or out of range
         """
         path, at, tail = text.rpartition("@")
-        if not at or "/" in tail or "\\" in tail or Path(text).exists():
+        if not at or "/" in tail or "\\" in tail or _is_there(text):
             return cls(text)
         if not path:
             raise InputError(f"'{text}' without a log", FORM, "Put the log before the @.")
@@ -98,6 +98,13 @@ class Stated:
             return replace(log, temperature_C=np.full(len(log), self.temperature_C))
         found = other_temperature(log, self.temperature_C)
         return log if found is None else log.with_notices((found[1], *log.notices))
+
+
+def _is_there(path: str) -> bool:
+    try:
+        return Path(path).exists()
+    except (OSError, ValueError):  # a name that the system refuses
+        return False
 
 
 def other_temperature(log: CellLog, stated_C: float) -> tuple[float, str] | None:

@@ -20,6 +20,13 @@ def add_log_options(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="read a recording that was cut off, as far as it goes",
     )
+    group.add_argument(
+        "--decimal",
+        choices=("auto", ".", ","),
+        default="auto",
+        metavar="C",
+        help="decimal sign of a text, . or , [by its first rows]",
+    )
 
 
 def add_pack_options(parser: argparse.ArgumentParser, series: str = "") -> argparse._ArgumentGroup:
@@ -109,7 +116,8 @@ def arguments_of_read(arguments: argparse.Namespace) -> dict[str, Any]:
     ------
     InputError        options that are no numbers or no pairs
     """
-    return {"sign": arguments.sign, **_stated(arguments), "partial": arguments.partial}
+    reading = {"partial": arguments.partial, "decimal": arguments.decimal}
+    return {"sign": arguments.sign, **_stated(arguments), **reading}
 
 
 def read_options(arguments: argparse.Namespace) -> ReadOptions:

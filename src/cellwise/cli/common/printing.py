@@ -60,10 +60,20 @@ def check_places(*paths: str | None) -> None:
         if path is None:
             continue
         place = Path(path)
-        if place.is_dir():
+        try:
+            is_folder, folder = place.is_dir(), place.resolve().parent
+            place.exists()
+            has_folder = folder.is_dir()
+        except (OSError, ValueError) as error:
+            raise InputError(
+                f"'{str(place)[:60]}...', a name to write to that the system refuses "
+                f"({getattr(error, 'strerror', None) or error})",
+                "a name of a file",
+                "Choose another one.",
+            ) from None
+        if is_folder:
             raise InputError(f"a folder at '{place}'", "a file to write", "Give a file name.")
-        folder = place.resolve().parent
-        if not folder.is_dir():
+        if not has_folder:
             raise InputError(
                 f"no folder '{folder}' to write '{place.name}' into",
                 "an existing folder",

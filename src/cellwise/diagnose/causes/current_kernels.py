@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from cellwise.cell.compiled import cached
 from cellwise.typing import FloatArray
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@cached(error_model="numpy", nogil=True)
 def shift_rows(
     time_s: FloatArray,
     dt_s: FloatArray,
@@ -43,7 +43,7 @@ def shift_rows(
         last_current = flowing
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@cached(error_model="numpy", inline="always")
 def _at(
     time_s: FloatArray, current_A: FloatArray, charge: FloatArray, moment: float, j: int
 ) -> tuple[float, float, int]:

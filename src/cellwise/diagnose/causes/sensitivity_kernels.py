@@ -11,9 +11,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from cellwise.cell.compiled import inline
+from cellwise.cell.compiled import cached, inline
 from cellwise.cell.derivative_kernels import carried, driven, partials, rise, scalars_of
 from cellwise.cell.equations import (
     BEYOND,
@@ -62,7 +61,7 @@ class Directions(NamedTuple):
     current_of: IntArray
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@cached(error_model="numpy", nogil=True)
 def voltage_rows(
     table: FloatArray,
     grid: FloatArray,
@@ -127,7 +126,7 @@ def changed(table: FloatArray, mean: Place, surface: Place, apart: bool) -> Cell
     return surfaced(here, tables_at(table, surface)) if apart else here
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@cached(error_model="numpy", nogil=True)
 def derivative_rows(
     table: FloatArray,
     grid: FloatArray,

@@ -11,8 +11,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from cellwise.cell.compiled import cached
 from cellwise.typing import BoolArray, FloatArray
 
 TINY = 1e-60
@@ -29,7 +29,7 @@ class NoiseLevel(NamedTuple):
     slow_s: float
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@cached(error_model="numpy", nogil=True)
 def whiten(
     columns: FloatArray, dt_s: FloatArray, known: BoolArray, noise: NoiseLevel, ln_S: FloatArray
 ) -> None:
@@ -88,7 +88,7 @@ def whiten(
         ln_S[k] = math.log(s)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@cached(error_model="numpy", nogil=True)
 def minus_log_likelihood(
     residual: FloatArray, dt_s: FloatArray, known: BoolArray, noise: NoiseLevel, clip: float
 ) -> float:
@@ -133,7 +133,7 @@ def minus_log_likelihood(
     return total
 
 
-@njit(cache=True, error_model="numpy", nogil=True, fastmath={"reassoc", "contract"})
+@cached(error_model="numpy", nogil=True, fastmath={"reassoc", "contract"})
 def normal_equations(
     white: FloatArray, used: BoolArray, clip: float, normal: FloatArray, gradient: FloatArray
 ) -> None:

@@ -14,6 +14,7 @@ from typing import Any
 
 from numba import njit
 
+from cellwise.cell.compiled import cached
 from cellwise.estimate.fixed import (
     arithmetic,
     correct,
@@ -86,7 +87,7 @@ def _outer(function: FunctionType, options: Options) -> Callable[..., None]:
     scope = {**function.__globals__, **specialised(options)}
     own = FunctionType(function.__code__, scope, function.__name__)
     compiled: Callable[..., None]
-    compiled = njit(cache=True, nogil=True, **STRICT)(own)
+    compiled = cached(nogil=True, **STRICT)(own)
     return compiled
 
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from cellwise.cell.compiled import cached
 from cellwise.identify.pulse_fit.variable_projection.varpro_kernels import SAME_INTERVAL
 from cellwise.typing import FloatArray
 
 
-@njit(cache=True)
+@cached()
 def swarm_costs(
     dt: FloatArray,
     current: FloatArray,

@@ -18,8 +18,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from cellwise.cell.compiled import cached
 from cellwise.cell.equations import (
     hysteresis_decay,
     hysteresis_step,
@@ -83,7 +83,7 @@ class Blocks(NamedTuple):
     asinh: int
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@cached(error_model="numpy", inline="always")
 def _value(
     theta: FloatArray, at: int, basis: FloatArray, k: int, share: float, knots: int
 ) -> float:
@@ -99,7 +99,7 @@ def _value(
     return here
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@cached(error_model="numpy", nogil=True)
 def voltage_and_jacobian(
     log: LogRows,
     cell: CellScalars,
@@ -234,7 +234,7 @@ def voltage_and_jacobian(
             out += 1
 
 
-@njit(cache=True, error_model="numpy")
+@cached(error_model="numpy")
 def choose_rows(
     time_s: FloatArray,
     current_A: FloatArray,

@@ -114,15 +114,33 @@ def find_stuck(log: MeasuredLog) -> dict[str, Stretch]:
     return found
 
 
+def stuck_voltage(log: MeasuredLog) -> Stretch | None:
+    """The longest time for which the voltage stood still while the current moved; None: never.
+
+    Of a voltage that never moves, any current that does is enough.
+    """
+    voltage = log.voltage_V
+    lowest, highest = np.fmin.reduce(voltage), np.fmax.reduce(voltage)
+    if lowest == highest and len(log) > STUCK_ROWS:
+        moves = np.fmax.reduce(log.current_A) > np.fmin.reduce(log.current_A)
+        return Stretch(float(log.time_s[0]), log.duration_s) if moves else None
+    return _longest_standstill(log.time_s, voltage, log.current_A)
+
+
 def _longest_standstill(time_s: FloatArray, held: FloatArray, other: FloatArray) -> Stretch | None:
-    change = np.diff(other, prepend=other[0])
-    jump = STUCK_MOVE_OF_RANGE * float(np.nanmax(other) - np.nanmin(other))
-    ups, downs = np.cumsum(change > jump), np.cumsum(change < -jump)
-    first, last = _runs(np.diff(held, prepend=np.nan) == 0.0)
-    if first.size == 0 or jump == 0.0:
+    jump = STUCK_MOVE_OF_RANGE * float(np.fmax.reduce(other) - np.fmin.reduce(other))
+    if jump == 0.0:
         return None
-    moves = np.minimum(ups[last] - ups[first - 1], downs[last] - downs[first - 1])
-    stuck = (last - first + 1 >= STUCK_ROWS) & (moves >= STUCK_MOVES)
+    first, last = _runs(np.diff(held, prepend=np.nan) == 0.0)
+    long = last - first + 1 >= STUCK_ROWS
+    if not long.any():
+        return None
+    first, last = first[long], last[long]
+    change = np.diff(other, prepend=other[0])
+    moves = np.minimum(
+        _count_within(change > jump, first, last), _count_within(change < -jump, first, last)
+    )
+    stuck = moves >= STUCK_MOVES
     if not stuck.any():
         return None
     begins = time_s[np.maximum(first - 1, 0)][stuck]
@@ -146,6 +164,15 @@ def find_saturations(log: MeasuredLog) -> dict[str, Saturation]:
                 share = float(np.count_nonzero(at_end)) / len(log)
                 found[f"{name}_{end}"] = Saturation(float(extreme), share, visits)
     return found
+
+
+def _count_within(
+    flags: BoolArray, first: NDArray[np.intp], last: NDArray[np.intp]
+) -> NDArray[np.intp]:
+    """How often a flag is set in each of some runs of rows."""
+    edges = np.column_stack((first, last + 1)).ravel()
+    counted = np.add.reduceat(np.append(flags, False), edges, dtype=np.intp)
+    return counted[::2]
 
 
 def _runs(flags: BoolArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -51,16 +51,31 @@ def check_voltage(log: MeasuredLog, where: str) -> list[str]:
     cells = f"some {typical / TYPICAL_CELL_V:.0f} cells in series"
     if typical > SUSPECT_STRING_V:
         return [
-            f"the voltage is typically {typical:.0f} V: a pack of {cells}, or a cell logged in "
-            "another unit than volts"
+            f"the voltage LOOKS WRONG for one cell: it is typically {typical:.0f} V, a pack of "
+            f"{cells}, or a cell logged in another unit than volts"
         ]
     if typical > LARGEST_CELL_V:
-        return [f"the voltage is typically {typical:.1f} V: {cells}, read as one cell"]
+        return [
+            f"the voltage LOOKS WRONG for one cell: it is typically {typical:.1f} V, {cells}, read "
+            "as one cell; state their number (--series, series of read_log)"
+        ]
     if np.nanmin(log.voltage_V) < 0:
         return [f"the voltage goes down to {np.nanmin(log.voltage_V):.3f} V, below zero"]
     if typical < 0.5:
         return [f"the voltage is typically {typical:.3f} V: too low for a lithium-ion cell"]
     return []
+
+
+def volts_of_millivolts(channels: dict[str, FloatArray]) -> list[str]:
+    """Turn a tester's millivolts under a name of volts into volts; what was done.
+
+    No tester of cells reaches the voltage that one cell's millivolts would be in volts.
+    """
+    typical = _typical(np.abs(channels["voltage_V"]))
+    if not LARGEST_STRING_V < typical < 1e3 * LARGEST_CELL_V:
+        return []
+    channels["voltage_V"] = channels["voltage_V"] / 1e3
+    return [f"the voltage, typically {typical:.0f}, is in millivolts and was divided by 1000"]
 
 
 def check_current_and_time(log: MeasuredLog, where: str) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from datetime import timedelta
 from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
@@ -17,6 +18,12 @@ from cellwise.logs.checks.counter import (
     counts_throughput,
     joined_counter,
 )
+from cellwise.logs.checks.grave import (
+    check_time_moves,
+    grave_notices,
+    graves_first,
+    without_spikes,
+)
 from cellwise.logs.checks.sign import contradiction, verify_sign
 from cellwise.logs.checks.units import (
     check_current_and_time,
@@ -24,6 +31,7 @@ from cellwise.logs.checks.units import (
     counter_factor,
     plausible_temperature,
     time_from_start,
+    volts_of_millivolts,
 )
 from cellwise.logs.files.columns import TIDY_CHANNELS, choose_columns
 from cellwise.logs.files.format import SignConvention
@@ -81,8 +89,12 @@ def assemble(
     channels = dict(raw.channels)
     notices = list(raw.notices)
     notices += _drop_rows_without_time(channels, origin.where)
+    check_time_moves(channels["time_s"], origin.where)
     channels["time_s"], noted = time_from_start(channels["time_s"])
     notices += noted
+    notices += without_spikes(channels, origin.where)
+    if origin.format and not origin.format.startswith(("tidy", "table")):
+        notices += volts_of_millivolts(channels)
     temperature = channels.get("temperature_C")
     if temperature is not None:
         temperature, noted = plausible_temperature(temperature)
@@ -102,15 +114,16 @@ def assemble(
         current_meaning=origin.current_meaning,
         format=origin.format,
     )
+    notices += grave_notices(log)
     notices += check_voltage(log, origin.where)
     log, counter, noted = _with_checked_counter(log, origin.where)
     notices += noted
     notices += check_current_and_time(log, origin.where)
     opposite = counter is not None and counter.agreement < -SAME_QUANTITY
     if not (check_sign or opposite):
-        return log.with_notices(notices)
+        return log.with_notices(graves_first(notices))
     log, noted = _with_checked_sign(log, sign, opposite=opposite)
-    return log.with_notices((*notices, *noted))
+    return log.with_notices(graves_first([*noted, *notices]))
 
 
 def log_from_table(
@@ -128,7 +141,9 @@ def log_from_table(
     for column in columns:
         values = table[names[column.index]]
         try:
-            array = np.asarray(values, dtype=np.float64)
+            array = _seconds(values) if column.field == "time_s" else None
+            if array is None:
+                array = np.asarray(values, dtype=np.float64)
         except (TypeError, ValueError) as error:
             raise InputError(
                 f"column '{column.name}' of {origin.where} ({error})",
@@ -137,6 +152,22 @@ def log_from_table(
             ) from None
         channels[column.field] = column.unit.convert(array)
     return assemble(kind, RawLog(channels, tuple(notices)), origin, sign)
+
+
+def _seconds(values: Any) -> FloatArray | None:
+    """Seconds of dates or of durations, from the first; None for a column of numbers."""
+    array = np.asarray(values)
+    if array.dtype == object and array.size and hasattr(array.flat[0], "isoformat"):
+        # Python's own dates, or pandas' with a time zone; numpy wants them without.
+        plain = [x.replace(tzinfo=None) - (x.utcoffset() or timedelta()) for x in array.tolist()]
+        array = np.array(plain, dtype="datetime64[us]")
+    if array.dtype.kind not in "mM":
+        return None
+    known = array[~np.isnat(array)]
+    if known.size == 0:
+        return np.full(array.size, np.nan)
+    seconds: FloatArray = (array - known[0]) / np.timedelta64(1, "s")
+    return seconds
 
 
 def _drop_rows_without_time(channels: dict[str, FloatArray], where: str) -> list[str]:

@@ -20,8 +20,9 @@ CellKind = Literal["number", "clock", "label"]
 class Unit:
     """Conversion to the channel's own unit: ``value * factor + offset``.
 
-    ``kind`` says how the cells are written: as numbers, as a clock (``1d 02:03:04.5``, in seconds),
-    or as labels, of which ``labels`` gives the value (a label that is not among them: missing).
+    ``kind`` says how the cells are written: as numbers, as a clock (``1d 02:03:04.5``) or a date
+    (both in seconds), or as labels, of which ``labels`` gives the value (a label that is not among
+    them: missing).
     """
 
     factor: float = 1.0
@@ -115,9 +116,15 @@ TIDY_CHANNELS = (
 
 # Other names of the same thing, for the suggestion when a column is missing.
 _SYNONYMS = {
-    "time_s": ("time", "test_time", "testtime", "t", "timestamp", "seconds", "zeit", "elapsed"),
-    "current_A": ("current", "i", "amps", "ampere", "strom", "curr", "ibat"),
-    "voltage_V": ("voltage", "v", "u", "volts", "ewe", "spannung", "potential", "volt", "vbat"),
+    "time_s": (
+        *("time", "test_time", "testtime", "t", "timestamp", "seconds", "zeit", "elapsed"),
+        *("testzeit", "laufzeit", "versuchszeit", "datum", "uhrzeit", "zeitstempel", "datetime"),
+    ),
+    "current_A": ("current", "i", "amps", "ampere", "strom", "curr", "ibat", "batteriestrom"),
+    "voltage_V": (
+        *("voltage", "v", "u", "volts", "ewe", "spannung", "potential", "volt", "vbat"),
+        *("batteriespannung", "zellspannung", "klemmenspannung"),
+    ),
 }
 
 
@@ -188,7 +195,10 @@ def _stated(tidy: str, name: str, header: Sequence[str], keys: Sequence[str], wh
     places = places or [k for k, text in enumerate(keys) if text == folded(name)]
     if not places:
         raise no_such_name(name, [text.strip() for text in header], where)
-    return Column(fields[0][0], places[0], header[places[0]].strip(), fields[0][1])
+    field, unit = fields[0]
+    if tidy == "time_s":
+        unit = CLOCK  # a number of seconds, a clock or a date, whichever the cells hold
+    return Column(field, places[0], header[places[0]].strip(), unit)
 
 
 def no_such_name(name: str, names: Sequence[str], where: str, what: str = "column") -> InputError:

@@ -5,6 +5,7 @@ A reader may give, beside the fields of `CellLog`:
 ``direction``      +1 discharge, -1 charge, 0 rest, NaN unknown; signs a current without sign
 ``moved_Ah``       a counter without sign that restarts with every step; needs ``direction``
 ``charged_Ah``, ``discharged_Ah``    two counters that only rise, until they restart
+``working_V``, ``counter_V``     two electrodes against a reference: the cell is their difference
 ``step_time_s``    time since the tester's step began, where there is no time of the test
 """
 
@@ -15,10 +16,11 @@ import numpy as np
 from cellwise.errors import InputError
 from cellwise.logs.files.format import SignConvention
 from cellwise.logs.files.source import RawLog
-from cellwise.typing import FloatArray
+from cellwise.typing import BoolArray, FloatArray
 
 SIGNED_SHARE = 1e-3  # of the rows under load; fewer negative ones are a sensor's zero
 LOAD_OF_LARGEST = 0.01
+LEAST_AGREEING = 0.9  # of the rows whose sign and state can be compared
 RESTART_BELOW = 0.5  # of what a counter read before: less is a restart, more is its last digit
 
 
@@ -35,7 +37,14 @@ def complete(raw: RawLog, sign: SignConvention, where: str) -> RawLog:
     if "time_s" not in channels and step_time is not None:
         channels["time_s"] = accumulated(step_time)
         notices.append("the time of the steps was joined up")
+    working, counter = channels.pop("working_V", None), channels.pop("counter_V", None)
+    if "voltage_V" not in channels and working is not None:
+        channels["voltage_V"] = working if counter is None else working - counter
+        if counter is not None:
+            notices.append("the voltage is Ewe less Ece: both electrodes are logged")
     direction = channels.pop("direction", None)
+    if direction is None:
+        direction = _counted_direction(channels)
     if direction is not None and "current_A" in channels:
         channels["current_A"], noted = _signed(channels["current_A"], direction, sign, where)
         notices += noted
@@ -80,7 +89,7 @@ def _signed(
     load = size > LOAD_OF_LARGEST * largest
     negative = load & (current < 0)
     if np.count_nonzero(negative) > SIGNED_SHARE * np.count_nonzero(load):
-        return current, []
+        return _sign_by_state(current, direction, load, sign, where)
     unknown = load & np.isnan(direction)
     if unknown.any():
         row = int(np.flatnonzero(unknown)[0])
@@ -95,6 +104,47 @@ def _signed(
     factor = 1.0 if sign == "discharge-positive" else -1.0
     at_rest = np.where(np.nan_to_num(direction) == 0.0, 1.0, np.nan_to_num(direction))
     return factor * size * at_rest, ["the current has no sign; the tester's state gave it one"]
+
+
+def _sign_by_state(
+    current: FloatArray, direction: FloatArray, load: BoolArray, sign: SignConvention, where: str
+) -> tuple[FloatArray, list[str]]:
+    """A current that has a sign, in the format's, by what the tester's state says of it."""
+    stated = load & (np.nan_to_num(direction) != 0.0)
+    count = int(np.count_nonzero(stated))
+    if count == 0:
+        return current, []
+    agreeing = np.count_nonzero(np.sign(current[stated]) == direction[stated]) / count
+    discharge_positive = agreeing >= 0.5
+    if LEAST_AGREEING > agreeing > 1.0 - LEAST_AGREEING:
+        raise InputError(
+            f"a current of {where} whose sign agrees with the tester's state in "
+            f"{100 * agreeing:.0f} % of the rows under load",
+            "one meaning of the sign",
+            "Export the file again, or name the right columns with --channel.",
+        )
+    if discharge_positive == (sign == "discharge-positive"):
+        return current, []
+    found = "discharge" if discharge_positive else "charge"
+    return -current, [f"positive current is {found}, as the tester's state says"]
+
+
+def _counted_direction(channels: dict[str, FloatArray]) -> FloatArray | None:
+    """The direction by counters of charge and discharge, of a current without any sign."""
+    current = channels.get("current_A")
+    charged, discharged = channels.get("charged_Ah"), channels.get("discharged_Ah")
+    if current is None or charged is None or discharged is None or np.any(current < 0):
+        return None
+    steps = [np.nan_to_num(np.diff(accumulated(c), prepend=c[0])) for c in (charged, discharged)]
+    if not (np.any(steps[0] > 0) and np.any(steps[1] > 0)):
+        return None
+    direction = np.sign(steps[1] - steps[0])
+    # A counter's last digit does not move in every row of a load, and not in its first.
+    known = (direction != 0.0) | (current <= LOAD_OF_LARGEST * np.nanmax(current))
+    rows = np.where(known, np.arange(current.size), current.size - 1)
+    following = np.minimum.accumulate(rows[::-1])[::-1]
+    filled: FloatArray = direction[following]
+    return np.where(filled == 0.0, np.nan, filled)
 
 
 def _counted_current(

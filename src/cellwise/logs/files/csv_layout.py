@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from cellwise.errors import InputError
 from cellwise.logs.files.columns import folded
+from cellwise.logs.files.options import FROM_FILE
 from cellwise.logs.files.source import LogSource, decoded
 
 DELIMITERS = ",;\t|"
@@ -73,9 +74,8 @@ def csv_layout(source: LogSource) -> CsvLayout:
     delimiter = _delimiter(header_line)
     header = next(csv.reader([header_line], delimiter=delimiter, skipinitialspace=True))
     cells = [row for row in _cells(rows[:50], delimiter) if row]
-    if cells and all(len(row) == len(header) + 1 and not row[-1].strip() for row in cells):
-        header = [*header, ""]  # rows end with a delimiter, the header does not
-    return CsvLayout(tuple(header), delimiter, _decimal(cells, delimiter), offset, number + 1)
+    decimal = _decimal(cells, delimiter, source.options.decimal)
+    return CsvLayout(_as_wide(header, cells), delimiter, decimal, offset, number + 1)
 
 
 def native_layout(source: LogSource, names: Collection[str]) -> CsvLayout:
@@ -107,14 +107,15 @@ def native_layout(source: LogSource, names: Collection[str]) -> CsvLayout:
             "Check the export that wrote it.",
         )
     first = found + 1
-    while first < min(len(lines), found + 1 + MOST_UNIT_ROWS) and not _has_digit(lines[first]):
+    units = 0
+    while first < len(lines) and units <= MOST_UNIT_ROWS and not _has_digit(lines[first]):
+        units += bool(lines[first].strip())
         first += 1
     delimiter = _delimiter(decoded(lines[found]))
-    cells = [row for row in _cells(lines[first : first + 50], delimiter) if row]
-    if cells and all(len(row) == len(header) + 1 and not row[-1].strip() for row in cells):
-        header = [*header, ""]
+    cells = [row for row in _cells(lines[first : first + 50], delimiter) if any(row)]
     offset = sum(len(raw) for raw in lines[:first])
-    return CsvLayout(tuple(header), delimiter, _decimal(cells, delimiter), offset, first + 1)
+    decimal = _decimal(cells, delimiter, source.options.decimal)
+    return CsvLayout(_as_wide(header, cells), delimiter, decimal, offset, first + 1)
 
 
 def header_cells(line: str) -> list[str]:
@@ -144,6 +145,16 @@ def has_names(source: LogSource, *groups: Collection[str]) -> bool:
     return False
 
 
+def _as_wide(header: Sequence[str], cells: Sequence[Sequence[str]]) -> tuple[str, ...]:
+    """A header as wide as the rows, where only one of the two ends with a delimiter."""
+    wide = len(header)
+    if cells and all(len(row) == wide + 1 and not row[-1].strip() for row in cells):
+        return (*header, "")
+    if cells and not header[-1].strip() and all(len(row) == wide - 1 for row in cells):
+        return tuple(header[:-1])
+    return tuple(header)
+
+
 def _delimiter(line: str) -> str:
     return max(DELIMITERS, key=line.count)
 
@@ -165,10 +176,13 @@ def _cells(rows: Sequence[bytes], delimiter: str) -> list[list[str]]:
     return list(csv.reader(text, delimiter=delimiter))
 
 
-def _decimal(cells: Sequence[Sequence[str]], delimiter: str) -> str:
-    """A comma where cells are written so and no cell has a decimal point, else a point."""
-    if delimiter == ",":
-        return "."
+def _decimal(cells: Sequence[Sequence[str]], delimiter: str, stated: str) -> str:
+    """As stated, else a comma where cells are written so and none has a decimal point.
+
+    Between commas a cell can only hold one in quotation marks.
+    """
+    if stated != FROM_FILE:
+        return stated
     flat = [cell.strip() for row in cells for cell in row]
     commas = any(DECIMAL_COMMA.fullmatch(cell) for cell in flat)
     points = any("." in cell and _NUMBER.fullmatch(cell) for cell in flat)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+import zlib
 from array import array
 from collections.abc import Sequence
+from contextlib import closing
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,8 +22,10 @@ from cellwise.logs.files.csv_layout import (
     native_layout,
 )
 from cellwise.logs.files.format import Format, without_late_errors
+from cellwise.logs.files.limits import Limits
 from cellwise.logs.files.source import LogSource, RawLog, damaged_gzip
-from cellwise.logs.files.text_cells import arrow_type, arrow_values
+from cellwise.logs.files.text_cells import DayFirstError, arrow_type, arrow_values
+from cellwise.logs.files.timed_stream import TimedStream
 from cellwise.typing import FloatArray
 
 if TYPE_CHECKING:
@@ -50,7 +54,11 @@ def read_csv(source: LogSource, known: Format) -> RawLog:
     if layout.decimal == ",":
         notices.append("decimal commas were read as such")
     odd_rows: list[tuple[int, int, str]] = []
-    values = _read_batches(source, layout, columns, odd_rows)
+    try:
+        values = _read_batches(source, layout, columns, odd_rows)
+    except DayFirstError:
+        odd_rows.clear()
+        values = _read_batches(source, layout, columns, odd_rows, day_first=True)
     n = values[0].size
     if odd_rows:
         notices.append(_odd_rows(odd_rows, n, layout, where))
@@ -80,6 +88,8 @@ def _read_batches(
     layout: CsvLayout,
     columns: Sequence[Column],
     odd_rows: list[tuple[int, int, str]],
+    *,
+    day_first: bool = False,
 ) -> list[FloatArray]:
     """The columns' values in the file's unit, in the order of ``columns``."""
     import pyarrow as pa
@@ -90,17 +100,18 @@ def _read_batches(
     types = {names[column.index]: arrow_type(column.unit) for column in columns}
 
     def keep_odd(row: InvalidRow) -> str:
+        if not row.text.strip(f"{layout.delimiter} \t"):
+            return "skip"  # a blank line, of delimiters
         odd_rows.append((row.number or 0, row.actual_columns, row.text))
         return "skip" if len(odd_rows) < 100 else "error"
 
     grown = [array("d") for _ in columns]  # grows in place: no second copy at the end
+    limits = Limits.of(source.size)
     try:
-        with pa.OSFile(str(source.path)) as file, without_late_errors():
-            stream = pa.CompressedInputStream(file, "gzip") if source.gzipped else file
-            stream.read(layout.offset)
+        with closing(TimedStream(source, limits, layout.offset)) as stream, without_late_errors():
             # One thread: only then do messages carry the row's number, and no slower.
             reader = pa_csv.open_csv(
-                stream,
+                pa.PythonFile(stream, mode="r"),
                 read_options=pa_csv.ReadOptions(
                     column_names=names, block_size=BLOCK_BYTES, use_threads=False
                 ),
@@ -117,15 +128,19 @@ def _read_batches(
             )
             for batch in reader:
                 for into, name, column in zip(grown, wanted, columns, strict=True):
-                    values, unread = arrow_values(column.unit, batch.column(name))
+                    values, unread = arrow_values(
+                        column.unit, batch.column(name), day_first=day_first
+                    )
                     if unread:
                         raise _no_clock(unread, column, source)
                     into.frombytes(values.tobytes())
-                source.report(file.tell(), source.size)
+                limits.check_rows(len(grown[0]), source.where)
+                stream.check_time()
+                source.report(stream.done(), source.size)
     except pa.ArrowInvalid as error:
         if "Empty CSV file" not in str(error):
             raise _refused(str(error), source, layout, columns) from None
-    except OSError as error:
+    except (OSError, EOFError, zlib.error) as error:
         if not source.gzipped:
             raise
         raise damaged_gzip(source, str(error)) from None
@@ -135,7 +150,7 @@ def _read_batches(
 def _no_clock(text: str, column: Column, source: LogSource) -> InputError:
     return InputError(
         f"'{text[:40]}' in column '{column.name}' of {source.where}",
-        "a time as 12.5, 02:03:04.5 or 1d 02:03:04",
+        "a time as 12.5, 02:03:04.5, 1d 02:03:04 or 2024-05-31 02:03:04",
         "Correct the cell, or export the time in seconds.",
     )
 

@@ -36,6 +36,8 @@ class Format:
     known : sequence of str     columns that belong to it and are not used; None: any may
     instances : bool            a file may hold several batteries
     uses_dbc : bool             a CAN database says what its frames hold
+    apart : bool                read by a library that does not withstand every file: in a process
+                                of its own
     """
 
     name: str
@@ -47,13 +49,13 @@ class Format:
     known: Sequence[str] | None = None
     instances: bool = False
     uses_dbc: bool = False
+    apart: bool = False
 
 
 # Content that is given to a log reader by mistake, and what to do about it.
 _OTHER_CONTENT = (
     (b"PK\x03\x04", "a zip archive or an Excel workbook", "Export the sheet as CSV, or unpack it."),
     (b"\xd0\xcf\x11\xe0", "an old Excel workbook", "Export the sheet as CSV."),
-    (b"\x00\x01\x00\x00Standard", "an Access database (Arbin .res)", "Export the test as CSV."),
     (b"\x89HDF", "an HDF5 file", "Export time, current and voltage as CSV."),
     (b"BZh", "a bzip2 file", "Decompress it first."),
     (b"\xfd7zXZ", "an xz file", "Decompress it first."),
@@ -135,7 +137,7 @@ def library_at_work(source: LogSource, kind: str) -> Iterator[None]:
     try:
         with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
             yield
-    except InputError:
+    except (InputError, MemoryError):
         raise
     except Exception as error:
         with without_late_errors():

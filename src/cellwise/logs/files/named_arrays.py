@@ -11,7 +11,7 @@ from cellwise.errors import InputError
 from cellwise.logs.files.columns import Unit, choose_columns
 from cellwise.logs.files.format import Format
 from cellwise.logs.files.source import LogSource, RawLog
-from cellwise.logs.files.text_cells import label_value
+from cellwise.logs.files.text_cells import DayFirstError, arrow_values, label_value
 from cellwise.typing import FloatArray
 
 
@@ -54,6 +54,8 @@ def _numbers(values: Any, unit: Unit, name: str, source: LogSource) -> FloatArra
     if unit.kind == "label":
         meaning = {label: label_value(unit, str(label)) for label in set(array.tolist())}
         return np.array([meaning[label] for label in array.tolist()], dtype=np.float64)
+    if unit.kind == "clock" and array.dtype.kind in "UO":
+        return unit.convert(_clock(array, unit, name, source))
     try:
         numbers: FloatArray = np.asarray(array, dtype=np.float64).ravel()
     except (TypeError, ValueError) as error:
@@ -63,3 +65,21 @@ def _numbers(values: Any, unit: Unit, name: str, source: LogSource) -> FloatArra
             "Choose another one with --channel.",
         ) from None
     return unit.convert(numbers)
+
+
+def _clock(array: Any, unit: Unit, name: str, source: LogSource) -> FloatArray:
+    """Seconds of a column of clocks or dates."""
+    import pyarrow as pa
+
+    texts = pa.array([str(text) for text in array.tolist()])
+    try:
+        values, unread = arrow_values(unit, texts)
+    except DayFirstError:
+        values, unread = arrow_values(unit, texts, day_first=True)
+    if unread:
+        raise InputError(
+            f"'{unread[:40]}' in column '{name}' of {source.where}",
+            "a time as 12.5, 02:03:04.5, 1d 02:03:04 or 2024-05-31 02:03:04",
+            "Correct the cell, or choose another column with --channel.",
+        )
+    return values

@@ -26,10 +26,11 @@ class ReadOptions:
     instance : int or None      which battery of a file that has several, counted from 0
     dbc : Path or None          the database of the CAN frames
     partial : bool              read a recording that was cut off as far as it goes
+    decimal : str               decimal sign of a text: ``.``, ``,``, or ``auto`` by its first rows
 
     Raises
     ------
-    InputError                  counts below one, an instance below zero
+    InputError                  counts below one, an instance below zero, another decimal sign
     """
 
     series: int | Literal["auto"] = 1
@@ -38,6 +39,7 @@ class ReadOptions:
     instance: int | None = None
     dbc: Path | None = None
     partial: bool = False
+    decimal: str = FROM_FILE
 
     def __post_init__(self) -> None:
         for name, count in (("series", self.series), ("parallel", self.parallel)):
@@ -48,6 +50,10 @@ class ReadOptions:
         if self.instance is not None and self.instance < 0:
             raise InputError(
                 f"instance {self.instance}", "a battery's number from 0 up", "Count from 0."
+            )
+        if self.decimal not in (FROM_FILE, ".", ","):
+            raise InputError(
+                f"a decimal sign '{self.decimal}'", "'.', ',' or 'auto'", "Give --decimal ',', say."
             )
         if self.dbc is not None and not Path(self.dbc).is_file():
             raise InputError(f"no DBC file '{self.dbc}'", "a CAN database", "Check the path.")

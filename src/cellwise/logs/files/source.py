@@ -11,7 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, cast
 
-from cellwise.errors import InputError
+from cellwise.errors import InputError, MachineError
 from cellwise.logs.files.options import NOTHING_SAID, ReadOptions
 from cellwise.typing import FloatArray
 
@@ -75,9 +75,11 @@ class LogSource:
 
     def open(self) -> IO[bytes]:
         """The content as a binary stream, decompressed."""
-        if self.gzipped:
-            return cast("IO[bytes]", gzip.open(self.path, "rb"))
-        return self.path.open("rb")
+        return self.content_of(self.path.open("rb"))
+
+    def content_of(self, file: IO[bytes]) -> IO[bytes]:
+        """The content of an open file, decompressed."""
+        return cast("IO[bytes]", gzip.open(file, "rb")) if self.gzipped else file
 
     def report(self, done: int, total: int) -> None:
         """Report progress if anybody listens."""
@@ -109,17 +111,17 @@ def open_source(
     InputError        nothing there, a folder, not readable, empty, or damaged gzip
     """
     place = Path(path)
-    if place.is_dir():
-        raise InputError(f"a folder at '{place}'", "a log file", "Name one of the files in it.")
     try:
+        if place.is_dir():
+            raise InputError(f"a folder at '{place}'", "a log file", "Name one of the files in it.")
         size = place.stat().st_size
         with place.open("rb") as file:
             magic = file.read(2)
     except FileNotFoundError:
         raise InputError(f"no file '{place}'", "a log file", _near_files(place)) from None
     except OSError as error:
-        raise InputError(
-            f"'{place}', which cannot be read ({error.strerror})",
+        raise MachineError(
+            f"'{str(place)[:200]}', which cannot be read ({error.strerror})",
             "a readable log file",
             "Check its permissions and that the disk is there.",
         ) from None

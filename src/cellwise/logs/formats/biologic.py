@@ -17,6 +17,9 @@ from cellwise.logs.files.source import LogSource, RawLog
 _TEXT = "EC-Lab ASCII FILE"
 _BINARY = b"BIO-LOGIC MODULAR FILE"
 
+_VOLTAGES = ("Ewe/V", "Ecell/V", "<Ewe>/V", "<Ecell>/V", "Ewe-Ece/V")
+_CURRENTS = ("<I>/mA", "I/mA", "<I>/A", "I/A")
+
 _CHANNELS = (
     Channel("time_s", {"time/s": OWN}, required=True),
     Channel(
@@ -27,9 +30,12 @@ _CHANNELS = (
     ),
     Channel(
         "voltage_V",
-        {"Ecell/V": OWN, "<Ecell>/V": OWN, "Ewe-Ece/V": OWN, "Ewe/V": OWN, "<Ewe>/V": OWN},
+        {"Ecell/V": OWN, "<Ecell>/V": OWN, "Ewe-Ece/V": OWN},
         required=True,
+        instead="working_V",  # the cell, of two electrodes
     ),
+    Channel("working_V", {"Ewe/V": OWN, "<Ewe>/V": OWN}),
+    Channel("counter_V", {"Ece/V": OWN, "<Ece>/V": OWN}),
     Channel(
         "temperature_C",
         {"Temperature/°C": OWN, "Temperature/C": OWN, "Analog IN 1/°C": OWN, "T/°C": OWN},
@@ -43,7 +49,7 @@ _CHANNELS = (
 _KNOWN = (
     *("mode", "ox/red", "error", "control changes", "Ns changes", "counter inc.", "flags"),
     *("control/V/mA", "control/V", "control/mA", "dq/mA.h", "dQ/mA.h", "dQ/C", "(Q-Qo)/C", "P/W"),
-    *("I Range", "cycle number", "half cycle", "z cycle", "x", "Ece/V", "<Ece>/V", "Energy/W.h"),
+    *("I Range", "cycle number", "half cycle", "z cycle", "x", "|Ece|/V", "Energy/W.h"),
     *("Energy charge/W.h", "Energy discharge/W.h", "|Energy|/W.h", "Capacity/mA.h", "R/Ohm"),
     *("Q charge/discharge/mA.h", "Q charge/mA.h", "Q discharge/mA.h", "Efficiency/%", "Rcmp/Ohm"),
     *("step time/s", "Capacitance charge/µF", "Capacitance discharge/µF", "Analog IN 1/V"),
@@ -55,7 +61,7 @@ def _is_text(source: LogSource) -> bool:
     lines = source.first_lines
     if lines and lines[0].lstrip("\ufeff").startswith(_TEXT):
         return True
-    return has_names(source, ("time/s",), ("Ewe/V", "Ecell/V"), ("mode", "ox/red", "Ns changes"))
+    return has_names(source, ("time/s",), _VOLTAGES, ("mode", "ox/red", "Ns changes", *_CURRENTS))
 
 
 def _read_binary(source: LogSource, known: Format) -> RawLog:
@@ -82,4 +88,5 @@ BIOLOGIC_MPR = Format(
     known=_KNOWN,
     read=_read_binary,
     sign="charge-positive",
+    apart=True,
 )

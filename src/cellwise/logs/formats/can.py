@@ -1,4 +1,4 @@
-"""CAN logs (BLF, ASC, ``candump -L``, TRC) with a database of what the frames hold."""
+"""CAN logs (BLF, ASC, TRC, candump, SavvyCAN, BUSMASTER) with a database of what frames hold."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import io
 import re
 from array import array
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from cellwise.logs.files.source import LogSource, RawLog
 from cellwise.logs.vehicle.alignment import Series, aligned
 from cellwise.logs.vehicle.can_bits import physical_values
 from cellwise.logs.vehicle.can_database import can_database
+from cellwise.logs.vehicle.can_text import Frame, Layout, frames_of, layout_of
 from cellwise.logs.vehicle.signal_choice import CHOSEN, Signal, choose_signals
 
 _BLF = b"LOGG"
@@ -43,7 +45,19 @@ def _kind(source: LogSource) -> str:
     return ""
 
 
+def _text_layout(source: LogSource) -> Layout | None:
+    """The layout of a text that python-can does not read."""
+    return None if _kind(source) else layout_of(source.first_lines)
+
+
 def _read(source: LogSource, known: Format) -> RawLog:
+    layout = _text_layout(source)
+    if layout is not None and layout.seconds is None:
+        raise InputError(
+            f"CAN frames without times in {source.where}",
+            "frames with the time of each",
+            "Record them with 'candump -L', or with times as 'candump -t a' writes them.",
+        )
     database = _database(source)
     frames, ids = _frames(source, database)
     if not frames:
@@ -102,18 +116,27 @@ def _frames(source: LogSource, database: Any) -> tuple[Frames, set[int]]:
     }
     ids: set[int] = set()
     with library_at_work(source, "CAN log"):
-        for count, message in enumerate(_messages(source)):
-            ids.add(message.arbitration_id)
-            into = frames.get((message.arbitration_id, message.is_extended_id))
-            if into is not None and not (message.is_error_frame or message.is_remote_frame):
-                into[0].append(message.timestamp)
-                into[1].append(bytes(message.data))
+        for count, frame in enumerate(_of_text(source) or _messages(source)):
+            ids.add(frame.identifier)
+            into = frames.get((frame.identifier, frame.extended))
+            if into is not None:
+                into[0].append(frame.time_s)
+                into[1].append(frame.data)
             if count % _REPORT_EVERY == 0:
                 source.report(count, max(count + 1, source.size // 16))
     return {key: found for key, found in frames.items() if found[1]}, ids
 
 
-def _messages(source: LogSource) -> Iterator[Any]:
+def _of_text(source: LogSource) -> Iterator[Frame] | None:
+    """Frames of a text that python-can does not read; None of another file."""
+    layout = _text_layout(source)
+    if layout is None:
+        return None
+    lines = io.TextIOWrapper(source.open(), encoding="utf-8", errors="replace")
+    return frames_of(lines, layout)
+
+
+def _messages(source: LogSource) -> Iterator[Frame]:
     can = need("can", "a CAN log", "python-can")
     kind = _kind(source)
     stream: Any = source.open()
@@ -123,7 +146,14 @@ def _messages(source: LogSource) -> Iterator[Any]:
         reader = getattr(can, kind)(stream)
         if kind == "BLFReader" and not source.gzipped and reader.file_size > source.size:
             raise damaged(source, "CAN log", f"{source.size} of {reader.file_size} bytes")
-        yield from reader
+        for message in reader:
+            if not (message.is_error_frame or message.is_remote_frame):
+                yield Frame(
+                    message.timestamp,
+                    message.arbitration_id,
+                    message.is_extended_id,
+                    bytes(message.data),
+                )
 
 
 CAN_LOG = Format(
@@ -133,4 +163,9 @@ CAN_LOG = Format(
     read=_read,
     sign="discharge-positive",
     uses_dbc=True,
+    apart=True,
+)
+
+CAN_TEXT = replace(
+    CAN_LOG, name="can-text", matches=lambda source: _text_layout(source) is not None
 )

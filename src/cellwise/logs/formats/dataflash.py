@@ -136,4 +136,5 @@ ARDUPILOT_DATAFLASH = Format(
     read=_read,
     sign="discharge-positive",
     instances=True,
+    apart=True,
 )

@@ -92,6 +92,7 @@ DIGATRON_MAT = Format(
     known=("TimeStamp", "Wh", "Power", "Chamber_Temp_degC", "Status", "Cycle"),
     read=_read_mat,
     sign="charge-positive",
+    apart=True,
 )
 
 DIGATRON_CSV = Format(

@@ -67,4 +67,5 @@ ARBIN_EXCEL = Format(
     known=ARBIN_CSV.known,
     read=_read,
     sign="charge-positive",
+    apart=True,
 )

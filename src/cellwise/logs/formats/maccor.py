@@ -1,4 +1,4 @@
-"""Maccor text exports: currents without sign, a state (``C``, ``D``, ``R``) beside them."""
+"""Maccor text exports: a state (``C``, ``D``, ``R``) signs the current, or states its sign."""
 
 from __future__ import annotations
 
@@ -14,14 +14,16 @@ _STATE = labels(C=-1.0, D=1.0, R=0.0, P=0.0, S=0.0, E=0.0, O=0.0, I=0.0, A=0.0)
 MACCOR_TEXT = Format(
     name="maccor-text",
     matches=lambda source: has_names(
-        source, ("Rec#", "Rec", "RecNum"), ("Amps", "Current [A]", "Current", "Current [mA]")
+        source,
+        ("Rec#", "Rec", "RecNum"),
+        ("Amps", "mAmps", "Current [A]", "Current", "Current [mA]"),
     ),
     channels=(
         Channel(
             "time_s",
             {
                 "Test (Sec)": OWN,
-                "TestTime": CLOCK,
+                "TestTime": CLOCK,  # also Test Time
                 "Test (Min)": Unit(60.0),
                 "Test (Hrs)": Unit(3600.0),
                 "TestTime(s)": OWN,

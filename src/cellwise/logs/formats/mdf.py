@@ -77,4 +77,5 @@ ASAM_MDF = Format(
     read=_read,
     sign="discharge-positive",
     uses_dbc=True,
+    apart=True,
 )

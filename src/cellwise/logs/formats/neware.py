@@ -154,4 +154,5 @@ NEWARE_STORED = Format(
     ),
     read=_read_stored,
     sign="charge-positive",
+    apart=True,
 )

@@ -152,4 +152,5 @@ PX4_ULOG = Format(
     read=_read,
     sign="discharge-positive",
     instances=True,
+    apart=True,
 )

@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cellwise.cell.compiled import cached
 from cellwise.identify.pulse_fit.variable_projection.varpro_kernels import (
     COLUMN_OF,
     COLUMNS,
@@ -38,7 +38,7 @@ STALLED = 1e-11  # relative gain of a pass below which only rounding is left
 DAMPING_START, DAMPING_LEAST = 1e-4, 1e-12
 
 
-@njit(cache=True)
+@cached()
 def _solve_subset(
     gram: FloatArray, columns: IntVector, m: int, chol: FloatArray, x: FloatArray
 ) -> float:
@@ -78,7 +78,7 @@ def _solve_subset(
     return float(max(cost, 0.0))
 
 
-@njit(cache=True)
+@cached()
 def solve_linear(
     gram: FloatArray,
     include: BoolArray,
@@ -146,7 +146,7 @@ def solve_linear(
     return best
 
 
-@njit(cache=True)
+@cached()
 def _reduced_normal(
     gram: FloatArray,
     coefficients: FloatArray,
@@ -196,7 +196,7 @@ def _reduced_normal(
             hessian[t, q] = s
 
 
-@njit(cache=True)
+@cached()
 def _scratch() -> Scratch:
     """Buffers that one search uses for all its passes."""
     return (
@@ -208,7 +208,7 @@ def _scratch() -> Scratch:
     )
 
 
-@njit(cache=True)
+@cached()
 def _evaluate(
     window: Window,
     p1: float,
@@ -230,7 +230,7 @@ def _evaluate(
     return solve_linear(gram, include, non_negative, coefficients, free, columns, chol, x)
 
 
-@njit(cache=True)
+@cached()
 def _keep(
     trial: FloatArray,
     trial_coefficients: FloatArray,
@@ -248,7 +248,7 @@ def _keep(
         free[u] = trial_free[u]
 
 
-@njit(cache=True)
+@cached()
 def minimise(
     window: Window,
     include: BoolArray,
@@ -331,7 +331,7 @@ def minimise(
     return cost, iterations, False
 
 
-@njit(cache=True)
+@cached()
 def scan(
     window: Window,
     include: BoolArray,

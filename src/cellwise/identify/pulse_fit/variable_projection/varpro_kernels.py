@@ -22,8 +22,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from cellwise.cell.compiled import cached
 from cellwise.typing import BoolArray, FloatArray
 
 COLUMNS = 15
@@ -39,7 +39,7 @@ SAME_INTERVAL = 1e-7
 _FAST = {"reassoc", "contract", "nsz", "arcp"}
 
 
-@njit(cache=True)
+@cached()
 def trend_factor(slope: float, soc_offset: float) -> float:
     """Value of a parameter at a SOC offset over its value at the pulse's mean SOC [-].
 
@@ -49,7 +49,7 @@ def trend_factor(slope: float, soc_offset: float) -> float:
     return 1.0 + x * (1.0 + 0.5 * x)
 
 
-@njit(cache=True)
+@cached()
 def columns_used(include: BoolArray) -> int:
     """Leading columns that a set of unknowns needs; see the module's list."""
     if include[8] or include[9]:
@@ -60,7 +60,7 @@ def columns_used(include: BoolArray) -> int:
     return 8
 
 
-@njit(cache=True, fastmath=_FAST)
+@cached(fastmath=_FAST)
 def _add_tile(tile: FloatArray, weight: FloatArray, rows: int, used: int, gram: FloatArray) -> None:
     """Add the weighted products of one tile's columns to the lower triangle of ``gram``."""
     for i in range(used):
@@ -71,7 +71,7 @@ def _add_tile(tile: FloatArray, weight: FloatArray, rows: int, used: int, gram: 
             gram[i, j] += total
 
 
-@njit(cache=True)
+@cached()
 def accumulate(
     dt: FloatArray,
     current: FloatArray,
@@ -158,7 +158,7 @@ def accumulate(
             gram[j, i] = gram[i, j]
 
 
-@njit(cache=True)
+@cached()
 def predict(
     dt: FloatArray,
     current: FloatArray,
@@ -203,7 +203,7 @@ def predict(
         )
 
 
-@njit(cache=True)
+@cached()
 def thin(
     dt: FloatArray,
     current: FloatArray,
@@ -266,7 +266,7 @@ def thin(
     return count
 
 
-@njit(cache=True, fastmath=_FAST)
+@cached(fastmath=_FAST)
 def autocorrelation_time(residual: FloatArray, longest: int) -> float:
     """How many rows share one independent residual: 1 + 2 sum of autocorrelations, at least 1.
 

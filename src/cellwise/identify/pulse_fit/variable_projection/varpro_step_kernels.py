@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from cellwise.cell.compiled import cached
 from cellwise.typing import FloatArray
 
 LONGEST_BOOST = 32.0
 
 
-@njit(cache=True)
+@cached()
 def _inside(p1: float, p2: float, limits: FloatArray) -> bool:
     """Whether (log tau1, log tau2) keeps the limits, to rounding."""
     slack = 1e-9
@@ -24,7 +23,7 @@ def _inside(p1: float, p2: float, limits: FloatArray) -> bool:
     )
 
 
-@njit(cache=True)
+@cached()
 def bounded_step(
     h11: float,
     h12: float,
@@ -76,13 +75,13 @@ def bounded_step(
             step[0], step[1] = t1, t2
 
 
-@njit(cache=True)
+@cached()
 def within(x: float, low: float, high: float) -> float:
     """``x`` limited to [low, high]."""
     return min(max(x, low), high)
 
 
-@njit(cache=True)
+@cached()
 def next_boost(boost: float, step: FloatArray, last1: float, last2: float) -> float:
     """Factor on the next step: longer while steps follow each other, half where they alternate.
 

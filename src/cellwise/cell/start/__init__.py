@@ -1,0 +1,1 @@
+"""Simulations whose start is found, as the command finds it."""

@@ -1,0 +1,129 @@
+"""The command line: arguments in, exit code out."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+from cellwise.cli.common.interrupts import watched
+from cellwise.cli.common.overwriting import check_overwriting
+from cellwise.errors import InputError
+
+REFUSED = 2
+BUG = 1
+INTERRUPTED = 130
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The parser of every command."""
+    from importlib.metadata import version
+
+    from cellwise.cli import (
+        benchmarking,
+        capacity_study,
+        data,
+        diagnosing,
+        estimating,
+        exporting,
+        fleet,
+        identifying,
+        live,
+        logs,
+        studies,
+    )
+
+    parser = argparse.ArgumentParser(
+        prog="cellwise",
+        description="Battery cells: identify a model from laboratory tests, simulate it, "
+        "estimate SOC.",
+    )
+    parser.add_argument("--version", action="version", version=f"cellwise {version('cellwise')}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    modules = (
+        logs, identifying, estimating, live, diagnosing, exporting, studies, capacity_study,
+        benchmarking, fleet, data,
+    )  # fmt: skip
+    for module in modules:
+        module.add_commands(commands)
+    for command in commands.choices.values():
+        command.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command.
+
+    Returns
+    -------
+    int       0 done; 2 the input or the arguments were refused; 130 interrupted; anything else is a
+              bug
+    """
+    with watched() as interrupts:
+        try:
+            parsed = build_parser().parse_args(arguments)
+            code, said = _run(parsed)
+            sys.stdout.flush()
+        except KeyboardInterrupt:
+            code, said = INTERRUPTED, "interrupted"
+        except BrokenPipeError:
+            sys.stderr.close()
+            return 0
+        except OSError as error:  # of standard output alone: those of files were refused
+            sys.stdout = None  # not to be tried again at exit
+            code, said = REFUSED, str(_of_system(error, "standard output"))
+        if interrupts.struck:
+            code, said = INTERRUPTED, "interrupted; no file was left half written"
+        if said:
+            print(f"cellwise: {said}" if code == INTERRUPTED else said, file=sys.stderr)
+        return code
+
+
+def _run(parsed: argparse.Namespace) -> tuple[int, str]:
+    """Exit code of a command, and what is to be said of an error."""
+    try:
+        check_overwriting(parsed)
+        parsed.run(parsed)
+    except (BrokenPipeError, KeyboardInterrupt):
+        raise
+    except Exception as error:
+        if parsed.debug:
+            raise
+        refusal = _refusal(error)
+        if refusal is not None:
+            return REFUSED, f"cellwise {parsed.command}: {refusal}"
+        return BUG, (
+            f"cellwise {parsed.command}: internal error, {error.__class__.__name__}: {error}\n"
+            "This is a bug. Run again with --debug and report what it shows."
+        )
+    return 0, ""
+
+
+def _refusal(error: Exception) -> InputError | None:
+    """What was refused, in the end by the machine; None for a bug."""
+    if isinstance(error, InputError):
+        return error
+    if isinstance(error, OSError) and error.errno is not None:
+        return _of_system(error, str(error.filename or "standard output"))
+    if isinstance(error, MemoryError):
+        return InputError(
+            "an input that needs more memory than there is",
+            "one that fits",
+            "Give a smaller one, or more memory.",
+        )
+    if isinstance(error, RecursionError):
+        return InputError(
+            "an input that is nested too deeply",
+            "a file that cellwise or its programs wrote",
+            "Check which file was given.",
+        )
+    return None
+
+
+def _of_system(error: OSError, what: str) -> InputError:
+    """The refusal of a file or device that the system refused."""
+    return InputError(
+        f"{what} that the system refused ({error.strerror or error})",
+        "a place that can be read or written, with space left",
+        "Check its name, permissions and space, or choose another one.",
+    )

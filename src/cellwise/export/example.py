@@ -1,0 +1,171 @@
+"""What an engineer finds beside the sources: a README, an example that checks itself, a vector."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from string import Template
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellwise.cell.model import CellModel
+from cellwise.cell.simulate import simulate
+from cellwise.errors import InputError
+from cellwise.estimate.fixed.fixed_step import numba_stepper, samples_of
+from cellwise.estimate.fixed.layout import hex_float, state_type
+from cellwise.estimate.fixed.tables import FixedStepTables
+from cellwise.export.c_tables import comment, firmware_folder
+from cellwise.export.host_library import HostLibrary
+from cellwise.logs.cell_log import CellLog
+
+SAMPLES = 200
+TRUE_SOC, START_SOC, START_VARIANCE = 0.7, 0.5, 0.0225
+# Rest, discharge, rest, charge: parts of the vector, and their currents as a multiple of C.
+LOADS = ((20, 0.0), (60, 1.0), (40, 0.0), (50, -0.5), (30, 0.0))
+SHOWN_EVERY = 20
+
+PARKING = """\
+Keep on counting the sequence by the clock: one step with the new number takes the time off into
+  account (the branches decay, the variance grows) and costs what any step costs."""
+PARKING_LEAN = """\
+The lean build leaves the branches where they are over a gap: after minutes off or more call
+  `cellwise_init` with the stored `soc` and its variance, which costs less than a step."""
+
+EXAMPLE = """\
+/* Steps the filter through test_vector.h and compares every bit; prints some of it.
+ *
+ *     cc -std=c99 -O2 -ffp-contract=off example.c cellwise_ekf.c cellwise_store.c cell_table.c
+ *
+ * prints what expected_output.txt holds, and returns 0. */
+#include <stdio.h>
+#include <string.h>
+
+#include "cellwise_cell.h"
+#include "cellwise_store.h"
+#include "test_vector.h"
+
+int main(void)
+{
+    cellwise_state state;
+    cellwise_stored stored;
+    cellwise_output out;
+    unsigned wrong = 0u;
+    unsigned k;
+
+    if (cellwise_check_model(&cellwise_cell) != 0u) {
+        puts("the tables are damaged");
+        return 2;
+    }
+    cellwise_init(&cellwise_cell, &state, CELLWISE_VECTOR_SOC, CELLWISE_VECTOR_VARIANCE);
+    for (k = 0u; k < CELLWISE_VECTOR_SAMPLES; k++) {
+        cellwise_step(&cellwise_cell, &state, &cellwise_vector_inputs[k], &out);
+        wrong += memcmp(&out, &cellwise_vector_outputs[k], sizeof out) != 0;
+        if (k % 20u == 19u) {
+            printf("%3u  soc %.6f  variance %.3e  status %lu\\n", k + 1u, (double)out.soc,
+                   (double)out.soc_variance, (unsigned long)out.status);
+        }
+    }
+    cellwise_keep(&stored, &state); /* before switching off; and at the next start: */
+    wrong += cellwise_restore(&state, &stored) != 0u;
+    puts(wrong == 0u ? "every bit as expected" : "DIFFERENT BITS");
+    return wrong != 0u;
+}
+"""
+
+
+def example_files(
+    model: CellModel, tables: FixedStepTables, description: dict[str, Any]
+) -> Iterator[tuple[str, str]]:
+    """Names and texts of README, example, test vector and what the example prints."""
+    inputs, outputs = vector(model, tables)
+    yield "README.md", readme(description)
+    yield "example.c", EXAMPLE
+    yield "test_vector.h", vector_text(inputs, outputs)
+    yield "expected_output.txt", expected_text(outputs)
+
+
+def vector(model: CellModel, tables: FixedStepTables) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Samples of a simulated cell, and what the filter makes of them from a wrong start.
+
+    By this machine's C where there is a compiler, else by numba: both give the same bits.
+    """
+    current = np.concatenate([np.full(n, rate * model.capacity_Ah) for n, rate in LOADS])
+    time_s = np.arange(SAMPLES, dtype=np.float64) * float(tables.dt_s)
+    log = CellLog(time_s, current, np.full(SAMPLES, 3.7))
+    log = CellLog(time_s, current, simulate(model, log, TRUE_SOC).voltage_V)
+    inputs = samples_of(model, log, tables.dt_s).records
+    state = np.zeros(1, dtype=state_type(tables.options))
+    try:
+        library = HostLibrary(tables)
+        begin, rows = library.init, library.rows
+    except InputError:
+        stepper = numba_stepper(tables)
+        begin, rows = stepper.begin, stepper.rows  # type: ignore[assignment]
+    begin(state, START_SOC, START_VARIANCE)
+    return inputs, rows(state, inputs)
+
+
+def vector_text(inputs: NDArray[Any], outputs: NDArray[Any]) -> str:
+    """test_vector.h: every number a hex float."""
+    lines = [
+        "/* Written by `cellwise export`; do not edit. */",
+        "#ifndef CELLWISE_TEST_VECTOR_H",
+        "#define CELLWISE_TEST_VECTOR_H",
+        "",
+        '#include "cellwise_ekf.h"',
+        "",
+        f"#define CELLWISE_VECTOR_SAMPLES {inputs.size}u",
+        f"#define CELLWISE_VECTOR_SOC {hex_float(START_SOC)}",
+        f"#define CELLWISE_VECTOR_VARIANCE {hex_float(float(np.float32(START_VARIANCE)))}",
+        "",
+        f"static const cellwise_input cellwise_vector_inputs[{inputs.size}] = {{",
+        *_records(inputs),
+        "};",
+        "",
+        f"static const cellwise_output cellwise_vector_outputs[{outputs.size}] = {{",
+        *_records(outputs),
+        "};",
+        "",
+        "#endif",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _records(records: NDArray[Any]) -> Iterator[str]:
+    names = records.dtype.names or ()
+    for record in records:
+        cells = [
+            f"{int(record[name])}u"
+            if np.issubdtype(records.dtype[name], np.integer)
+            else hex_float(float(record[name]))
+            for name in names
+        ]
+        yield f"    {{{', '.join(cells)}}},"
+
+
+def expected_text(outputs: NDArray[Any]) -> str:
+    """What the example prints."""
+    lines = [
+        f"{k + 1:3d}  soc {float(out['soc']):.6f}  variance {float(out['soc_variance']):.3e}  "
+        f"status {int(out['status'])}"
+        for k, out in enumerate(outputs)
+        if k % SHOWN_EVERY == SHOWN_EVERY - 1
+    ]
+    return "\n".join([*lines, "every bit as expected", ""])
+
+
+def readme(description: dict[str, Any]) -> str:
+    """README.md of the folder."""
+    options = [k for k, v in description["options"].items() if v]
+    text = (firmware_folder() / "EXPORT.md").read_text(encoding="utf-8")
+    return Template(text).substitute(
+        model=comment(str(description["model"])) or "unnamed",
+        sha256=description["model_sha256"],
+        dt_s=f"{description['dt_s']:g}",
+        options=", ".join(options),
+        model_bytes=f"{description['model_bytes']:,}",
+        state_bytes=description["state_bytes"],
+        parking=PARKING if description["options"].get("wide") else PARKING_LEAN,
+    )

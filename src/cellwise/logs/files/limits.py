@@ -1,0 +1,109 @@
+"""What reading one file may take: memory, time, rows."""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import dataclass
+
+from cellwise.errors import InputError
+
+# Of a file of up to 100 MB; a larger one may take more, in proportion.
+MEMORY_GB = 1.5
+SECONDS = 60.0
+ROWS = 10_000_000
+USUAL_BYTES = 100_000_000
+
+_VARIABLES = ("CELLWISE_READ_MEMORY_GB", "CELLWISE_READ_SECONDS", "CELLWISE_READ_ROWS")
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What reading one file may take.
+
+    Parameters
+    ----------
+    memory_bytes : int      of the process of its own that some formats are read in
+    seconds : float         from the first byte to the last
+    rows : int              of a log
+    """
+
+    memory_bytes: int
+    seconds: float
+    rows: int
+
+    @classmethod
+    def of(cls, size: int) -> Limits:
+        """The limits of a file of so many bytes.
+
+        ``CELLWISE_READ_MEMORY_GB``, ``CELLWISE_READ_SECONDS`` and ``CELLWISE_READ_ROWS`` of the
+        environment stand in place of the usual ones.
+
+        Raises
+        ------
+        InputError        one of these is no number above 0
+        """
+        memory, seconds, rows = (
+            _stated(name, usual * max(1.0, size / USUAL_BYTES))
+            for name, usual in zip(_VARIABLES, (MEMORY_GB, SECONDS, ROWS), strict=True)
+        )
+        return cls(int(1e9 * memory), seconds, int(rows))
+
+    def check_rows(self, rows: int, where: str) -> None:
+        """Refuse a log of more rows.
+
+        Raises
+        ------
+        InputError        more rows than this
+        """
+        if rows > self.rows:
+            raise InputError(
+                f"{rows:,} rows or more in {where}",
+                f"up to {self.rows:,} rows in a file of its size",
+                f"Split it; if it is that long, allow more with {_VARIABLES[2]}.",
+            )
+
+    def check(self, deadline: float, rows: int, where: str) -> None:
+        """Refuse to go on beyond the rows or the time.
+
+        Raises
+        ------
+        InputError        more rows than these, or later than the deadline
+        """
+        self.check_rows(rows, where)
+        if time.monotonic() > deadline:
+            raise self.too_slow(where)
+
+    def deadline(self) -> float:
+        """When reading that begins now has to be done, by `time.monotonic`."""
+        return time.monotonic() + self.seconds
+
+    def too_slow(self, where: str) -> InputError:
+        """The refusal of a file that takes longer."""
+        return InputError(
+            f"no end of {where} after {self.seconds:.0f} s of reading (the limit of time)",
+            "a whole file",
+            f"It is most likely damaged; if it is that long, allow more with {_VARIABLES[1]}.",
+        )
+
+    def too_big(self, where: str) -> InputError:
+        """The refusal of a file that needs more memory."""
+        return InputError(
+            f"{where}, which needs more than {self.memory_bytes / 1e9:.1f} GB of memory to read "
+            "(the limit of memory)",
+            "a file whose content fits",
+            f"It is most likely damaged; if it is that large, allow more with {_VARIABLES[0]}.",
+        )
+
+
+def _stated(name: str, usual: float) -> float:
+    text = os.environ.get(name, "")
+    if not text:
+        return usual
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not value > 0.0:
+        raise InputError(f"{name}={text} in the environment", "a number above 0", "Correct it.")
+    return value

@@ -1,0 +1,1 @@
+"""Text exports whose rows are not those of one plain table."""
