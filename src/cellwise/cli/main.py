@@ -28,6 +28,7 @@ def build_parser() -> argparse.ArgumentParser:
         identifying,
         live,
         logs,
+        packs,
         studies,
     )
 
@@ -39,8 +40,8 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"cellwise {version('cellwise')}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     modules = (
-        logs, identifying, estimating, live, diagnosing, exporting, studies, capacity_study,
-        benchmarking, fleet, data,
+        logs, identifying, estimating, live, diagnosing, packs, exporting, studies,
+        capacity_study, benchmarking, fleet, data,
     )  # fmt: skip
     for module in modules:
         module.add_commands(commands)

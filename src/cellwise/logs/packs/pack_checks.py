@@ -134,8 +134,9 @@ def _negative(
     np.abs(volts, out=volts, where=negative)
     balancing = negative if balancing is None else balancing | negative
     cells = np.flatnonzero(negative.any(axis=0))
+    some = [names[k] for k in cells[:4].tolist()]
     text = (
-        f"negative voltages of {cells.size} cell(s) ({', '.join(names[k] for k in cells[:4].tolist())}"
+        f"negative voltages of {cells.size} cell(s) ({', '.join(some)}"
         f"{', ...' if cells.size > 4 else ''}) were read as those of cells being balanced"
     )
     return balancing, [CellFlag("", "balancing", text)]
