@@ -27,6 +27,7 @@ def build_parser() -> argparse.ArgumentParser:
         fleet,
         identifying,
         live,
+        lives,
         logs,
         packs,
         studies,
@@ -40,7 +41,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"cellwise {version('cellwise')}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     modules = (
-        logs, identifying, estimating, live, diagnosing, packs, exporting, studies,
+        logs, identifying, estimating, live, diagnosing, packs, lives, exporting, studies,
         capacity_study, benchmarking, fleet, data,
     )  # fmt: skip
     for module in modules:
