@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
@@ -25,7 +24,13 @@ COUNTER_STD = 0.002  # of a counted charge: sensors, the last rows, what tempera
 LENGTH_OF_ERROR = 0.3  # of the SOC range, over which a curve's change of shape stays alike
 LEAST_ERROR_V = 0.002
 UNEVEN = 0.2  # share of an added resistance that is not the same at every SOC
-NUGGET = 0.01  # share of a curve's error that changes from row to row
+SHARES = np.linspace(0.5, 1.15, 131)
+SHARE_STD = 0.3  # of a life's capacities about the first
+BEGINS = 93
+THIN = 4
+ADDED_V = 0.15  # of the drop that a life adds; a resistance that falls is a sensor's or warmer
+GAINED_V = 0.01
+OVER = 0.02  # of the range, by which a window may reach beyond its ends
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,36 +110,47 @@ def compare(one: Stretch, reference: Stretch) -> Compared:
     Both complete: the charges are counted. Else the earlier curve over charge is stretched by the
     share of capacity, moved along and lowered by a resistance until it is the later one. Ageing
     changes the shape, too: within the window that error is taken to stay alike over 0.3 of the
-    range, of the size that the fit leaves; beyond it the cell may have aged otherwise by as much as
-    it has aged at all.
+    range, beyond it the cell may have aged otherwise by as much as it has aged at all.
     """
     if one.as_complete_as(reference):
         share = one.moved_Ah / reference.moved_Ah
         added = _resistance_at_same_share(one, reference)
         return Compared(share, COUNTER_STD * np.sqrt(2.0), added, 0.2 * abs(added) + 1e-4, True)
 
+    return _marginal(one, reference)
+
+
+def _marginal(one: Stretch, reference: Stretch) -> Compared:
+    """Mean and spread of all shares and beginnings that explain a window, by their likelihood.
+
+    Curves resemble themselves elsewhere, so that one best fit says little. The error's size is
+    integrated out: as many of its values are independent as lengths of 0.3 fit into the window.
+    """
+    share = SHARES[:, None, None]
+    begin = np.linspace(-0.15, 1.0, BEGINS)[None, :, None] * reference.moved_Ah
+    at = begin + one.charge_Ah[None, None, ::THIN] / share
+    left = one.voltage_V[None, None, ::THIN] - _extended(at, reference)
+    added = -left.mean(axis=2) / one.current_A  # the resistance that fits each best
+    drop = added * abs(one.current_A)
+    spread = np.hypot(UNEVEN * drop, LEAST_ERROR_V)
+    size = left.var(axis=2) + spread**2
     covered = min(one.moved_Ah / reference.moved_Ah, 1.0)
-    apart = np.abs(one.charge_Ah[:, None] - one.charge_Ah[None, :]) / one.moved_Ah * covered
-    alike = np.exp(-apart / LENGTH_OF_ERROR) + NUGGET * np.eye(apart.shape[0])
-
-    def left(x: FloatArray) -> FloatArray:
-        at = x[0] + one.charge_Ah / x[1]
-        expected = _extended(at, reference) - x[2] * one.current_A
-        return np.asarray(one.voltage_V - expected)
-
-    scale = [0.1 * reference.moved_Ah, 0.1, 0.01 / abs(one.current_A)]
-    begins = np.linspace(0.0, max(reference.moved_Ah - one.moved_Ah, 0.0), 7)
-    fits = [least_squares(left, [begin, 1.0, 0.0], x_scale=scale) for begin in begins]
-    best = min(fits, key=lambda fit: float(fit.cost))
-    x, jacobian, residual = best.x, best.jac, best.fun
-    size = max(float(np.mean(residual**2)), LEAST_ERROR_V**2)
-    size += (UNEVEN * x[2] * one.current_A) ** 2
-    bread = np.linalg.pinv(jacobian)
-    covariance = size * bread @ alike @ bread.T
-    covered = min(one.moved_Ah / (x[1] * reference.moved_Ah), 1.0)
-    unseen = (1.0 - covered) * abs(1.0 - x[1])
-    std = float(np.sqrt(covariance[1, 1] + unseen**2 + COUNTER_STD**2))
-    return Compared(float(x[1]), std, float(x[2]), float(np.sqrt(covariance[2, 2])), False)
+    freedom = 1.0 + covered / LENGTH_OF_ERROR
+    likely = -0.5 * freedom * np.log(size)
+    likely -= 0.5 * (drop / np.where(drop > 0.0, ADDED_V, GAINED_V)) ** 2
+    likely -= 0.5 * ((SHARES[:, None] - 1.0) / SHARE_STD) ** 2
+    end = (begin[..., 0] + one.moved_Ah / share[..., 0]) / reference.moved_Ah
+    likely -= 0.5 * (np.maximum(end - 1.0, 0.0) / OVER) ** 2
+    likely -= 0.5 * (np.minimum(begin[..., 0] / reference.moved_Ah, 0.0) / OVER) ** 2
+    weight = np.exp(likely - likely.max())
+    weight /= weight.sum()
+    capacity = float((weight * SHARES[:, None]).sum())
+    variance = float((weight * (SHARES[:, None] - capacity) ** 2).sum())
+    mean = float((weight * added).sum())
+    variance_ohm = float((weight * (added - mean) ** 2).sum())
+    unseen = (1.0 - min(covered / capacity, 1.0)) * abs(1.0 - capacity)
+    std = float(np.sqrt(variance + unseen**2 + COUNTER_STD**2))
+    return Compared(capacity, std, mean, float(np.sqrt(variance_ohm)), False)
 
 
 def _thinned(

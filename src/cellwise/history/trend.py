@@ -9,10 +9,14 @@ import numpy as np
 
 from cellwise.typing import BoolArray, FloatArray
 
-SLOPES = (0.003, 0.01, 0.03, 0.1, 0.3)  # fade over the life seen, standard deviation
+SLOPE = 0.2  # fade over the logs, standard deviation: cells are used to four fifths
 BENDS = (0.0, 0.01, 0.03, 0.1, 0.3)  # how much it bends: of an integrated Wiener process
-# Windows of one kind are wrong alike: what they cannot see ages in its own way.
-WINDOWS_ALIKE = 0.9
+# From log to log beyond the stated deviations: interrupted charges, temperature, rest before.
+SCATTERS = (0.0, 0.003, 0.006, 0.012)
+# Windows of one kind are wrong alike, for so much of the life: what they cannot see ages in its
+# own way.
+WINDOWS_ALIKE = 0.95
+ALIKE_OVER = 0.5
 START_STD = 0.002
 KNEE_BIC = 10.0
 FEWEST_FOR_KNEE = 8
@@ -20,7 +24,10 @@ FEWEST_FOR_KNEE = 8
 
 @dataclass(frozen=True, eq=False)
 class Trend:
-    """Share of the first capacity, shape (n,), its deviation, and the knee (None: no bend)."""
+    """Share of the first capacity, shape (n,), its deviation, and the knee (None: no bend).
+
+    ``std`` holds the scatter from log to log, too: what the next test would show.
+    """
 
     share: FloatArray
     std: FloatArray
@@ -38,33 +45,36 @@ def trend_of(way: FloatArray, share: FloatArray, std: FloatArray, counted: BoolA
 
     Notes
     -----
-    A Gaussian process that begins at one: straight line plus integrated Wiener process, the sizes
-    of both by the largest marginal likelihood, noise as stated, the part of it that windows share
-    kept apart.
+    A Gaussian process that begins at one: straight line plus integrated Wiener process. The bend's
+    size and the scatter from log to log by the largest marginal likelihood; the deviations as
+    stated, of windows mostly an error that stays alike.
     """
     u = way - way[0]
     u = u / max(float(u[-1]), 1e-12)
-    together = std * ~counted
-    noise = np.diag(std**2) + 1e-8 * np.eye(u.size)
-    common = WINDOWS_ALIKE * np.outer(together, together)
-    np.fill_diagonal(common, 0.0)
-    best, chosen = -np.inf, (SLOPES[0], BENDS[0])
-    for slope, bend in product(SLOPES, BENDS):
-        found = _likelihood(_kernel(u, slope, bend) + noise + common, share - 1.0)
+    alone = np.where(counted, std, np.sqrt(1.0 - WINDOWS_ALIKE) * std)
+    together = np.where(counted, 0.0, np.sqrt(WINDOWS_ALIKE) * std)
+    near = np.exp(-np.abs(u[:, None] - u[None, :]) / ALIKE_OVER)
+    stated = np.diag(alone**2 + 1e-8) + np.outer(together, together) * near
+    eye = np.eye(u.size)
+    best, chosen = -np.inf, (BENDS[0], SCATTERS[0])
+    for bend, scatter in product(BENDS, SCATTERS):
+        whole = _kernel(u, bend) + stated + scatter**2 * eye
+        found = _likelihood(whole, share - 1.0)
         if found > best:
-            best, chosen = found, (slope, bend)
-    kernel = _kernel(u, *chosen)
-    gain = np.linalg.solve(kernel + noise + common, kernel).T
+            best, chosen = found, (bend, scatter)
+    kernel = _kernel(u, chosen[0])
+    noise = stated + chosen[1] ** 2 * eye
+    gain = np.linalg.solve(kernel + noise, kernel).T
     mean = 1.0 + gain @ (share - 1.0)
     covariance = kernel - gain @ kernel
-    deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0) + chosen[1] ** 2)
     return Trend(mean, deviation, _knee(u, share, std))
 
 
-def _kernel(u: FloatArray, slope: float, bend: float) -> FloatArray:
+def _kernel(u: FloatArray, bend: float) -> FloatArray:
     low, high = np.minimum(u[:, None], u[None, :]), np.maximum(u[:, None], u[None, :])
     wiener = low**2 * (3.0 * high - low) / 6.0
-    line = slope**2 * np.outer(u, u)
+    line = SLOPE**2 * np.outer(u, u)
     return np.asarray(START_STD**2 + line + 3.0 * bend**2 * wiener)
 
 
