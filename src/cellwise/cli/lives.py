@@ -50,6 +50,11 @@ def run_history(arguments: argparse.Namespace) -> None:
         write_columns(found.columns(), Path(arguments.output))
     if arguments.save_model:
         write_model(found.aged_model, arguments.save_model)
+    with page_options.page_places(arguments) as places:
+        if places is not None:
+            from cellwise.report import history_page
+
+            history_page(found, places.page, figures=places.figures)
     if arguments.json:
         printing.print_json(found.to_dict())
         return

@@ -55,6 +55,11 @@ def run_pack(arguments: argparse.Namespace) -> None:
         write_columns(found.columns(), Path(arguments.output))
     if arguments.state:
         write_state(found.state, arguments.state)
+    with page_options.page_places(arguments) as places:
+        if places is not None:
+            from cellwise.report import pack_page
+
+            pack_page(found, places.page, figures=places.figures)
     if arguments.json:
         printing.print_json(found.to_dict())
         return

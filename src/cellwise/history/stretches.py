@@ -18,7 +18,7 @@ POINTS = 200
 SMOOTH_ROWS = 15
 # An end of a discharge that two logs share: the limit, to what one row may step beyond it.
 SAME_LIMIT_V = 0.02
-# A charged cell under load falls with age by its resistance, not by more.
+# A charged cell under load begins as it did, but for what it drops more over the middle of a cycle.
 SAME_START_V = 0.12
 COUNTER_STD = 0.002  # of a counted charge: sensors, the last rows, what temperature does within 8 K
 LENGTH_OF_ERROR = 0.3  # of the SOC range, over which a curve's change of shape stays alike
@@ -62,7 +62,8 @@ class Stretch:
     def as_complete_as(self, other: Stretch) -> bool:
         """It begins charged and ends at the limit as the other does."""
         end = abs(self.voltage_V[-1] - other.voltage_V[-1]) < SAME_LIMIT_V
-        start = abs(self.voltage_V[0] - other.voltage_V[0]) < SAME_START_V
+        drop = _resistance_at_same_share(self, other) * self.current_A
+        start = abs(self.voltage_V[0] - other.voltage_V[0] + drop) < SAME_START_V
         return bool(start and end)
 
 

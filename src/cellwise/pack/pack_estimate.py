@@ -80,6 +80,13 @@ class PackEstimate:
         return self.days[0].log.names
 
     @property
+    def own_capacity_std_Ah(self) -> FloatArray:
+        """Deviation of each cell's capacity from the mean cell's alone [Ah], shape (cells,)."""
+        shared = capacity_std_Ah(self.model)
+        whole = self.cells.capacity_std_Ah
+        return np.asarray(np.sqrt(np.maximum(whole**2 - shared**2, 0.0)))
+
+    @property
     def causes(self) -> list[dict[str, Any]]:
         """Odd cells and sensors as `cellwise diagnose` lists causes, the most certain first."""
         found = [
