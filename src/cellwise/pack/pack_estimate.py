@@ -23,6 +23,7 @@ from cellwise.pack.parameters import (
     OFFSET,
     REFERENCE_SOC,
     RESISTANCE,
+    SELF_DISCHARGE,
     SIZE,
     SOC,
 )
@@ -32,6 +33,7 @@ from cellwise.pack.swapped import swapped_cells, with_swapped
 from cellwise.pack.usable import Usable, usable_charge
 from cellwise.typing import FloatArray
 
+BALANCED = [SOC, SELF_DISCHARGE]
 CAPACITY_STD = 0.02  # of a model that does not say how well its capacity is known
 
 
@@ -208,9 +210,9 @@ def estimate_pack(
         else:
             belief = belief.later(max(part[0].ordinal - origin, belief.days))
             drift = drift_between(belief, evidence)
-            belief = replace(belief, covariance=belief.covariance + np.diag(drift))
-            changed = against_past(belief, evidence)
-            pair = swapped_cells(belief, evidence, changed)
+            expected = replace(belief, covariance=belief.covariance + np.diag(drift))
+            changed = against_past(expected, evidence)
+            pair = swapped_cells(expected, evidence, changed)
             if pair is not None:
                 i, j = pair
                 names = days[0].log.names
@@ -220,7 +222,11 @@ def estimate_pack(
                 )
                 evidence = with_swapped(evidence, i, j)
                 found = [s for s in against_others(spread, evidence) if s.cell not in pair]
-                changed = against_past(belief, evidence)
+                changed = against_past(expected, evidence)
+            # Balancing moves what cells hold; what they are drifts slowly, whatever one month says.
+            moved = np.zeros(SIZE)
+            moved[BALANCED] = drift[BALANCED]
+            belief = replace(belief, covariance=belief.covariance + np.diag(moved))
             seen = {s.cell for s in changed}
             found = changed + [s for s in found if s.cell not in seen]
         belief = belief.updated(evidence)

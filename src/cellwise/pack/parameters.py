@@ -41,6 +41,6 @@ def usual_spread() -> Spread:
     tenths of a second; SOC as balancing leaves it, 0.5 %.
     """
     cells = np.array([0.005, 0.010, 0.030, 0.0015, 0.10, 0.10, 2e-5])
-    month = np.array([0.002, 0.002, 0.005, 0.0003, 0.005, 0.005, 1e-5])
+    month = np.array([0.002, 0.001, 0.002, 0.0003, 0.005, 0.005, 1e-5])
     shape = np.full(SHAPES.size, 0.001)
     return Spread(np.concatenate((cells, shape)), np.concatenate((month, 0.2 * shape)))

@@ -25,6 +25,7 @@ def swapped_cells(
         return None
     there = np.flatnonzero(evidence.rows > 0).tolist()
     own = {k: _misfit(belief, evidence, k, k) for k in there}
+    usual = float(np.median(list(own.values())))
     best: float = BETTER
     pair = None
     for i in cells:
@@ -32,8 +33,10 @@ def swapped_cells(
             if j == i:
                 continue
             crossed = _misfit(belief, evidence, i, j) + _misfit(belief, evidence, j, i)
-            if own[i] + own[j] - crossed > best:
-                best, pair = own[i] + own[j] - crossed, (min(i, j), max(i, j))
+            gain = own[i] + own[j] - crossed
+            # Each has to be as usual a cell in the other's place, not only less odd than here.
+            if gain > best and crossed < 2.0 * usual + BETTER:
+                best, pair = gain, (min(i, j), max(i, j))
     return pair
 
 

@@ -141,7 +141,7 @@ def draw_rest_and_load(found: PackEstimate) -> Figure:
             axes.plot(number, 1e3 * mean, marker, color=colour, markersize=3.5, label=label)
     zero_line(axes)
     _point_at(axes, found, lambda cell: 0.0)
-    said = ", ".join(f"{millivolt(v)} mV {k}" for k, v in shown.items())
+    said = ", ".join(f"{millivolt(v)} {k}" for k, v in shown.items())
     finding(axes, f"Standard deviation between cells: {said or 'no row at rest or under load'}")
     labels(axes, "cell", "cell minus mean [mV]")
     if shown:
@@ -206,7 +206,7 @@ def draw_sensors(found: PackEstimate) -> Figure:
         zero_line(axes)
         _point_at(axes, found, lambda cell, v=values: float(v[cell]))
         low, high = float(np.nanmin(values)), float(np.nanmax(values))
-        finding(axes, f"Sensors' {what}: {low:+.2f} to {high:+.2f}", 0.42)
+        finding(axes, f"Sensors' {what}: {low:+.2g} to {high:+.2g}", 0.42)
         labels(axes, "cell", unit)
     return figure
 
