@@ -11,7 +11,7 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGE = REPOSITORY / "src" / "cellwise"
 
 BASE = {"errors", "typing", "files", "plotting"}
-TOOLS = {"logs", "cell", "identify", "estimate", "forecast", "diagnose", "data"}
+TOOLS = {"logs", "cell", "identify", "estimate", "forecast", "diagnose", "pack", "history", "data"}
 MAY_IMPORT = {
     "errors": set(),
     "typing": set(),
@@ -24,6 +24,8 @@ MAY_IMPORT = {
     "estimate": BASE | {"logs", "cell"},
     "forecast": BASE | {"logs", "cell", "estimate"},
     "diagnose": BASE | {"logs", "cell", "identify", "estimate"},
+    "pack": BASE | {"logs", "cell", "identify", "estimate", "diagnose"},
+    "history": BASE | {"logs", "cell", "identify", "estimate"},
     "data": BASE | {"logs"},
     "export": BASE | TOOLS,
     "report": BASE | TOOLS,

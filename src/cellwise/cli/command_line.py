@@ -29,7 +29,9 @@ def build_parser() -> argparse.ArgumentParser:
         fleet,
         identifying,
         live,
+        lives,
         logs,
+        packs,
         studies,
     )
 
@@ -41,8 +43,8 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"cellwise {version('cellwise')}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     modules = (
-        logs, identifying, estimating, live, diagnosing, exporting, studies, capacity_study,
-        benchmarking, fleet, data,
+        logs, identifying, estimating, live, diagnosing, packs, lives, exporting, studies,
+        capacity_study, benchmarking, fleet, data,
     )  # fmt: skip
     for module in modules:
         module.add_commands(commands)

@@ -6,7 +6,9 @@ from cellwise.report.demo_page import demo_page
 from cellwise.report.diagnosis.page import diagnose_page
 from cellwise.report.export_page import export_page
 from cellwise.report.hero import hero_figure
+from cellwise.report.history.page import history_page
 from cellwise.report.identification.page import identify_page
+from cellwise.report.pack.page import pack_page
 from cellwise.report.page.picture import (
     FigureFiles,
     Picture,
@@ -26,7 +28,9 @@ __all__ = [
     "figure_png",
     "figure_svg",
     "hero_figure",
+    "history_page",
     "identify_page",
+    "pack_page",
     "replay_page",
     "save_figure",
     "save_figures",

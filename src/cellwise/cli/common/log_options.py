@@ -133,6 +133,21 @@ def read_options(arguments: argparse.Namespace) -> ReadOptions:
     return ReadOptions(**stated)
 
 
+def pack_arguments(arguments: argparse.Namespace) -> dict[str, Any]:
+    """What the arguments say of a pack's log, as `read_pack` takes it.
+
+    Raises
+    ------
+    InputError        options that are no numbers or no pairs
+    """
+    instance = arguments.instance
+    return {
+        "parallel": _count("--parallel", arguments.parallel),
+        "channels": dict(_pair(text) for text in arguments.channel),
+        "instance": None if instance is None else _count("--instance", instance),
+    }
+
+
 def _stated(arguments: argparse.Namespace) -> dict[str, Any]:
     instance = arguments.instance
     return {

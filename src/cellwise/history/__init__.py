@@ -1,0 +1,1 @@
+"""Lives: capacity and resistance of a cell from whatever windows its logs offer."""

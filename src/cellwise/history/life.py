@@ -1,0 +1,308 @@
+"""A cell's life from its logs in order: capacity and resistance of each, the trend, what to use."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import date
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from cellwise.cell.model import CellModel
+from cellwise.errors import InputError
+from cellwise.history.stretches import Compared, Stretch, compare, longest_stretch
+from cellwise.history.trend import Trend, trend_of
+from cellwise.history.window_fit import RESISTANCE_PER_K, changed_model, fit_window
+from cellwise.logs.cell_log import CellLog
+from cellwise.logs.packs.log_date import day_of_name
+from cellwise.typing import FloatArray
+
+COMPLETE = 0.85  # of the model's capacity: a stretch that moves more counts as a capacity test
+REFERENCE_STD = 0.015  # of the capacity: beyond it a reference test is worth its time
+MODEL_STD = 0.02  # of a model's capacity for the cell it was made for
+
+
+@dataclass(frozen=True, eq=False)
+class LogOfLife:
+    """One log: what it says of the cell, at its own load and temperature.
+
+    ``share`` is its capacity over the first one's at the same load; ``how`` says by what.
+    """
+
+    log: CellLog
+    day: date | None
+    capacity_Ah: float
+    capacity_std_Ah: float
+    share: float
+    share_std: float
+    resistance_scale: float
+    resistance_std: float
+    soc_start: float
+    soc_end: float
+    throughput_Ah: float
+    counted: bool
+    how: str
+    notices: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Life:
+    """A life: its logs, the trend of the capacity over ``way`` (named by ``over``)."""
+
+    model: CellModel
+    logs: tuple[LogOfLife, ...]
+    over: str
+    way: FloatArray
+    trend: Trend
+
+    @property
+    def aged_model(self) -> CellModel:
+        """The model as the cell is now: for `replay`, `live`, `export` without anything else."""
+        share = float(self.trend.share[-1])
+        scale = self.resistance[0]
+        aged = changed_model(self.model, float(np.log(share)), float(np.log(scale)))
+        about = {
+            "capacity_share": share,
+            "capacity_std_Ah": float(self.trend.std[-1]) * self.model.capacity_Ah,
+            "resistance_scale": scale,
+            "logs": [one.log.name for one in self.logs],
+        }
+        return replace(aged, provenance={**self.model.provenance, "history": about})
+
+    @property
+    def resistance(self) -> tuple[float, float]:
+        """Resistance now, on the model's, and its deviation: the mean of the last fifth of logs."""
+        last = self.logs[-max(len(self.logs) // 5, 1) :]
+        weight = np.array([one.resistance_std**-2.0 for one in last])
+        values = np.array([one.resistance_scale for one in last])
+        mean = float((weight * values).sum() / weight.sum())
+        return max(mean, 0.05), float(1.0 / np.sqrt(weight.sum()))
+
+    @property
+    def next_reference(self) -> str:
+        """The test that would make the trend known, where it is worth its time."""
+        std = float(self.trend.std[-1])
+        if std <= REFERENCE_STD and any(one.counted for one in self.logs):
+            return f"none: the capacity is known to {100 * std:.1f} %"
+        load = next((one for one in self.logs if one.counted), None)
+        as_before = f", as '{load.log.name}'" if load is not None else ""
+        return (
+            f"a full charge and a complete discharge at one current{as_before}: the capacity is "
+            f"known to {100 * std:.1f} % only"
+        )
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """What a person should know of the whole life."""
+        temperatures = [
+            float(np.nanmean(one.log.temperature_C))
+            for one in self.logs
+            if one.log.temperature_C is not None and np.any(np.isfinite(one.log.temperature_C))
+        ]
+        found = []
+        if temperatures and max(temperatures) - min(temperatures) > 10.0:
+            found.append(
+                f"the logs are at {min(temperatures):.0f} to {max(temperatures):.0f} degC: those "
+                "at other temperatures are compared through the model, with a wider band"
+            )
+        return tuple(found)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Keys as CONTRACT.md has them."""
+        scale, scale_std = self.resistance
+        capacity = self.model.capacity_Ah
+        return {
+            "logs": [
+                {
+                    "log": one.log.name,
+                    "start": None if one.day is None else one.day.isoformat(),
+                    "capacity_Ah": one.capacity_Ah,
+                    "capacity_std_Ah": one.capacity_std_Ah,
+                    "resistance_scale": one.resistance_scale,
+                    "resistance_std": one.resistance_std,
+                    "soc_start": one.soc_start,
+                    "soc_end": one.soc_end,
+                    "throughput_Ah": one.throughput_Ah,
+                    "capacity_share": one.share,
+                    "capacity_share_std": one.share_std,
+                    "how": one.how,
+                    "notices": list(one.notices),
+                }
+                for one in self.logs
+            ],
+            "trend": {
+                "over": self.over,
+                "at": self.way.tolist(),
+                "capacity_share": self.trend.share.tolist(),
+                "capacity_share_std": self.trend.std.tolist(),
+                "knee": None if self.trend.knee is None else self.logs[self.trend.knee].log.name,
+                "next_reference": self.next_reference,
+                "use": {
+                    "capacity_Ah": capacity * float(self.trend.share[-1]),
+                    "capacity_std_Ah": capacity * float(self.trend.std[-1]),
+                    "resistance_scale": scale,
+                    "resistance_std": scale_std,
+                },
+            },
+            "notices": list(self.notices),
+        }
+
+    def columns(self) -> dict[str, Any]:
+        """One row per log."""
+        rows = self.to_dict()["logs"]
+        keys = [key for key in rows[0] if key != "notices"]
+        found = {key: [row[key] for row in rows] for key in keys}
+        return {
+            **found,
+            "trend_share": self.trend.share,
+            "trend_std": self.trend.std,
+        }
+
+
+def life_of(model: CellModel, logs: Sequence[CellLog]) -> Life:
+    """A life from logs in order.
+
+    Stretches of constant current are compared with the first of the same current and temperature:
+    counted where both are complete, else curve against curve. Other logs are compared with the
+    model.
+
+    Parameters
+    ----------
+    model : CellModel          of the cell when it was new
+    logs : sequence of CellLog      in the order of time
+
+    Raises
+    ------
+    InputError        no log; none that says anything; days that run backwards
+    """
+    if not logs:
+        raise InputError("no log", "logs of one cell in order", "Name them.")
+    found: list[LogOfLife] = []
+    references: list[tuple[Stretch, float, float]] = []
+    moved = 0.0
+    for log in logs:
+        flow = float(np.sum(np.abs(log.known_current_A()) * log.interval_s)) / 3600.0
+        moved += flow
+        one = _by_stretch(model, log, references, found, flow) or _by_fit(model, log, flow)
+        if one is not None:
+            found.append(one)
+    if not found:
+        raise InputError(
+            f"{len(logs)} log(s), none of which moves enough charge or has enough voltages",
+            "drives, discharges or charges over some part of the SOC range",
+            "Give longer logs.",
+        )
+    days = [one.day for one in found]
+    for a, b in pairwise(found):
+        if a.day is not None and b.day is not None and b.day < a.day:
+            raise InputError(
+                f"'{b.log.name}' of {b.day} after '{a.log.name}' of {a.day}",
+                "logs in the order in which they were recorded",
+                "Sort them.",
+            )
+    if all(day is not None for day in days) and days[-1] != days[0]:
+        over = "days"
+        way = np.array([float(day.toordinal()) for day in days if day is not None])
+    else:
+        over, way = "throughput_Ah", np.cumsum([one.throughput_Ah for one in found])
+    way = np.asarray(way - way[0], dtype=np.float64)
+    trend = trend_of(
+        way,
+        np.array([one.share for one in found]),
+        np.array([one.share_std for one in found]),
+        np.array([one.counted for one in found]),
+    )
+    return Life(model, tuple(found), over, way, trend)
+
+
+def _by_stretch(
+    model: CellModel,
+    log: CellLog,
+    references: list[tuple[Stretch, float, float]],
+    before: Sequence[LogOfLife],
+    flow: float,
+) -> LogOfLife | None:
+    one = longest_stretch(log, model.capacity_Ah)
+    if one is None:
+        return None
+    known = next((r for r in references if one.alike(r[0])), None)
+    warm = one.temperature_C
+    if known is None:
+        # The first at this load: the others say how far the cell has aged by now.
+        share, std = (1.0, 0.0) if not before else (before[-1].share, before[-1].share_std)
+        complete = one.moved_Ah > COMPLETE * share * model.capacity_Ah
+        if not complete:
+            return None
+        references.append((one, share, std))
+        result = Compared(1.0, 0.001, 0.0, 1e-5, True)
+        known = references[-1]
+    else:
+        result = compare(one, known[0])
+    reference, share, std = known
+    capacity = reference.moved_Ah * result.capacity
+    start, end = _soc_of(one, reference, result)
+    dc = _dc_resistance(model, warm)
+    apart = 0.0 if warm is None or reference.temperature_C is None else (
+        abs(warm - reference.temperature_C))  # fmt: skip
+    total = share * result.capacity
+    return LogOfLife(
+        log=log,
+        day=day_of_name(log.name),
+        capacity_Ah=capacity,
+        capacity_std_Ah=reference.moved_Ah * result.capacity_std,
+        share=total,
+        share_std=float(np.hypot(share * result.capacity_std, std)),
+        resistance_scale=1.0 + result.added_ohm / dc,
+        resistance_std=float(np.hypot(result.added_std_ohm / dc, RESISTANCE_PER_K * apart + 0.005)),
+        soc_start=start,
+        soc_end=end,
+        throughput_Ah=flow,
+        counted=result.counted,
+        how="counted over a complete half cycle" if result.counted else "curve against curve",
+        notices=log.notices,
+    )
+
+
+def _by_fit(model: CellModel, log: CellLog, flow: float) -> LogOfLife | None:
+    fit = fit_window(model, log)
+    if fit is None:
+        return None
+    return LogOfLife(
+        log=log,
+        day=day_of_name(log.name),
+        capacity_Ah=fit.capacity_Ah,
+        capacity_std_Ah=fit.capacity_std_Ah,
+        share=fit.capacity_Ah / model.capacity_Ah,
+        share_std=float(np.hypot(fit.capacity_std_Ah / model.capacity_Ah, MODEL_STD)),
+        resistance_scale=fit.resistance_scale,
+        resistance_std=fit.resistance_std,
+        soc_start=fit.soc_start,
+        soc_end=fit.soc_end,
+        throughput_Ah=flow,
+        counted=False,
+        how=f"fit of the model, {100 * fit.covered:.0f} % of the SOC range",
+        notices=log.notices,
+    )
+
+
+def _soc_of(one: Stretch, reference: Stretch, result: Compared) -> tuple[float, float]:
+    """SOC at the beginning and end of a stretch: its voltages on the reference's curve."""
+    begin = float(np.interp(
+        -np.sign(one.current_A) * (one.voltage_V[0] + result.added_ohm * one.current_A),
+        -np.sign(one.current_A) * reference.voltage_V, reference.charge_Ah))  # fmt: skip
+    if result.counted:
+        begin = 0.0
+    share = begin / reference.moved_Ah
+    end = share + one.moved_Ah / (result.capacity * reference.moved_Ah)
+    low, high = float(np.clip(share, 0.0, 1.0)), float(np.clip(end, 0.0, 1.0))
+    return (1.0 - low, 1.0 - high) if one.current_A > 0 else (low, high)
+
+
+def _dc_resistance(model: CellModel, temperature_C: float | None) -> float:
+    """Resistance to a long constant current, at half charge [ohm]."""
+    warm = float(model.temperature_C[0]) if temperature_C is None else temperature_C
+    at = model.at_temperature(warm)
+    middle = at.points // 2
+    return float(at.r0_ohm[0, middle] + at.r1_ohm[0, middle] + at.r2_ohm[0, middle])

@@ -1,0 +1,189 @@
+"""Stretches of constant current: what two of them at one load say of capacity and resistance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellwise.logs.cell_log import CellLog
+from cellwise.typing import FloatArray
+
+SAME_CURRENT = 0.05
+SAME_RATE = 0.10
+SAME_TEMPERATURE_K = 8.0
+LONG_S = 300.0
+LEAST_CHARGE = 0.15  # of the capacity
+POINTS = 200
+SMOOTH_ROWS = 15
+# An end of a discharge that two logs share: the limit, to what one row may step beyond it.
+SAME_LIMIT_V = 0.02
+# A charged cell under load begins as it did, but for what it drops more over the middle of a cycle.
+SAME_START_V = 0.12
+COUNTER_STD = 0.002  # of a counted charge: sensors, the last rows, what temperature does within 8 K
+LENGTH_OF_ERROR = 0.3  # of the SOC range, over which a curve's change of shape stays alike
+LEAST_ERROR_V = 0.002
+UNEVEN = 0.2  # share of an added resistance that is not the same at every SOC
+SHARES = np.linspace(0.5, 1.15, 131)
+SHARE_STD = 0.3  # of a life's capacities about the first
+BEGINS = 93
+THIN = 4
+ADDED_V = 0.15  # of the drop that a life adds; a resistance that falls is a sensor's or warmer
+GAINED_V = 0.01
+OVER = 0.02  # of the range, by which a window may reach beyond its ends
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """A stretch of a log at one current.
+
+    ``charge_Ah`` (n,) moved since its beginning, ``voltage_V`` (n,), both thinned; ``rate`` [1/h]
+    positive on discharge; ``temperature_C`` at its beginning, None where nobody measured.
+    """
+
+    charge_Ah: FloatArray
+    voltage_V: FloatArray
+    current_A: float
+    rate: float
+    temperature_C: float | None
+
+    @property
+    def moved_Ah(self) -> float:
+        """Charge from the first row to the last."""
+        return float(self.charge_Ah[-1])
+
+    def alike(self, other: Stretch) -> bool:
+        """The same load: direction, current, temperature."""
+        if abs(self.current_A / other.current_A - 1.0) > SAME_RATE:
+            return False
+        a, b = self.temperature_C, other.temperature_C
+        return a is None or b is None or abs(a - b) < SAME_TEMPERATURE_K
+
+    def as_complete_as(self, other: Stretch) -> bool:
+        """It begins charged and ends at the limit as the other does."""
+        end = abs(self.voltage_V[-1] - other.voltage_V[-1]) < SAME_LIMIT_V
+        drop = _resistance_at_same_share(self, other) * self.current_A
+        start = abs(self.voltage_V[0] - other.voltage_V[0] + drop) < SAME_START_V
+        return bool(start and end)
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One stretch against another: shares of capacity and their deviations, added resistance."""
+
+    capacity: float
+    capacity_std: float
+    added_ohm: float
+    added_std_ohm: float
+    counted: bool
+
+
+def longest_stretch(log: CellLog, capacity_Ah: float) -> Stretch | None:
+    """The longest stretch of constant current, a discharge before a charge; None: none to use."""
+    current, interval = log.known_current_A(), log.interval_s
+    best: Stretch | None = None
+    for sign in (1.0, -1.0):
+        loaded = (sign * current > 0.02 * capacity_Ah) & np.isfinite(log.voltage_V)
+        if np.count_nonzero(loaded) < 20:
+            continue
+        usual = float(np.median(current[loaded]))
+        inside = loaded & (np.abs(current - usual) < SAME_CURRENT * abs(usual))
+        inside &= ~log.gap_rows
+        edges = np.flatnonzero(np.diff(np.concatenate(([0], inside.astype(np.int8), [0]))))
+        runs = list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+        if not runs:
+            continue
+        a, b = max(runs, key=lambda run: run[1] - run[0])
+        charge = np.cumsum(np.abs(current[a:b]) * interval[a:b]) / 3600.0
+        long = log.time_s[b - 1] - log.time_s[a] >= LONG_S
+        if b - a < 20 or not long or charge[-1] - charge[0] < LEAST_CHARGE * capacity_Ah:
+            continue
+        warm = None if log.temperature_C is None else float(log.temperature_C[a])
+        warm = None if warm is None or not np.isfinite(warm) else warm
+        best = _thinned(charge, log.voltage_V[a:b], usual, usual / capacity_Ah, warm)
+        break
+    return best
+
+
+def compare(one: Stretch, reference: Stretch) -> Compared:
+    """A later stretch against an earlier one at the same load.
+
+    Both complete: the charges are counted. Else the earlier curve over charge is stretched by the
+    share of capacity, moved along and lowered by a resistance until it is the later one. Ageing
+    changes the shape, too: within the window that error is taken to stay alike over 0.3 of the
+    range, beyond it the cell may have aged otherwise by as much as it has aged at all.
+    """
+    if one.as_complete_as(reference):
+        share = one.moved_Ah / reference.moved_Ah
+        added = _resistance_at_same_share(one, reference)
+        return Compared(share, COUNTER_STD * np.sqrt(2.0), added, 0.2 * abs(added) + 1e-4, True)
+
+    return _marginal(one, reference)
+
+
+def _marginal(one: Stretch, reference: Stretch) -> Compared:
+    """Mean and spread of all shares and beginnings that explain a window, by their likelihood.
+
+    Curves resemble themselves elsewhere, so that one best fit says little. The error's size is
+    integrated out: as many of its values are independent as lengths of 0.3 fit into the window.
+    """
+    share = SHARES[:, None, None]
+    begin = np.linspace(-0.15, 1.0, BEGINS)[None, :, None] * reference.moved_Ah
+    at = begin + one.charge_Ah[None, None, ::THIN] / share
+    left = one.voltage_V[None, None, ::THIN] - _extended(at, reference)
+    added = -left.mean(axis=2) / one.current_A  # the resistance that fits each best
+    drop = added * abs(one.current_A)
+    spread = np.hypot(UNEVEN * drop, LEAST_ERROR_V)
+    size = left.var(axis=2) + spread**2
+    covered = min(one.moved_Ah / reference.moved_Ah, 1.0)
+    freedom = 1.0 + covered / LENGTH_OF_ERROR
+    likely = -0.5 * freedom * np.log(size)
+    likely -= 0.5 * (drop / np.where(drop > 0.0, ADDED_V, GAINED_V)) ** 2
+    likely -= 0.5 * ((SHARES[:, None] - 1.0) / SHARE_STD) ** 2
+    end = (begin[..., 0] + one.moved_Ah / share[..., 0]) / reference.moved_Ah
+    likely -= 0.5 * (np.maximum(end - 1.0, 0.0) / OVER) ** 2
+    likely -= 0.5 * (np.minimum(begin[..., 0] / reference.moved_Ah, 0.0) / OVER) ** 2
+    weight = np.exp(likely - likely.max())
+    weight /= weight.sum()
+    capacity = float((weight * SHARES[:, None]).sum())
+    variance = float((weight * (SHARES[:, None] - capacity) ** 2).sum())
+    mean = float((weight * added).sum())
+    variance_ohm = float((weight * (added - mean) ** 2).sum())
+    unseen = (1.0 - min(covered / capacity, 1.0)) * abs(1.0 - capacity)
+    std = float(np.sqrt(variance + unseen**2 + COUNTER_STD**2))
+    return Compared(capacity, std, mean, float(np.sqrt(variance_ohm)), False)
+
+
+def _thinned(
+    charge: FloatArray, voltage: FloatArray, current: float, rate: float, warm: float | None
+) -> Stretch:
+    moved = charge - charge[0]
+    width = min(SMOOTH_ROWS, max(voltage.size // POINTS, 1))
+    smooth = voltage
+    if width > 2:
+        kernel = np.ones(width) / width
+        half = width // 2
+        smooth = voltage.copy()
+        middle = np.convolve(voltage, kernel, "valid")
+        smooth[half : half + middle.size] = middle
+    at = np.unique(np.linspace(0, voltage.size - 1, POINTS).astype(np.int64))
+    return Stretch(moved[at], smooth[at], current, rate, warm)
+
+
+def _extended(at: FloatArray, reference: Stretch) -> FloatArray:
+    """The reference curve, straight on beyond its ends."""
+    x, y = reference.charge_Ah, reference.voltage_V
+    inside = np.interp(at, x, y)
+    k = max(x.size // 20, 1)
+    first, last = (y[k] - y[0]) / (x[k] - x[0]), (y[-1] - y[-1 - k]) / (x[-1] - x[-1 - k])
+    below = np.minimum(at - x[0], 0.0) * first
+    above = np.maximum(at - x[-1], 0.0) * last
+    return np.asarray(inside + below + above)
+
+
+def _resistance_at_same_share(one: Stretch, reference: Stretch) -> float:
+    """By how much more the voltage drops over the middle half of the charge [ohm]."""
+    share = np.linspace(0.25, 0.75, 51)
+    a = np.interp(share * one.moved_Ah, one.charge_Ah, one.voltage_V)
+    b = np.interp(share * reference.moved_Ah, reference.charge_Ah, reference.voltage_V)
+    return float(np.mean(b - a) / one.current_A)

@@ -1,0 +1,111 @@
+"""A share of capacity over a life: a smooth curve with its band, and where it bends."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from cellwise.typing import BoolArray, FloatArray
+
+SLOPE = 0.2  # fade over the logs, standard deviation: cells are used to four fifths
+BENDS = (0.0, 0.01, 0.03, 0.1, 0.3)  # how much it bends: of an integrated Wiener process
+# From log to log beyond the stated deviations: interrupted charges, temperature, rest before.
+SCATTERS = (0.0, 0.003, 0.006, 0.012)
+# Windows of one kind are wrong alike, for so much of the life: what they cannot see ages in its
+# own way.
+WINDOWS_ALIKE = 0.95
+ALIKE_OVER = 0.5
+START_STD = 0.002
+KNEE_BIC = 10.0
+FEWEST_FOR_KNEE = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Trend:
+    """Share of the first capacity, shape (n,), its deviation, and the knee (None: no bend).
+
+    ``std`` holds the scatter from log to log, too: what the next test would show.
+    """
+
+    share: FloatArray
+    std: FloatArray
+    knee: int | None
+
+
+def trend_of(way: FloatArray, share: FloatArray, std: FloatArray, counted: BoolArray) -> Trend:
+    """The trend of measured shares.
+
+    Parameters
+    ----------
+    way : (n,) float          age, never decreasing: days, throughput or number
+    share, std : (n,) float   measured shares of the first capacity and their deviations
+    counted : (n,) bool       from a complete discharge: no error in common with the others
+
+    Notes
+    -----
+    A Gaussian process that begins at one: straight line plus integrated Wiener process. The bend's
+    size and the scatter from log to log by the largest marginal likelihood; the deviations as
+    stated, of windows mostly an error that stays alike.
+    """
+    u = way - way[0]
+    u = u / max(float(u[-1]), 1e-12)
+    alone = np.where(counted, std, np.sqrt(1.0 - WINDOWS_ALIKE) * std)
+    together = np.where(counted, 0.0, np.sqrt(WINDOWS_ALIKE) * std)
+    near = np.exp(-np.abs(u[:, None] - u[None, :]) / ALIKE_OVER)
+    stated = np.diag(alone**2 + 1e-8) + np.outer(together, together) * near
+    eye = np.eye(u.size)
+    best, chosen = -np.inf, (BENDS[0], SCATTERS[0])
+    for bend, scatter in product(BENDS, SCATTERS):
+        whole = _kernel(u, bend) + stated + scatter**2 * eye
+        found = _likelihood(whole, share - 1.0)
+        if found > best:
+            best, chosen = found, (bend, scatter)
+    kernel = _kernel(u, chosen[0])
+    noise = stated + chosen[1] ** 2 * eye
+    gain = np.linalg.solve(kernel + noise, kernel).T
+    mean = 1.0 + gain @ (share - 1.0)
+    covariance = kernel - gain @ kernel
+    deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0) + chosen[1] ** 2)
+    return Trend(mean, deviation, _knee(u, share, std))
+
+
+def _kernel(u: FloatArray, bend: float) -> FloatArray:
+    low, high = np.minimum(u[:, None], u[None, :]), np.maximum(u[:, None], u[None, :])
+    wiener = low**2 * (3.0 * high - low) / 6.0
+    line = SLOPE**2 * np.outer(u, u)
+    return np.asarray(START_STD**2 + line + 3.0 * bend**2 * wiener)
+
+
+def _likelihood(covariance: FloatArray, left: FloatArray) -> float:
+    root = np.linalg.cholesky(covariance)
+    white = np.linalg.solve(root, left)
+    return float(-0.5 * white @ white - np.log(np.diag(root)).sum())
+
+
+def _knee(u: FloatArray, share: FloatArray, std: FloatArray) -> int | None:
+    """Number of the log from which the fade is faster; None where one line is as good."""
+    if u.size < FEWEST_FOR_KNEE:
+        return None
+    line = _line_cost(u, share, std, None)[0]
+    best, knee = np.inf, None
+    for k in range(3, u.size - 3):
+        cost, slopes = _line_cost(u, share, std, float(u[k]))
+        if cost < best and slopes[1] < 0.0 and slopes[0] > slopes[0] + slopes[1]:
+            best, knee = cost, k
+    size = max(best / max(u.size - 4, 1), 1.0)  # scatter beyond the stated deviations
+    gain = (line - best) / size - 2.0 * np.log(u.size)
+    return knee if gain > KNEE_BIC else None
+
+
+def _line_cost(
+    u: FloatArray, share: FloatArray, std: FloatArray, bend: float | None
+) -> tuple[float, FloatArray]:
+    """Weighted squares of one line, or of a line that bends, and its slopes."""
+    columns = [np.ones_like(u), u]
+    if bend is not None:
+        columns.append(np.maximum(u - bend, 0.0))
+    matrix = np.stack(columns, axis=1) / std[:, None]
+    x = np.asarray(np.linalg.lstsq(matrix, share / std, rcond=None)[0], dtype=np.float64)
+    return float(np.sum((share / std - matrix @ x) ** 2)), x[1:]

@@ -1,0 +1,1 @@
+"""Logs of packs: one current, many cell voltages."""

@@ -1,0 +1,213 @@
+"""What is wrong with cells' voltages before any model is asked: dead, frozen, missing, flagged."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from cellwise.errors import InputError
+from cellwise.typing import BoolArray, FloatArray
+
+FlagKind = Literal["missing", "dead", "frozen", "balancing", "count"]
+
+POSSIBLE_V = (0.5, 6.0)
+MILLIVOLTS = 500.0
+# A sensor that repeats one value for so many rows while the mean cell moves by so much is frozen.
+FROZEN_ROWS = 50
+FROZEN_MOVE_V = 0.02
+MOST_MISSING = 0.5  # of the rows: a cell that measures less is not estimated
+SPIKE_V = 0.05  # further from the others than any cell under load: not part of the mean
+COUNT_TOLERANCE = 0.3  # of a cell, between the pack's voltage and the sum of the cells
+
+
+@dataclass(frozen=True)
+class CellFlag:
+    """What was found: of one cell, or of the pack (``cell`` empty), and a line for people."""
+
+    cell: str
+    kind: FlagKind
+    text: str
+
+
+def checked_cells(
+    volts: FloatArray,
+    balancing: BoolArray | None,
+    names: Sequence[str],
+    pack_V: FloatArray | None,
+    where: str,
+) -> tuple[FloatArray, BoolArray | None, tuple[CellFlag, ...]]:
+    """Cells' voltages as far as they can be believed, balancing flags, and what was found.
+
+    Parameters
+    ----------
+    volts : (n, cells) float      changed in place
+
+    Raises
+    ------
+    InputError        millivolts under the name of volts; fewer than two cells that measure
+    """
+    some = volts[np.isfinite(volts)][:: max(volts.size // 10_000, 1)]
+    typical = float(np.median(np.abs(some))) if some.size else np.nan
+    if not np.isfinite(typical):
+        raise InputError(f"no cell voltage in {where}", "numbers", "Check the cells' columns.")
+    if typical > MILLIVOLTS:
+        raise InputError(
+            f"cell voltages of typically {typical:.0f} under the names cell_.._V in {where}",
+            "volts",
+            "They look like millivolts: name the columns cell_01_mV, ...",
+        )
+    flags = _gaps_in_numbers(names)
+    balancing, found = _negative(volts, balancing, names)
+    flags += found
+    flags += _impossible(volts, names) + _frozen(volts, names)
+    if np.count_nonzero(np.any(np.isfinite(volts), axis=0)) < 2:
+        raise InputError(
+            f"fewer than two cells with a voltage that can be believed in {where} "
+            f"({'; '.join(f.text for f in flags[:3])})",
+            "at least two cells that measure",
+            "Check the cells' columns and their unit.",
+        )
+    flags += _count(volts, pack_V)
+    return volts, balancing, tuple(flags)
+
+
+def mean_voltage_V(volts: FloatArray) -> FloatArray:
+    """Mean of the cells' voltages of every row [V], readings far from the others left out.
+
+    A cell that misses some rows must not move the mean by its usual difference: each cell counts
+    with its own mean difference, which is added where it is missing.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # rows and cells without any value
+        known = np.isfinite(volts)
+        complete = bool(known.all())
+        first = volts.mean(axis=1) if complete else _mean(volts, known)
+        apart = volts - first[:, None]
+        spike = np.abs(apart) > SPIKE_V
+        if complete and not spike.any():
+            return np.asarray(first)
+        # Cells whose whole level is apart are not spikes; a median is not moved by either.
+        level = np.nanmedian(apart[:: max(len(apart) // 1000, 1)], axis=0)
+        level = np.nan_to_num(level)
+        used = known & (np.abs(apart - level) <= SPIKE_V)
+        used |= known & ~used.any(axis=1)[:, None]
+        centred = np.where(used, volts - level, 0.0).sum(axis=1) / used.sum(axis=1)
+        alive = known.any(axis=0)
+        return np.asarray(centred + level[alive].mean())
+
+
+def _mean(volts: FloatArray, known: BoolArray) -> FloatArray:
+    return np.asarray(np.where(known, volts, 0.0).sum(axis=1) / known.sum(axis=1))
+
+
+def _gaps_in_numbers(names: Sequence[str]) -> list[CellFlag]:
+    """Numbers that are left out among the names: columns that the file has not."""
+    numbers = [int(m[1]) for m in (re.fullmatch(r"\D*(\d+)", name) for name in names) if m]
+    if len(numbers) != len(names) or not numbers:
+        return []
+    absent = sorted(set(range(1, max(numbers) + 1)) - set(numbers))
+    if not absent or len(absent) > len(numbers):
+        return []
+    digits = max(2, len(str(max(numbers))))
+    return [
+        CellFlag(
+            f"cell_{k:0{digits}d}",
+            "missing",
+            f"there is no column of cell_{k:0{digits}d} among those of cells up to {max(numbers)}",
+        )
+        for k in absent
+    ]
+
+
+def _negative(
+    volts: FloatArray, balancing: BoolArray | None, names: Sequence[str]
+) -> tuple[BoolArray | None, list[CellFlag]]:
+    """Negative voltages are those of cells whose bypass is on (LeafSpy writes them so)."""
+    negative = volts < -POSSIBLE_V[0]
+    if not negative.any():
+        return balancing, []
+    np.abs(volts, out=volts, where=negative)
+    balancing = negative if balancing is None else balancing | negative
+    cells = np.flatnonzero(negative.any(axis=0))
+    some = [names[k] for k in cells[:4].tolist()]
+    text = (
+        f"negative voltages of {cells.size} cell(s) ({', '.join(some)}"
+        f"{', ...' if cells.size > 4 else ''}) were read as those of cells being balanced"
+    )
+    return balancing, [CellFlag("", "balancing", text)]
+
+
+def _impossible(volts: FloatArray, names: Sequence[str]) -> list[CellFlag]:
+    """Readings that no cell has: left out, and the cell is dead where most are."""
+    low, high = POSSIBLE_V
+    with np.errstate(invalid="ignore"):
+        wrong = ~((volts >= low) & (volts <= high))
+    flags = []
+    share = wrong.mean(axis=0)
+    for k in np.flatnonzero(share > 0.0).tolist():
+        seen = volts[wrong[:, k] & np.isfinite(volts[:, k]), k]
+        volts[wrong[:, k], k] = np.nan
+        if share[k] > MOST_MISSING:
+            volts[:, k] = np.nan
+            what = f"reads {np.median(seen):.3g} V" if seen.size else "has no value"
+            text = f"{names[k]} {what} in {100 * share[k]:.0f} % of the rows: it is not estimated"
+            flags.append(CellFlag(names[k], "dead", text))
+        else:
+            count = int(wrong[:, k].sum())
+            text = f"{names[k]} has {count} row(s) without a possible voltage, which are left out"
+            flags.append(CellFlag(names[k], "missing", text))
+    return flags
+
+
+def _frozen(volts: FloatArray, names: Sequence[str]) -> list[CellFlag]:
+    """Cells whose reading stays the same to the last digit while the others' move."""
+    blocks = len(volts) // FROZEN_ROWS
+    if blocks == 0 or volts.shape[1] < 3:
+        return []
+    parts = volts[: blocks * FROZEN_ROWS].reshape(blocks, FROZEN_ROWS, -1)
+    still = np.max(parts, axis=1) == np.min(parts, axis=1)  # a missing value compares as moving
+    if not still.any():
+        return []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # rows without any value
+        some = parts[:, :, :: max(volts.shape[1] // 12, 1)]
+        middle = np.nanmedian(some, axis=2)
+        moved = np.nanmax(middle, axis=1) - np.nanmin(middle, axis=1) > FROZEN_MOVE_V
+    flags = []
+    for k in np.flatnonzero((still & moved[:, None]).any(axis=0)).tolist():
+        rows = np.repeat(still[:, k], FROZEN_ROWS)
+        share = float((still[:, k] & moved).sum() / moved.sum())
+        volts[: rows.size][rows, k] = np.nan
+        gone = share > MOST_MISSING
+        if gone:
+            volts[:, k] = np.nan
+        end = "it is not estimated" if gone else "those rows are left out"
+        text = (
+            f"{names[k]} repeats one value while the other cells move ({100 * share:.0f} % of the "
+            f"time under load): {end}"
+        )
+        flags.append(CellFlag(names[k], "frozen", text))
+    return flags
+
+
+def _count(volts: FloatArray, pack_V: FloatArray | None) -> list[CellFlag]:
+    """The pack's voltage against the sum of the cells: cells without a column."""
+    if pack_V is None:
+        return []
+    cells = volts.shape[1]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        some = slice(None, None, max(len(volts) // 2000, 1))
+        mean = np.nanmedian(volts[some], axis=1)
+        ratio = float(np.nanmedian(pack_V[some] / mean))
+    if not np.isfinite(ratio) or abs(ratio - 1.0) < COUNT_TOLERANCE:
+        return []  # the voltage is the mean cell's
+    if abs(ratio - cells) <= COUNT_TOLERANCE + 0.002 * cells:
+        return []
+    text = f"the pack's voltage is that of {ratio:.1f} cells in series, and {cells} have a column"
+    return [CellFlag("", "count", text)]

@@ -1,0 +1,289 @@
+"""What logs say of every cell: normal equations with the noise that the cells themselves show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellwise.pack.parameters import NAMED, SIZE, SOC, usual_spread
+from cellwise.pack.regressors import Regressors
+from cellwise.typing import BoolArray, FloatArray, IndexArray
+
+BLOCK_S = 600.0  # differences stay wrong for as long: relaxation, temperature, the OCV's shape
+FIRST_NOISE_V = 0.003
+FIRST_SHARE = 0.1  # of the voltage's change between rows that polling leaves uncertain
+LEAST_NOISE_V = 1e-4
+TYPICAL_ROWS = 3000  # show the noise as well as all
+ROBUST = 4.0  # standard deviations beyond which a reading counts no more
+MAD = 1.4826
+USUAL_BLOCK_V = 5e-4
+USUAL_BALANCING = 0.002  # SOC, from one log to the next
+BALANCING_PASSES = 6
+SLOPE_ERROR_V = 0.2  # of the OCV over SOC: a third of a usual slope
+USUAL_WEIGHT = 20.0  # cells and blocks that the usual size of a block's error counts as
+
+
+@dataclass(frozen=True, eq=False)
+class PackEvidence:
+    """Information on every cell's differences: ``A x = b`` with ``A`` the inverse of a covariance.
+
+    ``matrix`` (cells, SIZE, SIZE), ``vector`` (cells, SIZE), ``rows`` (cells,) rows that count,
+    ``rmse_V`` (cells,) of what the differences leave, ``noise_V``, ``change_share`` and ``block_V``
+    the noise found: of a quiet row, of the voltage's change, of a block of ten minutes;
+    ``balancing_soc`` by how much cells' SOC moves against the mean from log to log.
+    """
+
+    matrix: FloatArray
+    vector: FloatArray
+    rows: IndexArray
+    rmse_V: FloatArray
+    noise_V: float
+    change_share: float
+    block_V: float
+    balancing_soc: float
+
+
+def pack_evidence(
+    found: Regressors,
+    difference_V: FloatArray,
+    known: BoolArray,
+    block: IndexArray,
+    log: IndexArray,
+) -> PackEvidence:
+    """What the logs of one period say of the cells.
+
+    Parameters
+    ----------
+    found : Regressors
+    difference_V : (n, cells) float      cell minus mean; NaN where unknown
+    known : (n, cells) bool              readings to use
+    block, log : (n,) int                numbers of the stretches whose errors stay alike, and of
+                                         the logs; both ascending
+
+    Returns
+    -------
+    PackEvidence      a cell without a reading has no information
+    """
+    used = np.flatnonzero(found.used)
+    cells = difference_V.shape[1]
+    if used.size == 0:
+        nothing = np.zeros((cells, SIZE, SIZE)), np.zeros((cells, SIZE))
+        return PackEvidence(
+            *nothing, np.zeros(cells, np.int64), np.full(cells, np.nan), FIRST_NOISE_V, FIRST_SHARE,
+            USUAL_BLOCK_V, 0.0,
+        )  # fmt: skip
+    rows, change = found.rows[used], found.change_V[used]
+    d, ok = difference_V[used], known[used]
+    ok &= np.isfinite(d)
+    d[~ok] = 0.0
+    prior = np.diag(usual_spread().cells ** -2.0)
+    weight = 1.0 / (FIRST_NOISE_V**2 + (FIRST_SHARE * change) ** 2)
+    x = _ridge(rows, weight, d, ok, prior)
+    noise, share = _row_noise(d - rows @ x.T, ok, change)
+    variance = noise**2 + (share * change) ** 2
+    weight = 1.0 / variance
+    for _ in range(2):  # readings far off are drawn to the fit
+        fit = rows @ x.T
+        limit = ROBUST * np.sqrt(variance)[:, None]
+        drawn = np.minimum(np.maximum(d, fit - limit), fit + limit)
+        drawn[~ok] = 0.0
+        x = _ridge(rows, weight, drawn, ok, prior)
+    sums = _block_sums(rows, weight, drawn, ok, _starts(block[used]))
+    block_V = _block_noise(sums, x)
+    matrix, vector = _without_block_errors(sums, block_V)
+    of_block = log[used][_starts(block[used])]
+    starts = _starts(of_block)
+    balance = 0.0
+    if starts.size > 1:
+        matrix = np.add.reduceat(matrix, starts, axis=0)
+        vector = np.add.reduceat(vector, starts, axis=0)
+        matrix, vector, balance = _without_balancing(matrix, vector, prior)
+    matrix, vector = _clustered(matrix, vector, prior)
+    left = d - rows @ x.T
+    left[~ok] = 0.0
+    count = ok.sum(axis=0)
+    rmse = np.sqrt(np.einsum("ij,ij->j", left, left) / np.maximum(count, 1))
+    return PackEvidence(
+        matrix, vector, count, np.where(count > 0, rmse, np.nan), noise, share, block_V, balance
+    )
+
+
+def _ridge(
+    rows: FloatArray, weight: FloatArray, d: FloatArray, ok: BoolArray, prior: FloatArray
+) -> FloatArray:
+    """Weighted fit of every cell, held by its usual size, shape (cells, SIZE)."""
+    weighted = weight[:, None] * rows
+    full = ok.all(axis=0)
+    common = rows.T @ weighted
+    right = weighted.T @ d
+    x = np.linalg.solve(common + prior, right).T
+    for k in np.flatnonzero(~full):
+        own = rows.T @ (weighted * ok[:, k : k + 1])
+        x[k] = np.linalg.solve(own + prior, right[:, k])
+    return np.ascontiguousarray(x)
+
+
+def _row_noise(left: FloatArray, ok: BoolArray, change: FloatArray) -> tuple[float, float]:
+    """Noise of a quiet row [V], and the share of the voltage's change that is noise."""
+    order = np.argsort(change)
+    third = max(order.size // 3, 1)
+
+    def scale(part: IndexArray) -> float:
+        some = part[:: max(part.size // TYPICAL_ROWS, 1)]
+        values = np.abs(left[some])[ok[some]]
+        return MAD * float(np.median(values)) if values.size else FIRST_NOISE_V
+
+    quiet, busy = order[:third], order[-third:]
+    noise = max(scale(quiet), LEAST_NOISE_V)
+    moved = float(np.sqrt(np.mean(change[busy] ** 2)))
+    excess = max(scale(busy) ** 2 - noise**2, 0.0)
+    return noise, float(np.sqrt(excess)) / max(moved, LEAST_NOISE_V)
+
+
+@dataclass(frozen=True, eq=False)
+class _BlockSums:
+    """Sums over each block.
+
+    ``A`` (blocks, SIZE, SIZE), of cells with missing readings ``own``; ``b`` (blocks, SIZE, cells),
+    ``c`` (blocks, SIZE), ``total`` (blocks,) weights, ``d`` (blocks, cells) weighted differences.
+    """
+
+    A: FloatArray
+    b: FloatArray
+    c: FloatArray
+    total: FloatArray
+    d: FloatArray
+    own: dict[int, tuple[FloatArray, FloatArray, FloatArray]]
+
+
+def _starts(number: IndexArray) -> IndexArray:
+    """Rows at which a new number begins."""
+    return np.flatnonzero(np.diff(number, prepend=number[0] - 1) != 0)
+
+
+def _block_sums(
+    rows: FloatArray, weight: FloatArray, d: FloatArray, ok: BoolArray, starts: IndexArray
+) -> _BlockSums:
+    weighted = weight[:, None] * rows
+    stops = np.append(starts[1:], rows.shape[0])
+    spans = list(zip(starts.tolist(), stops.tolist(), strict=True))
+    a = np.stack([rows[i:j].T @ weighted[i:j] for i, j in spans])
+    b = np.stack([weighted[i:j].T @ d[i:j] for i, j in spans])
+    c = np.add.reduceat(weighted, starts, axis=0)
+    total = np.add.reduceat(weight, starts)
+    dsum = np.stack([weight[i:j] @ d[i:j] for i, j in spans])
+    own = {}
+    for k in np.flatnonzero(~ok.all(axis=0)).tolist():
+        masked = weighted * ok[:, k : k + 1]
+        own[k] = (
+            np.stack([rows[i:j].T @ masked[i:j] for i, j in spans]),
+            np.add.reduceat(masked, starts, axis=0),
+            np.add.reduceat(weight * ok[:, k], starts),
+        )
+    return _BlockSums(a, b, c, total, dsum, own)
+
+
+def _block_noise(sums: _BlockSums, x: FloatArray) -> float:
+    """Standard deviation of what stays for a block [V], of all cells and blocks."""
+    mean = sums.d / sums.total[:, None] - (sums.c / sums.total[:, None]) @ x.T
+    mean = np.delete(mean, list(sums.own), axis=1)
+    if mean.size == 0:
+        return USUAL_BLOCK_V
+    found = max(
+        (MAD * float(np.median(np.abs(mean)))) ** 2 - float(np.median(1.0 / sums.total)), 0.0
+    )
+    worth = float(mean.size)
+    return float(
+        np.sqrt((worth * found + USUAL_WEIGHT * USUAL_BLOCK_V**2) / (worth + USUAL_WEIGHT))
+    )
+
+
+def _without_block_errors(sums: _BlockSums, block_V: float) -> tuple[FloatArray, FloatArray]:
+    """Information of each block and cell with the block's own constant error integrated out.
+
+    Shapes (blocks, cells or 1, SIZE, SIZE) and (blocks, cells, SIZE).
+    """
+    cells = sums.b.shape[2]
+    share = 1.0 / (sums.total + block_V**-2.0)
+    a = sums.A - share[:, None, None] * sums.c[:, :, None] * sums.c[:, None, :]
+    b = sums.b - share[:, None, None] * sums.c[:, :, None] * sums.d[:, None, :]
+    b = np.moveaxis(b, 2, 1)
+    if not sums.own:
+        return a[:, None], b
+    matrix = np.repeat(a[:, None], cells, axis=1)
+    for k, (own, c, total) in sums.own.items():
+        share = 1.0 / (total + block_V**-2.0)
+        matrix[:, k] = own - share[:, None, None] * c[:, :, None] * c[:, None, :]
+        b[:, k] = sums.b[:, :, k] - share[:, None] * c * sums.d[:, k : k + 1]
+    return matrix, b
+
+
+def _without_balancing(
+    matrix: FloatArray, vector: FloatArray, prior: FloatArray
+) -> tuple[FloatArray, FloatArray, float]:
+    """Information of each log with its own SOC difference integrated out, and how large it is.
+
+    Between logs a pack is charged and balanced: what a cell's SOC is against the mean's is new each
+    time, by a size that the logs themselves show; and what that does to the voltage is known as
+    well as the OCV's slope is. Shapes as :func:`_without_block_errors` has them.
+    """
+    size = USUAL_BALANCING
+    for _ in range(BALANCING_PASSES):
+        a, b = _integrated(matrix, vector, size)
+        x = np.linalg.solve(a.sum(axis=0) + prior, b.sum(axis=0)[..., None])[..., 0]
+        column = np.broadcast_to(matrix[:, :, SOC], vector.shape)
+        pull = vector[:, :, SOC] - np.einsum("lcj,cj->lc", column, x)
+        variance = 1.0 / (matrix[:, :, SOC, SOC] + size**-2.0)
+        moved = variance * pull
+        seen = float(np.median(np.broadcast_to(variance, moved.shape)))
+        found = (MAD * float(np.median(np.abs(moved)))) ** 2 + min(seen, size**2)
+        worth = float(moved.size)
+        size = float(
+            np.sqrt((worth * found + USUAL_WEIGHT * USUAL_BALANCING**2) / (worth + USUAL_WEIGHT))
+        )
+    return *_integrated(matrix, vector, size), size
+
+
+def _integrated(
+    matrix: FloatArray, vector: FloatArray, size: float
+) -> tuple[FloatArray, FloatArray]:
+    own = np.zeros(SIZE)
+    own[SOC] = size**2
+    own[NAMED:] = (SLOPE_ERROR_V * size) ** 2
+    eye = np.eye(SIZE)
+    a = np.linalg.solve(eye + matrix * own, matrix)
+    b = np.linalg.solve(eye + matrix * own, vector[..., None])[..., 0]
+    return np.asarray(0.5 * (a + np.swapaxes(a, 2, 3))), np.asarray(b)
+
+
+def _clustered(a: FloatArray, b: FloatArray, prior: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Information whose covariance is what clusters scatter by, pooled over the cells.
+
+    The covariance of a fit under errors that are alike within clusters (Liang and Zeger,
+    Biometrika 73 (1986) 13), never smaller than that of independent rows.
+    """
+    clusters, cells = b.shape[:2]
+    bread, right = a.sum(axis=0), b.sum(axis=0)  # (1 or cells, SIZE, SIZE), (cells, SIZE)
+    x = np.linalg.solve(bread + prior, right[..., None])[..., 0]
+    score = b - np.einsum(
+        "gcij,cj->gci", np.broadcast_to(a, (*a.shape[:1], cells, *a.shape[2:])), x
+    )
+    common = bread[0] if bread.shape[0] == 1 else np.median(bread, axis=0)
+    root = np.linalg.cholesky(common + 1e-3 * prior)
+    white = np.linalg.solve(root, score.reshape(-1, SIZE).T).reshape(SIZE, clusters, cells)
+    per_cell = np.einsum("igc,jgc->cij", white, white)
+    size = np.trace(per_cell, axis1=1, axis2=2)
+    usual = per_cell[size <= np.quantile(size, 0.8)] if cells > 4 else per_cell
+    meat = usual.mean(axis=0) * clusters / max(clusters - 1.0, 1.0)
+    values, vectors = np.linalg.eigh(meat)
+    # x' = A J^-1 A x: the same estimate with the covariance A^-1 J A^-1.
+    inner = (vectors / np.maximum(values, 1.0)) @ vectors.T
+    back = np.linalg.solve(root.T, inner)
+    j_inverse = np.linalg.solve(root.T, back.T).T
+    lifted = bread @ j_inverse
+    whole = lifted @ bread
+    return (
+        np.array(np.broadcast_to(0.5 * (whole + np.swapaxes(whole, 1, 2)), (cells, SIZE, SIZE))),
+        np.einsum("cij,cj->ci", np.broadcast_to(lifted, (cells, SIZE, SIZE)), right),
+    )

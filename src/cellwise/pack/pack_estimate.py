@@ -1,0 +1,307 @@
+"""Every cell of a pack on one model: SOC, capacity, resistance, and what is odd."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from cellwise.cell.model import CellModel
+from cellwise.cell.plausibility.notice import in_order
+from cellwise.cell.plausibility.outside import outside_notices
+from cellwise.logs.packs.pack_log import PackLog
+from cellwise.pack.belief import CellBelief, drift_between, posterior, spread_between
+from cellwise.pack.causes import cause_of
+from cellwise.pack.evidence import PackEvidence
+from cellwise.pack.pack_state import PackState
+from cellwise.pack.parameters import (
+    CAPACITY,
+    LAG,
+    LEAD,
+    OFFSET,
+    REFERENCE_SOC,
+    RESISTANCE,
+    SELF_DISCHARGE,
+    SIZE,
+    SOC,
+)
+from cellwise.pack.periods import PackDay, pack_days, period_evidence, periods
+from cellwise.pack.suspicion import Suspicion, against_others, against_past
+from cellwise.pack.swapped import swapped_cells, with_swapped
+from cellwise.pack.usable import Usable, usable_charge
+from cellwise.typing import FloatArray
+
+BALANCED = [SOC, SELF_DISCHARGE]
+CAPACITY_STD = 0.02  # of a model that does not say how well its capacity is known
+
+
+@dataclass(frozen=True, eq=False)
+class CellsEstimate:
+    """What is estimated of the cells, shape (cells,) each.
+
+    ``capacity_std_Ah`` and ``soc_std`` hold what the mean cell's are uncertain by too;
+    ``resistance_scale`` is against the mean cell, which is the model's; ``offset_V`` and ``skew_s``
+    are the sensor's: what it adds, and by how much it lags the other cells' polling.
+    """
+
+    soc: FloatArray
+    soc_std: FloatArray
+    capacity_Ah: FloatArray
+    capacity_std_Ah: FloatArray
+    resistance_scale: FloatArray
+    resistance_std: FloatArray
+    offset_V: FloatArray
+    offset_std_V: FloatArray
+    skew_s: FloatArray
+    skew_std_s: FloatArray
+    voltage_rmse_V: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class PackEstimate:
+    """A pack after its logs.
+
+    ``days`` are the logs with their mean cells, ``evidence`` the last period's, ``state`` what a
+    later call continues from, ``suspicions`` of all periods with the number of each.
+    """
+
+    model: CellModel
+    days: tuple[PackDay, ...]
+    cells: CellsEstimate
+    usable: Usable
+    evidence: PackEvidence
+    suspicions: tuple[tuple[int, Suspicion], ...]
+    swapped: tuple[str, ...]
+    state: PackState
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the cells."""
+        return self.days[0].log.names
+
+    @property
+    def own_capacity_std_Ah(self) -> FloatArray:
+        """Deviation of each cell's capacity from the mean cell's alone [Ah], shape (cells,)."""
+        shared = capacity_std_Ah(self.model)
+        whole = self.cells.capacity_std_Ah
+        return np.asarray(np.sqrt(np.maximum(whole**2 - shared**2, 0.0)))
+
+    @property
+    def causes(self) -> list[dict[str, Any]]:
+        """Odd cells and sensors as `cellwise diagnose` lists causes, the most certain first."""
+        found = [
+            cause_of(one, self.names[one.cell], self.model, number, len(self.state.periods))
+            for number, one in sorted(self.suspicions, key=lambda s: -s[1].gain)
+        ]
+        for flag in self.days[-1].log.flags:
+            if flag.kind in ("dead", "frozen"):
+                found.append(
+                    {
+                        "name": "sensor_fault", "cell": flag.cell, "probability": 1.0,
+                        "parameters": {}, "ci95": {}, "evidence": [flag.text],
+                        "confusable_with": [],
+                    }
+                )  # fmt: skip
+        return found
+
+    @property
+    def weakest(self) -> dict[str, str]:
+        """Names of the cells with the least SOC, the least capacity, the most resistance."""
+        cells = self.cells
+        return {
+            "by_soc": self.names[int(np.nanargmin(cells.soc))],
+            "by_capacity": self.names[int(np.nanargmin(cells.capacity_Ah))],
+            "by_resistance": self.names[int(np.nanargmax(cells.resistance_scale))],
+        }
+
+    @property
+    def weak(self) -> list[str]:
+        """Cells that are weak beyond what a pack's cells differ by; sensors are not."""
+        return list(
+            dict.fromkeys(
+                self.names[s.cell] for _, s in self.suspicions if not s.explanation.sensor
+            )
+        )
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """What a person should know, the most harmful first."""
+        last = self.days[-1]
+        found = outside_notices(self.model.validity, last.log.mean, last.mean.soc)
+        texts = [n for day in self.days for n in day.log.notices]
+        if not any(np.any(day.mean.used) for day in self.days):
+            texts.insert(0, "no stretch between pauses is long enough to be estimated")
+        return (*self.swapped, *in_order(found, tuple(dict.fromkeys(texts))))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Keys as CONTRACT.md has them."""
+        cells, names = self.cells, self.names
+        keys = (
+            "soc", "soc_std", "capacity_Ah", "capacity_std_Ah", "resistance_scale",
+            "resistance_std", "voltage_rmse_V", "offset_V", "offset_std_V", "skew_s", "skew_std_s",
+        )  # fmt: skip
+        return {
+            "cells": len(names),
+            "soc": {
+                "min": float(np.nanmin(cells.soc)),
+                "mean": float(np.nanmean(cells.soc)),
+                "max": float(np.nanmax(cells.soc)),
+            },
+            "weakest": self.weakest,
+            "weak": self.weak,
+            "per_cell": [
+                {"name": name, **{key: float(getattr(cells, key)[k]) for key in keys}}
+                for k, name in enumerate(names)
+            ],
+            **self.usable.to_dict(),
+            "causes": self.causes,
+            "logs": [
+                {
+                    "log": day.log.name,
+                    "day": None if day.day is None else day.day.isoformat(),
+                    "samples": len(day.log),
+                    "mean_voltage_rmse_V": day.mean.rmse_V,
+                }
+                for day in self.days
+            ],
+            "notices": list(self.notices),
+        }
+
+    def columns(self) -> dict[str, Any]:
+        """One row per cell."""
+        return {"name": list(self.names), **vars(self.cells)}
+
+
+def estimate_pack(
+    model: CellModel, logs: Sequence[PackLog], state: PackState | None = None
+) -> PackEstimate:
+    """Estimate every cell of a pack from logs in order.
+
+    Parameters
+    ----------
+    model : CellModel             of the mean cell: identified, or from a prior and these drives
+    logs : sequence of PackLog    one pack, in the order of time; days in their names separate
+                                  periods of thirty days, each compared with what was before
+    state : PackState or None     what an earlier call left
+
+    Returns
+    -------
+    PackEstimate
+
+    Raises
+    ------
+    InputError        other cells in one log than in another, days that run backwards
+    """
+    days = pack_days(model, logs, None if state is None else state.names)
+    parts = periods(days)
+    origin = parts[0][0].ordinal if state is None else state.origin
+    belief = None if state is None else state.belief
+    history = [] if state is None else list(state.periods)
+    suspected: list[tuple[int, Suspicion]] = []
+    swapped: list[str] = []
+    for part in parts:
+        evidence = period_evidence(model, part)
+        spread = spread_between(evidence)
+        found = against_others(spread, evidence)
+        if belief is None:
+            belief = CellBelief.unknown(len(days[0].log.names), spread)
+        else:
+            belief = belief.later(max(part[0].ordinal - origin, belief.days))
+            drift = drift_between(belief, evidence)
+            expected = replace(belief, covariance=belief.covariance + np.diag(drift))
+            changed = against_past(expected, evidence)
+            pair = swapped_cells(expected, evidence, changed)
+            if pair is not None:
+                i, j = pair
+                names = days[0].log.names
+                swapped.append(
+                    f"{names[i]} and {names[j]} have exchanged their voltages from "
+                    f"'{part[0].log.name}' on: each is now what the other was"
+                )
+                evidence = with_swapped(evidence, i, j)
+                found = [s for s in against_others(spread, evidence) if s.cell not in pair]
+                changed = against_past(expected, evidence)
+            # Balancing moves what cells hold; what they are drifts slowly, whatever one month says.
+            moved = np.zeros(SIZE)
+            moved[BALANCED] = drift[BALANCED]
+            belief = replace(belief, covariance=belief.covariance + np.diag(moved))
+            seen = {s.cell for s in changed}
+            found = changed + [s for s in found if s.cell not in seen]
+        belief = belief.updated(evidence)
+        suspected += [(len(history), s) for s in found]
+        history.append(part[0].log.name)
+    if belief is None:
+        belief = CellBelief.unknown(len(days[0].log.names))
+    last = days[-1]
+    at_end = _at_end(model, belief, evidence, last)
+    cells = _cells(model, at_end, last, evidence)
+    return PackEstimate(
+        model=model,
+        days=days,
+        cells=cells,
+        usable=usable_charge(model, last.log.mean, cells.soc, cells.capacity_Ah),
+        evidence=evidence,
+        suspicions=tuple(suspected),
+        swapped=tuple(swapped),
+        state=PackState(last.log.names, origin, belief, tuple(history)),
+    )
+
+
+def _at_end(
+    model: CellModel, belief: CellBelief, period: PackEvidence, last: PackDay
+) -> CellBelief:
+    """The belief at the end of the last log, whose own SOC differences may be others."""
+    if period.balancing_soc == 0.0:  # of that log alone
+        return belief
+    own = period_evidence(model, [last])
+    moved = np.zeros((SIZE, SIZE))
+    moved[SOC, SOC] = period.balancing_soc**2
+    mean, covariance = posterior(belief.mean, belief.covariance + moved, own)
+    return replace(belief, mean=mean, covariance=covariance)
+
+
+def _cells(
+    model: CellModel, belief: CellBelief, last: PackDay, evidence: PackEvidence
+) -> CellsEstimate:
+    used = np.flatnonzero(last.mean.used)
+    z = float(last.mean.soc[used[-1]]) if used.size else float("nan")
+    z_std = float(last.mean.soc_std[used[-1]]) if used.size else float("nan")
+    x = belief.mean - np.mean(belief.mean, axis=0)  # differences from the mean have no mean
+    p = belief.covariance
+    lever = np.zeros(SIZE)
+    lever[SOC], lever[CAPACITY] = 1.0, REFERENCE_SOC - z
+    both = np.zeros(SIZE)
+    both[LAG] = both[LEAD] = 1.0
+
+    def std(row: FloatArray) -> FloatArray:
+        return np.asarray(np.sqrt(np.einsum("i,cij,j->c", row, p, row)))
+
+    def one(index: int) -> FloatArray:
+        return np.asarray(np.eye(SIZE)[index])
+
+    capacity = model.capacity_Ah * (1.0 + x[:, CAPACITY])
+    shared = capacity_std_Ah(model)
+    there = evidence.rows > 0
+    return CellsEstimate(
+        soc=np.where(there, np.clip(z + x @ lever, 0.0, 1.0), np.nan),
+        soc_std=np.hypot(z_std, std(lever)),
+        capacity_Ah=np.where(there, capacity, np.nan),
+        capacity_std_Ah=np.hypot(shared, model.capacity_Ah * std(one(CAPACITY))),
+        resistance_scale=np.where(there, 1.0 + x[:, RESISTANCE], np.nan),
+        resistance_std=std(one(RESISTANCE)),
+        offset_V=x[:, OFFSET],
+        offset_std_V=std(one(OFFSET)),
+        skew_s=x @ both,
+        skew_std_s=std(both),
+        voltage_rmse_V=evidence.rmse_V,
+    )
+
+
+def capacity_std_Ah(model: CellModel) -> float:
+    """How well the model's own capacity is known [Ah]."""
+    prior = model.provenance.get("prior")
+    if isinstance(prior, dict) and "capacity_std_Ah" in prior:
+        return float(prior["capacity_std_Ah"])
+    return CAPACITY_STD * model.capacity_Ah

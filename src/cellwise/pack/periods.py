@@ -1,0 +1,123 @@
+"""A pack's logs in order, and what they say of its cells, period by period."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import date
+from itertools import pairwise
+
+import numpy as np
+
+from cellwise.cell.model import CellModel
+from cellwise.errors import InputError
+from cellwise.logs.packs.log_date import day_of_name
+from cellwise.logs.packs.pack_log import PackLog
+from cellwise.pack.evidence import BLOCK_S, PackEvidence, pack_evidence
+from cellwise.pack.mean_cell import MeanCell, OcvSlope, mean_cell
+from cellwise.pack.regressors import Regressors, regressors
+
+PERIOD_DAYS = 30.0
+MOST_ROWS = 200_000  # of one period that are compared: more say no more
+
+
+@dataclass(frozen=True, eq=False)
+class PackDay:
+    """One log, its mean cell, and on which day it was recorded (None: nobody knows)."""
+
+    log: PackLog
+    mean: MeanCell
+    day: date | None
+
+    @property
+    def ordinal(self) -> float:
+        """Days on a common clock; 0 where nobody knows."""
+        return 0.0 if self.day is None else float(self.day.toordinal())
+
+
+def pack_days(
+    model: CellModel, logs: Sequence[PackLog], names: tuple[str, ...] | None = None
+) -> tuple[PackDay, ...]:
+    """The mean cell of every log, in order of time.
+
+    Parameters
+    ----------
+    names : tuple of str or None      the cells that an earlier state knows
+
+    Raises
+    ------
+    InputError        no log; other cells in one log than in another; days that run backwards
+    """
+    if not logs:
+        raise InputError("no log", "at least one log with cell voltages", "Name it.")
+    expected = logs[0].names if names is None else names
+    before = "the saved state" if names is not None else f"'{logs[0].name}'"
+    for log in logs:
+        if log.names != expected:
+            absent = [n for n in expected if n not in log.names][:3]
+            added = [n for n in log.names if n not in expected][:3]
+            raise InputError(
+                f"{log.cells} cells in '{log.name}' and {len(expected)} in {before}"
+                + (f", without {', '.join(absent)}" if absent else "")
+                + (f", with {', '.join(added)}" if added else ""),
+                "the same cells in every log of a pack",
+                "Estimate logs with other cells by themselves, or repair the columns.",
+            )
+    days = [PackDay(log, mean_cell(model, log.mean), day_of_name(log.name)) for log in logs]
+    for a, b in pairwise(days):
+        if a.day is not None and b.day is not None and b.day < a.day:
+            raise InputError(
+                f"'{b.log.name}' of {b.day} after '{a.log.name}' of {a.day}",
+                "logs in the order in which they were recorded",
+                "Sort them.",
+            )
+    return tuple(days)
+
+
+def periods(days: Sequence[PackDay]) -> tuple[tuple[PackDay, ...], ...]:
+    """Logs of thirty days together; all together where a day is not known."""
+    if any(d.day is None for d in days):
+        return (tuple(days),)
+    found: list[list[PackDay]] = [[days[0]]]
+    for day in days[1:]:
+        if day.ordinal - found[-1][0].ordinal >= PERIOD_DAYS:
+            found.append([])
+        found[-1].append(day)
+    return tuple(tuple(part) for part in found)
+
+
+def period_evidence(model: CellModel, days: Sequence[PackDay]) -> PackEvidence:
+    """What the logs of one period say of the cells."""
+    middle = 0.5 * (days[0].ordinal + days[-1].ordinal)
+    rows = sum(len(d.log) for d in days)
+    stride = max(-(-rows // MOST_ROWS), 1)
+    parts, differences, known, blocks, logs = [], [], [], [], []
+    count = 0
+    for number, day in enumerate(days):
+        log, mean = day.log, day.mean
+        found = regressors(mean, OcvSlope(model, log.mean), day.ordinal - middle)
+        ok = np.isfinite(log.cell_V)
+        if log.balancing is not None:
+            ok &= ~log.balancing  # the bypass current loads the sense wires
+        block = (log.mean.time_s // BLOCK_S).astype(np.int64)
+        moved = np.diff(block, prepend=block[0]) + np.abs(np.diff(mean.part, prepend=mean.part[0]))
+        block = count + np.cumsum(moved != 0)
+        count = int(block[-1]) + 1
+        some = slice(None, None, stride)
+        parts.append(Regressors(found.rows[some], found.change_V[some], found.used[some]))
+        differences.append(log.difference_V[some])
+        known.append(ok[some])
+        blocks.append(block[some])
+        logs.append(np.full(block[some].size, number))
+    together = Regressors(
+        np.concatenate([p.rows for p in parts]),
+        np.concatenate([p.change_V for p in parts]),
+        np.concatenate([p.used for p in parts]),
+    )
+    return pack_evidence(
+        together,
+        np.concatenate(differences),
+        np.concatenate(known),
+        np.concatenate(blocks),
+        np.concatenate(logs),
+    )

@@ -1,0 +1,204 @@
+"""Which cell is not like the others, or not as it was, and of what it is: cell, sensor, polling."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from cellwise.pack.belief import USUAL_CELLS, CellBelief, posterior
+from cellwise.pack.evidence import PackEvidence
+from cellwise.pack.parameters import (
+    CAPACITY,
+    LAG,
+    LEAD,
+    OFFSET,
+    RESISTANCE,
+    SELF_DISCHARGE,
+    SIZE,
+    SOC,
+)
+from cellwise.typing import FloatArray
+
+FALSE_ALARMS = 0.01  # of a whole pack and period, over all cells and causes
+TAIL_SHARES = (0.5, 0.8, 0.9, 0.94)
+ODD_SHARE = 0.05  # of the cells, one at least, that may be odd themselves
+PENALTY = 2.0  # of one more parameter in the explanation, in units of log likelihood
+CONFUSABLE = 3.0  # log likelihood within which two explanations are confusable
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """A cause: its name as `cellwise diagnose` has it, and the differences that it moves."""
+
+    cause: str
+    moves: tuple[int, ...]
+    shown: int
+    parameter: str
+    negligible: float
+    sign: int = 0
+    sensor: bool = False
+
+
+# Smaller differences nobody would act on. A cell may only lose capacity, gain resistance and lose
+# charge of its own: the other way round it is no fault.
+EXPLANATIONS = (
+    Explanation("capacity", (CAPACITY, SOC), CAPACITY, "capacity_Ah", 0.003, sign=-1),
+    Explanation("resistance_scale", (RESISTANCE,), RESISTANCE, "scale", 0.010, sign=1),
+    Explanation("initial_soc", (SOC,), SOC, "soc0", 0.002),
+    Explanation("self_discharge", (SELF_DISCHARGE, SOC), SELF_DISCHARGE, "leak_A", 2e-5, sign=1),
+    Explanation("voltage_offset", (OFFSET,), OFFSET, "offset_V", 0.0005, sensor=True),
+    Explanation("time_skew", (LAG, LEAD), LAG, "skew_s", 0.05, sensor=True),
+)
+
+
+@dataclass(frozen=True)
+class Suspicion:
+    """One cell and its most probable cause.
+
+    ``size`` and ``std`` are the difference of ``explanation.shown`` (for polling: lag plus lead)
+    from the other cells or from the cell's own past; ``gain`` the log likelihood that it explains,
+    ``others`` what explains nearly as much; ``changed``: against its own past.
+    """
+
+    cell: int
+    explanation: Explanation
+    size: float
+    std: float
+    gain: float
+    probability: float
+    others: tuple[str, ...]
+    changed: bool
+
+
+def suspicions(
+    prior_mean: FloatArray, prior_covariance: FloatArray, evidence: PackEvidence, *, changed: bool
+) -> list[Suspicion]:
+    """Cells whose evidence is not what is expected of them.
+
+    Parameters
+    ----------
+    prior_mean : (cells, SIZE) float                what is expected: zero and the spread between
+    prior_covariance : (cells, SIZE, SIZE) float    cells, or the cell's own past and its drift
+    changed : bool                                  which of the two it is
+
+    Notes
+    -----
+    Generalised likelihood ratio of a shift along each explanation's directions. What all cells
+    have in common is no cell's; and the cells are each other's reference: where their usual ratio
+    is larger than theory has it, all ratios are scaled down by as much.
+    """
+    there = np.flatnonzero(evidence.rows > 0)
+    if there.size < 3:
+        return []
+    a = evidence.matrix[there]
+    p = prior_covariance[there] + np.diag(_negligible() ** 2)
+    mean = prior_mean[there]
+    after, _ = posterior(prior_mean, prior_covariance, evidence)
+    common = np.median(after[there] - mean, axis=0)
+    surprise = evidence.vector[there] - np.einsum("cij,cj->ci", a, mean + common)
+    eye = np.eye(SIZE)
+    precision = np.asarray(
+        np.linalg.solve(eye + a @ p, a), dtype=np.float64
+    )  # of the evidence about a shift
+    pull = np.asarray(np.linalg.solve(eye + a @ p, surprise[..., None])[..., 0])
+    gains, shifts, stds = [], [], []
+    for one in EXPLANATIONS:
+        gain, shift, std = _along(precision, pull, one)
+        scale = _scale(2.0 * gain, len(one.moves))
+        gains.append(gain / scale)
+        shifts.append(shift)
+        stds.append(std * np.sqrt(scale))
+    found = []
+    allowed = FALSE_ALARMS / (there.size * len(EXPLANATIONS))
+    for k, cell in enumerate(there.tolist()):
+        ratio = np.array([g[k] for g in gains])
+        tail = [
+            float(chi2.sf(2.0 * g, len(e.moves))) for g, e in zip(ratio, EXPLANATIONS, strict=True)
+        ]
+        if min(tail) >= allowed:
+            continue
+        found.append(_named(cell, k, ratio, shifts, stds, changed))
+    return found
+
+
+def _along(
+    precision: FloatArray, pull: FloatArray, one: Explanation
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Log likelihood ratio, size and deviation of a shift along an explanation, (cells,) each."""
+    moves = list(one.moves)
+    inner = precision[:, moves][:, :, moves] + 1e-12 * np.eye(len(moves))
+    right = pull[:, moves]
+    covariance = np.linalg.inv(inner)
+    shift = np.einsum("cij,cj->ci", covariance, right)
+    gain = 0.5 * np.einsum("ci,ci->c", right, shift)
+    sums = np.ones(2) if one.shown == LAG else np.eye(len(moves))[moves.index(one.shown)]
+    size = shift @ sums
+    if one.sign:
+        gain = np.where(one.sign * size > 0.0, gain, 0.0)
+    return gain, size, np.sqrt(np.einsum("i,cij,j->c", sums, covariance, sums))
+
+
+def _scale(ratio: FloatArray, freedom: int) -> float:
+    """By how much the cells' ratios are above theory's, at least one; few cells say little.
+
+    At the median and at the tail without the last twentieth, which may be odd themselves.
+    """
+    cells = float(ratio.size)
+    ordered = np.sort(ratio)
+    odd = max(int(np.ceil(ODD_SHARE * cells)), 1)
+    found = [
+        float(ordered[min(int(share * cells), ratio.size - 1 - odd)])
+        / float(chi2.ppf(share, freedom))
+        for share in TAIL_SHARES
+    ]
+    return max((cells * max(found) + USUAL_CELLS) / (cells + USUAL_CELLS), 1.0)
+
+
+def _negligible() -> FloatArray:
+    found = np.zeros(SIZE)
+    for one in EXPLANATIONS:
+        found[one.shown] = one.negligible
+    found[LEAD] = found[LAG]
+    return found
+
+
+def _named(
+    cell: int,
+    k: int,
+    ratio: FloatArray,
+    shifts: Sequence[FloatArray],
+    stds: Sequence[FloatArray],
+    changed: bool,
+) -> Suspicion:
+    scores = ratio - PENALTY * np.array([len(e.moves) for e in EXPLANATIONS])
+    best = int(np.argmax(scores))
+    near = [
+        e.cause
+        for j, e in enumerate(EXPLANATIONS)
+        if j != best and scores[best] - scores[j] < CONFUSABLE
+    ]
+    weights = np.exp(scores - scores[best])
+    return Suspicion(
+        cell=cell,
+        explanation=EXPLANATIONS[best],
+        size=float(shifts[best][k]),
+        std=float(stds[best][k]),
+        gain=float(ratio[best]),
+        probability=float(weights[best] / weights.sum()),
+        others=tuple(near),
+        changed=changed,
+    )
+
+
+def against_others(spread: FloatArray, evidence: PackEvidence) -> list[Suspicion]:
+    """Cells that are not like the others."""
+    start = CellBelief.unknown(evidence.rows.size, spread)
+    return suspicions(start.mean, start.covariance, evidence, changed=False)
+
+
+def against_past(belief: CellBelief, evidence: PackEvidence) -> list[Suspicion]:
+    """Cells that are not as they were."""
+    return suspicions(belief.mean, belief.covariance, evidence, changed=True)

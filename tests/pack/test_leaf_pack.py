@@ -1,0 +1,87 @@
+"""A car's pack over months: nobody accused, hidden faults named, the order of the cells kept."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import spearmanr
+
+from cellwise.cell.stock.catalogue import named_model
+from cellwise.logs.packs.pack_reading import read_pack
+from cellwise.pack.mean_cell import OcvSlope, mean_cell
+from cellwise.pack.pack_estimate import estimate_pack
+
+MODEL = named_model("lmo-pouch", 54.0)
+HURT = 37
+
+
+@pytest.fixture(scope="module")
+def months(real_data):
+    """Logs of May, June and July 2017."""
+    found = {}
+    for month in ("05", "06", "07"):
+        paths = sorted((real_data / "leaf_pack").glob(f"leaf_2017{month}*.parquet"))
+        found[month] = [read_pack(path) for path in paths]
+    return found
+
+
+@pytest.fixture(scope="module")
+def before(months):
+    """What is known after May and June."""
+    return estimate_pack(MODEL, [*months["05"], *months["06"]])
+
+
+def changed(logs, kind):
+    """The logs with one cell changed, readings in whole millivolts as they were."""
+    found = []
+    for log in logs:
+        volts = log.cell_V.copy()
+        time, mean_V = log.mean.time_s, log.mean.voltage_V
+        ocv = OcvSlope(MODEL, log.mean)
+        soc = np.nan_to_num(mean_cell(MODEL, log.mean).soc, nan=0.5)
+        if kind == "capacity":
+            moved = 0.03 / 0.97 * (0.65 - soc)
+            volts[:, HURT] += ocv.ocv_V(soc - moved) - ocv.ocv_V(soc)
+        elif kind == "resistance_scale":
+            volts[:, HURT] -= 0.1 * (ocv.ocv_V(soc) - mean_V)
+        elif kind == "voltage_offset":
+            volts[:, HURT] += 0.005
+        elif kind == "time_skew":
+            volts[:, HURT] = np.interp(time - 2.0, time, volts[:, HURT])
+        found.append(log.with_cells(np.round(volts, 3)))
+    return found
+
+
+def test_in_three_months_nobody_is_accused(months, before):
+    found = estimate_pack(MODEL, months["07"], before.state)
+    assert before.causes == []
+    assert found.causes == []
+    assert found.weak == []
+
+
+@pytest.mark.parametrize("kind", ["capacity", "resistance_scale", "voltage_offset", "time_skew"])
+def test_a_fault_put_into_july_is_named(months, before, kind):
+    found = estimate_pack(MODEL, changed(months["07"], kind), before.state)
+    assert {(c["cell"], c["name"]) for c in found.causes} == {(f"cell_{HURT + 1}", kind)}
+
+
+def test_resistances_keep_their_order_between_weeks_and_under_polling(months):
+    logs = [*months["05"], *months["06"], *months["07"]]
+    weeks = [[], []]
+    for log in logs:
+        day = log.name[-8:]
+        number = int(np.datetime64(f"{day[:4]}-{day[4:6]}-{day[6:]}").astype(int) // 7)
+        weeks[number % 2].append(log)
+    odd, even = (estimate_pack(MODEL, part).cells.resistance_scale for part in weeks)
+    assert spearmanr(odd, even).statistic >= 0.9
+    late = []
+    for log in weeks[0]:
+        volts = log.cell_V.copy()
+        time = log.mean.time_s
+        for cell in range(0, 96, 2):
+            volts[:, cell] = np.interp(time - 1.0, time, volts[:, cell])
+        late.append(replace(log.with_cells(volts)))
+    delayed = estimate_pack(MODEL, late).cells.resistance_scale
+    assert spearmanr(odd, delayed).statistic >= 0.95

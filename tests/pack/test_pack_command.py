@@ -1,0 +1,68 @@
+"""`cellwise pack`: the keys that outside programs rely on, files whole or not at all, refusals."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from emulated_packs import Fault, emulated_pack
+
+from cellwise.cli import main
+from cellwise.logs.tables import read_rows, write_columns
+
+
+@pytest.fixture(scope="module")
+def pack_file(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("pack")
+    _, log = emulated_pack(6, Fault(cell=4, resistance=0.4), hours=1.0)
+    return write_columns(log.columns(), folder / "pack_2024-05-01.parquet")
+
+
+def test_the_keys_of_the_contract(pack_file, capsys, tmp_path):
+    out, state = tmp_path / "cells.parquet", tmp_path / "state.json"
+    arguments = ["pack", "--model", "nca-18650", str(pack_file), "--json"]
+    assert main([*arguments, "-o", str(out), "--state", str(state)]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["cells"] == 6
+    assert set(found["soc"]) == {"min", "mean", "max"}
+    assert found["soc"]["min"] <= found["soc"]["mean"] <= found["soc"]["max"]
+    assert set(found["weakest"]) == {"by_soc", "by_capacity", "by_resistance"}
+    assert found["weakest"]["by_resistance"] == "cell_05"
+    assert [row["name"] for row in found["per_cell"]] == [f"cell_{k:02d}" for k in range(1, 7)]
+    keys = {"soc", "soc_std", "capacity_Ah", "capacity_std_Ah", "resistance_scale"}
+    keys |= {"resistance_std", "voltage_rmse_V"}
+    assert all(keys <= set(row) for row in found["per_cell"])
+    assert [c["cell"] for c in found["causes"]] == ["cell_05"]
+    assert found["causes"][0]["name"] == "resistance_scale"
+    assert found["usable_Ah"] > 0.0
+    assert isinstance(found["notices"], list)
+    assert read_rows(out)["name"] == [f"cell_{k:02d}" for k in range(1, 7)]
+    assert main([*arguments, "--state", str(state)]) == 0  # goes on from what it wrote
+    assert json.loads(capsys.readouterr().out)["cells"] == 6
+
+
+def test_a_pack_for_people_names_the_cell(pack_file, capsys):
+    assert main(["pack", "--model", "nca-18650", str(pack_file)]) == 0
+    shown = capsys.readouterr().out
+    assert "resistance_scale: cell_05" in shown
+
+
+def test_a_log_of_one_cell_is_refused_with_the_way_out(tmp_path, capsys):
+    _, log = emulated_pack(2, hours=0.2)
+    path = write_columns(
+        {"time_s": log.mean.time_s, "current_A": log.mean.current_A, "voltage_V": log.cell_V[:, 0]},
+        tmp_path / "cell.csv",
+    )
+    assert main(["pack", "--model", "nca-18650", str(path)]) == 2
+    said = capsys.readouterr().err
+    assert "cell_01_V" in said
+    assert "cellwise replay" in said
+
+
+def test_a_state_that_is_none_is_refused_and_stays(pack_file, tmp_path, capsys):
+    state = tmp_path / "state.json"
+    state.write_text("{}")
+    arguments = ["pack", "--model", "nca-18650", str(pack_file), "--state", str(state)]
+    assert main(arguments) == 2
+    assert state.read_text() == "{}"
+    assert "--state" in capsys.readouterr().err
