@@ -47,7 +47,7 @@ def trend_of(way: FloatArray, share: FloatArray, std: FloatArray, counted: BoolA
     -----
     A Gaussian process that begins at one: straight line plus integrated Wiener process. The bend's
     size and the scatter from log to log by the largest marginal likelihood; the deviations as
-    stated, of windows mostly an error that stays alike.
+    stated; of windows mostly a persistent error that is alike.
     """
     u = way - way[0]
     u = u / max(float(u[-1]), 1e-12)
