@@ -1161,7 +1161,8 @@ static void predict(const cellwise_constants *c, cellwise_state *x, const cellwi
                     const cellwise_slopes *w, float flow, float unmeasured_A2)
 {
     (void)w;
-    const float square_A2 = (c->share_variance * (flow * flow)) + unmeasured_A2;
+    const float share = (flow >= 0.0f) ? c->share_variance : c->charge_variance;
+    const float square_A2 = (share * (flow * flow)) + unmeasured_A2;
     relax(x, p->r1_ohm, p->gain1, p->r2_ohm, p->gain2,
 #if CELLWISE_SLOW
         p->r3_ohm,
@@ -1635,8 +1636,9 @@ static void innovate(const cellwise_constants *c, const cellwise_state *x, const
     innovation->polarisation_V = innovation->polarisation_V + magnitude(x->v3_V);
 #endif
     innovation->voltage_V = voltage_of(x, p, drop);
+    const float share = (s->seen >= 0.0f) ? c->share_variance : c->charge_variance;
     innovation->one_V2 = p->noise_V2 +
-        ((c->share_variance * (innovation->polarisation_V * innovation->polarisation_V)) +
+        ((share * (innovation->polarisation_V * innovation->polarisation_V)) +
          ((c->current_variance_A2 + s->unmeasured_A2) * (p->r0_ohm * p->r0_ohm)));
 #if CELLWISE_VALIDITY
     const float beyond_V = extrapolated(c, x, s, innovation->polarisation_V);

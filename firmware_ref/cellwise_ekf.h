@@ -72,7 +72,8 @@ typedef struct {
     float soc_walk; /* variance that SOC gains in one step */
     float current_variance_A2; /* of the current sensor */
     float lost_A2; /* variance of a current that nobody measured */
-    float share_variance; /* of the resistances, relative */
+    float share_variance; /* of the resistances on discharge, relative, */
+    float charge_variance; /* and on charge */
     float gate_square; /* innovations beyond this many variances are rejected */
     float shared_start; /* samples that share one model error, just after the first, */
     float shared; /* and after long */

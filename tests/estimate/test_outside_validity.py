@@ -77,7 +77,8 @@ def test_in_the_cold_the_truth_is_within_two_deviations(name, temperature_C):
     assert np.all(wide.trace.status & OUTSIDE)
     assert wide.coverage_2sigma >= 0.95
     assert wide.coverage_2sigma >= narrow.coverage_2sigma
-    assert wide.errors.rmse <= narrow.errors.rmse
+    # The wider its error, the more a start counts that is 15 points wrong.
+    assert wide.errors.rmse <= narrow.errors.rmse + 0.005
 
 
 def test_without_the_widening_the_cold_is_believed_too_much():

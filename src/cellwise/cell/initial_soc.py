@@ -113,7 +113,7 @@ def soc_of_ocv(
     gap = np.abs(np.broadcast_to(cold.effect(Hysteresis).m_V, cold.ocv_V.shape)[0])
     soc = np.linspace(0.0, 1.0, 2001)
     ocv = np.interp(soc, cold.soc, cold.ocv_V[0])
-    known = np.hypot(std_V, model.slow_error_V(soc))
+    known = np.hypot(std_V, model.slow_error_V(soc, temperature_C))
     spread = np.hypot(known, np.interp(soc, cold.soc, gap))
     # Beyond the table's ends the nearest end is the answer, not an unlikely one.
     target = min(max(voltage_V, float(ocv[0])), float(ocv[-1]))

@@ -38,22 +38,44 @@ TABLES = ModelTables._fields
 
 @dataclass(frozen=True)
 class ModelError:
-    """What the model's own validation says of its voltage error, the filters' default noise.
+    """What the model's own validation says of its voltage error, for all who need to know it.
 
-    ``white_V`` is the part that changes from row to row, ``slow_V`` the part that stays for about
-    ``correlation_s`` (standard deviations [V]; ``slow_V`` over an even SOC grid, one number for
-    all), ``resistance_share`` the part that grows with the current, as a share of R0 I.
+    ``white_V`` is the part that changes from row to row, the rest stays for about
+    ``correlation_s``: ``slow_V`` over an even SOC grid (one number for all), times
+    ``temperature_factor`` over ``temperature_C`` (both empty: 1), and the part that grows with the
+    polarisation, as a share of it, ``resistance_share`` on discharge and ``charge_share`` on
+    charge (None: as on discharge). Standard deviations [V].
     """
 
     white_V: float = 0.002
     slow_V: tuple[float, ...] = (0.010,)
     correlation_s: float = 300.0
     resistance_share: float = 0.05
+    charge_share: float | None = None
+    temperature_C: tuple[float, ...] = ()
+    temperature_factor: tuple[float, ...] = ()
 
-    def at(self, soc: FloatArray | float) -> FloatArray:
-        """Slow error at the given SOC [V], linear between grid points."""
+    def at(self, soc: FloatArray | float, temperature_C: float | None = None) -> FloatArray:
+        """Slow error at the given SOC and one temperature [V], linear between grid points.
+
+        Without a temperature, the mean of squares over all.
+        """
         grid = np.linspace(0.0, 1.0, len(self.slow_V))
-        return np.asarray(np.interp(soc, grid, self.slow_V))
+        return np.asarray(np.interp(soc, grid, self.slow_V)) * self.factor(temperature_C)
+
+    def factor(self, temperature_C: float | None) -> float:
+        """What a temperature multiplies the slow error by."""
+        if not self.temperature_C:
+            return 1.0
+        if temperature_C is None:
+            return float(np.sqrt(np.mean(np.square(self.temperature_factor))))
+        return float(np.interp(temperature_C, self.temperature_C, self.temperature_factor))
+
+    def share(self, drop_V: float = 1.0) -> float:
+        """Share of a polarisation that may be wrong: of a discharge, or of a charge."""
+        if drop_V >= 0.0 or self.charge_share is None:
+            return self.resistance_share
+        return self.charge_share
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -160,13 +182,22 @@ class CellModel(Plottable):
         """Capacitance of the slow branch, tau2 / R2 [F]."""
         return np.asarray(self.tau2_s / self.r2_ohm)
 
-    def slow_error_V(self, soc: FloatArray | float) -> FloatArray:
-        """Slow voltage error at a SOC [V]: validation's, and beyond the data's SOC more.
+    def slow_error_V(
+        self, soc: FloatArray | float, temperature_C: float | None = None
+    ) -> FloatArray:
+        """Slow voltage error at a SOC and a temperature [V], beyond the data's SOC more.
 
         There the OCV's slope is known to half of its mean over SOC, so the error grows by that
         with the distance from the data.
         """
-        validated = self.error.at(soc)
+        return self._widened(self.error.at(soc, temperature_C), soc)
+
+    def slow_error_tables_V(self) -> FloatArray:
+        """The same on the model's grid, shape (temperatures, points)."""
+        rows = [self.error.at(self.soc, float(t)) for t in self.temperature_C]
+        return np.array([self._widened(row, self.soc) for row in rows])
+
+    def _widened(self, validated: FloatArray, soc: FloatArray | float) -> FloatArray:
         if self.validity.soc is None:
             return validated
         beyond = self.unknown_slope_V * beyond_soc(self.validity, soc)
@@ -298,12 +329,26 @@ def check_model(model: CellModel) -> None:
     names = [e.name for e in model.effects]
     if len(set(names)) != len(names):
         raise InputError(f"effects {names}", "one effect of a kind", "Merge the double one.")
-    error = np.array([model.error.white_V, *model.error.slow_V, model.error.correlation_s])
-    if error.size < 3 or not np.all(np.isfinite(error)) or np.any(error < 0):
+    check_error(model.error)
+    for effect in model.effects:
+        check_effect(effect, (shape[0], shape[1]))
+
+
+def check_error(error: ModelError) -> None:
+    """Raise InputError where a model's error is none."""
+    shares = [error.resistance_share, error.share(-1.0), *error.temperature_factor]
+    sizes = np.array([error.white_V, *error.slow_V, error.correlation_s, *shares])
+    if not error.slow_V or not np.all(np.isfinite(sizes)) or np.any(sizes < 0):
         raise InputError(
-            f"a model error of {model.error}",
+            f"a model error of {error}",
             "finite values of at least 0",
             "Check the validation that gave it.",
         )
-    for effect in model.effects:
-        check_effect(effect, (shape[0], shape[1]))
+    grid = np.array(error.temperature_C)
+    if grid.size != len(error.temperature_factor) or np.any(np.diff(grid) <= 0):
+        raise InputError(
+            f"a model error over temperatures {error.temperature_C} with "
+            f"{len(error.temperature_factor)} factors",
+            "ascending temperatures, a factor for each",
+            "Give both, or neither.",
+        )

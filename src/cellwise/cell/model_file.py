@@ -41,6 +41,7 @@ CAPACITY = Range(1e-7, 1e5, "Ah", "Ampere hours: not mAh, not coulombs.")
 DROP = Range(1e-9, 30.0, "V at 1C", "Ohms: not mohm.")
 TIME = Range(1e-6, 1e7, "s", "Seconds: not ms, not minutes.")
 TEMPERATURE = Range(-80.0, 120.0, "degC", "Degrees Celsius, not kelvin.")
+FACTOR = Range(0.0, 1e3, "times slow_V", "A factor, not volts.")
 ERROR = Range(0.0, 6.0, "V", "Volts: not mV.")
 # Of the data behind a model: a counter may run a little beyond 0..1, a sensor see a short circuit.
 VALID_SOC = Range(-0.5, 1.5, "", "A fraction, not per cent.")
@@ -63,7 +64,7 @@ def model_to_dict(model: CellModel) -> dict[str, Any]:
         "soc": model.soc.tolist(),
         **{name: getattr(model, name).tolist() for name in TABLES},
         "effects": [_effect_to_dict(e) for e in model.effects],
-        "error": asdict(model.error),
+        "error": {k: v for k, v in asdict(model.error).items() if v is not None and v != ()},
         **validity,
         "provenance": dict(model.provenance),
     }
@@ -214,10 +215,13 @@ def _sizes(model: CellModel) -> Iterator[tuple[str, Any, Range]]:
     yield "slow_V of the error", error.slow_V, ERROR
     yield "correlation_s of the error", error.correlation_s, TIME._replace(low=0.0)
     yield (
-        "resistance_share of the error",
-        error.resistance_share,
-        Range(0.0, 10.0, "of R0 I", "A share, not per cent."),
+        "resistance_share and charge_share of the error",
+        (error.share(), error.share(-1.0)),
+        Range(0.0, 10.0, "of the polarisation", "A share, not per cent."),
     )
+    if error.temperature_C:
+        yield "temperature_C of the error", error.temperature_C, TEMPERATURE
+        yield "temperature_factor of the error", error.temperature_factor, FACTOR
     valid = model.validity
     if valid.soc is not None:
         yield "soc of the validity", valid.soc, VALID_SOC
@@ -285,8 +289,15 @@ def _limit(value: Any) -> float | None:
 
 def _error_from_dict(data: dict[str, Any], where: str) -> ModelError:
     _check_entries(data, [f.name for f in fields(ModelError)], f"the error of {where}")
-    values: dict[str, Any] = {k: _number(v) for k, v in data.items() if k != "slow_V"}
-    return ModelError(**values, slow_V=tuple(_number(v) for v in data["slow_V"]))
+    values: dict[str, Any] = {}
+    for key, value in data.items():
+        if isinstance(value, list | tuple):
+            values[key] = tuple(_number(v) for v in value)
+        else:
+            values[key] = None if key == "charge_share" and value is None else _number(value)
+    if not isinstance(values["slow_V"], tuple):
+        raise TypeError("slow_V is no list")
+    return ModelError(**values)
 
 
 def _validity_from_dict(data: Any, where: str) -> Validity:

@@ -53,7 +53,7 @@ def packed(model: CellModel) -> CellTables:
 
 def _source(model: CellModel, name: str) -> FloatArray | float:
     if name == "error":
-        return model.slow_error_V(model.soc)
+        return model.slow_error_tables_V()
     holder, _, parameter = name.rpartition(".")
     value: FloatArray | float = getattr(
         model.effect(EFFECTS[holder]) if holder else model, parameter

@@ -13,6 +13,12 @@ MEMORY_GROWTH = 2.0
 
 
 @inline
+def share_at(noise: NoiseScalars, current_A: float) -> float:
+    """By what share the resistances may be wrong under a current: charged or discharged."""
+    return noise.branch_share if current_A >= 0.0 else noise.charge_share
+
+
+@inline
 def voltage_variance(
     noise: NoiseScalars,
     point: CellPoint,
@@ -24,11 +30,11 @@ def voltage_variance(
     """Variance of one measured voltage about a perfect state [V^2].
 
     Sensor, the model's slow error at this SOC, a SOC scale that is off by ``ocv_soc`` (it matters
-    where the OCV is steep), resistances that are off by ``branch_share``: of the ohmic drop and
+    where the OCV is steep), resistances that are off by a share: of the ohmic drop and
     of what the branches hold; and a current that nobody measured.
     """
     scale = noise.ocv_soc * point.ocv_slope_V
-    drop = noise.branch_share * (abs(r0_ohm * seen_A) + branches_V)
+    drop = share_at(noise, seen_A) * (abs(r0_ohm * seen_A) + branches_V)
     jitter = noise.current_A * r0_ohm
     slow = noise.error_scale * point.error_V
     fixed = noise.voltage_V * noise.voltage_V + slow * slow

@@ -23,6 +23,7 @@ class NoiseScalars(NamedTuple):
     current_A: float
     soc_per_sqrt_s: float
     branch_share: float
+    charge_share: float
     voltage_V: float
     error_scale: float
     slow_s: float
@@ -50,7 +51,8 @@ class Noise:
     ----------
     current_A : float         current sensor, per sample
     soc_per_sqrt_h : float    drift of the counted charge, in SOC per square root of an hour
-    branch_share : float      error of the resistances, as a share
+    branch_share : float      error of the resistances on discharge, as a share
+    charge_factor : float     what multiplies that share on charge
     voltage_V : float         voltage sensor, per sample
     error_scale : float       factor on the model's own table of its voltage error over SOC
     slow_s : float            how long that error is remembered: samples within that time are not
@@ -88,6 +90,7 @@ class Noise:
     current_limit_A: float = 1e6
     voltage_low_V: float = -1e6
     voltage_high_V: float = 1e6
+    charge_factor: float = 1.0
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -113,7 +116,8 @@ class Noise:
             current_A=0.002 * model.capacity_Ah,
             voltage_V=max(model.error.white_V, 1e-4),
             slow_s=model.error.correlation_s,
-            branch_share=model.error.resistance_share,
+            branch_share=model.error.share(),
+            charge_factor=model.error.share(-1.0) / max(model.error.share(), 1e-12),
             current_limit_A=IMPOSSIBLE_RATE * model.capacity_Ah,
             voltage_low_V=IMPOSSIBLE_SHARE * min(low, float(model.ocv_V.min())),
             voltage_high_V=max(high, float(model.ocv_V.max())) + IMPOSSIBLE_RISE_V,
@@ -125,6 +129,7 @@ class Noise:
             float(self.current_A),
             float(self.soc_per_sqrt_h) / 60.0,
             float(self.branch_share),
+            float(self.branch_share * self.charge_factor),
             float(self.voltage_V),
             float(self.error_scale),
             float(self.slow_s),

@@ -12,6 +12,7 @@ from cellwise.cell.equations import CellState
 from cellwise.errors import InputError
 from cellwise.estimate.filters.covariance_kernels import Covariance
 from cellwise.estimate.filters.filter_state import EkfState
+from cellwise.estimate.filters.past_kernels import Past, no_past
 from cellwise.estimate.sensing_kernels import Watch
 from cellwise.files import write_atomically
 
@@ -36,6 +37,7 @@ def state_to_dict(state: EkfState, estimator: str = "ekf") -> dict[str, Any]:
         "schema_version": SCHEMA_VERSION,
         "estimator": estimator,
         "state": {name: _to_json(float(value)) for name, value in values.items()},
+        "past": {k: float(v) for k, v in state.past._asdict().items()},
         "watch": {k: _to_json(float(v)) for k, v in state.watch._asdict().items()},
     }
 
@@ -55,6 +57,7 @@ def state_from_dict(saved: Mapping[str, Any], estimator: str = "ekf") -> EkfStat
             "Start again with init() where there is no such state.",
         )
     watch = Watch(**_numbers(saved.get("watch"), Watch._fields))
+    past = Past(**_numbers(saved.get("past", no_past()._asdict()), Past._fields))
     names = (*CellState._fields, *Covariance._fields, *COUNTS)
     given = saved.get("state")
     if isinstance(given, Mapping):
@@ -65,6 +68,7 @@ def state_from_dict(saved: Mapping[str, Any], estimator: str = "ekf") -> EkfStat
         Covariance(**{name: values[name] for name in Covariance._fields}),
         **{field: values[name] for name, field in COUNTS.items()},
         watch=watch,
+        past=past,
     )
 
 

@@ -46,24 +46,29 @@ def stack_models(models: Sequence[CellModel]) -> CellModel:
         **tables._asdict(),
         temperature_C=np.array([float(m.temperature_C[0]) for m in ordered]),
         effects=tuple(effects),
-        error=_mean_error([m.error for m in ordered]),
+        error=_mean_error([m.error for m in ordered], [m.temperature_C[0] for m in ordered]),
     )
 
 
-def _mean_error(errors: Sequence[ModelError]) -> ModelError:
-    """Root mean square of the errors of several models."""
+def _mean_error(errors: Sequence[ModelError], temperature_C: Sequence[float]) -> ModelError:
+    """Root mean square of the errors of several models, each at its own temperature."""
 
-    def rms(values: Sequence[float]) -> float:
+    def rms(values: Sequence[float] | FloatArray) -> float:
         return float(np.sqrt(np.mean(np.square(values))))
 
     points = max(len(e.slow_V) for e in errors)
     grid = np.linspace(0.0, 1.0, points)
     slow = np.sqrt(np.mean([e.at(grid) ** 2 for e in errors], axis=0))
+    whole = rms(slow)
+    own = [rms(e.at(grid)) / whole for e in errors] if whole > 0.0 else [1.0] * len(errors)
     return ModelError(
         white_V=rms([e.white_V for e in errors]),
         slow_V=tuple(float(v) for v in slow),
         correlation_s=rms([e.correlation_s for e in errors]),
-        resistance_share=rms([e.resistance_share for e in errors]),
+        resistance_share=rms([e.share() for e in errors]),
+        charge_share=rms([e.share(-1.0) for e in errors]),
+        temperature_C=tuple(float(t) for t in temperature_C),
+        temperature_factor=tuple(own),
     )
 
 

@@ -15,12 +15,14 @@ WATCH = (
     "frozen_A",
     "repeats",
 )
+PAST = ("mean_A", "miss_V", "first_soc", "first_variance")
 # Groups of a state as the filters nest them: the record, and its fields.
 GROUPS = (
     ("cell", "CellState", (*(s.name for s in CELL), "heat_K", "slow_A")),
     ("p", "Covariance", tuple(entry(a, b) for a, b in triangle(CELL))),
     ("", "", ("rejections", "mismatch", "persistent")),
     ("watch", "Watch", WATCH),
+    ("past", "Past", PAST),
 )
 # Readings of the sample before.
 LAST = {"voltage_V": "LAST_V", "current_A": "LAST_A", "temperature_C": "LAST_C"}
@@ -52,6 +54,7 @@ def lanes_text() -> str:
         "from cellwise.cell.equations import CellState",
         "from cellwise.estimate.filters.covariance_kernels import Covariance",
         "from cellwise.estimate.filters.filter_state import EkfState",
+        "from cellwise.estimate.filters.past_kernels import Past",
         "from cellwise.estimate.sensing_kernels import Watch",
         "from cellwise.typing import FloatArray",
         "",

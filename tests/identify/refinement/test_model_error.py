@@ -25,14 +25,25 @@ def ornstein_uhlenbeck(time_s, memory_s, std, rng):
     return x
 
 
-def residual_log(rng, seconds=40_000, *, slow_V=0.0, memory_s=300.0, white_V=0.0, share=0.0):
+def residual_log(
+    rng,
+    seconds=40_000,
+    *,
+    slow_V=0.0,
+    memory_s=300.0,
+    white_V=0.0,
+    share=0.0,
+    charge=None,
+    warm=25.0,
+):
     time = np.arange(0.0, seconds, 2.0)
     current = 4.0 * np.sign(np.sin(time / 30.0)) * (np.sin(time / 700.0) > 0.0)
     residual = white_V * rng.standard_normal(time.size)
     if slow_V:
         residual = residual + ornstein_uhlenbeck(time, memory_s, slow_V, rng)
-    residual = residual + share * R0_OHM * current
-    return ResidualLog(time, np.linspace(1.0, 0.0, time.size), current, residual)
+    wrong = np.where(current < 0.0, share if charge is None else charge, share)
+    residual = residual + wrong * R0_OHM * current
+    return ResidualLog(time, np.linspace(1.0, 0.0, time.size), R0_OHM * current, residual, warm)
 
 
 @pytest.mark.parametrize("memory_s", [60.0, 300.0, 900.0])
@@ -69,7 +80,7 @@ def test_correlation_time_of_little_or_nothing():
 def test_slow_error_memory_and_white_noise_come_back():
     rng = np.random.default_rng(3)
     logs = [residual_log(rng, slow_V=0.008, white_V=0.001) for _ in range(8)]
-    found = estimate_model_error(logs, R0_OHM)
+    found = estimate_model_error(logs)
     inner = np.array(found.slow_V)[3:-3]
     # A fit sees its own residuals too small: what is told is larger by the stated factor.
     assert np.sqrt(np.mean(inner**2)) == pytest.approx(OPTIMISM * 0.008, rel=0.1)
@@ -82,11 +93,50 @@ def test_slow_error_memory_and_white_noise_come_back():
 def test_a_resistance_that_is_wrong_is_given_as_its_share(share):
     rng = np.random.default_rng(4)
     log = residual_log(rng, slow_V=0.002, white_V=0.0005, share=share)
-    found = estimate_model_error([log], R0_OHM)
+    found = estimate_model_error([log])
     assert found.resistance_share == pytest.approx(share, rel=0.25)
     # What follows the current must not be counted again as slow error.
-    followed = share * R0_OHM * np.sqrt(np.mean(log.current_A**2))
+    followed = share * np.sqrt(np.mean(log.drop_V**2))
     assert np.median(found.slow_V) < 1.5 * OPTIMISM * np.hypot(0.002, 0.3 * followed)
+
+
+def test_charge_and_discharge_may_be_wrong_by_different_shares():
+    rng = np.random.default_rng(14)
+    log = residual_log(rng, slow_V=0.002, white_V=0.0005, share=0.05, charge=0.2)
+    found = estimate_model_error([log])
+    assert found.share() == pytest.approx(0.05, rel=0.4)
+    assert found.share(-1.0) == pytest.approx(0.2, rel=0.25)
+
+
+def test_a_direction_that_no_log_has_is_as_the_other():
+    rng = np.random.default_rng(15)
+    log = residual_log(rng, slow_V=0.002, share=0.1)
+    out = log.drop_V >= 0.0
+    only = ResidualLog(log.time_s[out], log.soc[out], log.drop_V[out], log.residual_V[out])
+    found = estimate_model_error([only])
+    assert found.share(-1.0) == found.share() > 0.05
+
+
+def test_a_temperature_at_which_the_model_is_worse_is_told_apart():
+    rng = np.random.default_rng(16)
+    warm = [residual_log(rng, slow_V=0.004, warm=25.0 + 0.3 * k) for k in range(8)]
+    cold = [residual_log(rng, slow_V=0.012, warm=-10.0 + 0.3 * k) for k in range(8)]
+    found = estimate_model_error([*warm, *cold])
+    assert found.at(0.5, -10.0) > 2.0 * found.at(0.5, 25.0)
+    assert np.sqrt(np.mean(found.at(np.linspace(0.1, 0.9, 9), -9.0) ** 2)) == pytest.approx(
+        OPTIMISM * 0.012, rel=0.25
+    )
+
+
+def test_what_follows_a_large_polarisation_is_no_error_at_rest():
+    # In the cold the polarisation is ten times as large, and its share the same.
+    rng = np.random.default_rng(17)
+    log = residual_log(rng, slow_V=0.004, share=0.05)
+    cold = residual_log(rng, slow_V=0.004, share=0.5, warm=-20.0)
+    cold.drop_V[:] *= 10.0
+    found = estimate_model_error([log, cold])
+    assert found.share() == pytest.approx(0.05, rel=0.3)
+    assert found.at(0.5, -20.0) < 2.0 * found.at(0.5, 25.0)
 
 
 def test_the_error_knows_where_on_the_soc_axis_it_is():
@@ -94,24 +144,24 @@ def test_the_error_knows_where_on_the_soc_axis_it_is():
     log = residual_log(rng, slow_V=0.003)
     low = log.soc < 0.1
     log.residual_V[low] *= 10.0
-    found = estimate_model_error([log], R0_OHM)
+    found = estimate_model_error([log])
     assert found.at(0.03) > 3.0 * found.at(0.5)
 
 
 def test_where_no_log_has_been_the_error_is_larger_not_smaller():
     rng = np.random.default_rng(6)
     log = residual_log(rng, slow_V=0.005)
-    upper = ResidualLog(log.time_s, 0.6 + 0.4 * log.soc, log.current_A, log.residual_V)
-    found = estimate_model_error([upper], R0_OHM)
+    upper = ResidualLog(log.time_s, 0.6 + 0.4 * log.soc, log.drop_V, log.residual_V)
+    found = estimate_model_error([upper])
     assert found.at(0.0) > 1.3 * found.at(0.5)
 
 
 def test_a_few_wild_rows_do_not_make_noise_of_everything():
     rng = np.random.default_rng(7)
-    calm = estimate_model_error([residual_log(np.random.default_rng(7), white_V=0.001)], R0_OHM)
+    calm = estimate_model_error([residual_log(np.random.default_rng(7), white_V=0.001)])
     log = residual_log(rng, white_V=0.001)
     log.residual_V[rng.choice(log.residual_V.size, 20, replace=False)] += 0.5
-    wild = estimate_model_error([log], R0_OHM)
+    wild = estimate_model_error([log])
     assert wild.white_V == pytest.approx(calm.white_V, rel=0.05)
     assert wild.resistance_share < 0.2
 
@@ -120,14 +170,14 @@ def test_a_long_log_counts_more_than_a_short_one():
     rng = np.random.default_rng(8)
     long = residual_log(rng, 80_000, slow_V=0.002, memory_s=200.0)
     short = residual_log(rng, 2_000, slow_V=0.002, memory_s=5.0)
-    both = estimate_model_error([long, short], R0_OHM).correlation_s
-    assert both == pytest.approx(estimate_model_error([long], R0_OHM).correlation_s, rel=0.1)
+    both = estimate_model_error([long, short]).correlation_s
+    assert both == pytest.approx(estimate_model_error([long]).correlation_s, rel=0.1)
 
 
 def test_without_residuals_the_default_holds():
     few = ResidualLog(np.arange(5.0), np.ones(5), np.zeros(5), np.zeros(5))
-    assert estimate_model_error([], R0_OHM) == ModelError()
-    assert estimate_model_error([few], R0_OHM) == ModelError()
+    assert estimate_model_error([]) == ModelError()
+    assert estimate_model_error([few]) == ModelError()
 
 
 def test_a_perfect_fit_still_claims_some_error():
@@ -135,7 +185,7 @@ def test_a_perfect_fit_still_claims_some_error():
     time = np.arange(0.0, 4000.0)
     zero = np.zeros(time.size)
     perfect = ResidualLog(time, np.linspace(1.0, 0.0, time.size), zero, zero)
-    found = estimate_model_error([perfect], R0_OHM)
+    found = estimate_model_error([perfect])
     assert found.white_V > 0.0
     assert min(found.slow_V) > 0.0
     assert found.correlation_s > 0.0

@@ -13,7 +13,7 @@ from cellwise.cell.equations import CellState, advance, loaded, seen_current, tr
 from cellwise.cell.model import CellModel
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.cell.simulate import known_temperature_C
-from cellwise.estimate.evidence_kernels import repeated_evidence, voltage_variance
+from cellwise.estimate.evidence_kernels import repeated_evidence, share_at, voltage_variance
 from cellwise.estimate.filters.kalman import FilterOfModel
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.recovery_kernels import start_branch
@@ -157,7 +157,7 @@ class FilterpyFilter(FilterOfModel):
         a = np.array([t.a1, t.a2, t.a3])
         g = np.array([t.gs, t.g1, t.g2, t.g3, 0.0])
         walk = noise.scalars().soc_per_sqrt_s ** 2 * now.dt_s
-        branch = (noise.branch_share * now.flow_A * r) ** 2 * (1 - a * a)
+        branch = (share_at(self._noise, now.flow_A) * now.flow_A * r) ** 2 * (1 - a * a)
         q = noise.current_A**2 * np.outer(g, g) + np.diag([walk, *branch, 0.0])
         branches = np.array([0.0, *g[1:]])
         q += now.gap_A2 * np.outer(branches, branches)

@@ -56,6 +56,14 @@ from cellwise.estimate.filters.filter_state import (
     TraceArrays,
     ekf_start,
 )
+from cellwise.estimate.filters.past_kernels import (
+    Past,
+    looked_again,
+    looked_for_long,
+    looks_now,
+    no_past,
+    past_step,
+)
 from cellwise.estimate.filters.predict_kernels import (
     SOC_HIGH,
     SOC_LOW,
@@ -82,6 +90,7 @@ class Predicted(NamedTuple):
     at: Slopes
     warm_C: float
     evidence_s: float
+    past: Past
     status: int
 
 
@@ -121,7 +130,7 @@ def predict(
         now.end.soc, now.end.v1_V, now.end.v2_V, now.end.v3_V, now.end.h, heat, now.end.slow_A
     )
     return Predicted(
-        begun.state, x, p, point, at, now.warm_C, begun.evidence_s, begun.status
+        begun.state, x, p, point, at, now.warm_C, begun.evidence_s, begun.past, begun.status
     )
     # fmt: on
 
@@ -223,8 +232,41 @@ def update(
 
 
 @inline
+def look_again(
+    tables: CellTables,
+    noise: NoiseScalars,
+    s: Sample,
+    warm_C: float,
+    before_s: float,
+    past: Past,
+    v: Verdict,
+    x: CellState,
+    p: Covariance,
+    persistent: float,
+) -> tuple[CellState, Covariance, float, Past]:
+    """What becomes of a start under load ``before_s`` after its first voltage, an interval ago."""
+    if past.first_variance > 0.0:
+        since = v.watch.evidence_s
+        past = past_step(tables.cell, past, s, since, v.used, v.innovation_V)
+        if v.recover:
+            past = no_past()
+        if past.first_variance > 0.0 and looks_now(before_s, since):
+            x, p = looked_again(tables, noise, past, warm_C, x, p, since)
+            persistent = 0.0
+            if looked_for_long(since):
+                past = no_past()
+    return x, p, persistent, past
+
+
+@inline
 def finish(
-    x: CellState, p: Covariance, persistent: float, i: Innovation, v: Verdict, status: int
+    x: CellState,
+    p: Covariance,
+    persistent: float,
+    past: Past,
+    i: Innovation,
+    v: Verdict,
+    status: int,
 ) -> tuple[EkfState, EkfInfo]:
     """SOC held within 0..1, and what there is to report."""
     soc = x.soc
@@ -232,7 +274,7 @@ def finish(
         soc = min(max(soc, SOC_LOW), SOC_HIGH)
         status |= CLAMPED
     kept = CellState(soc, x.v1_V, x.v2_V, x.v3_V, x.h, x.heat_K, x.slow_A)
-    state = EkfState(kept, p, v.rejections, v.mismatch, persistent, v.watch)
+    state = EkfState(kept, p, v.rejections, v.mismatch, persistent, v.watch, past)
     std = math.sqrt(p.ss + persistent * persistent)
     info = EkfInfo(soc, std, i.predicted_V, v.innovation_V, v.variance, v.ratio, status)
     return state, info
@@ -259,7 +301,12 @@ def ekf_step_inline(
         persistent = 0.0
     elif v.accepted:
         x, p, persistent = update(tables, noise, s, now, d, v)
-    return finish(x, p, persistent, i, v, s.status | now.status | v.status)
+    # fmt: off
+    x, p, persistent, past = look_again(
+        tables, noise, s, now.warm_C, now.evidence_s, now.past, v, x, p, persistent
+    )
+    # fmt: on
+    return finish(x, p, persistent, past, i, v, s.status | now.status | v.status)
 
 
 @kernel

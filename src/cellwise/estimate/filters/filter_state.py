@@ -8,6 +8,7 @@ from typing import NamedTuple
 from cellwise.cell.compiled import kernel
 from cellwise.cell.equations import CellState
 from cellwise.estimate.filters.covariance_kernels import Covariance, uncorrelated
+from cellwise.estimate.filters.past_kernels import Past, no_past
 from cellwise.estimate.sensing_kernels import Watch, first_watch
 from cellwise.typing import BoolArray, FloatArray, IntArray
 
@@ -27,7 +28,7 @@ class EkfState(NamedTuple):
     ``rejections`` counts voltages rejected in a row, those under load less; ``mismatch`` is the
     running mean of the squared innovations over the variance that the model alone explains;
     ``persistent`` is what a persistent error of the model may have brought into the SOC, one
-    standard deviation.
+    standard deviation; ``past`` what a start under load is looked at again with.
     """
 
     cell: CellState
@@ -36,6 +37,7 @@ class EkfState(NamedTuple):
     mismatch: float
     persistent: float
     watch: Watch
+    past: Past
 
     @property
     def soc(self) -> float:
@@ -98,4 +100,4 @@ def ekf_start(start: EkfStart, current_A: float) -> EkfState:
     h = 1.0 if start.soc > 0.5 else -1.0
     cell = CellState(start.soc, 0.0, 0.0, 0.0, h, 0.0, 0.0)
     p = uncorrelated(start.variance, 0.0, 0.0, 0.0, start.hysteresis_variance)
-    return EkfState(cell, p, 0.0, 1.0, 0.0, first_watch(current_A))
+    return EkfState(cell, p, 0.0, 1.0, 0.0, first_watch(current_A), no_past())

@@ -18,8 +18,10 @@ from cellwise.cell.equations import (
     transition,
 )
 from cellwise.cell.point_kernels import CellPoint
+from cellwise.estimate.evidence_kernels import share_at
 from cellwise.estimate.filters.covariance_kernels import Covariance, uncorrelated
 from cellwise.estimate.filters.filter_state import EkfStart, EkfState, ekf_start
+from cellwise.estimate.filters.past_kernels import Past, past_at_start
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.recovery_kernels import start_branch
 from cellwise.estimate.sensing_kernels import NO_VOLTAGE_YET, NOT_BEGUN, Sample
@@ -55,6 +57,7 @@ class Begun(NamedTuple):
     now: Interval
     p: Covariance
     evidence_s: float
+    past: Past
     status: int
 
 
@@ -102,12 +105,14 @@ def begin_interval(
         status = STATE_RESET
     p = state.p
     evidence = state.watch.evidence_s
+    past = state.past
     now = over_interval(tables, noise, state.cell, soc, s, evidence == NOT_BEGUN)
     status |= now.status
     if evidence == NOT_BEGUN:
         p = uncorrelated(p.ss, now.v11, now.v22, now.v33, p.phh)
         evidence = NO_VOLTAGE_YET
-    return Begun(state, now, p, evidence, status)
+        past = past_at_start(tables.cell, s, now.end.soc, p.ss)
+    return Begun(state, now, p, evidence, past, status)
 
 
 @inline
@@ -117,7 +122,7 @@ def branch_variance(noise: NoiseScalars, s: Sample, r_ohm: float, a: float) -> f
     A resistance that is off by a share drives its branch like a current that is off by it, and so
     does a current that is lost; 1 - a^2 keeps the stationary spread independent of the interval.
     """
-    share = noise.branch_share * s.flow_A
+    share = share_at(noise, s.flow_A) * s.flow_A
     share = share * share + s.lost_A * s.lost_A
     return share * r_ohm * r_ohm * (1.0 - a * a)
 

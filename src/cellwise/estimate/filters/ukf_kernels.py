@@ -40,7 +40,14 @@ from cellwise.estimate.filters.covariance_kernels import (
     with_soc_row,
     without_outer,
 )
-from cellwise.estimate.filters.ekf_kernels import finish, moved, put_info, reading_of, recover
+from cellwise.estimate.filters.ekf_kernels import (
+    finish,
+    look_again,
+    moved,
+    put_info,
+    reading_of,
+    recover,
+)
 from cellwise.estimate.filters.filter_state import (
     EkfInfo,
     EkfStart,
@@ -250,7 +257,12 @@ def ukf_step_inline(
         x = moved(x, k, v.innovation_V)
         p = corrected(p, k, d)
         persistent = persistent_step(noise, point, v.mismatch, k.s, seen.slope_V, persistent)
-    return finish(x, p, persistent, i, v, s.status | begun.status | v.status)
+    # fmt: off
+    x, p, persistent, past = look_again(
+        tables, noise, s, warm, begun.evidence_s, begun.past, v, x, p, persistent
+    )
+    # fmt: on
+    return finish(x, p, persistent, past, i, v, s.status | begun.status | v.status)
 
 
 @kernel

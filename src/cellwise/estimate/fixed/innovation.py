@@ -130,8 +130,9 @@ def innovate(c: Constants, x: State, p: Point, w: Slopes, s: Reading) -> Innovat
     if SLOW:
         polarisation_V = polarisation_V + magnitude(x.v3_V)
     voltage_V = voltage_of(x, p, drop)
+    share = c.share_variance if s.seen >= ZERO else c.charge_variance
     one_V2 = p.noise_V2 + (
-        (c.share_variance * (polarisation_V * polarisation_V))
+        (share * (polarisation_V * polarisation_V))
         + ((c.current_variance_A2 + s.unmeasured_A2) * (p.r0_ohm * p.r0_ohm))
     )
     if VALIDITY:

@@ -85,7 +85,8 @@ def predict(c: Constants, x: State, p: Point, w: Slopes, flow: Float, unmeasured
     A resistance that is off by a share drives its branch like a current that is off by it, and so
     does a current that nobody measured.
     """
-    square_A2 = (c.share_variance * (flow * flow)) + unmeasured_A2
+    share = c.share_variance if flow >= ZERO else c.charge_variance
+    square_A2 = (share * (flow * flow)) + unmeasured_A2
     # fmt: off
     relax(x, p.r1_ohm, p.gain1, p.r2_ohm, p.gain2, p.r3_ohm, p.gain3, flow, square_A2)
     # fmt: on

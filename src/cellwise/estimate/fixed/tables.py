@@ -206,7 +206,7 @@ def _columns(model: CellModel, dt_s: float, noise: Noise) -> dict[str, FloatArra
     slope = np.diff(model.ocv_V, axis=1) * (model.points - 1)
     square = np.pad(slope * slope, ((0, 0), (1, 1)), mode="edge")
     at_points = 0.5 * (square[:, :-1] + square[:, 1:])
-    error = noise.error_scale * effect_table(model.slow_error_V(model.soc), shape)
+    error = noise.error_scale * model.slow_error_tables_V()
     return {
         "ocv_V": model.ocv_V,
         "error_V": error,
@@ -242,6 +242,7 @@ def _constants(
         "frozen_V": noise.frozen_V,
         "flat_slope_V": FLAT_SHARE * float(model.ocv_V[0, -1] - model.ocv_V[0, 0]),
         "share_variance": noise.branch_share**2,
+        "charge_variance": (noise.charge_factor * noise.branch_share) ** 2,
         "gate_square": noise.gate**2,
         "shared_start": 2.0 * MEMORY_START_S / dt_s,
         "shared": max(2.0 * slow_s / dt_s, 1.0),

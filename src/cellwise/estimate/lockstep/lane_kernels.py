@@ -9,6 +9,7 @@ from cellwise.cell.compiled import inline
 from cellwise.cell.equations import CellState
 from cellwise.estimate.filters.covariance_kernels import Covariance
 from cellwise.estimate.filters.filter_state import EkfState
+from cellwise.estimate.filters.past_kernels import Past
 from cellwise.estimate.sensing_kernels import Watch
 from cellwise.typing import FloatArray
 
@@ -48,10 +49,14 @@ LANES = 16  # fewer than sixteen turns are not worth a vector to the compiler
     LAST_V,
     FROZEN,
     REPEATS,
+    MEAN,
+    MISS,
+    FIRST_SOC,
+    FIRST_VARIANCE,
     FACTOR,
     FACTOR_C,
-) = range(35)
-FIELDS = 35
+) = range(39)
+FIELDS = 39
 
 
 @inline
@@ -97,6 +102,12 @@ def get_state(block: FloatArray, lane: int) -> EkfState:
             block[FROZEN * LANES + lane],
             block[REPEATS * LANES + lane],
         ),
+        Past(
+            block[MEAN * LANES + lane],
+            block[MISS * LANES + lane],
+            block[FIRST_SOC * LANES + lane],
+            block[FIRST_VARIANCE * LANES + lane],
+        ),
     )
 
 
@@ -136,6 +147,10 @@ def put_state(block: FloatArray, lane: int, state: EkfState) -> None:
     block[LAST_V * LANES + lane] = state.watch.voltage_V
     block[FROZEN * LANES + lane] = state.watch.frozen_A
     block[REPEATS * LANES + lane] = state.watch.repeats
+    block[MEAN * LANES + lane] = state.past.mean_A
+    block[MISS * LANES + lane] = state.past.miss_V
+    block[FIRST_SOC * LANES + lane] = state.past.first_soc
+    block[FIRST_VARIANCE * LANES + lane] = state.past.first_variance
 
 
 @inline
@@ -180,5 +195,11 @@ def choose(which: bool, yes: EkfState, no: EkfState) -> EkfState:
             yes.watch.voltage_V if which else no.watch.voltage_V,
             yes.watch.frozen_A if which else no.watch.frozen_A,
             yes.watch.repeats if which else no.watch.repeats,
+        ),
+        Past(
+            yes.past.mean_A if which else no.past.mean_A,
+            yes.past.miss_V if which else no.past.miss_V,
+            yes.past.first_soc if which else no.past.first_soc,
+            yes.past.first_variance if which else no.past.first_variance,
         ),
     )

@@ -11,6 +11,7 @@ from cellwise.estimate.lockstep.lane_kernels import (
     EVIDENCE,
     FACTOR,
     FACTOR_C,
+    FIRST_VARIANCE,
     LANES,
     LAST_A,
     LAST_C,
@@ -85,6 +86,7 @@ def read_block(
             & ((not needs_temperature) | ((warm >= coldest) & (warm <= hottest)))
             & (block[SS * LANES + lane] <= WIDE_VARIANCE)
             & (block[EVIDENCE * LANES + lane] >= 0.0)
+            & (block[FIRST_VARIANCE * LANES + lane] <= 0.0)
             & (abs(soc) < 2.0)
             & (x <= SERIES_LIMIT)
             & (away == 0.0)

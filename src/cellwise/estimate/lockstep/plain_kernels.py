@@ -29,6 +29,7 @@ from cellwise.estimate.evidence_kernels import (
     mismatch_step,
     model_memory,
     persistent_step,
+    share_at,
     voltage_variance,
 )
 from cellwise.estimate.filters.covariance_kernels import (
@@ -152,7 +153,7 @@ def plain_step(
     v2 = relaxed(x.v2_V, t.a2, t.g2, flow)
     v3 = relaxed(x.v3_V, t.a3, t.g3, flow)
     h = hysteresis_step(x.h, t.ah, flow)
-    share = noise.branch_share * flow
+    share = share_at(noise, flow) * flow
     share = share * share
     p = branches_noisy(decayed(old.p, t), share * at.b1, share * at.b2, share * at.b3)
     q = noise.current_A * noise.current_A
@@ -205,7 +206,7 @@ def plain_step(
     soc = soc if soc > SOC_LOW else SOC_LOW
     p = corrected(p, k, d)
     kept = CellState(soc, end.v1_V, end.v2_V, end.v3_V, end.h, end.heat_K, end.slow_A)
-    state = EkfState(kept, p, rejections, mismatch, persistent, watch)
+    state = EkfState(kept, p, rejections, mismatch, persistent, watch, old.past)
     std = math.sqrt(p.ss + persistent * persistent)
     info = EkfInfo(soc, std, predicted, innovation, variance, ratio, 0)
     return state, info, (ratio <= 1.0) & (not frozen)

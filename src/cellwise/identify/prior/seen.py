@@ -12,7 +12,11 @@ from cellwise.cell.model import CellModel, ModelError
 from cellwise.cell.simulate import known_temperature_C
 from cellwise.identify.prior.corrections import Corrections
 from cellwise.identify.prior.update import PriorLog, Update
-from cellwise.identify.refinement.model_error import ResidualLog, estimate_model_error
+from cellwise.identify.refinement.model_error import (
+    ResidualLog,
+    estimate_model_error,
+    polarisation_V,
+)
 from cellwise.typing import FloatArray
 
 BINS = 50  # of the SOC axis, for where the data have been
@@ -71,28 +75,28 @@ def error_of(
     What the residuals show where the data have been, and what is uncertain of the OCV and the
     resistances given these data: far from them, as much as of the prior.
     """
-    median_r0 = float(np.median(found.model.r0_ohm))
-    residuals = [
-        ResidualLog(
-            item.log.time_s[rows],
-            _soc(item, float(start), found.model)[rows],
-            item.log.known_current_A()[rows],
-            r,
-        )
-        for item, start, rows, r in zip(logs, found.soc0, found.rows, found.residual_V, strict=True)
-    ]
-    shown = estimate_model_error(residuals, median_r0)
+    residuals = []
+    for item, start, rows, r in zip(logs, found.soc0, found.rows, found.residual_V, strict=True):
+        soc = _soc(item, float(start), found.model)[rows]
+        warm = known_temperature_C(found.model, item.log)[rows]
+        drop = polarisation_V(found.model, soc, warm, item.log.voltage_V[rows] - r)
+        time_s, usual = item.log.time_s[rows], float(np.median(warm))
+        residuals.append(ResidualLog(time_s, soc, drop, r, usual))
+    shown = estimate_model_error(residuals)
     ocv_std = _deviation(corrections.ocv_map(), found.covariance)
     r0_std = _deviation(corrections.r0_map(), found.covariance)
     grid = np.linspace(0.0, 1.0, max(len(shown.slow_V), 2))
     unknown = np.interp(grid, found.model.soc, ocv_std)
     slow = np.hypot(shown.at(grid), unknown)
     share = float(np.mean(unknown**2) / np.mean(slow**2))
+    unsure = float(np.median(r0_std))
+    # Uncertainty of the OCV is the same at every temperature.
     return ModelError(
         white_V=shown.white_V,
         slow_V=tuple(float(v) for v in slow),
         correlation_s=(1.0 - share) * shown.correlation_s + share * PERSISTENT_S,
-        resistance_share=float(np.hypot(shown.resistance_share, np.median(r0_std))),
+        resistance_share=float(np.hypot(shown.share(), unsure)),
+        charge_share=float(np.hypot(shown.share(-1.0), unsure)),
     ), ocv_std
 
 

@@ -1,14 +1,15 @@
-"""How wrong a fitted model is, from its residuals: size, memory, share that follows the current."""
+"""How wrong a fitted model is, from its residuals: size, memory, share of the polarisation."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from cellwise.cell.model import ModelError
-from cellwise.typing import FloatArray
+from cellwise.cell.model import CellModel, ModelError
+from cellwise.typing import BoolArray, FloatArray
 
 # A fit sees its own residuals smaller than a new log will.
 OPTIMISM = 1.2
@@ -16,47 +17,88 @@ LONGEST_LAG_S = 3600.0
 STEP_S = 5.0
 PROFILE_POINTS = 51
 WINDOW_SOC = 0.02
+LEAST_V = 5e-4
+LARGEST_SHARE = 0.5
+# A direction with less than this of the rows says nothing of its own.
+LEAST_ROWS = 200
+SAME_TEMPERATURE_K = 4.0  # logs this near to each other report one temperature
+# What is taken out as the polarisation's may be its square at most up to this share of the whole.
+LEAST_REST = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class ResidualLog:
-    """Residual of one log, arrays of shape (n,): measured minus model [V]."""
+    """Residual of one log, arrays of shape (n,): measured minus model [V].
+
+    ``drop_V`` is the model's polarisation, positive on discharge; ``temperature_C`` the log's.
+    """
 
     time_s: FloatArray
     soc: FloatArray
-    current_A: FloatArray
+    drop_V: FloatArray
     residual_V: FloatArray
+    temperature_C: float = 25.0
 
 
-def estimate_model_error(logs: Sequence[ResidualLog], r0_ohm: float) -> ModelError:
-    """Voltage error of a model from residuals over whole logs.
+def polarisation_V(
+    model: CellModel, soc: FloatArray, temperature_C: FloatArray, voltage_V: FloatArray
+) -> FloatArray:
+    """What a simulated voltage lies below the model's OCV, shape (n,) [V]."""
+    rows = [np.interp(soc, model.soc, row) for row in model.ocv_V]
+    if len(rows) == 1:
+        return np.asarray(rows[0] - voltage_V)
+    grid = model.temperature_C
+    low = np.clip(np.searchsorted(grid, temperature_C) - 1, 0, grid.size - 2)
+    way = np.clip((temperature_C - grid[low]) / (grid[low + 1] - grid[low]), 0.0, 1.0)
+    each, at = np.array(rows), np.arange(soc.size)
+    return np.asarray((1.0 - way) * each[low, at] + way * each[low + 1, at] - voltage_V)
 
-    Parameters
-    ----------
-    logs : sequence of ResidualLog
-    r0_ohm : float        typical resistance, for the share that follows the current
+
+def estimate_model_error(logs: Sequence[ResidualLog]) -> ModelError:
+    r"""Voltage error of a model from residuals over whole logs.
+
+    The squared residual is taken as that of two errors that know nothing of each other: one of the
+    OCV and of what the model leaves out, by SOC and temperature, and one of the resistances, a
+    share of the polarisation, for discharge and charge:
+
+    .. math:: r^2 = \left(f(T)\, e(s)\right)^2 + \left(\kappa_\pm\, v_p\right)^2
 
     Returns
     -------
-    ModelError        ``slow_V`` over SOC, at small current
+    ModelError        ``slow_V`` over SOC, without what follows the polarisation
     """
     usable = [log for log in logs if log.residual_V.size >= 20]
     if not usable:
         return ModelError()
     weights = np.array([float(log.time_s[-1] - log.time_s[0]) + 1.0 for log in usable])
     white = [_step_noise(log.residual_V) for log in usable]
+    discharge = _share(usable, weights, 1.0)
+    charge = _share(usable, weights, -1.0)
+    if discharge is None:
+        discharge = 0.0 if charge is None else charge
+    charge = discharge if charge is None else max(charge, discharge)
+    rest = [_without_share(log, discharge, charge) for log in usable]
+    slow = _profile(usable, rest)
+    grid, factor = _over_temperature(usable, rest, slow)
     memory = [correlation_time(log.time_s, _clip(log.residual_V)) for log in usable]
-    share = [_current_share(log, r0_ohm) for log in usable]
-    common = float(np.sqrt(np.average(np.square(share), weights=weights)))
     return ModelError(
         white_V=max(float(np.average(white, weights=weights)), 1e-4),
-        slow_V=_profile(usable, common * r0_ohm),
+        slow_V=tuple(float(v) for v in slow),
         correlation_s=float(np.clip(np.average(memory, weights=weights), 10.0, LONGEST_LAG_S)),
-        resistance_share=float(np.clip(common, 0.0, 0.5)),
+        resistance_share=discharge,
+        charge_share=charge,
+        temperature_C=grid,
+        temperature_factor=factor,
     )
 
 
-def _profile(logs: Sequence[ResidualLog], share_ohm: float) -> tuple[float, ...]:
+def _without_share(log: ResidualLog, discharge: float, charge: float) -> FloatArray:
+    """Squared residual without the share of the polarisation; negative where that was less."""
+    share = np.where(log.drop_V >= 0.0, discharge, charge)
+    return np.asarray(_clip(log.residual_V) ** 2 - (share * log.drop_V) ** 2)
+
+
+def _profile(logs: Sequence[ResidualLog], rest: Sequence[FloatArray]) -> FloatArray:
     """Root mean square residual over SOC, what follows the current taken out, Gaussian window.
 
     Where no log has been, the error of the nearest SOC that one has, twice as large at the far
@@ -64,18 +106,47 @@ def _profile(logs: Sequence[ResidualLog], share_ohm: float) -> tuple[float, ...]
     """
     grid = np.linspace(0.0, 1.0, PROFILE_POINTS)
     square = np.zeros(grid.size)
+    whole = np.zeros(grid.size)
     count = np.zeros(grid.size)
-    for log in logs:
-        rest = np.maximum(log.residual_V**2 - (share_ohm * log.current_A) ** 2, 0.0)
+    for log, left in zip(logs, rest, strict=True):
         window = np.exp(-0.5 * ((grid[:, None] - log.soc[None, :]) / WINDOW_SOC) ** 2)
         share = 1.0 / log.residual_V.size
-        square += share * (window @ rest)
+        square += share * (window @ left)
+        whole += share * (window @ _clip(log.residual_V) ** 2)
         count += share * window.sum(axis=1)
     seen = count > 1e-3 * count.max()
-    level = np.sqrt(square[seen] / count[seen])
+    level = np.sqrt(np.maximum(square, LEAST_REST * whole)[seen] / count[seen])
     away = np.abs(grid[:, None] - grid[seen][None, :]).min(axis=1)
     profile = OPTIMISM * np.interp(grid, grid[seen], level) * (1.0 + away)
-    return tuple(float(v) for v in np.maximum(profile, 5e-4))
+    return np.asarray(np.maximum(profile, LEAST_V))
+
+
+def _over_temperature(
+    logs: Sequence[ResidualLog], rest: Sequence[FloatArray], slow_V: FloatArray
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Temperatures, and what the profile has to be multiplied by there.
+
+    Every log counts alike, and each temperature begins with one log that has the profile's own
+    error: a single log does not make an error vanish.
+    """
+    ordered = sorted(zip(logs, rest, strict=True), key=lambda pair: pair[0].temperature_C)
+    groups: list[list[tuple[ResidualLog, FloatArray]]] = []
+    for pair in ordered:
+        if groups and pair[0].temperature_C - groups[-1][0][0].temperature_C < SAME_TEMPERATURE_K:
+            groups[-1].append(pair)
+        else:
+            groups.append([pair])
+    if len(groups) < 2:
+        return (), ()
+    grid = np.linspace(0.0, 1.0, slow_V.size)
+    found = []
+    for group in groups:
+        own = [OPTIMISM**2 * float(np.mean(left)) for _, left in group]
+        usual = [float(np.mean(np.interp(log.soc, grid, slow_V) ** 2)) for log, _ in group]
+        one = sum(usual) / len(usual)
+        ratio = (sum(own) + one) / (sum(usual) + one)
+        found.append(math.sqrt(max(ratio, LEAST_REST)))
+    return tuple(float(np.mean([p[0].temperature_C for p in g])) for g in groups), tuple(found)
 
 
 def _step_noise(residual_V: FloatArray) -> float:
@@ -108,12 +179,24 @@ def correlation_time(time_s: FloatArray, residual_V: FloatArray) -> float:
     return float(step * (0.5 + np.sum(correlation[1:end])))
 
 
-def _current_share(log: ResidualLog, r0_ohm: float) -> float:
-    """Growth of the residual with the current, as a share of R0 I."""
-    square = _clip(log.residual_V) ** 2
-    drop = (r0_ohm * log.current_A) ** 2
-    found = np.linalg.lstsq(np.column_stack((np.ones(drop.size), drop)), square, rcond=None)[0]
-    return float(np.sqrt(max(found[1], 0.0))) if found[0] > 0.0 else 0.0
+def _share(logs: Sequence[ResidualLog], weights: FloatArray, sign: float) -> float | None:
+    """Growth of the residual with the polarisation of one sign, as a share; None: no such rows."""
+    squares, counts = [], []
+    for log, weight in zip(logs, weights, strict=True):
+        loaded = sign * log.drop_V > 0.0
+        if loaded.sum() < min(LEAST_ROWS, 0.1 * loaded.size):
+            continue
+        rows: BoolArray = np.asarray(sign * log.drop_V >= 0.0)  # with those at rest
+        square = _clip(log.residual_V)[rows] ** 2
+        drop = log.drop_V[rows] ** 2
+        found = np.linalg.lstsq(np.column_stack((np.ones(drop.size), drop)), square, rcond=None)[0]
+        # A falling square says that nothing is left at rest: all of it follows the polarisation.
+        slope = found[1] if found[0] > 0.0 else float(square @ drop) / float(drop @ drop)
+        squares.append(max(float(slope), 0.0))
+        counts.append(float(weight))
+    if not squares:
+        return None
+    return float(np.clip(np.sqrt(np.average(squares, weights=counts)), 0.0, LARGEST_SHARE))
 
 
 def _clip(residual_V: FloatArray) -> FloatArray:

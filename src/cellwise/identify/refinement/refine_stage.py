@@ -21,7 +21,11 @@ from cellwise.identify.refinement.effects import (
     Decided,
     decide,
 )
-from cellwise.identify.refinement.model_error import ResidualLog, estimate_model_error
+from cellwise.identify.refinement.model_error import (
+    ResidualLog,
+    estimate_model_error,
+    polarisation_V,
+)
 from cellwise.identify.refinement.refine import (
     RefineResult,
     RefineSettings,
@@ -180,7 +184,7 @@ def refine_cell(
     for effect in decision.effects:
         model = model.with_effect(effect)
     loaded = [item.compare is None for item in logs]
-    model = replace(model, error=_error(result, loaded, float(np.median(model.r0_ohm))))
+    model = replace(model, error=_error(result, loaded, model))
     return Refined(model, result, tuple(starts), decision.decided)
 
 
@@ -323,11 +327,12 @@ def half_gap(ocv: OcvCurve, resistance: float, capacity_Ah: float) -> FloatArray
     return np.clip(0.5 * filled - polarisation, 0.0, 0.2)
 
 
-def _error(result: RefineResult, loaded: Sequence[bool], r0_ohm: float) -> ModelError:
+def _error(result: RefineResult, loaded: Sequence[bool], model: CellModel) -> ModelError:
     """What a filter under load must expect: pulse tests and drives count, low-rate tests do not."""
-    logs = [
-        ResidualLog(p.time_s, p.soc[p.evaluate], p.current_A[p.evaluate], r)
-        for p, r, counts in zip(result.logs, result.residual_V, loaded, strict=True)
-        if counts
-    ]
-    return estimate_model_error(logs, r0_ohm)
+    logs = []
+    for p, r, counts in zip(result.logs, result.residual_V, loaded, strict=True):
+        if counts:
+            soc, warm = p.soc[p.evaluate], p.temperature_C(result.reference_C)
+            drop = polarisation_V(model, soc, warm, p.measured_V - r)
+            logs.append(ResidualLog(p.time_s, soc, drop, r, float(np.median(warm))))
+    return estimate_model_error(logs)

@@ -144,7 +144,7 @@ def _error_rows(identification: Identification) -> list[tuple[object, ...]]:
     text = (
         f"{millivolt(error.white_V)} per row; {millivolt(float(np.median(slow)))} "
         f"(up to {millivolt(float(slow.max()))}) over {significant(error.correlation_s)} s; "
-        f"{percent(error.resistance_share, 1)} of R₀ I"
+        f"{percent(error.share(), 1)} of the polarisation, charging {percent(error.share(-1.0), 1)}"
     )
     return [("voltage error for the filters", text, "the model's own logs", "its residuals", "")]
 
