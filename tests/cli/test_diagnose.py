@@ -68,6 +68,7 @@ def test_the_keys_of_the_contract(diagnosed):
         "anatomy",
         "next_test",
         "extended_model",
+        "logs",
     } <= set(found)
     (cause,) = found["causes"]
     assert {
@@ -92,6 +93,33 @@ def test_the_keys_of_the_contract(diagnosed):
     for tried in found["candidates"]:
         assert {"name", "holdout_rmse_V", "parameters"} <= set(tried)
         assert tried["name"] in CAUSES
+
+
+@pytest.mark.parametrize("name", ["drive", "held"])
+def test_logs_are_what_simulate_prints_with_both_models(diagnosed, bench, run_json, name):
+    """One measure: the same start, all rows; where the log is corrected, that beside it."""
+    found, out = diagnosed
+    row = next(r for r in found["logs"] if r["log"].endswith(name))
+    for model, key in ((bench / "cell.json", "rmse_before_V"), (out / "new.json", "rmse_after_V")):
+        told = run_json(
+            "simulate",
+            "--model",
+            str(model),
+            str(bench / f"{name}.csv"),
+            "--soc0",
+            str(row["soc0"]),
+        )
+        assert row[key] == pytest.approx(told["rmse_V"], rel=1e-9)
+    assert row["used"] == {"drive": "fit", "held": "holdout"}[name]
+    assert row["rmse_corrected_V"] < 0.5 * row["rmse_before_V"]
+
+
+def test_a_card_says_what_the_logs_say(diagnosed):
+    found, _ = diagnosed
+    held = next(r for r in found["logs"] if r["used"] == "holdout")
+    (cause,) = found["causes"]
+    assert cause["holdout_rmse_before_V"] == pytest.approx(held["rmse_before_V"], rel=1e-9)
+    assert cause["holdout_rmse_after_V"] == pytest.approx(held["rmse_corrected_V"], rel=1e-9)
 
 
 def test_the_hidden_offset_is_named_with_its_value(diagnosed):

@@ -13,10 +13,12 @@ from cellwise.files import made_folder
 
 if TYPE_CHECKING:
     from cellwise.cell.model import CellModel
+    from cellwise.diagnose.log_runs import LogRun
     from cellwise.diagnose.result import Diagnosis, FoundCause
     from cellwise.logs import CellLog
 
 SHOWN = 6
+LOG_HEAD = ("log", "used", "initial SOC", "RMSE mV", "with causes", "log corrected, too")
 
 
 def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -52,7 +54,6 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
     """Diagnose, write what was asked for, print the verdict."""
     from cellwise.cell.simulate import check_soc0
     from cellwise.diagnose import diagnose
-    from cellwise.report.diagnosis.runs import with_anatomy
 
     _check_places(arguments)
     soc0 = log_options.parse_soc0(arguments.soc0)
@@ -75,7 +76,6 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
             causes=arguments.cause,
             progress=lambda share, what: progress.update(task, completed=share, description=what),
         )
-    found = with_anatomy(found)
     seconds = time.perf_counter() - began
     written = _write(found, arguments)
     if arguments.json:
@@ -157,6 +157,7 @@ def print_diagnosis(found: Diagnosis) -> None:
     from cellwise.report.diagnosis.statements import diagnosis_finding
 
     printing.say(f"verdict: {found.verdict}\n{diagnosis_finding(found)}\n")
+    printing.table("every log", LOG_HEAD, [_log_row(r) for r in found.runs])
     if found.causes:
         head = ("cause", "corrects", "value (95 %)", "held-out RMSE mV", "gain (95 %)")
         printing.table("what was found", head, [_cause_row(c) for c in found.causes])
@@ -188,6 +189,18 @@ def print_diagnosis(found: Diagnosis) -> None:
         )
     if found.next_test:
         printing.say(f"next test: {found.next_test}")
+
+
+def _log_row(run: LogRun) -> tuple[str, ...]:
+    corrected = run.corrected
+    return (
+        run.log.name or "log",
+        "held out" if run.used == "holdout" else "fitted",
+        f"{run.before.soc0:.3f}",
+        printing.millivolt(run.before.metrics.rmse_V),
+        printing.millivolt(run.after.metrics.rmse_V),
+        "" if corrected is None else printing.millivolt(corrected.metrics.rmse_V),
+    )
 
 
 def _cause_row(c: FoundCause) -> tuple[str, ...]:

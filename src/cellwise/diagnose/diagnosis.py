@@ -19,22 +19,25 @@ from cellwise.diagnose.decision.candidates import Candidate
 from cellwise.diagnose.decision.model_comparison import FIRM_SLOW_V, ModelComparison, Progress
 from cellwise.diagnose.decision.outcome import Accepted, Outcome
 from cellwise.diagnose.decision.preconditions import another_cell, too_little
-from cellwise.diagnose.extension import (
-    correct_log,
-    extend_model,
-    extended_validity,
-    parameters_of,
-    split_skew,
-    value_of,
-)
+from cellwise.diagnose.extension import extended_validity, parameters_of, value_of
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.gain import rmse
-from cellwise.diagnose.fit.least_squares import held_rows
+from cellwise.diagnose.fit.least_squares import Fit, held_rows
 from cellwise.diagnose.fit.noise import at_least
 from cellwise.diagnose.fit.priors import GIVEN_SOC_STD, calibrated, structure_prior, tolerances
 from cellwise.diagnose.fit.rest_current import rest_reading
 from cellwise.diagnose.fit.rows import Evidence, gather
 from cellwise.diagnose.fit.whitening_kernels import NoiseLevel
+from cellwise.diagnose.log_runs import (
+    Explanation,
+    GivenLog,
+    LogRun,
+    Step,
+    explanation,
+    log_runs,
+    step_between,
+    with_use,
+)
 from cellwise.diagnose.next_test import propose
 from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
 from cellwise.diagnose.soc_gain import soc_gain
@@ -46,6 +49,7 @@ SLOW_FLOOR = 0.1
 FAST_FLOOR = 0.05
 
 Logs = CellLog | Sequence[CellLog]
+StartedLog = tuple[CellLog, InitialSoc]
 
 
 def diagnose(
@@ -88,9 +92,9 @@ def diagnose(
         raise InputError("no log", "at least one log to explain", "Name a log.")
     chosen = _chosen(causes)
     missing = too_little(model, groups[0])
-    if missing:
-        return _undetermined(model, groups, missing)
     starts = _starts(model, groups, soc0)
+    if missing:
+        return _undetermined(model, starts, missing)
     slowest = _slowest(model)
     evidence = gather(model, starts[0], starts[1], slowest)
     coordinates = Coordinates(model)
@@ -100,17 +104,22 @@ def diagnose(
     base, noise = fits.base(fits.prior)
     other = another_cell(model, evidence, base, base.soc)
     if other:
-        return _undetermined(model, groups, f"this looks like another cell: {other}")
+        return _undetermined(model, starts, f"this looks like another cell: {other}")
     comparison = ModelComparison(fits, _extrapolated(model, evidence), progress)
     outcome = comparison.run(chosen, base, noise)
     return _diagnosis(model, groups[0], groups[1], fits, outcome)
 
 
-def _undetermined(model: CellModel, groups: tuple[tuple[CellLog, ...], ...], why: str) -> Diagnosis:
+def _undetermined(model: CellModel, starts: list[list[StartedLog]], why: str) -> Diagnosis:
     """No verdict, and what is missing for one."""
+    logs, holdout = (tuple(g for g, _ in group) for group in starts[:2])
+    every = [*starts[0], *starts[1]]
+    runs = log_runs(model, with_use(every, len(logs)))
+    error = anatomy(model, logs[0], runs[0].before.soc0)
     return Diagnosis(
-        "undetermined", (), (), {}, "", (why,), model, None, groups[0], groups[1], groups[0]
-    )
+        "undetermined", (), (), error, "", (why,), model, None, logs, holdout, logs,
+        tuple(start.to_dict() for _, start in every), runs=runs,
+    )  # fmt: skip
 
 
 def _as_logs(logs: Logs) -> tuple[CellLog, ...]:
@@ -141,7 +150,7 @@ def _starts(
     model: CellModel,
     groups: tuple[tuple[CellLog, ...], ...],
     soc0: float | str | Sequence[float | str],
-) -> list[list[tuple[CellLog, InitialSoc]]]:
+) -> list[list[StartedLog]]:
     """Every log with its start."""
     flat = [g for group in groups for g in group]
     if isinstance(soc0, (str, float, int)):
@@ -161,7 +170,7 @@ def _starts(
             elif log.soc0 is not None:
                 pairs.append((log, initial_soc(model, log, log.soc0, GIVEN_SOC_STD)))
             else:
-                pairs.append((log, initial_soc(model, log)))
+                pairs.append((log, initial_soc(model, log, likeliest=True)))
         result.append(pairs)
     return result
 
@@ -195,7 +204,7 @@ def _extrapolated(model: CellModel, evidence: Evidence) -> bool:
     return middle < coldest - OUTSIDE_K or middle > warmest + OUTSIDE_K
 
 
-def _calibrate(fits: CauseFits, model: CellModel, good: list[tuple[CellLog, InitialSoc]]) -> None:
+def _calibrate(fits: CauseFits, model: CellModel, good: list[StartedLog]) -> None:
     """Calibrate the prior on baseline logs: what the model gets wrong there is expected."""
     evidence = gather(model, good, whole=True)
     known = _cause_fits(evidence, fits.coordinates, 0)
@@ -214,29 +223,23 @@ def _diagnosis(
     fits: CauseFits,
     outcome: Outcome,
 ) -> Diagnosis:
-    evidence = fits.evidence
-    causes = tuple(_found(a, outcome, evidence) for a in outcome.accepted)
+    evidence, final = fits.evidence, outcome.fit
+    given = with_use([(g.log, g.start) for g in evidence.logs], len(logs))
+    explained = None
+    if outcome.accepted:
+        explained = _explained(fits, [a.cause for a in outcome.accepted], final)
+    runs = log_runs(model, given, final, explained)
+    causes = _found_causes(fits, outcome, given, runs)
     verdict = causes[0].name if causes else ("undetermined" if outcome.open_between else "none")
-    final = outcome.fit
-    keep = kept_coordinates(a.cause for a in outcome.accepted)
-    z = fits.point(final, keep)
-    note = {"causes": [c.name for c in causes]}
-    interval = float(np.median(np.concatenate([g.dt_s[1:] for g in evidence.logs])))
-    of_model, of_log = split_skew(final.coordinates, z, interval)
-    extended = extend_model(final.coordinates, of_model, note) if causes else None
-    corrected = tuple(correct_log(g, final.coordinates, of_log) for g in logs)
-    gain = None
-    if extended is not None:
-        starts = [
-            g.start.soc + final.z.get(f"soc0:{k}", 0.0)
-            for k, g in enumerate(evidence.logs[: len(logs)])
-        ]
-        extended = replace(extended, validity=extended_validity(extended, corrected, starts))
-        last = len(logs) if holdout else 0
-        judged = (*logs, *holdout)[last]
-        start = evidence.logs[last].start.soc + final.z.get(f"soc0:{last}", 0.0)
-        seen = correct_log(judged, final.coordinates, of_log)
-        gain = soc_gain(model, extended, judged, seen, start)
+    corrected = tuple(logs)
+    extended, gain = None, None
+    if explained is not None:
+        corrected = tuple(explained.corrected(g, final) for g in logs)
+        seen = runs[: len(logs)]
+        validity = extended_validity(explained.model, corrected, [r.explained.soc0 for r in seen])
+        extended = replace(explained.model, validity=validity)
+        last = runs[len(logs) if holdout else 0]
+        gain = soc_gain(model, extended, last.log, last.explained.log, last.explained.soc0)
     reasons = outcome.reasons
     if outcome.open_between:
         names = " and ".join(c.name for c in outcome.open_between[:3])
@@ -245,7 +248,7 @@ def _diagnosis(
         verdict,
         causes,
         tuple(_tried(c, fits) for c in outcome.first),
-        anatomy(model, logs[0], evidence.logs[0].start.soc),
+        anatomy(model, logs[0], runs[0].before.soc0),
         _next_test(outcome),
         reasons,
         model,
@@ -256,11 +259,38 @@ def _diagnosis(
         tuple(g.start.to_dict() for g in evidence.logs),
         gain,
         outcome.noise.level._asdict(),
+        runs,
     )
 
 
-def _found(accepted: Accepted, outcome: Outcome, evidence: Evidence) -> FoundCause:
-    final, cause, gain = outcome.fit, accepted.cause, accepted.gain
+def _explained(fits: CauseFits, causes: Sequence[Cause], found: Fit) -> Explanation:
+    """Some causes as a user applies them; what else the fit moved stays at neutral."""
+    point = fits.point(found, kept_coordinates(causes))
+    note = {"causes": [c.name for c in causes]}
+    return explanation(found, point, [c.kind for c in causes], fits.evidence, note)
+
+
+def _found_causes(
+    fits: CauseFits, outcome: Outcome, given: Sequence[GivenLog], runs: Sequence[LogRun]
+) -> tuple[FoundCause, ...]:
+    """Every cause with what it gains on top of those before it, as `simulate` would show it."""
+    causes = [a.cause for a in outcome.accepted]
+    before = [r.before for r in runs]
+    found = []
+    for k, accepted in enumerate(outcome.accepted, 1):
+        after = [r.explained for r in runs]
+        if k < len(causes):
+            part = fits.fit_causes(causes[:k], outcome.fit, outcome.noise)
+            now = _explained(fits, causes[:k], part)
+            after = [r.explained for r in log_runs(fits.coordinates.model, given, part, now)]
+        step = step_between(fits.evidence, before, after, np.random.default_rng(fits.seed))
+        found.append(_found(accepted, step, outcome, fits.evidence))
+        before = after
+    return tuple(found)
+
+
+def _found(accepted: Accepted, step: Step, outcome: Outcome, evidence: Evidence) -> FoundCause:
+    final, cause = outcome.fit, accepted.cause
     soc0 = evidence.logs[0].start.soc
     values = parameters_of(cause, final.coordinates, final.z, soc0)
     intervals = {}
@@ -278,28 +308,31 @@ def _found(accepted: Accepted, outcome: Outcome, evidence: Evidence) -> FoundCau
         cause.meaning,
         values,
         intervals,
-        gain.train_before_V,
-        gain.train_after_V,
-        gain.held_before_V,
-        gain.held_after_V,
-        gain.gain,
-        (gain.low, gain.high),
-        _evidence(accepted),
+        step.train_before_V,
+        step.train_after_V,
+        step.held_before_V,
+        step.held_after_V,
+        step.gain,
+        (step.low, step.high),
+        _evidence(accepted, step),
         cause.confused_with,
     )
 
 
-def _evidence(accepted: Accepted) -> tuple[str, ...]:
+def _evidence(accepted: Accepted, step: Step) -> tuple[str, ...]:
     """Why a cause was accepted."""
-    gain = accepted.gain
-    least = f"{100 * gain.low:.0f}" if gain.low >= 0.0 else f"{-100 * gain.low:.0f} % more"
+    least = f"{100 * step.low:.0f}" if step.low >= 0.0 else f"{-100 * step.low:.0f} % more"
     lines = [
-        f"held-out RMSE falls from {1e3 * gain.held_before_V:.1f} to "
-        f"{1e3 * gain.held_after_V:.1f} mV ({least} to {100 * gain.high:.0f} % less, "
+        f"held-out RMSE goes from {1e3 * step.held_before_V:.1f} to "
+        f"{1e3 * step.held_after_V:.1f} mV ({least} to {100 * step.high:.0f} % less, "
         "95 % interval over blocks of time)",
         f"the data are e^{accepted.score:.0f} times as likely as with tolerances alone",
     ]
-    if gain.low <= 0.0 and accepted.sure:
+    if step.held_after_V > step.held_before_V:
+        lines[0] = (
+            lines[0].replace("falls", "rises").replace("less,", "less: needed by the others,")
+        )
+    if step.low <= 0.0 and accepted.sure:
         lines.insert(1, f"the RMSE alone is not significant, but {accepted.sure}")
     if accepted.alternatives:
         lines.append(f"next best: {', '.join(accepted.alternatives)}")

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from cellwise.cell.model import CellModel
+from cellwise.diagnose.log_runs import LogRun
 from cellwise.logs.cell_log import CellLog
 
 
@@ -79,7 +80,8 @@ class TriedCause:
 class Diagnosis:
     """The causes that were found, in order, and the model extended by them.
 
-    ``verdict`` is the first cause, "none" or "undetermined"; ``reasons`` say why the search ended.
+    ``verdict`` is the first cause, "none" or "undetermined"; ``reasons`` say why the search ended;
+    ``runs`` are all logs simulated before and after, which every figure is taken from.
     """
 
     verdict: str
@@ -96,6 +98,7 @@ class Diagnosis:
     soc0: tuple[dict[str, Any], ...] = ()
     soc_gain: dict[str, Any] | None = None
     noise: dict[str, float] = field(default_factory=dict)
+    runs: tuple[LogRun, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """JSON values, keys as the command prints them."""
@@ -109,6 +112,7 @@ class Diagnosis:
             "soc0": list(self.soc0),
             "soc_gain": self.soc_gain,
             "noise": self.noise,
+            "logs": [r.to_dict() for r in self.runs],
         }
 
     def __repr__(self) -> str:

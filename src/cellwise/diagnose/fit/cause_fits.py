@@ -68,6 +68,12 @@ class CauseFits:
         objective = self.objective(noise)
         return fit(objective, coordinates, prior, start, iterations, None, frozen, moving)
 
+    def fit_causes(self, causes: Sequence[Cause], near: Fit, noise: Noise) -> Fit:
+        """A thorough fit of all causes together, from a point nearby."""
+        prior = self.widened_for(causes, near.coordinates)
+        found = self.fit(noise, near.coordinates, prior, near.z, THOROUGH)
+        return complete(self.objective(noise), found, prior)
+
     def widened_for(self, causes: Iterable[Cause], coordinates: Coordinates) -> Prior:
         """The tolerances, widened for all of the causes."""
         prior = self.prior
