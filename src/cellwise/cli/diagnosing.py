@@ -42,6 +42,12 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     p.add_argument(
         "--cause", action="append", metavar="C", help="try only this cause; several [all]"
     )
+    p.add_argument(
+        "--reference-capacity-ah",
+        type=float,
+        metavar="X",
+        help="measured apart from these logs: what SOC is judged over [the model's own]",
+    )
     p.add_argument("-o", "--output", metavar="MODEL2", help="the model with the causes known")
     p.add_argument("--corrected", metavar="DIR", help="folder for logs without the sensors' faults")
     page_options.add_page_options(p)
@@ -74,6 +80,7 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
             baseline,
             "auto" if soc0 is None else soc0,
             causes=arguments.cause,
+            reference_capacity_Ah=arguments.reference_capacity_ah,
             progress=lambda share, what: progress.update(task, completed=share, description=what),
         )
     seconds = time.perf_counter() - began
@@ -185,8 +192,11 @@ def print_diagnosis(found: Diagnosis) -> None:
         before, after = (found.soc_gain[f"soc_rmse_{k}"] for k in ("before", "after"))
         printing.say(
             f"SOC RMSE of the EKF: {printing.percent(before)} % before, "
-            f"{printing.percent(after)} % after"
+            f"{printing.percent(after)} % after, over "
+            f"{found.soc_gain['reference_capacity_Ah']:.4g} Ah: {found.soc_gain['reference']}"
         )
+    elif found.no_soc_gain:
+        printing.say(f"no gain in SOC is claimed: {found.no_soc_gain}")
     if found.next_test:
         printing.say(f"next test: {found.next_test}")
 

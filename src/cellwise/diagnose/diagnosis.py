@@ -19,13 +19,13 @@ from cellwise.diagnose.decision.candidates import Candidate
 from cellwise.diagnose.decision.model_comparison import FIRM_SLOW_V, ModelComparison, Progress
 from cellwise.diagnose.decision.outcome import Accepted, Outcome
 from cellwise.diagnose.decision.preconditions import another_cell, too_little
-from cellwise.diagnose.extension import extended_validity, parameters_of, value_of
+from cellwise.diagnose.extension import MEASURED_NAMES, extended_validity, parameters_of, value_of
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.gain import rmse
 from cellwise.diagnose.fit.least_squares import Fit, held_rows
 from cellwise.diagnose.fit.noise import at_least
 from cellwise.diagnose.fit.priors import GIVEN_SOC_STD, calibrated, structure_prior, tolerances
-from cellwise.diagnose.fit.rest_current import rest_reading
+from cellwise.diagnose.fit.rest_voltages import rest_voltages
 from cellwise.diagnose.fit.rows import Evidence, gather
 from cellwise.diagnose.fit.whitening_kernels import NoiseLevel
 from cellwise.diagnose.log_runs import (
@@ -40,7 +40,7 @@ from cellwise.diagnose.log_runs import (
 )
 from cellwise.diagnose.next_test import propose
 from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
-from cellwise.diagnose.soc_gain import soc_gain
+from cellwise.diagnose.soc_gain import reference_for, soc_gain
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 
@@ -60,6 +60,7 @@ def diagnose(
     soc0: float | str | Sequence[float | str] = "auto",
     *,
     causes: Sequence[str] | None = None,
+    reference_capacity_Ah: float | None = None,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Diagnosis:
@@ -76,6 +77,8 @@ def diagnose(
     soc0 : float, "auto" or a sequence of them, one per log (logs, holdout, baseline); a log's own
         stated start (``CellLog.soc0``) goes before "auto" and before one number for all
     causes : names to try; default all
+    reference_capacity_Ah : measured apart from these logs [Ah]: what SOC is judged over; default
+        the model's own, unless that is found to be wrong
     seed : of the block bootstrap
     progress : called with the share done and what is being tried
 
@@ -85,11 +88,15 @@ def diagnose(
 
     Raises
     ------
-    InputError        no log, a start outside 0..1, an unknown cause
+    InputError        no log, a start outside 0..1, an unknown cause, a capacity not above zero
     """
     groups = tuple(_as_logs(g) for g in (logs, holdout, baseline))
     if not groups[0]:
         raise InputError("no log", "at least one log to explain", "Name a log.")
+    if reference_capacity_Ah is not None and not reference_capacity_Ah > 0.0:
+        raise InputError(
+            f"a reference capacity of {reference_capacity_Ah:g} Ah", "above zero", "Correct it."
+        )
     chosen = _chosen(causes)
     missing = too_little(model, groups[0])
     starts = _starts(model, groups, soc0)
@@ -107,7 +114,7 @@ def diagnose(
         return _undetermined(model, starts, f"this looks like another cell: {other}")
     comparison = ModelComparison(fits, _extrapolated(model, evidence), progress)
     outcome = comparison.run(chosen, base, noise)
-    return _diagnosis(model, groups[0], groups[1], fits, outcome)
+    return _diagnosis(model, groups[0], groups[1], fits, outcome, reference_capacity_Ah)
 
 
 def _undetermined(model: CellModel, starts: list[list[StartedLog]], why: str) -> Diagnosis:
@@ -192,7 +199,7 @@ def _cause_fits(evidence: Evidence, coordinates: Coordinates, seed: int) -> Caus
         tolerances(coordinates, evidence),
         floor,
         slow,
-        rest_reading([g.log for g in evidence.logs], model.capacity_Ah),
+        rest_voltages(evidence.logs, model.capacity_Ah, model.charge_efficiency),
         seed,
     )
 
@@ -222,6 +229,7 @@ def _diagnosis(
     holdout: tuple[CellLog, ...],
     fits: CauseFits,
     outcome: Outcome,
+    reference_Ah: float | None,
 ) -> Diagnosis:
     evidence, final = fits.evidence, outcome.fit
     given = with_use([(g.log, g.start) for g in evidence.logs], len(logs))
@@ -232,14 +240,15 @@ def _diagnosis(
     causes = _found_causes(fits, outcome, given, runs)
     verdict = causes[0].name if causes else ("undetermined" if outcome.open_between else "none")
     corrected = tuple(logs)
-    extended, gain = None, None
+    extended, gain, no_gain = None, None, ""
     if explained is not None:
         corrected = tuple(explained.corrected(g, final) for g in logs)
         seen = runs[: len(logs)]
         validity = extended_validity(explained.model, corrected, [r.explained.soc0 for r in seen])
         extended = replace(explained.model, validity=validity)
         last = runs[len(logs) if holdout else 0]
-        gain = soc_gain(model, extended, last.log, last.explained.log, last.explained.soc0)
+        reference = reference_for(model, reference_Ah, [c.name for c in causes])
+        gain, no_gain = soc_gain(model, extended, last, reference)
     reasons = outcome.reasons
     if outcome.open_between:
         names = " and ".join(c.name for c in outcome.open_between[:3])
@@ -260,12 +269,20 @@ def _diagnosis(
         gain,
         outcome.noise.level._asdict(),
         runs,
+        no_gain,
     )
 
 
 def _explained(fits: CauseFits, causes: Sequence[Cause], found: Fit) -> Explanation:
-    """Some causes as a user applies them; what else the fit moved stays at neutral."""
-    point = fits.point(found, kept_coordinates(causes))
+    """Some causes as a user applies them.
+
+    Where the cell is corrected, everything of the cell is taken as it was estimated together: a
+    cause without the small changes it was estimated with fits no log. Else it stays as it was.
+    """
+    keep = kept_coordinates(causes)
+    if any(c.kind == "cell" for c in causes):
+        keep |= {n for n in found.z if n not in MEASURED_NAMES and ":" not in n}
+    point = fits.point(found, keep)
     note = {"causes": [c.name for c in causes]}
     return explanation(found, point, [c.kind for c in causes], fits.evidence, note)
 

@@ -81,7 +81,8 @@ class Diagnosis:
     """The causes that were found, in order, and the model extended by them.
 
     ``verdict`` is the first cause, "none" or "undetermined"; ``reasons`` say why the search ended;
-    ``runs`` are all logs simulated before and after, which every figure is taken from.
+    ``runs`` are all logs simulated before and after, which every figure is taken from;
+    ``no_soc_gain`` says why there is no ``soc_gain``.
     """
 
     verdict: str
@@ -99,6 +100,7 @@ class Diagnosis:
     soc_gain: dict[str, Any] | None = None
     noise: dict[str, float] = field(default_factory=dict)
     runs: tuple[LogRun, ...] = ()
+    no_soc_gain: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """JSON values, keys as the command prints them."""
@@ -111,6 +113,7 @@ class Diagnosis:
             "reasons": list(self.reasons),
             "soc0": list(self.soc0),
             "soc_gain": self.soc_gain,
+            "no_soc_gain": self.no_soc_gain,
             "noise": self.noise,
             "logs": [r.to_dict() for r in self.runs],
         }

@@ -34,6 +34,7 @@ SAID = {
     "charge_asymmetry": "1.30 times those on discharge",
     "self_heating": "5 K per watt",
     "self_discharge": "20 mA",
+    "surface_soc": "8 % below the mean SOC after 10 min",
 }
 
 
@@ -144,10 +145,18 @@ def test_a_search_that_ended_before_it_began_has_a_page(tmp_path):
 
 def test_soc_before_and_after_is_reported(tmp_path):
     gain = {"log": "held", "soc_rmse_before": 0.031, "soc_rmse_after": 0.004}
+    gain |= {"reference_capacity_Ah": 2.997, "reference": "stated"}
     record = diagnosis("current_offset", soc_gain=gain)
     page = Page(diagnose_page(record, tmp_path / "p.html").read_text("utf-8"))
     said = page.text_in("li").replace("\N{NO-BREAK SPACE}", " ")
-    assert "3.10 % before, 0.40 % after" in said
+    assert "3.10 % before, 0.40 % after, against the tester's counter over 2.997 Ah: stated" in said
+
+
+def test_without_a_referee_no_gain_in_soc_is_claimed_and_the_page_says_why(tmp_path):
+    record = diagnosis("capacity", no_soc_gain="the capacity is one of the causes")
+    page = Page(diagnose_page(record, tmp_path / "p.html").read_text("utf-8"))
+    said = page.text_in("li").replace("\N{NO-BREAK SPACE}", " ")
+    assert "No gain in SOC is claimed: the capacity is one of the causes." in said
 
 
 @pytest.mark.parametrize("tried", [0, 1])

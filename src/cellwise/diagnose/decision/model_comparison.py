@@ -39,6 +39,8 @@ from cellwise.typing import FloatArray
 Progress = Callable[[float, str], None]
 
 MOST_CAUSES = 5
+# A rest that lies three standard deviations off refutes a claim on charge (nats).
+REFUTED = 0.5 * 3.0**2
 FINALISTS = 5
 # The search begins with a noise that is forgiving at once and firm in the long run, so that what
 # drifts is not taken for noise before any cause was tried.
@@ -260,11 +262,24 @@ class ModelComparison:
                 break
             alone, together = self._gains(candidate, stage)
             wide = widened_for(stage.prior, candidate.cause, candidate.fit.coordinates, evidence)
-            refusal = unphysical(candidate, wide) or immaterial(candidate, alone, together, claim)
+            refusal = (
+                unphysical(candidate, wide)
+                or self._refuted(candidate, stage)
+                or immaterial(candidate, alone, together, claim)
+            )
             if not refusal:
                 return ranked[k:], (alone, together), refused
             refused.append(refusal)
         return ranked, None, refused
+
+    def _refuted(self, candidate: Candidate, stage: Stage) -> str:
+        """What a rest says against a claim on charge that the stage does not make; else empty."""
+        rests, found = self.fits.rests, candidate.fit
+        before = rests.ln_likelihood(stage.fit.coordinates, stage.fit.z)
+        after = rests.ln_likelihood(found.coordinates, found.z)
+        if after > before - REFUTED:
+            return ""
+        return f"{candidate.name} is refuted: {rests.contradiction(found.coordinates, found.z)}"
 
     def _both_needed(
         self, best: Candidate, alternatives: Sequence[Candidate], stage: Stage

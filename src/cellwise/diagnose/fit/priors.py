@@ -103,6 +103,8 @@ def widened_for(prior: Prior, cause: Cause, coordinates: Coordinates, evidence: 
     high: dict[str, float] = {}
     for p in cause.parameters:
         wide = p.wide * (model.capacity_Ah if p.per == "capacity" else 1.0)
+        if p.coordinate == "offset_A" and evidence.rest.zero:
+            wide = evidence.rest.std_A  # the sensor reads nothing where nothing flows
         if p.coordinate == "soc0":
             std.update(dict.fromkeys(evidence.starts(), wide))
             for name, log in zip(evidence.starts(), evidence.logs, strict=True):
@@ -148,6 +150,10 @@ def coordinate_bounds(
         return math.log(low / coordinates.gamma), math.log(high / coordinates.gamma)
     if name == "ln_thermal_s":
         return math.log(low / coordinates.thermal_s), math.log(high / coordinates.thermal_s)
+    if name == "ln_surface_s":
+        return math.log(low / coordinates.surface_s), math.log(high / coordinates.surface_s)
+    if name == "surface_h":
+        return low - coordinates.surface_depth_h, high
     if name == "r3":
         return (-3.0, 3.0) if coordinates.has_slow else (0.0, high / coordinates.r_typical_ohm)
     if name == "activation_K":
@@ -201,6 +207,8 @@ def starts_to_try(
         own = coordinates.tau3_s
     if name == "ln_gamma" and coordinates.has_hysteresis:
         own = coordinates.gamma
+    if name == "ln_surface_s" and coordinates.surface_depth_h > 0.0:
+        own = coordinates.surface_s
     if own is None:
         return [(replace(coordinates, shapes={**coordinates.shapes, name: v}), {}) for v in values]
     away = [math.log(v / own) for v in values]

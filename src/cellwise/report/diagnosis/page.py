@@ -38,7 +38,15 @@ from cellwise.report.page.markup import (
     table,
     tiles,
 )
-from cellwise.report.page.numerals import counted, listed, millivolt, percent, plural, significant
+from cellwise.report.page.numerals import (
+    ampere_hours,
+    counted,
+    listed,
+    millivolt,
+    percent,
+    plural,
+    significant,
+)
 from cellwise.report.page.picture import FigureFiles, Picture, safe_key
 from cellwise.report.page.section import Section, write_page
 
@@ -162,12 +170,15 @@ def lead_lines(diagnosis: Diagnosis) -> list[str]:
         )
         lines.append(where)
     gain = diagnosis.soc_gain
-    if gain and "soc_rmse_before" in gain and "soc_rmse_after" in gain:
+    if gain is not None:
         lines.append(
-            f"SOC by the EKF on {gain.get('log') or 'the log'}: RMSE "
+            f"SOC by the EKF on {gain['log'] or 'the log'}: RMSE "
             f"{percent(gain['soc_rmse_before'])} before, {percent(gain['soc_rmse_after'])} after, "
-            "against the tester's counter."
+            f"against the tester's counter over {ampere_hours(gain['reference_capacity_Ah'])}: "
+            f"{gain['reference']}."
         )
+    elif diagnosis.no_soc_gain:
+        lines.append(f"No gain in SOC is claimed: {diagnosis.no_soc_gain}.")
     if diagnosis.next_test:
         lines.append(f"Next test: {diagnosis.next_test}")
     return lines
