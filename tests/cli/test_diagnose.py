@@ -179,6 +179,33 @@ def test_nothing_wrong_gives_no_model(bench, run_json, tmp_path, capsys):
     assert not (tmp_path / "c").exists()
 
 
+def test_an_error_beyond_the_claim_that_nothing_explains_is_said(bench, run_json, tmp_path):
+    """Never none: the model claims less than what it is off by."""
+    log = read_log(bench / "drive.csv")
+    ripple = 0.1 * np.sign(np.sin(2.0 * np.pi * log.time_s / 500.0))
+    odd = tmp_path / "odd.csv"
+    write_log(CellLog(log.time_s, log.current_A - OFFSET_A, log.voltage_V + ripple), odd)
+    found = run_json(
+        "diagnose", "--model", str(bench / "cell.json"), str(odd), "--soc0", "0.9",
+        "--cause", "current_offset",
+    )  # fmt: skip
+    assert found["verdict"] == "unexplained"
+    assert "times what the model claims" in found["reasons"][0]
+    assert found["next_test"]
+    assert found["causes"] == []
+
+
+def test_what_the_logs_could_show_is_said_before_what_they_show(diagnosed):
+    found, _ = diagnosed
+    limit = found["limits"]["current_offset"]["offset_A"]
+    assert 0.0 < limit < OFFSET_A
+    (first, *_) = found["competing"]
+    assert first["causes"] == ["current_offset"]
+    assert first["probability"] == pytest.approx(found["causes"][0]["probability"])
+    assert found["causes"][0]["probability"] > 0.9
+    assert found["next_test"]
+
+
 def test_refusals_leave_nothing_behind(bench, refused, tmp_path):
     model, drive, held = (str(bench / n) for n in ("cell.json", "drive.csv", "held.csv"))
     out = str(tmp_path / "new.json")

@@ -186,6 +186,14 @@ def print_diagnosis(found: Diagnosis) -> None:
     if rows:
         columns = ("first candidates", "score (nats)", "held-out RMSE mV", "parameters")
         printing.table("what was tried", columns, rows)
+    if found.competing:
+        weighed = [
+            (", ".join(w.causes) or "none", f"{printing.percent(w.probability, 0)} %")
+            for w in found.competing
+        ]
+        printing.table("what competes", ("explanation", "probability"), weighed)
+    for group in found.inseparable:
+        printing.say(f"  - these logs cannot tell apart {', '.join(group)}")
     for reason in found.reasons:
         printing.say(f"  - {reason}")
     if found.soc_gain and "soc_rmse_before" in found.soc_gain:

@@ -12,33 +12,34 @@ from cellwise.cell.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.point_kernels import R3, TAU2, TAU3
 from cellwise.diagnose.anatomy import anatomy
-from cellwise.diagnose.causes.catalogue import CAUSES, Cause, kept_coordinates
+from cellwise.diagnose.applied import Applied, applied, apply, kept
+from cellwise.diagnose.causes.catalogue import CAUSES, Cause
 from cellwise.diagnose.causes.coordinates import Coordinates
-from cellwise.diagnose.decision.acceptance import OUTSIDE_K
+from cellwise.diagnose.decision.acceptance import LEAST_SCORE, OUTSIDE_K
 from cellwise.diagnose.decision.candidates import Candidate
-from cellwise.diagnose.decision.model_comparison import FIRM_SLOW_V, ModelComparison, Progress
+from cellwise.diagnose.decision.claim import claim_checks
+from cellwise.diagnose.decision.model_comparison import ModelComparison, Progress
 from cellwise.diagnose.decision.outcome import Accepted, Outcome
+from cellwise.diagnose.decision.posterior import LEAST_WEIGHT, probability_of
 from cellwise.diagnose.decision.preconditions import another_cell, too_little
-from cellwise.diagnose.extension import MEASURED_NAMES, extended_validity, parameters_of, value_of
+from cellwise.diagnose.extension import extended_validity, parameters_of, value_of
+from cellwise.diagnose.fit.calibration import calibrate
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.gain import rmse
 from cellwise.diagnose.fit.least_squares import Fit, held_rows
-from cellwise.diagnose.fit.noise import at_least
-from cellwise.diagnose.fit.priors import GIVEN_SOC_STD, calibrated, structure_prior, tolerances
+from cellwise.diagnose.fit.limits import Limits, limits
+from cellwise.diagnose.fit.priors import GIVEN_SOC_STD, tolerances
 from cellwise.diagnose.fit.rest_voltages import rest_voltages
 from cellwise.diagnose.fit.rows import Evidence, gather
 from cellwise.diagnose.fit.whitening_kernels import NoiseLevel
 from cellwise.diagnose.log_runs import (
-    Explanation,
     GivenLog,
-    LogRun,
     Step,
-    explanation,
     log_runs,
     step_between,
     with_use,
 )
-from cellwise.diagnose.next_test import propose
+from cellwise.diagnose.next_test import LONGER_LOG, next_test
 from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
 from cellwise.diagnose.soc_gain import reference_for, soc_gain
 from cellwise.errors import InputError
@@ -107,14 +108,17 @@ def diagnose(
     coordinates = Coordinates(model)
     fits = _cause_fits(evidence, coordinates, seed)
     if groups[2]:
-        _calibrate(fits, model, starts[2])
+        calibrate(fits, model, starts[2], lambda e: _cause_fits(e, coordinates, seed))
     base, noise = fits.base(fits.prior)
     other = another_cell(model, evidence, base, base.soc)
     if other:
         return _undetermined(model, starts, f"this looks like another cell: {other}")
+    if evidence.rest.zero:
+        chosen = [c for c in chosen if c.name != "current_offset"]
+    shown = limits(fits, chosen, base, noise, LEAST_SCORE)
     comparison = ModelComparison(fits, _extrapolated(model, evidence), progress)
     outcome = comparison.run(chosen, base, noise)
-    return _diagnosis(model, groups[0], groups[1], fits, outcome, reference_capacity_Ah)
+    return _diagnosis(model, groups[0], groups[1], fits, outcome, shown, reference_capacity_Ah)
 
 
 def _undetermined(model: CellModel, starts: list[list[StartedLog]], why: str) -> Diagnosis:
@@ -124,7 +128,7 @@ def _undetermined(model: CellModel, starts: list[list[StartedLog]], why: str) ->
     runs = log_runs(model, with_use(every, len(logs)))
     error = anatomy(model, logs[0], runs[0].before.soc0)
     return Diagnosis(
-        "undetermined", (), (), error, "", (why,), model, None, logs, holdout, logs,
+        "undetermined", (), (), error, LONGER_LOG, (why,), model, None, logs, holdout, logs,
         tuple(start.to_dict() for _, start in every), runs=runs,
     )  # fmt: skip
 
@@ -211,54 +215,56 @@ def _extrapolated(model: CellModel, evidence: Evidence) -> bool:
     return middle < coldest - OUTSIDE_K or middle > warmest + OUTSIDE_K
 
 
-def _calibrate(fits: CauseFits, model: CellModel, good: list[StartedLog]) -> None:
-    """Calibrate the prior on baseline logs: what the model gets wrong there is expected."""
-    evidence = gather(model, good, whole=True)
-    known = _cause_fits(evidence, fits.coordinates, 0)
-    # Nothing slow passes for noise: else fast details would be fitted, and persistent error lost.
-    known.most_slow_V = FIRM_SLOW_V
-    prior = structure_prior(known.prior)
-    found, noise = known.base(prior)
-    fits.prior = calibrated(fits.prior, found)
-    fits.floor = at_least(fits.floor, noise.level)
-
-
 def _diagnosis(
     model: CellModel,
     logs: tuple[CellLog, ...],
     holdout: tuple[CellLog, ...],
     fits: CauseFits,
     outcome: Outcome,
+    shown: Limits,
     reference_Ah: float | None,
 ) -> Diagnosis:
-    evidence, final = fits.evidence, outcome.fit
+    evidence = fits.evidence
     given = with_use([(g.log, g.start) for g in evidence.logs], len(logs))
-    explained = None
-    if outcome.accepted:
-        explained = _explained(fits, [a.cause for a in outcome.accepted], final)
-    runs = log_runs(model, given, final, explained)
-    causes = _found_causes(fits, outcome, given, runs)
-    verdict = causes[0].name if causes else ("undetermined" if outcome.open_between else "none")
+    known = applied(fits, outcome, given)
+    chosen = () if known is None else known.causes
+    refused = [a.cause.name for a in outcome.accepted if a.cause not in chosen]
+    outcome = kept(outcome, known)
+    runs = log_runs(model, given) if known is None else known.runs
+    causes = () if known is None else _found_causes(fits, outcome, given, known)
+    beyond = [c for c in claim_checks(model, runs, evidence) if c.beyond]
+    if causes:
+        verdict = causes[0].name
+    elif outcome.open_between:
+        verdict = "undetermined"
+    else:
+        verdict = "unexplained" if beyond else "none"
     corrected = tuple(logs)
     extended, gain, no_gain = None, None, ""
-    if explained is not None:
-        corrected = tuple(explained.corrected(g, final) for g in logs)
+    if known is not None:
+        corrected = tuple(known.explained.corrected(g, known.fit) for g in logs)
         seen = runs[: len(logs)]
-        validity = extended_validity(explained.model, corrected, [r.explained.soc0 for r in seen])
-        extended = replace(explained.model, validity=validity)
+        new = known.explained.model
+        validity = extended_validity(new, corrected, [r.explained.soc0 for r in seen])
+        extended = replace(new, validity=validity)
         last = runs[len(logs) if holdout else 0]
         reference = reference_for(model, reference_Ah, [c.name for c in causes])
         gain, no_gain = soc_gain(model, extended, last, reference)
     reasons = outcome.reasons
+    if refused:
+        names = " and ".join(refused)
+        reasons = (f"{names} fit, but leave held-out rows no better simulated", *reasons)
     if outcome.open_between:
         names = " and ".join(c.name for c in outcome.open_between[:3])
         reasons = (*reasons, f"{names} explain the same equally well")
+    if not causes:
+        reasons = (*(c.text() for c in beyond), *reasons)
     return Diagnosis(
         verdict,
         causes,
         tuple(_tried(c, fits) for c in outcome.first),
         anatomy(model, logs[0], runs[0].before.soc0),
-        _next_test(outcome),
+        "" if verdict == "none" else next_test(outcome, model, evidence),
         reasons,
         model,
         extended,
@@ -270,50 +276,41 @@ def _diagnosis(
         outcome.noise.level._asdict(),
         runs,
         no_gain,
+        shown.sizes,
+        tuple(w for w in outcome.weighed if w.probability >= LEAST_WEIGHT),
+        shown.inseparable,
     )
 
 
-def _explained(fits: CauseFits, causes: Sequence[Cause], found: Fit) -> Explanation:
-    """Some causes as a user applies them.
-
-    Where the cell is corrected, everything of the cell is taken as it was estimated together: a
-    cause without the small changes it was estimated with fits no log. Else it stays as it was.
-    """
-    keep = kept_coordinates(causes)
-    if any(c.kind == "cell" for c in causes):
-        keep |= {n for n in found.z if n not in MEASURED_NAMES and ":" not in n}
-    point = fits.point(found, keep)
-    note = {"causes": [c.name for c in causes]}
-    return explanation(found, point, [c.kind for c in causes], fits.evidence, note)
-
-
 def _found_causes(
-    fits: CauseFits, outcome: Outcome, given: Sequence[GivenLog], runs: Sequence[LogRun]
+    fits: CauseFits, outcome: Outcome, given: Sequence[GivenLog], known: Applied
 ) -> tuple[FoundCause, ...]:
     """Every cause with what it gains on top of those before it, as `simulate` would show it."""
-    causes = [a.cause for a in outcome.accepted]
-    before = [r.before for r in runs]
+    before = [r.before for r in known.runs]
     found = []
     for k, accepted in enumerate(outcome.accepted, 1):
-        after = [r.explained for r in runs]
-        if k < len(causes):
-            part = fits.fit_causes(causes[:k], outcome.fit, outcome.noise)
-            now = _explained(fits, causes[:k], part)
-            after = [r.explained for r in log_runs(fits.coordinates.model, given, part, now)]
+        after = [r.explained for r in known.runs]
+        if k < len(known.causes):
+            near = fits.fit_causes(known.causes[:k], known.fit, outcome.noise)
+            part = apply(fits, known.causes[:k], near, outcome.noise, given)
+            after = [r.explained for r in part.runs]
         step = step_between(fits.evidence, before, after, np.random.default_rng(fits.seed))
-        found.append(_found(accepted, step, outcome, fits.evidence))
+        found.append(_found(accepted, step, known.fit, outcome, fits.evidence))
         before = after
     return tuple(found)
 
 
-def _found(accepted: Accepted, step: Step, outcome: Outcome, evidence: Evidence) -> FoundCause:
-    final, cause = outcome.fit, accepted.cause
+def _found(
+    accepted: Accepted, step: Step, final: Fit, outcome: Outcome, evidence: Evidence
+) -> FoundCause:
+    cause = accepted.cause
     soc0 = evidence.logs[0].start.soc
     values = parameters_of(cause, final.coordinates, final.z, soc0)
     intervals = {}
     for p in cause.parameters:
         key = "soc0:0" if p.coordinate == "soc0" else p.coordinate
-        x, std = final.z.get(key, 0.0), final.std(key)
+        x = final.z.get(key, 0.0)
+        std = outcome.fit.std(key) if key in outcome.fit.names else final.std(key)
         ends = (
             value_of(p.coordinate, x - 1.96 * std, final.coordinates, soc0),
             value_of(p.coordinate, x + 1.96 * std, final.coordinates, soc0),
@@ -333,6 +330,7 @@ def _found(accepted: Accepted, step: Step, outcome: Outcome, evidence: Evidence)
         (step.low, step.high),
         _evidence(accepted, step),
         cause.confused_with,
+        probability_of(cause.name, outcome.weighed),
     )
 
 
@@ -355,18 +353,6 @@ def _evidence(accepted: Accepted, step: Step) -> tuple[str, ...]:
         lines.append(f"next best: {', '.join(accepted.alternatives)}")
     lines.append(accepted.cause.signature)
     return tuple(lines)
-
-
-def _next_test(outcome: Outcome) -> str:
-    """The experiment that would separate the alternatives: undecided ones, else the runner-up."""
-    if outcome.open_between:
-        proposal = propose(outcome.open_between)
-        names = [c.name for c in outcome.open_between]
-    else:
-        close = [c for c in outcome.first if c.score > 0.0][:2]
-        proposal = propose(close) if outcome.accepted else None
-        names = [c.name for c in close]
-    return proposal.text(names) if proposal else ""
 
 
 def _tried(candidate: Candidate, fits: CauseFits) -> TriedCause:

@@ -169,19 +169,24 @@ def structure_prior(prior: Prior) -> Prior:
     return _bounded(Prior({**std, **starts}, {}, {}, {}), (*std, *starts))
 
 
-def calibrated(prior: Prior, found: Fit) -> Prior:
-    """Tolerances about what was calibrated on a baseline, with the correlations that it leaves."""
+def calibrated(prior: Prior, found: Fit, share: float = 1.0) -> Prior:
+    """Tolerances about what was calibrated on a baseline, with the correlations that it leaves.
+
+    ``share`` (0..1) is how much of the calibration is taken; without any, tolerances stay as wide
+    as those of a good laboratory.
+    """
     names = [n for n in STRUCTURE if n in prior.std]
     place = [found.names.index(n) for n in names]
-    covariance = found.covariance[np.ix_(place, place)].copy()
-    drift = np.array([STILL_OPEN * prior.std[n] for n in names])
+    covariance = share * share * found.covariance[np.ix_(place, place)]
+    still = STILL_OPEN**share
+    drift = np.array([still * prior.std[n] for n in names])
     deviation = np.sqrt(np.diag(covariance) + drift**2)
     np.fill_diagonal(covariance, 0.0)
     # Same cell, same instruments: what else could be off has shown there too.
-    std = {n: v if n.startswith("soc0:") else STILL_OPEN * v for n, v in prior.std.items()} | dict(
+    std = {n: v if n.startswith("soc0:") else still * v for n, v in prior.std.items()} | dict(
         zip(names, (float(v) for v in deviation), strict=True)
     )
-    mean = {n: found.z[n] for n in names}
+    mean = {n: share * found.z[n] for n in names}
     wider = _bounded(prior.widened(std, mean, {}, {}), std)
     return replace(wider, linked=tuple(names), cross=covariance)
 

@@ -103,6 +103,11 @@ def diagnosis_sections(diagnosis: Diagnosis, runs: Sequence[LogRun]) -> tuple[Se
         evidence = Picture("candidates", draw_candidates(diagnosis), CANDIDATES_CAPTION)
         shown = (evidence, bullets(diagnosis.reasons), candidates_table(diagnosis))
         sections.append(Section("evidence", "What was tried", shown, "Evidence"))
+    if diagnosis.competing:
+        sections.append(Section("competing", "What competes", (competing_table(diagnosis),)))
+    if diagnosis.limits:
+        apart = (bullets(inseparable_lines(diagnosis)), limits_table(diagnosis))
+        sections.append(Section("limits", "What these logs could show", apart, "Limits"))
     if diagnosis.next_test:
         sections.append(Section("next", "Next test", (paragraph(diagnosis.next_test),)))
     sections.append(anatomy_section(diagnosis.anatomy, diagnosis.logs[0].name or "log"))
@@ -188,7 +193,8 @@ def cause_content(cause: FoundCause, diagnosis: Diagnosis) -> Markup:
     """One cause: meaning, numbers, evidence, what it is confused with."""
     known = CAUSES[cause.name]
     name = cause_name(cause.name)
-    head_line = Markup(f"<h3>{escape(name[:1].upper() + name[1:])}</h3>")
+    sure = f", probability {percent(cause.probability, 0)}" if cause.probability >= 0.0 else ""
+    head_line = Markup(f"<h3>{escape(name[:1].upper() + name[1:] + sure)}</h3>")
     head_line = Markup(head_line + paragraph(f"{statement(cause, diagnosis)}. {cause.meaning}"))
     units = {p.name: p.unit for p in known.parameters}
     rows = [
@@ -244,6 +250,41 @@ def runs_table(runs: Sequence[LogRun], explained: bool) -> Markup:
     if corrected:
         caption += " Beside it, the corrected log from the SOC at which it is estimated to start."
     return table(tuple(head), rows, caption=caption, text_columns=(0, 1))
+
+
+def competing_table(diagnosis: Diagnosis) -> Markup:
+    """Explanations that were weighed, with their probability."""
+    rows = [
+        (listed([cause_name(c) for c in w.causes]) or "none", percent(w.probability, 0))
+        for w in diagnosis.competing
+    ]
+    caption = (
+        "Sets of causes and their probability among all that were compared; blocks of time "
+        "weighted at random."
+    )
+    return table(("explanation", "probability"), rows, caption=caption, text_columns=(0,))
+
+
+def inseparable_lines(diagnosis: Diagnosis) -> list[str]:
+    """Groups that these logs cannot tell apart."""
+    return [
+        f"These logs cannot tell apart {listed([cause_name(c) for c in group])}."
+        for group in diagnosis.inseparable
+    ]
+
+
+def limits_table(diagnosis: Diagnosis) -> Markup:
+    """The smallest change of every cause's parameters that these logs could show."""
+    rows = []
+    for name, sizes in diagnosis.limits.items():
+        units = {p.name: p.unit for p in CAUSES[name].parameters}
+        values = ", ".join(f"{k} {valued(v, units.get(k, '1'))}" for k, v in sizes.items())
+        rows.append((cause_name(name), values))
+    caption = (
+        "From sensitivities and noise, before any cause was fitted: smaller changes cannot be told "
+        "from what a good laboratory leaves uncertain."
+    )
+    return table(("cause", "smallest change"), rows, caption=caption, text_columns=(0, 1))
 
 
 def candidates_table(diagnosis: Diagnosis) -> Markup:

@@ -47,6 +47,9 @@ def diagnosis_finding(diagnosis: Diagnosis) -> str:
             error = millivolt(judged.before.metrics.rmse_V)
             rest = f" The residual on {named_log(judged)} is {error} RMSE."
         return f"These data show no error beyond the stated one.{rest}"
+    if diagnosis.verdict == "unexplained":
+        why = f": {diagnosis.reasons[0]}" if diagnosis.reasons else ""
+        return f"The model is wrong, and none of the causes tried explains it{why}."
     alike = _alike(diagnosis)
     if len(alike) < 2:
         why = f": {diagnosis.reasons[0].rstrip('.')}" if diagnosis.reasons else ""
