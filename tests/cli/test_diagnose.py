@@ -68,6 +68,7 @@ def test_the_keys_of_the_contract(diagnosed):
         "anatomy",
         "next_test",
         "extended_model",
+        "logs",
     } <= set(found)
     (cause,) = found["causes"]
     assert {
@@ -92,6 +93,33 @@ def test_the_keys_of_the_contract(diagnosed):
     for tried in found["candidates"]:
         assert {"name", "holdout_rmse_V", "parameters"} <= set(tried)
         assert tried["name"] in CAUSES
+
+
+@pytest.mark.parametrize("name", ["drive", "held"])
+def test_logs_are_what_simulate_prints_with_both_models(diagnosed, bench, run_json, name):
+    """One measure: the same start, all rows; where the log is corrected, that beside it."""
+    found, out = diagnosed
+    row = next(r for r in found["logs"] if r["log"].endswith(name))
+    for model, key in ((bench / "cell.json", "rmse_before_V"), (out / "new.json", "rmse_after_V")):
+        told = run_json(
+            "simulate",
+            "--model",
+            str(model),
+            str(bench / f"{name}.csv"),
+            "--soc0",
+            str(row["soc0"]),
+        )
+        assert row[key] == pytest.approx(told["rmse_V"], rel=1e-9)
+    assert row["used"] == {"drive": "fit", "held": "holdout"}[name]
+    assert row["rmse_corrected_V"] < 0.5 * row["rmse_before_V"]
+
+
+def test_a_card_says_what_the_logs_say(diagnosed):
+    found, _ = diagnosed
+    held = next(r for r in found["logs"] if r["used"] == "holdout")
+    (cause,) = found["causes"]
+    assert cause["holdout_rmse_before_V"] == pytest.approx(held["rmse_before_V"], rel=1e-9)
+    assert cause["holdout_rmse_after_V"] == pytest.approx(held["rmse_corrected_V"], rel=1e-9)
 
 
 def test_the_hidden_offset_is_named_with_its_value(diagnosed):
@@ -149,6 +177,33 @@ def test_nothing_wrong_gives_no_model(bench, run_json, tmp_path, capsys):
     assert "was not written" in capsys.readouterr().out
     assert not out.exists()
     assert not (tmp_path / "c").exists()
+
+
+def test_an_error_beyond_the_claim_that_nothing_explains_is_said(bench, run_json, tmp_path):
+    """Never none: the model claims less than what it is off by."""
+    log = read_log(bench / "drive.csv")
+    ripple = 0.1 * np.sign(np.sin(2.0 * np.pi * log.time_s / 500.0))
+    odd = tmp_path / "odd.csv"
+    write_log(CellLog(log.time_s, log.current_A - OFFSET_A, log.voltage_V + ripple), odd)
+    found = run_json(
+        "diagnose", "--model", str(bench / "cell.json"), str(odd), "--soc0", "0.9",
+        "--cause", "current_offset",
+    )  # fmt: skip
+    assert found["verdict"] == "unexplained"
+    assert "times what the model claims" in found["reasons"][0]
+    assert found["next_test"]
+    assert found["causes"] == []
+
+
+def test_what_the_logs_could_show_is_said_before_what_they_show(diagnosed):
+    found, _ = diagnosed
+    limit = found["limits"]["current_offset"]["offset_A"]
+    assert 0.0 < limit < OFFSET_A
+    (first, *_) = found["competing"]
+    assert first["causes"] == ["current_offset"]
+    assert first["probability"] == pytest.approx(found["causes"][0]["probability"])
+    assert found["causes"][0]["probability"] > 0.9
+    assert found["next_test"]
 
 
 def test_refusals_leave_nothing_behind(bench, refused, tmp_path):

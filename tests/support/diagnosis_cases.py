@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from cellwise.cell.simulate import simulate
+from cellwise.diagnose.anatomy import anatomy
 from cellwise.diagnose.causes.catalogue import CAUSES
+from cellwise.diagnose.log_runs import LogRun
 from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
@@ -30,6 +32,7 @@ VALUES = {
     "charge_asymmetry": {"charge_scale": 1.3},
     "self_heating": {"rth_K_per_W": 5.0, "thermal_s": 600.0},
     "self_discharge": {"leak_A": 0.02},
+    "surface_soc": {"depth_h": 0.08, "surface_s": 600.0},
 }
 
 
@@ -62,6 +65,17 @@ def found(name, **changes):
     return replace(record, **changes)
 
 
+def runs_of(logs, held, corrected):
+    """Before and after with the offset taken out, from the true start."""
+    runs = []
+    for log, used in (*((g, "fit") for g in logs), *((g, "holdout") for g in held)):
+        before = simulate(CELL, log, 0.9)
+        right = replace(log, current_A=log.current_A - OFFSET_A)
+        fixed = simulate(CELL, right, 0.9) if corrected else None
+        runs.append(LogRun(log, used, before, before, fixed))
+    return tuple(runs)
+
+
 def diagnosis(*names, **changes):
     logs, held = (measured("drive", 0),), (measured("held <&>", 1),)
     fixed = tuple(replace(g, current_A=g.current_A - OFFSET_A) for g in logs)
@@ -71,7 +85,7 @@ def diagnosis(*names, **changes):
         verdict=names[0] if names else "none",
         causes=tuple(found(n) for n in names),
         candidates=tuple(tried),
-        anatomy={},
+        anatomy=anatomy(CELL, logs[0], 0.9),
         next_test="rest an hour at 50 %",
         reasons=("nothing more explains anything",),
         model=CELL,
@@ -80,5 +94,6 @@ def diagnosis(*names, **changes):
         holdout=held,
         corrected=fixed,
         soc0=({"value": 0.9, "std": 0.0015, "how": "given"},) * 2,
+        runs=runs_of(logs, held, any(CAUSES[n].kind == "measurement" for n in names)),
     )
     return replace(record, **changes)

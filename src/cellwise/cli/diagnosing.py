@@ -13,10 +13,12 @@ from cellwise.files import made_folder
 
 if TYPE_CHECKING:
     from cellwise.cell.model import CellModel
+    from cellwise.diagnose.log_runs import LogRun
     from cellwise.diagnose.result import Diagnosis, FoundCause
     from cellwise.logs import CellLog
 
 SHOWN = 6
+LOG_HEAD = ("log", "used", "initial SOC", "RMSE mV", "with causes", "log corrected, too")
 
 
 def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -40,6 +42,12 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     p.add_argument(
         "--cause", action="append", metavar="C", help="try only this cause; several [all]"
     )
+    p.add_argument(
+        "--reference-capacity-ah",
+        type=float,
+        metavar="X",
+        help="measured apart from these logs: what SOC is judged over [the model's own]",
+    )
     p.add_argument("-o", "--output", metavar="MODEL2", help="the model with the causes known")
     p.add_argument("--corrected", metavar="DIR", help="folder for logs without the sensors' faults")
     page_options.add_page_options(p)
@@ -52,7 +60,6 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
     """Diagnose, write what was asked for, print the verdict."""
     from cellwise.cell.simulate import check_soc0
     from cellwise.diagnose import diagnose
-    from cellwise.report.diagnosis.runs import with_anatomy
 
     _check_places(arguments)
     soc0 = log_options.parse_soc0(arguments.soc0)
@@ -75,9 +82,9 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
             baseline,
             "auto" if soc0 is None else soc0,
             causes=arguments.cause,
+            reference_capacity_Ah=arguments.reference_capacity_ah,
             progress=lambda share, what: progress.update(task, completed=share, description=what),
         )
-    found = with_anatomy(found)
     seconds = time.perf_counter() - began
     written = _write(found, arguments)
     notices = graves_first([n for log in (*logs, *holdout, *baseline) for n in log.notices])
@@ -159,6 +166,7 @@ def print_diagnosis(found: Diagnosis) -> None:
     from cellwise.report.diagnosis.statements import diagnosis_finding
 
     printing.say(f"verdict: {found.verdict}\n{diagnosis_finding(found)}\n")
+    printing.table("every log", LOG_HEAD, [_log_row(r) for r in found.runs])
     if found.causes:
         head = ("cause", "corrects", "value (95 %)", "held-out RMSE mV", "gain (95 %)")
         printing.table("what was found", head, [_cause_row(c) for c in found.causes])
@@ -180,16 +188,39 @@ def print_diagnosis(found: Diagnosis) -> None:
     if rows:
         columns = ("first candidates", "score (nats)", "held-out RMSE mV", "parameters")
         printing.table("what was tried", columns, rows)
+    if found.competing:
+        weighed = [
+            (", ".join(w.causes) or "none", f"{printing.percent(w.probability, 0)} %")
+            for w in found.competing
+        ]
+        printing.table("what competes", ("explanation", "probability"), weighed)
+    for group in found.inseparable:
+        printing.say(f"  - these logs cannot tell apart {', '.join(group)}")
     for reason in found.reasons:
         printing.say(f"  - {reason}")
     if found.soc_gain and "soc_rmse_before" in found.soc_gain:
         before, after = (found.soc_gain[f"soc_rmse_{k}"] for k in ("before", "after"))
         printing.say(
             f"SOC RMSE of the EKF: {printing.percent(before)} % before, "
-            f"{printing.percent(after)} % after"
+            f"{printing.percent(after)} % after, over "
+            f"{found.soc_gain['reference_capacity_Ah']:.4g} Ah: {found.soc_gain['reference']}"
         )
+    elif found.no_soc_gain:
+        printing.say(f"no gain in SOC is claimed: {found.no_soc_gain}")
     if found.next_test:
         printing.say(f"next test: {found.next_test}")
+
+
+def _log_row(run: LogRun) -> tuple[str, ...]:
+    corrected = run.corrected
+    return (
+        run.log.name or "log",
+        "held out" if run.used == "holdout" else "fitted",
+        f"{run.before.soc0:.3f}",
+        printing.millivolt(run.before.metrics.rmse_V),
+        printing.millivolt(run.after.metrics.rmse_V),
+        "" if corrected is None else printing.millivolt(corrected.metrics.rmse_V),
+    )
 
 
 def _cause_row(c: FoundCause) -> tuple[str, ...]:

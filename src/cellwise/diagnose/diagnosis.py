@@ -12,32 +12,36 @@ from cellwise.cell.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.point_kernels import R3, TAU2, TAU3
 from cellwise.diagnose.anatomy import anatomy
-from cellwise.diagnose.causes.catalogue import CAUSES, Cause, kept_coordinates
+from cellwise.diagnose.applied import Applied, applied, apply, kept
+from cellwise.diagnose.causes.catalogue import CAUSES, Cause
 from cellwise.diagnose.causes.coordinates import Coordinates
-from cellwise.diagnose.decision.acceptance import OUTSIDE_K
+from cellwise.diagnose.decision.acceptance import LEAST_SCORE, OUTSIDE_K
 from cellwise.diagnose.decision.candidates import Candidate
-from cellwise.diagnose.decision.model_comparison import FIRM_SLOW_V, ModelComparison, Progress
+from cellwise.diagnose.decision.claim import claim_checks
+from cellwise.diagnose.decision.model_comparison import ModelComparison, Progress
 from cellwise.diagnose.decision.outcome import Accepted, Outcome
+from cellwise.diagnose.decision.posterior import LEAST_WEIGHT, probability_of
 from cellwise.diagnose.decision.preconditions import another_cell, too_little
-from cellwise.diagnose.extension import (
-    correct_log,
-    extend_model,
-    extended_validity,
-    parameters_of,
-    split_skew,
-    value_of,
-)
+from cellwise.diagnose.extension import extended_validity, parameters_of, value_of
+from cellwise.diagnose.fit.calibration import calibrate
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.gain import rmse
-from cellwise.diagnose.fit.least_squares import held_rows
-from cellwise.diagnose.fit.noise import at_least
-from cellwise.diagnose.fit.priors import GIVEN_SOC_STD, calibrated, structure_prior, tolerances
-from cellwise.diagnose.fit.rest_current import rest_reading
+from cellwise.diagnose.fit.least_squares import Fit, held_rows
+from cellwise.diagnose.fit.limits import Limits, limits
+from cellwise.diagnose.fit.priors import GIVEN_SOC_STD, tolerances
+from cellwise.diagnose.fit.rest_voltages import rest_voltages
 from cellwise.diagnose.fit.rows import Evidence, gather
 from cellwise.diagnose.fit.whitening_kernels import NoiseLevel
-from cellwise.diagnose.next_test import propose
+from cellwise.diagnose.log_runs import (
+    GivenLog,
+    Step,
+    log_runs,
+    step_between,
+    with_use,
+)
+from cellwise.diagnose.next_test import LONGER_LOG, next_test
 from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
-from cellwise.diagnose.soc_gain import soc_gain
+from cellwise.diagnose.soc_gain import reference_for, soc_gain
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 
@@ -46,6 +50,7 @@ SLOW_FLOOR = 0.1
 FAST_FLOOR = 0.05
 
 Logs = CellLog | Sequence[CellLog]
+StartedLog = tuple[CellLog, InitialSoc]
 
 
 def diagnose(
@@ -56,6 +61,7 @@ def diagnose(
     soc0: float | str | Sequence[float | str] = "auto",
     *,
     causes: Sequence[str] | None = None,
+    reference_capacity_Ah: float | None = None,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Diagnosis:
@@ -72,6 +78,8 @@ def diagnose(
     soc0 : float, "auto" or a sequence of them, one per log (logs, holdout, baseline); a log's own
         stated start (``CellLog.soc0``) goes before "auto" and before one number for all
     causes : names to try; default all
+    reference_capacity_Ah : measured apart from these logs [Ah]: what SOC is judged over; default
+        the model's own, unless that is found to be wrong
     seed : of the block bootstrap
     progress : called with the share done and what is being tried
 
@@ -81,36 +89,48 @@ def diagnose(
 
     Raises
     ------
-    InputError        no log, a start outside 0..1, an unknown cause
+    InputError        no log, a start outside 0..1, an unknown cause, a capacity not above zero
     """
     groups = tuple(_as_logs(g) for g in (logs, holdout, baseline))
     if not groups[0]:
         raise InputError("no log", "at least one log to explain", "Name a log.")
+    if reference_capacity_Ah is not None and not reference_capacity_Ah > 0.0:
+        raise InputError(
+            f"a reference capacity of {reference_capacity_Ah:g} Ah", "above zero", "Correct it."
+        )
     chosen = _chosen(causes)
     missing = too_little(model, groups[0])
-    if missing:
-        return _undetermined(model, groups, missing)
     starts = _starts(model, groups, soc0)
+    if missing:
+        return _undetermined(model, starts, missing)
     slowest = _slowest(model)
     evidence = gather(model, starts[0], starts[1], slowest)
     coordinates = Coordinates(model)
     fits = _cause_fits(evidence, coordinates, seed)
     if groups[2]:
-        _calibrate(fits, model, starts[2])
+        calibrate(fits, model, starts[2], lambda e: _cause_fits(e, coordinates, seed))
     base, noise = fits.base(fits.prior)
     other = another_cell(model, evidence, base, base.soc)
     if other:
-        return _undetermined(model, groups, f"this looks like another cell: {other}")
+        return _undetermined(model, starts, f"this looks like another cell: {other}")
+    if evidence.rest.zero:
+        chosen = [c for c in chosen if c.name != "current_offset"]
+    shown = limits(fits, chosen, base, noise, LEAST_SCORE)
     comparison = ModelComparison(fits, _extrapolated(model, evidence), progress)
     outcome = comparison.run(chosen, base, noise)
-    return _diagnosis(model, groups[0], groups[1], fits, outcome)
+    return _diagnosis(model, groups[0], groups[1], fits, outcome, shown, reference_capacity_Ah)
 
 
-def _undetermined(model: CellModel, groups: tuple[tuple[CellLog, ...], ...], why: str) -> Diagnosis:
+def _undetermined(model: CellModel, starts: list[list[StartedLog]], why: str) -> Diagnosis:
     """No verdict, and what is missing for one."""
+    logs, holdout = (tuple(g for g, _ in group) for group in starts[:2])
+    every = [*starts[0], *starts[1]]
+    runs = log_runs(model, with_use(every, len(logs)))
+    error = anatomy(model, logs[0], runs[0].before.soc0)
     return Diagnosis(
-        "undetermined", (), (), {}, "", (why,), model, None, groups[0], groups[1], groups[0]
-    )
+        "undetermined", (), (), error, LONGER_LOG, (why,), model, None, logs, holdout, logs,
+        tuple(start.to_dict() for _, start in every), runs=runs,
+    )  # fmt: skip
 
 
 def _as_logs(logs: Logs) -> tuple[CellLog, ...]:
@@ -141,7 +161,7 @@ def _starts(
     model: CellModel,
     groups: tuple[tuple[CellLog, ...], ...],
     soc0: float | str | Sequence[float | str],
-) -> list[list[tuple[CellLog, InitialSoc]]]:
+) -> list[list[StartedLog]]:
     """Every log with its start."""
     flat = [g for group in groups for g in group]
     if isinstance(soc0, (str, float, int)):
@@ -161,7 +181,7 @@ def _starts(
             elif log.soc0 is not None:
                 pairs.append((log, initial_soc(model, log, log.soc0, GIVEN_SOC_STD)))
             else:
-                pairs.append((log, initial_soc(model, log)))
+                pairs.append((log, initial_soc(model, log, likeliest=True)))
         result.append(pairs)
     return result
 
@@ -183,7 +203,7 @@ def _cause_fits(evidence: Evidence, coordinates: Coordinates, seed: int) -> Caus
         tolerances(coordinates, evidence),
         floor,
         slow,
-        rest_reading([g.log for g in evidence.logs], model.capacity_Ah),
+        rest_voltages(evidence.logs, model.capacity_Ah, model.charge_efficiency),
         seed,
     )
 
@@ -195,58 +215,56 @@ def _extrapolated(model: CellModel, evidence: Evidence) -> bool:
     return middle < coldest - OUTSIDE_K or middle > warmest + OUTSIDE_K
 
 
-def _calibrate(fits: CauseFits, model: CellModel, good: list[tuple[CellLog, InitialSoc]]) -> None:
-    """Calibrate the prior on baseline logs: what the model gets wrong there is expected."""
-    evidence = gather(model, good, whole=True)
-    known = _cause_fits(evidence, fits.coordinates, 0)
-    # Nothing slow passes for noise: else fast details would be fitted, and persistent error lost.
-    known.most_slow_V = FIRM_SLOW_V
-    prior = structure_prior(known.prior)
-    found, noise = known.base(prior)
-    fits.prior = calibrated(fits.prior, found)
-    fits.floor = at_least(fits.floor, noise.level)
-
-
 def _diagnosis(
     model: CellModel,
     logs: tuple[CellLog, ...],
     holdout: tuple[CellLog, ...],
     fits: CauseFits,
     outcome: Outcome,
+    shown: Limits,
+    reference_Ah: float | None,
 ) -> Diagnosis:
     evidence = fits.evidence
-    causes = tuple(_found(a, outcome, evidence) for a in outcome.accepted)
-    verdict = causes[0].name if causes else ("undetermined" if outcome.open_between else "none")
-    final = outcome.fit
-    keep = kept_coordinates(a.cause for a in outcome.accepted)
-    z = fits.point(final, keep)
-    note = {"causes": [c.name for c in causes]}
-    interval = float(np.median(np.concatenate([g.dt_s[1:] for g in evidence.logs])))
-    of_model, of_log = split_skew(final.coordinates, z, interval)
-    extended = extend_model(final.coordinates, of_model, note) if causes else None
-    corrected = tuple(correct_log(g, final.coordinates, of_log) for g in logs)
-    gain = None
-    if extended is not None:
-        starts = [
-            g.start.soc + final.z.get(f"soc0:{k}", 0.0)
-            for k, g in enumerate(evidence.logs[: len(logs)])
-        ]
-        extended = replace(extended, validity=extended_validity(extended, corrected, starts))
-        last = len(logs) if holdout else 0
-        judged = (*logs, *holdout)[last]
-        start = evidence.logs[last].start.soc + final.z.get(f"soc0:{last}", 0.0)
-        seen = correct_log(judged, final.coordinates, of_log)
-        gain = soc_gain(model, extended, judged, seen, start)
+    given = with_use([(g.log, g.start) for g in evidence.logs], len(logs))
+    known = applied(fits, outcome, given)
+    chosen = () if known is None else known.causes
+    refused = [a.cause.name for a in outcome.accepted if a.cause not in chosen]
+    outcome = kept(outcome, known)
+    runs = log_runs(model, given) if known is None else known.runs
+    causes = () if known is None else _found_causes(fits, outcome, given, known)
+    beyond = [c for c in claim_checks(model, runs, evidence) if c.beyond]
+    if causes:
+        verdict = causes[0].name
+    elif outcome.open_between:
+        verdict = "undetermined"
+    else:
+        verdict = "unexplained" if beyond else "none"
+    corrected = tuple(logs)
+    extended, gain, no_gain = None, None, ""
+    if known is not None:
+        corrected = tuple(known.explained.corrected(g, known.fit) for g in logs)
+        seen = runs[: len(logs)]
+        new = known.explained.model
+        validity = extended_validity(new, corrected, [r.explained.soc0 for r in seen])
+        extended = replace(new, validity=validity)
+        last = runs[len(logs) if holdout else 0]
+        reference = reference_for(model, reference_Ah, [c.name for c in causes])
+        gain, no_gain = soc_gain(model, extended, last, reference)
     reasons = outcome.reasons
+    if refused:
+        names = " and ".join(refused)
+        reasons = (f"{names} fit, but leave held-out rows no better simulated", *reasons)
     if outcome.open_between:
         names = " and ".join(c.name for c in outcome.open_between[:3])
         reasons = (*reasons, f"{names} explain the same equally well")
+    if not causes:
+        reasons = (*(c.text() for c in beyond), *reasons)
     return Diagnosis(
         verdict,
         causes,
         tuple(_tried(c, fits) for c in outcome.first),
-        anatomy(model, logs[0], evidence.logs[0].start.soc),
-        _next_test(outcome),
+        anatomy(model, logs[0], runs[0].before.soc0),
+        "" if verdict == "none" else next_test(outcome, model, evidence),
         reasons,
         model,
         extended,
@@ -256,17 +274,43 @@ def _diagnosis(
         tuple(g.start.to_dict() for g in evidence.logs),
         gain,
         outcome.noise.level._asdict(),
+        runs,
+        no_gain,
+        shown.sizes,
+        tuple(w for w in outcome.weighed if w.probability >= LEAST_WEIGHT),
+        shown.inseparable,
     )
 
 
-def _found(accepted: Accepted, outcome: Outcome, evidence: Evidence) -> FoundCause:
-    final, cause, gain = outcome.fit, accepted.cause, accepted.gain
+def _found_causes(
+    fits: CauseFits, outcome: Outcome, given: Sequence[GivenLog], known: Applied
+) -> tuple[FoundCause, ...]:
+    """Every cause with what it gains on top of those before it, as `simulate` would show it."""
+    before = [r.before for r in known.runs]
+    found = []
+    for k, accepted in enumerate(outcome.accepted, 1):
+        after = [r.explained for r in known.runs]
+        if k < len(known.causes):
+            near = fits.fit_causes(known.causes[:k], known.fit, outcome.noise)
+            part = apply(fits, known.causes[:k], near, outcome.noise, given)
+            after = [r.explained for r in part.runs]
+        step = step_between(fits.evidence, before, after, np.random.default_rng(fits.seed))
+        found.append(_found(accepted, step, known.fit, outcome, fits.evidence))
+        before = after
+    return tuple(found)
+
+
+def _found(
+    accepted: Accepted, step: Step, final: Fit, outcome: Outcome, evidence: Evidence
+) -> FoundCause:
+    cause = accepted.cause
     soc0 = evidence.logs[0].start.soc
     values = parameters_of(cause, final.coordinates, final.z, soc0)
     intervals = {}
     for p in cause.parameters:
         key = "soc0:0" if p.coordinate == "soc0" else p.coordinate
-        x, std = final.z.get(key, 0.0), final.std(key)
+        x = final.z.get(key, 0.0)
+        std = outcome.fit.std(key) if key in outcome.fit.names else final.std(key)
         ends = (
             value_of(p.coordinate, x - 1.96 * std, final.coordinates, soc0),
             value_of(p.coordinate, x + 1.96 * std, final.coordinates, soc0),
@@ -278,45 +322,37 @@ def _found(accepted: Accepted, outcome: Outcome, evidence: Evidence) -> FoundCau
         cause.meaning,
         values,
         intervals,
-        gain.train_before_V,
-        gain.train_after_V,
-        gain.held_before_V,
-        gain.held_after_V,
-        gain.gain,
-        (gain.low, gain.high),
-        _evidence(accepted),
+        step.train_before_V,
+        step.train_after_V,
+        step.held_before_V,
+        step.held_after_V,
+        step.gain,
+        (step.low, step.high),
+        _evidence(accepted, step),
         cause.confused_with,
+        probability_of(cause.name, outcome.weighed),
     )
 
 
-def _evidence(accepted: Accepted) -> tuple[str, ...]:
+def _evidence(accepted: Accepted, step: Step) -> tuple[str, ...]:
     """Why a cause was accepted."""
-    gain = accepted.gain
-    least = f"{100 * gain.low:.0f}" if gain.low >= 0.0 else f"{-100 * gain.low:.0f} % more"
+    least = f"{100 * step.low:.0f}" if step.low >= 0.0 else f"{-100 * step.low:.0f} % more"
     lines = [
-        f"held-out RMSE falls from {1e3 * gain.held_before_V:.1f} to "
-        f"{1e3 * gain.held_after_V:.1f} mV ({least} to {100 * gain.high:.0f} % less, "
+        f"held-out RMSE goes from {1e3 * step.held_before_V:.1f} to "
+        f"{1e3 * step.held_after_V:.1f} mV ({least} to {100 * step.high:.0f} % less, "
         "95 % interval over blocks of time)",
         f"the data are e^{accepted.score:.0f} times as likely as with tolerances alone",
     ]
-    if gain.low <= 0.0 and accepted.sure:
+    if step.held_after_V > step.held_before_V:
+        lines[0] = (
+            lines[0].replace("falls", "rises").replace("less,", "less: needed by the others,")
+        )
+    if step.low <= 0.0 and accepted.sure:
         lines.insert(1, f"the RMSE alone is not significant, but {accepted.sure}")
     if accepted.alternatives:
         lines.append(f"next best: {', '.join(accepted.alternatives)}")
     lines.append(accepted.cause.signature)
     return tuple(lines)
-
-
-def _next_test(outcome: Outcome) -> str:
-    """The experiment that would separate the alternatives: undecided ones, else the runner-up."""
-    if outcome.open_between:
-        proposal = propose(outcome.open_between)
-        names = [c.name for c in outcome.open_between]
-    else:
-        close = [c for c in outcome.first if c.score > 0.0][:2]
-        proposal = propose(close) if outcome.accepted else None
-        names = [c.name for c in close]
-    return proposal.text(names) if proposal else ""
 
 
 def _tried(candidate: Candidate, fits: CauseFits) -> TriedCause:

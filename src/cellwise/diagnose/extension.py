@@ -30,7 +30,7 @@ from cellwise.diagnose.causes.current_kernels import shift_rows
 from cellwise.identify.validity import joined, log_validity
 from cellwise.logs.cell_log import CellLog
 
-_MEASUREMENT = (*CURRENT_NAMES, "offset_V")
+MEASURED_NAMES = (*CURRENT_NAMES, "offset_V")
 
 
 def parameters_of(
@@ -73,6 +73,10 @@ def value_of(coordinate: str, x: float, coordinates: Coordinates, soc0: float) -
         return scalars.rate_per_A * model.capacity_Ah + x
     if coordinate == "leak_A":
         return scalars.leak_A + x
+    if coordinate == "surface_h":
+        return coordinates.surface_depth_h + x
+    if coordinate == "ln_surface_s":
+        return coordinates.surface_s * math.exp(x)
     if coordinate == "rth_K_per_W":
         return scalars.heating_K_per_W + x
     return x
@@ -100,7 +104,7 @@ def extend_model(
 ) -> CellModel:
     """The model with everything of a point that belongs to the cell, and the sampling delay."""
     model = coordinates.model
-    cell = {n: v for n, v in z.items() if n not in _MEASUREMENT and ":" not in n}
+    cell = {n: v for n, v in z.items() if n not in MEASURED_NAMES and ":" not in n}
     inputs = coordinates.inputs({**cell, "skew_s": z.get("skew_s", 0.0)})
     t, s = inputs.table, inputs.scalars
     ocv = np.maximum.accumulate(t[..., OCV], axis=1)
@@ -127,7 +131,8 @@ def extend_model(
         new = new.with_effect(RateDependence(s.rate_per_A * new.capacity_Ah))
     if s.surface_per_A != 0.0:
         own_surface = model.effect(SurfaceSoc)
-        new = new.with_effect(replace(own_surface, depth_h=s.surface_per_A * new.capacity_Ah))
+        depth = s.surface_per_A * new.capacity_Ah
+        new = new.with_effect(replace(own_surface, depth_h=depth, tau_s=s.surface_s))
     if s.charge_scale != 1.0:
         new = new.with_effect(ChargeAsymmetry(s.charge_scale))
     if s.heating_K_per_W > 0.0:
@@ -162,7 +167,7 @@ def correct_log(log: CellLog, coordinates: Coordinates, z: Mapping[str, float]) 
 
     The model's own sampling delay stays in the model; one that was found is removed here.
     """
-    if not any(z.get(n, 0.0) for n in _MEASUREMENT):
+    if not any(z.get(n, 0.0) for n in MEASURED_NAMES):
         return log
     known = log.known_current_A()
     shifted, slope = np.empty_like(known), np.empty_like(known)

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from cellwise.cell.equations import CellState
+from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import start_hysteresis
+from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.causes.sensitivity_kernels import voltage_rows
 from cellwise.diagnose.decision.candidates import Candidate
+from cellwise.diagnose.decision.outcome import Outcome
+from cellwise.diagnose.fit.rows import Evidence
 from cellwise.typing import FloatArray
 
 STEP_S = 1.0
 # A separation that a cell's own scatter cannot hide.
 CLEAR_V = 3e-3
+LONGER_LOG = (
+    "A drive of this cell of at least an hour, from a rest at a known SOC, with rests inside"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,13 +84,50 @@ def experiments() -> tuple[Experiment, ...]:
     )
 
 
+def next_test(outcome: Outcome, model: CellModel, evidence: Evidence) -> str:
+    """What to measure next; for any verdict but none.
+
+    The experiment that would separate what competes; where one cause is left, the one in which it
+    differs most from the model as it was; where nothing explains the error, the laboratory's tests
+    where the error is.
+    """
+    if outcome.open_between:
+        close = list(outcome.open_between)
+    elif outcome.accepted:
+        named = [a.cause.name for a in outcome.accepted]
+        first = [c for c in outcome.first if c.name in named[:1]]
+        close = first + [c for c in outcome.first if c.score > 0.0 and c not in first][:1]
+    else:
+        return _laboratory(model, evidence)
+    proposal = propose(close)
+    if proposal is None:
+        return _laboratory(model, evidence)
+    names = [c.name for c in close[:2]]
+    return proposal.text(names if len(names) > 1 else [*names, "the model as it was"])
+
+
+def _laboratory(model: CellModel, evidence: Evidence) -> str:
+    """Identification again, at the temperature of the logs."""
+    middle = float(np.median(np.concatenate([g.temperature_C for g in evidence.logs])))
+    return (
+        f"HPPC at {middle:.0f} degC and C/20 from full at 25 degC with this cell as it is now: "
+        f"they show apart whether resistances, OCV or capacity differ from the model's "
+        f"({model.capacity_Ah:.4g} Ah)"
+    )
+
+
 def propose(alternatives: Sequence[Candidate]) -> Proposal | None:
-    """The shortest experiment with a clear separation; else the one with the largest."""
-    if len(alternatives) < 2:
+    """The shortest experiment with a clear separation; else the one with the largest.
+
+    A single alternative is separated from the model as it was.
+    """
+    if not alternatives:
         return None
+    plain = alternatives[0].fit.coordinates
     best: Proposal | None = None
     for e in sorted(experiments(), key=lambda e: e.hours):
-        one, two = (_voltage(c, e) for c in alternatives[:2])
+        one = _voltage(alternatives[0], e)
+        two = _voltage(alternatives[1], e) if len(alternatives) > 1 else _simulated(plain, {}, e)
         # Where a start or a constant would do, only the shape counts for a known start: keep all.
         separation = float(np.sqrt(np.mean((one - two) ** 2)))
         found = Proposal(e.name, e.hours, separation)
@@ -100,6 +144,13 @@ def _voltage(candidate: Candidate, experiment: Experiment) -> FloatArray:
     keep = set(candidate.cause.coordinates)
     # A known start: a cause that was the log's start predicts nothing new.
     z = {n: v for n, v in candidate.fit.z.items() if n in keep and ":" not in n}
+    return _simulated(coordinates, z, experiment)
+
+
+def _simulated(
+    coordinates: Coordinates, z: Mapping[str, float], experiment: Experiment
+) -> FloatArray:
+    """Voltage that would be logged at a point in the coordinates."""
     inputs = coordinates.inputs(z)
     current = experiment.current_C * coordinates.model.capacity_Ah
     flow = (current - inputs.offset_A) / inputs.gain

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from cellwise.cell.model import CellModel
+from cellwise.diagnose.decision.posterior import Weighed
+from cellwise.diagnose.log_runs import LogRun
 from cellwise.logs.cell_log import CellLog
 
 
@@ -17,7 +19,8 @@ class FoundCause:
 
     ``parameters`` carry their unit in the name, ``ci95`` their 95 % intervals; ``gain`` is
     1 - after / before of the held-out RMSE with its interval from whole blocks of time.
-    ``kind`` says whether the log ("measurement", "start") or the model ("cell") is corrected.
+    ``probability`` is what the sets of causes that hold it weigh together. ``kind`` says whether
+    the log ("measurement", "start") or the model ("cell") is corrected.
     """
 
     name: str
@@ -33,6 +36,7 @@ class FoundCause:
     gain_ci95: tuple[float, float]
     evidence: tuple[str, ...]
     confusable_with: tuple[str, ...]
+    probability: float = float("nan")
 
     def to_dict(self) -> dict[str, Any]:
         """JSON values."""
@@ -40,6 +44,7 @@ class FoundCause:
             "name": self.name,
             "kind": self.kind,
             "meaning": self.meaning,
+            "probability": finite(self.probability),
             "parameters": self.parameters,
             "ci95": {k: list(v) for k, v in self.ci95.items()},
             "train_rmse_before_V": self.train_rmse_before_V,
@@ -79,7 +84,11 @@ class TriedCause:
 class Diagnosis:
     """The causes that were found, in order, and the model extended by them.
 
-    ``verdict`` is the first cause, "none" or "undetermined"; ``reasons`` say why the search ended.
+    ``verdict`` is the first cause, "none", "undetermined" or "unexplained"; ``reasons`` say why the
+    search ended; ``limits`` is the smallest change of every parameter that these logs could show,
+    ``inseparable`` groups of causes that they cannot tell apart, ``competing`` explanations left;
+    ``runs`` are all logs simulated before and after, which every figure is taken from;
+    ``no_soc_gain`` says why there is no ``soc_gain``.
     """
 
     verdict: str
@@ -96,6 +105,11 @@ class Diagnosis:
     soc0: tuple[dict[str, Any], ...] = ()
     soc_gain: dict[str, Any] | None = None
     noise: dict[str, float] = field(default_factory=dict)
+    runs: tuple[LogRun, ...] = ()
+    no_soc_gain: str = ""
+    limits: dict[str, dict[str, float]] = field(default_factory=dict)
+    competing: tuple[Weighed, ...] = ()
+    inseparable: tuple[tuple[str, ...], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """JSON values, keys as the command prints them."""
@@ -108,7 +122,12 @@ class Diagnosis:
             "reasons": list(self.reasons),
             "soc0": list(self.soc0),
             "soc_gain": self.soc_gain,
+            "no_soc_gain": self.no_soc_gain,
             "noise": self.noise,
+            "limits": self.limits,
+            "competing": [w.to_dict() for w in self.competing],
+            "inseparable": [list(g) for g in self.inseparable],
+            "logs": [r.to_dict() for r in self.runs],
         }
 
     def __repr__(self) -> str:

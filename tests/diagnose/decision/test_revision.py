@@ -24,7 +24,7 @@ from cellwise.diagnose.decision.revision import refitted, unnecessary
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.least_squares import complete
 from cellwise.diagnose.fit.priors import starts_to_try, tolerances
-from cellwise.diagnose.fit.rest_current import rest_reading
+from cellwise.diagnose.fit.rest_voltages import rest_voltages
 from cellwise.diagnose.fit.rows import FITTED, HELD, gather
 from cellwise.diagnose.fit.whitening_kernels import NoiseLevel
 from cellwise.logs.cell_log import CellLog
@@ -57,7 +57,7 @@ def fitter_of(capacity_share: float, gain: float) -> CauseFits:
         tolerances(coordinates, evidence),
         NoiseLevel(5e-4, 0.05 * slow, 20.0, 0.1 * slow, 600.0),
         slow,
-        rest_reading([g.log for g in evidence.logs], model.capacity_Ah),
+        rest_voltages(evidence.logs, model.capacity_Ah, model.charge_efficiency),
         0,
     )
 

@@ -26,6 +26,7 @@ R_KNOTS = 5
 START_TAU3_S = 600.0
 START_GAMMA = 30.0
 START_HEATING_S = 600.0
+START_SURFACE_S = 300.0
 
 OCV_NAMES = tuple(f"ocv_{k}" for k in range(OCV_KNOTS))
 R_NAMES = tuple(f"ln_r_{k}" for k in range(R_KNOTS))
@@ -53,6 +54,8 @@ SHARED = (
     "leak_A",
     "rth_K_per_W",
     "ln_thermal_s",
+    "surface_h",
+    "ln_surface_s",
 )
 # Where each enters: the current, the table or the scalars of the cell.
 CURRENT_NAMES = ("offset_A", "ln_gain", "skew_s")
@@ -124,6 +127,18 @@ class Coordinates:
             return self._scalars.heating_s
         return self.shapes.get("ln_thermal_s", START_HEATING_S)
 
+    @property
+    def surface_depth_h(self) -> float:
+        """Depth of the surface's SOC in the model [h]."""
+        return float(self._scalars.surface_per_A * self.model.capacity_Ah)
+
+    @property
+    def surface_s(self) -> float:
+        """Time constant of the surface's SOC where ``ln_surface_s`` is zero [s]."""
+        if self.surface_depth_h != 0.0:
+            return self._scalars.surface_s
+        return self.shapes.get("ln_surface_s", START_SURFACE_S)
+
     def r3_ohm(self, z: Mapping[str, float]) -> float:
         """Median resistance of the slow branch [ohm]."""
         if self.has_slow:
@@ -162,6 +177,8 @@ class Coordinates:
             leak_A=base.leak_A + at("leak_A"),
             heating_K_per_W=base.heating_K_per_W + at("rth_K_per_W"),
             heating_s=self.thermal_s * math.exp(at("ln_thermal_s")),
+            surface_per_A=base.surface_per_A + at("surface_h") / self.model.capacity_Ah,
+            surface_s=self.surface_s * math.exp(at("ln_surface_s")),
             skew_s=0.0,  # the current is shifted before it reaches the kernel
         )
         return KernelInputs(
@@ -203,7 +220,7 @@ class Coordinates:
         scalar = _SCALAR.get(name)
         if scalar is not None:
             unit = getattr(inputs.scalars, scalar) if name.startswith("ln_") else 1.0
-            if name == "rate_h":
+            if name in ("rate_h", "surface_h"):
                 unit = 1.0 / self.model.capacity_Ah
             d[CellScalars._fields.index(scalar)] = unit
         return d
@@ -264,4 +281,6 @@ _SCALAR = {
     "leak_A": "leak_A",
     "rth_K_per_W": "heating_K_per_W",
     "ln_thermal_s": "heating_s",
+    "surface_h": "surface_per_A",
+    "ln_surface_s": "surface_s",
 }

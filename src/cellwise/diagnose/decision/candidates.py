@@ -9,8 +9,10 @@ import numpy as np
 
 from cellwise.cell.metrics import RESAMPLES, block_sums
 from cellwise.diagnose.causes.catalogue import Cause
+from cellwise.diagnose.decision.posterior import Hypothesis
 from cellwise.diagnose.fit.gain import gain_of
 from cellwise.diagnose.fit.least_squares import Fit
+from cellwise.diagnose.fit.likelihood import Prediction
 from cellwise.diagnose.fit.noise import Noise
 from cellwise.diagnose.fit.rows import FITTED, HELD, Evidence
 from cellwise.typing import FloatArray
@@ -37,6 +39,10 @@ class Candidate:
     def name(self) -> str:
         """Name of the cause."""
         return self.cause.name
+
+    def hypothesis(self, before: Sequence[str], none: Prediction) -> Hypothesis:
+        """The set that it makes with the causes ``before`` it, ``none`` being those alone."""
+        return Hypothesis((*before, self.name), none.total + self.score, self.terms)
 
 
 def held_interval_low(evidence: Evidence, more: FloatArray, rng: np.random.Generator) -> float:

@@ -22,6 +22,7 @@ from cellwise.diagnose.decision.acceptance import (
 )
 from cellwise.diagnose.decision.candidates import Candidate, clearly_ahead, held_interval_low
 from cellwise.diagnose.decision.outcome import Accepted, Outcome, Stage
+from cellwise.diagnose.decision.posterior import Hypothesis, Weighed, weigh
 from cellwise.diagnose.decision.revision import aged, refitted, unnecessary
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.gain import Gain
@@ -39,6 +40,10 @@ from cellwise.typing import FloatArray
 Progress = Callable[[float, str], None]
 
 MOST_CAUSES = 5
+# Rivals of each accepted cause that are fitted in its place.
+RIVALS = 2
+# A rest that lies three standard deviations off refutes a claim on charge (nats).
+REFUTED = 0.5 * 3.0**2
 FINALISTS = 5
 # The search begins with a noise that is forgiving at once and firm in the long run, so that what
 # drifts is not taken for noise before any cause was tried.
@@ -57,10 +62,12 @@ class ModelComparison:
     progress: Progress | None = None
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)
     _said: float = field(default=0.0)
+    _base: tuple[Fit, Noise] = field(init=False)
 
     def run(self, causes: Sequence[Cause], base: Fit, noise: Noise) -> Outcome:
         """Accept causes one by one on top of the base until nothing is left to explain."""
         stage = Stage((), self.fits.prior, base, noise)
+        self._base = base, noise
         first: tuple[Candidate, ...] = ()
         between: tuple[Candidate, ...] = ()
         reasons: list[str] = []
@@ -91,6 +98,7 @@ class ModelComparison:
                 cleared.add(name)
                 kept = [a for a in stage.accepted if a.cause.name != name]
                 stage = refitted(self.fits, kept, base, stage.fit)
+        weighed = self._weighed(stage, first, between)
         return Outcome(
             stage.accepted,
             stage.fit,
@@ -100,7 +108,49 @@ class ModelComparison:
             stage.noise,
             stage.prior,
             tuple(reasons),
+            weighed,
         )
+
+    def _weighed(
+        self, stage: Stage, first: tuple[Candidate, ...], between: tuple[Candidate, ...]
+    ) -> tuple[Weighed, ...]:
+        """The accepted set among its rivals: one cause less, or another one in its place.
+
+        Candidates of the first round stand for the rivals of a single cause; where several
+        causes are accepted, each is taken out, and its rivals are fitted in its place.
+        """
+        fits, rng = self.fits, np.random.default_rng(self.fits.seed)
+        causes = stage.causes
+        none = Stage((), fits.prior, self._base[0], self._base[1])
+        empty = self._explained(none)
+        sets = [Hypothesis.of((), empty)]
+        if not causes:
+            sets += [c.hypothesis((), empty) for c in between or first]
+            return weigh(sets, fits.evidence, rng)
+        names = [c.name for c in causes]
+        sets.append(Hypothesis.of(names, self._explained(stage)))
+        if len(causes) == 1:
+            sets += [c.hypothesis((), empty) for c in first if not self._refuted(c, none)]
+            return weigh(sets, fits.evidence, rng)
+        rivals = [c for c in first if c.name not in names and c.score > LEAST_SCORE]
+        for k, out in enumerate(stage.accepted):
+            kept = (*stage.accepted[:k], *stage.accepted[k + 1 :])
+            others = [a.cause for a in kept]
+            found = fits.fit_causes(others, stage.fit, stage.noise)
+            less = Stage(kept, fits.widened_for(others, found.coordinates), found, stage.noise)
+            before = self._explained(less)
+            sets.append(Hypothesis.of([c.name for c in others], before))
+            near = [r for r in rivals if r.name in out.cause.confused_with][:RIVALS]
+            if not near:
+                continue
+            frozen = freeze(
+                fits.objective(less.noise), found.coordinates, less.prior.names, found.z
+            )
+            for rival in near:
+                tried = self._candidate(rival.cause, less, less.noise, frozen, before)
+                if not self._refuted(tried, less):
+                    sets.append(tried.hypothesis([c.name for c in others], before))
+        return weigh(sets, fits.evidence, rng)
 
     def _with(
         self,
@@ -260,11 +310,24 @@ class ModelComparison:
                 break
             alone, together = self._gains(candidate, stage)
             wide = widened_for(stage.prior, candidate.cause, candidate.fit.coordinates, evidence)
-            refusal = unphysical(candidate, wide) or immaterial(candidate, alone, together, claim)
+            refusal = (
+                unphysical(candidate, wide)
+                or self._refuted(candidate, stage)
+                or immaterial(candidate, alone, together, claim)
+            )
             if not refusal:
                 return ranked[k:], (alone, together), refused
             refused.append(refusal)
         return ranked, None, refused
+
+    def _refuted(self, candidate: Candidate, stage: Stage) -> str:
+        """What a rest says against a claim on charge that the stage does not make; else empty."""
+        rests, found = self.fits.rests, candidate.fit
+        before = rests.ln_likelihood(stage.fit.coordinates, stage.fit.z)
+        after = rests.ln_likelihood(found.coordinates, found.z)
+        if after > before - REFUTED:
+            return ""
+        return f"{candidate.name} is refuted: {rests.contradiction(found.coordinates, found.z)}"
 
     def _both_needed(
         self, best: Candidate, alternatives: Sequence[Candidate], stage: Stage

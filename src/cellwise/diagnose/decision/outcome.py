@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from cellwise.diagnose.causes.catalogue import Cause
 from cellwise.diagnose.decision.candidates import Candidate
+from cellwise.diagnose.decision.posterior import Weighed
 from cellwise.diagnose.fit.gain import Gain
 from cellwise.diagnose.fit.least_squares import Fit, Prior
 from cellwise.diagnose.fit.noise import Noise
@@ -41,7 +42,8 @@ class Stage:
 class Outcome:
     """Accepted causes, the last fit, all candidates of the first round.
 
-    ``open_between`` are the candidates that could not be separated where the search stopped.
+    ``open_between`` are the candidates that could not be separated where the search stopped,
+    ``weighed`` the sets of causes that were compared with the accepted one.
     """
 
     accepted: tuple[Accepted, ...]
@@ -52,3 +54,4 @@ class Outcome:
     noise: Noise
     prior: Prior
     reasons: tuple[str, ...]
+    weighed: tuple[Weighed, ...] = ()

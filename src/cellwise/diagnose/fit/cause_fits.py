@@ -14,7 +14,7 @@ from cellwise.diagnose.fit.least_squares import Fit, Frozen, Objective, Prior, c
 from cellwise.diagnose.fit.likelihood import Prediction, predict
 from cellwise.diagnose.fit.noise import Noise, at_least, estimate_noise, log_scales
 from cellwise.diagnose.fit.priors import widened_for
-from cellwise.diagnose.fit.rest_current import RestReading
+from cellwise.diagnose.fit.rest_voltages import RestVoltages
 from cellwise.diagnose.fit.rows import IGNORED, Evidence
 from cellwise.diagnose.fit.whitening_kernels import NoiseLevel
 from cellwise.typing import BoolArray, FloatArray
@@ -31,7 +31,7 @@ class CauseFits:
 
     ``prior`` are the tolerances, no cause estimated. ``floor`` is a noise below which nothing
     counts; ``most_slow_V`` is the slow error that the model states: persistent error beyond it
-    is to be explained, or noise would explain all. ``rest`` is what the logs read at rest.
+    is to be explained, or noise would explain all. ``rests`` are the voltages at rest.
     """
 
     evidence: Evidence
@@ -39,7 +39,7 @@ class CauseFits:
     prior: Prior
     floor: NoiseLevel
     most_slow_V: float
-    rest: RestReading
+    rests: RestVoltages
     seed: int
     amplitude: FloatArray = field(default_factory=lambda: np.ones(1))
 
@@ -67,6 +67,12 @@ class CauseFits:
         """The most likely point under a noise (:func:`cellwise.diagnose.fit.least_squares.fit`)."""
         objective = self.objective(noise)
         return fit(objective, coordinates, prior, start, iterations, None, frozen, moving)
+
+    def fit_causes(self, causes: Sequence[Cause], near: Fit, noise: Noise) -> Fit:
+        """A thorough fit of all causes together, from a point nearby."""
+        prior = self.widened_for(causes, near.coordinates)
+        found = self.fit(noise, near.coordinates, prior, near.z, THOROUGH)
+        return complete(self.objective(noise), found, prior)
 
     def widened_for(self, causes: Iterable[Cause], coordinates: Coordinates) -> Prior:
         """The tolerances, widened for all of the causes."""
@@ -114,9 +120,14 @@ class CauseFits:
     def explained(
         self, found: Fit, noise: Noise, prior: Prior, causes: Iterable[Cause]
     ) -> Prediction:
-        """How likely all rows are with the causes estimated, and what the current reads at rest."""
+        """How likely all rows are with the causes estimated, and what the logs read at rest."""
         found_so = predict(self.objective(noise), found, prior, kept_coordinates(causes))
-        return found_so._replace(total=found_so.total + self.rest.ln_likelihood(found.z))
+        return found_so._replace(total=found_so.total + self.at_rest(found))
+
+    def at_rest(self, found: Fit) -> float:
+        """Ln likelihood of what voltage and current sensor read at rest."""
+        voltage = self.rests.ln_likelihood(found.coordinates, found.z)
+        return voltage + self.evidence.rest.ln_likelihood(found.z)
 
     def alone(self, found: Fit, causes: Iterable[Cause]) -> Fit:
         """The causes' coordinates as found, tolerances at neutral.

@@ -103,6 +103,8 @@ def widened_for(prior: Prior, cause: Cause, coordinates: Coordinates, evidence: 
     high: dict[str, float] = {}
     for p in cause.parameters:
         wide = p.wide * (model.capacity_Ah if p.per == "capacity" else 1.0)
+        if p.coordinate == "offset_A" and evidence.rest.zero:
+            wide = evidence.rest.std_A  # the sensor reads nothing where nothing flows
         if p.coordinate == "soc0":
             std.update(dict.fromkeys(evidence.starts(), wide))
             for name, log in zip(evidence.starts(), evidence.logs, strict=True):
@@ -148,6 +150,10 @@ def coordinate_bounds(
         return math.log(low / coordinates.gamma), math.log(high / coordinates.gamma)
     if name == "ln_thermal_s":
         return math.log(low / coordinates.thermal_s), math.log(high / coordinates.thermal_s)
+    if name == "ln_surface_s":
+        return math.log(low / coordinates.surface_s), math.log(high / coordinates.surface_s)
+    if name == "surface_h":
+        return low - coordinates.surface_depth_h, high
     if name == "r3":
         return (-3.0, 3.0) if coordinates.has_slow else (0.0, high / coordinates.r_typical_ohm)
     if name == "activation_K":
@@ -163,19 +169,24 @@ def structure_prior(prior: Prior) -> Prior:
     return _bounded(Prior({**std, **starts}, {}, {}, {}), (*std, *starts))
 
 
-def calibrated(prior: Prior, found: Fit) -> Prior:
-    """Tolerances about what was calibrated on a baseline, with the correlations that it leaves."""
+def calibrated(prior: Prior, found: Fit, share: float = 1.0) -> Prior:
+    """Tolerances about what was calibrated on a baseline, with the correlations that it leaves.
+
+    ``share`` (0..1) is how much of the calibration is taken; without any, tolerances stay as wide
+    as those of a good laboratory.
+    """
     names = [n for n in STRUCTURE if n in prior.std]
     place = [found.names.index(n) for n in names]
-    covariance = found.covariance[np.ix_(place, place)].copy()
-    drift = np.array([STILL_OPEN * prior.std[n] for n in names])
+    covariance = share * share * found.covariance[np.ix_(place, place)]
+    still = STILL_OPEN**share
+    drift = np.array([still * prior.std[n] for n in names])
     deviation = np.sqrt(np.diag(covariance) + drift**2)
     np.fill_diagonal(covariance, 0.0)
     # Same cell, same instruments: what else could be off has shown there too.
-    std = {n: v if n.startswith("soc0:") else STILL_OPEN * v for n, v in prior.std.items()} | dict(
+    std = {n: v if n.startswith("soc0:") else still * v for n, v in prior.std.items()} | dict(
         zip(names, (float(v) for v in deviation), strict=True)
     )
-    mean = {n: found.z[n] for n in names}
+    mean = {n: share * found.z[n] for n in names}
     wider = _bounded(prior.widened(std, mean, {}, {}), std)
     return replace(wider, linked=tuple(names), cross=covariance)
 
@@ -201,6 +212,8 @@ def starts_to_try(
         own = coordinates.tau3_s
     if name == "ln_gamma" and coordinates.has_hysteresis:
         own = coordinates.gamma
+    if name == "ln_surface_s" and coordinates.surface_depth_h > 0.0:
+        own = coordinates.surface_s
     if own is None:
         return [(replace(coordinates, shapes={**coordinates.shapes, name: v}), {}) for v in values]
     away = [math.log(v / own) for v in values]

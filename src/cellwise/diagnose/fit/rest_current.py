@@ -15,9 +15,10 @@ REST_S = 60.0
 SMALL_C = 0.06
 QUIET_C = 0.02
 # How well a reading at rest determines the offset; a load that never switches off may look like a
-# rest, so the reading never outweighs the voltage by more than MOST nats.
+# rest, so a reading other than zero never outweighs the voltage by more than MOST nats.
 STD_C = 0.001
 MOST = 12.0
+ZERO_STDS = 3.0
 
 
 @dataclass(frozen=True)
@@ -27,12 +28,21 @@ class RestReading:
     mean_A: float | None
     std_A: float
 
+    @property
+    def zero(self) -> bool:
+        """Whether the sensor reads nothing where nothing flows: then it has no offset."""
+        return self.mean_A is not None and abs(self.mean_A) < ZERO_STDS * self.std_A
+
     def ln_likelihood(self, z: Mapping[str, float]) -> float:
-        """Ln likelihood of a sensor offset, at least -MOST."""
+        """Ln likelihood of a sensor offset; at least -MOST where the reading may be a load."""
         if self.mean_A is None:
             return 0.0
         away = (z.get("offset_A", 0.0) - self.mean_A) / self.std_A
-        return -min(0.5 * away * away, MOST)
+        square = 0.5 * away * away
+        return -(square if self.zero else min(square, MOST))
+
+
+NO_READING = RestReading(None, 1.0)
 
 
 def rest_reading(logs: Sequence[CellLog], capacity_Ah: float) -> RestReading:

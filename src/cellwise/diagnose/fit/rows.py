@@ -16,6 +16,7 @@ from cellwise.cell.simulate import known_temperature_C, start_hysteresis
 from cellwise.diagnose.causes.coordinates import CURRENT_NAMES, Coordinates, KernelInputs
 from cellwise.diagnose.causes.current_kernels import shift_rows
 from cellwise.diagnose.causes.sensitivity_kernels import derivative_rows, voltage_rows
+from cellwise.diagnose.fit.rest_current import NO_READING, RestReading, rest_reading
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray, IntArray
 
@@ -71,6 +72,7 @@ class Evidence:
     known: BoolArray
     role: IntArray
     block: IntArray
+    rest: RestReading = NO_READING
 
     @property
     def rows(self) -> int:
@@ -91,6 +93,7 @@ class Evidence:
             self.known[rows],
             self.role[rows],
             self.block[rows],
+            self.rest,
         )
 
     def starts(self) -> list[str]:
@@ -216,6 +219,7 @@ def gather(
         np.isfinite(voltage),
         np.concatenate([g.role for g in made]),
         np.concatenate([g.block for g in made]),
+        rest_reading([g.log for g in made], model.capacity_Ah),
     )
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from cellwise.diagnose.causes.catalogue import CAUSES
+from cellwise.diagnose.log_runs import LogRun
 from cellwise.diagnose.result import Diagnosis, FoundCause
 from cellwise.plotting import Line, Panel
 from cellwise.report.diagnosis.anatomy_section import anatomy_section
@@ -17,11 +18,12 @@ from cellwise.report.diagnosis.pictures import (
     draw_candidates,
     drawn_runs,
 )
-from cellwise.report.diagnosis.runs import BeforeAfter, before_after, with_anatomy
 from cellwise.report.diagnosis.statements import (
     KINDS,
     cause_name,
     diagnosis_finding,
+    judged_run,
+    named_log,
     statement,
     valued,
 )
@@ -36,7 +38,15 @@ from cellwise.report.page.markup import (
     table,
     tiles,
 )
-from cellwise.report.page.numerals import counted, listed, millivolt, percent, plural, significant
+from cellwise.report.page.numerals import (
+    ampere_hours,
+    counted,
+    listed,
+    millivolt,
+    percent,
+    plural,
+    significant,
+)
 from cellwise.report.page.picture import FigureFiles, Picture, safe_key
 from cellwise.report.page.section import Section, write_page
 
@@ -58,21 +68,21 @@ def diagnose_page(
     ------
     InputError        matplotlib is missing; the path cannot be written
     """
-    diagnosis = with_anatomy(diagnosis)
-    runs = before_after(diagnosis)
+    runs = in_order(diagnosis.runs)
     name = diagnosis.model.name or "the model"
     return write_page(
         path,
-        diagnosis_finding(diagnosis),
+        # Plain spaces: programs read the figures in it, too.
+        diagnosis_finding(diagnosis).replace("\N{NO-BREAK SPACE}", " "),
         f"Errors of {name} on {_names(diagnosis)}, by cellwise",
         diagnosis_sections(diagnosis, runs),
-        diagnosis_data(diagnosis, runs),
+        diagnosis.to_dict(),
         lead=Markup(diagnosis_tiles(diagnosis) + bullets(lead_lines(diagnosis))),
         figures=figures,
     )
 
 
-def diagnosis_sections(diagnosis: Diagnosis, runs: Sequence[BeforeAfter]) -> tuple[Section, ...]:
+def diagnosis_sections(diagnosis: Diagnosis, runs: Sequence[LogRun]) -> tuple[Section, ...]:
     """The parts of the page."""
     explained = bool(diagnosis.causes)
     caption = BEFORE_AFTER_CAPTION if explained else UNCHANGED_CAPTION
@@ -93,16 +103,21 @@ def diagnosis_sections(diagnosis: Diagnosis, runs: Sequence[BeforeAfter]) -> tup
         evidence = Picture("candidates", draw_candidates(diagnosis), CANDIDATES_CAPTION)
         shown = (evidence, bullets(diagnosis.reasons), candidates_table(diagnosis))
         sections.append(Section("evidence", "What was tried", shown, "Evidence"))
+    if diagnosis.competing:
+        sections.append(Section("competing", "What competes", (competing_table(diagnosis),)))
+    if diagnosis.limits:
+        apart = (bullets(inseparable_lines(diagnosis)), limits_table(diagnosis))
+        sections.append(Section("limits", "What these logs could show", apart, "Limits"))
     if diagnosis.next_test:
         sections.append(Section("next", "Next test", (paragraph(diagnosis.next_test),)))
     sections.append(anatomy_section(diagnosis.anatomy, diagnosis.logs[0].name or "log"))
     if pictures[1:]:
         sections.append(Section("logs", "The other logs", tuple(pictures[1:])))
-    sections.append(trace_section([(named(r), run_traces(r, explained)) for r in runs]))
+    sections.append(trace_section([(named_log(r), run_traces(r, explained)) for r in runs]))
     return tuple(sections)
 
 
-def run_traces(run: BeforeAfter, explained: bool) -> Traces:
+def run_traces(run: LogRun, explained: bool) -> Traces:
     """Voltages, residuals and current of a log, before and after."""
     hours = run.log.time_s / 3600.0
     drawn = drawn_runs(run, explained)
@@ -118,37 +133,23 @@ def run_traces(run: BeforeAfter, explained: bool) -> Traces:
     return Traces("time [h]", panels)
 
 
-def named(run: BeforeAfter) -> str:
-    """A log's name, and whether the fit has seen it."""
-    return f"{run.log.name or 'log'}{' (held out)' if run.held_out else ''}"
-
-
-def diagnosis_data(diagnosis: Diagnosis, runs: Sequence[BeforeAfter]) -> dict[str, object]:
-    """The figures for machines: the command's keys, and every log before and after."""
-    logs = [
-        {
-            "log": r.log.name,
-            "held_out": r.held_out,
-            "rmse_before_V": r.before.metrics.rmse_V,
-            "rmse_after_V": r.after.metrics.rmse_V,
-        }
-        for r in runs
-    ]
-    return {**diagnosis.to_dict(), "logs": logs}
+def in_order(runs: Sequence[LogRun]) -> tuple[LogRun, ...]:
+    """Held-out logs first."""
+    return tuple(sorted(runs, key=lambda r: r.used != "holdout"))
 
 
 def diagnosis_tiles(diagnosis: Diagnosis) -> Markup:
     """Key figures."""
     facts: list[tuple[object, object]] = [("verdict", cause_name(diagnosis.verdict))]
     if diagnosis.causes:
-        first, last = diagnosis.causes[0], diagnosis.causes[-1]
-        facts += [
-            ("held-out RMSE before", millivolt(first.holdout_rmse_before_V)),
-            ("after", millivolt(last.holdout_rmse_after_V)),
-            ("first cause's gain, 95 %", _interval(first.gain_ci95)),
-        ]
-    else:
-        facts.append(("RMSE of the first log", millivolt(diagnosis.anatomy.get("rmse_V"))))
+        facts.append(("first cause's gain, 95 %", _interval(diagnosis.causes[0].gain_ci95)))
+    if (judged := judged_run(diagnosis)) is not None:
+        facts.append((f"RMSE on {named_log(judged)}", millivolt(judged.before.metrics.rmse_V)))
+        if diagnosis.causes:
+            facts.append(("with the extended model", millivolt(judged.after.metrics.rmse_V)))
+        if judged.corrected is not None:
+            corrected = millivolt(judged.corrected.metrics.rmse_V)
+            facts.append(("and with the log corrected", corrected))
     facts.append(("causes tried", counted(len(diagnosis.candidates))))
     return tiles(facts)
 
@@ -168,18 +169,21 @@ def lead_lines(diagnosis: Diagnosis) -> list[str]:
         lines.append(f"{prefix}{meaning[:1].lower()}{meaning[1:]}" if prefix else meaning)
     if diagnosis.causes:
         where = (
-            f"Held out: {_held(diagnosis)}; only its initial SOC was fitted."
+            f"Held out: {_held(diagnosis)}; nothing but an initial SOC was fitted there."
             if diagnosis.holdout
             else "Held out: later blocks of the logs themselves, never used in the fit."
         )
         lines.append(where)
     gain = diagnosis.soc_gain
-    if gain and "soc_rmse_before" in gain and "soc_rmse_after" in gain:
+    if gain is not None:
         lines.append(
-            f"SOC by the EKF on {gain.get('log') or 'the log'}: RMSE "
+            f"SOC by the EKF on {gain['log'] or 'the log'}: RMSE "
             f"{percent(gain['soc_rmse_before'])} before, {percent(gain['soc_rmse_after'])} after, "
-            "against the tester's counter."
+            f"against the tester's counter over {ampere_hours(gain['reference_capacity_Ah'])}: "
+            f"{gain['reference']}."
         )
+    elif diagnosis.no_soc_gain:
+        lines.append(f"No gain in SOC is claimed: {diagnosis.no_soc_gain}.")
     if diagnosis.next_test:
         lines.append(f"Next test: {diagnosis.next_test}")
     return lines
@@ -189,7 +193,8 @@ def cause_content(cause: FoundCause, diagnosis: Diagnosis) -> Markup:
     """One cause: meaning, numbers, evidence, what it is confused with."""
     known = CAUSES[cause.name]
     name = cause_name(cause.name)
-    head_line = Markup(f"<h3>{escape(name[:1].upper() + name[1:])}</h3>")
+    sure = f", probability {percent(cause.probability, 0)}" if cause.probability >= 0.0 else ""
+    head_line = Markup(f"<h3>{escape(name[:1].upper() + name[1:] + sure)}</h3>")
     head_line = Markup(head_line + paragraph(f"{statement(cause, diagnosis)}. {cause.meaning}"))
     units = {p.name: p.unit for p in known.parameters}
     rows = [
@@ -218,25 +223,68 @@ def cause_content(cause: FoundCause, diagnosis: Diagnosis) -> Markup:
     return Markup(head_line + bullets(lines) + numbers + table(head, before_after_rows))
 
 
-def runs_table(runs: Sequence[BeforeAfter], explained: bool) -> Markup:
+def runs_table(runs: Sequence[LogRun], explained: bool) -> Markup:
     """Every log before and after."""
-    rows = [
-        (
+    corrected = any(r.corrected is not None for r in runs)
+    head = ["log", "used", "rows", "initial SOC", "RMSE before" if explained else "RMSE"]
+    if explained:
+        head += ["extended model", *(["log corrected, too"] if corrected else []), "less by"]
+    rows = []
+    for r in runs:
+        row = [
             r.log.name or "log",
-            "held out" if r.held_out else "fitted",
+            "held out" if r.used == "holdout" else "fitted",
             counted(len(r.log)),
+            f"{r.before.soc0:.3f}",
             millivolt(r.before.metrics.rmse_V),
-            *((millivolt(r.after.metrics.rmse_V), percent(r.gain, 0)) if explained else ()),
-        )
-        for r in runs
-    ]
-    head = ("log", "used", "rows", "RMSE before" if explained else "RMSE")
-    extra = ("after", "less by") if explained else ()
+        ]
+        if explained:
+            row.append(millivolt(r.after.metrics.rmse_V))
+            if r.corrected is not None:
+                row.append(millivolt(r.corrected.metrics.rmse_V))
+            row.append(percent(r.gain, 0))
+        rows.append(tuple(row))
     caption = (
-        "All rows of every log; the model comparison leaves out the first part of a held-out log, "
-        "which determines its initial SOC. One that was not given is found by each model."
+        "What `simulate` shows with either model: all rows of every log, from this initial SOC."
     )
-    return table((*head, *extra), rows, caption=caption, text_columns=(0, 1))
+    if corrected:
+        caption += " Beside it, the corrected log from the SOC at which it is estimated to start."
+    return table(tuple(head), rows, caption=caption, text_columns=(0, 1))
+
+
+def competing_table(diagnosis: Diagnosis) -> Markup:
+    """Explanations that were weighed, with their probability."""
+    rows = [
+        (listed([cause_name(c) for c in w.causes]) or "none", percent(w.probability, 0))
+        for w in diagnosis.competing
+    ]
+    caption = (
+        "Sets of causes and their probability among all that were compared; blocks of time "
+        "weighted at random."
+    )
+    return table(("explanation", "probability"), rows, caption=caption, text_columns=(0,))
+
+
+def inseparable_lines(diagnosis: Diagnosis) -> list[str]:
+    """Groups that these logs cannot tell apart."""
+    return [
+        f"These logs cannot tell apart {listed([cause_name(c) for c in group])}."
+        for group in diagnosis.inseparable
+    ]
+
+
+def limits_table(diagnosis: Diagnosis) -> Markup:
+    """The smallest change of every cause's parameters that these logs could show."""
+    rows = []
+    for name, sizes in diagnosis.limits.items():
+        units = {p.name: p.unit for p in CAUSES[name].parameters}
+        values = ", ".join(f"{k} {valued(v, units.get(k, '1'))}" for k, v in sizes.items())
+        rows.append((cause_name(name), values))
+    caption = (
+        "From sensitivities and noise, before any cause was fitted: smaller changes cannot be told "
+        "from what a good laboratory leaves uncertain."
+    )
+    return table(("cause", "smallest change"), rows, caption=caption, text_columns=(0, 1))
 
 
 def candidates_table(diagnosis: Diagnosis) -> Markup:

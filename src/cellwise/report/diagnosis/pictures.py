@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cellwise.cell.metrics import error_metrics
+from cellwise.diagnose.log_runs import LogRun
 from cellwise.diagnose.result import Diagnosis, TriedCause
-from cellwise.report.diagnosis.runs import BeforeAfter
-from cellwise.report.diagnosis.statements import cause_name, fall
+from cellwise.report.diagnosis.statements import cause_name, change, named_log
 from cellwise.report.page.numerals import duration, millivolt, significant, time_unit
 from cellwise.report.page.style import (
     FILTER,
@@ -61,7 +61,7 @@ SURE_NATS = 10.0
 
 
 @styled
-def draw_before_after(run: BeforeAfter, explained: bool) -> Figure:
+def draw_before_after(run: LogRun, explained: bool) -> Figure:
     """Voltage and residual of a log before and after, the worst minutes, error by SOC."""
     figure = new_figure(6.0)
     left, right = two_columns(figure, (2.3, 0.8, 1.9), (2.3, 1.9))
@@ -77,10 +77,9 @@ def draw_before_after(run: BeforeAfter, explained: bool) -> Figure:
     top.plot(*thin(t, log.voltage_V, gaps=gaps), color=MEASURED, linewidth=1.6, label="measured")
     for name, voltage, _, colour in runs:
         top.plot(*thin(t, voltage, gaps=gaps), color=colour, linewidth=0.8, label=name)
-    before, after = run.before.metrics.rmse_V, run.after.metrics.rmse_V
-    which = f"{log.name or 'log'}{' (held out)' if run.held_out else ''}"
-    text = f"error {fall(before, after)}" if explained else f"{millivolt(before)} RMSE"
-    finding(top, f"{which}: {text}", WIDE)
+    size = millivolt(run.before.metrics.rmse_V)
+    text = f"error {change(run)}" if explained else f"{size} RMSE"
+    finding(top, f"{named_log(run)}: {text}", WIDE)
     labels(top, "", "voltage [V]")
     legend(top, columns=3)
     middle.plot(*thin(t, log.known_current_A(), gaps=gaps), color=MEASURED, linewidth=0.8)
@@ -99,7 +98,7 @@ def draw_before_after(run: BeforeAfter, explained: bool) -> Figure:
     return figure
 
 
-def drawn_runs(run: BeforeAfter, explained: bool) -> list[tuple[str, np.ndarray, np.ndarray, str]]:
+def drawn_runs(run: LogRun, explained: bool) -> list[tuple[str, np.ndarray, np.ndarray, str]]:
     """Name, voltage as the sensor would read it, residual and colour of what is drawn."""
     before = (
         "before" if explained else "simulated",
@@ -110,13 +109,15 @@ def drawn_runs(run: BeforeAfter, explained: bool) -> list[tuple[str, np.ndarray,
     if not explained:
         return [before]
     # What was taken off the measured voltage stands on the model's here: one measurement is drawn.
-    moved = run.log.voltage_V - run.after.log.voltage_V
-    return [before, ("after", run.after.voltage_V + moved, run.after.error_V, FILTER)]
+    after = run.explained
+    moved = run.log.voltage_V - after.log.voltage_V
+    name = "after" if run.corrected is None else "after, log corrected"
+    return [before, (name, after.voltage_V + moved, after.error_V, FILTER)]
 
 
 def _draw_worst(
     axes: Axes,
-    run: BeforeAfter,
+    run: LogRun,
     runs: list[tuple[str, np.ndarray, np.ndarray, str]],
     rows: slice,
     length_s: float,
@@ -133,10 +134,10 @@ def _draw_worst(
     labels(axes, f"time [{unit}]", "voltage [V]")
 
 
-def _draw_by_soc(axes: Axes, run: BeforeAfter, explained: bool) -> None:
+def _draw_by_soc(axes: Axes, run: LogRun, explained: bool) -> None:
     """RMSE by tenth of SOC, before and after side by side."""
     pairs = [(run.before, MODEL, -2.1, "before")]
-    pairs += [(run.after, FILTER, 2.1, "after")] if explained else []
+    pairs += [(run.explained, FILTER, 2.1, "after")] if explained else []
     for simulation, colour, shift, name in pairs:
         bands = [b for b in simulation.bands if np.isfinite(b.metrics.rmse_V)]
         centre = np.array([50.0 * (b.soc_low + b.soc_high) for b in bands])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from cellwise.diagnose.log_runs import LogRun
 from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
 from cellwise.report.page.numerals import (
     ampere_hours,
@@ -33,16 +34,22 @@ def cause_name(name: str) -> str:
 def diagnosis_finding(diagnosis: Diagnosis) -> str:
     """The first line: what is wrong and what its correction gains."""
     if diagnosis.causes:
-        first, last = diagnosis.causes[0], diagnosis.causes[-1]
-        text = statement(first, diagnosis)
+        text = statement(diagnosis.causes[0], diagnosis)
         others = [cause_name(c.name) for c in diagnosis.causes[1:]]
         more = f", with {listed(others)}" if others else ""
-        before, after = first.holdout_rmse_before_V, last.holdout_rmse_after_V
-        return f"{text}{more}: held-out error {fall(before, after)}."
+        judged = judged_run(diagnosis)
+        said = "" if judged is None else f": error on {named_log(judged)} {change(judged)}"
+        return f"{text}{more}{said}."
     if diagnosis.verdict == "none":
-        error = diagnosis.anatomy.get("rmse_V")
-        rest = "" if error is None else f" The residual is {millivolt(error)} RMSE."
+        judged = judged_run(diagnosis)
+        rest = ""
+        if judged is not None:
+            error = millivolt(judged.before.metrics.rmse_V)
+            rest = f" The residual on {named_log(judged)} is {error} RMSE."
         return f"These data show no error beyond the stated one.{rest}"
+    if diagnosis.verdict == "unexplained":
+        why = f": {diagnosis.reasons[0]}" if diagnosis.reasons else ""
+        return f"The model is wrong, and none of the causes tried explains it{why}."
     alike = _alike(diagnosis)
     if len(alike) < 2:
         why = f": {diagnosis.reasons[0].rstrip('.')}" if diagnosis.reasons else ""
@@ -62,6 +69,28 @@ def _alike(diagnosis: Diagnosis) -> list[TriedCause]:
     if len(open_between) > 1:
         return open_between
     return [c for c in diagnosis.candidates if c.score > LEAST_SCORE]
+
+
+def judged_run(diagnosis: Diagnosis) -> LogRun | None:
+    """The log that the first line speaks of: the first that was held out, else the first."""
+    held = [r for r in diagnosis.runs if r.used == "holdout"]
+    return next(iter((*held, *diagnosis.runs)), None)
+
+
+def named_log(run: LogRun) -> str:
+    """A log's name, and whether the fit has seen it."""
+    return f"{run.log.name or 'the log'}{' (held out)' if run.used == 'holdout' else ''}"
+
+
+def change(run: LogRun) -> str:
+    """What `simulate` shows with both models; where the log is corrected, that beside it."""
+    before, after = run.before.metrics.rmse_V, run.after.metrics.rmse_V
+    if run.corrected is None:
+        return fall(before, after)
+    corrected = run.corrected.metrics.rmse_V
+    if math.isclose(before, after, rel_tol=1e-6):
+        return f"{fall(before, corrected)} with the log corrected"
+    return f"{fall(before, after)}, is {millivolt(corrected)} with the log corrected, too"
 
 
 def fall(before_V: float, after_V: float) -> str:
@@ -133,6 +162,10 @@ def _of_cell(cause: FoundCause, diagnosis: Diagnosis) -> str:
         rise = significant(p["rth_K_per_W"])
         after = duration(p["thermal_s"])
         return f"The cell is warmer inside than logged, {rise} K per watt after {after}"
+    if name == "surface_soc":
+        depth = points(p["depth_h"])
+        after = duration(p["surface_s"])
+        return f"At 1C the surface of the particles is {depth} below the mean SOC after {after}"
     if name == "self_discharge":
         return f"The cell discharges itself by {ampere(p['leak_A'])}"
     return cause.meaning.rstrip(".")

@@ -1,0 +1,162 @@
+"""What these logs could show at all: from sensitivities and noise, before any cause is fitted.
+
+To second order a cause of size d changes ln p of the rows, against the tolerances alone, by
+
+    d^2 / 2 (1 / (s^2 + t^2) - 1 / (s^2 + w^2)) - ln((s^2 + w^2) / (s^2 + t^2)) / 2
+
+with s what the rows leave uncertain of it once everything else may move within its tolerance, t its
+tolerance and w the width of a fault.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellwise.diagnose.causes.catalogue import Cause
+from cellwise.diagnose.extension import value_of
+from cellwise.diagnose.fit.cause_fits import CauseFits
+from cellwise.diagnose.fit.least_squares import Fit, normal_of
+from cellwise.diagnose.fit.noise import Noise
+from cellwise.diagnose.fit.rows import IGNORED
+from cellwise.typing import FloatArray
+
+# A coordinate that the tolerances do not have is known to be neutral [its unit].
+NEUTRAL_STD = 1e-6
+# Effects of this many times their limit must be told apart ...
+TIMES = 2.0
+# ... by as many nats as 0.9 against 0.1 is.
+APART = math.log(9.0)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """``sizes``: cause to parameter to the smallest change that these logs could show.
+
+    ``inseparable``: groups of causes that they cannot tell apart at twice their limits.
+    """
+
+    sizes: dict[str, dict[str, float]]
+    inseparable: tuple[tuple[str, ...], ...]
+
+
+def limits(
+    fits: CauseFits, causes: Sequence[Cause], base: Fit, noise: Noise, least: float
+) -> Limits:
+    """Limits of every cause; ``least`` is the evidence that is asked for [nats]."""
+    names = list(fits.prior.names)
+    for cause in causes:
+        switches = cause.parameters[:1] if cause.shape is not None else cause.parameters
+        names += [
+            p.coordinate for p in switches if p.coordinate not in names and p.coordinate != "soc0"
+        ]
+    normal = _information(fits, base, noise, names)
+    tolerance = np.array([fits.prior.std.get(n, NEUTRAL_STD) for n in names])
+    sizes: dict[str, dict[str, float]] = {}
+    at_limit: dict[str, FloatArray] = {}
+    for cause in causes:
+        found = _sizes(fits, cause, names, normal, tolerance, least, base)
+        if found is None:
+            continue
+        sizes[cause.name], at_limit[cause.name] = found
+    known = [c for c in causes if c.name in at_limit]
+    pairs = [
+        (one.name, two.name)
+        for k, one in enumerate(known)
+        for two in known[k + 1 :]
+        if _alike(one, two, fits, names, normal, tolerance, at_limit)
+        and _alike(two, one, fits, names, normal, tolerance, at_limit)
+    ]
+    return Limits(sizes, _groups(pairs))
+
+
+def _information(fits: CauseFits, base: Fit, noise: Noise, names: list[str]) -> FloatArray:
+    """Fisher information of all used rows at the base fit."""
+    evidence, objective = fits.evidence, fits.objective(noise)
+    residual = np.nan_to_num(evidence.voltage_V - base.voltage_V)
+    jacobian = evidence.jacobian(base.coordinates, base.z, names)
+    white, _ = objective.whitened(np.column_stack((residual, jacobian)))
+    return normal_of(white, evidence.known & (evidence.role != IGNORED))[0]
+
+
+def _wide(fits: CauseFits, cause: Cause, names: list[str]) -> dict[int, float]:
+    """Places of a cause's coordinates and the widths of a fault in them."""
+    prior = fits.widened_for((cause,), fits.coordinates)
+    switches = cause.parameters[:1] if cause.shape is not None else cause.parameters
+    wanted = {p.coordinate for p in switches}
+    if "soc0" in wanted:
+        wanted = set(fits.evidence.starts())
+    return {k: prior.std[n] for k, n in enumerate(names) if n in wanted and n in prior.std}
+
+
+def _sizes(
+    fits: CauseFits,
+    cause: Cause,
+    names: list[str],
+    normal: FloatArray,
+    tolerance: FloatArray,
+    least: float,
+    base: Fit,
+) -> tuple[dict[str, float], FloatArray] | None:
+    wide = _wide(fits, cause, names)
+    if not wide:
+        return None
+    found: dict[str, float] = {}
+    change = np.zeros(len(names))
+    start = fits.evidence.logs[0].start.soc
+    for p in cause.parameters:
+        key = "soc0:0" if p.coordinate == "soc0" else p.coordinate
+        place = names.index(key) if key in names else -1
+        if place not in wide:
+            continue
+        free = 1.0 / tolerance**2
+        free[place] = 0.0
+        s2 = float(np.linalg.pinv(normal + np.diag(free))[place, place])
+        t2, w2 = s2 + tolerance[place] ** 2, s2 + wide[place] ** 2
+        if w2 <= t2:
+            continue
+        size = math.sqrt(2.0 * (least + 0.5 * math.log(w2 / t2)) / (1.0 / t2 - 1.0 / w2))
+        change[place] = size
+        moved = value_of(p.coordinate, size, fits.coordinates, start)
+        found[p.name] = abs(moved - value_of(p.coordinate, 0.0, fits.coordinates, start))
+    return (found, change) if found else None
+
+
+def _alike(
+    one: Cause,
+    two: Cause,
+    fits: CauseFits,
+    names: list[str],
+    normal: FloatArray,
+    tolerance: FloatArray,
+    at_limit: dict[str, FloatArray],
+) -> bool:
+    """Whether the second can explain the first at twice its limit as well as the first itself."""
+    change = TIMES * at_limit[one.name]
+    if len(_wide(fits, one, names)) > 1:
+        # Of several parameters the one that shows best stands for the cause.
+        place = int(np.argmax(np.abs(change) * np.sqrt(np.diag(normal))))
+        change = np.where(np.arange(change.size) == place, change, 0.0)
+    # What the rows say, not how likely such a fault is: the other's coordinates are free.
+    precision = 1.0 / tolerance**2
+    precision[list(_wide(fits, two, names))] = 0.0
+    # What the other's coordinates and all tolerances leave of it.
+    own = list(_wide(fits, one, names))
+    other = [k for k in range(len(names)) if k not in own or k in _wide(fits, two, names)]
+    pull = normal @ change
+    inner = normal[np.ix_(other, other)] + np.diag(precision[other])
+    left = float(change @ pull) - float(pull[other] @ np.linalg.pinv(inner) @ pull[other])
+    return 0.5 * left < APART
+
+
+def _groups(pairs: Sequence[tuple[str, str]]) -> tuple[tuple[str, ...], ...]:
+    """Pairs that share a cause are one group."""
+    groups: list[list[str]] = []
+    for one, two in pairs:
+        joined = [g for g in groups if one in g or two in g]
+        merged = list(dict.fromkeys([*(n for g in joined for n in g), one, two]))
+        groups = [g for g in groups if g not in joined] + [merged]
+    return tuple(tuple(g) for g in groups)

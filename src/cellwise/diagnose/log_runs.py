@@ -1,0 +1,195 @@
+"""Every log simulated as `simulate` does it: the model as it was, as it is now, the log corrected.
+
+What a diagnosis says of itself is said in these figures: all rows, every row counts once, the
+start that `simulate` takes, the same one for both models.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from cellwise.cell.initial_soc import InitialSoc
+from cellwise.cell.metrics import drawn_sums
+from cellwise.cell.model import CellModel
+from cellwise.cell.simulate import Simulation, simulate
+from cellwise.diagnose.extension import correct_log, extend_model, split_skew
+from cellwise.diagnose.fit.least_squares import Fit
+from cellwise.diagnose.fit.rows import FITTED, HELD, START, Evidence
+from cellwise.logs.cell_log import CellLog
+from cellwise.typing import BoolArray, FloatArray
+
+Use = Literal["fit", "holdout"]
+GivenLog = tuple[CellLog, InitialSoc, Use]
+
+
+@dataclass(frozen=True, eq=False)
+class LogRun:
+    """One log with the model as it was and as it is now, from the same start.
+
+    ``corrected`` is the corrected log from the estimated start with the model as it is now, where a
+    cause corrects the log or its start instead of the model; else None.
+    """
+
+    log: CellLog
+    used: Use
+    before: Simulation
+    after: Simulation
+    corrected: Simulation | None = None
+
+    @property
+    def explained(self) -> Simulation:
+        """With all causes known: of the log, or of its start, too."""
+        return self.after if self.corrected is None else self.corrected
+
+    @property
+    def gain(self) -> float:
+        """1 - after / before of the RMSE, all causes known."""
+        rmse = self.before.metrics.rmse_V
+        return 1.0 - self.explained.metrics.rmse_V / rmse if rmse > 0.0 else 0.0
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON values."""
+        known = {
+            "log": self.log.name,
+            "used": self.used,
+            "soc0": self.before.soc0,
+            "rmse_before_V": self.before.metrics.rmse_V,
+            "rmse_after_V": self.after.metrics.rmse_V,
+        }
+        if self.corrected is not None:
+            known["rmse_corrected_V"] = self.corrected.metrics.rmse_V
+            known["soc0_corrected"] = self.corrected.soc0
+        return known
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """Causes as a user applies them: an extended model, what the logs lose, where they start.
+
+    ``of_log`` are coordinates of the instrument; ``starts`` are None where the model is corrected
+    and nothing else, and every log then starts where it did.
+    """
+
+    model: CellModel
+    of_log: Mapping[str, float]
+    starts: tuple[float, ...] | None
+
+    def corrected(self, log: CellLog, found: Fit) -> CellLog:
+        """The log without the instrument's errors."""
+        return correct_log(log, found.coordinates, self.of_log)
+
+
+def explanation(
+    found: Fit,
+    point: Mapping[str, float],
+    kinds: Sequence[str],
+    evidence: Evidence,
+    note: Mapping[str, Any],
+) -> Explanation:
+    """What a fit's ``point`` (causes alone) makes of the model, the logs and their starts.
+
+    ``kinds`` are those of the causes; starts that were given stay, unless a cause is one.
+    """
+    interval = float(np.median(np.concatenate([g.dt_s[1:] for g in evidence.logs])))
+    of_model, of_log = split_skew(found.coordinates, point, interval)
+    model = extend_model(found.coordinates, of_model, note)
+    starts = None
+    if {"measurement", "start"} & set(kinds):
+        known = "start" not in kinds
+        starts = tuple(
+            g.start.soc
+            if known and g.start.how in ("given", "stated")
+            else _inside(g.start.soc + found.z.get(name, 0.0))
+            for name, g in zip(evidence.starts(), evidence.logs, strict=True)
+        )
+    return Explanation(model, of_log, starts)
+
+
+def with_use(logs: Sequence[tuple[CellLog, InitialSoc]], fitted: int) -> list[GivenLog]:
+    """Logs with their use: the first ``fitted`` were fitted, the others held out."""
+    return [(g, start, "fit" if k < fitted else "holdout") for k, (g, start) in enumerate(logs)]
+
+
+def log_runs(
+    model: CellModel,
+    logs: Sequence[GivenLog],
+    found: Fit | None = None,
+    explained: Explanation | None = None,
+) -> tuple[LogRun, ...]:
+    """Every log before and after; without an explanation nothing changes."""
+    runs = []
+    for k, (log, start, used) in enumerate(logs):
+        soc0 = _inside(start.soc)
+        before = simulate(model, log, soc0)
+        if explained is None or found is None:
+            runs.append(LogRun(log, used, before, before))
+            continue
+        after = simulate(explained.model, log, soc0)
+        corrected = None
+        if explained.starts is not None:
+            seen = explained.corrected(log, found)
+            corrected = simulate(explained.model, seen, explained.starts[k])
+        runs.append(LogRun(log, used, before, after, corrected))
+    return tuple(runs)
+
+
+@dataclass(frozen=True)
+class Step:
+    """RMSE [V] without and with a cause, and 1 - after / before with its 95 % interval."""
+
+    train_before_V: float
+    train_after_V: float
+    held_before_V: float
+    held_after_V: float
+    gain: float
+    low: float
+    high: float
+
+
+def step_between(
+    evidence: Evidence,
+    one: Sequence[Simulation],
+    two: Sequence[Simulation],
+    rng: np.random.Generator,
+) -> Step:
+    """What one more cause gains; simulations of all logs without and with it.
+
+    Held out are whole logs, else the later blocks of every log. Blocks of time are drawn whole.
+    """
+    before, after = (np.concatenate([s.error_V for s in runs]) for runs in (one, two))
+    held, fitted, block = _parts(evidence, before.size)
+    used = held & np.isfinite(before) & np.isfinite(after)
+    squares = np.column_stack((before, after))[used] ** 2
+    low = high = gain = float("nan")
+    if used.any():
+        totals = drawn_sums(block[used], squares, rng)
+        gains = 1.0 - np.sqrt(totals[:, 1] / np.maximum(totals[:, 0], 1e-30))
+        low, high = (float(x) for x in np.quantile(gains, (0.025, 0.975)))
+    held_before, held_after = _rms(before, held), _rms(after, held)
+    gain = 1.0 - held_after / held_before if held_before > 0.0 else 0.0
+    return Step(_rms(before, fitted), _rms(after, fitted), held_before, held_after, gain, low, high)
+
+
+def _parts(evidence: Evidence, rows: int) -> tuple[BoolArray, BoolArray, FloatArray]:
+    """Held-out and fitted rows and the block of every row, from those of the scored rows."""
+    held, fitted, block = [], [], []
+    for g in evidence.logs:
+        place = np.arange(len(g.log)) // g.stride
+        role = g.role[place]
+        held.append((role == HELD) | (role == START))
+        fitted.append(role == FITTED)
+        block.append(g.block[place])
+    return np.concatenate(held), np.concatenate(fitted), np.concatenate(block)
+
+
+def _rms(error: FloatArray, rows: BoolArray) -> float:
+    used = error[rows & np.isfinite(error)]
+    return float(np.sqrt(np.mean(used * used))) if used.size else float("nan")
+
+
+def _inside(soc: float) -> float:
+    return min(max(float(soc), 0.0), 1.0)

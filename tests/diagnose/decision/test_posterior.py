@@ -1,0 +1,83 @@
+"""Probabilities of sets of causes: what they must be whatever the numbers."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from cellwise.diagnose.decision.posterior import (
+    NAMED,
+    PRIOR_NATS,
+    Hypothesis,
+    probability_of,
+    weigh,
+)
+from cellwise.diagnose.fit.rows import FITTED
+
+BLOCKS, ROWS = 20, 50
+
+
+def rows():
+    many = BLOCKS * ROWS
+    return SimpleNamespace(
+        role=np.full(many, FITTED),
+        known=np.ones(many, dtype=bool),
+        block=np.repeat(np.arange(BLOCKS), ROWS),
+    )
+
+
+def hypothesis(*names, per_block, more=0.0):
+    """A set whose evidence in each block is given [nats]."""
+    terms = np.repeat(np.asarray(per_block, dtype=float) / ROWS, ROWS)
+    return Hypothesis(names, float(np.sum(per_block)) + more, terms)
+
+
+def weights(*sets, seed=0):
+    return weigh(sets, rows(), np.random.default_rng(seed))
+
+
+def test_probabilities_add_up_and_stand_in_order():
+    rng = np.random.default_rng(1)
+    sets = [hypothesis(f"cause {k}", per_block=rng.normal(0.0, 1.0, BLOCKS)) for k in range(5)]
+    found = weights(*sets)
+    assert sum(w.probability for w in found) == pytest.approx(1.0)
+    assert [w.probability for w in found] == sorted((w.probability for w in found), reverse=True)
+
+
+def test_even_evidence_gives_the_odds_of_bayes():
+    """Where every block says the same, weighting blocks at random changes nothing."""
+    ahead = 1.5
+    one = hypothesis("a", per_block=np.full(BLOCKS, ahead / BLOCKS))
+    other = hypothesis("b", per_block=np.zeros(BLOCKS))
+    a, b = weights(one, other)
+    assert a.probability / b.probability == pytest.approx(math.exp(ahead), rel=1e-6)
+
+
+def test_each_cause_more_costs_its_prior():
+    one = hypothesis("a", per_block=np.zeros(BLOCKS))
+    both = hypothesis("a", "b", per_block=np.zeros(BLOCKS))
+    found = weights(one, both)
+    ratio = found[0].probability / found[1].probability
+    assert ratio == pytest.approx(math.exp(PRIOR_NATS), rel=1e-6)
+    assert probability_of("a", found) == pytest.approx(1.0)
+    assert probability_of("b", found) == found[1].probability
+
+
+def test_what_rests_on_one_block_is_never_certain():
+    """All evidence in one block of twenty, against a little in every other."""
+    lone = np.full(BLOCKS, -2.0)
+    lone[7] = 200.0
+    spread = np.full(BLOCKS, (200.0 - 2.0 * (BLOCKS - 1)) / BLOCKS)
+    none = hypothesis(per_block=np.zeros(BLOCKS))
+    assert weights(none, hypothesis("a", per_block=lone))[0].probability < NAMED
+    assert weights(none, hypothesis("a", per_block=spread))[0].probability > 0.999
+
+
+def test_of_the_same_set_the_better_fit_counts():
+    good = hypothesis("a", "b", per_block=np.full(BLOCKS, 1.0))
+    bad = hypothesis("b", "a", per_block=np.zeros(BLOCKS))
+    (only,) = weights(bad, good)
+    assert only.probability == pytest.approx(1.0)

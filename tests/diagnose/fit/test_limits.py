@@ -1,0 +1,121 @@
+"""The smallest size that logs could show: against noise that is known, and what is the same."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cellwise.cell.initial_soc import initial_soc
+from cellwise.cell.simulate import simulate
+from cellwise.diagnose.causes.catalogue import CAUSES
+from cellwise.diagnose.causes.coordinates import Coordinates
+from cellwise.diagnose.decision.acceptance import LEAST_SCORE
+from cellwise.diagnose.decision.claim import claim_checks
+from cellwise.diagnose.fit.cause_fits import CauseFits
+from cellwise.diagnose.fit.least_squares import complete
+from cellwise.diagnose.fit.limits import limits
+from cellwise.diagnose.fit.noise import Noise
+from cellwise.diagnose.fit.priors import tolerances
+from cellwise.diagnose.fit.rest_voltages import rest_voltages
+from cellwise.diagnose.fit.rows import gather
+from cellwise.diagnose.fit.whitening_kernels import NoiseLevel
+from cellwise.diagnose.log_runs import log_runs, with_use
+from cellwise.logs.cell_log import CellLog
+from emulator_drives import random_load
+from example_cells import curved_cell
+
+CELL = curved_cell()
+NOISE = Noise(NoiseLevel(1e-3, 2e-4, 20.0, 5e-4, 600.0))
+NAMES = ("current_offset", "current_gain", "voltage_offset", "capacity", "resistance_scale")
+
+
+def started(rows, seed=3, noise_V=1e-3):
+    rng = np.random.default_rng(seed)
+    load = random_load(
+        rng, CELL.capacity_Ah, 0.9, rows=rows, rate_hz=1.0, charge=True, temperature_C=(25.0, 25.0)
+    )
+    log = CellLog(load.time_s, load.current_A, np.full(load.time_s.size, 3.7))
+    voltage = simulate(CELL, log, 0.9).voltage_V + rng.normal(0.0, noise_V, load.time_s.size)
+    log = replace(log, voltage_V=voltage)
+    return log, initial_soc(CELL, log, 0.9, 0.002)
+
+
+def fits_of(logs):
+    evidence, coordinates = gather(CELL, logs), Coordinates(CELL)
+    fits = CauseFits(
+        evidence,
+        coordinates,
+        tolerances(coordinates, evidence),
+        NoiseLevel(5e-4, 1e-4, 20.0, 1e-4, 600.0),
+        5e-3,
+        rest_voltages(evidence.logs, CELL.capacity_Ah, CELL.charge_efficiency),
+        0,
+    )
+    base = complete(
+        fits.objective(NOISE), fits.fit(NOISE, coordinates, fits.prior, {}, 3), fits.prior
+    )
+    return fits, base
+
+
+@pytest.fixture(scope="module")
+def short():
+    fits, base = fits_of([started(1500)])
+    return fits, base, limits(fits, [CAUSES[n] for n in NAMES], base, NOISE, LEAST_SCORE)
+
+
+def test_every_cause_has_a_limit_above_what_a_good_laboratory_leaves_open(short):
+    fits, _, found = short
+    assert set(found.sizes) == set(NAMES)
+    assert found.sizes["voltage_offset"]["offset_V"] > fits.prior.std["offset_V"]
+    assert found.sizes["capacity"]["capacity_Ah"] > fits.prior.std["ln_capacity"] * CELL.capacity_Ah
+
+
+def test_more_noise_shows_less(short):
+    fits, base, found = short
+    level = NOISE.level
+    loud = Noise(level._replace(white_V=10 * level.white_V, slow_V=10 * level.slow_V))
+    worse = limits(fits, [CAUSES[n] for n in NAMES], base, loud, LEAST_SCORE)
+    for name in NAMES:
+        for key, size in found.sizes[name].items():
+            assert worse.sizes[name][key] > size, name
+
+
+def test_a_change_at_its_limit_has_the_evidence_that_is_asked_for(short):
+    """By the likelihood itself, fitted: half the limit is too little, twice of it is enough."""
+    _, _, found = short
+    cause = CAUSES["voltage_offset"]
+    size = found.sizes["voltage_offset"]["offset_V"]
+    for times, enough in ((0.4, False), (2.0, True)):
+        log, start = started(1500)
+        moved = replace(log, voltage_V=log.voltage_V + times * size)
+        fits, base = fits_of([(moved, start)])
+        none = fits.explained(base, NOISE, fits.prior, ()).total
+        with_it = fits.fit_causes((cause,), base, NOISE)
+        prior = fits.widened_for((cause,), fits.coordinates)
+        score = fits.explained(with_it, NOISE, prior, (cause,)).total - none
+        assert (score > LEAST_SCORE) == enough, (times, score)
+
+
+def test_what_a_log_cannot_tell_apart_is_one_group():
+    """At a constant current a gain is an offset."""
+    time = np.arange(1200.0)
+    current = np.full(1200, 0.2 * CELL.capacity_Ah)
+    log = CellLog(time, current, np.full(1200, 3.7))
+    log = replace(log, voltage_V=simulate(CELL, log, 0.6).voltage_V)
+    fits, base = fits_of([(log, initial_soc(CELL, log, 0.6, 0.002))])
+    found = limits(fits, [CAUSES[n] for n in ("current_offset", "current_gain")], base, NOISE, 10.0)
+    assert found.inseparable == (("current_offset", "current_gain"),)
+
+
+def test_an_error_within_the_claim_is_not_beyond_it():
+    log, start = started(1500)
+    evidence = gather(CELL, [(log, start)])
+    (good,) = claim_checks(CELL, log_runs(CELL, with_use([(log, start)], 1)), evidence)
+    assert not good.beyond
+    claim = float(np.mean(CELL.error.slow_V))
+    bad_log = replace(log, voltage_V=log.voltage_V + 8.0 * claim)
+    (bad,) = claim_checks(CELL, log_runs(CELL, with_use([(bad_log, start)], 1)), evidence)
+    assert bad.beyond
+    assert f"{1e3 * bad.rmse_V:.1f} mV" in bad.text()
