@@ -22,7 +22,7 @@ _MARKS = {"&": r"\&", "%": r"\%", "_": r"\_", "#": r"\#", "$": r"\$", "{": r"\{"
 
 
 class Difference(NamedTuple):
-    """One estimator against another on the runs that both have judged.
+    """One estimator against another on the runs that both have finished.
 
     ``mean`` is the first's figure less the second's, ``low`` and ``high`` the ends of its 95 %
     interval; ``better`` the share of logs on which the first is better.
@@ -140,7 +140,7 @@ def provenance() -> str:
 
 
 def difference_text(one: Difference) -> str:
-    """One difference as a sentence, in points of SOC."""
+    """One difference as a line, in points of SOC."""
     text = f"{one.estimator} against {one.against}: {100 * one.mean:+.2f} points"
     if np.isfinite(one.low):
         text += f" (95 %: {100 * one.low:+.2f} to {100 * one.high:+.2f})"
