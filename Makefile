@@ -10,7 +10,7 @@ STAMP := $(VENV)/.installed
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: setup demo test deep check papers benchmark firmware pages clean
+.PHONY: setup demo test deep check oracles papers benchmark firmware pages clean
 
 setup: $(STAMP)
 
@@ -34,6 +34,12 @@ test: check
 # What `make firmware` and `make pages` run is left to them.
 deep: $(STAMP)
 	$(BIN)/pytest -n 2 -m slow --ignore tests/firmware --ignore tests/report/test_in_browser.py
+
+# Other people's implementations as oracle: PyBaMM, thevenin.
+oracles: $(STAMP)
+	$(BIN)/pip install --quiet --editable '.[benchmark]'
+	$(BIN)/pytest tests/cell/test_thevenin_oracle.py tests/benchmark/test_thevenin_observer.py \
+	  tests/benchmarks/test_benchmark_peers.py tests/datasets/test_generator.py
 
 papers: $(STAMP)
 	$(BIN)/cellwise papers

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import os
+import secrets
 from itertools import chain
 from pathlib import Path
 
 import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[1]
+FUZZ_SEED = "CELLWISE_FUZZ_SEED"
 
 
 def pytest_configure(config: pytest.Config) -> None:
     """No compiled code of an older source: numba's cache does not see what a kernel inlines."""
     os.environ.setdefault("CELLWISE_QUIET", "1")
+    # Fresh in every run and the same in all its workers, which inherit the environment.
+    os.environ.setdefault(FUZZ_SEED, str(secrets.randbelow(2**32)))
     if hasattr(config, "workerinput"):
         return
     package = REPOSITORY / "src" / "cellwise"
@@ -22,6 +26,10 @@ def pytest_configure(config: pytest.Config) -> None:
     if caches and min(path.stat().st_mtime for path in caches) < max(sources):
         for path in caches:
             path.unlink(missing_ok=True)
+
+
+def pytest_report_header() -> str:
+    return f"mutated files: {FUZZ_SEED}={os.environ[FUZZ_SEED]} runs the same ones again"
 
 
 @pytest.hookimpl(tryfirst=True)

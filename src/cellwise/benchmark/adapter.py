@@ -10,6 +10,7 @@ import importlib
 import importlib.util
 import inspect
 import sys
+import traceback
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -119,7 +120,7 @@ def load_adapter(name: str, folder: Path) -> MakeFilter:
         raise
     except Exception as error:
         raise InputError(
-            f"the filter '{name}', which cannot be loaded ({error.__class__.__name__}: {error})",
+            f"the filter '{name}', which cannot be loaded ({described(error)})",
             "a module that can be imported",
             "Correct it, or install what it needs.",
         ) from error
@@ -131,6 +132,23 @@ def load_adapter(name: str, folder: Path) -> MakeFilter:
             "See 'Your filter in the benchmark' in docs/benchmark.md.",
         )
     return make  # type: ignore[no-any-return]
+
+
+def described(error: BaseException) -> str:
+    """What an error of somebody's filter is, and in which line of which file it was raised."""
+    text = f"{type(error).__name__}: {error}"
+    if isinstance(error, SyntaxError):
+        return text  # states its file and line itself
+    own = [f for f in traceback.extract_tb(error.__traceback__) if not _is_ours(f.filename)]
+    if not own:
+        return text
+    return f"{text}, in line {own[-1].lineno} of {Path(own[-1].filename).name}: {own[-1].line}"
+
+
+def _is_ours(filename: str) -> bool:
+    """A file of this package or of Python's own import machinery."""
+    package = str(Path(__file__).resolve().parents[1])
+    return filename.startswith((package, "<frozen"))
 
 
 def _module(place: str) -> Any:

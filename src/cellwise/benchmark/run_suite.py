@@ -17,11 +17,13 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from cellwise.benchmark.adapter import is_adapter, load_adapter
 from cellwise.benchmark.figures import COLUMNS
+from cellwise.benchmark.paper_tables import csv_text, differences, latex_text
 from cellwise.benchmark.scenario import Run, runs_of
 from cellwise.benchmark.suite import Suite
 from cellwise.benchmark.suite_logs import check_files, digest, judged_log, locate
 from cellwise.benchmark.work import Place, make_model, run_all
 from cellwise.errors import InputError
+from cellwise.files import write_atomically
 from cellwise.logs.tables import write_columns
 
 if TYPE_CHECKING:
@@ -138,6 +140,10 @@ def _finish(
     parquet = write_columns(
         {name: [row[name] for row in rows] for name in COLUMNS}, place.folder / "results.parquet"
     )
+    write_atomically(place.folder / "results.csv", csv_text(rows, tuple(COLUMNS)))
+    plain = [row for row in rows if row["fault"] in ("", "none")]
+    table_text = latex_text(place.suite.name, plain, differences(plain))
+    write_atomically(place.folder / "results.tex", table_text)
     written = None
     if page:
         from cellwise.report.benchmark.page import BenchmarkTable, benchmark_page

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cellwise.benchmark.adapter import Adapted, is_adapter, load_adapter, short_name
+from cellwise.benchmark.adapter import Adapted, described, is_adapter, load_adapter, short_name
 from cellwise.benchmark.faults import NONE, faulty_log, faulty_model
 from cellwise.benchmark.figures import error_curve, figures_of, state_bytes, whole_row
 from cellwise.benchmark.scenario import Run
@@ -111,7 +111,7 @@ def _run(place: Place, run: Run, key: str) -> dict[str, Any]:
         figures, curve = _judge(suite, run, judged, true_model, noise)
         row |= figures
     except Exception as error:  # whatever somebody's filter does, the others go on
-        row["problem"] = f"{error.__class__.__name__}: {error}"
+        row["problem"] = described(error)
     return {**whole_row(row), "curve": curve if run.fault.name == NONE else None}
 
 

@@ -111,6 +111,7 @@ def list_suites(as_json: bool) -> None:
 
 def print_benchmark(found: BenchmarkResult) -> None:
     """A benchmark for people: overview, faults, what could not be judged."""
+    from cellwise.benchmark.paper_tables import difference_text, differences
     from cellwise.report.benchmark.overview import (
         OVERVIEW_HEAD,
         coverage_text,
@@ -140,6 +141,9 @@ def print_benchmark(found: BenchmarkResult) -> None:
             printing.say(coverage_text(rows))
     for text in dict.fromkeys(f"{r['estimator']}: {r['problem']}" for r in rows if r["problem"]):
         printing.say(f"  ! {text}")
+    plain = [row for row in rows if row["fault"] in ("", "none")]
+    for one in differences(plain):
+        printing.say(f"  {difference_text(one)}")
     taken = f", {found.resumed} of them from an earlier run" if found.resumed else ""
     printing.say(f"{len(rows)} runs{taken}: {found.parquet}")
     if found.page is not None:

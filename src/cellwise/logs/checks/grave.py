@@ -19,6 +19,8 @@ SPIKE_TIMES = 100.0
 SPIKE_SHARE = 1e-3
 USUAL_PERCENT = 99.0
 MOST_ROWS_NAMED = 3
+IMPOSSIBLE = 1e12  # in any unit of any channel
+LONGEST_S = 1e10
 
 
 def is_grave(notice: str) -> bool:
@@ -65,6 +67,41 @@ def without_spikes(channels: dict[str, FloatArray], where: str) -> list[str]:
             f"where it is otherwise below {usual:.3g} {unit}; taken as missing"
         )
     return notices
+
+
+def without_impossible(channels: dict[str, FloatArray], where: str) -> list[str]:
+    """Make numbers that nothing measures missing ones: bits that were never that quantity."""
+    notices = []
+    for field, values in channels.items():
+        if field == "time_s":
+            continue
+        highest, lowest = np.fmax.reduce(values), np.fmin.reduce(values)
+        if not max(highest, -lowest) > IMPOSSIBLE:
+            continue
+        wrong = np.abs(values) > IMPOSSIBLE
+        channels[field] = np.where(wrong, np.nan, values)
+        row = int(np.flatnonzero(wrong)[0])
+        notices.append(
+            f"the {field.partition('_')[0]} {MARK} in {np.count_nonzero(wrong)} row(s) of {where}, "
+            f"row {row + 1} first ({values[row]:g}); taken as missing"
+        )
+    return notices
+
+
+def check_time_possible(time_s: FloatArray, where: str) -> None:
+    """Refuse a log that would be longer than centuries.
+
+    Raises
+    ------
+    InputError        it is
+    """
+    if time_s.size and np.max(np.abs(time_s)) > LONGEST_S:
+        row = int(np.argmax(np.abs(time_s) > LONGEST_S))
+        raise InputError(
+            f"a time of {time_s[row]:.3g} s from the log's start in row {row + 1} of {where}",
+            "a log of less than 300 years",
+            "Check the time column and its unit, or repair the row.",
+        )
 
 
 def check_time_moves(time_s: FloatArray, where: str) -> None:

@@ -20,8 +20,10 @@ from cellwise.logs.checks.counter import (
 )
 from cellwise.logs.checks.grave import (
     check_time_moves,
+    check_time_possible,
     grave_notices,
     graves_first,
+    without_impossible,
     without_spikes,
 )
 from cellwise.logs.checks.sign import contradiction, verify_sign
@@ -92,6 +94,8 @@ def assemble(
     check_time_moves(channels["time_s"], origin.where)
     channels["time_s"], noted = time_from_start(channels["time_s"])
     notices += noted
+    check_time_possible(channels["time_s"], origin.where)
+    notices += without_impossible(channels, origin.where)
     notices += without_spikes(channels, origin.where)
     if origin.format and not origin.format.startswith(("tidy", "table")):
         notices += volts_of_millivolts(channels)
