@@ -178,7 +178,7 @@ def _from_whole_log(
     variance = float(np.average((soc - mean) ** 2, weights=weight))
     likeliest = float(soc[np.argmin(cost)])
     std = max(math.hypot(math.sqrt(variance), likeliest - mean), STATED_STD)
-    return InitialSoc(likeliest, std, f"fit of {log.duration_s / 3600.0:.2f} h")
+    return InitialSoc(likeliest, std, f"fit of the whole log, {log.duration_s / 3600.0:.2f} h")
 
 
 def _start_cost(

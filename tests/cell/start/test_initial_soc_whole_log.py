@@ -41,7 +41,7 @@ def test_on_a_plateau_the_knee_at_the_end_tells_where_it_began(soc0):
     assert abs(found.soc - true) < 0.02
     assert abs(found.soc - true) < 2.5 * found.std
     assert found.std < 0.5 * beginning.std
-    assert found.how.startswith("fit of ")
+    assert found.how.startswith("fit of the whole log, ")
     assert found.how.endswith(" h")
 
 
