@@ -132,7 +132,7 @@ class ModelComparison:
         if len(causes) == 1:
             sets += [c.hypothesis((), empty) for c in first if not self._refuted(c, none)]
             return weigh(sets, fits.evidence, rng)
-        others = [c for c in first if c.name not in names and c.score > LEAST_SCORE]
+        possible = [c for c in first if c.name not in names and c.score > LEAST_SCORE]
         for k, out in enumerate(stage.accepted):
             kept = (*stage.accepted[:k], *stage.accepted[k + 1 :])
             others = [a.cause for a in kept]
@@ -140,7 +140,7 @@ class ModelComparison:
             less = Stage(kept, fits.widened_for(others, found.coordinates), found, stage.noise)
             before = self._explained(less)
             sets.append(Hypothesis.of([c.name for c in others], before))
-            near = [r for r in others if r.name in out.cause.confused_with][:OTHERS]
+            near = [c for c in possible if c.name in out.cause.confused_with][:OTHERS]
             if not near:
                 continue
             frozen = freeze(
