@@ -195,7 +195,7 @@ def print_diagnosis(found: Diagnosis) -> None:
         ]
         printing.table("what competes", ("explanation", "probability"), weighed)
     for group in found.inseparable:
-        printing.say(f"  - these logs cannot tell apart {', '.join(group)}")
+        printing.say(f"  - not separable by these logs: {', '.join(group)}")
     for reason in found.reasons:
         printing.say(f"  - {reason}")
     if found.soc_gain and "soc_rmse_before" in found.soc_gain:

@@ -86,7 +86,7 @@ class Diagnosis:
 
     ``verdict`` is the first cause, "none", "undetermined" or "unexplained"; ``reasons`` say why the
     search ended; ``limits`` is the smallest change of every parameter that these logs could show,
-    ``inseparable`` groups of causes that they cannot tell apart, ``competing`` explanations left;
+    ``inseparable`` groups of causes that they do not separate, ``competing`` explanations left;
     ``runs`` are all logs simulated before and after, which every figure is taken from;
     ``no_soc_gain`` says why there is no ``soc_gain``.
     """

@@ -103,6 +103,8 @@ def test_a_sensor_that_reads_nothing_at_rest_has_no_offset():
     log, _, _, _ = discharged(lambda t: 0.03 * np.exp(-t / 200.0))
     quiet = rest_reading([log], CELL.capacity_Ah)
     assert quiet.zero
+    crawling = replace(log, current_A=np.where(log.time_s < 600.0, 0.04, 1.0) * log.current_A)
+    assert rest_reading([crawling], CELL.capacity_Ah).zero  # whatever small loads read beside it
     assert quiet.ln_likelihood({"offset_A": 0.05 * CELL.capacity_Ah}) < -1000.0
     shifted = replace(log, current_A=log.current_A + 0.03 * CELL.capacity_Ah)
     load = rest_reading([shifted], CELL.capacity_Ah)

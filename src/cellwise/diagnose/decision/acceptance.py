@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from cellwise.diagnose.decision.candidates import Candidate, difference
+from cellwise.diagnose.decision.posterior import PRIOR_NATS
 from cellwise.diagnose.fit.gain import Gain
 from cellwise.diagnose.fit.least_squares import Prior
 from cellwise.diagnose.fit.rows import Evidence
 
 # Nats by which an explanation must be better than none.
-LEAST_SCORE = 10.0
+LEAST_SCORE = PRIOR_NATS
 # A model claims to be right within an error, and an error within that claim needs no cause: a
 # cause must take more than the claim's square off the mean squared error. A model that proves
 # better than its claim is taken at CLAIM_FACTOR times what a cause leaves.

@@ -40,8 +40,8 @@ from cellwise.typing import FloatArray
 Progress = Callable[[float, str], None]
 
 MOST_CAUSES = 5
-# Rivals of each accepted cause that are fitted in its place.
-RIVALS = 2
+# Alternatives of each accepted cause that are fitted in its place.
+OTHERS = 2
 # A rest that lies three standard deviations off refutes a claim on charge (nats).
 REFUTED = 0.5 * 3.0**2
 FINALISTS = 5
@@ -114,10 +114,10 @@ class ModelComparison:
     def _weighed(
         self, stage: Stage, first: tuple[Candidate, ...], between: tuple[Candidate, ...]
     ) -> tuple[Weighed, ...]:
-        """The accepted set among its rivals: one cause less, or another one in its place.
+        """The accepted set among its alternatives: one cause less, or another one in its place.
 
-        Candidates of the first round stand for the rivals of a single cause; where several
-        causes are accepted, each is taken out, and its rivals are fitted in its place.
+        Candidates of the first round stand beside a single cause; where several
+        causes are accepted, each is taken out, and what it is confused with is fitted in its place.
         """
         fits, rng = self.fits, np.random.default_rng(self.fits.seed)
         causes = stage.causes
@@ -132,7 +132,7 @@ class ModelComparison:
         if len(causes) == 1:
             sets += [c.hypothesis((), empty) for c in first if not self._refuted(c, none)]
             return weigh(sets, fits.evidence, rng)
-        rivals = [c for c in first if c.name not in names and c.score > LEAST_SCORE]
+        possible = [c for c in first if c.name not in names and c.score > LEAST_SCORE]
         for k, out in enumerate(stage.accepted):
             kept = (*stage.accepted[:k], *stage.accepted[k + 1 :])
             others = [a.cause for a in kept]
@@ -140,14 +140,14 @@ class ModelComparison:
             less = Stage(kept, fits.widened_for(others, found.coordinates), found, stage.noise)
             before = self._explained(less)
             sets.append(Hypothesis.of([c.name for c in others], before))
-            near = [r for r in rivals if r.name in out.cause.confused_with][:RIVALS]
+            near = [c for c in possible if c.name in out.cause.confused_with][:OTHERS]
             if not near:
                 continue
             frozen = freeze(
                 fits.objective(less.noise), found.coordinates, less.prior.names, found.z
             )
-            for rival in near:
-                tried = self._candidate(rival.cause, less, less.noise, frozen, before)
+            for other in near:
+                tried = self._candidate(other.cause, less, less.noise, frozen, before)
                 if not self._refuted(tried, less):
                     sets.append(tried.hypothesis([c.name for c in others], before))
         return weigh(sets, fits.evidence, rng)

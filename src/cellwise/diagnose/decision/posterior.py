@@ -8,7 +8,6 @@ pseudo-Bayesian model averaging (Yao et al., 2018, doi:10.1214/17-BA1091).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -21,8 +20,8 @@ from cellwise.diagnose.fit.rows import FITTED, HELD, Evidence
 from cellwise.typing import FloatArray
 
 DRAWS = 1000
-# A fault is there in about one log of twenty, each by itself.
-PRIOR_NATS = math.log(20.0)
+# By how much each further cause must explain the rows better: the odds against a fault.
+PRIOR_NATS = 10.0
 # What the page says is named with this probability at least.
 NAMED = 0.9
 # Explanations below this are not worth a line.

@@ -10,7 +10,15 @@ import numpy as np
 from cellwise.diagnose.causes.catalogue import Cause, kept_coordinates
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.fit.gain import Gain, gain_of
-from cellwise.diagnose.fit.least_squares import Fit, Frozen, Objective, Prior, complete, fit
+from cellwise.diagnose.fit.least_squares import (
+    Fit,
+    Frozen,
+    Objective,
+    Prior,
+    complete,
+    fit,
+    freeze,
+)
 from cellwise.diagnose.fit.likelihood import Prediction, predict
 from cellwise.diagnose.fit.noise import Noise, at_least, estimate_noise, log_scales
 from cellwise.diagnose.fit.priors import widened_for
@@ -42,6 +50,7 @@ class CauseFits:
     rests: RestVoltages
     seed: int
     amplitude: FloatArray = field(default_factory=lambda: np.ones(1))
+    _frozen: tuple[Fit, Frozen] | None = field(default=None, repr=False)
 
     def base(self, prior: Prior) -> tuple[Fit, Noise]:
         """The fit within the tolerances, no cause estimated, and the noise that it leaves."""
@@ -70,8 +79,15 @@ class CauseFits:
 
     def fit_causes(self, causes: Sequence[Cause], near: Fit, noise: Noise) -> Fit:
         """A thorough fit of all causes together, from a point nearby."""
-        prior = self.widened_for(causes, near.coordinates)
-        found = self.fit(noise, near.coordinates, prior, near.z, THOROUGH)
+        known = tuple(causes)
+        prior = self.widened_for(known, near.coordinates)
+        if self._frozen is None or self._frozen[0] is not near:
+            every = freeze(self.objective(noise), near.coordinates, near.names, near.z)
+            self._frozen = near, every
+        # The point is nearby: what is no cause keeps its derivatives.
+        moving = [*kept_coordinates(known), *self.evidence.starts()]
+        frozen = self._frozen[1]
+        found = self.fit(noise, near.coordinates, prior, near.z, THOROUGH, frozen, moving)
         return complete(self.objective(noise), found, prior)
 
     def widened_for(self, causes: Iterable[Cause], coordinates: Coordinates) -> Prior:

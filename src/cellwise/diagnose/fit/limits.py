@@ -26,7 +26,7 @@ from cellwise.typing import FloatArray
 
 # A coordinate that the tolerances do not have is known to be neutral [its unit].
 NEUTRAL_STD = 1e-6
-# Effects of this many times their limit must be told apart ...
+# Effects of this many times their limit must be separated ...
 TIMES = 2.0
 # ... by as many nats as 0.9 against 0.1 is.
 APART = math.log(9.0)
@@ -36,7 +36,7 @@ APART = math.log(9.0)
 class Limits:
     """``sizes``: cause to parameter to the smallest change that these logs could show.
 
-    ``inseparable``: groups of causes that they cannot tell apart at twice their limits.
+    ``inseparable``: groups of causes that they do not separate at twice their limits.
     """
 
     sizes: dict[str, dict[str, float]]

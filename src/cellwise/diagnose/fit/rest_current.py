@@ -46,7 +46,7 @@ NO_READING = RestReading(None, 1.0)
 
 
 def rest_reading(logs: Sequence[CellLog], capacity_Ah: float) -> RestReading:
-    """Mean reading over all rests of the logs that agree with each other."""
+    """Mean reading over all rests of the logs that agree with each other, or that read nothing."""
     means = []
     for log in logs:
         current = log.current_A
@@ -58,6 +58,10 @@ def rest_reading(logs: Sequence[CellLog], capacity_Ah: float) -> RestReading:
                 if float(np.std(part)) < QUIET_C * capacity_Ah:
                     means.append(float(np.median(part)))
     std = STD_C * capacity_Ah
+    nothing = [m for m in means if abs(m) < ZERO_STDS * std]
+    if nothing:
+        # Small loads read what they are; a sensor with an offset reads nothing nowhere.
+        return RestReading(float(np.median(nothing)), std)
     if not means or float(np.std(means)) > 4.0 * std:
         return RestReading(None, std)
     return RestReading(float(np.median(means)), std)

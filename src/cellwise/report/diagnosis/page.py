@@ -266,9 +266,9 @@ def competing_table(diagnosis: Diagnosis) -> Markup:
 
 
 def inseparable_lines(diagnosis: Diagnosis) -> list[str]:
-    """Groups that these logs cannot tell apart."""
+    """Groups that these logs do not separate."""
     return [
-        f"These logs cannot tell apart {listed([cause_name(c) for c in group])}."
+        f"These logs do not separate {listed([cause_name(c) for c in group])}."
         for group in diagnosis.inseparable
     ]
 
@@ -281,8 +281,8 @@ def limits_table(diagnosis: Diagnosis) -> Markup:
         values = ", ".join(f"{k} {valued(v, units.get(k, '1'))}" for k, v in sizes.items())
         rows.append((cause_name(name), values))
     caption = (
-        "From sensitivities and noise, before any cause was fitted: smaller changes cannot be told "
-        "from what a good laboratory leaves uncertain."
+        "From sensitivities and noise, before any cause was fitted: smaller changes look the "
+        "same as what a good laboratory leaves uncertain."
     )
     return table(("cause", "smallest change"), rows, caption=caption, text_columns=(0, 1))
 
