@@ -50,6 +50,36 @@ def test_at_rest_and_while_charging_nothing_runs_out():
         assert followed(model, log, 0.5) is None
 
 
+def steady(amps, rows=300):
+    model = curved_cell()
+    log = driven(model, 0.8, rows=rows)
+    log = type(log)(log.time_s, 0.0 * log.time_s + amps, log.voltage_V)
+    live = LiveFilter(model, soc0=0.8, soc0_std=0.05)
+    outlook = Outlook(model, cutoff_of(model, 3.0))
+    for sample in samples(log):
+        outlook.take(live.take(sample))
+    return live, outlook, sample
+
+
+def test_a_reading_that_no_cell_carries_is_no_load():
+    live, outlook, last = steady(2.0)
+    before = outlook.forecast(live.state, 25.0)
+    spike = last._replace(time_s=last.time_s + 1.0, current_A=1e9)
+    outlook.take(live.take(spike))
+    after = outlook.forecast(live.state, 25.0)
+    assert after.load_A == pytest.approx(before.load_A)
+    assert after.remaining_s == pytest.approx(before.remaining_s, rel=0.01)
+
+
+def test_a_pause_of_some_seconds_keeps_the_mean_load():
+    live, outlook, last = steady(2.0)
+    late = last._replace(time_s=last.time_s + 20.0, current_A=8.0)
+    update = live.take(late)
+    assert update.gap
+    outlook.take(update)
+    assert outlook.forecast(live.state, 25.0).load_A == pytest.approx(2.0, rel=0.05)
+
+
 def test_quantiles_are_those_of_the_latencies_to_a_bin():
     meter = LatencyMeter(5e-3)
     values = [1e-4 * 1.01**k for k in range(500)]

@@ -63,7 +63,7 @@ class Noise:
                               single one counting at most this often; 0 keeps the variance
     gate : float              innovations beyond this many standard deviations are rejected
     recovery_after : int      rejections in a row after which the variance is widened
-    gap_soc : float           SOC that may have flowed unseen over a gap
+    gap_soc : float           SOC that may have flowed unseen over a long gap
     hold_s : float            a current missing for longer is lost, not held any more
     frozen_V : float          a voltage that repeats itself is frozen when R0 times the change of
                               current exceeds this

@@ -22,6 +22,7 @@ INFINITE = {"inf": math.inf, "-inf": -math.inf}
 COUNTS = {"rejections": "rejections", "mismatch": "mismatch", "lasting": "persistent"}
 # Not in files of versions before it was carried; a cell at rest has none.
 NEWER = {"slow_A": 0.0}
+NEWER_WATCH = {"no_warm_s": -1.0}
 MAY_BE_MISSING = {"temperature_C", "voltage_V", "current_A"}  # not measured yet
 
 
@@ -56,7 +57,10 @@ def state_from_dict(saved: Mapping[str, Any], estimator: str = "ekf") -> EkfStat
             f"version {SCHEMA_VERSION} of '{estimator}'",
             "Start again with init() where there is no such state.",
         )
-    watch = Watch(**_numbers(saved.get("watch"), Watch._fields))
+    seen = saved.get("watch")
+    if isinstance(seen, Mapping):
+        seen = {**NEWER_WATCH, **seen}
+    watch = Watch(**_numbers(seen, Watch._fields))
     past = Past(**_numbers(saved.get("past", no_past()._asdict()), Past._fields))
     names = (*CellState._fields, *Covariance._fields, *COUNTS)
     given = saved.get("state")

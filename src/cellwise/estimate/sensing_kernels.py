@@ -36,7 +36,8 @@ class Watch(NamedTuple):
 
     ``evidence_s`` is the time since the first voltage, or since a recovery: the model's error is
     not remembered for longer. ``voltage_V`` is the last reading, seen ``repeats`` times in a row
-    since the current was ``frozen_A``.
+    since the current was ``frozen_A``. ``no_warm_s`` is how long the temperature has been lost,
+    negative where none was ever measured.
     """
 
     current_A: float
@@ -47,6 +48,7 @@ class Watch(NamedTuple):
     voltage_V: float
     frozen_A: float
     repeats: float
+    no_warm_s: float
 
 
 class Reading(NamedTuple):
@@ -78,6 +80,7 @@ class Sample(NamedTuple):
     voltage_V: float
     temperature_C: float
     no_current_s: float
+    no_warm_s: float
     dt_s: float
     gap: bool
     status: int
@@ -86,7 +89,7 @@ class Sample(NamedTuple):
 @inline
 def first_watch(current_A: float) -> Watch:
     """Nothing seen yet but a current to hold."""
-    return Watch(current_A, math.nan, NOT_BEGUN, 0.0, 0.0, math.nan, 0.0, 0.0)
+    return Watch(current_A, math.nan, NOT_BEGUN, 0.0, 0.0, math.nan, 0.0, 0.0, -1.0)
 
 
 @inline
@@ -106,10 +109,15 @@ def read_sample(
         current = held
         no_current = watch.no_current_s + (0.0 if gap else dt_s)
     warm = reading.temperature_C
+    no_warm = watch.no_warm_s
     if not COLDEST_C <= warm <= HOTTEST_C:
         warm = watch.temperature_C if math.isfinite(watch.temperature_C) else default_C
         if needs_temperature(tables):
             status |= TEMPERATURE_INVALID
+            if no_warm >= 0.0:
+                no_warm += dt_s
+    else:
+        no_warm = 0.0
     voltage = reading.voltage_V
     if not noise.voltage_low_V <= voltage <= noise.voltage_high_V:
         if math.isfinite(voltage):
@@ -135,7 +143,22 @@ def read_sample(
         status |= SEQUENCE_GAP
     elif dt_s <= 0.0:
         status |= DUPLICATE
-    return Sample(current, seen, flow, unknown, lost, voltage, warm, no_current, dt_s, gap, status)
+    # fmt: off
+    return Sample(
+        current, seen, flow, unknown, lost, voltage, warm, no_current, no_warm, dt_s, gap, status
+    )
+    # fmt: on
+
+
+@inline
+def unseen_soc(noise: NoiseScalars, charge_As: float, gap_A2: float, dt_s: float) -> float:
+    """SOC that may have flowed unseen over a gap, one deviation.
+
+    At most ``gap_soc``, and no more than half a rate, or the currents on either side, can move in
+    its time.
+    """
+    rate_A = max(LOST_RATE * charge_As / 3600.0, math.sqrt(gap_A2))
+    return min(noise.gap_soc, rate_A * dt_s / charge_As)
 
 
 @inline
@@ -176,6 +199,6 @@ def watch_on(
         away = no_voltage_s + (0.0 if s.gap else s.dt_s)
     watch = Watch(
         s.current_A, s.temperature_C, evidence_s, s.no_current_s, away,
-        reading[0], reading[1], reading[2],
+        reading[0], reading[1], reading[2], s.no_warm_s,
     )  # fmt: skip
     return watch, VOLTAGE_LOST if away > noise.hold_s else 0

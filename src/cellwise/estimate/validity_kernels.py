@@ -30,6 +30,9 @@ ACTIVATION_K = 3600.0
 # Its error where the model has one of its own, known from few kelvin of warming.
 ACTIVATION_STD_K = 1000.0
 ENTROPY_V_PER_K = 3e-4  # OCV of lithium-ion cells: up to 0.5 mV/K, either way
+# A single cell taken into the cold loses 20 K in about a quarter of an hour.
+DRIFT_K_PER_S = 0.02
+LARGEST_DRIFT_K = 20.0
 HALF, SIXTH = 0.5, 1.0 / 6.0
 # Of the polarisation, for twice the data's current: asinh(2y) / asinh(y) from y = 1 to 4 takes 18
 # to 32 % off it.
@@ -108,6 +111,17 @@ def extrapolation_V(
     x = valid.share_per_K * far_K
     share = x * (1.0 + x * (HALF + x * SIXTH)) + valid.share_per_A * far_A
     return share * held_V + valid.voltage_per_K * far_K
+
+
+@inline
+def lost_temperature_V(lost_s: float, held_V: float) -> float:
+    """What a model can be off by after ``lost_s`` without a temperature, one deviation [V].
+
+    The cell may have cooled or warmed as fast as a small one does, until it is where it is used.
+    """
+    away_K = min(DRIFT_K_PER_S * lost_s, LARGEST_DRIFT_K)
+    x = ACTIVATION_K / ROOM_K**2 * away_K
+    return x * (1.0 + x * (HALF + x * SIXTH)) * held_V + ENTROPY_V_PER_K * away_K
 
 
 @inline

@@ -8,6 +8,7 @@ from typing import NamedTuple, Protocol
 from cellwise.cell.equations import CellState
 from cellwise.cell.model import CellModel
 from cellwise.estimate.filters.filter_state import EkfInfo, EkfState
+from cellwise.estimate.status import CURRENT_INVALID, INNOVATION_REJECTED, OUT_OF_RANGE
 from cellwise.estimate.validity_kernels import validity_scalars
 from cellwise.forecast.remaining import LEAST_LOAD_C, WINDOW_S
 from cellwise.forecast.remaining_kernels import NEVER, Remaining, to_empty
@@ -84,18 +85,22 @@ class Outlook:
     def take(self, update: Step) -> None:
         """Follow one sample."""
         sample, info = update.sample, update.info
-        if update.gap:
+        if update.gap and update.dt_s >= WINDOW_S:
             self._seen_s = 0.0
         if not (math.isfinite(sample.current_A) and math.isfinite(sample.voltage_V)):
             return
-        self._seen_s += update.dt_s
+        if info.status & (CURRENT_INVALID | OUT_OF_RANGE):
+            return  # what no cell carries is no load
+        # What flowed in a pause is not known: it has no weight of its own.
+        dt_s = 0.0 if update.gap and self._seen_s > 0.0 else update.dt_s
+        self._seen_s += dt_s
         # A plain mean until the window is full.
-        share = min(update.dt_s / max(min(self._seen_s, WINDOW_S), 1e-9), 1.0)
+        share = min(dt_s / max(min(self._seen_s, WINDOW_S), 1e-9), 1.0)
         if self._seen_s == 0.0:
             share = 1.0
         self._load_A += share * (sample.current_A - self._load_A)
         self._load_W += share * (sample.current_A * sample.voltage_V - self._load_W)
-        if math.isfinite(info.innovation_V):
+        if math.isfinite(info.innovation_V) and info.status & INNOVATION_REJECTED == 0:
             self._bias_V += share * (info.innovation_V - self._bias_V)
 
     def forecast(self, state: EkfState | None, temperature_C: float) -> ForecastNow | None:

@@ -14,6 +14,7 @@ WATCH = (
     "voltage_V",
     "frozen_A",
     "repeats",
+    "no_warm_s",
 )
 PAST = ("mean_A", "miss_V", "first_soc", "first_variance")
 # Groups of a state as the filters nest them: the record, and its fields.

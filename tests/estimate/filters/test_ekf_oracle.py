@@ -127,7 +127,9 @@ def matrix_filter(model, noise, log, soc0, soc0_std):
         ekf.Q = noise.current_A**2 * np.outer(drive, drive) + np.diag([walk, *share, 0.0])
         branches = np.array([0.0, *drive[1:4], 0.0])
         ekf.Q += unknown * np.outer(branches, branches)
-        ekf.P[0, 0] += noise.gap_soc**2 if gap else 0.0
+        rate = max(0.5 * model.capacity_Ah, np.sqrt(unknown))
+        unseen = min(noise.gap_soc, rate * dt / (3600.0 * model.capacity_Ah))
+        ekf.P[0, 0] += unseen**2 if gap else 0.0
         ekf.P = ekf.F @ ekf.P @ ekf.F.T + ekf.Q
         m = t.at(t.hysteresis.m_V, soc, temperature)
         slope = t.slope(soc, temperature)

@@ -33,7 +33,7 @@ from cellwise.estimate.filters.predict_kernels import (
     soc_walk,
 )
 from cellwise.estimate.noise import NoiseScalars
-from cellwise.estimate.sensing_kernels import NO_VOLTAGE_YET, NOT_BEGUN, Sample
+from cellwise.estimate.sensing_kernels import NO_VOLTAGE_YET, NOT_BEGUN, Sample, unseen_soc
 from cellwise.estimate.slopes_kernels import Slopes, slopes_at
 from cellwise.estimate.status import STATE_RESET
 
@@ -63,7 +63,7 @@ def without_offset(s: Sample, offset_A: float) -> Sample:
     # fmt: off
     return Sample(
         s.current_A, seen, known * (s.flow_A - offset_A), s.gap_A2, s.lost_A,
-        s.voltage_V, s.temperature_C, s.no_current_s, s.dt_s, s.gap, s.status,
+        s.voltage_V, s.temperature_C, s.no_current_s, s.no_warm_s, s.dt_s, s.gap, s.status,
     )
     # fmt: on
 
@@ -115,7 +115,8 @@ def predict(
     )
     ss = p.ss
     if s.gap:
-        ss += noise.gap_soc * noise.gap_soc
+        unseen = unseen_soc(noise, tables.cell.charge_As, s.gap_A2, s.dt_s)
+        ss += unseen * unseen
     ss = drifted(tables, s, ss)
     p = with_soc_variance(p, ss)
     at = slopes_at(tables, soc, ss, point, now.warm_C, s.seen_A, end.slow_A)

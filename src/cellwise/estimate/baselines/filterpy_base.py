@@ -17,7 +17,7 @@ from cellwise.estimate.evidence_kernels import repeated_evidence, share_at, volt
 from cellwise.estimate.filters.kalman import FilterOfModel
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.recovery_kernels import start_branch
-from cellwise.estimate.sensing_kernels import REST_RATE
+from cellwise.estimate.sensing_kernels import REST_RATE, unseen_soc
 from cellwise.estimate.status import OUTSIDE
 from cellwise.estimate.trace import Trace
 from cellwise.estimate.validity_kernels import extrapolation_V, is_outside, widened
@@ -103,7 +103,7 @@ class FilterpyFilter(FilterOfModel):
             if k == 0:
                 self._branches(kf, row, Inside(warm, 0.0))
             if gaps[k]:
-                kf.P[0, 0] += self.noise.gap_soc**2
+                kf.P[0, 0] += unseen_soc(noise, self.cell.charge_As, unknown, float(dt)) ** 2
             beside = self.predict(kf, row, beside)
             inside = Inside(warm, beside.slow_A)
             beyond = is_outside(noise.valid, float(kf.x[0]), row.temperature_C, seen)

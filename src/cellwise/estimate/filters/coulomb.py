@@ -13,6 +13,7 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.point_kernels import CellScalars
 from cellwise.cell.simulate import check_soc0, simulate
 from cellwise.estimate.noise import Noise
+from cellwise.estimate.sensing_kernels import LOST_RATE
 from cellwise.estimate.status import CLAMPED, CURRENT_INVALID, DUPLICATE, SEQUENCE_GAP, Status
 from cellwise.estimate.trace import Trace
 from cellwise.logs.cell_log import CellLog
@@ -55,7 +56,9 @@ def coulomb_step(
         status |= CURRENT_INVALID
     if gap:
         status |= SEQUENCE_GAP
-        variance += gap_soc * gap_soc
+        rate_A = max(LOST_RATE * cell.charge_As / 3600.0, abs(current), abs(previous_A))
+        unseen = min(gap_soc, rate_A * dt_s / cell.charge_As)
+        variance += unseen * unseen
     elif dt_s <= 0.0:
         status |= DUPLICATE
     soc = soc_step(cell, soc, 0.0 if gap else current, dt_s)  # nobody knows what flowed in a gap

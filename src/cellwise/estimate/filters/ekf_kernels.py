@@ -75,7 +75,7 @@ from cellwise.estimate.filters.predict_kernels import (
 from cellwise.estimate.gate_kernels import Innovation, Verdict, gate
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.recovery_kernels import recovered
-from cellwise.estimate.sensing_kernels import Reading, Sample, read_sample
+from cellwise.estimate.sensing_kernels import Reading, Sample, read_sample, unseen_soc
 from cellwise.estimate.slopes_kernels import WIDE_VARIANCE, Slopes, bends, landing_slope, slopes_at
 from cellwise.estimate.status import CLAMPED
 
@@ -110,7 +110,8 @@ def predict(
     )
     ss = p.ss
     if s.gap:
-        ss += noise.gap_soc * noise.gap_soc
+        unseen = unseen_soc(noise, tables.cell.charge_As, s.gap_A2, s.dt_s)
+        ss += unseen * unseen
     ss = drifted(tables, s, ss)
     p = with_soc_variance(p, ss)
     at = slopes_at(tables, now.end.soc, ss, point, now.warm_C, s.seen_A, now.end.slow_A)

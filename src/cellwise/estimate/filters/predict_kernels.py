@@ -26,7 +26,12 @@ from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.recovery_kernels import start_branch
 from cellwise.estimate.sensing_kernels import NO_VOLTAGE_YET, NOT_BEGUN, Sample
 from cellwise.estimate.status import OUTSIDE, STATE_RESET
-from cellwise.estimate.validity_kernels import extrapolation_V, is_outside, widened
+from cellwise.estimate.validity_kernels import (
+    extrapolation_V,
+    is_outside,
+    lost_temperature_V,
+    widened,
+)
 
 SOC_LOW = 0.0
 SOC_HIGH = 1.0
@@ -87,6 +92,9 @@ def over_interval(
         held = abs(point.r0_ohm * s.seen_A) + (abs(v1) + (abs(v2) + abs(v3)))
         more = extrapolation_V(noise.valid, s.temperature_C, s.seen_A, held)
         point = widened(point, more)
+    if s.no_warm_s > 0.0:
+        held = abs(point.r0_ohm * s.seen_A) + (abs(v1) + (abs(v2) + abs(v3)))
+        point = widened(point, lost_temperature_V(s.no_warm_s, held))
     old = CellState(x.soc, old1, old2, old3, x.h, x.heat_K, x.slow_A)
     end = CellState(soc, v1, v2, v3, h, x.heat_K, slow)
     return Interval(old, point, t, end, warm, v11, v22, v33, status)

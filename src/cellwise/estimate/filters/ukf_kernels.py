@@ -65,7 +65,7 @@ from cellwise.estimate.filters.predict_kernels import (
 )
 from cellwise.estimate.gate_kernels import Innovation, gate
 from cellwise.estimate.noise import NoiseScalars
-from cellwise.estimate.sensing_kernels import Reading, Sample, read_sample
+from cellwise.estimate.sensing_kernels import Reading, Sample, read_sample, unseen_soc
 from cellwise.estimate.slopes_kernels import WIDE_VARIANCE
 
 
@@ -126,7 +126,8 @@ def predict(
     old, point, t, c = now.old, now.point, now.t, sigma.reach
     ss = begun.p.ss
     if s.gap:
-        ss += noise.gap_soc * noise.gap_soc
+        unseen = unseen_soc(noise, tables.cell.charge_As, s.gap_A2, s.dt_s)
+        ss += unseen * unseen
     pair = pair_of(sigma, begun.p, ss)
     along = pair.along
     # A resistance that is off by a share must not vouch for the SOC: unless the SOC is badly known,

@@ -49,14 +49,15 @@ LANES = 16  # fewer than sixteen turns are not worth a vector to the compiler
     LAST_V,
     FROZEN,
     REPEATS,
+    NO_WARM,
     MEAN,
     MISS,
     FIRST_SOC,
     FIRST_VARIANCE,
     FACTOR,
     FACTOR_C,
-) = range(39)
-FIELDS = 39
+) = range(40)
+FIELDS = 40
 
 
 @inline
@@ -101,6 +102,7 @@ def get_state(block: FloatArray, lane: int) -> EkfState:
             block[LAST_V * LANES + lane],
             block[FROZEN * LANES + lane],
             block[REPEATS * LANES + lane],
+            block[NO_WARM * LANES + lane],
         ),
         Past(
             block[MEAN * LANES + lane],
@@ -147,6 +149,7 @@ def put_state(block: FloatArray, lane: int, state: EkfState) -> None:
     block[LAST_V * LANES + lane] = state.watch.voltage_V
     block[FROZEN * LANES + lane] = state.watch.frozen_A
     block[REPEATS * LANES + lane] = state.watch.repeats
+    block[NO_WARM * LANES + lane] = state.watch.no_warm_s
     block[MEAN * LANES + lane] = state.past.mean_A
     block[MISS * LANES + lane] = state.past.miss_V
     block[FIRST_SOC * LANES + lane] = state.past.first_soc
@@ -195,6 +198,7 @@ def choose(which: bool, yes: EkfState, no: EkfState) -> EkfState:
             yes.watch.voltage_V if which else no.watch.voltage_V,
             yes.watch.frozen_A if which else no.watch.frozen_A,
             yes.watch.repeats if which else no.watch.repeats,
+            yes.watch.no_warm_s if which else no.watch.no_warm_s,
         ),
         Past(
             yes.past.mean_A if which else no.past.mean_A,

@@ -190,6 +190,7 @@ def plain_step(
         voltage_V,
         frozen_A,
         repeats,
+        0.0 if sound else w.no_warm_s,
     )
 
     mismatch = mismatch_step(noise, old.mismatch, excess, dt_s)
