@@ -41,6 +41,7 @@ from cellwise.diagnose.log_runs import (
 )
 from cellwise.diagnose.next_test import LONGER_LOG, next_test
 from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
+from cellwise.diagnose.sensor_faults import with_faults, without_faults
 from cellwise.diagnose.soc_gain import reference_for, soc_gain
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
@@ -99,26 +100,35 @@ def diagnose(
             f"a reference capacity of {reference_capacity_Ah:g} Ah", "above zero", "Correct it."
         )
     chosen = _chosen(causes)
+    with_all_rows = groups[0] + groups[1]
+    cleaned, stated, faults = without_faults(groups, _stated(groups, soc0))
+    groups = tuple(cleaned)
+
+    def said(found: Diagnosis) -> Diagnosis:
+        return with_faults(found, faults, model, with_all_rows)
+
     missing = too_little(model, groups[0])
-    starts = _starts(model, groups, soc0)
+    starts = _starts(model, groups, stated)
     if missing:
-        return _undetermined(model, starts, missing)
+        return said(_undetermined(model, starts, missing))
     slowest = _slowest(model)
     evidence = gather(model, starts[0], starts[1], slowest)
     coordinates = Coordinates(model)
+    chosen = [c for c in chosen if all(coordinates.possible(n) for n in c.coordinates)]
     fits = _cause_fits(evidence, coordinates, seed)
     if groups[2]:
         calibrate(fits, model, starts[2], lambda e: _cause_fits(e, coordinates, seed))
     base, noise = fits.base(fits.prior)
     other = another_cell(model, evidence, base, base.soc)
     if other:
-        return _undetermined(model, starts, f"this looks like another cell: {other}")
+        return said(_undetermined(model, starts, f"this looks like another cell: {other}"))
     if evidence.rest.zero:
         chosen = [c for c in chosen if c.name != "current_offset"]
     shown = limits(fits, chosen, base, noise, LEAST_SCORE)
     comparison = ModelComparison(fits, _extrapolated(model, evidence), progress)
     outcome = comparison.run(chosen, base, noise)
-    return _diagnosis(model, groups[0], groups[1], fits, outcome, shown, reference_capacity_Ah)
+    found = _diagnosis(model, groups[0], groups[1], fits, outcome, shown, reference_capacity_Ah)
+    return said(found)
 
 
 def _undetermined(model: CellModel, starts: list[list[StartedLog]], why: str) -> Diagnosis:
@@ -157,19 +167,24 @@ def _slowest(model: CellModel) -> float:
     return slow
 
 
+def _stated(
+    groups: Sequence[Sequence[CellLog]], soc0: float | str | Sequence[float | str]
+) -> list[float | str]:
+    """What is said of every log's start; a log's own goes before one for all."""
+    flat = [g for group in groups for g in group]
+    if isinstance(soc0, (str, float, int)):
+        return [soc0 if g.soc0 is None else g.soc0 for g in flat]
+    stated = list(soc0)
+    return stated + ["auto"] * max(len(flat) - len(stated), 0)
+
+
 def _starts(
     model: CellModel,
-    groups: tuple[tuple[CellLog, ...], ...],
-    soc0: float | str | Sequence[float | str],
+    groups: Sequence[Sequence[CellLog]],
+    stated: Sequence[float | str],
 ) -> list[list[StartedLog]]:
     """Every log with its start."""
     flat = [g for group in groups for g in group]
-    if isinstance(soc0, (str, float, int)):
-        stated: list[float | str] = [soc0 if g.soc0 is None else g.soc0 for g in flat]
-    else:
-        stated = list(soc0)
-        if len(stated) < len(flat):
-            stated += ["auto"] * (len(flat) - len(stated))
     found = iter(zip(flat, stated, strict=False))
     result = []
     for group in groups:

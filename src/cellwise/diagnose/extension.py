@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 
 from cellwise.cell.effects import (
+    BRANCH_ACTIVATIONS,
     ChargeAsymmetry,
+    Entropy,
     Hysteresis,
     RateDependence,
     SelfDischarge,
@@ -20,9 +22,10 @@ from cellwise.cell.effects import (
     TemperatureDependence,
     TimeSkew,
 )
+from cellwise.cell.equations import ZERO_CELSIUS_K
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.validity import Validity
-from cellwise.cell.point_kernels import OCV, R0, R1, R2, R3, TAU1, TAU2, TAU3, M
+from cellwise.cell.point_kernels import ENTROPY, OCV, R0, R1, R2, R3, TAU1, TAU2, TAU3, M
 from cellwise.cell.simulate import simulate
 from cellwise.diagnose.causes.catalogue import Cause
 from cellwise.diagnose.causes.coordinates import CURRENT_NAMES, Coordinates
@@ -79,7 +82,7 @@ def value_of(coordinate: str, x: float, coordinates: Coordinates, soc0: float) -
         return coordinates.surface_s * math.exp(x)
     if coordinate == "rth_K_per_W":
         return scalars.heating_K_per_W + x
-    return x
+    return coordinates.value_of(coordinate, x)
 
 
 def split_skew(
@@ -120,13 +123,16 @@ def extend_model(
         tau2_s=t[..., TAU2],
         provenance={**model.provenance, "diagnosed": dict(note)},
     )
-    if coordinates.has_slow or cell.get("r3", 0.0) > 0.0:
+    if coordinates.has_slow or np.any(t[..., R3] > 0.0):
         new = new.with_effect(SlowDiffusion(np.maximum(t[..., R3], 0.0), t[..., TAU3]))
     if np.any(t[..., M]):
         new = new.with_effect(Hysteresis(t[..., M], s.hysteresis_rate))
-    if s.activation_K != 0.0:
+    if s.activation_K != 0.0 or s.branch_activation != 0.0:
         own = model.effect(TemperatureDependence)
-        new = new.with_effect(replace(own, activation_K=s.activation_K))
+        beside = {f"{b}_K": getattr(s, f"{b}_activation_K") for b in BRANCH_ACTIVATIONS}
+        new = new.with_effect(replace(own, activation_K=s.activation_K, **beside))
+    if np.any(t[..., ENTROPY]):
+        new = new.with_effect(Entropy(t[..., ENTROPY], s.entropy_K - ZERO_CELSIUS_K))
     if s.rate_per_A != 0.0:
         new = new.with_effect(RateDependence(s.rate_per_A * new.capacity_Ah))
     if s.surface_per_A != 0.0:

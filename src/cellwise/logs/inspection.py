@@ -16,6 +16,7 @@ from cellwise.logs.checks.oddities import (
     Stretch,
     find_rests,
     find_saturations,
+    find_spikes,
     find_stuck,
     is_quiet,
     resolution,
@@ -128,7 +129,7 @@ def inspect_log(log: CellLog) -> Inspection:
         *(n for n in log.notices if not is_grave(n)),
         *_sign_notices(log, check.verdict, check.evidence),
         *_time_notices(log, sampling),
-        *_channel_notices(log, missing, stuck, mismatch),
+        *_channel_notices(log, missing, stuck, find_spikes(log).size, mismatch),
         *_rest_notices(log, rests),
     ]
     return Inspection(
@@ -221,7 +222,11 @@ def _time_notices(log: CellLog, sampling: Sampling) -> list[str]:
 
 
 def _channel_notices(
-    log: CellLog, missing: dict[str, int], stuck: dict[str, Stretch], mismatch: float | None
+    log: CellLog,
+    missing: dict[str, int],
+    stuck: dict[str, Stretch],
+    spikes: int,
+    mismatch: float | None,
 ) -> list[str]:
     notices = [
         f"{count} of {len(log)} rows without {field}" for field, count in missing.items() if count
@@ -233,6 +238,8 @@ def _channel_notices(
             f"{stretch.start_s:.1f} s on while the {other} moves: a stuck channel?"
         )
     noted = any("differs from the summed current" in notice for notice in log.notices)
+    if spikes:
+        notices.append(f"{spikes} row(s) whose voltage jumps away and back without the current")
     if mismatch is not None and mismatch > NOTED_MISMATCH_PERCENT and not noted:
         notices.append(
             f"the counter ampere_hours differs from the summed current by {mismatch:.1f} % of the "

@@ -126,6 +126,51 @@ CAUSES: dict[str, Cause] = {
             ("current_gain", "temperature_dependence", "rate_dependence", "time_skew"),
         ),
         Cause(
+            "ohmic_resistance",
+            "cell",
+            "The ohmic resistance alone has changed: a contact, a film, the electrolyte.",
+            "R0 -> R0 + added_ohm",
+            "Steps at every edge of the current in proportion to it, and nothing that relaxes.",
+            (Parameter("added_ohm", "ohm", 0.0, (-100.0, 100.0), "added_r0", 0.5),),
+            ("resistance_scale", "rate_dependence", "time_skew"),
+        ),
+        Cause(
+            "lithium_inventory",
+            "cell",
+            "Lithium that can be cycled was lost.",
+            "OCV and capacity of two electrodes with less lithium between them",
+            "Less capacity, and an OCV whose steps from the two electrodes have moved apart.",
+            (Parameter("lithium_loss", "1", 0.0, (0.0, 0.6), "lithium_loss", 0.1),),
+            ("active_material_negative", "active_material_positive", "capacity", "ocv_shift"),
+        ),
+        Cause(
+            "active_material_negative",
+            "cell",
+            "Material of the negative electrode was lost.",
+            "OCV and capacity of two electrodes, the negative one smaller",
+            "The steps of the negative electrode in the OCV come nearer to each other.",
+            (Parameter("negative_loss", "1", 0.0, (0.0, 0.6), "negative_loss", 0.1),),
+            ("lithium_inventory", "active_material_positive", "capacity", "ocv_shift"),
+        ),
+        Cause(
+            "active_material_positive",
+            "cell",
+            "Material of the positive electrode was lost.",
+            "OCV and capacity of two electrodes, the positive one smaller",
+            "The OCV falls with the steeper fall of the positive electrode, from full on.",
+            (Parameter("positive_loss", "1", 0.0, (0.0, 0.6), "positive_loss", 0.1),),
+            ("lithium_inventory", "active_material_negative", "capacity", "ocv_shift"),
+        ),
+        Cause(
+            "entropy",
+            "cell",
+            "The OCV moves with temperature.",
+            "OCV -> OCV + docv_dT (T - 25 degC)",
+            "An error that follows the temperature, with current and without.",
+            (Parameter("docv_dT_V_per_K", "V/K", 0.0, (-2e-3, 2e-3), "docv_dT", 2e-4),),
+            ("voltage_offset", "ocv_shift", "temperature_dependence"),
+        ),
+        Cause(
             "ocv_shift",
             "cell",
             "The OCV curve has another shape (age, another batch).",
@@ -171,7 +216,7 @@ CAUSES: dict[str, Cause] = {
             "+ m_V h, h' = -gamma |I| / (3600 Q) (h + sgn I)",
             "Error that turns with the direction of charge and does not decay in rests.",
             (
-                Parameter("m_V", "V", 0.0, (-0.3, 0.3), "m_V", 0.02),
+                Parameter("m_V", "V", 0.0, (0.0, 0.3), "m_V", 0.02),
                 Parameter("gamma", "1", 30.0, (0.5, 5000.0), "ln_gamma", 1.5),
             ),
             ("slow_diffusion", "charge_asymmetry", "ocv_shift"),
@@ -183,7 +228,11 @@ CAUSES: dict[str, Cause] = {
             "Resistances change with temperature more, or less, than the model says.",
             "R -> R exp(activation_K (1/T - 1/T_ref))",
             "Error in proportion to the drop, and following the temperature.",
-            (Parameter("activation_K", "K", 0.0, (-2000.0, 15000.0), "activation_K", 3000.0),),
+            (
+                Parameter("activation_K", "K", 0.0, (-2000.0, 15000.0), "activation_K", 3000.0),
+                Parameter("r0_K", "K", 0.0, (-8000.0, 8000.0), "r0_K", 1000.0),
+                Parameter("tau_K", "K", 0.0, (-8000.0, 8000.0), "tau_K", 1000.0),
+            ),
             ("resistance_scale", "self_heating"),
         ),
         Cause(
@@ -228,6 +277,26 @@ CAUSES: dict[str, Cause] = {
         ),
     )
 }
+
+# Found before any fit, in the logs alone (:mod:`cellwise.diagnose.sensor_faults`).
+SENSOR_FAULT = Cause(
+    "sensor_fault",
+    "measurement",
+    "A sensor stood still, was at its end, jumped or was lost; those rows were left out.",
+    "rows without a value",
+    "A channel that does what the other one contradicts.",
+    (
+        Parameter("rows", "1", 0.0, (0.0, 1e12), "", 0.0),
+        Parameter("start_s", "s", 0.0, (0.0, 1e12), "", 0.0),
+        Parameter("duration_s", "s", 0.0, (0.0, 1e12), "", 0.0),
+    ),
+    (),
+)
+
+
+def known_cause(name: str) -> Cause:
+    """A cause by its name, whether it is fitted or found in the logs alone."""
+    return SENSOR_FAULT if name == SENSOR_FAULT.name else CAUSES[name]
 
 
 def kept_coordinates(causes: Iterable[Cause]) -> set[str]:

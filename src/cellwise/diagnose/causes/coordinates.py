@@ -14,8 +14,22 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.cell.effects import Hysteresis, SlowDiffusion
+from cellwise.cell.equations import ZERO_CELSIUS_K
 from cellwise.cell.model import CellModel
-from cellwise.cell.point_kernels import OCV, R0, R1, R2, R3, TAU1, TAU2, TAU3, CellScalars, M
+from cellwise.cell.point_kernels import (
+    ENTROPY,
+    OCV,
+    R0,
+    R1,
+    R2,
+    R3,
+    TAU1,
+    TAU2,
+    TAU3,
+    CellScalars,
+    M,
+)
+from cellwise.diagnose.causes.electrodes import Electrodes, electrodes_of
 from cellwise.diagnose.causes.sensitivity_kernels import Directions
 from cellwise.typing import FloatArray, IntArray
 
@@ -27,9 +41,14 @@ START_TAU3_S = 600.0
 START_GAMMA = 30.0
 START_HEATING_S = 600.0
 START_SURFACE_S = 300.0
+REFERENCE_C = 25.0
+# Step of the numerical derivative of an OCV by what its electrodes have lost.
+LOSS_STEP = 1e-4
 
 OCV_NAMES = tuple(f"ocv_{k}" for k in range(OCV_KNOTS))
 R_NAMES = tuple(f"ln_r_{k}" for k in range(R_KNOTS))
+LOSS_NAMES = ("lithium_loss", "negative_loss", "positive_loss")
+BRANCH_NAMES = ("r0_K", "tau_K")
 SHARED = (
     "offset_A",
     "ln_gain",
@@ -56,6 +75,10 @@ SHARED = (
     "ln_thermal_s",
     "surface_h",
     "ln_surface_s",
+    "added_r0",
+    "docv_dT",
+    *LOSS_NAMES,
+    *BRANCH_NAMES,
 )
 # Where each enters: the current, the table or the scalars of the cell.
 CURRENT_NAMES = ("offset_A", "ln_gain", "skew_s")
@@ -71,6 +94,7 @@ class KernelInputs(NamedTuple):
     offset_A: float
     gain: float
     skew_s: float
+    point: Mapping[str, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,6 +163,47 @@ class Coordinates:
             return self._scalars.surface_s
         return self.shapes.get("ln_surface_s", START_SURFACE_S)
 
+    @property
+    def electrodes(self) -> Electrodes | None:
+        """The half cells that the OCV is made of; None where no published ones come near it."""
+        return electrodes_of(self.model.soc, self.model.at_temperature(REFERENCE_C).ocv_V[0])
+
+    def possible(self, name: str) -> bool:
+        """Whether a coordinate means something for this model and these logs."""
+        return name not in LOSS_NAMES or self.electrodes is not None
+
+    def value_of(self, name: str, x: float) -> float:
+        """What people see where a coordinate is ``x``: resistances in ohm."""
+        if name == "added_r0":
+            return x * self.r_typical_ohm
+        return x
+
+    def bounds_of(self, name: str, bounds: tuple[float, float]) -> tuple[float, float]:
+        """Bounds of what people see as bounds of the coordinate."""
+        low, high = bounds
+        if name == "m_V":  # what the model has may go, but not turn round
+            return low - float(np.min(self._table[..., M])), high
+        return low, high
+
+    def _aged(self, z: Mapping[str, float]) -> tuple[FloatArray, float]:
+        """Change of the OCV [V] and factor on the capacity by what the electrodes have lost."""
+        losses = [z.get(n, 0.0) for n in LOSS_NAMES]
+        if self.electrodes is None or not any(losses):
+            return np.zeros(self.model.soc.size), 1.0
+        return self.electrodes.aged(self.model.soc, *losses)
+
+    def _by_loss(self, name: str, z: Mapping[str, float]) -> tuple[FloatArray, float]:
+        """Derivatives of the OCV [V] and of ln capacity by a share that is lost."""
+        at = z.get(name, 0.0)
+        high, low = (self._aged({**z, name: at + s * LOSS_STEP}) for s in (1.0, -1.0))
+        share = (high[1] - low[1]) / (2.0 * LOSS_STEP * self._aged(z)[1])
+        return (high[0] - low[0]) / (2.0 * LOSS_STEP), share
+
+    def _factor(self, z: Mapping[str, float]) -> FloatArray:
+        """What all resistances have in common, over SOC."""
+        by_soc = np.array([z.get(n, 0.0) for n in R_NAMES]) @ self._r_hats
+        return np.asarray(np.exp(z.get("ln_scale", 0.0) + by_soc))
+
     def r3_ohm(self, z: Mapping[str, float]) -> float:
         """Median resistance of the slow branch [ohm]."""
         if self.has_slow:
@@ -153,9 +218,10 @@ class Coordinates:
 
         base = self._scalars
         t = self._table.copy()
-        t[..., OCV] += np.array([at(n) for n in OCV_NAMES]) @ self._hats
-        common = at("ln_scale") + np.array([at(n) for n in R_NAMES]) @ self._r_hats
-        factor = np.exp(common)
+        aged_V, share = self._aged(z)
+        t[..., OCV] += np.array([at(n) for n in OCV_NAMES]) @ self._hats + aged_V
+        factor = self._factor(z)
+        t[..., R0] += at("added_r0") * self.r_typical_ohm
         t[..., R0] *= factor * math.exp(at("ln_r0"))
         t[..., R1] *= factor * math.exp(at("ln_r1"))
         t[..., R2] *= factor * math.exp(at("ln_r2"))
@@ -168,8 +234,16 @@ class Coordinates:
             t[..., R3] = at("r3") * self.r_typical_ohm
             t[..., TAU3] = self.tau3_s * math.exp(at("ln_tau3"))
         t[..., M] += at("m_V")
+        t[..., ENTROPY] += at("docv_dT")
+        branches = any(n in z for n in BRANCH_NAMES)
         scalars = base._replace(
-            charge_As=base.charge_As * math.exp(at("ln_capacity")),
+            charge_As=base.charge_As * math.exp(at("ln_capacity")) * share,
+            branch_activation=1.0 if branches else base.branch_activation,
+            r0_activation_K=base.r0_activation_K + at("r0_K"),
+            tau1_activation_K=base.tau1_activation_K + at("tau_K"),
+            tau2_activation_K=base.tau2_activation_K + at("tau_K"),
+            tau3_activation_K=base.tau3_activation_K + at("tau_K"),
+            entropy_K=base.entropy_K or ZERO_CELSIUS_K + REFERENCE_C,
             hysteresis_rate=self.gamma * math.exp(at("ln_gamma")),
             activation_K=base.activation_K + at("activation_K"),
             rate_per_A=base.rate_per_A + at("rate_h") / self.model.capacity_Ah,
@@ -189,6 +263,7 @@ class Coordinates:
             at("offset_A"),
             math.exp(at("ln_gain")),
             base.skew_s + at("skew_s"),
+            dict(z),
         )
 
     def table_direction(self, name: str, inputs: KernelInputs) -> FloatArray | None:
@@ -196,7 +271,14 @@ class Coordinates:
         t = inputs.table
         d = np.zeros_like(t)
         resistances = (R0, R1, R2, R3) if self.has_slow else (R0, R1, R2)
-        if name in OCV_NAMES:
+        if name in LOSS_NAMES:
+            d[..., OCV] = self._by_loss(name, inputs.point)[0]
+        elif name == "added_r0":
+            before = self._table[..., R0] + inputs.point.get(name, 0.0) * self.r_typical_ohm
+            d[..., R0] = self.r_typical_ohm * t[..., R0] / before
+        elif name == "docv_dT":
+            d[..., ENTROPY] = 1.0
+        elif name in OCV_NAMES:
             d[..., OCV] = self._hats[OCV_NAMES.index(name)]
         elif name in R_NAMES:
             for c in resistances:
@@ -218,6 +300,11 @@ class Coordinates:
         """Derivatives of the scalars with respect to one coordinate."""
         d = np.zeros(len(CellScalars._fields))
         scalar = _SCALAR.get(name)
+        if name in LOSS_NAMES:
+            by_share = self._by_loss(name, inputs.point)[1]
+            d[CellScalars._fields.index("charge_As")] = inputs.scalars.charge_As * by_share
+        for branch in _TAU_ACTIVATIONS if name == "tau_K" else ():
+            d[CellScalars._fields.index(branch)] = 1.0
         if scalar is not None:
             unit = getattr(inputs.scalars, scalar) if name.startswith("ln_") else 1.0
             if name in ("rate_h", "surface_h"):
@@ -264,6 +351,7 @@ def _hats(points: int, knots: int) -> FloatArray:
     return np.array([np.interp(soc, places, row) for row in np.eye(knots)])
 
 
+_TAU_ACTIVATIONS = ("tau1_activation_K", "tau2_activation_K", "tau3_activation_K")
 _SINGLE = {
     "ln_r0": R0,
     "ln_r1": R1,
@@ -275,6 +363,7 @@ _SINGLE = {
 _SCALAR = {
     "ln_capacity": "charge_As",
     "activation_K": "activation_K",
+    "r0_K": "r0_activation_K",
     "ln_gamma": "hysteresis_rate",
     "rate_h": "rate_per_A",
     "ln_charge_scale": "charge_scale",

@@ -159,7 +159,7 @@ def coordinate_bounds(
     if name == "activation_K":
         has = model.effect(TemperatureDependence).activation_K
         return low - has, high - has
-    return low, high
+    return coordinates.bounds_of(name, bounds)
 
 
 def structure_prior(prior: Prior) -> Prior:

@@ -1,4 +1,4 @@
-"""Rests, stuck channels, resolution and saturation of a log."""
+"""Rests, resolution, and channels that stand still, stick at an end, jump or are lost."""
 
 from __future__ import annotations
 
@@ -15,9 +15,19 @@ COARSE_REST_OF_LARGEST = 0.02
 LEAST_REST_S = 60.0
 STUCK_ROWS = 20
 STUCK_MOVES = 10
+# So many are enough where each would have moved the voltage by so many of its digits.
+PLAIN_MOVES, PLAIN_DIGITS = 3, 5.0
 STUCK_MOVE_OF_RANGE = 0.1
 SATURATED_RUN = 3
 SATURATED_VISITS = 3
+# A spike is beyond what the current did by so many robust deviations, and by so much at least.
+SPIKE_DEVIATIONS = 20.0
+SPIKE_LEAST_V = 0.05
+SPIKE_OF_DROP = 2.0
+LATE_ROWS = 5
+LARGER_STEPS = 0.98
+NOISE_DEVIATIONS = 8.0
+LOST_ROWS = 20
 RESOLUTION_SAMPLE = 200_000
 WHOLE_STEPS = 0.95
 LEAST_DISTINCT = 20
@@ -97,20 +107,26 @@ def resolution(values: FloatArray) -> float | None:
     return None
 
 
+class Run(NamedTuple):
+    """Rows from ``first`` to ``last``, both included."""
+
+    first: int
+    last: int
+
+
 def find_stuck(log: MeasuredLog) -> dict[str, Stretch]:
-    """Channels that stood still while the other one moved to and fro.
+    """Channels that stood still while the other one moved to and fro: the longest time of each.
 
     A voltage held by the tester stands still too, but the current then only dies away; a constant
     current stands still, but the voltage under it only drifts.
     """
     found = {}
-    for name, held, other in (
-        ("voltage_V", log.voltage_V, log.current_A),
-        ("current_A", log.current_A, log.voltage_V),
-    ):
-        stretch = _longest_standstill(log.time_s, held, other)
-        if stretch is not None:
-            found[name] = stretch
+    for name, runs in stuck_runs(log).items():
+        stretches = [
+            Stretch(float(log.time_s[a]), float(log.time_s[b] - log.time_s[a]))
+            for a, b in ((max(r.first - 1, 0), r.last) for r in runs)
+        ]
+        found[name] = max(stretches, key=lambda s: s.duration_s)
     return found
 
 
@@ -147,6 +163,118 @@ def _longest_standstill(time_s: FloatArray, held: FloatArray, other: FloatArray)
     duration_s = time_s[last][stuck] - begins
     longest = int(np.argmax(duration_s))
     return Stretch(float(begins[longest]), float(duration_s[longest]))
+
+
+def stuck_runs(log: MeasuredLog) -> dict[str, list[Run]]:
+    """The rows of every such time, by channel."""
+    current_jump = STUCK_MOVE_OF_RANGE * _swing(log.current_A)
+    digits = PLAIN_DIGITS * (resolution(log.voltage_V) or 0.0)
+    plain = _step_resistance(log) * current_jump > max(digits, PLAIN_DIGITS * _noise(log.voltage_V))
+    moves = PLAIN_MOVES if plain else STUCK_MOVES
+    found = {
+        "voltage_V": _standstills(log.voltage_V, log.current_A, current_jump, moves),
+        "current_A": _standstills(log.current_A, log.voltage_V, _current_jump(log), STUCK_MOVES),
+    }
+    return {name: runs for name, runs in found.items() if runs}
+
+
+def _current_jump(log: MeasuredLog) -> float:
+    """A step of the voltage that only a current makes [V].
+
+    The way from full to empty is no part of it, and neither is the noise.
+    """
+    swing = _swing(log.voltage_V)
+    moved = min(swing, _step_resistance(log) * _swing(log.current_A)) or swing
+    noise = max(_noise(log.voltage_V), (resolution(log.voltage_V) or 0.0) / 3.0)
+    return max(STUCK_MOVE_OF_RANGE * moved, NOISE_DEVIATIONS * noise)
+
+
+def _swing(values: FloatArray) -> float:
+    return float(np.fmax.reduce(values) - np.fmin.reduce(values))
+
+
+def _standstills(held: FloatArray, other: FloatArray, jump: float, least: int) -> list[Run]:
+    change = np.diff(other, prepend=other[0])
+    ups, downs = np.cumsum(change > jump), np.cumsum(change < -jump)
+    first, last = _runs(np.diff(held, prepend=np.nan) == 0.0)
+    if first.size == 0 or jump == 0.0:
+        return []
+    moves = np.minimum(ups[last] - ups[first - 1], downs[last] - downs[first - 1])
+    stuck = (last - first + 1 >= STUCK_ROWS) & (moves >= least)
+    return [Run(int(a), int(b)) for a, b in zip(first[stuck], last[stuck], strict=True)]
+
+
+def _step_resistance(log: MeasuredLog) -> float:
+    """Size of the voltage's larger steps over that of the current's, at whatever delay [ohm]."""
+    by_current, by_voltage = np.abs(np.diff(log.known_current_A())), np.abs(np.diff(log.voltage_V))
+    known = by_voltage[np.isfinite(by_voltage)]
+    if known.size == 0:
+        return 0.0
+    step_A = float(np.quantile(by_current, LARGER_STEPS))
+    return float(np.quantile(known, LARGER_STEPS)) / step_A if step_A > 0.0 else 0.0
+
+
+def _noise(values: FloatArray) -> float:
+    """Standard deviation of a channel's noise: of the tenth of its steps that are smallest."""
+    steps = np.abs(np.diff(values))
+    steps = steps[np.isfinite(steps)]
+    # A tenth of normal values is below 0.126 of their deviation; a step is of two values.
+    return float(np.quantile(steps, 0.1)) / (0.126 * 2.0**0.5) if steps.size else 0.0
+
+
+def find_spikes(log: MeasuredLog) -> NDArray[np.intp]:
+    """Single rows whose voltage is far from both neighbours', further than the current explains.
+
+    The current of some rows around counts, since a channel may be logged late.
+    """
+    v, i = log.voltage_V, log.known_current_A()
+    if v.size < 2 * LATE_ROWS + 3:
+        return np.zeros(0, dtype=np.intp)
+    bend = np.zeros(v.size)
+    bend[1:-1] = np.abs(v[1:-1] - 0.5 * (v[:-2] + v[2:]))
+    bend = np.nan_to_num(bend)
+    window = np.pad(i, LATE_ROWS, "edge")
+    around = np.lib.stride_tricks.sliding_window_view(window, 2 * LATE_ROWS + 1)
+    moved = np.max(around, axis=1) - np.min(around, axis=1)
+    usual = 1.48 * float(np.median(bend))
+    least = max(SPIKE_LEAST_V, SPIKE_DEVIATIONS * usual)
+    far = bend > least + SPIKE_OF_DROP * _step_resistance(log) * moved
+    # Beside a spike the bend is half as large, the other way: that row is not one.
+    alone = far[1:-1] & (bend[1:-1] >= bend[:-2]) & (bend[1:-1] >= bend[2:])
+    return np.flatnonzero(alone) + 1
+
+
+def lost_runs(log: MeasuredLog) -> dict[str, list[Run]]:
+    """Stretches of many rows without a value, by channel."""
+    found = {}
+    for name, values in (("voltage_V", log.voltage_V), ("current_A", log.current_A)):
+        first, last = _runs(np.isnan(values))
+        many = last - first + 1 >= LOST_ROWS
+        if many.any():
+            found[name] = [
+                Run(int(a), int(b)) for a, b in zip(first[many], last[many], strict=True)
+            ]
+    return found
+
+
+def clipped_runs(log: MeasuredLog) -> list[Run]:
+    """Rows at which the current's sensor is at its end while the true current goes on moving.
+
+    A tester at its limit stands there, too, but then the voltage only drifts.
+    """
+    current, change = log.current_A, np.diff(log.voltage_V, prepend=np.nan)
+    jump = _current_jump(log)
+    runs: list[Run] = []
+    for name, found in find_saturations(log).items():
+        if not name.startswith("current_A"):
+            continue
+        at_end = current == found.value
+        inside = at_end & np.concatenate(([False], at_end[:-1]))
+        moves = min(np.sum(change[inside] > jump), np.sum(change[inside] < -jump))
+        if moves >= STUCK_MOVES and jump > 0.0:
+            first, last = _runs(at_end)
+            runs += [Run(int(a), int(b)) for a, b in zip(first, last, strict=True)]
+    return sorted(runs)
 
 
 def find_saturations(log: MeasuredLog) -> dict[str, Saturation]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from cellwise.diagnose.causes.catalogue import CAUSES
+from cellwise.diagnose.causes.catalogue import CAUSES, known_cause
 from cellwise.diagnose.log_runs import LogRun
 from cellwise.diagnose.result import Diagnosis, FoundCause
 from cellwise.plotting import Line, Panel
@@ -191,7 +191,7 @@ def lead_lines(diagnosis: Diagnosis) -> list[str]:
 
 def cause_content(cause: FoundCause, diagnosis: Diagnosis) -> Markup:
     """One cause: meaning, numbers, evidence, what it is confused with."""
-    known = CAUSES[cause.name]
+    known = known_cause(cause.name)
     name = cause_name(cause.name)
     sure = f", probability {percent(cause.probability, 0)}" if cause.probability >= 0.0 else ""
     head_line = Markup(f"<h3>{escape(name[:1].upper() + name[1:] + sure)}</h3>")

@@ -1,0 +1,199 @@
+"""Faults of the sensors, found before anything is judged, and the logs without their rows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from cellwise.cell.initial_soc import initial_soc
+from cellwise.cell.model import CellModel
+from cellwise.cell.simulate import simulate
+from cellwise.diagnose.causes.catalogue import SENSOR_FAULT
+from cellwise.diagnose.result import Diagnosis, FoundCause
+from cellwise.logs.cell_log import CellLog
+from cellwise.logs.checks.oddities import Run, clipped_runs, find_spikes, lost_runs, stuck_runs
+
+# A single row may be bad in any log; so many are a sensor that fails.
+FEWEST_SPIKES = 3
+# Of a log whose current was wrong in between, the longest part must be so long to say anything.
+LEAST_PART = 0.2
+
+Kind = Literal["stuck", "saturated", "spikes", "lost"]
+Starts = list[float | str]
+
+
+@dataclass(frozen=True)
+class SensorFault:
+    """What a channel of a log did wrong, where.
+
+    ``runs`` are its rows, ``log`` the log's name.
+    """
+
+    log: str
+    channel: str
+    kind: Kind
+    runs: tuple[Run, ...]
+    start_s: float
+    duration_s: float
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return sum(r.last - r.first + 1 for r in self.runs)
+
+    def text(self) -> str:
+        """For people."""
+        how = {
+            "stuck": "stands still while the other channel moves",
+            "saturated": "is held at its end while the voltage goes on moving",
+            "spikes": "jumps away and back without the current",
+            "lost": "is missing",
+        }[self.kind]
+        where = f"rows {self.runs[0].first} to {self.runs[0].last}"
+        if len(self.runs) > 1:
+            where = f"{self.rows} rows between {self.runs[0].first} and {self.runs[-1].last}"
+        name = f"{self.log}: " if self.log else ""
+        return f"{name}{self.channel} {how} ({where}, from {self.start_s:.0f} s on)"
+
+
+def clean(log: CellLog) -> tuple[CellLog, tuple[SensorFault, ...]]:
+    """A log without what its sensors did wrong, and what that was.
+
+    A voltage that is wrong is made missing: its rows are not compared. Where the current was wrong
+    nobody knows what flowed, so the longest part without such rows is kept; a stated start goes
+    with the first row.
+
+    Parameters
+    ----------
+    log : CellLog
+
+    Returns
+    -------
+    CellLog                      the log itself where nothing is wrong
+    tuple of SensorFault         by channel
+    """
+    faults = _faults(log)
+    if not faults:
+        return log, ()
+    bad = np.zeros(len(log), dtype=bool)
+    for fault in faults:
+        if fault.channel == "voltage_V":
+            for run in fault.runs:
+                bad[run.first : run.last + 1] = True
+    voltage = np.where(bad, np.nan, log.voltage_V)
+    if np.isfinite(voltage).sum() < 2:
+        return log, faults
+    whole = replace(log, voltage_V=voltage)
+    wrong = np.zeros(len(log), dtype=bool)
+    for fault in faults:
+        if fault.channel == "current_A":
+            for run in fault.runs:
+                wrong[run.first : run.last + 1] = True
+    if not wrong.any():
+        return whole, faults
+    first, stop = _longest(~wrong)
+    if stop - first < LEAST_PART * len(log) or not np.isfinite(voltage[first:stop]).any():
+        return whole, faults
+    return whole.part(first, stop), faults
+
+
+def without_faults(
+    groups: Sequence[Sequence[CellLog]], starts: Iterable[float | str]
+) -> tuple[list[tuple[CellLog, ...]], Starts, tuple[SensorFault, ...]]:
+    """Groups of logs without faults, where each starts, and the faults.
+
+    ``starts`` are those of all logs in order; the start of a log whose first rows were cut out is
+    not known any more.
+    """
+    given = iter(starts)
+    cleaned: list[tuple[CellLog, ...]] = []
+    kept: Starts = []
+    faults: list[SensorFault] = []
+    for group in groups:
+        made = []
+        for log in group:
+            one, found = clean(log)
+            start = next(given, "auto")
+            kept.append(start if one.time_s[0] == log.time_s[0] else "auto")
+            made.append(one)
+            faults += found
+        cleaned.append(tuple(made))
+    return cleaned, kept, tuple(faults)
+
+
+def with_faults(
+    said: Diagnosis, faults: Sequence[SensorFault], model: CellModel, logs: Sequence[CellLog]
+) -> Diagnosis:
+    """A diagnosis of the logs without faults, the faults before all that was found there.
+
+    ``logs`` are those with the faults: the figures are the model's on them and on the cleaned ones.
+    """
+    if not faults:
+        return said
+    pairs = [(raw, clean(raw)[0]) for raw in logs]
+    bad = [(raw, left) for raw, left in pairs if left is not raw] or pairs[:1]
+    before, after = (
+        float(np.sqrt(np.mean([_rmse_V(model, pair[k]) ** 2 for pair in bad]))) for k in (0, 1)
+    )
+    gain = 1.0 - after / before if before > 0.0 else 0.0
+    largest = max(faults, key=lambda f: f.rows)
+    values = {
+        "rows": float(sum(f.rows for f in faults)),
+        "start_s": largest.start_s,
+        "duration_s": largest.duration_s,
+    }
+    one = FoundCause(
+        SENSOR_FAULT.name,
+        SENSOR_FAULT.kind,
+        SENSOR_FAULT.meaning,
+        values,
+        {name: (value, value) for name, value in values.items()},
+        before,
+        after,
+        before,
+        after,
+        gain,
+        (gain, gain),
+        tuple(f.text() for f in faults),
+        SENSOR_FAULT.confused_with,
+        1.0,
+    )
+    return replace(said, verdict=one.name, causes=(one, *said.causes))
+
+
+def _rmse_V(model: CellModel, log: CellLog) -> float:
+    """Of the model on a log from the start that it finds itself [V]."""
+    return float(simulate(model, log, initial_soc(model, log).soc).metrics.rmse_V)
+
+
+def _faults(log: CellLog) -> tuple[SensorFault, ...]:
+    """Every fault, by channel."""
+
+    def fault(channel: str, kind: Kind, runs: Sequence[Run]) -> SensorFault:
+        begins, ends = log.time_s[runs[0].first], log.time_s[runs[-1].last]
+        return SensorFault(
+            log.name, channel, kind, tuple(runs), float(begins), float(ends - begins)
+        )
+
+    found = [fault(name, "stuck", runs) for name, runs in stuck_runs(log).items()]
+    found += [fault(name, "lost", runs) for name, runs in lost_runs(log).items()]
+    spikes = find_spikes(log)
+    if spikes.size >= FEWEST_SPIKES:
+        found.append(fault("voltage_V", "spikes", [Run(int(k), int(k)) for k in spikes]))
+    clipped = clipped_runs(log)
+    if clipped:
+        found.append(fault("current_A", "saturated", clipped))
+    return tuple(found)
+
+
+def _longest(good: np.ndarray) -> tuple[int, int]:
+    """First row and row after the last of the longest run of True."""
+    edges = np.diff(np.concatenate(([False], good, [False])).astype(np.int8))
+    begins, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    if begins.size == 0:
+        return 0, 0
+    k = int(np.argmax(ends - begins))
+    return int(begins[k]), int(ends[k])
