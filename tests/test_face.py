@@ -20,7 +20,7 @@ QUANTITIES = re.compile(
     r"dt|duration|interval|skew|nominal|innovation|error|white|slow|correlation|limit|activation|"
     r"offset)(_|$)"
 )
-PURE = ("_share", "_soc", "_scale", "_efficiency")  # numbers without a unit
+PURE = ("_share", "_soc", "_scale", "_factor", "_efficiency")  # numbers without a unit
 
 
 def public(kind) -> list[str]:

@@ -182,7 +182,7 @@ def test_nothing_wrong_gives_no_model(bench, run_json, tmp_path, capsys):
 def test_an_error_beyond_the_claim_that_nothing_explains_is_said(bench, run_json, tmp_path):
     """Never none: the model claims less than what it is off by."""
     log = read_log(bench / "drive.csv")
-    ripple = 0.1 * np.sign(np.sin(2.0 * np.pi * log.time_s / 500.0))
+    ripple = 0.1 * np.sin(2.0 * np.pi * log.time_s / 500.0)
     odd = tmp_path / "odd.csv"
     write_log(CellLog(log.time_s, log.current_A - OFFSET_A, log.voltage_V + ripple), odd)
     found = run_json(

@@ -54,20 +54,31 @@ def test_none_at_all():
     assert nearest_test([], 25.0) == ()
 
 
-def test_without_pulses_every_temperature_has_its_tests():
-    drive = log("drive", 11.0, 1.5, hours=0.2)
+def test_without_pulses_a_temperature_with_three_tests_has_tables():
+    def capacity(at):
+        return (log("0.5C", at, 1.4, hours=2.0), log("1C", at, 2.8, hours=1.0))
+
+    stated = (log("stated", None, 1.5, hours=0.2), -18.0)
     tests = TestLogs(
         ocv=(WARM, COLD),
-        capacity=(log("fast", -18.0, 1.4, hours=2.0), log("hot", 40.0, 1.4, hours=2.0)),
-        drive=((drive, None), (log("stated", None, 1.5, hours=0.2), -20.0)),
+        capacity=(*capacity(25.0), *capacity(-21.0), log("hot", 40.0, 1.4, hours=2.0)),
+        drive=((log("drive", 11.0, 1.5, hours=0.2), None), stated),
     )
     found = grouped_by_temperature(tests, IdentifySettings())
-    assert list(found) == [-20.0, 11.0, 25.0, 40.0]
+    assert list(found) == [-20.0, 25.0]
     assert names(found[-20.0].ocv) == ["cold"]
-    assert names(found[-20.0].capacity) == ["fast"]
+    assert names(found[-20.0].capacity) == ["0.5C", "1C"]
     assert names(d for d, _ in found[-20.0].drive) == ["stated"]
     assert names(found[25.0].ocv) == ["warm"]
-    assert names(found[40.0].capacity) == ["hot"]
+    assert names(found[25.0].capacity) == ["0.5C", "1C", "hot"]
+    assert names(d for d, _ in found[25.0].drive) == ["drive"]
+
+
+def test_one_drive_a_temperature_shares_its_tables():
+    drives = ((log("a", 35.0, 1.5, hours=0.2), None), (log("b", 5.0, 1.5, hours=0.2), None))
+    found = grouped_by_temperature(TestLogs(ocv=(WARM,), drive=drives), IdentifySettings())
+    assert list(found) == [35.0]
+    assert names(found[35.0].ocv) == ["warm"]
 
 
 def test_beside_pulses_steady_tests_are_those_of_the_reference():

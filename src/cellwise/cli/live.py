@@ -285,7 +285,7 @@ def _appended(path: str) -> Iterator[IO[str]]:
 
 @contextmanager
 def _stopped_by_signal() -> Iterator[None]:
-    """A service manager's way to stop a program ends the stream as Ctrl-C does."""
+    """A service manager's way to stop a program, and Ctrl-C, are the usual end of a stream."""
     import signal
     import threading
 
@@ -296,11 +296,12 @@ def _stopped_by_signal() -> Iterator[None]:
     def stop(number: int, frame: object) -> None:
         raise KeyboardInterrupt
 
-    before = signal.signal(signal.SIGTERM, stop)
+    before = {n: signal.signal(n, stop) for n in (signal.SIGTERM, signal.SIGINT)}
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _report_end(

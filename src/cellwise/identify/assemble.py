@@ -18,6 +18,7 @@ from cellwise.cell.effects import (
 )
 from cellwise.cell.model import CellModel, ModelTables
 from cellwise.identify.ocv.curve import OcvCurve
+from cellwise.identify.refinement.problem import LEAST_RATIO
 from cellwise.identify.refinement.refine import RefineResult, StartTables
 from cellwise.identify.refinement.refine_data import BEYOND
 from cellwise.identify.refinement.splines import spline_rows, spline_values
@@ -80,13 +81,16 @@ def refined_tables(result: RefineResult, start: StartTables) -> ModelTables:
     grid = np.linspace(0.0, 1.0, GRID_POINTS)
     lay, theta = result.layout, result.theta
     correction = spline_values(spline_rows(grid, result.ocv_knots), theta[: lay.knots_ocv])
+    tau2 = _table(result, lay.tau(1))
+    # In order at the temperatures of the grid; carried on beyond them they might cross.
+    tau1 = np.minimum(_table(result, lay.tau(0)), tau2 / LEAST_RATIO)
     return ModelTables(
         ocv_V=monotone(start.ocv(grid) + correction),
         r0_ohm=_table(result, lay.r0),
         r1_ohm=_table(result, lay.r(0)),
-        tau1_s=_table(result, lay.tau(0)),
+        tau1_s=tau1,
         r2_ohm=_table(result, lay.r(1)),
-        tau2_s=_table(result, lay.tau(1)),
+        tau2_s=tau2,
     )
 
 

@@ -18,6 +18,7 @@ from cellwise.logs.cell_log import CellLog
 
 SAME_TEMPERATURE_C = 3.0
 OWN_TABLES_C = 5.0  # without pulses: logs nearer than this share their tables
+LEAST_LOADS = 3  # that a temperature without pulses needs for tables of its own
 WHOLE = 0.5  # of the largest discharge: the last per cent of a test is not a test of its own
 
 LowRateTest = tuple[CellLog, ...]
@@ -78,8 +79,8 @@ def without_offsets(
 def grouped_by_temperature(tests: TestLogs, settings: IdentifySettings) -> dict[float, TestLogs]:
     """The logs by temperature: those given one, else by what they measured.
 
-    HPPC logs say at which temperatures tables are made; without one the low-rate tests, the drives
-    and the capacity tests do, in this order.
+    HPPC logs say at which temperatures tables are made; without one the low-rate tests, drives and
+    capacity tests do, where a temperature has three of them.
     """
     default = REFERENCE_C if settings.temperature_C is None else settings.temperature_C
 
@@ -129,20 +130,30 @@ def _of_pulses(tests: TestLogs, default_C: float) -> list[float]:
 
 
 def _of_all(tests: TestLogs, default_C: float) -> list[float]:
-    """Temperatures of the low-rate tests, and of the drives and capacity tests between them."""
+    """Temperatures of the low-rate tests, and of the drives and capacity tests between them.
+
+    Tables of its own has a temperature with several loads. Where fewer than two have, all logs
+    share those of the first drive's, with an activation energy.
+    """
     known: list[tuple[CellLog, float | None]] = [
         *((test[0], None) for test in low_rate_tests(tests.ocv, default_C)),
         *tests.drive,
         *((log, None) for log in tests.capacity),
     ]
-    merged: list[float] = []
+    found: dict[float, int] = {}
     for log, stated in known:
-        if stated is None and log.temperature_C is None and merged:
+        if stated is None and log.temperature_C is None:
             continue  # nothing is known of it
-        at = float(round(log_temperature_C(log, stated, default_C)))
-        if all(abs(at - t) > OWN_TABLES_C for t in merged):
-            merged.append(at)
-    return sorted(merged)
+        at = log_temperature_C(log, stated, default_C)
+        near = min(found, key=lambda t: abs(t - at), default=at)
+        if abs(at - near) > OWN_TABLES_C or not found:
+            near = float(round(at))
+        found[near] = found.get(near, 0) + 1
+    several = sorted(t for t, loads in found.items() if loads >= LEAST_LOADS)
+    if len(several) > 1:
+        return several
+    first = [log_temperature_C(log, t, default_C) for log, t in tests.drive[:1]]
+    return [float(round(t)) for t in first] or [default_C]
 
 
 def _discharged_Ah(log: CellLog) -> float:

@@ -14,6 +14,7 @@ from cellwise.pack.suspicion import Suspicion
 
 MOST_SUSPECTS = 8
 BETTER = 10.0  # log likelihood by which the exchange has to be more probable than two changes
+REMAINING = 0.005  # of two large misfits, after an exchange that explains them
 
 
 def swapped_cells(
@@ -34,8 +35,10 @@ def swapped_cells(
                 continue
             crossed = _misfit(belief, evidence, i, j) + _misfit(belief, evidence, j, i)
             gain = own[i] + own[j] - crossed
-            # Each has to be as usual a cell in the other's place, not only less odd than here.
-            if gain > best and crossed < 2.0 * usual + BETTER:
+            # Each has to be as usual a cell in the other's place, not only less odd than here. What
+            # is far off is so in the regression's own error, too: a share of it may remain.
+            most = 2.0 * usual + BETTER + REMAINING * (own[i] + own[j])
+            if gain > best and crossed < most:
                 best, pair = gain, (min(i, j), max(i, j))
     return pair
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,9 +12,13 @@ from scipy.stats import chi2
 from cellwise.cell.model import CellModel
 from cellwise.diagnose.fit.rows import Evidence
 from cellwise.diagnose.log_runs import LogRun
+from cellwise.typing import FloatArray
 
 # An error that the claim would give once in a thousand logs is beyond it.
 RARE = 1e-3
+# Row-to-row noise of another sensor than the model's data had is no error of the model: up to this.
+MOST_NOISE_V = 0.005
+NORMAL = 1.4826  # standard deviation over median absolute deviation
 
 
 @dataclass(frozen=True)
@@ -44,21 +49,23 @@ def claim_checks(
 ) -> tuple[ClaimCheck, ...]:
     """Every log as `simulate` shows it before any correction.
 
-    The claim at a row is the model's slow error at its SOC, its share of the ohmic drop, its white
-    noise, and what the initial SOC leaves uncertain through the slope of the OCV. The slow part
+    The claim at a row is the model's slow error at its SOC, its share of the polarisation,
+    its noise, and what the initial SOC leaves uncertain through the slope of the OCV. The slow part
     stays for ``correlation_s``, so that a log holds few independent errors: the mean square over
     the claim's is compared with chi-square of as many degrees of freedom.
     """
     found = []
     for run, rows in zip(runs, evidence.logs, strict=True):
         soc = np.clip(run.before.soc, 0.0, 1.0)
-        middle = model.at_temperature(float(np.median(rows.temperature_C)))
-        drop = np.interp(soc, model.soc, middle.r0_ohm[0]) * rows.current_A
+        temperature = float(np.median(rows.temperature_C))
+        middle = model.at_temperature(temperature)
+        drop = np.interp(soc, model.soc, middle.ocv_V[0]) - run.before.voltage_V
+        share = np.where(drop >= 0.0, model.error.share(1.0), model.error.share(-1.0))
         slope = np.interp(soc, model.soc, np.gradient(middle.ocv_V[0], model.soc))
         claim2 = (
-            np.asarray(model.slow_error_V(soc)) ** 2
-            + (model.error.resistance_share * drop) ** 2
-            + model.error.white_V**2
+            np.asarray(model.slow_error_V(soc, temperature)) ** 2
+            + (share * drop) ** 2
+            + max(model.error.white_V, _noise_V(run.before.error_V)) ** 2
             + (rows.start.std * slope) ** 2
         )
         error = run.before.error_V
@@ -78,3 +85,12 @@ def claim_checks(
             )
         )
     return tuple(found)
+
+
+def _noise_V(error_V: FloatArray) -> float:
+    """Row-to-row noise of a log, by the differences of its error."""
+    steps = np.abs(np.diff(error_V))
+    steps = steps[np.isfinite(steps)]
+    if steps.size == 0:
+        return 0.0
+    return min(NORMAL * float(np.median(steps)) / math.sqrt(2.0), MOST_NOISE_V)

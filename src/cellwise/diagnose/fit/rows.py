@@ -161,8 +161,10 @@ class Evidence:
     def amplitude(self, model: CellModel, soc: FloatArray) -> FloatArray:
         """Size of the model's error at every scored row, over its mean square."""
         current = np.concatenate([g.current_A[:: g.stride] for g in self.logs])
-        table = model.r0_ohm[model.r0_ohm.shape[0] // 2]
-        drop = np.interp(soc, model.soc, table) * current * model.error.resistance_share
+        middle = model.r0_ohm.shape[0] // 2
+        table = model.r0_ohm[middle] + model.r1_ohm[middle] + model.r2_ohm[middle]
+        share = np.where(current >= 0.0, model.error.share(1.0), model.error.share(-1.0))
+        drop = share * np.interp(soc, model.soc, table) * current
         size = np.sqrt(model.error.at(np.clip(soc, 0.0, 1.0)) ** 2 + drop**2)
         used = self.known & (self.role != IGNORED)
         return np.asarray(size / np.sqrt(np.mean(size[used] ** 2))) if used.any() else size

@@ -121,16 +121,19 @@ def soc_of_level(
     temperature_C: float,
     x: CellState,
     since_s: float,
+    h_variance: float = 0.0,
 ) -> tuple[float, float, float, float, float]:
     """SOC and slow branch, their variances and covariance, by start and level together.
 
-    The level is what OCV and slow branch are together, by the estimate and its mean innovation.
+    The level is what OCV, hysteresis and slow branch are together, by the estimate and its mean
+    innovation; on which branch of the hysteresis a past has left the cell is known to
+    ``h_variance``.
     """
     mean_A = past.mean_A
     step = 1.0 / (RESTART_POINTS - 1)
     here = loaded(tables, x.soc, temperature_C, mean_A, x.slow_A)
     fast = ((here.r0_ohm + here.r1_ohm) + here.r2_ohm) * mean_A
-    level = (here.ocv_V - x.v3_V) - fast + past.miss_V
+    level = (here.ocv_V + here.m_V * x.h - x.v3_V) - fast + past.miss_V
     share = share_at(noise, mean_A)
     least = math.inf
     total, soc1, soc2, v1, v2, cross = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -155,8 +158,8 @@ def soc_of_level(
             other = RESISTANCE_OF_SOC * (drop - fast)
             beyond = extrapolation_V(noise.valid, temperature_C, mean_A, abs(drop) + abs(held))
             about = (slow * slow + beyond * beyond) + (wrong * wrong + other * other)
-            about += START_BRANCH_V * START_BRANCH_V
-            off = ((at.ocv_V - drop) - level) - held
+            about += START_BRANCH_V * START_BRANCH_V + at.m_V * at.m_V * h_variance
+            off = ((at.ocv_V + at.m_V * x.h - drop) - level) - held
             variance = about + spread2
             away = s - past.first_soc
             cost = away * away / past.first_variance + off * off / variance + math.log(variance)
@@ -189,7 +192,7 @@ def looked_again(
     since_s: float,
 ) -> tuple[CellState, Covariance]:
     """State and covariance after a look; the fast branches are what the voltage says of them."""
-    soc, ss, v3, p33, s3 = soc_of_level(tables, noise, past, temperature_C, x, since_s)
+    soc, ss, v3, p33, s3 = soc_of_level(tables, noise, past, temperature_C, x, since_s, p.phh)
     found = CellState(soc, x.v1_V, x.v2_V, v3, x.h, x.heat_K, x.slow_A)
     # fmt: off
     return found, Covariance(

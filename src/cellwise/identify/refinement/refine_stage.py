@@ -41,8 +41,8 @@ from cellwise.typing import BoolArray, FloatArray
 
 SLOW_FROM_S = 1800.0  # a log must be this long to show the slow branch
 HYSTERESIS_FROM_V = 0.004  # half gap between the low-rate branches, polarisation taken out
-# Discharges alone cannot separate hysteresis from OCV: there the low-rate branches count, whose
-# polarisation is known to about a third.
+# Tests at constant current cannot separate hysteresis from OCV and resistance: there the low-rate
+# branches count, whose polarisation is known to about a third.
 M_SHARE, LEAST_M_STD_V = 0.33, 0.003
 LARGEST_SOC_ERROR = 0.05
 LARGEST_OCV_MOVE_V = 0.03
@@ -156,7 +156,7 @@ def refine_cell(
             "a log with a rest where the OCV is steep, or one that begins full",
             "Let the cell rest before the test, or log the charge before it.",
         )
-    start, hysteresis = _start(groups, ocv, resistance, capacity_Ah, settings)
+    start, hysteresis = _start(groups, ocv, resistance, capacity_Ah, settings, driven)
     long = any(item.log.duration_s >= SLOW_FROM_S for item in logs)
     several = len(groups) > 1
     grid = np.array([g.temperature_C for g in groups])
@@ -262,6 +262,7 @@ def _start(
     resistance: float,
     capacity_Ah: float,
     settings: IdentifySettings,
+    driven: bool,
 ) -> tuple[StartTables, bool]:
     """Start of the refinement: the pulses' tables, or one rough resistance shared out.
 
@@ -299,7 +300,7 @@ def _start(
         m = np.full(at.size, 0.005)
     elif wanted and half is not None:
         m = np.interp(at, ocv.soc, half)
-        m_std = np.maximum(M_SHARE * m, LEAST_M_STD_V)
+        m_std = None if driven else np.maximum(M_SHARE * m, LEAST_M_STD_V)
     start = StartTables(
         ocv=ocv.function.evaluate,
         r0_ohm=r0,
