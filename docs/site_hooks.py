@@ -24,6 +24,7 @@ GROUPS = {
     "Model": "cellwise.cell",
     "Identification": "cellwise.identify",
     "Estimators": "cellwise.estimate",
+    "Forecast": "cellwise.forecast",
     "Diagnosis": "cellwise.diagnose",
     "Data": "cellwise.data",
     "Errors": "cellwise.errors",
