@@ -71,6 +71,7 @@ def test_a_warming_cell_at_rest_shows_its_entropy():
     assert slope == pytest.approx(3e-4, rel=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("estimator", ["ekf", "ukf", "adaptive", "filterpy-ekf", "lockstep"])
 def test_every_filter_follows_them(estimator):
     """A filter that knows the effects stays at the truth; without them it does not."""
@@ -139,6 +140,7 @@ def test_rows_over_temperature_are_the_effects_themselves():
     assert middle[0].r1_ohm == pytest.approx(middle[1].r1_ohm, rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("estimator", ["fixed-step", "firmware"])
 def test_a_target_has_them_as_rows_of_its_tables(estimator):
     known = (TemperatureDependence(1500.0, 25.0, r1_K=3000.0, tau2_K=2500.0), Entropy(4e-4, 25.0))

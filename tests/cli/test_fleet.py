@@ -44,7 +44,7 @@ def test_replay_one_object(model, logs, tmp_path, run_json):
         ("--soc0", "80"),
         ("--workers", "0"),
         ("--pattern", "*.xyz"),
-        ("--scheduler", "tcp://127.0.0.1:9"),
+        pytest.param(("--scheduler", "tcp://127.0.0.1:9"), marks=pytest.mark.slow),
         ("--series", "x"),
     ],
     ids=lambda more: " ".join(more),

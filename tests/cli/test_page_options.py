@@ -32,6 +32,7 @@ def test_pictures_of_a_replay_without_its_page(identified, drive, tmp_path, caps
     assert {p.name for p in tmp_path.iterdir()} == {"png", "both"}  # no page was left
 
 
+@pytest.mark.slow
 def test_an_export_has_its_page_and_its_pictures(identified, drive, tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("PATH", "")  # no cross compiler: counting instructions takes long
     page, figures = tmp_path / "export.html", tmp_path / "figures"

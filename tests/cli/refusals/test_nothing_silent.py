@@ -200,6 +200,9 @@ def test_an_interrupt_at_any_time_is_one_line(model, precious, after_s, tmp_path
     assert "internal error" not in said
     if after_s >= 0.15:  # before, Python itself is not there yet
         assert "Traceback" not in said
+        if process.returncode == -signal.SIGINT:  # a busy machine: Python itself was not there yet
+            assert said == ""
+            return
         assert process.returncode == 130
         assert said.count("\n") == 1
     assert {p.name for p in tmp_path.iterdir()} <= {"original.csv", "out.csv"}
