@@ -79,12 +79,7 @@ def test_panasonic_with_two_drives(read, driven):
     assert max(errors) < 0.018
 
 
-# Settles at 1.2 %: the C/20 test and the drives lie 15 mV apart on one SOC scale (`identify` says
-# so), and the model follows both.
-MISSED = pytest.param("cycle_4", marks=pytest.mark.xfail(strict=True, reason="two SOC scales"))
-
-
-@pytest.mark.parametrize("name", [*(n for n in JUDGED if n != "cycle_4"), MISSED])
+@pytest.mark.parametrize("name", JUDGED)
 def test_panasonic_with_two_drives_finds_soc(read, driven, name):
     log = read(f"panasonic_18650pf/drive_p25_{name}")
     found = ekf(driven.model, log, PANASONIC_AH, 1.0 - START_ERROR)
