@@ -20,6 +20,7 @@ TRIED = ("charge_transfer", "surface_soc", "self_heating")
 LEAST_GAIN = 0.02  # of the held-out RMSE: less is not worth a parameter
 LEAST_DRIVES = 3  # below, nothing can be held out
 LEAST_LOADS = 3  # of one temperature, where drives are too few
+LEAST_TEMPERATURES = 2  # with so many loads: at one, tests and drives are what the tables are of
 QUICK_ROWS = 800  # compared of one log while effects are compared
 QUICK_ITERATIONS = 12
 BLOCK_S = 120.0
@@ -240,6 +241,8 @@ def held_out(logs: Sequence[RefineLog]) -> tuple[int, ...]:
     several = [sorted(set(g) - set(drives), key=rates.__getitem__) for g in groups.values()]
     several = [g for g, all_ in zip(several, groups.values(), strict=True)
                if len(all_) >= LEAST_LOADS and len(g) > 1]  # fmt: skip
+    if len(several) < LEAST_TEMPERATURES:
+        return ()
     return tuple(g[-1 - turn % 2] for turn, g in enumerate(several))
 
 

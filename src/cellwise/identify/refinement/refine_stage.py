@@ -300,7 +300,8 @@ def _start(
         m = np.full(at.size, 0.005)
     elif wanted and half is not None:
         m = np.interp(at, ocv.soc, half)
-        m_std = None if driven else np.maximum(M_SHARE * m, LEAST_M_STD_V)
+        if not driven and not known:
+            m_std = np.maximum(M_SHARE * m, LEAST_M_STD_V)
     start = StartTables(
         ocv=ocv.function.evaluate,
         r0_ohm=r0,
