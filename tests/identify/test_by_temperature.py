@@ -54,7 +54,7 @@ def test_none_at_all():
     assert nearest_test([], 25.0) == ()
 
 
-def test_without_pulses_a_temperature_with_three_tests_has_tables():
+def test_without_pulses_a_temperature_with_several_tests_has_tables():
     def capacity(at):
         return (log("0.5C", at, 1.4, hours=2.0), log("1C", at, 2.8, hours=1.0))
 

@@ -18,7 +18,7 @@ from cellwise.logs.cell_log import CellLog
 
 SAME_TEMPERATURE_C = 3.0
 OWN_TABLES_C = 5.0  # without pulses: logs nearer than this share their tables
-LEAST_LOADS = 3  # that a temperature without pulses needs for tables of its own
+LEAST_LOADS = 2  # that a temperature without pulses needs for tables of its own
 WHOLE = 0.5  # of the largest discharge: the last per cent of a test is not a test of its own
 
 LowRateTest = tuple[CellLog, ...]
@@ -80,7 +80,7 @@ def grouped_by_temperature(tests: TestLogs, settings: IdentifySettings) -> dict[
     """The logs by temperature: those given one, else by what they measured.
 
     HPPC logs say at which temperatures tables are made; without one the low-rate tests, drives and
-    capacity tests do, where a temperature has three of them.
+    capacity tests do, where a temperature has two of them.
     """
     default = REFERENCE_C if settings.temperature_C is None else settings.temperature_C
 
