@@ -200,9 +200,11 @@ def test_an_interrupt_at_any_time_is_one_line(model, precious, after_s, tmp_path
     assert "internal error" not in said
     if after_s >= 0.15:  # before, Python itself is not there yet
         assert "Traceback" not in said
-        if process.returncode == -signal.SIGINT:  # a busy machine: Python itself was not there yet
-            assert said == ""
-            return
-        assert process.returncode == 130
-        assert said.count("\n") == 1
+        # Python ends itself by the signal where it struck before Python was there (nothing is said)
+        # or inside exec() of a text, as in an import (one line is said): 130 in a shell, too.
+        assert process.returncode in (130, -signal.SIGINT)
+        lines = said.splitlines()
+        assert len(lines) <= 1
+        assert lines or process.returncode == -signal.SIGINT
+        assert all(line.startswith("cellwise: interrupted") for line in lines)
     assert {p.name for p in tmp_path.iterdir()} <= {"original.csv", "out.csv"}
