@@ -114,27 +114,7 @@ class Simulation(Plottable, Tabular):
 
 
 def simulate(model: CellModel, log: CellLog, soc0: float, h0: float | None = None) -> Simulation:
-    """Simulate the terminal voltage of a log from a cell at rest at ``soc0``.
-
-    Exact for constant current within each interval, at any time step. Over gaps the current is
-    what :meth:`CellLog.known_current_A` says (the counter's charge, else a rest).
-
-    Parameters
-    ----------
-    model : CellModel
-    log : CellLog
-    soc0 : float          SOC at the first row, 0..1
-    h0 : float or None    hysteresis state at the first row, -1 (after a discharge) to 1 (after a
-                          charge); None: +1 from the upper half of SOC, -1 from the lower
-
-    Returns
-    -------
-    Simulation
-
-    Raises
-    ------
-    InputError            soc0 outside 0..1
-    """
+    """Simulate a log from a known initial SOC; the public one also finds it."""
     check_soc0(soc0)
     tables = model.parameters()
     voltage = np.empty(len(log))

@@ -34,6 +34,7 @@ def run_history(arguments: argparse.Namespace) -> None:
     from cellwise.cell.model_file import write_model
     from cellwise.history.life import life_of
     from cellwise.logs.tables import write_columns
+    from cellwise.report import history_page
 
     printing.check_places(arguments.output, arguments.save_model)
     page_options.check_page_options(arguments)
@@ -50,16 +51,7 @@ def run_history(arguments: argparse.Namespace) -> None:
         write_columns(found.columns(), Path(arguments.output))
     if arguments.save_model:
         write_model(found.aged_model, arguments.save_model)
-    with page_options.page_places(arguments) as places:
-        if places is not None:
-            from cellwise.report import history_page
-
-            history_page(found, places.page, figures=places.figures)
-    if arguments.json:
-        printing.print_json(found.to_dict())
-        return
-    print_life(found)
-    page_options.say_pages(arguments)
+    page_options.hand_over(arguments, found, history_page, print_life)
 
 
 def print_life(found: Life) -> None:

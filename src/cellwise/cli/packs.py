@@ -41,6 +41,7 @@ def run_pack(arguments: argparse.Namespace) -> None:
     from cellwise.logs.tables import write_columns
     from cellwise.pack.pack_estimate import estimate_pack
     from cellwise.pack.pack_state import read_state, write_state
+    from cellwise.report import pack_page
 
     printing.check_places(arguments.output, arguments.state)
     page_options.check_page_options(arguments)
@@ -55,16 +56,7 @@ def run_pack(arguments: argparse.Namespace) -> None:
         write_columns(found.columns(), Path(arguments.output))
     if arguments.state:
         write_state(found.state, arguments.state)
-    with page_options.page_places(arguments) as places:
-        if places is not None:
-            from cellwise.report import pack_page
-
-            pack_page(found, places.page, figures=places.figures)
-    if arguments.json:
-        printing.print_json(found.to_dict())
-        return
-    print_pack(found)
-    page_options.say_pages(arguments)
+    page_options.hand_over(arguments, found, pack_page, print_pack)
 
 
 def read_packs(arguments: argparse.Namespace) -> list[PackLog]:

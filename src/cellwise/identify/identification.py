@@ -90,6 +90,16 @@ class TestLogs:
             pairs = _pairs(getattr(self, name), name)
             object.__setattr__(self, name, tuple(log for log, _ in pairs))
 
+    def sources(self) -> dict[str, list[str]]:
+        """Where the logs of each kind came from, for a model's provenance."""
+        kinds = {
+            "hppc": [log for log, _ in self.hppc],
+            "ocv": self.ocv,
+            "capacity": self.capacity,
+            "drive": [log for log, _ in self.drive],
+        }
+        return {kind: [log.source or log.name for log in logs] for kind, logs in kinds.items()}
+
 
 def _pairs(given: Any, name: str) -> list[tuple[CellLog, float | None]]:
     """Logs with the temperature that is stated of each, whichever way they were given."""

@@ -406,11 +406,6 @@ def _provenance(
             for t in found
             if t.refinement is not None
         ],
-        "logs": {
-            "hppc": [log.source or log.name for log, _ in tests.hppc],
-            "ocv": [log.source or log.name for log in tests.ocv],
-            "capacity": [log.source or log.name for log in tests.capacity],
-            "drive": [log.source or log.name for log, _ in tests.drive],
-        },
+        "logs": tests.sources(),
         "seconds": round(seconds, 3),
     }

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import argparse
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
 
 from cellwise.cli.common import printing
 from cellwise.errors import InputError
@@ -16,6 +16,26 @@ if TYPE_CHECKING:
     from cellwise.report.page.picture import FigureFiles
 
 FORMATS = ("png", "svg", "pdf")
+
+
+class Found(Protocol):
+    """A result that has JSON values."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """What ``--json`` prints."""
+        ...
+
+
+FoundT = TypeVar("FoundT", bound=Found)
+PageOf = TypeVar("PageOf", bound=Found, contravariant=True)
+
+
+class WritePage(Protocol[PageOf]):
+    """What writes the page of a result."""
+
+    def __call__(self, found: PageOf, path: Path, /, *, figures: FigureFiles | None) -> Path:
+        """Write it, and its pictures as files where wanted."""
+        ...
 
 
 class PagePlaces(NamedTuple):
@@ -97,3 +117,20 @@ def say_pages(arguments: argparse.Namespace) -> None:
         printing.say(f"page to open: {arguments.report}")
     if arguments.figures:
         printing.say(f"pictures in {arguments.figures}")
+
+
+def hand_over(
+    arguments: argparse.Namespace,
+    found: FoundT,
+    write_page: WritePage[FoundT],
+    say: Callable[[FoundT], None],
+) -> None:
+    """Write the page of a result if one is wanted, and print the result as was asked."""
+    with page_places(arguments) as places:
+        if places is not None:
+            write_page(found, places.page, figures=places.figures)
+    if arguments.json:
+        printing.print_json(found.to_dict())
+        return
+    say(found)
+    say_pages(arguments)

@@ -188,12 +188,7 @@ def identify_from_prior(
                 np.linspace(0.0, 1.0, 21), model.soc, ocv_std)],
         },
         "capacity": {"choice": choice, "choices_Ah": caps},
-        "logs": {
-            "hppc": [log.source or log.name for log, _ in tests.hppc],
-            "ocv": [log.source or log.name for log in tests.ocv],
-            "capacity": [log.source or log.name for log in tests.capacity],
-            "drive": [log.source or log.name for log, _ in tests.drive],
-        },
+        "logs": tests.sources(),
         "seconds": round(seconds, 3),
     }  # fmt: skip
     return Identification(
