@@ -67,15 +67,29 @@ def test_a_fault_put_into_july_is_named(months, before, kind):
     assert {(c["cell"], c["name"]) for c in found.causes} == {(f"cell_{HURT + 1}", kind)}
 
 
-def test_resistances_keep_their_order_between_weeks_and_under_polling(months):
-    logs = [*months["05"], *months["06"], *months["07"]]
-    weeks = [[], []]
-    for log in logs:
+@pytest.fixture(scope="module")
+def weeks(months):
+    """Logs of three months, those of even weeks and those of odd ones."""
+    parts = [[], []]
+    for log in (*months["05"], *months["06"], *months["07"]):
         day = log.name[-8:]
         number = int(np.datetime64(f"{day[:4]}-{day[4:6]}-{day[6:]}").astype(int) // 7)
-        weeks[number % 2].append(log)
-    odd, even = (estimate_pack(MODEL, part).cells.resistance_scale for part in weeks)
-    assert spearmanr(odd, even).statistic >= 0.9
+        parts[number % 2].append(log)
+    return parts
+
+
+@pytest.fixture(scope="module")
+def even(weeks):
+    return estimate_pack(MODEL, weeks[0]).cells.resistance_scale
+
+
+@pytest.mark.xfail(strict=True, reason="0.93: what two weeks leave open is not small enough")
+def test_resistances_keep_their_order_between_weeks(weeks, even):
+    odd = estimate_pack(MODEL, weeks[1]).cells.resistance_scale
+    assert spearmanr(odd, even).statistic >= 0.95
+
+
+def test_resistances_keep_their_order_under_polling(weeks, even):
     late = []
     for log in weeks[0]:
         volts = log.cell_V.copy()
@@ -84,4 +98,4 @@ def test_resistances_keep_their_order_between_weeks_and_under_polling(months):
             volts[:, cell] = np.interp(time - 1.0, time, volts[:, cell])
         late.append(replace(log.with_cells(volts)))
     delayed = estimate_pack(MODEL, late).cells.resistance_scale
-    assert spearmanr(odd, delayed).statistic >= 0.95
+    assert spearmanr(even, delayed).statistic >= 0.95

@@ -98,21 +98,29 @@ def test_errors_are_finite_and_ordered(as_dict):
             assert e["mean_abs_window"] <= e["peak_window"] <= e["peak"]
 
 
-# Near empty, where the C/20 tables' OCV and the refined one differ: RMSE 9.1 against 8.6 mV, while
-# the mean absolute error is 4.9 against 6.5 mV. Not solved.
-RMSE_MISSED = {("C/20", "segments"), ("C/20", "segments-relaxation")}
+NEAR_EMPTY = pytest.mark.xfail(
+    strict=True,
+    reason="9.1 against 8.6 mV near empty, where the C/20 tables' OCV and the refined one differ",
+)
+RATES = ["C/20", "C/5", "C/3"]
 
 
-def test_ours_is_better_on_the_same_hppc_but_where_it_is_known(tables):
-    assert [row.rate for row in tables.ncr] == ["C/20", "C/5", "C/3"]
-    missed = set()
-    for row in tables.ncr:
-        ours = row.errors["ours"]
-        for name in ("segments", "segments-relaxation"):
-            assert ours.mae_V <= row.errors[name].mae_V, (row.rate, name)
-            if ours.rmse_V > row.errors[name].rmse_V:
-                missed.add((row.rate, name))
-    assert missed == RMSE_MISSED
+@pytest.mark.parametrize("name", ["segments", "segments-relaxation"])
+@pytest.mark.parametrize("rate", RATES)
+def test_ours_has_the_smaller_mean_error_on_the_same_hppc(tables, rate, name):
+    errors = next(row.errors for row in tables.ncr if row.rate == rate)
+    assert errors["ours"].mae_V <= errors[name].mae_V
+
+
+@pytest.mark.parametrize("name", ["segments", "segments-relaxation"])
+@pytest.mark.parametrize("rate", [pytest.param("C/20", marks=NEAR_EMPTY), "C/5", "C/3"])
+def test_ours_has_the_smaller_rmse_on_the_same_hppc(tables, rate, name):
+    errors = next(row.errors for row in tables.ncr if row.rate == rate)
+    assert errors["ours"].rmse_V <= errors[name].rmse_V
+
+
+def test_every_rate_has_a_row(tables):
+    assert [row.rate for row in tables.ncr] == RATES
 
 
 def test_residual_figures_agree_with_each_other(tables):
