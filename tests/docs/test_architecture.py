@@ -33,7 +33,7 @@ MAY_IMPORT = {
     "studies": BASE | TOOLS | {"report"},
     "originals": BASE | {"logs", "data"},
     "live": BASE | {"logs", "cell", "estimate", "forecast"},
-    "fleet": BASE | {"logs", "cell", "estimate", "diagnose"},
+    "fleet": BASE | {"logs", "cell", "estimate", "diagnose", "pack", "history"},
     "cli": BASE
     | TOOLS
     | {"export", "report", "benchmark", "studies", "live", "fleet", "originals"},

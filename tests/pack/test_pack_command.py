@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 
 import pytest
-from emulated_packs import Fault, emulated_pack
 
 from cellwise.cli import main
 from cellwise.logs.tables import read_rows, write_columns
+from emulated_packs import Fault, emulated_pack
 
 
 @pytest.fixture(scope="module")

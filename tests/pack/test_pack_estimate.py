@@ -6,12 +6,12 @@ from functools import cache
 
 import numpy as np
 import pytest
-from emulated_packs import Fault, emulated_pack
 
 from cellwise.errors import InputError
 from cellwise.logs.packs.pack_log import PackLog
 from cellwise.pack.pack_estimate import estimate_pack
 from cellwise.pack.pack_state import read_state, write_state
+from emulated_packs import Fault, emulated_pack
 
 SIZES = (4, 16, pytest.param(96, marks=pytest.mark.slow))
 # A fault, the cause that names it, and which others cannot be told from it within one short log.

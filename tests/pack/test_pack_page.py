@@ -6,7 +6,6 @@ import re
 
 import numpy as np
 import pytest
-from emulated_packs import Fault, emulated_pack
 
 from cellwise.cell.stock.catalogue import stock_model
 from cellwise.history.life import life_of
@@ -14,6 +13,7 @@ from cellwise.logs import CellLog
 from cellwise.pack.pack_estimate import estimate_pack
 from cellwise.report import history_page, pack_page
 from cellwise.report.pack.pictures import cells_over_time
+from emulated_packs import Fault, emulated_pack
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""cellwise fleet replay, cellwise fleet diagnose."""
+"""cellwise fleet: replay, diagnose, pack, history."""
 
 from __future__ import annotations
 
@@ -37,9 +37,26 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--cause", action="append", metavar="NAME", help="try only this cause; several"
     )
     diagnose.set_defaults(run=run_diagnose)
+    history = actions.add_parser("history", help="a folder for each cell: capacity over its logs")
+    _common(history)
+    history.set_defaults(run=run_history)
+    pack = actions.add_parser("pack", help="a folder for each pack: every cell over its logs")
+    _running(pack)
+    log_options.add_cells_options(pack)
+    printing.add_json(pack)
+    pack.set_defaults(run=run_pack)
 
 
 def _common(parser: argparse.ArgumentParser) -> None:
+    _running(parser)
+    parser.add_argument("--soc0", default="auto", metavar="X", help="0..1, or auto [auto]")
+    parser.add_argument("--cache", metavar="DIR", help="keep logs as they were read and checked")
+    log_options.add_log_options(parser)
+    printing.add_json(parser)
+
+
+def _running(parser: argparse.ArgumentParser) -> None:
+    """What is run over which folder, and how."""
     model_options.add_model(parser, scalable=True)
     parser.add_argument(
         "folder",
@@ -55,8 +72,6 @@ def _common(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--workers", type=int, metavar="N", help="of this machine [its cores]")
     parser.add_argument("--pattern", default="*", metavar="P", help="of the file names [*]")
-    parser.add_argument("--soc0", default="auto", metavar="X", help="0..1, or auto [auto]")
-    parser.add_argument("--cache", metavar="DIR", help="keep logs as they were read and checked")
     parser.add_argument(
         "--batch", type=int, metavar="N", help="logs sent together [by their number]"
     )
@@ -64,8 +79,6 @@ def _common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--retry-failed", action="store_true", help="try the logs again that have failed"
     )
-    log_options.add_log_options(parser)
-    printing.add_json(parser)
 
 
 def run_replay(arguments: argparse.Namespace) -> None:
@@ -96,6 +109,25 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
         **_of_task(arguments),
         causes=arguments.cause,
         baseline=tuple(log_options.read(path, arguments) for path in arguments.baseline),
+    )
+    _run(task, arguments)
+
+
+def run_history(arguments: argparse.Namespace) -> None:
+    """Follow every cell of a folder over its life."""
+    from cellwise.fleet import HistoryTask
+
+    _run(HistoryTask(**_of_task(arguments), pattern=arguments.pattern), arguments)
+
+
+def run_pack(arguments: argparse.Namespace) -> None:
+    """Estimate every pack of a folder."""
+    from cellwise.fleet import PackTask
+
+    task = PackTask(
+        model=model_options.read(arguments),
+        read={"sign": arguments.sign, **log_options.pack_arguments(arguments)},
+        pattern=arguments.pattern,
     )
     _run(task, arguments)
 
@@ -146,10 +178,11 @@ def _run(task: LogTask, arguments: argparse.Namespace) -> None:
         return
     if found.machine:
         printing.say(
-            f"  ! for {found.machine:,} logs the machine failed, not the log (column failed_by): "
-            "run the command again, and they are tried again"
+            f"  ! for {found.machine:,} {task.unit} the machine failed, not the log (column "
+            "failed_by): run the command again, and they are tried again"
         )
     printing.say(
-        f"{found.done:,} of {found.logs:,} logs done in {found.seconds:.1f} s, {found.failed:,} "
-        f"failed (rows with an error), {found.resumed:,} were done before; rows in {found.folder}"
+        f"{found.done:,} of {found.logs:,} {task.unit} done in {found.seconds:.1f} s, "
+        f"{found.failed:,} failed (rows with an error), {found.resumed:,} were done before; "
+        f"rows in {found.folder}"
     )

@@ -24,13 +24,7 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     pack.add_argument(
         "--state", metavar="FILE", help="go on from this file where it exists, and write it"
     )
-    printing.add_sign(pack)
-    pack.add_argument("--parallel", default="1", metavar="N", help="cells in parallel [1]")
-    pack.add_argument(
-        "--channel", action="append", default=[], metavar="NAME=COLUMN",
-        help="which column is which, e.g. current_A='Pack Amps'; NAME gives the unit",
-    )  # fmt: skip
-    pack.add_argument("--instance", metavar="K", help="which battery of several, from 0")
+    log_options.add_cells_options(pack)
     page_options.add_page_options(pack)
     printing.add_json(pack)
     pack.set_defaults(run=run_pack)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
+from cellwise.fleet.folders import HistoryTask, PackTask
 from cellwise.fleet.run import FleetResult, run_fleet
 from cellwise.fleet.tasks import DiagnoseTask, ReplayTask
 
-__all__ = ["DiagnoseTask", "FleetResult", "ReplayTask", "run_fleet"]
+__all__ = ["DiagnoseTask", "FleetResult", "HistoryTask", "PackTask", "ReplayTask", "run_fleet"]

@@ -67,3 +67,45 @@ DIAGNOSE: Mapping[str, type] = {
     "rmse_after_V": float,
     "next_test": str,
 }
+# Of a folder of logs: one pack's or one cell's, in order.
+FOLDER: Mapping[str, type] = {
+    **IDENTITY,
+    "logs": int,
+    "samples": int,
+    "unread": str,
+    "notices": str,
+}
+PACK: Mapping[str, type] = {
+    **FOLDER,
+    "cells": int,
+    "soc_min": float,
+    "soc_mean": float,
+    "soc_max": float,
+    "capacity_min_Ah": float,
+    "capacity_mean_Ah": float,
+    "capacity_std_Ah": float,
+    "resistance_max": float,
+    "usable_Ah": float,
+    "usable_Wh": float,
+    "left_Ah": float,
+    "balancing_gain_Ah": float,
+    "weakest_by_soc": str,
+    "weakest_by_capacity": str,
+    "weakest_by_resistance": str,
+    "weak": str,
+    "causes": str,
+    "voltage_rmse_V": float,
+}
+HISTORY: Mapping[str, type] = {
+    **FOLDER,
+    "first_day": str,
+    "last_day": str,
+    "throughput_Ah": float,
+    "capacity_share": float,
+    "capacity_Ah": float,
+    "capacity_std_Ah": float,
+    "resistance_scale": float,
+    "resistance_std": float,
+    "knee": str,
+    "next_reference": str,
+}

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from cellwise.errors import InputError
-from cellwise.fleet.tasks import LogTask, failed_row
+from cellwise.fleet.tasks import LogTask
 
 LOCAL, PROCESSES = "local", "processes"
 WORKER_DIED = "the worker died"
@@ -185,7 +185,7 @@ def rows_of(
         except Exception as error:  # of Dask: those of the logs are rows
             if len(logs) == 1 and logs[0] in suspected:
                 reason = f"{WORKER_DIED} on it ({type(error).__name__})"
-                yield [failed_row(folder, logs[0], reason)]
+                yield [task.failed_row(folder, logs[0], reason)]
             else:
                 suspected.update(logs)
                 suspects.extend(logs)

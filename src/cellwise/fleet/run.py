@@ -28,8 +28,9 @@ Progress = Callable[[int, int, int], None]
 class FleetResult:
     """What a run did.
 
-    ``resumed`` logs had their row before; ``failed`` of all logs have one with an error, of which
-    ``machine`` are to be tried again: the machine failed, not the log.
+    ``logs`` counts what has a row each: logs, or folders of them. ``resumed`` of them had their row
+    before; ``failed`` of all have one with an error, of which ``machine`` are to be tried again:
+    the machine failed, not the log.
     """
 
     folder: Path
@@ -84,7 +85,7 @@ def run_fleet(
     place, target = Path(folder), Path(out)
     if (batch is not None and batch < 1) or (workers is not None and workers < 1):
         raise InputError(f"batch {batch}, workers {workers}", "numbers from 1 up", "Correct them.")
-    there = find_logs(place, pattern, target)
+    there = task.places(find_logs(place, pattern, target))
     settings = {**task.settings(), "model": model_mark(task.model)}
     store = ResultFolder(target, task.columns, settings, fresh=fresh)
     store.begin()
@@ -118,8 +119,8 @@ def run_fleet(
     if len(refusals) == len(there):
         store.drop()
         raise InputError(
-            f"none of the {len(there)} files of '{place}' a log that can be read (the first: "
-            f"{refusals[0].rstrip('.')})",
+            f"none of the {len(there)} {task.unit} of '{place}' with a log that can be read (the "
+            f"first: {refusals[0].rstrip('.')})",
             "a folder with logs in it",
             "Check the folder, --pattern, and how the logs are read.",
         )

@@ -49,6 +49,7 @@ class LogTask:
     """
 
     kind: ClassVar[str] = ""
+    unit: ClassVar[str] = "files"  # what has a row each
     columns: ClassVar[Mapping[str, type]] = {}
 
     model: CellModel
@@ -65,6 +66,19 @@ class LogTask:
             said["stated"] = [self.stated.temperature_C, self.stated.soc0]
         return {"kind": self.kind, **json.loads(json.dumps(said, default=str))}
 
+    def places(self, logs: Mapping[str, tuple[int, int]]) -> dict[str, tuple[int, int]]:
+        """What has a row each, with its size and time of change: here every log."""
+        return dict(logs)
+
+    def identity(self, folder: Path, name: str) -> dict[str, Any]:
+        """Which one a row is of."""
+        return identity(folder, name)
+
+    def failed_row(self, folder: Path, name: str, reason: str) -> dict[str, Any]:
+        """A row of one that could not be finished."""
+        row = self.identity(folder, name)
+        return row | {"error": reason, "failed_by": BY_LOG, "seconds": math.nan}
+
     def rows(self, folder: str, names: Sequence[str]) -> list[dict[str, Any]]:
         """One row for each log; one that fails is a row with its error."""
         return list(self._rows(Path(folder), names))
@@ -73,17 +87,24 @@ class LogTask:
         work = self.work()
         for name in names:
             began = time.perf_counter()
-            row = identity(folder, name)
+            row = self.identity(folder, name)
             try:
-                log = read_prepared(folder / name, self.cache, **self.read)
-                if self.stated is not None:
-                    log = self.stated.applied(log)
-                check_cells_in_series(self.model, log)
-                row |= work(log)
+                row |= work(self.given(folder, name))
             except Exception as error:
                 row |= failure(error)
             row["seconds"] = time.perf_counter() - began
             yield row
+
+    def given(self, folder: Path, name: str) -> Any:
+        """What a row is made of: here the log."""
+        log = self.log(folder / name)
+        check_cells_in_series(self.model, log)
+        return log
+
+    def log(self, path: Path) -> CellLog:
+        """A log as it was read or prepared before, with what is stated of it."""
+        log = read_prepared(path, self.cache, **self.read)
+        return log if self.stated is None else self.stated.applied(log)
 
     def begin(self) -> Any:
         """What makes a row of a log; made once for several."""
@@ -272,8 +293,3 @@ def failure(error: Exception) -> dict[str, Any]:
         said = getattr(error, "strerror", None) or str(error) or "out of memory"
         return {"error": f"{type(error).__name__}: {said}", "failed_by": BY_MACHINE}
     return {"error": f"{INTERNAL}, {type(error).__name__}: {error}", "failed_by": BY_US}
-
-
-def failed_row(folder: Path, name: str, reason: str) -> dict[str, Any]:
-    """A row of a log that could not be finished."""
-    return identity(folder, name) | {"error": reason, "failed_by": BY_LOG, "seconds": math.nan}

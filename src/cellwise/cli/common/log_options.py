@@ -39,15 +39,7 @@ def add_pack_options(parser: argparse.ArgumentParser, series: str = "") -> argpa
         metavar="N",
         help=f"cells in series, to read a pack as its mean cell{series} [1]",
     )
-    group.add_argument("--parallel", default="1", metavar="N", help="cells in parallel [1]")
-    group.add_argument(
-        "--channel",
-        action="append",
-        default=[],
-        metavar="NAME=COLUMN",
-        help="which column or signal is which, e.g. current_mA=I_pack; NAME gives the unit",
-    )
-    group.add_argument("--instance", metavar="K", help="which battery of several, from 0")
+    _add_channels(group)
     group.add_argument("--dbc", metavar="FILE", help="database of the frames of a CAN log")
     return group
 
@@ -131,6 +123,24 @@ def read_options(arguments: argparse.Namespace) -> ReadOptions:
     if stated["dbc"] is not None:
         stated["dbc"] = Path(stated["dbc"])
     return ReadOptions(**stated)
+
+
+def add_cells_options(parser: argparse.ArgumentParser) -> None:
+    """Add what `pack_arguments` reads, and the sign."""
+    printing.add_sign(parser)
+    _add_channels(parser)
+
+
+def _add_channels(parser: argparse._ActionsContainer) -> None:
+    parser.add_argument("--parallel", default="1", metavar="N", help="cells in parallel [1]")
+    parser.add_argument(
+        "--channel",
+        action="append",
+        default=[],
+        metavar="NAME=COLUMN",
+        help="which column or signal is which, e.g. current_mA=I_pack; NAME gives the unit",
+    )
+    parser.add_argument("--instance", metavar="K", help="which battery of several, from 0")
 
 
 def pack_arguments(arguments: argparse.Namespace) -> dict[str, Any]:
