@@ -111,7 +111,7 @@ def compare(one: Stretch, reference: Stretch) -> Compared:
     Both complete: the charges are counted. Else the earlier curve over charge is stretched by the
     share of capacity, moved along and lowered by a resistance until it is the later one. Ageing
     changes the shape, too: within the window that error is taken to stay alike over 0.3 of the
-    range, beyond it the cell may have aged otherwise by as much as it has aged at all.
+    range, beyond it the cell may have aged by as much as a life brings.
     """
     if one.as_complete_as(reference):
         share = one.moved_Ah / reference.moved_Ah
@@ -149,7 +149,9 @@ def _marginal(one: Stretch, reference: Stretch) -> Compared:
     variance = float((weight * (SHARES[:, None] - capacity) ** 2).sum())
     mean = float((weight * added).sum())
     variance_ohm = float((weight * (added - mean) ** 2).sum())
-    unseen = (1.0 - min(covered / capacity, 1.0)) * abs(1.0 - capacity)
+    # What was not seen may have aged by itself: lithium that is lost moves the ends of the range
+    # and stretches nothing between them.
+    unseen = (1.0 - min(covered / capacity, 1.0)) * SHARE_STD
     std = float(np.sqrt(variance + unseen**2 + COUNTER_STD**2))
     return Compared(capacity, std, mean, float(np.sqrt(variance_ohm)), False)
 

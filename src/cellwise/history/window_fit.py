@@ -61,7 +61,8 @@ def fit_window(model: CellModel, log: CellLog) -> WindowFit | None:
     -----
     Generalised least squares. The model's error is taken to stay alike over 0.3 of SOC and an hour
     (an exponential correlation); its size is what the fit leaves (restricted likelihood), 3 mV at
-    least: what the log cannot separate from such an error widens the deviation.
+    least: what the log cannot separate from such an error widens the deviation. So does the range
+    that it does not cover, which may have aged by itself.
     """
     rows = _compared(log)
     if rows.size < FEWEST_ROWS:
@@ -186,13 +187,15 @@ def _result(
     rows: IndexArray,
     residual: FloatArray,
 ) -> WindowFit:
+    seen = simulate(changed_model(model, x[1], x[2]), log, float(np.clip(x[0], 0.0, 1.0))).soc
+    covered = float(np.ptp(np.clip(seen[rows], 0.0, 1.0)))
     capacity = model.capacity_Ah * float(np.exp(x[1]))
     scale = float(np.exp(x[2]))
     ln_capacity_std, ln_scale_std = (float(np.sqrt(covariance[k, k])) for k in (1, 2))
     warm, apart = _temperature(model, log)
-    ln_capacity_std = float(np.hypot(ln_capacity_std, CAPACITY_PER_K * apart))
+    unseen = (1.0 - covered) * LN_CAPACITY_STD
+    ln_capacity_std = float(np.hypot(np.hypot(ln_capacity_std, CAPACITY_PER_K * apart), unseen))
     ln_scale_std = float(np.hypot(ln_scale_std, RESISTANCE_PER_K * apart))
-    seen = simulate(changed_model(model, x[1], x[2]), log, float(np.clip(x[0], 0.0, 1.0))).soc
     current = np.abs(log.known_current_A())
     loaded = current > 0.02 * capacity
     weight = log.interval_s * loaded
@@ -204,7 +207,7 @@ def _result(
         resistance_std=scale * ln_scale_std,
         soc_start=float(x[0]),
         soc_end=float(np.clip(seen[-1], 0.0, 1.0)),
-        covered=float(np.ptp(np.clip(seen[rows], 0.0, 1.0))),
+        covered=covered,
         rate=rate,
         temperature_C=warm,
         rmse_V=float(np.sqrt(np.mean(residual**2))),
