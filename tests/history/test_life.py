@@ -14,7 +14,7 @@ from cellwise.cell.stock.catalogue import stock_model
 from cellwise.cli import main
 from cellwise.errors import InputError
 from cellwise.history.life import life_of
-from cellwise.history.trend import trend_of
+from cellwise.history.trend import Deviations, trend_of
 from cellwise.history.window_fit import changed_model, fit_window
 from cellwise.logs import CellLog, write_log
 
@@ -46,6 +46,11 @@ def drive(share, scale=1.0, seed=0):
     log = CellLog(time, current, np.full(time.size, 3.7), np.full(time.size, 25.0))
     found = simulate(cell, log, 0.95)
     return replace(log, voltage_V=found.voltage_V + rng.normal(0.0, 0.001, time.size))
+
+
+def of_own(std):
+    """Deviations of logs that have nothing in common."""
+    return Deviations(std, np.zeros_like(std), np.zeros_like(std))
 
 
 def test_complete_discharges_are_counted():
@@ -102,7 +107,7 @@ def test_the_band_of_a_trend_covers_what_made_it():
         fade = rng.uniform(0.05, 0.3)
         truth = 1.0 - fade * way / 19.0 + rng.normal(0.0, rng.choice([0.0, 0.005, 0.01]), 20)
         std = np.full(20, 0.005)
-        found = trend_of(way, truth + rng.normal(0.0, std), std, np.ones(20, bool))
+        found = trend_of(way, truth + rng.normal(0.0, std), of_own(std))
         inside.append(np.abs(found.share - truth) < 2.0 * found.std)
     assert 0.90 <= np.mean(inside) <= 0.995
 
@@ -110,8 +115,8 @@ def test_the_band_of_a_trend_covers_what_made_it():
 def test_windows_wrong_together_leave_a_wider_band_than_counted_charges():
     way, share = np.arange(10.0), 1.0 - 0.01 * np.arange(10.0)
     std = 0.002 + 0.3 * (1.0 - share)  # what a window cannot see grows with the fade
-    counted = trend_of(way, share, std, np.ones(10, bool)).std[-1]
-    windows = trend_of(way, share, std, np.zeros(10, bool)).std[-1]
+    counted = trend_of(way, share, of_own(std)).std[-1]
+    windows = trend_of(way, share, Deviations(0.22 * std, 0.97 * std, 0.0 * std)).std[-1]
     assert windows > 1.3 * counted
 
 
@@ -120,7 +125,7 @@ def test_a_knee_is_found_where_there_is_one(bends, expected):
     way = np.arange(24.0)
     share = 1.0 - 0.004 * way - (0.02 * np.maximum(way - 12.0, 0.0) if bends else 0.0)
     share += np.random.default_rng(2).normal(0.0, 0.001, way.size)
-    knee = trend_of(way, share, np.full(24, 0.002), np.ones(24, bool)).knee
+    knee = trend_of(way, share, of_own(np.full(24, 0.002))).knee
     assert (knee is None) if expected is None else abs(knee - expected) <= 2
 
 
@@ -177,3 +182,13 @@ def test_lipo_fade_at_4c(real_data):
     life = life_of(stock_model("lipo-pouch"), logs)
     fade = 100.0 * (1.0 - life.trend.share[-1])
     assert fade == pytest.approx(100.0 * (1.0 - 5.026 / 5.147), abs=0.3)
+
+
+def test_how_well_the_first_log_is_known_stays_in_the_band():
+    """Charges that are counted against an uncertain first one: the level is uncertain, not the
+    fade."""
+    share = 0.92 - 0.002 * np.arange(10.0)
+    std = Deviations(np.full(10, 0.002), np.zeros(10), np.full(10, 0.03))
+    trend = trend_of(np.arange(10.0), share, std, start_std=0.05)
+    assert np.all(trend.std > 0.02)
+    assert trend.share[0] - trend.share[-1] == pytest.approx(0.018, abs=0.004)

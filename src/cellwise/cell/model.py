@@ -20,6 +20,7 @@ from cellwise.typing import FloatArray
 E = TypeVar("E", bound=Effect)
 # Share of the mean slope of the OCV over SOC by which its slope may be off where no data were.
 UNKNOWN_SLOPE = 0.5
+CAPACITY_STD = 0.02  # of a cell whose own tests the model is of: samples, and how it was tested
 
 
 class ModelTables(NamedTuple):
@@ -207,6 +208,16 @@ class CellModel(Plottable):
     def unknown_slope_V(self) -> float:
         """By how much the OCV's slope over SOC may be off where no data were [V]."""
         return UNKNOWN_SLOPE * float(np.mean(self.ocv_V[:, -1] - self.ocv_V[:, 0]))
+
+    @property
+    def capacity_std_Ah(self) -> float:
+        """Standard deviation of the capacity of the cell it is for [Ah], as its provenance says."""
+        prior, stock = (self.provenance.get(key) for key in ("prior", "stock"))
+        if isinstance(prior, Mapping) and "capacity_std_Ah" in prior:
+            return float(prior["capacity_std_Ah"])
+        if isinstance(stock, Mapping) and "spread" in stock:
+            return float(stock["spread"]["soc"]) * self.capacity_Ah
+        return CAPACITY_STD * self.capacity_Ah
 
     @property
     def tables(self) -> ModelTables:

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import date
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.history.stretches import Compared, Stretch, compare, longest_stretch
-from cellwise.history.trend import Trend, trend_of
+from cellwise.history.trend import START_STD, WINDOWS_ALIKE, Deviations, Trend, trend_of
 from cellwise.history.window_fit import RESISTANCE_PER_K, changed_model, fit_window
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.packs.log_date import day_of_name
@@ -21,14 +21,15 @@ from cellwise.typing import FloatArray
 
 COMPLETE = 0.85  # of the model's capacity: a stretch that moves more counts as a capacity test
 REFERENCE_STD = 0.015  # of the capacity: beyond it a reference test is worth its time
-MODEL_STD = 0.02  # of a model's capacity for the cell it was made for
 
 
 @dataclass(frozen=True, eq=False)
 class LogOfLife:
     """One log: what it says of the cell, at its own load and temperature.
 
-    ``share`` is its capacity over the first one's at the same load; ``how`` says by what.
+    ``share`` is its capacity over the new cell's, from the first one at the same load on;
+    ``deviations`` are the parts of ``share_std`` that `Deviations` names, all but that of the new
+    cell's capacity; ``how`` says by what.
     """
 
     log: CellLog
@@ -37,6 +38,7 @@ class LogOfLife:
     capacity_std_Ah: float
     share: float
     share_std: float
+    deviations: tuple[float, float, float]
     resistance_scale: float
     resistance_std: float
     soc_start: float
@@ -45,6 +47,18 @@ class LogOfLife:
     counted: bool
     how: str
     notices: tuple[str, ...]
+
+
+class Reference(NamedTuple):
+    """The first stretch at a load, and what share of the new cell's capacity it had.
+
+    ``std`` is that share's deviation, ``measured_std`` without that of the new cell's capacity.
+    """
+
+    stretch: Stretch
+    share: float
+    std: float
+    measured_std: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +194,7 @@ def life_of(model: CellModel, logs: Sequence[CellLog]) -> Life:
     if not logs:
         raise InputError("no log", "logs of one cell in order", "Name them.")
     found: list[LogOfLife] = []
-    references: list[tuple[Stretch, float, float]] = []
+    references: list[Reference] = []
     moved = 0.0
     for log in logs:
         flow = float(np.sum(np.abs(log.known_current_A()) * log.interval_s)) / 3600.0
@@ -211,8 +225,8 @@ def life_of(model: CellModel, logs: Sequence[CellLog]) -> Life:
     trend = trend_of(
         way,
         np.array([one.share for one in found]),
-        np.array([one.share_std for one in found]),
-        np.array([one.counted for one in found]),
+        Deviations(*np.array([one.deviations for one in found]).T),
+        START_STD if found[0].counted else model.capacity_std_Ah / model.capacity_Ah,
     )
     return Life(model, tuple(found), over, way, trend)
 
@@ -220,27 +234,32 @@ def life_of(model: CellModel, logs: Sequence[CellLog]) -> Life:
 def _by_stretch(
     model: CellModel,
     log: CellLog,
-    references: list[tuple[Stretch, float, float]],
+    references: list[Reference],
     before: Sequence[LogOfLife],
     flow: float,
 ) -> LogOfLife | None:
     one = longest_stretch(log, model.capacity_Ah)
     if one is None:
         return None
-    known = next((r for r in references if one.alike(r[0])), None)
+    known = next((r for r in references if one.alike(r.stretch)), None)
     warm = one.temperature_C
     if known is None:
         # The first at this load: the others say how far the cell has aged by now.
-        share, std = (1.0, 0.0) if not before else (before[-1].share, before[-1].share_std)
-        complete = one.moved_Ah > COMPLETE * share * model.capacity_Ah
+        known = Reference(one, 1.0, 0.0, 0.0)
+        if before:
+            last = before[-1]
+            measured = float(np.linalg.norm(last.deviations))
+            known = Reference(one, last.share, last.share_std, measured)
+        complete = one.moved_Ah > COMPLETE * known.share * model.capacity_Ah
         if not complete:
             return None
-        references.append((one, share, std))
+        references.append(known)
         result = Compared(1.0, 0.001, 0.0, 1e-5, True)
-        known = references[-1]
     else:
-        result = compare(one, known[0])
-    reference, share, std = known
+        result = compare(one, known.stretch)
+    reference, share = known.stretch, known.share
+    alike = 0.0 if result.counted else WINDOWS_ALIKE
+    spread = share * result.capacity_std
     capacity = reference.moved_Ah * result.capacity
     start, end = _soc_of(one, reference, result)
     dc = _dc_resistance(model, warm)
@@ -253,7 +272,8 @@ def _by_stretch(
         capacity_Ah=capacity,
         capacity_std_Ah=reference.moved_Ah * result.capacity_std,
         share=total,
-        share_std=float(np.hypot(share * result.capacity_std, std)),
+        share_std=float(np.hypot(spread, known.std)),
+        deviations=(*_parts(spread, alike), known.measured_std),
         resistance_scale=1.0 + result.added_ohm / dc,
         resistance_std=float(np.hypot(result.added_std_ohm / dc, RESISTANCE_PER_K * apart + 0.005)),
         soc_start=start,
@@ -269,13 +289,15 @@ def _by_fit(model: CellModel, log: CellLog, flow: float) -> LogOfLife | None:
     fit = fit_window(model, log)
     if fit is None:
         return None
+    spread = fit.capacity_std_Ah / model.capacity_Ah
     return LogOfLife(
         log=log,
         day=day_of_name(log.name),
         capacity_Ah=fit.capacity_Ah,
         capacity_std_Ah=fit.capacity_std_Ah,
         share=fit.capacity_Ah / model.capacity_Ah,
-        share_std=float(np.hypot(fit.capacity_std_Ah / model.capacity_Ah, MODEL_STD)),
+        share_std=float(np.hypot(fit.capacity_std_Ah, model.capacity_std_Ah) / model.capacity_Ah),
+        deviations=(*_parts(spread, WINDOWS_ALIKE), 0.0),
         resistance_scale=fit.resistance_scale,
         resistance_std=fit.resistance_std,
         soc_start=fit.soc_start,
@@ -285,6 +307,11 @@ def _by_fit(model: CellModel, log: CellLog, flow: float) -> LogOfLife | None:
         how=f"fit of the model, {100 * fit.covered:.0f} % of the SOC range",
         notices=log.notices,
     )
+
+
+def _parts(std: float, alike: float) -> tuple[float, float]:
+    """A log's own part of a deviation, and the one that is alike."""
+    return float(np.sqrt(1.0 - alike)) * std, float(np.sqrt(alike)) * std
 
 
 def _soc_of(one: Stretch, reference: Stretch, result: Compared) -> tuple[float, float]:

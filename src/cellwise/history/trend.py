@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.typing import BoolArray, FloatArray
+from cellwise.typing import FloatArray
 
 # Fade over the logs, standard deviation: cells are used to four fifths. Half of its variance goes
 # with time, half with its root, as films grow (10.1149/1.1393224).
@@ -16,17 +17,34 @@ BENDS = (0.0, 0.01, 0.03, 0.1, 0.3)  # how much it bends: of an integrated Wiene
 # From log to log beyond the stated deviations: interrupted charges, temperature, rest before.
 SCATTERS = (0.0, 0.003, 0.006, 0.012)
 # Windows of one kind are wrong alike, for so much of the life: what they cannot see ages in its
-# own way.
+# own way. Share of their variance.
 WINDOWS_ALIKE = 0.95
 ALIKE_OVER = 0.5
-START_STD = 0.002
+START_STD = 0.002  # of a first log that is counted itself
 KNEE_BIC = 10.0
 FEWEST_FOR_KNEE = 8
 
 
+class Deviations(NamedTuple):
+    """Deviations of the shares, shape (n,) each.
+
+    ``own`` is a log's own; ``alike`` what windows are wrong by alike, over half of the life;
+    ``level`` what a reference is wrong by for all that are compared with it.
+    """
+
+    own: FloatArray
+    alike: FloatArray
+    level: FloatArray
+
+    @property
+    def whole(self) -> FloatArray:
+        """All three together."""
+        return np.asarray(np.sqrt(self.own**2 + self.alike**2 + self.level**2))
+
+
 @dataclass(frozen=True, eq=False)
 class Trend:
-    """Share of the first capacity, shape (n,), its deviation, and the knee (None: no bend).
+    """Share of the new cell's capacity, shape (n,), its deviation, and the knee (None: no bend).
 
     ``std`` holds the scatter from log to log, too: what the next test would show.
     """
@@ -36,31 +54,36 @@ class Trend:
     knee: int | None
 
 
-def trend_of(way: FloatArray, share: FloatArray, std: FloatArray, counted: BoolArray) -> Trend:
+def trend_of(
+    way: FloatArray,
+    share: FloatArray,
+    std: Deviations,
+    start_std: float = START_STD,
+) -> Trend:
     """The trend of measured shares.
 
     Parameters
     ----------
     way : (n,) float          age, never decreasing: days, throughput or number
-    share, std : (n,) float   measured shares of the first capacity and their deviations
-    counted : (n,) bool       from a complete discharge: no error in common with the others
+    share : (n,) float        measured shares of the new cell's capacity
+    std : Deviations
+    start_std : float         how far from one the life may have begun
 
     Notes
     -----
-    A Gaussian process that begins at one: a line, a root and an integrated Wiener process. The
+    A Gaussian process that begins near one: a line, a root and an integrated Wiener process. The
     bend's size and the scatter from log to log are averaged over by their marginal likelihood; the
-    deviations as stated; of windows mostly a persistent error that is alike.
+    deviations as stated.
     """
     u = way - way[0]
     u = u / max(float(u[-1]), 1e-12)
-    alone = np.where(counted, std, np.sqrt(1.0 - WINDOWS_ALIKE) * std)
-    together = np.where(counted, 0.0, np.sqrt(WINDOWS_ALIKE) * std)
     near = np.exp(-np.abs(u[:, None] - u[None, :]) / ALIKE_OVER)
-    stated = np.diag(alone**2 + 1e-8) + np.outer(together, together) * near
+    stated = np.diag(std.own**2 + 1e-8) + np.outer(std.alike, std.alike) * near
+    stated += np.outer(std.level, std.level)
     eye = np.eye(u.size)
     likely, means, variances = [], [], []
     for bend, scatter in product(BENDS, SCATTERS):
-        kernel, noise = _kernel(u, bend), stated + scatter**2 * eye
+        kernel, noise = start_std**2 + _kernel(u, bend), stated + scatter**2 * eye
         likely.append(_likelihood(kernel + noise, share - 1.0))
         gain = np.linalg.solve(kernel + noise, kernel).T
         means.append(1.0 + gain @ (share - 1.0))
@@ -71,7 +94,7 @@ def trend_of(way: FloatArray, share: FloatArray, std: FloatArray, counted: BoolA
     mean = np.asarray(weight @ np.array(means))
     apart = np.array(means) - mean
     deviation = np.sqrt(weight @ (np.array(variances) + apart**2))
-    return Trend(mean, deviation, _knee(u, share, std))
+    return Trend(mean, deviation, _knee(u, share, std.whole))
 
 
 def _kernel(u: FloatArray, bend: float) -> FloatArray:
@@ -79,7 +102,7 @@ def _kernel(u: FloatArray, bend: float) -> FloatArray:
     wiener = low**2 * (3.0 * high - low) / 6.0
     root = np.sqrt(u)
     fade = 0.5 * FADE**2 * (np.outer(u, u) + np.outer(root, root))
-    return np.asarray(START_STD**2 + fade + 3.0 * bend**2 * wiener)
+    return np.asarray(fade + 3.0 * bend**2 * wiener)
 
 
 def _likelihood(covariance: FloatArray, left: FloatArray) -> float:

@@ -34,7 +34,6 @@ from cellwise.pack.usable import Usable, usable_charge
 from cellwise.typing import FloatArray
 
 BALANCED = [SOC, SELF_DISCHARGE]
-CAPACITY_STD = 0.02  # of a model that does not say how well its capacity is known
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +83,7 @@ class PackEstimate:
     @property
     def own_capacity_std_Ah(self) -> FloatArray:
         """Deviation of each cell's capacity from the mean cell's alone [Ah], shape (cells,)."""
-        shared = capacity_std_Ah(self.model)
+        shared = self.model.capacity_std_Ah
         whole = self.cells.capacity_std_Ah
         return np.asarray(np.sqrt(np.maximum(whole**2 - shared**2, 0.0)))
 
@@ -282,7 +281,7 @@ def _cells(
         return np.asarray(np.eye(SIZE)[index])
 
     capacity = model.capacity_Ah * (1.0 + x[:, CAPACITY])
-    shared = capacity_std_Ah(model)
+    shared = model.capacity_std_Ah
     there = evidence.rows > 0
     return CellsEstimate(
         soc=np.where(there, np.clip(z + x @ lever, 0.0, 1.0), np.nan),
@@ -297,11 +296,3 @@ def _cells(
         skew_std_s=std(both),
         voltage_rmse_V=evidence.rmse_V,
     )
-
-
-def capacity_std_Ah(model: CellModel) -> float:
-    """How well the model's own capacity is known [Ah]."""
-    prior = model.provenance.get("prior")
-    if isinstance(prior, dict) and "capacity_std_Ah" in prior:
-        return float(prior["capacity_std_Ah"])
-    return CAPACITY_STD * model.capacity_Ah

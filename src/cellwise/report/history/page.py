@@ -44,7 +44,7 @@ def history_page(
     use = data["trend"]["use"]
     lead = tiles(
         [
-            ("of the first capacity", f"{percent(share, 1)} +- {percent(2 * std, 1)}"),
+            ("of the new cell's capacity", f"{percent(share, 1)} +- {percent(2 * std, 1)}"),
             ("capacity to use", f"{significant(use['capacity_Ah'], 4)} Ah"),
             ("resistance to use", f"{significant(use['resistance_scale'], 3)} of the model's"),
             ("logs", str(len(found.logs))),
@@ -66,9 +66,10 @@ def history_page(
         sections.append(
             Section("notices", "Notices", (bullets(dict.fromkeys(notices)),), "Notices")
         )
+    lost = percent(1.0 - share / float(found.trend.share[0]), 1)
     return write_page(
         path,
-        f"{percent(1.0 - share, 1)} of the capacity are gone",
+        f"{lost} of the capacity lost since the first log",
         f"{plural(len(found.logs), 'log')} of one life, by cellwise",
         sections,
         data,
@@ -89,7 +90,7 @@ def _capacity_picture(found: Life) -> Picture:
 
 @styled
 def draw_capacity(found: Life) -> Figure:
-    """Share of the first capacity over the life."""
+    """Share of the new cell's capacity over the life."""
     figure = new_figure(3.4)
     axes = figure.subplots()
     counted = np.array([one.counted for one in found.logs])
@@ -112,8 +113,8 @@ def draw_capacity(found: Life) -> Figure:
     if found.trend.knee is not None:
         axes.axvline(found.way[found.trend.knee], color=VERMILLION, linewidth=1.0, label="knee")
     legend(axes)
-    finding(axes, f"{trend[-1]:.1f} +- {band[-1]:.1f} % of the first capacity at the last log")
-    labels(axes, UNITS[found.over], "share of the first capacity [%]")
+    finding(axes, f"{trend[-1]:.1f} +- {band[-1]:.1f} % of the new cell's capacity at the last log")
+    labels(axes, UNITS[found.over], "share of the new cell's capacity [%]")
     return figure
 
 
