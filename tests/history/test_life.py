@@ -192,3 +192,12 @@ def test_how_well_the_first_log_is_known_stays_in_the_band():
     trend = trend_of(np.arange(10.0), share, std, start_std=0.05)
     assert np.all(trend.std > 0.02)
     assert trend.share[0] - trend.share[-1] == pytest.approx(0.018, abs=0.004)
+
+
+def test_the_capacity_to_use_is_no_surer_than_the_new_cells():
+    life = life_of(FRESH, [discharge(s, seed=k) for k, s in enumerate(SHARES)])
+    assert life.logs[0].counted
+    use = life.to_dict()["trend"]["use"]
+    least = SHARES[-1] * FRESH.capacity_std_Ah
+    assert use["capacity_std_Ah"] > 0.99 * least
+    assert life.aged_model.capacity_std_Ah == use["capacity_std_Ah"]

@@ -212,9 +212,11 @@ class CellModel(Plottable):
     @property
     def capacity_std_Ah(self) -> float:
         """Standard deviation of the capacity of the cell it is for [Ah], as its provenance says."""
-        prior, stock = (self.provenance.get(key) for key in ("prior", "stock"))
-        if isinstance(prior, Mapping) and "capacity_std_Ah" in prior:
-            return float(prior["capacity_std_Ah"])
+        for key in ("history", "prior"):
+            stated = self.provenance.get(key)
+            if isinstance(stated, Mapping) and "capacity_std_Ah" in stated:
+                return float(stated["capacity_std_Ah"])
+        stock = self.provenance.get("stock")
         if isinstance(stock, Mapping) and "spread" in stock:
             return float(stock["spread"]["soc"]) * self.capacity_Ah
         return CAPACITY_STD * self.capacity_Ah

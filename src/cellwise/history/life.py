@@ -72,6 +72,13 @@ class Life:
     trend: Trend
 
     @property
+    def capacity_std_Ah(self) -> float:
+        """How well the capacity is known after the last log, the new cell's among it [Ah]."""
+        share, std = float(self.trend.share[-1]), float(self.trend.std[-1])
+        new_Ah = self.model.capacity_std_Ah if self.logs[0].counted else 0.0  # else in the trend
+        return float(np.hypot(std * self.model.capacity_Ah, share * new_Ah))
+
+    @property
     def aged_model(self) -> CellModel:
         """The model as the cell is now: for `replay`, `live`, `export` without anything else."""
         share = float(self.trend.share[-1])
@@ -79,7 +86,7 @@ class Life:
         aged = changed_model(self.model, float(np.log(share)), float(np.log(scale)))
         about = {
             "capacity_share": share,
-            "capacity_std_Ah": float(self.trend.std[-1]) * self.model.capacity_Ah,
+            "capacity_std_Ah": self.capacity_std_Ah,
             "resistance_scale": scale,
             "logs": [one.log.name for one in self.logs],
         }
@@ -155,7 +162,7 @@ class Life:
                 "next_reference": self.next_reference,
                 "use": {
                     "capacity_Ah": capacity * float(self.trend.share[-1]),
-                    "capacity_std_Ah": capacity * float(self.trend.std[-1]),
+                    "capacity_std_Ah": self.capacity_std_Ah,
                     "resistance_scale": scale,
                     "resistance_std": scale_std,
                 },

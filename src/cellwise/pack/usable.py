@@ -12,6 +12,7 @@ from cellwise.pack.mean_cell import OcvSlope
 from cellwise.typing import FloatArray
 
 POINTS = 101
+LEAST_GAIN = 1e-9
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,12 @@ class Usable:
     left_Ah: float
     usable_Wh: float
 
+    @property
+    def gain_Ah(self) -> float:
+        """What balancing would bring; rounding is none."""
+        gain = self.balanced_Ah - self.usable_Ah
+        return 0.0 if abs(gain) < LEAST_GAIN * self.balanced_Ah else gain
+
     def to_dict(self) -> dict[str, float]:
         """JSON values, with what balancing would bring."""
         return {
@@ -35,7 +42,7 @@ class Usable:
             "usable_Wh": self.usable_Wh,
             "left_Ah": self.left_Ah,
             "balanced_Ah": self.balanced_Ah,
-            "balancing_gain_Ah": self.balanced_Ah - self.usable_Ah,
+            "balancing_gain_Ah": self.gain_Ah,
         }
 
 

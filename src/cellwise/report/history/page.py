@@ -27,7 +27,7 @@ from cellwise.report.page.style import (
 if TYPE_CHECKING:
     from cellwise.report.page.style import Figure
 
-UNITS = {"days": "days since the first log", "throughput_Ah": "charge moved [Ah]"}
+UNITS = {"days": "days since the first log", "throughput_Ah": "charge moved in these logs [Ah]"}
 
 
 def history_page(
@@ -45,7 +45,10 @@ def history_page(
     lead = tiles(
         [
             ("of the new cell's capacity", f"{percent(share, 1)} +- {percent(2 * std, 1)}"),
-            ("capacity to use", f"{significant(use['capacity_Ah'], 4)} Ah"),
+            (
+                "capacity to use [Ah]",
+                f"{use['capacity_Ah']:.3g} +- {2 * use['capacity_std_Ah']:.2g}",
+            ),
             ("resistance to use", f"{significant(use['resistance_scale'], 3)} of the model's"),
             ("logs", str(len(found.logs))),
         ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,6 +31,7 @@ BINS = 240
 LEAST_SCALE_MV = 3.0
 REST_RATE, LOAD_RATE = 0.05, 0.3  # 1/h
 BIN_ROWS = 5
+MOST_LABELS = 12  # of days below the cells
 
 
 def pack_pictures(found: PackEstimate) -> tuple[Picture, ...]:
@@ -69,6 +71,15 @@ def named_cells(found: PackEstimate) -> list[int]:
     return [k for k, name in enumerate(found.names) if name in names]
 
 
+def _apart(edges: Sequence[float], least: float) -> list[int]:
+    """Numbers of edges that lie far enough from each other to be labelled."""
+    shown: list[int] = []
+    for k, edge in enumerate(edges):
+        if not shown or edge - edges[shown[-1]] >= least:
+            shown.append(k)
+    return shown
+
+
 @styled
 def draw_cells(found: PackEstimate) -> Figure:
     """Cells over time as colours."""
@@ -84,8 +95,8 @@ def draw_cells(found: PackEstimate) -> Figure:
     )  # fmt: skip
     figure.colorbar(drawn, ax=axes, label="cell minus mean [mV]", shrink=0.8, pad=0.07)
     axes.grid(visible=False)
-    step = max(len(edges) // 8, 1)
-    axes.set_xticks(edges[::step], labels_of[::step], rotation=0)
+    shown = _apart(edges, image.shape[1] / MOST_LABELS)
+    axes.set_xticks([edges[k] for k in shown], [labels_of[k] for k in shown], rotation=0)
     for cell in named_cells(found):
         axes.annotate(
             found.names[cell], (1.0, cell + 1.0), (4, 0), xycoords=("axes fraction", "data"),
@@ -206,7 +217,11 @@ def draw_sensors(found: PackEstimate) -> Figure:
         zero_line(axes)
         _point_at(axes, found, lambda cell, v=values: float(v[cell]))
         low, high = float(np.nanmin(values)), float(np.nanmax(values))
-        finding(axes, f"Sensors' {what}: {low:+.2g} to {high:+.2g}", 0.42)
+        finding(
+            axes,
+            f"Sensors' {what}: {low:+.2g} to {high:+.2g} {unit.partition('[')[2].rstrip(']')}",
+            0.42,
+        )
         labels(axes, "cell", unit)
     return figure
 
