@@ -42,6 +42,7 @@ def history_page(
     data = found.to_dict()
     share, std = float(found.trend.share[-1]), float(found.trend.std[-1])
     use = data["trend"]["use"]
+    known = f"{use['capacity_Ah']:.3g} +- {2 * use['capacity_std_Ah']:.2g}"
     lead = tiles(
         [
             ("of the new cell's capacity", f"{percent(share, 1)} +- {percent(2 * std, 1)}"),
