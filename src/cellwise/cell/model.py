@@ -14,6 +14,7 @@ from cellwise.cell.equations import CellTables
 from cellwise.cell.parameters import packed
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity, beyond_soc
 from cellwise.errors import InputError
+from cellwise.given import check_kind
 from cellwise.plotting import Line, Panel, Plottable
 from cellwise.typing import FloatArray
 
@@ -274,6 +275,16 @@ class CellModel(Plottable):
 
 def _interpolate(grid: FloatArray, table: FloatArray, temperature_C: float) -> FloatArray:
     return np.array([np.interp(temperature_C, grid, table[:, k]) for k in range(table.shape[1])])
+
+
+def check_is_model(model: object) -> None:
+    """Refuse what is no model.
+
+    Raises
+    ------
+    InputError        another type
+    """
+    check_kind("model", model, CellModel, "Read one with read_model('model.json').")
 
 
 def check_model(model: CellModel) -> None:

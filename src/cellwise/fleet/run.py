@@ -122,7 +122,7 @@ def run_fleet(
             f"none of the {len(there)} {task.unit} of '{place}' with a log that can be read (the "
             f"first: {refusals[0].rstrip('.')})",
             "a folder with logs in it",
-            "Check the folder, --pattern, and how the logs are read.",
+            "Check the folder, `pattern=...`, and how the logs are read.",
         )
     seconds = time.perf_counter() - began
     resumed = len(there) - len(names)
@@ -157,6 +157,8 @@ def find_logs(folder: Path, pattern: str, out: Path) -> dict[str, tuple[int, int
         found[path.relative_to(folder).as_posix()] = (status.st_size, status.st_mtime_ns)
     if not found:
         raise InputError(
-            f"no file '{pattern}' in '{folder}'", "logs", "Check the folder and --pattern."
+            f"no file '{pattern}' in '{folder}'",
+            "logs",
+            "Check the folder and `pattern=...`.",
         )
     return found

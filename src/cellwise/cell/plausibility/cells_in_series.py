@@ -52,7 +52,7 @@ def check_cells_in_series(model: CellModel, log: MeasuredLog) -> None:
     raise InputError(
         f"a voltage of typically {typical:.3g} V in log '{log.name}'",
         expected,
-        "Fewer cells in series? Correct --series; or it is another kind of cell.",
+        "Fewer cells in series? Correct `series=...`; or it is another kind of cell.",
     )
 
 
@@ -83,4 +83,4 @@ def _question(log: MeasuredLog, full_V: float) -> str:
     cells = cells_in_series(log, full_V)
     others = cells_in_series(log, FULL_LFP_V)
     also = f" (LFP: {others})" if full_V == FULL_V and others != cells else ""
-    return f"{cells} cells in series{also}? Give --series {cells}."
+    return f"{cells} cells in series{also}? Give `series={cells}`."
