@@ -164,9 +164,9 @@ def test_a_terminal_has_one_line_and_a_file_none(monkeypatch, capsys):
 def test_a_diagnosis_says_how_far_it_is(notebook):
     from dataclasses import replace
 
-    log = load_dataset("nmc_drive_b").part(0, 3000)
-    off = replace(log, current_A=log.current_A + 0.3)
-    model = curved_cell()
+    model, log = curved_cell(), load_dataset("nmc_drive_b").part(0, 3000)
+    voltage_V = simulate(model, log, 0.9).voltage_V
+    off = replace(log, voltage_V=voltage_V, current_A=log.current_A + 0.3)
     with cellwise.progress_bar() as bar:
         cellwise.diagnose(model, off, soc0=0.9, causes=["current_offset"], progress=bar)
     assert any("current offset" in said for said in notebook.shown[0])
