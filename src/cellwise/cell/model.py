@@ -264,7 +264,18 @@ class CellModel(Plottable):
             temperature_C=np.array([float(temperature_C)]),
         )
 
-    def _effect_at(self, effect: Effect, temperature_C: float) -> Effect:
+    def ocv_at(self, temperature_C: float) -> FloatArray:
+        """OCV over the model's SOC at one temperature [V], as of :meth:`at_temperature`."""
+        if self.temperature_C.size == 1:
+            return np.asarray(self.ocv_V[0])
+        return _interpolate(self.temperature_C, self.ocv_V, temperature_C)
+
+    def effect_at(self, kind: type[E], temperature_C: float) -> E:
+        """One effect at one temperature, as of :meth:`at_temperature`."""
+        effect = self.effect(kind)
+        return effect if self.temperature_C.size == 1 else self._effect_at(effect, temperature_C)
+
+    def _effect_at(self, effect: E, temperature_C: float) -> E:
         tables: dict[str, Any] = {
             key: _interpolate(self.temperature_C, value, temperature_C)[None, :]
             for key, value in vars(effect).items()

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from cellwise.cell.compiled import announce
+from cellwise.cell.compiled import announce, for_kernel
 from cellwise.cell.equations import empty_state
 from cellwise.cell.metrics import (
     BandMetrics,
@@ -148,14 +148,34 @@ def best_start_soc(model: CellModel, log: CellLog, soc0: FloatArray) -> tuple[fl
     -------
     float, float          the SOC, and the root mean square of the voltage error from there [V]
     """
-    tables = model.parameters()
+    return best_start_of(model, rows_to_fit(model, log), soc0)
+
+
+class RowsToFit(NamedTuple):
+    """The rows of a log as `best_start` takes them, shape (n,) each."""
+
+    interval_s: FloatArray
+    current_A: FloatArray
+    temperature_C: FloatArray
+    voltage_V: FloatArray
+
+
+def rows_to_fit(model: CellModel, log: CellLog) -> RowsToFit:
+    """What the search for a start needs of a log."""
+    return RowsToFit(
+        log.interval_s,
+        log.known_current_A(),
+        known_temperature_C(model, log),
+        for_kernel(log.voltage_V),
+    )
+
+
+def best_start_of(model: CellModel, rows: RowsToFit, soc0: FloatArray) -> tuple[float, float]:
+    """:func:`best_start_soc` of rows that are prepared."""
     starts = np.array(soc0, dtype=np.float64)
     h0 = np.where(starts > UPPER_HALF, 1.0, -1.0)
-    number, total = best_start(
-        tables, starts, h0, log.interval_s, log.known_current_A(),
-        known_temperature_C(model, log), np.array(log.voltage_V),
-    )  # fmt: skip
-    known = max(int(np.count_nonzero(np.isfinite(log.voltage_V))), 1)
+    number, total = best_start(model.parameters(), starts, h0, *rows)
+    known = max(int(np.count_nonzero(np.isfinite(rows.voltage_V))), 1)
     return float(starts[number]), math.sqrt(total / known)
 
 

@@ -28,7 +28,9 @@ def soc_notices(log: MeasuredLog, soc: FloatArray) -> list[Notice]:
     ----------
     soc : (n,) float      simulated, or counted
     """
-    low, high = float(np.nanmin(soc)), float(np.nanmax(soc))
+    low, high = float(np.min(soc)), float(np.max(soc))
+    if not math.isfinite(low + high):
+        low, high = float(np.nanmin(soc)), float(np.nanmax(soc))
     outside = max(-low, high - 1.0)
     if outside <= SHOWN_SOC:
         return []

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from cellwise.cell.compiled import announce
+from cellwise.cell.compiled import announce, for_kernel
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.point_kernels import M
 from cellwise.cell.simulate import check_soc0, check_soc0_std, model_temperature_C
@@ -175,14 +175,13 @@ def check_state(state: object, kind: type, name: str) -> None:
 def log_arrays(log: CellLog) -> layout.LogArrays:
     """The rows of a log as the kernels read them."""
     check_is_log(log)
-    # What the tester's counter says of a gap is not for the filter's eyes. Copies: kernels are
-    # compiled for one kind of array.
+    # What the tester's counter says of a gap is not for the filter's eyes.
     return layout.LogArrays(
-        np.array(log.interval_current_A),
-        np.array(log.voltage_V),
+        for_kernel(log.interval_current_A),
+        for_kernel(log.voltage_V),
         measured_temperature_C(log),
-        np.array(log.interval_s),
-        np.array(log.gap_rows),
+        log.interval_s,
+        log.gap_rows,
     )
 
 
@@ -190,4 +189,4 @@ def measured_temperature_C(log: CellLog) -> FloatArray:
     """Temperature of every row as measured, NaN where nobody did, shape (rows,)."""
     if log.temperature_C is None:
         return np.full(len(log), np.nan)
-    return np.array(log.temperature_C)  # a copy: kernels are compiled for one kind of array
+    return for_kernel(log.temperature_C)
