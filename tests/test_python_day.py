@@ -85,3 +85,88 @@ def test_no_message_to_python_names_only_an_option_of_the_command():
         simulate(curved_cell(), log, 80.0)
     assert "--soc0" not in str(caught.value)
     assert "Divide by 100" in str(caught.value)
+
+
+def test_signatures_of_the_face_say_what_they_take():
+    """No parameter is Any: where a kind of object will do, its protocol is named."""
+    import inspect
+
+    for name in cellwise.__all__:
+        value = getattr(cellwise, name)
+        methods = inspect.getmembers(value, callable) if inspect.isclass(value) else [("", value)]
+        for method, function in methods:
+            if method.startswith("_") and method != "__init__":
+                continue
+            try:
+                parameters = inspect.signature(function).parameters.values()
+            except (TypeError, ValueError):
+                continue
+            wide = [p for p in parameters if str(p.annotation) in ("Any", "object", "Any | None")]
+            assert not wide or method == "checked_before", (name, method, wide)
+    for method in ("plot", "to_pandas", "to_polars"):
+        assert inspect.signature(getattr(CellLog, method)).return_annotation != "Any"
+    assert "model" in inspect.signature(cellwise.diagnose).parameters
+
+
+class Notebook:
+    """IPython's display, as far as a bar needs it."""
+
+    def __init__(self):
+        self.shown = []
+
+    def HTML(self, text):
+        return text
+
+    def display(self, text, *, display_id):
+        assert display_id
+        self.shown.append([text])
+        return self
+
+    def update(self, text):
+        self.shown[-1].append(text)
+
+
+@pytest.fixture
+def notebook(monkeypatch):
+    fake = Notebook()
+    monkeypatch.setitem(sys.modules, "ipykernel", object())
+    monkeypatch.setitem(sys.modules, "IPython.display", fake)
+    return fake
+
+
+def test_a_notebook_has_one_bar_that_goes_away(notebook):
+    with cellwise.progress_bar() as bar:
+        bar(0.25, "capacity <Q>")
+        bar("log", 3, 4)
+        bar("OCV")
+    assert len(notebook.shown) == 1
+    first, second, third, last = notebook.shown[0]
+    assert first == "<progress max='1' value='0.250'></progress> capacity &lt;Q&gt;"
+    assert second == "<progress max='1' value='0.750'></progress> log, 3 of 4"
+    assert "value=" not in third
+    assert last == ""
+
+
+def test_a_terminal_has_one_line_and_a_file_none(monkeypatch, capsys):
+    with cellwise.progress_bar() as bar:
+        bar(0.5, "unseen")
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    with cellwise.progress_bar() as bar:
+        bar(0.5, "pulses")
+    said = capsys.readouterr().err
+    assert " 50% pulses" in said
+    assert "\n" not in said
+    assert said.endswith("\x1b[2K")
+
+
+@pytest.mark.slow
+def test_a_diagnosis_says_how_far_it_is(notebook):
+    from dataclasses import replace
+
+    model, log = curved_cell(), load_dataset("nmc_drive_b").part(0, 3000)
+    voltage_V = simulate(model, log, 0.9).voltage_V
+    off = replace(log, voltage_V=voltage_V, current_A=log.current_A + 0.3)
+    with cellwise.progress_bar() as bar:
+        cellwise.diagnose(model, off, soc0=0.9, causes=["current_offset"], progress=bar)
+    assert any("current offset" in said for said in notebook.shown[0])

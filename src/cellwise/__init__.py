@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from cellwise.identify import Identification, IdentifySettings, TestLogs, identify_cell
     from cellwise.logs import CellLog, Stated, inspect_log, read_log, write_log
     from cellwise.logs.resample import resample
+    from cellwise.progress import progress_bar
 
 # Loaded on first use: importing cellwise must not wait for compilers.
 _HOMES = {
@@ -52,6 +53,7 @@ _HOMES = {
     "diagnose": "cellwise.diagnose",
     "Adaptive": "cellwise.estimate.adaptive.adaptive",
     "forecast": "cellwise.forecast",
+    "progress_bar": "cellwise.progress",
     "resample": "cellwise.logs.resample",
     "tune_noise": "cellwise.estimate.tune_noise",
     "Coulomb": "cellwise.estimate.filters.coulomb",
@@ -96,6 +98,7 @@ __all__ = [
     "inspect_log",
     "list_datasets",
     "load_dataset",
+    "progress_bar",
     "read_log",
     "read_model",
     "replay",

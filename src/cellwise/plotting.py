@@ -11,12 +11,18 @@ from collections.abc import Mapping
 from html import escape
 from importlib import import_module
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellwise.errors import InputError
 from cellwise.typing import FloatArray
+
+if TYPE_CHECKING:
+    import pandas
+    import polars
+    from matplotlib.figure import Figure
 
 MOST_POINTS = 20_000  # of a line: more than any screen has columns
 
@@ -44,7 +50,7 @@ class Plottable:
         """Name of the common x axis with its unit, and the panels from top to bottom."""
         raise NotImplementedError
 
-    def plot(self, figure: Any = None) -> Any:
+    def plot(self, figure: Figure | None = None) -> Figure:
         """Draw it with matplotlib.
 
         Parameters
@@ -97,26 +103,33 @@ class Tabular:
             f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div></div>"
         )
 
-    def to_pandas(self) -> Any:
+    def to_pandas(self) -> pandas.DataFrame:
         """The columns as a pandas data frame.
 
         Raises
         ------
         InputError      pandas is not installed
         """
-        return _need("pandas", "").DataFrame({k: np.array(v) for k, v in self.columns().items()})
+        frames = _need("pandas", "")
+        frame: pandas.DataFrame = frames.DataFrame(self._copies())
+        return frame
 
-    def to_polars(self) -> Any:
+    def to_polars(self) -> polars.DataFrame:
         """The columns as a polars data frame; a missing value is NaN.
 
         Raises
         ------
         InputError      polars is not installed
         """
-        return _need("polars", "").DataFrame({k: np.array(v) for k, v in self.columns().items()})
+        frames = _need("polars", "")
+        frame: polars.DataFrame = frames.DataFrame(self._copies())
+        return frame
+
+    def _copies(self) -> dict[str, NDArray[Any]]:
+        return {name: np.array(values) for name, values in self.columns().items()}
 
 
-def _figure(size: tuple[float, float]) -> Any:
+def _figure(size: tuple[float, float]) -> Figure:
     """A figure: in a notebook one that only its cell's value shows, else pyplot's, for a window.
 
     A notebook shows what pyplot holds at the end of a cell, and the cell's value besides: the same
@@ -125,9 +138,11 @@ def _figure(size: tuple[float, float]) -> Any:
     if "ipykernel" in sys.modules:
         figures = _need("matplotlib.figure", "report")
         _need("matplotlib.backends.backend_agg", "report")
-        return figures.Figure(figsize=size, layout="constrained")
+        alone: Figure = figures.Figure(figsize=size, layout="constrained")
+        return alone
     pyplot = _need("matplotlib.pyplot", "report")
-    return pyplot.figure(figsize=size, layout="constrained")
+    shown: Figure = pyplot.figure(figsize=size, layout="constrained")
+    return shown
 
 
 def _draw(axes: Any, line: Line) -> None:

@@ -70,7 +70,7 @@ def test_a_pack_is_asked_for_its_cells_in_series(hppc, low_rate, drive, cells, w
     pack = replace(logs[which], voltage_V=cells * logs[which].voltage_V, name="pack")
     tests = together((hppc,), (drive,), ocv=(low_rate,), capacity=(low_rate,))
     wrong = ((pack, None),) if which in ("hppc", "drive") else (pack,)
-    with pytest.raises(InputError, match=r"'pack'.*--series") as refused:
+    with pytest.raises(InputError, match=r"'pack'.*`series=") as refused:
         contradictions(replace(tests, **{which: wrong}), 25.0)
     if cells > 2:  # two of 3 V are no more than one of 6 V
         assert f"{cells} cells in series" in refused.value.action
@@ -78,7 +78,7 @@ def test_a_pack_is_asked_for_its_cells_in_series(hppc, low_rate, drive, cells, w
 
 def test_a_cell_read_as_a_pack_is_refused_beside_one(hppc, drive):
     quarter = replace(drive, voltage_V=drive.voltage_V / 4, name="quarter")
-    with pytest.raises(InputError, match=r"'quarter'.*--series"):
+    with pytest.raises(InputError, match=r"'quarter'.*`series="):
         contradictions(together((hppc,), (quarter,)), 25.0)
 
 

@@ -82,12 +82,12 @@ def r0_error(found) -> float:
 
 
 def test_nothing_given():
-    with pytest.raises(InputError, match="--hppc or --drive"):
+    with pytest.raises(InputError, match="`hppc=LOG` or `drive=LOG`"):
         run(TestLogs())
 
 
 def test_capacity_tests_alone(low_rate):
-    with pytest.raises(InputError, match="--hppc or --drive"):
+    with pytest.raises(InputError, match="`hppc=LOG` or `drive=LOG`"):
         run(TestLogs(capacity=(low_rate,), ocv=(low_rate,)))
 
 
@@ -109,7 +109,7 @@ def test_a_log_that_never_rests_is_no_hppc_test():
 
 
 def test_one_pulse_without_an_ocv(one_pulse):
-    with pytest.raises(InputError, match=r"healthy pulse.*no open-circuit voltage.*--ocv"):
+    with pytest.raises(InputError, match=r"healthy pulse.*no open-circuit voltage.*`ocv=LOG`"):
         run(pulses(one_pulse))
 
 
@@ -122,7 +122,7 @@ def test_a_swapped_sign_in_any_log_is_refused(hppc, low_rate, drive, which, sett
     wrong = replace(wrong, current_A=-wrong.current_A, charge_Ah=counter, name="swapped")
     logs = TestLogs(hppc=((hppc, None),), ocv=(low_rate,), capacity=(low_rate,))
     logs = replace(logs, **{which: ((wrong, None),) if which in ("hppc", "drive") else (wrong,)})
-    with pytest.raises(InputError, match=r"'swapped'.*--sign charge-positive"):
+    with pytest.raises(InputError, match=r"'swapped'.*`sign='charge-positive'`"):
         run(logs, settings)
 
 
@@ -144,7 +144,7 @@ def test_milliampere_for_ampere(hppc):
 
 
 def test_a_drive_without_any_capacity(drive):
-    with pytest.raises(InputError, match="--nominal-ah"):
+    with pytest.raises(InputError, match="`nominal_Ah=X`"):
         run(drives(drive), nominal_Ah=None)
 
 
@@ -155,7 +155,7 @@ def test_a_drive_whose_only_capacity_test_stops_half_way(drive):
 
 
 def test_drives_without_refinement(drive):
-    with pytest.raises(InputError, match="--no-refine"):
+    with pytest.raises(InputError, match="`refine=False`"):
         run(drives(drive), QUICK)
 
 

@@ -151,5 +151,5 @@ def test_a_leaf_log_with_its_sign_swapped_is_refused(read, name):
     wrong = replace(log, current_A=-log.current_A, charge_Ah=-log.charge_Ah)
     hppc = wrong if name == "hppc_p25" else read("nissan_leaf/hppc_p25")
     capacity = () if name == "hppc_p25" else (wrong,)
-    with pytest.raises(InputError, match="--sign"):
+    with pytest.raises(InputError, match="`sign="):
         identify_cell(TestLogs(hppc=((hppc, None),), capacity=capacity))

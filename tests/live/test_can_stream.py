@@ -140,7 +140,7 @@ def test_a_wrong_database_or_bus_is_refused(tmp_path, dbc):
     for path in (wrong, tmp_path / "none.dbc"):
         with pytest.raises(InputError):
             open_source("can:virtual:a", ReadOptions(dbc=path))
-    with pytest.raises(InputError, match="--dbc"):
+    with pytest.raises(InputError, match="`dbc="):
         open_source("can:virtual:a")
     with pytest.raises(InputError, match="no bus"):
         open_source("can:telepathy:a", ReadOptions(dbc=dbc))

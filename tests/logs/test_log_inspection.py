@@ -86,7 +86,7 @@ def test_wrong_sign_is_reported_once():
     ):
         found = inspect_log(log)
         assert found.sign == "contradicted"
-        assert sum("--sign charge-positive" in notice for notice in found.notices) == 1
+        assert sum("`sign='charge-positive'`" in notice for notice in found.notices) == 1
 
 
 def test_undetermined_sign_says_why():

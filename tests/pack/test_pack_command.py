@@ -65,4 +65,4 @@ def test_a_state_that_is_none_is_refused_and_stays(pack_file, tmp_path, capsys):
     arguments = ["pack", "--model", "nca-18650", str(pack_file), "--state", str(state)]
     assert main(arguments) == 2
     assert state.read_text() == "{}"
-    assert "--state" in capsys.readouterr().err
+    assert "an earlier run" in capsys.readouterr().err

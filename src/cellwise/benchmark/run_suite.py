@@ -237,7 +237,7 @@ def _pool(processes: int) -> Iterator[Executor | None]:
         raise InputError(
             "a process that ended before its work was done",
             "memory for every process",
-            "Run with --processes 1; what is done is kept.",
+            "Run with `processes=1`; what is done is kept.",
         ) from error
     finally:
         pool.shutdown(wait=False, cancel_futures=True)

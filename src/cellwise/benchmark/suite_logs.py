@@ -67,7 +67,7 @@ def locate(location: str, suite: Suite, data: Path | None) -> Path:
             f"no log '{place}' of suite '{suite.name}'"
             + (" and no folder of measured data" if data is None else f" below '{data}'"),
             "a file beside the suite or in the folder of measured data",
-            "Add --data DIR or set CELLWISE_DATA." if data is None else "Correct its path.",
+            "Add `data=DIR` or set CELLWISE_DATA." if data is None else "Correct its path.",
         )
     return found
 

@@ -16,8 +16,12 @@ from functools import lru_cache
 from typing import Any, ParamSpec, TypeVar
 from weakref import WeakKeyDictionary
 
+import numpy as np
 from numba import njit
 from numba.core.registry import CPUDispatcher
+from numpy.typing import NDArray
+
+from cellwise.typing import FloatArray
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -98,6 +102,26 @@ def _say_without_cache() -> None:
             "no place to keep compiled kernels (read-only installation, no home): every start "
             "compiles again; NUMBA_CACHE_DIR names a folder for them\n"
         )
+
+
+class _Shared:
+    """The memory of an array, as one that may be written to."""
+
+    def __init__(self, array: NDArray[Any]) -> None:
+        self.owner = array
+        address, _ = array.__array_interface__["data"]
+        self.__array_interface__ = {**array.__array_interface__, "data": (address, False)}
+
+
+def for_kernel(array: FloatArray) -> FloatArray:
+    """The same memory as the one kind of array that kernels are compiled for; nothing is copied.
+
+    A log's channels are read-only, which numba takes for another type. Only for kernels that do not
+    write to it.
+    """
+    if not array.flags.c_contiguous:
+        return np.array(array)
+    return array if array.flags.writeable else np.asarray(_Shared(array))
 
 
 def announce(function: Any, what: str) -> None:

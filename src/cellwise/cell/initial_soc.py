@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,10 +11,11 @@ from cellwise.cell.compiled import announce
 from cellwise.cell.effects import Hysteresis, SlowDiffusion
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import (
-    best_start_soc,
+    best_start_of,
     check_soc0,
     known_temperature_C,
     model_temperature_C,
+    rows_to_fit,
     start_hysteresis,
 )
 from cellwise.cell.start_kernels import start_errors
@@ -36,6 +37,7 @@ OUTLYING = 25.0  # no piece counts more than at five standard deviations
 BEYOND = 0.01  # how far a counter may run beyond full or empty
 MOST_ROWS = 400_000  # of a longer log the beginning is enough
 COARSE, FINE = 51, 41  # starts tried over 0..1, then around the likeliest
+EVERY_SOC = np.linspace(0.0, 1.0, 2001)
 PAST_S = 600.0  # the load that an unknown past is taken to be like
 
 
@@ -109,17 +111,17 @@ def soc_of_ocv(
 
     On a flat OCV every SOC within ``std_V`` is as good: the mean and the spread of all of them.
     """
-    cold = model.at_temperature(temperature_C)
-    gap = np.abs(np.broadcast_to(cold.effect(Hysteresis).m_V, cold.ocv_V.shape)[0])
-    soc = np.linspace(0.0, 1.0, 2001)
-    ocv = np.interp(soc, cold.soc, cold.ocv_V[0])
+    soc, table = EVERY_SOC, model.ocv_at(temperature_C)
+    gap = np.abs(model.effect_at(Hysteresis, temperature_C).m_V)
+    ocv = np.interp(soc, model.soc, table)
     known = np.hypot(std_V, model.slow_error_V(soc, temperature_C))
-    spread = np.hypot(known, np.interp(soc, cold.soc, gap))
+    spread = np.hypot(known, np.interp(soc, model.soc, np.broadcast_to(gap, (1, table.size))[0]))
     # Beyond the table's ends the nearest end is the answer, not an unlikely one.
     target = min(max(voltage_V, float(ocv[0])), float(ocv[-1]))
     weight = np.exp(-0.5 * ((ocv - target) / spread) ** 2)
-    mean = float(np.average(soc, weights=weight))
-    std = float(np.sqrt(np.average((soc - mean) ** 2, weights=weight)))
+    total = weight.sum()
+    mean = float((soc * weight).sum() / total)
+    std = math.sqrt(float(((soc - mean) ** 2 * weight).sum() / total))
     best = float(soc[int(np.argmin(np.abs(ocv - target)))])
     return (best, std) if abs(best - mean) < std else (mean, std)
 
@@ -134,18 +136,27 @@ def _from_rest(model: CellModel, log: CellLog, row: int, rest_s: float, std_V: f
 def _from_first_minute(
     model: CellModel, log: CellLog, current: FloatArray, likeliest: bool
 ) -> InitialSoc:
-    first = int(np.argmax(np.isfinite(log.voltage_V)))
+    known = np.isfinite(log.voltage_V[:1]).all()
+    first = 0 if known else int(np.argmax(np.isfinite(log.voltage_V)))
     rows = max(first + 2, int(np.searchsorted(log.time_s, log.time_s[first] + FIT_S, side="right")))
-    head = replace(log.part(0, rows), current_A=current[:rows], current_meaning="interval_end")
-    if log.temperature_C is None:
-        head = replace(head, temperature_C=np.full(len(head), model_temperature_C(model)))
-    best, _ = best_start_soc(model, head, np.linspace(0.0, 1.0, 101))
+    rows = min(rows, len(log))
+    head = CellLog(
+        log.time_s[:rows],
+        current[:rows],
+        log.voltage_V[:rows],
+        np.full(rows, model_temperature_C(model))
+        if log.temperature_C is None
+        else log.temperature_C[:rows],
+        None if log.charge_Ah is None else log.charge_Ah[:rows],
+    )
+    rows_of_head = rows_to_fit(model, head)
+    best, _ = best_start_of(model, rows_of_head, np.linspace(0.0, 1.0, 101))
     near = np.linspace(max(0.0, best - 0.01), min(1.0, best + 0.01), 41)
-    best, rms = best_start_soc(model, head, near)
+    best, rms = best_start_of(model, rows_of_head, near)
     # The cell did not begin at rest here, so its past is in the voltage; and what the fit takes
     # for a low SOC may be a high resistance: say so in the spread.
-    temperature = float(known_temperature_C(model, head)[0])
-    ocv = float(np.interp(best, model.soc, model.at_temperature(temperature).ocv_V[0]))
+    temperature = float(rows_of_head.temperature_C[0])
+    ocv = float(np.interp(best, model.soc, model.ocv_at(temperature)))
     dropped = ocv - float(np.nanmean(head.voltage_V))
     std_V = float(np.sqrt(SHORT_REST_V**2 + rms**2 + (UNKNOWN_RESISTANCE * dropped) ** 2))
     _, std = soc_of_ocv(model, ocv, std_V, temperature)

@@ -14,6 +14,7 @@ from cellwise.cell.equations import CellTables
 from cellwise.cell.parameters import packed
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity, beyond_soc
 from cellwise.errors import InputError
+from cellwise.given import check_kind
 from cellwise.plotting import Line, Panel, Plottable
 from cellwise.typing import FloatArray
 
@@ -265,7 +266,18 @@ class CellModel(Plottable):
             temperature_C=np.array([float(temperature_C)]),
         )
 
-    def _effect_at(self, effect: Effect, temperature_C: float) -> Effect:
+    def ocv_at(self, temperature_C: float) -> FloatArray:
+        """OCV over the model's SOC at one temperature [V], as of :meth:`at_temperature`."""
+        if self.temperature_C.size == 1:
+            return np.asarray(self.ocv_V[0])
+        return _interpolate(self.temperature_C, self.ocv_V, temperature_C)
+
+    def effect_at(self, kind: type[E], temperature_C: float) -> E:
+        """One effect at one temperature, as of :meth:`at_temperature`."""
+        effect = self.effect(kind)
+        return effect if self.temperature_C.size == 1 else self._effect_at(effect, temperature_C)
+
+    def _effect_at(self, effect: E, temperature_C: float) -> E:
         tables: dict[str, Any] = {
             key: _interpolate(self.temperature_C, value, temperature_C)[None, :]
             for key, value in vars(effect).items()
@@ -276,6 +288,16 @@ class CellModel(Plottable):
 
 def _interpolate(grid: FloatArray, table: FloatArray, temperature_C: float) -> FloatArray:
     return np.array([np.interp(temperature_C, grid, table[:, k]) for k in range(table.shape[1])])
+
+
+def check_is_model(model: object) -> None:
+    """Refuse what is no model.
+
+    Raises
+    ------
+    InputError        another type
+    """
+    check_kind("model", model, CellModel, "Read one with read_model('model.json').")
 
 
 def check_model(model: CellModel) -> None:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from cellwise.cell.compiled import announce
+from cellwise.cell.compiled import announce, for_kernel
 from cellwise.cell.equations import empty_state
 from cellwise.cell.metrics import (
     BandMetrics,
@@ -17,7 +17,7 @@ from cellwise.cell.metrics import (
     error_metrics,
     metrics_to_dict,
 )
-from cellwise.cell.model import CellModel
+from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.plausibility.notice import in_order
 from cellwise.cell.plausibility.outside import outside_notices
 from cellwise.cell.plausibility.simulated import error_notices, soc_notices
@@ -25,7 +25,8 @@ from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.cell.simulate_kernels import simulate_rows
 from cellwise.cell.start_kernels import best_start
 from cellwise.errors import InputError
-from cellwise.logs.cell_log import CellLog
+from cellwise.given import number
+from cellwise.logs.cell_log import CellLog, check_is_log
 from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import FloatArray
 
@@ -115,6 +116,8 @@ class Simulation(Plottable, Tabular):
 
 def simulate(model: CellModel, log: CellLog, soc0: float, h0: float | None = None) -> Simulation:
     """Simulate a log from a known initial SOC; the public one also finds it."""
+    check_is_model(model)
+    check_is_log(log)
     check_soc0(soc0)
     tables = model.parameters()
     voltage = np.empty(len(log))
@@ -145,14 +148,34 @@ def best_start_soc(model: CellModel, log: CellLog, soc0: FloatArray) -> tuple[fl
     -------
     float, float          the SOC, and the root mean square of the voltage error from there [V]
     """
-    tables = model.parameters()
+    return best_start_of(model, rows_to_fit(model, log), soc0)
+
+
+class RowsToFit(NamedTuple):
+    """The rows of a log as `best_start` takes them, shape (n,) each."""
+
+    interval_s: FloatArray
+    current_A: FloatArray
+    temperature_C: FloatArray
+    voltage_V: FloatArray
+
+
+def rows_to_fit(model: CellModel, log: CellLog) -> RowsToFit:
+    """What the search for a start needs of a log."""
+    return RowsToFit(
+        log.interval_s,
+        log.known_current_A(),
+        known_temperature_C(model, log),
+        for_kernel(log.voltage_V),
+    )
+
+
+def best_start_of(model: CellModel, rows: RowsToFit, soc0: FloatArray) -> tuple[float, float]:
+    """:func:`best_start_soc` of rows that are prepared."""
     starts = np.array(soc0, dtype=np.float64)
     h0 = np.where(starts > UPPER_HALF, 1.0, -1.0)
-    number, total = best_start(
-        tables, starts, h0, log.interval_s, log.known_current_A(),
-        known_temperature_C(model, log), np.array(log.voltage_V),
-    )  # fmt: skip
-    known = max(int(np.count_nonzero(np.isfinite(log.voltage_V))), 1)
+    number, total = best_start(model.parameters(), starts, h0, *rows)
+    known = max(int(np.count_nonzero(np.isfinite(rows.voltage_V))), 1)
     return float(starts[number]), math.sqrt(total / known)
 
 
@@ -163,6 +186,7 @@ def start_hysteresis(soc0: float) -> float:
 
 def check_soc0(soc0: float) -> None:
     """Refuse an initial SOC outside 0..1."""
+    soc0 = number("soc0", soc0, "a fraction from 0 to 1", "Give 0.5, say.")
     if not (np.isfinite(soc0) and 0.0 <= soc0 <= 1.0):
         hint = " Per cent? Divide by 100." if 1.0 < soc0 <= 100.0 else ""
         raise InputError(
@@ -170,6 +194,13 @@ def check_soc0(soc0: float) -> None:
             "a fraction from 0 to 1",
             f"Give 0.5, say; left out it is found from the log.{hint}",
         )
+
+
+def check_soc0_std(soc0_std: float) -> None:
+    """Refuse a standard deviation of the initial SOC that is not above zero."""
+    expected, way_out = "a number above zero", "Give e.g. 0.15."
+    if not 0.0 < number("soc0_std", soc0_std, expected, way_out) < math.inf:
+        raise InputError(f"an initial SOC deviation of {soc0_std}", expected, way_out)
 
 
 def known_temperature_C(model: CellModel, log: CellLog) -> FloatArray:

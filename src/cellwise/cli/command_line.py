@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 from cellwise.cli.common.interrupts import watched
 from cellwise.cli.common.overwriting import check_overwriting
+from cellwise.cli.common.wording import in_options
 from cellwise.errors import InputError
 
 REFUSED = 2
@@ -93,7 +94,7 @@ def _run(parsed: argparse.Namespace) -> tuple[int, str]:
             raise
         refusal = _refusal(error)
         if refusal is not None:
-            return REFUSED, f"cellwise {parsed.command}: {refusal}"
+            return REFUSED, f"cellwise {parsed.command}: {in_options(str(refusal))}"
         return BUG, (
             f"cellwise {parsed.command}: internal error, {error.__class__.__name__}: {error}\n"
             "This is a bug. Run again with --debug and report what it shows."

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import sys
+from inspect import signature
 from types import ModuleType
-from typing import Any
 
 from cellwise.diagnose.diagnosis import diagnose
 from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
@@ -15,8 +15,8 @@ __all__ = ["Diagnosis", "FoundCause", "TriedCause", "diagnose"]
 class _CallableModule(ModuleType):
     """`cellwise.diagnose` is this folder and, on the public face, the function of the same name."""
 
-    def __call__(self, *args: Any, **kwargs: Any) -> Diagnosis:
-        return diagnose(*args, **kwargs)
+    __call__ = staticmethod(diagnose)
+    __signature__ = signature(diagnose)  # for help and editors
 
 
 sys.modules[__name__].__class__ = _CallableModule

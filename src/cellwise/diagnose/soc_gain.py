@@ -41,7 +41,7 @@ def reference_for(model: CellModel, stated_Ah: float | None, named: Collection[s
         return Reference(
             None,
             "the capacity is one of the causes, and a SOC over it would prove itself; "
-            "state one that was measured (--reference-capacity-ah)",
+            "state one that was measured (`reference_capacity_Ah=X`)",
         )
     choice = model.provenance.get("capacity", {})
     how = choice.get("choice", "") if isinstance(choice, dict) else ""

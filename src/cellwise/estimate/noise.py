@@ -10,6 +10,7 @@ import numpy as np
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.estimate.validity_kernels import EVERYWHERE, ValidityScalars, validity_scalars
+from cellwise.given import check_kind
 
 # Beyond these a reading is the sensor's fault.
 IMPOSSIBLE_RATE = 200.0
@@ -148,3 +149,16 @@ class Noise:
             per_gate2=1.0 / (self.gate * self.gate),
             valid=EVERYWHERE if model is None else validity_scalars(model),
         )
+
+
+def noise_for(model: CellModel, noise: Noise | None) -> Noise:
+    """The noise that was given, else the model's own.
+
+    Raises
+    ------
+    InputError        something else than a Noise
+    """
+    if noise is None:
+        return Noise.of_model(model)
+    check_kind("noise", noise, Noise, "Leave it out, or give Noise(voltage_V=0.002), say.")
+    return noise

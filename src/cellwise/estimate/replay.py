@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cellwise.cell.initial_soc import InitialSoc, initial_soc
-from cellwise.cell.model import CellModel
+from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.plausibility.notice import in_order
 from cellwise.cell.plausibility.outside import outside_notices
 from cellwise.cell.plausibility.simulated import prediction_notices, soc_notices
@@ -23,7 +23,7 @@ from cellwise.estimate.noise import Noise
 from cellwise.estimate.status import INNOVATION_REJECTED, VOLTAGE_FROZEN, VOLTAGE_INVALID
 from cellwise.estimate.trace import Trace
 from cellwise.estimate.trace_kernels import TraceSums, trace_sums
-from cellwise.logs.cell_log import CellLog
+from cellwise.logs.cell_log import CellLog, check_is_log
 from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import FloatArray
 
@@ -254,6 +254,8 @@ def replay(
     -------
     Replay
     """
+    check_is_model(model)
+    check_is_log(log)
     filter_ = make_estimator(estimator, model, noise) if isinstance(estimator, str) else estimator
     start = initial_soc(model, log, soc0)
     if soc0_std is not None:

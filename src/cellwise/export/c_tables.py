@@ -148,7 +148,7 @@ def prefixed(files: Mapping[str, str], prefix: str) -> dict[str, str]:
         raise InputError(
             f"a prefix '{prefix}'",
             "a name of C: a letter, then letters, digits and _, up to 31",
-            "Write e.g. --prefix nmc.",
+            "Write e.g. `prefix='nmc'`.",
         )
     names = {
         name: f"{prefix}_{name.removeprefix('cellwise_')}"

@@ -53,7 +53,7 @@ def check_flash(tables: FixedStepTables, most_bytes: int | None) -> None:
         raise InputError(
             f"tables of {tables.flash_bytes:,} bytes",
             f"at most {most_bytes:,}",
-            "Give fewer --points, or fewer temperatures.",
+            "Give fewer points (`points=101`), or fewer temperatures.",
         )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import stat
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -122,7 +123,7 @@ def run_fleet(
             f"none of the {len(there)} {task.unit} of '{place}' with a log that can be read (the "
             f"first: {refusals[0].rstrip('.')})",
             "a folder with logs in it",
-            "Check the folder, --pattern, and how the logs are read.",
+            "Check the folder, `pattern=...`, and how the logs are read.",
         )
     seconds = time.perf_counter() - began
     resumed = len(there) - len(names)
@@ -149,14 +150,29 @@ def find_logs(folder: Path, pattern: str, out: Path) -> dict[str, tuple[int, int
         raise InputError(f"no folder '{folder}'", "a folder of logs", "Check the path.")
     own = out.resolve()
     found = {}
+    outside: dict[Path, bool] = {}  # a folder that is neither hidden nor the results'
     for path in sorted(folder.rglob(pattern)):
-        hidden = any(part.startswith((".", "_")) for part in path.relative_to(folder).parts)
-        if hidden or not path.is_file() or own in path.resolve().parents:
+        place = path.parent
+        if place not in outside:
+            hidden = any(map(_is_hidden, place.relative_to(folder).parts))
+            inside = place.resolve()
+            outside[place] = not hidden and own != inside and own not in inside.parents
+        if not outside[place] or _is_hidden(path.name):
             continue
-        status = path.stat()
-        found[path.relative_to(folder).as_posix()] = (status.st_size, status.st_mtime_ns)
+        try:
+            status = path.stat()
+        except OSError:  # a link to nothing
+            continue
+        if stat.S_ISREG(status.st_mode):
+            found[path.relative_to(folder).as_posix()] = (status.st_size, status.st_mtime_ns)
     if not found:
         raise InputError(
-            f"no file '{pattern}' in '{folder}'", "logs", "Check the folder and --pattern."
+            f"no file '{pattern}' in '{folder}'",
+            "logs",
+            "Check the folder and `pattern=...`.",
         )
     return found
+
+
+def _is_hidden(name: str) -> bool:
+    return name.startswith((".", "_"))

@@ -136,5 +136,5 @@ class ResultFolder:
             raise InputError(
                 f"results in '{place}' of a run with another {', '.join(wrong) or 'setting'}",
                 "the settings of that run, to go on with it",
-                "Start again with --fresh, or name another folder.",
+                "Start again with `fresh=True`, or name another folder.",
             )

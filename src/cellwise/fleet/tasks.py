@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -260,12 +261,12 @@ class DiagnoseTask(LogTask):
 def identity(folder: Path, name: str) -> dict[str, Any]:
     """Which log a row is of; its cell is the folder that it lies in, else its own name."""
     try:
-        status = (folder / name).stat()
+        status = os.stat(f"{folder}/{name}")
         size, modified = status.st_size, status.st_mtime_ns
     except OSError:
         size = modified = -1
-    parent = Path(name).parent.as_posix()
-    cell = parent if parent != "." else Path(name).name.partition(".")[0]
+    parent, _, own_name = name.rpartition("/")
+    cell = parent or own_name.partition(".")[0]
     return {"log": name, "cell": cell, "bytes": size, "modified_ns": modified, "error": None}
 
 

@@ -282,7 +282,7 @@ def _check_charges(logs: Sequence[Tested], capacity_Ah: float, choice: str) -> N
             f"'{one.log.name}' that moves {moved:.4g} Ah{among} for a cell of {capacity_Ah:.4g} Ah "
             f"({choice})",
             "logs of one cell, with current in ampere",
-            "Check the unit of the current (mA for A?), --parallel, and the capacity.",
+            "Check the unit of the current (mA for A?), `parallel=N`, and the capacity.",
         )
 
 
@@ -295,8 +295,8 @@ def _check_voltages(logs: Sequence[Tested]) -> None:
                 f"up to {highest[high]:.3g} V in '{logs[high].log.name}' beside "
                 f"{highest[low]:.3g} V in '{logs[low].log.name}'",
                 "logs of one cell",
-                "Other cells in series (--series holds for every log)? Convert such a log first: "
-                "cellwise convert LOG --series N -o OUT.",
+                "Other cells in series? Read that log alone with its own `series=N`, and write it "
+                "as a log of one cell (write_log, cellwise convert).",
             )
 
 

@@ -192,7 +192,7 @@ def _plain(group: Group, ocv: OcvCurve, capacity: float) -> CellModel:
         raise InputError(
             f"no pulse at {group.temperature_C:g} degC without refinement",
             "an HPPC log with pulses, or refinement",
-            "Leave out --no-refine.",
+            "Leave out `refine=False`.",
         )
     return plain_model(group.tables, ocv, capacity, group.temperature_C)
 
@@ -202,7 +202,9 @@ def _check(tests: TestLogs, settings: IdentifySettings) -> None:
     any_serves = settings.prior is not None and (tests.ocv or tests.capacity)
     if not tests.hppc and not tests.drive and not any_serves:
         raise InputError(
-            "neither an HPPC nor a drive log", "at least one of them", "Give --hppc or --drive."
+            "neither an HPPC nor a drive log",
+            "at least one of them",
+            "Give `hppc=LOG` or `drive=LOG`.",
         )
     nominal = settings.nominal_Ah
     if nominal is not None and not (np.isfinite(nominal) and nominal > 0.0):
@@ -217,7 +219,7 @@ def _check(tests: TestLogs, settings: IdentifySettings) -> None:
                 f"log '{log.name}' whose voltage rises with its discharge current "
                 f"({'; '.join(found.evidence[:2])})",
                 "positive current on discharge",
-                "Give --sign charge-positive, or swap the sign in the file.",
+                "Give `sign='charge-positive'`, or swap the sign in the file.",
             )
 
 
@@ -246,7 +248,7 @@ def _capacity(
         raise InputError(
             "drive logs without a capacity",
             "a capacity test, an HPPC log over the whole range, or a nominal capacity",
-            "Add --capacity, --hppc or --nominal-ah.",
+            "Add `capacity=LOG`, `hppc=LOG` or `nominal_Ah=X`.",
         )
     choices = capacity_choices(usable, settings.nominal_Ah, total, temperature_C=default)
     choice, capacity = choose_capacity(choices, settings.capacity_choice)
@@ -255,7 +257,7 @@ def _capacity(
         raise InputError(
             f"a capacity of {capacity:.4g} Ah ({choice}) for a cell of {nominal:g} Ah nominal",
             f"a capacity within a factor of {FAR_FROM_NOMINAL:g} of the nominal one",
-            "Check the unit of the current (mA for A?) and --nominal-ah, or leave that out.",
+            "Check the unit of the current (mA for A?) and `nominal_Ah=...`, or leave that out.",
         )
     return choices, choice, capacity, measured
 
@@ -300,7 +302,7 @@ def _ocv(tests: TestLogs, capacity: float, notices: list[str]) -> OcvCurve:
         raise InputError(
             f"{counts}, and no open-circuit voltage ({notices[-1].partition('; expected')[0]})",
             "a low-rate test beside it" if healthy else "at least one healthy pulse after a rest",
-            "Add --ocv LOG (a C/20 discharge), or give an HPPC log with rests at several SOC.",
+            "Add `ocv=LOG` (a C/20 discharge), or give an HPPC log with rests at several SOC.",
         )
     return _ocv_from_drives(tests, capacity, notices)
 
@@ -320,7 +322,7 @@ def _ocv_from_drives(tests: TestLogs, capacity: float, notices: list[str]) -> Oc
         raise InputError(
             "no OCV test, no rest and too little charge moved",
             "a low-rate discharge or an HPPC log with rests",
-            "Add --ocv or --hppc.",
+            "Add `ocv=LOG` or `hppc=LOG`.",
         )
     begun = "begun full" if log.soc0 is None else f"begun at SOC {log.soc0:g}"
     notices.append(f"no OCV test: first OCV from the voltages of drive '{log.name}', {begun}")

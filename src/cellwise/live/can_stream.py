@@ -70,7 +70,7 @@ class CanStream:
             raise InputError(
                 f"no bus '{channel}' of python-can's interface '{interface}' ({text})",
                 "a bus that is up",
-                "Write --source can:INTERFACE:CHANNEL, e.g. can:socketcan:can0.",
+                "Name the source can:INTERFACE:CHANNEL, e.g. can:socketcan:can0.",
             ) from error
         self._currents: list[float] = []
         self._last = dict.fromkeys(("current_A", "temperature_C"), math.nan)
@@ -195,7 +195,7 @@ class SocSender:
         if signal_name not in signals:
             named = [f"{m.name}.{s.name}" for m in there.values() for s in m.signals]
             raise InputError(
-                f"--send {target}, which is not in the database",
+                f"a signal to send '{target}', which is not in the database",
                 "MESSAGE.SIGNAL of the database",
                 f"Choose one of {', '.join(named[:12])}.",
             )

@@ -27,7 +27,9 @@ class CellScale:
     def __init__(self, options: ReadOptions, sign: str) -> None:
         if options.series == "auto":
             raise InputError(
-                "--series auto for a stream", "the number of cells in series", "Give it: --series 4"
+                "`series='auto'` for a stream",
+                "the number of cells in series",
+                "Give it: `series=4`, say.",
             )
         self.current = (-1.0 if sign == "charge-positive" else 1.0) / options.parallel
         self.voltage = 1.0 / options.series

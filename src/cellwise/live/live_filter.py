@@ -141,7 +141,7 @@ class LiveFilter:
             raise InputError(
                 f"a state in '{place}' that another model or program wrote",
                 "a state of this model",
-                "Start again with --fresh, or name another file.",
+                "Start afresh, or name another file.",
             )
         self.state = state
         self.start = InitialSoc(state.soc, state.soc_std, "saved state")
@@ -184,12 +184,12 @@ def _json_object(place: Path) -> dict[str, Any]:
         raise InputError(
             f"no state in '{place}' ({error})",
             "a file that cellwise live wrote",
-            "Start again with --fresh, or name another file.",
+            "Start afresh, or name another file.",
         ) from None
     if not isinstance(saved, dict):
         raise InputError(
             f"a {type(saved).__name__} in '{place}'",
             "a file that cellwise live wrote",
-            "Start again with --fresh, or name another file.",
+            "Start afresh, or name another file.",
         )
     return saved

@@ -1,4 +1,4 @@
-"""From ``--source`` to a stream."""
+"""From a source's name to a stream."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def open_source(
     if options.dbc is not None and kind != "can":
         raise InputError("a DBC file for a stream without CAN frames", "can:...", "Omit it.")
     if options.instance is not None and kind != "ulog":
-        raise InputError("--instance for a stream of one battery", "ulog:...", "Omit it.")
+        raise InputError("`instance=...` for a stream of one battery", "ulog:...", "Omit it.")
     if name in ("stdin", STDIN):
         return JsonLines(Pieces(STDIN), options, sign)
     if kind == "json" and rest:
@@ -50,4 +50,4 @@ def open_source(
         from cellwise.live.ulog_stream import UlogStream
 
         return UlogStream(Pieces(rest, follow=follow), options, sign)
-    raise InputError(f"--source {name}", f"one of {WAYS}", "Name where the samples come from.")
+    raise InputError(f"a source '{name}'", f"one of {WAYS}", "Name where the samples come from.")

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
-from cellwise.logs.files.assembly import log_from_table
+from cellwise.given import check_kind
+from cellwise.logs.files.assembly import NamedColumns, log_from_table
 from cellwise.logs.gaps import Gap, find_gaps
 from cellwise.logs.measured_log import CurrentMeaning, MeasuredLog
 from cellwise.logs.writing import arrow_table
@@ -47,7 +47,7 @@ class CellLog(MeasuredLog, Plottable, Tabular):
 
     @classmethod
     def from_table(
-        cls, table: Mapping[str, Any], *, sign: str = "auto", name: str = "", source: str = ""
+        cls, table: NamedColumns, *, sign: str = "auto", name: str = "", source: str = ""
     ) -> Self:
         """Log from columns by name: a pandas or polars frame, a pyarrow table, a dict of arrays.
 
@@ -97,3 +97,13 @@ class CellLog(MeasuredLog, Plottable, Tabular):
         ]
         panels = [Panel(y, (Line(y, hours, v),)) for y, v in shown if v is not None]
         return "time [h]", tuple(panels)
+
+
+def check_is_log(log: object) -> None:
+    """Refuse what is no log of a cell.
+
+    Raises
+    ------
+    InputError        another type
+    """
+    check_kind("log", log, CellLog, "Read one with read_log, or CellLog.from_table(a data frame).")

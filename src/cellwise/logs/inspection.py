@@ -21,7 +21,7 @@ from cellwise.logs.checks.oddities import (
     is_quiet,
     resolution,
 )
-from cellwise.logs.checks.sign import Verdict, contradiction, verify_sign
+from cellwise.logs.checks.sign import CONTRADICTED, Verdict, contradiction, verify_sign
 from cellwise.logs.gaps import Gap, find_gaps
 from cellwise.typing import FloatArray
 
@@ -184,7 +184,7 @@ def _sampling(log: CellLog) -> Sampling:
 def _sign_notices(log: CellLog, verdict: Verdict, evidence: tuple[str, ...]) -> list[str]:
     if verdict == "undetermined":
         return [f"the sign of the current could not be determined from the data: {evidence[0]}"]
-    if verdict == "contradicted" and not any(contradiction("") in n for n in log.notices):
+    if verdict == "contradicted" and not any(CONTRADICTED in n for n in log.notices):
         return [contradiction("charge-positive")]
     return []
 

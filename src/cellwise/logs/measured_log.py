@@ -19,6 +19,7 @@ CurrentMeaning = Literal["interval_end", "interval_start"]
 # A missing current is bridged by its last value; from here on by the counter, whose steps
 # (0.01 Ah on some testers) are by then small against what flowed.
 COUNTER_BRIDGE_S = 60.0
+TYPICAL_OF = 1000  # values show the unit and the number of cells as well as a million
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -107,6 +108,13 @@ class MeasuredLog:
     def gap_rows(self) -> BoolArray:
         """True for a row that ends a gap, shape (n,)."""
         return find_gaps(self.time_s)
+
+    @cached_property
+    def typical_voltage_V(self) -> float:
+        """Median of the measured voltages [V]; of very many, of every so manyth one."""
+        some = self.voltage_V[:: max(len(self) // TYPICAL_OF, 1)]
+        known = some[np.isfinite(some)]
+        return float(np.median(known) if known.size else np.nanmedian(self.voltage_V))
 
     @property
     def gaps(self) -> tuple[Gap, ...]:

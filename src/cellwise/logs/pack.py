@@ -18,15 +18,15 @@ def to_cell(raw: RawLog, options: ReadOptions, where: str) -> RawLog:
     if series == FROM_FILE:
         if raw.cells is None:
             raise InputError(
-                f"--series auto for {where}, which does not state its cells in series",
+                f"`series='auto'` for {where}, which does not state its cells in series",
                 "a number of cells",
-                "Give it: --series 4 (series=4), say.",
+                "Give it: `series=4`, say.",
             )
         series = raw.cells
     notices = list(raw.notices)
     if raw.cells is not None and raw.cells > 1 and options.series == 1:
         notices.append(
-            f"the file states {raw.cells} cells in series: --series auto reads their mean cell"
+            f"the file states {raw.cells} cells in series: `series='auto'` reads their mean cell"
         )
     elif raw.cells is not None and raw.cells != series:
         notices.append(

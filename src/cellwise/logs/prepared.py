@@ -22,11 +22,11 @@ from cellwise.files import made_folder, write_atomically
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.reading import read_log
 
-VERSION = 2
+VERSION = 3
 CHANNELS = ("time_s", "current_A", "voltage_V", "temperature_C", "charge_Ah")
 HEAD = struct.Struct("<8sQ")
 MAGIC = b"cellwise"
-MAPPED_FROM = 64_000_000  # bytes
+MAPPED_FROM = 250_000  # bytes; above, a map of the system's own copy is quicker than another
 
 
 def read_prepared(path: Path, cache: str | Path = "", **options: Any) -> CellLog:
@@ -89,6 +89,8 @@ def _store(log: CellLog, target: Path) -> None:
         "current_meaning": log.current_meaning,
         "notices": log.notices,
         "rows": len(log),
+        "gap_rows": np.flatnonzero(log.gap_rows).tolist(),
+        "typical_voltage_V": log.typical_voltage_V,
         "channels": names,
     }
     text = json.dumps(fields).encode()
@@ -108,6 +110,9 @@ def _load(place: Path, path: Path) -> CellLog | None:
             return None
         fields = json.loads(bytes(data[HEAD.size : HEAD.size + length]))
         rows, names = int(fields.pop("rows")), fields.pop("channels")
+        gap_rows = np.zeros(rows, dtype=np.bool_)
+        gap_rows[fields.pop("gap_rows")] = True
+        typical_V = float(fields.pop("typical_voltage_V"))
         start, size = HEAD.size + length, 8 * rows
         if len(data) != start + size * len(names):
             return None
@@ -115,13 +120,16 @@ def _load(place: Path, path: Path) -> CellLog | None:
             name: np.frombuffer(data, "<f8", rows, start + k * size) for k, name in enumerate(names)
         }
         fields["notices"] = tuple(fields["notices"])
-        return CellLog.checked_before(**channels, source=str(path), **fields)
-    except (OSError, KeyError, TypeError, ValueError, struct.error):
+        log = CellLog.checked_before(**channels, source=str(path), **fields)
+        # What `cached_property` would look for again.
+        vars(log).update(gap_rows=gap_rows, typical_voltage_V=typical_V)
+        return log
+    except (OSError, IndexError, KeyError, TypeError, ValueError, struct.error):
         return None
 
 
 def _content(place: Path) -> bytes | mmap.mmap:
-    """A small file read, which is quicker; a large one mapped, which needs no memory."""
+    """A small file read; a larger one mapped, which is quicker and needs no memory."""
     with place.open("rb", buffering=0) as file:
         if os.fstat(file.fileno()).st_size < MAPPED_FROM:
             return file.read()

@@ -24,7 +24,7 @@ def resample(log: CellLog, dt_s: float) -> CellLog:
     InputError        a step that is not above zero, longer than the log, or beyond any memory
     """
     if not (np.isfinite(dt_s) and dt_s > 0):
-        raise InputError(f"a time step of {dt_s} s", "a step above zero", "Give --dt 1.0.")
+        raise InputError(f"a time step of {dt_s} s", "a step above zero", "Give `dt_s=1.0`.")
     if dt_s > log.duration_s:
         raise InputError(
             f"a time step of {dt_s:g} s for a log of {log.duration_s:g} s",

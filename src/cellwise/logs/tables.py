@@ -76,6 +76,6 @@ def read_rows(path: Path) -> dict[str, list[Any]]:
         raise InputError(
             f"'{path}', which is no parquet file ({str(error).splitlines()[0]})",
             "a part that this command wrote",
-            "Remove it, or start again with --fresh.",
+            "Remove it, or start again with `fresh=True`.",
         ) from None
     return dict(table.to_pydict())

@@ -63,7 +63,7 @@ def fetch_original(
             f"no list of files with checksums for '{name}'",
             "an original whose repository gives one",
             f"Download it by hand from {find_original(name)['url']} and use `data import`, or give "
-            "--listing URL.",
+            "`listing=URL`.",
         )
     with _open(str(address)) as answer:
         text = answer.read(MOST_LISTING_BYTES).decode("utf-8", "replace")
@@ -118,7 +118,7 @@ def _read(answer: Any, file: RemoteFile) -> bytes:
 
 def _open(url: str) -> Any:
     if not url.startswith(("https://", "http://")):
-        raise InputError(f"the address '{url}'", "https://...", "Give --listing URL.")
+        raise InputError(f"the address '{url}'", "https://...", "Give `listing=URL`.")
     try:
         # Some repositories refuse Python's own name.
         return urlopen(Request(url, headers={"User-Agent": "cellwise"}), timeout=TIMEOUT_S)

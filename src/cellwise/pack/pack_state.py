@@ -56,7 +56,7 @@ class PackState:
             raise InputError(
                 f"'{data.get('kind')}' of version {data.get('version')} in {where}",
                 f"'{KIND}' of version {VERSION}",
-                "Give the file that --state wrote, or start without it.",
+                "Give the state that an earlier run wrote, or start without it.",
             )
         try:
             names = tuple(str(name) for name in data["names"])
@@ -73,7 +73,9 @@ class PackState:
             return cls(names, float(data["origin"]), belief, tuple(data["periods"]))
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(
-                f"a damaged state in {where} ({error})", "what --state wrote", "Start without it."
+                f"a damaged state in {where} ({error})",
+                "a state as it was written",
+                "Start without it.",
             ) from None
 
 

@@ -130,7 +130,7 @@ def export_sections(report: Mapping[str, Any], on_log: HasPanels | None) -> list
             Section("accuracy", "What is lost", (grid, accuracy_table(report)), "Accuracy")
         )
     else:
-        text = paragraph("No log was given (--log), so what single precision loses is not known.")
+        text = paragraph("No log was given, so what single precision loses is not known.")
         sections.append(Section("accuracy", "What is lost", (text,), "Accuracy"))
     if on_log is not None:
         sections.append(trace_section([("exported filter and float64 EKF", on_log)]))

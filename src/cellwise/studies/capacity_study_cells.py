@@ -177,7 +177,7 @@ def study_cells(names: tuple[str, ...], data: Path | None) -> tuple[StudyCell, .
                 raise InputError(
                     f"the measured cell '{name}' and no folder of measured data",
                     "the folder",
-                    "Add --data DIR or set CELLWISE_DATA.",
+                    "Add `data=DIR` or set CELLWISE_DATA.",
                 )
             found.append(MEASURED[name](data))
         else:

@@ -142,7 +142,7 @@ def test_replay_arguments(refused, model, drive, arguments, says, tmp_path, monk
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ([], "--hppc or --drive"),
+        ([], "--hppc LOG or --drive LOG"),
         (["--hppc", HPPC, "--nominal-ah", "-5"], "nominal"),
         (["--hppc", HPPC, "--nominal-ah", "0.005"], "nominal"),
         (["--hppc", HPPC, "--capacity-choice", "all of it"], "hppc-total"),

@@ -98,7 +98,7 @@ def test_fleet_says_it_in_the_log_s_row(run_json, model, wrong, tmp_path):
         r for part in out.glob("*.parquet") for r in pyarrow.parquet.read_table(part).to_pylist()
     ]
     by_log = {row["log"]: row for row in rows}
-    assert "--series 4" in by_log["wrong.parquet"]["error"]
+    assert "`series=4`" in by_log["wrong.parquet"]["error"]
     assert "another cell" in by_log["other.parquet"]["notices"]
 
 

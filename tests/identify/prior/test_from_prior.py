@@ -108,7 +108,7 @@ def test_the_stated_deviation_of_the_soc_holds_the_truth(shift):
 def test_without_a_prior_one_is_chosen_by_the_voltage_window(flight):
     found = identify_cell(drives(flight), SETTINGS)
     assert found.model.provenance["prior"]["name"] in ("nmc-18650", "nca-18650")
-    assert any("--prior NAME" in n for n in found.notices)
+    assert any("`prior=NAME`" in n for n in found.notices)
     assert found.model.ocv_V.min() > 2.0
 
 
@@ -149,13 +149,13 @@ def test_a_capacity_test_alone_is_enough(cell):
 
 
 def test_no_size_of_the_cell_is_refused(flight):
-    with pytest.raises(InputError, match="--nominal-ah"):
+    with pytest.raises(InputError, match="`nominal_Ah=X`"):
         identify_cell(drives(flight), replace(PRIOR, nominal_Ah=None))
 
 
 def test_a_voltage_that_no_stock_model_has_is_refused(flight):
     odd = replace(flight, voltage_V=flight.voltage_V - 2.2)
-    with pytest.raises(InputError, match="--prior"):
+    with pytest.raises(InputError, match="`prior="):
         identify_cell(drives(odd), SETTINGS)
 
 

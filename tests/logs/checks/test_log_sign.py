@@ -136,7 +136,7 @@ def test_auto_tells_of_a_wrong_sign_and_turns_nothing_round(tmp_path):
     path = write_csv(tmp_path / "log.csv", columns)
     log = read_log(path)
     np.testing.assert_array_equal(log.current_A, columns["current_A"])
-    assert any("--sign charge-positive" in notice for notice in log.notices)
+    assert any("`sign='charge-positive'`" in notice for notice in log.notices)
 
 
 def test_charge_positive_turns_current_and_counter_round(tmp_path):
@@ -161,7 +161,7 @@ def test_charge_positive_leaves_a_counter_that_was_right(tmp_path):
 def test_an_order_against_the_data_is_reported(tmp_path):
     path = write_csv(tmp_path / "log.csv", pulse_channels())
     log = read_log(path, sign="charge-positive")
-    assert any("--sign discharge-positive" in notice for notice in log.notices)
+    assert any("`sign='discharge-positive'`" in notice for notice in log.notices)
 
 
 @pytest.mark.slow

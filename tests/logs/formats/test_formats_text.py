@@ -354,7 +354,7 @@ def test_a_column_that_is_missing_is_named_with_the_nearest(tmp_path):
     assert "missing: Current(A)" in caught.value.found
     assert "'Data_Point'" in caught.value.found
     assert "'Curent(A)'" in caught.value.action
-    assert "--channel current_A='Curent(A)'" in caught.value.action
+    assert "`channels={'current_A': 'Curent(A)'" in caught.value.action
     log = read_log(path, channels={"current_A": "Curent(A)"})
     np.testing.assert_array_equal(log.current_A, I)
 

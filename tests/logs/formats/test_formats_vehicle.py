@@ -60,7 +60,7 @@ def test_a_ulog_is_read_as_its_mean_cell(tmp_path):
 
 def test_a_ulog_says_how_many_cells_it_states(tmp_path):
     path = write_ulog(tmp_path / "flight", [pack()])
-    assert any("4 cells in series: --series auto" in n for n in read_log(path).notices)
+    assert any("4 cells in series: `series='auto'`" in n for n in read_log(path).notices)
     assert any("3 were stated" in n for n in read_log(path, series=3).notices)
 
 
@@ -100,7 +100,7 @@ def test_a_ulog_that_was_cut_off_is_refused_unless_told(tmp_path, capfd):
     path.write_bytes(path.read_bytes()[:-7])
     error = refused(path)
     assert "cut off ULog" in error.found
-    assert "--partial" in error.action
+    assert "`partial=True`" in error.action
     log = read_log(path, partial=True, series=4, parallel=2)
     assert len(log) == 599
     assert any("cut off" in n for n in log.notices)
@@ -144,7 +144,7 @@ def test_a_dataflash_log_without_a_battery_lists_its_messages(tmp_path):
 def test_a_dataflash_log_that_was_cut_off(tmp_path, capfd):
     path = write_dataflash(tmp_path / "flight", [pack()], "instances")
     path.write_bytes(path.read_bytes()[:-10])
-    assert "--partial" in refused(path).action
+    assert "`partial=True`" in refused(path).action
     assert len(read_log(path, partial=True)) == 599
     assert capfd.readouterr() == ("", "")
 
@@ -186,7 +186,7 @@ def test_an_mdf_file_with_two_packs_is_refused_with_its_candidates(tmp_path):
     error = refused(path)
     assert "BMS_PackCurrent" in error.found
     assert "Pack2Current" in error.found
-    assert "--channel current_A=" in error.action
+    assert "`channels={'current_A': " in error.action
     log = read_log(path, channels={"current_A": "BMS_PackCurrent"}, parallel=2)
     np.testing.assert_allclose(log.current_A, CELL["current_A"], atol=1e-9)
 
@@ -214,7 +214,7 @@ def test_an_mdf_file_without_volts(tmp_path):
 
 def test_an_mdf_file_of_can_frames_is_read_through_its_database(tmp_path):
     path = write_mdf_frames(tmp_path / "drive", pack())
-    assert "--dbc" in refused(path).action
+    assert "`dbc=" in refused(path).action
     log = read_log(path, dbc=write_dbc(tmp_path / "bms.dbc"), series=4, parallel=2)
     np.testing.assert_allclose(log.current_A, CELL["current_A"], atol=0.0051)
     np.testing.assert_allclose(log.voltage_V, CELL["voltage_V"], atol=0.0126)
@@ -269,7 +269,7 @@ def test_a_can_log_is_read_through_its_database(kind, tmp_path):
 
 
 def test_a_can_log_without_a_database_asks_for_it(tmp_path):
-    assert "--dbc" in refused(write_can(tmp_path / "drive", pack(), "log")).action
+    assert "`dbc=" in refused(write_can(tmp_path / "drive", pack(), "log")).action
 
 
 def test_the_wrong_database_is_reported_with_both_sides(tmp_path):

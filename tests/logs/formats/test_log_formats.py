@@ -56,7 +56,7 @@ def test_a_new_format_is_read_with_its_units_and_its_sign(cycler_file):
 def test_an_order_overrides_the_formats_sign(cycler_file):
     log = read_log(cycler_file, sign="discharge-positive")
     np.testing.assert_allclose(log.current_A, -pulse_channels()["current_A"], rtol=1e-15)
-    assert any("--sign charge-positive" in notice for notice in log.notices)
+    assert any("`sign='charge-positive'`" in notice for notice in log.notices)
 
 
 def test_every_format_can_be_asked_for_by_name():

@@ -20,14 +20,6 @@ FULL_V = 4.2
 FULL_LFP_V = 3.65
 LARGEST_CELL_V = 6.0
 MILLIVOLT_FROM = 1000.0
-TYPICAL_OF = 1000  # values show the unit and the number of cells as well as a million
-
-
-def typical_V(log: MeasuredLog) -> float:
-    """Median of the measured voltages [V]; of very many, of every so manyth one."""
-    some = log.voltage_V[:: max(len(log) // TYPICAL_OF, 1)]
-    known = some[np.isfinite(some)]
-    return float(np.median(known) if known.size else np.nanmedian(log.voltage_V))
 
 
 def check_cells_in_series(model: CellModel, log: MeasuredLog) -> None:
@@ -37,7 +29,7 @@ def check_cells_in_series(model: CellModel, log: MeasuredLog) -> None:
     ------
     InputError        names the voltages and the number of cells in series that would fit
     """
-    typical = typical_V(log)
+    typical = log.typical_voltage_V
     full = float(np.max(model.ocv_V))
     empty = float(np.min([np.interp(EMPTY_SOC, model.soc, row) for row in model.ocv_V]))
     if SHARE_OF_EMPTY * empty <= typical <= full + ABOVE_FULL_V:
@@ -52,7 +44,7 @@ def check_cells_in_series(model: CellModel, log: MeasuredLog) -> None:
     raise InputError(
         f"a voltage of typically {typical:.3g} V in log '{log.name}'",
         expected,
-        "Fewer cells in series? Correct --series; or it is another kind of cell.",
+        "Fewer cells in series? Correct `series=...`; or it is another kind of cell.",
     )
 
 
@@ -63,7 +55,7 @@ def check_one_cell(log: MeasuredLog) -> None:
     ------
     InputError        names the voltage and the number of cells in series that would fit
     """
-    typical = typical_V(log)
+    typical = log.typical_voltage_V
     if typical > LARGEST_CELL_V:
         raise InputError(
             f"a voltage of typically {typical:.4g} V in log '{log.name}'",
@@ -78,9 +70,9 @@ def cells_in_series(log: MeasuredLog, full_V: float) -> int:
 
 
 def _question(log: MeasuredLog, full_V: float) -> str:
-    if typical_V(log) > MILLIVOLT_FROM:
+    if log.typical_voltage_V > MILLIVOLT_FROM:
         return "Millivolts? Name the column voltage_mV."
     cells = cells_in_series(log, full_V)
     others = cells_in_series(log, FULL_LFP_V)
     also = f" (LFP: {others})" if full_V == FULL_V and others != cells else ""
-    return f"{cells} cells in series{also}? Give --series {cells}."
+    return f"{cells} cells in series{also}? Give `series={cells}`."

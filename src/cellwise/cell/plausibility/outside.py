@@ -81,9 +81,11 @@ def _left(
     values: FloatArray, bound: float, side: str, end: float, *, lower: bool = False
 ) -> Iterator[str]:
     """The share of the rows beyond a bound, where the data end, and how far the rows go."""
+    beyond = values < bound if lower else values > bound
+    if np.count_nonzero(beyond) < LEAST_ROWS:  # the usual case, in one pass
+        return
     known = values[np.isfinite(values)]
-    beyond = known < bound if lower else known > bound
-    rows = int(np.count_nonzero(beyond))
+    rows = int(np.count_nonzero(known < bound if lower else known > bound))
     if rows < max(LEAST_ROWS, LEAST_SHARE * known.size):
         return
     furthest = float(known.min() if lower else known.max())

@@ -18,7 +18,7 @@ LARGE_RMSE_V = 0.1
 LARGE_ERROR_V = 0.2
 NEAR_EMPTY = 0.1
 MANY_REJECTED = 0.1
-OTHER = "a log of another cell, number of cells in series (--series), temperature or age"
+OTHER = "a log of another cell, number of cells in series (`series=N`), temperature or age"
 
 
 def soc_notices(log: MeasuredLog, soc: FloatArray) -> list[Notice]:
@@ -28,7 +28,9 @@ def soc_notices(log: MeasuredLog, soc: FloatArray) -> list[Notice]:
     ----------
     soc : (n,) float      simulated, or counted
     """
-    low, high = float(np.nanmin(soc)), float(np.nanmax(soc))
+    low, high = float(np.min(soc)), float(np.max(soc))
+    if not math.isfinite(low + high):
+        low, high = float(np.nanmin(soc)), float(np.nanmax(soc))
     outside = max(-low, high - 1.0)
     if outside <= SHOWN_SOC:
         return []
@@ -40,7 +42,7 @@ def soc_notices(log: MeasuredLog, soc: FloatArray) -> list[Notice]:
             Notice(
                 math.inf,  # every other figure follows from it
                 f"{name} moves {moved:.4g} Ah, {high - low:.3g} times the model's capacity ({ran}):"
-                " the unit of the current (mA?), the cells in parallel (--parallel), or a log of "
+                " the unit of the current (mA?), the cells in parallel (`parallel=N`), or a log of "
                 "another cell?",
             )
         ]
@@ -48,7 +50,7 @@ def soc_notices(log: MeasuredLog, soc: FloatArray) -> list[Notice]:
         Notice(
             RANGE_V * outside,
             f"{name} runs through {ran}, beginning at {soc[0]:.3f}: check the initial SOC "
-            "(LOG@soc0=X states it) and the capacity",
+            "(`soc0=X` states it) and the capacity",
         )
     ]
 

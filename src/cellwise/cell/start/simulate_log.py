@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from cellwise.cell.initial_soc import initial_soc
-from cellwise.cell.model import CellModel
+from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.plausibility.cells_in_series import check_cells_in_series
 from cellwise.cell.simulate import Simulation
 from cellwise.cell.simulate import simulate as simulate_from
-from cellwise.logs.cell_log import CellLog
+from cellwise.logs.cell_log import CellLog, check_is_log
 
 
 def simulate(
@@ -35,6 +35,8 @@ def simulate(
     ------
     InputError            soc0 outside 0..1; without a start, a pack read as one cell
     """
+    check_is_model(model)
+    check_is_log(log)
     if soc0 is None:
         check_cells_in_series(model, log)
         soc0 = initial_soc(model, log, likeliest=True, whole_log=True).soc

@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from cellwise.cli.common.wording import in_options
 from cellwise.errors import InputError
 from cellwise.logs import CellLog, Stated, read_log
 
@@ -103,7 +104,7 @@ def print_json(data: Mapping[str, Any]) -> None:
 
 
 def clean(value: Any) -> Any:
-    """JSON values only: numpy scalars to Python's, NaN and infinities to null."""
+    """JSON values only: numpy scalars to Python's, NaN to null; texts in a command's words."""
     if isinstance(value, Mapping):
         return {str(k): clean(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
@@ -112,7 +113,7 @@ def clean(value: Any) -> Any:
         return clean(value.tolist())
     if isinstance(value, float) and not math.isfinite(value):
         return None
-    return value
+    return in_options(value) if isinstance(value, str) else value
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
@@ -121,7 +122,7 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> 
     for k, column in enumerate(columns):
         shown.add_column(column, justify="left" if k == 0 else "right")
     for row in rows:
-        shown.add_row(*row)
+        shown.add_row(*map(in_options, row))
     console = Console()
     if console.width < 100 and not console.is_terminal:
         console = Console(width=140)
@@ -130,7 +131,7 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> 
 
 def say(text: str) -> None:
     """A line for people."""
-    Console(soft_wrap=True, highlight=False, markup=False).print(text)
+    Console(soft_wrap=True, highlight=False, markup=False).print(in_options(text))
 
 
 def millivolt(value: float | None) -> str:

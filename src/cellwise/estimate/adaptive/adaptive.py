@@ -15,7 +15,12 @@ from cellwise.estimate.adaptive.mixture_kernels import soc_deviation
 from cellwise.estimate.adaptive.settings import AdaptiveSettings
 from cellwise.estimate.adaptive.state_kernels import AdaptiveState, adaptive_start
 from cellwise.estimate.adaptive.trace import AdaptiveTrace
-from cellwise.estimate.filters.kalman import FilterOfModel, log_arrays, reading_from
+from cellwise.estimate.filters.kalman import (
+    FilterOfModel,
+    check_state,
+    log_arrays,
+    reading_from,
+)
 from cellwise.estimate.noise import Noise
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
@@ -101,8 +106,9 @@ class Adaptive(FilterOfModel):
 
         Raises
         ------
-        InputError        dt_s negative or not finite
+        InputError        dt_s negative or not finite; a state or a reading of another type
         """
+        check_state(state, AdaptiveState, self.name)
         reading = reading_from(current_A, voltage_V, temperature_C, dt_s, gap)
         announce(kernel.adaptive_step, f"the {self.name} step")
         after, step, mixed = kernel.adaptive_step(
@@ -135,6 +141,7 @@ class Adaptive(FilterOfModel):
 
     def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> AdaptiveTrace:
         """Replay a whole log; the same steps in one compiled loop."""
+        rows = log_arrays(log)
         state = self.init(soc0, soc0_std)
         out = np.empty((kernel.OUTPUTS, len(log)))
         status = np.empty(len(log), dtype=np.int32)
@@ -146,7 +153,7 @@ class Adaptive(FilterOfModel):
             self._rules,
             self._unknown,
             state,
-            log_arrays(log),
+            rows,
             out,
             status,
             held,

@@ -21,7 +21,7 @@ from cellwise.estimate.sensing_kernels import REST_RATE, unseen_soc
 from cellwise.estimate.status import OUTSIDE
 from cellwise.estimate.trace import Trace
 from cellwise.estimate.validity_kernels import extrapolation_V, is_outside, widened
-from cellwise.logs.cell_log import CellLog
+from cellwise.logs.cell_log import CellLog, check_is_log
 from cellwise.typing import FloatArray
 
 
@@ -80,6 +80,7 @@ class FilterpyFilter(FilterOfModel):
 
     def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> Trace:
         """Replay a whole log, sample by sample."""
+        check_is_log(log)
         kf = self.init(soc0, soc0_std)
         gaps = log.gap_rows
         current = log.interval_current_A

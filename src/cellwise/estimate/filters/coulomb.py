@@ -9,14 +9,15 @@ import numpy as np
 
 from cellwise.cell.compiled import kernel, rows
 from cellwise.cell.equations import soc_step
-from cellwise.cell.model import CellModel
+from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.point_kernels import CellScalars
-from cellwise.cell.simulate import check_soc0, simulate
-from cellwise.estimate.noise import Noise
+from cellwise.cell.simulate import check_soc0, check_soc0_std, simulate
+from cellwise.estimate.filters.kalman import check_state, reading_from
+from cellwise.estimate.noise import Noise, noise_for
 from cellwise.estimate.sensing_kernels import LOST_RATE
 from cellwise.estimate.status import CLAMPED, CURRENT_INVALID, DUPLICATE, SEQUENCE_GAP, Status
 from cellwise.estimate.trace import Trace
-from cellwise.logs.cell_log import CellLog
+from cellwise.logs.cell_log import CellLog, check_is_log
 from cellwise.typing import BoolArray, FloatArray, IntArray
 
 
@@ -102,14 +103,16 @@ class Coulomb:
     name = "coulomb"
 
     def __init__(self, model: CellModel, noise: Noise | None = None) -> None:
+        check_is_model(model)
         self.model = model
-        self.noise = Noise.of_model(model) if noise is None else noise
+        self.noise = noise_for(model, noise)
         self._cell = model.parameters().cell
         self._noise = self.noise.scalars()
 
     def init(self, soc0: float, soc0_std: float = 0.15) -> CoulombState:
-        """State at ``soc0``; raises InputError outside 0..1."""
+        """State at ``soc0``; raises InputError outside 0..1, or a deviation not above zero."""
         check_soc0(soc0)
+        check_soc0_std(soc0_std)
         return CoulombState(float(soc0), float(soc0_std) ** 2, 0.0)
 
     def step(
@@ -122,23 +125,31 @@ class Coulomb:
         dt_s: float,
         gap: bool = False,
     ) -> tuple[CoulombState, CoulombInfo]:
-        """Take the sample that ends an interval of ``dt_s`` seconds; the voltage is not used."""
+        """Take the sample that ends an interval of ``dt_s`` seconds; the voltage is not used.
+
+        Raises
+        ------
+        InputError        dt_s negative or not finite; a state or a reading of another type
+        """
+        check_state(state, CoulombState, self.name)
+        reading = reading_from(current_A, voltage_V, temperature_C, dt_s, gap)
         soc, variance, previous, bits = coulomb_step(
             self._cell,
             state.soc,
             state.variance,
             state.previous_A,
-            float(current_A),
-            float(dt_s),
+            reading.current_A,
+            reading.dt_s,
             self._noise.soc_per_sqrt_s,
             self._noise.gap_soc,
-            gap,
+            reading.gap,
         )
         info = CoulombInfo(soc, math.sqrt(variance), Status(bits))
         return CoulombState(soc, variance, previous), info
 
     def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> Trace:
         """Count a whole log; the voltage shown is the model's own simulation."""
+        check_is_log(log)
         start = self.init(soc0, soc0_std)
         gap = log.gap_rows
         n = len(log)

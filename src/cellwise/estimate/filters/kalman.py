@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, ClassVar
 
 import numpy as np
 
-from cellwise.cell.compiled import announce
-from cellwise.cell.model import CellModel
+from cellwise.cell.compiled import announce, for_kernel
+from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.point_kernels import M
-from cellwise.cell.simulate import check_soc0, model_temperature_C
+from cellwise.cell.simulate import check_soc0, check_soc0_std, model_temperature_C
 from cellwise.errors import InputError
 from cellwise.estimate.filters import filter_state as layout
 from cellwise.estimate.filters.filter_state import EkfInfo, EkfStart, EkfState, ekf_start
-from cellwise.estimate.noise import Noise
+from cellwise.estimate.noise import Noise, noise_for
 from cellwise.estimate.sensing_kernels import Reading
 from cellwise.estimate.trace import Trace
-from cellwise.logs.cell_log import CellLog
+from cellwise.given import check_kind, number
+from cellwise.logs.cell_log import CellLog, check_is_log
 from cellwise.typing import FloatArray
 
 
@@ -33,8 +35,9 @@ class FilterOfModel:
     name = ""
 
     def __init__(self, model: CellModel, noise: Noise | None = None) -> None:
+        check_is_model(model)
         self.model = model
-        self.noise = Noise.of_model(model) if noise is None else noise
+        self.noise = noise_for(model, noise)
         self._tables = model.parameters()
         self._default_C = model_temperature_C(model)
 
@@ -46,10 +49,7 @@ class FilterOfModel:
         InputError        soc0 outside 0..1, soc0_std not above zero
         """
         check_soc0(soc0)
-        if not (np.isfinite(soc0_std) and soc0_std > 0):
-            raise InputError(
-                f"an initial SOC deviation of {soc0_std}", "a number above zero", "Give e.g. 0.15."
-            )
+        check_soc0_std(soc0_std)
         table = self._tables.table
         return EkfStart(
             soc=float(soc0),
@@ -97,8 +97,9 @@ class KalmanFilter(FilterOfModel):
 
         Raises
         ------
-        InputError        dt_s negative or not finite
+        InputError        dt_s negative or not finite; a state or a reading of another type
         """
+        check_state(state, EkfState, self.name)
         reading = reading_from(current_A, voltage_V, temperature_C, dt_s, gap)
         announce(type(self).step_kernel, f"the {self.name} step")
         return type(self).step_kernel(self._tables, *self._settings, self._unknown, state, reading)
@@ -136,24 +137,51 @@ def reading_from(
 
     Raises
     ------
-    InputError        dt_s negative or not finite
+    InputError        dt_s negative or not finite; a reading that is no number
     """
-    if not (np.isfinite(dt_s) and dt_s >= 0):
+    interval = number("dt_s", dt_s, "seconds, at least 0", "Pass the interval's length.")
+    if not (math.isfinite(interval) and interval >= 0.0):
         raise InputError(f"dt_s = {dt_s}", "seconds, at least 0", "Pass the interval's length.")
-    warm = np.nan if temperature_C is None else float(temperature_C)
-    return Reading(float(current_A), float(voltage_V), warm, float(dt_s), bool(gap))
+    return Reading(
+        one_reading("current_A", current_A, "ampere"),
+        one_reading("voltage_V", voltage_V, "volt"),
+        math.nan if temperature_C is None else one_reading("temperature_C", temperature_C, "degC"),
+        interval,
+        bool(gap),
+    )
+
+
+def one_reading(name: str, value: object, unit: str) -> float:
+    """One reading of one sensor.
+
+    Raises
+    ------
+    InputError        no number
+    """
+    expected = f"a number in {unit}, nan where the reading is missing"
+    return number(name, value, expected, "A step takes one sample; `run` takes a whole log.")
+
+
+def check_state(state: object, kind: type, name: str) -> None:
+    """Refuse what another estimator made, or nothing did.
+
+    Raises
+    ------
+    InputError        another type
+    """
+    check_kind("state", state, kind, f"Begin with init(soc0) of the {name}, and pass on its own.")
 
 
 def log_arrays(log: CellLog) -> layout.LogArrays:
     """The rows of a log as the kernels read them."""
-    # What the tester's counter says of a gap is not for the filter's eyes. Copies: kernels are
-    # compiled for one kind of array.
+    check_is_log(log)
+    # What the tester's counter says of a gap is not for the filter's eyes.
     return layout.LogArrays(
-        np.array(log.interval_current_A),
-        np.array(log.voltage_V),
+        for_kernel(log.interval_current_A),
+        for_kernel(log.voltage_V),
         measured_temperature_C(log),
-        np.array(log.interval_s),
-        np.array(log.gap_rows),
+        log.interval_s,
+        log.gap_rows,
     )
 
 
@@ -161,4 +189,4 @@ def measured_temperature_C(log: CellLog) -> FloatArray:
     """Temperature of every row as measured, NaN where nobody did, shape (rows,)."""
     if log.temperature_C is None:
         return np.full(len(log), np.nan)
-    return np.array(log.temperature_C)  # a copy: kernels are compiled for one kind of array
+    return for_kernel(log.temperature_C)

@@ -10,15 +10,19 @@ import numpy as np
 from cellwise.cell.compiled import kernel, rows
 from cellwise.cell.equations import CellTables, look_up
 from cellwise.cell.initial_soc import RELAXED_S, REST_RATE, SHORT_REST_V
-from cellwise.cell.model import CellModel
+from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.simulate import model_temperature_C
 from cellwise.errors import InputError
 from cellwise.estimate.filters.coulomb import Coulomb, coulomb_step
-from cellwise.estimate.filters.kalman import measured_temperature_C
-from cellwise.estimate.noise import Noise
+from cellwise.estimate.filters.kalman import (
+    check_state,
+    measured_temperature_C,
+    reading_from,
+)
+from cellwise.estimate.noise import Noise, noise_for
 from cellwise.estimate.status import Status
 from cellwise.estimate.trace import Trace
-from cellwise.logs.cell_log import CellLog
+from cellwise.logs.cell_log import CellLog, check_is_log
 from cellwise.typing import BoolArray, FloatArray, IntArray
 
 REST_S = 600.0
@@ -157,8 +161,9 @@ class RestOcv:
     ) -> None:
         if not (np.isfinite(rest_s) and rest_s >= 0.0):
             raise InputError(f"rest_s = {rest_s}", "seconds, at least 0", "Give e.g. 600.")
+        check_is_model(model)
         self.model = model
-        self.noise = Noise.of_model(model) if noise is None else noise
+        self.noise = noise_for(model, noise)
         self.rest_s = float(rest_s)
         self._tables = model.parameters()
         self._default_C = model_temperature_C(model)
@@ -180,18 +185,25 @@ class RestOcv:
         dt_s: float,
         gap: bool = False,
     ) -> tuple[RestOcvState, RestOcvInfo]:
-        """Take the sample that ends an interval of ``dt_s`` seconds."""
-        warm = self._default_C if temperature_C is None else float(temperature_C)
+        """Take the sample that ends an interval of ``dt_s`` seconds.
+
+        Raises
+        ------
+        InputError        dt_s negative or not finite; a state or a reading of another type
+        """
+        check_state(state, RestOcvState, self.name)
+        reading = reading_from(current_A, voltage_V, temperature_C, dt_s, gap)
+        warm = self._default_C if temperature_C is None else reading.temperature_C
         soc, variance, previous, rest, rested, bits = rest_ocv_step(
             self._tables,
             state,
-            float(current_A),
-            float(voltage_V),
+            reading.current_A,
+            reading.voltage_V,
             warm,
-            float(dt_s),
+            reading.dt_s,
             self._noise.soc_per_sqrt_s,
             self._noise.gap_soc,
-            gap,
+            reading.gap,
             self.rest_s,
         )
         info = RestOcvInfo(soc, math.sqrt(variance), rested, Status(bits))
@@ -199,6 +211,7 @@ class RestOcv:
 
     def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> Trace:
         """Replay a whole log; it predicts no voltage, so those figures are missing (NaN)."""
+        check_is_log(log)
         n = len(log)
         out = np.empty((2, n))
         status = np.empty(n, dtype=np.int32)

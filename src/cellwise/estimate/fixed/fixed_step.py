@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -9,16 +10,23 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cellwise.cell.model import CellModel
-from cellwise.cell.simulate import check_soc0, known_temperature_C, model_temperature_C
+from cellwise.cell.model import CellModel, check_is_model
+from cellwise.cell.simulate import (
+    check_soc0,
+    check_soc0_std,
+    known_temperature_C,
+    model_temperature_C,
+)
 from cellwise.errors import InputError
 from cellwise.estimate.filters.filter_state import EkfInfo
+from cellwise.estimate.filters.kalman import one_reading
 from cellwise.estimate.fixed.layout import INPUT, OUTPUT, state_type
 from cellwise.estimate.fixed.tables import FixedStepTables, fixed_step_tables
-from cellwise.estimate.noise import Noise
+from cellwise.estimate.noise import Noise, noise_for
 from cellwise.estimate.status import VOLTAGE_INVALID
 from cellwise.estimate.trace import Trace
-from cellwise.logs.cell_log import CellLog
+from cellwise.given import shown
+from cellwise.logs.cell_log import CellLog, check_is_log
 from cellwise.logs.resample import resample
 from cellwise.typing import IntArray
 
@@ -62,8 +70,9 @@ class FixedStep:
         watch: bool = True,
         validity: bool = True,
     ) -> None:
+        check_is_model(model)
         self.model = model
-        self.noise = Noise.of_model(model) if noise is None else noise
+        self.noise = noise_for(model, noise)
         self.dt_s = dt_s
         self._points = points
         self._offset_std_A = offset_std_A
@@ -113,10 +122,20 @@ class FixedStep:
 
         ``sequence`` counts time steps and wraps at 2**32: one that is skipped is a gap, one that
         comes again is a duplicate.
+
+        Raises
+        ------
+        InputError        a state, a reading or a sequence number of another type
         """
         stepper = self._need_stepper()
         warm = model_temperature_C(self.model) if temperature_C is None else temperature_C
-        self._sample[0] = (current_A, voltage_V, warm, sequence % 2**32)
+        check_record(state, stepper.tables, self.name)
+        self._sample[0] = (
+            one_reading("current_A", current_A, "ampere"),
+            one_reading("voltage_V", voltage_V, "volt"),
+            one_reading("temperature_C", warm, "degC"),
+            sequence_number(sequence),
+        )
         out = stepper.rows(state, self._sample)[0]
         return EkfInfo(
             float(out["soc"]),
@@ -131,6 +150,7 @@ class FixedStep:
 
         Every row shows the last time step that ended at it or before.
         """
+        check_is_log(log)
         dt_s = median_interval_s(log) if self.dt_s is None else self.dt_s
         stepper = self.stepper(dt_s)
         samples = samples_of(self.model, log, dt_s)
@@ -186,13 +206,41 @@ def numba_stepper(tables: FixedStepTables) -> Stepper:
 def start_state(stepper: Stepper, soc0: float, soc0_std: float) -> NDArray[Any]:
     """A state record at rest; see :meth:`FixedStep.init`."""
     check_soc0(soc0)
-    if not (np.isfinite(soc0_std) and soc0_std > 0):
-        raise InputError(
-            f"an initial SOC deviation of {soc0_std}", "a number above zero", "Give e.g. 0.15."
-        )
+    check_soc0_std(soc0_std)
     state = np.zeros(1, dtype=state_type(stepper.tables.options))
     stepper.begin(state, float(soc0), min(max(float(soc0_std) ** 2, 1e-11), MOST_VARIANCE))
     return state
+
+
+def check_record(state: object, tables: FixedStepTables, name: str) -> None:
+    """Refuse what is no state of these tables: the kernel would read past it.
+
+    Raises
+    ------
+    InputError        another type, another layout, more than one record
+    """
+    wanted = state_type(tables.options)
+    if not (isinstance(state, np.ndarray) and state.dtype == wanted and state.shape == (1,)):
+        raise InputError(
+            f"state = {shown(state)}",
+            f"one record of {wanted.itemsize} bytes, as init(soc0) of this {name} gives it",
+            "Begin with init(soc0), and pass on its own.",
+        )
+
+
+def sequence_number(sequence: object) -> int:
+    """A sequence number as the record holds it.
+
+    Raises
+    ------
+    InputError        no whole number
+    """
+    try:
+        return operator.index(sequence) % 2**32  # type: ignore[arg-type]
+    except TypeError:
+        raise InputError(
+            f"sequence = {shown(sequence)}", "a whole number", "Count the time steps from 0."
+        ) from None
 
 
 def seen(

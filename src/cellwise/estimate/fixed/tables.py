@@ -93,7 +93,7 @@ def resampled(model: CellModel, points: int) -> CellModel:
     InputError        fewer than 3 points
     """
     if points < 3:
-        raise InputError(f"{points} SOC points", "at least 3", "Give e.g. --points 101.")
+        raise InputError(f"{points} SOC points", "at least 3", "Give e.g. `points=101`.")
     soc = np.linspace(0.0, 1.0, points)
 
     def over(table: FloatArray) -> FloatArray:
@@ -139,7 +139,7 @@ def fixed_step_tables(
                       cannot hold (see :func:`check_holds`)
     """
     if not (np.isfinite(dt_s) and dt_s > 0):
-        raise InputError(f"a time step of {dt_s} s", "seconds above zero", "Give e.g. --dt 0.1.")
+        raise InputError(f"a time step of {dt_s} s", "seconds above zero", "Give e.g. `dt_s=0.1`.")
     if not (np.isfinite(offset_std_A) and offset_std_A >= 0):
         raise InputError(
             f"an offset deviation of {offset_std_A} A", "ampere, at least 0", "Give e.g. 0.1."
@@ -181,7 +181,7 @@ def check_holds(model: CellModel, dt_s: float, options: Options) -> None:
         raise InputError(
             f"{options.points} SOC points at {options.temperatures} temperature(s)",
             f"3 to {MOST_POINTS} points, at most {MOST_TEMPERATURES} temperatures",
-            "Give --points 101, or fewer temperatures.",
+            "Give `points=101`, or fewer temperatures.",
         )
     slowest = float(np.max(model.tau2_s))
     if options.slow:

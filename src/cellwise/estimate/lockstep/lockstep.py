@@ -8,16 +8,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cellwise.cell.compiled import announce
-from cellwise.cell.model import CellModel
+from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.point_kernels import ERROR, OCV, R0, R1, R2, R3, TAU1, TAU2, TAU3, M
 from cellwise.errors import InputError
 from cellwise.estimate.filters.ekf import Ekf
 from cellwise.estimate.filters.filter_state import EkfState, ekf_start
+from cellwise.estimate.filters.kalman import check_state
 from cellwise.estimate.lockstep import lane_kernels as lanes
 from cellwise.estimate.lockstep import layout
 from cellwise.estimate.lockstep.cell_kernels import begin_lane, state_of
 from cellwise.estimate.lockstep.plain_kernels import lockstep
 from cellwise.estimate.noise import Noise
+from cellwise.given import number, numbers
 from cellwise.typing import BoolArray, FloatArray, IntArray
 
 FINER = 4  # points of the table of one time step per point of the model's
@@ -75,10 +77,12 @@ class LockstepEkf:
     def __init__(
         self, model: CellModel, cells: int, dt_s: float, noise: Noise | None = None
     ) -> None:
-        if cells < 1:
+        check_is_model(model)
+        if number("cells", cells, "how many", "Give their number.") < 1:
             raise InputError(f"{cells} cells", "at least one", "Give their number.")
-        if not (np.isfinite(dt_s) and dt_s > 0.0):
-            raise InputError(f"dt_s = {dt_s}", "seconds above zero", "Pass the time step.")
+        expected, way_out = "seconds above zero", "Pass the time step."
+        if not 0.0 < number("dt_s", dt_s, expected, way_out) < np.inf:
+            raise InputError(f"dt_s = {dt_s}", expected, way_out)
         self.model, self.cells, self.dt_s = model, int(cells), float(dt_s)
         self._ekf = Ekf(model, noise)
         self.noise = self._ekf.noise
@@ -139,8 +143,9 @@ class LockstepEkf:
 
         Raises
         ------
-        InputError        arrays of another length, a state of another number of cells
+        InputError        arrays of another length or type, a state of another number of cells
         """
+        check_state(state, LockstepState, self.name)
         if state.cells != self.cells:
             raise InputError(f"a state of {state.cells} cells", f"{self.cells}", "Pass its own.")
         warm = np.nan if temperature_C is None else temperature_C
@@ -177,7 +182,7 @@ class LockstepEkf:
         return state_of(state.blocks[block * size : (block + 1) * size], lane)
 
     def _each(self, values: ArrayLike, name: str) -> FloatArray:
-        array = np.asarray(values, dtype=np.float64)
+        array = numbers(name, values)
         if array.ndim == 0:
             return np.full(self.cells, float(array))
         if array.shape != (self.cells,):
@@ -188,10 +193,11 @@ class LockstepEkf:
 
     def _channel(self, row: int, values: ArrayLike, name: str) -> FloatArray:
         """One value per lane; the caller's own array where it fills every lane."""
-        if np.ndim(values) == 0:
-            self._samples[row, : self.cells] = values
+        array = numbers(name, values)
+        if array.ndim == 0:
+            self._samples[row, : self.cells] = array
             return np.asarray(self._samples[row])
-        array = self._each(values, name)
+        array = self._each(array, name)
         if self._status.size == self.cells:
             return np.ascontiguousarray(array)
         self._samples[row, : self.cells] = array

@@ -188,7 +188,7 @@ def capacity_choices(
         raise InputError(
             "neither a capacity test, nor an HPPC log, nor a nominal capacity",
             "one of them",
-            "Add --capacity LOG or --nominal-ah.",
+            "Add `capacity=LOG` or `nominal_Ah=X`.",
         )
     return choices
 

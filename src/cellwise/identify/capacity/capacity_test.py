@@ -176,7 +176,8 @@ def measure_capacities(
         raise InputError(
             f"no discharge at constant current in {', '.join(map(repr, names)) or 'no log'}",
             "a discharge at one current from full to the lower voltage limit",
-            "Name a capacity test, or leave --capacity out to use the HPPC or nominal capacity.",
+            "Name a capacity test, or leave `capacity=...` out: then the HPPC's or the nominal "
+            "capacity is used.",
         )
     v_min = min(ends) if voltage_min_V is None else voltage_min_V
     v_max = voltage_max_V or max(float(np.max(trace.voltage_V)) for trace in traces)

@@ -70,7 +70,7 @@ def choose_prior(
         raise InputError(
             f"{between} that no stock model has, and too little of the SOC range for a model",
             f"a cell like one of {', '.join(stock_names())}",
-            "Give --prior MODEL of such a cell, or a low-rate or pulse test of it.",
+            "Give `prior=MODEL` of such a cell, or a low-rate or pulse test of it.",
         )
     found = []
     for name in names:
@@ -89,11 +89,11 @@ def choose_prior(
         raise InputError(
             f"{between} that several kinds of cell show alike: {texts}",
             "a log that shows which of them it is",
-            "Give --prior NAME of the right kind.",
+            "Give `prior=NAME` of the right kind.",
         )
     others = f"; {', '.join(c.name for c in close)} as probable" if close else ""
     return stock_model(best.name), (
         f"too little of the SOC range was seen for a model of its own: {best.name} is the prior, "
         f"chosen by its voltage window and fit of {', '.join(names)}{others}; "
-        "--prior NAME names another"
+        "`prior=NAME` names another"
     )

@@ -232,7 +232,7 @@ def _capacity(
         raise InputError(
             "a prior, and nothing that says how large the cell is",
             "a complete capacity test or a nominal capacity",
-            "Add --nominal-ah or --capacity.",
+            "Add `nominal_Ah=X` or `capacity=LOG`.",
         )
     choices = capacity_choices(whole, settings.nominal_Ah, None, temperature_C=default_C)
     choice, capacity = choose_capacity(choices, settings.capacity_choice)
@@ -255,7 +255,7 @@ def _check_charge(logs: Sequence[CellLog], capacity_Ah: float, choice: str) -> N
                 f"'{log.name}' that moves {moved:.4g} Ah in a cell of {capacity_Ah:.4g} Ah "
                 f"({choice})",
                 "no more than the cell holds",
-                "Check the unit of the current (mA for A?), --parallel, and --nominal-ah.",
+                "Check the unit of the current (mA for A?), `parallel=N`, and `nominal_Ah=X`.",
             )
 
 

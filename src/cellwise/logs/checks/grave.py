@@ -115,8 +115,8 @@ def check_time_moves(time_s: FloatArray, where: str) -> None:
         raise InputError(
             f"the same time, {time_s[0]:g} s, in all {time_s.size} rows of {where}",
             "a time that goes on",
-            "Check the export; if the time stands in another column, name it with --channel "
-            "time_s=COLUMN (channels of read_log).",
+            "Check the export; if the time stands in another column, name it with "
+            "`channels={'time_s': 'COLUMN'}`.",
         )
 
 

@@ -143,11 +143,14 @@ def verify_sign(log: MeasuredLog) -> SignCheck:
     return SignCheck(verdict, (*(c.text() for c in votes), *counter), float(score))
 
 
+CONTRADICTED = "THE SIGN OF THE CURRENT LOOKS WRONG"  # begins the notice
+
+
 def contradiction(way_out: str) -> str:
-    """Notice of a sign that looks wrong, and with which ``--sign`` to read the log."""
+    """Notice of a sign that looks wrong, and with which ``sign`` to read the log."""
     return (
-        "THE SIGN OF THE CURRENT LOOKS WRONG: the voltage rises when the stated current discharges "
-        f"the cell. Nothing was inverted; read the log with --sign {way_out}"
+        f"{CONTRADICTED}: the voltage rises when the stated current discharges "
+        f"the cell. Nothing was inverted; read the log with `sign='{way_out}'`"
     )
 
 

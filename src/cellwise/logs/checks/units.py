@@ -57,7 +57,7 @@ def check_voltage(log: MeasuredLog, where: str) -> list[str]:
     if typical > LARGEST_CELL_V:
         return [
             f"the voltage LOOKS WRONG for one cell: it is typically {typical:.1f} V, {cells}, read "
-            "as one cell; state their number (--series, series of read_log)"
+            "as one cell; state their number (`series=N`)"
         ]
     if np.nanmin(log.voltage_V) < 0:
         return [f"the voltage goes down to {np.nanmin(log.voltage_V):.3f} V, below zero"]

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from datetime import timedelta
-from typing import Any, Literal, TypeVar, get_args
+from typing import Any, Literal, Protocol, TypeVar, cast, get_args
 
 import numpy as np
 
@@ -43,6 +43,15 @@ from cellwise.typing import FloatArray, IntArray
 
 SignOption = Literal["auto", "discharge-positive", "charge-positive"]
 Log = TypeVar("Log", bound=MeasuredLog)
+
+
+class NamedColumns(Protocol):
+    """Columns by their names: a pandas, polars or arrow frame, a mapping of arrays."""
+
+    def __getitem__(self, name: str, /) -> object:
+        """The column of that name."""
+        ...
+
 
 MOST_ROWS_WITHOUT_TIME = 0.01
 LEAST_AGREEMENT = 0.9  # below this correlation a counter may count something else
@@ -131,14 +140,14 @@ def assemble(
 
 
 def log_from_table(
-    kind: type[Log], table: Mapping[str, Any], *, sign: str, name: str, source: str
+    kind: type[Log], table: NamedColumns, *, sign: str, name: str, source: str
 ) -> Log:
     """`CellLog.from_table`: a log from named columns in memory."""
     origin = Origin(name=name, source=source, format="table")
     header = getattr(table, "column_names", None)  # pyarrow
     if header is None:
         header = getattr(table, "columns", None)  # pandas, polars
-    names = list(table if header is None else header)
+    names = list(cast(Iterable[str], table) if header is None else header)
     header = [str(name) for name in names]
     columns, notices = choose_columns(header, TIDY_CHANNELS, origin.where)
     channels: dict[str, FloatArray] = {}

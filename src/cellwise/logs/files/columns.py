@@ -265,7 +265,7 @@ def _missing_columns(
         near = _nearest(channel, names)
         if near:
             hints.append(f"rename '{near}' to '{channel.usual_name}' if that is what it holds")
-            lines.append(f"--channel {_tidy_name(channel)}='{near}'")
+            lines.append(f"{_tidy_name(channel)!r}: {near!r}")
     optional = ", ".join(c.usual_name for c in channels if not c.required)
     required = ", ".join(c.usual_name for c in channels if c.required)
     action = (
@@ -276,9 +276,9 @@ def _missing_columns(
         f"column(s) {listed(names) or 'without any name'} in {where}; missing: "
         f"{', '.join(c.usual_name for c in missing)}",
         f"the columns {required} (and, where measured, {optional})",
-        f"{action}: {'; '.join(hints)}, or say it with {' '.join(lines)}."
+        f"{action}: {'; '.join(hints)}, or say it with `channels={{{', '.join(lines)}}}`."
         if hints
-        else f"{action}, or name the columns with --channel.",
+        else f"{action}, or name the columns with `channels={{...}}`.",
     )
 
 

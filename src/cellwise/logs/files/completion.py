@@ -121,7 +121,7 @@ def _sign_by_state(
             f"a current of {where} whose sign agrees with the tester's state in "
             f"{100 * agreeing:.0f} % of the rows under load",
             "one meaning of the sign",
-            "Export the file again, or name the right columns with --channel.",
+            "Export the file again, or name the right columns with `channels={...}`.",
         )
     if discharge_positive == (sign == "discharge-positive"):
         return current, []

@@ -94,13 +94,13 @@ def _check_options(source: LogSource, known: Format) -> None:
         raise InputError(
             f"an instance for {source.where}, whose format {known.name} holds one battery",
             "a log of several batteries",
-            "Omit --instance, or choose the columns with --channel.",
+            "Omit `instance=...`, or choose the columns with `channels={...}`.",
         )
     if options.dbc is not None and not known.uses_dbc:
         raise InputError(
             f"a DBC file for {source.where}, whose format is {known.name}",
             "a log of CAN frames",
-            "Omit --dbc.",
+            "Omit `dbc=...`.",
         )
 
 
@@ -161,5 +161,5 @@ def cut_off(source: LogSource, kind: str) -> InputError:
     return InputError(
         f"a cut off {kind} {source.where}: it ends within a message",
         "a complete file",
-        "Copy it again; if the recorder lost power, read what there is with --partial.",
+        "Copy it again; if the recorder lost power, read what there is with `partial=True`.",
     )

@@ -44,7 +44,7 @@ def channels_of(
         raise InputError(
             f"channels of unequal lengths in {source.where} ({listed})",
             "one value per row in each",
-            "Choose channels of one group with --channel.",
+            "Choose channels of one group with `channels={...}`.",
         )
     return RawLog(channels, tuple(notices), cells)
 
@@ -62,7 +62,7 @@ def _numbers(values: Any, unit: Unit, name: str, source: LogSource) -> FloatArra
         raise InputError(
             f"column '{name}' of {source.where} ({error})",
             "a column of numbers",
-            "Choose another one with --channel.",
+            "Choose another one with `channels={...}`.",
         ) from None
     return unit.convert(numbers)
 
@@ -80,6 +80,6 @@ def _clock(array: Any, unit: Unit, name: str, source: LogSource) -> FloatArray:
         raise InputError(
             f"'{unread[:40]}' in column '{name}' of {source.where}",
             "a time as 12.5, 02:03:04.5, 1d 02:03:04 or 2024-05-31 02:03:04",
-            "Correct the cell, or choose another column with --channel.",
+            "Correct the cell, or choose another column with `channels={...}`.",
         )
     return values

@@ -45,7 +45,7 @@ class ReadOptions:
         for name, count in (("series", self.series), ("parallel", self.parallel)):
             if count != FROM_FILE and not (isinstance(count, int) and count >= 1):
                 raise InputError(
-                    f"{name} = {count}", "a number of cells from 1 up", f"Give --{name} 4, say."
+                    f"{name} = {count}", "a number of cells from 1 up", f"Give `{name}=4`, say."
                 )
         if self.instance is not None and self.instance < 0:
             raise InputError(
@@ -53,7 +53,7 @@ class ReadOptions:
             )
         if self.decimal not in (FROM_FILE, ".", ","):
             raise InputError(
-                f"a decimal sign '{self.decimal}'", "'.', ',' or 'auto'", "Give --decimal ',', say."
+                f"a decimal sign '{self.decimal}'", "'.', ',' or 'auto'", "Give `decimal=','`, say."
             )
         if self.dbc is not None and not Path(self.dbc).is_file():
             raise InputError(f"no DBC file '{self.dbc}'", "a CAN database", "Check the path.")

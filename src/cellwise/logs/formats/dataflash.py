@@ -47,7 +47,7 @@ def _read(source: LogSource, known: Format) -> RawLog:
         raise InputError(
             f"no battery {chosen} in {source.where}, which has {', '.join(map(str, batteries))}",
             "the number of a battery that is there",
-            "Choose one of them with --instance.",
+            "Choose one of them with `instance=K`.",
         )
     # BAT stands beside the older messages where a log has both.
     name = next(n for n in wanted if (n, chosen) in rows)
@@ -55,7 +55,7 @@ def _read(source: LogSource, known: Format) -> RawLog:
     raw = channels_of(arrays, source, known)
     notices = list(raw.notices)
     if len(batteries) > 1:
-        notices.append(f"batteries {batteries}; read number {chosen}, see --instance")
+        notices.append(f"batteries {batteries}; read number {chosen}; `instance=K` reads another")
     if not whole:
         notices.append("the dataflash log is cut off; it was read as far as it goes")
     channels = _measured(raw.channels)

@@ -32,13 +32,13 @@ def _read(source: LogSource, known: Format) -> RawLog:
                 raise InputError(
                     f"no frame of {source.where} in the database '{source.options.dbc}'",
                     "the database of these frames",
-                    "Choose another DBC file, or omit --dbc.",
+                    "Choose another DBC file, or omit `dbc=...`.",
                 )
         elif signals and all(s.name.rpartition(".")[2].startswith("CAN_") for s in signals):
             raise InputError(
                 f"CAN frames only in {source.where}",
                 "the database that describes them",
-                "Give it with --dbc FILE.dbc.",
+                "Give it with `dbc=FILE.dbc`.",
             )
         chosen, notices = choose_signals(signals, source.options.channels, source.where)
         with library_at_work(source, "MDF file"):

@@ -81,14 +81,15 @@ def _choose(found: dict[int, Any], source: LogSource) -> tuple[int, list[str]]:
         raise InputError(
             f"no battery {stated} in {source.where}, but {', '.join(map(str, sorted(found)))}",
             "the number of a battery that is there",
-            "Choose one of them with --instance.",
+            "Choose one of them with `instance=K`.",
         )
     live = [k for k in sorted(found) if _is_measured(found[k].data)]
     chosen = stated if stated is not None else (live or sorted(found))[0]
     if len(found) == 1:
         return chosen, []
     typical = ", ".join(f"{k}: {_typical(found[k].data):.1f} V" for k in sorted(found))
-    return chosen, [f"{len(found)} batteries ({typical}); read number {chosen}, see --instance"]
+    said = f"{len(found)} batteries ({typical}); read number {chosen}; `instance=K` reads another"
+    return chosen, [said]
 
 
 def _is_measured(data: dict[str, Any]) -> bool:

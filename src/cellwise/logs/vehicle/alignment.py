@@ -51,7 +51,7 @@ def aligned(series: Mapping[str, Series], where: str) -> tuple[dict[str, FloatAr
             f"current from {current.time_s[0]:.3f} to {current.time_s[-1]:.3f} s and voltage from "
             f"{voltage.time_s[0]:.3f} to {voltage.time_s[-1]:.3f} s in {where}",
             "channels that were recorded at the same time",
-            "Choose channels of one recording with --channel.",
+            "Choose channels of one recording with `channels={...}`.",
         )
     time = voltage.time_s[inside]
     channels = {"time_s": time, "voltage_V": voltage.values[inside]}

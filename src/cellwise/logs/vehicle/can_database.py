@@ -23,7 +23,7 @@ def can_database(path: Path | None, of: str) -> Any:
     """
     cantools = need("cantools", "a CAN log")
     if path is None:
-        raise InputError(of, "the database that describes them", "Give it with --dbc FILE.dbc.")
+        raise InputError(of, "the database that describes them", "Give it with `dbc=FILE.dbc`.")
     try:
         return cantools.database.load_file(str(path), strict=False)
     except Exception as error:  # parsers of four formats raise what they like

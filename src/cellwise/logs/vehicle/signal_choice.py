@@ -169,11 +169,11 @@ def _unclear(
         return InputError(
             f"{len(found)} signals that could be {field} in {where}: {listed(names)}",
             "one",
-            f"Choose it: --channel {tidy}='{names[0]}'.",
+            f"Choose it: `channels={{{tidy!r}: {names[0]!r}}}`.",
         )
     names = [s.name + (f" [{s.unit}]" if s.unit else "") for s in signals]
     return InputError(
         f"no signal with a unit of {field} in {where}, which has {listed(names) or 'none at all'}",
         f"the battery's {field.partition('_')[0]}",
-        f"Choose it: --channel {tidy}=NAME.",
+        f"Choose it: `channels={{{tidy!r}: 'NAME'}}`.",
     )
