@@ -207,6 +207,36 @@ def test_a_killed_worker_loses_nothing(model, folder, tmp_path, always):
         assert told.failed == 2
 
 
+class _Never:
+    """A future that nobody works on."""
+
+    def done(self):
+        return False
+
+    def add_done_callback(self, call):
+        pass
+
+
+class _WithoutWorkers:
+    """A client whose workers have gone for good."""
+
+    def submit(self, *_, **__):
+        return _Never()
+
+    def scheduler_info(self):
+        return {"workers": {}}
+
+
+def test_workers_that_never_come_back_end_the_run(model, folder, monkeypatch):
+    from cellwise.errors import MachineError
+    from cellwise.fleet import engine
+
+    monkeypatch.setattr(engine, "WITHOUT_WORKERS_S", 0.5)
+    monkeypatch.setattr(engine, "ASK_AGAIN_S", 0.1)
+    with pytest.raises(MachineError, match="no worker for"):
+        list(engine.rows_of(_WithoutWorkers(), ReplayTask(model), folder, ["a.parquet"], 1))
+
+
 def test_only_a_few_batches_are_in_hand(model, folder, tmp_path, monkeypatch):
     """However many logs there are: what waits stays a name."""
     from cellwise.fleet.engine import AHEAD, Threads

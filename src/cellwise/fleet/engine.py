@@ -15,13 +15,14 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from cellwise.errors import InputError
+from cellwise.errors import InputError, MachineError
 from cellwise.fleet.tasks import LogTask
 
 LOCAL, PROCESSES = "local", "processes"
 WORKER_DIED = "the worker died"
 POLL_S = 0.25  # for what ends without a call back
 ASK_AGAIN_S = 2.0
+WITHOUT_WORKERS_S = 300.0
 AHEAD = 3  # batches in hand for each thread: enough to keep it busy, few enough to stay small
 
 # The profile of a cluster in this machine is not used, and little can have changed in 10 s.
@@ -178,6 +179,7 @@ def rows_of(
             # Not `as_completed`: it waits for ever for what was cancelled with its worker.
             finished.wait(POLL_S)
             finished.clear()
+            threads.check()
             continue
         logs = flying.pop(future)
         try:
@@ -200,14 +202,32 @@ class _Threads:
         self._client = client
         self._count = 0
         self._asked_s = 0.0
+        self._seen_s = time.monotonic()
 
     def now(self) -> int:
         """How many there are, at least one."""
         if self._count == 0 or time.monotonic() - self._asked_s > ASK_AGAIN_S:
             workers = self._client.scheduler_info()["workers"].values()
-            self._count = max(sum(w["nthreads"] for w in workers), 1)
+            self._count = sum(w["nthreads"] for w in workers)
             self._asked_s = time.monotonic()
-        return self._count
+            if self._count > 0:
+                self._seen_s = self._asked_s
+        return max(self._count, 1)
+
+    def check(self) -> None:
+        """Do not wait for ever for workers that nobody starts again.
+
+        Raises
+        ------
+        MachineError      no worker for `WITHOUT_WORKERS_S`
+        """
+        self.now()
+        if time.monotonic() - self._seen_s > WITHOUT_WORKERS_S:
+            raise MachineError(
+                f"no worker for {WITHOUT_WORKERS_S:.0f} s, while logs wait",
+                "workers of Dask that start again after a failure",
+                "Look at the workers' messages, then run again: what is done stays done.",
+            )
 
 
 @lru_cache(maxsize=2)

@@ -46,10 +46,7 @@ def history_page(
     lead = tiles(
         [
             ("of the new cell's capacity", f"{percent(share, 1)} +- {percent(2 * std, 1)}"),
-            (
-                "capacity to use [Ah]",
-                f"{use['capacity_Ah']:.3g} +- {2 * use['capacity_std_Ah']:.2g}",
-            ),
+            ("capacity to use [Ah]", known),
             ("resistance to use", f"{significant(use['resistance_scale'], 3)} of the model's"),
             ("logs", str(len(found.logs))),
         ]

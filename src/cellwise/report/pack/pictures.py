@@ -217,11 +217,8 @@ def draw_sensors(found: PackEstimate) -> Figure:
         zero_line(axes)
         _point_at(axes, found, lambda cell, v=values: float(v[cell]))
         low, high = float(np.nanmin(values)), float(np.nanmax(values))
-        finding(
-            axes,
-            f"Sensors' {what}: {low:+.2g} to {high:+.2g} {unit.partition('[')[2].rstrip(']')}",
-            0.42,
-        )
+        in_unit = unit.partition("[")[2].rstrip("]")
+        finding(axes, f"Sensors' {what}: {low:+.2g} to {high:+.2g} {in_unit}", 0.42)
         labels(axes, "cell", unit)
     return figure
 
