@@ -104,6 +104,7 @@ def test_live_says_the_same_as_replay(part, run_json, tmp_path):
         (("--power", "--voltage-limits", "4.2", "2.8"), "lower one below the upper one"),
         (("--power", "--current-limits", "5", "-5"), "without a sign"),
         (("--power", "--soc-limits", "10", "90"), "Divide by 100"),
+        (("--power", "--voltage-limits", "9", "12"), "not of the pack"),
     ],
 )
 @pytest.mark.parametrize("command", ["replay", "live"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -253,11 +254,18 @@ def test_limits_that_are_none_are_refused(limits, says):
         ({"horizons_s": (np.nan,)}, "times above zero"),
         ({"horizons_s": (10.0, 10.0)}, "each once"),
         ({"hold": "torque"}, "Choose one"),
-        ({"limits": None}, "voltage-limits LOW HIGH"),
+        ({"limits": None}, "Give both voltages: `limits=...`"),
         ({"limits": OperatingLimits(3.0, None)}, "no upper voltage limit"),
+        ({"horizons_s": ("ten",)}, "horizons_s"),
         ({"limits": OperatingLimits(9.0, 12.6)}, "not of the pack"),
     ],
 )
 def test_what_no_power_can_be_computed_of_is_refused(options, says):
-    with pytest.raises(InputError, match=says):
+    with pytest.raises(InputError, match=re.escape(says)):
         power_limits(curved_cell(), LOADED, **({"limits": LIMITS} | options))
+
+
+@pytest.mark.parametrize("state", [None, 0.5, "full"])
+def test_a_state_of_another_kind_is_refused(state):
+    with pytest.raises(InputError, match="state = "):
+        power_limits(curved_cell(), state, limits=LIMITS)

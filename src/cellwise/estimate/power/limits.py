@@ -150,7 +150,7 @@ def operating_limits(model: CellModel, given: OperatingLimits | None = None) -> 
                 f"no {'lower' if k == 0 else 'upper'} voltage limit for the power: the model "
                 f"states none, and its chemistry is '{model.chemistry or 'not stated'}'",
                 "limits given, in the model, or a chemistry of " + ", ".join(WINDOWS),
-                "Give --voltage-limits LOW HIGH, or OperatingLimits(voltage_min_V=...).",
+                "Give both voltages: `limits=...`.",
             )
         voltages.append(float(value))
     currents = []

@@ -9,16 +9,17 @@ import numpy as np
 
 from cellwise.cell.compiled import announce
 from cellwise.cell.equations import CellState, CellTables
-from cellwise.cell.model import CellModel
+from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.simulate import model_temperature_C
 from cellwise.errors import InputError
 from cellwise.estimate.adaptive.state_kernels import AdaptiveState
 from cellwise.estimate.filters.covariance_kernels import Covariance, uncorrelated
 from cellwise.estimate.filters.filter_state import EkfState
-from cellwise.estimate.noise import Noise
+from cellwise.estimate.noise import Noise, noise_for
 from cellwise.estimate.power.limit_kernels import SUSTAINED_SIGMAS, Capability, largest_load
 from cellwise.estimate.power.limits import KnownLimits, OperatingLimits, operating_limits
 from cellwise.estimate.power.load_kernels import Correction, Present
+from cellwise.given import numbers, shown
 
 Hold = Literal["power", "current"]
 HORIZONS_S = (2.0, 10.0, 30.0)
@@ -110,7 +111,8 @@ def power_settings(
     ------
     InputError        as :func:`power_limits`
     """
-    horizons = tuple(float(h) for h in horizons_s)
+    check_is_model(model)
+    horizons = tuple(numbers("horizons_s", horizons_s).ravel().tolist())
     if not horizons or not all(np.isfinite(h) and 0.0 < h <= LONGEST_S for h in horizons):
         raise InputError(
             f"horizons of {', '.join(f'{h:g}' for h in horizons) or 'nothing'} s for the power",
@@ -124,7 +126,7 @@ def power_settings(
     if hold not in get_args(Hold):
         raise InputError(f"hold '{hold}'", f"one of {', '.join(get_args(Hold))}", "Choose one.")
     known = operating_limits(model, limits)
-    noise = Noise.of_model(model) if noise is None else noise
+    noise = noise_for(model, noise)
     return PowerSettings(horizons, hold, known, model.parameters(), noise, model)
 
 
@@ -170,6 +172,12 @@ def power_limits(
     InputError        no horizon above zero; limits that are inverted, or not known
     """
     settings = power_settings(model, horizons_s=horizons_s, limits=limits, hold=hold, noise=noise)
+    if not isinstance(state, (EkfState, AdaptiveState, CellState)):
+        raise InputError(
+            f"state = {shown(state)}",
+            "a filter's state, or a CellState",
+            "Pass what `step` returns.",
+        )
     warm = model_temperature_C(model) if temperature_C is None else float(temperature_C)
     return settings.of(present_of(state, warm, bias_V))
 
