@@ -45,6 +45,9 @@
 #define RESTART_ROUNDING 0x1.179ecap-19f /* 2.08333e-06: of a SOC between two points: 1/200^2/12 */
 #define FURTHEST 2000.0f /* beyond it exp(-z) is nothing */
 #define FROZEN_READINGS 3u
+#define POWER_TRIALS 8u
+#define LEAST_SPAN_V 0x1.12e0bep-30f /* 1e-09: between the ends of a bracket: it is divided by */
+#define SUSTAINED 0x1.a5182ap+0f /* 1.6449: one-sided 95 % of a normal distribution */
 #define FROZEN 0xFFFFFFFFu /* repeats of a voltage that was found frozen */
 #define COUNT_MOST 2000000000u
 #define REJECTION 20000u /* in the count of rejections in a row */
@@ -98,7 +101,7 @@ static float vanishing(float z)
 }
 #endif
 
-#if CELLWISE_WATCH || CELLWISE_WIDE
+#if CELLWISE_POWER || CELLWISE_WATCH || CELLWISE_WIDE
 /* Square root of a number up to 4 by five Newton steps from 1. One below 1/4 is multiplied by 4
  * until it is not. */
 static APART float root(float square)
@@ -1607,11 +1610,11 @@ static uint32_t outside(const cellwise_constants *c, const cellwise_state *x,
 /* What the model can be off by beyond its data's current and temperature, one deviation. The law
  * of the float64 filters: a share of the polarisation, as of an exponential to its third order;
  * what lies beyond in SOC is in the table of the error. */
-static float extrapolated(const cellwise_constants *c, const cellwise_state *x,
-                          const cellwise_reading *s, float polarisation_V)
+static float extrapolated(const cellwise_constants *c, const cellwise_state *x, float seen,
+                          float polarisation_V)
 {
     (void)x;
-    const float far_A = at_least(c->valid_charge_A - s->seen, s->seen - c->valid_discharge_A);
+    const float far_A = at_least(c->valid_charge_A - seen, seen - c->valid_discharge_A);
     float share = c->share_per_A * at_least(far_A, 0.0f);
     float moved_V = 0.0f;
 #if CELLWISE_VALIDITY > 1
@@ -1641,7 +1644,7 @@ static void innovate(const cellwise_constants *c, const cellwise_state *x, const
         ((share * (innovation->polarisation_V * innovation->polarisation_V)) +
          ((c->current_variance_A2 + s->unmeasured_A2) * (p->r0_ohm * p->r0_ohm)));
 #if CELLWISE_VALIDITY
-    const float beyond_V = extrapolated(c, x, s, innovation->polarisation_V);
+    const float beyond_V = extrapolated(c, x, s->seen, innovation->polarisation_V);
     innovation->one_V2 = innovation->one_V2 + (beyond_V * beyond_V);
 #endif
     /* An OCV that bends by c at one standard deviation is off its tangent by c z^2. */
@@ -1919,3 +1922,214 @@ uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwis
     out->status = status;
     return status;
 }
+
+/* ---- fixed_power.py: State of power of the fixed step: the largest constant current over one
+ * horizon. */
+
+/* The voltage at the end of a current, and its variance without what the SOC brings. */
+typedef struct {
+    float voltage_V;
+    float variance_V2;
+} cellwise_ending;
+
+/* Power one way: the value, and what is sustained with 95 %. */
+typedef struct {
+    float power_W;
+    float low_W;
+} cellwise_way;
+
+#if CELLWISE_POWER
+/* A constant current over the horizon, from `soc`, in one interval. What the states share is
+ * left out of the variance: it mostly takes away from it. */
+static APART void ending(const cellwise_model *m, const cellwise_place *place,
+                         const cellwise_state *x, float soc, float current, cellwise_ending *ending)
+{
+    const cellwise_row *const low = m->row[place->low];
+#if CELLWISE_TEMPERATURES > 1
+    const cellwise_row *const high = m->row[place->low + 1u];
+#endif
+    const cellwise_constants *const c = &m->constant;
+    float used = current;
+#if CELLWISE_EFFICIENCY
+    if (used < 0.0f) {
+        used = used * c->charge_efficiency;
+    }
+#endif
+    const float end = soc - (c->power_soc_per_A * used);
+    cellwise_point p;
+    look_up(m, place, end, current, &p);
+    const uint32_t points = CELLWISE_POINTS;
+    float grid = within_one(end) * (float)(points - 1u);
+#if CELLWISE_SURFACE
+    grid = within_one(end - place->lag) * (float)(points - 1u);
+#endif
+    const uint32_t k = index_of(grid, points);
+    const float f = KNOWN_FRACTION(grid - (float)k);
+    const float gain1 = 1.0f / READ(k, power_lag1, f);
+    const float gain2 = 1.0f / READ(k, power_lag2, f);
+    const float keep1 = 1.0f - gain1;
+    const float keep2 = 1.0f - gain2;
+    const float drop = p.r0_ohm * current;
+    const float v1 = (keep1 * x->v1_V) + (gain1 * (p.r1_ohm * current));
+    const float v2 = (keep2 * x->v2_V) + (gain2 * (p.r2_ohm * current));
+    float held_V = (magnitude(drop) + magnitude(v1)) + magnitude(v2);
+    ending->voltage_V = p.ocv_V - (drop + (v1 + v2));
+    float states_V2 = ((keep1 * keep1) * x->p11) + ((keep2 * keep2) * x->p22);
+#if CELLWISE_SLOW
+    const float gain3 = 1.0f / READ(k, power_lag3, f);
+    const float keep3 = 1.0f - gain3;
+    const float v3 = (keep3 * x->v3_V) + (gain3 * (p.r3_ohm * current));
+    held_V = held_V + magnitude(v3);
+    ending->voltage_V = ending->voltage_V - v3;
+    states_V2 = states_V2 + ((keep3 * keep3) * x->p33);
+#endif
+#if CELLWISE_HYSTERESIS
+    const float rise = risen(c->power_hysteresis_per_A * magnitude(current));
+    const float keep = 1.0f - rise;
+    const float h = clip((keep * x->h) + ((current < 0.0f) ? rise : -rise), -1.0f, 1.0f);
+    ending->voltage_V = ending->voltage_V + (p.m_V * h);
+    const float spread_V = p.m_V * keep;
+    states_V2 = states_V2 + ((spread_V * spread_V) * x->phh);
+#endif
+    const float share = (current >= 0.0f) ? c->share_variance : c->charge_variance;
+    float one_V2 = p.noise_V2 +
+        ((share * (held_V * held_V)) + (c->current_variance_A2 * (p.r0_ohm * p.r0_ohm)));
+#if CELLWISE_VALIDITY
+    const float beyond_V = extrapolated(c, x, current, held_V);
+    one_V2 = one_V2 + (beyond_V * beyond_V);
+#endif
+    if (POSITIVE_ABOVE(x->mismatch, 1.0f)) {
+        one_V2 = one_V2 * x->mismatch;
+    }
+    ending->variance_V2 = at_least(states_V2, 0.0f) + one_V2;
+}
+#endif
+
+#if CELLWISE_POWER
+/* Largest size of a current, discharged (`side` 1) or charged (-1), up to `most_A`. By false
+ * position (Illinois) between none and `most_A`; 0 where no current keeps the limit. */
+static APART float able(const cellwise_model *m, const cellwise_place *place,
+                        const cellwise_state *x, float side, float limit_V, float most_A)
+{
+    float found = 0.0f;
+    cellwise_ending none;
+    ending(m, place, x, x->soc, 0.0f, &none);
+    float room = side * (none.voltage_V - limit_V);
+    if ((room > 0.0f) && (most_A > 0.0f)) {
+        float near = 0.0f;
+        float far = most_A;
+        cellwise_ending full;
+        ending(m, place, x, x->soc, side * most_A, &full);
+        float lack = side * (limit_V - full.voltage_V);
+        bool near_again = false;
+        bool far_again = false;
+        if (lack > 0.0f) {
+            for (uint32_t k = 0u; k < POWER_TRIALS; k++) {
+                const float share = clip(room / at_least(room + lack, LEAST_SPAN_V), 0.0f, 1.0f);
+                const float middle = near + ((far - near) * share);
+                cellwise_ending there;
+                ending(m, place, x, x->soc, side * middle, &there);
+                const float left = side * (there.voltage_V - limit_V);
+                if (left >= 0.0f) {
+                    near = middle;
+                    room = left;
+                    if (near_again) {
+                        lack = 0.5f * lack;
+                    }
+                    near_again = true;
+                    far_again = false;
+                } else {
+                    far = middle;
+                    lack = -left;
+                    if (far_again) {
+                        room = 0.5f * room;
+                    }
+                    far_again = true;
+                    near_again = false;
+                }
+            }
+        } else {
+            near = most_A;
+        }
+        found = near;
+    }
+    return found;
+}
+#endif
+
+#if CELLWISE_POWER
+/* Value and lower bound of one way: the bound keeps 1.645 deviations from the limits. The slope
+ * over SOC is the chord to the SOC that is as many deviations worse. */
+static APART void one_way(const cellwise_model *m, const cellwise_place *place,
+                          const cellwise_state *x, float side, float limit_V, float most_A,
+    float room_soc, cellwise_way *way)
+{
+    const cellwise_constants *const c = &m->constant;
+    const float by_soc_A = at_least(room_soc * c->power_A_per_soc, 0.0f);
+    const float current = able(m, place, x, side, limit_V, (most_A < by_soc_A) ? most_A : by_soc_A);
+    cellwise_ending end;
+    ending(m, place, x, x->soc, side * current, &end);
+    const float shift = SUSTAINED * root(x->ss);
+    cellwise_ending worse;
+    ending(m, place, x, x->soc - (side * shift), side * current, &worse);
+    const float by_soc_V = end.voltage_V - worse.voltage_V;
+    const float square = (by_soc_V * by_soc_V) + ((SUSTAINED * SUSTAINED) * end.variance_V2);
+    const float off_V = root((square < 4.0f) ? square : 4.0f);
+    const float low_soc_A = at_least((room_soc - shift) * c->power_A_per_soc, 0.0f);
+    const float sure =
+        able(m, place, x, side, limit_V + (side * off_V), (most_A < low_soc_A) ? most_A :
+             low_soc_A);
+    cellwise_ending last;
+    ending(m, place, x, x->soc, side * sure, &last);
+    way->power_W = at_least(current * end.voltage_V, 0.0f);
+    way->low_W = at_least(sure * (last.voltage_V - off_V), 0.0f);
+    if (way->low_W > way->power_W) {
+        way->low_W = way->power_W;
+    }
+}
+#endif
+
+#if CELLWISE_POWER
+/* What the cell can give and take for the horizon that the tables hold; nothing is changed. The
+ * largest constant currents that keep voltage, current and SOC within their limits to the end of
+ * the horizon, times the voltage then. Zero throughout for a state that is not sound. */
+void cellwise_power(const cellwise_model *m, const cellwise_state *x, cellwise_capability *out)
+{
+    const cellwise_constants *const c = &m->constant;
+    out->discharge_W = 0.0f;
+    out->discharge_low_W = 0.0f;
+    out->charge_W = 0.0f;
+    out->charge_low_W = 0.0f;
+    if (is_sound(c, x)) {
+        float warm_C = 0.0f;
+#if CELLWISE_NEEDS_TEMPERATURE
+        warm_C = x->temperature_C;
+#if CELLWISE_HEATING
+        warm_C = warm_C + x->heat_K;
+#endif
+        cellwise_place place;
+        place_of(m, warm_C, &place);
+#else
+        cellwise_place place;
+        place_of(m, 0.0f, &place);
+#endif
+#if CELLWISE_SURFACE
+        under_surface(c, x, &place,
+#if CELLWISE_NEEDS_TEMPERATURE
+            warm_C,
+#endif
+            &place);
+#endif
+        cellwise_way down;
+        one_way(m, &place, x, 1.0f, c->power_low_V, c->power_discharge_A, x->soc -
+                c->power_soc_low, &down);
+        cellwise_way up;
+        one_way(m, &place, x, -1.0f, c->power_high_V, c->power_charge_A, c->power_soc_high -
+                x->soc, &up);
+        out->discharge_W = down.power_W;
+        out->discharge_low_W = down.low_W;
+        out->charge_W = up.power_W;
+        out->charge_low_W = up.low_W;
+    }
+}
+#endif

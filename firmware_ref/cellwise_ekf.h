@@ -64,6 +64,13 @@ typedef struct {
 #if CELLWISE_HYSTERESIS
     float m_V;
 #endif
+#if CELLWISE_POWER
+    float power_lag1; /* the lags over the horizon of the power */
+    float power_lag2;
+#endif
+#if CELLWISE_POWER && CELLWISE_SLOW
+    float power_lag3;
+#endif
 } cellwise_row;
 
 /* What depends on cell, time step and noise but not on SOC. */
@@ -156,6 +163,19 @@ typedef struct {
     float valid_warm_C;
     float share_per_K; /* of the polarisation, error beyond their temperature */
     float voltage_per_K; /* of the OCV */
+#endif
+#if CELLWISE_POWER
+    float power_soc_per_A; /* SOC that 1 A takes over the horizon of the power */
+    float power_A_per_soc; /* and its inverse */
+    float power_low_V; /* limits that a power keeps */
+    float power_high_V;
+    float power_discharge_A;
+    float power_charge_A; /* without sign */
+    float power_soc_low;
+    float power_soc_high;
+#endif
+#if CELLWISE_HYSTERESIS && CELLWISE_POWER
+    float power_hysteresis_per_A; /* e-folds of h over the horizon */
 #endif
 #if CELLWISE_TEMPERATURES > 1
     float grid_C[CELLWISE_TEMPERATURES]; /* temperatures of the tables */
@@ -296,5 +316,20 @@ uint32_t cellwise_init(const cellwise_model *m, cellwise_state *x, float soc, fl
  * the status bits, which are in `out` too. */
 uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwise_input *sample,
                        cellwise_output *out);
+
+/* State of power, where it is compiled in. Never NaN, never infinite. */
+typedef struct {
+    float discharge_W; /* what the cell can give, */
+    float discharge_low_W; /* and sustains with 95 % */
+    float charge_W; /* what it can take, without sign, */
+    float charge_low_W; /* and sustains with 95 % */
+} cellwise_capability;
+
+#if CELLWISE_POWER
+/* What the cell can give and take for the horizon that the tables hold; nothing is changed. The
+ * largest constant currents that keep voltage, current and SOC within their limits to the end of
+ * the horizon, times the voltage then. Zero throughout for a state that is not sound. */
+void cellwise_power(const cellwise_model *m, const cellwise_state *x, cellwise_capability *out);
+#endif
 
 #endif

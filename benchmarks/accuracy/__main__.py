@@ -1,6 +1,6 @@
 """Accuracy on measured cells, on logs that no identification has seen, beside the targets.
 
-python -m benchmarks.accuracy [--only panasonic,cold,leaf,a123,embedded] [--json]
+python -m benchmarks.accuracy [--only panasonic,cold,leaf,a123,power,embedded] [--json]
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from benchmarks.figures import Figure, Progress, missing
 from benchmarks.judged_run import judged_run
 from benchmarks.measured_data import HOW, data_folder
 
-PARTS = ("panasonic", "cold", "leaf", "a123", "embedded")
+PARTS = ("panasonic", "cold", "leaf", "a123", "power", "embedded")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -26,12 +26,14 @@ def measure(parts: list[str], say: Progress) -> list[Figure]:
     from benchmarks.accuracy.embedded import embedded_figures
     from benchmarks.accuracy.leaf import leaf_figures
     from benchmarks.accuracy.panasonic import panasonic_figures
+    from benchmarks.accuracy.power import power_figures
 
     measured = {
         "panasonic": panasonic_figures,
         "cold": cold_figures,
         "leaf": leaf_figures,
         "a123": a123_figures,
+        "power": power_figures,
     }
     data = data_folder()
     figures: list[Figure] = []

@@ -10,14 +10,19 @@ from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.fixed_step import Stepper, numba_stepper, samples_of, start_state
 from cellwise.estimate.fixed.tables import FixedStepTables, fixed_step_tables
+from cellwise.estimate.power.limits import OperatingLimits
+from cellwise.estimate.power.state_of_power import power_settings
 from cellwise.export.cross import Cost, cores_here, run_on_target
 from cellwise.export.stress import WorstCase, worst_case
+from cellwise.logs import CellLog
 
 DT_S = 1.0
 POINTS = 101
 STEPS = 5000
 EVERY = 10
 START_STD = 0.01
+HORIZON_S = 10.0
+POWER_LIMITS = (2.8, 4.2, 15.0, 5.0)
 HOST_NS = 100.0
 # Instructions, code [B], stack [B], state [B] that three states with --lean are held to.
 LIMITS = {"cortex-m4f": (520.0, 2048.0, 96.0, 64.0), "cortex-m0plus": (16_500.0, None, None, 64.0)}
@@ -61,6 +66,37 @@ def target_figures(say: Progress) -> list[Figure]:
             worst = worst_case(model, tables, core)
             held = LIMITS.get(core) if name == "3 states, --lean" else None
             figures += _cost(f"{core}: {name}", cost, worst, held, DESIGN.get(core, ""))
+        say(f"{core}, state of power")
+        figures += _power_cost(core, log)
+    return figures
+
+
+def _power_cost(core: str, log: CellLog) -> list[Figure]:
+    """What a call of `cellwise_power` costs at one horizon, beside the step."""
+    figures = []
+    for name, model in (("3 states", two_branches()), ("4 states", three_branches())):
+        limits = OperatingLimits(*POWER_LIMITS)
+        asked = power_settings(model, horizons_s=(HORIZON_S,), limits=limits, hold="current")
+        plain = fixed_step_tables(model, DT_S, points=POINTS, wide=False, watch=False)
+        tables = fixed_step_tables(model, DT_S, points=POINTS, wide=False, watch=False, power=asked)
+        records = samples_of(model, log, DT_S).records
+        costs = [
+            run_on_target(
+                t, core, records, START_SOC, START_STD**2, measure_every=EVERY, of_power=of_power
+            ).cost
+            for t, of_power in ((plain, False), (tables, True))
+        ]
+        step, power = costs
+        group = f"{core}: {name}, --lean --power {HORIZON_S:g}"
+        note = f"{power.measured} calls counted in QEMU; both ways, value and lower bound"
+        figures += [
+            Figure(group, "cellwise_power, mean of a drive", power.instructions_mean,
+                   "instructions", note=note),
+            Figure(group, "cellwise_power, most on it", power.instructions_most, "instructions"),
+            Figure(group, "code beside the step's", power.text_bytes - step.text_bytes, "B"),
+            Figure(group, "stack", power.stack_bytes, "B"),
+            Figure(group, "tables beside the step's", power.model_bytes - step.model_bytes, "B"),
+        ]  # fmt: skip
     return figures
 
 
@@ -126,4 +162,4 @@ def _host(tables: FixedStepTables) -> Stepper:
     from cellwise.export.host_library import HostLibrary
 
     library = HostLibrary(tables)
-    return Stepper(tables, library.init, library.rows)
+    return Stepper(tables, library.init, library.rows, library.power)

@@ -63,3 +63,19 @@ void eva_any_start(void)
     /*@ assert start_in_range: 0.0 <= x.soc <= 1.0; */
     step_any(&x);
 }
+
+#if CELLWISE_POWER
+void eva_any_power(void)
+{
+    cellwise_state x;
+    cellwise_capability able;
+    any_state(&x);
+    cellwise_power(&cellwise_cell, &x, &able);
+    /*@ assert discharge_is_finite: \is_finite(able.discharge_W); */
+    /*@ assert discharge_low_is_finite: \is_finite(able.discharge_low_W); */
+    /*@ assert charge_is_finite: \is_finite(able.charge_W); */
+    /*@ assert charge_low_is_finite: \is_finite(able.charge_low_W); */
+    /*@ assert discharge_is_positive: 0.0 <= able.discharge_low_W; */
+    /*@ assert charge_is_positive: 0.0 <= able.charge_low_W; */
+}
+#endif

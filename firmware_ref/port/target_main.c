@@ -2,7 +2,7 @@
  * measured: instructions (ticks.h), stack by paint.
  *
  * in.bin: soc, soc_variance (float), every how many samples to measure and the first of them (uint32),
- * then records of cellwise_input. */
+ * then records of cellwise_input. With MEASURE_POWER it is cellwise_power that is measured. */
 #include <stddef.h>
 
 #include "cellwise_cell.h"
@@ -51,6 +51,22 @@ static __attribute__((noinline)) uint32_t nothing(const cellwise_model *m, cellw
     return 0u;
 }
 
+#if defined(MEASURE_POWER)
+static cellwise_capability capability;
+
+static __attribute__((noinline)) uint32_t measured_step(const cellwise_model *m, cellwise_state *x,
+                                                        const cellwise_input *in,
+                                                        cellwise_output *out)
+{
+    (void)in;
+    (void)out;
+    cellwise_power(m, x, &capability);
+    return 0u;
+}
+#else
+#define measured_step cellwise_step
+#endif
+
 static __attribute__((noinline)) uint32_t ticks_of(step_function step, const cellwise_input *in)
 {
     const step_function volatile called = step;
@@ -68,7 +84,7 @@ static __attribute__((noinline)) uint32_t ticks_of(step_function step, const cel
 /* Bytes below this function's own frame that one step has written. */
 static __attribute__((noinline)) uint32_t stack_of(const cellwise_input *in)
 {
-    const step_function volatile called = cellwise_step;
+    const step_function volatile called = measured_step;
     uint32_t top;
     uint32_t untouched = 0u;
     copies[0] = state;
@@ -86,7 +102,7 @@ static __attribute__((noinline)) uint32_t stack_of(const cellwise_input *in)
 
 static void measure(findings *found, const cellwise_input *in)
 {
-    const uint32_t ticks = ticks_of(cellwise_step, in);
+    const uint32_t ticks = ticks_of(measured_step, in);
     const uint32_t stack = stack_of(in);
     const uint32_t low = found->ticks_sum_low;
     found->measured++;

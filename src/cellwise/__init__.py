@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from cellwise.estimate.filters.ukf import SigmaPoints, Ukf
     from cellwise.estimate.lockstep.lockstep import LockstepEkf
     from cellwise.estimate.noise import Noise
+    from cellwise.estimate.power.limits import OperatingLimits
+    from cellwise.estimate.power.state_of_power import power_limits, power_settings
     from cellwise.estimate.replay import Replay, replay
     from cellwise.estimate.status import Status
     from cellwise.estimate.tune_noise import tune_noise
@@ -60,6 +62,9 @@ _HOMES = {
     "Ekf": "cellwise.estimate.filters.ekf",
     "LockstepEkf": "cellwise.estimate.lockstep.lockstep",
     "Noise": "cellwise.estimate.noise",
+    "OperatingLimits": "cellwise.estimate.power.limits",
+    "power_limits": "cellwise.estimate.power.state_of_power",
+    "power_settings": "cellwise.estimate.power.state_of_power",
     "Replay": "cellwise.estimate.replay",
     "replay": "cellwise.estimate.replay",
     "Status": "cellwise.estimate.status",
@@ -84,6 +89,7 @@ __all__ = [
     "LockstepEkf",
     "ModelError",
     "Noise",
+    "OperatingLimits",
     "Replay",
     "SigmaPoints",
     "Simulation",
@@ -98,6 +104,8 @@ __all__ = [
     "inspect_log",
     "list_datasets",
     "load_dataset",
+    "power_limits",
+    "power_settings",
     "progress_bar",
     "read_log",
     "read_model",

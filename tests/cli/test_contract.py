@@ -36,7 +36,7 @@ SIMULATE = {
 }  # fmt: skip
 REPLAY = {
     "estimator": str, "samples": int, "soc_final": NUMBER, "soc_rmse": NUMBER, "soc_mae": NUMBER,
-    "soc_max_error": NUMBER, "convergence_s": NUMBER,
+    "soc_max_error": NUMBER, "convergence_s": NUMBER, "convergence_predicted_s": NUMBER,
     "settled": {"rmse": NUMBER, "mae": NUMBER, "max": NUMBER}, "coverage_2sigma": NUMBER,
     "nis_mean": NUMBER, "voltage_rmse_V": NUMBER, "ns_per_step": NUMBER, "soc0": SOC0,
 }  # fmt: skip

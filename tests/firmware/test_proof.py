@@ -14,7 +14,7 @@ from cellwise.cell.plausibility.validity import Validity
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.export.c_tables import firmware_folder, write_sources
 from example_cells import curved_cell
-from firmware_cases import VALID
+from firmware_cases import VALID, power_asked
 
 pytestmark = [
     pytest.mark.skipif(shutil.which("frama-c") is None, reason="no frama-c: make firmware"),
@@ -60,11 +60,17 @@ BUILDS = {
     "validity of SOC": {"model": curved_cell(5, validity=Validity(soc=VALID.soc))},
     "offset": {"model": curved_cell(5), "offset_std_A": 0.1},
 }
+POWER = {
+    "model": curved_cell(5),
+    "wide": False,
+    "watch": False,
+    "power": power_asked(curved_cell(5)),
+}
 
 
 def eva(folder, entry, mutant=None, build="lean"):
     """Alarms and assertions that Eva could not prove."""
-    tables = fixed_step_tables(dt_s=1.0, **BUILDS[build])
+    tables = fixed_step_tables(dt_s=1.0, **(POWER if build == "power" else BUILDS[build]))
     for name, text in write_sources(tables, "0" * 64):
         if mutant and name == "cellwise_ekf.c":
             assert text.count(mutant[0]) == 1
@@ -93,6 +99,12 @@ def test_no_alarm_whatever_bits(tmp_path, build):
 @pytest.mark.parametrize("build", ["lean", "three states"])
 def test_no_alarm_from_whatever_start(tmp_path, build):
     alarms, text = eva(tmp_path, "eva_any_start", build=build)
+    assert alarms == []
+    assert "100% of the logical properties reached have been proven" in text
+
+
+def test_no_alarm_in_the_power_of_whatever_state(tmp_path):
+    alarms, text = eva(tmp_path, "eva_any_power", build="power")
     assert alarms == []
     assert "100% of the logical properties reached have been proven" in text
 

@@ -18,6 +18,8 @@ from cellwise.cell.effects import (
 )
 from cellwise.cell.plausibility.validity import Validity
 from cellwise.estimate.fixed.tables import fixed_step_tables
+from cellwise.estimate.power.limits import OperatingLimits
+from cellwise.estimate.power.state_of_power import power_settings
 from cellwise.export.c_tables import STRICT_FLAGS, WARNING_FLAGS, write_sources
 from cellwise.export.stress import stress_samples as stress_samples
 from example_cells import curved_cell, random_model
@@ -58,7 +60,25 @@ def tables_of(name, dt_s=1.0):
         return fixed_step_tables(curved_cell(validity=VALID), dt_s)
     if name == "offset":
         return fixed_step_tables(curved_cell(), dt_s, offset_std_A=0.1)
+    if name in ("power", "lean power"):
+        return power_tables(curved_cell(), dt_s, wide=name == "power", watch=name == "power")
+    if name == "full power":
+        return power_tables(full_model(), dt_s, offset_std_A=0.1)
     return fixed_step_tables(full_model(), dt_s, offset_std_A=0.1)
+
+
+def power_asked(model, horizon_s=10.0):
+    """The power of a fixed step within limits that every model here reaches."""
+    low, high = float(model.ocv_V.min()), float(model.ocv_V.max())
+    limits = OperatingLimits(
+        low + 0.1, high - 0.05, 8 * model.capacity_Ah, 3 * model.capacity_Ah, 0.05, 0.97
+    )
+    return power_settings(model, horizons_s=(horizon_s,), limits=limits, hold="current")
+
+
+def power_tables(model, dt_s, **options):
+    """Tables with the state of power."""
+    return fixed_step_tables(model, dt_s, power=power_asked(model), **options)
 
 
 def compile_and_run(tables, folder: Path, program: str, *, flags=("-O2",), cc="gcc", run=()):

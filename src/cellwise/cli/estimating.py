@@ -7,13 +7,23 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellwise.cli.common import log_options, model_options, page_options, parameters, printing
+from cellwise.cli.common import (
+    log_options,
+    model_options,
+    page_options,
+    parameters,
+    power_options,
+    printing,
+)
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
     from cellwise.cell.initial_soc import InitialSoc
     from cellwise.cell.simulate import Simulation
+    from cellwise.estimate.power.along import PowerTrace
+    from cellwise.estimate.power.state_of_power import PowerLimit
     from cellwise.estimate.replay import Replay
+    from cellwise.forecast.convergence import ExpectedConvergence
     from cellwise.forecast.remaining import Flight
 
 
@@ -51,6 +61,7 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
         default="power",
         help="what of the load is held constant [power]",
     )
+    power_options.add_power_options(replay)
     page_options.add_page_options(replay)
     replay.set_defaults(run=run_replay)
 
@@ -107,6 +118,7 @@ def run_replay(arguments: argparse.Namespace) -> None:
     from cellwise.cell.plausibility.cells_in_series import check_cells_in_series
     from cellwise.estimate.estimators import make_estimator
     from cellwise.estimate.replay import replay
+    from cellwise.forecast.convergence import expected_convergence
     from cellwise.forecast.remaining import cutoff_of, forecast
     from cellwise.logs.resample import resample
 
@@ -118,6 +130,7 @@ def run_replay(arguments: argparse.Namespace) -> None:
     model = model_options.read(arguments)
     make_estimator(arguments.estimator, model)
     cutoff = cutoff_of(model, arguments.cutoff_v)
+    power = power_options.power_of(arguments, model, arguments.hold)
     log = log_options.read(arguments.log, arguments)
     check_cells_in_series(model, log)
     if arguments.dt is not None:
@@ -132,7 +145,9 @@ def run_replay(arguments: argparse.Namespace) -> None:
             soc0_std=arguments.soc0_std,
             reference_soc0=log_options.start_of(log.soc0, true0, "--reference-soc0"),
             reference_capacity_Ah=arguments.reference_capacity_ah,
+            power=power or False,
         )
+    expected = expected_convergence(model, found, make_estimator(arguments.estimator, model))
     flight = forecast(model, found, cutoff_V=cutoff, hold=arguments.hold)
     if arguments.output:
         trace = found.trace
@@ -149,6 +164,8 @@ def run_replay(arguments: argparse.Namespace) -> None:
         columns |= parameters.parameter_columns(trace)
         if found.reference_soc is not None:
             columns["reference_soc"] = found.reference_soc
+        if found.power is not None:
+            columns |= found.power.columns()
         _write(arguments.output, columns)
     with page_options.page_places(arguments) as places:
         if places is not None:
@@ -159,12 +176,19 @@ def run_replay(arguments: argparse.Namespace) -> None:
     notices = found.notices if flight is None else (*flight.notices, *found.notices)
     if arguments.json:
         outlook = None if flight is None else flight.to_dict()
-        data = {**found.to_dict(), "forecast": outlook, "notices": list(notices)}
+        data = {
+            **found.to_dict(),
+            "convergence_predicted_s": expected.convergence_s,
+            "forecast": outlook,
+            "notices": list(notices),
+        }
         printing.print_json(data)
         return
-    print_replay(found)
+    print_replay(found, expected)
     if flight is not None:
         print_flight(flight)
+    if found.power is not None:
+        print_power(found.power)
     say_notices(notices)
     page_options.say_pages(arguments)
 
@@ -194,7 +218,7 @@ def say_notices(notices: Sequence[str]) -> None:
         printing.say(f"  ! {notice}")
 
 
-def print_replay(found: Replay) -> None:
+def print_replay(found: Replay, expected: ExpectedConvergence | None = None) -> None:
     """A replay for people."""
     data = found.to_dict()
     settled = data["settled"]
@@ -205,13 +229,14 @@ def print_replay(found: Replay) -> None:
         ("mean NIS", "-" if data["nis_mean"] is None else f"{data['nis_mean']:.3f}"),
         ("time per step", f"{data['ns_per_step']:.0f} ns"),
     ]
+    if expected is not None:
+        rows.append(("within 2 %, by model and current", _after(expected.convergence_s)))
     if settled is None:
         rows.append(("SOC error", "no reference: give --reference-capacity-ah and a counter"))
     else:
-        took = data["convergence_s"]
         rows += [
             ("SOC RMSE, all rows", f"{printing.percent(data['soc_rmse'])} %"),
-            ("within 2 % after", "never" if took is None else f"{took:.1f} s"),
+            ("within 2 %", _after(data["convergence_s"])),
             (
                 "settled RMSE / MAE / max",
                 " / ".join(printing.percent(settled[k]) for k in ("rmse", "mae", "max")) + " %",
@@ -220,6 +245,10 @@ def print_replay(found: Replay) -> None:
         ]
     rows += parameters.parameter_rows(data)
     printing.table(f"{found.estimator} on {found.log.name}", ("what", "found"), rows)
+
+
+def _after(seconds: float | None) -> str:
+    return "not on this log" if seconds is None else f"after {seconds:.1f} s"
 
 
 def print_flight(flight: Flight) -> None:
@@ -251,6 +280,23 @@ def print_flight(flight: Flight) -> None:
         ("", "A", "W", "minutes (2 sigma)", "Wh (2 sigma)", "end V", "end SOC %", "ends by"),
         rows,
     )
+
+
+def print_power(power: PowerTrace) -> None:
+    """The state of power at the log's end, for people."""
+
+    def limit(way: PowerLimit) -> tuple[str, ...]:
+        return (f"{way.power_W:.1f}", f"{way.power_low_W:.1f}", f"{way.current_A:.1f}", way.by)
+
+    rows = [(f"{s.horizon_s:g} s", *limit(s.discharge), *limit(s.charge)) for s in power.last]
+    known = power.known.limits
+    printing.table(
+        f"power of each cell at the end, {power.hold} held, {known.voltage_min_V:g} to "
+        f"{known.voltage_max_V:g} V",
+        ("for", "discharge W", "at least W (95 %)", "A", "limited by",
+         "charge W", "at least W (95 %)", "A", "limited by"),
+        rows,
+    )  # fmt: skip
 
 
 def _write(path: str, columns: dict[str, Any]) -> None:

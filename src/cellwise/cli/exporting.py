@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellwise.cli.common import log_options, model_options, page_options, printing
+from cellwise.cli.common import log_options, model_options, page_options, power_options, printing
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
@@ -42,6 +42,10 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     export.add_argument(
         "--prefix", default="", metavar="NAME", help="of every file and name, for several models"
     )
+    export.add_argument(
+        "--power", type=float, metavar="S", help="state of power: held for S seconds, 10 say"
+    )
+    power_options.add_limit_options(export)
     export.add_argument("--flash", type=int, metavar="BYTES", help="refuse larger tables")
     export.add_argument("--log", metavar="LOG", help="accuracy lost, against the float64 EKF")
     export.add_argument("--soc0", type=float, metavar="X", help="SOC at the log's start [auto]")
@@ -68,6 +72,7 @@ def run_export(arguments: argparse.Namespace) -> None:
         offset_std_A=arguments.offset_std_a,
         wide=not arguments.lean,
         watch=not arguments.lean,
+        power=power_options.exported_power(arguments, model),
     )
     check_flash(tables, arguments.flash)
     report = describe(model, tables)

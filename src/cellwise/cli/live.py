@@ -11,10 +11,12 @@ from functools import partial
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
-from cellwise.cli.common import log_options, model_options, printing
+from cellwise.cli.common import log_options, model_options, power_options, printing
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
+    from cellwise.cell.model import CellModel
+    from cellwise.estimate.power.follower import PowerFollower
     from cellwise.forecast.outlook import Outlook
     from cellwise.live import Counts, LiveFilter, Update
     from cellwise.live.sample import Source
@@ -53,6 +55,7 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     live.add_argument(
         "--cutoff-v", type=float, metavar="V", help="voltage at which the load stops [model]"
     )
+    power_options.add_power_options(live)
     live.add_argument("--deadline-ms", type=float, metavar="MS", help="[the sample's interval]")
     live.add_argument("--samples", type=int, metavar="N", help="stop after N samples")
     live.add_argument(
@@ -74,6 +77,7 @@ def run_live_command(arguments: argparse.Namespace) -> None:
     _check(arguments)
     model = model_options.read(arguments)
     outlook = Outlook(model, cutoff_of(model, arguments.cutoff_v))
+    power = _power(model, arguments)
     name, stated = _stated(arguments.source)
     live = _filter(model, stated, arguments)
     options = log_options.read_options(arguments)
@@ -84,19 +88,21 @@ def run_live_command(arguments: argparse.Namespace) -> None:
         stack.callback(source.close)
         sender = _sender(source, arguments)
         takers: list[Callable[[Update], None]] = [outlook.take]
+        if power is not None:
+            takers.append(power.take)
         if sender is not None:
             takers.append(lambda u: sender.send(u.info.soc, u.sample.arrived_s))
         look = None
         if arguments.output:
             file = stack.enter_context(_appended(arguments.output))
-            takers.append(LineWriter(file, live, outlook, arguments.every))
+            takers.append(LineWriter(file, live, outlook, power, arguments.every))
         viewed = arguments.view or (sys.stdout.isatty() and not arguments.json)
         if viewed:
             from cellwise.cli.live_view import LiveView
 
-            look = stack.enter_context(LiveView(source, live, outlook)).look
+            look = stack.enter_context(LiveView(source, live, outlook, power=power)).look
         elif not (arguments.output or arguments.json):
-            takers.append(LineWriter(sys.stdout, live, outlook, arguments.every))
+            takers.append(LineWriter(sys.stdout, live, outlook, power, arguments.every))
         if not viewed:  # the view shows it among its flags
             takers.append(OutsideNotice(live))
         stack.enter_context(_stopped_by_signal())
@@ -112,7 +118,7 @@ def run_live_command(arguments: argparse.Namespace) -> None:
             idle_s=arguments.idle,
         )
     check_any(source, counts)
-    _report_end(arguments, live, counts, outlook, viewed)
+    _report_end(arguments, live, counts, outlook, power, viewed)
 
 
 def _hand_out(takers: list[Callable[[Update], None]], update: Update) -> None:
@@ -124,9 +130,15 @@ class LineWriter:
     """One JSON object per update, at most one in ``every_s`` of the stream's time."""
 
     def __init__(
-        self, file: IO[str], live: LiveFilter, outlook: Outlook, every_s: float = 0.0
+        self,
+        file: IO[str],
+        live: LiveFilter,
+        outlook: Outlook,
+        power: PowerFollower | None = None,
+        every_s: float = 0.0,
     ) -> None:
         self._file, self._live, self._outlook, self._every_s = file, live, outlook, every_s
+        self._power = power
         self._waited_s = self._since_forecast_s = float("inf")
 
     def __call__(self, update: Update) -> None:
@@ -140,6 +152,7 @@ class LineWriter:
         if self._since_forecast_s >= FORECAST_EVERY_S:
             self._since_forecast_s = 0.0
             row |= forecast_row(self._live, self._outlook, update)
+            row |= power_row(self._live, self._power, update)
         self._file.write(json.dumps(printing.clean(row), allow_nan=False) + "\n")
         self._file.flush()
 
@@ -198,6 +211,23 @@ def forecast_row(live: LiveFilter, outlook: Outlook, update: Update) -> dict[str
         "remaining_s_band": list(now.remaining_s_band),
         "remaining_Wh": now.remaining_Wh,
     }
+
+
+def power_row(live: LiveFilter, power: PowerFollower | None, update: Update) -> dict[str, Any]:
+    """What the cell can give and take, by the names of `replay`'s columns; none if not asked."""
+    return {} if power is None else power.columns(live.state, _temperature(live, update))
+
+
+def _power(model: CellModel, arguments: argparse.Namespace) -> PowerFollower | None:
+    """What follows the power, and on standard error what limits nobody stated."""
+    settings = power_options.power_of(arguments, model)
+    if settings is None:
+        return None
+    from cellwise.estimate.power.follower import PowerFollower
+
+    for notice in settings.known.notices:
+        print(f"cellwise live: {notice}", file=sys.stderr)
+    return PowerFollower(settings)
 
 
 def _temperature(live: LiveFilter, update: Update) -> float:
@@ -309,6 +339,7 @@ def _report_end(
     live: LiveFilter,
     counts: Counts,
     outlook: Outlook,
+    power: PowerFollower | None,
     viewed: bool,
 ) -> None:
     """The end of a stream: one object, or a few lines for people."""
@@ -318,6 +349,7 @@ def _report_end(
     data = {
         **state_row(last),
         **forecast_row(live, outlook, last),
+        **power_row(live, power, last),
         "estimator": live.filter.name,
         "soc0": live.start.to_dict(),
         **counts.to_dict(),

@@ -13,6 +13,7 @@ from rich.panel import Panel
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 
+from cellwise.estimate.power.follower import PowerFollower
 from cellwise.estimate.status import Status
 from cellwise.forecast.outlook import ForecastNow, Outlook
 from cellwise.live import Counts, LiveFilter, Update
@@ -28,9 +29,15 @@ class LiveView:
     """Draws at most four times a second, however fast samples come."""
 
     def __init__(
-        self, source: Source, live: LiveFilter, outlook: Outlook, console: Console | None = None
+        self,
+        source: Source,
+        live: LiveFilter,
+        outlook: Outlook,
+        console: Console | None = None,
+        power: PowerFollower | None = None,
     ) -> None:
         self._source, self._filter, self._outlook = source, live, outlook
+        self._power = power
         self._live = Live(console=console or Console(), auto_refresh=False, transient=False)
         self._drawn_s = -math.inf
         self._seen = 0
@@ -100,6 +107,7 @@ class LiveView:
                     self._outlook.forecast(self._filter.state, warm if warm == warm else 25.0)
                 ),
             ),
+            *self._power_rows(warm if warm == warm else 25.0),
             ("flags", flags),
             (
                 "stream",
@@ -111,6 +119,19 @@ class LiveView:
                 f"{latency['p50_ms']:.2f} ms, 99 % {latency['p99_ms']:.2f} ms, "
                 f"{latency['missed_deadlines']} too late",
             ),
+        ]
+
+    def _power_rows(self, temperature_C: float) -> list[tuple[str, str]]:
+        if self._power is None:
+            return []
+        now = self._power.now(self._filter.state, temperature_C)
+        return [
+            (
+                f"power {s.horizon_s:g} s",
+                f"{s.discharge.power_W:.1f} W out (at least {s.discharge.power_low_W:.1f}), "
+                f"{s.charge.power_W:.1f} W in (at least {s.charge.power_low_W:.1f})",
+            )
+            for s in now
         ]
 
 

@@ -20,6 +20,8 @@ from cellwise.errors import InputError
 from cellwise.estimate.adaptive.trace import AdaptiveTrace
 from cellwise.estimate.estimators import Estimator, make_estimator
 from cellwise.estimate.noise import Noise
+from cellwise.estimate.power.along import PowerTrace, power_along
+from cellwise.estimate.power.state_of_power import PowerSettings, power_settings
 from cellwise.estimate.status import INNOVATION_REJECTED, VOLTAGE_FROZEN, VOLTAGE_INVALID
 from cellwise.estimate.trace import Trace
 from cellwise.estimate.trace_kernels import TraceSums, trace_sums
@@ -50,7 +52,7 @@ class Replay(Plottable, Tabular):
 
     ``reference_soc`` is the tester's counter over the reference capacity, None without either; it
     never uses the current that the filter sees, nor the model's capacity. ``validity`` is the
-    model's.
+    model's; ``power`` the state of power of every row where it was asked for.
     """
 
     log: CellLog
@@ -60,6 +62,7 @@ class Replay(Plottable, Tabular):
     ns_per_step: float
     reference_soc: FloatArray | None
     validity: Validity = UNKNOWN
+    power: PowerTrace | None = None
 
     @property
     def soc_error(self) -> FloatArray | None:
@@ -131,7 +134,8 @@ class Replay(Plottable, Tabular):
         if np.any(np.isfinite(self.trace.voltage_V)):  # counting predicts none
             rejected = self.sums.rejected / len(self.trace)
             found += prediction_notices(self.log, self.voltage_rmse_V, rejected)
-        return in_order(found, self.log.notices)
+        limits = () if self.power is None else self.power.known.notices
+        return (*in_order(found, self.log.notices), *limits)
 
     def to_dict(self) -> dict[str, Any]:
         """The figures as JSON values, keys as the command prints them."""
@@ -154,6 +158,8 @@ class Replay(Plottable, Tabular):
         }
         if isinstance(self.trace, AdaptiveTrace):
             found["parameters"] = self.trace.parameters().to_dict()
+        if self.power is not None:
+            found["power"] = self.power.to_dict()
         return found
 
     def columns(self) -> dict[str, Any]:
@@ -161,7 +167,7 @@ class Replay(Plottable, Tabular):
         found = {name: getattr(self.trace, name) for name in TRACE_COLUMNS}
         if self.reference_soc is not None:
             found["reference_soc"] = self.reference_soc
-        return found
+        return found | ({} if self.power is None else self.power.columns())
 
     def panels(self) -> tuple[str, tuple[Panel, ...]]:
         """SOC with two standard deviations, its error where it is known, the innovation."""
@@ -236,6 +242,7 @@ def replay(
     noise: Noise | None = None,
     reference_soc0: float | None = None,
     reference_capacity_Ah: float | None = None,
+    power: bool | PowerSettings = False,
 ) -> Replay:
     """Replay a log through an estimator.
 
@@ -249,13 +256,20 @@ def replay(
                                       is not given
     reference_capacity_Ah : float or None   charge between SOC 1 and 0 for the reference; None: no
                                       errors
+    power : bool or PowerSettings     the state of power at every row, too: for 2, 10 and 30 s, or
+                                      as `power_settings` says
 
     Returns
     -------
     Replay
+
+    Raises
+    ------
+    InputError        the power is asked for, and no limit is known (see `power_limits`)
     """
     check_is_model(model)
     check_is_log(log)
+    asked = power_settings(model, noise=noise) if power is True else power
     filter_ = make_estimator(estimator, model, noise) if isinstance(estimator, str) else estimator
     start = initial_soc(model, log, soc0)
     if soc0_std is not None:
@@ -270,4 +284,5 @@ def replay(
     if reference_capacity_Ah is not None:
         true0 = initial_soc(model, log).soc if reference_soc0 is None else reference_soc0
         reference = reference_soc(log, true0, reference_capacity_Ah)
-    return Replay(log, filter_.name, start, trace, ns, reference, model.validity)
+    limits = power_along(asked, filter_, log, trace, start.soc, start.std) if asked else None
+    return Replay(log, filter_.name, start, trace, ns, reference, model.validity, limits)

@@ -142,7 +142,13 @@ def check_tools(core: Core) -> None:
         )
 
 
-def build(tables: FixedStepTables, core: Core, folder: Path, optimise: str = OPTIMISE) -> Path:
+def build(
+    tables: FixedStepTables,
+    core: Core,
+    folder: Path,
+    optimise: str = OPTIMISE,
+    of_power: bool = False,
+) -> Path:
     """Compile the C of a model with the test program for a core; the path of the ELF file."""
     for name, text in write_sources(tables, "0" * 64):
         (folder / name).write_text(text, encoding="utf-8")
@@ -155,6 +161,7 @@ def build(tables: FixedStepTables, core: Core, folder: Path, optimise: str = OPT
     for source in ("cellwise_ekf", "cell_table", "target_main", "semihosting", core.startup):
         made = folder / f"{source}.o"
         extra = ["-fno-builtin"] if source == core.startup else []
+        extra += ["-DMEASURE_POWER"] if of_power else []
         _run([gcc, *flags, *extra, "-c", str(folder / f"{source}.c"), "-o", str(made)])
         objects.append(str(made))
     elf = folder / "target.elf"
@@ -173,6 +180,7 @@ def run_on_target(
     measure_every: int = 0,
     measure_first: int = 0,
     optimise: str = OPTIMISE,
+    of_power: bool = False,
 ) -> TargetRun:
     """Step samples on an emulated core.
 
@@ -182,6 +190,7 @@ def run_on_target(
     soc, soc_variance : float      where the state starts
     measure_every : int            count instructions and stack of every so many samples; 0: none
     measure_first : int            the first of them
+    of_power : bool                measure the state of power, not the step
 
     Raises
     ------
@@ -192,7 +201,7 @@ def run_on_target(
     samples = np.ascontiguousarray(samples, dtype=INPUT)
     with tempfile.TemporaryDirectory(prefix="cellwise-") as name:
         folder = Path(name)
-        elf = build(tables, core, folder, optimise)
+        elf = build(tables, core, folder, optimise, of_power)
         asked = struct.pack("<ffII", soc, soc_variance, measure_every, measure_first)
         (folder / "in.bin").write_bytes(asked + samples.tobytes())
         command = [

@@ -14,4 +14,4 @@ class Firmware(FixedStep):
 
     def _make(self, tables: FixedStepTables) -> Stepper:
         library = HostLibrary(tables)
-        return Stepper(tables, library.init, library.rows)
+        return Stepper(tables, library.init, library.rows, library.power)

@@ -22,6 +22,7 @@ from cellwise.export.c_tables import STRICT_FLAGS, firmware_folder, write_source
 DECLARATIONS = """
 uint32_t cellwise_init(const void *model, void *x, float soc, float soc_variance);
 uint32_t cellwise_step(const void *model, void *x, const void *in, void *out);
+void cellwise_power_of(const void *model, const void *x, void *out);
 void cellwise_rows(const void *model, void *x, const void *in, void *out, uint32_t samples);
 extern const char cellwise_cell[];
 """
@@ -68,6 +69,12 @@ class HostLibrary:
         """``cellwise_init``: its status."""
         x = self._ffi.from_buffer(state, require_writable=True)
         return int(self._library.cellwise_init(self._model, x, soc, soc_variance))
+
+    def power(self, state: NDArray[Any], out: NDArray[Any]) -> None:
+        """``cellwise_power`` of a state into one record of CAPABILITY."""
+        x = self._ffi.from_buffer(state)
+        to = self._ffi.from_buffer(out, require_writable=True)
+        self._library.cellwise_power_of(self._model, x, to)
 
     def rows(self, state: NDArray[Any], samples: NDArray[Any]) -> NDArray[Any]:
         """``cellwise_step`` for every sample: records of OUTPUT, shape (n,)."""

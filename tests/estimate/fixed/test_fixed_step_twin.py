@@ -12,6 +12,7 @@ from cellwise.data import load_dataset
 from cellwise.estimate.fixed import arithmetic as kernels
 from cellwise.estimate.fixed.fixed_step import numba_stepper, samples_of
 from cellwise.estimate.fixed.layout import (
+    CAPABILITY,
     INPUT,
     OUTPUT,
     constant_type,
@@ -26,7 +27,7 @@ from firmware_cases import compile_and_run, stress_samples, tables_of
 
 pytest.importorskip("cffi")
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")
-CASES = ["lean", "plain", "slow", "transfer", "surface", "validity", "offset", "full"]
+CASES = ["lean", "plain", "slow", "transfer", "surface", "validity", "offset", "full", "full power"]
 
 
 @needs_gcc
@@ -36,7 +37,7 @@ def test_layouts_are_the_compilers(case, tmp_path):
     o = tables.options
     records = {
         "state": state_type(o), "constants": constant_type(o), "row": row_type(o),
-        "input": INPUT, "output": OUTPUT,
+        "input": INPUT, "output": OUTPUT, "capability": CAPABILITY,
     }  # fmt: skip
     lines, expected = [], []
     for name, kind in records.items():

@@ -9,7 +9,7 @@ import shlex
 # A message names an argument as Python has it, between backticks.
 ARGUMENT = re.compile(r"`([A-Za-z]\w*)=([^`]*)`")
 # Where the option is not the argument's own name.
-NAMES = {"channels": "channel", "dt_s": "dt"}
+NAMES = {"channels": "channel", "dt_s": "dt", "limits": "voltage-limits"}
 OPEN = "..."  # the argument, whatever its value
 
 

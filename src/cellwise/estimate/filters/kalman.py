@@ -104,20 +104,19 @@ class KalmanFilter(FilterOfModel):
         announce(type(self).step_kernel, f"the {self.name} step")
         return type(self).step_kernel(self._tables, *self._settings, self._unknown, state, reading)
 
+    def take_rows(
+        self, kernel: Callable[..., Any], log: CellLog, soc0: float, soc0_std: float, out: Any
+    ) -> None:
+        """Hand every row of a log to a compiled loop over this filter's step; it fills ``out``."""
+        start = self.start(soc0, soc0_std)
+        kernel(self._tables, *self._settings, start, self._unknown, log_arrays(log), out)
+
     def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> Trace:
         """Replay a whole log; the same steps in one compiled loop."""
         out = np.empty((layout.OUTPUTS, len(log)))
         status = np.empty(len(log), dtype=np.int32)
-        start = self.start(soc0, soc0_std)
         announce(type(self).rows_kernel, f"the estimator '{self.name}'")
-        type(self).rows_kernel(
-            self._tables,
-            *self._settings,
-            start,
-            self._unknown,
-            log_arrays(log),
-            layout.TraceArrays(out, status),
-        )
+        self.take_rows(type(self).rows_kernel, log, soc0, soc0_std, layout.TraceArrays(out, status))
         return Trace(
             time_s=log.time_s,
             soc=out[layout.OUT_SOC],

@@ -29,6 +29,7 @@ Constants: TypeAlias = Any
 State: TypeAlias = Any
 Sample: TypeAlias = Any
 Output: TypeAlias = Any
+Capability: TypeAlias = Any
 # There where an option is.
 SlowFloat: TypeAlias = Any
 HysteresisFloat: TypeAlias = Any
@@ -77,6 +78,9 @@ RESTART_STEP = F(1.0 / 200.0)
 RESTART_ROUNDING = F(1.0 / 200.0**2 / 12.0)  # of a SOC between two points: 1/200^2/12
 FURTHEST = F(2000.0)  # beyond it exp(-z) is nothing
 FROZEN_READINGS = U(3)
+POWER_TRIALS = U(8)
+LEAST_SPAN_V = F(1e-9)  # between the ends of a bracket: it is divided by
+SUSTAINED = F(1.6449)  # one-sided 95 % of a normal distribution
 FROZEN = U(0xFFFFFFFF)  # repeats of a voltage that was found frozen
 COUNT_MOST = U(2_000_000_000)
 REJECTION = U(20_000)  # in the count of rejections in a row

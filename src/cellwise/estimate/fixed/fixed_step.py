@@ -5,7 +5,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from cellwise.cell.simulate import (
 from cellwise.errors import InputError
 from cellwise.estimate.filters.filter_state import EkfInfo
 from cellwise.estimate.filters.kalman import one_reading
-from cellwise.estimate.fixed.layout import INPUT, OUTPUT, state_type
+from cellwise.estimate.fixed.layout import CAPABILITY, INPUT, OUTPUT, state_type
 from cellwise.estimate.fixed.tables import FixedStepTables, fixed_step_tables
 from cellwise.estimate.noise import Noise, noise_for
 from cellwise.estimate.status import VOLTAGE_INVALID
@@ -29,6 +29,9 @@ from cellwise.given import shown
 from cellwise.logs.cell_log import CellLog, check_is_log
 from cellwise.logs.resample import resample
 from cellwise.typing import IntArray
+
+if TYPE_CHECKING:
+    from cellwise.estimate.power.state_of_power import PowerSettings
 
 EVEN = 0.02  # intervals that differ by less from the time step need no resampling
 MOST_VARIANCE = 1.0
@@ -54,6 +57,7 @@ class FixedStep:
     wide : bool                 take care of slopes while SOC is badly known
     watch : bool                watch for sensors that freeze or fall silent
     validity : bool             say and widen beyond the model's data, where these are known
+    power : PowerSettings or None   what :meth:`power` is asked for: one horizon, currents held
     """
 
     name = "fixed-step"
@@ -69,6 +73,7 @@ class FixedStep:
         wide: bool = True,
         watch: bool = True,
         validity: bool = True,
+        power: PowerSettings | None = None,
     ) -> None:
         check_is_model(model)
         self.model = model
@@ -77,6 +82,7 @@ class FixedStep:
         self._points = points
         self._offset_std_A = offset_std_A
         self._wide, self._watch, self._validity = wide, watch, validity
+        self._power = power
         self._stepper: Stepper | None = None
         self._sample = np.zeros(1, dtype=INPUT)
         self.stepper(1.0 if dt_s is None else dt_s)  # refuses now what it would refuse later
@@ -93,6 +99,7 @@ class FixedStep:
                 wide=self._wide,
                 watch=self._watch,
                 validity=self._validity,
+                power=self._power,
             )
             self._stepper = self._make(tables)
         return self._stepper
@@ -145,6 +152,24 @@ class FixedStep:
             int(out["status"]),
         )
 
+    def power(self, state: NDArray[Any]) -> NDArray[Any]:
+        """State of power of a state: one record of ``layout.CAPABILITY`` [W].
+
+        Raises
+        ------
+        InputError        no time step; not asked for when this was made
+        """
+        stepper = self._need_stepper()
+        if not stepper.tables.options.power:
+            raise InputError(
+                "no state of power in this fixed step",
+                "FixedStep(..., power=power_settings(model, horizons_s=(10.0,), hold='current'))",
+                "Make it with that.",
+            )
+        out = np.zeros(1, dtype=CAPABILITY)
+        stepper.power(state, out)
+        return out
+
     def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> Trace:
         """Replay a whole log at the time step; an uneven log is resampled first.
 
@@ -184,11 +209,12 @@ class Stepper(NamedTuple):
     tables: FixedStepTables
     begin: Callable[[NDArray[Any], float, float], object]
     rows: Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]]
+    power: Callable[[NDArray[Any], NDArray[Any]], object]
 
 
 def numba_stepper(tables: FixedStepTables) -> Stepper:
     """The step in numba."""
-    from cellwise.estimate.fixed.rows import compiled_rows, compiled_start
+    from cellwise.estimate.fixed.rows import compiled_power, compiled_rows, compiled_start
 
     begin, loop = compiled_start(tables.options), compiled_rows(tables.options)
 
@@ -200,7 +226,10 @@ def numba_stepper(tables: FixedStepTables) -> Stepper:
     def start(state: NDArray[Any], soc: float, variance: float) -> None:
         begin(tables.constants, tables.table, state, soc, variance)
 
-    return Stepper(tables, start, rows)
+    def power(state: NDArray[Any], out: NDArray[Any]) -> None:
+        compiled_power(tables.options)(tables.constants, tables.table, state, out)
+
+    return Stepper(tables, start, rows, power)
 
 
 def start_state(stepper: Stepper, soc0: float, soc0_std: float) -> NDArray[Any]:

@@ -105,13 +105,13 @@ def outside(c: Constants, x: State, s: Reading) -> Count:
     return status
 
 
-def extrapolated(c: Constants, x: State, s: Reading, polarisation_V: Float) -> Float:
+def extrapolated(c: Constants, x: State, seen: Float, polarisation_V: Float) -> Float:
     """What the model can be off by beyond its data's current and temperature, one deviation.
 
     The law of the float64 filters: a share of the polarisation, as of an exponential to its third
     order; what lies beyond in SOC is in the table of the error.
     """
-    far_A = at_least(c.valid_charge_A - s.seen, s.seen - c.valid_discharge_A)
+    far_A = at_least(c.valid_charge_A - seen, seen - c.valid_discharge_A)
     share = c.share_per_A * at_least(far_A, ZERO)
     moved_V = ZERO
     if THERMAL:
@@ -136,7 +136,7 @@ def innovate(c: Constants, x: State, p: Point, w: Slopes, s: Reading) -> Innovat
         + ((c.current_variance_A2 + s.unmeasured_A2) * (p.r0_ohm * p.r0_ohm))
     )
     if VALIDITY:
-        beyond_V = extrapolated(c, x, s, polarisation_V)
+        beyond_V = extrapolated(c, x, s.seen, polarisation_V)
         one_V2 = one_V2 + (beyond_V * beyond_V)
     # An OCV that bends by c at one standard deviation is off its tangent by c z^2.
     column = column_of(x, p, w.slope_V)

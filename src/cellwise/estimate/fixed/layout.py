@@ -51,6 +51,9 @@ ROW = (
     Field("r3_ohm", "", "SLOW"),
     Field("lag3", "", "SLOW"),
     Field("m_V", "", "HYSTERESIS"),
+    Field("power_lag1", "the lags over the horizon of the power", "POWER"),
+    Field("power_lag2", "", "POWER"),
+    Field("power_lag3", "", "SLOW and POWER"),
 )
 
 CONSTANTS = (
@@ -109,6 +112,15 @@ CONSTANTS = (
     Field("valid_warm_C", "", "THERMAL"),
     Field("share_per_K", "of the polarisation, error beyond their temperature", "THERMAL"),
     Field("voltage_per_K", "of the OCV", "THERMAL"),
+    Field("power_soc_per_A", "SOC that 1 A takes over the horizon of the power", "POWER"),
+    Field("power_A_per_soc", "and its inverse", "POWER"),
+    Field("power_low_V", "limits that a power keeps", "POWER"),
+    Field("power_high_V", "", "POWER"),
+    Field("power_discharge_A", "", "POWER"),
+    Field("power_charge_A", "without sign", "POWER"),
+    Field("power_soc_low", "", "POWER"),
+    Field("power_soc_high", "", "POWER"),
+    Field("power_hysteresis_per_A", "e-folds of h over the horizon", "HYSTERESIS and POWER"),
     Field("grid_C", "temperatures of the tables", "TEMPERATURES", "f4", "temperatures"),
     Field("per_K", "1 / distance of neighbours", "TEMPERATURES", "f4", "temperatures", 1),
     Field("arrhenius_low_C", "", "ARRHENIUS"),
@@ -174,6 +186,14 @@ OUTPUT_FIELDS = (
 )
 
 
+CAPABILITY_FIELDS = (
+    Field("discharge_W", "what the cell can give,"),
+    Field("discharge_low_W", "and sustains with 95 %"),
+    Field("charge_W", "what it can take, without sign,"),
+    Field("charge_low_W", "and sustains with 95 %"),
+)
+
+
 def fields_of(table: tuple[Field, ...], options: Options) -> list[Field]:
     """The fields that are compiled in, in order."""
     flags = flags_of(options)
@@ -196,6 +216,7 @@ def _record_type(table: tuple[Field, ...], options: Options) -> np.dtype[Any]:
 
 INPUT = _record_type(INPUT_FIELDS, Options(points=3))
 OUTPUT = _record_type(OUTPUT_FIELDS, Options(points=3))
+CAPABILITY = _record_type(CAPABILITY_FIELDS, Options(points=3))
 
 
 def row_names(options: Options) -> list[str]:

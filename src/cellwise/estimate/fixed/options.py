@@ -33,7 +33,7 @@ class Options:
     the table of how far the particles' surface is below the mean, 0 without them;
     ``wide`` the care taken while SOC is badly known, ``watch`` that of sensors which freeze or fall
     silent; without them the code is smaller. ``validity`` 1 watches SOC and current for what the
-    model's data covered, 2 the temperature, too.
+    model's data covered, 2 the temperature, too; ``power`` gives the state of power.
     """
 
     points: int
@@ -54,6 +54,7 @@ class Options:
     wide: int = 1
     watch: int = 1
     validity: int = 0
+    power: int = 0
 
     @property
     def needs_temperature(self) -> bool:
@@ -78,6 +79,7 @@ def options_of(
     wide: bool = True,
     watch: bool = True,
     validity: bool = True,
+    power: bool = False,
     arrhenius_points: int = 0,
 ) -> Options:
     """What a model needs; an effect at its neutral value needs nothing.
@@ -88,6 +90,7 @@ def options_of(
     wide : bool               take care of slopes while SOC is badly known
     watch : bool              watch for sensors that freeze or fall silent
     validity : bool           say and widen beyond the model's data, where these are known
+    power : bool              the state of power at one horizon, a function of its own
     arrhenius_points : int    points of each table over temperature where the model has that effect
     """
     arrhenius = arrhenius_points if model.effect(TemperatureDependence).activation_K != 0.0 else 0
@@ -113,6 +116,7 @@ def options_of(
         wide=int(wide),
         watch=int(watch),
         validity=_watched(model) if validity else 0,
+        power=int(power),
     )
 
 
@@ -128,6 +132,7 @@ TEMPERATURES = ARRHENIUS = DEPTH = 0  # several temperatures, tables over temper
 WARM = SCALED = 0  # any of these, any factor on all resistances
 WIDE = WATCH = 0  # care and watch
 VALIDITY = THERMAL = 0  # beyond the model's SOC and current, beyond its temperature
+POWER = 0  # the state of power, a function beside the step
 
 # What a name means to the C preprocessor where it is not CELLWISE_ and the name.
 IN_C = {

@@ -31,6 +31,8 @@ from cellwise.estimate.fixed.arithmetic import F, U
 from cellwise.estimate.fixed.layout import ROW, Model, row_names
 from cellwise.estimate.fixed.options import Options, flags_of
 from cellwise.estimate.fixed.step import init, step
+from cellwise.estimate.power import fixed_power
+from cellwise.estimate.power.fixed_power import power
 
 STRICT: dict[str, Any] = {"error_model": "numpy", "fastmath": False}
 # Called by compiled code alone: what would let Python call it takes a third of the time to compile.
@@ -47,6 +49,7 @@ STEP_MODULES = (
     innovation,
     correct,
     whole_step,
+    fixed_power,
 )
 
 
@@ -70,13 +73,19 @@ def begin(constants: Any, table: Any, state: Any, soc: float, soc_variance: floa
     init(Model(constants[0], table), state[0], F(soc), F(soc_variance))
 
 
+def ability(constants: Any, table: Any, state: Any, out: Any) -> None:
+    """State of power of the one record of ``state`` into the one record of ``out``."""
+    power(Model(constants[0], table), state[0], out[0])
+
+
 @lru_cache
 def specialised(options: Options) -> dict[str, Any]:
     """Every function of the step with the globals of one set of options, compiled when called."""
     columns = {field.name.upper(): U(0) for field in ROW}
     columns |= {name.upper(): U(k) for k, name in enumerate(row_names(options))}
     made: dict[str, Any] = {}
-    for f in [f for module in STEP_MODULES for f in functions_of(module)]:
+    modules = STEP_MODULES if options.power else STEP_MODULES[:-1]
+    for f in [f for module in modules for f in functions_of(module)]:
         scope = {**f.__globals__, **columns, **flags_of(options), **made}
         own = FunctionType(f.__code__, scope, f.__name__)
         made[f.__name__] = njit(forceinline=not hasattr(f, "apart"), **INNER)(own)
@@ -104,3 +113,9 @@ def compiled_rows(options: Options) -> Callable[..., None]:
 def compiled_start(options: Options) -> Callable[..., None]:
     """:func:`begin` for one set of options."""
     return _outer(begin, options)  # type: ignore[arg-type]
+
+
+@lru_cache
+def compiled_power(options: Options) -> Callable[..., None]:
+    """:func:`ability` for one set of options that has the power."""
+    return _outer(ability, options)  # type: ignore[arg-type]

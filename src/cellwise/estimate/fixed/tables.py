@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,9 @@ from cellwise.estimate.sensing_kernels import LOST_RATE, REST_RATE
 from cellwise.estimate.slopes_kernels import FLAT_SHARE
 from cellwise.estimate.validity_kernels import validity_scalars
 from cellwise.typing import FloatArray
+
+if TYPE_CHECKING:
+    from cellwise.estimate.power.state_of_power import PowerSettings
 
 Float32Array = NDArray[np.float32]
 
@@ -119,6 +122,7 @@ def fixed_step_tables(
     wide: bool = True,
     watch: bool = True,
     validity: bool = True,
+    power: PowerSettings | None = None,
 ) -> FixedStepTables:
     """Tables of a model at a time step.
 
@@ -132,11 +136,13 @@ def fixed_step_tables(
                               smaller, and slower to recover from a start that is far off
     watch : bool              watch for sensors that freeze or fall silent
     validity : bool           say and widen beyond the model's data, where these are known
+    power : PowerSettings or None   what `cellwise_power` is asked for: one horizon, currents held
 
     Raises
     ------
     InputError        a time step that is not above zero; a model that float32 at this time step
-                      cannot hold (see :func:`check_holds`)
+                      cannot hold (see :func:`check_holds`); a power over several horizons, or
+                      with a power held
     """
     if not (np.isfinite(dt_s) and dt_s > 0):
         raise InputError(f"a time step of {dt_s} s", "seconds above zero", "Give e.g. `dt_s=0.1`.")
@@ -144,6 +150,8 @@ def fixed_step_tables(
         raise InputError(
             f"an offset deviation of {offset_std_A} A", "ampere, at least 0", "Give e.g. 0.1."
         )
+    if power is not None:
+        check_power(power)
     noise = Noise.of_model(model) if noise is None else noise
     if points is not None and points != model.points:
         model = resampled(model, points)
@@ -155,13 +163,18 @@ def fixed_step_tables(
         wide=wide,
         watch=watch,
         validity=validity,
+        power=power is not None,
         arrhenius_points=ARRHENIUS_POINTS,
     )
     check_holds(model, dt_s, options)
     columns = _columns(model, dt_s, noise)
+    more: dict[str, Any] = {}
+    if power is not None:
+        columns |= power_columns(model, power)
+        more = power_constants(model, power)
     table = np.stack([columns[name] for name in row_names(options)], axis=-1)
     constants = np.zeros(1, dtype=constant_type(options))
-    for name, value in _constants(model, dt_s, noise, options, offset_std_A).items():
+    for name, value in (_constants(model, dt_s, noise, options, offset_std_A) | more).items():
         if name in (constants.dtype.names or ()):
             constants[name] = value
     for name in constants.dtype.names or ():
@@ -196,12 +209,64 @@ def check_holds(model: CellModel, dt_s: float, options: Options) -> None:
         )
 
 
+def lag(tau_s: FloatArray, over_s: float) -> FloatArray:
+    """1 / (1 - exp(-t / tau)): all but linear in tau, so it is interpolated as tau is."""
+    return np.asarray(-1.0 / np.expm1(-over_s / tau_s))
+
+
+def power_columns(model: CellModel, power: PowerSettings) -> dict[str, FloatArray]:
+    """What the power reads of the table beside the step's columns."""
+    (horizon_s,) = power.horizons_s
+    shape = (model.temperature_C.size, model.points)
+    tau3_s = effect_table(model.effect(SlowDiffusion).tau3_s, shape)
+    return {
+        "power_lag1": lag(model.tau1_s, horizon_s),
+        "power_lag2": lag(model.tau2_s, horizon_s),
+        "power_lag3": lag(tau3_s, horizon_s),
+    }
+
+
+def power_constants(model: CellModel, power: PowerSettings) -> dict[str, Any]:
+    """Horizon and limits; a current that nothing limits is as good as endless."""
+    (horizon_s,) = power.horizons_s
+    per_A = horizon_s / (3600.0 * model.capacity_Ah)
+    limits = power.known.scalars()
+    most_A = CURRENT_LIMIT_C * model.capacity_Ah
+    return {
+        "power_soc_per_A": per_A,
+        "power_A_per_soc": 1.0 / per_A,
+        "power_low_V": limits.low_V,
+        "power_high_V": limits.high_V,
+        "power_discharge_A": min(limits.discharge_A, most_A),
+        "power_charge_A": min(limits.charge_A, most_A),
+        "power_soc_low": limits.low_soc,
+        "power_soc_high": limits.high_soc,
+        "power_hysteresis_per_A": model.effect(Hysteresis).gamma * per_A,
+    }
+
+
+def check_power(power: PowerSettings) -> None:
+    """Refuse what the fixed step's power is not.
+
+    Raises
+    ------
+    InputError        several horizons, a power held
+    """
+    if len(power.horizons_s) != 1:
+        raise InputError(
+            f"{len(power.horizons_s)} horizons for the power of a fixed step",
+            "one",
+            "Give one, 10 s, say.",
+        )
+    if power.hold != "current":
+        raise InputError(
+            f"a power of a fixed step with hold '{power.hold}'", "hold 'current'", "Give that."
+        )
+
+
 def _columns(model: CellModel, dt_s: float, noise: Noise) -> dict[str, FloatArray]:
     shape = (model.temperature_C.size, model.points)
     slow = model.effect(SlowDiffusion)
-
-    def lag(tau_s: FloatArray) -> FloatArray:
-        return np.asarray(-1.0 / np.expm1(-dt_s / tau_s))
 
     slope = np.diff(model.ocv_V, axis=1) * (model.points - 1)
     square = np.pad(slope * slope, ((0, 0), (1, 1)), mode="edge")
@@ -213,11 +278,11 @@ def _columns(model: CellModel, dt_s: float, noise: Noise) -> dict[str, FloatArra
         "noise_V2": noise.voltage_V**2 + error * error + noise.ocv_soc**2 * at_points,
         "r0_ohm": model.r0_ohm,
         "r1_ohm": model.r1_ohm,
-        "lag1": lag(model.tau1_s),
+        "lag1": lag(model.tau1_s, dt_s),
         "r2_ohm": model.r2_ohm,
-        "lag2": lag(model.tau2_s),
+        "lag2": lag(model.tau2_s, dt_s),
         "r3_ohm": effect_table(slow.r3_ohm, shape),
-        "lag3": lag(effect_table(slow.tau3_s, shape)),
+        "lag3": lag(effect_table(slow.tau3_s, shape), dt_s),
         "m_V": effect_table(model.effect(Hysteresis).m_V, shape),
     }
 

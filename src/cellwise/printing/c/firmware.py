@@ -27,11 +27,13 @@ from cellwise.printing.c.text import (
 )
 
 READS = ("read", "rise")  # macros of cellwise_float.h
-PUBLIC = {"init": "cellwise_init", "step": "cellwise_step"}
+PUBLIC = {"init": "cellwise_init", "step": "cellwise_step", "power": "cellwise_power"}
+# What of these is there only with options.
+GUARDS: dict[str, Guard] = {"power": frozenset({"POWER"})}
 NUMERALS = {"ZERO", "QUARTER", "HALF", "ONE", "TWO", "THREE", "FOUR", "SIXTY_FOURTH"}
 RECORDS = {
     "Constants": layout.CONSTANTS, "State": layout.STATE, "Sample": layout.INPUT_FIELDS,
-    "Output": layout.OUTPUT_FIELDS,
+    "Output": layout.OUTPUT_FIELDS, "Capability": layout.CAPABILITY_FIELDS,
 }  # fmt: skip
 
 
@@ -103,7 +105,7 @@ def conditions(made: Program) -> dict[str, set[Guard]]:
     found: dict[str, set[Guard]] = {name: set() for name in made.functions}
     for name in reversed(made.functions):
         if name in PUBLIC:
-            found[name].add(ALWAYS)
+            found[name].add(GUARDS.get(name, ALWAYS))
         for used, guard in made.functions[name].uses:
             if used in found:
                 found[used] |= {guard | outer for outer in found[name] if consistent(guard | outer)}
@@ -220,11 +222,15 @@ def print_header() -> str:
         "state": record("cellwise_state", layout.STATE),
         "input": record("cellwise_input", layout.INPUT_FIELDS),
         "output": record("cellwise_output", layout.OUTPUT_FIELDS),
+        "capability": record("cellwise_capability", layout.CAPABILITY_FIELDS),
     }
     for name, public in PUBLIC.items():
         f = made.functions[name]
         said = f.signature(public, False)
         blocks[public] = [*comment(ast.get_docstring(f.node) or ""), *said[:-1], said[-1] + ";"]
+        if name in GUARDS:
+            condition = preprocessor(GUARDS[name])
+            blocks[public] = [f"#if {condition}", *blocks[public], "#endif"]
     text = HEADER
     for name, lines in blocks.items():
         text = text.replace(f"[{name}]\n", "\n".join(lines) + "\n")
@@ -298,6 +304,11 @@ typedef struct {
 [cellwise_init]
 
 [cellwise_step]
+
+/* State of power, where it is compiled in. Never NaN, never infinite. */
+[capability]
+
+[cellwise_power]
 
 #endif
 """

@@ -19,6 +19,7 @@ SCALARS = {**dict.fromkeys(FLOATS, "float"), "Count": "uint32_t", "Flag": "bool"
 RECORDS = {
     "Model": "const cellwise_model", "Constants": "const cellwise_constants",
     "State": "cellwise_state", "Sample": "const cellwise_input", "Output": "cellwise_output",
+    "Capability": "cellwise_capability",
 }  # fmt: skip
 # Done on bits in cellwise_float.h: macros, and functions.
 MACROS = {

@@ -26,6 +26,7 @@ from cellwise.report.page.numerals import (
 from cellwise.report.page.picture import FigureFiles
 from cellwise.report.page.section import Section, write_page
 from cellwise.report.replay.flight_section import flight_finding, flight_section
+from cellwise.report.replay.power_section import power_section
 from cellwise.report.replay.replay_figures import reached, replay_content
 from cellwise.report.replay.replay_section import MOST_DETAILED, replay_pictures
 
@@ -69,6 +70,8 @@ def replay_page(
     sections = replay_sections(replays, simulations)
     if flights:
         sections = (flight_section(flights), *sections)
+    if any(r.power is not None for r in replays):
+        sections = (power_section(replays), *sections)
     few: list[tuple[str, HasPanels]] = [
         (f"{r.estimator} on {r.log.name or 'log'}", r) for r in replays[:MOST_DETAILED]
     ]

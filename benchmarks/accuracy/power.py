@@ -1,0 +1,192 @@
+"""State of power against measured HPPC pulses that no identification has seen.
+
+Of every pulse test every second SOC level is left out of the fit: its voltages are withheld. A
+filter then replays the whole test; just before each pulse left out it says what current the cell
+can hold for ten seconds until the voltage is the one that was measured then. Times that voltage it
+is the power predicted, against the pulse's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.accuracy.cold import PANASONIC, TAGS, panasonic_tests
+from benchmarks.figures import Figure, Progress
+from benchmarks.measured_data import measured_log
+from cellwise import (
+    Adaptive,
+    Ekf,
+    IdentifySettings,
+    OperatingLimits,
+    TestLogs,
+    identify_cell,
+    power_limits,
+)
+from cellwise.cell.model import CellModel
+from cellwise.estimate.power.present_kernels import Bias, bias_step
+from cellwise.identify.hppc.pulses import Pulse, find_pulses
+from cellwise.logs import CellLog
+
+HORIZON_S = 10.0
+SHORTEST_S = 9.5  # a pulse that a limit cut earlier has no power at ten seconds
+MEDIAN_TARGET, TAIL_TARGET = 2.0, 6.0
+DRIVES = ("cycle_2", "cycle_4", "us06")
+LEAF = "nissan_leaf"
+LEAF_TAGS = {10.0: "p10", 25.0: "p25", 40.0: "p40"}
+SAMSUNG = "samsung_30q_ageing"
+SAMSUNG_TAGS = {20.0: "p20", 30.0: "p30", 40.0: "p40"}
+RATES = ("0p5c", "1c", "2c")
+BEYOND_V = 1.0  # beyond every pulse of these tests: the other limit is out of the way
+
+
+@dataclass(frozen=True)
+class PulsePower:
+    """A pulse left out: its current and power, and the power predicted with its lower bound."""
+
+    current_A: float
+    soc: float
+    power_W: float
+    predicted_W: float
+    predicted_low_W: float
+
+    @property
+    def error(self) -> float:
+        """Predicted over measured power, less 1."""
+        return self.predicted_W / self.power_W - 1.0
+
+
+def withheld(log: CellLog) -> tuple[CellLog, tuple[Pulse, ...]]:
+    """A pulse test without the voltages of every second SOC level, and the pulses of these."""
+    found = find_pulses(log)
+    moves = [p.start for p in found if p.role == "move"]
+    voltage = np.array(log.voltage_V)
+    out = []
+    for pulse in found:
+        if pulse.role == "pulse" and np.searchsorted(moves, pulse.start) % 2 == 1:
+            voltage[pulse.start : pulse.relax_stop] = np.nan
+            out.append(pulse)
+    return replace(log, voltage_V=voltage), tuple(out)
+
+
+def pulse_powers(
+    model: CellModel,
+    log: CellLog,
+    pulses: Sequence[Pulse],
+    estimator: type[Ekf] | type[Adaptive] = Ekf,
+    soc0: float = 1.0,
+) -> list[PulsePower]:
+    """What the filter says before each pulse, from a start at ``soc0``, and what was measured."""
+    filter_ = estimator(model)
+    state = filter_.init(soc0, 0.02, 0.0)
+    before = {p.start - 1: p for p in pulses}
+    warm = log.temperature_C
+    bias = Bias(0.0, 0.0)
+    found = []
+    for k in range(max(before, default=-1) + 1):
+        dt_s = float(log.interval_s[k])
+        temperature_C = None if warm is None else float(warm[k])
+        state, info = filter_.step(
+            state, log.interval_current_A[k], log.voltage_V[k], temperature_C,
+            dt_s=dt_s, gap=bool(log.gap_rows[k]),
+        )  # fmt: skip
+        bias = bias_step(bias, info.innovation_V, info.status, dt_s)
+        if k not in before:
+            continue
+        pulse = before[k]
+        last = int(np.searchsorted(log.time_s, log.time_s[k] + 1.002 * HORIZON_S)) - 1
+        last = min(last, pulse.cc_stop - 1)
+        horizon_s = float(log.time_s[last] - log.time_s[k])
+        if horizon_s < SHORTEST_S:
+            continue
+        end_V = float(log.voltage_V[last])
+        discharged = pulse.current_A > 0.0
+        ends = (end_V, end_V + BEYOND_V) if discharged else (end_V - BEYOND_V, end_V)
+        able = power_limits(
+            model, state, horizons_s=(horizon_s,), limits=OperatingLimits(*ends, 1e3, 1e3),
+            temperature_C=temperature_C, hold="current", bias_V=bias.voltage_V,
+        )[0]  # fmt: skip
+        way = able.discharge if discharged else able.charge
+        power_W = abs(pulse.current_A * end_V)
+        found.append(PulsePower(pulse.current_A, state.soc, power_W, way.power_W, way.power_low_W))
+    return found
+
+
+def panasonic_model(data: Path) -> tuple[CellModel, dict[float, tuple[Pulse, ...]]]:
+    """One model of all temperatures, three drives each, and the pulses it has not seen."""
+    hppc, drives, left_out = [], [], {}
+    for temperature, tag in TAGS.items():
+        log, left_out[temperature] = withheld(measured_log(data, f"{PANASONIC}/hppc_{tag}"))
+        hppc.append((log, temperature))
+        for name in DRIVES:
+            drives.append((measured_log(data, f"{PANASONIC}/drive_{tag}_{name}"), temperature))
+    tests = TestLogs(
+        hppc=tuple(hppc), ocv=panasonic_tests(data, "p25", 25.0).ocv, drive=tuple(drives)
+    )
+    settings = IdentifySettings(nominal_Ah=2.9, name="Panasonic 18650PF")
+    return identify_cell(tests, settings).model, left_out
+
+
+def power_figures(data: Path, say: Progress) -> list[Figure]:
+    """Panasonic at five temperatures, Leaf at three, Samsung at three and three rates."""
+    say("State of power: Panasonic")
+    model, left_out = panasonic_model(data)
+    figures: list[Figure] = []
+    for temperature, pulses in left_out.items():
+        log = measured_log(data, f"{PANASONIC}/hppc_{TAGS[temperature]}")
+        group = f"Panasonic {temperature:.0f} degC, one model of five temperatures"
+        figures += _figures(group, model, log, pulses, targets=temperature >= -10.0)
+    for cell, tags, names in (
+        (LEAF, LEAF_TAGS, ("hppc_{}",)),
+        (SAMSUNG, SAMSUNG_TAGS, tuple(f"hppc_dnn01_{r}_{{}}_time_rebuilt" for r in RATES)),
+    ):
+        say(f"State of power: {cell}")
+        logs = {
+            (t, name): measured_log(data, f"{cell}/{name.format(tag)}")
+            for t, tag in tags.items()
+            for name in names
+        }
+        masked = {key: withheld(log) for key, log in logs.items()}
+        tests = TestLogs(hppc=tuple((m, t) for (t, _), (m, _) in masked.items()))
+        model = identify_cell(tests, IdentifySettings(name=cell)).model
+        for (t, name), log in logs.items():
+            group = f"{cell} {name.format(tags[t])}, {t:.0f} degC, other SOC levels in the fit"
+            starts = 1.0 if cell == SAMSUNG else 0.0
+            figures += _figures(group, model, log, masked[t, name][1], soc0=starts)
+    return figures
+
+
+def _figures(
+    group: str,
+    model: CellModel,
+    log: CellLog,
+    pulses: Sequence[Pulse],
+    *,
+    targets: bool = True,
+    soc0: float = 1.0,
+) -> list[Figure]:
+    figures = []
+    for estimator in (Ekf, Adaptive):
+        found = pulse_powers(model, log, pulses, estimator, soc0)
+        if not found:
+            return [Figure(group, "pulse power", None, "%", note="no pulse of ten seconds")]
+        off = 100 * np.abs([p.error for p in found])
+        sustained = 100 * np.mean([p.predicted_low_W <= p.power_W for p in found])
+        worth = 100 * np.median([p.predicted_low_W / p.power_W for p in found])
+        note = (
+            f"{len(found)} pulses; lower bound sustained in {sustained:.0f} %, median "
+            f"{worth:.0f} % of the measured power; mean error "
+            f"{100 * np.mean([p.error for p in found]):+.1f} %"
+        )
+        name = estimator.name
+        figures += [
+            Figure(group, f"{name}: power at 10 s, median error", float(np.median(off)), "%",
+                   target=MEDIAN_TARGET if targets and estimator is Ekf else None, note=note),
+            Figure(group, f"{name}: power at 10 s, 95th percentile",
+                   float(np.quantile(off, 0.95)), "%",
+                   target=TAIL_TARGET if targets and estimator is Ekf else None),
+        ]  # fmt: skip
+    return figures

@@ -1,0 +1,144 @@
+"""State of power along a replayed log."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cellwise.cell.compiled import announce
+from cellwise.cell.equations import empty_state
+from cellwise.cell.simulate import known_temperature_C, start_hysteresis
+from cellwise.estimate.adaptive.trace import AdaptiveTrace
+from cellwise.estimate.estimators import Estimator
+from cellwise.estimate.filters.kalman import KalmanFilter
+from cellwise.estimate.filters.ukf import Ukf
+from cellwise.estimate.power.limit_kernels import LimitScalars
+from cellwise.estimate.power.limits import KnownLimits
+from cellwise.estimate.power.present_kernels import (
+    CHARGE_LOW_W,
+    CHARGE_W,
+    DISCHARGE_LOW_W,
+    DISCHARGE_W,
+    FAST,
+    POWERS,
+    PRESENT,
+    SCALE_VARIANCE,
+    TAIL,
+    carried_states,
+    ekf_states,
+    power_rows,
+    present_at,
+    ukf_states,
+)
+from cellwise.estimate.power.state_of_power import Hold, PowerSettings, StateOfPower
+from cellwise.estimate.trace import Trace
+from cellwise.logs.cell_log import CellLog
+from cellwise.typing import FloatArray
+
+
+def column_names(way: str, horizon_s: float) -> tuple[str, str]:
+    """Names of a power and of its lower bound in tables and in JSON lines."""
+    name = f"{way}_power_{horizon_s:g}s"
+    return f"{name}_W", f"{name}_low_W"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PowerTrace:
+    """Power limits along a log, without sign; every array has shape (horizons, rows) [W].
+
+    ``discharge_W`` and ``charge_W`` are the values, ``discharge_low_W`` and ``charge_low_W`` the
+    bounds that are sustained with 95 %; ``last`` is the state of power at the last row.
+    """
+
+    horizons_s: tuple[float, ...]
+    hold: Hold
+    known: KnownLimits
+    discharge_W: FloatArray
+    discharge_low_W: FloatArray
+    charge_W: FloatArray
+    charge_low_W: FloatArray
+    last: tuple[StateOfPower, ...]
+
+    def columns(self) -> dict[str, FloatArray]:
+        """As columns of a table: ``discharge_power_10s_W``, ``discharge_power_10s_low_W``, ..."""
+        found = {}
+        for j, horizon in enumerate(self.horizons_s):
+            for way in ("discharge", "charge"):
+                value, low = column_names(way, horizon)
+                found[value] = getattr(self, f"{way}_W")[j]
+                found[low] = getattr(self, f"{way}_low_W")[j]
+        return found
+
+    def to_dict(self) -> dict[str, Any]:
+        """The last row, and within what, as JSON values."""
+        return {
+            "hold": self.hold,
+            "limits": {**vars(self.known.limits)},
+            "limits_from": dict(self.known.sources),
+            "horizons": [s.to_dict() for s in self.last],
+        }
+
+    def __repr__(self) -> str:
+        parts = (
+            f"{s.horizon_s:g} s {s.discharge.power_W:.1f} / {s.charge.power_W:.1f} W"
+            for s in self.last
+        )
+        return f"PowerTrace(discharge / charge at the end: {', '.join(parts)})"
+
+
+def power_along(
+    settings: PowerSettings,
+    estimator: Estimator,
+    log: CellLog,
+    trace: Trace,
+    soc0: float,
+    soc0_std: float,
+) -> PowerTrace:
+    """Power limits at every row of a log that an estimator has made ``trace`` of.
+
+    EKF and UKF take every step once more, so that branch voltages, hysteresis and covariance are
+    the filter's own. Of every other estimator only the SOC and its deviation are known (of the
+    adaptive one the resistances' factors, too): the log's current gives the rest.
+
+    Parameters
+    ----------
+    soc0, soc0_std : float      where the estimator began
+    """
+    tables = settings.tables
+    warm = known_temperature_C(settings.model, log)
+    present = np.zeros((PRESENT, len(log)))
+    announce(power_rows, "the state of power")
+    if isinstance(estimator, KalmanFilter):
+        rows = ukf_states if isinstance(estimator, Ukf) else ekf_states
+        estimator.take_rows(rows, log, soc0, soc0_std, present)
+    else:
+        present[FAST] = present[TAIL] = 1.0
+        if isinstance(trace, AdaptiveTrace):
+            present[FAST], present[TAIL] = trace.resistance_scale, trace.polarisation_scale
+            present[SCALE_VARIANCE] = np.square(np.nan_to_num(trace.resistance_std))
+        carried_states(
+            tables, empty_state(float(trace.soc[0]), start_hysteresis(float(trace.soc[0]))),
+            log.interval_s, log.known_current_A(), warm,
+            np.ascontiguousarray(trace.soc, dtype=np.float64),
+            np.nan_to_num(np.ascontiguousarray(trace.soc_std, dtype=np.float64)),
+            np.ascontiguousarray(trace.innovation_V, dtype=np.float64), present,
+        )  # fmt: skip
+    horizons = np.array(settings.horizons_s)
+    out = np.empty((POWERS, horizons.size, len(log)))
+    limits: LimitScalars = settings.known.scalars()
+    power_rows(
+        tables, settings.noise.scalars(settings.model), limits, settings.hold == "power", horizons,
+        present, warm, np.zeros((POWERS, horizons.size)), out,
+    )  # fmt: skip
+    return PowerTrace(
+        settings.horizons_s,
+        settings.hold,
+        settings.known,
+        out[DISCHARGE_W],
+        np.minimum(out[DISCHARGE_LOW_W], out[DISCHARGE_W]),
+        out[CHARGE_W],
+        np.minimum(out[CHARGE_LOW_W], out[CHARGE_W]),
+        settings.of(present_at(present, len(log) - 1, float(warm[-1]))),
+    )

@@ -1,0 +1,180 @@
+"""The largest load that stays within every limit over a horizon, compiled."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from cellwise.cell.compiled import kernel
+from cellwise.cell.equations import CellTables
+from cellwise.estimate.noise import NoiseScalars
+from cellwise.estimate.power.load_kernels import Held, Present, moment_of, voltage_margin
+
+# Which limit a load reaches first.
+BY_VOLTAGE, BY_CURRENT, BY_SOC, BY_SUPPLY = range(4)
+IMPOSSIBLE = -1.0
+WIDENINGS = 24
+MOST_TRIALS = 60
+TOLERANCE = 1e-6  # of the load
+NEAR = 0.02  # of the load: how far a neighbour's answer is tried to either side
+SUSTAINED_SIGMAS = 1.6449  # one-sided 95 % of a normal distribution
+
+
+class LimitScalars(NamedTuple):
+    """Limits of a cell as the kernels see them; currents without sign, infinite where none is."""
+
+    low_V: float
+    high_V: float
+    discharge_A: float
+    charge_A: float
+    low_soc: float
+    high_soc: float
+
+
+class Trial(NamedTuple):
+    """A load that was tried: where it leads, its room to the nearest limit, which one that is.
+
+    ``off_V`` is by how much the voltage may be lower or higher than it says.
+    """
+
+    load: Held
+    off_V: float
+    margin: float
+    reason: int
+
+
+class Capability(NamedTuple):
+    """The largest load: power and current at the horizon's end, without sign, and what limits it.
+
+    ``load`` is what was held, with its sign; ``voltage_V`` the terminal voltage at the end.
+    """
+
+    power_W: float
+    current_A: float
+    voltage_V: float
+    reason: int
+    load: float
+
+
+@kernel
+def trial(
+    tables: CellTables,
+    noise: NoiseScalars,
+    limits: LimitScalars,
+    now: Present,
+    load: float,
+    power: bool,
+    horizon_s: float,
+    side: float,
+    sigmas: float,
+) -> Trial:
+    """Hold one load, with its sign; the margin to the nearest limit is above 0 within all.
+
+    Margins are compared as shares: a volt, the largest current, all of the SOC.
+    """
+    there, off_V = voltage_margin(tables, noise, now, load, power, horizon_s, side, sigmas)
+    if not there.possible:
+        return Trial(there, 0.0, IMPOSSIBLE, BY_SUPPLY)
+    off_soc = sigmas * math.sqrt(now.soc_variance)
+    if side > 0.0:
+        margin = there.lowest_V - off_V - limits.low_V
+        most_A = limits.discharge_A
+        soc = there.end.soc - off_soc - limits.low_soc
+    else:
+        margin = limits.high_V - there.highest_V - off_V
+        most_A = limits.charge_A
+        soc = limits.high_soc - there.end.soc - off_soc
+    reason = BY_VOLTAGE
+    if math.isfinite(most_A):
+        left = (most_A - there.largest_A) / max(most_A, 1e-12)
+        if left < margin:
+            margin = left
+            reason = BY_CURRENT
+    if soc < margin:
+        margin = soc
+        reason = BY_SOC
+    return Trial(there, off_V, margin, reason)
+
+
+@kernel
+def largest_load(
+    tables: CellTables,
+    noise: NoiseScalars,
+    limits: LimitScalars,
+    now: Present,
+    power: bool,
+    horizon_s: float,
+    side: float,
+    sigmas: float,
+    guess: float,
+) -> Capability:
+    """The largest load that stays within the limits, on discharge (``side`` 1) or charge (-1).
+
+    Bracketed, then false position (Illinois) on the margin to the nearest limit, which falls as
+    the load grows. Not even no load: the power is 0.
+
+    Source: G. Plett, High-performance battery-pack power estimation using a dynamic cell model,
+    IEEE Trans. Veh. Technol. 53 (2004) 1586, 10.1109/TVT.2004.832408, section IV (bisection).
+
+    Parameters
+    ----------
+    power : bool      hold a power, not a current
+    sigmas : float    deviations of the voltage and of the SOC to keep from the limits
+    guess : float     the answer of a neighbour, as a size; 0: none
+    """
+    none = moment_of(tables, now.cell, 0.0, False, now.temperature_C, now.but)
+    far_V = none.voltage_V - limits.low_V if side > 0.0 else limits.high_V - none.voltage_V
+    # As if R0 alone took it all: more than a cell gives, for most.
+    b = max(far_V, 1e-3) / max(none.point.r0_ohm * now.but.fast, 1e-9)
+    most_A = limits.discharge_A if side > 0.0 else limits.charge_A
+    b = min(b, 1.001 * most_A + 1e-9)
+    if power:
+        b *= max(limits.low_V if side > 0.0 else limits.high_V, 1e-3)
+    start = 0.0
+    if guess > 0.0:
+        start = (1.0 - NEAR) * guess
+    best = trial(tables, noise, limits, now, side * start, power, horizon_s, side, sigmas)
+    if start > 0.0 and best.margin > 0.0:
+        b = (1.0 + NEAR) * guess
+    elif start > 0.0:
+        b = start
+        start = 0.0
+        best = trial(tables, noise, limits, now, 0.0, power, horizon_s, side, sigmas)
+    a = start
+    fa = best.margin
+    if not fa > 0.0:
+        return Capability(0.0, 0.0, best.load.voltage_V, best.reason, 0.0)
+    worst = best
+    for _ in range(WIDENINGS):
+        worst = trial(tables, noise, limits, now, side * b, power, horizon_s, side, sigmas)
+        if not worst.margin > 0.0:
+            break
+        a, fa, best = b, worst.margin, worst
+        b *= 2.0
+    fb = worst.margin
+    reason = worst.reason
+    last = 0
+    for k in range(MOST_TRIALS):
+        if fb > 0.0 or b - a <= TOLERANCE * b:
+            break
+        c = (a * fb - b * fa) / (fb - fa)
+        # A jump (a power that no current gives) or a kink: halve now and then.
+        if k % 4 == 3 or not (a < c < b):
+            c = 0.5 * (a + b)
+        there = trial(tables, noise, limits, now, side * c, power, horizon_s, side, sigmas)
+        if there.margin > 0.0:
+            a, fa, best = c, there.margin, there
+            if last == 1:
+                fb *= 0.5
+            last = 1
+            if there.margin < TOLERANCE:
+                reason = there.reason
+                break
+        else:
+            b, fb, reason = c, there.margin, there.reason
+            if last == -1:
+                fa *= 0.5
+            last = -1
+    end_A = abs(best.load.current_A)
+    end_W = a if power else end_A * (best.load.voltage_V - best.off_V)
+    return Capability(end_W, end_A, best.load.voltage_V, reason, side * a)

@@ -1,0 +1,228 @@
+"""A load held over a horizon on the cell's own equations: where it leads, how sure that is."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from cellwise.cell.compiled import inline, kernel
+from cellwise.cell.equations import (
+    CellState,
+    CellTables,
+    Transition,
+    advance,
+    loaded,
+    loaded_voltage,
+    polarisation,
+    transition,
+)
+from cellwise.cell.point_kernels import CellPoint
+from cellwise.estimate.evidence_kernels import voltage_variance
+from cellwise.estimate.filters.covariance_kernels import (
+    Covariance,
+    column,
+    decayed,
+    explained,
+    with_soc_variance,
+)
+from cellwise.estimate.noise import NoiseScalars
+from cellwise.estimate.validity_kernels import extrapolation_V, soc_extrapolation_V, widened
+
+# Intervals of a horizon: within one the current is constant, and SOC's tables are looked up.
+STEPS = 5
+# A resistance that follows the current is found by repetition.
+REPETITIONS = 2
+SMALLEST_SHIFT = 1e-6  # of SOC: below it there is no chord
+
+
+class Correction(NamedTuple):
+    """What a cell is seen to differ by from its model.
+
+    Factors on R0, R1 (``fast``) and on R2, R3 (``tail``); ``bias_V`` is measured less modelled
+    voltage of late, which is taken to stay over the horizon.
+    """
+
+    fast: float
+    tail: float
+    bias_V: float
+
+
+class Present(NamedTuple):
+    """What is known of a cell now: mean, covariance, how the model has done lately.
+
+    ``soc_variance`` is that of the SOC with what a persistent model error may have brought into it,
+    ``mismatch`` what the innovations have shown over their variance, ``scale_variance`` that of
+    the resistances' factors.
+    """
+
+    cell: CellState
+    p: Covariance
+    soc_variance: float
+    mismatch: float
+    temperature_C: float
+    but: Correction
+    scale_variance: float
+
+
+class Held(NamedTuple):
+    """A load after a horizon; ``lowest_V`` and ``highest_V`` from its first moment on."""
+
+    end: CellState
+    point: CellPoint
+    t: Transition
+    current_A: float
+    voltage_V: float
+    lowest_V: float
+    highest_V: float
+    largest_A: float
+    polarisation_V: float
+    possible: bool
+
+
+class Moment(NamedTuple):
+    """A load at one instant: tables, current, terminal voltage, what the current takes off."""
+
+    point: CellPoint
+    current_A: float
+    voltage_V: float
+    polarisation_V: float
+    possible: bool
+
+
+@inline
+def drop_of(point: CellPoint, x: CellState, current_A: float, but: Correction) -> float:
+    """What the current takes off the OCV, with the resistances' factors [V]."""
+    fast = polarisation(point.r0_ohm, current_A, x.v1_V, 0.0, 0.0)
+    return but.fast * fast + but.tail * (x.v2_V + x.v3_V)
+
+
+@kernel
+def moment_of(
+    tables: CellTables, x: CellState, load: float, power: bool, warm_C: float, but: Correction
+) -> Moment:
+    r"""A state under a load, at once: a current, or a power.
+
+    .. math:: v = \tfrac12 \left( E + \sqrt{E^2 - 4 R_0 P} \right), \quad I = P / v
+
+    With E the voltage without the ohmic drop; of the two currents of a power P the smaller one.
+    """
+    current = load
+    possible = True
+    point = loaded(tables, x.soc, warm_C, current, x.slow_A)
+    if power:
+        current = load / point.ocv_V
+        for _ in range(REPETITIONS):
+            point = loaded(tables, x.soc, warm_C, current, x.slow_A)
+            drop = drop_of(point, x, 0.0, but)
+            inner = loaded_voltage(point.ocv_V, point.m_V, x.h, drop) + but.bias_V
+            square = inner * inner - 4.0 * but.fast * point.r0_ohm * load
+            possible = square >= 0.0 and inner > 0.0
+            if not possible:
+                break
+            current = load / (0.5 * (inner + math.sqrt(square)))
+    drop = drop_of(point, x, current, but)
+    voltage = loaded_voltage(point.ocv_V, point.m_V, x.h, drop) + but.bias_V
+    return Moment(point, current, voltage, drop, possible)
+
+
+@inline
+def joined(t: Transition, u: Transition) -> Transition:
+    """Decay over two intervals, one after the other; drives are the second one's."""
+    return Transition(t.a1 * u.a1, t.a2 * u.a2, t.a3 * u.a3, t.ah * u.ah, u.gs, u.g1, u.g2, u.g3)
+
+
+@kernel
+def held(
+    tables: CellTables,
+    start: CellState,
+    load: float,
+    power: bool,
+    horizon_s: float,
+    temperature_C: float,
+    but: Correction,
+) -> Held:
+    """Hold a load, positive on discharge: a power [W], else a current [A], over a horizon.
+
+    The current of a power is renewed at the beginning of each of ``STEPS`` even intervals, and at
+    the end.
+    """
+    x = start
+    dt_s = horizon_s / STEPS
+    now = moment_of(tables, x, load, power, temperature_C + x.heat_K, but)
+    lowest = highest = now.voltage_V
+    largest = abs(now.current_A)
+    possible = now.possible
+    t = Transition(1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0)
+    for _ in range(STEPS):
+        if not possible:
+            break
+        x, point = advance(tables, x, now.current_A, dt_s, temperature_C)
+        t = joined(t, transition(tables.cell, point, now.current_A, dt_s))
+        now = moment_of(tables, x, load, power, temperature_C + x.heat_K, but)
+        possible = now.possible
+        lowest = min(lowest, now.voltage_V)
+        highest = max(highest, now.voltage_V)
+        largest = max(largest, abs(now.current_A))
+    # fmt: off
+    return Held(
+        x, now.point, t, now.current_A, now.voltage_V, lowest, highest, largest,
+        now.polarisation_V, possible,
+    )
+    # fmt: on
+
+
+@kernel
+def end_variance(
+    tables: CellTables, noise: NoiseScalars, now: Present, load: Held, slope_V: float
+) -> float:
+    """Variance of the voltage at the end of a load [V^2].
+
+    Of the states, decayed over the horizon, with ``slope_V`` for the SOC; of the model as the
+    filters have it, which grows with what the innovations have shown; of the resistances' factors.
+    """
+    p = decayed(with_soc_variance(now.p, now.soc_variance), load.t)
+    d = column(p, slope_V, load.point.m_V)
+    states = max(explained(d, slope_V, load.point.m_V), 0.0)
+    x = load.end
+    branches = abs(x.v1_V) + (abs(x.v2_V) + abs(x.v3_V))
+    more = extrapolation_V(noise.valid, now.temperature_C, load.current_A, load.polarisation_V)
+    beyond = soc_extrapolation_V(noise.valid, x.soc) - soc_extrapolation_V(
+        noise.valid, now.cell.soc
+    )
+    more += max(beyond, 0.0)
+    point = widened(load.point, abs(more))
+    model = voltage_variance(noise, point, point.r0_ohm, load.current_A, 0.0, branches)
+    scaled = now.scale_variance * load.polarisation_V * load.polarisation_V
+    return states + max(now.mismatch, 1.0) * model + scaled
+
+
+@kernel
+def voltage_margin(
+    tables: CellTables,
+    noise: NoiseScalars,
+    now: Present,
+    load: float,
+    power: bool,
+    horizon_s: float,
+    side: float,
+    sigmas: float,
+) -> tuple[Held, float]:
+    """A held load, and by how much its voltage may be off against it [V].
+
+    ``side`` is 1 on discharge and -1 on charge. The slope over SOC is the chord to the SOC that is
+    ``sigmas`` deviations worse, so that a resistance that rises there counts.
+    """
+    there = held(tables, now.cell, load, power, horizon_s, now.temperature_C, now.but)
+    if sigmas == 0.0 or not there.possible:
+        return there, 0.0
+    shift = side * sigmas * math.sqrt(now.soc_variance)
+    slope = there.point.ocv_slope_V
+    if abs(shift) > SMALLEST_SHIFT:
+        x = now.cell
+        worse = CellState(x.soc - shift, x.v1_V, x.v2_V, x.v3_V, x.h, x.heat_K, x.slow_A)
+        low = held(tables, worse, load, power, horizon_s, now.temperature_C, now.but)
+        if not low.possible:
+            return low, 0.0
+        slope = (there.voltage_V - low.voltage_V) / shift
+    off = math.sqrt(end_variance(tables, noise, now, there, slope))
+    return there, sigmas * off

@@ -1,0 +1,201 @@
+"""The present state of every row of a log, as the power is computed from it, compiled."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from cellwise.cell.compiled import inline, kernel, rows
+from cellwise.cell.equations import CellState, CellTables, advance, seen_current
+from cellwise.estimate.filters.covariance_kernels import Covariance
+from cellwise.estimate.filters.ekf_kernels import ekf_step, reading_of
+from cellwise.estimate.filters.filter_state import (
+    EkfInfo,
+    EkfStart,
+    EkfState,
+    LogArrays,
+    ekf_start,
+)
+from cellwise.estimate.filters.ukf_kernels import SigmaScalars, ukf_step
+from cellwise.estimate.noise import NoiseScalars
+from cellwise.estimate.power.limit_kernels import SUSTAINED_SIGMAS, LimitScalars, largest_load
+from cellwise.estimate.power.load_kernels import Correction, Present
+from cellwise.estimate.status import INNOVATION_REJECTED
+from cellwise.typing import FloatArray
+
+# What the model has been off by over the longest usual horizon is taken to stay over the next.
+BIAS_S = 30.0
+# Rows of the present: cell, covariance, then what else is known.
+CELL, COVARIANCE, REST = 0, 7, 22
+SOC_VARIANCE, MISMATCH, FAST, TAIL, BIAS, SCALE_VARIANCE = range(REST, REST + 6)
+PRESENT = REST + 6
+# What is written for each horizon.
+DISCHARGE_W, DISCHARGE_LOW_W, CHARGE_W, CHARGE_LOW_W = range(4)
+POWERS = 4
+
+
+class Bias(NamedTuple):
+    """Running mean of measured less predicted voltage, and over which time it goes by now."""
+
+    voltage_V: float
+    seen_s: float
+
+
+@kernel
+def bias_step(bias: Bias, innovation_V: float, status: int, dt_s: float) -> Bias:
+    """Mean over ``BIAS_S`` of the innovations that were used; a plain mean until it is full."""
+    if not math.isfinite(innovation_V) or status & INNOVATION_REJECTED:
+        return bias
+    seen = min(bias.seen_s + dt_s, BIAS_S)
+    share = min(dt_s / seen, 1.0) if seen > 0.0 else 1.0
+    return Bias(bias.voltage_V + share * (innovation_V - bias.voltage_V), seen)
+
+
+@inline
+def put_cell(out: FloatArray, k: int, x: CellState) -> None:
+    """The cell of one row."""
+    i = CELL
+    for value in (x.soc, x.v1_V, x.v2_V, x.v3_V, x.h, x.heat_K, x.slow_A):
+        out[i, k] = value
+        i += 1
+
+
+@inline
+def put_state(out: FloatArray, k: int, state: EkfState, info: EkfInfo, bias: Bias) -> None:
+    """A filter's state in one row."""
+    put_cell(out, k, state.cell)
+    p = state.p
+    i = COVARIANCE
+    for value in (
+        p.ss, p.s1, p.s2, p.s3, p.sh, p.p11, p.p12, p.p13, p.p1h, p.p22, p.p23, p.p2h, p.p33,
+        p.p3h, p.phh,
+    ):  # fmt: skip
+        out[i, k] = value
+        i += 1
+    out[SOC_VARIANCE, k] = info.soc_std * info.soc_std
+    out[MISMATCH, k] = state.mismatch
+    out[FAST, k] = 1.0
+    out[TAIL, k] = 1.0
+    out[BIAS, k] = bias.voltage_V
+    out[SCALE_VARIANCE, k] = 0.0
+
+
+@rows
+def ekf_states(
+    tables: CellTables,
+    noise: NoiseScalars,
+    first: EkfStart,
+    start: EkfStart,
+    log: LogArrays,
+    out: FloatArray,
+) -> None:
+    """States of the EKF after every row, shape (PRESENT, rows)."""
+    state = ekf_start(first, log.current_A[0])
+    bias = Bias(0.0, 0.0)
+    for k in range(log.dt_s.size):
+        state, info = ekf_step(tables, noise, start, state, reading_of(log, k))
+        bias = bias_step(bias, info.innovation_V, info.status, log.dt_s[k])
+        put_state(out, k, state, info, bias)
+
+
+@rows
+def ukf_states(
+    tables: CellTables,
+    noise: NoiseScalars,
+    sigma: SigmaScalars,
+    first: EkfStart,
+    start: EkfStart,
+    log: LogArrays,
+    out: FloatArray,
+) -> None:
+    """States of the UKF after every row, shape (PRESENT, rows)."""
+    state = ekf_start(first, log.current_A[0])
+    bias = Bias(0.0, 0.0)
+    for k in range(log.dt_s.size):
+        state, info = ukf_step(tables, noise, sigma, start, state, reading_of(log, k))
+        bias = bias_step(bias, info.innovation_V, info.status, log.dt_s[k])
+        put_state(out, k, state, info, bias)
+
+
+@rows
+def carried_states(
+    tables: CellTables,
+    start: CellState,
+    dt_s: FloatArray,
+    current_A: FloatArray,
+    temperature_C: FloatArray,
+    soc: FloatArray,
+    soc_std: FloatArray,
+    innovation_V: FloatArray,
+    out: FloatArray,
+) -> None:
+    """The cell carried through a log by its current with an estimator's SOC, for every other one.
+
+    Rows ``FAST``, ``TAIL`` and ``SCALE_VARIANCE`` of ``out`` belong to the caller.
+    """
+    state = start
+    previous = current_A[0]
+    bias = Bias(0.0, 0.0)
+    for k in range(dt_s.size):
+        seen = seen_current(tables.cell, current_A[k], previous, dt_s[k])
+        previous = current_A[k]
+        state, _ = advance(tables, state, seen, dt_s[k], temperature_C[k])
+        # fmt: off
+        state = CellState(
+            soc[k], state.v1_V, state.v2_V, state.v3_V, state.h, state.heat_K, state.slow_A
+        )
+        # fmt: on
+        bias = bias_step(bias, innovation_V[k], 0, dt_s[k])
+        put_cell(out, k, state)
+        variance = soc_std[k] * soc_std[k]
+        for i in range(COVARIANCE, REST):
+            out[i, k] = 0.0
+        out[COVARIANCE, k] = variance
+        out[SOC_VARIANCE, k] = variance
+        out[MISMATCH, k] = 1.0
+        out[BIAS, k] = bias.voltage_V
+
+
+@inline
+def present_at(values: FloatArray, k: int, temperature_C: float) -> Present:
+    """One row as it was put."""
+    v = values[:, k]
+    cell = CellState(v[0], v[1], v[2], v[3], v[4], v[5], v[6])
+    # fmt: off
+    p = Covariance(
+        v[7], v[8], v[9], v[10], v[11], v[12], v[13], v[14], v[15], v[16], v[17], v[18], v[19],
+        v[20], v[21],
+    )
+    # fmt: on
+    but = Correction(v[FAST], v[TAIL], v[BIAS])
+    return Present(cell, p, v[SOC_VARIANCE], v[MISMATCH], temperature_C, but, v[SCALE_VARIANCE])
+
+
+@rows
+def power_rows(
+    tables: CellTables,
+    noise: NoiseScalars,
+    limits: LimitScalars,
+    power: bool,
+    horizons_s: FloatArray,
+    present: FloatArray,
+    temperature_C: FloatArray,
+    guess: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Power of every row, shape (POWERS, horizons, rows), from presents of shape (PRESENT, rows).
+
+    ``guess``, shape (POWERS, horizons), are loads to begin at; it is written.
+    """
+    for k in range(temperature_C.size):
+        now = present_at(present, k, temperature_C[k])
+        for j in range(horizons_s.size):
+            for side in (1.0, -1.0):
+                for low in (False, True):
+                    i = (DISCHARGE_W if side > 0.0 else CHARGE_W) + (1 if low else 0)
+                    found = largest_load(
+                        tables, noise, limits, now, power, horizons_s[j], side,
+                        SUSTAINED_SIGMAS if low else 0.0, guess[i, j],
+                    )  # fmt: skip
+                    guess[i, j] = abs(found.load)
+                    out[i, j, k] = found.power_W

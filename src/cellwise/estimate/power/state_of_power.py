@@ -1,0 +1,200 @@
+"""State of power: what a cell can give and take from its present state, within its limits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal, NamedTuple, get_args
+
+import numpy as np
+
+from cellwise.cell.compiled import announce
+from cellwise.cell.equations import CellState, CellTables
+from cellwise.cell.model import CellModel, check_is_model
+from cellwise.cell.simulate import model_temperature_C
+from cellwise.errors import InputError
+from cellwise.estimate.adaptive.state_kernels import AdaptiveState
+from cellwise.estimate.filters.covariance_kernels import Covariance, uncorrelated
+from cellwise.estimate.filters.filter_state import EkfState
+from cellwise.estimate.noise import Noise, noise_for
+from cellwise.estimate.power.limit_kernels import SUSTAINED_SIGMAS, Capability, largest_load
+from cellwise.estimate.power.limits import KnownLimits, OperatingLimits, operating_limits
+from cellwise.estimate.power.load_kernels import Correction, Present
+from cellwise.given import numbers, shown
+
+Hold = Literal["power", "current"]
+HORIZONS_S = (2.0, 10.0, 30.0)
+LONGEST_S = 3600.0
+REASONS = ("voltage", "current", "soc", "supply")
+AS_MODEL = Correction(1.0, 1.0, 0.0)
+
+
+class PowerLimit(NamedTuple):
+    """Power at one horizon, one way; all without sign.
+
+    ``power_W`` is the value, ``power_low_W`` the bound that is sustained with 95 %; ``current_A``
+    and ``voltage_V`` are the value's at the end of the horizon, ``by`` what limits it: ``voltage``,
+    ``current``, ``soc``, or ``supply`` where no current gives more power.
+    """
+
+    power_W: float
+    power_low_W: float
+    current_A: float
+    voltage_V: float
+    by: str
+
+
+class StateOfPower(NamedTuple):
+    """What a cell can give and take for ``horizon_s``."""
+
+    horizon_s: float
+    discharge: PowerLimit
+    charge: PowerLimit
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON values."""
+        found: dict[str, Any] = {"horizon_s": self.horizon_s}
+        for way in ("discharge", "charge"):
+            limit: PowerLimit = getattr(self, way)
+            for name, value in limit._asdict().items():
+                found[f"{way}_{name}"] = value
+        return found
+
+
+class PowerSettings(NamedTuple):
+    """What the power of a model is asked for: horizons, limits, what is held, the kernels' view."""
+
+    horizons_s: tuple[float, ...]
+    hold: Hold
+    known: KnownLimits
+    tables: CellTables
+    noise: Noise
+    model: CellModel
+
+    def of(self, now: Present) -> tuple[StateOfPower, ...]:
+        """State of power of one moment, at every horizon."""
+        noise, limits = self.noise.scalars(self.model), self.known.scalars()
+        announce(largest_load, "the state of power")
+        found = []
+        for horizon_s in self.horizons_s:
+            ways = []
+            for side in (1.0, -1.0):
+                value, low = (
+                    Capability(
+                        *largest_load(
+                            self.tables, noise, limits, now, self.hold == "power", horizon_s,
+                            side, sigmas, 0.0,
+                        )
+                    )
+                    for sigmas in (0.0, SUSTAINED_SIGMAS)
+                )  # fmt: skip
+                ways.append(
+                    PowerLimit(
+                        value.power_W, min(low.power_W, value.power_W), value.current_A,
+                        value.voltage_V, REASONS[value.reason],
+                    )
+                )  # fmt: skip
+            found.append(StateOfPower(horizon_s, *ways))
+        return tuple(found)
+
+
+def power_settings(
+    model: CellModel,
+    *,
+    horizons_s: Sequence[float] = HORIZONS_S,
+    limits: OperatingLimits | None = None,
+    hold: Hold = "power",
+    noise: Noise | None = None,
+) -> PowerSettings:
+    """Check what a power is asked for, once.
+
+    Raises
+    ------
+    InputError        as :func:`power_limits`
+    """
+    check_is_model(model)
+    horizons = tuple(numbers("horizons_s", horizons_s).ravel().tolist())
+    if not horizons or not all(np.isfinite(h) and 0.0 < h <= LONGEST_S for h in horizons):
+        raise InputError(
+            f"horizons of {', '.join(f'{h:g}' for h in horizons) or 'nothing'} s for the power",
+            f"times above zero, at most {LONGEST_S:g} s",
+            "Give 2 10 30, say.",
+        )
+    if len(set(horizons)) != len(horizons):
+        raise InputError(
+            f"horizons of {', '.join(f'{h:g}' for h in horizons)} s", "each once", "Leave one out."
+        )
+    if hold not in get_args(Hold):
+        raise InputError(f"hold '{hold}'", f"one of {', '.join(get_args(Hold))}", "Choose one.")
+    known = operating_limits(model, limits)
+    noise = noise_for(model, noise)
+    return PowerSettings(horizons, hold, known, model.parameters(), noise, model)
+
+
+def power_limits(
+    model: CellModel,
+    state: EkfState | AdaptiveState | CellState,
+    *,
+    horizons_s: Sequence[float] = HORIZONS_S,
+    limits: OperatingLimits | None = None,
+    temperature_C: float | None = None,
+    hold: Hold = "power",
+    noise: Noise | None = None,
+    bias_V: float = 0.0,
+) -> tuple[StateOfPower, ...]:
+    """Power that a cell can give and take for some seconds within its limits.
+
+    The largest power (``hold`` ``"power"``) or current (``"current"``) which, held from now to the
+    end of the horizon, keeps the terminal voltage, the current and the SOC within their limits;
+    what is said is the power at the end of the horizon. The lower bound keeps the limits with
+    95 %: they are narrowed by 1.645 deviations of the predicted voltage and of the SOC.
+
+    Source: G. Plett, High-performance battery-pack power estimation using a dynamic cell model,
+    IEEE Trans. Veh. Technol. 53 (2004) 1586, 10.1109/TVT.2004.832408, section IV.
+
+    Parameters
+    ----------
+    state : a filter's state          of `Ekf.step`, `Ukf.step`, `Adaptive.step`; a `CellState` is
+                                      known exactly: the bound is then that of the model's error
+    horizons_s : sequence of float    [s]
+    limits : OperatingLimits or None  what is not given: the model's, its chemistry's window, the
+                                      largest currents of its data
+    temperature_C : float or None     of the surface now [degC]; None: the model's own
+    noise : Noise or None             None: from the model's own validation error
+    bias_V : float                    measured less predicted voltage of late (`Bias`), taken to
+                                      stay over the horizon [V]
+
+    Returns
+    -------
+    tuple of StateOfPower             one for each horizon
+
+    Raises
+    ------
+    InputError        no horizon above zero; limits that are inverted, or not known
+    """
+    settings = power_settings(model, horizons_s=horizons_s, limits=limits, hold=hold, noise=noise)
+    if not isinstance(state, (EkfState, AdaptiveState, CellState)):
+        raise InputError(
+            f"state = {shown(state)}",
+            "a filter's state, or a CellState",
+            "Pass what `step` returns.",
+        )
+    warm = model_temperature_C(model) if temperature_C is None else float(temperature_C)
+    return settings.of(present_of(state, warm, bias_V))
+
+
+def present_of(
+    state: EkfState | AdaptiveState | CellState, temperature_C: float, bias_V: float = 0.0
+) -> Present:
+    """A filter's state, or a cell's that is known exactly, as the kernels take it."""
+    but = AS_MODEL._replace(bias_V=bias_V)
+    if isinstance(state, CellState):
+        exact = uncorrelated(0.0, 0.0, 0.0, 0.0, 0.0)
+        return Present(state, exact, 0.0, 1.0, temperature_C, but, 0.0)
+    if isinstance(state, AdaptiveState):
+        r = state.resistances
+        but = Correction(r.fast, r.tail, bias_V)
+        p = Covariance(*(getattr(state.p, name) for name in Covariance._fields))
+        return Present(
+            state.cell, p, state.soc_std**2, state.mismatch, temperature_C, but, r.fast_variance
+        )
+    return Present(state.cell, state.p, state.soc_std**2, state.mismatch, temperature_C, but, 0.0)

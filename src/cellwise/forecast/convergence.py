@@ -1,0 +1,61 @@
+"""How long a filter will need to find the SOC on a log, predicted from the model alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cellwise.cell.model import CellModel
+from cellwise.cell.simulate import simulate
+from cellwise.estimate.estimators import Estimator
+from cellwise.estimate.replay import Replay, converged_row
+from cellwise.typing import FloatArray
+
+MEDIAN_SIGMAS = 0.67449  # half of a normal distribution lies within
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ExpectedConvergence:
+    """What a filter should know of the SOC over a log, were the model right within its own error.
+
+    ``soc_std`` is the standard deviation expected at every row, shape (rows,).
+    """
+
+    time_s: FloatArray
+    soc_std: FloatArray
+
+    @property
+    def convergence_s(self) -> float | None:
+        """Time from which an error of that deviation stays within 2 points as likely as not.
+
+        Stays means for ten minutes or to the log's end; None: not on this log.
+        """
+        row = converged_row(self.time_s, MEDIAN_SIGMAS * self.soc_std)
+        return None if row is None else float(self.time_s[row] - self.time_s[0])
+
+    def __repr__(self) -> str:
+        return f"ExpectedConvergence({self.convergence_s} s, finally {self.soc_std[-1]:.4f})"
+
+
+def expected_convergence(
+    model: CellModel, replayed: Replay, estimator: Estimator
+) -> ExpectedConvergence:
+    """The deviation of the SOC that a filter expects over a log's current, its voltage not used.
+
+    The recursion of the covariance needs a trajectory and no measurement: here that of the log's
+    current, counted back from the SOC at which the replay ends, with the voltage that the model
+    itself gives. From the replay's own start deviation. It says what this drive can show
+    (observability): nothing of how far the model is off beyond what it states.
+
+    Parameters
+    ----------
+    replayed : Replay         its log, its start's deviation, its final SOC
+    estimator : Estimator     as it made the replay; one that uses no voltage expects no convergence
+    """
+    log = replayed.log
+    counted = simulate(model, log, 0.5).soc - 0.5
+    start = float(np.clip(replayed.trace.soc[-1] - counted[-1], 0.0, 1.0))
+    voltage = np.where(np.isfinite(log.voltage_V), simulate(model, log, start).voltage_V, np.nan)
+    trace = estimator.run(replace(log, voltage_V=voltage), start, replayed.start.std)
+    return ExpectedConvergence(log.time_s, np.asarray(trace.soc_std, dtype=np.float64))

@@ -1,0 +1,31 @@
+"""State of power on a page: the picture shows limits and measured power, the table the end."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cellwise.estimate.power.limits import OperatingLimits
+from cellwise.estimate.power.state_of_power import power_settings
+from cellwise.estimate.replay import replay
+from cellwise.report.replay.power_section import draw_power, power_content, usual
+from report_cases import drive, model
+
+
+@pytest.mark.slow
+def test_limits_stand_beside_the_measured_power():
+    limits = OperatingLimits(2.8, 4.25)
+    settings = power_settings(model(), horizons_s=(2.0, 12.0), limits=limits)
+    run = replay(model(), drive(), "ekf", soc0=0.8, power=settings)
+    assert usual(run.power) == 1
+    (axes,) = draw_power(run, run.power).axes
+    out, into, measured = axes.lines[:3]
+    assert np.max(out.get_ydata()) == pytest.approx(run.power.discharge_W[1].max())
+    assert np.min(into.get_ydata()) == pytest.approx(-run.power.charge_W[1].max())
+    assert np.nanmax(measured.get_ydata()) == pytest.approx(
+        np.nanmax(run.log.interval_current_A * run.log.voltage_V)
+    )
+    assert "12 s" in axes.get_ylabel()
+    text = power_content(run, run.power, several=False)
+    assert "voltage" in text
+    assert "at least (95 %)" in text
