@@ -18,7 +18,7 @@ from cellwise.cell.simulate import (
     rows_to_fit,
     start_hysteresis,
 )
-from cellwise.cell.start_kernels import start_errors
+from cellwise.cell.start_kernels import Pieces, PieceSums, Starts, start_errors
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
@@ -207,11 +207,13 @@ def _start_cost(
     beyond = np.zeros(soc0.size)
     announce(start_errors, "the initial SOC")
     start_errors(
-        model.parameters(), soc0, np.array([start_hysteresis(s) for s in soc0]), log.interval_s,
-        log.known_current_A(), known_temperature_C(model, log), np.array(log.voltage_V), past,
-        piece, np.array(model.slow_error_V(np.linspace(0.0, 1.0, 101))), squares, products, known,
-        beyond,
-    )  # fmt: skip
+        model.parameters(),
+        Starts(soc0, np.array([start_hysteresis(s) for s in soc0])),
+        rows_to_fit(model, log),
+        Pieces(piece, past),
+        np.array(model.slow_error_V(np.linspace(0.0, 1.0, 101))),
+        PieceSums(squares, products, known, beyond),
+    )
     seen = rows > 0
     count = rows[seen]
     left = np.bincount(piece[finite], past[finite] ** 2, minlength=pieces)[seen] / count

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from cellwise.cell.plausibility.outside import outside_notices
 from cellwise.cell.plausibility.simulated import error_notices, soc_notices
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.cell.simulate_kernels import simulate_rows
-from cellwise.cell.start_kernels import best_start
+from cellwise.cell.start_kernels import MeasuredRows, Starts, best_start
 from cellwise.errors import InputError
 from cellwise.given import number
 from cellwise.logs.cell_log import CellLog, check_is_log
@@ -151,18 +151,9 @@ def best_start_soc(model: CellModel, log: CellLog, soc0: FloatArray) -> tuple[fl
     return best_start_of(model, rows_to_fit(model, log), soc0)
 
 
-class RowsToFit(NamedTuple):
-    """The rows of a log as `best_start` takes them, shape (n,) each."""
-
-    interval_s: FloatArray
-    current_A: FloatArray
-    temperature_C: FloatArray
-    voltage_V: FloatArray
-
-
-def rows_to_fit(model: CellModel, log: CellLog) -> RowsToFit:
+def rows_to_fit(model: CellModel, log: CellLog) -> MeasuredRows:
     """What the search for a start needs of a log."""
-    return RowsToFit(
+    return MeasuredRows(
         log.interval_s,
         log.known_current_A(),
         known_temperature_C(model, log),
@@ -170,11 +161,11 @@ def rows_to_fit(model: CellModel, log: CellLog) -> RowsToFit:
     )
 
 
-def best_start_of(model: CellModel, rows: RowsToFit, soc0: FloatArray) -> tuple[float, float]:
+def best_start_of(model: CellModel, rows: MeasuredRows, soc0: FloatArray) -> tuple[float, float]:
     """:func:`best_start_soc` of rows that are prepared."""
     starts = np.array(soc0, dtype=np.float64)
     h0 = np.where(starts > UPPER_HALF, 1.0, -1.0)
-    number, total = best_start(model.parameters(), starts, h0, *rows)
+    number, total = best_start(model.parameters(), Starts(starts, h0), rows)
     known = max(int(np.count_nonzero(np.isfinite(rows.voltage_V))), 1)
     return float(starts[number]), math.sqrt(total / known)
 
