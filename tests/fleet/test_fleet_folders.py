@@ -134,7 +134,7 @@ def test_a_log_that_the_machine_does_not_give_is_tried_again(lives, tmp_path, mo
 
 
 def test_a_packs_row_is_its_estimate(packs, tmp_path):
-    told = run_fleet(PackTask(FRESH), packs, tmp_path / "out", scheduler="processes", workers=1)
+    told = run_fleet(PackTask(FRESH), packs, tmp_path / "out", workers=2)
     rows = rows_in(tmp_path / "out")
     assert (told.logs, told.failed) == (2, 0)
     alone = estimate_pack(FRESH, [read_pack(p) for p in sorted((packs / "van_2").iterdir())])
