@@ -1499,8 +1499,8 @@ static void follow(const cellwise_constants *c, cellwise_state *x, const cellwis
 #endif
 
 /* Hold SOC within its bounds, remember the sample: the status of the clamp. A variance that
- * memory which lost a bit has driven below zero is none: the next step begins anew, and this one
- * knows nothing. */
+ * memory which lost a bit has driven below zero is none: this step knows nothing, and the next
+ * one re-initialises the state. */
 static uint32_t finish(cellwise_state *x, const cellwise_reading *s, uint32_t missing,
                        uint32_t sequence, cellwise_output *out)
 {

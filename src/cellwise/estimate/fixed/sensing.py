@@ -173,8 +173,8 @@ def follow(c: Constants, x: State, s: Reading, charge: Charge) -> None:
 def finish(x: State, s: Reading, missing: Count, sequence: Count, out: Output) -> Count:
     """Hold SOC within its bounds, remember the sample: the status of the clamp.
 
-    A variance that memory which lost a bit has driven below zero is none: the next step begins
-    anew, and this one knows nothing.
+    A variance that memory which lost a bit has driven below zero is none: this step knows nothing,
+    and the next one re-initialises the state.
     """
     status = U(0)
     if not not_negative(x.soc, ONE):
