@@ -1498,7 +1498,9 @@ static void follow(const cellwise_constants *c, cellwise_state *x, const cellwis
 }
 #endif
 
-/* Hold SOC within its bounds, remember the sample: the status of the clamp. */
+/* Hold SOC within its bounds, remember the sample: the status of the clamp. A variance that
+ * memory which lost a bit has driven below zero is none: this step knows nothing, and the next
+ * one re-initialises the state. */
 static uint32_t finish(cellwise_state *x, const cellwise_reading *s, uint32_t missing,
                        uint32_t sequence, cellwise_output *out)
 {
@@ -1519,7 +1521,7 @@ static uint32_t finish(cellwise_state *x, const cellwise_reading *s, uint32_t mi
         }
     }
     out->soc = x->soc;
-    out->soc_variance = x->ss;
+    out->soc_variance = NOT_NEGATIVE(x->ss, LARGE) ? x->ss : KNOW_NOTHING_VARIANCE;
     return status;
 }
 

@@ -89,7 +89,7 @@ def test_the_list(capsys):
     assert main(["benchmark", "--list", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     names = {s["name"] for s in told["suites"]}
-    assert names == {"embedded", "leo", "flight", "panasonic", "a123"}
+    assert names == {"embedded", "leo", "flight", "panasonic", "a123", "public-1"}
 
 
 @pytest.mark.parametrize(

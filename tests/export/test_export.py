@@ -8,6 +8,7 @@ import shutil
 import subprocess
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from cellwise.cell.model_file import write_model
@@ -15,7 +16,11 @@ from cellwise.cell.simulate import simulate
 from cellwise.cli import main
 from cellwise.data import load_dataset
 from cellwise.errors import InputError
+from cellwise.estimate.fixed.fixed_step import numba_stepper, start_state
+from cellwise.estimate.fixed.layout import INPUT
 from cellwise.estimate.fixed.tables import fixed_step_tables
+from cellwise.estimate.noise import Noise
+from cellwise.estimate.status import SEQUENCE_GAP
 from cellwise.export.accuracy import accuracy_by_grid
 from cellwise.export.c_tables import STRICT_FLAGS, WARNING_FLAGS
 from cellwise.export.package import check_flash, describe, model_sha256, write_package
@@ -60,6 +65,10 @@ def test_what_is_written_compiles_and_is_described(model, tmp_path, capsys):
     [
         (["--dt", 0], "time step"),
         (["--dt", 1e-5], "time constant"),
+        (["--dt", 61], "at most 60 s"),
+        (["--dt", 1, "--noise", "voltage=0.005"], "voltage_V"),
+        (["--dt", 1, "--noise", "voltage_V"], "NAME=X"),
+        (["--dt", 1, "--noise", "voltage_V=0"], "above zero"),
         (["--dt", 1, "--points", 2], "at least 3"),
         (["--dt", 1, "--points", 100_000], "SOC points"),
         (["--dt", 1, "--flash", 100], "at most 100"),
@@ -228,3 +237,127 @@ def test_an_effect_can_be_left_out():
     assert without(skewed, ["time_skew"]).effects == plain.effects
     with pytest.raises(InputError, match="time_skew"):
         without(skewed, ["magic"])
+
+
+def test_the_target_s_noise_is_compiled_in():
+    from cellwise.cli.exporting import noise_of
+
+    model = curved_cell()
+    noise = noise_of(model, ["voltage_V=0.02", "current_A=0.5", "recovery_after=7"])
+    own = noise_of(model, [])
+    assert (noise.voltage_V, noise.current_A, noise.recovery_after) == (0.02, 0.5, 7)
+    assert noise.slow_s == own.slow_s
+    quiet, loud = (fixed_step_tables(model, 1.0, n) for n in (own, noise))
+    assert loud.constants["current_variance_A2"][0] == np.float32(0.25)
+    assert loud.to_bytes() != quiet.to_bytes()
+    assert describe(model, loud, noise)["noise"]["voltage_V"] == 0.02
+
+
+@pytest.mark.parametrize("lean", [False, True])
+def test_the_readme_says_limits_noise_parking_interrupts_and_shared_tables(tmp_path, lean):
+    """And each of them as it is of this build."""
+    cell = curved_cell()
+    tables = fixed_step_tables(cell, 1.0, wide=not lean, watch=not lean)
+    description = describe(cell, tables)
+    write_package(cell, tables, tmp_path / "out", description)
+    text = " ".join((tmp_path / "out" / "README.md").read_text().split())
+    assert "$" not in text
+    shortest, longest = description["dt_limits_s"]
+    assert f"Between {shortest:.2g} s" in text
+    assert f"and {longest:g} s" in text
+    fixed_step_tables(cell, 1.01 * shortest)
+    with pytest.raises(InputError, match="time constant"):
+        fixed_step_tables(cell, 0.99 * shortest)
+    assert f"{description['noise']['voltage_V']:.3g} V of the voltage sensor" in text
+    assert "nobody may touch its own state or sample" in text
+    assert "96 states of" in text
+    assert ("the branches decay" in text.casefold()) is not lean
+    assert ("leaves the branches where they are" in text) is lean
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lean", [False, True])
+def test_eight_hours_off_are_one_step_as_the_readme_says(lean):
+    tables = fixed_step_tables(curved_cell(), 1.0, wide=not lean, watch=not lean)
+    stepper = numba_stepper(tables)
+    state = start_state(stepper, 0.6, 0.02)
+    samples = np.zeros(120, dtype=INPUT)
+    samples["current_A"], samples["voltage_V"], samples["temperature_C"] = 3.0, 3.6, 25.0
+    samples["sequence"] = np.arange(120)
+    stepper.rows(state, samples)
+    before = state[0].copy()
+    assert before["v1_V"] > 1e-3
+    back = samples[-1:].copy()
+    back["sequence"] += 8 * 3600
+    back["current_A"], back["voltage_V"] = 0.0, np.nan
+    out = stepper.rows(state, back)[0]
+    assert out["status"] & SEQUENCE_GAP
+    assert out["soc"] == before["soc"]
+    grown = out["soc_variance"] - before["ss"]
+    assert grown == pytest.approx(Noise.of_model(curved_cell()).gap_soc ** 2, rel=0.02)
+    left = state[0]["v1_V"] / before["v1_V"]
+    assert (left < 1e-6) is not lean
+
+
+@pytest.mark.slow
+def test_what_is_beyond_the_longest_gap_counts_as_that():
+    stepper = numba_stepper(fixed_step_tables(curved_cell(), 1.0))
+    begun = start_state(stepper, 0.6, 0.02)
+    sample = np.zeros(1, dtype=INPUT)
+    sample["voltage_V"], sample["temperature_C"] = 3.6, 25.0
+    stepper.rows(begun, sample)
+    after = []
+    for steps in (2**20 + 2, 2**24):
+        state = begun.copy()
+        sample["sequence"] = steps
+        stepper.rows(state, sample)
+        state["sequence"] = 0
+        after.append(state.tobytes())
+    assert after[0] == after[1]
+
+
+CELLS = """
+#include <string.h>
+#include "cellwise_cell.h"
+#include "test_vector.h"
+static cellwise_state together[96], alone;
+int main(void) {
+    cellwise_output out, single;
+    unsigned c, k, wrong = 0u;
+    for (c = 0u; c < 96u; c++) {
+        cellwise_init(&cellwise_cell, &together[c], 0.2f + 0.005f * (float)c, 0.01f);
+    }
+    for (k = 0u; k < CELLWISE_VECTOR_SAMPLES; k++) {
+        for (c = 0u; c < 96u; c++) { /* another order in every step */
+            cellwise_step(&cellwise_cell, &together[(c * 7u + k) % 96u],
+                          &cellwise_vector_inputs[k], &out);
+        }
+    }
+    for (c = 0u; c < 96u; c++) {
+        cellwise_init(&cellwise_cell, &alone, 0.2f + 0.005f * (float)c, 0.01f);
+        for (k = 0u; k < CELLWISE_VECTOR_SAMPLES; k++) {
+            cellwise_step(&cellwise_cell, &alone, &cellwise_vector_inputs[k], &single);
+        }
+        wrong += memcmp(&alone, &together[c], sizeof alone) != 0;
+    }
+    return wrong != 0u;
+}
+"""
+
+
+@needs_gcc
+@pytest.mark.slow
+def test_96_cells_share_one_table_and_nothing_else(tmp_path):
+    """In any order each is as if it were alone; the filter has no memory of its own."""
+    out = tmp_path / "out"
+    made(out)
+    (out / "cells.c").write_text(CELLS)
+    done = built(out, ("cells.c", "cellwise_ekf.c", "cell_table.c"), tmp_path / "cells")
+    assert done.returncode == 0
+    command = ["gcc", *FLAGS, "-c", "cellwise_ekf.c", "-o", str(tmp_path / "ekf.o")]
+    subprocess.run(command, cwd=out, check=True)
+    size = subprocess.run(
+        ["size", str(tmp_path / "ekf.o")], capture_output=True, text=True, check=True
+    )
+    _, data, bss, *_ = size.stdout.splitlines()[1].split()
+    assert (data, bss) == ("0", "0")

@@ -37,18 +37,21 @@ class Difference(NamedTuple):
     better: float
 
 
-def csv_text(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> str:
-    """Every run as CSV, with the version that made it; a figure that is not known is empty."""
+def csv_text(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], seed: int) -> str:
+    """Every run as CSV, with the seed and the versions; a figure that is not known is empty."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow([*columns, "cellwise"])
+    made_with = provenance()
+    writer.writerow([*columns, "seed", "made_with"])
     for row in rows:
-        writer.writerow([*(_cell(row[name]) for name in columns), version("cellwise")])
+        writer.writerow([*(_cell(row[name]) for name in columns), seed, made_with])
     return out.getvalue()
 
 
-def differences(rows: Sequence[Mapping[str, Any]], figure: str = FIGURE) -> tuple[Difference, ...]:
-    """Every estimator against the best one, on the same logs, faults and starts.
+def differences(
+    rows: Sequence[Mapping[str, Any]], figure: str = FIGURE, against: str | None = None
+) -> tuple[Difference, ...]:
+    """Every estimator against one of them, on the same logs, faults and starts.
 
     Runs of one log are not independent, so logs are resampled, not runs (cluster bootstrap: Field
     and Welsh 2007, doi:10.1111/j.1467-9868.2007.00593.x): the mean difference of each log counts
@@ -58,6 +61,7 @@ def differences(rows: Sequence[Mapping[str, Any]], figure: str = FIGURE) -> tupl
     ----------
     rows : sequence       as of ``results.parquet``
     figure : str          the smaller the better
+    against : str         whom every other one is compared with; None: the best
 
     Returns
     -------
@@ -71,15 +75,19 @@ def differences(rows: Sequence[Mapping[str, Any]], figure: str = FIGURE) -> tupl
             table.setdefault(str(row["estimator"]), {})[run] = value
     if len(table) < 2:
         return ()
+    if against is not None:
+        if against not in table:
+            return ()
+        table = {name: runs for name, runs in table.items() if set(runs) & set(table[against])}
     common = set.intersection(*(set(runs) for runs in table.values()))
     if not common:
         return ()
     mean = {name: float(np.mean([runs[r] for r in common])) for name, runs in table.items()}
-    best = min(mean, key=lambda name: mean[name])
+    other = min(mean, key=lambda name: mean[name]) if against is None else against
     return tuple(
-        _difference(name, best, table[name], table[best])
+        _difference(name, other, table[name], table[other])
         for name in sorted(table, key=lambda name: mean[name])
-        if name != best
+        if name != other
     )
 
 

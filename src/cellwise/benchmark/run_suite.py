@@ -15,13 +15,15 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from cellwise.benchmark.adapter import is_adapter, load_adapter
+from cellwise.benchmark.adapter import is_adapter, load_adapter, short_name
 from cellwise.benchmark.figures import COLUMNS
+from cellwise.benchmark.known_logs import file_digest
+from cellwise.benchmark.leaderboard import leaderboard
 from cellwise.benchmark.paper_tables import csv_text, differences, latex_text
 from cellwise.benchmark.scenario import Run, runs_of
 from cellwise.benchmark.suite import Suite
-from cellwise.benchmark.suite_logs import check_files, digest, judged_log, locate
-from cellwise.benchmark.work import Place, make_model, run_all
+from cellwise.benchmark.suite_logs import check_files, has_own_files, judged_log, locate
+from cellwise.benchmark.work import SEED, Place, make_model, run_all
 from cellwise.errors import InputError
 from cellwise.files import write_atomically
 from cellwise.logs.tables import write_columns
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 Progress = Callable[[str, int, int], None]
 KEPT = "rows.jsonl"
+LEADERBOARD = "leaderboard.json"
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +105,7 @@ def run_suite(
     used = [k for k, c in enumerate(suite.cells) if any(g.cell == c.name for g in suite.logs)]
     runs = _every_run(suite, data)
     kept = _kept_rows(place.folder / KEPT)
-    logs = [digest(locate(g.log, suite, data)) for g in suite.logs]
+    logs = [file_digest(locate(g.log, suite, data)) for g in suite.logs]
     names = {r: _run_key(place, r, keys[suite.logs[r.log].cell], logs[r.log]) for r in runs}
     todo = [run for run in runs if names[run] not in kept]
     resumed = len(runs) - len(todo)
@@ -140,10 +143,21 @@ def _finish(
     parquet = write_columns(
         {name: [row[name] for row in rows] for name in COLUMNS}, place.folder / "results.parquet"
     )
-    write_atomically(place.folder / "results.csv", csv_text(rows, tuple(COLUMNS)))
+    write_atomically(place.folder / "results.csv", csv_text(rows, tuple(COLUMNS), SEED))
     plain = [row for row in rows if row["fault"] in ("", "none")]
     table_text = latex_text(place.suite.name, plain, differences(plain))
     write_atomically(place.folder / "results.tex", table_text)
+    suite = place.suite
+    if suite.frozen:
+        row = leaderboard(
+            suite.name,
+            suite.sha256,
+            rows,
+            seed=SEED,
+            data="the suite's own files" if has_own_files(suite, place.data) else "same content",
+            adapters=_adapter_digests(suite),
+        )
+        write_atomically(place.folder / LEADERBOARD, json.dumps(row, indent=1) + "\n")
     written = None
     if page:
         from cellwise.report.benchmark.page import BenchmarkTable, benchmark_page
@@ -152,6 +166,14 @@ def _finish(
         table = BenchmarkTable(place.suite.name, about, rows, curves)
         written = benchmark_page(table, place.folder / "index.html", figures=figures)
     return BenchmarkResult(place.suite, rows, curves, parquet, written, resumed)
+
+
+def _adapter_digests(suite: Suite) -> dict[str, str]:
+    """SHA-256 of every adapter's file, by its name in the tables."""
+    named = [n for n in suite.estimators if is_adapter(n)]
+    files = {n: suite.folder / n.rpartition(":")[0] for n in named}
+    there = {n: f if f.is_file() else Path(n.rpartition(":")[0]) for n, f in files.items()}
+    return {short_name(n): file_digest(f) for n, f in there.items() if f.is_file()}
 
 
 def _every_run(suite: Suite, data: Path | None) -> list[Run]:
@@ -190,7 +212,7 @@ def _cell_key(place: Place, number: int) -> str:
     """Name of a model that changes with whatever it is made from."""
     cell = place.suite.cells[number]
     locations = (*cell.tests, *([cell.model] if cell.model else []))
-    files = [digest(locate(p, place.suite, place.data)) for p in locations]
+    files = [file_digest(locate(p, place.suite, place.data)) for p in locations]
     return _hash([asdict(cell), files, version("cellwise")])
 
 
@@ -199,7 +221,7 @@ def _run_key(place: Place, run: Run, cell_key: str, log: str) -> str:
     adapter = ""
     file = place.suite.folder / run.estimator.rpartition(":")[0]
     if is_adapter(run.estimator) and file.is_file():
-        adapter = digest(file)
+        adapter = file_digest(file)
     named = replace(one, log="")
     rest = [asdict(named), log, asdict(run.fault), *run[2:], place.suite.soc0_std]
     return _hash([cell_key, place.suite.name, adapter, *rest])

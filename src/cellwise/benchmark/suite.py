@@ -9,6 +9,7 @@ from typing import Any
 
 from cellwise.benchmark.adapter import is_adapter, short_name
 from cellwise.benchmark.faults import FAULTS, GROUPS, NONE, Fault
+from cellwise.benchmark.known_logs import KnownLog, file_digest
 from cellwise.benchmark.toml_tables import checked, records
 from cellwise.errors import InputError
 from cellwise.estimate.estimators import ESTIMATORS
@@ -115,6 +116,9 @@ class Suite:
     dt_s : float or None              resample every log to this step
     cells, logs, slow
     folder : Path                     where paths begin
+    frozen : int                      version of a suite that does not change any more; 0: it may
+    data : of KnownLog                what every log of a frozen suite holds
+    sha256 : str                      of the suite's file
     """
 
     name: str
@@ -130,6 +134,9 @@ class Suite:
     soc0_std: float = 0.15
     dt_s: float | None = None
     folder: Path = Path()
+    frozen: int = 0
+    data: tuple[KnownLog, ...] = ()
+    sha256: str = ""
 
 
 def shipped_suites() -> dict[str, Path]:
@@ -158,7 +165,8 @@ def read_suite(name: str | Path) -> Suite:
         raise InputError(
             f"'{path.name}', which is no TOML ({error})", "a suite in TOML", "Correct the file."
         ) from error
-    return suite_from_table(table, path.stem, path.resolve().parent)
+    suite = suite_from_table(table, path.stem, path.resolve().parent)
+    return replace(suite, sha256=file_digest(path))
 
 
 def suite_from_table(table: dict[str, Any], name: str, folder: Path) -> Suite:
@@ -166,6 +174,7 @@ def suite_from_table(table: dict[str, Any], name: str, folder: Path) -> Suite:
     own = records(Fault, table.pop("fault", []), "[[fault]]")
     cells = records(SuiteCell, table.pop("cell", []), "[[cell]]")
     logs = records(SuiteLog, table.pop("log", []), "[[log]]")
+    data = records(KnownLog, table.pop("data", []), "[[data]]")
     (slow,) = records(Slow, [table.pop("slow", {})], "[slow]")
     wanted = table.pop("faults", [])
     top = checked(_Top, table, "the suite")
@@ -175,6 +184,7 @@ def suite_from_table(table: dict[str, Any], name: str, folder: Path) -> Suite:
         faults=(*_named_faults(wanted), *own),
         cells=cells,
         logs=logs,
+        data=data,
         slow=slow,
         folder=folder,
         **top,
@@ -195,11 +205,16 @@ class _Top:
     every_start: bool = False
     soc0_std: float = 0.15
     dt_s: float | None = None
+    frozen: int = 0
 
 
 def with_estimators(suite: Suite, names: tuple[str, ...]) -> Suite:
-    """The suite with other estimators; files of adapters are then looked for from here as well."""
-    return replace(suite, estimators=_with_baselines(names))
+    """The suite with other estimators; files of adapters are then looked for from here as well.
+
+    Those of a frozen suite run beside them: its rows are compared.
+    """
+    beside = suite.estimators if suite.frozen else ()
+    return replace(suite, estimators=_with_baselines((*names, *beside)))
 
 
 def _with_baselines(names: tuple[str, ...]) -> tuple[str, ...]:
@@ -268,9 +283,23 @@ def _check(suite: Suite) -> None:
         )
     for cell in suite.cells:
         _check_cell(cell)
+    if suite.frozen:
+        _check_frozen(suite)
     known = {c.name for c in suite.cells}
     for log in suite.logs:
         _check_log(log, known)
+
+
+def _check_frozen(suite: Suite) -> None:
+    known = {one.log for one in suite.data}
+    locations = [*(p for c in suite.cells for p in c.tests), *(g.log for g in suite.logs)]
+    missing = [p for p in (Stated.parse(one).path for one in locations) if p not in known]
+    if missing:
+        raise InputError(
+            f"log '{missing[0]}' of the frozen suite '{suite.name}' without [[data]]",
+            "what every log holds",
+            "Add it: python -m benchmarks.leaderboard freeze prints it.",
+        )
 
 
 def _check_cell(cell: SuiteCell) -> None:

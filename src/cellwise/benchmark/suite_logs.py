@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
+from cellwise.benchmark.known_logs import file_digest, find_known
 from cellwise.benchmark.suite import EMBEDDED, Suite, SuiteCell, SuiteLog
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import read_model
@@ -26,6 +27,7 @@ from cellwise.logs.stated import Stated
 from cellwise.typing import FloatArray
 
 REST_SHARE = 0.01
+MOST_LOCATED = 512
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +58,28 @@ def locate(location: str, suite: Suite, data: Path | None) -> Path:
     ------
     InputError        nowhere
     """
+    return _located(location, suite, data)[0]
+
+
+def has_own_files(suite: Suite, data: Path | None) -> bool:
+    """Whether every log of a frozen suite is the very file that it was frozen with."""
+    return all(_located(one.log, suite, data)[1] for one in suite.data)
+
+
+@lru_cache(maxsize=MOST_LOCATED)
+def _located(location: str, suite: Suite, data: Path | None) -> tuple[Path, bool]:
     place = Stated.parse(location).path
+    known = next((one for one in suite.data if one.log == place), None)
+    if known is not None:
+        folders = [suite.folder, *([] if data is None else [data])]
+        places = [folder / place for folder in folders]
+        if place.startswith(EMBEDDED):
+            places = [datasets_folder() / str(_entry(place.removeprefix(EMBEDDED))["file"])]
+        return find_known(known, tuple(places), data)
+    return _by_name(place, suite, data), True
+
+
+def _by_name(place: str, suite: Suite, data: Path | None) -> Path:
     if place.startswith(EMBEDDED):
         name = place.removeprefix(EMBEDDED)
         return datasets_folder() / str(_entry(name)["file"])
@@ -83,20 +106,15 @@ def check_files(suite: Suite, data: Path | None) -> None:
     for cell in suite.cells:
         if cell.model:
             _named(cell.model, suite, data)
-        seen[cell.name] = {digest(locate(p, suite, data)): p for p in cell.tests}
+        seen[cell.name] = {file_digest(locate(p, suite, data)): p for p in cell.tests}
     for log in suite.logs:
-        same = seen[log.cell].get(digest(locate(log.log, suite, data)))
+        same = seen[log.cell].get(file_digest(locate(log.log, suite, data)))
         if same is not None:
             raise InputError(
                 f"log '{log.log}', on which cell '{log.cell}' was identified (as '{same}')",
                 "logs that the model has not seen",
                 "Take it out of the cell's tests, or judge on another.",
             )
-
-
-def digest(path: Path) -> str:
-    """Digest of a file's content."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def read_at(location: str, suite: Suite, data: Path | None) -> CellLog:

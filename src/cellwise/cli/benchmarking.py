@@ -27,7 +27,7 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
         nargs="?",
         default="embedded",
         metavar="SUITE",
-        help="a TOML file, or embedded, leo, flight, panasonic, a123 [embedded]",
+        help="a TOML file, or embedded, leo, flight, panasonic, a123, public-1 [embedded]",
     )
     p.add_argument("-o", "--output", default="benchmark", metavar="DIR", help="[benchmark]")
     p.add_argument("--data", metavar="DIR", help="folder of the measured cells [$CELLWISE_DATA]")

@@ -12,6 +12,7 @@ from cellwise.errors import InputError
 if TYPE_CHECKING:
     from cellwise.cell.model import CellModel
     from cellwise.estimate.fixed.tables import FixedStepTables
+    from cellwise.estimate.noise import Noise
     from cellwise.logs import CellLog
 
 STEPS_TO_MEASURE = 4000
@@ -40,6 +41,13 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="leave out an effect of the model, e.g. the laboratory's time_skew; several",
     )
     export.add_argument(
+        "--noise",
+        action="append",
+        default=[],
+        metavar="NAME=X",
+        help="of the target's sensors, e.g. voltage_V=0.005, current_A=0.05; several [the model's]",
+    )
+    export.add_argument(
         "--prefix", default="", metavar="NAME", help="of every file and name, for several models"
     )
     export.add_argument(
@@ -59,15 +67,18 @@ def run_export(arguments: argparse.Namespace) -> None:
     """Write the C of a model and say what it costs."""
     from cellwise.estimate.fixed.tables import fixed_step_tables
     from cellwise.export.c_tables import prefixed
-    from cellwise.export.package import check_flash, describe, write_package
+    from cellwise.export.package import check_flash, check_step, describe, write_package
 
     page_options.check_page_options(arguments)
+    check_step(arguments.dt)
     model = without(model_options.read(arguments), arguments.without)
+    noise = noise_of(model, arguments.noise)
     if arguments.prefix:
         prefixed({}, arguments.prefix)  # refuses now what it would refuse later
     tables = fixed_step_tables(
         model,
         arguments.dt,
+        noise,
         points=arguments.points,
         offset_std_A=arguments.offset_std_a,
         wide=not arguments.lean,
@@ -75,11 +86,11 @@ def run_export(arguments: argparse.Namespace) -> None:
         power=power_options.exported_power(arguments, model),
     )
     check_flash(tables, arguments.flash)
-    report = describe(model, tables)
+    report = describe(model, tables, noise)
     report["targets"] = target_costs(model, tables, arguments)
-    report["accuracy"] = lost_accuracy(model, arguments)
+    report["accuracy"] = lost_accuracy(model, noise, arguments)
     report["files"] = write_package(model, tables, Path(arguments.output), report, arguments.prefix)
-    write_pages(model, report, arguments)
+    write_pages(model, noise, report, arguments)
     if arguments.json:
         printing.print_json(report)
         return
@@ -108,7 +119,37 @@ def without(model: CellModel, names: list[str]) -> CellModel:
     return replace(model, effects=kept) if names else model
 
 
-def write_pages(model: CellModel, report: dict[str, Any], arguments: argparse.Namespace) -> None:
+def noise_of(model: CellModel, stated: list[str]) -> Noise:
+    """The model's noise, with what is stated of the target's sensors.
+
+    Raises
+    ------
+    InputError        no NAME=X, a name that is none, a value that `Noise` refuses
+    """
+    from dataclasses import fields, replace
+
+    from cellwise.estimate.noise import Noise
+
+    names = [f.name for f in fields(Noise)]
+    values: dict[str, float] = {}
+    for text in stated:
+        name, equals, number = text.partition("=")
+        try:
+            values[name] = int(number) if name == "recovery_after" else float(number)
+        except ValueError:
+            equals = ""
+        if not equals or name not in names:
+            raise InputError(
+                f"--noise {text}",
+                f"NAME=X with one of {', '.join(names)}",
+                "Write e.g. --noise voltage_V=0.005.",
+            )
+    return replace(Noise.of_model(model), **values)  # type: ignore[arg-type]
+
+
+def write_pages(
+    model: CellModel, noise: Noise, report: dict[str, Any], arguments: argparse.Namespace
+) -> None:
     """The page and its pictures, where they are wanted."""
     with page_options.page_places(arguments) as places:
         if places is None:
@@ -127,6 +168,7 @@ def write_pages(model: CellModel, report: dict[str, Any], arguments: argparse.Na
                 points=arguments.points,
                 offset_std_A=arguments.offset_std_a,
                 lean=arguments.lean,
+                noise=noise,
             )
         export_page(report, places.page, both, figures=places.figures)
 
@@ -166,7 +208,9 @@ def target_costs(
     return costs
 
 
-def lost_accuracy(model: CellModel, arguments: argparse.Namespace) -> list[dict[str, Any]]:
+def lost_accuracy(
+    model: CellModel, noise: Noise, arguments: argparse.Namespace
+) -> list[dict[str, Any]]:
     """Accuracy by number of SOC points, where there is a log."""
     from dataclasses import asdict
 
@@ -178,7 +222,13 @@ def lost_accuracy(model: CellModel, arguments: argparse.Namespace) -> list[dict[
     log = read(model, arguments)
     start = log_options.start_of(log.soc0, arguments.soc0)
     found = accuracy_by_grid(
-        model, log, arguments.dt, soc0=start, wide=not arguments.lean, grids=sorted(grids)
+        model,
+        log,
+        arguments.dt,
+        soc0=start,
+        wide=not arguments.lean,
+        grids=sorted(grids),
+        noise=noise,
     )
     return [asdict(row) for row in found]
 

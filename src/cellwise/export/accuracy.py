@@ -11,6 +11,7 @@ from cellwise.cell.initial_soc import initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.estimate.filters.ekf import Ekf
 from cellwise.estimate.fixed.fixed_step import FixedStep
+from cellwise.estimate.noise import Noise
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.resample import resample
 
@@ -35,18 +36,19 @@ def accuracy_by_grid(
     soc0: float | None = None,
     wide: bool = True,
     grids: Sequence[int] = GRIDS,
+    noise: Noise | None = None,
 ) -> list[GridAccuracy]:
     """Accuracy lost by every grid, the model's own among them.
 
     Both filters take the log resampled to ``dt_s``, and the same start; soc0 None: as found at the
-    log's start. wide False: as with ``--lean``.
+    log's start. wide False: as with ``--lean``. noise None: the model's.
     """
     even = resample(log, dt_s)
     start = initial_soc(model, even, soc0)
-    reference = Ekf(model).run(even, start.soc, start.std).soc
+    reference = Ekf(model, noise).run(even, start.soc, start.std).soc
     found = []
     for points in sorted({*grids, model.points}):
-        step = FixedStep(model, dt_s=dt_s, points=points, wide=wide, watch=wide)
+        step = FixedStep(model, noise, dt_s=dt_s, points=points, wide=wide, watch=wide)
         error = step.run(even, start.soc, start.std).soc - reference
         found.append(
             GridAccuracy(

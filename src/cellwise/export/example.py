@@ -27,7 +27,10 @@ SHOWN_EVERY = 20
 
 PARKING = """\
 Keep on counting the sequence by the clock: one step with the new number takes the time off into
-  account (the branches decay, the variance grows) and costs what any step costs."""
+  account, at a cost within the worst case of `cellwise_export.json`. The branches decay; the SOC's
+  variance grows by the square of $gap_soc however long it was, since nobody knows what flowed; more
+  than 2^20 steps count as 2^20. Where nothing can have flowed call `cellwise_init` with the stored
+  `soc` and its variance instead: it forgets the branches and adds nothing."""
 PARKING_LEAN = """\
 The lean build leaves the branches where they are over a gap: after minutes off or more call
   `cellwise_init` with the stored `soc` and its variance, which costs less than a step."""
@@ -160,6 +163,8 @@ def readme(description: dict[str, Any]) -> str:
     """README.md of the folder."""
     options = [k for k, v in description["options"].items() if v]
     text = (firmware_folder() / "EXPORT.md").read_text(encoding="utf-8")
+    noise, (shortest_s, longest_s) = description["noise"], description["dt_limits_s"]
+    parking = PARKING if description["options"].get("wide") else PARKING_LEAN
     return Template(text).substitute(
         model=comment(str(description["model"])) or "unnamed",
         sha256=description["model_sha256"],
@@ -167,5 +172,11 @@ def readme(description: dict[str, Any]) -> str:
         options=", ".join(options),
         model_bytes=f"{description['model_bytes']:,}",
         state_bytes=description["state_bytes"],
-        parking=PARKING if description["options"].get("wide") else PARKING_LEAN,
+        parking=Template(parking).substitute(gap_soc=f"{noise['gap_soc']:g}"),
+        current_A=f"{noise['current_A']:.3g}",
+        voltage_V=f"{noise['voltage_V']:.3g}",
+        branch_share=f"{100.0 * noise['branch_share']:.3g}",
+        hold_s=f"{noise['hold_s']:g}",
+        shortest_s=f"{shortest_s:.2g}",
+        longest_s=f"{longest_s:g}",
     )

@@ -8,6 +8,7 @@ from cellwise.cell.initial_soc import initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.estimate.filters.ekf import Ekf
 from cellwise.estimate.fixed.fixed_step import FixedStep
+from cellwise.estimate.noise import Noise
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.resample import resample
 from cellwise.plotting import Line, Panel, Plottable
@@ -48,6 +49,7 @@ def fixed_and_float(
     points: int | None = None,
     offset_std_A: float = 0.0,
     lean: bool = False,
+    noise: Noise | None = None,
 ) -> FixedAndFloat:
     """Run what is exported (in Python, the same bits) and the float64 EKF over a log.
 
@@ -55,9 +57,15 @@ def fixed_and_float(
     """
     even = resample(log, dt_s)
     start = initial_soc(model, even, soc0)
-    reference = Ekf(model).run(even, start.soc, start.std)
+    reference = Ekf(model, noise).run(even, start.soc, start.std)
     step = FixedStep(
-        model, dt_s=dt_s, points=points, offset_std_A=offset_std_A, wide=not lean, watch=not lean
+        model,
+        noise,
+        dt_s=dt_s,
+        points=points,
+        offset_std_A=offset_std_A,
+        wide=not lean,
+        watch=not lean,
     )
     exported = step.run(even, start.soc, start.std)
     return FixedAndFloat(even, reference.soc, reference.soc_std, exported.soc)

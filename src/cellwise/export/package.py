@@ -14,11 +14,15 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import model_to_dict
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.layout import INPUT, OUTPUT, state_type
-from cellwise.estimate.fixed.tables import FixedStepTables
+from cellwise.estimate.fixed.tables import FixedStepTables, shortest_step_s
+from cellwise.estimate.noise import Noise
 from cellwise.export.c_tables import prefixed, write_sources
 from cellwise.export.example import example_files
 
 DESCRIPTION = "cellwise_export.json"
+# A drive's mean current over more than a minute says little of the voltage at its end: of a
+# measured US06 the SOC's error is 0.2 % at steps up to 10 s, 0.5 % at 30 s, 0.9 % at 60 s.
+LONGEST_STEP_S = 60.0
 
 
 def model_sha256(model: CellModel) -> str:
@@ -27,12 +31,17 @@ def model_sha256(model: CellModel) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def describe(model: CellModel, tables: FixedStepTables) -> dict[str, Any]:
-    """What was exported: time step, options, sizes."""
+def describe(
+    model: CellModel, tables: FixedStepTables, noise: Noise | None = None
+) -> dict[str, Any]:
+    """What was exported: time step and its limits, options, noise, sizes."""
+    noise = Noise.of_model(model) if noise is None else noise
     return {
         "model": model.name,
         "model_sha256": model_sha256(model),
         "dt_s": tables.dt_s,
+        "dt_limits_s": [shortest_step_s(model, tables.options), LONGEST_STEP_S],
+        "noise": asdict(noise),
         "options": asdict(tables.options),
         "states": tables.options.states,
         "model_bytes": tables.flash_bytes,
@@ -40,6 +49,21 @@ def describe(model: CellModel, tables: FixedStepTables) -> dict[str, Any]:
         "input_bytes": INPUT.itemsize,
         "output_bytes": OUTPUT.itemsize,
     }
+
+
+def check_step(dt_s: float) -> None:
+    """Refuse a time step that no target should run with.
+
+    Raises
+    ------
+    InputError        longer than a minute; what is too short for float32 the tables refuse
+    """
+    if dt_s > LONGEST_STEP_S:
+        raise InputError(
+            f"a time step of {dt_s:g} s",
+            f"at most {LONGEST_STEP_S:g} s: a longer mean says little of the voltage at its end",
+            "Give `dt_s=1`, say, and step more often than the rows are logged.",
+        )
 
 
 def check_flash(tables: FixedStepTables, most_bytes: int | None) -> None:

@@ -10,6 +10,8 @@ from cellwise.estimate.fixed.arithmetic import (
     FIRST_VOLTAGE,
     HALF,
     INTERVAL,
+    KNOW_NOTHING_VARIANCE,
+    LARGE,
     LONGEST_GAP,
     NO_INTERVAL,
     NOT_BEGUN,
@@ -169,7 +171,11 @@ def follow(c: Constants, x: State, s: Reading, charge: Charge) -> None:
 
 
 def finish(x: State, s: Reading, missing: Count, sequence: Count, out: Output) -> Count:
-    """Hold SOC within its bounds, remember the sample: the status of the clamp."""
+    """Hold SOC within its bounds, remember the sample: the status of the clamp.
+
+    A variance that memory which lost a bit has driven below zero is none: this step knows nothing,
+    and the next one re-initialises the state.
+    """
     status = U(0)
     if not not_negative(x.soc, ONE):
         x.soc = within_one(x.soc)
@@ -183,5 +189,5 @@ def finish(x: State, s: Reading, missing: Count, sequence: Count, out: Output) -
         if s.news == INTERVAL and U(x.evidence - FIRST_VOLTAGE) < EVIDENCE_MOST:
             x.evidence = U(x.evidence + 1 + missing)
     out.soc = x.soc
-    out.soc_variance = x.ss
+    out.soc_variance = x.ss if not_negative(x.ss, LARGE) else KNOW_NOTHING_VARIANCE
     return status

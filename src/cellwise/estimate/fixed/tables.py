@@ -196,11 +196,7 @@ def check_holds(model: CellModel, dt_s: float, options: Options) -> None:
             f"3 to {MOST_POINTS} points, at most {MOST_TEMPERATURES} temperatures",
             "Give `points=101`, or fewer temperatures.",
         )
-    slowest = float(np.max(model.tau2_s))
-    if options.slow:
-        slowest = max(slowest, float(np.max(np.asarray(model.effect(SlowDiffusion).tau3_s))))
-    if options.surface:
-        slowest = max(slowest, model.effect(SurfaceSoc).tau_s)
+    slowest = _slowest_s(model, options)
     if dt_s / slowest < SMALLEST_GAIN:
         raise InputError(
             f"a time constant of {slowest:g} s at a time step of {dt_s:g} s",
@@ -262,6 +258,19 @@ def check_power(power: PowerSettings) -> None:
         raise InputError(
             f"a power of a fixed step with hold '{power.hold}'", "hold 'current'", "Give that."
         )
+
+
+def shortest_step_s(model: CellModel, options: Options) -> float:
+    """The shortest time step at which float32 holds the model's time constants [s]."""
+    return SMALLEST_GAIN * _slowest_s(model, options)
+
+
+def _slowest_s(model: CellModel, options: Options) -> float:
+    """The slowest time constant that is compiled in [s]."""
+    slowest = float(np.max(model.tau2_s))
+    if options.slow:
+        slowest = max(slowest, float(np.max(np.asarray(model.effect(SlowDiffusion).tau3_s))))
+    return max(slowest, model.effect(SurfaceSoc).tau_s) if options.surface else slowest
 
 
 def _columns(model: CellModel, dt_s: float, noise: Noise) -> dict[str, FloatArray]:
