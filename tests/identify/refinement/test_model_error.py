@@ -139,6 +139,17 @@ def test_what_follows_a_large_polarisation_is_no_error_at_rest():
     assert found.at(0.5, -20.0) < 2.0 * found.at(0.5, 25.0)
 
 
+def test_what_a_steep_ocv_does_towards_empty_is_no_share_of_a_polarisation_that_grows_there():
+    rng = np.random.default_rng(18)
+    log = residual_log(rng, slow_V=0.003, share=0.05)
+    empty = log.soc < 0.1
+    log.drop_V[empty] *= 4.0
+    log.residual_V[empty] *= 20.0  # a SOC scale that is off by a point
+    found = estimate_model_error([log])
+    assert found.share() == pytest.approx(0.05, rel=0.4)
+    assert found.at(0.5) < 2.0 * OPTIMISM * 0.003
+
+
 def test_the_error_knows_where_on_the_soc_axis_it_is():
     rng = np.random.default_rng(5)
     log = residual_log(rng, slow_V=0.003)

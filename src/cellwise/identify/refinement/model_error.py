@@ -19,6 +19,7 @@ PROFILE_POINTS = 51
 WINDOW_SOC = 0.02
 LEAST_V = 5e-4
 LARGEST_SHARE = 0.5
+SHARE_BINS = 25  # over SOC, within which rows of more and less polarisation are compared
 # A direction with less than this of the rows says nothing of its own.
 LEAST_ROWS = 200
 SAME_TEMPERATURE_K = 4.0  # logs this near to each other report one temperature
@@ -72,8 +73,8 @@ def estimate_model_error(logs: Sequence[ResidualLog]) -> ModelError:
         return ModelError()
     weights = np.array([float(log.time_s[-1] - log.time_s[0]) + 1.0 for log in usable])
     white = [_step_noise(log.residual_V) for log in usable]
-    discharge = _share(usable, weights, 1.0)
-    charge = _share(usable, weights, -1.0)
+    discharge = _share(usable, 1.0)
+    charge = _share(usable, -1.0)
     if discharge is None:
         discharge = 0.0 if charge is None else charge
     charge = discharge if charge is None else max(charge, discharge)
@@ -179,24 +180,31 @@ def correlation_time(time_s: FloatArray, residual_V: FloatArray) -> float:
     return float(step * (0.5 + np.sum(correlation[1:end])))
 
 
-def _share(logs: Sequence[ResidualLog], weights: FloatArray, sign: float) -> float | None:
-    """Growth of the residual with the polarisation of one sign, as a share; None: no such rows."""
-    squares, counts = [], []
-    for log, weight in zip(logs, weights, strict=True):
+def _share(logs: Sequence[ResidualLog], sign: float) -> float | None:
+    """Growth of the residual with the polarisation of one sign, as a share; None: no such rows.
+
+    Rows are compared with rows of the same log and SOC: towards empty the polarisation grows, and
+    so does what a SOC scale that is off does to a steep OCV. A squared residual scatters as its
+    mean, so each log and SOC weighs by one over its square.
+    """
+    above, below = 0.0, 0.0
+    for log in logs:
         loaded = sign * log.drop_V > 0.0
         if loaded.sum() < min(LEAST_ROWS, 0.1 * loaded.size):
             continue
         rows: BoolArray = np.asarray(sign * log.drop_V >= 0.0)  # with those at rest
         square = _clip(log.residual_V)[rows] ** 2
         drop = log.drop_V[rows] ** 2
-        found = np.linalg.lstsq(np.column_stack((np.ones(drop.size), drop)), square, rcond=None)[0]
-        # A falling square says that nothing is left at rest: all of it follows the polarisation.
-        slope = found[1] if found[0] > 0.0 else float(square @ drop) / float(drop @ drop)
-        squares.append(max(float(slope), 0.0))
-        counts.append(float(weight))
-    if not squares:
+        place = np.clip((log.soc[rows] * SHARE_BINS).astype(int), 0, SHARE_BINS - 1)
+        count = np.maximum(np.bincount(place, minlength=SHARE_BINS), 1)
+        usual = np.bincount(place, square, SHARE_BINS) / count
+        moved = drop - (np.bincount(place, drop, SHARE_BINS) / count)[place]
+        weight = 1.0 / (usual + LEAST_V**2)[place] ** 2 / log.residual_V.size
+        above += float(np.sum(weight * moved * square))
+        below += float(np.sum(weight * moved * moved))
+    if below <= 0.0:
         return None
-    return float(np.clip(np.sqrt(np.average(squares, weights=counts)), 0.0, LARGEST_SHARE))
+    return float(np.clip(np.sqrt(max(above / below, 0.0)), 0.0, LARGEST_SHARE))
 
 
 def _clip(residual_V: FloatArray) -> FloatArray:
