@@ -23,7 +23,7 @@ def output_sum(states: tuple[State, ...], of: Callable[[State], str]) -> str:
     """H times something: OCV slope and hysteresis, less the branches, plus R0 times the offset."""
     by = {s.letter: of(s) for s in states}
     if OFFSET in states:
-        branches = f"fast * {by['1']} + tail * ({by['2']} + {by['3']})"
+        branches = f"fast * {by['1']} + (tail * {by['2']} + {by['3']})"
         return f"(slope_V * {by['s']} + m_V * {by['h']}) + (r0_ohm * {by['o']} - ({branches}))"
     return f"(slope_V * {by['s']} + m_V * {by['h']}) - (({by['1']} + {by['2']}) + {by['3']})"
 

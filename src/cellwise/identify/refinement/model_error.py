@@ -22,6 +22,8 @@ LARGEST_SHARE = 0.5
 SHARE_BINS = 25  # over SOC, within which rows of more and less polarisation are compared
 # A direction with less than this of the rows says nothing of its own.
 LEAST_ROWS = 200
+SOC_STEP = 0.002
+DEEP = 0.3  # a log that moves less of the SOC does not show how its error changes along it
 SAME_TEMPERATURE_K = 4.0  # logs this near to each other report one temperature
 # What is taken out as the polarisation's may be its square at most up to this share of the whole.
 LEAST_REST = 0.1
@@ -90,6 +92,7 @@ def estimate_model_error(logs: Sequence[ResidualLog]) -> ModelError:
         charge_share=charge,
         temperature_C=grid,
         temperature_factor=factor,
+        correlation_soc=_correlation_soc(usable, slow),
     )
 
 
@@ -150,6 +153,30 @@ def _over_temperature(
     return tuple(float(np.mean([p[0].temperature_C for p in g])) for g in groups), tuple(found)
 
 
+def _correlation_soc(logs: Sequence[ResidualLog], slow_V: FloatArray) -> float | None:
+    """How far along the SOC the error remembers itself; None where fewer than two logs show it.
+
+    Half the area under the two-sided autocorrelation over SOC up to its first zero, mean left in,
+    of residuals over the profile's own error. The fit has taken out what its logs have in
+    common: of n logs a residual keeps 1 - 1/n of a variance that a new log has 1 + 1/n of, and it
+    is the long part that goes.
+    """
+    grid = np.linspace(0.0, 1.0, slow_V.size)
+    found = []
+    for log in logs:
+        if float(np.ptp(log.soc)) < DEEP:
+            continue
+        relative = _clip(log.residual_V) / np.interp(log.soc, grid, slow_V)
+        place = ((log.soc - log.soc.min()) / SOC_STEP).astype(int)
+        count = np.bincount(place)
+        mean = np.bincount(place, relative)[count > 0] / count[count > 0]
+        found.append(SOC_STEP * _memory(mean))
+    if len(found) < 2:
+        return None
+    whole = (len(found) + 1.0) / (len(found) - 1.0)
+    return float(min(whole * float(np.mean(found)), 1.0))
+
+
 def _step_noise(residual_V: FloatArray) -> float:
     return 1.4826 * float(np.median(np.abs(np.diff(residual_V)))) / float(np.sqrt(2.0))
 
@@ -167,17 +194,22 @@ def correlation_time(time_s: FloatArray, residual_V: FloatArray) -> float:
     grid = np.arange(time_s[0], time_s[-1], step)
     # Without its mean a residual would seem to forget what it keeps all along: the mean stays in.
     r = np.interp(grid, time_s, residual_V)
+    return float(step * _memory(r, int(LONGEST_LAG_S / step)))
+
+
+def _memory(r: FloatArray, longest: int = 1 << 30) -> float:
+    """Half the area under the autocorrelation up to its first zero, in steps of an even grid."""
     n = r.size
     power = float(r @ r)
     if power == 0.0:
-        return STEP_S
+        return 1.0
     size = 1 << (2 * n - 1).bit_length()
     spectrum = np.fft.rfft(r, size)
     correlation = np.fft.irfft(spectrum * np.conj(spectrum), size)[:n] / power
-    correlation = correlation[: max(2, min(n // 2, int(LONGEST_LAG_S / step)))]
+    correlation = correlation[: max(2, min(n // 2, longest))]
     below = np.flatnonzero(correlation <= 0.0)
     end = int(below[0]) if below.size else correlation.size
-    return float(step * (0.5 + np.sum(correlation[1:end])))
+    return float(0.5 + np.sum(correlation[1:end]))
 
 
 def _share(logs: Sequence[ResidualLog], sign: float) -> float | None:
