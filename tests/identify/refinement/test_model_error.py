@@ -200,3 +200,32 @@ def test_a_perfect_fit_still_claims_some_error():
     assert found.white_V > 0.0
     assert min(found.slow_V) > 0.0
     assert found.correlation_s > 0.0
+
+
+def along_soc(rng, length, warm=25.0, hours=1.0):
+    """A residual that is an Ornstein-Uhlenbeck process of SOC, discharged within some hours."""
+    time = np.linspace(0.0, 3600.0 * hours, 4000)
+    soc = np.linspace(1.0, 0.0, time.size)
+    residual = ornstein_uhlenbeck(1.0 - soc, length, 0.01, rng)
+    return ResidualLog(time, soc, np.zeros(time.size), residual, warm)
+
+
+def test_the_length_along_the_soc_does_not_depend_on_the_pace():
+    rng = np.random.default_rng(19)
+    fast = [along_soc(rng, 0.01) for _ in range(40)]
+    slow = [along_soc(rng, 0.01, hours=20.0) for _ in range(40)]
+    lengths = [estimate_model_error(logs).correlation_soc for logs in (fast, slow)]
+    assert lengths[0] == pytest.approx(lengths[1], rel=0.25)
+    assert 0.01 / 1.5 < lengths[0] < 0.01 * 1.5
+    quick, long = (estimate_model_error(logs).correlation_s for logs in (fast, slow))
+    assert long > 5.0 * quick
+
+
+def test_few_logs_of_a_temperature_hide_the_long_part_from_a_fit():
+    rng = np.random.default_rng(20)
+    many = [along_soc(rng, 0.01) for _ in range(12)]
+    spread = [log.__class__(log.time_s, log.soc, log.drop_V, log.residual_V, 10.0 * (k % 6))
+              for k, log in enumerate(many)]  # fmt: skip
+    one, each = (estimate_model_error(logs).correlation_soc for logs in (many, spread))
+    assert each == pytest.approx(3.0 * 11.0 / 13.0 * one, rel=0.1)
+    assert estimate_model_error(many[:1]).correlation_soc is None

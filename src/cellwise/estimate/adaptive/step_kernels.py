@@ -1,11 +1,12 @@
 """The adaptive filter as scalar code: SOC together with what is wrong with sensor and cell.
 
 State x = [soc, v1, v2, v3, h, b, q]: the EKF's five, what the current sensor adds (b, [A]), and
-the model's capacity over the cell's (q); beside it the factors r on R0, R1 and w on R2:
+the model's capacity over the cell's (q); beside it the factors r on R0, R1, and w on R2, which is
+reported only:
 
     soc+ = soc - q (I - b) dt / (3600 Q)
     v_j+ = a_j v_j + R_j (1 - a_j) (I - b)
-    v    = OCV(soc) - r (R0 (I - b) + v1) - w v2 - v3 + M h
+    v    = OCV(soc) - r (R0 (I - b) + v1) - v2 - v3 + M h
 
 A sensor's gain and a capacity move the counted charge alike, so q stands for either.
 
@@ -99,7 +100,7 @@ class AdaptiveStep(NamedTuple):
 
 
 class Polarisation(NamedTuple):
-    """What the load takes off the OCV: fast part, tail, all with factors, all without [V]."""
+    """What the load takes off the OCV: fast part, tail, all with the factor, all without [V]."""
 
     drop_V: float
     tail_V: float
@@ -111,10 +112,11 @@ class Polarisation(NamedTuple):
 def polarised(now: Predicted, x: CellState, r: Resistances) -> Polarisation:
     """The polarisation with the factors as they are known."""
     drop = now.point.r0_ohm * now.s.seen_A + x.v1_V
-    # Voltages of two minutes show nothing of the slow branch: it keeps the model's resistance.
+    # What the tail's factor moves of the voltage is within the model's claim for the whole
+    # polarisation, which moves with it: the voltage keeps the model's.
     tail = x.v2_V
-    whole = r.fast * drop + (r.tail * tail + x.v3_V)
-    return Polarisation(drop, tail, whole, drop + (tail + x.v3_V))
+    slow = tail + x.v3_V
+    return Polarisation(drop, tail, r.fast * drop + slow, drop + slow)
 
 
 @inline
@@ -183,7 +185,7 @@ def innovate(
     pol: Polarisation,
     explained_V2: float,
 ) -> Innovation:
-    """Measured less predicted voltage; H = [slope, -r, -w, -1, m, r R0, 0]."""
+    """Measured less predicted voltage; H = [slope, -r, -1, -1, m, r R0, 0]."""
     s, x, point = now.s, e.x, now.point
     r0 = r.fast * point.r0_ohm
     predicted = terminal_voltage(point, x.h, pol.whole_V)
@@ -192,7 +194,8 @@ def innovate(
     branches = abs(x.v1_V) + (abs(x.v2_V) + abs(x.v3_V))
     one = voltage_variance(noise, point, r0, s.seen_A, s.lost_A, branches)
     drop2, tail2 = pol.drop_V * pol.drop_V, pol.tail_V * pol.tail_V
-    one += drop2 * r.fast_variance + tail2 * r.tail_variance
+    off = r.tail - 1.0
+    one += drop2 * r.fast_variance + tail2 * (r.tail_variance + off * off)
     unsure = e.p.ss > WIDE_VARIANCE
     bent = bends(tables, now.at, bend2, one)
     miss = s.voltage_V - predicted
@@ -289,8 +292,8 @@ def take_step(
     x = CellState(x.soc, x.v1_V, x.v2_V, x.v3_V, x.h, heat, x.slow_A)
     e = Estimate(x, e.offset_A, e.charge, e.p)
     by_offset = r.fast * point.r0_ohm if s.lost_A == 0.0 else 0.0
-    d = column(e.p, now.at.slope_V, point.m_V, r.fast, r.tail, by_offset)
-    explained_V2 = explained(d, now.at.slope_V, point.m_V, r.fast, r.tail, by_offset)
+    d = column(e.p, now.at.slope_V, point.m_V, r.fast, by_offset)
+    explained_V2 = explained(d, now.at.slope_V, point.m_V, r.fast, by_offset)
     i = innovate(tables, noise, now, e, r, pol, explained_V2)
     v = gate(tables.cell, noise, old.watch, s, now.evidence_s, old.rejections, old.mismatch, i)
     status = s.status | now.status | v.status

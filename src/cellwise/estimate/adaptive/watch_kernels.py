@@ -84,7 +84,8 @@ def watch_resistances(
     tail, tail_variance = r.tail, r.tail_variance
     if tail2 >= rules.swing_V2 and not hold and dt_s > 0.0:
         noise = max(far2, white_V2) * max(2.0 * rules.tail_s / dt_s, 1.0)
-        tail, tail_variance = least_squares(tail, tail_variance, lag, miss, noise)
+        own = miss + (tail - 1.0) * lag  # the voltage has no factor on the tail
+        tail, tail_variance = least_squares(tail, tail_variance, lag, own, noise)
     # fmt: off
     return Resistances(
         fast, fast_variance, tail, tail_variance, drop_mean, miss_mean, drop2, miss2,

@@ -133,33 +133,39 @@ def _over_temperature(
     Every log counts alike, and each temperature begins with one log that has the profile's own
     error: a single log does not make an error vanish.
     """
-    ordered = sorted(zip(logs, rest, strict=True), key=lambda pair: pair[0].temperature_C)
-    groups: list[list[tuple[ResidualLog, FloatArray]]] = []
-    for pair in ordered:
-        if groups and pair[0].temperature_C - groups[-1][0][0].temperature_C < SAME_TEMPERATURE_K:
-            groups[-1].append(pair)
-        else:
-            groups.append([pair])
+    groups = _by_temperature(logs)
     if len(groups) < 2:
         return (), ()
+    left = dict(zip(map(id, logs), rest, strict=True))
     grid = np.linspace(0.0, 1.0, slow_V.size)
     found = []
     for group in groups:
-        own = [OPTIMISM**2 * float(np.mean(left)) for _, left in group]
-        usual = [float(np.mean(np.interp(log.soc, grid, slow_V) ** 2)) for log, _ in group]
+        own = [OPTIMISM**2 * float(np.mean(left[id(log)])) for log in group]
+        usual = [float(np.mean(np.interp(log.soc, grid, slow_V) ** 2)) for log in group]
         one = sum(usual) / len(usual)
         ratio = (sum(own) + one) / (sum(usual) + one)
         found.append(math.sqrt(max(ratio, LEAST_REST)))
-    return tuple(float(np.mean([p[0].temperature_C for p in g])) for g in groups), tuple(found)
+    return tuple(float(np.mean([log.temperature_C for log in g])) for g in groups), tuple(found)
+
+
+def _by_temperature(logs: Sequence[ResidualLog]) -> list[list[ResidualLog]]:
+    """Logs of one temperature together, coldest first."""
+    groups: list[list[ResidualLog]] = []
+    for log in sorted(logs, key=lambda one: one.temperature_C):
+        if groups and log.temperature_C - groups[-1][0].temperature_C < SAME_TEMPERATURE_K:
+            groups[-1].append(log)
+        else:
+            groups.append([log])
+    return groups
 
 
 def _correlation_soc(logs: Sequence[ResidualLog], slow_V: FloatArray) -> float | None:
     """How far along the SOC the error remembers itself; None where fewer than two logs show it.
 
     Half the area under the two-sided autocorrelation over SOC up to its first zero, mean left in,
-    of residuals over the profile's own error. The fit has taken out what its logs have in
-    common: of n logs a residual keeps 1 - 1/n of a variance that a new log has 1 + 1/n of, and it
-    is the long part that goes.
+    residuals over the profile's own error. The fit has taken out what its logs have in common at
+    each temperature: of n logs a residual keeps 1 - 1/n of a variance that a new log has 1 + 1/n
+    of, and it is the long part that goes.
     """
     grid = np.linspace(0.0, 1.0, slow_V.size)
     found = []
@@ -173,7 +179,8 @@ def _correlation_soc(logs: Sequence[ResidualLog], slow_V: FloatArray) -> float |
         found.append(SOC_STEP * _memory(mean))
     if len(found) < 2:
         return None
-    whole = (len(found) + 1.0) / (len(found) - 1.0)
+    each = max(len(found) / len(_by_temperature(logs)), 2.0)
+    whole = (each + 1.0) / (each - 1.0)
     return float(min(whole * float(np.mean(found)), 1.0))
 
 
