@@ -46,7 +46,8 @@ class ModelError:
     ``correlation_s``: ``slow_V`` over an even SOC grid (one number for all), times
     ``temperature_factor`` over ``temperature_C`` (both empty: 1), and the part that grows with the
     polarisation, as a share of it, ``resistance_share`` on discharge and ``charge_share`` on
-    charge (None: as on discharge). Standard deviations [V].
+    charge (None: as on discharge). Standard deviations [V]. Moving on by ``correlation_soc`` makes
+    the slow part another one (None: not known to).
     """
 
     white_V: float = 0.002
@@ -56,6 +57,7 @@ class ModelError:
     charge_share: float | None = None
     temperature_C: tuple[float, ...] = ()
     temperature_factor: tuple[float, ...] = ()
+    correlation_soc: float | None = None
 
     def at(self, soc: FloatArray | float, temperature_C: float | None = None) -> FloatArray:
         """Slow error at the given SOC and one temperature [V], linear between grid points.
@@ -372,7 +374,9 @@ def check_model(model: CellModel) -> None:
 def check_error(error: ModelError) -> None:
     """Raise InputError where a model's error is none."""
     shares = [error.resistance_share, error.share(-1.0), *error.temperature_factor]
-    sizes = np.array([error.white_V, *error.slow_V, error.correlation_s, *shares])
+    sizes = np.array(
+        [error.white_V, *error.slow_V, error.correlation_s, *shares, error.correlation_soc or 0.0]
+    )
     if not error.slow_V or not np.all(np.isfinite(sizes)) or np.any(sizes < 0):
         raise InputError(
             f"a model error of {error}",

@@ -21,6 +21,7 @@ from cellwise.files import write_atomically
 from cellwise.typing import FloatArray
 
 SCHEMA_VERSION = 1
+MAY_BE_UNKNOWN = ("charge_share", "correlation_soc")  # of a model's error
 ENTRIES = ("schema_version", "kind", "soc", *(f.name for f in fields(CellModel)))
 
 
@@ -45,6 +46,7 @@ FACTOR = Range(0.0, 1e3, "times slow_V", "A factor, not volts.")
 ERROR = Range(0.0, 6.0, "V", "Volts: not mV.")
 # Of the data behind a model: a counter may run a little beyond 0..1, a sensor see a short circuit.
 VALID_SOC = Range(-0.5, 1.5, "", "A fraction, not per cent.")
+SOC_LENGTH = Range(0.0, 10.0, "of the SOC", "A fraction, not per cent.")
 VALID_RATE = Range(-1e3, 1e3, "C", "Ampere: not mA.")
 
 
@@ -214,6 +216,7 @@ def _sizes(model: CellModel) -> Iterator[tuple[str, Any, Range]]:
     yield "white_V of the error", error.white_V, ERROR
     yield "slow_V of the error", error.slow_V, ERROR
     yield "correlation_s of the error", error.correlation_s, TIME._replace(low=0.0)
+    yield "correlation_soc of the error", error.correlation_soc or 0.0, SOC_LENGTH
     yield (
         "resistance_share and charge_share of the error",
         (error.share(), error.share(-1.0)),
@@ -294,7 +297,7 @@ def _error_from_dict(data: dict[str, Any], where: str) -> ModelError:
         if isinstance(value, list | tuple):
             values[key] = tuple(_number(v) for v in value)
         else:
-            values[key] = None if key == "charge_share" and value is None else _number(value)
+            values[key] = None if key in MAY_BE_UNKNOWN and value is None else _number(value)
     if not isinstance(values["slow_V"], tuple):
         raise TypeError("slow_V is no list")
     return ModelError(**values)

@@ -45,24 +45,30 @@ def voltage_variance(
 @inline
 def model_memory(noise: NoiseScalars, evidence_s: float) -> float:
     """For how long the model's error is remembered, ``evidence_s`` after the first voltage [s]."""
-    return min(noise.slow_s, MEMORY_START_S + MEMORY_GROWTH * max(evidence_s, 0.0))
+    return min(noise.memory_s, MEMORY_START_S + MEMORY_GROWTH * max(evidence_s, 0.0))
 
 
 @inline
-def repeated_evidence(noise: NoiseScalars, evidence_s: float, dt_s: float, resting: bool) -> float:
-    """How many samples share one model error: the factor on a voltage's variance.
+def repeated_evidence(
+    noise: NoiseScalars, evidence_s: float, dt_s: float, resting: bool, new_soc: float
+) -> tuple[float, float]:
+    """How many samples share one model error, and what share of its renewal is a return.
 
-    An error of memory tau counts once in 2 tau (its spectral density at rest). What the model
-    gets wrong it gets wrong on every time scale, so the memory grows with the time since the
-    first voltage until it is the model's own. A repeated stamp repeats the error.
+    An error of memory tau counts once in 2 tau (its spectral density at rest): the first number is
+    the factor on a voltage's variance. What the model gets wrong it gets wrong on every time scale,
+    so the memory grows with the time since the first voltage until it is the model's own. A SOC
+    that was not seen before renews the error, too, and that one for good; what time alone renews
+    comes back. A repeated stamp repeats the error.
     """
-    if noise.slow_s <= 0.0:
-        return 1.0
+    if noise.memory_s <= 0.0:
+        return 1.0, 1.0
     if evidence_s < 0.0 and resting:
-        return 1.0  # the first voltage at rest is evidence by itself
+        return 1.0, 1.0  # the first voltage at rest is evidence by itself
     if dt_s <= 0.0:
-        return math.inf
-    return max(2.0 * model_memory(noise, evidence_s) / dt_s, 1.0)
+        return math.inf, 1.0
+    aged = dt_s / model_memory(noise, evidence_s)
+    renewed = aged + new_soc * noise.per_slow_soc
+    return max(2.0 / renewed, 1.0), aged / renewed
 
 
 @inline

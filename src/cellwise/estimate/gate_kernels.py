@@ -9,7 +9,15 @@ from cellwise.cell.compiled import inline
 from cellwise.cell.point_kernels import CellScalars
 from cellwise.estimate.evidence_kernels import mismatch_step, repeated_evidence
 from cellwise.estimate.noise import NoiseScalars
-from cellwise.estimate.sensing_kernels import REST_RATE, Sample, Watch, watch_on, watch_voltage
+from cellwise.estimate.sensing_kernels import (
+    REST_RATE,
+    Sample,
+    Watch,
+    new_ground,
+    no_ground,
+    watch_on,
+    watch_voltage,
+)
 from cellwise.estimate.status import (
     GATE_RECOVERY,
     INNOVATION_REJECTED,
@@ -43,7 +51,8 @@ class Innovation(NamedTuple):
 class Verdict(NamedTuple):
     """What becomes of a voltage.
 
-    ``inverse`` is one over the variance that weighs it; a rejected one only moves the counts,
+    ``inverse`` is one over the variance that weighs it, ``returns`` the share of its evidence that
+    an error which comes back has part in; a rejected one only moves the counts,
     and ``recover`` says that the SOC has to be searched for.
     """
 
@@ -51,6 +60,7 @@ class Verdict(NamedTuple):
     recover: bool
     used: bool
     inverse: float
+    returns: float
     innovation_V: float
     variance: float
     ratio: float
@@ -77,6 +87,7 @@ def gate(
     itself, and searched for instead of weighed where the voltage is too ``bent`` over SOC.
     """
     status = 0
+    new_soc, ground = new_ground(watch, s.flow_A * s.dt_s / cell.charge_As, s.dt_s)
     innovation_V = i.innovation_V
     variance = i.state_variance + i.one
     square = innovation_V * innovation_V
@@ -88,6 +99,7 @@ def gate(
     accepted = False
     recover = False
     inverse = 0.0
+    returns = 1.0
     resting = abs(s.seen_A) * 3600.0 < REST_RATE * cell.charge_As
     first = i.unsure and resting and evidence_s < 0.0
     if not math.isfinite(innovation_V):
@@ -121,16 +133,18 @@ def gate(
         else:
             accepted = True
             rejections = max(rejections - FORGIVEN, 0.0)
-            shared = repeated_evidence(noise, evidence_s, s.dt_s, resting)
+            shared, returns = repeated_evidence(noise, evidence_s, s.dt_s, resting, new_soc)
             inverse = 1.0 / (i.state_variance + i.one * shared * max(mismatch, 1.0))
             evidence_s = max(evidence_s, 0.0)
+    if recover or evidence_s < 0.0:
+        ground = no_ground()
     if evidence_s >= 0.0:
         evidence_s += s.dt_s
-    after, away = watch_on(noise, s, used, evidence_s, watch.no_voltage_s, reading)
+    after, away = watch_on(noise, s, used, evidence_s, watch.no_voltage_s, reading, ground)
     status |= away
     # fmt: off
     return Verdict(
-        accepted, recover, used, inverse, innovation_V, variance, ratio, rejections, mismatch,
-        after, status,
+        accepted, recover, used, inverse, returns, innovation_V, variance, ratio, rejections,
+        mismatch, after, status,
     )
     # fmt: on

@@ -16,6 +16,7 @@ from cellwise.given import check_kind
 IMPOSSIBLE_RATE = 200.0
 IMPOSSIBLE_SHARE = 0.5
 IMPOSSIBLE_RISE_V = 0.75
+ALONE_S = 3600.0  # where the SOC makes the model's error another one, time alone takes as long
 
 
 class NoiseScalars(NamedTuple):
@@ -28,6 +29,7 @@ class NoiseScalars(NamedTuple):
     voltage_V: float
     error_scale: float
     slow_s: float
+    memory_s: float
     ocv_soc: float
     mismatch_cap: float
     gate: float
@@ -39,6 +41,7 @@ class NoiseScalars(NamedTuple):
     current_limit_A: float
     voltage_low_V: float
     voltage_high_V: float
+    per_slow_soc: float
     per_slow_s: float  # divided once, not in every step
     per_gate2: float
     valid: ValidityScalars  # beyond it the model's error grows
@@ -58,6 +61,7 @@ class Noise:
     error_scale : float       factor on the model's own table of its voltage error over SOC
     slow_s : float            how long that error is remembered: samples within that time are not
                               counted as independent evidence (slow_s = 0: every sample is)
+    slow_soc : float          moving on by as much SOC makes it another one; 0: time alone does
     ocv_soc : float           error of the OCV along the SOC axis
     mismatch_cap : float      a model of another temperature or age is wrong all the time: its error
                               variance grows with what the innovations have shown over slow_s, a
@@ -80,6 +84,7 @@ class Noise:
     voltage_V: float = 0.002
     error_scale: float = 1.0
     slow_s: float = 300.0
+    slow_soc: float = 0.0
     ocv_soc: float = 0.003
     mismatch_cap: float = 100.0
     gate: float = 5.0
@@ -117,6 +122,7 @@ class Noise:
             current_A=0.002 * model.capacity_Ah,
             voltage_V=max(model.error.white_V, 1e-4),
             slow_s=model.error.correlation_s,
+            slow_soc=model.error.correlation_soc or 0.0,
             branch_share=model.error.share(),
             charge_factor=model.error.share(-1.0) / max(model.error.share(), 1e-12),
             current_limit_A=IMPOSSIBLE_RATE * model.capacity_Ah,
@@ -134,6 +140,7 @@ class Noise:
             float(self.voltage_V),
             float(self.error_scale),
             float(self.slow_s),
+            float(max(self.slow_s, ALONE_S) if self.slow_soc > 0.0 else self.slow_s),
             float(self.ocv_soc),
             float(self.mismatch_cap),
             float(self.gate),
@@ -145,6 +152,7 @@ class Noise:
             float(self.current_limit_A),
             float(self.voltage_low_V),
             float(self.voltage_high_V),
+            per_slow_soc=1.0 / self.slow_soc if self.slow_soc > 0.0 else 0.0,
             per_slow_s=1.0 / self.slow_s if self.slow_s > 0.0 else 0.0,
             per_gate2=1.0 / (self.gate * self.gate),
             valid=EVERYWHERE if model is None else validity_scalars(model),

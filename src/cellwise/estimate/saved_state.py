@@ -22,7 +22,7 @@ INFINITE = {"inf": math.inf, "-inf": -math.inf}
 COUNTS = {"rejections": "rejections", "mismatch": "mismatch", "lasting": "persistent"}
 # Not in files of versions before it was carried; a cell at rest has none.
 NEWER = {"slow_A": 0.0}
-NEWER_WATCH = {"no_warm_s": -1.0}
+NEWER_WATCH = {"no_warm_s": -1.0, "room_up": 0.0, "room_down": 0.0, "fresh": 0.0}
 MAY_BE_MISSING = {"temperature_C", "voltage_V", "current_A"}  # not measured yet
 
 

@@ -61,6 +61,7 @@ def _mean_error(errors: Sequence[ModelError], temperature_C: Sequence[float]) ->
     slow = np.sqrt(np.mean([e.at(grid) ** 2 for e in errors], axis=0))
     whole = rms(slow)
     own = [rms(e.at(grid)) / whole for e in errors] if whole > 0.0 else [1.0] * len(errors)
+    reach = [e.correlation_soc for e in errors]
     return ModelError(
         white_V=rms([e.white_V for e in errors]),
         slow_V=tuple(float(v) for v in slow),
@@ -69,6 +70,7 @@ def _mean_error(errors: Sequence[ModelError], temperature_C: Sequence[float]) ->
         charge_share=rms([e.share(-1.0) for e in errors]),
         temperature_C=tuple(float(t) for t in temperature_C),
         temperature_factor=tuple(own),
+        correlation_soc=None if None in reach else rms([r for r in reach if r is not None]),
     )
 
 

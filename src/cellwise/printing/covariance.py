@@ -23,7 +23,7 @@ def output_sum(states: tuple[State, ...], of: Callable[[State], str]) -> str:
     """H times something: OCV slope and hysteresis, less the branches, plus R0 times the offset."""
     by = {s.letter: of(s) for s in states}
     if OFFSET in states:
-        branches = f"fast * {by['1']} + tail * ({by['2']} + {by['3']})"
+        branches = f"fast * {by['1']} + ({by['2']} + {by['3']})"
         return f"(slope_V * {by['s']} + m_V * {by['h']}) + (r0_ohm * {by['o']} - ({branches}))"
     return f"(slope_V * {by['s']} + m_V * {by['h']}) - (({by['1']} + {by['2']}) + {by['3']})"
 
@@ -37,7 +37,7 @@ class CovariancePrinter:
         self.p, self.d = f"p: {self.matrix}", f"d: {self.vector}"
         self.outputs = "slope_V: float, m_V: float"
         if OFFSET in states:
-            self.outputs += ", fast: float, tail: float, r0_ohm: float"
+            self.outputs += ", fast: float, r0_ohm: float"
 
     def _function(self, title: str, arguments: str, result: str, text: str) -> list[str]:
         """All of a function but what it does."""

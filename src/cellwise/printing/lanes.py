@@ -15,6 +15,9 @@ WATCH = (
     "frozen_A",
     "repeats",
     "no_warm_s",
+    "room_up",
+    "room_down",
+    "fresh",
 )
 PAST = ("mean_A", "miss_V", "first_soc", "first_variance")
 # Groups of a state as the filters nest them: the record, and its fields.

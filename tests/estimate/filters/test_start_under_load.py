@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from cellwise.cell.effects import SlowDiffusion
 from cellwise.cell.equations import CellState
@@ -14,6 +15,7 @@ from cellwise.estimate.filters.past_kernels import (
     PAST_LIKE,
     PAST_RATE,
     PAST_SPREAD,
+    TAIL,
     Past,
     branch_of_past,
     soc_of_level,
@@ -45,7 +47,7 @@ def linear(r_slope: float = 0.0) -> CellModel:
     )
 
 
-def test_a_look_is_the_gaussian_posterior_where_everything_is_linear():
+def test_a_look_is_the_posterior_of_a_start_with_tails_where_everything_is_linear():
     model, noise = linear(), Noise.of_model(linear()).scalars()
     mean_A, since_s = 1.5, 60.0
     prior, prior_std = 0.40, 0.10
@@ -60,17 +62,20 @@ def test_a_look_is_the_gaussian_posterior_where_everything_is_linear():
     # Level: 3.2 + s - v3 + e, with e the model's error and the 5 mV of a branch at a start.
     level = 3.2 + 0.5 - 0.03 + 0.004
     e2 = SLOW_V**2 + 0.005**2
-    mean = np.array([prior, held])
-    covariance = np.diag([prior_std**2, spread**2])
-    h = np.array([1.0, -1.0])
-    gain = covariance @ h / (h @ covariance @ h + e2)
-    mean = mean + gain * (level - 3.2 - h @ mean)
-    covariance = covariance - np.outer(gain, h @ covariance)
-    assert soc == pytest.approx(mean[0], abs=1e-4)
-    assert v3 == pytest.approx(mean[1], abs=1e-4)
-    grid = 0.005**2 / 12.0
-    found = [ss - grid, p33, s3]
-    expected = [covariance[0, 0], covariance[1, 1], covariance[0, 1]]
+    # By brute force: Student's t of the start, a normal branch, a normal error of the level.
+    s, b = np.meshgrid(np.linspace(0.0, 1.0, 801), held + spread * np.linspace(-6.0, 6.0, 801))
+    weight = stats.t.pdf(s, TAIL, prior, prior_std) * stats.norm.pdf(b, held, spread)
+    weight *= stats.norm.pdf(level - 3.2 - (s - b), 0.0, np.sqrt(e2))
+    weight /= weight.sum()
+    mean_s, mean_b = np.sum(weight * s), np.sum(weight * b)
+    assert soc == pytest.approx(mean_s, abs=1e-4)
+    assert v3 == pytest.approx(mean_b, abs=1e-4)
+    found = [ss - 0.005**2 / 12.0, p33, s3]
+    expected = [
+        np.sum(weight * (s - mean_s) ** 2),
+        np.sum(weight * (b - mean_b) ** 2),
+        np.sum(weight * (s - mean_s) * (b - mean_b)),
+    ]
     np.testing.assert_allclose(found, expected, rtol=2e-2)
 
 

@@ -139,6 +139,17 @@ def test_what_follows_a_large_polarisation_is_no_error_at_rest():
     assert found.at(0.5, -20.0) < 2.0 * found.at(0.5, 25.0)
 
 
+def test_what_a_steep_ocv_does_towards_empty_is_no_share_of_a_polarisation_that_grows_there():
+    rng = np.random.default_rng(18)
+    log = residual_log(rng, slow_V=0.003, share=0.05)
+    empty = log.soc < 0.1
+    log.drop_V[empty] *= 4.0
+    log.residual_V[empty] *= 20.0  # a SOC scale that is off by a point
+    found = estimate_model_error([log])
+    assert found.share() == pytest.approx(0.05, rel=0.4)
+    assert found.at(0.5) < 2.0 * OPTIMISM * 0.003
+
+
 def test_the_error_knows_where_on_the_soc_axis_it_is():
     rng = np.random.default_rng(5)
     log = residual_log(rng, slow_V=0.003)
@@ -189,3 +200,32 @@ def test_a_perfect_fit_still_claims_some_error():
     assert found.white_V > 0.0
     assert min(found.slow_V) > 0.0
     assert found.correlation_s > 0.0
+
+
+def along_soc(rng, length, warm=25.0, hours=1.0):
+    """A residual that is an Ornstein-Uhlenbeck process of SOC, discharged within some hours."""
+    time = np.linspace(0.0, 3600.0 * hours, 4000)
+    soc = np.linspace(1.0, 0.0, time.size)
+    residual = ornstein_uhlenbeck(1.0 - soc, length, 0.01, rng)
+    return ResidualLog(time, soc, np.zeros(time.size), residual, warm)
+
+
+def test_the_length_along_the_soc_does_not_depend_on_the_pace():
+    rng = np.random.default_rng(19)
+    fast = [along_soc(rng, 0.01) for _ in range(40)]
+    slow = [along_soc(rng, 0.01, hours=20.0) for _ in range(40)]
+    lengths = [estimate_model_error(logs).correlation_soc for logs in (fast, slow)]
+    assert lengths[0] == pytest.approx(lengths[1], rel=0.25)
+    assert 0.01 / 1.5 < lengths[0] < 0.01 * 1.5
+    quick, long = (estimate_model_error(logs).correlation_s for logs in (fast, slow))
+    assert long > 5.0 * quick
+
+
+def test_few_logs_of_a_temperature_hide_the_long_part_from_a_fit():
+    rng = np.random.default_rng(20)
+    many = [along_soc(rng, 0.01) for _ in range(12)]
+    spread = [log.__class__(log.time_s, log.soc, log.drop_V, log.residual_V, 10.0 * (k % 6))
+              for k, log in enumerate(many)]  # fmt: skip
+    one, each = (estimate_model_error(logs).correlation_soc for logs in (many, spread))
+    assert each == pytest.approx(3.0 * 11.0 / 13.0 * one, rel=0.1)
+    assert estimate_model_error(many[:1]).correlation_soc is None

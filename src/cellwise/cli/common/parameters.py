@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 UNITS = {"offset_A": ("sensor offset", "A"), "gain": ("sensor gain", ""),
          "capacity_Ah": ("capacity", "Ah"), "resistance_scale": ("R0, R1 times", ""),
-         "polarisation_scale": ("R2, R3 times", "")}  # fmt: skip
+         "polarisation_scale": ("R2 times", "")}  # fmt: skip
 
 
 def parameter_rows(data: dict[str, Any]) -> list[tuple[str, str]]:

@@ -453,31 +453,23 @@ def column(
     slope_V: float,
     m_V: float,
     fast: float,
-    tail: float,
     r0_ohm: float,
 ) -> AdaptiveColumn:
     """P H', the covariance of every state with the voltage."""
-    s = (slope_V * p.ss + m_V * p.sh) + (r0_ohm * p.so - (fast * p.s1 + tail * (p.s2 + p.s3)))
-    v1 = (slope_V * p.s1 + m_V * p.p1h) + (r0_ohm * p.p1o - (fast * p.p11 + tail * (p.p12 + p.p13)))
-    v2 = (slope_V * p.s2 + m_V * p.p2h) + (r0_ohm * p.p2o - (fast * p.p12 + tail * (p.p22 + p.p23)))
-    v3 = (slope_V * p.s3 + m_V * p.p3h) + (r0_ohm * p.p3o - (fast * p.p13 + tail * (p.p23 + p.p33)))
-    h = (slope_V * p.sh + m_V * p.phh) + (r0_ohm * p.pho - (fast * p.p1h + tail * (p.p2h + p.p3h)))
-    o = (slope_V * p.so + m_V * p.pho) + (r0_ohm * p.poo - (fast * p.p1o + tail * (p.p2o + p.p3o)))
-    q = (slope_V * p.sq + m_V * p.phq) + (r0_ohm * p.poq - (fast * p.p1q + tail * (p.p2q + p.p3q)))
+    s = (slope_V * p.ss + m_V * p.sh) + (r0_ohm * p.so - (fast * p.s1 + (p.s2 + p.s3)))
+    v1 = (slope_V * p.s1 + m_V * p.p1h) + (r0_ohm * p.p1o - (fast * p.p11 + (p.p12 + p.p13)))
+    v2 = (slope_V * p.s2 + m_V * p.p2h) + (r0_ohm * p.p2o - (fast * p.p12 + (p.p22 + p.p23)))
+    v3 = (slope_V * p.s3 + m_V * p.p3h) + (r0_ohm * p.p3o - (fast * p.p13 + (p.p23 + p.p33)))
+    h = (slope_V * p.sh + m_V * p.phh) + (r0_ohm * p.pho - (fast * p.p1h + (p.p2h + p.p3h)))
+    o = (slope_V * p.so + m_V * p.pho) + (r0_ohm * p.poo - (fast * p.p1o + (p.p2o + p.p3o)))
+    q = (slope_V * p.sq + m_V * p.phq) + (r0_ohm * p.poq - (fast * p.p1q + (p.p2q + p.p3q)))
     return AdaptiveColumn(s, v1, v2, v3, h, o, q)
 
 
 @inline
-def explained(
-    d: AdaptiveColumn,
-    slope_V: float,
-    m_V: float,
-    fast: float,
-    tail: float,
-    r0_ohm: float,
-) -> float:
+def explained(d: AdaptiveColumn, slope_V: float, m_V: float, fast: float, r0_ohm: float) -> float:
     """H P H', the variance of the voltage that the state explains [V^2]."""
-    return (slope_V * d.s + m_V * d.h) + (r0_ohm * d.o - (fast * d.v1 + tail * (d.v2 + d.v3)))
+    return (slope_V * d.s + m_V * d.h) + (r0_ohm * d.o - (fast * d.v1 + (d.v2 + d.v3)))
 
 
 @inline

@@ -26,6 +26,7 @@ from cellwise.estimate.adaptive.state_kernels import (
     is_sound,
 )
 from cellwise.estimate.filters.filter_state import EkfStart
+from cellwise.estimate.filters.past_kernels import Past, past_at_start
 from cellwise.estimate.filters.predict_kernels import (
     branch_variance,
     drifted,
@@ -49,6 +50,7 @@ class Predicted(NamedTuple):
     at: Slopes
     warm_C: float
     evidence_s: float
+    past: Past
     status: int
 
 
@@ -89,11 +91,13 @@ def predict(
         status = STATE_RESET
     p = state.p
     evidence = state.watch.evidence_s
+    past = state.past
     now = over_interval(tables, noise, state.cell, soc, s, evidence == NOT_BEGUN)
     status |= now.status
     if evidence == NOT_BEGUN:
         p = uncorrelated(p.ss, now.v11, now.v22, now.v33, p.phh, p.poo, p.pqq)
         evidence = NO_VOLTAGE_YET
+        past = past_at_start(cell, s, soc, p.ss)
     point, t, end = now.point, now.t, now.end
 
     # One ampere of offset is one ampere that did not flow; a share of charge, one of what flowed.
@@ -132,4 +136,4 @@ def predict(
     p = with_parameters(
         p, p.poo + rules.offset_walk * s.dt_s, p.poq, p.pqq + rules.charge_walk * s.dt_s
     )
-    return Predicted(state, s, end, p, point, at, now.warm_C, evidence, status)
+    return Predicted(state, s, end, p, point, at, now.warm_C, evidence, past, status)

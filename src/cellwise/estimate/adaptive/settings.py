@@ -57,7 +57,7 @@ class AdaptiveSettings:
     misfit_power : float         how much that chance falls with a misfit that nothing explains
     settled_soc : float          beyond this deviation of SOC nothing is estimated
     swing_V : float              below this RMS of the moving drop resistances are held
-    fast_s, tail_s : float       what moves within fast_s shows R0 and R1, up to tail_s of R2, R3
+    fast_s, tail_s : float       what moves within fast_s shows R0 and R1, up to tail_s R2
     misfit : float               mean of innovation squared over variance from which all is held
     memory_s : float             the model's error is remembered for at least as long
     rest_s : float               a current that stands still near zero for as long is a rest

@@ -12,6 +12,7 @@ from cellwise.estimate.adaptive.covariance_kernels import (
     uncorrelated,
 )
 from cellwise.estimate.filters.filter_state import EkfStart
+from cellwise.estimate.filters.past_kernels import Past, no_past
 from cellwise.estimate.sensing_kernels import Watch, first_watch
 
 CHARGE_LOW, CHARGE_HIGH = 0.5, 2.5
@@ -52,7 +53,7 @@ class Rest(NamedTuple):
 
 
 class Resistances(NamedTuple):
-    """Factors on R0, R1 (``fast``) and R2, R3 (``tail``), and the means they are estimated from.
+    """Factors on R0, R1 (``fast``) and R2 (``tail``), and the means they are estimated from.
 
     ``drop`` and ``miss`` are running means of the fast part of the polarisation and of the
     innovation, ``near`` and ``far`` those of the tail over the shorter and the longer time; the
@@ -74,6 +75,15 @@ class Resistances(NamedTuple):
     miss_far_V2: float
 
 
+class Estimate(NamedTuple):
+    """Cell, parameters and covariance in the middle of a step."""
+
+    x: CellState
+    offset_A: float
+    charge: float
+    p: AdaptiveCovariance
+
+
 class AdaptiveState(NamedTuple):
     """What must be carried: cell, parameters, P, how the model has done, the sensors' past.
 
@@ -91,6 +101,7 @@ class AdaptiveState(NamedTuple):
     rest: Rest
     resistances: Resistances
     watch: Watch
+    past: Past
 
     @property
     def soc(self) -> float:
@@ -129,7 +140,7 @@ def adaptive_start(start: EkfStart, rules: AdaptiveScalars, current_A: float) ->
     )
     return AdaptiveState(
         CellState(start.soc, 0.0, 0.0, 0.0, h, 0.0, 0.0), 0.0, 1.0, p, 0.0, 1.0, 0.0,
-        Rest(0.0, 0.0, False), resistances, first_watch(current_A),
+        Rest(0.0, 0.0, False), resistances, first_watch(current_A), no_past(),
     )
     # fmt: on
 

@@ -1,11 +1,12 @@
 """The adaptive filter as scalar code: SOC together with what is wrong with sensor and cell.
 
 State x = [soc, v1, v2, v3, h, b, q]: the EKF's five, what the current sensor adds (b, [A]), and
-the model's capacity over the cell's (q); beside it the factors r on R0, R1 and w on R2, R3:
+the model's capacity over the cell's (q); beside it the factors r on R0, R1, and w on R2, which is
+reported only:
 
     soc+ = soc - q (I - b) dt / (3600 Q)
     v_j+ = a_j v_j + R_j (1 - a_j) (I - b)
-    v    = OCV(soc) - r (R0 (I - b) + v1) - w (v2 + v3) + M h
+    v    = OCV(soc) - r (R0 (I - b) + v1) - v2 - v3 + M h
 
 A sensor's gain and a capacity move the counted charge alike, so q stands for either.
 
@@ -34,6 +35,7 @@ from cellwise.estimate.adaptive.covariance_kernels import (
     uncorrelated,
     with_parameters,
 )
+from cellwise.estimate.adaptive.look_kernels import look_again
 from cellwise.estimate.adaptive.mixture_kernels import Mixture, mixture, soc_deviation
 from cellwise.estimate.adaptive.predict_kernels import Predicted, predict
 from cellwise.estimate.adaptive.state_kernels import (
@@ -41,6 +43,7 @@ from cellwise.estimate.adaptive.state_kernels import (
     CHARGE_LOW,
     AdaptiveScalars,
     AdaptiveState,
+    Estimate,
     Resistances,
     Rest,
     settled_variance,
@@ -97,28 +100,23 @@ class AdaptiveStep(NamedTuple):
 
 
 class Polarisation(NamedTuple):
-    """What the load takes off the OCV: its fast part and its tail without factors, all with [V]."""
+    """What the load takes off the OCV: fast part, tail, all with the factor, all without [V]."""
 
     drop_V: float
     tail_V: float
     whole_V: float
-
-
-class Estimate(NamedTuple):
-    """Cell, parameters and covariance in the middle of a step."""
-
-    x: CellState
-    offset_A: float
-    charge: float
-    p: AdaptiveCovariance
+    own_V: float
 
 
 @inline
 def polarised(now: Predicted, x: CellState, r: Resistances) -> Polarisation:
     """The polarisation with the factors as they are known."""
     drop = now.point.r0_ohm * now.s.seen_A + x.v1_V
-    tail = x.v2_V + x.v3_V
-    return Polarisation(drop, tail, r.fast * drop + r.tail * tail)
+    # What the tail's factor moves of the voltage is within the model's claim for the whole
+    # polarisation, which moves with it: the voltage keeps the model's.
+    tail = x.v2_V
+    slow = tail + x.v3_V
+    return Polarisation(drop, tail, r.fast * drop + slow, drop + slow)
 
 
 @inline
@@ -187,7 +185,7 @@ def innovate(
     pol: Polarisation,
     explained_V2: float,
 ) -> Innovation:
-    """Measured less predicted voltage; H = [slope, -r, -w, -w, m, r R0, 0]."""
+    """Measured less predicted voltage; H = [slope, -r, -1, -1, m, r R0, 0]."""
     s, x, point = now.s, e.x, now.point
     r0 = r.fast * point.r0_ohm
     predicted = terminal_voltage(point, x.h, pol.whole_V)
@@ -196,7 +194,8 @@ def innovate(
     branches = abs(x.v1_V) + (abs(x.v2_V) + abs(x.v3_V))
     one = voltage_variance(noise, point, r0, s.seen_A, s.lost_A, branches)
     drop2, tail2 = pol.drop_V * pol.drop_V, pol.tail_V * pol.tail_V
-    one += drop2 * r.fast_variance + tail2 * r.tail_variance
+    off = r.tail - 1.0
+    one += drop2 * r.fast_variance + tail2 * (r.tail_variance + off * off)
     unsure = e.p.ss > WIDE_VARIANCE
     bent = bends(tables, now.at, bend2, one)
     miss = s.voltage_V - predicted
@@ -213,7 +212,7 @@ def recover(
     capacity keep what they are known to, what SOC and branches had in common with anything goes.
     """
     x, p, s = e.x, e.p, now.s
-    own = s.voltage_V + (pol.whole_V - (pol.drop_V + pol.tail_V))
+    own = s.voltage_V + (pol.whole_V - pol.own_V)
     # fmt: off
     soc, ss, p11, p22, p33 = recovered(
         tables, now.warm_C, s.seen_A, x.slow_A, own, (x.v1_V, x.v2_V, x.v3_V),
@@ -293,8 +292,8 @@ def take_step(
     x = CellState(x.soc, x.v1_V, x.v2_V, x.v3_V, x.h, heat, x.slow_A)
     e = Estimate(x, e.offset_A, e.charge, e.p)
     by_offset = r.fast * point.r0_ohm if s.lost_A == 0.0 else 0.0
-    d = column(e.p, now.at.slope_V, point.m_V, r.fast, r.tail, by_offset)
-    explained_V2 = explained(d, now.at.slope_V, point.m_V, r.fast, r.tail, by_offset)
+    d = column(e.p, now.at.slope_V, point.m_V, r.fast, by_offset)
+    explained_V2 = explained(d, now.at.slope_V, point.m_V, r.fast, by_offset)
     i = innovate(tables, noise, now, e, r, pol, explained_V2)
     v = gate(tables.cell, noise, old.watch, s, now.evidence_s, old.rejections, old.mismatch, i)
     status = s.status | now.status | v.status
@@ -312,9 +311,11 @@ def take_step(
         e = recover(tables, now, e, pol, i)
         persistent = 0.0
     elif v.accepted:
-        gain = d.s * v.inverse
+        gain = v.returns * d.s * v.inverse
         persistent = persistent_step(noise, point, v.mismatch, gain, now.at.slope_V, persistent)
         e = update(tables, now, e, d, v, held)
+    own = v.innovation_V + (pol.own_V - pol.whole_V)
+    e, persistent, past = look_again(tables, noise, now, v, own, e, persistent)
     x = e.x
     if x.soc < 0.0 or x.soc > 1.0:
         held_soc = min(max(x.soc, 0.0), 1.0)
@@ -322,7 +323,8 @@ def take_step(
         status |= CLAMPED
     # fmt: off
     after = AdaptiveState(
-        x, e.offset_A, e.charge, e.p, v.rejections, v.mismatch, persistent, rest, r, v.watch
+        x, e.offset_A, e.charge, e.p, v.rejections, v.mismatch, persistent, rest, r, v.watch,
+        past,
     )
     # fmt: on
     step = AdaptiveStep(i.predicted_V, v.innovation_V, v.variance, v.ratio, status, held)

@@ -51,9 +51,9 @@ def watch_resistances(
     dt_s: float,
     hold: bool,
 ) -> tuple[Resistances, bool]:
-    """Factors on R0, R1 and on R2, R3 by recursive least squares; whether the load moves enough.
+    """Factors on R0, R1 and on R2 by recursive least squares; whether the load moves enough.
 
-    ``drop_V`` is R0 I + v1, ``tail_V`` is v2 + v3, both without their factor. The first is judged
+    ``drop_V`` is R0 I + v1, ``tail_V`` is v2, both without their factor. The first is judged
     by what moves within ``fast_s``, the second by what moves between that and ``tail_s``: no error
     of an OCV is that fast. The noise is what the innovations show in the same band, one piece of
     evidence in twice the band's time.
@@ -84,7 +84,8 @@ def watch_resistances(
     tail, tail_variance = r.tail, r.tail_variance
     if tail2 >= rules.swing_V2 and not hold and dt_s > 0.0:
         noise = max(far2, white_V2) * max(2.0 * rules.tail_s / dt_s, 1.0)
-        tail, tail_variance = least_squares(tail, tail_variance, lag, miss, noise)
+        own = miss + (tail - 1.0) * lag  # the voltage has no factor on the tail
+        tail, tail_variance = least_squares(tail, tail_variance, lag, own, noise)
     # fmt: off
     return Resistances(
         fast, fast_variance, tail, tail_variance, drop_mean, miss_mean, drop2, miss2,

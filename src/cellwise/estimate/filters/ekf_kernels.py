@@ -227,7 +227,7 @@ def update(
     if gained:
         p = corrected(p, k, d)
     persistent = persistent_step(
-        noise, now.point, v.mismatch, k.s, now.at.slope_V, now.state.persistent
+        noise, now.point, v.mismatch, v.returns * k.s, now.at.slope_V, now.state.persistent
     )
     return x, p, persistent
 

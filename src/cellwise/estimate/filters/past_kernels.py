@@ -33,6 +33,7 @@ LEVEL_SHARE = 0.3  # of the time since the start: the mean of the innovations is
 PAST_LIKE = 0.8
 PAST_SPREAD = 0.5
 PAST_RATE = 0.05  # may have flowed before beside it
+TAIL = 4.0  # degrees of freedom of a stated start: how sure it is, is itself not sure
 LEAST_RATE = 0.02  # a use takes no longer from full to empty, or back
 RESISTANCE_OF_SOC = 0.3  # of what resistances differ between two SOCs may be the tables' error
 
@@ -140,6 +141,7 @@ def soc_of_level(
     # The past's charge fits on the SOC axis: a discharge from full, a charge from empty.
     size = max(abs(mean_A), LEAST_RATE * tables.cell.charge_As / 3600.0)
     usual_A = size if mean_A >= 0.0 else -size
+    per_start = 1.0 / (TAIL * past.first_variance)
     step_s = step * tables.cell.charge_As / size
     for turn in range(2):
         before = 0.0
@@ -162,7 +164,8 @@ def soc_of_level(
             off = ((at.ocv_V + at.m_V * x.h - drop) - level) - held
             variance = about + spread2
             away = s - past.first_soc
-            cost = away * away / past.first_variance + off * off / variance + math.log(variance)
+            far = math.log(1.0 + away * away * per_start)
+            cost = (TAIL + 1.0) * far + off * off / variance + math.log(variance)
             if turn == 0:
                 least = min(least, cost)
             else:

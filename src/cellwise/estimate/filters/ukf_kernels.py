@@ -257,7 +257,9 @@ def ukf_step_inline(
         k = scaled(d, v.inverse)
         x = moved(x, k, v.innovation_V)
         p = corrected(p, k, d)
-        persistent = persistent_step(noise, point, v.mismatch, k.s, seen.slope_V, persistent)
+        persistent = persistent_step(
+            noise, point, v.mismatch, v.returns * k.s, seen.slope_V, persistent
+        )
     # fmt: off
     x, p, persistent, past = look_again(
         tables, noise, s, warm, begun.evidence_s, begun.past, v, x, p, persistent

@@ -50,14 +50,17 @@ LANES = 16  # fewer than sixteen turns are not worth a vector to the compiler
     FROZEN,
     REPEATS,
     NO_WARM,
+    ROOM_UP,
+    ROOM_DOWN,
+    FRESH,
     MEAN,
     MISS,
     FIRST_SOC,
     FIRST_VARIANCE,
     FACTOR,
     FACTOR_C,
-) = range(40)
-FIELDS = 40
+) = range(43)
+FIELDS = 43
 
 
 @inline
@@ -103,6 +106,9 @@ def get_state(block: FloatArray, lane: int) -> EkfState:
             block[FROZEN * LANES + lane],
             block[REPEATS * LANES + lane],
             block[NO_WARM * LANES + lane],
+            block[ROOM_UP * LANES + lane],
+            block[ROOM_DOWN * LANES + lane],
+            block[FRESH * LANES + lane],
         ),
         Past(
             block[MEAN * LANES + lane],
@@ -150,6 +156,9 @@ def put_state(block: FloatArray, lane: int, state: EkfState) -> None:
     block[FROZEN * LANES + lane] = state.watch.frozen_A
     block[REPEATS * LANES + lane] = state.watch.repeats
     block[NO_WARM * LANES + lane] = state.watch.no_warm_s
+    block[ROOM_UP * LANES + lane] = state.watch.room_up
+    block[ROOM_DOWN * LANES + lane] = state.watch.room_down
+    block[FRESH * LANES + lane] = state.watch.fresh
     block[MEAN * LANES + lane] = state.past.mean_A
     block[MISS * LANES + lane] = state.past.miss_V
     block[FIRST_SOC * LANES + lane] = state.past.first_soc
@@ -199,6 +208,9 @@ def choose(which: bool, yes: EkfState, no: EkfState) -> EkfState:
             yes.watch.frozen_A if which else no.watch.frozen_A,
             yes.watch.repeats if which else no.watch.repeats,
             yes.watch.no_warm_s if which else no.watch.no_warm_s,
+            yes.watch.room_up if which else no.watch.room_up,
+            yes.watch.room_down if which else no.watch.room_down,
+            yes.watch.fresh if which else no.watch.fresh,
         ),
         Past(
             yes.past.mean_A if which else no.past.mean_A,

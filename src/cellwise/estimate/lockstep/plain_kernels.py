@@ -84,6 +84,7 @@ from cellwise.estimate.sensing_kernels import (
     HOTTEST_C,
     Reading,
     Watch,
+    new_ground,
 )
 from cellwise.estimate.status import CLAMPED
 from cellwise.typing import BoolArray, FloatArray, IntArray
@@ -146,6 +147,7 @@ def plain_step(
     voltage_V: float,
     warm_C: float,
     dt_s: float,
+    gs: float,
 ) -> tuple[EkfState, EkfInfo, bool]:
     """The EKF's step where SOC is well known; whether gate and sensors allow it."""
     x, point, t = old.cell, at.point, at.t
@@ -181,6 +183,7 @@ def plain_step(
         (w.repeats > LONG_FROZEN) | ((change > noise.frozen_V) & (abs(innovation) > 0.5 * change))
     )
     sound = (warm_C >= COLDEST_C) & (warm_C <= HOTTEST_C)
+    new_soc, ground = new_ground(w, -flow * gs, dt_s)
     watch = Watch(
         current_A,
         warm_C if sound else w.temperature_C,
@@ -191,15 +194,21 @@ def plain_step(
         frozen_A,
         repeats,
         0.0 if sound else w.no_warm_s,
+        ground.room_up,
+        ground.room_down,
+        ground.fresh,
     )
 
     mismatch = mismatch_step(noise, old.mismatch, excess, dt_s)
-    shared = model_memory(noise, w.evidence_s) * (2.0 / dt_s)
+    aged = dt_s / model_memory(noise, w.evidence_s)
+    renewed = aged + new_soc * noise.per_slow_soc
+    shared = 2.0 / renewed
     shared = shared if shared > 1.0 else 1.0
     worse = mismatch if mismatch > 1.0 else 1.0
     inverse = 1.0 / (state_variance + one * shared * worse)
     k = scaled(d, inverse)
-    persistent = persistent_step(noise, point, mismatch, k.s, point.ocv_slope_V, old.persistent)
+    kept_k = k.s * (aged / renewed)
+    persistent = persistent_step(noise, point, mismatch, kept_k, point.ocv_slope_V, old.persistent)
     end = moved(CellState(soc, v1, v2, v3, h, x.heat_K, x.slow_A), k, innovation)
     rejections = old.rejections - FORGIVEN
     rejections = rejections if rejections > 0.0 else 0.0
@@ -239,6 +248,7 @@ def plain_block(
             voltage_V[lane],
             temperature_C[lane],
             dt_s,
+            gs,
         )
         plain = (work[W_PLAIN * LANES + lane] > 0.0) & fits
         work[W_PLAIN * LANES + lane] = 1.0 if plain else 0.0

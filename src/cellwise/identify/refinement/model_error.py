@@ -19,8 +19,11 @@ PROFILE_POINTS = 51
 WINDOW_SOC = 0.02
 LEAST_V = 5e-4
 LARGEST_SHARE = 0.5
+SHARE_BINS = 25  # over SOC, within which rows of more and less polarisation are compared
 # A direction with less than this of the rows says nothing of its own.
 LEAST_ROWS = 200
+SOC_STEP = 0.002
+DEEP = 0.3  # a log that moves less of the SOC does not show how its error changes along it
 SAME_TEMPERATURE_K = 4.0  # logs this near to each other report one temperature
 # What is taken out as the polarisation's may be its square at most up to this share of the whole.
 LEAST_REST = 0.1
@@ -72,8 +75,8 @@ def estimate_model_error(logs: Sequence[ResidualLog]) -> ModelError:
         return ModelError()
     weights = np.array([float(log.time_s[-1] - log.time_s[0]) + 1.0 for log in usable])
     white = [_step_noise(log.residual_V) for log in usable]
-    discharge = _share(usable, weights, 1.0)
-    charge = _share(usable, weights, -1.0)
+    discharge = _share(usable, 1.0)
+    charge = _share(usable, -1.0)
     if discharge is None:
         discharge = 0.0 if charge is None else charge
     charge = discharge if charge is None else max(charge, discharge)
@@ -89,6 +92,7 @@ def estimate_model_error(logs: Sequence[ResidualLog]) -> ModelError:
         charge_share=charge,
         temperature_C=grid,
         temperature_factor=factor,
+        correlation_soc=_correlation_soc(usable, slow),
     )
 
 
@@ -129,24 +133,55 @@ def _over_temperature(
     Every log counts alike, and each temperature begins with one log that has the profile's own
     error: a single log does not make an error vanish.
     """
-    ordered = sorted(zip(logs, rest, strict=True), key=lambda pair: pair[0].temperature_C)
-    groups: list[list[tuple[ResidualLog, FloatArray]]] = []
-    for pair in ordered:
-        if groups and pair[0].temperature_C - groups[-1][0][0].temperature_C < SAME_TEMPERATURE_K:
-            groups[-1].append(pair)
-        else:
-            groups.append([pair])
+    groups = _by_temperature(logs)
     if len(groups) < 2:
         return (), ()
+    left = dict(zip(map(id, logs), rest, strict=True))
     grid = np.linspace(0.0, 1.0, slow_V.size)
     found = []
     for group in groups:
-        own = [OPTIMISM**2 * float(np.mean(left)) for _, left in group]
-        usual = [float(np.mean(np.interp(log.soc, grid, slow_V) ** 2)) for log, _ in group]
+        own = [OPTIMISM**2 * float(np.mean(left[id(log)])) for log in group]
+        usual = [float(np.mean(np.interp(log.soc, grid, slow_V) ** 2)) for log in group]
         one = sum(usual) / len(usual)
         ratio = (sum(own) + one) / (sum(usual) + one)
         found.append(math.sqrt(max(ratio, LEAST_REST)))
-    return tuple(float(np.mean([p[0].temperature_C for p in g])) for g in groups), tuple(found)
+    return tuple(float(np.mean([log.temperature_C for log in g])) for g in groups), tuple(found)
+
+
+def _by_temperature(logs: Sequence[ResidualLog]) -> list[list[ResidualLog]]:
+    """Logs of one temperature together, coldest first."""
+    groups: list[list[ResidualLog]] = []
+    for log in sorted(logs, key=lambda one: one.temperature_C):
+        if groups and log.temperature_C - groups[-1][0].temperature_C < SAME_TEMPERATURE_K:
+            groups[-1].append(log)
+        else:
+            groups.append([log])
+    return groups
+
+
+def _correlation_soc(logs: Sequence[ResidualLog], slow_V: FloatArray) -> float | None:
+    """How far along the SOC the error remembers itself; None where fewer than two logs show it.
+
+    Half the area under the two-sided autocorrelation over SOC up to its first zero, mean left in,
+    residuals over the profile's own error. The fit has taken out what its logs have in common at
+    each temperature: of n logs a residual keeps 1 - 1/n of a variance that a new log has 1 + 1/n
+    of, and it is the long part that goes.
+    """
+    grid = np.linspace(0.0, 1.0, slow_V.size)
+    found = []
+    for log in logs:
+        if float(np.ptp(log.soc)) < DEEP:
+            continue
+        relative = _clip(log.residual_V) / np.interp(log.soc, grid, slow_V)
+        place = ((log.soc - log.soc.min()) / SOC_STEP).astype(int)
+        count = np.bincount(place)
+        mean = np.bincount(place, relative)[count > 0] / count[count > 0]
+        found.append(SOC_STEP * _memory(mean))
+    if len(found) < 2:
+        return None
+    each = max(len(found) / len(_by_temperature(logs)), 2.0)
+    whole = (each + 1.0) / (each - 1.0)
+    return float(min(whole * float(np.mean(found)), 1.0))
 
 
 def _step_noise(residual_V: FloatArray) -> float:
@@ -166,37 +201,49 @@ def correlation_time(time_s: FloatArray, residual_V: FloatArray) -> float:
     grid = np.arange(time_s[0], time_s[-1], step)
     # Without its mean a residual would seem to forget what it keeps all along: the mean stays in.
     r = np.interp(grid, time_s, residual_V)
+    return float(step * _memory(r, int(LONGEST_LAG_S / step)))
+
+
+def _memory(r: FloatArray, longest: int = 1 << 30) -> float:
+    """Half the area under the autocorrelation up to its first zero, in steps of an even grid."""
     n = r.size
     power = float(r @ r)
     if power == 0.0:
-        return STEP_S
+        return 1.0
     size = 1 << (2 * n - 1).bit_length()
     spectrum = np.fft.rfft(r, size)
     correlation = np.fft.irfft(spectrum * np.conj(spectrum), size)[:n] / power
-    correlation = correlation[: max(2, min(n // 2, int(LONGEST_LAG_S / step)))]
+    correlation = correlation[: max(2, min(n // 2, longest))]
     below = np.flatnonzero(correlation <= 0.0)
     end = int(below[0]) if below.size else correlation.size
-    return float(step * (0.5 + np.sum(correlation[1:end])))
+    return float(0.5 + np.sum(correlation[1:end]))
 
 
-def _share(logs: Sequence[ResidualLog], weights: FloatArray, sign: float) -> float | None:
-    """Growth of the residual with the polarisation of one sign, as a share; None: no such rows."""
-    squares, counts = [], []
-    for log, weight in zip(logs, weights, strict=True):
+def _share(logs: Sequence[ResidualLog], sign: float) -> float | None:
+    """Growth of the residual with the polarisation of one sign, as a share; None: no such rows.
+
+    Rows are compared with rows of the same log and SOC: towards empty the polarisation grows, and
+    so does what a SOC scale that is off does to a steep OCV. A squared residual scatters as its
+    mean, so each log and SOC weighs by one over its square.
+    """
+    above, below = 0.0, 0.0
+    for log in logs:
         loaded = sign * log.drop_V > 0.0
         if loaded.sum() < min(LEAST_ROWS, 0.1 * loaded.size):
             continue
         rows: BoolArray = np.asarray(sign * log.drop_V >= 0.0)  # with those at rest
         square = _clip(log.residual_V)[rows] ** 2
         drop = log.drop_V[rows] ** 2
-        found = np.linalg.lstsq(np.column_stack((np.ones(drop.size), drop)), square, rcond=None)[0]
-        # A falling square says that nothing is left at rest: all of it follows the polarisation.
-        slope = found[1] if found[0] > 0.0 else float(square @ drop) / float(drop @ drop)
-        squares.append(max(float(slope), 0.0))
-        counts.append(float(weight))
-    if not squares:
+        place = np.clip((log.soc[rows] * SHARE_BINS).astype(int), 0, SHARE_BINS - 1)
+        count = np.maximum(np.bincount(place, minlength=SHARE_BINS), 1)
+        usual = np.bincount(place, square, SHARE_BINS) / count
+        moved = drop - (np.bincount(place, drop, SHARE_BINS) / count)[place]
+        weight = 1.0 / (usual + LEAST_V**2)[place] ** 2 / log.residual_V.size
+        above += float(np.sum(weight * moved * square))
+        below += float(np.sum(weight * moved * moved))
+    if below <= 0.0:
         return None
-    return float(np.clip(np.sqrt(np.average(squares, weights=counts)), 0.0, LARGEST_SHARE))
+    return float(np.clip(np.sqrt(max(above / below, 0.0)), 0.0, LARGEST_SHARE))
 
 
 def _clip(residual_V: FloatArray) -> FloatArray:
