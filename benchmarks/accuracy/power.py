@@ -25,13 +25,17 @@ from cellwise import (
     TestLogs,
     identify_cell,
     power_limits,
+    power_settings,
 )
 from cellwise.cell.model import CellModel
-from cellwise.estimate.power.present_kernels import Bias, bias_step
+from cellwise.cell.simulate import model_temperature_C
+from cellwise.estimate.power.follower import PowerFollower
+from cellwise.estimate.sensing_kernels import Reading
 from cellwise.identify.hppc.pulses import Pulse, find_pulses
 from cellwise.logs import CellLog
 
 HORIZON_S = 10.0
+LEVEL_SHARE = 0.005  # of the test's charge: moved between two pulses, it is another SOC level
 SHORTEST_S = 9.5  # a pulse that a limit cut earlier has no power at ten seconds
 MEDIAN_TARGET, TAIL_TARGET = 2.0, 6.0
 DRIVES = ("cycle_2", "cycle_4", "us06")
@@ -61,12 +65,14 @@ class PulsePower:
 
 def withheld(log: CellLog) -> tuple[CellLog, tuple[Pulse, ...]]:
     """A pulse test without the voltages of every second SOC level, and the pulses of these."""
-    found = find_pulses(log)
-    moves = [p.start for p in found if p.role == "move"]
     voltage = np.array(log.voltage_V)
-    out = []
-    for pulse in found:
-        if pulse.role == "pulse" and np.searchsorted(moves, pulse.start) % 2 == 1:
+    charge_Ah = np.cumsum(log.known_current_A() * log.interval_s) / 3600.0
+    step_Ah = LEVEL_SHARE * float(np.ptp(charge_Ah))
+    out, level, last_Ah = [], 0, np.nan
+    for pulse in (p for p in find_pulses(log) if p.role == "pulse"):
+        level += bool(abs(charge_Ah[pulse.start - 1] - last_Ah) > step_Ah)
+        last_Ah = charge_Ah[pulse.stop - 1]
+        if level % 2 == 1:
             voltage[pulse.start : pulse.relax_stop] = np.nan
             out.append(pulse)
     return replace(log, voltage_V=voltage), tuple(out)
@@ -83,17 +89,18 @@ def pulse_powers(
     filter_ = estimator(model)
     state = filter_.init(soc0, 0.02, 0.0)
     before = {p.start - 1: p for p in pulses}
-    warm = log.temperature_C
-    bias = Bias(0.0, 0.0)
+    warm, usual_C = log.temperature_C, model_temperature_C(model)
+    wide = OperatingLimits(BEYOND_V, 4.0 + BEYOND_V)
+    follower = PowerFollower(power_settings(model, limits=wide))
     found = []
     for k in range(max(before, default=-1) + 1):
         dt_s = float(log.interval_s[k])
-        temperature_C = None if warm is None else float(warm[k])
-        state, info = filter_.step(
-            state, log.interval_current_A[k], log.voltage_V[k], temperature_C,
-            dt_s=dt_s, gap=bool(log.gap_rows[k]),
-        )  # fmt: skip
-        bias = bias_step(bias, info.innovation_V, info.status, dt_s)
+        temperature_C = usual_C if warm is None else float(warm[k])
+        current_A, voltage_V = float(log.interval_current_A[k]), float(log.voltage_V[k])
+        gap = bool(log.gap_rows[k])
+        state, info = filter_.step(state, current_A, voltage_V, temperature_C, dt_s=dt_s, gap=gap)
+        reading = Reading(current_A, voltage_V, temperature_C, dt_s, gap)
+        follower.take(reading, state, info.status)
         if k not in before:
             continue
         pulse = before[k]
@@ -107,7 +114,7 @@ def pulse_powers(
         ends = (end_V, end_V + BEYOND_V) if discharged else (end_V - BEYOND_V, end_V)
         able = power_limits(
             model, state, horizons_s=(horizon_s,), limits=OperatingLimits(*ends, 1e3, 1e3),
-            temperature_C=temperature_C, hold="current", bias_V=bias.voltage_V,
+            temperature_C=temperature_C, hold="current", bias_V=follower.bias_V,
         )[0]  # fmt: skip
         way = able.discharge if discharged else able.charge
         power_W = abs(pulse.current_A * end_V)

@@ -89,7 +89,7 @@ def run_live_command(arguments: argparse.Namespace) -> None:
         sender = _sender(source, arguments)
         takers: list[Callable[[Update], None]] = [outlook.take]
         if power is not None:
-            takers.append(power.take)
+            takers.append(partial(_follow, live, power))
         if sender is not None:
             takers.append(lambda u: sender.send(u.info.soc, u.sample.arrived_s))
         look = None
@@ -216,6 +216,18 @@ def forecast_row(live: LiveFilter, outlook: Outlook, update: Update) -> dict[str
 def power_row(live: LiveFilter, power: PowerFollower | None, update: Update) -> dict[str, Any]:
     """What the cell can give and take, by the names of `replay`'s columns; none if not asked."""
     return {} if power is None else power.columns(live.state, _temperature(live, update))
+
+
+def _follow(live: LiveFilter, power: PowerFollower, update: Update) -> None:
+    from cellwise.estimate.sensing_kernels import Reading
+
+    if live.state is None:
+        return
+    sample = update.sample
+    reading = Reading(
+        sample.current_A, sample.voltage_V, _temperature(live, update), update.dt_s, update.gap
+    )
+    power.take(reading, live.state, update.info.status)
 
 
 def _power(model: CellModel, arguments: argparse.Namespace) -> PowerFollower | None:

@@ -11,10 +11,11 @@ from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.estimate.estimators import make_estimator
 from cellwise.estimate.filters.kalman import KalmanFilter
+from cellwise.estimate.power.follower import PowerFollower
 from cellwise.estimate.power.limits import OperatingLimits
-from cellwise.estimate.power.present_kernels import BIAS_S
 from cellwise.estimate.power.state_of_power import power_limits, power_settings
 from cellwise.estimate.replay import replay
+from cellwise.estimate.sensing_kernels import Reading
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
 
@@ -31,6 +32,7 @@ def drive(rows=400, seed=1, model=CELL):
     return replace(log, voltage_V=found.voltage_V + rng.normal(0.0, 0.001, rows)), found
 
 
+@pytest.mark.slow
 def test_the_replay_itself_is_bit_for_bit_the_same():
     log, _ = drive()
     settings = power_settings(CELL, horizons_s=(10.0,))
@@ -59,14 +61,16 @@ def test_every_row_is_the_power_of_the_filter_s_state_there(name):
     found = replay(CELL, log, name, soc0=START, soc0_std=0.05, power=settings)
     estimator = make_estimator(name, CELL)
     assert isinstance(estimator, KalmanFilter)
-    state, bias, seen = estimator.init(START, 0.05, float(log.current_A[0])), 0.0, 0.0
+    state, follower = estimator.init(START, 0.05, float(log.current_A[0])), PowerFollower(settings)
     for k in range(len(log)):
         dt = float(log.interval_s[k])
         state, info = estimator.step(state, log.current_A[k], log.voltage_V[k], dt_s=dt)
-        seen = min(seen + dt, BIAS_S)
-        bias += (info.innovation_V - bias) * (dt / seen if seen > 0.0 else 1.0)
+        reading = Reading(log.current_A[k], log.voltage_V[k], 25.0, dt, False)
+        follower.take(reading, state, info.status)
         if k % 17 == 0:
-            now = power_limits(CELL, state, horizons_s=(2.0, 10.0), hold="current", bias_V=bias)
+            now = power_limits(
+                CELL, state, horizons_s=(2.0, 10.0), hold="current", bias_V=follower.bias_V
+            )
             for j, s in enumerate(now):
                 for way in ("discharge", "charge"):
                     limit = getattr(s, way)
@@ -134,6 +138,7 @@ def test_a_power_without_limits_is_refused():
         replay(curved_cell(), log, "ekf", soc0=START, power=True)
 
 
+@pytest.mark.slow
 def test_limits_that_nobody_stated_are_said():
     log, _ = drive(50)
     settings = power_settings(CELL, horizons_s=(10.0,), limits=OperatingLimits())

@@ -123,7 +123,7 @@ def power_along(
             log.interval_s, log.known_current_A(), warm,
             np.ascontiguousarray(trace.soc, dtype=np.float64),
             np.nan_to_num(np.ascontiguousarray(trace.soc_std, dtype=np.float64)),
-            np.ascontiguousarray(trace.innovation_V, dtype=np.float64), present,
+            np.array(log.voltage_V), np.ascontiguousarray(trace.status, dtype=np.int32), present,
         )  # fmt: skip
     horizons = np.array(settings.horizons_s)
     out = np.empty((POWERS, horizons.size, len(log)))

@@ -2,27 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Protocol
-
-from cellwise.cell.equations import empty_state
-from cellwise.estimate.filters.filter_state import EkfInfo, EkfState
+from cellwise.cell.equations import CellState, empty_state
+from cellwise.estimate.adaptive.state_kernels import AdaptiveState
+from cellwise.estimate.filters.filter_state import EkfState
 from cellwise.estimate.power.along import column_names
-from cellwise.estimate.power.present_kernels import Bias, bias_step
+from cellwise.estimate.power.present_kernels import bias_step, no_bias
 from cellwise.estimate.power.state_of_power import PowerSettings, StateOfPower, present_of
-
-
-class Step(Protocol):
-    """What one sample has made of a filter's state."""
-
-    @property
-    def info(self) -> EkfInfo:
-        """What the filter says of it."""
-        ...
-
-    @property
-    def dt_s(self) -> float:
-        """Time since the sample before [s]."""
-        ...
+from cellwise.estimate.sensing_kernels import Reading
 
 
 class PowerFollower:
@@ -30,21 +16,37 @@ class PowerFollower:
 
     def __init__(self, settings: PowerSettings) -> None:
         self.settings = settings
-        self._bias = bias_step(Bias(0.0, 0.0), 0.0, 0, 0.0)  # compiles, or loads
+        self._bias = no_bias()
+        self.take(Reading(0.0, float("nan"), 25.0, 0.0, False), empty_state(0.5))  # compiles
         settings.of(present_of(empty_state(0.5), 25.0))
+        self._bias = no_bias()
 
-    def take(self, update: Step) -> None:
-        """Follow one sample."""
-        info = update.info
-        self._bias = bias_step(self._bias, info.innovation_V, info.status, update.dt_s)
+    @property
+    def bias_V(self) -> float | None:
+        """Measured less modelled voltage of late [V]; None: no voltage was seen yet."""
+        return self._bias.voltage_V if self._bias.known else None
 
-    def now(self, state: EkfState | None, temperature_C: float) -> tuple[StateOfPower, ...]:
+    def take(
+        self, reading: Reading, state: EkfState | AdaptiveState | CellState, status: int = 0
+    ) -> None:
+        """Follow one sample; ``state`` is what the filter has made of it."""
+        present = present_of(state, reading.temperature_C)
+        self._bias = bias_step(
+            self.settings.tables, self._bias, present.cell, present.but, reading,
+            reading.temperature_C, status,
+        )  # fmt: skip
+
+    def now(
+        self, state: EkfState | AdaptiveState | None, temperature_C: float
+    ) -> tuple[StateOfPower, ...]:
         """State of power at every horizon; empty without a state."""
         if state is None:
             return ()
-        return self.settings.of(present_of(state, temperature_C, self._bias.voltage_V))
+        return self.settings.of(present_of(state, temperature_C, self.bias_V))
 
-    def columns(self, state: EkfState | None, temperature_C: float) -> dict[str, float | None]:
+    def columns(
+        self, state: EkfState | AdaptiveState | None, temperature_C: float
+    ) -> dict[str, float | None]:
         """The same by the names of the columns of `replay`; None without a state."""
         found = self.now(state, temperature_C)
         named: dict[str, float | None] = {}

@@ -19,36 +19,66 @@ from cellwise.estimate.filters.filter_state import (
 from cellwise.estimate.filters.ukf_kernels import SigmaScalars, ukf_step
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.power.limit_kernels import SUSTAINED_SIGMAS, LimitScalars, largest_load
-from cellwise.estimate.power.load_kernels import Correction, Present
-from cellwise.estimate.status import INNOVATION_REJECTED
-from cellwise.typing import FloatArray
+from cellwise.estimate.power.load_kernels import AS_MODEL, Correction, Present, moment_of
+from cellwise.estimate.sensing_kernels import Reading
+from cellwise.estimate.status import INNOVATION_REJECTED, VOLTAGE_FROZEN, VOLTAGE_INVALID
+from cellwise.typing import FloatArray, IntArray
 
 # What the model has been off by over the longest usual horizon is taken to stay over the next.
 BIAS_S = 30.0
 # Rows of the present: cell, covariance, then what else is known.
 CELL, COVARIANCE, REST = 0, 7, 22
-SOC_VARIANCE, MISMATCH, FAST, TAIL, BIAS, SCALE_VARIANCE = range(REST, REST + 6)
-PRESENT = REST + 6
+SOC_VARIANCE, MISMATCH, FAST, TAIL, BIAS, SCALE_VARIANCE, ANCHORED = range(REST, REST + 7)
+PRESENT = REST + 7
+UNUSED = INNOVATION_REJECTED | VOLTAGE_INVALID | VOLTAGE_FROZEN
 # What is written for each horizon.
 DISCHARGE_W, DISCHARGE_LOW_W, CHARGE_W, CHARGE_LOW_W = range(4)
 POWERS = 4
 
 
 class Bias(NamedTuple):
-    """Running mean of measured less predicted voltage, and over which time it goes by now."""
+    """Running mean of measured less modelled voltage, over which time it goes by now.
+
+    ``known`` is whether any voltage has been seen, ``current_A`` the last current.
+    """
 
     voltage_V: float
     seen_s: float
+    known: bool
+    current_A: float
 
 
 @kernel
-def bias_step(bias: Bias, innovation_V: float, status: int, dt_s: float) -> Bias:
-    """Mean over ``BIAS_S`` of the innovations that were used; a plain mean until it is full."""
-    if not math.isfinite(innovation_V) or status & INNOVATION_REJECTED:
-        return bias
-    seen = min(bias.seen_s + dt_s, BIAS_S)
-    share = min(dt_s / seen, 1.0) if seen > 0.0 else 1.0
-    return Bias(bias.voltage_V + share * (innovation_V - bias.voltage_V), seen)
+def no_bias() -> Bias:
+    """Before any sample."""
+    return Bias(0.0, 0.0, False, math.nan)
+
+
+@kernel
+def bias_step(
+    tables: CellTables,
+    bias: Bias,
+    x: CellState,
+    but: Correction,
+    reading: Reading,
+    temperature_C: float,
+    status: int,
+) -> Bias:
+    """Mean over ``BIAS_S`` of measured less modelled voltage; a plain mean until it is full.
+
+    The voltage is that of the state ``x`` after the sample was used; one that was rejected, or is
+    the sensor's fault, is left out.
+    """
+    before = bias.current_A if math.isfinite(bias.current_A) else reading.current_A
+    seen_A = seen_current(tables.cell, reading.current_A, before, reading.dt_s)
+    now = moment_of(tables, x, seen_A, False, temperature_C + x.heat_K, but)
+    off = reading.voltage_V - (now.voltage_V - but.bias_V)
+    if not math.isfinite(off) or status & UNUSED:
+        return Bias(bias.voltage_V, bias.seen_s, bias.known, reading.current_A)
+    seen = min(bias.seen_s + reading.dt_s, BIAS_S)
+    share = min(reading.dt_s / seen, 1.0) if seen > 0.0 else 1.0
+    mean = bias.voltage_V + share * (off - bias.voltage_V)
+    return Bias(mean, seen, True, reading.current_A)
 
 
 @inline
@@ -78,6 +108,7 @@ def put_state(out: FloatArray, k: int, state: EkfState, info: EkfInfo, bias: Bia
     out[TAIL, k] = 1.0
     out[BIAS, k] = bias.voltage_V
     out[SCALE_VARIANCE, k] = 0.0
+    out[ANCHORED, k] = bias.known
 
 
 @rows
@@ -91,10 +122,14 @@ def ekf_states(
 ) -> None:
     """States of the EKF after every row, shape (PRESENT, rows)."""
     state = ekf_start(first, log.current_A[0])
-    bias = Bias(0.0, 0.0)
+    bias = no_bias()
     for k in range(log.dt_s.size):
         state, info = ekf_step(tables, noise, start, state, reading_of(log, k))
-        bias = bias_step(bias, info.innovation_V, info.status, log.dt_s[k])
+        reading = reading_of(log, k)
+        warm_C = state.watch.temperature_C
+        if not math.isfinite(warm_C):
+            warm_C = start.temperature_C
+        bias = bias_step(tables, bias, state.cell, AS_MODEL, reading, warm_C, info.status)
         put_state(out, k, state, info, bias)
 
 
@@ -110,10 +145,14 @@ def ukf_states(
 ) -> None:
     """States of the UKF after every row, shape (PRESENT, rows)."""
     state = ekf_start(first, log.current_A[0])
-    bias = Bias(0.0, 0.0)
+    bias = no_bias()
     for k in range(log.dt_s.size):
         state, info = ukf_step(tables, noise, sigma, start, state, reading_of(log, k))
-        bias = bias_step(bias, info.innovation_V, info.status, log.dt_s[k])
+        reading = reading_of(log, k)
+        warm_C = state.watch.temperature_C
+        if not math.isfinite(warm_C):
+            warm_C = start.temperature_C
+        bias = bias_step(tables, bias, state.cell, AS_MODEL, reading, warm_C, info.status)
         put_state(out, k, state, info, bias)
 
 
@@ -126,7 +165,8 @@ def carried_states(
     temperature_C: FloatArray,
     soc: FloatArray,
     soc_std: FloatArray,
-    innovation_V: FloatArray,
+    voltage_V: FloatArray,
+    status: IntArray,
     out: FloatArray,
 ) -> None:
     """The cell carried through a log by its current with an estimator's SOC, for every other one.
@@ -135,7 +175,7 @@ def carried_states(
     """
     state = start
     previous = current_A[0]
-    bias = Bias(0.0, 0.0)
+    bias = no_bias()
     for k in range(dt_s.size):
         seen = seen_current(tables.cell, current_A[k], previous, dt_s[k])
         previous = current_A[k]
@@ -145,7 +185,9 @@ def carried_states(
             soc[k], state.v1_V, state.v2_V, state.v3_V, state.h, state.heat_K, state.slow_A
         )
         # fmt: on
-        bias = bias_step(bias, innovation_V[k], 0, dt_s[k])
+        reading = Reading(seen, voltage_V[k], temperature_C[k], dt_s[k], False)
+        but = Correction(out[FAST, k], out[TAIL, k], 0.0)
+        bias = bias_step(tables, bias, state, but, reading, temperature_C[k], status[k])
         put_cell(out, k, state)
         variance = soc_std[k] * soc_std[k]
         for i in range(COVARIANCE, REST):
@@ -154,6 +196,7 @@ def carried_states(
         out[SOC_VARIANCE, k] = variance
         out[MISMATCH, k] = 1.0
         out[BIAS, k] = bias.voltage_V
+        out[ANCHORED, k] = bias.known
 
 
 @inline
@@ -168,7 +211,8 @@ def present_at(values: FloatArray, k: int, temperature_C: float) -> Present:
     )
     # fmt: on
     but = Correction(v[FAST], v[TAIL], v[BIAS])
-    return Present(cell, p, v[SOC_VARIANCE], v[MISMATCH], temperature_C, but, v[SCALE_VARIANCE])
+    return Present(cell, p, v[SOC_VARIANCE], v[MISMATCH], temperature_C, but, v[SCALE_VARIANCE],
+                   v[ANCHORED] > 0.0)  # fmt: skip
 
 
 @rows

@@ -18,14 +18,13 @@ from cellwise.estimate.filters.filter_state import EkfState
 from cellwise.estimate.noise import Noise, noise_for
 from cellwise.estimate.power.limit_kernels import SUSTAINED_SIGMAS, Capability, largest_load
 from cellwise.estimate.power.limits import KnownLimits, OperatingLimits, operating_limits
-from cellwise.estimate.power.load_kernels import Correction, Present
+from cellwise.estimate.power.load_kernels import AS_MODEL, Present
 from cellwise.given import numbers, shown
 
 Hold = Literal["power", "current"]
 HORIZONS_S = (2.0, 10.0, 30.0)
 LONGEST_S = 3600.0
 REASONS = ("voltage", "current", "soc", "supply")
-AS_MODEL = Correction(1.0, 1.0, 0.0)
 
 
 class PowerLimit(NamedTuple):
@@ -139,7 +138,7 @@ def power_limits(
     temperature_C: float | None = None,
     hold: Hold = "power",
     noise: Noise | None = None,
-    bias_V: float = 0.0,
+    bias_V: float | None = None,
 ) -> tuple[StateOfPower, ...]:
     """Power that a cell can give and take for some seconds within its limits.
 
@@ -160,8 +159,9 @@ def power_limits(
                                       largest currents of its data
     temperature_C : float or None     of the surface now [degC]; None: the model's own
     noise : Noise or None             None: from the model's own validation error
-    bias_V : float                    measured less predicted voltage of late (`Bias`), taken to
-                                      stay over the horizon [V]
+    bias_V : float or None            measured less modelled voltage now, taken to stay over the
+                                      horizon [V]: the bound is then that of what changes until its
+                                      end; None: not known
 
     Returns
     -------
@@ -183,18 +183,21 @@ def power_limits(
 
 
 def present_of(
-    state: EkfState | AdaptiveState | CellState, temperature_C: float, bias_V: float = 0.0
+    state: EkfState | AdaptiveState | CellState, temperature_C: float, bias_V: float | None = None
 ) -> Present:
     """A filter's state, or a cell's that is known exactly, as the kernels take it."""
-    but = AS_MODEL._replace(bias_V=bias_V)
+    known = bias_V is not None
+    but = AS_MODEL._replace(bias_V=0.0 if bias_V is None else bias_V)
     if isinstance(state, CellState):
         exact = uncorrelated(0.0, 0.0, 0.0, 0.0, 0.0)
-        return Present(state, exact, 0.0, 1.0, temperature_C, but, 0.0)
+        return Present(state, exact, 0.0, 1.0, temperature_C, but, 0.0, known)
     if isinstance(state, AdaptiveState):
         r = state.resistances
-        but = Correction(r.fast, r.tail, bias_V)
+        but = but._replace(fast=r.fast, tail=r.tail)
         p = Covariance(*(getattr(state.p, name) for name in Covariance._fields))
-        return Present(
-            state.cell, p, state.soc_std**2, state.mismatch, temperature_C, but, r.fast_variance
-        )
-    return Present(state.cell, state.p, state.soc_std**2, state.mismatch, temperature_C, but, 0.0)
+        scale_variance = r.fast_variance
+    else:
+        p, scale_variance = state.p, 0.0
+    return Present(
+        state.cell, p, state.soc_std**2, state.mismatch, temperature_C, but, scale_variance, known
+    )  # fmt: skip
