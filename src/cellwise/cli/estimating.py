@@ -61,6 +61,9 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
         default="power",
         help="what of the load is held constant [power]",
     )
+    replay.add_argument(
+        "--plotjuggler", metavar="F.xml", help="layout of PlotJuggler for the rows of -o OUT.csv"
+    )
     power_options.add_power_options(replay)
     page_options.add_page_options(replay)
     replay.set_defaults(run=run_replay)
@@ -122,7 +125,8 @@ def run_replay(arguments: argparse.Namespace) -> None:
     from cellwise.forecast.remaining import cutoff_of, forecast
     from cellwise.logs.resample import resample
 
-    printing.check_places(arguments.output)
+    printing.check_places(arguments.output, arguments.plotjuggler)
+    check_layout(arguments)
     page_options.check_page_options(arguments)
     true0 = arguments.reference_soc0
     if true0 is not None and not 0.0 <= true0 <= 1.0:
@@ -160,6 +164,8 @@ def run_replay(arguments: argparse.Namespace) -> None:
             "innovation_variance_V2": trace.innovation_variance_V2,
             "test_ratio": trace.test_ratio,
             "status": trace.status,
+            "current_A": log.interval_current_A,
+            "measured_voltage_V": log.voltage_V,
         }
         columns |= parameters.parameter_columns(trace)
         if found.reference_soc is not None:
@@ -167,6 +173,10 @@ def run_replay(arguments: argparse.Namespace) -> None:
         if found.power is not None:
             columns |= found.power.columns()
         _write(arguments.output, columns)
+        if arguments.plotjuggler:
+            from cellwise.report.plotjuggler import write_layout
+
+            write_layout(arguments.plotjuggler, arguments.output, columns)
     with page_options.page_places(arguments) as places:
         if places is not None:
             from cellwise.report import replay_page
@@ -191,6 +201,21 @@ def run_replay(arguments: argparse.Namespace) -> None:
         print_power(found.power)
     say_notices(notices)
     page_options.say_pages(arguments)
+
+
+def check_layout(arguments: argparse.Namespace) -> None:
+    """Refuse a layout without the rows that PlotJuggler reads.
+
+    Raises
+    ------
+    InputError        no output, or none that is plain CSV
+    """
+    if arguments.plotjuggler and not str(arguments.output or "").endswith(".csv"):
+        raise InputError(
+            f"--plotjuggler with {arguments.output or 'no output'}",
+            "the rows as CSV beside it, which PlotJuggler reads",
+            "Add -o OUT.csv.",
+        )
 
 
 def print_simulation(found: Simulation, start: InitialSoc) -> None:

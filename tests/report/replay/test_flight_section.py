@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from cellwise.forecast.remaining import forecast
 from cellwise.report import replay_page
+from cellwise.report.page.numerals import duration
 from cellwise.report.replay.flight_section import draw_flight, flight_finding
 from report_cases import drive, model, replay
 
@@ -44,3 +46,15 @@ def test_the_page_holds_the_figures(flight, tmp_path):
 def test_the_finding_names_time_and_band(flight):
     _, left = flight
     assert re.search(r"remaining at the present load \(.* to .*\)\.$", flight_finding(left))
+
+
+def test_whoever_stands_is_told_of_the_usual_load(flight):
+    """An hour of flight, then a rest at a small load: 3.9 h at that is no answer."""
+    _, left = flight
+    usual = left.typical.last
+    resting = replace(left, load_A=np.append(left.load_A[:-1], 0.05 * usual.load_A))
+    text = flight_finding(resting)
+    assert "at the usual load of" in text
+    assert duration(usual.remaining_s) in text
+    busy = replace(left, load_A=np.append(left.load_A[:-1], 0.5 * usual.load_A))
+    assert "at the present load" in flight_finding(busy)

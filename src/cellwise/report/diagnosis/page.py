@@ -34,6 +34,7 @@ from cellwise.report.page.markup import (
     bullets,
     details,
     escape,
+    lead_of,
     paragraph,
     table,
     tiles,
@@ -77,7 +78,7 @@ def diagnose_page(
         f"Errors of {name} on {_names(diagnosis)}, by cellwise",
         diagnosis_sections(diagnosis, runs),
         diagnosis.to_dict(),
-        lead=Markup(diagnosis_tiles(diagnosis) + bullets(lead_lines(diagnosis))),
+        lead=lead_of((), diagnosis_tiles(diagnosis), lead_lines(diagnosis)),
         figures=figures,
     )
 

@@ -18,7 +18,7 @@ from cellwise.report.identification.simulation_section import (
     simulation_pictures,
 )
 from cellwise.report.page.interactive import simulation_traces, trace_section
-from cellwise.report.page.markup import Markup, bullets, paragraph, tiles
+from cellwise.report.page.markup import Markup, bullets, lead_of, paragraph, tiles
 from cellwise.report.page.numerals import (
     ampere_hours,
     millivolt,
@@ -53,7 +53,7 @@ def identify_page(
         f"Identification of {cell_name(identification)}, by cellwise",
         identify_sections(identification),
         identification.to_dict(),
-        lead=Markup(identify_tiles(identification) + notices(identification)),
+        lead=lead_of(identification.notices, identify_tiles(identification)),
         figures=figures,
     )
 

@@ -18,6 +18,7 @@ class Markup(str):
 
 
 EMPTY = Markup("")
+MOST_BULLETS = 3  # before the first picture
 MANY_COLUMNS = 9
 USE = (
     "Plots zoom: drag over the part to see, or click a plot and turn the wheel; arrow keys, + and "
@@ -41,6 +42,18 @@ def bullets(items: Iterable[object], kind: str = "") -> Markup:
     inside = "".join(f"<li>{escape(item)}</li>" for item in items)
     named = f' class="{escape(kind)}"' if kind else ""
     return Markup(f"<ul{named}>{inside}</ul>" if inside else "")
+
+
+def lead_of(alerts: Sequence[object], figures: Markup, lines: Sequence[object] = ()) -> Markup:
+    """What stands before the first picture: alerts, key figures, lines; three bullets in all.
+
+    What is beyond three opens on a click.
+    """
+    first = list(alerts)[:MOST_BULLETS]
+    then = list(lines)[: MOST_BULLETS - len(first)]
+    rest = [*list(alerts)[len(first) :], *list(lines)[len(then) :]]
+    more = details(f"{len(rest)} more", bullets(rest)) if rest else ""
+    return Markup(bullets(first, "notices") + figures + bullets(then) + more)
 
 
 def table(

@@ -17,6 +17,7 @@ from cellwise.report.page.style import FILTER, finding, labels, legend, new_figu
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+STANDING = 0.2  # of the usual load: whoever stands does not ask how long it could stand
 IDLE = 4.0  # times the median; longer times are left out of the picture
 CAPTION = (
     "At every moment: how long each cell would last, and what energy it would still give, if the "
@@ -33,11 +34,14 @@ EXPLAINED = (
 
 def flight_finding(flight: Flight) -> str:
     """The first line of a flight's page."""
-    now = flight.last
+    now, load = flight.last, "the present load"
+    usual = flight.typical
+    if usual is not None and now.load_A < STANDING * usual.last.load_A:
+        now, load = usual.last, f"the usual load of {significant(usual.last.load_A)} A"
     low, high = (duration(x) for x in now.remaining_s_band)
     return (
         f"At {duration(now.time_s)} the cells are at {percent(now.soc, 0)}: "
-        f"{duration(now.remaining_s)} remaining at the present load ({low} to {high})."
+        f"{duration(now.remaining_s)} remaining at {load} ({low} to {high})."
     )
 
 

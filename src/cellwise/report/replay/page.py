@@ -15,7 +15,7 @@ from cellwise.report.identification.simulation_section import (
     simulation_pictures,
 )
 from cellwise.report.page.interactive import HasPanels, trace_section
-from cellwise.report.page.markup import Markup, bullets, paragraph, tiles
+from cellwise.report.page.markup import Markup, lead_of, paragraph, tiles
 from cellwise.report.page.numerals import (
     listed,
     millivolt,
@@ -86,20 +86,17 @@ def replay_page(
         f"State of charge on {listed(names)}, by cellwise",
         sections,
         data,
-        lead=Markup(
-            replay_tiles(replays[0]) + bullets(lines) + noticed(replays, simulations, flights)
-        ),
+        lead=lead_of(noticed(replays, simulations, flights), replay_tiles(replays[0]), lines),
         figures=figures,
     )
 
 
 def noticed(
     replays: Sequence[Replay], simulations: Sequence[Simulation], flights: Sequence[Flight] = ()
-) -> str:
+) -> list[str]:
     """What a reader should know of the logs and of how far the model is off."""
     found = [n for f in flights for n in f.notices] + [n for r in replays for n in r.notices]
-    texts = dict.fromkeys(found + [n for s in simulations for n in s.notices])
-    return bullets(list(texts), "notices") if texts else ""
+    return list(dict.fromkeys(found + [n for s in simulations for n in s.notices]))
 
 
 def replay_sections(
