@@ -20,7 +20,7 @@ from cellwise.estimate.sensing_kernels import Reading
 from cellwise.estimate.trace import Trace
 from cellwise.given import check_kind, number
 from cellwise.logs.cell_log import CellLog, check_is_log
-from cellwise.typing import FloatArray
+from cellwise.typing import FloatArray, IntArray
 
 
 class FilterOfModel:
@@ -105,7 +105,12 @@ class KalmanFilter(FilterOfModel):
         return type(self).step_kernel(self._tables, *self._settings, self._unknown, state, reading)
 
     def take_rows(
-        self, kernel: Callable[..., Any], log: CellLog, soc0: float, soc0_std: float, out: Any
+        self,
+        kernel: Callable[..., object],
+        log: CellLog,
+        soc0: float,
+        soc0_std: float,
+        out: FloatArray | tuple[FloatArray | IntArray, ...],
     ) -> None:
         """Hand every row of a log to a compiled loop over this filter's step; it fills ``out``."""
         start = self.start(soc0, soc0_std)

@@ -20,8 +20,10 @@ from cellwise.report.page.numerals import percent
 from cellwise.report.page.picture import Picture, safe_key
 from cellwise.report.page.style import (
     CYCLE,
+    INK,
     MUTED,
     PAPER,
+    TINTS,
     finding,
     labels,
     legend,
@@ -42,8 +44,8 @@ WARM_SPREAD_K = 4.0
 TWO_POINTS = 2.0
 MOST_POINTS = 12.0  # an initial error that persists would press all else to zero
 GOOD, FAIR, POOR = 1.0, 2.0, 5.0  # per cent of SOC
-TINTS = {GOOD: "#cde8dd", FAIR: "#e7efc9", POOR: "#fbe3c0"}
-BAD = "#f4c9b0"
+LIMITS = dict(zip((GOOD, FAIR, POOR), TINTS, strict=False))
+BAD = TINTS[-1]
 
 
 def _style(estimators: Sequence[str]) -> dict[str, dict[str, Any]]:
@@ -105,10 +107,9 @@ def draw_faults(matrix: Matrix) -> Figure:
     for (row, column), value in np.ndenumerate(values):
         if not np.isfinite(value):
             continue
-        tint = next((t for limit, t in TINTS.items() if value <= limit), BAD)
+        tint = next((t for limit, t in LIMITS.items() if value <= limit), BAD)
         axes.fill_between([column - 0.48, column + 0.48], row - 0.46, row + 0.46, color=tint, lw=0)
-        # Dark on every tint, by day and by night.
-        axes.text(column, row, f"{value:.2f}", ha="center", va="center", color="#1a1a1a")
+        axes.text(column, row, f"{value:.2f}", ha="center", va="center", color=INK)
     axes.set_xlim(-0.5, len(matrix.estimators) - 0.5)
     axes.set_ylim(len(matrix.labels) - 0.5, -0.5)
     axes.set_xticks(range(len(matrix.estimators)), matrix.estimators)
@@ -163,7 +164,7 @@ def draw_starts(rows: Rows, matrix: Matrix) -> Figure:
     finding(right, "The settled error", 0.42)
     labels(left, "start", "within 2 points after [min]")
     labels(right, "start", "settled SOC RMSE [%]")
-    legend(right)
+    right.legend(loc="center left", bbox_to_anchor=(1.01, 0.5))  # no mark below it
     return figure
 
 

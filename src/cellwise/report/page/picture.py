@@ -13,7 +13,7 @@ import numpy as np
 from cellwise.errors import InputError
 from cellwise.files import made_folder, write_atomically
 from cellwise.report.page.markup import Markup, escape
-from cellwise.report.page.style import GRID, INK, MUTED, PAPER, RASTER_DPI, drawing
+from cellwise.report.page.style import GRID, INK, MUTED, PAPER, RASTER_DPI, TINTS, drawing
 from cellwise.report.page.zooming import axes_attribute, marked, marked_axes, rounded
 
 if TYPE_CHECKING:
@@ -24,7 +24,13 @@ VECTOR_POINTS = 6000
 # In a page, where pictures zoom, so many are drawn as paths.
 PAGE_POINTS = 60_000
 SUFFIXES = (".png", ".svg", ".pdf")
-VARIABLES = {INK: "--ink", MUTED: "--muted", GRID: "--grid", PAPER: "--paper"}
+VARIABLES = {
+    INK: "--ink",
+    MUTED: "--muted",
+    GRID: "--grid",
+    PAPER: "--paper",
+    **{tint: f"--tint-{k}" for k, tint in enumerate(TINTS, start=1)},
+}
 
 
 class Picture(NamedTuple):

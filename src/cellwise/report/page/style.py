@@ -34,6 +34,8 @@ VERDICTS = {
 }
 # Ink, quiet ink, grid and paper: the page replaces these by its own colours of day and night.
 INK, MUTED, GRID, PAPER = "#1f2329", "#57606b", "#dfe3e8", "#fefefe"
+# Fields behind numbers, from good to bad; replaced as well, for ink reads on them day and night.
+TINTS = ("#cde8dd", "#e7efc9", "#fbe3c0", "#f4c9b0")
 
 WIDTH_IN = 10.0
 FONT_PT = 9.0

@@ -7,12 +7,15 @@ STYLESHEET = """
   --paper: #fefefe; --back: #f3f4f6; --ink: #1f2329; --muted: #57606b; --grid: #dfe3e8;
   --line: #d3d8de; --accent: #0b67a3; --mark: #e5f1fa; --warn: #b35900;
   --line-1: #0b67a3; --line-2: #c8501a; --line-3: #1a7f4b; --line-4: #7a4fb5;
-  --measured: #77818d; }
+  --measured: #77818d;
+  --tint-1: #cde8dd; --tint-2: #e7efc9; --tint-3: #fbe3c0; --tint-4: #f4c9b0; }
 @media (prefers-color-scheme: dark) { :root {
   --paper: #1b1f25; --back: #12151a; --ink: #e9ecf0; --muted: #a3acb7; --grid: #323943;
   --line: #363d47; --accent: #6cb8ea; --mark: #1c3447; --warn: #f0a85a;
   --line-1: #6cb8ea; --line-2: #f0935a; --line-3: #62c893; --line-4: #b79bea;
-  --measured: #9aa4b0; } }
+  --measured: #9aa4b0;
+  --tint-1: #1d4638; --tint-2: #3d4622; --tint-3: #55401b; --tint-4: #62331f; }
+  figure[id^="figure-pack"] svg image { opacity: .65; } }
 * { box-sizing: border-box; }
 html { scroll-behavior: smooth; }
 body { margin: 0; background: var(--back); color: var(--ink);

@@ -1,0 +1,69 @@
+"""The page's colours by day and by night: ink reads on every field, and nothing glares."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from cellwise.report.benchmark.overview import Matrix, start_matrix
+from cellwise.report.benchmark.pictures import draw_faults, draw_starts
+from cellwise.report.page.picture import VARIABLES, Picture, inline
+from cellwise.report.page.style import TINTS
+from cellwise.report.page.stylesheet import STYLESHEET
+
+READABLE = 4.5  # WCAG 2.2, contrast of text
+
+
+def colours(text):
+    return dict(re.findall(r"--([\w-]+): (#[0-9a-f]{6})", text))
+
+
+def luminance(colour):
+    """WCAG 2.2, relative luminance."""
+    channels = np.array([int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)])
+    linear = np.where(channels <= 0.04045, channels / 12.92, ((channels + 0.055) / 1.055) ** 2.4)
+    return float(linear @ [0.2126, 0.7152, 0.0722])
+
+
+DAY, _, NIGHT = STYLESHEET.partition("prefers-color-scheme: dark")
+
+
+@pytest.mark.parametrize("mode", ["day", "night"])
+def test_ink_reads_on_paper_and_on_every_tint(mode):
+    found = colours(DAY if mode == "day" else NIGHT)
+    for name in ("paper", "tint-1", "tint-2", "tint-3", "tint-4"):
+        light, dark = sorted((luminance(found["ink"]), luminance(found[name])), reverse=True)
+        assert (light + 0.05) / (dark + 0.05) > READABLE, name
+        assert mode == "day" or luminance(found[name]) < 0.1, name
+
+
+def test_every_colour_that_a_picture_takes_from_the_page_is_there_by_day_and_night():
+    for variable in VARIABLES.values():
+        assert variable.removeprefix("--") in colours(DAY)
+        assert variable.removeprefix("--") in colours(NIGHT)
+
+
+def test_a_heat_map_takes_its_colours_from_the_page():
+    matrix = Matrix(["ekf", "ukf"], ["none", "offset"], np.array([[0.002, 0.015], [0.04, 0.2]]))
+    html = inline(Picture("faults", draw_faults(matrix), "caption"))
+    assert all(f"var(--tint-{k})" in html for k in range(1, 5))
+    assert not any(tint in html for tint in TINTS)
+
+
+def test_the_legend_of_the_starts_covers_no_mark():
+    figures = ("soc_rmse", "low_soc_rmse", "coverage_2sigma", "nis_mean", "ns_per_step")
+    row = {"problem": "", "fault": "none", "cell": "a", "log": "l", "convergence_s": 60.0}
+    row |= dict.fromkeys((*figures, "state_bytes"), 1.0)
+    rows = [
+        row | {"estimator": e, "start_error": s, "settled_rmse": f}
+        for e, f in (("ekf", 0.01), ("ukf", 0.02), ("coulomb", 0.03))
+        for s in (-0.3, 0.0, 0.3)
+    ]
+    figure = draw_starts(rows, start_matrix(rows))
+    figure.canvas.draw()
+    axes = figure.axes[1]
+    legend = axes.get_legend().get_window_extent()
+    assert legend.x0 >= axes.get_window_extent().x1
+    assert legend.x1 <= figure.bbox.x1
