@@ -8,6 +8,7 @@ import shutil
 import pytest
 
 from cellwise import load_dataset, read_model, write_log, write_model
+from cellwise.cli import main
 from cellwise.data import datasets_folder
 
 NMC = datasets_folder() / "nmc"
@@ -104,3 +105,12 @@ def test_no_stated_log_is_left_out_of_the_refinement(run_json, tmp_path):
     assert "cold" in found["fit"]["logs"]
     assert any("'cold' begins at SOC" in n and "stated" in n for n in found["notices"])
     write_model(read_model(out), tmp_path / "again.json")
+
+
+def test_a_start_says_how_sure_it_is_taken_to_be(model, middle, capsys):
+    asked = ["replay", middle, "--model", model, "--estimator", "ekf", "--soc0", "0.6"]
+    assert main(asked) == 0
+    said = capsys.readouterr().out
+    assert "0.6000 +- 0.1500 (given; --soc0-std states how sure)" in said
+    assert main([*asked, "--soc0-std", "0.01"]) == 0
+    assert "0.6000 +- 0.0100 (given)" in capsys.readouterr().out

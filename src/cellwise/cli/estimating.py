@@ -42,7 +42,10 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "filterpy-ukf [ekf]",
     )
     replay.add_argument(
-        "--soc0-std", type=float, metavar="S", help="standard deviation of the initial SOC"
+        "--soc0-std",
+        type=float,
+        metavar="S",
+        help="standard deviation of the initial SOC (of a stated --soc0 0.15 unless given)",
     )
     replay.add_argument("--dt", type=float, metavar="S", help="resample to an even step")
     replay.add_argument("--reference-soc0", type=float, metavar="X", help="true SOC at the start")
@@ -194,7 +197,7 @@ def run_replay(arguments: argparse.Namespace) -> None:
         }
         printing.print_json(data)
         return
-    print_replay(found, expected)
+    print_replay(found, expected, sure=arguments.soc0_std is not None)
     if flight is not None:
         print_flight(flight)
     if found.power is not None:
@@ -243,12 +246,17 @@ def say_notices(notices: Sequence[str]) -> None:
         printing.say(f"  ! {notice}")
 
 
-def print_replay(found: Replay, expected: ExpectedConvergence | None = None) -> None:
-    """A replay for people."""
+def print_replay(
+    found: Replay, expected: ExpectedConvergence | None = None, *, sure: bool = True
+) -> None:
+    """A replay for people; ``sure``: how sure a start is was stated."""
     data = found.to_dict()
     settled = data["settled"]
+    how = found.start.how
+    if how == "given" and not sure:
+        how += "; --soc0-std states how sure"
     rows = [
-        ("initial SOC", f"{found.start.soc:.4f} +- {found.start.std:.4f} ({found.start.how})"),
+        ("initial SOC", f"{found.start.soc:.4f} +- {found.start.std:.4f} ({how})"),
         ("final SOC", f"{data['soc_final']:.4f} +- {data['soc_final_std']:.4f}"),
         ("voltage RMSE, one step ahead", f"{printing.millivolt(data['voltage_rmse_V'])} mV"),
         ("mean NIS", "-" if data["nis_mean"] is None else f"{data['nis_mean']:.3f}"),

@@ -21,7 +21,10 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     _common(replay)
     replay.add_argument("--estimator", default="ekf", metavar="E", help="as in cellwise replay")
     replay.add_argument(
-        "--soc0-std", type=float, metavar="S", help="standard deviation of the initial SOC"
+        "--soc0-std",
+        type=float,
+        metavar="S",
+        help="standard deviation of the initial SOC (of a stated --soc0 0.15 unless given)",
     )
     replay.add_argument("--reference-soc0", type=float, metavar="X", help="true SOC at the start")
     replay.add_argument(

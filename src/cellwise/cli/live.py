@@ -40,7 +40,10 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     live.add_argument("--estimator", default="ekf", metavar="E", help="ekf or ukf [ekf]")
     live.add_argument("--soc0", default="auto", metavar="X", help="0..1, or auto [auto]")
     live.add_argument(
-        "--soc0-std", type=float, metavar="S", help="standard deviation of the initial SOC"
+        "--soc0-std",
+        type=float,
+        metavar="S",
+        help="standard deviation of the initial SOC (of a stated --soc0 0.15 unless given)",
     )
     live.add_argument("--state", metavar="FILE", help="goes on where FILE says, and keeps it there")
     live.add_argument("--fresh", action="store_true", help="start again, whatever FILE says")
@@ -372,9 +375,9 @@ def _report_end(
         slow = data["latency"]
         printing.say(
             f"{counts.samples:,} samples, SOC {last.info.soc:.4f} +- {last.info.soc_std:.4f} "
-            f"(start {live.start.soc:.4f}, {live.start.how}); {counts.gaps} gap(s), "
-            f"{counts.late} late, {sum(counts.stray.values())} not readable, {counts.outside} "
-            "outside the model's data; latency "
+            f"(start {live.start.soc:.4f} +- {live.start.std:.4f}, {live.start.how}); "
+            f"{counts.gaps} gap(s), {counts.late} late, {sum(counts.stray.values())} not readable, "
+            f"{counts.outside} outside the model's data; latency "
             f"{slow['p50_ms']:.3f} ms, 99 % {slow['p99_ms']:.3f} ms, "
             f"{slow['missed_deadlines']} too late"
         )

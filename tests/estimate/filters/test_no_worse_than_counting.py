@@ -1,7 +1,8 @@
 """No filter may be worse than not filtering: known starts, and starts that are wrong under load.
 
-Coulomb counting with the log's own current is the referee of the first, the tester's counter over
-a laboratory's capacity that of both.
+One Panasonic model of all temperatures, judged on drives that are not in its fit. Coulomb counting
+with the log's own current is the referee of the first, the tester's counter over a laboratory's
+capacity that of both. Drives of the aged cell (\"rise\") have no capacity to be judged over.
 """
 
 from __future__ import annotations
@@ -16,87 +17,155 @@ from cellwise.identify import IdentifySettings, TestLogs, identify_cell
 from cellwise.logs import read_log
 
 REFERENCE_AH = 2.9973  # C/20 at 25 degC
-LFP_AH = 2.0725
-PAN_DRIVES = ("us06", "hwfta", "hwftb", "nn", "cycle_3", "cycle_4")
-LFP_WARM = {"p25": 25.0, "p35": 35.0, "p45": 45.0}
+# Below 0 degC the cell had aged by an unknown part.
+REFERENCES_AH = {"n10": (2.8, 2.9, 2.9973), "n20": (2.8, 2.9, 2.9973)}
+FITTED = ("cycle_2", "cycle_4", "us06")
+CHAMBER_C = {"p25": 25.0, "p10": 10.0, "p00": 0.0, "n10": -10.0, "n20": -20.0}
+JUDGED = {
+    "p25": ("hwfta", "hwftb", "nn", "cycle_3"),
+    # LA92 at 10 degC has a gap of 63 hours, over which nobody counted.
+    "p10": ("hwfet", "nn", "cycle_1", "cycle_3"),
+    **dict.fromkeys(("p00", "n10", "n20"), ("hwfet", "la92", "udds", "nn", "cycle_1", "cycle_3")),
+}
 KNOWN_STD = 0.005
 MORE = 0.003  # of SOC RMSE, a filter may lose against counting
+HARDLY = 0.002
+FILTERS = ("ekf", "ukf", "adaptive")
+# RMSE after the first quarter, mean of all drives and starts.
+MIDDLE = {"p25": 0.005, "p10": 0.010, "p00": 0.018, "n10": 0.035, "n20": 0.050}
 
 pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
 def nca(real_data):
+    """The model, and the drives not in its fit by temperature."""
     folder = real_data / "panasonic_18650pf"
+
+    def log(tag, name):
+        return replace(read_log(folder / f"drive_{tag}_{name}.csv.gz"), soc0=1.0)
+
     tests = TestLogs(
-        hppc=((read_log(folder / "hppc_p25.csv.gz"), None),),
+        hppc=tuple((read_log(folder / f"hppc_{t}.csv.gz"), c) for t, c in CHAMBER_C.items()),
         ocv=(read_log(folder / "ocv_c20_p25.csv.gz"),),
+        drive=tuple((log(t, name), c) for t, c in CHAMBER_C.items() for name in FITTED),
     )
     model = identify_cell(tests, IdentifySettings(nominal_Ah=2.9)).model
-    return model, [read_log(folder / f"drive_p25_{name}.csv.gz") for name in PAN_DRIVES]
+    return model, {t: [log(t, name) for name in names] for t, names in JUDGED.items()}
 
 
-@pytest.fixture(scope="module")
-def lfp(real_data):
-    folder = real_data / "plett_a123"
-
-    def log(name, warm):
-        found = read_log(folder / f"{name}.csv.gz")
-        return replace(found, temperature_C=np.full(len(found), warm), soc0=1.0)
-
-    branches = [
-        replace(log(f"ocv_p25_{part}", 25.0), soc0=None, name=part) for part in ("s1", "s3")
+def missed(values, **reasons):
+    """Parameters; ``reasons``: why one of them falls short, with its figure."""
+    return [
+        pytest.param(v, marks=pytest.mark.xfail(strict=True, reason=reasons[v]))
+        if v in reasons
+        else v
+        for v in values
     ]
-    drives = {tag: log(f"dyn_{tag}_s1", warm) for tag, warm in LFP_WARM.items()}
-    tests = TestLogs(ocv=tuple(branches), drive=((drives["p25"], 25.0), (drives["p35"], 35.0)))
-    return identify_cell(tests, IdentifySettings(nominal_Ah=2.07)).model, [*drives.values()]
 
 
 def rmse(error):
     return float(np.sqrt(np.mean(np.square(error))))
 
 
-def losses(model, logs, name, capacity_Ah):
-    """SOC RMSE of a filter less that of counting, from a start that is known, log by log."""
-    found = []
-    for log in logs:
-        truth = 1.0 - (log.charge_Ah - log.charge_Ah[0]) / capacity_Ah
-        ours, counted = (
-            make_estimator(n, model).run(log, 1.0, KNOWN_STD) for n in (name, "coulomb")
-        )
-        found.append(rmse(ours.soc - truth) - rmse(counted.soc - truth))
-    return found
+def truth_of(log):
+    return 1.0 - (log.charge_Ah - log.charge_Ah[0]) / REFERENCE_AH
+
+
+def from_known(model, logs, name):
+    """SOC RMSE from a start that is known, log by log."""
+    found = [make_estimator(name, model).run(log, 1.0, KNOWN_STD).soc for log in logs]
+    return np.array([rmse(soc - truth_of(log)) for soc, log in zip(found, logs, strict=True)])
 
 
 @pytest.mark.parametrize("name", ["ekf", "ukf"])
-def test_nca_from_a_known_start(nca, name):
-    assert max(losses(*nca, name, REFERENCE_AH)) < MORE
+@pytest.mark.parametrize("tag", CHAMBER_C)
+def test_from_a_known_start(nca, tag, name):
+    model, drives = nca
+    counted = from_known(model, drives[tag], "coulomb")
+    assert np.max(from_known(model, drives[tag], name) - counted) < MORE
 
 
-@pytest.mark.parametrize("name", ["ekf", "ukf"])
-def test_lfp_from_a_known_start(lfp, name):
-    assert max(losses(*lfp, name, LFP_AH)) < MORE
+@pytest.mark.parametrize(
+    "tag", missed(CHAMBER_C, n10="0.37 points more on cycle 1", n20="0.32 points more on HWFET")
+)
+def test_adaptive_is_hardly_worse_than_the_ekf(nca, tag):
+    model, drives = nca
+    ekf = from_known(model, drives[tag], "ekf")
+    assert np.max(from_known(model, drives[tag], "adaptive") - ekf) < HARDLY
+
+
+@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("tag", CHAMBER_C)
+def test_from_a_wrong_start_it_is_clearly_better_than_counting(nca, tag, name):
+    """A filter that ignores the voltage stays 30 points off."""
+    model, drives = nca
+    for log in drives[tag]:
+        assert rmse(make_estimator(name, model).run(log, 0.7, 0.15).soc - truth_of(log)) < 0.10
+
+
+@pytest.mark.parametrize("tag", CHAMBER_C)
+def test_an_offset_of_3_per_cent_of_1c_is_not_counted_by_the_adaptive_filter(nca, tag):
+    model, drives = nca
+    logs = [replace(log, current_A=log.current_A + 0.03 * 2.9) for log in drives[tag]]
+    ours, counted = (np.mean(from_known(model, logs, n)) for n in ("adaptive", "coulomb"))
+    assert ours < 0.5 * counted
 
 
 def cut(log, at_soc):
-    """The log from where it has discharged to a SOC, at its next row above 1 A; the truth there."""
-    soc = 1.0 - (log.charge_Ah - log.charge_Ah[0]) / REFERENCE_AH
-    begin = int(np.argmax(soc < at_soc))
+    """The log from where it has discharged to a SOC, at its next row above 1 A; its first row."""
+    begin = int(np.argmax(truth_of(log) < at_soc))
     begin += int(np.argmax(log.current_A[begin:] > 1.0))
-    return log.part(begin, len(log)), soc[begin:]
+    return log.part(begin, len(log)), begin
 
 
-@pytest.mark.parametrize("name", ["ekf", "ukf"])
-def test_nca_cut_in_the_middle_and_30_points_wrong(nca, name):
-    """Nothing says that the cell was full; the model is of laboratory tests alone."""
-    model, logs = nca
-    errors, inside = [], []
-    for log in logs:
-        for at_soc, wrong in ((0.65, -0.3), (0.5, 0.3)):
-            part, truth = cut(log, at_soc)
-            trace = make_estimator(name, model).run(part, float(truth[0]) + wrong, 0.15)
-            error = trace.soc - truth
-            errors.append(rmse(error[len(error) // 4 :]))
-            inside.append(float(np.mean(np.abs(error) < 2.0 * trace.soc_std)))
-    assert np.mean(errors) < 0.02  # what counts as converged
-    assert np.mean(inside) > 0.93
+def from_the_middle(model, log, tag, name, at_soc, wrong):
+    """RMSE after the first quarter, share inside two sigma, mean sigma; the better reference."""
+    part, begin = cut(log, at_soc)
+    trace = make_estimator(name, model).run(part, float(truth_of(log)[begin]) + wrong, 0.15)
+    charge_Ah = (log.charge_Ah - log.charge_Ah[0])[begin:]
+    late = slice(len(part) // 4, None)
+    errors = [trace.soc - (1.0 - charge_Ah / q) for q in REFERENCES_AH.get(tag, (REFERENCE_AH,))]
+    error = min(errors, key=lambda e: rmse(e[late]))
+    inside = float(np.mean(np.abs(error) < 2.0 * trace.soc_std))
+    return rmse(error[late]), inside, float(np.mean(trace.soc_std[late]))
+
+
+@pytest.fixture(scope="module")
+def middle(nca):
+    """Means over drives and starts, by temperature and filter: RMSE, share inside, sigma."""
+    model, drives = nca
+    starts = ((0.65, -0.3), (0.5, 0.3))
+    known = {}
+
+    def one(tag, name):
+        if (tag, name) not in known:
+            runs = [
+                from_the_middle(model, log, tag, name, at_soc, wrong)
+                for log in drives[tag]
+                for at_soc, wrong in starts
+            ]
+            known[tag, name] = np.mean(runs, axis=0)
+        return known[tag, name]
+
+    return one
+
+
+@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("tag", CHAMBER_C)
+def test_cut_in_the_middle_and_30_points_wrong(middle, tag, name):
+    assert middle(tag, name)[0] < MIDDLE[tag]
+
+
+@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("tag", CHAMBER_C)
+def test_the_band_holds_the_truth(middle, tag, name):
+    assert middle(tag, name)[1] > 0.93
+
+
+@pytest.mark.parametrize(
+    "tag", missed(CHAMBER_C, p25="3.9 times", p10="3.0 times", n10="3.1 times", n20="2.6 times")
+)
+def test_the_band_is_no_wider_than_twice_the_error(middle, tag):
+    error, _, band = middle(tag, "ekf")
+    assert band < 2.0 * error
