@@ -18,8 +18,6 @@ from cellwise.diagnose.extension import MEASURED_NAMES
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.least_squares import Fit
 from cellwise.diagnose.fit.noise import Noise
-from cellwise.diagnose.fit.rows import FITTED
-from cellwise.diagnose.fit.whitening_kernels import NoiseLevel
 from cellwise.diagnose.log_runs import (
     Explanation,
     GivenLog,
@@ -29,9 +27,6 @@ from cellwise.diagnose.log_runs import (
     log_runs,
     step_between,
 )
-
-# A noise without memory: the fit under it is the one that simulates best.
-MEMORYLESS = NoiseLevel(1e-3, 1e-6, 20.0, 1e-6, 600.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,13 +48,9 @@ def apply(
     Estimates: the likeliest under the noise, and under one without memory; each with the cell's
     tolerances at neutral, and with what they were estimated to be at the same time.
     """
-    rows = fits.evidence.known & (fits.evidence.role == FITTED)
-    left = np.nan_to_num(fits.evidence.voltage_V - near.voltage_V)[rows]
-    white = max(float(np.sqrt(np.mean(left * left))), fits.floor.white_V)
-    firm = fits.fit_causes(causes, near, Noise(MEMORYLESS._replace(white_V=white)))
     before = log_runs(fits.coordinates.model, given)
     tried = []
-    for found in (near, firm):
+    for found in (near,):
         for whole in (False, True):
             explained = _explained(fits, causes, found, whole)
             runs = log_runs(fits.coordinates.model, given, found, explained)

@@ -15,23 +15,21 @@ from cellwise.diagnose.anatomy import anatomy
 from cellwise.diagnose.applied import Applied, applied, apply, kept
 from cellwise.diagnose.causes.catalogue import CAUSES, Cause
 from cellwise.diagnose.causes.coordinates import Coordinates
-from cellwise.diagnose.decision.acceptance import LEAST_SCORE, OUTSIDE_K
-from cellwise.diagnose.decision.candidates import Candidate
 from cellwise.diagnose.decision.claim import claim_checks
-from cellwise.diagnose.decision.model_comparison import ModelComparison, Progress
-from cellwise.diagnose.decision.outcome import Accepted, Outcome
+from cellwise.diagnose.decision.explanations import Explanation, Explanations, Progress
+from cellwise.diagnose.decision.outcome import Accepted, Outcome, decide
 from cellwise.diagnose.decision.posterior import LEAST_WEIGHT, probability_of
 from cellwise.diagnose.decision.preconditions import another_cell, too_little
+from cellwise.diagnose.decision.rarity import ONE_CAUSE_NATS, OUTSIDE_K, Rarity
 from cellwise.diagnose.extension import extended_validity, parameters_of, value_of
 from cellwise.diagnose.fit.calibration import calibrate
 from cellwise.diagnose.fit.cause_fits import CauseFits
-from cellwise.diagnose.fit.gain import rmse
 from cellwise.diagnose.fit.least_squares import Fit, held_rows
 from cellwise.diagnose.fit.limits import Limits, limits
 from cellwise.diagnose.fit.priors import GIVEN_SOC_STD, tolerances
 from cellwise.diagnose.fit.rest_voltages import rest_voltages
+from cellwise.diagnose.fit.rmse import rmse
 from cellwise.diagnose.fit.rows import Evidence, gather
-from cellwise.diagnose.fit.whitening_kernels import NoiseLevel
 from cellwise.diagnose.log_runs import (
     GivenLog,
     Step,
@@ -45,10 +43,6 @@ from cellwise.diagnose.sensor_faults import with_faults, without_faults
 from cellwise.diagnose.soc_gain import reference_for, soc_gain
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
-
-# Shares of the model's own slow error that remain unexplained whatever is found.
-SLOW_FLOOR = 0.1
-FAST_FLOOR = 0.05
 
 Logs = CellLog | Sequence[CellLog]
 StartedLog = tuple[CellLog, InitialSoc]
@@ -124,9 +118,10 @@ def diagnose(
         return said(_undetermined(model, starts, f"this looks like another cell: {other}"))
     if evidence.rest.zero:
         chosen = [c for c in chosen if c.name != "current_offset"]
-    shown = limits(fits, chosen, base, noise, LEAST_SCORE)
-    comparison = ModelComparison(fits, _extrapolated(model, evidence), progress)
-    outcome = comparison.run(chosen, base, noise)
+    shown = limits(fits, chosen, base, noise, ONE_CAUSE_NATS)
+    sets = Explanations(fits, Rarity(_extrapolated(model, evidence)), progress)
+    sets.search(chosen, base, noise)
+    outcome = decide(sets)
     found = _diagnosis(model, groups[0], groups[1], fits, outcome, shown, reference_capacity_Ah)
     return said(found)
 
@@ -204,20 +199,10 @@ def _starts(
 def _cause_fits(evidence: Evidence, coordinates: Coordinates, seed: int) -> CauseFits:
     """Fits with the tolerances of a good laboratory."""
     model = coordinates.model
-    slow = float(np.mean(model.error.slow_V))
-    floor = NoiseLevel(
-        max(5e-5, 0.5 * model.error.white_V),
-        FAST_FLOOR * slow,
-        20.0,
-        SLOW_FLOOR * slow,
-        max(model.error.correlation_s, 60.0),
-    )
     return CauseFits(
         evidence,
         coordinates,
         tolerances(coordinates, evidence),
-        floor,
-        slow,
         rest_voltages(evidence.logs, model.capacity_Ah, model.charge_efficiency),
         seed,
     )
@@ -270,14 +255,14 @@ def _diagnosis(
         names = " and ".join(refused)
         reasons = (f"{names} fit, but leave held-out rows no better simulated", *reasons)
     if outcome.open_between:
-        names = " and ".join(c.name for c in outcome.open_between[:3])
-        reasons = (*reasons, f"{names} explain the same equally well")
+        names = " or ".join(" with ".join(e.names) for e in outcome.open_between[:3])
+        reasons = (*reasons, f"{names}: these logs do not separate them")
     if not causes:
         reasons = (*(c.text() for c in beyond), *reasons)
     return Diagnosis(
         verdict,
         causes,
-        tuple(_tried(c, fits) for c in outcome.first),
+        tuple(_tried(e, fits, outcome.none) for e in outcome.first),
         anatomy(model, logs[0], runs[0].before.soc0),
         "" if verdict == "none" else next_test(outcome, model, evidence),
         reasons,
@@ -288,7 +273,7 @@ def _diagnosis(
         corrected,
         tuple(g.start.to_dict() for g in evidence.logs),
         gain,
-        outcome.noise.level._asdict(),
+        outcome.noise._asdict(),
         runs,
         no_gain,
         shown.sizes,
@@ -325,7 +310,7 @@ def _found(
     for p in cause.parameters:
         key = "soc0:0" if p.coordinate == "soc0" else p.coordinate
         x = final.z.get(key, 0.0)
-        std = outcome.fit.std(key) if key in outcome.fit.names else final.std(key)
+        std = final.std(key)
         ends = (
             value_of(p.coordinate, x - 1.96 * std, final.coordinates, soc0),
             value_of(p.coordinate, x + 1.96 * std, final.coordinates, soc0),
@@ -356,25 +341,21 @@ def _evidence(accepted: Accepted, step: Step) -> tuple[str, ...]:
         f"held-out RMSE goes from {1e3 * step.held_before_V:.1f} to "
         f"{1e3 * step.held_after_V:.1f} mV ({least} to {100 * step.high:.0f} % less, "
         "95 % interval over blocks of time)",
-        f"the data are e^{accepted.score:.0f} times as likely as with tolerances alone",
+        f"e^{accepted.score:.0f} times as probable as the best explanation without it"
+        + (f" ({' with '.join(accepted.instead)})" if accepted.instead else ""),
     ]
     if step.held_after_V > step.held_before_V:
         lines[0] = (
             lines[0].replace("falls", "rises").replace("less,", "less: needed by the others,")
         )
-    if step.low <= 0.0 and accepted.sure:
-        lines.insert(1, f"the RMSE alone is not significant, but {accepted.sure}")
-    if accepted.alternatives:
-        lines.append(f"next best: {', '.join(accepted.alternatives)}")
     lines.append(accepted.cause.signature)
     return tuple(lines)
 
 
-def _tried(candidate: Candidate, fits: CauseFits) -> TriedCause:
-    c, f, evidence = candidate.cause, candidate.fit, fits.evidence
+def _tried(candidate: Explanation, fits: CauseFits, none: Explanation) -> TriedCause:
+    c, f, evidence = candidate.causes[0], candidate.fit, fits.evidence
+    score = candidate.found.total - none.found.total
     alone = fits.alone(f, (c,))
     error = rmse(evidence.voltage_V - alone.voltage_V, held_rows(evidence))
     values = parameters_of(c, f.coordinates, f.z, evidence.logs[0].start.soc)
-    return TriedCause(
-        c.name, float(error) if math.isfinite(error) else float("nan"), values, candidate.score
-    )
+    return TriedCause(c.name, float(error) if math.isfinite(error) else float("nan"), values, score)

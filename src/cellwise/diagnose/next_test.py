@@ -10,9 +10,10 @@ import numpy as np
 from cellwise.cell.equations import CellState
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import start_hysteresis
+from cellwise.diagnose.causes.catalogue import kept_coordinates
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.causes.sensitivity_kernels import voltage_rows
-from cellwise.diagnose.decision.candidates import Candidate
+from cellwise.diagnose.decision.explanations import Explanation
 from cellwise.diagnose.decision.outcome import Outcome
 from cellwise.diagnose.fit.rows import Evidence
 from cellwise.typing import FloatArray
@@ -94,15 +95,15 @@ def next_test(outcome: Outcome, model: CellModel, evidence: Evidence) -> str:
     if outcome.open_between:
         close = list(outcome.open_between)
     elif outcome.accepted:
-        named = [a.cause.name for a in outcome.accepted]
-        first = [c for c in outcome.first if c.name in named[:1]]
-        close = first + [c for c in outcome.first if c.score > 0.0 and c not in first][:1]
+        named = outcome.accepted[0].cause
+        first = [e for e in outcome.first if named in e.causes]
+        close = first + [e for e in outcome.first if e not in first][:1]
     else:
         return _laboratory(model, evidence)
     proposal = propose(close)
     if proposal is None:
         return _laboratory(model, evidence)
-    names = [c.name for c in close[:2]]
+    names = [" with ".join(e.names) for e in close[:2]]
     return proposal.text(names if len(names) > 1 else [*names, "the model as it was"])
 
 
@@ -116,7 +117,7 @@ def _laboratory(model: CellModel, evidence: Evidence) -> str:
     )
 
 
-def propose(alternatives: Sequence[Candidate]) -> Proposal | None:
+def propose(alternatives: Sequence[Explanation]) -> Proposal | None:
     """The shortest experiment with a clear separation; else the one with the largest.
 
     A single alternative is separated from the model as it was.
@@ -138,10 +139,10 @@ def propose(alternatives: Sequence[Candidate]) -> Proposal | None:
     return best
 
 
-def _voltage(candidate: Candidate, experiment: Experiment) -> FloatArray:
+def _voltage(candidate: Explanation, experiment: Experiment) -> FloatArray:
     """Voltage that would be logged if the candidate were right."""
     coordinates = candidate.fit.coordinates
-    keep = set(candidate.cause.coordinates)
+    keep = kept_coordinates(candidate.causes)
     # A known start: a cause that was the log's start predicts nothing new.
     z = {n: v for n, v in candidate.fit.z.items() if n in keep and ":" not in n}
     return _simulated(coordinates, z, experiment)

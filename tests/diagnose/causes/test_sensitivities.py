@@ -1,4 +1,4 @@
-"""Derivatives of a whole log against finite differences; whitening against its definition."""
+"""Derivatives of a whole log against finite differences; what is refused."""
 
 from __future__ import annotations
 
@@ -11,9 +11,7 @@ from cellwise.cell.initial_soc import InitialSoc
 from cellwise.cell.simulate import simulate
 from cellwise.diagnose import diagnose
 from cellwise.diagnose.causes.coordinates import SHARED, Coordinates
-from cellwise.diagnose.fit.noise import estimate_noise
 from cellwise.diagnose.fit.rows import gather
-from cellwise.diagnose.fit.whitening_kernels import NoiseLevel, whiten
 from cellwise.logs.cell_log import CellLog
 from example_cells import linear_cell, random_log
 
@@ -49,26 +47,6 @@ def test_a_neutral_point_is_the_plain_simulation():
     model = model_with_effects()
     voltage, _ = gather(model, [(log, START)]).simulate(Coordinates(model), {})
     assert voltage == pytest.approx(simulate(model, log, 0.8).voltage_V, abs=1e-12)
-
-
-def test_whitened_noise_is_white_and_its_level_is_found():
-    rng = np.random.default_rng(5)
-    n, level = 20_000, NoiseLevel(1e-3, 1e-5, 10.0, 4e-3, 300.0)
-    slow = np.zeros(n)
-    a = np.exp(-1.0 / level.slow_s)
-    for k in range(1, n):
-        slow[k] = a * slow[k - 1] + np.sqrt(1 - a * a) * level.slow_V * rng.normal()
-    x = slow + level.white_V * rng.normal(size=n)
-    dt, known = np.ones(n), np.ones(n, dtype=bool)
-    dt[0] = np.nan
-    found = estimate_noise(x, dt, known)
-    assert found.white_V == pytest.approx(level.white_V, rel=0.15)
-    assert found.slow_V == pytest.approx(level.slow_V, rel=0.5)
-    columns = x[:, None].copy()
-    whiten(columns, dt, known, level, np.empty(n))
-    e = columns[:, 0]
-    assert np.var(e) == pytest.approx(1.0, abs=0.05)
-    assert abs(np.corrcoef(e[1:], e[:-1])[0, 1]) < 0.03
 
 
 def test_too_little_and_another_cell_are_undetermined_and_say_why():

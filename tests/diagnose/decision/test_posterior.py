@@ -10,7 +10,6 @@ import pytest
 
 from cellwise.diagnose.decision.posterior import (
     NAMED,
-    PRIOR_NATS,
     Hypothesis,
     probability_of,
     weigh,
@@ -29,10 +28,10 @@ def rows():
     )
 
 
-def hypothesis(*names, per_block, more=0.0):
+def hypothesis(*names, per_block, rarity=0.0):
     """A set whose evidence in each block is given [nats]."""
     terms = np.repeat(np.asarray(per_block, dtype=float) / ROWS, ROWS)
-    return Hypothesis(names, float(np.sum(per_block)) + more, terms)
+    return Hypothesis(names, float(np.sum(per_block)), terms, rarity)
 
 
 def weights(*sets, seed=0):
@@ -56,12 +55,12 @@ def test_even_evidence_gives_the_odds_of_bayes():
     assert a.probability / b.probability == pytest.approx(math.exp(ahead), rel=1e-6)
 
 
-def test_each_cause_more_costs_its_prior():
-    one = hypothesis("a", per_block=np.zeros(BLOCKS))
-    both = hypothesis("a", "b", per_block=np.zeros(BLOCKS))
+def test_a_set_costs_its_rarity():
+    one = hypothesis("a", per_block=np.zeros(BLOCKS), rarity=2.0)
+    both = hypothesis("a", "b", per_block=np.zeros(BLOCKS), rarity=5.0)
     found = weights(one, both)
     ratio = found[0].probability / found[1].probability
-    assert ratio == pytest.approx(math.exp(PRIOR_NATS), rel=1e-6)
+    assert ratio == pytest.approx(math.exp(3.0), rel=1e-6)
     assert probability_of("a", found) == pytest.approx(1.0)
     assert probability_of("b", found) == found[1].probability
 

@@ -11,23 +11,21 @@ from cellwise.cell.initial_soc import initial_soc
 from cellwise.cell.simulate import simulate
 from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.causes.coordinates import Coordinates
-from cellwise.diagnose.decision.acceptance import LEAST_SCORE
 from cellwise.diagnose.decision.claim import claim_checks
+from cellwise.diagnose.decision.rarity import ONE_CAUSE_NATS as LEAST_SCORE
 from cellwise.diagnose.fit.cause_fits import CauseFits
-from cellwise.diagnose.fit.least_squares import complete
 from cellwise.diagnose.fit.limits import limits
 from cellwise.diagnose.fit.noise import Noise
 from cellwise.diagnose.fit.priors import tolerances
 from cellwise.diagnose.fit.rest_voltages import rest_voltages
 from cellwise.diagnose.fit.rows import gather
-from cellwise.diagnose.fit.whitening_kernels import NoiseLevel
 from cellwise.diagnose.log_runs import log_runs, with_use
 from cellwise.logs.cell_log import CellLog
 from emulator_drives import random_load
 from example_cells import curved_cell
 
 CELL = curved_cell()
-NOISE = Noise(NoiseLevel(1e-3, 2e-4, 20.0, 5e-4, 600.0))
+NOISE = Noise()
 NAMES = ("current_offset", "current_gain", "voltage_offset", "capacity", "resistance_scale")
 
 
@@ -48,14 +46,10 @@ def fits_of(logs):
         evidence,
         coordinates,
         tolerances(coordinates, evidence),
-        NoiseLevel(5e-4, 1e-4, 20.0, 1e-4, 600.0),
-        5e-3,
         rest_voltages(evidence.logs, CELL.capacity_Ah, CELL.charge_efficiency),
         0,
     )
-    base = complete(
-        fits.objective(NOISE), fits.fit(NOISE, coordinates, fits.prior, {}, 3), fits.prior
-    )
+    base, _ = fits.base(fits.prior)
     return fits, base
 
 
@@ -74,8 +68,7 @@ def test_every_cause_has_a_limit_above_what_a_good_laboratory_leaves_open(short)
 
 def test_more_noise_shows_less(short):
     fits, base, found = short
-    level = NOISE.level
-    loud = Noise(level._replace(white_V=10 * level.white_V, slow_V=10 * level.slow_V))
+    loud = Noise(10.0 * NOISE.scale)
     worse = limits(fits, [CAUSES[n] for n in NAMES], base, loud, LEAST_SCORE)
     for name in NAMES:
         for key, size in found.sizes[name].items():

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -163,7 +164,7 @@ class Coordinates:
             return self._scalars.surface_s
         return self.shapes.get("ln_surface_s", START_SURFACE_S)
 
-    @property
+    @cached_property
     def electrodes(self) -> Electrodes | None:
         """The half cells that the OCV is made of; None where no published ones come near it."""
         return electrodes_of(self.model.soc, self.model.at_temperature(REFERENCE_C).ocv_V[0])

@@ -65,25 +65,33 @@ class Electrodes:
 
         Material that was lost was empty of lithium, so that a loss of lithium is none of material.
         """
-        before = self.capacities
-        q_n, q_p = before[0] * (1.0 - negative), before[1] * (1.0 - positive)
-        left = self.lithium * (1.0 - lithium)
-        u_n, u_p = NEGATIVE[self.negative][0], POSITIVE[self.positive][0]
-
-        def voltage(x: float) -> float:
-            return _value(u_p, (left - q_n * x) / q_p) - _value(u_n, x)
-
-        span = (max(0.0, (left - q_p) / q_n), min(1.0, left / q_n))
-        empty_V, full_V = self.ocv(np.array([0.0, 1.0]))
-        x0, x1 = (_crossing(voltage, float(v), span) for v in (empty_V, full_V))
-        y0, y1 = (left - q_n * x0) / q_p, (left - q_n * x1) / q_p
-        change = self._between(soc, (x0, x1, y0, y1)) - self.ocv(soc)
-        return change, q_n * (x1 - x0)
+        window = _aged_window(self, lithium, negative, positive)
+        change = self._between(soc, window) - self.ocv(soc)
+        return change, self.capacities[0] * (1.0 - negative) * (window[1] - window[0])
 
     def _between(self, soc: FloatArray, window: tuple[float, float, float, float]) -> FloatArray:
         x0, x1, y0, y1 = window
         u_n, u_p = NEGATIVE[self.negative][0], POSITIVE[self.positive][0]
         return u_p(y0 + soc * (y1 - y0)) - u_n(x0 + soc * (x1 - x0))
+
+
+@lru_cache(maxsize=256)
+def _aged_window(
+    electrodes: Electrodes, lithium: float, negative: float, positive: float
+) -> tuple[float, float, float, float]:
+    """Windows after losses (shares)."""
+    before = electrodes.capacities
+    q_n, q_p = before[0] * (1.0 - negative), before[1] * (1.0 - positive)
+    left = electrodes.lithium * (1.0 - lithium)
+    u_n, u_p = NEGATIVE[electrodes.negative][0], POSITIVE[electrodes.positive][0]
+
+    def voltage(x: float) -> float:
+        return _value(u_p, (left - q_n * x) / q_p) - _value(u_n, x)
+
+    span = (max(0.0, (left - q_p) / q_n), min(1.0, left / q_n))
+    empty_V, full_V = electrodes.ocv(np.array([0.0, 1.0]))
+    x0, x1 = (_crossing(voltage, float(v), span) for v in (empty_V, full_V))
+    return x0, x1, (left - q_n * x0) / q_p, (left - q_n * x1) / q_p
 
 
 def _value(half_cell: HalfCell, x: float) -> float:

@@ -1,57 +1,119 @@
-"""The outcome of a model comparison: accepted causes, the last fit, what stayed undecided."""
+"""The outcome: named causes, the fit of them alone, what stayed undecided."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from cellwise.diagnose.causes.catalogue import Cause
-from cellwise.diagnose.decision.candidates import Candidate
-from cellwise.diagnose.decision.posterior import Weighed
-from cellwise.diagnose.fit.gain import Gain
-from cellwise.diagnose.fit.least_squares import Fit, Prior
+from cellwise.diagnose.decision.explanations import Explanation, Explanations
+from cellwise.diagnose.decision.posterior import NAMED, Hypothesis, Weighed, probability_of, weigh
+from cellwise.diagnose.fit.least_squares import Fit
 from cellwise.diagnose.fit.noise import Noise
 
+# A rest that lies three standard deviations off refutes a claim on charge (nats).
+REFUTED = 0.5 * 3.0**2
+# Reasons that are worth a line where nothing was named.
+MOST_REASONS = 3
 
-@dataclass(frozen=True, eq=False)
+
+@dataclass(frozen=True)
 class Accepted:
-    """A cause that was accepted, with what it gained when it was, and what made that sure."""
+    """A cause that was named, by how much its sets lead those without it, and the next of these.
+
+    ``score`` is ln of the odds of the likeliest set that holds it against the likeliest that does
+    not, ``instead`` that other set (empty: no cause).
+    """
 
     cause: Cause
-    gain: Gain
     score: float
-    alternatives: tuple[str, ...]
-    sure: str = ""
-
-
-@dataclass(frozen=True, eq=False)
-class Stage:
-    """How far a diagnosis has come: the causes accepted so far, widened in the prior and fitted."""
-
-    accepted: tuple[Accepted, ...]
-    prior: Prior
-    fit: Fit
-    noise: Noise
-
-    @property
-    def causes(self) -> tuple[Cause, ...]:
-        """The causes, in the order in which they were accepted."""
-        return tuple(a.cause for a in self.accepted)
+    instead: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """Accepted causes, the last fit, all candidates of the first round.
+    """Named causes, most needed first, and the fit of them alone; all single causes.
 
-    ``open_between`` are the candidates that could not be separated where the search stopped,
-    ``weighed`` the sets of causes that were compared with the accepted one.
+    ``open_between`` are the sets that could not be separated where nothing is named, ``weighed``
+    all sets with their probability.
     """
 
     accepted: tuple[Accepted, ...]
     fit: Fit
-    base: Fit
-    first: tuple[Candidate, ...]
-    open_between: tuple[Candidate, ...]
+    none: Explanation
+    first: tuple[Explanation, ...]
+    open_between: tuple[Explanation, ...]
     noise: Noise
-    prior: Prior
     reasons: tuple[str, ...]
     weighed: tuple[Weighed, ...] = ()
+
+    @property
+    def causes(self) -> tuple[Cause, ...]:
+        """The named causes."""
+        return tuple(a.cause for a in self.accepted)
+
+
+def decide(sets: Explanations) -> Outcome:
+    """Name every cause that the sets that hold it make probable; leave open what they do not."""
+    fits, none = sets.fits, sets.tried[frozenset()]
+    weighed = weigh(
+        [
+            Hypothesis(e.names, e.found.total, e.found.terms, sets.rarity.nats(e.names))
+            for e in sets.tried.values()
+        ],
+        fits.evidence,
+        np.random.default_rng(fits.seed),
+    )
+    best = sets.best(1)[0]
+    known = {c.name: c for e in sets.tried.values() for c in e.causes}
+    named = [c for c in known.values() if probability_of(c.name, weighed) > NAMED]
+    accepted = sorted((_accepted(sets, c) for c in named), key=lambda a: -a.score)
+    nothing = sum(w.probability for w in weighed if not w.causes)
+    between: tuple[Explanation, ...] = ()
+    fit, noise = none.fit, none.noise
+    if accepted:
+        fit, noise = _of_named(sets, [a.cause for a in accepted])
+    elif nothing < 1.0 - NAMED:
+        likely = [sets.tried[frozenset(w.causes)] for w in weighed if w.causes]
+        between = tuple(likely[: max(2, _needed(weighed))])
+    first = tuple(sets.best(len(known), 1))
+    reasons = () if accepted or best.causes else _reasons(sets, first)
+    return Outcome(tuple(accepted), fit, none, first, between, noise, reasons, weighed)
+
+
+def _accepted(sets: Explanations, cause: Cause) -> Accepted:
+    ranked = sets.best(len(sets.tried))
+    with_it = next(e for e in ranked if cause in e.causes)
+    without = next(e for e in ranked if cause not in e.causes)
+    return Accepted(cause, sets.odds(with_it) - sets.odds(without), without.names)
+
+
+def _of_named(sets: Explanations, causes: Sequence[Cause]) -> tuple[Fit, Noise]:
+    """The named causes alone: what the others of their likeliest set explain is left."""
+    own = sets.tried.get(frozenset(c.name for c in causes))
+    if own is not None:
+        return own.fit, own.noise
+    near = next(e for e in sets.best(len(sets.tried)) if set(causes) <= set(e.causes))
+    return sets.fits.fit_causes(causes, near.fit, near.noise), near.noise
+
+
+def _needed(weighed: Sequence[Weighed]) -> int:
+    """How many sets make up NAMED of the probability."""
+    total = np.cumsum([w.probability for w in weighed])
+    return int(np.searchsorted(total, NAMED)) + 1
+
+
+def _reasons(sets: Explanations, first: Sequence[Explanation]) -> tuple[str, ...]:
+    """Why the likeliest causes are not the explanation, where nothing is."""
+    none, rests = sets.tried[frozenset()], sets.fits.rests
+    before = rests.ln_likelihood(none.fit.coordinates, none.fit.z)
+    found = []
+    for one in first:
+        here = one.fit.coordinates, one.fit.z
+        if rests.ln_likelihood(*here) < before - REFUTED:
+            found.append(f"{one.names[0]} is refuted: {rests.contradiction(*here)}")
+    if first:
+        found.append(f"{first[0].names[0]}, the likeliest, explains no more than chance would")
+    return (*found[:MOST_REASONS], *list(sets.refused.values())[:MOST_REASONS])

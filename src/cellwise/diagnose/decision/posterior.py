@@ -15,14 +15,11 @@ from typing import Any
 import numpy as np
 
 from cellwise.cell.metrics import block_sums
-from cellwise.diagnose.fit.likelihood import Prediction
 from cellwise.diagnose.fit.rows import FITTED, HELD, Evidence
 from cellwise.typing import FloatArray
 
 DRAWS = 1000
-# By how much each further cause must explain the rows better: the odds against a fault.
-PRIOR_NATS = 10.0
-# What the page says is named with this probability at least.
+# A cause is named from this probability on.
 NAMED = 0.9
 # Explanations below this are not worth a line.
 LEAST_WEIGHT = 0.02
@@ -30,16 +27,12 @@ LEAST_WEIGHT = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A set of causes, ln p of all rows with them estimated, and each row's part of it."""
+    """A set of causes, ln p of all rows with them estimated, each row's part of it, its rarity."""
 
     causes: tuple[str, ...]
     total: float
     terms: FloatArray
-
-    @classmethod
-    def of(cls, causes: Sequence[str], found: Prediction) -> Hypothesis:
-        """From what the likelihood says."""
-        return cls(tuple(causes), found.total, found.terms)
+    rarity: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -69,7 +62,7 @@ def weigh(
     used = ((evidence.role == HELD) | (evidence.role == FITTED)) & evidence.known
     blocks = block_sums(evidence.block[used], np.column_stack([h.terms[used] for h in sets]))
     rest = np.array([h.total for h in sets]) - blocks.sum(axis=0)
-    rest -= PRIOR_NATS * np.array([len(h.causes) for h in sets])
+    rest -= np.array([h.rarity for h in sets])
     many = len(blocks)
     draws = many * rng.dirichlet(np.ones(many), DRAWS)
     score = draws @ blocks + rest

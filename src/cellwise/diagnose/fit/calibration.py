@@ -11,15 +11,13 @@ from cellwise.cell.initial_soc import InitialSoc
 from cellwise.cell.model import CellModel
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.least_squares import Fit, complete
-from cellwise.diagnose.fit.noise import Noise, at_least
+from cellwise.diagnose.fit.noise import Noise
 from cellwise.diagnose.fit.priors import calibrated, structure_prior
 from cellwise.diagnose.fit.rows import HELD, Evidence, gather
 from cellwise.logs.cell_log import CellLog
 
 # Shares of what was calibrated that are tried on rows it was not calibrated on.
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
-# Nothing slow passes for noise: else fast details would be fitted, and persistent error lost [V].
-FIRM_SLOW_V = 1e-3
 
 StartedLog = tuple[CellLog, InitialSoc]
 
@@ -40,14 +38,13 @@ def calibrate(
     split = gather(model, good[: half or 1], good[half:] if half else ())
     share = _share_that_holds(fits_of(split))
     known = fits_of(gather(model, good, whole=True))
-    found, noise = _fitted(known)
+    found, _ = _fitted(known)
     fits.prior = calibrated(fits.prior, found, share)
-    fits.floor = at_least(fits.floor, noise.level)
+    fits.known = fits.known.with_more(*known.squares(found))
     return share
 
 
 def _fitted(known: CauseFits) -> tuple[Fit, Noise]:
-    known.most_slow_V = FIRM_SLOW_V
     return known.base(structure_prior(known.prior))
 
 
@@ -59,7 +56,7 @@ def _share_that_holds(known: CauseFits) -> float:
     held = (evidence.role == HELD) & evidence.known
     if not held.any():
         return 0.0
-    size = known.objective(noise).amplitude
+    size = known.objective(noise).size_V
 
     def left(share: float) -> float:
         z = {n: v if ":" in n else share * v for n, v in found.z.items()}

@@ -9,7 +9,6 @@ import numpy as np
 
 from cellwise.diagnose.causes.catalogue import Cause, kept_coordinates
 from cellwise.diagnose.causes.coordinates import Coordinates
-from cellwise.diagnose.fit.gain import Gain, gain_of
 from cellwise.diagnose.fit.least_squares import (
     Fit,
     Frozen,
@@ -20,15 +19,20 @@ from cellwise.diagnose.fit.least_squares import (
     freeze,
 )
 from cellwise.diagnose.fit.likelihood import Prediction, predict
-from cellwise.diagnose.fit.noise import Noise, at_least, estimate_noise, log_scales
+from cellwise.diagnose.fit.noise import (
+    SHAPE_SHARE,
+    KnownScale,
+    Noise,
+    memory_of,
+    row_weights,
+    stated_V,
+)
 from cellwise.diagnose.fit.priors import widened_for
 from cellwise.diagnose.fit.rest_voltages import RestVoltages
+from cellwise.diagnose.fit.rmse import rmse
 from cellwise.diagnose.fit.rows import IGNORED, Evidence
-from cellwise.diagnose.fit.whitening_kernels import NoiseLevel
 from cellwise.typing import BoolArray, FloatArray
 
-# From this ratio on logs are not alike in what they leave.
-LOGS_DIFFER = 1.15
 # Iterations where everything moves at once.
 THOROUGH = 7
 
@@ -37,31 +41,43 @@ THOROUGH = 7
 class CauseFits:
     """What every fit of a diagnosis shares.
 
-    ``prior`` are the tolerances, no cause estimated. ``floor`` is a noise below which nothing
-    counts; ``most_slow_V`` is the slow error that the model states: persistent error beyond it
-    is to be explained, or noise would explain all. ``rests`` are the voltages at rest.
+    ``prior`` are the tolerances, no cause estimated. ``known`` is what is known beforehand of how
+    many times the model's stated error is left; ``stated_V`` (rows,) that error, ``weight`` (rows,)
+    how much each row counts. ``rests`` are the voltages at rest.
     """
 
     evidence: Evidence
     coordinates: Coordinates
     prior: Prior
-    floor: NoiseLevel
-    most_slow_V: float
     rests: RestVoltages
     seed: int
-    amplitude: FloatArray = field(default_factory=lambda: np.ones(1))
+    known: KnownScale = field(default_factory=KnownScale)
+    stated_V: FloatArray = field(default_factory=lambda: np.ones(1))
+    weight: FloatArray = field(default_factory=lambda: np.ones(1))
     _frozen: tuple[Fit, Frozen] | None = field(default=None, repr=False)
 
     def base(self, prior: Prior) -> tuple[Fit, Noise]:
         """The fit within the tolerances, no cause estimated, and the noise that it leaves."""
-        _, soc = self.evidence.simulate(self.coordinates, prior.mean)
-        self.amplitude = self.evidence.amplitude(self.coordinates.model, soc)
-        noise = Noise(NoiseLevel(1e-3, 1e-3, 20.0, min(1e-2, self.most_slow_V), 600.0))
+        model = self.coordinates.model
+        voltage, soc = self.evidence.simulate(self.coordinates, prior.mean)
+        stated = stated_V(model, self.evidence, soc, voltage)
+        self.weight = row_weights(self.evidence, model.error.correlation_s)
+        self.stated_V, noise = stated, Noise()
         found = self.fit(noise, self.coordinates, prior, prior.mean, 5)
         for _ in range(2):
+            found = complete(self.objective(noise), found, prior)
+            left = self.evidence.voltage_V - found.voltage_V
+            size, used = rmse(left, self._used()), self._used()
+            if size > rmse(stated, used):  # what is left is not the stated error
+                memory = memory_of(self.evidence, left, model.error.correlation_s)
+                self.weight = row_weights(self.evidence, memory)
+            self.stated_V = np.hypot(stated, SHAPE_SHARE * size)
             noise = self.noise(found, prior)
             found = self.fit(noise, self.coordinates, prior, found.z, 4)
         return complete(self.objective(noise), found, prior), noise
+
+    def _used(self) -> BoolArray:
+        return np.asarray(self.evidence.known & (self.evidence.role != IGNORED))
 
     def fit(
         self,
@@ -97,48 +113,30 @@ class CauseFits:
             prior = widened_for(prior, cause, coordinates, self.evidence)
         return prior
 
-    def noise(self, found: Fit, prior: Prior, other: Noise | None = None) -> Noise:
-        """The noise that a fit leaves on all rows; ``other`` if that describes it better.
+    def noise(self, found: Fit, prior: Prior) -> Noise:
+        """How many times the stated error a fit leaves on all rows."""
+        plain = self.objective(Noise())
+        found = complete(plain, found, prior)
+        square, errors = self.squares(found)
+        return Noise(self.known.scale(square, errors))
 
-        Held-out logs may ask more of the cell than those that were fitted: what a model gets
-        wrong there is expected there. And some logs ask more than others.
-        """
-        found = complete(self.objective(other or Noise(self.floor)), found, prior)
-        rows = self.evidence.known & (self.evidence.role != IGNORED)
-        residual = np.nan_to_num(self.evidence.voltage_V - found.voltage_V)
-        noise = Noise(self._level(residual, rows, Noise(self.floor)))
-        white, _ = self.objective(noise).whitened(residual[:, None])
-        scale = log_scales(white[:, 0], rows, [g.scored for g in self.evidence.logs])
-        if max(scale) > LOGS_DIFFER * min(scale):
-            noise = Noise(self._level(residual, rows, Noise(self.floor, scale)), scale)
-        if other is None:
-            return noise
-
-        def explained(noise: Noise) -> float:
-            return float(np.sum(self.objective(noise).terms(residual)[rows]))
-
-        return max((noise, other), key=explained)
-
-    def _level(self, residual_V: FloatArray, rows: BoolArray, noise: Noise) -> NoiseLevel:
-        """Most likely level on the rows, each log at its scale."""
-        scaled = residual_V / self.objective(noise).amplitude
-        level = estimate_noise(scaled, self.evidence.dt_s, rows)
-        level = level._replace(slow_V=min(level.slow_V, self.most_slow_V))
-        return at_least(level, self.floor)
+    def squares(self, found: Fit) -> tuple[float, float]:
+        """Sum of squares of the used rows in units of the stated error, and how many errors."""
+        rows = self._used()
+        left = self.objective(Noise()).squares(self.evidence.voltage_V - found.voltage_V)
+        return float(np.sum(left[rows])), float(np.sum(self.weight[rows]))
 
     def objective(self, noise: Noise) -> Objective:
         """What a fit is judged by under a noise."""
-        if not noise.scale:
-            return Objective(self.evidence, noise.level, self.amplitude)
-        times = np.repeat(noise.scale, [g.scored for g in self.evidence.logs])
-        return Objective(self.evidence, noise.level, self.amplitude * times)
+        return Objective(self.evidence, noise.scale * self.stated_V, self.weight)
 
     def explained(
         self, found: Fit, noise: Noise, prior: Prior, causes: Iterable[Cause]
     ) -> Prediction:
         """How likely all rows are with the causes estimated, and what the logs read at rest."""
         found_so = predict(self.objective(noise), found, prior, kept_coordinates(causes))
-        return found_so._replace(total=found_so.total + self.at_rest(found))
+        more = self.at_rest(found) + self.known.ln_density(noise.scale)
+        return found_so._replace(total=found_so.total + more)
 
     def at_rest(self, found: Fit) -> float:
         """Ln likelihood of what voltage and current sensor read at rest."""
@@ -163,9 +161,7 @@ class CauseFits:
         std = {n: self.prior.std[n] for n in estimated}
         low = {n: self.prior.low[n] for n in estimated}
         high = {n: self.prior.high[n] for n in estimated}
-        objective = Objective(
-            self.evidence, NoiseLevel(2e-3, 1e-3, 20.0, 3e-3, 600.0), self.amplitude
-        )
+        objective = self.objective(Noise())
         start = {n: found.z[n] for n in estimated}
         prior = Prior(std, {}, low, high)
         one = fit(objective, found.coordinates, prior, start, 4, fixed)
@@ -178,8 +174,3 @@ class CauseFits:
         """
         baseline = {n: self.prior.mean[n] for n in self.prior.linked}
         return baseline | {n: v for n, v in found.z.items() if n in keep}
-
-    def gain(self, before_V: FloatArray, after_V: FloatArray) -> Gain:
-        """What one simulation gains over another; every call draws the same blocks."""
-        rng = np.random.default_rng(self.seed)
-        return gain_of(self.evidence, before_V, after_V, self.amplitude, rng)

@@ -17,8 +17,8 @@ from scipy.linalg import cho_solve, solve_triangular
 from scipy.optimize import lsq_linear
 
 from cellwise.diagnose.causes.coordinates import Coordinates
+from cellwise.diagnose.fit.normal_kernels import normal_equations
 from cellwise.diagnose.fit.rows import FITTED, HELD, START, Evidence
-from cellwise.diagnose.fit.whitening_kernels import NoiseLevel, normal_equations, whiten
 from cellwise.typing import BoolArray, FloatArray
 
 ITERATIONS = 7
@@ -98,34 +98,47 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class Objective:
-    """Rows, their noise and the size of the model's error there: what a fit is judged by."""
+    """Rows, how wrong the model may be at each of them, and how much each counts.
+
+    ``size_V`` (rows,) is the standard deviation of what no cause explains. It stays for minutes, so
+    that thousands of rows hold as few errors as ``weight`` (rows,) sums up to.
+    """
 
     evidence: Evidence
-    noise: NoiseLevel
-    amplitude: FloatArray
+    size_V: FloatArray
+    weight: FloatArray
 
     @property
     def fitted(self) -> Objective:
         """The same over the logs that have rows to fit."""
         part = self.evidence.fitted
-        return Objective(part, self.noise, self.amplitude[: part.rows])
+        return self.part(part, slice(0, part.rows))
 
-    def whitened(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Columns (rows, P) as independent unit normal terms, and ln of each row's deviation^2."""
+    def part(self, evidence: Evidence, rows: slice) -> Objective:
+        """The same over some of the rows."""
+        return Objective(evidence, self.size_V[rows], self.weight[rows])
+
+    @property
+    def clip(self) -> float:
+        """Where a residual in these units is wilder than the rest (Huber)."""
+        return CLIP * math.sqrt(float(np.mean(self.weight)))
+
+    def scaled(self, columns: FloatArray) -> FloatArray:
+        """Columns (rows, P) in units of what may be wrong, each row as much as it counts."""
         with np.errstate(over="ignore"):  # a step too far is refused by its cost
-            work = np.ascontiguousarray(columns / self.amplitude[:, None])
-        ln_s = np.empty(work.shape[0])
+            work = columns * (np.sqrt(self.weight) / self.size_V)[:, None]
         work[~self.evidence.known] = 0.0
-        whiten(work, self.evidence.dt_s, self.evidence.known, self.noise, ln_s)
-        return work, ln_s + 2.0 * np.log(self.amplitude)
+        return np.ascontiguousarray(work)
+
+    def squares(self, residual_V: FloatArray) -> FloatArray:
+        """Squared residuals in these units; beyond CLIP they grow in proportion (Huber)."""
+        size, clip = np.abs(self.scaled(np.nan_to_num(residual_V)[:, None])[:, 0]), self.clip
+        with np.errstate(over="ignore"):
+            return np.where(size < clip, size * size, clip * (2.0 * size - clip))
 
     def terms(self, residual_V: FloatArray) -> FloatArray:
-        """Ln likelihood of every row; beyond CLIP deviations it falls in proportion (Huber)."""
-        e, ln_s = self.whitened(np.nan_to_num(residual_V)[:, None])
-        size = np.abs(e[:, 0])
-        with np.errstate(over="ignore"):
-            square = np.where(size < CLIP, size * size, CLIP * (2.0 * size - CLIP))
-        terms = -0.5 * (square + ln_s)
+        """Ln likelihood of every row."""
+        terms = -0.5 * self.squares(residual_V) - self.weight * np.log(self.size_V)
         return np.where(self.evidence.known, terms, 0.0)
 
 
@@ -180,7 +193,7 @@ def fit(
     white = np.empty((evidence.rows, 1 + len(names)))
     if frozen is not None and kept:
         columns = np.column_stack([frozen.column(names[k])[: evidence.rows] for k in kept])
-        white[:, [1 + k for k in kept]], _ = train.whitened(columns)
+        white[:, [1 + k for k in kept]] = train.scaled(columns)
 
     def cost_of(point: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         z = {**held_still, **dict(zip(names, point, strict=True))}
@@ -196,9 +209,9 @@ def fit(
         z = {**held_still, **dict(zip(names, x, strict=True))}
         jacobian = evidence.jacobian(coordinates, z, [names[k] for k in fresh])
         residual = np.nan_to_num(evidence.voltage_V - voltage)
-        part, _ = train.whitened(np.column_stack((residual, jacobian)))
-        white[:, [0, *(1 + k for k in fresh)]] = part
-        normal, gradient = _normal(white, rows, weight, x - mean)
+        columns = np.column_stack((residual, jacobian))
+        white[:, [0, *(1 + k for k in fresh)]] = train.scaled(columns)
+        normal, gradient = _normal(white, rows, train.clip, weight, x - mean)
         step = _bounded_step(normal, gradient, x, low, high)
         expected = float(gradient @ step) / 2
         trial, value, v, s = x, math.inf, voltage, soc
@@ -225,29 +238,28 @@ def fit(
 def complete(objective: Objective, found: Fit, prior: Prior) -> Fit:
     """The fit with the held-out logs simulated, each from where its first part says it starts."""
     evidence = objective.evidence
-    if np.any(evidence.role == START):
-        z, voltage, soc = _held_starts(objective, found.coordinates, prior, found.z)
-    elif evidence.fitted is evidence:
+    if evidence.fitted is evidence:
         return found
-    else:
-        z = found.z
-        voltage, soc = evidence.simulate(found.coordinates, z)
+    z = _held_starts(objective, found, prior)
+    many, done = len(evidence.fitted.logs), evidence.fitted.rows
+    voltage, soc = found.voltage_V.copy(), found.soc.copy()
+    voltage[done:], soc[done:] = evidence.simulate(found.coordinates, z, many)
     return replace(found, z=z, voltage_V=voltage, soc=soc)
 
 
-def normal_of(white: FloatArray, rows: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Normal matrix and gradient of whitened rows [e, J], residuals beyond CLIP held (Huber)."""
+def normal_of(white: FloatArray, rows: BoolArray, clip: float) -> tuple[FloatArray, FloatArray]:
+    """Normal matrix and gradient of scaled rows [e, J], residuals beyond ``clip`` held (Huber)."""
     many = white.shape[1] - 1
     normal, gradient = np.zeros((many, many)), np.zeros(many)
-    normal_equations(white, rows, CLIP, normal, gradient)
+    normal_equations(white, rows, clip, normal, gradient)
     return normal, gradient
 
 
 def _normal(
-    white: FloatArray, rows: BoolArray, weight: FloatArray, away: FloatArray
+    white: FloatArray, rows: BoolArray, clip: float, weight: FloatArray, away: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Normal matrix and gradient with the prior's."""
-    normal, gradient = normal_of(white, rows)
+    normal, gradient = normal_of(white, rows, clip)
     return normal + weight, gradient - weight @ away
 
 
@@ -270,37 +282,43 @@ def _bounded_step(
     return np.asarray(found.x * size)
 
 
-def _held_starts(
-    objective: Objective, coordinates: Coordinates, prior: Prior, z: dict[str, float]
-) -> tuple[dict[str, float], FloatArray, FloatArray]:
-    """Starts of the held-out logs from their first rows, everything else as it is."""
-    evidence = objective.evidence
-    voltage, soc = evidence.simulate(coordinates, z)
-    names = [
-        n
-        for n, g in zip(evidence.starts(), evidence.logs, strict=True)
-        if np.any(g.role == START) and n in prior.std
-    ]
-    if not names:
-        return z, voltage, soc
-    rows = (evidence.role == START) & evidence.known
-    weight = np.diag([1.0 / prior.std[n] ** 2 for n in names])
+def _held_starts(objective: Objective, found: Fit, prior: Prior) -> dict[str, float]:
+    """The point with the starts of held-out logs as their first rows say, all else as it is."""
+    evidence, z = objective.evidence, dict(found.z)
+    for k, (log, whole) in enumerate(evidence.each()):
+        name = f"soc0:{k}"
+        begins = int(np.sum(log.role == START))
+        if begins and name in prior.std:
+            rows = slice(whole.start, whole.start + begins)
+            first = objective.part(evidence.beginnings[k], rows)
+            limits = prior.low[name], prior.high[name]
+            z[name] = _start(first, found.coordinates, z, z[name], prior.std[name], limits)
+    return z
+
+
+def _start(
+    first: Objective,
+    coordinates: Coordinates,
+    z: Mapping[str, float],
+    start: float,
+    std: float,
+    limits: tuple[float, float],
+) -> float:
+    """Most likely start of the one log of an objective, by Newton's steps."""
+    evidence, weight = first.evidence, np.array([[1.0 / std**2]])
     for _ in range(4):
-        jacobian = evidence.jacobian(coordinates, z, names)
+        here = {**z, "soc0:0": start}
+        voltage, _ = evidence.simulate(coordinates, here)
+        jacobian = evidence.jacobian(coordinates, here, ["soc0:0"])
         residual = np.nan_to_num(evidence.voltage_V - voltage)
-        white, _ = objective.whitened(np.column_stack((residual, jacobian)))
-        away = np.array([z[n] for n in names])
-        normal, gradient = _normal(white, rows, weight, away)
-        step = np.clip(np.linalg.solve(normal, gradient), -0.2, 0.2)
-        moved = {
-            n: min(max(z[n] + float(s), prior.low[n]), prior.high[n])
-            for n, s in zip(names, step, strict=True)
-        }
-        z = {**z, **moved}
-        voltage, soc = evidence.simulate(coordinates, z)
-        if np.max(np.abs(step)) < 1e-4:
+        white = first.scaled(np.column_stack((residual, jacobian)))
+        away = np.array([start])
+        normal, gradient = _normal(white, evidence.known, first.clip, weight, away)
+        step = min(max(float(gradient[0] / normal[0, 0]), -0.2), 0.2)
+        start = min(max(start + step, limits[0]), limits[1])
+        if abs(step) < 1e-4:
             break
-    return z, voltage, soc
+    return start
 
 
 def held_rows(evidence: Evidence) -> BoolArray:

@@ -50,7 +50,7 @@ def predict(
     names = list(found.names)
     residual = np.nan_to_num(evidence.voltage_V - found.voltage_V)
     jacobian = evidence.jacobian(found.coordinates, found.z, names)
-    white, _ = objective.whitened(np.column_stack((residual, jacobian)))
+    white = objective.scaled(np.column_stack((residual, jacobian)))
     x = np.array([found.z[n] for n in names])
     low = np.array([prior.low.get(n, -np.inf) for n in names])
     high = np.array([prior.high.get(n, np.inf) for n in names])
@@ -61,7 +61,10 @@ def predict(
     plain = objective.terms(residual)
     used = evidence.known & (evidence.role != IGNORED)
     fitted = evidence.known & (evidence.role == FITTED)
-    sums = [(float(np.sum(plain[rows])), *normal_of(white, rows)) for rows in (used, fitted)]
+    sums = [
+        (float(np.sum(plain[rows])), *normal_of(white, rows, objective.clip))
+        for rows in (used, fitted)
+    ]
     weight = prior.precision()
     totals: list[float] = []
     best: tuple[float, float, FloatArray] | None = None

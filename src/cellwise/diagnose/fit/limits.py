@@ -26,6 +26,8 @@ from cellwise.typing import FloatArray
 
 # A coordinate that the tolerances do not have is known to be neutral [its unit].
 NEUTRAL_STD = 1e-6
+# Less than this share of an information is what rounding leaves of none.
+ROUNDING = 1e-12
 # Effects of this many times their limit must be separated ...
 TIMES = 2.0
 # ... by as many nats as 0.9 against 0.1 is.
@@ -78,8 +80,9 @@ def _information(fits: CauseFits, base: Fit, noise: Noise, names: list[str]) -> 
     evidence, objective = fits.evidence, fits.objective(noise)
     residual = np.nan_to_num(evidence.voltage_V - base.voltage_V)
     jacobian = evidence.jacobian(base.coordinates, base.z, names)
-    white, _ = objective.whitened(np.column_stack((residual, jacobian)))
-    return normal_of(white, evidence.known & (evidence.role != IGNORED))[0]
+    white = objective.scaled(np.column_stack((residual, jacobian)))
+    used = evidence.known & (evidence.role != IGNORED)
+    return normal_of(white, used, objective.clip)[0]
 
 
 def _wide(fits: CauseFits, cause: Cause, names: list[str]) -> dict[int, float]:
@@ -112,9 +115,10 @@ def _sizes(
         place = names.index(key) if key in names else -1
         if place not in wide:
             continue
-        free = 1.0 / tolerance**2
-        free[place] = 0.0
-        s2 = float(np.linalg.pinv(normal + np.diag(free))[place, place])
+        known = _left(normal, tolerance, place)
+        if known <= 0.0:
+            continue  # these logs say nothing of it
+        s2 = 1.0 / known
         t2, w2 = s2 + tolerance[place] ** 2, s2 + wide[place] ** 2
         if w2 <= t2:
             continue
@@ -123,6 +127,16 @@ def _sizes(
         moved = value_of(p.coordinate, size, fits.coordinates, start)
         found[p.name] = abs(moved - value_of(p.coordinate, 0.0, fits.coordinates, start))
     return (found, change) if found else None
+
+
+def _left(normal: FloatArray, tolerance: FloatArray, place: int) -> float:
+    """Information of one coordinate once all others may move within their tolerances."""
+    own = float(normal[place, place])
+    others = np.arange(tolerance.size) != place
+    pull = normal[others, place]
+    inner = normal[np.ix_(others, others)] + np.diag(1.0 / tolerance[others] ** 2)
+    left = own - float(pull @ np.linalg.solve(inner, pull))
+    return left if left > ROUNDING * own else 0.0
 
 
 def _alike(
@@ -142,13 +156,15 @@ def _alike(
         change = np.where(np.arange(change.size) == place, change, 0.0)
     # What the rows say, not how likely such a fault is: the other's coordinates are free.
     precision = 1.0 / tolerance**2
-    precision[list(_wide(fits, two, names))] = 0.0
+    wide = _wide(fits, two, names)
+    precision[list(wide)] = 0.0
     # What the other's coordinates and all tolerances leave of it.
     own = list(_wide(fits, one, names))
-    other = [k for k in range(len(names)) if k not in own or k in _wide(fits, two, names)]
+    seen = np.diag(normal) > 0.0
+    other = [k for k in range(len(names)) if seen[k] and (k not in own or k in wide)]
     pull = normal @ change
     inner = normal[np.ix_(other, other)] + np.diag(precision[other])
-    left = float(change @ pull) - float(pull[other] @ np.linalg.pinv(inner) @ pull[other])
+    left = float(change @ pull) - float(pull[other] @ np.linalg.solve(inner, pull[other]))
     return 0.5 * left < APART
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -56,6 +56,21 @@ class LogRows:
         """Measured voltage of the scored rows [V]."""
         return self.log.voltage_V[:: self.stride]
 
+    def first(self, scored: int) -> LogRows:
+        """Its first so many scored rows."""
+        rows = min((scored - 1) * self.stride + 1, len(self.log))
+        return LogRows(
+            self.log.part(0, rows),
+            self.start,
+            self.dt_s[:rows],
+            self.current_A[:rows],
+            self.temperature_C[:rows],
+            self.stride,
+            self.role[:scored],
+            self.block[:scored],
+            self.clock_s[:scored],
+        )
+
     def state(self, soc_shift: float) -> CellState:
         """The cell at rest at the start, ``soc_shift`` away from its stated SOC."""
         soc = self.start.soc + soc_shift
@@ -83,31 +98,38 @@ class Evidence:
     def fitted(self) -> Evidence:
         """The logs that have rows to fit: those that are only held out are left off."""
         many = sum(bool(np.any(g.role == FITTED)) for g in self.logs)
-        if many == len(self.logs):
-            return self
-        rows = slice(0, sum(g.scored for g in self.logs[:many]))
-        return Evidence(
-            self.logs[:many],
-            self.dt_s[rows],
-            self.voltage_V[rows],
-            self.known[rows],
-            self.role[rows],
-            self.block[rows],
-            self.rest,
-        )
+        return self if many == len(self.logs) else _evidence(self.logs[:many], self.rest)
+
+    def each(self) -> Iterator[tuple[LogRows, slice]]:
+        """Every log and where its scored rows stand."""
+        place = 0
+        for log in self.logs:
+            yield log, slice(place, place + log.scored)
+            place += log.scored
 
     def starts(self) -> list[str]:
         """Names of the coordinates of the logs' starts."""
         return [f"soc0:{k}" for k in range(len(self.logs))]
 
-    def simulate(
-        self, coordinates: Coordinates, z: Mapping[str, float]
-    ) -> tuple[FloatArray, FloatArray]:
-        """Voltage [V] and SOC of every scored row."""
-        inputs = coordinates.inputs(z)
-        voltage, soc = np.empty(self.rows), np.empty(self.rows)
-        place = 0
+    @cached_property
+    def beginnings(self) -> dict[int, Evidence]:
+        """The first part of every held-out log, by its number: what determines its start."""
+        found = {}
         for k, log in enumerate(self.logs):
+            scored = int(np.sum(log.role == START))
+            if scored:
+                found[k] = _evidence((log.first(scored),))
+        return found
+
+    def simulate(
+        self, coordinates: Coordinates, z: Mapping[str, float], first: int = 0
+    ) -> tuple[FloatArray, FloatArray]:
+        """Voltage [V] and SOC of every scored row of the logs from the ``first`` one on."""
+        inputs = coordinates.inputs(z)
+        many = sum(g.scored for g in self.logs[first:])
+        voltage, soc = np.empty(many), np.empty(many)
+        place = 0
+        for k, log in enumerate(self.logs[first:], first):
             flow, _ = _flow(log, inputs)
             rows = slice(place, place + log.scored)
             voltage_rows(
@@ -158,24 +180,6 @@ class Evidence:
             place += log.scored
         return result
 
-    def amplitude(self, model: CellModel, soc: FloatArray) -> FloatArray:
-        """Size of the model's error at every scored row, over its mean square."""
-        current = np.concatenate([g.current_A[:: g.stride] for g in self.logs])
-        middle = model.r0_ohm.shape[0] // 2
-        table = model.r0_ohm[middle] + model.r1_ohm[middle] + model.r2_ohm[middle]
-        share = np.where(current >= 0.0, model.error.share(1.0), model.error.share(-1.0))
-        drop = share * np.interp(soc, model.soc, table) * current
-        size = np.sqrt(model.error.at(np.clip(soc, 0.0, 1.0)) ** 2 + drop**2)
-        used = self.known & (self.role != IGNORED)
-        return np.asarray(size / np.sqrt(np.mean(size[used] ** 2))) if used.any() else size
-
-    def claim_V(self, model: CellModel, soc: FloatArray) -> float:
-        """Root mean square of the slow error that the model states at the rows' SOC [V]."""
-        used = self.known & (self.role != IGNORED) & np.isfinite(soc)
-        if not used.any():
-            return float(np.mean(model.error.slow_V))
-        return float(np.sqrt(np.mean(model.error.at(np.clip(soc[used], 0.0, 1.0)) ** 2)))
-
 
 def _flow(log: LogRows, inputs: KernelInputs) -> tuple[FloatArray, dict[str, FloatArray]]:
     """The current that flowed [A], and its derivatives."""
@@ -209,19 +213,20 @@ def gather(
         rows = _rows(model, log, start, stride, held, whole or bool(holdout), slowest_s, offset)
         offset = int(rows.block.max()) + 1
         made.append(rows)
-    dt = []
-    for g in made:
-        gap = np.diff(g.clock_s, prepend=np.nan)
-        dt.append(gap)
-    voltage = np.concatenate([g.voltage_V for g in made])
+    return _evidence(tuple(made), rest_reading([g.log for g in made], model.capacity_Ah))
+
+
+def _evidence(logs: tuple[LogRows, ...], rest: RestReading = NO_READING) -> Evidence:
+    """Evidence of logs that are ready."""
+    voltage = np.concatenate([g.voltage_V for g in logs])
     return Evidence(
-        tuple(made),
-        np.concatenate(dt),
+        logs,
+        np.concatenate([np.diff(g.clock_s, prepend=np.nan) for g in logs]),
         voltage,
         np.isfinite(voltage),
-        np.concatenate([g.role for g in made]),
-        np.concatenate([g.block for g in made]),
-        rest_reading([g.log for g in made], model.capacity_Ah),
+        np.concatenate([g.role for g in logs]),
+        np.concatenate([g.block for g in logs]),
+        rest,
     )
 
 

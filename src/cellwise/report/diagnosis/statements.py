@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from cellwise.diagnose.log_runs import LogRun
-from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
+from cellwise.diagnose.result import Diagnosis, FoundCause
 from cellwise.report.page.numerals import (
     ampere_hours,
     duration,
@@ -23,7 +23,6 @@ KINDS = {
     "cell": "A property of the cell: the model is extended.",
 }
 UNITS = {"A": 1e3, "V": 1e3}
-LEAST_SCORE = 8.0  # below it a candidate explains nothing, as for the model comparison
 
 
 def cause_name(name: str) -> str:
@@ -50,25 +49,12 @@ def diagnosis_finding(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == "unexplained":
         why = f": {diagnosis.reasons[0]}" if diagnosis.reasons else ""
         return f"The model is wrong, and none of the causes tried explains it{why}."
-    alike = _alike(diagnosis)
-    if len(alike) < 2:
+    sets = [w.causes for w in diagnosis.competing if w.causes][:2]
+    if len(sets) < 2:
         why = f": {diagnosis.reasons[0].rstrip('.')}" if diagnosis.reasons else ""
         return f"These data do not show what is wrong, if anything is{why}."
-    one, other = sorted(alike, key=lambda c: -c.score)[:2]
-    return (
-        f"The model is wrong, but these data do not separate {cause_name(one.name)} from "
-        f"{cause_name(other.name)}: held-out error {millivolt(one.holdout_rmse_V)} with the one, "
-        f"{millivolt(other.holdout_rmse_V)} with the other."
-    )
-
-
-def _alike(diagnosis: Diagnosis) -> list[TriedCause]:
-    """Candidates that are not separated: those that a reason names, else all that explain."""
-    named = {w for r in diagnosis.reasons if r.endswith("equally well") for w in r.split()}
-    open_between = [c for c in diagnosis.candidates if c.name in named]
-    if len(open_between) > 1:
-        return open_between
-    return [c for c in diagnosis.candidates if c.score > LEAST_SCORE]
+    one, other = (" with ".join(cause_name(c) for c in names) for names in sets)
+    return f"The model is wrong, but these data do not separate {one} from {other}."
 
 
 def judged_run(diagnosis: Diagnosis) -> LogRun | None:

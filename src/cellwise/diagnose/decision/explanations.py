@@ -1,0 +1,226 @@
+"""Sets of causes fitted together, and the odds of each: the decision.
+
+Singles first, then what could still explain something beside the likeliest of them, fitted jointly.
+A set is judged by the evidence of all rows under a noise that is never less than what the model
+states of its own error, by what rests and zero readings say, and by how rare its causes are.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+from cellwise.diagnose.causes.catalogue import Cause, kept_coordinates
+from cellwise.diagnose.decision.rarity import Rarity
+from cellwise.diagnose.decision.score_test import could_explain
+from cellwise.diagnose.fit.cause_fits import CauseFits
+from cellwise.diagnose.fit.least_squares import Fit, Frozen, Prior, complete, freeze
+from cellwise.diagnose.fit.likelihood import Prediction
+from cellwise.diagnose.fit.noise import Noise
+from cellwise.diagnose.fit.priors import (
+    USUAL_ACTIVATION_K,
+    needs_activation,
+    starts_to_try,
+    widened_for,
+)
+
+Progress = Callable[[float, str], None]
+
+# Sets of one size to which further causes are added, and how many are added to each.
+BEAM = 4
+ADDED = 5
+MOST_CAUSES = 4
+# Of several points to start from so many are followed beyond their first step.
+BEST_BEGINNINGS = 2
+# Sets that are within this of the best are fitted again until their noise has settled [nats].
+CLOSE_NATS = 40.0
+ROUNDS = 3
+SETTLED_NATS = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """A set of causes fitted to all logs, and how likely the rows are with it."""
+
+    causes: tuple[Cause, ...]
+    fit: Fit
+    noise: Noise
+    prior: Prior
+    found: Prediction
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the causes."""
+        return tuple(c.name for c in self.causes)
+
+    @property
+    def key(self) -> frozenset[str]:
+        """What makes it another explanation than others."""
+        return frozenset(self.names)
+
+
+@dataclass(eq=False)
+class Explanations:
+    """All sets that were tried in one diagnosis; ``refused`` says which causes fit no bounds."""
+
+    fits: CauseFits
+    rarity: Rarity
+    progress: Progress | None = None
+    workers: int = field(default_factory=lambda: os.cpu_count() or 1)
+    tried: dict[frozenset[str], Explanation] = field(default_factory=dict)
+    refused: dict[str, str] = field(default_factory=dict)
+
+    def odds(self, one: Explanation) -> float:
+        """Ln of the odds of a set against no cause, up to the weight of blocks [nats]."""
+        none = self.tried[frozenset()]
+        return one.found.total - none.found.total - self.rarity.nats(one.names)
+
+    def best(self, many: int, size: int | None = None) -> list[Explanation]:
+        """The likeliest sets, of one size or of any."""
+        sets = [e for e in self.tried.values() if size is None or len(e.causes) == size]
+        return sorted(sets, key=self.odds, reverse=True)[:many]
+
+    def search(self, causes: Sequence[Cause], base: Fit, noise: Noise) -> None:
+        """Try sets of causes on top of the base until a further cause is not worth its rarity."""
+        none = self._explained((), base, noise, self.fits.prior)
+        self.tried[frozenset()] = none
+        with ThreadPoolExecutor(self.workers) as threads:
+            for size in range(1, MOST_CAUSES + 1):
+                if not self._with_one_more(causes, size, threads):
+                    break
+
+    def _with_one_more(
+        self, causes: Sequence[Cause], size: int, threads: ThreadPoolExecutor
+    ) -> bool:
+        """Try sets of a size; whether one of them, or of the size before, is the likeliest."""
+        starts = self.best(BEAM, size - 1)
+        frozen = {s.key: self._frozen(s) for s in starts}
+        worth = [(s, c) for s in starts for c in self._worth(s, causes, frozen[s.key])]
+        todo = self._once(worth)
+
+        def work(task: tuple[Explanation, Cause]) -> Explanation | None:
+            start, cause = task
+            return self._added(start, cause, frozen[start.key])
+
+        for k, one in enumerate(threads.map(work, todo)):
+            self._say(size, (k + 1) / len(todo), todo[k][1].name)
+            if one is not None:
+                self._keep(one)
+        for again in threads.map(self._settled, self._close(size)):
+            self._keep(again)
+        return self._gained(size)
+
+    def _gained(self, size: int) -> bool:
+        """Two causes may explain together what neither does alone."""
+        return len(self.best(1)[0].causes) >= size - 1
+
+    def _close(self, size: int) -> list[Explanation]:
+        sets = self.best(BEAM, size)
+        return [e for e in sets if self.odds(e) > self.odds(sets[0]) - CLOSE_NATS]
+
+    def _once(self, todo: Iterable[tuple[Explanation, Cause]]) -> list[tuple[Explanation, Cause]]:
+        """Every set once, from the likeliest it can be made of."""
+        found: dict[frozenset[str], tuple[Explanation, Cause]] = {}
+        for start, cause in todo:
+            found.setdefault(start.key | {cause.name}, (start, cause))
+        return [t for key, t in found.items() if key not in self.tried]
+
+    def _worth(self, start: Explanation, causes: Sequence[Cause], frozen: Frozen) -> list[Cause]:
+        """Causes that could gain their rarity beside a set, those that could most."""
+        left = [c for c in causes if c.name not in start.names]
+        if not start.causes:
+            return left
+        most = could_explain(self.fits, left, start.fit, start.prior, frozen)
+        own = self.rarity.nats(start.names)
+        price = {c.name: self.rarity.nats((*start.names, c.name)) - own for c in left}
+        worth = [c for c in left if most[c.name] > price[c.name]]
+        return sorted(worth, key=lambda c: -most[c.name])[:ADDED]
+
+    def _frozen(self, start: Explanation) -> Frozen:
+        objective = self.fits.objective(start.noise)
+        return freeze(objective, start.fit.coordinates, start.prior.names, start.fit.z)
+
+    def _added(self, start: Explanation, cause: Cause, frozen: Frozen) -> Explanation | None:
+        """A set with one more cause, all of it fitted; None where the cause stays away."""
+        fits, evidence = self.fits, self.fits.evidence
+        causes = (*start.causes, cause)
+        moving = [*kept_coordinates(causes), *evidence.starts()]
+        found: list[Fit] = []
+        beginnings = starts_to_try(cause, start.fit.coordinates, evidence)
+        several = len(beginnings) > 1
+        for shaped, beginning in beginnings:
+            wide = widened_for(start.prior, cause, shaped, evidence)
+            point = {**start.fit.z, **beginning}
+            if cause.name == "self_heating":
+                point["rth_K_per_W"] = 1.0
+                if needs_activation(shaped):
+                    point["activation_K"] = USUAL_ACTIVATION_K
+            steps = 1 if several else 5
+            found.append(fits.fit(start.noise, shaped, wide, point, steps, frozen, moving))
+        found.sort(key=lambda f: -f.log_evidence)
+        ends = []
+        for one in found[: BEST_BEGINNINGS if several else 1]:
+            wide = widened_for(start.prior, cause, one.coordinates, evidence)
+            near = (
+                fits.fit(start.noise, one.coordinates, wide, one.z, 3, frozen, moving)
+                if several
+                else one
+            )
+            noise = fits.noise(near, wide)
+            near = fits.fit(noise, one.coordinates, wide, near.z, 5, frozen, moving)
+            ends.append(self._explained(causes, near, noise, wide))
+        best = max(ends, key=lambda e: e.found.total)
+        if why := unphysical(best):
+            if len(causes) == 1:
+                self.refused[cause.name] = why
+            return None
+        return best
+
+    def _settled(self, one: Explanation) -> Explanation:
+        """Fitted with its own noise and derivatives until neither changes it any more."""
+        fits = self.fits
+        for _ in range(ROUNDS):
+            noise = fits.noise(one.fit, one.prior)
+            found = fits.fit(noise, one.fit.coordinates, one.prior, one.fit.z, 5)
+            new = self._explained(one.causes, found, noise, one.prior)
+            gained = new.found.total - one.found.total
+            if gained > 0.0:
+                one = new
+            if gained < SETTLED_NATS:
+                break
+        return one
+
+    def _keep(self, one: Explanation) -> None:
+        known = self.tried.get(one.key)
+        if known is None or one.found.total > known.found.total:
+            self.tried[one.key] = one
+
+    def _explained(
+        self, causes: tuple[Cause, ...], found: Fit, noise: Noise, prior: Prior
+    ) -> Explanation:
+        found = complete(self.fits.objective(noise), found, prior)
+        return Explanation(
+            causes, found, noise, prior, self.fits.explained(found, noise, prior, causes)
+        )
+
+    def _say(self, size: int, part: float, name: str) -> None:
+        if self.progress is not None:
+            self.progress(1.0 - 0.5 ** (size - 1 + part), name.replace("_", " "))
+
+
+def unphysical(one: Explanation) -> str:
+    """Whether what switches an effect on has stayed off, or a value stands at its bound."""
+    z = one.fit.z
+    for cause in one.causes:
+        if cause.shape is not None:
+            switch = cause.parameters[0]
+            if z.get(switch.coordinate, 0.0) == 0.0:
+                return f"{cause.name} fits best with {switch.name} at zero"
+        for p in cause.parameters:
+            x = z.get(p.coordinate)
+            ends = (one.prior.low.get(p.coordinate), one.prior.high.get(p.coordinate))
+            if x is not None and x in ends:
+                return f"{cause.name} would need {p.name} outside its physical bounds"
+    return ""

@@ -1,0 +1,48 @@
+"""How rare causes are before any row is read: the odds against each set of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from dataclasses import dataclass
+
+# One diagnosis in fifty finds a cause where nobody expected one, and it may be any of twenty.
+ONE_CAUSE_NATS = math.log(50.0 * 20.0)
+# A cell ages as a whole: what else age does is no second coincidence, only one of a few ways.
+FURTHER_AGE_NATS = math.log(10.0)
+AGE = frozenset(
+    {
+        "capacity",
+        "resistance_scale",
+        "ohmic_resistance",
+        "lithium_inventory",
+        "active_material_negative",
+        "active_material_positive",
+        "ocv_shift",
+    }
+)
+# Outside the temperatures that the model was measured at these are expected: one of a few ways.
+TEMPERATURE = frozenset(
+    {"temperature_dependence", "entropy", "surface_soc", "slow_diffusion", "self_heating"}
+)
+# Logs this far outside the model's temperatures are of a temperature it was not measured at [K].
+OUTSIDE_K = 8.0
+
+
+@dataclass(frozen=True)
+class Rarity:
+    """``extrapolated``: the logs' temperature lies outside the model's."""
+
+    extrapolated: bool = False
+
+    def nats(self, names: Collection[str]) -> float:
+        """Ln of the odds against a set."""
+        left = set(names)
+        total = 0.0
+        if self.extrapolated:
+            total += FURTHER_AGE_NATS * len(left & TEMPERATURE)
+            left -= TEMPERATURE
+        age = len(left & AGE)
+        if age:
+            total += ONE_CAUSE_NATS + FURTHER_AGE_NATS * (age - 1)
+        return total + ONE_CAUSE_NATS * (len(left) - age)

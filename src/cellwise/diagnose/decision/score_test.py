@@ -1,0 +1,92 @@
+"""Which causes are worth a fit at all: what each could explain to second order (a score test)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from cellwise.diagnose.causes.catalogue import Cause
+from cellwise.diagnose.causes.coordinates import Coordinates
+from cellwise.diagnose.fit.cause_fits import CauseFits
+from cellwise.diagnose.fit.least_squares import Fit, Frozen, Prior, normal_of
+from cellwise.diagnose.fit.noise import Noise
+from cellwise.diagnose.fit.priors import starts_to_try, widened_for
+from cellwise.diagnose.fit.rows import IGNORED
+from cellwise.typing import FloatArray
+
+Key = tuple[int, str]
+
+
+def could_explain(
+    fits: CauseFits, causes: Sequence[Cause], base: Fit, prior: Prior, frozen: Frozen
+) -> dict[str, float]:
+    """Nats that every cause would gain at most by one Gauss-Newton step from a fit.
+
+    Rao's score test: gradient and information at the null hypothesis, where nothing of the cause
+    is fitted yet; what it takes off the squares counts by the scale that both leave. Causes with a
+    memory are tried at each of those from which their search starts.
+    """
+    evidence, objective = fits.evidence, fits.objective(Noise())
+    tried = [
+        (cause, shaped, widened_for(prior, cause, shaped, evidence))
+        for cause in causes
+        for shaped in _shapes(fits, cause, base)
+    ]
+    columns, place = _columns(fits, tried, base.z, frozen)
+    residual = np.nan_to_num(evidence.voltage_V - base.voltage_V)
+    white = objective.scaled(np.column_stack((residual, columns)))
+    used = evidence.known & (evidence.role != IGNORED)
+    normal, gradient = normal_of(white, used, objective.clip)
+    names = list(frozen.names)
+    none = _gain(normal, gradient, [place[0, n] for n in names], prior, names, base.z)
+    left, errors = fits.squares(base)
+    found: dict[str, float] = {}
+    for k, (cause, _, wide) in enumerate(tried, 1):
+        known = [place.get((k, n), place.get((0, n), -1)) for n in wide.names]
+        more = _gain(normal, gradient, known, wide, wide.names, base.z)
+        nats = fits.known.gained(left, 2.0 * max(more - none, 0.0), errors)
+        found[cause.name] = max(found.get(cause.name, 0.0), nats)
+    return found
+
+
+def _shapes(fits: CauseFits, cause: Cause, base: Fit) -> list[Coordinates]:
+    """Coordinates at every memory from which the search for a cause starts, each once."""
+    shapes = [s for s, _ in starts_to_try(cause, base.coordinates, fits.evidence)]
+    return list({id(s): s for s in shapes}.values())
+
+
+def _columns(
+    fits: CauseFits,
+    tried: Sequence[tuple[Cause, Coordinates, Prior]],
+    z: Mapping[str, float],
+    frozen: Frozen,
+) -> tuple[FloatArray, dict[Key, int]]:
+    """Derivatives of the stage, those of every cause beside them, and where each stands."""
+    parts = [frozen.jacobian]
+    place = {(0, n): k for k, n in enumerate(frozen.names)}
+    many = len(frozen.names)
+    for k, (_, shaped, wide) in enumerate(tried, 1):
+        new = [n for n in wide.names if n not in frozen.names]
+        if new:
+            parts.append(fits.evidence.jacobian(shaped, z, new))
+            place |= {(k, n): many + j for j, n in enumerate(new)}
+            many += len(new)
+    return np.column_stack(parts), place
+
+
+def _gain(
+    normal: FloatArray,
+    gradient: FloatArray,
+    place: Sequence[int],
+    prior: Prior,
+    names: Sequence[str],
+    z: Mapping[str, float],
+) -> float:
+    """Nats that the best step of some coordinates gains, under their prior."""
+    weight = prior.precision()
+    away = np.array([z.get(n, 0.0) - prior.mean.get(n, 0.0) for n in names])
+    pull = gradient[list(place)] - weight @ away
+    # What the prior costs at the start is not gained by a cause that widens it.
+    start = 0.5 * float(away @ weight @ away)
+    return 0.5 * float(pull @ np.linalg.solve(normal[np.ix_(place, place)] + weight, pull)) - start

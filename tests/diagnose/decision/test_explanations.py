@@ -1,0 +1,120 @@
+"""Sets of causes fitted together: what is needless is not named, what is there beside it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cellwise import simulate
+from cellwise.cell.effects import SlowDiffusion
+from cellwise.cell.initial_soc import initial_soc
+from cellwise.cell.model import ModelError
+from cellwise.diagnose.causes.catalogue import CAUSES
+from cellwise.diagnose.causes.coordinates import Coordinates
+from cellwise.diagnose.decision.explanations import Explanations
+from cellwise.diagnose.decision.outcome import Outcome, decide
+from cellwise.diagnose.decision.rarity import FURTHER_AGE_NATS, ONE_CAUSE_NATS, Rarity
+from cellwise.diagnose.decision.score_test import could_explain
+from cellwise.diagnose.fit.cause_fits import CauseFits
+from cellwise.diagnose.fit.least_squares import freeze
+from cellwise.diagnose.fit.priors import starts_to_try, tolerances
+from cellwise.diagnose.fit.rest_voltages import rest_voltages
+from cellwise.diagnose.fit.rows import gather
+from cellwise.logs.cell_log import CellLog
+from emulator_drives import random_load
+from example_cells import curved_cell
+
+SOC0 = 0.9
+TRIED = [CAUSES[n] for n in ("current_gain", "capacity", "voltage_offset", "time_skew")]
+
+
+def fits_of(capacity_share: float, gain: float) -> CauseFits:
+    """Two loads to fit, one held out, of another capacity whose current is read with a gain."""
+    model = replace(curved_cell(), error=ModelError(1e-3, (1e-3,), 60.0, 0.01))
+    cell = replace(model, capacity_Ah=capacity_share * model.capacity_Ah)
+    rng, logs = np.random.default_rng(5), []
+    for _ in range(3):
+        load = random_load(
+            rng, cell.capacity_Ah, SOC0, rows=2000, rate_hz=1.0, charge=True,
+            temperature_C=(25.0, 25.0),
+        )  # fmt: skip
+        log = CellLog(load.time_s, load.current_A, np.full(load.time_s.size, 3.7))
+        voltage = simulate(cell, log, SOC0).voltage_V + rng.normal(0.0, 1e-3, load.time_s.size)
+        log = replace(log, voltage_V=voltage, current_A=gain * load.current_A)
+        logs.append((log, initial_soc(model, log, SOC0, 0.002)))
+    evidence, coordinates = gather(model, logs[:2], logs[2:]), Coordinates(model)
+    return CauseFits(
+        evidence,
+        coordinates,
+        tolerances(coordinates, evidence),
+        rest_voltages(evidence.logs, model.capacity_Ah, model.charge_efficiency),
+        0,
+    )
+
+
+def decided(fits: CauseFits) -> Outcome:
+    sets = Explanations(fits, Rarity())
+    sets.search(TRIED, *fits.base(fits.prior))
+    return decide(sets)
+
+
+def test_a_cause_that_another_makes_needless_is_not_named():
+    found = decided(fits_of(0.9, 1.0))
+    assert [c.name for c in found.causes] == ["capacity"]
+    assert np.exp(found.fit.z["ln_capacity"]) == pytest.approx(0.9, abs=0.005)
+    assert abs(found.fit.z["ln_gain"]) < 0.006  # within its tolerance
+
+
+def test_two_that_only_explain_together_are_both_named():
+    found = decided(fits_of(1.1, 1.06))
+    assert {c.name for c in found.causes} == {"current_gain", "capacity"}
+    assert np.exp(found.fit.z["ln_gain"]) == pytest.approx(1.06, abs=0.012)  # resistance: 1 %
+    assert np.exp(found.fit.z["ln_capacity"]) == pytest.approx(1.1, abs=0.015)
+
+
+def test_nothing_is_named_where_nothing_is_wrong():
+    found = decided(fits_of(1.0, 1.0))
+    assert found.accepted == ()
+    assert found.open_between == ()
+    assert found.reasons
+
+
+def test_what_a_cause_could_explain_is_seen_without_fitting_it():
+    fits = fits_of(0.9, 1.0)
+    base, noise = fits.base(fits.prior)
+    frozen = freeze(fits.objective(noise), base.coordinates, fits.prior.names, base.z)
+    most = could_explain(fits, TRIED, base, fits.prior, frozen)
+    assert most["capacity"] > ONE_CAUSE_NATS
+    assert most["time_skew"] < ONE_CAUSE_NATS
+
+
+def test_what_a_good_log_taught_stays_as_taught_where_a_cause_is_applied():
+    fits = fits_of(0.9, 1.0)
+    base, _ = fits.base(fits.prior)
+    calibrated = {"ocv_4": 0.004, "ln_r0": 0.02}
+    cross = np.zeros((len(calibrated), len(calibrated)))
+    mean = {**fits.prior.mean, **calibrated}
+    fits.prior = replace(fits.prior, mean=mean, linked=tuple(calibrated), cross=cross)
+    assert base.z["ocv_4"] != calibrated["ocv_4"]  # the fit has made something else of it
+    at = fits.point(base, {"ln_capacity"})
+    assert at == {**calibrated, "ln_capacity": base.z["ln_capacity"]}
+
+
+def test_a_memory_that_the_model_has_is_tried_from_others_too():
+    fits, slow = fits_of(1.0, 1.0), CAUSES["slow_diffusion"]
+    plain = fits.coordinates
+    shapes = [c.tau3_s for c, start in starts_to_try(slow, plain, fits.evidence) if not start]
+    assert len(shapes) > 1
+    has = Coordinates(plain.model.with_effect(SlowDiffusion(0.01, 1000.0)))
+    begun = [start.get("ln_tau3", 0.0) for _, start in starts_to_try(slow, has, fits.evidence)]
+    assert begun[0] == 0.0
+    assert min(abs(x) for x in begun[1:]) > 0.5  # none is its own once more
+
+
+def test_what_age_does_at_once_is_one_coincidence():
+    age = Rarity().nats(("capacity", "resistance_scale"))
+    assert age == pytest.approx(ONE_CAUSE_NATS + FURTHER_AGE_NATS)
+    assert Rarity().nats(("time_skew", "voltage_offset")) == pytest.approx(2.0 * ONE_CAUSE_NATS)
+    assert Rarity(extrapolated=True).nats(("surface_soc",)) == pytest.approx(FURTHER_AGE_NATS)
