@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import sys
+from inspect import signature
 from types import ModuleType
-from typing import Any
 
 from cellwise.forecast.remaining import Flight, Forecast, forecast
 
@@ -14,8 +14,8 @@ __all__ = ["Flight", "Forecast", "forecast"]
 class _CallableModule(ModuleType):
     """`cellwise.forecast` is this folder and, on the public face, the function of the same name."""
 
-    def __call__(self, *args: Any, **kwargs: Any) -> Flight | None:
-        return forecast(*args, **kwargs)
+    __call__ = staticmethod(forecast)
+    __signature__ = signature(forecast)  # for help and editors
 
 
 sys.modules[__name__].__class__ = _CallableModule

@@ -37,7 +37,7 @@ def installation(tmp_path_factory):
     shutil.copytree(Path(cellwise.__file__).parent, package, ignore=without)
     shutil.copytree(embedded_folder(), package / "_datasets", ignore=without, dirs_exist_ok=True)
     shutil.copytree(
-        Path(__file__).parents[2] / "firmware_ref",
+        Path(__file__).parents[3] / "firmware_ref",
         package / "_firmware",
         ignore=without,
         dirs_exist_ok=True,
