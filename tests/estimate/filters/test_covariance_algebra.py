@@ -21,7 +21,7 @@ CASES = [
     pytest.param(
         SimpleNamespace(
             k=seven, P=seven.AdaptiveCovariance, D=seven.AdaptiveColumn, states=ADAPTIVE,
-            h=(0.8, 0.02, 1.2, 0.7, 0.036),
+            h=(0.8, 0.02, 1.2, 0.036),
         ),
         id="adaptive",
     ),
@@ -53,8 +53,8 @@ def row_of_derivatives(case):
     """H of the voltage."""
     if len(case.h) == 2:
         return np.array([case.h[0], -1.0, -1.0, -1.0, case.h[1]])
-    slope, m, fast, tail, r0 = case.h
-    return np.array([slope, -fast, -tail, -tail, m, r0, 0.0])
+    slope, m, fast, r0 = case.h
+    return np.array([slope, -fast, -1.0, -1.0, m, r0, 0.0])
 
 
 @both
