@@ -209,7 +209,7 @@ def present_at(values: FloatArray, k: int, temperature_C: float) -> Present:
     )
     # fmt: on
     but = Correction(v[FAST], v[TAIL], v[BIAS])
-    return Present(cell, p, v[SOC_VARIANCE], v[MISMATCH], temperature_C, but, v[SCALE_VARIANCE],)  # fmt: skip
+    return Present(cell, p, v[SOC_VARIANCE], v[MISMATCH], temperature_C, but, v[SCALE_VARIANCE])
 
 
 @rows
