@@ -24,13 +24,11 @@ from cellwise import (
     OperatingLimits,
     TestLogs,
     identify_cell,
-    power_limits,
     power_settings,
 )
 from cellwise.cell.model import CellModel
-from cellwise.cell.simulate import model_temperature_C
-from cellwise.estimate.power.follower import PowerFollower
-from cellwise.estimate.sensing_kernels import Reading
+from cellwise.estimate.power.along import presents_along
+from cellwise.estimate.power.present_kernels import present_at
 from cellwise.identify.hppc.pulses import Pulse, find_pulses
 from cellwise.logs import CellLog
 
@@ -44,6 +42,7 @@ LEAF_TAGS = {10.0: "p10", 25.0: "p25", 40.0: "p40"}
 SAMSUNG = "samsung_30q_ageing"
 SAMSUNG_TAGS = {20.0: "p20", 30.0: "p30", 40.0: "p40"}
 RATES = ("0p5c", "1c", "2c")
+START_STD = 0.02
 BEYOND_V = 1.0  # beyond every pulse of these tests: the other limit is out of the way
 
 
@@ -87,38 +86,30 @@ def pulse_powers(
 ) -> list[PulsePower]:
     """What the filter says before each pulse, from a start at ``soc0``, and what was measured."""
     filter_ = estimator(model)
-    state = filter_.init(soc0, 0.02, 0.0)
-    before = {p.start - 1: p for p in pulses}
-    warm, usual_C = log.temperature_C, model_temperature_C(model)
-    wide = OperatingLimits(BEYOND_V, 4.0 + BEYOND_V)
-    follower = PowerFollower(power_settings(model, limits=wide))
+    last = max(p.relax_stop for p in pulses)
+    part = log.part(0, last)
+    trace = filter_.run(part, soc0, START_STD)
+    wide = power_settings(model, limits=OperatingLimits(BEYOND_V, 4.0 + BEYOND_V))
+    present, warm = presents_along(wide, filter_, part, trace, soc0, START_STD)
     found = []
-    for k in range(max(before, default=-1) + 1):
-        dt_s = float(log.interval_s[k])
-        temperature_C = usual_C if warm is None else float(warm[k])
-        current_A, voltage_V = float(log.interval_current_A[k]), float(log.voltage_V[k])
-        gap = bool(log.gap_rows[k])
-        state, info = filter_.step(state, current_A, voltage_V, temperature_C, dt_s=dt_s, gap=gap)
-        reading = Reading(current_A, voltage_V, temperature_C, dt_s, gap)
-        follower.take(reading, state, info.status)
-        if k not in before:
-            continue
-        pulse = before[k]
-        last = int(np.searchsorted(log.time_s, log.time_s[k] + 1.002 * HORIZON_S)) - 1
-        last = min(last, pulse.cc_stop - 1)
-        horizon_s = float(log.time_s[last] - log.time_s[k])
+    for pulse in pulses:
+        k = pulse.start - 1
+        end = int(np.searchsorted(log.time_s, log.time_s[k] + 1.002 * HORIZON_S)) - 1
+        end = min(end, pulse.cc_stop - 1)
+        horizon_s = float(log.time_s[end] - log.time_s[k])
         if horizon_s < SHORTEST_S:
             continue
-        end_V = float(log.voltage_V[last])
+        end_V = float(log.voltage_V[end])
         discharged = pulse.current_A > 0.0
         ends = (end_V, end_V + BEYOND_V) if discharged else (end_V - BEYOND_V, end_V)
-        able = power_limits(
-            model, state, horizons_s=(horizon_s,), limits=OperatingLimits(*ends, 1e3, 1e3),
-            temperature_C=temperature_C, hold="current", bias_V=follower.bias_V,
-        )[0]  # fmt: skip
+        asked = power_settings(
+            model, horizons_s=(horizon_s,), limits=OperatingLimits(*ends, 1e3, 1e3), hold="current"
+        )
+        (able,) = asked.of(present_at(present, k, float(warm[k])))
         way = able.discharge if discharged else able.charge
         power_W = abs(pulse.current_A * end_V)
-        found.append(PulsePower(pulse.current_A, state.soc, power_W, way.power_W, way.power_low_W))
+        soc = float(trace.soc[k])
+        found.append(PulsePower(pulse.current_A, soc, power_W, way.power_W, way.power_low_W))
     return found
 
 

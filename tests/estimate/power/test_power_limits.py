@@ -145,7 +145,7 @@ def test_of_draws_from_the_covariance_95_of_100_sustain_the_lower_bound(side):
     right = ModelError(white_V=1e-6, slow_V=(0.0,), resistance_share=0.0)
     model = linear_cell(error=right)
     p = uncorrelated(0.02**2, 0.004**2, 0.006**2, 0.0, 0.0)._replace(s1=3e-5, p12=-1e-5)
-    now = Present(LOADED, p, p.ss, 1.0, WARM_C, Correction(1.0, 1.0, 0.0), 0.0, False)
+    now = Present(LOADED, p, p.ss, 1.0, WARM_C, Correction(1.0, 1.0, 0.0), 0.0)
     limits = operating_limits(model, LIMITS).scalars()
     noise = replace(Noise.of_model(model), ocv_soc=0.0, current_A=0.0).scalars(model)
     found = largest_load(
@@ -182,7 +182,7 @@ def test_factors_and_bias_act_as_they_would_in_the_model():
         (aged, LOADED._replace(v1_V=0.04, v2_V=0.06), Correction(2.0, 2.0, 0.0)),
         (lower, LOADED, Correction(1.0, 1.0, -0.05)),
     ):
-        corrected = settings.of(Present(LOADED, nothing, 0.0, 1.0, WARM_C, but, 0.0, False))
+        corrected = settings.of(Present(LOADED, nothing, 0.0, 1.0, WARM_C, but, 0.0))
         known = power_limits(other, state, limits=LIMITS)
         for a, b in zip(corrected, known, strict=True):
             assert a.discharge.power_W == pytest.approx(b.discharge.power_W, rel=1e-5)
@@ -269,34 +269,3 @@ def test_what_no_power_can_be_computed_of_is_refused(options, says):
 def test_a_state_of_another_kind_is_refused(state):
     with pytest.raises(InputError, match="state = "):
         power_limits(curved_cell(), state, limits=LIMITS)
-
-
-@pytest.mark.parametrize("side", [1.0, -1.0])
-def test_a_voltage_that_is_known_now_leaves_only_what_changes(side):
-    """Draws of the states that all give the voltage measured now: the bound is sharper, and true.
-
-    What a draw has too much in one state its bias has too little: 95 of 100 sustain the bound.
-    """
-    right = ModelError(white_V=1e-6, slow_V=(0.0,), resistance_share=0.0)
-    model = linear_cell(error=right)
-    p = uncorrelated(0.02**2, 0.010**2, 0.010**2, 0.0, 0.0)
-    noise = replace(Noise.of_model(model), ocv_soc=0.0, current_A=0.0).scalars(model)
-    limits = operating_limits(model, LIMITS).scalars()
-    bounds = []
-    for anchored in (False, True):
-        now = Present(LOADED, p, p.ss, 1.0, WARM_C, Correction(1.0, 1.0, 0.0), 0.0, anchored)
-        found = largest_load(
-            model.parameters(), noise, limits, now, False, 10.0, side, 1.6449, 0.0
-        )  # fmt: skip
-        bounds.append(found[1])
-    assert bounds[1] > 1.005 * bounds[0]
-    cov = np.diag([p.ss, p.p11, p.p22])
-    draws = np.random.default_rng(4).multivariate_normal(LOADED[:3], cov, 4000)
-    limit_V = 3.0 if side > 0 else 4.2
-    slope = float(model.ocv_V[0, -1] - model.ocv_V[0, 0])
-    able = []
-    for soc, v1, v2 in draws:
-        shown = slope * (soc - LOADED.soc) - (v1 - LOADED.v1_V) - (v2 - LOADED.v2_V)
-        drawn = CellState(soc, v1, v2, 0.0, 0.0)
-        able.append(side * constant_current(model, drawn, limit_V + shown, 10.0))
-    assert np.mean(np.array(able) >= bounds[1]) == pytest.approx(0.95, abs=0.012)

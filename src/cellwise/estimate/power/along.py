@@ -106,10 +106,39 @@ def power_along(
     ----------
     soc0, soc0_std : float      where the estimator began
     """
+    announce(power_rows, "the state of power")
+    present, warm = presents_along(settings, estimator, log, trace, soc0, soc0_std)
+    horizons = np.array(settings.horizons_s)
+    out = np.empty((POWERS, horizons.size, len(log)))
+    limits: LimitScalars = settings.known.scalars()
+    power_rows(
+        settings.tables, settings.noise.scalars(settings.model), limits, settings.hold == "power",
+        horizons, present, warm, np.zeros((POWERS, horizons.size)), out,
+    )  # fmt: skip
+    return PowerTrace(
+        settings.horizons_s,
+        settings.hold,
+        settings.known,
+        out[DISCHARGE_W],
+        np.minimum(out[DISCHARGE_LOW_W], out[DISCHARGE_W]),
+        out[CHARGE_W],
+        np.minimum(out[CHARGE_LOW_W], out[CHARGE_W]),
+        settings.of(present_at(present, len(log) - 1, float(warm[-1]))),
+    )
+
+
+def presents_along(
+    settings: PowerSettings,
+    estimator: Estimator,
+    log: CellLog,
+    trace: Trace,
+    soc0: float,
+    soc0_std: float,
+) -> tuple[FloatArray, FloatArray]:
+    """What the power of every row is computed from: shape (PRESENT, rows), and temperatures."""
     tables = settings.tables
     warm = known_temperature_C(settings.model, log)
     present = np.zeros((PRESENT, len(log)))
-    announce(power_rows, "the state of power")
     if isinstance(estimator, KalmanFilter):
         rows = ukf_states if isinstance(estimator, Ukf) else ekf_states
         estimator.take_rows(rows, log, soc0, soc0_std, present)
@@ -125,20 +154,4 @@ def power_along(
             np.nan_to_num(np.ascontiguousarray(trace.soc_std, dtype=np.float64)),
             np.array(log.voltage_V), np.ascontiguousarray(trace.status, dtype=np.int32), present,
         )  # fmt: skip
-    horizons = np.array(settings.horizons_s)
-    out = np.empty((POWERS, horizons.size, len(log)))
-    limits: LimitScalars = settings.known.scalars()
-    power_rows(
-        tables, settings.noise.scalars(settings.model), limits, settings.hold == "power", horizons,
-        present, warm, np.zeros((POWERS, horizons.size)), out,
-    )  # fmt: skip
-    return PowerTrace(
-        settings.horizons_s,
-        settings.hold,
-        settings.known,
-        out[DISCHARGE_W],
-        np.minimum(out[DISCHARGE_LOW_W], out[DISCHARGE_W]),
-        out[CHARGE_W],
-        np.minimum(out[CHARGE_LOW_W], out[CHARGE_W]),
-        settings.of(present_at(present, len(log) - 1, float(warm[-1]))),
-    )
+    return present, warm

@@ -22,9 +22,9 @@ class PowerFollower:
         self._bias = no_bias()
 
     @property
-    def bias_V(self) -> float | None:
-        """Measured less modelled voltage of late [V]; None: no voltage was seen yet."""
-        return self._bias.voltage_V if self._bias.known else None
+    def bias_V(self) -> float:
+        """Measured less modelled voltage of late [V]; 0 before any was seen."""
+        return self._bias.voltage_V
 
     def take(
         self, reading: Reading, state: EkfState | AdaptiveState | CellState, status: int = 0

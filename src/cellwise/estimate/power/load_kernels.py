@@ -55,8 +55,7 @@ class Present(NamedTuple):
 
     ``soc_variance`` is that of the SOC with what a persistent model error may have brought into it,
     ``mismatch`` what the innovations have shown over their variance, ``scale_variance`` that of
-    the resistances' factors. ``anchored``: the bias is what the model is off by now, so
-    that only what changes over the horizon is uncertain.
+    the resistances' factors.
     """
 
     cell: CellState
@@ -66,7 +65,6 @@ class Present(NamedTuple):
     temperature_C: float
     but: Correction
     scale_variance: float
-    anchored: bool
 
 
 class Held(NamedTuple):
@@ -176,57 +174,18 @@ def held(
     # fmt: on
 
 
-@inline
-def changed(point: CellPoint, slope_V: float, share: float) -> CellPoint:
-    """A point with the slope by which it differs and the share of its slow error that is new."""
-    # fmt: off
-    return CellPoint(
-        point.ocv_V, slope_V, point.r0_ohm, point.r1_ohm, point.tau1_s, point.r2_ohm,
-        point.tau2_s, point.r3_ohm, point.tau3_s, point.m_V, share * point.error_V,
-        point.entropy_V, point.entropy_slope_V,
-    )
-    # fmt: on
-
-
-@inline
-def forgotten(noise: NoiseScalars, horizon_s: float) -> float:
-    r"""Share of a correlated error's deviation that is new after a horizon.
-
-    .. math:: \sqrt{1 - e^{-2 h / \tau_c}}
-    """
-    if noise.slow_s <= 0.0:
-        return 1.0
-    return math.sqrt(-math.expm1(-2.0 * horizon_s / noise.slow_s))
-
-
 @kernel
 def end_variance(
-    tables: CellTables,
-    noise: NoiseScalars,
-    now: Present,
-    load: Held,
-    horizon_s: float,
-    slope_V: float,
+    tables: CellTables, noise: NoiseScalars, now: Present, load: Held, slope_V: float
 ) -> float:
     """Variance of the voltage at the end of a load [V^2].
 
     Of the states, decayed over the horizon, with ``slope_V`` for the SOC; of the model as the
     filters have it, which grows with what the innovations have shown; of the resistances' factors.
-    Where the voltage now is known, states and slow error count by what they change until then.
     """
-    p = with_soc_variance(now.p, now.soc_variance)
-    t, point, m_V = load.t, load.point, load.point.m_V
-    if now.anchored:
-        x = now.cell
-        here = loaded(tables, x.soc, now.temperature_C + x.heat_K, 0.0, x.slow_A)
-        slope_V -= here.ocv_slope_V
-        ah = m_V * t.ah - here.m_V
-        t = Transition(t.a1 - 1.0, t.a2 - 1.0, t.a3 - 1.0, ah, 0.0, 0.0, 0.0, 0.0)
-        m_V = 1.0
-        change = point.ocv_slope_V - here.ocv_slope_V
-        point = changed(point, change, forgotten(noise, horizon_s))
-    d = column(decayed(p, t), slope_V, m_V)
-    states = max(explained(d, slope_V, m_V), 0.0)
+    p = decayed(with_soc_variance(now.p, now.soc_variance), load.t)
+    d = column(p, slope_V, load.point.m_V)
+    states = max(explained(d, slope_V, load.point.m_V), 0.0)
     x = load.end
     branches = abs(x.v1_V) + (abs(x.v2_V) + abs(x.v3_V))
     more = extrapolation_V(noise.valid, now.temperature_C, load.current_A, load.polarisation_V)
@@ -234,7 +193,7 @@ def end_variance(
         noise.valid, now.cell.soc
     )
     more += max(beyond, 0.0)
-    point = widened(point, abs(more))
+    point = widened(load.point, abs(more))
     model = voltage_variance(noise, point, point.r0_ohm, load.current_A, 0.0, branches)
     scaled = now.scale_variance * load.polarisation_V * load.polarisation_V
     return states + max(now.mismatch, 1.0) * model + scaled
@@ -268,5 +227,5 @@ def voltage_margin(
         if not low.possible:
             return low, 0.0
         slope = (there.voltage_V - low.voltage_V) / shift
-    off = math.sqrt(end_variance(tables, noise, now, there, horizon_s, slope))
+    off = math.sqrt(end_variance(tables, noise, now, there, slope))
     return there, sigmas * off

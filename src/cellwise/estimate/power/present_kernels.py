@@ -28,8 +28,8 @@ from cellwise.typing import FloatArray, IntArray
 BIAS_S = 30.0
 # Rows of the present: cell, covariance, then what else is known.
 CELL, COVARIANCE, REST = 0, 7, 22
-SOC_VARIANCE, MISMATCH, FAST, TAIL, BIAS, SCALE_VARIANCE, ANCHORED = range(REST, REST + 7)
-PRESENT = REST + 7
+SOC_VARIANCE, MISMATCH, FAST, TAIL, BIAS, SCALE_VARIANCE = range(REST, REST + 6)
+PRESENT = REST + 6
 UNUSED = INNOVATION_REJECTED | VOLTAGE_INVALID | VOLTAGE_FROZEN
 # What is written for each horizon.
 DISCHARGE_W, DISCHARGE_LOW_W, CHARGE_W, CHARGE_LOW_W = range(4)
@@ -108,7 +108,6 @@ def put_state(out: FloatArray, k: int, state: EkfState, info: EkfInfo, bias: Bia
     out[TAIL, k] = 1.0
     out[BIAS, k] = bias.voltage_V
     out[SCALE_VARIANCE, k] = 0.0
-    out[ANCHORED, k] = bias.known
 
 
 @rows
@@ -196,7 +195,6 @@ def carried_states(
         out[SOC_VARIANCE, k] = variance
         out[MISMATCH, k] = 1.0
         out[BIAS, k] = bias.voltage_V
-        out[ANCHORED, k] = bias.known
 
 
 @inline
@@ -211,8 +209,7 @@ def present_at(values: FloatArray, k: int, temperature_C: float) -> Present:
     )
     # fmt: on
     but = Correction(v[FAST], v[TAIL], v[BIAS])
-    return Present(cell, p, v[SOC_VARIANCE], v[MISMATCH], temperature_C, but, v[SCALE_VARIANCE],
-                   v[ANCHORED] > 0.0)  # fmt: skip
+    return Present(cell, p, v[SOC_VARIANCE], v[MISMATCH], temperature_C, but, v[SCALE_VARIANCE])
 
 
 @rows

@@ -138,7 +138,7 @@ def power_limits(
     temperature_C: float | None = None,
     hold: Hold = "power",
     noise: Noise | None = None,
-    bias_V: float | None = None,
+    bias_V: float = 0.0,
 ) -> tuple[StateOfPower, ...]:
     """Power that a cell can give and take for some seconds within its limits.
 
@@ -159,9 +159,8 @@ def power_limits(
                                       largest currents of its data
     temperature_C : float or None     of the surface now [degC]; None: the model's own
     noise : Noise or None             None: from the model's own validation error
-    bias_V : float or None            measured less modelled voltage now, taken to stay over the
-                                      horizon [V]: the bound is then that of what changes until its
-                                      end; None: not known
+    bias_V : float                    measured less modelled voltage of late, taken to stay over
+                                      the horizon [V]; see `PowerFollower`
 
     Returns
     -------
@@ -183,14 +182,13 @@ def power_limits(
 
 
 def present_of(
-    state: EkfState | AdaptiveState | CellState, temperature_C: float, bias_V: float | None = None
+    state: EkfState | AdaptiveState | CellState, temperature_C: float, bias_V: float = 0.0
 ) -> Present:
     """A filter's state, or a cell's that is known exactly, as the kernels take it."""
-    known = bias_V is not None
-    but = AS_MODEL._replace(bias_V=0.0 if bias_V is None else bias_V)
+    but = AS_MODEL._replace(bias_V=bias_V)
     if isinstance(state, CellState):
         exact = uncorrelated(0.0, 0.0, 0.0, 0.0, 0.0)
-        return Present(state, exact, 0.0, 1.0, temperature_C, but, 0.0, known)
+        return Present(state, exact, 0.0, 1.0, temperature_C, but, 0.0)
     if isinstance(state, AdaptiveState):
         r = state.resistances
         but = but._replace(fast=r.fast, tail=r.tail)
@@ -199,5 +197,5 @@ def present_of(
     else:
         p, scale_variance = state.p, 0.0
     return Present(
-        state.cell, p, state.soc_std**2, state.mismatch, temperature_C, but, scale_variance, known
+        state.cell, p, state.soc_std**2, state.mismatch, temperature_C, but, scale_variance
     )  # fmt: skip
