@@ -91,10 +91,7 @@ def test_none_and_undetermined_are_said():
     rivals = (Weighed(("current_offset",), 0.6), Weighed(("current_gain",), 0.4))
     open_verdict = replace(none, verdict="undetermined", competing=rivals)
     assert "do not separate current offset from current gain" in diagnosis_finding(open_verdict)
-    said = ("capacity fits not", "hysteresis and capacity explain the same equally well")
-    told = diagnosis_finding(replace(open_verdict, reasons=said))
-    assert "do not separate capacity from hysteresis" in told
-    quiet = replace(open_verdict, candidates=(), reasons=("the log is too short",))
+    quiet = replace(open_verdict, competing=(), reasons=("the log is too short",))
     assert "the log is too short" in diagnosis_finding(quiet)
 
 
