@@ -201,7 +201,7 @@ def test_what_the_logs_could_show_is_said_before_what_they_show(diagnosed):
     assert 0.0 < limit < OFFSET_A
     (first, *_) = found["competing"]
     assert first["causes"] == ["current_offset"]
-    assert first["probability"] == pytest.approx(found["causes"][0]["probability"])
+    assert first["probability"] <= found["causes"][0]["probability"]  # of all sets that hold it
     assert found["causes"][0]["probability"] > 0.9
     assert found["next_test"]
 

@@ -60,6 +60,7 @@ def decided(fits: CauseFits) -> Outcome:
     return decide(sets)
 
 
+@pytest.mark.slow
 def test_a_cause_that_another_makes_needless_is_not_named():
     found = decided(fits_of(0.9, 1.0))
     assert [c.name for c in found.causes] == ["capacity"]
@@ -67,6 +68,7 @@ def test_a_cause_that_another_makes_needless_is_not_named():
     assert abs(found.fit.z["ln_gain"]) < 0.006  # within its tolerance
 
 
+@pytest.mark.slow
 def test_two_that_only_explain_together_are_both_named():
     found = decided(fits_of(1.1, 1.06))
     assert {c.name for c in found.causes} == {"current_gain", "capacity"}
@@ -74,6 +76,7 @@ def test_two_that_only_explain_together_are_both_named():
     assert np.exp(found.fit.z["ln_capacity"]) == pytest.approx(1.1, abs=0.015)
 
 
+@pytest.mark.slow
 def test_nothing_is_named_where_nothing_is_wrong():
     found = decided(fits_of(1.0, 1.0))
     assert found.accepted == ()

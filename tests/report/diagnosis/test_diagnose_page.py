@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 
 from cellwise.cell.simulate import simulate
+from cellwise.diagnose.decision.posterior import Weighed
 from cellwise.report.diagnosis.page import diagnose_page, diagnosis_sections
 from cellwise.report.diagnosis.pictures import candidates_finding
 from cellwise.report.diagnosis.statements import change, diagnosis_finding, statement
@@ -87,12 +88,10 @@ def test_none_and_undetermined_are_said():
     none = diagnosis()
     assert "no error beyond the stated one" in diagnosis_finding(none)
     assert millivolt(none.runs[1].before.metrics.rmse_V) in diagnosis_finding(none)
-    open_verdict = replace(none, verdict="undetermined")
+    rivals = (Weighed(("current_offset",), 0.6), Weighed(("current_gain",), 0.4))
+    open_verdict = replace(none, verdict="undetermined", competing=rivals)
     assert "do not separate current offset from current gain" in diagnosis_finding(open_verdict)
-    said = ("capacity fits not", "hysteresis and capacity explain the same equally well")
-    told = diagnosis_finding(replace(open_verdict, reasons=said))
-    assert "do not separate capacity from hysteresis" in told
-    quiet = replace(open_verdict, candidates=(), reasons=("the log is too short",))
+    quiet = replace(open_verdict, competing=(), reasons=("the log is too short",))
     assert "the log is too short" in diagnosis_finding(quiet)
 
 

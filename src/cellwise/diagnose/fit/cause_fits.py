@@ -68,7 +68,7 @@ class CauseFits:
             found = complete(self.objective(noise), found, prior)
             left = self.evidence.voltage_V - found.voltage_V
             size, used = rmse(left, self._used()), self._used()
-            if size > rmse(stated, used):  # what is left is not the stated error
+            if size > rmse(stated, used):  # the residual is not the stated error
                 memory = memory_of(self.evidence, left, model.error.correlation_s)
                 self.weight = row_weights(self.evidence, memory)
             self.stated_V = np.hypot(stated, SHAPE_SHARE * size)

@@ -1,4 +1,4 @@
-"""The size of what is left."""
+"""Root mean square of a residual."""
 
 from __future__ import annotations
 
