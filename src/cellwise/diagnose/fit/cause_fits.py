@@ -61,7 +61,8 @@ class CauseFits:
         model = self.coordinates.model
         voltage, soc = self.evidence.simulate(self.coordinates, prior.mean)
         stated = stated_V(model, self.evidence, soc, voltage)
-        self.weight = row_weights(self.evidence, model.error.correlation_s)
+        memory_soc = model.error.correlation_soc
+        self.weight = row_weights(self.evidence, model.error.correlation_s, soc, memory_soc)
         self.stated_V, noise = stated, Noise()
         found = self.fit(noise, self.coordinates, prior, prior.mean, 5)
         for _ in range(2):
@@ -70,7 +71,7 @@ class CauseFits:
             size, used = rmse(left, self._used()), self._used()
             if size > rmse(stated, used):  # the residual is not the stated error
                 memory = memory_of(self.evidence, left, model.error.correlation_s)
-                self.weight = row_weights(self.evidence, memory)
+                self.weight = row_weights(self.evidence, memory, soc, memory_soc)
             self.stated_V = np.hypot(stated, SHAPE_SHARE * size)
             noise = self.noise(found, prior)
             found = self.fit(noise, self.coordinates, prior, found.z, 4)

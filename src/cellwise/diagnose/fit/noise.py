@@ -2,7 +2,8 @@
 
 What a model states of its error (:class:`cellwise.cell.model.ModelError`) stays for about
 ``correlation_s``; an error beyond it is another one, and stays no longer than it remembers itself.
-A log of length t holds 1 + t / (2 tau) independent errors, however many rows it has. How far the
+A log of length t over a SOC range s holds 1 + t / (2 tau) + s / (2 l) independent errors, however
+many rows it has, with l the model's ``correlation_soc`` where it states one. How far the
 statement itself is off is not known: its scale has an inverse-gamma prior, worth so many errors,
 and what causes leave unexplained counts less the more of it there is.
 """
@@ -58,13 +59,24 @@ class KnownScale:
         return -self.errors * math.log(scale) - 0.5 * self.square / scale**2
 
 
-def row_weights(evidence: Evidence, memory_s: float) -> FloatArray:
-    """How much every scored row counts: the used rows of a log sum up to its independent errors."""
+def row_weights(
+    evidence: Evidence,
+    memory_s: float,
+    soc: FloatArray | None = None,
+    memory_soc: float | None = None,
+) -> FloatArray:
+    """How much every scored row counts: the used rows of a log sum up to its independent errors.
+
+    ``memory_soc`` is how far along the SOC an error stays the same, None: not known; ``soc`` the
+    SOC of every scored row.
+    """
     weights = []
     for log, rows in evidence.each():
         used = evidence.known[rows] & (evidence.role[rows] != IGNORED)
         span = float(log.clock_s[-1] - log.clock_s[0])
         errors = 1.0 + span / (2.0 * memory_s)
+        if soc is not None and memory_soc is not None and used.any():
+            errors += float(np.ptp(soc[rows][used])) / (2.0 * memory_soc)
         weights.append(np.full(log.scored, min(errors / max(int(used.sum()), 1), 1.0)))
     return np.concatenate(weights)
 
