@@ -34,7 +34,7 @@ class Starts(NamedTuple):
 
 
 class Pieces(NamedTuple):
-    """Of every row, shape (n,): its piece of the log, and how much of an unknown past is left."""
+    """Of every row, shape (n,): its piece of the log, and the share of an unknown past that remains."""
 
     number: IndexArray
     past: FloatArray
@@ -43,7 +43,7 @@ class Pieces(NamedTuple):
 class PieceSums(NamedTuple):
     """Of every start over every piece, shape (m, pieces), and how far SOC left 0..1, shape (m,).
 
-    Squared errors, errors times what is left of the past, the model's own variance.
+    Squared errors, errors times the share of the past that remains, the model's own variance.
     """
 
     squares_V2: FloatArray
