@@ -34,7 +34,7 @@ class Starts(NamedTuple):
 
 
 class Pieces(NamedTuple):
-    """Of every row, shape (n,): its piece of the log, and the share of an unknown past that remains."""
+    """Shape (n,): the piece of the log a row is of, what share of an unknown past remains."""
 
     number: IndexArray
     past: FloatArray
