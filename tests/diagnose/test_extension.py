@@ -7,6 +7,7 @@ import pytest
 
 from cellwise.cell.effects import ChargeTransfer, SurfaceSoc
 from cellwise.cell.initial_soc import InitialSoc
+from cellwise.cell.model import ModelError
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.cell.simulate import simulate
 from cellwise.diagnose import diagnose
@@ -47,8 +48,11 @@ def test_the_extended_model_is_what_the_fit_has_seen(effects, away):
 @pytest.mark.parametrize("effect", [ChargeTransfer(60.0), SurfaceSoc(0.06, 200.0, 1500.0)])
 @pytest.mark.parametrize("cause", ["resistance_scale", "current_offset"])
 def test_a_model_with_such_an_effect_is_diagnosed_and_keeps_it(cause, effect):
-    """What is wrong is found beside the effect, which stays in the model as it was."""
-    model = curved_cell(effects=(effect,))
+    """What is wrong is found beside the effect, which stays in the model as it was.
+
+    The model states no more error than these logs have.
+    """
+    model = curved_cell(effects=(effect,), error=ModelError(1e-3, (1e-3,), 60.0, 0.01))
     logs = []
     for seed in (2, 3):
         asked = drive(seed, 3000)
