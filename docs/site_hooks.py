@@ -27,12 +27,14 @@ GROUPS = {
     "Forecast": "cellwise.forecast",
     "Diagnosis": "cellwise.diagnose",
     "Data": "cellwise.data",
+    "Progress": "cellwise.progress",
     "Errors": "cellwise.errors",
 }
 MORE = {
     "Streams": ("cellwise.live.LiveFilter", "cellwise.live.Sample", "cellwise.live.run_live"),
     "Fleets": ("cellwise.fleet.run_fleet", "cellwise.fleet.ReplayTask",
-               "cellwise.fleet.DiagnoseTask"),
+               "cellwise.fleet.DiagnoseTask", "cellwise.fleet.PackTask",
+               "cellwise.fleet.HistoryTask"),
     "Pages": ("cellwise.report.identify_page", "cellwise.report.replay_page",
               "cellwise.report.diagnose_page"),
     "Originals": ("cellwise.originals.fetch_original", "cellwise.originals.import_original"),

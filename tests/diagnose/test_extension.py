@@ -46,7 +46,9 @@ def test_the_extended_model_is_what_the_fit_has_seen(effects, away):
 
 
 @pytest.mark.parametrize("effect", [ChargeTransfer(60.0), SurfaceSoc(0.06, 200.0, 1500.0)])
-@pytest.mark.parametrize("cause", ["resistance_scale", "current_offset"])
+@pytest.mark.parametrize(
+    "cause", [pytest.param("resistance_scale", marks=pytest.mark.slow), "current_offset"]
+)
 def test_a_model_with_such_an_effect_is_diagnosed_and_keeps_it(cause, effect):
     """What is wrong is found beside the effect, which stays in the model as it was.
 

@@ -20,7 +20,7 @@ from hidden_cases import Plan, hidden_case, random_pair
 from hidden_score import SMALL_V, Outcome, allowed_misses, judge
 
 FIXED = 41_000
-QUICK = ("voltage_offset", "capacity", "resistance_scale")  # instrument, drift, drop
+QUICK = ("voltage_offset", "resistance_scale")  # an instrument's, a cell's; the others are slow
 ROWS = 4000
 # Shares that the build may miss: what it missed on development seeds (1 of 90 singles, 1 of 12
 # with nothing hidden) and on the fixed ones below, rounded up. The targets are 0.05, 0.05, 0.20.
