@@ -1928,17 +1928,21 @@ uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwis
 /* ---- fixed_power.py: State of power of the fixed step: the largest constant current over one
  * horizon. */
 
+#if CELLWISE_POWER
 /* The voltage at the end of a current, and its variance without what the SOC brings. */
 typedef struct {
     float voltage_V;
     float variance_V2;
 } cellwise_ending;
+#endif
 
+#if CELLWISE_POWER
 /* Power one way: the value, and what is sustained with 95 %. */
 typedef struct {
     float power_W;
     float low_W;
 } cellwise_way;
+#endif
 
 #if CELLWISE_POWER
 /* A constant current over the horizon, from `soc`, in one interval. What the states share is

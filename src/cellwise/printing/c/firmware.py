@@ -198,7 +198,8 @@ def print_source() -> str:
         lines += [*comment(f"---- {name}.py: {about}"), ""]
         for node in source.tree.body:
             if isinstance(node, ast.ClassDef):
-                lines += [*named_tuple(node, made.structs[node.name]), ""]
+                made_so = named_tuple(node, made.structs[node.name])
+                lines += [*inside(made_so, used_under(node.name, made, found)), ""]
             elif isinstance(node, ast.FunctionDef) and node.name in made.functions:
                 lines += [*function(made.functions[node.name], found[node.name]), ""]
     return "\n".join(lines)
@@ -206,9 +207,24 @@ def print_source() -> str:
 
 def function(one: Function, called: set[Guard]) -> list[str]:
     """A function of C, where it is called at all."""
-    name, condition = one.node.name, any_of(called)
-    text = one.text(PUBLIC.get(name, name), name not in PUBLIC)
-    return [f"#if {condition}", *text, "#endif"] if condition else text
+    name = one.node.name
+    return inside(one.text(PUBLIC.get(name, name), name not in PUBLIC), called)
+
+
+def inside(lines: list[str], guards: set[Guard]) -> list[str]:
+    """Lines that are there under one of the guards."""
+    condition = any_of(guards)
+    return [f"#if {condition}", *lines, "#endif"] if condition else lines
+
+
+def used_under(struct_name: str, made: Program, found: dict[str, set[Guard]]) -> set[Guard]:
+    """Under which options a function is there that uses a struct."""
+    type_name = f"cellwise_{struct_name.lower()} "
+    guards: set[Guard] = set()
+    for name, one in made.functions.items():
+        if any(type_name in line for line in one.text(name, True)):
+            guards |= found[name]
+    return guards
 
 
 def print_header() -> str:
@@ -224,6 +240,7 @@ def print_header() -> str:
         "output": record("cellwise_output", layout.OUTPUT_FIELDS),
         "capability": record("cellwise_capability", layout.CAPABILITY_FIELDS),
     }
+    blocks["capability"] = inside(blocks["capability"], {GUARDS["power"]})
     for name, public in PUBLIC.items():
         f = made.functions[name]
         said = f.signature(public, False)
