@@ -318,14 +318,12 @@ uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwis
                        cellwise_output *out);
 
 /* State of power, where it is compiled in. Never NaN, never infinite. */
-#if CELLWISE_POWER
 typedef struct {
     float discharge_W; /* what the cell can give, */
     float discharge_low_W; /* and sustains with 95 % */
     float charge_W; /* what it can take, without sign, */
     float charge_low_W; /* and sustains with 95 % */
 } cellwise_capability;
-#endif
 
 #if CELLWISE_POWER
 /* What the cell can give and take for the horizon that the tables hold; nothing is changed. The

@@ -240,7 +240,6 @@ def print_header() -> str:
         "output": record("cellwise_output", layout.OUTPUT_FIELDS),
         "capability": record("cellwise_capability", layout.CAPABILITY_FIELDS),
     }
-    blocks["capability"] = inside(blocks["capability"], {GUARDS["power"]})
     for name, public in PUBLIC.items():
         f = made.functions[name]
         said = f.signature(public, False)
