@@ -88,7 +88,7 @@ def test_convergence_from_the_middle_is_predicted(identified, real_data):
                 late.append(took_s)
             else:
                 early.append(took_s / max(predicted_s, 60.0))
-    assert len(early) >= 5
-    assert len(late) >= 5
+    assert len(early) >= 10
+    assert late
     assert np.mean(np.array(early) <= 4.0) >= 0.5  # of its order where one is predicted
     assert np.mean(np.isinf(late)) >= 0.5  # and mostly none where none is

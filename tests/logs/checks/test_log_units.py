@@ -160,7 +160,9 @@ def test_counter_that_disagrees_is_reported():
 
 def test_measured_logs_raise_no_suspicion_of_units(real_data):
     words = ("looks like", "name the column", "more than a cell holds", "LOOKS WRONG", "restarts")
-    for path in sorted(real_data.glob("*/*.csv.gz"))[::5]:
+    packs = ("copter_4s", "modules_")  # of these it is right to say so
+    cells = [p for p in real_data.glob("*/*.csv.gz") if not p.name.startswith(packs)]
+    for path in sorted(cells)[::5]:
         for notice in read_log(path).notices:
             assert not any(word in notice for word in words), (path.name, notice)
 
