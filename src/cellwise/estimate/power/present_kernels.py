@@ -110,6 +110,17 @@ def put_state(out: FloatArray, k: int, state: EkfState, info: EkfInfo, bias: Bia
     out[SCALE_VARIANCE, k] = 0.0
 
 
+@inline
+def bias_after(
+    tables: CellTables, bias: Bias, state: EkfState, start: EkfStart, reading: Reading, status: int
+) -> Bias:
+    """The bias after a filter's step, at the temperature it has last known."""
+    warm_C = state.watch.temperature_C
+    if not math.isfinite(warm_C):
+        warm_C = start.temperature_C
+    return bias_step(tables, bias, state.cell, AS_MODEL, reading, warm_C, status)
+
+
 @rows
 def ekf_states(
     tables: CellTables,
@@ -124,11 +135,7 @@ def ekf_states(
     bias = no_bias()
     for k in range(log.dt_s.size):
         state, info = ekf_step(tables, noise, start, state, reading_of(log, k))
-        reading = reading_of(log, k)
-        warm_C = state.watch.temperature_C
-        if not math.isfinite(warm_C):
-            warm_C = start.temperature_C
-        bias = bias_step(tables, bias, state.cell, AS_MODEL, reading, warm_C, info.status)
+        bias = bias_after(tables, bias, state, start, reading_of(log, k), info.status)
         put_state(out, k, state, info, bias)
 
 
@@ -147,11 +154,7 @@ def ukf_states(
     bias = no_bias()
     for k in range(log.dt_s.size):
         state, info = ukf_step(tables, noise, sigma, start, state, reading_of(log, k))
-        reading = reading_of(log, k)
-        warm_C = state.watch.temperature_C
-        if not math.isfinite(warm_C):
-            warm_C = start.temperature_C
-        bias = bias_step(tables, bias, state.cell, AS_MODEL, reading, warm_C, info.status)
+        bias = bias_after(tables, bias, state, start, reading_of(log, k), info.status)
         put_state(out, k, state, info, bias)
 
 
