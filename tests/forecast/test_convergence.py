@@ -12,7 +12,7 @@ from cellwise.estimate.estimators import make_estimator
 from cellwise.estimate.replay import replay
 from cellwise.forecast.convergence import expected_convergence
 from cellwise.logs.cell_log import CellLog
-from example_cells import curved_cell, lfp_cell
+from example_cells import curved_cell, lfp_cell, within_its_error
 
 TRUE_START = 0.75
 
@@ -78,14 +78,7 @@ def test_of_cells_within_the_model_s_error_half_converge_by_then():
     ekf = make_estimator("ekf", model)
     early, errors = [], []
     for seed in range(40):
-        share = 1.0 + model.error.resistance_share * rng.normal()
-        truth = replace(
-            model,
-            r0_ohm=model.r0_ohm * share,
-            r1_ohm=model.r1_ohm * share,
-            r2_ohm=model.r2_ohm * share,
-            ocv_V=model.ocv_V + model.error.slow_V[0] * rng.normal(),
-        )
+        truth = within_its_error(model, rng)
         run = judged(model, seed, truth, wrong=0.15 * np.sign(rng.normal()))
         expected = expected_convergence(model, run, ekf)
         took, predicted = run.convergence_s, expected.convergence_s

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from cellwise.cell.effects import Hysteresis, SlowDiffusion, TemperatureDependence, TimeSkew
@@ -53,6 +55,18 @@ EFFECTS = (
     TemperatureDependence(activation_K=2500.0, reference_C=25.0),
     TimeSkew(skew_s=0.4),
 )
+
+
+def within_its_error(model: CellModel, rng: np.random.Generator) -> CellModel:
+    """A cell as far from its model as the model states: OCV and resistances are off."""
+    share = 1.0 + model.error.resistance_share * rng.normal()
+    return replace(
+        model,
+        r0_ohm=model.r0_ohm * share,
+        r1_ohm=model.r1_ohm * share,
+        r2_ohm=model.r2_ohm * share,
+        ocv_V=model.ocv_V + model.error.slow_V[0] * rng.normal(),
+    )
 
 
 def random_model(

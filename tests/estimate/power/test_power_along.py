@@ -17,7 +17,7 @@ from cellwise.estimate.power.state_of_power import power_limits, power_settings
 from cellwise.estimate.replay import replay
 from cellwise.estimate.sensing_kernels import Reading
 from cellwise.logs.cell_log import CellLog
-from example_cells import curved_cell
+from example_cells import curved_cell, within_its_error
 
 CELL = curved_cell(voltage_min_V=2.8, voltage_max_V=4.2)
 START = 0.7
@@ -109,14 +109,7 @@ def test_the_bound_holds_for_a_cell_that_is_not_the_model():
     settings = power_settings(CELL, horizons_s=(10.0,), hold="current")
     held, worth = [], []
     for seed in range(60):
-        share = 1.0 + CELL.error.resistance_share * rng.normal()
-        truth = replace(
-            CELL,
-            r0_ohm=CELL.r0_ohm * share,
-            r1_ohm=CELL.r1_ohm * share,
-            r2_ohm=CELL.r2_ohm * share,
-            ocv_V=CELL.ocv_V + CELL.error.slow_V[0] * rng.normal(),
-        )
+        truth = within_its_error(CELL, rng)
         log, _ = drive(100 + 10 * (seed % 20), seed, truth)
         found = replay(CELL, log, "ekf", soc0=START, soc0_std=0.03, power=settings)
         low = found.power.last[0].discharge
