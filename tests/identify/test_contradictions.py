@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise import InputError, load_dataset, read_log
+from cellwise import CellLog, InputError, load_dataset, read_log
 from cellwise.cell.plausibility.notice import Notice, in_order
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell
 from cellwise.identify.contradictions import (
@@ -160,6 +160,30 @@ def test_the_charge_from_full_to_empty_is_that_of_one_discharge(low_rate):
     assert found == pytest.approx(CAPACITY, rel=0.03)
     half = low_rate.part(0, len(low_rate) // 4)
     assert whole_charge_Ah(half, [*others, Tested(half, 25.0, False, True)]) is None
+
+
+def test_the_plateau_of_a_narrow_window_is_neither_full_nor_empty():
+    """Pulses down to the lower limit all along an LFP plateau, and a slow cycle of the same cell."""
+    from cellwise.identify.contradictions import Tested
+
+    capacity, points = 6.4, 4001
+    soc = np.linspace(1.0, 0.0, points)
+    ocv = 3.25 + 0.10 * (soc - 0.5) + 0.06 * np.exp(-40 * (1 - soc)) - 0.5 * np.exp(-30 * soc)
+    hours = np.linspace(0.0, 20.0, points)
+    pulses = np.where(np.arange(points) % 400 > 390, 4.0 * capacity, capacity / 20.0)
+    charge = capacity * (1.0 - soc)
+
+    def log(current, name):
+        volts, warm = ocv - 0.01 * current, np.full(points, 25.0)
+        return CellLog(3600.0 * hours, current, volts, warm, charge_Ah=charge, name=name)
+
+    logs = [
+        Tested(log(pulses, "pulses"), 25.0, True, True),
+        Tested(log(np.full(points, capacity / 20.0), "slow"), 25.0, False, True),
+    ]
+    assert np.ptp([one.log.voltage_V for one in logs]) < 1.0
+    for one in logs:
+        assert whole_charge_Ah(one.log, logs) == pytest.approx(capacity, rel=0.02)
 
 
 @pytest.mark.parametrize("late", [0, 1, 2])

@@ -39,7 +39,10 @@ FAR_BELOW = 4.0
 WARM_C = 20.0  # a colder cell meets its lower limit under load when it is far from empty
 MUCH_CHARGE = 1.15
 NEAR_NOMINAL = 1.25
+# Full and empty lie so near to the ends of the voltages seen; of a window as narrow as an LFP
+# cell's, less: its plateau is neither.
 TOP_V, BOTTOM_V = 0.15, 0.6
+TOP_SHARE, BOTTOM_SHARE = 0.1, 0.35
 # Steps of 0.1 s and of some seconds show the ohmic resistance with more or less of the first
 # branch, within a factor of 2; ten times the current shows a tenth. The voltage of some loggers
 # comes a row or two after the current.
@@ -224,15 +227,15 @@ def whole_charge_Ah(log: CellLog, others: Sequence[Tested]) -> float | None:
         return None
     top = max(float(np.nanmax(one.log.voltage_V)) for one in others)
     bottom = min(float(np.nanmin(one.log.voltage_V)) for one in others)
-    if bottom + BOTTOM_V > top - TOP_V:
-        return None
+    full_V = top - min(TOP_V, TOP_SHARE * (top - bottom))
+    empty_V = bottom + min(BOTTOM_V, BOTTOM_SHARE * (top - bottom))
     # Under a heavy load a cell is not empty at its lowest voltage.
     voltage = log.voltage_V + (step_resistance(log) or 0.0) * log.known_current_A()
     last = int(np.nanargmin(voltage))
-    full = np.flatnonzero(voltage[: last + 1] >= top - TOP_V)
-    if full.size == 0 or voltage[last] > bottom + BOTTOM_V:
+    full = np.flatnonzero(voltage[: last + 1] >= full_V)
+    if full.size == 0 or voltage[last] > empty_V:
         return None
-    empty = np.flatnonzero(voltage[: int(full[-1])] <= bottom + BOTTOM_V)
+    empty = np.flatnonzero(voltage[: int(full[-1])] <= empty_V)
     begun = full[full > empty[-1]] if empty.size else full
     charge = log.counted_charge_Ah()
     moved = float(charge[last] - np.min(charge[begun]))
