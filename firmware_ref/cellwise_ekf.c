@@ -6,6 +6,7 @@
 /* Constants of the algorithm. */
 #define SIXTH 0x1.555556p-3f /* 0.166667 */
 #define TWENTY_FOURTH 0x1.555556p-5f /* 0.0416667 */
+#define LARGEST_FLOAT 0x1.fffffep+127f /* 3.40282e+38 */
 #define KNOW_NOTHING_SOC 0.5f
 #define KNOW_NOTHING_VARIANCE 0x1.70a3d8p-4f /* 0.09 */
 #define SOC_VARIANCE_MOST 1.0f /* SOC lies in 0..1: more says nothing */
@@ -47,6 +48,13 @@
 #define FROZEN_READINGS 3u
 #define POWER_TRIALS 8u
 #define LEAST_SPAN_V 0x1.12e0bep-30f /* 1e-09: between the ends of a bracket: it is divided by */
+#define THREE_CELLS 3u /* that may limit a pack's power */
+#define CELL_MOST 0x1.ccccccp-1f /* 0.9: of a cell's capacity or resistance may be missing, */
+#define SCALE_MOST 19.0f /* and as many times its resistance be added */
+#define LEAST_SHARE 0x1.99999ap-4f /* 0.1: of the capacity that a history gives */
+#define MOST_SHARE 2.0f /* of the capacity that a history gives */
+#define LEAST_SCALE 0x1.99999ap-4f /* 0.1: of the resistances */
+#define MOST_SCALE 20.0f /* of the resistances */
 #define SUSTAINED 0x1.a5182ap+0f /* 1.6449: one-sided 95 % of a normal distribution */
 #define FROZEN 0xFFFFFFFFu /* repeats of a voltage that was found frozen */
 #define COUNT_MOST 2000000000u
@@ -254,6 +262,19 @@ static void under_surface(const cellwise_constants *c, const cellwise_state *x,
 }
 #endif
 
+#if CELLWISE_LIFE
+/* The same place with the resistances that a history gives. */
+static void aged(const cellwise_state *x, const cellwise_place *at, cellwise_place *place)
+{
+    place->low = at->low;
+    place->weight = at->weight;
+    place->scale = at->scale * x->resistance_scale;
+#if CELLWISE_SURFACE
+    place->lag = at->lag;
+#endif
+}
+#endif
+
 /* Lower point of the SOC interval that holds x, a SOC in units of the grid. */
 static uint32_t index_of(float x, uint32_t points)
 {
@@ -332,7 +353,7 @@ static void look_up(const cellwise_model *m, const cellwise_place *place, float 
 #if CELLWISE_HYSTERESIS
     point->m_V = READ(k, m_V, g);
 #endif
-#if (CELLWISE_ARRHENIUS > 0) || CELLWISE_RATE || CELLWISE_ASYMMETRY
+#if (CELLWISE_ARRHENIUS > 0) || CELLWISE_RATE || CELLWISE_ASYMMETRY || CELLWISE_LIFE || CELLWISE_CELLS
     float scale = place->scale;
 #if CELLWISE_ASYMMETRY
     if (current < 0.0f) {
@@ -1005,8 +1026,40 @@ static bool is_sound(const cellwise_constants *c, const cellwise_state *x)
         return false;
     }
 #endif
+#if CELLWISE_LIFE
+    if (!POSITIVE_WITHIN(x->per_capacity, 1.0f / MOST_SHARE, 1.0f / LEAST_SHARE)) {
+        return false;
+    }
+    if (!POSITIVE_WITHIN(x->resistance_scale, LEAST_SCALE, MOST_SCALE)) {
+        return false;
+    }
+#endif
+#if CELLWISE_CELLS
+    if (!SIZE_WITHIN(x->mean_V, LARGE)) {
+        return false;
+    }
+#endif
     return covariance_is_sound(x);
 }
+
+#if CELLWISE_LIFE
+/* What a history says of the cell beside the model: its capacity, and all its resistances. Kept
+ * in the state. Returns 0, or CELLWISE_OUT_OF_RANGE where nothing is taken: a share outside
+ * 0.1..2, a scale outside 0.1..20, a state that is not sound. */
+uint32_t cellwise_learn(const cellwise_model *m, cellwise_state *x, float capacity_share,
+                        float resistance_scale)
+{
+    uint32_t status = CELLWISE_OUT_OF_RANGE;
+    const bool share = POSITIVE_WITHIN(capacity_share, LEAST_SHARE, MOST_SHARE);
+    const bool scale = POSITIVE_WITHIN(resistance_scale, LEAST_SCALE, MOST_SCALE);
+    if (share && scale && is_sound(&m->constant, x)) {
+        x->per_capacity = 1.0f / capacity_share;
+        x->resistance_scale = resistance_scale;
+        status = 0u;
+    }
+    return status;
+}
+#endif
 
 /* A cell at rest; its branches are guessed at the first sample. */
 static APART void start(const cellwise_constants *c, cellwise_state *x, float soc,
@@ -1047,6 +1100,15 @@ static APART void start(const cellwise_constants *c, cellwise_state *x, float so
     x->repeats = 0u;
     x->no_current = 0u;
     x->no_voltage = 0u;
+#endif
+#if CELLWISE_LIFE
+    x->per_capacity = 1.0f;
+    x->resistance_scale = 1.0f;
+#endif
+#if CELLWISE_CELLS
+    x->mean_V = 0.0f;
+    x->cells_at = 0u;
+    x->turn = 0u;
 #endif
     x->sequence = 0u;
     x->rejections = 0u;
@@ -1102,8 +1164,9 @@ static APART void guess_branches(const cellwise_constants *c, cellwise_state *x,
 /* ---- predict.py: Prediction of the fixed step: charge, gaps, one interval of constant current. */
 
 /* Charge that leaves the cell in one step, in SOC. */
-static float taken(const cellwise_constants *c, float current)
+static float taken(const cellwise_constants *c, const cellwise_state *x, float current)
 {
+    (void)x;
     float used = current;
 #if CELLWISE_EFFICIENCY
     if (used < 0.0f) {
@@ -1113,6 +1176,9 @@ static float taken(const cellwise_constants *c, float current)
     used = c->soc_per_A * used;
 #if CELLWISE_LEAK
     used = used + c->leak_soc;
+#endif
+#if CELLWISE_LIFE
+    used = used * x->per_capacity;
 #endif
     return used;
 }
@@ -1451,7 +1517,7 @@ static void count_charge(const cellwise_constants *c, cellwise_state *x, const c
     charge->missing = s->missing;
     charge->bridge = 0.0f;
     if (s->news == INTERVAL) {
-        float used = taken(c, s->flow);
+        float used = taken(c, x, s->flow);
         if (charge->missing != 0u) {
             charge->status = charge->status | CELLWISE_SEQUENCE_GAP;
             if (charge->missing <= c->gap_steps) {
@@ -1461,11 +1527,15 @@ static void count_charge(const cellwise_constants *c, cellwise_state *x, const c
                     charge->bridge = 0.0f;
                 }
 #endif
-                used = used + (taken(c, charge->bridge) * (float)charge->missing);
+                used = used + (taken(c, x, charge->bridge) * (float)charge->missing);
             } else { /* nobody knows what flowed; self-discharge goes on */
                 charge->missing = (charge->missing < LONGEST_GAP) ? charge->missing : LONGEST_GAP;
 #if CELLWISE_LEAK
-                used = used + (c->leak_soc * (float)charge->missing);
+                float lost = c->leak_soc * (float)charge->missing;
+#if CELLWISE_LIFE
+                lost = lost * x->per_capacity;
+#endif
+                used = used + lost;
 #endif
             }
         }
@@ -1887,6 +1957,9 @@ uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwis
 #endif
         &place);
 #endif
+#if CELLWISE_LIFE
+    aged(x, &place, &place);
+#endif
     cellwise_point p;
     look_up(m, &place, x->soc, s.seen, &p);
     if (x->evidence == NOT_BEGUN) {
@@ -1937,10 +2010,11 @@ typedef struct {
 #endif
 
 #if CELLWISE_POWER
-/* Power one way: the value, and what is sustained with 95 %. */
+/* Power one way: the value, what is sustained with 95 %, the current of the value. */
 typedef struct {
     float power_W;
     float low_W;
+    float current_A;
 } cellwise_way;
 #endif
 
@@ -1961,7 +2035,11 @@ static APART void ending(const cellwise_model *m, const cellwise_place *place,
         used = used * c->charge_efficiency;
     }
 #endif
-    const float end = soc - (c->power_soc_per_A * used);
+    float moved = c->power_soc_per_A * used;
+#if CELLWISE_LIFE
+    moved = moved * x->per_capacity;
+#endif
+    const float end = soc - moved;
     cellwise_point p;
     look_up(m, place, end, current, &p);
     const uint32_t points = CELLWISE_POINTS;
@@ -2015,17 +2093,17 @@ static APART void ending(const cellwise_model *m, const cellwise_place *place,
 /* Largest size of a current, discharged (`side` 1) or charged (-1), up to `most_A`. By false
  * position (Illinois) between none and `most_A`; 0 where no current keeps the limit. */
 static APART float able(const cellwise_model *m, const cellwise_place *place,
-                        const cellwise_state *x, float side, float limit_V, float most_A)
+                        const cellwise_state *x, float soc, float side, float limit_V, float most_A)
 {
     float found = 0.0f;
     cellwise_ending none;
-    ending(m, place, x, x->soc, 0.0f, &none);
+    ending(m, place, x, soc, 0.0f, &none);
     float room = side * (none.voltage_V - limit_V);
     if ((room > 0.0f) && (most_A > 0.0f)) {
         float near = 0.0f;
         float far = most_A;
         cellwise_ending full;
-        ending(m, place, x, x->soc, side * most_A, &full);
+        ending(m, place, x, soc, side * most_A, &full);
         float lack = side * (limit_V - full.voltage_V);
         bool near_again = false;
         bool far_again = false;
@@ -2034,7 +2112,7 @@ static APART float able(const cellwise_model *m, const cellwise_place *place,
                 const float share = clip(room / at_least(room + lack, LEAST_SPAN_V), 0.0f, 1.0f);
                 const float middle = near + ((far - near) * share);
                 cellwise_ending there;
-                ending(m, place, x, x->soc, side * middle, &there);
+                ending(m, place, x, soc, side * middle, &there);
                 const float left = side * (there.voltage_V - limit_V);
                 if (left >= 0.0f) {
                     near = middle;
@@ -2064,34 +2142,83 @@ static APART float able(const cellwise_model *m, const cellwise_place *place,
 #endif
 
 #if CELLWISE_POWER
-/* Value and lower bound of one way: the bound keeps 1.645 deviations from the limits. The slope
- * over SOC is the chord to the SOC that is as many deviations worse. */
+/* Value and lower bound of one way: the bound keeps 1.645 deviations from the limits. `soc`, of
+ * variance `ss`, is the cell's own. The slope over SOC is the chord to the SOC that is as many
+ * deviations worse. */
 static APART void one_way(const cellwise_model *m, const cellwise_place *place,
-                          const cellwise_state *x, float side, float limit_V, float most_A,
-    float room_soc, cellwise_way *way)
+                          const cellwise_state *x, float soc, float ss, float side, float limit_V,
+    float most_A, float room_soc, cellwise_way *way)
 {
     const cellwise_constants *const c = &m->constant;
-    const float by_soc_A = at_least(room_soc * c->power_A_per_soc, 0.0f);
-    const float current = able(m, place, x, side, limit_V, (most_A < by_soc_A) ? most_A : by_soc_A);
+    float per_soc_A = c->power_A_per_soc;
+#if CELLWISE_LIFE
+    per_soc_A = per_soc_A / x->per_capacity;
+#endif
+    const float by_soc_A = at_least(room_soc * per_soc_A, 0.0f);
+    way->current_A = able(m, place, x, soc, side, limit_V, (most_A < by_soc_A) ? most_A : by_soc_A);
     cellwise_ending end;
-    ending(m, place, x, x->soc, side * current, &end);
-    const float shift = SUSTAINED * root(x->ss);
+    ending(m, place, x, soc, side * way->current_A, &end);
+    const float shift = SUSTAINED * root(ss);
     cellwise_ending worse;
-    ending(m, place, x, x->soc - (side * shift), side * current, &worse);
+    ending(m, place, x, soc - (side * shift), side * way->current_A, &worse);
     const float by_soc_V = end.voltage_V - worse.voltage_V;
     const float square = (by_soc_V * by_soc_V) + ((SUSTAINED * SUSTAINED) * end.variance_V2);
     const float off_V = root((square < 4.0f) ? square : 4.0f);
-    const float low_soc_A = at_least((room_soc - shift) * c->power_A_per_soc, 0.0f);
+    const float low_soc_A = at_least((room_soc - shift) * per_soc_A, 0.0f);
+    const float low_V = limit_V + (side * off_V);
     const float sure =
-        able(m, place, x, side, limit_V + (side * off_V), (most_A < low_soc_A) ? most_A :
-             low_soc_A);
+        able(m, place, x, soc, side, low_V, (most_A < low_soc_A) ? most_A : low_soc_A);
     cellwise_ending last;
-    ending(m, place, x, x->soc, side * sure, &last);
-    way->power_W = at_least(current * end.voltage_V, 0.0f);
+    ending(m, place, x, soc, side * sure, &last);
+    way->power_W = at_least(way->current_A * end.voltage_V, 0.0f);
     way->low_W = at_least(sure * (last.voltage_V - off_V), 0.0f);
     if (way->low_W > way->power_W) {
         way->low_W = way->power_W;
     }
+}
+#endif
+
+#if (CELLWISE_CELLS && CELLWISE_NEEDS_TEMPERATURE) || (CELLWISE_POWER && CELLWISE_NEEDS_TEMPERATURE)
+/* Temperature of the cell: what was measured last, and its own warming. */
+static float warmth_of(const cellwise_state *x)
+{
+    float warm_C = x->temperature_C;
+#if CELLWISE_HEATING
+    warm_C = warm_C + x->heat_K;
+#endif
+    return warm_C;
+}
+#endif
+
+#if CELLWISE_CELLS || CELLWISE_POWER
+/* Where the cell's temperature lies between the tables. */
+static void place_now(const cellwise_model *m, const cellwise_state *x, cellwise_place *place)
+{
+    (void)x;
+#if CELLWISE_NEEDS_TEMPERATURE
+    const float warm_C = warmth_of(x);
+    cellwise_place here;
+    place_of(m, warm_C, &here);
+#else
+    cellwise_place here;
+    place_of(m, 0.0f, &here);
+#endif
+#if CELLWISE_SURFACE
+    under_surface(&m->constant, x, &here,
+#if CELLWISE_NEEDS_TEMPERATURE
+        warm_C,
+#endif
+        &here);
+#endif
+#if CELLWISE_LIFE
+    aged(x, &here, &here);
+#endif
+    place->low = here.low;
+    place->weight = here.weight;
+    place->scale = here.scale;
+#if CELLWISE_SURFACE
+    place->lag = here.lag;
+#endif
 }
 #endif
 
@@ -2107,31 +2234,442 @@ void cellwise_power(const cellwise_model *m, const cellwise_state *x, cellwise_c
     out->charge_W = 0.0f;
     out->charge_low_W = 0.0f;
     if (is_sound(c, x)) {
-        float warm_C = 0.0f;
-#if CELLWISE_NEEDS_TEMPERATURE
-        warm_C = x->temperature_C;
-#if CELLWISE_HEATING
-        warm_C = warm_C + x->heat_K;
-#endif
         cellwise_place place;
-        place_of(m, warm_C, &place);
-#else
-        cellwise_place place;
-        place_of(m, 0.0f, &place);
-#endif
-#if CELLWISE_SURFACE
-        under_surface(c, x, &place,
-#if CELLWISE_NEEDS_TEMPERATURE
-            warm_C,
-#endif
-            &place);
-#endif
+        place_now(m, x, &place);
+        float most_A = c->power_discharge_A;
+        float room_soc = x->soc - c->power_soc_low;
         cellwise_way down;
-        one_way(m, &place, x, 1.0f, c->power_low_V, c->power_discharge_A, x->soc -
-                c->power_soc_low, &down);
+        one_way(m, &place, x, x->soc, x->ss, 1.0f, c->power_low_V, most_A, room_soc, &down);
+        most_A = c->power_charge_A;
+        room_soc = c->power_soc_high - x->soc;
         cellwise_way up;
-        one_way(m, &place, x, -1.0f, c->power_high_V, c->power_charge_A, c->power_soc_high -
-                x->soc, &up);
+        one_way(m, &place, x, x->soc, x->ss, -1.0f, c->power_high_V, most_A, room_soc, &up);
+        out->discharge_W = down.power_W;
+        out->discharge_low_W = down.low_W;
+        out->charge_W = up.power_W;
+        out->charge_low_W = up.low_W;
+    }
+}
+#endif
+
+/* ---- fixed_cells.py: Cells of a pack on one table: the mean cell by the step, every cell by
+ * its difference from it. */
+
+#if CELLWISE_CELLS
+/* Derivatives of a cell's voltage minus the mean's, and the variance of what is left.
+ * `single_V2` is that of one sample, `variance_V2` of one that shares its error with others. */
+typedef struct {
+    float soc_V;
+    float capacity_V;
+    float resistance_V;
+    float single_V2;
+    float variance_V2;
+} cellwise_difference;
+#endif
+
+#if CELLWISE_CELLS
+/* Every number in its range: memory that lost its content, or was never set, is noticed. */
+static bool cell_is_sound(const cellwise_pack_cell *a)
+{
+    if (!(SIZE_WITHIN(a->soc, 1.0f) && SIZE_WITHIN(a->capacity, CELL_MOST))) {
+        return false;
+    }
+    if (!WITHIN(a->resistance, -CELL_MOST, SCALE_MOST)) {
+        return false;
+    }
+    if (!(NOT_NEGATIVE(a->ss, LARGE) && NOT_NEGATIVE(a->qq, LARGE) && NOT_NEGATIVE(a->rr, LARGE))) {
+        return false;
+    }
+    return SIZE_WITHIN(a->sq, LARGE) && SIZE_WITHIN(a->sr, LARGE) && SIZE_WITHIN(a->qr, LARGE);
+}
+#endif
+
+#if CELLWISE_CELLS
+/* A cell of which only is known how far cells usually differ. */
+static APART void start_cell(const cellwise_constants *c, cellwise_pack_cell *a)
+{
+    a->soc = 0.0f;
+    a->capacity = 0.0f;
+    a->resistance = 0.0f;
+    a->ss = c->cell_soc2;
+    a->sq = 0.0f;
+    a->sr = 0.0f;
+    a->qq = c->cell_capacity2;
+    a->qr = 0.0f;
+    a->rr = c->cell_resistance2;
+    a->seen_at = 0u;
+    a->rejections = 0u;
+    a->status = 0u;
+}
+#endif
+
+#if CELLWISE_CELLS
+/* The cells of a pack before their first sample; after `cellwise_init` of the mean cell. */
+void cellwise_cells_init(const cellwise_model *m, cellwise_pack_cell *cells, uint32_t count)
+{
+    for (uint32_t k = 0u; k < count; k++) {
+        start_cell(&m->constant, &cells[k]);
+    }
+}
+#endif
+
+#if CELLWISE_CELLS
+/* Mean voltage of the cells: what the step of the mean cell is to be given. Without readings
+ * that no cell gives; without cells whose last voltage was rejected, while these are the fewer;
+ * -1, which the step takes for a missing voltage, where no cell is left. */
+float cellwise_mean_voltage(const cellwise_model *m, const cellwise_pack_cell *cells,
+                            const float *voltage_V, uint32_t count)
+{
+    const cellwise_constants *const c = &m->constant;
+    float first = -1.0f;
+    float total = 0.0f;
+    float doubted = 0.0f;
+    uint32_t used = 0u;
+    uint32_t left_out = 0u;
+    for (uint32_t k = 0u; k < count; k++) {
+        if (WITHIN(voltage_V[k], c->voltage_low_V, c->voltage_high_V)) {
+            if (first < 0.0f) {
+                first = voltage_V[k];
+            }
+            if (cells[k].rejections == 0u) {
+                total = total + (voltage_V[k] - first);
+                used = used + 1u;
+            } else {
+                doubted = doubted + (voltage_V[k] - first);
+                left_out = left_out + 1u;
+            }
+        }
+    }
+    if (left_out >= used) {
+        total = total + doubted;
+        used = used + left_out;
+    }
+    if (used != 0u) {
+        first = first + (total / (float)used);
+    }
+    return first;
+}
+#endif
+
+#if CELLWISE_CELLS
+/* The derivatives at the mean cell's SOC. A cell that is polled late reads what the mean voltage
+ * moved by meanwhile. While the mean cell's SOC is badly known, so is where on the OCV the cells
+ * are. */
+static void difference_of(const cellwise_model *m, const cellwise_place *place,
+                          const cellwise_state *x, float mean_V, cellwise_difference *difference)
+{
+    const cellwise_constants *const c = &m->constant;
+    cellwise_point p;
+    look_up(m, place, x->soc, x->current_A, &p);
+    const float moved_V = mean_V - x->mean_V;
+    difference->single_V2 = c->cell_V2 + (c->cell_lag * (moved_V * moved_V));
+    difference->variance_V2 = difference->single_V2 * c->cell_shared;
+    if (x->ss > WIDE_VARIANCE) {
+        difference->variance_V2 = difference->variance_V2 * (x->ss / WIDE_VARIANCE);
+    }
+    difference->capacity_V = p.slope_V * (0.5f - x->soc);
+    difference->resistance_V = mean_V - p.ocv_V;
+    difference->soc_V = p.slope_V;
+}
+#endif
+
+#if CELLWISE_CELLS
+/* After many rejections in a row a cell's SOC is unknown. */
+static APART void look_again(cellwise_pack_cell *a)
+{
+    a->ss = RECOVERY_VARIANCE;
+    a->sq = 0.0f;
+    a->sr = 0.0f;
+    a->rejections = 0u;
+    a->status = a->status | CELLWISE_GATE_RECOVERY;
+}
+#endif
+
+#if CELLWISE_CELLS
+/* Use a cell's voltage above the mean: three states, one measurement. */
+static void use_voltage(const cellwise_constants *c, cellwise_pack_cell *a,
+                        const cellwise_difference *d, float above_V)
+{
+    const float gain_s = ((a->ss * d->soc_V) + (a->sq * d->capacity_V)) + (a->sr * d->resistance_V);
+    const float gain_q = ((a->sq * d->soc_V) + (a->qq * d->capacity_V)) + (a->qr * d->resistance_V);
+    const float gain_r = ((a->sr * d->soc_V) + (a->qr * d->capacity_V)) + (a->rr * d->resistance_V);
+    float explained_V2 = (d->soc_V * gain_s) +
+        ((d->capacity_V * gain_q) + (d->resistance_V * gain_r));
+    explained_V2 = at_least(explained_V2, 0.0f);
+    const float said_V = ((d->soc_V * a->soc) + (d->capacity_V * a->capacity)) +
+        (d->resistance_V * a->resistance);
+    const float off_V = above_V - said_V;
+    if ((off_V * off_V) > (c->gate_square * (explained_V2 + d->single_V2))) {
+        a->status = a->status | CELLWISE_INNOVATION_REJECTED;
+        if (a->rejections < c->cell_recovery) {
+            a->rejections = a->rejections + 1u;
+        } else {
+            look_again(a);
+        }
+    } else {
+        a->rejections = 0u;
+        const float per = 1.0f / (explained_V2 + d->variance_V2);
+        a->soc = clip(a->soc + (gain_s * (off_V * per)), -1.0f, 1.0f);
+        a->capacity = clip(a->capacity + (gain_q * (off_V * per)), -CELL_MOST, CELL_MOST);
+        a->resistance = clip(a->resistance + (gain_r * (off_V * per)), -CELL_MOST, SCALE_MOST);
+        a->ss = at_least(a->ss - (gain_s * (gain_s * per)), c->cell_least_soc2);
+        a->sq = a->sq - (gain_s * (gain_q * per));
+        a->sr = a->sr - (gain_s * (gain_r * per));
+        a->qq = at_least(a->qq - (gain_q * (gain_q * per)), VARIANCE_FLOOR);
+        a->qr = a->qr - (gain_q * (gain_r * per));
+        a->rr = at_least(a->rr - (gain_r * (gain_r * per)), VARIANCE_FLOOR);
+    }
+}
+#endif
+
+#if CELLWISE_CELLS
+/* One cell in its turn: it has drifted from the mean, then its voltage is used. */
+static void step_cell(const cellwise_constants *c, cellwise_pack_cell *a,
+                      const cellwise_difference *d, float voltage_V, float mean_V,
+    uint32_t sequence)
+{
+    const float steps = (float)(sequence - a->seen_at);
+    if (cell_is_sound(a)) {
+        a->status = 0u;
+    } else {
+        start_cell(c, a);
+        a->status = CELLWISE_STATE_RESET;
+    }
+    a->ss = clip(a->ss + (steps * c->cell_soc_walk), 0.0f, SOC_VARIANCE_MOST);
+    a->qq = clip(a->qq + (steps * c->cell_capacity_walk), 0.0f, SOC_VARIANCE_MOST);
+    a->rr = clip(a->rr + (steps * c->cell_resistance_walk), 0.0f, SOC_VARIANCE_MOST);
+    a->seen_at = sequence;
+    if (WITHIN(voltage_V, c->voltage_low_V, c->voltage_high_V)) {
+        use_voltage(c, a, d, voltage_V - mean_V);
+    } else {
+        a->status = a->status | CELLWISE_VOLTAGE_INVALID;
+    }
+}
+#endif
+
+#if CELLWISE_CELLS
+/* One sample of a pack, after `cellwise_step` of the mean cell with the same sample. The cells
+ * whose turn it is are looked at. `sample.voltage_V` is the mean that `cellwise_mean_voltage`
+ * gave; NaN for a cell without a reading, or while it is balanced. */
+void cellwise_cells_step(const cellwise_model *m, cellwise_state *x, const cellwise_input *sample,
+                         cellwise_pack_cell *cells, const float *voltage_V, uint32_t count)
+{
+    const cellwise_constants *const c = &m->constant;
+    const float mean_V = sample->voltage_V;
+    const bool there = WITHIN(mean_V, c->voltage_low_V, c->voltage_high_V);
+    const uint32_t elapsed = sample->sequence - x->cells_at;
+    if (there && (x->evidence > NO_VOLTAGE_YET) && (elapsed != 0u) && is_sound(c, x)) {
+        cellwise_place place;
+        place_now(m, x, &place);
+        if (!(x->mean_V > 0.0f)) {
+            x->mean_V = mean_V;
+        }
+        cellwise_difference d;
+        difference_of(m, &place, x, mean_V, &d);
+        uint32_t due = x->turn;
+        for (uint32_t k = 0u; k < count; k++) {
+            if (k == due) {
+                step_cell(c, &cells[k], &d, voltage_V[k], mean_V, sample->sequence);
+                due = due + c->cell_turns;
+            }
+        }
+        x->turn = ((x->turn + 1u) < c->cell_turns) ? (x->turn + 1u) : 0u;
+        x->mean_V = mean_V;
+        x->cells_at = sample->sequence;
+    }
+}
+#endif
+
+#if CELLWISE_CELLS
+/* SOC of one cell. */
+static float own_soc(const cellwise_state *x, const cellwise_pack_cell *a)
+{
+    return clip(x->soc + (a->soc + (a->capacity * (0.5f - x->soc))), 0.0f, 1.0f);
+}
+#endif
+
+#if CELLWISE_CELLS
+/* Variance of one cell's SOC: the mean's and its difference's. */
+static float own_variance(const cellwise_constants *c, const cellwise_state *x,
+                          const cellwise_pack_cell *a)
+{
+    const float away = 0.5f - x->soc;
+    const float apart2 = a->ss + (away * ((2.0f * a->sq) + (away * a->qq)));
+    return x->ss + at_least(apart2, c->cell_least_soc2);
+}
+#endif
+
+#if CELLWISE_CELLS
+/* What is known of one cell; capacity and resistance beside the mean cell's. */
+void cellwise_cell_of(const cellwise_model *m, const cellwise_state *x,
+                      const cellwise_pack_cell *a, cellwise_cell_output *out)
+{
+    const cellwise_constants *const c = &m->constant;
+    if (is_sound(c, x) && cell_is_sound(a)) {
+        out->soc = own_soc(x, a);
+        out->soc_variance = own_variance(c, x, a);
+        out->capacity_share = 1.0f + a->capacity;
+        out->capacity_variance = a->qq;
+        out->resistance_scale = 1.0f + a->resistance;
+        out->resistance_variance = a->rr;
+        out->status = a->status;
+    } else {
+        out->soc = KNOW_NOTHING_SOC;
+        out->soc_variance = KNOW_NOTHING_VARIANCE;
+        out->capacity_share = 1.0f;
+        out->capacity_variance = c->cell_capacity2;
+        out->resistance_scale = 1.0f;
+        out->resistance_variance = c->cell_resistance2;
+        out->status = CELLWISE_STATE_RESET;
+    }
+}
+#endif
+
+#if CELLWISE_CELLS && CELLWISE_POWER
+/* The same place with one cell's resistance. */
+static APART void with_cell(const cellwise_place *at, const cellwise_pack_cell *a,
+                            cellwise_place *place)
+{
+    place->low = at->low;
+    place->weight = at->weight;
+    place->scale = at->scale * (1.0f + a->resistance);
+#if CELLWISE_SURFACE
+    place->lag = at->lag;
+#endif
+}
+#endif
+
+#if CELLWISE_CELLS && CELLWISE_POWER
+/* The cell that a current over the horizon brings nearest to its limit of voltage. */
+static APART uint32_t weakest(const cellwise_model *m, const cellwise_place *place,
+                              const cellwise_state *x, const cellwise_pack_cell *cells,
+    uint32_t count, float side, float current)
+{
+    uint32_t found = 0u;
+    float least_V = LARGEST_FLOAT;
+    for (uint32_t k = 0u; k < count; k++) {
+        if (cell_is_sound(&cells[k])) {
+            cellwise_place own;
+            with_cell(place, &cells[k], &own);
+            cellwise_ending end;
+            ending(m, &own, x, own_soc(x, &cells[k]), side * current, &end);
+            const float left_V = side * end.voltage_V;
+            if (left_V < least_V) {
+                least_V = left_V;
+                found = k;
+            }
+        }
+    }
+    return found;
+}
+#endif
+
+#if CELLWISE_CELLS && CELLWISE_POWER
+/* The emptiest cell (`side` 1), or the fullest (-1). */
+static APART uint32_t nearest_to_end(const cellwise_state *x, const cellwise_pack_cell *cells,
+                                     uint32_t count, float side)
+{
+    uint32_t found = 0u;
+    float least = LARGEST_FLOAT;
+    for (uint32_t k = 0u; k < count; k++) {
+        if (cell_is_sound(&cells[k])) {
+            const float room = side * own_soc(x, &cells[k]);
+            if (room < least) {
+                least = room;
+                found = k;
+            }
+        }
+    }
+    return found;
+}
+#endif
+
+#if CELLWISE_CELLS && CELLWISE_POWER
+/* What one cell can give (`side` 1) or take (-1) over the horizon. */
+static APART void way_of(const cellwise_model *m, const cellwise_place *place,
+                         const cellwise_state *x, const cellwise_pack_cell *a, float side,
+    cellwise_way *way)
+{
+    const cellwise_constants *const c = &m->constant;
+    const float soc = own_soc(x, a);
+    const float ss = own_variance(c, x, a);
+    cellwise_place own;
+    with_cell(place, a, &own);
+    float held_V = x->v1_V + x->v2_V;
+#if CELLWISE_SLOW
+    held_V = held_V + x->v3_V;
+#endif
+    const float worse_V = at_least(side * (a->resistance * held_V), 0.0f);
+    float limit_V = c->power_low_V;
+    float most_A = c->power_discharge_A;
+    float room = soc - c->power_soc_low;
+    if (side < 0.0f) {
+        limit_V = c->power_high_V;
+        most_A = c->power_charge_A;
+        room = c->power_soc_high - soc;
+    }
+    limit_V = limit_V + (side * worse_V);
+    cellwise_way one;
+    one_way(m, &own, x, soc, ss, side, limit_V, most_A, room, &one);
+    way->power_W = one.power_W;
+    way->low_W = one.low_W;
+    way->current_A = one.current_A;
+}
+#endif
+
+#if CELLWISE_CELLS && CELLWISE_POWER
+/* Power of the pack one way: the least of what its weakest cells allow. These are the cell that
+ * is nearest to its end, the one whose voltage is at the largest current, and the one whose
+ * voltage is at the current that these two allow. */
+static APART void pack_way(const cellwise_model *m, const cellwise_place *place,
+                           const cellwise_state *x, const cellwise_pack_cell *cells,
+    uint32_t count, float side, cellwise_way *way)
+{
+    const cellwise_constants *const c = &m->constant;
+    way->current_A = (side > 0.0f) ? c->power_discharge_A : c->power_charge_A;
+    way->low_W = LARGEST_FLOAT;
+    for (uint32_t turn = 0u; turn < THREE_CELLS; turn++) {
+        uint32_t at = nearest_to_end(x, cells, count, side);
+        if (turn != 0u) {
+            at = weakest(m, place, x, cells, count, side, way->current_A);
+        }
+        cellwise_way one;
+        way_of(m, place, x, &cells[at], side, &one);
+        if (one.current_A < way->current_A) {
+            way->current_A = one.current_A;
+        }
+        if (one.low_W < way->low_W) {
+            way->low_W = one.low_W;
+        }
+    }
+    cellwise_ending end;
+    ending(m, place, x, x->soc, side * way->current_A, &end);
+    const float many = (float)count;
+    way->power_W = at_least(many * (way->current_A * end.voltage_V), 0.0f);
+    way->low_W = many * way->low_W;
+    if (way->low_W > way->power_W) {
+        way->low_W = way->power_W;
+    }
+}
+#endif
+
+#if CELLWISE_CELLS && CELLWISE_POWER
+/* What the pack can give and take for the horizon, as its weakest cell allows. Zero throughout
+ * for a state that is not sound, and for no cells. */
+void cellwise_pack_power(const cellwise_model *m, const cellwise_state *x,
+                         const cellwise_pack_cell *cells, uint32_t count, cellwise_capability *out)
+{
+    out->discharge_W = 0.0f;
+    out->discharge_low_W = 0.0f;
+    out->charge_W = 0.0f;
+    out->charge_low_W = 0.0f;
+    if ((count != 0u) && is_sound(&m->constant, x)) {
+        cellwise_place place;
+        place_now(m, x, &place);
+        cellwise_way down;
+        pack_way(m, &place, x, cells, count, 1.0f, &down);
+        cellwise_way up;
+        pack_way(m, &place, x, cells, count, -1.0f, &up);
         out->discharge_W = down.power_W;
         out->discharge_low_W = down.low_W;
         out->charge_W = up.power_W;

@@ -177,6 +177,20 @@ typedef struct {
 #if CELLWISE_HYSTERESIS && CELLWISE_POWER
     float power_hysteresis_per_A; /* e-folds of h over the horizon */
 #endif
+#if CELLWISE_CELLS
+    float cell_soc2; /* variance of the cells' differences at the start: of SOC, */
+    float cell_capacity2; /* capacity, relative, */
+    float cell_resistance2; /* resistance, relative, */
+    float cell_soc_walk; /* and gained in one step */
+    float cell_capacity_walk;
+    float cell_resistance_walk;
+    float cell_V2; /* of a cell's sensor beside the others' */
+    float cell_shared; /* samples that share one error of a cell's voltage */
+    float cell_lag; /* square of the delay of a cell's polling, in steps */
+    float cell_least_soc2; /* what a sensor's offset leaves unknown of a cell's SOC */
+    uint32_t cell_turns; /* samples in which every cell has its turn once */
+    uint32_t cell_recovery; /* rejections in a row, then a cell's SOC is unknown */
+#endif
 #if CELLWISE_TEMPERATURES > 1
     float grid_C[CELLWISE_TEMPERATURES]; /* temperatures of the tables */
     float per_K[CELLWISE_TEMPERATURES - 1u]; /* 1 / distance of neighbours */
@@ -286,6 +300,15 @@ typedef struct {
     uint32_t no_current; /* steps without a valid one */
     uint32_t no_voltage; /* steps without one that could be used */
 #endif
+#if CELLWISE_LIFE
+    float per_capacity; /* inverse of the share of the capacity that is left */
+    float resistance_scale; /* of the resistances since */
+#endif
+#if CELLWISE_CELLS
+    float mean_V; /* of the cells at their last sample, */
+    uint32_t cells_at; /* its sequence, */
+    uint32_t turn; /* and the first cell whose turn is next */
+#endif
     uint32_t sequence; /* of the last sample */
     uint32_t rejections; /* 20000 each: under load a rejection counts less */
     uint32_t evidence; /* 0: no sample yet, 1: no voltage yet, then 2 + steps since */
@@ -330,6 +353,77 @@ typedef struct {
  * largest constant currents that keep voltage, current and SOC within their limits to the end of
  * the horizon, times the voltage then. Zero throughout for a state that is not sound. */
 void cellwise_power(const cellwise_model *m, const cellwise_state *x, cellwise_capability *out);
+#endif
+
+#if CELLWISE_LIFE
+/* What a history says of the cell beside the model: its capacity, and all its resistances. Kept
+ * in the state. Returns 0, or CELLWISE_OUT_OF_RANGE where nothing is taken: a share outside
+ * 0.1..2, a scale outside 0.1..20, a state that is not sound. */
+uint32_t cellwise_learn(const cellwise_model *m, cellwise_state *x, float capacity_share,
+                        float resistance_scale);
+#endif
+
+/* A pack, where it is compiled in: one cellwise_state for the mean cell, one cellwise_pack_cell for
+ * the difference of every cell. At each sample: cellwise_mean_voltage, cellwise_step with that
+ * voltage, cellwise_cells_step. */
+typedef struct {
+    float soc; /* more than the mean cell's, where that is 50 % */
+    float capacity; /* more than the mean cell's, relative */
+    float resistance; /* more than the mean cell's, relative */
+    float ss; /* their covariance */
+    float sq;
+    float sr;
+    float qq;
+    float qr;
+    float rr;
+    uint32_t seen_at; /* sequence of its last turn */
+    uint32_t rejections; /* in a row */
+    uint32_t status; /* of the last sample: bits */
+} cellwise_pack_cell;
+
+/* Never NaN, never infinite. */
+typedef struct {
+    float soc;
+    float soc_variance;
+    float capacity_share; /* of the mean cell's */
+    float capacity_variance;
+    float resistance_scale; /* beside the mean cell's */
+    float resistance_variance;
+    uint32_t status; /* of the last sample: bits */
+} cellwise_cell_output;
+
+#if CELLWISE_CELLS
+/* The cells of a pack before their first sample; after `cellwise_init` of the mean cell. */
+void cellwise_cells_init(const cellwise_model *m, cellwise_pack_cell *cells, uint32_t count);
+#endif
+
+#if CELLWISE_CELLS
+/* Mean voltage of the cells: what the step of the mean cell is to be given. Without readings
+ * that no cell gives; without cells whose last voltage was rejected, while these are the fewer;
+ * -1, which the step takes for a missing voltage, where no cell is left. */
+float cellwise_mean_voltage(const cellwise_model *m, const cellwise_pack_cell *cells,
+                            const float *voltage_V, uint32_t count);
+#endif
+
+#if CELLWISE_CELLS
+/* One sample of a pack, after `cellwise_step` of the mean cell with the same sample. The cells
+ * whose turn it is are looked at. `sample.voltage_V` is the mean that `cellwise_mean_voltage`
+ * gave; NaN for a cell without a reading, or while it is balanced. */
+void cellwise_cells_step(const cellwise_model *m, cellwise_state *x, const cellwise_input *sample,
+                         cellwise_pack_cell *cells, const float *voltage_V, uint32_t count);
+#endif
+
+#if CELLWISE_CELLS
+/* What is known of one cell; capacity and resistance beside the mean cell's. */
+void cellwise_cell_of(const cellwise_model *m, const cellwise_state *x,
+                      const cellwise_pack_cell *a, cellwise_cell_output *out);
+#endif
+
+#if CELLWISE_CELLS && CELLWISE_POWER
+/* What the pack can give and take for the horizon, as its weakest cell allows. Zero throughout
+ * for a state that is not sound, and for no cells. */
+void cellwise_pack_power(const cellwise_model *m, const cellwise_state *x,
+                         const cellwise_pack_cell *cells, uint32_t count, cellwise_capability *out);
 #endif
 
 #endif

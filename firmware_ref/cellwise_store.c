@@ -8,10 +8,9 @@
 #define WORD ((uint32_t)sizeof(uint32_t))
 
 /* One bit at a time: a start has milliseconds, flash has no room for a table. */
-static uint32_t crc_of_words(const void *data, uint32_t bytes)
+static uint32_t more_words(uint32_t crc, const void *data, uint32_t bytes)
 {
     const unsigned char *at = (const unsigned char *)data;
-    uint32_t crc = 0xFFFFFFFFu;
     uint32_t done;
 
     for (done = 0u; done + WORD <= bytes; done += WORD) {
@@ -29,7 +28,12 @@ static uint32_t crc_of_words(const void *data, uint32_t bytes)
             }
         }
     }
-    return ~crc;
+    return crc;
+}
+
+static uint32_t crc_of_words(const void *data, uint32_t bytes)
+{
+    return ~more_words(0xFFFFFFFFu, data, bytes);
 }
 
 uint32_t cellwise_check_model(const cellwise_model *m)
@@ -72,3 +76,43 @@ uint32_t cellwise_restore(cellwise_state *x, const cellwise_stored *from)
     *x = from->state;
     return 0u;
 }
+
+#if CELLWISE_CELLS
+static uint32_t crc_of_cells(const cellwise_stored_cells *head, const cellwise_pack_cell *cells,
+                             uint32_t count)
+{
+    const uint32_t crc = more_words(0xFFFFFFFFu, head, (uint32_t)(sizeof *head) - WORD);
+
+    return ~more_words(crc, cells, count * (uint32_t)sizeof(cellwise_pack_cell));
+}
+
+void cellwise_keep_cells(cellwise_stored_cells *into, const cellwise_pack_cell *cells,
+                         uint32_t count)
+{
+    into->magic = MAGIC;
+    into->layout = LAYOUT;
+    into->bytes = (uint32_t)sizeof(cellwise_pack_cell);
+    into->model_crc = CELLWISE_MODEL_CRC;
+    into->count = count;
+    into->crc = crc_of_cells(into, cells, count);
+}
+
+uint32_t cellwise_restore_cells(const cellwise_stored_cells *from, const cellwise_pack_cell *cells,
+                                uint32_t count)
+{
+    if (from->magic != MAGIC) {
+        return CELLWISE_NOT_STORED;
+    }
+    if ((from->layout != LAYOUT) || (from->bytes != (uint32_t)sizeof(cellwise_pack_cell)) ||
+        (from->count != count)) {
+        return CELLWISE_OTHER_LAYOUT;
+    }
+    if (from->crc != crc_of_cells(from, cells, count)) {
+        return CELLWISE_BITS_DAMAGED;
+    }
+    if (from->model_crc != CELLWISE_MODEL_CRC) {
+        return CELLWISE_OTHER_MODEL;
+    }
+    return 0u;
+}
+#endif

@@ -30,4 +30,24 @@ void cellwise_keep(cellwise_stored *into, const cellwise_state *x);
 /* Take the state back. Where it returns anything but 0, `x` is untouched: call cellwise_init. */
 uint32_t cellwise_restore(cellwise_state *x, const cellwise_stored *from);
 
+#if CELLWISE_CELLS
+typedef struct {
+    uint32_t magic;
+    uint32_t layout;
+    uint32_t bytes; /* of one cell */
+    uint32_t model_crc;
+    uint32_t count; /* of cells */
+    uint32_t crc; /* of everything before, and of the cells */
+} cellwise_stored_cells;
+
+/* Fill what is written beside the array of cells. */
+void cellwise_keep_cells(cellwise_stored_cells *into, const cellwise_pack_cell *cells,
+                         uint32_t count);
+
+/* Whether an array of cells that was read back is what was written. Where it returns anything but
+ * 0: call cellwise_cells_init. */
+uint32_t cellwise_restore_cells(const cellwise_stored_cells *from, const cellwise_pack_cell *cells,
+                                uint32_t count);
+#endif
+
 #endif

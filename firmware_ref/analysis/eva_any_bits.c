@@ -3,9 +3,14 @@
 #include "cellwise_cell.h"
 
 #if CELLWISE_WATCH
-#define INTEGERS 6u /* the last fields of the state */
+#define COUNTERS 6u /* the last fields of the state */
 #else
-#define INTEGERS 3u
+#define COUNTERS 3u
+#endif
+#if CELLWISE_CELLS
+#define INTEGERS (COUNTERS + 2u)
+#else
+#define INTEGERS COUNTERS
 #endif
 #define FLOATS ((sizeof(cellwise_state) / sizeof(float)) - INTEGERS)
 
@@ -23,6 +28,10 @@ static void any_state(cellwise_state *x)
     x->repeats = any_integer;
     x->no_current = any_integer;
     x->no_voltage = any_integer;
+#endif
+#if CELLWISE_CELLS
+    x->cells_at = any_integer;
+    x->turn = any_integer;
 #endif
     x->sequence = any_integer;
     x->rejections = any_integer;
@@ -77,5 +86,50 @@ void eva_any_power(void)
     /*@ assert charge_low_is_finite: \is_finite(able.charge_low_W); */
     /*@ assert discharge_is_positive: 0.0 <= able.discharge_low_W; */
     /*@ assert charge_is_positive: 0.0 <= able.charge_low_W; */
+}
+#endif
+
+#if CELLWISE_CELLS
+#define CELLS 2u
+
+static void any_cell(cellwise_pack_cell *a)
+{
+    a->soc = any_float;
+    a->capacity = any_float;
+    a->resistance = any_float;
+    a->ss = any_float;
+    a->sq = any_float;
+    a->sr = any_float;
+    a->qq = any_float;
+    a->qr = any_float;
+    a->rr = any_float;
+    a->seen_at = any_integer;
+    a->rejections = any_integer;
+    a->status = any_integer;
+}
+
+void eva_any_cells(void)
+{
+    cellwise_state x;
+    cellwise_input in;
+    cellwise_pack_cell cells[CELLS];
+    cellwise_cell_output found;
+    float voltage_V[CELLS];
+    any_state(&x);
+    /*@ loop unroll CELLS; */
+    for (uint32_t k = 0u; k < CELLS; k++) {
+        any_cell(&cells[k]);
+        voltage_V[k] = any_float;
+    }
+    in.current_A = any_float;
+    in.temperature_C = any_float;
+    in.sequence = any_integer;
+    in.voltage_V = cellwise_mean_voltage(&cellwise_cell, cells, voltage_V, CELLS);
+    cellwise_cells_step(&cellwise_cell, &x, &in, cells, voltage_V, CELLS);
+    cellwise_cell_of(&cellwise_cell, &x, &cells[0], &found);
+    /*@ assert soc_in_range: 0.0 <= found.soc <= 1.0; */
+    /*@ assert variance_is_finite: \is_finite(found.soc_variance); */
+    /*@ assert capacity_is_finite: \is_finite(found.capacity_share); */
+    /*@ assert resistance_is_finite: \is_finite(found.resistance_scale); */
 }
 #endif

@@ -7,6 +7,16 @@ void cellwise_rows(const cellwise_model *model, cellwise_state *x, const cellwis
                    cellwise_output *out, uint32_t samples);
 void cellwise_power_of(const cellwise_model *model, const cellwise_state *x,
                        cellwise_capability *out);
+uint32_t cellwise_learn_of(const cellwise_model *model, cellwise_state *x, float share,
+                           float scale);
+void cellwise_cells_begin(const cellwise_model *model, cellwise_pack_cell *cells, uint32_t count);
+void cellwise_pack_rows(const cellwise_model *model, cellwise_state *x, cellwise_pack_cell *cells,
+                        uint32_t count, cellwise_input *in, const float *voltage_V,
+                        cellwise_output *out, uint32_t samples);
+void cellwise_cells_of(const cellwise_model *model, const cellwise_state *x,
+                       const cellwise_pack_cell *cells, uint32_t count, cellwise_cell_output *out);
+void cellwise_pack_power_of(const cellwise_model *model, const cellwise_state *x,
+                            const cellwise_pack_cell *cells, uint32_t count, cellwise_capability *out);
 
 void cellwise_power_of(const cellwise_model *model, const cellwise_state *x,
                        cellwise_capability *out)
@@ -26,4 +36,81 @@ void cellwise_rows(const cellwise_model *model, cellwise_state *x, const cellwis
     for (uint32_t k = 0u; k < samples; k++) {
         (void)cellwise_step(model, x, &in[k], &out[k]);
     }
+}
+
+uint32_t cellwise_learn_of(const cellwise_model *model, cellwise_state *x, float share, float scale)
+{
+#if CELLWISE_LIFE
+    return cellwise_learn(model, x, share, scale);
+#else
+    (void)model;
+    (void)x;
+    (void)share;
+    (void)scale;
+    return CELLWISE_OUT_OF_RANGE;
+#endif
+}
+
+void cellwise_cells_begin(const cellwise_model *model, cellwise_pack_cell *cells, uint32_t count)
+{
+#if CELLWISE_CELLS
+    cellwise_cells_init(model, cells, count);
+#else
+    (void)model;
+    (void)cells;
+    (void)count;
+#endif
+}
+
+void cellwise_pack_rows(const cellwise_model *model, cellwise_state *x, cellwise_pack_cell *cells,
+                        uint32_t count, cellwise_input *in, const float *voltage_V,
+                        cellwise_output *out, uint32_t samples)
+{
+#if CELLWISE_CELLS
+    for (uint32_t k = 0u; k < samples; k++) {
+        const float *const row = &voltage_V[k * count];
+        in[k].voltage_V = cellwise_mean_voltage(model, cells, row, count);
+        (void)cellwise_step(model, x, &in[k], &out[k]);
+        cellwise_cells_step(model, x, &in[k], cells, row, count);
+    }
+#else
+    (void)model;
+    (void)x;
+    (void)cells;
+    (void)count;
+    (void)in;
+    (void)voltage_V;
+    (void)out;
+    (void)samples;
+#endif
+}
+
+void cellwise_cells_of(const cellwise_model *model, const cellwise_state *x,
+                       const cellwise_pack_cell *cells, uint32_t count, cellwise_cell_output *out)
+{
+#if CELLWISE_CELLS
+    for (uint32_t k = 0u; k < count; k++) {
+        cellwise_cell_of(model, x, &cells[k], &out[k]);
+    }
+#else
+    (void)model;
+    (void)x;
+    (void)cells;
+    (void)count;
+    (void)out;
+#endif
+}
+
+void cellwise_pack_power_of(const cellwise_model *model, const cellwise_state *x,
+                            const cellwise_pack_cell *cells, uint32_t count, cellwise_capability *out)
+{
+#if CELLWISE_CELLS && CELLWISE_POWER
+    cellwise_pack_power(model, x, cells, count, out);
+#else
+    (void)model;
+    (void)x;
+    (void)cells;
+    (void)count;
+    (void)out;
+#endif
 }

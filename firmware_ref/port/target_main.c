@@ -2,7 +2,9 @@
  * measured: instructions (ticks.h), stack by paint.
  *
  * in.bin: soc, soc_variance (float), every how many samples to measure and the first of them (uint32),
- * then records of cellwise_input. With MEASURE_POWER it is cellwise_power that is measured. */
+ * then records of cellwise_input. With MEASURE_POWER it is cellwise_power that is measured. With
+ * MEASURE_CELLS a sample is one of a pack of so many cells, whose voltages are the sample's and
+ * OFFSET_V times -6..6 each; the cells follow the state in out.bin. */
 #include <stddef.h>
 
 #include "cellwise_cell.h"
@@ -51,7 +53,31 @@ static __attribute__((noinline)) uint32_t nothing(const cellwise_model *m, cellw
     return 0u;
 }
 
-#if defined(MEASURE_POWER)
+#if defined(MEASURE_CELLS)
+#define OFFSET_V 0x1p-10f
+static cellwise_pack_cell cells[MEASURE_CELLS];
+static float voltages[MEASURE_CELLS];
+
+static __attribute__((noinline)) uint32_t measured_step(const cellwise_model *m, cellwise_state *x,
+                                                        const cellwise_input *in,
+                                                        cellwise_output *out)
+{
+    cellwise_input mean = *in;
+    uint32_t status;
+    mean.voltage_V = cellwise_mean_voltage(m, cells, voltages, MEASURE_CELLS);
+    status = cellwise_step(m, x, &mean, out);
+    cellwise_cells_step(m, x, &mean, cells, voltages, MEASURE_CELLS);
+    return status;
+}
+
+static void read_cells(float voltage_V)
+{
+    for (uint32_t k = 0u; k < MEASURE_CELLS; k++) {
+        voltages[k] = voltage_V + (OFFSET_V * ((float)((k * 7u) % 13u) - 6.0f));
+    }
+}
+#define whole_step measured_step
+#elif defined(MEASURE_POWER)
 static cellwise_capability capability;
 
 static __attribute__((noinline)) uint32_t measured_step(const cellwise_model *m, cellwise_state *x,
@@ -63,8 +89,10 @@ static __attribute__((noinline)) uint32_t measured_step(const cellwise_model *m,
     cellwise_power(m, x, &capability);
     return 0u;
 }
+#define whole_step cellwise_step
 #else
 #define measured_step cellwise_step
+#define whole_step cellwise_step
 #endif
 
 static __attribute__((noinline)) uint32_t ticks_of(step_function step, const cellwise_input *in)
@@ -126,20 +154,29 @@ int main(void)
     }
     ticks_begin();
     (void)cellwise_init(&cellwise_cell, &state, asked.soc, asked.soc_variance);
+#if defined(MEASURE_CELLS)
+    cellwise_cells_init(&cellwise_cell, cells, MEASURE_CELLS);
+#endif
     while ((got = host_read(in, samples, sizeof samples)) >= sizeof samples[0]) {
         const uint32_t rows = got / (uint32_t)sizeof samples[0];
         for (uint32_t k = 0u; k < rows; k++) {
+#if defined(MEASURE_CELLS)
+            read_cells(samples[k].voltage_V);
+#endif
             if ((asked.measure_every != 0u) && (row >= asked.measure_first) &&
                 (((row - asked.measure_first) % asked.measure_every) == 0u)) {
                 measure(&found, &samples[k]);
             }
-            (void)cellwise_step(&cellwise_cell, &state, &samples[k], &outputs[k]);
+            (void)whole_step(&cellwise_cell, &state, &samples[k], &outputs[k]);
             row++;
         }
         host_write(out, outputs, rows * (uint32_t)sizeof outputs[0]);
     }
     found.ticks_empty = ticks_of(nothing, &samples[0]);
     host_write(out, &state, sizeof state);
+#if defined(MEASURE_CELLS)
+    host_write(out, cells, sizeof cells);
+#endif
     host_write(out, &found, sizeof found);
     host_close(out);
     return 0;

@@ -180,6 +180,62 @@ def test_a_stored_state_with_one_flipped_bit_is_not_taken(tmp_path):
     assert built(out, sources, tmp_path / "store").returncode == 0
 
 
+STORED_CELLS = """
+#include <string.h>
+#include "cellwise_cell.h"
+#include "cellwise_store.h"
+int main(void) {
+    cellwise_pack_cell cells[5];
+    cellwise_stored_cells kept;
+    unsigned char *at[2];
+    unsigned size[2];
+    unsigned part, k, missed = 0u;
+    cellwise_cells_init(&cellwise_cell, cells, 5u);
+    cells[3].capacity = -0.04f;
+    cellwise_keep_cells(&kept, cells, 5u);
+    if (cellwise_restore_cells(&kept, cells, 5u) != 0u) return 1;
+    if (cellwise_restore_cells(&kept, cells, 4u) != CELLWISE_OTHER_LAYOUT) return 2;
+    at[0] = (unsigned char *)&kept;
+    at[1] = (unsigned char *)cells;
+    size[0] = sizeof kept;
+    size[1] = sizeof cells;
+    for (part = 0u; part < 2u; part++) {
+        for (k = 0u; k < 8u * size[part]; k++) {
+            at[part][k / 8u] = (unsigned char)(at[part][k / 8u] ^ (1u << (k % 8u)));
+            missed += cellwise_restore_cells(&kept, cells, 5u) == 0u;
+            at[part][k / 8u] = (unsigned char)(at[part][k / 8u] ^ (1u << (k % 8u)));
+        }
+    }
+    return missed == 0u ? 0 : 3;
+}
+"""
+
+
+@pytest.mark.slow
+@needs_gcc
+def test_a_pack_is_exported_and_its_stored_cells_are_checked(model, tmp_path, capsys):
+    out = tmp_path / "out"
+    code, report = export(
+        capsys, "--model", model, "--dt", 1, "--lean", "--cells", 96, "--life", "-o", out
+    )
+    assert code == 0
+    assert report["cells"] == 96
+    assert report["options"]["life"] == report["options"]["cells"] == 1
+    assert report["pack_bytes"] == report["state_bytes"] + 96 * 48
+    (out / "cells.c").write_text(STORED_CELLS)
+    sources = ("cells.c", "cellwise_ekf.c", "cellwise_store.c", "cell_table.c")
+    assert built(out, sources, tmp_path / "cells").returncode == 0
+
+
+@pytest.mark.parametrize("cells", [1, -4, 1001])
+def test_a_number_of_cells_that_no_pack_has_is_refused(model, tmp_path, capsys, cells):
+    code, message = export(
+        capsys, "--model", model, "--dt", 1, "--cells", cells, "-o", tmp_path / "out"
+    )
+    assert code == 2
+    assert "2 to 1000 in series" in message
+
+
 BOTH = """
 #include <stdio.h>
 #include "nmc_cell.h"

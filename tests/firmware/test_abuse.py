@@ -74,7 +74,7 @@ def test_a_long_run_stays_sound(wide, tmp_path):
 
 
 @pytest.mark.skipif(shutil.which("cppcheck") is None, reason="no cppcheck: make firmware")
-@pytest.mark.parametrize("case", ["lean", "full"])
+@pytest.mark.parametrize("case", ["lean", "full", "full pack"])
 def test_rules_are_kept_but_for_the_written_deviations(case, tmp_path):
     write(tables_of(case), tmp_path)
     done = subprocess.run(

@@ -11,6 +11,7 @@ import pytest
 
 from cellwise.cell.effects import ChargeTransfer, Hysteresis, SlowDiffusion, SurfaceSoc
 from cellwise.cell.plausibility.validity import Validity
+from cellwise.estimate.cells.settings import CellSettings
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.export.c_tables import firmware_folder, write_sources
 from example_cells import curved_cell
@@ -44,7 +45,8 @@ MUTANTS = {
 
 # States are kept apart where the sentences after them depend on it; elsewhere they are joined.
 PRECISION = ["-eva-precision", "1", "-eva-split-return", "full"]
-APART = "is_sound:400,covariance_is_sound:400,see:30,count_charge:30,cellwise_step:30"
+APART = "is_sound:400,covariance_is_sound:400,see:30,count_charge:30,cellwise_step:30,"
+APART += "cell_is_sound:400,step_cell:60,cellwise_cell_of:60,cellwise_cells_step:60"
 PRECISION += ["-eva-slevel-function", APART]
 # 5 SOC points: the code does not depend on their number.
 BUILDS = {
@@ -66,11 +68,19 @@ POWER = {
     "watch": False,
     "power": power_asked(curved_cell(5)),
 }
+CELLS = {
+    "model": curved_cell(5),
+    "wide": False,
+    "watch": False,
+    "life": True,
+    "cells": CellSettings(),
+}
+OTHERS = {"power": POWER, "cells": CELLS}
 
 
 def eva(folder, entry, mutant=None, build="lean"):
     """Alarms and assertions that Eva could not prove."""
-    tables = fixed_step_tables(dt_s=1.0, **(POWER if build == "power" else BUILDS[build]))
+    tables = fixed_step_tables(dt_s=1.0, **(OTHERS | BUILDS)[build])
     for name, text in write_sources(tables, "0" * 64):
         if mutant and name == "cellwise_ekf.c":
             assert text.count(mutant[0]) == 1
@@ -105,6 +115,12 @@ def test_no_alarm_from_whatever_start(tmp_path, build):
 
 def test_no_alarm_in_the_power_of_whatever_state(tmp_path):
     alarms, text = eva(tmp_path, "eva_any_power", build="power")
+    assert alarms == []
+    assert "100% of the logical properties reached have been proven" in text
+
+
+def test_no_alarm_in_the_cells_of_a_pack_whatever_bits(tmp_path):
+    alarms, text = eva(tmp_path, "eva_any_cells", build="cells")
     assert alarms == []
     assert "100% of the logical properties reached have been proven" in text
 

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from cellwise.cell.simulate import simulate
 from cellwise.data import load_dataset
 from cellwise.estimate.fixed.fixed_step import numba_stepper, samples_of
-from cellwise.estimate.fixed.layout import state_type
+from cellwise.estimate.fixed.layout import CELL, state_type
 from cellwise.export.cross import CORES, has_tools, run_on_target
 from cellwise.export.stress import worst_case
+from cellwise.logs.resample import resample
 from example_cells import curved_cell
 from firmware_cases import stress_samples, tables_of
 
@@ -72,6 +75,43 @@ def test_under_stress_too(core, instructions):
     assert run.measured == 4000
     assert run.instructions_most <= instructions
     assert worst_case(curved_cell(), tables_of("lean"), core).stress <= instructions
+
+
+def pack_voltages(samples, cells):
+    """What the program on the target makes of a sample: offsets of -6..6 times 2**-10 V."""
+    steps = (7 * np.arange(cells)) % 13 - 6
+    off = steps.astype(np.float32) * np.float32(2.0**-10)
+    return samples["voltage_V"][:, None] + off
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("core", CORES)
+def test_a_pack_gives_the_same_bytes_within_the_room_there_is(core):
+    """96 cells at 1 Hz: at most 12,000 instructions a sample in the mean on a Cortex-M4F."""
+    if not has_tools(core):
+        pytest.skip(f"no compiler or emulator for {core}: make firmware")
+    model = curved_cell()
+    log = resample(load_dataset("nmc_drive_b"), 1.0)
+    log = replace(log, voltage_V=simulate(model, log, 0.95).voltage_V)
+    samples = samples_of(model, log, 1.0).records[2000:3200].copy()
+    tables = tables_of("lean pack")
+    run = run_on_target(tables, core, samples, 0.8, 0.09, cells=96)
+    stepper = numba_stepper(tables)
+    state, cells = np.zeros(1, dtype=state_type(tables.options)), np.zeros(96, dtype=CELL)
+    stepper.begin(state, 0.8, 0.09)
+    stepper.pack.begin(cells)
+    outputs = stepper.pack.rows(state, cells, samples.copy(), pack_voltages(samples, 96))
+    assert state["cells_at"][0] == samples["sequence"][-1]
+    assert run.outputs.tobytes() == outputs.tobytes()
+    assert run.state.tobytes() == state.tobytes()
+    assert run.cells.tobytes() == cells.tobytes()
+    assert run.cost.ram_bytes == 0
+    # What is measured is repeated, and the cells learn from it: not for the bytes.
+    cost = run_on_target(tables, core, samples, 0.8, 0.09, cells=96, measure_every=25).cost
+    assert cost.measured == 48
+    if core == "cortex-m4f":
+        assert 1000 < cost.instructions_mean <= 12_000
+        assert cost.instructions_most <= 12_000
 
 
 @pytest.mark.slow

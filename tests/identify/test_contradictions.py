@@ -163,7 +163,7 @@ def test_the_charge_from_full_to_empty_is_that_of_one_discharge(low_rate):
 
 
 def test_the_plateau_of_a_narrow_window_is_neither_full_nor_empty():
-    """Pulses down to the lower limit all along an LFP plateau, and a slow cycle of the same cell."""
+    """Pulses down to the lower limit all along an LFP plateau, and a slow discharge."""
     from cellwise.identify.contradictions import Tested
 
     capacity, points = 6.4, 4001

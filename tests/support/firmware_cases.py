@@ -17,6 +17,7 @@ from cellwise.cell.effects import (
     SurfaceSoc,
 )
 from cellwise.cell.plausibility.validity import Validity
+from cellwise.estimate.cells.settings import CellSettings
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.estimate.power.limits import OperatingLimits
 from cellwise.estimate.power.state_of_power import power_settings
@@ -64,6 +65,18 @@ def tables_of(name, dt_s=1.0):
         return power_tables(curved_cell(), dt_s, wide=name == "power", watch=name == "power")
     if name == "full power":
         return power_tables(full_model(), dt_s, offset_std_A=0.1)
+    if name in ("lean pack", "full pack"):
+        lean = name == "lean pack"
+        model = curved_cell() if lean else full_model()
+        return fixed_step_tables(
+            model,
+            dt_s,
+            wide=not lean,
+            watch=not lean,
+            life=True,
+            cells=CellSettings(),
+            power=power_asked(model),
+        )
     return fixed_step_tables(full_model(), dt_s, offset_std_A=0.1)
 
 

@@ -54,6 +54,14 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--power", type=float, metavar="S", help="state of power: held for S seconds, 10 say"
     )
     power_options.add_limit_options(export)
+    export.add_argument(
+        "--cells", type=int, default=0, metavar="N", help="follow N cells in series, on one table"
+    )
+    export.add_argument(
+        "--life",
+        action="store_true",
+        help="take capacity and resistance from `cellwise history` without a new export",
+    )
     export.add_argument("--flash", type=int, metavar="BYTES", help="refuse larger tables")
     export.add_argument("--log", metavar="LOG", help="accuracy lost, against the float64 EKF")
     export.add_argument("--soc0", type=float, metavar="X", help="SOC at the log's start [auto]")
@@ -65,12 +73,20 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run_export(arguments: argparse.Namespace) -> None:
     """Write the C of a model and say what it costs."""
+    from cellwise.estimate.cells.settings import CellSettings
     from cellwise.estimate.fixed.tables import fixed_step_tables
     from cellwise.export.c_tables import prefixed
-    from cellwise.export.package import check_flash, check_step, describe, write_package
+    from cellwise.export.package import (
+        check_cells,
+        check_flash,
+        check_step,
+        describe,
+        write_package,
+    )
 
     page_options.check_page_options(arguments)
     check_step(arguments.dt)
+    check_cells(arguments.cells)
     model = without(model_options.read(arguments), arguments.without)
     noise = noise_of(model, arguments.noise)
     if arguments.prefix:
@@ -84,9 +100,11 @@ def run_export(arguments: argparse.Namespace) -> None:
         wide=not arguments.lean,
         watch=not arguments.lean,
         power=power_options.exported_power(arguments, model),
+        life=arguments.life,
+        cells=CellSettings() if arguments.cells else None,
     )
     check_flash(tables, arguments.flash)
-    report = describe(model, tables, noise)
+    report = describe(model, tables, noise, arguments.cells)
     report["targets"] = target_costs(model, tables, arguments)
     report["accuracy"] = lost_accuracy(model, noise, arguments)
     report["files"] = write_package(model, tables, Path(arguments.output), report, arguments.prefix)
@@ -203,6 +221,12 @@ def target_costs(
             report["stack_bytes"] = max(report["stack_bytes"], worst.stack_bytes)
             report["instructions_stress"] = worst.stress
             report["instructions_anew"] = worst.reset
+            if arguments.cells:
+                pack = run_on_target(
+                    tables, core, records, 0.5, 0.0225, measure_every=10, cells=arguments.cells
+                )
+                report["pack_instructions_mean"] = pack.cost.instructions_mean
+                report["pack_instructions_most"] = pack.cost.instructions_most
             costs.append(report)
             progress.remove_task(task)
     return costs
@@ -258,6 +282,11 @@ def print_export(folder: str, report: dict[str, Any]) -> None:
             ("compiled in", ", ".join(on) or "nothing beyond the plain model"),
             ("tables in flash", f"{report['model_bytes']:,} bytes"),
             ("state per cell", f"{report['state_bytes']} bytes"),
+            *(
+                [("state of a pack", f"{report['pack_bytes']:,} bytes for {report['cells']} cells")]
+                if report["cells"]
+                else []
+            ),
         ],
     )  # fmt: skip
     if report["targets"]:
@@ -281,6 +310,19 @@ def print_export(folder: str, report: dict[str, Any]) -> None:
                 for c in report["targets"]
             ],
         )  # fmt: skip
+        if "pack_instructions_mean" in report["targets"][0]:
+            printing.table(
+                f"A sample of {report['cells']} cells (instructions)",
+                ("core", "mean", "most on the log"),
+                [
+                    (
+                        c["core"],
+                        f"{c['pack_instructions_mean']:,.0f}",
+                        f"{c['pack_instructions_most']:,.0f}",
+                    )
+                    for c in report["targets"]
+                ],
+            )
     else:
         printing.say("no cross compiler: code size, stack and instructions are not known")
     if report["accuracy"]:

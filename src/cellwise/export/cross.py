@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellwise.errors import InputError
-from cellwise.estimate.fixed.layout import INPUT, OUTPUT, state_type
+from cellwise.estimate.fixed.layout import CELL, INPUT, OUTPUT, state_type
 from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.export.c_tables import STRICT_FLAGS, firmware_folder, write_sources
 
@@ -105,11 +105,15 @@ class Cost:
 
 @dataclass(frozen=True, eq=False)
 class TargetRun:
-    """Outputs of every sample (records of OUTPUT), the final state, and what was measured."""
+    """Outputs of every sample (records of OUTPUT), the final state, and what was measured.
+
+    ``cells`` are the records of a pack's cells, none without a pack.
+    """
 
     outputs: NDArray[Any]
     state: NDArray[Any]
     cost: Cost
+    cells: NDArray[Any]
 
 
 def has_tools(core_name: str) -> bool:
@@ -148,6 +152,7 @@ def build(
     folder: Path,
     optimise: str = OPTIMISE,
     of_power: bool = False,
+    cells: int = 0,
 ) -> Path:
     """Compile the C of a model with the test program for a core; the path of the ELF file."""
     for name, text in write_sources(tables, "0" * 64):
@@ -162,6 +167,7 @@ def build(
         made = folder / f"{source}.o"
         extra = ["-fno-builtin"] if source == core.startup else []
         extra += ["-DMEASURE_POWER"] if of_power else []
+        extra += [f"-DMEASURE_CELLS={cells}u"] if cells else []
         _run([gcc, *flags, *extra, "-c", str(folder / f"{source}.c"), "-o", str(made)])
         objects.append(str(made))
     elf = folder / "target.elf"
@@ -181,6 +187,7 @@ def run_on_target(
     measure_first: int = 0,
     optimise: str = OPTIMISE,
     of_power: bool = False,
+    cells: int = 0,
 ) -> TargetRun:
     """Step samples on an emulated core.
 
@@ -191,6 +198,7 @@ def run_on_target(
     measure_every : int            count instructions and stack of every so many samples; 0: none
     measure_first : int            the first of them
     of_power : bool                measure the state of power, not the step
+    cells : int                    measure a sample of a pack of so many cells; 0: of one
 
     Raises
     ------
@@ -201,7 +209,7 @@ def run_on_target(
     samples = np.ascontiguousarray(samples, dtype=INPUT)
     with tempfile.TemporaryDirectory(prefix="cellwise-") as name:
         folder = Path(name)
-        elf = build(tables, core, folder, optimise, of_power)
+        elf = build(tables, core, folder, optimise, of_power, cells)
         asked = struct.pack("<ffII", soc, soc_variance, measure_every, measure_first)
         (folder / "in.bin").write_bytes(asked + samples.tobytes())
         command = [
@@ -223,8 +231,10 @@ def run_on_target(
     ends = samples.size * OUTPUT.itemsize
     outputs = np.frombuffer(data[:ends], dtype=OUTPUT)
     state = np.frombuffer(data[ends : ends + kind.itemsize], dtype=kind)
-    found = FINDINGS.unpack(data[ends + kind.itemsize :])
-    return TargetRun(outputs, state, _cost(core, text, ram, found))
+    ends += kind.itemsize
+    differences = np.frombuffer(data[ends : ends + cells * CELL.itemsize], dtype=CELL)
+    found = FINDINGS.unpack(data[ends + differences.nbytes :])
+    return TargetRun(outputs, state, _cost(core, text, ram, found), differences)
 
 
 def known_core(name: str) -> Core:

@@ -14,4 +14,6 @@ class Firmware(FixedStep):
 
     def _make(self, tables: FixedStepTables) -> Stepper:
         library = HostLibrary(tables)
-        return Stepper(tables, library.init, library.rows, library.power)
+        return Stepper(
+            tables, library.init, library.rows, library.power, library.learn, library.pack()
+        )

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellwise.errors import InputError
-from cellwise.estimate.fixed.layout import INPUT, OUTPUT, state_type
+from cellwise.estimate.fixed.fixed_step import PackCalls
+from cellwise.estimate.fixed.layout import CELL_OUTPUT, INPUT, OUTPUT, state_type
 from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.export.c_tables import STRICT_FLAGS, firmware_folder, write_sources
 
@@ -23,6 +24,14 @@ DECLARATIONS = """
 uint32_t cellwise_init(const void *model, void *x, float soc, float soc_variance);
 uint32_t cellwise_step(const void *model, void *x, const void *in, void *out);
 void cellwise_power_of(const void *model, const void *x, void *out);
+uint32_t cellwise_learn_of(const void *model, void *x, float share, float scale);
+void cellwise_cells_begin(const void *model, void *cells, uint32_t count);
+void cellwise_pack_rows(const void *model, void *x, void *cells, uint32_t count, void *in,
+                        const float *voltage_V, void *out, uint32_t samples);
+void cellwise_cells_of(const void *model, const void *x, const void *cells, uint32_t count,
+                       void *out);
+void cellwise_pack_power_of(const void *model, const void *x, const void *cells, uint32_t count,
+                            void *out);
 void cellwise_rows(const void *model, void *x, const void *in, void *out, uint32_t samples);
 extern const char cellwise_cell[];
 """
@@ -75,6 +84,53 @@ class HostLibrary:
         x = self._ffi.from_buffer(state)
         to = self._ffi.from_buffer(out, require_writable=True)
         self._library.cellwise_power_of(self._model, x, to)
+
+    def learn(self, state: NDArray[Any], share: float, scale: float) -> int:
+        """``cellwise_learn``: its status."""
+        x = self._ffi.from_buffer(state, require_writable=True)
+        return int(self._library.cellwise_learn_of(self._model, x, share, scale))
+
+    def pack(self) -> PackCalls:
+        """The functions of a pack's cells."""
+        return PackCalls(self.begin_cells, self.pack_rows, self.cells_now, self.pack_power)
+
+    def begin_cells(self, cells: NDArray[Any]) -> None:
+        """``cellwise_cells_init``."""
+        to = self._ffi.from_buffer(cells, require_writable=True)
+        self._library.cellwise_cells_begin(self._model, to, cells.size)
+
+    def pack_rows(
+        self, state: NDArray[Any], cells: NDArray[Any], samples: NDArray[Any], cell_V: NDArray[Any]
+    ) -> NDArray[Any]:
+        """Mean, step and cells for every sample: records of OUTPUT, shape (n,)."""
+        outputs = np.zeros(samples.size, dtype=OUTPUT)
+        voltages = np.ascontiguousarray(cell_V, dtype=np.float32)
+        if samples.size:
+            self._library.cellwise_pack_rows(
+                self._model,
+                self._ffi.from_buffer(state, require_writable=True),
+                self._ffi.from_buffer(cells, require_writable=True),
+                cells.size,
+                self._ffi.from_buffer(samples, require_writable=True),
+                self._ffi.from_buffer("float[]", voltages),
+                self._ffi.from_buffer(outputs, require_writable=True),
+                samples.size,
+            )
+        return outputs
+
+    def cells_now(self, state: NDArray[Any], cells: NDArray[Any]) -> NDArray[Any]:
+        """``cellwise_cell_of`` for every cell: records of CELL_OUTPUT, shape (cells,)."""
+        out = np.zeros(cells.size, dtype=CELL_OUTPUT)
+        x, a = self._ffi.from_buffer(state), self._ffi.from_buffer(cells)
+        to = self._ffi.from_buffer(out, require_writable=True)
+        self._library.cellwise_cells_of(self._model, x, a, cells.size, to)
+        return out
+
+    def pack_power(self, state: NDArray[Any], cells: NDArray[Any], out: NDArray[Any]) -> None:
+        """``cellwise_pack_power`` into one record of CAPABILITY."""
+        x, a = self._ffi.from_buffer(state), self._ffi.from_buffer(cells)
+        to = self._ffi.from_buffer(out, require_writable=True)
+        self._library.cellwise_pack_power_of(self._model, x, a, cells.size, to)
 
     def rows(self, state: NDArray[Any], samples: NDArray[Any]) -> NDArray[Any]:
         """``cellwise_step`` for every sample: records of OUTPUT, shape (n,)."""

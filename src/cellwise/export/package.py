@@ -13,7 +13,8 @@ from typing import Any
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import model_to_dict
 from cellwise.errors import InputError
-from cellwise.estimate.fixed.layout import INPUT, OUTPUT, state_type
+from cellwise.estimate.cells.settings import MOST_CELLS
+from cellwise.estimate.fixed.layout import CELL, INPUT, OUTPUT, state_type
 from cellwise.estimate.fixed.tables import FixedStepTables, shortest_step_s
 from cellwise.estimate.noise import Noise
 from cellwise.export.c_tables import prefixed, write_sources
@@ -32,9 +33,10 @@ def model_sha256(model: CellModel) -> str:
 
 
 def describe(
-    model: CellModel, tables: FixedStepTables, noise: Noise | None = None
+    model: CellModel, tables: FixedStepTables, noise: Noise | None = None, cells: int = 0
 ) -> dict[str, Any]:
     """What was exported: time step and its limits, options, noise, sizes."""
+    state_bytes = state_type(tables.options).itemsize
     noise = Noise.of_model(model) if noise is None else noise
     return {
         "model": model.name,
@@ -45,7 +47,9 @@ def describe(
         "options": asdict(tables.options),
         "states": tables.options.states,
         "model_bytes": tables.flash_bytes,
-        "state_bytes": state_type(tables.options).itemsize,
+        "state_bytes": state_bytes,
+        "cells": cells,
+        "pack_bytes": state_bytes + cells * CELL.itemsize if cells else 0,
         "input_bytes": INPUT.itemsize,
         "output_bytes": OUTPUT.itemsize,
     }
@@ -63,6 +67,21 @@ def check_step(dt_s: float) -> None:
             f"a time step of {dt_s:g} s",
             f"at most {LONGEST_STEP_S:g} s: a longer mean says little of the voltage at its end",
             "Give `dt_s=1`, say, and step more often than the rows are logged.",
+        )
+
+
+def check_cells(cells: int) -> None:
+    """Refuse a number of cells that no pack has; 0 is no pack.
+
+    Raises
+    ------
+    InputError        one cell, more than a thousand
+    """
+    if cells and not 2 <= cells <= MOST_CELLS:
+        raise InputError(
+            f"{cells} cells in a pack",
+            f"2 to {MOST_CELLS} in series",
+            "Leave `cells` out for one cell.",
         )
 
 

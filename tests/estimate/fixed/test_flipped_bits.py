@@ -30,7 +30,7 @@ def compiled_c(tables):
         library = HostLibrary(tables)
     except Exception:
         return None
-    return Stepper(tables, library.init, library.rows, library.power)
+    return Stepper(tables, library.init, library.rows, library.power, library.learn, library.pack())
 
 
 def flipped(state):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable
+from functools import partial
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -18,9 +19,10 @@ from cellwise.cell.simulate import (
     model_temperature_C,
 )
 from cellwise.errors import InputError
+from cellwise.estimate.cells.settings import CellSettings
 from cellwise.estimate.filters.filter_state import EkfInfo
 from cellwise.estimate.filters.kalman import one_reading
-from cellwise.estimate.fixed.layout import CAPABILITY, INPUT, OUTPUT, state_type
+from cellwise.estimate.fixed.layout import CAPABILITY, CELL_OUTPUT, INPUT, OUTPUT, state_type
 from cellwise.estimate.fixed.tables import FixedStepTables, fixed_step_tables
 from cellwise.estimate.noise import Noise, noise_for
 from cellwise.estimate.status import VOLTAGE_INVALID
@@ -58,6 +60,8 @@ class FixedStep:
     watch : bool                watch for sensors that freeze or fall silent
     validity : bool             say and widen beyond the model's data, where these are known
     power : PowerSettings or None   what :meth:`power` is asked for: one horizon, currents held
+    life : bool                 take capacity and resistance from a history (:meth:`learn`)
+    cells : CellSettings or None    follow the cells of a pack: see :class:`FixedPack`
     """
 
     name = "fixed-step"
@@ -74,6 +78,8 @@ class FixedStep:
         watch: bool = True,
         validity: bool = True,
         power: PowerSettings | None = None,
+        life: bool = False,
+        cells: CellSettings | None = None,
     ) -> None:
         check_is_model(model)
         self.model = model
@@ -82,7 +88,7 @@ class FixedStep:
         self._points = points
         self._offset_std_A = offset_std_A
         self._wide, self._watch, self._validity = wide, watch, validity
-        self._power = power
+        self._power, self._life, self._cells = power, life, cells
         self._stepper: Stepper | None = None
         self._sample = np.zeros(1, dtype=INPUT)
         self.stepper(1.0 if dt_s is None else dt_s)  # refuses now what it would refuse later
@@ -100,6 +106,8 @@ class FixedStep:
                 watch=self._watch,
                 validity=self._validity,
                 power=self._power,
+                life=self._life,
+                cells=self._cells,
             )
             self._stepper = self._make(tables)
         return self._stepper
@@ -135,7 +143,7 @@ class FixedStep:
         InputError        a state, a reading or a sequence number of another type
         """
         stepper = self._need_stepper()
-        warm = model_temperature_C(self.model) if temperature_C is None else temperature_C
+        warm = self.temperature_or_usual_C(temperature_C)
         check_record(state, stepper.tables, self.name)
         self._sample[0] = (
             one_reading("current_A", current_A, "ampere"),
@@ -170,6 +178,33 @@ class FixedStep:
         stepper.power(state, out)
         return out
 
+    def learn(self, state: NDArray[Any], capacity_share: float, resistance_scale: float) -> None:
+        """What a history says of the cell beside the model; kept in the state.
+
+        Parameters
+        ----------
+        capacity_share : float       of the model's capacity that is left, 0.1 to 2
+        resistance_scale : float     of all resistances since, 0.1 to 20
+
+        Raises
+        ------
+        InputError        not asked for when this was made; a number outside these
+        """
+        stepper = self._need_stepper()
+        if not stepper.tables.options.life:
+            raise InputError(
+                "a fixed step that takes nothing from a history",
+                "FixedStep(..., life=True)",
+                "Make it with that.",
+            )
+        check_record(state, stepper.tables, self.name)
+        if stepper.learn(state, float(capacity_share), float(resistance_scale)):
+            raise InputError(
+                f"capacity_share = {capacity_share:g}, resistance_scale = {resistance_scale:g}",
+                "a share of 0.1 to 2, a scale of 0.1 to 20, a sound state",
+                "Give what `cellwise history` says, beside the model's own.",
+            )
+
     def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> Trace:
         """Replay a whole log at the time step; an uneven log is resampled first.
 
@@ -195,12 +230,31 @@ class FixedStep:
             status=out["status"].astype(np.int32),
         )
 
-    def _need_stepper(self) -> Stepper:
+    @property
+    def cell_settings(self) -> CellSettings | None:
+        """How cells of a pack differ, where they are followed."""
+        return self._cells
+
+    @property
+    def known_dt_s(self) -> float:
+        """The time step [s].
+
+        Raises
+        ------
+        InputError        none was given
+        """
         if self.dt_s is None:
             raise InputError(
                 "no time step", "dt_s, which the tables hold for", "Give FixedStep(..., dt_s=0.1)."
             )
-        return self.stepper(self.dt_s)
+        return self.dt_s
+
+    def temperature_or_usual_C(self, temperature_C: float | None) -> float:
+        """A reading, or without one the model's own temperature [degC]."""
+        return model_temperature_C(self.model) if temperature_C is None else temperature_C
+
+    def _need_stepper(self) -> Stepper:
+        return self.stepper(self.known_dt_s)
 
 
 class Stepper(NamedTuple):
@@ -210,26 +264,61 @@ class Stepper(NamedTuple):
     begin: Callable[[NDArray[Any], float, float], object]
     rows: Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]]
     power: Callable[[NDArray[Any], NDArray[Any]], object]
+    learn: Callable[[NDArray[Any], float, float], int]
+    pack: PackCalls
+
+
+class PackCalls(NamedTuple):
+    """The cells of a pack: records of CELL beside the mean cell's state.
+
+    ``begin(cells)``, ``rows(state, cells, samples, cell_V)`` gives records of OUTPUT, ``now(state,
+    cells)`` records of CELL_OUTPUT, ``power(state, cells, out)``.
+    """
+
+    begin: Callable[[NDArray[Any]], object]
+    rows: Callable[[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]], NDArray[Any]]
+    now: Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]]
+    power: Callable[[NDArray[Any], NDArray[Any], NDArray[Any]], object]
 
 
 def numba_stepper(tables: FixedStepTables) -> Stepper:
-    """The step in numba."""
-    from cellwise.estimate.fixed.rows import compiled_power, compiled_rows, compiled_start
+    """The step in numba; what few ask for is compiled when it is asked for."""
+    from cellwise.estimate.fixed import rows as loops
 
-    begin, loop = compiled_start(tables.options), compiled_rows(tables.options)
+    known = (tables.constants, tables.table)
+
+    def call(function: Callable[..., Any], *given: Any) -> Any:
+        return loops.compiled(function, tables.options)(*known, *given)
+
+    loop, begin = (loops.compiled(f, tables.options) for f in (loops.rows, loops.begin))
 
     def rows(state: NDArray[Any], samples: NDArray[Any]) -> NDArray[Any]:
         outputs = np.zeros(samples.size, dtype=OUTPUT)
-        loop(tables.constants, tables.table, state, samples, outputs)
+        loop(*known, state, samples, outputs)
         return outputs
 
-    def start(state: NDArray[Any], soc: float, variance: float) -> None:
-        begin(tables.constants, tables.table, state, soc, variance)
+    def pack_rows(
+        state: NDArray[Any], cells: NDArray[Any], samples: NDArray[Any], cell_V: NDArray[Any]
+    ) -> NDArray[Any]:
+        outputs = np.zeros(samples.size, dtype=OUTPUT)
+        call(loops.pack_rows, state, cells, samples, cell_V, outputs)
+        return outputs
 
-    def power(state: NDArray[Any], out: NDArray[Any]) -> None:
-        compiled_power(tables.options)(tables.constants, tables.table, state, out)
+    def now(state: NDArray[Any], cells: NDArray[Any]) -> NDArray[Any]:
+        out = np.zeros(cells.size, dtype=CELL_OUTPUT)
+        call(loops.cells_now, state, cells, out)
+        return out
 
-    return Stepper(tables, start, rows, power)
+    return Stepper(
+        tables,
+        partial(begin, *known),
+        rows,
+        partial(call, loops.ability),
+        partial(call, loops.history),
+        PackCalls(
+            partial(call, loops.begin_cells), pack_rows, now, partial(call, loops.pack_ability)
+        ),
+    )
 
 
 def start_state(stepper: Stepper, soc0: float, soc0_std: float) -> NDArray[Any]:

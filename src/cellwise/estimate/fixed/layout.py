@@ -121,6 +121,18 @@ CONSTANTS = (
     Field("power_soc_low", "", "POWER"),
     Field("power_soc_high", "", "POWER"),
     Field("power_hysteresis_per_A", "e-folds of h over the horizon", "HYSTERESIS and POWER"),
+    Field("cell_soc2", "variance of the cells' differences at the start: of SOC,", "CELLS"),
+    Field("cell_capacity2", "capacity, relative,", "CELLS"),
+    Field("cell_resistance2", "resistance, relative,", "CELLS"),
+    Field("cell_soc_walk", "and gained in one step", "CELLS"),
+    Field("cell_capacity_walk", "", "CELLS"),
+    Field("cell_resistance_walk", "", "CELLS"),
+    Field("cell_V2", "of a cell's sensor beside the others'", "CELLS"),
+    Field("cell_shared", "samples that share one error of a cell's voltage", "CELLS"),
+    Field("cell_lag", "square of the delay of a cell's polling, in steps", "CELLS"),
+    Field("cell_least_soc2", "what a sensor's offset leaves unknown of a cell's SOC", "CELLS"),
+    Field("cell_turns", "samples in which every cell has its turn once", "CELLS", "u4"),
+    Field("cell_recovery", "rejections in a row, then a cell's SOC is unknown", "CELLS", "u4"),
     Field("grid_C", "temperatures of the tables", "TEMPERATURES", "f4", "temperatures"),
     Field("per_K", "1 / distance of neighbours", "TEMPERATURES", "f4", "temperatures", 1),
     Field("arrhenius_low_C", "", "ARRHENIUS"),
@@ -161,6 +173,11 @@ def _state() -> tuple[Field, ...]:
         Field("repeats", "and how often it has come since", "WATCH", "u4"),
         Field("no_current", "steps without a valid one", "WATCH", "u4"),
         Field("no_voltage", "steps without one that could be used", "WATCH", "u4"),
+        Field("per_capacity", "inverse of the share of the capacity that is left", "LIFE"),
+        Field("resistance_scale", "of the resistances since", "LIFE"),
+        Field("mean_V", "of the cells at their last sample,", "CELLS"),
+        Field("cells_at", "its sequence,", "CELLS", "u4"),
+        Field("turn", "and the first cell whose turn is next", "CELLS", "u4"),
         Field("sequence", "of the last sample", "", "u4"),
         Field("rejections", "20000 each: under load a rejection counts less", "", "u4"),
         Field("evidence", "0: no sample yet, 1: no voltage yet, then 2 + steps since", "", "u4"),
@@ -193,6 +210,31 @@ CAPABILITY_FIELDS = (
     Field("charge_low_W", "and sustains with 95 %"),
 )
 
+CELL_FIELDS = (
+    Field("soc", "more than the mean cell's, where that is 50 %"),
+    Field("capacity", "more than the mean cell's, relative"),
+    Field("resistance", "more than the mean cell's, relative"),
+    Field("ss", "their covariance"),
+    Field("sq"),
+    Field("sr"),
+    Field("qq"),
+    Field("qr"),
+    Field("rr"),
+    Field("seen_at", "sequence of its last turn", "", "u4"),
+    Field("rejections", "in a row", "", "u4"),
+    Field("status", "of the last sample: bits", "", "u4"),
+)
+
+CELL_OUTPUT_FIELDS = (
+    Field("soc"),
+    Field("soc_variance"),
+    Field("capacity_share", "of the mean cell's"),
+    Field("capacity_variance"),
+    Field("resistance_scale", "beside the mean cell's"),
+    Field("resistance_variance"),
+    Field("status", "of the last sample: bits", "", "u4"),
+)
+
 
 def fields_of(table: tuple[Field, ...], options: Options) -> list[Field]:
     """The fields that are compiled in, in order."""
@@ -217,6 +259,8 @@ def _record_type(table: tuple[Field, ...], options: Options) -> np.dtype[Any]:
 INPUT = _record_type(INPUT_FIELDS, Options(points=3))
 OUTPUT = _record_type(OUTPUT_FIELDS, Options(points=3))
 CAPABILITY = _record_type(CAPABILITY_FIELDS, Options(points=3))
+CELL = _record_type(CELL_FIELDS, Options(points=3))
+CELL_OUTPUT = _record_type(CELL_OUTPUT_FIELDS, Options(points=3))
 
 
 def row_names(options: Options) -> list[str]:

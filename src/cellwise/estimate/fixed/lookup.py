@@ -146,6 +146,11 @@ def under_surface(c: Constants, x: State, at: Place, temperature_C: WarmFloat) -
     return Place(at.low, at.weight, at.scale, lag)
 
 
+def aged(x: State, at: Place) -> Place:
+    """The same place with the resistances that a history gives."""
+    return Place(at.low, at.weight, at.scale * x.resistance_scale, at.lag)
+
+
 def index_of(x: Float, points: Count) -> Count:
     """Lower point of the SOC interval that holds x, a SOC in units of the grid."""
     if WIDE:

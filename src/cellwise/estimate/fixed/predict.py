@@ -32,13 +32,14 @@ from cellwise.estimate.fixed.options import (
     HEATING,
     HYSTERESIS,
     LEAK,
+    LIFE,
     OFFSET,
     SLOW,
     WIDE,
 )
 
 
-def taken(c: Constants, current: Float) -> Float:
+def taken(c: Constants, x: State, current: Float) -> Float:
     """Charge that leaves the cell in one step, in SOC."""
     used = current
     if EFFICIENCY and used < ZERO:
@@ -46,6 +47,8 @@ def taken(c: Constants, current: Float) -> Float:
     used = c.soc_per_A * used
     if LEAK:
         used = used + c.leak_soc
+    if LIFE:
+        used = used * x.per_capacity
     return used
 
 

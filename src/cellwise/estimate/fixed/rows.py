@@ -15,6 +15,14 @@ from typing import Any
 from numba import njit
 
 from cellwise.cell.compiled import cached
+from cellwise.estimate.cells import fixed_cells
+from cellwise.estimate.cells.fixed_cells import (
+    cell_of,
+    mean_voltage,
+    pack_power,
+    start_cells,
+    step_cells,
+)
 from cellwise.estimate.fixed import (
     arithmetic,
     correct,
@@ -30,6 +38,7 @@ from cellwise.estimate.fixed import step as whole_step
 from cellwise.estimate.fixed.arithmetic import F, U
 from cellwise.estimate.fixed.layout import ROW, Model, row_names
 from cellwise.estimate.fixed.options import Options, flags_of
+from cellwise.estimate.fixed.state import learn
 from cellwise.estimate.fixed.step import init, step
 from cellwise.estimate.power import fixed_power
 from cellwise.estimate.power.fixed_power import power
@@ -50,6 +59,7 @@ STEP_MODULES = (
     correct,
     whole_step,
     fixed_power,
+    fixed_cells,
 )
 
 
@@ -78,13 +88,49 @@ def ability(constants: Any, table: Any, state: Any, out: Any) -> None:
     power(Model(constants[0], table), state[0], out[0])
 
 
+def history(constants: Any, table: Any, state: Any, share: float, scale: float) -> Any:
+    """What a history says of the one record of ``state``."""
+    return learn(Model(constants[0], table), state[0], F(share), F(scale))
+
+
+def begin_cells(constants: Any, table: Any, cells: Any) -> None:
+    """Start the records of ``cells``."""
+    start_cells(Model(constants[0], table), cells, U(cells.size))
+
+
+def pack_rows(
+    constants: Any, table: Any, state: Any, cells: Any, samples: Any, cell_V: Any, outputs: Any
+) -> None:
+    """Step every sample of a pack: ``cell_V`` (samples, cells); the samples take its means."""
+    m = Model(constants[0], table)
+    count = U(cells.size)
+    for k in range(samples.size):
+        samples[k].voltage_V = mean_voltage(m, cells, cell_V[k], count)
+        step(m, state[0], samples[k], outputs[k])
+        step_cells(m, state[0], samples[k], cells, cell_V[k], count)
+
+
+def cells_now(constants: Any, table: Any, state: Any, cells: Any, out: Any) -> None:
+    """What is known of every cell, into records of CELL_OUTPUT."""
+    m = Model(constants[0], table)
+    for k in range(cells.size):
+        cell_of(m, state[0], cells[k], out[k])
+
+
+def pack_ability(constants: Any, table: Any, state: Any, cells: Any, out: Any) -> None:
+    """State of power of the pack into the one record of ``out``."""
+    pack_power(Model(constants[0], table), state[0], cells, U(cells.size), out[0])
+
+
 @lru_cache
 def specialised(options: Options) -> dict[str, Any]:
     """Every function of the step with the globals of one set of options, compiled when called."""
     columns = {field.name.upper(): U(0) for field in ROW}
     columns |= {name.upper(): U(k) for k, name in enumerate(row_names(options))}
     made: dict[str, Any] = {}
-    modules = STEP_MODULES if options.power else STEP_MODULES[:-1]
+    absent = set() if options.power or options.cells else {fixed_power}
+    absent |= set() if options.cells else {fixed_cells}
+    modules = [module for module in STEP_MODULES if module not in absent]
     for f in [f for module in modules for f in functions_of(module)]:
         scope = {**f.__globals__, **columns, **flags_of(options), **made}
         own = FunctionType(f.__code__, scope, f.__name__)
@@ -101,21 +147,6 @@ def _outer(function: FunctionType, options: Options) -> Callable[..., None]:
 
 
 @lru_cache
-def compiled_rows(options: Options) -> Callable[..., None]:
-    """The loop :func:`rows` for one set of options.
-
-    Every argument is an array of records of :mod:`cellwise.estimate.fixed.layout`.
-    """
-    return _outer(rows, options)  # type: ignore[arg-type]
-
-
-@lru_cache
-def compiled_start(options: Options) -> Callable[..., None]:
-    """:func:`begin` for one set of options."""
-    return _outer(begin, options)  # type: ignore[arg-type]
-
-
-@lru_cache
-def compiled_power(options: Options) -> Callable[..., None]:
-    """:func:`ability` for one set of options that has the power."""
-    return _outer(ability, options)  # type: ignore[arg-type]
+def compiled(function: Callable[..., Any], options: Options) -> Callable[..., Any]:
+    """One of the functions of this module for one set of options."""
+    return _outer(function, options)  # type: ignore[arg-type]

@@ -38,7 +38,7 @@ from cellwise.estimate.fixed.arithmetic import (
     within,
 )
 from cellwise.estimate.fixed.lookup import within_one
-from cellwise.estimate.fixed.options import HEATING, LEAK, OFFSET, SKEW, WARM, WATCH
+from cellwise.estimate.fixed.options import HEATING, LEAK, LIFE, OFFSET, SKEW, WARM, WATCH
 from cellwise.estimate.fixed.predict import taken
 from cellwise.estimate.status import (
     CLAMPED,
@@ -137,18 +137,21 @@ def count_charge(c: Constants, x: State, s: Reading) -> Charge:
     missing = s.missing
     bridge = ZERO
     if s.news == INTERVAL:
-        used = taken(c, s.flow)
+        used = taken(c, x, s.flow)
         if missing != U(0):
             status = U(status | SEQUENCE_GAP)
             if missing <= c.gap_steps:
                 bridge = HALF * (s.current + x.current_A)
                 if WATCH and s.silent > c.hold_steps:
                     bridge = ZERO
-                used = used + (taken(c, bridge) * F(missing))
+                used = used + (taken(c, x, bridge) * F(missing))
             else:  # nobody knows what flowed; self-discharge goes on
                 missing = missing if missing < LONGEST_GAP else LONGEST_GAP
                 if LEAK:
-                    used = used + (c.leak_soc * F(missing))
+                    lost = c.leak_soc * F(missing)
+                    if LIFE:
+                        lost = lost * x.per_capacity
+                    used = used + lost
         x.soc, x.soc_carry = add(x.soc, x.soc_carry, -used)
         if s.unmeasured_A2 > ZERO:
             if WATCH:

@@ -7,6 +7,10 @@ from cellwise.estimate.fixed.arithmetic import (
     HALF,
     HEAT_MOST_K,
     LARGE,
+    LEAST_SCALE,
+    LEAST_SHARE,
+    MOST_SCALE,
+    MOST_SHARE,
     NOT_BEGUN,
     ONE,
     REST_LIMIT_V,
@@ -15,6 +19,7 @@ from cellwise.estimate.fixed.arithmetic import (
     TEMPERATURE_LOW_C,
     ZERO,
     Constants,
+    Count,
     Flag,
     Float,
     SlowFloat,
@@ -24,6 +29,7 @@ from cellwise.estimate.fixed.arithmetic import (
     at_least,
     magnitude,
     not_negative,
+    positive_within,
     size_below,
     size_within,
     within,
@@ -33,9 +39,12 @@ from cellwise.estimate.fixed.covariance import (
     forget_correlations,
     start_covariance,
 )
+from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.options import (
+    CELLS,
     HEATING,
     HYSTERESIS,
+    LIFE,
     OFFSET,
     SLOW,
     SURFACE,
@@ -43,6 +52,7 @@ from cellwise.estimate.fixed.options import (
     WATCH,
     WIDE,
 )
+from cellwise.estimate.status import OUT_OF_RANGE
 
 
 def is_sound(c: Constants, x: State) -> Flag:
@@ -69,7 +79,29 @@ def is_sound(c: Constants, x: State) -> Flag:
         return False
     if WATCH and not (size_within(x.voltage_V, LARGE) and size_within(x.frozen_A, LARGE)):
         return False
+    if LIFE and not positive_within(x.per_capacity, ONE / MOST_SHARE, ONE / LEAST_SHARE):
+        return False
+    if LIFE and not positive_within(x.resistance_scale, LEAST_SCALE, MOST_SCALE):
+        return False
+    if CELLS and not size_within(x.mean_V, LARGE):
+        return False
     return covariance_is_sound(x)
+
+
+def learn(m: Model, x: State, capacity_share: Float, resistance_scale: Float) -> Count:
+    """What a history says of the cell beside the model: its capacity, and all its resistances.
+
+    Kept in the state. Returns 0, or CELLWISE_OUT_OF_RANGE where nothing is taken: a share outside
+    0.1..2, a scale outside 0.1..20, a state that is not sound.
+    """
+    status = U(OUT_OF_RANGE)
+    share = positive_within(capacity_share, LEAST_SHARE, MOST_SHARE)
+    scale = positive_within(resistance_scale, LEAST_SCALE, MOST_SCALE)
+    if share and scale and is_sound(m.constant, x):
+        x.per_capacity = ONE / capacity_share
+        x.resistance_scale = resistance_scale
+        status = U(0)
+    return status
 
 
 @apart
@@ -103,6 +135,13 @@ def start(c: Constants, x: State, soc: Float, soc_variance: Float) -> None:
         x.repeats = U(0)
         x.no_current = U(0)
         x.no_voltage = U(0)
+    if LIFE:
+        x.per_capacity = ONE
+        x.resistance_scale = ONE
+    if CELLS:
+        x.mean_V = ZERO
+        x.cells_at = U(0)
+        x.turn = U(0)
     x.sequence = U(0)
     x.rejections = U(0)
     x.evidence = NOT_BEGUN

@@ -26,8 +26,15 @@ from cellwise.estimate.fixed.arithmetic import (
 from cellwise.estimate.fixed.correct import correct
 from cellwise.estimate.fixed.innovation import outside
 from cellwise.estimate.fixed.layout import Model
-from cellwise.estimate.fixed.lookup import look_up, no_slopes, place_of, slopes_of, under_surface
-from cellwise.estimate.fixed.options import HEATING, SURFACE, VALIDITY, WARM, WIDE
+from cellwise.estimate.fixed.lookup import (
+    aged,
+    look_up,
+    no_slopes,
+    place_of,
+    slopes_of,
+    under_surface,
+)
+from cellwise.estimate.fixed.options import HEATING, LIFE, SURFACE, VALIDITY, WARM, WIDE
 from cellwise.estimate.fixed.predict import cross_gap, heat, predict
 from cellwise.estimate.fixed.sensing import count_charge, finish, follow, see
 from cellwise.estimate.fixed.state import guess_branches, is_sound, start
@@ -67,6 +74,8 @@ def step(m: Model, x: State, sample: Sample, out: Output) -> Count:
     if SURFACE:
         follow(c, x, s, charge)
         place = under_surface(c, x, place, s.temperature_C)
+    if LIFE:
+        place = aged(x, place)
     p = look_up(m, place, x.soc, s.seen)
     if x.evidence == NOT_BEGUN:
         guess_branches(c, x, p.r1_ohm, p.r2_ohm, p.r3_ohm, s.seen)

@@ -27,6 +27,7 @@ from cellwise.cell.model import TABLES, CellModel
 from cellwise.cell.resolved import needs_rows, over_temperature
 from cellwise.cell.simulate import model_temperature_C
 from cellwise.errors import InputError
+from cellwise.estimate.cells.settings import CellSettings, cell_constants
 from cellwise.estimate.fixed.layout import constant_type, row_names
 from cellwise.estimate.fixed.options import Options, options_of
 from cellwise.estimate.gate_kernels import UNDER_LOAD_COUNT
@@ -123,6 +124,8 @@ def fixed_step_tables(
     watch: bool = True,
     validity: bool = True,
     power: PowerSettings | None = None,
+    life: bool = False,
+    cells: CellSettings | None = None,
 ) -> FixedStepTables:
     """Tables of a model at a time step.
 
@@ -137,6 +140,8 @@ def fixed_step_tables(
     watch : bool              watch for sensors that freeze or fall silent
     validity : bool           say and widen beyond the model's data, where these are known
     power : PowerSettings or None   what `cellwise_power` is asked for: one horizon, currents held
+    life : bool               take capacity and resistance from a history (`cellwise_learn`)
+    cells : CellSettings or None    follow the cells of a pack beside the mean cell
 
     Raises
     ------
@@ -164,6 +169,8 @@ def fixed_step_tables(
         watch=watch,
         validity=validity,
         power=power is not None,
+        life=life,
+        cells=cells is not None,
         arrhenius_points=ARRHENIUS_POINTS,
     )
     check_holds(model, dt_s, options)
@@ -172,6 +179,8 @@ def fixed_step_tables(
     if power is not None:
         columns |= power_columns(model, power)
         more = power_constants(model, power)
+    if cells is not None:
+        more |= cell_constants(cells, model, dt_s)
     table = np.stack([columns[name] for name in row_names(options)], axis=-1)
     constants = np.zeros(1, dtype=constant_type(options))
     for name, value in (_constants(model, dt_s, noise, options, offset_std_A) | more).items():

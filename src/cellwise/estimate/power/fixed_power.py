@@ -30,6 +30,7 @@ from cellwise.estimate.fixed.innovation import extrapolated
 from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.lookup import (
     Place,
+    aged,
     index_of,
     look_up,
     place_of,
@@ -41,6 +42,7 @@ from cellwise.estimate.fixed.options import (
     EFFICIENCY,
     HEATING,
     HYSTERESIS,
+    LIFE,
     SLOW,
     SURFACE,
     VALIDITY,
@@ -60,10 +62,11 @@ class Ending(NamedTuple):
 
 
 class Way(NamedTuple):
-    """Power one way: the value, and what is sustained with 95 %."""
+    """Power one way: the value, what is sustained with 95 %, the current of the value."""
 
     power_W: Float
     low_W: Float
+    current_A: Float
 
 
 @apart
@@ -76,7 +79,10 @@ def ending(m: Model, place: Place, x: State, soc: Float, current: Float) -> Endi
     used = current
     if EFFICIENCY and used < ZERO:
         used = used * c.charge_efficiency
-    end = soc - (c.power_soc_per_A * used)
+    moved = c.power_soc_per_A * used
+    if LIFE:
+        moved = moved * x.per_capacity
+    end = soc - moved
     p = look_up(m, place, end, current)
     points = U(m.row.shape[1])
     grid = within_one(end) * F(points - 1)
@@ -122,18 +128,20 @@ def ending(m: Model, place: Place, x: State, soc: Float, current: Float) -> Endi
 
 
 @apart
-def able(m: Model, place: Place, x: State, side: Float, limit_V: Float, most_A: Float) -> Float:
+def able(
+    m: Model, place: Place, x: State, soc: Float, side: Float, limit_V: Float, most_A: Float
+) -> Float:
     """Largest size of a current, discharged (``side`` 1) or charged (-1), up to ``most_A``.
 
     By false position (Illinois) between none and ``most_A``; 0 where no current keeps the limit.
     """
     found = ZERO
-    none = ending(m, place, x, x.soc, ZERO)
+    none = ending(m, place, x, soc, ZERO)
     room = side * (none.voltage_V - limit_V)
     if room > ZERO and most_A > ZERO:
         near = ZERO
         far = most_A
-        full = ending(m, place, x, x.soc, side * most_A)
+        full = ending(m, place, x, soc, side * most_A)
         lack = side * (limit_V - full.voltage_V)
         near_again = False
         far_again = False
@@ -141,7 +149,7 @@ def able(m: Model, place: Place, x: State, side: Float, limit_V: Float, most_A: 
             for _ in range(POWER_TRIALS):
                 share = clip(room / at_least(room + lack, LEAST_SPAN_V), ZERO, ONE)
                 middle = near + ((far - near) * share)
-                there = ending(m, place, x, x.soc, side * middle)
+                there = ending(m, place, x, soc, side * middle)
                 left = side * (there.voltage_V - limit_V)
                 if left >= ZERO:
                     near = middle
@@ -165,31 +173,61 @@ def able(m: Model, place: Place, x: State, side: Float, limit_V: Float, most_A: 
 
 @apart
 def one_way(
-    m: Model, place: Place, x: State, side: Float, limit_V: Float, most_A: Float, room_soc: Float
+    m: Model,
+    place: Place,
+    x: State,
+    soc: Float,
+    ss: Float,
+    side: Float,
+    limit_V: Float,
+    most_A: Float,
+    room_soc: Float,
 ) -> Way:
     """Value and lower bound of one way: the bound keeps 1.645 deviations from the limits.
 
-    The slope over SOC is the chord to the SOC that is as many deviations worse.
+    ``soc``, of variance ``ss``, is the cell's own. The slope over SOC is the chord to the SOC that
+    is as many deviations worse.
     """
     c = m.constant
-    by_soc_A = at_least(room_soc * c.power_A_per_soc, ZERO)
-    current = able(m, place, x, side, limit_V, most_A if most_A < by_soc_A else by_soc_A)
-    end = ending(m, place, x, x.soc, side * current)
-    shift = SUSTAINED * root(x.ss)
-    worse = ending(m, place, x, x.soc - (side * shift), side * current)
+    per_soc_A = c.power_A_per_soc
+    if LIFE:
+        per_soc_A = per_soc_A / x.per_capacity
+    by_soc_A = at_least(room_soc * per_soc_A, ZERO)
+    current_A = able(m, place, x, soc, side, limit_V, most_A if most_A < by_soc_A else by_soc_A)
+    end = ending(m, place, x, soc, side * current_A)
+    shift = SUSTAINED * root(ss)
+    worse = ending(m, place, x, soc - (side * shift), side * current_A)
     by_soc_V = end.voltage_V - worse.voltage_V
     square = (by_soc_V * by_soc_V) + ((SUSTAINED * SUSTAINED) * end.variance_V2)
     off_V = root(square if square < FOUR else FOUR)
-    low_soc_A = at_least((room_soc - shift) * c.power_A_per_soc, ZERO)
-    sure = able(
-        m, place, x, side, limit_V + (side * off_V), most_A if most_A < low_soc_A else low_soc_A
-    )
-    last = ending(m, place, x, x.soc, side * sure)
-    power_W = at_least(current * end.voltage_V, ZERO)
+    low_soc_A = at_least((room_soc - shift) * per_soc_A, ZERO)
+    low_V = limit_V + (side * off_V)
+    sure = able(m, place, x, soc, side, low_V, most_A if most_A < low_soc_A else low_soc_A)
+    last = ending(m, place, x, soc, side * sure)
+    power_W = at_least(current_A * end.voltage_V, ZERO)
     low_W = at_least(sure * (last.voltage_V - off_V), ZERO)
     if low_W > power_W:
         low_W = power_W
-    return Way(power_W, low_W)
+    return Way(power_W, low_W, current_A)
+
+
+def warmth_of(x: State) -> Float:
+    """Temperature of the cell: what was measured last, and its own warming."""
+    warm_C = x.temperature_C
+    if HEATING:
+        warm_C = warm_C + x.heat_K
+    return warm_C
+
+
+def place_now(m: Model, x: State) -> Place:
+    """Where the cell's temperature lies between the tables."""
+    warm_C = warmth_of(x) if WARM else ZERO
+    here = place_of(m, warm_C) if WARM else place_of(m, ZERO)
+    if SURFACE:
+        here = under_surface(m.constant, x, here, warm_C)
+    if LIFE:
+        here = aged(x, here)
+    return Place(here.low, here.weight, here.scale, here.lag)
 
 
 def power(m: Model, x: State, out: Capability) -> None:
@@ -204,18 +242,13 @@ def power(m: Model, x: State, out: Capability) -> None:
     out.charge_W = ZERO
     out.charge_low_W = ZERO
     if is_sound(c, x):
-        warm_C = ZERO
-        if WARM:
-            warm_C = x.temperature_C
-            if HEATING:
-                warm_C = warm_C + x.heat_K
-        place = place_of(m, warm_C) if WARM else place_of(m, ZERO)
-        if SURFACE:
-            place = under_surface(c, x, place, warm_C)
-        down = one_way(
-            m, place, x, ONE, c.power_low_V, c.power_discharge_A, x.soc - c.power_soc_low
-        )
-        up = one_way(m, place, x, -ONE, c.power_high_V, c.power_charge_A, c.power_soc_high - x.soc)
+        place = place_now(m, x)
+        most_A = c.power_discharge_A
+        room_soc = x.soc - c.power_soc_low
+        down = one_way(m, place, x, x.soc, x.ss, ONE, c.power_low_V, most_A, room_soc)
+        most_A = c.power_charge_A
+        room_soc = c.power_soc_high - x.soc
+        up = one_way(m, place, x, x.soc, x.ss, -ONE, c.power_high_V, most_A, room_soc)
         out.discharge_W = down.power_W
         out.discharge_low_W = down.low_W
         out.charge_W = up.power_W

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import ast
 
-from cellwise.printing.c.reading import FLOATS, RECORDS, SCALARS, Reading, refuted
+from cellwise.printing.c.reading import ELEMENTS, FLOATS, KEPT, RECORDS, SCALARS, Reading, refuted
 from cellwise.printing.c.text import ALWAYS, Guard, broken, comment, merged, preprocessor, resolved
 
 # What READ and RISE of cellwise_float.h read: rows of the neighbouring temperatures.
@@ -58,8 +58,9 @@ class Function(Reading):
         return self._listed(start, parts, ")", 0)
 
     def _pointer_to(self, kind: str) -> str:
-        if kind == "State":
-            return "cellwise_state *" if self.mutates else "const cellwise_state *"
+        if ELEMENTS.get(kind, kind) in KEPT:
+            const = "" if ELEMENTS.get(kind, kind) in self.mutates else "const "
+            return f"{const}{RECORDS[kind]} *"
         return f"{RECORDS.get(kind, f'const cellwise_{kind.lower()}')} *"
 
     def _listed(self, start: str, parts: list[tuple[str, str]], end: str, indent: int) -> list[str]:

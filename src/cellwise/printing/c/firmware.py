@@ -27,13 +27,29 @@ from cellwise.printing.c.text import (
 )
 
 READS = ("read", "rise")  # macros of cellwise_float.h
-PUBLIC = {"init": "cellwise_init", "step": "cellwise_step", "power": "cellwise_power"}
+PUBLIC = {
+    "init": "cellwise_init",
+    "step": "cellwise_step",
+    "power": "cellwise_power",
+    "learn": "cellwise_learn",
+    "start_cells": "cellwise_cells_init",
+    "mean_voltage": "cellwise_mean_voltage",
+    "step_cells": "cellwise_cells_step",
+    "cell_of": "cellwise_cell_of",
+    "pack_power": "cellwise_pack_power",
+}
 # What of these is there only with options.
-GUARDS: dict[str, Guard] = {"power": frozenset({"POWER"})}
+GUARDS: dict[str, Guard] = {
+    "power": frozenset({"POWER"}),
+    "learn": frozenset({"LIFE"}),
+    **dict.fromkeys(("start_cells", "mean_voltage", "step_cells", "cell_of"), frozenset({"CELLS"})),
+    "pack_power": frozenset({"CELLS", "POWER"}),
+}
 NUMERALS = {"ZERO", "QUARTER", "HALF", "ONE", "TWO", "THREE", "FOUR", "SIXTY_FOURTH"}
 RECORDS = {
     "Constants": layout.CONSTANTS, "State": layout.STATE, "Sample": layout.INPUT_FIELDS,
     "Output": layout.OUTPUT_FIELDS, "Capability": layout.CAPABILITY_FIELDS,
+    "Cell": layout.CELL_FIELDS, "CellOutput": layout.CELL_OUTPUT_FIELDS,
 }  # fmt: skip
 
 
@@ -239,6 +255,8 @@ def print_header() -> str:
         "input": record("cellwise_input", layout.INPUT_FIELDS),
         "output": record("cellwise_output", layout.OUTPUT_FIELDS),
         "capability": record("cellwise_capability", layout.CAPABILITY_FIELDS),
+        "cell": record("cellwise_pack_cell", layout.CELL_FIELDS),
+        "cell_output": record("cellwise_cell_output", layout.CELL_OUTPUT_FIELDS),
     }
     for name, public in PUBLIC.items():
         f = made.functions[name]
@@ -325,6 +343,26 @@ typedef struct {
 [capability]
 
 [cellwise_power]
+
+[cellwise_learn]
+
+/* A pack, where it is compiled in: one cellwise_state for the mean cell, one cellwise_pack_cell for
+ * the difference of every cell. At each sample: cellwise_mean_voltage, cellwise_step with that
+ * voltage, cellwise_cells_step. */
+[cell]
+
+/* Never NaN, never infinite. */
+[cell_output]
+
+[cellwise_cells_init]
+
+[cellwise_mean_voltage]
+
+[cellwise_cells_step]
+
+[cellwise_cell_of]
+
+[cellwise_pack_power]
 
 #endif
 """

@@ -19,8 +19,11 @@ SCALARS = {**dict.fromkeys(FLOATS, "float"), "Count": "uint32_t", "Flag": "bool"
 RECORDS = {
     "Model": "const cellwise_model", "Constants": "const cellwise_constants",
     "State": "cellwise_state", "Sample": "const cellwise_input", "Output": "cellwise_output",
-    "Capability": "cellwise_capability",
+    "Capability": "cellwise_capability", "Cell": "cellwise_pack_cell",
+    "Cells": "cellwise_pack_cell", "CellOutput": "cellwise_cell_output", "Floats": "const float",
 }  # fmt: skip
+ELEMENTS = {"Cells": "Cell", "Floats": "Float"}  # of what is an array
+KEPT = ("State", "Cell")  # from step to step: const where nothing is changed
 # Done on bits in cellwise_float.h: macros, and functions.
 MACROS = {
     "within", "size_within", "size_below", "not_negative", "positive_within", "positive_above",
@@ -94,16 +97,16 @@ class Reading:
             and a.id not in self.program.constants
         }  # fmt: skip
 
-    def _mutates(self) -> bool:
+    def _mutates(self) -> set[str]:
+        """Kinds of records that it changes, itself or by what it calls."""
+        found: set[str] = set()
         for node in ast.walk(self.node):
             if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
-                if self.parameters.get(ast.unparse(node.value)) == "State":
-                    return True
+                found.add(self.parameters.get(ast.unparse(node.value), ""))
             elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
                 called = self.program.functions.get(node.func.id)
-                if called and called.mutates:
-                    return True
-        return False
+                found |= called.mutates if called else set()
+        return found
 
     # ---- options ----
 
@@ -189,7 +192,9 @@ class Reading:
             case ast.Constant():
                 return "Flag" if isinstance(node.value, bool) else "Count"
             case ast.Subscript():
-                return "Count" if ast.unparse(node) == POINTS else "Float"
+                if ast.unparse(node) == POINTS:
+                    return "Count"
+                return ELEMENTS.get(self.type_of(node.value), "Float")
         return "Float"
 
     def expression(self, node: ast.expr) -> str:

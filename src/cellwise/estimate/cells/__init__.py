@@ -1,0 +1,1 @@
+"""Cells of a pack in the fixed step: the mean cell by the filter, every cell by its difference."""

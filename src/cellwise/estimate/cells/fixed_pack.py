@@ -1,0 +1,196 @@
+"""A pack in the fixed step: the mean cell's filter and the difference of every cell, as in C."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cellwise.errors import InputError
+from cellwise.estimate.cells.settings import MOST_CELLS
+from cellwise.estimate.filters.filter_state import EkfInfo
+from cellwise.estimate.filters.kalman import one_reading
+from cellwise.estimate.fixed.fixed_step import (
+    FixedStep,
+    Stepper,
+    check_record,
+    median_interval_s,
+    samples_of,
+    seen,
+    sequence_number,
+    start_state,
+)
+from cellwise.estimate.fixed.layout import CAPABILITY, CELL, INPUT
+from cellwise.given import shown
+from cellwise.logs.packs.pack_log import PackLog
+
+
+class PackState(NamedTuple):
+    """One record of the mean cell, and one for each cell: what a target keeps."""
+
+    mean: NDArray[Any]
+    cells: NDArray[Any]
+
+
+class FixedPack:
+    """The fixed step over a pack of cells in series.
+
+    Parameters
+    ----------
+    filter_ : FixedStep      made with ``cells=CellSettings(...)``; `Firmware` for the C
+    cells : int              in series, 2 to 1000
+
+    Raises
+    ------
+    InputError        a filter without cells, a number of cells that no pack has
+    """
+
+    def __init__(self, filter_: FixedStep, cells: int) -> None:
+        if not isinstance(filter_, FixedStep) or filter_.cell_settings is None:
+            raise InputError(
+                f"{shown(filter_)} for a pack",
+                "a FixedStep or Firmware that follows cells",
+                "Make it with FixedStep(model, dt_s=1.0, cells=CellSettings()).",
+            )
+        if isinstance(cells, bool) or not isinstance(cells, int) or not 2 <= cells <= MOST_CELLS:
+            raise InputError(
+                f"{shown(cells)} cells in a pack",
+                f"a whole number from 2 to {MOST_CELLS}",
+                "Give how many are in series.",
+            )
+        self.filter = filter_
+        self.count = cells
+
+    def init(self, soc0: float, soc0_std: float = 0.15) -> PackState:
+        """A pack at rest: its mean cell at ``soc0``, known to ``soc0_std``."""
+        return self._begin(self._stepper(), soc0, soc0_std)
+
+    def step(
+        self,
+        state: PackState,
+        current_A: float,
+        cell_V: ArrayLike,
+        temperature_C: float | None = None,
+        *,
+        sequence: int,
+    ) -> EkfInfo:
+        """Take the sample of one time step; both parts of the state are stepped in place.
+
+        Parameters
+        ----------
+        cell_V : (cells,) float      NaN for a cell without a reading, or while it is balanced
+
+        Raises
+        ------
+        InputError        another number of voltages, a state of another type
+        """
+        stepper = self._stepper()
+        self._check(state, stepper)
+        voltages = np.asarray(cell_V, dtype=np.float32)
+        if voltages.shape != (self.count,):
+            raise InputError(
+                f"voltages of shape {voltages.shape}",
+                f"({self.count},): one for each cell",
+                "Give NaN for a cell without a reading.",
+            )
+        warm = self.filter.temperature_or_usual_C(temperature_C)
+        sample = np.zeros(1, dtype=INPUT)
+        sample["current_A"] = one_reading("current_A", current_A, "ampere")
+        sample["temperature_C"] = one_reading("temperature_C", warm, "degC")
+        sample["sequence"] = sequence_number(sequence)
+        out = stepper.pack.rows(state.mean, state.cells, sample, voltages[None, :])[0]
+        return EkfInfo(
+            float(out["soc"]),
+            float(np.sqrt(out["soc_variance"])),
+            float(out["voltage_V"]),
+            *seen(
+                out["innovation_V"],
+                out["status"],
+                out["innovation_variance_V2"],
+                self.filter.noise,
+            ),
+            int(out["status"]),
+        )
+
+    def cells(self, state: PackState) -> NDArray[Any]:
+        """What is known of every cell: records of ``layout.CELL_OUTPUT``, shape (cells,)."""
+        stepper = self._stepper()
+        self._check(state, stepper)
+        return stepper.pack.now(state.mean, state.cells)
+
+    def power(self, state: PackState) -> NDArray[Any]:
+        """State of power of the pack as its weakest cell allows: one record of CAPABILITY [W].
+
+        Raises
+        ------
+        InputError        the filter was made without ``power``
+        """
+        stepper = self._stepper()
+        self._check(state, stepper)
+        if not stepper.tables.options.power:
+            raise InputError(
+                "no state of power in this fixed step",
+                "FixedStep(..., power=power_settings(model, horizons_s=(10.0,), hold='current'))",
+                "Make it with that.",
+            )
+        out = np.zeros(1, dtype=CAPABILITY)
+        stepper.pack.power(state.mean, state.cells, out)
+        return out
+
+    def run(
+        self,
+        log: PackLog,
+        soc0: float,
+        soc0_std: float = 0.15,
+        *,
+        cells: NDArray[Any] | None = None,
+        sequence: int = 0,
+    ) -> PackState:
+        """The state after a whole log.
+
+        An even log is taken row by row; of any other a cell has a reading at the time steps that
+        end at a row, and none between.
+
+        Parameters
+        ----------
+        cells : (cells,) records of CELL or None      what an earlier log left of the cells
+        sequence : int        time steps before this log, counted on over pauses as a target does
+        """
+        if not isinstance(log, PackLog) or log.cells != self.count:
+            raise InputError(
+                f"{shown(log)} for a pack of {self.count} cells",
+                "a PackLog with as many cells",
+                "Make the FixedPack with the log's own number of cells.",
+            )
+        dt_s = median_interval_s(log.mean) if self.filter.dt_s is None else self.filter.dt_s
+        stepper = self.filter.stepper(dt_s)
+        samples = samples_of(self.filter.model, log.mean, dt_s)
+        voltages = np.full((samples.records.size, self.count), np.nan, dtype=np.float32)
+        voltages[samples.row_sample] = log.cell_V
+        state = self._begin(stepper, soc0, soc0_std)
+        if cells is not None:
+            state = state._replace(cells=np.array(cells))
+            self._check(state, stepper)
+        samples.records["sequence"] += np.uint32(sequence_number(sequence))
+        stepper.pack.rows(state.mean, state.cells, samples.records, voltages)
+        return state
+
+    def _stepper(self) -> Stepper:
+        return self.filter.stepper(self.filter.known_dt_s)
+
+    def _begin(self, stepper: Stepper, soc0: float, soc0_std: float) -> PackState:
+        cells = np.zeros(self.count, dtype=CELL)
+        stepper.pack.begin(cells)
+        return PackState(start_state(stepper, soc0, soc0_std), cells)
+
+    def _check(self, state: PackState, stepper: Stepper) -> None:
+        """Refuse what is no state of this pack: the kernel would read past it."""
+        mean, cells = state
+        check_record(mean, stepper.tables, self.filter.name)
+        if not (isinstance(cells, np.ndarray) and cells.dtype == CELL) or cells.size != self.count:
+            raise InputError(
+                f"cells = {shown(cells)}",
+                f"{self.count} records of {CELL.itemsize} bytes, as init(soc0) gives them",
+                "Begin with init(soc0), and pass on its own.",
+            )

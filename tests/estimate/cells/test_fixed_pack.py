@@ -1,0 +1,255 @@
+"""A pack in the fixed step: weak cells found, others left alone, the same bits in C."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cellwise import InputError
+from cellwise.cell.simulate import simulate
+from cellwise.estimate.cells.fixed_pack import FixedPack
+from cellwise.estimate.cells.settings import CellSettings
+from cellwise.estimate.fixed.fixed_step import FixedStep
+from cellwise.export.firmware import Firmware
+from cellwise.logs.cell_log import CellLog
+from cellwise.pack.pack_estimate import estimate_pack
+from emulated_packs import Fault, emulated_pack
+from example_cells import curved_cell
+from firmware_cases import full_model, power_asked
+
+CELLS = 12
+ASKED = CellSettings()
+
+
+@pytest.fixture(scope="module")
+def healthy():
+    return emulated_pack(CELLS, hours=6.0)
+
+
+def after(model, pack, days=20):
+    """What the fixed step knows of every cell after as many days of one drive each."""
+    fixed = FixedPack(FixedStep(model, dt_s=1.0, cells=ASKED), pack.cells)
+    cells = None
+    for day in range(days):
+        state = fixed.run(pack, 0.85, 0.1, cells=cells, sequence=86_400 * day)
+        cells = state.cells
+    return fixed.cells(state)
+
+
+def odd(values, cell):
+    """How far one cell stands out of the others, in their standard deviations."""
+    others = np.delete(values.astype(float), cell)
+    return (values[cell] - np.mean(others)) / np.std(others)
+
+
+@pytest.mark.parametrize(
+    ("fault", "name", "least"),
+    [
+        (Fault(3, capacity=-0.06), "capacity_share", -0.03),
+        (Fault(3, resistance=0.20), "resistance_scale", 0.10),
+        (Fault(3, soc=-0.03), "soc", -0.025),
+    ],
+)
+def test_an_odd_cell_stands_out_and_the_others_stay(healthy, fault, name, least):
+    model, pack = emulated_pack(CELLS, fault, hours=6.0)
+    found = after(model, pack)[name].astype(float)
+    before = after(*healthy)[name].astype(float)
+    assert abs(odd(found, 3)) > 5.0
+    # A share of 1 / CELLS of the fault is in the mean cell, which all others are compared with.
+    change = found - before
+    shared = -least / (CELLS - 1)
+    assert np.sign(change[3]) == np.sign(least)
+    assert abs(change[3]) >= abs(least)
+    assert np.all(np.abs(np.delete(change, 3)) < 3.0 * abs(shared))
+
+
+def test_what_is_said_of_each_cell_holds(healthy):
+    """Differences of an emulated pack are known; so is what the estimates leave open."""
+    model, pack = healthy
+    found = after(model, pack)
+    spread = np.random.default_rng(12345).normal(size=(CELLS, 4)) * [0.004, 0.015, 0.003, 0.0005]
+    for name, k in (("capacity", 0), ("resistance", 1)):
+        share = found[{"capacity": "capacity_share", "resistance": "resistance_scale"}[name]]
+        true = spread[:, k] - spread[:, k].mean()
+        error = share - 1.0 - true
+        std = np.sqrt(found[f"{name}_variance"].astype(float))
+        assert np.mean(np.abs(error) <= 2.0 * std) >= 0.9, name
+
+
+@pytest.mark.slow
+def test_its_order_is_that_of_the_whole_log_in_float64(healthy):
+    model, pack = emulated_pack(CELLS, Fault(5, capacity=-0.05, resistance=0.1), hours=6.0)
+    found, exact = after(model, pack), estimate_pack(model, [pack])
+    soc = exact.cells.soc
+    assert np.max(np.abs((found["soc"] - found["soc"].mean()) - (soc - soc.mean()))) < 0.01
+    assert int(np.argmin(found["capacity_share"])) == 5
+    assert int(np.argmax(found["resistance_scale"])) == 5
+
+
+@pytest.mark.slow
+def test_the_mean_cell_is_what_it_is_alone(healthy):
+    """Cells that are followed change nothing of the mean cell's state."""
+    model, pack = healthy
+    fixed = FixedPack(FixedStep(model, dt_s=1.0, cells=ASKED), pack.cells)
+    with_cells = fixed.run(pack, 0.85, 0.1).mean
+    alone = FixedStep(model, dt_s=1.0)
+    trace = alone.run(pack.mean, 0.85, 0.1)
+    assert with_cells["soc"][0] == np.float32(trace.soc[-1])
+
+
+@pytest.mark.slow
+def test_a_dead_cell_and_a_missing_one_move_nobody(healthy):
+    model, pack = healthy
+    volts = pack.cell_V.copy()
+    volts[9000:, 2] = np.nan
+    volts[9000:, 7] = 0.0
+    fixed = FixedPack(FixedStep(model, dt_s=1.0, cells=ASKED), CELLS)
+    hurt = fixed.cells(fixed.run(replace(pack, cell_V=volts), 0.85, 0.1))
+    whole = fixed.cells(fixed.run(pack, 0.85, 0.1))
+    others = np.delete(np.arange(CELLS), (2, 7))
+    assert np.max(np.abs(hurt["soc"] - whole["soc"])[others]) < 0.002
+    assert np.max(np.abs(hurt["capacity_share"] - whole["capacity_share"])[others]) < 0.002
+
+
+@pytest.mark.slow
+def test_a_cell_that_jumps_is_looked_for_again(healthy):
+    """A cell that was charged alone: its voltage is rejected, then its SOC is taken for unknown."""
+    model, pack = healthy
+    volts = pack.cell_V.copy()
+    volts[9000:, 4] += 0.1
+    fixed = FixedPack(FixedStep(model, dt_s=1.0, cells=ASKED), CELLS)
+    found = fixed.cells(fixed.run(replace(pack, cell_V=volts), 0.85, 0.1))
+    assert found["soc"][4] - np.median(found["soc"]) > 0.05
+    assert np.max(np.abs(np.delete(found["soc"], 4) - np.median(found["soc"]))) < 0.03
+
+
+@pytest.mark.slow
+def test_all_cells_rejected_are_still_a_mean():
+    """None is believed more than the others: the filter does not stay blind."""
+    model = curved_cell()
+    fixed = FixedPack(FixedStep(model, dt_s=1.0, cells=ASKED), 4)
+    state = fixed.init(0.6)
+    level = float(model.ocv_V[0, 60])
+    apart = np.array([-0.2, -0.1, 0.1, 0.2])
+    for k in range(2000):
+        fixed.step(state, 0.0, level + (k > 100) * apart, sequence=k)
+    assert state.mean["cells_at"][0] == 1999
+    assert np.all(np.diff(fixed.cells(state)["soc"]) > 0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["plain", "full"])
+def test_the_same_bits_in_c(case):
+    model = curved_cell() if case == "plain" else full_model()
+    asked = {"dt_s": 1.0, "cells": ASKED, "life": True, "power": power_asked(model)}
+    packs = [FixedPack(kind(model, **asked), 9) for kind in (FixedStep, Firmware)]
+    states = [pack.init(0.8) for pack in packs]
+    rng = np.random.default_rng(3)
+    for pack, state in zip(packs, states, strict=True):
+        pack.filter.learn(state.mean, 0.93, 1.2)
+    for k in range(1500):
+        volts = 3.7 + 0.2 * np.sin(k / 90) + rng.normal(0.0, 0.01, 9)
+        volts[rng.integers(9)] = rng.choice([np.nan, np.inf, -1.0, 3.9, 3.7])
+        current = float(rng.choice([np.nan, 0.0, 3.0, -2.0, 1e9], p=[0.02, 0.3, 0.35, 0.31, 0.02]))
+        if k % 400 == 399:
+            for state in states:  # a bit flips
+                state.cells["soc"][2] = np.nan
+        for pack, state in zip(packs, states, strict=True):
+            pack.step(state, current, volts, 20.0, sequence=k + (k > 700) * 90)
+        assert states[0].mean.tobytes() == states[1].mean.tobytes(), k
+        assert states[0].cells.tobytes() == states[1].cells.tobytes(), k
+    ours, theirs = (pack.power(state) for pack, state in zip(packs, states, strict=True))
+    assert ours.tobytes() == theirs.tobytes()
+    ours, theirs = (pack.cells(state) for pack, state in zip(packs, states, strict=True))
+    assert ours.tobytes() == theirs.tobytes()
+    assert np.all(np.isfinite(ours["soc"]))
+
+
+@pytest.mark.slow
+def test_the_packs_power_is_that_of_its_weakest_cell():
+    model = curved_cell()
+    rng = np.random.default_rng(8)
+    fixed = FixedPack(FixedStep(model, dt_s=1.0, cells=ASKED, power=power_asked(model)), 10)
+    alone = FixedPack(FixedStep(model, dt_s=1.0, cells=ASKED, power=power_asked(model)), 2)
+    for soc in (0.15, 0.5, 0.9):
+        state = fixed.init(soc, 0.02)
+        state.cells["soc"] = rng.normal(0.0, 0.02, 10)
+        state.cells["resistance"] = rng.normal(0.0, 0.1, 10)
+        whole = fixed.power(state)[0]
+        each = []
+        for k in range(10):
+            twice = state.cells[[k, k]].copy()
+            each.append(alone.power(state._replace(cells=twice))[0])
+        for name in ("discharge_W", "charge_W"):
+            least = min(float(one[name]) for one in each) / 2.0
+            assert whole[name] / 10.0 == pytest.approx(least, rel=0.02), (soc, name)
+            assert whole[name.replace("_W", "_low_W")] <= whole[name]
+
+
+@pytest.mark.slow
+def test_what_a_history_says_enters_the_state():
+    """An aged cell, the model of the new one, and the two numbers of its history."""
+    model = curved_cell()
+    aged = replace(
+        model,
+        capacity_Ah=0.9 * model.capacity_Ah,
+        **{name: 1.4 * getattr(model, name) for name in ("r0_ohm", "r1_ohm", "r2_ohm")},
+    )
+    rng = np.random.default_rng(0)
+    current = np.repeat(rng.uniform(-2.0, 3.0, 300), 30)
+    time = np.arange(current.size, dtype=float)
+    log = CellLog(time, current, np.full(time.size, 3.7))
+    log = replace(log, voltage_V=simulate(aged, log, 0.95).voltage_V)
+    ends = []
+    for kind, learnt in ((model, False), (model, True), (aged, False)):
+        fixed = FixedStep(kind, dt_s=1.0, life=learnt, wide=False)
+        state = fixed.init(0.95, 0.01)
+        if learnt:
+            fixed.learn(state, 0.9, 1.4)
+        for k in range(log.time_s.size):
+            info = fixed.step(state, log.current_A[k], log.voltage_V[k], sequence=k)
+        ends.append(info.soc)
+    assert ends[1] == pytest.approx(ends[2], abs=2e-3)
+    assert abs(ends[0] - ends[2]) > 5.0 * abs(ends[1] - ends[2])
+
+
+@pytest.mark.slow
+def test_a_history_that_says_nothing_changes_no_bit():
+    model = curved_cell()
+    stress = np.random.default_rng(4).uniform(-3.0, 5.0, 500)
+    with_life, plain = FixedStep(model, dt_s=1.0, life=True), FixedStep(model, dt_s=1.0)
+    ours, theirs = with_life.init(0.7), plain.init(0.7)
+    with_life.learn(ours, 1.0, 1.0)
+    for k, current in enumerate(stress):
+        a = with_life.step(ours, current, 3.7, sequence=k)
+        b = plain.step(theirs, current, 3.7, sequence=k)
+        assert a == b, k
+
+
+def test_wrong_use_is_said():
+    model = curved_cell()
+    plain = FixedStep(model, dt_s=1.0)
+    with pytest.raises(InputError, match="cells=CellSettings"):
+        FixedPack(plain, 4)
+    fixed = FixedPack(FixedStep(model, dt_s=1.0, cells=ASKED), 4)
+    for count in (1, 1001, True, 2.0):
+        with pytest.raises(InputError, match="from 2 to 1000"):
+            FixedPack(fixed.filter, count)
+    state = fixed.init(0.5)
+    with pytest.raises(InputError, match=r"\(4,\): one for each cell"):
+        fixed.step(state, 1.0, [3.7] * 3, sequence=0)
+    with pytest.raises(InputError, match="no state of power"):
+        fixed.power(state)
+    with pytest.raises(InputError, match="4 records of"):
+        fixed.cells(state._replace(cells=state.cells[:2]))
+    with pytest.raises(InputError, match="life=True"):
+        plain.learn(plain.init(0.5), 0.9, 1.0)
+    aged = FixedStep(model, dt_s=1.0, life=True)
+    for share, scale in ((0.0, 1.0), (1.0, np.nan), (3.0, 1.0), (1.0, 21.0)):
+        with pytest.raises(InputError, match=r"0\.1 to 2"):
+            aged.learn(aged.init(0.5), share, scale)
+    for wrong in ({"soc": 0.0}, {"lag_s": np.nan}, {"capacity": "1 %"}):
+        with pytest.raises(InputError, match="a number above zero"):
+            CellSettings(**wrong)
