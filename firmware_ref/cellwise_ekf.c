@@ -2353,8 +2353,7 @@ float cellwise_mean_voltage(const cellwise_model *m, const cellwise_pack_cell *c
 
 #if CELLWISE_CELLS
 /* The derivatives at the mean cell's SOC. A cell that is polled late reads what the mean voltage
- * moved by meanwhile. While the mean cell's SOC is badly known, so is where on the OCV the cells
- * are. */
+ * moved by meanwhile. */
 static void difference_of(const cellwise_model *m, const cellwise_place *place,
                           const cellwise_state *x, float mean_V, cellwise_difference *difference)
 {
@@ -2364,9 +2363,6 @@ static void difference_of(const cellwise_model *m, const cellwise_place *place,
     const float moved_V = mean_V - x->mean_V;
     difference->single_V2 = c->cell_V2 + (c->cell_lag * (moved_V * moved_V));
     difference->variance_V2 = difference->single_V2 * c->cell_shared;
-    if (x->ss > WIDE_VARIANCE) {
-        difference->variance_V2 = difference->variance_V2 * (x->ss / WIDE_VARIANCE);
-    }
     difference->capacity_V = p.slope_V * (0.5f - x->soc);
     difference->resistance_V = mean_V - p.ocv_V;
     difference->soc_V = p.slope_V;

@@ -109,8 +109,9 @@ def test_a_dead_cell_and_a_missing_one_move_nobody(healthy):
     hurt = fixed.cells(fixed.run(replace(pack, cell_V=volts), 0.85, 0.1))
     whole = fixed.cells(fixed.run(pack, 0.85, 0.1))
     others = np.delete(np.arange(CELLS), (2, 7))
-    assert np.max(np.abs(hurt["soc"] - whole["soc"])[others]) < 0.002
-    assert np.max(np.abs(hurt["capacity_share"] - whole["capacity_share"])[others]) < 0.002
+    for name in ("soc", "capacity_share", "resistance_scale"):  # the mean is that of fewer cells
+        moved = (hurt[name] - whole[name])[others]
+        assert np.max(np.abs(moved - np.mean(moved))) < 0.002, name
 
 
 @pytest.mark.slow

@@ -29,7 +29,6 @@ from cellwise.estimate.fixed.arithmetic import (
     THREE_CELLS,
     TWO,
     VARIANCE_FLOOR,
-    WIDE_VARIANCE,
     ZERO,
     Capability,
     Cell,
@@ -144,16 +143,13 @@ def mean_voltage(m: Model, cells: Cells, voltage_V: Floats, count: Count) -> Flo
 def difference_of(m: Model, place: Place, x: State, mean_V: Float) -> Difference:
     """The derivatives at the mean cell's SOC.
 
-    A cell that is polled late reads what the mean voltage moved by meanwhile. While the mean cell's
-    SOC is badly known, so is where on the OCV the cells are.
+    A cell that is polled late reads what the mean voltage moved by meanwhile.
     """
     c = m.constant
     p = look_up(m, place, x.soc, x.current_A)
     moved_V = mean_V - x.mean_V
     single_V2 = c.cell_V2 + (c.cell_lag * (moved_V * moved_V))
     variance_V2 = single_V2 * c.cell_shared
-    if x.ss > WIDE_VARIANCE:
-        variance_V2 = variance_V2 * (x.ss / WIDE_VARIANCE)
     capacity_V = p.slope_V * (HALF - x.soc)
     resistance_V = mean_V - p.ocv_V
     return Difference(p.slope_V, capacity_V, resistance_V, single_V2, variance_V2)
