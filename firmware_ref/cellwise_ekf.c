@@ -262,7 +262,7 @@ static void under_surface(const cellwise_constants *c, const cellwise_state *x,
 }
 #endif
 
-#if CELLWISE_LIFE
+#if CELLWISE_HEALTH
 /* The same place with the resistances that a history gives. */
 static void aged(const cellwise_state *x, const cellwise_place *at, cellwise_place *place)
 {
@@ -353,7 +353,7 @@ static void look_up(const cellwise_model *m, const cellwise_place *place, float 
 #if CELLWISE_HYSTERESIS
     point->m_V = READ(k, m_V, g);
 #endif
-#if (CELLWISE_ARRHENIUS > 0) || CELLWISE_RATE || CELLWISE_ASYMMETRY || CELLWISE_LIFE || CELLWISE_CELLS
+#if (CELLWISE_ARRHENIUS > 0) || CELLWISE_RATE || CELLWISE_ASYMMETRY || CELLWISE_HEALTH || CELLWISE_CELLS
     float scale = place->scale;
 #if CELLWISE_ASYMMETRY
     if (current < 0.0f) {
@@ -1026,7 +1026,7 @@ static bool is_sound(const cellwise_constants *c, const cellwise_state *x)
         return false;
     }
 #endif
-#if CELLWISE_LIFE
+#if CELLWISE_HEALTH
     if (!POSITIVE_WITHIN(x->per_capacity, 1.0f / MOST_SHARE, 1.0f / LEAST_SHARE)) {
         return false;
     }
@@ -1042,12 +1042,12 @@ static bool is_sound(const cellwise_constants *c, const cellwise_state *x)
     return covariance_is_sound(x);
 }
 
-#if CELLWISE_LIFE
+#if CELLWISE_HEALTH
 /* What a history says of the cell beside the model: its capacity, and all its resistances. Kept
  * in the state. Returns 0, or CELLWISE_OUT_OF_RANGE where nothing is taken: a share outside
  * 0.1..2, a scale outside 0.1..20, a state that is not sound. */
-uint32_t cellwise_learn(const cellwise_model *m, cellwise_state *x, float capacity_share,
-                        float resistance_scale)
+uint32_t cellwise_set_health(const cellwise_model *m, cellwise_state *x, float capacity_share,
+                             float resistance_scale)
 {
     uint32_t status = CELLWISE_OUT_OF_RANGE;
     const bool share = POSITIVE_WITHIN(capacity_share, LEAST_SHARE, MOST_SHARE);
@@ -1101,7 +1101,7 @@ static APART void start(const cellwise_constants *c, cellwise_state *x, float so
     x->no_current = 0u;
     x->no_voltage = 0u;
 #endif
-#if CELLWISE_LIFE
+#if CELLWISE_HEALTH
     x->per_capacity = 1.0f;
     x->resistance_scale = 1.0f;
 #endif
@@ -1177,7 +1177,7 @@ static float taken(const cellwise_constants *c, const cellwise_state *x, float c
 #if CELLWISE_LEAK
     used = used + c->leak_soc;
 #endif
-#if CELLWISE_LIFE
+#if CELLWISE_HEALTH
     used = used * x->per_capacity;
 #endif
     return used;
@@ -1532,7 +1532,7 @@ static void count_charge(const cellwise_constants *c, cellwise_state *x, const c
                 charge->missing = (charge->missing < LONGEST_GAP) ? charge->missing : LONGEST_GAP;
 #if CELLWISE_LEAK
                 float lost = c->leak_soc * (float)charge->missing;
-#if CELLWISE_LIFE
+#if CELLWISE_HEALTH
                 lost = lost * x->per_capacity;
 #endif
                 used = used + lost;
@@ -1957,7 +1957,7 @@ uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwis
 #endif
         &place);
 #endif
-#if CELLWISE_LIFE
+#if CELLWISE_HEALTH
     aged(x, &place, &place);
 #endif
     cellwise_point p;
@@ -2036,7 +2036,7 @@ static APART void ending(const cellwise_model *m, const cellwise_place *place,
     }
 #endif
     float moved = c->power_soc_per_A * used;
-#if CELLWISE_LIFE
+#if CELLWISE_HEALTH
     moved = moved * x->per_capacity;
 #endif
     const float end = soc - moved;
@@ -2151,7 +2151,7 @@ static APART void one_way(const cellwise_model *m, const cellwise_place *place,
 {
     const cellwise_constants *const c = &m->constant;
     float per_soc_A = c->power_A_per_soc;
-#if CELLWISE_LIFE
+#if CELLWISE_HEALTH
     per_soc_A = per_soc_A / x->per_capacity;
 #endif
     const float by_soc_A = at_least(room_soc * per_soc_A, 0.0f);
@@ -2210,7 +2210,7 @@ static void place_now(const cellwise_model *m, const cellwise_state *x, cellwise
 #endif
         &here);
 #endif
-#if CELLWISE_LIFE
+#if CELLWISE_HEALTH
     aged(x, &here, &here);
 #endif
     place->low = here.low;
@@ -2256,8 +2256,8 @@ void cellwise_power(const cellwise_model *m, const cellwise_state *x, cellwise_c
  * its difference from it. */
 
 #if CELLWISE_CELLS
-/* Derivatives of a cell's voltage minus the mean's, and the variance of what is left.
- * `single_V2` is that of one sample, `variance_V2` of one that shares its error with others. */
+/* Derivatives of a cell's voltage minus the mean's, and its variance about that. `single_V2` is
+ * that of one sample, `variance_V2` of one that shares its error with others. */
 typedef struct {
     float soc_V;
     float capacity_V;
@@ -2323,7 +2323,7 @@ float cellwise_mean_voltage(const cellwise_model *m, const cellwise_pack_cell *c
     const cellwise_constants *const c = &m->constant;
     float first = -1.0f;
     float total = 0.0f;
-    float doubted = 0.0f;
+    float unsure = 0.0f;
     uint32_t used = 0u;
     uint32_t left_out = 0u;
     for (uint32_t k = 0u; k < count; k++) {
@@ -2335,13 +2335,13 @@ float cellwise_mean_voltage(const cellwise_model *m, const cellwise_pack_cell *c
                 total = total + (voltage_V[k] - first);
                 used = used + 1u;
             } else {
-                doubted = doubted + (voltage_V[k] - first);
+                unsure = unsure + (voltage_V[k] - first);
                 left_out = left_out + 1u;
             }
         }
     }
     if (left_out >= used) {
-        total = total + doubted;
+        total = total + unsure;
         used = used + left_out;
     }
     if (used != 0u) {

@@ -300,7 +300,7 @@ typedef struct {
     uint32_t no_current; /* steps without a valid one */
     uint32_t no_voltage; /* steps without one that could be used */
 #endif
-#if CELLWISE_LIFE
+#if CELLWISE_HEALTH
     float per_capacity; /* inverse of the share of the capacity that is left */
     float resistance_scale; /* of the resistances since */
 #endif
@@ -355,12 +355,12 @@ typedef struct {
 void cellwise_power(const cellwise_model *m, const cellwise_state *x, cellwise_capability *out);
 #endif
 
-#if CELLWISE_LIFE
+#if CELLWISE_HEALTH
 /* What a history says of the cell beside the model: its capacity, and all its resistances. Kept
  * in the state. Returns 0, or CELLWISE_OUT_OF_RANGE where nothing is taken: a share outside
  * 0.1..2, a scale outside 0.1..20, a state that is not sound. */
-uint32_t cellwise_learn(const cellwise_model *m, cellwise_state *x, float capacity_share,
-                        float resistance_scale);
+uint32_t cellwise_set_health(const cellwise_model *m, cellwise_state *x, float capacity_share,
+                             float resistance_scale);
 #endif
 
 /* A pack, where it is compiled in: one cellwise_state for the mean cell, one cellwise_pack_cell for

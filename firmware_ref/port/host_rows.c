@@ -7,7 +7,7 @@ void cellwise_rows(const cellwise_model *model, cellwise_state *x, const cellwis
                    cellwise_output *out, uint32_t samples);
 void cellwise_power_of(const cellwise_model *model, const cellwise_state *x,
                        cellwise_capability *out);
-uint32_t cellwise_learn_of(const cellwise_model *model, cellwise_state *x, float share,
+uint32_t cellwise_set_health_of(const cellwise_model *model, cellwise_state *x, float share,
                            float scale);
 void cellwise_cells_begin(const cellwise_model *model, cellwise_pack_cell *cells, uint32_t count);
 void cellwise_pack_rows(const cellwise_model *model, cellwise_state *x, cellwise_pack_cell *cells,
@@ -38,10 +38,10 @@ void cellwise_rows(const cellwise_model *model, cellwise_state *x, const cellwis
     }
 }
 
-uint32_t cellwise_learn_of(const cellwise_model *model, cellwise_state *x, float share, float scale)
+uint32_t cellwise_set_health_of(const cellwise_model *model, cellwise_state *x, float share, float scale)
 {
-#if CELLWISE_LIFE
-    return cellwise_learn(model, x, share, scale);
+#if CELLWISE_HEALTH
+    return cellwise_set_health(model, x, share, scale);
 #else
     (void)model;
     (void)x;

@@ -216,11 +216,11 @@ int main(void) {
 def test_a_pack_is_exported_and_its_stored_cells_are_checked(model, tmp_path, capsys):
     out = tmp_path / "out"
     code, report = export(
-        capsys, "--model", model, "--dt", 1, "--lean", "--cells", 96, "--life", "-o", out
+        capsys, "--model", model, "--dt", 1, "--lean", "--cells", 96, "--health", "-o", out
     )
     assert code == 0
     assert report["cells"] == 96
-    assert report["options"]["life"] == report["options"]["cells"] == 1
+    assert report["options"]["health"] == report["options"]["cells"] == 1
     assert report["pack_bytes"] == report["state_bytes"] + 96 * 48
     (out / "cells.c").write_text(STORED_CELLS)
     sources = ("cells.c", "cellwise_ekf.c", "cellwise_store.c", "cell_table.c")

@@ -72,7 +72,7 @@ CELLS = {
     "model": curved_cell(5),
     "wide": False,
     "watch": False,
-    "life": True,
+    "health": True,
     "cells": CellSettings(),
 }
 OTHERS = {"power": POWER, "cells": CELLS}

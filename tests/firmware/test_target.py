@@ -106,7 +106,7 @@ def test_a_pack_gives_the_same_bytes_within_the_room_there_is(core):
     assert run.state.tobytes() == state.tobytes()
     assert run.cells.tobytes() == cells.tobytes()
     assert run.cost.ram_bytes == 0
-    # What is measured is repeated, and the cells learn from it: not for the bytes.
+    # What is measured is repeated, and the cells use each repetition: not for the bytes.
     cost = run_on_target(tables, core, samples, 0.8, 0.09, cells=96, measure_every=25).cost
     assert cost.measured == 48
     if core == "cortex-m4f":

@@ -73,7 +73,7 @@ def tables_of(name, dt_s=1.0):
             dt_s,
             wide=not lean,
             watch=not lean,
-            life=True,
+            health=True,
             cells=CellSettings(),
             power=power_asked(model),
         )

@@ -58,7 +58,7 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--cells", type=int, default=0, metavar="N", help="follow N cells in series, on one table"
     )
     export.add_argument(
-        "--life",
+        "--health",
         action="store_true",
         help="take capacity and resistance from `cellwise history` without a new export",
     )
@@ -100,7 +100,7 @@ def run_export(arguments: argparse.Namespace) -> None:
         wide=not arguments.lean,
         watch=not arguments.lean,
         power=power_options.exported_power(arguments, model),
-        life=arguments.life,
+        health=arguments.health,
         cells=CellSettings() if arguments.cells else None,
     )
     check_flash(tables, arguments.flash)

@@ -24,7 +24,7 @@ DECLARATIONS = """
 uint32_t cellwise_init(const void *model, void *x, float soc, float soc_variance);
 uint32_t cellwise_step(const void *model, void *x, const void *in, void *out);
 void cellwise_power_of(const void *model, const void *x, void *out);
-uint32_t cellwise_learn_of(const void *model, void *x, float share, float scale);
+uint32_t cellwise_set_health_of(const void *model, void *x, float share, float scale);
 void cellwise_cells_begin(const void *model, void *cells, uint32_t count);
 void cellwise_pack_rows(const void *model, void *x, void *cells, uint32_t count, void *in,
                         const float *voltage_V, void *out, uint32_t samples);
@@ -85,10 +85,10 @@ class HostLibrary:
         to = self._ffi.from_buffer(out, require_writable=True)
         self._library.cellwise_power_of(self._model, x, to)
 
-    def learn(self, state: NDArray[Any], share: float, scale: float) -> int:
-        """``cellwise_learn``: its status."""
+    def set_health(self, state: NDArray[Any], share: float, scale: float) -> int:
+        """``cellwise_set_health``: its status."""
         x = self._ffi.from_buffer(state, require_writable=True)
-        return int(self._library.cellwise_learn_of(self._model, x, share, scale))
+        return int(self._library.cellwise_set_health_of(self._model, x, share, scale))
 
     def pack(self) -> PackCalls:
         """The functions of a pack's cells."""

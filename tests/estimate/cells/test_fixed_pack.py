@@ -48,8 +48,8 @@ def odd(values, cell):
     ("fault", "name", "least"),
     [
         (Fault(3, capacity=-0.06), "capacity_share", -0.03),
-        (Fault(3, resistance=0.20), "resistance_scale", 0.10),
-        (Fault(3, soc=-0.03), "soc", -0.025),
+        pytest.param(Fault(3, resistance=0.20), "resistance_scale", 0.10, marks=pytest.mark.slow),
+        pytest.param(Fault(3, soc=-0.03), "soc", -0.025, marks=pytest.mark.slow),
     ],
 )
 def test_an_odd_cell_stands_out_and_the_others_stay(healthy, fault, name, least):
@@ -65,6 +65,7 @@ def test_an_odd_cell_stands_out_and_the_others_stay(healthy, fault, name, least)
     assert np.all(np.abs(np.delete(change, 3)) < 3.0 * abs(shared))
 
 
+@pytest.mark.slow
 def test_what_is_said_of_each_cell_holds(healthy):
     """Differences of an emulated pack are known; so is what the estimates leave open."""
     model, pack = healthy
@@ -144,12 +145,12 @@ def test_all_cells_rejected_are_still_a_mean():
 @pytest.mark.parametrize("case", ["plain", "full"])
 def test_the_same_bits_in_c(case):
     model = curved_cell() if case == "plain" else full_model()
-    asked = {"dt_s": 1.0, "cells": ASKED, "life": True, "power": power_asked(model)}
+    asked = {"dt_s": 1.0, "cells": ASKED, "health": True, "power": power_asked(model)}
     packs = [FixedPack(kind(model, **asked), 9) for kind in (FixedStep, Firmware)]
     states = [pack.init(0.8) for pack in packs]
     rng = np.random.default_rng(3)
     for pack, state in zip(packs, states, strict=True):
-        pack.filter.learn(state.mean, 0.93, 1.2)
+        pack.filter.set_health(state.mean, 0.93, 1.2)
     for k in range(1500):
         volts = 3.7 + 0.2 * np.sin(k / 90) + rng.normal(0.0, 0.01, 9)
         volts[rng.integers(9)] = rng.choice([np.nan, np.inf, -1.0, 3.9, 3.7])
@@ -204,11 +205,11 @@ def test_what_a_history_says_enters_the_state():
     log = CellLog(time, current, np.full(time.size, 3.7))
     log = replace(log, voltage_V=simulate(aged, log, 0.95).voltage_V)
     ends = []
-    for kind, learnt in ((model, False), (model, True), (aged, False)):
-        fixed = FixedStep(kind, dt_s=1.0, life=learnt, wide=False)
+    for kind, known in ((model, False), (model, True), (aged, False)):
+        fixed = FixedStep(kind, dt_s=1.0, health=known, wide=False)
         state = fixed.init(0.95, 0.01)
-        if learnt:
-            fixed.learn(state, 0.9, 1.4)
+        if known:
+            fixed.set_health(state, 0.9, 1.4)
         for k in range(log.time_s.size):
             info = fixed.step(state, log.current_A[k], log.voltage_V[k], sequence=k)
         ends.append(info.soc)
@@ -220,11 +221,11 @@ def test_what_a_history_says_enters_the_state():
 def test_a_history_that_says_nothing_changes_no_bit():
     model = curved_cell()
     stress = np.random.default_rng(4).uniform(-3.0, 5.0, 500)
-    with_life, plain = FixedStep(model, dt_s=1.0, life=True), FixedStep(model, dt_s=1.0)
-    ours, theirs = with_life.init(0.7), plain.init(0.7)
-    with_life.learn(ours, 1.0, 1.0)
+    with_health, plain = FixedStep(model, dt_s=1.0, health=True), FixedStep(model, dt_s=1.0)
+    ours, theirs = with_health.init(0.7), plain.init(0.7)
+    with_health.set_health(ours, 1.0, 1.0)
     for k, current in enumerate(stress):
-        a = with_life.step(ours, current, 3.7, sequence=k)
+        a = with_health.step(ours, current, 3.7, sequence=k)
         b = plain.step(theirs, current, 3.7, sequence=k)
         assert a == b, k
 
@@ -245,12 +246,12 @@ def test_wrong_use_is_said():
         fixed.power(state)
     with pytest.raises(InputError, match="4 records of"):
         fixed.cells(state._replace(cells=state.cells[:2]))
-    with pytest.raises(InputError, match="life=True"):
-        plain.learn(plain.init(0.5), 0.9, 1.0)
-    aged = FixedStep(model, dt_s=1.0, life=True)
+    with pytest.raises(InputError, match="health=True"):
+        plain.set_health(plain.init(0.5), 0.9, 1.0)
+    aged = FixedStep(model, dt_s=1.0, health=True)
     for share, scale in ((0.0, 1.0), (1.0, np.nan), (3.0, 1.0), (1.0, 21.0)):
         with pytest.raises(InputError, match=r"0\.1 to 2"):
-            aged.learn(aged.init(0.5), share, scale)
+            aged.set_health(aged.init(0.5), share, scale)
     for wrong in ({"soc": 0.0}, {"lag_s": np.nan}, {"capacity": "1 %"}):
         with pytest.raises(InputError, match="a number above zero"):
             CellSettings(**wrong)

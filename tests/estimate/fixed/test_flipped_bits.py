@@ -30,7 +30,9 @@ def compiled_c(tables):
         library = HostLibrary(tables)
     except Exception:
         return None
-    return Stepper(tables, library.init, library.rows, library.power, library.learn, library.pack())
+    return Stepper(
+        tables, library.init, library.rows, library.power, library.set_health, library.pack()
+    )
 
 
 def flipped(state):

@@ -64,7 +64,7 @@ from cellwise.estimate.status import (
 
 
 class Difference(NamedTuple):
-    """Derivatives of a cell's voltage minus the mean's, and the variance of what is left.
+    """Derivatives of a cell's voltage minus the mean's, and its variance about that.
 
     ``single_V2`` is that of one sample, ``variance_V2`` of one that shares its error with others.
     """
@@ -119,7 +119,7 @@ def mean_voltage(m: Model, cells: Cells, voltage_V: Floats, count: Count) -> Flo
     c = m.constant
     first = -ONE
     total = ZERO
-    doubted = ZERO
+    unsure = ZERO
     used = U(0)
     left_out = U(0)
     for k in range(count):
@@ -130,10 +130,10 @@ def mean_voltage(m: Model, cells: Cells, voltage_V: Floats, count: Count) -> Flo
                 total = total + (voltage_V[k] - first)
                 used = U(used + 1)
             else:
-                doubted = doubted + (voltage_V[k] - first)
+                unsure = unsure + (voltage_V[k] - first)
                 left_out = U(left_out + 1)
     if left_out >= used:
-        total = total + doubted
+        total = total + unsure
         used = U(used + left_out)
     if used != U(0):
         first = first + (total / F(used))

@@ -60,7 +60,7 @@ class FixedStep:
     watch : bool                watch for sensors that freeze or fall silent
     validity : bool             say and widen beyond the model's data, where these are known
     power : PowerSettings or None   what :meth:`power` is asked for: one horizon, currents held
-    life : bool                 take capacity and resistance from a history (:meth:`learn`)
+    health : bool                 take capacity and resistance from a history (:meth:`set_health`)
     cells : CellSettings or None    follow the cells of a pack: see :class:`FixedPack`
     """
 
@@ -78,7 +78,7 @@ class FixedStep:
         watch: bool = True,
         validity: bool = True,
         power: PowerSettings | None = None,
-        life: bool = False,
+        health: bool = False,
         cells: CellSettings | None = None,
     ) -> None:
         check_is_model(model)
@@ -88,7 +88,7 @@ class FixedStep:
         self._points = points
         self._offset_std_A = offset_std_A
         self._wide, self._watch, self._validity = wide, watch, validity
-        self._power, self._life, self._cells = power, life, cells
+        self._power, self._health, self._cells = power, health, cells
         self._stepper: Stepper | None = None
         self._sample = np.zeros(1, dtype=INPUT)
         self.stepper(1.0 if dt_s is None else dt_s)  # refuses now what it would refuse later
@@ -106,7 +106,7 @@ class FixedStep:
                 watch=self._watch,
                 validity=self._validity,
                 power=self._power,
-                life=self._life,
+                health=self._health,
                 cells=self._cells,
             )
             self._stepper = self._make(tables)
@@ -178,7 +178,9 @@ class FixedStep:
         stepper.power(state, out)
         return out
 
-    def learn(self, state: NDArray[Any], capacity_share: float, resistance_scale: float) -> None:
+    def set_health(
+        self, state: NDArray[Any], capacity_share: float, resistance_scale: float
+    ) -> None:
         """What a history says of the cell beside the model; kept in the state.
 
         Parameters
@@ -191,14 +193,14 @@ class FixedStep:
         InputError        not asked for when this was made; a number outside these
         """
         stepper = self._need_stepper()
-        if not stepper.tables.options.life:
+        if not stepper.tables.options.health:
             raise InputError(
                 "a fixed step that takes nothing from a history",
-                "FixedStep(..., life=True)",
+                "FixedStep(..., health=True)",
                 "Make it with that.",
             )
         check_record(state, stepper.tables, self.name)
-        if stepper.learn(state, float(capacity_share), float(resistance_scale)):
+        if stepper.set_health(state, float(capacity_share), float(resistance_scale)):
             raise InputError(
                 f"capacity_share = {capacity_share:g}, resistance_scale = {resistance_scale:g}",
                 "a share of 0.1 to 2, a scale of 0.1 to 20, a sound state",
@@ -264,7 +266,7 @@ class Stepper(NamedTuple):
     begin: Callable[[NDArray[Any], float, float], object]
     rows: Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]]
     power: Callable[[NDArray[Any], NDArray[Any]], object]
-    learn: Callable[[NDArray[Any], float, float], int]
+    set_health: Callable[[NDArray[Any], float, float], int]
     pack: PackCalls
 
 

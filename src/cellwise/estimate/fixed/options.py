@@ -34,8 +34,8 @@ class Options:
     ``wide`` the care taken while SOC is badly known, ``watch`` that of sensors which freeze or fall
     silent; without them the code is smaller. ``validity`` 1 watches SOC and current for what the
     model's data covered, 2 the temperature, too; ``power`` gives the state of power;
-    ``life`` takes a capacity and a resistance that a history gives, ``cells`` follows the cells of
-    a pack beside the mean cell.
+    ``health`` takes a capacity and a resistance that a history gives, ``cells`` follows the cells
+    of a pack beside the mean cell.
     """
 
     points: int
@@ -57,7 +57,7 @@ class Options:
     watch: int = 1
     validity: int = 0
     power: int = 0
-    life: int = 0
+    health: int = 0
     cells: int = 0
 
     @property
@@ -84,7 +84,7 @@ def options_of(
     watch: bool = True,
     validity: bool = True,
     power: bool = False,
-    life: bool = False,
+    health: bool = False,
     cells: bool = False,
     arrhenius_points: int = 0,
 ) -> Options:
@@ -97,7 +97,7 @@ def options_of(
     watch : bool              watch for sensors that freeze or fall silent
     validity : bool           say and widen beyond the model's data, where these are known
     power : bool              the state of power at one horizon, a function of its own
-    life : bool               take capacity and resistance from a history
+    health : bool               take capacity and resistance from a history
     cells : bool              follow the cells of a pack beside the mean cell
     arrhenius_points : int    points of each table over temperature where the model has that effect
     """
@@ -125,7 +125,7 @@ def options_of(
         watch=int(watch),
         validity=_watched(model) if validity else 0,
         power=int(power),
-        life=int(life),
+        health=int(health),
         cells=int(cells),
     )
 
@@ -143,7 +143,7 @@ WARM = SCALED = 0  # any of these, any factor on all resistances
 WIDE = WATCH = 0  # care and watch
 VALIDITY = THERMAL = 0  # beyond the model's SOC and current, beyond its temperature
 POWER = 0  # the state of power, a function beside the step
-LIFE = CELLS = 0  # what a history says, the cells of a pack
+HEALTH = CELLS = 0  # what a history says, the cells of a pack
 
 # What a name means to the C preprocessor where it is not CELLWISE_ and the name.
 IN_C = {
@@ -152,8 +152,8 @@ IN_C = {
     "DEPTH": "CELLWISE_DEPTH > 0",
     "WARM": "CELLWISE_NEEDS_TEMPERATURE",
     "THERMAL": "CELLWISE_VALIDITY > 1",
-    "SCALED": "(CELLWISE_ARRHENIUS > 0) || CELLWISE_RATE || CELLWISE_ASYMMETRY || CELLWISE_LIFE || "
-    "CELLWISE_CELLS",
+    "SCALED": "(CELLWISE_ARRHENIUS > 0) || CELLWISE_RATE || CELLWISE_ASYMMETRY || "
+    "CELLWISE_HEALTH || CELLWISE_CELLS",
 }
 
 
@@ -171,6 +171,6 @@ def flags_of(options: Options) -> dict[str, int]:
         "THERMAL": int(options.validity > 1),
         "SCALED": int(
             options.arrhenius > 0
-            or bool(options.rate or options.asymmetry or options.life or options.cells)
+            or bool(options.rate or options.asymmetry or options.health or options.cells)
         ),
     }

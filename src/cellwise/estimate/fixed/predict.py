@@ -29,10 +29,10 @@ from cellwise.estimate.fixed.covariance import (
 from cellwise.estimate.fixed.lookup import Point, Slopes
 from cellwise.estimate.fixed.options import (
     EFFICIENCY,
+    HEALTH,
     HEATING,
     HYSTERESIS,
     LEAK,
-    LIFE,
     OFFSET,
     SLOW,
     WIDE,
@@ -47,7 +47,7 @@ def taken(c: Constants, x: State, current: Float) -> Float:
     used = c.soc_per_A * used
     if LEAK:
         used = used + c.leak_soc
-    if LIFE:
+    if HEALTH:
         used = used * x.per_capacity
     return used
 

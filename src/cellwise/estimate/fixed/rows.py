@@ -38,7 +38,7 @@ from cellwise.estimate.fixed import step as whole_step
 from cellwise.estimate.fixed.arithmetic import F, U
 from cellwise.estimate.fixed.layout import ROW, Model, row_names
 from cellwise.estimate.fixed.options import Options, flags_of
-from cellwise.estimate.fixed.state import learn
+from cellwise.estimate.fixed.state import set_health
 from cellwise.estimate.fixed.step import init, step
 from cellwise.estimate.power import fixed_power
 from cellwise.estimate.power.fixed_power import power
@@ -90,7 +90,7 @@ def ability(constants: Any, table: Any, state: Any, out: Any) -> None:
 
 def history(constants: Any, table: Any, state: Any, share: float, scale: float) -> Any:
     """What a history says of the one record of ``state``."""
-    return learn(Model(constants[0], table), state[0], F(share), F(scale))
+    return set_health(Model(constants[0], table), state[0], F(share), F(scale))
 
 
 def begin_cells(constants: Any, table: Any, cells: Any) -> None:

@@ -38,7 +38,7 @@ from cellwise.estimate.fixed.arithmetic import (
     within,
 )
 from cellwise.estimate.fixed.lookup import within_one
-from cellwise.estimate.fixed.options import HEATING, LEAK, LIFE, OFFSET, SKEW, WARM, WATCH
+from cellwise.estimate.fixed.options import HEALTH, HEATING, LEAK, OFFSET, SKEW, WARM, WATCH
 from cellwise.estimate.fixed.predict import taken
 from cellwise.estimate.status import (
     CLAMPED,
@@ -149,7 +149,7 @@ def count_charge(c: Constants, x: State, s: Reading) -> Charge:
                 missing = missing if missing < LONGEST_GAP else LONGEST_GAP
                 if LEAK:
                     lost = c.leak_soc * F(missing)
-                    if LIFE:
+                    if HEALTH:
                         lost = lost * x.per_capacity
                     used = used + lost
         x.soc, x.soc_carry = add(x.soc, x.soc_carry, -used)

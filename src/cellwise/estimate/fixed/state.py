@@ -42,9 +42,9 @@ from cellwise.estimate.fixed.covariance import (
 from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.options import (
     CELLS,
+    HEALTH,
     HEATING,
     HYSTERESIS,
-    LIFE,
     OFFSET,
     SLOW,
     SURFACE,
@@ -79,16 +79,16 @@ def is_sound(c: Constants, x: State) -> Flag:
         return False
     if WATCH and not (size_within(x.voltage_V, LARGE) and size_within(x.frozen_A, LARGE)):
         return False
-    if LIFE and not positive_within(x.per_capacity, ONE / MOST_SHARE, ONE / LEAST_SHARE):
+    if HEALTH and not positive_within(x.per_capacity, ONE / MOST_SHARE, ONE / LEAST_SHARE):
         return False
-    if LIFE and not positive_within(x.resistance_scale, LEAST_SCALE, MOST_SCALE):
+    if HEALTH and not positive_within(x.resistance_scale, LEAST_SCALE, MOST_SCALE):
         return False
     if CELLS and not size_within(x.mean_V, LARGE):
         return False
     return covariance_is_sound(x)
 
 
-def learn(m: Model, x: State, capacity_share: Float, resistance_scale: Float) -> Count:
+def set_health(m: Model, x: State, capacity_share: Float, resistance_scale: Float) -> Count:
     """What a history says of the cell beside the model: its capacity, and all its resistances.
 
     Kept in the state. Returns 0, or CELLWISE_OUT_OF_RANGE where nothing is taken: a share outside
@@ -135,7 +135,7 @@ def start(c: Constants, x: State, soc: Float, soc_variance: Float) -> None:
         x.repeats = U(0)
         x.no_current = U(0)
         x.no_voltage = U(0)
-    if LIFE:
+    if HEALTH:
         x.per_capacity = ONE
         x.resistance_scale = ONE
     if CELLS:

@@ -34,7 +34,7 @@ from cellwise.estimate.fixed.lookup import (
     slopes_of,
     under_surface,
 )
-from cellwise.estimate.fixed.options import HEATING, LIFE, SURFACE, VALIDITY, WARM, WIDE
+from cellwise.estimate.fixed.options import HEALTH, HEATING, SURFACE, VALIDITY, WARM, WIDE
 from cellwise.estimate.fixed.predict import cross_gap, heat, predict
 from cellwise.estimate.fixed.sensing import count_charge, finish, follow, see
 from cellwise.estimate.fixed.state import guess_branches, is_sound, start
@@ -74,7 +74,7 @@ def step(m: Model, x: State, sample: Sample, out: Output) -> Count:
     if SURFACE:
         follow(c, x, s, charge)
         place = under_surface(c, x, place, s.temperature_C)
-    if LIFE:
+    if HEALTH:
         place = aged(x, place)
     p = look_up(m, place, x.soc, s.seen)
     if x.evidence == NOT_BEGUN:

@@ -124,7 +124,7 @@ def fixed_step_tables(
     watch: bool = True,
     validity: bool = True,
     power: PowerSettings | None = None,
-    life: bool = False,
+    health: bool = False,
     cells: CellSettings | None = None,
 ) -> FixedStepTables:
     """Tables of a model at a time step.
@@ -140,7 +140,7 @@ def fixed_step_tables(
     watch : bool              watch for sensors that freeze or fall silent
     validity : bool           say and widen beyond the model's data, where these are known
     power : PowerSettings or None   what `cellwise_power` is asked for: one horizon, currents held
-    life : bool               take capacity and resistance from a history (`cellwise_learn`)
+    health : bool               take capacity and resistance from a history (`cellwise_set_health`)
     cells : CellSettings or None    follow the cells of a pack beside the mean cell
 
     Raises
@@ -169,7 +169,7 @@ def fixed_step_tables(
         watch=watch,
         validity=validity,
         power=power is not None,
-        life=life,
+        health=health,
         cells=cells is not None,
         arrhenius_points=ARRHENIUS_POINTS,
     )

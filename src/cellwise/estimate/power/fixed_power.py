@@ -40,9 +40,9 @@ from cellwise.estimate.fixed.lookup import (
 )
 from cellwise.estimate.fixed.options import (
     EFFICIENCY,
+    HEALTH,
     HEATING,
     HYSTERESIS,
-    LIFE,
     SLOW,
     SURFACE,
     VALIDITY,
@@ -80,7 +80,7 @@ def ending(m: Model, place: Place, x: State, soc: Float, current: Float) -> Endi
     if EFFICIENCY and used < ZERO:
         used = used * c.charge_efficiency
     moved = c.power_soc_per_A * used
-    if LIFE:
+    if HEALTH:
         moved = moved * x.per_capacity
     end = soc - moved
     p = look_up(m, place, end, current)
@@ -190,7 +190,7 @@ def one_way(
     """
     c = m.constant
     per_soc_A = c.power_A_per_soc
-    if LIFE:
+    if HEALTH:
         per_soc_A = per_soc_A / x.per_capacity
     by_soc_A = at_least(room_soc * per_soc_A, ZERO)
     current_A = able(m, place, x, soc, side, limit_V, most_A if most_A < by_soc_A else by_soc_A)
@@ -225,7 +225,7 @@ def place_now(m: Model, x: State) -> Place:
     here = place_of(m, warm_C) if WARM else place_of(m, ZERO)
     if SURFACE:
         here = under_surface(m.constant, x, here, warm_C)
-    if LIFE:
+    if HEALTH:
         here = aged(x, here)
     return Place(here.low, here.weight, here.scale, here.lag)
 

@@ -31,7 +31,7 @@ PUBLIC = {
     "init": "cellwise_init",
     "step": "cellwise_step",
     "power": "cellwise_power",
-    "learn": "cellwise_learn",
+    "set_health": "cellwise_set_health",
     "start_cells": "cellwise_cells_init",
     "mean_voltage": "cellwise_mean_voltage",
     "step_cells": "cellwise_cells_step",
@@ -41,7 +41,7 @@ PUBLIC = {
 # What of these is there only with options.
 GUARDS: dict[str, Guard] = {
     "power": frozenset({"POWER"}),
-    "learn": frozenset({"LIFE"}),
+    "set_health": frozenset({"HEALTH"}),
     **dict.fromkeys(("start_cells", "mean_voltage", "step_cells", "cell_of"), frozenset({"CELLS"})),
     "pack_power": frozenset({"CELLS", "POWER"}),
 }
@@ -344,7 +344,7 @@ typedef struct {
 
 [cellwise_power]
 
-[cellwise_learn]
+[cellwise_set_health]
 
 /* A pack, where it is compiled in: one cellwise_state for the mean cell, one cellwise_pack_cell for
  * the difference of every cell. At each sample: cellwise_mean_voltage, cellwise_step with that
