@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from cellwise.cell.equations import CellState
-from cellwise.cell.initial_soc import InitialSoc
+from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import known_temperature_C, start_hysteresis
 from cellwise.diagnose.causes.coordinates import CURRENT_NAMES, Coordinates, KernelInputs

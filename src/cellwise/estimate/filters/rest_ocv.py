@@ -9,7 +9,7 @@ import numpy as np
 
 from cellwise.cell.compiled import kernel, rows
 from cellwise.cell.equations import CellTables, look_up
-from cellwise.cell.initial_soc import RELAXED_S, REST_RATE, SHORT_REST_V
+from cellwise.cell.initial_soc.rest import RELAXED_S, REST_RATE, SHORT_REST_V
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.simulate import model_temperature_C
 from cellwise.errors import InputError
