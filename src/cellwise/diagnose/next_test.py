@@ -12,7 +12,7 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import start_hysteresis
 from cellwise.diagnose.causes.catalogue import kept_coordinates
 from cellwise.diagnose.causes.coordinates import Coordinates
-from cellwise.diagnose.causes.sensitivity_kernels import voltage_rows
+from cellwise.diagnose.causes.sensitivity_kernels import Flow, voltage_rows
 from cellwise.diagnose.decision.explanations import Explanation
 from cellwise.diagnose.decision.outcome import Outcome
 from cellwise.diagnose.fit.rows import Evidence
@@ -159,13 +159,9 @@ def _simulated(
     voltage, soc = np.empty(n), np.empty(n)
     start = CellState(experiment.soc0, 0.0, 0.0, 0.0, start_hysteresis(experiment.soc0), 0.0, 0.0)
     voltage_rows(
-        inputs.table,
-        inputs.grid,
-        inputs.scalars,
+        inputs.tables,
         start,
-        np.full(n, STEP_S),
-        flow,
-        np.full(n, experiment.temperature_C),
+        Flow(np.full(n, STEP_S), flow, np.full(n, experiment.temperature_C)),
         inputs.added_V,
         1,
         voltage,

@@ -25,6 +25,31 @@ class Remaining(NamedTuple):
     reason: int
 
 
+class FilteredRows(NamedTuple):
+    """A log and what a filter said of it, shape (n,) each; a measured voltage may be NaN."""
+
+    interval_s: FloatArray
+    current_A: FloatArray
+    temperature_C: FloatArray
+    voltage_V: FloatArray
+    soc: FloatArray
+    soc_std: FloatArray
+
+
+class Load(NamedTuple):
+    """What goes on: the present load of every row, whether its power is held, and until when.
+
+    ``wanted`` are the rows to forecast at, ``window_s`` over what time the model's error is
+    averaged, ``cutoff_V`` the voltage at which the load gives up.
+    """
+
+    current_A: FloatArray
+    wanted: BoolArray
+    hold_power: bool
+    window_s: float
+    cutoff_V: float
+
+
 @rows
 def to_empty(
     tables: CellTables,
@@ -96,17 +121,8 @@ def to_empty(
 def forecast_rows(
     tables: CellTables,
     start: CellState,
-    dt_s: FloatArray,
-    current_A: FloatArray,
-    temperature_C: FloatArray,
-    measured_V: FloatArray,
-    soc: FloatArray,
-    soc_std: FloatArray,
-    load_A: FloatArray,
-    wanted: BoolArray,
-    hold_power: bool,
-    window_s: float,
-    cutoff_V: float,
+    log: FilteredRows,
+    load: Load,
     valid: ValidityScalars,
     out: FloatArray,
 ) -> None:
@@ -116,6 +132,8 @@ def forecast_rows(
     the SOC plus two, each with the fields of `Remaining`. The bias is the mean of measured minus
     modelled voltage over about ``window_s``.
     """
+    dt_s, current_A, temperature_C, measured_V, soc, soc_std = log
+    load_A, wanted, hold_power, window_s, cutoff_V = load
     state = start
     previous = current_A[0]
     bias = 0.0

@@ -58,7 +58,7 @@ from cellwise.estimate.filters.ekf_kernels import reading_of
 from cellwise.estimate.filters.filter_state import EkfStart, LogArrays
 from cellwise.estimate.gate_kernels import Innovation, Verdict, gate
 from cellwise.estimate.noise import NoiseScalars
-from cellwise.estimate.recovery_kernels import recovered
+from cellwise.estimate.recovery_kernels import Contradiction, Variances, recovered
 from cellwise.estimate.sensing_kernels import Reading, Sample, read_sample
 from cellwise.estimate.slopes_kernels import WIDE_VARIANCE, bends, landing_slope
 from cellwise.estimate.status import CLAMPED, CURRENT_INVALID
@@ -213,15 +213,12 @@ def recover(
     """
     x, p, s = e.x, e.p, now.s
     own = s.voltage_V + (pol.whole_V - pol.own_V)
-    # fmt: off
-    soc, ss, p11, p22, p33 = recovered(
-        tables, now.warm_C, s.seen_A, x.slow_A, own, (x.v1_V, x.v2_V, x.v3_V),
-        (p.p11, p.p22, p.p33), x.h, p.phh, i.one, abs(i.r0_ohm * s.seen_A) + i.branches_V,
-        now.evidence_s >= 0.0, x.soc, p.ss,
-    )
-    # fmt: on
+    drop = abs(i.r0_ohm * s.seen_A) + i.branches_V
+    followed = now.evidence_s >= 0.0
+    seen = Contradiction(own, s.seen_A, now.warm_C, i.one, drop, followed)
+    soc, v = recovered(tables, x, Variances(p.ss, p.p11, p.p22, p.p33, p.phh), seen)
     found = CellState(soc, x.v1_V, x.v2_V, x.v3_V, x.h, x.heat_K, x.slow_A)
-    fresh = uncorrelated(ss, p11, p22, p33, p.phh, p.poo, p.pqq)
+    fresh = uncorrelated(v.soc, v.v1_V2, v.v2_V2, v.v3_V2, v.h, p.poo, p.pqq)
     return Estimate(found, e.offset_A, e.charge, with_parameters(fresh, p.poo, p.poq, p.pqq))
 
 

@@ -74,7 +74,7 @@ from cellwise.estimate.filters.predict_kernels import (
 )
 from cellwise.estimate.gate_kernels import Innovation, Verdict, gate
 from cellwise.estimate.noise import NoiseScalars
-from cellwise.estimate.recovery_kernels import recovered
+from cellwise.estimate.recovery_kernels import Contradiction, Variances, recovered
 from cellwise.estimate.sensing_kernels import Reading, Sample, read_sample, unseen_soc
 from cellwise.estimate.slopes_kernels import WIDE_VARIANCE, Slopes, bends, landing_slope, slopes_at
 from cellwise.estimate.status import CLAMPED
@@ -170,15 +170,10 @@ def recover(
 ) -> tuple[CellState, Covariance]:
     """The gate may have locked the truth out: the SOC is searched for over all of 0..1."""
     drop = abs(i.r0_ohm * s.seen_A) + i.branches_V
-    branches = (x.v1_V, x.v2_V, x.v3_V)
-    # fmt: off
-    soc, ss, p11, p22, p33 = recovered(
-        tables, warm_C, s.seen_A, x.slow_A, s.voltage_V, branches, (p.p11, p.p22, p.p33),
-        x.h, p.phh, i.one, drop, followed, x.soc, p.ss,
-    )
-    # fmt: on
+    seen = Contradiction(s.voltage_V, s.seen_A, warm_C, i.one, drop, followed)
+    soc, v = recovered(tables, x, Variances(p.ss, p.p11, p.p22, p.p33, p.phh), seen)
     found = CellState(soc, x.v1_V, x.v2_V, x.v3_V, x.h, x.heat_K, x.slow_A)
-    return found, uncorrelated(ss, p11, p22, p33, p.phh)
+    return found, uncorrelated(v.soc, v.v1_V2, v.v2_V2, v.v3_V2, v.h)
 
 
 @inline

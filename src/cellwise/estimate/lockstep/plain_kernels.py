@@ -256,6 +256,22 @@ def plain_block(
         put_info(out, lane, info)
 
 
+class Scratch(NamedTuple):
+    """Memory of one block: what a step works with, and what it shows."""
+
+    work: FloatArray
+    shown: FloatArray
+
+
+class LaneSamples(NamedTuple):
+    """A sample of every lane; ``gap``: nobody knows what flowed before it."""
+
+    current_A: FloatArray
+    voltage_V: FloatArray
+    temperature_C: FloatArray
+    gap: BoolArray
+
+
 @rows
 def lockstep(
     tables: CellTables,
@@ -263,12 +279,8 @@ def lockstep(
     noise: NoiseScalars,
     start: EkfStart,
     state: FloatArray,
-    work: FloatArray,
-    shown: FloatArray,
-    current_A: FloatArray,
-    voltage_V: FloatArray,
-    temperature_C: FloatArray,
-    gap: BoolArray,
+    scratch: Scratch,
+    samples: LaneSamples,
     cells: int,
     dt_s: float,
     out: FloatArray,
@@ -277,9 +289,11 @@ def lockstep(
     """One sample of every cell; how many took the short way.
 
     ``state`` is in blocks of LANES cells with FIELDS rows each; the other arrays have one value
-    per cell, a multiple of LANES of them, ``out`` OUTPUTS times as many. ``work`` and ``shown``
-    are scratch; the first ``cells`` are real.
+    per cell, a multiple of LANES of them, ``out`` OUTPUTS times as many. The first ``cells`` are
+    real.
     """
+    work, shown = scratch
+    current_A, voltage_V, temperature_C, gap = samples
     table, grid, cell = tables.table, tables.grid_C, tables.cell
     warm_tables = needs_temperature(tables)
     scaled_tables = cell.activation_K != 0.0 or cell.rate_per_A != 0.0 or cell.charge_scale != 1.0
