@@ -17,7 +17,7 @@ from cellwise.estimate.filters.kalman import check_state
 from cellwise.estimate.lockstep import lane_kernels as lanes
 from cellwise.estimate.lockstep import layout
 from cellwise.estimate.lockstep.cell_kernels import begin_lane, state_of
-from cellwise.estimate.lockstep.plain_kernels import LaneSamples, Scratch, lockstep
+from cellwise.estimate.lockstep.plain_kernels import LockstepRules, lockstep
 from cellwise.estimate.noise import Noise
 from cellwise.given import number, numbers
 from cellwise.typing import BoolArray, FloatArray, IntArray
@@ -86,14 +86,14 @@ class LockstepEkf:
         self.model, self.cells, self.dt_s = model, int(cells), float(dt_s)
         self._ekf = Ekf(model, noise)
         self.noise = self._ekf.noise
-        self._noise = self.noise.scalars(model)
         self._tables = model.parameters()
         self._fast = step_table(self._tables.table, self.dt_s)
-        self._unknown = self._ekf.start(0.5, 0.3)
+        unknown = self._ekf.start(0.5, 0.3)
+        self._noise = self.noise.scalars(model)
+        self._rules = LockstepRules(unknown, self.cells, self.dt_s)
         padded = -(-self.cells // lanes.LANES) * lanes.LANES
-        work = np.zeros(layout.SCRATCH_ROWS * lanes.LANES)
-        work.reshape(-1, lanes.LANES)[layout.T_A3] = 1.0  # a third branch that is none
-        self._scratch = Scratch(work, np.zeros(layout.OUTPUTS * lanes.LANES))
+        self._scratch = np.zeros((layout.SCRATCH_ROWS + layout.OUTPUTS) * lanes.LANES)
+        self._scratch.reshape(-1, lanes.LANES)[layout.T_A3] = 1.0  # a third branch that is none
         # Lanes that no cell fills rest at half charge.
         self._samples = np.zeros((3, padded))
         self._samples[1] = float(np.interp(0.5, model.soc, model.ocv_V[0]))
@@ -149,11 +149,10 @@ class LockstepEkf:
         if state.cells != self.cells:
             raise InputError(f"a state of {state.cells} cells", f"{self.cells}", "Pass its own.")
         warm = np.nan if temperature_C is None else temperature_C
-        samples = LaneSamples(
+        samples = (
             self._channel(0, current_A, "current_A"),
             self._channel(1, voltage_V, "voltage_V"),
             self._channel(2, warm, "temperature_C"),
-            self._gap,
         )
         self._gap[: self.cells] = False if gap is None else gap
         announce(lockstep, "the lockstep filter")
@@ -161,12 +160,11 @@ class LockstepEkf:
             self._tables,
             self._fast,
             self._noise,
-            self._unknown,
+            self._rules,
             state.blocks,
             self._scratch,
-            samples,
-            self.cells,
-            self.dt_s,
+            *samples,
+            self._gap,
             self._out.ravel(),
             self._status,
         )

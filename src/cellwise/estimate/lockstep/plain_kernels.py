@@ -50,6 +50,7 @@ from cellwise.estimate.lockstep.lane_kernels import FIELDS, LANES, choose, get_s
 from cellwise.estimate.lockstep.layout import (
     LONG_FROZEN,
     OUTPUTS,
+    SCRATCH_ROWS,
     T_A1,
     T_A2,
     T_A3,
@@ -256,20 +257,12 @@ def plain_block(
         put_info(out, lane, info)
 
 
-class Scratch(NamedTuple):
-    """Memory of one block: what a step works with, and what it shows."""
+class LockstepRules(NamedTuple):
+    """What stays from step to step: where a state begins, how many cells are real, the time."""
 
-    work: FloatArray
-    shown: FloatArray
-
-
-class LaneSamples(NamedTuple):
-    """A sample of every lane; ``gap``: nobody knows what flowed before it."""
-
-    current_A: FloatArray
-    voltage_V: FloatArray
-    temperature_C: FloatArray
-    gap: BoolArray
+    start: EkfStart
+    cells: int
+    dt_s: float
 
 
 @rows
@@ -277,23 +270,25 @@ def lockstep(
     tables: CellTables,
     fast: FloatArray,
     noise: NoiseScalars,
-    start: EkfStart,
+    rules: LockstepRules,
     state: FloatArray,
-    scratch: Scratch,
-    samples: LaneSamples,
-    cells: int,
-    dt_s: float,
+    scratch: FloatArray,
+    current_A: FloatArray,
+    voltage_V: FloatArray,
+    temperature_C: FloatArray,
+    gap: BoolArray,
     out: FloatArray,
     status: IntArray,
 ) -> int:
     """One sample of every cell; how many took the short way.
 
     ``state`` is in blocks of LANES cells with FIELDS rows each; the other arrays have one value
-    per cell, a multiple of LANES of them, ``out`` OUTPUTS times as many. The first ``cells`` are
-    real.
+    per cell, a multiple of LANES of them, ``out`` OUTPUTS times as many.
+    ``scratch`` is for one block.
     """
-    work, shown = scratch
-    current_A, voltage_V, temperature_C, gap = samples
+    start, cells, dt_s = rules
+    work = scratch[: SCRATCH_ROWS * LANES]
+    shown = scratch[SCRATCH_ROWS * LANES :]
     table, grid, cell = tables.table, tables.grid_C, tables.cell
     warm_tables = needs_temperature(tables)
     scaled_tables = cell.activation_K != 0.0 or cell.rate_per_A != 0.0 or cell.charge_scale != 1.0
