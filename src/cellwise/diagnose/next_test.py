@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellwise.cell.equations import CellState
+from cellwise.cell.equations import empty_state
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import start_hysteresis
 from cellwise.diagnose.causes.catalogue import kept_coordinates
@@ -157,7 +157,7 @@ def _simulated(
     flow = (current - inputs.offset_A) / inputs.gain
     n = current.size
     voltage, soc = np.empty(n), np.empty(n)
-    start = CellState(experiment.soc0, 0.0, 0.0, 0.0, start_hysteresis(experiment.soc0), 0.0, 0.0)
+    start = empty_state(experiment.soc0, start_hysteresis(experiment.soc0))
     voltage_rows(
         inputs.tables,
         start,

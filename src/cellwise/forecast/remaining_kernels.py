@@ -5,7 +5,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from cellwise.cell.compiled import rows
-from cellwise.cell.equations import CellState, CellTables, advance, seen_current, voltage_of
+from cellwise.cell.equations import (
+    CellState,
+    CellTables,
+    advance,
+    seen_current,
+    voltage_of,
+    with_soc,
+)
 from cellwise.estimate.validity_kernels import ValidityScalars, soc_extrapolation_V
 from cellwise.typing import BoolArray, FloatArray
 
@@ -143,11 +150,7 @@ def forecast_rows(
         seen = seen_current(tables.cell, current_A[k], previous, dt_s[k])
         previous = current_A[k]
         state, point = advance(tables, state, seen, dt_s[k], temperature_C[k])
-        # fmt: off
-        state = CellState(
-            soc[k], state.v1_V, state.v2_V, state.v3_V, state.h, state.heat_K, state.slow_A
-        )
-        # fmt: on
+        state = with_soc(state, soc[k])
         voltage = voltage_of(point, state, seen)
         if measured_V[k] == measured_V[k]:  # not NaN
             error = measured_V[k] - voltage
@@ -159,11 +162,7 @@ def forecast_rows(
             continue
         for j in range(3):
             s = min(max(soc[k] + (j - 1) * 2.0 * soc_std[k], 0.0), 1.0)
-            # fmt: off
-            at = CellState(
-                s, state.v1_V, state.v2_V, state.v3_V, state.h, state.heat_K, state.slow_A
-            )
-            # fmt: on
+            at = with_soc(state, s)
             _, there = advance(tables, at, load_A[k], 0.0, temperature_C[k])
             now_V = voltage_of(there, at, load_A[k]) + bias
             left = to_empty(

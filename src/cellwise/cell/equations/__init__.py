@@ -8,7 +8,16 @@ Their derivatives are printed from these files' own text.
 from cellwise.cell.equations.interval import advance, loaded, look_up
 from cellwise.cell.equations.load import charge_transfer, transfer_resistance, under_load
 from cellwise.cell.equations.lookup import BEYOND, place_of, tables_at
-from cellwise.cell.equations.records import CellState, CellTables, Place, Transition, empty_state
+from cellwise.cell.equations.records import (
+    CellState,
+    CellTables,
+    Place,
+    Transition,
+    at_rest,
+    empty_state,
+    with_heat,
+    with_soc,
+)
 from cellwise.cell.equations.states import (
     branch_gain,
     charge_used,
@@ -18,6 +27,7 @@ from cellwise.cell.equations.states import (
     rc_step,
     relaxed,
     soc_step,
+    states_step,
     transition,
 )
 from cellwise.cell.equations.surface import at_surface, followed, slow_step, surface_soc, surfaced
@@ -47,6 +57,7 @@ __all__ = [
     "Transition",
     "advance",
     "arrhenius",
+    "at_rest",
     "at_surface",
     "at_temperature",
     "branch_gain",
@@ -70,6 +81,7 @@ __all__ = [
     "seen_current",
     "slow_step",
     "soc_step",
+    "states_step",
     "surface_soc",
     "surfaced",
     "tables_at",
@@ -79,4 +91,6 @@ __all__ = [
     "transition",
     "under_load",
     "voltage_of",
+    "with_heat",
+    "with_soc",
 ]

@@ -5,8 +5,8 @@ from __future__ import annotations
 from cellwise.cell.compiled import inline
 from cellwise.cell.equations.load import under_load
 from cellwise.cell.equations.lookup import place_of, tables_at
-from cellwise.cell.equations.records import CellState, CellTables
-from cellwise.cell.equations.states import hysteresis_step, relaxed, soc_step, transition
+from cellwise.cell.equations.records import CellState, CellTables, with_heat
+from cellwise.cell.equations.states import soc_step, states_step, transition
 from cellwise.cell.equations.surface import at_surface, slow_step, surface_soc
 from cellwise.cell.equations.temperature import at_temperature, heat_step
 from cellwise.cell.equations.voltage import polarisation
@@ -46,10 +46,7 @@ def advance(
     cell_C = temperature_C + state.heat_K
     point = loaded(tables, soc, cell_C, current_A, slow)
     t = transition(cell, point, current_A, dt_s)
-    v1 = relaxed(state.v1_V, t.a1, t.g1, current_A)
-    v2 = relaxed(state.v2_V, t.a2, t.g2, current_A)
-    v3 = relaxed(state.v3_V, t.a3, t.g3, current_A)
-    h = hysteresis_step(state.h, t.ah, current_A)
-    drop = polarisation(point.r0_ohm, current_A, v1, v2, v3)
+    after = states_step(state, t, current_A, soc, slow)
+    drop = polarisation(point.r0_ohm, current_A, after.v1_V, after.v2_V, after.v3_V)
     heat = heat_step(cell, state.heat_K, current_A, drop, dt_s)
-    return CellState(soc, v1, v2, v3, h, heat, slow), point
+    return with_heat(after, heat), point

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cellwise.cell.compiled import inline
 from cellwise.cell.point_kernels import CellScalars
 from cellwise.typing import FloatArray
 
@@ -59,6 +60,24 @@ class Place(NamedTuple):
     f: float
     g: float
     w: float
+
+
+@inline
+def with_soc(x: CellState, soc: float) -> CellState:
+    """The same state at another SOC."""
+    return CellState(soc, x.v1_V, x.v2_V, x.v3_V, x.h, x.heat_K, x.slow_A)
+
+
+@inline
+def with_heat(x: CellState, heat_K: float) -> CellState:
+    """The same state, warmer or colder."""
+    return CellState(x.soc, x.v1_V, x.v2_V, x.v3_V, x.h, heat_K, x.slow_A)
+
+
+@inline
+def at_rest(soc: float, h: float) -> CellState:
+    """A cell whose load was off for long."""
+    return CellState(soc, 0.0, 0.0, 0.0, h, 0.0, 0.0)
 
 
 def empty_state(soc: float, h: float = 0.0) -> CellState:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from cellwise.cell.compiled import inline
-from cellwise.cell.equations.records import Transition
+from cellwise.cell.equations.records import CellState, Transition
 from cellwise.cell.point_kernels import CellPoint, CellScalars
 
 
@@ -111,3 +111,15 @@ def transition(cell: CellScalars, point: CellPoint, current_A: float, dt_s: floa
         branch_gain(point.r2_ohm, a2),
         branch_gain(point.r3_ohm, a3),
     )
+
+
+@inline
+def states_step(
+    state: CellState, t: Transition, current_A: float, soc: float, slow_A: float
+) -> CellState:
+    """Branches and hysteresis after an interval; SOC and surface as given, heat as it was."""
+    v1 = relaxed(state.v1_V, t.a1, t.g1, current_A)
+    v2 = relaxed(state.v2_V, t.a2, t.g2, current_A)
+    v3 = relaxed(state.v3_V, t.a3, t.g3, current_A)
+    h = hysteresis_step(state.h, t.ah, current_A)
+    return CellState(soc, v1, v2, v3, h, state.heat_K, slow_A)

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from cellwise.cell.equations import CellState
+from cellwise.cell.equations import CellState, empty_state
 from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import known_temperature_C, start_hysteresis
@@ -74,7 +74,7 @@ class LogRows:
     def state(self, soc_shift: float) -> CellState:
         """The cell at rest at the start, ``soc_shift`` away from its stated SOC."""
         soc = self.start.soc + soc_shift
-        return CellState(soc, 0.0, 0.0, 0.0, start_hysteresis(self.start.soc), 0.0, 0.0)
+        return empty_state(soc, start_hysteresis(self.start.soc))
 
 
 @dataclass(frozen=True, eq=False)

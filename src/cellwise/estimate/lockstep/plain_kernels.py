@@ -23,6 +23,7 @@ from cellwise.cell.equations import (
     polarisation,
     relaxed,
     terminal_voltage,
+    with_soc,
 )
 from cellwise.cell.point_kernels import R3, CellPoint, CellScalars, M
 from cellwise.estimate.evidence_kernels import (
@@ -216,8 +217,7 @@ def plain_step(
     soc = end.soc if end.soc < SOC_HIGH else SOC_HIGH
     soc = soc if soc > SOC_LOW else SOC_LOW
     p = corrected(p, k, d)
-    kept = CellState(soc, end.v1_V, end.v2_V, end.v3_V, end.h, end.heat_K, end.slow_A)
-    state = EkfState(kept, p, rejections, mismatch, persistent, watch, old.past)
+    state = EkfState(with_soc(end, soc), p, rejections, mismatch, persistent, watch, old.past)
     std = math.sqrt(p.ss + persistent * persistent)
     info = EkfInfo(soc, std, predicted, innovation, variance, ratio, 0)
     return state, info, (ratio <= 1.0) & (not frozen)
