@@ -254,6 +254,17 @@ def test_a_neutral_effect_is_none_on_the_target(effects):
     assert one.to_bytes() == other.to_bytes()
 
 
+@pytest.mark.parametrize("effect", ACTIVE.values(), ids=ACTIVE)
+def test_no_effect_is_left_out_on_the_target(effect):
+    """What a cell has beside the plain model is in the target's numbers, or it would be ignored."""
+    beside = () if effect.name == "temperature_dependence" else WARM[:1]  # heat moves nothing alone
+    plain = curved_cell(effects=beside)
+    one, other = (
+        fixed_step_tables(m, 1.0) for m in (plain, curved_cell(effects=(*beside, effect)))
+    )
+    assert one.options != other.options or one.to_bytes() != other.to_bytes()
+
+
 @estimators(("coulomb", *DEEP_UKF))
 def test_the_order_of_the_effects_does_not_matter(name):
     plain = curved_cell()

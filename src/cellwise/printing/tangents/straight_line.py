@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 from cellwise.cell import equations
-from cellwise.cell.point_kernels import CellPoint
+from cellwise.printing.points import point_fields
 
 Value = ast.expr | dict[str, "Value"] | list["Value"]
 # Records that the equations build.
 RECORDS = {
-    "CellPoint": CellPoint._fields,
+    "CellPoint": point_fields(),
     "CellState": equations.CellState._fields,
     "Transition": equations.Transition._fields,
 }
