@@ -9,7 +9,7 @@ import numpy as np
 from benchmarks.figures import Figure, Progress
 from benchmarks.measured_data import measured_log
 from cellwise import IdentifySettings, TestLogs, identify_cell
-from cellwise.cell.initial_soc import initial_soc
+from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.metrics import error_metrics
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import simulate

@@ -10,7 +10,7 @@ from benchmarks.accuracy.cold import PANASONIC, TAGS, panasonic_tests
 from benchmarks.figures import Figure, Progress
 from benchmarks.measured_data import measured_log
 from cellwise import IdentifySettings, TestLogs, identify_cell
-from cellwise.cell.initial_soc import initial_soc
+from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.estimate.filters.ekf import Ekf
 from cellwise.estimate.fixed.fixed_step import FixedStep

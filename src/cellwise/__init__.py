@@ -6,12 +6,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from cellwise.cell.initial_soc.simulate_log import simulate
     from cellwise.cell.metrics import ErrorMetrics
     from cellwise.cell.model import CellModel, ModelError
     from cellwise.cell.model_file import read_model, write_model
     from cellwise.cell.plausibility.validity import Validity
     from cellwise.cell.simulate import Simulation
-    from cellwise.cell.start.simulate_log import simulate
     from cellwise.data import list_datasets, load_dataset
     from cellwise.diagnose import Diagnosis, diagnose
     from cellwise.errors import InputError
@@ -46,7 +46,7 @@ _HOMES = {
     "Validity": "cellwise.cell.plausibility.validity",
     "ErrorMetrics": "cellwise.cell.metrics",
     "Simulation": "cellwise.cell.simulate",
-    "simulate": "cellwise.cell.start.simulate_log",
+    "simulate": "cellwise.cell.initial_soc.simulate_log",
     "Identification": "cellwise.identify",
     "IdentifySettings": "cellwise.identify",
     "TestLogs": "cellwise.identify",

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cellwise.cell.effects import ChargeTransfer, SurfaceSoc
-from cellwise.cell.initial_soc import InitialSoc
+from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.model import ModelError
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.cell.simulate import simulate

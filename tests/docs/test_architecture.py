@@ -201,3 +201,28 @@ def test_kernels_are_compiled_in_one_place():
     home = PACKAGE / "cell" / "compiled.py"
     others = [name(p) for p in PACKAGE.rglob("*.py") if "njit(cache" in p.read_text() and p != home]
     assert others == []
+
+
+COMPILED = {"inline", "kernel", "rows", "cached"}
+MOST_ARGUMENTS = 12
+
+
+def kernels_of(path):
+    """Functions that numba compiles: by their decorator, and all of the fixed step."""
+    fixed = path.parent == PACKAGE / "estimate" / "fixed"
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.FunctionDef):
+            calls = [d.func if isinstance(d, ast.Call) else d for d in node.decorator_list]
+            if fixed or COMPILED & {d.id for d in calls if isinstance(d, ast.Name)}:
+                yield node
+
+
+def test_kernels_take_records_not_long_lists_of_arguments():
+    found = [(path, f) for path in MODULES for f in kernels_of(path)]
+    assert len(found) > 200
+    too_many = {
+        f"{name(path)}: {f.name}": count
+        for path, f in found
+        if (count := len([*f.args.posonlyargs, *f.args.args, *f.args.kwonlyargs])) > MOST_ARGUMENTS
+    }
+    assert too_many == {}

@@ -14,7 +14,7 @@ from doc_blocks import DOCS, PAGES, REPOSITORY, page_blocks, page_name, prose
 import cellwise
 from cellwise.cell.effects import EFFECTS
 from cellwise.cell.equations import CellState
-from cellwise.cell.initial_soc import InitialSoc
+from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cli.command_line import build_parser
 from cellwise.cli.common.wording import in_options
 from cellwise.estimate.estimators import ESTIMATORS

@@ -190,6 +190,18 @@ def test_charge_is_conserved_on_the_target(name):
     np.testing.assert_allclose(soc, 0.5 - np.cumsum(flowed) / (3600.0 * 3.0), atol=1e-6)
 
 
+@pytest.mark.slow
+@estimators([FIRMWARE])
+@every_effect
+def test_charge_is_conserved_on_the_target_with_every_effect(name, effects):
+    model = linear_cell(effects=effects, charge_efficiency=0.97)
+    current = np.repeat([0.0, 2.0, -1.0, 3.0, 1.0], [1, 40, 40, 40, 39])
+    current[30:36] = np.nan
+    rows = Rows.of(current).interval(100, 0.0)
+    soc = follow(name, model, rows, 0.5).soc
+    np.testing.assert_allclose(soc, counted(model, rows, 0.5), rtol=0.0, atol=1e-6)
+
+
 @estimators([FIRMWARE])
 @pytest.mark.parametrize("field", ["heat_K", "slow_A", "soc"])
 def test_over_a_long_gap_on_the_target_only_the_current_is_unknown(name, field):
@@ -240,6 +252,17 @@ def test_a_neutral_effect_is_none_on_the_target(effects):
     one, other = (fixed_step_tables(m, 1.0) for m in (plain, replace(plain, effects=effects)))
     assert one.options == other.options
     assert one.to_bytes() == other.to_bytes()
+
+
+@pytest.mark.parametrize("effect", ACTIVE.values(), ids=ACTIVE)
+def test_no_effect_is_left_out_on_the_target(effect):
+    """What a cell has beside the plain model is in the target's numbers, or it would be ignored."""
+    beside = () if effect.name == "temperature_dependence" else WARM[:1]  # heat moves nothing alone
+    plain = curved_cell(effects=beside)
+    one, other = (
+        fixed_step_tables(m, 1.0) for m in (plain, curved_cell(effects=(*beside, effect)))
+    )
+    assert one.options != other.options or one.to_bytes() != other.to_bytes()
 
 
 @estimators(("coulomb", *DEEP_UKF))

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise.cell.initial_soc import InitialSoc
+from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.protocol import ConstantCurrent, DriveProfile, Rest, run_protocol
 from cellwise.errors import InputError
 from cellwise.estimate.estimators import ESTIMATORS, make_estimator

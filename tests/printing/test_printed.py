@@ -49,6 +49,19 @@ def test_the_tree_holds_what_is_printed():
     assert main(["--check"]) == 0
 
 
+def test_printers_do_not_read_what_they_print():
+    """Else a new effect would have to be printed twice: the first run knows the old modules."""
+    printed = {
+        name.removeprefix("src/").removesuffix(".py").replace("/", ".")
+        for name in OUTPUTS
+        if name.endswith(".py")
+    }
+    for path in (SOURCE / "src" / "cellwise" / "printing").rglob("*.py"):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        read = {n.module for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
+        assert not printed & read, path.name
+
+
 def test_printing_twice_is_the_same():
     assert print_source() == print_source()
     assert print_header() == print_header()

@@ -194,10 +194,12 @@ def partials(
     g1 = r1_5 * (1.0 - a1)
     g2 = r2_4 * (1.0 - a2)
     g3 = r3_3 * (1.0 - a3)
+    # states_step
     v1 = a1 * state.v1_V + g1 * current_A
     v2 = a2 * state.v2_V + g2 * current_A
     v3 = a3 * state.v3_V + g3 * current_A
     h = ah * state.h - (1.0 - ah) * math.copysign(1.0, current_A)
+    # advance
     drop = r0_4 * current_A + v1 + (v2 + v3)
     # heat_step
     b = math.exp(-dt_s / cell.heating_s)

@@ -220,6 +220,9 @@ EFFECTS: dict[str, type[Effect]] = {
         Entropy,
     )
 }
+# What they say at a SOC and a temperature is the same under every load and after every past: a
+# target, which has no term for them, gets it as rows of its tables.
+IN_TABLES = (TemperatureDependence, Entropy)
 
 
 def check_effect(effect: Effect, shape: tuple[int, int]) -> None:

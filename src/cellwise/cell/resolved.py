@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from cellwise.cell.effects import (
-    BRANCH_ACTIVATIONS,
+    IN_TABLES,
     Effect,
-    Entropy,
     Hysteresis,
     SlowDiffusion,
     TemperatureDependence,
@@ -24,9 +23,17 @@ def needs_rows(model: CellModel) -> bool:
 
     The factor that all resistances have in common has one of its own.
     """
-    thermal = model.effect(TemperatureDependence)
-    own = any(getattr(thermal, f"{name}_K") != 0.0 for name in BRANCH_ACTIVATIONS)
-    return own or bool(np.any(model.effect(Entropy).docv_dT_V_per_K))
+    common = model.effect(TemperatureDependence)
+    common = TemperatureDependence(common.activation_K, common.reference_C)
+    one, other = (
+        model.parameters(),
+        replace(model, effects=(*_without_tabled(model), common)).parameters(),
+    )
+    return one.cell != other.cell or not np.array_equal(one.table, other.table)
+
+
+def _without_tabled(model: CellModel) -> tuple[Effect, ...]:
+    return tuple(e for e in model.effects if not isinstance(e, IN_TABLES))
 
 
 def over_temperature(model: CellModel, temperature_C: FloatArray) -> CellModel:
@@ -46,9 +53,7 @@ def over_temperature(model: CellModel, temperature_C: FloatArray) -> CellModel:
         return np.array([[getattr(point, field) for point in row] for row in rows])
 
     others: list[Effect] = [
-        e
-        for e in model.effects
-        if not isinstance(e, TemperatureDependence | Entropy | SlowDiffusion | Hysteresis)
+        e for e in _without_tabled(model) if not isinstance(e, SlowDiffusion | Hysteresis)
     ]
     slow, hysteresis = model.effect(SlowDiffusion), model.effect(Hysteresis)
     if np.any(slow.r3_ohm):

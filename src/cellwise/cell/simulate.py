@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cellwise.cell.compiled import announce, for_kernel
+from cellwise.cell.compiled import announce
 from cellwise.cell.equations import empty_state
 from cellwise.cell.metrics import (
     BandMetrics,
@@ -23,7 +23,6 @@ from cellwise.cell.plausibility.outside import outside_notices
 from cellwise.cell.plausibility.simulated import error_notices, soc_notices
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.cell.simulate_kernels import simulate_rows
-from cellwise.cell.start_kernels import MeasuredRows, Starts, best_start
 from cellwise.errors import InputError
 from cellwise.given import number
 from cellwise.logs.cell_log import CellLog, check_is_log
@@ -133,41 +132,6 @@ def simulate(model: CellModel, log: CellLog, soc0: float, h0: float | None = Non
         soc,
     )
     return Simulation(log, float(soc0), voltage, soc, model.validity)
-
-
-def best_start_soc(model: CellModel, log: CellLog, soc0: FloatArray) -> tuple[float, float]:
-    """The initial SOC from which `simulate` fits a log's voltage best, of those given.
-
-    Parameters
-    ----------
-    model : CellModel
-    log : CellLog
-    soc0 : (m,) float     SOC at the first row, each within 0..1
-
-    Returns
-    -------
-    float, float          the SOC, and the root mean square of the voltage error from there [V]
-    """
-    return best_start_of(model, rows_to_fit(model, log), soc0)
-
-
-def rows_to_fit(model: CellModel, log: CellLog) -> MeasuredRows:
-    """What the search for a start needs of a log."""
-    return MeasuredRows(
-        log.interval_s,
-        log.known_current_A(),
-        known_temperature_C(model, log),
-        for_kernel(log.voltage_V),
-    )
-
-
-def best_start_of(model: CellModel, rows: MeasuredRows, soc0: FloatArray) -> tuple[float, float]:
-    """:func:`best_start_soc` of rows that are prepared."""
-    starts = np.array(soc0, dtype=np.float64)
-    h0 = np.where(starts > UPPER_HALF, 1.0, -1.0)
-    number, total = best_start(model.parameters(), Starts(starts, h0), rows)
-    known = max(int(np.count_nonzero(np.isfinite(rows.voltage_V))), 1)
-    return float(starts[number]), math.sqrt(total / known)
 
 
 def start_hysteresis(soc0: float) -> float:

@@ -18,7 +18,7 @@ from cellwise.cli.common import (
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
-    from cellwise.cell.initial_soc import InitialSoc
+    from cellwise.cell.initial_soc.initial_soc import InitialSoc
     from cellwise.cell.simulate import Simulation
     from cellwise.estimate.power.along import PowerTrace
     from cellwise.estimate.power.state_of_power import PowerLimit
@@ -85,7 +85,7 @@ def run_simulate(arguments: argparse.Namespace) -> None:
     """Simulate a log and print the error."""
     import time
 
-    from cellwise.cell.initial_soc import initial_soc
+    from cellwise.cell.initial_soc.initial_soc import initial_soc
     from cellwise.cell.plausibility.cells_in_series import check_cells_in_series
     from cellwise.cell.simulate import simulate
 

@@ -282,7 +282,7 @@ def _filter(model: Any, stated: Stated, arguments: argparse.Namespace) -> LiveFi
     import math
     import time
 
-    from cellwise.cell.initial_soc import STATED_STD
+    from cellwise.cell.initial_soc.initial_soc import STATED_STD
     from cellwise.live import LiveFilter
 
     given = log_options.start_of(stated.soc0, log_options.parse_soc0(arguments.soc0))

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cellwise.cell.initial_soc import InitialSoc, initial_soc
+from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.point_kernels import R3, TAU2, TAU3
 from cellwise.diagnose.anatomy import anatomy

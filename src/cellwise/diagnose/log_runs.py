@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cellwise.cell.initial_soc import InitialSoc
+from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.metrics import drawn_sums
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import Simulation, simulate

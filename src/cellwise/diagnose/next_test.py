@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellwise.cell.equations import CellState
+from cellwise.cell.equations import empty_state
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import start_hysteresis
 from cellwise.diagnose.causes.catalogue import kept_coordinates
 from cellwise.diagnose.causes.coordinates import Coordinates
-from cellwise.diagnose.causes.sensitivity_kernels import voltage_rows
+from cellwise.diagnose.causes.sensitivity_kernels import Flow, voltage_rows
 from cellwise.diagnose.decision.explanations import Explanation
 from cellwise.diagnose.decision.outcome import Outcome
 from cellwise.diagnose.fit.rows import Evidence
@@ -157,15 +157,11 @@ def _simulated(
     flow = (current - inputs.offset_A) / inputs.gain
     n = current.size
     voltage, soc = np.empty(n), np.empty(n)
-    start = CellState(experiment.soc0, 0.0, 0.0, 0.0, start_hysteresis(experiment.soc0), 0.0, 0.0)
+    start = empty_state(experiment.soc0, start_hysteresis(experiment.soc0))
     voltage_rows(
-        inputs.table,
-        inputs.grid,
-        inputs.scalars,
+        inputs.tables,
         start,
-        np.full(n, STEP_S),
-        flow,
-        np.full(n, experiment.temperature_C),
+        Flow(np.full(n, STEP_S), flow, np.full(n, experiment.temperature_C)),
         inputs.added_V,
         1,
         voltage,

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from cellwise.cell.initial_soc import initial_soc
+from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import simulate
 from cellwise.diagnose.causes.catalogue import SENSOR_FAULT

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from cellwise.cell.compiled import inline, kernel
-from cellwise.cell.equations import CellTables, loaded, look_up
+from cellwise.cell.equations import CellState, CellTables, loaded, look_up
 from cellwise.cell.point_kernels import CellScalars
 from cellwise.estimate.sensing_kernels import REST_RATE
 
@@ -21,6 +22,31 @@ LOAD_LIMIT_V = 0.3
 # One that starts under load holds anything from nothing to the load's steady voltage.
 START_LOAD_SHARE = 0.5
 START_LOAD_RATE = 0.25
+
+
+class Variances(NamedTuple):
+    """Of the states: SOC [-], branches [V^2], hysteresis [-]."""
+
+    soc: float
+    v1_V2: float
+    v2_V2: float
+    v3_V2: float
+    h: float
+
+
+class Contradiction(NamedTuple):
+    """A voltage that contradicts the estimate, and the current and temperature it was seen at.
+
+    ``variance_V2`` is that of one voltage about a perfect state, ``drop_V`` the size of the whole
+    polarisation; branches that have been ``followed`` may hold anything.
+    """
+
+    voltage_V: float
+    current_A: float
+    temperature_C: float
+    variance_V2: float
+    drop_V: float
+    followed: bool
 
 
 @inline
@@ -42,32 +68,27 @@ def start_branch(cell: CellScalars, r_ohm: float, current_A: float) -> tuple[flo
 @kernel
 def soc_of_voltage(
     tables: CellTables,
-    temperature_C: float,
-    current_A: float,
-    slow_A: float,
-    voltage_V: float,
-    branches_V: float,
-    h: float,
-    h_variance: float,
+    x: CellState,
+    p: Variances,
+    c: Contradiction,
     variance: float,
     held_A: float,
     limit_V: float,
-    soc: float,
-    soc_variance: float,
 ) -> tuple[float, float]:
     """SOC and its variance when a voltage contradicts the estimate: over the whole of 0..1.
 
-    Every SOC weighs as the estimate, widened to ``soc_variance``, and the voltage, of ``variance``
+    Every SOC weighs as the estimate, of the variance in ``p``, and the voltage, of ``variance``
     about the model's, say together; ``held_A`` is the current whose voltage the branches of that
     SOC may still hold, up to ``limit_V``. Beyond either end of the OCV that end is meant. On a
     plateau every SOC of it is as good: the variance is its width.
     """
+    branches_V = (x.v1_V + x.v2_V) + x.v3_V
     step = 1.0 / (RESTART_POINTS - 1)
-    ends = look_up(tables, 0.0, temperature_C, slow_A)
-    low = ends.ocv_V - ends.r0_ohm * current_A - branches_V + ends.m_V * h
-    ends = look_up(tables, 1.0, temperature_C, slow_A)
-    high = ends.ocv_V - ends.r0_ohm * current_A - branches_V + ends.m_V * h
-    target = min(max(voltage_V, min(low, high)), max(low, high))
+    ends = look_up(tables, 0.0, c.temperature_C, x.slow_A)
+    low = ends.ocv_V - ends.r0_ohm * c.current_A - branches_V + ends.m_V * x.h
+    ends = look_up(tables, 1.0, c.temperature_C, x.slow_A)
+    high = ends.ocv_V - ends.r0_ohm * c.current_A - branches_V + ends.m_V * x.h
+    target = min(max(c.voltage_V, min(low, high)), max(low, high))
     least = math.inf
     total = 0.0
     first = 0.0
@@ -75,16 +96,16 @@ def soc_of_voltage(
     for turn in range(2):
         for k in range(RESTART_POINTS):
             s = k * step
-            point = loaded(tables, s, temperature_C, current_A, slow_A)
-            seen = point.ocv_V - point.r0_ohm * current_A - branches_V + point.m_V * h
+            point = loaded(tables, s, c.temperature_C, c.current_A, x.slow_A)
+            seen = point.ocv_V - point.r0_ohm * c.current_A - branches_V + point.m_V * x.h
             about = variance + point.error_V * point.error_V
-            about += point.m_V * point.m_V * h_variance
+            about += point.m_V * point.m_V * p.h
             r = point.r1_ohm * point.r1_ohm + point.r2_ohm * point.r2_ohm
             past = held_A * held_A * (r + point.r3_ohm * point.r3_ohm)
             about += min(past, limit_V * limit_V)
             off = target - seen
-            away = s - soc
-            cost = away * away / soc_variance + off * off / about + math.log(about)
+            away = s - x.soc
+            cost = away * away / p.soc + off * off / about + math.log(about)
             if turn == 0:
                 least = min(least, cost)
             else:
@@ -98,51 +119,29 @@ def soc_of_voltage(
 
 @kernel
 def recovered(
-    tables: CellTables,
-    temperature_C: float,
-    current_A: float,
-    slow_A: float,
-    voltage_V: float,
-    branches_V: tuple[float, float, float],
-    variances: tuple[float, float, float],
-    h: float,
-    h_variance: float,
-    one: float,
-    drop_V: float,
-    followed: bool,
-    soc: float,
-    soc_variance: float,
-) -> tuple[float, float, float, float, float]:
-    """SOC, its variance and those of the three branches after a lock-out.
-
-    ``one`` is the variance of one voltage about a perfect state, ``drop_V`` the size of the whole
-    polarisation. Branches that have been ``followed`` may hold anything.
-    """
-    v1, v2, v3 = branches_V
-    p11, p22, p33 = variances
+    tables: CellTables, x: CellState, p: Variances, c: Contradiction
+) -> tuple[float, Variances]:
+    """SOC after a lock-out, and the variances of all states."""
     held_A = START_REST_RATE * tables.cell.charge_As / 3600.0
     limit_V = REST_LIMIT_V
     branch = START_BRANCH_V * START_BRANCH_V
-    if followed:
+    if c.followed:
         held_A = RECOVERY_RATE * tables.cell.charge_As / 3600.0
         limit_V = LOAD_LIMIT_V
         # Under load the resistances may be what is wrong, by as much as they are.
-        branch = drop_V * drop_V + v1 * v1 + v2 * v2 + v3 * v3 + ((p11 + p22) + p33)
-    # fmt: off
-    soc, soc_variance = soc_of_voltage(
-        tables, temperature_C, current_A, slow_A, voltage_V, (v1 + v2) + v3, h, h_variance,
-        one + branch, held_A, limit_V, soc, max(soc_variance, RECOVERY_VARIANCE),
-    )
-    # fmt: on
-    new = look_up(tables, soc, temperature_C, slow_A)
+        branch = c.drop_V * c.drop_V + x.v1_V * x.v1_V + x.v2_V * x.v2_V + x.v3_V * x.v3_V
+        branch += (p.v1_V2 + p.v2_V2) + p.v3_V2
+    wide = Variances(max(p.soc, RECOVERY_VARIANCE), p.v1_V2, p.v2_V2, p.v3_V2, p.h)
+    soc, variance = soc_of_voltage(tables, x, wide, c, c.variance_V2 + branch, held_A, limit_V)
+    new = look_up(tables, soc, c.temperature_C, x.slow_A)
     branch = START_BRANCH_V * START_BRANCH_V
     p11 = branch + min(held_A * new.r1_ohm, limit_V) ** 2
     p22 = branch + min(held_A * new.r2_ohm, limit_V) ** 2
     p33 = branch + min(held_A * new.r3_ohm, limit_V) ** 2
-    if followed:
-        p11 += v1 * v1
-        p22 += v2 * v2
-        p33 += v3 * v3
+    if c.followed:
+        p11 += x.v1_V * x.v1_V
+        p22 += x.v2_V * x.v2_V
+        p33 += x.v3_V * x.v3_V
     if new.r3_ohm == 0.0:
         p33 = 0.0
-    return soc, soc_variance, p11, p22, p33
+    return soc, Variances(variance, p11, p22, p33, p.h)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cellwise.cell.initial_soc import InitialSoc, initial_soc
+from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.plausibility.notice import in_order
 from cellwise.cell.plausibility.outside import outside_notices

@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from cellwise.cell.initial_soc import InitialSoc, initial_soc
+from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.cells_in_series import check_cells_in_series
 from cellwise.errors import InputError, MachineError

@@ -14,7 +14,7 @@ from cellwise.cell.simulate import known_temperature_C, start_hysteresis
 from cellwise.errors import InputError
 from cellwise.estimate.replay import Replay
 from cellwise.estimate.validity_kernels import validity_scalars
-from cellwise.forecast.remaining_kernels import BY_VOLTAGE, NEVER, forecast_rows
+from cellwise.forecast.remaining_kernels import BY_VOLTAGE, NEVER, FilteredRows, Load, forecast_rows
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
@@ -209,11 +209,15 @@ def _forecast(
     out = np.empty((int(np.count_nonzero(wanted)), 3, 5))
     soc = np.ascontiguousarray(trace.soc, dtype=np.float64)
     std = np.nan_to_num(np.ascontiguousarray(trace.soc_std, dtype=np.float64))
+    warm = known_temperature_C(model, log)
     forecast_rows(
-        tables, empty_state(soc[0], start_hysteresis(float(soc[0]))), log.interval_s,
-        current_A, known_temperature_C(model, log), np.array(log.voltage_V), soc, std, load_A,
-        wanted, hold == "power", float(window_s), cutoff_V, validity_scalars(model), out,
-    )  # fmt: skip
+        tables,
+        empty_state(soc[0], start_hysteresis(float(soc[0]))),
+        FilteredRows(log.interval_s, current_A, warm, np.array(log.voltage_V), soc, std),
+        Load(load_A, wanted, hold == "power", float(window_s), cutoff_V),
+        validity_scalars(model),
+        out,
+    )
     out[out[:, :, 4] == NEVER, :2] = np.inf
     return Flight(
         name=log.name,

@@ -5,7 +5,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from cellwise.cell.compiled import rows
-from cellwise.cell.equations import CellState, CellTables, advance, seen_current, voltage_of
+from cellwise.cell.equations import (
+    CellState,
+    CellTables,
+    advance,
+    seen_current,
+    voltage_of,
+    with_soc,
+)
 from cellwise.estimate.validity_kernels import ValidityScalars, soc_extrapolation_V
 from cellwise.typing import BoolArray, FloatArray
 
@@ -23,6 +30,31 @@ class Remaining(NamedTuple):
     voltage_V: float
     soc: float
     reason: int
+
+
+class FilteredRows(NamedTuple):
+    """A log and what a filter said of it, shape (n,) each; a measured voltage may be NaN."""
+
+    interval_s: FloatArray
+    current_A: FloatArray
+    temperature_C: FloatArray
+    voltage_V: FloatArray
+    soc: FloatArray
+    soc_std: FloatArray
+
+
+class Load(NamedTuple):
+    """What goes on: the present load of every row, whether its power is held, and until when.
+
+    ``wanted`` are the rows to forecast at, ``window_s`` over what time the model's error is
+    averaged, ``cutoff_V`` the voltage at which the load gives up.
+    """
+
+    current_A: FloatArray
+    wanted: BoolArray
+    hold_power: bool
+    window_s: float
+    cutoff_V: float
 
 
 @rows
@@ -96,17 +128,8 @@ def to_empty(
 def forecast_rows(
     tables: CellTables,
     start: CellState,
-    dt_s: FloatArray,
-    current_A: FloatArray,
-    temperature_C: FloatArray,
-    measured_V: FloatArray,
-    soc: FloatArray,
-    soc_std: FloatArray,
-    load_A: FloatArray,
-    wanted: BoolArray,
-    hold_power: bool,
-    window_s: float,
-    cutoff_V: float,
+    log: FilteredRows,
+    load: Load,
     valid: ValidityScalars,
     out: FloatArray,
 ) -> None:
@@ -116,6 +139,8 @@ def forecast_rows(
     the SOC plus two, each with the fields of `Remaining`. The bias is the mean of measured minus
     modelled voltage over about ``window_s``.
     """
+    dt_s, current_A, temperature_C, measured_V, soc, soc_std = log
+    load_A, wanted, hold_power, window_s, cutoff_V = load
     state = start
     previous = current_A[0]
     bias = 0.0
@@ -125,11 +150,7 @@ def forecast_rows(
         seen = seen_current(tables.cell, current_A[k], previous, dt_s[k])
         previous = current_A[k]
         state, point = advance(tables, state, seen, dt_s[k], temperature_C[k])
-        # fmt: off
-        state = CellState(
-            soc[k], state.v1_V, state.v2_V, state.v3_V, state.h, state.heat_K, state.slow_A
-        )
-        # fmt: on
+        state = with_soc(state, soc[k])
         voltage = voltage_of(point, state, seen)
         if measured_V[k] == measured_V[k]:  # not NaN
             error = measured_V[k] - voltage
@@ -141,11 +162,7 @@ def forecast_rows(
             continue
         for j in range(3):
             s = min(max(soc[k] + (j - 1) * 2.0 * soc_std[k], 0.0), 1.0)
-            # fmt: off
-            at = CellState(
-                s, state.v1_V, state.v2_V, state.v3_V, state.h, state.heat_K, state.slow_A
-            )
-            # fmt: on
+            at = with_soc(state, s)
             _, there = advance(tables, at, load_A[k], 0.0, temperature_C[k])
             now_V = voltage_of(there, at, load_A[k]) + bias
             left = to_empty(

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cellwise.cell.effects import SlowDiffusion, TemperatureDependence
-from cellwise.cell.initial_soc import initial_soc
+from cellwise.cell.initial_soc.best_start import best_start_soc
+from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import CellModel
-from cellwise.cell.simulate import best_start_soc, known_temperature_C, simulate
+from cellwise.cell.simulate import known_temperature_C, simulate
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray, IndexArray
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.initial_soc import initial_soc
+from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import check_physical
 from cellwise.cell.plausibility.cells_in_series import check_one_cell

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellwise.cell.initial_soc import STATED_STD
+from cellwise.cell.initial_soc.initial_soc import STATED_STD
 from cellwise.errors import InputError
 from cellwise.identify.ocv.curve import OcvCurve
 from cellwise.identify.ocv.ocv_rests import find_ocv_rests

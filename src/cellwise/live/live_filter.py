@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cellwise.cell.initial_soc import InitialSoc, initial_soc
+from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import model_mark
 from cellwise.errors import InputError

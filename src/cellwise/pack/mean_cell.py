@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from cellwise.cell.initial_soc import initial_soc
+from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import known_temperature_C
 from cellwise.estimate.filters.ekf import Ekf

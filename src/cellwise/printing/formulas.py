@@ -1,12 +1,12 @@
-r"""Prints the equations as formulas into the theory page, from the text of `cell/equations.py`."""
+r"""Prints the equations as formulas into the theory page, from the text of `cell/equations/`."""
 
 from __future__ import annotations
 
 import ast
-import inspect
 from pathlib import Path
 
 from cellwise.cell import equations
+from cellwise.printing.tangents.straight_line import parsed
 
 BEGIN, END = "<!-- printed: equations -->", "<!-- end of what is printed -->"
 
@@ -218,13 +218,14 @@ def statements(body: list[ast.stmt]) -> list[str]:
 
 
 def table() -> list[str]:
-    """One row for each function: what it is, its formulas, its name."""
-    source = ast.parse(inspect.getsource(equations))
-    functions = {n.name: n for n in source.body if isinstance(n, ast.FunctionDef)}
-    lines = ["| quantity | formula | function |", "|---|---|---|"]
+    """One row for each function: what it is, its formulas, its file and name."""
+    functions = parsed()
+    lines = ["| quantity | formula | `cell/equations/` |", "|---|---|---|"]
     for name, title in SHOWN:
         given = [f"${text}$" for text in statements(functions[name].body)]
-        lines.append(f"| {title} | {', '.join(given).replace('|', chr(92) + 'vert ')} | `{name}` |")
+        home = getattr(equations, name).__module__.rpartition(".")[2]
+        written = ", ".join(given).replace("|", chr(92) + "vert ")
+        lines.append(f"| {title} | {written} | `{home}.{name}` |")
     return lines
 
 

@@ -8,9 +8,14 @@ from cellwise.printing.text import head, wrapped_call
 SIGNATURE = "table: FloatArray, at: np.uint64, k: np.uint64, f: float, g: float"
 
 
-def point_fields() -> list[str]:
+def point_fields() -> tuple[str, ...]:
     """Fields of a `CellPoint`: every column, and the slope of those that have one."""
-    return [name for c in COLUMNS for name in ((c.field, c.slope) if c.sloped else (c.field,))]
+    return tuple(n for c in COLUMNS for n in ((c.field, c.slope) if c.sloped else (c.field,)))
+
+
+def scalar_fields() -> tuple[str, ...]:
+    """Fields of a `CellScalars`."""
+    return tuple(s.name for s in SCALARS)
 
 
 def points_text() -> str:

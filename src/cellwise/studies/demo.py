@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellwise.cell.initial_soc import InitialSoc, initial_soc
+from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model_file import write_model
 from cellwise.cell.simulate import Simulation, simulate
 from cellwise.data import list_datasets, load_dataset

@@ -35,7 +35,7 @@ from cellwise.cell.point_kernels import (
     M,
 )
 from cellwise.cell.simulate_kernels import simulate_rows
-from cellwise.diagnose.causes.sensitivity_kernels import Directions, derivative_rows
+from cellwise.diagnose.causes.sensitivity_kernels import Directions, Flow, derivative_rows
 from cellwise.identify.refinement.derivative_kernels import seen_partials
 
 POINTS = 21
@@ -223,14 +223,10 @@ def derivatives(names, tables, stride=1):
     flow, directions = directions_of(names, tables)
     found = np.full((len(range(0, dt.size, stride)), len(names)), np.nan)
     derivative_rows(
-        tables.table,
-        tables.grid_C,
-        tables.cell,
+        tables,
         start_of(tables),
-        dt,
-        flow,
-        warm,
-        *directions,
+        Flow(dt, flow, warm),
+        directions,
         stride,
         found,
     )
@@ -283,8 +279,6 @@ def test_directions_together_are_as_each_alone_and_add_up():
         current_of=third.current_of, soc0=np.ones(1),
     )  # fmt: skip
     found = np.empty((dt.size, 1))
-    derivative_rows(
-        tables.table, tables.grid_C, tables.cell, start_of(tables), dt, flow, warm, *both, 1, found
-    )
+    derivative_rows(tables, start_of(tables), Flow(dt, flow, warm), both, 1, found)
     parts = derivatives(["charge_As", "r0", "gain", "soc0"], tables).sum(axis=1)
     np.testing.assert_allclose(found[:, 0], parts, rtol=0.0, atol=1e-12 * np.abs(parts).max())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellwise.cell.initial_soc import InitialSoc
+from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.diagnose.causes.coordinates import LOSS_NAMES, Coordinates
 from cellwise.diagnose.causes.electrodes import Electrodes, electrodes_of
 from cellwise.diagnose.causes.half_cells import NEGATIVE, POSITIVE

@@ -7,7 +7,7 @@ import pytest
 
 import cellwise
 from cellwise.cell.effects import Hysteresis, RateDependence, SelfHeating, SlowDiffusion
-from cellwise.cell.initial_soc import InitialSoc
+from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.simulate import simulate
 from cellwise.diagnose import diagnose
 from cellwise.diagnose.causes.coordinates import SHARED, Coordinates

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise.cell.initial_soc import initial_soc
+from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import ModelError
 from cellwise.cell.simulate import simulate
 from cellwise.diagnose.causes.coordinates import Coordinates

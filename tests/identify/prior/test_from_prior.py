@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from prior_cells import CAPACITY_AH, drive_of, other_cell
 
-from cellwise.cell.initial_soc import initial_soc
+from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.simulate import simulate
 from cellwise.cell.stock.catalogue import named_model, stock_model
 from cellwise.errors import InputError

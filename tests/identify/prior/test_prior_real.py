@@ -8,7 +8,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from cellwise.cell.simulate import best_start_soc, simulate
+from cellwise.cell.initial_soc.best_start import best_start_soc
+from cellwise.cell.simulate import simulate
 from cellwise.cell.stock.catalogue import named_model, stock_model
 from cellwise.estimate.replay import replay
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell

@@ -90,10 +90,7 @@ def test_costs_are_those_of_the_model():
     swapped = positions[:1].copy()
     swapped[0, [2, 4]] = 60.0, 4.0
     costs = np.empty(3)
-    swarm_costs(
-        problem.dt, problem.current, problem.known, problem.dq, problem.weight, problem.centre,
-        np.vstack((positions, swapped)), costs,
-    )  # fmt: skip
+    swarm_costs(problem.window, np.vstack((positions, swapped)), costs)
     for position, found in zip(positions, costs, strict=False):
         r0, r1, tau1, r2, tau2, ocv, slope = position
         coefficients = np.array([ocv, slope, r0, r1, r2, 0, 0, 0, 0, 0.0])

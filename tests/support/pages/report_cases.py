@@ -7,7 +7,7 @@ from html.parser import HTMLParser
 import numpy as np
 
 from cellwise.cell.effects import SlowDiffusion
-from cellwise.cell.initial_soc import InitialSoc
+from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.metrics import error_metrics
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import Simulation

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.cell.effects import Hysteresis, SlowDiffusion
-from cellwise.cell.equations import ZERO_CELSIUS_K
+from cellwise.cell.equations import ZERO_CELSIUS_K, CellTables
 from cellwise.cell.model import CellModel
 from cellwise.cell.point_kernels import (
     ENTROPY,
@@ -96,6 +96,11 @@ class KernelInputs(NamedTuple):
     gain: float
     skew_s: float
     point: Mapping[str, float]
+
+    @property
+    def tables(self) -> CellTables:
+        """The cell as the equations see it."""
+        return CellTables(self.table, self.grid, self.scalars)
 
 
 @dataclass(frozen=True, eq=False)

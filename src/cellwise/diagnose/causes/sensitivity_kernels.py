@@ -37,6 +37,14 @@ FIRST = CellScalars._fields.index("surface_per_A")
 SURFACE = slice(FIRST, CellScalars._fields.index("surface_reference_K") + 1)
 
 
+class Flow(NamedTuple):
+    """What drives a cell, shape (n,) each: intervals [s], the current that flows [A], [degC]."""
+
+    interval_s: FloatArray
+    current_A: FloatArray
+    temperature_C: FloatArray
+
+
 class Directions(NamedTuple):
     """How P parameters enter.
 
@@ -63,24 +71,20 @@ class Directions(NamedTuple):
 
 @cached(error_model="numpy", nogil=True)
 def voltage_rows(
-    table: FloatArray,
-    grid: FloatArray,
-    cell: CellScalars,
+    tables: CellTables,
     start: CellState,
-    dt_s: FloatArray,
-    flow_A: FloatArray,
-    temperature_C: FloatArray,
+    flow: Flow,
     added_V: float,
     stride: int,
     voltage_V: FloatArray,
     soc: FloatArray,
 ) -> None:
-    """Voltage and SOC of every ``stride``-th row, ``flow_A`` being the current that flows."""
-    tables_ = CellTables(table, grid, cell)
+    """Voltage and SOC of every ``stride``-th row."""
+    dt_s, flow_A, temperature_C = flow
     state = start
     out = 0
     for k in range(dt_s.size):
-        state, point = advance(tables_, state, flow_A[k], dt_s[k], temperature_C[k])
+        state, point = advance(tables, state, flow_A[k], dt_s[k], temperature_C[k])
         if k % stride == 0:
             voltage_V[out] = voltage_of(point, state, flow_A[k]) + added_V
             soc[out] = state.soc
@@ -128,55 +132,47 @@ def changed(table: FloatArray, mean: Place, surface: Place, apart: bool) -> Cell
 
 @cached(error_model="numpy", nogil=True)
 def derivative_rows(
-    table: FloatArray,
-    grid: FloatArray,
-    cell: CellScalars,
+    tables: CellTables,
     start: CellState,
-    dt_s: FloatArray,
-    flow_A: FloatArray,
-    temperature_C: FloatArray,
-    scalars: FloatArray,
-    soc0: FloatArray,
-    voltage_V: FloatArray,
-    tables: FloatArray,
-    table_of: IntArray,
-    currents: FloatArray,
-    current_of: IntArray,
+    flow: Flow,
+    directions: Directions,
     stride: int,
     jacobian: FloatArray,
 ) -> None:
     """Derivatives of every ``stride``-th row's voltage, into ``jacobian`` (rows, P)."""
-    directions = table_of.size
-    d = np.zeros((directions, STATES))
-    has_scalars = np.zeros(directions, dtype=np.bool_)
-    for p in range(directions):
+    dt_s, flow_A, temperature_C = flow
+    scalars, soc0, voltage_V, changes_of, table_of, currents, current_of = directions
+    table, cell = tables.table, tables.cell
+    many = table_of.size
+    d = np.zeros((many, STATES))
+    has_scalars = np.zeros(many, dtype=np.bool_)
+    for p in range(many):
         d[p, 0] = soc0[p]
         has_scalars[p] = np.any(scalars[p] != 0.0)
-    tables_ = CellTables(table, grid, cell)
     apart = cell.surface_per_A != 0.0 or bool(np.any(scalars[:, SURFACE] != 0.0))
     state = start
     out = 0
     for row in range(dt_s.size):
         before, current = state, flow_A[row]
-        state, _ = advance(tables_, before, current, dt_s[row], temperature_C[row])
+        state, _ = advance(tables, before, current, dt_s[row], temperature_C[row])
         cell_C = temperature_C[row] + before.heat_K
-        place = place_of(tables_, state.soc, cell_C)
+        place = place_of(tables, state.soc, cell_C)
         surface = place
-        by_soc, by_kelvin = slopes_at(tables_, place)
+        by_soc, by_kelvin = slopes_at(tables, place)
         if apart:
             state = with_lag(cell, before, state, current, dt_s[row])
-            surface = place_of(tables_, surface_soc(cell, state.soc, state.slow_A, cell_C), cell_C)
-            below_soc, below_kelvin = slopes_at(tables_, surface)
+            surface = place_of(tables, surface_soc(cell, state.soc, state.slow_A, cell_C), cell_C)
+            below_soc, below_kelvin = slopes_at(tables, surface)
             by_soc, by_kelvin = surfaced(by_soc, below_soc), surfaced(by_kelvin, below_kelvin)
         here = changed(table, place, surface, apart)
         now = partials(
             cell, before, current, dt_s[row], temperature_C[row], here, by_soc, by_kelvin, apart
         )
-        for p in range(directions):
-            flow = currents[current_of[p], row] if current_of[p] >= 0 else 0.0
+        for p in range(many):
+            by_flow = currents[current_of[p], row] if current_of[p] >= 0 else 0.0
             change = UNCHANGED
             if table_of[p] >= 0:
-                change = changed(tables[table_of[p]], place, surface, apart)
+                change = changed(changes_of[table_of[p]], place, surface, apart)
             # fmt: off
             old = CellState(
                 d[p, 0], d[p, 1], d[p, 2], d[p, 3], d[p, 4], d[p, 5], d[p, 6]
@@ -184,9 +180,9 @@ def derivative_rows(
             # fmt: on
             # Each compiled for its case, without a branch inside.
             if apart:
-                new, voltage = carried(now, old, flow, change, True)
+                new, voltage = carried(now, old, by_flow, change, True)
             else:
-                new, voltage = carried(now, old, flow, change, False)
+                new, voltage = carried(now, old, by_flow, change, False)
             d[p, 0], d[p, 1], d[p, 2] = new.soc, new.v1_V, new.v2_V
             d[p, 3], d[p, 4], d[p, 5], d[p, 6] = new.v3_V, new.h, new.heat_K, new.slow_A
             if has_scalars[p]:

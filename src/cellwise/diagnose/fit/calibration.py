@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cellwise.cell.initial_soc import InitialSoc
+from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.model import CellModel
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.least_squares import Fit, complete

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellwise.cell.initial_soc import REST_RATE
+from cellwise.cell.initial_soc.rest import REST_RATE
 from cellwise.cell.point_kernels import OCV, M
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.fit.rows import LogRows

@@ -9,13 +9,13 @@ from typing import Literal
 
 import numpy as np
 
-from cellwise.cell.equations import CellState
-from cellwise.cell.initial_soc import InitialSoc
+from cellwise.cell.equations import CellState, empty_state
+from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import known_temperature_C, start_hysteresis
 from cellwise.diagnose.causes.coordinates import CURRENT_NAMES, Coordinates, KernelInputs
 from cellwise.diagnose.causes.current_kernels import shift_rows
-from cellwise.diagnose.causes.sensitivity_kernels import derivative_rows, voltage_rows
+from cellwise.diagnose.causes.sensitivity_kernels import Flow, derivative_rows, voltage_rows
 from cellwise.diagnose.fit.rest_current import NO_READING, RestReading, rest_reading
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray, IntArray
@@ -74,7 +74,7 @@ class LogRows:
     def state(self, soc_shift: float) -> CellState:
         """The cell at rest at the start, ``soc_shift`` away from its stated SOC."""
         soc = self.start.soc + soc_shift
-        return CellState(soc, 0.0, 0.0, 0.0, start_hysteresis(self.start.soc), 0.0, 0.0)
+        return empty_state(soc, start_hysteresis(self.start.soc))
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,13 +133,9 @@ class Evidence:
             flow, _ = _flow(log, inputs)
             rows = slice(place, place + log.scored)
             voltage_rows(
-                inputs.table,
-                inputs.grid,
-                inputs.scalars,
+                inputs.tables,
                 log.state(z.get(f"soc0:{k}", 0.0)),
-                log.dt_s,
-                flow,
-                log.temperature_C,
+                Flow(log.dt_s, flow, log.temperature_C),
                 inputs.added_V,
                 log.stride,
                 voltage[rows],
@@ -165,14 +161,10 @@ class Evidence:
             directions = coordinates.directions(local, inputs, by)
             part = np.empty((log.scored, len(mine)))
             derivative_rows(
-                inputs.table,
-                inputs.grid,
-                inputs.scalars,
+                inputs.tables,
                 log.state(z.get(f"soc0:{k}", 0.0)),
-                log.dt_s,
-                flow,
-                log.temperature_C,
-                *directions,
+                Flow(log.dt_s, flow, log.temperature_C),
+                directions,
                 log.stride,
                 part,
             )

@@ -30,11 +30,13 @@ from cellwise.estimate.filters.past_kernels import Past, past_at_start
 from cellwise.estimate.filters.predict_kernels import (
     branch_variance,
     drifted,
+    driven_by_soc,
     over_interval,
     soc_walk,
+    unseen_variance,
 )
 from cellwise.estimate.noise import NoiseScalars
-from cellwise.estimate.sensing_kernels import NO_VOLTAGE_YET, NOT_BEGUN, Sample, unseen_soc
+from cellwise.estimate.sensing_kernels import NO_VOLTAGE_YET, NOT_BEGUN, Sample
 from cellwise.estimate.slopes_kernels import Slopes, slopes_at
 from cellwise.estimate.status import STATE_RESET
 
@@ -117,20 +119,11 @@ def predict(
         branch_variance(noise, s, point.r2_ohm, t.a2),
         branch_variance(noise, s, point.r3_ohm, t.a3),
     )
-    ss = p.ss
-    if s.gap:
-        unseen = unseen_soc(noise, tables.cell.charge_As, s.gap_A2, s.dt_s)
-        ss += unseen * unseen
-    ss = drifted(tables, s, ss)
+    ss = drifted(tables, s, unseen_variance(tables, noise, s, p.ss))
     p = with_soc_variance(p, ss)
     at = slopes_at(tables, soc, ss, point, now.warm_C, s.seen_A, end.slow_A)
     if at.spread > 0.0:
-        p = leaned(
-            p,
-            at.r1_ohm * (1.0 - t.a1) * s.flow_A,
-            at.r2_ohm * (1.0 - t.a2) * s.flow_A,
-            at.r3_ohm * (1.0 - t.a3) * s.flow_A,
-        )
+        p = leaned(p, *driven_by_soc(at, t, s.flow_A))
     q = noise.current_A * noise.current_A
     p = noisy(p, t, q, q + s.gap_A2, soc_walk(noise, s.dt_s), 0.0, 0.0, 0.0)
     p = with_parameters(

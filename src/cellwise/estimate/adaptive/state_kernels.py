@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 from cellwise.cell.compiled import inline, kernel
-from cellwise.cell.equations import CellState
+from cellwise.cell.equations import CellState, at_rest
 from cellwise.estimate.adaptive.covariance_kernels import (
     AdaptiveCovariance,
     uncorrelated,
@@ -139,7 +139,7 @@ def adaptive_start(start: EkfStart, rules: AdaptiveScalars, current_A: float) ->
         1.0, unknown, 1.0, unknown, none, none, none, none, none, none, none, none, none
     )
     return AdaptiveState(
-        CellState(start.soc, 0.0, 0.0, 0.0, h, 0.0, 0.0), 0.0, 1.0, p, 0.0, 1.0, 0.0,
+        at_rest(start.soc, h), 0.0, 1.0, p, 0.0, 1.0, 0.0,
         Rest(0.0, 0.0, False), resistances, first_watch(current_A), no_past(),
     )
     # fmt: on

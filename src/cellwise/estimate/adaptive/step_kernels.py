@@ -21,7 +21,14 @@ import math
 from typing import NamedTuple
 
 from cellwise.cell.compiled import inline, kernel, rows
-from cellwise.cell.equations import CellState, CellTables, heat_step, terminal_voltage
+from cellwise.cell.equations import (
+    CellState,
+    CellTables,
+    heat_step,
+    terminal_voltage,
+    with_heat,
+    with_soc,
+)
 from cellwise.estimate.adaptive.covariance_kernels import (
     AdaptiveColumn,
     AdaptiveCovariance,
@@ -54,11 +61,13 @@ from cellwise.estimate.adaptive.watch_kernels import (
     watch_rest,
 )
 from cellwise.estimate.evidence_kernels import persistent_step, voltage_variance
+from cellwise.estimate.filters.covariance_kernels import Column
+from cellwise.estimate.filters.ekf_kernels import moved as cell_moved
 from cellwise.estimate.filters.ekf_kernels import reading_of
 from cellwise.estimate.filters.filter_state import EkfStart, LogArrays
 from cellwise.estimate.gate_kernels import Innovation, Verdict, gate
 from cellwise.estimate.noise import NoiseScalars
-from cellwise.estimate.recovery_kernels import recovered
+from cellwise.estimate.recovery_kernels import Contradiction, Variances, recovered
 from cellwise.estimate.sensing_kernels import Reading, Sample, read_sample
 from cellwise.estimate.slopes_kernels import WIDE_VARIANCE, bends, landing_slope
 from cellwise.estimate.status import CLAMPED, CURRENT_INVALID
@@ -122,16 +131,7 @@ def polarised(now: Predicted, x: CellState, r: Resistances) -> Polarisation:
 @inline
 def moved(e: Estimate, p: AdaptiveCovariance, k: AdaptiveColumn, by: float) -> Estimate:
     """Estimate + k times an innovation, with its new covariance."""
-    x = e.x
-    cell = CellState(
-        x.soc + k.s * by,
-        x.v1_V + k.v1 * by,
-        x.v2_V + k.v2 * by,
-        x.v3_V + k.v3 * by,
-        min(max(x.h + k.h * by, -1.0), 1.0),
-        x.heat_K,
-        x.slow_A,
-    )
+    cell = cell_moved(e.x, Column(k.s, k.v1, k.v2, k.v3, k.h), by)
     charge = min(max(e.charge + k.q * by, CHARGE_LOW), CHARGE_HIGH)
     return Estimate(cell, e.offset_A + k.o * by, charge, p)
 
@@ -213,16 +213,13 @@ def recover(
     """
     x, p, s = e.x, e.p, now.s
     own = s.voltage_V + (pol.whole_V - pol.own_V)
-    # fmt: off
-    soc, ss, p11, p22, p33 = recovered(
-        tables, now.warm_C, s.seen_A, x.slow_A, own, (x.v1_V, x.v2_V, x.v3_V),
-        (p.p11, p.p22, p.p33), x.h, p.phh, i.one, abs(i.r0_ohm * s.seen_A) + i.branches_V,
-        now.evidence_s >= 0.0, x.soc, p.ss,
-    )
-    # fmt: on
-    found = CellState(soc, x.v1_V, x.v2_V, x.v3_V, x.h, x.heat_K, x.slow_A)
-    fresh = uncorrelated(ss, p11, p22, p33, p.phh, p.poo, p.pqq)
-    return Estimate(found, e.offset_A, e.charge, with_parameters(fresh, p.poo, p.poq, p.pqq))
+    drop = abs(i.r0_ohm * s.seen_A) + i.branches_V
+    followed = now.evidence_s >= 0.0
+    seen = Contradiction(own, s.seen_A, now.warm_C, i.one, drop, followed)
+    soc, v = recovered(tables, x, Variances(p.ss, p.p11, p.p22, p.p33, p.phh), seen)
+    fresh = uncorrelated(v.soc, v.v1_V2, v.v2_V2, v.v3_V2, v.h, p.poo, p.pqq)
+    fresh = with_parameters(fresh, p.poo, p.poq, p.pqq)
+    return Estimate(with_soc(x, soc), e.offset_A, e.charge, fresh)
 
 
 @inline
@@ -289,8 +286,7 @@ def take_step(
     pol = polarised(now, e.x, r)
     x = e.x
     heat = heat_step(tables.cell, x.heat_K, s.flow_A, pol.whole_V, s.dt_s)
-    x = CellState(x.soc, x.v1_V, x.v2_V, x.v3_V, x.h, heat, x.slow_A)
-    e = Estimate(x, e.offset_A, e.charge, e.p)
+    e = Estimate(with_heat(x, heat), e.offset_A, e.charge, e.p)
     by_offset = r.fast * point.r0_ohm if s.lost_A == 0.0 else 0.0
     d = column(e.p, now.at.slope_V, point.m_V, r.fast, by_offset)
     explained_V2 = explained(d, now.at.slope_V, point.m_V, r.fast, by_offset)
@@ -318,8 +314,7 @@ def take_step(
     e, persistent, past = look_again(tables, noise, now, v, own, e, persistent)
     x = e.x
     if x.soc < 0.0 or x.soc > 1.0:
-        held_soc = min(max(x.soc, 0.0), 1.0)
-        x = CellState(held_soc, x.v1_V, x.v2_V, x.v3_V, x.h, x.heat_K, x.slow_A)
+        x = with_soc(x, min(max(x.soc, 0.0), 1.0))
         status |= CLAMPED
     # fmt: off
     after = AdaptiveState(

@@ -23,6 +23,8 @@ from cellwise.cell.equations import (
     heat_step,
     polarisation,
     terminal_voltage,
+    with_heat,
+    with_soc,
 )
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.estimate.evidence_kernels import persistent_step, voltage_variance
@@ -70,12 +72,14 @@ from cellwise.estimate.filters.predict_kernels import (
     begin_interval,
     branch_variance,
     drifted,
+    driven_by_soc,
     soc_walk,
+    unseen_variance,
 )
 from cellwise.estimate.gate_kernels import Innovation, Verdict, gate
 from cellwise.estimate.noise import NoiseScalars
-from cellwise.estimate.recovery_kernels import recovered
-from cellwise.estimate.sensing_kernels import Reading, Sample, read_sample, unseen_soc
+from cellwise.estimate.recovery_kernels import Contradiction, Variances, recovered
+from cellwise.estimate.sensing_kernels import Reading, Sample, read_sample
 from cellwise.estimate.slopes_kernels import WIDE_VARIANCE, Slopes, bends, landing_slope, slopes_at
 from cellwise.estimate.status import CLAMPED
 
@@ -108,28 +112,17 @@ def predict(
         branch_variance(noise, s, point.r2_ohm, t.a2),
         branch_variance(noise, s, point.r3_ohm, t.a3),
     )
-    ss = p.ss
-    if s.gap:
-        unseen = unseen_soc(noise, tables.cell.charge_As, s.gap_A2, s.dt_s)
-        ss += unseen * unseen
-    ss = drifted(tables, s, ss)
+    ss = drifted(tables, s, unseen_variance(tables, noise, s, p.ss))
     p = with_soc_variance(p, ss)
     at = slopes_at(tables, now.end.soc, ss, point, now.warm_C, s.seen_A, now.end.slow_A)
     if at.spread > 0.0:
-        p = leaned(
-            p,
-            at.r1_ohm * (1.0 - t.a1) * s.flow_A,
-            at.r2_ohm * (1.0 - t.a2) * s.flow_A,
-            at.r3_ohm * (1.0 - t.a3) * s.flow_A,
-        )
+        p = leaned(p, *driven_by_soc(at, t, s.flow_A))
     q = noise.current_A * noise.current_A
     p = noisy(p, t, q, q + s.gap_A2, soc_walk(noise, s.dt_s), 0.0, 0.0, 0.0)
     drop = polarisation(point.r0_ohm, s.seen_A, now.end.v1_V, now.end.v2_V, now.end.v3_V)
     heat = heat_step(tables.cell, now.end.heat_K, s.flow_A, drop, s.dt_s)
+    x = with_heat(now.end, heat)
     # fmt: off
-    x = CellState(
-        now.end.soc, now.end.v1_V, now.end.v2_V, now.end.v3_V, now.end.h, heat, now.end.slow_A
-    )
     return Predicted(
         begun.state, x, p, point, at, now.warm_C, begun.evidence_s, begun.past, begun.status
     )
@@ -170,15 +163,9 @@ def recover(
 ) -> tuple[CellState, Covariance]:
     """The gate may have locked the truth out: the SOC is searched for over all of 0..1."""
     drop = abs(i.r0_ohm * s.seen_A) + i.branches_V
-    branches = (x.v1_V, x.v2_V, x.v3_V)
-    # fmt: off
-    soc, ss, p11, p22, p33 = recovered(
-        tables, warm_C, s.seen_A, x.slow_A, s.voltage_V, branches, (p.p11, p.p22, p.p33),
-        x.h, p.phh, i.one, drop, followed, x.soc, p.ss,
-    )
-    # fmt: on
-    found = CellState(soc, x.v1_V, x.v2_V, x.v3_V, x.h, x.heat_K, x.slow_A)
-    return found, uncorrelated(ss, p11, p22, p33, p.phh)
+    seen = Contradiction(s.voltage_V, s.seen_A, warm_C, i.one, drop, followed)
+    soc, v = recovered(tables, x, Variances(p.ss, p.p11, p.p22, p.p33, p.phh), seen)
+    return with_soc(x, soc), uncorrelated(v.soc, v.v1_V2, v.v2_V2, v.v3_V2, v.h)
 
 
 @inline
@@ -274,8 +261,7 @@ def finish(
     if soc < SOC_LOW or soc > SOC_HIGH:
         soc = min(max(soc, SOC_LOW), SOC_HIGH)
         status |= CLAMPED
-    kept = CellState(soc, x.v1_V, x.v2_V, x.v3_V, x.h, x.heat_K, x.slow_A)
-    state = EkfState(kept, p, v.rejections, v.mismatch, persistent, v.watch, past)
+    state = EkfState(with_soc(x, soc), p, v.rejections, v.mismatch, persistent, v.watch, past)
     std = math.sqrt(p.ss + persistent * persistent)
     info = EkfInfo(soc, std, i.predicted_V, v.innovation_V, v.variance, v.ratio, status)
     return state, info

@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 from cellwise.cell.compiled import kernel
-from cellwise.cell.equations import CellState
+from cellwise.cell.equations import CellState, at_rest
 from cellwise.estimate.filters.covariance_kernels import Covariance, uncorrelated
 from cellwise.estimate.filters.past_kernels import Past, no_past
 from cellwise.estimate.sensing_kernels import Watch, first_watch
@@ -98,6 +98,5 @@ OUTPUTS = 6
 def ekf_start(start: EkfStart, current_A: float) -> EkfState:
     """A cell known as ``start`` says; its branches are guessed at the first sample."""
     h = 1.0 if start.soc > 0.5 else -1.0
-    cell = CellState(start.soc, 0.0, 0.0, 0.0, h, 0.0, 0.0)
     p = uncorrelated(start.variance, 0.0, 0.0, 0.0, start.hysteresis_variance)
-    return EkfState(cell, p, 0.0, 1.0, 0.0, first_watch(current_A), no_past())
+    return EkfState(at_rest(start.soc, h), p, 0.0, 1.0, 0.0, first_watch(current_A), no_past())

@@ -10,11 +10,10 @@ from cellwise.cell.equations import (
     CellState,
     CellTables,
     Transition,
-    hysteresis_step,
     loaded,
-    relaxed,
     slow_step,
     soc_step,
+    states_step,
     transition,
 )
 from cellwise.cell.point_kernels import CellPoint
@@ -24,7 +23,8 @@ from cellwise.estimate.filters.filter_state import EkfStart, EkfState, ekf_start
 from cellwise.estimate.filters.past_kernels import Past, past_at_start
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.recovery_kernels import start_branch
-from cellwise.estimate.sensing_kernels import NO_VOLTAGE_YET, NOT_BEGUN, Sample
+from cellwise.estimate.sensing_kernels import NO_VOLTAGE_YET, NOT_BEGUN, Sample, unseen_soc
+from cellwise.estimate.slopes_kernels import Slopes
 from cellwise.estimate.status import OUTSIDE, STATE_RESET
 from cellwise.estimate.validity_kernels import (
     extrapolation_V,
@@ -82,21 +82,18 @@ def over_interval(
         old2, v22 = start_branch(cell, point.r2_ohm, s.seen_A)
         old3, v33 = start_branch(cell, point.r3_ohm, s.seen_A)
     t = transition(cell, point, s.flow_A, s.dt_s)
-    v1 = relaxed(old1, t.a1, t.g1, s.flow_A)
-    v2 = relaxed(old2, t.a2, t.g2, s.flow_A)
-    v3 = relaxed(old3, t.a3, t.g3, s.flow_A)
-    h = hysteresis_step(x.h, t.ah, s.flow_A)
+    old = CellState(x.soc, old1, old2, old3, x.h, x.heat_K, x.slow_A)
+    end = states_step(old, t, s.flow_A, soc, slow)
+    branches_V = abs(end.v1_V) + (abs(end.v2_V) + abs(end.v3_V))
     status = 0
     if is_outside(noise.valid, soc, s.temperature_C, s.seen_A):
         status = OUTSIDE
-        held = abs(point.r0_ohm * s.seen_A) + (abs(v1) + (abs(v2) + abs(v3)))
+        held = abs(point.r0_ohm * s.seen_A) + branches_V
         more = extrapolation_V(noise.valid, s.temperature_C, s.seen_A, held)
         point = widened(point, more)
     if s.no_warm_s > 0.0:
-        held = abs(point.r0_ohm * s.seen_A) + (abs(v1) + (abs(v2) + abs(v3)))
+        held = abs(point.r0_ohm * s.seen_A) + branches_V
         point = widened(point, lost_temperature_V(s.no_warm_s, held))
-    old = CellState(x.soc, old1, old2, old3, x.h, x.heat_K, x.slow_A)
-    end = CellState(soc, v1, v2, v3, h, x.heat_K, slow)
     return Interval(old, point, t, end, warm, v11, v22, v33, status)
 
 
@@ -133,6 +130,25 @@ def branch_variance(noise: NoiseScalars, s: Sample, r_ohm: float, a: float) -> f
     share = share_at(noise, s.flow_A) * s.flow_A
     share = share * share + s.lost_A * s.lost_A
     return share * r_ohm * r_ohm * (1.0 - a * a)
+
+
+@inline
+def unseen_variance(tables: CellTables, noise: NoiseScalars, s: Sample, ss: float) -> float:
+    """SOC's variance after a gap: nobody knows what flowed in it."""
+    if s.gap:
+        unseen = unseen_soc(noise, tables.cell.charge_As, s.gap_A2, s.dt_s)
+        ss += unseen * unseen
+    return ss
+
+
+@inline
+def driven_by_soc(at: Slopes, t: Transition, flow_A: float) -> tuple[float, float, float]:
+    """What a SOC that is off adds to each branch, by the slope of its resistance [V]."""
+    return (
+        at.r1_ohm * (1.0 - t.a1) * flow_A,
+        at.r2_ohm * (1.0 - t.a2) * flow_A,
+        at.r3_ohm * (1.0 - t.a3) * flow_A,
+    )
 
 
 @inline

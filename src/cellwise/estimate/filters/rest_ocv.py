@@ -9,7 +9,7 @@ import numpy as np
 
 from cellwise.cell.compiled import kernel, rows
 from cellwise.cell.equations import CellTables, look_up
-from cellwise.cell.initial_soc import RELAXED_S, REST_RATE, SHORT_REST_V
+from cellwise.cell.initial_soc.rest import RELAXED_S, REST_RATE, SHORT_REST_V
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.simulate import model_temperature_C
 from cellwise.errors import InputError
@@ -20,6 +20,7 @@ from cellwise.estimate.filters.kalman import (
     reading_from,
 )
 from cellwise.estimate.noise import Noise, noise_for
+from cellwise.estimate.sensing_kernels import Reading
 from cellwise.estimate.status import Status
 from cellwise.estimate.trace import Trace
 from cellwise.logs.cell_log import CellLog, check_is_log
@@ -40,6 +41,14 @@ class RestOcvState(NamedTuple):
     variance: float
     previous_A: float
     rest_s: float
+
+
+class RestRules(NamedTuple):
+    """How fast a count drifts [1/sqrt(s)], what a gap may hide, when a cell has rested [s]."""
+
+    walk: float
+    gap_soc: float
+    rest_after_s: float
 
 
 class RestOcvInfo(NamedTuple):
@@ -69,33 +78,28 @@ def soc_at(tables: CellTables, voltage_V: float, temperature_C: float) -> float:
 def rest_ocv_step(
     tables: CellTables,
     state: RestOcvState,
-    current_A: float,
-    voltage_V: float,
-    temperature_C: float,
-    dt_s: float,
-    walk: float,
-    gap_soc: float,
-    gap: bool,
-    rest_after_s: float,
-) -> tuple[float, float, float, float, bool, int]:
+    r: Reading,
+    rules: RestRules,
+) -> tuple[RestOcvState, bool, int]:
     """Count one interval; where the cell has rested for long enough, read the OCV instead."""
+    current_A, voltage_V, temperature_C = r.current_A, r.voltage_V, r.temperature_C
     soc, variance, current, bits = coulomb_step(
         tables.cell,
         state.soc,
         state.variance,
         state.previous_A,
         current_A,
-        dt_s,
-        walk,
-        gap_soc,
-        gap,
+        r.dt_s,
+        rules.walk,
+        rules.gap_soc,
+        r.gap,
     )
     resting = (
         math.isfinite(current_A) and abs(current_A) * 3600.0 < REST_RATE * tables.cell.charge_As
     )
-    rest = state.rest_s + dt_s if resting else 0.0
+    rest = state.rest_s + r.dt_s if resting else 0.0
     rested = False
-    if resting and rest >= rest_after_s and math.isfinite(voltage_V):
+    if resting and rest >= rules.rest_after_s and math.isfinite(voltage_V):
         here = soc_at(tables, voltage_V, temperature_C)
         point = look_up(tables, here, temperature_C)
         left = SHORT_REST_V * math.exp(-min(rest, 1e9) / RELAXED_S)
@@ -109,7 +113,7 @@ def rest_ocv_step(
             rested = True
     if math.isinf(rest):
         rest = 0.0
-    return soc, variance, current, rest, rested, bits
+    return RestOcvState(soc, variance, current, rest), rested, bits
 
 
 @rows
@@ -122,9 +126,7 @@ def rest_ocv_rows(
     default_C: float,
     dt_s: FloatArray,
     gap: BoolArray,
-    walk: float,
-    gap_soc: float,
-    rest_after_s: float,
+    rules: RestRules,
     out: FloatArray,
     status: IntArray,
 ) -> None:
@@ -134,13 +136,10 @@ def rest_ocv_rows(
     for k in range(dt_s.size):
         if math.isfinite(temperature_C[k]):
             warm = temperature_C[k]
-        soc, variance, previous, rest, _, bits = rest_ocv_step(
-            tables, state, current_A[k], voltage_V[k], warm, dt_s[k],
-            walk, gap_soc, gap[k], rest_after_s,
-        )  # fmt: skip
-        state = RestOcvState(soc, variance, previous, rest)
-        out[0, k] = soc
-        out[1, k] = math.sqrt(variance)
+        reading = Reading(current_A[k], voltage_V[k], warm, dt_s[k], gap[k])
+        state, _, bits = rest_ocv_step(tables, state, reading, rules)
+        out[0, k] = state.soc
+        out[1, k] = math.sqrt(state.variance)
         status[k] = bits
 
 
@@ -167,7 +166,8 @@ class RestOcv:
         self.rest_s = float(rest_s)
         self._tables = model.parameters()
         self._default_C = model_temperature_C(model)
-        self._noise = self.noise.scalars()
+        noise_now = self.noise.scalars()
+        self._rules = RestRules(noise_now.soc_per_sqrt_s, noise_now.gap_soc, self.rest_s)
         self._count = Coulomb(model, self.noise)
 
     def init(self, soc0: float, soc0_std: float = 0.15) -> RestOcvState:
@@ -193,21 +193,10 @@ class RestOcv:
         """
         check_state(state, RestOcvState, self.name)
         reading = reading_from(current_A, voltage_V, temperature_C, dt_s, gap)
-        warm = self._default_C if temperature_C is None else reading.temperature_C
-        soc, variance, previous, rest, rested, bits = rest_ocv_step(
-            self._tables,
-            state,
-            reading.current_A,
-            reading.voltage_V,
-            warm,
-            reading.dt_s,
-            self._noise.soc_per_sqrt_s,
-            self._noise.gap_soc,
-            reading.gap,
-            self.rest_s,
-        )
-        info = RestOcvInfo(soc, math.sqrt(variance), rested, Status(bits))
-        return RestOcvState(soc, variance, previous, rest), info
+        if temperature_C is None:
+            reading = reading._replace(temperature_C=self._default_C)
+        new, rested, bits = rest_ocv_step(self._tables, state, reading, self._rules)
+        return new, RestOcvInfo(new.soc, math.sqrt(new.variance), rested, Status(bits))
 
     def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> Trace:
         """Replay a whole log; it predicts no voltage, so those figures are missing (NaN)."""
@@ -224,9 +213,7 @@ class RestOcv:
             self._default_C,
             log.interval_s,
             log.gap_rows,
-            self._noise.soc_per_sqrt_s,
-            self._noise.gap_soc,
-            self.rest_s,
+            self._rules,
             out,
             status,
         )

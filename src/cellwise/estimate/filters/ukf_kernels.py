@@ -23,6 +23,7 @@ from cellwise.cell.equations import (
     loaded,
     rc_step,
     terminal_voltage,
+    with_heat,
 )
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.estimate.evidence_kernels import persistent_step, voltage_variance
@@ -62,10 +63,11 @@ from cellwise.estimate.filters.predict_kernels import (
     branch_variance,
     drifted,
     soc_walk,
+    unseen_variance,
 )
 from cellwise.estimate.gate_kernels import Innovation, gate
 from cellwise.estimate.noise import NoiseScalars
-from cellwise.estimate.sensing_kernels import Reading, Sample, read_sample, unseen_soc
+from cellwise.estimate.sensing_kernels import Reading, Sample, read_sample
 from cellwise.estimate.slopes_kernels import WIDE_VARIANCE
 
 
@@ -124,10 +126,7 @@ def predict(
     """First and second differences along the pair, the rest of P mapped, and noise."""
     now = begun.now
     old, point, t, c = now.old, now.point, now.t, sigma.reach
-    ss = begun.p.ss
-    if s.gap:
-        unseen = unseen_soc(noise, tables.cell.charge_As, s.gap_A2, s.dt_s)
-        ss += unseen * unseen
+    ss = unseen_variance(tables, noise, s, begun.p.ss)
     pair = pair_of(sigma, begun.p, ss)
     along = pair.along
     # A resistance that is off by a share must not vouch for the SOC: unless the SOC is badly known,
@@ -224,7 +223,7 @@ def ukf_step_inline(
     branches = (x.v1_V + x.v2_V) + x.v3_V
     drop = point.r0_ohm * s.seen_A + branches
     heat = heat_step(tables.cell, x.heat_K, s.flow_A, drop, s.dt_s)
-    x = CellState(x.soc, x.v1_V, x.v2_V, x.v3_V, x.h, heat, x.slow_A)
+    x = with_heat(x, heat)
 
     # Covariance with the voltage: along the pair, and given the SOC.
     rest = column(without_outer(p, pair.along), 0.0, point.m_V)

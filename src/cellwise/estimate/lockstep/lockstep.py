@@ -17,7 +17,7 @@ from cellwise.estimate.filters.kalman import check_state
 from cellwise.estimate.lockstep import lane_kernels as lanes
 from cellwise.estimate.lockstep import layout
 from cellwise.estimate.lockstep.cell_kernels import begin_lane, state_of
-from cellwise.estimate.lockstep.plain_kernels import lockstep
+from cellwise.estimate.lockstep.plain_kernels import LockstepRules, lockstep
 from cellwise.estimate.noise import Noise
 from cellwise.given import number, numbers
 from cellwise.typing import BoolArray, FloatArray, IntArray
@@ -86,14 +86,14 @@ class LockstepEkf:
         self.model, self.cells, self.dt_s = model, int(cells), float(dt_s)
         self._ekf = Ekf(model, noise)
         self.noise = self._ekf.noise
-        self._noise = self.noise.scalars(model)
         self._tables = model.parameters()
         self._fast = step_table(self._tables.table, self.dt_s)
-        self._unknown = self._ekf.start(0.5, 0.3)
+        unknown = self._ekf.start(0.5, 0.3)
+        self._noise = self.noise.scalars(model)
+        self._rules = LockstepRules(unknown, self.cells, self.dt_s)
         padded = -(-self.cells // lanes.LANES) * lanes.LANES
-        self._work = np.zeros(layout.SCRATCH_ROWS * lanes.LANES)
-        self._work.reshape(-1, lanes.LANES)[layout.T_A3] = 1.0  # a third branch that is none
-        self._shown = np.zeros(layout.OUTPUTS * lanes.LANES)
+        self._scratch = np.zeros((layout.SCRATCH_ROWS + layout.OUTPUTS) * lanes.LANES)
+        self._scratch.reshape(-1, lanes.LANES)[layout.T_A3] = 1.0  # a third branch that is none
         # Lanes that no cell fills rest at half charge.
         self._samples = np.zeros((3, padded))
         self._samples[1] = float(np.interp(0.5, model.soc, model.ocv_V[0]))
@@ -160,14 +160,11 @@ class LockstepEkf:
             self._tables,
             self._fast,
             self._noise,
-            self._unknown,
+            self._rules,
             state.blocks,
-            self._work,
-            self._shown,
+            self._scratch,
             *samples,
             self._gap,
-            self.cells,
-            self.dt_s,
             self._out.ravel(),
             self._status,
         )

@@ -23,6 +23,7 @@ from cellwise.cell.equations import (
     polarisation,
     relaxed,
     terminal_voltage,
+    with_soc,
 )
 from cellwise.cell.point_kernels import R3, CellPoint, CellScalars, M
 from cellwise.estimate.evidence_kernels import (
@@ -50,6 +51,7 @@ from cellwise.estimate.lockstep.lane_kernels import FIELDS, LANES, choose, get_s
 from cellwise.estimate.lockstep.layout import (
     LONG_FROZEN,
     OUTPUTS,
+    SCRATCH_ROWS,
     T_A1,
     T_A2,
     T_A3,
@@ -215,8 +217,7 @@ def plain_step(
     soc = end.soc if end.soc < SOC_HIGH else SOC_HIGH
     soc = soc if soc > SOC_LOW else SOC_LOW
     p = corrected(p, k, d)
-    kept = CellState(soc, end.v1_V, end.v2_V, end.v3_V, end.h, end.heat_K, end.slow_A)
-    state = EkfState(kept, p, rejections, mismatch, persistent, watch, old.past)
+    state = EkfState(with_soc(end, soc), p, rejections, mismatch, persistent, watch, old.past)
     std = math.sqrt(p.ss + persistent * persistent)
     info = EkfInfo(soc, std, predicted, innovation, variance, ratio, 0)
     return state, info, (ratio <= 1.0) & (not frozen)
@@ -256,30 +257,38 @@ def plain_block(
         put_info(out, lane, info)
 
 
+class LockstepRules(NamedTuple):
+    """What stays from step to step: where a state begins, how many cells are real, the time."""
+
+    start: EkfStart
+    cells: int
+    dt_s: float
+
+
 @rows
 def lockstep(
     tables: CellTables,
     fast: FloatArray,
     noise: NoiseScalars,
-    start: EkfStart,
+    rules: LockstepRules,
     state: FloatArray,
-    work: FloatArray,
-    shown: FloatArray,
+    scratch: FloatArray,
     current_A: FloatArray,
     voltage_V: FloatArray,
     temperature_C: FloatArray,
     gap: BoolArray,
-    cells: int,
-    dt_s: float,
     out: FloatArray,
     status: IntArray,
 ) -> int:
     """One sample of every cell; how many took the short way.
 
     ``state`` is in blocks of LANES cells with FIELDS rows each; the other arrays have one value
-    per cell, a multiple of LANES of them, ``out`` OUTPUTS times as many. ``work`` and ``shown``
-    are scratch; the first ``cells`` are real.
+    per cell, a multiple of LANES of them, ``out`` OUTPUTS times as many.
+    ``scratch`` is for one block.
     """
+    start, cells, dt_s = rules
+    work = scratch[: SCRATCH_ROWS * LANES]
+    shown = scratch[SCRATCH_ROWS * LANES :]
     table, grid, cell = tables.table, tables.grid_C, tables.cell
     warm_tables = needs_temperature(tables)
     scaled_tables = cell.activation_K != 0.0 or cell.rate_per_A != 0.0 or cell.charge_scale != 1.0

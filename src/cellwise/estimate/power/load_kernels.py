@@ -15,6 +15,7 @@ from cellwise.cell.equations import (
     loaded_voltage,
     polarisation,
     transition,
+    with_soc,
 )
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.estimate.evidence_kernels import voltage_variance
@@ -222,7 +223,7 @@ def voltage_margin(
     slope = there.point.ocv_slope_V
     if abs(shift) > SMALLEST_SHIFT:
         x = now.cell
-        worse = CellState(x.soc - shift, x.v1_V, x.v2_V, x.v3_V, x.h, x.heat_K, x.slow_A)
+        worse = with_soc(x, x.soc - shift)
         low = held(tables, worse, load, power, horizon_s, now.temperature_C, now.but)
         if not low.possible:
             return low, 0.0

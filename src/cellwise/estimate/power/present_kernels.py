@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 from cellwise.cell.compiled import inline, kernel, rows
-from cellwise.cell.equations import CellState, CellTables, advance, seen_current
+from cellwise.cell.equations import CellState, CellTables, advance, seen_current, with_soc
 from cellwise.estimate.filters.covariance_kernels import Covariance
 from cellwise.estimate.filters.ekf_kernels import ekf_step, reading_of
 from cellwise.estimate.filters.filter_state import (
@@ -182,11 +182,7 @@ def carried_states(
         seen = seen_current(tables.cell, current_A[k], previous, dt_s[k])
         previous = current_A[k]
         state, _ = advance(tables, state, seen, dt_s[k], temperature_C[k])
-        # fmt: off
-        state = CellState(
-            soc[k], state.v1_V, state.v2_V, state.v3_V, state.h, state.heat_K, state.slow_A
-        )
-        # fmt: on
+        state = with_soc(state, soc[k])
         reading = Reading(seen, voltage_V[k], temperature_C[k], dt_s[k], False)
         but = Correction(out[FAST, k], out[TAIL, k], 0.0)
         bias = bias_step(tables, bias, state, but, reading, temperature_C[k], status[k])

@@ -9,12 +9,12 @@ from importlib.metadata import version
 
 import numpy as np
 
-from cellwise.cell.initial_soc import STATED_STD, initial_soc
+from cellwise.cell.initial_soc.best_start import best_start_soc
+from cellwise.cell.initial_soc.initial_soc import STATED_STD, initial_soc
 from cellwise.cell.metrics import error_metrics
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import in_order
 from cellwise.cell.plausibility.validity import Validity
-from cellwise.cell.simulate import best_start_soc
 from cellwise.errors import InputError
 from cellwise.identify.capacity.capacity_choice import capacity_choices, choose_capacity
 from cellwise.identify.capacity.capacity_test import CapacityTest, measure_capacities

@@ -14,8 +14,7 @@ from cellwise.identify.pulse_fit.pulse_data import (
     row_weights,
 )
 from cellwise.identify.pulse_fit.pulse_parameters import PulseTrend, TauBounds
-from cellwise.identify.pulse_fit.variable_projection.varpro_algebra_kernels import Window
-from cellwise.identify.pulse_fit.variable_projection.varpro_kernels import predict
+from cellwise.identify.pulse_fit.variable_projection.varpro_kernels import Window, predict
 from cellwise.typing import BoolArray, FloatArray
 
 FASTEST_TAU_S = 0.5
@@ -36,7 +35,7 @@ class Problem(NamedTuple):
     @property
     def window(self) -> Window:
         """The channels as the kernels take them."""
-        return self[:7]
+        return Window(*self[:7])
 
 
 class Solution(NamedTuple):
@@ -122,8 +121,5 @@ def residual_V(problem: Problem, log_tau: FloatArray, coefficients: FloatArray) 
     """Measured minus modelled voltage [V], shape (n,)."""
     model = np.empty_like(problem.dt)
     tau1, tau2 = np.exp(log_tau)
-    predict(
-        problem.dt, problem.current, problem.dq, tau1, tau2, problem.trend, problem.centre,
-        coefficients, model,
-    )  # fmt: skip
+    predict(problem.window, tau1, tau2, coefficients, model)
     return np.subtract(problem.known, model)

@@ -173,10 +173,7 @@ def _swarm(
 
 def _costs(problem: Problem, position: FloatArray) -> FloatArray:
     costs = np.empty(len(position))
-    swarm_costs(
-        problem.dt, problem.current, problem.known, problem.dq, problem.weight, problem.centre,
-        position, costs,
-    )  # fmt: skip
+    swarm_costs(problem.window, position, costs)
     return costs
 
 
@@ -197,8 +194,5 @@ def _solution(
     include[0] = options.free == 7
     include[1] = options.free == 7 and data.ocv_change_V is None
     gram = np.empty((COLUMNS, COLUMNS))
-    accumulate(
-        problem.dt, problem.current, problem.known, problem.dq, problem.weight, tau1, tau2,
-        problem.trend, problem.centre, COLUMNS, np.empty((COLUMNS, TILE)), np.empty(TILE), gram,
-    )  # fmt: skip
+    accumulate(problem.window, tau1, tau2, COLUMNS, np.empty((COLUMNS, TILE)), np.empty(TILE), gram)
     return Solution(cost, np.log([tau1, tau2]), coefficients, include, gram, passes, True)

@@ -5,18 +5,13 @@ from __future__ import annotations
 import math
 
 from cellwise.cell.compiled import cached
-from cellwise.identify.pulse_fit.variable_projection.varpro_kernels import SAME_INTERVAL
+from cellwise.identify.pulse_fit.variable_projection.varpro_kernels import SAME_INTERVAL, Window
 from cellwise.typing import FloatArray
 
 
 @cached()
 def swarm_costs(
-    dt: FloatArray,
-    current: FloatArray,
-    known: FloatArray,
-    dq: FloatArray,
-    weight: FloatArray,
-    centre: float,
+    window: Window,
     positions: FloatArray,
     costs: FloatArray,
 ) -> None:
@@ -24,11 +19,11 @@ def swarm_costs(
 
     Parameters
     ----------
-    dt, current, known, dq, weight : (n,) float   as in `varpro_kernels.accumulate`
-    centre : float                    ``dq`` at the pulse's mean SOC
+    window : Window                   its trend is not used
     positions : (m, 7) float          R0, R1, tau1, R2, tau2, OCV minus reference, OCV slope
     costs : (m,) float                result; infinite where tau1 >= tau2
     """
+    dt, current, known, dq, weight, _, centre = window
     for p in range(positions.shape[0]):
         r0, r1, tau1 = positions[p, 0], positions[p, 1], positions[p, 2]
         r2, tau2, ocv, slope = (

@@ -12,14 +12,14 @@ from collections.abc import Mapping, Sequence
 
 from cellwise.cell.description import COLUMNS
 from cellwise.cell.equations import CellState
-from cellwise.cell.point_kernels import CellPoint, CellScalars
+from cellwise.printing.points import point_fields, scalar_fields
 from cellwise.printing.tangents.gradients import added, gradient, is_number, product
 from cellwise.printing.tangents.straight_line import Line, Reader, Value, Wish, record, unused
 from cellwise.printing.text import broken_sum, head, wrapped_call
 
 Edges = dict[str, dict[str, ast.expr]]
 
-POINT, SCALARS, STATE = CellPoint._fields, CellScalars._fields, CellState._fields
+POINT, SCALARS, STATE = point_fields(), scalar_fields(), CellState._fields
 # What stays a name of its own over an interval, in the order of the equations.
 OUTPUTS = ("soc", "slow", "v1", "v2", "v3", "h", "drop", "heat", "voltage")
 FIELDS = [c.field for c in COLUMNS]

@@ -1,4 +1,4 @@
-"""Reads functions of `cell/equations.py` as straight lines: one assignment after the other.
+"""Reads functions of `cell/equations/` as straight lines: one assignment after the other.
 
 Calls are put in place, records taken apart. A condition on a parameter (`rate_per_A != 0.0`, an
 effect that may be absent) is taken as met, because a derivative AT the neutral value is wanted;
@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 from cellwise.cell import equations
-from cellwise.cell.point_kernels import CellPoint
+from cellwise.printing.points import point_fields
 
 Value = ast.expr | dict[str, "Value"] | list["Value"]
 # Records that the equations build.
 RECORDS = {
-    "CellPoint": CellPoint._fields,
+    "CellPoint": point_fields(),
     "CellState": equations.CellState._fields,
     "Transition": equations.Transition._fields,
 }
@@ -57,11 +57,19 @@ def number(value: Value | None) -> ast.expr:
     raise ValueError(f"a number is needed, not {value}")
 
 
+def functions_of(text: str) -> dict[str, ast.FunctionDef]:
+    """Every function of a module's text."""
+    return {n.name: n for n in ast.parse(text).body if isinstance(n, ast.FunctionDef)}
+
+
 def parsed(text: str | None = None) -> dict[str, ast.FunctionDef]:
     """Every function of the equations, or of another text."""
-    if text is None:
-        text = Path(equations.__file__).read_text(encoding="utf-8")
-    return {n.name: n for n in ast.parse(text).body if isinstance(n, ast.FunctionDef)}
+    if text is not None:
+        return functions_of(text)
+    found: dict[str, ast.FunctionDef] = {}
+    for file in sorted(Path(equations.__file__).parent.glob("*.py")):
+        found |= functions_of(file.read_text(encoding="utf-8"))
+    return found
 
 
 def record(holder: str, names: tuple[str, ...]) -> Value:

@@ -269,8 +269,8 @@ def test_columns_are_the_derivatives_of_the_model():
     def gram(tau1, tau2, weight):
         out = np.empty((COLUMNS, COLUMNS))
         accumulate(
-            problem.dt, problem.current, problem.known, problem.dq, weight, tau1, tau2,
-            problem.trend, problem.centre, COLUMNS, np.empty((COLUMNS, TILE)), np.empty(TILE), out,
+            problem.window._replace(weight=weight), tau1, tau2, COLUMNS,
+            np.empty((COLUMNS, TILE)), np.empty(TILE), out,
         )  # fmt: skip
         return out
 

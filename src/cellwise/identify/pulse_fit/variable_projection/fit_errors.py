@@ -66,9 +66,8 @@ def standard_errors(
     gram_squared = np.empty((COLUMNS, COLUMNS))
     tau1, tau2 = np.exp(solution.log_tau)
     accumulate(
-        problem.dt, problem.current, problem.known, problem.dq, problem.weight**2, tau1, tau2,
-        problem.trend, problem.centre, columns_used(solution.include),
-        np.empty((COLUMNS, TILE)), np.empty(TILE), gram_squared,
+        problem.window._replace(weight=problem.weight**2), tau1, tau2,
+        columns_used(solution.include), np.empty((COLUMNS, TILE)), np.empty(TILE), gram_squared,
     )  # fmt: skip
     normal = transform.T @ solution.gram @ transform
     spread = transform.T @ gram_squared @ transform

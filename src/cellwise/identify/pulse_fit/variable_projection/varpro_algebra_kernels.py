@@ -18,6 +18,7 @@ from cellwise.identify.pulse_fit.variable_projection.varpro_kernels import (
     COLUMNS,
     LINEAR,
     TILE,
+    Window,
     accumulate,
     columns_used,
 )
@@ -29,7 +30,6 @@ from cellwise.identify.pulse_fit.variable_projection.varpro_step_kernels import 
 from cellwise.typing import BoolArray, FloatArray
 
 IntVector = NDArray[np.int64]
-Window = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float]
 Scratch = tuple[FloatArray, FloatArray, IntVector, FloatArray, FloatArray]
 
 PIVOT_LIMIT = 1e-12
@@ -221,12 +221,8 @@ def _evaluate(
     free: BoolArray,
 ) -> float:
     """Cost [V^2] at (log tau1, log tau2), with the linear unknowns solved for: one pass."""
-    dt, current, known, dq, weight, trend, centre = window
     tile, tile_weight, columns, chol, x = scratch
-    accumulate(
-        dt, current, known, dq, weight, math.exp(p1), math.exp(p2), trend, centre,
-        columns_used(include), tile, tile_weight, gram,
-    )  # fmt: skip
+    accumulate(window, math.exp(p1), math.exp(p2), columns_used(include), tile, tile_weight, gram)
     return solve_linear(gram, include, non_negative, coefficients, free, columns, chol, x)
 
 
@@ -265,7 +261,7 @@ def minimise(
 
     Parameters
     ----------
-    window : tuple            dt, current, known, dq, weight, trend, centre as in `accumulate`
+    window : Window
     include, non_negative : (10,) bool                 as in `solve_linear`
     limits : (5,) float       of log tau1 and log tau2, and their least distance
     log_tau : (2,) float      start; overwritten with the optimum

@@ -20,6 +20,7 @@ Columns of a window, in this order (`COLUMNS`):
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,6 +38,18 @@ COLUMN_OF = np.array([1, 2, 3, 4, 5, 8, 9, 10, 11, 12], dtype=np.int64)
 SAME_INTERVAL = 1e-7
 
 _FAST = {"reassoc", "contract", "nsz", "arcp"}
+
+
+class Window(NamedTuple):
+    """Rows of a pulse and its relaxation, shape (n,) each where nothing else is said."""
+
+    dt: FloatArray  # intervals [s]
+    current: FloatArray  # their currents [A]
+    known: FloatArray  # voltage to explain [V]
+    dq: FloatArray  # charge over capacity [-]
+    weight: FloatArray  # of a row [-]
+    trend: FloatArray  # (5,) d log(R0, R1, R2, tau1, tau2) / d SOC
+    centre: float  # ``dq`` at the pulse's mean SOC
 
 
 @cached()
@@ -73,15 +86,9 @@ def _add_tile(tile: FloatArray, weight: FloatArray, rows: int, used: int, gram: 
 
 @cached()
 def accumulate(
-    dt: FloatArray,
-    current: FloatArray,
-    known: FloatArray,
-    dq: FloatArray,
-    weight: FloatArray,
+    window: Window,
     tau1: float,
     tau2: float,
-    trend: FloatArray,
-    centre: float,
     used: int,
     tile: FloatArray,
     tile_weight: FloatArray,
@@ -91,15 +98,13 @@ def accumulate(
 
     Parameters
     ----------
-    dt, current, known, dq, weight : (n,) float   interval [s], interval current [A], voltage to
-                      explain [V], charge over capacity [-], row weight [-]
+    window : Window
     tau1, tau2 : float        time constants at the pulse's mean SOC [s]
-    trend : (5,) float        d log(R0, R1, R2, tau1, tau2) / d SOC
-    centre : float            ``dq`` at the pulse's mean SOC
     used : int                number of leading columns to sum, see `columns_used`
     tile : (15, TILE) float, tile_weight : (TILE,) float      scratch
     gram : (15, 15) float     result, both triangles
     """
+    dt, current, known, dq, weight, trend, centre = window
     gram[:, :] = 0.0
     u1 = u2 = du1 = du2 = 0.0
     e1 = e2 = 1.0
@@ -160,17 +165,14 @@ def accumulate(
 
 @cached()
 def predict(
-    dt: FloatArray,
-    current: FloatArray,
-    dq: FloatArray,
+    window: Window,
     tau1: float,
     tau2: float,
-    trend: FloatArray,
-    centre: float,
     coefficients: FloatArray,
     voltage: FloatArray,
 ) -> None:
     """Voltage of the model, without what a tabulated OCV adds [V]; same recursion, one pass."""
+    dt, current, _, dq, _, trend, centre = window
     u1 = u2 = 0.0
     e1 = e2 = 1.0
     a1 = a2 = 0.0

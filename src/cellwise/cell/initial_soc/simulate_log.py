@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cellwise.cell.initial_soc import initial_soc
+from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.plausibility.cells_in_series import check_cells_in_series
 from cellwise.cell.simulate import Simulation

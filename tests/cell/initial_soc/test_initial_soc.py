@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from cellwise.cell.effects import Hysteresis
-from cellwise.cell.initial_soc import initial_soc, soc_of_ocv
+from cellwise.cell.initial_soc.initial_soc import initial_soc
+from cellwise.cell.initial_soc.rest import soc_of_ocv
 from cellwise.cell.model import ModelError
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError

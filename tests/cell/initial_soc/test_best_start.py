@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise.cell.simulate import best_start_soc, simulate
+from cellwise.cell.initial_soc.best_start import best_start_soc
+from cellwise.cell.simulate import simulate
 from example_cells import curved_cell, lfp_cell, random_log
 
 GRID = np.linspace(0.0, 1.0, 51)

@@ -10,6 +10,7 @@ from cellwise.cell.equations import (
     CellState,
     CellTables,
     advance,
+    at_rest,
     look_up,
     seen_current,
     voltage_of,
@@ -55,7 +56,7 @@ class PieceSums(NamedTuple):
 @inline
 def rested(starts: Starts, k: int) -> CellState:
     """One of the starts as a state."""
-    return CellState(starts.soc[k], 0.0, 0.0, 0.0, starts.h[k], 0.0, 0.0)
+    return at_rest(starts.soc[k], starts.h[k])
 
 
 @rows

@@ -1,0 +1,52 @@
+"""An interval of constant current: the equations one after the other."""
+
+from __future__ import annotations
+
+from cellwise.cell.compiled import inline
+from cellwise.cell.equations.load import under_load
+from cellwise.cell.equations.lookup import place_of, tables_at
+from cellwise.cell.equations.records import CellState, CellTables, with_heat
+from cellwise.cell.equations.states import soc_step, states_step, transition
+from cellwise.cell.equations.surface import at_surface, slow_step, surface_soc
+from cellwise.cell.equations.temperature import at_temperature, heat_step
+from cellwise.cell.equations.voltage import polarisation
+from cellwise.cell.point_kernels import CellPoint
+
+
+@inline
+def look_up(tables: CellTables, soc: float, temperature_C: float, slow_A: float = 0.0) -> CellPoint:
+    """Tables at one SOC and temperature, and what temperature does beside, under no load.
+
+    Resistances and time constants are those of the particles' surface, which follows ``slow_A``.
+    """
+    cell = tables.cell
+    point = tables_at(tables.table, place_of(tables, soc, temperature_C))
+    if cell.surface_per_A != 0.0:
+        surface = surface_soc(cell, soc, slow_A, temperature_C)
+        point = at_surface(tables, point, surface, temperature_C)
+    return at_temperature(cell, point, temperature_C)
+
+
+@inline
+def loaded(
+    tables: CellTables, soc: float, temperature_C: float, current_A: float, slow_A: float
+) -> CellPoint:
+    """Tables at one SOC, temperature and current, and the one that the surface has followed."""
+    return under_load(tables.cell, look_up(tables, soc, temperature_C, slow_A), current_A)
+
+
+@inline
+def advance(
+    tables: CellTables, state: CellState, current_A: float, dt_s: float, temperature_C: float
+) -> tuple[CellState, CellPoint]:
+    """One interval of constant current: charge first, then the branches at the new SOC."""
+    cell = tables.cell
+    soc = soc_step(cell, state.soc, current_A, dt_s)
+    slow = slow_step(cell, state.slow_A, current_A, dt_s)
+    cell_C = temperature_C + state.heat_K
+    point = loaded(tables, soc, cell_C, current_A, slow)
+    t = transition(cell, point, current_A, dt_s)
+    after = states_step(state, t, current_A, soc, slow)
+    drop = polarisation(point.r0_ohm, current_A, after.v1_V, after.v2_V, after.v3_V)
+    heat = heat_step(cell, state.heat_K, current_A, drop, dt_s)
+    return with_heat(after, heat), point

@@ -1,0 +1,59 @@
+"""The SOC at the surface of the particles: the mean, less what the load has drawn from there."""
+
+from __future__ import annotations
+
+from cellwise.cell.compiled import inline, kernel
+from cellwise.cell.equations.lookup import place_of, tables_at
+from cellwise.cell.equations.records import CellTables
+from cellwise.cell.equations.states import decay
+from cellwise.cell.equations.temperature import arrhenius
+from cellwise.cell.point_kernels import CellPoint, CellScalars
+
+
+@inline
+def followed(cell: CellScalars, slow_A: float, current_A: float, dt_s: float) -> float:
+    r"""Current that the particles' surface has followed, after an interval.
+
+    .. math:: \bar I^{+} = a \bar I + (1 - a) I, \qquad a = e^{-\Delta t / \tau_s}
+    """
+    a = decay(dt_s, cell.surface_s)
+    return a * slow_A + (1.0 - a) * current_A
+
+
+@inline
+def slow_step(cell: CellScalars, slow_A: float, current_A: float, dt_s: float) -> float:
+    """The same where the surface's SOC is not the mean's; else it stays as it is."""
+    if cell.surface_per_A == 0.0:
+        return slow_A
+    return followed(cell, slow_A, current_A, dt_s)
+
+
+@inline
+def surface_soc(cell: CellScalars, soc: float, slow_A: float, temperature_C: float) -> float:
+    r"""SOC at the surface of the particles: below the mean on discharge, above it on charge.
+
+    .. math:: z_s = z - \frac{d}{Q} e^{E_s (1/T - 1/T_{ref})} \bar I
+    """
+    scale = arrhenius(temperature_C, cell.surface_activation_K, cell.surface_reference_K)
+    depth = cell.surface_per_A * scale
+    return soc - depth * slow_A
+
+
+@kernel
+def at_surface(
+    tables: CellTables, point: CellPoint, surface: float, temperature_C: float
+) -> CellPoint:
+    """A point with resistances and time constants of the SOC at the particles' surface."""
+    below = tables_at(tables.table, place_of(tables, surface, temperature_C))
+    return surfaced(point, below)
+
+
+@inline
+def surfaced(point: CellPoint, below: CellPoint) -> CellPoint:
+    """A point with resistances and time constants of another."""
+    # fmt: off
+    return CellPoint(
+        point.ocv_V, point.ocv_slope_V, below.r0_ohm, below.r1_ohm, below.tau1_s, below.r2_ohm,
+        below.tau2_s, below.r3_ohm, below.tau3_s, point.m_V, point.error_V, point.entropy_V,
+        point.entropy_slope_V,
+    )

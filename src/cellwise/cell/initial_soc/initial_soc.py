@@ -1,0 +1,137 @@
+"""SOC at a log's first row when nobody says it: a rest, a short fit, or the whole log."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellwise.cell.initial_soc.best_start import best_start_of, rows_to_fit
+from cellwise.cell.initial_soc.rest import RELAXED_S, REST_RATE, SHORT_REST_V, soc_of_ocv
+from cellwise.cell.initial_soc.whole_log import likeliest_soc, past_voltage
+from cellwise.cell.model import CellModel
+from cellwise.cell.simulate import check_soc0, known_temperature_C, model_temperature_C
+from cellwise.logs.cell_log import CellLog
+from cellwise.typing import FloatArray
+
+FIT_S = 60.0
+STATED_STD = 0.005  # a start that is known: full and empty of two tests differ by about this
+# By how much a used cell's resistance differs from its model's; aged or cold ones by more.
+UNKNOWN_RESISTANCE = 0.3
+HALF_NORMAL = 0.8  # mean of a half normal distribution, in its deviations: sqrt(2 / pi)
+SURE_STD = 0.02  # a start known better than this needs no more than the beginning
+MOST_ROWS = 400_000  # of a longer log the beginning is enough
+
+
+@dataclass(frozen=True)
+class InitialSoc:
+    """SOC at the first row, its standard deviation, and how it was found."""
+
+    soc: float
+    std: float
+    how: str
+
+    def to_dict(self) -> dict[str, float | str]:
+        """As JSON values."""
+        return {"value": self.soc, "std": self.std, "how": self.how}
+
+
+def initial_soc(
+    model: CellModel,
+    log: CellLog,
+    given: float | None = None,
+    given_std: float = 0.15,
+    *,
+    likeliest: bool = False,
+    whole_log: bool = False,
+) -> InitialSoc:
+    """SOC at the first row of a log.
+
+    Taken as given, else as the log states it (`CellLog.soc0`); else from the voltage of a rest at
+    the log's start through the OCV; else from the SOC at which the simulation fits the log's first
+    minute best. Where that leaves more than two points open, ``whole_log`` asks all of the log.
+
+    Parameters
+    ----------
+    given : float or None     SOC that the user states, 0..1
+    given_std : float         how sure that is
+    likeliest : bool          under load, the SOC that fits best instead of the mean of all that
+                              are possible: for a simulation, which has to be one of them
+    whole_log : bool          use the whole log where its beginning leaves it open (a plateau, a
+                              load): not for what claims to work online
+
+    Returns
+    -------
+    InitialSoc        the standard deviation includes the model's own voltage error, an unfinished
+                      relaxation and a flat OCV: on a plateau it is large
+    """
+    if given is not None:
+        check_soc0(given)
+        return InitialSoc(float(given), given_std, "given")
+    if log.soc0 is not None:
+        return InitialSoc(log.soc0, STATED_STD, "stated")
+    current = log.known_current_A()
+    resting = np.abs(current) < REST_RATE * model.capacity_Ah
+    resting[: int(np.argmax(np.isfinite(log.interval_current_A)))] = False  # nobody knows
+    rest_end = len(log) if resting.all() else int(np.argmin(resting))
+    voltages = log.voltage_V[:rest_end]
+    if np.any(np.isfinite(voltages)):
+        last = int(np.flatnonzero(np.isfinite(voltages))[-1])
+        rest_s = float(log.time_s[last] - log.time_s[0])
+        unfinished = SHORT_REST_V * np.exp(-rest_s / RELAXED_S)
+        found = _from_rest(model, log, last, rest_s, unfinished)
+        flat = whole_log and found.std > SURE_STD
+        return _from_whole_log(model, log, found, (0.0, unfinished)) if flat else found
+    found = _from_first_minute(model, log, current, likeliest)
+    return _from_whole_log(model, log, found, past_voltage(model, log)) if whole_log else found
+
+
+def _from_rest(model: CellModel, log: CellLog, row: int, rest_s: float, std_V: float) -> InitialSoc:
+    temperature = known_temperature_C(model, log)[row]
+    soc, std = soc_of_ocv(model, float(log.voltage_V[row]), std_V, float(temperature))
+    how = f"rest of {rest_s:.0f} s at the start, {log.voltage_V[row]:.4f} V"
+    return InitialSoc(soc, max(std, 0.005), how)
+
+
+def _from_first_minute(
+    model: CellModel, log: CellLog, current: FloatArray, likeliest: bool
+) -> InitialSoc:
+    known = np.isfinite(log.voltage_V[:1]).all()
+    first = 0 if known else int(np.argmax(np.isfinite(log.voltage_V)))
+    rows = max(first + 2, int(np.searchsorted(log.time_s, log.time_s[first] + FIT_S, side="right")))
+    rows = min(rows, len(log))
+    head = CellLog(
+        log.time_s[:rows],
+        current[:rows],
+        log.voltage_V[:rows],
+        np.full(rows, model_temperature_C(model))
+        if log.temperature_C is None
+        else log.temperature_C[:rows],
+        None if log.charge_Ah is None else log.charge_Ah[:rows],
+    )
+    rows_of_head = rows_to_fit(model, head)
+    best, _ = best_start_of(model, rows_of_head, np.linspace(0.0, 1.0, 101))
+    near = np.linspace(max(0.0, best - 0.01), min(1.0, best + 0.01), 41)
+    best, rms = best_start_of(model, rows_of_head, near)
+    # The cell did not begin at rest here, so its past is in the voltage; and what the fit takes
+    # for a low SOC may be a high resistance: say so in the spread.
+    temperature = float(rows_of_head.temperature_C[0])
+    ocv = float(np.interp(best, model.soc, model.ocv_at(temperature)))
+    dropped = ocv - float(np.nanmean(head.voltage_V))
+    std_V = float(np.sqrt(SHORT_REST_V**2 + rms**2 + (UNKNOWN_RESISTANCE * dropped) ** 2))
+    _, std = soc_of_ocv(model, ocv, std_V, temperature)
+    # Beyond full and empty there is nothing: at an end, the mean of the remaining part lies inside.
+    inside = 0.0 if likeliest else min(HALF_NORMAL * std, 0.5)
+    best = min(max(best, inside), 1.0 - inside)
+    return InitialSoc(best, max(std, 0.01), f"fit of the first {head.duration_s:.0f} s under load")
+
+
+def _from_whole_log(
+    model: CellModel, log: CellLog, beginning: InitialSoc, past_V: tuple[float, float]
+) -> InitialSoc:
+    log = log.part(0, min(len(log), MOST_ROWS))
+    if np.count_nonzero(np.isfinite(log.voltage_V)) < 2:
+        return beginning
+    soc, std = likeliest_soc(model, log, past_V)
+    how = f"fit of the whole log, {log.duration_s / 3600.0:.2f} h"
+    return InitialSoc(soc, max(std, STATED_STD), how)

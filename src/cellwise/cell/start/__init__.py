@@ -1,1 +1,0 @@
-"""Simulations whose start is found, as the command finds it."""
