@@ -59,6 +59,9 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--cutoff-v", type=float, metavar="V", help="voltage at which the load stops [model]"
     )
     power_options.add_power_options(live)
+    live.add_argument(
+        "--cells", type=int, default=0, metavar="N", help="follow N cells in series, each by itself"
+    )
     live.add_argument("--deadline-ms", type=float, metavar="MS", help="[the sample's interval]")
     live.add_argument("--samples", type=int, metavar="N", help="stop after N samples")
     live.add_argument(
@@ -84,7 +87,9 @@ def run_live_command(arguments: argparse.Namespace) -> None:
     name, stated = _stated(arguments.source)
     live = _filter(model, stated, arguments)
     options = log_options.read_options(arguments)
-    source = open_source(name, options, arguments.sign, follow=arguments.follow)
+    source = open_source(
+        name, options, arguments.sign, follow=arguments.follow, cells=arguments.cells
+    )
     deadline = arguments.deadline_ms
     counts = Counts(latency=LatencyMeter(None if deadline is None else 1e-3 * deadline))
     with ExitStack() as stack:
@@ -156,6 +161,7 @@ class LineWriter:
             self._since_forecast_s = 0.0
             row |= forecast_row(self._live, self._outlook, update)
             row |= power_row(self._live, self._power, update)
+            row |= {} if self._live.pack is None else self._live.pack.columns()
         self._file.write(json.dumps(printing.clean(row), allow_nan=False) + "\n")
         self._file.flush()
 
@@ -293,6 +299,7 @@ def _filter(model: Any, stated: Stated, arguments: argparse.Namespace) -> LiveFi
         soc0=given if stated.soc0 is None else stated.soc0,
         soc0_std=STATED_STD if std is None and stated.soc0 is not None else std,
         temperature_C=math.nan if stated.temperature_C is None else stated.temperature_C,
+        cells=arguments.cells,
     )
     if (
         arguments.state
@@ -365,6 +372,7 @@ def _report_end(
         **state_row(last),
         **forecast_row(live, outlook, last),
         **power_row(live, power, last),
+        **({} if live.pack is None else live.pack.columns()),
         "estimator": live.filter.name,
         "soc0": live.start.to_dict(),
         **counts.to_dict(),

@@ -108,6 +108,7 @@ class LiveView:
                 ),
             ),
             *self._power_rows(warm if warm == warm else 25.0),
+            *self._cell_rows(),
             ("flags", flags),
             (
                 "stream",
@@ -119,6 +120,20 @@ class LiveView:
                 f"{latency['p50_ms']:.2f} ms, 99 % {latency['p99_ms']:.2f} ms, "
                 f"{latency['missed_deadlines']} too late",
             ),
+        ]
+
+    def _cell_rows(self) -> list[tuple[str, str]]:
+        found = {} if self._filter.pack is None else self._filter.pack.columns().get("cells", {})
+        if not found:
+            return []
+        soc, ohm = found["soc"], found["resistance_scale"]
+        empty, full, weak = soc.index(min(soc)), soc.index(max(soc)), ohm.index(max(ohm))
+        return [
+            (
+                "cells",
+                f"emptiest {empty + 1} ({100 * soc[empty]:.1f} %), fullest {full + 1} "
+                f"({100 * soc[full]:.1f} %), resistance of {weak + 1} {ohm[weak]:.2f}",
+            )
         ]
 
     def _power_rows(self, temperature_C: float) -> list[tuple[str, str]]:

@@ -8,13 +8,14 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from cellwise.errors import InputError
+from cellwise.live.cell_readings import CellReadings, cell_number
 from cellwise.live.channels import CellScale
 from cellwise.live.sample import Sample, Stray
 from cellwise.logs.files.columns import Unit
 from cellwise.logs.files.extras import need
 from cellwise.logs.files.options import ReadOptions
 from cellwise.logs.vehicle.can_database import can_database
-from cellwise.logs.vehicle.signal_choice import Signal, choose_signals
+from cellwise.logs.vehicle.signal_choice import UNITS, Signal, choose_signals
 
 POLL_S = 0.2
 # A voltage that has not come for so long is missing: charge is counted without it.
@@ -24,6 +25,7 @@ SAME_CLOCK_S = 3600.0
 FAILURES = 25  # of the bus in a row, POLL_S apart
 
 Key = tuple[int, bool]
+CELL = "cell:"  # field of a cell's voltage, with its position
 
 
 class Wanted(NamedTuple):
@@ -48,17 +50,21 @@ class CanStream:
     interface, channel : str    of python-can: ``socketcan`` and ``can0``, ``virtual`` and any name
     options : ReadOptions       database, channels, pack
     sign : str                  ``charge-positive`` turns the current round
+    cells : int                 voltages of so many cells, by the names of their signals; 0: none
 
     Raises
     ------
     InputError                  no database, no clear signals in it, a bus that cannot be opened
     """
 
-    def __init__(self, interface: str, channel: str, options: ReadOptions, sign: str) -> None:
+    def __init__(
+        self, interface: str, channel: str, options: ReadOptions, sign: str, cells: int = 0
+    ) -> None:
         self.name = f"CAN {interface} {channel}"
         self._can = need("can", "a CAN bus", "python-can")
         self.database = can_database(options.dbc, f"frames of {self.name}")
         self._scale = CellScale(options, sign)
+        self._cells = CellReadings(cells)
         self._messages: dict[Key, Any] = {
             (m.frame_id, m.is_extended_frame): m for m in self.database.messages
         }
@@ -107,7 +113,9 @@ class CanStream:
             for key, message in self._messages.items()
             for s in message.signals
         ]
-        chosen, notices = choose_signals(signals, options.channels, f"'{options.dbc}'")
+        of_cells = self._cell_signals(signals)
+        others = [s for s in signals if s.key not in {c.key for c, _ in of_cells}]
+        chosen, notices = choose_signals(others, options.channels, f"'{options.dbc}'")
         wanted: dict[Key, list[Wanted]] = {}
         for field, signal, unit in chosen:
             key: Any
@@ -117,7 +125,27 @@ class CanStream:
             ranged = low is not None and high is not None and low < high
             limits = (float(low) - slack, float(high) + slack) if ranged else (-math.inf, math.inf)
             wanted.setdefault(key, []).append(Wanted(field, found.name, unit, *limits))
+        for signal, position in of_cells:
+            key, found = signal.key
+            milli = UNITS["voltage_V"][signal.unit.strip().lower()]
+            cell = Wanted(f"{CELL}{position}", found.name, milli, -math.inf, math.inf)
+            wanted.setdefault(key, []).append(cell)
         return wanted, notices
+
+    def _cell_signals(self, signals: list[Signal]) -> list[tuple[Signal, int]]:
+        """Signals of cells' voltages with their positions; refuses another number than asked."""
+        if not self._cells.cells:
+            return []
+        volts = [s for s in signals if s.unit.strip().lower() in UNITS["voltage_V"]]
+        numbered = [(s, n) for s in volts if (n := cell_number(s.short)) is not None]
+        numbers = sorted({n for _, n in numbered})
+        if len(numbers) != self._cells.cells or len(numbered) != len(numbers):
+            raise InputError(
+                f"signals of {len(numbers)} cells' voltages in the database",
+                f"{self._cells.cells}, one for each cell, named like CellVoltage01 or VCell_1",
+                "Correct the number of cells, or the names in the database.",
+            )
+        return [(s, numbers.index(n)) for s, n in numbered]
 
     def _take(self, message: Any) -> Sample | Stray | None:
         key = (message.arbitration_id, message.is_extended_id)
@@ -142,6 +170,8 @@ class CanStream:
             value = value * one.unit.factor + one.unit.offset
             if one.field == "voltage_V":
                 voltage, has_voltage = value, True
+            elif one.field.startswith(CELL):
+                self._cells.take(int(one.field.removeprefix(CELL)), value, stamp)
             elif one.field in self._last:
                 self._last[one.field], self._at[one.field] = value, stamp
                 if one.field == "current_A":
@@ -166,7 +196,8 @@ class CanStream:
         now_s = time.time()
         # A stamp of this machine's clock shows how long the frame has waited to be read.
         arrived_s = stamp if 0.0 <= now_s - stamp < SAME_CLOCK_S else now_s
-        return self._scale.sample(stamp, current, voltage, temperature, arrived_s)
+        sample = self._scale.sample(stamp, current, voltage, temperature, arrived_s)
+        return self._cells.added_to(sample)
 
 
 class SocSender:

@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 from cellwise.errors import InputError
+from cellwise.live.cell_readings import CellReadings
 from cellwise.live.sample import Sample, Stray
 from cellwise.logs.files.columns import TIDY_CHANNELS, Unit
 from cellwise.logs.files.options import ReadOptions
@@ -51,8 +52,9 @@ class CellScale:
 class ObjectReader:
     """JSON objects with tidy names, which give the unit, to samples."""
 
-    def __init__(self, options: ReadOptions, sign: str) -> None:
+    def __init__(self, options: ReadOptions, sign: str, cells: int = 0) -> None:
         self._scale = CellScale(options, sign)
+        self._cells = CellReadings(cells)
         self._names: dict[str, tuple[str, Unit]] = dict(TIDY_NAMES)
         for tidy, name in options.channels.items():
             if tidy not in TIDY_NAMES:
@@ -81,12 +83,15 @@ class ObjectReader:
                 values[field] = value * unit.factor + unit.offset
             except OverflowError:
                 return Stray(f"{name} is no number")
-        if not known:
+        self._cells.take_object(found, values["time_s"])
+        if not known and not self._cells.cells:
             return Stray(f"none of {', '.join(CELL_FIELDS)}")
-        return self._scale.sample(
-            values["time_s"],
-            values["current_A"],
-            values["voltage_V"],
-            values.get("temperature_C", math.nan),
-            arrived_s,
+        return self._cells.added_to(
+            self._scale.sample(
+                values["time_s"],
+                values["current_A"],
+                values["voltage_V"],
+                values.get("temperature_C", math.nan),
+                arrived_s,
+            )
         )

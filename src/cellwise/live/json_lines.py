@@ -17,10 +17,10 @@ LONGEST_LINE = 65_536
 class JsonLines:
     """``{"time_s": 12.5, "current_A": 1.2, "voltage_V": 3.91, "temperature_C": 25}`` per line."""
 
-    def __init__(self, pieces: Pieces, options: ReadOptions, sign: str) -> None:
+    def __init__(self, pieces: Pieces, options: ReadOptions, sign: str, cells: int = 0) -> None:
         self.name = f"JSON lines from {pieces.name}"
         self._pieces = pieces
-        self._reader = ObjectReader(options, sign)
+        self._reader = ObjectReader(options, sign, cells)
 
     def __iter__(self) -> Iterator[Sample | Stray | None]:
         kept = b""

@@ -22,6 +22,7 @@ from cellwise.estimate.filters.ukf import Ukf
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.saved_state import state_from_dict, state_to_dict
 from cellwise.files import write_atomically
+from cellwise.live.live_pack import LivePack
 from cellwise.live.sample import Sample
 from cellwise.live.timeline import Timeline
 from cellwise.logs.cell_log import CellLog
@@ -52,6 +53,7 @@ class LiveFilter:
     soc0_std : float or None  its deviation; None: 0.15 where ``soc0`` is given
     noise : Noise or None     None: from the model's own validation error
     temperature_C : float     of the cell where a sample measured none [degC]; NaN: not known
+    cells : int               follow so many cells of a pack beside their mean cell; 0: none
 
     Raises
     ------
@@ -67,6 +69,7 @@ class LiveFilter:
         soc0_std: float | None = None,
         noise: Noise | None = None,
         temperature_C: float = math.nan,
+        cells: int = 0,
     ) -> None:
         if estimator not in ESTIMATORS:
             raise InputError(
@@ -80,6 +83,7 @@ class LiveFilter:
         self.state: EkfState | None = None
         self.start: InitialSoc | None = None
         self.timeline = Timeline()
+        self.pack = LivePack(model, cells, noise) if cells else None
         if soc0 is not None:
             self.start = initial_soc(model, _moment(0.0, 1.0), soc0)
         if soc0_std is not None and self.start is not None:
@@ -104,6 +108,8 @@ class LiveFilter:
             dt_s=interval.dt_s,
             gap=interval.gap,
         )
+        if self.pack is not None:
+            self.pack.take(sample, info, interval.dt_s, self.known_temperature_C(sample))
         return Update(sample, info, interval.dt_s, interval.gap)
 
     def known_temperature_C(self, sample: Sample) -> float:
@@ -116,6 +122,8 @@ class LiveFilter:
             return
         saved = state_to_dict(self.state, self.filter.name)
         saved["live"] = {"saved_s": now_s, "model": model_mark(self.model)}
+        if self.pack is not None:
+            saved["pack"] = self.pack.to_dict()
         write_atomically(path, json.dumps(saved, allow_nan=False))
 
     def resume(self, path: Path | str, now_s: float) -> bool:
@@ -143,6 +151,8 @@ class LiveFilter:
                 "a state of this model",
                 "Start afresh, or name another file.",
             )
+        if self.pack is not None and "pack" in saved:
+            self.pack.resume(saved["pack"], now_s - float(saved_s))
         self.state = state
         self.start = InitialSoc(state.soc, state.soc_std, "saved state")
         self.timeline.resume(now_s - float(saved_s))

@@ -11,7 +11,8 @@ class Sample(NamedTuple):
     """One sample of one cell, positive current = discharge; NaN where nothing was measured.
 
     The current is that of the interval that ends at ``time_s``. ``arrived_s`` is the clock of the
-    day (seconds since 1970) at which the sample reached this machine.
+    day (seconds since 1970) at which the sample reached this machine; ``cell_V`` are the voltages
+    of a pack's cells, where they are asked for.
     """
 
     time_s: float
@@ -19,6 +20,7 @@ class Sample(NamedTuple):
     voltage_V: float
     temperature_C: float = math.nan
     arrived_s: float = math.nan
+    cell_V: tuple[float, ...] = ()
 
 
 class Stray(NamedTuple):

@@ -17,6 +17,7 @@ def open_source(
     sign: str = "auto",
     *,
     follow: bool = False,
+    cells: int = 0,
 ) -> Source:
     """A stream by its name in the command line.
 
@@ -27,6 +28,7 @@ def open_source(
     options : ReadOptions   pack, channels, instance, database
     sign : str              ``charge-positive`` turns the current round
     follow : bool           wait for more at a file's end
+    cells : int             voltages of so many cells of a pack, too; 0: none
 
     Raises
     ------
@@ -37,15 +39,17 @@ def open_source(
         raise InputError("a DBC file for a stream without CAN frames", "can:...", "Omit it.")
     if options.instance is not None and kind != "ulog":
         raise InputError("`instance=...` for a stream of one battery", "ulog:...", "Omit it.")
+    if cells and kind == "ulog":
+        raise InputError("cells of a pack in a ULog stream", "json:... or can:...", "Omit them.")
     if name in ("stdin", STDIN):
-        return JsonLines(Pieces(STDIN), options, sign)
+        return JsonLines(Pieces(STDIN), options, sign, cells)
     if kind == "json" and rest:
-        return JsonLines(Pieces(rest, follow=follow), options, sign)
+        return JsonLines(Pieces(rest, follow=follow), options, sign, cells)
     if kind == "can" and rest.count(":") >= 1:
         from cellwise.live.can_stream import CanStream
 
         interface, _, channel = rest.partition(":")
-        return CanStream(interface, channel, options, sign)
+        return CanStream(interface, channel, options, sign, cells)
     if kind == "ulog" and rest:
         from cellwise.live.ulog_stream import UlogStream
 

@@ -27,13 +27,15 @@ class CellSettings:
     thirty days, ``sensor_V`` that two cells' sensors differ by for good, ``lag_s`` that a cell is
     polled apart from the others, ``memory_s`` for how long an error of a cell's voltage lasts.
 
-    Cells of one batch: capacity 1 %, resistance 3 % (Rumpf et al., J. Energy Storage 14 (2017)
-    224); cell monitors: 1 to 2 mV, polled within tenths of a second; SOC as balancing leaves it.
+    What is known of a pack that was never seen: three times what new cells of one batch differ by
+    (capacity 1 %, resistance 3 %: Rumpf et al., J. Energy Storage 14 (2017) 224), since a weak cell
+    is what is looked for, and SOC as it is without balancing. Cell monitors: 1 to 2 mV, polled
+    within tenths of a second.
     """
 
-    soc: float = 0.005
-    capacity: float = 0.010
-    resistance: float = 0.030
+    soc: float = 0.03
+    capacity: float = 0.03
+    resistance: float = 0.10
     soc_month: float = 0.002
     capacity_month: float = 0.001
     resistance_month: float = 0.002

@@ -64,6 +64,15 @@ def cell_columns(header: Sequence[str], where: str) -> tuple[CellColumn, ...]:
     return tuple(found)
 
 
+def known_cell(name: str) -> tuple[int, Unit] | None:
+    """Number from 1 and unit of the cell whose voltage a column of this name holds, if any."""
+    for pattern, kind, unit, first in _PATTERNS:
+        match = pattern.fullmatch(name)
+        if match and kind == "cell":
+            return int(match[1]) + 1 - first, unit
+    return None
+
+
 def cell_name(number: int, cells: int) -> str:
     """``cell_01``: the number with as many digits as the largest one needs, two at least."""
     return f"cell_{number:0{max(2, len(str(cells)))}d}"
