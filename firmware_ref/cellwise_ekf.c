@@ -1352,9 +1352,8 @@ static APART void search(const cellwise_model *m, const cellwise_place *place, c
 /* The gate may have locked the truth out, or a first voltage at rest says more than is weighed.
  * Branches that have been followed may hold anything; under load the resistances may be what is
  * wrong, by as much as they are. */
-static APART void look_anew(const cellwise_model *m, const cellwise_place *place,
-                            cellwise_state *x, float seen, float voltage, float one_V2,
-    float polarisation_V)
+static APART void recover(const cellwise_model *m, const cellwise_place *place, cellwise_state *x,
+                          float seen, float voltage, float one_V2, float polarisation_V)
 {
     const cellwise_constants *const c = &m->constant;
     float held_A = c->start_rest_A;
@@ -1784,7 +1783,7 @@ static uint32_t reject(const cellwise_model *m, const cellwise_place *place, cel
         x->rejections = 0u;
         x->mismatch = 1.0f;
 #if CELLWISE_WIDE
-        look_anew(m, place, x, seen, voltage, i->one_V2, i->polarisation_V);
+        recover(m, place, x, seen, voltage, i->one_V2, i->polarisation_V);
 #else
         widen(c, x, p, seen);
 #endif
@@ -1854,7 +1853,7 @@ static uint32_t weigh(const cellwise_model *m, const cellwise_place *place, cell
         status = reject(m, place, x, p, i, s->seen, voltage, square - most, unsure);
     } else if (bent) {
 #if CELLWISE_WIDE
-        look_anew(m, place, x, s->seen, voltage, i->one_V2, i->polarisation_V);
+        recover(m, place, x, s->seen, voltage, i->one_V2, i->polarisation_V);
 #endif
     } else {
         fuse(m, place, x, p, w, s, i, innovation);

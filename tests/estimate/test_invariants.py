@@ -10,7 +10,7 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from cellwise.cell.effects import EFFECTS
+from cellwise.cell.effects import EFFECTS, is_neutral
 from cellwise.cell.simulate import simulate
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.estimate.noise import Noise
@@ -42,6 +42,12 @@ every_effect = pytest.mark.parametrize("effects", cases(ACTIVE).values(), ids=ca
 
 def test_every_effect_is_here():
     assert set(ACTIVE) == set(NEUTRAL) == set(EFFECTS)
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_a_record_says_which_value_is_neutral(name):
+    assert is_neutral(NEUTRAL[name])
+    assert not is_neutral(ACTIVE[name])
 
 
 @estimators(FLOAT64)

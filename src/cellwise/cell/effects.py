@@ -6,7 +6,8 @@ which effects there are: :func:`effect_value` gives the neutral value for an abs
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Iterable
+from dataclasses import dataclass, fields, replace
 from typing import ClassVar
 
 import numpy as np
@@ -26,6 +27,7 @@ class SlowDiffusion:
     """
 
     name: ClassVar[str] = "slow_diffusion"
+    neutral: ClassVar[dict[str, float]] = {"r3_ohm": 0.0}
     bounds: ClassVar[dict[str, tuple[float, float]]] = {
         "r3_ohm": (0.0, 100.0),
         "tau3_s": (1.0, 1e6),
@@ -43,6 +45,7 @@ class Hysteresis:
     """
 
     name: ClassVar[str] = "hysteresis"
+    neutral: ClassVar[dict[str, float]] = {"m_V": 0.0}
     bounds: ClassVar[dict[str, tuple[float, float]]] = {"m_V": (-0.5, 0.5), "gamma": (0.0, 1e5)}
     m_V: FloatArray | float = 0.0
     gamma: float = 0.0
@@ -58,6 +61,10 @@ class TemperatureDependence:
     """
 
     name: ClassVar[str] = "temperature_dependence"
+    neutral: ClassVar[dict[str, float]] = {
+        "activation_K": 0.0,
+        **{f"{branch}_K": 0.0 for branch in BRANCH_ACTIVATIONS},
+    }
     bounds: ClassVar[dict[str, tuple[float, float]]] = {
         "activation_K": (-2000.0, 15000.0),
         "reference_C": (-50.0, 90.0),
@@ -83,6 +90,7 @@ class Entropy:
     """
 
     name: ClassVar[str] = "entropy"
+    neutral: ClassVar[dict[str, float]] = {"docv_dT_V_per_K": 0.0}
     bounds: ClassVar[dict[str, tuple[float, float]]] = {
         "docv_dT_V_per_K": (-0.005, 0.005),
         "reference_C": (-50.0, 90.0),
@@ -100,6 +108,7 @@ class TimeSkew:
     """
 
     name: ClassVar[str] = "time_skew"
+    neutral: ClassVar[dict[str, float]] = {"skew_s": 0.0}
     bounds: ClassVar[dict[str, tuple[float, float]]] = {"skew_s": (0.0, 60.0)}
     skew_s: float = 0.0
 
@@ -113,6 +122,7 @@ class RateDependence:
     """
 
     name: ClassVar[str] = "rate_dependence"
+    neutral: ClassVar[dict[str, float]] = {"rate_h": 0.0}
     bounds: ClassVar[dict[str, tuple[float, float]]] = {"rate_h": (-0.05, 10.0)}
     rate_h: float = 0.0
 
@@ -127,6 +137,7 @@ class ChargeTransfer:
     """
 
     name: ClassVar[str] = "charge_transfer"
+    neutral: ClassVar[dict[str, float]] = {"asinh_per_V": 0.0}
     bounds: ClassVar[dict[str, tuple[float, float]]] = {"asinh_per_V": (0.0, 200.0)}
     asinh_per_V: float = 0.0
 
@@ -143,6 +154,7 @@ class SurfaceSoc:
     """
 
     name: ClassVar[str] = "surface_soc"
+    neutral: ClassVar[dict[str, float]] = {"depth_h": 0.0}
     bounds: ClassVar[dict[str, tuple[float, float]]] = {
         "depth_h": (0.0, 1.0),
         "tau_s": (1.0, 1e5),
@@ -160,6 +172,7 @@ class ChargeAsymmetry:
     """Every resistance times ``charge_scale`` while the cell is charged. Neutral: 1."""
 
     name: ClassVar[str] = "charge_asymmetry"
+    neutral: ClassVar[dict[str, float]] = {"charge_scale": 1.0}
     bounds: ClassVar[dict[str, tuple[float, float]]] = {"charge_scale": (0.1, 10.0)}
     charge_scale: float = 1.0
 
@@ -174,6 +187,7 @@ class SelfHeating:
     """
 
     name: ClassVar[str] = "self_heating"
+    neutral: ClassVar[dict[str, float]] = {"rth_K_per_W": 0.0}
     bounds: ClassVar[dict[str, tuple[float, float]]] = {
         "rth_K_per_W": (0.0, 200.0),
         "thermal_s": (1.0, 1e5),
@@ -187,6 +201,7 @@ class SelfDischarge:
     """A current ``leak_A`` [A] inside the cell that no sensor sees. Neutral: 0."""
 
     name: ClassVar[str] = "self_discharge"
+    neutral: ClassVar[dict[str, float]] = {"leak_A": 0.0}
     bounds: ClassVar[dict[str, tuple[float, float]]] = {"leak_A": (0.0, 1e3)}
     leak_A: float = 0.0
 
@@ -223,6 +238,19 @@ EFFECTS: dict[str, type[Effect]] = {
 # What they say at a SOC and a temperature is the same under every load and after every past: a
 # target, which has no term for them, gets it as rows of its tables.
 IN_TABLES = (TemperatureDependence, Entropy)
+
+
+def is_neutral(effect: Effect) -> bool:
+    """Whether the model with an effect is the model without it."""
+    return all(np.all(getattr(effect, name) == value) for name, value in effect.neutral.items())
+
+
+def beside_common_activation(effects: Iterable[Effect]) -> tuple[Effect, ...]:
+    """Effects that are not neutral without the factor that all resistances have in common."""
+    rest = (
+        replace(e, activation_K=0.0) if isinstance(e, TemperatureDependence) else e for e in effects
+    )
+    return tuple(e for e in rest if not is_neutral(e))
 
 
 def check_effect(effect: Effect, shape: tuple[int, int]) -> None:

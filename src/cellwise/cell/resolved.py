@@ -11,7 +11,7 @@ from cellwise.cell.effects import (
     Effect,
     Hysteresis,
     SlowDiffusion,
-    TemperatureDependence,
+    beside_common_activation,
 )
 from cellwise.cell.equations import look_up
 from cellwise.cell.model import CellModel
@@ -23,17 +23,7 @@ def needs_rows(model: CellModel) -> bool:
 
     The factor that all resistances have in common has one of its own.
     """
-    common = model.effect(TemperatureDependence)
-    common = TemperatureDependence(common.activation_K, common.reference_C)
-    one, other = (
-        model.parameters(),
-        replace(model, effects=(*_without_tabled(model), common)).parameters(),
-    )
-    return one.cell != other.cell or not np.array_equal(one.table, other.table)
-
-
-def _without_tabled(model: CellModel) -> tuple[Effect, ...]:
-    return tuple(e for e in model.effects if not isinstance(e, IN_TABLES))
+    return any(isinstance(e, IN_TABLES) for e in beside_common_activation(model.effects))
 
 
 def over_temperature(model: CellModel, temperature_C: FloatArray) -> CellModel:
@@ -53,7 +43,7 @@ def over_temperature(model: CellModel, temperature_C: FloatArray) -> CellModel:
         return np.array([[getattr(point, field) for point in row] for row in rows])
 
     others: list[Effect] = [
-        e for e in _without_tabled(model) if not isinstance(e, SlowDiffusion | Hysteresis)
+        e for e in model.effects if not isinstance(e, (*IN_TABLES, SlowDiffusion, Hysteresis))
     ]
     slow, hysteresis = model.effect(SlowDiffusion), model.effect(Hysteresis)
     if np.any(slow.r3_ohm):

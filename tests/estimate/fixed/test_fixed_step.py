@@ -14,7 +14,8 @@ from cellwise.errors import InputError
 from cellwise.estimate.filters.ekf import Ekf
 from cellwise.estimate.fixed.fixed_step import FixedStep, numba_stepper, samples_of, start_state
 from cellwise.estimate.fixed.layout import INPUT, OUTPUT
-from cellwise.estimate.fixed.rows import compiled_rows
+from cellwise.estimate.fixed.rows import compiled
+from cellwise.estimate.fixed.rows import rows as step_rows
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.estimate.status import Status
 from cellwise.logs.cell_log import CellLog
@@ -151,7 +152,7 @@ def test_as_good_as_the_float64_ekf(dt_s):
 
 
 def test_compiled_code_is_single_precision_without_liberties():
-    cached = compiled_rows(STEPPER.tables.options)
+    cached = compiled(step_rows, STEPPER.tables.options)
     options = {k: v for k, v in cached.targetoptions.items() if k != "nopython"}
     rows = njit(**options)(cached.py_func)  # numba keeps no text of what it has cached
     tables = STEPPER.tables

@@ -41,7 +41,7 @@ from cellwise.estimate.fixed.innovation import Innovation, innovate, shared_by, 
 from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.lookup import Place, Point, Slopes, look_up, slopes_of
 from cellwise.estimate.fixed.options import WATCH, WIDE
-from cellwise.estimate.fixed.search import look_anew, widen
+from cellwise.estimate.fixed.search import recover, widen
 from cellwise.estimate.fixed.sensing import Reading
 from cellwise.estimate.status import (
     GATE_RECOVERY,
@@ -114,7 +114,7 @@ def reject(
         x.rejections = U(0)
         x.mismatch = ONE
         if WIDE:
-            look_anew(m, place, x, seen, voltage, i.one_V2, i.polarisation_V)
+            recover(m, place, x, seen, voltage, i.one_V2, i.polarisation_V)
         else:
             widen(c, x, p, seen)
     return status
@@ -183,7 +183,7 @@ def weigh(
         status = reject(m, place, x, p, i, s.seen, voltage, square - most, unsure)
     elif bent:
         if WIDE:
-            look_anew(m, place, x, s.seen, voltage, i.one_V2, i.polarisation_V)
+            recover(m, place, x, s.seen, voltage, i.one_V2, i.polarisation_V)
     else:
         fuse(m, place, x, p, w, s, i, innovation)
     return status

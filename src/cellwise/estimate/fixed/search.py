@@ -105,7 +105,7 @@ def search(
 
 
 @apart
-def look_anew(
+def recover(
     m: Model,
     place: Place,
     x: State,

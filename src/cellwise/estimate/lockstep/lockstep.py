@@ -8,6 +8,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cellwise.cell.compiled import announce
+from cellwise.cell.effects import (
+    ChargeAsymmetry,
+    Hysteresis,
+    RateDependence,
+    SelfDischarge,
+    SlowDiffusion,
+    TimeSkew,
+    beside_common_activation,
+)
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.point_kernels import ERROR, OCV, R0, R1, R2, R3, TAU1, TAU2, TAU3, M
 from cellwise.errors import InputError
@@ -24,6 +33,15 @@ from cellwise.typing import BoolArray, FloatArray, IntArray
 
 FINER = 4  # points of the table of one time step per point of the model's
 LEAST_POINTS = 401
+# What the short way holds beside the factor that all resistances have in common.
+SHORT_WAY = (
+    SlowDiffusion,
+    Hysteresis,
+    TimeSkew,
+    RateDependence,
+    ChargeAsymmetry,
+    SelfDischarge,
+)
 
 
 class LockstepState(NamedTuple):
@@ -90,7 +108,7 @@ class LockstepEkf:
         self._fast = step_table(self._tables.table, self.dt_s)
         unknown = self._ekf.start(0.5, 0.3)
         self._noise = self.noise.scalars(model)
-        self._rules = LockstepRules(unknown, self.cells, self.dt_s)
+        self._rules = LockstepRules(unknown, self.cells, self.dt_s, _is_beyond(model))
         padded = -(-self.cells // lanes.LANES) * lanes.LANES
         self._scratch = np.zeros((layout.SCRATCH_ROWS + layout.OUTPUTS) * lanes.LANES)
         self._scratch.reshape(-1, lanes.LANES)[layout.T_A3] = 1.0  # a third branch that is none
@@ -199,6 +217,11 @@ class LockstepEkf:
             return np.ascontiguousarray(array)
         self._samples[row, : self.cells] = array
         return np.asarray(self._samples[row])
+
+
+def _is_beyond(model: CellModel) -> bool:
+    """Whether an effect has no place in the short way."""
+    return any(not isinstance(e, SHORT_WAY) for e in beside_common_activation(model.effects))
 
 
 def step_table(table: FloatArray, dt_s: float) -> FloatArray:

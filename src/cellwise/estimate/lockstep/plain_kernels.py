@@ -258,11 +258,16 @@ def plain_block(
 
 
 class LockstepRules(NamedTuple):
-    """What stays from step to step: where a state begins, how many cells are real, the time."""
+    """What stays from step to step: where a state begins, how many cells are real, the time.
+
+    ``beyond``: the table of one time step does not hold all of the model; every cell takes the
+    EKF's own step.
+    """
 
     start: EkfStart
     cells: int
     dt_s: float
+    beyond: bool
 
 
 @rows
@@ -286,16 +291,12 @@ def lockstep(
     per cell, a multiple of LANES of them, ``out`` OUTPUTS times as many.
     ``scratch`` is for one block.
     """
-    start, cells, dt_s = rules
+    start, cells, dt_s, beyond = rules
     work = scratch[: SCRATCH_ROWS * LANES]
     shown = scratch[SCRATCH_ROWS * LANES :]
     table, grid, cell = tables.table, tables.grid_C, tables.cell
     warm_tables = needs_temperature(tables)
     scaled_tables = cell.activation_K != 0.0 or cell.rate_per_A != 0.0 or cell.charge_scale != 1.0
-    # What the table of one time step does not hold takes the EKF's own step.
-    beyond = cell.heating_K_per_W != 0.0 or cell.branch_activation != 0.0
-    beyond = beyond or cell.entropy_K != 0.0 or cell.asinh_per_V != 0.0
-    beyond = beyond or cell.surface_per_A != 0.0
     limited = noise.valid.share_per_K > 0.0
     blocks = gap.size // LANES
     lanes = gap.size
