@@ -32,6 +32,13 @@ from cellwise.estimate.fixed.layout import constant_type, row_names
 from cellwise.estimate.fixed.options import Options, options_of
 from cellwise.estimate.gate_kernels import UNDER_LOAD_COUNT
 from cellwise.estimate.noise import Noise
+from cellwise.estimate.power.fixed_tables import (
+    CURRENT_LIMIT_C,
+    check_power,
+    lag,
+    power_columns,
+    power_constants,
+)
 from cellwise.estimate.recovery_kernels import (
     RECOVERY_RATE,
     START_BRANCH_V,
@@ -50,7 +57,6 @@ Float32Array = NDArray[np.float32]
 
 REJECTION_COUNT = 20_000  # what a rejection adds to the count, as in ``arithmetic``
 MEMORY_START_S = 10.0  # for how long the model's error is remembered at first
-CURRENT_LIMIT_C = 200.0  # no cell gives that; a sensor fault does
 VOLTAGE_MOST_V = 1000.0
 LEAST_V = 1e-3  # above zero: the C compares bits
 BRIDGED_S = 5.0  # missing samples up to here are bridged by the currents on both sides
@@ -211,61 +217,6 @@ def check_holds(model: CellModel, dt_s: float, options: Options) -> None:
             f"a time constant of {slowest:g} s at a time step of {dt_s:g} s",
             f"at most {1 / SMALLEST_GAIN:g} steps: float32 cannot hold slower ones",
             f"Give a time step of at least {SMALLEST_GAIN * slowest:.2g} s.",
-        )
-
-
-def lag(tau_s: FloatArray, over_s: float) -> FloatArray:
-    """1 / (1 - exp(-t / tau)): all but linear in tau, so it is interpolated as tau is."""
-    return np.asarray(-1.0 / np.expm1(-over_s / tau_s))
-
-
-def power_columns(model: CellModel, power: PowerSettings) -> dict[str, FloatArray]:
-    """What the power reads of the table beside the step's columns."""
-    (horizon_s,) = power.horizons_s
-    shape = (model.temperature_C.size, model.points)
-    tau3_s = effect_table(model.effect(SlowDiffusion).tau3_s, shape)
-    return {
-        "power_lag1": lag(model.tau1_s, horizon_s),
-        "power_lag2": lag(model.tau2_s, horizon_s),
-        "power_lag3": lag(tau3_s, horizon_s),
-    }
-
-
-def power_constants(model: CellModel, power: PowerSettings) -> dict[str, Any]:
-    """Horizon and limits; a current that nothing limits is as good as endless."""
-    (horizon_s,) = power.horizons_s
-    per_A = horizon_s / (3600.0 * model.capacity_Ah)
-    limits = power.known.scalars()
-    most_A = CURRENT_LIMIT_C * model.capacity_Ah
-    return {
-        "power_soc_per_A": per_A,
-        "power_A_per_soc": 1.0 / per_A,
-        "power_low_V": limits.low_V,
-        "power_high_V": limits.high_V,
-        "power_discharge_A": min(limits.discharge_A, most_A),
-        "power_charge_A": min(limits.charge_A, most_A),
-        "power_soc_low": limits.low_soc,
-        "power_soc_high": limits.high_soc,
-        "power_hysteresis_per_A": model.effect(Hysteresis).gamma * per_A,
-    }
-
-
-def check_power(power: PowerSettings) -> None:
-    """Refuse what the fixed step's power is not.
-
-    Raises
-    ------
-    InputError        several horizons, a power held
-    """
-    if len(power.horizons_s) != 1:
-        raise InputError(
-            f"{len(power.horizons_s)} horizons for the power of a fixed step",
-            "one",
-            "Give one, 10 s, say.",
-        )
-    if power.hold != "current":
-        raise InputError(
-            f"a power of a fixed step with hold '{power.hold}'", "hold 'current'", "Give that."
         )
 
 

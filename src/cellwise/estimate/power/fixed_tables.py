@@ -1,0 +1,72 @@
+"""What the fixed step's state of power reads beside the step: lags over the horizon, limits."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cellwise.cell.effects import Hysteresis, SlowDiffusion, effect_table
+from cellwise.cell.model import CellModel
+from cellwise.errors import InputError
+from cellwise.typing import FloatArray
+
+if TYPE_CHECKING:
+    from cellwise.estimate.power.state_of_power import PowerSettings
+
+CURRENT_LIMIT_C = 200.0  # no cell gives that; a sensor fault does
+
+
+def lag(tau_s: FloatArray, over_s: float) -> FloatArray:
+    """1 / (1 - exp(-t / tau)): all but linear in tau, so it is interpolated as tau is."""
+    return np.asarray(-1.0 / np.expm1(-over_s / tau_s))
+
+
+def power_columns(model: CellModel, power: PowerSettings) -> dict[str, FloatArray]:
+    """What the power reads of the table beside the step's columns."""
+    (horizon_s,) = power.horizons_s
+    shape = (model.temperature_C.size, model.points)
+    tau3_s = effect_table(model.effect(SlowDiffusion).tau3_s, shape)
+    return {
+        "power_lag1": lag(model.tau1_s, horizon_s),
+        "power_lag2": lag(model.tau2_s, horizon_s),
+        "power_lag3": lag(tau3_s, horizon_s),
+    }
+
+
+def power_constants(model: CellModel, power: PowerSettings) -> dict[str, Any]:
+    """Horizon and limits; a current that nothing limits is as good as endless."""
+    (horizon_s,) = power.horizons_s
+    per_A = horizon_s / (3600.0 * model.capacity_Ah)
+    limits = power.known.scalars()
+    most_A = CURRENT_LIMIT_C * model.capacity_Ah
+    return {
+        "power_soc_per_A": per_A,
+        "power_A_per_soc": 1.0 / per_A,
+        "power_low_V": limits.low_V,
+        "power_high_V": limits.high_V,
+        "power_discharge_A": min(limits.discharge_A, most_A),
+        "power_charge_A": min(limits.charge_A, most_A),
+        "power_soc_low": limits.low_soc,
+        "power_soc_high": limits.high_soc,
+        "power_hysteresis_per_A": model.effect(Hysteresis).gamma * per_A,
+    }
+
+
+def check_power(power: PowerSettings) -> None:
+    """Refuse what the fixed step's power is not.
+
+    Raises
+    ------
+    InputError        several horizons, a power held
+    """
+    if len(power.horizons_s) != 1:
+        raise InputError(
+            f"{len(power.horizons_s)} horizons for the power of a fixed step",
+            "one",
+            "Give one, 10 s, say.",
+        )
+    if power.hold != "current":
+        raise InputError(
+            f"a power of a fixed step with hold '{power.hold}'", "hold 'current'", "Give that."
+        )
