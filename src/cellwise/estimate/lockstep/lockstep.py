@@ -108,7 +108,7 @@ class LockstepEkf:
         self._fast = step_table(self._tables.table, self.dt_s)
         unknown = self._ekf.start(0.5, 0.3)
         self._noise = self.noise.scalars(model)
-        self._rules = LockstepRules(unknown, self.cells, self.dt_s, _is_beyond(model))
+        self._rules = LockstepRules(*unknown, self.cells, self.dt_s, _is_beyond(model))
         padded = -(-self.cells // lanes.LANES) * lanes.LANES
         self._scratch = np.zeros((layout.SCRATCH_ROWS + layout.OUTPUTS) * lanes.LANES)
         self._scratch.reshape(-1, lanes.LANES)[layout.T_A3] = 1.0  # a third branch that is none

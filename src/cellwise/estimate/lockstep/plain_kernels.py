@@ -261,10 +261,14 @@ class LockstepRules(NamedTuple):
     """What stays from step to step: where a state begins, how many cells are real, the time.
 
     ``beyond``: the table of one time step does not hold all of the model; every cell takes the
-    EKF's own step.
+    EKF's own step. Flat, since Python hands it over with every step, and takes longer over records
+    within records.
     """
 
-    start: EkfStart
+    soc: float
+    variance: float
+    hysteresis_variance: float
+    temperature_C: float
     cells: int
     dt_s: float
     beyond: bool
@@ -291,7 +295,8 @@ def lockstep(
     per cell, a multiple of LANES of them, ``out`` OUTPUTS times as many.
     ``scratch`` is for one block.
     """
-    start, cells, dt_s, beyond = rules
+    soc0, variance, hysteresis_variance, unknown_C, cells, dt_s, beyond = rules
+    start = EkfStart(soc0, variance, hysteresis_variance, unknown_C)
     work = scratch[: SCRATCH_ROWS * LANES]
     shown = scratch[SCRATCH_ROWS * LANES :]
     table, grid, cell = tables.table, tables.grid_C, tables.cell
