@@ -22,11 +22,10 @@ AGE = frozenset(
     }
 )
 # Outside the temperatures that the model was measured at these are expected: one of a few ways.
-TEMPERATURE = frozenset(
-    {"temperature_dependence", "entropy", "surface_soc", "slow_diffusion", "self_heating"}
-)
-# Logs this far outside the model's temperatures are of a temperature it was not measured at [K].
-OUTSIDE_K = 8.0
+TEMPERATURE = frozenset({"entropy", "surface_soc", "slow_diffusion", "self_heating"})
+# There a law that was found at another temperature holds as rarely as a cause comes elsewhere.
+LAW = "temperature_dependence"
+LAW_HOLDS_NATS = math.log(50.0)
 
 
 @dataclass(frozen=True)
@@ -41,7 +40,8 @@ class Rarity:
         total = 0.0
         if self.extrapolated:
             total += FURTHER_AGE_NATS * len(left & TEMPERATURE)
-            left -= TEMPERATURE
+            total += 0.0 if LAW in left else LAW_HOLDS_NATS
+            left -= TEMPERATURE | {LAW}
         age = len(left & AGE)
         if age:
             total += ONE_CAUSE_NATS + FURTHER_AGE_NATS * (age - 1)
