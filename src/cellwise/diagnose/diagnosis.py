@@ -25,7 +25,7 @@ from cellwise.diagnose.decision.preconditions import (
     unseen_temperature_C,
 )
 from cellwise.diagnose.decision.rarity import ONE_CAUSE_NATS, Rarity
-from cellwise.diagnose.extension import extended_validity, parameters_of, value_of
+from cellwise.diagnose.extension import extended_validity, parameters_of, value_of, with_error_at
 from cellwise.diagnose.fit.calibration import calibrate
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.least_squares import Fit, held_rows
@@ -36,6 +36,7 @@ from cellwise.diagnose.fit.rmse import rmse
 from cellwise.diagnose.fit.rows import Evidence, gather
 from cellwise.diagnose.log_runs import (
     GivenLog,
+    LogRun,
     Step,
     log_runs,
     step_between,
@@ -246,7 +247,7 @@ def _diagnosis(
         seen = runs[: len(logs)]
         new = known.explained.model
         validity = extended_validity(new, corrected, [r.explained.soc0 for r in seen])
-        extended = replace(new, validity=validity)
+        extended = _with_own_error(replace(new, validity=validity), runs, fits)
         last = runs[len(logs) if holdout else 0]
         reference = reference_for(model, reference_Ah, [c.name for c in causes])
         gain, no_gain = soc_gain(model, extended, last, reference)
@@ -280,6 +281,16 @@ def _diagnosis(
         tuple(w for w in outcome.weighed if w.probability >= LEAST_WEIGHT),
         shown.inseparable,
     )
+
+
+def _with_own_error(new: CellModel, runs: Sequence[LogRun], fits: CauseFits) -> CellModel:
+    """A model with a further temperature states there what its error on these logs is."""
+    unseen_C = fits.coordinates.unseen_C
+    if unseen_C is None or unseen_C not in new.temperature_C:
+        return new
+    left = claim_checks(new, [replace(r, before=r.explained) for r in runs], fits.evidence)
+    times = math.sqrt(float(np.mean([c.times**2 for c in left])))
+    return with_error_at(new, unseen_C, max(times, 1.0))
 
 
 def _found_causes(

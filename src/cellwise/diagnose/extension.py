@@ -176,6 +176,17 @@ def extended_validity(model: CellModel, logs: Sequence[CellLog], soc0: Sequence[
     return model.validity.extended(joined(parts))
 
 
+def with_error_at(model: CellModel, temperature_C: float, times: float) -> CellModel:
+    """The model stating so many times the error that it stated at a temperature."""
+    known = dict(zip(model.error.temperature_C, model.error.temperature_factor, strict=True))
+    if not known:
+        known = {float(t): 1.0 for t in model.temperature_C}
+    known[temperature_C] = times * model.error.factor(temperature_C)
+    grid = tuple(sorted(known))
+    factor = tuple(known[t] for t in grid)
+    return replace(model, error=replace(model.error, temperature_C=grid, temperature_factor=factor))
+
+
 def correct_log(log: CellLog, coordinates: Coordinates, z: Mapping[str, float]) -> CellLog:
     """The log with what belongs to the instrument taken out: offset, gain, voltage offset, skew.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 from cellwise.diagnose.causes.coordinates import OCV_NAMES, UNSEEN_OCV_NAMES, UNSEEN_R_NAMES
 
@@ -278,11 +278,15 @@ CAUSES: dict[str, Cause] = {
     )
 }
 
-def _over_soc(name: str, unit: str, coordinates: tuple[str, ...], most: float, wide: float) -> Any:
-    places = (round(1000 * k / (len(coordinates) - 1)) for k in range(len(coordinates)))
+
+def _over_soc(
+    name: str, unit: str, coordinates: tuple[str, ...], most: float, wide: float
+) -> tuple[Parameter, ...]:
+    """The same parameter at even knots over SOC, in thousandths in its name."""
+    last, called = len(coordinates) - 1, unit.replace("/", "_per_")
     return tuple(
-        Parameter(f"{name}_{at:04d}_{unit.replace('/', '_per_')}", unit, 0.0, (-most, most), c, wide)
-        for at, c in zip(places, coordinates, strict=True)
+        Parameter(f"{name}_{1000 * k // last:04d}_{called}", unit, 0.0, (-most, most), c, wide)
+        for k, c in enumerate(coordinates)
     )
 
 

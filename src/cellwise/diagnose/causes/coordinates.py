@@ -329,6 +329,8 @@ class Coordinates:
             d[..., R0] = self.r_typical_ohm * t[..., R0] / before
         elif name == "docv_dT":
             d[..., ENTROPY] = 1.0
+        elif name in UNSEEN_NAMES and self.unseen_C is None:
+            pass  # every temperature is one that the model was measured at
         elif name in UNSEEN_R_NAMES:
             by_K = self.unseen_per_K * self._r_hats[UNSEEN_R_NAMES.index(name)]
             for c in _RESISTANCES:
