@@ -127,7 +127,7 @@ def diagnose(
     if evidence.rest.zero:
         chosen = [c for c in chosen if c.name != "current_offset"]
     shown = limits(fits, chosen, base, noise, ONE_CAUSE_NATS)
-    sets = Explanations(fits, Rarity(unseen_C is not None), progress)
+    sets = Explanations(fits, Rarity(unseen_C is not None, fits.same_age), progress)
     sets.search(chosen, base, noise)
     outcome = decide(sets)
     found = _diagnosis(model, groups[0], groups[1], fits, outcome, shown, reference_capacity_Ah)

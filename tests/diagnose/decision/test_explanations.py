@@ -14,8 +14,14 @@ from cellwise.cell.model import ModelError
 from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.decision.explanations import Explanations
-from cellwise.diagnose.decision.outcome import Outcome, decide
-from cellwise.diagnose.decision.rarity import FURTHER_AGE_NATS, ONE_CAUSE_NATS, Rarity
+from cellwise.diagnose.decision.outcome import Outcome, _of_named, decide
+from cellwise.diagnose.decision.rarity import (
+    BOTH_NATS,
+    FURTHER_AGE_NATS,
+    LAW_HOLDS_NATS,
+    ONE_CAUSE_NATS,
+    Rarity,
+)
 from cellwise.diagnose.decision.score_test import could_explain
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.least_squares import freeze
@@ -70,10 +76,21 @@ def test_a_cause_that_another_makes_needless_is_not_named():
 
 @pytest.mark.slow
 def test_two_that_only_explain_together_are_both_named():
-    found = decided(fits_of(1.1, 1.06))
+    found = decided(fits_of(0.85, 0.9))
     assert {c.name for c in found.causes} == {"current_gain", "capacity"}
-    assert np.exp(found.fit.z["ln_gain"]) == pytest.approx(1.06, abs=0.012)  # resistance: 1 %
-    assert np.exp(found.fit.z["ln_capacity"]) == pytest.approx(1.1, abs=0.015)
+    assert np.exp(found.fit.z["ln_gain"]) == pytest.approx(0.9, abs=0.012)  # resistance: 1 %
+    assert np.exp(found.fit.z["ln_capacity"]) == pytest.approx(0.85, abs=0.015)
+
+
+@pytest.mark.slow
+def test_named_causes_that_were_no_set_of_their_own_are_fitted_from_the_nearest():
+    sets = Explanations(fits_of(0.9, 1.0), Rarity())
+    sets.search([CAUSES["capacity"], CAUSES["time_skew"]], *sets.fits.base(sets.fits.prior))
+    both = frozenset({"capacity", "time_skew"})
+    sets.tried.setdefault(both, replace(sets.best(1)[0], causes=tuple(CAUSES[n] for n in both)))
+    del sets.tried[frozenset({"time_skew"})]
+    fit, _ = _of_named(sets, [CAUSES["time_skew"]])
+    assert "skew_s" in fit.z
 
 
 @pytest.mark.slow
@@ -118,6 +135,11 @@ def test_a_memory_that_the_model_has_is_tried_from_others_too():
 
 def test_what_age_does_at_once_is_one_coincidence():
     age = Rarity().nats(("capacity", "resistance_scale"))
-    assert age == pytest.approx(ONE_CAUSE_NATS + FURTHER_AGE_NATS)
+    assert age == pytest.approx(ONE_CAUSE_NATS + BOTH_NATS)
+    further = Rarity().nats(("capacity", "ocv_shift"))
+    assert further == pytest.approx(ONE_CAUSE_NATS + FURTHER_AGE_NATS)
     assert Rarity().nats(("time_skew", "voltage_offset")) == pytest.approx(2.0 * ONE_CAUSE_NATS)
-    assert Rarity(extrapolated=True).nats(("surface_soc",)) == pytest.approx(FURTHER_AGE_NATS)
+    cold = Rarity(extrapolated=True)
+    both = cold.nats(("temperature_dependence", "surface_soc"))
+    assert both == pytest.approx(FURTHER_AGE_NATS)
+    assert cold.nats(("surface_soc",)) == pytest.approx(FURTHER_AGE_NATS + LAW_HOLDS_NATS)

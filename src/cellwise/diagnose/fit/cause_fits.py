@@ -27,6 +27,7 @@ from cellwise.diagnose.fit.noise import (
     row_weights,
     stated_V,
 )
+from cellwise.diagnose.fit.physical_size import ln_size
 from cellwise.diagnose.fit.priors import widened_for
 from cellwise.diagnose.fit.rest_voltages import RestVoltages
 from cellwise.diagnose.fit.rmse import rmse
@@ -43,7 +44,8 @@ class CauseFits:
 
     ``prior`` are the tolerances, no cause estimated. ``known`` is what is known beforehand of how
     many times the model's stated error is left; ``stated_V`` (rows,) that error, ``weight`` (rows,)
-    how much each row counts. ``rests`` are the voltages at rest.
+    how much each row counts. ``rests`` are the voltages at rest; ``same_age`` says that a good log of the
+    same cell is known.
     """
 
     evidence: Evidence
@@ -52,6 +54,7 @@ class CauseFits:
     rests: RestVoltages
     seed: int
     known: KnownScale = field(default_factory=KnownScale)
+    same_age: bool = False
     stated_V: FloatArray = field(default_factory=lambda: np.ones(1))
     weight: FloatArray = field(default_factory=lambda: np.ones(1))
     _frozen: tuple[Fit, Frozen] | None = field(default=None, repr=False)
@@ -135,8 +138,10 @@ class CauseFits:
         self, found: Fit, noise: Noise, prior: Prior, causes: Iterable[Cause]
     ) -> Prediction:
         """How likely all rows are with the causes estimated, and what the logs read at rest."""
-        found_so = predict(self.objective(noise), found, prior, kept_coordinates(causes))
+        kept = kept_coordinates(causes)
+        found_so = predict(self.objective(noise), found, prior, kept)
         more = self.at_rest(found) + self.known.ln_density(noise.scale)
+        more += ln_size(found.z, kept, prior, self.same_age)
         return found_so._replace(total=found_so.total + more)
 
     def at_rest(self, found: Fit) -> float:

@@ -23,8 +23,8 @@ from cellwise.typing import FloatArray
 SHORTEST_S = 120.0
 # A reading is the mean over this share of the rest.
 READING = 0.05
-# How well a laboratory knows an OCV: share of the model's own slow error, least of all in volts.
-OCV_SHARE = 0.25
+# How well a model knows where a cell comes to rest: share of its own slow error, at least in volts.
+OCV_SHARE = 0.5
 OCV_LEAST_V = 0.0015
 # Entropy of usual electrodes [V/K]: what a temperature apart from the model's may add.
 ENTROPY_V_PER_K = 3e-4
@@ -67,7 +67,10 @@ class RestVoltages:
     starts: tuple[float, ...]
 
     def ln_likelihood(self, coordinates: Coordinates, z: Mapping[str, float]) -> float:
-        """Ln likelihood of a point; rests at the same SOC count as one."""
+        """Ln likelihood of a point; rests at the same SOC count as one.
+
+        Up to a constant: what widens the OCV (a hysteresis) makes every reading less likely.
+        """
         if not self.rests:
             return 0.0
         capacity = coordinates.capacity_Ah(z)
@@ -76,7 +79,10 @@ class RestVoltages:
         total = 0.0
         for rest, soc, place in zip(self.rests, socs, bins, strict=True):
             away = self.away(rest, float(soc), coordinates, z)
-            total -= 0.5 * away * away / float(np.sum(bins == place))
+            _, std = self._ocv(rest, float(soc), coordinates, z)
+            _, least = self._ocv(rest, float(soc), coordinates, {})
+            terms = 0.5 * away * away + math.log(std / least)
+            total -= terms / float(np.sum(bins == place))
         return total
 
     def contradiction(self, coordinates: Coordinates, z: Mapping[str, float]) -> str:
