@@ -44,8 +44,8 @@ class CauseFits:
 
     ``prior`` are the tolerances, no cause estimated. ``known`` is what is known beforehand of how
     many times the model's stated error is left; ``stated_V`` (rows,) that error, ``weight`` (rows,)
-    how much each row counts. ``rests`` are the voltages at rest; ``same_age`` says that a good log of the
-    same cell is known.
+    how much each row counts. ``rests`` are the voltages at rest; ``same_age`` says that a
+    good log of the same cell is known.
     """
 
     evidence: Evidence
