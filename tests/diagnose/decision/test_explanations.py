@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from cellwise import simulate
+from cellwise.cell.effects import RateDependence, SlowDiffusion
 from cellwise.cell.effects import SlowDiffusion
 from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import ModelError
@@ -36,10 +37,23 @@ SOC0 = 0.9
 TRIED = [CAUSES[n] for n in ("current_gain", "capacity", "voltage_offset", "time_skew")]
 
 
-def fits_of(capacity_share: float, gain: float) -> CauseFits:
-    """Two loads to fit, one held out, of another capacity whose current is read with a gain."""
-    model = replace(curved_cell(), error=ModelError(1e-3, (1e-3,), 60.0, 0.01))
+QUIET = ModelError(1e-3, (1e-3,), 60.0, 0.01)
+
+
+def fits_of(
+    capacity_share: float,
+    gain: float,
+    late_s: float = 0.0,
+    error: ModelError = QUIET,
+    rate_h: float = 0.0,
+) -> CauseFits:
+    """Two loads to fit, one held out, of another capacity whose current is read with a gain.
+
+    The voltage is logged late, and the cell's resistances fall with the rate.
+    """
+    model = replace(curved_cell(), error=error)
     cell = replace(model, capacity_Ah=capacity_share * model.capacity_Ah)
+    cell = cell.with_effect(RateDependence(rate_h))
     rng, logs = np.random.default_rng(5), []
     for _ in range(3):
         load = random_load(
@@ -48,6 +62,7 @@ def fits_of(capacity_share: float, gain: float) -> CauseFits:
         )  # fmt: skip
         log = CellLog(load.time_s, load.current_A, np.full(load.time_s.size, 3.7))
         voltage = simulate(cell, log, SOC0).voltage_V + rng.normal(0.0, 1e-3, load.time_s.size)
+        voltage = np.interp(load.time_s - late_s, load.time_s, voltage)
         log = replace(log, voltage_V=voltage, current_A=gain * load.current_A)
         logs.append((log, initial_soc(model, log, SOC0, 0.002)))
     evidence, coordinates = gather(model, logs[:2], logs[2:]), Coordinates(model)
@@ -91,6 +106,16 @@ def test_named_causes_that_were_no_set_of_their_own_are_fitted_from_the_nearest(
     del sets.tried[frozenset({"time_skew"})]
     fit, _ = _of_named(sets, [CAUSES["time_skew"]])
     assert "skew_s" in fit.z
+
+
+@pytest.mark.slow
+def test_beside_a_quick_error_the_models_own_counts_no_more_than_alone():
+    """A voltage 1.5 s late, of a model whose resistances err with the rate as much as it states."""
+    fits = fits_of(1.0, 1.0, late_s=1.5, error=ModelError(1e-3, (4e-3,), 600.0, 0.03), rate_h=0.05)
+    sets = Explanations(fits, Rarity())
+    tried = [CAUSES[n] for n in ("time_skew", "rate_dependence", "resistance_scale")]
+    sets.search(tried, *fits.base(fits.prior))
+    assert [c.name for c in decide(sets).causes] == ["time_skew"]
 
 
 @pytest.mark.slow

@@ -23,7 +23,6 @@ from cellwise.diagnose.fit.noise import (
     SHAPE_SHARE,
     KnownScale,
     Noise,
-    memory_of,
     row_weights,
     stated_V,
 )
@@ -71,10 +70,7 @@ class CauseFits:
         for _ in range(2):
             found = complete(self.objective(noise), found, prior)
             left = self.evidence.voltage_V - found.voltage_V
-            size, used = rmse(left, self._used()), self._used()
-            if size > rmse(stated, used):  # the residual is not the stated error
-                memory = memory_of(self.evidence, left, model.error.correlation_s)
-                self.weight = row_weights(self.evidence, memory, soc, memory_soc)
+            size = rmse(left, self._used())
             self.stated_V = np.hypot(stated, SHAPE_SHARE * size)
             noise = self.noise(found, prior)
             found = self.fit(noise, self.coordinates, prior, found.z, 4)
