@@ -33,7 +33,7 @@ from cellwise.diagnose.causes.current_kernels import shift_rows
 from cellwise.identify.validity import joined, log_validity
 from cellwise.logs.cell_log import CellLog
 
-# Effects that have tables over the temperatures: made anew from the tables of the point.
+# Effects that have tables over the temperatures: made again from the tables of the point.
 TABULATED = (SlowDiffusion, Hysteresis, Entropy)
 MEASURED_NAMES = (*CURRENT_NAMES, "offset_V")
 

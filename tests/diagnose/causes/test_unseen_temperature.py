@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cellwise.cell.effects import Hysteresis, SlowDiffusion, TemperatureDependence
-from cellwise.cell.initial_soc import InitialSoc
+from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.model import CellModel, ModelError
 from cellwise.cell.plausibility.validity import Validity
 from cellwise.cell.simulate import simulate

@@ -9,7 +9,6 @@ import pytest
 
 from cellwise import simulate
 from cellwise.cell.effects import RateDependence, SlowDiffusion
-from cellwise.cell.effects import SlowDiffusion
 from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import ModelError
 from cellwise.diagnose.causes.catalogue import CAUSES
