@@ -158,7 +158,8 @@ def _seen(cell: PublishedCell, world: World, drive: Drive) -> tuple[Array, Array
     A told SOC that is wrong is a start that is wrong for whoever believes it.
     """
     i = world.instrument
-    true_A = (drive.current_A - i.offset_A) / i.gain
+    # At rest the cell is cut off: nothing flows, whatever the sensor reads.
+    true_A = np.where(drive.current_A == 0.0, 0.0, (drive.current_A - i.offset_A) / i.gain)
     found = respond(cell, world.cell, drive.time_s, true_A, drive.soc0 - i.soc0_shift)
     rows = found.voltage_V.size
     time = drive.time_s[:rows]
@@ -174,7 +175,8 @@ def _log(
     voltage, surface = _seen(cell, world, drive)
     rows = voltage.size
     noise, q = rng.standard_normal((3, rows)), capacity_Ah(cell)
-    current = shown(drive.current_A[:rows] + CURRENT_NOISE * q * noise[0], CURRENT_STEP * q)
+    read_A = np.where(drive.current_A == 0.0, world.instrument.offset_A, drive.current_A)[:rows]
+    current = shown(read_A + CURRENT_NOISE * q * noise[0], CURRENT_STEP * q)
     voltage = shown(voltage + VOLTAGE_NOISE_V * noise[1], VOLTAGE_STEP_V)
     current, voltage = faulty(world.instrument, current, voltage, rng)
     temperature = shown(surface + TEMPERATURE_NOISE_C * noise[2], TEMPERATURE_STEP_C)

@@ -36,6 +36,20 @@ def with_rows(log, channel, rows, values):
     return replace(log, **{channel: changed})
 
 
+@pytest.mark.parametrize("late_s", [0.0, 0.9, 2.7])
+def test_edges_that_are_logged_late_are_no_spikes(late_s):
+    """At 10 Hz a second is many rows: what the voltage does there the current did long before."""
+    rows, model = 6000, curved_cell()
+    time = 0.1 * np.arange(float(rows))
+    current = np.where((np.arange(rows) // 300) % 2 == 0, 0.0, 6.0)
+    voltage = simulate(model, CellLog(time, current, np.full(rows, 3.7)), 0.9).voltage_V
+    late = np.interp(time - late_s, time, voltage)
+    between = np.interp(time - late_s - 0.04, time, voltage)  # sampled on its way, too
+    noise = 2e-4 * np.random.default_rng(4).standard_normal(rows)
+    for seen in (late, between):
+        assert clean(CellLog(time, current, seen + noise))[1] == ()
+
+
 def test_a_clean_drive_has_no_faults_and_is_not_touched(drive):
     same, faults = clean(drive)
     assert same is drive

@@ -13,15 +13,19 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.point_kernels import R3, TAU2, TAU3
 from cellwise.diagnose.anatomy import anatomy
 from cellwise.diagnose.applied import Applied, applied, apply, kept
-from cellwise.diagnose.causes.catalogue import CAUSES, Cause
+from cellwise.diagnose.causes.catalogue import CAUSES, UNSEEN_TEMPERATURE, Cause
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.decision.claim import claim_checks
 from cellwise.diagnose.decision.explanations import Explanation, Explanations, Progress
 from cellwise.diagnose.decision.outcome import Accepted, Outcome, decide
 from cellwise.diagnose.decision.posterior import LEAST_WEIGHT, probability_of
-from cellwise.diagnose.decision.preconditions import another_cell, too_little
-from cellwise.diagnose.decision.rarity import ONE_CAUSE_NATS, OUTSIDE_K, Rarity
-from cellwise.diagnose.extension import extended_validity, parameters_of, value_of
+from cellwise.diagnose.decision.preconditions import (
+    another_cell,
+    too_little,
+    unseen_temperature_C,
+)
+from cellwise.diagnose.decision.rarity import ONE_CAUSE_NATS, Rarity
+from cellwise.diagnose.extension import extended_validity, parameters_of, value_of, with_error_at
 from cellwise.diagnose.fit.calibration import calibrate
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.least_squares import Fit, held_rows
@@ -32,6 +36,7 @@ from cellwise.diagnose.fit.rmse import rmse
 from cellwise.diagnose.fit.rows import Evidence, gather
 from cellwise.diagnose.log_runs import (
     GivenLog,
+    LogRun,
     Step,
     log_runs,
     step_between,
@@ -107,7 +112,10 @@ def diagnose(
         return said(_undetermined(model, starts, missing))
     slowest = _slowest(model)
     evidence = gather(model, starts[0], starts[1], slowest)
-    coordinates = Coordinates(model)
+    unseen_C = unseen_temperature_C(model, evidence)
+    coordinates = Coordinates(model, unseen_C=unseen_C)
+    if unseen_C is not None:
+        chosen = [UNSEEN_TEMPERATURE if c.name == UNSEEN_TEMPERATURE.name else c for c in chosen]
     chosen = [c for c in chosen if all(coordinates.possible(n) for n in c.coordinates)]
     fits = _cause_fits(evidence, coordinates, seed)
     if groups[2]:
@@ -119,7 +127,7 @@ def diagnose(
     if evidence.rest.zero:
         chosen = [c for c in chosen if c.name != "current_offset"]
     shown = limits(fits, chosen, base, noise, ONE_CAUSE_NATS)
-    sets = Explanations(fits, Rarity(_extrapolated(model, evidence)), progress)
+    sets = Explanations(fits, Rarity(unseen_C is not None, fits.same_age), progress)
     sets.search(chosen, base, noise)
     outcome = decide(sets)
     found = _diagnosis(model, groups[0], groups[1], fits, outcome, shown, reference_capacity_Ah)
@@ -208,13 +216,6 @@ def _cause_fits(evidence: Evidence, coordinates: Coordinates, seed: int) -> Caus
     )
 
 
-def _extrapolated(model: CellModel, evidence: Evidence) -> bool:
-    """Whether the logs' temperature is one that the model was not measured at."""
-    middle = float(np.median(np.concatenate([g.temperature_C for g in evidence.logs])))
-    coldest, warmest = float(np.min(model.temperature_C)), float(np.max(model.temperature_C))
-    return middle < coldest - OUTSIDE_K or middle > warmest + OUTSIDE_K
-
-
 def _diagnosis(
     model: CellModel,
     logs: tuple[CellLog, ...],
@@ -246,7 +247,7 @@ def _diagnosis(
         seen = runs[: len(logs)]
         new = known.explained.model
         validity = extended_validity(new, corrected, [r.explained.soc0 for r in seen])
-        extended = replace(new, validity=validity)
+        extended = _with_own_error(replace(new, validity=validity), runs, fits)
         last = runs[len(logs) if holdout else 0]
         reference = reference_for(model, reference_Ah, [c.name for c in causes])
         gain, no_gain = soc_gain(model, extended, last, reference)
@@ -280,6 +281,16 @@ def _diagnosis(
         tuple(w for w in outcome.weighed if w.probability >= LEAST_WEIGHT),
         shown.inseparable,
     )
+
+
+def _with_own_error(new: CellModel, runs: Sequence[LogRun], fits: CauseFits) -> CellModel:
+    """A model with a further temperature states there what its error on these logs is."""
+    unseen_C = fits.coordinates.unseen_C
+    if unseen_C is None or unseen_C not in new.temperature_C:
+        return new
+    left = claim_checks(new, [replace(r, before=r.explained) for r in runs], fits.evidence)
+    times = math.sqrt(float(np.mean([c.times**2 for c in left])))
+    return with_error_at(new, unseen_C, max(times, 1.0))
 
 
 def _found_causes(

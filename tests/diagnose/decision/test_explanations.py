@@ -8,14 +8,20 @@ import numpy as np
 import pytest
 
 from cellwise import simulate
-from cellwise.cell.effects import SlowDiffusion
+from cellwise.cell.effects import RateDependence, SlowDiffusion
 from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import ModelError
 from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.decision.explanations import Explanations
-from cellwise.diagnose.decision.outcome import Outcome, decide
-from cellwise.diagnose.decision.rarity import FURTHER_AGE_NATS, ONE_CAUSE_NATS, Rarity
+from cellwise.diagnose.decision.outcome import Outcome, _of_named, decide
+from cellwise.diagnose.decision.rarity import (
+    BOTH_NATS,
+    FURTHER_AGE_NATS,
+    LAW_HOLDS_NATS,
+    ONE_CAUSE_NATS,
+    Rarity,
+)
 from cellwise.diagnose.decision.score_test import could_explain
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.least_squares import freeze
@@ -30,10 +36,23 @@ SOC0 = 0.9
 TRIED = [CAUSES[n] for n in ("current_gain", "capacity", "voltage_offset", "time_skew")]
 
 
-def fits_of(capacity_share: float, gain: float) -> CauseFits:
-    """Two loads to fit, one held out, of another capacity whose current is read with a gain."""
-    model = replace(curved_cell(), error=ModelError(1e-3, (1e-3,), 60.0, 0.01))
+QUIET = ModelError(1e-3, (1e-3,), 60.0, 0.01)
+
+
+def fits_of(
+    capacity_share: float,
+    gain: float,
+    late_s: float = 0.0,
+    error: ModelError = QUIET,
+    rate_h: float = 0.0,
+) -> CauseFits:
+    """Two loads to fit, one held out, of another capacity whose current is read with a gain.
+
+    The voltage is logged late, and the cell's resistances fall with the rate.
+    """
+    model = replace(curved_cell(), error=error)
     cell = replace(model, capacity_Ah=capacity_share * model.capacity_Ah)
+    cell = cell.with_effect(RateDependence(rate_h))
     rng, logs = np.random.default_rng(5), []
     for _ in range(3):
         load = random_load(
@@ -42,6 +61,7 @@ def fits_of(capacity_share: float, gain: float) -> CauseFits:
         )  # fmt: skip
         log = CellLog(load.time_s, load.current_A, np.full(load.time_s.size, 3.7))
         voltage = simulate(cell, log, SOC0).voltage_V + rng.normal(0.0, 1e-3, load.time_s.size)
+        voltage = np.interp(load.time_s - late_s, load.time_s, voltage)
         log = replace(log, voltage_V=voltage, current_A=gain * load.current_A)
         logs.append((log, initial_soc(model, log, SOC0, 0.002)))
     evidence, coordinates = gather(model, logs[:2], logs[2:]), Coordinates(model)
@@ -70,10 +90,31 @@ def test_a_cause_that_another_makes_needless_is_not_named():
 
 @pytest.mark.slow
 def test_two_that_only_explain_together_are_both_named():
-    found = decided(fits_of(1.1, 1.06))
+    found = decided(fits_of(0.85, 0.9))
     assert {c.name for c in found.causes} == {"current_gain", "capacity"}
-    assert np.exp(found.fit.z["ln_gain"]) == pytest.approx(1.06, abs=0.012)  # resistance: 1 %
-    assert np.exp(found.fit.z["ln_capacity"]) == pytest.approx(1.1, abs=0.015)
+    assert np.exp(found.fit.z["ln_gain"]) == pytest.approx(0.9, abs=0.012)  # resistance: 1 %
+    assert np.exp(found.fit.z["ln_capacity"]) == pytest.approx(0.85, abs=0.015)
+
+
+@pytest.mark.slow
+def test_named_causes_that_were_no_set_of_their_own_are_fitted_from_the_nearest():
+    sets = Explanations(fits_of(0.9, 1.0), Rarity())
+    sets.search([CAUSES["capacity"], CAUSES["time_skew"]], *sets.fits.base(sets.fits.prior))
+    both = frozenset({"capacity", "time_skew"})
+    sets.tried.setdefault(both, replace(sets.best(1)[0], causes=tuple(CAUSES[n] for n in both)))
+    del sets.tried[frozenset({"time_skew"})]
+    fit, _ = _of_named(sets, [CAUSES["time_skew"]])
+    assert "skew_s" in fit.z
+
+
+@pytest.mark.slow
+def test_beside_a_quick_error_the_models_own_counts_no_more_than_alone():
+    """A voltage 1.5 s late, of a model whose resistances err with the rate as much as it states."""
+    fits = fits_of(1.0, 1.0, late_s=1.5, error=ModelError(1e-3, (4e-3,), 600.0, 0.03), rate_h=0.05)
+    sets = Explanations(fits, Rarity())
+    tried = [CAUSES[n] for n in ("time_skew", "rate_dependence", "resistance_scale")]
+    sets.search(tried, *fits.base(fits.prior))
+    assert [c.name for c in decide(sets).causes] == ["time_skew"]
 
 
 @pytest.mark.slow
@@ -118,6 +159,11 @@ def test_a_memory_that_the_model_has_is_tried_from_others_too():
 
 def test_what_age_does_at_once_is_one_coincidence():
     age = Rarity().nats(("capacity", "resistance_scale"))
-    assert age == pytest.approx(ONE_CAUSE_NATS + FURTHER_AGE_NATS)
+    assert age == pytest.approx(ONE_CAUSE_NATS + BOTH_NATS)
+    further = Rarity().nats(("capacity", "ocv_shift"))
+    assert further == pytest.approx(ONE_CAUSE_NATS + FURTHER_AGE_NATS)
     assert Rarity().nats(("time_skew", "voltage_offset")) == pytest.approx(2.0 * ONE_CAUSE_NATS)
-    assert Rarity(extrapolated=True).nats(("surface_soc",)) == pytest.approx(FURTHER_AGE_NATS)
+    cold = Rarity(extrapolated=True)
+    both = cold.nats(("temperature_dependence", "surface_soc"))
+    assert both == pytest.approx(FURTHER_AGE_NATS)
+    assert cold.nats(("surface_soc",)) == pytest.approx(FURTHER_AGE_NATS + LAW_HOLDS_NATS)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cellwise.cell.effects import SlowDiffusion
 from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.simulate import simulate
 from cellwise.diagnose.causes.catalogue import CAUSES
@@ -112,3 +113,14 @@ def test_an_error_within_the_claim_is_not_beyond_it():
     (bad,) = claim_checks(CELL, log_runs(CELL, with_use([(bad_log, start)], 1)), evidence)
     assert bad.beyond
     assert f"{1e3 * bad.rmse_V:.1f} mV" in bad.text()
+
+
+def test_a_limit_that_no_number_holds_is_none():
+    """With a slow branch of next to nothing no log shows how many times as large it is."""
+    tiny = CELL.with_effect(SlowDiffusion(1e-9, 900.0))
+    evidence = gather(tiny, [started(1500)])
+    coordinates = Coordinates(tiny)
+    rests = rest_voltages(evidence.logs, tiny.capacity_Ah, 1.0)
+    own = CauseFits(evidence, coordinates, tolerances(coordinates, evidence), rests, 0)
+    found = limits(own, [CAUSES["slow_diffusion"]], own.base(own.prior)[0], NOISE, LEAST_SCORE)
+    assert found.sizes == {}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import invgamma, norm
 
-from cellwise.diagnose.fit.noise import KnownScale, memory_of, row_weights
+from cellwise.diagnose.fit.noise import KnownScale, row_weights
 from cellwise.diagnose.fit.rows import FITTED, IGNORED
 
 ROWS = 4001
@@ -32,12 +32,6 @@ def test_rows_count_as_many_errors_as_their_time_holds():
 
 def test_a_row_is_one_error_at_most():
     assert np.all(row_weights(evidence(), memory_s=1e-3) <= 1.0)
-
-
-def test_an_error_that_is_forgotten_sooner_than_stated_counts_by_its_own_memory():
-    quick = np.random.default_rng(0).normal(0.0, 1e-3, ROWS)
-    assert memory_of(evidence(), quick, 300.0) < 5.0
-    assert memory_of(evidence(), np.full(ROWS, 1e-3), 300.0) == 300.0
 
 
 def test_the_scale_is_the_most_likely_one_under_its_prior():

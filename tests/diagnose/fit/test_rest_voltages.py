@@ -8,28 +8,31 @@ import numpy as np
 import pytest
 
 from cellwise.cell.initial_soc.initial_soc import initial_soc
+from cellwise.cell.model import ModelError
 from cellwise.cell.simulate import simulate
 from cellwise.diagnose.causes.coordinates import Coordinates
+from cellwise.diagnose.causes.electrodes import Electrodes
+from cellwise.diagnose.extension import extend_model
 from cellwise.diagnose.fit.rest_current import rest_reading
 from cellwise.diagnose.fit.rest_voltages import rest_voltages
 from cellwise.diagnose.fit.rows import gather
 from cellwise.logs.cell_log import CellLog
-from example_cells import curved_cell
+from example_cells import curved_cell, linear_cell
 
 CELL = curved_cell()
 RELAX_S = 400
 
 
-def discharged(shape, rest_s=RELAX_S, charge=False):
+def discharged(shape, rest_s=RELAX_S, charge=False, cell=CELL):
     """An hour at C/2, then a rest whose voltage goes to the OCV as ``shape(t)`` goes to zero."""
-    current = np.full(3600, (-0.5 if charge else 0.5) * CELL.capacity_Ah)
+    current = np.full(3600, (-0.5 if charge else 0.5) * cell.capacity_Ah)
     time = np.arange(3600.0 + rest_s)
     log = CellLog(time, np.concatenate((current, np.zeros(rest_s))), np.full(time.size, 3.7))
     start = 0.3 if charge else 0.9
-    end = start - float(np.sum(current[1:])) / 3600.0 / CELL.capacity_Ah
-    ocv = float(np.interp(end, CELL.soc, CELL.ocv_V[0]))
+    end = start - float(np.sum(current[1:])) / 3600.0 / cell.capacity_Ah
+    ocv = float(np.interp(end, cell.soc, cell.ocv_V[0]))
     sign = -1.0 if charge else 1.0
-    voltage = simulate(CELL, log, start).voltage_V.copy()
+    voltage = simulate(cell, log, start).voltage_V.copy()
     voltage[3600:] = ocv - sign * shape(np.arange(rest_s) + 1.0)
     return replace(log, voltage_V=voltage), start, end, ocv
 
@@ -110,3 +113,18 @@ def test_a_sensor_that_reads_nothing_at_rest_has_no_offset():
     load = rest_reading([shifted], CELL.capacity_Ah)
     assert not load.zero  # a load that never switches off looks the same
     assert load.ln_likelihood({}) > -13.0
+
+
+def test_lithium_that_was_lost_is_a_claim_on_charge():
+    """An hour at C/2 ends where the smaller capacity says, on the OCV of the aged electrodes."""
+    soc = np.linspace(0.0, 1.0, 101)
+    fresh = Electrodes("graphite with SiOx", "NMC 811", (0.03, 0.90, 0.86, 0.27), 0.0)
+    known = linear_cell(101, ocv_V=fresh.ocv(soc), error=ModelError(1e-3, (2e-3,), 300.0, 0.02))
+    coordinates = Coordinates(known)
+    aged = {"lithium_loss": 0.1}
+    model = extend_model(coordinates, aged, {})
+    log, start, _, _ = discharged(lambda t: 0.0 * t, cell=model)
+    rows = gather(coordinates.model, [(log, initial_soc(coordinates.model, log, start, 0.002))])
+    rests = rest_voltages(rows.logs, coordinates.model.capacity_Ah, 1.0)
+    assert rests.ln_likelihood(coordinates, aged) > -0.1
+    assert rests.ln_likelihood(coordinates, {}) < -2.0

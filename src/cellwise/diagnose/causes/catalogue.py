@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
-from cellwise.diagnose.causes.coordinates import OCV_NAMES
+from cellwise.diagnose.causes.coordinates import OCV_NAMES, UNSEEN_OCV_NAMES, UNSEEN_R_NAMES
 
 Kind = Literal["measurement", "start", "cell"]
 
@@ -277,6 +277,34 @@ CAUSES: dict[str, Cause] = {
         ),
     )
 }
+
+
+def _over_soc(
+    name: str, unit: str, coordinates: tuple[str, ...], most: float, wide: float
+) -> tuple[Parameter, ...]:
+    """The same parameter at even knots over SOC, in thousandths in its name."""
+    last, called = len(coordinates) - 1, unit.replace("/", "_per_")
+    return tuple(
+        Parameter(f"{name}_{1000 * k // last:04d}_{called}", unit, 0.0, (-most, most), c, wide)
+        for k, c in enumerate(coordinates)
+    )
+
+
+# At a temperature that the model was not measured at its law is an extrapolation, for every
+# process by another activation: electrolytes have 15 to 20 kJ/mol, diffusion 20 to 50, charge
+# transfer 30 to 80 (R times 2000 to 9600 K; Waldmann et al. 2014,
+# 10.1016/j.jpowsour.2014.03.112; Jow et al. 2012, 10.1149/2.029205jes), and what each has of a
+# resistance differs with the SOC. Entropies of usual electrodes move the OCV by 0.1 to 0.5 mV/K
+# (Viswanathan et al. 2010, 10.1016/j.jpowsour.2009.11.103).
+UNSEEN_TEMPERATURE = replace(
+    CAUSES["temperature_dependence"],
+    meaning="Resistances and OCV at a temperature that the model was not measured at.",
+    parameters=(
+        *CAUSES["temperature_dependence"].parameters,
+        *_over_soc("activation", "K", UNSEEN_R_NAMES, 10000.0, 2000.0),
+        *_over_soc("docv_dT", "V/K", UNSEEN_OCV_NAMES, 2e-3, 3e-4),
+    ),
+)
 
 # Found before any fit, in the logs alone (:mod:`cellwise.diagnose.sensor_faults`).
 SENSOR_FAULT = Cause(

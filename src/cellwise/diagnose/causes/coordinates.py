@@ -49,6 +49,11 @@ LOSS_STEP = 1e-4
 OCV_NAMES = tuple(f"ocv_{k}" for k in range(OCV_KNOTS))
 R_NAMES = tuple(f"ln_r_{k}" for k in range(R_KNOTS))
 LOSS_NAMES = ("lithium_loss", "negative_loss", "positive_loss")
+# At a temperature that the model was not measured at, beside what its own law says: activation of
+# all resistances and slope of the OCV, at knots over SOC.
+UNSEEN_R_NAMES = tuple(f"unseen_r_{k}_K" for k in range(R_KNOTS))
+UNSEEN_OCV_NAMES = tuple(f"unseen_ocv_{k}_V_per_K" for k in range(R_KNOTS))
+UNSEEN_NAMES = (*UNSEEN_R_NAMES, *UNSEEN_OCV_NAMES)
 BRANCH_NAMES = ("r0_K", "tau_K")
 SHARED = (
     "offset_A",
@@ -80,6 +85,7 @@ SHARED = (
     "docv_dT",
     *LOSS_NAMES,
     *BRANCH_NAMES,
+    *UNSEEN_NAMES,
 )
 # Where each enters: the current, the table or the scalars of the cell.
 CURRENT_NAMES = ("offset_A", "ln_gain", "skew_s")
@@ -110,13 +116,23 @@ class Coordinates:
     ``r3`` is the resistance of the slow branch over the median R0 where the model has no such
     branch, and the logarithm of a factor where it has one; ``ln_tau3``, ``ln_gamma`` and
     ``ln_thermal_s`` are about the model's values or the START values above.
+
+    ``unseen_C`` is a temperature that the model was not measured at: its tables are held there a
+    second time, so that they can change there alone.
     """
 
     model: CellModel
     shapes: Mapping[str, float] = field(default_factory=dict)
+    unseen_C: float | None = None
 
     def __post_init__(self) -> None:
         table, grid, scalars = self.model.parameters()
+        row = -1
+        if self.unseen_C is not None:
+            row = 0 if self.unseen_C < grid[0] else grid.size
+            table = np.insert(table, row, table[min(row, grid.size - 1)], axis=0)
+            grid = np.insert(grid, row, self.unseen_C)
+        object.__setattr__(self, "_row", row)
         slow = self.model.effect(SlowDiffusion)
         object.__setattr__(self, "has_slow", bool(np.any(slow.r3_ohm)))
         object.__setattr__(self, "has_hysteresis", bool(np.any(self.model.effect(Hysteresis).m_V)))
@@ -135,6 +151,23 @@ class Coordinates:
     _scalars: CellScalars = field(init=False)
     _hats: FloatArray = field(init=False)
     _r_hats: FloatArray = field(init=False)
+    _row: int = field(init=False)
+
+    @property
+    def grid_C(self) -> FloatArray:
+        """Temperatures of the tables."""
+        return self._grid
+
+    @property
+    def unseen_from_C(self) -> float:
+        """The temperature of the model that is nearest to the unseen one."""
+        return float(self._grid[1 if self._row == 0 else self._row - 1])
+
+    @property
+    def unseen_per_K(self) -> float:
+        """1/T at the unseen temperature over that of the nearest one of the model [1/K]."""
+        unseen_K = self._grid[self._row] + ZERO_CELSIUS_K
+        return float(1.0 / unseen_K - 1.0 / (self.unseen_from_C + ZERO_CELSIUS_K))
 
     @property
     def tau3_s(self) -> float:
@@ -176,6 +209,8 @@ class Coordinates:
 
     def possible(self, name: str) -> bool:
         """Whether a coordinate means something for this model and these logs."""
+        if name in UNSEEN_NAMES:
+            return self.unseen_C is not None
         return name not in LOSS_NAMES or self.electrodes is not None
 
     def value_of(self, name: str, x: float) -> float:
@@ -204,6 +239,11 @@ class Coordinates:
         high, low = (self._aged({**z, name: at + s * LOSS_STEP}) for s in (1.0, -1.0))
         share = (high[1] - low[1]) / (2.0 * LOSS_STEP * self._aged(z)[1])
         return (high[0] - low[0]) / (2.0 * LOSS_STEP), share
+
+    def capacity_Ah(self, z: Mapping[str, float]) -> float:
+        """What the cell holds at a point, after what its electrodes have lost [Ah]."""
+        own = self.model.capacity_Ah * math.exp(z.get("ln_capacity", 0.0))
+        return own * self._aged(z)[1]
 
     def _factor(self, z: Mapping[str, float]) -> FloatArray:
         """What all resistances have in common, over SOC."""
@@ -241,6 +281,11 @@ class Coordinates:
             t[..., TAU3] = self.tau3_s * math.exp(at("ln_tau3"))
         t[..., M] += at("m_V")
         t[..., ENTROPY] += at("docv_dT")
+        if self.unseen_C is not None:
+            more_K = np.array([at(n) for n in UNSEEN_R_NAMES]) @ self._r_hats
+            t[self._row, :, list(_RESISTANCES)] *= np.exp(more_K * self.unseen_per_K)
+            slope = np.array([at(n) for n in UNSEEN_OCV_NAMES]) @ self._r_hats
+            t[self._row, :, OCV] += slope * (self.unseen_C - self.unseen_from_C)
         branches = any(n in z for n in BRANCH_NAMES)
         scalars = base._replace(
             charge_As=base.charge_As * math.exp(at("ln_capacity")) * share,
@@ -284,6 +329,15 @@ class Coordinates:
             d[..., R0] = self.r_typical_ohm * t[..., R0] / before
         elif name == "docv_dT":
             d[..., ENTROPY] = 1.0
+        elif name in UNSEEN_NAMES and self.unseen_C is None:
+            pass  # every temperature is one that the model was measured at
+        elif name in UNSEEN_R_NAMES:
+            by_K = self.unseen_per_K * self._r_hats[UNSEEN_R_NAMES.index(name)]
+            for c in _RESISTANCES:
+                d[self._row, :, c] = t[self._row, :, c] * by_K
+        elif name in UNSEEN_OCV_NAMES and self.unseen_C is not None:
+            away = self.unseen_C - self.unseen_from_C
+            d[self._row, :, OCV] = away * self._r_hats[UNSEEN_OCV_NAMES.index(name)]
         elif name in OCV_NAMES:
             d[..., OCV] = self._hats[OCV_NAMES.index(name)]
         elif name in R_NAMES:
@@ -357,6 +411,7 @@ def _hats(points: int, knots: int) -> FloatArray:
     return np.array([np.interp(soc, places, row) for row in np.eye(knots)])
 
 
+_RESISTANCES = (R0, R1, R2, R3)
 _TAU_ACTIVATIONS = ("tau1_activation_K", "tau2_activation_K", "tau3_activation_K")
 _SINGLE = {
     "ln_r0": R0,

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.stats import f as f_distribution
 
 from cellwise.cell.model import CellModel
+from cellwise.diagnose.fit.noise import STATED_ERRORS
 from cellwise.diagnose.fit.rows import Evidence
 from cellwise.diagnose.log_runs import LogRun
 from cellwise.typing import FloatArray
@@ -51,8 +52,9 @@ def claim_checks(
 
     The claim at a row is the model's slow error at its SOC, its share of the polarisation,
     its noise, and what the initial SOC leaves uncertain through the slope of the OCV. The slow part
-    stays for ``correlation_s``, so that a log holds few independent errors: the mean square over
-    the claim's is compared with chi-square of as many degrees of freedom.
+    stays for ``correlation_s``, so that a log holds few independent errors, and the claim itself
+    comes from few (``STATED_ERRORS``): the mean square over the claim's is compared with the F
+    distribution of as many degrees of freedom.
     """
     found = []
     for run, rows in zip(runs, evidence.logs, strict=True):
@@ -74,7 +76,7 @@ def claim_checks(
             continue
         times2 = float(np.mean(error[known] ** 2 / claim2[known]))
         freedom = 1.0 + run.log.duration_s / (2.0 * max(model.error.correlation_s, 1.0))
-        most2 = float(chi2.isf(RARE, freedom)) / freedom
+        most2 = float(f_distribution.isf(RARE, freedom, STATED_ERRORS))
         found.append(
             ClaimCheck(
                 run.log.name,

@@ -74,8 +74,10 @@ class Explanations:
 
     def odds(self, one: Explanation) -> float:
         """Ln of the odds of a set against no cause, up to the weight of blocks [nats]."""
-        none = self.tried[frozenset()]
-        return one.found.total - none.found.total - self.rarity.nats(one.names)
+        return self._gain(one) - self.rarity.nats(one.names)
+
+    def _gain(self, one: Explanation) -> float:
+        return one.found.total - self.tried[frozenset()].found.total
 
     def best(self, many: int, size: int | None = None) -> list[Explanation]:
         """The likeliest sets, of one size or of any."""
@@ -133,6 +135,11 @@ class Explanations:
         if not start.causes:
             return left
         most = could_explain(self.fits, left, start.fit, start.prior, frozen)
+        for cause in left:
+            if cause.beginnings:  # one step from neutral does not see it; alone it was searched
+                alone = self.tried.get(frozenset({cause.name}))
+                gain = 0.0 if alone is None else self._gain(alone)
+                most[cause.name] = max(most[cause.name], gain)
         own = self.rarity.nats(start.names)
         price = {c.name: self.rarity.nats((*start.names, c.name)) - own for c in left}
         worth = [c for c in left if most[c.name] > price[c.name]]

@@ -92,10 +92,11 @@ def _accepted(sets: Explanations, cause: Cause) -> Accepted:
 
 def _of_named(sets: Explanations, causes: Sequence[Cause]) -> tuple[Fit, Noise]:
     """The named causes alone: what the others of their likeliest set explain is left."""
-    own = sets.tried.get(frozenset(c.name for c in causes))
+    names = frozenset(c.name for c in causes)
+    own = sets.tried.get(names)
     if own is not None:
         return own.fit, own.noise
-    near = next(e for e in sets.best(len(sets.tried)) if set(causes) <= set(e.causes))
+    near = next(e for e in sets.best(len(sets.tried)) if names <= e.key)
     return sets.fits.fit_causes(causes, near.fit, near.noise), near.noise
 
 

@@ -18,6 +18,8 @@ QUIET_C = 0.02
 # A cell of the model's kind stays within this of its OCV and drops, whatever its age.
 OTHER_CELL_V = 0.12
 OTHER_CELL_SOC = 0.25
+# Logs this far outside the model's temperatures are of a temperature it was not measured at [K].
+OUTSIDE_K = 8.0
 
 
 def too_little(model: CellModel, logs: Sequence[CellLog]) -> str:
@@ -64,3 +66,11 @@ def another_cell(model: CellModel, evidence: Evidence, base: Fit, soc: FloatArra
     if error > OTHER_CELL_V:
         return f"the model is {1e3 * error:.0f} mV off in the median, more than any fault explains"
     return ""
+
+
+def unseen_temperature_C(model: CellModel, evidence: Evidence) -> float | None:
+    """The logs' temperature where the model was not measured at it; None where it was."""
+    middle = float(np.median(np.concatenate([g.temperature_C for g in evidence.logs])))
+    seen = [*model.temperature_C, *(model.validity.temperature_C or ())]
+    inside = float(min(seen)) - OUTSIDE_K <= middle <= float(max(seen)) + OUTSIDE_K
+    return None if inside else middle

@@ -10,6 +10,9 @@ from dataclasses import dataclass
 ONE_CAUSE_NATS = math.log(50.0 * 20.0)
 # A cell ages as a whole: what else age does is no second coincidence, only one of a few ways.
 FURTHER_AGE_NATS = math.log(10.0)
+# What has lost charge has grown in resistance as often as not.
+BOTH_NATS = math.log(2.0)
+RESISTANCE = frozenset({"resistance_scale", "ohmic_resistance"})
 AGE = frozenset(
     {
         "capacity",
@@ -22,18 +25,22 @@ AGE = frozenset(
     }
 )
 # Outside the temperatures that the model was measured at these are expected: one of a few ways.
-TEMPERATURE = frozenset(
-    {"temperature_dependence", "entropy", "surface_soc", "slow_diffusion", "self_heating"}
-)
-# Logs this far outside the model's temperatures are of a temperature it was not measured at [K].
-OUTSIDE_K = 8.0
+TEMPERATURE = frozenset({"entropy", "surface_soc", "slow_diffusion", "self_heating"})
+# There a law that was found at another temperature holds as rarely as a cause comes elsewhere.
+LAW = "temperature_dependence"
+LAW_HOLDS_NATS = math.log(50.0)
 
 
 @dataclass(frozen=True)
 class Rarity:
-    """``extrapolated``: the logs' temperature lies outside the model's."""
+    """How rare sets are in one diagnosis.
+
+    ``extrapolated``: the logs' temperature lies outside the model's; ``same_age``: a good log of
+    the same cell is known, so that age is no more than one of many ways.
+    """
 
     extrapolated: bool = False
+    same_age: bool = False
 
     def nats(self, names: Collection[str]) -> float:
         """Ln of the odds against a set."""
@@ -41,8 +48,12 @@ class Rarity:
         total = 0.0
         if self.extrapolated:
             total += FURTHER_AGE_NATS * len(left & TEMPERATURE)
-            left -= TEMPERATURE
-        age = len(left & AGE)
+            total += 0.0 if LAW in left else LAW_HOLDS_NATS
+            left -= TEMPERATURE | {LAW}
+        age = left & AGE
         if age:
-            total += ONE_CAUSE_NATS + FURTHER_AGE_NATS * (age - 1)
-        return total + ONE_CAUSE_NATS * (len(left) - age)
+            kinds = int(bool(age & RESISTANCE)) + int(bool(age - RESISTANCE))
+            both = FURTHER_AGE_NATS if self.same_age else BOTH_NATS
+            total += ONE_CAUSE_NATS + both * (kinds - 1)
+            total += FURTHER_AGE_NATS * (len(age) - kinds)
+        return total + ONE_CAUSE_NATS * len(left - age)

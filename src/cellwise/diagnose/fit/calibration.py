@@ -41,6 +41,7 @@ def calibrate(
     found, _ = _fitted(known)
     fits.prior = calibrated(fits.prior, found, share)
     fits.known = fits.known.with_more(*known.squares(found))
+    fits.same_age = True
     return share
 
 

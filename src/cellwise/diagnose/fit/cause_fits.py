@@ -23,10 +23,10 @@ from cellwise.diagnose.fit.noise import (
     SHAPE_SHARE,
     KnownScale,
     Noise,
-    memory_of,
     row_weights,
     stated_V,
 )
+from cellwise.diagnose.fit.physical_size import ln_size
 from cellwise.diagnose.fit.priors import widened_for
 from cellwise.diagnose.fit.rest_voltages import RestVoltages
 from cellwise.diagnose.fit.rmse import rmse
@@ -43,7 +43,8 @@ class CauseFits:
 
     ``prior`` are the tolerances, no cause estimated. ``known`` is what is known beforehand of how
     many times the model's stated error is left; ``stated_V`` (rows,) that error, ``weight`` (rows,)
-    how much each row counts. ``rests`` are the voltages at rest.
+    how much each row counts. ``rests`` are the voltages at rest; ``same_age`` says that a
+    good log of the same cell is known.
     """
 
     evidence: Evidence
@@ -52,6 +53,7 @@ class CauseFits:
     rests: RestVoltages
     seed: int
     known: KnownScale = field(default_factory=KnownScale)
+    same_age: bool = False
     stated_V: FloatArray = field(default_factory=lambda: np.ones(1))
     weight: FloatArray = field(default_factory=lambda: np.ones(1))
     _frozen: tuple[Fit, Frozen] | None = field(default=None, repr=False)
@@ -68,10 +70,7 @@ class CauseFits:
         for _ in range(2):
             found = complete(self.objective(noise), found, prior)
             left = self.evidence.voltage_V - found.voltage_V
-            size, used = rmse(left, self._used()), self._used()
-            if size > rmse(stated, used):  # the residual is not the stated error
-                memory = memory_of(self.evidence, left, model.error.correlation_s)
-                self.weight = row_weights(self.evidence, memory, soc, memory_soc)
+            size = rmse(left, self._used())
             self.stated_V = np.hypot(stated, SHAPE_SHARE * size)
             noise = self.noise(found, prior)
             found = self.fit(noise, self.coordinates, prior, found.z, 4)
@@ -135,8 +134,10 @@ class CauseFits:
         self, found: Fit, noise: Noise, prior: Prior, causes: Iterable[Cause]
     ) -> Prediction:
         """How likely all rows are with the causes estimated, and what the logs read at rest."""
-        found_so = predict(self.objective(noise), found, prior, kept_coordinates(causes))
+        kept = kept_coordinates(causes)
+        found_so = predict(self.objective(noise), found, prior, kept)
         more = self.at_rest(found) + self.known.ln_density(noise.scale)
+        more += ln_size(found.z, kept, prior, self.same_age)
         return found_so._replace(total=found_so.total + more)
 
     def at_rest(self, found: Fit) -> float:

@@ -123,8 +123,11 @@ def _sizes(
         if w2 <= t2:
             continue
         size = math.sqrt(2.0 * (least + 0.5 * math.log(w2 / t2)) / (1.0 / t2 - 1.0 / w2))
+        try:
+            moved = value_of(p.coordinate, size, fits.coordinates, start)
+        except OverflowError:
+            continue  # so many times as large that no number holds it: the logs say nothing of it
         change[place] = size
-        moved = value_of(p.coordinate, size, fits.coordinates, start)
         found[p.name] = abs(moved - value_of(p.coordinate, 0.0, fits.coordinates, start))
     return (found, change) if found else None
 

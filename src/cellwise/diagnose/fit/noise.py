@@ -1,11 +1,11 @@
 """How wrong a model may be where nothing is the matter: its own statement, and how many times that.
 
 What a model states of its error (:class:`cellwise.cell.model.ModelError`) stays for about
-``correlation_s``; an error beyond it is another one, and stays no longer than it remembers itself.
-A log of length t over a SOC range s holds 1 + t / (2 tau) + s / (2 l) independent errors, however
-many rows it has, with l the model's ``correlation_soc`` where it states one. How far the
-statement itself is off is not known: its scale has an inverse-gamma prior, worth so many errors,
-and what causes leave unexplained counts less the more of it there is.
+``correlation_s``: that is what the right explanation leaves, however quickly an error changes that
+it explains. A log of length t over a SOC range s holds 1 + t / (2 tau) + s / (2 l) independent
+errors, however many rows it has, with l the model's ``correlation_soc`` where it states one. How
+far the statement itself is off is not known: its scale has an inverse-gamma prior, worth so many
+errors, and what causes leave unexplained counts less the more of it there is.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ import numpy as np
 
 from cellwise.cell.model import CellModel
 from cellwise.diagnose.fit.rows import IGNORED, Evidence
-from cellwise.identify.refinement.model_error import correlation_time
 from cellwise.typing import FloatArray
 
 # What a statement of a model's error is worth: as many independent errors as some drives hold.
@@ -79,19 +78,6 @@ def row_weights(
             errors += float(np.ptp(soc[rows][used])) / (2.0 * memory_soc)
         weights.append(np.full(log.scored, min(errors / max(int(used.sum()), 1), 1.0)))
     return np.concatenate(weights)
-
-
-def memory_of(evidence: Evidence, residual_V: FloatArray, stated_s: float) -> float:
-    """How long an error that is not the stated one stays [s]: at most as long as that."""
-    spans, found = [], []
-    for log, rows in evidence.each():
-        known = np.isfinite(residual_V[rows])
-        if known.sum() > 1:
-            clock = log.clock_s[known]
-            spans.append(float(clock[-1] - clock[0]))
-            found.append(correlation_time(clock, residual_V[rows][known]))
-    own = float(np.average(found, weights=spans)) if sum(spans) > 0.0 else stated_s
-    return max(min(own, stated_s), 1.0)
 
 
 def stated_V(

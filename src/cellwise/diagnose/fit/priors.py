@@ -13,6 +13,7 @@ from cellwise.cell.model import CellModel
 from cellwise.diagnose.causes.catalogue import Cause
 from cellwise.diagnose.causes.coordinates import OCV_NAMES, R_NAMES, Coordinates
 from cellwise.diagnose.fit.least_squares import Fit, Prior
+from cellwise.diagnose.fit.noise import stated_V
 from cellwise.diagnose.fit.rows import Evidence
 
 # Share of the model's own slow error that its OCV may owe at any knot; least of all in volts.
@@ -20,6 +21,12 @@ OCV_SHARE = 0.25
 OCV_LEAST_V = 0.0015
 R_SHARE = 0.5
 R_LEAST = 0.015
+# Of the model's stated error nobody knows the shape, and it is the same one in every log: these owe
+# equal shares of its square.
+OWED = (
+    "ln_r0", "ln_r1", "ln_r2", "ln_tau1", "ln_tau2", "r3", "m_V", "activation_K", "rate_h",
+    "ln_charge_scale",
+)  # fmt: skip
 # A cell without a temperature law that heats itself: activation of a usual electrolyte.
 USUAL_ACTIVATION_K = 3000.0
 USUAL_SPREAD_K = 1500.0
@@ -82,9 +89,22 @@ def tolerances(coordinates: Coordinates, evidence: Evidence) -> Prior:
         std["ln_tau3"] = 0.2
     if coordinates.has_hysteresis:
         std["ln_gamma"] = 0.2
+    for name, std_V in _owed(coordinates, evidence).items():
+        std[name] = max(std[name], std_V)
     for name, log in zip(evidence.starts(), evidence.logs, strict=True):
         std[name] = max(log.start.std, GIVEN_SOC_STD)
     return _bounded(Prior(std, {}, {}, {}), std)
+
+
+def _owed(coordinates: Coordinates, evidence: Evidence) -> dict[str, float]:
+    """Standard deviation of each coordinate that makes up its share of the stated error."""
+    voltage, soc = evidence.simulate(coordinates, {})
+    stated = stated_V(coordinates.model, evidence, soc, voltage)
+    used = evidence.known & np.isfinite(stated)
+    columns = evidence.jacobian(coordinates, {}, OWED)[used]
+    size = np.sqrt(np.mean(columns**2, axis=0))
+    allowed = float(np.sqrt(np.mean(stated[used] ** 2) / len(OWED)))
+    return {n: allowed / float(v) for n, v in zip(OWED, size, strict=True) if v > allowed}
 
 
 def _bounded(prior: Prior, names: Iterable[str]) -> Prior:

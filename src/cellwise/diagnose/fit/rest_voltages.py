@@ -23,8 +23,8 @@ from cellwise.typing import FloatArray
 SHORTEST_S = 120.0
 # A reading is the mean over this share of the rest.
 READING = 0.05
-# How well a laboratory knows an OCV: share of the model's own slow error, least of all in volts.
-OCV_SHARE = 0.25
+# How well a model knows where a cell comes to rest: share of its own slow error, at least in volts.
+OCV_SHARE = 0.5
 OCV_LEAST_V = 0.0015
 # Entropy of usual electrodes [V/K]: what a temperature apart from the model's may add.
 ENTROPY_V_PER_K = 3e-4
@@ -49,12 +49,14 @@ class Rest:
     direction: int
 
     def soc(self, start: float, z: Mapping[str, float], capacity_Ah: float) -> float:
-        """SOC that a point in the coordinates claims here; ``start`` is the log's stated one."""
+        """SOC that a point in the coordinates claims here.
+
+        ``start`` is the log's stated one, ``capacity_Ah`` what the cell holds at that point.
+        """
         gain = math.exp(z.get("ln_gain", 0.0))
         used = (self.charge_Ah - z.get("offset_A", 0.0) * self.hours) / gain
         used += z.get("leak_A", 0.0) * self.hours
-        own = capacity_Ah * math.exp(z.get("ln_capacity", 0.0))
-        return start + z.get(f"soc0:{self.log}", 0.0) - used / own
+        return start + z.get(f"soc0:{self.log}", 0.0) - used / capacity_Ah
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,21 +67,27 @@ class RestVoltages:
     starts: tuple[float, ...]
 
     def ln_likelihood(self, coordinates: Coordinates, z: Mapping[str, float]) -> float:
-        """Ln likelihood of a point; rests at the same SOC count as one."""
+        """Ln likelihood of a point; rests at the same SOC count as one.
+
+        Up to a constant: what widens the OCV (a hysteresis) makes every reading less likely.
+        """
         if not self.rests:
             return 0.0
-        capacity = coordinates.model.capacity_Ah
+        capacity = coordinates.capacity_Ah(z)
         socs = np.array([r.soc(self.starts[r.log], z, capacity) for r in self.rests])
         bins = np.round(socs / SAME_SOC)
         total = 0.0
         for rest, soc, place in zip(self.rests, socs, bins, strict=True):
             away = self.away(rest, float(soc), coordinates, z)
-            total -= 0.5 * away * away / float(np.sum(bins == place))
+            _, std = self._ocv(rest, float(soc), coordinates, z)
+            _, least = self._ocv(rest, float(soc), coordinates, {})
+            terms = 0.5 * away * away + math.log(std / least)
+            total -= terms / float(np.sum(bins == place))
         return total
 
     def contradiction(self, coordinates: Coordinates, z: Mapping[str, float]) -> str:
         """The rest that speaks loudest against a point, for people."""
-        capacity = coordinates.model.capacity_Ah
+        capacity = coordinates.capacity_Ah(z)
         found = []
         for rest in self.rests:
             soc = rest.soc(self.starts[rest.log], z, capacity)
@@ -112,14 +120,14 @@ class RestVoltages:
         at = min(max(soc, 0.0), 1.0)
         ocv = [float(np.interp(at, points, row)) for row in inputs.table[..., OCV]]
         gap = [float(np.interp(at, points, np.abs(row))) for row in inputs.table[..., M]]
-        grid = model.temperature_C
+        grid = coordinates.grid_C
         known = float(np.interp(rest.temperature_C, grid, ocv))
         # Beyond empty and full the OCV goes on along its slope there.
         step = 1.0 / (points.size - 1)
         edge = [(row[1] - row[0], row[-1] - row[-2]) for row in inputs.table[..., OCV]]
         slope = float(np.interp(rest.temperature_C, grid, [e[0 if soc < 0.0 else 1] for e in edge]))
         known += (soc - at) / step * slope
-        outside = float(np.min(np.abs(grid - rest.temperature_C)))
+        outside = float(np.min(np.abs(model.temperature_C - rest.temperature_C)))
         own = max(OCV_LEAST_V, OCV_SHARE * float(model.slow_error_V(at)))
         std = math.hypot(own, ENTROPY_V_PER_K * outside)
         return known, math.hypot(std, float(np.interp(rest.temperature_C, grid, gap)))

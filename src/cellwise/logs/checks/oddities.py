@@ -230,17 +230,20 @@ def find_spikes(log: MeasuredLog) -> NDArray[np.intp]:
     v, i = log.voltage_V, log.known_current_A()
     if v.size < 2 * LATE_ROWS + 3:
         return np.zeros(0, dtype=np.intp)
-    bend = np.zeros(v.size)
-    bend[1:-1] = np.abs(v[1:-1] - 0.5 * (v[:-2] + v[2:]))
-    bend = np.nan_to_num(bend)
+    before, after = np.zeros(v.size), np.zeros(v.size)
+    before[1:-1], after[1:-1] = v[1:-1] - v[:-2], v[1:-1] - v[2:]
+    bend = np.nan_to_num(0.5 * np.abs(before + after))
+    # At a step, however late, a row is far from one neighbour only.
+    nearer = np.minimum(np.abs(before), np.abs(after))
+    away = np.nan_to_num(np.where(before * after > 0.0, nearer, 0.0))
     window = np.pad(i, LATE_ROWS, "edge")
     around = np.lib.stride_tricks.sliding_window_view(window, 2 * LATE_ROWS + 1)
     moved = np.max(around, axis=1) - np.min(around, axis=1)
     usual = 1.48 * float(np.median(bend))
     least = max(SPIKE_LEAST_V, SPIKE_DEVIATIONS * usual)
-    far = bend > least + SPIKE_OF_DROP * _step_resistance(log) * moved
-    # Beside a spike the bend is half as large, the other way: that row is not one.
-    alone = far[1:-1] & (bend[1:-1] >= bend[:-2]) & (bend[1:-1] >= bend[2:])
+    far = away > least + SPIKE_OF_DROP * _step_resistance(log) * moved
+    # Between two spikes the other way a row is far from both, too: the larger is one.
+    alone = far[1:-1] & (away[1:-1] >= away[:-2]) & (away[1:-1] >= away[2:])
     return np.flatnonzero(alone) + 1
 
 
