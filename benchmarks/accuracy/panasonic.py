@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,28 +24,33 @@ AFTER_S = 300.0
 
 def panasonic_figures(data: Path, say: Progress) -> list[Figure]:
     """Both identifications, four held-out drives each."""
-
-    def log(name: str) -> CellLog:
-        return measured_log(data, f"{CELL}/{name}")
-
-    laboratory = {
-        "hppc": ((log("hppc_p25"), None),),
-        "ocv": (log("ocv_c20_p25"),),
-        "capacity": (log("cap_1c_p25_start_1"), log("cap_1c_p25_start_2")),
-    }
-    drives = tuple((log(f"drive_p25_cycle_{k}"), None) for k in (2, 3))
-    held_out = [log(f"drive_p25_{name}") for name in HELD_OUT]
+    tests = panasonic_tests(data)
+    held_out = [measured_log(data, f"{CELL}/drive_p25_{name}") for name in HELD_OUT]
     settings = IdentifySettings(nominal_Ah=NOMINAL_AH, name="Panasonic 18650PF")
     say("Panasonic: identified with two drives")
-    driven = identify_cell(TestLogs(**laboratory, drive=drives), settings)
+    driven = identify_cell(tests, settings)
     say("Panasonic: identified on laboratory tests")
-    plain = identify_cell(TestLogs(**laboratory), settings)
+    plain = identify_cell(replace(tests, drive=()), settings)
     group = "Panasonic 25 degC, laboratory tests + drives cycle 2, 3"
     figures = _voltage(group, driven.model, held_out, each=18.0, mean=12.0)
     figures += _soc(group, driven.model, held_out, after=0.6)
     group = "Panasonic 25 degC, laboratory tests alone"
     figures += _voltage(group, plain.model, held_out, each=25.0, mean=None)
     return figures + _soc(group, plain.model, held_out, after=1.2)
+
+
+def panasonic_tests(data: Path) -> TestLogs:
+    """Laboratory tests and drives cycle 2 and 3 at 25 degC."""
+
+    def log(name: str) -> CellLog:
+        return measured_log(data, f"{CELL}/{name}")
+
+    return TestLogs(
+        hppc=((log("hppc_p25"), None),),
+        ocv=(log("ocv_c20_p25"),),
+        capacity=(log("cap_1c_p25_start_1"), log("cap_1c_p25_start_2")),
+        drive=tuple((log(f"drive_p25_cycle_{k}"), None) for k in (2, 3)),
+    )
 
 
 def _voltage(

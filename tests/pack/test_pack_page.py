@@ -28,6 +28,9 @@ def test_the_page_names_the_weak_cell_first(weak, tmp_path):
     assert "cell_04" in title
     assert "resistance" in title
     assert text.count("<figure") == 4
+    before = text[: text.index("<figure")]
+    assert "resistance" in before[before.index('<ul class="notices">') :], "alerts come first"
+    assert before.count("<li>") - before[before.find("<details") :].count("<li>") <= 3
     assert not re.search(r'(?:src|href)="https?:', text)
     assert (tmp_path / "figures" / "pack_cells_over_time.png").stat().st_size > 5000
 
@@ -57,3 +60,5 @@ def test_a_life_is_drawn_from_its_logs(tmp_path):
     text = history_page(life_of(model, logs), tmp_path / "life.html").read_text()
     assert text.count("<figure") == 2
     assert "complete discharge" in text
+    # Three drives of a model's own noise: a loss within its deviation is none that can be told.
+    assert "<h1>No change of the capacity can be told" in text

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+from dataclasses import replace
 
 import matplotlib.image
 import numpy as np
@@ -11,10 +12,12 @@ import pytest
 
 from browser import CHROMIUM, Browser
 from cellwise.logs import CellLog
+from cellwise.report import replay_page
 from cellwise.report.page.interactive import trace_section
 from cellwise.report.page.section import write_page
 from diagnosis_cases import diagnosis
 from page_cases import KINDS, every_page
+from report_cases import drive, replay, simulation
 
 pytest.importorskip("tornado")
 pytestmark = [
@@ -202,3 +205,79 @@ def test_a_million_samples_open_in_three_seconds_and_zoom(tmp_path):
     assert again[:2] == whole[:2]
     assert seconds < 3.0
     assert whole[2] < 500.0, "a drawing of all samples takes [ms]"
+
+
+def suspicious():
+    """A drive of two hours with an alert about rows 3000 to 3060."""
+    log = drive(7200)
+    return replace(log, notices=("the voltage stands still (rows 3001 to 3061)",))
+
+
+def test_one_cursor_in_all_plots_of_a_log_and_an_alert_shows_its_rows(tmp_path):
+    log, other = suspicious(), drive(3000, name="another")
+    page = replay_page([replay(log), replay(other)], tmp_path / "p.html", [simulation(log)])
+    # Where every visible cursor of a log stands [s from its first row], by kind of plot.
+    lines = (
+        "(name => [...document.querySelectorAll('figure')].filter(f => f.dataset.clock === name)"
+        " .flatMap(f => { const all = JSON.parse(f.dataset.axes);"
+        " const s = {s: 1, min: 60, h: 3600}[all.find(a => a.share === all[0].share && a.x.label)"
+        "  .x.label.match(/\\[(.*)\\]/)[1]];"
+        " return [...f.querySelectorAll('line.cursor')].map((line, k) => [line, all[k]])"
+        "  .filter(([line, a]) => line.style.display !== 'none' && a.share === all[0].share)"
+        "  .map(([line, a]) => { const [low, high] = a.x.limits;"
+        "   return s * (low + (high - low) * (line.x1.baseVal.value - a.box[0]) / a.box[2]); });"
+        "}))"
+    )
+    traces = (
+        "(name => [...document.querySelectorAll('div.trace')].filter(f => f.dataset.clock === name)"
+        " .map(f => f.dataset.pointer ? 3600 * f.dataset.pointer : null))"
+    )
+
+    async def work(browser):
+        await browser.open(page, f"{PICTURES} && {TRACES}")
+        box = await browser.value(
+            "(() => { const f = document.querySelector('figure[id*=-soc]'),"
+            " s = f.querySelector('svg'); f.scrollIntoView({behavior: 'instant'});"
+            " const a = JSON.parse(f.dataset.axes)[0], [x, y, w, h] = a.box, m = s.getScreenCTM();"
+            " return [m.a * x + m.e, m.d * (y + h / 2) + m.f, m.a * w, f.dataset.clock]; })()"
+        )
+        left, y, wide, name = box
+        for share in (0.4, 0.5):
+            await browser.mouse("mouseMoved", left + share * wide, y)
+            await asyncio.sleep(0.3)
+        found = await browser.value(f"{lines}({json.dumps(name)})")
+        read = await browser.value(f"{traces}({json.dumps(name)})")
+        beside = await browser.value(f"{lines}('another')")
+        # Away from it, then the alert's link.
+        await browser.mouse("mouseMoved", 2, 2)
+        await asyncio.sleep(0.3)
+        left_over = await browser.value(f"{lines}({json.dumps(name)})")
+        await browser.value("document.querySelector('a.jump').click()")
+        await asyncio.sleep(0.5)
+        view = await browser.value(
+            f"[...document.querySelectorAll('div.trace')].filter(f => f.dataset.clock ==="
+            f" {json.dumps(name)}).map(f => [3600 * f.dataset.from, 3600 * f.dataset.to])"
+        )
+        alarms = await browser.value(
+            "[...document.querySelectorAll('rect.alarm')]"
+            ".filter((r) => r.style.display !== 'none' && r.width.baseVal.value > 2).length"
+        )
+        whole = await browser.value(
+            "[...document.querySelectorAll('div.trace')].filter(f => f.dataset.clock === 'another')"
+            ".map(f => 3600 * f.dataset.to)"
+        )
+        return found, read, beside, left_over, view, alarms, whole, list(browser.complaints)
+
+    found, read, beside, left_over, view, alarms, whole, complaints = in_browser(tmp_path, work)
+    assert complaints == []
+    # Above and below in SOC, in innovation and in voltage, current, residual: one time.
+    assert len(found) >= 7
+    assert found == pytest.approx([3600.0] * len(found), abs=20.0)
+    assert len(read) == 2, "the replay's samples and the log's"
+    assert read == pytest.approx([3600.0] * 2, abs=20.0)
+    assert beside == [], "another log has another time"
+    assert left_over == []
+    for low, high in view:
+        assert low < 3000.0 < 3060.0 < high < low + 600.0
+    assert alarms >= 7
+    assert whole == pytest.approx([2999.0] * 2, abs=1.0), "the other log stays as it is"

@@ -52,9 +52,10 @@ class SensorFault:
             "spikes": "jumps away and back without the current",
             "lost": "is missing",
         }[self.kind]
-        where = f"rows {self.runs[0].first} to {self.runs[0].last}"
+        first, last = self.runs[0].first + 1, self.runs[-1].last + 1  # people count from 1
+        where = f"rows {first} to {last}"
         if len(self.runs) > 1:
-            where = f"{self.rows} rows between {self.runs[0].first} and {self.runs[-1].last}"
+            where = f"{self.rows} rows between {first} and {last}"
         name = f"{self.log}: " if self.log else ""
         return f"{name}{self.channel} {how} ({where}, from {self.start_s:.0f} s on)"
 

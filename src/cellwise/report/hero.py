@@ -12,6 +12,7 @@ from cellwise.estimate.replay import Replay
 from cellwise.identify.identification import Identification
 from cellwise.report.findings import fitted_drives
 from cellwise.report.identification.simulation_section import draw_close_up, draw_residual
+from cellwise.report.page.jumps import clock_of
 from cellwise.report.page.numerals import (
     ampere_hours,
     millivolt,
@@ -68,7 +69,8 @@ def hero_figure(
 
 def hero_picture(identification: Identification, simulation: Simulation, replay: Replay) -> Picture:
     """The same with its explanation, for a page."""
-    return Picture("hero", draw_hero(identification, simulation, replay), CAPTION)
+    figure = draw_hero(identification, simulation, replay)
+    return Picture("hero", figure, CAPTION, clock_of(simulation.log))
 
 
 @styled

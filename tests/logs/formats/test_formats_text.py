@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 import gzip
+import re
 
 import numpy as np
 import pyarrow as pa
@@ -377,6 +379,28 @@ def test_any_table_is_read_with_the_columns_told(tmp_path):
     np.testing.assert_allclose(log.time_s, T)
     np.testing.assert_allclose(log.current_A, I)
     np.testing.assert_allclose(log.voltage_V, V)
+
+
+@pytest.mark.parametrize(
+    ("names", "factors"),
+    [
+        (("Testzeit [s]", "Strom [mA]", "Spannung [V]"), (1, 1e3, 1)),
+        (("t_sec", "Pack Current (mA)", "Cell Volts"), (1, 1e3, 1)),
+        (("Zeit/ms", "I/A", "U/mV"), (1e3, 1, 1e3)),
+        (("Time (h)", "Strom", "Ewe/V"), (1 / 3600, 1, 1)),
+    ],
+)
+def test_the_advice_for_odd_headers_reads_them_in_their_units(names, factors, tmp_path):
+    path = tmp_path / "odd.csv"
+    values = (f * x for f, x in zip(factors, (T, I, V), strict=True))
+    path.write_text(table(dict(zip(names, values, strict=True)), sep=";"))
+    with pytest.raises(InputError) as caught:
+        read_log(path)
+    told = ast.literal_eval(re.search(r"`channels=({.*})`", caught.value.action)[1])
+    log = read_log(path, channels=told)
+    np.testing.assert_allclose(log.time_s, T, atol=1e-6)
+    np.testing.assert_allclose(log.current_A, I, atol=1e-9)
+    np.testing.assert_allclose(log.voltage_V, V, atol=1e-9)
 
 
 @pytest.mark.parametrize(

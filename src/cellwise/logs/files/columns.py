@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
@@ -125,6 +126,16 @@ _SYNONYMS = {
         *("voltage", "v", "u", "volts", "ewe", "spannung", "potential", "volt", "vbat"),
         *("batteriespannung", "zellspannung", "klemmenspannung"),
     ),
+}
+
+
+# A unit at the end of a column's name, in brackets or behind a stroke.
+_UNIT = re.compile(r"(?:[(\[{<]|[/_])\s*([a-zµμ°]+)\s*[)\]}>]?$")
+_UNIT_WORDS = {
+    **dict.fromkeys(("sec", "secs", "second", "seconds", "sek"), "s"),
+    **dict.fromkeys(("µs", "μs"), "us"),
+    **dict.fromkeys(("hr", "hrs", "hour", "hours", "std"), "h"),
+    **dict.fromkeys(("minute", "minutes"), "min"),
 }
 
 
@@ -264,20 +275,25 @@ def _missing_columns(
     for channel in missing:
         near = _nearest(channel, names)
         if near:
-            hints.append(f"rename '{near}' to '{channel.usual_name}' if that is what it holds")
-            lines.append(f"{_tidy_name(channel)!r}: {near!r}")
+            tidy = _with_unit(_tidy_name(channel), near)
+            if tidy in channel.names or tidy == _tidy_name(channel):
+                name = tidy if tidy in channel.names else channel.usual_name
+                hints.append(f"rename '{near}' to '{name}' if that is what it holds")
+            lines.append(f"{tidy!r}: {near!r}")
     optional = ", ".join(c.usual_name for c in channels if not c.required)
     required = ", ".join(c.usual_name for c in channels if c.required)
     action = (
         "Give the file these column names, or a unit that the name gives (current_mA, voltage_mV, "
         "time_ms, time_min, time_h)"
     )
+    if hints:
+        action += f": {'; '.join(hints)}"
     return InputError(
         f"column(s) {listed(names) or 'without any name'} in {where}; missing: "
         f"{', '.join(c.usual_name for c in missing)}",
         f"the columns {required} (and, where measured, {optional})",
-        f"{action}: {'; '.join(hints)}, or say it with `channels={{{', '.join(lines)}}}`."
-        if hints
+        f"{action}, or say it with `channels={{{', '.join(lines)}}}`."
+        if lines
         else f"{action}, or name the columns with `channels={{...}}`.",
     )
 
@@ -293,7 +309,22 @@ def _nearest(channel: Channel, names: Sequence[str]) -> str:
         near = get_close_matches(word, plain, n=1, cutoff=0.75) if len(word) > 2 else []
         if near:
             return plain[near[0]]
+    for word in words:  # 'Pack Current', 'Cell Volts'
+        for text, name in plain.items():
+            if len(word) > 2 and word in text.split("_"):
+                return name
     return ""
+
+
+def _with_unit(tidy: str, name: str) -> str:
+    """The tidy name with the unit that a column's name states: 'Strom [mA]' is ``current_mA``."""
+    found = _UNIT.search(name.strip().casefold())
+    if found is None:
+        return tidy
+    unit = _UNIT_WORDS.get(found[1], found[1])
+    quantity = tidy.rpartition("_")[0]
+    known = (n for c in TIDY_CHANNELS for n in c.names if n.rpartition("_")[0] == quantity)
+    return next((n for n in known if n.rpartition("_")[2].casefold() == unit), tidy)
 
 
 def _plain(name: str) -> str:

@@ -28,6 +28,7 @@ from cellwise.report.diagnosis.statements import (
     valued,
 )
 from cellwise.report.page.interactive import Traces, trace_section
+from cellwise.report.page.jumps import clock_of, linked_among
 from cellwise.report.page.markup import (
     EMPTY,
     Markup,
@@ -78,7 +79,7 @@ def diagnose_page(
         f"Errors of {name} on {_names(diagnosis)}, by cellwise",
         diagnosis_sections(diagnosis, runs),
         diagnosis.to_dict(),
-        lead=lead_of((), diagnosis_tiles(diagnosis), lead_lines(diagnosis)),
+        lead=lead_of(fault_alerts(diagnosis), diagnosis_tiles(diagnosis), lead_lines(diagnosis)),
         figures=figures,
     )
 
@@ -92,6 +93,7 @@ def diagnosis_sections(diagnosis: Diagnosis, runs: Sequence[LogRun]) -> tuple[Se
             f"before-after-{k + 1}-{safe_key(r.log.name or 'log')}",
             draw_before_after(r, explained),
             caption,
+            clock_of(r.log),
         )
         for k, r in enumerate(runs[:MOST_PICTURES])
     ]
@@ -131,7 +133,7 @@ def run_traces(run: LogRun, explained: bool) -> Traces:
         Panel("residual [mV]", residuals),
         Panel("current [A]", (current,)),
     )
-    return Traces("time [h]", panels)
+    return Traces("time [h]", panels, clock_of(run.log))
 
 
 def in_order(runs: Sequence[LogRun]) -> tuple[LogRun, ...]:
@@ -153,6 +155,17 @@ def diagnosis_tiles(diagnosis: Diagnosis) -> Markup:
             facts.append(("and with the log corrected", corrected))
     facts.append(("causes tried", counted(len(diagnosis.candidates))))
     return tiles(facts)
+
+
+def fault_alerts(diagnosis: Diagnosis) -> list[Markup]:
+    """What sensors did wrong, first of all, with links to where."""
+    logs = [run.log for run in diagnosis.runs]
+    return [
+        linked_among(text, logs)
+        for cause in diagnosis.causes
+        if cause.name == "sensor_fault"
+        for text in cause.evidence
+    ]
 
 
 def lead_lines(diagnosis: Diagnosis) -> list[str]:
@@ -246,7 +259,7 @@ def runs_table(runs: Sequence[LogRun], explained: bool) -> Markup:
             row.append(percent(r.gain, 0))
         rows.append(tuple(row))
     caption = (
-        "What `simulate` shows with either model: all rows of every log, from this initial SOC."
+        "What a simulation shows with either model: all rows of every log, from this initial SOC."
     )
     if corrected:
         caption += " Beside it, the corrected log from the SOC at which it is estimated to start."

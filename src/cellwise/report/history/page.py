@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cellwise.history.life import Life
-from cellwise.report.page.markup import Markup, bullets, details, paragraph, table, tiles
+from cellwise.report.page.markup import Markup, details, lead_of, paragraph, table, tiles
 from cellwise.report.page.numerals import percent, plural, significant
 from cellwise.report.page.picture import FigureFiles, Picture
 from cellwise.report.page.section import Section, write_page
@@ -42,10 +42,10 @@ def history_page(
     data = found.to_dict()
     share, std = float(found.trend.share[-1]), float(found.trend.std[-1])
     use = data["trend"]["use"]
-    known = f"{use['capacity_Ah']:.3g} +- {2 * use['capacity_std_Ah']:.2g}"
-    lead = tiles(
+    known = f"{use['capacity_Ah']:.3g} ± {2 * use['capacity_std_Ah']:.2g}"
+    figures_first = tiles(
         [
-            ("of the new cell's capacity", f"{percent(share, 1)} +- {percent(2 * std, 1)}"),
+            ("of the new cell's capacity", f"{percent(share, 1)} ± {percent(2 * std, 1)}"),
             ("capacity to use [Ah]", known),
             ("resistance to use", f"{significant(use['resistance_scale'], 3)} of the model's"),
             ("logs", str(len(found.logs))),
@@ -63,19 +63,28 @@ def history_page(
         ),
         Section("table", "Every log", (details("the numbers", _table(found)),), "Table"),
     ]
-    if notices:
-        sections.append(
-            Section("notices", "Notices", (bullets(dict.fromkeys(notices)),), "Notices")
-        )
-    lost = percent(1.0 - share / float(found.trend.share[0]), 1)
     return write_page(
         path,
-        f"{lost} of the capacity lost since the first log",
+        _first_line(found),
         f"{plural(len(found.logs), 'log')} of one life, by cellwise",
         sections,
         data,
-        lead=lead,
+        lead=lead_of(list(dict.fromkeys(notices)), figures_first),
         figures=figures,
+    )
+
+
+def _first_line(found: Life) -> str:
+    """What was lost, where that is more than two standard deviations of the trend."""
+    first, last = float(found.trend.share[0]), float(found.trend.share[-1])
+    lost, known = 1.0 - last / first, 2.0 * float(found.trend.std[-1]) / first
+    if abs(lost) > known:
+        what = "lost" if lost > 0.0 else "gained"
+        size = f"{percent(abs(lost), 1)} ± {percent(known, 1)}"
+        return f"{size} of the capacity {what} since the first log"
+    return (
+        f"No change of the capacity can be told: {percent(-lost, 1)} since the first log, "
+        f"± {percent(known, 1)}"
     )
 
 
@@ -114,7 +123,7 @@ def draw_capacity(found: Life) -> Figure:
     if found.trend.knee is not None:
         axes.axvline(found.way[found.trend.knee], color=VERMILLION, linewidth=1.0, label="knee")
     legend(axes)
-    finding(axes, f"{trend[-1]:.1f} +- {band[-1]:.1f} % of the new cell's capacity at the last log")
+    finding(axes, f"{trend[-1]:.1f} ± {band[-1]:.1f} % of the new cell's capacity at the last log")
     labels(axes, UNITS[found.over], "share of the new cell's capacity [%]")
     return figure
 
@@ -136,13 +145,13 @@ def draw_resistance(found: Life) -> Figure:
     std = np.array([one.resistance_std for one in found.logs])
     axes.errorbar(found.way, scale, 2.0 * std, fmt="o", color=BLUE, markersize=3.5, linewidth=0.8)
     now, now_std = found.resistance
-    finding(axes, f"Resistance now: {now:.2f} +- {2 * now_std:.2f} of the model's")
+    finding(axes, f"Resistance now: {now:.2f} ± {2 * now_std:.2f} of the model's")
     labels(axes, UNITS[found.over], "resistance / model's")
     return figure
 
 
 def _table(found: Life) -> Markup:
-    head = ("log", "capacity Ah", "+-", "resistance", "+-", "share", "trend", "+-", "by")
+    head = ("log", "capacity Ah", "±", "resistance", "±", "share", "trend", "±", "by")
     rows = [
         (
             one.log.name,

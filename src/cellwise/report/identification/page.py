@@ -18,6 +18,7 @@ from cellwise.report.identification.simulation_section import (
     simulation_pictures,
 )
 from cellwise.report.page.interactive import simulation_traces, trace_section
+from cellwise.report.page.jumps import linked_among
 from cellwise.report.page.markup import Markup, bullets, lead_of, paragraph, tiles
 from cellwise.report.page.numerals import (
     ampere_hours,
@@ -53,7 +54,7 @@ def identify_page(
         f"Identification of {cell_name(identification)}, by cellwise",
         identify_sections(identification),
         identification.to_dict(),
-        lead=lead_of(identification.notices, identify_tiles(identification)),
+        lead=lead_of(_alerts(identification), identify_tiles(identification)),
         figures=figures,
     )
 
@@ -146,3 +147,10 @@ def notices(identification: Identification) -> Markup:
         return Markup("")
     text = paragraph(f"{plural(len(identification.notices), 'notice')} on the way:")
     return Markup(text + bullets(identification.notices, "notices"))
+
+
+def _alerts(identification: Identification) -> list[Markup]:
+    logs = [s.log for s in identification.simulations]
+    # What the OCV was made of stands beside it and is no alert.
+    said = [n for n in identification.notices if n not in identification.ocv.notes]
+    return [linked_among(notice, logs) for notice in said]

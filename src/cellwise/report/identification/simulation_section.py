@@ -9,6 +9,7 @@ import numpy as np
 
 from cellwise.cell.metrics import error_metrics
 from cellwise.cell.simulate import Simulation
+from cellwise.report.page.jumps import clock_of
 from cellwise.report.page.markup import Markup, details, table
 from cellwise.report.page.numerals import counted, duration, millivolt, percent, points, time_unit
 from cellwise.report.page.picture import Picture, safe_key
@@ -57,7 +58,12 @@ def simulation_pictures(
 ) -> tuple[Picture, ...]:
     """One picture per simulated log; of very many logs those with the largest errors."""
     return tuple(
-        Picture(f"{prefix}-{k + 1}-{safe_key(log_name(s))}", draw_simulation(s), CAPTION)
+        Picture(
+            f"{prefix}-{k + 1}-{safe_key(log_name(s))}",
+            draw_simulation(s),
+            CAPTION,
+            clock_of(s.log),
+        )
         for k, s in enumerate(simulations)
         if k in worst_logs(simulations)
     )

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from cellwise.pack.pack_estimate import PackEstimate
 from cellwise.report.pack.pictures import pack_pictures
-from cellwise.report.page.markup import Markup, bullets, details, paragraph, table, tiles
+from cellwise.report.page.markup import Markup, details, lead_of, paragraph, table, tiles
 from cellwise.report.page.numerals import millivolt, percent, plural, significant
 from cellwise.report.page.picture import FigureFiles
 from cellwise.report.page.section import Section, write_page
@@ -29,21 +29,19 @@ def pack_page(
         for cause in data["causes"]
     ]
     sections = [
-        Section("cells", "Cells over time", (bullets(causes), time), "Over time"),
+        Section("cells", "Cells over time", (time,), "Over time"),
         Section("load", "At rest and under load", (load,), "Rest and load"),
         Section("estimates", "Capacity and resistance", (estimates,), "Estimates"),
         Section("sensors", "Sensors and polling", (sensors,), "Sensors"),
         Section("table", "Every cell", (details("the numbers", _table(found)),), "Table"),
     ]
-    if data["notices"]:
-        sections.append(Section("notices", "Notices", (bullets(data["notices"]),), "Notices"))
     return write_page(
         path,
         _first_line(found),
         f"{len(found.names)} cells, {plural(len(found.days), 'log')}, by cellwise",
         sections,
         data,
-        lead=_lead(found),
+        lead=lead_of([*causes, *data["notices"]], _figures(found)),
         figures=figures,
     )
 
@@ -56,7 +54,7 @@ def _first_line(found: PackEstimate) -> str:
     return f"{named} of {len(found.names)} cells: {found.causes[0]['name'].replace('_', ' ')}"
 
 
-def _lead(found: PackEstimate) -> Markup:
+def _figures(found: PackEstimate) -> Markup:
     data = found.to_dict()
     soc, weakest = data["soc"], data["weakest"]
     facts = [
@@ -74,7 +72,7 @@ def _lead(found: PackEstimate) -> Markup:
 
 
 def _table(found: PackEstimate) -> Markup:
-    head = ("cell", "SOC", "+-", "capacity Ah", "+-", "resistance", "+-", "offset mV", "polled s",
+    head = ("cell", "SOC", "±", "capacity Ah", "±", "resistance", "±", "offset mV", "polled s",
             "left mV")  # fmt: skip
     rows = [
         (

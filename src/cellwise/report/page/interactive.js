@@ -1,6 +1,7 @@
 // Plots that zoom: every sample is here, each drawing shows the extremes of every pixel column.
 "use strict";
 (() => {
+  const SECONDS = { s: 1, min: 60, h: 3600 };
   const MISSING = 65535, LEFT = 64, RIGHT = 12, HEIGHT = 120, NAMES = 18, BARE = 6, AXIS = 34;
   const COLOURS = ["--line-1", "--line-3", "--line-4", "--line-2"];
   // What is measured is grey and what a model says without looking is red, as in the pictures.
@@ -83,7 +84,29 @@
 
   function start(root, plot) {
     const whole = [at(plot.x, 0), at(plot.x, plot.n - 1)];
-    let view = whole.slice(), pointer = null, grip = null, waiting = false;
+    let view = whole.slice(), pointer = null, grip = null, waiting = false, marked = null;
+    // Seconds from the log's first row are the same in all plots of one log.
+    const clock = root.dataset.clock, unit = SECONDS[(plot.xLabel.match(/\[(\w+)\]/) || [])[1]] || 0;
+    function point(t) {
+      pointer = t;
+      later();
+      const at = t === null ? null : unit * (t - whole[0]);
+      if (clock && unit) document.dispatchEvent(
+        new CustomEvent("cellwise-point", { detail: { clock, at, from: root } }));
+    }
+    if (clock && unit) {
+      document.addEventListener("cellwise-point", ({ detail }) => {
+        if (detail.clock !== clock || detail.from === root) return;
+        pointer = detail.at === null ? null : detail.at / unit + whole[0];
+        later();
+      });
+      document.addEventListener("cellwise-look", ({ detail }) => {
+        if (detail.clock !== clock) return;
+        marked = [detail.from, detail.to].map((at) => at / unit + whole[0]);
+        const room = Math.max(2 * (marked[1] - marked[0]), 0.01 * (whole[1] - whole[0]));
+        show(marked[0] - room, marked[1] + room);
+      });
+    }
     const canvases = plot.panels.map((panel) => {
       const canvas = document.createElement("canvas");
       canvas.setAttribute("role", "img");
@@ -154,7 +177,9 @@
         pen.fillText(line.label, along + 21, above - 4);
         along += 39 + pen.measureText(line.label).width;
       });
+      if (marked) alarm(pen, colour, height, width, above);
       if (pointer !== null || grip) mark(pen, colour, height, width, above);
+      root.dataset.pointer = pointer === null ? "" : pointer;
     }
 
     function axes(pen, panel, colour, { low, high, y, width, height, last, above }) {
@@ -219,6 +244,16 @@
       pen.globalAlpha = 1;
     }
 
+    function alarm(pen, colour, height, width, above) {
+      const [from, to] = marked.map((t) =>
+        Math.min(Math.max((width * (t - view[0])) / (view[1] - view[0]), 0), width));
+      if (marked[1] < view[0] || marked[0] > view[1]) return;
+      pen.fillStyle = colour("--warn");
+      pen.globalAlpha = 0.25;
+      pen.fillRect(LEFT + from - 1, above, to - from + 2, height);
+      pen.globalAlpha = 1;
+    }
+
     function mark(pen, colour, height, width, above) {
       const px = (t) => LEFT + (width * (t - view[0])) / (view[1] - view[0]);
       pen.fillStyle = pen.strokeStyle = colour("--muted");
@@ -280,13 +315,13 @@
       grip = time(event);
       root.setPointerCapture(event.pointerId);
     });
-    root.addEventListener("pointermove", (event) => { pointer = time(event); later(); });
+    root.addEventListener("pointermove", (event) => point(time(event)));
     root.addEventListener("pointerup", (event) => {
       const [from, to] = [Math.min(grip, time(event)), Math.max(grip, time(event))];
       grip = null;
       if (to - from > 0.005 * (view[1] - view[0])) show(from, to); else later();
     });
-    root.addEventListener("pointerleave", () => { pointer = null; later(); });
+    root.addEventListener("pointerleave", () => point(null));
     root.addEventListener("dblclick", () => show(...whole));
     root.addEventListener("keydown", (event) => {
       const does = { "+": () => zoom(0.5), "-": () => zoom(2), ArrowLeft: () => pan(-0.25),

@@ -11,7 +11,9 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from cellwise.cell.simulate import Simulation
+from cellwise.logs.cell_log import CellLog
 from cellwise.plotting import Line, Panel
+from cellwise.report.page.jumps import clock_of
 from cellwise.report.page.markup import Markup, escape, paragraph
 from cellwise.report.page.numerals import listed
 from cellwise.report.page.section import Section
@@ -24,10 +26,11 @@ MOST_SAMPLES = 3_000_000
 
 
 class Traces(NamedTuple):
-    """Panels over one time axis, as `Plottable` gives them."""
+    """Panels over one time axis, as `Plottable` gives them; ``clock`` as of a `Picture`."""
 
     x_label: str
     shown: tuple[Panel, ...]
+    clock: str = ""
 
     def panels(self) -> tuple[str, tuple[Panel, ...]]:
         """As they were given."""
@@ -46,7 +49,7 @@ def simulation_traces(simulation: Simulation) -> Traces:
     x_label, panels = simulation.panels()
     hours = panels[0].lines[0].x
     current = Panel("current [A]", (Line("current", hours, simulation.log.current_A),))
-    return Traces(x_label, (*panels, current))
+    return Traces(x_label, (*panels, current), clock_of(simulation.log))
 
 
 def trace_section(results: Sequence[tuple[str, HasPanels]], key: str = "trace") -> Section:
@@ -85,10 +88,19 @@ def trace(result: HasPanels, key: str) -> Markup:
         ],
     }
     text = json.dumps(plot, allow_nan=False).replace("<", "\\u003c")
+    clock = f' data-clock="{escape(_clock(result))}"'
     return Markup(
-        f'<div class="trace" id="{escape(key)}" data-source="{escape(key)}-data"></div>\n'
+        f'<div class="trace" id="{escape(key)}"{clock} data-source="{escape(key)}-data"></div>\n'
         f'<script type="application/vnd.cellwise.trace" id="{escape(key)}-data">{text}</script>'
     )
+
+
+def _clock(result: HasPanels) -> str:
+    """The log whose time a result is over."""
+    if isinstance(result, Traces):
+        return result.clock
+    log = result if isinstance(result, CellLog) else getattr(result, "log", None)
+    return clock_of(log) if isinstance(log, CellLog) else ""
 
 
 def _axis(x: FloatArray) -> dict[str, Any]:

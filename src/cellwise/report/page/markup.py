@@ -22,7 +22,7 @@ MOST_BULLETS = 3  # before the first picture
 MANY_COLUMNS = 9
 USE = (
     "Plots zoom: drag over the part to see, or click a plot and turn the wheel; arrow keys, + and "
-    "− move; a double click shows all."
+    "− move; a double click shows all. Plots of one log share a cursor."
 )
 
 

@@ -34,11 +34,16 @@ VARIABLES = {
 
 
 class Picture(NamedTuple):
-    """A figure, its file name without suffix, and what a newcomer should see in it."""
+    """A figure, its file name without suffix, and what a newcomer should see in it.
+
+    ``clock`` names the log whose time since its first row the first axes show, if they do: plots of
+    one clock have one cursor.
+    """
 
     key: str
     figure: Figure
     caption: str
+    clock: str = ""
 
 
 class FigureFiles(NamedTuple):
@@ -112,8 +117,9 @@ def inline(picture: Picture) -> Markup:
         with marked_axes(picture.figure) as axes:
             text = _svg(picture.figure)
     svg = _for_page(rounded(marked(text)), key, title)
+    clock = f' data-clock="{escape(picture.clock)}"' if picture.clock else ""
     return Markup(
-        f'<figure id="{key}" data-axes="{escape(axes_attribute(axes))}">\n<div>{svg}'
+        f'<figure id="{key}"{clock} data-axes="{escape(axes_attribute(axes))}">\n<div>{svg}'
         f'<p class="readout"></p></div>\n'
         f"<figcaption>{escape(picture.caption)}</figcaption>\n</figure>"
     )

@@ -66,6 +66,8 @@ figure[data-axes] svg [data-plot] { cursor: crosshair; }
 figure[data-axes] svg:focus { outline: 1px solid var(--line); outline-offset: 4px; }
 figure svg .grid { stroke: var(--grid); stroke-width: .7; }
 figure svg .tick { fill: var(--muted); font: 8.5px "DejaVu Sans", Verdana, sans-serif; }
+figure svg .cursor { stroke: var(--muted); stroke-width: .8; pointer-events: none; }
+figure svg .alarm { fill: var(--warn); opacity: .25; pointer-events: none; }
 figure svg .grip { fill: var(--muted); opacity: .18; }
 figure div { position: relative; }
 figure .readout { position: absolute; right: 0; bottom: -.8em; margin: 0; min-height: 0;
@@ -73,7 +75,11 @@ figure .readout { position: absolute; right: 0; bottom: -.8em; margin: 0; min-he
 details { margin: .7rem 0; } summary { cursor: pointer; color: var(--accent); }
 footer { color: var(--muted); font-size: .85rem; padding: 0 2px; }
 @media (max-width: 700px) { main { padding: 16px 10px; } section { padding: 14px 12px; }
-  figure { overflow-x: auto; } figure svg { min-width: 620px; } }
+  figure { overflow-x: auto; } figure svg { min-width: 620px; }
+  .scroll { background: linear-gradient(90deg, var(--paper) 30%, transparent) 0 0 / 40px 100%
+    no-repeat local, linear-gradient(270deg, var(--paper) 30%, transparent) 100% 0 / 40px 100%
+    no-repeat local, linear-gradient(90deg, var(--muted), transparent) 0 0 / 10px 100% no-repeat,
+    linear-gradient(270deg, var(--muted), transparent) 100% 0 / 10px 100% no-repeat; } }
 @media print { body { background: none; } section { border: 0; padding: 0; break-inside: auto; }
   figure, .scroll { break-inside: avoid; } nav { display: none; } }
 """

@@ -3,6 +3,7 @@
 "use strict";
 (() => {
   const NAMES = "http://www.w3.org/2000/svg", LEAST = 1e-4, WHOLE = [0, 1], CLICK = 5;
+  const SECONDS = { s: 1, min: 60, h: 3600 };
   const PAIR = /(-?\d+(?:\.\d+)?(?:e-?\d+)?)[ ,](-?\d+(?:\.\d+)?(?:e-?\d+)?)/g;
 
   const made = (name, into, settings = {}) => {
@@ -148,12 +149,32 @@
       for (const move of plot.moving) move(place.x, place.y);
       axis("x");
       axis("y");
+      plot.drawMarked();
     };
     plot.holds = ({ x, y }) => x >= left && x <= left + wide && y >= top && y <= top + tall;
     plot.shares = ({ x, y }) => ({
       x: plot.view.x[0] + span(plot.view.x) * Math.min(Math.max((x - left) / wide, 0), 1),
       y: plot.view.y[0] + span(plot.view.y) * Math.min(Math.max((y - top) / tall, 0), 1),
     });
+    // One time in all plots: a line, and what an alert is about, shaded.
+    const cursor = made("line", svg, { class: "cursor", y1: top, y2: top + tall });
+    const alarm = made("rect", svg, { class: "alarm", y: top, height: tall });
+    plot.point = (share) => {
+      const x = share === null ? -1 : (share - plot.view.x[0]) / span(plot.view.x);
+      cursor.style.display = x >= 0 && x <= 1 ? "" : "none";
+      for (const end of ["x1", "x2"]) cursor.setAttribute(end, left + x * wide);
+    };
+    plot.point(null);
+    plot.marked = null;
+    plot.drawMarked = () => {
+      const [a, b] = (plot.marked || [-9, -9]).map((share) =>
+        Math.min(Math.max((share - plot.view.x[0]) / span(plot.view.x), -0.1), 1.1));
+      const [from, to] = [a, b].map((share) => Math.min(Math.max(share, 0), 1));
+      alarm.style.display = b < 0 || a > 1 ? "none" : "";
+      alarm.setAttribute("x", left + from * wide - 1);
+      alarm.setAttribute("width", (to - from) * wide + 2);
+    };
+    plot.drawMarked();
     plot.reading = (at) => {
       const shares = plot.shares(at);
       const sides = [["x", shares.x], ["y", 1 - shares.y]].filter(([side]) => !axes[side].words);
@@ -189,6 +210,28 @@
         }
       requestAnimationFrame(draw);
     }
+    // Plots over the time of one log: seconds from its first row, in shares of the axis and back.
+    const clock = figure.dataset.clock, x0 = plots[0].axes.x;
+    const unit = clock && SECONDS[(x0.label.match(/\btime \[(\w+)\]/) || [])[1]];
+    const timed = unit ? plots.filter((plot) => plot.axes.share === plots[0].axes.share) : [];
+    function point(plot, share) {
+      for (const one of plots) one.point(plot && one.axes.share === plot.axes.share ? share : null);
+      const at = timed.includes(plot) ? unit * value(x0, share) : null;
+      if (unit) tell("cellwise-point", { clock, at, from: figure });
+    }
+    if (unit) {
+      document.addEventListener("cellwise-point", ({ detail }) => {
+        if (detail.clock !== clock || detail.from === figure) return;
+        for (const one of timed) one.point(detail.at === null ? null : shareOf(x0, detail.at / unit));
+      });
+      document.addEventListener("cellwise-look", ({ detail }) => {
+        if (detail.clock !== clock) return;
+        const [from, to] = [detail.from, detail.to].map((at) => shareOf(x0, at / unit));
+        for (const one of timed) one.marked = [from, to];
+        const room = Math.max(2 * (to - from), 0.01);
+        show(plots[0], "x", [from - room, to + room]);
+      });
+    }
     function draw() {
       waiting.forEach((plot) => plot.draw());
       waiting = new Set();
@@ -222,6 +265,7 @@
     svg.addEventListener("pointermove", (event) => {
       const at = where(event), plot = grip ? grip.plot : under(at);
       readout.textContent = plot ? plot.reading(at) : "";
+      point(plot, plot ? plot.shares(at).x : null);
       if (!grip) return;
       const [x, y, wide, tall] = drawnBox(grip, at);
       for (const [key, v] of Object.entries({ x, y, width: wide, height: tall }))
@@ -237,7 +281,7 @@
         if (size[side] > CLICK) show(plot, side, [from[side], to[side]].sort((a, b) => a - b));
     });
     svg.addEventListener("pointercancel", () => { if (grip) grip.box.remove(); grip = null; });
-    svg.addEventListener("pointerleave", () => { readout.textContent = ""; });
+    svg.addEventListener("pointerleave", () => { readout.textContent = ""; point(undefined, null); });
     svg.addEventListener("dblclick", (event) => { const p = under(where(event)); if (p) whole(p); });
     svg.addEventListener("keydown", (event) => {
       const zoom = (factor) =>
@@ -247,6 +291,21 @@
       if (does) { event.preventDefault(); does(); }
     });
   }
+
+  const tell = (name, detail) => document.dispatchEvent(new CustomEvent(name, { detail }));
+
+  // A link of an alert: every plot of its log shows the time it names, marked.
+  document.addEventListener("click", (event) => {
+    const link = event.target.closest("a.jump");
+    if (!link) return;
+    const { clock, from, to } = link.dataset;
+    const shown = [...document.querySelectorAll("[data-clock]")].find(
+      (element) => element !== link && !element.matches("a") && element.dataset.clock === clock);
+    if (!shown) return;  // as a plain link
+    event.preventDefault();
+    tell("cellwise-look", { clock, from: +from, to: +to });
+    shown.scrollIntoView({ block: "start" });
+  });
 
   // A drag that is nearly level is of x alone, one nearly upright of y alone.
   function drawnBox({ plot, at }, end) {
@@ -262,6 +321,14 @@
     let begun = false;
     const begin = () => { if (!begun) { begun = true; start(figure); } };
     for (const kind of ["pointerenter", "focus"]) svg.addEventListener(kind, begin);
+    // The first event of another plot of the same log begins this one, which then hears it, too.
+    if (figure.dataset.clock)
+      for (const kind of ["cellwise-point", "cellwise-look"])
+        document.addEventListener(kind, ({ detail }) => {
+          if (begun || detail.clock !== figure.dataset.clock) return;
+          begin();
+          tell(kind, detail);
+        });
   }
   document.documentElement.dataset.pictures = "ready";
 })();

@@ -94,9 +94,8 @@ def draw_flight(flight: Flight) -> Figure:
     """Time and energy left over the log, with bands."""
     figure = new_figure(4.2)
     above, below = figure.subplots(2, 1, sharex=True)
-    start = flight.time_s[0] if len(flight) else 0.0
-    scale, unit = time_unit(float(flight.time_s[-1] - start) or 1.0)
-    t = (flight.time_s - start) / scale
+    scale, unit = time_unit(float(flight.time_s[-1]) or 1.0)
+    t = flight.time_s / scale  # the log's own, as the headline says it
     drawn = (
         (above, flight.remaining_s / 60.0, flight.remaining_s_band / 60.0, "time left [min]"),
         (below, flight.remaining_Wh, flight.remaining_Wh_band, "energy left [Wh per cell]"),

@@ -15,7 +15,8 @@ from cellwise.report.identification.simulation_section import (
     simulation_pictures,
 )
 from cellwise.report.page.interactive import HasPanels, trace_section
-from cellwise.report.page.markup import Markup, lead_of, paragraph, tiles
+from cellwise.report.page.jumps import linked
+from cellwise.report.page.markup import Markup, escape, lead_of, paragraph, tiles
 from cellwise.report.page.numerals import (
     listed,
     millivolt,
@@ -93,10 +94,12 @@ def replay_page(
 
 def noticed(
     replays: Sequence[Replay], simulations: Sequence[Simulation], flights: Sequence[Flight] = ()
-) -> list[str]:
-    """What a reader should know of the logs and of how far the model is off."""
-    found = [n for f in flights for n in f.notices] + [n for r in replays for n in r.notices]
-    return list(dict.fromkeys(found + [n for s in simulations for n in s.notices]))
+) -> list[Markup]:
+    """What a reader should know of the logs and of how far the model is off, rows as links."""
+    found = [escape(n) for f in flights for n in f.notices]
+    found += [linked(n, r.log) for r in replays for n in r.notices]
+    found += [linked(n, s.log) for s in simulations for n in s.notices]
+    return list(dict.fromkeys(found))
 
 
 def replay_sections(

@@ -10,6 +10,7 @@ import numpy as np
 from cellwise.estimate.power.along import PowerTrace
 from cellwise.estimate.power.state_of_power import PowerLimit
 from cellwise.estimate.replay import Replay
+from cellwise.report.page.jumps import clock_of
 from cellwise.report.page.markup import Markup, paragraph, table
 from cellwise.report.page.numerals import significant, time_unit
 from cellwise.report.page.picture import Picture, safe_key
@@ -50,6 +51,7 @@ def power_section(replays: Sequence[Replay]) -> Section:
             f"power-{k + 1}-{safe_key(r.estimator)}-{safe_key(r.log.name or 'log')}",
             draw_power(r, power),
             CAPTION.format(horizon=power.horizons_s[usual(power)]),
+            clock_of(r.log),
         )
         for k, (r, power) in enumerate(known)
     ]

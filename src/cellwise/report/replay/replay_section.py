@@ -9,6 +9,7 @@ import numpy as np
 
 from cellwise.estimate.replay import CONVERGED_SOC, Replay
 from cellwise.report.findings import replay_name
+from cellwise.report.page.jumps import clock_of
 from cellwise.report.page.numerals import (
     duration,
     millivolt,
@@ -57,9 +58,10 @@ VOLTAGE_CAPTION = (
     "deviations that the filter expects. Right: innovations as multiples of that deviation, "
     "against the normal distribution."
 )
-COMPARISON_CAPTION = (
-    "The same log through every estimator and start. Counting charge alone keeps its initial "
-    "error; a filter that also uses the voltage corrects it."
+COMPARISON_CAPTION = "The same log through every estimator and start."
+COUNTING_CAPTION = (
+    " Counting charge alone keeps its initial error; a filter that also uses the voltage corrects "
+    "it."
 )
 
 
@@ -68,9 +70,10 @@ def replay_pictures(replays: Sequence[Replay], prefix: str = "replay") -> tuple[
     pictures = list(comparison_pictures(replays, prefix))
     for k, r in enumerate(replays[:MOST_DETAILED]):
         key = f"{prefix}-{k + 1}-{safe_key(r.estimator)}-{safe_key(r.log.name or 'log')}"
-        pictures.append(Picture(f"{key}-soc", draw_soc(r), SOC_CAPTION))
+        pictures.append(Picture(f"{key}-soc", draw_soc(r), SOC_CAPTION, clock_of(r.log)))
         if np.any(np.isfinite(r.trace.innovation_variance_V2)):
-            pictures.append(Picture(f"{key}-voltage", draw_voltage(r), VOLTAGE_CAPTION))
+            drawn = draw_voltage(r)
+            pictures.append(Picture(f"{key}-voltage", drawn, VOLTAGE_CAPTION, clock_of(r.log)))
     return tuple(pictures)
 
 
@@ -84,11 +87,18 @@ def comparison_pictures(replays: Sequence[Replay], prefix: str = "replay") -> tu
         Picture(
             f"{prefix}-comparison-{safe_key(group[0].log.name or 'log')}-{k + 1}",
             draw_comparison(group),
-            COMPARISON_CAPTION,
+            comparison_caption(group),
+            clock_of(group[0].log),
         )
         for k, group in enumerate(groups.values())
         if len(group) > 1
     )
+
+
+def comparison_caption(group: Sequence[Replay]) -> str:
+    """What is to be seen; of counting only where it is among them, beside a filter."""
+    counting = {r.estimator == "coulomb" for r in group}
+    return COMPARISON_CAPTION + (COUNTING_CAPTION if len(counting) == 2 else "")
 
 
 @styled
