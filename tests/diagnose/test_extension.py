@@ -76,9 +76,13 @@ def test_a_model_with_such_an_effect_is_diagnosed_and_keeps_it(cause, effect):
 
 @pytest.mark.parametrize("known", [True, False], ids=["known", "not known"])
 def test_the_logs_that_were_explained_widen_the_validity(known):
-    """At its own temperature more resistance; the drive at 8 to 28 degC belongs to the data now."""
+    """At its own temperature more resistance; the drive at 8 to 28 degC belongs to the data now.
+
+    The model states no more error than the log has.
+    """
     valid = Validity((0.6, 0.9), (25.0, 25.0), (-20.0, 20.0)) if known else UNKNOWN
-    model, asked = curved_cell(validity=valid), drive(4, 3000)
+    error = ModelError(1e-3, (1e-3,), 60.0, 0.01)
+    model, asked = curved_cell(validity=valid, error=error), drive(4, 3000)
     truth = extend_model(Coordinates(model), {"ln_scale": np.log(1.4)}, {})
     run = simulate(truth, asked, SOC0)
     noise = 1e-3 * np.random.default_rng(4).normal(size=len(asked))
