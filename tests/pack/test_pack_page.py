@@ -60,5 +60,5 @@ def test_a_life_is_drawn_from_its_logs(tmp_path):
     text = history_page(life_of(model, logs), tmp_path / "life.html").read_text()
     assert text.count("<figure") == 2
     assert "complete discharge" in text
-    # Three drives of a model's own noise: a loss within its deviation is none that can be told.
-    assert "<h1>No change of the capacity can be told" in text
+    # Three drives of a model's own noise: a loss within its deviation cannot be determined.
+    assert "<h1>No change of the capacity can be determined" in text

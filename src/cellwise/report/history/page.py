@@ -43,7 +43,7 @@ def history_page(
     share, std = float(found.trend.share[-1]), float(found.trend.std[-1])
     use = data["trend"]["use"]
     known = f"{use['capacity_Ah']:.3g} ± {2 * use['capacity_std_Ah']:.2g}"
-    figures_first = tiles(
+    key_figures = tiles(
         [
             ("of the new cell's capacity", f"{percent(share, 1)} ± {percent(2 * std, 1)}"),
             ("capacity to use [Ah]", known),
@@ -69,7 +69,7 @@ def history_page(
         f"{plural(len(found.logs), 'log')} of one life, by cellwise",
         sections,
         data,
-        lead=lead_of(list(dict.fromkeys(notices)), figures_first),
+        lead=lead_of(list(dict.fromkeys(notices)), key_figures),
         figures=figures,
     )
 
@@ -83,7 +83,7 @@ def _first_line(found: Life) -> str:
         size = f"{percent(abs(lost), 1)} ± {percent(known, 1)}"
         return f"{size} of the capacity {what} since the first log"
     return (
-        f"No change of the capacity can be told: {percent(-lost, 1)} since the first log, "
+        f"No change of the capacity can be determined: {percent(-lost, 1)} since the first log, "
         f"± {percent(known, 1)}"
     )
 
