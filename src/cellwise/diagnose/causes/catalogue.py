@@ -291,9 +291,8 @@ def _over_soc(
 
 
 # At a temperature that the model was not measured at its law is an extrapolation, for every
-# process by another activation: electrolytes have 15 to 20 kJ/mol, diffusion 20 to 50, charge
-# transfer 30 to 80 (R times 2000 to 9600 K; Waldmann et al. 2014,
-# 10.1016/j.jpowsour.2014.03.112; Jow et al. 2012, 10.1149/2.029205jes), and what each has of a
+# process by another activation: charge transfer has 27 to 60 kJ/mol (3200 to 7200 K;
+# 10.1039/D3RA03630H and what it compares with), electrolytes less, and what each has of a
 # resistance differs with the SOC. Entropies of usual electrodes move the OCV by 0.1 to 0.5 mV/K
 # (Viswanathan et al. 2010, 10.1016/j.jpowsour.2009.11.103).
 UNSEEN_TEMPERATURE = replace(
