@@ -68,6 +68,23 @@ def test_lines_with_cells_name_the_weak_one(weak, tmp_path, capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("every", [1, 10])
+def test_a_slow_stream_gives_the_same_cells(weak, every):
+    """Rows of ten seconds, each with the mean current since the last: no gaps, no lost charge."""
+    model, pack = weak
+    live = LiveFilter(model, soc0=0.9, cells=CELLS)
+    for k in range(every, len(pack), every):
+        volts = tuple(pack.cell_V[k])
+        current = float(np.mean(pack.mean.current_A[k - every + 1 : k + 1]))
+        update = live.take(Sample(float(k), current, float(np.mean(volts)), 25.0, 0.0, volts))
+    soc = np.array(live.pack.columns()["cells"]["soc"])
+    own = np.random.default_rng(12345).normal(size=(CELLS, 4))[:, 2] * 0.003
+    true = own - 0.03 * (np.arange(CELLS) == 2)
+    np.testing.assert_allclose(soc - np.mean(soc), true - np.mean(true), atol=5e-3)
+    assert np.mean(soc) == pytest.approx(update.info.soc, abs=0.02)
+
+
+@pytest.mark.slow
 def test_a_restart_keeps_the_cells(weak, tmp_path):
     model, pack = weak
 
