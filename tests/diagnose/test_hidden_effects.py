@@ -91,6 +91,20 @@ def test_nothing_is_found_where_nothing_is_hidden():
 
 
 @pytest.mark.slow
+def test_what_is_likelier_than_nothing_is_not_called_none():
+    """A rate dependence of 14 mV whose set has 0.76, nothing 0.22: neither named nor denied."""
+    case = hidden_case(2026112224, ("rate_dependence",), 0.01434, Plan(rows=ROWS))
+    said = diagnose(
+        case.model, case.logs, holdout=case.holdout, baseline=case.baseline, soc0=case.soc0
+    )
+    nothing = sum(one.probability for one in said.competing if not one.causes)
+    assert said.verdict != "none" or nothing >= 0.5
+    if not said.causes and nothing < 0.5:
+        assert said.verdict == "undetermined"
+        assert said.next_test
+
+
+@pytest.mark.slow
 def test_pairs_of_effects_are_both_named():
     pairs = [random_pair(np.random.default_rng(FIXED + 200 + k)) for k in range(6)]
     found = [outcome(FIXED + 200 + k, pair) for k, pair in enumerate(pairs)]

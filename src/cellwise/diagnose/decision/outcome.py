@@ -17,6 +17,8 @@ from cellwise.diagnose.fit.noise import Noise
 REFUTED = 0.5 * 3.0**2
 # Reasons that are worth a line where nothing was named.
 MOST_REASONS = 3
+# `none` where nothing is likelier than anything; else the sets that compete are said.
+LIKELY = 0.5
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,7 @@ def decide(sets: Explanations) -> Outcome:
     fit, noise = none.fit, none.noise
     if accepted:
         fit, noise = _of_named(sets, [a.cause for a in accepted])
-    elif nothing < 1.0 - NAMED:
+    elif nothing < LIKELY:
         likely = [sets.tried[frozenset(w.causes)] for w in weighed if w.causes]
         between = tuple(likely[: max(2, _needed(weighed))])
     first = tuple(sets.best(len(known), 1))
