@@ -38,79 +38,45 @@ void cellwise_rows(const cellwise_model *model, cellwise_state *x, const cellwis
     }
 }
 
+/* Called only where their options are compiled in. */
+#if CELLWISE_HEALTH
 uint32_t cellwise_set_health_of(const cellwise_model *model, cellwise_state *x, float share, float scale)
 {
-#if CELLWISE_HEALTH
     return cellwise_set_health(model, x, share, scale);
-#else
-    (void)model;
-    (void)x;
-    (void)share;
-    (void)scale;
-    return CELLWISE_OUT_OF_RANGE;
-#endif
 }
+#endif
 
+#if CELLWISE_CELLS
 void cellwise_cells_begin(const cellwise_model *model, cellwise_pack_cell *cells, uint32_t count)
 {
-#if CELLWISE_CELLS
     cellwise_cells_init(model, cells, count);
-#else
-    (void)model;
-    (void)cells;
-    (void)count;
-#endif
 }
 
 void cellwise_pack_rows(const cellwise_model *model, cellwise_state *x, cellwise_pack_cell *cells,
                         uint32_t count, cellwise_input *in, const float *voltage_V,
                         cellwise_output *out, uint32_t samples)
 {
-#if CELLWISE_CELLS
     for (uint32_t k = 0u; k < samples; k++) {
         const float *const row = &voltage_V[k * count];
         in[k].voltage_V = cellwise_mean_voltage(model, cells, row, count);
         (void)cellwise_step(model, x, &in[k], &out[k]);
         cellwise_cells_step(model, x, &in[k], cells, row, count);
     }
-#else
-    (void)model;
-    (void)x;
-    (void)cells;
-    (void)count;
-    (void)in;
-    (void)voltage_V;
-    (void)out;
-    (void)samples;
-#endif
 }
 
 void cellwise_cells_of(const cellwise_model *model, const cellwise_state *x,
                        const cellwise_pack_cell *cells, uint32_t count, cellwise_cell_output *out)
 {
-#if CELLWISE_CELLS
     for (uint32_t k = 0u; k < count; k++) {
         cellwise_cell_of(model, x, &cells[k], &out[k]);
     }
-#else
-    (void)model;
-    (void)x;
-    (void)cells;
-    (void)count;
-    (void)out;
-#endif
 }
+#endif
 
+#if CELLWISE_CELLS && CELLWISE_POWER
 void cellwise_pack_power_of(const cellwise_model *model, const cellwise_state *x,
                             const cellwise_pack_cell *cells, uint32_t count, cellwise_capability *out)
 {
-#if CELLWISE_CELLS && CELLWISE_POWER
     cellwise_pack_power(model, x, cells, count, out);
-#else
-    (void)model;
-    (void)x;
-    (void)cells;
-    (void)count;
-    (void)out;
-#endif
 }
+#endif

@@ -240,8 +240,11 @@ def test_wrong_use_is_said():
         with pytest.raises(InputError, match="from 2 to 1000"):
             FixedPack(fixed.filter, count)
     state = fixed.init(0.5)
-    with pytest.raises(InputError, match=r"\(4,\): one for each cell"):
-        fixed.step(state, 1.0, [3.7] * 3, sequence=0)
+    for wrong in ([3.7] * 3, 3.7, ["a"] * 4, None):
+        with pytest.raises(InputError, match=r"\(4,\): one for each cell"):
+            fixed.step(state, 1.0, wrong, sequence=0)
+    with pytest.raises(InputError, match="a PackState"):
+        fixed.step(None, 1.0, [3.7] * 4, sequence=0)
     with pytest.raises(InputError, match="no state of power"):
         fixed.power(state)
     with pytest.raises(InputError, match="4 records of"):
@@ -252,6 +255,8 @@ def test_wrong_use_is_said():
     for share, scale in ((0.0, 1.0), (1.0, np.nan), (3.0, 1.0), (1.0, 21.0)):
         with pytest.raises(InputError, match=r"0\.1 to 2"):
             aged.set_health(aged.init(0.5), share, scale)
+    with pytest.raises(InputError, match="capacity_share"):
+        aged.set_health(aged.init(0.5), "new", 1.0)
     for wrong in ({"soc": 0.0}, {"lag_s": np.nan}, {"capacity": "1 %"}):
         with pytest.raises(InputError, match="a number above zero"):
             CellSettings(**wrong)

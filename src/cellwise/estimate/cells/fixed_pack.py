@@ -14,10 +14,11 @@ from cellwise.estimate.filters.kalman import one_reading
 from cellwise.estimate.fixed.fixed_step import (
     FixedStep,
     Stepper,
+    check_has_power,
     check_record,
+    info_of,
     median_interval_s,
     samples_of,
-    seen,
     sequence_number,
     start_state,
 )
@@ -87,11 +88,14 @@ class FixedPack:
         """
         stepper = self._stepper()
         self._check(state, stepper)
-        voltages = np.asarray(cell_V, dtype=np.float32)
+        try:
+            voltages = np.asarray(cell_V, dtype=np.float32)
+        except (TypeError, ValueError):
+            voltages = np.empty(0, dtype=np.float32)
         if voltages.shape != (self.count,):
             raise InputError(
-                f"voltages of shape {voltages.shape}",
-                f"({self.count},): one for each cell",
+                f"cell_V = {shown(cell_V)}",
+                f"numbers of shape ({self.count},): one for each cell",
                 "Give NaN for a cell without a reading.",
             )
         warm = self.filter.temperature_or_usual_C(temperature_C)
@@ -100,18 +104,7 @@ class FixedPack:
         sample["temperature_C"] = one_reading("temperature_C", warm, "degC")
         sample["sequence"] = sequence_number(sequence)
         out = stepper.pack.rows(state.mean, state.cells, sample, voltages[None, :])[0]
-        return EkfInfo(
-            float(out["soc"]),
-            float(np.sqrt(out["soc_variance"])),
-            float(out["voltage_V"]),
-            *seen(
-                out["innovation_V"],
-                out["status"],
-                out["innovation_variance_V2"],
-                self.filter.noise,
-            ),
-            int(out["status"]),
-        )
+        return info_of(out, self.filter.noise)
 
     def cells(self, state: PackState) -> NDArray[Any]:
         """What is known of every cell: records of ``layout.CELL_OUTPUT``, shape (cells,)."""
@@ -128,12 +121,7 @@ class FixedPack:
         """
         stepper = self._stepper()
         self._check(state, stepper)
-        if not stepper.tables.options.power:
-            raise InputError(
-                "no state of power in this fixed step",
-                "FixedStep(..., power=power_settings(model, horizons_s=(10.0,), hold='current'))",
-                "Make it with that.",
-            )
+        check_has_power(stepper)
         out = np.zeros(1, dtype=CAPABILITY)
         stepper.pack.power(state.mean, state.cells, out)
         return out
@@ -186,6 +174,12 @@ class FixedPack:
 
     def _check(self, state: PackState, stepper: Stepper) -> None:
         """Refuse what is no state of this pack: the kernel would read past it."""
+        if not isinstance(state, PackState):
+            raise InputError(
+                f"state = {shown(state)}",
+                "a PackState, as init(soc0) gives it",
+                "Begin with init(soc0), and pass on its own.",
+            )
         mean, cells = state
         check_record(mean, stepper.tables, self.filter.name)
         if not (isinstance(cells, np.ndarray) and cells.dtype == CELL) or cells.size != self.count:

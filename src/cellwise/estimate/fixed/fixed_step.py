@@ -152,13 +152,7 @@ class FixedStep:
             sequence_number(sequence),
         )
         out = stepper.rows(state, self._sample)[0]
-        return EkfInfo(
-            float(out["soc"]),
-            float(np.sqrt(out["soc_variance"])),
-            float(out["voltage_V"]),
-            *seen(out["innovation_V"], out["status"], out["innovation_variance_V2"], self.noise),
-            int(out["status"]),
-        )
+        return info_of(out, self.noise)
 
     def power(self, state: NDArray[Any]) -> NDArray[Any]:
         """State of power of a state: one record of ``layout.CAPABILITY`` [W].
@@ -168,12 +162,7 @@ class FixedStep:
         InputError        no time step; not asked for when this was made
         """
         stepper = self._need_stepper()
-        if not stepper.tables.options.power:
-            raise InputError(
-                "no state of power in this fixed step",
-                "FixedStep(..., power=power_settings(model, horizons_s=(10.0,), hold='current'))",
-                "Make it with that.",
-            )
+        check_has_power(stepper)
         out = np.zeros(1, dtype=CAPABILITY)
         stepper.power(state, out)
         return out
@@ -200,9 +189,11 @@ class FixedStep:
                 "Make it with that.",
             )
         check_record(state, stepper.tables, self.name)
-        if stepper.set_health(state, float(capacity_share), float(resistance_scale)):
+        share = one_reading("capacity_share", capacity_share, "a share")
+        scale = one_reading("resistance_scale", resistance_scale, "a factor")
+        if stepper.set_health(state, share, scale):
             raise InputError(
-                f"capacity_share = {capacity_share:g}, resistance_scale = {resistance_scale:g}",
+                f"capacity_share = {share:g}, resistance_scale = {scale:g}",
                 "a share of 0.1 to 2, a scale of 0.1 to 20, a sound state",
                 "Give what `cellwise history` says, beside the model's own.",
             )
@@ -363,14 +354,37 @@ def sequence_number(sequence: object) -> int:
         ) from None
 
 
-def seen(
-    innovation_V: float, status: int, variance: float, noise: Noise
-) -> tuple[float, float, float]:
-    """Innovation, its variance and test ratio for people: NaN where there was no voltage."""
-    if int(status) & VOLTAGE_INVALID:
-        return np.nan, float(variance), np.nan
-    ratio = float(innovation_V) ** 2 / (noise.gate**2 * float(variance))
-    return float(innovation_V), float(variance), ratio
+def info_of(out: NDArray[Any], noise: Noise) -> EkfInfo:
+    """A record of OUTPUT for people: innovation and test ratio are NaN without a voltage."""
+    innovation, ratio = float("nan"), float("nan")
+    variance = float(out["innovation_variance_V2"])
+    if not int(out["status"]) & VOLTAGE_INVALID:
+        innovation = float(out["innovation_V"])
+        ratio = innovation**2 / (noise.gate**2 * variance)
+    return EkfInfo(
+        float(out["soc"]),
+        float(np.sqrt(out["soc_variance"])),
+        float(out["voltage_V"]),
+        innovation,
+        variance,
+        ratio,
+        int(out["status"]),
+    )
+
+
+def check_has_power(stepper: Stepper) -> None:
+    """Refuse to ask for a power that is not compiled in.
+
+    Raises
+    ------
+    InputError        made without ``power``
+    """
+    if not stepper.tables.options.power:
+        raise InputError(
+            "no state of power in this fixed step",
+            "FixedStep(..., power=power_settings(model, horizons_s=(10.0,), hold='current'))",
+            "Make it with that.",
+        )
 
 
 def median_interval_s(log: CellLog) -> float:
