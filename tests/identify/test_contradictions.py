@@ -9,6 +9,7 @@ import pytest
 
 from cellwise import CellLog, InputError, load_dataset, read_log
 from cellwise.cell.plausibility.notice import Notice, in_order
+from cellwise.cli.identifying import print_identification
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell
 from cellwise.identify.contradictions import (
     capacity_notices,
@@ -116,6 +117,17 @@ def test_a_capacity_log_of_another_cell_is_said_first(hppc, low_rate):
     other = scaled(load_dataset("nmc_cap_c5"), 1.6, "other")
     tests = together((hppc,), ocv=(low_rate,), capacity=(other,))
     assert "'other'" in first_said(tests, QUICK)
+
+
+def test_the_command_says_it_in_its_first_line(hppc, low_rate, capsys):
+    other = scaled(load_dataset("nmc_cap_c5"), 1.6, "other")
+    tests = together((hppc,), ocv=(low_rate,), capacity=(other,))
+    found = identify_cell(tests, QUICK)
+    print_identification(found)
+    first, *rest = capsys.readouterr().out.splitlines()
+    assert first.startswith("  ! ")
+    assert "'other'" in first
+    assert not any(line == first for line in rest)
 
 
 def first_said(tests, settings):

@@ -200,6 +200,14 @@ def test_a_capacity_test_that_never_reaches_the_limit(hppc):
         )
 
 
+def test_a_capacity_test_that_is_left_out_beside_a_whole_one_is_named(hppc):
+    """It ends where the other test goes on: at a higher voltage."""
+    whole, early = discharge(1 / 5, 1.1, "whole"), discharge(0.5, 0.7, "early")
+    found = run(pulses(hppc, capacity=(whole, early)), QUICK)
+    (said,) = [n for n in found.notices if "not used" in n]
+    assert said.startswith("capacity test early: not used (")
+
+
 def test_drives_alone_say_what_they_assume(drive):
     found = run(drives(drive))
     assert any("is the prior" in n for n in found.notices)

@@ -155,3 +155,4 @@ def test_ocv_of_another_sample_is_said_with_the_numbers():
     assert "sample_b" in said
     same = identified(hppc(CELL), ocv=(slow,))
     assert not any("do not look like one cell" in n for n in same.notices)
+    assert found.contradictions == found.notices[:1] == (said,)

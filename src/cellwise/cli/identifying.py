@@ -101,6 +101,9 @@ def print_identification(found: Identification) -> None:
     """An identification for people."""
     from cellwise.identify.capacity.capacity_choice import capacity_table, format_capacity_table
 
+    # Logs that do not go together come before every figure that was made of them.
+    for notice in found.contradictions:
+        printing.say(f"  ! {notice}")
     complete = [t for t in found.capacity_tests if t.complete]
     if complete:
         printing.say(format_capacity_table(capacity_table(complete)))
@@ -128,5 +131,6 @@ def print_identification(found: Identification) -> None:
         "valid for " + ", ".join(f"{k} {v[0]:.3g} to {v[1]:.3g}" for k, v in known.items())
     )
     for notice in found.notices:
-        printing.say(f"  ! {notice}")
+        if notice not in found.contradictions:
+            printing.say(f"  ! {notice}")
     printing.say(f"{found.seconds:.1f} s")

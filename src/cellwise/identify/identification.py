@@ -209,7 +209,11 @@ class OwnLog:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Identification(Plottable):
-    """A model and all that led to it."""
+    """A model and all that led to it.
+
+    ``contradictions`` are those of ``notices`` that say which logs do not go together, by numbers:
+    what a person must read before the figures.
+    """
 
     model: CellModel
     capacity_choice: str
@@ -222,6 +226,7 @@ class Identification(Plottable):
     fit: ErrorMetrics
     notices: tuple[str, ...]
     seconds: float
+    contradictions: tuple[str, ...] = ()
 
     @property
     def simulations(self) -> tuple[Simulation, ...]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from cellwise.cell.metrics import error_metrics
 from cellwise.cell.model import CellModel
-from cellwise.cell.plausibility.notice import in_order
+from cellwise.cell.plausibility.notice import Notice, in_order
 from cellwise.errors import InputError
 from cellwise.identify.assemble import GRID_POINTS, plain_model, table_summary
 from cellwise.identify.by_temperature import (
@@ -104,7 +104,7 @@ def identify_cell(
     found_wrong += capacity_notices(tests, capacity, choice, settings.nominal_Ah)
     say("OCV")
     low_rate = nearest_test(low_rate_tests(tests.ocv, default), default)
-    ocv = _ocv(replace(tests, ocv=low_rate), capacity, notices)
+    ocv, unlike = _ocv(replace(tests, ocv=low_rate), capacity, notices)
     found_wrong += rest_notices(tests, ocv, capacity)
     say("pulses")
     groups = [
@@ -139,8 +139,9 @@ def identify_cell(
     say("validation on its own logs")
     own = simulate_back(model, tests, ocv, _starts(groups, refined))
     used = [o for o in own if o.used]
+    contradictory = in_order([*found_wrong, *unlike])
     notices = [
-        *in_order(found_wrong),
+        *contradictory,
         *in_order(
             own_log_notices(model, tests, tuple(o.simulation for o in used)),
             (*notices, *reading_notices(tests)),
@@ -167,6 +168,7 @@ def identify_cell(
         fit=fit,
         notices=tuple(dict.fromkeys(notices)),
         seconds=seconds,
+        contradictions=contradictory,
     )
 
 
@@ -250,6 +252,7 @@ def _capacity(
             "a capacity test, an HPPC log over the whole range, or a nominal capacity",
             "Add `capacity=LOG`, `hppc=LOG` or `nominal_Ah=X`.",
         )
+    notices.extend(f"capacity test {t.left_out}" for t in usable if not t.complete)
     choices = capacity_choices(usable, settings.nominal_Ah, total, temperature_C=default)
     choice, capacity = choose_capacity(choices, settings.capacity_choice)
     nominal = settings.nominal_Ah
@@ -262,8 +265,10 @@ def _capacity(
     return choices, choice, capacity, measured
 
 
-def _ocv(tests: TestLogs, capacity: float, notices: list[str]) -> OcvCurve:
-    """OCV from the low-rate logs, from the rests of the HPPC logs, or from both."""
+def _ocv(
+    tests: TestLogs, capacity: float, notices: list[str]
+) -> tuple[OcvCurve, tuple[Notice, ...]]:
+    """OCV from low-rate logs, rests of HPPC logs, or both, and a notice where these differ."""
     low_rate = None
     if tests.ocv:
         low_rate = ocv_from_low_rate(
@@ -286,17 +291,17 @@ def _ocv(tests: TestLogs, capacity: float, notices: list[str]) -> OcvCurve:
         unlike = sample_notice(rests, low_rate, capacity)
         both = combine_ocv(rests, low_rate)
         apart = both.notes[len(low_rate.notes) + len(rests.notes) + 1 :]
-        notices.extend(apart if unlike is None else [unlike])
-        return both
+        notices.extend(apart if unlike is None else [])
+        return both, () if unlike is None else (unlike,)
     if low_rate is not None:
-        return low_rate
+        return low_rate, ()
     if rests is not None:
         notices.extend(rests.notes)
-        return rests
+        return rests, ()
     if tests.capacity:
         slowest = ocv_from_low_rate(tests.capacity, capacity_Ah=capacity)
         notices.append("OCV taken from the slowest capacity test: it carries its polarisation")
-        return slowest
+        return slowest, ()
     if not tests.drive:
         counts, healthy = _counts([(log, find_pulses(log)) for log, _ in tests.hppc])
         raise InputError(
@@ -304,7 +309,7 @@ def _ocv(tests: TestLogs, capacity: float, notices: list[str]) -> OcvCurve:
             "a low-rate test beside it" if healthy else "at least one healthy pulse after a rest",
             "Add `ocv=LOG` (a C/20 discharge), or give an HPPC log with rests at several SOC.",
         )
-    return _ocv_from_drives(tests, capacity, notices)
+    return _ocv_from_drives(tests, capacity, notices), ()
 
 
 def _ocv_from_drives(tests: TestLogs, capacity: float, notices: list[str]) -> OcvCurve:

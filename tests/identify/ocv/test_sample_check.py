@@ -29,9 +29,9 @@ def test_the_ratio_of_the_capacities_comes_back(slow, share):
     found, notice = compared(slow, log)
     assert found.rests_Ah / found.ocv_Ah == pytest.approx(share, abs=0.005)
     assert not found.one_cell
-    assert f"{100 * (found.rests_Ah / found.ocv_Ah - 1):+.1f} %" in notice
-    assert "one" in notice
-    assert "two" in notice
+    assert f"{100 * (found.rests_Ah / found.ocv_Ah - 1):+.1f} %" in notice.text
+    assert "one" in notice.text
+    assert "two" in notice.text
 
 
 @pytest.mark.parametrize("share", [1.0, 0.99])

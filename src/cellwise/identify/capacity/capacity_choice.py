@@ -97,11 +97,7 @@ def usable_tests(
     """
     everything = tuple(tests)
     whole = [t for t in everything if t.complete]
-    notices = [
-        f"{t.name}: not used ({'; '.join(t.notices) or 'not from full to the lower limit'})"
-        for t in everything
-        if not t.complete
-    ]
+    notices = [t.left_out for t in everything if not t.complete]
     if not whole:
         raise InputError(
             f"no capacity test that goes from full to the lower limit ({'; '.join(notices)})",

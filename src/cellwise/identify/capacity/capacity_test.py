@@ -96,6 +96,12 @@ class CapacityTest:
         return self.reached_limit and self.full_at_start != "no"
 
     @property
+    def left_out(self) -> str:
+        """Why it is no capacity, for one that is not complete."""
+        why = "; ".join(self.notices) or "not from full to the lower limit"
+        return f"{self.name}: not used ({why})"
+
+    @property
     def cooled(self) -> bool:
         """The test was moved to a colder place while it ran: it belongs to no temperature."""
         if self.temperature_C is None or self.temperature_start_C is None:

@@ -7,10 +7,12 @@ result says so.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
+from cellwise.cell.plausibility.notice import RANGE_V, Notice
 from cellwise.identify.ocv.curve import OcvCurve
 from cellwise.typing import FloatArray
 
@@ -81,19 +83,21 @@ def check_samples(rests: OcvCurve, low_rate: OcvCurve) -> SampleCheck | None:
     )
 
 
-def sample_notice(rests: OcvCurve, low_rate: OcvCurve, capacity_Ah: float) -> str | None:
+def sample_notice(rests: OcvCurve, low_rate: OcvCurve, capacity_Ah: float) -> Notice | None:
     """Notice for a person whose OCV test and pulse test are not of one cell."""
     found = check_samples(rests, low_rate)
     if found is None or found.one_cell:
         return None
     apart = 100.0 * (found.rests_Ah / found.ocv_Ah - 1.0) if found.ocv_Ah > 0.0 else float("nan")
-    return (
+    size_V = RANGE_V * abs(math.log(found.rests_Ah / found.ocv_Ah)) if found.ocv_Ah > 0.0 else 0.0
+    text = (
         f"'{low_rate.source}' and '{rests.source}' do not look like one cell: from "
         f"{found.high_V:.3f} to {found.low_V:.3f} V the first moves {found.ocv_Ah:.3f} Ah, the "
         f"second {found.rests_Ah:.3f} Ah ({apart:+.1f} %), and {1e3 * found.left_V:.0f} mV RMS "
         f"are left between them. Two samples, two ages, or a current sensor that is off; SOC "
         f"refers to {capacity_Ah:.3f} Ah"
     )
+    return Notice(size_V + found.left_V, text)
 
 
 def _left(

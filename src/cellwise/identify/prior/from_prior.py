@@ -170,8 +170,9 @@ def identify_from_prior(
     model = replace(model, validity=joined(_covered(o) for o in own))
     sims = tuple(o.simulation for o in own)
     fit = error_metrics(np.concatenate([o.compared_V for o in own]))
+    contradictory = in_order(found_wrong)
     notices = [
-        *in_order(found_wrong),
+        *contradictory,
         *in_order(own_log_notices(model, tests, sims), (*notices, *reading_notices(tests))),
     ]
     check_serves(fit.rmse_V, found_wrong)
@@ -203,6 +204,7 @@ def identify_from_prior(
         fit=fit,
         notices=tuple(dict.fromkeys(notices)),
         seconds=seconds,
+        contradictions=contradictory,
     )
 
 
