@@ -10,7 +10,7 @@ import pytest
 REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGE = REPOSITORY / "src" / "cellwise"
 
-BASE = {"errors", "typing", "files", "given", "plotting"}
+BASE = {"errors", "typing", "files", "given", "plotting", "threads"}
 TOOLS = {"logs", "cell", "identify", "estimate", "forecast", "diagnose", "pack", "history", "data"}
 MAY_IMPORT = {
     "errors": set(),
@@ -18,6 +18,7 @@ MAY_IMPORT = {
     "files": {"errors"},
     "given": {"errors", "typing"},
     "progress": set(),
+    "threads": set(),
     "plotting": {"errors", "typing"},
     "logs": BASE,
     "cell": BASE | {"logs"},

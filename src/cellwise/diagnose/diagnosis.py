@@ -48,11 +48,13 @@ from cellwise.diagnose.sensor_faults import with_faults, without_faults
 from cellwise.diagnose.soc_gain import reference_for, soc_gain
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
+from cellwise.threads import one_blas_thread
 
 Logs = CellLog | Sequence[CellLog]
 StartedLog = tuple[CellLog, InitialSoc]
 
 
+@one_blas_thread
 def diagnose(
     model: CellModel,
     logs: Logs,

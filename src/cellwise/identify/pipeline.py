@@ -64,12 +64,14 @@ from cellwise.identify.tables import pulse_tables
 from cellwise.identify.validity import identified_validity
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.sign import verify_sign
+from cellwise.threads import one_blas_thread
 
 Progress = Callable[[str], None]
 FAR_FROM_NOMINAL = 2.5  # an aged cell keeps a third, a wrong unit is a thousand
 LARGEST_PULSE = 1.0 / 3.0  # of the capacity: a discharge beyond it has no parameters of one SOC
 
 
+@one_blas_thread
 def identify_cell(
     tests: TestLogs, settings: IdentifySettings | None = None, progress: Progress | None = None
 ) -> Identification:

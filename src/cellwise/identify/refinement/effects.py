@@ -91,8 +91,9 @@ class Judge:
     ) -> RefineResult:
         """A refinement."""
         return refine(
-            logs, self.start, settings=settings, theta=theta, most_rows=most_rows, **self.how
-        )
+            logs, self.start, settings=settings, theta=theta, most_rows=most_rows,
+            with_errors=most_rows is None, **self.how,
+        )  # fmt: skip
 
     def trial(
         self,

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from os import cpu_count
 
 import numpy as np
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.linalg.blas import dsyrk
 
 from cellwise.identify.refinement.layout import (
@@ -315,7 +316,7 @@ class Problem:
         for step in range(iterations):
             system = now.matrix + penalty + np.diag(prior)
             slope = now.gradient - penalty @ theta - prior * (theta - anchor)
-            move = np.linalg.solve(system + damping * np.diag(np.diag(system)), slope)
+            move = _solved(system + damping * np.diag(np.diag(system)), slope)
             trial = self.inside(theta + np.clip(move, -LARGEST_STEP, LARGEST_STEP))
             new = self.normal_equations(trial)
             value = total(new.cost, trial)
@@ -381,6 +382,15 @@ class Problem:
         if self.settings.charge_transfer:
             theta[lay.asinh] = np.clip(theta[lay.asinh], 0.01, 20.0)
         return theta
+
+
+def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    """Solution of a symmetric system, which is positive definite but for rounding."""
+    try:
+        factor = cho_factor(matrix, check_finite=False)
+    except LinAlgError:
+        return np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)
+    return np.asarray(cho_solve(factor, right, check_finite=False))
 
 
 def blocks_of(lay: Layout) -> Blocks:

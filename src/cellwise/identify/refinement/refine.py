@@ -32,6 +32,7 @@ from cellwise.identify.refinement.refine_data import (
     prepare_log,
 )
 from cellwise.identify.refinement.splines import OCV_KNOTS, TABLE_KNOTS, spline_count
+from cellwise.threads import one_blas_thread
 from cellwise.typing import FloatArray
 
 ALL_ROWS = 40_000
@@ -118,6 +119,7 @@ class RefineResult:
         )
 
 
+@one_blas_thread
 def refine(
     logs: Sequence[RefineLog],
     start: StartTables,
@@ -130,6 +132,7 @@ def refine(
     ocv_knots: FloatArray = OCV_KNOTS,
     theta: FloatArray | None = None,
     most_rows: int | None = None,
+    with_errors: bool = True,
     progress: Callable[[int, float], None] | None = None,
 ) -> RefineResult:
     """Fit the tables to the voltage of whole logs.
@@ -143,6 +146,7 @@ def refine(
     theta : (parameters,) float or None         where to begin, if not at ``start``
     most_rows : int or None           compared rows of one log at most; None: all logs together
                                       share ALL_ROWS, none has fewer than MOST_ROWS
+    with_errors : bool                estimate standard errors, too; else they are NaN
     progress : callable or None       called with the iteration and the RMSE [V] after each step
 
     Returns
@@ -190,7 +194,7 @@ def refine(
         knots=knots,
         ocv_knots=ocv_knots,
         theta=theta,
-        theta_std=problem.standard_errors(theta),
+        theta_std=problem.standard_errors(theta) if with_errors else np.full(theta.size, np.nan),
         rmse_V=tuple(float(np.sqrt(np.mean(r * r))) for r in residuals),
         residual_V=residuals,
         logs=prepared,

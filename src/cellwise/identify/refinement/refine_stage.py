@@ -177,7 +177,8 @@ def refine_cell(
         # Low-rate tests hold the OCV; what the loads alone say of it must not differ.
         quick = replace(decision.settings, iterations=QUICK_ITERATIONS)
         alone = refine(loads, start, settings=quick, capacity_Ah=capacity_Ah,
-                       reference_C=reference, theta=result.theta, most_rows=QUICK_ROWS)  # fmt: skip
+                       reference_C=reference, theta=result.theta, most_rows=QUICK_ROWS,
+                       with_errors=False)  # fmt: skip
     _note_moved_ocv(alone, notices)
     hot = any(item.log.temperature_C is not None for item in logs)
     model = refined_model(result, start, capacity_Ah, plain.skew, hot)
