@@ -17,7 +17,7 @@ from cellwise.logs import CellLog, read_log
 
 PANASONIC_AH = 2.9
 OTHERS = ("drive_p25_cycle_3", "drive_p25_nn")
-MONTHS = ("05", "08", "10")
+MONTHS = ("03", "04", "05", "07", "08", "09", "10", "11")  # all but June, which is fitted
 
 
 @pytest.fixture(scope="module")
@@ -110,8 +110,7 @@ def test_a_month_of_driving_holds_for_the_other_months(leaf, real_data):
             inside = (found.soc >= low) & (found.soc <= high)
             errors[month].append(found.error_V[inside])
     rmse = {m: float(np.sqrt(np.mean(np.concatenate(e) ** 2))) for m, e in errors.items()}
-    assert max(rmse.values()) < 0.012, rmse
-    assert rmse["05"] < 0.008, rmse
+    assert max(rmse.values()) < 0.008, rmse
 
 
 def test_the_aged_pack_is_smaller_than_new(leaf):
