@@ -107,6 +107,35 @@ def test_a_dead_sensor_is_named_and_does_not_move_the_mean(reading):
     np.testing.assert_allclose(pack.mean.voltage_V, others.mean(axis=1), atol=1e-12)
 
 
+@pytest.mark.parametrize("reading", [0.0, np.nan, 65.535])
+def test_a_sensor_that_dies_during_the_log_is_named_and_its_earlier_rows_are_used(reading):
+    time, current, volts = measured(6)
+    broken = volts.copy()
+    broken[250:, 2] = reading
+    pack = PackLog.from_arrays(time, current, broken)
+    assert [(flag.cell, flag.kind) for flag in pack.flags] == [("cell_03", "dead")]
+    assert "from row 251 on" in pack.flags[0].text
+    np.testing.assert_array_equal(pack.cell_V[:250, 2], volts[:250, 2])
+    assert np.all(np.isnan(pack.cell_V[250:, 2]))
+
+
+def test_cells_that_miss_the_last_rows_together_are_not_dead():
+    time, current, volts = measured(6)
+    volts[250:, [0, 1, 2, 3, 5]] = np.nan
+    pack = PackLog.from_arrays(time, current, volts)
+    assert {flag.kind for flag in pack.flags} == {"missing"}
+
+
+def test_a_cell_whose_wires_are_reversed_is_not_taken_as_balanced_in_silence():
+    time, current, volts = measured(6)
+    volts[:, 3] *= -1.0
+    pack = PackLog.from_arrays(time, current, volts)
+    said = [flag.text for flag in pack.flags if flag.cell == "cell_04"]
+    assert len(said) == 1
+    assert "reversed" in said[0]
+    assert "not estimated" in said[0]
+
+
 def test_a_frozen_sensor_is_named_and_a_quiet_rest_is_not():
     time, current, volts = measured(6)
     frozen = volts.copy()

@@ -21,6 +21,7 @@ MILLIVOLTS = 500.0
 FROZEN_ROWS = 50
 FROZEN_MOVE_V = 0.02
 MOST_MISSING = 0.5  # of the rows: a cell that measures less is not estimated
+LAST_ROWS = 50  # without a reading to the end, while most other cells have theirs: it has died
 SPIKE_V = 0.05  # further from the others than any cell under load: not part of the mean
 COUNT_TOLERANCE = 0.3  # of a cell, between the pack's voltage and the sum of the cells
 
@@ -139,7 +140,14 @@ def _negative(
         f"negative voltages of {cells.size} cell(s) ({', '.join(some)}"
         f"{', ...' if cells.size > 4 else ''}) were read as those of cells being balanced"
     )
-    return balancing, [CellFlag("", "balancing", text)]
+    flags = [CellFlag("", "balancing", text)]
+    for k in np.flatnonzero(negative.all(axis=0)).tolist():
+        always = (
+            f"{names[k]} is negative in every row, as if balanced all the time: its wires may be "
+            "reversed; it is not estimated"
+        )
+        flags.append(CellFlag(names[k], "balancing", always))
+    return balancing, flags
 
 
 def _impossible(volts: FloatArray, names: Sequence[str]) -> list[CellFlag]:
@@ -149,19 +157,30 @@ def _impossible(volts: FloatArray, names: Sequence[str]) -> list[CellFlag]:
         wrong = ~((volts >= low) & (volts <= high))
     flags = []
     share = wrong.mean(axis=0)
+    most = wrong.mean(axis=1) < MOST_MISSING
     for k in np.flatnonzero(share > 0.0).tolist():
         seen = volts[wrong[:, k] & np.isfinite(volts[:, k]), k]
         volts[wrong[:, k], k] = np.nan
+        what = f"reads {np.median(seen):.3g} V" if seen.size else "has no value"
         if share[k] > MOST_MISSING:
             volts[:, k] = np.nan
-            what = f"reads {np.median(seen):.3g} V" if seen.size else "has no value"
             text = f"{names[k]} {what} in {100 * share[k]:.0f} % of the rows: it is not estimated"
+            flags.append(CellFlag(names[k], "dead", text))
+        elif (first := _dead_from(wrong[:, k], most)) is not None:
+            text = f"{names[k]} {what} from row {first + 1} on: earlier rows are used alone"
             flags.append(CellFlag(names[k], "dead", text))
         else:
             count = int(wrong[:, k].sum())
             text = f"{names[k]} has {count} row(s) without a possible voltage, which are left out"
             flags.append(CellFlag(names[k], "missing", text))
     return flags
+
+
+def _dead_from(wrong: BoolArray, most: BoolArray) -> int | None:
+    """First row of a cell's last readings, none of which counts while most other cells measure."""
+    there = np.flatnonzero(~wrong)
+    first = int(there[-1]) + 1 if there.size else 0
+    return first if np.count_nonzero(most[first:]) >= LAST_ROWS else None
 
 
 def _frozen(volts: FloatArray, names: Sequence[str]) -> list[CellFlag]:

@@ -32,6 +32,7 @@ LEAST_SCALE_MV = 3.0
 REST_RATE, LOAD_RATE = 0.05, 0.3  # 1/h
 BIN_ROWS = 5
 MOST_LABELS = 12  # of days below the cells
+BEHIND = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.6}  # of a cell's name
 
 
 def pack_pictures(found: PackEstimate) -> tuple[Picture, ...]:
@@ -141,6 +142,7 @@ def draw_rest_and_load(found: PackEstimate) -> Figure:
     number = np.arange(1, len(found.names) + 1)
     capacity = found.model.capacity_Ah
     shown = {}
+    heights = np.zeros(len(found.names))
     rates = [day.log.mean.current_A / capacity for day in found.days]
     for label, colour, marker, inside in (
         ("at rest", BLUE, "o", [np.abs(rate) < REST_RATE for rate in rates]),
@@ -149,9 +151,10 @@ def draw_rest_and_load(found: PackEstimate) -> Figure:
         mean = _mean_where(found, inside)
         if np.isfinite(mean).any():
             shown[label] = float(np.nanstd(mean))
+            heights = 1e3 * mean
             axes.plot(number, 1e3 * mean, marker, color=colour, markersize=3.5, label=label)
     zero_line(axes)
-    _point_at(axes, found, lambda cell: 0.0)
+    _point_at(axes, found, lambda cell: float(heights[cell]))
     said = ", ".join(f"{millivolt(v)} {k}" for k, v in shown.items())
     finding(axes, f"Standard deviation between cells: {said or 'no row at rest or under load'}")
     labels(axes, "cell", "cell minus mean [mV]")
@@ -227,8 +230,11 @@ def _point_at(axes: Axes, found: PackEstimate, height: Any) -> None:
     for cell in named_cells(found):
         value = height(cell)
         if np.isfinite(value):
+            # Beside the dot: above it would lie on its band or in the plot's title.
+            left = cell > 0.8 * len(found.names)
             axes.annotate(
-                found.names[cell], (cell + 1.0, value), (0, 9), textcoords="offset points",
-                color=VERMILLION, ha="center", fontsize=7.5,
+                found.names[cell], (cell + 1.0, value), (-14 if left else 14, 0),
+                textcoords="offset points", color=VERMILLION, ha="right" if left else "left",
+                va="center", fontsize=7.5, bbox=BEHIND,
                 arrowprops={"arrowstyle": "-", "color": VERMILLION, "linewidth": 0.7},
             )  # fmt: skip
