@@ -15,6 +15,7 @@ from cellwise import CellLog, InputError, write_log
 from cellwise.cli.command_line import build_parser
 from cellwise.cli.common.wording import ARGUMENT, in_options
 from cellwise.logs import read_log
+from sources import tree_of
 
 SOURCE = Path(cellwise.__file__).parent
 # Options of other programs, and of `python -m cellwise.printing`; the variables of a style sheet.
@@ -28,7 +29,7 @@ def texts():
         name = path.relative_to(SOURCE).as_posix()
         if name.startswith(OTHERS):
             continue
-        tree = ast.parse(path.read_text(encoding="utf-8"))
+        tree = tree_of(path)
         said = {id(n.value) for n in ast.walk(tree) if isinstance(n, ast.Expr)}
         inside = {id(p) for n in ast.walk(tree) if isinstance(n, ast.JoinedStr) for p in n.values}
         for node in ast.walk(tree):
