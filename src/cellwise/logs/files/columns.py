@@ -133,6 +133,7 @@ _SYNONYMS = {
 _UNIT = re.compile(r"(?:[(\[{<]|[/_])\s*([a-zµμ°]+)\s*[)\]}>]?$")
 _NUMBERS = re.compile(r"\d+")
 MOST_LISTED = 12
+LONGEST_LISTED = 60  # characters of a name
 _UNIT_WORDS = {
     **dict.fromkeys(("sec", "secs", "second", "seconds", "sek"), "s"),
     **dict.fromkeys(("µs", "μs"), "us"),
@@ -358,7 +359,7 @@ def _plain(name: str) -> str:
 
 def listed(names: Sequence[str], most: int = MOST_LISTED) -> str:
     """Names in quotes, the first dozen."""
-    shown = ", ".join(f"'{name}'" for name in names[:most])
+    shown = ", ".join(f"'{name[:LONGEST_LISTED]}'" for name in names[:most])
     return shown + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
