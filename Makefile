@@ -28,12 +28,13 @@ check: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+# Tests of one module stay together: what they share is made once.
 test: check
-	$(BIN)/pytest -n 2 -m "not slow"
+	$(BIN)/pytest -n 2 --dist worksteal -m "not slow"
 
 # What `make firmware` and `make pages` run is left to them.
 deep: $(STAMP)
-	$(BIN)/pytest -n 2 -m slow --ignore tests/firmware --ignore tests/report/test_in_browser.py
+	$(BIN)/pytest -n 2 --dist worksteal -m slow --ignore tests/firmware --ignore tests/report/test_in_browser.py
 
 # Other people's implementations as oracle: PyBaMM, thevenin.
 oracles: $(STAMP)

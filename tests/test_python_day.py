@@ -71,6 +71,8 @@ def test_a_notebook_shows_a_plot_once(monkeypatch):
     figure = log.plot()
     assert hasattr(figure, "savefig")
     assert pyplot.get_fignums() == []
+    # The cell's value: a notebook knows how to show matplotlib's figures once pyplot has drawn one.
+    assert figure._repr_png_().startswith(b"\x89PNG")
 
 
 def test_a_notebook_shows_a_log_as_a_table():

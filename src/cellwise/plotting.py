@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
+from functools import cache
 from html import escape
 from importlib import import_module
+from io import BytesIO
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -138,11 +140,23 @@ def _figure(size: tuple[float, float]) -> Figure:
     if "ipykernel" in sys.modules:
         figures = _need("matplotlib.figure", "report")
         _need("matplotlib.backends.backend_agg", "report")
-        alone: Figure = figures.Figure(figsize=size, layout="constrained")
+        alone: Figure = _notebook_figure(figures.Figure)(figsize=size, layout="constrained")
         return alone
     pyplot = _need("matplotlib.pyplot", "report")
     shown: Figure = pyplot.figure(figsize=size, layout="constrained")
     return shown
+
+
+@cache
+def _notebook_figure(figure: type[Any]) -> Any:
+    """Figures that a notebook shows by themselves: it knows matplotlib's own with pyplot only."""
+
+    def as_png(self: Any) -> bytes:
+        into = BytesIO()
+        self.savefig(into, format="png")
+        return into.getvalue()
+
+    return type("Figure", (figure,), {"_repr_png_": as_png})
 
 
 def _draw(axes: Any, line: Line) -> None:

@@ -75,6 +75,7 @@ def test_scipy_finds_the_truth(optimiser):
     np.testing.assert_allclose(found[2:], list(TRUE.values()), rtol=0.05)
 
 
+@pytest.mark.slow
 def test_scipy_and_varpro_share_the_optimum():
     pulse = one_pulse()
     peer = ScipyPulse(pulse)

@@ -15,6 +15,7 @@ from cellwise import CellLog, InputError, write_log
 from cellwise.cli.command_line import build_parser
 from cellwise.cli.common.wording import ARGUMENT, in_options
 from cellwise.logs import read_log
+from sources import tree_of
 
 SOURCE = Path(cellwise.__file__).parent
 # Options of other programs, and of `python -m cellwise.printing`; the variables of a style sheet.
@@ -28,7 +29,7 @@ def texts():
         name = path.relative_to(SOURCE).as_posix()
         if name.startswith(OTHERS):
             continue
-        tree = ast.parse(path.read_text(encoding="utf-8"))
+        tree = tree_of(path)
         said = {id(n.value) for n in ast.walk(tree) if isinstance(n, ast.Expr)}
         inside = {id(p) for n in ast.walk(tree) if isinstance(n, ast.JoinedStr) for p in n.values}
         for node in ast.walk(tree):
@@ -105,3 +106,39 @@ def test_python_and_command_say_the_same_each_in_its_words(tmp_path, refused, ru
     with pytest.raises(InputError, match="Give `series=4`, say"):
         read_log(path, series=0)
     assert "Give --series 4, say" in refused("inspect", str(path), "--series", "0")
+
+
+def parsers(parser):
+    """Every command and every action of one."""
+    for part in parser._actions:
+        if isinstance(part, argparse._SubParsersAction):
+            for inner in part.choices.values():
+                yield inner
+                yield from parsers(inner)
+
+
+def test_the_help_of_every_command_says_what_it_does_and_what_its_files_are():
+    found = list(parsers(build_parser()))
+    assert len(found) > 20
+    for parser in found:
+        assert parser.description.endswith("."), parser.prog
+        assert "--debug" in parser.format_help(), parser.prog
+        for part in parser._actions:
+            named = not part.option_strings and not isinstance(part, argparse._SubParsersAction)
+            assert part.help or not named, (parser.prog, part.dest)
+
+
+@pytest.mark.parametrize("before", [True, False])
+def test_debug_is_understood_before_an_action_and_behind_it(before):
+    rest = ["replay", "logs", "--model", "m.json", "-o", "out"]
+    words = ["fleet", "--debug", *rest] if before else ["fleet", *rest, "--debug"]
+    assert build_parser().parse_args(words).debug is True
+    assert build_parser().parse_args(["fleet", *rest]).debug is False
+
+
+def test_a_line_of_megabytes_is_no_message(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("a" * 200_000 + "\n1,2,3\n")
+    with pytest.raises(InputError) as caught:
+        read_log(path)
+    assert len(str(caught.value)) < 1500

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from sources import tree_of
+
 REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGE = REPOSITORY / "src" / "cellwise"
 
@@ -59,7 +61,7 @@ def imported(path, *, when_run=False):
 
     ``when_run`` leaves out what only type checkers see.
     """
-    tree = ast.parse(path.read_text(encoding="utf-8"))
+    tree = tree_of(path)
     left_out = set(for_type_checkers_only(tree)) if when_run else set()
     for node in ast.walk(tree):
         if node in left_out:
@@ -110,7 +112,7 @@ def for_type_checkers_only(tree):
 
 def needs(path, modules):
     """Modules of the package that a module imports, at its head or inside a function."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
+    tree = tree_of(path)
     left_out = set(for_type_checkers_only(tree))
     for node in ast.walk(tree):
         if node in left_out:
@@ -179,19 +181,19 @@ def test_kernels_do_not_raise():
     """What compiled code has to say it says in status bits or return values."""
     for path in MODULES:
         if path.stem == "kernels" or path.stem.endswith("_kernels"):
-            tree = ast.parse(path.read_text(encoding="utf-8"))
+            tree = tree_of(path)
             assert not any(isinstance(node, ast.Raise) for node in ast.walk(tree)), name(path)
 
 
 def test_assert_is_for_tests():
     for path in MODULES:
-        tree = ast.parse(path.read_text(encoding="utf-8"))
+        tree = tree_of(path)
         assert not any(isinstance(node, ast.Assert) for node in ast.walk(tree)), name(path)
 
 
 def test_the_generator_of_the_embedded_data_shares_no_code_with_cellwise():
     for path in (REPOSITORY / "datasets" / "generator").rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(tree_of(path)):
             named = [alias.name for alias in getattr(node, "names", ())]
             roots = {n.split(".")[0] for n in (getattr(node, "module", None) or "", *named)}
             assert not (isinstance(node, ast.Import | ast.ImportFrom) and "cellwise" in roots), path
@@ -211,7 +213,7 @@ MOST_ARGUMENTS = 12
 def kernels_of(path):
     """Functions that numba compiles: by their decorator, and all of the fixed step."""
     fixed = path.parent == PACKAGE / "estimate" / "fixed"
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(tree_of(path)):
         if isinstance(node, ast.FunctionDef):
             calls = [d.func if isinstance(d, ast.Call) else d for d in node.decorator_list]
             if fixed or COMPILED & {d.id for d in calls if isinstance(d, ast.Name)}:

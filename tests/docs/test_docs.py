@@ -16,7 +16,8 @@ from cellwise.cli import main
 
 RUN = ("python", "console")
 # Pages whose blocks run a whole command on whole logs; the tests of the commands run without them.
-SLOW = ("README.md", "docs/benchmark.md", "docs/fleet.md", "docs/howto.md", "docs/tutorial.md")
+SLOW = ("README.md", "docs/benchmark.md", "docs/firmware.md", "docs/fleet.md", "docs/howto.md")
+SLOW += ("docs/tutorial.md",)
 OTHER = ("", "text", "math", "toml", "json")
 
 RUNNING = [

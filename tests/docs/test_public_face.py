@@ -24,9 +24,17 @@ print(" ".join(wrong))
 """
 
 
-@pytest.mark.parametrize("order", ["forward", "reversed"])
+DEEPER = ("cellwise.identify.capacity.capacity_test", "cellwise.estimate.replay")
+
+
 @pytest.mark.parametrize(
-    "before", [(), ("cellwise.identify.capacity.capacity_test", "cellwise.estimate.replay")]
+    ("order", "before"),
+    [
+        ("forward", ()),
+        ("reversed", DEEPER),
+        pytest.param("reversed", (), marks=pytest.mark.slow),
+        pytest.param("forward", DEEPER, marks=pytest.mark.slow),
+    ],
 )
 def test_a_public_name_is_never_a_module(order, before):
     """A name that a folder has too would be hidden once somebody imports the folder."""

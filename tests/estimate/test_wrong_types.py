@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from functools import cache
 
 import numpy as np
 import pytest
@@ -18,11 +19,17 @@ SAMPLE = {"current_A": 1.0, "voltage_V": 3.7, "temperature_C": 25.0}
 WRONG_READINGS = [None, "1.2", [1.0, 2.0], np.zeros(3), {"A": 1.0}, 1j]
 
 
+@cache
+def counted(name):
+    """One for all tests: it keeps nothing, and the C twin is compiled for it."""
+    from cellwise.export.firmware import Firmware
+
+    return (FixedStep if name == "fixed-step" else Firmware)(curved_cell(), dt_s=1.0)
+
+
 def estimator(name):
     if name in COUNTED:
-        from cellwise.export.firmware import Firmware
-
-        return (FixedStep if name == "fixed-step" else Firmware)(curved_cell(), dt_s=1.0)
+        return counted(name)
     if name == "lockstep-ekf":
         return LockstepEkf(curved_cell(), 3, 1.0)
     return make_estimator(name, curved_cell())

@@ -58,6 +58,9 @@ def test_complete_discharges_are_counted():
     assert all(one.counted for one in life.logs)
     np.testing.assert_allclose([one.share for one in life.logs], SHARES, atol=0.004)
     np.testing.assert_allclose(life.trend.share, SHARES, atol=0.006)
+    percent = f"{100 * life.trend.share[-1]:.1f} +- "
+    assert repr(life).startswith(f"Life({len(SHARES)} logs: {percent}")
+    assert len(repr(life)) < 200
 
 
 def test_windows_are_compared_with_the_first_complete_discharge():

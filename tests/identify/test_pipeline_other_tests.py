@@ -83,12 +83,20 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+LONG = ("C/10, 10 %",)
+
+
+@pytest.mark.parametrize(
+    "case", [pytest.param(c, marks=[pytest.mark.slow] if c in LONG else []) for c in CASES]
+)
 def test_drives_are_missed_by_hardly_more_than_with_pulses(case, drives, of_pulses):
     assert missed_V(identified(*CASES[case]), drives) < WORSE * of_pulses
 
 
-@pytest.mark.parametrize(("rate", "period_s"), [(0.5, 1.0), (0.2, 1.0), (0.1, 1.0), (0.5, 10.0)])
+@pytest.mark.parametrize(
+    ("rate", "period_s"),
+    [(0.5, 1.0), (0.2, 1.0), pytest.param(0.1, 1.0, marks=pytest.mark.slow), (0.5, 10.0)],
+)
 def test_r0_of_a_long_step_is_the_resistance_after_a_row(rate, period_s):
     """Between R0 and what the cell resists one row after the switch; once 40 % too high."""
     found = identified(gitt(CELL, rate=rate, rest_s=3600.0), logger=Logger(period_s))
@@ -128,6 +136,7 @@ def test_late_rows_are_said():
     assert not any("after a switch" in n for n in identified(hppc(CELL)).notices)
 
 
+@pytest.mark.slow
 def test_a_c100_discharge_serves_as_ocv(drives, of_pulses):
     slow = run(CELL, low_rate(CELL, 0.01, charge=False), 1.0, Logger(60.0), name="c100").log
     found = identified(hppc(CELL), ocv=(slow,))

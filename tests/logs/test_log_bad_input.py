@@ -197,12 +197,12 @@ def test_text_in_a_number_column_says_row_and_column(tmp_path, row):
     assert f"row {row} " in error.found
 
 
-def test_wall_clock_time_is_refused_with_what_to_do(tmp_path):
+def test_a_time_that_is_none_is_refused_with_what_to_do(tmp_path):
     path = tmp_path / "log.csv"
-    path.write_text("time_s,current_A,voltage_V\n2024-05-01 10:00:00,1,4\n")
+    path.write_text("time_s,current_A,voltage_V\n0:01,1,4\n1 of May 10:00,1,4\n0:03,1,4\n")
     error = refusal(path)
-    assert "'time_s'" in error.found
-    assert "seconds from the log's start" in error.action
+    assert "'1 of May 10:00' in column 'time_s'" in error.found
+    assert "02:03:04" in error.expected
 
 
 def test_text_column_in_parquet(tmp_path):

@@ -240,3 +240,13 @@ def test_known_facts_of_measured_logs(real_data):
     leaf = inspect_log(read_log(real_data / "nissan_leaf" / "hppc_p25.csv.gz"))
     assert leaf.resolution == pytest.approx({"current_A": 0.01, "voltage_V": 1e-3})
     assert sum(rest.duration_s > 3000 for rest in leaf.rests) >= 9  # an hour at each 10 %
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_a_current_of_rounding_errors_alone_is_looked_through_without_a_warning():
+    """1e-320 A, as a damaged recording holds: a resistance over it would be infinite."""
+    truth = pulse_channels()
+    tiny = 1e-320 * (np.arange(truth["time_s"].size) % 2)
+    tiny[:600] = 0.0
+    tiny[5] = 2.0
+    assert inspect_log(CellLog(truth["time_s"], tiny, truth["voltage_V"])).samples == tiny.size

@@ -51,7 +51,10 @@ def test_one_changed_cell_is_named_with_its_cause(cells, change, cause, alike):
 
 
 def test_weakest_cells_are_those_that_were_made_so():
-    assert estimated(16, Fault(cell=8, capacity=-0.06)).weakest["by_capacity"] == "cell_09"
+    weak = estimated(16, Fault(cell=8, capacity=-0.06))
+    assert weak.weakest["by_capacity"] == "cell_09"
+    assert repr(weak).startswith("PackEstimate(16 cells, 1 log(s): SOC ")  # one line, in a notebook
+    assert repr(weak).endswith("cell_09 capacity)")
     assert estimated(16, Fault(cell=8, resistance=0.25)).weakest["by_resistance"] == "cell_09"
     assert estimated(16, Fault(cell=8, soc=-0.04)).weakest["by_soc"] == "cell_09"
 

@@ -140,6 +140,29 @@ def spikes():
     return CellLog(time, np.sin(time / 700.0), voltage)
 
 
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_page_fits_a_phone_and_what_is_wider_is_shaded_at_its_edge(pages, tmp_path, scheme):
+    async def work(browser):
+        await browser.do("Emulation.setEmulatedMedia",
+                         features=[{"name": "prefers-color-scheme", "value": scheme}])  # fmt: skip
+        await browser.do("Emulation.setDeviceMetricsOverride", width=390, height=844,
+                         deviceScaleFactor=1, mobile=True)  # fmt: skip
+        widths, unshaded = {}, {}
+        for kind, page in pages.items():
+            await browser.open(page, PICTURES)
+            widths[kind] = await browser.value("document.documentElement.scrollWidth")
+            unshaded[kind] = await browser.value(
+                "[...document.querySelectorAll('.scroll, figure')].filter(e =>"
+                " e.scrollWidth > e.clientWidth + 1 &&"
+                " getComputedStyle(e).backgroundImage === 'none').length"
+            )
+        return widths, unshaded
+
+    widths, unshaded = in_browser(tmp_path, work)
+    assert {kind: w for kind, w in widths.items() if w > 390} == {}
+    assert set(unshaded.values()) == {0}
+
+
 def test_a_million_samples_open_in_three_seconds_and_zoom(tmp_path):
     log = spikes()
     section = trace_section([("a million", log)])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -174,7 +174,7 @@ class CellModel(Plottable):
     @property
     def soc(self) -> FloatArray:
         """The uniform SOC grid, shape (points,)."""
-        return np.linspace(0.0, 1.0, self.points)
+        return _even_grid(self.points).copy()
 
     @property
     def c1_F(self) -> FloatArray:
@@ -286,6 +286,11 @@ class CellModel(Plottable):
             if np.ndim(value) == 2
         }
         return replace(effect, **tables)
+
+
+@cache
+def _even_grid(points: int) -> FloatArray:
+    return np.linspace(0.0, 1.0, points)
 
 
 def _interpolate(grid: FloatArray, table: FloatArray, temperature_C: float) -> FloatArray:

@@ -49,9 +49,27 @@ def build_parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     for module in modules:
         module.add_commands(commands)
-    for command in commands.choices.values():
-        command.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    _complete(commands)
     return parser
+
+
+def _complete(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Give every command, and every action of one, what it does as its first line, and --debug."""
+    about = {one.dest: one.help for one in commands._choices_actions}
+    for name, command in commands.choices.items():
+        said = about.get(name) or ""
+        command.description = f"{said[:1].upper()}{said[1:]}."
+        actions = [a for a in command._actions if isinstance(a, argparse._SubParsersAction)]
+        # An action's own default would hide what stands before it.
+        outer = command.prog.count(" ") == 1
+        command.add_argument(
+            "--debug",
+            action="store_true",
+            default=False if outer else argparse.SUPPRESS,
+            help="show the traceback of an error",
+        )
+        for inner in actions:
+            _complete(inner)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

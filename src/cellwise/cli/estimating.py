@@ -74,7 +74,7 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def _common(parser: argparse.ArgumentParser) -> None:
     model_options.add_model(parser, scalable=True)
-    parser.add_argument("log", metavar="LOG")
+    parser.add_argument("log", metavar="LOG", help=log_options.LOG_HELP)
     parser.add_argument("--soc0", default="auto", metavar="X", help="0..1, or auto [auto]")
     parser.add_argument("-o", "--output", metavar="OUT", help="rows as .csv, .csv.gz or .parquet")
     log_options.add_log_options(parser)

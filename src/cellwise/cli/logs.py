@@ -11,12 +11,12 @@ from cellwise.cli.common import log_options, printing
 def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the commands that look at logs."""
     inspect = commands.add_parser("inspect", help="say what is in a log")
-    inspect.add_argument("log", metavar="LOG")
+    inspect.add_argument("log", metavar="LOG", help=log_options.LOG_HELP)
     log_options.add_log_options(inspect)
     printing.add_json(inspect)
     inspect.set_defaults(run=run_inspect)
     convert = commands.add_parser("convert", help="write a log in the tidy form")
-    convert.add_argument("log", metavar="LOG")
+    convert.add_argument("log", metavar="LOG", help=log_options.LOG_HELP)
     convert.add_argument("-o", "--output", required=True, metavar="OUT")
     log_options.add_log_options(convert)
     printing.add_json(convert)

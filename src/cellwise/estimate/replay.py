@@ -131,7 +131,7 @@ class Replay(Plottable, Tabular):
         """What a person should know, the most harmful first; those of reading the log last."""
         found = outside_notices(self.validity, self.log, self.trace.soc)
         found += soc_notices(self.log, self.trace.soc)
-        if np.any(np.isfinite(self.trace.voltage_V)):  # counting predicts none
+        if self.sums.known or np.any(np.isfinite(self.trace.voltage_V)):  # counting predicts none
             rejected = self.sums.rejected / len(self.trace)
             found += prediction_notices(self.log, self.voltage_rmse_V, rejected)
         limits = () if self.power is None else self.power.known.notices

@@ -71,6 +71,14 @@ class Life:
     way: FloatArray
     trend: Trend
 
+    def __repr__(self) -> str:
+        scale, std = self.resistance
+        return (
+            f"Life({len(self.logs)} logs: {100 * float(self.trend.share[-1]):.1f} "
+            f"+- {100 * float(self.trend.std[-1]):.1f} % of the capacity, "
+            f"resistance {scale:.2f} +- {std:.2f} of the model's)"
+        )
+
     @property
     def capacity_std_Ah(self) -> float:
         """How well the capacity is known after the last log, the new cell's among it [Ah]."""

@@ -95,7 +95,10 @@ class MeasuredLog:
     @property
     def interval_s(self) -> FloatArray:
         """Length of the interval that ends at each row [s], shape (n,); 0 for the first row."""
-        return np.diff(self.time_s, prepend=self.time_s[0])
+        interval = np.empty(self.time_s.size)
+        interval[0] = 0.0
+        np.subtract(self.time_s[1:], self.time_s[:-1], out=interval[1:])
+        return interval
 
     @property
     def interval_current_A(self) -> FloatArray:

@@ -75,6 +75,14 @@ class PackEstimate:
     swapped: tuple[str, ...]
     state: PackState
 
+    def __repr__(self) -> str:
+        odd = ", ".join(f"{c['cell']} {c['name']}" for c in self.causes) or "none is odd"
+        low, high = float(np.nanmin(self.cells.soc)), float(np.nanmax(self.cells.soc))
+        return (
+            f"PackEstimate({len(self.names)} cells, {len(self.days)} log(s): "
+            f"SOC {low:.3f} to {high:.3f}; {odd})"
+        )
+
     @property
     def names(self) -> tuple[str, ...]:
         """Of the cells."""

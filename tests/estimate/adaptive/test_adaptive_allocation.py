@@ -29,10 +29,13 @@ def call(rows):
         ADAPTIVE.model.parameters(), ADAPTIVE._noise, ADAPTIVE._rules, ADAPTIVE._unknown,
         ADAPTIVE.init(0.5), log, np.empty((kernel.OUTPUTS, rows)), status, held,
     )  # fmt: skip
-    gc.collect()
-    before = rtsys.get_allocation_stats()
-    kernel.adaptive_rows(*kernel_arguments)
-    after = rtsys.get_allocation_stats()
+    gc.disable()  # what others left behind stays out of the count
+    try:
+        before = rtsys.get_allocation_stats()
+        kernel.adaptive_rows(*kernel_arguments)
+        after = rtsys.get_allocation_stats()
+    finally:
+        gc.enable()
     return after.alloc - before.alloc, after.mi_alloc - before.mi_alloc
 
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
-from scipy.interpolate import RegularGridInterpolator
 from scipy.stats import norm
 
 from cellwise.cell.effects import Hysteresis, SlowDiffusion, TemperatureDependence, TimeSkew
@@ -45,8 +44,9 @@ class Tables:
         table = np.broadcast_to(table, self.model.ocv_V.shape)
         if table.shape[0] == 1:
             return np.interp(soc, self.model.soc, table[0])
-        clipped = np.clip(temperature, *self.grid[0][[0, -1]])
-        return RegularGridInterpolator(self.grid, table)([clipped, soc])[0]
+        # Straight between temperatures, each straight over its SOC.
+        over_soc = [np.interp(soc, self.model.soc, row) for row in table]
+        return np.interp(temperature, self.grid[0], over_soc)
 
     def slope(self, soc, temperature):
         k = min(int(soc * (self.model.points - 1)), self.model.points - 2)

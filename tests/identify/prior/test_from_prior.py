@@ -117,6 +117,7 @@ def test_a_stated_start_over_most_of_the_range_needs_no_prior(cell):
     assert identify_cell(drives(log), SETTINGS).to_dict()["prior"] is None
 
 
+@pytest.mark.slow
 def test_thirty_drives_know_the_capacity_better_than_one(cell, flight):
     aged = replace(cell, capacity_Ah=0.88 * CAPACITY_AH)
     rng = np.random.default_rng(8)

@@ -145,6 +145,75 @@ def biologic_two_electrodes():
     )  # fmt: skip
 
 
+def biologic_dates():
+    """BT-Lab, whose ``time/s`` may be told to hold dates."""
+    preamble = "BT-Lab ASCII FILE\nNb header lines : 4\nBattery capacity : 4.500 A.h\n"
+    return preamble + table(
+        {"Ns changes": np.zeros(T.size), "Ns": STEPS, "time/s": stamps("%m/%d/%Y %H:%M:%S.000"),
+         "Ecell/V": V, "I/mA": -1e3 * I, "(Q-Qo)/mA.h": -1e3 * Q, "step time/s": STEP_TIME},
+        sep="\t",
+    )  # fmt: skip
+
+
+def pec_clocks(amps=-I):
+    """Times as clocks, the table below a preamble of many lines."""
+    preamble = "".join(f"Test {k}:,{k}\n" for k in range(45)) + "Names of variables:\n"
+    return preamble + table(
+        {
+            "Test": np.ones(T.size),
+            "Step": STEPS,
+            "Instruction Name": list(WORD),
+            "Total Time (Hours in hh:mm:ss.xxx)": [clock(t) for t in T],
+            "Load On Time (Hours in hh:mm:ss.xxx)": [clock(0.0) for _ in T],
+            "Step Time (Seconds)": STEP_TIME,
+            "Voltage (V)": V,
+            "Current (A)": amps,
+            "Charge Capacity (mAh)": 1e3 * CHARGED,
+            "Discharge Capacity (mAh)": 1e3 * DISCHARGED,
+            "Temp (°C)": TEMP,
+        }
+    )
+
+
+def neware_short_levels(degrees="℃"):
+    """Index instead of ID; the first step of a cycle stands in the cycle's own row."""
+    lines = [
+        "Cycle Index,Chg. Cap.(Ah),DChg. Cap.(Ah)",
+        f",Step Index,Step Number,Step Type,Step Time,Capacity(Ah),T1 End T({degrees})",
+        f",,DataPoint,Time,Total Time,Current(A),Voltage(V),Capacity(Ah),Date,T1({degrees})",
+    ]
+    step = 0
+    for k in range(T.size):
+        if STEPS[k] != step:
+            step = STEPS[k]
+            name = {"D": "CC DChg", "C": "CC Chg", "R": "Rest"}[WORD[k]]
+            lines.append(f"{'1,0.5,0.5,' if step == 1 else ','}{step},{step},{name},00:01:00,0,25")
+        times = f"{clock(STEP_TIME[k])},{clock(T[k])}"
+        lines.append(
+            f",,{k + 1},{times},{float(-I[k])!r},{float(V[k])!r},{float(MOVED[k])!r},"
+            "2026-03-06 12:37:25,25.0"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def neware_cumulative():
+    """The time of the step restarts; that of the test has a name of its own."""
+    return table(
+        {"DataPoint": np.arange(T.size), "Step Index": STEPS,
+         "Step Type": [{"D": "CC DChg", "C": "CC Chg", "R": "Rest"}[w] for w in WORD],
+         "Time": [clock(t) for t in STEP_TIME], "Cumulative Time": [clock(t) for t in T],
+         "Current(A)": -I, "Voltage(V)": V, "Chg. Cap.(Ah)": CHARGED, "DChg. Cap.(Ah)": DISCHARGED}
+    )  # fmt: skip
+
+
+def bdf(unit, seconds):
+    return table(
+        {f"Test Time / {unit}": T / seconds, "Current / A": -I, "Voltage / V": V,
+         "Step Index / 1": STEPS, "Charge Capacity / Ah": CHARGED,
+         "Discharge Capacity / Ah": DISCHARGED}
+    )  # fmt: skip
+
+
 WRITERS = {
     "maccor, signed as discharge": (lambda: maccor(I), "maccor-text"),
     "maccor, signed as charge": (lambda: maccor(-I), "maccor-text"),
@@ -165,6 +234,20 @@ WRITERS = {
         lambda: commas(basytec()).replace("09,05,2024", "09.05.2024"), "basytec-text"),
     "biologic, CA": (biologic_ca, "biologic-mpt"),
     "biologic, Ewe and Ece": (biologic_two_electrodes, "biologic-mpt"),
+    "biologic, dates": (biologic_dates, "biologic-mpt"),
+    "pec, clocks": (pec_clocks, "pec-csv"),
+    "pec, clocks, unsigned": (lambda: pec_clocks(np.abs(I)), "pec-csv"),
+    "neware, short levels": (neware_short_levels, "neware-levels"),
+    "neware, levels with lost signs": (lambda: neware_short_levels("?"), "neware-levels"),
+    "neware, cumulative time": (neware_cumulative, "neware-csv"),
+    "bdf, hours": (lambda: bdf("h", 3600.0), "bdf-csv"),
+    "bdf, minutes": (lambda: bdf("min", 60.0), "bdf-csv"),
+    "tidy, clocks": (
+        lambda: table({"time_s": [clock(t) for t in T], "current_A": I, "voltage_V": V}),
+        "tidy-csv"),
+    "tidy, dates": (
+        lambda: table({"time_s": stamps("%Y-%m-%d %H:%M:%S"), "current_A": I, "voltage_V": V}),
+        "tidy-csv"),
 }  # fmt: skip
 
 
@@ -188,6 +271,103 @@ def test_a_state_that_contradicts_the_signs_is_refused(tmp_path):
     path = tmp_path / "export.txt"
     path.write_text(maccor(np.where(np.arange(T.size) % 2, I, -I)))
     with pytest.raises(InputError, match="state"):
+        read_log(path)
+
+
+def test_a_tick_of_the_other_counter_does_not_turn_a_charge(tmp_path):
+    """A tester's counters both move by their last digit where a step begins (seen with Arbin)."""
+    rows = np.arange(60.0)
+    current = np.where(rows < 20, 0.0, 2.65)
+    charged = np.cumsum(current) / 3600.0
+    path = tmp_path / "export.csv"
+    path.write_text(
+        table(
+            {"Data Point": rows, "Test Time (s)": rows, "Step Index": 1.0 + (rows >= 20),
+             "Current (A)": current, "Voltage (V)": 3.53 + 0.03 * current + 0.001 * rows,
+             "Charge Capacity (Ah)": np.where(rows == 20, charged[19], charged),
+             "Discharge Capacity (Ah)": np.where(rows < 20, 0.0, 2e-5)}
+        )
+    )  # fmt: skip
+    log = read_log(path)
+    np.testing.assert_allclose(log.current_A, -current)
+
+
+def test_a_discharge_alone_without_sign_goes_by_its_counter(tmp_path):
+    rows = np.arange(60.0)
+    current = np.where(rows < 20, 0.0, 20.0)
+    path = tmp_path / "export.csv"
+    path.write_text(
+        table(
+            {"Total Time (Seconds)": rows, "Step": 1.0 + (rows >= 20), "Current (A)": current,
+             "Voltage (V)": 3.68 - 0.002 * current - 1e-4 * rows,
+             "Charge Capacity (Ah)": np.zeros(60),
+             "Discharge Capacity (Ah)": np.cumsum(current) / 3600.0}
+        )
+    )  # fmt: skip
+    np.testing.assert_allclose(read_log(path).current_A, current)
+
+
+def test_a_counter_against_a_current_that_no_voltage_confirms_is_said_first(tmp_path):
+    """Hours of a milliampere: the voltage's drops are too small to tell."""
+    rows = np.arange(300.0)
+    current = np.where(rows < 150, 0.006, -0.006)
+    counted = np.cumsum(current) * 500.0 / 3600.0
+    path = tmp_path / "export.csv"
+    path.write_text(
+        table(
+            {"Test Time / s": 500.0 * rows, "Current / A": current,
+             "Voltage / V": 3.3 - 0.3 * counted,
+             "Net Capacity / Ah": -counted}
+        )
+    )  # fmt: skip
+    assert "runs against" in read_log(path).notices[0]
+
+
+def test_columns_in_rows_of_siblings_are_not_listed_one_by_one(tmp_path):
+    more = {f"Aux #{k}": np.zeros(T.size) for k in range(1, 17)}
+    more |= {f"VAR{k}": np.zeros(T.size) for k in range(1, 16)}
+    odd = {f"Odd {name}": np.zeros(T.size) for name in "abcdefghijklmnopqrst"}
+    path = tmp_path / "export.txt"
+    path.write_text(maccor(np.abs(I), **more, **odd))
+    (said,) = (n for n in read_log(path).notices if "does not know" in n)
+    assert "VAR" not in said
+    assert "Aux" not in said
+    assert "and 8 more" in said
+
+
+FOOTERS = {
+    "one line": "End of data\n",
+    "lines": "\nEnd of data\nWritten by the logger\n",
+    "as wide as the rows": "End of data,,\n",
+    "sums": "Total,1.5,3.7\n",
+}
+
+
+@pytest.mark.parametrize("footer", FOOTERS)
+def test_lines_below_the_data_are_left_out_and_said(footer, tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("time_s,current_A,voltage_V\n" + "".join(f"{k},1.5,3.7\n" for k in range(50))
+                    + FOOTERS[footer])  # fmt: skip
+    log = read_log(path)
+    assert len(log) == 50
+    word = FOOTERS[footer].strip().split(",")[0].split("\n")[0]
+    assert any(word in n and "left out" in n for n in log.notices), log.notices
+
+
+def test_a_last_row_with_text_in_one_channel_is_refused(tmp_path):
+    """It has a time: a row of the data, not what stands below them."""
+    path = tmp_path / "log.csv"
+    path.write_text("time_s,current_A,voltage_V\n0,1.5,3.7\n1,1.5,3.7\n2,1.5,over\n")
+    with pytest.raises(InputError, match="'over'"):
+        read_log(path)
+
+
+def test_text_between_rows_is_refused_with_its_row_and_what_to_do(tmp_path):
+    path = tmp_path / "log.csv"
+    rows = [f"{k},1.5,3.7" for k in range(50)]
+    rows[20] = "End of part one,,"
+    path.write_text("time_s,current_A,voltage_V\n" + "\n".join(rows) + "\n")
+    with pytest.raises(InputError, match=r"row 21 .*remove the row"):
         read_log(path)
 
 

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
-from cellwise.report.benchmark.overview import coverage_text, overviews, suite_coverage
-from cellwise.report.page.numerals import percent
-from page_cases import row
+from cellwise.report.benchmark.overview import (
+    coverage_text,
+    log_matrix,
+    overviews,
+    start_matrix,
+    suite_coverage,
+)
+from cellwise.report.benchmark.pictures import draw_logs, draw_starts
+from cellwise.report.page.numerals import SPACE, percent
+from page_cases import benchmark_table, row
 
 
 def rows():
@@ -36,3 +45,23 @@ def test_an_estimator_that_ran_without_faults_alone_or_tells_no_band_has_none():
 def test_a_run_that_could_not_be_judged_counts_nowhere():
     bad = rows()[2] | {"problem": "no SOC", "coverage_2sigma": 0.0}
     assert suite_coverage([*rows(), bad])["a"] == pytest.approx(0.9)
+
+
+def test_titles_say_which_estimator_and_how_much():
+    table = benchmark_table().rows
+    for draw in (
+        lambda: draw_logs(log_matrix(table)),
+        lambda: draw_starts(table, start_matrix(table)),
+    ):
+        for axes in draw().axes:
+            title = axes.get_title(loc="left").replace("\n", " ")
+            assert "ekf" in title  # the smallest errors of the table, on every log, from any start
+            assert any(c.isdigit() for c in title), title
+
+
+def test_an_estimator_that_does_not_come_back_from_every_start_is_not_praised():
+    table = [r | {"convergence_s": math.nan if r["estimator"] == "ekf" else 90.0}
+             for r in benchmark_table().rows]  # fmt: skip
+    left = draw_starts(table, start_matrix(table)).axes[0].get_title(loc="left").replace("\n", " ")
+    assert "ekf" not in left
+    assert "after 90 s" in left.replace(SPACE, " ")

@@ -10,7 +10,7 @@ import pytest
 from cellwise.cell.simulate import simulate
 from cellwise.diagnose.decision.posterior import Weighed
 from cellwise.report.diagnosis.page import diagnose_page, diagnosis_sections
-from cellwise.report.diagnosis.pictures import candidates_finding
+from cellwise.report.diagnosis.pictures import candidates_finding, evidence_finding
 from cellwise.report.diagnosis.statements import change, diagnosis_finding, statement
 from cellwise.report.page.markup import finite
 from cellwise.report.page.numerals import millivolt
@@ -175,3 +175,15 @@ def test_titles_say_what_was_found_and_axes_have_names():
             assert not titled or any(c.isdigit() for c in titled), (picture.key, titled)
         named = [axes.get_xlabel() for axes in picture.figure.axes]
         assert any("[" in x or "data are" in x for x in named), picture.key
+
+
+def test_a_cause_that_leads_alone_and_is_not_named_is_not_said_without_the_one_that_is():
+    """The evidence of single causes is not the decision over sets of them."""
+    record = diagnosis("current_offset")
+    assert "in sets" not in evidence_finding(record)
+    other = next(c for c in record.candidates if c.name != "current_offset")
+    ahead = replace(other, score=1.0 + max(c.score for c in record.candidates))
+    turned = tuple(ahead if c is other else c for c in record.candidates)
+    assert "in sets, current offset is named" in evidence_finding(
+        replace(record, candidates=turned)
+    )

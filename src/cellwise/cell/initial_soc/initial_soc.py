@@ -15,6 +15,7 @@ from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
 FIT_S = 60.0
+BEGINNING = 2048  # rows that are looked at before all of a log is
 STATED_STD = 0.005  # a start that is known: full and empty of two tests differ by about this
 # By how much a used cell's resistance differs from its model's; aged or cold ones by more.
 UNKNOWN_RESISTANCE = 0.3
@@ -70,10 +71,7 @@ def initial_soc(
         return InitialSoc(float(given), given_std, "given")
     if log.soc0 is not None:
         return InitialSoc(log.soc0, STATED_STD, "stated")
-    current = log.known_current_A()
-    resting = np.abs(current) < REST_RATE * model.capacity_Ah
-    resting[: int(np.argmax(np.isfinite(log.interval_current_A)))] = False  # nobody knows
-    rest_end = len(log) if resting.all() else int(np.argmin(resting))
+    current, rest_end = _current_and_rest(model, log)
     voltages = log.voltage_V[:rest_end]
     if np.any(np.isfinite(voltages)):
         last = int(np.flatnonzero(np.isfinite(voltages))[-1])
@@ -84,6 +82,24 @@ def initial_soc(
         return _from_whole_log(model, log, found, (0.0, unfinished)) if flat else found
     found = _from_first_minute(model, log, current, likeliest)
     return _from_whole_log(model, log, found, past_voltage(model, log)) if whole_log else found
+
+
+def _current_and_rest(model: CellModel, log: CellLog) -> tuple[FloatArray, int]:
+    """Currents of the beginning at least, and the row of the first load.
+
+    Most logs need no more than their beginning: a fleet's logs are long, and read once.
+    """
+    minute = int(np.searchsorted(log.time_s, log.time_s[0] + FIT_S, side="right"))
+    rows = max(minute + 2, BEGINNING)
+    if rows < len(log) and np.isfinite(log.voltage_V[0]) and not log.gap_rows[:rows].any():
+        current = log.interval_current_A[:rows]
+        loaded = np.abs(current) >= REST_RATE * model.capacity_Ah
+        if loaded.any() and np.isfinite(current).all():
+            return current, int(np.argmax(loaded))
+    current = log.known_current_A()
+    resting = np.abs(current) < REST_RATE * model.capacity_Ah
+    resting[: int(np.argmax(np.isfinite(log.interval_current_A)))] = False  # nobody knows
+    return current, len(log) if resting.all() else int(np.argmin(resting))
 
 
 def _from_rest(model: CellModel, log: CellLog, row: int, rest_s: float, std_V: float) -> InitialSoc:

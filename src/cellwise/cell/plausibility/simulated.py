@@ -70,7 +70,7 @@ def error_notices(log: MeasuredLog, error_V: FloatArray, soc: FloatArray) -> lis
     if all_rows.max_error_V < LARGE_ERROR_V and worst < LARGE_RMSE_V:
         return []
     row = int(np.nanargmax(np.abs(error_V)))
-    at = float(soc[row])
+    at = round(float(soc[row]), 3) + 0.0  # no minus before zero
     text = (
         f"'{log.name or 'the log'}' is up to {1e3 * all_rows.max_error_V:.0f} mV off (RMSE "
         f"{1e3 * all_rows.rmse_V:.0f} mV), most at SOC {at:.3f} after "

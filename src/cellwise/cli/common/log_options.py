@@ -11,6 +11,11 @@ from cellwise.errors import InputError
 from cellwise.logs import CellLog, Stated
 from cellwise.logs.files.options import ReadOptions
 
+LOG_HELP = (
+    "a table of text or parquet, or a native file; @-20 or @temperature_C=-20,soc0=1 behind it "
+    "says what is known of it"
+)
+
 
 def add_log_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that say how a log is to be read."""

@@ -26,6 +26,7 @@ SPIKE_LEAST_V = 0.05
 SPIKE_OF_DROP = 2.0
 LATE_ROWS = 5
 LARGER_STEPS = 0.98
+LEAST_STEP_A = 1e-12  # what is below is no current
 NOISE_DEVIATIONS = 8.0
 LOST_ROWS = 20
 RESOLUTION_SAMPLE = 200_000
@@ -211,7 +212,9 @@ def _step_resistance(log: MeasuredLog) -> float:
     if known.size == 0:
         return 0.0
     step_A = float(np.quantile(by_current, LARGER_STEPS))
-    return float(np.quantile(known, LARGER_STEPS)) / step_A if step_A > 0.0 else 0.0
+    if step_A < LEAST_STEP_A:
+        return 0.0
+    return float(np.quantile(known, LARGER_STEPS)) / step_A
 
 
 def _noise(values: FloatArray) -> float:

@@ -19,6 +19,7 @@ from cellwise.logs.checks.counter import (
     joined_counter,
 )
 from cellwise.logs.checks.grave import (
+    MARK,
     check_time_moves,
     check_time_possible,
     grave_notices,
@@ -252,7 +253,10 @@ def _with_checked_sign(log: Log, sign: str, *, opposite: bool) -> tuple[Log, lis
             log = replace(log, charge_Ah=-log.charge_Ah)
             notices.append("the counter ampere_hours runs against the current and was inverted")
         else:
-            notices.append("the counter ampere_hours runs against the current")
+            notices.append(
+                f"the sign of the current {MARK}: the counter ampere_hours runs against it, and "
+                "the voltage does not confirm it"
+            )
     if check.verdict == "contradicted":
         way_out = "charge-positive" if sign != "charge-positive" else "discharge-positive"
         notices.append(contradiction(way_out))

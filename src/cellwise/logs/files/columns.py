@@ -131,6 +131,9 @@ _SYNONYMS = {
 
 # A unit at the end of a column's name, in brackets or behind a stroke.
 _UNIT = re.compile(r"(?:[(\[{<]|[/_])\s*([a-zµμ°]+)\s*[)\]}>]?$")
+_NUMBERS = re.compile(r"\d+")
+MOST_LISTED = 12
+LONGEST_LISTED = 60  # characters of a name
 _UNIT_WORDS = {
     **dict.fromkeys(("sec", "secs", "second", "seconds", "sek"), "s"),
     **dict.fromkeys(("µs", "μs"), "us"),
@@ -231,12 +234,28 @@ def _unused_columns(
     if known is None:
         return [f"column(s) not used: {listed(unused)}"]
     expected = {folded(n): n for n in (*(n for c in channels for n in c.names), *known)}
-    unknown = []
-    for name in unused:
-        if folded(name) not in expected:
-            near = get_close_matches(folded(name), expected, n=1)
-            unknown.append(f"'{name}'" + (f" (nearest: '{expected[near[0]]}')" if near else ""))
-    return [f"column(s) that this format does not know: {', '.join(unknown)}"] if unknown else []
+    siblings = {_unnumbered(name) for name in expected if _unnumbered(name) != name}
+    unknown = [
+        name
+        for name in unused
+        if folded(name) not in expected and _unnumbered(folded(name)) not in siblings
+    ]
+    if not unknown:
+        return []
+    listing = []
+    for name in unknown[:MOST_LISTED]:
+        near = get_close_matches(folded(name), expected, n=1)
+        listing.append(f"'{name}'" + (f" (nearest: '{expected[near[0]]}')" if near else ""))
+    more = len(unknown) - len(listing)
+    return [
+        f"column(s) that this format does not know: {', '.join(listing)}"
+        + (f" and {more} more" if more else "")
+    ]
+
+
+def _unnumbered(name: str) -> str:
+    """A name without its numbers: 'Aux #2' is a sibling of 'Aux #1'."""
+    return _NUMBERS.sub("", name)
 
 
 def _find(
@@ -338,9 +357,9 @@ def _plain(name: str) -> str:
     return base if base and unit in units else text
 
 
-def listed(names: Sequence[str], most: int = 12) -> str:
+def listed(names: Sequence[str], most: int = MOST_LISTED) -> str:
     """Names in quotes, the first dozen."""
-    shown = ", ".join(f"'{name}'" for name in names[:most])
+    shown = ", ".join(f"'{name[:LONGEST_LISTED]}'" for name in names[:most])
     return shown + (f" and {len(names) - most} more" if len(names) > most else "")
 
 

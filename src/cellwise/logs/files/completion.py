@@ -99,11 +99,11 @@ def _signed(
             "a state that separates charge from discharge",
             "Export the current with its sign.",
         )
-    if not np.any(direction[load] < 0) and sign == "discharge-positive":
-        return current, []
-    factor = 1.0 if sign == "discharge-positive" else -1.0
+    positive = 1.0 if sign == "discharge-positive" else -1.0
+    if not np.any(positive * direction[load] < 0):
+        return current, []  # charge alone, or discharge alone, in the format's sign
     at_rest = np.where(np.nan_to_num(direction) == 0.0, 1.0, np.nan_to_num(direction))
-    return factor * size * at_rest, ["the current has no sign; the tester's state gave it one"]
+    return positive * size * at_rest, ["the current has no sign; the tester's state gave it one"]
 
 
 def _sign_by_state(
@@ -136,14 +136,18 @@ def _counted_direction(channels: dict[str, FloatArray]) -> FloatArray | None:
     if current is None or charged is None or discharged is None or np.any(current < 0):
         return None
     steps = [np.nan_to_num(np.diff(accumulated(c), prepend=c[0])) for c in (charged, discharged)]
-    if not (np.any(steps[0] > 0) and np.any(steps[1] > 0)):
-        return None
-    direction = np.sign(steps[1] - steps[0])
+    if not np.any(steps[1] > 0):
+        return None  # charge alone, which is what the sign says
+    # Both counters may tick where a step begins: less than half of what flowed says nothing.
+    flowed = np.nan_to_num(current * np.diff(channels["time_s"], prepend=np.nan)) / 3600.0
+    difference = steps[1] - steps[0]
+    direction = np.where(np.abs(difference) >= 0.5 * flowed, np.sign(difference), 0.0)
     # A counter's last digit does not move in every row of a load, and not in its first.
     known = (direction != 0.0) | (current <= LOAD_OF_LARGEST * np.nanmax(current))
-    rows = np.where(known, np.arange(current.size), current.size - 1)
-    following = np.minimum.accumulate(rows[::-1])[::-1]
-    filled: FloatArray = direction[following]
+    rows = np.arange(current.size)
+    following = np.minimum.accumulate(np.where(known, rows, rows[-1])[::-1])[::-1]
+    before = np.maximum.accumulate(np.where(known, rows, 0))
+    filled = np.where(direction[following] != 0.0, direction[following], direction[before])
     return np.where(filled == 0.0, np.nan, filled)
 
 

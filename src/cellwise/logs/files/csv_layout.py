@@ -1,4 +1,4 @@
-"""Where a text table's header stands, what separates its cells, how its numbers are written."""
+"""Where a text table's rows begin and end, what separates its cells, how numbers are written."""
 
 from __future__ import annotations
 
@@ -14,8 +14,10 @@ from cellwise.logs.files.source import LogSource, decoded
 
 DELIMITERS = ",;\t|"
 MOST_UNIT_ROWS = 2
+MOST_FOOTER_LINES = 20
 
 DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
+DIGIT_FIRST = re.compile(r"\s*[-+.]?\d")
 _NUMBER = re.compile(r"[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?")
 
 
@@ -116,6 +118,43 @@ def native_layout(source: LogSource, names: Collection[str]) -> CsvLayout:
     offset = sum(len(raw) for raw in lines[:first])
     decimal = _decimal(cells, delimiter, source.options.decimal)
     return CsvLayout(_as_wide(header, cells), delimiter, decimal, offset, first + 1)
+
+
+def first_cells(source: LogSource, layout: CsvLayout) -> list[list[str]]:
+    """Cells of the first rows below the header, as text."""
+    rows = _head_lines(source.head[layout.offset :])[:50]
+    return [row for row in _cells(rows, layout.delimiter) if any(row)]
+
+
+def footer_below(
+    source: LogSource, layout: CsvLayout, place: int, text: str
+) -> tuple[int, str] | None:
+    """Where lines below the data begin, of which the first has this text in its cell ``place``.
+
+    Returns
+    -------
+    (int, str)      first byte of that line, and the line
+    None            it is not there, or numbers follow: a row among the data
+    """
+    sought = text.strip().encode()
+    end, first, lines = 0, "", 0
+    with source.open() as file:
+        file.read(layout.offset)
+        at = layout.offset
+        for raw in file:
+            if first or sought in raw:
+                cells = next(csv.reader([decoded(raw)], delimiter=layout.delimiter), [])
+                cell = cells[place].strip() if place < len(cells) else ""
+                if DIGIT_FIRST.match(decoded(raw)):
+                    if first or cell == text.strip():
+                        return None  # a row of the data
+                elif not first and cell == text.strip():
+                    end, first = at, decoded(raw).strip()
+                elif lines == MOST_FOOTER_LINES:
+                    return None
+                lines += bool(first)
+            at += len(raw)
+    return (end, first) if first else None
 
 
 def header_cells(line: str) -> list[str]:

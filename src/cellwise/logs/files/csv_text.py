@@ -7,16 +7,21 @@ import zlib
 from array import array
 from collections.abc import Sequence
 from contextlib import closing
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.files.columns import Column, choose_columns
+from cellwise.logs.files.columns import CLOCK, Column, choose_columns
 from cellwise.logs.files.csv_layout import (
     DECIMAL_COMMA,
+    DIGIT_FIRST,
+    MOST_FOOTER_LINES,
     CsvLayout,
     csv_layout,
+    first_cells,
+    footer_below,
     header_names,
     is_numeric,
     native_layout,
@@ -33,6 +38,8 @@ if TYPE_CHECKING:
 
 BLOCK_BYTES = 4 << 20
 TAIL_BYTES = 4096
+_TIMES = ("time_s", "step_time_s")
+_OF_CLOCK = re.compile(r"\d:\d\d")
 # What loggers and spreadsheets write where there is no value.
 MISSING = ["", "nan", "NaN", "NAN", "-nan", "null", "NULL", "none", "None", "NA", "N/A", "n/a"]
 MISSING += ["#N/A", "#NA", "#DIV/0!", "#VALUE!", "-", "--", "---"]
@@ -53,12 +60,11 @@ def read_csv(source: LogSource, known: Format) -> RawLog:
     )
     if layout.decimal == ",":
         notices.append("decimal commas were read as such")
+    columns, noted = _timed(columns, source, layout)
+    notices += noted
     odd_rows: list[tuple[int, int, str]] = []
-    try:
-        values = _read_batches(source, layout, columns, odd_rows)
-    except DayFirstError:
-        odd_rows.clear()
-        values = _read_batches(source, layout, columns, odd_rows, day_first=True)
+    values, noted = _values(source, layout, columns, odd_rows)
+    notices += noted
     n = values[0].size
     if odd_rows:
         notices.append(_odd_rows(odd_rows, n, layout, where))
@@ -83,6 +89,55 @@ def _layout(source: LogSource, known: Format) -> CsvLayout:
     return csv_layout(source)
 
 
+def _timed(
+    columns: list[Column], source: LogSource, layout: CsvLayout
+) -> tuple[list[Column], list[str]]:
+    """The columns, those of times read as clocks where their first cells hold these."""
+    cells = first_cells(source, layout)
+    notices = []
+    for k, column in enumerate(columns):
+        if column.field not in _TIMES or column.unit.kind != "number":
+            continue
+        texts = [row[column.index] for row in cells if column.index < len(row)]
+        if any(_OF_CLOCK.search(text) for text in texts):
+            columns[k] = replace(column, unit=CLOCK)
+            notices.append(f"column '{column.name}' holds clocks or dates and was read as such")
+    return columns, notices
+
+
+def _values(
+    source: LogSource,
+    layout: CsvLayout,
+    columns: Sequence[Column],
+    odd_rows: list[tuple[int, int, str]],
+) -> tuple[list[FloatArray], list[str]]:
+    """The columns' values, without the lines below the data, and notices of these."""
+    day_first, end = False, None
+    notices: list[str] = []
+    while True:
+        odd_rows.clear()
+        try:
+            values = _read_batches(source, layout, columns, odd_rows, day_first=day_first, end=end)
+        except DayFirstError:
+            day_first = True
+        except _TextForNumberError as odd:
+            found = footer_below(source, layout, odd.place, odd.text) if end is None else None
+            if found is None:
+                raise odd.refusal from None
+            end, line = found
+            notices.append(f"what follows the data ('{line[:40]}') was left out")
+        else:
+            return values, notices
+
+
+class _TextForNumberError(Exception):
+    """A cell that holds no number (or time), and the refusal if its row is one of the data."""
+
+    def __init__(self, place: int, text: str, refusal: InputError) -> None:
+        super().__init__(text)
+        self.place, self.text, self.refusal = place, text, refusal
+
+
 def _read_batches(
     source: LogSource,
     layout: CsvLayout,
@@ -90,8 +145,9 @@ def _read_batches(
     odd_rows: list[tuple[int, int, str]],
     *,
     day_first: bool = False,
+    end: int | None = None,
 ) -> list[FloatArray]:
-    """The columns' values in the file's unit, in the order of ``columns``."""
+    """The columns' values in the file's unit, in the order of ``columns``; rows up to a byte."""
     import pyarrow as pa
     from pyarrow import csv as pa_csv
 
@@ -108,7 +164,10 @@ def _read_batches(
     grown = [array("d") for _ in columns]  # grows in place: no second copy at the end
     limits = Limits.of(source.size)
     try:
-        with closing(TimedStream(source, limits, layout.offset)) as stream, without_late_errors():
+        with (
+            closing(TimedStream(source, limits, layout.offset, end)) as stream,
+            without_late_errors(),
+        ):
             # One thread: only then do messages carry the row's number, and no slower.
             reader = pa_csv.open_csv(
                 pa.PythonFile(stream, mode="r"),
@@ -132,7 +191,8 @@ def _read_batches(
                         column.unit, batch.column(name), day_first=day_first
                     )
                     if unread:
-                        raise _no_clock(unread, column, source)
+                        refusal = _no_clock(unread, column, source)
+                        raise _TextForNumberError(column.index, unread, refusal)
                     into.frombytes(values.tobytes())
                 limits.check_rows(len(grown[0]), source.where)
                 stream.check_time()
@@ -157,7 +217,7 @@ def _no_clock(text: str, column: Column, source: LogSource) -> InputError:
 
 def _refused(
     message: str, source: LogSource, layout: CsvLayout, columns: Sequence[Column]
-) -> InputError:
+) -> InputError | _TextForNumberError:
     """The refusal of a cell that is no number, or of text that is no table."""
     found = re.search(r"column #(\d+): (?:Row #(\d+): )?.*invalid value '(.*)'", message, re.S)
     if found is None:
@@ -170,22 +230,27 @@ def _refused(
     name = next((c.name for c in columns if c.index == index), layout.header[index])
     row = f"row {found.group(2)} " if found.group(2) else "a row "
     value = found.group(3)
-    action = "Correct or blank the cell; a missing value is an empty cell or 'nan'."
+    action = (
+        "Correct or blank the cell (a missing value is an empty cell or 'nan'), or remove the row "
+        "if it is none of the data."
+    )
     if DECIMAL_COMMA.fullmatch(value.strip()) or value.count(".") > 1:
         action = "Write numbers with one decimal point and without thousands separators."
-    elif ":" in value and name.casefold().startswith("time"):
-        action = "Write the time as seconds from the log's start."
-    return InputError(
+    refusal = InputError(
         f"'{value[:40]}' in column '{name}', {row}after the header of '{source.path}'",
         "a number in every cell of that column",
         action,
     )
+    return _TextForNumberError(index, value, refusal)
 
 
 def _odd_rows(odd: Sequence[tuple[int, int, str]], rows: int, layout: CsvLayout, where: str) -> str:
     """Notice about a cut off last line; anything else is refused."""
     number, cells, text = odd[0]
     expected = len(layout.header)
+    words = all(found < expected and not is_numeric(line) for _, found, line in odd)
+    if words and number > rows and len(odd) <= MOST_FOOTER_LINES and not DIGIT_FIRST.match(text):
+        return f"what follows the data ('{text[:40]}', {len(odd)} line(s)) was left out"
     if len(odd) == 1 and cells < expected and number == rows + 1:
         return f"the last line is cut off ('{text[:40]}') and was left out"
     action = "Repair or remove these lines."

@@ -13,16 +13,20 @@ SKIP_BYTES = 1 << 16
 class TimedStream:
     """The content, decompressed; as much of a file as pyarrow needs.
 
-    A small file may decompress to anything: only time ends that.
+    A small file may decompress to anything: only time ends that. ``skipped`` bytes at its beginning
+    and what stands from ``end`` on are left out.
     """
 
-    def __init__(self, source: LogSource, limits: Limits, skipped: int = 0) -> None:
+    def __init__(
+        self, source: LogSource, limits: Limits, skipped: int = 0, end: int | None = None
+    ) -> None:
         self._source = source
         self._limits = limits
         self._deadline = limits.deadline()
         self._file: IO[bytes] = source.path.open("rb")
         self._content = source.content_of(self._file)
         self.closed = False
+        self._left = None if end is None else end - skipped
         while skipped > 0 and (part := self._content.read(min(skipped, SKIP_BYTES))):
             skipped -= len(part)
 
@@ -34,7 +38,11 @@ class TimedStream:
         InputError        the time is over
         """
         self.check_time()
-        return self._content.read(size)
+        if self._left is None:
+            return self._content.read(size)
+        part = self._content.read(self._left if size < 0 else min(size, self._left))
+        self._left -= len(part)
+        return part
 
     def check_time(self) -> None:
         """Refuse to go on when the time is over.

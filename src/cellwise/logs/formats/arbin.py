@@ -31,6 +31,7 @@ ARBIN_CSV = Format(
                 "Temperature(C)_1": OWN,
                 "Temperature(°C)": OWN,
                 "Temperature(C)": OWN,
+                "Temperature": OWN,
             },
         ),
         Channel(

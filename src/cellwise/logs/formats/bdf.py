@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cellwise.logs.files.columns import OWN, TURNED, Channel
+from cellwise.logs.files.columns import MILLI, OWN, TURNED, Channel, Unit
 from cellwise.logs.files.csv_layout import has_names
 from cellwise.logs.files.csv_text import read_csv
 from cellwise.logs.files.format import Format
@@ -16,6 +16,10 @@ _TIME = {
     "test_time_second": OWN,
     "Unix Time / s": OWN,
     "unix_time_second": OWN,
+    # The format has seconds; other programs write these.
+    "Test Time / min": Unit(60.0),
+    "Test Time / h": Unit(3600.0),
+    "Test Time / ms": MILLI,
 }
 _SIGNATURE = (tuple(_VOLTAGE), tuple(_CURRENT))
 
@@ -36,9 +40,19 @@ _CHANNELS = (
         },
     ),
     Channel("charge_Ah", {"Net Capacity / Ah": TURNED, "net_capacity_ah": TURNED}),
-    Channel("charged_Ah", {"Charging Capacity / Ah": OWN, "charging_capacity_ah": OWN}),
-    Channel("discharged_Ah", {"Discharging Capacity / Ah": OWN, "discharging_capacity_ah": OWN}),
-    Channel("step", {"Step Count / 1": OWN, "step_count": OWN}),
+    Channel(
+        "charged_Ah",
+        dict.fromkeys(
+            ("Charging Capacity / Ah", "charging_capacity_ah", "Charge Capacity / Ah"), OWN
+        ),
+    ),
+    Channel(
+        "discharged_Ah",
+        dict.fromkeys(
+            ("Discharging Capacity / Ah", "discharging_capacity_ah", "Discharge Capacity / Ah"), OWN
+        ),
+    ),
+    Channel("step", {"Step Count / 1": OWN, "step_count": OWN, "Step Index / 1": OWN}),
 )
 _KNOWN = (
     *("Cycle Count / 1", "cycle_count", "Step Index / 1", "step_index", "Step Capacity / Ah"),
@@ -49,6 +63,7 @@ _KNOWN = (
     *("Internal Resistance / Ohm", "internal_resistance_ohm", "Ambient Pressure / Pa"),
     *("ambient_pressure_pa", "Applied Pressure / Pa", "applied_pressure_pa", "Step Time / s"),
     *("step_time_second", "Date Time ISO", "date_time_iso", "Step Type", "step_type"),
+    *("Step Type / 1", "Protocol Name / 1"),
     *(f"Surface Temperature T{k} / degC" for k in range(2, 6)),
     *(f"temperature_t{k}_celsius" for k in range(2, 6)),
 )

@@ -14,7 +14,7 @@ from cellwise.logs.files.format import Format, library_at_work
 from cellwise.logs.files.named_arrays import channels_of
 from cellwise.logs.files.source import LogSource, RawLog
 
-_TEXT = "EC-Lab ASCII FILE"
+_TEXT = ("EC-Lab ASCII FILE", "BT-Lab ASCII FILE")
 _BINARY = b"BIO-LOGIC MODULAR FILE"
 
 _VOLTAGES = ("Ewe/V", "Ecell/V", "<Ewe>/V", "<Ecell>/V", "Ewe-Ece/V")
@@ -53,7 +53,10 @@ _KNOWN = (
     *("Energy charge/W.h", "Energy discharge/W.h", "|Energy|/W.h", "Capacity/mA.h", "R/Ohm"),
     *("Q charge/discharge/mA.h", "Q charge/mA.h", "Q discharge/mA.h", "Efficiency/%", "Rcmp/Ohm"),
     *("step time/s", "Capacitance charge/µF", "Capacitance discharge/µF", "Analog IN 1/V"),
-    *("Analog IN 2/V", "Rdc/Ohm"),
+    *("Analog IN 2/V", "Rdc/Ohm", "Energy we charge/W.h", "Energy we discharge/W.h"),
+    *("Energy ce charge/W.h", "Energy ce discharge/W.h", "Energy we-ce charge/W.h"),
+    *("Energy we-ce discharge/W.h", "Pwe/W", "Pce/W", "Pwe-ce/W", "Rwe/Ohm", "Rce/Ohm"),
+    "Rwe-ce/Ohm",
 )
 
 

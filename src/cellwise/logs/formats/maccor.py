@@ -70,6 +70,8 @@ MACCOR_TEXT = Format(
         *("Energy", "Energy (Wh)", "ES", "DPt Time", "ACR", "DCIR", "ACImp/Ohms", "ACR [Ohm]"),
         *("DCIR [Ohm]", "Power", "Loop1", "Loop2", "Loop3", "Loop4", "Chamber Temp", "Watt"),
         *("Temp 2", "Temp 3", "Humidity", "Pressure", "VAR1", "GlobFlags", "AC Phase", "Aux #1"),
+        *("Units", "DCIR/Ohms", "WF Chg Cap", "WF Dis Cap", "WF Chg E", "WF Dis E", "Range"),
+        "Step Time (sec)",
     ),
     read=read_csv,
     sign="discharge-positive",

@@ -32,7 +32,14 @@ _STEP_TYPE = labels(
     **dict.fromkeys(("D_CC", "D_CV", "D_CCCV", "D_CP", "D_CR", "CCDischarge", "Discharge"), 1.0),
     **dict.fromkeys(("Rest", "Pause", "OCV", "R", "Finish", "End"), 0.0),
 )
-_TOTAL = ("Total Time", "Total Time(s)", "Test Time(s)", "TotalTime(s)", "总时间")
+_TOTAL = (
+    "Total Time",
+    "Cumulative Time",
+    "Total Time(s)",
+    "Test Time(s)",
+    "TotalTime(s)",
+    "总时间",
+)
 
 NEWARE_CSV = Format(
     name="neware-csv",
@@ -61,7 +68,9 @@ NEWARE_CSV = Format(
         ),
         Channel(
             "temperature_C",
-            dict.fromkeys(("T1(℃)", "T1(°C)", "T1", "Temperature(°C)", "Temperature(℃)"), OWN)
+            dict.fromkeys(
+                ("T1(℃)", "T1(°C)", "T1(?)", "T1", "Temperature(°C)", "Temperature(℃)"), OWN
+            )
             | {"Aux. CH1 Temp(℃)": OWN, "温度(°C)": OWN},
         ),
         Channel("charged_Ah", {"Chg. Cap.(Ah)": OWN, "Chg. Cap.(mAh)": MILLI}),
@@ -81,6 +90,7 @@ NEWARE_CSV = Format(
         *("Energy(Wh)", "Energy(mWh)", "Spec. Energy(mWh/g)", "Chg. Energy(Wh)", "Power(mW)"),
         *("DChg. Energy(Wh)", "Chg. Spec. Energy(mWh/g)", "DChg. Spec. Energy(mWh/g)", "Date"),
         *("Power(W)", "dQ/dV(mAh/V)", "dQm/dV(mAh/V.g)", "Contact resistance(mΩ)", "DCIR(mΩ)"),
+        *("Contact resistance(mO)", "V1(V)", "CPU(℃)", "CPU(?)"),
         *("Module start-stop switch", "DChg. Energy(mWh)", "Chg. Energy(mWh)", "Realtime"),
         *("Date(h:min:s.ms)", "SpeCap(mAh/g)", "CmpEng(mWh/g)", "Min-T(C)", "Max-T(C)"),
     ),

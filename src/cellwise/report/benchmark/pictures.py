@@ -16,7 +16,7 @@ from cellwise.report.benchmark.overview import (
     overviews,
     start_name,
 )
-from cellwise.report.page.numerals import percent
+from cellwise.report.page.numerals import duration, percent
 from cellwise.report.page.picture import Picture, safe_key
 from cellwise.report.page.style import (
     CYCLE,
@@ -81,9 +81,7 @@ def draw_logs(matrix: Matrix) -> Figure:
     axes.set_yticks(place, matrix.labels)
     axes.set_ylim(len(matrix.labels) - 0.5, -0.5)
     plain_numbers(axes.xaxis)
-    if matrix.values.size:
-        best = float(np.nanmin(matrix.values)) if np.isfinite(matrix.values).any() else np.nan
-        finding(axes, f"From {percent(best)} up, by log and estimator")
+    finding(axes, _logs_title(matrix))
     labels(axes, "settled SOC RMSE [%]", " ")
     axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5))
     return figure
@@ -160,12 +158,53 @@ def draw_starts(rows: Rows, matrix: Matrix) -> Figure:
         axes.set_xticks(place, [start_name(e) for e in errors])
         plain_numbers(axes.yaxis)
     right.axhline(TWO_POINTS, color=MUTED, linewidth=0.8, linestyle=(0, (1, 2)))
-    finding(left, "Time to correct a wrong initial SOC", 0.42)
-    finding(right, "The settled error", 0.42)
+    finding(left, _recovery_title(chosen, matrix.estimators, errors), 0.42)
+    finding(right, _settled_title(matrix), 0.42)
     labels(left, "start", "within 2 points after [min]")
     labels(right, "start", "settled SOC RMSE [%]")
     right.legend(loc="center left", bbox_to_anchor=(1.01, 0.5))  # no mark below it
     return figure
+
+
+def _logs_title(matrix: Matrix) -> str:
+    """Which estimator is best on most logs, and how good it is there."""
+    judged = np.isfinite(matrix.values).any(axis=0) if matrix.values.size else np.array([False])
+    if not judged.any():
+        return "No log was judged"
+    best = np.nanargmin(matrix.values[:, judged], axis=0)
+    most = int(np.argmax(np.bincount(best)))
+    logs = np.count_nonzero(best == most)
+    lowest = percent(float(np.nanmin(matrix.values[most])))
+    return f"{matrix.estimators[most]} is best on {logs} of {best.size} logs, down to {lowest}"
+
+
+def _recovery_title(rows: Rows, estimators: Sequence[str], errors: Sequence[float]) -> str:
+    """Which estimator is back first from the starts that are farthest off, in every run."""
+    farthest = max((abs(e) for e in errors), default=0.0)
+    slowest = {}
+    for name in estimators:
+        times = [
+            float(r["convergence_s"])
+            for r in rows
+            if r["estimator"] == name and abs(float(r["start_error"])) == farthest
+        ]
+        if farthest > 0.0 and times and np.isfinite(times).all():
+            slowest[name] = max(times)
+    if not slowest:
+        return "No estimator came back in every run"
+    first = min(slowest, key=lambda name: slowest[name])
+    after = f"after {duration(slowest[first])}" if slowest[first] > 0.0 else "at once"
+    return f"From {round(100.0 * farthest):d} points off {first} is back {after}"
+
+
+def _settled_title(matrix: Matrix) -> str:
+    """Which estimator ends best from its worst start."""
+    known = [k for k, own in enumerate(matrix.values) if np.isfinite(own).all() and own.size]
+    if not known:
+        return "No estimator settled from every start"
+    best = min(known, key=lambda k: float(np.max(matrix.values[k])))
+    worst = percent(float(np.max(matrix.values[best])))
+    return f"{matrix.estimators[best]} settles to {worst} or less from every start"
 
 
 def temperature_picture(rows: Rows) -> Picture | None:

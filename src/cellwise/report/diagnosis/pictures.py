@@ -189,7 +189,7 @@ def draw_candidates(diagnosis: Diagnosis) -> Figure:
     right.axvline(0.0, color=MUTED, linewidth=0.7)
     labels(right, "ln of how much likelier the data are with it")
     right.tick_params(labelleft=False)
-    finding(right, _evidence_title(list(reversed(tried))), 0.3)
+    finding(right, evidence_finding(diagnosis), 0.3)
     for axes in (left, right):
         axes.grid(axis="y", visible=False)
     return figure
@@ -215,14 +215,21 @@ def candidates_finding(diagnosis: Diagnosis) -> str:
     return f"{first}; next, {cause_name(order[1].name)}, {millivolt(order[1].holdout_rmse_V)}"
 
 
-def _evidence_title(order: list[TriedCause]) -> str:
+def evidence_finding(diagnosis: Diagnosis) -> str:
+    """By how much the first candidate leads; what was named instead once causes were combined."""
+    order = sorted(diagnosis.candidates, key=lambda c: -_number(c.score, -np.inf))
     if len(order) < 2:
         return "Evidence"
     ahead = _number(order[0].score, 0.0) - _number(order[1].score, 0.0)
     lead, next_one = _named(order[0]), cause_name(order[1].name)
     if ahead > SURE_NATS:
-        return f"{lead} is certainly likelier than {next_one}, by {ahead:.0f}"
-    return f"{lead} is {significant(float(np.exp(ahead)), 2)} times likelier than {next_one}"
+        title = f"{lead} is certainly likelier than {next_one}, by {ahead:.0f}"
+    else:
+        title = f"{lead} is {significant(float(np.exp(ahead)), 2)} times likelier than {next_one}"
+    named = [cause.name for cause in diagnosis.causes]
+    if named and order[0].name not in named:
+        title = f"Alone, {title[:1].lower()}{title[1:]}; in sets, {cause_name(named[0])} is named"
+    return title
 
 
 def _named(tried: TriedCause) -> str:

@@ -7,13 +7,15 @@ STYLESHEET = """
   --paper: #fefefe; --back: #f3f4f6; --ink: #1f2329; --muted: #57606b; --grid: #dfe3e8;
   --line: #d3d8de; --accent: #0b67a3; --mark: #e5f1fa; --warn: #b35900;
   --line-1: #0b67a3; --line-2: #c8501a; --line-3: #1a7f4b; --line-4: #7a4fb5;
-  --measured: #77818d;
+  --measured: #77818d; --shade: #00000038;
+  --over: multiply;
   --tint-1: #cde8dd; --tint-2: #e7efc9; --tint-3: #fbe3c0; --tint-4: #f4c9b0; }
 @media (prefers-color-scheme: dark) { :root {
   --paper: #1b1f25; --back: #12151a; --ink: #e9ecf0; --muted: #a3acb7; --grid: #323943;
   --line: #363d47; --accent: #6cb8ea; --mark: #1c3447; --warn: #f0a85a;
   --line-1: #6cb8ea; --line-2: #f0935a; --line-3: #62c893; --line-4: #b79bea;
-  --measured: #9aa4b0;
+  --measured: #9aa4b0; --shade: #ffffff40;
+  --over: lighten;
   --tint-1: #1d4638; --tint-2: #3d4622; --tint-3: #55401b; --tint-4: #62331f; }
   figure[id^="figure-pack"] svg image { opacity: .65; } }
 * { box-sizing: border-box; }
@@ -49,6 +51,8 @@ table { border-collapse: collapse; font-size: .88rem; font-variant-numeric: tabu
 .note { color: var(--muted); font-size: .9rem; margin: 1rem 0 0; }
 .note + .scroll { margin-top: .35rem; }
 .beside { display: flex; flex-wrap: wrap; gap: 0 48px; } .beside .note { max-width: 42ch; }
+.beside > * { min-width: 0; max-width: 100%; }
+li, p, dd, figcaption { overflow-wrap: anywhere; }
 th, td { padding: 4px 14px 4px 0; text-align: left; vertical-align: baseline;
   border-bottom: 1px solid var(--grid); }
 th { font-weight: 600; white-space: nowrap; border-bottom-color: var(--muted); }
@@ -75,11 +79,13 @@ figure .readout { position: absolute; right: 0; bottom: -.8em; margin: 0; min-he
 details { margin: .7rem 0; } summary { cursor: pointer; color: var(--accent); }
 footer { color: var(--muted); font-size: .85rem; padding: 0 2px; }
 @media (max-width: 700px) { main { padding: 16px 10px; } section { padding: 14px 12px; }
-  figure { overflow-x: auto; } figure svg { min-width: 620px; }
-  .scroll { background: linear-gradient(90deg, var(--paper) 30%, transparent) 0 0 / 40px 100%
-    no-repeat local, linear-gradient(270deg, var(--paper) 30%, transparent) 100% 0 / 40px 100%
-    no-repeat local, linear-gradient(90deg, var(--muted), transparent) 0 0 / 10px 100% no-repeat,
-    linear-gradient(270deg, var(--muted), transparent) 100% 0 / 10px 100% no-repeat; } }
+  figure { overflow-x: auto; } figure svg { min-width: 620px; mix-blend-mode: var(--over); }
+  .scroll, figure { background: linear-gradient(90deg, var(--paper) 30%, transparent) 0 0 / 40px
+    100% no-repeat local, linear-gradient(270deg, var(--paper) 30%, transparent) 100% 0 / 40px
+    100% no-repeat local, linear-gradient(90deg, var(--shade), transparent) 0 0 / 14px 100%
+    no-repeat, linear-gradient(270deg, var(--shade), transparent) 100% 0 / 14px 100% no-repeat;
+    }
+  figcaption { position: sticky; left: 0; max-width: calc(100vw - 66px); } }
 @media print { body { background: none; } section { border: 0; padding: 0; break-inside: auto; }
   figure, .scroll { break-inside: avoid; } nav { display: none; } }
 """

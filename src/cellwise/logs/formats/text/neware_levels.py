@@ -1,4 +1,7 @@
-"""Neware CSV of three levels: a row for a cycle, below it its steps, below these their records."""
+"""Neware CSV of three levels: a row for a cycle, below it its steps, below these their records.
+
+The first step of a cycle may stand in the row of the cycle, behind its cells.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,11 @@ from cellwise.logs.files.named_arrays import channels_of
 from cellwise.logs.files.source import LogSource, RawLog
 from cellwise.logs.formats.neware import NEWARE_CSV
 
-_CYCLE, _STEP, _RECORD = (("Cycle ID",), ("Step ID",), ("Record ID",))
+_CYCLE, _STEP, _RECORD = (
+    ("Cycle ID", "Cycle Index"),
+    ("Step ID", "Step Index"),
+    ("Record ID", "DataPoint", "Record Index"),
+)
 _STEP_NAMES = ("Step Name", "Step Type", "State")
 _CHARGED = {"Capacitance_Chg(mAh)": MILLI, "Cap_Chg(mAh)": MILLI, "Capacitance_Chg(Ah)": OWN}
 _DISCHARGED = {"Capacitance_DChg(mAh)": MILLI, "Cap_DChg(mAh)": MILLI, "Capacitance_DChg(Ah)": OWN}
@@ -36,7 +43,8 @@ def _headers(source: LogSource) -> list[list[str]] | None:
 
 
 def _read(source: LogSource, known: Format) -> RawLog:
-    _, step_header, header = _headers(source) or ([], [], [])
+    cycle_header, step_header, header = _headers(source) or ([], [], [])
+    cycle_cells = max((k + 1 for k, name in enumerate(cycle_header) if name), default=0)
     place = next((k for k, name in enumerate(step_header) if name in _STEP_NAMES), None)
     names = [name for name in header if name]
     columns = [k for k, name in enumerate(header) if name]
@@ -46,7 +54,9 @@ def _read(source: LogSource, known: Format) -> RawLog:
     step, state = 0, ""
     for row in _rows(source, len(header)):
         if row[0]:
-            continue
+            row = ["", *row[cycle_cells:], ""]
+            if not row[1]:
+                continue
         if row[1]:
             step += 1
             state = row[place] if place is not None and place < len(row) else ""
