@@ -59,10 +59,12 @@ def test_what_takes_minutes_is_beyond_r0_and_r1(r3):
     assert slow_part(model(r3=r3)) == pytest.approx((0.02 + r3) / (0.05 + r3))
 
 
-def test_every_doubling_up_to_1c_may_be_off_by_a_quarter_of_what_takes_minutes():
-    half = slow_part(model())
-    assert unseen_share(model(), [pulses(6.0, 1.5)]) == pytest.approx(0.25 * half, rel=0.05)
-    assert unseen_share(model(), [pulses(6.0, 0.75)]) == pytest.approx(0.50 * half, rel=0.05)
+def test_from_two_doublings_on_each_may_be_off_by_a_quarter_of_what_takes_minutes():
+    slow = slow_part(model())
+    assert unseen_share(model(), [log_of([6.0] * 60), log_of([1.6] * 1000)]) == 0.0
+    for lasted_A, share in ((0.75, 0.50), (0.375, 0.75)):
+        logs = [log_of([6.0] * 60), log_of([lasted_A] * 1000)]
+        assert unseen_share(model(), logs) == pytest.approx(share * slow)
 
 
 def test_one_test_that_lasts_is_enough():

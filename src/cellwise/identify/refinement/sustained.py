@@ -13,6 +13,7 @@ from cellwise.cell.plausibility.validity import SHARE_AT_TWICE
 from cellwise.logs.cell_log import CellLog
 
 SUSTAINED_S = 300.0  # what builds up within minutes has done so
+SHOWN = 2.0  # times the current that lasted: up to there the tests' own errors count
 MOST_DOUBLINGS = 3.0  # a resistance that nothing sustained has shown
 MIDDLE = (0.1, 0.9)
 
@@ -43,12 +44,13 @@ def unseen_share(model: CellModel, logs: Sequence[CellLog]) -> float:
     Pulses show what a current does within seconds. What it does within minutes is known up to the
     current that was sustained for as long; beyond it, up to 1C if the tests reached that,
     reaction and diffusion follow no straight line, and every doubling may be off by
-    SHARE_AT_TWICE of what takes minutes.
+    SHARE_AT_TWICE of what takes minutes. Within the first nothing is added to what the tests do
+    show: a drive's mean is below 1C, and it has loads of every length up to it.
     """
     seen_A = max((sustained_A(log) for log in logs), default=0.0)
     largest_A = max((float(np.max(np.abs(g.known_current_A()))) for g in logs), default=0.0)
     usual_A = min(largest_A, model.capacity_Ah)
-    if seen_A >= usual_A:
+    if SHOWN * seen_A >= usual_A:
         return 0.0
     doublings = math.log2(usual_A / seen_A) if seen_A > 0.0 else MOST_DOUBLINGS
     return SHARE_AT_TWICE * min(doublings, MOST_DOUBLINGS) * slow_part(model)
