@@ -9,7 +9,7 @@ from cellwise.cell.equations import CellState
 from cellwise.cell.model import CellModel
 from cellwise.estimate.filters.filter_state import EkfInfo, EkfState
 from cellwise.estimate.status import CURRENT_INVALID, INNOVATION_REJECTED, OUT_OF_RANGE
-from cellwise.forecast.remaining import LEAST_LOAD_C, WINDOW_S, doubt_of
+from cellwise.forecast.remaining import LEAST_LOAD_C, WINDOW_S, uncertain_of
 from cellwise.forecast.remaining_kernels import NEVER, Going, Outcome, with_ends
 
 
@@ -71,7 +71,7 @@ class Outlook:
 
     def __init__(self, model: CellModel, cutoff_V: float) -> None:
         self._tables = model.parameters()
-        self._doubt = doubt_of(model)
+        self._uncertain = uncertain_of(model)
         self._least_A = LEAST_LOAD_C * model.capacity_Ah
         self._cutoff_V = cutoff_V
         self._load_A = self._load_W = self._bias_V = 0.0
@@ -120,5 +120,5 @@ class Outlook:
         self, at: CellState, soc_std: float, load_A: float, voltage_V: float, temperature_C: float
     ) -> Outcome:
         go = Going(load_A, True, voltage_V, self._bias_V, self._cutoff_V, temperature_C)
-        end: Outcome = with_ends(self._tables, at, soc_std, go, self._doubt)
+        end: Outcome = with_ends(self._tables, at, soc_std, go, self._uncertain)
         return end

@@ -18,9 +18,9 @@ from cellwise.forecast.remaining_kernels import (
     BY_VOLTAGE,
     NEVER,
     USUAL_MEMORY_SOC,
-    Doubt,
     FilteredRows,
     Load,
+    Uncertain,
     forecast_rows,
 )
 from cellwise.logs.cell_log import CellLog
@@ -227,7 +227,7 @@ def _forecast(
         empty_state(soc[0], start_hysteresis(float(soc[0]))),
         FilteredRows(log.interval_s, current_A, warm, np.array(log.voltage_V), soc, std),
         Load(load_A, wanted, hold == "power", float(window_s), cutoff_V),
-        doubt_of(model),
+        uncertain_of(model),
         out,
     )
     never = out[:, 4] == NEVER
@@ -255,11 +255,11 @@ def _forecast(
     )
 
 
-def doubt_of(model: CellModel) -> Doubt:
+def uncertain_of(model: CellModel) -> Uncertain:
     """What is not known of a cell ahead of its present SOC."""
     error = model.error
     memory_soc = error.correlation_soc or USUAL_MEMORY_SOC
-    return Doubt(error.share(), memory_soc, validity_scalars(model), CAPACITY_STD)
+    return Uncertain(error.share(), memory_soc, validity_scalars(model), CAPACITY_STD)
 
 
 def cutoff_of(model: CellModel, given: float | None) -> float:

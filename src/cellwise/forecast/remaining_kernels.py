@@ -36,7 +36,7 @@ class Remaining(NamedTuple):
     reason: int
 
 
-class Doubt(NamedTuple):
+class Uncertain(NamedTuple):
     """How far a model's voltage may come to lie off what it is off by now.
 
     ``share`` of the polarisation and the point's own slow error, both another one once the SOC has
@@ -94,7 +94,7 @@ def to_empty(
     bias_V: float,
     cutoff_V: float,
     temperature_C: float,
-    doubt: Doubt,
+    uncertain: Uncertain,
     deviations: float,
 ) -> Remaining:
     """Go on with a load until the voltage reaches its cutoff or the charge its end.
@@ -124,18 +124,18 @@ def to_empty(
     time_s = 0.0
     energy_J = 0.0
     before_V = start_V
-    known_V = soc_extrapolation_V(doubt.valid, start.soc)
+    known_V = soc_extrapolation_V(uncertain.valid, start.soc)
     for _ in range(MOST_STEPS):
         current = power_W / before_V if hold_power else load_A
         state_next, point = advance(tables, state, current, dt_s, temperature_C)
         voltage = voltage_of(point, state_next, current) + bias_V
         if deviations != 0.0:
-            wrong = doubt.share * (point.ocv_V - (voltage - bias_V))
-            moved = abs(start.soc - state_next.soc) / doubt.memory_soc
+            wrong = uncertain.share * (point.ocv_V - (voltage - bias_V))
+            moved = abs(start.soc - state_next.soc) / uncertain.memory_soc
             apart = 2.0 * (1.0 - math.exp(-moved))
             off_V = math.sqrt((point.error_V * point.error_V + wrong * wrong) * apart)
-            if state_next.soc < doubt.valid.soc_low:
-                off_V += max(soc_extrapolation_V(doubt.valid, state_next.soc) - known_V, 0.0)
+            if state_next.soc < uncertain.valid.soc_low:
+                off_V += max(soc_extrapolation_V(uncertain.valid, state_next.soc) - known_V, 0.0)
             voltage += deviations * off_V
         share = 1.0
         reason = NEVER
@@ -164,7 +164,7 @@ def ends(
 ) -> tuple[float, float]:
     """Two deviations either way by three causes that know nothing of each other.
 
-    The last is a ``share`` of what is left, one deviation.
+    The last is a ``share`` of what remains, one deviation.
     """
     all_of_it = 2.0 * share * usual
     below = math.hypot(max(usual - low, 0.0), max(usual - lower, 0.0))
@@ -193,7 +193,7 @@ def from_soc(
     state: CellState,
     away_soc: float,
     go: Going,
-    doubt: Doubt,
+    uncertain: Uncertain,
     deviations: float,
 ) -> Remaining:
     """A forecast from ``away_soc`` beside the state."""
@@ -204,7 +204,7 @@ def from_soc(
         now_V = voltage_of(there, at, go.load_A) + go.bias_V
     return to_empty(
         tables, at, go.load_A, go.hold_power, now_V, go.bias_V, go.cutoff_V, go.temperature_C,
-        doubt, deviations,
+        uncertain, deviations,
     )  # fmt: skip
 
 
@@ -214,15 +214,15 @@ def with_ends(
     state: CellState,
     soc_std: float,
     go: Going,
-    doubt: Doubt,
+    uncertain: Uncertain,
 ) -> Outcome:
     """A forecast from a state, and its ends: by what is not known of SOC, voltage and capacity."""
-    usual = from_soc(tables, state, 0.0, go, doubt, 0.0)
-    low = from_soc(tables, state, -2.0 * soc_std, go, doubt, 0.0)
-    high = from_soc(tables, state, 2.0 * soc_std, go, doubt, 0.0)
-    lower = from_soc(tables, state, 0.0, go, doubt, -2.0)
-    higher = from_soc(tables, state, 0.0, go, doubt, 2.0)
-    share = doubt.capacity_std
+    usual = from_soc(tables, state, 0.0, go, uncertain, 0.0)
+    low = from_soc(tables, state, -2.0 * soc_std, go, uncertain, 0.0)
+    high = from_soc(tables, state, 2.0 * soc_std, go, uncertain, 0.0)
+    lower = from_soc(tables, state, 0.0, go, uncertain, -2.0)
+    higher = from_soc(tables, state, 0.0, go, uncertain, 2.0)
+    share = uncertain.capacity_std
     time_s = ends(usual.time_s, low.time_s, high.time_s, lower.time_s, higher.time_s, share)
     energy = ends(
         usual.energy_J, low.energy_J, high.energy_J, lower.energy_J, higher.energy_J, share
@@ -241,7 +241,7 @@ def forecast_rows(
     start: CellState,
     log: FilteredRows,
     load: Load,
-    doubt: Doubt,
+    uncertain: Uncertain,
     out: FloatArray,
 ) -> None:
     """Carry the cell through a log with the filter's SOC; forecast at the wanted rows.
@@ -272,7 +272,7 @@ def forecast_rows(
         if not wanted[k]:
             continue
         go = Going(load_A[k], hold_power, math.nan, bias, cutoff_V, temperature_C[k])
-        found = with_ends(tables, state, soc_std[k], go, doubt)
+        found = with_ends(tables, state, soc_std[k], go, uncertain)
         left = found.usual
         out[place, 0] = left.time_s
         out[place, 1] = left.energy_J
