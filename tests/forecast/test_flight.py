@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from cellwise.cell.initial_soc.initial_soc import InitialSoc
+from cellwise.cell.model import CAPACITY_STD, ModelError
 from cellwise.cell.plausibility.validity import Validity
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
@@ -98,8 +99,8 @@ def test_why_it_ends():
     assert by_charge.end_voltage_V < float(model.ocv_V.min())
 
 
-def test_the_band_is_that_of_the_soc():
-    """The ends of the band are forecasts from the SOC two deviations away."""
+def test_the_band_is_that_of_soc_and_capacity_where_the_charge_ends():
+    """Forecasts from the SOC two deviations away, and 2 % of what is left, in squares."""
     model = linear_cell()
     log, truth = discharge(model, np.full(900, 2.0), 0.9)
     sure = {
@@ -112,9 +113,32 @@ def test_the_band_is_that_of_the_soc():
         model, known_replay(log, truth.soc, std=0.05), cutoff_V=1.0, hold="current"
     ).last
     assert left.remaining_s == pytest.approx(sure[0.0])
-    assert left.remaining_s_band == pytest.approx((sure[-0.1], sure[0.1]))
+    of_capacity = 2 * CAPACITY_STD * sure[0.0]
+    below = np.hypot(sure[0.0] - sure[-0.1], of_capacity)
+    above = np.hypot(sure[0.1] - sure[0.0], of_capacity)
+    assert left.remaining_s_band == pytest.approx((sure[0.0] - below, sure[0.0] + above))
     seconds_per_soc = 3600 * model.capacity_Ah / 2.0
     assert sure[0.1] - sure[0.0] == pytest.approx(0.1 * seconds_per_soc, rel=1e-6)
+
+
+def test_where_the_voltage_ends_it_the_band_holds_the_models_own_error():
+    """A cell whose voltage falls away from the model's with the SOC, within the stated error."""
+    model = curved_cell()
+    slope = 0.06  # V, from full to empty
+    weak = replace(model, ocv_V=model.ocv_V - slope * (1.0 - model.soc))
+    whole, truth = discharge(weak, np.full(6000, 3.0), 0.95)
+    end_s, _ = until(whole, truth.soc, CUTOFF_V)
+    now = int(0.3 * end_s)
+    part = whole.part(0, now + 1)
+    bands = []
+    for stated_V in (0.001, 0.03):
+        says = replace(model, error=ModelError(slow_V=(stated_V,), resistance_share=0.0))
+        known = known_replay(part, truth.soc[: now + 1])
+        left = forecast(says, known, cutoff_V=CUTOFF_V, hold="current").last
+        assert left.by == "voltage"
+        bands.append(left.remaining_s_band)
+    assert bands[1][0] < end_s - part.time_s[-1] < bands[1][1]
+    assert bands[1][1] - bands[1][0] > 1.3 * (bands[0][1] - bands[0][0])
 
 
 def test_an_aged_cell_gives_up_earlier_and_the_forecast_says_so():

@@ -2,38 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 
 from cellwise.cell.simulate import simulate
-from cellwise.identify import IdentifySettings, TestLogs, identify_cell
-from cellwise.logs import read_log
+from measured_models import identified_lg, lg_log
 
 pytestmark = pytest.mark.slow
-
-RUNS = {"p25": 549, "p10": 575, "p00": 585, "n10": 593, "n20": 607, "p40": 555}
-ONE_C = ("p25_551", "p10_571", "p00_589", "n10_596", "n20_610", "p40_557")
-SHORT = ("n10_604", "n20_611", "p00_590", "p10_571")
 
 
 @pytest.fixture(scope="module")
 def lg(real_data):
-    def log(name, soc0=None):
-        return replace(read_log(real_data / f"lg_18650hg2/{name}.csv.gz"), soc0=soc0)
-
-    found = identify_cell(
-        TestLogs(
-            ocv=tuple(log(f"ocv_c20_{t}_{n}") for t, n in RUNS.items()),
-            capacity=(
-                *(log(f"cap_{rate}_{t}_{n}") for t, n in RUNS.items() for rate in ("0p5c", "2c")),
-                *(log(f"cap_1c_{name}") for name in ONE_C),
-            ),
-            drive=tuple((log(f"pauscycl_{name}", 1.0), None) for name in SHORT),
-        ),
-        IdentifySettings(nominal_Ah=3.0),
-    )
-    return found, log
+    return identified_lg(real_data), lambda name: lg_log(real_data, name)
 
 
 def test_every_temperature_has_its_tables(lg):

@@ -18,6 +18,7 @@ import numpy as np
 
 from cellwise.cell.compiled import inline
 from cellwise.cell.effects import TemperatureDependence
+from cellwise.cell.plausibility.validity import SHARE_AT_TWICE
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.cell.simulate import model_temperature_C
 
@@ -34,9 +35,6 @@ ENTROPY_V_PER_K = 3e-4  # OCV of lithium-ion cells: up to 0.5 mV/K, either way
 DRIFT_K_PER_S = 0.02
 LARGEST_DRIFT_K = 20.0
 HALF, SIXTH = 0.5, 1.0 / 6.0
-# Of the polarisation, for twice the data's current: asinh(2y) / asinh(y) from y = 1 to 4 takes 18
-# to 32 % off it.
-SHARE_AT_TWICE = 0.25
 
 
 class ValidityScalars(NamedTuple):

@@ -9,9 +9,8 @@ from cellwise.cell.equations import CellState
 from cellwise.cell.model import CellModel
 from cellwise.estimate.filters.filter_state import EkfInfo, EkfState
 from cellwise.estimate.status import CURRENT_INVALID, INNOVATION_REJECTED, OUT_OF_RANGE
-from cellwise.estimate.validity_kernels import validity_scalars
-from cellwise.forecast.remaining import LEAST_LOAD_C, WINDOW_S
-from cellwise.forecast.remaining_kernels import NEVER, Remaining, to_empty
+from cellwise.forecast.remaining import LEAST_LOAD_C, WINDOW_S, uncertain_of
+from cellwise.forecast.remaining_kernels import NEVER, Going, Outcome, with_ends
 
 
 class Reading(Protocol):
@@ -72,15 +71,13 @@ class Outlook:
 
     def __init__(self, model: CellModel, cutoff_V: float) -> None:
         self._tables = model.parameters()
-        self._valid = validity_scalars(model)
+        self._uncertain = uncertain_of(model)
         self._least_A = LEAST_LOAD_C * model.capacity_Ah
         self._cutoff_V = cutoff_V
         self._load_A = self._load_W = self._bias_V = 0.0
         self._seen_s = 0.0
         full = CellState(1.0, 0.0, 0.0, 0.0, 0.0)
-        self._to_empty(
-            full, self._least_A, float(model.ocv_V.max()), 25.0, 0.0
-        )  # compiles, or loads
+        self._ends(full, 0.0, self._least_A, float(model.ocv_V.max()), 25.0)  # compiles, or loads
 
     def take(self, update: Step) -> None:
         """Follow one sample."""
@@ -107,25 +104,21 @@ class Outlook:
         """Remaining time and energy now; None without a state or a load of at least C/50."""
         if state is None or self._load_A < self._least_A:
             return None
-        found = []
-        for k in (-2.0, 0.0, 2.0):
-            soc = min(max(state.soc + k * state.soc_std, 0.0), 1.0)
-            at = state.cell._replace(soc=soc)
-            voltage = self._load_W / self._load_A
-            found.append(self._to_empty(at, self._load_A, voltage, temperature_C, k))
-        times = [math.inf if e.reason == NEVER else e.time_s for e in found]
-        return ForecastNow(self._load_A, times[1], (times[0], times[2]), found[1].energy_J / 3600.0)
+        end = self._ends(
+            state.cell, state.soc_std, self._load_A, self._load_W / self._load_A, temperature_C
+        )
+        usual = end.usual
+        never = usual.reason == NEVER
+        return ForecastNow(
+            self._load_A,
+            math.inf if never else usual.time_s,
+            (end.time_s[0], math.inf if never else end.time_s[1]),
+            usual.energy_J / 3600.0,
+        )
 
-    def _to_empty(
-        self,
-        at: CellState,
-        load_A: float,
-        voltage_V: float,
-        temperature_C: float,
-        deviations: float,
-    ) -> Remaining:
-        end: Remaining = to_empty(
-            self._tables, at, load_A, True, voltage_V, self._bias_V, self._cutoff_V, temperature_C,
-            self._valid, deviations,
-        )  # fmt: skip
+    def _ends(
+        self, at: CellState, soc_std: float, load_A: float, voltage_V: float, temperature_C: float
+    ) -> Outcome:
+        go = Going(load_A, True, voltage_V, self._bias_V, self._cutoff_V, temperature_C)
+        end: Outcome = with_ends(self._tables, at, soc_std, go, self._uncertain)
         return end

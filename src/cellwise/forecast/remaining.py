@@ -8,13 +8,21 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 
 from cellwise.cell.equations import empty_state
-from cellwise.cell.model import CellModel
+from cellwise.cell.model import CAPACITY_STD, CellModel
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.cell.simulate import known_temperature_C, start_hysteresis
 from cellwise.errors import InputError
 from cellwise.estimate.replay import Replay
 from cellwise.estimate.validity_kernels import validity_scalars
-from cellwise.forecast.remaining_kernels import BY_VOLTAGE, NEVER, FilteredRows, Load, forecast_rows
+from cellwise.forecast.remaining_kernels import (
+    BY_VOLTAGE,
+    NEVER,
+    USUAL_MEMORY_SOC,
+    FilteredRows,
+    Load,
+    Uncertain,
+    forecast_rows,
+)
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
@@ -26,7 +34,11 @@ LEAST_LOAD_C = 0.02  # below C/50 nothing flies
 
 
 class Forecast(NamedTuple):
-    """Remaining time and energy at one moment, with bands of two standard deviations of SOC.
+    """Remaining time and energy at one moment, with bands of two standard deviations.
+
+    A band holds what is not known of the SOC, how far the model's voltage may come to lie off what
+    it is off by now, and that a cell has the model's capacity to CAPACITY_STD. It takes load and
+    temperature to stay.
 
     ``end_voltage_V`` and ``end_soc`` are those of the moment at which the cell is empty, ``by``
     says why it is: its charge ends, or its voltage reaches the cutoff.
@@ -206,7 +218,7 @@ def _forecast(
     """The wanted rows through the kernel."""
     log, trace = replay.log, replay.trace
     tables = model.parameters()
-    out = np.empty((int(np.count_nonzero(wanted)), 3, 5))
+    out = np.empty((int(np.count_nonzero(wanted)), 11))
     soc = np.ascontiguousarray(trace.soc, dtype=np.float64)
     std = np.nan_to_num(np.ascontiguousarray(trace.soc_std, dtype=np.float64))
     warm = known_temperature_C(model, log)
@@ -215,10 +227,12 @@ def _forecast(
         empty_state(soc[0], start_hysteresis(float(soc[0]))),
         FilteredRows(log.interval_s, current_A, warm, np.array(log.voltage_V), soc, std),
         Load(load_A, wanted, hold == "power", float(window_s), cutoff_V),
-        validity_scalars(model),
+        uncertain_of(model),
         out,
     )
-    out[out[:, :, 4] == NEVER, :2] = np.inf
+    never = out[:, 4] == NEVER
+    out[never, :2] = np.inf
+    out[never, 6] = out[never, 8] = np.inf
     return Flight(
         name=log.name,
         cutoff_V=cutoff_V,
@@ -229,16 +243,23 @@ def _forecast(
         soc_std=std[wanted],
         load_A=load_A[wanted],
         load_W=load_W[wanted],
-        remaining_s=out[:, 1, 0],
-        remaining_s_band=out[:, ::2, 0],
-        remaining_Wh=out[:, 1, 1] / 3600.0,
-        remaining_Wh_band=out[:, ::2, 1] / 3600.0,
-        end_voltage_V=out[:, 1, 2],
-        end_voltage_V_band=np.sort(out[:, ::2, 2], axis=1),
-        end_soc=out[:, 1, 3],
-        by_voltage=out[:, 1, 4] == BY_VOLTAGE,
+        remaining_s=out[:, 0],
+        remaining_s_band=out[:, 5:7],
+        remaining_Wh=out[:, 1] / 3600.0,
+        remaining_Wh_band=out[:, 7:9] / 3600.0,
+        end_voltage_V=out[:, 2],
+        end_voltage_V_band=out[:, 9:11],
+        end_soc=out[:, 3],
+        by_voltage=out[:, 4] == BY_VOLTAGE,
         validity=model.validity,
     )
+
+
+def uncertain_of(model: CellModel) -> Uncertain:
+    """What is not known of a cell ahead of its present SOC."""
+    error = model.error
+    memory_soc = error.correlation_soc or USUAL_MEMORY_SOC
+    return Uncertain(error.share(), memory_soc, validity_scalars(model), CAPACITY_STD)
 
 
 def cutoff_of(model: CellModel, given: float | None) -> float:

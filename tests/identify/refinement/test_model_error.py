@@ -167,6 +167,27 @@ def test_where_no_log_has_been_the_error_is_larger_not_smaller():
     assert found.at(0.0) > 1.3 * found.at(0.5)
 
 
+def test_where_no_load_has_been_tests_of_another_kind_count():
+    rng = np.random.default_rng(8)
+    log = residual_log(rng, slow_V=0.005)
+    upper = ResidualLog(log.time_s, 0.6 + 0.4 * log.soc, log.drop_V, log.residual_V)
+    slow = residual_log(rng, slow_V=0.040)
+    alone, both = estimate_model_error([upper]), estimate_model_error([upper], [slow])
+    low = np.linspace(0.1, 0.5, 9)
+    assert np.sqrt(np.mean(both.at(low) ** 2)) == pytest.approx(OPTIMISM * 0.040, rel=0.3)
+    assert both.at(0.8) == pytest.approx(alone.at(0.8))
+    assert both.correlation_s == alone.correlation_s
+
+
+def test_what_no_load_has_shown_joins_the_share_that_is_seen():
+    rng = np.random.default_rng(9)
+    log = residual_log(rng, slow_V=0.002, white_V=0.0005, share=0.05)
+    seen, joined = estimate_model_error([log]), estimate_model_error([log], unseen=0.2)
+    assert joined.share() == pytest.approx(np.hypot(seen.share(), 0.2))
+    assert joined.share(-1.0) == pytest.approx(np.hypot(seen.share(-1.0), 0.2))
+    assert joined.slow_V == seen.slow_V
+
+
 def test_a_few_wild_rows_do_not_make_noise_of_everything():
     rng = np.random.default_rng(7)
     calm = estimate_model_error([residual_log(np.random.default_rng(7), white_V=0.001)])

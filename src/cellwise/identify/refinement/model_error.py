@@ -57,7 +57,11 @@ def polarisation_V(
     return np.asarray((1.0 - way) * each[low, at] + way * each[low + 1, at] - voltage_V)
 
 
-def estimate_model_error(logs: Sequence[ResidualLog]) -> ModelError:
+def estimate_model_error(
+    logs: Sequence[ResidualLog],
+    elsewhere: Sequence[ResidualLog] = (),
+    unseen: float = 0.0,
+) -> ModelError:
     r"""Voltage error of a model from residuals over whole logs.
 
     The squared residual is taken as that of two errors that know nothing of each other: one of the
@@ -65,6 +69,13 @@ def estimate_model_error(logs: Sequence[ResidualLog]) -> ModelError:
     share of the polarisation, for discharge and charge:
 
     .. math:: r^2 = \left(f(T)\, e(s)\right)^2 + \left(\kappa_\pm\, v_p\right)^2
+
+    Parameters
+    ----------
+    logs : sequence of ResidualLog
+    elsewhere : sequence of ResidualLog    tests of another kind, which count at a SOC where none
+                                           of ``logs`` has been
+    unseen : float                         share of the polarisation, what no log can show
 
     Returns
     -------
@@ -81,15 +92,16 @@ def estimate_model_error(logs: Sequence[ResidualLog]) -> ModelError:
         discharge = 0.0 if charge is None else charge
     charge = discharge if charge is None else max(charge, discharge)
     rest = [_without_share(log, discharge, charge) for log in usable]
-    slow = _profile(usable, rest)
+    others = [log for log in elsewhere if log.residual_V.size >= 20]
+    slow = _profile(usable, rest, others)
     grid, factor = _over_temperature(usable, rest, slow)
     memory = [correlation_time(log.time_s, _clip(log.residual_V)) for log in usable]
     return ModelError(
         white_V=max(float(np.average(white, weights=weights)), 1e-4),
         slow_V=tuple(float(v) for v in slow),
         correlation_s=float(np.clip(np.average(memory, weights=weights), 10.0, LONGEST_LAG_S)),
-        resistance_share=discharge,
-        charge_share=charge,
+        resistance_share=math.hypot(discharge, unseen),
+        charge_share=math.hypot(charge, unseen),
         temperature_C=grid,
         temperature_factor=factor,
         correlation_soc=_correlation_soc(usable, slow),
@@ -102,11 +114,13 @@ def _without_share(log: ResidualLog, discharge: float, charge: float) -> FloatAr
     return np.asarray(_clip(log.residual_V) ** 2 - (share * log.drop_V) ** 2)
 
 
-def _profile(logs: Sequence[ResidualLog], rest: Sequence[FloatArray]) -> FloatArray:
+def _profile(
+    logs: Sequence[ResidualLog], rest: Sequence[FloatArray], others: Sequence[ResidualLog] = ()
+) -> FloatArray:
     """Root mean square residual over SOC, what follows the current taken out, Gaussian window.
 
     Where no log has been, the error of the nearest SOC that one has, twice as large at the far
-    end of the gap.
+    end of the gap; or what ``others`` show there, if that is more.
     """
     grid = np.linspace(0.0, 1.0, PROFILE_POINTS)
     square = np.zeros(grid.size)
@@ -122,6 +136,9 @@ def _profile(logs: Sequence[ResidualLog], rest: Sequence[FloatArray]) -> FloatAr
     level = np.sqrt(np.maximum(square, LEAST_REST * whole)[seen] / count[seen])
     away = np.abs(grid[:, None] - grid[seen][None, :]).min(axis=1)
     profile = OPTIMISM * np.interp(grid, grid[seen], level) * (1.0 + away)
+    if others and not seen.all():
+        apart = _profile(others, [_clip(log.residual_V) ** 2 for log in others])
+        profile = np.where(seen, profile, np.maximum(profile, apart))
     return np.asarray(np.maximum(profile, LEAST_V))
 
 

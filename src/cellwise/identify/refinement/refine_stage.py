@@ -34,6 +34,7 @@ from cellwise.identify.refinement.refine import (
 )
 from cellwise.identify.refinement.refine_data import RefineLog, inverse_K
 from cellwise.identify.refinement.splines import TABLE_KNOTS, greville, spline_rows, spline_values
+from cellwise.identify.refinement.sustained import unseen_share
 from cellwise.identify.soc_anchor import SocAnchor, anchor_soc
 from cellwise.identify.tables import PulseTables
 from cellwise.logs.cell_log import CellLog
@@ -185,7 +186,7 @@ def refine_cell(
     for effect in decision.effects:
         model = model.with_effect(effect)
     loaded = [item.compare is None for item in logs]
-    model = replace(model, error=_error(result, loaded, model))
+    model = replace(model, error=_error(result, loaded, model, starts))
     return Refined(model, result, tuple(starts), decision.decided)
 
 
@@ -330,12 +331,18 @@ def half_gap(ocv: OcvCurve, resistance: float, capacity_Ah: float) -> FloatArray
     return np.clip(0.5 * filled - polarisation, 0.0, 0.2)
 
 
-def _error(result: RefineResult, loaded: Sequence[bool], model: CellModel) -> ModelError:
-    """What a filter under load must expect: pulse tests and drives count, low-rate tests do not."""
-    logs = []
+def _error(
+    result: RefineResult, loaded: Sequence[bool], model: CellModel, starts: Sequence[Start]
+) -> ModelError:
+    """What a filter under load must expect: pulse tests and drives count, low-rate tests do not.
+
+    But where neither has been at a SOC, tests at constant current are all there is to go by.
+    """
+    logs: list[ResidualLog] = []
+    others: list[ResidualLog] = []
     for p, r, counts in zip(result.logs, result.residual_V, loaded, strict=True):
-        if counts:
-            soc, warm = p.soc[p.evaluate], p.temperature_C(result.reference_C)
-            drop = polarisation_V(model, soc, warm, p.measured_V - r)
-            logs.append(ResidualLog(p.time_s, soc, drop, r, float(np.median(warm))))
-    return estimate_model_error(logs)
+        soc, warm = p.soc[p.evaluate], p.temperature_C(result.reference_C)
+        drop = polarisation_V(model, soc, warm, p.measured_V - r)
+        found = ResidualLog(p.time_s, soc, drop, r, float(np.median(warm)))
+        (logs if counts else others).append(found)
+    return estimate_model_error(logs, others, unseen_share(model, [s.log for s in starts]))

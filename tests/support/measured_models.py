@@ -1,0 +1,34 @@
+"""Models of measured cells that more than one test module needs: identified once."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+from cellwise.identify import IdentifySettings, TestLogs, identify_cell
+from cellwise.logs import read_log
+
+LG = "lg_18650hg2"
+LG_RUNS = {"p25": 549, "p10": 575, "p00": 585, "n10": 593, "n20": 607, "p40": 555}
+LG_ONE_C = ("p25_551", "p10_571", "p00_589", "n10_596", "n20_610", "p40_557")
+LG_SHORT = ("n10_604", "n20_611", "p00_590", "p10_571")
+
+
+def lg_log(folder, name, soc0=None):
+    """One log of the LG HG2; ``folder``: that of all measured cells."""
+    return replace(read_log(folder / LG / f"{name}.csv.gz"), soc0=soc0)
+
+
+@cache
+def identified_lg(folder):
+    """LG HG2: no HPPC, no whole drive; C/20 and three rates at six temperatures, short cycles."""
+    rates = [f"cap_{rate}_{t}_{n}" for t, n in LG_RUNS.items() for rate in ("0p5c", "2c")]
+    rates += [f"cap_1c_{name}" for name in LG_ONE_C]
+    return identify_cell(
+        TestLogs(
+            ocv=tuple(lg_log(folder, f"ocv_c20_{t}_{n}") for t, n in LG_RUNS.items()),
+            capacity=tuple(lg_log(folder, name) for name in rates),
+            drive=tuple((lg_log(folder, f"pauscycl_{n}", 1.0), None) for n in LG_SHORT),
+        ),
+        IdentifySettings(nominal_Ah=3.0),
+    )
