@@ -20,6 +20,7 @@ KELVIN = 273.15
 RAMP_S = 1e-3
 RTOL, ATOL = 1e-4, 1e-6  # within 0.1 mV of a hundred times finer
 COOLING = 30.0  # a chamber with a fan [W/m2K]
+BEYOND_V = 0.3  # a limit ends a run; what is seen beyond it is no voltage of the cell
 JUST_ABOVE_V = 1e-3  # full in equilibrium is not yet beyond the window
 HYSTERESIS_DECAY = 40.0  # e-folds per full electrode
 
@@ -97,6 +98,8 @@ def respond(
     found = solution.t
     rows = int(np.searchsorted(time_s, found[-1] + 1e-9))
     voltage = np.interp(time_s[:rows], found, solution["Voltage [V]"].entries)
+    if np.any((voltage < ends.lower_V - BEYOND_V) | (voltage > ends.upper_V + BEYOND_V)):
+        raise ValueError(f"{cell.name} at {np.max(voltage):.2f} V: the solver has failed")
     warm = solution["Volume-averaged cell temperature [K]"].entries
     if np.ndim(warm) == 0 or warm.shape != found.shape:
         warm = np.full(found.size, condition.ambient_C + KELVIN)

@@ -55,6 +55,7 @@ CELLS: dict[str, PublishedCell] = {
         PublishedCell("Ecker2015", "validation", 2.0),
         PublishedCell("ORegan2022", "validation", 1.0),
         PublishedCell("NCA_Kim2011", "validation", 2.0),
+        PublishedCell("Ramadass2004", "validation", 1.0, thermal=False, arrhenius=False),
     )
 }
 

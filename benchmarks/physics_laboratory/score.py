@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from benchmarks.physics_laboratory.changes import CHANGES, INSEPARABLE
@@ -13,6 +13,7 @@ from cellwise import CellModel
 
 # Of `undetermined`, no more may compete for it to be an answer.
 MOST_COMPETING = 3
+NOTHING = "nothing"
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,9 @@ class Judged:
     competing: tuple[tuple[str, ...], ...]
     seconds: float
     likeliest: tuple[str, ...] = ()
+    cell: str = ""
+    seed: int = 0
+    probability: dict[str, float] = field(default_factory=dict)
 
     @property
     def exact(self) -> bool:
@@ -93,7 +97,19 @@ def judge(case: Case, model: CellModel, diagnose: Callable[..., Any]) -> Judged:
         tuple(tuple(_names(c)) for c in competing),
         time.perf_counter() - began,
         tuple(f"{c.name} {c.score:.0f}" for c in likeliest[:4]),
+        case.cell,
+        case.seed,
+        _probability(competing),
     )
+
+
+def _probability(competing: Iterable[Any]) -> dict[str, float]:
+    """What the sets that hold a cause weigh together; ``nothing``: the empty set."""
+    found: dict[str, float] = {}
+    for one in competing:
+        for name in _names(one) or (NOTHING,):
+            found[name] = found.get(name, 0.0) + float(one.probability)
+    return found
 
 
 def _names(one: Any) -> Sequence[str]:

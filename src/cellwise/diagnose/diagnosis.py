@@ -18,7 +18,7 @@ from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.decision.claim import claim_checks
 from cellwise.diagnose.decision.explanations import Explanation, Explanations, Progress
 from cellwise.diagnose.decision.outcome import Accepted, Outcome, decide
-from cellwise.diagnose.decision.posterior import LEAST_WEIGHT, probability_of
+from cellwise.diagnose.decision.posterior import LEAST_WEIGHT, NAMED_NATS, probability_of
 from cellwise.diagnose.decision.preconditions import (
     another_cell,
     too_little,
@@ -128,7 +128,8 @@ def diagnose(
         return said(_undetermined(model, starts, f"this looks like another cell: {other}"))
     if evidence.rest.zero:
         chosen = [c for c in chosen if c.name != "current_offset"]
-    shown = limits(fits, chosen, base, noise, ONE_CAUSE_NATS)
+    asked = ONE_CAUSE_NATS + NAMED_NATS  # what a single cause needs to be named
+    shown = limits(fits, chosen, base, noise, asked)
     sets = Explanations(fits, Rarity(unseen_C is not None, fits.same_age), progress)
     sets.search(chosen, base, noise)
     outcome = decide(sets)

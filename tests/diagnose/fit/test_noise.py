@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.stats import invgamma, norm
 
-from cellwise.diagnose.fit.noise import KnownScale, row_weights
+from cellwise.cell.model import ModelError
+from cellwise.diagnose.fit.noise import SHAPE_ERRORS, KnownScale, row_weights, with_shape
 from cellwise.diagnose.fit.rows import FITTED, IGNORED
 
 ROWS = 4001
@@ -23,15 +25,34 @@ def evidence(rows=ROWS, unused=0):
     )
 
 
-def test_rows_count_as_many_errors_as_their_time_holds():
-    weights = row_weights(evidence(), memory_s=200.0)
+SOC = np.linspace(0.9, 0.1, ROWS)
+
+
+def test_rows_count_as_many_errors_as_their_time_and_soc_hold():
+    error = ModelError(correlation_s=200.0)
+    weights = row_weights(evidence(), error, SOC)
     assert np.sum(weights) == pytest.approx(1.0 + 4000.0 / 400.0)
-    some = row_weights(evidence(unused=1000), memory_s=200.0)
+    some = row_weights(evidence(unused=1000), error, SOC)
     assert np.sum(some[1000:]) == pytest.approx(1.0 + 4000.0 / 400.0)
+    along = row_weights(evidence(), replace(error, correlation_soc=0.04), SOC)
+    assert np.sum(along) == pytest.approx(1.0 + 4000.0 / 400.0 + 0.8 / 0.08)
 
 
 def test_a_row_is_one_error_at_most():
-    assert np.all(row_weights(evidence(), memory_s=1e-3) <= 1.0)
+    assert np.all(row_weights(evidence(), ModelError(correlation_s=1e-3), SOC) <= 1.0)
+
+
+def test_a_shape_that_is_not_natures_is_few_errors_in_however_many_rows():
+    size, weight = np.full(ROWS, 2e-3), np.full(ROWS, 200.0 / ROWS)
+    none = with_shape(evidence(), size, weight, 0.0)
+    np.testing.assert_allclose(none[0], size)
+    np.testing.assert_allclose(none[1], weight)
+    large, few = with_shape(evidence(), size, weight, 0.2)
+    np.testing.assert_allclose(large, np.hypot(2e-3, 0.2))
+    assert np.sum(few) == pytest.approx(SHAPE_ERRORS, rel=0.01)
+    # A mean over all rows is as uncertain as the two errors together.
+    both, some = with_shape(evidence(), size, weight, 2e-3)
+    assert np.mean(both) ** 2 / np.sum(some) == pytest.approx(4e-6 / 200.0 + 4e-6 / SHAPE_ERRORS)
 
 
 def test_the_scale_is_the_most_likely_one_under_its_prior():

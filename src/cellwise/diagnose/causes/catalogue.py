@@ -91,7 +91,7 @@ CAUSES: dict[str, Cause] = {
             "The voltage is logged later than the current (positive) or earlier.",
             "I(t) -> I(t - skew_s)",
             "Spikes at every edge of the current that change sign with it, nothing between.",
-            (Parameter("skew_s", "s", 0.0, (-60.0, 60.0), "skew_s", 1.0),),
+            (Parameter("skew_s", "s", 0.0, (-60.0, 60.0), "skew_s", 3.0),),
             ("resistance_scale",),
             # Edges that are seconds apart do not pull at each other.
             beginnings=tuple(
@@ -104,7 +104,7 @@ CAUSES: dict[str, Cause] = {
             "The log does not start at the stated SOC.",
             "soc(0) = soc0",
             "The OCV of another SOC from the first row on: a persistent shift.",
-            (Parameter("soc0", "1", 0.0, (0.0, 1.0), "soc0", 0.25),),
+            (Parameter("soc0", "1", 0.0, (0.0, 1.0), "soc0", 0.1),),
             ("voltage_offset", "ocv_shift", "capacity"),
         ),
         Cause(

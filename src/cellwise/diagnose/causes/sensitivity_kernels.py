@@ -28,7 +28,7 @@ from cellwise.cell.equations import (
     voltage_of,
 )
 from cellwise.cell.point_kernels import CellPoint, CellScalars
-from cellwise.typing import FloatArray, IntArray
+from cellwise.typing import BoolArray, FloatArray, IntArray
 
 UNCHANGED = CellPoint(*(0.0 for _ in CellPoint._fields))
 STATES = len(CellState._fields)
@@ -131,6 +131,17 @@ def changed(table: FloatArray, mean: Place, surface: Place, apart: bool) -> Cell
 
 
 @cached(error_model="numpy", nogil=True)
+def segments_with_change(changes_of: FloatArray) -> BoolArray:
+    """Whether a table's derivative has anything between two points over SOC, (Q, points - 1)."""
+    many, _, points, _ = changes_of.shape
+    found = np.zeros((many, points - 1), dtype=np.bool_)
+    for q in range(many):
+        for k in range(points - 1):
+            found[q, k] = np.any(changes_of[q, :, k : k + 2] != 0.0)
+    return found
+
+
+@cached(error_model="numpy", nogil=True)
 def derivative_rows(
     tables: CellTables,
     start: CellState,
@@ -149,6 +160,7 @@ def derivative_rows(
     for p in range(many):
         d[p, 0] = soc0[p]
         has_scalars[p] = np.any(scalars[p] != 0.0)
+    somewhere = segments_with_change(changes_of)
     apart = cell.surface_per_A != 0.0 or bool(np.any(scalars[:, SURFACE] != 0.0))
     state = start
     out = 0
@@ -171,8 +183,9 @@ def derivative_rows(
         for p in range(many):
             by_flow = currents[current_of[p], row] if current_of[p] >= 0 else 0.0
             change = UNCHANGED
-            if table_of[p] >= 0:
-                change = changed(changes_of[table_of[p]], place, surface, apart)
+            q = table_of[p]
+            if q >= 0 and (somewhere[q, place.k] or somewhere[q, surface.k]):
+                change = changed(changes_of[q], place, surface, apart)
             # fmt: off
             old = CellState(
                 d[p, 0], d[p, 1], d[p, 2], d[p, 3], d[p, 4], d[p, 5], d[p, 6]

@@ -136,14 +136,22 @@ class Explanations:
             return left
         most = could_explain(self.fits, left, start.fit, start.prior, frozen)
         for cause in left:
-            if cause.beginnings:  # one step from neutral does not see it; alone it was searched
-                alone = self.tried.get(frozenset({cause.name}))
-                gain = 0.0 if alone is None else self._gain(alone)
-                most[cause.name] = max(most[cause.name], gain)
+            alone = self.tried.get(frozenset({cause.name}))
+            if cause.beginnings and alone is not None:
+                # One step from neutral does not see it; alone it was searched.
+                most[cause.name] = max(most[cause.name], self._beside(start, alone))
         own = self.rarity.nats(start.names)
         price = {c.name: self.rarity.nats((*start.names, c.name)) - own for c in left}
         worth = [c for c in left if most[c.name] > price[c.name]]
         return sorted(worth, key=lambda c: -most[c.name])[:ADDED]
+
+    def _beside(self, start: Explanation, alone: Explanation) -> float:
+        """Nats that a cause gains beside a set if it takes off the squares what it took alone."""
+        fits = self.fits
+        none, _ = fits.squares(self.tried[frozenset()].fit)
+        left, errors = fits.squares(start.fit)
+        taken = none - fits.squares(alone.fit)[0]
+        return fits.known.gained(left, min(max(taken, 0.0), left), errors)
 
     def _frozen(self, start: Explanation) -> Frozen:
         objective = self.fits.objective(start.noise)
@@ -186,11 +194,16 @@ class Explanations:
         return best
 
     def _settled(self, one: Explanation) -> Explanation:
-        """Fitted with its own noise and derivatives until neither changes it any more."""
+        """Fitted with its own noise until that changes it no more.
+
+        Each round has derivatives of its own; within one only those of the causes and starts move.
+        """
         fits = self.fits
+        moving = [*kept_coordinates(one.causes), *fits.evidence.starts()]
         for _ in range(ROUNDS):
             noise = fits.noise(one.fit, one.prior)
-            found = fits.fit(noise, one.fit.coordinates, one.prior, one.fit.z, 5)
+            shaped, z, frozen = one.fit.coordinates, one.fit.z, self._frozen(one)
+            found = fits.fit(noise, shaped, one.prior, z, 5, frozen, moving)
             new = self._explained(one.causes, found, noise, one.prior)
             gained = new.found.total - one.found.total
             if gained > 0.0:

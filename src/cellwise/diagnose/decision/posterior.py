@@ -8,6 +8,7 @@ pseudo-Bayesian model averaging (Yao et al., 2018, doi:10.1214/17-BA1091).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -21,6 +22,7 @@ from cellwise.typing import FloatArray
 DRAWS = 1000
 # A cause is named from this probability on.
 NAMED = 0.9
+NAMED_NATS = math.log(NAMED / (1.0 - NAMED))
 # Explanations below this are not worth a line.
 LEAST_WEIGHT = 0.02
 

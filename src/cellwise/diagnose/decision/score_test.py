@@ -66,12 +66,16 @@ def _columns(
     parts = [frozen.jacobian]
     place = {(0, n): k for k, n in enumerate(frozen.names)}
     many = len(frozen.names)
+    together: dict[int, list[tuple[int, str]]] = {}  # one pass for all causes of one shape
+    shapes = {id(shaped): shaped for _, shaped, _ in tried}
     for k, (_, shaped, wide) in enumerate(tried, 1):
-        new = [n for n in wide.names if n not in frozen.names]
-        if new:
-            parts.append(fits.evidence.jacobian(shaped, z, new))
-            place |= {(k, n): many + j for j, n in enumerate(new)}
-            many += len(new)
+        new = [(k, n) for n in wide.names if n not in frozen.names]
+        together.setdefault(id(shaped), []).extend(new)
+    for shape, keys in together.items():
+        if keys:
+            parts.append(fits.evidence.jacobian(shapes[shape], z, [n for _, n in keys]))
+            place |= {key: many + j for j, key in enumerate(keys)}
+            many += len(keys)
     return np.column_stack(parts), place
 
 

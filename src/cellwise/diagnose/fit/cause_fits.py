@@ -25,6 +25,7 @@ from cellwise.diagnose.fit.noise import (
     Noise,
     row_weights,
     stated_V,
+    with_shape,
 )
 from cellwise.diagnose.fit.physical_size import ln_size
 from cellwise.diagnose.fit.priors import widened_for
@@ -63,15 +64,14 @@ class CauseFits:
         model = self.coordinates.model
         voltage, soc = self.evidence.simulate(self.coordinates, prior.mean)
         stated = stated_V(model, self.evidence, soc, voltage)
-        memory_soc = model.error.correlation_soc
-        self.weight = row_weights(self.evidence, model.error.correlation_s, soc, memory_soc)
-        self.stated_V, noise = stated, Noise()
+        weight = row_weights(self.evidence, model.error, soc)
+        self.weight, self.stated_V, noise = weight, stated, Noise()
         found = self.fit(noise, self.coordinates, prior, prior.mean, 5)
         for _ in range(2):
             found = complete(self.objective(noise), found, prior)
             left = self.evidence.voltage_V - found.voltage_V
-            size = rmse(left, self._used())
-            self.stated_V = np.hypot(stated, SHAPE_SHARE * size)
+            shape_V = SHAPE_SHARE * rmse(left, self._used())
+            self.stated_V, self.weight = with_shape(self.evidence, stated, weight, shape_V)
             noise = self.noise(found, prior)
             found = self.fit(noise, self.coordinates, prior, found.z, 4)
         return complete(self.objective(noise), found, prior), noise

@@ -63,6 +63,17 @@ class Prior:
             self.cross,
         )
 
+    def together(self, names: Sequence[str], correlation: float) -> Prior:
+        """The prior with coordinates that are no more linked than to each other: they correlate."""
+        both = (*self.linked, *names)
+        cross = np.zeros((len(both), len(both)))
+        known = len(self.linked)
+        if self.cross is not None:
+            cross[:known, :known] = self.cross
+        std = np.array([self.std[n] for n in names])
+        cross[known:, known:] = correlation * (np.outer(std, std) - np.diag(std**2))
+        return replace(self, linked=both, cross=cross)
+
     def precision(self) -> FloatArray:
         """Inverse covariance of the coordinates, in the order of ``names``."""
         names = self.names
@@ -149,10 +160,6 @@ class Frozen:
     names: tuple[str, ...]
     jacobian: FloatArray
 
-    def column(self, name: str) -> FloatArray:
-        """One derivative, shape (rows,)."""
-        return np.asarray(self.jacobian[:, self.names.index(name)])
-
 
 def freeze(
     objective: Objective, coordinates: Coordinates, names: Sequence[str], z: Mapping[str, float]
@@ -192,7 +199,8 @@ def fit(
     rows = (evidence.role == FITTED) & evidence.known
     white = np.empty((evidence.rows, 1 + len(names)))
     if frozen is not None and kept:
-        columns = np.column_stack([frozen.column(names[k])[: evidence.rows] for k in kept])
+        places = [frozen.names.index(names[k]) for k in kept]
+        columns = np.take(frozen.jacobian[: evidence.rows], places, axis=1)
         white[:, [1 + k for k in kept]] = train.scaled(columns)
 
     def cost_of(point: FloatArray) -> tuple[float, FloatArray, FloatArray]:

@@ -6,6 +6,9 @@ it explains. A log of length t over a SOC range s holds 1 + t / (2 tau) + s / (2
 errors, however many rows it has, with l the model's ``correlation_soc`` where it states one. How
 far the statement itself is off is not known: its scale has an inverse-gamma prior, worth so many
 errors, and what causes leave unexplained counts less the more of it there is.
+
+No cause has the shape of nature: a share of what is to be explained stays, with as few independent
+errors in a log as such a shape has features.
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.model import CellModel
+from cellwise.cell.model import CellModel, ModelError
 from cellwise.diagnose.fit.rows import IGNORED, Evidence
 from cellwise.typing import FloatArray
 
@@ -24,6 +27,8 @@ from cellwise.typing import FloatArray
 STATED_ERRORS = 10.0
 # Of a model's whole error so much stays unexplained: no cause has the shape of nature.
 SHAPE_SHARE = 0.1
+# What stays has so many independent errors in a log.
+SHAPE_ERRORS = 10.0
 
 
 class Noise(NamedTuple):
@@ -58,26 +63,42 @@ class KnownScale:
         return -self.errors * math.log(scale) - 0.5 * self.square / scale**2
 
 
-def row_weights(
-    evidence: Evidence,
-    memory_s: float,
-    soc: FloatArray | None = None,
-    memory_soc: float | None = None,
-) -> FloatArray:
+def independent_errors(error: ModelError, span_s: float, span_soc: float) -> float:
+    """How many errors of a model a log of a length [s] over a range of SOC holds."""
+    by_soc = 0.0
+    if error.correlation_soc is not None:
+        by_soc = span_soc / (2.0 * error.correlation_soc)
+    return 1.0 + span_s / (2.0 * error.correlation_s) + by_soc
+
+
+def row_weights(evidence: Evidence, error: ModelError, soc: FloatArray) -> FloatArray:
     """How much every scored row counts: the used rows of a log sum up to its independent errors.
 
-    ``memory_soc`` is how far along the SOC an error stays the same, None: not known; ``soc`` the
-    SOC of every scored row.
+    ``soc`` is that of every scored row.
     """
     weights = []
     for log, rows in evidence.each():
         used = evidence.known[rows] & (evidence.role[rows] != IGNORED)
-        span = float(log.clock_s[-1] - log.clock_s[0])
-        errors = 1.0 + span / (2.0 * memory_s)
-        if soc is not None and memory_soc is not None and used.any():
-            errors += float(np.ptp(soc[rows][used])) / (2.0 * memory_soc)
+        span_s = float(log.clock_s[-1] - log.clock_s[0])
+        span_soc = float(np.ptp(soc[rows][used])) if used.any() else 0.0
+        errors = independent_errors(error, span_s, span_soc)
         weights.append(np.full(log.scored, min(errors / max(int(used.sum()), 1), 1.0)))
     return np.concatenate(weights)
+
+
+def with_shape(
+    evidence: Evidence, size_V: FloatArray, weight: FloatArray, shape_V: float
+) -> tuple[FloatArray, FloatArray]:
+    """Size and weight of the model's error at every row with that of the shapes of causes.
+
+    What a mean over many rows leaves uncertain adds up: size^2 over weight.
+    """
+    both = size_V**2 + shape_V**2
+    mean = size_V**2 / weight
+    for _, rows in evidence.each():
+        used = evidence.known[rows] & (evidence.role[rows] != IGNORED)
+        mean[rows] += shape_V**2 * max(int(used.sum()), 1) / SHAPE_ERRORS
+    return np.sqrt(both), np.minimum(weight, both / mean)
 
 
 def stated_V(

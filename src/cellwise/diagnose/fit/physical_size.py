@@ -20,10 +20,11 @@ from cellwise.diagnose.fit.least_squares import Prior
 AGE = {"ln_capacity": (0.12, 0.02), "ln_scale": (0.1, 0.4), "added_r0": (0.1, 0.4)}
 # Beside a good log of the same cell: months apart, not a life.
 SAME_AGE = {"ln_capacity": (0.03, 0.02), "ln_scale": (0.05, 0.1), "added_r0": (0.05, 0.1)}
-# Current sensors of vehicles keep 1 to 3 % over temperature and life, shunts ten times better;
-# a few in a hundred are configured wrongly (another shunt, another range).
-CLASS = {"ln_gain": 0.02}
-WRONG_SHARE, WRONG_STD = 0.03, 0.2
+# Of a class, and of those that are configured or wired wrongly, a few in a hundred. Current sensors
+# of vehicles keep 1 to 3 % over temperature and life, shunts ten times better; cell monitors keep
+# 1 to 9 mV by their data sheets.
+CLASS = {"ln_gain": (0.02, 0.2), "offset_V": (0.005, 0.05)}
+WRONG_SHARE = 0.03
 
 
 def ln_size(
@@ -46,9 +47,9 @@ def ln_size(
             std = below if x < 0.0 else above
             total += math.log(2.0 * wide / (below + above)) + _ln_normal(x, std, wide)
         elif name in CLASS:
-            within = math.log((1.0 - WRONG_SHARE) * wide / CLASS[name])
-            within += _ln_normal(x, CLASS[name], wide)
-            wrong = math.log(WRONG_SHARE * wide / WRONG_STD) + _ln_normal(x, WRONG_STD, wide)
+            usual, other = CLASS[name]
+            within = math.log((1.0 - WRONG_SHARE) * wide / usual) + _ln_normal(x, usual, wide)
+            wrong = math.log(WRONG_SHARE * wide / other) + _ln_normal(x, other, wide)
             total += max(within, wrong) + math.log1p(math.exp(-abs(within - wrong)))
     return total
 

@@ -33,6 +33,9 @@ USUAL_SPREAD_K = 1500.0
 # A start that was given is right to this; one that was found, to its own standard deviation.
 GIVEN_SOC_STD = 0.0015
 TOLERANCE_ENDS = 4.0
+# Starts that were given come from one source: what makes one wrong makes all wrong, and what is
+# left of each alone is a third of that.
+GIVEN_ALIKE = 8.0 / 9.0
 # Memories are another one from this factor on (its logarithm).
 ANOTHER = 0.7
 SLOWER_THAN_TAU2 = 2.0
@@ -139,7 +142,12 @@ def widened_for(prior: Prior, cause: Cause, coordinates: Coordinates, evidence: 
         std["activation_K"] = USUAL_SPREAD_K
         mean["activation_K"] = USUAL_ACTIVATION_K
         low["activation_K"], high["activation_K"] = 500.0, 8000.0
-    return prior.widened(std, mean, low, high)
+    wide_prior = prior.widened(std, mean, low, high)
+    if cause.kind == "start":
+        named = zip(evidence.starts(), evidence.logs, strict=True)
+        given = [n for n, g in named if g.start.how == "given"]
+        return wide_prior.together(given, GIVEN_ALIKE) if len(given) > 1 else wide_prior
+    return wide_prior
 
 
 def needs_activation(coordinates: Coordinates) -> bool:
