@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
@@ -46,8 +47,9 @@ class ModelError:
     ``correlation_s``: ``slow_V`` over an even SOC grid (one number for all), times
     ``temperature_factor`` over ``temperature_C`` (both empty: 1), and the part that grows with the
     polarisation, as a share of it, ``resistance_share`` on discharge and ``charge_share`` on
-    charge (None: as on discharge). Standard deviations [V]. Moving on by ``correlation_soc`` makes
-    the slow part another one (None: not known to).
+    charge (None: as on discharge); ``unseen_share`` beside it, in squares, is what no test could
+    show of loads that last. Standard deviations [V]. Moving on by ``correlation_soc`` makes the
+    slow part another one (None: not known to).
     """
 
     white_V: float = 0.002
@@ -58,6 +60,7 @@ class ModelError:
     temperature_C: tuple[float, ...] = ()
     temperature_factor: tuple[float, ...] = ()
     correlation_soc: float | None = None
+    unseen_share: float = 0.0
 
     def at(self, soc: FloatArray | float, temperature_C: float | None = None) -> FloatArray:
         """Slow error at the given SOC and one temperature [V], linear between grid points.
@@ -77,6 +80,13 @@ class ModelError:
 
     def share(self, drop_V: float = 1.0) -> float:
         """Share of a polarisation that may be wrong: of a discharge, or of a charge."""
+        return math.hypot(self.shown_share(drop_V), self.unseen_share)
+
+    def shown_share(self, drop_V: float = 1.0) -> float:
+        """The share that the tests did show to be wrong.
+
+        What a diagnosis holds against a model: what no test could show is for it to find.
+        """
         if drop_V >= 0.0 or self.charge_share is None:
             return self.resistance_share
         return self.charge_share
@@ -378,7 +388,7 @@ def check_model(model: CellModel) -> None:
 
 def check_error(error: ModelError) -> None:
     """Raise InputError where a model's error is none."""
-    shares = [error.resistance_share, error.share(-1.0), *error.temperature_factor]
+    shares = [error.share(), error.share(-1.0), error.unseen_share, *error.temperature_factor]
     sizes = np.array(
         [error.white_V, *error.slow_V, error.correlation_s, *shares, error.correlation_soc or 0.0]
     )

@@ -113,6 +113,6 @@ def stated_V(
         warm = float(np.median(g.temperature_C))
         at = np.clip(soc[rows], 0.0, 1.0)
         drop = np.interp(at, model.soc, model.at_temperature(warm).ocv_V[0]) - voltage_V[rows]
-        share = np.where(drop >= 0.0, model.error.share(1.0), model.error.share(-1.0))
+        share = np.where(drop >= 0.0, model.error.shown_share(1.0), model.error.shown_share(-1.0))
         size[rows] = np.hypot(model.error.at(at, warm), share * drop)
     return np.asarray(np.hypot(size, model.error.white_V))

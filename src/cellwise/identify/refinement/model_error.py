@@ -100,11 +100,12 @@ def estimate_model_error(
         white_V=max(float(np.average(white, weights=weights)), 1e-4),
         slow_V=tuple(float(v) for v in slow),
         correlation_s=float(np.clip(np.average(memory, weights=weights), 10.0, LONGEST_LAG_S)),
-        resistance_share=math.hypot(discharge, unseen),
-        charge_share=math.hypot(charge, unseen),
+        resistance_share=discharge,
+        charge_share=charge,
         temperature_C=grid,
         temperature_factor=factor,
         correlation_soc=_correlation_soc(usable, slow),
+        unseen_share=unseen,
     )
 
 
