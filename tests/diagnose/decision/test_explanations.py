@@ -11,6 +11,7 @@ from cellwise import simulate
 from cellwise.cell.effects import RateDependence, SlowDiffusion
 from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import ModelError
+from cellwise.diagnose.applied import kept
 from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.decision.explanations import Explanations
@@ -115,6 +116,17 @@ def test_beside_a_quick_error_the_models_own_counts_no_more_than_alone():
     tried = [CAUSES[n] for n in ("time_skew", "rate_dependence", "resistance_scale")]
     sets.search(tried, *fits.base(fits.prior))
     assert [c.name for c in decide(sets).causes] == ["time_skew"]
+
+
+@pytest.mark.slow
+def test_where_no_named_cause_is_kept_the_likely_sets_stay_open():
+    """One that leaves held-out rows no better is not named; `none` would deny what is likely."""
+    found = decided(fits_of(0.9, 1.0))
+    assert found.accepted
+    assert found.open_between == ()
+    none_kept = kept(found, None)
+    assert not none_kept.causes
+    assert {"capacity"} in [set(e.names) for e in none_kept.open_between]
 
 
 @pytest.mark.slow

@@ -38,15 +38,15 @@ class Accepted:
 class Outcome:
     """Named causes, most needed first, and the fit of them alone; all single causes.
 
-    ``open_between`` are the sets that could not be separated where nothing is named, ``weighed``
-    all sets with their probability.
+    ``rivals`` are the sets that make up the probability (none, where nothing is likelier than
+    anything), ``weighed`` all sets with their probability.
     """
 
     accepted: tuple[Accepted, ...]
     fit: Fit
     none: Explanation
     first: tuple[Explanation, ...]
-    open_between: tuple[Explanation, ...]
+    rivals: tuple[Explanation, ...]
     noise: Noise
     reasons: tuple[str, ...]
     weighed: tuple[Weighed, ...] = ()
@@ -55,6 +55,11 @@ class Outcome:
     def causes(self) -> tuple[Cause, ...]:
         """The named causes."""
         return tuple(a.cause for a in self.accepted)
+
+    @property
+    def open_between(self) -> tuple[Explanation, ...]:
+        """The sets that could not be separated, where nothing is named."""
+        return () if self.accepted else self.rivals
 
 
 def decide(sets: Explanations) -> Outcome:
@@ -73,16 +78,16 @@ def decide(sets: Explanations) -> Outcome:
     named = [c for c in known.values() if probability_of(c.name, weighed) > NAMED]
     accepted = sorted((_accepted(sets, c) for c in named), key=lambda a: -a.score)
     nothing = sum(w.probability for w in weighed if not w.causes)
-    between: tuple[Explanation, ...] = ()
+    rivals: tuple[Explanation, ...] = ()
     fit, noise = none.fit, none.noise
     if accepted:
         fit, noise = _of_named(sets, [a.cause for a in accepted])
-    elif nothing < LIKELY:
+    if nothing < LIKELY:
         likely = [sets.tried[frozenset(w.causes)] for w in weighed if w.causes]
-        between = tuple(likely[: max(2, _needed(weighed))])
+        rivals = tuple(likely[: max(2, _needed(weighed))])
     first = tuple(sets.best(len(known), 1))
     reasons = () if accepted or best.causes else _reasons(sets, first)
-    return Outcome(tuple(accepted), fit, none, first, between, noise, reasons, weighed)
+    return Outcome(tuple(accepted), fit, none, first, rivals, noise, reasons, weighed)
 
 
 def _accepted(sets: Explanations, cause: Cause) -> Accepted:
