@@ -122,21 +122,27 @@ def draw(said: Sequence[Said], path: Path = PICTURE) -> Path:
     figure = Figure(figsize=(5.2, 4.6), layout="constrained")
     axes = figure.subplots()
     axes.plot([0, 1], [0, 1], color="0.7", lw=1)
-    for g in groups(said):
+    found = groups(said)
+    for g in found:
         share = g.true / g.said
         axes.errorbar(
             g.mean, share, [[max(share - g.low, 0.0)], [max(g.high - share, 0.0)]],
             fmt="o", color="C0", capsize=3,
         )  # fmt: skip
         axes.annotate(
-            f"{g.true} of {g.said}", (g.mean, share), (6, -12), textcoords="offset points"
+            f"{g.true} of {g.said}",
+            (g.mean, share),
+            (-6 if g.mean > 0.9 else 6, -12),
+            textcoords="offset points",
+            ha="right" if g.mean > 0.9 else "left",
         )
+    last = found[-1]
     axes.set(
         xlabel="probability said",
         ylabel="share that was there",
-        xlim=(0, 1.12),
+        xlim=(0, 1.05),
         ylim=(-0.03, 1.05),
-        title="Causes in cells of another physics",
+        title=f"Said with {last.above:g} to {last.up_to:g}: {last.true} of {last.said} are there",
     )
     figure.savefig(path, dpi=110)
     return path

@@ -38,7 +38,7 @@ class Accepted:
 class Outcome:
     """Named causes, most needed first, and the fit of them alone; all single causes.
 
-    ``rivals`` are the sets that make up the probability (none, where nothing is likelier than
+    ``alternatives`` are the sets that make up the probability (none, where nothing is likelier than
     anything), ``weighed`` all sets with their probability.
     """
 
@@ -46,7 +46,7 @@ class Outcome:
     fit: Fit
     none: Explanation
     first: tuple[Explanation, ...]
-    rivals: tuple[Explanation, ...]
+    alternatives: tuple[Explanation, ...]
     noise: Noise
     reasons: tuple[str, ...]
     weighed: tuple[Weighed, ...] = ()
@@ -59,7 +59,7 @@ class Outcome:
     @property
     def open_between(self) -> tuple[Explanation, ...]:
         """The sets that could not be separated, where nothing is named."""
-        return () if self.accepted else self.rivals
+        return () if self.accepted else self.alternatives
 
 
 def decide(sets: Explanations) -> Outcome:
@@ -78,16 +78,16 @@ def decide(sets: Explanations) -> Outcome:
     named = [c for c in known.values() if probability_of(c.name, weighed) > NAMED]
     accepted = sorted((_accepted(sets, c) for c in named), key=lambda a: -a.score)
     nothing = sum(w.probability for w in weighed if not w.causes)
-    rivals: tuple[Explanation, ...] = ()
+    alternatives: tuple[Explanation, ...] = ()
     fit, noise = none.fit, none.noise
     if accepted:
         fit, noise = _of_named(sets, [a.cause for a in accepted])
     if nothing < LIKELY:
         likely = [sets.tried[frozenset(w.causes)] for w in weighed if w.causes]
-        rivals = tuple(likely[: max(2, _needed(weighed))])
+        alternatives = tuple(likely[: max(2, _needed(weighed))])
     first = tuple(sets.best(len(known), 1))
     reasons = () if accepted or best.causes else _reasons(sets, first)
-    return Outcome(tuple(accepted), fit, none, first, rivals, noise, reasons, weighed)
+    return Outcome(tuple(accepted), fit, none, first, alternatives, noise, reasons, weighed)
 
 
 def _accepted(sets: Explanations, cause: Cause) -> Accepted:
