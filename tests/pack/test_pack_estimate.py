@@ -11,6 +11,7 @@ from cellwise.errors import InputError
 from cellwise.logs.packs.pack_log import PackLog
 from cellwise.pack.pack_estimate import estimate_pack
 from cellwise.pack.pack_state import read_state, write_state
+from cellwise.pack.parameters import RESISTANCE
 from emulated_packs import Fault, emulated_pack
 
 SIZES = (4, 16, pytest.param(96, marks=pytest.mark.slow))
@@ -72,6 +73,25 @@ def test_estimates_lie_within_their_bands():
     ratio = (cells.resistance_scale - 1.0 - spread[:, 1]) / cells.resistance_std
     assert np.sqrt(np.mean((cells.resistance_scale - 1.0 - spread[:, 1]) ** 2)) < 0.006
     assert np.all(np.isfinite(ratio))
+
+
+def test_the_last_log_counts_once_where_balancing_moves_the_cells_between_logs():
+    logs = []
+    for seed in range(4):
+        model, log = emulated_pack(
+            8, hours=1.0, seed=seed, balanced=0.01, name=f"drive_2024-05-0{seed + 1}"
+        )
+        logs.append(log)
+    found = estimate_pack(model, logs)
+    assert found.evidence.balancing_soc > 0.003
+    known = found.state.belief.covariance[:, RESISTANCE, RESISTANCE]
+    np.testing.assert_allclose(found.cells.resistance_std, np.sqrt(known), rtol=1e-9)
+    # What the cells hold is the last log's, though: as it was drawn, within their bands.
+    drawn = np.random.default_rng(12345).normal(size=(8, 4))[:, 2] * 0.003
+    drawn += np.random.default_rng(3 + 1000).normal(0.0, 1.0, 8) * 0.01
+    away = found.cells.soc - found.cells.soc.mean() - (drawn - drawn.mean())
+    assert np.all(np.abs(away) < 3.0 * found.cells.soc_std)
+    assert np.sqrt(np.mean(away**2)) < 0.003
 
 
 def test_a_dead_sensor_is_named_and_no_other_cell():

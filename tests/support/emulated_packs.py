@@ -35,17 +35,21 @@ def drive_current(rows, capacity_Ah, seed):
     return capacity_Ah * np.where(current == 0.0, 0.0, current + wiggle)
 
 
-def emulated_pack(cells, fault=None, *, hours=3.0, seed=0, soc0=0.9, noise_V=0.001, name="pack"):
+def emulated_pack(
+    cells, fault=None, *, hours=3.0, seed=0, soc0=0.9, noise_V=0.001, name="pack", balanced=0.0
+):
     """Model of the mean cell and a pack's log at 1 Hz.
 
     Cells differ by 0.4 % in capacity, 1.5 % in resistance, 0.3 % in SOC, their sensors by 0.5 mV;
     who is who depends on the number of the cell alone, what happens to them on the seed.
+    ``balanced`` is how much their SOC moves from one seed to the next (standard deviation).
     """
     model = stock_model("nca-18650")
     rows = int(hours * 3600)
     own = np.random.default_rng(12345)
     spread = own.normal(size=(cells, 4)) * [0.004, 0.015, 0.003, 0.0005]
     rng = np.random.default_rng(seed + 1)
+    moved = np.random.default_rng(seed + 1000).normal(0.0, 1.0, cells) * balanced
     current = drive_current(rows, model.capacity_Ah, seed) * min(3.0 / hours, 1.0)
     time = np.arange(rows, dtype=np.float64)
     volts = np.empty((rows, cells))
@@ -58,7 +62,7 @@ def emulated_pack(cells, fault=None, *, hours=3.0, seed=0, soc0=0.9, noise_V=0.0
             r0_ohm=one * model.r0_ohm, r1_ohm=one * model.r1_ohm, r2_ohm=one * model.r2_ohm,
         )  # fmt: skip
         log = CellLog(time, current + hurt.leak_A, np.full(rows, 3.7))
-        start = soc0 + spread[k, 2] + hurt.soc
+        start = soc0 + spread[k, 2] + moved[k] + hurt.soc
         volts[:, k] = simulate(cell, log, start).voltage_V + spread[k, 3] + hurt.offset_V
         if hurt.delay_s:
             volts[:, k] = np.interp(time - hurt.delay_s, time, volts[:, k])

@@ -5,8 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 
+import numpy as np
+import pyarrow.parquet as pq
+
+from cellwise.cell.stock.catalogue import stock_model
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell
-from cellwise.logs import read_log
+from cellwise.logs import CellLog, read_log
 
 LG = "lg_18650hg2"
 LG_RUNS = {"p25": 549, "p10": 575, "p00": 585, "n10": 593, "n20": 607, "p40": 555}
@@ -31,4 +35,34 @@ def identified_lg(folder):
             drive=tuple((lg_log(folder, f"pauscycl_{n}", 1.0), None) for n in LG_SHORT),
         ),
         IdentifySettings(nominal_Ah=3.0),
+    )
+
+
+def leaf_drives(folder, month):
+    """Mean cell of each segment of a month, 5 s rows, of at least some minutes."""
+    for path in sorted((folder / "leaf_pack").glob(f"leaf_2017{month}*.parquet")):
+        table = pq.read_table(path)
+        column = {n: table[n].to_numpy().astype(float) for n in table.column_names if "cell_" in n}
+        mean = np.mean(list(column.values()), axis=0) / 1000.0
+        time_s, current = table["time_s"].to_numpy(), table["current_A"].to_numpy()
+        warm = np.mean([table[f"temperature_{k}_C"].to_numpy() for k in (1, 2, 4)], axis=0)
+        segment = table["segment"].to_numpy()
+        for number in np.unique(segment):
+            rows = np.flatnonzero((segment == number) & np.isfinite(mean) & np.isfinite(current))
+            if rows.size >= 80:
+                yield CellLog(
+                    time_s=time_s[rows].astype(float) - float(time_s[rows[0]]),
+                    current_A=current[rows],
+                    voltage_V=mean[rows],
+                    temperature_C=warm[rows],
+                    name=f"{path.stem}_{number}",
+                )
+
+
+@cache
+def identified_leaf(folder):
+    """A car's pack from the laboratory's cell of the kind, and June's drives."""
+    june = tuple((log, None) for log in leaf_drives(folder, "06"))
+    return identify_cell(
+        TestLogs(drive=june), IdentifySettings(nominal_Ah=65.0, prior=stock_model("lmo-pouch"))
     )

@@ -12,7 +12,7 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import in_order
 from cellwise.cell.plausibility.outside import outside_notices
 from cellwise.logs.packs.pack_log import PackLog
-from cellwise.pack.belief import CellBelief, drift_between, posterior, spread_between
+from cellwise.pack.belief import CellBelief, drift_between, spread_between
 from cellwise.pack.causes import cause_of
 from cellwise.pack.evidence import PackEvidence
 from cellwise.pack.pack_state import PackState
@@ -31,6 +31,7 @@ from cellwise.pack.periods import PackDay, pack_days, period_evidence, periods
 from cellwise.pack.suspicion import Suspicion, against_others, against_past
 from cellwise.pack.swapped import swapped_cells, with_swapped
 from cellwise.pack.usable import Usable, usable_charge
+from cellwise.threads import one_blas_thread
 from cellwise.typing import FloatArray
 
 BALANCED = [SOC, SELF_DISCHARGE]
@@ -181,6 +182,7 @@ class PackEstimate:
         return {"name": list(self.names), **vars(self.cells)}
 
 
+@one_blas_thread
 def estimate_pack(
     model: CellModel, logs: Sequence[PackLog], state: PackState | None = None
 ) -> PackEstimate:
@@ -259,13 +261,22 @@ def estimate_pack(
 def _at_end(
     model: CellModel, belief: CellBelief, period: PackEvidence, last: PackDay
 ) -> CellBelief:
-    """The belief at the end of the last log, whose own SOC differences may be others."""
+    """The belief with the SOC differences of the last log, where balancing makes them others.
+
+    The last log is in the belief already. Given what the cells are, x, its own shift of the SOC is
+    Gaussian with the mean v (b - a x) and the variance v; nothing else is updated a second time.
+    """
     if period.balancing_soc == 0.0:  # of that log alone
         return belief
     own = period_evidence(model, [last])
-    moved = np.zeros((SIZE, SIZE))
-    moved[SOC, SOC] = period.balancing_soc**2
-    mean, covariance = posterior(belief.mean, belief.covariance + moved, own)
+    column = own.matrix[:, SOC, :]
+    v = 1.0 / (column[:, SOC] + period.balancing_soc**-2.0)
+    mean = belief.mean.copy()
+    mean[:, SOC] += v * (own.vector[:, SOC] - np.einsum("ci,ci->c", column, belief.mean))
+    shifted = np.tile(np.eye(SIZE), (v.size, 1, 1))
+    shifted[:, SOC, :] -= v[:, None] * column
+    covariance = shifted @ belief.covariance @ np.swapaxes(shifted, 1, 2)
+    covariance[:, SOC, SOC] += v
     return replace(belief, mean=mean, covariance=covariance)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
 from cellwise.cell.initial_soc.best_start import best_start_soc
@@ -13,7 +12,8 @@ from cellwise.cell.simulate import simulate
 from cellwise.cell.stock.catalogue import named_model, stock_model
 from cellwise.estimate.replay import replay
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell
-from cellwise.logs import CellLog, read_log
+from cellwise.logs import read_log
+from measured_models import identified_leaf, leaf_drives
 
 PANASONIC_AH = 2.9
 OTHERS = ("drive_p25_cycle_3", "drive_p25_nn")
@@ -70,33 +70,9 @@ def test_a_drive_cut_out_of_its_middle_is_placed_within_its_deviation(panasonic,
     assert np.median(away) < 2.0
 
 
-def leaf_drives(folder, month):
-    """Mean cell of each segment of a month, 5 s rows, of at least some minutes."""
-    for path in sorted((folder / "leaf_pack").glob(f"leaf_2017{month}*.parquet")):
-        table = pq.read_table(path)
-        column = {n: table[n].to_numpy().astype(float) for n in table.column_names if "cell_" in n}
-        mean = np.mean(list(column.values()), axis=0) / 1000.0
-        time_s, current = table["time_s"].to_numpy(), table["current_A"].to_numpy()
-        warm = np.mean([table[f"temperature_{k}_C"].to_numpy() for k in (1, 2, 4)], axis=0)
-        segment = table["segment"].to_numpy()
-        for number in np.unique(segment):
-            rows = np.flatnonzero((segment == number) & np.isfinite(mean) & np.isfinite(current))
-            if rows.size >= 80:
-                yield CellLog(
-                    time_s=time_s[rows].astype(float) - float(time_s[rows[0]]),
-                    current_A=current[rows],
-                    voltage_V=mean[rows],
-                    temperature_C=warm[rows],
-                    name=f"{path.stem}_{number}",
-                )
-
-
 @pytest.fixture(scope="module")
 def leaf(real_data):
-    """A car's pack from the laboratory's cell of the kind, and June's drives."""
-    june = tuple((log, None) for log in leaf_drives(real_data, "06"))
-    settings = IdentifySettings(nominal_Ah=65.0, prior=stock_model("lmo-pouch"))
-    return identify_cell(TestLogs(drive=june), settings)
+    return identified_leaf(real_data)
 
 
 def test_a_month_of_driving_holds_for_the_other_months(leaf, real_data):
