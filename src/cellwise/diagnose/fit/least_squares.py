@@ -129,6 +129,10 @@ class Objective:
         """The same over some of the rows."""
         return Objective(evidence, self.size_V[rows], self.weight[rows])
 
+    def times(self, scale: float) -> Objective:
+        """The same with what may be wrong so many times as large."""
+        return Objective(self.evidence, scale * self.size_V, self.weight)
+
     @property
     def clip(self) -> float:
         """Where a residual in these units is wilder than the rest (Huber)."""

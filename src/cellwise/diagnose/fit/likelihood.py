@@ -1,43 +1,94 @@
-"""How likely all rows are under a cause, fitted and held-out ones, and what that leaves open.
+"""How likely all rows are under a set of causes, and what that leaves open.
 
-A held-out log visits states that the fitted ones never saw. What was never measured there is
-uncertain, not wrong: so the prediction is averaged over what the fitted rows leave open, which is
-the density p(held-out | fitted), instead of taking the most likely point for the truth.
+What was fitted is uncertain, not known: so rows are averaged over what they leave open of every
+coordinate (to second order), instead of taking the most likely point for the truth. Three things
+more are not known and averaged over, each value as likely as the next:
 
-How good the laboratory was is not known either. A cause under which everything else falls into
-place speaks for a better laboratory than one that needs a little help everywhere: the tolerances
-are tried at several shares of themselves (hierarchical Bayes), each as likely as the next.
+how good the laboratory was: a cause under which everything else falls into place speaks for a
+better laboratory than one that needs a little help everywhere, so the tolerances are tried at
+several shares of themselves;
+
+how far the model's statement of its error is off (:class:`cellwise.diagnose.fit.noise.KnownScale`);
+
+how far the causes' shapes are from nature's (:mod:`cellwise.diagnose.fit.wrong_shapes`).
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
 from cellwise.diagnose.fit.least_squares import Fit, Objective, Prior, normal_of
-from cellwise.diagnose.fit.rows import FITTED, IGNORED
+from cellwise.diagnose.fit.noise import KnownScale
+from cellwise.diagnose.fit.rows import IGNORED
+from cellwise.diagnose.fit.wrong_shapes import SHAPE_SHARES, wrong_shapes
 from cellwise.typing import BoolArray, FloatArray
 
 # Shares of the stated tolerances that are tried.
 SHARES = (0.3, 0.55, 1.0)
+# Scales of the stated error that are tried: up to beyond what is left, in steps of their logarithm.
+SCALE_STEP = 0.15
+BEYOND = 1.3
 
 
 class Prediction(NamedTuple):
-    """Ln p(all rows), of which ln p(held-out rows | fitted rows), and each row's part.
+    """Ln p(all rows), and each row's part.
 
     ``terms`` (rows,) are ln likelihoods at the point that all rows together would choose: their
     differences between two fits show where one explains more.
     """
 
     total: float
-    held: float
     terms: FloatArray
 
 
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Sums over the used rows at one scale of the noise.
+
+    ``plain``: ln likelihood of the fit's residual but for its squares, ``squares`` these, ``count``
+    of independent errors; ``normal`` (P, P) and ``gradient`` (P,) by the coordinates. Of the wrong
+    shapes, turned so that they are independent of each other: ``size`` (K,) their information,
+    ``cross`` (P, K) and ``pull`` (K,); ``turned`` (K, K) leads back to them.
+    """
+
+    plain: float
+    squares: float
+    count: float
+    normal: FloatArray
+    gradient: FloatArray
+    size: FloatArray
+    cross: FloatArray
+    pull: FloatArray
+    turned: FloatArray
+
+    def at(self, times: float, share: float) -> tuple[float, FloatArray, FloatArray, FloatArray]:
+        """Ln likelihood, normal matrix and gradient with the noise ``times`` as large.
+
+        The sizes of the wrong shapes, normal about zero with a deviation of ``share``, are
+        integrated out; the last array is the information about them.
+        """
+        r = times**-2.0
+        plain = self.plain - 0.5 * r * self.squares - self.count * math.log(times)
+        inner = 1.0 / (self.size + 1.0 / (r * share**2))
+        plain += 0.5 * r * float(np.sum(inner * self.pull**2))
+        plain -= 0.5 * float(np.sum(np.log1p(r * share**2 * self.size)))
+        normal = r * (self.normal - (self.cross * inner) @ self.cross.T)
+        return plain, normal, r * (self.gradient - self.cross @ (inner * self.pull)), inner
+
+
 def predict(
-    objective: Objective, found: Fit, prior: Prior, free: set[str] | None = None
+    objective: Objective,
+    found: Fit,
+    prior: Prior,
+    known: KnownScale,
+    scale: float,
+    effects_V: FloatArray,
+    free: set[str] | None = None,
 ) -> Prediction:
     """Density of all rows to second order about the fit.
 
@@ -45,12 +96,19 @@ def predict(
     the tolerances and d the way from its mean: ln p = T - d' W d / 2 + g' x / 2
     - (ln det(A + W) - ln det W) / 2, (A + W) x = g = b - W d. The coordinates in ``free`` keep
     their width; those at their bounds stay there.
+
+    Parameters
+    ----------
+    objective, scale : what the fit was judged by, and the scale of its noise
+    known : what is known of that scale
+    effects_V : (rows, causes) by how much each cause moves the voltage [V]
     """
     evidence = objective.evidence
     names = list(found.names)
     residual = np.nan_to_num(evidence.voltage_V - found.voltage_V)
     jacobian = evidence.jacobian(found.coordinates, found.z, names)
-    white = objective.scaled(np.column_stack((residual, jacobian)))
+    wrong = wrong_shapes(evidence, effects_V, found.soc)
+    rows = _sums(objective, residual, jacobian, wrong)
     x = np.array([found.z[n] for n in names])
     low = np.array([prior.low.get(n, -np.inf) for n in names])
     high = np.array([prior.high.get(n, np.inf) for n in names])
@@ -58,27 +116,53 @@ def predict(
     inside = (x > low) & (x < high)
     kept = free or set()
     scalable = np.array([n not in kept and ":" not in n for n in names])
-    plain = objective.terms(residual)
-    used = evidence.known & (evidence.role != IGNORED)
-    fitted = evidence.known & (evidence.role == FITTED)
-    sums = [
-        (float(np.sum(plain[rows])), *normal_of(white, rows, objective.clip))
-        for rows in (used, fitted)
-    ]
-    weight = prior.precision()
+    precision = prior.precision()
+    weights = [precision * np.outer(w, w) for w in (np.where(scalable, 1 / s, 1) for s in SHARES)]
+    shapes = SHAPE_SHARES if wrong.shape[1] else SHAPE_SHARES[:1]  # none: nothing depends on it
     totals: list[float] = []
-    best: tuple[float, float, FloatArray] | None = None
-    for share in SHARES:
-        scale = np.where(scalable, 1.0 / share, 1.0)
-        w = weight * np.outer(scale, scale)
-        every, step = _density(*sums[0], w, away, inside)
-        totals.append(every)
-        if best is None or every > best[0]:
-            best = every, every - _density(*sums[1], w, away, inside)[0], step
-    if best is None:
-        raise ValueError("no share of the tolerances to try")
-    total = float(np.logaddexp.reduce(totals)) - math.log(len(totals))
-    return Prediction(total, best[1], objective.terms(residual - jacobian @ best[2]))
+    best = -math.inf, 1.0, jacobian[:, 0]
+    for times, share in product(_times(known, scale), shapes):
+        plain, normal, gradient, inner = rows.at(times, share)
+        plain += known.ln_density(times * scale)
+        for weight in weights:
+            value, step = _density(plain, normal, gradient, weight, away, inside)
+            totals.append(value)
+            if value > best[0]:
+                sizes = rows.turned @ (inner * (rows.pull - rows.cross.T @ step))
+                best = value, times, jacobian @ step + wrong @ sizes
+    every = float(np.logaddexp.reduce(totals))
+    total = every + math.log(SCALE_STEP / (len(SHARES) * len(shapes)))
+    return Prediction(total, objective.times(best[1]).terms(residual - best[2]))
+
+
+def _times(known: KnownScale, scale: float) -> FloatArray:
+    """Scales to try, in units of the one that the fit leaves: from the least that is known."""
+    least = known.least
+    most = BEYOND * max(scale, least)
+    steps = np.arange(0.0, math.log(most / least), SCALE_STEP)
+    return np.asarray(least / scale * np.exp(steps))
+
+
+def _sums(
+    objective: Objective, residual: FloatArray, jacobian: FloatArray, wrong: FloatArray
+) -> _Rows:
+    used = objective.evidence.known & (objective.evidence.role != IGNORED)
+    white = objective.scaled(np.column_stack((residual, jacobian, wrong)))
+    normal, gradient = normal_of(white, used, objective.clip)
+    many = jacobian.shape[1]
+    size, turned = np.linalg.eigh(normal[many:, many:])
+    squares = float(np.sum(objective.squares(residual)[used]))
+    return _Rows(
+        float(np.sum(objective.terms(residual)[used])) + 0.5 * squares,
+        squares,
+        float(np.sum(objective.weight[used])),
+        normal[:many, :many],
+        gradient[:many],
+        np.maximum(size, 0.0),
+        normal[:many, many:] @ turned,
+        turned.T @ gradient[many:],
+        turned,
+    )
 
 
 def _density(
