@@ -168,7 +168,8 @@ def with_faults(
 
 def _rmse_V(model: CellModel, log: CellLog) -> float:
     """Of the model on a log from the start that it finds itself [V]."""
-    return float(simulate(model, log, initial_soc(model, log).soc).metrics.rmse_V)
+    start = initial_soc(model, log, likeliest=True, whole_log=True)
+    return float(simulate(model, log, start.soc).metrics.rmse_V)
 
 
 def _faults(log: CellLog) -> tuple[SensorFault, ...]:
