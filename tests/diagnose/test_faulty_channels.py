@@ -11,6 +11,8 @@ from cellwise.cell.simulate import simulate
 from cellwise.diagnose import diagnose
 from cellwise.diagnose.sensor_faults import clean, without_faults
 from cellwise.logs.cell_log import CellLog
+from cellwise.logs.inspection import inspect_log
+from cellwise.logs.reading import read_log
 from example_cells import curved_cell
 
 ROWS = 3000
@@ -133,3 +135,93 @@ def test_a_diagnosis_names_the_fault_first_with_its_rows_and_judges_the_rest(dri
     assert fault.holdout_rmse_after_V < 0.2 * fault.holdout_rmse_before_V
     assert "voltage_V stands still" in fault.evidence[0]
     assert len(found.to_dict()["causes"]) == 1
+
+
+GROSS = [
+    ("voltage_V", 108.0, 35),
+    ("voltage_V", 0.0, 20),
+    ("voltage_V", -40.0, 25),
+    ("voltage_V", 4095.0, 1),
+    ("current_A", 1e9, 35),
+    ("current_A", -655.35, 22),
+    ("temperature_C", 900.0, 35),
+]
+
+
+@pytest.mark.parametrize(("channel", "value", "rows"), GROSS)
+def test_values_that_no_cell_has_are_named_with_their_rows_and_cut_out(drive, channel, value, rows):
+    warm = replace(drive, temperature_C=np.full(ROWS, 24.5) + 0.01 * np.sin(np.arange(ROWS)))
+    at = slice(1307, 1307 + rows)
+    bad = with_rows(warm, channel, at, value)
+    log, faults = clean(bad)
+    assert [(f.channel, f.kind, f.runs) for f in faults] == [
+        (channel, "impossible", ((1307, 1306 + rows),))
+    ]
+    assert np.abs(getattr(log, channel)[np.isfinite(getattr(log, channel))]).max() < 30.0
+    assert np.isfinite(log.voltage_V).sum() >= ROWS // 2
+    said = [n for n in inspect_log(bad).notices if "LOOKS WRONG" in n]
+    assert len(said) == 1
+    assert "1308" in said[0]
+    assert f"{1307 + rows}" in said[0]
+
+
+def test_a_current_that_reads_nothing_while_the_voltage_is_driven_is_stuck(drive):
+    loaded = drive.current_A.copy()
+    begin = 1310
+    assert np.all(np.ptp(loaded[begin : begin + 20].reshape(2, 10), axis=1) > 0.5)
+    log, faults = clean(with_rows(drive, "current_A", slice(begin, begin + 20), 0.0))
+    assert [(f.channel, f.kind) for f in faults] == [("current_A", "stuck")]
+    assert abs(faults[0].rows - 20) <= 2
+    assert log.time_s[0] >= begin + 18.0
+
+
+@pytest.mark.parametrize("end", [0.25, 0.75])
+def test_a_voltage_at_the_end_of_its_range_is_saturated(drive, end):
+    limit = float(np.round(np.quantile(drive.voltage_V, end), 4))
+    held = np.minimum if end > 0.5 else np.maximum
+    bad = replace(drive, voltage_V=held(drive.voltage_V, limit))
+    log, faults = clean(bad)
+    kinds = {(f.channel, f.kind) for f in faults}
+    assert ("voltage_V", "saturated") in kinds
+    assert not any(c == "current_A" for c, _ in kinds)
+    assert not np.any(log.voltage_V == limit)
+    assert "voltage_V_" + ("max" if end > 0.5 else "min") in inspect_log(bad).saturated
+
+
+def test_a_cell_at_rest_full_or_dead_and_a_heavy_pulse_are_no_faults(drive):
+    rest = np.zeros(600)
+    pulses = np.where(np.arange(600) % 300 < 2, 60.0, 0.0)
+    for current in (rest, pulses):
+        log = CellLog(np.arange(600.0), current + 1e-3, np.full(600, 3.7))
+        voltage = simulate(curved_cell(), log, 0.5).voltage_V
+        assert clean(replace(log, voltage_V=voltage))[1] == ()
+    dying = drive.voltage_V * np.clip(np.linspace(9.0, 0.0, ROWS), 0.0, 1.0)
+    assert not any(f.kind == "impossible" for f in clean(replace(drive, voltage_V=dying))[1])
+
+
+def test_a_diagnosis_names_108_V_first_and_judges_the_rest_as_if_it_had_not_been(drive):
+    rows = slice(1307, 1342)
+    found = diagnose(
+        curved_cell(),
+        with_rows(drive, "voltage_V", rows, 108.0),
+        causes=["ocv_shift", "current_offset"],
+    )
+    assert [c.name for c in found.causes] == ["sensor_fault"]
+    assert found.causes[0].parameters["rows"] == 35
+    assert found.causes[0].parameters["start_s"] == 1307.0
+    assert found.causes[0].holdout_rmse_after_V < 2e-3
+
+
+@pytest.mark.parametrize(("channel", "value", "rows"), [g for g in GROSS if g[2] > 1])
+def test_a_file_with_gross_faults_is_read_and_named_with_the_same_rows(
+    drive, tmp_path, channel, value, rows
+):
+    warm = replace(drive, temperature_C=np.full(ROWS, 24.5))
+    bad = with_rows(warm, channel, slice(1307, 1307 + rows), value)
+    names = ("time_s", "current_A", "voltage_V", "temperature_C")
+    table = np.column_stack([getattr(bad, n) for n in names])
+    file = tmp_path / "drive.csv"
+    np.savetxt(file, table, "%.7g", ",", header=",".join(names), comments="")
+    log = read_log(file)
+    assert [(f.channel, f.runs) for f in clean(log)[1]] == [(channel, ((1307, 1306 + rows),))]
+    assert any("1308" in n for n in log.notices)

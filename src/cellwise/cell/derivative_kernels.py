@@ -139,24 +139,44 @@ def partials(
     # inverse_kelvin
     inverse_kelvin_2 = 1.0 / kelvin - 1.0 / cell.reference_K
     # at_temperature
-    scale_2 = math.exp(cell.activation_K * inverse_kelvin_2)
+    scale_2 = math.exp(cell.activation_K * inverse_kelvin_2) if cell.activation_K != 0.0 else 1.0
     r0 = table.r0_ohm * scale_2
     r1 = table.r1_ohm * scale_2
     r2 = table.r2_ohm * scale_2
     r3 = table.r3_ohm * scale_2
-    r0_factor = math.exp(cell.r0_activation_K * inverse_kelvin_2)
+    r0_factor = (
+        math.exp(cell.r0_activation_K * inverse_kelvin_2) if cell.r0_activation_K != 0.0 else 1.0
+    )
     r0_2 = r0 * r0_factor
-    r1_factor = math.exp(cell.r1_activation_K * inverse_kelvin_2)
+    r1_factor = (
+        math.exp(cell.r1_activation_K * inverse_kelvin_2) if cell.r1_activation_K != 0.0 else 1.0
+    )
     r1_2 = r1 * r1_factor
-    tau1_factor = math.exp(cell.tau1_activation_K * inverse_kelvin_2)
+    tau1_factor = (
+        math.exp(cell.tau1_activation_K * inverse_kelvin_2)
+        if cell.tau1_activation_K != 0.0
+        else 1.0
+    )
     tau1 = table.tau1_s * tau1_factor
-    r2_factor = math.exp(cell.r2_activation_K * inverse_kelvin_2)
+    r2_factor = (
+        math.exp(cell.r2_activation_K * inverse_kelvin_2) if cell.r2_activation_K != 0.0 else 1.0
+    )
     r2_2 = r2 * r2_factor
-    tau2_factor = math.exp(cell.tau2_activation_K * inverse_kelvin_2)
+    tau2_factor = (
+        math.exp(cell.tau2_activation_K * inverse_kelvin_2)
+        if cell.tau2_activation_K != 0.0
+        else 1.0
+    )
     tau2 = table.tau2_s * tau2_factor
-    r3_factor = math.exp(cell.r3_activation_K * inverse_kelvin_2)
+    r3_factor = (
+        math.exp(cell.r3_activation_K * inverse_kelvin_2) if cell.r3_activation_K != 0.0 else 1.0
+    )
     r3_2 = r3 * r3_factor
-    tau3_factor = math.exp(cell.tau3_activation_K * inverse_kelvin_2)
+    tau3_factor = (
+        math.exp(cell.tau3_activation_K * inverse_kelvin_2)
+        if cell.tau3_activation_K != 0.0
+        else 1.0
+    )
     tau3 = table.tau3_s * tau3_factor
     # under_load
     growth = 1.0 + cell.rate_per_A * abs(current_A)

@@ -202,7 +202,8 @@ def _starts(
             elif log.soc0 is not None:
                 pairs.append((log, initial_soc(model, log, log.soc0, GIVEN_SOC_STD)))
             else:
-                pairs.append((log, initial_soc(model, log, likeliest=True)))
+                # As `simulate` takes it: what is said of a log is said from there.
+                pairs.append((log, initial_soc(model, log, likeliest=True, whole_log=True)))
         result.append(pairs)
     return result
 

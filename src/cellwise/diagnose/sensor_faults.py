@@ -14,6 +14,7 @@ from cellwise.cell.simulate import simulate
 from cellwise.diagnose.causes.catalogue import SENSOR_FAULT
 from cellwise.diagnose.result import Diagnosis, FoundCause
 from cellwise.logs.cell_log import CellLog
+from cellwise.logs.checks.impossible import impossible_runs, without
 from cellwise.logs.checks.oddities import Run, clipped_runs, find_spikes, lost_runs, stuck_runs
 
 # A single row may be bad in any log; so many are a sensor that fails.
@@ -21,7 +22,7 @@ FEWEST_SPIKES = 3
 # Of a log whose current was wrong in between, the longest part must be so long to say anything.
 LEAST_PART = 0.2
 
-Kind = Literal["stuck", "saturated", "spikes", "lost"]
+Kind = Literal["impossible", "stuck", "saturated", "spikes", "lost"]
 Starts = list[float | str]
 
 
@@ -47,8 +48,9 @@ class SensorFault:
     def text(self) -> str:
         """For people."""
         how = {
+            "impossible": "shows what no cell has",
             "stuck": "stands still while the other channel moves",
-            "saturated": "is held at its end while the voltage goes on moving",
+            "saturated": "is held at its end while the other channel goes on moving",
             "spikes": "jumps away and back without the current",
             "lost": "is missing",
         }[self.kind]
@@ -79,15 +81,13 @@ def clean(log: CellLog) -> tuple[CellLog, tuple[SensorFault, ...]]:
     faults = _faults(log)
     if not faults:
         return log, ()
-    bad = np.zeros(len(log), dtype=bool)
+    runs: dict[str, list[Run]] = {}
     for fault in faults:
-        if fault.channel == "voltage_V":
-            for run in fault.runs:
-                bad[run.first : run.last + 1] = True
-    voltage = np.where(bad, np.nan, log.voltage_V)
-    if np.isfinite(voltage).sum() < 2:
+        if fault.channel != "current_A":
+            runs.setdefault(fault.channel, []).extend(fault.runs)
+    whole = without(log, runs)
+    if np.isfinite(whole.voltage_V).sum() < 2:
         return log, faults
-    whole = replace(log, voltage_V=voltage)
     wrong = np.zeros(len(log), dtype=bool)
     for fault in faults:
         if fault.channel == "current_A":
@@ -96,7 +96,8 @@ def clean(log: CellLog) -> tuple[CellLog, tuple[SensorFault, ...]]:
     if not wrong.any():
         return whole, faults
     first, stop = _longest(~wrong)
-    if stop - first < LEAST_PART * len(log) or not np.isfinite(voltage[first:stop]).any():
+    part = whole.voltage_V[first:stop]
+    if stop - first < LEAST_PART * len(log) or not np.isfinite(part).any():
         return whole, faults
     return whole.part(first, stop), faults
 
@@ -167,7 +168,8 @@ def with_faults(
 
 def _rmse_V(model: CellModel, log: CellLog) -> float:
     """Of the model on a log from the start that it finds itself [V]."""
-    return float(simulate(model, log, initial_soc(model, log).soc).metrics.rmse_V)
+    start = initial_soc(model, log, likeliest=True, whole_log=True)
+    return float(simulate(model, log, start.soc).metrics.rmse_V)
 
 
 def _faults(log: CellLog) -> tuple[SensorFault, ...]:
@@ -179,14 +181,15 @@ def _faults(log: CellLog) -> tuple[SensorFault, ...]:
             log.name, channel, kind, tuple(runs), float(begins), float(ends - begins)
         )
 
-    found = [fault(name, "stuck", runs) for name, runs in stuck_runs(log).items()]
+    impossible = impossible_runs(log)
+    rest = without(log, impossible)
+    found = [fault(name, "impossible", runs) for name, runs in impossible.items()]
+    found += [fault(name, "stuck", runs) for name, runs in stuck_runs(rest).items()]
     found += [fault(name, "lost", runs) for name, runs in lost_runs(log).items()]
-    spikes = find_spikes(log)
+    spikes = find_spikes(rest)
     if spikes.size >= FEWEST_SPIKES:
         found.append(fault("voltage_V", "spikes", [Run(int(k), int(k)) for k in spikes]))
-    clipped = clipped_runs(log)
-    if clipped:
-        found.append(fault("current_A", "saturated", clipped))
+    found += [fault(name, "saturated", runs) for name, runs in clipped_runs(rest).items()]
     return tuple(found)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.counter import compare_counter
 from cellwise.logs.checks.grave import grave_notices, is_grave
+from cellwise.logs.checks.impossible import possible_part
 from cellwise.logs.checks.oddities import (
     Rest,
     Saturation,
@@ -112,11 +113,12 @@ def inspect_log(log: CellLog) -> Inspection:
     -------
     Inspection        its ``notices``: those of reading, and one for every oddity
     """
-    check = verify_sign(log)
+    possible = possible_part(log)
+    check = verify_sign(possible)
     counter = compare_counter(log)
     mismatch = None if counter is None else counter.mismatch_percent
     rests = tuple(find_rests(log))
-    stuck = find_stuck(log)
+    stuck = find_stuck(possible)
     sampling = _sampling(log)
     missing = {
         field: int(np.count_nonzero(np.isnan(values)))
@@ -129,7 +131,7 @@ def inspect_log(log: CellLog) -> Inspection:
         *(n for n in log.notices if not is_grave(n)),
         *_sign_notices(log, check.verdict, check.evidence),
         *_time_notices(log, sampling),
-        *_channel_notices(log, missing, stuck, find_spikes(log).size, mismatch),
+        *_channel_notices(log, missing, stuck, find_spikes(possible).size, mismatch),
         *_rest_notices(log, rests),
     ]
     return Inspection(
@@ -149,7 +151,7 @@ def inspect_log(log: CellLog) -> Inspection:
         counter_mismatch_percent=mismatch,
         rests=rests,
         stuck=stuck,
-        saturated=find_saturations(log),
+        saturated=find_saturations(possible),
         resolution={
             "current_A": resolution(log.current_A),
             "voltage_V": resolution(log.voltage_V),

@@ -43,6 +43,10 @@ def broken_sum(start: str, value: ast.expr) -> list[str]:
         return [f"{start}-(", f"{indent}    {ast.unparse(value.operand)}", f"{indent})"]
     if len(inner := f"{indent}    {ast.unparse(value)}") <= WIDTH:
         return [f"{start}(", inner, f"{indent})"]
+    if isinstance(value, ast.IfExp):
+        parts = (value.body, value.test, value.orelse)
+        words = [w + ast.unparse(p) for w, p in zip(("", "if ", "else "), parts, strict=True)]
+        return [f"{start}(", *(f"{indent}    {w}" for w in words), f"{indent})"]
     if isinstance(value, ast.BinOp) and isinstance(value.op, ast.Mult):
         first, last = ast.unparse(value.left), ast.unparse(value.right)
         return [f"{start}{first} * (", f"{indent}    {last}", f"{indent})"]

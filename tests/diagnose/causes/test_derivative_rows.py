@@ -245,6 +245,14 @@ def test_derivative_is_the_central_difference(name, case):
         assert np.abs(expected).max() > 1e-4, "it does not move the voltage: nothing was tested"
 
 
+@pytest.mark.parametrize("case", ["none", "self-heating", "all"])
+def test_rows_that_are_not_scored_change_nothing_of_those_that_are(case):
+    """Directions without a memory skip those rows, to the last bit."""
+    tables = make_cell(case)
+    every = derivatives(NAMES, tables)
+    np.testing.assert_array_equal(derivatives(NAMES, tables, stride=7), every[::7])
+
+
 def test_the_log_goes_everywhere():
     dt, current, warm = LOG
     soc = simulated(make_cell("none"), start_of(make_cell("none")))[1]

@@ -26,11 +26,16 @@ MOST_ROWS = 400_000  # of a longer log the beginning is enough
 
 @dataclass(frozen=True)
 class InitialSoc:
-    """SOC at the first row, its standard deviation, and how it was found."""
+    """SOC at the first row, its standard deviation, and how it was found.
+
+    ``beginning`` is what the first rows alone say, where all of the log was asked; else None. A fit
+    of the whole log takes the model for right, the beginning's rest or minute hardly does.
+    """
 
     soc: float
     std: float
     how: str
+    beginning: InitialSoc | None = None
 
     def to_dict(self) -> dict[str, float | str]:
         """As JSON values."""
@@ -150,4 +155,4 @@ def _from_whole_log(
         return beginning
     soc, std = likeliest_soc(model, log, past_V)
     how = f"fit of the whole log, {log.duration_s / 3600.0:.2f} h"
-    return InitialSoc(soc, max(std, STATED_STD), how)
+    return InitialSoc(soc, max(std, STATED_STD), how, beginning)

@@ -27,13 +27,15 @@ from cellwise.cell.equations import (
     tables_at,
     voltage_of,
 )
-from cellwise.cell.point_kernels import CellPoint, CellScalars
+from cellwise.cell.point_kernels import R1, R2, R3, TAU1, TAU2, TAU3, CellPoint, CellScalars
 from cellwise.typing import BoolArray, FloatArray, IntArray
 
 UNCHANGED = CellPoint(*(0.0 for _ in CellPoint._fields))
 STATES = len(CellState._fields)
 # The surface's scalars stand together.
 FIRST = CellScalars._fields.index("surface_per_A")
+# Columns of the table that states follow, whether the cell heats itself or not.
+CARRIED = (R1, TAU1, R2, TAU2, R3, TAU3)
 SURFACE = slice(FIRST, CellScalars._fields.index("surface_reference_K") + 1)
 
 
@@ -142,6 +144,27 @@ def segments_with_change(changes_of: FloatArray) -> BoolArray:
 
 
 @cached(error_model="numpy", nogil=True)
+def without_memory(directions: Directions, heated: bool) -> BoolArray:
+    """Directions that move no state, so that rows without a derivative can be left out, (P,).
+
+    They change the OCV, its entropy, R0 or the hysteresis gap alone, or what is added to the
+    voltage; in a cell that heats itself the loss follows each of them (``heated``).
+    """
+    many = directions.table_of.size
+    found = np.zeros(many, dtype=np.bool_)
+    for p in range(many):
+        still = directions.current_of[p] < 0 and directions.soc0[p] == 0.0
+        still &= not np.any(directions.scalars[p] != 0.0)
+        q = directions.table_of[p]
+        if q >= 0 and still:
+            still = not heated
+            for column in CARRIED:
+                still &= not np.any(directions.tables[q, :, :, column] != 0.0)
+        found[p] = still
+    return found
+
+
+@cached(error_model="numpy", nogil=True)
 def derivative_rows(
     tables: CellTables,
     start: CellState,
@@ -162,6 +185,7 @@ def derivative_rows(
         has_scalars[p] = np.any(scalars[p] != 0.0)
     somewhere = segments_with_change(changes_of)
     apart = cell.surface_per_A != 0.0 or bool(np.any(scalars[:, SURFACE] != 0.0))
+    still = without_memory(directions, cell.heating_K_per_W != 0.0)
     state = start
     out = 0
     for row in range(dt_s.size):
@@ -180,7 +204,10 @@ def derivative_rows(
         now = partials(
             cell, before, current, dt_s[row], temperature_C[row], here, by_soc, by_kelvin, apart
         )
+        wanted = row % stride == 0
         for p in range(many):
+            if still[p] and not wanted:
+                continue
             by_flow = currents[current_of[p], row] if current_of[p] >= 0 else 0.0
             change = UNCHANGED
             q = table_of[p]
@@ -212,7 +239,7 @@ def derivative_rows(
                 d[p, 5] += more.heat_K
                 d[p, 6] += more.slow_A
                 voltage += by_scalars
-            if row % stride == 0:
+            if wanted:
                 jacobian[out, p] = voltage + voltage_V[p]
-        if row % stride == 0:
+        if wanted:
             out += 1

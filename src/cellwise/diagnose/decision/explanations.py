@@ -98,9 +98,10 @@ class Explanations:
     ) -> bool:
         """Try sets of a size; whether one of them, or of the size before, is the likeliest."""
         starts = self.best(BEAM, size - 1)
-        frozen = {s.key: self._frozen(s) for s in starts}
-        worth = [(s, c) for s in starts for c in self._worth(s, causes, frozen[s.key])]
-        todo = self._once(worth)
+        keys = [s.key for s in starts]
+        frozen = dict(zip(keys, threads.map(self._frozen, starts), strict=True))
+        worth = threads.map(lambda s: self._worth(s, causes, frozen[s.key]), starts)
+        todo = self._once((s, c) for s, more in zip(starts, worth, strict=True) for c in more)
 
         def work(task: tuple[Explanation, Cause]) -> Explanation | None:
             start, cause = task

@@ -62,11 +62,12 @@ class CauseFits:
     def base(self, prior: Prior) -> tuple[Fit, Noise]:
         """The fit within the tolerances, no cause estimated, and the noise that it leaves."""
         model = self.coordinates.model
-        voltage, soc = self.evidence.simulate(self.coordinates, prior.mean)
+        start = {**prior.mean, **dict.fromkeys(self.evidence.starts(), 0.0)}
+        voltage, soc = self.evidence.simulate(self.coordinates, start)
         stated = stated_V(model, self.evidence, soc, voltage)
         weight = row_weights(self.evidence, model.error, soc)
         self.weight, self.stated_V, noise = weight, stated, Noise()
-        found = self.fit(noise, self.coordinates, prior, prior.mean, 5)
+        found = self.fit(noise, self.coordinates, prior, start, 5)
         for _ in range(2):
             found = complete(self.objective(noise), found, prior)
             left = self.evidence.voltage_V - found.voltage_V
@@ -184,7 +185,7 @@ class CauseFits:
         high = {n: self.prior.high[n] for n in estimated}
         objective = self.objective(Noise())
         start = {n: found.z[n] for n in estimated}
-        prior = Prior(std, {}, low, high)
+        prior = Prior(std, {n: self.prior.mean.get(n, 0.0) for n in estimated}, low, high)
         one = fit(objective, found.coordinates, prior, start, 4, fixed)
         return complete(objective, one, prior)
 

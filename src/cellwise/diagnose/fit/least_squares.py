@@ -304,7 +304,8 @@ def _held_starts(objective: Objective, found: Fit, prior: Prior) -> dict[str, fl
             rows = slice(whole.start, whole.start + begins)
             first = objective.part(evidence.beginnings[k], rows)
             limits = prior.low[name], prior.high[name]
-            z[name] = _start(first, found.coordinates, z, z[name], prior.std[name], limits)
+            usual = prior.mean.get(name, 0.0), prior.std[name]
+            z[name] = _start(first, found.coordinates, z, z[name], usual, limits)
     return z
 
 
@@ -313,18 +314,21 @@ def _start(
     coordinates: Coordinates,
     z: Mapping[str, float],
     start: float,
-    std: float,
+    usual: tuple[float, float],
     limits: tuple[float, float],
 ) -> float:
-    """Most likely start of the one log of an objective, by Newton's steps."""
-    evidence, weight = first.evidence, np.array([[1.0 / std**2]])
+    """Most likely start of the one log of an objective, by Newton's steps.
+
+    ``usual`` are mean and standard deviation beforehand.
+    """
+    evidence, weight = first.evidence, np.array([[1.0 / usual[1] ** 2]])
     for _ in range(4):
         here = {**z, "soc0:0": start}
         voltage, _ = evidence.simulate(coordinates, here)
         jacobian = evidence.jacobian(coordinates, here, ["soc0:0"])
         residual = np.nan_to_num(evidence.voltage_V - voltage)
         white = first.scaled(np.column_stack((residual, jacobian)))
-        away = np.array([start])
+        away = np.array([start - usual[0]])
         normal, gradient = _normal(white, evidence.known, first.clip, weight, away)
         step = min(max(float(gradient[0] / normal[0, 0]), -0.2), 0.2)
         start = min(max(start + step, limits[0]), limits[1])

@@ -94,9 +94,13 @@ def tolerances(coordinates: Coordinates, evidence: Evidence) -> Prior:
         std["ln_gamma"] = 0.2
     for name, std_V in _owed(coordinates, evidence).items():
         std[name] = max(std[name], std_V)
+    mean: dict[str, float] = {}
     for name, log in zip(evidence.starts(), evidence.logs, strict=True):
-        std[name] = max(log.start.std, GIVEN_SOC_STD)
-    return _bounded(Prior(std, {}, {}, {}), std)
+        # A start that all rows chose with the model as it is would be sure of a wrong model.
+        first = log.start.beginning or log.start
+        std[name] = max(first.std, GIVEN_SOC_STD)
+        mean[name] = first.soc - log.start.soc
+    return _bounded(Prior(std, mean, {}, {}), std)
 
 
 def _owed(coordinates: Coordinates, evidence: Evidence) -> dict[str, float]:
@@ -194,7 +198,8 @@ def structure_prior(prior: Prior) -> Prior:
     """The prior of a calibration on baseline logs."""
     std = {n: max(v, prior.std[n]) for n, v in STRUCTURE.items() if n in prior.std}
     starts = {n: v for n, v in prior.std.items() if n.startswith("soc0:")}
-    return _bounded(Prior({**std, **starts}, {}, {}, {}), (*std, *starts))
+    mean = {n: prior.mean.get(n, 0.0) for n in starts}
+    return _bounded(Prior({**std, **starts}, mean, {}, {}), (*std, *starts))
 
 
 def calibrated(prior: Prior, found: Fit, share: float = 1.0) -> Prior:

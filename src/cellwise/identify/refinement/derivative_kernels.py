@@ -42,7 +42,7 @@ class ThermalPartials(NamedTuple):
 def thermal_partials(activation_K: float, inverse_K: float) -> ThermalPartials:
     """Of an Arrhenius factor."""
     # thermal_factor
-    factor = math.exp(activation_K * inverse_K)
+    factor = math.exp(activation_K * inverse_K) if activation_K != 0.0 else 1.0
     # chain rule, from the last line to the first
     factor_by_activation_K = factor * inverse_K
     return ThermalPartials(factor_by_activation_K)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.checks.oddities import stuck_voltage
+from cellwise.logs.checks.impossible import impossible_runs, without
+from cellwise.logs.checks.oddities import Run, stuck_voltage
 from cellwise.logs.checks.units import IMPOSSIBLE_CELL_CURRENT_A, LARGEST_STRING_V
 from cellwise.logs.measured_log import MeasuredLog
 from cellwise.typing import FloatArray
@@ -138,10 +139,26 @@ def grave_notices(log: MeasuredLog) -> list[str]:
             )
     if not (np.fmax.reduce(log.current_A) > 0.0 or np.fmin.reduce(log.current_A) < 0.0):
         notices.append(f"the current {MARK}: it is 0 throughout")
-    stuck = stuck_voltage(log)
+    impossible = impossible_runs(log)
+    notices += [_impossible(log, name, runs) for name, runs in impossible.items()]
+    stuck = stuck_voltage(without(log, impossible))
     if stuck is not None:
         notices.append(
             f"the voltage {MARK}: it stands still for {stuck.duration_s:.0f} s from "
             f"{stuck.start_s:.1f} s on while the current moves"
         )
     return notices
+
+
+def _impossible(log: MeasuredLog, channel: str, runs: list[Run]) -> str:
+    """What no cell has, with its rows (people count from 1)."""
+    quantity, _, unit = channel.partition("_")
+    values = getattr(log, channel)
+    count = sum(r.last - r.first + 1 for r in runs)
+    named = ", ".join(
+        f"{values[r.first]:g} {unit} in row{f's {r.first + 1} to' if r.last > r.first else ''} "
+        f"{r.last + 1}"
+        for r in runs[:MOST_ROWS_NAMED]
+    )
+    more = f" and {len(runs) - MOST_ROWS_NAMED} more times" if len(runs) > MOST_ROWS_NAMED else ""
+    return f"the {quantity} {MARK} in {count} row(s): {named}{more}, which no cell has"

@@ -17,6 +17,7 @@ STUCK_ROWS = 20
 STUCK_MOVES = 10
 # So many are enough where each would have moved the voltage by so many of its digits.
 PLAIN_MOVES, PLAIN_DIGITS = 3, 5.0
+DEAD_MOVES = 2
 STUCK_MOVE_OF_RANGE = 0.1
 SATURATED_RUN = 3
 SATURATED_VISITS = 3
@@ -29,6 +30,7 @@ LARGER_STEPS = 0.98
 LEAST_STEP_A = 1e-12  # what is below is no current
 NOISE_DEVIATIONS = 8.0
 LOST_ROWS = 20
+SPARSE = 0.25
 RESOLUTION_SAMPLE = 200_000
 WHOLE_STEPS = 0.95
 LEAST_DISTINCT = 20
@@ -170,12 +172,17 @@ def stuck_runs(log: MeasuredLog) -> dict[str, list[Run]]:
     """The rows of every such time, by channel."""
     current_jump = STUCK_MOVE_OF_RANGE * _swing(log.current_A)
     digits = PLAIN_DIGITS * (resolution(log.voltage_V) or 0.0)
-    plain = _step_resistance(log) * current_jump > max(digits, PLAIN_DIGITS * _noise(log.voltage_V))
+    plain = step_resistance(log) * current_jump > max(digits, PLAIN_DIGITS * _noise(log.voltage_V))
     moves = PLAIN_MOVES if plain else STUCK_MOVES
     found = {
         "voltage_V": _standstills(log.voltage_V, log.current_A, current_jump, moves),
         "current_A": _standstills(log.current_A, log.voltage_V, _current_jump(log), STUCK_MOVES),
     }
+    # A rest only relaxes: to and fro twice without a current is a channel that is dead.
+    jump = _current_jump(log)
+    dead = _standstills(log.current_A, log.voltage_V, jump, DEAD_MOVES, STUCK_ROWS - 1)
+    nothing = [r for r in dead if log.current_A[r.first] == 0.0]
+    found["current_A"] = sorted({*found["current_A"], *nothing})
     return {name: runs for name, runs in found.items() if runs}
 
 
@@ -185,7 +192,7 @@ def _current_jump(log: MeasuredLog) -> float:
     The way from full to empty is no part of it, and neither is the noise.
     """
     swing = _swing(log.voltage_V)
-    moved = min(swing, _step_resistance(log) * _swing(log.current_A)) or swing
+    moved = min(swing, step_resistance(log) * _swing(log.current_A)) or swing
     noise = max(_noise(log.voltage_V), (resolution(log.voltage_V) or 0.0) / 3.0)
     return max(STUCK_MOVE_OF_RANGE * moved, NOISE_DEVIATIONS * noise)
 
@@ -194,18 +201,21 @@ def _swing(values: FloatArray) -> float:
     return float(np.fmax.reduce(values) - np.fmin.reduce(values))
 
 
-def _standstills(held: FloatArray, other: FloatArray, jump: float, least: int) -> list[Run]:
+def _standstills(
+    held: FloatArray, other: FloatArray, jump: float, least: int, steps: int = STUCK_ROWS
+) -> list[Run]:
+    """Where a channel repeats its value so many times while the other moves to and fro so often."""
     change = np.diff(other, prepend=other[0])
     ups, downs = np.cumsum(change > jump), np.cumsum(change < -jump)
     first, last = _runs(np.diff(held, prepend=np.nan) == 0.0)
     if first.size == 0 or jump == 0.0:
         return []
     moves = np.minimum(ups[last] - ups[first - 1], downs[last] - downs[first - 1])
-    stuck = (last - first + 1 >= STUCK_ROWS) & (moves >= least)
+    stuck = (last - first + 1 >= steps) & (moves >= least)
     return [Run(int(a), int(b)) for a, b in zip(first[stuck], last[stuck], strict=True)]
 
 
-def _step_resistance(log: MeasuredLog) -> float:
+def step_resistance(log: MeasuredLog) -> float:
     """Size of the voltage's larger steps over that of the current's, at whatever delay [ohm]."""
     by_current, by_voltage = np.abs(np.diff(log.known_current_A())), np.abs(np.diff(log.voltage_V))
     known = by_voltage[np.isfinite(by_voltage)]
@@ -244,43 +254,46 @@ def find_spikes(log: MeasuredLog) -> NDArray[np.intp]:
     moved = np.max(around, axis=1) - np.min(around, axis=1)
     usual = 1.48 * float(np.median(bend))
     least = max(SPIKE_LEAST_V, SPIKE_DEVIATIONS * usual)
-    far = away > least + SPIKE_OF_DROP * _step_resistance(log) * moved
+    far = away > least + SPIKE_OF_DROP * step_resistance(log) * moved
     # Between two spikes the other way a row is far from both, too: the larger is one.
     alone = far[1:-1] & (away[1:-1] >= away[:-2]) & (away[1:-1] >= away[2:])
     return np.flatnonzero(alone) + 1
 
 
 def lost_runs(log: MeasuredLog) -> dict[str, list[Run]]:
-    """Stretches of many rows without a value, by channel."""
+    """Stretches of many rows without a value, by channel; of a temperature that most rows have."""
+    channels = {"voltage_V": log.voltage_V, "current_A": log.current_A}
+    if log.temperature_C is not None and np.mean(np.isnan(log.temperature_C)) < SPARSE:
+        channels["temperature_C"] = log.temperature_C
     found = {}
-    for name, values in (("voltage_V", log.voltage_V), ("current_A", log.current_A)):
-        first, last = _runs(np.isnan(values))
-        many = last - first + 1 >= LOST_ROWS
-        if many.any():
-            found[name] = [
-                Run(int(a), int(b)) for a, b in zip(first[many], last[many], strict=True)
-            ]
+    for name, values in channels.items():
+        many = [r for r in runs_of(np.isnan(values)) if r.last - r.first >= LOST_ROWS - 1]
+        if many:
+            found[name] = many
     return found
 
 
-def clipped_runs(log: MeasuredLog) -> list[Run]:
-    """Rows at which the current's sensor is at its end while the true current goes on moving.
+def clipped_runs(log: MeasuredLog) -> dict[str, list[Run]]:
+    """Rows at which a sensor is at its end while the other one shows that the truth moves on.
 
-    A tester at its limit stands there, too, but then the voltage only drifts.
+    A tester at its limit stands there, too, but then the voltage only drifts, or the current dies
+    away.
     """
-    current, change = log.current_A, np.diff(log.voltage_V, prepend=np.nan)
-    jump = _current_jump(log)
-    runs: list[Run] = []
+    others = {
+        "current_A": (log.voltage_V, _current_jump(log)),
+        "voltage_V": (log.current_A, STUCK_MOVE_OF_RANGE * _swing(log.current_A)),
+    }
+    runs: dict[str, list[Run]] = {}
     for name, found in find_saturations(log).items():
-        if not name.startswith("current_A"):
-            continue
-        at_end = current == found.value
+        channel = name.rpartition("_")[0]
+        other, jump = others[channel]
+        change = np.diff(other, prepend=np.nan)
+        at_end = getattr(log, channel) == found.value
         inside = at_end & np.concatenate(([False], at_end[:-1]))
         moves = min(np.sum(change[inside] > jump), np.sum(change[inside] < -jump))
         if moves >= STUCK_MOVES and jump > 0.0:
-            first, last = _runs(at_end)
-            runs += [Run(int(a), int(b)) for a, b in zip(first, last, strict=True)]
-    return sorted(runs)
+            runs[channel] = sorted([*runs.get(channel, []), *runs_of(at_end)])
+    return runs
 
 
 def find_saturations(log: MeasuredLog) -> dict[str, Saturation]:
@@ -307,6 +320,11 @@ def _count_within(
     edges = np.column_stack((first, last + 1)).ravel()
     counted = np.add.reduceat(np.append(flags, False), edges, dtype=np.intp)
     return counted[::2]
+
+
+def runs_of(flags: BoolArray) -> list[Run]:
+    """Every run of True."""
+    return [Run(int(a), int(b)) for a, b in zip(*_runs(flags), strict=True)]
 
 
 def _runs(flags: BoolArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -178,7 +178,10 @@ def plausible_temperature(values: FloatArray) -> tuple[FloatArray | None, list[s
     if np.any(impossible):
         values = np.where(impossible, np.nan, values)
         count = int(np.count_nonzero(impossible))
-        notices.append(f"{count} temperature(s) outside {low:.0f} to {high:.0f} degC left out")
+        row = int(np.argmax(impossible)) + 1  # people count from 1
+        notices.append(
+            f"{count} temperature(s) outside {low:.0f} to {high:.0f} degC left out, row {row} first"
+        )
     return (None if np.all(np.isnan(values)) else values), notices
 
 

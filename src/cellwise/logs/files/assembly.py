@@ -27,6 +27,7 @@ from cellwise.logs.checks.grave import (
     without_impossible,
     without_spikes,
 )
+from cellwise.logs.checks.impossible import possible_part
 from cellwise.logs.checks.sign import contradiction, verify_sign
 from cellwise.logs.checks.units import (
     check_current_and_time,
@@ -132,7 +133,7 @@ def assemble(
     notices += check_voltage(log, origin.where)
     log, counter, noted = _with_checked_counter(log, origin.where)
     notices += noted
-    notices += check_current_and_time(log, origin.where)
+    notices += check_current_and_time(possible_part(log), origin.where)
     opposite = counter is not None and counter.agreement < -SAME_QUANTITY
     if not (check_sign or opposite):
         return log.with_notices(graves_first(notices))
@@ -247,7 +248,7 @@ def _with_checked_counter(log: Log, where: str) -> tuple[Log, CounterCheck | Non
 def _with_checked_sign(log: Log, sign: str, *, opposite: bool) -> tuple[Log, list[str]]:
     """Verify the sign and bring the counter in line with a current that is right."""
     notices: list[str] = []
-    check = verify_sign(log)
+    check = verify_sign(possible_part(log))
     if opposite and log.charge_Ah is not None:
         if check.verdict == "verified" or sign != "auto":
             log = replace(log, charge_Ah=-log.charge_Ah)

@@ -25,6 +25,7 @@ OUTPUTS = ("soc", "slow", "v1", "v2", "v3", "h", "drop", "heat", "voltage")
 FIELDS = [c.field for c in COLUMNS]
 SURFACE_ONLY = ("slow", "cell.surface_")
 SURFACE_ORIGINS = ("followed", "surface_soc")
+ACTIVATION = "activation_K"
 SURFACE = [c.field for c in COLUMNS if c.field.endswith(("_ohm", "_s"))]  # at the surface's SOC
 CELL_ARGUMENTS = ["cell: CellScalars", "state: CellState"]
 NOW = ["current_A: float", "dt_s: float", "temperature_C: float"]
@@ -46,11 +47,21 @@ def atomic(node: ast.expr) -> bool:
     return isinstance(node, ast.Name | ast.Constant)
 
 
-def only_apart(line: Line) -> ast.expr:
-    """What a line computes; an exponential of the surface only where the surface counts."""
-    if line.origin in SURFACE_ORIGINS and isinstance(line.value, ast.Call):
-        return ast.IfExp(ast.Name("apart"), line.value, ast.Constant(0.0))
-    return line.value
+def only_needed(line: Line) -> ast.expr:
+    """What a line computes; an exponential of the surface only where the surface counts.
+
+    Another one of an activation that is zero is 1 without being computed.
+    """
+    value = line.value
+    if not isinstance(value, ast.Call):
+        return value
+    if line.origin in SURFACE_ORIGINS:
+        return ast.IfExp(ast.Name("apart"), value, ast.Constant(0.0))
+    exponent = value.args[0]
+    if isinstance(exponent, ast.BinOp) and ast.unparse(exponent.left).endswith(ACTIVATION):
+        active = ast.Compare(exponent.left, [ast.NotEq()], [ast.Constant(0.0)])
+        return ast.IfExp(active, value, ast.Constant(1.0))
+    return value
 
 
 def short(name: str) -> str:
@@ -148,7 +159,7 @@ class Derivatives:
         for k, line in enumerate(shown):
             if k == 0 or line.origin != shown[k - 1].origin:
                 text.append(f"    # {line.origin}")
-            text += broken_sum(f"    {line.name} = ", only_apart(line))
+            text += broken_sum(f"    {line.name} = ", only_needed(line))
         return text
 
     def record(self, name: str, text: str, more: Sequence[str] = ()) -> list[str]:

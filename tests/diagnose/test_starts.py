@@ -1,0 +1,61 @@
+"""A diagnosis starts every log where `simulate` starts it, and is no surer of that than the log is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cellwise.cell.initial_soc.initial_soc import initial_soc
+from cellwise.cell.initial_soc.simulate_log import simulate
+from cellwise.cell.simulate import simulate as simulate_from
+from cellwise.diagnose import diagnose
+from cellwise.diagnose.causes.coordinates import Coordinates
+from cellwise.diagnose.fit.priors import tolerances
+from cellwise.diagnose.fit.rows import gather
+from cellwise.logs.cell_log import CellLog
+from example_cells import curved_cell
+
+ROWS, SOC0 = 2400, 0.82
+
+
+@pytest.fixture(scope="module")
+def unsure():
+    """A model that states much of its error, so that a short rest leaves the start open."""
+    model = curved_cell()
+    slow = np.full_like(np.asarray(model.error.slow_V), 0.03)
+    return replace(model, error=replace(model.error, slow_V=slow))
+
+
+def measured(model, loaded_from):
+    """A drive after a rest that is not over: 12 mV are left of what was before it."""
+    rng = np.random.default_rng(5)
+    current = np.repeat(rng.normal(1.2, 1.5, ROWS // 12), 12)
+    current[:loaded_from] = 0.0
+    log = CellLog(np.arange(float(ROWS)), current, np.full(ROWS, 3.7), name="drive")
+    left = 0.012 * np.exp(-log.time_s / 120.0)
+    return replace(log, voltage_V=simulate_from(model, log, SOC0).voltage_V - left)
+
+
+@pytest.mark.parametrize("loaded_from", [90, 0])
+def test_a_log_starts_where_simulate_starts_it(unsure, loaded_from):
+    log, held = measured(unsure, loaded_from), measured(unsure, loaded_from)
+    shown = simulate(unsure, log)
+    assert initial_soc(unsure, log, likeliest=True).std > 0.02
+    found = diagnose(unsure, [log], holdout=[held], causes=["current_offset"])
+    for run in found.runs:
+        assert run.before.soc0 == shown.soc0
+        assert run.before.metrics.rmse_V == shown.metrics.rmse_V
+
+
+def test_the_fit_is_no_surer_of_a_start_than_the_first_rows_are(unsure):
+    """A start that the wrong model chose by all rows would hold against what makes it wrong."""
+    log = measured(unsure, 90)
+    first = initial_soc(unsure, log, likeliest=True)
+    start = initial_soc(unsure, log, likeliest=True, whole_log=True)
+    assert start.std < 0.8 * first.std
+    prior = tolerances(Coordinates(unsure), gather(unsure, [(log, start)]))
+    assert prior.std["soc0:0"] == first.std
+    assert start.soc + prior.mean["soc0:0"] == pytest.approx(first.soc)
+    assert prior.low["soc0:0"] < 0.0 < prior.high["soc0:0"]
