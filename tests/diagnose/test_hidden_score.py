@@ -67,6 +67,7 @@ def test_the_truth_itself_has_no_error_and_neutral_has_all_of_it(name):
         "capacity": {"capacity_Ah": case().model.capacity_Ah},
         "resistance_scale": {"scale": 1.0},
         "charge_asymmetry": {"charge_scale": 1.0},
+        "charge_transfer": {"exchange_scale": 1.0},
     }.get(name, dict.fromkeys(truth.effects[0].parameters, 0.0))
     assert judge(case(), told(name, neutral)).parameter_error == pytest.approx(1.0)
 

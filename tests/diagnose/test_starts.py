@@ -1,4 +1,4 @@
-"""A diagnosis starts every log where `simulate` starts it, and is no surer than the log is."""
+"""A diagnosis starts every log where `simulate` does, and is no surer of that than the log is."""
 
 from __future__ import annotations
 

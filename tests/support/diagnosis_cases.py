@@ -29,6 +29,7 @@ VALUES = {
     "hysteresis": {"m_V": 0.018, "gamma": 30.0},
     "temperature_dependence": {"activation_K": 2500.0},
     "rate_dependence": {"rate_h": 0.25},
+    "charge_transfer": {"exchange_scale": 0.55, "asinh_per_V": 19.0},
     "charge_asymmetry": {"charge_scale": 1.3},
     "self_heating": {"rth_K_per_W": 5.0, "thermal_s": 600.0},
     "self_discharge": {"leak_A": 0.02},

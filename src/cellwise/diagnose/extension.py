@@ -12,6 +12,7 @@ import numpy as np
 from cellwise.cell.effects import (
     BRANCH_ACTIVATIONS,
     ChargeAsymmetry,
+    ChargeTransfer,
     Entropy,
     Hysteresis,
     RateDependence,
@@ -60,6 +61,10 @@ def value_of(coordinate: str, x: float, coordinates: Coordinates, soc0: float) -
         return model.capacity_Ah * math.exp(x)
     if coordinate in ("ln_gain", "ln_scale"):
         return math.exp(x)
+    if coordinate == "ln_r1":  # the exchange current, one over the resistance at small currents
+        return math.exp(-x)
+    if coordinate == "asinh_per_V":
+        return scalars.asinh_per_V + x
     if coordinate == "ln_charge_scale":
         return scalars.charge_scale * math.exp(x)
     if coordinate == "ln_tau3":
@@ -147,6 +152,8 @@ def extend_model(
         own_surface = model.effect(SurfaceSoc)
         depth = s.surface_per_A * new.capacity_Ah
         new = new.with_effect(replace(own_surface, depth_h=depth, tau_s=s.surface_s))
+    if s.asinh_per_V > 0.0:
+        new = new.with_effect(ChargeTransfer(s.asinh_per_V))
     if s.charge_scale != 1.0:
         new = new.with_effect(ChargeAsymmetry(s.charge_scale))
     if s.heating_K_per_W > 0.0:

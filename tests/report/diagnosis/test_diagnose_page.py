@@ -32,6 +32,7 @@ SAID = {
     "hysteresis": "18.0 mV to either side",
     "temperature_dependence": "1.34 times those at 25 °C",
     "rate_dependence": "0.800 times those at small currents",
+    "charge_transfer": "exchange current is 0.550 times",
     "charge_asymmetry": "1.30 times those on discharge",
     "self_heating": "5 K per watt",
     "self_discharge": "20 mA",

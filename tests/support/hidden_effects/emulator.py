@@ -62,6 +62,7 @@ class Cell:
     activation_K: float = 0.0
     reference_C: float = 25.0
     rate_h: float = 0.0
+    transfer_per_V: float = 0.0
     charge_scale: float = 1.0
     leak_A: float = 0.0
     rth_K_per_W: float = 0.0
@@ -193,8 +194,14 @@ def _branches(cell: Cell, grid: _Grid, heat_K: Array) -> Array:
         (cell.r2_ohm, cell.tau2_s, fast),
         (cell.r3_ohm, cell.tau3_s, slow),
     )
+    drives = [r(grid.soc) * u for r, _, u in driven]
+    if cell.transfer_per_V:  # Butler-Volmer, one electron and symmetric: sinh turned round
+        drives[0] = np.arcsinh(cell.transfer_per_V * drives[0]) / cell.transfer_per_V
     return np.array(
-        [relax(0.0, r(grid.soc) * u, grid.dt_s / tau(grid.soc)) for r, tau, u in driven]
+        [
+            relax(0.0, drive, grid.dt_s / tau(grid.soc))
+            for drive, (_, tau, _) in zip(drives, driven, strict=True)
+        ]
     )
 
 

@@ -1,4 +1,4 @@
-"""The fifteen effects as they are hidden: each of a size that is asked for in volt.
+"""The sixteen effects as they are hidden: each of a size that is asked for in volt.
 
 The size of an effect is the root mean square of what it adds to the error of a perfect plain model
 that is driven by the logged current: the same measure for a sensor, a capacity and a resistance,
@@ -15,6 +15,8 @@ import numpy as np
 from emulator import Array, Cell, Sensor, Table, emulate, flat, seen
 from emulator_cells import FINE, rising, wave
 from emulator_drives import Load
+
+FARADAY_OVER_2RT = 96485.33 / (2.0 * 8.314463 * 298.15)  # [1/V]
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +128,14 @@ def _rate(world: World, draw: Draw, x: float) -> tuple[World, Values]:
     return _with_cell(world, rate_h=0.02 * x)
 
 
+def _charge_transfer(world: World, draw: Draw, x: float) -> tuple[World, Values]:
+    """The reaction runs more slowly: what was linear in the current follows asinh now."""
+    scale = 1.0 + 0.1 * x
+    r1 = world.cell.r1_ohm.times(scale)
+    changed, _ = _with_cell(world, r1_ohm=r1, transfer_per_V=FARADAY_OVER_2RT)
+    return changed, {"exchange_scale": 1.0 / scale}
+
+
 def _charge_asymmetry(world: World, draw: Draw, x: float) -> tuple[World, Values]:
     return _with_cell(world, charge_scale=(1.0 + 0.05 * x) ** draw.sign)
 
@@ -157,6 +167,7 @@ EFFECTS: dict[str, tuple[Put, float]] = {
     "charge_asymmetry": (_charge_asymmetry, 20.0),
     "self_heating": (_self_heating, 30.0),
     "self_discharge": (_self_discharge, 12.0),
+    "charge_transfer": (_charge_transfer, 40.0),
 }
 NAMES = tuple(EFFECTS)
 
@@ -190,6 +201,7 @@ PRINCIPAL: dict[str, tuple[str, float | str]] = {
     "charge_asymmetry": ("charge_scale", 1.0),
     "self_heating": ("rth_K_per_W", 0.0),
     "self_discharge": ("leak_A", 0.0),
+    "charge_transfer": ("exchange_scale", 1.0),
 }
 
 

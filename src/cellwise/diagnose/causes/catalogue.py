@@ -135,6 +135,18 @@ CAUSES: dict[str, Cause] = {
             ("resistance_scale", "rate_dependence", "time_skew"),
         ),
         Cause(
+            "charge_transfer",
+            "cell",
+            "The exchange current has changed: the reaction at the surface runs more slowly.",
+            "V1 -> asinh(asinh_per_V R1 I) / asinh_per_V, R1 -> R1 / exchange_scale",
+            "A drop that follows the current within seconds and grows less than in proportion.",
+            (
+                Parameter("exchange_scale", "1", 1.0, (0.05, 20.0), "ln_r1", 0.5),
+                Parameter("asinh_per_V", "1/V", 0.0, (0.0, 60.0), "asinh_per_V", 5.0),
+            ),
+            ("resistance_scale", "ohmic_resistance", "rate_dependence"),
+        ),
+        Cause(
             "lithium_inventory",
             "cell",
             "Lithium that can be cycled was lost.",

@@ -12,12 +12,13 @@ ONE_CAUSE_NATS = math.log(50.0 * 20.0)
 FURTHER_AGE_NATS = math.log(10.0)
 # What has lost charge has grown in resistance as often as not.
 BOTH_NATS = math.log(2.0)
-RESISTANCE = frozenset({"resistance_scale", "ohmic_resistance"})
+RESISTANCE = frozenset({"resistance_scale", "ohmic_resistance", "charge_transfer"})
 AGE = frozenset(
     {
         "capacity",
         "resistance_scale",
         "ohmic_resistance",
+        "charge_transfer",
         "lithium_inventory",
         "active_material_negative",
         "active_material_positive",

@@ -17,9 +17,20 @@ from cellwise.diagnose.fit.least_squares import Prior
 # cells of one batch differ by 1 %, and none grows (Rumpf et al. 2017, 10.1016/j.est.2017.09.010).
 # Until then its resistance grows by up to a half, at times to the double; what makes it fall is
 # warmth (Schmalstieg et al. 2014, 10.1016/j.jpowsour.2014.02.012).
-AGE = {"ln_capacity": (0.12, 0.02), "ln_scale": (0.1, 0.4), "added_r0": (0.1, 0.4)}
+# Charge transfer is about a third of it and may have all of the growth.
+AGE = {
+    "ln_capacity": (0.12, 0.02),
+    "ln_scale": (0.1, 0.4),
+    "added_r0": (0.1, 0.4),
+    "ln_r1": (0.3, 1.2),
+}
 # Beside a good log of the same cell: months apart, not a life.
-SAME_AGE = {"ln_capacity": (0.03, 0.02), "ln_scale": (0.05, 0.1), "added_r0": (0.05, 0.1)}
+SAME_AGE = {
+    "ln_capacity": (0.03, 0.02),
+    "ln_scale": (0.05, 0.1),
+    "added_r0": (0.05, 0.1),
+    "ln_r1": (0.15, 0.3),
+}
 # Of a class, and of those that are configured or wired wrongly, a few in a hundred. Current sensors
 # of vehicles keep 1 to 3 % over temperature and life, shunts ten times better; cell monitors keep
 # 1 to 9 mV by their data sheets.

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cellwise.cell.effects import TemperatureDependence
+from cellwise.cell.effects import ChargeTransfer, TemperatureDependence
 from cellwise.cell.model import CellModel
 from cellwise.diagnose.causes.catalogue import Cause
 from cellwise.diagnose.causes.coordinates import OCV_NAMES, R_NAMES, Coordinates
@@ -27,6 +27,8 @@ OWED = (
     "ln_r0", "ln_r1", "ln_r2", "ln_tau1", "ln_tau2", "r3", "m_V", "activation_K", "rate_h",
     "ln_charge_scale",
 )  # fmt: skip
+# One electron and a symmetric reaction: F / (2 R T) at 25 degC [1/V]; two electrodes share a drop.
+USUAL_ASINH_PER_V = 19.5
 # A cell without a temperature law that heats itself: activation of a usual electrolyte.
 USUAL_ACTIVATION_K = 3000.0
 USUAL_SPREAD_K = 1500.0
@@ -142,6 +144,9 @@ def widened_for(prior: Prior, cause: Cause, coordinates: Coordinates, evidence: 
         std[p.coordinate] = wide
         bounds = coordinate_bounds(p.coordinate, p.bounds, coordinates)
         low[p.coordinate], high[p.coordinate] = bounds
+    if cause.name == "charge_transfer":
+        has = model.effect(ChargeTransfer).asinh_per_V
+        mean["asinh_per_V"] = 0.0 if has else USUAL_ASINH_PER_V
     if cause.name == "self_heating" and needs_activation(coordinates):
         std["activation_K"] = USUAL_SPREAD_K
         mean["activation_K"] = USUAL_ACTIVATION_K
@@ -175,6 +180,11 @@ def coordinate_bounds(
         return math.log(0.3), math.log(2.0)
     if name in ("ln_gain", "ln_scale", "ln_charge_scale"):
         return math.log(low), math.log(high)
+    if name == "ln_r1":
+        return -math.log(high), -math.log(low)
+    if name == "asinh_per_V":
+        has = model.effect(ChargeTransfer).asinh_per_V
+        return low - has, max(high - has, high)
     if name == "ln_tau3":
         low = max(low, shortest_tau3_s(model))
         return math.log(low / coordinates.tau3_s), math.log(high / coordinates.tau3_s)

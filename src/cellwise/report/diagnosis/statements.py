@@ -138,6 +138,8 @@ def _of_cell(cause: FoundCause, diagnosis: Diagnosis) -> str:
     if name == "temperature_dependence":
         change = p["activation_K"] * (1 / 288.15 - 1 / 298.15)
         return f"Resistances at 15 °C are {significant(math.exp(change))} times those at 25 °C"
+    if name == "charge_transfer":
+        return f"The exchange current is {significant(p['exchange_scale'])} times the model's"
     if name == "rate_dependence":
         factor = 1.0 / (1.0 + p["rate_h"])
         return f"Resistances at 1C are {significant(factor)} times those at small currents"
