@@ -30,7 +30,7 @@ from cellwise.typing import BoolArray, FloatArray
 
 # Shares of the stated tolerances that are tried.
 SHARES = (0.3, 0.55, 1.0)
-# Scales of the stated error that are tried: up to beyond what is left, in steps of their logarithm.
+# Scales of the stated error that are tried: up to beyond the fit's own, in logarithmic steps.
 SCALE_STEP = 0.15
 BEYOND = 1.3
 
