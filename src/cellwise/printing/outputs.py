@@ -49,6 +49,7 @@ def adaptive_covariance_text() -> str:
             *p.rejudged(CELL),
             *p.parameters_set(),
             *p.column_of(OFFSET, "offset_column"),
+            *p.column_of(CHARGE, "charge_column"),
         ],
     )
 

@@ -122,6 +122,22 @@ class TestNaming:
         assert np.mean(np.abs(trace.soc - truth(log)) < 2 * trace.soc_std) > 0.9
 
 
+@pytest.mark.parametrize(
+    ("hours", "mean", "soc0"), [(2.2, 1.1, 0.95), (12.0, 0.2, 0.95), (2.3, 1.1, 1.0)]
+)
+def test_where_nothing_may_be_wrong_it_is_the_ekf(hours, mean, soc0):
+    """Beside a free capacity, which leaves the SOC unsure by points; from full, over hours."""
+    model = curved_cell(error=replace(ERROR, slow_V=(0.012,)))
+    log = drive(hours=hours, mean=mean, soc0=soc0)
+    wave = 0.008 * np.cos(9.0 * truth(log, soc0))  # an error of the OCV
+    log = replace(log, voltage_V=log.voltage_V + wave)
+    learn = ("current_offset", "capacity")
+    certain = AdaptiveSettings(learn=learn, fault_probability=1e-9)
+    ours = Adaptive(model, settings=certain).run(log, soc0, 0.005)
+    other = Ekf(model).run(log, soc0, 0.005)
+    assert np.max(np.abs(ours.soc - other.soc)) < 0.001
+
+
 class TestHeld:
     def test_a_rest_shows_the_offset_and_nothing_else(self):
         log = run_protocol(MODEL, [Rest(600.0)], 0.6)

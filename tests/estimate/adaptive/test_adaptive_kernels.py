@@ -9,6 +9,7 @@ import pytest
 
 from cellwise.estimate.adaptive.covariance_kernels import AdaptiveCovariance
 from cellwise.estimate.adaptive.mixture_kernels import mix
+from cellwise.estimate.adaptive.predict_kernels import forgotten
 from cellwise.estimate.adaptive.settings import AdaptiveSettings
 from cellwise.estimate.adaptive.state_kernels import Rest, settled_variance
 from cellwise.estimate.adaptive.watch_kernels import watch_rest
@@ -38,6 +39,28 @@ def test_settled_variance_is_the_conditional_one(known):
         cross = p[SOC, free]
         want -= cross @ np.linalg.solve(p[np.ix_(free, free)], cross)
     assert settled_variance(upper(p)) == pytest.approx(want)
+
+
+def test_what_wanders_leaves_the_hypotheses_that_fix_it_alone():
+    p = covariance(8)
+    after = forgotten(upper(p), 0.3, 0.2)
+    found = np.zeros((STATES, STATES))
+    found[np.triu_indices(STATES)] = after
+    found += np.triu(found, 1).T
+    assert found[B, B] > p[B, B] + 0.29
+    assert found[Q, Q] == pytest.approx(
+        p[Q, Q] * (1.0 + 0.3 * p[B, Q] ** 2 / p[B, B] ** 2 / p[Q, Q]) + 0.2
+    )
+    free = [B, Q]
+    rest = [j for j in range(STATES) if j not in free]
+
+    def fixed(c):
+        """Covariance of the other states, given both; and by how much they go with both."""
+        by = np.linalg.solve(c[np.ix_(free, free)], c[np.ix_(free, rest)])
+        return c[np.ix_(rest, rest)] - c[np.ix_(rest, free)] @ by, by
+
+    for now, before in zip(fixed(found), fixed(p), strict=True):
+        np.testing.assert_allclose(now, before, atol=1e-9)
 
 
 class TestMixture:

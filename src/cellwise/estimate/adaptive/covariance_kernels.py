@@ -448,6 +448,12 @@ def offset_column(p: AdaptiveCovariance) -> AdaptiveColumn:
 
 
 @inline
+def charge_column(p: AdaptiveCovariance) -> AdaptiveColumn:
+    """Covariance of every state with the charge."""
+    return AdaptiveColumn(p.sq, p.p1q, p.p2q, p.p3q, p.phq, p.poq, p.pqq)
+
+
+@inline
 def column(
     p: AdaptiveCovariance,
     slope_V: float,

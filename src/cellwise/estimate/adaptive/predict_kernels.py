@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 from cellwise.cell.compiled import inline
@@ -10,13 +11,16 @@ from cellwise.cell.point_kernels import CellPoint
 from cellwise.estimate.adaptive.covariance_kernels import (
     AdaptiveCovariance,
     branches_noisy,
+    charge_column,
     charge_driven,
+    corrected,
     decayed,
     leaned,
     noisy,
+    offset_column,
     offset_driven,
+    scaled,
     uncorrelated,
-    with_parameters,
     with_soc_variance,
 )
 from cellwise.estimate.adaptive.state_kernels import (
@@ -24,6 +28,7 @@ from cellwise.estimate.adaptive.state_kernels import (
     AdaptiveState,
     adaptive_start,
     is_sound,
+    settled_variance,
 )
 from cellwise.estimate.filters.filter_state import EkfStart
 from cellwise.estimate.filters.past_kernels import Past, past_at_start
@@ -39,6 +44,8 @@ from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import NO_VOLTAGE_YET, NOT_BEGUN, Sample
 from cellwise.estimate.slopes_kernels import Slopes, slopes_at
 from cellwise.estimate.status import STATE_RESET
+
+FORGET_S = 10.0
 
 
 class Predicted(NamedTuple):
@@ -70,6 +77,34 @@ def without_offset(s: Sample, offset_A: float) -> Sample:
         s.voltage_V, s.temperature_C, s.no_current_s, s.no_warm_s, s.dt_s, s.gap, s.status,
     )
     # fmt: on
+
+
+@inline
+def forgets_for(evidence_s: float, dt_s: float) -> float:
+    """Time whose wandering an interval forgets, ``evidence_s`` after the first voltage [s].
+
+    Wandering is slow and takes a rank-one update of P for either parameter: once in FORGET_S.
+    """
+    if dt_s >= FORGET_S:
+        return dt_s
+    before = max(evidence_s, 0.0) / FORGET_S
+    return FORGET_S if math.floor(before + dt_s / FORGET_S) > math.floor(before) else 0.0
+
+
+@inline
+def forgotten(p: AdaptiveCovariance, offset_A2: float, charge2: float) -> AdaptiveCovariance:
+    """Offset and capacity wander: what was known of them is forgotten by so much variance.
+
+    What the states would be at any fixed offset and capacity stays what it was, so a hypothesis
+    with both at the model's values knows nothing of their wandering.
+    """
+    if offset_A2 > 0.0 and p.poo > 0.0:
+        d = offset_column(p)
+        p = corrected(p, scaled(d, -offset_A2 / (p.poo * p.poo)), d)
+    if charge2 > 0.0 and p.pqq > 0.0:
+        d = charge_column(p)
+        p = corrected(p, scaled(d, -charge2 / (p.pqq * p.pqq)), d)
+    return p
 
 
 @inline
@@ -121,12 +156,14 @@ def predict(
     )
     ss = drifted(tables, s, unseen_variance(tables, noise, s, p.ss))
     p = with_soc_variance(p, ss)
-    at = slopes_at(tables, soc, ss, point, now.warm_C, s.seen_A, end.slow_A)
+    # A SOC that is unsure only because offset and capacity are free is no start that is far off:
+    # chords would then lead the hypotheses with both fixed astray, too.
+    at = slopes_at(tables, soc, settled_variance(p), point, now.warm_C, s.seen_A, end.slow_A)
     if at.spread > 0.0:
         p = leaned(p, *driven_by_soc(at, t, s.flow_A))
     q = noise.current_A * noise.current_A
     p = noisy(p, t, q, q + s.gap_A2, soc_walk(noise, s.dt_s), 0.0, 0.0, 0.0)
-    p = with_parameters(
-        p, p.poo + rules.offset_walk * s.dt_s, p.poq, p.pqq + rules.charge_walk * s.dt_s
-    )
+    forget_s = forgets_for(evidence, s.dt_s)
+    if forget_s > 0.0:
+        p = forgotten(p, rules.offset_walk * forget_s, rules.charge_walk * forget_s)
     return Predicted(state, s, end, p, point, at, now.warm_C, evidence, past, status)

@@ -72,7 +72,7 @@ class AdaptiveSettings:
     offset_C_per_sqrt_h: float = 0.002
     resistance_per_sqrt_h: float = 0.1
     charge_per_sqrt_h: float = 0.002
-    fault_probability: float = 0.3
+    fault_probability: float = 0.2
     misfit_power: float = 2.0
     settled_soc: float = 0.03
     swing_V: float = 0.003

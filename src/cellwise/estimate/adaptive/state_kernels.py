@@ -146,18 +146,32 @@ def adaptive_start(start: EkfStart, rules: AdaptiveScalars, current_A: float) ->
 
 
 @inline
-def settled_variance(p: AdaptiveCovariance) -> float:
-    """Variance that SOC would have if offset and capacity were known."""
+def soc_by_parameters(p: AdaptiveCovariance) -> tuple[float, float]:
+    """By how much SOC goes with offset [1/A] and capacity: its regression on both."""
     sb, sq = p.so, p.sq
     bb, bq, qq = p.poo, p.poq, p.pqq
     if bb > 0.0 and qq > 0.0:
-        det = max(bb * qq - bq * bq, NEARLY * bb * qq)
-        return p.ss - (sb * (sb * qq - sq * bq) + sq * (sq * bb - sb * bq)) / det
+        per = 1.0 / max(bb * qq - bq * bq, NEARLY * bb * qq)
+        return (sb * qq - sq * bq) * per, (sq * bb - sb * bq) * per
     if bb > 0.0:
-        return p.ss - sb * sb / bb
+        return sb / bb, 0.0
     if qq > 0.0:
-        return p.ss - sq * sq / qq
-    return p.ss
+        return 0.0, sq / qq
+    return 0.0, 0.0
+
+
+@inline
+def settled_variance(p: AdaptiveCovariance) -> float:
+    """Variance that SOC would have if offset and capacity were known."""
+    by_offset, by_charge = soc_by_parameters(p)
+    return p.ss - (by_offset * p.so + by_charge * p.sq)
+
+
+@inline
+def settled_soc(e: Estimate) -> float:
+    """SOC if offset and capacity were the model's."""
+    by_offset, by_charge = soc_by_parameters(e.p)
+    return e.x.soc - (by_offset * e.offset_A + by_charge * (e.charge - 1.0))
 
 
 @inline

@@ -29,6 +29,7 @@ from cellwise.cell.equations import (
     with_heat,
     with_soc,
 )
+from cellwise.cell.equations.lookup import BEYOND
 from cellwise.estimate.adaptive.covariance_kernels import (
     AdaptiveColumn,
     AdaptiveCovariance,
@@ -53,6 +54,7 @@ from cellwise.estimate.adaptive.state_kernels import (
     Estimate,
     Resistances,
     Rest,
+    settled_soc,
     settled_variance,
 )
 from cellwise.estimate.adaptive.watch_kernels import (
@@ -267,6 +269,18 @@ def why_held(
 
 
 @inline
+def within(e: Estimate) -> float:
+    """SOC when the model's own offset and capacity hold it within 0..1.
+
+    With a capacity that is free it may lead beyond the ends; held there, it would move the
+    hypotheses with the model's capacity, which do not. What is reported is within 0..1.
+    """
+    settled = settled_soc(e)
+    back = min(max(settled, 0.0), 1.0) - settled
+    return min(max(e.x.soc + back, -BEYOND), 1.0 + BEYOND)
+
+
+@inline
 def take_step(
     tables: CellTables,
     noise: NoiseScalars,
@@ -314,7 +328,7 @@ def take_step(
     e, persistent, past = look_again(tables, noise, now, v, own, e, persistent)
     x = e.x
     if x.soc < 0.0 or x.soc > 1.0:
-        x = with_soc(x, min(max(x.soc, 0.0), 1.0))
+        x = with_soc(x, within(e))
         status |= CLAMPED
     # fmt: off
     after = AdaptiveState(
