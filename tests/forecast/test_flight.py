@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from known_flights import CUTOFF_V, discharge, known_replay, until
 
 from cellwise.cell.model import CAPACITY_STD, ModelError
 from cellwise.cell.plausibility.validity import Validity
@@ -14,7 +15,6 @@ from cellwise.errors import InputError
 from cellwise.estimate.replay import replay
 from cellwise.forecast.remaining import forecast
 from example_cells import curved_cell, lfp_cell, linear_cell
-from known_flights import CUTOFF_V, discharge, known_replay, until
 
 
 @pytest.mark.parametrize("make", [linear_cell, curved_cell, lfp_cell])
