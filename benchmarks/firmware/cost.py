@@ -162,4 +162,7 @@ def _host(tables: FixedStepTables) -> Stepper:
     from cellwise.export.host_library import HostLibrary
 
     library = HostLibrary(tables)
-    return Stepper(tables, library.init, library.rows, library.power)
+    return Stepper(
+        tables, library.init, library.rows, library.power, library.remaining,
+        library.set_health, library.pack(),
+    )  # fmt: skip

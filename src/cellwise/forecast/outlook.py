@@ -9,8 +9,9 @@ from cellwise.cell.equations import CellState
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import model_temperature_C
 from cellwise.estimate.filters.filter_state import EkfInfo, EkfState
+from cellwise.estimate.power.fixed_tables import LEAST_LOAD_C
 from cellwise.estimate.status import CURRENT_INVALID, INNOVATION_REJECTED, OUT_OF_RANGE
-from cellwise.forecast.remaining import LEAST_LOAD_C, WINDOW_S, uncertain_of, warms_unseen
+from cellwise.forecast.remaining import WINDOW_S, uncertain_of, warms_unseen
 from cellwise.forecast.remaining_kernels import (
     NEVER,
     Going,

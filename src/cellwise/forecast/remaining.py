@@ -13,6 +13,7 @@ from cellwise.cell.model import CAPACITY_STD, CellModel
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.cell.simulate import known_temperature_C, start_hysteresis
 from cellwise.errors import InputError
+from cellwise.estimate.power.fixed_tables import LEAST_LOAD_C
 from cellwise.estimate.replay import Replay
 from cellwise.estimate.validity_kernels import validity_scalars
 from cellwise.forecast.remaining_kernels import (
@@ -31,7 +32,6 @@ Hold = Literal["power", "current"]
 
 WINDOW_S = 60.0
 MOST_FORECASTS = 400
-LEAST_LOAD_C = 0.02  # below C/50 nothing flies
 
 
 class Forecast(NamedTuple):
