@@ -47,6 +47,7 @@
 #define FURTHEST 2000.0f /* beyond it exp(-z) is nothing */
 #define FROZEN_READINGS 3u
 #define POWER_TRIALS 8u
+#define LONGEST 0x1.dcd65p+29f /* 1e+09: remaining seconds, and joules: no cell lasts for more */
 #define REMAINING_PARTS 64.0f /* of the SOC down to empty */
 #define LEAST_SPAN_V 0x1.12e0bep-30f /* 1e-09: between the ends of a bracket: it is divided by */
 #define THREE_CELLS 3u /* that may limit a pack's power */
@@ -2278,7 +2279,7 @@ typedef struct {
 /* A state of first order after that share of its way to its end. */
 static float passed(float old, float end, float rise)
 {
-    return old + (rise * (end - old));
+    return clip(old + (rise * (end - old)), -LARGE, LARGE);
 }
 #endif
 
@@ -2357,6 +2358,7 @@ static APART void go_on(const cellwise_model *m, const cellwise_place *place,
         variance_V2 = variance_V2 * x->mismatch;
     }
     along->off_V = 2.0f * root((variance_V2 < 4.0f) ? variance_V2 : 4.0f);
+    along->voltage_V = clip(along->voltage_V, -LARGE, LARGE);
 }
 #endif
 
@@ -2444,27 +2446,31 @@ void cellwise_remaining(const cellwise_model *m, const cellwise_state *x, float 
         while (ahead > 0.0f) {
             ahead = ahead - 1.0f;
             if (holds_power) {
-                current = power_W / at_least(now_V, low_V);
+                const float asked_A = power_W / at_least(now_V, low_V);
+                current = clip(asked_A, c->remaining_least_A, c->current_limit_A);
             }
             const float steps = part / (per_A * current);
             cellwise_along then;
             go_on(m, &place, x, v1, v2, v3, h, slow, part * ahead, current, steps, &then);
             const float part_s = steps * c->step_s;
             if (!usual_ends) {
-                const float share = share_of(now_V, then.voltage_V, low_V);
+                float share = share_of(now_V, then.voltage_V, low_V);
                 const float middle_V = at_least(0.5f * (now_V + then.voltage_V), low_V);
-                usual_s = usual_s + (share * part_s);
-                usual_J = usual_J + (share * ((current * middle_V) * part_s));
+                usual_s = clip(usual_s + (share * part_s), 0.0f, LONGEST);
+                const float part_J = (current * middle_V) * part_s;
+                usual_J = clip(usual_J + (share * part_J), 0.0f, LONGEST);
                 usual_ends = then.voltage_V <= low_V;
             }
             if (!worse_ends) {
                 float after_V = then.voltage_V - then.off_V;
-                worse_s = worse_s + (share_of(now_V - off_V, after_V, low_V) * part_s);
+                float share = share_of(now_V - off_V, after_V, low_V);
+                worse_s = clip(worse_s + (share * part_s), 0.0f, LONGEST);
                 worse_ends = after_V <= low_V;
             }
             if (!better_ends) {
                 float after_V = then.voltage_V + then.off_V;
-                better_s = better_s + (share_of(now_V + off_V, after_V, low_V) * part_s);
+                float share = share_of(now_V + off_V, after_V, low_V);
+                better_s = clip(better_s + (share * part_s), 0.0f, LONGEST);
                 better_ends = after_V <= low_V;
             }
             v1 = then.v1_V;

@@ -29,7 +29,7 @@ def test_it_is_the_float64_s(make, hold):
     """64 parts against 400 steps: 1 %, 4 % below 200 s (a part is 1.6 % of the SOC)."""
     model = make()
     cutoff_V = cutoff_asked(model)
-    fixed = FixedStep(model, dt_s=1.0, remaining_V=cutoff_V)
+    fixed = FixedStep(model, dt_s=1.0).with_remaining(cutoff_V)
     seen = 0
     for soc in (0.9, 0.5, 0.2):
         for load_A in (0.6, 3.0, 9.0):
@@ -92,7 +92,7 @@ def test_the_same_bits_in_c_and_never_nan(case):
 def test_half_of_the_capacity_lasts_half_as_long():
     """What a history says of the cell counts: at a current so small that no voltage ends it."""
     model = linear_cell()
-    fixed = FixedStep(model, dt_s=1.0, remaining_V=1.0, health=True)
+    fixed = FixedStep(model, dt_s=1.0, health=True).with_remaining(1.0)
     state = fixed.init(0.8, 0.01)
     whole = fixed.remaining(state, 0.3)[0]["time_s"]
     assert whole == pytest.approx(0.8 * model.capacity_Ah * 3600 / 0.3, rel=1e-4)

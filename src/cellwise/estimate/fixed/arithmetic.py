@@ -84,6 +84,7 @@ RESTART_ROUNDING = F(1.0 / 200.0**2 / 12.0)  # of a SOC between two points: 1/20
 FURTHEST = F(2000.0)  # beyond it exp(-z) is nothing
 FROZEN_READINGS = U(3)
 POWER_TRIALS = U(8)
+LONGEST = F(1e9)  # remaining seconds, and joules: no cell lasts for more
 REMAINING_PARTS = F(64.0)  # of the SOC down to empty
 LEAST_SPAN_V = F(1e-9)  # between the ends of a bracket: it is divided by
 THREE_CELLS = U(3)  # that may limit a pack's power

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable
+from copy import copy
 from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,7 +68,6 @@ class FixedStep:
     watch : bool                watch for sensors that freeze or fall silent
     validity : bool             say and widen beyond the model's data, where these are known
     power : PowerSettings or None   what :meth:`power` is asked for: one horizon, currents held
-    remaining_V : float or None     cutoff of :meth:`remaining`; None: without it
     health : bool                 take capacity and resistance from a history (:meth:`set_health`)
     cells : CellSettings or None    follow the cells of a pack: see :class:`FixedPack`
     """
@@ -86,7 +86,6 @@ class FixedStep:
         watch: bool = True,
         validity: bool = True,
         power: PowerSettings | None = None,
-        remaining_V: float | None = None,
         health: bool = False,
         cells: CellSettings | None = None,
     ) -> None:
@@ -98,7 +97,7 @@ class FixedStep:
         self._offset_std_A = offset_std_A
         self._wide, self._watch, self._validity = wide, watch, validity
         self._power, self._health, self._cells = power, health, cells
-        self._remaining_V = remaining_V
+        self._remaining_V: float | None = None
         self._stepper: Stepper | None = None
         self._sample = np.zeros(1, dtype=INPUT)
         self.stepper(1.0 if dt_s is None else dt_s)  # refuses now what it would refuse later
@@ -177,6 +176,19 @@ class FixedStep:
         out = np.zeros(1, dtype=CAPABILITY)
         stepper.power(state, out)
         return out
+
+    def with_remaining(self, cutoff_V: float) -> Self:
+        """The same filter with :meth:`remaining`, down to a cutoff of the cell [V].
+
+        Raises
+        ------
+        InputError        a cutoff that is not below the model's full OCV
+        """
+        made = copy(self)
+        made._remaining_V = cutoff_V
+        made._stepper = None
+        made.stepper(1.0 if made.dt_s is None else made.dt_s)
+        return made
 
     def remaining(
         self, state: NDArray[Any], load_A: float, hold: Literal["current", "power"] = "current"
@@ -412,12 +424,12 @@ def check_has_remaining(stepper: Stepper) -> None:
 
     Raises
     ------
-    InputError        made without ``remaining_V``
+    InputError        made without :meth:`FixedStep.with_remaining`
     """
     if not stepper.tables.options.remaining:
         raise InputError(
             "no remaining time in this fixed step",
-            "FixedStep(..., remaining_V=3.0)",
+            "FixedStep(...).with_remaining(3.0)",
             "Give the cutoff when it is made.",
         )
 

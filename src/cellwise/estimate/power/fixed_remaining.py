@@ -7,7 +7,9 @@ from typing import NamedTuple
 from cellwise.estimate.fixed.arithmetic import (
     FOUR,
     HALF,
+    LARGE,
     LEAST_SPAN_V,
+    LONGEST,
     ONE,
     REMAINING_PARTS,
     TWO,
@@ -58,7 +60,7 @@ class Along(NamedTuple):
 
 def passed(old: Float, end: Float, rise: Float) -> Float:
     """A state of first order after that share of its way to its end."""
-    return old + (rise * (end - old))
+    return clip(old + (rise * (end - old)), -LARGE, LARGE)
 
 
 def behind(at: Place, lag: Float) -> Place:
@@ -119,6 +121,7 @@ def go_on(
     if positive_above(x.mismatch, ONE):
         variance_V2 = variance_V2 * x.mismatch
     off_V = TWO * root(variance_V2 if variance_V2 < FOUR else FOUR)
+    voltage_V = clip(voltage_V, -LARGE, LARGE)
     return Along(v1_V, v2_V, v3_V, hysteresis, slow_A, voltage_V, off_V)
 
 
@@ -193,23 +196,27 @@ def remaining(m: Model, x: State, load_A: Float, holds_power: Flag, out: Outlook
         while ahead > ZERO:
             ahead = ahead - ONE
             if holds_power:
-                current = power_W / at_least(now_V, low_V)
+                asked_A = power_W / at_least(now_V, low_V)
+                current = clip(asked_A, c.remaining_least_A, c.current_limit_A)
             steps = part / (per_A * current)
             then = go_on(m, place, x, v1, v2, v3, h, slow, part * ahead, current, steps)
             part_s = steps * c.step_s
             if not usual_ends:
                 share = share_of(now_V, then.voltage_V, low_V)
                 middle_V = at_least(HALF * (now_V + then.voltage_V), low_V)
-                usual_s = usual_s + (share * part_s)
-                usual_J = usual_J + (share * ((current * middle_V) * part_s))
+                usual_s = clip(usual_s + (share * part_s), ZERO, LONGEST)
+                part_J = (current * middle_V) * part_s
+                usual_J = clip(usual_J + (share * part_J), ZERO, LONGEST)
                 usual_ends = then.voltage_V <= low_V
             if not worse_ends:
                 after_V = then.voltage_V - then.off_V
-                worse_s = worse_s + (share_of(now_V - off_V, after_V, low_V) * part_s)
+                share = share_of(now_V - off_V, after_V, low_V)
+                worse_s = clip(worse_s + (share * part_s), ZERO, LONGEST)
                 worse_ends = after_V <= low_V
             if not better_ends:
                 after_V = then.voltage_V + then.off_V
-                better_s = better_s + (share_of(now_V + off_V, after_V, low_V) * part_s)
+                share = share_of(now_V + off_V, after_V, low_V)
+                better_s = clip(better_s + (share * part_s), ZERO, LONGEST)
                 better_ends = after_V <= low_V
             v1 = then.v1_V
             v2 = then.v2_V
