@@ -151,6 +151,7 @@ def test_a_temperature_that_nobody_measures_widens_the_band():
     assert bands[1][0] < end_s - part.time_s[-1] < bands[1][1]
 
 
+@pytest.mark.slow
 def test_live_knows_the_warming_that_a_replay_knows():
     model, whole, _ = warming_discharge(3.0)
     part = whole.part(0, 900)
