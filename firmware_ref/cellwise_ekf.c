@@ -47,6 +47,8 @@
 #define FURTHEST 2000.0f /* beyond it exp(-z) is nothing */
 #define FROZEN_READINGS 3u
 #define POWER_TRIALS 8u
+#define LONGEST 0x1.dcd65p+29f /* 1e+09: remaining seconds, and joules: no cell lasts for more */
+#define REMAINING_PARTS 64.0f /* of the SOC down to empty */
 #define LEAST_SPAN_V 0x1.12e0bep-30f /* 1e-09: between the ends of a bracket: it is divided by */
 #define THREE_CELLS 3u /* that may limit a pack's power */
 #define CELL_MOST 0x1.ccccccp-1f /* 0.9: of a cell's capacity or resistance may be missing, */
@@ -87,7 +89,7 @@ static APART uint32_t out_of_range(float x)
     return IS_NUMBER(x) ? CELLWISE_OUT_OF_RANGE : 0u;
 }
 
-#if CELLWISE_HEATING || CELLWISE_HYSTERESIS || CELLWISE_SURFACE || CELLWISE_WIDE
+#if CELLWISE_HEATING || CELLWISE_HYSTERESIS || CELLWISE_REMAINING || CELLWISE_SURFACE || CELLWISE_WIDE
 /* 1 - exp(-z) for z >= 0, with exp(z) by its first five terms: exact at 0, rises to 1. */
 static APART float risen(float z)
 {
@@ -109,7 +111,7 @@ static float vanishing(float z)
 }
 #endif
 
-#if CELLWISE_POWER || CELLWISE_WATCH || CELLWISE_WIDE
+#if CELLWISE_POWER || CELLWISE_REMAINING || CELLWISE_WATCH || CELLWISE_WIDE
 /* Square root of a number up to 4 by five Newton steps from 1. One below 1/4 is multiplied by 4
  * until it is not. */
 static APART float root(float square)
@@ -2177,7 +2179,7 @@ static APART void one_way(const cellwise_model *m, const cellwise_place *place,
 }
 #endif
 
-#if (CELLWISE_CELLS && CELLWISE_NEEDS_TEMPERATURE) || (CELLWISE_POWER && CELLWISE_NEEDS_TEMPERATURE)
+#if ((CELLWISE_DEPTH > 0) && CELLWISE_REMAINING && CELLWISE_SURFACE) || (CELLWISE_CELLS && CELLWISE_NEEDS_TEMPERATURE) || (CELLWISE_POWER && CELLWISE_NEEDS_TEMPERATURE) || (CELLWISE_REMAINING && CELLWISE_NEEDS_TEMPERATURE)
 /* Temperature of the cell: what was measured last, and its own warming. */
 static float warmth_of(const cellwise_state *x)
 {
@@ -2189,7 +2191,7 @@ static float warmth_of(const cellwise_state *x)
 }
 #endif
 
-#if CELLWISE_CELLS || CELLWISE_POWER
+#if CELLWISE_CELLS || CELLWISE_POWER || CELLWISE_REMAINING
 /* Where the cell's temperature lies between the tables. */
 static void place_now(const cellwise_model *m, const cellwise_state *x, cellwise_place *place)
 {
@@ -2247,6 +2249,255 @@ void cellwise_power(const cellwise_model *m, const cellwise_state *x, cellwise_c
         out->discharge_low_W = down.low_W;
         out->charge_W = up.power_W;
         out->charge_low_W = up.low_W;
+    }
+}
+#endif
+
+/* ---- fixed_remaining.py: Remaining time of the fixed step: a constant load carried on to its
+ * cutoff or to empty. */
+
+#if CELLWISE_REMAINING
+/* A cell under a load at one SOC; `off_V` is two deviations of its voltage. */
+typedef struct {
+    float v1_V;
+    float v2_V;
+#if CELLWISE_SLOW
+    float v3_V;
+#endif
+#if CELLWISE_HYSTERESIS
+    float h;
+#endif
+#if CELLWISE_SURFACE
+    float slow_A;
+#endif
+    float voltage_V;
+    float off_V;
+} cellwise_along;
+#endif
+
+#if CELLWISE_REMAINING
+/* A state of first order after that share of its way to its end. */
+static float passed(float old, float end, float rise)
+{
+    return clip(old + (rise * (end - old)), -LARGE, LARGE);
+}
+#endif
+
+#if CELLWISE_REMAINING
+/* The same place with another lag of the particles' surface. */
+static void behind(const cellwise_place *at, float lag, cellwise_place *place)
+{
+    place->low = at->low;
+    place->weight = at->weight;
+    place->scale = at->scale;
+#if CELLWISE_SURFACE
+    place->lag = lag;
+#endif
+}
+#endif
+
+#if CELLWISE_REMAINING
+/* So many time steps of a constant current later, at a SOC. The exponent of a branch comes from
+ * its gain g over one time step, as g / (1 - g / 2). */
+static APART void go_on(const cellwise_model *m, const cellwise_place *place,
+                        const cellwise_state *x, float v1, float v2, float v3, float h, float slow,
+    float soc, float current, float steps, cellwise_along *along)
+{
+    (void)v3;
+    (void)h;
+    (void)slow;
+    const cellwise_constants *const c = &m->constant;
+    along->v1_V = v1;
+    along->v2_V = v2;
+#if CELLWISE_SLOW
+    along->v3_V = v3;
+#endif
+#if CELLWISE_HYSTERESIS
+    along->h = h;
+#endif
+#if CELLWISE_SURFACE
+    along->slow_A = slow;
+#endif
+    float lag = 0.0f;
+#if CELLWISE_SURFACE
+    along->slow_A = passed(along->slow_A, current, risen(steps * c->surface_rate));
+#if CELLWISE_DEPTH > 0
+    const float depth = depth_at(c, warmth_of(x));
+#else
+    const float depth = c->surface_per_A;
+#endif
+    lag = clip(depth * along->slow_A, -1.0f, 1.0f);
+#endif
+    cellwise_place here;
+    behind(place, lag, &here);
+    cellwise_point p;
+    look_up(m, &here, soc, current, &p);
+    const float drop = p.r0_ohm * current;
+    const float rise1 = risen(steps * (p.gain1 / (1.0f - (0.5f * p.gain1))));
+    const float rise2 = risen(steps * (p.gain2 / (1.0f - (0.5f * p.gain2))));
+    along->v1_V = passed(along->v1_V, p.r1_ohm * current, rise1);
+    along->v2_V = passed(along->v2_V, p.r2_ohm * current, rise2);
+    float held_V = (magnitude(drop) + magnitude(along->v1_V)) + magnitude(along->v2_V);
+    along->voltage_V = p.ocv_V - (drop + (along->v1_V + along->v2_V));
+#if CELLWISE_SLOW
+    const float rise3 = risen(steps * (p.gain3 / (1.0f - (0.5f * p.gain3))));
+    along->v3_V = passed(along->v3_V, p.r3_ohm * current, rise3);
+    held_V = held_V + magnitude(along->v3_V);
+    along->voltage_V = along->voltage_V - along->v3_V;
+#endif
+#if CELLWISE_HYSTERESIS
+    along->h = passed(along->h, -1.0f, risen((c->hysteresis_per_A * current) * steps));
+    along->voltage_V = along->voltage_V + (p.m_V * along->h);
+#endif
+    float variance_V2 = p.noise_V2 + (c->share_variance * (held_V * held_V));
+#if CELLWISE_VALIDITY
+    const float beyond_V = extrapolated(c, x, current, held_V);
+    variance_V2 = variance_V2 + (beyond_V * beyond_V);
+#endif
+    if (POSITIVE_ABOVE(x->mismatch, 1.0f)) {
+        variance_V2 = variance_V2 * x->mismatch;
+    }
+    along->off_V = 2.0f * root((variance_V2 < 4.0f) ? variance_V2 : 4.0f);
+    along->voltage_V = clip(along->voltage_V, -LARGE, LARGE);
+}
+#endif
+
+#if CELLWISE_REMAINING
+/* How much of a part goes by until the voltage, taken as linear within it, is at a cutoff. */
+static APART float share_of(float before_V, float after_V, float low_V)
+{
+    float share = 1.0f;
+    if (after_V <= low_V) {
+        share = clip((before_V - low_V) / at_least(before_V - after_V, LEAST_SPAN_V), 0.0f, 1.0f);
+    }
+    return share;
+}
+#endif
+
+#if CELLWISE_REMAINING
+/* Root of the sum of three squares, each at least 0: by the largest of them. */
+static APART float apart_by(float a, float b, float d)
+{
+    const float most = at_least(at_least(a, b), d);
+    float found = 0.0f;
+    if (most > 0.0f) {
+        a = KNOWN_FRACTION(a / most);
+        b = KNOWN_FRACTION(b / most);
+        d = KNOWN_FRACTION(d / most);
+        found = most * root(((a * a) + (b * b)) + (d * d));
+    }
+    return found;
+}
+#endif
+
+#if CELLWISE_REMAINING
+/* Time and energy until a load reaches the cutoff, or the cell is empty; nothing is changed.
+ * `load_A` is held, or with `holds_power` what it gives now. One below C/50 counts as that. The
+ * SOC down to empty is gone through in equal parts; temperature stays. The band of two
+ * deviations holds the SOC's, the voltage's along the way, and those of the capacity. Zero
+ * throughout for a load that no cell carries and for a state that is not sound. */
+void cellwise_remaining(const cellwise_model *m, const cellwise_state *x, float load_A,
+                        bool holds_power, cellwise_outlook *out)
+{
+    const cellwise_constants *const c = &m->constant;
+    out->time_s = 0.0f;
+    out->time_low_s = 0.0f;
+    out->time_high_s = 0.0f;
+    out->energy_J = 0.0f;
+    out->energy_low_J = 0.0f;
+    out->energy_high_J = 0.0f;
+    if (is_sound(c, x) && SIZE_WITHIN(load_A, c->current_limit_A)) {
+        cellwise_place place;
+        place_now(m, x, &place);
+        float current = at_least(load_A, c->remaining_least_A);
+        float v1 = x->v1_V;
+        float v2 = x->v2_V;
+        float v3 = 0.0f;
+        float h = 0.0f;
+        float slow = 0.0f;
+#if CELLWISE_SLOW
+        v3 = x->v3_V;
+#endif
+#if CELLWISE_HYSTERESIS
+        h = x->h;
+#endif
+#if CELLWISE_SURFACE
+        slow = x->slow_A;
+#endif
+        const float low_V = c->remaining_low_V;
+        cellwise_along now;
+        go_on(m, &place, x, v1, v2, v3, h, slow, x->soc, current, 0.0f, &now);
+        float now_V = now.voltage_V;
+        float off_V = now.off_V;
+        const float power_W = current * at_least(now_V, low_V);
+        float per_A = c->soc_per_A;
+#if CELLWISE_HEALTH
+        per_A = per_A * x->per_capacity;
+#endif
+        const float part = x->soc / REMAINING_PARTS;
+        float usual_s = 0.0f;
+        float usual_J = 0.0f;
+        float worse_s = 0.0f;
+        float better_s = 0.0f;
+        bool usual_ends = now_V <= low_V;
+        bool worse_ends = (now_V - off_V) <= low_V;
+        bool better_ends = (now_V + off_V) <= low_V;
+        float ahead = REMAINING_PARTS;
+        while (ahead > 0.0f) {
+            ahead = ahead - 1.0f;
+            if (holds_power) {
+                const float asked_A = power_W / at_least(now_V, low_V);
+                current = clip(asked_A, c->remaining_least_A, c->current_limit_A);
+            }
+            const float steps = part / (per_A * current);
+            cellwise_along then;
+            go_on(m, &place, x, v1, v2, v3, h, slow, part * ahead, current, steps, &then);
+            const float part_s = steps * c->step_s;
+            if (!usual_ends) {
+                float share = share_of(now_V, then.voltage_V, low_V);
+                const float middle_V = at_least(0.5f * (now_V + then.voltage_V), low_V);
+                usual_s = clip(usual_s + (share * part_s), 0.0f, LONGEST);
+                const float part_J = (current * middle_V) * part_s;
+                usual_J = clip(usual_J + (share * part_J), 0.0f, LONGEST);
+                usual_ends = then.voltage_V <= low_V;
+            }
+            if (!worse_ends) {
+                float after_V = then.voltage_V - then.off_V;
+                float share = share_of(now_V - off_V, after_V, low_V);
+                worse_s = clip(worse_s + (share * part_s), 0.0f, LONGEST);
+                worse_ends = after_V <= low_V;
+            }
+            if (!better_ends) {
+                float after_V = then.voltage_V + then.off_V;
+                float share = share_of(now_V + off_V, after_V, low_V);
+                better_s = clip(better_s + (share * part_s), 0.0f, LONGEST);
+                better_ends = after_V <= low_V;
+            }
+            v1 = then.v1_V;
+            v2 = then.v2_V;
+#if CELLWISE_SLOW
+            v3 = then.v3_V;
+#endif
+#if CELLWISE_HYSTERESIS
+            h = then.h;
+#endif
+#if CELLWISE_SURFACE
+            slow = then.slow_A;
+#endif
+            now_V = then.voltage_V;
+            off_V = then.off_V;
+        }
+        const float load_W = current * at_least(now_V, low_V);
+        const float by_soc_s = ((2.0f * root(x->ss)) / (per_A * current)) * c->step_s;
+        const float by_capacity_s = c->remaining_share * usual_s;
+        const float below_s = apart_by(by_soc_s, by_capacity_s, at_least(usual_s - worse_s, 0.0f));
+        const float above_s = apart_by(by_soc_s, by_capacity_s, at_least(better_s - usual_s, 0.0f));
+        out->time_s = usual_s;
+        out->time_low_s = at_least(usual_s - below_s, 0.0f);
+        out->time_high_s = usual_s + above_s;
+        out->energy_J = usual_J;
+        out->energy_low_J = at_least(usual_J - (below_s * load_W), 0.0f);
+        out->energy_high_J = usual_J + (above_s * load_W);
     }
 }
 #endif

@@ -6,6 +6,7 @@
 #ifndef CELLWISE_EKF_H
 #define CELLWISE_EKF_H
 
+#include <stdbool.h>
 #include <stdint.h>
 
 #include "cell_table.h"
@@ -176,6 +177,12 @@ typedef struct {
 #endif
 #if CELLWISE_HYSTERESIS && CELLWISE_POWER
     float power_hysteresis_per_A; /* e-folds of h over the horizon */
+#endif
+#if CELLWISE_REMAINING
+    float remaining_low_V; /* voltage at which a load gives up */
+    float remaining_least_A; /* a load below it counts as it */
+    float remaining_share; /* two deviations of the capacity, relative */
+    float step_s; /* the time step */
 #endif
 #if CELLWISE_CELLS
     float cell_soc2; /* variance of the cells' differences at the start: of SOC, */
@@ -353,6 +360,26 @@ typedef struct {
  * largest constant currents that keep voltage, current and SOC within their limits to the end of
  * the horizon, times the voltage then. Zero throughout for a state that is not sound. */
 void cellwise_power(const cellwise_model *m, const cellwise_state *x, cellwise_capability *out);
+#endif
+
+/* Remaining time and energy, where they are compiled in. Never NaN, never infinite. */
+typedef struct {
+    float time_s; /* until the load reaches the cutoff, or the cell is empty */
+    float time_low_s; /* two deviations less */
+    float time_high_s; /* two deviations more */
+    float energy_J; /* out until then */
+    float energy_low_J;
+    float energy_high_J;
+} cellwise_outlook;
+
+#if CELLWISE_REMAINING
+/* Time and energy until a load reaches the cutoff, or the cell is empty; nothing is changed.
+ * `load_A` is held, or with `holds_power` what it gives now. One below C/50 counts as that. The
+ * SOC down to empty is gone through in equal parts; temperature stays. The band of two
+ * deviations holds the SOC's, the voltage's along the way, and those of the capacity. Zero
+ * throughout for a load that no cell carries and for a state that is not sound. */
+void cellwise_remaining(const cellwise_model *m, const cellwise_state *x, float load_A,
+                        bool holds_power, cellwise_outlook *out);
 #endif
 
 #if CELLWISE_HEALTH

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from benchmarks.example_cell import SAMPLES, START_SOC, load_log, three_branches, two_branches
@@ -22,6 +24,7 @@ STEPS = 5000
 EVERY = 10
 START_STD = 0.01
 HORIZON_S = 10.0
+CUTOFF_V = 2.8
 POWER_LIMITS = (2.8, 4.2, 15.0, 5.0)
 HOST_NS = 100.0
 # Instructions, code [B], stack [B], state [B] that three states with --lean are held to.
@@ -66,37 +69,38 @@ def target_figures(say: Progress) -> list[Figure]:
             worst = worst_case(model, tables, core)
             held = LIMITS.get(core) if name == "3 states, --lean" else None
             figures += _cost(f"{core}: {name}", cost, worst, held, DESIGN.get(core, ""))
-        say(f"{core}, state of power")
-        figures += _power_cost(core, log)
+        say(f"{core}, state of power and remaining time")
+        figures += _beside_cost(core, log)
     return figures
 
 
-def _power_cost(core: str, log: CellLog) -> list[Figure]:
-    """What a call of `cellwise_power` costs at one horizon, beside the step."""
+def _beside_cost(core: str, log: CellLog) -> list[Figure]:
+    """What a call of `cellwise_power` at one horizon and of `cellwise_remaining` costs."""
     figures = []
     for name, model in (("3 states", two_branches()), ("4 states", three_branches())):
+        lean = partial(fixed_step_tables, model, DT_S, points=POINTS, wide=False, watch=False)
         limits = OperatingLimits(*POWER_LIMITS)
         asked = power_settings(model, horizons_s=(HORIZON_S,), limits=limits, hold="current")
-        plain = fixed_step_tables(model, DT_S, points=POINTS, wide=False, watch=False)
-        tables = fixed_step_tables(model, DT_S, points=POINTS, wide=False, watch=False, power=asked)
         records = samples_of(model, log, DT_S).records
-        costs = [
-            run_on_target(
-                t, core, records, START_SOC, START_STD**2, measure_every=EVERY, of_power=of_power
-            ).cost
-            for t, of_power in ((plain, False), (tables, True))
-        ]
-        step, power = costs
-        group = f"{core}: {name}, --lean --power {HORIZON_S:g}"
-        note = f"{power.measured} calls counted in QEMU; both ways, value and lower bound"
-        figures += [
-            Figure(group, "cellwise_power, mean of a drive", power.instructions_mean,
-                   "instructions", note=note),
-            Figure(group, "cellwise_power, most on it", power.instructions_most, "instructions"),
-            Figure(group, "code beside the step's", power.text_bytes - step.text_bytes, "B"),
-            Figure(group, "stack", power.stack_bytes, "B"),
-            Figure(group, "tables beside the step's", power.model_bytes - step.model_bytes, "B"),
-        ]  # fmt: skip
+        measured = partial(run_on_target, core_name=core, samples=records, soc=START_SOC,
+                           soc_variance=START_STD**2, measure_every=EVERY)  # fmt: skip
+        step = measured(lean()).cost
+        for option, function, run, note in (
+            (f"--power {HORIZON_S:g}", "cellwise_power", measured(lean(power=asked), of="power"),
+             "both ways, value and lower bound"),
+            (f"--remaining {CUTOFF_V:g}", "cellwise_remaining",
+             measured(lean(remaining_V=CUTOFF_V), of="remaining"), "a power held, with its band"),
+        ):  # fmt: skip
+            group = f"{core}: {name}, --lean {option}"
+            cost = run.cost
+            figures += [
+                Figure(group, f"{function}, mean of a drive", cost.instructions_mean,
+                       "instructions", note=f"{cost.measured} calls counted in QEMU; {note}"),
+                Figure(group, f"{function}, most on it", cost.instructions_most, "instructions"),
+                Figure(group, "code beside the step's", cost.text_bytes - step.text_bytes, "B"),
+                Figure(group, "stack", cost.stack_bytes, "B"),
+                Figure(group, "tables beside the step's", cost.model_bytes - step.model_bytes, "B"),
+            ]  # fmt: skip
     return figures
 
 
@@ -162,4 +166,7 @@ def _host(tables: FixedStepTables) -> Stepper:
     from cellwise.export.host_library import HostLibrary
 
     library = HostLibrary(tables)
-    return Stepper(tables, library.init, library.rows, library.power)
+    return Stepper(
+        tables, library.init, library.rows, library.power, library.remaining,
+        library.set_health, library.pack(),
+    )  # fmt: skip

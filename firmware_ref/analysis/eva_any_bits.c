@@ -89,6 +89,26 @@ void eva_any_power(void)
 }
 #endif
 
+#if CELLWISE_REMAINING
+void eva_any_remaining(void)
+{
+    cellwise_state x;
+    cellwise_outlook ahead;
+    const float load_A = any_float;
+    const bool holds_power = (any_integer & 1u) != 0u;
+    any_state(&x);
+    cellwise_remaining(&cellwise_cell, &x, load_A, holds_power, &ahead);
+    /*@ assert time_is_finite: \is_finite(ahead.time_s); */
+    /*@ assert time_low_is_finite: \is_finite(ahead.time_low_s); */
+    /*@ assert time_high_is_finite: \is_finite(ahead.time_high_s); */
+    /*@ assert energy_is_finite: \is_finite(ahead.energy_J); */
+    /*@ assert energy_low_is_finite: \is_finite(ahead.energy_low_J); */
+    /*@ assert energy_high_is_finite: \is_finite(ahead.energy_high_J); */
+    /*@ assert time_is_positive: 0.0 <= ahead.time_low_s; */
+    /*@ assert energy_is_positive: 0.0 <= ahead.energy_low_J; */
+}
+#endif
+
 #if CELLWISE_CELLS
 #define CELLS 2u
 

@@ -7,6 +7,8 @@ void cellwise_rows(const cellwise_model *model, cellwise_state *x, const cellwis
                    cellwise_output *out, uint32_t samples);
 void cellwise_power_of(const cellwise_model *model, const cellwise_state *x,
                        cellwise_capability *out);
+void cellwise_remaining_of(const cellwise_model *model, const cellwise_state *x, float load_A,
+                           bool holds_power, cellwise_outlook *out);
 uint32_t cellwise_set_health_of(const cellwise_model *model, cellwise_state *x, float share,
                            float scale);
 void cellwise_cells_begin(const cellwise_model *model, cellwise_pack_cell *cells, uint32_t count);
@@ -26,6 +28,20 @@ void cellwise_power_of(const cellwise_model *model, const cellwise_state *x,
 #else
     (void)model;
     (void)x;
+    (void)out;
+#endif
+}
+
+void cellwise_remaining_of(const cellwise_model *model, const cellwise_state *x, float load_A,
+                           bool holds_power, cellwise_outlook *out)
+{
+#if CELLWISE_REMAINING
+    cellwise_remaining(model, x, load_A, holds_power, out);
+#else
+    (void)model;
+    (void)x;
+    (void)load_A;
+    (void)holds_power;
     (void)out;
 #endif
 }

@@ -2,8 +2,8 @@
  * measured: instructions (ticks.h), stack by paint.
  *
  * in.bin: soc, soc_variance (float), every how many samples to measure and the first of them (uint32),
- * then records of cellwise_input. With MEASURE_POWER it is cellwise_power that is measured. With
- * MEASURE_CELLS a sample is one of a pack of so many cells, whose voltages are the sample's and
+ * then records of cellwise_input. With MEASURE_POWER it is cellwise_power that is measured, with
+ * MEASURE_REMAINING cellwise_remaining at LOAD_A, its power held. With MEASURE_CELLS a sample is one of a pack of so many cells, whose voltages are the sample's and
  * OFFSET_V times -6..6 each; the cells follow the state in out.bin. */
 #include <stddef.h>
 
@@ -87,6 +87,20 @@ static __attribute__((noinline)) uint32_t measured_step(const cellwise_model *m,
     (void)in;
     (void)out;
     cellwise_power(m, x, &capability);
+    return 0u;
+}
+#define whole_step cellwise_step
+#elif defined(MEASURE_REMAINING)
+#define LOAD_A 3.0f
+static cellwise_outlook outlook;
+
+static __attribute__((noinline)) uint32_t measured_step(const cellwise_model *m, cellwise_state *x,
+                                                        const cellwise_input *in,
+                                                        cellwise_output *out)
+{
+    (void)in;
+    (void)out;
+    cellwise_remaining(m, x, LOAD_A, true, &outlook);
     return 0u;
 }
 #define whole_step cellwise_step

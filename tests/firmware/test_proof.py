@@ -15,7 +15,7 @@ from cellwise.estimate.cells.settings import CellSettings
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.export.c_tables import firmware_folder, write_sources
 from example_cells import curved_cell
-from firmware_cases import VALID, power_asked
+from firmware_cases import VALID, cutoff_asked, power_asked
 
 pytestmark = [
     pytest.mark.skipif(shutil.which("frama-c") is None, reason="no frama-c: make firmware"),
@@ -74,7 +74,13 @@ CELLS = {
     "health": True,
     "cells": CellSettings(),
 }
-OTHERS = {"power": POWER, "cells": CELLS}
+REMAINING = {
+    "model": curved_cell(5),
+    "wide": False,
+    "watch": False,
+    "remaining_V": cutoff_asked(curved_cell(5)),
+}
+OTHERS = {"power": POWER, "cells": CELLS, "remaining": REMAINING}
 
 
 def eva(folder, entry, mutant=None, build="lean"):
@@ -123,6 +129,12 @@ def test_no_alarm_from_whatever_start(tmp_path, build):
 
 def test_no_alarm_in_the_power_of_whatever_state(tmp_path):
     alarms, text = eva(tmp_path, "eva_any_power", build="power")
+    assert alarms == []
+    assert "100% of the logical properties reached have been proven" in text
+
+
+def test_no_alarm_in_the_remaining_time_of_whatever_state(tmp_path):
+    alarms, text = eva(tmp_path, "eva_any_remaining", build="remaining")
     assert alarms == []
     assert "100% of the logical properties reached have been proven" in text
 

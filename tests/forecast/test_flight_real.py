@@ -9,6 +9,7 @@ from cellwise.estimate.replay import replay
 from cellwise.forecast.remaining import forecast
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell
 from cellwise.logs import read_log
+from measured_models import identified_samsung, samsung_log
 
 CUTOFF_V = 3.0
 
@@ -39,3 +40,23 @@ def test_a_measured_discharge_ends_when_it_was_foretold(name, within, share, lea
     truly_s = float(log.time_s[ends - 1] - left.time_s)
     assert left.by == "voltage"
     assert left.remaining_s == pytest.approx(truly_s, rel=within)
+
+
+@pytest.mark.slow
+def test_the_band_covers_a_cell_that_warms_by_forty_kelvin(real_data):
+    """Samsung 30Q at 1C to 4C, 11 to 41 K warmer at the end; another sample than the pulses'."""
+    model = identified_samsung(real_data)
+    inside, missed, sigma = [], [], []
+    for rate in ("1c", "2c", "3c", "4c"):
+        log = samsung_log(real_data, f"fresh_s001_discharge_{rate}")
+        loaded = np.flatnonzero(log.known_current_A() > 0.9 * log.known_current_A().max())
+        log = log.part(0, int(loaded[-1]) + 1)
+        found = forecast(model, replay(model, log, soc0=1.0), cutoff_V=2.5, hold="current")
+        truth = log.time_s[-1] - found.time_s
+        later = (found.time_s > 120.0) & (truth > 60.0)
+        low, high = found.remaining_s_band[later].T
+        inside += list((low <= truth[later]) & (truth[later] <= high))
+        missed += list((found.remaining_s - truth)[later] / truth[later])
+        sigma += list((high - low) / 4 / truth[later])
+    assert np.mean(inside) >= 0.93
+    assert np.sqrt(np.mean(np.square(sigma))) <= 2 * np.sqrt(np.mean(np.square(missed)))

@@ -65,6 +65,12 @@ def tables_of(name, dt_s=1.0):
         return power_tables(curved_cell(), dt_s, wide=name == "power", watch=name == "power")
     if name == "full power":
         return power_tables(full_model(), dt_s, offset_std_A=0.1)
+    if name in ("remaining", "lean remaining", "full remaining"):
+        model = full_model() if name == "full remaining" else curved_cell()
+        wide = name != "lean remaining"
+        return fixed_step_tables(
+            model, dt_s, wide=wide, watch=wide, remaining_V=cutoff_asked(model), health=True
+        )
     if name in ("lean pack", "full pack"):
         lean = name == "lean pack"
         model = curved_cell() if lean else full_model()
@@ -78,6 +84,11 @@ def tables_of(name, dt_s=1.0):
             power=power_asked(model),
         )
     return fixed_step_tables(full_model(), dt_s, offset_std_A=0.1)
+
+
+def cutoff_asked(model):
+    """A cutoff that every model here reaches under load before it is empty."""
+    return float(model.ocv_V.min()) + 0.15
 
 
 def power_asked(model, horizon_s=10.0):

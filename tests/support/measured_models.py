@@ -66,3 +66,19 @@ def identified_leaf(folder):
     return identify_cell(
         TestLogs(drive=june), IdentifySettings(nominal_Ah=65.0, prior=stock_model("lmo-pouch"))
     )
+
+
+def samsung_log(folder, name):
+    """One log of the Samsung 30Q; ``folder``: that of all measured cells."""
+    return read_log(folder / f"samsung_30q_ageing/{name}.csv.gz")
+
+
+@cache
+def identified_samsung(folder):
+    """Samsung 30Q: pulses of one cell at three temperatures, C/10 of another."""
+    names = {t: f"hppc_dnn01_1c_p{t}_time_rebuilt" for t in (20, 30, 40)}
+    tests = TestLogs(
+        hppc=tuple((samsung_log(folder, name), float(t)) for t, name in names.items()),
+        ocv=(samsung_log(folder, "fresh_s001_discharge_c10"),),
+    )
+    return identify_cell(tests, IdentifySettings(nominal_Ah=3.0)).model

@@ -55,6 +55,9 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     power_options.add_limit_options(export)
     export.add_argument(
+        "--remaining", type=float, metavar="V", help="time and energy left down to V volts per cell"
+    )
+    export.add_argument(
         "--cells", type=int, default=0, metavar="N", help="follow N cells in series, on one table"
     )
     export.add_argument(
@@ -100,6 +103,7 @@ def run_export(arguments: argparse.Namespace) -> None:
         wide=not arguments.lean,
         watch=not arguments.lean,
         power=power_options.exported_power(arguments, model),
+        remaining_V=arguments.remaining,
         health=arguments.health,
         cells=CellSettings() if arguments.cells else None,
     )

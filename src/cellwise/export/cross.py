@@ -13,7 +13,7 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from cellwise.estimate.fixed.layout import CELL, INPUT, OUTPUT, state_type
 from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.export.c_tables import STRICT_FLAGS, firmware_folder, write_sources
 
+Measured = Literal["step", "power", "remaining"]
 REPEATS = 64  # as in target_main.c
 OPTIMISE = "-Os"  # smaller than -O2, and here no slower: constants are loaded less often
 FINDINGS = struct.Struct("<8I")
@@ -151,7 +152,7 @@ def build(
     core: Core,
     folder: Path,
     optimise: str = OPTIMISE,
-    of_power: bool = False,
+    of: Measured = "step",
     cells: int = 0,
 ) -> Path:
     """Compile the C of a model with the test program for a core; the path of the ELF file."""
@@ -166,7 +167,7 @@ def build(
     for source in ("cellwise_ekf", "cell_table", "target_main", "semihosting", core.startup):
         made = folder / f"{source}.o"
         extra = ["-fno-builtin"] if source == core.startup else []
-        extra += ["-DMEASURE_POWER"] if of_power else []
+        extra += [f"-DMEASURE_{of.upper()}"] if of != "step" else []
         extra += [f"-DMEASURE_CELLS={cells}u"] if cells else []
         _run([gcc, *flags, *extra, "-c", str(folder / f"{source}.c"), "-o", str(made)])
         objects.append(str(made))
@@ -186,7 +187,7 @@ def run_on_target(
     measure_every: int = 0,
     measure_first: int = 0,
     optimise: str = OPTIMISE,
-    of_power: bool = False,
+    of: Measured = "step",
     cells: int = 0,
 ) -> TargetRun:
     """Step samples on an emulated core.
@@ -197,7 +198,8 @@ def run_on_target(
     soc, soc_variance : float      where the state starts
     measure_every : int            count instructions and stack of every so many samples; 0: none
     measure_first : int            the first of them
-    of_power : bool                measure the state of power, not the step
+    of : str                       measure the ``step``, the state of ``power`` or the ``remaining``
+                                   time
     cells : int                    measure a sample of a pack of so many cells; 0: of one
 
     Raises
@@ -209,7 +211,7 @@ def run_on_target(
     samples = np.ascontiguousarray(samples, dtype=INPUT)
     with tempfile.TemporaryDirectory(prefix="cellwise-") as name:
         folder = Path(name)
-        elf = build(tables, core, folder, optimise, of_power, cells)
+        elf = build(tables, core, folder, optimise, of, cells)
         asked = struct.pack("<ffII", soc, soc_variance, measure_every, measure_first)
         (folder / "in.bin").write_bytes(asked + samples.tobytes())
         command = [

@@ -15,5 +15,11 @@ class Firmware(FixedStep):
     def _make(self, tables: FixedStepTables) -> Stepper:
         library = HostLibrary(tables)
         return Stepper(
-            tables, library.init, library.rows, library.power, library.set_health, library.pack()
+            tables,
+            library.init,
+            library.rows,
+            library.power,
+            library.remaining,
+            library.set_health,
+            library.pack(),
         )

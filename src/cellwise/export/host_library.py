@@ -24,6 +24,8 @@ DECLARATIONS = """
 uint32_t cellwise_init(const void *model, void *x, float soc, float soc_variance);
 uint32_t cellwise_step(const void *model, void *x, const void *in, void *out);
 void cellwise_power_of(const void *model, const void *x, void *out);
+void cellwise_remaining_of(const void *model, const void *x, float load_A, bool holds_power,
+                           void *out);
 uint32_t cellwise_set_health_of(const void *model, void *x, float share, float scale);
 void cellwise_cells_begin(const void *model, void *cells, uint32_t count);
 void cellwise_pack_rows(const void *model, void *x, void *cells, uint32_t count, void *in,
@@ -84,6 +86,14 @@ class HostLibrary:
         x = self._ffi.from_buffer(state)
         to = self._ffi.from_buffer(out, require_writable=True)
         self._library.cellwise_power_of(self._model, x, to)
+
+    def remaining(
+        self, state: NDArray[Any], load_A: float, holds_power: bool, out: NDArray[Any]
+    ) -> None:
+        """``cellwise_remaining`` of a state into one record of OUTLOOK."""
+        x = self._ffi.from_buffer(state)
+        to = self._ffi.from_buffer(out, require_writable=True)
+        self._library.cellwise_remaining_of(self._model, x, load_A, holds_power, to)
 
     def set_health(self, state: NDArray[Any], share: float, scale: float) -> int:
         """``cellwise_set_health``: its status."""

@@ -7,14 +7,26 @@ from typing import NamedTuple, Protocol
 
 from cellwise.cell.equations import CellState
 from cellwise.cell.model import CellModel
+from cellwise.cell.simulate import model_temperature_C
 from cellwise.estimate.filters.filter_state import EkfInfo, EkfState
+from cellwise.estimate.power.fixed_tables import LEAST_LOAD_C
 from cellwise.estimate.status import CURRENT_INVALID, INNOVATION_REJECTED, OUT_OF_RANGE
-from cellwise.forecast.remaining import LEAST_LOAD_C, WINDOW_S, uncertain_of
-from cellwise.forecast.remaining_kernels import NEVER, Going, Outcome, with_ends
+from cellwise.forecast.remaining import WINDOW_S, uncertain_of, warms_unseen
+from cellwise.forecast.remaining_kernels import (
+    NEVER,
+    Going,
+    Outcome,
+    lump_now,
+    ocv_and_error,
+    parts_of,
+    warming_with,
+    with_ends,
+)
+from cellwise.forecast.warming_kernels import NOTHING_SEEN
 
 
 class Reading(Protocol):
-    """Current and voltage of one sample; NaN where nothing was measured."""
+    """One sample; NaN where nothing was measured."""
 
     @property
     def current_A(self) -> float:
@@ -24,6 +36,11 @@ class Reading(Protocol):
     @property
     def voltage_V(self) -> float:
         """[V]."""
+        ...
+
+    @property
+    def temperature_C(self) -> float:
+        """[degC]."""
         ...
 
 
@@ -52,7 +69,7 @@ class Step(Protocol):
 
 
 class ForecastNow(NamedTuple):
-    """Time and energy to empty, with the band that two deviations of the SOC leave."""
+    """Time and energy to empty, with the band of two deviations."""
 
     load_A: float
     remaining_s: float
@@ -71,11 +88,15 @@ class Outlook:
 
     def __init__(self, model: CellModel, cutoff_V: float) -> None:
         self._tables = model.parameters()
+        self._charge_As = 3600.0 * model.capacity_Ah
         self._uncertain = uncertain_of(model)
         self._least_A = LEAST_LOAD_C * model.capacity_Ah
         self._cutoff_V = cutoff_V
-        self._load_A = self._load_W = self._bias_V = 0.0
+        self._unseen = warms_unseen(model)
+        self._usual_C = model_temperature_C(model)
+        self._load_A = self._load_W = self._bias_V = self._held_V = 0.0
         self._seen_s = 0.0
+        self._warming = NOTHING_SEEN
         full = CellState(1.0, 0.0, 0.0, 0.0, 0.0)
         self._ends(full, 0.0, self._least_A, float(model.ocv_V.max()), 25.0)  # compiles, or loads
 
@@ -97,8 +118,17 @@ class Outlook:
             share = 1.0
         self._load_A += share * (sample.current_A - self._load_A)
         self._load_W += share * (sample.current_A * sample.voltage_V - self._load_W)
+        warm_C = sample.temperature_C if math.isfinite(sample.temperature_C) else self._usual_C
+        ocv_V, _ = ocv_and_error(self._tables, info.soc, warm_C)
+        voltage_V = info.voltage_V
         if math.isfinite(info.innovation_V) and info.status & INNOVATION_REJECTED == 0:
             self._bias_V += share * (info.innovation_V - self._bias_V)
+            self._held_V += share * ((ocv_V - voltage_V) - self._held_V)
+            voltage_V = sample.voltage_V
+        lost_W = sample.current_A * (ocv_V - voltage_V)
+        self._warming = warming_with(
+            self._warming, self._charge_As, lost_W, sample.temperature_C, update.dt_s
+        )
 
     def forecast(self, state: EkfState | None, temperature_C: float) -> ForecastNow | None:
         """Remaining time and energy now; None without a state or a load of at least C/50."""
@@ -119,6 +149,9 @@ class Outlook:
     def _ends(
         self, at: CellState, soc_std: float, load_A: float, voltage_V: float, temperature_C: float
     ) -> Outcome:
-        go = Going(load_A, True, voltage_V, self._bias_V, self._cutoff_V, temperature_C)
+        _, error_V = ocv_and_error(self._tables, at.soc, temperature_C)
+        offset_V, share = parts_of(self._uncertain, error_V, self._bias_V, self._held_V)
+        lump = lump_now(self._warming, self._charge_As, temperature_C, self._unseen)
+        go = Going(load_A, True, voltage_V, offset_V, share, self._cutoff_V, temperature_C, lump)
         end: Outcome = with_ends(self._tables, at, soc_std, go, self._uncertain)
         return end

@@ -7,11 +7,13 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from cellwise.cell.equations import empty_state
+from cellwise.cell.effects import SelfHeating
+from cellwise.cell.equations import empty_state, needs_temperature
 from cellwise.cell.model import CAPACITY_STD, CellModel
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.cell.simulate import known_temperature_C, start_hysteresis
 from cellwise.errors import InputError
+from cellwise.estimate.power.fixed_tables import LEAST_LOAD_C
 from cellwise.estimate.replay import Replay
 from cellwise.estimate.validity_kernels import validity_scalars
 from cellwise.forecast.remaining_kernels import (
@@ -30,15 +32,14 @@ Hold = Literal["power", "current"]
 
 WINDOW_S = 60.0
 MOST_FORECASTS = 400
-LEAST_LOAD_C = 0.02  # below C/50 nothing flies
 
 
 class Forecast(NamedTuple):
     """Remaining time and energy at one moment, with bands of two standard deviations.
 
     A band holds what is not known of the SOC, how far the model's voltage may come to lie off what
-    it is off by now, and that a cell has the model's capacity to CAPACITY_STD. It takes load and
-    temperature to stay.
+    it is off by now, how the cell may warm, and that it has the model's capacity to CAPACITY_STD.
+    It takes the load to stay.
 
     ``end_voltage_V`` and ``end_soc`` are those of the moment at which the cell is empty, ``by``
     says why it is: its charge ends, or its voltage reaches the cutoff.
@@ -161,7 +162,9 @@ def forecast(
 
     From the filter's SOC, with the branch voltages that the log's current left, the model goes on
     with the mean load of the last minute until the terminal voltage reaches the cutoff or the
-    charge ends. What the model was off by of late (an aged cell's resistance) is taken to stay.
+    charge ends. What the model was off by of late (an aged cell's resistance) is taken to stay, and
+    to grow with the polarisation as far as the model's stated error does. The cell warms by its
+    losses as it did so far, or as cells do (`cellwise.forecast.warming_kernels`).
 
     Parameters
     ----------
@@ -222,11 +225,15 @@ def _forecast(
     soc = np.ascontiguousarray(trace.soc, dtype=np.float64)
     std = np.nan_to_num(np.ascontiguousarray(trace.soc_std, dtype=np.float64))
     warm = known_temperature_C(model, log)
+    nowhere = np.full(len(log), np.nan)
+    measured_C = nowhere if log.temperature_C is None else np.array(log.temperature_C)
     forecast_rows(
         tables,
         empty_state(soc[0], start_hysteresis(float(soc[0]))),
-        FilteredRows(log.interval_s, current_A, warm, np.array(log.voltage_V), soc, std),
-        Load(load_A, wanted, hold == "power", float(window_s), cutoff_V),
+        FilteredRows(
+            log.interval_s, current_A, warm, measured_C, np.array(log.voltage_V), soc, std
+        ),
+        Load(load_A, wanted, hold == "power", float(window_s), cutoff_V, warms_unseen(model)),
         uncertain_of(model),
         out,
     )
@@ -253,6 +260,15 @@ def _forecast(
         by_voltage=out[:, 4] == BY_VOLTAGE,
         validity=model.validity,
     )
+
+
+def warms_unseen(model: CellModel) -> bool:
+    """Whether a forecast must say how the cell warms although nobody measures a temperature.
+
+    Not of a model on which temperature does nothing, nor of one with a warming of its own.
+    """
+    own = any(isinstance(effect, SelfHeating) for effect in model.effects)
+    return bool(needs_temperature(model.parameters())) and not own
 
 
 def uncertain_of(model: CellModel) -> Uncertain:

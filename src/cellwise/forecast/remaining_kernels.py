@@ -10,11 +10,26 @@ from cellwise.cell.equations import (
     CellState,
     CellTables,
     advance,
+    look_up,
     seen_current,
     voltage_of,
     with_soc,
 )
-from cellwise.estimate.validity_kernels import ValidityScalars, soc_extrapolation_V
+from cellwise.estimate.validity_kernels import (
+    ValidityScalars,
+    extrapolation_V,
+    soc_extrapolation_V,
+)
+from cellwise.forecast.warming_kernels import (
+    NOTHING_SEEN,
+    Thermal,
+    Warming,
+    Warmth,
+    observed,
+    rise_std_K,
+    thermal_of,
+    warmed,
+)
 from cellwise.typing import BoolArray, FloatArray
 
 # Of a model that does not say how far along the SOC its error stays: those of measured cells that
@@ -65,6 +80,7 @@ class FilteredRows(NamedTuple):
     interval_s: FloatArray
     current_A: FloatArray
     temperature_C: FloatArray
+    measured_C: FloatArray
     voltage_V: FloatArray
     soc: FloatArray
     soc_std: FloatArray
@@ -74,7 +90,8 @@ class Load(NamedTuple):
     """What goes on: the present load of every row, whether its power is held, and until when.
 
     ``wanted`` are the rows to forecast at, ``window_s`` over what time the model's error is
-    averaged, ``cutoff_V`` the voltage at which the load gives up.
+    averaged, ``cutoff_V`` the voltage at which the load gives up. ``warms_unseen`` whether the
+    losses warm the cell in a forecast where nobody measures its temperature.
     """
 
     current_A: FloatArray
@@ -82,61 +99,133 @@ class Load(NamedTuple):
     hold_power: bool
     window_s: float
     cutoff_V: float
+    warms_unseen: bool
+
+
+class Going(NamedTuple):
+    """What goes on, from one moment.
+
+    Parameters
+    ----------
+    load_A : float          current now, above zero
+    hold_power : bool       keep load times voltage, not the current (a rotor, a drive)
+    start_V : float         terminal voltage now, measured; NaN: the model's, plus its error
+    offset_V : float        measured minus modelled voltage that stays whatever the load does
+    of_polarisation : float  and what of it is a share of the polarisation, as a share
+    cutoff_V : float        terminal voltage at which the load gives up
+    temperature_C : float   now
+    lump : Thermal          how it will change
+    """
+
+    load_A: float
+    hold_power: bool
+    start_V: float
+    offset_V: float
+    of_polarisation: float
+    cutoff_V: float
+    temperature_C: float
+    lump: Thermal
+
+
+class Away(NamedTuple):
+    """By how many deviations a forecast goes away from the usual one in SOC, voltage, warmth."""
+
+    soc: float
+    voltage: float
+    warmth: float
+
+
+USUAL = Away(0.0, 0.0, 0.0)
+
+
+@inline
+def parts_of(
+    uncertain: Uncertain, error_V: float, seen_V: float, polarisation_V: float
+) -> tuple[float, float]:
+    """What the model is off by, as an offset and as a share of the polarisation.
+
+    Each gets what it is expected to have given their sum, of the deviations that the model
+    states of both.
+    """
+    held = uncertain.share * polarisation_V
+    both = held * held + error_V * error_V
+    if both <= 0.0:
+        return seen_V, 0.0
+    share = seen_V * uncertain.share * held / both
+    return seen_V - share * polarisation_V, share
+
+
+@rows
+def ocv_and_error(tables: CellTables, soc: float, temperature_C: float) -> tuple[float, float]:
+    """OCV and the model's own slow error there [V]."""
+    point = look_up(tables, soc, temperature_C)
+    return point.ocv_V, point.error_V
+
+
+@rows
+def lump_now(seen: Warming, charge_As: float, temperature_C: float, unseen: bool) -> Thermal:
+    """`thermal_of`, for callers that are not compiled."""
+    return thermal_of(seen, charge_As, temperature_C, unseen)
+
+
+@rows
+def warming_with(
+    seen: Warming, charge_As: float, lost_W: float, temperature_C: float, dt_s: float
+) -> Warming:
+    """`observed`, for callers that are not compiled."""
+    return observed(seen, charge_As, lost_W, temperature_C, dt_s)
 
 
 @rows
 def to_empty(
-    tables: CellTables,
-    start: CellState,
-    load_A: float,
-    hold_power: bool,
-    start_V: float,
-    bias_V: float,
-    cutoff_V: float,
-    temperature_C: float,
-    uncertain: Uncertain,
-    deviations: float,
+    tables: CellTables, start: CellState, go: Going, uncertain: Uncertain, away: Away
 ) -> Remaining:
     """Go on with a load until the voltage reaches its cutoff or the charge its end.
 
-    Parameters
-    ----------
-    load_A : float        current now, above zero
-    hold_power : bool     keep load times voltage, not the current (a rotor, a drive)
-    start_V : float       terminal voltage now
-    bias_V : float        measured minus modelled voltage, taken to stay as it is
-    cutoff_V : float      terminal voltage at which the load gives up
-    deviations : float    by how many of them the voltage goes away from ``bias_V``
-
     Notes
     -----
-    Temperature and load stay, so ``bias_V`` has what they do outside the model's validity; what
-    nobody has seen yet is the OCV at a SOC further outside than the present one, and what the
-    model's error will be at another SOC: two errors of one deviation sigma whose correlation is
-    rho differ by sigma sqrt(2 (1 - rho)).
+    The load stays; temperature follows the losses. What the model is off by outside its validity
+    is in its present error already; what nobody has seen yet is its error at a SOC or a temperature
+    further outside than the present one, and what it will be at another SOC: two errors of one
+    deviation sigma whose correlation is rho differ by sigma sqrt(2 (1 - rho)).
 
     Steps of 1/400 of the capacity at the present current; the last one is cut where the voltage,
     taken as linear within it, crosses the cutoff, or where the charge ends.
     """
+    load_A, cutoff_V, lump, valid = go.load_A, go.cutoff_V, go.lump, uncertain.valid
     dt_s = tables.cell.charge_As / (STEPS * load_A)
-    power_W = load_A * start_V
     state = start
     time_s = 0.0
     energy_J = 0.0
-    before_V = start_V
-    known_V = soc_extrapolation_V(uncertain.valid, start.soc)
+    before_V = go.start_V
+    power_W = load_A * before_V
+    known_soc_V = soc_extrapolation_V(valid, start.soc)
+    known_V = math.nan
+    warmth = Warmth(go.temperature_C - lump.origin_C, 0.0, 0.0, 0.0)
+    here_C = go.temperature_C
     for _ in range(MOST_STEPS):
-        current = power_W / before_V if hold_power else load_A
-        state_next, point = advance(tables, state, current, dt_s, temperature_C)
-        voltage = voltage_of(point, state_next, current) + bias_V
-        if deviations != 0.0:
-            wrong = uncertain.share * (point.ocv_V - (voltage - bias_V))
+        current = power_W / before_V if go.hold_power else load_A
+        state_next, point = advance(tables, state, current, dt_s, here_C)
+        model_V = voltage_of(point, state_next, current)
+        held_V = point.ocv_V - model_V
+        voltage = model_V + go.offset_V + go.of_polarisation * held_V
+        if lump.heats:
+            warmth = warmed(lump, warmth, max(current * (point.ocv_V - voltage), 0.0), dt_s)
+            here_C = lump.origin_C + warmth.rise_K
+            here_C += away.warmth * rise_std_K(lump, warmth)
+        beyond_V = extrapolation_V(valid, here_C, current, abs(held_V))
+        if known_V != known_V:
+            known_V = beyond_V
+        if away.voltage != 0.0:
+            wrong = uncertain.share * held_V
             moved = abs(start.soc - state_next.soc) / uncertain.memory_soc
             apart = 2.0 * (1.0 - math.exp(-moved))
-            off_V = math.sqrt((point.error_V * point.error_V + wrong * wrong) * apart)
-            if state_next.soc < uncertain.valid.soc_low:
-                off_V += max(soc_extrapolation_V(uncertain.valid, state_next.soc) - known_V, 0.0)
-            voltage += deviations * off_V
+            new_V = max(beyond_V - known_V, 0.0)
+            square = (point.error_V * point.error_V + wrong * wrong) * apart
+            off_V = math.sqrt(square + new_V * new_V)
+            if state_next.soc < valid.soc_low:
+                off_V += max(soc_extrapolation_V(valid, state_next.soc) - known_soc_V, 0.0)
+            voltage += away.voltage * off_V
         share = 1.0
         reason = NEVER
         if state_next.soc <= 0.0:
@@ -160,52 +249,47 @@ def to_empty(
 
 @inline
 def ends(
-    usual: float, low: float, high: float, lower: float, higher: float, share: float
+    usual: float,
+    soc: tuple[float, float],
+    voltage: tuple[float, float],
+    warmth: tuple[float, float],
+    share: float,
 ) -> tuple[float, float]:
-    """Two deviations either way by three causes that know nothing of each other.
+    """Two deviations either way by four causes that know nothing of each other.
 
-    The last is a ``share`` of what remains, one deviation.
+    The first three give what remains at both of their ends, the last is a ``share`` of what
+    remains, one deviation.
     """
-    all_of_it = 2.0 * share * usual
-    below = math.hypot(max(usual - low, 0.0), max(usual - lower, 0.0))
-    above = math.hypot(max(high - usual, 0.0), max(higher - usual, 0.0))
-    return max(usual - math.hypot(below, all_of_it), 0.0), usual + math.hypot(above, all_of_it)
-
-
-class Going(NamedTuple):
-    """What goes on, from one moment; see `to_empty`.
-
-    ``start_V``, the voltage now, is a measured one where it is finite; NaN: the model's at each
-    SOC, plus ``bias_V``.
-    """
-
-    load_A: float
-    hold_power: bool
-    start_V: float
-    bias_V: float
-    cutoff_V: float
-    temperature_C: float
+    of_all = 2.0 * share * usual
+    below, above = of_all * of_all, of_all * of_all
+    for one, other in (soc, voltage, warmth):
+        less, more = max(usual - min(one, other), 0.0), max(max(one, other) - usual, 0.0)
+        below += less * less
+        above += more * more
+    return max(usual - math.sqrt(below), 0.0), usual + math.sqrt(above)
 
 
 @rows
 def from_soc(
     tables: CellTables,
     state: CellState,
-    away_soc: float,
+    soc_std: float,
     go: Going,
     uncertain: Uncertain,
-    deviations: float,
+    away: Away,
 ) -> Remaining:
-    """A forecast from ``away_soc`` beside the state."""
-    at = with_soc(state, min(max(state.soc + away_soc, 0.0), 1.0))
+    """A forecast from deviations beside the state."""
+    at = with_soc(state, min(max(state.soc + away.soc * soc_std, 0.0), 1.0))
     now_V = go.start_V
     if now_V != now_V:
         _, there = advance(tables, at, go.load_A, 0.0, go.temperature_C)
-        now_V = voltage_of(there, at, go.load_A) + go.bias_V
-    return to_empty(
-        tables, at, go.load_A, go.hold_power, now_V, go.bias_V, go.cutoff_V, go.temperature_C,
-        uncertain, deviations,
+        now_V = voltage_of(there, at, go.load_A)
+        now_V += go.offset_V + go.of_polarisation * (there.ocv_V - now_V)
+    begins = Going(
+        go.load_A, go.hold_power, now_V, go.offset_V, go.of_polarisation, go.cutoff_V,
+        go.temperature_C, go.lump,
     )  # fmt: skip
+    return to_empty(tables, at, begins, uncertain, away)
 
 
 @rows
@@ -217,22 +301,27 @@ def with_ends(
     uncertain: Uncertain,
 ) -> Outcome:
     """A forecast from a state, and its ends: by what is not known of SOC, voltage and capacity."""
-    usual = from_soc(tables, state, 0.0, go, uncertain, 0.0)
-    low = from_soc(tables, state, -2.0 * soc_std, go, uncertain, 0.0)
-    high = from_soc(tables, state, 2.0 * soc_std, go, uncertain, 0.0)
-    lower = from_soc(tables, state, 0.0, go, uncertain, -2.0)
-    higher = from_soc(tables, state, 0.0, go, uncertain, 2.0)
-    share = uncertain.capacity_std
-    time_s = ends(usual.time_s, low.time_s, high.time_s, lower.time_s, higher.time_s, share)
+    usual = from_soc(tables, state, soc_std, go, uncertain, USUAL)
+    low = from_soc(tables, state, soc_std, go, uncertain, Away(-2.0, 0.0, 0.0))
+    high = from_soc(tables, state, soc_std, go, uncertain, Away(2.0, 0.0, 0.0))
+    lower = from_soc(tables, state, soc_std, go, uncertain, Away(0.0, -2.0, 0.0))
+    higher = from_soc(tables, state, soc_std, go, uncertain, Away(0.0, 2.0, 0.0))
+    cold = warm = usual
+    if go.lump.heats:
+        cold = from_soc(tables, state, soc_std, go, uncertain, Away(0.0, 0.0, -2.0))
+        warm = from_soc(tables, state, soc_std, go, uncertain, Away(0.0, 0.0, 2.0))
+    time_s = ends(
+        usual.time_s, (low.time_s, high.time_s), (lower.time_s, higher.time_s),
+        (cold.time_s, warm.time_s), uncertain.capacity_std,
+    )  # fmt: skip
     energy = ends(
-        usual.energy_J, low.energy_J, high.energy_J, lower.energy_J, higher.energy_J, share
-    )
+        usual.energy_J, (low.energy_J, high.energy_J), (lower.energy_J, higher.energy_J),
+        (cold.energy_J, warm.energy_J), uncertain.capacity_std,
+    )  # fmt: skip
     if usual.reason != NEVER and (high.reason == NEVER or higher.reason == NEVER):
         time_s, energy = (time_s[0], math.inf), (energy[0], math.inf)
     at_end = (min(low.voltage_V, high.voltage_V), max(low.voltage_V, high.voltage_V))
-    return Outcome(
-        usual, (max(time_s[0], 0.0), time_s[1]), (max(energy[0], 0.0), energy[1]), at_end
-    )
+    return Outcome(usual, time_s, energy, at_end)
 
 
 @rows
@@ -247,15 +336,17 @@ def forecast_rows(
     """Carry the cell through a log with the filter's SOC; forecast at the wanted rows.
 
     ``out`` has shape (wanted rows, 11): the fields of `Remaining`, then both ends of time, energy
-    and end voltage. The bias is the mean of measured minus
-    modelled voltage over about ``window_s``.
+    and end voltage. The model's present error is the mean of measured minus modelled voltage over
+    about ``window_s``.
     """
-    dt_s, current_A, temperature_C, measured_V, soc, soc_std = log
-    load_A, wanted, hold_power, window_s, cutoff_V = load
+    dt_s, current_A, temperature_C, measured_C, measured_V, soc, soc_std = log
+    load_A, wanted, hold_power, window_s, cutoff_V, unseen = load
     state = start
     previous = current_A[0]
-    bias = 0.0
+    bias = held = 0.0
     begun = False
+    warming = NOTHING_SEEN
+    charge_As = tables.cell.charge_As
     place = 0
     for k in range(dt_s.size):
         seen = seen_current(tables.cell, current_A[k], previous, dt_s[k])
@@ -263,15 +354,21 @@ def forecast_rows(
         state, point = advance(tables, state, seen, dt_s[k], temperature_C[k])
         state = with_soc(state, soc[k])
         voltage = voltage_of(point, state, seen)
+        lost_W = seen * (point.ocv_V - voltage)
         if measured_V[k] == measured_V[k]:  # not NaN
             error = measured_V[k] - voltage
-            if not begun:
-                bias = error
-                begun = True
-            bias += (error - bias) * min(dt_s[k] / window_s, 1.0)
+            lost_W = seen * (point.ocv_V - measured_V[k])
+            share = min(dt_s[k] / window_s, 1.0) if begun else 1.0
+            begun = True
+            bias += share * (error - bias)
+            held += share * ((point.ocv_V - voltage) - held)
+        warming = observed(warming, charge_As, lost_W, measured_C[k], dt_s[k])
         if not wanted[k]:
             continue
-        go = Going(load_A[k], hold_power, math.nan, bias, cutoff_V, temperature_C[k])
+        offset, of_held = parts_of(uncertain, point.error_V, bias, held)
+        warm = temperature_C[k]
+        lump = thermal_of(warming, charge_As, warm, unseen)
+        go = Going(load_A[k], hold_power, math.nan, offset, of_held, cutoff_V, warm, lump)
         found = with_ends(tables, state, soc_std[k], go, uncertain)
         left = found.usual
         out[place, 0] = left.time_s

@@ -17,7 +17,7 @@ from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.estimate.estimators import make_estimator
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell
 from cellwise.logs import read_log
-from measured_models import identified_lg
+from measured_models import identified_lg, identified_samsung, samsung_log
 
 KNOWN_STD = 0.005
 MORE = 0.003  # of SOC RMSE, a filter may lose against counting
@@ -37,10 +37,6 @@ def leaf_log(real_data, name):
     return replace(log, temperature_C=np.full(len(log), LEAF_C[name[-3:]]))
 
 
-def samsung_log(real_data, name):
-    return read(real_data, f"samsung_30q_ageing/{name}")
-
-
 @cache
 def leaf(real_data):
     tests = TestLogs(
@@ -48,16 +44,6 @@ def leaf(real_data):
         capacity=(leaf_log(real_data, "cap_1c_p23"),),
     )
     return identify_cell(tests, IdentifySettings(nominal_Ah=33.1)).model
-
-
-@cache
-def samsung(real_data):
-    names = {t: f"hppc_dnn01_1c_p{t}_time_rebuilt" for t in (20, 30, 40)}
-    tests = TestLogs(
-        hppc=tuple((samsung_log(real_data, name), float(t)) for t, name in names.items()),
-        ocv=(samsung_log(real_data, "fresh_s001_discharge_c10"),),
-    )
-    return identify_cell(tests, IdentifySettings(nominal_Ah=3.0)).model
 
 
 @cache
@@ -93,7 +79,7 @@ def case(real_data, cell, name):
         return model, discharge(leaf_log(real_data, name)), 1.0, model.capacity_Ah
     if cell == "samsung":
         log = samsung_log(real_data, f"fresh_s001_discharge_{name}")
-        return samsung(real_data), log, 1.0, SAMSUNG_AH
+        return identified_samsung(real_data), log, 1.0, SAMSUNG_AH
     model = lipo(real_data)
     log = read(real_data, f"lipo_5450/{name}")
     # It is charged to 4.10 V only: by the whole log's voltage.

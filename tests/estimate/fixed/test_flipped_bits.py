@@ -31,7 +31,13 @@ def compiled_c(tables):
     except Exception:
         return None
     return Stepper(
-        tables, library.init, library.rows, library.power, library.set_health, library.pack()
+        tables,
+        library.init,
+        library.rows,
+        library.power,
+        library.remaining,
+        library.set_health,
+        library.pack(),
     )
 
 

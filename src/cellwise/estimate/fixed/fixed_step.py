@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable
+from copy import copy
 from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,14 @@ from cellwise.errors import InputError
 from cellwise.estimate.cells.settings import CellSettings
 from cellwise.estimate.filters.filter_state import EkfInfo
 from cellwise.estimate.filters.kalman import one_reading
-from cellwise.estimate.fixed.layout import CAPABILITY, CELL_OUTPUT, INPUT, OUTPUT, state_type
+from cellwise.estimate.fixed.layout import (
+    CAPABILITY,
+    CELL_OUTPUT,
+    INPUT,
+    OUTLOOK,
+    OUTPUT,
+    state_type,
+)
 from cellwise.estimate.fixed.tables import FixedStepTables, fixed_step_tables
 from cellwise.estimate.noise import Noise, noise_for
 from cellwise.estimate.status import VOLTAGE_INVALID
@@ -89,6 +97,7 @@ class FixedStep:
         self._offset_std_A = offset_std_A
         self._wide, self._watch, self._validity = wide, watch, validity
         self._power, self._health, self._cells = power, health, cells
+        self._remaining_V: float | None = None
         self._stepper: Stepper | None = None
         self._sample = np.zeros(1, dtype=INPUT)
         self.stepper(1.0 if dt_s is None else dt_s)  # refuses now what it would refuse later
@@ -106,6 +115,7 @@ class FixedStep:
                 watch=self._watch,
                 validity=self._validity,
                 power=self._power,
+                remaining_V=self._remaining_V,
                 health=self._health,
                 cells=self._cells,
             )
@@ -165,6 +175,41 @@ class FixedStep:
         check_has_power(stepper)
         out = np.zeros(1, dtype=CAPABILITY)
         stepper.power(state, out)
+        return out
+
+    def with_remaining(self, cutoff_V: float) -> Self:
+        """The same filter with :meth:`remaining`, down to a cutoff of the cell [V].
+
+        Raises
+        ------
+        InputError        a cutoff that is not below the model's full OCV
+        """
+        made = copy(self)
+        made._remaining_V = cutoff_V
+        made._stepper = None
+        made.stepper(1.0 if made.dt_s is None else made.dt_s)
+        return made
+
+    def remaining(
+        self, state: NDArray[Any], load_A: float, hold: Literal["current", "power"] = "current"
+    ) -> NDArray[Any]:
+        """Time and energy to empty at a load: one record of ``layout.OUTLOOK`` [s, J].
+
+        Parameters
+        ----------
+        load_A : float    [A]; 0 throughout where no cell carries it
+        hold : str        what of it is held constant: its current, or the power it gives now
+
+        Raises
+        ------
+        InputError        no time step; not asked for when this was made; an unknown ``hold``
+        """
+        stepper = self._need_stepper()
+        check_has_remaining(stepper)
+        if hold not in ("current", "power"):
+            raise InputError(f"hold '{hold}'", "'current' or 'power'", "Choose one.")
+        out = np.zeros(1, dtype=OUTLOOK)
+        stepper.remaining(state, one_reading("load_A", load_A, "ampere"), hold == "power", out)
         return out
 
     def set_health(
@@ -257,6 +302,7 @@ class Stepper(NamedTuple):
     begin: Callable[[NDArray[Any], float, float], object]
     rows: Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]]
     power: Callable[[NDArray[Any], NDArray[Any]], object]
+    remaining: Callable[[NDArray[Any], float, bool, NDArray[Any]], object]
     set_health: Callable[[NDArray[Any], float, float], int]
     pack: PackCalls
 
@@ -307,6 +353,7 @@ def numba_stepper(tables: FixedStepTables) -> Stepper:
         partial(begin, *known),
         rows,
         partial(call, loops.ability),
+        partial(call, loops.outlook),
         partial(call, loops.history),
         PackCalls(
             partial(call, loops.begin_cells), pack_rows, now, partial(call, loops.pack_ability)
@@ -370,6 +417,21 @@ def info_of(out: NDArray[Any], noise: Noise) -> EkfInfo:
         ratio,
         int(out["status"]),
     )
+
+
+def check_has_remaining(stepper: Stepper) -> None:
+    """Refuse to ask for a remaining time that is not compiled in.
+
+    Raises
+    ------
+    InputError        made without :meth:`FixedStep.with_remaining`
+    """
+    if not stepper.tables.options.remaining:
+        raise InputError(
+            "no remaining time in this fixed step",
+            "FixedStep(...).with_remaining(3.0)",
+            "Give the cutoff when it is made.",
+        )
 
 
 def check_has_power(stepper: Stepper) -> None:

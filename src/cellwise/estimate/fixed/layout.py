@@ -121,6 +121,10 @@ CONSTANTS = (
     Field("power_soc_low", "", "POWER"),
     Field("power_soc_high", "", "POWER"),
     Field("power_hysteresis_per_A", "e-folds of h over the horizon", "HYSTERESIS and POWER"),
+    Field("remaining_low_V", "voltage at which a load gives up", "REMAINING"),
+    Field("remaining_least_A", "a load below it counts as it", "REMAINING"),
+    Field("remaining_share", "two deviations of the capacity, relative", "REMAINING"),
+    Field("step_s", "the time step", "REMAINING"),
     Field("cell_soc2", "variance of the cells' differences at the start: of SOC,", "CELLS"),
     Field("cell_capacity2", "capacity, relative,", "CELLS"),
     Field("cell_resistance2", "resistance, relative,", "CELLS"),
@@ -210,6 +214,15 @@ CAPABILITY_FIELDS = (
     Field("charge_low_W", "and sustains with 95 %"),
 )
 
+OUTLOOK_FIELDS = (
+    Field("time_s", "until the load reaches the cutoff, or the cell is empty"),
+    Field("time_low_s", "two deviations less"),
+    Field("time_high_s", "two deviations more"),
+    Field("energy_J", "out until then"),
+    Field("energy_low_J"),
+    Field("energy_high_J"),
+)
+
 CELL_FIELDS = (
     Field("soc", "more than the mean cell's, where that is 50 %"),
     Field("capacity", "more than the mean cell's, relative"),
@@ -259,6 +272,7 @@ def _record_type(table: tuple[Field, ...], options: Options) -> np.dtype[Any]:
 INPUT = _record_type(INPUT_FIELDS, Options(points=3))
 OUTPUT = _record_type(OUTPUT_FIELDS, Options(points=3))
 CAPABILITY = _record_type(CAPABILITY_FIELDS, Options(points=3))
+OUTLOOK = _record_type(OUTLOOK_FIELDS, Options(points=3))
 CELL = _record_type(CELL_FIELDS, Options(points=3))
 CELL_OUTPUT = _record_type(CELL_OUTPUT_FIELDS, Options(points=3))
 

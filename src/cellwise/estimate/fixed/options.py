@@ -33,9 +33,9 @@ class Options:
     the table of how far the particles' surface is below the mean, 0 without them;
     ``wide`` the care taken while SOC is badly known, ``watch`` that of sensors which freeze or fall
     silent; without them the code is smaller. ``validity`` 1 watches SOC and current for what the
-    model's data covered, 2 the temperature, too; ``power`` gives the state of power;
-    ``health`` takes a capacity and a resistance that a history gives, ``cells`` follows the cells
-    of a pack beside the mean cell.
+    model's data covered, 2 the temperature, too; ``power`` gives the state of power,
+    ``remaining`` time and energy to empty; ``health`` takes a capacity and a resistance that a
+    history gives, ``cells`` follows the cells of a pack beside the mean cell.
     """
 
     points: int
@@ -57,6 +57,7 @@ class Options:
     watch: int = 1
     validity: int = 0
     power: int = 0
+    remaining: int = 0
     health: int = 0
     cells: int = 0
 
@@ -84,6 +85,7 @@ def options_of(
     watch: bool = True,
     validity: bool = True,
     power: bool = False,
+    remaining: bool = False,
     health: bool = False,
     cells: bool = False,
     arrhenius_points: int = 0,
@@ -97,6 +99,7 @@ def options_of(
     watch : bool              watch for sensors that freeze or fall silent
     validity : bool           say and widen beyond the model's data, where these are known
     power : bool              the state of power at one horizon, a function of its own
+    remaining : bool          time and energy to empty at a load, a function of its own
     health : bool               take capacity and resistance from a history
     cells : bool              follow the cells of a pack beside the mean cell
     arrhenius_points : int    points of each table over temperature where the model has that effect
@@ -125,6 +128,7 @@ def options_of(
         watch=int(watch),
         validity=_watched(model) if validity else 0,
         power=int(power),
+        remaining=int(remaining),
         health=int(health),
         cells=int(cells),
     )
@@ -142,7 +146,7 @@ TEMPERATURES = ARRHENIUS = DEPTH = 0  # several temperatures, tables over temper
 WARM = SCALED = 0  # any of these, any factor on all resistances
 WIDE = WATCH = 0  # care and watch
 VALIDITY = THERMAL = 0  # beyond the model's SOC and current, beyond its temperature
-POWER = 0  # the state of power, a function beside the step
+POWER = REMAINING = 0  # state of power, time and energy to empty: functions beside the step
 HEALTH = CELLS = 0  # what a history says, the cells of a pack
 
 # What a name means to the C preprocessor where it is not CELLWISE_ and the name.

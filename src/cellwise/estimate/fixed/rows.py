@@ -40,8 +40,9 @@ from cellwise.estimate.fixed.layout import ROW, Model, row_names
 from cellwise.estimate.fixed.options import Options, flags_of
 from cellwise.estimate.fixed.state import set_health
 from cellwise.estimate.fixed.step import init, step
-from cellwise.estimate.power import fixed_power
+from cellwise.estimate.power import fixed_power, fixed_remaining
 from cellwise.estimate.power.fixed_power import power
+from cellwise.estimate.power.fixed_remaining import remaining
 
 STRICT: dict[str, Any] = {"error_model": "numpy", "fastmath": False}
 # Called by compiled code alone: what would let Python call it takes a third of the time to compile.
@@ -59,6 +60,7 @@ STEP_MODULES = (
     correct,
     whole_step,
     fixed_power,
+    fixed_remaining,
     fixed_cells,
 )
 
@@ -86,6 +88,13 @@ def begin(constants: Any, table: Any, state: Any, soc: float, soc_variance: floa
 def ability(constants: Any, table: Any, state: Any, out: Any) -> None:
     """State of power of the one record of ``state`` into the one record of ``out``."""
     power(Model(constants[0], table), state[0], out[0])
+
+
+def outlook(
+    constants: Any, table: Any, state: Any, load_A: float, holds_power: bool, out: Any
+) -> None:
+    """Time and energy to empty of the one record of ``state`` into the one record of ``out``."""
+    remaining(Model(constants[0], table), state[0], F(load_A), holds_power, out[0])
 
 
 def history(constants: Any, table: Any, state: Any, share: float, scale: float) -> Any:
@@ -128,7 +137,8 @@ def specialised(options: Options) -> dict[str, Any]:
     columns = {field.name.upper(): U(0) for field in ROW}
     columns |= {name.upper(): U(k) for k, name in enumerate(row_names(options))}
     made: dict[str, Any] = {}
-    absent = set() if options.power or options.cells else {fixed_power}
+    absent = set() if options.power or options.remaining or options.cells else {fixed_power}
+    absent |= set() if options.remaining else {fixed_remaining}
     absent |= set() if options.cells else {fixed_cells}
     modules = [module for module in STEP_MODULES if module not in absent]
     for f in [f for module in modules for f in functions_of(module)]:

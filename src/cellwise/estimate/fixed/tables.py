@@ -38,6 +38,7 @@ from cellwise.estimate.power.fixed_tables import (
     lag,
     power_columns,
     power_constants,
+    remaining_constants,
 )
 from cellwise.estimate.recovery_kernels import (
     RECOVERY_RATE,
@@ -130,6 +131,7 @@ def fixed_step_tables(
     watch: bool = True,
     validity: bool = True,
     power: PowerSettings | None = None,
+    remaining_V: float | None = None,
     health: bool = False,
     cells: CellSettings | None = None,
 ) -> FixedStepTables:
@@ -146,6 +148,7 @@ def fixed_step_tables(
     watch : bool              watch for sensors that freeze or fall silent
     validity : bool           say and widen beyond the model's data, where these are known
     power : PowerSettings or None   what `cellwise_power` is asked for: one horizon, currents held
+    remaining_V : float or None     cutoff of `cellwise_remaining`; None: without it
     health : bool               take capacity and resistance from a history (`cellwise_set_health`)
     cells : CellSettings or None    follow the cells of a pack beside the mean cell
 
@@ -175,6 +178,7 @@ def fixed_step_tables(
         watch=watch,
         validity=validity,
         power=power is not None,
+        remaining=remaining_V is not None,
         health=health,
         cells=cells is not None,
         arrhenius_points=ARRHENIUS_POINTS,
@@ -185,6 +189,8 @@ def fixed_step_tables(
     if power is not None:
         columns |= power_columns(model, power)
         more = power_constants(model, power)
+    if remaining_V is not None:
+        more |= remaining_constants(model, remaining_V, dt_s)
     if cells is not None:
         more |= cell_constants(cells, model, dt_s)
     table = np.stack([columns[name] for name in row_names(options)], axis=-1)

@@ -7,13 +7,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cellwise.cell.effects import Hysteresis, SlowDiffusion, effect_table
-from cellwise.cell.model import CellModel
+from cellwise.cell.model import CAPACITY_STD, CellModel
 from cellwise.errors import InputError
 from cellwise.typing import FloatArray
 
 if TYPE_CHECKING:
     from cellwise.estimate.power.state_of_power import PowerSettings
 
+LEAST_LOAD_C = 0.02  # below C/50 nothing flies
+LEAST_CUTOFF_V = 0.1
 CURRENT_LIMIT_C = 200.0  # no cell gives that; a sensor fault does
 
 
@@ -50,6 +52,27 @@ def power_constants(model: CellModel, power: PowerSettings) -> dict[str, Any]:
         "power_soc_low": limits.low_soc,
         "power_soc_high": limits.high_soc,
         "power_hysteresis_per_A": model.effect(Hysteresis).gamma * per_A,
+    }
+
+
+def remaining_constants(model: CellModel, cutoff_V: float, dt_s: float) -> dict[str, Any]:
+    """What the remaining time reads beside the step's constants.
+
+    Raises
+    ------
+    InputError        a cutoff that is not below the model's full OCV
+    """
+    if not LEAST_CUTOFF_V <= cutoff_V < float(np.max(model.ocv_V)):
+        raise InputError(
+            f"a cutoff of {cutoff_V:g} V",
+            f"{LEAST_CUTOFF_V:g} V to the model's full OCV, {float(np.max(model.ocv_V)):.2f} V",
+            "Give the voltage of a cell, not of the pack.",
+        )
+    return {
+        "remaining_low_V": cutoff_V,
+        "remaining_least_A": LEAST_LOAD_C * model.capacity_Ah,
+        "remaining_share": 2.0 * CAPACITY_STD,
+        "step_s": dt_s,
     }
 
 

@@ -31,6 +31,7 @@ PUBLIC = {
     "init": "cellwise_init",
     "step": "cellwise_step",
     "power": "cellwise_power",
+    "remaining": "cellwise_remaining",
     "set_health": "cellwise_set_health",
     "start_cells": "cellwise_cells_init",
     "mean_voltage": "cellwise_mean_voltage",
@@ -41,6 +42,7 @@ PUBLIC = {
 # What of these is there only with options.
 GUARDS: dict[str, Guard] = {
     "power": frozenset({"POWER"}),
+    "remaining": frozenset({"REMAINING"}),
     "set_health": frozenset({"HEALTH"}),
     **dict.fromkeys(("start_cells", "mean_voltage", "step_cells", "cell_of"), frozenset({"CELLS"})),
     "pack_power": frozenset({"CELLS", "POWER"}),
@@ -49,6 +51,7 @@ NUMERALS = {"ZERO", "QUARTER", "HALF", "ONE", "TWO", "THREE", "FOUR", "SIXTY_FOU
 RECORDS = {
     "Constants": layout.CONSTANTS, "State": layout.STATE, "Sample": layout.INPUT_FIELDS,
     "Output": layout.OUTPUT_FIELDS, "Capability": layout.CAPABILITY_FIELDS,
+    "Outlook": layout.OUTLOOK_FIELDS,
     "Cell": layout.CELL_FIELDS, "CellOutput": layout.CELL_OUTPUT_FIELDS,
 }  # fmt: skip
 
@@ -255,6 +258,7 @@ def print_header() -> str:
         "input": record("cellwise_input", layout.INPUT_FIELDS),
         "output": record("cellwise_output", layout.OUTPUT_FIELDS),
         "capability": record("cellwise_capability", layout.CAPABILITY_FIELDS),
+        "outlook": record("cellwise_outlook", layout.OUTLOOK_FIELDS),
         "cell": record("cellwise_pack_cell", layout.CELL_FIELDS),
         "cell_output": record("cellwise_cell_output", layout.CELL_OUTPUT_FIELDS),
     }
@@ -298,6 +302,7 @@ HEADER = """\
 #ifndef CELLWISE_EKF_H
 #define CELLWISE_EKF_H
 
+#include <stdbool.h>
 #include <stdint.h>
 
 #include "cell_table.h"
@@ -343,6 +348,11 @@ typedef struct {
 [capability]
 
 [cellwise_power]
+
+/* Remaining time and energy, where they are compiled in. Never NaN, never infinite. */
+[outlook]
+
+[cellwise_remaining]
 
 [cellwise_set_health]
 

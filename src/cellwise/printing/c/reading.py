@@ -19,7 +19,8 @@ SCALARS = {**dict.fromkeys(FLOATS, "float"), "Count": "uint32_t", "Flag": "bool"
 RECORDS = {
     "Model": "const cellwise_model", "Constants": "const cellwise_constants",
     "State": "cellwise_state", "Sample": "const cellwise_input", "Output": "cellwise_output",
-    "Capability": "cellwise_capability", "Cell": "cellwise_pack_cell",
+    "Capability": "cellwise_capability", "Outlook": "cellwise_outlook",
+    "Cell": "cellwise_pack_cell",
     "Cells": "cellwise_pack_cell", "CellOutput": "cellwise_cell_output", "Floats": "const float",
 }  # fmt: skip
 ELEMENTS = {"Cells": "Cell", "Floats": "Float"}  # of what is an array
