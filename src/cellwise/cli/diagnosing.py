@@ -40,7 +40,10 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="of logs without LOG@soc0=X: 0..1, or auto [auto]",
     )
     p.add_argument(
-        "--cause", action="append", metavar="C", help="try only this cause; several [all]"
+        "--cause",
+        action="append",
+        metavar="C",
+        help="try only this cause; several [all but charge_transfer]",
     )
     p.add_argument(
         "--reference-capacity-ah",

@@ -13,7 +13,7 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.point_kernels import R3, TAU2, TAU3
 from cellwise.diagnose.anatomy import anatomy
 from cellwise.diagnose.applied import Applied, applied, apply, kept
-from cellwise.diagnose.causes.catalogue import CAUSES, UNSEEN_TEMPERATURE, Cause
+from cellwise.diagnose.causes.catalogue import CAUSES, ON_REQUEST, UNSEEN_TEMPERATURE, Cause
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.decision.claim import claim_checks
 from cellwise.diagnose.decision.explanations import Explanation, Explanations, Progress
@@ -79,7 +79,7 @@ def diagnose(
                                       the model gets wrong there is calibrated, not diagnosed
     soc0 : float, "auto" or a sequence of them, one per log (logs, holdout, baseline); a log's own
         stated start (``CellLog.soc0``) goes before "auto" and before one number for all
-    causes : names to try; default all
+    causes : names to try; default all but `charge_transfer`, which is tried where it is named
     reference_capacity_Ah : measured apart from these logs [Ah]: what SOC is judged over; default
         the model's own, unless that is found to be wrong
     seed : of the block bootstrap
@@ -155,7 +155,7 @@ def _as_logs(logs: Logs) -> tuple[CellLog, ...]:
 
 def _chosen(names: Sequence[str] | None) -> list[Cause]:
     if names is None:
-        return list(CAUSES.values())
+        return [c for c in CAUSES.values() if c.name not in ON_REQUEST]
     unknown = [n for n in names if n not in CAUSES]
     if unknown:
         raise InputError(

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from cellwise.diagnose.causes.catalogue import ON_REQUEST
 from emulator import Array, Cell, Sensor, Table, emulate, flat, seen
 from emulator_cells import FINE, rising, wave
 from emulator_drives import Load
@@ -169,7 +170,7 @@ EFFECTS: dict[str, tuple[Put, float]] = {
     "self_discharge": (_self_discharge, 12.0),
     "charge_transfer": (_charge_transfer, 40.0),
 }
-NAMES = tuple(EFFECTS)
+NAMES = tuple(n for n in EFFECTS if n not in ON_REQUEST)
 
 # Effects that leave alike traces: a pair is drawn from two of these families.
 FAMILIES = (
