@@ -16,7 +16,7 @@ from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.priors import tolerances
 from cellwise.diagnose.fit.rest_voltages import rest_voltages
 from cellwise.diagnose.fit.rows import gather
-from cellwise.diagnose.fit.wrong_shapes import LEVELS, wrong_shapes
+from cellwise.diagnose.fit.wrong_shapes import LEVELS, SHAPE_SHARES, wrong_shapes
 from example_cells import curved_cell
 
 SOC0 = 0.95
@@ -69,7 +69,11 @@ def test_wrong_shapes_are_local_shares_of_an_effect(fits):
     np.testing.assert_allclose(columns[:, 1::2].sum(axis=1), level, rtol=1e-9)
 
 
-def test_without_a_cause_there_is_no_wrong_shape(fits):
-    base, _ = fits.base(fits.prior)
-    effect = fits.effects_V(base, [])
-    assert wrong_shapes(fits.evidence, effect, base.soc).shape == (fits.evidence.rows, 0)
+def test_a_fault_of_a_sensor_has_its_shape_exactly(fits):
+    effect, there = moved(fits, "voltage_offset", "offset_V", 0.02)
+    assert effect.shape == (fits.evidence.rows, 0)
+    assert wrong_shapes(fits.evidence, effect, there.soc).shape == (fits.evidence.rows, 0)
+
+
+def test_the_shares_are_a_distribution():
+    assert sum(SHAPE_SHARES.values()) == pytest.approx(1.0)

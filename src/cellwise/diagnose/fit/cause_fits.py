@@ -144,17 +144,20 @@ class CauseFits:
         more = self.at_rest(found) + ln_size(found.z, kept, prior, self.same_age)
         return found_so._replace(total=found_so.total + more)
 
-    def effects_V(self, found: Fit, causes: Sequence[Cause]) -> FloatArray:
-        """By how much every cause moves the simulated voltage [V], shape (rows, causes)."""
-        moved = np.zeros((self.evidence.rows, len(causes)))
-        for k, cause in enumerate(causes):
+    def effects_V(self, found: Fit, causes: Iterable[Cause]) -> FloatArray:
+        """By how much every cause of the cell moves the simulated voltage [V], (rows, causes).
+
+        What is wrong with a log, an offset or where it starts, has exactly the shape it has.
+        """
+        moved = []
+        for cause in causes:
+            if cause.kind != "cell":
+                continue
             names = kept_coordinates((cause,))
-            if cause.kind == "start":
-                names |= set(self.evidence.starts())
             neutral = {n: self.prior.mean.get(n, 0.0) for n in names if n in found.z}
             voltage, _ = self.evidence.simulate(found.coordinates, found.z | neutral)
-            moved[:, k] = np.nan_to_num(found.voltage_V - voltage)
-        return moved
+            moved.append(np.nan_to_num(found.voltage_V - voltage))
+        return np.column_stack(moved) if moved else np.zeros((self.evidence.rows, 0))
 
     def at_rest(self, found: Fit) -> float:
         """Ln likelihood of what voltage and current sensor read at rest."""

@@ -118,12 +118,12 @@ def predict(
     scalable = np.array([n not in kept and ":" not in n for n in names])
     precision = prior.precision()
     weights = [precision * np.outer(w, w) for w in (np.where(scalable, 1 / s, 1) for s in SHARES)]
-    shapes = SHAPE_SHARES if wrong.shape[1] else SHAPE_SHARES[:1]  # none: nothing depends on it
+    shapes = SHAPE_SHARES if wrong.shape[1] else {1.0: 1.0}  # none: nothing depends on it
     totals: list[float] = []
     best = -math.inf, 1.0, jacobian[:, 0]
-    for times, share in product(_times(known, scale), shapes):
+    for times, (share, odds) in product(_times(known, scale), shapes.items()):
         plain, normal, gradient, inner = rows.at(times, share)
-        plain += known.ln_density(times * scale)
+        plain += known.ln_density(times * scale) + math.log(odds)
         for weight in weights:
             value, step = _density(plain, normal, gradient, weight, away, inside)
             totals.append(value)
@@ -131,7 +131,7 @@ def predict(
                 sizes = rows.turned @ (inner * (rows.pull - rows.cross.T @ step))
                 best = value, times, jacobian @ step + wrong @ sizes
     every = float(np.logaddexp.reduce(totals))
-    total = every + math.log(SCALE_STEP / (len(SHARES) * len(shapes)))
+    total = every + math.log(SCALE_STEP / len(SHARES))
     return Prediction(total, objective.times(best[1]).terms(residual - best[2]))
 
 
