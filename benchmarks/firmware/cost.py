@@ -163,10 +163,6 @@ def host_figures(say: Progress) -> list[Figure]:
 
 
 def _host(tables: FixedStepTables) -> Stepper:
-    from cellwise.export.host_library import HostLibrary
+    from cellwise.export.firmware import host_stepper
 
-    library = HostLibrary(tables)
-    return Stepper(
-        tables, library.init, library.rows, library.power, library.remaining,
-        library.set_health, library.pack(),
-    )  # fmt: skip
+    return host_stepper(tables)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellwise.estimate.fixed.fixed_step import Stepper, numba_stepper, start_state
+from cellwise.estimate.fixed.fixed_step import numba_stepper, start_state
 from cellwise.estimate.fixed.layout import INPUT
-from cellwise.export.host_library import HostLibrary
+from cellwise.export.firmware import host_stepper
 from firmware_cases import tables_of
 
 CASES = ("lean", "offset", "full")
@@ -27,18 +27,9 @@ def samples(first, count):
 def compiled_c(tables):
     """The C of this machine's compiler; None without one."""
     try:
-        library = HostLibrary(tables)
+        return host_stepper(tables)
     except Exception:
         return None
-    return Stepper(
-        tables,
-        library.init,
-        library.rows,
-        library.power,
-        library.remaining,
-        library.set_health,
-        library.pack(),
-    )
 
 
 def flipped(state):
