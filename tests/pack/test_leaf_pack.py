@@ -23,9 +23,9 @@ REST_A = 2.0  # what the car takes while it stands
 
 @pytest.fixture(scope="module")
 def months(real_data):
-    """Logs of May, June and July 2017."""
+    """Logs of May to November 2017."""
     found = {}
-    for month in ("05", "06", "07"):
+    for month in ("05", "06", "07", "08", "09", "10", "11"):
         paths = sorted((real_data / "leaf_pack").glob(f"leaf_2017{month}*.parquet"))
         found[month] = [read_pack(path) for path in paths]
     return found
@@ -84,8 +84,12 @@ def test_a_fault_put_into_july_is_named(months, before, kind):
 @pytest.fixture(scope="module")
 def weeks(months):
     """Logs of three months, those of even weeks and those of odd ones."""
+    return by_week([*months["05"], *months["06"], *months["07"]])
+
+
+def by_week(logs):
     parts = [[], []]
-    for log in (*months["05"], *months["06"], *months["07"]):
+    for log in logs:
         day = log.name[-8:]
         number = int(np.datetime64(f"{day[:4]}-{day[4:6]}-{day[6:]}").astype(int) // 7)
         parts[number % 2].append(log)
@@ -107,11 +111,33 @@ def test_resistances_keep_their_order_between_weeks(even, odd):
     assert order >= 0.95
 
 
-def test_rest_voltages_keep_their_order_between_weeks(weeks, even, odd):
+def order_of_rests(even, odd):
     """At the SOC at which the car rests, as the estimates of either weeks have them."""
     resting = [day.mean.soc[np.abs(day.log.mean.current_A) < REST_A] for day in even.days]
     soc = float(np.nanmedian(np.concatenate(resting)))
-    assert spearmanr(rest_difference_V(odd, soc), rest_difference_V(even, soc)).statistic >= 0.9
+    return spearmanr(rest_difference_V(odd, soc), rest_difference_V(even, soc)).statistic
+
+
+def test_rest_voltages_keep_their_order_between_weeks(even, odd):
+    assert order_of_rests(even, odd) >= 0.9
+
+
+@pytest.fixture(scope="module")
+def autumn(months):
+    """Estimates of even and of odd weeks from August to November."""
+    logs = [log for month in ("08", "09", "10", "11") for log in months[month]]
+    return [estimate_pack(MODEL, part) for part in by_week(logs)]
+
+
+@pytest.mark.xfail(strict=True, reason="0.91: the last period of either weeks is a short one")
+def test_resistances_keep_their_order_in_autumn(autumn):
+    even, odd = autumn
+    assert spearmanr(even.cells.resistance_scale, odd.cells.resistance_scale).statistic >= 0.95
+
+
+@pytest.mark.xfail(strict=True, reason="0.15: cells are balanced by 0.3 % of SOC between logs")
+def test_rest_voltages_keep_their_order_in_autumn(autumn):
+    assert order_of_rests(*autumn) >= 0.9
 
 
 def test_resistances_keep_their_order_under_polling(weeks, even):

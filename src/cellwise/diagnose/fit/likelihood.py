@@ -2,7 +2,7 @@
 
 What was fitted is uncertain, not known: so rows are averaged over what they leave open of every
 coordinate (to second order), instead of taking the most likely point for the truth. Three things
-more are not known and averaged over, each value as likely as the next:
+more are not known and averaged over:
 
 how good the laboratory was: a cause under which everything else falls into place speaks for a
 better laboratory than one that needs a little help everywhere, so the tolerances are tried at
