@@ -10,6 +10,7 @@ from cellwise.estimate.noise import NoiseScalars
 
 MEMORY_START_S = 10.0
 MEMORY_GROWTH = 2.0
+CONTRADICTED_S = 600.0  # a change of load is over, a drift of the counted charge has hardly begun
 
 
 @inline
@@ -103,3 +104,32 @@ def persistent_step(
     scale = noise.ocv_soc * point.ocv_slope_V
     error = noise.persistent * math.sqrt((slow * slow + scale * scale) * max(mismatch, 1.0))
     return persistent + gain * (error - slope_V * persistent)
+
+
+@inline
+def contradicted_step(
+    noise: NoiseScalars,
+    contradicted: float,
+    innovation_V: float,
+    slope_V: float,
+    one: float,
+    since_s: float,
+    dt_s: float,
+) -> float:
+    """Running mean of the SOC that the voltages say is missing, as far as the count may be off.
+
+    A known start and a small P leave a voltage little weight, and rightly so while the current is
+    right: what innovations show is the model's error then. They show the same where the counted
+    charge drifts. Were the current off by ``offset_C``, the count would be off by q after
+    ``since_s``, and of an innovation q^2 slope^2 of q^2 slope^2 + ``one`` would be the count's.
+    """
+    drift = noise.offset_soc_per_s * max(since_s, 0.0)
+    swing = drift * drift * slope_V
+    missing = swing * innovation_V / (swing * slope_V + one)
+    return contradicted + min(dt_s * (1.0 / CONTRADICTED_S), 1.0) * (missing - contradicted)
+
+
+@inline
+def stated_deviation(soc_variance: float, persistent: float, contradicted: float) -> float:
+    """Standard deviation of the SOC: P's, a persistent error's, and what voltages contradict."""
+    return math.sqrt(soc_variance + (persistent * persistent + contradicted * contradicted))

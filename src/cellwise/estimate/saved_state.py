@@ -19,9 +19,14 @@ from cellwise.files import write_atomically
 SCHEMA_VERSION = 2
 INFINITE = {"inf": math.inf, "-inf": -math.inf}
 # What a file of this version calls them.
-COUNTS = {"rejections": "rejections", "mismatch": "mismatch", "lasting": "persistent"}
+COUNTS = {
+    "rejections": "rejections",
+    "mismatch": "mismatch",
+    "lasting": "persistent",
+    "contradicted": "contradicted",
+}
 # Not in files of versions before it was carried; a cell at rest has none.
-NEWER = {"slow_A": 0.0}
+NEWER = {"slow_A": 0.0, "contradicted": 0.0}
 NEWER_WATCH = {"no_warm_s": -1.0, "room_up": 0.0, "room_down": 0.0, "fresh": 0.0}
 MAY_BE_MISSING = {"temperature_C", "voltage_V", "current_A"}  # not measured yet
 

@@ -24,7 +24,7 @@ PAST = ("mean_A", "miss_V", "first_soc", "first_variance")
 GROUPS = (
     ("cell", "CellState", (*(s.name for s in CELL), "heat_K", "slow_A")),
     ("p", "Covariance", tuple(entry(a, b) for a, b in triangle(CELL))),
-    ("", "", ("rejections", "mismatch", "persistent")),
+    ("", "", ("rejections", "mismatch", "persistent", "contradicted")),
     ("watch", "Watch", WATCH),
     ("past", "Past", PAST),
 )

@@ -13,7 +13,6 @@ gate and NIS look at the plain variance of one sample.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 from cellwise.cell.compiled import inline, kernel, rows
@@ -27,7 +26,12 @@ from cellwise.cell.equations import (
     with_soc,
 )
 from cellwise.cell.point_kernels import CellPoint
-from cellwise.estimate.evidence_kernels import persistent_step, voltage_variance
+from cellwise.estimate.evidence_kernels import (
+    contradicted_step,
+    persistent_step,
+    stated_deviation,
+    voltage_variance,
+)
 from cellwise.estimate.filters.covariance_kernels import (
     Column,
     Covariance,
@@ -82,6 +86,13 @@ from cellwise.estimate.recovery_kernels import Contradiction, Variances, recover
 from cellwise.estimate.sensing_kernels import Reading, Sample, read_sample
 from cellwise.estimate.slopes_kernels import WIDE_VARIANCE, Slopes, bends, landing_slope, slopes_at
 from cellwise.estimate.status import CLAMPED
+
+
+class Beside(NamedTuple):
+    """What is stated of the SOC's error beside P: see the fields of :class:`EkfState`."""
+
+    persistent: float
+    contradicted: float
 
 
 class Predicted(NamedTuple):
@@ -190,8 +201,9 @@ def update(
     now: Predicted,
     d: Column,
     v: Verdict,
-) -> tuple[CellState, Covariance, float]:
-    """State, covariance and persistent error after an accepted voltage."""
+    one: float,
+) -> tuple[CellState, Covariance, Beside]:
+    """State, covariance, and what is stated beside it, after an accepted voltage."""
     k = scaled(d, v.inverse)
     x = moved(now.x, k, v.innovation_V)
     p = now.p
@@ -213,10 +225,31 @@ def update(
             p = rejudged(p, k, c, e)
     if gained:
         p = corrected(p, k, d)
-    persistent = persistent_step(
-        noise, now.point, v.mismatch, v.returns * k.s, now.at.slope_V, now.state.persistent
+    beside = beside_step(noise, now.point, s, v, now.state, now.at.slope_V, k.s, one)
+    return x, p, beside
+
+
+@inline
+def beside_step(
+    noise: NoiseScalars,
+    point: CellPoint,
+    s: Sample,
+    v: Verdict,
+    old: EkfState,
+    slope_V: float,
+    gain: float,
+    one: float,
+) -> Beside:
+    """What is stated beside P, after an accepted voltage that moved the SOC with a ``gain``."""
+    since = old.watch.evidence_s
+    # fmt: off
+    return Beside(
+        persistent_step(noise, point, v.mismatch, v.returns * gain, slope_V, old.persistent),
+        contradicted_step(
+            noise, old.contradicted, v.innovation_V, slope_V, one, since, s.dt_s
+        ),
     )
-    return x, p, persistent
+    # fmt: on
 
 
 @inline
@@ -230,8 +263,8 @@ def look_again(
     v: Verdict,
     x: CellState,
     p: Covariance,
-    persistent: float,
-) -> tuple[CellState, Covariance, float, Past]:
+    beside: Beside,
+) -> tuple[CellState, Covariance, Beside, Past]:
     """What becomes of a start under load ``before_s`` after its first voltage, an interval ago."""
     if past.first_variance > 0.0:
         since = v.watch.evidence_s
@@ -240,17 +273,17 @@ def look_again(
             past = no_past()
         if past.first_variance > 0.0 and looks_now(before_s, since):
             x, p = looked_again(tables, noise, past, warm_C, x, p, since)
-            persistent = 0.0
+            beside = Beside(0.0, 0.0)
             if looked_for_long(since):
                 past = no_past()
-    return x, p, persistent, past
+    return x, p, beside, past
 
 
 @inline
 def finish(
     x: CellState,
     p: Covariance,
-    persistent: float,
+    beside: Beside,
     past: Past,
     i: Innovation,
     v: Verdict,
@@ -261,8 +294,13 @@ def finish(
     if soc < SOC_LOW or soc > SOC_HIGH:
         soc = min(max(soc, SOC_LOW), SOC_HIGH)
         status |= CLAMPED
-    state = EkfState(with_soc(x, soc), p, v.rejections, v.mismatch, persistent, v.watch, past)
-    std = math.sqrt(p.ss + persistent * persistent)
+    # fmt: off
+    state = EkfState(
+        with_soc(x, soc), p, v.rejections, v.mismatch, beside.persistent, beside.contradicted,
+        v.watch, past,
+    )
+    # fmt: on
+    std = stated_deviation(p.ss, beside.persistent, beside.contradicted)
     info = EkfInfo(soc, std, i.predicted_V, v.innovation_V, v.variance, v.ratio, status)
     return state, info
 
@@ -282,18 +320,18 @@ def ekf_step_inline(
         tables.cell, noise, old.watch, s, now.evidence_s, old.rejections, old.mismatch, i
     )
     # fmt: on
-    x, p, persistent = now.x, now.p, old.persistent
+    x, p, beside = now.x, now.p, Beside(old.persistent, old.contradicted)
     if v.recover:
         x, p = recover(tables, s, x, p, i, now.warm_C, now.evidence_s >= 0.0)
-        persistent = 0.0
+        beside = Beside(0.0, 0.0)
     elif v.accepted:
-        x, p, persistent = update(tables, noise, s, now, d, v)
+        x, p, beside = update(tables, noise, s, now, d, v, i.one)
     # fmt: off
-    x, p, persistent, past = look_again(
-        tables, noise, s, now.warm_C, now.evidence_s, now.past, v, x, p, persistent
+    x, p, beside, past = look_again(
+        tables, noise, s, now.warm_C, now.evidence_s, now.past, v, x, p, beside
     )
     # fmt: on
-    return finish(x, p, persistent, past, i, v, s.status | now.status | v.status)
+    return finish(x, p, beside, past, i, v, s.status | now.status | v.status)
 
 
 @kernel

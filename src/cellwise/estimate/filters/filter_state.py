@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 from cellwise.cell.compiled import kernel
 from cellwise.cell.equations import CellState, at_rest
+from cellwise.estimate.evidence_kernels import stated_deviation
 from cellwise.estimate.filters.covariance_kernels import Covariance, uncorrelated
 from cellwise.estimate.filters.past_kernels import Past, no_past
 from cellwise.estimate.sensing_kernels import Watch, first_watch
@@ -28,7 +28,8 @@ class EkfState(NamedTuple):
     ``rejections`` counts voltages rejected in a row, those under load less; ``mismatch`` is the
     running mean of the squared innovations over the variance that the model alone explains;
     ``persistent`` is what a persistent error of the model may have brought into the SOC, one
-    standard deviation; ``past`` what a start under load is looked at again with.
+    standard deviation; ``contradicted`` the SOC that the voltages have lately said is missing;
+    ``past`` what a start under load is looked at again with.
     """
 
     cell: CellState
@@ -36,6 +37,7 @@ class EkfState(NamedTuple):
     rejections: float
     mismatch: float
     persistent: float
+    contradicted: float
     watch: Watch
     past: Past
 
@@ -52,7 +54,7 @@ class EkfState(NamedTuple):
     @property
     def soc_std(self) -> float:
         """Standard deviation of the state of charge."""
-        return math.sqrt(self.p.ss + self.persistent * self.persistent)
+        return stated_deviation(self.p.ss, self.persistent, self.contradicted)
 
 
 class EkfInfo(NamedTuple):
@@ -99,4 +101,4 @@ def ekf_start(start: EkfStart, current_A: float) -> EkfState:
     """A cell known as ``start`` says; its branches are guessed at the first sample."""
     h = 1.0 if start.soc > 0.5 else -1.0
     p = uncorrelated(start.variance, 0.0, 0.0, 0.0, start.hysteresis_variance)
-    return EkfState(at_rest(start.soc, h), p, 0.0, 1.0, 0.0, first_watch(current_A), no_past())
+    return EkfState(at_rest(start.soc, h), p, 0.0, 1.0, 0.0, 0.0, first_watch(current_A), no_past())

@@ -26,7 +26,7 @@ from cellwise.cell.equations import (
     with_heat,
 )
 from cellwise.cell.point_kernels import CellPoint
-from cellwise.estimate.evidence_kernels import persistent_step, voltage_variance
+from cellwise.estimate.evidence_kernels import voltage_variance
 from cellwise.estimate.filters.covariance_kernels import (
     VARIANCE_FLOOR,
     Column,
@@ -42,6 +42,8 @@ from cellwise.estimate.filters.covariance_kernels import (
     without_outer,
 )
 from cellwise.estimate.filters.ekf_kernels import (
+    Beside,
+    beside_step,
     finish,
     look_again,
     moved,
@@ -248,23 +250,21 @@ def ukf_step_inline(
         tables.cell, noise, old.watch, s, begun.evidence_s, old.rejections, old.mismatch, i
     )
     # fmt: on
-    persistent = old.persistent
+    beside = Beside(old.persistent, old.contradicted)
     if v.recover:
         x, p = recover(tables, s, x, p, i, warm, begun.evidence_s >= 0.0)
-        persistent = 0.0
+        beside = Beside(0.0, 0.0)
     elif v.accepted:
         k = scaled(d, v.inverse)
         x = moved(x, k, v.innovation_V)
         p = corrected(p, k, d)
-        persistent = persistent_step(
-            noise, point, v.mismatch, v.returns * k.s, seen.slope_V, persistent
-        )
+        beside = beside_step(noise, point, s, v, old, seen.slope_V, k.s, one)
     # fmt: off
-    x, p, persistent, past = look_again(
-        tables, noise, s, warm, begun.evidence_s, begun.past, v, x, p, persistent
+    x, p, beside, past = look_again(
+        tables, noise, s, warm, begun.evidence_s, begun.past, v, x, p, beside
     )
     # fmt: on
-    return finish(x, p, persistent, past, i, v, s.status | begun.status | v.status)
+    return finish(x, p, beside, past, i, v, s.status | begun.status | v.status)
 
 
 @kernel

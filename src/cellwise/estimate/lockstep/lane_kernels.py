@@ -41,6 +41,7 @@ LANES = 16  # fewer than sixteen turns are not worth a vector to the compiler
     REJECTIONS,
     MISMATCH,
     PERSISTENT,
+    CONTRADICTED,
     LAST_A,
     LAST_C,
     EVIDENCE,
@@ -59,8 +60,8 @@ LANES = 16  # fewer than sixteen turns are not worth a vector to the compiler
     FIRST_VARIANCE,
     FACTOR,
     FACTOR_C,
-) = range(43)
-FIELDS = 43
+) = range(44)
+FIELDS = 44
 
 
 @inline
@@ -96,6 +97,7 @@ def get_state(block: FloatArray, lane: int) -> EkfState:
         block[REJECTIONS * LANES + lane],
         block[MISMATCH * LANES + lane],
         block[PERSISTENT * LANES + lane],
+        block[CONTRADICTED * LANES + lane],
         Watch(
             block[LAST_A * LANES + lane],
             block[LAST_C * LANES + lane],
@@ -147,6 +149,7 @@ def put_state(block: FloatArray, lane: int, state: EkfState) -> None:
     block[REJECTIONS * LANES + lane] = state.rejections
     block[MISMATCH * LANES + lane] = state.mismatch
     block[PERSISTENT * LANES + lane] = state.persistent
+    block[CONTRADICTED * LANES + lane] = state.contradicted
     block[LAST_A * LANES + lane] = state.watch.current_A
     block[LAST_C * LANES + lane] = state.watch.temperature_C
     block[EVIDENCE * LANES + lane] = state.watch.evidence_s
@@ -198,6 +201,7 @@ def choose(which: bool, yes: EkfState, no: EkfState) -> EkfState:
         yes.rejections if which else no.rejections,
         yes.mismatch if which else no.mismatch,
         yes.persistent if which else no.persistent,
+        yes.contradicted if which else no.contradicted,
         Watch(
             yes.watch.current_A if which else no.watch.current_A,
             yes.watch.temperature_C if which else no.watch.temperature_C,

@@ -8,7 +8,6 @@ over SOC, and without a branch. Every other cell takes the EKF's own step.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -27,10 +26,12 @@ from cellwise.cell.equations import (
 )
 from cellwise.cell.point_kernels import R3, CellPoint, CellScalars, M
 from cellwise.estimate.evidence_kernels import (
+    contradicted_step,
     mismatch_step,
     model_memory,
     persistent_step,
     share_at,
+    stated_deviation,
     voltage_variance,
 )
 from cellwise.estimate.filters.covariance_kernels import (
@@ -217,8 +218,16 @@ def plain_step(
     soc = end.soc if end.soc < SOC_HIGH else SOC_HIGH
     soc = soc if soc > SOC_LOW else SOC_LOW
     p = corrected(p, k, d)
-    state = EkfState(with_soc(end, soc), p, rejections, mismatch, persistent, watch, old.past)
-    std = math.sqrt(p.ss + persistent * persistent)
+    slope = point.ocv_slope_V
+    contradicted = contradicted_step(
+        noise, old.contradicted, innovation, slope, one, w.evidence_s, dt_s
+    )
+    # fmt: off
+    state = EkfState(
+        with_soc(end, soc), p, rejections, mismatch, persistent, contradicted, watch, old.past
+    )
+    # fmt: on
+    std = stated_deviation(p.ss, persistent, contradicted)
     info = EkfInfo(soc, std, predicted, innovation, variance, ratio, 0)
     return state, info, (ratio <= 1.0) & (not frozen)
 
