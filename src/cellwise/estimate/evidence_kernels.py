@@ -120,7 +120,7 @@ def contradicted_step(
 
     A known start and a small P leave a voltage little weight, and rightly so while the current is
     right: what innovations show is the model's error then. They show the same where the counted
-    charge drifts. Were the current off by ``offset_C``, the count would be off by q after
+    charge drifts. Were the current off by ``offset_share``, the count would be off by q after
     ``since_s``, and of an innovation q^2 slope^2 of q^2 slope^2 + ``one`` would be the count's.
     """
     drift = noise.offset_soc_per_s * max(since_s, 0.0)

@@ -75,7 +75,7 @@ class Noise:
                               current exceeds this
     lasting_share : float     share of the slow error's variance that comes back at the same SOC for
                               good: it widens the SOC's stated deviation, never the gain
-    offset_C : float          how far off the current may be for hours, as a share of 1C: what the
+    offset_share : float      how far off the current may be for hours, as a share of 1C: what the
                               voltage says against the counted charge is within the stated deviation
     current_limit_A, voltage_low_V, voltage_high_V : float
                               readings beyond are the sensor's fault and count as missing
@@ -96,7 +96,7 @@ class Noise:
     hold_s: float = 10.0
     frozen_V: float = 0.02
     lasting_share: float = 1.0
-    offset_C: float = 0.03
+    offset_share: float = 0.03
     current_limit_A: float = 1e6
     voltage_low_V: float = -1e6
     voltage_high_V: float = 1e6
@@ -159,7 +159,7 @@ class Noise:
             per_slow_soc=1.0 / self.slow_soc if self.slow_soc > 0.0 else 0.0,
             per_slow_s=1.0 / self.slow_s if self.slow_s > 0.0 else 0.0,
             per_gate2=1.0 / (self.gate * self.gate),
-            offset_soc_per_s=float(self.offset_C) / 3600.0,
+            offset_soc_per_s=float(self.offset_share) / 3600.0,
             valid=EVERYWHERE if model is None else validity_scalars(model),
         )
 

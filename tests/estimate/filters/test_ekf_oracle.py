@@ -188,7 +188,7 @@ def test_mean_and_covariance_are_those_of_the_matrix_form(seed, slow_s, mismatch
     model = random_model(rng, temperatures=1 + seed % 3, effects=seed != 5)
     noise = Noise(
         current_A=0.02, slow_s=slow_s, gate=OPEN_GATE, mismatch_cap=mismatch_cap, gap_soc=0.002,
-        lasting_share=0.0,
+        lasting_share=0.0, offset_share=0.0,
     )  # fmt: skip
     log = difficult_log(rng, model)
     ekf = Ekf(model, noise)
@@ -212,7 +212,12 @@ def test_the_filterpy_estimator_is_the_same_filter(seed):
     rng = np.random.default_rng(10 + seed)
     model = random_model(rng, temperatures=1 + seed)
     noise = Noise(
-        current_A=0.02, gate=OPEN_GATE, mismatch_cap=0.0, gap_soc=0.002, lasting_share=0.0
+        current_A=0.02,
+        gate=OPEN_GATE,
+        mismatch_cap=0.0,
+        gap_soc=0.002,
+        lasting_share=0.0,
+        offset_share=0.0,
     )
     log = difficult_log(rng, model)
     ours, theirs = (f.run(log, 0.5, 0.015) for f in (Ekf(model, noise), FilterpyEkf(model, noise)))

@@ -110,6 +110,22 @@ def test_an_offset_of_3_per_cent_of_1c_is_not_counted_by_the_adaptive_filter(nca
     assert ours < 0.5 * counted
 
 
+@pytest.mark.parametrize("name", ["ekf", "ukf"])
+@pytest.mark.parametrize(
+    "tag", missed(CHAMBER_C, n10="88 % (EKF), 89 % (UKF)", n20="88 % (both) of the rows")
+)
+def test_from_a_known_start_the_band_holds_an_offset_of_3_per_cent_of_1c(nca, tag, name):
+    """A start that is known and a current that is wrong: the voltages contradict the count."""
+    model, drives = nca
+    inside = []
+    for log in drives[tag]:
+        for offset_A in (0.03 * 2.9, -0.03 * 2.9):
+            off = replace(log, current_A=log.current_A + offset_A)
+            trace = make_estimator(name, model).run(off, 1.0, KNOWN_STD)
+            inside.append(np.mean(np.abs(trace.soc - truth_of(log)) < 2.0 * trace.soc_std))
+    assert np.mean(inside) > 0.93
+
+
 def cut(log, at_soc):
     """The log from where it has discharged to a SOC, at its next row above 1 A; its first row."""
     begin = int(np.argmax(truth_of(log) < at_soc))

@@ -1,0 +1,87 @@
+"""A counted charge that the voltages contradict: the deviation says so, the estimate stays."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cellwise.cell.model import ModelError
+from cellwise.cell.simulate import simulate
+from cellwise.errors import InputError
+from cellwise.estimate.filters.ekf import Ekf
+from cellwise.estimate.filters.ukf import Ukf
+from cellwise.estimate.noise import Noise
+from cellwise.logs.cell_log import CellLog
+from example_cells import curved_cell
+
+MODEL = replace(curved_cell(), error=ModelError(white_V=0.001, slow_V=(0.012,)))
+OFFSETS_C = (-0.05, -0.03, -0.01, 0.01, 0.03, 0.05)
+FILTERS = (Ekf, Ukf)
+
+
+def driven(seed=0, rows=2700, dt=2.0):
+    """A drive from 90 to 30 %, the model's own voltage, and its SOC."""
+    rng = np.random.default_rng(seed)
+    current = np.repeat(rng.normal(0.4, 0.8, rows // 10 + 1), 10)[:rows] * MODEL.capacity_Ah
+    current *= 0.6 * 3600 * MODEL.capacity_Ah / (np.sum(current) * dt)
+    current[0] = 0.0
+    log = CellLog(dt * np.arange(rows), current, np.full(rows, 3.7))
+    run = simulate(MODEL, log, 0.9)
+    return replace(log, voltage_V=run.voltage_V), run.soc
+
+
+def inside(filter_, noise, offsets_C):
+    """Share of rows within two stated deviations, over offsets of the current sensor."""
+    log, truth = driven()
+    shares = []
+    for offset_share in offsets_C:
+        off = replace(log, current_A=log.current_A + offset_share * MODEL.capacity_Ah)
+        trace = filter_(MODEL, noise).run(off, 0.9, 0.005)
+        shares.append(np.mean(np.abs(trace.soc - truth) <= 2.0 * trace.soc_std))
+    return np.array(shares)
+
+
+@pytest.mark.parametrize("filter_", FILTERS)
+def test_from_a_known_start_the_band_holds_the_drift_of_a_sensor(filter_):
+    told = Noise.of_model(MODEL)
+    assert np.mean(inside(filter_, told, OFFSETS_C)) > 0.95
+    assert np.mean(inside(filter_, replace(told, offset_share=0.0), OFFSETS_C)) < 0.75
+
+
+@pytest.mark.parametrize("filter_", FILTERS)
+def test_the_estimate_itself_is_the_same(filter_):
+    log, _ = driven()
+    log = replace(log, current_A=log.current_A + 0.1)
+    told = Noise.of_model(MODEL)
+    with_, without = (filter_(MODEL, replace(told, offset_share=c)).run(log, 0.9, 0.005)
+                      for c in (0.03, 0.0))  # fmt: skip
+    np.testing.assert_array_equal(with_.soc, without.soc)
+    np.testing.assert_array_equal(with_.innovation_variance_V2, without.innovation_variance_V2)
+    assert np.all(with_.soc_std >= without.soc_std)
+    assert with_.soc_std[-1] > 1.5 * without.soc_std[-1]
+
+
+@pytest.mark.parametrize("filter_", FILTERS)
+def test_nothing_contradicted_nothing_stated(filter_):
+    log, _ = driven()
+    told = Noise.of_model(MODEL)
+    with_, without = (filter_(MODEL, replace(told, offset_share=c)).run(log, 0.9, 0.005)
+                      for c in (0.03, 0.0))  # fmt: skip
+    np.testing.assert_allclose(with_.soc_std, without.soc_std, rtol=0.02)
+
+
+@pytest.mark.parametrize("filter_", FILTERS)
+def test_on_a_plateau_a_voltage_contradicts_little(filter_):
+    """An error that the model states is no drift where millivolts are many points of SOC."""
+    flat = replace(MODEL, ocv_V=3.3 + 0.05 * MODEL.soc)
+    log, _ = driven()
+    log = replace(log, voltage_V=simulate(flat, log, 0.9).voltage_V + 0.012)
+    trace = filter_(flat, Noise.of_model(flat)).run(log, 0.9, 0.005)
+    assert trace.soc_std[-1] < 0.02  # 12 mV are 24 points of SOC there
+
+
+def test_an_offset_is_not_negative():
+    with pytest.raises(InputError, match="offset_share"):
+        Noise(offset_share=-0.01)
