@@ -54,6 +54,15 @@ def test_duration(seconds, said):
     assert plain(n.duration(seconds)) == said
 
 
+@pytest.mark.parametrize(
+    ("ends", "said"),
+    [((206.0, 468.0), "3.4 to 7.8 min"), ((15_792.0, 22_500.0), "4.4 to 6.2 h"),
+     ((0.0, 100.0), "0 to 100 s"), ((5.0, float("nan")), "5 s to –")],
+)  # fmt: skip
+def test_a_range_of_times_has_one_unit(ends, said):
+    assert plain(n.duration_range(*ends)) == said
+
+
 def test_units_suit_the_size():
     assert n.ohm_unit(5e-5) == (1e6, "µΩ")
     assert n.ohm_unit(0.02) == (1e3, "mΩ")

@@ -71,6 +71,15 @@ def duration(seconds: float | None) -> str:
     return f"{significant(seconds / 3600.0, 2 if seconds < 36e4 else 3)}{SPACE}h"
 
 
+def duration_range(low_s: float, high_s: float) -> str:
+    """Two times in the unit that fits the longer one: ``3.4 to 7.8 min``."""
+    if not (math.isfinite(low_s) and math.isfinite(high_s)):
+        return f"{duration(low_s)} to {duration(high_s)}"
+    scale, unit = time_unit(high_s)
+    low, high = (significant(x / scale, 2 if x < 100.0 * scale else 3) for x in (low_s, high_s))
+    return f"{low} to {high}{SPACE}{unit}"
+
+
 def celsius(temperature_C: float) -> str:
     """A temperature as ``−10 °C``."""
     return _minus(f"{temperature_C:g}{SPACE}°C")

@@ -9,7 +9,14 @@ import numpy as np
 
 from cellwise.forecast.remaining import Flight, Forecast
 from cellwise.report.page.markup import Markup, paragraph, table
-from cellwise.report.page.numerals import duration, percent, points, significant, time_unit
+from cellwise.report.page.numerals import (
+    duration,
+    duration_range,
+    percent,
+    points,
+    significant,
+    time_unit,
+)
 from cellwise.report.page.picture import Picture, safe_key
 from cellwise.report.page.section import Section
 from cellwise.report.page.style import FILTER, finding, labels, legend, new_figure, styled
@@ -22,8 +29,9 @@ IDLE = 4.0  # times the median; longer times are left out of the picture
 CAPTION = (
     "At every moment: how long each cell would last, and what energy it would still give, if the "
     "mean load of the last minute went on, with the band that two standard deviations of the state "
-    "of charge leave. A load that changes moves the curves; a converging filter narrows the band. "
-    "What is more than four times the median is cut off."
+    "of charge, the capacity, the model's voltage and the cell's warming leave. A load that "
+    "changes moves the curves; a converging filter narrows the band. What is more than four times "
+    "the median is cut off."
 )
 EXPLAINED = (
     "From the filter's state of charge and the relaxation that the log's own current left, the "
@@ -38,10 +46,10 @@ def flight_finding(flight: Flight) -> str:
     usual = flight.typical
     if usual is not None and now.load_A < STANDING * usual.last.load_A:
         now, load = usual.last, f"the usual load of {significant(usual.last.load_A)} A"
-    low, high = (duration(x) for x in now.remaining_s_band)
     return (
         f"At {duration(now.time_s)} the cells are at {percent(now.soc, 0)}: "
-        f"{duration(now.remaining_s)} remaining at {load} ({low} to {high})."
+        f"{duration(now.remaining_s)} remaining at {load} "
+        f"({duration_range(*now.remaining_s_band)})."
     )
 
 
@@ -76,12 +84,11 @@ def flight_content(flights: Sequence[Flight]) -> Markup:
 
 
 def _figures(now: Forecast) -> tuple[str, ...]:
-    low, high = (duration(x) for x in now.remaining_s_band)
     least, most = (significant(x) for x in now.remaining_Wh_band)
     return (
         f"{significant(now.load_A)} A, {significant(now.load_W)} W",
         f"{points(now.soc)} ± {percent(now.soc_std, 1)}",
-        f"{duration(now.remaining_s)} ({low} to {high})",
+        f"{duration(now.remaining_s)} ({duration_range(*now.remaining_s_band)})",
         f"{significant(now.remaining_Wh)} Wh ({least} to {most})",
         f"{now.end_voltage_V:.3f} V",
         percent(now.end_soc, 1),
@@ -104,7 +111,7 @@ def draw_flight(flight: Flight) -> Figure:
         known = np.isfinite(band).all(axis=1)
         axes.fill_between(
             t[known], band[known, 0], band[known, 1], color=FILTER, alpha=0.25, linewidth=0,
-            label="2 standard deviations of SOC",
+            label="2 standard deviations",
         )  # fmt: skip
         axes.plot(t[known], values[known], color=FILTER, label="at the load of the last minute")
         labels(axes, f"time [{unit}]" if axes is below else "", name)
