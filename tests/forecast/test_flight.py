@@ -13,7 +13,7 @@ from cellwise.cell.plausibility.validity import Validity
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.estimate.replay import replay
-from cellwise.forecast.remaining import forecast
+from cellwise.forecast.remaining import forecast, forecast_at
 from example_cells import curved_cell, lfp_cell, linear_cell
 
 
@@ -210,3 +210,33 @@ def test_beyond_the_data_s_soc_the_band_is_wider_and_the_forecast_says_so():
     assert not bands[1][0] < left_s < bands[1][1]
     assert "the model's data end at SOC 0.60" in notices[0][0]
     assert notices[1] == ()
+
+
+@pytest.mark.parametrize(("hold", "unit"), [("power", "W"), ("current", "A")])
+def test_a_given_load_that_is_the_present_one_leaves_the_same(hold, unit):
+    model = curved_cell()
+    log, truth = discharge(model, np.full(600, 3.0), 0.9)
+    known = known_replay(log, truth.soc)
+    present = forecast(model, known, cutoff_V=CUTOFF_V, hold=hold).last
+    load = 3.0 * float(log.voltage_V[-1]) if unit == "W" else 3.0
+    given = forecast_at(model, known, load, cutoff_V=CUTOFF_V, hold=hold)
+    assert given.time_s == log.time_s[-1]
+    assert given.load_A == pytest.approx(3.0, rel=0.002)
+    assert given.remaining_s == pytest.approx(present.remaining_s, rel=0.002)
+    assert given.remaining_Wh == pytest.approx(present.remaining_Wh, rel=0.002)
+    assert given.remaining_s_band == pytest.approx(present.remaining_s_band, rel=0.005)
+
+
+def test_a_given_load_needs_none_in_the_log_and_may_be_too_much():
+    model = curved_cell()
+    log, truth = discharge(model, np.zeros(60), 0.5)
+    known = known_replay(log, truth.soc)
+    assert forecast(model, known, cutoff_V=CUTOFF_V) is None
+    half, double = (forecast_at(model, known, w, cutoff_V=CUTOFF_V) for w in (5.0, 10.0))
+    assert 0.0 < double.remaining_s < 0.5 * half.remaining_s
+    at_once = forecast_at(model, known, 1e5, cutoff_V=CUTOFF_V)
+    assert at_once.remaining_s == 0.0
+    assert at_once.by == "voltage"
+    for wrong in (0.0, -3.0, np.nan):
+        with pytest.raises(InputError, match="a load of"):
+            forecast_at(model, known, wrong)

@@ -6,6 +6,7 @@ import math
 
 import pytest
 
+from cellwise.errors import InputError
 from cellwise.estimate.replay import replay
 from cellwise.forecast.outlook import Outlook
 from cellwise.forecast.remaining import cutoff_of, forecast
@@ -98,3 +99,27 @@ def test_without_a_deadline_the_interval_is_it():
     meter.add(0.005, 0.01)
     meter.add(0.02, 0.0)  # the first sample ends no interval
     assert meter.missed == 1
+
+
+def test_a_given_load_and_the_median_are_known_at_rest():
+    """A vehicle that stands asks how long it could go."""
+    model = curved_cell()
+    live, _, _ = steady(2.0)
+    outlook = Outlook(model, cutoff_of(model, 3.0), given_W=9.0)
+    parts = [driven(model, 0.8, rows=rows) for rows in (300, 400)]
+    live = LiveFilter(model, soc0=0.8, soc0_std=0.05)
+    for k, (log, amps) in enumerate(zip(parts, (2.0, 0.0), strict=True)):
+        log = type(log)(log.time_s + 300.0 * k, 0.0 * log.time_s + amps, log.voltage_V)
+        for sample in samples(log):
+            outlook.take(live.take(sample))
+    row = outlook.columns(live.state, 25.0)
+    assert row["remaining_s"] is None
+    # What is left over the time that it lasts is the load.
+    left_s = row["given_load_remaining_s"]
+    assert 3600.0 * row["given_load_remaining_Wh"] / left_s == pytest.approx(9.0, rel=0.01)
+    median = outlook.at_median(live.state, 25.0)
+    assert median.load_A == pytest.approx(2.0)
+    low, high = row["median_load_remaining_s_band"]
+    assert low < row["median_load_remaining_s"] == median.remaining_s < high
+    with pytest.raises(InputError, match="load of -1 W"):
+        Outlook(model, 3.0, given_W=-1.0)

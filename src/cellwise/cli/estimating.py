@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from cellwise.estimate.power.state_of_power import PowerLimit
     from cellwise.estimate.replay import Replay
     from cellwise.forecast.convergence import ExpectedConvergence
-    from cellwise.forecast.remaining import Flight
+    from cellwise.forecast.remaining import Flight, Forecast
 
 
 def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -63,6 +64,12 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
         choices=("power", "current"),
         default="power",
         help="what of the load is held constant [power]",
+    )
+    replay.add_argument(
+        "--load",
+        type=float,
+        metavar="X",
+        help="how long, too, at a load of X W in each cell (A with --hold current)",
     )
     replay.add_argument(
         "--plotjuggler", metavar="F.xml", help="layout of PlotJuggler for the rows of -o OUT.csv"
@@ -125,7 +132,7 @@ def run_replay(arguments: argparse.Namespace) -> None:
     from cellwise.estimate.estimators import make_estimator
     from cellwise.estimate.replay import replay
     from cellwise.forecast.convergence import expected_convergence
-    from cellwise.forecast.remaining import cutoff_of, forecast
+    from cellwise.forecast.remaining import check_load, cutoff_of, forecast, forecast_at
     from cellwise.logs.resample import resample
 
     printing.check_places(arguments.output, arguments.plotjuggler)
@@ -138,6 +145,8 @@ def run_replay(arguments: argparse.Namespace) -> None:
     make_estimator(arguments.estimator, model)
     cutoff = cutoff_of(model, arguments.cutoff_v)
     power = power_options.power_of(arguments, model, arguments.hold)
+    if arguments.load is not None:
+        check_load(arguments.load, arguments.hold)
     log = log_options.read(arguments.log, arguments)
     check_cells_in_series(model, log)
     if arguments.dt is not None:
@@ -155,7 +164,10 @@ def run_replay(arguments: argparse.Namespace) -> None:
             power=power or False,
         )
     expected = expected_convergence(model, found, make_estimator(arguments.estimator, model))
-    flight = forecast(model, found, cutoff_V=cutoff, hold=arguments.hold)
+    flight, given = forecast(model, found, cutoff_V=cutoff, hold=arguments.hold), None
+    if arguments.load is not None:
+        given = forecast_at(model, found, arguments.load, cutoff_V=cutoff, hold=arguments.hold)
+        flight = None if flight is None else dataclasses.replace(flight, given=given)
     if arguments.output:
         trace = found.trace
         columns = {
@@ -193,13 +205,13 @@ def run_replay(arguments: argparse.Namespace) -> None:
             **found.to_dict(),
             "convergence_predicted_s": expected.convergence_s,
             "forecast": outlook,
+            "forecast_given": None if given is None else given._asdict(),
             "notices": list(notices),
         }
         printing.print_json(data)
         return
     print_replay(found, expected, sure=arguments.soc0_std is not None)
-    if flight is not None:
-        print_flight(flight)
+    print_forecasts(flight, given, cutoff, arguments.hold)
     if found.power is not None:
         print_power(found.power)
     say_notices(notices)
@@ -284,11 +296,17 @@ def _after(seconds: float | None) -> str:
     return "not on this log" if seconds is None else f"after {seconds:.1f} s"
 
 
-def print_flight(flight: Flight) -> None:
-    """Remaining time and energy, for people."""
-    forecasts = [("at the present load", flight.last)]
-    if flight.typical is not None:
+def print_forecasts(
+    flight: Flight | None, given: Forecast | None, cutoff_V: float, hold: str
+) -> None:
+    """Remaining time and energy, for people; nothing where there is no load."""
+    forecasts = [] if flight is None else [("at the present load", flight.last)]
+    if flight is not None and flight.typical is not None:
         forecasts.append(("at the log's median load", flight.typical.last))
+    if given is not None:
+        forecasts.append((f"at the given load, from {given.time_s:.0f} s", given))
+    if not forecasts:
+        return
 
     def span(value: float, band: tuple[float, float], scale: float, digits: int) -> str:
         low, high = (f"{x / scale:.{digits}f}" for x in band)
@@ -307,9 +325,10 @@ def print_flight(flight: Flight) -> None:
         )
         for name, at in forecasts
     ]
+    now = forecasts[0][1]
     printing.table(
-        f"remaining in each cell at {flight.last.time_s:.0f} s, SOC {100 * flight.last.soc:.1f} +- "
-        f"{100 * flight.last.soc_std:.1f} %, {flight.hold} held to {flight.cutoff_V:.2f} V",
+        f"remaining in each cell at {now.time_s:.0f} s, SOC {100 * now.soc:.1f} +- "
+        f"{100 * now.soc_std:.1f} %, {hold} held to {cutoff_V:.2f} V",
         ("", "A", "W", "minutes (2 sigma)", "Wh (2 sigma)", "end V", "end SOC %", "ends by"),
         rows,
     )

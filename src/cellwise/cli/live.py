@@ -58,6 +58,9 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     live.add_argument(
         "--cutoff-v", type=float, metavar="V", help="voltage at which the load stops [model]"
     )
+    live.add_argument(
+        "--load", type=float, metavar="W", help="how long, too, at a load of W watts in each cell"
+    )
     power_options.add_power_options(live)
     live.add_argument(
         "--cells", type=int, default=0, metavar="N", help="follow N cells in series, each by itself"
@@ -82,7 +85,7 @@ def run_live_command(arguments: argparse.Namespace) -> None:
 
     _check(arguments)
     model = model_options.read(arguments)
-    outlook = Outlook(model, cutoff_of(model, arguments.cutoff_v))
+    outlook = Outlook(model, cutoff_of(model, arguments.cutoff_v), arguments.load)
     power = _power(model, arguments)
     name, stated = _stated(arguments.source)
     live = _filter(model, stated, arguments)
@@ -211,15 +214,8 @@ def state_row(update: Update) -> dict[str, Any]:
 
 
 def forecast_row(live: LiveFilter, outlook: Outlook, update: Update) -> dict[str, Any]:
-    """Time and energy to empty, nulls where there is no load."""
-    now = outlook.forecast(live.state, _temperature(live, update))
-    if now is None:
-        return {"remaining_s": None, "remaining_s_band": None, "remaining_Wh": None}
-    return {
-        "remaining_s": now.remaining_s,
-        "remaining_s_band": list(now.remaining_s_band),
-        "remaining_Wh": now.remaining_Wh,
-    }
+    """Time and energy to empty at the present, the median and a given load; nulls without one."""
+    return outlook.columns(live.state, _temperature(live, update))
 
 
 def power_row(live: LiveFilter, power: PowerFollower | None, update: Update) -> dict[str, Any]:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, Protocol
+from collections import deque
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
 
 from cellwise.cell.equations import CellState
 from cellwise.cell.model import CellModel
@@ -11,11 +14,12 @@ from cellwise.cell.simulate import model_temperature_C
 from cellwise.estimate.filters.filter_state import EkfInfo, EkfState
 from cellwise.estimate.power.fixed_tables import LEAST_LOAD_C
 from cellwise.estimate.status import CURRENT_INVALID, INNOVATION_REJECTED, OUT_OF_RANGE
-from cellwise.forecast.remaining import WINDOW_S, uncertain_of, warms_unseen
+from cellwise.forecast.remaining import WINDOW_S, check_load, uncertain_of, warms_unseen
 from cellwise.forecast.remaining_kernels import (
     NEVER,
     Going,
     Outcome,
+    at_power,
     lump_now,
     ocv_and_error,
     parts_of,
@@ -23,6 +27,9 @@ from cellwise.forecast.remaining_kernels import (
     with_ends,
 )
 from cellwise.forecast.warming_kernels import NOTHING_SEEN
+
+LOAD_EVERY_S = 10.0  # of a mean over a minute
+MOST_LOADS = 4096  # those of the last eleven hours under load
 
 
 class Reading(Protocol):
@@ -83,10 +90,20 @@ class Outlook:
     Parameters
     ----------
     model : CellModel
-    cutoff_V : float      terminal voltage at which the load stops [V]
+    cutoff_V : float          terminal voltage at which the load stops [V]
+    given_W : float or None   a load to go on with, too, of one cell [W]
+
+    Raises
+    ------
+    InputError                a given load that is not above zero
     """
 
-    def __init__(self, model: CellModel, cutoff_V: float) -> None:
+    def __init__(self, model: CellModel, cutoff_V: float, given_W: float | None = None) -> None:
+        if given_W is not None:
+            check_load(given_W, "power")
+        self.given_W = given_W
+        self._loads: deque[tuple[float, float]] = deque(maxlen=MOST_LOADS)
+        self._since_load_s = math.inf
         self._tables = model.parameters()
         self._charge_As = 3600.0 * model.capacity_Ah
         self._uncertain = uncertain_of(model)
@@ -98,7 +115,10 @@ class Outlook:
         self._seen_s = 0.0
         self._warming = NOTHING_SEEN
         full = CellState(1.0, 0.0, 0.0, 0.0, 0.0)
-        self._ends(full, 0.0, self._least_A, float(model.ocv_V.max()), 25.0)  # compiles, or loads
+        # Compiles, or loads.
+        self._ends(full, 0.0, self._least_A, self._least_A * float(model.ocv_V.max()), 25.0)
+        if given_W is not None:
+            self._ends(full, 0.0, self._least_A, None, 25.0)
 
     def take(self, update: Step) -> None:
         """Follow one sample."""
@@ -118,6 +138,10 @@ class Outlook:
             share = 1.0
         self._load_A += share * (sample.current_A - self._load_A)
         self._load_W += share * (sample.current_A * sample.voltage_V - self._load_W)
+        self._since_load_s += dt_s
+        if self._since_load_s >= LOAD_EVERY_S and self._load_A >= self._least_A:
+            self._since_load_s = 0.0
+            self._loads.append((self._load_A, self._load_W))
         warm_C = sample.temperature_C if math.isfinite(sample.temperature_C) else self._usual_C
         ocv_V, _ = ocv_and_error(self._tables, info.soc, warm_C)
         voltage_V = info.voltage_V
@@ -132,26 +156,69 @@ class Outlook:
 
     def forecast(self, state: EkfState | None, temperature_C: float) -> ForecastNow | None:
         """Remaining time and energy now; None without a state or a load of at least C/50."""
-        if state is None or self._load_A < self._least_A:
+        if self._load_A < self._least_A:
             return None
-        end = self._ends(
-            state.cell, state.soc_std, self._load_A, self._load_W / self._load_A, temperature_C
-        )
+        return self._forecast(state, temperature_C, self._load_A, self._load_W)
+
+    def at_median(self, state: EkfState | None, temperature_C: float) -> ForecastNow | None:
+        """The same at the median of the loads so far; None before the first."""
+        if not self._loads:
+            return None
+        load_A, load_W = np.median(np.array(self._loads), axis=0)
+        return self._forecast(state, temperature_C, float(load_A), float(load_W))
+
+    def at_given(self, state: EkfState | None, temperature_C: float) -> ForecastNow | None:
+        """The same at the load that was given; None where none was."""
+        if state is None or self.given_W is None:
+            return None
+        ocv_V, _ = ocv_and_error(self._tables, state.cell.soc, temperature_C)
+        return self._forecast(state, temperature_C, self.given_W / ocv_V, None)
+
+    def columns(self, state: EkfState | None, temperature_C: float) -> dict[str, Any]:
+        """Forecasts at the present, the median and the given load as JSON values."""
+        loads = {
+            "remaining": self.forecast(state, temperature_C),
+            "median_load_remaining": self.at_median(state, temperature_C),
+        }
+        if self.given_W is not None:
+            loads["given_load_remaining"] = self.at_given(state, temperature_C)
+        row: dict[str, Any] = {}
+        for name, now in loads.items():
+            row[f"{name}_s"] = None if now is None else now.remaining_s
+            row[f"{name}_s_band"] = None if now is None else list(now.remaining_s_band)
+            row[f"{name}_Wh"] = None if now is None else now.remaining_Wh
+        return row
+
+    def _forecast(
+        self, state: EkfState | None, temperature_C: float, load_A: float, load_W: float | None
+    ) -> ForecastNow | None:
+        if state is None:
+            return None
+        end, begun = self._ends(state.cell, state.soc_std, load_A, load_W, temperature_C)
         usual = end.usual
         never = usual.reason == NEVER
         return ForecastNow(
-            self._load_A,
+            begun.load_A,
             math.inf if never else usual.time_s,
             (end.time_s[0], math.inf if never else end.time_s[1]),
             usual.energy_J / 3600.0,
         )
 
     def _ends(
-        self, at: CellState, soc_std: float, load_A: float, voltage_V: float, temperature_C: float
-    ) -> Outcome:
+        self,
+        at: CellState,
+        soc_std: float,
+        load_A: float,
+        load_W: float | None,
+        temperature_C: float,
+    ) -> tuple[Outcome, Going]:
+        """To empty, and what it begins with; without ``load_W`` the power is the given one."""
         _, error_V = ocv_and_error(self._tables, at.soc, temperature_C)
         offset_V, share = parts_of(self._uncertain, error_V, self._bias_V, self._held_V)
         lump = lump_now(self._warming, self._charge_As, temperature_C, self._unseen)
+        voltage_V = math.nan if load_W is None else load_W / load_A
         go = Going(load_A, True, voltage_V, offset_V, share, self._cutoff_V, temperature_C, lump)
+        if load_W is None and self.given_W is not None:
+            go = at_power(self._tables, at, go, self.given_W)
         end: Outcome = with_ends(self._tables, at, soc_std, go, self._uncertain)
-        return end
+        return end, go

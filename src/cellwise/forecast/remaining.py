@@ -66,7 +66,8 @@ class Flight:
 
     ``load_A`` is the mean current of the last ``window_s``, the present load; a moment without a
     load of at least C/50 has no forecast. ``typical`` is a forecast from the last moment at the
-    median of all these loads: a vehicle that stands idles, and would do so for days.
+    median of all these loads: a vehicle that stands idles, and would do so for days. ``given`` is
+    what :func:`forecast_at` was asked for beside them.
     """
 
     name: str
@@ -87,6 +88,7 @@ class Flight:
     end_soc: FloatArray
     by_voltage: BoolArray
     typical: Flight | None = None
+    given: Forecast | None = None
     validity: Validity = UNKNOWN
 
     def __len__(self) -> int:
@@ -197,14 +199,74 @@ def forecast(
     flight = _forecast(
         model, replay, np.ascontiguousarray(current), load_A, load_W, wanted, cutoff, hold, window_s
     )
-    last = np.zeros_like(wanted)
-    last[np.flatnonzero(wanted)[-1]] = True
+    last = _only(np.flatnonzero(wanted)[-1], len(log))
     usual_A = np.full(len(log), float(np.median(flight.load_A)))
     usual_W = np.full(len(log), float(np.median(flight.load_W)))
     typical = _forecast(
         model, replay, np.ascontiguousarray(current), usual_A, usual_W, last, cutoff, hold, window_s
     )
     return replace(flight, typical=typical)
+
+
+def forecast_at(
+    model: CellModel,
+    replay: Replay,
+    load: float,
+    *,
+    cutoff_V: float | None = None,
+    hold: Hold = "power",
+    window_s: float = WINDOW_S,
+) -> Forecast:
+    """Remaining time and energy from the end of a replay at a load that is given.
+
+    As :func:`forecast`, which see; the load need not be one that the log has seen.
+
+    Parameters
+    ----------
+    load : float              of one cell: its power [W], or with hold="current" its current [A]
+
+    Raises
+    ------
+    InputError                a load that is not above zero; what :func:`forecast` raises
+    """
+    cutoff = cutoff_of(model, cutoff_V)
+    check_load(load, hold)
+    log = replay.log
+    rows = len(log)
+    ocv_V = float(np.interp(replay.trace.soc[-1], model.soc, np.atleast_2d(model.ocv_V)[0]))
+    load_A = load / ocv_V if hold == "power" else load
+    load_W = load if hold == "power" else np.nan
+    # fmt: off
+    flight = _forecast(
+        model, replay, np.ascontiguousarray(log.known_current_A()), np.full(rows, load_A),
+        np.full(rows, load_A * ocv_V), _only(rows - 1, rows), cutoff, hold, window_s,
+        np.full(rows, load_W),
+    )
+    # fmt: on
+    return flight.last
+
+
+def check_load(load: float, hold: str) -> None:
+    """Refuse a load that is none.
+
+    Raises
+    ------
+    InputError        not a finite number above zero
+    """
+    if not (np.isfinite(load) and load > 0.0):
+        unit = "W" if hold == "power" else "A"
+        raise InputError(
+            f"a load of {load:g} {unit}",
+            "one above zero, that of one cell",
+            f"Give 10 {unit}, say.",
+        )
+
+
+def _only(row: np.intp | int, rows: int) -> BoolArray:
+    """One row of a log."""
+    wanted = np.zeros(rows, dtype=np.bool_)
+    wanted[row] = True
+    return wanted
 
 
 def _forecast(
@@ -217,11 +279,13 @@ def _forecast(
     cutoff_V: float,
     hold: Hold,
     window_s: float,
+    held_W: FloatArray | None = None,
 ) -> Flight:
     """The wanted rows through the kernel."""
+    held_W = np.full(len(load_A), np.nan) if held_W is None else held_W
     log, trace = replay.log, replay.trace
     tables = model.parameters()
-    out = np.empty((int(np.count_nonzero(wanted)), 11))
+    out = np.empty((int(np.count_nonzero(wanted)), 12))
     soc = np.ascontiguousarray(trace.soc, dtype=np.float64)
     std = np.nan_to_num(np.ascontiguousarray(trace.soc_std, dtype=np.float64))
     warm = known_temperature_C(model, log)
@@ -233,7 +297,9 @@ def _forecast(
         FilteredRows(
             log.interval_s, current_A, warm, measured_C, np.array(log.voltage_V), soc, std
         ),
-        Load(load_A, wanted, hold == "power", float(window_s), cutoff_V, warms_unseen(model)),
+        Load(
+            load_A, held_W, wanted, hold == "power", float(window_s), cutoff_V, warms_unseen(model)
+        ),
         uncertain_of(model),
         out,
     )
@@ -248,7 +314,7 @@ def _forecast(
         time_s=log.time_s[wanted],
         soc=soc[wanted],
         soc_std=std[wanted],
-        load_A=load_A[wanted],
+        load_A=out[:, 11],
         load_W=load_W[wanted],
         remaining_s=out[:, 0],
         remaining_s_band=out[:, 5:7],

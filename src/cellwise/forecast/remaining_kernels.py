@@ -39,6 +39,7 @@ USUAL_MEMORY_SOC = 0.2
 BY_CHARGE, BY_VOLTAGE, NEVER = 0, 1, 2
 STEPS = 400  # from full to empty
 MOST_STEPS = 4 * STEPS
+POWER_TURNS = 20
 
 
 class Remaining(NamedTuple):
@@ -87,14 +88,17 @@ class FilteredRows(NamedTuple):
 
 
 class Load(NamedTuple):
-    """What goes on: the present load of every row, whether its power is held, and until when.
+    """What goes on: the load of every row, whether its power is held, and until when.
 
-    ``wanted`` are the rows to forecast at, ``window_s`` over what time the model's error is
-    averaged, ``cutoff_V`` the voltage at which the load gives up. ``warms_unseen`` whether the
-    losses warm the cell in a forecast where nobody measures its temperature.
+    ``power_W`` is what is held where that was given, with a current near it; NaN: what the current
+    makes of the model's terminal voltage. ``wanted`` are the rows to forecast at, ``window_s`` over
+    what time the model's error is averaged, ``cutoff_V`` the voltage at which the load gives up.
+    ``warms_unseen`` whether the losses warm the cell in a forecast where nobody measures its
+    temperature.
     """
 
     current_A: FloatArray
+    power_W: FloatArray
     wanted: BoolArray
     hold_power: bool
     window_s: float
@@ -293,6 +297,27 @@ def from_soc(
 
 
 @rows
+def at_power(tables: CellTables, state: CellState, go: Going, power_W: float) -> Going:
+    """The same with the current and the voltage at which the load has a power now.
+
+    A power beyond what the cell can give has none: the voltage is then below any cutoff.
+    """
+    current = go.load_A
+    voltage = math.nan
+    for _ in range(POWER_TURNS):
+        _, there = advance(tables, state, current, 0.0, go.temperature_C)
+        voltage = voltage_of(there, state, current)
+        voltage += go.offset_V + go.of_polarisation * (there.ocv_V - voltage)
+        if voltage <= 0.0:
+            break
+        current = power_W / voltage
+    return Going(
+        current, go.hold_power, voltage, go.offset_V, go.of_polarisation, go.cutoff_V,
+        go.temperature_C, go.lump,
+    )  # fmt: skip
+
+
+@rows
 def with_ends(
     tables: CellTables,
     state: CellState,
@@ -335,12 +360,12 @@ def forecast_rows(
 ) -> None:
     """Carry the cell through a log with the filter's SOC; forecast at the wanted rows.
 
-    ``out`` has shape (wanted rows, 11): the fields of `Remaining`, then both ends of time, energy
-    and end voltage. The model's present error is the mean of measured minus modelled voltage over
-    about ``window_s``.
+    ``out`` has shape (wanted rows, 12): the fields of `Remaining`, both ends of time, energy and
+    end voltage, the current that it began with. The model's present error is the mean of measured
+    minus modelled voltage over about ``window_s``.
     """
     dt_s, current_A, temperature_C, measured_C, measured_V, soc, soc_std = log
-    load_A, wanted, hold_power, window_s, cutoff_V, unseen = load
+    load_A, load_W, wanted, hold_power, window_s, cutoff_V, unseen = load
     state = start
     previous = current_A[0]
     bias = held = 0.0
@@ -369,6 +394,8 @@ def forecast_rows(
         warm = temperature_C[k]
         lump = thermal_of(warming, charge_As, warm, unseen)
         go = Going(load_A[k], hold_power, math.nan, offset, of_held, cutoff_V, warm, lump)
+        if load_W[k] == load_W[k]:
+            go = at_power(tables, state, go, load_W[k])
         found = with_ends(tables, state, soc_std[k], go, uncertain)
         left = found.usual
         out[place, 0] = left.time_s
@@ -380,4 +407,5 @@ def forecast_rows(
             out[place, 5 + j] = found.time_s[j]
             out[place, 7 + j] = found.energy_J[j]
             out[place, 9 + j] = found.voltage_V[j]
+        out[place, 11] = go.load_A
         place += 1

@@ -85,7 +85,7 @@ from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.recovery_kernels import Contradiction, Variances, recovered
 from cellwise.estimate.sensing_kernels import Reading, Sample, read_sample
 from cellwise.estimate.slopes_kernels import WIDE_VARIANCE, Slopes, bends, landing_slope, slopes_at
-from cellwise.estimate.status import CLAMPED
+from cellwise.estimate.status import CLAMPED, OUTSIDE
 
 
 class Beside(NamedTuple):
@@ -225,7 +225,7 @@ def update(
             p = rejudged(p, k, c, e)
     if gained:
         p = corrected(p, k, d)
-    beside = beside_step(noise, now.point, s, v, now.state, now.at.slope_V, k.s, one)
+    beside = beside_step(noise, now.point, s, v, now.state, now.at.slope_V, k.s, one, now.status)
     return x, p, beside
 
 
@@ -239,17 +239,22 @@ def beside_step(
     slope_V: float,
     gain: float,
     one: float,
+    status: int,
 ) -> Beside:
-    """What is stated beside P, after an accepted voltage that moved the SOC with a ``gain``."""
-    since = old.watch.evidence_s
-    # fmt: off
+    """What is stated beside P, after an accepted voltage that moved the SOC with a ``gain``.
+
+    Beyond the model's data a voltage says nothing of the counted charge.
+    """
+    contradicted = old.contradicted
+    if status & OUTSIDE == 0:
+        since = old.watch.evidence_s
+        contradicted = contradicted_step(
+            noise, contradicted, v.innovation_V, slope_V, one, since, s.dt_s
+        )
     return Beside(
         persistent_step(noise, point, v.mismatch, v.returns * gain, slope_V, old.persistent),
-        contradicted_step(
-            noise, old.contradicted, v.innovation_V, slope_V, one, since, s.dt_s
-        ),
+        contradicted,
     )
-    # fmt: on
 
 
 @inline

@@ -70,6 +70,9 @@ def flight_content(flights: Sequence[Flight]) -> Markup:
         rows.append((f"{name}present load", *_figures(flight.last)))
         if flight.typical is not None:
             rows.append((f"{name}median load", *_figures(flight.typical.last)))
+        if flight.given is not None:
+            after = duration(flight.given.time_s)
+            rows.append((f"{name}given load, after {after}", *_figures(flight.given)))
     head = (
         "",
         "load",
