@@ -1024,6 +1024,9 @@ static bool is_sound(const cellwise_constants *c, const cellwise_state *x)
     }
 #endif
 #if CELLWISE_WATCH
+    if (!SIZE_WITHIN(x->contradicted, 1.0f)) {
+        return false;
+    }
     if (!(SIZE_WITHIN(x->voltage_V, LARGE) && SIZE_WITHIN(x->frozen_A, LARGE))) {
         return false;
     }
@@ -1097,6 +1100,7 @@ static APART void start(const cellwise_constants *c, cellwise_state *x, float so
     x->temperature_C = c->temperature_C;
 #endif
 #if CELLWISE_WATCH
+    x->contradicted = 0.0f;
     x->voltage_V = 0.0f;
     x->frozen_A = 0.0f;
     x->repeats = 0u;
@@ -1593,6 +1597,9 @@ static uint32_t finish(cellwise_state *x, const cellwise_reading *s, uint32_t mi
     }
     out->soc = x->soc;
     out->soc_variance = NOT_NEGATIVE(x->ss, LARGE) ? x->ss : KNOW_NOTHING_VARIANCE;
+#if CELLWISE_WATCH
+    out->soc_variance = out->soc_variance + (x->contradicted * x->contradicted);
+#endif
     return status;
 }
 
@@ -1784,6 +1791,9 @@ static uint32_t reject(const cellwise_model *m, const cellwise_place *place, cel
         status = status | CELLWISE_GATE_RECOVERY;
         x->rejections = 0u;
         x->mismatch = 1.0f;
+#if CELLWISE_WATCH
+        x->contradicted = 0.0f;
+#endif
 #if CELLWISE_WIDE
         recover(m, place, x, seen, voltage, i->one_V2, i->polarisation_V);
 #else
@@ -1792,6 +1802,33 @@ static uint32_t reject(const cellwise_model *m, const cellwise_place *place, cel
     }
     return status;
 }
+
+#if CELLWISE_WATCH
+/* Running mean of the SOC that the voltages say is missing, as far as the count may be off. Were
+ * the current off, the count would by now be off by `drift`, and of an innovation the part that
+ * this explains would be the count's. It widens what is said of the SOC, and nothing else. */
+static void contradict(const cellwise_constants *c, cellwise_state *x, const cellwise_slopes *w,
+                       const cellwise_reading *s, float one_V2, float innovation)
+{
+    (void)s;
+#if CELLWISE_VALIDITY
+    const uint32_t beyond = outside(c, x, s);
+#else
+    const uint32_t beyond = 0u;
+#endif
+    if (beyond == 0u) {
+        float drift = c->drift_soc * (float)(x->evidence - FIRST_VOLTAGE);
+        drift = (drift < 1.0f) ? drift : 1.0f;
+        const float swing_V = (drift * drift) * w->slope_V;
+        float missing = (swing_V * innovation) / ((swing_V * w->slope_V) + one_V2);
+        missing = clip(missing, -1.0f, 1.0f);
+        if (SIZE_WITHIN(missing, 1.0f)) { /* a number */
+            x->contradicted = x->contradicted +
+                (c->contradicted_share * (missing - x->contradicted));
+        }
+    }
+}
+#endif
 
 /* State and covariance after a voltage within the gate. What the innovations have lately shown
  * beyond their variance makes evidence weigh less. A first sample under load says more of the
@@ -1820,6 +1857,11 @@ static void fuse(const cellwise_model *m, const cellwise_place *place, cellwise_
         if (gained) {
             narrow(x, &i->column, inverse);
         }
+#if CELLWISE_WATCH
+        if ((s->news == INTERVAL) && (x->evidence >= FIRST_VOLTAGE)) {
+            contradict(&m->constant, x, w, s, i->one_V2, innovation);
+        }
+#endif
     }
     x->rejections = (x->rejections > FORGIVEN) ? (x->rejections - FORGIVEN) : 0u;
     if (x->evidence < FIRST_VOLTAGE) {

@@ -140,6 +140,10 @@ typedef struct {
 #if CELLWISE_HYSTERESIS
     float hysteresis_per_A; /* e-folds of h in one step at 1 A */
 #endif
+#if CELLWISE_WATCH
+    float drift_soc; /* that a current which is off moves in one step */
+    float contradicted_share; /* dt / 600 s */
+#endif
 #if CELLWISE_OFFSET
     float offset_variance_A2; /* at the start */
     float offset_walk_A2; /* gained in one step */
@@ -301,6 +305,7 @@ typedef struct {
     float temperature_C; /* last valid one */
 #endif
 #if CELLWISE_WATCH
+    float contradicted; /* SOC that the voltages say is missing */
     float voltage_V; /* last valid one, */
     float frozen_A; /* the current when it came, */
     uint32_t repeats; /* and how often it has come since */

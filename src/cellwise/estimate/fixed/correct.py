@@ -16,13 +16,16 @@ from cellwise.estimate.fixed.arithmetic import (
     THREE,
     TWO,
     ZERO,
+    Constants,
     Count,
+    F,
     Flag,
     Float,
     Output,
     State,
     U,
     apart,
+    clip,
     magnitude,
     out_of_range,
     positive_above,
@@ -37,10 +40,16 @@ from cellwise.estimate.fixed.covariance import (
     rejudge_covariance,
     rejudged,
 )
-from cellwise.estimate.fixed.innovation import Innovation, innovate, shared_by, watch_voltage
+from cellwise.estimate.fixed.innovation import (
+    Innovation,
+    innovate,
+    outside,
+    shared_by,
+    watch_voltage,
+)
 from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.lookup import Place, Point, Slopes, look_up, slopes_of
-from cellwise.estimate.fixed.options import WATCH, WIDE
+from cellwise.estimate.fixed.options import VALIDITY, WATCH, WIDE
 from cellwise.estimate.fixed.search import recover, widen
 from cellwise.estimate.fixed.sensing import Reading
 from cellwise.estimate.status import (
@@ -113,11 +122,32 @@ def reject(
         status = U(status | GATE_RECOVERY)
         x.rejections = U(0)
         x.mismatch = ONE
+        if WATCH:
+            x.contradicted = ZERO
         if WIDE:
             recover(m, place, x, seen, voltage, i.one_V2, i.polarisation_V)
         else:
             widen(c, x, p, seen)
     return status
+
+
+def contradict(
+    c: Constants, x: State, w: Slopes, s: Reading, one_V2: Float, innovation: Float
+) -> None:
+    """Running mean of the SOC that the voltages say is missing, as far as the count may be off.
+
+    Were the current off, the count would by now be off by ``drift``, and of an innovation the part
+    that this explains would be the count's. It widens what is said of the SOC, and nothing else.
+    """
+    beyond = outside(c, x, s) if VALIDITY else U(0)
+    if beyond == U(0):
+        drift = c.drift_soc * F(U(x.evidence - FIRST_VOLTAGE))
+        drift = drift if drift < ONE else ONE
+        swing_V = (drift * drift) * w.slope_V
+        missing = (swing_V * innovation) / ((swing_V * w.slope_V) + one_V2)
+        missing = clip(missing, -ONE, ONE)
+        if size_within(missing, ONE):  # a number
+            x.contradicted = x.contradicted + (c.contradicted_share * (missing - x.contradicted))
 
 
 def fuse(
@@ -147,6 +177,8 @@ def fuse(
         move(m.constant, x, i.column, inverse, innovation)
         if gained:
             narrow(x, i.column, inverse)
+        if WATCH and s.news == INTERVAL and x.evidence >= FIRST_VOLTAGE:
+            contradict(m.constant, x, w, s, i.one_V2, innovation)
     x.rejections = U(x.rejections - FORGIVEN) if x.rejections > FORGIVEN else U(0)
     if x.evidence < FIRST_VOLTAGE:
         x.evidence = FIRST_VOLTAGE

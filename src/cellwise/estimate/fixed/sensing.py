@@ -193,4 +193,6 @@ def finish(x: State, s: Reading, missing: Count, sequence: Count, out: Output) -
             x.evidence = U(x.evidence + 1 + missing)
     out.soc = x.soc
     out.soc_variance = x.ss if not_negative(x.ss, LARGE) else KNOW_NOTHING_VARIANCE
+    if WATCH:
+        out.soc_variance = out.soc_variance + (x.contradicted * x.contradicted)
     return status

@@ -77,6 +77,8 @@ def is_sound(c: Constants, x: State) -> Flag:
         return False
     if WARM and not within(x.temperature_C, TEMPERATURE_LOW_C, TEMPERATURE_HIGH_C):
         return False
+    if WATCH and not size_within(x.contradicted, ONE):
+        return False
     if WATCH and not (size_within(x.voltage_V, LARGE) and size_within(x.frozen_A, LARGE)):
         return False
     if HEALTH and not positive_within(x.per_capacity, ONE / MOST_SHARE, ONE / LEAST_SHARE):
@@ -130,6 +132,7 @@ def start(c: Constants, x: State, soc: Float, soc_variance: Float) -> None:
     if WARM:
         x.temperature_C = c.temperature_C
     if WATCH:
+        x.contradicted = ZERO
         x.voltage_V = ZERO
         x.frozen_A = ZERO
         x.repeats = U(0)

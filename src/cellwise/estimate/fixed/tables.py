@@ -28,6 +28,7 @@ from cellwise.cell.resolved import needs_rows, over_temperature
 from cellwise.cell.simulate import model_temperature_C
 from cellwise.errors import InputError
 from cellwise.estimate.cells.settings import CellSettings, cell_constants
+from cellwise.estimate.evidence_kernels import CONTRADICTED_S
 from cellwise.estimate.fixed.layout import constant_type, row_names
 from cellwise.estimate.fixed.options import Options, options_of
 from cellwise.estimate.gate_kernels import UNDER_LOAD_COUNT
@@ -312,6 +313,8 @@ def _constants(
         "surface_gain": -np.expm1(-dt_s / surface.tau_s),
         "surface_rate": dt_s / surface.tau_s,
         "hysteresis_per_A": model.effect(Hysteresis).gamma * per_A,
+        "drift_soc": noise.offset_share * dt_s / 3600.0,
+        "contradicted_share": min(dt_s / CONTRADICTED_S, 1.0),
         "offset_variance_A2": offset_std_A**2,
         "offset_walk_A2": offset_std_A**2 * dt_s / (3600.0 * OFFSET_WALK_H),
         "heat_K_per_W": heating.rth_K_per_W,
