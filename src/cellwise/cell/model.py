@@ -50,6 +50,8 @@ class ModelError:
     charge (None: as on discharge); ``unseen_share`` beside it, in squares, is what no test could
     show of loads that last. Standard deviations [V]. Moving on by ``correlation_soc`` makes the
     slow part another one (None: not known to).
+    ``activation_std_K`` is by how much the activation of the resistances may be off beyond the
+    temperatures of the data, as leaving an end of them out has shown (None: not shown) [K].
     """
 
     white_V: float = 0.002
@@ -61,6 +63,7 @@ class ModelError:
     temperature_factor: tuple[float, ...] = ()
     correlation_soc: float | None = None
     unseen_share: float = 0.0
+    activation_std_K: float | None = None
 
     def at(self, soc: FloatArray | float, temperature_C: float | None = None) -> FloatArray:
         """Slow error at the given SOC and one temperature [V], linear between grid points.
@@ -390,7 +393,14 @@ def check_error(error: ModelError) -> None:
     """Raise InputError where a model's error is none."""
     shares = [error.share(), error.share(-1.0), error.unseen_share, *error.temperature_factor]
     sizes = np.array(
-        [error.white_V, *error.slow_V, error.correlation_s, *shares, error.correlation_soc or 0.0]
+        [
+            error.white_V,
+            *error.slow_V,
+            error.correlation_s,
+            *shares,
+            error.correlation_soc or 0.0,
+            error.activation_std_K or 0.0,
+        ]
     )
     if not error.slow_V or not np.all(np.isfinite(sizes)) or np.any(sizes < 0):
         raise InputError(

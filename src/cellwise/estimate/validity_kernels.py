@@ -18,6 +18,7 @@ import numpy as np
 
 from cellwise.cell.compiled import inline
 from cellwise.cell.effects import TemperatureDependence
+from cellwise.cell.equations.temperature import ZERO_CELSIUS_K
 from cellwise.cell.plausibility.validity import SHARE_AT_TWICE
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.cell.simulate import model_temperature_C
@@ -63,6 +64,8 @@ def validity_scalars(model: CellModel) -> ValidityScalars:
     bounds = valid.bounds()
     thermal = model.effect(TemperatureDependence)
     activation_K = ACTIVATION_STD_K if thermal.activation_K != 0.0 else ACTIVATION_K
+    activation_K = max(activation_K, model.error.activation_std_K or 0.0)
+    coldest_K = ROOM_K if valid.temperature_C is None else valid.temperature_C[0] + ZERO_CELSIUS_K
     # Where nobody measures, the model takes a temperature of its own, which is no news.
     usual_C = model_temperature_C(model)
     return ValidityScalars(
@@ -72,7 +75,7 @@ def validity_scalars(model: CellModel) -> ValidityScalars:
         warm_C=max(bounds.warm_C, usual_C),
         charge_A=bounds.charge_A,
         discharge_A=bounds.discharge_A,
-        share_per_K=activation_K / ROOM_K**2,
+        share_per_K=activation_K / coldest_K**2,
         voltage_per_K=ENTROPY_V_PER_K,
         share_per_A=SHARE_AT_TWICE / valid.largest_A if valid.largest_A > 0.0 else 0.0,
         voltage_per_soc=model.unknown_slope_V,

@@ -13,7 +13,6 @@ from cellwise.cell.effects import (
     Effect,
     Hysteresis,
     SlowDiffusion,
-    TemperatureDependence,
     TimeSkew,
 )
 from cellwise.cell.model import CellModel, ModelTables
@@ -119,7 +118,7 @@ def refined_effects(
         if float(np.max(m)) > LEAST_M_V:
             found.append(Hysteresis(np.maximum(m, 0.0), float(np.exp(rows[0].theta[lay.gamma]))))
     if hot and result.layout.temperatures == 1:
-        found.append(TemperatureDependence(result.activation_K, result.reference_C))
+        found.append(result.temperature_dependence())
     if result.asinh_per_V > 0.0:
         found.append(ChargeTransfer(result.asinh_per_V))
     if skewed and result.skew_s > LEAST_SKEW_S:

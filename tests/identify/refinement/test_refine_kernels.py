@@ -66,6 +66,7 @@ def make_theta(layout: Layout, rng) -> np.ndarray:
     )
     theta[layout.activation] = 2.3
     theta[layout.asinh] = 1.7
+    theta[layout.own :] = 0.5 * rng.standard_normal(layout.size - layout.own)
     theta[layout.skew] = 7.0  # 0.7 s: shorter than every interval here
     return theta
 
@@ -99,6 +100,7 @@ def blocks(layout: Layout) -> dict[str, slice]:
     found["activation"] = slice(layout.activation, layout.activation + 1)
     found["skew"] = slice(layout.skew, layout.skew + 1)
     found["asinh"] = slice(layout.asinh, layout.asinh + 1)
+    found["own"] = slice(layout.own, layout.size)
     return found
 
 
@@ -173,6 +175,7 @@ def test_resistances_follow_arrhenius():
     layout = make_layout(3, False)
     log, theta = make_log(rng, temperature=False), make_theta(layout, rng)
     theta[layout.asinh] = 0.0  # that law is not linear
+    theta[layout.own :] = 0.0
     prepared, warm, _ = evaluate(log, theta, layout, skewed=False)
     theta_ocv = theta.copy()
     theta_ocv[layout.r0 : layout.r0 + layout.knots] = -40.0

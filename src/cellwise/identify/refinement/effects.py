@@ -11,6 +11,7 @@ import numpy as np
 from cellwise.cell.effects import Effect, SelfHeating, SurfaceSoc
 from cellwise.cell.metrics import HeldOutGain, held_out_gain
 from cellwise.identify.refinement.layout import ASINH_UNIT_PER_V
+from cellwise.identify.refinement.model_error import SAME_TEMPERATURE_K
 from cellwise.identify.refinement.problem import RefineSettings, StartTables
 from cellwise.identify.refinement.refine import RefineResult, refine, residuals_of
 from cellwise.identify.refinement.refine_data import RefineLog, warmed
@@ -24,6 +25,9 @@ LEAST_TEMPERATURES = 2  # with so many loads: at one, tests and drives are what 
 QUICK_ROWS = 800  # compared of one log while effects are compared
 QUICK_ITERATIONS = 12
 BLOCK_S = 120.0
+# An electrolyte has half the activation of a reaction: it is not one for all resistances.
+OWN_ACTIVATION_STD_K = 1000.0
+LEAST_OF_ACTIVATIONS = 3  # temperatures: at two, tables that are off look like activations
 HEATING_K_PER_W, HEATING_S = 3.0, 120.0
 # How far the surface's SOC is tried to lie below the mean at 1C, and what goes with it: solid
 # diffusion takes minutes and slows down in the cold as usual diffusion coefficients do.
@@ -168,6 +172,8 @@ def decide(
     best = judge.trial(logs, settings)
     last: dict[str, _Verdict] = {}
     candidates = _candidates(start, reference_C, grid_C.size > 1)
+    if grid_C.size == 1 and _temperatures(logs) >= LEAST_OF_ACTIVATIONS:
+        candidates = {"temperature_dependence": (_own_activations,), **candidates}
     # What was refused is tried again once something else was accepted: two may need each other.
     while candidates:
         refused = {}
@@ -189,6 +195,19 @@ def decide(
 
 
 Change = Callable[[Judge, _Trial], _Trial]
+
+
+def _own_activations(judge: Judge, best: _Trial) -> _Trial:
+    """Beside the common activation one of each resistance and time constant."""
+    freed = replace(best.settings, own_activation_std_K=OWN_ACTIVATION_STD_K)
+    return judge.trial(best.logs, freed, best.effects, best.result.theta)
+
+
+def _temperatures(logs: Sequence[RefineLog]) -> int:
+    """At how many temperatures drives were measured."""
+    warm = [item.log.temperature_C for item in logs if item.skewed]
+    found = np.sort([float(np.nanmedian(t)) for t in warm if t is not None])
+    return int(found.size > 0) + int(np.count_nonzero(np.diff(found) >= SAME_TEMPERATURE_K))
 
 
 def _candidates(

@@ -22,7 +22,8 @@ class Layout(NamedTuple):
     ``ocv`` (knots_ocv); ln R0, then ln R and ln tau of each branch (temperatures x knots each);
     M (temperatures x knots) and ln gamma where there is a hysteresis; with several temperatures how
     far the OCV of each is from the common one (temperatures x knots_ocv); then one number each:
-    activation [K / 1000], sampling delay [s / 10], asinh law [10 / V].
+    activation [K / 1000], sampling delay [s / 10], asinh law [10 / V]; the activation that each
+    table of logarithms has beside the common one [K / 1000].
     """
 
     knots_ocv: int
@@ -80,9 +81,14 @@ class Layout(NamedTuple):
         return self.skew + 1
 
     @property
+    def own(self) -> int:
+        """First of the tables' own activations, in the order of `tables`."""
+        return self.asinh + 1
+
+    @property
     def size(self) -> int:
         """Number of parameters."""
-        return self.asinh + 1
+        return self.own + 1 + 2 * self.branches
 
     def tables(self) -> Iterator[int]:
         """First coefficient of every table of logarithms."""

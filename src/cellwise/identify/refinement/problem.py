@@ -31,6 +31,7 @@ LARGEST_STEP = 0.7  # of a logarithm in one iteration: a factor of two
 LEAST_SIGMA_V = 2e-4
 # OCV between temperatures: what the entropy of intercalation leaves room for.
 ENTROPY_V_PER_K = 4e-4
+OWN_LIMITS = (-6.0, 6.0)  # of a table's own activation, in units of ACTIVATION_UNIT_K
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,8 @@ class RefineSettings:
     charge_transfer : bool    fit the asinh law of the fast branch
     activation_K, activation_std_K : float   prior of the Arrhenius activation; a standard
                               deviation of 0 keeps it; with several temperatures it is not fitted
+    own_activation_std_K : float      how far the activation of each resistance and time constant
+                              may be from the common one; 0: not fitted
     skew : bool               fit the sampling delay of the logs that may have one
     smooth : float            weight of the tables' curvature, in units of the residual variance
     straight : float          weight of their curvature over 1/T, where 0 is one activation energy
@@ -59,6 +62,7 @@ class RefineSettings:
     charge_transfer: bool = False
     activation_K: float = 2000.0
     activation_std_K: float = 1000.0
+    own_activation_std_K: float = 0.0
     skew: bool = True
     smooth: float = 0.01
     straight: float = 0.01
@@ -260,6 +264,8 @@ class Problem:
         std = s.activation_std_K / ACTIVATION_UNIT_K
         known = std == 0 or lay.temperatures > 1
         weight[lay.activation] = fixed if known else (0.3 * sigma) ** 2 / std**2
+        own = s.own_activation_std_K / ACTIVATION_UNIT_K
+        weight[lay.own :] = fixed if own == 0 else (0.3 * sigma) ** 2 / own**2
         weight[lay.skew] = 1e-2 * sigma**2 if s.skew else fixed
         weight[lay.asinh] = 1e-2 * sigma**2 if s.charge_transfer else fixed
         return weight
@@ -378,6 +384,8 @@ class Problem:
             np.clip(block, 0.0, 0.5, out=block)
             theta[lay.gamma] = np.clip(theta[lay.gamma], np.log(0.5), np.log(5000.0))
         theta[lay.activation] = np.clip(theta[lay.activation], -2.0, 15.0)
+        limits = OWN_LIMITS if self.settings.own_activation_std_K > 0.0 else (0.0, 0.0)
+        np.clip(theta[lay.own :], *limits, out=theta[lay.own :])
         theta[lay.skew] = max(theta[lay.skew], 0.0)
         if self.settings.charge_transfer:
             theta[lay.asinh] = np.clip(theta[lay.asinh], 0.01, 20.0)
@@ -407,6 +415,7 @@ def blocks_of(lay: Layout) -> Blocks:
         lay.activation,
         lay.skew,
         lay.asinh,
+        lay.own,
     )
 
 

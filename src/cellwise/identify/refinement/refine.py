@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from cellwise.cell.effects import BRANCH_ACTIVATIONS, TemperatureDependence
 from cellwise.identify.refinement.layout import (
     ACTIVATION_UNIT_K,
     ASINH_UNIT_PER_V,
@@ -67,6 +68,12 @@ class RefineResult:
     def activation_K(self) -> float:
         """Fitted Arrhenius activation [K]."""
         return float(self.theta[self.layout.activation] * ACTIVATION_UNIT_K)
+
+    def temperature_dependence(self) -> TemperatureDependence:
+        """Fitted activations, the common one and what each table has beside it."""
+        own = self.theta[self.layout.own :] * ACTIVATION_UNIT_K
+        beside = {f"{name}_K": float(e) for name, e in zip(BRANCH_ACTIVATIONS, own, strict=False)}
+        return TemperatureDependence(self.activation_K, self.reference_C, **beside)
 
     @property
     def skew_s(self) -> float:

@@ -81,6 +81,7 @@ class Blocks(NamedTuple):
     activation: int
     skew: int
     asinh: int
+    own: int
 
 
 @cached(error_model="numpy", inline="always")
@@ -119,6 +120,7 @@ def voltage_and_jacobian(
     v = np.zeros(3)
     sens = np.zeros((2 * branches, block))
     sens_act = np.zeros(branches)
+    sens_tau_act = np.zeros(branches)
     sens_skew = np.zeros(branches)
     sens_asinh = 0.0
     h = h0
@@ -134,9 +136,7 @@ def voltage_and_jacobian(
             partials = seen_partials(cell, log.current_A[k], previous, dt)
             slope = partials.seen_by_skew_s * SKEW_UNIT_S
         previous = log.current_A[k]
-        scale = thermal_factor(cell.activation_K, log.inverse_K[k])
-        thermal = thermal_partials(cell.activation_K, log.inverse_K[k])
-        dscale = thermal.factor_by_activation_K * ACTIVATION_UNIT_K
+        x = log.inverse_K[k]
         share = log.share[k]
         # Where the active coefficients of this row's temperature stand within a block.
         f = log.row[k] * knots + log.first[k]
@@ -144,8 +144,13 @@ def voltage_and_jacobian(
             o_r = lay.knots_ocv + block * (1 + 2 * j)
             o_t = o_r + block
             warm_r = math.exp(_value(theta, o_r + f, log.basis, k, share, knots))
-            r = warm_r * scale
+            activation_K = cell.activation_K + theta[lay.own + 1 + 2 * j] * ACTIVATION_UNIT_K
+            r = warm_r * thermal_factor(activation_K, x)
+            dscale = thermal_partials(activation_K, x).factor_by_activation_K * ACTIVATION_UNIT_K
             tau = math.exp(_value(theta, o_t + f, log.basis, k, share, knots))
+            own_tau = theta[lay.own + 2 + 2 * j] * ACTIVATION_UNIT_K
+            if own_tau != 0.0:
+                tau *= thermal_factor(own_tau, x)
             loaded_r = r
             by_r = 1.0
             by_asinh = 0.0
@@ -171,6 +176,7 @@ def voltage_and_jacobian(
                     sens[2 * j, f + knots + q] += share * log.basis[k, q] * by_ln_r
                     sens[2 * j + 1, f + knots + q] += share * log.basis[k, q] * by_ln_tau
             sens_act[j] = left * sens_act[j] + by.new_by_r_ohm * by_r * warm_r * dscale
+            sens_tau_act[j] = left * sens_tau_act[j] + by_ln_tau * (x * ACTIVATION_UNIT_K)
             by_current = by.new_by_current_A + by.new_by_r_ohm * by_seen
             sens_skew[j] = left * sens_skew[j] + by_current * slope
             if j == 0:
@@ -184,7 +190,9 @@ def voltage_and_jacobian(
             at = lay.warm + log.row[k] * lay.knots_ocv + of
             ocv += _value(theta, at, log.ocv_basis, k, share, lay.knots_ocv)
         m = 0.0
-        r0 = warm_r0 * scale
+        activation_K = cell.activation_K + theta[lay.own] * ACTIVATION_UNIT_K
+        r0 = warm_r0 * thermal_factor(activation_K, x)
+        dscale = thermal_partials(activation_K, x).factor_by_activation_K * ACTIVATION_UNIT_K
         if hysteresis:
             m = _value(theta, lay.m + f, log.basis, k, share, knots)
             of_h = hysteresis_partials(cell, h, seen, dt)
@@ -217,6 +225,7 @@ def voltage_and_jacobian(
                     if hysteresis:
                         row[lay.m + f + knots + q] = share * by_m
             act = by_v.voltage_by_r0_ohm * warm_r0 * dscale
+            row[lay.own] = act
             skw = by_v.voltage_by_current_A * slope
             for j in range(branches):
                 o_r = lay.knots_ocv + block * (1 + 2 * j)
@@ -224,6 +233,8 @@ def voltage_and_jacobian(
                     row[o_r + q] = by_branch * sens[2 * j, q]
                     row[o_r + block + q] = by_branch * sens[2 * j + 1, q]
                 act += by_branch * sens_act[j]
+                row[lay.own + 1 + 2 * j] = by_branch * sens_act[j]
+                row[lay.own + 2 + 2 * j] = by_branch * sens_tau_act[j]
                 skw += by_branch * sens_skew[j]
             if hysteresis:
                 row[lay.gamma] = by_v.voltage_by_h * h_gamma

@@ -21,6 +21,7 @@ from cellwise.identify.refinement.effects import (
     Decided,
     decide,
 )
+from cellwise.identify.refinement.left_out import activation_std_K
 from cellwise.identify.refinement.model_error import (
     ResidualLog,
     estimate_model_error,
@@ -186,7 +187,11 @@ def refine_cell(
     for effect in decision.effects:
         model = model.with_effect(effect)
     loaded = [item.compare is None for item in logs]
-    model = replace(model, error=_error(result, loaded, model, starts))
+    error = replace(
+        _error(result, loaded, model, starts),
+        activation_std_K=activation_std_K(decision, start, model, capacity_Ah, grid),
+    )
+    model = replace(model, error=error)
     return Refined(model, result, tuple(starts), decision.decided)
 
 
