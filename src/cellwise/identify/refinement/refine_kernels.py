@@ -137,6 +137,8 @@ def voltage_and_jacobian(
             slope = partials.seen_by_skew_s * SKEW_UNIT_S
         previous = log.current_A[k]
         x = log.inverse_K[k]
+        scale = thermal_factor(cell.activation_K, x)
+        dscale = thermal_partials(cell.activation_K, x).factor_by_activation_K
         share = log.share[k]
         # Where the active coefficients of this row's temperature stand within a block.
         f = log.row[k] * knots + log.first[k]
@@ -144,13 +146,14 @@ def voltage_and_jacobian(
             o_r = lay.knots_ocv + block * (1 + 2 * j)
             o_t = o_r + block
             warm_r = math.exp(_value(theta, o_r + f, log.basis, k, share, knots))
-            activation_K = cell.activation_K + theta[lay.own + 1 + 2 * j] * ACTIVATION_UNIT_K
-            r = warm_r * thermal_factor(activation_K, x)
-            dscale = thermal_partials(activation_K, x).factor_by_activation_K * ACTIVATION_UNIT_K
+            own = theta[lay.own + 1 + 2 * j] * ACTIVATION_UNIT_K
+            own_scale = thermal_factor(own, x) if own != 0.0 else 1.0
+            r = warm_r * (scale * own_scale)
+            by_act = dscale * own_scale * ACTIVATION_UNIT_K
             tau = math.exp(_value(theta, o_t + f, log.basis, k, share, knots))
-            own_tau = theta[lay.own + 2 + 2 * j] * ACTIVATION_UNIT_K
-            if own_tau != 0.0:
-                tau *= thermal_factor(own_tau, x)
+            own = theta[lay.own + 2 + 2 * j] * ACTIVATION_UNIT_K
+            if own != 0.0:
+                tau *= thermal_factor(own, x)
             loaded_r = r
             by_r = 1.0
             by_asinh = 0.0
@@ -175,7 +178,7 @@ def voltage_and_jacobian(
                 if share != 0.0:
                     sens[2 * j, f + knots + q] += share * log.basis[k, q] * by_ln_r
                     sens[2 * j + 1, f + knots + q] += share * log.basis[k, q] * by_ln_tau
-            sens_act[j] = left * sens_act[j] + by.new_by_r_ohm * by_r * warm_r * dscale
+            sens_act[j] = left * sens_act[j] + by.new_by_r_ohm * by_r * warm_r * by_act
             sens_tau_act[j] = left * sens_tau_act[j] + by_ln_tau * (x * ACTIVATION_UNIT_K)
             by_current = by.new_by_current_A + by.new_by_r_ohm * by_seen
             sens_skew[j] = left * sens_skew[j] + by_current * slope
@@ -190,9 +193,9 @@ def voltage_and_jacobian(
             at = lay.warm + log.row[k] * lay.knots_ocv + of
             ocv += _value(theta, at, log.ocv_basis, k, share, lay.knots_ocv)
         m = 0.0
-        activation_K = cell.activation_K + theta[lay.own] * ACTIVATION_UNIT_K
-        r0 = warm_r0 * thermal_factor(activation_K, x)
-        dscale = thermal_partials(activation_K, x).factor_by_activation_K * ACTIVATION_UNIT_K
+        own = theta[lay.own] * ACTIVATION_UNIT_K
+        own_scale = thermal_factor(own, x) if own != 0.0 else 1.0
+        r0 = warm_r0 * (scale * own_scale)
         if hysteresis:
             m = _value(theta, lay.m + f, log.basis, k, share, knots)
             of_h = hysteresis_partials(cell, h, seen, dt)
@@ -224,7 +227,8 @@ def voltage_and_jacobian(
                     row[lay.knots_ocv + f + knots + q] = share * by_r0
                     if hysteresis:
                         row[lay.m + f + knots + q] = share * by_m
-            act = by_v.voltage_by_r0_ohm * warm_r0 * dscale
+            by_act = dscale * own_scale * ACTIVATION_UNIT_K
+            act = by_v.voltage_by_r0_ohm * warm_r0 * by_act
             row[lay.own] = act
             skw = by_v.voltage_by_current_A * slope
             for j in range(branches):
