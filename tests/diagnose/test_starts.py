@@ -7,13 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise.cell.initial_soc.initial_soc import initial_soc
+from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.initial_soc.simulate_log import simulate
 from cellwise.cell.simulate import simulate as simulate_from
 from cellwise.diagnose import diagnose
 from cellwise.diagnose.causes.coordinates import Coordinates
+from cellwise.diagnose.fit.least_squares import Fit
 from cellwise.diagnose.fit.priors import tolerances
 from cellwise.diagnose.fit.rows import gather
+from cellwise.diagnose.log_runs import explanation
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
 
@@ -59,3 +61,18 @@ def test_the_fit_is_no_surer_of_a_start_than_the_first_rows_are(unsure):
     assert prior.std["soc0:0"] == first.std
     assert start.soc + prior.mean["soc0:0"] == pytest.approx(first.soc)
     assert prior.low["soc0:0"] < 0.0 < prior.high["soc0:0"]
+
+
+def test_a_start_that_the_wrong_model_chose_is_not_held_against_the_right_cause(unsure):
+    """All of the log took the model for right: with another model it says another start."""
+    log = measured(unsure, 0)
+    start = initial_soc(unsure, log, likeliest=True, whole_log=True)
+    assert start.beginning is not None
+    evidence = gather(unsure, [(log, start), (log, InitialSoc(SOC0, 0.005, "given"))])
+    coordinates = Coordinates(unsure)
+    z = {"soc0:0": 0.03, "soc0:1": 0.03, "ln_scale": 0.2}
+    found = Fit(z, tuple(z), np.eye(len(z)), 0.0, log.voltage_V, log.voltage_V, coordinates)
+    known = explanation(found, {"ln_scale": 0.2}, ["cell"], evidence, {})
+    assert known.starts == pytest.approx((start.soc + 0.03, SOC0))
+    given = gather(unsure, [(log, InitialSoc(SOC0, 0.005, "given"))])
+    assert explanation(found, {"ln_scale": 0.2}, ["cell"], given, {}).starts is None

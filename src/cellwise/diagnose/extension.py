@@ -67,13 +67,13 @@ def value_of(coordinate: str, x: float, coordinates: Coordinates, soc0: float) -
         return scalars.asinh_per_V + x
     if coordinate == "ln_charge_scale":
         return scalars.charge_scale * math.exp(x)
-    if coordinate == "ln_tau3":
+    if coordinate in ("ln_tau3", "ln_slow_tau"):
         return coordinates.tau3_s * math.exp(x)
     if coordinate == "ln_gamma":
         return coordinates.gamma * math.exp(x)
     if coordinate == "ln_thermal_s":
         return coordinates.thermal_s * math.exp(x)
-    if coordinate == "r3":
+    if coordinate in ("r3", "ln_slow_r"):
         return coordinates.r3_ohm({"r3": x})
     if coordinate == "soc0":
         return soc0 + x

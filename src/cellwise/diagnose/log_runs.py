@@ -70,8 +70,8 @@ class LogRun:
 class Explanation:
     """Causes as a user applies them: an extended model, what the logs lose, where they start.
 
-    ``of_log`` are coordinates of the instrument; ``starts`` are None where the model is corrected
-    and nothing else, and every log then starts where it did.
+    ``of_log`` are coordinates of the instrument; ``starts`` are None where every log starts where
+    it did: the model alone is corrected, and no start was found by taking it for right.
     """
 
     model: CellModel
@@ -92,21 +92,33 @@ def explanation(
 ) -> Explanation:
     """What a fit's ``point`` (causes alone) makes of the model, the logs and their starts.
 
-    ``kinds`` are those of the causes; starts that were given stay, unless a cause is one.
+    ``kinds`` are those of the causes; starts that were given stay, unless a cause is one. Where the
+    model alone is corrected, only those move that all of the log had chosen with the model as it
+    was.
     """
     interval = float(np.median(np.concatenate([g.dt_s[1:] for g in evidence.logs])))
     of_model, of_log = split_skew(found.coordinates, point, interval)
     model = extend_model(found.coordinates, of_model, note)
+    stays = {
+        name: _stays(g.start, set(kinds))
+        for name, g in zip(evidence.starts(), evidence.logs, strict=True)
+    }
     starts = None
-    if {"measurement", "start"} & set(kinds):
-        known = "start" not in kinds
+    if not all(stays.values()) or {"measurement", "start"} & set(kinds):
         starts = tuple(
-            g.start.soc
-            if known and g.start.how in ("given", "stated")
-            else _inside(g.start.soc + found.z.get(name, 0.0))
-            for name, g in zip(evidence.starts(), evidence.logs, strict=True)
+            g.start.soc if stay else _inside(g.start.soc + found.z.get(name, 0.0))
+            for (name, stay), g in zip(stays.items(), evidence.logs, strict=True)
         )
     return Explanation(model, of_log, starts)
+
+
+def _stays(start: InitialSoc, kinds: set[str]) -> bool:
+    """Whether a log starts where it did once causes of these kinds are known."""
+    if "start" in kinds:
+        return False
+    if "measurement" in kinds:
+        return start.how in ("given", "stated")
+    return start.beginning is None
 
 
 def with_use(logs: Sequence[tuple[CellLog, InitialSoc]], fitted: int) -> list[GivenLog]:

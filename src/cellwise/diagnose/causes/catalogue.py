@@ -6,7 +6,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from cellwise.diagnose.causes.coordinates import OCV_NAMES, UNSEEN_OCV_NAMES, UNSEEN_R_NAMES
+from cellwise.diagnose.causes.coordinates import (
+    OCV_NAMES,
+    UNSEEN_OCV_NAMES,
+    UNSEEN_R_NAMES,
+    Coordinates,
+)
 
 Kind = Literal["measurement", "start", "cell"]
 
@@ -36,7 +41,8 @@ class Cause:
     ``kind`` says what is corrected: the log ("measurement"), where it starts ("start") or the model
     ("cell"). ``shape`` is a coordinate that means nothing while the effect is neutral, with the
     values from which the search starts; ``beginnings`` are other points to start from, where a
-    fit that starts at neutral may stop half way.
+    fit that starts at neutral may stop half way. ``forms`` are other shapes that it may have, as
+    causes of the same name: of those that a model can have the likeliest counts.
     """
 
     name: str
@@ -48,12 +54,28 @@ class Cause:
     confused_with: tuple[str, ...]
     shape: tuple[str, tuple[float, ...]] | None = None
     beginnings: tuple[dict[str, float], ...] = ()
+    forms: tuple[Cause, ...] = ()
 
     @property
     def coordinates(self) -> tuple[str, ...]:
         """Names of the coordinates that are estimated for it."""
         return tuple(p.coordinate for p in self.parameters)
 
+
+# Slower diffusion in an electrode has no memory of its own: what the model has of it in its two
+# slow branches grows and takes longer, as r^2 / D does.
+_SLOWER_DIFFUSION = Cause(
+    "slow_diffusion",
+    "cell",
+    "Diffusion has become slower: both slow branches have grown, and their time constants.",
+    "R2, R3 -> r R2, r R3; tau2, tau3 -> t tau2, t tau3; r3_ohm and tau3_s are those after it",
+    "Error that follows the mean current of the last minutes to hours and decays in rests.",
+    (
+        Parameter("r3_ohm", "ohm", 0.0, (0.0, 100.0), "ln_slow_r", 0.7),
+        Parameter("tau3_s", "s", 600.0, (5.0, 1e5), "ln_slow_tau", 0.7),
+    ),
+    ("hysteresis", "resistance_scale", "current_offset"),
+)
 
 CAUSES: dict[str, Cause] = {
     c.name: c
@@ -206,6 +228,7 @@ CAUSES: dict[str, Cause] = {
             ),
             ("hysteresis", "resistance_scale", "current_offset"),
             ("ln_tau3", (30.0, 100.0, 300.0, 1000.0, 3000.0, 10000.0)),
+            forms=(_SLOWER_DIFFUSION,),
         ),
         Cause(
             "surface_soc",
@@ -341,6 +364,12 @@ def known_cause(name: str) -> Cause:
 # On cells of simulated physics it took the place of a contact resistance, a slow diffusion and a
 # resistance, and was the first cause of none of five cells whose exchange current had changed.
 ON_REQUEST = frozenset({"charge_transfer"})
+
+
+def forms_of(cause: Cause, coordinates: Coordinates) -> tuple[Cause, ...]:
+    """A cause in every form that it can have in a model."""
+    others = (f for f in cause.forms if all(coordinates.possible(n) for n in f.coordinates))
+    return (cause, *others)
 
 
 def kept_coordinates(causes: Iterable[Cause]) -> set[str]:

@@ -71,6 +71,8 @@ SHARED = (
     "ln_tau2",
     "r3",
     "ln_tau3",
+    "ln_slow_r",
+    "ln_slow_tau",
     "m_V",
     "ln_gamma",
     "activation_K",
@@ -115,7 +117,8 @@ class Coordinates:
     """Coordinates about one model.
 
     ``r3`` is the resistance of the slow branch over the median R0 where the model has no such
-    branch, and the logarithm of a factor where it has one; ``ln_tau3``, ``ln_gamma`` and
+    branch, and the logarithm of a factor where it has one; ``ln_slow_r`` and ``ln_slow_tau`` are
+    factors of both slow branches of such a model; ``ln_tau3``, ``ln_gamma`` and
     ``ln_thermal_s`` are about the model's values or the START values above.
 
     ``unseen_C`` is a temperature that the model was not measured at: its tables are held there a
@@ -212,6 +215,8 @@ class Coordinates:
         """Whether a coordinate means something for this model and these logs."""
         if name in UNSEEN_NAMES:
             return self.unseen_C is not None
+        if name in _SLOWED:
+            return self.has_slow
         return name not in LOSS_NAMES or self.electrodes is not None
 
     def value_of(self, name: str, x: float) -> float:
@@ -280,6 +285,9 @@ class Coordinates:
         else:
             t[..., R3] = at("r3") * self.r_typical_ohm
             t[..., TAU3] = self.tau3_s * math.exp(at("ln_tau3"))
+        for name, columns in _SLOWED.items():
+            for c in columns:
+                t[..., c] *= math.exp(at(name))
         t[..., M] += at("m_V")
         t[..., ENTROPY] += at("docv_dT")
         if self.unseen_C is not None:
@@ -350,6 +358,9 @@ class Coordinates:
                 d[..., c] = t[..., c]
         elif name in _SINGLE:
             d[..., _SINGLE[name]] = t[..., _SINGLE[name]]
+        elif name in _SLOWED:
+            for c in _SLOWED[name]:
+                d[..., c] = t[..., c]
         elif name == "r3":
             d[..., R3] = t[..., R3] if self.has_slow else self.r_typical_ohm
         elif name == "m_V":
@@ -423,6 +434,7 @@ _SINGLE = {
     "ln_tau2": TAU2,
     "ln_tau3": TAU3,
 }
+_SLOWED = {"ln_slow_r": (R2, R3), "ln_slow_tau": (TAU2, TAU3)}
 _SCALAR = {
     "ln_capacity": "charge_As",
     "activation_K": "activation_K",

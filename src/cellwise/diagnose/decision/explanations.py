@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
-from cellwise.diagnose.causes.catalogue import Cause, kept_coordinates
+from cellwise.diagnose.causes.catalogue import Cause, forms_of, kept_coordinates
 from cellwise.diagnose.decision.rarity import Rarity
 from cellwise.diagnose.decision.score_test import could_explain
 from cellwise.diagnose.fit.cause_fits import CauseFits
@@ -160,6 +160,17 @@ class Explanations:
 
     def _added(self, start: Explanation, cause: Cause, frozen: Frozen) -> Explanation | None:
         """A set with one more cause, all of it fitted; None where the cause stays away."""
+        forms = forms_of(cause, start.fit.coordinates)
+        ends = [self._with_form(start, form, frozen) for form in forms]
+        physical = [e for e in ends if not unphysical(e)]
+        if not physical:
+            if not start.causes:
+                self.refused[cause.name] = unphysical(ends[0])
+            return None
+        return max(physical, key=lambda e: e.found.total)
+
+    def _with_form(self, start: Explanation, cause: Cause, frozen: Frozen) -> Explanation:
+        """A set with one form of one more cause, all of it fitted, from its best beginning."""
         fits, evidence = self.fits, self.fits.evidence
         causes = (*start.causes, cause)
         moving = [*kept_coordinates(causes), *evidence.starts()]
@@ -187,12 +198,7 @@ class Explanations:
             noise = fits.noise(near, wide)
             near = fits.fit(noise, one.coordinates, wide, near.z, 5, frozen, moving)
             ends.append(self._explained(causes, near, noise, wide))
-        best = max(ends, key=lambda e: e.found.total)
-        if why := unphysical(best):
-            if len(causes) == 1:
-                self.refused[cause.name] = why
-            return None
-        return best
+        return max(ends, key=lambda e: e.found.total)
 
     def _settled(self, one: Explanation) -> Explanation:
         """Fitted with its own noise until that changes it no more.

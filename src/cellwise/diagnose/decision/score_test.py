@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from cellwise.diagnose.causes.catalogue import Cause
+from cellwise.diagnose.causes.catalogue import Cause, forms_of
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.least_squares import Fit, Frozen, Prior, normal_of
@@ -29,9 +29,10 @@ def could_explain(
     """
     evidence, objective = fits.evidence, fits.objective(Noise())
     tried = [
-        (cause, shaped, widened_for(prior, cause, shaped, evidence))
+        (form, shaped, widened_for(prior, form, shaped, evidence))
         for cause in causes
-        for shaped in _shapes(fits, cause, base)
+        for form in forms_of(cause, base.coordinates)
+        for shaped in _shapes(fits, form, base)
     ]
     columns, place = _columns(fits, tried, base.z, frozen)
     residual = np.nan_to_num(evidence.voltage_V - base.voltage_V)

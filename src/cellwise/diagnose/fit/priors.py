@@ -41,6 +41,9 @@ GIVEN_ALIKE = 8.0 / 9.0
 # Memories are another one from this factor on (its logarithm).
 ANOTHER = 0.7
 SLOWER_THAN_TAU2 = 2.0
+# Diffusion in a cell becomes slower, not faster: else it would take back from the slow branches
+# what one factor on all resistances has given them too much.
+MOST_SLOWED = 20.0
 
 # How far a calibration on baseline logs may move the model. Three times as far fits the baseline
 # better and predicts other measured drives worse than the model without calibration.
@@ -180,6 +183,8 @@ def coordinate_bounds(
         return math.log(0.3), math.log(2.0)
     if name in ("ln_gain", "ln_scale", "ln_charge_scale"):
         return math.log(low), math.log(high)
+    if name in ("ln_slow_r", "ln_slow_tau"):
+        return 0.0, math.log(MOST_SLOWED)
     if name == "ln_r1":
         return -math.log(high), -math.log(low)
     if name == "asinh_per_V":
