@@ -49,6 +49,10 @@ def test_a_model_without_a_slow_branch_gets_one():
     assert len(forms_of(SLOW, Coordinates(MODEL))) == 2
 
 
+def test_at_a_temperature_that_nobody_has_measured_it_is_what_the_cold_does():
+    assert forms_of(SLOW, Coordinates(MODEL, unseen_C=-5.0)) == (SLOW,)
+
+
 def test_diffusion_becomes_slower_and_not_faster():
     """Beside all resistances by one factor it would take back what the slow ones have too much."""
     coordinates = Coordinates(MODEL)

@@ -215,8 +215,8 @@ class Coordinates:
         """Whether a coordinate means something for this model and these logs."""
         if name in UNSEEN_NAMES:
             return self.unseen_C is not None
-        if name in _SLOWED:
-            return self.has_slow
+        if name in _SLOWED:  # where nobody has measured, slower diffusion is what the cold does
+            return self.has_slow and self.unseen_C is None
         return name not in LOSS_NAMES or self.electrodes is not None
 
     def value_of(self, name: str, x: float) -> float:
