@@ -27,6 +27,7 @@ COUNTS = {
 }
 # Not in files of versions before it was carried; a cell at rest has none.
 NEWER = {"slow_A": 0.0, "contradicted": 0.0}
+NEWER_PAST = {"looked_A": 0.0}
 NEWER_WATCH = {"no_warm_s": -1.0, "room_up": 0.0, "room_down": 0.0, "fresh": 0.0}
 MAY_BE_MISSING = {"temperature_C", "voltage_V", "current_A"}  # not measured yet
 
@@ -66,7 +67,10 @@ def state_from_dict(saved: Mapping[str, Any], estimator: str = "ekf") -> EkfStat
     if isinstance(seen, Mapping):
         seen = {**NEWER_WATCH, **seen}
     watch = Watch(**_numbers(seen, Watch._fields))
-    past = Past(**_numbers(saved.get("past", no_past()._asdict()), Past._fields))
+    before = saved.get("past", no_past()._asdict())
+    if isinstance(before, Mapping):
+        before = {**NEWER_PAST, **before}
+    past = Past(**_numbers(before, Past._fields))
     names = (*CellState._fields, *Covariance._fields, *COUNTS)
     given = saved.get("state")
     if isinstance(given, Mapping):

@@ -19,7 +19,7 @@ WATCH = (
     "room_down",
     "fresh",
 )
-PAST = ("mean_A", "miss_V", "first_soc", "first_variance")
+PAST = ("mean_A", "looked_A", "miss_V", "first_soc", "first_variance")
 # Groups of a state as the filters nest them: the record, and its fields.
 GROUPS = (
     ("cell", "CellState", (*(s.name for s in CELL), "heat_K", "slow_A")),

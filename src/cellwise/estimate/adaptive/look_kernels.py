@@ -4,19 +4,39 @@ from __future__ import annotations
 
 from cellwise.cell.compiled import inline
 from cellwise.cell.equations import CellState, CellTables
-from cellwise.estimate.adaptive.covariance_kernels import leaned, uncorrelated, with_parameters
+from cellwise.estimate.adaptive.covariance_kernels import (
+    AdaptiveColumn,
+    AdaptiveCovariance,
+    leaned,
+    scaled,
+    uncorrelated,
+    with_parameters,
+)
 from cellwise.estimate.adaptive.predict_kernels import Predicted
-from cellwise.estimate.adaptive.state_kernels import Estimate
+from cellwise.estimate.adaptive.state_kernels import CHARGE_HIGH, CHARGE_LOW, Estimate
+from cellwise.estimate.filters.covariance_kernels import Column
+from cellwise.estimate.filters.ekf_kernels import moved as cell_moved
 from cellwise.estimate.filters.past_kernels import (
     Past,
-    looked_for_long,
+    having_looked,
     looks_now,
     no_past,
     past_step,
+    reconsidered,
+    reconsiders_now,
+    share_of_past,
     soc_of_level,
 )
 from cellwise.estimate.gate_kernels import Verdict
 from cellwise.estimate.noise import NoiseScalars
+
+
+@inline
+def moved(e: Estimate, p: AdaptiveCovariance, k: AdaptiveColumn, by: float) -> Estimate:
+    """Estimate + k times an innovation, with its new covariance."""
+    cell = cell_moved(e.x, Column(k.s, k.v1, k.v2, k.v3, k.h), by)
+    charge = min(max(e.charge + k.q * by, CHARGE_LOW), CHARGE_HIGH)
+    return Estimate(cell, e.offset_A + k.o * by, charge, p)
 
 
 @inline
@@ -52,6 +72,12 @@ def look_again(
             x = CellState(soc, x.v1_V, x.v2_V, v3, x.h, x.heat_K, x.slow_A)
             e = Estimate(x, e.offset_A, e.charge, p)
             persistent = 0.0
-            if looked_for_long(since):
-                past = no_past()
+            past = having_looked(past, since)
+        if past.first_variance > 0.0 and reconsiders_now(now.evidence_s, since):
+            more_V, variance = reconsidered(tables, past, now.warm_C, e.x, since)
+            if variance > 0.0:
+                p = e.p
+                k = AdaptiveColumn(p.s3, p.p13, p.p23, p.p33, p.p3h, p.p3o, p.p3q)
+                e = moved(e, p, scaled(k, share_of_past(p.p33, variance)), more_V)
+            past = having_looked(past, since)
     return e, persistent, past

@@ -43,12 +43,10 @@ from cellwise.estimate.adaptive.covariance_kernels import (
     uncorrelated,
     with_parameters,
 )
-from cellwise.estimate.adaptive.look_kernels import look_again
+from cellwise.estimate.adaptive.look_kernels import look_again, moved
 from cellwise.estimate.adaptive.mixture_kernels import Mixture, mixture, soc_deviation
 from cellwise.estimate.adaptive.predict_kernels import Predicted, predict
 from cellwise.estimate.adaptive.state_kernels import (
-    CHARGE_HIGH,
-    CHARGE_LOW,
     AdaptiveScalars,
     AdaptiveState,
     Estimate,
@@ -63,8 +61,6 @@ from cellwise.estimate.adaptive.watch_kernels import (
     watch_rest,
 )
 from cellwise.estimate.evidence_kernels import persistent_step, voltage_variance
-from cellwise.estimate.filters.covariance_kernels import Column
-from cellwise.estimate.filters.ekf_kernels import moved as cell_moved
 from cellwise.estimate.filters.ekf_kernels import reading_of
 from cellwise.estimate.filters.filter_state import EkfStart, LogArrays
 from cellwise.estimate.gate_kernels import Innovation, Verdict, gate
@@ -128,14 +124,6 @@ def polarised(now: Predicted, x: CellState, r: Resistances) -> Polarisation:
     tail = x.v2_V
     slow = tail + x.v3_V
     return Polarisation(drop, tail, r.fast * drop + slow, drop + slow)
-
-
-@inline
-def moved(e: Estimate, p: AdaptiveCovariance, k: AdaptiveColumn, by: float) -> Estimate:
-    """Estimate + k times an innovation, with its new covariance."""
-    cell = cell_moved(e.x, Column(k.s, k.v1, k.v2, k.v3, k.h), by)
-    charge = min(max(e.charge + k.q * by, CHARGE_LOW), CHARGE_HIGH)
-    return Estimate(cell, e.offset_A + k.o * by, charge, p)
 
 
 @inline
