@@ -1806,25 +1806,27 @@ static uint32_t reject(const cellwise_model *m, const cellwise_place *place, cel
 #if CELLWISE_WATCH
 /* Running mean of the SOC that the voltages say is missing, as far as the count may be off. Were
  * the current off, the count would by now be off by `drift`, and of an innovation the part that
- * this explains would be the count's. It widens what is said of the SOC, and nothing else. */
+ * this explains would be the count's. It widens what is said of the SOC, and nothing else.
+ * Beyond the model's data a voltage may contradict the count, but confirms nothing. */
 static void contradict(const cellwise_constants *c, cellwise_state *x, const cellwise_slopes *w,
                        const cellwise_reading *s, float one_V2, float innovation)
 {
     (void)s;
+    float drift = c->drift_soc * (float)(x->evidence - FIRST_VOLTAGE);
+    drift = (drift < 1.0f) ? drift : 1.0f;
+    const float swing_V = (drift * drift) * w->slope_V;
+    float missing = (swing_V * innovation) / ((swing_V * w->slope_V) + one_V2);
+    missing = clip(missing, -1.0f, 1.0f);
+    if (SIZE_WITHIN(missing, 1.0f)) { /* a number */
+        const float now = x->contradicted + (c->contradicted_share * (missing - x->contradicted));
+        uint32_t beyond = 0u;
 #if CELLWISE_VALIDITY
-    const uint32_t beyond = outside(c, x, s);
-#else
-    const uint32_t beyond = 0u;
+        if (magnitude(now) < magnitude(x->contradicted)) {
+            beyond = outside(c, x, s);
+        }
 #endif
-    if (beyond == 0u) {
-        float drift = c->drift_soc * (float)(x->evidence - FIRST_VOLTAGE);
-        drift = (drift < 1.0f) ? drift : 1.0f;
-        const float swing_V = (drift * drift) * w->slope_V;
-        float missing = (swing_V * innovation) / ((swing_V * w->slope_V) + one_V2);
-        missing = clip(missing, -1.0f, 1.0f);
-        if (SIZE_WITHIN(missing, 1.0f)) { /* a number */
-            x->contradicted = x->contradicted +
-                (c->contradicted_share * (missing - x->contradicted));
+        if (beyond == 0u) {
+            x->contradicted = now;
         }
     }
 }

@@ -246,14 +246,14 @@ def beside_step(
 ) -> Beside:
     """What is stated beside P, after an accepted voltage that moved the SOC with a ``gain``.
 
-    Beyond the model's data a voltage says nothing of the counted charge.
+    Beyond the model's data a voltage may contradict the counted charge, but confirms nothing.
     """
-    contradicted = old.contradicted
-    if status & OUTSIDE == 0:
-        since = old.watch.evidence_s
-        contradicted = contradicted_step(
-            noise, contradicted, v.innovation_V, slope_V, one, since, s.dt_s
-        )
+    since = old.watch.evidence_s
+    contradicted = contradicted_step(
+        noise, old.contradicted, v.innovation_V, slope_V, one, since, s.dt_s
+    )
+    if status & OUTSIDE and abs(contradicted) < abs(old.contradicted):
+        contradicted = old.contradicted
     return Beside(
         persistent_step(noise, point, v.mismatch, v.returns * gain, slope_V, old.persistent),
         contradicted,

@@ -138,16 +138,20 @@ def contradict(
 
     Were the current off, the count would by now be off by ``drift``, and of an innovation the part
     that this explains would be the count's. It widens what is said of the SOC, and nothing else.
+    Beyond the model's data a voltage may contradict the count, but confirms nothing.
     """
-    beyond = outside(c, x, s) if VALIDITY else U(0)
-    if beyond == U(0):
-        drift = c.drift_soc * F(U(x.evidence - FIRST_VOLTAGE))
-        drift = drift if drift < ONE else ONE
-        swing_V = (drift * drift) * w.slope_V
-        missing = (swing_V * innovation) / ((swing_V * w.slope_V) + one_V2)
-        missing = clip(missing, -ONE, ONE)
-        if size_within(missing, ONE):  # a number
-            x.contradicted = x.contradicted + (c.contradicted_share * (missing - x.contradicted))
+    drift = c.drift_soc * F(U(x.evidence - FIRST_VOLTAGE))
+    drift = drift if drift < ONE else ONE
+    swing_V = (drift * drift) * w.slope_V
+    missing = (swing_V * innovation) / ((swing_V * w.slope_V) + one_V2)
+    missing = clip(missing, -ONE, ONE)
+    if size_within(missing, ONE):  # a number
+        now = x.contradicted + (c.contradicted_share * (missing - x.contradicted))
+        beyond = U(0)
+        if VALIDITY and magnitude(now) < magnitude(x.contradicted):
+            beyond = outside(c, x, s)
+        if beyond == U(0):
+            x.contradicted = now
 
 
 def fuse(
