@@ -76,3 +76,17 @@ def test_a_start_that_the_wrong_model_chose_is_not_held_against_the_right_cause(
     assert known.starts == pytest.approx((start.soc + 0.03, SOC0))
     given = gather(unsure, [(log, InitialSoc(SOC0, 0.005, "given"))])
     assert explanation(found, {"ln_scale": 0.2}, ["cell"], given, {}).starts is None
+
+
+def test_a_rest_is_read_again_where_the_ocv_is_another_one(unsure):
+    log = measured(unsure, 90)
+    rested = InitialSoc(0.8, 0.02, "rest of 90 s at the start, 3.9 V")
+    evidence = gather(unsure, [(log, rested), (log, InitialSoc(SOC0, 0.005, "given"))])
+    starts = {"soc0:0": 0.03, "soc0:1": 0.03}
+    for shift_V, known in ((0.01, (0.83, SOC0)), (0.0, None)):
+        z = {**starts, "ocv_4": shift_V, "ln_scale": 0.2}
+        found = Fit(z, tuple(z), np.eye(len(z)), 0.0, log.voltage_V, log.voltage_V,
+                    Coordinates(unsure))  # fmt: skip
+        cause = {"ocv_4": shift_V, "ln_scale": 0.2}
+        read = explanation(found, cause, ["cell"], evidence, {}).starts
+        assert read == (None if known is None else pytest.approx(known))

@@ -94,13 +94,14 @@ def explanation(
 
     ``kinds`` are those of the causes; starts that were given stay, unless a cause is one. Where the
     model alone is corrected, only those move that all of the log had chosen with the model as it
-    was.
+    was, and all that a rest or a minute had told through an OCV that is another one now.
     """
     interval = float(np.median(np.concatenate([g.dt_s[1:] for g in evidence.logs])))
     of_model, of_log = split_skew(found.coordinates, point, interval)
     model = extend_model(found.coordinates, of_model, note)
+    moved = not np.array_equal(model.ocv_V, found.coordinates.model.ocv_V)
     stays = {
-        name: _stays(g.start, set(kinds))
+        name: _stays(g.start, set(kinds), moved)
         for name, g in zip(evidence.starts(), evidence.logs, strict=True)
     }
     starts = None
@@ -112,11 +113,14 @@ def explanation(
     return Explanation(model, of_log, starts)
 
 
-def _stays(start: InitialSoc, kinds: set[str]) -> bool:
-    """Whether a log starts where it did once causes of these kinds are known."""
+def _stays(start: InitialSoc, kinds: set[str], ocv_moved: bool) -> bool:
+    """Whether a log starts where it did once causes of these kinds are known.
+
+    A rest is read through the OCV: where that has ``ocv_moved``, it says another SOC.
+    """
     if "start" in kinds:
         return False
-    if "measurement" in kinds:
+    if "measurement" in kinds or ocv_moved:
         return start.how in ("given", "stated")
     return start.beginning is None
 
