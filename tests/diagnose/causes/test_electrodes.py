@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from cellwise.cell.initial_soc.initial_soc import InitialSoc
-from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.causes.coordinates import LOSS_NAMES, Coordinates
 from cellwise.diagnose.causes.electrodes import Electrodes, electrodes_of
 from cellwise.diagnose.causes.half_cells import NEGATIVE, POSITIVE
 from cellwise.diagnose.extension import extend_model
-from cellwise.diagnose.fit.priors import starts_to_try
 from cellwise.diagnose.fit.rows import gather
 from example_cells import linear_cell, random_log
 
@@ -30,67 +26,14 @@ def test_published_potentials_fall_as_lithium_goes_in(name):
 
 
 def test_the_half_cells_of_an_ocv_are_found_again():
-    found = electrodes_of(SOC, CELL.ocv(SOC))[0]
+    found = electrodes_of(SOC, CELL.ocv(SOC))
     assert (found.negative, found.positive) == (CELL.negative, CELL.positive)
     assert found.misfit_V < 2e-4
     assert found.window == pytest.approx(CELL.window, abs=0.01)
 
 
 def test_an_ocv_of_no_published_half_cells_has_none():
-    assert electrodes_of(SOC, 1.2 + 0.9 * SOC) == ()
-
-
-def of_another_positive(y):
-    """A positive electrode that nobody published: up to 15 mV from one that was."""
-    return POSITIVE["NMC 811"][0](y) + 0.015 * np.sin(9.0 * y)
-
-
-def test_what_half_cells_leave_ages_with_the_positive_electrode():
-    """Its OCV, worked out here from the true half cells after a loss of lithium."""
-    negative = NEGATIVE["graphite with SiOx"][0]
-    x0, x1, y0, y1 = CELL.window
-
-    def ocv(x, y):
-        return of_another_positive(y) - negative(x)
-
-    z = SOC * (x1 - x0) + x0
-    healthy = ocv(z, y0 + SOC * (y1 - y0))
-    pair = next(
-        e
-        for e in electrodes_of(SOC, healthy)
-        if (e.negative, e.positive) == (CELL.negative, CELL.positive)
-    )
-    assert 0.002 < pair.misfit_V < 0.015
-    assert pair.ocv(SOC) == pytest.approx(healthy, abs=1e-9)
-    q_n, q_p = CELL.capacities
-    left = 0.9 * CELL.lithium
-    x = np.linspace(0.005, 0.9, 50_001)
-    y = (left - q_n * x) / q_p
-    full_cell = ocv(x, y)
-    ends = np.interp(healthy[[0, -1]], full_cell, x)
-    aged = np.interp(ends[0] + SOC * (ends[1] - ends[0]), x, full_cell)
-    inner = (SOC > 0.05) & (SOC < 0.95)
-
-    def left_V(electrodes):
-        change, _ = electrodes.aged(SOC, 0.1, 0.0, 0.0)
-        return np.sqrt(np.mean((healthy + change - aged)[inner] ** 2))
-
-    staying = replace(pair, rest_V=(0.0, 0.0))  # what half cells leave, at the SOC where it was
-    assert left_V(pair) < 0.5 * left_V(staying)
-
-
-def test_every_pair_that_comes_near_is_tried_until_one_is_chosen():
-    model = linear_cell(
-        51, ocv_V=of_another_positive(0.86 - 0.59 * np.linspace(0.0, 1.0, 51)) - 0.1
-    )
-    coordinates = Coordinates(model)
-    assert len(coordinates.pairs) > 1
-    log = random_log(np.random.default_rng(3), 400)
-    evidence = gather(model, [(log, InitialSoc(0.8, 0.01, "given"))])
-    tried = starts_to_try(CAUSES["lithium_inventory"], coordinates, evidence)
-    assert [c.electrodes for c, _ in tried] == list(coordinates.pairs)
-    again = starts_to_try(CAUSES["active_material_positive"], tried[1][0], evidence)
-    assert [c.electrodes for c, _ in again] == [coordinates.pairs[1]]
+    assert electrodes_of(SOC, 1.2 + 0.9 * SOC) is None
 
 
 def test_without_a_loss_nothing_changes():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +14,7 @@ from cellwise.cell.model import ModelError
 from cellwise.diagnose.applied import kept
 from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.causes.coordinates import Coordinates
-from cellwise.diagnose.decision.explanations import Explanations, beside_others
+from cellwise.diagnose.decision.explanations import Explanations
 from cellwise.diagnose.decision.outcome import Outcome, _of_named, decide
 from cellwise.diagnose.decision.rarity import (
     BOTH_NATS,
@@ -180,21 +179,3 @@ def test_what_age_does_at_once_is_one_coincidence():
     both = cold.nats(("temperature_dependence", "surface_soc"))
     assert both == pytest.approx(FURTHER_AGE_NATS)
     assert cold.nats(("surface_soc",)) == pytest.approx(FURTHER_AGE_NATS + LAW_HOLDS_NATS)
-
-
-@pytest.mark.parametrize(
-    ("added", "to", "sure", "can"),
-    [
-        ("lithium_inventory", "resistance_scale", False, True),
-        ("lithium_inventory", "ocv_shift", False, False),
-        ("lithium_inventory", "active_material_positive", False, False),
-        ("lithium_inventory", "active_material_positive", True, True),
-        ("ocv_shift", "active_material_positive", False, True),
-        ("resistance_scale", "resistance_scale", True, False),
-    ],
-)
-def test_where_half_cells_are_only_near_a_loss_stands_by_itself(added, to, sure, can):
-    coordinates = SimpleNamespace(pairs=(object(),), sure_of_electrodes=sure)
-    fit = SimpleNamespace(coordinates=coordinates)
-    start = SimpleNamespace(names=(to,), key=frozenset({to}), fit=fit)
-    assert beside_others(CAUSES[added], start) is can

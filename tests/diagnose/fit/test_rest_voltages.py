@@ -128,17 +128,3 @@ def test_lithium_that_was_lost_is_a_claim_on_charge():
     rests = rest_voltages(rows.logs, coordinates.model.capacity_Ah, 1.0)
     assert rests.ln_likelihood(coordinates, aged) > -0.1
     assert rests.ln_likelihood(coordinates, {}) < -2.0
-
-
-def test_how_far_the_ocv_is_off_is_not_known_to_two_hundred_deviations():
-    """The first deviations refute a claim; a rest that everything misses decides nothing alone."""
-    log, start, _, _ = discharged(lambda t: 0.0 * t)
-
-    def said_of(off_V):
-        wrong = replace(log, voltage_V=log.voltage_V - off_V * (log.current_A == 0.0))
-        return found_in(wrong, start).ln_likelihood(Coordinates(CELL), {})
-
-    near, far = said_of(0.02), said_of(0.4)
-    assert near < -4.0
-    # Of a normal error the second would be worth 400 times the first.
-    assert 3.0 * near > far > 10.0 * near

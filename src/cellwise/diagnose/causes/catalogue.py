@@ -325,9 +325,6 @@ def _over_soc(
     )
 
 
-# What electrodes may lose.
-LOSSES = frozenset({"lithium_inventory", "active_material_negative", "active_material_positive"})
-
 # At a temperature that the model was not measured at its law is an extrapolation, for every
 # process by another activation: charge transfer has 27 to 60 kJ/mol (3200 to 7200 K;
 # 10.1039/D3RA03630H and what it compares with), electrolytes less, and what each has of a

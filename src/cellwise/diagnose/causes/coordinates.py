@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
@@ -30,7 +30,7 @@ from cellwise.cell.point_kernels import (
     CellScalars,
     M,
 )
-from cellwise.diagnose.causes.electrodes import SURE_V, Electrodes, electrodes_of
+from cellwise.diagnose.causes.electrodes import Electrodes, electrodes_of
 from cellwise.diagnose.causes.sensitivity_kernels import Directions
 from cellwise.typing import FloatArray, IntArray
 
@@ -49,8 +49,6 @@ LOSS_STEP = 1e-4
 OCV_NAMES = tuple(f"ocv_{k}" for k in range(OCV_KNOTS))
 R_NAMES = tuple(f"ln_r_{k}" for k in range(R_KNOTS))
 LOSS_NAMES = ("lithium_loss", "negative_loss", "positive_loss")
-# The shape of a loss: which of the pairs of half cells the cell has.
-PAIR = "pair"
 # At a temperature that the model was not measured at, beside what its own law says: activation of
 # all resistances and slope of the OCV, at knots over SOC.
 UNSEEN_R_NAMES = tuple(f"unseen_r_{k}_K" for k in range(R_KNOTS))
@@ -209,30 +207,9 @@ class Coordinates:
         return self.shapes.get("ln_surface_s", START_SURFACE_S)
 
     @cached_property
-    def pairs(self) -> tuple[Electrodes, ...]:
-        """The half cells that the OCV may be made of; empty where no published ones come near."""
-        return electrodes_of(self.model.soc, self.model.at_temperature(REFERENCE_C).ocv_V[0])
-
-    @cached_property
     def electrodes(self) -> Electrodes | None:
-        """The half cells whose losses the coordinates mean; None where none come near the OCV."""
-        return self.pairs[int(self.shapes.get(PAIR, 0.0))] if self.pairs else None
-
-    @cached_property
-    def of_every_pair(self) -> tuple[Coordinates, ...]:
-        """These with every pair of half cells that the OCV may be made of.
-
-        Losses of one cell are of one pair: once it is chosen there is no other.
-        """
-        if PAIR in self.shapes:
-            return (self,)
-        many = range(len(self.pairs))
-        return tuple(replace(self, shapes={**self.shapes, PAIR: float(k)}) for k in many)
-
-    @property
-    def sure_of_electrodes(self) -> bool:
-        """Whether published half cells are those of the cell, not only near them."""
-        return bool(self.pairs) and self.pairs[0].misfit_V <= SURE_V
+        """The half cells that the OCV is made of; None where no published ones come near it."""
+        return electrodes_of(self.model.soc, self.model.at_temperature(REFERENCE_C).ocv_V[0])
 
     def possible(self, name: str) -> bool:
         """Whether a coordinate means something for this model and these logs."""

@@ -1,19 +1,17 @@
 r"""An OCV as the difference of two electrodes, and what it becomes when they have aged.
 
-.. math:: OCV(z) = U_p(y_0 - z (y_0 - y_{100})) - U_n(x_0 + z (x_{100} - x_0))
+.. math:: OCV(z) = U_p(y_0 - z (y_0 - y_{100})) - U_n(x_0 + z (x_{100} - x_0)) + rest(z)
 
 The window of each electrode is fitted to a model's OCV with published half cells; what they leave
-belongs to the positive electrode, whose material differs more between cells than graphite. Which
-half cells a cell has is not known: every pair that comes near is one way in which its OCV may
-change. A loss of lithium or of an electrode's material moves both windows: full and empty are where
-the cell comes to the same voltages as before. Source: Dubarry et al. 2012,
+stays as it is. A loss of lithium or of an electrode's material moves both windows: full and empty
+are where the cell comes to the same voltages as before. Source: Dubarry et al. 2012,
 10.1016/j.jpowsour.2012.07.016; Mohtat et al. 2019, 10.1016/j.jpowsour.2019.03.104.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -22,14 +20,8 @@ from scipy.optimize import brentq, least_squares
 from cellwise.diagnose.causes.half_cells import NEGATIVE, POSITIVE, HalfCell
 from cellwise.typing import FloatArray
 
-# Published samples of one chemistry, each with its own window, lie so far apart from each other.
-MOST_MISFIT_V = 0.030
-# Pairs that leave so much more than the nearest are not those of the cell.
-FURTHER_V = 0.010
-# Half cells that leave no more than this are those of the cell, as far as losses show.
-SURE_V = 0.010
-# So many pairs are tried, those that come nearest.
-MOST_PAIRS = 8
+# Samples of one chemistry lie so far apart; half cells that leave more are of another one.
+MOST_MISFIT_V = 0.010
 # The steep ends say little about the windows, and much about how they were measured.
 FITTED_SOC = (0.03, 0.98)
 # x_0, x_100, y_0, y_100
@@ -41,15 +33,13 @@ class Electrodes:
     """Two electrodes that make an OCV; capacities in units of the model's.
 
     ``window`` is x at SOC 0 and 1, y at SOC 0 and 1; ``misfit_V`` the root mean square of what the
-    published curves leave of the OCV, ``rest_V`` that over even steps of SOC: the positive
-    electrode's own.
+    two leave of the OCV.
     """
 
     negative: str
     positive: str
     window: tuple[float, float, float, float]
     misfit_V: float
-    rest_V: tuple[float, ...] = (0.0, 0.0)
 
     @property
     def capacities(self) -> tuple[float, float]:
@@ -81,15 +71,8 @@ class Electrodes:
 
     def _between(self, soc: FloatArray, window: tuple[float, float, float, float]) -> FloatArray:
         x0, x1, y0, y1 = window
-        u_n = NEGATIVE[self.negative][0]
-        return self.positive_V(y0 + soc * (y1 - y0)) - u_n(x0 + soc * (x1 - x0))
-
-    def positive_V(self, y: FloatArray) -> FloatArray:
-        """Positive electrode against lithium [V], with what the half cells leave of the OCV."""
-        _, _, y0, y1 = self.window
-        even = np.linspace(0.0, 1.0, len(self.rest_V))
-        rest = np.interp((y0 - y) / (y0 - y1), even, self.rest_V)
-        return np.asarray(POSITIVE[self.positive][0](np.clip(y, 0.0, 1.0)) + rest)
+        u_n, u_p = NEGATIVE[self.negative][0], POSITIVE[self.positive][0]
+        return u_p(y0 + soc * (y1 - y0)) - u_n(x0 + soc * (x1 - x0))
 
 
 @lru_cache(maxsize=256)
@@ -100,7 +83,7 @@ def _aged_window(
     before = electrodes.capacities
     q_n, q_p = before[0] * (1.0 - negative), before[1] * (1.0 - positive)
     left = electrodes.lithium * (1.0 - lithium)
-    u_n, u_p = NEGATIVE[electrodes.negative][0], electrodes.positive_V
+    u_n, u_p = NEGATIVE[electrodes.negative][0], POSITIVE[electrodes.positive][0]
 
     def voltage(x: float) -> float:
         return _value(u_p, (left - q_n * x) / q_p) - _value(u_n, x)
@@ -125,24 +108,28 @@ def _crossing(voltage: Callable[[float], float], at_V: float, span: tuple[float,
     return float(brentq(lambda x: voltage(x) - at_V, *span, xtol=1e-13))
 
 
-def electrodes_of(soc: FloatArray, ocv_V: FloatArray) -> tuple[Electrodes, ...]:
-    """The pairs of published half cells that come near an OCV, the nearest first.
+def electrodes_of(soc: FloatArray, ocv_V: FloatArray) -> Electrodes | None:
+    """The published half cells that come nearest to an OCV; None where none comes near.
 
     Parameters
     ----------
-    soc, ocv_V : (n,) array       SOC 0..1, evenly, and open-circuit voltage [V]
+    soc, ocv_V : (n,) array       SOC 0..1 and open-circuit voltage [V]
     """
     return _electrodes_of(tuple(map(float, soc)), tuple(map(float, ocv_V)))
 
 
 @lru_cache(maxsize=32)
-def _electrodes_of(soc: tuple[float, ...], ocv_V: tuple[float, ...]) -> tuple[Electrodes, ...]:
+def _electrodes_of(soc: tuple[float, ...], ocv_V: tuple[float, ...]) -> Electrodes | None:
     z, v = np.array(soc), np.array(ocv_V)
     used = (z >= FITTED_SOC[0]) & (z <= FITTED_SOC[1])
-    pairs = [_fitted(z[used], v[used], n, p) for n in NEGATIVE for p in POSITIVE]
-    most_V = min(MOST_MISFIT_V, min(e.misfit_V for e in pairs) + FURTHER_V)
-    near = sorted((e for e in pairs if e.misfit_V <= most_V), key=lambda e: e.misfit_V)
-    return tuple(replace(e, rest_V=tuple(map(float, v - e.ocv(z)))) for e in near[:MOST_PAIRS])
+    z, v = z[used], v[used]
+    best: Electrodes | None = None
+    for negative in NEGATIVE:
+        for positive in POSITIVE:
+            found = _fitted(z, v, negative, positive)
+            if best is None or found.misfit_V < best.misfit_V:
+                best = found
+    return best if best is not None and best.misfit_V <= MOST_MISFIT_V else None
 
 
 def _fitted(soc: FloatArray, ocv_V: FloatArray, negative: str, positive: str) -> Electrodes:

@@ -8,12 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.special import expit
 
 from cellwise.typing import FloatArray
 
 HalfCell = Callable[[FloatArray], FloatArray]
-FARADAY_PER_RT = 38.9217  # at 25 degC [1/V]
 
 
 def graphite_silicon(x: FloatArray) -> FloatArray:
@@ -39,42 +37,6 @@ def graphite_stages(x: FloatArray) -> FloatArray:
     u = u - 0.0118 * np.tanh((x - 0.155) / 0.016) - 0.0035 * np.tanh((x - 0.220) / 0.020)
     u = u - 0.0095 * np.tanh((x - 0.190) / 0.013) - 0.0145 * np.tanh((x - 0.490) / 0.020)
     return np.asarray(u - 0.0800 * np.tanh((x - 1.030) / 0.055))
-
-
-def graphite_wide_stages(x: FloatArray) -> FloatArray:
-    """Graphite with wide stages: Safari and Delacourt 2011, 10.1149/1.3567007 [V]."""
-    u = 0.6379 + 0.5416 * np.exp(-305.5309 * x) - 0.044 * np.tanh((x - 0.1958) / 0.1088)
-    u = u - 0.1978 * np.tanh((x - 1.0571) / 0.0854) - 0.6875 * np.tanh((x + 0.0117) / 0.0529)
-    return np.asarray(u - 0.0175 * np.tanh((x - 0.5692) / 0.0875))
-
-
-def _of_reactions(
-    potential_V: tuple[float, ...], share: tuple[float, ...], width: tuple[float, ...]
-) -> HalfCell:
-    """An electrode of several reactions, each with its potential, share of sites and width.
-
-    x(U) = sum of share / (1 + exp(F (U - potential) / (R T width))), inverted by a table.
-    """
-    table_V = np.linspace(min(potential_V) - 0.6, max(potential_V) + 1.2, 6000)
-    filled = np.zeros(table_V.size)
-    for u, x, w in zip(potential_V, share, width, strict=True):
-        filled += x * expit(-FARADAY_PER_RT * (table_V - u) / w)
-    return lambda x: np.asarray(np.interp(-x, -filled, table_V))
-
-
-graphite_reactions = _of_reactions(
-    (0.08843, 0.12799, 0.14331, 0.16984, 0.21446, 0.36325),
-    (0.43336, 0.23963, 0.15018, 0.05462, 0.06744, 0.05476),
-    (0.08611, 0.08009, 0.72469, 2.53277, 0.09470, 5.97354),
-)
-"""Graphite of six reactions: Verbrugge et al. 2017, 10.1149/2.0341708jes [V]."""
-
-nmc_622 = _of_reactions(
-    (3.62274, 3.72645, 3.90575, 4.22955),
-    (0.13442, 0.32460, 0.21118, 0.32980),
-    (0.96710, 1.39712, 3.50500, 5.52757),
-)
-"""LiNi0.6Mn0.2Co0.2O2 of four reactions: Verbrugge et al. 2017, 10.1149/2.0341708jes [V]."""
 
 
 def nmc_811(y: FloatArray) -> FloatArray:
@@ -117,13 +79,10 @@ NEGATIVE: dict[str, tuple[HalfCell, tuple[float, float]]] = {
     "graphite": (graphite_mcmb, (0.10, 0.90)),
     "graphite, sharp stages": (graphite_stages, (0.01, 0.83)),
     "graphite with SiOx": (graphite_silicon, (0.03, 0.91)),
-    "graphite, wide stages": (graphite_wide_stages, (0.01, 0.80)),
-    "graphite of six reactions": (graphite_reactions, (0.01, 0.90)),
 }
 POSITIVE: dict[str, tuple[HalfCell, tuple[float, float]]] = {
     "NMC 811": (nmc_811, (0.85, 0.27)),
     "NMC 532": (nmc_532, (0.89, 0.05)),
-    "NMC 622": (nmc_622, (0.90, 0.20)),
     "NCA": (nca, (0.98, 0.34)),
     "LCO": (lco, (0.95, 0.50)),
     "LFP": (lfp, (0.70, 0.01)),

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
-from cellwise.diagnose.causes.catalogue import LOSSES, Cause, forms_of, kept_coordinates
+from cellwise.diagnose.causes.catalogue import Cause, forms_of, kept_coordinates
 from cellwise.diagnose.decision.rarity import Rarity
 from cellwise.diagnose.decision.score_test import could_explain
 from cellwise.diagnose.fit.cause_fits import CauseFits
@@ -132,7 +132,7 @@ class Explanations:
 
     def _worth(self, start: Explanation, causes: Sequence[Cause], frozen: Frozen) -> list[Cause]:
         """Causes that could gain their rarity beside a set, those that could most."""
-        left = [c for c in causes if beside_others(c, start)]
+        left = [c for c in causes if c.name not in start.names]
         if not start.causes:
             return left
         most = could_explain(self.fits, left, start.fit, start.prior, frozen)
@@ -198,7 +198,7 @@ class Explanations:
             noise = fits.noise(near, wide)
             near = fits.fit(noise, one.coordinates, wide, near.z, 5, frozen, moving)
             ends.append(self._explained(causes, near, noise, wide))
-        return max(ends, key=lambda e: (not unphysical(e), e.found.total))
+        return max(ends, key=lambda e: e.found.total)
 
     def _settled(self, one: Explanation) -> Explanation:
         """Fitted with its own noise until that changes it no more.
@@ -235,20 +235,6 @@ class Explanations:
     def _say(self, size: int, part: float, name: str) -> None:
         if self.progress is not None:
             self.progress(1.0 - 0.5 ** (size - 1 + part), name.replace("_", " "))
-
-
-def beside_others(cause: Cause, start: Explanation) -> bool:
-    """Whether a cause can be another one beside those of a set.
-
-    Where half cells come near the OCV but are not the cell's, a loss has to stand by itself,
-    and an `ocv_shift` beside it corrects its shape. A loss that is added to what a shape leaves
-    is that of no electrode.
-    """
-    if cause.name in start.names:
-        return False
-    coordinates = start.fit.coordinates
-    nearly = bool(coordinates.pairs) and not coordinates.sure_of_electrodes
-    return not (nearly and cause.name in LOSSES and start.key & {"ocv_shift", *LOSSES})
 
 
 def unphysical(one: Explanation) -> str:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from cellwise.diagnose.causes.catalogue import Cause, kept_coordinates
-from cellwise.diagnose.causes.coordinates import LOSS_NAMES, Coordinates
+from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.fit.least_squares import (
     Fit,
     Frozen,
@@ -143,8 +142,6 @@ class CauseFits:
             self.objective(noise), found, prior, self.known, noise.scale, moved, kept
         )
         more = self.at_rest(found) + ln_size(found.z, kept, prior, self.same_age)
-        if kept & set(LOSS_NAMES):  # of the pairs of half cells each is as likely beforehand
-            more -= math.log(len(found.coordinates.pairs))
         return found_so._replace(total=found_so.total + more)
 
     def effects_V(self, found: Fit, causes: Iterable[Cause]) -> FloatArray:

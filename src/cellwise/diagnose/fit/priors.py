@@ -11,7 +11,7 @@ import numpy as np
 from cellwise.cell.effects import ChargeTransfer, TemperatureDependence
 from cellwise.cell.model import CellModel
 from cellwise.diagnose.causes.catalogue import Cause
-from cellwise.diagnose.causes.coordinates import LOSS_NAMES, OCV_NAMES, R_NAMES, Coordinates
+from cellwise.diagnose.causes.coordinates import OCV_NAMES, R_NAMES, Coordinates
 from cellwise.diagnose.fit.least_squares import Fit, Prior
 from cellwise.diagnose.fit.noise import stated_V
 from cellwise.diagnose.fit.rows import Evidence
@@ -248,8 +248,6 @@ def starts_to_try(
     effect, its own memory and the others: a change of both may hide behind a ridge.
     """
     plain = [(coordinates, dict(b)) for b in cause.beginnings or ({},)]
-    if set(cause.coordinates) & set(LOSS_NAMES):
-        return [(one, {}) for one in coordinates.of_every_pair]
     if cause.shape is None:
         return plain
     name, values = cause.shape

@@ -17,7 +17,6 @@ import numpy as np
 from cellwise.cell.initial_soc.rest import REST_RATE
 from cellwise.cell.point_kernels import OCV, M
 from cellwise.diagnose.causes.coordinates import Coordinates
-from cellwise.diagnose.fit.noise import STATED_ERRORS
 from cellwise.diagnose.fit.rows import LogRows
 from cellwise.typing import FloatArray
 
@@ -77,16 +76,14 @@ class RestVoltages:
         capacity = coordinates.capacity_Ah(z)
         socs = np.array([r.soc(self.starts[r.log], z, capacity) for r in self.rests])
         bins = np.round(socs / SAME_SOC)
-        squares = widened = 0.0
+        total = 0.0
         for rest, soc, place in zip(self.rests, socs, bins, strict=True):
             away = self.away(rest, float(soc), coordinates, z)
             _, std = self._ocv(rest, float(soc), coordinates, z)
             _, least = self._ocv(rest, float(soc), coordinates, {})
-            count = float(np.sum(bins == place))
-            squares += away * away / count
-            widened += math.log(std / least) / count
-        many = STATED_ERRORS + np.unique(bins).size
-        return -0.5 * many * math.log1p(squares / STATED_ERRORS) - widened
+            terms = 0.5 * away * away + math.log(std / least)
+            total -= terms / float(np.sum(bins == place))
+        return total
 
     def contradiction(self, coordinates: Coordinates, z: Mapping[str, float]) -> str:
         """The rest that speaks loudest against a point, for people."""
