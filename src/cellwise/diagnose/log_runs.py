@@ -94,7 +94,7 @@ def explanation(
 
     ``kinds`` are those of the causes; starts that were given stay, unless a cause is one. Where the
     model alone is corrected, only those move that all of the log had chosen with the model as it
-    was, and all that a rest or a minute had told through an OCV that is another one now.
+    was, and all that a rest or a minute had shown through an OCV that is another one now.
     """
     interval = float(np.median(np.concatenate([g.dt_s[1:] for g in evidence.logs])))
     of_model, of_log = split_skew(found.coordinates, point, interval)

@@ -164,7 +164,7 @@ def left_by_load(
 def reconsidered(
     tables: CellTables, past: Past, temperature_C: float, x: CellState, since_s: float
 ) -> tuple[float, float]:
-    """How far what is left of the past is from what the last look took it for, and its variance.
+    """How far the rest of the past is from what the last look took it for, and its variance.
 
     Minutes of a load that changes say little of its mean: with a longer one, a past like it has
     left another voltage in a branch of hours.
