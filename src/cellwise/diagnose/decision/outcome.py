@@ -19,6 +19,10 @@ REFUTED = 0.5 * 3.0**2
 MOST_REASONS = 3
 # `none` where nothing is likelier than anything; else the sets that compete are said.
 LIKELY = 0.5
+NOT_MEASURED_THERE = (
+    "{} explains the logs best, but the model was not measured at their temperature, where a cell "
+    "that has aged and a healthy one look alike: a test of the cell there would tell them apart"
+)
 
 
 @dataclass(frozen=True)
@@ -76,6 +80,8 @@ def decide(sets: Explanations) -> Outcome:
     best = sets.best(1)[0]
     known = {c.name: c for e in sets.tried.values() for c in e.causes}
     named = [c for c in known.values() if probability_of(c.name, weighed) > NAMED]
+    hidden = [c.name for c in named if sets.rarity.hides(c.name)]
+    named = [c for c in named if c.name not in hidden]
     accepted = sorted((_accepted(sets, c) for c in named), key=lambda a: -a.score)
     nothing = sum(w.probability for w in weighed if not w.causes)
     alternatives: tuple[Explanation, ...] = ()
@@ -87,6 +93,7 @@ def decide(sets: Explanations) -> Outcome:
         alternatives = tuple(likely[: max(2, _needed(weighed))])
     first = tuple(sets.best(len(known), 1))
     reasons = () if accepted or best.causes else _reasons(sets, first)
+    reasons = (*(NOT_MEASURED_THERE.format(name) for name in hidden), *reasons)
     return Outcome(tuple(accepted), fit, none, first, alternatives, noise, reasons, weighed)
 
 

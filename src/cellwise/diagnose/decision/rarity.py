@@ -43,6 +43,14 @@ class Rarity:
     extrapolated: bool = False
     same_age: bool = False
 
+    def hides(self, name: str) -> bool:
+        """Whether a cause cannot be said to be there, however well it explains the logs.
+
+        At a temperature that the model was not measured at, a cell that has aged and a law that
+        does not hold there look alike: diffusion that the cold slows empties a cell early, too.
+        """
+        return self.extrapolated and name in AGE
+
     def nats(self, names: Collection[str]) -> float:
         """Ln of the odds against a set."""
         left = set(names)
