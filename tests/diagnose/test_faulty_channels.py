@@ -90,6 +90,16 @@ def test_a_current_at_the_end_of_its_range_is_saturated_and_a_tester_at_its_limi
     assert clean(replace(limited, voltage_V=voltage + noise))[1] == ()
 
 
+def test_a_testers_constant_current_that_flickers_by_its_digits_is_not_at_its_end():
+    """C/30 up a plateau: the voltage goes to and fro by its own digits while the current stands."""
+    rng = np.random.default_rng(7)
+    rows = 8000
+    current = -0.0767 + 1e-4 * (rng.random(rows) < 0.4)
+    volt = 3.3 + 2e-6 * np.arange(rows) + 3.3e-4 * rng.integers(-1, 2, rows)
+    log = CellLog(10.0 * np.arange(rows), current, np.round(volt, 5))
+    assert clean(log)[1] == ()
+
+
 def test_single_rows_that_jump_are_spikes(drive):
     rng = np.random.default_rng(13)
     at = np.sort(rng.choice(np.arange(10, ROWS - 10, 7), 12, replace=False))

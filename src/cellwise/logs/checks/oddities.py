@@ -19,6 +19,7 @@ STUCK_MOVES = 10
 PLAIN_MOVES, PLAIN_DIGITS = 3, 5.0
 DEAD_MOVES = 2
 STUCK_MOVE_OF_RANGE = 0.1
+HELD_SHARE = 0.01  # of the largest current
 SATURATED_RUN = 3
 SATURATED_VISITS = 3
 # A spike is beyond what the current did by so many robust deviations, and by so much at least.
@@ -183,7 +184,20 @@ def stuck_runs(log: MeasuredLog) -> dict[str, list[Run]]:
     dead = _standstills(log.current_A, log.voltage_V, jump, DEAD_MOVES, STUCK_ROWS - 1)
     nothing = [r for r in dead if log.current_A[r.first] == 0.0]
     found["current_A"] = sorted({*found["current_A"], *nothing})
-    return {name: runs for name, runs in found.items() if runs}
+    return {
+        name: runs
+        for name, runs in found.items()
+        if runs and not (name == "current_A" and _is_held(log))
+    }
+
+
+def _is_held(log: MeasuredLog) -> bool:
+    """Whether the current is a tester's constant that flickers by its digits.
+
+    It stands at its end then, and the voltage goes on moving by its own.
+    """
+    swing = _swing(log.current_A)
+    return 0.0 < swing <= HELD_SHARE * float(np.fmax.reduce(np.abs(log.current_A)))
 
 
 def _current_jump(log: MeasuredLog) -> float:
@@ -291,7 +305,7 @@ def clipped_runs(log: MeasuredLog) -> dict[str, list[Run]]:
         at_end = getattr(log, channel) == found.value
         inside = at_end & np.concatenate(([False], at_end[:-1]))
         moves = min(np.sum(change[inside] > jump), np.sum(change[inside] < -jump))
-        if moves >= STUCK_MOVES and jump > 0.0:
+        if moves >= STUCK_MOVES and jump > 0.0 and not (channel == "current_A" and _is_held(log)):
             runs[channel] = sorted([*runs.get(channel, []), *runs_of(at_end)])
     return runs
 
