@@ -21,7 +21,7 @@ MOST_REASONS = 3
 LIKELY = 0.5
 NOT_MEASURED_THERE = (
     "{} explains the logs best, but the model was not measured at their temperature, where a cell "
-    "that has aged and a healthy one look alike: a test of the cell there would tell them apart"
+    "that has aged and a healthy one look alike: a test of the cell there distinguishes them"
 )
 
 
