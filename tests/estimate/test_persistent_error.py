@@ -39,7 +39,10 @@ def moved(log, volt):
 def test_the_estimate_itself_is_the_same(filter_):
     model = curved_cell()
     log = moved(cycled(model), 0.004)
-    none, half = (filter_(model, Noise(lasting_share=s)).run(log, 0.6, 0.1) for s in (0.0, 0.5))
+    kept = Noise(mismatch_cap=0.0)
+    none, half = (
+        filter_(model, replace(kept, lasting_share=s)).run(log, 0.6, 0.1) for s in (0.0, 0.5)
+    )
     np.testing.assert_array_equal(none.soc, half.soc)
     np.testing.assert_array_equal(none.innovation_variance_V2, half.innovation_variance_V2)
     assert np.all(none.soc_std <= half.soc_std)
@@ -76,6 +79,47 @@ def test_coverage_where_every_cell_has_an_offset_of_its_own(share, least, most):
         trace = ekf.run(moved(log, z * ERROR_V), 0.5, 0.1)
         inside.append(np.abs(trace.soc - truth) <= 2.0 * trace.soc_std)
     assert least <= np.mean(inside) <= most
+
+
+@pytest.mark.parametrize("filter_", [Ekf, Ukf])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_of_resistances_that_part_stays_which_no_test_could_show(filter_, sign):
+    """Linear cell under a load that lasts, its R0 off by the share: two runs differ by as much."""
+    tiny = np.full(11, 1e-9)
+    error = ModelError(white_V=0.001, slow_V=(1e-9,))
+    model = linear_cell(r1_ohm=tiny, r2_ohm=tiny, error=error)
+    noise = Noise(
+        current_A=0.0, branch_share=0.2, ocv_soc=0.0, mismatch_cap=0.0, gate=1e9,
+        unseen_share=0.2, unseen_charge_share=0.2,
+    )  # fmt: skip
+    rate_A = 0.1 * sign * model.capacity_Ah
+    log = CellLog(10.0 * np.arange(2000), np.full(2000, rate_A), np.full(2000, 3.7))
+    start = 0.5 + 0.25 * sign
+    log = replace(log, voltage_V=simulate(model, log, start).voltage_V)
+    drop_V = 0.2 * float(model.r0_ohm.mean()) * rate_A
+    right, wrong = (filter_(model, noise).run(x, start, 0.1) for x in (log, moved(log, drop_V)))
+    shown = replace(noise, unseen_share=0.0, unseen_charge_share=0.0)
+    plain = filter_(model, shown).run(log, start, 0.1)
+    np.testing.assert_array_equal(plain.soc, right.soc)
+    lasting = np.sqrt(right.soc_std**2 - plain.soc_std**2)
+    late = slice(400, None)
+    np.testing.assert_allclose(np.abs(wrong.soc - right.soc)[late], lasting[late], rtol=0.02)
+
+
+@pytest.mark.parametrize("filter_", FILTERS)
+def test_where_voltages_show_more_than_is_stated_so_much_more_may_be_wrong(filter_):
+    model = replace(curved_cell(), error=ModelError(slow_V=(0.002,)))
+    log = cycled(model)
+    for wrong_V, wider in ((0.0, False), (0.05, True)):
+        off = moved(log, wrong_V * np.sin(log.time_s / 900.0))
+        trusted, seen = (
+            filter_(model, replace(Noise(), lasting_share=0.0, offset_share=0.0)).run(off, 0.5, s)
+            for s in (1e-6, 0.05)
+        )
+        still = filter_(model, Noise(mismatch_cap=0.0, lasting_share=0.0)).run(off, 0.5, 0.05)
+        ratio = np.median(seen.soc_std[200:] / still.soc_std[200:])
+        assert (ratio > 1.5) == wider
+        assert trusted.soc_std[1] < 1e-3  # what nobody measured yet contradicts nothing
 
 
 def test_a_share_is_a_share():

@@ -48,7 +48,8 @@ class ModelError:
     ``temperature_factor`` over ``temperature_C`` (both empty: 1), and the part that grows with the
     polarisation, as a share of it, ``resistance_share`` on discharge and ``charge_share`` on
     charge (None: as on discharge); ``unseen_share`` beside it, in squares, is what no test could
-    show of loads that last. Standard deviations [V]. Moving on by ``correlation_soc`` makes the
+    show of loads that last, ``unseen_charge_share`` of charges that do (None: as on discharge).
+    Standard deviations [V]. Moving on by ``correlation_soc`` makes the
     slow part another one (None: not known to).
     ``activation_std_K`` is by how much the activation of the resistances may be off beyond the
     temperatures of the data, as leaving an end of them out has shown (None: not shown) [K].
@@ -63,6 +64,7 @@ class ModelError:
     temperature_factor: tuple[float, ...] = ()
     correlation_soc: float | None = None
     unseen_share: float = 0.0
+    unseen_charge_share: float | None = None
     activation_std_K: float | None = None
 
     def at(self, soc: FloatArray | float, temperature_C: float | None = None) -> FloatArray:
@@ -83,7 +85,13 @@ class ModelError:
 
     def share(self, drop_V: float = 1.0) -> float:
         """Share of a polarisation that may be wrong: of a discharge, or of a charge."""
-        return math.hypot(self.shown_share(drop_V), self.unseen_share)
+        return math.hypot(self.shown_share(drop_V), self.hidden_share(drop_V))
+
+    def hidden_share(self, drop_V: float = 1.0) -> float:
+        """The share that no test could show: of loads, or charges, that last."""
+        if drop_V >= 0.0 or self.unseen_charge_share is None:
+            return self.unseen_share
+        return self.unseen_charge_share
 
     def shown_share(self, drop_V: float = 1.0) -> float:
         """The share that the tests did show to be wrong.
@@ -391,7 +399,8 @@ def check_model(model: CellModel) -> None:
 
 def check_error(error: ModelError) -> None:
     """Raise InputError where a model's error is none."""
-    shares = [error.share(), error.share(-1.0), error.unseen_share, *error.temperature_factor]
+    hidden = [error.hidden_share(), error.hidden_share(-1.0)]
+    shares = [error.share(), error.share(-1.0), *hidden, *error.temperature_factor]
     sizes = np.array(
         [
             error.white_V,

@@ -21,7 +21,8 @@ from cellwise.files import write_atomically
 from cellwise.typing import FloatArray
 
 SCHEMA_VERSION = 1
-MAY_BE_UNKNOWN = ("charge_share", "correlation_soc", "activation_std_K")  # of a model's error
+# Of a model's error.
+MAY_BE_UNKNOWN = ("charge_share", "unseen_charge_share", "correlation_soc", "activation_std_K")
 ENTRIES = ("schema_version", "kind", "soc", *(f.name for f in fields(CellModel)))
 
 

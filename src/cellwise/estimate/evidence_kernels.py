@@ -89,6 +89,8 @@ def mismatch_step(noise: NoiseScalars, mismatch: float, excess: float, dt_s: flo
 def persistent_step(
     noise: NoiseScalars,
     point: CellPoint,
+    seen_A: float,
+    drop_V: float,
     mismatch: float,
     gain: float,
     slope_V: float,
@@ -97,12 +99,16 @@ def persistent_step(
     """SOC error brought in by a persistent model error, after an update with a gain of the SOC.
 
     No further voltage averages such an error out: with every voltage the SOC goes where the
-    error leads, error over slope in the end. Beside P, which takes each memory of the error for
-    new, it makes up the stated variance (consider covariance; Schmidt 1966, p. 293).
+    error leads, error over slope in the end. Of what the resistances are off by that part persists
+    which no test could show, as long as the load does: a share of ``drop_V``, what R0 and the
+    branches hold. Beside P, which takes each memory of the error for new, it makes up the stated
+    variance (consider covariance; Schmidt 1966, p. 293).
     """
     slow = noise.error_scale * point.error_V
     scale = noise.ocv_soc * point.ocv_slope_V
-    error = noise.persistent * math.sqrt((slow * slow + scale * scale) * max(mismatch, 1.0))
+    unseen = (noise.unseen_share if seen_A >= 0.0 else noise.unseen_charge_share) * drop_V
+    stays = slow * slow + scale * scale + unseen * unseen
+    error = noise.persistent * math.sqrt(stays * max(mismatch, 1.0))
     return persistent + gain * (error - slope_V * persistent)
 
 
@@ -130,6 +136,13 @@ def contradicted_step(
 
 
 @inline
-def stated_deviation(soc_variance: float, persistent: float, contradicted: float) -> float:
-    """Standard deviation of the SOC: P's, a persistent error's, and what voltages contradict."""
-    return math.sqrt(soc_variance + (persistent * persistent + contradicted * contradicted))
+def stated_deviation(
+    soc_variance: float, mismatch: float, persistent: float, contradicted: float
+) -> float:
+    """Standard deviation of the SOC: P's, a persistent error's, and what voltages contradict.
+
+    P trusted the errors as stated. Where innovations show ``mismatch`` times as much, so much more
+    may be wrong with the SOC (Birge 1932, doi:10.1103/PhysRev.40.207).
+    """
+    beside = persistent * persistent + contradicted * contradicted
+    return math.sqrt(soc_variance * max(mismatch, 1.0) + beside)

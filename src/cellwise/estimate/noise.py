@@ -45,6 +45,8 @@ class NoiseScalars(NamedTuple):
     per_slow_s: float  # divided once, not in every step
     per_gate2: float
     offset_soc_per_s: float
+    unseen_share: float
+    unseen_charge_share: float
     valid: ValidityScalars  # beyond it the model's error grows
 
 
@@ -75,6 +77,9 @@ class Noise:
                               current exceeds this
     lasting_share : float     share of the slow error's variance that comes back at the same SOC for
                               good: it widens the SOC's stated deviation, never the gain
+    unseen_share, unseen_charge_share : float
+                              of the resistances' error on discharge and on charge, in squares: a
+                              share that no test could show, which persists, too
     offset_share : float      how far off the current may be for hours, as a share of 1C: what the
                               voltage says against the counted charge is within the stated deviation
     current_limit_A, voltage_low_V, voltage_high_V : float
@@ -101,6 +106,8 @@ class Noise:
     voltage_low_V: float = -1e6
     voltage_high_V: float = 1e6
     charge_factor: float = 1.0
+    unseen_share: float = 0.0
+    unseen_charge_share: float = 0.0
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -129,6 +136,8 @@ class Noise:
             slow_soc=model.error.correlation_soc or 0.0,
             branch_share=model.error.share(),
             charge_factor=model.error.share(-1.0) / max(model.error.share(), 1e-12),
+            unseen_share=model.error.hidden_share(),
+            unseen_charge_share=model.error.hidden_share(-1.0),
             current_limit_A=IMPOSSIBLE_RATE * model.capacity_Ah,
             voltage_low_V=IMPOSSIBLE_SHARE * min(low, float(model.ocv_V.min())),
             voltage_high_V=max(high, float(model.ocv_V.max())) + IMPOSSIBLE_RISE_V,
@@ -160,6 +169,8 @@ class Noise:
             per_slow_s=1.0 / self.slow_s if self.slow_s > 0.0 else 0.0,
             per_gate2=1.0 / (self.gate * self.gate),
             offset_soc_per_s=float(self.offset_share) / 3600.0,
+            unseen_share=float(self.unseen_share),
+            unseen_charge_share=float(self.unseen_charge_share),
             valid=EVERYWHERE if model is None else validity_scalars(model),
         )
 

@@ -25,6 +25,7 @@ from cellwise.estimate.adaptive.state_kernels import (
     AdaptiveScalars,
     AdaptiveState,
 )
+from cellwise.estimate.evidence_kernels import stated_deviation
 
 
 class Mixture(NamedTuple):
@@ -170,6 +171,6 @@ def mixture(rules: AdaptiveScalars, state: AdaptiveState) -> Mixture:
 
 
 @inline
-def soc_deviation(mixed: Mixture, persistent: float) -> float:
+def soc_deviation(mixed: Mixture, mismatch: float, persistent: float) -> float:
     """Standard deviation of the SOC: the hypotheses', and what a persistent error has brought."""
-    return math.sqrt(max(mixed.soc_variance, VARIANCE_FLOOR) + persistent * persistent)
+    return stated_deviation(max(mixed.soc_variance, VARIANCE_FLOOR), mismatch, persistent, 0.0)

@@ -11,6 +11,7 @@ from cellwise.estimate.adaptive.covariance_kernels import (
     AdaptiveCovariance,
     uncorrelated,
 )
+from cellwise.estimate.evidence_kernels import stated_deviation
 from cellwise.estimate.filters.filter_state import EkfStart
 from cellwise.estimate.filters.past_kernels import Past, no_past
 from cellwise.estimate.sensing_kernels import Watch, first_watch
@@ -116,7 +117,7 @@ class AdaptiveState(NamedTuple):
     @property
     def soc_std(self) -> float:
         """Standard deviation of the state of charge, every parameter free."""
-        return math.sqrt(self.p.ss + self.persistent * self.persistent)
+        return stated_deviation(self.p.ss, self.mismatch, self.persistent, 0.0)
 
 
 @kernel

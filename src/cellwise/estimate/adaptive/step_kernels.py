@@ -310,7 +310,10 @@ def take_step(
         persistent = 0.0
     elif v.accepted:
         gain = v.returns * d.s * v.inverse
-        persistent = persistent_step(noise, point, v.mismatch, gain, now.at.slope_V, persistent)
+        held_V = abs(i.r0_ohm * s.seen_A) + i.branches_V
+        persistent = persistent_step(
+            noise, point, s.seen_A, held_V, v.mismatch, gain, now.at.slope_V, persistent
+        )
         e = update(tables, now, e, d, v, held)
     own = v.innovation_V + (pol.own_V - pol.whole_V)
     e, persistent, past = look_again(tables, noise, now, v, own, e, persistent)
@@ -360,7 +363,7 @@ def adaptive_rows(
         mixed = mixture(rules, state)
         r = state.resistances
         out[OUT_SOC, k] = min(max(mixed.soc, 0.0), 1.0)
-        out[OUT_STD, k] = soc_deviation(mixed, state.persistent)
+        out[OUT_STD, k] = soc_deviation(mixed, state.mismatch, state.persistent)
         out[OUT_VOLTAGE, k] = info.voltage_V
         out[OUT_INNOVATION, k] = info.innovation_V
         out[OUT_VARIANCE, k] = info.innovation_variance_V2

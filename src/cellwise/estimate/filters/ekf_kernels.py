@@ -204,7 +204,7 @@ def update(
     now: Predicted,
     d: Column,
     v: Verdict,
-    one: float,
+    i: Innovation,
 ) -> tuple[CellState, Covariance, Beside]:
     """State, covariance, and what is stated beside it, after an accepted voltage."""
     k = scaled(d, v.inverse)
@@ -228,7 +228,7 @@ def update(
             p = rejudged(p, k, c, e)
     if gained:
         p = corrected(p, k, d)
-    beside = beside_step(noise, now.point, s, v, now.state, now.at.slope_V, k.s, one, now.status)
+    beside = beside_step(noise, now.point, s, v, now.state, now.at.slope_V, k.s, i, now.status)
     return x, p, beside
 
 
@@ -241,7 +241,7 @@ def beside_step(
     old: EkfState,
     slope_V: float,
     gain: float,
-    one: float,
+    i: Innovation,
     status: int,
 ) -> Beside:
     """What is stated beside P, after an accepted voltage that moved the SOC with a ``gain``.
@@ -250,12 +250,15 @@ def beside_step(
     """
     since = old.watch.evidence_s
     contradicted = contradicted_step(
-        noise, old.contradicted, v.innovation_V, slope_V, one, since, s.dt_s
+        noise, old.contradicted, v.innovation_V, slope_V, i.one, since, s.dt_s
     )
     if status & OUTSIDE and abs(contradicted) < abs(old.contradicted):
         contradicted = old.contradicted
+    drop = abs(i.r0_ohm * s.seen_A) + i.branches_V
     return Beside(
-        persistent_step(noise, point, v.mismatch, v.returns * gain, slope_V, old.persistent),
+        persistent_step(
+            noise, point, s.seen_A, drop, v.mismatch, v.returns * gain, slope_V, old.persistent
+        ),
         contradicted,
     )
 
@@ -313,7 +316,7 @@ def finish(
         v.watch, past,
     )
     # fmt: on
-    std = stated_deviation(p.ss, beside.persistent, beside.contradicted)
+    std = stated_deviation(p.ss, v.mismatch, beside.persistent, beside.contradicted)
     info = EkfInfo(soc, std, i.predicted_V, v.innovation_V, v.variance, v.ratio, status)
     return state, info
 
@@ -338,7 +341,7 @@ def ekf_step_inline(
         x, p = recover(tables, s, x, p, i, now.warm_C, now.evidence_s >= 0.0)
         beside = Beside(0.0, 0.0)
     elif v.accepted:
-        x, p, beside = update(tables, noise, s, now, d, v, i.one)
+        x, p, beside = update(tables, noise, s, now, d, v, i)
     # fmt: off
     x, p, beside, past = look_again(
         tables, noise, s, now.warm_C, now.evidence_s, now.past, v, x, p, beside

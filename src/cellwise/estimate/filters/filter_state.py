@@ -54,7 +54,7 @@ class EkfState(NamedTuple):
     @property
     def soc_std(self) -> float:
         """Standard deviation of the state of charge."""
-        return stated_deviation(self.p.ss, self.persistent, self.contradicted)
+        return stated_deviation(self.p.ss, self.mismatch, self.persistent, self.contradicted)
 
 
 class EkfInfo(NamedTuple):

@@ -258,7 +258,7 @@ def ukf_step_inline(
         k = scaled(d, v.inverse)
         x = moved(x, k, v.innovation_V)
         p = corrected(p, k, d)
-        beside = beside_step(noise, point, s, v, old, seen.slope_V, k.s, one, begun.status)
+        beside = beside_step(noise, point, s, v, old, seen.slope_V, k.s, i, begun.status)
     # fmt: off
     x, p, beside, past = look_again(
         tables, noise, s, warm, begun.evidence_s, begun.past, v, x, p, beside

@@ -211,7 +211,10 @@ def plain_step(
     inverse = 1.0 / (state_variance + one * shared * worse)
     k = scaled(d, inverse)
     kept_k = k.s * (aged / renewed)
-    persistent = persistent_step(noise, point, mismatch, kept_k, point.ocv_slope_V, old.persistent)
+    drop_V = abs(point.r0_ohm * flow) + branches
+    persistent = persistent_step(
+        noise, point, flow, drop_V, mismatch, kept_k, point.ocv_slope_V, old.persistent
+    )
     end = moved(CellState(soc, v1, v2, v3, h, x.heat_K, x.slow_A), k, innovation)
     rejections = old.rejections - FORGIVEN
     rejections = rejections if rejections > 0.0 else 0.0
@@ -227,7 +230,7 @@ def plain_step(
         with_soc(end, soc), p, rejections, mismatch, persistent, contradicted, watch, old.past
     )
     # fmt: on
-    std = stated_deviation(p.ss, persistent, contradicted)
+    std = stated_deviation(p.ss, mismatch, persistent, contradicted)
     info = EkfInfo(soc, std, predicted, innovation, variance, ratio, 0)
     return state, info, (ratio <= 1.0) & (not frozen)
 

@@ -60,7 +60,7 @@ def polarisation_V(
 def estimate_model_error(
     logs: Sequence[ResidualLog],
     elsewhere: Sequence[ResidualLog] = (),
-    unseen: float = 0.0,
+    unseen: tuple[float, float] = (0.0, 0.0),
 ) -> ModelError:
     r"""Voltage error of a model from residuals over whole logs.
 
@@ -75,7 +75,7 @@ def estimate_model_error(
     logs : sequence of ResidualLog
     elsewhere : sequence of ResidualLog    tests of another kind, which count at a SOC where none
                                            of ``logs`` has been
-    unseen : float                         share of the polarisation, what no log can show
+    unseen : (discharge, charge)           shares of the polarisation, what no log can show
 
     Returns
     -------
@@ -105,7 +105,8 @@ def estimate_model_error(
         temperature_C=grid,
         temperature_factor=factor,
         correlation_soc=_correlation_soc(usable, slow),
-        unseen_share=unseen,
+        unseen_share=unseen[0],
+        unseen_charge_share=unseen[1],
     )
 
 

@@ -35,7 +35,7 @@ from cellwise.identify.refinement.refine import (
 )
 from cellwise.identify.refinement.refine_data import RefineLog, inverse_K
 from cellwise.identify.refinement.splines import TABLE_KNOTS, greville, spline_rows, spline_values
-from cellwise.identify.refinement.sustained import unseen_share
+from cellwise.identify.refinement.sustained import unseen_shares
 from cellwise.identify.soc_anchor import SocAnchor, anchor_soc
 from cellwise.identify.tables import PulseTables
 from cellwise.logs.cell_log import CellLog
@@ -350,4 +350,4 @@ def _error(
         drop = polarisation_V(model, soc, warm, p.measured_V - r)
         found = ResidualLog(p.time_s, soc, drop, r, float(np.median(warm)))
         (logs if counts else others).append(found)
-    return estimate_model_error(logs, others, unseen_share(model, [s.log for s in starts]))
+    return estimate_model_error(logs, others, unseen_shares(model, [s.log for s in starts]))
