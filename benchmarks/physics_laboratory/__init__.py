@@ -2,4 +2,13 @@
 
 ``python -m benchmarks.physics_laboratory make FOLDER`` needs PyBaMM (``pip install
 'cellwise[benchmark]'``) and writes cases; ``judge FOLDER`` diagnoses them and needs no PyBaMM.
+``filter_runs FOLDER`` runs the filters on such cells.
 """
+
+from __future__ import annotations
+
+import sys
+
+from benchmarks.measured_data import REPOSITORY
+
+sys.path.insert(0, str(REPOSITORY / "tests" / "support" / "hidden_effects"))

@@ -76,8 +76,12 @@ def draw_case(
 def laboratory_drives(cell: PublishedCell, rng: np.random.Generator, many: int) -> list[CellLog]:
     """Drives of the healthy cell for its identification, their start known."""
     drives = [_drive(cell, rng) for _ in range(many)]
-    logs = [_log(cell, HEALTHY, d, rng, f"drive {k + 1}") for k, d in enumerate(drives)]
-    return [replace(log, soc0=d.soc0) for log, d in zip(logs, drives, strict=True)]
+    return [healthy_log(cell, d, rng, f"drive {k + 1}") for k, d in enumerate(drives)]
+
+
+def healthy_log(cell: PublishedCell, drive: Drive, rng: np.random.Generator, name: str) -> CellLog:
+    """What is logged of a healthy cell, its start known."""
+    return replace(_log(cell, HEALTHY, drive, rng, name), soc0=drive.soc0)
 
 
 def _changes(

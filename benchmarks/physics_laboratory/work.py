@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from benchmarks.measured_data import REPOSITORY
-
-sys.path.insert(0, str(REPOSITORY / "tests" / "support" / "hidden_effects"))
 
 # Of the laboratory: enough for identification to hold some out when it decides on effects.
 DRIVES = 4

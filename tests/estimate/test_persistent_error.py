@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from cellwise.cell.model import ModelError
+from cellwise.cell.point_kernels import CellPoint
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.estimate.adaptive.adaptive import Adaptive
+from cellwise.estimate.evidence_kernels import persistent_step
 from cellwise.estimate.filters.ekf import Ekf
 from cellwise.estimate.filters.ukf import Ukf
 from cellwise.estimate.noise import Noise
@@ -104,6 +106,19 @@ def test_of_resistances_that_part_stays_which_no_test_could_show(filter_, sign):
     lasting = np.sqrt(right.soc_std**2 - plain.soc_std**2)
     late = slice(400, None)
     np.testing.assert_allclose(np.abs(wrong.soc - right.soc)[late], lasting[late], rtol=0.02)
+
+
+@pytest.mark.parametrize("gain", [-0.02, 0.02, 5.0])
+def test_no_gain_amplifies_it(gain):
+    """The gain of a SOC that hangs on a slow branch can be negative for many rows."""
+    noise = Noise(branch_share=0.0, ocv_soc=0.0).scalars()
+    point = CellPoint(*np.ones(len(CellPoint._fields)))._replace(error_V=ERROR_V)
+    persistent = 0.0
+    for _ in range(2000):
+        persistent = persistent_step(noise, point, 0.0, 0.0, 1.0, gain, 0.9, persistent)
+    assert abs(persistent) <= max(2000 * 0.02 * ERROR_V, 5.0 * ERROR_V) * (1.0 + 1e-9)
+    if gain == 0.02:
+        assert persistent == pytest.approx(ERROR_V / 0.9, rel=1e-6)
 
 
 @pytest.mark.parametrize("filter_", FILTERS)

@@ -103,13 +103,17 @@ def persistent_step(
     which no test could show, as long as the load does: a share of ``drop_V``, what R0 and the
     branches hold. Beside P, which takes each memory of the error for new, it makes up the stated
     variance (consider covariance; Schmidt 1966, p. 293).
+
+    Where the SOC hangs on a branch its gain can be negative, and what the branch takes of the error
+    holds the two back; it is not followed here, so nothing is amplified.
     """
     slow = noise.error_scale * point.error_V
     scale = noise.ocv_soc * point.ocv_slope_V
     unseen = (noise.unseen_share if seen_A >= 0.0 else noise.unseen_charge_share) * drop_V
     stays = slow * slow + scale * scale + unseen * unseen
     error = noise.persistent * math.sqrt(stays * max(mismatch, 1.0))
-    return persistent + gain * (error - slope_V * persistent)
+    kept = min(max(1.0 - gain * slope_V, 0.0), 1.0)
+    return kept * persistent + gain * error
 
 
 @inline
