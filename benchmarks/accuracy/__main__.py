@@ -1,6 +1,6 @@
 """Accuracy on measured cells, on logs that no identification has seen, beside the targets.
 
-python -m benchmarks.accuracy [--only panasonic,cold,leaf,a123,lfp,power,embedded] [--json]
+python -m benchmarks.accuracy [--only panasonic,cold,leaf,a123,lfp,faults,power,embedded] [--json]
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from benchmarks.figures import Figure, Progress, missing
 from benchmarks.judged_run import judged_run
 from benchmarks.measured_data import HOW, data_folder
 
-PARTS = ("panasonic", "cold", "leaf", "a123", "lfp", "power", "embedded")
+PARTS = ("panasonic", "cold", "leaf", "a123", "lfp", "faults", "power", "embedded")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -24,6 +24,7 @@ def measure(parts: list[str], say: Progress) -> list[Figure]:
     from benchmarks.accuracy.a123 import a123_figures
     from benchmarks.accuracy.cold import cold_figures
     from benchmarks.accuracy.embedded import embedded_figures
+    from benchmarks.accuracy.faults import faults_figures
     from benchmarks.accuracy.leaf import leaf_figures
     from benchmarks.accuracy.lfp import lfp_figures
     from benchmarks.accuracy.panasonic import panasonic_figures
@@ -35,6 +36,7 @@ def measure(parts: list[str], say: Progress) -> list[Figure]:
         "leaf": leaf_figures,
         "a123": a123_figures,
         "lfp": lfp_figures,
+        "faults": faults_figures,
         "power": power_figures,
     }
     data = data_folder()
