@@ -21,6 +21,7 @@ from cellwise.diagnose.causes.coordinates import (
 )
 from cellwise.diagnose.decision.preconditions import unseen_temperature_C
 from cellwise.diagnose.extension import extend_model, with_error_at
+from cellwise.diagnose.fit.priors import needs_activation
 from cellwise.diagnose.fit.rows import gather
 from cellwise.logs.cell_log import CellLog
 from emulator_drives import random_load
@@ -98,6 +99,13 @@ def test_unseen_is_what_lies_outside_of_what_was_measured(warm_C: float, unseen:
     model = curved_cell(validity=valid)
     evidence = gather(model, [(drive(1, warm_C), START)])
     assert (unseen_temperature_C(model, evidence) is not None) == unseen
+
+
+def test_beyond_the_temperatures_heating_has_no_activation_of_its_own() -> None:
+    """With one it would be the cold under another name."""
+    model = curved_cell()
+    assert needs_activation(Coordinates(model))
+    assert not needs_activation(Coordinates(model, unseen_C=COLD_C))
 
 
 def test_an_error_that_is_larger_in_the_cold_is_stated_there_alone() -> None:

@@ -163,7 +163,13 @@ def widened_for(prior: Prior, cause: Cause, coordinates: Coordinates, evidence: 
 
 
 def needs_activation(coordinates: Coordinates) -> bool:
-    """Whether the model does not know what a warmer cell would do."""
+    """Whether the model does not know what a warmer cell would do, and heating has to say it.
+
+    At a temperature that the model was not measured at an activation is what the cold does, with
+    or without heat: there it is `temperature_dependence`, and heating is a second cause beside it.
+    """
+    if coordinates.unseen_C is not None:
+        return False
     known = coordinates.model.effect(TemperatureDependence).activation_K
     return coordinates.model.temperature_C.size == 1 and abs(known) < 300.0
 
