@@ -64,9 +64,9 @@ def late(by_s: float) -> Wrong:
     return put
 
 
-def faded(share: float) -> Wrong:
-    """A cell that holds less than its model says, by this share."""
-    return lambda m, g: (replace(m, capacity_Ah=m.capacity_Ah / (1.0 - share)), g)
+def sized(factor: float) -> Wrong:
+    """A model whose capacity is not the cell's."""
+    return lambda m, g: (replace(m, capacity_Ah=factor * m.capacity_Ah), g)
 
 
 FAULTS = (
@@ -75,7 +75,7 @@ FAULTS = (
     Fault("gain 3 %", 0.8, (gained(1.03), gained(0.97))),
     Fault("voltage 5 mV", 0.7, (lifted(0.005), lifted(-0.005))),
     Fault("skew 0.2 s", 0.5, (late(0.2), late(-0.2))),
-    Fault("capacity -10 %", 1.2, (faded(0.1),)),
+    Fault("capacity 10 % wrong", 1.2, (sized(0.9), sized(1.0 / 0.9))),
 )
 SLOW, SLOW_S = "filterpy-ekf", 1.0
 LABORATORY = 1.5  # times as much is asked of the model without drives

@@ -165,3 +165,14 @@ def test_ocv_of_another_sample_is_said_with_the_numbers():
     same = identified(hppc(CELL), ocv=(slow,))
     assert not any("do not look like one cell" in n for n in same.notices)
     assert found.contradictions == found.notices[:1] == (said,)
+
+
+def test_a_script_that_finishes_a_charge_with_small_steps_takes_no_part():
+    low = run(CELL, low_rate(CELL), 1.0, Logger(10.0), seed=1, name="ocv").log
+    steps = [(0.0, 600.0), *([(-0.1, 600.0), (0.1, 500.0)] * 5), (0.0, 600.0)]
+    finish = run(CELL, steps, 0.99, Logger(1.0), seed=2, name="finish").log
+    found = identified(hppc(CELL), ocv=(low, finish))
+    assert any(
+        "'finish' left out of the refinement: its discharge moves" in n for n in found.notices
+    )
+    assert all("'ocv' left out" not in n for n in found.notices)

@@ -61,6 +61,9 @@ FULL_STD = 0.01
 LIGHT = 0.8
 DEEP = 0.3  # of the capacity: what a drive must move to show every SOC under load and at rest
 LEAST_INSIDE = 0.5  # of a test's discharge, else it began elsewhere
+# Of the capacity: scripts that finish a charge or discharge with small steps show no OCV, and begin
+# near an end where a per cent of SOC is many millivolts.
+LEAST_DISCHARGE = 0.1
 
 
 class Start(NamedTuple):
@@ -120,7 +123,7 @@ def refine_cell(
     logs: list[RefineLog] = []
     starts: list[Start] = []
     for g in groups:
-        for log, drive, part in _candidates(g, driven):
+        for log, drive, part in _candidates(g, driven, capacity_Ah, notices):
             anchor = anchors.get(id(log)) or anchor_soc(log, ocv, capacity_Ah, resistance)
             if part is not None and log.soc0 is None and part.any():
                 anchor = _full_before(log, part, capacity_Ah, anchor)
@@ -195,7 +198,9 @@ def refine_cell(
     return Refined(model, result, tuple(starts), decision.decided)
 
 
-def _candidates(group: Group, driven: bool) -> list[tuple[CellLog, bool, BoolArray | None]]:
+def _candidates(
+    group: Group, driven: bool, capacity_Ah: float, notices: list[str]
+) -> list[tuple[CellLog, bool, BoolArray | None]]:
     """Logs of a temperature, whether their current may lag, and the rows to compare (None: all).
 
     Where no drive goes deep, the charges and rests of capacity tests are the only ones there are.
@@ -205,12 +210,26 @@ def _candidates(group: Group, driven: bool) -> list[tuple[CellLog, bool, BoolArr
     found += [(log, True, None) for log, _ in group.tests.drive]
     for log in group.tests.ocv:
         part = discharge_rows(log)
-        if part.any():
+        if not part.any():
+            continue
+        share = _discharged_Ah(log, part) / capacity_Ah
+        if share >= LEAST_DISCHARGE:
             found.append((log, False, part))
+        else:
+            notices.append(
+                f"'{log.name}' left out of the refinement: its discharge moves "
+                f"{100 * share:.1f} % of the capacity"
+            )
     for log in group.tests.capacity:
         part = discharge_rows(log) if driven else np.ones(len(log), dtype=np.bool_)
         found.append((log, False, part))
     return found
+
+
+def _discharged_Ah(log: CellLog, part: BoolArray) -> float:
+    """What flows out of the cell in some rows [Ah]."""
+    out_Ah = np.diff(log.counted_charge_Ah(), prepend=0.0)
+    return float(np.sum(np.maximum(out_Ah[part], 0.0)))
 
 
 def _is_deep(log: CellLog, capacity_Ah: float) -> bool:
