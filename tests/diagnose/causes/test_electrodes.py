@@ -118,3 +118,11 @@ def test_an_extended_model_has_the_aged_ocv_and_capacity():
     change, share = Coordinates(model).electrodes.aged(model.soc, 0.05, 0.0, 0.0)
     assert new.capacity_Ah == pytest.approx(share * model.capacity_Ah)
     assert new.ocv_V[0] == pytest.approx(model.ocv_V[0] + change)
+
+
+@pytest.mark.parametrize("losses", [(0.999, 0.0, 0.0), (0.0, 0.999, 0.0), (0.0, 0.0, 0.999)])
+def test_a_cell_that_holds_nothing_any_more_has_a_finite_ocv(losses):
+    """A search may come by: a step there has to be refused by its error, not end in NaN."""
+    change, capacity = CELL.aged(SOC, *losses)
+    assert np.all(np.isfinite(change))
+    assert 0.0 < capacity < 0.1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from cellwise.cell.model import ModelError
 from cellwise.diagnose.applied import kept
 from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.causes.coordinates import Coordinates
-from cellwise.diagnose.decision.explanations import Explanations
+from cellwise.diagnose.decision.explanations import Explanations, likeliest_end
 from cellwise.diagnose.decision.outcome import Outcome, _of_named, decide
 from cellwise.diagnose.decision.rarity import (
     BOTH_NATS,
@@ -179,3 +180,21 @@ def test_what_age_does_at_once_is_one_coincidence():
     both = cold.nats(("temperature_dependence", "surface_soc"))
     assert both == pytest.approx(FURTHER_AGE_NATS)
     assert cold.nats(("surface_soc",)) == pytest.approx(FURTHER_AGE_NATS + LAW_HOLDS_NATS)
+
+
+def test_an_end_beyond_the_bounds_does_not_hide_one_within_them():
+    """At the bound it fits better; a search that kept it would have refused the cause."""
+    coordinate = CAUSES["current_gain"].parameters[0].coordinate
+
+    def end(value, total):
+        prior = SimpleNamespace(low={coordinate: -0.5}, high={coordinate: 0.5})
+        return SimpleNamespace(
+            causes=(CAUSES["current_gain"],),
+            fit=SimpleNamespace(z={coordinate: value}),
+            prior=prior,
+            found=SimpleNamespace(total=total),
+        )
+
+    outside, inside, worse = end(0.5, 40.0), end(0.1, 30.0), end(0.2, 20.0)
+    assert likeliest_end([outside, worse, inside]) is inside
+    assert likeliest_end([outside]) is outside

@@ -24,6 +24,8 @@ from cellwise.typing import FloatArray
 MOST_MISFIT_V = 0.010
 # The steep ends say little about the windows, and much about how they were measured.
 FITTED_SOC = (0.03, 0.98)
+# Share of the old capacity that is held at least, where losses leave no window at all.
+LEAST_CAPACITY = 1e-3
 # x_0, x_100, y_0, y_100
 LOW, HIGH = (0.0, 0.5, 0.56, 0.0), (0.3, 1.0, 1.0, 0.55)
 
@@ -67,7 +69,8 @@ class Electrodes:
         """
         window = _aged_window(self, lithium, negative, positive)
         change = self._between(soc, window) - self.ocv(soc)
-        return change, self.capacities[0] * (1.0 - negative) * (window[1] - window[0])
+        held = self.capacities[0] * (1.0 - negative) * (window[1] - window[0])
+        return change, max(held, LEAST_CAPACITY)
 
     def _between(self, soc: FloatArray, window: tuple[float, float, float, float]) -> FloatArray:
         x0, x1, y0, y1 = window

@@ -198,7 +198,7 @@ class Explanations:
             noise = fits.noise(near, wide)
             near = fits.fit(noise, one.coordinates, wide, near.z, 5, frozen, moving)
             ends.append(self._explained(causes, near, noise, wide))
-        return max(ends, key=lambda e: e.found.total)
+        return likeliest_end(ends)
 
     def _settled(self, one: Explanation) -> Explanation:
         """Fitted with its own noise until that changes it no more.
@@ -235,6 +235,14 @@ class Explanations:
     def _say(self, size: int, part: float, name: str) -> None:
         if self.progress is not None:
             self.progress(1.0 - 0.5 ** (size - 1 + part), name.replace("_", " "))
+
+
+def likeliest_end(ends: Sequence[Explanation]) -> Explanation:
+    """Of the ends of one search the likeliest within its bounds; outside them only without such.
+
+    An end beyond the bounds refuses the cause: it must not hide another end within them.
+    """
+    return max(ends, key=lambda e: (not unphysical(e), e.found.total))
 
 
 def unphysical(one: Explanation) -> str:
