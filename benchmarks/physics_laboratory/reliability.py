@@ -131,10 +131,11 @@ def draw(said: Sequence[Said], path: Path = PICTURE) -> Path:
         )  # fmt: skip
         axes.annotate(
             f"{g.true} of {g.said}",
-            (g.mean, share),
-            (-6 if g.mean > 0.9 else 6, -12),
+            (g.mean, g.high),
+            (0, 3),
             textcoords="offset points",
-            ha="right" if g.mean > 0.9 else "left",
+            ha="center",
+            fontsize=8,
         )
     last = found[-1]
     axes.set(
