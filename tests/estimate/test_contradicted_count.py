@@ -1,4 +1,4 @@
-"""A counted charge that the voltages contradict: the deviation says so, the estimate stays."""
+"""A counted charge that the voltages contradict: deviations say so, EKF and UKF follow."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ import pytest
 from cellwise.cell.model import ModelError
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
+from cellwise.estimate.filters.coulomb import Coulomb
 from cellwise.estimate.filters.ekf import Ekf
 from cellwise.estimate.filters.ukf import Ukf
 from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.estimate.noise import Noise
 from cellwise.logs.cell_log import CellLog
-from example_cells import curved_cell
+from example_cells import curved_cell, linear_cell
 
 MODEL = replace(curved_cell(), error=ModelError(white_V=0.001, slow_V=(0.012,)))
 OFFSETS_C = (-0.05, -0.03, -0.01, 0.01, 0.03, 0.05)
@@ -59,7 +60,7 @@ def test_from_a_known_start_the_band_holds_the_drift_of_a_sensor(filter_):
     assert np.mean(inside(filter_, replace(told, offset_share=0.0), OFFSETS_C)) < 0.75
 
 
-@pytest.mark.parametrize("filter_", FILTERS)
+@pytest.mark.parametrize("filter_", [fixed_step])
 def test_the_estimate_itself_is_the_same(filter_):
     log, _ = driven()
     log = replace(log, current_A=log.current_A + 0.1)
@@ -78,7 +79,7 @@ def test_nothing_contradicted_nothing_stated(filter_):
     told = Noise.of_model(MODEL)
     with_, without = (filter_(MODEL, replace(told, offset_share=c)).run(log, 0.9, 0.005)
                       for c in (0.03, 0.0))  # fmt: skip
-    np.testing.assert_allclose(with_.soc_std, without.soc_std, rtol=0.02)
+    assert np.all(with_.soc_std <= 1.02 * without.soc_std)
 
 
 @pytest.mark.parametrize("filter_", FILTERS)
@@ -94,3 +95,56 @@ def test_on_a_plateau_a_voltage_contradicts_little(filter_):
 def test_an_offset_is_not_negative():
     with pytest.raises(InputError, match="offset_share"):
         Noise(offset_share=-0.01)
+
+
+@pytest.mark.parametrize("filter_", [Ekf, Ukf])
+@pytest.mark.parametrize("offset_share", [-0.03, 0.03])
+def test_from_a_known_start_the_estimate_follows_the_voltages(filter_, offset_share):
+    """Against counting with the same current at most 0.6 times the error; nothing wrong: none."""
+    log, truth = driven()
+    off = replace(log, current_A=log.current_A + offset_share * MODEL.capacity_Ah)
+
+    def rmse(of, rows):
+        return float(np.sqrt(np.mean(np.square(of(MODEL).run(rows, 0.9, 0.005).soc - truth))))
+
+    assert rmse(filter_, off) < 0.6 * rmse(Coulomb, off)
+    assert rmse(filter_, log) < 0.001
+
+
+@pytest.mark.parametrize("filter_", [Ekf, Ukf])
+def test_on_a_linear_cell_the_offset_is_that_of_a_filter_with_one_more_state(filter_):
+    """SOC and offset together as a Kalman filter of matrices, from the same voltages."""
+    tiny = np.full(11, 1e-9)
+    error = ModelError(white_V=0.001, slow_V=(1e-9,))
+    model = linear_cell(r1_ohm=tiny, r2_ohm=tiny, error=error)
+    noise = Noise(
+        current_A=0.0, branch_share=0.0, ocv_soc=0.0, voltage_V=0.01, slow_s=0.0, gate=1e9,
+        mismatch_cap=0.0, soc_per_sqrt_h=0.0,
+    )  # fmt: skip
+    dt, rate_A, rows, offset_A = 10.0, 0.5, 600, 0.03 * model.capacity_Ah
+    log = CellLog(dt * np.arange(rows), np.full(rows, rate_A), np.full(rows, 3.7))
+    log = replace(log, voltage_V=simulate(model, log, 0.9).voltage_V)
+    off = replace(log, current_A=log.current_A + 0.7 * offset_A)
+    ours = filter_(model, noise)
+    state = ours.init(0.9, 0.005)
+    r0, slope = float(model.r0_ohm.mean()), float(np.ptp(model.ocv_V)) / float(np.ptp(model.soc))
+    x, p = np.array([0.9, 0.0]), np.diag([0.005**2, 1.0])
+    h = np.array([slope, r0 * offset_A])
+    for interval, current, voltage in zip(
+        off.interval_s, off.current_A, off.voltage_V, strict=True
+    ):
+        grow = interval / (3600.0 * model.capacity_Ah)
+        f = np.array([[1.0, grow * offset_A], [0.0, 1.0]])
+        x = f @ x - np.array([grow * current, 0.0])
+        p = f @ p @ f.T
+        variance = h @ p @ h + noise.voltage_V**2
+        k = p @ h / variance
+        predicted = model.ocv_V.flat[0] + slope * x[0] - r0 * (current - offset_A * x[1])
+        x = x + k * (voltage - predicted)
+        p = p - np.outer(k, h @ p)
+        state, _ = ours.step(state, current, voltage, dt_s=interval)
+    assert state.drift.offset == pytest.approx(x[1], abs=1e-3)
+    # Its branches begin 5 mV unsure, which the matrices leave out.
+    assert state.drift.variance == pytest.approx(p[1, 1], rel=0.1)
+    free = state.soc + (state.drift.offset - state.drift.believed) * state.drift.reach
+    assert free == pytest.approx(x[0], abs=1e-4)

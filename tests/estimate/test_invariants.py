@@ -120,7 +120,7 @@ def test_a_first_voltage_at_rest_says_the_same(name, make):
         rows = driven(model, seconds=60, soc0=truth)
         mine, ekf = (walk(name, model, rows, 0.7, 0.2) for walk in (follow, ekf_beside))
         assert mine.soc[0] == pytest.approx(ekf.soc[0], abs=1e-12)
-        np.testing.assert_allclose(mine.soc, ekf.soc, atol=2e-4)
+        np.testing.assert_allclose(mine.soc, ekf.soc, atol=1e-3)
 
 
 @estimators(["ukf", "adaptive", "lockstep"])
@@ -330,7 +330,7 @@ def test_without_a_voltage_all_filters_carry_the_same_cell(name, effects):
     A UKF sees how the tables bend over SOC: ours where the SOC is badly known, filterpy's always.
     """
     model = (linear_cell if name == "filterpy-ukf" else curved_cell)(effects=effects)
-    noise = replace(Noise.of_model(model), gap_soc=0.01)
+    noise = replace(Noise.of_model(model), gap_soc=0.01, offset_share=0.0)
     rows = faulty(name)
     if not name.startswith("filterpy"):  # lost, not held any more
         current = rows.current_A.copy()

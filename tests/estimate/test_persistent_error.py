@@ -92,7 +92,7 @@ def test_of_resistances_that_part_stays_which_no_test_could_show(filter_, sign):
     model = linear_cell(r1_ohm=tiny, r2_ohm=tiny, error=error)
     noise = Noise(
         current_A=0.0, branch_share=0.2, ocv_soc=0.0, mismatch_cap=0.0, gate=1e9,
-        unseen_share=0.2, unseen_charge_share=0.2,
+        unseen_share=0.2, unseen_charge_share=0.2, offset_share=0.0,
     )  # fmt: skip
     rate_A = 0.1 * sign * model.capacity_Ah
     log = CellLog(10.0 * np.arange(2000), np.full(2000, rate_A), np.full(2000, 3.7))
@@ -131,7 +131,8 @@ def test_where_voltages_show_more_than_is_stated_so_much_more_may_be_wrong(filte
             filter_(model, replace(Noise(), lasting_share=0.0, offset_share=0.0)).run(off, 0.5, s)
             for s in (1e-6, 0.05)
         )
-        still = filter_(model, Noise(mismatch_cap=0.0, lasting_share=0.0)).run(off, 0.5, 0.05)
+        kept = Noise(mismatch_cap=0.0, lasting_share=0.0, offset_share=0.0)
+        still = filter_(model, kept).run(off, 0.5, 0.05)
         ratio = np.median(seen.soc_std[200:] / still.soc_std[200:])
         assert (ratio > 1.5) == wider
         assert trusted.soc_std[1] < 1e-3  # what nobody measured yet contradicts nothing

@@ -16,6 +16,7 @@ from cellwise.given import check_kind
 IMPOSSIBLE_RATE = 200.0
 IMPOSSIBLE_SHARE = 0.5
 IMPOSSIBLE_RISE_V = 0.75
+WANDERS = 1.0 / 3.0  # of the drift of the counted charge, what no constant offset explains
 ALONE_S = 3600.0  # where the SOC makes the model's error another one, time alone takes as long
 
 
@@ -24,6 +25,7 @@ class NoiseScalars(NamedTuple):
 
     current_A: float
     soc_per_sqrt_s: float
+    wander_per_sqrt_s: float  # what of it is no offset, where an offset is a hypothesis
     branch_share: float
     charge_share: float
     voltage_V: float
@@ -80,8 +82,9 @@ class Noise:
     unseen_share, unseen_charge_share : float
                               of the resistances' error on discharge and on charge, in squares: a
                               share that no test could show, which persists, too
-    offset_share : float      how far off the current may be for hours, as a share of 1C: what the
-                              voltage says against the counted charge is within the stated deviation
+    offset_share : float      how far off the current may be for hours, as a share of 1C: EKF
+                              and UKF weigh whether it is, and what voltages say against the
+                              count is within the stated deviation; 0: the count is right
     current_limit_A, voltage_low_V, voltage_high_V : float
                               readings beyond are the sensor's fault and count as missing
     """
@@ -148,6 +151,7 @@ class Noise:
         return NoiseScalars(
             float(self.current_A),
             float(self.soc_per_sqrt_h) / 60.0,
+            float(self.soc_per_sqrt_h) / 60.0 * (WANDERS if self.offset_share > 0.0 else 1.0),
             float(self.branch_share),
             float(self.branch_share * self.charge_factor),
             float(self.voltage_V),

@@ -11,6 +11,7 @@ from typing import Any
 from cellwise.cell.equations import CellState
 from cellwise.errors import InputError
 from cellwise.estimate.filters.covariance_kernels import Covariance
+from cellwise.estimate.filters.drift_kernels import Drift, no_drift
 from cellwise.estimate.filters.filter_state import EkfState
 from cellwise.estimate.filters.past_kernels import Past, no_past
 from cellwise.estimate.sensing_kernels import Watch
@@ -27,6 +28,7 @@ COUNTS = {
 }
 # Not in files of versions before it was carried; a cell at rest has none.
 NEWER = {"slow_A": 0.0, "contradicted": 0.0}
+
 NEWER_PAST = {"looked_A": 0.0}
 NEWER_WATCH = {"no_warm_s": -1.0, "room_up": 0.0, "room_down": 0.0, "fresh": 0.0}
 MAY_BE_MISSING = {"temperature_C", "voltage_V", "current_A"}  # not measured yet
@@ -44,6 +46,7 @@ def state_to_dict(state: EkfState, estimator: str = "ekf") -> dict[str, Any]:
         "schema_version": SCHEMA_VERSION,
         "estimator": estimator,
         "state": {name: _to_json(float(value)) for name, value in values.items()},
+        "drift": {k: float(v) for k, v in state.drift._asdict().items()},
         "past": {k: float(v) for k, v in state.past._asdict().items()},
         "watch": {k: _to_json(float(v)) for k, v in state.watch._asdict().items()},
     }
@@ -71,6 +74,7 @@ def state_from_dict(saved: Mapping[str, Any], estimator: str = "ekf") -> EkfStat
     if isinstance(before, Mapping):
         before = {**NEWER_PAST, **before}
     past = Past(**_numbers(before, Past._fields))
+    drift = Drift(**_numbers(saved.get("drift", no_drift()._asdict()), Drift._fields))
     names = (*CellState._fields, *Covariance._fields, *COUNTS)
     given = saved.get("state")
     if isinstance(given, Mapping):
@@ -80,6 +84,7 @@ def state_from_dict(saved: Mapping[str, Any], estimator: str = "ekf") -> EkfStat
         CellState(**{name: values[name] for name in CellState._fields}),
         Covariance(**{name: values[name] for name in Covariance._fields}),
         **{field: values[name] for name, field in COUNTS.items()},
+        drift=drift,
         watch=watch,
         past=past,
     )

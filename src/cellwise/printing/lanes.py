@@ -20,11 +20,13 @@ WATCH = (
     "fresh",
 )
 PAST = ("mean_A", "looked_A", "miss_V", "first_soc", "first_variance")
+DRIFT = ("reach", "offset", "variance", "believed", "d1_V", "d2_V", "d3_V")
 # Groups of a state as the filters nest them: the record, and its fields.
 GROUPS = (
     ("cell", "CellState", (*(s.name for s in CELL), "heat_K", "slow_A")),
     ("p", "Covariance", tuple(entry(a, b) for a, b in triangle(CELL))),
     ("", "", ("rejections", "mismatch", "persistent", "contradicted")),
+    ("drift", "Drift", DRIFT),
     ("watch", "Watch", WATCH),
     ("past", "Past", PAST),
 )
@@ -57,6 +59,7 @@ def lanes_text() -> str:
         "from cellwise.cell.compiled import inline",
         "from cellwise.cell.equations import CellState",
         "from cellwise.estimate.filters.covariance_kernels import Covariance",
+        "from cellwise.estimate.filters.drift_kernels import Drift",
         "from cellwise.estimate.filters.filter_state import EkfState",
         "from cellwise.estimate.filters.past_kernels import Past",
         "from cellwise.estimate.sensing_kernels import Watch",

@@ -241,7 +241,10 @@ def assert_is_the_kalman_filter(make, *, mean, covariance, likelihood):
     ``make`` gives the filter of a model and its noise.
     """
     model = linear_cell(effects=(SlowDiffusion(0.02, 700.0),))
-    noise = Noise(current_A=0.03, voltage_V=0.01, slow_s=0.0, gate=OPEN_GATE, mismatch_cap=0.0)
+    noise = Noise(
+        current_A=0.03, voltage_V=0.01, slow_s=0.0, gate=OPEN_GATE, mismatch_cap=0.0,
+        offset_share=0.0,
+    )  # fmt: skip
     log = kalman_log(model)
     ours = make(model, noise)
     state = ours.init(0.5, 0.1)

@@ -13,7 +13,7 @@ from cellwise.cell.protocol import ConstantCurrent, Rest, run_protocol
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.estimate.filters.ekf import Ekf
-from cellwise.estimate.noise import Noise
+from cellwise.estimate.noise import WANDERS, Noise
 from cellwise.estimate.status import Status
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell, lfp_cell, linear_cell, random_log, random_model
@@ -142,7 +142,8 @@ class TestGate:
         assert rejected[-1] > 500
         assert rejected[recovered[0]] >= 10 * Noise().recovery_after
         assert np.max(np.abs(trace.soc - truth)[: recovered[0]]) < 0.05
-        assert np.median(np.abs(trace.soc - truth)) < 0.08
+        # Such a drop looks like a current that is off, too: without that hypothesis below 0.08.
+        assert np.median(np.abs(trace.soc - truth)) < 0.15
 
     def test_a_start_that_is_too_sure_is_let_go_under_a_steady_load(self):
         """Under load the polarisation could explain the voltage for ever: it must not."""
@@ -164,7 +165,8 @@ class TestMissing:
         log, _ = driven(CURVED, 0.8)
         voltage = log.voltage_V.copy()
         voltage[1000:1500] = np.nan
-        trace = Ekf(CURVED).run(replace(log, voltage_V=voltage), 0.8)
+        right = replace(Noise.of_model(CURVED), offset_share=0.0)
+        trace = Ekf(CURVED, right).run(replace(log, voltage_V=voltage), 0.8)
         blind = slice(1000, 1500)
         assert np.all(trace.status[blind] & Status.VOLTAGE_INVALID)
         assert np.all(np.diff(trace.soc_std[999:1500]) > 0)
@@ -240,7 +242,7 @@ class TestStatus:
         trace = Ekf(CURVED, noise).run(late, 0.8)
         assert bits(trace, 2000) == Status.SEQUENCE_GAP | Status.VOLTAGE_INVALID
         assert trace.soc[2000] == trace.soc[1999]
-        walk = (noise.soc_per_sqrt_h / 60) ** 2 * 3601
+        walk = (noise.soc_per_sqrt_h / 60 * WANDERS) ** 2 * 3601
         sensor = (noise.current_A * 3601 / (3600 * 3.0)) ** 2
         grown = trace.soc_std[2000] ** 2 - trace.soc_std[1999] ** 2
         assert grown == pytest.approx(0.07**2 + walk + sensor, rel=1e-9)

@@ -128,7 +128,7 @@ OTHER_SAMPLE = "at rest and full the cell that is judged is 24 mV below the mode
 @pytest.mark.parametrize("estimator", ["ekf", "ukf"])
 @pytest.mark.parametrize(
     ("cell", "name"),
-    cases(samsung_1c=OTHER_SAMPLE.format(0), samsung_3c=OTHER_SAMPLE.format(2)),
+    cases(samsung_1c=OTHER_SAMPLE.format(0), samsung_3c=OTHER_SAMPLE.format(3)),
 )
 def test_from_a_known_start(real_data, cell, name, estimator):
     assert loss(real_data, cell, name, estimator) < MORE

@@ -111,6 +111,21 @@ def test_an_offset_of_3_per_cent_of_1c_is_not_counted_by_the_adaptive_filter(nca
 
 
 @pytest.mark.parametrize("name", ["ekf", "ukf"])
+@pytest.mark.parametrize("tag", missed(CHAMBER_C, n20="0.62 times"))
+def test_an_offset_of_3_per_cent_of_1c_is_followed_from_a_known_start(nca, tag, name):
+    """Either sign: no drive worse than counting, at most 0.6 times its error in the mean."""
+    model, drives = nca
+    ours, counted = [], []
+    for sign in (1.0, -1.0):
+        logs = [replace(g, current_A=g.current_A + sign * 0.03 * 2.9) for g in drives[tag]]
+        ours.append(from_known(model, logs, name))
+        counted.append(from_known(model, logs, "coulomb"))
+    ratios = np.divide(ours, counted)
+    assert np.max(ratios) < 1.0
+    assert np.mean(ours) < 0.6 * np.mean(counted)
+
+
+@pytest.mark.parametrize("name", ["ekf", "ukf"])
 @pytest.mark.parametrize(
     "tag", missed(CHAMBER_C, n10="88 % (EKF), 89 % (UKF)", n20="88 % (both) of the rows")
 )

@@ -48,6 +48,12 @@ from cellwise.estimate.filters.covariance_kernels import (
     uncorrelated,
     with_soc_variance,
 )
+from cellwise.estimate.filters.drift_kernels import (
+    Drift,
+    counted_move,
+    drift_step,
+    no_drift,
+)
 from cellwise.estimate.filters.filter_state import (
     OUT_INNOVATION,
     OUT_RATIO,
@@ -80,7 +86,7 @@ from cellwise.estimate.filters.predict_kernels import (
     branch_variance,
     drifted,
     driven_by_soc,
-    soc_walk,
+    soc_wander,
     unseen_variance,
 )
 from cellwise.estimate.gate_kernels import Innovation, Verdict, gate
@@ -96,6 +102,13 @@ class Beside(NamedTuple):
 
     persistent: float
     contradicted: float
+    drift: Drift
+
+
+@inline
+def nothing_beside() -> Beside:
+    """After a SOC that was searched for or looked at again."""
+    return Beside(0.0, 0.0, no_drift())
 
 
 class Predicted(NamedTuple):
@@ -109,6 +122,7 @@ class Predicted(NamedTuple):
     warm_C: float
     evidence_s: float
     past: Past
+    drift: Drift
     status: int
 
 
@@ -132,13 +146,23 @@ def predict(
     if at.spread > 0.0:
         p = leaned(p, *driven_by_soc(at, t, s.flow_A))
     q = noise.current_A * noise.current_A
-    p = noisy(p, t, q, q + s.gap_A2, soc_walk(noise, s.dt_s), 0.0, 0.0, 0.0)
+    p = noisy(
+        p,
+        t,
+        q,
+        q + s.gap_A2,
+        soc_wander(noise, begun.state.watch.no_voltage_s, s.dt_s),
+        0.0,
+        0.0,
+        0.0,
+    )
     drop = polarisation(point.r0_ohm, s.seen_A, now.end.v1_V, now.end.v2_V, now.end.v3_V)
     heat = heat_step(tables.cell, now.end.heat_K, s.flow_A, drop, s.dt_s)
     x = with_heat(now.end, heat)
     # fmt: off
     return Predicted(
-        begun.state, x, p, point, at, now.warm_C, begun.evidence_s, begun.past, begun.status
+        begun.state, x, p, point, at, now.warm_C, begun.evidence_s, begun.past, begun.drift,
+        begun.status,
     )
     # fmt: on
 
@@ -228,8 +252,20 @@ def update(
             p = rejudged(p, k, c, e)
     if gained:
         p = corrected(p, k, d)
-    beside = beside_step(noise, now.point, s, v, now.state, now.at.slope_V, k.s, i, now.status)
-    return x, p, beside
+    beside, move = beside_step(
+        noise,
+        now.point,
+        s,
+        v,
+        now.state,
+        now.drift,
+        now.at.slope_V,
+        k.s,
+        i,
+        tables.cell.charge_As,
+        now.status,
+    )
+    return with_soc(x, x.soc + move), p, beside
 
 
 @inline
@@ -239,13 +275,16 @@ def beside_step(
     s: Sample,
     v: Verdict,
     old: EkfState,
+    drift: Drift,
     slope_V: float,
     gain: float,
     i: Innovation,
+    charge_As: float,
     status: int,
-) -> Beside:
+) -> tuple[Beside, float]:
     """What is stated beside P, after an accepted voltage that moved the SOC with a ``gain``.
 
+    With what the hypothesis of an offset moves the SOC beside; ``drift`` is before the voltage.
     Beyond the model's data a voltage may contradict the counted charge, but confirms nothing.
     """
     since = old.watch.evidence_s
@@ -255,12 +294,21 @@ def beside_step(
     if status & OUTSIDE and abs(contradicted) < abs(old.contradicted):
         contradicted = old.contradicted
     drop = abs(i.r0_ohm * s.seen_A) + i.branches_V
-    return Beside(
-        persistent_step(
-            noise, point, s.seen_A, drop, v.mismatch, v.returns * gain, slope_V, old.persistent
-        ),
-        contradicted,
+    persistent = persistent_step(
+        noise, point, s.seen_A, drop, v.mismatch, v.returns * gain, slope_V, old.persistent
     )
+    offset_V = i.r0_ohm * noise.offset_soc_per_s * charge_As
+    drift, move = drift_step(
+        noise, old.drift, drift, offset_V, v.innovation_V, slope_V, gain, v.inverse
+    )
+    return Beside(persistent, contradicted, drift), move
+
+
+@inline
+def counted(x: CellState, old: EkfState, drift: Drift) -> tuple[CellState, Beside]:
+    """An interval without a voltage: what is believed of an offset goes on."""
+    x = with_soc(x, x.soc + counted_move(old.drift, drift))
+    return x, Beside(old.persistent, old.contradicted, drift)
 
 
 @inline
@@ -284,7 +332,7 @@ def look_again(
             past = no_past()
         if past.first_variance > 0.0 and looks_now(before_s, since):
             x, p = looked_again(tables, noise, past, warm_C, x, p, since)
-            beside = Beside(0.0, 0.0)
+            beside = nothing_beside()
             past = having_looked(past, since)
         if past.first_variance > 0.0 and reconsiders_now(before_s, since):
             more_V, variance = reconsidered(tables, past, warm_C, x, since)
@@ -313,7 +361,7 @@ def finish(
     # fmt: off
     state = EkfState(
         with_soc(x, soc), p, v.rejections, v.mismatch, beside.persistent, beside.contradicted,
-        v.watch, past,
+        beside.drift, v.watch, past,
     )
     # fmt: on
     std = stated_deviation(p.ss, v.mismatch, beside.persistent, beside.contradicted)
@@ -336,10 +384,11 @@ def ekf_step_inline(
         tables.cell, noise, old.watch, s, now.evidence_s, old.rejections, old.mismatch, i
     )
     # fmt: on
-    x, p, beside = now.x, now.p, Beside(old.persistent, old.contradicted)
+    p = now.p
+    x, beside = counted(now.x, old, now.drift)
     if v.recover:
-        x, p = recover(tables, s, x, p, i, now.warm_C, now.evidence_s >= 0.0)
-        beside = Beside(0.0, 0.0)
+        x, p = recover(tables, s, now.x, p, i, now.warm_C, now.evidence_s >= 0.0)
+        beside = nothing_beside()
     elif v.accepted:
         x, p, beside = update(tables, noise, s, now, d, v, i)
     # fmt: off

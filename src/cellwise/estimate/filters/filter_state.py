@@ -8,6 +8,7 @@ from cellwise.cell.compiled import kernel
 from cellwise.cell.equations import CellState, at_rest
 from cellwise.estimate.evidence_kernels import stated_deviation
 from cellwise.estimate.filters.covariance_kernels import Covariance, uncorrelated
+from cellwise.estimate.filters.drift_kernels import Drift, no_drift
 from cellwise.estimate.filters.past_kernels import Past, no_past
 from cellwise.estimate.sensing_kernels import Watch, first_watch
 from cellwise.typing import BoolArray, FloatArray, IntArray
@@ -29,6 +30,7 @@ class EkfState(NamedTuple):
     running mean of the squared innovations over the variance that the model alone explains;
     ``persistent`` is what a persistent error of the model may have brought into the SOC, one
     standard deviation; ``contradicted`` the SOC that the voltages have lately said is missing;
+    ``drift`` what a current that is off would have moved, and how far that is believed;
     ``past`` what a start under load is looked at again with.
     """
 
@@ -38,6 +40,7 @@ class EkfState(NamedTuple):
     mismatch: float
     persistent: float
     contradicted: float
+    drift: Drift
     watch: Watch
     past: Past
 
@@ -101,4 +104,5 @@ def ekf_start(start: EkfStart, current_A: float) -> EkfState:
     """A cell known as ``start`` says; its branches are guessed at the first sample."""
     h = 1.0 if start.soc > 0.5 else -1.0
     p = uncorrelated(start.variance, 0.0, 0.0, 0.0, start.hysteresis_variance)
-    return EkfState(at_rest(start.soc, h), p, 0.0, 1.0, 0.0, 0.0, first_watch(current_A), no_past())
+    cell, watch = at_rest(start.soc, h), first_watch(current_A)
+    return EkfState(cell, p, 0.0, 1.0, 0.0, 0.0, no_drift(), watch, no_past())

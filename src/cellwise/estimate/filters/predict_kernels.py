@@ -19,6 +19,7 @@ from cellwise.cell.equations import (
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.estimate.evidence_kernels import share_at
 from cellwise.estimate.filters.covariance_kernels import Covariance, uncorrelated
+from cellwise.estimate.filters.drift_kernels import Drift, counted_on
 from cellwise.estimate.filters.filter_state import EkfStart, EkfState, ekf_start
 from cellwise.estimate.filters.past_kernels import Past, past_at_start
 from cellwise.estimate.noise import NoiseScalars
@@ -63,6 +64,7 @@ class Begun(NamedTuple):
     p: Covariance
     evidence_s: float
     past: Past
+    drift: Drift
     status: int
 
 
@@ -117,7 +119,9 @@ def begin_interval(
         p = uncorrelated(p.ss, now.v11, now.v22, now.v33, p.phh)
         evidence = NO_VOLTAGE_YET
         past = past_at_start(tables.cell, s, now.end.soc, p.ss)
-    return Begun(state, now, p, evidence, past, status)
+    counted_s = 0.0 if s.gap or s.lost_A > 0.0 else s.dt_s
+    drift = counted_on(noise, state.drift, now.t, tables.cell.charge_As, counted_s)
+    return Begun(state, now, p, evidence, past, drift, status)
 
 
 @inline
@@ -167,3 +171,11 @@ def drifted(tables: CellTables, s: Sample, ss: float) -> float:
 def soc_walk(noise: NoiseScalars, dt_s: float) -> float:
     """Variance that SOC gains over an interval."""
     return noise.soc_per_sqrt_s * noise.soc_per_sqrt_s * dt_s
+
+
+@inline
+def soc_wander(noise: NoiseScalars, no_voltage_s: float, dt_s: float) -> float:
+    """The same where a constant offset is a hypothesis of its own, as long as voltages judge it."""
+    lost = no_voltage_s > noise.hold_s
+    per_sqrt_s = noise.soc_per_sqrt_s if lost else noise.wander_per_sqrt_s
+    return per_sqrt_s * per_sqrt_s * dt_s

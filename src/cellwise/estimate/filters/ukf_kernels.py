@@ -24,6 +24,7 @@ from cellwise.cell.equations import (
     rc_step,
     terminal_voltage,
     with_heat,
+    with_soc,
 )
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.estimate.evidence_kernels import voltage_variance
@@ -42,11 +43,12 @@ from cellwise.estimate.filters.covariance_kernels import (
     without_outer,
 )
 from cellwise.estimate.filters.ekf_kernels import (
-    Beside,
     beside_step,
+    counted,
     finish,
     look_again,
     moved,
+    nothing_beside,
     put_info,
     reading_of,
     recover,
@@ -64,7 +66,7 @@ from cellwise.estimate.filters.predict_kernels import (
     begin_interval,
     branch_variance,
     drifted,
-    soc_walk,
+    soc_wander,
     unseen_variance,
 )
 from cellwise.estimate.gate_kernels import Innovation, gate
@@ -171,7 +173,7 @@ def predict(
         t,
         q,
         q + s.gap_A2,
-        soc_walk(noise, s.dt_s),
+        soc_wander(noise, begun.state.watch.no_voltage_s, s.dt_s),
         branch_variance(noise, s, point.r1_ohm, t.a1),
         branch_variance(noise, s, point.r2_ohm, t.a2),
         branch_variance(noise, s, point.r3_ohm, t.a3),
@@ -250,15 +252,29 @@ def ukf_step_inline(
         tables.cell, noise, old.watch, s, begun.evidence_s, old.rejections, old.mismatch, i
     )
     # fmt: on
-    beside = Beside(old.persistent, old.contradicted)
+    predicted = x
+    x, beside = counted(predicted, old, begun.drift)
     if v.recover:
-        x, p = recover(tables, s, x, p, i, warm, begun.evidence_s >= 0.0)
-        beside = Beside(0.0, 0.0)
+        x, p = recover(tables, s, predicted, p, i, warm, begun.evidence_s >= 0.0)
+        beside = nothing_beside()
     elif v.accepted:
         k = scaled(d, v.inverse)
-        x = moved(x, k, v.innovation_V)
+        x = moved(predicted, k, v.innovation_V)
         p = corrected(p, k, d)
-        beside = beside_step(noise, point, s, v, old, seen.slope_V, k.s, i, begun.status)
+        beside, move = beside_step(
+            noise,
+            point,
+            s,
+            v,
+            old,
+            begun.drift,
+            seen.slope_V,
+            k.s,
+            i,
+            tables.cell.charge_As,
+            begun.status,
+        )
+        x = with_soc(x, x.soc + move)
     # fmt: off
     x, p, beside, past = look_again(
         tables, noise, s, warm, begun.evidence_s, begun.past, v, x, p, beside

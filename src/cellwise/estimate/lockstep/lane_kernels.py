@@ -8,6 +8,7 @@ from __future__ import annotations
 from cellwise.cell.compiled import inline
 from cellwise.cell.equations import CellState
 from cellwise.estimate.filters.covariance_kernels import Covariance
+from cellwise.estimate.filters.drift_kernels import Drift
 from cellwise.estimate.filters.filter_state import EkfState
 from cellwise.estimate.filters.past_kernels import Past
 from cellwise.estimate.sensing_kernels import Watch
@@ -42,6 +43,13 @@ LANES = 16  # fewer than sixteen turns are not worth a vector to the compiler
     MISMATCH,
     PERSISTENT,
     CONTRADICTED,
+    REACH,
+    OFFSET,
+    VARIANCE,
+    BELIEVED,
+    D1,
+    D2,
+    D3,
     LAST_A,
     LAST_C,
     EVIDENCE,
@@ -61,8 +69,8 @@ LANES = 16  # fewer than sixteen turns are not worth a vector to the compiler
     FIRST_VARIANCE,
     FACTOR,
     FACTOR_C,
-) = range(45)
-FIELDS = 45
+) = range(52)
+FIELDS = 52
 
 
 @inline
@@ -99,6 +107,15 @@ def get_state(block: FloatArray, lane: int) -> EkfState:
         block[MISMATCH * LANES + lane],
         block[PERSISTENT * LANES + lane],
         block[CONTRADICTED * LANES + lane],
+        Drift(
+            block[REACH * LANES + lane],
+            block[OFFSET * LANES + lane],
+            block[VARIANCE * LANES + lane],
+            block[BELIEVED * LANES + lane],
+            block[D1 * LANES + lane],
+            block[D2 * LANES + lane],
+            block[D3 * LANES + lane],
+        ),
         Watch(
             block[LAST_A * LANES + lane],
             block[LAST_C * LANES + lane],
@@ -152,6 +169,13 @@ def put_state(block: FloatArray, lane: int, state: EkfState) -> None:
     block[MISMATCH * LANES + lane] = state.mismatch
     block[PERSISTENT * LANES + lane] = state.persistent
     block[CONTRADICTED * LANES + lane] = state.contradicted
+    block[REACH * LANES + lane] = state.drift.reach
+    block[OFFSET * LANES + lane] = state.drift.offset
+    block[VARIANCE * LANES + lane] = state.drift.variance
+    block[BELIEVED * LANES + lane] = state.drift.believed
+    block[D1 * LANES + lane] = state.drift.d1_V
+    block[D2 * LANES + lane] = state.drift.d2_V
+    block[D3 * LANES + lane] = state.drift.d3_V
     block[LAST_A * LANES + lane] = state.watch.current_A
     block[LAST_C * LANES + lane] = state.watch.temperature_C
     block[EVIDENCE * LANES + lane] = state.watch.evidence_s
@@ -205,6 +229,15 @@ def choose(which: bool, yes: EkfState, no: EkfState) -> EkfState:
         yes.mismatch if which else no.mismatch,
         yes.persistent if which else no.persistent,
         yes.contradicted if which else no.contradicted,
+        Drift(
+            yes.drift.reach if which else no.drift.reach,
+            yes.drift.offset if which else no.drift.offset,
+            yes.drift.variance if which else no.drift.variance,
+            yes.drift.believed if which else no.drift.believed,
+            yes.drift.d1_V if which else no.drift.d1_V,
+            yes.drift.d2_V if which else no.drift.d2_V,
+            yes.drift.d3_V if which else no.drift.d3_V,
+        ),
         Watch(
             yes.watch.current_A if which else no.watch.current_A,
             yes.watch.temperature_C if which else no.watch.temperature_C,

@@ -43,9 +43,10 @@ from cellwise.estimate.filters.covariance_kernels import (
     noisy,
     scaled,
 )
+from cellwise.estimate.filters.drift_kernels import counted_on, drift_step
 from cellwise.estimate.filters.ekf_kernels import moved
 from cellwise.estimate.filters.filter_state import OUT_SOC, EkfInfo, EkfStart, EkfState
-from cellwise.estimate.filters.predict_kernels import SOC_HIGH, SOC_LOW, soc_walk
+from cellwise.estimate.filters.predict_kernels import SOC_HIGH, SOC_LOW, soc_wander
 from cellwise.estimate.gate_kernels import FORGIVEN
 from cellwise.estimate.lockstep.cell_kernels import full_lane, put_info
 from cellwise.estimate.lockstep.lane_kernels import FIELDS, LANES, choose, get_state, put_state
@@ -151,6 +152,7 @@ def plain_step(
     warm_C: float,
     dt_s: float,
     gs: float,
+    charge_As: float,
 ) -> tuple[EkfState, EkfInfo, bool]:
     """The EKF's step where SOC is well known; whether gate and sensors allow it."""
     x, point, t = old.cell, at.point, at.t
@@ -162,7 +164,7 @@ def plain_step(
     share = share * share
     p = branches_noisy(decayed(old.p, t), share * at.b1, share * at.b2, share * at.b3)
     q = noise.current_A * noise.current_A
-    p = noisy(p, t, q, q, soc_walk(noise, dt_s), 0.0, 0.0, 0.0)
+    p = noisy(p, t, q, q, soc_wander(noise, old.watch.no_voltage_s, dt_s), 0.0, 0.0, 0.0)
 
     drop = polarisation(point.r0_ohm, flow, v1, v2, v3)
     predicted = terminal_voltage(point, h, drop)
@@ -216,9 +218,15 @@ def plain_step(
         noise, point, flow, drop_V, mismatch, kept_k, point.ocv_slope_V, old.persistent
     )
     end = moved(CellState(soc, v1, v2, v3, h, x.heat_K, x.slow_A), k, innovation)
+    drift = counted_on(noise, old.drift, t, charge_As, dt_s)
+    offset_V = point.r0_ohm * noise.offset_soc_per_s * charge_As
+    drift, move = drift_step(
+        noise, old.drift, drift, offset_V, innovation, point.ocv_slope_V, k.s, inverse
+    )
     rejections = old.rejections - FORGIVEN
     rejections = rejections if rejections > 0.0 else 0.0
-    soc = end.soc if end.soc < SOC_HIGH else SOC_HIGH
+    soc = end.soc + move
+    soc = soc if soc < SOC_HIGH else SOC_HIGH
     soc = soc if soc > SOC_LOW else SOC_LOW
     p = corrected(p, k, d)
     slope = point.ocv_slope_V
@@ -227,7 +235,8 @@ def plain_step(
     )
     # fmt: off
     state = EkfState(
-        with_soc(end, soc), p, rejections, mismatch, persistent, contradicted, watch, old.past
+        with_soc(end, soc), p, rejections, mismatch, persistent, contradicted, drift, watch,
+        old.past,
     )
     # fmt: on
     std = stated_deviation(p.ss, mismatch, persistent, contradicted)
@@ -262,6 +271,7 @@ def plain_block(
             temperature_C[lane],
             dt_s,
             gs,
+            cell.charge_As,
         )
         plain = (work[W_PLAIN * LANES + lane] > 0.0) & fits
         work[W_PLAIN * LANES + lane] = 1.0 if plain else 0.0

@@ -1,0 +1,112 @@
+"""A current sensor that is off all the time: a second hypothesis beside the filter's own.
+
+The filter's own estimate is that of a right current. How far a constant offset of the current would
+have moved it, and what the voltages then say of that offset, takes one scalar filter beside it that
+is exact where the filter is linear (separate-bias estimation: Friedland 1969,
+doi:10.1109/TAC.1969.1099223). The estimate is the mean of the two hypotheses, weighed by their
+evidence (Savage-Dickey ratio: Dickey 1971). Everything is in units of the offset's standard
+deviation beforehand, ``Noise.offset_share`` of 1C.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from cellwise.cell.compiled import inline
+from cellwise.cell.equations import Transition, relaxed
+from cellwise.estimate.noise import NoiseScalars
+
+ODDS = 0.25  # of an offset, before any data: a chance of 0.2, as in the adaptive filter
+
+
+class Drift(NamedTuple):
+    """An offset of the current, per standard deviation that it has beforehand.
+
+    ``reach`` is the SOC by which one of them puts the filter's own estimate too low, ``d1_V`` to
+    ``d3_V`` by how much it puts the branches too high; ``offset`` and ``variance`` what the
+    voltages say of it if there is one, ``believed`` its mean over both hypotheses: the estimate
+    that is carried is the filter's own and ``believed`` x ``reach``.
+    """
+
+    reach: float
+    offset: float
+    variance: float
+    believed: float
+    d1_V: float
+    d2_V: float
+    d3_V: float
+
+
+@inline
+def no_drift() -> Drift:
+    """Nothing counted yet, nothing known."""
+    return Drift(0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@inline
+def counted_on(
+    noise: NoiseScalars, old: Drift, t: Transition, charge_As: float, counted_s: float
+) -> Drift:
+    """After an interval of which ``counted_s`` were counted by the sensor."""
+    offset_A = noise.offset_soc_per_s * charge_As
+    return Drift(
+        old.reach + noise.offset_soc_per_s * counted_s,
+        old.offset,
+        old.variance,
+        old.believed,
+        relaxed(old.d1_V, t.a1, t.g1, offset_A),
+        relaxed(old.d2_V, t.a2, t.g2, offset_A),
+        relaxed(old.d3_V, t.a3, t.g3, offset_A),
+    )
+
+
+@inline
+def counted_move(old: Drift, now: Drift) -> float:
+    """What the SOC of the mean gains on the filter's over an interval."""
+    return old.believed * (now.reach - old.reach)
+
+
+@inline
+def weight_of_offset(offset: float, variance: float) -> float:
+    """Chance of an offset after the voltages; ``variance`` at most 1.
+
+    Student's t of 31 degrees of freedom in place of the normal density: how sure the voltages are
+    is itself not quite sure, and it takes no exponential.
+    """
+    known = min(variance, 1.0)
+    base = 1.0 + offset * offset / (31.0 * known)
+    base *= base
+    base *= base
+    base *= base
+    base *= base
+    return 1.0 - 1.0 / (1.0 + ODDS * math.sqrt(known) * base)
+
+
+@inline
+def drift_step(
+    noise: NoiseScalars,
+    old: Drift,
+    now: Drift,
+    offset_V: float,
+    innovation_V: float,
+    slope_V: float,
+    gain: float,
+    inverse: float,
+) -> tuple[Drift, float]:
+    """After a voltage: the drift, and what the SOC moves beside ``gain`` x ``innovation_V``.
+
+    ``now`` is :func:`counted_on`, ``offset_V`` the offset's drop over R0, ``inverse`` one over
+    the variance that weighed the voltage.
+    """
+    followed = old.believed * old.reach
+    own_V = innovation_V + slope_V * followed  # of the filter's own estimate
+    seen = slope_V * now.reach + (offset_V + ((now.d1_V + now.d2_V) + now.d3_V))
+    share = inverse * seen * now.variance
+    share = share / (1.0 + share * seen)
+    offset = now.offset + share * (own_V - seen * now.offset)
+    variance = now.variance * (1.0 - share * seen)
+    reach = now.reach - gain * seen
+    believed = weight_of_offset(offset, variance) * offset
+    move = gain * slope_V * followed + (believed * reach - followed)
+    return Drift(reach, offset, variance, believed, now.d1_V, now.d2_V, now.d3_V), move
