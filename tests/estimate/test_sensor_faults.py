@@ -148,7 +148,7 @@ def test_a_lost_voltage_leaves_counting_and_says_so(make):
     assert np.all(trace.status[615:1800] == (Status.VOLTAGE_INVALID | Status.VOLTAGE_LOST))
     assert trace.status[1800] == 0
     counted = trace.soc[599] - np.cumsum(log.current_A[600:1800]) / (3600 * 3.0)
-    np.testing.assert_allclose(trace.soc[600:1800], counted, atol=1e-5)  # and what is believed of an offset
+    np.testing.assert_allclose(trace.soc[600:1800], counted, atol=1e-5)  # and a believed offset
     assert np.all(np.diff(trace.soc_std[600:1800]) > 0)
     assert np.max(np.abs(trace.soc - truth)) < 0.01
 
