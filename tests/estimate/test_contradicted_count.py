@@ -87,9 +87,15 @@ def test_on_a_plateau_a_voltage_contradicts_little(filter_):
     """An error that the model states is no drift where millivolts are many points of SOC."""
     flat = replace(MODEL, ocv_V=3.3 + 0.05 * MODEL.soc)
     log, _ = driven()
-    log = replace(log, voltage_V=simulate(flat, log, 0.9).voltage_V + 0.012)
-    trace = filter_(flat, Noise.of_model(flat)).run(log, 0.9, 0.005)
-    assert trace.soc_std[-1] < 0.02  # 12 mV are 24 points of SOC there
+    run = simulate(flat, log, 0.9)
+    trace = filter_(flat, Noise.of_model(flat)).run(
+        replace(log, voltage_V=run.voltage_V + 0.012), 0.9, 0.005
+    )
+    # 12 mV are 24 points of SOC there. In hours of load they may be the drop of an offset, too.
+    assert trace.soc_std[-1] < 0.04
+    error = np.abs(trace.soc - run.soc)
+    assert np.sqrt(np.mean(error**2)) < 0.02
+    assert np.mean(error <= 2.0 * trace.soc_std) > 0.98
 
 
 def test_an_offset_is_not_negative():

@@ -37,7 +37,7 @@ from cellwise.estimate.filters.predict_kernels import (
     drifted,
     driven_by_soc,
     over_interval,
-    soc_wander,
+    soc_walk,
     unseen_variance,
 )
 from cellwise.estimate.noise import NoiseScalars
@@ -162,9 +162,7 @@ def predict(
     if at.spread > 0.0:
         p = leaned(p, *driven_by_soc(at, t, s.flow_A))
     q = noise.current_A * noise.current_A
-    p = noisy(
-        p, t, q, q + s.gap_A2, soc_wander(noise, state.watch.no_voltage_s, s.dt_s), 0.0, 0.0, 0.0
-    )
+    p = noisy(p, t, q, q + s.gap_A2, soc_walk(noise, s.dt_s), 0.0, 0.0, 0.0)
     forget_s = forgets_for(evidence, s.dt_s)
     if forget_s > 0.0:
         p = forgotten(p, rules.offset_walk * forget_s, rules.charge_walk * forget_s)

@@ -17,7 +17,8 @@ from cellwise.cell.compiled import inline
 from cellwise.cell.equations import Transition, relaxed
 from cellwise.estimate.noise import NoiseScalars
 
-ODDS = 0.25  # of an offset, before any data: a chance of 0.2, as in the adaptive filter
+CHANCE = 0.2  # of an offset, before any data, as in the adaptive filter
+ODDS = CHANCE / (1.0 - CHANCE)
 
 
 class Drift(NamedTuple):
@@ -25,14 +26,15 @@ class Drift(NamedTuple):
 
     ``reach`` is the SOC by which one of them puts the filter's own estimate too low, ``d1_V`` to
     ``d3_V`` by how much it puts the branches too high; ``offset`` and ``variance`` what the
-    voltages say of it if there is one, ``believed`` its mean over both hypotheses: the estimate
-    that is carried is the filter's own and ``believed`` x ``reach``.
+    voltages say of it if there is one, ``believed`` and ``unsure`` its mean and variance over both
+    hypotheses: the estimate that is carried is the filter's own and ``believed`` x ``reach``.
     """
 
     reach: float
     offset: float
     variance: float
     believed: float
+    unsure: float
     d1_V: float
     d2_V: float
     d3_V: float
@@ -41,7 +43,7 @@ class Drift(NamedTuple):
 @inline
 def no_drift() -> Drift:
     """Nothing counted yet, nothing known."""
-    return Drift(0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0)
+    return Drift(0.0, 0.0, 1.0, 0.0, CHANCE, 0.0, 0.0, 0.0)
 
 
 @inline
@@ -55,6 +57,7 @@ def counted_on(
         old.offset,
         old.variance,
         old.believed,
+        old.unsure,
         relaxed(old.d1_V, t.a1, t.g1, offset_A),
         relaxed(old.d2_V, t.a2, t.g2, offset_A),
         relaxed(old.d3_V, t.a3, t.g3, offset_A),
@@ -65,6 +68,12 @@ def counted_on(
 def counted_move(old: Drift, now: Drift) -> float:
     """What the SOC of the mean gains on the filter's over an interval."""
     return old.believed * (now.reach - old.reach)
+
+
+@inline
+def drift_variance(drift: Drift) -> float:
+    """What an offset that is not known may have moved the SOC by, variance over both hypotheses."""
+    return drift.reach * drift.reach * drift.unsure
 
 
 @inline
@@ -107,6 +116,9 @@ def drift_step(
     offset = now.offset + share * (own_V - seen * now.offset)
     variance = now.variance * (1.0 - share * seen)
     reach = now.reach - gain * seen
-    believed = weight_of_offset(offset, variance) * offset
+    weight = weight_of_offset(offset, variance)
+    believed = weight * offset
+    unsure = weight * (variance + (1.0 - weight) * offset * offset)
     move = gain * slope_V * followed + (believed * reach - followed)
-    return Drift(reach, offset, variance, believed, now.d1_V, now.d2_V, now.d3_V), move
+    after = Drift(reach, offset, variance, believed, unsure, now.d1_V, now.d2_V, now.d3_V)
+    return after, move

@@ -52,6 +52,7 @@ from cellwise.estimate.filters.drift_kernels import (
     Drift,
     counted_move,
     drift_step,
+    drift_variance,
     no_drift,
 )
 from cellwise.estimate.filters.filter_state import (
@@ -364,7 +365,8 @@ def finish(
         beside.drift, v.watch, past,
     )
     # fmt: on
-    std = stated_deviation(p.ss, v.mismatch, beside.persistent, beside.contradicted)
+    known = p.ss + drift_variance(beside.drift)
+    std = stated_deviation(known, v.mismatch, beside.persistent, beside.contradicted)
     info = EkfInfo(soc, std, i.predicted_V, v.innovation_V, v.variance, v.ratio, status)
     return state, info
 

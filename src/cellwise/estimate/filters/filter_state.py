@@ -8,7 +8,7 @@ from cellwise.cell.compiled import kernel
 from cellwise.cell.equations import CellState, at_rest
 from cellwise.estimate.evidence_kernels import stated_deviation
 from cellwise.estimate.filters.covariance_kernels import Covariance, uncorrelated
-from cellwise.estimate.filters.drift_kernels import Drift, no_drift
+from cellwise.estimate.filters.drift_kernels import Drift, drift_variance, no_drift
 from cellwise.estimate.filters.past_kernels import Past, no_past
 from cellwise.estimate.sensing_kernels import Watch, first_watch
 from cellwise.typing import BoolArray, FloatArray, IntArray
@@ -57,7 +57,8 @@ class EkfState(NamedTuple):
     @property
     def soc_std(self) -> float:
         """Standard deviation of the state of charge."""
-        return stated_deviation(self.p.ss, self.mismatch, self.persistent, self.contradicted)
+        known = self.p.ss + drift_variance(self.drift)
+        return stated_deviation(known, self.mismatch, self.persistent, self.contradicted)
 
 
 class EkfInfo(NamedTuple):

@@ -47,6 +47,7 @@ LANES = 16  # fewer than sixteen turns are not worth a vector to the compiler
     OFFSET,
     VARIANCE,
     BELIEVED,
+    UNSURE,
     D1,
     D2,
     D3,
@@ -69,8 +70,8 @@ LANES = 16  # fewer than sixteen turns are not worth a vector to the compiler
     FIRST_VARIANCE,
     FACTOR,
     FACTOR_C,
-) = range(52)
-FIELDS = 52
+) = range(53)
+FIELDS = 53
 
 
 @inline
@@ -112,6 +113,7 @@ def get_state(block: FloatArray, lane: int) -> EkfState:
             block[OFFSET * LANES + lane],
             block[VARIANCE * LANES + lane],
             block[BELIEVED * LANES + lane],
+            block[UNSURE * LANES + lane],
             block[D1 * LANES + lane],
             block[D2 * LANES + lane],
             block[D3 * LANES + lane],
@@ -173,6 +175,7 @@ def put_state(block: FloatArray, lane: int, state: EkfState) -> None:
     block[OFFSET * LANES + lane] = state.drift.offset
     block[VARIANCE * LANES + lane] = state.drift.variance
     block[BELIEVED * LANES + lane] = state.drift.believed
+    block[UNSURE * LANES + lane] = state.drift.unsure
     block[D1 * LANES + lane] = state.drift.d1_V
     block[D2 * LANES + lane] = state.drift.d2_V
     block[D3 * LANES + lane] = state.drift.d3_V
@@ -234,6 +237,7 @@ def choose(which: bool, yes: EkfState, no: EkfState) -> EkfState:
             yes.drift.offset if which else no.drift.offset,
             yes.drift.variance if which else no.drift.variance,
             yes.drift.believed if which else no.drift.believed,
+            yes.drift.unsure if which else no.drift.unsure,
             yes.drift.d1_V if which else no.drift.d1_V,
             yes.drift.d2_V if which else no.drift.d2_V,
             yes.drift.d3_V if which else no.drift.d3_V,

@@ -43,7 +43,7 @@ from cellwise.estimate.filters.covariance_kernels import (
     noisy,
     scaled,
 )
-from cellwise.estimate.filters.drift_kernels import counted_on, drift_step
+from cellwise.estimate.filters.drift_kernels import counted_on, drift_step, drift_variance
 from cellwise.estimate.filters.ekf_kernels import moved
 from cellwise.estimate.filters.filter_state import OUT_SOC, EkfInfo, EkfStart, EkfState
 from cellwise.estimate.filters.predict_kernels import SOC_HIGH, SOC_LOW, soc_wander
@@ -239,7 +239,8 @@ def plain_step(
         old.past,
     )
     # fmt: on
-    std = stated_deviation(p.ss, mismatch, persistent, contradicted)
+    known = p.ss + drift_variance(drift)
+    std = stated_deviation(known, mismatch, persistent, contradicted)
     info = EkfInfo(soc, std, predicted, innovation, variance, ratio, 0)
     return state, info, (ratio <= 1.0) & (not frozen)
 
