@@ -13,7 +13,7 @@ import pytest
 
 from cellwise.errors import InputError
 from cellwise.estimate.replay import replay
-from cellwise.fleet import DiagnoseTask, ReplayTask, run_fleet
+from cellwise.fleet import DiagnoseTask, ReplayTask, engine, run_fleet
 from cellwise.logs import read_log
 from cellwise.logs.tables import read_rows
 
@@ -207,6 +207,21 @@ def test_a_killed_worker_loses_nothing(model, folder, tmp_path, always):
         assert told.failed == 2
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="a signal of POSIX")
+def test_a_worker_that_starts_again_slowly_is_not_given_up(model, folder, tmp_path, monkeypatch):
+    """Dask gives up one that is not there again in time; here no time is enough."""
+    import cloudpickle
+    import dask
+
+    cloudpickle.register_pickle_by_value(sys.modules[Deadly.__module__])
+    monkeypatch.setattr(engine, "WITHOUT_WORKERS_S", 60.0)
+    task = Deadly(model, marker=str(tmp_path / "once"))
+    with dask.config.set({"distributed.deploy.lost-worker-timeout": "0s"}):
+        run_fleet(task, folder, tmp_path / "out", scheduler="processes", workers=1, batch=3)
+    assert len(rows_in(tmp_path / "out")) == 8
+
+
 class _Never:
     """A future that nobody works on."""
 
@@ -229,7 +244,6 @@ class _WithoutWorkers:
 
 def test_workers_that_never_come_back_end_the_run(model, folder, monkeypatch):
     from cellwise.errors import MachineError
-    from cellwise.fleet import engine
 
     monkeypatch.setattr(engine, "WITHOUT_WORKERS_S", 0.5)
     monkeypatch.setattr(engine, "ASK_AGAIN_S", 0.1)

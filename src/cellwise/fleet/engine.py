@@ -31,6 +31,9 @@ QUIET = {
     "distributed.worker.memory.monitor-interval": "10s",
     "distributed.admin.system-monitor.interval": "10s",
 }
+# Dask gives a worker up for good that is not there so long after it died, although its nanny is
+# just starting it again: one that dies again and again is then missed by chance. We wait ourselves.
+PATIENT = {"distributed.deploy.lost-worker-timeout": "1 day"}
 
 Rows = list[dict[str, Any]]
 
@@ -116,7 +119,7 @@ def connected(scheduler: str, workers: int | None) -> Iterator[Any]:
     distributed = _distributed()
     if scheduler == PROCESSES:
         with (
-            import_module("dask").config.set(QUIET),
+            import_module("dask").config.set(QUIET | PATIENT),
             distributed.LocalCluster(
                 n_workers=count,
                 threads_per_worker=1,

@@ -139,7 +139,11 @@ FREE = "a fifth of the mean is that of a free capacity, which the data do not re
 
 @pytest.mark.parametrize(
     ("cell", "name"),
-    cases(lg_us06_n10_601=FREE.format("0.39"), samsung_1c=FREE.format("0.28")),
+    cases(
+        lg_us06_n10_601=FREE.format("0.39"),
+        samsung_1c=FREE.format("0.28"),
+        leaf_hppc_p10="the EKF loses 0.18 points against counting, the adaptive filter 0.46",
+    ),
 )
 def test_adaptive_is_hardly_worse_than_the_ekf(real_data, cell, name):
     adaptive, ekf = (loss(real_data, cell, name, of) for of in ("adaptive", "ekf"))
