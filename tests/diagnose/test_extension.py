@@ -45,6 +45,23 @@ def test_the_extended_model_is_what_the_fit_has_seen(effects, away):
     np.testing.assert_allclose(simulate(extended, log, SOC0).voltage_V, seen, rtol=0.0, atol=1e-9)
 
 
+@pytest.mark.parametrize("away", [
+    {"rate_h": -0.08},
+    {"rate_h": -0.08, "ln_capacity": 0.1, "lithium_loss": 0.01},
+    {"rate_h": -0.08, "leak_A": -0.01, "m_V": -0.004, "rth_K_per_W": -0.8, "r3": -0.4},
+])  # fmt: skip
+@pytest.mark.parametrize("effects", CASES.values(), ids=CASES)
+def test_however_far_a_fit_goes_what_it_saw_is_a_model(effects, away):
+    """Tolerances of a calibrated baseline end beyond what an effect may be."""
+    coordinates, log = Coordinates(curved_cell(effects=effects)), drive(1)
+    start = InitialSoc(SOC0, 0.01, "given")
+    seen, _ = gather(coordinates.model, [(log, start)]).simulate(coordinates, away)
+    extended = extend_model(coordinates, away, {})
+    if "r3" not in away:  # some of these a cell cannot have: the model goes without
+        found = simulate(extended, log, SOC0).voltage_V
+        np.testing.assert_allclose(found, seen, rtol=0.0, atol=1e-9)
+
+
 @pytest.mark.parametrize("effect", [ChargeTransfer(60.0), SurfaceSoc(0.06, 200.0, 1500.0)])
 @pytest.mark.parametrize(
     "cause", [pytest.param("resistance_scale", marks=pytest.mark.slow), "current_offset"]

@@ -147,7 +147,8 @@ def extend_model(
     if np.any(t[..., ENTROPY]):
         new = new.with_effect(Entropy(t[..., ENTROPY], s.entropy_K - ZERO_CELSIUS_K))
     if s.rate_per_A != 0.0:
-        new = new.with_effect(RateDependence(s.rate_per_A * new.capacity_Ah))
+        least = RateDependence.bounds["rate_h"][0]  # by rounding it may lie beyond
+        new = new.with_effect(RateDependence(max(s.rate_per_A * new.capacity_Ah, least)))
     if s.surface_per_A != 0.0:
         own_surface = model.effect(SurfaceSoc)
         depth = s.surface_per_A * new.capacity_Ah

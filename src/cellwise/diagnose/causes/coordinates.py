@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.effects import Hysteresis, SlowDiffusion
+from cellwise.cell.effects import Hysteresis, RateDependence, SlowDiffusion
 from cellwise.cell.equations import ZERO_CELSIUS_K, CellTables
 from cellwise.cell.model import CellModel
 from cellwise.cell.point_kernels import (
@@ -296,8 +296,13 @@ class Coordinates:
             slope = np.array([at(n) for n in UNSEEN_OCV_NAMES]) @ self._r_hats
             t[self._row, :, OCV] += slope * (self.unseen_C - self.unseen_from_C)
         branches = any(n in z for n in BRANCH_NAMES)
+        charge_As = base.charge_As * math.exp(at("ln_capacity")) * share
+        rate_per_A = base.rate_per_A + at("rate_h") / self.model.capacity_Ah
+        # However wide a tolerance: below this a load of twenty times 1C would have no resistance
+        # that is finite.
+        least_rate_per_A = 3600.0 * RateDependence.bounds["rate_h"][0] / charge_As
         scalars = base._replace(
-            charge_As=base.charge_As * math.exp(at("ln_capacity")) * share,
+            charge_As=charge_As,
             branch_activation=1.0 if branches else base.branch_activation,
             r0_activation_K=base.r0_activation_K + at("r0_K"),
             tau1_activation_K=base.tau1_activation_K + at("tau_K"),
@@ -306,7 +311,7 @@ class Coordinates:
             entropy_K=base.entropy_K or ZERO_CELSIUS_K + REFERENCE_C,
             hysteresis_rate=self.gamma * math.exp(at("ln_gamma")),
             activation_K=base.activation_K + at("activation_K"),
-            rate_per_A=base.rate_per_A + at("rate_h") / self.model.capacity_Ah,
+            rate_per_A=max(rate_per_A, least_rate_per_A),
             charge_scale=base.charge_scale * math.exp(at("ln_charge_scale")),
             asinh_per_V=base.asinh_per_V + at("asinh_per_V"),
             leak_A=base.leak_A + at("leak_A"),
