@@ -180,11 +180,13 @@ class CauseFits:
             fixed |= {n: found.z[n] for n in estimated}
             estimated = []
         std = {n: self.prior.std[n] for n in estimated}
-        low = {n: self.prior.low[n] for n in estimated}
-        high = {n: self.prior.high[n] for n in estimated}
+        wide = self.widened_for(known, found.coordinates)
+        low = {n: wide.low[n] for n in estimated}
+        high = {n: wide.high[n] for n in estimated}
         objective = self.objective(Noise())
         start = {n: found.z[n] for n in estimated}
-        prior = Prior(std, {n: self.prior.mean.get(n, 0.0) for n in estimated}, low, high)
+        mean = {n: wide.mean_with(n, fixed) for n in estimated}
+        prior = Prior(std, mean, low, high)
         one = fit(objective, found.coordinates, prior, start, 4, fixed)
         return complete(objective, one, prior)
 

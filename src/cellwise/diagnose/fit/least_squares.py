@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
@@ -31,7 +31,8 @@ class Prior:
     """Mean and standard deviation of every coordinate in a fit, with bounds.
 
     ``cross`` (m, m) are covariances between the coordinates ``linked``, zero on its diagonal: what
-    was calibrated together on a baseline log stays correlated.
+    was calibrated together on a baseline log stays correlated. ``read``: start to coordinate to
+    what a unit of it moves the start's mean by (:mod:`cellwise.diagnose.fit.start_readings`).
     """
 
     std: Mapping[str, float]
@@ -40,6 +41,7 @@ class Prior:
     high: Mapping[str, float]
     linked: tuple[str, ...] = ()
     cross: FloatArray | None = None
+    read: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @property
     def names(self) -> list[str]:
@@ -61,7 +63,13 @@ class Prior:
             {**self.high, **high},
             self.linked,
             self.cross,
+            self.read,
         )
+
+    def with_readings(self, read: Mapping[str, Mapping[str, float]]) -> Prior:
+        """The prior with what further coordinates make of the starts' readings."""
+        both = {s: {**self.read.get(s, {}), **read.get(s, {})} for s in {**self.read, **read}}
+        return replace(self, read=both)
 
     def together(self, names: Sequence[str], correlation: float) -> Prior:
         """The prior with coordinates that are no more linked than to each other: they correlate."""
@@ -79,10 +87,30 @@ class Prior:
         names = self.names
         covariance = np.diag([self.std[n] ** 2 for n in names])
         if self.cross is None or not self.linked:
-            return np.asarray(np.diag(1.0 / np.diag(covariance)))
-        place = [names.index(n) for n in self.linked]
-        covariance[np.ix_(place, place)] += self.cross
-        return np.asarray(np.linalg.inv(covariance))
+            precision = np.asarray(np.diag(1.0 / np.diag(covariance)))
+        else:
+            place = [names.index(n) for n in self.linked]
+            covariance[np.ix_(place, place)] += self.cross
+            precision = np.asarray(np.linalg.inv(covariance))
+        if not self.read:
+            return precision
+        own = 2.0 * np.eye(len(names)) - shear(names, self.read)
+        return np.asarray(own.T @ precision @ own)
+
+    def mean_with(self, name: str, z: Mapping[str, float]) -> float:
+        """Mean of a start whose reading other coordinates change."""
+        moved = (by * z.get(n, 0.0) for n, by in self.read.get(name, {}).items())
+        return self.mean.get(name, 0.0) + sum(moved)
+
+
+def shear(names: Sequence[str], read: Mapping[str, Mapping[str, float]]) -> FloatArray:
+    """From what starts were read as, and all else, to the coordinates ``names``."""
+    found = np.eye(len(names))
+    for start, moved in read.items():
+        for name, by in moved.items():
+            if start in names and name in names:
+                found[names.index(start), names.index(name)] = by
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,7 +332,7 @@ def _held_starts(objective: Objective, found: Fit, prior: Prior) -> dict[str, fl
             rows = slice(whole.start, whole.start + begins)
             first = objective.part(evidence.beginnings[k], rows)
             limits = prior.low[name], prior.high[name]
-            usual = prior.mean.get(name, 0.0), prior.std[name]
+            usual = prior.mean_with(name, z), prior.std[name]
             z[name] = _start(first, found.coordinates, z, z[name], usual, limits)
     return z
 

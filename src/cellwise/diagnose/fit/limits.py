@@ -19,9 +19,10 @@ import numpy as np
 from cellwise.diagnose.causes.catalogue import Cause
 from cellwise.diagnose.extension import value_of
 from cellwise.diagnose.fit.cause_fits import CauseFits
-from cellwise.diagnose.fit.least_squares import Fit, normal_of
+from cellwise.diagnose.fit.least_squares import Fit, normal_of, shear
 from cellwise.diagnose.fit.noise import Noise
 from cellwise.diagnose.fit.rows import IGNORED
+from cellwise.diagnose.fit.start_readings import start_readings
 from cellwise.typing import FloatArray
 
 # A coordinate that the tolerances do not have is known to be neutral [its unit].
@@ -56,6 +57,9 @@ def limits(
             p.coordinate for p in switches if p.coordinate not in names and p.coordinate != "soc0"
         ]
     normal = _information(fits, base, noise, names)
+    # A start that was read from a rest is read elsewhere where the OCV or the sensor is off.
+    turned = shear(names, start_readings(names, fits.coordinates, fits.evidence))
+    normal = turned.T @ normal @ turned
     tolerance = np.array([fits.prior.std.get(n, NEUTRAL_STD) for n in names])
     sizes: dict[str, dict[str, float]] = {}
     at_limit: dict[str, FloatArray] = {}

@@ -15,6 +15,7 @@ from cellwise.diagnose.causes.coordinates import OCV_NAMES, R_NAMES, Coordinates
 from cellwise.diagnose.fit.least_squares import Fit, Prior
 from cellwise.diagnose.fit.noise import stated_V
 from cellwise.diagnose.fit.rows import Evidence
+from cellwise.diagnose.fit.start_readings import start_readings
 
 # Share of the model's own slow error that its OCV may owe at any knot; least of all in volts.
 OCV_SHARE = 0.25
@@ -154,7 +155,11 @@ def widened_for(prior: Prior, cause: Cause, coordinates: Coordinates, evidence: 
         std["activation_K"] = USUAL_SPREAD_K
         mean["activation_K"] = USUAL_ACTIVATION_K
         low["activation_K"], high["activation_K"] = 500.0, 8000.0
-    wide_prior = prior.widened(std, mean, low, high)
+    readings = start_readings(std, coordinates, evidence)
+    for name, log in zip(evidence.starts(), evidence.logs, strict=True):
+        if name in readings:  # where the reading goes, the start may go
+            low[name], high[name] = -0.05 - log.start.soc, 1.05 - log.start.soc
+    wide_prior = prior.widened(std, mean, low, high).with_readings(readings)
     if cause.kind == "start":
         named = zip(evidence.starts(), evidence.logs, strict=True)
         given = [n for n, g in named if g.start.how == "given"]

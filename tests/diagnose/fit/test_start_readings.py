@@ -1,0 +1,90 @@
+"""A start that was read from a rest: what an offset or another OCV makes of the same reading."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cellwise import simulate
+from cellwise.cell.initial_soc.initial_soc import initial_soc
+from cellwise.cell.model import ModelError
+from cellwise.diagnose import diagnose
+from cellwise.diagnose.causes.catalogue import CAUSES
+from cellwise.diagnose.causes.coordinates import OCV_NAMES, Coordinates
+from cellwise.diagnose.extension import extend_model
+from cellwise.diagnose.fit.least_squares import Prior
+from cellwise.diagnose.fit.priors import tolerances, widened_for
+from cellwise.diagnose.fit.rows import gather
+from cellwise.diagnose.fit.start_readings import start_readings
+from cellwise.logs.cell_log import CellLog
+from example_cells import curved_cell
+
+SOC0 = 0.82
+MODEL = replace(curved_cell(), error=ModelError(1e-3, (2e-3,), 60.0, 0.01))
+
+
+def rested_log(seed, offset_V=0.0, rows=1800):
+    """Two minutes of rest, then a random load; the voltage is read too high."""
+    rng = np.random.default_rng(seed)
+    current = np.repeat(rng.uniform(-1.5, 3.0, rows // 15), 15)
+    current[:120] = 0.0
+    asked = CellLog(np.arange(float(rows)), current, np.full(rows, 3.7))
+    voltage = simulate(MODEL, asked, SOC0).voltage_V + rng.normal(0.0, 5e-4, rows)
+    return replace(asked, voltage_V=voltage + offset_V)
+
+
+def gathered(*logs, given=None):
+    return gather(MODEL, [(log, initial_soc(MODEL, log, given, 0.005)) for log in logs])
+
+
+@pytest.mark.parametrize("offset_V", [0.004, -0.02])
+def test_without_its_offset_a_rest_is_read_as_predicted(offset_V):
+    log = rested_log(1, offset_V)
+    evidence = gathered(log)
+    read = start_readings(["offset_V"], Coordinates(MODEL), evidence)["soc0:0"]["offset_V"]
+    right = initial_soc(MODEL, replace(log, voltage_V=log.voltage_V - offset_V)).soc
+    assert read * offset_V == pytest.approx(right - evidence.logs[0].start.soc, rel=0.1)
+
+
+def test_with_another_ocv_a_rest_is_read_as_predicted():
+    log, coordinates = rested_log(2), Coordinates(MODEL)
+    evidence = gathered(log)
+    moved = dict(zip(OCV_NAMES, np.linspace(-0.004, 0.012, len(OCV_NAMES)), strict=True))
+    read = start_readings(OCV_NAMES, coordinates, evidence)["soc0:0"]
+    right = initial_soc(extend_model(coordinates, moved, {}), log).soc
+    predicted = sum(read[n] * x for n, x in moved.items())
+    assert predicted == pytest.approx(right - evidence.logs[0].start.soc, rel=0.1)
+
+
+def test_a_start_that_was_given_was_not_read():
+    evidence = gathered(rested_log(3), given=SOC0)
+    assert start_readings(["offset_V", *OCV_NAMES], Coordinates(MODEL), evidence) == {}
+    prior = tolerances(Coordinates(MODEL), evidence)
+    wide = widened_for(prior, CAUSES["voltage_offset"], Coordinates(MODEL), evidence)
+    assert wide.mean_with("soc0:0", {"offset_V": 0.03}) == 0.0
+
+
+def test_what_causes_leave_alone_is_no_reading():
+    names = ["ln_r0", "ln_capacity", "offset_A"]
+    assert start_readings(names, Coordinates(MODEL), gathered(rested_log(3))) == {}
+
+
+def test_the_prior_is_that_of_the_reading():
+    """Start = its reading + 2 x offset: their covariance by hand."""
+    prior = Prior({"soc0:0": 0.1, "offset_V": 0.3}, {}, {}, {})
+    prior = prior.with_readings({"soc0:0": {"offset_V": 2.0}})
+    expected = [[0.1**2 + (2.0 * 0.3) ** 2, 2.0 * 0.3**2], [2.0 * 0.3**2, 0.3**2]]
+    np.testing.assert_allclose(np.linalg.inv(prior.precision()), expected, rtol=1e-9)
+    assert prior.mean_with("soc0:0", {"offset_V": 0.05}) == pytest.approx(0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("offset_V", [0.03, -0.03])
+def test_a_voltage_offset_is_named_though_every_start_was_read_with_it(offset_V):
+    """It differs from another OCV or capacity by what the readings at rest mean with it."""
+    logs = [rested_log(seed, offset_V, 7200) for seed in (4, 5, 6)]  # over half of the SOC
+    said = diagnose(MODEL, logs[:2], holdout=logs[2:])
+    assert [c.name for c in said.causes] == ["voltage_offset"]
+    assert said.causes[0].parameters["offset_V"] == pytest.approx(offset_V, rel=0.15)
