@@ -100,6 +100,7 @@ def explanation(
     of_model, of_log = split_skew(found.coordinates, point, interval)
     model = extend_model(found.coordinates, of_model, note)
     moved = not np.array_equal(model.ocv_V, found.coordinates.model.ocv_V)
+    moved = moved or point.get("m_V", 0.0) != 0.0
     stays = {
         name: _stays(g.start, set(kinds), moved)
         for name, g in zip(evidence.starts(), evidence.logs, strict=True)
@@ -116,7 +117,8 @@ def explanation(
 def _stays(start: InitialSoc, kinds: set[str], ocv_moved: bool) -> bool:
     """Whether a log starts where it did once causes of these kinds are known.
 
-    A rest is read through the OCV: where that has ``ocv_moved``, it says another SOC.
+    A rest is read through the OCV: where that has ``ocv_moved``, by a hysteresis or otherwise, it
+    says another SOC.
     """
     if "start" in kinds:
         return False

@@ -58,6 +58,18 @@ def test_with_another_ocv_a_rest_is_read_as_predicted():
     assert predicted == pytest.approx(right - evidence.logs[0].start.soc, rel=0.1)
 
 
+@pytest.mark.parametrize(("soc", "branch"), [(0.82, 1.0), (0.3, -1.0)])
+def test_with_a_hysteresis_a_rest_is_read_as_predicted(soc, branch):
+    """A full cell was charged, an empty one discharged, as every simulation starts."""
+    rest = CellLog(np.arange(300.0), np.zeros(300), np.full(300, 3.7))
+    coordinates = Coordinates(MODEL)
+    cell = extend_model(coordinates, {"m_V": 0.008}, {})
+    evidence = gathered(replace(rest, voltage_V=simulate(cell, rest, soc).voltage_V))
+    read = start_readings(["m_V"], coordinates, evidence)["soc0:0"]["m_V"]
+    assert np.sign(read) == -branch
+    assert 0.008 * read == pytest.approx(soc - evidence.logs[0].start.soc, rel=0.15)
+
+
 def test_a_start_that_was_given_was_not_read():
     evidence = gathered(rested_log(3), given=SOC0)
     assert start_readings(["offset_V", *OCV_NAMES], Coordinates(MODEL), evidence) == {}

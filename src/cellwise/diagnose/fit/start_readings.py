@@ -1,8 +1,8 @@
 """What a start that was read from a voltage would have been read as, were a cause there.
 
 A rest at the start of a log shows an OCV, and its SOC is where the model has that OCV. Where the
-sensor is off by a voltage, or the cell's OCV has changed, the same rest means another SOC: what is
-known beforehand of a start holds for its reading, not for its SOC whatever the cause.
+sensor is off by a voltage, the cell's OCV has changed or has a hysteresis, the same rest means
+another SOC: what is known beforehand of a start holds for its reading, whatever its SOC then is.
 """
 
 from __future__ import annotations
@@ -11,7 +11,8 @@ from collections.abc import Collection
 
 import numpy as np
 
-from cellwise.cell.point_kernels import OCV
+from cellwise.cell.point_kernels import OCV, M
+from cellwise.cell.simulate import start_hysteresis
 from cellwise.diagnose.causes.coordinates import LOSS_NAMES, OCV_NAMES, Coordinates
 from cellwise.diagnose.fit.rows import Evidence
 from cellwise.typing import FloatArray
@@ -20,7 +21,7 @@ from cellwise.typing import FloatArray
 ABOUT_SOC = 0.01
 # On a flatter plateau a rest reads nothing, and the logs say so themselves [V].
 LEAST_SLOPE_V = 0.02
-READ_WITH = frozenset({"offset_V", *OCV_NAMES, *LOSS_NAMES})
+READ_WITH = frozenset({"offset_V", "m_V", *OCV_NAMES, *LOSS_NAMES})
 
 
 def start_readings(
@@ -44,7 +45,8 @@ def start_readings(
     moved: dict[str, FloatArray] = {}
     for n in asked:
         direction = None if n == "offset_V" else coordinates.table_direction(n, inputs)
-        moved[n] = np.ones(soc.size) if direction is None else direction[0, :, OCV]
+        column = M if n == "m_V" else OCV
+        moved[n] = np.ones(soc.size) if direction is None else direction[0, :, column]
     found: dict[str, dict[str, float]] = {}
     for name, log in read:
         at = (log.start.beginning or log.start).soc
@@ -53,4 +55,6 @@ def start_readings(
         low, high = np.interp(ends, soc, ocv)
         slope = max(float(high - low) / float(ends[1] - ends[0]), LEAST_SLOPE_V)
         found[name] = {n: -float(np.interp(at, soc, v)) / slope for n, v in moved.items()}
+        if "m_V" in moved:  # as much of it as a log is taken to start with
+            found[name]["m_V"] *= start_hysteresis(at)
     return found
