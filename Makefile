@@ -56,17 +56,14 @@ FIRMWARE_PACKAGES := gcc gcc-arm-none-eabi libnewlib-arm-none-eabi libc6-dev qem
 	clang libclang-rt-14-dev
 RISCV_PACKAGES := gcc-riscv64-unknown-elf qemu-system-misc
 firmware: $(STAMP)
-	command -v arm-none-eabi-gcc qemu-system-arm frama-c cppcheck clang >/dev/null || \
-	  { apt-get update -qq && apt-get install -y -qq --no-install-recommends $(FIRMWARE_PACKAGES); }
-	command -v riscv64-unknown-elf-gcc qemu-system-riscv32 >/dev/null || \
-	  { apt-get update -qq && apt-get install -y -qq --no-install-recommends $(RISCV_PACKAGES); } || \
+	.ci/debian arm-none-eabi-gcc qemu-system-arm frama-c cppcheck clang -- $(FIRMWARE_PACKAGES)
+	.ci/debian riscv64-unknown-elf-gcc qemu-system-riscv32 -- $(RISCV_PACKAGES) || \
 	  echo "no RISC-V tools: its tests are skipped"
 	$(BIN)/pytest -n 2 tests/firmware tests/export tests/estimate/fixed/test_fixed_step_twin.py
 
 # Debian's Chromium, and every page opened in it.
 pages: $(STAMP)
-	command -v chromium >/dev/null || \
-	  { apt-get update -qq && apt-get install -y -qq --no-install-recommends chromium; }
+	.ci/debian chromium -- chromium
 	$(BIN)/pytest tests/report/test_in_browser.py
 
 clean:
