@@ -94,10 +94,7 @@ class ModelError:
         return self.unseen_charge_share
 
     def shown_share(self, drop_V: float = 1.0) -> float:
-        """The share that the tests did show to be wrong.
-
-        What a diagnosis holds against a model: what no test could show is for it to find.
-        """
+        """The share that the tests did show to be wrong."""
         if drop_V >= 0.0 or self.charge_share is None:
             return self.resistance_share
         return self.charge_share

@@ -10,7 +10,13 @@ import pytest
 from scipy.stats import invgamma, norm
 
 from cellwise.cell.model import ModelError
-from cellwise.diagnose.fit.noise import SHAPE_ERRORS, KnownScale, row_weights, with_shape
+from cellwise.diagnose.fit.noise import (
+    SHAPE_ERRORS,
+    KnownScale,
+    row_weights,
+    share_claimed,
+    with_shape,
+)
 from cellwise.diagnose.fit.rows import FITTED, IGNORED
 
 ROWS = 4001
@@ -53,6 +59,16 @@ def test_a_shape_that_is_not_natures_is_few_errors_in_however_many_rows():
     # A mean over all rows is as uncertain as the two errors together.
     both, some = with_shape(evidence(), size, weight, 2e-3)
     assert np.mean(both) ** 2 / np.sum(some) == pytest.approx(4e-6 / 200.0 + 4e-6 / SHAPE_ERRORS)
+
+
+def test_what_no_test_could_show_of_charges_is_not_held_against_a_model():
+    """A load that lasts is for the diagnosis to find; a charge that lasts has no cause's shape."""
+    error = ModelError(resistance_share=0.03, unseen_share=0.2, unseen_charge_share=0.1)
+    drop_V = np.array([0.2, 0.0, -0.2])
+    shares = share_claimed(error, drop_V)
+    np.testing.assert_allclose(shares, [0.03, 0.03, np.hypot(0.03, 0.1)])
+    shown = replace(error, unseen_share=0.0, unseen_charge_share=None)
+    np.testing.assert_allclose(share_claimed(shown, drop_V), 0.03)
 
 
 def test_the_scale_is_the_most_likely_one_under_its_prior():

@@ -56,6 +56,14 @@ def test_mean_of_branches_is_the_ocv_and_their_difference_the_gap():
     assert np.all(np.diff(curve.voltage_V) > 0.0)
 
 
+def test_a_charge_that_brought_all_back_is_averaged_whatever_its_last_row_shows():
+    """Rows a minute apart: where the OCV is steep, the last one lies far below the limit."""
+    last = ocv_from_low_rate([down(gap=0.004), up(b=0.996, gap=0.004)])
+    assert last.source.startswith("mean of both branches")
+    assert last.function.evaluate(MIDDLE) == pytest.approx(ocv(MIDDLE), abs=1e-3)
+    assert ocv(1.0) - ocv(0.996) > 0.03
+
+
 @pytest.mark.parametrize("rows", [20_001, 80_001])
 def test_rows_every_second_or_less_are_no_single_point(rows):
     """Neighbours that say the same are not all one: 80,001 rows are C/20 at 0.9 s."""

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 from cellwise.cell.model import CellModel
-from cellwise.diagnose.fit.noise import STATED_ERRORS
+from cellwise.diagnose.fit.noise import STATED_ERRORS, share_claimed
 from cellwise.diagnose.fit.rows import Evidence
 from cellwise.diagnose.log_runs import LogRun
 from cellwise.typing import FloatArray
@@ -62,7 +62,7 @@ def claim_checks(
         temperature = float(np.median(rows.temperature_C))
         middle = model.at_temperature(temperature)
         drop = np.interp(soc, model.soc, middle.ocv_V[0]) - run.before.voltage_V
-        share = np.where(drop >= 0.0, model.error.shown_share(1.0), model.error.shown_share(-1.0))
+        share = share_claimed(model.error, drop)
         slope = np.interp(soc, model.soc, np.gradient(middle.ocv_V[0], model.soc))
         claim2 = (
             np.asarray(model.slow_error_V(soc, temperature)) ** 2

@@ -105,6 +105,16 @@ def with_shape(
     return np.sqrt(both), np.minimum(weight, both / mean)
 
 
+def share_claimed(error: ModelError, drop_V: FloatArray) -> FloatArray:
+    """Share of the polarisation at every row that a diagnosis does not hold against a model.
+
+    On discharge what its tests did show to be wrong: what they could not show is for the diagnosis
+    to find. Of charges that last also what none of them could show: a healthy cell that is charged
+    meets other concentrations than one that is discharged, and no cause has that shape.
+    """
+    return np.where(drop_V >= 0.0, error.shown_share(1.0), error.share(-1.0))
+
+
 def stated_V(
     model: CellModel, evidence: Evidence, soc: FloatArray, voltage_V: FloatArray
 ) -> FloatArray:
@@ -117,6 +127,5 @@ def stated_V(
         warm = float(np.median(g.temperature_C))
         at = np.clip(soc[rows], 0.0, 1.0)
         drop = np.interp(at, model.soc, model.at_temperature(warm).ocv_V[0]) - voltage_V[rows]
-        share = np.where(drop >= 0.0, model.error.shown_share(1.0), model.error.shown_share(-1.0))
-        size[rows] = np.hypot(model.error.at(at, warm), share * drop)
+        size[rows] = np.hypot(model.error.at(at, warm), share_claimed(model.error, drop) * drop)
     return np.asarray(np.hypot(size, model.error.white_V))

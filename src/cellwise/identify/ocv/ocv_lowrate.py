@@ -32,8 +32,10 @@ Use = Literal["auto", "mean", "discharge", "charge"]
 
 # 1/h of the branch's own charge: slower is a low rate; up to the second it is taken with a notice.
 LOW_RATE, FASTEST_RATE = 1.0 / 9.0, 1.0 / 1.8
-# A whole charge brings back this much of what the discharge took, counter errors included.
+# A whole charge brings back this much of what the discharge took, counter errors included; from
+# the second share on it is whole whatever voltage its last row shows.
 WHOLE_CHARGE = (0.95, 1.10)
+NEARLY_ALL = 0.99
 # Part of the SOC range that a branch must cover to be averaged.
 WHOLE_COVER = 0.75
 # Part of the SOC range where the gap is what it is, and how much wider it may grow at the ends.
@@ -184,6 +186,7 @@ def _charge_branch(
     empty, full = 0.0, 1.0
     if taken is not None and discharge is not None:
         ratio = given.charge_Ah / taken.charge_Ah
+        whole = whole or ratio >= NEARLY_ALL
         whole = whole and WHOLE_CHARGE[0] <= ratio <= WHOLE_CHARGE[1]
         empty = 1.0 - taken.charge_Ah / capacity_Ah
         full = 1.0 - (1.0 - _filled_to(trace, given, taken, discharge, ratio)) * (1.0 - empty)
