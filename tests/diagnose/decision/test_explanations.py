@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cellwise import simulate
-from cellwise.cell.effects import RateDependence, SlowDiffusion
+from cellwise.cell.effects import Hysteresis, RateDependence, SlowDiffusion
 from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import ModelError
 from cellwise.diagnose.applied import kept
@@ -47,14 +47,15 @@ def fits_of(
     late_s: float = 0.0,
     error: ModelError = QUIET,
     rate_h: float = 0.0,
+    hysteresis_V: float = 0.0,
 ) -> CauseFits:
     """Two loads to fit, one held out, of another capacity whose current is read with a gain.
 
-    The voltage is logged late, and the cell's resistances fall with the rate.
+    The voltage is logged late, the cell's resistances fall with the rate, its OCV has hysteresis.
     """
     model = replace(curved_cell(), error=error)
     cell = replace(model, capacity_Ah=capacity_share * model.capacity_Ah)
-    cell = cell.with_effect(RateDependence(rate_h))
+    cell = cell.with_effect(RateDependence(rate_h)).with_effect(Hysteresis(hysteresis_V, 60.0))
     rng, logs = np.random.default_rng(5), []
     for _ in range(3):
         load = random_load(
@@ -117,6 +118,22 @@ def test_beside_a_quick_error_the_models_own_counts_no_more_than_alone():
     tried = [CAUSES[n] for n in ("time_skew", "rate_dependence", "resistance_scale")]
     sets.search(tried, *fits.base(fits.prior))
     assert [c.name for c in decide(sets).causes] == ["time_skew"]
+
+
+@pytest.mark.slow
+def test_a_voltage_that_is_seconds_late_is_seen_beside_a_large_error():
+    """Edges that far apart do not pull at each other: from a delay of nothing none is in sight."""
+    sets = Explanations(fits_of(1.0, 1.0, late_s=6.0, hysteresis_V=0.05), Rarity())
+    tried = [CAUSES[n] for n in ("hysteresis", "time_skew", "ocv_shift", "voltage_offset")]
+    sets.search(tried, *sets.fits.base(sets.fits.prior))
+    alone = sets.tried[frozenset({"hysteresis"})]
+    frozen = sets._frozen(alone)
+    seen = could_explain(sets.fits, tried[1:], alone.fit, alone.prior, frozen)
+    assert seen["time_skew"] > 2.0 * ONE_CAUSE_NATS
+    assert seen["voltage_offset"] < ONE_CAUSE_NATS
+    found = decide(sets)
+    assert {c.name for c in found.causes} == {"hysteresis", "time_skew"}
+    assert found.fit.z["skew_s"] == pytest.approx(6.0, abs=0.1)
 
 
 @pytest.mark.slow

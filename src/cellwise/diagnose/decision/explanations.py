@@ -136,23 +136,10 @@ class Explanations:
         if not start.causes:
             return left
         most = could_explain(self.fits, left, start.fit, start.prior, frozen)
-        for cause in left:
-            alone = self.tried.get(frozenset({cause.name}))
-            if cause.beginnings and alone is not None:
-                # One step from neutral does not see it; alone it was searched.
-                most[cause.name] = max(most[cause.name], self._beside(start, alone))
         own = self.rarity.nats(start.names)
         price = {c.name: self.rarity.nats((*start.names, c.name)) - own for c in left}
         worth = [c for c in left if most[c.name] > price[c.name]]
         return sorted(worth, key=lambda c: -most[c.name])[:ADDED]
-
-    def _beside(self, start: Explanation, alone: Explanation) -> float:
-        """Nats that a cause gains beside a set if it takes off the squares what it took alone."""
-        fits = self.fits
-        none, _ = fits.squares(self.tried[frozenset()].fit)
-        left, errors = fits.squares(start.fit)
-        taken = none - fits.squares(alone.fit)[0]
-        return fits.known.gained(left, min(max(taken, 0.0), left), errors)
 
     def _frozen(self, start: Explanation) -> Frozen:
         objective = self.fits.objective(start.noise)

@@ -16,6 +16,8 @@ from cellwise.diagnose.fit.rows import IGNORED
 from cellwise.typing import FloatArray
 
 Key = tuple[int, str]
+# Of several points to start from so many are followed by a step.
+BEST_BEGINNINGS = 2
 
 
 def could_explain(
@@ -25,7 +27,8 @@ def could_explain(
 
     Rao's score test: gradient and information at the null hypothesis, where nothing of the cause
     is fitted yet; what it takes off the squares counts by the scale that both leave. Causes with a
-    memory are tried at each of those from which their search starts.
+    memory are tried at each of those from which their search starts, and a cause whose effect is
+    far from straight (``beginnings``) at each of these.
     """
     evidence, objective = fits.evidence, fits.objective(Noise())
     tried = [
@@ -48,7 +51,40 @@ def could_explain(
         more = _gain(normal, gradient, known, wide, wide.names, base.z)
         nats = fits.known.gained(left, 2.0 * max(more - none, 0.0), errors)
         found[cause.name] = max(found.get(cause.name, 0.0), nats)
+    for cause in causes:
+        if cause.beginnings:
+            most = _from_beginnings(fits, cause, base, prior, frozen)
+            nats = fits.known.gained(left, max(most - 2.0 * none, 0.0), errors)
+            found[cause.name] = max(found[cause.name], nats)
     return found
+
+
+def _from_beginnings(
+    fits: CauseFits, cause: Cause, base: Fit, prior: Prior, frozen: Frozen
+) -> float:
+    """What one step from the best beginning of a cause takes off the squares of a fit."""
+    evidence, objective = fits.evidence, fits.objective(Noise())
+    used = evidence.known & (evidence.role != IGNORED)
+    wide = widened_for(prior, cause, base.coordinates, evidence)
+    names = list(frozen.names)
+    place = [names.index(n) for n in wide.names]
+    tried: list[tuple[float, dict[str, float], FloatArray]] = []
+    for beginning in cause.beginnings:
+        z = {**base.z, **beginning}
+        voltage, _ = evidence.simulate(base.coordinates, z)
+        residual = np.nan_to_num(evidence.voltage_V - voltage)
+        tried.append((float(np.sum(objective.squares(residual)[used])), z, residual))
+    before = fits.squares(base)[0]
+    most = 0.0
+    for squares, z, residual in sorted(tried, key=lambda t: t[0])[:BEST_BEGINNINGS]:
+        moved = [n for n in cause.beginnings[0] if n in names]
+        jacobian = frozen.jacobian.copy()
+        jacobian[:, [names.index(n) for n in moved]] = evidence.jacobian(base.coordinates, z, moved)
+        white = objective.scaled(np.column_stack((residual, jacobian)))
+        normal, gradient = normal_of(white, used, objective.clip)
+        step = _gain(normal, gradient, place, wide, wide.names, z)
+        most = max(most, before - squares + 2.0 * step)
+    return most
 
 
 def _shapes(fits: CauseFits, cause: Cause, base: Fit) -> list[Coordinates]:
