@@ -15,7 +15,7 @@ from cellwise.cell.model import ModelError
 from cellwise.diagnose.applied import kept
 from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.causes.coordinates import Coordinates
-from cellwise.diagnose.decision.explanations import Explanations, likeliest_end
+from cellwise.diagnose.decision.explanations import Explanation, Explanations, likeliest_end
 from cellwise.diagnose.decision.outcome import Outcome, _of_named, decide
 from cellwise.diagnose.decision.rarity import (
     BOTH_NATS,
@@ -215,3 +215,21 @@ def test_an_end_beyond_the_bounds_does_not_hide_one_within_them():
     outside, inside, worse = end(0.5, 40.0), end(0.1, 30.0), end(0.2, 20.0)
     assert likeliest_end([outside, worse, inside]) is inside
     assert likeliest_end([outside]) is outside
+
+
+@pytest.mark.parametrize(("odds", "tried"), [(5.0, {"voltage_offset"}), (-5.0, set())])
+def test_beside_what_explains_something_less_must_be_in_sight(monkeypatch, odds, tried):
+    """One step is no bound on what a fit gains; beside nothing every pair would be fitted."""
+    monkeypatch.setattr(
+        "cellwise.diagnose.decision.explanations.could_explain",
+        lambda *_: {"voltage_offset": 0.6 * ONE_CAUSE_NATS, "capacity": 0.4 * ONE_CAUSE_NATS},
+    )
+
+    def explanation(causes, total):
+        return Explanation(causes, None, None, None, SimpleNamespace(total=total))
+
+    sets = Explanations(None, Rarity())
+    gain = explanation((CAUSES["current_gain"],), odds + ONE_CAUSE_NATS)
+    sets.tried = {frozenset(): explanation((), 0.0), gain.key: gain}
+    worth = sets._worth(gain, [CAUSES["voltage_offset"], CAUSES["capacity"]], None)
+    assert {c.name for c in worth} == tried

@@ -31,6 +31,9 @@ Progress = Callable[[float, str], None]
 # Sets of one size to which further causes are added, and how many are added to each.
 BEAM = 4
 ADDED = 5
+# One step is no bound on what a fit gains: beside a set that is better than nothing, a cause is
+# tried where so much of its rarity is in sight.
+TRIED_SHARE = 0.5
 MOST_CAUSES = 4
 # Of several points to start from so many are followed beyond their first step.
 BEST_BEGINNINGS = 2
@@ -138,7 +141,8 @@ class Explanations:
         most = could_explain(self.fits, left, start.fit, start.prior, frozen)
         own = self.rarity.nats(start.names)
         price = {c.name: self.rarity.nats((*start.names, c.name)) - own for c in left}
-        worth = [c for c in left if most[c.name] > price[c.name]]
+        least = TRIED_SHARE if self.odds(start) > 0.0 else 1.0
+        worth = [c for c in left if most[c.name] > least * price[c.name]]
         return sorted(worth, key=lambda c: -most[c.name])[:ADDED]
 
     def _frozen(self, start: Explanation) -> Frozen:
