@@ -95,8 +95,8 @@ def next_test(outcome: Outcome, model: CellModel, evidence: Evidence) -> str:
     if outcome.open_between:
         close = list(outcome.open_between)
     elif outcome.accepted:
-        named = outcome.accepted[0].cause
-        first = [e for e in outcome.first if named in e.causes]
+        named = outcome.accepted[0].cause.name
+        first = [e for e in outcome.first if named in e.names]
         close = first + [e for e in outcome.first if e not in first][:1]
     else:
         return _laboratory(model, evidence)

@@ -78,10 +78,10 @@ def decide(sets: Explanations) -> Outcome:
         np.random.default_rng(fits.seed),
     )
     best = sets.best(1)[0]
-    known = {c.name: c for e in sets.tried.values() for c in e.causes}
-    named = [c for c in known.values() if probability_of(c.name, weighed) > NAMED]
-    hidden = [c.name for c in named if sets.rarity.hides(c.name)]
-    named = [c for c in named if c.name not in hidden]
+    known = {c.name for e in sets.tried.values() for c in e.causes}
+    likely = [name for name in sorted(known) if probability_of(name, weighed) > NAMED]
+    hidden = [name for name in likely if sets.rarity.hides(name)]
+    named = _as_explained(sets, frozenset(likely) - frozenset(hidden))
     accepted = sorted((_accepted(sets, c) for c in named), key=lambda a: -a.score)
     nothing = sum(w.probability for w in weighed if not w.causes)
     alternatives: tuple[Explanation, ...] = ()
@@ -89,18 +89,30 @@ def decide(sets: Explanations) -> Outcome:
     if accepted:
         fit, noise = _of_named(sets, [a.cause for a in accepted])
     if nothing < LIKELY:
-        likely = [sets.tried[frozenset(w.causes)] for w in weighed if w.causes]
-        alternatives = tuple(likely[: max(2, _needed(weighed))])
+        rivals = [sets.tried[frozenset(w.causes)] for w in weighed if w.causes]
+        alternatives = tuple(rivals[: max(2, _needed(weighed))])
     first = tuple(sets.best(len(known), 1))
     reasons = () if accepted or best.causes else _reasons(sets, first)
     reasons = (*(NOT_MEASURED_THERE.format(name) for name in hidden), *reasons)
     return Outcome(tuple(accepted), fit, none, first, alternatives, noise, reasons, weighed)
 
 
+def _as_explained(sets: Explanations, names: frozenset[str]) -> tuple[Cause, ...]:
+    """Causes in the forms that explain most: of the set that is they, else of the nearest to it.
+
+    Named by different sets, they need stand in none together.
+    """
+    ranked = sets.best(len(sets.tried))
+    own = sets.tried.get(names)
+    nearest = [own] if own else [e for e in ranked if names <= e.key]
+    found = {c.name: c for e in [*nearest[:1], *ranked][::-1] for c in e.causes}
+    return tuple(found[n] for n in sorted(names))
+
+
 def _accepted(sets: Explanations, cause: Cause) -> Accepted:
     ranked = sets.best(len(sets.tried))
-    with_it = next(e for e in ranked if cause in e.causes)
-    without = next(e for e in ranked if cause not in e.causes)
+    with_it = next(e for e in ranked if cause.name in e.names)
+    without = next(e for e in ranked if cause.name not in e.names)
     return Accepted(cause, sets.odds(with_it) - sets.odds(without), without.names)
 
 
