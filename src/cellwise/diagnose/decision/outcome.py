@@ -89,8 +89,8 @@ def decide(sets: Explanations) -> Outcome:
     if accepted:
         fit, noise = _of_named(sets, [a.cause for a in accepted])
     if nothing < LIKELY:
-        rivals = [sets.tried[frozenset(w.causes)] for w in weighed if w.causes]
-        alternatives = tuple(rivals[: max(2, _needed(weighed))])
+        compete = [sets.tried[frozenset(w.causes)] for w in weighed if w.causes]
+        alternatives = tuple(compete[: max(2, _needed(weighed))])
     first = tuple(sets.best(len(known), 1))
     reasons = () if accepted or best.causes else _reasons(sets, first)
     reasons = (*(NOT_MEASURED_THERE.format(name) for name in hidden), *reasons)
