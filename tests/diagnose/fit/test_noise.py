@@ -18,6 +18,8 @@ from cellwise.diagnose.fit.noise import (
     with_shape,
 )
 from cellwise.diagnose.fit.rows import FITTED, IGNORED
+from cellwise.identify.refinement.sustained import charged_for_minutes
+from cellwise.logs.cell_log import CellLog
 
 ROWS = 4001
 
@@ -64,11 +66,24 @@ def test_a_shape_that_is_not_natures_is_few_errors_in_however_many_rows():
 def test_what_no_test_could_show_of_charges_is_not_held_against_a_model():
     """A load that lasts is for the diagnosis to find; a charge that lasts has no cause's shape."""
     error = ModelError(resistance_share=0.03, unseen_share=0.2, unseen_charge_share=0.1)
-    drop_V = np.array([0.2, 0.0, -0.2])
-    shares = share_claimed(error, drop_V)
-    np.testing.assert_allclose(shares, [0.03, 0.03, np.hypot(0.03, 0.1)])
+    drop_V = np.array([0.2, -0.2, -0.2, 0.2])
+    charged = np.array([False, False, True, True])
+    shares = share_claimed(error, drop_V, charged)
+    np.testing.assert_allclose(shares, [0.03, 0.03, np.hypot(0.03, 0.1), 0.03])
     shown = replace(error, unseen_share=0.0, unseen_charge_share=None)
-    np.testing.assert_allclose(share_claimed(shown, drop_V), 0.03)
+    np.testing.assert_allclose(share_claimed(shown, drop_V, charged), 0.03)
+
+
+def test_a_charge_lasts_once_more_went_in_than_out_for_minutes():
+    """Pulses into the cell between loads are no charge that lasts."""
+    time_s = np.arange(0.0, 2401.0)
+    current_A = np.where(time_s % 60.0 < 20.0, -1.0, 1.0)
+    current_A[time_s > 1200.0] = -1.0
+    log = CellLog(time_s, current_A, np.full(time_s.size, 3.7))
+    charged = charged_for_minutes(log)
+    assert not charged[time_s <= 1200.0].any()
+    assert charged[time_s > 1200.0 + 250.0].all()
+    assert not charged_for_minutes(log.part(1300, 1500)).any()  # too short to say
 
 
 def test_the_scale_is_the_most_likely_one_under_its_prior():

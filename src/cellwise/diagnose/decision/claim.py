@@ -13,6 +13,7 @@ from cellwise.cell.model import CellModel
 from cellwise.diagnose.fit.noise import STATED_ERRORS, share_claimed
 from cellwise.diagnose.fit.rows import Evidence
 from cellwise.diagnose.log_runs import LogRun
+from cellwise.identify.refinement.sustained import charged_for_minutes
 from cellwise.typing import FloatArray
 
 # An error that the claim would give once in a thousand logs is beyond it.
@@ -62,7 +63,7 @@ def claim_checks(
         temperature = float(np.median(rows.temperature_C))
         middle = model.at_temperature(temperature)
         drop = np.interp(soc, model.soc, middle.ocv_V[0]) - run.before.voltage_V
-        share = share_claimed(model.error, drop)
+        share = share_claimed(model.error, drop, charged_for_minutes(run.log))
         slope = np.interp(soc, model.soc, np.gradient(middle.ocv_V[0], model.soc))
         claim2 = (
             np.asarray(model.slow_error_V(soc, temperature)) ** 2

@@ -21,7 +21,8 @@ import numpy as np
 
 from cellwise.cell.model import CellModel, ModelError
 from cellwise.diagnose.fit.rows import IGNORED, Evidence
-from cellwise.typing import FloatArray
+from cellwise.identify.refinement.sustained import charged_for_minutes
+from cellwise.typing import BoolArray, FloatArray
 
 # What a statement of a model's error is worth: as many independent errors as some drives hold.
 STATED_ERRORS = 10.0
@@ -105,14 +106,15 @@ def with_shape(
     return np.sqrt(both), np.minimum(weight, both / mean)
 
 
-def share_claimed(error: ModelError, drop_V: FloatArray) -> FloatArray:
+def share_claimed(error: ModelError, drop_V: FloatArray, charged: BoolArray) -> FloatArray:
     """Share of the polarisation at every row that a diagnosis does not hold against a model.
 
-    On discharge what its tests did show to be wrong: what they could not show is for the diagnosis
-    to find. Of charges that last also what none of them could show: a healthy cell that is charged
-    meets other concentrations than one that is discharged, and no cause has that shape.
+    What its tests did show to be wrong: what they could not show is for the diagnosis to find. Of
+    charges that last (``charged``) also what none of them could show: a healthy cell meets other
+    concentrations there than on discharge, and no cause has that shape.
     """
-    return np.where(drop_V >= 0.0, error.shown_share(1.0), error.share(-1.0))
+    charge = np.where(charged, error.share(-1.0), error.shown_share(-1.0))
+    return np.where(drop_V >= 0.0, error.shown_share(1.0), charge)
 
 
 def stated_V(
@@ -127,5 +129,7 @@ def stated_V(
         warm = float(np.median(g.temperature_C))
         at = np.clip(soc[rows], 0.0, 1.0)
         drop = np.interp(at, model.soc, model.at_temperature(warm).ocv_V[0]) - voltage_V[rows]
-        size[rows] = np.hypot(model.error.at(at, warm), share_claimed(model.error, drop) * drop)
+        charged = charged_for_minutes(g.log)[:: g.stride]
+        share = share_claimed(model.error, drop, charged)
+        size[rows] = np.hypot(model.error.at(at, warm), share * drop)
     return np.asarray(np.hypot(size, model.error.white_V))

@@ -11,6 +11,7 @@ from cellwise.cell.effects import SlowDiffusion
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.validity import SHARE_AT_TWICE
 from cellwise.logs.cell_log import CellLog
+from cellwise.typing import BoolArray
 
 SUSTAINED_S = 300.0  # what builds up within minutes has done so
 SHOWN = 1.0  # doublings of the current that lasted: up to there the tests' own errors count
@@ -30,6 +31,14 @@ def sustained_A(log: CellLog, sign: float) -> float:
     before_Ah = np.interp(end_s - SUSTAINED_S, log.time_s, charge_Ah)
     moved_Ah = charge_Ah[charge_Ah.size - end_s.size :] - before_Ah
     return max(float(np.max(sign * moved_Ah)), 0.0) * 3600.0 / SUSTAINED_S
+
+
+def charged_for_minutes(log: CellLog) -> BoolArray:
+    """Rows before which more charge went in than out over SUSTAINED_S, shape (n,)."""
+    charge_Ah = log.counted_charge_Ah()
+    before_Ah = np.interp(log.time_s - SUSTAINED_S, log.time_s, charge_Ah)
+    whole = log.time_s >= log.time_s[0] + SUSTAINED_S
+    return np.asarray(whole & (charge_Ah < before_Ah))
 
 
 def slow_part(model: CellModel) -> float:
