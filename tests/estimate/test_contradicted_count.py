@@ -151,6 +151,6 @@ def test_on_a_linear_cell_the_offset_is_that_of_a_filter_with_one_more_state(fil
         state, _ = ours.step(state, current, voltage, dt_s=interval)
     assert state.drift.offset == pytest.approx(x[1], abs=1e-3)
     # Its branches begin 5 mV unsure, which the matrices leave out.
-    assert state.drift.variance == pytest.approx(p[1, 1], rel=0.1)
+    assert 1.0 / state.drift.information == pytest.approx(p[1, 1], rel=0.1)
     free = state.soc + (state.drift.offset - state.drift.believed) * state.drift.reach
     assert free == pytest.approx(x[0], abs=1e-4)

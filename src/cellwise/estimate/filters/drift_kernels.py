@@ -19,20 +19,22 @@ from cellwise.estimate.noise import NoiseScalars
 
 CHANCE = 0.2  # of an offset, before any data, as in the adaptive filter
 ODDS = CHANCE / (1.0 - CHANCE)
+PER_FREEDOM = 1.0 / 31.0
 
 
 class Drift(NamedTuple):
     """An offset of the current, per standard deviation that it has beforehand.
 
     ``reach`` is the SOC by which one of them puts the filter's own estimate too low, ``d1_V`` to
-    ``d3_V`` by how much it puts the branches too high; ``offset`` and ``variance`` what the
-    voltages say of it if there is one, ``believed`` and ``unsure`` its mean and variance over both
-    hypotheses: the estimate that is carried is the filter's own and ``believed`` x ``reach``.
+    ``d3_V`` by how much it puts the branches too high; ``offset`` and ``information`` what the
+    voltages say of it if there is one, its mean and one over its variance, ``believed`` and
+    ``unsure`` its mean and variance over both hypotheses: the estimate that is carried is the
+    filter's own and ``believed`` x ``reach``.
     """
 
     reach: float
     offset: float
-    variance: float
+    information: float
     believed: float
     unsure: float
     d1_V: float
@@ -55,7 +57,7 @@ def counted_on(
     return Drift(
         old.reach + noise.offset_soc_per_s * counted_s,
         old.offset,
-        old.variance,
+        old.information,
         old.believed,
         old.unsure,
         relaxed(old.d1_V, t.a1, t.g1, offset_A),
@@ -77,19 +79,18 @@ def drift_variance(drift: Drift) -> float:
 
 
 @inline
-def weight_of_offset(offset: float, variance: float) -> float:
-    """Chance of an offset after the voltages; ``variance`` at most 1.
+def weight_of_offset(offset: float, information: float, deviation: float) -> float:
+    """Chance of an offset after the voltages; ``deviation`` is one over the root of the second.
 
     Student's t of 31 degrees of freedom in place of the normal density: how sure the voltages are
     is itself not quite sure, and it takes no exponential.
     """
-    known = min(variance, 1.0)
-    base = 1.0 + offset * offset / (31.0 * known)
+    base = 1.0 + offset * offset * information * PER_FREEDOM
     base *= base
     base *= base
     base *= base
     base *= base
-    return 1.0 - 1.0 / (1.0 + ODDS * math.sqrt(known) * base)
+    return 1.0 - 1.0 / (1.0 + ODDS * deviation * base)
 
 
 @inline
@@ -111,14 +112,14 @@ def drift_step(
     followed = old.believed * old.reach
     own_V = innovation_V + slope_V * followed  # of the filter's own estimate
     seen = slope_V * now.reach + (offset_V + ((now.d1_V + now.d2_V) + now.d3_V))
-    share = inverse * seen * now.variance
-    share = share / (1.0 + share * seen)
-    offset = now.offset + share * (own_V - seen * now.offset)
-    variance = now.variance * (1.0 - share * seen)
+    read = inverse * seen
+    information = now.information + read * seen
+    variance = 1.0 / information
+    offset = now.offset + read * variance * (own_V - seen * now.offset)
     reach = now.reach - gain * seen
-    weight = weight_of_offset(offset, variance)
+    weight = weight_of_offset(offset, information, math.sqrt(variance))
     believed = weight * offset
     unsure = weight * (variance + (1.0 - weight) * offset * offset)
     move = gain * slope_V * followed + (believed * reach - followed)
-    after = Drift(reach, offset, variance, believed, unsure, now.d1_V, now.d2_V, now.d3_V)
+    after = Drift(reach, offset, information, believed, unsure, now.d1_V, now.d2_V, now.d3_V)
     return after, move

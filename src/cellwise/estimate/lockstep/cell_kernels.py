@@ -17,20 +17,21 @@ from cellwise.estimate.filters.filter_state import (
     EkfState,
 )
 from cellwise.estimate.lockstep.lane_kernels import LANES, get_state, put_state
+from cellwise.estimate.lockstep.layout import W_OUT
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import Reading
 from cellwise.typing import FloatArray
 
 
 @inline
-def put_info(out: FloatArray, lane: int, info: EkfInfo) -> None:
+def put_info(work: FloatArray, lane: int, info: EkfInfo) -> None:
     """What there is to report of one lane."""
-    out[OUT_SOC * LANES + lane] = info.soc
-    out[OUT_STD * LANES + lane] = info.soc_std
-    out[OUT_VOLTAGE * LANES + lane] = info.voltage_V
-    out[OUT_INNOVATION * LANES + lane] = info.innovation_V
-    out[OUT_VARIANCE * LANES + lane] = info.innovation_variance_V2
-    out[OUT_RATIO * LANES + lane] = info.test_ratio
+    work[(W_OUT + OUT_SOC) * LANES + lane] = info.soc
+    work[(W_OUT + OUT_STD) * LANES + lane] = info.soc_std
+    work[(W_OUT + OUT_VOLTAGE) * LANES + lane] = info.voltage_V
+    work[(W_OUT + OUT_INNOVATION) * LANES + lane] = info.innovation_V
+    work[(W_OUT + OUT_VARIANCE) * LANES + lane] = info.innovation_variance_V2
+    work[(W_OUT + OUT_RATIO) * LANES + lane] = info.test_ratio
 
 
 @kernel
@@ -41,12 +42,12 @@ def full_lane(
     block: FloatArray,
     lane: int,
     reading: Reading,
-    out: FloatArray,
+    work: FloatArray,
 ) -> int:
     """The EKF's own step for one lane; its status."""
     state, info = ekf_step(tables, noise, start, get_state(block, lane), reading)
     put_state(block, lane, state)
-    put_info(out, lane, info)
+    put_info(work, lane, info)
     return int(info.status)
 
 

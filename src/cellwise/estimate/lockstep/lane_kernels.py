@@ -45,7 +45,7 @@ LANES = 16  # fewer than sixteen turns are not worth a vector to the compiler
     CONTRADICTED,
     REACH,
     OFFSET,
-    VARIANCE,
+    INFORMATION,
     BELIEVED,
     UNSURE,
     D1,
@@ -111,7 +111,7 @@ def get_state(block: FloatArray, lane: int) -> EkfState:
         Drift(
             block[REACH * LANES + lane],
             block[OFFSET * LANES + lane],
-            block[VARIANCE * LANES + lane],
+            block[INFORMATION * LANES + lane],
             block[BELIEVED * LANES + lane],
             block[UNSURE * LANES + lane],
             block[D1 * LANES + lane],
@@ -173,7 +173,7 @@ def put_state(block: FloatArray, lane: int, state: EkfState) -> None:
     block[CONTRADICTED * LANES + lane] = state.contradicted
     block[REACH * LANES + lane] = state.drift.reach
     block[OFFSET * LANES + lane] = state.drift.offset
-    block[VARIANCE * LANES + lane] = state.drift.variance
+    block[INFORMATION * LANES + lane] = state.drift.information
     block[BELIEVED * LANES + lane] = state.drift.believed
     block[UNSURE * LANES + lane] = state.drift.unsure
     block[D1 * LANES + lane] = state.drift.d1_V
@@ -235,7 +235,7 @@ def choose(which: bool, yes: EkfState, no: EkfState) -> EkfState:
         Drift(
             yes.drift.reach if which else no.drift.reach,
             yes.drift.offset if which else no.drift.offset,
-            yes.drift.variance if which else no.drift.variance,
+            yes.drift.information if which else no.drift.information,
             yes.drift.believed if which else no.drift.believed,
             yes.drift.unsure if which else no.drift.unsure,
             yes.drift.d1_V if which else no.drift.d1_V,

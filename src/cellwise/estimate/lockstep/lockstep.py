@@ -110,7 +110,7 @@ class LockstepEkf:
         self._noise = self.noise.scalars(model)
         self._rules = LockstepRules(*unknown, self.cells, self.dt_s, _is_beyond(model))
         padded = -(-self.cells // lanes.LANES) * lanes.LANES
-        self._scratch = np.zeros((layout.SCRATCH_ROWS + layout.OUTPUTS) * lanes.LANES)
+        self._scratch = np.zeros(layout.SCRATCH_ROWS * lanes.LANES)
         self._scratch.reshape(-1, lanes.LANES)[layout.T_A3] = 1.0  # a third branch that is none
         # Lanes that no cell fills rest at half charge.
         self._samples = np.zeros((3, padded))

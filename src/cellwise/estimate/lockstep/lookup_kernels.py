@@ -34,12 +34,15 @@ from cellwise.estimate.lockstep.layout import (
     TABLE_COLUMNS,
     W_AT,
     W_BEYOND,
+    W_CURRENT,
     W_DECAY,
     W_FLOW,
     W_INSIDE,
     W_PLAIN,
     W_SLOPE,
     W_SOC,
+    W_VOLTAGE,
+    W_WARM,
 )
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import COLDEST_C, HOTTEST_C
@@ -108,6 +111,9 @@ def read_block(
         work[W_PLAIN * LANES + lane] = 1.0 if plain else 0.0
         work[W_SOC * LANES + lane] = soc
         work[W_FLOW * LANES + lane] = flow
+        work[W_CURRENT * LANES + lane] = current
+        work[W_VOLTAGE * LANES + lane] = voltage
+        work[W_WARM * LANES + lane] = warm
         work[W_DECAY * LANES + lane] = 1.0 - x * (1.0 - x * 0.5 * series)
 
 

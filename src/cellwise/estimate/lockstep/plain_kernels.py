@@ -53,7 +53,6 @@ from cellwise.estimate.lockstep.lane_kernels import FIELDS, LANES, choose, get_s
 from cellwise.estimate.lockstep.layout import (
     LONG_FROZEN,
     OUTPUTS,
-    SCRATCH_ROWS,
     T_A1,
     T_A2,
     T_A3,
@@ -68,11 +67,15 @@ from cellwise.estimate.lockstep.layout import (
     T_OCV,
     T_R0,
     TABLE_COLUMNS,
+    W_CURRENT,
     W_DECAY,
     W_FLOW,
+    W_OUT,
     W_PLAIN,
     W_SLOPE,
     W_SOC,
+    W_VOLTAGE,
+    W_WARM,
 )
 from cellwise.estimate.lockstep.lookup_kernels import (
     look_up_lane,
@@ -164,7 +167,7 @@ def plain_step(
     share = share * share
     p = branches_noisy(decayed(old.p, t), share * at.b1, share * at.b2, share * at.b3)
     q = noise.current_A * noise.current_A
-    p = noisy(p, t, q, q, soc_wander(noise, old.watch.no_voltage_s, dt_s), 0.0, 0.0, 0.0)
+    p = noisy(p, t, q, q, soc_wander(noise, 0.0, dt_s), 0.0, 0.0, 0.0)
 
     drop = polarisation(point.r0_ohm, flow, v1, v2, v3)
     predicted = terminal_voltage(point, h, drop)
@@ -193,8 +196,8 @@ def plain_step(
         current_A,
         warm_C if sound else w.temperature_C,
         w.evidence_s + dt_s,
-        0.0,
-        0.0,
+        w.no_current_s,  # a plain lane's is none
+        w.no_voltage_s,
         voltage_V,
         frozen_A,
         repeats,
@@ -251,11 +254,7 @@ def plain_block(
     noise: NoiseScalars,
     block: FloatArray,
     work: FloatArray,
-    current_A: FloatArray,
-    voltage_V: FloatArray,
-    temperature_C: FloatArray,
     dt_s: float,
-    out: FloatArray,
 ) -> None:
     """The plain lanes of a block; the others keep their state."""
     gs = -dt_s / cell.charge_As
@@ -267,9 +266,9 @@ def plain_block(
             lane_tables(work, lane, gs),
             work[W_SOC * LANES + lane],
             work[W_FLOW * LANES + lane],
-            current_A[lane],
-            voltage_V[lane],
-            temperature_C[lane],
+            work[W_CURRENT * LANES + lane],
+            work[W_VOLTAGE * LANES + lane],
+            work[W_WARM * LANES + lane],
             dt_s,
             gs,
             cell.charge_As,
@@ -277,7 +276,7 @@ def plain_block(
         plain = (work[W_PLAIN * LANES + lane] > 0.0) & fits
         work[W_PLAIN * LANES + lane] = 1.0 if plain else 0.0
         put_state(block, lane, choose(plain, new, old))
-        put_info(out, lane, info)
+        put_info(work, lane, info)
 
 
 class LockstepRules(NamedTuple):
@@ -304,7 +303,7 @@ def lockstep(
     noise: NoiseScalars,
     rules: LockstepRules,
     state: FloatArray,
-    scratch: FloatArray,
+    work: FloatArray,
     current_A: FloatArray,
     voltage_V: FloatArray,
     temperature_C: FloatArray,
@@ -316,12 +315,10 @@ def lockstep(
 
     ``state`` is in blocks of LANES cells with FIELDS rows each; the other arrays have one value
     per cell, a multiple of LANES of them, ``out`` OUTPUTS times as many.
-    ``scratch`` is for one block.
+    ``work`` is scratch for one block.
     """
     soc0, variance, hysteresis_variance, unknown_C, cells, dt_s, beyond = rules
     start = EkfStart(soc0, variance, hysteresis_variance, unknown_C)
-    work = scratch[: SCRATCH_ROWS * LANES]
-    shown = scratch[SCRATCH_ROWS * LANES :]
     table, grid, cell = tables.table, tables.grid_C, tables.cell
     warm_tables = needs_temperature(tables)
     scaled_tables = cell.activation_K != 0.0 or cell.rate_per_A != 0.0 or cell.charge_scale != 1.0
@@ -357,11 +354,11 @@ def lockstep(
             for lane in range(LANES):
                 if gap[first + lane]:
                     work[W_PLAIN * LANES + lane] = 0.0
-        plain_block(cell, noise, block, work, current, voltage, warm, dt_s, shown)
+        plain_block(cell, noise, block, work, dt_s)
         bits = status[first : first + LANES]
         plain = 0
         for lane in range(LANES):
-            soc = shown[OUT_SOC * LANES + lane]
+            soc = work[(W_OUT + OUT_SOC) * LANES + lane]
             bits[lane] = CLAMPED if (soc <= SOC_LOW) | (soc >= SOC_HIGH) else 0
             plain += 1 if work[W_PLAIN * LANES + lane] > 0.0 else 0
         short += plain
@@ -371,11 +368,11 @@ def lockstep(
                     reading = Reading(
                         current[lane], voltage[lane], warm[lane], dt_s, gap[first + lane]
                     )
-                    bits[lane] = full_lane(tables, noise, start, block, lane, reading, shown)
+                    bits[lane] = full_lane(tables, noise, start, block, lane, reading, work)
         for row in range(OUTPUTS):
-            shown_now = out[row * lanes + first : row * lanes + first + LANES]
+            shown = out[row * lanes + first : row * lanes + first + LANES]
             for lane in range(LANES):
-                shown_now[lane] = shown[row * LANES + lane]
+                shown[lane] = work[(W_OUT + row) * LANES + lane]
     for lane in range(cells - (blocks - 1) * LANES, LANES):  # nobody's
         short -= 1 if work[W_PLAIN * LANES + lane] > 0.0 else 0
     return short
