@@ -15,7 +15,7 @@ from cellwise.identify.refinement.model_error import SAME_TEMPERATURE_K
 from cellwise.identify.refinement.problem import RefineSettings, StartTables
 from cellwise.identify.refinement.refine import RefineResult, refine, residuals_of
 from cellwise.identify.refinement.refine_data import RefineLog, warmed
-from cellwise.typing import FloatArray, IndexArray
+from cellwise.typing import BoolArray, FloatArray, IndexArray
 
 TRIED = ("charge_transfer", "surface_soc", "self_heating")
 LEAST_GAIN = 0.02  # of the held-out RMSE: less is not worth a parameter
@@ -25,6 +25,9 @@ LEAST_TEMPERATURES = 2  # with so many loads: at one, tests and drives are what 
 QUICK_ROWS = 800  # compared of one log while effects are compared
 QUICK_ITERATIONS = 12
 BLOCK_S = 120.0
+SOC_PARTS = 10
+LOADED = 0.02  # of the largest current
+FAST_S = 0.2  # time constant from which the law is fitted where R0 holds a part of it
 # An electrolyte has half the activation of a reaction: it is not one for all resistances.
 OWN_ACTIVATION_STD_K = 1000.0
 LEAST_OF_ACTIVATIONS = 3  # temperatures: at two, tables that are off look like activations
@@ -81,9 +84,15 @@ class Judge:
     """
 
     def __init__(
-        self, logs: Sequence[RefineLog], start: StartTables, held: Sequence[int], **how: Any
+        self,
+        logs: Sequence[RefineLog],
+        start: StartTables,
+        held: Sequence[int],
+        *,
+        iterations: int = QUICK_ITERATIONS,
+        **how: Any,
     ) -> None:
-        self.start, self.held, self.how = start, set(held), how
+        self.start, self.held, self.how, self.iterations = start, set(held), how, iterations
         self.trained = [k for k in range(len(logs)) if k not in self.held]
 
     def fit(
@@ -106,8 +115,8 @@ class Judge:
         effects: tuple[Effect, ...] = (),
         theta: FloatArray | None = None,
     ) -> _Trial:
-        """A quick refinement and its residuals on the held-out drives."""
-        quick = replace(settings, iterations=QUICK_ITERATIONS)
+        """A quick refinement and its residuals on what is held out."""
+        quick = replace(settings, iterations=self.iterations)
         result = self.fit([logs[k] for k in self.trained], quick, theta, QUICK_ROWS)
         found = residuals_of(result, self.start, [logs[k] for k in sorted(self.held)], settings,
                              self.how["capacity_Ah"], QUICK_ROWS)  # fmt: skip
@@ -135,11 +144,11 @@ class _Verdict:
     gain: HeldOutGain
     accepted: bool
 
-    def decided(self, held: int) -> Decided:
+    def decided(self, held: str) -> Decided:
         """As it is reported."""
         g = self.gain
         reason = (
-            f"RMSE on {held} drive(s) held out: {1e3 * g.before_V:.1f} mV without, "
+            f"RMSE on {held} held out: {1e3 * g.before_V:.1f} mV without, "
             f"{1e3 * g.after_V:.1f} mV with it, {100 * g.low:+.0f} to {100 * g.high:+.0f} % gained"
         )
         if not self.accepted:
@@ -168,10 +177,11 @@ def decide(
         drives = sum(item.skewed for item in logs)
         why = f"not tried: {drives} drive(s), {LEAST_DRIVES} are needed to hold one out"
         decided = tuple(Decided(n, False, None, why) for n in TRIED)
-        return Decision(judge.fit(logs, settings), decided, (), tuple(logs), settings)
+        return _by_pulses(Decision(judge.fit(logs, settings), decided, (), tuple(logs), settings),
+                          judge)  # fmt: skip
     best = judge.trial(logs, settings)
     last: dict[str, _Verdict] = {}
-    candidates = _candidates(start, reference_C, grid_C.size > 1)
+    candidates = _candidates(reference_C, grid_C.size > 1)
     if grid_C.size == 1 and _temperatures(logs) >= LEAST_OF_ACTIVATIONS:
         candidates = {"temperature_dependence": (_own_activations,), **candidates}
     # What was refused is tried again once something else was accepted: two may need each other.
@@ -190,11 +200,88 @@ def decide(
                 refused[name] = changes
         candidates = refused if best is not before and len(refused) < len(candidates) else {}
     result = judge.fit(best.logs, best.settings, best.result.theta)
-    decided = tuple(v.decided(len(held)) for v in last.values())
+    decided = tuple(v.decided(f"{len(held)} drive(s)") for v in last.values())
     return Decision(result, decided, best.effects, best.logs, best.settings)
 
 
+def _by_pulses(without: Decision, judge: Judge) -> Decision:
+    """Whether pulses need the asinh law: it must predict those that were held out.
+
+    Pulses of several rates at one SOC show it without any drive, in the cold above all.
+    """
+    split, held = _without_pulses(without.logs)
+    if not held:
+        return without
+    trials = Judge(split, judge.start, held, iterations=without.settings.iterations, **judge.how)
+    best = trials.trial(split, without.settings, theta=without.result.theta)
+    verdicts = [
+        trials.without_and_with(TRIED[0], best, _transfer(trials, best, theta))
+        for theta in _asinh_starts(best.result)
+    ]
+    verdict = max(verdicts, key=lambda v: v.gain.low)
+    decided = (
+        verdict.decided("every second load of the pulse tests"),
+        *without.decided[1:],
+    )
+    if not verdict.accepted:
+        return replace(without, decided=decided)
+    settings = verdict.trial.settings
+    result = judge.fit(without.logs, settings, verdict.trial.result.theta)
+    return Decision(result, decided, (), without.logs, settings)
+
+
+def _without_pulses(logs: Sequence[RefineLog]) -> tuple[list[RefineLog], list[int]]:
+    """The logs without every second load of the pulse tests, and the numbers of those beside."""
+    split, beside = [], []
+    for item in logs:
+        if item.skewed or item.compare is not None:
+            split.append(item)
+            continue
+        left = _every_second_load(item)
+        if left.all() or not left.any():
+            split.append(item)
+            continue
+        split.append(replace(item, compare=~left))
+        beside.append(replace(item, compare=left))
+    return [*split, *beside], list(range(len(split), len(split) + len(beside)))
+
+
+def _every_second_load(item: RefineLog) -> BoolArray:
+    """Rows of every second load and the rest after it, from one tenth of SOC to the next in turn.
+
+    In turn, or else of two pulses at every SOC the same one would be held out.
+    """
+    current_A = item.log.known_current_A()
+    side = np.sign(np.where(np.abs(current_A) > LOADED * np.max(np.abs(current_A)), current_A, 0.0))
+    begins = (side != 0.0) & (np.diff(side, prepend=0.0) != 0.0)
+    turn = np.cumsum(begins) + np.floor(item.soc * SOC_PARTS).astype(np.int64)
+    return np.asarray(turn % 2 == 1, dtype=np.bool_)
+
+
 Change = Callable[[Judge, _Trial], _Trial]
+
+
+def _asinh_starts(result: RefineResult) -> tuple[FloatArray, FloatArray]:
+    """From where the law is fitted: the tables as they are, or half of R0 in the fast branch.
+
+    Where the reaction is faster than the rows are apart, a linear fit has put it into R0, and from
+    there the time constant is minutes of fitting away.
+    """
+    lay, theta = result.layout, result.theta
+    r0, r1, tau1 = (slice(at, at + lay.block) for at in (lay.r0, lay.r(0), lay.tau(0)))
+    shared = theta.copy()
+    half = theta[r0] - np.log(2.0)
+    shared[r0], shared[r1] = half, np.logaddexp(theta[r1], half)
+    shared[tau1] = np.log(FAST_S)
+    return theta, shared
+
+
+def _transfer(judge: Judge, best: _Trial, theta: FloatArray | None = None) -> _Trial:
+    """The asinh law of the fast branch."""
+    theta = (best.result.theta if theta is None else theta).copy()
+    theta[best.result.layout.asinh] = judge.start.asinh_per_V / ASINH_UNIT_PER_V
+    law = replace(best.settings, charge_transfer=True)
+    return judge.trial(best.logs, law, best.effects, theta)
 
 
 def _own_activations(judge: Judge, best: _Trial) -> _Trial:
@@ -210,16 +297,8 @@ def _temperatures(logs: Sequence[RefineLog]) -> int:
     return int(found.size > 0) + int(np.count_nonzero(np.diff(found) >= SAME_TEMPERATURE_K))
 
 
-def _candidates(
-    start: StartTables, reference_C: float, several: bool
-) -> dict[str, tuple[Change, ...]]:
+def _candidates(reference_C: float, several: bool) -> dict[str, tuple[Change, ...]]:
     """Changes to a trial by the effect's name; of several sizes one after another."""
-
-    def transfer(judge: Judge, best: _Trial) -> _Trial:
-        theta = best.result.theta.copy()
-        theta[best.result.layout.asinh] = start.asinh_per_V / ASINH_UNIT_PER_V
-        law = replace(best.settings, charge_transfer=True)
-        return judge.trial(best.logs, law, best.effects, theta)
 
     def surface(depth_h: float) -> Change:
         activation = SURFACE_ACTIVATION_K if several else 0.0
@@ -234,11 +313,12 @@ def _candidates(
 
     def heating(judge: Judge, best: _Trial) -> _Trial:
         effect = SelfHeating(HEATING_K_PER_W, HEATING_S)
-        logs = [warmed(item, start.ocv, effect.rth_K_per_W, effect.thermal_s) for item in best.logs]
+        ocv = judge.start.ocv
+        logs = [warmed(item, ocv, effect.rth_K_per_W, effect.thermal_s) for item in best.logs]
         return judge.trial(logs, best.settings, (*best.effects, effect), best.result.theta)
 
     found: dict[str, tuple[Change, ...]] = {
-        "charge_transfer": (transfer,),
+        "charge_transfer": (_transfer,),
         "surface_soc": tuple(surface(h) for h in SURFACE_H),
     }
     return found | ({"self_heating": (heating,)} if several else {})

@@ -64,6 +64,9 @@ LEAST_INSIDE = 0.5  # of a test's discharge, else it began elsewhere
 # Of the capacity: scripts that finish a charge or discharge with small steps show no OCV, and begin
 # near an end where a per cent of SOC is many millivolts.
 LEAST_DISCHARGE = 0.1
+# What a discharge says of slow resistances grows when it is carried to colder tables, and
+# activations of cells differ by 2,000 K and more: a quarter over 10 K. The other way it shrinks.
+FAR_K = 10.0
 
 
 class Start(NamedTuple):
@@ -115,6 +118,7 @@ def refine_cell(
     InputError        no log whose SOC is known well enough
     """
     tests = [g.tests for g in groups]
+    grid = np.array([g.temperature_C for g in groups])
     found = next((g.tables for g in groups if g.tables is not None), None)
     resistance = _rough_resistance(found, tests)
     anchors = {id(s.log): s.anchor for g in groups for s in g.pulse_sets}
@@ -123,7 +127,7 @@ def refine_cell(
     logs: list[RefineLog] = []
     starts: list[Start] = []
     for g in groups:
-        for log, drive, part in _candidates(g, driven, capacity_Ah, notices):
+        for log, drive, part in _candidates(g, driven, capacity_Ah, grid, notices):
             anchor = anchors.get(id(log)) or anchor_soc(log, ocv, capacity_Ah, resistance)
             if part is not None and log.soc0 is None and part.any():
                 anchor = _full_before(log, part, capacity_Ah, anchor)
@@ -164,7 +168,6 @@ def refine_cell(
     start, hysteresis = _start(groups, ocv, resistance, capacity_Ah, settings, driven)
     long = any(item.log.duration_s >= SLOW_FROM_S for item in logs)
     several = len(groups) > 1
-    grid = np.array([g.temperature_C for g in groups])
     plain = RefineSettings(
         branches=settings.branches if long else 2,
         hysteresis=hysteresis,
@@ -199,11 +202,12 @@ def refine_cell(
 
 
 def _candidates(
-    group: Group, driven: bool, capacity_Ah: float, notices: list[str]
+    group: Group, driven: bool, capacity_Ah: float, grid_C: FloatArray, notices: list[str]
 ) -> list[tuple[CellLog, bool, BoolArray | None]]:
     """Logs of a temperature, whether their current may lag, and the rows to compare (None: all).
 
     Where no drive goes deep, the charges and rests of capacity tests are the only ones there are.
+    Beside pulses a capacity test much warmer than the tables is left out.
     """
     found: list[tuple[CellLog, bool, BoolArray | None]] = []
     found += [(log, False, None) for log, _ in group.tests.hppc]
@@ -221,9 +225,24 @@ def _candidates(
                 f"{100 * share:.1f} % of the capacity"
             )
     for log in group.tests.capacity:
+        began_C = _began_C(log)
+        pulses = bool(group.tests.hppc)
+        if pulses and began_C is not None and began_C > float(np.max(grid_C)) + FAR_K:
+            notices.append(
+                f"'{log.name}' left out of the refinement: it began at {began_C:.0f} degC, the "
+                f"warmest pulses are of {np.max(grid_C):.0f} degC"
+            )
+            continue
         part = discharge_rows(log) if driven else np.ones(len(log), dtype=np.bool_)
         found.append((log, False, part))
     return found
+
+
+def _began_C(log: CellLog) -> float | None:
+    """Temperature at which a log began, if it was measured: its own load warms a cell."""
+    warm = log.temperature_C
+    known = np.empty(0) if warm is None else warm[np.isfinite(warm)]
+    return float(known[0]) if known.size else None
 
 
 def _discharged_Ah(log: CellLog, part: BoolArray) -> float:
