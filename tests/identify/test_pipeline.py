@@ -205,10 +205,11 @@ def test_a_temperature_axis_beats_the_warm_model_in_the_cold(nmc):
     assert error < simulate(nmc.model, log, soc0).rmse_above_10pct_V
     # Without the Arrhenius factor that it was given for free the warm model is at a loss.
     assert error < 0.5 * simulate(replace(nmc.model, effects=()), log, soc0).rmse_above_10pct_V
-    # And what was good at 25 degC stays so.
+    # And what was good at 25 degC stays so, but for one sharpness of the asinh law at both.
     warm = load_dataset("nmc_drive_b")
     stays = simulate(both, warm, 0.997).rmse_above_10pct_V
-    assert stays < 1.3 * simulate(nmc.model, warm, 0.997).rmse_above_10pct_V
+    assert stays < 1.5 * simulate(nmc.model, warm, 0.997).rmse_above_10pct_V
+    assert stays < 1e-3 * 15.0
 
 
 @pytest.mark.slow
@@ -307,7 +308,8 @@ def test_provenance_tells_where_every_number_came_from(nmc):
         assert name in text
     assert nmc.model.provenance["capacity"]["choices_Ah"] == dict(nmc.capacities)
     refinement = nmc.model.provenance["refinement"][0]
-    assert 0.0 < refinement["standard_error"]["r0_ohm"] < 0.2
+    # Of ln R0: rows of 1 s hardly separate it from a reaction that is faster, and the error says so.
+    assert 0.0 < refinement["standard_error"]["r0_ohm"] < 1.0
 
 
 def test_progress_is_reported_in_order():
@@ -343,3 +345,26 @@ def test_the_lfp_protocol_of_144_pulses():
                  reference_capacity_Ah=truth["true_capacity_Ah"])  # fmt: skip
     assert ekf.convergence_s is not None
     assert ekf.settled.rmse < 0.02, "a flat OCV: as issue 2 asks of the measured LFP cell"
+
+
+@pytest.mark.slow
+def test_a_warm_capacity_test_says_nothing_of_slow_resistances_in_the_cold():
+    warm = load_dataset("nmc_cap_c3")
+    tests = TestLogs(
+        hppc=((load_dataset("nmc_hppc_p00"), 0.0),), ocv=(load_dataset("nmc_ocv_c20"),)
+    )
+    alone = identify_cell(tests, NMC)
+    beside = identify_cell(replace(tests, capacity=(warm,)), NMC)
+    log, soc0 = load_dataset("nmc_drive_p00"), TRUTH["nmc_drive_p00"]["initial_soc"]
+    error = simulate(beside.model, log, soc0).rmse_above_10pct_V
+    assert error < 1.1 * simulate(alone.model, log, soc0).rmse_above_10pct_V
+    assert any("left out of the refinement: it began at 25 degC" in n for n in beside.notices)
+    assert beside.model.validity.temperature_C == alone.model.validity.temperature_C
+
+
+def test_a_cold_capacity_test_beside_warm_pulses_takes_part():
+    capacity = load_dataset("nmc_cap_c3")
+    cold = replace(capacity, temperature_C=np.zeros(len(capacity)))
+    tests = TestLogs(hppc=((load_dataset("nmc_hppc"), 25.0),), capacity=(cold,))
+    found = identify_cell(tests, replace(NMC, branches=2))
+    assert not any("it began at" in n for n in found.notices)

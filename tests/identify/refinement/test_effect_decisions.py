@@ -7,7 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise.identify.refinement.effects import LEAST_DRIVES, decide, held_out
+from cellwise.identify.refinement.effects import (
+    LEAST_DRIVES,
+    _every_second_load,
+    decide,
+    held_out,
+)
 from cellwise.identify.refinement.problem import RefineSettings
 from cellwise.identify.refinement.refine_data import RefineLog
 from refine_cases import CAPACITY_AH, Truth, _branch, constant, log_of, pulse_current, start_tables
@@ -38,6 +43,30 @@ def logs_of(change=None):
     return found
 
 
+def with_charge_transfer_of(fast_s):
+    """The same with another time constant of the fast branch."""
+    truth = replace(TRUTH, pairs=((constant(0.030), constant(fast_s)), SLOW))
+
+    def change(log, soc):
+        r1, tau1 = truth.pairs[0]
+        decay = np.exp(-log.interval_s / tau1(soc))
+        current = log.current_A
+        plain = _branch(np.exp(-log.interval_s / TRUTH.pairs[0][1](soc)), r1(soc) * current)
+        law = np.arcsinh(SHARP_PER_V * r1(soc) * current) / SHARP_PER_V
+        return replace(log, voltage_V=log.voltage_V + plain - _branch(decay, law))
+
+    return change
+
+
+def rated_pulses(change=None):
+    """A pulse test of three rates at every tenth of SOC, each pulse with a rest behind it."""
+    level = [0.0, 0.5, 0.0, 2.0, 0.0, 6.0, 0.0, 1.0, 0.0]
+    current = np.tile(np.repeat(level, [300, 10, 120, 10, 120, 10, 120, 900, 300]), 9)
+    log, soc = log_of(current, TRUTH, noise=5e-4, rng=np.random.default_rng(12))
+    log = log if change is None else change(log, soc)
+    return RefineLog(log, soc, temperature_C=25.0)
+
+
 def decided(logs):
     settings = RefineSettings(branches=2, skew=False)
     found = decide(logs, start_tables(2, 1.2), settings, CAPACITY_AH, 25.0, np.array([25.0]))
@@ -59,11 +88,40 @@ def test_a_plain_cell_needs_none():
     assert all("held out" in d.reason for d in verdicts.values())
 
 
-def test_without_drives_to_hold_out_nothing_is_tried():
+def test_without_drives_to_hold_out_only_what_pulses_show_is_tried():
     logs = logs_of()[:LEAST_DRIVES]
     assert held_out(logs) == ()
-    verdicts, _ = decided(logs)
-    assert all(d.gain is None and "not tried" in d.reason for d in verdicts.values())
+    verdicts, result = decided(logs)
+    others = [d for d in verdicts.values() if d.name != "charge_transfer"]
+    assert others
+    assert all(d.gain is None and "not tried" in d.reason for d in others)
+    assert not verdicts["charge_transfer"].accepted
+    assert "load of the pulse tests held out" in verdicts["charge_transfer"].reason
+    assert result.asinh_per_V == 0.0
+
+
+@pytest.mark.parametrize("fast_s", [0.05, 6.0])
+def test_pulses_of_several_rates_show_a_charge_transfer_without_a_drive(fast_s):
+    logs = [rated_pulses(with_charge_transfer_of(fast_s))]
+    verdicts, result = decided(logs)
+    assert verdicts["charge_transfer"].accepted
+    assert result.asinh_per_V == pytest.approx(SHARP_PER_V, rel=0.25)
+
+
+def test_pulses_of_several_rates_of_a_plain_cell_show_none():
+    verdicts, result = decided([rated_pulses()])
+    assert not verdicts["charge_transfer"].accepted
+    assert result.asinh_per_V == 0.0
+
+
+def test_of_two_pulses_at_every_soc_each_is_held_out_somewhere():
+    current = np.tile(np.repeat([0.0, 4.0, 0.0, -3.0, 0.0, 1.0], [60, 10, 60, 10, 60, 720]), 8)
+    log, soc = log_of(current, TRUTH)
+    left = _every_second_load(RefineLog(log, soc))
+    for kind in (4.0, -3.0):
+        rows = log.current_A == kind
+        assert np.any(left[rows])
+        assert not np.all(left[rows])
 
 
 def test_one_drive_of_each_temperature_with_several_is_held_out():

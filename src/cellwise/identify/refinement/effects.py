@@ -214,9 +214,9 @@ def _by_pulses(without: Decision, judge: Judge) -> Decision:
         return without
     trials = Judge(split, judge.start, held, iterations=without.settings.iterations, **judge.how)
     best = trials.trial(split, without.settings, theta=without.result.theta)
+    starts = _asinh_starts(without.result, judge.start)
     verdicts = [
-        trials.without_and_with(TRIED[0], best, _transfer(trials, best, theta))
-        for theta in _asinh_starts(best.result)
+        trials.without_and_with(TRIED[0], best, _transfer(trials, best, theta)) for theta in starts
     ]
     verdict = max(verdicts, key=lambda v: v.gain.low)
     decided = (
@@ -226,7 +226,10 @@ def _by_pulses(without: Decision, judge: Judge) -> Decision:
     if not verdict.accepted:
         return replace(without, decided=decided)
     settings = verdict.trial.settings
-    result = judge.fit(without.logs, settings, verdict.trial.result.theta)
+    results = [
+        judge.fit(without.logs, settings, theta) for theta in (verdict.trial.result.theta, *starts)
+    ]
+    result = min(results, key=lambda r: float(np.mean(np.square(r.rmse_V))))
     return Decision(result, decided, (), without.logs, settings)
 
 
@@ -261,13 +264,14 @@ def _every_second_load(item: RefineLog) -> BoolArray:
 Change = Callable[[Judge, _Trial], _Trial]
 
 
-def _asinh_starts(result: RefineResult) -> tuple[FloatArray, FloatArray]:
+def _asinh_starts(result: RefineResult, start: StartTables) -> tuple[FloatArray, FloatArray]:
     """From where the law is fitted: the tables as they are, or half of R0 in the fast branch.
 
     Where the reaction is faster than the rows are apart, a linear fit has put it into R0, and from
     there the time constant is minutes of fitting away.
     """
-    lay, theta = result.layout, result.theta
+    lay, theta = result.layout, result.theta.copy()
+    theta[lay.asinh] = start.asinh_per_V / ASINH_UNIT_PER_V
     r0, r1, tau1 = (slice(at, at + lay.block) for at in (lay.r0, lay.r(0), lay.tau(0)))
     shared = theta.copy()
     half = theta[r0] - np.log(2.0)
@@ -278,8 +282,9 @@ def _asinh_starts(result: RefineResult) -> tuple[FloatArray, FloatArray]:
 
 def _transfer(judge: Judge, best: _Trial, theta: FloatArray | None = None) -> _Trial:
     """The asinh law of the fast branch."""
-    theta = (best.result.theta if theta is None else theta).copy()
-    theta[best.result.layout.asinh] = judge.start.asinh_per_V / ASINH_UNIT_PER_V
+    if theta is None:
+        theta = best.result.theta.copy()
+        theta[best.result.layout.asinh] = judge.start.asinh_per_V / ASINH_UNIT_PER_V
     law = replace(best.settings, charge_transfer=True)
     return judge.trial(best.logs, law, best.effects, theta)
 
