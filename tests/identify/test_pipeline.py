@@ -308,7 +308,7 @@ def test_provenance_tells_where_every_number_came_from(nmc):
         assert name in text
     assert nmc.model.provenance["capacity"]["choices_Ah"] == dict(nmc.capacities)
     refinement = nmc.model.provenance["refinement"][0]
-    # Of ln R0: rows of 1 s hardly separate it from a reaction that is faster, and the error says so.
+    # Of ln R0: rows of 1 s hardly separate it from a faster reaction, and the error says so.
     assert 0.0 < refinement["standard_error"]["r0_ohm"] < 1.0
 
 
