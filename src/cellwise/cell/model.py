@@ -76,7 +76,7 @@ class CellModel(Plottable):
     temperature_C: FloatArray = field(default_factory=lambda: np.array([25.0]))
     effects: tuple[Effect, ...] = ()
     charge_efficiency: float = 1.0
-    error: ModelError = ModelError()
+    error: ModelError = field(default_factory=ModelError)
     validity: Validity = UNKNOWN
     voltage_min_V: float | None = None
     voltage_max_V: float | None = None

@@ -90,7 +90,7 @@ class ModelError:
         return cls(
             scales_s=(min(WHITE_BELOW_S / 5.0, 0.5 * correlation_s), correlation_s),
             std_V=(
-                tuple((white_V,) for _ in factors),
+                tuple((white_V,) * len(slow) for _ in factors),
                 tuple(tuple(f * v for v in slow) for f in factors),
             ),
             temperature_C=temperature_C,

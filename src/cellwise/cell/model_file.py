@@ -308,7 +308,7 @@ def _error_from_dict(data: dict[str, Any], where: str) -> ModelError:
     old = "slow_V" in data
     known = OLD_ERROR if old else ("soc", *(f.name for f in fields(ModelError)))
     _check_entries(data, known, f"the error of {where}")
-    values = {
+    values: dict[str, Any] = {
         key: None if key in MAY_BE_UNKNOWN and value is None else _numbers(value)
         for key, value in data.items()
         if key != "soc"

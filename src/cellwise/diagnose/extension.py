@@ -24,8 +24,8 @@ from cellwise.cell.effects import (
     TimeSkew,
 )
 from cellwise.cell.equations import ZERO_CELSIUS_K
-from cellwise.cell.model_error import with_temperature
 from cellwise.cell.model import CellModel
+from cellwise.cell.model_error import with_temperature
 from cellwise.cell.plausibility.validity import Validity
 from cellwise.cell.point_kernels import ENTROPY, OCV, R0, R1, R2, R3, TAU1, TAU2, TAU3, M
 from cellwise.cell.simulate import simulate
@@ -188,7 +188,7 @@ def extended_validity(model: CellModel, logs: Sequence[CellLog], soc0: Sequence[
 def with_error_at(model: CellModel, temperature_C: float, times: float) -> CellModel:
     """The model stating so many times the error that it stated at a temperature."""
     error = model.error
-    for t in (model.temperature_C if not error.temperature_C else ()):
+    for t in model.temperature_C if not error.temperature_C else ():
         error = with_temperature(error, float(t), 1.0)
     return replace(model, error=with_temperature(error, temperature_C, times))
 

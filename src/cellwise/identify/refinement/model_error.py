@@ -10,7 +10,7 @@ import numpy as np
 
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import SCALES_S, ModelError
-from cellwise.typing import FloatArray, IndexArray
+from cellwise.typing import BoolArray, FloatArray, IndexArray
 
 KNOTS = 11  # over SOC, at which a band's size is estimated
 POINTS = 21  # over SOC, at which it is stated
@@ -127,7 +127,7 @@ def estimate_model_error(
             other = _cells(log, nearest)
             new = ~np.isin(_place(other.soc), seen)
             cells.append(_of(other._replace(square=OPTIMISM**2 * other.square), new))
-    every = _Cells(*(np.concatenate(part, axis=-1) for part in zip(*cells, strict=True)))
+    every = _Cells._make(np.concatenate(part, axis=-1) for part in zip(*cells, strict=True))
     grid = np.linspace(0.0, 1.0, POINTS)
     fits = [_fit(every, k, len(groups)) for k in range(len(SCALES_S))]
     resolved = next((k for k, fit in enumerate(fits) if fit is not None), len(SCALES_S) - 1)
@@ -171,8 +171,8 @@ def _place(soc: FloatArray) -> IndexArray:
     return np.asarray(np.floor(np.clip(soc, 0.0, 1.0) / CELL_SOC), dtype=np.int64)
 
 
-def _of(cells: _Cells, which: FloatArray) -> _Cells:
-    return _Cells(*(part[..., which] for part in cells))
+def _of(cells: _Cells, which: BoolArray) -> _Cells:
+    return _Cells._make(np.asarray(part)[..., which] for part in cells)
 
 
 def _cells(log: ResidualLog, group: int) -> _Cells:
@@ -184,7 +184,9 @@ def _cells(log: ResidualLog, group: int) -> _Cells:
     step = np.diff(log.time_s, append=log.time_s[-1])
     step = np.clip(step, 1e-9, 10.0 * max(float(np.median(step)), 1e-9))
     charged = (log.drop_V < 0.0).astype(np.int64)
-    _, first, cell = np.unique(2 * _place(log.soc) + charged, return_index=True, return_inverse=True)
+    _, first, cell = np.unique(
+        2 * _place(log.soc) + charged, return_index=True, return_inverse=True
+    )
     seconds = np.bincount(cell, step)
 
     def mean(values: FloatArray) -> FloatArray:
@@ -270,7 +272,7 @@ def _correlation_soc(logs: Sequence[ResidualLog]) -> float | None:
         limit = 6.0 * 1.4826 * float(np.median(np.abs(log.residual_V))) + 1e-9
         mean = np.bincount(place, np.clip(log.residual_V, -limit, limit))[count > 0]
         found.append(SOC_STEP * _memory(mean / count[count > 0]))
-    return float(min(np.mean(found), 1.0)) if len(found) > 1 else None
+    return min(float(np.mean(found)), 1.0) if len(found) > 1 else None
 
 
 def _memory(r: FloatArray) -> float:

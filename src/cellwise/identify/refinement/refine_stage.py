@@ -23,8 +23,8 @@ from cellwise.identify.refinement.effects import (
     Decision,
     decide,
 )
-from cellwise.identify.refinement.left_out import activation_std_K
 from cellwise.identify.refinement.held_out import held_out_residuals, residual_log
+from cellwise.identify.refinement.left_out import activation_std_K
 from cellwise.identify.refinement.model_error import estimate_model_error
 from cellwise.identify.refinement.refine import (
     RefineResult,

@@ -153,7 +153,9 @@ def _error_rows(identification: Identification) -> list[tuple[object, ...]]:
         name = f"voltage error over {significant(scale)} s"
         rows.append((name, text, "logs left out of the fit", "likelihood", ""))
     back = f"{percent(error.persistent_share)} of the slowest"
-    rows.append(("voltage error that comes back", back, "logs of a temperature", "their number", ""))
+    rows.append(
+        ("voltage error that comes back", back, "logs of a temperature", "their number", "")
+    )
     return rows
 
 
