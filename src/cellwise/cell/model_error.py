@@ -145,21 +145,24 @@ class ModelError:
         return math.sqrt(sum(self._mean_V2(k) for k in white))
 
     @property
-    def slow_scales_s(self) -> tuple[float, ...]:
-        """Memories of the processes that are not white [s]."""
-        return tuple(self.scales_s[k] for k in self._slow)
-
-    @property
     def weights(self) -> tuple[float, ...]:
-        """Share of each slow process in the variance of all of them, under a usual load."""
-        parts = [self._mean_V2(k) + (self.share[k] * TYPICAL_DROP_V) ** 2 for k in self._slow]
+        """Share of each process in the variance of all of them, under a usual load."""
+        parts = [
+            self._mean_V2(k) + (share * TYPICAL_DROP_V) ** 2 for k, share in enumerate(self.share)
+        ]
         whole = sum(parts)
         return tuple(p / whole if whole > 0.0 else 1.0 / len(parts) for p in parts)
 
     @property
     def correlation_s(self) -> float:
-        """Integral time scale of the slow processes together [s]."""
-        return sum(w * s for w, s in zip(self.weights, self.slow_scales_s, strict=True))
+        """Integral time scale of all processes together [s]."""
+        return sum(w * s for w, s in zip(self.weights, self.scales_s, strict=True))
+
+    @property
+    def lasting_share(self) -> float:
+        """Of the variance of all that is slower than a row, what comes back at the same SOC."""
+        weights = self.weights
+        return self.persistent_share * weights[-1] / sum(weights[k] for k in self._slow)
 
     def scaled(self, times: float) -> ModelError:
         """The same with every deviation so many times as large; shares as they are."""
