@@ -12,7 +12,8 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import SCALES_S, ModelError
 from cellwise.typing import BoolArray, FloatArray, IndexArray
 
-KNOTS = 11  # over SOC, at which a band's size is estimated
+# Over SOC, where a band's size is estimated: it grows steeply towards empty.
+KNOTS = np.array([0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
 POINTS = 21  # over SOC, at which it is stated
 CELL_SOC = 0.02  # rows of one log within as much SOC are one cell
 # A mean square over few independent errors scatters, and a single log may be far off: an F
@@ -20,9 +21,9 @@ CELL_SOC = 0.02  # rows of one log within as much SOC are one cell
 TAIL = 2.0
 MOST_IN_CELL = 2.0  # independent errors: SOC by SOC a log repeats what it gets wrong
 LEAST_IN_CELL = 0.02
-# Priors, standard deviations of logarithms: from knot to knot, of a temperature about all, of the
-# share of the polarisation about its usual, of charge over discharge.
-STEP_STD, TEMPERATURE_STD, SHARE_STD, CHARGE_STD = 0.5, 0.7, 1.0, 0.5
+# Priors, standard deviations of logarithms: from knot to knot, of a temperature about all and from
+# knot to knot, of the share of the polarisation about its usual, of charge over discharge.
+STEP_STD, TEMPERATURE_STD, OWN_STEP_STD, SHARE_STD, CHARGE_STD = 0.5, 0.7, 0.3, 1.0, 0.5
 USUAL_SHARE = 0.02
 LEAST_V = 1e-4
 OPTIMISM = 1.2  # a fit sees its own residuals smaller than a new log will
@@ -100,7 +101,7 @@ def estimate_model_error(
     In each band of time scale a squared residual is that of two errors that know nothing of each
     other, one of SOC and temperature, and a share of the polarisation, on discharge and charge:
 
-    .. math:: \sigma_k^2 = \left(e_k(s)\, f_k(T)\right)^2 + \left(\kappa_{k\pm}\, v_p\right)^2
+    .. math:: \sigma_k^2 = e_k(s, T)^2 + \left(\kappa_{k\pm}\, v_p\right)^2
 
     Parameters
     ----------
@@ -131,19 +132,18 @@ def estimate_model_error(
     grid = np.linspace(0.0, 1.0, POINTS)
     fits = [_fit(every, k, len(groups)) for k in range(len(SCALES_S))]
     resolved = next((k for k, fit in enumerate(fits) if fit is not None), len(SCALES_S) - 1)
-    known = [fits[max(k, resolved)] or _NOTHING for k in range(len(SCALES_S))]
+    known = [fits[max(k, resolved)] or _nothing(len(groups)) for k in range(len(SCALES_S))]
     std = []
-    for ln_size, ln_factor, _, _ in known:
-        over_soc = np.interp(grid, np.linspace(0.0, 1.0, ln_size.size), ln_size)
-        rows = np.exp(over_soc[None, :] + np.resize(ln_factor, len(groups))[:, None])
+    for ln_size, _, _ in known:
+        rows = [np.exp(np.interp(grid, KNOTS, row)) for row in ln_size]
         std.append(tuple(tuple(_short(v) for v in np.maximum(row, LEAST_V)) for row in rows))
     each = len(usable) / len(groups)
     return ModelError(
         scales_s=SCALES_S,
         std_V=tuple(std),
         temperature_C=tuple(warm) if len(groups) > 1 else (),
-        share=tuple(_short(fit[2]) for fit in known),
-        charge_share=tuple(_short(fit[3]) for fit in known),
+        share=tuple(_short(fit[1]) for fit in known),
+        charge_share=tuple(_short(fit[2]) for fit in known),
         persistent_share=1.0 / (each + 1.0),
         correlation_soc=_correlation_soc(usable),
         unseen_share=unseen[0],
@@ -207,9 +207,12 @@ def _cells(log: ResidualLog, group: int) -> _Cells:
     )
 
 
-# ln size at the knots, ln factor of each temperature, shares of the polarisation
-_Fit = tuple[FloatArray, FloatArray, float, float]
-_NOTHING: _Fit = (np.full(1, np.log(LEAST_V)), np.zeros(1), 0.0, 0.0)
+# ln size of each temperature at the knots, shares of the polarisation on discharge and charge
+_Fit = tuple[FloatArray, float, float]
+
+
+def _nothing(groups: int) -> _Fit:
+    return np.full((groups, KNOTS.size), np.log(LEAST_V)), 0.0, 0.0
 
 
 def _fit(cells: _Cells, band: int, groups: int) -> _Fit | None:
@@ -221,41 +224,50 @@ def _fit(cells: _Cells, band: int, groups: int) -> _Fit | None:
         return None
     n, square = cells.errors[band][used], np.maximum(cells.square[band][used], LEAST_V**2 / 4.0)
     drop2, charge, group = cells.drop2[used], cells.charge[used], cells.group[used]
-    at = cells.soc[used] * (KNOTS - 1)
-    low = np.minimum(at.astype(np.int64), KNOTS - 2)
-    way = at - low
+    knots = KNOTS.size
+    soc = cells.soc[used]
+    low = np.clip(np.searchsorted(KNOTS, soc) - 1, 0, knots - 2)
+    way = (soc - KNOTS[low]) / np.diff(KNOTS)[low]
+    place = group * knots + low
     first = 0.5 * np.log(np.average(square, weights=n))
 
     def cost(x: FloatArray) -> tuple[float, FloatArray]:
-        size, factor = x[:KNOTS], x[KNOTS : KNOTS + groups]
-        share, ratio = x[-2], x[-1]
-        own = np.exp(2.0 * ((1.0 - way) * size[low] + way * size[low + 1] + factor[group]))
-        load = np.exp(2.0 * (share + charge * ratio)) * drop2
-        variance = own + load
+        """Negative logarithm of likelihood and prior, and its slope."""
+        rows = x[: knots * (groups + 1)].reshape(groups + 1, knots)  # all, each temperature's own
+        size, own = rows[0], rows[1:]
+        ln = (1.0 - way) * (size[low] + own[group, low])
+        ln += way * (size[low + 1] + own[group, low + 1])
+        still, load = np.exp(2.0 * ln), np.exp(2.0 * (x[-2] + charge * x[-1])) * drop2
+        variance = still + load
         over = n * square / (TAIL * variance)
         value = 0.5 * float(np.sum(n * np.log(variance) + (n + TAIL) * np.log1p(over)))
         slope = 0.5 * (n - (n + TAIL) * over / (1.0 + over)) / variance
-        by_own, by_load = 2.0 * slope * own, 2.0 * slope * load
-        g = np.zeros(x.size)
-        g[:KNOTS] = np.bincount(low, by_own * (1.0 - way), KNOTS)
-        g[:KNOTS] += np.bincount(low + 1, by_own * way, KNOTS)
-        g[KNOTS : KNOTS + groups] = np.bincount(group, by_own, groups)
-        g[-2], g[-1] = float(np.sum(by_load)), float(np.sum(by_load * charge))
-        step = np.diff(size) / STEP_STD**2
-        value += 0.5 * float(np.sum(step * np.diff(size)))
-        g[:KNOTS] += np.diff(step, prepend=0.0, append=0.0) * -1.0
-        usual = np.zeros(x.size)
-        usual[-2] = np.log(USUAL_SHARE)
-        std = np.full(x.size, np.inf)
-        std[KNOTS : KNOTS + groups] = TEMPERATURE_STD
-        std[-2:] = SHARE_STD, CHARGE_STD
-        off = (x - usual) / std**2
-        return value + 0.5 * float(np.sum(off * (x - usual))), g + off
+        by_still, by_load = 2.0 * slope * still, 2.0 * slope * load
+        g = np.zeros_like(rows)
+        for side, part in ((0, 1.0 - way), (1, way)):
+            g[1:] += np.bincount(place + side, by_still * part, groups * knots).reshape(groups, -1)
+        g[0] = g[1:].sum(axis=0)
+        for k, row in enumerate(rows):
+            step = np.diff(row) / (OWN_STEP_STD if k else STEP_STD) ** 2
+            value += 0.5 * float(step @ np.diff(row))
+            g[k] -= np.diff(step, prepend=0.0, append=0.0)
+            if k:
+                mean = float(row.mean()) / TEMPERATURE_STD**2
+                value += 0.5 * mean * float(row.mean())
+                g[k] += mean / knots
+        off = np.array([x[-2] - np.log(USUAL_SHARE), x[-1]])
+        std2 = np.array([SHARE_STD, CHARGE_STD]) ** 2
+        value += 0.5 * float(np.sum(off**2 / std2))
+        ends = np.array([np.sum(by_load), np.sum(by_load * charge)]) + off / std2
+        return value, np.concatenate([g.ravel(), ends])
 
-    x0 = np.concatenate([np.full(KNOTS, first), np.zeros(groups), [np.log(USUAL_SHARE), 0.0]])
+    x0 = np.concatenate(
+        [np.full(knots, first), np.zeros(groups * knots), [np.log(USUAL_SHARE), 0.0]]
+    )
     x = minimize(cost, x0, jac=True, method="L-BFGS-B").x
+    rows = x[: knots * (groups + 1)].reshape(groups + 1, knots)
     share = float(np.exp(x[-2]))
-    return x[:KNOTS], x[KNOTS : KNOTS + groups], share, share * float(np.exp(x[-1]))
+    return rows[0] + rows[1:], share, share * float(np.exp(x[-1]))
 
 
 def _correlation_soc(logs: Sequence[ResidualLog]) -> float | None:
