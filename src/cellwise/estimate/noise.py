@@ -148,7 +148,7 @@ class Noise:
             slow_first_s=memory.first_s,
             slow_half_s=memory.half_s,
             lasting_share=model.error.lasting_share,
-            slow_soc=model.error.correlation_soc or 0.0,
+            slow_soc=0.0,
             branch_share=model.error.whole_share(),
             charge_factor=model.error.whole_share(-1.0) / max(model.error.whole_share(), 1e-12),
             unseen_share=model.error.hidden_share(),

@@ -97,7 +97,8 @@ def _folds(logs: Sequence[RefineLog]) -> list[dict[int, BoolArray]]:
             return [fold for fold in folds if fold]
     if drives and len(loads) > len(drives):
         return [{k: np.ones(len(logs[k].log), dtype=np.bool_)} for k in drives]
-    stretch = [np.floor(logs[k].soc / STRETCH_SOC).astype(int) % 2 for k in loads]
+    # Where one log is left out the next one is not: no stretch is left out of all.
+    stretch = [(np.floor(logs[k].soc / STRETCH_SOC) + turn) % 2 for turn, k in enumerate(loads)]
     return [{k: part == odd for k, part in zip(loads, stretch, strict=True)} for odd in (0, 1)]
 
 
