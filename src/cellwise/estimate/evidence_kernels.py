@@ -59,8 +59,8 @@ def repeated_evidence(
     """How many samples share one model error, and what share of its renewal is a return.
 
     An error of memory tau counts once in 2 tau (its spectral density at rest): the first number is
-    the factor on a voltage's variance. A SOC that was not seen before renews the error, too, and that one for good; what time alone renews
-    comes back. A repeated stamp repeats the error.
+    the factor on a voltage's variance. A SOC that was not seen before renews the error, too, and
+    that one for good; what time alone renews comes back. A repeated stamp repeats the error.
     """
     if noise.memory_s <= 0.0:
         return 1.0, 1.0

@@ -203,7 +203,7 @@ class Memory(NamedTuple):
 
 
 def memory_of(error: ModelError) -> Memory:
-    r"""The memory of a sum of first-order processes as a filter needs it: first, half way, in the end.
+    r"""The memory of a sum of first-order processes: at first, half way, in the end.
 
     A mean over t of processes with memories tau_k and weights w_k in the variance keeps about
     v(t) = sum w_k 2 tau_k / (t + 2 tau_k) of it, as if all had the memory v^2 / (-2 dv/dt):

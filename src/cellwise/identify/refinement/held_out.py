@@ -15,11 +15,15 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import known_temperature_C, simulate
 from cellwise.identify.assemble import refined_model
 from cellwise.identify.refinement.effects import QUICK_ITERATIONS, QUICK_ROWS, Decision
-from cellwise.identify.refinement.model_error import ResidualLog, polarisation_V
+from cellwise.identify.refinement.model_error import (
+    SAME_TEMPERATURE_K,
+    ResidualLog,
+    polarisation_V,
+)
 from cellwise.identify.refinement.problem import StartTables
 from cellwise.identify.refinement.refine import refine
 from cellwise.identify.refinement.refine_data import RefineLog
-from cellwise.typing import BoolArray
+from cellwise.typing import BoolArray, FloatArray
 
 MOST_FOLDS = 4
 STRETCH_SOC = 0.1  # left out at a time where a log cannot be left out whole
@@ -43,7 +47,7 @@ def held_out_residuals(
     """
     settings = replace(decision.settings, iterations=QUICK_ITERATIONS)
     inside = decision.result
-    found = []
+    parts: dict[int, list[ResidualLog]] = {}
     for fold in _folds(decision.logs):
         kept = [_without(item, fold.get(k)) for k, item in enumerate(decision.logs)]
         result = refine(
@@ -61,8 +65,9 @@ def held_out_residuals(
         for effect in decision.effects:
             model = model.with_effect(effect)
         for k, rows in fold.items():
-            found.append(residual_log(model, decision.logs[k], soc0[k], rows))
-    return found
+            part = residual_log(model, decision.logs[k], soc0[k], rows)
+            parts.setdefault(k, []).append(part)
+    return [_joined(each) for each in parts.values()]
 
 
 def residual_log(
@@ -83,15 +88,27 @@ def residual_log(
     return ResidualLog(log.time_s[use], soc, drop, simulation.error_V[use], usual)
 
 
+def _joined(parts: Sequence[ResidualLog]) -> ResidualLog:
+    """The stretches of one log, in the order of time."""
+    order = np.argsort(np.concatenate([p.time_s for p in parts]), kind="stable")
+
+    def of(name: str) -> FloatArray:
+        return np.concatenate([getattr(p, name) for p in parts])[order]
+
+    warm = float(np.mean([p.temperature_C for p in parts]))
+    return ResidualLog(of("time_s"), of("soc"), of("drop_V"), of("residual_V"), warm)
+
+
 def _folds(logs: Sequence[RefineLog]) -> list[dict[int, BoolArray]]:
     """Of each fold the logs left out and the rows of them that are, shape (n,)."""
     loads = [k for k, item in enumerate(logs) if item.compare is None]
     drives = [k for k in loads if logs[k].skewed]
     if len(drives) > 1:
-        turns: dict[float | None, int] = {}
+        turns: dict[int, int] = {}
         folds: list[dict[int, BoolArray]] = [{} for _ in range(MOST_FOLDS)]
         for k in drives:
-            turn = turns[logs[k].temperature_C] = turns.get(logs[k].temperature_C, -1) + 1
+            warm = round(_warm_C(logs[k]) / SAME_TEMPERATURE_K)
+            turn = turns[warm] = turns.get(warm, -1) + 1
             folds[turn % MOST_FOLDS][k] = np.ones(len(logs[k].log), dtype=np.bool_)
         if len(turns) == 1 or max(turns.values()) > 0:
             return [fold for fold in folds if fold]
@@ -100,6 +117,13 @@ def _folds(logs: Sequence[RefineLog]) -> list[dict[int, BoolArray]]:
     # Where one log is left out the next one is not: no stretch is left out of all.
     stretch = [(np.floor(logs[k].soc / STRETCH_SOC) + turn) % 2 for turn, k in enumerate(loads)]
     return [{k: part == odd for k, part in zip(loads, stretch, strict=True)} for odd in (0, 1)]
+
+
+def _warm_C(item: RefineLog) -> float:
+    """Median as measured, else what the log is said to be at; 0 where nobody knows."""
+    measured = item.log.temperature_C
+    known = np.empty(0) if measured is None else measured[np.isfinite(measured)]
+    return float(np.median(known)) if known.size else item.temperature_C or 0.0
 
 
 def _without(item: RefineLog, out: BoolArray | None) -> RefineLog | None:
