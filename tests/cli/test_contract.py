@@ -28,6 +28,8 @@ IDENTIFY = {
     "capacity_Ah": NUMBER, "capacity_choice": str, "capacities": dict,
     "pulses": dict.fromkeys(("healthy", "trimmed", "distorted", "spurious"), int),
     "fit": ERRORS, "seconds": NUMBER,
+    "error": {"scales_s": list, "soc": list, "temperature_C": list, "std_V": list,
+              "share": list, "persistent_share": NUMBER},
 }  # fmt: skip
 SOC0 = {"value": NUMBER, "std": NUMBER, "how": str}
 SIMULATE = {
@@ -38,7 +40,7 @@ REPLAY = {
     "estimator": str, "samples": int, "soc_final": NUMBER, "soc_rmse": NUMBER, "soc_mae": NUMBER,
     "soc_max_error": NUMBER, "convergence_s": NUMBER, "convergence_predicted_s": NUMBER,
     "settled": {"rmse": NUMBER, "mae": NUMBER, "max": NUMBER}, "coverage_2sigma": NUMBER,
-    "nis_mean": NUMBER, "voltage_rmse_V": NUMBER, "ns_per_step": NUMBER, "soc0": SOC0,
+    "nis_mean": NUMBER, "nis": list, "voltage_rmse_V": NUMBER, "ns_per_step": NUMBER, "soc0": SOC0,
 }  # fmt: skip
 
 

@@ -167,7 +167,7 @@ def test_all_figures_of_the_contract_are_in_the_table():
     assert text["settled: SOC max. error"] == f"{100 * np.abs(error[136:]).max():.2f} %"
     assert text["initial SOC (1σ)"] == "70 % ± 15 %, given"
     assert text["voltage RMSE"] == "7.1 mV"  # 0.01 cos
-    assert text["mean NIS"] == "0.500"  # of 1e-4 cos squared over 1e-4
+    assert text["NIS"] == "0.500"  # of 1e-4 cos squared over 1e-4
     assert text["time per step"] == "95 ns"
     assert "error inside 2σ" in text
     assert text["samples"] == "3\N{NARROW NO-BREAK SPACE}600"

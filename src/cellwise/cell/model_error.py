@@ -240,6 +240,27 @@ def with_temperature(error: ModelError, temperature_C: float, times: float) -> M
     )
 
 
+def in_bands(
+    time_s: FloatArray, values: FloatArray, scales_s: tuple[float, ...] = SCALES_S
+) -> FloatArray:
+    """Values parted by time scale, shape (scales, n): their sum over the scales is ``values``.
+
+    What running means over the scales but the first leave, each a mean over time.
+    """
+    integral = np.concatenate(
+        ([0.0], np.cumsum(0.5 * np.diff(time_s) * (values[1:] + values[:-1])))
+    )
+    before, bands = values, []
+    for width in scales_s[1:]:
+        low = np.maximum(time_s - 0.5 * width, time_s[0])
+        high = np.minimum(time_s + 0.5 * width, time_s[-1])
+        moved = np.interp(high, time_s, integral) - np.interp(low, time_s, integral)
+        mean = np.where(high > low, moved / np.maximum(high - low, 1e-12), values)
+        bands.append(before - mean)
+        before = mean
+    return np.array([*bands, before])
+
+
 def _tuples(values: Any) -> Any:
     return tuple(_tuples(v) for v in values) if isinstance(values, list) else values
 

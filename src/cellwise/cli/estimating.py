@@ -271,7 +271,7 @@ def print_replay(
         ("initial SOC", f"{found.start.soc:.4f} +- {found.start.std:.4f} ({how})"),
         ("final SOC", f"{data['soc_final']:.4f} +- {data['soc_final_std']:.4f}"),
         ("voltage RMSE, one step ahead", f"{printing.millivolt(data['voltage_rmse_V'])} mV"),
-        ("mean NIS", "-" if data["nis_mean"] is None else f"{data['nis_mean']:.3f}"),
+        ("NIS by time scale", _nis(found)),
         ("time per step", f"{data['ns_per_step']:.0f} ns"),
     ]
     if expected is not None:
@@ -290,6 +290,13 @@ def print_replay(
         ]
     rows += parameters.parameter_rows(data)
     printing.table(f"{found.estimator} on {found.log.name}", ("what", "found"), rows)
+
+
+def _nis(found: Replay) -> str:
+    if found.nis is None or found.model is None:
+        return "-"
+    each = zip(found.nis, found.model.error.scales_s, strict=True)
+    return ", ".join(f"{nis:.2f} ({scale:g} s)" for nis, scale in each)
 
 
 def _after(seconds: float | None) -> str:

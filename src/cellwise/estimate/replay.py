@@ -19,6 +19,7 @@ from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.errors import InputError
 from cellwise.estimate.adaptive.trace import AdaptiveTrace
 from cellwise.estimate.estimators import Estimator, make_estimator
+from cellwise.estimate.nis import nis_by_scale
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.power.along import PowerTrace, power_along
 from cellwise.estimate.power.state_of_power import PowerSettings, power_settings
@@ -63,6 +64,7 @@ class Replay(Plottable, Tabular):
     reference_soc: FloatArray | None
     validity: Validity = UNKNOWN
     power: PowerTrace | None = None
+    model: CellModel | None = None
 
     @property
     def soc_error(self) -> FloatArray | None:
@@ -120,6 +122,16 @@ class Replay(Plottable, Tabular):
         """Mean of innovation squared over its variance, over the voltages that were used."""
         return self.sums.nis / self.sums.used if self.sums.used else None
 
+    @cached_property
+    def nis(self) -> tuple[float, ...] | None:
+        """NIS by the scales of the model's error: 1 where its statement is right, (scales,).
+
+        Innovations of the voltages that were used, parted by running means, over the model's stated
+        variance in each band. What the SOC is uncertain by has been taken out of the slowest: a
+        filter that follows the model's error does not show it. None without a model.
+        """
+        return None if self.model is None else nis_by_scale(self.model, self.log, self.trace)
+
     @property
     def voltage_rmse_V(self) -> float:
         """RMSE of the voltage predicted before each measurement was used [V]; NaN: none was."""
@@ -153,6 +165,7 @@ class Replay(Plottable, Tabular):
             "settled": None if settled is None else vars(settled),
             "coverage_2sigma": self.coverage_2sigma,
             "nis_mean": self.nis_mean,
+            "nis": None if self.nis is None else list(self.nis),
             "voltage_rmse_V": self.voltage_rmse_V if self.sums.known else None,
             "ns_per_step": self.ns_per_step,
         }
@@ -285,4 +298,4 @@ def replay(
         true0 = initial_soc(model, log).soc if reference_soc0 is None else reference_soc0
         reference = reference_soc(log, true0, reference_capacity_Ah)
     limits = power_along(asked, filter_, log, trace, start.soc, start.std) if asked else None
-    return Replay(log, filter_.name, start, trace, ns, reference, model.validity, limits)
+    return Replay(log, filter_.name, start, trace, ns, reference, model.validity, limits, model)

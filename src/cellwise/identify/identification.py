@@ -269,6 +269,7 @@ class Identification(Plottable):
             "effects": self._effects(),
             "validity": self.model.validity.to_dict(),
             "prior": self.model.provenance.get("prior"),
+            "error": self.model.error.to_dict(),
             "notices": list(self.notices),
             "seconds": self.seconds,
         }

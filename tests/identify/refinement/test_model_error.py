@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellwise.cell.model_error import SCALES_S, ModelError
+from cellwise.cell.model_error import SCALES_S, ModelError, in_bands
 from cellwise.identify.refinement.model_error import (
     ResidualLog,
     estimate_model_error,
-    in_bands,
 )
 
 R0_OHM = 0.025

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.cell.model import CellModel
-from cellwise.cell.model_error import SCALES_S, ModelError
+from cellwise.cell.model_error import SCALES_S, ModelError, in_bands
 from cellwise.typing import BoolArray, FloatArray, IndexArray
 
 # Over SOC, where a band's size is estimated: it grows steeply towards empty.
@@ -59,25 +59,6 @@ def polarisation_V(
     way = np.clip((temperature_C - grid[low]) / (grid[low + 1] - grid[low]), 0.0, 1.0)
     each, at = np.array(rows), np.arange(soc.size)
     return np.asarray((1.0 - way) * each[low, at] + way * each[low + 1, at] - voltage_V)
-
-
-def in_bands(time_s: FloatArray, values: FloatArray) -> FloatArray:
-    """Values parted by time scale, shape (scales, n): their sum over the scales is ``values``.
-
-    What running means over the scales but the first leave, each a mean over time.
-    """
-    integral = np.concatenate(
-        ([0.0], np.cumsum(0.5 * np.diff(time_s) * (values[1:] + values[:-1])))
-    )
-    before, bands = values, []
-    for width in SCALES_S[1:]:
-        low = np.maximum(time_s - 0.5 * width, time_s[0])
-        high = np.minimum(time_s + 0.5 * width, time_s[-1])
-        moved = np.interp(high, time_s, integral) - np.interp(low, time_s, integral)
-        mean = np.where(high > low, moved / np.maximum(high - low, 1e-12), values)
-        bands.append(before - mean)
-        before = mean
-    return np.array([*bands, before])
 
 
 class _Cells(NamedTuple):

@@ -21,7 +21,8 @@ EXPLAINED = (
     "Errors are estimate minus reference, in points of SOC. Settled: after the error has come "
     "within 2 points and stayed there for ten minutes; where it never did, the log's second half. "
     "Inside 2σ: share of rows whose error is within two of the filter's own standard deviations. "
-    "NIS: innovation squared over its variance, 1 for a consistent filter."
+    "NIS: mean squared innovation over what the model states, by time scale; 1 where its statement "
+    "is right."
 )
 
 
@@ -52,10 +53,18 @@ def replay_figures(replay: Replay) -> list[tuple[str, str]]:
         (f"within {percent(CONVERGED_SOC, 0)} after", reached(replay)),
         *_errors("settled: ", replay.settled),
         ("error inside 2σ", percent(replay.coverage_2sigma, 1)),
-        ("mean NIS", significant(replay.nis_mean)),
+        ("NIS", nis_text(replay)),
         ("voltage RMSE", millivolt(replay.voltage_rmse_V)),
         ("time per step", f"{significant(replay.ns_per_step)} ns"),
     ]
+
+
+def nis_text(replay: Replay) -> str:
+    """NIS of every time scale, or the mean where the model is not known."""
+    if replay.nis is None or replay.model is None:
+        return significant(replay.nis_mean)
+    each = zip(replay.nis, replay.model.error.scales_s, strict=True)
+    return ", ".join(f"{significant(nis, 2)} ({significant(scale)} s)" for nis, scale in each)
 
 
 def reached(replay: Replay) -> str:

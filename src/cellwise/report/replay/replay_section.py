@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -185,6 +186,18 @@ def draw_soc_error(
 
 
 @styled
+def _innovation_finding(replay: Replay) -> str:
+    """The time scale on which the innovations are furthest from what the model states."""
+    if replay.nis is None or replay.model is None:
+        return f"Mean NIS {significant(replay.nis_mean)}"
+    far = max(zip(replay.nis, replay.model.error.scales_s, strict=True), key=_off)
+    return f"NIS {significant(far[0], 2)} over {significant(far[1])} s, nearer to 1 on other scales"
+
+
+def _off(entry: tuple[float, float]) -> float:
+    return abs(math.log(max(entry[0], 1e-9)))
+
+
 def draw_voltage(replay: Replay) -> Figure:
     """Measured and predicted voltage, innovations with their band, their distribution."""
     figure = new_figure(4.6)
@@ -208,7 +221,7 @@ def draw_voltage(replay: Replay) -> Figure:
     zero_line(bottom)
     least = 2.4 * float(np.nanmedian(std))
     symmetric_limits(bottom, trace.innovation_V, "mV", least=least, factor=1e3)
-    finding(bottom, f"Mean NIS {significant(replay.nis_mean)} (1 is consistent)", WIDE)
+    finding(bottom, _innovation_finding(replay), WIDE)
     labels(bottom, f"time [{unit}]", "innovation [mV]")
     for axes in (top, bottom):
         axes.set_xlim(t[0], t[-1])
