@@ -9,7 +9,7 @@ import pytest
 
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate as simulate_from
-from cellwise.estimate import replay
+from cellwise.estimate.replay import replay
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
 
@@ -62,7 +62,8 @@ def test_an_error_that_is_larger_on_one_scale_shows_there():
 
 def test_without_voltages_there_is_none():
     model, log = curved_cell(error=STATED), drive(0)
-    found = replay(model, replace(log, voltage_V=np.full(ROWS, np.nan)), "coulomb", soc0=0.9)
+    held = np.where(np.arange(ROWS) < 10, log.voltage_V, np.nan)
+    found = replay(model, replace(log, voltage_V=held), "ekf", soc0=0.9)
     assert found.nis is None
 
 
