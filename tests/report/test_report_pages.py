@@ -165,7 +165,7 @@ def test_all_figures_of_the_contract_are_in_the_table():
     assert text["SOC max. error"] == "30.0 %"
     assert text["within 2 % after"] == "136 s"
     assert text["settled: SOC max. error"] == f"{100 * np.abs(error[136:]).max():.2f} %"
-    assert text["initial SOC (1σ)"] == "70 % ± 15 %, given"
+    assert text["initial SOC"] == "70 % ± 30 %, given"
     assert text["voltage RMSE"] == "7.1 mV"  # 0.01 cos
     assert text["NIS"] == "0.500"  # of 1e-4 cos squared over 1e-4
     assert text["time per step"] == "95 ns"

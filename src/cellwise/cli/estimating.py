@@ -244,7 +244,7 @@ def print_simulation(found: Simulation, start: InitialSoc) -> None:
         rows.append((label, *(printing.millivolt(v) for v in values), f"{m.samples:,}"))
     printing.table(
         f"{found.log.name}: measured minus simulated, from SOC {start.soc:.3f} +- "
-        f"{start.std:.3f} ({start.how})",
+        f"{2 * start.std:.3f} ({start.how})",
         ("where", "RMSE mV", "MAE mV", "max mV", "mean", "sd", "95 % from", "to", "rows"),
         rows,
     )
@@ -268,8 +268,8 @@ def print_replay(
     if how == "given" and not sure:
         how += "; --soc0-std states how sure"
     rows = [
-        ("initial SOC", f"{found.start.soc:.4f} +- {found.start.std:.4f} ({how})"),
-        ("final SOC", f"{data['soc_final']:.4f} +- {data['soc_final_std']:.4f}"),
+        ("initial SOC", f"{found.start.soc:.4f} +- {2 * found.start.std:.4f} ({how})"),
+        ("final SOC", f"{data['soc_final']:.4f} +- {2 * data['soc_final_std']:.4f}"),
         ("voltage RMSE, one step ahead", f"{printing.millivolt(data['voltage_rmse_V'])} mV"),
         ("NIS by time scale", _nis(found)),
         ("time per step", f"{data['ns_per_step']:.0f} ns"),
@@ -335,8 +335,8 @@ def print_forecasts(
     now = forecasts[0][1]
     printing.table(
         f"remaining in each cell at {now.time_s:.0f} s, SOC {100 * now.soc:.1f} +- "
-        f"{100 * now.soc_std:.1f} %, {hold} held to {cutoff_V:.2f} V",
-        ("", "A", "W", "minutes (2 sigma)", "Wh (2 sigma)", "end V", "end SOC %", "ends by"),
+        f"{200 * now.soc_std:.1f} %, {hold} held to {cutoff_V:.2f} V",
+        ("", "A", "W", "minutes", "Wh", "end V", "end SOC %", "ends by"),
         rows,
     )
 

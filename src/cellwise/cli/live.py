@@ -378,8 +378,8 @@ def _report_end(
     elif viewed or arguments.output:
         slow = data["latency"]
         printing.say(
-            f"{counts.samples:,} samples, SOC {last.info.soc:.4f} +- {last.info.soc_std:.4f} "
-            f"(start {live.start.soc:.4f} +- {live.start.std:.4f}, {live.start.how}); "
+            f"{counts.samples:,} samples, SOC {last.info.soc:.4f} +- {2 * last.info.soc_std:.4f} "
+            f"(start {live.start.soc:.4f} +- {2 * live.start.std:.4f}, {live.start.how}); "
             f"{counts.gaps} gap(s), {counts.late} late, {sum(counts.stray.values())} not readable, "
             f"{counts.outside} outside the model's data; latency "
             f"{slow['p50_ms']:.3f} ms, 99 % {slow['p99_ms']:.3f} ms, "

@@ -83,7 +83,7 @@ class LiveView:
         grid.add_column()
         soc = last.info.soc
         bar = ProgressBar(total=1.0, completed=min(max(soc, 0.0), 1.0), width=40)
-        grid.add_row("SOC", f"{100 * soc:.2f} % +- {100 * last.info.soc_std:.2f}")
+        grid.add_row("SOC", f"{100 * soc:.2f} % +- {200 * last.info.soc_std:.2f}")
         grid.add_row("", bar)
         for name, text in self._rows(last, counts):
             grid.add_row(name, text)

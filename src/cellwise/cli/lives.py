@@ -60,9 +60,9 @@ def print_life(found: Life) -> None:
     rows = [
         (
             one["log"],
-            f"{one['capacity_Ah']:.3f} +- {one['capacity_std_Ah']:.3f}",
-            f"{one['resistance_scale']:.3f} +- {one['resistance_std']:.3f}",
-            f"{printing.percent(share, 1)} +- {printing.percent(std, 1)}",
+            f"{one['capacity_Ah']:.3f} +- {2 * one['capacity_std_Ah']:.3f}",
+            f"{one['resistance_scale']:.3f} +- {2 * one['resistance_std']:.3f}",
+            f"{printing.percent(share, 1)} +- {printing.percent(2 * std, 1)}",
             one["how"],
         )
         for one, share, std in zip(data["logs"], found.trend.share, found.trend.std, strict=True)
@@ -74,8 +74,8 @@ def print_life(found: Life) -> None:
     )
     trend, use = data["trend"], data["trend"]["use"]
     printing.say(
-        f"use now: {use['capacity_Ah']:.3f} +- {use['capacity_std_Ah']:.3f} Ah, resistance "
-        f"{use['resistance_scale']:.2f} +- {use['resistance_std']:.2f} of the model's"
+        f"use now: {use['capacity_Ah']:.3f} +- {2 * use['capacity_std_Ah']:.3f} Ah, resistance "
+        f"{use['resistance_scale']:.2f} +- {2 * use['resistance_std']:.2f} of the model's"
     )
     if trend["knee"] is not None:
         printing.say(f"the fade is faster from '{trend['knee']}' on")

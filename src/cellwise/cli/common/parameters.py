@@ -22,7 +22,7 @@ def parameter_rows(data: dict[str, Any]) -> list[tuple[str, str]]:
     rows = []
     for name, (label, unit) in UNITS.items():
         one = values[name]
-        text = f"{one['value']:.4f} +- {one['std']:.4f} {unit}".rstrip()
+        text = f"{one['value']:.4f} +- {2 * one['std']:.4f} {unit}".rstrip()
         if one["held"] is not None:
             text += f" (held: {one['held']})"
         elif one["probability"] is not None:

@@ -141,7 +141,7 @@ def _draw_parameter(axes: Axes, identification: Identification, name: str) -> No
     where = where if len(lines) > 1 else ""
     title = f"{NAMES[name]} = {significant(factor * middle)} {unit}"
     if np.isfinite(error_at_middle):
-        title += f" ± {percent(error_at_middle, 0)}"
+        title += f" ± {percent(2.0 * error_at_middle, 0)}"
     finding(axes, f"{title} at {percent(MIDDLE, 0)}{where}", 0.27)
     labels(axes, "SOC [%]", f"{NAMES[name]} [{unit}]")
 

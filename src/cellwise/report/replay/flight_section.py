@@ -90,7 +90,7 @@ def _figures(now: Forecast) -> tuple[str, ...]:
     least, most = (significant(x) for x in now.remaining_Wh_band)
     return (
         f"{significant(now.load_A)} A, {significant(now.load_W)} W",
-        f"{points(now.soc)} ± {percent(now.soc_std, 1)}",
+        f"{points(now.soc)} ± {percent(2.0 * now.soc_std, 1)}",
         f"{duration(now.remaining_s)} ({duration_range(*now.remaining_s_band)})",
         f"{significant(now.remaining_Wh)} Wh ({least} to {most})",
         f"{now.end_voltage_V:.3f} V",

@@ -18,6 +18,7 @@ from cellwise.report.page.numerals import (
 # Beyond this many replays the table is turned: one row each.
 MOST_COLUMNS = 6
 EXPLAINED = (
+    "± is two standard deviations. "
     "Errors are estimate minus reference, in points of SOC. Settled: after the error has come "
     "within 2 points and stayed there for ten minutes; where it never did, the log's second half. "
     "Inside 2σ: share of rows whose error is within two of the filter's own standard deviations. "
@@ -47,8 +48,8 @@ def replay_figures(replay: Replay) -> list[tuple[str, str]]:
     return [
         ("log", replay.log.name or "log"),
         ("samples", counted(len(trace))),
-        ("initial SOC (1σ)", f"{points(start.soc)} ± {points(start.std)}, {start.how}"),
-        ("final SOC (1σ)", f"{points(end[0])} ± {percent(end[1])}"),
+        ("initial SOC", f"{points(start.soc)} ± {points(2.0 * start.std)}, {start.how}"),
+        ("final SOC", f"{points(end[0])} ± {percent(2.0 * end[1])}"),
         *_errors("", replay.errors),
         (f"within {percent(CONVERGED_SOC, 0)} after", reached(replay)),
         *_errors("settled: ", replay.settled),

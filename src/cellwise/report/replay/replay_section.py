@@ -135,7 +135,7 @@ def draw_soc_axes(axes: Axes, replay: Replay, rows: slice, t: FloatArray) -> Non
     soc, std = 100.0 * trace.soc[rows], 100.0 * trace.soc_std[rows]
     x, low, high = thin_band(t, soc - 2.0 * std, soc + 2.0 * std)
     axes.fill_between(
-        x, np.clip(low, 0, 100), np.clip(high, 0, 100), color=FILTER, alpha=0.2, lw=0, label="± 2σ"
+        x, np.clip(low, 0, 100), np.clip(high, 0, 100), color=FILTER, alpha=0.2, lw=0, label="2σ"
     )
     if replay.reference_soc is not None:
         axes.plot(
@@ -216,7 +216,7 @@ def draw_voltage(replay: Replay) -> Figure:
     legend(top, columns=2)
     std = np.sqrt(trace.innovation_variance_V2)
     x, low, high = thin_band(t, -2e3 * std, 2e3 * std)
-    bottom.fill_between(x, low, high, color=FILTER, alpha=0.22, linewidth=0, label="± 2σ")
+    bottom.fill_between(x, low, high, color=FILTER, alpha=0.22, linewidth=0, label="2σ")
     bottom.plot(*thin(t, 1e3 * trace.innovation_V), color=MODEL, linewidth=0.7)
     zero_line(bottom)
     least = 2.4 * float(np.nanmedian(std))
@@ -301,7 +301,7 @@ def _colours(count: int) -> tuple[str, ...]:
 
 def _soc_title(replay: Replay) -> str:
     name = f"{replay_name(replay)}: SOC {points(float(replay.trace.soc[-1]))}"
-    name += f" ± {percent(2.0 * float(replay.trace.soc_std[-1]), 1)} (2σ) at the end"
+    name += f" ± {percent(2.0 * float(replay.trace.soc_std[-1]), 1)} at the end"
     if replay.reference_soc is not None:
         name += f", reference {points(float(replay.reference_soc[-1]))}"
     return name
