@@ -161,8 +161,8 @@ class ModelError:
     @property
     def lasting_share(self) -> float:
         """Of the variance of all that is slower than a row, what comes back at the same SOC."""
-        weights = self.weights
-        return self.persistent_share * weights[-1] / sum(weights[k] for k in self._slow)
+        slow = sum(self.weights[k] for k in self._slow)
+        return self.persistent_share * (self.weights[-1] / slow if slow > 0.0 else 1.0)
 
     def scaled(self, times: float) -> ModelError:
         """The same with every deviation so many times as large; shares as they are."""

@@ -29,6 +29,7 @@ MODEL = CellModel(
     tau2_s=30.0 * FLAT,
     error=ModelError.of_white_and_slow(0.001, (SIZE_V,), 300.0, 0.0, correlation_soc=LENGTH),
 )
+NOISE = replace(Noise.of_model(MODEL), slow_soc=LENGTH)
 # From 90 to 10 % at 1C with loads and rests, and twelve hours between 55 and 65 %.
 DRIVE_A = np.tile(np.repeat([6.0, 0.0, 4.5, 0.0, 4.5], 2), 28)
 ORBIT_A = np.tile(np.repeat([3.0, -3.0], 36), 60)
@@ -57,7 +58,7 @@ def test_the_band_holds_the_truth_and_is_no_wider_than_twice_the_error(kind, cur
     inside, square, band = [], [], []
     for seed in range(30):
         log, truth = wrong_along_soc(current_A, soc0, seed)
-        trace = kind(MODEL).run(log, soc0 + 0.1 * (-1.0) ** seed, 0.1)
+        trace = kind(MODEL, NOISE).run(log, soc0 + 0.1 * (-1.0) ** seed, 0.1)
         late = slice(len(log) // 4, None)
         error = (trace.soc - truth)[late]
         inside.append(np.mean(np.abs(error) < 2.0 * trace.soc_std[late]))
@@ -68,9 +69,9 @@ def test_the_band_holds_the_truth_and_is_no_wider_than_twice_the_error(kind, cur
 
 
 def test_driving_on_teaches_more_than_time_alone():
-    alone = replace(MODEL, error=replace(MODEL.error, correlation_soc=None, correlation_s=3600.0))
     log, _ = wrong_along_soc(DRIVE_A, 0.9, 0)
-    sure, unsure = (Ekf(m).run(log, 0.9, 0.1).soc_std[-1] for m in (MODEL, alone))
+    alone = replace(NOISE, slow_soc=0.0, slow_s=3600.0)
+    sure, unsure = (Ekf(MODEL, n).run(log, 0.9, 0.1).soc_std[-1] for n in (NOISE, alone))
     assert sure < 0.75 * unsure
 
 
@@ -85,16 +86,15 @@ def test_new_ground_is_what_lies_beyond_where_the_cell_has_been():
     assert seen == pytest.approx(0.40, abs=1e-9)
 
 
-def test_a_model_that_does_not_know_its_length_goes_by_time():
-    unknown = replace(MODEL, error=replace(MODEL.error, correlation_soc=None))
-    noise = Noise.of_model(unknown)
+def test_unless_asked_for_it_goes_by_time():
+    noise = Noise.of_model(MODEL)
     assert noise.slow_soc == 0.0
-    assert noise.scalars().memory_s == noise.slow_s == 300.0
+    assert noise.scalars().memory_s == noise.slow_s == MODEL.error.correlation_s
 
 
 def test_lockstep_knows_the_same():
     log, _ = wrong_along_soc(DRIVE_A, 0.9, 1)
-    ekf, fleet = Ekf(MODEL), LockstepEkf(MODEL, 2, 10.0)
+    ekf, fleet = Ekf(MODEL, NOISE), LockstepEkf(MODEL, 2, 10.0, noise=NOISE)
     one, many = ekf.init(0.88, 0.015), fleet.init(np.array([0.88, 0.6]), 0.015)
     for k in range(DRIVE_A.size):
         one, _ = ekf.step(one, log.current_A[k], log.voltage_V[k], 25.0, dt_s=10.0)

@@ -8,7 +8,6 @@ capacity that of both. Drives of the aged cell (\"rise\") have no capacity to be
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -207,34 +206,48 @@ def test_the_band_is_no_wider_than_twice_the_error(middle, tag):
     assert band < 2.0 * error
 
 
-def test_the_stated_error_is_the_measured_one_in_every_band(nca):
-    """Drives that took no part, above 15 % SOC: RMS of all, and of each temperature's.
-
-    Of a temperature two figures of 25 lie beyond: at 25 degC the model is better than what it
-    left of drives that a fit had not seen.
-    """
+@pytest.fixture(scope="module")
+def bands(nca):
+    """Mean squares by time scale above 15 % SOC, stated and measured, of every drive by tag."""
     model, drives = nca
-    stated, measured = [], []
-    for logs in drives.values():
+    found = {}
+    for tag, logs in drives.items():
         for log in logs:
             simulation = simulate(model, log, 1.0)
             known = np.isfinite(simulation.error_V) & (simulation.soc >= 0.0)
             warm = known_temperature_C(model, log)[known]
-            bands = in_bands(log.time_s[known], simulation.error_V[known])
             soc = simulation.soc[known]
             drop = polarisation_V(model, soc, warm, simulation.voltage_V[known])
+            measured = in_bands(log.time_s[known], simulation.error_V[known]) ** 2
+            stated = stated_V2(model, soc, drop, warm)
             rows = soc > 0.15
-            for values, size in ((measured, bands[:, rows] ** 2),
-                                 (stated, stated_V2(model, soc, drop, warm)[:, rows])):  # fmt: skip
-                values.append(size.mean(axis=1))
-    ratio = np.sqrt(np.mean(stated, axis=0) / np.mean(measured, axis=0))
+            each = [x[:, rows].mean(axis=1) for x in (stated, measured)]
+            found.setdefault(tag, []).append(each)
+    return found
+
+
+def stated_over_measured(each):
+    stated, measured = np.mean(each, axis=0)
+    return np.sqrt(stated / measured)
+
+
+def test_the_stated_error_is_the_measured_one_in_every_band(bands):
+    """Drives that took no part, of all temperatures together."""
+    ratio = stated_over_measured([one for each in bands.values() for one in each])
     assert np.all((ratio > 0.7) & (ratio < 1.4)), ratio
-    ends = np.cumsum([0, *(len(logs) for logs in drives.values())])
-    each = [
-        np.sqrt(np.mean(stated[a:b], axis=0) / np.mean(measured[a:b], axis=0))
-        for a, b in pairwise(ends)
-    ]
-    assert np.mean((np.array(each) > 0.7) & (np.array(each) < 1.4)) >= 0.9, each
+
+
+@pytest.mark.parametrize(
+    "tag",
+    missed(
+        CHAMBER_C,
+        p25="1.8 in the slowest band: the final model is better than those of the left-out drives",
+        p10=f"1.45: {AT_ITS_BOUND}",
+    ),
+)
+def test_so_it_is_at_each_temperature(bands, tag):
+    ratio = stated_over_measured(bands[tag])
+    assert np.all((ratio > 0.7) & (ratio < 1.4)), ratio
 
 
 def stated_V2(model, soc, drop_V, warm_C):
