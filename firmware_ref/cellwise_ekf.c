@@ -1648,8 +1648,8 @@ static uint32_t watch_voltage(const cellwise_constants *c, cellwise_state *x, fl
 #endif
 
 /* How many samples share one model error. The model's error is a sum of processes with memories
- * of a second to half an hour. The quick ones average out first, so what is left of a mean has
- * an ever longer memory. The first voltage at rest is evidence by itself. */
+ * of a second to half an hour. The quick ones average out first, so the rest of a mean has an
+ * ever longer memory. The first voltage at rest is evidence by itself. */
 static float shared_by(const cellwise_constants *c, const cellwise_state *x, float seen)
 {
     float shared = 1.0f;

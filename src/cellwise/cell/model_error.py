@@ -72,7 +72,11 @@ class ModelError:
         charge_share: float | None = None,
         temperature_C: tuple[float, ...] = (),
         temperature_factor: tuple[float, ...] = (),
-        **others: Any,
+        persistent_share: float = 1.0,
+        correlation_soc: float | None = None,
+        unseen_share: float = 0.0,
+        unseen_charge_share: float | None = None,
+        activation_std_K: float | None = None,
     ) -> ModelError:
         """White noise and one slow process over SOC, the share of the polarisation in the slow one.
 
@@ -96,7 +100,11 @@ class ModelError:
             temperature_C=temperature_C,
             share=(0.0, resistance_share),
             charge_share=None if charge_share is None else (0.0, charge_share),
-            **others,
+            persistent_share=persistent_share,
+            correlation_soc=correlation_soc,
+            unseen_share=unseen_share,
+            unseen_charge_share=unseen_charge_share,
+            activation_std_K=activation_std_K,
         )
 
     def variance_V2(

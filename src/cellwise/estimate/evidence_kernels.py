@@ -46,7 +46,7 @@ def model_memory(noise: NoiseScalars, evidence_s: float) -> float:
     """For how long the model's error is remembered, ``evidence_s`` after the first voltage [s].
 
     The error is a sum of processes with memories of a second to half an hour. The quick ones
-    average out first, so what is left of a mean has an ever longer memory.
+    average out first, so the rest of a mean has an ever longer memory.
     """
     after_s = max(evidence_s, 0.0)
     return noise.memory_s * (after_s + noise.early_s) / (after_s + noise.half_s)

@@ -80,7 +80,7 @@ def shared_by(c: Constants, x: State, seen: Float) -> Float:
     """How many samples share one model error.
 
     The model's error is a sum of processes with memories of a second to half an hour. The quick
-    ones average out first, so what is left of a mean has an ever longer memory. The first voltage
+    ones average out first, so the rest of a mean has an ever longer memory. The first voltage
     at rest is evidence by itself.
     """
     shared = ONE

@@ -185,19 +185,19 @@ def draw_soc_error(
         axes.axvline(replay.convergence_s / unit, color=GREEN, linewidth=1.0)
 
 
-@styled
 def _innovation_finding(replay: Replay) -> str:
     """The time scale on which the innovations are furthest from what the model states."""
     if replay.nis is None or replay.model is None:
         return f"Mean NIS {significant(replay.nis_mean)}"
     far = max(zip(replay.nis, replay.model.error.scales_s, strict=True), key=_off)
-    return f"NIS {significant(far[0], 2)} over {significant(far[1])} s, nearer to 1 on other scales"
+    return f"NIS {significant(far[0], 2)} over {significant(far[1])} s, nearer to 1 on others"
 
 
 def _off(entry: tuple[float, float]) -> float:
     return abs(math.log(max(entry[0], 1e-9)))
 
 
+@styled
 def draw_voltage(replay: Replay) -> Figure:
     """Measured and predicted voltage, innovations with their band, their distribution."""
     figure = new_figure(4.6)
