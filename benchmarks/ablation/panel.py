@@ -27,6 +27,7 @@ from cellwise.typing import FloatArray
 PANASONIC, LG, SAMSUNG = "panasonic_18650pf", "lg_18650hg2", "samsung_30q_ageing"
 PANASONIC_AH = 2.997
 COLD_AH = (2.8, 2.9, PANASONIC_AH)
+PULSED_AH = (2.833, PANASONIC_AH)  # full to empty by the pulse test's own cut-off, and at C/20
 WARM_C = {"p25": 25.0, "p10": 10.0, "p00": 0.0, "n10": -10.0, "n20": -20.0}
 FITTED = ("cycle_2", "cycle_4", "us06")
 STARTS = ((0.65, -0.30), (0.50, 0.30))
@@ -164,24 +165,24 @@ def colder(data: Path, keep: Path) -> Iterator[Case]:
     for n in ("p25_nn", "p25_hwfta", "p10_nn", "p00_nn"):
         log = named(data, PANASONIC, f"drive_{n}")
         group = "Model of 25 degC pulses" if n[:3] == "p25" else "Model of 25 degC in the cold"
-        yield from from_start(group, model, log, (PANASONIC_AH,))
-        yield from from_middle(group, model, log, (PANASONIC_AH,))
+        yield from from_start(group, model, log, PULSED_AH)
+        yield from from_middle(group, model, log, PULSED_AH)
     slow = named(data, PANASONIC, "ocv_c20_p25")
     empty = int(np.argmin(slow.voltage_V))
     for n in ("p25_nn", "p25_hwfta", "p25_cycle_3"):
         driven = named(data, PANASONIC, f"drive_{n}")
-        yield charged_first(model, slow.part(empty, len(slow)), driven, PANASONIC_AH)
+        yield charged_first(model, slow.part(empty, len(slow)), driven, PULSED_AH)
 
 
-def charged_first(model: CellModel, charge: CellLog, driven: CellLog, capacity_Ah: float) -> Case:
+def charged_first(model: CellModel, charge: CellLog, driven: CellLog, capacities: tuple[float, ...]) -> Case:
     """Charged from empty, then driven from full; the start is read from the log."""
     log = joined(charge, driven)
     counted = counter(log)
     full = counted[len(charge) - 1]
     start = initial_soc(model, log)
-    truth = 1.0 - (counted - full) / capacity_Ah
+    truths = tuple(1.0 - (counted - full) / q for q in capacities)
     group = "Charged from empty, then driven"
-    return Case(group, driven.name, model, log, start.soc, start.std, (truth,))
+    return Case(group, driven.name, model, log, start.soc, start.std, truths)
 
 
 def joined(first: CellLog, second: CellLog) -> CellLog:
@@ -215,7 +216,7 @@ def lfp(data: Path, keep: Path) -> Iterator[Case]:
             kind = fault.split()[0]
             yield from from_start(f"LFP, {kind} off", wrong, seen, truths)
         charge = chamber_log(data, f"dyn_{tag}_s3", CHAMBER_C["p25"], None)
-        yield charged_first(model, charge, log, LFP_AH)
+        yield charged_first(model, charge, log, (LFP_AH,))
 
 
 def lg(data: Path, keep: Path) -> Iterator[Case]:
