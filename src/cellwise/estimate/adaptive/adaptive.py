@@ -118,7 +118,7 @@ class Adaptive(FilterOfModel):
         capacity, capacity_std, gain, gain_std = self._charge(charge, charge_std)
         return after, AdaptiveInfo(
             soc=min(max(mixed.soc, 0.0), 1.0),
-            soc_std=soc_deviation(mixed, after.mismatch, after.persistent),
+            soc_std=soc_deviation(mixed, after.mismatch),
             voltage_V=step.voltage_V,
             innovation_V=step.innovation_V,
             innovation_variance_V2=step.innovation_variance_V2,

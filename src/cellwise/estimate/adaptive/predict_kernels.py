@@ -26,6 +26,7 @@ from cellwise.estimate.adaptive.covariance_kernels import (
 from cellwise.estimate.adaptive.state_kernels import (
     AdaptiveScalars,
     AdaptiveState,
+    Persistent,
     adaptive_start,
     is_sound,
     settled_variance,
@@ -60,6 +61,7 @@ class Predicted(NamedTuple):
     warm_C: float
     evidence_s: float
     past: Past
+    persistent: Persistent
     status: int
 
 
@@ -163,7 +165,10 @@ def predict(
         p = leaned(p, *driven_by_soc(at, t, s.flow_A))
     q = noise.current_A * noise.current_A
     p = noisy(p, t, q, q + s.gap_A2, soc_walk(noise, s.dt_s), 0.0, 0.0, 0.0)
+    stays = state.persistent
+    moved = per_A * (stays.charge * s.flow_A - counts * state.charge * stays.offset_A)
+    stays = Persistent(stays.soc + moved, stays.offset_A, stays.charge)
     forget_s = forgets_for(evidence, s.dt_s)
     if forget_s > 0.0:
         p = forgotten(p, rules.offset_walk * forget_s, rules.charge_walk * forget_s)
-    return Predicted(state, s, end, p, point, at, now.warm_C, evidence, past, status)
+    return Predicted(state, s, end, p, point, at, now.warm_C, evidence, past, stays, status)

@@ -50,6 +50,7 @@ from cellwise.estimate.adaptive.state_kernels import (
     AdaptiveScalars,
     AdaptiveState,
     Estimate,
+    Persistent,
     Resistances,
     Rest,
     settled_soc,
@@ -60,7 +61,7 @@ from cellwise.estimate.adaptive.watch_kernels import (
     watch_resistances,
     watch_rest,
 )
-from cellwise.estimate.evidence_kernels import persistent_step, voltage_variance
+from cellwise.estimate.evidence_kernels import persistent_step, persistent_V, voltage_variance
 from cellwise.estimate.filters.ekf_kernels import reading_of
 from cellwise.estimate.filters.filter_state import EkfStart, LogArrays
 from cellwise.estimate.gate_kernels import Innovation, Verdict, gate
@@ -150,19 +151,24 @@ def consider(
 
 @inline
 def use_rest(
-    rules: AdaptiveScalars, rest: Rest, e: Estimate, s: Sample, blind: bool
-) -> tuple[Rest, Estimate]:
-    """A rest shows the offset by itself: a measurement of b."""
+    rules: AdaptiveScalars, rest: Rest, e: Estimate, stays: Persistent, s: Sample, blind: bool
+) -> tuple[Rest, Estimate, Persistent]:
+    """A rest shows the offset by itself: a measurement of b, free of the model's errors."""
     if blind:
-        return Rest(0.0, rest.current_A, rest.used), e
+        return Rest(0.0, rest.current_A, rest.used), e, stays
     after, shows = watch_rest(rules, rest, s.current_A, s.dt_s)
     if not (shows and rules.estimates_offset):
-        return after, e
+        return after, e, stays
     d = offset_column(e.p)
     k, p = consider(
         scaled(d, 1.0 / (d.o + rules.rest_variance)), d, e.p, False, not rules.estimates_charge
     )
-    return after, moved(e, p, k, after.current_A - e.offset_A)
+    stays = Persistent(
+        stays.soc - k.s * stays.offset_A,
+        stays.offset_A - k.o * stays.offset_A,
+        stays.charge - k.q * stays.offset_A,
+    )
+    return after, moved(e, p, k, after.current_A - e.offset_A), stays
 
 
 @inline
@@ -238,6 +244,19 @@ def update(
 
 
 @inline
+def led_astray(
+    old: Persistent, k: AdaptiveColumn, held: Held, now: Predicted, stays_V: float
+) -> Persistent:
+    """Where an error that stays leads SOC and parameters, after an update with the gain ``k``."""
+    left_V = stays_V - now.at.slope_V * old.soc
+    return Persistent(
+        persistent_step(k.s, now.at.slope_V, old.soc, stays_V),
+        old.offset_A + (0.0 if held.offset != 0 else k.o * left_V),
+        old.charge + (0.0 if held.charge != 0 else k.q * left_V),
+    )
+
+
+@inline
 def why_held(
     rules: AdaptiveScalars, p: AdaptiveCovariance, status: int, v: Verdict, moves: bool
 ) -> Held:
@@ -283,7 +302,7 @@ def take_step(
     old, s, point = now.state, now.s, now.point
     blind = s.gap or s.status & CURRENT_INVALID != 0
     e = Estimate(now.x, old.offset_A, old.charge, now.p)
-    rest, e = use_rest(rules, old.rest, e, raw, blind)
+    rest, e, persistent = use_rest(rules, old.rest, e, now.persistent, raw, blind)
     r = walk_resistances(rules, old.resistances, s.dt_s)
     pol = polarised(now, e.x, r)
     x = e.x
@@ -304,16 +323,13 @@ def take_step(
             rules, r, pol.drop_V, pol.tail_V, v.innovation_V, white, s.dt_s, hold
         )
         held = why_held(rules, e.p, status, v, moves)
-    persistent = old.persistent
     if v.recover:
         e = recover(tables, now, e, pol, i)
-        persistent = 0.0
+        persistent = Persistent(0.0, persistent.offset_A, persistent.charge)
     elif v.accepted:
-        gain = v.returns * d.s * v.inverse
         held_V = abs(i.r0_ohm * s.seen_A) + i.branches_V
-        persistent = persistent_step(
-            noise, point, s.seen_A, held_V, v.mismatch, gain, now.at.slope_V, persistent
-        )
+        stays_V = persistent_V(noise, point, s.seen_A, held_V, v.mismatch)
+        persistent = led_astray(persistent, scaled(d, v.returns * v.inverse), held, now, stays_V)
         e = update(tables, now, e, d, v, held)
     own = v.innovation_V + (pol.own_V - pol.whole_V)
     e, persistent, past = look_again(tables, noise, now, v, own, e, persistent)
@@ -363,7 +379,7 @@ def adaptive_rows(
         mixed = mixture(rules, state)
         r = state.resistances
         out[OUT_SOC, k] = min(max(mixed.soc, 0.0), 1.0)
-        out[OUT_STD, k] = soc_deviation(mixed, state.mismatch, state.persistent)
+        out[OUT_STD, k] = soc_deviation(mixed, state.mismatch)
         out[OUT_VOLTAGE, k] = info.voltage_V
         out[OUT_INNOVATION, k] = info.innovation_V
         out[OUT_VARIANCE, k] = info.innovation_variance_V2
