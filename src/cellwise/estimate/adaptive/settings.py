@@ -78,7 +78,7 @@ class AdaptiveSettings:
     swing_V: float = 0.003
     fast_s: float = 20.0
     tail_s: float = 120.0
-    misfit: float = 10.0
+    misfit: float = 4.0
     memory_s: float = 300.0
     rest_s: float = 120.0
     rest_limit_C: float = 0.04

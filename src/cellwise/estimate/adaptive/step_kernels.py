@@ -244,6 +244,23 @@ def update(
 
 
 @inline
+def given_up(rules: AdaptiveScalars, e: Estimate, stays: Persistent) -> Estimate:
+    """Offset and capacity at the model's values, and as little known as before any data.
+
+    Minutes of innovations that the stated error cannot explain: what the parameters are taken for
+    is not so, and the SOC may be wrong by as much as they and the model's error have moved it.
+    """
+    p = e.p
+    settled = settled_soc(e)
+    moved = e.x.soc - settled
+    ss = settled_variance(p) + moved * moved + stays.soc * stays.soc
+    p = uncorrelated(
+        max(ss, p.ss), p.p11, p.p22, p.p33, p.phh, rules.offset_variance, rules.charge_variance
+    )
+    return Estimate(with_soc(e.x, min(max(settled, 0.0), 1.0)), 0.0, 1.0, p)
+
+
+@inline
 def led_astray(
     old: Persistent, k: AdaptiveColumn, held: Held, now: Predicted, stays_V: float
 ) -> Persistent:
@@ -269,7 +286,7 @@ def why_held(
     resistance = why | (0 if rules.estimates_resistance else NOT_CHOSEN)
     if not moves:
         resistance |= NO_EXCITATION
-    if v.mismatch > rules.misfit:
+    if status & CLAMPED:
         why |= MODEL_MISFIT
     offset = why | (0 if rules.estimates_offset else NOT_CHOSEN)
     return Held(offset, resistance, why | (0 if rules.estimates_charge else NOT_CHOSEN))
@@ -302,7 +319,10 @@ def take_step(
     old, s, point = now.state, now.s, now.point
     blind = s.gap or s.status & CURRENT_INVALID != 0
     e = Estimate(now.x, old.offset_A, old.charge, now.p)
-    rest, e, persistent = use_rest(rules, old.rest, e, now.persistent, raw, blind)
+    persistent, mismatch = now.persistent, old.mismatch
+    if mismatch > rules.misfit:
+        e, persistent, mismatch = given_up(rules, e, persistent), Persistent(0.0, 0.0, 0.0), 1.0
+    rest, e, persistent = use_rest(rules, old.rest, e, persistent, raw, blind)
     r = walk_resistances(rules, old.resistances, s.dt_s)
     pol = polarised(now, e.x, r)
     x = e.x
@@ -312,8 +332,10 @@ def take_step(
     d = column(e.p, now.at.slope_V, point.m_V, r.fast, by_offset)
     explained_V2 = explained(d, now.at.slope_V, point.m_V, r.fast, by_offset)
     i = innovate(tables, noise, now, e, r, pol, explained_V2)
-    v = gate(tables.cell, noise, old.watch, s, now.evidence_s, old.rejections, old.mismatch, i)
+    v = gate(tables.cell, noise, old.watch, s, now.evidence_s, old.rejections, mismatch, i)
     status = s.status | now.status | v.status
+    if e.x.soc <= 0.0 or e.x.soc >= 1.0:
+        status |= CLAMPED
 
     held = why_held(rules, e.p, status, v, True)
     if v.used and not s.gap:
