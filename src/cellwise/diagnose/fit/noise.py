@@ -19,7 +19,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.model import CellModel, ModelError
+from cellwise.cell.model import CellModel
+from cellwise.cell.model_error import ModelError
 from cellwise.diagnose.fit.rows import IGNORED, Evidence
 from cellwise.identify.refinement.sustained import charged_for_minutes
 from cellwise.typing import BoolArray, FloatArray
@@ -113,7 +114,7 @@ def share_claimed(error: ModelError, drop_V: FloatArray, charged: BoolArray) -> 
     charges that last (``charged``) also what none of them could show: a healthy cell meets other
     concentrations there than on discharge, and no cause has that shape.
     """
-    charge = np.where(charged, error.share(-1.0), error.shown_share(-1.0))
+    charge = np.where(charged, error.whole_share(-1.0), error.shown_share(-1.0))
     return np.where(drop_V >= 0.0, error.shown_share(1.0), charge)
 
 

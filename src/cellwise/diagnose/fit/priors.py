@@ -70,7 +70,7 @@ def tolerances(coordinates: Coordinates, evidence: Evidence) -> Prior:
     """Standard deviations about neutral of everything that a good laboratory leaves uncertain."""
     model = coordinates.model
     capacity = model.capacity_Ah
-    slow = float(np.mean(model.error.slow_V))
+    slow = float(np.mean(model.error.at(model.soc)))
     interval = float(np.median(np.concatenate([g.dt_s[1:] for g in evidence.logs])))
     std = {
         "offset_A": 7e-4 * capacity,
@@ -80,7 +80,7 @@ def tolerances(coordinates: Coordinates, evidence: Evidence) -> Prior:
         "ln_capacity": 0.0025,
         "ln_scale": 0.01,
         **dict.fromkeys(OCV_NAMES, max(OCV_LEAST_V, OCV_SHARE * slow)),
-        **dict.fromkeys(R_NAMES, max(R_LEAST, R_SHARE * model.error.resistance_share)),
+        **dict.fromkeys(R_NAMES, max(R_LEAST, R_SHARE * model.error.shown_share())),
         "ln_r0": 0.012,
         "ln_r1": 0.025,
         "ln_r2": 0.025,
