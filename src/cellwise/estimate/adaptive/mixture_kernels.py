@@ -93,7 +93,8 @@ def mix(
     qq: float,
     prior_b: float,
     prior_q: float,
-    odds: float,
+    odds_b: float,
+    odds_q: float,
     stays: Persistent,
 ) -> Mixture:
     """Weigh: both free, offset fixed, capacity fixed, both fixed; what has no prior is fixed.
@@ -104,7 +105,7 @@ def mix(
     b, q : float               offset [A] and capacity factor, less the model's values
     sb, sq, bb, bq, qq : float their covariances
     prior_b, prior_q : float   their variances before any data, 0 where not estimated
-    odds : float               for the model's value, before any data
+    odds_b, odds_q : float     for the model's values, before any data
     stays : Persistent         where an error of the model that stays has led them
     """
     free_b = prior_b > 0.0 and bb > 0.0
@@ -112,12 +113,12 @@ def mix(
     if not free_b and not free_q:
         return Mixture(soc, ss, b, 0.0, q, 0.0, 0.0, 0.0, stays.soc)
     if not free_q:
-        fixed = evidence(b, bb, stays.offset_A, prior_b, odds)
+        fixed = evidence(b, bb, stays.offset_A, prior_b, odds_b)
         s, v, m, w, free = fixed_or_free(soc, ss, b, sb, bb, fixed)
         led = stays.soc - (1.0 - free) * sb / bb * stays.offset_A
         return Mixture(s, v, m, w, 0.0, 0.0, free, 0.0, led)
     if not free_b:
-        fixed = evidence(q, qq, stays.charge, prior_q, odds)
+        fixed = evidence(q, qq, stays.charge, prior_q, odds_q)
         s, v, m, w, free = fixed_or_free(soc, ss, q, sq, qq, fixed)
         led = stays.soc - (1.0 - free) * sq / qq * stays.charge
         return Mixture(s, v, 0.0, 0.0, m, w, 0.0, free, led)
@@ -142,9 +143,9 @@ def mix(
     kq = (sq * bb - sb * bq) * i0
     soc_0 = soc - (kb * b + kq * q)
     ss_0 = ss - (kb * sb + kq * sq)
-    wb = evidence(b, bb, led_b, prior_b, odds)
-    wq = evidence(q, qq, led_q, prior_q, odds)
-    w0 = wb * evidence(q_b, qq_b, led_q - bq * ib * led_b, prior_q, odds)
+    wb = evidence(b, bb, led_b, prior_b, odds_b)
+    wq = evidence(q, qq, led_q, prior_q, odds_q)
+    w0 = wb * evidence(q_b, qq_b, led_q - bq * ib * led_b, prior_q, odds_q)
     w1 = 1.0 / ((1.0 + wb) + (wq + w0))
     wb *= w1
     wq *= w1
@@ -171,14 +172,15 @@ def mix(
 @inline
 def mixture(rules: AdaptiveScalars, state: AdaptiveState) -> Mixture:
     """The hypotheses together; a misfit that none of them explains speaks for the model's."""
-    odds, mismatch, p = rules.odds, state.mismatch, state.p
+    misfit, mismatch, p = 1.0, state.mismatch, state.p
     if mismatch > 1.0:
         # A power costs as much as the rest of the mixture.
-        odds *= mismatch * mismatch if rules.misfit_power == 2.0 else mismatch**rules.misfit_power
+        misfit = mismatch * mismatch if rules.misfit_power == 2.0 else mismatch**rules.misfit_power
     return mix(
         state.cell.soc, p.ss, state.offset_A, state.charge - 1.0,
         p.so, p.sq, p.poo, p.poq, p.pqq,
-        rules.offset_variance, rules.charge_variance, odds, state.persistent,
+        rules.offset_variance, rules.charge_variance,
+        rules.odds * misfit, rules.charge_odds * misfit, state.persistent,
     )  # fmt: skip
 
 

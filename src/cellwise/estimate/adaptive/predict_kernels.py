@@ -44,7 +44,7 @@ from cellwise.estimate.filters.predict_kernels import (
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import NO_VOLTAGE_YET, NOT_BEGUN, Sample
 from cellwise.estimate.slopes_kernels import Slopes, slopes_at
-from cellwise.estimate.status import STATE_RESET
+from cellwise.estimate.status import OUTSIDE, STATE_RESET
 
 FORGET_S = 10.0
 
@@ -149,7 +149,9 @@ def predict(
         -counts * t.g2,
         -counts * t.g3,
     )
-    p = charge_driven(p, per_A * s.flow_A)
+    # Beyond the model's data no voltage can tell a capacity from the model's error.
+    judged_A = 0.0 if now.status & OUTSIDE else per_A * s.flow_A
+    p = charge_driven(p, judged_A)
     p = branches_noisy(
         p,
         branch_variance(noise, s, point.r1_ohm, t.a1),
@@ -166,7 +168,7 @@ def predict(
     q = noise.current_A * noise.current_A
     p = noisy(p, t, q, q + s.gap_A2, soc_walk(noise, s.dt_s), 0.0, 0.0, 0.0)
     stays = state.persistent
-    moved = per_A * (stays.charge * s.flow_A - counts * state.charge * stays.offset_A)
+    moved = stays.charge * judged_A - counts * state.charge * per_A * stays.offset_A
     stays = Persistent(stays.soc + moved, stays.offset_A, stays.charge)
     forget_s = forgets_for(evidence, s.dt_s)
     if forget_s > 0.0:

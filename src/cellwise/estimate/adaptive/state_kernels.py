@@ -42,6 +42,7 @@ class AdaptiveScalars(NamedTuple):
     rest_limit_A: float
     rest_variance: float
     odds: float
+    charge_odds: float
     misfit_power: float
 
 
