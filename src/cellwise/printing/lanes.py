@@ -20,7 +20,10 @@ WATCH = (
     "fresh",
 )
 PAST = ("mean_A", "looked_A", "miss_V", "first_soc", "first_variance")
-DRIFT = ("reach", "offset", "information", "believed", "unsure", "d1_V", "d2_V", "d3_V")
+DRIFT = (
+    *("reach", "offset", "information", "believed", "unsure", "d1_V", "d2_V", "d3_V"),
+    *("rest_s", "rest_A"),
+)
 # Groups of a state as the filters nest them: the record, and its fields.
 GROUPS = (
     ("cell", "CellState", (*(s.name for s in CELL), "heat_K", "slow_A")),

@@ -51,6 +51,8 @@ LANES = 16  # fewer than sixteen turns are not worth a vector to the compiler
     D1,
     D2,
     D3,
+    REST,
+    REST,
     LAST_A,
     LAST_C,
     EVIDENCE,
@@ -70,8 +72,8 @@ LANES = 16  # fewer than sixteen turns are not worth a vector to the compiler
     FIRST_VARIANCE,
     FACTOR,
     FACTOR_C,
-) = range(53)
-FIELDS = 53
+) = range(55)
+FIELDS = 55
 
 
 @inline
@@ -117,6 +119,8 @@ def get_state(block: FloatArray, lane: int) -> EkfState:
             block[D1 * LANES + lane],
             block[D2 * LANES + lane],
             block[D3 * LANES + lane],
+            block[REST * LANES + lane],
+            block[REST * LANES + lane],
         ),
         Watch(
             block[LAST_A * LANES + lane],
@@ -179,6 +183,8 @@ def put_state(block: FloatArray, lane: int, state: EkfState) -> None:
     block[D1 * LANES + lane] = state.drift.d1_V
     block[D2 * LANES + lane] = state.drift.d2_V
     block[D3 * LANES + lane] = state.drift.d3_V
+    block[REST * LANES + lane] = state.drift.rest_s
+    block[REST * LANES + lane] = state.drift.rest_A
     block[LAST_A * LANES + lane] = state.watch.current_A
     block[LAST_C * LANES + lane] = state.watch.temperature_C
     block[EVIDENCE * LANES + lane] = state.watch.evidence_s
@@ -241,6 +247,8 @@ def choose(which: bool, yes: EkfState, no: EkfState) -> EkfState:
             yes.drift.d1_V if which else no.drift.d1_V,
             yes.drift.d2_V if which else no.drift.d2_V,
             yes.drift.d3_V if which else no.drift.d3_V,
+            yes.drift.rest_s if which else no.drift.rest_s,
+            yes.drift.rest_A if which else no.drift.rest_A,
         ),
         Watch(
             yes.watch.current_A if which else no.watch.current_A,
