@@ -16,6 +16,7 @@ import numpy as np
 from benchmarks.accuracy.faults import gained, late, lifted, off_by, sized
 from benchmarks.accuracy.lfp import CHAMBER_C, chamber_log, drive, model_without
 from benchmarks.accuracy.lfp import REFERENCE_AH as LFP_AH
+from benchmarks.accuracy.panasonic import NOMINAL_AH
 from benchmarks.measured_data import measured_log
 from cellwise import IdentifySettings, TestLogs, identify_cell
 from cellwise.cell.initial_soc.initial_soc import initial_soc
@@ -32,7 +33,8 @@ WARM_C = {"p25": 25.0, "p10": 10.0, "p00": 0.0, "n10": -10.0, "n20": -20.0}
 FITTED = ("cycle_2", "cycle_4", "us06")
 STARTS = ((0.65, -0.30), (0.50, 0.30))
 KNOWN, GUESSED = 0.005, 0.15
-LOADED = 0.35  # of 1C: under load
+LOADED, RESTING = 0.35, 0.005  # of 1C
+RESTED_ROWS = 60
 LFP_TAGS = ("n15", "p05", "p25", "p45")
 FAULTS = {
     "voltage +30 mV": lifted(0.03),
@@ -129,6 +131,20 @@ def from_middle(
         yield Case(f"{group}, 30 points wrong", log.name, model, part, start, GUESSED, truths)
 
 
+def at_rest(
+    group: str, model: CellModel, log: CellLog, capacities: tuple[float, ...]
+) -> Iterator[Case]:
+    """Cut in a rest, 30 points wrong either way."""
+    whole = 1.0 - counter(log) / capacities[-1]
+    resting = np.abs(log.current_A) < RESTING * capacities[-1]
+    row = int(np.argmax((whole < STARTS[0][0]) & resting & np.roll(resting, -RESTED_ROWS)))
+    part = log.part(row, len(log))
+    truths = tuple((1.0 - counter(log) / q)[row:] for q in capacities)
+    for wrong in (-0.3, 0.3):
+        start = min(max(float(whole[row]) + wrong, 0.0), 1.0)
+        yield Case(f"{group}, 30 points wrong at rest", log.name, model, part, start, GUESSED, truths)
+
+
 def named(data: Path, cell: str, name: str) -> CellLog:
     """A log under its own name."""
     return replace(measured_log(data, f"{cell}/{name}"), name=name)
@@ -144,6 +160,8 @@ def panasonic(data: Path, keep: Path) -> Iterator[Case]:
             group = "Panasonic, cold" if t in ("n10", "n20", "p00") else "Panasonic, warm"
             yield from from_start(group, model, log, capacities)
             yield from from_middle(group, model, log, capacities)
+            if n in ("la92", "cycle_3", "cycle_1"):
+                yield from at_rest("Panasonic", model, log, capacities)
 
 
 def faulty(data: Path, keep: Path) -> Iterator[Case]:
@@ -211,10 +229,14 @@ def lfp(data: Path, keep: Path) -> Iterator[Case]:
         truths = (LFP_AH,)
         yield from from_start("LFP", model, log, truths)
         yield from from_middle("LFP", model, log, truths, plateau)
-        for fault in list(FAULTS)[:4]:
-            wrong, seen = FAULTS[fault](model, log)
-            kind = fault.split()[0]
+        yield from at_rest("LFP", model, log, truths)
+        share = 0.03 * LFP_AH / NOMINAL_AH
+        for put in (lifted(0.03), lifted(-0.03), off_by(share), off_by(-share)):
+            wrong, seen = put(model, log)
+            kind = "voltage 30 mV" if seen.current_A is log.current_A else "current 3 % of 1C"
             yield from from_start(f"LFP, {kind} off", wrong, seen, truths)
+        slow = chamber_log(data, f"ocv_{tag}_s1", CHAMBER_C[tag], None)
+        yield from from_start("LFP, C/30", model, slow, truths)
         charge = chamber_log(data, f"dyn_{tag}_s3", CHAMBER_C["p25"], None)
         yield charged_first(model, charge, log, (LFP_AH,))
 
@@ -241,6 +263,7 @@ def lg(data: Path, keep: Path) -> Iterator[Case]:
     for n in ("us06_n10_601", "us06_n20_610"):
         log = named(data, LG, f"drive_{n}")
         yield from from_start("LG", model, log, (2.78,))
+        yield from at_rest("LG", model, log, (2.78,))
         yield from from_middle("LG", model, log, (2.78,))
 
 

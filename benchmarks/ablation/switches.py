@@ -14,6 +14,11 @@ from typing import Any
 from cellwise.cell.compiled import inline
 from cellwise.cell.equations import CellTables
 from cellwise.cell.model import CellModel
+from cellwise.estimate.adaptive.covariance_kernels import AdaptiveColumn
+from cellwise.estimate.adaptive.predict_kernels import Predicted
+from cellwise.estimate.adaptive.state_kernels import Persistent
+from cellwise.estimate.adaptive.step_kernels import Held
+from cellwise.estimate.evidence_kernels import persistent_step
 from cellwise.estimate.slopes_kernels import Slopes
 from cellwise.estimate.validity_kernels import EVERYWHERE, ValidityScalars
 
@@ -63,6 +68,15 @@ def not_bent(tables: CellTables, at: Slopes, bend_V2: float, one_V2: float) -> b
     return False
 
 
+@inline
+def of_the_soc_alone(
+    old: Persistent, k: AdaptiveColumn, held: Held, now: Predicted, stays_V: float
+) -> Persistent:
+    """In place of where a persistent error leads SOC and parameters."""
+    soc = persistent_step(k.s, now.at.slope_V, old.soc, stays_V)
+    return Persistent(soc, 0.0, 0.0)
+
+
 def valid_everywhere(model: CellModel) -> ValidityScalars:
     """In place of a model's validity."""
     return EVERYWHERE
@@ -70,7 +84,7 @@ def valid_everywhere(model: CellModel) -> ValidityScalars:
 
 SWITCHES = (
     Switch("nothing"),
-    Switch("memory that grows", names=((f"{ESTIMATE}.evidence_kernels", "MEMORY_START_S", math.inf),)),
+    Switch("memory that grows", noise={"slow_first_s": 1e9}),
     Switch("mismatch", noise={"mismatch_cap": 0.0}),
     Switch("persistent", noise={"lasting_share": 0.0}),
     Switch("contradicted", names=((f"{ESTIMATE}.evidence_kernels", "CONTRADICTED_S", math.inf),)),
@@ -84,8 +98,7 @@ SWITCHES = (
         "search for a first voltage that is bent",
         names=((EKF, "bends", not_bent), (ADAPTIVE, "bends", not_bent)),
     ),
-    Switch("looked again", names=((PAST, "LOOKS", 0), (PAST, "RECONSIDERED", 0))),
-    Switch("reconsidered", names=((PAST, "RECONSIDERED", 0),)),
+    Switch("looked again", names=((PAST, "LOOKS", 0),)),
     Switch("hypothesis of an offset, contradicted", noise={"offset_share": 0.0}),
     Switch(
         "hypothesis of an offset",
@@ -94,6 +107,10 @@ SWITCHES = (
             (f"{ESTIMATE}.filters.drift_kernels", "ODDS", 0.0),
             (f"{ESTIMATE}.noise", "WANDERS", 1.0),
         ),
+    ),
+    Switch(
+        "a rest shows the hypothesis its offset",
+        names=((f"{ESTIMATE}.filters.drift_kernels", "SHOWN", 0.0),),
     ),
     Switch("gate and recovery", noise={"gate": 1e6}),
     Switch("recovery", noise={"recovery_after": NEVER}),
@@ -118,11 +135,14 @@ SWITCHES = (
     Switch("resistances free", settings={"learn": ("current_offset", "capacity")}),
     Switch("offset free", settings={"learn": ("resistance", "capacity")}),
     Switch("capacity free", settings={"learn": ("current_offset", "resistance")}),
-    Switch("misfit speaks for the model", settings={"misfit_power": 0.0}),
-    Switch("held in a misfit", settings={"misfit": 1e9}),
+    Switch("given up in a misfit", settings={"misfit": 1e9}),
     Switch("held until settled", settings={"settled_soc": 10.0}),
     Switch("a rest shows the offset", settings={"rest_s": 1e9}),
-    Switch("five minutes at least", settings={"memory_s": 0.0}),
+    Switch("a capacity needs more evidence", settings={"charge_probability": 0.2}),
+    Switch(
+        "a persistent error is no evidence",
+        names=((ADAPTIVE, "led_astray", of_the_soc_alone),),
+    ),
 )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -82,9 +81,7 @@ class Adaptive(FilterOfModel):
     ) -> None:
         super().__init__(model, noise)
         self.settings = AdaptiveSettings() if settings is None else settings
-        # Errors along the SOC axis last for minutes, whatever a short log has shown.
-        slow_s = max(self.noise.slow_s, self.settings.memory_s)
-        self._noise = replace(self.noise, slow_s=slow_s).scalars(model)
+        self._noise = self.noise.scalars(model)
         self._rules = self.settings.scalars(model.capacity_Ah)
         self._unknown = self.start(0.5, 0.3)  # for a state that is no longer finite: know nothing
 

@@ -8,7 +8,6 @@ from cellwise.estimate.adaptive.covariance_kernels import (
     AdaptiveColumn,
     AdaptiveCovariance,
     leaned,
-    scaled,
     uncorrelated,
     with_parameters,
 )
@@ -22,9 +21,6 @@ from cellwise.estimate.filters.past_kernels import (
     looks_now,
     no_past,
     past_step,
-    reconsidered,
-    reconsiders_now,
-    share_of_past,
     soc_of_level,
 )
 from cellwise.estimate.gate_kernels import Verdict
@@ -72,12 +68,5 @@ def look_again(
             x = CellState(soc, x.v1_V, x.v2_V, v3, x.h, x.heat_K, x.slow_A)
             e = Estimate(x, e.offset_A, e.charge, p)
             persistent = Persistent(0.0, persistent.offset_A, persistent.charge)
-            past = having_looked(past, since)
-        if past.first_variance > 0.0 and reconsiders_now(now.evidence_s, since):
-            more_V, variance = reconsidered(tables, past, now.warm_C, e.x, since)
-            if variance > 0.0:
-                p = e.p
-                k = AdaptiveColumn(p.s3, p.p13, p.p23, p.p33, p.p3h, p.p3o, p.p3q)
-                e = moved(e, p, scaled(k, share_of_past(p.p33, variance)), more_V)
             past = having_looked(past, since)
     return e, persistent, past

@@ -171,16 +171,13 @@ def mix(
 
 @inline
 def mixture(rules: AdaptiveScalars, state: AdaptiveState) -> Mixture:
-    """The hypotheses together; a misfit that none of them explains speaks for the model's."""
-    misfit, mismatch, p = 1.0, state.mismatch, state.p
-    if mismatch > 1.0:
-        # A power costs as much as the rest of the mixture.
-        misfit = mismatch * mismatch if rules.misfit_power == 2.0 else mismatch**rules.misfit_power
+    """The hypotheses together."""
+    p = state.p
     return mix(
         state.cell.soc, p.ss, state.offset_A, state.charge - 1.0,
         p.so, p.sq, p.poo, p.poq, p.pqq,
         rules.offset_variance, rules.charge_variance,
-        rules.odds * misfit, rules.charge_odds * misfit, state.persistent,
+        rules.odds, rules.charge_odds, state.persistent,
     )  # fmt: skip
 
 

@@ -56,12 +56,10 @@ class AdaptiveSettings:
     fault_probability, charge_probability : float
                                  chance, before any data, that there is an offset, that capacity or
                                  gain is not the model's
-    misfit_power : float         how much that chance falls with a misfit that nothing explains
     settled_soc : float          beyond this deviation of SOC nothing is estimated
     swing_V : float              below this RMS of the moving drop resistances are held
     fast_s, tail_s : float       what moves within fast_s shows R0 and R1, up to tail_s R2
     misfit : float               mean of innovation squared over variance from which all is held
-    memory_s : float             the model's error is remembered for at least as long
     rest_s : float               a current that stands still near zero for as long is a rest
     rest_limit_C, rest_band_C : float    what near zero and standing still mean
     rest_C : float               how well a rest shows the offset
@@ -76,13 +74,11 @@ class AdaptiveSettings:
     charge_per_sqrt_h: float = 0.002
     fault_probability: float = 0.2
     charge_probability: float = 0.02
-    misfit_power: float = 2.0
     settled_soc: float = 0.015
     swing_V: float = 0.003
     fast_s: float = 20.0
     tail_s: float = 120.0
     misfit: float = 9.0
-    memory_s: float = 300.0
     rest_s: float = 120.0
     rest_limit_C: float = 0.04
     rest_band_C: float = 0.01
@@ -149,7 +145,6 @@ class AdaptiveSettings:
             rest_variance=(self.rest_C * capacity_Ah) ** 2,
             odds=_odds(self.fault_probability),
             charge_odds=_odds(self.charge_probability),
-            misfit_power=self.misfit_power,
         )
 
 

@@ -43,7 +43,6 @@ class AdaptiveScalars(NamedTuple):
     rest_variance: float
     odds: float
     charge_odds: float
-    misfit_power: float
 
 
 class Rest(NamedTuple):

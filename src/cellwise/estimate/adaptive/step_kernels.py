@@ -67,7 +67,7 @@ from cellwise.estimate.filters.filter_state import EkfStart, LogArrays
 from cellwise.estimate.gate_kernels import Innovation, Verdict, gate
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.recovery_kernels import Contradiction, Variances, recovered
-from cellwise.estimate.sensing_kernels import Reading, Sample, read_sample
+from cellwise.estimate.sensing_kernels import REST_RATE, Reading, Sample, read_sample
 from cellwise.estimate.slopes_kernels import WIDE_VARIANCE, bends, landing_slope
 from cellwise.estimate.status import CLAMPED, CURRENT_INVALID
 from cellwise.typing import FloatArray, IntArray
@@ -151,17 +151,28 @@ def consider(
 
 @inline
 def use_rest(
-    rules: AdaptiveScalars, rest: Rest, e: Estimate, stays: Persistent, s: Sample, blind: bool
+    rules: AdaptiveScalars,
+    rest: Rest,
+    e: Estimate,
+    stays: Persistent,
+    s: Sample,
+    blind: bool,
+    resting_A: float,
 ) -> tuple[Rest, Estimate, Persistent]:
-    """A rest shows the offset by itself: a measurement of b, free of the model's errors."""
+    """A rest shows the offset by itself: a measurement of b, free of the model's errors.
+
+    Above ``resting_A`` it may as well be a load, and shows as much as is known beforehand.
+    """
     if blind:
         return Rest(0.0, rest.current_A, rest.used), e, stays
     after, shows = watch_rest(rules, rest, s.current_A, s.dt_s)
     if not (shows and rules.estimates_offset):
         return after, e, stays
     d = offset_column(e.p)
+    rested = abs(after.current_A) <= resting_A
+    variance = rules.rest_variance if rested else rules.offset_variance
     k, p = consider(
-        scaled(d, 1.0 / (d.o + rules.rest_variance)), d, e.p, False, not rules.estimates_charge
+        scaled(d, 1.0 / (d.o + variance)), d, e.p, False, not rules.estimates_charge
     )
     stays = Persistent(
         stays.soc - k.s * stays.offset_A,
@@ -322,7 +333,8 @@ def take_step(
     persistent, mismatch = now.persistent, old.mismatch
     if mismatch > rules.misfit:
         e, persistent, mismatch = given_up(rules, e, persistent), Persistent(0.0, 0.0, 0.0), 1.0
-    rest, e, persistent = use_rest(rules, old.rest, e, persistent, raw, blind)
+    resting_A = REST_RATE * tables.cell.charge_As / 3600.0
+    rest, e, persistent = use_rest(rules, old.rest, e, persistent, raw, blind, resting_A)
     r = walk_resistances(rules, old.resistances, s.dt_s)
     pol = polarised(now, e.x, r)
     x = e.x

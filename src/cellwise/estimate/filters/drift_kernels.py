@@ -16,15 +16,17 @@ from typing import NamedTuple
 from cellwise.cell.compiled import inline
 from cellwise.cell.equations import Transition, relaxed
 from cellwise.estimate.noise import NoiseScalars
+from cellwise.estimate.sensing_kernels import REST_RATE
 
 CHANCE = 0.2  # of an offset, before any data, as in the adaptive filter
 ODDS = CHANCE / (1.0 - CHANCE)
 PER_FREEDOM = 1.0 / 31.0
-# A rest: the current stands still for REST_S, near zero, as shares of 1C; it shows an offset to
-# a tenth of the deviation that it has beforehand.
+# A rest: the current stands still for REST_S, near zero, as shares of 1C. Below REST_RATE it shows
+# an offset to a fifth of the deviation that it has beforehand; what is more may as well be a load,
+# and shows as much as is known beforehand.
 REST_S = 120.0
 REST_LIMIT, REST_BAND = 0.04, 0.01
-SHOWN = 100.0
+SHOWN, MAY_BE_LOAD = 25.0, 1.0
 LONG_S = 1e30  # infinite: used
 
 
@@ -77,7 +79,8 @@ def counted_on(
     stands &= abs(current_A - old.rest_A) <= REST_BAND * rate_A
     rest_s = old.rest_s + counted_s if stands else 0.0
     shows = (rest_s >= REST_S) & (rest_s <= LONG_S)
-    weight = SHOWN if shows else 0.0
+    weight = SHOWN if abs(current_A) <= REST_RATE * rate_A else MAY_BE_LOAD
+    weight = weight if shows else 0.0
     per = 1.0 / offset_A if offset_A > 0.0 else 0.0
     information = old.information + weight
     return Drift(
