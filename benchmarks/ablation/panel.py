@@ -160,8 +160,6 @@ def panasonic(data: Path, keep: Path) -> Iterator[Case]:
             group = "Panasonic, cold" if t in ("n10", "n20", "p00") else "Panasonic, warm"
             yield from from_start(group, model, log, capacities)
             yield from from_middle(group, model, log, capacities)
-            if n in ("la92", "cycle_3", "cycle_1"):
-                yield from at_rest("Panasonic", model, log, capacities)
 
 
 def faulty(data: Path, keep: Path) -> Iterator[Case]:
@@ -263,7 +261,6 @@ def lg(data: Path, keep: Path) -> Iterator[Case]:
     for n in ("us06_n10_601", "us06_n20_610"):
         log = named(data, LG, f"drive_{n}")
         yield from from_start("LG", model, log, (2.78,))
-        yield from at_rest("LG", model, log, (2.78,))
         yield from from_middle("LG", model, log, (2.78,))
 
 

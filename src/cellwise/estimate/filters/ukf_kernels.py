@@ -243,7 +243,7 @@ def ukf_step_inline(
     state_variance = given + first * first + sigma.curve * seen.second_V * seen.second_V
     held = abs(x.v1_V) + (abs(x.v2_V) + abs(x.v3_V))
     one = voltage_variance(noise, point, point.r0_ohm, s.seen_A, s.lost_A, held)
-    bent = seen.slope_V < flat_slope(tables)
+    bent = min(seen.slope_V, point.ocv_slope_V) < flat_slope(tables)
     # fmt: off
     i = Innovation(
         seen.predicted_V, s.voltage_V - seen.predicted_V, state_variance, one, point.r0_ohm, held,
