@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
-from benchmarks.ablation.switches import SWITCHES
+from benchmarks.ablation.switches import SWITCHES, switch_of
 from benchmarks.ablation.table import as_markdown, losses
 
 
@@ -28,12 +30,16 @@ def main(arguments: list[str] | None = None) -> int:
     for unknown in set(wanted) - set(names):
         parser.error(f"no switch '{unknown}': one of {', '.join(names)}")
     found = {}
+    # What sets no constant of a kernel shares the compiled ones.
+    compiled = tempfile.TemporaryDirectory()
     for name in wanted:
         file = chosen.keep / f"without {name}.json"
         if not file.exists():
             print(f"  {name} ...", file=sys.stderr, flush=True)
             worker = [sys.executable, "-m", "benchmarks.ablation.run", name]
-            subprocess.run([*worker, str(chosen.keep), str(file)], check=True)
+            shared = {} if switch_of(name).names else {"NUMBA_CACHE_DIR": compiled.name}
+            command = [*worker, str(chosen.keep), str(file)]
+            subprocess.run(command, check=True, env=os.environ | shared)
         found[name] = json.loads(file.read_text(encoding="utf-8"))
     text = as_markdown(losses(found.pop("nothing"), found))
     if chosen.output:

@@ -142,7 +142,9 @@ def at_rest(
     truths = tuple((1.0 - counter(log) / q)[row:] for q in capacities)
     for wrong in (-0.3, 0.3):
         start = min(max(float(whole[row]) + wrong, 0.0), 1.0)
-        yield Case(f"{group}, 30 points wrong at rest", log.name, model, part, start, GUESSED, truths)
+        yield Case(
+            f"{group}, 30 points wrong at rest", log.name, model, part, start, GUESSED, truths
+        )
 
 
 def named(data: Path, cell: str, name: str) -> CellLog:
@@ -190,7 +192,9 @@ def colder(data: Path, keep: Path) -> Iterator[Case]:
         yield charged_first(model, slow.part(empty, len(slow)), driven, PULSED_AH)
 
 
-def charged_first(model: CellModel, charge: CellLog, driven: CellLog, capacities: tuple[float, ...]) -> Case:
+def charged_first(
+    model: CellModel, charge: CellLog, driven: CellLog, capacities: tuple[float, ...]
+) -> Case:
     """Charged from empty, then driven from full; the start is read from the log."""
     log = joined(charge, driven)
     counted = counter(log)

@@ -83,5 +83,7 @@ if __name__ == "__main__":
     if "NUMBA_CACHE_DIR" not in os.environ:
         with tempfile.TemporaryDirectory() as folder:
             os.environ["NUMBA_CACHE_DIR"] = folder
-            os.execv(sys.executable, [sys.executable, "-m", "benchmarks.ablation.run", *sys.argv[1:]])
+            os.execv(
+                sys.executable, [sys.executable, "-m", "benchmarks.ablation.run", *sys.argv[1:]]
+            )
     main()

@@ -184,4 +184,6 @@ def mixture(rules: AdaptiveScalars, state: AdaptiveState) -> Mixture:
 @inline
 def soc_deviation(mixed: Mixture, mismatch: float) -> float:
     """Standard deviation of the SOC: the hypotheses', and what a persistent error has brought."""
-    return stated_deviation(max(mixed.soc_variance, VARIANCE_FLOOR), mismatch, mixed.persistent, 0.0)
+    return stated_deviation(
+        max(mixed.soc_variance, VARIANCE_FLOOR), mismatch, mixed.persistent, 0.0
+    )

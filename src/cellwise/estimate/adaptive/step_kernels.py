@@ -87,6 +87,8 @@ MODEL_MISFIT = 8
 NO_VOLTAGE = 16
 NO_CURRENT = 32
 
+IMPOSSIBLE_SOC = 0.005  # so far beyond full or empty: what leads there is not so
+
 
 class Held(NamedTuple):
     """Why a parameter is held, 0 where it is estimated."""
@@ -171,9 +173,7 @@ def use_rest(
     d = offset_column(e.p)
     rested = abs(after.current_A) <= resting_A
     variance = rules.rest_variance if rested else rules.offset_variance
-    k, p = consider(
-        scaled(d, 1.0 / (d.o + variance)), d, e.p, False, not rules.estimates_charge
-    )
+    k, p = consider(scaled(d, 1.0 / (d.o + variance)), d, e.p, False, not rules.estimates_charge)
     stays = Persistent(
         stays.soc - k.s * stays.offset_A,
         stays.offset_A - k.o * stays.offset_A,
@@ -331,7 +331,7 @@ def take_step(
     blind = s.gap or s.status & CURRENT_INVALID != 0
     e = Estimate(now.x, old.offset_A, old.charge, now.p)
     persistent, mismatch = now.persistent, old.mismatch
-    if mismatch > rules.misfit:
+    if mismatch > rules.misfit or abs(e.x.soc - 0.5) > 0.5 + IMPOSSIBLE_SOC:
         e, persistent, mismatch = given_up(rules, e, persistent), Persistent(0.0, 0.0, 0.0), 1.0
     resting_A = REST_RATE * tables.cell.charge_As / 3600.0
     rest, e, persistent = use_rest(rules, old.rest, e, persistent, raw, blind, resting_A)
