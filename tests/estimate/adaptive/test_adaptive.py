@@ -220,7 +220,7 @@ class TestHeld:
 
 class TestSteps:
     def test_with_nothing_to_learn_it_is_the_ekf(self):
-        nothing = AdaptiveSettings(learn=(), memory_s=0.0)
+        nothing = AdaptiveSettings(learn=())
         mine = Adaptive(MODEL, settings=nothing).run(LOG, 0.7)
         plain = trusting(MODEL).run(LOG, 0.7)
         # They part in the first minutes of a wrong start, and in small covariances of noise.
