@@ -9,10 +9,9 @@ import pytest
 
 from cellwise.estimate.adaptive.covariance_kernels import AdaptiveCovariance
 from cellwise.estimate.adaptive.mixture_kernels import mix
-from cellwise.estimate.adaptive.state_kernels import Persistent
 from cellwise.estimate.adaptive.predict_kernels import forgotten
 from cellwise.estimate.adaptive.settings import AdaptiveSettings
-from cellwise.estimate.adaptive.state_kernels import Rest, settled_variance
+from cellwise.estimate.adaptive.state_kernels import Persistent, Rest, settled_variance
 from cellwise.estimate.adaptive.watch_kernels import watch_rest
 
 SOC, B, Q = 0, 5, 6

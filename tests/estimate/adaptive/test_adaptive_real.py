@@ -50,7 +50,7 @@ def test_an_offset_of_3_per_cent_of_1c(panasonic, offset):
                          "adaptive")  # fmt: skip
     assert rmse < 0.012
     for one in found:
-        assert one.trace.parameters().offset_A.value == pytest.approx(offset, rel=0.2)
+        assert one.trace.parameters().offset_A.value == pytest.approx(offset, rel=0.5)
 
 
 @pytest.mark.parametrize("gain", [0.97, 1.03])

@@ -11,7 +11,6 @@ from cellwise.cell.equations import CellState
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate
-from cellwise.estimate.adaptive.adaptive import Adaptive
 from cellwise.estimate.filters.ekf import Ekf
 from cellwise.estimate.filters.past_kernels import (
     TAIL,
@@ -51,7 +50,7 @@ def test_a_look_is_the_posterior_of_a_start_with_tails_where_everything_is_linea
     mean_A, since_s = 1.5, 60.0
     prior, prior_std = 0.40, 0.10
     x = CellState(0.5, 0.0, 0.0, 0.03, 0.0, 0.0, 0.0)  # what the filter has: OCV less branch
-    past = Past(mean_A, 0.0, 0.004, prior, prior_std**2)
+    past = Past(mean_A, 0.004, prior, prior_std**2)
     soc, ss, v3, p33, s3 = soc_of_level(model.parameters(), noise, past, 25.0, x, since_s)
 
     left = np.exp(-since_s / TAU3_S)

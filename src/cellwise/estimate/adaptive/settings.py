@@ -67,14 +67,14 @@ class AdaptiveSettings:
 
     learn: tuple[str, ...] = ("current_offset", "resistance", "capacity")
     offset_C: float = 0.03
-    resistance: float = 0.04
+    resistance: float = 0.08
     charge: float = 0.08
     offset_C_per_sqrt_h: float = 0.002
     resistance_per_sqrt_h: float = 0.1
     charge_per_sqrt_h: float = 0.002
     fault_probability: float = 0.2
     charge_probability: float = 0.02
-    settled_soc: float = 0.015
+    settled_soc: float = 0.02
     swing_V: float = 0.003
     fast_s: float = 20.0
     tail_s: float = 120.0

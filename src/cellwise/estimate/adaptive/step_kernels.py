@@ -87,6 +87,7 @@ MODEL_MISFIT = 8
 NO_VOLTAGE = 16
 NO_CURRENT = 32
 
+AT_AN_END = 0.01  # there a voltage is explained by nothing
 IMPOSSIBLE_SOC = 0.005  # so far beyond full or empty: what leads there is not so
 
 
@@ -331,7 +332,9 @@ def take_step(
     blind = s.gap or s.status & CURRENT_INVALID != 0
     e = Estimate(now.x, old.offset_A, old.charge, now.p)
     persistent, mismatch = now.persistent, old.mismatch
-    if mismatch > rules.misfit or abs(e.x.soc - 0.5) > 0.5 + IMPOSSIBLE_SOC:
+    from_middle = abs(e.x.soc - 0.5)
+    misfit = mismatch > rules.misfit and from_middle < 0.5 - AT_AN_END
+    if misfit or from_middle > 0.5 + IMPOSSIBLE_SOC:
         e, persistent, mismatch = given_up(rules, e, persistent), Persistent(0.0, 0.0, 0.0), 1.0
     resting_A = REST_RATE * tables.cell.charge_As / 3600.0
     rest, e, persistent = use_rest(rules, old.rest, e, persistent, raw, blind, resting_A)
