@@ -223,7 +223,7 @@ def joined(first: CellLog, second: CellLog) -> CellLog:
 
 
 def lfp(data: Path, keep: Path) -> Iterator[Case]:
-    """A123, the temperature left out of the fit: plateau, voltage and current off, charged first."""
+    """A123, the temperature left out of the fit: plateau, faults, charged first."""
     plateau = ((0.65, -0.3), (0.5, 0.3), (0.5, -0.3))
     for tag in LFP_TAGS:
         model = kept(keep, f"lfp_without_{tag}", lambda tag=tag: model_without(data, tag))

@@ -13,6 +13,8 @@ from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate
 from cellwise.estimate.filters.ekf import Ekf
 from cellwise.estimate.filters.past_kernels import (
+    PAST_RATE,
+    PAST_SPREAD,
     TAIL,
     Past,
     branch_of_past,

@@ -152,8 +152,8 @@ def adaptive_start(start: EkfStart, rules: AdaptiveScalars, current_A: float) ->
         1.0, unknown, 1.0, unknown, none, none, none, none, none, none, none, none, none
     )
     return AdaptiveState(
-        at_rest(start.soc, h), 0.0, 1.0, p, 0.0, 1.0,
-        Persistent(0.0, 0.0, 0.0), Rest(0.0, 0.0, False), resistances, first_watch(current_A), no_past(),
+        at_rest(start.soc, h), 0.0, 1.0, p, 0.0, 1.0, Persistent(0.0, 0.0, 0.0),
+        Rest(0.0, 0.0, False), resistances, first_watch(current_A), no_past(),
     )
     # fmt: on
 
