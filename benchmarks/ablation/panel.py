@@ -233,9 +233,13 @@ def lfp(data: Path, keep: Path) -> Iterator[Case]:
         yield from from_middle("LFP", model, log, truths, plateau)
         yield from at_rest("LFP", model, log, truths)
         share = 0.03 * LFP_AH / NOMINAL_AH
-        for put in (lifted(0.03), lifted(-0.03), off_by(share), off_by(-share)):
+        for kind, put in (
+            ("voltage 30 mV", lifted(0.03)),
+            ("voltage 30 mV", lifted(-0.03)),
+            ("current 3 % of 1C", off_by(share)),
+            ("current 3 % of 1C", off_by(-share)),
+        ):
             wrong, seen = put(model, log)
-            kind = "voltage 30 mV" if seen.current_A is log.current_A else "current 3 % of 1C"
             yield from from_start(f"LFP, {kind} off", wrong, seen, truths)
         slow = chamber_log(data, f"ocv_{tag}_s1", CHAMBER_C[tag], None)
         yield from from_start("LFP, C/30", model, slow, truths)
