@@ -71,7 +71,7 @@ NEUTRAL = {
         Entropy(docv_dT_V_per_K=0.0, reference_C=-7.0),
     )
 }
-NOTHING = AdaptiveSettings(learn=(), memory_s=0.0)
+NOTHING = AdaptiveSettings(learn=())
 MEANS = ("soc", "v1_V", "v2_V", "v3_V", "h")
 SHOWN = (*MEANS, "heat_K", "slow_A", "voltage_V", "soc_std", "p11", "p22", "p33")
 

@@ -87,34 +87,34 @@ def mismatch_step(noise: NoiseScalars, mismatch: float, excess: float, dt_s: flo
 
 
 @inline
-def persistent_step(
-    noise: NoiseScalars,
-    point: CellPoint,
-    seen_A: float,
-    drop_V: float,
-    mismatch: float,
-    gain: float,
-    slope_V: float,
-    persistent: float,
+def persistent_V(
+    noise: NoiseScalars, point: CellPoint, seen_A: float, drop_V: float, mismatch: float
 ) -> float:
-    """SOC error brought in by a persistent model error, after an update with a gain of the SOC.
+    """Model error that stays, one deviation [V]: at this SOC, along its axis, of the resistances.
 
-    No further voltage averages such an error out: with every voltage the SOC goes where the
-    error leads, error over slope in the end. Of what the resistances are off by that part persists
-    which no test could show, as long as the load does: a share of ``drop_V``, what R0 and the
-    branches hold. Beside P, which takes each memory of the error for new, it makes up the stated
-    variance (consider covariance; Schmidt 1966, p. 293).
-
-    Where the SOC hangs on a branch its gain can be negative, and what the branch takes of the error
-    holds the two back; it is not followed here, so nothing is amplified.
+    Of what the resistances are off by that part persists which no test could show, as long as the
+    load does: a share of ``drop_V``, what R0 and the branches hold.
     """
     slow = noise.error_scale * point.error_V
     scale = noise.ocv_soc * point.ocv_slope_V
     unseen = (noise.unseen_share if seen_A >= 0.0 else noise.unseen_charge_share) * drop_V
     stays = slow * slow + scale * scale + unseen * unseen
-    error = noise.persistent * math.sqrt(stays * max(mismatch, 1.0))
+    return noise.persistent * math.sqrt(stays * max(mismatch, 1.0))
+
+
+@inline
+def persistent_step(gain: float, slope_V: float, persistent: float, error_V: float) -> float:
+    """SOC error brought in by a persistent model error, after an update with a gain of the SOC.
+
+    No further voltage averages such an error out: with every voltage the SOC goes where the
+    error leads, error over slope in the end. Beside P, which takes each memory of the error for
+    new, it makes up the stated variance (consider covariance; Schmidt 1966, p. 293).
+
+    Where the SOC hangs on a branch its gain can be negative, and what the branch takes of the error
+    holds the two back; it is not followed here, so nothing is amplified.
+    """
     kept = min(max(1.0 - gain * slope_V, 0.0), 1.0)
-    return kept * persistent + gain * error
+    return kept * persistent + gain * error_V
 
 
 @inline

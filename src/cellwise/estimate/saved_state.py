@@ -28,8 +28,7 @@ COUNTS = {
 }
 # Not in files of versions before it was carried; a cell at rest has none.
 NEWER = {"slow_A": 0.0, "contradicted": 0.0}
-
-NEWER_PAST = {"looked_A": 0.0}
+NEWER_DRIFT = {"rest_s": 0.0, "rest_A": 0.0}
 NEWER_WATCH = {"no_warm_s": -1.0, "room_up": 0.0, "room_down": 0.0, "fresh": 0.0}
 MAY_BE_MISSING = {"temperature_C", "voltage_V", "current_A"}  # not measured yet
 
@@ -46,7 +45,7 @@ def state_to_dict(state: EkfState, estimator: str = "ekf") -> dict[str, Any]:
         "schema_version": SCHEMA_VERSION,
         "estimator": estimator,
         "state": {name: _to_json(float(value)) for name, value in values.items()},
-        "drift": {k: float(v) for k, v in state.drift._asdict().items()},
+        "drift": {k: _to_json(float(v)) for k, v in state.drift._asdict().items()},
         "past": {k: float(v) for k, v in state.past._asdict().items()},
         "watch": {k: _to_json(float(v)) for k, v in state.watch._asdict().items()},
     }
@@ -72,9 +71,12 @@ def state_from_dict(saved: Mapping[str, Any], estimator: str = "ekf") -> EkfStat
     watch = Watch(**_numbers(seen, Watch._fields))
     before = saved.get("past", no_past()._asdict())
     if isinstance(before, Mapping):
-        before = {**NEWER_PAST, **before}
+        before = {k: v for k, v in before.items() if k != "looked_A"}  # of former versions
     past = Past(**_numbers(before, Past._fields))
-    drift = Drift(**_numbers(saved.get("drift", no_drift()._asdict()), Drift._fields))
+    moved = saved.get("drift", no_drift()._asdict())
+    if isinstance(moved, Mapping):
+        moved = {**NEWER_DRIFT, **moved}
+    drift = Drift(**_numbers(moved, Drift._fields))
     names = (*CellState._fields, *Covariance._fields, *COUNTS)
     given = saved.get("state")
     if isinstance(given, Mapping):
@@ -128,7 +130,7 @@ def _numbers(values: Any, names: tuple[str, ...]) -> dict[str, float]:
 def _number(name: str, value: Any) -> float:
     if value is None and name in MAY_BE_MISSING:
         return math.nan
-    if isinstance(value, str) and value in INFINITE and name == "repeats":
+    if isinstance(value, str) and value in INFINITE and name in ("repeats", "rest_s"):
         return INFINITE[value]
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
         raise InputError(f"{name} = {value} in a saved state", "a finite number", "Start again.")

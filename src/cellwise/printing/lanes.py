@@ -19,8 +19,11 @@ WATCH = (
     "room_down",
     "fresh",
 )
-PAST = ("mean_A", "looked_A", "miss_V", "first_soc", "first_variance")
-DRIFT = ("reach", "offset", "information", "believed", "unsure", "d1_V", "d2_V", "d3_V")
+PAST = ("mean_A", "miss_V", "first_soc", "first_variance")
+DRIFT = (
+    *("reach", "offset", "information", "believed", "unsure", "d1_V", "d2_V", "d3_V"),
+    *("rest_s", "rest_A"),
+)
 # Groups of a state as the filters nest them: the record, and its fields.
 GROUPS = (
     ("cell", "CellState", (*(s.name for s in CELL), "heat_K", "slow_A")),

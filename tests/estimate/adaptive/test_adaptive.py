@@ -69,7 +69,7 @@ class TestNaming:
         )
 
     def test_an_offset_without_any_rest(self):
-        log = drive(hours=2.4, rest_s=1.0)
+        log = drive(hours=2.1, rest_s=1.0)
         biased = replace(log, current_A=log.current_A + 0.15)
         told = Adaptive(MODEL).run(biased, 0.95, 0.02).parameters()
         assert told.offset_A.value == pytest.approx(0.15, rel=0.35)
@@ -151,13 +151,21 @@ def test_where_nothing_may_be_wrong_it_is_the_ekf(hours, mean, soc0):
 class TestHeld:
     def test_a_rest_shows_the_offset_and_nothing_else(self):
         log = run_protocol(MODEL, [Rest(600.0)], 0.6)
-        log = replace(log, current_A=log.current_A + 0.08)
         trace = Adaptive(MODEL).run(log, 0.6, 0.05)
         told = trace.parameters()
-        assert told.offset_A.value == pytest.approx(0.08, abs=0.01)
+        assert told.offset_A.std < 0.2 * AdaptiveSettings().offset_C * CAPACITY
+        assert told.offset_A.probability < 0.05
         assert told.resistance_scale.value == 1.0
         assert "hardly moves" in told.resistance_scale.held
         assert not told.capacity_Ah.shown
+
+    def test_a_small_constant_load_is_no_offset(self):
+        """Above C/100 a current that stands still may as well be a load."""
+        load = ConstantCurrent(current_A=0.033 * CAPACITY, duration_s=7200.0)
+        log = run_protocol(MODEL, [load], 0.6)
+        told = Adaptive(MODEL).run(log, 0.6, 0.02).parameters()
+        assert abs(told.offset_A.value) < 0.2 * 0.033 * CAPACITY
+        assert not told.offset_A.shown
 
     def test_a_steady_load_moves_no_resistance(self):
         log = run_protocol(
@@ -183,7 +191,7 @@ class TestHeld:
         trace = Adaptive(replace(flat, capacity_Ah=0.9 * 2.3)).run(log, 0.75, 0.05)
         told = trace.parameters()
         assert told.soh_capacity == pytest.approx(1.0, abs=0.03)
-        assert told.capacity_Ah.std > 0.02 * 2.3
+        assert told.capacity_Ah.std > 0.01 * 2.3
         assert not told.capacity_Ah.shown
 
     @pytest.mark.parametrize("name", ["voltage_V", "current_A"])
@@ -220,7 +228,7 @@ class TestHeld:
 
 class TestSteps:
     def test_with_nothing_to_learn_it_is_the_ekf(self):
-        nothing = AdaptiveSettings(learn=(), memory_s=0.0)
+        nothing = AdaptiveSettings(learn=())
         mine = Adaptive(MODEL, settings=nothing).run(LOG, 0.7)
         plain = trusting(MODEL).run(LOG, 0.7)
         # They part in the first minutes of a wrong start, and in small covariances of noise.

@@ -117,7 +117,10 @@ def test_adaptive_is_hardly_worse_than_the_ekf(held_out, tag):
 @pytest.mark.parametrize(
     "tag",
     each_temperature(
-        n25=BEYOND.format("1.6 %"), n15=f"1.01 %: {AT_ITS_BOUND}", p45=f"1.00 %: {AT_ITS_BOUND}"
+        n25=BEYOND.format("1.6 %"),
+        n15=f"1.01 %: {AT_ITS_BOUND}",
+        p45=f"1.00 %: {AT_ITS_BOUND}",
+        p25="a rest above C/100 may be a load: 3.0 %",
     ),
 )
 def test_adaptive_finds_a_current_that_is_off(held_out, tag):

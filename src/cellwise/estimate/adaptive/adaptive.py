@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -82,9 +81,7 @@ class Adaptive(FilterOfModel):
     ) -> None:
         super().__init__(model, noise)
         self.settings = AdaptiveSettings() if settings is None else settings
-        # Errors along the SOC axis last for minutes, whatever a short log has shown.
-        slow_s = max(self.noise.slow_s, self.settings.memory_s)
-        self._noise = replace(self.noise, slow_s=slow_s).scalars(model)
+        self._noise = self.noise.scalars(model)
         self._rules = self.settings.scalars(model.capacity_Ah)
         self._unknown = self.start(0.5, 0.3)  # for a state that is no longer finite: know nothing
 
@@ -118,7 +115,7 @@ class Adaptive(FilterOfModel):
         capacity, capacity_std, gain, gain_std = self._charge(charge, charge_std)
         return after, AdaptiveInfo(
             soc=min(max(mixed.soc, 0.0), 1.0),
-            soc_std=soc_deviation(mixed, after.mismatch, after.persistent),
+            soc_std=soc_deviation(mixed, after.mismatch),
             voltage_V=step.voltage_V,
             innovation_V=step.innovation_V,
             innovation_variance_V2=step.innovation_variance_V2,

@@ -8,12 +8,11 @@ from cellwise.estimate.adaptive.covariance_kernels import (
     AdaptiveColumn,
     AdaptiveCovariance,
     leaned,
-    scaled,
     uncorrelated,
     with_parameters,
 )
 from cellwise.estimate.adaptive.predict_kernels import Predicted
-from cellwise.estimate.adaptive.state_kernels import CHARGE_HIGH, CHARGE_LOW, Estimate
+from cellwise.estimate.adaptive.state_kernels import CHARGE_HIGH, CHARGE_LOW, Estimate, Persistent
 from cellwise.estimate.filters.covariance_kernels import Column
 from cellwise.estimate.filters.ekf_kernels import moved as cell_moved
 from cellwise.estimate.filters.past_kernels import (
@@ -22,9 +21,6 @@ from cellwise.estimate.filters.past_kernels import (
     looks_now,
     no_past,
     past_step,
-    reconsidered,
-    reconsiders_now,
-    share_of_past,
     soc_of_level,
 )
 from cellwise.estimate.gate_kernels import Verdict
@@ -47,8 +43,8 @@ def look_again(
     v: Verdict,
     own_V: float,
     e: Estimate,
-    persistent: float,
-) -> tuple[Estimate, float, Past]:
+    persistent: Persistent,
+) -> tuple[Estimate, Persistent, Past]:
     """What becomes of a start under load an interval after ``now.evidence_s``.
 
     ``own_V`` is the innovation that the model's own resistances would have shown. Offset and
@@ -71,13 +67,6 @@ def look_again(
             p = with_parameters(leaned(apart, 0.0, 0.0, s3 / ss), p.poo, p.poq, p.pqq)
             x = CellState(soc, x.v1_V, x.v2_V, v3, x.h, x.heat_K, x.slow_A)
             e = Estimate(x, e.offset_A, e.charge, p)
-            persistent = 0.0
-            past = having_looked(past, since)
-        if past.first_variance > 0.0 and reconsiders_now(now.evidence_s, since):
-            more_V, variance = reconsidered(tables, past, now.warm_C, e.x, since)
-            if variance > 0.0:
-                p = e.p
-                k = AdaptiveColumn(p.s3, p.p13, p.p23, p.p33, p.p3h, p.p3o, p.p3q)
-                e = moved(e, p, scaled(k, share_of_past(p.p33, variance)), more_V)
+            persistent = Persistent(0.0, persistent.offset_A, persistent.charge)
             past = having_looked(past, since)
     return e, persistent, past

@@ -8,7 +8,8 @@ posterior density at those values over the prior's (Savage-Dickey):
    -\tfrac12 \delta^T P_{FF}^{-1} \delta - \tfrac12 \ln \frac{|P_{FF}|}{|P^0_{FF}|}
 
 So a freedom that the data do not ask for costs hardly anything in SOC, and a parameter without
-evidence goes back to the model's value.
+evidence goes back to the model's value. Where a model error that stays would have led a parameter
+as far, that is no evidence: its variance has that, too, up to the prior's.
 
 Source: J. M. Dickey, Ann. Math. Statist. 42 (1971) 204, doi:10.1214/aoms/1177693507.
 """
@@ -24,6 +25,7 @@ from cellwise.estimate.adaptive.state_kernels import (
     NEARLY,
     AdaptiveScalars,
     AdaptiveState,
+    Persistent,
 )
 from cellwise.estimate.evidence_kernels import stated_deviation
 
@@ -31,7 +33,8 @@ from cellwise.estimate.evidence_kernels import stated_deviation
 class Mixture(NamedTuple):
     """What the hypotheses say together: means, variances, probabilities of being free.
 
-    ``charge`` is q - 1: the model's capacity over the cell's, less one.
+    ``charge`` is q - 1: the model's capacity over the cell's, less one. ``persistent`` is what an
+    error that stays may have brought into the SOC, one deviation.
     """
 
     soc: float
@@ -42,14 +45,16 @@ class Mixture(NamedTuple):
     charge_variance: float
     offset_probability: float
     charge_probability: float
+    persistent: float
 
 
 @inline
-def evidence(away: float, per_variance: float, prior: float, odds: float) -> float:
+def evidence(away: float, variance: float, stays: float, prior: float, odds: float) -> float:
     """How much likelier one parameter is at the model's value than free.
 
-    ``per_variance`` is one over its variance.
+    ``stays`` is how far a persistent error may have led it.
     """
+    per_variance = 1.0 / min(variance + stays * stays, prior)
     sharper = math.sqrt(prior * per_variance)
     return odds * sharper * math.exp(-0.5 * away * away * per_variance)
 
@@ -88,7 +93,9 @@ def mix(
     qq: float,
     prior_b: float,
     prior_q: float,
-    odds: float,
+    odds_b: float,
+    odds_q: float,
+    stays: Persistent,
 ) -> Mixture:
     """Weigh: both free, offset fixed, capacity fixed, both fixed; what has no prior is fixed.
 
@@ -98,20 +105,23 @@ def mix(
     b, q : float               offset [A] and capacity factor, less the model's values
     sb, sq, bb, bq, qq : float their covariances
     prior_b, prior_q : float   their variances before any data, 0 where not estimated
-    odds : float               for the model's value, before any data
+    odds_b, odds_q : float     for the model's values, before any data
+    stays : Persistent         where an error of the model that stays has led them
     """
     free_b = prior_b > 0.0 and bb > 0.0
     free_q = prior_q > 0.0 and qq > 0.0
     if not free_b and not free_q:
-        return Mixture(soc, ss, b, 0.0, q, 0.0, 0.0, 0.0)
+        return Mixture(soc, ss, b, 0.0, q, 0.0, 0.0, 0.0, stays.soc)
     if not free_q:
-        fixed = evidence(b, 1.0 / bb, prior_b, odds)
+        fixed = evidence(b, bb, stays.offset_A, prior_b, odds_b)
         s, v, m, w, free = fixed_or_free(soc, ss, b, sb, bb, fixed)
-        return Mixture(s, v, m, w, 0.0, 0.0, free, 0.0)
+        led = stays.soc - (1.0 - free) * sb / bb * stays.offset_A
+        return Mixture(s, v, m, w, 0.0, 0.0, free, 0.0, led)
     if not free_b:
-        fixed = evidence(q, 1.0 / qq, prior_q, odds)
+        fixed = evidence(q, qq, stays.charge, prior_q, odds_q)
         s, v, m, w, free = fixed_or_free(soc, ss, q, sq, qq, fixed)
-        return Mixture(s, v, 0.0, 0.0, m, w, 0.0, free)
+        led = stays.soc - (1.0 - free) * sq / qq * stays.charge
+        return Mixture(s, v, 0.0, 0.0, m, w, 0.0, free, led)
     det = max(bb * qq - bq * bq, NEARLY * bb * qq)
     ib, iq, i0 = 1.0 / bb, 1.0 / qq, 1.0 / det
     # The offset at zero.
@@ -126,14 +136,16 @@ def mix(
     ss_q = ss - kq * sq
     b_q = b - bq * iq * q
     bb_q = det * iq
+    led_b, led_q = stays.offset_A, stays.charge
+    by_b, by_q = kb * led_b, kq * led_q
     # Both.
     kb = (sb * qq - sq * bq) * i0
     kq = (sq * bb - sb * bq) * i0
     soc_0 = soc - (kb * b + kq * q)
     ss_0 = ss - (kb * sb + kq * sq)
-    wb = evidence(b, ib, prior_b, odds)
-    wq = evidence(q, iq, prior_q, odds)
-    w0 = wb * evidence(q_b, bb * i0, prior_q, odds)
+    wb = evidence(b, bb, led_b, prior_b, odds_b)
+    wq = evidence(q, qq, led_q, prior_q, odds_q)
+    w0 = wb * evidence(q_b, qq_b, led_q - bq * ib * led_b, prior_q, odds_q)
     w1 = 1.0 / ((1.0 + wb) + (wq + w0))
     wb *= w1
     wq *= w1
@@ -153,24 +165,25 @@ def mix(
         w1 * (qq + q * q) + wb * (qq_b + q_b * q_b) - mean_q * mean_q,
         w1 + wq,
         w1 + wb,
+        stays.soc - (wb * by_b + wq * by_q + w0 * (kb * led_b + kq * led_q)),
     )
 
 
 @inline
 def mixture(rules: AdaptiveScalars, state: AdaptiveState) -> Mixture:
-    """The hypotheses together; a misfit that none of them explains speaks for the model's."""
-    odds, mismatch, p = rules.odds, state.mismatch, state.p
-    if mismatch > 1.0:
-        # A power costs as much as the rest of the mixture.
-        odds *= mismatch * mismatch if rules.misfit_power == 2.0 else mismatch**rules.misfit_power
+    """The hypotheses together."""
+    p = state.p
     return mix(
         state.cell.soc, p.ss, state.offset_A, state.charge - 1.0,
         p.so, p.sq, p.poo, p.poq, p.pqq,
-        rules.offset_variance, rules.charge_variance, odds,
+        rules.offset_variance, rules.charge_variance,
+        rules.odds, rules.charge_odds, state.persistent,
     )  # fmt: skip
 
 
 @inline
-def soc_deviation(mixed: Mixture, mismatch: float, persistent: float) -> float:
+def soc_deviation(mixed: Mixture, mismatch: float) -> float:
     """Standard deviation of the SOC: the hypotheses', and what a persistent error has brought."""
-    return stated_deviation(max(mixed.soc_variance, VARIANCE_FLOOR), mismatch, persistent, 0.0)
+    return stated_deviation(
+        max(mixed.soc_variance, VARIANCE_FLOOR), mismatch, mixed.persistent, 0.0
+    )

@@ -26,6 +26,7 @@ from cellwise.estimate.adaptive.covariance_kernels import (
 from cellwise.estimate.adaptive.state_kernels import (
     AdaptiveScalars,
     AdaptiveState,
+    Persistent,
     adaptive_start,
     is_sound,
     settled_variance,
@@ -43,7 +44,7 @@ from cellwise.estimate.filters.predict_kernels import (
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import NO_VOLTAGE_YET, NOT_BEGUN, Sample
 from cellwise.estimate.slopes_kernels import Slopes, slopes_at
-from cellwise.estimate.status import STATE_RESET
+from cellwise.estimate.status import OUTSIDE, STATE_RESET
 
 FORGET_S = 10.0
 
@@ -60,6 +61,7 @@ class Predicted(NamedTuple):
     warm_C: float
     evidence_s: float
     past: Past
+    persistent: Persistent
     status: int
 
 
@@ -147,7 +149,9 @@ def predict(
         -counts * t.g2,
         -counts * t.g3,
     )
-    p = charge_driven(p, per_A * s.flow_A)
+    # Beyond the model's data no voltage can tell a capacity from the model's error.
+    judged_A = 0.0 if now.status & OUTSIDE else per_A * s.flow_A
+    p = charge_driven(p, judged_A)
     p = branches_noisy(
         p,
         branch_variance(noise, s, point.r1_ohm, t.a1),
@@ -163,7 +167,10 @@ def predict(
         p = leaned(p, *driven_by_soc(at, t, s.flow_A))
     q = noise.current_A * noise.current_A
     p = noisy(p, t, q, q + s.gap_A2, soc_walk(noise, s.dt_s), 0.0, 0.0, 0.0)
+    stays = state.persistent
+    moved = stays.charge * judged_A - counts * state.charge * per_A * stays.offset_A
+    stays = Persistent(stays.soc + moved, stays.offset_A, stays.charge)
     forget_s = forgets_for(evidence, s.dt_s)
     if forget_s > 0.0:
         p = forgotten(p, rules.offset_walk * forget_s, rules.charge_walk * forget_s)
-    return Predicted(state, s, end, p, point, at, now.warm_C, evidence, past, status)
+    return Predicted(state, s, end, p, point, at, now.warm_C, evidence, past, stays, status)

@@ -53,13 +53,13 @@ class AdaptiveSettings:
     resistance : float           factor on the resistances, about 1
     charge : float               capacity or gain, as a share
     offset_C_per_sqrt_h, resistance_per_sqrt_h, charge_per_sqrt_h : float    how they wander
-    fault_probability : float    chance, before any data, that offset or capacity is not the model's
-    misfit_power : float         how much that chance falls with a misfit that nothing explains
+    fault_probability, charge_probability : float
+                                 chance, before any data, that there is an offset, that capacity or
+                                 gain is not the model's
     settled_soc : float          beyond this deviation of SOC nothing is estimated
     swing_V : float              below this RMS of the moving drop resistances are held
     fast_s, tail_s : float       what moves within fast_s shows R0 and R1, up to tail_s R2
     misfit : float               mean of innovation squared over variance from which all is held
-    memory_s : float             the model's error is remembered for at least as long
     rest_s : float               a current that stands still near zero for as long is a rest
     rest_limit_C, rest_band_C : float    what near zero and standing still mean
     rest_C : float               how well a rest shows the offset
@@ -73,13 +73,12 @@ class AdaptiveSettings:
     resistance_per_sqrt_h: float = 0.1
     charge_per_sqrt_h: float = 0.002
     fault_probability: float = 0.2
-    misfit_power: float = 2.0
-    settled_soc: float = 0.03
+    charge_probability: float = 0.02
+    settled_soc: float = 0.02
     swing_V: float = 0.003
     fast_s: float = 20.0
     tail_s: float = 120.0
-    misfit: float = 10.0
-    memory_s: float = 300.0
+    misfit: float = 9.0
     rest_s: float = 120.0
     rest_limit_C: float = 0.04
     rest_band_C: float = 0.01
@@ -102,12 +101,13 @@ class AdaptiveSettings:
         for name, value in vars(self).items():
             if isinstance(value, float) and not (math.isfinite(value) and value >= 0):
                 raise InputError(f"{name} = {value}", "a number of at least 0", "Correct it.")
-        if not 0.0 < self.fault_probability < 1.0:
-            raise InputError(
-                f"fault_probability = {self.fault_probability}",
-                "a probability between 0 and 1",
-                "Leave the parameter out of `learn` where it cannot be wrong.",
-            )
+        for name in ("fault_probability", "charge_probability"):
+            if not 0.0 < getattr(self, name) < 1.0:
+                raise InputError(
+                    f"{name} = {getattr(self, name)}",
+                    "a probability between 0 and 1",
+                    "Leave the parameter out of `learn` where it cannot be wrong.",
+                )
         if self.fast_s <= 0.0 or self.tail_s <= 0.0:
             raise InputError(
                 f"fast_s = {self.fast_s}, tail_s = {self.tail_s}", "both above 0 s", "Correct them."
@@ -124,7 +124,6 @@ class AdaptiveSettings:
         resistance = "resistance" in self.learn and self.resistance > 0.0
         charge = ("capacity" in self.learn or self.estimates_gain) and self.charge > 0.0
         hour = 3600.0
-        odds = (1.0 - self.fault_probability) / self.fault_probability
         return AdaptiveScalars(
             offset_variance=(self.offset_C * capacity_Ah) ** 2 if offset else 0.0,
             resistance_variance=self.resistance**2 if resistance else 0.0,
@@ -144,6 +143,11 @@ class AdaptiveSettings:
             rest_band_A=self.rest_band_C * capacity_Ah,
             rest_limit_A=self.rest_limit_C * capacity_Ah,
             rest_variance=(self.rest_C * capacity_Ah) ** 2,
-            odds=odds,
-            misfit_power=self.misfit_power,
+            odds=_odds(self.fault_probability),
+            charge_odds=_odds(self.charge_probability),
         )
+
+
+def _odds(probability: float) -> float:
+    """For the model's value, where another has this chance."""
+    return (1.0 - probability) / probability

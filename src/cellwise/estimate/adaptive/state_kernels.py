@@ -42,7 +42,7 @@ class AdaptiveScalars(NamedTuple):
     rest_limit_A: float
     rest_variance: float
     odds: float
-    misfit_power: float
+    charge_odds: float
 
 
 class Rest(NamedTuple):
@@ -76,6 +76,18 @@ class Resistances(NamedTuple):
     miss_far_V2: float
 
 
+class Persistent(NamedTuple):
+    """How far an error of the model that stays has led the estimate, by one standard deviation.
+
+    No voltage averages such an error out, and P does not know of it: on a plateau it reads as much
+    SOC, and on the way there as much offset or capacity, as the data seem to ask for.
+    """
+
+    soc: float
+    offset_A: float
+    charge: float
+
+
 class Estimate(NamedTuple):
     """Cell, parameters and covariance in the middle of a step."""
 
@@ -98,7 +110,7 @@ class AdaptiveState(NamedTuple):
     p: AdaptiveCovariance
     rejections: float
     mismatch: float
-    persistent: float
+    persistent: Persistent
     rest: Rest
     resistances: Resistances
     watch: Watch
@@ -117,7 +129,7 @@ class AdaptiveState(NamedTuple):
     @property
     def soc_std(self) -> float:
         """Standard deviation of the state of charge, every parameter free."""
-        return stated_deviation(self.p.ss, self.mismatch, self.persistent, 0.0)
+        return stated_deviation(self.p.ss, self.mismatch, self.persistent.soc, 0.0)
 
 
 @kernel
@@ -140,7 +152,7 @@ def adaptive_start(start: EkfStart, rules: AdaptiveScalars, current_A: float) ->
         1.0, unknown, 1.0, unknown, none, none, none, none, none, none, none, none, none
     )
     return AdaptiveState(
-        at_rest(start.soc, h), 0.0, 1.0, p, 0.0, 1.0, 0.0,
+        at_rest(start.soc, h), 0.0, 1.0, p, 0.0, 1.0, Persistent(0.0, 0.0, 0.0),
         Rest(0.0, 0.0, False), resistances, first_watch(current_A), no_past(),
     )
     # fmt: on

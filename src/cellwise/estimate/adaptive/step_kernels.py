@@ -50,6 +50,7 @@ from cellwise.estimate.adaptive.state_kernels import (
     AdaptiveScalars,
     AdaptiveState,
     Estimate,
+    Persistent,
     Resistances,
     Rest,
     settled_soc,
@@ -60,13 +61,13 @@ from cellwise.estimate.adaptive.watch_kernels import (
     watch_resistances,
     watch_rest,
 )
-from cellwise.estimate.evidence_kernels import persistent_step, voltage_variance
+from cellwise.estimate.evidence_kernels import persistent_step, persistent_V, voltage_variance
 from cellwise.estimate.filters.ekf_kernels import reading_of
 from cellwise.estimate.filters.filter_state import EkfStart, LogArrays
 from cellwise.estimate.gate_kernels import Innovation, Verdict, gate
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.recovery_kernels import Contradiction, Variances, recovered
-from cellwise.estimate.sensing_kernels import Reading, Sample, read_sample
+from cellwise.estimate.sensing_kernels import REST_RATE, Reading, Sample, read_sample
 from cellwise.estimate.slopes_kernels import WIDE_VARIANCE, bends, landing_slope
 from cellwise.estimate.status import CLAMPED, CURRENT_INVALID
 from cellwise.typing import FloatArray, IntArray
@@ -85,6 +86,9 @@ NO_EXCITATION = 4
 MODEL_MISFIT = 8
 NO_VOLTAGE = 16
 NO_CURRENT = 32
+
+AT_AN_END = 0.01  # there a voltage is explained by nothing
+IMPOSSIBLE_SOC = 0.005  # so far beyond full or empty: what leads there is not so
 
 
 class Held(NamedTuple):
@@ -150,19 +154,33 @@ def consider(
 
 @inline
 def use_rest(
-    rules: AdaptiveScalars, rest: Rest, e: Estimate, s: Sample, blind: bool
-) -> tuple[Rest, Estimate]:
-    """A rest shows the offset by itself: a measurement of b."""
+    rules: AdaptiveScalars,
+    rest: Rest,
+    e: Estimate,
+    stays: Persistent,
+    s: Sample,
+    blind: bool,
+    resting_A: float,
+) -> tuple[Rest, Estimate, Persistent]:
+    """A rest shows the offset by itself: a measurement of b, free of the model's errors.
+
+    Above ``resting_A`` it may as well be a load, and shows as much as is known beforehand.
+    """
     if blind:
-        return Rest(0.0, rest.current_A, rest.used), e
+        return Rest(0.0, rest.current_A, rest.used), e, stays
     after, shows = watch_rest(rules, rest, s.current_A, s.dt_s)
     if not (shows and rules.estimates_offset):
-        return after, e
+        return after, e, stays
     d = offset_column(e.p)
-    k, p = consider(
-        scaled(d, 1.0 / (d.o + rules.rest_variance)), d, e.p, False, not rules.estimates_charge
+    rested = abs(after.current_A) <= resting_A
+    variance = rules.rest_variance if rested else rules.offset_variance
+    k, p = consider(scaled(d, 1.0 / (d.o + variance)), d, e.p, False, not rules.estimates_charge)
+    stays = Persistent(
+        stays.soc - k.s * stays.offset_A,
+        stays.offset_A - k.o * stays.offset_A,
+        stays.charge - k.q * stays.offset_A,
     )
-    return after, moved(e, p, k, after.current_A - e.offset_A)
+    return after, moved(e, p, k, after.current_A - e.offset_A), stays
 
 
 @inline
@@ -238,6 +256,36 @@ def update(
 
 
 @inline
+def given_up(rules: AdaptiveScalars, e: Estimate, stays: Persistent) -> Estimate:
+    """Offset and capacity at the model's values, and as little known as before any data.
+
+    Minutes of innovations that the stated error cannot explain: what the parameters are taken for
+    is not so, and the SOC may be wrong by as much as they and the model's error have moved it.
+    """
+    p = e.p
+    settled = settled_soc(e)
+    moved = e.x.soc - settled
+    ss = settled_variance(p) + moved * moved + stays.soc * stays.soc
+    p = uncorrelated(
+        max(ss, p.ss), p.p11, p.p22, p.p33, p.phh, rules.offset_variance, rules.charge_variance
+    )
+    return Estimate(with_soc(e.x, min(max(settled, 0.0), 1.0)), 0.0, 1.0, p)
+
+
+@inline
+def led_astray(
+    old: Persistent, k: AdaptiveColumn, held: Held, now: Predicted, stays_V: float
+) -> Persistent:
+    """Where an error that stays leads SOC and parameters, after an update with the gain ``k``."""
+    left_V = stays_V - now.at.slope_V * old.soc
+    return Persistent(
+        persistent_step(k.s, now.at.slope_V, old.soc, stays_V),
+        old.offset_A + (0.0 if held.offset != 0 else k.o * left_V),
+        old.charge + (0.0 if held.charge != 0 else k.q * left_V),
+    )
+
+
+@inline
 def why_held(
     rules: AdaptiveScalars, p: AdaptiveCovariance, status: int, v: Verdict, moves: bool
 ) -> Held:
@@ -250,7 +298,7 @@ def why_held(
     resistance = why | (0 if rules.estimates_resistance else NOT_CHOSEN)
     if not moves:
         resistance |= NO_EXCITATION
-    if v.mismatch > rules.misfit:
+    if status & CLAMPED:
         why |= MODEL_MISFIT
     offset = why | (0 if rules.estimates_offset else NOT_CHOSEN)
     return Held(offset, resistance, why | (0 if rules.estimates_charge else NOT_CHOSEN))
@@ -283,7 +331,13 @@ def take_step(
     old, s, point = now.state, now.s, now.point
     blind = s.gap or s.status & CURRENT_INVALID != 0
     e = Estimate(now.x, old.offset_A, old.charge, now.p)
-    rest, e = use_rest(rules, old.rest, e, raw, blind)
+    persistent, mismatch = now.persistent, old.mismatch
+    from_middle = abs(e.x.soc - 0.5)
+    misfit = mismatch > rules.misfit and from_middle < 0.5 - AT_AN_END
+    if misfit or from_middle > 0.5 + IMPOSSIBLE_SOC:
+        e, persistent, mismatch = given_up(rules, e, persistent), Persistent(0.0, 0.0, 0.0), 1.0
+    resting_A = REST_RATE * tables.cell.charge_As / 3600.0
+    rest, e, persistent = use_rest(rules, old.rest, e, persistent, raw, blind, resting_A)
     r = walk_resistances(rules, old.resistances, s.dt_s)
     pol = polarised(now, e.x, r)
     x = e.x
@@ -293,8 +347,10 @@ def take_step(
     d = column(e.p, now.at.slope_V, point.m_V, r.fast, by_offset)
     explained_V2 = explained(d, now.at.slope_V, point.m_V, r.fast, by_offset)
     i = innovate(tables, noise, now, e, r, pol, explained_V2)
-    v = gate(tables.cell, noise, old.watch, s, now.evidence_s, old.rejections, old.mismatch, i)
+    v = gate(tables.cell, noise, old.watch, s, now.evidence_s, old.rejections, mismatch, i)
     status = s.status | now.status | v.status
+    if e.x.soc <= 0.0 or e.x.soc >= 1.0:
+        status |= CLAMPED
 
     held = why_held(rules, e.p, status, v, True)
     if v.used and not s.gap:
@@ -304,16 +360,13 @@ def take_step(
             rules, r, pol.drop_V, pol.tail_V, v.innovation_V, white, s.dt_s, hold
         )
         held = why_held(rules, e.p, status, v, moves)
-    persistent = old.persistent
     if v.recover:
         e = recover(tables, now, e, pol, i)
-        persistent = 0.0
+        persistent = Persistent(0.0, persistent.offset_A, persistent.charge)
     elif v.accepted:
-        gain = v.returns * d.s * v.inverse
         held_V = abs(i.r0_ohm * s.seen_A) + i.branches_V
-        persistent = persistent_step(
-            noise, point, s.seen_A, held_V, v.mismatch, gain, now.at.slope_V, persistent
-        )
+        stays_V = persistent_V(noise, point, s.seen_A, held_V, v.mismatch)
+        persistent = led_astray(persistent, scaled(d, v.returns * v.inverse), held, now, stays_V)
         e = update(tables, now, e, d, v, held)
     own = v.innovation_V + (pol.own_V - pol.whole_V)
     e, persistent, past = look_again(tables, noise, now, v, own, e, persistent)
@@ -363,7 +416,7 @@ def adaptive_rows(
         mixed = mixture(rules, state)
         r = state.resistances
         out[OUT_SOC, k] = min(max(mixed.soc, 0.0), 1.0)
-        out[OUT_STD, k] = soc_deviation(mixed, state.mismatch, state.persistent)
+        out[OUT_STD, k] = soc_deviation(mixed, state.mismatch)
         out[OUT_VOLTAGE, k] = info.voltage_V
         out[OUT_INNOVATION, k] = info.innovation_V
         out[OUT_VARIANCE, k] = info.innovation_variance_V2

@@ -16,10 +16,18 @@ from typing import NamedTuple
 from cellwise.cell.compiled import inline
 from cellwise.cell.equations import Transition, relaxed
 from cellwise.estimate.noise import NoiseScalars
+from cellwise.estimate.sensing_kernels import REST_RATE
 
 CHANCE = 0.2  # of an offset, before any data, as in the adaptive filter
 ODDS = CHANCE / (1.0 - CHANCE)
 PER_FREEDOM = 1.0 / 31.0
+# A rest: the current stands still for REST_S, near zero, as shares of 1C. Below REST_RATE it shows
+# an offset to a fifth of the deviation that it has beforehand; what is more may as well be a load,
+# and shows as much as is known beforehand.
+REST_S = 120.0
+REST_LIMIT, REST_BAND = 0.04, 0.01
+SHOWN, MAY_BE_LOAD = 25.0, 1.0
+LONG_S = 1e30  # infinite: used
 
 
 class Drift(NamedTuple):
@@ -29,7 +37,8 @@ class Drift(NamedTuple):
     ``d3_V`` by how much it puts the branches too high; ``offset`` and ``information`` what the
     voltages say of it if there is one, its mean and one over its variance, ``believed`` and
     ``unsure`` its mean and variance over both hypotheses: the estimate that is carried is the
-    filter's own and ``believed`` x ``reach``.
+    filter's own and ``believed`` x ``reach``. ``rest_s`` is for how long the current has stood
+    still near zero, infinite once that has been used, ``rest_A`` what it has been.
     """
 
     reach: float
@@ -40,29 +49,51 @@ class Drift(NamedTuple):
     d1_V: float
     d2_V: float
     d3_V: float
+    rest_s: float
+    rest_A: float
 
 
 @inline
 def no_drift() -> Drift:
     """Nothing counted yet, nothing known."""
-    return Drift(0.0, 0.0, 1.0, 0.0, CHANCE, 0.0, 0.0, 0.0)
+    return Drift(0.0, 0.0, 1.0, 0.0, CHANCE, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @inline
 def counted_on(
-    noise: NoiseScalars, old: Drift, t: Transition, charge_As: float, counted_s: float
+    noise: NoiseScalars,
+    old: Drift,
+    t: Transition,
+    charge_As: float,
+    counted_s: float,
+    current_A: float,
 ) -> Drift:
-    """After an interval of which ``counted_s`` were counted by the sensor."""
+    """After an interval of which ``counted_s`` were counted by the sensor, at ``current_A``.
+
+    A current that stands still near zero for REST_S is what the sensor adds: once for each rest,
+    so that a small constant load that is taken for one can be outvoted by the voltages.
+    """
     offset_A = noise.offset_soc_per_s * charge_As
+    rate_A = charge_As * (1.0 / 3600.0)
+    stands = abs(current_A) <= REST_LIMIT * rate_A
+    stands &= abs(current_A - old.rest_A) <= REST_BAND * rate_A
+    rest_s = old.rest_s + counted_s if stands else 0.0
+    shows = (rest_s >= REST_S) & (rest_s <= LONG_S)
+    weight = SHOWN if abs(current_A) <= REST_RATE * rate_A else MAY_BE_LOAD
+    weight = weight if shows else 0.0
+    per = 1.0 / offset_A if offset_A > 0.0 else 0.0
+    information = old.information + weight
     return Drift(
         old.reach + noise.offset_soc_per_s * counted_s,
-        old.offset,
-        old.information,
+        old.offset + weight / information * (current_A * per - old.offset),
+        information,
         old.believed,
         old.unsure,
         relaxed(old.d1_V, t.a1, t.g1, offset_A),
         relaxed(old.d2_V, t.a2, t.g2, offset_A),
         relaxed(old.d3_V, t.a3, t.g3, offset_A),
+        math.inf if shows else rest_s,
+        old.rest_A if stands else current_A,
     )
 
 
@@ -121,5 +152,10 @@ def drift_step(
     believed = weight * offset
     unsure = weight * (variance + (1.0 - weight) * offset * offset)
     move = gain * slope_V * followed + (believed * reach - followed)
-    after = Drift(reach, offset, information, believed, unsure, now.d1_V, now.d2_V, now.d3_V)
+    # fmt: off
+    after = Drift(
+        reach, offset, information, believed, unsure, now.d1_V, now.d2_V, now.d3_V, now.rest_s,
+        now.rest_A,
+    )
+    # fmt: on
     return after, move

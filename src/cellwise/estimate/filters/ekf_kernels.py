@@ -29,6 +29,7 @@ from cellwise.cell.point_kernels import CellPoint
 from cellwise.estimate.evidence_kernels import (
     contradicted_step,
     persistent_step,
+    persistent_V,
     stated_deviation,
     voltage_variance,
 )
@@ -76,9 +77,6 @@ from cellwise.estimate.filters.past_kernels import (
     looks_now,
     no_past,
     past_step,
-    reconsidered,
-    reconsiders_now,
-    share_of_past,
 )
 from cellwise.estimate.filters.predict_kernels import (
     SOC_HIGH,
@@ -295,9 +293,8 @@ def beside_step(
     if status & OUTSIDE and abs(contradicted) < abs(old.contradicted):
         contradicted = old.contradicted
     drop = abs(i.r0_ohm * s.seen_A) + i.branches_V
-    persistent = persistent_step(
-        noise, point, s.seen_A, drop, v.mismatch, v.returns * gain, slope_V, old.persistent
-    )
+    stays_V = persistent_V(noise, point, s.seen_A, drop, v.mismatch)
+    persistent = persistent_step(v.returns * gain, slope_V, old.persistent, stays_V)
     offset_V = i.r0_ohm * noise.offset_soc_per_s * charge_As
     drift, move = drift_step(
         noise, old.drift, drift, offset_V, v.innovation_V, slope_V, gain, v.inverse
@@ -334,12 +331,6 @@ def look_again(
         if past.first_variance > 0.0 and looks_now(before_s, since):
             x, p = looked_again(tables, noise, past, warm_C, x, p, since)
             beside = nothing_beside()
-            past = having_looked(past, since)
-        if past.first_variance > 0.0 and reconsiders_now(before_s, since):
-            more_V, variance = reconsidered(tables, past, warm_C, x, since)
-            if variance > 0.0:
-                k = Column(p.s3, p.p13, p.p23, p.p33, p.p3h)
-                x = moved(x, scaled(k, share_of_past(p.p33, variance)), more_V)
             past = having_looked(past, since)
     return x, p, beside, past
 

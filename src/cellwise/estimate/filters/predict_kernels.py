@@ -120,7 +120,7 @@ def begin_interval(
         evidence = NO_VOLTAGE_YET
         past = past_at_start(tables.cell, s, now.end.soc, p.ss)
     counted_s = 0.0 if s.gap or s.lost_A > 0.0 else s.dt_s
-    drift = counted_on(noise, state.drift, now.t, tables.cell.charge_As, counted_s)
+    drift = counted_on(noise, state.drift, now.t, tables.cell.charge_As, counted_s, s.current_A)
     return Begun(state, now, p, evidence, past, drift, status)
 
 

@@ -72,7 +72,7 @@ from cellwise.estimate.filters.predict_kernels import (
 from cellwise.estimate.gate_kernels import Innovation, gate
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import Reading, Sample, read_sample
-from cellwise.estimate.slopes_kernels import WIDE_VARIANCE
+from cellwise.estimate.slopes_kernels import WIDE_VARIANCE, flat_slope
 
 
 class SigmaScalars(NamedTuple):
@@ -243,10 +243,11 @@ def ukf_step_inline(
     state_variance = given + first * first + sigma.curve * seen.second_V * seen.second_V
     held = abs(x.v1_V) + (abs(x.v2_V) + abs(x.v3_V))
     one = voltage_variance(noise, point, point.r0_ohm, s.seen_A, s.lost_A, held)
+    bent = min(seen.slope_V, point.ocv_slope_V) < flat_slope(tables)
     # fmt: off
     i = Innovation(
         seen.predicted_V, s.voltage_V - seen.predicted_V, state_variance, one, point.r0_ohm, held,
-        p.ss > WIDE_VARIANCE, False,
+        p.ss > WIDE_VARIANCE, bent,
     )
     v = gate(
         tables.cell, noise, old.watch, s, begun.evidence_s, old.rejections, old.mismatch, i

@@ -51,6 +51,8 @@ LANES = 16  # fewer than sixteen turns are not worth a vector to the compiler
     D1,
     D2,
     D3,
+    REST,
+    REST,
     LAST_A,
     LAST_C,
     EVIDENCE,
@@ -64,14 +66,13 @@ LANES = 16  # fewer than sixteen turns are not worth a vector to the compiler
     ROOM_DOWN,
     FRESH,
     MEAN,
-    LOOKED,
     MISS,
     FIRST_SOC,
     FIRST_VARIANCE,
     FACTOR,
     FACTOR_C,
-) = range(53)
-FIELDS = 53
+) = range(54)
+FIELDS = 54
 
 
 @inline
@@ -117,6 +118,8 @@ def get_state(block: FloatArray, lane: int) -> EkfState:
             block[D1 * LANES + lane],
             block[D2 * LANES + lane],
             block[D3 * LANES + lane],
+            block[REST * LANES + lane],
+            block[REST * LANES + lane],
         ),
         Watch(
             block[LAST_A * LANES + lane],
@@ -134,7 +137,6 @@ def get_state(block: FloatArray, lane: int) -> EkfState:
         ),
         Past(
             block[MEAN * LANES + lane],
-            block[LOOKED * LANES + lane],
             block[MISS * LANES + lane],
             block[FIRST_SOC * LANES + lane],
             block[FIRST_VARIANCE * LANES + lane],
@@ -179,6 +181,8 @@ def put_state(block: FloatArray, lane: int, state: EkfState) -> None:
     block[D1 * LANES + lane] = state.drift.d1_V
     block[D2 * LANES + lane] = state.drift.d2_V
     block[D3 * LANES + lane] = state.drift.d3_V
+    block[REST * LANES + lane] = state.drift.rest_s
+    block[REST * LANES + lane] = state.drift.rest_A
     block[LAST_A * LANES + lane] = state.watch.current_A
     block[LAST_C * LANES + lane] = state.watch.temperature_C
     block[EVIDENCE * LANES + lane] = state.watch.evidence_s
@@ -192,7 +196,6 @@ def put_state(block: FloatArray, lane: int, state: EkfState) -> None:
     block[ROOM_DOWN * LANES + lane] = state.watch.room_down
     block[FRESH * LANES + lane] = state.watch.fresh
     block[MEAN * LANES + lane] = state.past.mean_A
-    block[LOOKED * LANES + lane] = state.past.looked_A
     block[MISS * LANES + lane] = state.past.miss_V
     block[FIRST_SOC * LANES + lane] = state.past.first_soc
     block[FIRST_VARIANCE * LANES + lane] = state.past.first_variance
@@ -241,6 +244,8 @@ def choose(which: bool, yes: EkfState, no: EkfState) -> EkfState:
             yes.drift.d1_V if which else no.drift.d1_V,
             yes.drift.d2_V if which else no.drift.d2_V,
             yes.drift.d3_V if which else no.drift.d3_V,
+            yes.drift.rest_s if which else no.drift.rest_s,
+            yes.drift.rest_A if which else no.drift.rest_A,
         ),
         Watch(
             yes.watch.current_A if which else no.watch.current_A,
@@ -258,7 +263,6 @@ def choose(which: bool, yes: EkfState, no: EkfState) -> EkfState:
         ),
         Past(
             yes.past.mean_A if which else no.past.mean_A,
-            yes.past.looked_A if which else no.past.looked_A,
             yes.past.miss_V if which else no.past.miss_V,
             yes.past.first_soc if which else no.past.first_soc,
             yes.past.first_variance if which else no.past.first_variance,

@@ -30,6 +30,7 @@ from cellwise.estimate.evidence_kernels import (
     mismatch_step,
     model_memory,
     persistent_step,
+    persistent_V,
     share_at,
     stated_deviation,
     voltage_variance,
@@ -217,11 +218,10 @@ def plain_step(
     k = scaled(d, inverse)
     kept_k = k.s * (aged / renewed)
     drop_V = abs(point.r0_ohm * flow) + branches
-    persistent = persistent_step(
-        noise, point, flow, drop_V, mismatch, kept_k, point.ocv_slope_V, old.persistent
-    )
+    stays_V = persistent_V(noise, point, flow, drop_V, mismatch)
+    persistent = persistent_step(kept_k, point.ocv_slope_V, old.persistent, stays_V)
     end = moved(CellState(soc, v1, v2, v3, h, x.heat_K, x.slow_A), k, innovation)
-    drift = counted_on(noise, old.drift, t, charge_As, dt_s)
+    drift = counted_on(noise, old.drift, t, charge_As, dt_s, current_A)
     offset_V = point.r0_ohm * noise.offset_soc_per_s * charge_As
     drift, move = drift_step(
         noise, old.drift, drift, offset_V, innovation, point.ocv_slope_V, k.s, inverse

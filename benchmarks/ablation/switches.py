@@ -1,0 +1,151 @@
+"""Every mechanism of a filter that decides something, and what has to be set so that it is off.
+
+A switch sets fields of the filters' own records, or constants and functions of a kernel before it
+is compiled: nothing of it is in the kernels, and nothing costs time where it is not asked for.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+from cellwise.cell.compiled import inline
+from cellwise.cell.equations import CellTables
+from cellwise.cell.model import CellModel
+from cellwise.estimate.adaptive.covariance_kernels import AdaptiveColumn
+from cellwise.estimate.adaptive.predict_kernels import Predicted
+from cellwise.estimate.adaptive.state_kernels import Persistent
+from cellwise.estimate.adaptive.step_kernels import Held
+from cellwise.estimate.evidence_kernels import persistent_step
+from cellwise.estimate.slopes_kernels import Slopes
+from cellwise.estimate.validity_kernels import EVERYWHERE, ValidityScalars
+
+ESTIMATE = "cellwise.estimate"
+RECOVERY = f"{ESTIMATE}.recovery_kernels"
+PAST = f"{ESTIMATE}.filters.past_kernels"
+EKF, UKF = f"{ESTIMATE}.filters.ekf_kernels", f"{ESTIMATE}.filters.ukf_kernels"
+ADAPTIVE = f"{ESTIMATE}.adaptive.step_kernels"
+NEVER = 10**9
+
+
+@dataclass(frozen=True)
+class Switch:
+    """What is off: fields of ``Noise`` and of ``AdaptiveSettings``, names within modules."""
+
+    name: str
+    noise: dict[str, float] = field(default_factory=dict)
+    settings: dict[str, Any] = field(default_factory=dict)
+    names: tuple[tuple[str, str, Any], ...] = ()
+
+    def throw(self) -> None:
+        """Set the names; before any kernel is compiled."""
+        for module, name, value in self.names:
+            found = importlib.import_module(module)
+            if not hasattr(found, name):
+                raise AttributeError(f"{module} has no {name}: the switch '{self.name}' is stale")
+            setattr(found, name, value)
+
+
+@inline
+def same_slope(
+    tables: CellTables,
+    soc: float,
+    at: Slopes,
+    temperature_C: float,
+    current_A: float,
+    slow_A: float,
+    move: float,
+) -> float:
+    """In place of the slope where an update lands."""
+    return at.slope_V
+
+
+@inline
+def not_bent(tables: CellTables, at: Slopes, bend_V2: float, one_V2: float) -> bool:
+    """In place of the look at a first voltage's bend."""
+    return False
+
+
+@inline
+def of_the_soc_alone(
+    old: Persistent, k: AdaptiveColumn, held: Held, now: Predicted, stays_V: float
+) -> Persistent:
+    """In place of where a persistent error leads SOC and parameters."""
+    soc = persistent_step(k.s, now.at.slope_V, old.soc, stays_V)
+    return Persistent(soc, 0.0, 0.0)
+
+
+def valid_everywhere(model: CellModel) -> ValidityScalars:
+    """In place of a model's validity."""
+    return EVERYWHERE
+
+
+SWITCHES = (
+    Switch("nothing"),
+    Switch("memory that grows", noise={"slow_first_s": 1e9}),
+    Switch("mismatch", noise={"mismatch_cap": 0.0}),
+    Switch("persistent", noise={"lasting_share": 0.0}),
+    Switch("contradicted", names=((f"{ESTIMATE}.evidence_kernels", "CONTRADICTED_S", math.inf),)),
+    Switch("unseen share", noise={"unseen_share": 0.0, "unseen_charge_share": 0.0}),
+    Switch("chords", names=((f"{ESTIMATE}.slopes_kernels", "WIDE_VARIANCE", math.inf),)),
+    Switch(
+        "judged where it lands",
+        names=((EKF, "landing_slope", same_slope), (ADAPTIVE, "landing_slope", same_slope)),
+    ),
+    Switch(
+        "search for a first voltage that is bent",
+        names=((EKF, "bends", not_bent), (ADAPTIVE, "bends", not_bent)),
+    ),
+    Switch("looked again", names=((PAST, "LOOKS", 0),)),
+    Switch("hypothesis of an offset, contradicted", noise={"offset_share": 0.0}),
+    Switch(
+        "hypothesis of an offset",
+        names=(
+            (f"{ESTIMATE}.filters.drift_kernels", "CHANCE", 0.0),
+            (f"{ESTIMATE}.filters.drift_kernels", "ODDS", 0.0),
+            (f"{ESTIMATE}.noise", "WANDERS", 1.0),
+        ),
+    ),
+    Switch(
+        "a rest shows the hypothesis its offset",
+        names=((f"{ESTIMATE}.filters.drift_kernels", "SHOWN", 0.0),),
+    ),
+    Switch("gate and recovery", noise={"gate": 1e6}),
+    Switch("recovery", noise={"recovery_after": NEVER}),
+    Switch("first rest", names=((f"{ESTIMATE}.gate_kernels", "REST_RATE", 0.0),)),
+    Switch("new ground", noise={"slow_soc": 0.0}),
+    Switch("under-load counting", names=((f"{ESTIMATE}.gate_kernels", "UNDER_LOAD_COUNT", 1.0),)),
+    Switch("a passing voltage forgives", names=((f"{ESTIMATE}.gate_kernels", "FORGIVEN", 0.0),)),
+    Switch(
+        "start branches",
+        names=(
+            (RECOVERY, "START_LOAD_SHARE", 0.0),
+            (RECOVERY, "START_LOAD_RATE", 0.0),
+            (RECOVERY, "START_REST_RATE", 0.0),
+        ),
+    ),
+    Switch("error along the SOC", noise={"ocv_soc": 0.0}),
+    Switch(
+        "wider beyond the data",
+        names=((f"{ESTIMATE}.noise", "validity_scalars", valid_everywhere),),
+    ),
+    Switch("share of the resistances", noise={"branch_share": 0.0}),
+    Switch("resistances free", settings={"learn": ("current_offset", "capacity")}),
+    Switch("offset free", settings={"learn": ("resistance", "capacity")}),
+    Switch("capacity free", settings={"learn": ("current_offset", "resistance")}),
+    Switch("given up in a misfit", settings={"misfit": 1e9}),
+    Switch("held until settled", settings={"settled_soc": 10.0}),
+    Switch("a rest shows the offset", settings={"rest_s": 1e9}),
+    Switch("a capacity needs more evidence", settings={"charge_probability": 0.2}),
+    Switch(
+        "a persistent error is no evidence",
+        names=((ADAPTIVE, "led_astray", of_the_soc_alone),),
+    ),
+)
+
+
+def switch_of(name: str) -> Switch:
+    """By its name."""
+    return next(s for s in SWITCHES if s.name == name)
