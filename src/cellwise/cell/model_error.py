@@ -154,12 +154,16 @@ class ModelError:
 
     @property
     def weights(self) -> tuple[float, ...]:
-        """Share of each process in the variance of all of them, under a usual load."""
-        parts = [
-            self._mean_V2(k) + (share * TYPICAL_DROP_V) ** 2 for k, share in enumerate(self.share)
-        ]
-        whole = sum(parts)
-        return tuple(p / whole if whole > 0.0 else 1.0 / len(parts) for p in parts)
+        """Share of each process in the variance of all of them, under a usual load.
+
+        Mean of the shares over SOC and temperature: near empty an error is many times as large,
+        and would say of every other SOC how long it lasts.
+        """
+        drop2 = (np.array(self.share) * TYPICAL_DROP_V) ** 2
+        parts = np.array(self.std_V) ** 2 + drop2[:, None, None]
+        whole = parts.sum(axis=0)
+        shares = np.where(whole > 0.0, parts / np.where(whole > 0.0, whole, 1.0), 1.0 / len(parts))
+        return tuple(float(v) for v in shares.mean(axis=(1, 2)))
 
     @property
     def correlation_s(self) -> float:

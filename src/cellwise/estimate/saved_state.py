@@ -28,6 +28,8 @@ COUNTS = {
 }
 # Not in files of versions before it was carried; a cell at rest has none.
 NEWER = {"slow_A": 0.0, "contradicted": 0.0}
+
+NEWER_PAST = {"looked_A": 0.0}
 NEWER_DRIFT = {"rest_s": 0.0, "rest_A": 0.0}
 NEWER_WATCH = {"no_warm_s": -1.0, "room_up": 0.0, "room_down": 0.0, "fresh": 0.0}
 MAY_BE_MISSING = {"temperature_C", "voltage_V", "current_A"}  # not measured yet
@@ -71,7 +73,7 @@ def state_from_dict(saved: Mapping[str, Any], estimator: str = "ekf") -> EkfStat
     watch = Watch(**_numbers(seen, Watch._fields))
     before = saved.get("past", no_past()._asdict())
     if isinstance(before, Mapping):
-        before = {k: v for k, v in before.items() if k != "looked_A"}  # of former versions
+        before = {**NEWER_PAST, **before}
     past = Past(**_numbers(before, Past._fields))
     moved = saved.get("drift", no_drift()._asdict())
     if isinstance(moved, Mapping):

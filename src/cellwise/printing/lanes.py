@@ -19,7 +19,7 @@ WATCH = (
     "room_down",
     "fresh",
 )
-PAST = ("mean_A", "miss_V", "first_soc", "first_variance")
+PAST = ("mean_A", "looked_A", "miss_V", "first_soc", "first_variance")
 DRIFT = (
     *("reach", "offset", "information", "believed", "unsure", "d1_V", "d2_V", "d3_V"),
     *("rest_s", "rest_A"),

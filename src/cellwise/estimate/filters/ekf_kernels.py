@@ -77,6 +77,9 @@ from cellwise.estimate.filters.past_kernels import (
     looks_now,
     no_past,
     past_step,
+    reconsidered,
+    reconsiders_now,
+    share_of_past,
 )
 from cellwise.estimate.filters.predict_kernels import (
     SOC_HIGH,
@@ -331,6 +334,12 @@ def look_again(
         if past.first_variance > 0.0 and looks_now(before_s, since):
             x, p = looked_again(tables, noise, past, warm_C, x, p, since)
             beside = nothing_beside()
+            past = having_looked(past, since)
+        if past.first_variance > 0.0 and reconsiders_now(before_s, since):
+            more_V, variance = reconsidered(tables, past, warm_C, x, since)
+            if variance > 0.0:
+                k = Column(p.s3, p.p13, p.p23, p.p33, p.p3h)
+                x = moved(x, scaled(k, share_of_past(p.p33, variance)), more_V)
             past = having_looked(past, since)
     return x, p, beside, past
 

@@ -28,6 +28,7 @@ from cellwise.estimate.validity_kernels import extrapolation_V
 FIRST_LOOK_S = 15.0  # by then the fast branches follow the load
 LOOK_FACTOR = 4.0
 LOOKS = 3
+RECONSIDERED = 1  # times after the looks, each four times as long after the start, too
 LEVEL_SHARE = 0.3  # of the time since the start: the mean of the innovations is as young
 # A log that begins under load was cut out of a use like it. May be its beginning: nothing is in
 # the branch then, two deviations away.
@@ -41,12 +42,13 @@ RESISTANCE_OF_SOC = 0.3  # of what resistances differ between two SOCs may be th
 class Past(NamedTuple):
     """What is carried while a start under load is looked at again.
 
-    ``mean_A`` is the mean current since the start, ``miss_V`` the mean innovation of late,
-    ``first_soc`` the stated start counted on, known to ``first_variance``: negative when nothing is
-    to be looked at (any more).
+    ``mean_A`` is the mean current since the start, ``looked_A`` what it was at the last look,
+    ``miss_V`` the mean innovation of late, ``first_soc`` the stated start counted on, known to
+    ``first_variance``: negative when nothing is to be looked at (any more).
     """
 
     mean_A: float
+    looked_A: float
     miss_V: float
     first_soc: float
     first_variance: float
@@ -55,7 +57,7 @@ class Past(NamedTuple):
 @inline
 def no_past() -> Past:
     """Nothing to look at."""
-    return Past(0.0, 0.0, 0.0, -1.0)
+    return Past(0.0, 0.0, 0.0, 0.0, -1.0)
 
 
 @inline
@@ -63,7 +65,7 @@ def past_at_start(cell: CellScalars, s: Sample, soc: float, soc_variance: float)
     """Looked at again is a start under load that is unsure of itself."""
     loaded_start = abs(s.seen_A) * 3600.0 >= REST_RATE * cell.charge_As
     if loaded_start and soc_variance > WIDE_VARIANCE:
-        return Past(s.seen_A, 0.0, soc, soc_variance)
+        return Past(s.seen_A, 0.0, 0.0, soc, soc_variance)
     return no_past()
 
 
@@ -84,14 +86,14 @@ def past_step(
     if used:
         miss += (innovation_V - miss) * min(s.dt_s / (LEVEL_SHARE * since_s), 1.0)
     counted = past.first_soc - s.flow_A * s.dt_s / cell.charge_As
-    return Past(mean, miss, counted, past.first_variance)
+    return Past(mean, past.looked_A, miss, counted, past.first_variance)
 
 
 @inline
-def looks_now(before_s: float, since_s: float) -> bool:
-    """Whether a look falls into the interval that ends ``since_s`` after the first voltage."""
-    at = FIRST_LOOK_S
-    for _ in range(LOOKS):
+def time_passed(before_s: float, since_s: float, first: int, times: int) -> bool:
+    """Whether one of the times falls into the interval that ends ``since_s`` after the start."""
+    at = FIRST_LOOK_S * LOOK_FACTOR**first
+    for _ in range(times):
         if before_s < at <= since_s:
             return True
         at *= LOOK_FACTOR
@@ -99,15 +101,29 @@ def looks_now(before_s: float, since_s: float) -> bool:
 
 
 @inline
+def looks_now(before_s: float, since_s: float) -> bool:
+    """Whether a look falls into the interval that ends ``since_s`` after the first voltage."""
+    return time_passed(before_s, since_s, 0, LOOKS)
+
+
+@inline
+def reconsiders_now(before_s: float, since_s: float) -> bool:
+    """Whether what was taken for the past is reconsidered in that interval."""
+    return time_passed(before_s, since_s, LOOKS, RECONSIDERED)
+
+
+@inline
 def looked_for_long(since_s: float) -> bool:
     """Whether nothing more is to come."""
-    return since_s >= FIRST_LOOK_S * LOOK_FACTOR ** (LOOKS - 1)
+    return since_s >= FIRST_LOOK_S * LOOK_FACTOR ** (LOOKS + RECONSIDERED - 1)
 
 
 @inline
 def having_looked(past: Past, since_s: float) -> Past:
-    """After a look; after the last one there is nothing more to look at."""
-    return no_past() if looked_for_long(since_s) else past
+    """After a look, or a reconsideration, at the mean current so far."""
+    if looked_for_long(since_s):
+        return no_past()
+    return Past(past.mean_A, past.mean_A, past.miss_V, past.first_soc, past.first_variance)
 
 
 @inline
@@ -124,6 +140,51 @@ def branch_of_past(
 def usual_size_A(cell: CellScalars, mean_A: float) -> float:
     """The past's charge fits on the SOC axis: a discharge from full, a charge from empty."""
     return max(abs(mean_A), LEAST_RATE * cell.charge_As / 3600.0)
+
+
+@inline
+def left_by_load(
+    tables: CellTables, mean_A: float, soc: float, temperature_C: float, slow_A: float
+) -> float:
+    """What a load from full, or a charge from empty, has left in the slow branch at a SOC [V]."""
+    step = 1.0 / (RESTART_POINTS - 1)
+    size = usual_size_A(tables.cell, mean_A)
+    flowed_A = size if mean_A >= 0.0 else -size
+    step_s = step * tables.cell.charge_As / size
+    before = 0.0
+    points = int((1.0 - soc if mean_A >= 0.0 else soc) / step + 0.5)
+    for k in range(1, points + 1):
+        s = 1.0 - k * step if mean_A >= 0.0 else k * step
+        at = loaded(tables, s, temperature_C, mean_A, slow_A)
+        before = rc_step(before, flowed_A, at.r3_ohm, at.tau3_s, step_s)
+    return before
+
+
+@kernel
+def reconsidered(
+    tables: CellTables, past: Past, temperature_C: float, x: CellState, since_s: float
+) -> tuple[float, float]:
+    """How far the rest of the past is from what the last look took it for, and its variance.
+
+    Minutes of a load that changes say little of its mean: with a longer one, a past like it has
+    left another voltage in a branch of hours.
+    """
+    soc = x.soc + past.mean_A * since_s / tables.cell.charge_As
+    soc = min(max(soc, 0.0), 1.0)
+    at = loaded(tables, soc, temperature_C, past.mean_A, x.slow_A)
+    if at.r3_ohm <= 0.0:
+        return 0.0, 0.0
+    taken = left_by_load(tables, past.looked_A, soc, temperature_C, x.slow_A)
+    held = left_by_load(tables, past.mean_A, soc, temperature_C, x.slow_A)
+    left = math.exp(-since_s / at.tau3_s)
+    _, variance = branch_of_past(tables.cell, at.r3_ohm, left, 0.0, taken)
+    return left * (held - taken), variance
+
+
+@inline
+def share_of_past(p33: float, variance: float) -> float:
+    """Of a state's covariance with the slow branch: how far it moves with what the past left."""
+    return 1.0 / max(variance, p33)
 
 
 @kernel

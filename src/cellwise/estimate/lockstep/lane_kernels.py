@@ -66,13 +66,14 @@ LANES = 16  # fewer than sixteen turns are not worth a vector to the compiler
     ROOM_DOWN,
     FRESH,
     MEAN,
+    LOOKED,
     MISS,
     FIRST_SOC,
     FIRST_VARIANCE,
     FACTOR,
     FACTOR_C,
-) = range(54)
-FIELDS = 54
+) = range(55)
+FIELDS = 55
 
 
 @inline
@@ -137,6 +138,7 @@ def get_state(block: FloatArray, lane: int) -> EkfState:
         ),
         Past(
             block[MEAN * LANES + lane],
+            block[LOOKED * LANES + lane],
             block[MISS * LANES + lane],
             block[FIRST_SOC * LANES + lane],
             block[FIRST_VARIANCE * LANES + lane],
@@ -196,6 +198,7 @@ def put_state(block: FloatArray, lane: int, state: EkfState) -> None:
     block[ROOM_DOWN * LANES + lane] = state.watch.room_down
     block[FRESH * LANES + lane] = state.watch.fresh
     block[MEAN * LANES + lane] = state.past.mean_A
+    block[LOOKED * LANES + lane] = state.past.looked_A
     block[MISS * LANES + lane] = state.past.miss_V
     block[FIRST_SOC * LANES + lane] = state.past.first_soc
     block[FIRST_VARIANCE * LANES + lane] = state.past.first_variance
@@ -263,6 +266,7 @@ def choose(which: bool, yes: EkfState, no: EkfState) -> EkfState:
         ),
         Past(
             yes.past.mean_A if which else no.past.mean_A,
+            yes.past.looked_A if which else no.past.looked_A,
             yes.past.miss_V if which else no.past.miss_V,
             yes.past.first_soc if which else no.past.first_soc,
             yes.past.first_variance if which else no.past.first_variance,
