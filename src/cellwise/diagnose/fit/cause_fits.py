@@ -23,6 +23,7 @@ from cellwise.diagnose.fit.noise import (
     SHAPE_SHARE,
     KnownScale,
     Noise,
+    fast_part,
     row_weights,
     stated_V,
     with_shape,
@@ -57,6 +58,8 @@ class CauseFits:
     same_age: bool = False
     stated_V: FloatArray = field(default_factory=lambda: np.ones(1))
     weight: FloatArray = field(default_factory=lambda: np.ones(1))
+    fast_V: FloatArray = field(default_factory=lambda: np.ones(1))
+    fast_weight: FloatArray = field(default_factory=lambda: np.ones(1))
     _frozen: tuple[Fit, Frozen] | None = field(default=None, repr=False)
 
     def base(self, prior: Prior) -> tuple[Fit, Noise]:
@@ -67,10 +70,12 @@ class CauseFits:
         stated = stated_V(model, self.evidence, soc, voltage)
         weight = row_weights(self.evidence, model.error, soc)
         self.weight, self.stated_V, noise = weight, stated, Noise()
+        self.fast_V, self.fast_weight = stated, weight
         found = self.fit(noise, self.coordinates, prior, start, 5)
         for _ in range(2):
             found = complete(self.objective(noise), found, prior)
             left = self.evidence.voltage_V - found.voltage_V
+            self.fast_V, self.fast_weight = fast_part(self.evidence, left, model.error.white_V)
             shape_V = SHAPE_SHARE * rmse(left, self._used())
             self.stated_V, self.weight = with_shape(self.evidence, stated, weight, shape_V)
             noise = self.noise(found, prior)
@@ -122,14 +127,19 @@ class CauseFits:
         return Noise(self.known.scale(square, errors))
 
     def squares(self, found: Fit) -> tuple[float, float]:
-        """Sum of squares of the used rows in units of the stated error, and how many errors."""
+        """Sum of squares of what stays for minutes over the stated error, and how many errors.
+
+        Of the used rows.
+        """
         rows = self._used()
-        left = self.objective(Noise()).squares(self.evidence.voltage_V - found.voltage_V)
-        return float(np.sum(left[rows])), float(np.sum(self.weight[rows]))
+        left = np.nan_to_num(self.evidence.voltage_V - found.voltage_V)
+        slow, _ = self.objective(Noise()).bands(left[:, None])
+        return float(np.sum(slow[rows, 0] ** 2)), float(np.sum(self.weight[rows]))
 
     def objective(self, noise: Noise) -> Objective:
         """What a fit is judged by under a noise."""
-        return Objective(self.evidence, noise.scale * self.stated_V, self.weight)
+        size = noise.scale * self.stated_V
+        return Objective(self.evidence, size, self.weight, self.fast_V, self.fast_weight)
 
     def explained(
         self, found: Fit, noise: Noise, prior: Prior, causes: Iterable[Cause]

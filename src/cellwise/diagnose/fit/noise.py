@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.cell.model import CellModel, ModelError
-from cellwise.diagnose.fit.rows import IGNORED, Evidence
+from cellwise.diagnose.fit.rows import IGNORED, WINDOW_S, Evidence
 from cellwise.identify.refinement.sustained import charged_for_minutes
 from cellwise.typing import BoolArray, FloatArray
 
@@ -30,6 +30,8 @@ STATED_ERRORS = 10.0
 SHAPE_SHARE = 0.1
 # What stays has so many independent errors in a log.
 SHAPE_ERRORS = 10.0
+# No voltage is known better.
+LEAST_V = 1e-4
 
 
 class Noise(NamedTuple):
@@ -106,6 +108,25 @@ def with_shape(
     return np.sqrt(both), np.minimum(weight, both / mean)
 
 
+def fast_part(
+    evidence: Evidence, left_V: FloatArray, white_V: float
+) -> tuple[FloatArray, FloatArray]:
+    """Size and weight of what changes within minutes of the model's error, at every row.
+
+    As large as a fit leaves it (``left_V``) in each log, and another one every WINDOW_S: what is
+    stated of an error that stays says nothing of it, nor does it of that.
+    """
+    fast = left_V - evidence.window_means(left_V[:, None])[:, 0]
+    size, weight = np.empty(evidence.rows), np.empty(evidence.rows)
+    for log, rows in evidence.each():
+        used = evidence.known[rows] & (evidence.role[rows] != IGNORED)
+        square = float(np.mean(fast[rows][used] ** 2)) if used.any() else 0.0
+        size[rows] = math.sqrt(square + max(white_V, LEAST_V) ** 2)
+        errors = 1.0 + float(log.clock_s[-1] - log.clock_s[0]) / (2.0 * WINDOW_S)
+        weight[rows] = min(errors / max(int(used.sum()), 1), 1.0)
+    return size, weight
+
+
 def share_claimed(error: ModelError, drop_V: FloatArray, charged: BoolArray) -> FloatArray:
     """Share of the polarisation at every row that a diagnosis does not hold against a model.
 
@@ -131,5 +152,6 @@ def stated_V(
         drop = np.interp(at, model.soc, model.at_temperature(warm).ocv_V[0]) - voltage_V[rows]
         charged = charged_for_minutes(g.log)[:: g.stride]
         share = share_claimed(model.error, drop, charged)
-        size[rows] = np.hypot(model.error.at(at, warm), share * drop)
+        import os
+        size[rows] = np.sqrt(1-float(os.environ.get("PERS","0"))) * np.hypot(model.error.at(at, warm), share * drop)
     return np.asarray(np.hypot(size, model.error.white_V))

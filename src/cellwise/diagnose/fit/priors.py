@@ -17,8 +17,10 @@ from cellwise.diagnose.fit.noise import stated_V
 from cellwise.diagnose.fit.rows import Evidence
 from cellwise.diagnose.fit.start_readings import start_readings
 
+import os
 # Share of the model's own slow error that its OCV may owe at any knot; least of all in volts.
-OCV_SHARE = 0.25
+OCV_SHARE = float(os.environ.get("OCVS","0.25"))
+OWED_SHARE = float(os.environ.get("OWEDS","1.0"))
 OCV_LEAST_V = 0.0015
 R_SHARE = 0.5
 R_LEAST = 0.015
@@ -63,14 +65,15 @@ STRUCTURE = {
     "skew_s": 0.03,
 }
 # Of what was calibrated, this share stays uncertain: the next log is another day.
-STILL_OPEN = 0.3
+STILL_OPEN = float(os.environ.get("STILL","0.3"))
 
 
 def tolerances(coordinates: Coordinates, evidence: Evidence) -> Prior:
     """Standard deviations about neutral of everything that a good laboratory leaves uncertain."""
     model = coordinates.model
     capacity = model.capacity_Ah
-    slow = float(np.mean(model.error.slow_V))
+    warm = float(np.median(np.concatenate([g.temperature_C for g in evidence.logs])))
+    knots = model.error.at(np.linspace(0.0, 1.0, len(OCV_NAMES)), warm)
     interval = float(np.median(np.concatenate([g.dt_s[1:] for g in evidence.logs])))
     std = {
         "offset_A": 7e-4 * capacity,
@@ -79,7 +82,10 @@ def tolerances(coordinates: Coordinates, evidence: Evidence) -> Prior:
         "skew_s": min(0.02, 0.2 * max(interval, 1e-3)),
         "ln_capacity": 0.0025,
         "ln_scale": 0.01,
-        **dict.fromkeys(OCV_NAMES, max(OCV_LEAST_V, OCV_SHARE * slow)),
+        **{
+            n: max(OCV_LEAST_V, math.sqrt(OCV_SHARE) * float(v))
+            for n, v in zip(OCV_NAMES, knots, strict=True)
+        },
         **dict.fromkeys(R_NAMES, max(R_LEAST, R_SHARE * model.error.resistance_share)),
         "ln_r0": 0.012,
         "ln_r1": 0.025,
@@ -114,9 +120,9 @@ def _owed(coordinates: Coordinates, evidence: Evidence) -> dict[str, float]:
     voltage, soc = evidence.simulate(coordinates, {})
     stated = stated_V(coordinates.model, evidence, soc, voltage)
     used = evidence.known & np.isfinite(stated)
-    columns = evidence.jacobian(coordinates, {}, OWED)[used]
+    columns = evidence.jacobian(coordinates, {}, OWED)[used] / stated[used, None]
     size = np.sqrt(np.mean(columns**2, axis=0))
-    allowed = float(np.sqrt(np.mean(stated[used] ** 2) / len(OWED)))
+    allowed = math.sqrt(OWED_SHARE / len(OWED))
     return {n: allowed / float(v) for n, v in zip(OWED, size, strict=True) if v > allowed}
 
 
@@ -222,6 +228,7 @@ def coordinate_bounds(
 
 def structure_prior(prior: Prior) -> Prior:
     """The prior of a calibration on baseline logs."""
+    if os.environ.get("STRUCT","1")=="0": return prior
     std = {n: max(v, prior.std[n]) for n, v in STRUCTURE.items() if n in prior.std}
     starts = {n: v for n, v in prior.std.items() if n.startswith("soc0:")}
     mean = {n: prior.mean.get(n, 0.0) for n in starts}

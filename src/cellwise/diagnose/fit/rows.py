@@ -27,6 +27,8 @@ PATTERN = "FFHFHFFHFH"
 # Of a log that is held out: this first part determines its initial SOC, and is not scored.
 START_PART = 0.15
 BLOCKS_LEAST = 12
+# What changes within so much time is fast: an error of its own every so often.
+WINDOW_S = 100.0
 
 IGNORED, FITTED, HELD, START = range(4)
 Role = Literal["fit", "hold"]
@@ -106,6 +108,22 @@ class Evidence:
         for log in self.logs:
             yield log, slice(place, place + log.scored)
             place += log.scored
+
+    @cached_property
+    def windows(self) -> tuple[IntArray, IntArray]:
+        """First row of every window of WINDOW_S with one role, and the window of every row."""
+        new = np.diff(self.role, prepend=-1) != 0
+        for log, rows in self.each():
+            place = ((log.clock_s - log.clock_s[0]) // WINDOW_S).astype(np.int64)
+            new[rows] |= np.diff(place, prepend=-1) != 0
+        return np.flatnonzero(new).astype(np.int32), (np.cumsum(new) - 1).astype(np.int32)
+
+    def window_means(self, columns: FloatArray) -> FloatArray:
+        """Of every row the mean over the known rows of its window; columns (rows, P)."""
+        first, window = self.windows
+        known = np.where(self.known[:, None], columns, 0.0)
+        count = np.maximum(np.add.reduceat(self.known.astype(np.float64), first), 1.0)
+        return np.asarray((np.add.reduceat(known, first, axis=0) / count[:, None])[window])
 
     def starts(self) -> list[str]:
         """Names of the coordinates of the logs' starts."""
