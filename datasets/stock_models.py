@@ -22,7 +22,8 @@ import numpy as np
 from scipy.optimize import minimize
 
 from cellwise.cell.effects import EFFECTS, Effect, TimeSkew
-from cellwise.cell.model import TABLES, CellModel, ModelError
+from cellwise.cell.model import TABLES, CellModel
+from cellwise.cell.model_error import ModelError
 from cellwise.cell.model_file import check_physical, model_to_dict, read_model
 from cellwise.data import load_dataset
 from cellwise.files import made_folder, write_atomically
@@ -233,11 +234,11 @@ def stock(name: str, model: CellModel, recipe: Recipe, spread: Mapping[str, floa
         chemistry=str(entry["chemistry"]),
         voltage_min_V=float(entry["window_V"][0]),
         voltage_max_V=float(entry["window_V"][1]),
-        error=ModelError(
+        error=ModelError.of_white_and_slow(
             white_V=float(model.error.white_V),
             slow_V=tuple(float(f"{v:.3g}") for v in slow[:: (POINTS - 1) // 50]),
             correlation_s=LASTS_S,
-            resistance_share=float(np.hypot(spread["ln_resistance"], model.error.resistance_share)),
+            resistance_share=float(np.hypot(spread["ln_resistance"], model.error.shown_share())),
         ),
         provenance={
             "cellwise_version": model.provenance.get("cellwise_version", ""),

@@ -37,7 +37,6 @@
 #define REPEATED 0u /* a sample that was seen before, */
 #define NO_INTERVAL 1u /* the first one, which ends no interval, */
 #define INTERVAL 2u /* and one that ends an interval */
-#define SHARED_GROWTH 4.0f /* twice the growth of the memory, in steps a step */
 #define START_LOAD_SHARE 0.5f
 #define REST_LIMIT_V 0x1.eb851ep-6f /* 0.03: a rested branch holds no more */
 #define LOAD_LIMIT_V 0x1.333334p-2f /* 0.3 */
@@ -1648,17 +1647,18 @@ static uint32_t watch_voltage(const cellwise_constants *c, cellwise_state *x, fl
 }
 #endif
 
-/* How many samples share one model error. What the model gets wrong it gets wrong on every time
- * scale, so the memory grows with the time since the first voltage until it is the model's own.
- * The first voltage at rest is evidence by itself. */
+/* How many samples share one model error. The model's error is a sum of processes with memories
+ * of a second to half an hour. The quick ones average out first, so what is left of a mean has
+ * an ever longer memory. The first voltage at rest is evidence by itself. */
 static float shared_by(const cellwise_constants *c, const cellwise_state *x, float seen)
 {
     float shared = 1.0f;
     if (x->evidence >= FIRST_VOLTAGE) {
         const float since = (float)(x->evidence - FIRST_VOLTAGE);
-        shared = clip(c->shared_start + (SHARED_GROWTH * since), 1.0f, c->shared);
+        const float grown = (since + c->shared_early) / (since + c->shared_half);
+        shared = clip(c->shared * grown, 1.0f, c->shared);
     } else if (!SIZE_BELOW(seen, c->rest_A)) {
-        shared = clip(c->shared_start, 1.0f, c->shared);
+        shared = clip(c->shared * (c->shared_early / c->shared_half), 1.0f, c->shared);
     } else {
         /* as before */
     }

@@ -83,8 +83,9 @@ typedef struct {
     float share_variance; /* of the resistances on discharge, relative, */
     float charge_variance; /* and on charge */
     float gate_square; /* innovations beyond this many variances are rejected */
-    float shared_start; /* samples that share one model error, just after the first, */
-    float shared; /* and after long */
+    float shared; /* samples that share one model error after long; just after the first */
+    float shared_early; /* this share of it: steps early over steps half way, */
+    float shared_half; /* when half of the way from the one to the other is done */
     float lately; /* weight of one sample in the running mismatch */
     float mismatch_cap;
     float gap_variance; /* of SOC over a long gap */

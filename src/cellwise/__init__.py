@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from cellwise.cell.initial_soc.simulate_log import simulate
     from cellwise.cell.metrics import ErrorMetrics
-    from cellwise.cell.model import CellModel, ModelError
+    from cellwise.cell.model import CellModel
+    from cellwise.cell.model_error import ModelError
     from cellwise.cell.model_file import read_model, write_model
     from cellwise.cell.plausibility.validity import Validity
     from cellwise.cell.simulate import Simulation
@@ -40,7 +41,7 @@ _HOMES = {
     "read_log": "cellwise.logs",
     "write_log": "cellwise.logs",
     "CellModel": "cellwise.cell.model",
-    "ModelError": "cellwise.cell.model",
+    "ModelError": "cellwise.cell.model_error",
     "read_model": "cellwise.cell.model_file",
     "write_model": "cellwise.cell.model_file",
     "Validity": "cellwise.cell.plausibility.validity",

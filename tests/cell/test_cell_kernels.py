@@ -13,7 +13,7 @@ from scipy.linalg import expm
 from cellwise.cell import equations as kernels
 from cellwise.cell.effects import Hysteresis, SlowDiffusion
 from cellwise.cell.equations import CellState
-from cellwise.cell.model import ModelError
+from cellwise.cell.model_error import ModelError
 from example_cells import EFFECTS, curved_cell, linear_cell, random_model
 
 currents = st.floats(-20.0, 20.0)
@@ -127,7 +127,7 @@ def test_terminal_voltage_is_the_sum_of_its_terms():
 
 class TestLookUp:
     def test_the_model_error_is_looked_up_as_well(self):
-        model = curved_cell(error=ModelError(slow_V=(0.03, 0.01, 0.02)))
+        model = curved_cell(error=ModelError.of_white_and_slow(slow_V=(0.03, 0.01, 0.02)))
         for soc, error in ((0.0, 0.03), (0.25, 0.02), (0.5, 0.01), (1.0, 0.02), (1.5, 0.02)):
             assert kernels.look_up(model.parameters(), soc, 25.0).error_V == pytest.approx(error)
             assert float(model.error.at(soc)) == pytest.approx(error)

@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from cellwise.cell.model import TABLES, ModelError
+from cellwise.cell.model import TABLES
+from cellwise.cell.model_error import ModelError
 from cellwise.cell.model_file import (
     SCHEMA_VERSION,
     model_from_dict,
@@ -57,7 +58,7 @@ def test_round_trip_is_exact_to_the_bit(capacity, r0, r1, ocv, white, slow, name
         r0_ohm=r0,
         r1_ohm=r1,
         ocv_V=np.sort(ocv),
-        error=ModelError(white_V=white, slow_V=tuple(slow)),
+        error=ModelError.of_white_and_slow(white_V=white, slow_V=tuple(slow)),
         name=name,
     )
     assert same(model_from_dict(json.loads(json.dumps(model_to_dict(model)))), model)
@@ -112,10 +113,10 @@ def broken(change):
         (lambda d: d.update(r1_ohm=[[float("nan")] * 11]), "missing values"),
         (lambda d: d.update(soc=[0.0, 0.2, 1.0]), "not uniform"),
         (lambda d: d.update(soc=np.linspace(0, 1, 12).tolist()), "12 points"),
-        (lambda d: d.update(error={"white_V": 0.1, "other": 1.0}), "unknown entry 'other'"),
-        (lambda d: d["error"].update(slow_V=0.01), "wrong entry"),
-        (lambda d: d["error"].update(slow_V=[0.01, -0.01]), "model error"),
-        (lambda d: d["error"].update(slow_V=[]), "model error"),
+        (lambda d: d.update(error={"share": [0.1], "other": 1.0}), "unknown entry 'other'"),
+        (lambda d: d["error"].update(std_V=0.01), "wrong entry"),
+        (lambda d: d["error"].update(std_V=[[[0.01]], [[-0.01]]]), "model error"),
+        (lambda d: d["error"].update(std_V=[]), "model error"),
         (lambda d: d.update(voltage_min_V="low"), "wrong entry"),
         (lambda d: d.update(effects=None), "wrong entry"),
         (lambda d: d.update(effects=["hysteresis"]), "wrong entry"),
@@ -192,8 +193,8 @@ def scaled(name, factor):
         (scaled("tau2_s", 1e9), "tau2_s of", "Seconds"),
         (lambda d: d.update(temperature_C=[298.15]), "temperature_C of 298", "kelvin"),
         (lambda d: d.update(voltage_max_V=4200.0), "voltage_max_V of 4200 V", "not mV"),
-        (lambda d: d["error"].update(white_V=1e300), "white_V of the error", "not mV"),
-        (lambda d: d["error"].update(resistance_share=1e9), "resistance_share", "share"),
+        (lambda d: d["error"].update(std_V=[[[1e300]], [[0.0]]]), "std_V of the error", "not mV"),
+        (lambda d: d["error"].update(share=[0.0, 1e9]), "share and charge_share", "share"),
         (
             lambda d: d["effects"][0].update(r3_ohm=90.0),
             "r3_ohm with a drop of 270 V at 1C",
@@ -238,8 +239,8 @@ def test_a_misspelt_entry_is_told_its_name():
         lambda d: d.update(schema_version=True),
         lambda d: d.update(error=None),
         lambda d: d.update(error=[0.1]),
-        lambda d: d["error"].update(white_V=None),
-        lambda d: d["error"].update(correlation_s=float("inf")),
+        lambda d: d["error"].update(std_V=None),
+        lambda d: d["error"].update(scales_s=[0.1, float("inf")]),
         lambda d: d.update(effects=[[]]),
         lambda d: d.update(provenance=3),
     ],

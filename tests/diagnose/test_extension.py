@@ -7,7 +7,7 @@ import pytest
 
 from cellwise.cell.effects import ChargeTransfer, SurfaceSoc
 from cellwise.cell.initial_soc.initial_soc import InitialSoc
-from cellwise.cell.model import ModelError
+from cellwise.cell.model_error import ModelError
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.cell.simulate import simulate
 from cellwise.diagnose import diagnose
@@ -71,7 +71,9 @@ def test_a_model_with_such_an_effect_is_diagnosed_and_keeps_it(cause, effect):
 
     The model states no more error than these logs have.
     """
-    model = curved_cell(effects=(effect,), error=ModelError(1e-3, (1e-3,), 60.0, 0.01))
+    model = curved_cell(
+        effects=(effect,), error=ModelError.of_white_and_slow(1e-3, (1e-3,), 60.0, 0.01)
+    )
     logs = []
     for seed in (2, 3):
         asked = drive(seed, 3000)
@@ -98,7 +100,7 @@ def test_the_logs_that_were_explained_widen_the_validity(known):
     The model states no more error than the log has.
     """
     valid = Validity((0.6, 0.9), (25.0, 25.0), (-20.0, 20.0)) if known else UNKNOWN
-    error = ModelError(1e-3, (1e-3,), 60.0, 0.01)
+    error = ModelError.of_white_and_slow(1e-3, (1e-3,), 60.0, 0.01)
     model, asked = curved_cell(validity=valid, error=error), drive(4, 3000)
     truth = extend_model(Coordinates(model), {"ln_scale": np.log(1.4)}, {})
     run = simulate(truth, asked, SOC0)

@@ -9,6 +9,7 @@ import pytest
 
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.initial_soc.simulate_log import simulate
+from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate as simulate_from
 from cellwise.diagnose import diagnose
 from cellwise.diagnose.causes.coordinates import Coordinates
@@ -26,8 +27,7 @@ ROWS, SOC0 = 2400, 0.82
 def unsure():
     """A model that states much of its error, so that a short rest leaves the start open."""
     model = curved_cell()
-    slow = np.full_like(np.asarray(model.error.slow_V), 0.03)
-    return replace(model, error=replace(model.error, slow_V=slow))
+    return replace(model, error=ModelError.of_white_and_slow(slow_V=0.03))
 
 
 def measured(model, loaded_from):

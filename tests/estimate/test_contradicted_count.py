@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise.cell.model import ModelError
+from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.estimate.filters.coulomb import Coulomb
@@ -18,7 +18,7 @@ from cellwise.estimate.noise import Noise
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell, linear_cell
 
-MODEL = replace(curved_cell(), error=ModelError(white_V=0.001, slow_V=(0.012,)))
+MODEL = replace(curved_cell(), error=ModelError.of_white_and_slow(white_V=0.001, slow_V=(0.012,)))
 OFFSETS_C = (-0.05, -0.03, -0.01, 0.01, 0.03, 0.05)
 DT_S = 2.0
 
@@ -121,7 +121,7 @@ def test_from_a_known_start_the_estimate_follows_the_voltages(filter_, offset_sh
 def test_on_a_linear_cell_the_offset_is_that_of_a_filter_with_one_more_state(filter_):
     """SOC and offset together as a Kalman filter of matrices, from the same voltages."""
     tiny = np.full(11, 1e-9)
-    error = ModelError(white_V=0.001, slow_V=(1e-9,))
+    error = ModelError.of_white_and_slow(white_V=0.001, slow_V=(1e-9,))
     model = linear_cell(r1_ohm=tiny, r2_ohm=tiny, error=error)
     noise = Noise(
         current_A=0.0, branch_share=0.0, ocv_soc=0.0, voltage_V=0.01, slow_s=0.0, gate=1e9,

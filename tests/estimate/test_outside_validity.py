@@ -190,7 +190,7 @@ def test_what_a_cold_cell_does_is_within_two_deviations_of_the_law(activation_K)
     valid, drop_V = validity_scalars(MODEL), 0.1
     for warm in np.arange(-20.0, 24.0 - TOLERANCE_K, 5.0):
         factor = np.exp(activation_K * (1.0 / (warm + 273.15) - 1.0 / 298.15))
-        stated = np.hypot(float(MODEL.error.at(0.5)), MODEL.error.resistance_share * drop_V)
+        stated = np.hypot(float(MODEL.error.at(0.5)), MODEL.error.shown_share() * drop_V)
         law = np.hypot(stated, extrapolation_V(valid, warm, 3.0, drop_V))
         assert drop_V * (factor - 1.0) <= 2.0 * law
 

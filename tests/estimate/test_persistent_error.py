@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise.cell.model import ModelError
+from cellwise.cell.model_error import ModelError
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
@@ -55,7 +55,7 @@ def test_the_estimate_itself_is_the_same(filter_):
 def test_it_is_how_far_such_an_error_moves_the_soc(filter_):
     """Linear cell without branches: the difference of two runs, one voltage off by the error."""
     tiny = np.full(11, 1e-9)
-    error = ModelError(white_V=0.001, slow_V=(ERROR_V,))
+    error = ModelError.of_white_and_slow(white_V=0.001, slow_V=(ERROR_V,))
     model = linear_cell(r1_ohm=tiny, r2_ohm=tiny, error=error)
     noise = Noise(
         current_A=0.0, branch_share=0.0, ocv_soc=0.0, mismatch_cap=0.0, gate=1e9, lasting_share=1.0
@@ -72,7 +72,7 @@ def test_it_is_how_far_such_an_error_moves_the_soc(filter_):
 @pytest.mark.parametrize(("share", "least", "most"), [(1.0, 0.93, 0.99), (0.0, 0.0, 0.75)])
 def test_coverage_where_every_cell_has_an_offset_of_its_own(share, least, most):
     """Without it the band shrinks about a wrong SOC for as long as the log goes on."""
-    model = replace(curved_cell(), error=ModelError(slow_V=(ERROR_V,)))
+    model = replace(curved_cell(), error=ModelError.of_white_and_slow(slow_V=(ERROR_V,)))
     ekf = Ekf(model, Noise(lasting_share=share))
     log = cycled(model, rows=3000)
     truth = simulate(model, log, 0.5).soc
@@ -88,7 +88,7 @@ def test_coverage_where_every_cell_has_an_offset_of_its_own(share, least, most):
 def test_of_resistances_that_part_stays_which_no_test_could_show(filter_, sign):
     """Linear cell under a load that lasts, its R0 off by the share: two runs differ by as much."""
     tiny = np.full(11, 1e-9)
-    error = ModelError(white_V=0.001, slow_V=(1e-9,))
+    error = ModelError.of_white_and_slow(white_V=0.001, slow_V=(1e-9,))
     model = linear_cell(r1_ohm=tiny, r2_ohm=tiny, error=error)
     noise = Noise(
         current_A=0.0, branch_share=0.2, ocv_soc=0.0, mismatch_cap=0.0, gate=1e9,
@@ -123,7 +123,7 @@ def test_no_gain_amplifies_it(gain):
 
 @pytest.mark.parametrize("filter_", FILTERS)
 def test_where_voltages_show_more_than_is_stated_so_much_more_may_be_wrong(filter_):
-    model = replace(curved_cell(), error=ModelError(slow_V=(0.002,)))
+    model = replace(curved_cell(), error=ModelError.of_white_and_slow(slow_V=(0.002,)))
     log = cycled(model)
     for wrong_V, wider in ((0.0, False), (0.05, True)):
         off = moved(log, wrong_V * np.sin(log.time_s / 900.0))

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise.cell.model import ModelError
+from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.estimate.noise import Noise
@@ -36,7 +36,9 @@ def drive(seed, error_V, rows=7200, memory_s=300.0):
 
 @pytest.mark.parametrize(("told_V", "true_V"), [(0.040, 0.010), (0.003, 0.015), (0.010, 0.010)])
 def test_mean_nis_comes_to_one(told_V, true_V):
-    model = replace(CELL, error=ModelError(slow_V=(told_V,), resistance_share=0.001))
+    model = replace(
+        CELL, error=ModelError.of_white_and_slow(slow_V=(told_V,), resistance_share=0.001)
+    )
     found = tune_noise(model, [drive(k, true_V) for k in range(4)], soc0=[0.8] * 4)
     assert 0.5 < np.mean(found.nis_after) < 2.0
     off = abs(np.log(np.mean(found.nis_after)))

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate
 from cellwise.estimate.estimators import make_estimator
 from cellwise.estimate.replay import replay
@@ -74,7 +75,7 @@ def test_of_cells_within_the_model_s_error_half_converge_by_then():
     """Truths whose OCV and resistances are off as the model states: predicted is the median."""
     rng = np.random.default_rng(5)
     base = curved_cell()
-    model = replace(base, error=replace(base.error, slow_V=(0.015,), resistance_share=0.1))
+    model = replace(base, error=ModelError.of_white_and_slow(slow_V=(0.015,), resistance_share=0.1))
     ekf = make_estimator("ekf", model)
     early, errors = [], []
     for seed in range(40):

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from known_flights import CUTOFF_V, discharge, known_replay, until
 
-from cellwise.cell.model import CAPACITY_STD, ModelError
+from cellwise.cell.model import CAPACITY_STD
+from cellwise.cell.model_error import ModelError
 from cellwise.cell.plausibility.validity import Validity
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
@@ -103,7 +104,9 @@ def test_where_the_voltage_ends_it_the_band_holds_the_models_own_error():
     part = whole.part(0, now + 1)
     bands = []
     for stated_V in (0.001, 0.03):
-        says = replace(model, error=ModelError(slow_V=(stated_V,), resistance_share=0.0))
+        says = replace(
+            model, error=ModelError.of_white_and_slow(slow_V=(stated_V,), resistance_share=0.0)
+        )
         known = known_replay(part, truth.soc[: now + 1])
         left = forecast(says, known, cutoff_V=CUTOFF_V, hold="current").last
         assert left.by == "voltage"

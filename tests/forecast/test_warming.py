@@ -10,7 +10,7 @@ import pytest
 from known_flights import CUTOFF_V, discharge, known_replay, until
 
 from cellwise.cell.effects import TemperatureDependence
-from cellwise.cell.model import ModelError
+from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate
 from cellwise.estimate.replay import replay
 from cellwise.forecast.outlook import Outlook
@@ -177,7 +177,9 @@ def test_what_a_resistance_is_off_by_grows_with_the_polarisation():
     now = int(0.4 * end_s)
     missed = []
     for share in (0.0, 0.5):
-        says = replace(model, error=ModelError(slow_V=(0.002,), resistance_share=share))
+        says = replace(
+            model, error=ModelError.of_white_and_slow(slow_V=(0.002,), resistance_share=share)
+        )
         known = known_replay(whole.part(0, now), truth.soc[:now])
         left = forecast(says, known, cutoff_V=CUTOFF_V, hold="current").last
         missed.append(abs(left.remaining_s - (end_s - left.time_s)))

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from cellwise.cell.effects import Hysteresis, SlowDiffusion, TemperatureDependence, TimeSkew
-from cellwise.cell.model import TABLES, CellModel, ModelError
+from cellwise.cell.model import TABLES, CellModel
+from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate
 from cellwise.identify.stack import stack_models
 from example_cells import curved_cell, random_log
@@ -94,15 +95,15 @@ def test_plain_models_get_no_effects():
 
 
 def test_the_error_is_the_mean_of_squares():
-    flat = ModelError(0.001, (0.006,), 100.0, 0.1)
-    bent = ModelError(0.003, (0.002, 0.010), 700.0, 0.0)
+    flat = ModelError.of_white_and_slow(0.001, (0.006,), 100.0, 0.1)
+    bent = ModelError.of_white_and_slow(0.003, (0.002, 0.010), 700.0, 0.0)
     found = stack_models([cell_at(0.0, error=flat), cell_at(25.0, error=bent)]).error
     assert found.white_V == pytest.approx(np.sqrt((0.001**2 + 0.003**2) / 2))
     np.testing.assert_allclose(
         found.at(np.array([0.0, 1.0])),
         np.sqrt((0.006**2 + np.array([0.002, 0.010]) ** 2) / 2),
     )
-    assert found.resistance_share == pytest.approx(np.sqrt(0.005))
+    assert found.shown_share() == pytest.approx(np.sqrt(0.005))
 
 
 def test_identity_and_limits_are_those_of_the_coldest():

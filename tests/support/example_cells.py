@@ -59,13 +59,13 @@ EFFECTS = (
 
 def within_its_error(model: CellModel, rng: np.random.Generator) -> CellModel:
     """A cell as far from its model as the model states: OCV and resistances are off."""
-    share = 1.0 + model.error.resistance_share * rng.normal()
+    share = 1.0 + model.error.shown_share() * rng.normal()
     return replace(
         model,
         r0_ohm=model.r0_ohm * share,
         r1_ohm=model.r1_ohm * share,
         r2_ohm=model.r2_ohm * share,
-        ocv_V=model.ocv_V + model.error.slow_V[0] * rng.normal(),
+        ocv_V=model.ocv_V + float(model.error.at(0.0)) * rng.normal(),
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
@@ -12,6 +11,7 @@ import numpy as np
 
 from cellwise.cell.effects import Effect, check_effect
 from cellwise.cell.equations import CellTables
+from cellwise.cell.model_error import ModelError
 from cellwise.cell.parameters import packed
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity, beyond_soc
 from cellwise.errors import InputError
@@ -39,67 +39,6 @@ class ModelTables(NamedTuple):
 TABLES = ModelTables._fields
 
 
-@dataclass(frozen=True)
-class ModelError:
-    """What the model's own validation says of its voltage error, for all who need to know it.
-
-    ``white_V`` is the part that changes from row to row, the rest stays for about
-    ``correlation_s``: ``slow_V`` over an even SOC grid (one number for all), times
-    ``temperature_factor`` over ``temperature_C`` (both empty: 1), and the part that grows with the
-    polarisation, as a share of it, ``resistance_share`` on discharge and ``charge_share`` on
-    charge (None: as on discharge); ``unseen_share`` beside it, in squares, is what no test could
-    show of loads that last, ``unseen_charge_share`` of charges that do (None: as on discharge).
-    Standard deviations [V]. Moving on by ``correlation_soc`` makes the
-    slow part another one (None: not known to).
-    ``activation_std_K`` is by how much the activation of the resistances may be off beyond the
-    temperatures of the data, as leaving an end of them out has shown (None: not shown) [K].
-    """
-
-    white_V: float = 0.002
-    slow_V: tuple[float, ...] = (0.010,)
-    correlation_s: float = 300.0
-    resistance_share: float = 0.05
-    charge_share: float | None = None
-    temperature_C: tuple[float, ...] = ()
-    temperature_factor: tuple[float, ...] = ()
-    correlation_soc: float | None = None
-    unseen_share: float = 0.0
-    unseen_charge_share: float | None = None
-    activation_std_K: float | None = None
-
-    def at(self, soc: FloatArray | float, temperature_C: float | None = None) -> FloatArray:
-        """Slow error at the given SOC and one temperature [V], linear between grid points.
-
-        Without a temperature, the mean of squares over all.
-        """
-        grid = np.linspace(0.0, 1.0, len(self.slow_V))
-        return np.asarray(np.interp(soc, grid, self.slow_V)) * self.factor(temperature_C)
-
-    def factor(self, temperature_C: float | None) -> float:
-        """What a temperature multiplies the slow error by."""
-        if not self.temperature_C:
-            return 1.0
-        if temperature_C is None:
-            return float(np.sqrt(np.mean(np.square(self.temperature_factor))))
-        return float(np.interp(temperature_C, self.temperature_C, self.temperature_factor))
-
-    def share(self, drop_V: float = 1.0) -> float:
-        """Share of a polarisation that may be wrong: of a discharge, or of a charge."""
-        return math.hypot(self.shown_share(drop_V), self.hidden_share(drop_V))
-
-    def hidden_share(self, drop_V: float = 1.0) -> float:
-        """The share that no test could show: of loads, or charges, that last."""
-        if drop_V >= 0.0 or self.unseen_charge_share is None:
-            return self.unseen_share
-        return self.unseen_charge_share
-
-    def shown_share(self, drop_V: float = 1.0) -> float:
-        """The share that the tests did show to be wrong."""
-        if drop_V >= 0.0 or self.charge_share is None:
-            return self.resistance_share
-        return self.charge_share
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class CellModel(Plottable):
     """Second-order Thevenin model with SOC-indexed tables and effects.
@@ -114,7 +53,7 @@ class CellModel(Plottable):
     temperature_C : (temperatures,) float      ascending
     effects : tuple of Effect      extensions, at most one of a kind
     charge_efficiency : float      share of the charge put in that can be taken out, 0.5..1.05
-    error : ModelError             voltage error seen in validation
+    error : ModelError             voltage error on every time scale, from loads no fit has seen
     validity : Validity            SOC, temperature and current that its data covered
     voltage_min_V, voltage_max_V : float or None   the cell's limits
     name, chemistry : str
@@ -137,7 +76,7 @@ class CellModel(Plottable):
     temperature_C: FloatArray = field(default_factory=lambda: np.array([25.0]))
     effects: tuple[Effect, ...] = ()
     charge_efficiency: float = 1.0
-    error: ModelError = ModelError()
+    error: ModelError = field(default_factory=ModelError)
     validity: Validity = UNKNOWN
     voltage_min_V: float | None = None
     voltage_max_V: float | None = None
@@ -389,36 +328,5 @@ def check_model(model: CellModel) -> None:
     names = [e.name for e in model.effects]
     if len(set(names)) != len(names):
         raise InputError(f"effects {names}", "one effect of a kind", "Merge the double one.")
-    check_error(model.error)
     for effect in model.effects:
         check_effect(effect, (shape[0], shape[1]))
-
-
-def check_error(error: ModelError) -> None:
-    """Raise InputError where a model's error is none."""
-    hidden = [error.hidden_share(), error.hidden_share(-1.0)]
-    shares = [error.share(), error.share(-1.0), *hidden, *error.temperature_factor]
-    sizes = np.array(
-        [
-            error.white_V,
-            *error.slow_V,
-            error.correlation_s,
-            *shares,
-            error.correlation_soc or 0.0,
-            error.activation_std_K or 0.0,
-        ]
-    )
-    if not error.slow_V or not np.all(np.isfinite(sizes)) or np.any(sizes < 0):
-        raise InputError(
-            f"a model error of {error}",
-            "finite values of at least 0",
-            "Check the validation that gave it.",
-        )
-    grid = np.array(error.temperature_C)
-    if grid.size != len(error.temperature_factor) or np.any(np.diff(grid) <= 0):
-        raise InputError(
-            f"a model error over temperatures {error.temperature_C} with "
-            f"{len(error.temperature_factor)} factors",
-            "ascending temperatures, a factor for each",
-            "Give both, or neither.",
-        )

@@ -6,14 +6,15 @@ import difflib
 import hashlib
 import json
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import asdict, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
 from cellwise.cell.effects import EFFECTS, Effect, SlowDiffusion
-from cellwise.cell.model import TABLES, CellModel, ModelError, ModelTables
+from cellwise.cell.model import TABLES, CellModel, ModelTables
+from cellwise.cell.model_error import ModelError
 from cellwise.cell.plausibility.validity import NAMES as VALIDITY_NAMES
 from cellwise.cell.plausibility.validity import Validity
 from cellwise.errors import InputError
@@ -23,6 +24,20 @@ from cellwise.typing import FloatArray
 SCHEMA_VERSION = 1
 # Of a model's error.
 MAY_BE_UNKNOWN = ("charge_share", "unseen_charge_share", "correlation_soc", "activation_std_K")
+# How files of before stated an error: see ModelError.of_white_and_slow.
+OLD_ERROR = (
+    "white_V",
+    "slow_V",
+    "correlation_s",
+    "resistance_share",
+    "charge_share",
+    "temperature_C",
+    "temperature_factor",
+    "correlation_soc",
+    "unseen_share",
+    "unseen_charge_share",
+    "activation_std_K",
+)
 ENTRIES = ("schema_version", "kind", "soc", *(f.name for f in fields(CellModel)))
 
 
@@ -43,7 +58,6 @@ CAPACITY = Range(1e-7, 1e5, "Ah", "Ampere hours: not mAh, not coulombs.")
 DROP = Range(1e-9, 30.0, "V at 1C", "Ohms: not mohm.")
 TIME = Range(1e-6, 1e7, "s", "Seconds: not ms, not minutes.")
 TEMPERATURE = Range(-80.0, 120.0, "degC", "Degrees Celsius, not kelvin.")
-FACTOR = Range(0.0, 1e3, "times slow_V", "A factor, not volts.")
 ERROR = Range(0.0, 6.0, "V", "Volts: not mV.")
 # Of the data behind a model: a counter may run a little beyond 0..1, a sensor see a short circuit.
 VALID_SOC = Range(-0.5, 1.5, "", "A fraction, not per cent.")
@@ -67,7 +81,7 @@ def model_to_dict(model: CellModel) -> dict[str, Any]:
         "soc": model.soc.tolist(),
         **{name: getattr(model, name).tolist() for name in TABLES},
         "effects": [_effect_to_dict(e) for e in model.effects],
-        "error": {k: v for k, v in asdict(model.error).items() if v is not None and v != ()},
+        "error": {k: v for k, v in model.error.to_dict().items() if v is not None and v != ()},
         **validity,
         "provenance": dict(model.provenance),
     }
@@ -214,18 +228,16 @@ def _sizes(model: CellModel) -> Iterator[tuple[str, Any, Range]]:
         if getattr(model, name) is not None:
             yield name, getattr(model, name), VOLTAGE
     error = model.error
-    yield "white_V of the error", error.white_V, ERROR
-    yield "slow_V of the error", error.slow_V, ERROR
-    yield "correlation_s of the error", error.correlation_s, TIME._replace(low=0.0)
+    yield "std_V of the error", error.std_V, ERROR
+    yield "scales_s of the error", error.scales_s, TIME._replace(low=0.0)
     yield "correlation_soc of the error", error.correlation_soc or 0.0, SOC_LENGTH
     yield (
-        "resistance_share and charge_share of the error",
-        (error.share(), error.share(-1.0)),
+        "share and charge_share of the error",
+        (*error.shares(), *error.shares(-1.0)),
         Range(0.0, 10.0, "of the polarisation", "A share, not per cent."),
     )
     if error.temperature_C:
         yield "temperature_C of the error", error.temperature_C, TEMPERATURE
-        yield "temperature_factor of the error", error.temperature_factor, FACTOR
     valid = model.validity
     if valid.soc is not None:
         yield "soc of the validity", valid.soc, VALID_SOC
@@ -292,16 +304,25 @@ def _limit(value: Any) -> float | None:
 
 
 def _error_from_dict(data: dict[str, Any], where: str) -> ModelError:
-    _check_entries(data, [f.name for f in fields(ModelError)], f"the error of {where}")
-    values: dict[str, Any] = {}
-    for key, value in data.items():
-        if isinstance(value, list | tuple):
-            values[key] = tuple(_number(v) for v in value)
-        else:
-            values[key] = None if key in MAY_BE_UNKNOWN and value is None else _number(value)
+    """The error by time scale; a file of before has one slow error with one memory."""
+    old = "slow_V" in data
+    known = OLD_ERROR if old else ("soc", *(f.name for f in fields(ModelError)))
+    _check_entries(data, known, f"the error of {where}")
+    values: dict[str, Any] = {
+        key: None if key in MAY_BE_UNKNOWN and value is None else _numbers(value)
+        for key, value in data.items()
+        if key != "soc"
+    }
+    if not old:
+        return ModelError(**values)
     if not isinstance(values["slow_V"], tuple):
         raise TypeError("slow_V is no list")
-    return ModelError(**values)
+    return ModelError.of_white_and_slow(**values)
+
+
+def _numbers(value: Any) -> Any:
+    """A number, or lists of lists of them as tuples."""
+    return tuple(_numbers(v) for v in value) if isinstance(value, list | tuple) else _number(value)
 
 
 def _validity_from_dict(data: Any, where: str) -> Validity:

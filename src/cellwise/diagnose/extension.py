@@ -25,6 +25,7 @@ from cellwise.cell.effects import (
 )
 from cellwise.cell.equations import ZERO_CELSIUS_K
 from cellwise.cell.model import CellModel
+from cellwise.cell.model_error import with_temperature
 from cellwise.cell.plausibility.validity import Validity
 from cellwise.cell.point_kernels import ENTROPY, OCV, R0, R1, R2, R3, TAU1, TAU2, TAU3, M
 from cellwise.cell.simulate import simulate
@@ -186,13 +187,10 @@ def extended_validity(model: CellModel, logs: Sequence[CellLog], soc0: Sequence[
 
 def with_error_at(model: CellModel, temperature_C: float, times: float) -> CellModel:
     """The model stating so many times the error that it stated at a temperature."""
-    known = dict(zip(model.error.temperature_C, model.error.temperature_factor, strict=True))
-    if not known:
-        known = {float(t): 1.0 for t in model.temperature_C}
-    known[temperature_C] = times * model.error.factor(temperature_C)
-    grid = tuple(sorted(known))
-    factor = tuple(known[t] for t in grid)
-    return replace(model, error=replace(model.error, temperature_C=grid, temperature_factor=factor))
+    error = model.error
+    for t in model.temperature_C if not error.temperature_C else ():
+        error = with_temperature(error, float(t), 1.0)
+    return replace(model, error=with_temperature(error, temperature_C, times))
 
 
 def correct_log(log: CellLog, coordinates: Coordinates, z: Mapping[str, float]) -> CellLog:

@@ -8,8 +8,6 @@ from cellwise.cell.compiled import inline
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.estimate.noise import NoiseScalars
 
-MEMORY_START_S = 10.0
-MEMORY_GROWTH = 2.0
 CONTRADICTED_S = 600.0  # a change of load is over, a drift of the counted charge has hardly begun
 
 
@@ -45,8 +43,13 @@ def voltage_variance(
 
 @inline
 def model_memory(noise: NoiseScalars, evidence_s: float) -> float:
-    """For how long the model's error is remembered, ``evidence_s`` after the first voltage [s]."""
-    return min(noise.memory_s, MEMORY_START_S + MEMORY_GROWTH * max(evidence_s, 0.0))
+    """For how long the model's error is remembered, ``evidence_s`` after the first voltage [s].
+
+    The error is a sum of processes with memories of a second to half an hour. The quick ones
+    average out first, so what is left of a mean has an ever longer memory.
+    """
+    after_s = max(evidence_s, 0.0)
+    return noise.memory_s * (after_s + noise.early_s) / (after_s + noise.half_s)
 
 
 @inline
@@ -56,10 +59,8 @@ def repeated_evidence(
     """How many samples share one model error, and what share of its renewal is a return.
 
     An error of memory tau counts once in 2 tau (its spectral density at rest): the first number is
-    the factor on a voltage's variance. What the model gets wrong it gets wrong on every time scale,
-    so the memory grows with the time since the first voltage until it is the model's own. A SOC
-    that was not seen before renews the error, too, and that one for good; what time alone renews
-    comes back. A repeated stamp repeats the error.
+    the factor on a voltage's variance. A SOC that was not seen before renews the error, too, and
+    that one for good; what time alone renews comes back. A repeated stamp repeats the error.
     """
     if noise.memory_s <= 0.0:
         return 1.0, 1.0

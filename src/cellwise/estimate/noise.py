@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.cell.model import CellModel
+from cellwise.cell.model_error import ModelError
 from cellwise.errors import InputError
 from cellwise.estimate.validity_kernels import EVERYWHERE, ValidityScalars, validity_scalars
 from cellwise.given import check_kind
@@ -17,6 +18,7 @@ IMPOSSIBLE_RATE = 200.0
 IMPOSSIBLE_SHARE = 0.5
 IMPOSSIBLE_RISE_V = 0.75
 WANDERS = 1.0 / 3.0  # of the drift of the counted charge, what no constant offset explains
+AFTER_S = 300.0  # when the memory is that of the sum of processes, beside its first and last
 ALONE_S = 3600.0  # where the SOC makes the model's error another one, time alone takes as long
 
 
@@ -32,6 +34,8 @@ class NoiseScalars(NamedTuple):
     error_scale: float
     slow_s: float
     memory_s: float
+    early_s: float  # the memory begins at early_s / half_s of itself
+    half_s: float
     ocv_soc: float
     mismatch_cap: float
     gate: float
@@ -66,6 +70,8 @@ class Noise:
     error_scale : float       factor on the model's own table of its voltage error over SOC
     slow_s : float            how long that error is remembered: samples within that time are not
                               counted as independent evidence (slow_s = 0: every sample is)
+    slow_first_s : float      how long it is remembered at first, while quick parts average out
+    slow_half_s : float       when it is half way between the two
     slow_soc : float          moving on by as much SOC makes it another one; 0: time alone does
     ocv_soc : float           error of the OCV along the SOC axis
     mismatch_cap : float      a model of another temperature or age is wrong all the time: its error
@@ -95,6 +101,8 @@ class Noise:
     voltage_V: float = 0.002
     error_scale: float = 1.0
     slow_s: float = 300.0
+    slow_first_s: float = 10.0
+    slow_half_s: float = 150.0
     slow_soc: float = 0.0
     ocv_soc: float = 0.003
     mismatch_cap: float = 100.0
@@ -132,13 +140,17 @@ class Noise:
         """Noise taken from the model's own validation error and the cell's size."""
         low = np.inf if model.voltage_min_V is None else model.voltage_min_V
         high = -np.inf if model.voltage_max_V is None else model.voltage_max_V
+        memory = memory_of(model.error)
         return cls(
             current_A=0.002 * model.capacity_Ah,
             voltage_V=max(model.error.white_V, 1e-4),
-            slow_s=model.error.correlation_s,
-            slow_soc=model.error.correlation_soc or 0.0,
-            branch_share=model.error.share(),
-            charge_factor=model.error.share(-1.0) / max(model.error.share(), 1e-12),
+            slow_s=memory.last_s,
+            slow_first_s=memory.first_s,
+            slow_half_s=memory.half_s,
+            lasting_share=model.error.lasting_share,
+            slow_soc=0.0,
+            branch_share=model.error.whole_share(),
+            charge_factor=model.error.whole_share(-1.0) / max(model.error.whole_share(), 1e-12),
             unseen_share=model.error.hidden_share(),
             unseen_charge_share=model.error.hidden_share(-1.0),
             current_limit_A=IMPOSSIBLE_RATE * model.capacity_Ah,
@@ -148,6 +160,7 @@ class Noise:
 
     def scalars(self, model: CellModel | None = None) -> NoiseScalars:
         """What the kernels take; with a ``model``, widened beyond its validity."""
+        memory_s = max(self.slow_s, ALONE_S) if self.slow_soc > 0.0 else self.slow_s
         return NoiseScalars(
             float(self.current_A),
             float(self.soc_per_sqrt_h) / 60.0,
@@ -157,7 +170,9 @@ class Noise:
             float(self.voltage_V),
             float(self.error_scale),
             float(self.slow_s),
-            float(max(self.slow_s, ALONE_S) if self.slow_soc > 0.0 else self.slow_s),
+            float(memory_s),
+            float(max(self.slow_half_s, 1e-9) * min(self.slow_first_s / max(memory_s, 1e-9), 1.0)),
+            float(max(self.slow_half_s, 1e-9)),
             float(self.ocv_soc),
             float(self.mismatch_cap),
             float(self.gate),
@@ -177,6 +192,34 @@ class Noise:
             unseen_charge_share=float(self.unseen_charge_share),
             valid=EVERYWHERE if model is None else validity_scalars(model),
         )
+
+
+class Memory(NamedTuple):
+    """For how long an error is remembered: at first, when half way, in the end [s]."""
+
+    first_s: float
+    half_s: float
+    last_s: float
+
+
+def memory_of(error: ModelError) -> Memory:
+    r"""The memory of a sum of first-order processes: at first, half way, in the end.
+
+    A mean over t of processes with memories tau_k and weights w_k in the variance keeps about
+    v(t) = sum w_k 2 tau_k / (t + 2 tau_k) of it, as if all had the memory v^2 / (-2 dv/dt):
+    1 / sum(w / tau) at first, sum(w tau) in the end.
+    """
+    tau = np.maximum(np.array(error.scales_s), 1e-3)
+    weight = np.array(error.weights)
+
+    def memory_s(t: float) -> float:
+        near = weight * 2.0 * tau / (t + 2.0 * tau)
+        return float(np.sum(near) ** 2 / (2.0 * np.sum(near / (t + 2.0 * tau))))
+
+    last, first, mid = float(weight @ tau), memory_s(0.0), memory_s(AFTER_S)
+    rise = mid / last - first / last
+    half = AFTER_S * (1.0 - mid / last) / rise if rise > 0.0 else AFTER_S
+    return Memory(first, max(half, 1.0), last)
 
 
 def noise_for(model: CellModel, noise: Noise | None) -> Noise:

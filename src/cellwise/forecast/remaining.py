@@ -341,7 +341,7 @@ def uncertain_of(model: CellModel) -> Uncertain:
     """What is not known of a cell ahead of its present SOC."""
     error = model.error
     memory_soc = error.correlation_soc or USUAL_MEMORY_SOC
-    return Uncertain(error.share(), memory_soc, validity_scalars(model), CAPACITY_STD)
+    return Uncertain(error.whole_share(), memory_soc, validity_scalars(model), CAPACITY_STD)
 
 
 def cutoff_of(model: CellModel, given: float | None) -> float:

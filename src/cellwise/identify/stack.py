@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from cellwise.cell.effects import Effect, Hysteresis, SlowDiffusion, TimeSkew
-from cellwise.cell.model import TABLES, CellModel, ModelError, ModelTables
+from cellwise.cell.model import TABLES, CellModel, ModelTables
+from cellwise.cell.model_error import SCALES_S, ModelError
 from cellwise.typing import FloatArray
 
 
@@ -51,26 +52,30 @@ def stack_models(models: Sequence[CellModel]) -> CellModel:
 
 
 def _mean_error(errors: Sequence[ModelError], temperature_C: Sequence[float]) -> ModelError:
-    """Root mean square of the errors of several models, each at its own temperature."""
-
-    def rms(values: Sequence[float] | FloatArray) -> float:
-        return float(np.sqrt(np.mean(np.square(values))))
-
-    points = max(len(e.slow_V) for e in errors)
+    """The errors of several models, each at its own temperature; shares as root mean squares."""
+    same = {e.scales_s for e in errors}
+    scales = errors[0].scales_s if len(same) == 1 else SCALES_S
+    moved = [e.on_scales(scales) for e in errors]
+    points = max(len(e.std_V[0][0]) for e in moved)
     grid = np.linspace(0.0, 1.0, points)
-    slow = np.sqrt(np.mean([e.at(grid) ** 2 for e in errors], axis=0))
-    whole = rms(slow)
-    own = [rms(e.at(grid)) / whole for e in errors] if whole > 0.0 else [1.0] * len(errors)
+
+    def rms(values: Sequence[tuple[float, ...]]) -> tuple[float, ...]:
+        return tuple(float(v) for v in np.sqrt(np.mean(np.square(values), axis=0)))
+
     reach = [e.correlation_soc for e in errors]
     return ModelError(
-        white_V=rms([e.white_V for e in errors]),
-        slow_V=tuple(float(v) for v in slow),
-        correlation_s=rms([e.correlation_s for e in errors]),
-        resistance_share=rms([e.share() for e in errors]),
-        charge_share=rms([e.share(-1.0) for e in errors]),
+        scales_s=scales,
+        std_V=tuple(
+            tuple(tuple(float(v) for v in np.sqrt(e.variance_V2(k, grid))) for e in moved)
+            for k in range(len(scales))
+        ),
         temperature_C=tuple(float(t) for t in temperature_C),
-        temperature_factor=tuple(own),
-        correlation_soc=None if None in reach else rms([r for r in reach if r is not None]),
+        share=rms([e.shares() for e in moved]),
+        charge_share=rms([e.shares(-1.0) for e in moved]),
+        persistent_share=max(e.persistent_share for e in errors),
+        correlation_soc=None if None in reach else rms([(r or 0.0,) for r in reach])[0],
+        unseen_share=max(e.hidden_share() for e in errors),
+        unseen_charge_share=max(e.hidden_share(-1.0) for e in errors),
     )
 
 

@@ -11,7 +11,7 @@ from cellwise.cell.effects import Hysteresis
 from cellwise.cell.initial_soc import initial_soc as module
 from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.initial_soc.rest import soc_of_ocv
-from cellwise.cell.model import ModelError
+from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
@@ -100,7 +100,7 @@ def test_hysteresis_makes_it_less_sure():
 
 def test_a_larger_model_error_makes_it_less_sure():
     model = curved_cell()
-    poor = replace(model, error=ModelError(slow_V=(0.05,)))
+    poor = replace(model, error=ModelError.of_white_and_slow(slow_V=(0.05,)))
     log = log_of(model, 0.5, rest_then_load(3600))
     assert initial_soc(poor, log).std > 2 * initial_soc(model, log).std
 

@@ -48,8 +48,8 @@ def test_every_entry_says_where_it_is_from_and_how_far_it_holds(entry):
 def test_the_error_is_that_of_another_cell_not_of_its_own_fit(name):
     model = stock_model(name)
     about = model.provenance["stock"]
-    assert np.min(model.error.slow_V) >= about["spread"]["ocv_V"]
-    assert model.error.resistance_share >= about["spread"]["ln_resistance"]
+    assert np.min(model.error.at(model.soc)) >= about["spread"]["ocv_V"]
+    assert model.error.shown_share() >= about["spread"]["ln_resistance"]
 
 
 def test_a_file_of_that_name_has_precedence(tmp_path, monkeypatch):

@@ -9,6 +9,7 @@ import pytest
 
 from cellwise.cell.effects import ChargeTransfer
 from cellwise.cell.initial_soc.initial_soc import initial_soc
+from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate
 from cellwise.diagnose import diagnose
 from cellwise.diagnose.causes.catalogue import CAUSES
@@ -24,7 +25,7 @@ from example_cells import curved_cell
 
 PLAIN = curved_cell()
 # As sure of itself as an identified model is: 1.5 mV.
-SURE = replace(PLAIN.error, slow_V=tuple(0.0015 for _ in np.atleast_1d(PLAIN.error.slow_V)))
+SURE = ModelError.of_white_and_slow(slow_V=0.0015)
 CELL = replace(PLAIN, error=SURE)
 # Resistances that are the same at every SOC: no shape over it tells them apart.
 FLAT = replace(CELL, **{n: np.full(101, v) for n, v in (("r0_ohm", 0.03), ("r1_ohm", 0.015))})

@@ -10,7 +10,7 @@ import pytest
 from cellwise import simulate
 from cellwise.cell.effects import SlowDiffusion
 from cellwise.cell.initial_soc.initial_soc import InitialSoc
-from cellwise.cell.model import ModelError
+from cellwise.cell.model_error import ModelError
 from cellwise.diagnose import diagnose
 from cellwise.diagnose.causes.catalogue import CAUSES, forms_of
 from cellwise.diagnose.causes.coordinates import Coordinates
@@ -23,9 +23,9 @@ from example_cells import curved_cell, random_log
 
 SOC0, R3_OHM, TAU3_S = 0.9, 0.015, 900.0
 GROWN, LONGER = 1.8, 1.5
-MODEL = replace(curved_cell(), error=ModelError(1e-3, (1e-3,), 60.0, 0.01)).with_effect(
-    SlowDiffusion(R3_OHM, TAU3_S)
-)
+MODEL = replace(
+    curved_cell(), error=ModelError.of_white_and_slow(1e-3, (1e-3,), 60.0, 0.01)
+).with_effect(SlowDiffusion(R3_OHM, TAU3_S))
 SLOW = CAUSES["slow_diffusion"]
 SLOWER = {"ln_slow_r": float(np.log(GROWN)), "ln_slow_tau": float(np.log(LONGER))}
 

@@ -9,7 +9,8 @@ import pytest
 
 from cellwise.cell.effects import Hysteresis, SlowDiffusion, TemperatureDependence
 from cellwise.cell.initial_soc.initial_soc import InitialSoc
-from cellwise.cell.model import CellModel, ModelError
+from cellwise.cell.model import CellModel
+from cellwise.cell.model_error import ModelError
 from cellwise.cell.plausibility.validity import Validity
 from cellwise.cell.simulate import simulate
 from cellwise.diagnose import diagnose
@@ -130,7 +131,7 @@ def cold_cell(model: CellModel) -> CellModel:
 def test_a_healthy_cell_that_is_cold_has_not_aged() -> None:
     """The model states the error that it has at its own temperature, 2 mV."""
     model = curved_cell(
-        error=ModelError(1e-3, (2e-3,), 600.0, 0.01),
+        error=ModelError.of_white_and_slow(1e-3, (2e-3,), 600.0, 0.01),
         validity=Validity((0.0, 1.0), (20.0, 30.0), (-5.0, 8.0)),
     )
     rng = np.random.default_rng(71)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cellwise import CellModel, simulate
-from cellwise.cell.model import ModelError
+from cellwise.cell.model_error import ModelError
 from cellwise.diagnose import diagnose
 from cellwise.logs.cell_log import CellLog
 from emulator_drives import random_load
@@ -19,7 +19,7 @@ SOC0 = 0.9
 
 def good_model() -> CellModel:
     """A model that states no more error than these logs have."""
-    return replace(curved_cell(), error=ModelError(1e-3, (1e-3,), 60.0, 0.01))
+    return replace(curved_cell(), error=ModelError.of_white_and_slow(1e-3, (1e-3,), 60.0, 0.01))
 
 
 def aged(model: CellModel, share: float) -> CellModel:

@@ -11,7 +11,7 @@ import pytest
 from cellwise import simulate
 from cellwise.cell.effects import Hysteresis, RateDependence, SlowDiffusion
 from cellwise.cell.initial_soc.initial_soc import initial_soc
-from cellwise.cell.model import ModelError
+from cellwise.cell.model_error import ModelError
 from cellwise.diagnose.applied import kept
 from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.causes.coordinates import Coordinates
@@ -38,7 +38,7 @@ SOC0 = 0.9
 TRIED = [CAUSES[n] for n in ("current_gain", "capacity", "voltage_offset", "time_skew")]
 
 
-QUIET = ModelError(1e-3, (1e-3,), 60.0, 0.01)
+QUIET = ModelError.of_white_and_slow(1e-3, (1e-3,), 60.0, 0.01)
 
 
 def fits_of(
@@ -113,7 +113,13 @@ def test_named_causes_that_were_no_set_of_their_own_are_fitted_from_the_nearest(
 @pytest.mark.slow
 def test_beside_a_quick_error_the_models_own_counts_no_more_than_alone():
     """A voltage 1.5 s late, of a model whose resistances err with the rate as much as it states."""
-    fits = fits_of(1.0, 1.0, late_s=1.5, error=ModelError(1e-3, (4e-3,), 600.0, 0.03), rate_h=0.05)
+    fits = fits_of(
+        1.0,
+        1.0,
+        late_s=1.5,
+        error=ModelError.of_white_and_slow(1e-3, (4e-3,), 600.0, 0.03),
+        rate_h=0.05,
+    )
     sets = Explanations(fits, Rarity())
     tried = [CAUSES[n] for n in ("time_skew", "rate_dependence", "resistance_scale")]
     sets.search(tried, *fits.base(fits.prior))

@@ -9,7 +9,7 @@ import pytest
 
 from cellwise import CellLog, diagnose, simulate
 from cellwise.cell.initial_soc.initial_soc import initial_soc
-from cellwise.cell.model import ModelError
+from cellwise.cell.model_error import ModelError
 from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.fit.cause_fits import CauseFits
@@ -20,7 +20,7 @@ from cellwise.diagnose.fit.wrong_shapes import LEVELS, SHAPE_SHARES, wrong_shape
 from example_cells import curved_cell
 
 SOC0 = 0.95
-CELL = replace(curved_cell(), error=ModelError(1e-3, (1e-3,), 60.0, 0.01))
+CELL = replace(curved_cell(), error=ModelError.of_white_and_slow(1e-3, (1e-3,), 60.0, 0.01))
 
 
 def drive(cell, seed, rows=7200):

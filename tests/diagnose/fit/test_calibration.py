@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cellwise.cell.initial_soc.initial_soc import initial_soc
-from cellwise.cell.model import ModelError
+from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.fit.calibration import calibrate
@@ -21,7 +21,7 @@ from emulator_drives import random_load
 from example_cells import curved_cell
 
 # As good as it was: what it says of its error is what its instruments leave.
-CELL = replace(curved_cell(), error=ModelError(5e-4, (5e-4,), 60.0, 0.0))
+CELL = replace(curved_cell(), error=ModelError.of_white_and_slow(5e-4, (5e-4,), 60.0, 0.0))
 
 
 def measured(factor, seed):

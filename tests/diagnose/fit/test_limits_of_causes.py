@@ -108,7 +108,7 @@ def test_an_error_within_the_claim_is_not_beyond_it():
     evidence = gather(CELL, [(log, start)])
     (good,) = claim_checks(CELL, log_runs(CELL, with_use([(log, start)], 1)), evidence)
     assert not good.beyond
-    claim = float(np.mean(CELL.error.slow_V))
+    claim = float(np.mean(CELL.error.at(CELL.soc)))
     bad_log = replace(log, voltage_V=log.voltage_V + 8.0 * claim)
     (bad,) = claim_checks(CELL, log_runs(CELL, with_use([(bad_log, start)], 1)), evidence)
     assert bad.beyond

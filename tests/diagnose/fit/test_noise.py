@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import invgamma, norm
 
-from cellwise.cell.model import ModelError
+from cellwise.cell.model_error import ModelError
 from cellwise.diagnose.fit.noise import (
     SHAPE_ERRORS,
     KnownScale,
@@ -37,7 +37,7 @@ SOC = np.linspace(0.9, 0.1, ROWS)
 
 
 def test_rows_count_as_many_errors_as_their_time_and_soc_hold():
-    error = ModelError(correlation_s=200.0)
+    error = ModelError.of_white_and_slow(correlation_s=200.0)
     weights = row_weights(evidence(), error, SOC)
     assert np.sum(weights) == pytest.approx(1.0 + 4000.0 / 400.0)
     some = row_weights(evidence(unused=1000), error, SOC)
@@ -47,7 +47,9 @@ def test_rows_count_as_many_errors_as_their_time_and_soc_hold():
 
 
 def test_a_row_is_one_error_at_most():
-    assert np.all(row_weights(evidence(), ModelError(correlation_s=1e-3), SOC) <= 1.0)
+    assert np.all(
+        row_weights(evidence(), ModelError.of_white_and_slow(correlation_s=1e-3), SOC) <= 1.0
+    )
 
 
 def test_a_shape_that_is_not_natures_is_few_errors_in_however_many_rows():
@@ -65,7 +67,9 @@ def test_a_shape_that_is_not_natures_is_few_errors_in_however_many_rows():
 
 def test_what_no_test_could_show_of_charges_is_not_held_against_a_model():
     """A load that lasts is for the diagnosis to find; a charge that lasts has no cause's shape."""
-    error = ModelError(resistance_share=0.03, unseen_share=0.2, unseen_charge_share=0.1)
+    error = ModelError.of_white_and_slow(
+        resistance_share=0.03, unseen_share=0.2, unseen_charge_share=0.1
+    )
     drop_V = np.array([0.2, -0.2, -0.2, 0.2])
     charged = np.array([False, False, True, True])
     shares = share_claimed(error, drop_V, charged)

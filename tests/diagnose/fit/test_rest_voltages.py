@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cellwise.cell.initial_soc.initial_soc import initial_soc
-from cellwise.cell.model import ModelError
+from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.causes.electrodes import Electrodes
@@ -119,7 +119,9 @@ def test_lithium_that_was_lost_is_a_claim_on_charge():
     """An hour at C/2 ends where the smaller capacity says, on the OCV of the aged electrodes."""
     soc = np.linspace(0.0, 1.0, 101)
     fresh = Electrodes("graphite with SiOx", "NMC 811", (0.03, 0.90, 0.86, 0.27), 0.0)
-    known = linear_cell(101, ocv_V=fresh.ocv(soc), error=ModelError(1e-3, (2e-3,), 300.0, 0.02))
+    known = linear_cell(
+        101, ocv_V=fresh.ocv(soc), error=ModelError.of_white_and_slow(1e-3, (2e-3,), 300.0, 0.02)
+    )
     coordinates = Coordinates(known)
     aged = {"lithium_loss": 0.1}
     model = extend_model(coordinates, aged, {})

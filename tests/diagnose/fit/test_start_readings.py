@@ -9,7 +9,7 @@ import pytest
 
 from cellwise import simulate
 from cellwise.cell.initial_soc.initial_soc import initial_soc
-from cellwise.cell.model import ModelError
+from cellwise.cell.model_error import ModelError
 from cellwise.diagnose import diagnose
 from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.causes.coordinates import OCV_NAMES, Coordinates
@@ -22,7 +22,7 @@ from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
 
 SOC0 = 0.82
-MODEL = replace(curved_cell(), error=ModelError(1e-3, (2e-3,), 60.0, 0.01))
+MODEL = replace(curved_cell(), error=ModelError.of_white_and_slow(1e-3, (2e-3,), 60.0, 0.01))
 
 
 def rested_log(seed, offset_V=0.0, rows=1800):

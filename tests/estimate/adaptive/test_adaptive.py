@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cellwise.cell.effects import SlowDiffusion
-from cellwise.cell.model import ModelError
+from cellwise.cell.model_error import ModelError
 from cellwise.cell.protocol import ConstantCurrent, DriveProfile, Rest, run_protocol
 from cellwise.errors import InputError
 from cellwise.estimate.adaptive.adaptive import Adaptive
@@ -19,7 +19,9 @@ from cellwise.estimate.status import Status
 from example_cells import EFFECTS, curved_cell, lfp_cell
 
 CAPACITY = 3.0
-ERROR = ModelError(white_V=0.001, slow_V=(0.003,), correlation_s=300.0, resistance_share=0.02)
+ERROR = ModelError.of_white_and_slow(
+    white_V=0.001, slow_V=(0.003,), correlation_s=300.0, resistance_share=0.02
+)
 MODEL = curved_cell(error=ERROR)
 
 
@@ -135,7 +137,7 @@ class TestNaming:
 )
 def test_where_nothing_may_be_wrong_it_is_the_ekf(hours, mean, soc0):
     """Beside a free capacity, which leaves the SOC unsure by points; from full, over hours."""
-    model = curved_cell(error=replace(ERROR, slow_V=(0.012,)))
+    model = curved_cell(error=ModelError.of_white_and_slow(0.001, (0.012,), 300.0, 0.02))
     log = drive(hours=hours, mean=mean, soc0=soc0)
     wave = 0.008 * np.cos(9.0 * truth(log, soc0))  # an error of the OCV
     log = replace(log, voltage_V=log.voltage_V + wave)

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise.cell.model import ModelError
+from cellwise.cell.model_error import ModelError
 from cellwise.estimate.filters.ekf import Ekf
 from cellwise.estimate.noise import Noise
 from cellwise.logs.cell_log import CellLog
@@ -123,7 +123,7 @@ def test_with_a_model_error_that_lasts_for_minutes(cell, dt, least):
     curved OCV it covers, on an LFP plateau a tangent cannot follow the OCV and a few points are
     lost. A filter that forgot the duration covers less than 70 % (below).
     """
-    model = replace(cell(), error=ModelError(slow_V=(0.010,)))
+    model = replace(cell(), error=ModelError.of_white_and_slow(slow_V=(0.010,)))
     noise = replace(MINUTES, gate=1e9, mismatch_cap=0.0)
     rows = int(10_000 / dt)
     error, std, nis = replayed(model, noise, rows, dt, soc0_std=0.1)
@@ -139,7 +139,7 @@ def test_a_start_that_is_20_points_unsure_is_not_overtrusted_after_one_voltage()
     The filter takes a model to be wrong on every time scale; an error of one scale, as here, costs
     a few points of coverage in the first minutes.
     """
-    model = replace(curved_cell(), error=ModelError(slow_V=(0.010,)))
+    model = replace(curved_cell(), error=ModelError.of_white_and_slow(slow_V=(0.010,)))
     noise = MINUTES
     error, std, _ = replayed(model, noise, 1000, 10.0, soc0_std=0.2, seed=5)
     for rows, least in ((slice(0, 20), 0.89), (slice(200, None, 100), 0.92)):

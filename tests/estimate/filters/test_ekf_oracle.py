@@ -78,7 +78,9 @@ def samples_of_one_error(noise, evidence, dt, resting):
     """Factor on a voltage's variance; ``evidence`` is the time since the first, None before it."""
     if noise.slow_s == 0 or (evidence is None and resting):
         return 1.0
-    memory = min(noise.slow_s, 10.0 + 2.0 * (evidence or 0.0))
+    early = noise.slow_half_s * min(noise.slow_first_s / noise.slow_s, 1.0)
+    after = evidence or 0.0
+    memory = noise.slow_s * (after + early) / (after + noise.slow_half_s)
     return max(2 * memory / dt, 1.0) if dt > 0 else np.inf
 
 

@@ -392,7 +392,7 @@ def test_noise_follows_the_model():
     assert noise.current_A == pytest.approx(0.08)
     assert noise.voltage_V == model.error.white_V
     assert noise.slow_s == model.error.correlation_s
-    assert noise.branch_share == model.error.resistance_share
+    assert noise.branch_share == model.error.whole_share()
 
 
 def test_a_log_of_any_rate_ends_with_about_the_same_certainty():

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise.cell.model import CellModel, ModelError
+from cellwise.cell.model import CellModel
+from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate
 from cellwise.estimate.filters.ekf import Ekf
 from cellwise.estimate.filters.ukf import Ukf
@@ -26,7 +27,7 @@ MODEL = CellModel(
     tau1_s=2.0 * FLAT,
     r2_ohm=0.02 * FLAT,
     tau2_s=30.0 * FLAT,
-    error=ModelError(0.001, (SIZE_V,), 300.0, 0.0, correlation_soc=LENGTH),
+    error=ModelError.of_white_and_slow(0.001, (SIZE_V,), 300.0, 0.0, correlation_soc=LENGTH),
 )
 # From 90 to 10 % at 1C with loads and rests, and twelve hours between 55 and 65 %.
 DRIVE_A = np.tile(np.repeat([6.0, 0.0, 4.5, 0.0, 4.5], 2), 28)

@@ -8,7 +8,8 @@ from scipy import stats
 
 from cellwise.cell.effects import SlowDiffusion
 from cellwise.cell.equations import CellState
-from cellwise.cell.model import CellModel, ModelError
+from cellwise.cell.model import CellModel
+from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate
 from cellwise.estimate.adaptive.adaptive import Adaptive
 from cellwise.estimate.filters.ekf import Ekf
@@ -45,7 +46,7 @@ def linear(r_slope: float = 0.0, tau3_s: float = TAU3_S) -> CellModel:
         r2_ohm=0.02 * bend,
         tau2_s=30.0 * FLAT,
         effects=(SlowDiffusion(R3_OHM * bend[None, :], tau3_s),),
-        error=ModelError(white_V=0.001, slow_V=(SLOW_V,), resistance_share=0.0),
+        error=ModelError.of_white_and_slow(white_V=0.001, slow_V=(SLOW_V,), resistance_share=0.0),
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cellwise.cell.equations import CellState, advance, empty_state, voltage_of
-from cellwise.cell.model import ModelError
+from cellwise.cell.model_error import ModelError
 from cellwise.cell.plausibility.validity import Validity
 from cellwise.errors import InputError
 from cellwise.estimate.filters.covariance_kernels import uncorrelated
@@ -142,7 +142,7 @@ def test_at_the_ends_there_is_none():
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_of_draws_from_the_covariance_95_of_100_sustain_the_lower_bound(side):
     """SOC and branches that are correlated: the closed form of each draw says whether it holds."""
-    right = ModelError(white_V=1e-6, slow_V=(0.0,), resistance_share=0.0)
+    right = ModelError.of_white_and_slow(white_V=1e-6, slow_V=(0.0,), resistance_share=0.0)
     model = linear_cell(error=right)
     p = uncorrelated(0.02**2, 0.004**2, 0.006**2, 0.0, 0.0)._replace(s1=3e-5, p12=-1e-5)
     now = Present(LOADED, p, p.ss, 1.0, WARM_C, Correction(1.0, 1.0, 0.0), 0.0)
@@ -163,7 +163,9 @@ def test_of_draws_from_the_covariance_95_of_100_sustain_the_lower_bound(side):
 
 def test_a_model_that_is_less_sure_promises_less():
     model = curved_cell()
-    wide = replace(model, error=replace(model.error, slow_V=(0.030,), resistance_share=0.15))
+    wide = replace(
+        model, error=ModelError.of_white_and_slow(slow_V=(0.030,), resistance_share=0.15)
+    )
     found = power_limits(model, LOADED, limits=LIMITS)[1]
     less = power_limits(wide, LOADED, limits=LIMITS)[1]
     assert less.discharge.power_W == found.discharge.power_W

@@ -137,7 +137,7 @@ def known_model(
         tau2_s=second(cell.tau2_s),
         temperature_C=np.array([cell.reference_C]),
         effects=tuple(effects),
-        error=ModelError(white_V=noise_V, slow_V=(0.003,), resistance_share=0.03),
+        error=ModelError.of_white_and_slow(white_V=noise_V, slow_V=(0.003,), resistance_share=0.03),
         name="emulated cell",
     )
 

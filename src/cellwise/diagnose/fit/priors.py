@@ -13,19 +13,17 @@ from cellwise.cell.model import CellModel
 from cellwise.diagnose.causes.catalogue import Cause
 from cellwise.diagnose.causes.coordinates import OCV_NAMES, R_NAMES, Coordinates
 from cellwise.diagnose.fit.least_squares import Fit, Prior
-from cellwise.diagnose.fit.noise import stated_V
+from cellwise.diagnose.fit.noise import LEAST_V, returning_V
 from cellwise.diagnose.fit.rows import Evidence
 from cellwise.diagnose.fit.start_readings import start_readings
 
-import os
-# Share of the model's own slow error that its OCV may owe at any knot; least of all in volts.
-OCV_SHARE = float(os.environ.get("OCVS","0.25"))
-OWED_SHARE = float(os.environ.get("OWEDS","1.0"))
+# Of the square of what comes back of a model's error in every log its OCV owes one half at any knot,
+# in volts at least so much; nobody knows the shape of the rest.
+OCV_SHARE = 0.5
 OCV_LEAST_V = 0.0015
 R_SHARE = 0.5
 R_LEAST = 0.015
-# Of the model's stated error nobody knows the shape, and it is the same one in every log: these owe
-# equal shares of its square.
+# These owe equal shares of the other half.
 OWED = (
     "ln_r0", "ln_r1", "ln_r2", "ln_tau1", "ln_tau2", "r3", "m_V", "activation_K", "rate_h",
     "ln_charge_scale",
@@ -65,7 +63,7 @@ STRUCTURE = {
     "skew_s": 0.03,
 }
 # Of what was calibrated, this share stays uncertain: the next log is another day.
-STILL_OPEN = float(os.environ.get("STILL","0.3"))
+STILL_OPEN = 0.3
 
 
 def tolerances(coordinates: Coordinates, evidence: Evidence) -> Prior:
@@ -73,7 +71,7 @@ def tolerances(coordinates: Coordinates, evidence: Evidence) -> Prior:
     model = coordinates.model
     capacity = model.capacity_Ah
     warm = float(np.median(np.concatenate([g.temperature_C for g in evidence.logs])))
-    knots = model.error.at(np.linspace(0.0, 1.0, len(OCV_NAMES)), warm)
+    knots = returning_V(model.error, np.linspace(0.0, 1.0, len(OCV_NAMES)), warm)
     interval = float(np.median(np.concatenate([g.dt_s[1:] for g in evidence.logs])))
     std = {
         "offset_A": 7e-4 * capacity,
@@ -86,7 +84,7 @@ def tolerances(coordinates: Coordinates, evidence: Evidence) -> Prior:
             n: max(OCV_LEAST_V, math.sqrt(OCV_SHARE) * float(v))
             for n, v in zip(OCV_NAMES, knots, strict=True)
         },
-        **dict.fromkeys(R_NAMES, max(R_LEAST, R_SHARE * model.error.resistance_share)),
+        **dict.fromkeys(R_NAMES, max(R_LEAST, R_SHARE * model.error.shown_share())),
         "ln_r0": 0.012,
         "ln_r1": 0.025,
         "ln_r2": 0.025,
@@ -116,13 +114,21 @@ def tolerances(coordinates: Coordinates, evidence: Evidence) -> Prior:
 
 
 def _owed(coordinates: Coordinates, evidence: Evidence) -> dict[str, float]:
-    """Standard deviation of each coordinate that makes up its share of the stated error."""
-    voltage, soc = evidence.simulate(coordinates, {})
-    stated = stated_V(coordinates.model, evidence, soc, voltage)
-    used = evidence.known & np.isfinite(stated)
-    columns = evidence.jacobian(coordinates, {}, OWED)[used] / stated[used, None]
-    size = np.sqrt(np.mean(columns**2, axis=0))
-    allowed = math.sqrt(OWED_SHARE / len(OWED))
+    """Standard deviation of each coordinate that makes up its share of what comes back."""
+    _, soc = evidence.simulate(coordinates, {})
+    error = coordinates.model.error
+    again = np.concatenate(
+        [
+            returning_V(error, np.clip(soc[rows], 0.0, 1.0), float(np.median(g.temperature_C)))
+            for g, rows in evidence.each()
+        ]
+    )
+    used = evidence.known & np.isfinite(again)
+    # A model that states nothing there owes nothing.
+    again = np.maximum(again[used], LEAST_V)
+    columns = evidence.window_means(evidence.jacobian(coordinates, {}, OWED))[used]
+    size = np.sqrt(np.mean((columns / again[:, None]) ** 2, axis=0))
+    allowed = math.sqrt((1.0 - OCV_SHARE) / len(OWED))
     return {n: allowed / float(v) for n, v in zip(OWED, size, strict=True) if v > allowed}
 
 
@@ -228,7 +234,6 @@ def coordinate_bounds(
 
 def structure_prior(prior: Prior) -> Prior:
     """The prior of a calibration on baseline logs."""
-    if os.environ.get("STRUCT","1")=="0": return prior
     std = {n: max(v, prior.std[n]) for n, v in STRUCTURE.items() if n in prior.std}
     starts = {n: v for n, v in prior.std.items() if n.startswith("soc0:")}
     mean = {n: prior.mean.get(n, 0.0) for n in starts}

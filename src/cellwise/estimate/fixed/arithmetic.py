@@ -74,7 +74,6 @@ EVIDENCE_MOST = U(0x200000)
 REPEATED = U(0)  # a sample that was seen before,
 NO_INTERVAL = U(1)  # the first one, which ends no interval,
 INTERVAL = U(2)  # and one that ends an interval
-SHARED_GROWTH = F(4.0)  # twice the growth of the memory, in steps a step
 START_LOAD_SHARE = F(0.5)
 REST_LIMIT_V = F(0.03)  # a rested branch holds no more
 LOAD_LIMIT_V = F(0.3)

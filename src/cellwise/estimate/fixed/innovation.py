@@ -11,7 +11,6 @@ from cellwise.estimate.fixed.arithmetic import (
     FROZEN_READINGS,
     HALF,
     ONE,
-    SHARED_GROWTH,
     SIXTH,
     THREE,
     ZERO,
@@ -80,16 +79,17 @@ def watch_voltage(
 def shared_by(c: Constants, x: State, seen: Float) -> Float:
     """How many samples share one model error.
 
-    What the model gets wrong it gets wrong on every time scale, so the memory grows with the time
-    since the first voltage until it is the model's own. The first voltage at rest is evidence by
-    itself.
+    The model's error is a sum of processes with memories of a second to half an hour. The quick
+    ones average out first, so what is left of a mean has an ever longer memory. The first voltage
+    at rest is evidence by itself.
     """
     shared = ONE
     if x.evidence >= FIRST_VOLTAGE:
         since = F(U(x.evidence - FIRST_VOLTAGE))
-        shared = clip(c.shared_start + (SHARED_GROWTH * since), ONE, c.shared)
+        grown = (since + c.shared_early) / (since + c.shared_half)
+        shared = clip(c.shared * grown, ONE, c.shared)
     elif not size_below(seen, c.rest_A):
-        shared = clip(c.shared_start, ONE, c.shared)
+        shared = clip(c.shared * (c.shared_early / c.shared_half), ONE, c.shared)
     return shared
 
 

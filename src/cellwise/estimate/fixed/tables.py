@@ -58,7 +58,6 @@ if TYPE_CHECKING:
 Float32Array = NDArray[np.float32]
 
 REJECTION_COUNT = 20_000  # what a rejection adds to the count, as in ``arithmetic``
-MEMORY_START_S = 10.0  # for how long the model's error is remembered at first
 VOLTAGE_MOST_V = 1000.0
 LEAST_V = 1e-3  # above zero: the C compares bits
 BRIDGED_S = 5.0  # missing samples up to here are bridged by the currents on both sides
@@ -268,6 +267,8 @@ def _constants(
 ) -> dict[str, Any]:
     per_A = dt_s / (3600.0 * model.capacity_Ah)
     slow_s = noise.slow_s
+    half_s = max(noise.slow_half_s, dt_s)
+    early_s = half_s * min(noise.slow_first_s / max(slow_s, dt_s), 1.0)
     adapts = noise.mismatch_cap > 0 and slow_s > 0
     heating = model.effect(SelfHeating)
     surface = model.effect(SurfaceSoc)
@@ -285,8 +286,9 @@ def _constants(
         "share_variance": noise.branch_share**2,
         "charge_variance": (noise.charge_factor * noise.branch_share) ** 2,
         "gate_square": noise.gate**2,
-        "shared_start": 2.0 * MEMORY_START_S / dt_s,
         "shared": max(2.0 * slow_s / dt_s, 1.0),
+        "shared_early": early_s / dt_s,
+        "shared_half": half_s / dt_s,
         "lately": min(dt_s / slow_s, 1.0) if adapts else 0.0,
         "mismatch_cap": noise.mismatch_cap,
         "gap_variance": noise.gap_soc**2,

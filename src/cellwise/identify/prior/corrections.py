@@ -64,7 +64,7 @@ class Corrections:
             np.exp(-np.abs(at[:, None] - at[None, :]) / OCV_LENGTH)
         )
         at = greville(TABLE_KNOTS)
-        share = max(self.prior.error.resistance_share, LEAST_LN_R)
+        share = max(self.prior.error.shown_share(), LEAST_LN_R)
         alike = LEVEL_SHARE + (1.0 - LEVEL_SHARE) * _alike(at, TABLE_LENGTH)
         self.table_root = share * _root(alike)
         self.inverse_K = inverse_K(self.prior.temperature_C, REFERENCE_C)

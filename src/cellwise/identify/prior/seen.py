@@ -8,11 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from cellwise.cell.model import CellModel, ModelError
+from cellwise.cell.model import CellModel
+from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import known_temperature_C
 from cellwise.identify.prior.corrections import Corrections
 from cellwise.identify.prior.update import PriorLog, Update
 from cellwise.identify.refinement.model_error import (
+    POINTS,
     ResidualLog,
     estimate_model_error,
     polarisation_V,
@@ -20,7 +22,6 @@ from cellwise.identify.refinement.model_error import (
 from cellwise.typing import FloatArray
 
 BINS = 50  # of the SOC axis, for where the data have been
-PERSISTENT_S = 3600.0  # how long the prior's own error persists, as long as a model's may
 SHORT_OF_ALL = 0.02  # of the SOC range: a gap at an end that is no worth a word
 SAME_TEMPERATURE_K = 5.0
 
@@ -85,19 +86,9 @@ def error_of(
     shown = estimate_model_error(residuals)
     ocv_std = _deviation(corrections.ocv_map(), found.covariance)
     r0_std = _deviation(corrections.r0_map(), found.covariance)
-    grid = np.linspace(0.0, 1.0, max(len(shown.slow_V), 2))
-    unknown = np.interp(grid, found.model.soc, ocv_std)
-    slow = np.hypot(shown.at(grid), unknown)
-    share = float(np.mean(unknown**2) / np.mean(slow**2))
     unsure = float(np.median(r0_std))
-    # Uncertainty of the OCV is the same at every temperature.
-    return ModelError(
-        white_V=shown.white_V,
-        slow_V=tuple(float(v) for v in slow),
-        correlation_s=(1.0 - share) * shown.correlation_s + share * PERSISTENT_S,
-        resistance_share=float(np.hypot(shown.share(), unsure)),
-        charge_share=float(np.hypot(shown.share(-1.0), unsure)),
-    ), ocv_std
+    grid = np.linspace(0.0, 1.0, POINTS)
+    return shown.with_slow(np.interp(grid, found.model.soc, ocv_std), unsure), ocv_std
 
 
 def notices_of(seen: Seen, name: str, prior: CellModel) -> list[str]:

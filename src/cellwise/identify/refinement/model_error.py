@@ -1,32 +1,36 @@
-"""How wrong a fitted model is, from its residuals: size, memory, share of the polarisation."""
+"""How wrong a model is on every time scale: likelihood of what it left of loads it has not seen."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.model import CellModel, ModelError
-from cellwise.typing import BoolArray, FloatArray
+from cellwise.cell.model import CellModel
+from cellwise.cell.model_error import SCALES_S, ModelError
+from cellwise.typing import BoolArray, FloatArray, IndexArray
 
-# A fit sees its own residuals smaller than a new log will.
-OPTIMISM = 1.2
-LONGEST_LAG_S = 3600.0
-STEP_S = 5.0
-PROFILE_POINTS = 51
-WINDOW_SOC = 0.02
-LEAST_V = 5e-4
-LARGEST_SHARE = 0.5
-SHARE_BINS = 25  # over SOC, within which rows of more and less polarisation are compared
-# A direction with less than this of the rows says nothing of its own.
-LEAST_ROWS = 200
+# Over SOC, where a band's size is estimated: it grows steeply towards empty.
+KNOTS = np.array([0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
+POINTS = 21  # over SOC, at which it is stated
+CELL_SOC = 0.02  # rows of one log within as much SOC are one cell
+# A mean square over few independent errors scatters, and a single log may be far off: an F
+# distribution of so many degrees of freedom.
+TAIL = 2.0
+MOST_IN_CELL = 2.0  # independent errors: SOC by SOC a log repeats what it gets wrong
+LEAST_IN_CELL = 0.02
+# Priors, standard deviations of logarithms: from knot to knot, of a temperature about all and from
+# knot to knot, of the share of the polarisation about its usual, of charge over discharge.
+STEP_STD, TEMPERATURE_STD, OWN_STEP_STD, SHARE_STD, CHARGE_STD = 0.5, 0.7, 0.3, 1.0, 0.5
+USUAL_SHARE = 0.02
+LEAST_V = 1e-4
+OPTIMISM = 1.2  # a fit sees its own residuals smaller than a new log will
+SAME_TEMPERATURE_K = 4.0  # logs this near to each other report one temperature
+LEAST_LOG = 20  # rows
 SOC_STEP = 0.002
 DEEP = 0.3  # a log that moves less of the SOC does not show how its error changes along it
-SAME_TEMPERATURE_K = 4.0  # logs this near to each other report one temperature
-# What is taken out as the polarisation's may be its square at most up to this share of the whole.
-LEAST_REST = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,215 +61,239 @@ def polarisation_V(
     return np.asarray((1.0 - way) * each[low, at] + way * each[low + 1, at] - voltage_V)
 
 
+def in_bands(time_s: FloatArray, values: FloatArray) -> FloatArray:
+    """Values parted by time scale, shape (scales, n): their sum over the scales is ``values``.
+
+    What running means over the scales but the first leave, each a mean over time.
+    """
+    integral = np.concatenate(
+        ([0.0], np.cumsum(0.5 * np.diff(time_s) * (values[1:] + values[:-1])))
+    )
+    before, bands = values, []
+    for width in SCALES_S[1:]:
+        low = np.maximum(time_s - 0.5 * width, time_s[0])
+        high = np.minimum(time_s + 0.5 * width, time_s[-1])
+        moved = np.interp(high, time_s, integral) - np.interp(low, time_s, integral)
+        mean = np.where(high > low, moved / np.maximum(high - low, 1e-12), values)
+        bands.append(before - mean)
+        before = mean
+    return np.array([*bands, before])
+
+
+class _Cells(NamedTuple):
+    """Rows of one log, SOC and direction together, for each band; arrays of shape (cells,)."""
+
+    soc: FloatArray
+    charge: FloatArray  # 1 where the cell is charged
+    group: IndexArray  # of a temperature
+    drop2: FloatArray
+    square: FloatArray  # (scales, cells) mean square of the residual
+    errors: FloatArray  # (scales, cells) how many independent ones
+
+
 def estimate_model_error(
     logs: Sequence[ResidualLog],
     elsewhere: Sequence[ResidualLog] = (),
     unseen: tuple[float, float] = (0.0, 0.0),
 ) -> ModelError:
-    r"""Voltage error of a model from residuals over whole logs.
+    r"""Voltage error of a model from its residuals over loads, best those that its fit left out.
 
-    The squared residual is taken as that of two errors that know nothing of each other: one of the
-    OCV and of what the model leaves out, by SOC and temperature, and one of the resistances, a
-    share of the polarisation, for discharge and charge:
+    In each band of time scale a squared residual is that of two errors that know nothing of each
+    other, one of SOC and temperature, and a share of the polarisation, on discharge and charge:
 
-    .. math:: r^2 = \left(f(T)\, e(s)\right)^2 + \left(\kappa_\pm\, v_p\right)^2
+    .. math:: \sigma_k^2 = e_k(s, T)^2 + \left(\kappa_{k\pm}\, v_p\right)^2
 
     Parameters
     ----------
     logs : sequence of ResidualLog
-    elsewhere : sequence of ResidualLog    tests of another kind, which count at a SOC where none
-                                           of ``logs`` has been
+    elsewhere : sequence of ResidualLog    tests of another kind and of the fit itself, which count
+                                           at a SOC where none of ``logs`` has been
     unseen : (discharge, charge)           shares of the polarisation, what no log can show
 
     Returns
     -------
-    ModelError        ``slow_V`` over SOC, without what follows the polarisation
+    ModelError        over :data:`~cellwise.cell.model_error.SCALES_S`; persists for one over one
+                      more than the logs of a temperature, which have shown what they share
     """
-    usable = [log for log in logs if log.residual_V.size >= 20]
+    usable = [log for log in logs if log.residual_V.size >= LEAST_LOG]
     if not usable:
         return ModelError()
-    weights = np.array([float(log.time_s[-1] - log.time_s[0]) + 1.0 for log in usable])
-    white = [_step_noise(log.residual_V) for log in usable]
-    discharge = _share(usable, 1.0)
-    charge = _share(usable, -1.0)
-    if discharge is None:
-        discharge = 0.0 if charge is None else charge
-    charge = discharge if charge is None else max(charge, discharge)
-    rest = [_without_share(log, discharge, charge) for log in usable]
-    others = [log for log in elsewhere if log.residual_V.size >= 20]
-    slow = _profile(usable, rest, others)
-    grid, factor = _over_temperature(usable, rest, slow)
-    memory = [correlation_time(log.time_s, _clip(log.residual_V)) for log in usable]
+    groups = _by_temperature(usable)
+    warm = [float(np.mean([usable[k].temperature_C for k in g])) for g in groups]
+    cells = [_cells(usable[k], i) for i, g in enumerate(groups) for k in g]
+    seen = np.unique(np.concatenate([_place(c.soc) for c in cells]))
+    for log in elsewhere:
+        if log.residual_V.size >= LEAST_LOG:
+            nearest = int(np.argmin(np.abs(np.array(warm) - log.temperature_C)))
+            other = _cells(log, nearest)
+            new = ~np.isin(_place(other.soc), seen)
+            cells.append(_of(other._replace(square=OPTIMISM**2 * other.square), new))
+    every = _Cells._make(np.concatenate(part, axis=-1) for part in zip(*cells, strict=True))
+    grid = np.linspace(0.0, 1.0, POINTS)
+    fits = [_fit(every, k, len(groups)) for k in range(len(SCALES_S))]
+    resolved = next((k for k, fit in enumerate(fits) if fit is not None), len(SCALES_S) - 1)
+    known = [fits[max(k, resolved)] or _nothing(len(groups)) for k in range(len(SCALES_S))]
+    std = []
+    for ln_size, _, _ in known:
+        rows = [np.exp(np.interp(grid, KNOTS, row)) for row in ln_size]
+        std.append(tuple(tuple(_short(v) for v in np.maximum(row, LEAST_V)) for row in rows))
+    each = len(usable) / len(groups)
     return ModelError(
-        white_V=max(float(np.average(white, weights=weights)), 1e-4),
-        slow_V=tuple(float(v) for v in slow),
-        correlation_s=float(np.clip(np.average(memory, weights=weights), 10.0, LONGEST_LAG_S)),
-        resistance_share=discharge,
-        charge_share=charge,
-        temperature_C=grid,
-        temperature_factor=factor,
-        correlation_soc=_correlation_soc(usable, slow),
+        scales_s=SCALES_S,
+        std_V=tuple(std),
+        temperature_C=tuple(warm) if len(groups) > 1 else (),
+        share=tuple(_short(fit[1]) for fit in known),
+        charge_share=tuple(_short(fit[2]) for fit in known),
+        persistent_share=1.0 / (each + 1.0),
+        correlation_soc=_correlation_soc(usable),
         unseen_share=unseen[0],
         unseen_charge_share=unseen[1],
     )
 
 
-def _without_share(log: ResidualLog, discharge: float, charge: float) -> FloatArray:
-    """Squared residual without the share of the polarisation; negative where that was less."""
-    share = np.where(log.drop_V >= 0.0, discharge, charge)
-    return np.asarray(_clip(log.residual_V) ** 2 - (share * log.drop_V) ** 2)
+def _short(value: float) -> float:
+    return float(f"{value:.4g}")
 
 
-def _profile(
-    logs: Sequence[ResidualLog], rest: Sequence[FloatArray], others: Sequence[ResidualLog] = ()
-) -> FloatArray:
-    """Root mean square residual over SOC, what follows the current taken out, Gaussian window.
-
-    Where no log has been, the error of the nearest SOC that one has, twice as large at the far
-    end of the gap; or what ``others`` show there, if that is more.
-    """
-    grid = np.linspace(0.0, 1.0, PROFILE_POINTS)
-    square = np.zeros(grid.size)
-    whole = np.zeros(grid.size)
-    count = np.zeros(grid.size)
-    for log, left in zip(logs, rest, strict=True):
-        window = np.exp(-0.5 * ((grid[:, None] - log.soc[None, :]) / WINDOW_SOC) ** 2)
-        share = 1.0 / log.residual_V.size
-        square += share * (window @ left)
-        whole += share * (window @ _clip(log.residual_V) ** 2)
-        count += share * window.sum(axis=1)
-    seen = count > 1e-3 * count.max()
-    level = np.sqrt(np.maximum(square, LEAST_REST * whole)[seen] / count[seen])
-    away = np.abs(grid[:, None] - grid[seen][None, :]).min(axis=1)
-    profile = OPTIMISM * np.interp(grid, grid[seen], level) * (1.0 + away)
-    if others and not seen.all():
-        apart = _profile(others, [_clip(log.residual_V) ** 2 for log in others])
-        profile = np.where(seen, profile, np.maximum(profile, apart))
-    return np.asarray(np.maximum(profile, LEAST_V))
-
-
-def _over_temperature(
-    logs: Sequence[ResidualLog], rest: Sequence[FloatArray], slow_V: FloatArray
-) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Temperatures, and what the profile has to be multiplied by there.
-
-    Every log counts alike, and each temperature begins with one log that has the profile's own
-    error: a single log does not make an error vanish.
-    """
-    groups = _by_temperature(logs)
-    if len(groups) < 2:
-        return (), ()
-    left = dict(zip(map(id, logs), rest, strict=True))
-    grid = np.linspace(0.0, 1.0, slow_V.size)
-    found = []
-    for group in groups:
-        own = [OPTIMISM**2 * float(np.mean(left[id(log)])) for log in group]
-        usual = [float(np.mean(np.interp(log.soc, grid, slow_V) ** 2)) for log in group]
-        one = sum(usual) / len(usual)
-        ratio = (sum(own) + one) / (sum(usual) + one)
-        found.append(math.sqrt(max(ratio, LEAST_REST)))
-    return tuple(float(np.mean([log.temperature_C for log in g])) for g in groups), tuple(found)
-
-
-def _by_temperature(logs: Sequence[ResidualLog]) -> list[list[ResidualLog]]:
-    """Logs of one temperature together, coldest first."""
-    groups: list[list[ResidualLog]] = []
-    for log in sorted(logs, key=lambda one: one.temperature_C):
-        if groups and log.temperature_C - groups[-1][0].temperature_C < SAME_TEMPERATURE_K:
-            groups[-1].append(log)
+def _by_temperature(logs: Sequence[ResidualLog]) -> list[list[int]]:
+    """Numbers of the logs of one temperature together, coldest first."""
+    groups: list[list[int]] = []
+    for k in sorted(range(len(logs)), key=lambda k: logs[k].temperature_C):
+        first = logs[groups[-1][0]].temperature_C if groups else -np.inf
+        if logs[k].temperature_C - first < SAME_TEMPERATURE_K:
+            groups[-1].append(k)
         else:
-            groups.append([log])
+            groups.append([k])
     return groups
 
 
-def _correlation_soc(logs: Sequence[ResidualLog], slow_V: FloatArray) -> float | None:
+def _place(soc: FloatArray) -> IndexArray:
+    return np.asarray(np.floor(np.clip(soc, 0.0, 1.0) / CELL_SOC), dtype=np.int64)
+
+
+def _of(cells: _Cells, which: BoolArray) -> _Cells:
+    return _Cells._make(np.asarray(part)[..., which] for part in cells)
+
+
+def _cells(log: ResidualLog, group: int) -> _Cells:
+    """The log's rows by SOC and direction.
+
+    A band that its rows do not resolve, since they are further apart, has no errors in it.
+    """
+    bands = in_bands(log.time_s, log.residual_V)
+    step = np.diff(log.time_s, append=log.time_s[-1])
+    step = np.clip(step, 1e-9, 10.0 * max(float(np.median(step)), 1e-9))
+    charged = (log.drop_V < 0.0).astype(np.int64)
+    _, first, cell = np.unique(
+        2 * _place(log.soc) + charged, return_index=True, return_inverse=True
+    )
+    seconds = np.bincount(cell, step)
+
+    def mean(values: FloatArray) -> FloatArray:
+        return np.asarray(np.bincount(cell, step * values) / seconds)
+
+    tau = np.array(SCALES_S)[:, None]
+    count = np.bincount(cell)
+    errors = np.clip(np.minimum(seconds / (2.0 * tau), count), LEAST_IN_CELL, MOST_IN_CELL)
+    coarse = 2.0 * float(np.median(np.diff(log.time_s))) > np.array([*SCALES_S[1:], np.inf])
+    errors[coarse] = 0.0
+    return _Cells(
+        np.clip(mean(log.soc), 0.0, 1.0),
+        charged[first].astype(np.float64),
+        np.full(first.size, group),
+        mean(log.drop_V**2),
+        np.array([mean(band**2) for band in bands]),
+        errors,
+    )
+
+
+# ln size of each temperature at the knots, shares of the polarisation on discharge and charge
+_Fit = tuple[FloatArray, float, float]
+
+
+def _nothing(groups: int) -> _Fit:
+    return np.full((groups, KNOTS.size), np.log(LEAST_V)), 0.0, 0.0
+
+
+def _fit(cells: _Cells, band: int, groups: int) -> _Fit | None:
+    """Most likely size of one band; None where no log resolves it."""
+    from scipy.optimize import minimize
+
+    used = cells.errors[band] > 0.0
+    if not used.any():
+        return None
+    n, square = cells.errors[band][used], np.maximum(cells.square[band][used], LEAST_V**2 / 4.0)
+    drop2, charge, group = cells.drop2[used], cells.charge[used], cells.group[used]
+    knots = KNOTS.size
+    soc = cells.soc[used]
+    low = np.clip(np.searchsorted(KNOTS, soc) - 1, 0, knots - 2)
+    way = (soc - KNOTS[low]) / np.diff(KNOTS)[low]
+    place = group * knots + low
+    first = 0.5 * np.log(np.average(square, weights=n))
+
+    def cost(x: FloatArray) -> tuple[float, FloatArray]:
+        """Negative logarithm of likelihood and prior, and its slope."""
+        rows = x[: knots * (groups + 1)].reshape(groups + 1, knots)  # all, each temperature's own
+        size, own = rows[0], rows[1:]
+        ln = (1.0 - way) * (size[low] + own[group, low])
+        ln += way * (size[low + 1] + own[group, low + 1])
+        still, load = np.exp(2.0 * ln), np.exp(2.0 * (x[-2] + charge * x[-1])) * drop2
+        variance = still + load
+        over = n * square / (TAIL * variance)
+        value = 0.5 * float(np.sum(n * np.log(variance) + (n + TAIL) * np.log1p(over)))
+        slope = 0.5 * (n - (n + TAIL) * over / (1.0 + over)) / variance
+        by_still, by_load = 2.0 * slope * still, 2.0 * slope * load
+        g = np.zeros_like(rows)
+        for side, part in ((0, 1.0 - way), (1, way)):
+            g[1:] += np.bincount(place + side, by_still * part, groups * knots).reshape(groups, -1)
+        g[0] = g[1:].sum(axis=0)
+        for k, row in enumerate(rows):
+            step = np.diff(row) / (OWN_STEP_STD if k else STEP_STD) ** 2
+            value += 0.5 * float(step @ np.diff(row))
+            g[k] -= np.diff(step, prepend=0.0, append=0.0)
+            if k:
+                mean = float(row.mean()) / TEMPERATURE_STD**2
+                value += 0.5 * mean * float(row.mean())
+                g[k] += mean / knots
+        off = np.array([x[-2] - np.log(USUAL_SHARE), x[-1]])
+        std2 = np.array([SHARE_STD, CHARGE_STD]) ** 2
+        value += 0.5 * float(np.sum(off**2 / std2))
+        ends = np.array([np.sum(by_load), np.sum(by_load * charge)]) + off / std2
+        return value, np.concatenate([g.ravel(), ends])
+
+    x0 = np.concatenate(
+        [np.full(knots, first), np.zeros(groups * knots), [np.log(USUAL_SHARE), 0.0]]
+    )
+    x = minimize(cost, x0, jac=True, method="L-BFGS-B").x
+    rows = x[: knots * (groups + 1)].reshape(groups + 1, knots)
+    share = float(np.exp(x[-2]))
+    return rows[0] + rows[1:], share, share * float(np.exp(x[-1]))
+
+
+def _correlation_soc(logs: Sequence[ResidualLog]) -> float | None:
     """How far along the SOC the error remembers itself; None where fewer than two logs show it.
 
-    Half the area under the two-sided autocorrelation over SOC up to its first zero, mean left in,
-    residuals over the profile's own error. The fit has taken out what its logs have in common at
-    each temperature: of n logs a residual keeps 1 - 1/n of a variance that a new log has 1 + 1/n
-    of, and it is the long part that goes.
+    Half the area under the two-sided autocorrelation over SOC up to its first zero, mean left in.
     """
-    grid = np.linspace(0.0, 1.0, slow_V.size)
     found = []
     for log in logs:
         if float(np.ptp(log.soc)) < DEEP:
             continue
-        relative = _clip(log.residual_V) / np.interp(log.soc, grid, slow_V)
         place = ((log.soc - log.soc.min()) / SOC_STEP).astype(int)
         count = np.bincount(place)
-        mean = np.bincount(place, relative)[count > 0] / count[count > 0]
-        found.append(SOC_STEP * _memory(mean))
-    if len(found) < 2:
-        return None
-    each = max(len(found) / len(_by_temperature(logs)), 2.0)
-    whole = (each + 1.0) / (each - 1.0)
-    return float(min(whole * float(np.mean(found)), 1.0))
+        limit = 6.0 * 1.4826 * float(np.median(np.abs(log.residual_V))) + 1e-9
+        mean = np.bincount(place, np.clip(log.residual_V, -limit, limit))[count > 0]
+        found.append(SOC_STEP * _memory(mean / count[count > 0]))
+    return min(float(np.mean(found)), 1.0) if len(found) > 1 else None
 
 
-def _step_noise(residual_V: FloatArray) -> float:
-    return 1.4826 * float(np.median(np.abs(np.diff(residual_V)))) / float(np.sqrt(2.0))
-
-
-def correlation_time(time_s: FloatArray, residual_V: FloatArray) -> float:
-    """Time over which a residual remembers itself [s].
-
-    Half the area under the two-sided autocorrelation up to its first zero, after the residual was
-    put on an even grid.
-    """
-    span = float(time_s[-1] - time_s[0])
-    step = max(STEP_S, span / 20_000.0)
-    if span < 10 * step:
-        return STEP_S
-    grid = np.arange(time_s[0], time_s[-1], step)
-    # Without its mean a residual would seem to forget what it keeps all along: the mean stays in.
-    r = np.interp(grid, time_s, residual_V)
-    return float(step * _memory(r, int(LONGEST_LAG_S / step)))
-
-
-def _memory(r: FloatArray, longest: int = 1 << 30) -> float:
+def _memory(r: FloatArray) -> float:
     """Half the area under the autocorrelation up to its first zero, in steps of an even grid."""
-    n = r.size
     power = float(r @ r)
     if power == 0.0:
         return 1.0
-    size = 1 << (2 * n - 1).bit_length()
+    size = 1 << (2 * r.size - 1).bit_length()
     spectrum = np.fft.rfft(r, size)
-    correlation = np.fft.irfft(spectrum * np.conj(spectrum), size)[:n] / power
-    correlation = correlation[: max(2, min(n // 2, longest))]
+    correlation = np.fft.irfft(spectrum * np.conj(spectrum), size)[: max(2, r.size // 2)] / power
     below = np.flatnonzero(correlation <= 0.0)
-    end = int(below[0]) if below.size else correlation.size
-    return float(0.5 + np.sum(correlation[1:end]))
-
-
-def _share(logs: Sequence[ResidualLog], sign: float) -> float | None:
-    """Growth of the residual with the polarisation of one sign, as a share; None: no such rows.
-
-    Rows are compared with rows of the same log and SOC: towards empty the polarisation grows, and
-    so does what a SOC scale that is off does to a steep OCV. A squared residual scatters as its
-    mean, so each log and SOC weighs by one over its square.
-    """
-    above, below = 0.0, 0.0
-    for log in logs:
-        loaded = sign * log.drop_V > 0.0
-        if loaded.sum() < min(LEAST_ROWS, 0.1 * loaded.size):
-            continue
-        rows: BoolArray = np.asarray(sign * log.drop_V >= 0.0)  # with those at rest
-        square = _clip(log.residual_V)[rows] ** 2
-        drop = log.drop_V[rows] ** 2
-        place = np.clip((log.soc[rows] * SHARE_BINS).astype(int), 0, SHARE_BINS - 1)
-        count = np.maximum(np.bincount(place, minlength=SHARE_BINS), 1)
-        usual = np.bincount(place, square, SHARE_BINS) / count
-        moved = drop - (np.bincount(place, drop, SHARE_BINS) / count)[place]
-        weight = 1.0 / (usual + LEAST_V**2)[place] ** 2 / log.residual_V.size
-        above += float(np.sum(weight * moved * square))
-        below += float(np.sum(weight * moved * moved))
-    if below <= 0.0:
-        return None
-    return float(np.clip(np.sqrt(max(above / below, 0.0)), 0.0, LARGEST_SHARE))
-
-
-def _clip(residual_V: FloatArray) -> FloatArray:
-    """Residual with its few wildest values held: they are the gate's business, not the noise's."""
-    limit = 6.0 * 1.4826 * float(np.median(np.abs(residual_V))) + 1e-9
-    return np.clip(residual_V, -limit, limit)
+    return float(0.5 + np.sum(correlation[1 : int(below[0]) if below.size else None]))

@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.model import CellModel, ModelError
+from cellwise.cell.model import CellModel
+from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import start_hysteresis
 from cellwise.errors import InputError
 from cellwise.identify.assemble import refined_model
@@ -19,14 +20,12 @@ from cellwise.identify.refinement.effects import (
     QUICK_ITERATIONS,
     QUICK_ROWS,
     Decided,
+    Decision,
     decide,
 )
+from cellwise.identify.refinement.held_out import held_out_residuals, residual_log
 from cellwise.identify.refinement.left_out import activation_std_K
-from cellwise.identify.refinement.model_error import (
-    ResidualLog,
-    estimate_model_error,
-    polarisation_V,
-)
+from cellwise.identify.refinement.model_error import estimate_model_error
 from cellwise.identify.refinement.refine import (
     RefineResult,
     RefineSettings,
@@ -192,9 +191,8 @@ def refine_cell(
     model = refined_model(result, start, capacity_Ah, plain.skew, hot)
     for effect in decision.effects:
         model = model.with_effect(effect)
-    loaded = [item.compare is None for item in logs]
     error = replace(
-        _error(result, loaded, model, starts),
+        _error(decision, start, model, starts, plain.skew, hot),
         activation_std_K=activation_std_K(decision, start, model, capacity_Ah, grid),
     )
     model = replace(model, error=error)
@@ -375,17 +373,22 @@ def half_gap(ocv: OcvCurve, resistance: float, capacity_Ah: float) -> FloatArray
 
 
 def _error(
-    result: RefineResult, loaded: Sequence[bool], model: CellModel, starts: Sequence[Start]
+    decision: Decision,
+    start: StartTables,
+    model: CellModel,
+    starts: Sequence[Start],
+    skewed: bool,
+    hot: bool,
 ) -> ModelError:
-    """What a filter under load must expect: pulse tests and drives count, low-rate tests do not.
+    """What a filter under load must expect: loads that a fit has left out, low-rate tests do not.
 
-    But where neither has been at a SOC, tests at constant current are all there is to go by.
+    But where no load has been at a SOC, tests at constant current are all there is to go by.
     """
-    logs: list[ResidualLog] = []
-    others: list[ResidualLog] = []
-    for p, r, counts in zip(result.logs, result.residual_V, loaded, strict=True):
-        soc, warm = p.soc[p.evaluate], p.temperature_C(result.reference_C)
-        drop = polarisation_V(model, soc, warm, p.measured_V - r)
-        found = ResidualLog(p.time_s, soc, drop, r, float(np.median(warm)))
-        (logs if counts else others).append(found)
-    return estimate_model_error(logs, others, unseen_shares(model, [s.log for s in starts]))
+    soc0 = [s.soc0 for s in starts]
+    held = held_out_residuals(decision, start, soc0, model.capacity_Ah, skewed, hot)
+    others = [
+        residual_log(model, item, first)
+        for item, first in zip(decision.logs, soc0, strict=True)
+        if item.compare is not None
+    ]
+    return estimate_model_error(held, others, unseen_shares(model, [s.log for s in starts]))

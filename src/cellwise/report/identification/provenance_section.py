@@ -139,14 +139,24 @@ def _effect_rows(identification: Identification) -> list[tuple[object, ...]]:
 
 
 def _error_rows(identification: Identification) -> list[tuple[object, ...]]:
+    """What the model may be off by, a row for each time scale."""
     error = identification.model.error
-    slow = np.asarray(error.slow_V)
-    text = (
-        f"{millivolt(error.white_V)} per row; {millivolt(float(np.median(slow)))} "
-        f"(up to {millivolt(float(slow.max()))}) over {significant(error.correlation_s)} s; "
-        f"{percent(error.share(), 1)} of the polarisation, charging {percent(error.share(-1.0), 1)}"
+    soc = np.linspace(0.05, 0.95, 19)
+    rows: list[tuple[object, ...]] = []
+    for k, scale in enumerate(error.scales_s):
+        size = np.sqrt(error.variance_V2(k, soc))
+        text = (
+            f"{millivolt(float(np.median(size)))} (up to {millivolt(float(size.max()))}); "
+            f"{percent(error.shares()[k], 1)} of the polarisation, "
+            f"charging {percent(error.shares(-1.0)[k], 1)}"
+        )
+        name = f"voltage error over {significant(scale)} s"
+        rows.append((name, text, "logs left out of the fit", "likelihood", ""))
+    back = f"{percent(error.persistent_share)} of the slowest"
+    rows.append(
+        ("voltage error that comes back", back, "logs of a temperature", "their number", "")
     )
-    return [("voltage error for the filters", text, "the model's own logs", "its residuals", "")]
+    return rows
 
 
 def _errors(identification: Identification, name: str) -> list[float]:

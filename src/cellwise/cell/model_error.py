@@ -1,0 +1,295 @@
+"""ModelError: by how much a model's voltage may be off, on every time scale."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from cellwise.errors import InputError
+from cellwise.typing import FloatArray
+
+# Memories of the processes that make up an error [s]: running means over 1, 10, 100 and 1000 s
+# part them, so a process holds most of the band that begins with its own memory.
+SCALES_S = (0.1, 1.0, 10.0, 100.0, 1000.0)
+WHITE_BELOW_S = 0.5  # what is forgotten this soon is white at the rates at which cells are logged
+TYPICAL_DROP_V = 0.1  # a polarisation at which shares are weighed against what has none
+
+Table = tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True)
+class ModelError:
+    """Voltage error of a model as a sum of first-order processes, one for each time scale.
+
+    Parameters
+    ----------
+    scales_s : (scales,) float         memory of each process, ascending [s]
+    std_V : (scales, temperatures, points) float
+                                       standard deviation, points over an even SOC grid [V]
+    temperature_C : (temperatures,) float      ascending; empty with a single row for all
+    share : (scales,) float            beside it, in squares: a share of the polarisation, on
+                                       discharge
+    charge_share : (scales,) float or None     the same on charge (None: as on discharge)
+    persistent_share : float           of the slowest processes' variance, what comes back at the
+                                       same SOC in the next log
+    correlation_soc : float or None    moving on by as much SOC makes the slow part another one
+    unseen_share, unseen_charge_share : float
+                                       share of the polarisation of loads, and of charges, that
+                                       last, which no test could show (None: as on discharge)
+    activation_std_K : float or None   by how much the activation of the resistances may be off
+                                       beyond the data's temperatures
+
+    Raises
+    ------
+    InputError        sizes that are not finite or negative, tables that do not fit together
+    """
+
+    scales_s: tuple[float, ...] = (0.1, 300.0)
+    std_V: tuple[Table, ...] = (((0.002,),), ((0.010,),))
+    temperature_C: tuple[float, ...] = ()
+    share: tuple[float, ...] = (0.0, 0.05)
+    charge_share: tuple[float, ...] | None = None
+    persistent_share: float = 1.0
+    correlation_soc: float | None = None
+    unseen_share: float = 0.0
+    unseen_charge_share: float | None = None
+    activation_std_K: float | None = None
+
+    def __post_init__(self) -> None:
+        _check(self)
+
+    @classmethod
+    def of_white_and_slow(
+        cls,
+        white_V: float = 0.002,
+        slow_V: tuple[float, ...] | float = 0.010,
+        correlation_s: float = 300.0,
+        resistance_share: float = 0.05,
+        *,
+        charge_share: float | None = None,
+        temperature_C: tuple[float, ...] = (),
+        temperature_factor: tuple[float, ...] = (),
+        **others: Any,
+    ) -> ModelError:
+        """White noise and one slow process over SOC, the share of the polarisation in the slow one.
+
+        ``temperature_factor`` multiplies the slow part over ``temperature_C``.
+        """
+        slow = (float(slow_V),) if isinstance(slow_V, int | float) else tuple(slow_V)
+        if len(temperature_C) != len(temperature_factor):
+            raise InputError(
+                f"a model error over temperatures {temperature_C} with "
+                f"{len(temperature_factor)} factors",
+                "ascending temperatures, a factor for each",
+                "Give both, or neither.",
+            )
+        factors = temperature_factor or (1.0,)
+        return cls(
+            scales_s=(min(WHITE_BELOW_S / 5.0, 0.5 * correlation_s), correlation_s),
+            std_V=(
+                tuple((white_V,) * len(slow) for _ in factors),
+                tuple(tuple(f * v for v in slow) for f in factors),
+            ),
+            temperature_C=temperature_C,
+            share=(0.0, resistance_share),
+            charge_share=None if charge_share is None else (0.0, charge_share),
+            **others,
+        )
+
+    def variance_V2(
+        self, scale: int, soc: FloatArray | float, temperature_C: float | None = None
+    ) -> FloatArray:
+        """Variance of one process at the given SOC [V^2], linear in its deviation between points.
+
+        Without a temperature, the mean of squares over all.
+        """
+        rows = np.asarray(self.std_V[scale])
+        grid = np.linspace(0.0, 1.0, rows.shape[1])
+        if not self.temperature_C:
+            return np.asarray(np.interp(soc, grid, rows[0]) ** 2)
+        if temperature_C is None:
+            return np.asarray(np.mean([np.interp(soc, grid, row) ** 2 for row in rows], axis=0))
+        at = [float(np.interp(temperature_C, self.temperature_C, column)) for column in rows.T]
+        return np.asarray(np.interp(soc, grid, at) ** 2)
+
+    def at(self, soc: FloatArray | float, temperature_C: float | None = None) -> FloatArray:
+        """Deviation of all that is slower than a row at the given SOC [V]."""
+        parts = [self.variance_V2(k, soc, temperature_C) for k in self._slow]
+        return np.asarray(np.sqrt(np.sum(parts, axis=0)))
+
+    def shown_share(self, drop_V: float = 1.0) -> float:
+        """Share of a polarisation that the tests showed to be wrong: discharge, or charge."""
+        return math.hypot(*self.shares(drop_V))
+
+    def hidden_share(self, drop_V: float = 1.0) -> float:
+        """The share that no test could show: of loads, or charges, that last."""
+        if drop_V >= 0.0 or self.unseen_charge_share is None:
+            return self.unseen_share
+        return self.unseen_charge_share
+
+    def whole_share(self, drop_V: float = 1.0) -> float:
+        """Both together."""
+        return math.hypot(self.shown_share(drop_V), self.hidden_share(drop_V))
+
+    def shares(self, drop_V: float = 1.0) -> tuple[float, ...]:
+        """The shown share by time scale, on discharge or charge."""
+        return self.share if drop_V >= 0.0 or self.charge_share is None else self.charge_share
+
+    @property
+    def white_V(self) -> float:
+        """Deviation of what changes from row to row, mean over SOC and temperature [V]."""
+        white = [k for k in range(len(self.scales_s)) if k not in self._slow]
+        return math.sqrt(sum(self._mean_V2(k) for k in white))
+
+    @property
+    def weights(self) -> tuple[float, ...]:
+        """Share of each process in the variance of all of them, under a usual load."""
+        parts = [
+            self._mean_V2(k) + (share * TYPICAL_DROP_V) ** 2 for k, share in enumerate(self.share)
+        ]
+        whole = sum(parts)
+        return tuple(p / whole if whole > 0.0 else 1.0 / len(parts) for p in parts)
+
+    @property
+    def correlation_s(self) -> float:
+        """Integral time scale of all processes together [s]."""
+        return sum(w * s for w, s in zip(self.weights, self.scales_s, strict=True))
+
+    @property
+    def lasting_share(self) -> float:
+        """Of the variance of all that is slower than a row, what comes back at the same SOC."""
+        weights = self.weights
+        return self.persistent_share * weights[-1] / sum(weights[k] for k in self._slow)
+
+    def scaled(self, times: float) -> ModelError:
+        """The same with every deviation so many times as large; shares as they are."""
+        return replace(self, std_V=_times(self.std_V, times))
+
+    def on_scales(self, scales_s: tuple[float, ...]) -> ModelError:
+        """The same by other scales: every process counts to the nearest of them."""
+        own, others = (np.log(np.maximum(s, 1e-3)) for s in (self.scales_s, scales_s))
+        to = [int(np.argmin(np.abs(others - s))) for s in own]
+
+        def gathered(values: FloatArray) -> Any:
+            square = np.zeros((len(scales_s), *values.shape[1:]))
+            for k, place in enumerate(to):
+                square[place] += values[k] ** 2
+            return _tuples(np.sqrt(square).tolist())
+
+        charge = self.charge_share
+        return replace(
+            self,
+            scales_s=scales_s,
+            std_V=gathered(np.array(self.std_V)),
+            share=gathered(np.array(self.share)),
+            charge_share=None if charge is None else gathered(np.array(charge)),
+        )
+
+    def with_slow(self, std_V: FloatArray, share: float) -> ModelError:
+        """With as much more in the slowest process: over an even SOC grid [V], and a share."""
+        points = max(len(std_V), len(self.std_V[-1][0]))
+        grid = np.linspace(0.0, 1.0, points)
+
+        def wide(row: tuple[float, ...]) -> FloatArray:
+            return np.interp(grid, np.linspace(0.0, 1.0, len(row)), row)
+
+        tables = np.array([[wide(row) for row in table] for table in self.std_V])
+        tables[-1] = np.hypot(tables[-1], wide(tuple(std_V)))
+        own, charge = self.shares(), self.shares(-1.0)
+        return replace(
+            self,
+            std_V=_tuples(tables.tolist()),
+            share=(*own[:-1], math.hypot(own[-1], share)),
+            charge_share=(*charge[:-1], math.hypot(charge[-1], share)),
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON values: the fields, and the SOC grid that ``std_V`` is over."""
+        soc = np.linspace(0.0, 1.0, len(self.std_V[0][0]))
+        return {**asdict(self), "soc": [round(float(s), 6) for s in soc]}
+
+    @property
+    def _slow(self) -> tuple[int, ...]:
+        slow = [k for k, s in enumerate(self.scales_s) if s >= WHITE_BELOW_S]
+        return tuple(slow) or (len(self.scales_s) - 1,)
+
+    def _mean_V2(self, scale: int) -> float:
+        return float(np.mean(np.square(self.std_V[scale])))
+
+
+def with_temperature(error: ModelError, temperature_C: float, times: float) -> ModelError:
+    """The error with a row at one more temperature: so many times what it stated there."""
+    known = error.temperature_C
+    rows = []
+    for table in error.std_V:
+        columns = np.asarray(table).T
+        here = [np.interp(temperature_C, known, c) if known else c[0] for c in columns]
+        rows.append(tuple(times * float(v) for v in here))
+    at = [k for k, t in enumerate(known) if t != temperature_C]
+    order = sorted([*((known[k], k) for k in at), (temperature_C, -1)])
+    return replace(
+        error,
+        temperature_C=tuple(t for t, _ in order),
+        std_V=tuple(
+            tuple(row if k < 0 else table[k] for _, k in order)
+            for table, row in zip(error.std_V, rows, strict=True)
+        ),
+    )
+
+
+def _tuples(values: Any) -> Any:
+    return tuple(_tuples(v) for v in values) if isinstance(values, list) else values
+
+
+def _times(tables: tuple[Table, ...], times: float) -> tuple[Table, ...]:
+    return tuple(tuple(tuple(times * v for v in row) for row in table) for table in tables)
+
+
+def _check(error: ModelError) -> None:
+    shapes = {(len(table), len(row)) for table in error.std_V for row in table}
+    scales = len(error.scales_s)
+    if (
+        scales == 0
+        or len(error.std_V) != scales
+        or len(error.share) != scales
+        or len(shapes) != 1
+        or 0 in next(iter(shapes))
+        or len(error.std_V[0]) != max(len(error.temperature_C), 1)
+        or (error.charge_share is not None and len(error.charge_share) != scales)
+    ):
+        raise InputError(
+            f"a model error with {scales} scales and tables of shape {sorted(shapes)} over "
+            f"temperatures {error.temperature_C}",
+            "a table and a share for each scale, a row for each temperature, SOC points alike",
+            "Check the validation that gave it.",
+        )
+    sizes = np.concatenate(
+        [
+            np.ravel(error.std_V),
+            error.shares(),
+            error.shares(-1.0),
+            [error.hidden_share(), error.hidden_share(-1.0), error.persistent_share],
+            [error.correlation_soc or 0.0, error.activation_std_K or 0.0],
+        ]
+    )
+    if not np.all(np.isfinite(sizes)) or np.any(sizes < 0) or error.persistent_share > 1:
+        raise InputError(
+            f"a model error of {error}",
+            "finite values of at least 0",
+            "Check the validation that gave it.",
+        )
+    for name in ("scales_s", "temperature_C"):
+        grid = np.array(getattr(error, name))
+        if not np.all(np.isfinite(grid)) or np.any(np.diff(grid) <= 0):
+            raise InputError(
+                f"a model error over {name} {grid.tolist()}",
+                "finite values that rise",
+                "Sort them.",
+            )
+    if error.scales_s[0] < 0:
+        raise InputError(
+            f"a model error over scales of {error.scales_s} s", "no negative time", "Correct it."
+        )
