@@ -9,6 +9,7 @@ import numpy as np
 
 from cellwise.diagnose.causes.catalogue import Cause, kept_coordinates
 from cellwise.diagnose.causes.coordinates import Coordinates
+from cellwise.diagnose.extension import MEASURED_NAMES
 from cellwise.diagnose.fit.least_squares import (
     Fit,
     Frozen,
@@ -203,7 +204,9 @@ class CauseFits:
     def point(self, found: Fit, keep: set[str]) -> dict[str, float]:
         """The causes' coordinates as found, the cell's as calibrated on a baseline, nothing else.
 
-        Not what the fit made of them since: there a cause that is not named might hide.
+        Not what the fit made of them since: there a cause that is not named might hide. What a
+        baseline makes of its instruments and of the charge is no news of the cell.
         """
-        baseline = {n: self.prior.mean[n] for n in self.prior.linked}
+        of_cell = [n for n in self.prior.linked if n not in (*MEASURED_NAMES, "ln_capacity")]
+        baseline = {n: self.prior.mean[n] for n in of_cell}
         return baseline | {n: v for n, v in found.z.items() if n in keep}

@@ -46,22 +46,6 @@ SLOWER_THAN_TAU2 = 2.0
 # what one factor on all resistances has given them too much.
 MOST_SLOWED = 20.0
 
-# How far a calibration on baseline logs may move the model. Three times as far fits the baseline
-# better and predicts other measured drives worse than the model without calibration.
-STRUCTURE = {
-    **dict.fromkeys(OCV_NAMES, 0.003),
-    **dict.fromkeys(R_NAMES, 0.03),
-    "ln_r0": 0.03,
-    "ln_r1": 0.05,
-    "ln_r2": 0.05,
-    "ln_tau1": 0.1,
-    "ln_tau2": 0.1,
-    "r3": 0.1,
-    "m_V": 0.001,
-    "rate_h": 0.015,
-    "ln_charge_scale": 0.03,
-    "skew_s": 0.03,
-}
 # Of what was calibrated, this share stays uncertain: the next log is another day.
 STILL_OPEN = 0.3
 
@@ -232,21 +216,13 @@ def coordinate_bounds(
     return coordinates.bounds_of(name, bounds)
 
 
-def structure_prior(prior: Prior) -> Prior:
-    """The prior of a calibration on baseline logs."""
-    std = {n: max(v, prior.std[n]) for n, v in STRUCTURE.items() if n in prior.std}
-    starts = {n: v for n, v in prior.std.items() if n.startswith("soc0:")}
-    mean = {n: prior.mean.get(n, 0.0) for n in starts}
-    return _bounded(Prior({**std, **starts}, mean, {}, {}), (*std, *starts))
-
-
 def calibrated(prior: Prior, found: Fit, share: float = 1.0) -> Prior:
-    """Tolerances about what was calibrated on a baseline, with the correlations that it leaves.
+    """Tolerances about what a fit of a baseline made of them, with the correlations that it leaves.
 
     ``share`` (0..1) is how much of the calibration is taken; without any, tolerances stay as wide
     as those of a good laboratory.
     """
-    names = [n for n in STRUCTURE if n in prior.std]
+    names = [n for n in prior.std if ":" not in n]
     place = [found.names.index(n) for n in names]
     covariance = share * share * found.covariance[np.ix_(place, place)]
     still = STILL_OPEN**share
