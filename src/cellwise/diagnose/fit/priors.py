@@ -14,7 +14,7 @@ from cellwise.diagnose.causes.catalogue import Cause
 from cellwise.diagnose.causes.coordinates import OCV_NAMES, R_NAMES, Coordinates
 from cellwise.diagnose.fit.least_squares import Fit, Prior
 from cellwise.diagnose.fit.noise import LEAST_V, returning_V
-from cellwise.diagnose.fit.rows import Evidence
+from cellwise.diagnose.fit.rows import START_H, Evidence
 from cellwise.diagnose.fit.start_readings import start_readings
 
 # Of the square of what comes back of a model's error in every log its OCV owes one half at any knot,
@@ -36,6 +36,9 @@ USUAL_SPREAD_K = 1500.0
 # A start that was given is right to this; one that was found, to its own standard deviation.
 GIVEN_SOC_STD = 0.0015
 TOLERANCE_ENDS = 4.0
+# Where a log starts between the branches of a hysteresis nobody knows, but that it is nearer to its
+# own: a full cell was charged.
+MOST_OFF_BRANCH = 0.5
 # Starts that were given come from one source: what makes one wrong makes all wrong, and what is
 # left of each alone is a third of that.
 GIVEN_ALIKE = 8.0 / 9.0
@@ -94,7 +97,9 @@ def tolerances(coordinates: Coordinates, evidence: Evidence) -> Prior:
         first = log.start.beginning or log.start
         std[name] = max(first.std, GIVEN_SOC_STD)
         mean[name] = first.soc - log.start.soc
-    return _bounded(Prior(std, mean, {}, {}), std)
+    known = _bounded(Prior(std, mean, {}, {}), std)
+    ends = {START_H: 0.0}, {START_H: MOST_OFF_BRANCH}
+    return known.widened({START_H: 0.5 * MOST_OFF_BRANCH}, {}, *ends)
 
 
 def _owed(coordinates: Coordinates, evidence: Evidence) -> dict[str, float]:
@@ -230,11 +235,11 @@ def calibrated(prior: Prior, found: Fit, share: float = 1.0) -> Prior:
     deviation = np.sqrt(np.diag(covariance) + drift**2)
     np.fill_diagonal(covariance, 0.0)
     # Same cell, same instruments: what else could be off has shown there too.
-    std = {n: v if n.startswith("soc0:") else still * v for n, v in prior.std.items()} | dict(
+    std = {n: v if ":" in n else still * v for n, v in prior.std.items()} | dict(
         zip(names, (float(v) for v in deviation), strict=True)
     )
     mean = {n: share * found.z[n] for n in names}
-    wider = _bounded(prior.widened(std, mean, {}, {}), std)
+    wider = _bounded(prior.widened(std, mean, {}, {}), [n for n in std if n != START_H])
     return replace(wider, linked=tuple(names), cross=covariance)
 
 
