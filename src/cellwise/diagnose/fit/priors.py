@@ -99,7 +99,7 @@ def tolerances(coordinates: Coordinates, evidence: Evidence) -> Prior:
         mean[name] = first.soc - log.start.soc
     known = _bounded(Prior(std, mean, {}, {}), std)
     ends = {START_H: 0.0}, {START_H: MOST_OFF_BRANCH}
-    return known.widened({START_H: 0.5 * MOST_OFF_BRANCH}, {}, *ends)
+    return known.widened({START_H: MOST_OFF_BRANCH}, {}, *ends)
 
 
 def _owed(coordinates: Coordinates, evidence: Evidence) -> dict[str, float]:
