@@ -44,8 +44,7 @@ def could_explain(
     normal, gradient = normal_of(white, used, objective.clip)
     names = list(frozen.names)
     none = _gain(normal, gradient, [place[0, n] for n in names], prior, names, base.z)
-    left = float(np.sum(objective.squares(residual)[used]))
-    errors = float(np.sum((objective.weight + objective.fast_weight)[used]))
+    left, errors = fits.squares(base)
     found: dict[str, float] = {}
     for k, (cause, _, wide) in enumerate(tried, 1):
         known = [place.get((k, n), place.get((0, n), -1)) for n in wide.names]
@@ -75,7 +74,7 @@ def _from_beginnings(
         voltage, _ = evidence.simulate(base.coordinates, z)
         residual = np.nan_to_num(evidence.voltage_V - voltage)
         tried.append((float(np.sum(objective.squares(residual)[used])), z, residual))
-    before = float(np.sum(objective.squares(evidence.voltage_V - base.voltage_V)[used]))
+    before = fits.squares(base)[0]
     most = 0.0
     for squares, z, residual in sorted(tried, key=lambda t: t[0])[:BEST_BEGINNINGS]:
         moved = [n for n in cause.beginnings[0] if n in names]

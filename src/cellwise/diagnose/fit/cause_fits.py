@@ -71,12 +71,11 @@ class CauseFits:
         stated = stated_V(model, self.evidence, soc, voltage)
         weight = row_weights(self.evidence, model.error, soc)
         self.weight, self.stated_V, noise = weight, stated, Noise()
-        self.fast_V, self.fast_weight = stated, weight
+        self.fast_V, self.fast_weight = fast_part(model, self.evidence, soc, voltage)
         found = self.fit(noise, self.coordinates, prior, start, 5)
         for _ in range(2):
             found = complete(self.objective(noise), found, prior)
             left = self.evidence.voltage_V - found.voltage_V
-            self.fast_V, self.fast_weight = fast_part(self.evidence, left, model.error.white_V)
             shape_V = SHAPE_SHARE * rmse(left, self._used())
             self.stated_V, self.weight = with_shape(self.evidence, stated, weight, shape_V)
             noise = self.noise(found, prior)
@@ -128,19 +127,17 @@ class CauseFits:
         return Noise(self.known.scale(square, errors))
 
     def squares(self, found: Fit) -> tuple[float, float]:
-        """Sum of squares of what stays for minutes over the stated error, and how many errors.
-
-        Of the used rows.
-        """
-        rows = self._used()
-        left = np.nan_to_num(self.evidence.voltage_V - found.voltage_V)
-        slow, _ = self.objective(Noise()).bands(left[:, None])
-        return float(np.sum(slow[rows, 0] ** 2)), float(np.sum(self.weight[rows]))
+        """Sum of squares of the used rows in units of the stated error, and how many errors."""
+        rows, plain = self._used(), self.objective(Noise())
+        left = plain.squares(self.evidence.voltage_V - found.voltage_V)
+        return float(np.sum(left[rows])), float(np.sum(plain.errors[rows]))
 
     def objective(self, noise: Noise) -> Objective:
         """What a fit is judged by under a noise."""
-        size = noise.scale * self.stated_V
-        return Objective(self.evidence, size, self.weight, self.fast_V, self.fast_weight)
+        plain = Objective(
+            self.evidence, self.stated_V, self.weight, self.fast_V, self.fast_weight
+        )
+        return plain.times(noise.scale)
 
     def explained(
         self, found: Fit, noise: Noise, prior: Prior, causes: Iterable[Cause]

@@ -162,13 +162,18 @@ class Objective:
         return Objective(evidence, self.size_V[rows], self.weight[rows], *fast)
 
     def times(self, scale: float) -> Objective:
-        """The same with what may be wrong for minutes so many times as large."""
-        return replace(self, size_V=scale * self.size_V)
+        """The same with what may be wrong so many times as large."""
+        return replace(self, size_V=scale * self.size_V, fast_V=scale * self.fast_V)
 
     @property
     def clip(self) -> float:
         """Where a residual in these units is wilder than the rest (Huber)."""
-        return CLIP * math.sqrt(float(np.mean(self.weight + self.fast_weight)))
+        return CLIP * math.sqrt(float(np.mean(self.errors)))
+
+    @property
+    def errors(self) -> FloatArray:
+        """How many independent errors every row counts for."""
+        return self.weight + self.fast_weight
 
     def bands(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
         """What is slow of columns (rows, P), and what is fast, in units of what may be wrong.
@@ -199,6 +204,7 @@ class Objective:
     def terms(self, residual_V: FloatArray) -> FloatArray:
         """Ln likelihood of every row."""
         terms = -0.5 * self.squares(residual_V) - self.weight * np.log(self.size_V)
+        terms -= self.fast_weight * np.log(self.fast_V)
         return np.where(self.evidence.known, terms, 0.0)
 
 

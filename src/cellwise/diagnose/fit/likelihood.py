@@ -46,27 +46,19 @@ class Prediction(NamedTuple):
     terms: FloatArray
 
 
-class _Band(NamedTuple):
-    """Sums over the used rows of one band: squares of the residual, normal matrix and gradient.
-
-    By the P coordinates and the K wrong shapes.
-    """
-
-    squares: float
-    normal: FloatArray
-    gradient: FloatArray
-
-
 @dataclass(frozen=True, eq=False)
-class _Scaled:
+class _Rows:
     """Sums over the used rows at one scale of the noise.
 
-    ``plain``: ln likelihood of the fit's residual; ``normal`` (P, P) and ``gradient`` (P,) by the
-    coordinates. Of the wrong shapes, turned so that they are independent of each other: ``size``
-    (K,) their information, ``cross`` (P, K) and ``pull`` (K,); ``turned`` (K, K) leads back to them.
+    ``plain``: ln likelihood of the fit's residual but for its squares, ``squares`` these, ``count``
+    of independent errors; ``normal`` (P, P) and ``gradient`` (P,) by the coordinates. Of the wrong
+    shapes, turned so that they are independent of each other: ``size`` (K,) their information,
+    ``cross`` (P, K) and ``pull`` (K,); ``turned`` (K, K) leads back to them.
     """
 
     plain: float
+    squares: float
+    count: float
     normal: FloatArray
     gradient: FloatArray
     size: FloatArray
@@ -74,45 +66,19 @@ class _Scaled:
     pull: FloatArray
     turned: FloatArray
 
-    def at(self, share: float) -> tuple[float, FloatArray, FloatArray, FloatArray]:
-        """Ln likelihood, normal matrix and gradient.
+    def at(self, times: float, share: float) -> tuple[float, FloatArray, FloatArray, FloatArray]:
+        """Ln likelihood, normal matrix and gradient with the noise ``times`` as large.
 
         The sizes of the wrong shapes, normal about zero with a deviation of ``share``, are
         integrated out; the last array is the information about them.
         """
-        inner = 1.0 / (self.size + 1.0 / share**2)
-        plain = self.plain + 0.5 * float(np.sum(inner * self.pull**2))
-        plain -= 0.5 * float(np.sum(np.log1p(share**2 * self.size)))
-        normal = self.normal - (self.cross * inner) @ self.cross.T
-        return plain, normal, self.gradient - self.cross @ (inner * self.pull), inner
-
-
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """``plain``: ln likelihood but for the squares; ``count`` of the slow band's errors."""
-
-    plain: float
-    count: float
-    many: int
-    slow: _Band
-    fast: _Band
-
-    def at(self, times: float) -> _Scaled:
-        """With what is slow of the noise ``times`` as large."""
-        r, many = times**-2.0, self.many
-        normal = r * self.slow.normal + self.fast.normal
-        gradient = r * self.slow.gradient + self.fast.gradient
-        size, turned = np.linalg.eigh(normal[many:, many:])
-        squares = r * self.slow.squares + self.fast.squares
-        return _Scaled(
-            self.plain - 0.5 * squares - self.count * math.log(times),
-            normal[:many, :many],
-            gradient[:many],
-            np.maximum(size, 0.0),
-            normal[:many, many:] @ turned,
-            turned.T @ gradient[many:],
-            turned,
-        )
+        r = times**-2.0
+        plain = self.plain - 0.5 * r * self.squares - self.count * math.log(times)
+        inner = 1.0 / (self.size + 1.0 / (r * share**2))
+        plain += 0.5 * r * float(np.sum(inner * self.pull**2))
+        plain -= 0.5 * float(np.sum(np.log1p(r * share**2 * self.size)))
+        normal = r * (self.normal - (self.cross * inner) @ self.cross.T)
+        return plain, normal, r * (self.gradient - self.cross @ (inner * self.pull)), inner
 
 
 def predict(
@@ -155,15 +121,14 @@ def predict(
     shapes = SHAPE_SHARES if wrong.shape[1] else {1.0: 1.0}  # none: nothing depends on it
     totals: list[float] = []
     best = -math.inf, 1.0, jacobian[:, 0]
-    every_time = [(t, rows.at(t)) for t in _times(known, scale)]
-    for (times, here), (share, odds) in product(every_time, shapes.items()):
-        plain, normal, gradient, inner = here.at(share)
+    for times, (share, odds) in product(_times(known, scale), shapes.items()):
+        plain, normal, gradient, inner = rows.at(times, share)
         plain += known.ln_density(times * scale) + math.log(odds)
         for weight in weights:
             value, step = _density(plain, normal, gradient, weight, away, inside)
             totals.append(value)
             if value > best[0]:
-                sizes = here.turned @ (inner * (here.pull - here.cross.T @ step))
+                sizes = rows.turned @ (inner * (rows.pull - rows.cross.T @ step))
                 best = value, times, jacobian @ step + wrong @ sizes
     every = float(np.logaddexp.reduce(totals))
     total = every + math.log(SCALE_STEP / len(SHARES))
@@ -182,13 +147,22 @@ def _sums(
     objective: Objective, residual: FloatArray, jacobian: FloatArray, wrong: FloatArray
 ) -> _Rows:
     used = objective.evidence.known & (objective.evidence.role != IGNORED)
-
-    def band(white: FloatArray) -> _Band:
-        return _Band(float(np.sum(white[used, 0] ** 2)), *normal_of(white, used, objective.clip))
-
-    slow, fast = map(band, objective.bands(np.column_stack((residual, jacobian, wrong))))
-    plain = float(np.sum(objective.terms(residual)[used])) + 0.5 * (slow.squares + fast.squares)
-    return _Rows(plain, float(np.sum(objective.weight[used])), jacobian.shape[1], slow, fast)
+    white = objective.scaled(np.column_stack((residual, jacobian, wrong)))
+    normal, gradient = normal_of(white, used, objective.clip)
+    many = jacobian.shape[1]
+    size, turned = np.linalg.eigh(normal[many:, many:])
+    squares = float(np.sum(objective.squares(residual)[used]))
+    return _Rows(
+        float(np.sum(objective.terms(residual)[used])) + 0.5 * squares,
+        squares,
+        float(np.sum(objective.errors[used])),
+        normal[:many, :many],
+        gradient[:many],
+        np.maximum(size, 0.0),
+        normal[:many, many:] @ turned,
+        turned.T @ gradient[many:],
+        turned,
+    )
 
 
 def _density(

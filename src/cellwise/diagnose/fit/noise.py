@@ -139,25 +139,6 @@ def with_shape(
     return np.sqrt(both), np.minimum(weight, both / mean)
 
 
-def fast_part(
-    evidence: Evidence, left_V: FloatArray, white_V: float
-) -> tuple[FloatArray, FloatArray]:
-    """Size and weight of what changes within minutes of the model's error, at every row.
-
-    As large as a fit leaves it (``left_V``) in each log, and another one every WINDOW_S: what is
-    stated of an error that stays says nothing of it, nor does it of that.
-    """
-    fast = left_V - evidence.window_means(left_V[:, None])[:, 0]
-    size, weight = np.empty(evidence.rows), np.empty(evidence.rows)
-    for log, rows in evidence.each():
-        used = evidence.known[rows] & (evidence.role[rows] != IGNORED)
-        square = float(np.mean(fast[rows][used] ** 2)) if used.any() else 0.0
-        size[rows] = math.sqrt(square + max(white_V, LEAST_V) ** 2)
-        errors = 1.0 + float(log.clock_s[-1] - log.clock_s[0]) / (2.0 * WINDOW_S)
-        weight[rows] = min(errors / max(int(used.sum()), 1), 1.0)
-    return size, weight
-
-
 def share_claimed(error: ModelError, drop_V: FloatArray, charged: BoolArray) -> FloatArray:
     """Share of the polarisation at every row that a diagnosis does not hold against a model.
 
@@ -187,3 +168,24 @@ def stated_V(
         back = returning_V(model.error, at, warm)
         size[rows] = np.sqrt(lasts**2 - back**2 + LEAST_V**2)
     return size
+
+
+def fast_part(
+    model: CellModel, evidence: Evidence, soc: FloatArray, voltage_V: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Size [V] and weight at every row of what changes within a window of the model's error.
+
+    No larger than all that is stated of it on any time scale. It comes back with every pulse:
+    however many of these there are, all logs together hold as few errors of it as such a shape has
+    features.
+    """
+    size = np.empty(evidence.rows)
+    for g, rows in evidence.each():
+        warm = float(np.median(g.temperature_C))
+        at = np.clip(soc[rows], 0.0, 1.0)
+        drop = np.interp(at, model.soc, model.at_temperature(warm).ocv_V[0]) - voltage_V[rows]
+        share = share_claimed(model.error, drop, charged_for_minutes(g.log)[:: g.stride])
+        own = np.hypot(model.error.at(at, warm), share * drop)
+        size[rows] = np.sqrt(own**2 + model.error.white_V**2 + LEAST_V**2)
+    used = evidence.known & (evidence.role != IGNORED)
+    return size, np.full(evidence.rows, min(SHAPE_ERRORS / max(int(used.sum()), 1), 1.0))
