@@ -60,8 +60,12 @@ class KnownScale:
         return max(self.least, math.sqrt((self.square + square) / (self.errors + errors)))
 
     def with_more(self, square: float, errors: float) -> KnownScale:
-        """The same with rows that are known to be good."""
-        return KnownScale(self.square + square, self.errors + errors)
+        """The same with rows that are known to be good.
+
+        They may show that more is left than is stated; a load that suits the model shows nothing of
+        others.
+        """
+        return KnownScale(self.square + max(square, errors), self.errors + errors)
 
     def gained(self, left: float, taken: float, errors: float) -> float:
         """Nats that a sum of squares ``left`` is worth less once so much of it is ``taken`` off."""
