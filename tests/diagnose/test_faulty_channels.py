@@ -235,3 +235,14 @@ def test_a_file_with_gross_faults_is_read_and_named_with_the_same_rows(
     log = read_log(file)
     assert [(f.channel, f.runs) for f in clean(log)[1]] == [(channel, ((1307, 1306 + rows),))]
     assert any("1308" in n for n in log.notices)
+
+
+@pytest.mark.parametrize("skew_s", [-2.0, 2.5])
+def test_a_voltage_that_comes_late_is_no_fault_of_a_channel(drive, skew_s):
+    """The load before a rest, or after it, is still in the voltage then: that is a delay."""
+    resting = drive.current_A.copy()
+    resting[1300:1500] = 0.0
+    log = replace(drive, current_A=resting)
+    voltage = simulate(curved_cell(), log, 0.9).voltage_V
+    late = np.interp(log.time_s - skew_s, log.time_s, voltage)
+    assert clean(replace(log, voltage_V=np.round(late, 4)))[1] == ()

@@ -12,6 +12,9 @@ ONE_CAUSE_NATS = math.log(50.0 * 20.0)
 FURTHER_AGE_NATS = math.log(10.0)
 # What has lost charge has grown in resistance as often as not.
 BOTH_NATS = math.log(2.0)
+# Charge and material are lost over years: of ten cells that lost as much as logs show, one lost it
+# between two logs of which the first is known to be good.
+SINCE_BASELINE_NATS = math.log(10.0)
 RESISTANCE = frozenset({"resistance_scale", "ohmic_resistance", "charge_transfer"})
 AGE = frozenset(
     {
@@ -65,4 +68,6 @@ class Rarity:
             both = FURTHER_AGE_NATS if self.same_age else BOTH_NATS
             total += ONE_CAUSE_NATS + both * (kinds - 1)
             total += FURTHER_AGE_NATS * (len(age) - kinds)
+            if self.same_age and age - RESISTANCE:
+                total += SINCE_BASELINE_NATS
         return total + ONE_CAUSE_NATS * len(left - age)

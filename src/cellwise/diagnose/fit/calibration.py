@@ -12,7 +12,7 @@ from cellwise.cell.model import CellModel
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.least_squares import Fit, complete
 from cellwise.diagnose.fit.noise import Noise
-from cellwise.diagnose.fit.priors import calibrated, structure_prior
+from cellwise.diagnose.fit.priors import calibrated
 from cellwise.diagnose.fit.rows import HELD, Evidence, gather
 from cellwise.logs.cell_log import CellLog
 
@@ -46,14 +46,14 @@ def calibrate(
 
 
 def _fitted(known: CauseFits) -> tuple[Fit, Noise]:
-    return known.base(structure_prior(known.prior))
+    return known.base(known.prior)
 
 
 def _share_that_holds(known: CauseFits) -> float:
     """The share with the smallest squared error on the other half."""
     evidence = known.evidence
     found, noise = _fitted(known)
-    prior = structure_prior(known.prior)
+    prior = known.prior
     held = (evidence.role == HELD) & evidence.known
     if not held.any():
         return 0.0

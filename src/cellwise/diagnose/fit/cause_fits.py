@@ -9,6 +9,7 @@ import numpy as np
 
 from cellwise.diagnose.causes.catalogue import Cause, kept_coordinates
 from cellwise.diagnose.causes.coordinates import Coordinates
+from cellwise.diagnose.extension import MEASURED_NAMES
 from cellwise.diagnose.fit.least_squares import (
     Fit,
     Frozen,
@@ -23,6 +24,7 @@ from cellwise.diagnose.fit.noise import (
     SHAPE_SHARE,
     KnownScale,
     Noise,
+    fast_part,
     row_weights,
     stated_V,
     with_shape,
@@ -57,6 +59,8 @@ class CauseFits:
     same_age: bool = False
     stated_V: FloatArray = field(default_factory=lambda: np.ones(1))
     weight: FloatArray = field(default_factory=lambda: np.ones(1))
+    fast_V: FloatArray = field(default_factory=lambda: np.ones(1))
+    fast_weight: FloatArray = field(default_factory=lambda: np.ones(1))
     _frozen: tuple[Fit, Frozen] | None = field(default=None, repr=False)
 
     def base(self, prior: Prior) -> tuple[Fit, Noise]:
@@ -67,6 +71,7 @@ class CauseFits:
         stated = stated_V(model, self.evidence, soc, voltage)
         weight = row_weights(self.evidence, model.error, soc)
         self.weight, self.stated_V, noise = weight, stated, Noise()
+        self.fast_V, self.fast_weight = fast_part(model, self.evidence, soc, voltage)
         found = self.fit(noise, self.coordinates, prior, start, 5)
         for _ in range(2):
             found = complete(self.objective(noise), found, prior)
@@ -123,13 +128,16 @@ class CauseFits:
 
     def squares(self, found: Fit) -> tuple[float, float]:
         """Sum of squares of the used rows in units of the stated error, and how many errors."""
-        rows = self._used()
-        left = self.objective(Noise()).squares(self.evidence.voltage_V - found.voltage_V)
-        return float(np.sum(left[rows])), float(np.sum(self.weight[rows]))
+        rows, plain = self._used(), self.objective(Noise())
+        left = plain.squares(self.evidence.voltage_V - found.voltage_V)
+        return float(np.sum(left[rows])), float(np.sum(plain.errors[rows]))
 
     def objective(self, noise: Noise) -> Objective:
         """What a fit is judged by under a noise."""
-        return Objective(self.evidence, noise.scale * self.stated_V, self.weight)
+        plain = Objective(
+            self.evidence, self.stated_V, self.weight, self.fast_V, self.fast_weight
+        )
+        return plain.times(noise.scale)
 
     def explained(
         self, found: Fit, noise: Noise, prior: Prior, causes: Iterable[Cause]
@@ -193,7 +201,9 @@ class CauseFits:
     def point(self, found: Fit, keep: set[str]) -> dict[str, float]:
         """The causes' coordinates as found, the cell's as calibrated on a baseline, nothing else.
 
-        Not what the fit made of them since: there a cause that is not named might hide.
+        Not what the fit made of them since: there a cause that is not named might hide. What a
+        baseline makes of its instruments and of the charge is no news of the cell.
         """
-        baseline = {n: self.prior.mean[n] for n in self.prior.linked}
+        of_cell = [n for n in self.prior.linked if n not in (*MEASURED_NAMES, "ln_capacity")]
+        baseline = {n: self.prior.mean[n] for n in of_cell}
         return baseline | {n: v for n, v in found.z.items() if n in keep}

@@ -140,12 +140,15 @@ class Objective:
     """Rows, how wrong the model may be at each of them, and how much each counts.
 
     ``size_V`` (rows,) is the standard deviation of what no cause explains. It stays for minutes, so
-    that thousands of rows hold as few errors as ``weight`` (rows,) sums up to.
+    that thousands of rows hold as few errors as ``weight`` (rows,) sums up to. What changes within
+    a window of :attr:`Evidence.windows` has a size of its own, ``fast_V``, and more errors.
     """
 
     evidence: Evidence
     size_V: FloatArray
     weight: FloatArray
+    fast_V: FloatArray
+    fast_weight: FloatArray
 
     @property
     def fitted(self) -> Objective:
@@ -155,23 +158,42 @@ class Objective:
 
     def part(self, evidence: Evidence, rows: slice) -> Objective:
         """The same over some of the rows."""
-        return Objective(evidence, self.size_V[rows], self.weight[rows])
+        fast = self.fast_V[rows], self.fast_weight[rows]
+        return Objective(evidence, self.size_V[rows], self.weight[rows], *fast)
 
     def times(self, scale: float) -> Objective:
         """The same with what may be wrong so many times as large."""
-        return Objective(self.evidence, scale * self.size_V, self.weight)
+        return replace(self, size_V=scale * self.size_V, fast_V=scale * self.fast_V)
 
     @property
     def clip(self) -> float:
         """Where a residual in these units is wilder than the rest (Huber)."""
-        return CLIP * math.sqrt(float(np.mean(self.weight)))
+        return CLIP * math.sqrt(float(np.mean(self.errors)))
+
+    @property
+    def errors(self) -> FloatArray:
+        """How many independent errors every row counts for."""
+        return self.weight + self.fast_weight
+
+    def bands(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """What is slow of columns (rows, P), and what is fast, in units of what may be wrong.
+
+        Each row as much as it counts. Within a window the fast part adds up to zero: the squares
+        of both together are those of their sum.
+        """
+        known = self.evidence.known
+        with np.errstate(over="ignore", invalid="ignore"):  # a step too far is refused by its cost
+            mean = self.evidence.window_means(columns)
+            slow = mean * (known * np.sqrt(self.weight) / self.size_V)[:, None]
+            fast = (columns - mean) * (np.sqrt(self.fast_weight) / self.fast_V)[:, None]
+        fast[~known] = 0.0
+        return slow, fast
 
     def scaled(self, columns: FloatArray) -> FloatArray:
-        """Columns (rows, P) in units of what may be wrong, each row as much as it counts."""
-        with np.errstate(over="ignore"):  # a step too far is refused by its cost
-            work = columns * (np.sqrt(self.weight) / self.size_V)[:, None]
-        work[~self.evidence.known] = 0.0
-        return np.ascontiguousarray(work)
+        """Both bands of columns (rows, P) in units of what may be wrong."""
+        slow, fast = self.bands(columns)
+        slow += fast
+        return slow
 
     def squares(self, residual_V: FloatArray) -> FloatArray:
         """Squared residuals in these units; beyond CLIP they grow in proportion (Huber)."""
@@ -182,6 +204,7 @@ class Objective:
     def terms(self, residual_V: FloatArray) -> FloatArray:
         """Ln likelihood of every row."""
         terms = -0.5 * self.squares(residual_V) - self.weight * np.log(self.size_V)
+        terms -= self.fast_weight * np.log(self.fast_V)
         return np.where(self.evidence.known, terms, 0.0)
 
 

@@ -155,7 +155,7 @@ def _sums(
     return _Rows(
         float(np.sum(objective.terms(residual)[used])) + 0.5 * squares,
         squares,
-        float(np.sum(objective.weight[used])),
+        float(np.sum(objective.errors[used])),
         normal[:many, :many],
         gradient[:many],
         np.maximum(size, 0.0),

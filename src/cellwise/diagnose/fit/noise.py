@@ -21,7 +21,7 @@ import numpy as np
 
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
-from cellwise.diagnose.fit.rows import IGNORED, Evidence
+from cellwise.diagnose.fit.rows import IGNORED, WINDOW_S, Evidence
 from cellwise.identify.refinement.sustained import charged_for_minutes
 from cellwise.typing import BoolArray, FloatArray
 
@@ -31,6 +31,10 @@ STATED_ERRORS = 10.0
 SHAPE_SHARE = 0.1
 # What stays has so many independent errors in a log.
 SHAPE_ERRORS = 10.0
+# No voltage is known better.
+LEAST_V = 1e-4
+# Two clean logs of one cell have this much of an error in common at most, in squares.
+MOST_RETURNS = 0.75
 
 
 class Noise(NamedTuple):
@@ -56,8 +60,12 @@ class KnownScale:
         return max(self.least, math.sqrt((self.square + square) / (self.errors + errors)))
 
     def with_more(self, square: float, errors: float) -> KnownScale:
-        """The same with rows that are known to be good."""
-        return KnownScale(self.square + square, self.errors + errors)
+        """The same with rows that are known to be good.
+
+        They may show that more is left than is stated; a load that suits the model shows nothing of
+        others.
+        """
+        return KnownScale(self.square + max(square, errors), self.errors + errors)
 
     def gained(self, left: float, taken: float, errors: float) -> float:
         """Nats that a sum of squares ``left`` is worth less once so much of it is ``taken`` off."""
@@ -69,12 +77,40 @@ class KnownScale:
         return -self.errors * math.log(scale) - 0.5 * self.square / scale**2
 
 
+def slow_scales(error: ModelError) -> tuple[int, ...]:
+    """Processes of an error that outlast a window; the slowest in any case."""
+    last = len(error.scales_s) - 1
+    return tuple(k for k, s in enumerate(error.scales_s) if s >= WINDOW_S or k == last)
+
+
+def returning_V(error: ModelError, soc: FloatArray, temperature_C: float) -> FloatArray:
+    """What comes back at the same SOC in every log of a cell [V]."""
+    share = min(error.persistent_share, MOST_RETURNS)
+    slowest = error.variance_V2(len(error.scales_s) - 1, soc, temperature_C)
+    return np.asarray(np.sqrt(share * slowest))
+
+
+def lasting_V(
+    error: ModelError, soc: FloatArray, temperature_C: float, drop_V: FloatArray, charged: BoolArray
+) -> FloatArray:
+    """All that is stated of an error that stays for minutes [V]."""
+    slow = slow_scales(error)
+    own = np.sum([error.variance_V2(k, soc, temperature_C) for k in slow], axis=0)
+    out, into = (math.hypot(*(error.shares(sign)[k] for k in slow)) for sign in (1.0, -1.0))
+    hidden = np.where(charged, error.hidden_share(-1.0), 0.0)
+    share = np.where(drop_V >= 0.0, out, np.hypot(into, hidden))
+    return np.asarray(np.sqrt(own + (share * drop_V) ** 2))
+
+
 def independent_errors(error: ModelError, span_s: float, span_soc: float) -> float:
-    """How many errors of a model a log of a length [s] over a range of SOC holds."""
+    """How many slow errors of a model a log of a length [s] over a range of SOC holds."""
+    slow, weights = slow_scales(error), error.weights
+    whole = sum(weights[k] for k in slow) or 1.0
+    memory_s = sum(weights[k] * error.scales_s[k] for k in slow) / whole
     by_soc = 0.0
     if error.correlation_soc is not None:
         by_soc = span_soc / (2.0 * error.correlation_soc)
-    return 1.0 + span_s / (2.0 * error.correlation_s) + by_soc
+    return 1.0 + span_s / (2.0 * max(memory_s, 1e-3)) + by_soc
 
 
 def row_weights(evidence: Evidence, error: ModelError, soc: FloatArray) -> FloatArray:
@@ -121,9 +157,10 @@ def share_claimed(error: ModelError, drop_V: FloatArray, charged: BoolArray) -> 
 def stated_V(
     model: CellModel, evidence: Evidence, soc: FloatArray, voltage_V: FloatArray
 ) -> FloatArray:
-    """Error that the model states at every scored row: slow, a share of the polarisation, noise.
+    """What the model states at every scored row of an error that stays for minutes [V].
 
-    ``soc`` and ``voltage_V`` are as simulated.
+    Without what comes back in every log: that is what tolerances are. ``soc`` and ``voltage_V`` are
+    as simulated.
     """
     size = np.empty(evidence.rows)
     for g, rows in evidence.each():
@@ -131,6 +168,28 @@ def stated_V(
         at = np.clip(soc[rows], 0.0, 1.0)
         drop = np.interp(at, model.soc, model.at_temperature(warm).ocv_V[0]) - voltage_V[rows]
         charged = charged_for_minutes(g.log)[:: g.stride]
-        share = share_claimed(model.error, drop, charged)
-        size[rows] = np.hypot(model.error.at(at, warm), share * drop)
-    return np.asarray(np.hypot(size, model.error.white_V))
+        lasts = lasting_V(model.error, at, warm, drop, charged)
+        back = returning_V(model.error, at, warm)
+        size[rows] = np.sqrt(lasts**2 - back**2 + LEAST_V**2)
+    return size
+
+
+def fast_part(
+    model: CellModel, evidence: Evidence, soc: FloatArray, voltage_V: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Size [V] and weight at every row of what changes within a window of the model's error.
+
+    No larger than all that is stated of it on any time scale. It comes back with every pulse:
+    however many of these there are, all logs together hold as few errors of it as such a shape has
+    features.
+    """
+    size = np.empty(evidence.rows)
+    for g, rows in evidence.each():
+        warm = float(np.median(g.temperature_C))
+        at = np.clip(soc[rows], 0.0, 1.0)
+        drop = np.interp(at, model.soc, model.at_temperature(warm).ocv_V[0]) - voltage_V[rows]
+        share = share_claimed(model.error, drop, charged_for_minutes(g.log)[:: g.stride])
+        own = np.hypot(model.error.at(at, warm), share * drop)
+        size[rows] = np.sqrt(own**2 + model.error.white_V**2 + LEAST_V**2)
+    used = evidence.known & (evidence.role != IGNORED)
+    return size, np.full(evidence.rows, min(SHAPE_ERRORS / max(int(used.sum()), 1), 1.0))

@@ -13,17 +13,17 @@ from cellwise.cell.model import CellModel
 from cellwise.diagnose.causes.catalogue import Cause
 from cellwise.diagnose.causes.coordinates import OCV_NAMES, R_NAMES, Coordinates
 from cellwise.diagnose.fit.least_squares import Fit, Prior
-from cellwise.diagnose.fit.noise import stated_V
-from cellwise.diagnose.fit.rows import Evidence
+from cellwise.diagnose.fit.noise import LEAST_V, returning_V
+from cellwise.diagnose.fit.rows import START_H, Evidence
 from cellwise.diagnose.fit.start_readings import start_readings
 
-# Share of the model's own slow error that its OCV may owe at any knot; least of all in volts.
-OCV_SHARE = 0.25
+# Of the square of what comes back of a model's error in every log its OCV owes one half at any knot,
+# in volts at least so much; nobody knows the shape of the rest.
+OCV_SHARE = 0.5
 OCV_LEAST_V = 0.0015
 R_SHARE = 0.5
 R_LEAST = 0.015
-# Of the model's stated error nobody knows the shape, and it is the same one in every log: these owe
-# equal shares of its square.
+# These owe equal shares of the other half.
 OWED = (
     "ln_r0", "ln_r1", "ln_r2", "ln_tau1", "ln_tau2", "r3", "m_V", "activation_K", "rate_h",
     "ln_charge_scale",
@@ -36,6 +36,9 @@ USUAL_SPREAD_K = 1500.0
 # A start that was given is right to this; one that was found, to its own standard deviation.
 GIVEN_SOC_STD = 0.0015
 TOLERANCE_ENDS = 4.0
+# Where a log starts between the branches of a hysteresis nobody knows, but that it is nearer to its
+# own: a full cell was charged.
+MOST_OFF_BRANCH = 0.5
 # Starts that were given come from one source: what makes one wrong makes all wrong, and what is
 # left of each alone is a third of that.
 GIVEN_ALIKE = 8.0 / 9.0
@@ -46,22 +49,6 @@ SLOWER_THAN_TAU2 = 2.0
 # what one factor on all resistances has given them too much.
 MOST_SLOWED = 20.0
 
-# How far a calibration on baseline logs may move the model. Three times as far fits the baseline
-# better and predicts other measured drives worse than the model without calibration.
-STRUCTURE = {
-    **dict.fromkeys(OCV_NAMES, 0.003),
-    **dict.fromkeys(R_NAMES, 0.03),
-    "ln_r0": 0.03,
-    "ln_r1": 0.05,
-    "ln_r2": 0.05,
-    "ln_tau1": 0.1,
-    "ln_tau2": 0.1,
-    "r3": 0.1,
-    "m_V": 0.001,
-    "rate_h": 0.015,
-    "ln_charge_scale": 0.03,
-    "skew_s": 0.03,
-}
 # Of what was calibrated, this share stays uncertain: the next log is another day.
 STILL_OPEN = 0.3
 
@@ -70,7 +57,8 @@ def tolerances(coordinates: Coordinates, evidence: Evidence) -> Prior:
     """Standard deviations about neutral of everything that a good laboratory leaves uncertain."""
     model = coordinates.model
     capacity = model.capacity_Ah
-    slow = float(np.mean(model.error.at(model.soc)))
+    warm = float(np.median(np.concatenate([g.temperature_C for g in evidence.logs])))
+    knots = returning_V(model.error, np.linspace(0.0, 1.0, len(OCV_NAMES)), warm)
     interval = float(np.median(np.concatenate([g.dt_s[1:] for g in evidence.logs])))
     std = {
         "offset_A": 7e-4 * capacity,
@@ -79,7 +67,10 @@ def tolerances(coordinates: Coordinates, evidence: Evidence) -> Prior:
         "skew_s": min(0.02, 0.2 * max(interval, 1e-3)),
         "ln_capacity": 0.0025,
         "ln_scale": 0.01,
-        **dict.fromkeys(OCV_NAMES, max(OCV_LEAST_V, OCV_SHARE * slow)),
+        **{
+            n: max(OCV_LEAST_V, math.sqrt(OCV_SHARE) * float(v))
+            for n, v in zip(OCV_NAMES, knots, strict=True)
+        },
         **dict.fromkeys(R_NAMES, max(R_LEAST, R_SHARE * model.error.shown_share())),
         "ln_r0": 0.012,
         "ln_r1": 0.025,
@@ -106,17 +97,27 @@ def tolerances(coordinates: Coordinates, evidence: Evidence) -> Prior:
         first = log.start.beginning or log.start
         std[name] = max(first.std, GIVEN_SOC_STD)
         mean[name] = first.soc - log.start.soc
-    return _bounded(Prior(std, mean, {}, {}), std)
+    known = _bounded(Prior(std, mean, {}, {}), std)
+    ends = {START_H: 0.0}, {START_H: MOST_OFF_BRANCH}
+    return known.widened({START_H: MOST_OFF_BRANCH}, {}, *ends)
 
 
 def _owed(coordinates: Coordinates, evidence: Evidence) -> dict[str, float]:
-    """Standard deviation of each coordinate that makes up its share of the stated error."""
-    voltage, soc = evidence.simulate(coordinates, {})
-    stated = stated_V(coordinates.model, evidence, soc, voltage)
-    used = evidence.known & np.isfinite(stated)
-    columns = evidence.jacobian(coordinates, {}, OWED)[used]
-    size = np.sqrt(np.mean(columns**2, axis=0))
-    allowed = float(np.sqrt(np.mean(stated[used] ** 2) / len(OWED)))
+    """Standard deviation of each coordinate that makes up its share of what comes back."""
+    _, soc = evidence.simulate(coordinates, {})
+    error = coordinates.model.error
+    again = np.concatenate(
+        [
+            returning_V(error, np.clip(soc[rows], 0.0, 1.0), float(np.median(g.temperature_C)))
+            for g, rows in evidence.each()
+        ]
+    )
+    used = evidence.known & np.isfinite(again)
+    # A model that states nothing there owes nothing.
+    again = np.maximum(again[used], LEAST_V)
+    columns = evidence.window_means(evidence.jacobian(coordinates, {}, OWED))[used]
+    size = np.sqrt(np.mean((columns / again[:, None]) ** 2, axis=0))
+    allowed = math.sqrt((1.0 - OCV_SHARE) / len(OWED))
     return {n: allowed / float(v) for n, v in zip(OWED, size, strict=True) if v > allowed}
 
 
@@ -220,21 +221,13 @@ def coordinate_bounds(
     return coordinates.bounds_of(name, bounds)
 
 
-def structure_prior(prior: Prior) -> Prior:
-    """The prior of a calibration on baseline logs."""
-    std = {n: max(v, prior.std[n]) for n, v in STRUCTURE.items() if n in prior.std}
-    starts = {n: v for n, v in prior.std.items() if n.startswith("soc0:")}
-    mean = {n: prior.mean.get(n, 0.0) for n in starts}
-    return _bounded(Prior({**std, **starts}, mean, {}, {}), (*std, *starts))
-
-
 def calibrated(prior: Prior, found: Fit, share: float = 1.0) -> Prior:
-    """Tolerances about what was calibrated on a baseline, with the correlations that it leaves.
+    """Tolerances about what a fit of a baseline made of them, with the correlations that it leaves.
 
     ``share`` (0..1) is how much of the calibration is taken; without any, tolerances stay as wide
     as those of a good laboratory.
     """
-    names = [n for n in STRUCTURE if n in prior.std]
+    names = [n for n in prior.std if ":" not in n]
     place = [found.names.index(n) for n in names]
     covariance = share * share * found.covariance[np.ix_(place, place)]
     still = STILL_OPEN**share
@@ -242,11 +235,11 @@ def calibrated(prior: Prior, found: Fit, share: float = 1.0) -> Prior:
     deviation = np.sqrt(np.diag(covariance) + drift**2)
     np.fill_diagonal(covariance, 0.0)
     # Same cell, same instruments: what else could be off has shown there too.
-    std = {n: v if n.startswith("soc0:") else still * v for n, v in prior.std.items()} | dict(
+    std = {n: v if ":" in n else still * v for n, v in prior.std.items()} | dict(
         zip(names, (float(v) for v in deviation), strict=True)
     )
     mean = {n: share * found.z[n] for n in names}
-    wider = _bounded(prior.widened(std, mean, {}, {}), std)
+    wider = _bounded(prior.widened(std, mean, {}, {}), [n for n in std if n != START_H])
     return replace(wider, linked=tuple(names), cross=covariance)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from cellwise.cell.equations import CellState, empty_state
 from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.model import CellModel
+from cellwise.cell.point_kernels import M
 from cellwise.cell.simulate import known_temperature_C, start_hysteresis
 from cellwise.diagnose.causes.coordinates import CURRENT_NAMES, Coordinates, KernelInputs
 from cellwise.diagnose.causes.current_kernels import shift_rows
@@ -27,6 +28,11 @@ PATTERN = "FFHFHFFHFH"
 # Of a log that is held out: this first part determines its initial SOC, and is not scored.
 START_PART = 0.15
 BLOCKS_LEAST = 12
+# What changes within so much time is fast: an error of its own every so often.
+WINDOW_S = 100.0
+
+# By how much of the way to the other branch of a hysteresis the logs start off theirs.
+START_H = "start:h"
 
 IGNORED, FITTED, HELD, START = range(4)
 Role = Literal["fit", "hold"]
@@ -71,10 +77,13 @@ class LogRows:
             self.clock_s[:scored],
         )
 
-    def state(self, soc_shift: float) -> CellState:
-        """The cell at rest at the start, ``soc_shift`` away from its stated SOC."""
+    def state(self, soc_shift: float, way: float = 0.0) -> CellState:
+        """The cell at rest at the start, ``soc_shift`` away from its stated SOC.
+
+        ``way``: how far from its branch of a hysteresis to the other one.
+        """
         soc = self.start.soc + soc_shift
-        return empty_state(soc, start_hysteresis(self.start.soc))
+        return empty_state(soc, (1.0 - 2.0 * way) * start_hysteresis(self.start.soc))
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +116,22 @@ class Evidence:
             yield log, slice(place, place + log.scored)
             place += log.scored
 
+    @cached_property
+    def windows(self) -> tuple[IntArray, IntArray]:
+        """First row of every window of WINDOW_S with one role, and the window of every row."""
+        new = np.diff(self.role, prepend=-1) != 0
+        for log, rows in self.each():
+            place = ((log.clock_s - log.clock_s[0]) // WINDOW_S).astype(np.int64)
+            new[rows] |= np.diff(place, prepend=-1) != 0
+        return np.flatnonzero(new).astype(np.int32), (np.cumsum(new) - 1).astype(np.int32)
+
+    def window_means(self, columns: FloatArray) -> FloatArray:
+        """Of every row the mean over the known rows of its window; columns (rows, P)."""
+        first, window = self.windows
+        known = np.where(self.known[:, None], columns, 0.0)
+        count = np.maximum(np.add.reduceat(self.known.astype(np.float64), first), 1.0)
+        return np.asarray((np.add.reduceat(known, first, axis=0) / count[:, None])[window])
+
     def starts(self) -> list[str]:
         """Names of the coordinates of the logs' starts."""
         return [f"soc0:{k}" for k in range(len(self.logs))]
@@ -134,7 +159,7 @@ class Evidence:
             rows = slice(place, place + log.scored)
             voltage_rows(
                 inputs.tables,
-                log.state(z.get(f"soc0:{k}", 0.0)),
+                log.state(z.get(f"soc0:{k}", 0.0), z.get(START_H, 0.0)),
                 Flow(log.dt_s, flow, log.temperature_C),
                 inputs.added_V,
                 log.stride,
@@ -162,7 +187,7 @@ class Evidence:
             part = np.empty((log.scored, len(mine)))
             derivative_rows(
                 inputs.tables,
-                log.state(z.get(f"soc0:{k}", 0.0)),
+                log.state(z.get(f"soc0:{k}", 0.0), z.get(START_H, 0.0)),
                 Flow(log.dt_s, flow, log.temperature_C),
                 directions,
                 log.stride,
@@ -170,6 +195,10 @@ class Evidence:
             )
             result[place : place + log.scored, mine] = part
             place += log.scored
+        if START_H in names and np.any(inputs.table[..., M]):  # a straight line
+            way = z.get(START_H, 0.0)
+            ends = (self.simulate(coordinates, {**z, START_H: way + x})[0] for x in (0.5, 0.0))
+            result[:, names.index(START_H)] = np.subtract(*ends) / 0.5
         return result
 
 

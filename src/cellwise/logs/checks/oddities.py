@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +28,8 @@ SPIKE_DEVIATIONS = 20.0
 SPIKE_LEAST_V = 0.05
 SPIKE_OF_DROP = 2.0
 LATE_ROWS = 5
+# What one channel shows of the other may come so much later, or earlier.
+LATE_S = 3.0
 LARGER_STEPS = 0.98
 LEAST_STEP_A = 1e-12  # what is below is no current
 NOISE_DEVIATIONS = 8.0
@@ -179,9 +182,10 @@ def stuck_runs(log: MeasuredLog) -> dict[str, list[Run]]:
         "voltage_V": _standstills(log.voltage_V, log.current_A, current_jump, moves),
         "current_A": _standstills(log.current_A, log.voltage_V, _current_jump(log), STUCK_MOVES),
     }
-    # A rest only relaxes: to and fro twice without a current is a channel that is dead.
-    jump = _current_jump(log)
-    dead = _standstills(log.current_A, log.voltage_V, jump, DEAD_MOVES, STUCK_ROWS - 1)
+    # A rest only relaxes: to and fro twice without a current is a channel that is dead, unless it
+    # is the load before or after the rest, and one of the channels comes late.
+    jump, late = _current_jump(log), _late_rows(log, 0)
+    dead = _standstills(log.current_A, log.voltage_V, jump, DEAD_MOVES, STUCK_ROWS - 1, late)
     nothing = [r for r in dead if log.current_A[r.first] == 0.0]
     found["current_A"] = sorted({*found["current_A"], *nothing})
     return {
@@ -216,15 +220,24 @@ def _swing(values: FloatArray) -> float:
 
 
 def _standstills(
-    held: FloatArray, other: FloatArray, jump: float, least: int, steps: int = STUCK_ROWS
+    held: FloatArray,
+    other: FloatArray,
+    jump: float,
+    least: int,
+    steps: int = STUCK_ROWS,
+    late: int = 0,
 ) -> list[Run]:
-    """Where a channel repeats its value so many times while the other moves to and fro so often."""
+    """Where a channel repeats its value so many times while the other moves to and fro so often.
+
+    So often also without what ``late`` rows show at one end, whichever: they may be the load there.
+    """
     change = np.diff(other, prepend=other[0])
     ups, downs = np.cumsum(change > jump), np.cumsum(change < -jump)
     first, last = _runs(np.diff(held, prepend=np.nan) == 0.0)
     if first.size == 0 or jump == 0.0:
         return []
-    moves = np.minimum(ups[last] - ups[first - 1], downs[last] - downs[first - 1])
+    ends = (np.minimum(first - 1 + late, last), last), (first - 1, np.maximum(last - late, first))
+    moves = np.min([c[b] - c[a] for a, b in ends for c in (ups, downs)], axis=0)
     stuck = (last - first + 1 >= steps) & (moves >= least)
     return [Run(int(a), int(b)) for a, b in zip(first[stuck], last[stuck], strict=True)]
 
@@ -241,6 +254,13 @@ def step_resistance(log: MeasuredLog) -> float:
     return float(np.quantile(known, LARGER_STEPS)) / step_A
 
 
+def _late_rows(log: MeasuredLog, least: int) -> int:
+    """Rows that one channel may be late by, so many at least."""
+    steps = np.diff(log.time_s)
+    usual = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else LATE_S
+    return max(least, math.ceil(LATE_S / usual))
+
+
 def _noise(values: FloatArray) -> float:
     """Standard deviation of a channel's noise: of the tenth of its steps that are smallest."""
     steps = np.abs(np.diff(values))
@@ -255,7 +275,8 @@ def find_spikes(log: MeasuredLog) -> NDArray[np.intp]:
     The current of some rows around counts, since a channel may be logged late.
     """
     v, i = log.voltage_V, log.known_current_A()
-    if v.size < 2 * LATE_ROWS + 3:
+    late = _late_rows(log, LATE_ROWS)
+    if v.size < 2 * late + 3:
         return np.zeros(0, dtype=np.intp)
     before, after = np.zeros(v.size), np.zeros(v.size)
     before[1:-1], after[1:-1] = v[1:-1] - v[:-2], v[1:-1] - v[2:]
@@ -263,9 +284,9 @@ def find_spikes(log: MeasuredLog) -> NDArray[np.intp]:
     # At a step, however late, a row is far from one neighbour only.
     nearer = np.minimum(np.abs(before), np.abs(after))
     away = np.nan_to_num(np.where(before * after > 0.0, nearer, 0.0))
-    window = np.pad(i, LATE_ROWS, "edge")
-    around = np.lib.stride_tricks.sliding_window_view(window, 2 * LATE_ROWS + 1)
-    moved = np.max(around, axis=1) - np.min(around, axis=1)
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d  # slow to import
+
+    moved = maximum_filter1d(i, 2 * late + 1) - minimum_filter1d(i, 2 * late + 1)
     usual = 1.48 * float(np.median(bend))
     least = max(SPIKE_LEAST_V, SPIKE_DEVIATIONS * usual)
     far = away > least + SPIKE_OF_DROP * step_resistance(log) * moved
