@@ -90,7 +90,7 @@ def mismatch_step(noise: NoiseScalars, mismatch: float, excess: float, dt_s: flo
 def persistent_V(
     noise: NoiseScalars, point: CellPoint, seen_A: float, drop_V: float, mismatch: float
 ) -> float:
-    """Model error that stays, one deviation [V]: at this SOC, along its axis, of the resistances.
+    """Persistent model error, one deviation [V]: at this SOC, along its axis, of the resistances.
 
     Of what the resistances are off by that part persists which no test could show, as long as the
     load does: a share of ``drop_V``, what R0 and the branches hold.

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cellwise.estimate.adaptive.covariance_kernels import AdaptiveCovariance
-from cellwise.estimate.adaptive.mixture_kernels import mix
+from cellwise.estimate.adaptive.mixture_kernels import Before, mix
 from cellwise.estimate.adaptive.predict_kernels import forgotten
 from cellwise.estimate.adaptive.settings import AdaptiveSettings
 from cellwise.estimate.adaptive.state_kernels import Persistent, Rest, settled_variance
@@ -99,7 +99,7 @@ class TestMixture:
         variance = np.diag(square - np.outer(mean, mean))
         m, p, _ = self.posterior(y, [0, 1, 2])
         told = mix(m[0], p[0, 0], m[1], m[2], p[0, 1], p[0, 2], p[1, 1], p[1, 2], p[2, 2],
-                   self.prior[1, 1], self.prior[2, 2], math.exp(log_odds), math.exp(log_odds),
+                   Before(self.prior[1, 1], self.prior[2, 2], *2 * (math.exp(log_odds),)),
                    Persistent(0.0, 0.0, 0.0))  # fmt: skip
         np.testing.assert_allclose((told.soc, told.offset_A, told.charge), mean, rtol=1e-6)
         found = (told.soc_variance, told.offset_variance, told.charge_variance)
@@ -120,7 +120,7 @@ class TestMixture:
         prior = [self.prior[j, j] if j == learnt else 0.0 for j in range(3)]
         x, c = two
         told = mix(x[0], c[0, 0], x[1], x[2], c[0, 1], c[0, 2], c[1, 1], c[1, 2], c[2, 2],
-                   prior[1], prior[2], 1.0, 1.0, Persistent(0.0, 0.0, 0.0))  # fmt: skip
+                   Before(prior[1], prior[2], 1.0, 1.0), Persistent(0.0, 0.0, 0.0))  # fmt: skip
         mean = w * m[0] + (1 - w) * m0[0]
         assert told.soc == pytest.approx(mean)
         square = w * (p[0, 0] + m[0] ** 2) + (1 - w) * (p0[0, 0] + m0[0] ** 2)

@@ -11,7 +11,6 @@ from cellwise.cell.equations import CellState
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate
-from cellwise.estimate.adaptive.adaptive import Adaptive
 from cellwise.estimate.filters.ekf import Ekf
 from cellwise.estimate.filters.past_kernels import (
     PAST_RATE,
@@ -137,7 +136,7 @@ def test_a_state_moves_as_if_the_branch_had_been_taken_for_it_from_the_beginning
     np.testing.assert_allclose(state(0.008 + 0.012) - state(0.008), moved, rtol=1e-9)
 
 
-@pytest.mark.parametrize("kind", [Ekf, Ukf, Adaptive])
+@pytest.mark.parametrize("kind", [Ekf, Ukf])
 def test_a_use_that_pauses_in_its_first_minutes_is_found_after_some_more(kind):
     """240 s at a fifth of the load before them say too little of a branch of hours."""
     model = linear(tau3_s=HOURS_S)

@@ -134,9 +134,7 @@ class CauseFits:
 
     def objective(self, noise: Noise) -> Objective:
         """What a fit is judged by under a noise."""
-        plain = Objective(
-            self.evidence, self.stated_V, self.weight, self.fast_V, self.fast_weight
-        )
+        plain = Objective(self.evidence, self.stated_V, self.weight, self.fast_V, self.fast_weight)
         return plain.times(noise.scale)
 
     def explained(

@@ -93,7 +93,7 @@ def returning_V(error: ModelError, soc: FloatArray, temperature_C: float) -> Flo
 def lasting_V(
     error: ModelError, soc: FloatArray, temperature_C: float, drop_V: FloatArray, charged: BoolArray
 ) -> FloatArray:
-    """All that is stated of an error that stays for minutes [V]."""
+    """All that is stated of an error that lasts for minutes [V]."""
     slow = slow_scales(error)
     own = np.sum([error.variance_V2(k, soc, temperature_C) for k in slow], axis=0)
     out, into = (math.hypot(*(error.shares(sign)[k] for k in slow)) for sign in (1.0, -1.0))
@@ -157,7 +157,7 @@ def share_claimed(error: ModelError, drop_V: FloatArray, charged: BoolArray) -> 
 def stated_V(
     model: CellModel, evidence: Evidence, soc: FloatArray, voltage_V: FloatArray
 ) -> FloatArray:
-    """What the model states at every scored row of an error that stays for minutes [V].
+    """What the model states at every scored row of an error that lasts for minutes [V].
 
     Without what comes back in every log: that is what tolerances are. ``soc`` and ``voltage_V`` are
     as simulated.

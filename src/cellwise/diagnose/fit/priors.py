@@ -17,8 +17,8 @@ from cellwise.diagnose.fit.noise import LEAST_V, returning_V
 from cellwise.diagnose.fit.rows import START_H, Evidence
 from cellwise.diagnose.fit.start_readings import start_readings
 
-# Of the square of what comes back of a model's error in every log its OCV owes one half at any knot,
-# in volts at least so much; nobody knows the shape of the rest.
+# Of the square of what comes back of a model's error in every log its OCV owes one half at any
+# knot, in volts at least so much; nobody knows the shape of the rest.
 OCV_SHARE = 0.5
 OCV_LEAST_V = 0.0015
 R_SHARE = 0.5

@@ -8,7 +8,7 @@ posterior density at those values over the prior's (Savage-Dickey):
    -\tfrac12 \delta^T P_{FF}^{-1} \delta - \tfrac12 \ln \frac{|P_{FF}|}{|P^0_{FF}|}
 
 So a freedom that the data do not ask for costs hardly anything in SOC, and a parameter without
-evidence goes back to the model's value. Where a model error that stays would have led a parameter
+evidence goes back to the model's value. Where a persistent model error would have led a parameter
 as far, that is no evidence: its variance has that, too, up to the prior's.
 
 Source: J. M. Dickey, Ann. Math. Statist. 42 (1971) 204, doi:10.1214/aoms/1177693507.
@@ -30,11 +30,20 @@ from cellwise.estimate.adaptive.state_kernels import (
 from cellwise.estimate.evidence_kernels import stated_deviation
 
 
+class Before(NamedTuple):
+    """Offset and capacity before any data: variances, 0 where not estimated, odds for the model."""
+
+    offset_variance: float
+    charge_variance: float
+    offset_odds: float
+    charge_odds: float
+
+
 class Mixture(NamedTuple):
     """What the hypotheses say together: means, variances, probabilities of being free.
 
-    ``charge`` is q - 1: the model's capacity over the cell's, less one. ``persistent`` is what an
-    error that stays may have brought into the SOC, one deviation.
+    ``charge`` is q - 1: the model's capacity over the cell's, less one. ``persistent`` is what a
+    persistent error may have brought into the SOC, one deviation.
     """
 
     soc: float
@@ -91,10 +100,7 @@ def mix(
     bb: float,
     bq: float,
     qq: float,
-    prior_b: float,
-    prior_q: float,
-    odds_b: float,
-    odds_q: float,
+    before: Before,
     stays: Persistent,
 ) -> Mixture:
     """Weigh: both free, offset fixed, capacity fixed, both fixed; what has no prior is fixed.
@@ -104,10 +110,10 @@ def mix(
     soc, ss : float            SOC and its variance, everything free
     b, q : float               offset [A] and capacity factor, less the model's values
     sb, sq, bb, bq, qq : float their covariances
-    prior_b, prior_q : float   their variances before any data, 0 where not estimated
-    odds_b, odds_q : float     for the model's values, before any data
-    stays : Persistent         where an error of the model that stays has led them
+    before : Before            what is known of offset and capacity before any data
+    stays : Persistent         where a persistent error of the model has led them
     """
+    prior_b, prior_q, odds_b, odds_q = before
     free_b = prior_b > 0.0 and bb > 0.0
     free_q = prior_q > 0.0 and qq > 0.0
     if not free_b and not free_q:
@@ -176,8 +182,8 @@ def mixture(rules: AdaptiveScalars, state: AdaptiveState) -> Mixture:
     return mix(
         state.cell.soc, p.ss, state.offset_A, state.charge - 1.0,
         p.so, p.sq, p.poo, p.poq, p.pqq,
-        rules.offset_variance, rules.charge_variance,
-        rules.odds, rules.charge_odds, state.persistent,
+        Before(rules.offset_variance, rules.charge_variance, rules.odds, rules.charge_odds),
+        state.persistent,
     )  # fmt: skip
 
 

@@ -149,7 +149,7 @@ def predict(
         -counts * t.g2,
         -counts * t.g3,
     )
-    # Beyond the model's data no voltage can tell a capacity from the model's error.
+    # Beyond the model's data no voltage can separate a capacity from the model's error.
     judged_A = 0.0 if now.status & OUTSIDE else per_A * s.flow_A
     p = charge_driven(p, judged_A)
     p = branches_noisy(

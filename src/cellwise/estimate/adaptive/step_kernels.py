@@ -276,7 +276,7 @@ def given_up(rules: AdaptiveScalars, e: Estimate, stays: Persistent) -> Estimate
 def led_astray(
     old: Persistent, k: AdaptiveColumn, held: Held, now: Predicted, stays_V: float
 ) -> Persistent:
-    """Where an error that stays leads SOC and parameters, after an update with the gain ``k``."""
+    """Where a persistent error leads SOC and parameters, after an update with the gain ``k``."""
     left_V = stays_V - now.at.slope_V * old.soc
     return Persistent(
         persistent_step(k.s, now.at.slope_V, old.soc, stays_V),
