@@ -110,9 +110,10 @@ def test_beyond_the_temperatures_heating_has_no_activation_of_its_own() -> None:
 
 
 def test_an_error_that_is_larger_in_the_cold_is_stated_there_alone() -> None:
-    found = with_error_at(curved_cell(), COLD_C, 3.0).error
-    assert found.factor(COLD_C) == pytest.approx(3.0)
-    assert found.factor(25.0) == pytest.approx(1.0)
+    model = curved_cell()
+    found = with_error_at(model, COLD_C, 3.0).error
+    assert float(found.at(0.5, COLD_C)) == pytest.approx(3.0 * float(model.error.at(0.5)))
+    assert float(found.at(0.5, 25.0)) == pytest.approx(float(model.error.at(0.5)))
 
 
 def cold_cell(model: CellModel) -> CellModel:

@@ -57,7 +57,7 @@ def test_only_what_both_halves_share_is_taken(second, holds):
     if holds:
         assert share > 0.5
         assert learnt > 0.02
-        assert fits.prior.std["ln_gain"] < before["ln_gain"]
+        assert fits.prior.std["ln_r0"] < before["ln_r0"]
     else:
         assert share == 0.0
         assert learnt == 0.0

@@ -105,7 +105,9 @@ def test_the_scale_is_the_most_likely_one_under_its_prior():
     )
 
 
-def test_the_scale_is_never_below_what_is_stated_unless_good_rows_say_so():
+def test_the_scale_is_never_below_what_is_stated():
+    """Good rows may show that more is left; a load that suits the model shows nothing of others."""
     assert KnownScale().scale(0.0, 50.0) == 1.0
-    better = KnownScale().with_more(0.0, 10.0)
-    assert better.scale(0.0, 50.0) == pytest.approx(np.sqrt(0.5))
+    assert KnownScale().with_more(0.0, 10.0).scale(0.0, 50.0) == 1.0
+    worse = KnownScale().with_more(70.0, 10.0)
+    assert worse.scale(0.0, 0.0) == pytest.approx(2.0)

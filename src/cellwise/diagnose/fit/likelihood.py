@@ -137,7 +137,7 @@ def predict(
 
 def _times(known: KnownScale, scale: float) -> FloatArray:
     """Scales to try, in units of the one that the fit leaves: from the least that is known."""
-    least = known.least
+    least = 1.0  # what is stated
     most = BEYOND * max(scale, least)
     steps = np.arange(0.0, math.log(most / least), SCALE_STEP)
     return np.asarray(least / scale * np.exp(steps))

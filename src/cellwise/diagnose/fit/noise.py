@@ -50,14 +50,9 @@ class KnownScale:
     square: float = STATED_ERRORS
     errors: float = STATED_ERRORS
 
-    @property
-    def least(self) -> float:
-        """No scale below this is considered."""
-        return min(1.0, math.sqrt(self.square / self.errors))
-
     def scale(self, square: float, errors: float) -> float:
-        """Most likely scale of rows with a sum of squares; never below what is known."""
-        return max(self.least, math.sqrt((self.square + square) / (self.errors + errors)))
+        """Most likely scale of rows with a sum of squares; never below what is stated."""
+        return max(1.0, math.sqrt((self.square + square) / (self.errors + errors)))
 
     def with_more(self, square: float, errors: float) -> KnownScale:
         """The same with rows that are known to be good.
