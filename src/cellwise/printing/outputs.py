@@ -7,7 +7,6 @@ from pathlib import Path
 
 from cellwise.cell.description import ADAPTIVE, CELL, CHARGE, OFFSET, SOC, V1, V2, V3
 from cellwise.printing.c.firmware import print_header, print_source
-from cellwise.printing.c.fixed_covariance import print_covariance
 from cellwise.printing.covariance import CovariancePrinter
 from cellwise.printing.formulas import theory_text
 from cellwise.printing.lanes import lanes_text
@@ -62,8 +61,6 @@ OUTPUTS: dict[str, Callable[[], str]] = {
     "src/cellwise/estimate/adaptive/covariance_kernels.py": adaptive_covariance_text,
     "src/cellwise/estimate/lockstep/lane_kernels.py": lanes_text,
     "docs/theory.md": lambda: theory_text(SOURCE / "docs" / "theory.md"),
-    # What the C follows from comes first.
-    "src/cellwise/estimate/fixed/covariance.py": print_covariance,
     "firmware_ref/cellwise_ekf.h": print_header,
     "firmware_ref/cellwise_ekf.c": print_source,
 }

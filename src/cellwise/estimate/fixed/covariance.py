@@ -1,7 +1,8 @@
 """Covariance of the fixed step: what a step does to P and to the state through it.
 
-Printed from the table of states in ``cellwise.cell.description`` by ``python -m cellwise.printing``
-(``fixed_covariance``); do not edit.
+Written by hand, entry by entry: the order of operations is part of the C's bits, and every entry
+stands under the option of its states. A test counts that each function meets every entry of the
+triangle once. The float64 filters have the same algebra printed: ``estimate/filters``.
 """
 
 from __future__ import annotations
