@@ -13,7 +13,6 @@ from typing import NamedTuple
 from cellwise.cell.compiled import inline
 from cellwise.cell.equations import ZERO_CELSIUS_K, CellState
 from cellwise.cell.point_kernels import CellPoint, CellScalars
-from cellwise.typing import FloatArray
 
 
 class Partials(NamedTuple):
@@ -517,11 +516,7 @@ def partials(
 
 @inline
 def carried(
-    p: Partials,
-    d: CellState,
-    flow_A: float,
-    at: CellPoint,
-    apart: bool,
+    p: Partials, d: CellState, flow_A: float, at: CellPoint, apart: bool
 ) -> tuple[CellState, float]:
     """Directions after an interval, of those before it, of the current and the tables."""
     soc = d.soc + p.soc_by_current_A * flow_A
@@ -666,55 +661,3 @@ def driven(p: Partials, d: CellScalars, apart: bool) -> tuple[CellState, float]:
         p.voltage_by_h * h - drop + p.voltage_by_entropy_K * d.entropy_K + p.voltage_by_soc * soc
     )
     return CellState(soc, v1, v2, v3, h, heat, slow), voltage
-
-
-@inline
-def rise(low: CellPoint, high: CellPoint, sloped: float, held: float) -> CellPoint:
-    """Rise of the tables from one point to another, times a factor."""
-    return CellPoint(
-        (high.ocv_V - low.ocv_V) * sloped,
-        0.0,
-        (high.r0_ohm - low.r0_ohm) * held,
-        (high.r1_ohm - low.r1_ohm) * held,
-        (high.tau1_s - low.tau1_s) * held,
-        (high.r2_ohm - low.r2_ohm) * held,
-        (high.tau2_s - low.tau2_s) * held,
-        (high.r3_ohm - low.r3_ohm) * held,
-        (high.tau3_s - low.tau3_s) * held,
-        (high.m_V - low.m_V) * held,
-        (high.error_V - low.error_V) * held,
-        (high.entropy_V - low.entropy_V) * sloped,
-        0.0,
-    )
-
-
-@inline
-def scalars_of(rows: FloatArray, p: int) -> CellScalars:
-    """Row ``p`` of an array as the scalars it holds."""
-    return CellScalars(
-        rows[p, 0],
-        rows[p, 1],
-        rows[p, 2],
-        rows[p, 3],
-        rows[p, 4],
-        rows[p, 5],
-        rows[p, 6],
-        rows[p, 7],
-        rows[p, 8],
-        rows[p, 9],
-        rows[p, 10],
-        rows[p, 11],
-        rows[p, 12],
-        rows[p, 13],
-        rows[p, 14],
-        rows[p, 15],
-        rows[p, 16],
-        rows[p, 17],
-        rows[p, 18],
-        rows[p, 19],
-        rows[p, 20],
-        rows[p, 21],
-        rows[p, 22],
-        rows[p, 23],
-        rows[p, 24],
-    )

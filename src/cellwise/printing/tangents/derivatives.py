@@ -10,23 +10,22 @@ from __future__ import annotations
 import ast
 from collections.abc import Mapping, Sequence
 
-from cellwise.cell.description import COLUMNS
 from cellwise.cell.equations import CellState
-from cellwise.printing.points import point_fields, scalar_fields
+from cellwise.cell.point_kernels import COLUMN_SOURCES, CellPoint, CellScalars
 from cellwise.printing.tangents.gradients import added, gradient, is_number, product
 from cellwise.printing.tangents.straight_line import Line, Reader, Value, Wish, record, unused
-from cellwise.printing.text import broken_sum, head, wrapped_call
+from cellwise.printing.text import head, wrapped_call
 
 Edges = dict[str, dict[str, ast.expr]]
 
-POINT, SCALARS, STATE = point_fields(), scalar_fields(), CellState._fields
+POINT, SCALARS, STATE = CellPoint._fields, CellScalars._fields, CellState._fields
 # What stays a name of its own over an interval, in the order of the equations.
 OUTPUTS = ("soc", "slow", "v1", "v2", "v3", "h", "drop", "heat", "voltage")
-FIELDS = [c.field for c in COLUMNS]
+FIELDS = list(COLUMN_SOURCES)
 SURFACE_ONLY = ("slow", "cell.surface_")
 SURFACE_ORIGINS = ("followed", "surface_soc")
 ACTIVATION = "activation_K"
-SURFACE = [c.field for c in COLUMNS if c.field.endswith(("_ohm", "_s"))]  # at the surface's SOC
+SURFACE = [n for n in FIELDS if n.endswith(("_ohm", "_s"))]  # at the surface's SOC
 CELL_ARGUMENTS = ["cell: CellScalars", "state: CellState"]
 NOW = ["current_A: float", "dt_s: float", "temperature_C: float"]
 IMPORTS = """
@@ -36,7 +35,6 @@ from typing import NamedTuple
 from cellwise.cell.compiled import inline
 from cellwise.cell.equations import ZERO_CELSIUS_K, CellState
 from cellwise.cell.point_kernels import CellPoint, CellScalars
-from cellwise.typing import FloatArray
 """
 
 
@@ -159,7 +157,7 @@ class Derivatives:
         for k, line in enumerate(shown):
             if k == 0 or line.origin != shown[k - 1].origin:
                 text.append(f"    # {line.origin}")
-            text += broken_sum(f"    {line.name} = ", only_needed(line))
+            text.append(f"    {line.name} = {ast.unparse(only_needed(line))}")
         return text
 
     def record(self, name: str, text: str, more: Sequence[str] = ()) -> list[str]:
@@ -229,36 +227,11 @@ def tangent(
         others = {by: x for by, x in directions.items() if by not in by_surface}
         if n == "slow":
             others, by_surface = directions, {}
-        value = ast.parse(d.follows(n, others), mode="eval").body
-        lines += broken_sum(f"    {n} = ", value)
+        lines.append(f"    {n} = {d.follows(n, others)}")
         more = d.follows(n, by_surface)
         if more != "0.0":
-            lines += ["    if apart:"]
-            lines += broken_sum(f"        {n} += ", ast.parse(more, mode="eval").body)
+            lines += ["    if apart:", f"        {n} += {more}"]
     return [*lines, "    return CellState(soc, v1, v2, v3, h, heat, slow), voltage"]
-
-
-def slopes() -> list[str]:
-    """Slopes of the tables from two points of them."""
-    share = {c.field: "sloped" if c.sloped else "held" for c in COLUMNS}
-    rise = [f"(high.{n} - low.{n}) * {share[n]}" if n in share else "0.0" for n in POINT]
-    names = ["low: CellPoint", "high: CellPoint", "sloped: float", "held: float"]
-    return [
-        *("", "", "@inline"),
-        *wrapped_call("def rise", names, " -> CellPoint:"),
-        '    """Rise of the tables from one point to another, times a factor."""',
-        *wrapped_call("    return CellPoint", rise),
-    ]
-
-
-def directions() -> list[str]:
-    """Directions of the scalars out of a row of an array."""
-    return [
-        *("", "", "@inline"),
-        "def scalars_of(rows: FloatArray, p: int) -> CellScalars:",
-        '    """Row ``p`` of an array as the scalars it holds."""',
-        *wrapped_call("    return CellScalars", [f"rows[p, {k}]" for k in range(len(SCALARS))]),
-    ]
 
 
 def derivatives_text() -> str:
@@ -307,7 +280,5 @@ def derivatives_text() -> str:
             ["d: CellScalars"],
             {f"cell.{n}": f"d.{n}" for n in SCALARS},
         ),
-        *slopes(),
-        *directions(),
     ]
     return "\n".join([*lines, ""])

@@ -10,7 +10,7 @@ import ast
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from cellwise.printing.points import scalar_fields
+from cellwise.cell.point_kernels import CellScalars
 from cellwise.printing.tangents.derivatives import Derivatives
 from cellwise.printing.tangents.straight_line import Reader, Value, Wish, record
 from cellwise.printing.text import head, wrapped_call
@@ -99,7 +99,7 @@ def part_text(part: Part) -> list[str]:
     """A record and the function that fills it."""
     reader = Reader()
     known: dict[str, Value] = {n: ast.Name(n) for n in part.arguments}
-    known["cell"] = record("cell", scalar_fields())
+    known["cell"] = record("cell", CellScalars._fields)
     output = ""
     for function, arguments, output in part.calls:
         known[output] = reader.call(function, [known[n] for n in arguments], Wish(output, function))

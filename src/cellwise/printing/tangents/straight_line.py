@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 from cellwise.cell import equations
-from cellwise.printing.points import point_fields
+from cellwise.cell.point_kernels import CellPoint
 
 Value = ast.expr | dict[str, "Value"] | list["Value"]
 # Records that the equations build.
 RECORDS = {
-    "CellPoint": point_fields(),
+    "CellPoint": CellPoint._fields,
     "CellState": equations.CellState._fields,
     "Transition": equations.Transition._fields,
 }
