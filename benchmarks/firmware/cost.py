@@ -163,6 +163,6 @@ def host_figures(say: Progress) -> list[Figure]:
 
 
 def _host(tables: FixedStepTables) -> Stepper:
-    from cellwise.export.firmware import host_stepper
+    from cellwise.export.firmware import HostLibrary
 
-    return host_stepper(tables)
+    return HostLibrary(tables).stepper()

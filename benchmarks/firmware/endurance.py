@@ -17,7 +17,7 @@ from cellwise.errors import InputError
 from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.estimate.fixed.tables import FixedStepTables, fixed_step_tables
 from cellwise.export.c_tables import STRICT_FLAGS, firmware_folder, write_sources
-from cellwise.export.host_library import host_compiler
+from cellwise.export.firmware import host_compiler
 
 STEPS = 10**8
 DT_S = 0.1

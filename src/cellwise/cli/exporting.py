@@ -176,7 +176,7 @@ def write_pages(
     with page_options.page_places(arguments) as places:
         if places is None:
             return
-        from cellwise.export.on_log import fixed_and_float
+        from cellwise.export.accuracy import fixed_and_float
         from cellwise.report.export_page import export_page
 
         both = None

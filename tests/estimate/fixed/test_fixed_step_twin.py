@@ -83,7 +83,7 @@ def test_hex_floats_are_exact():
 @pytest.mark.slow
 @pytest.mark.parametrize("case", ["lean", "full"])
 def test_the_same_bits(case):
-    from cellwise.export.host_library import HostLibrary
+    from cellwise.export.firmware import HostLibrary
 
     tables = tables_of(case)
     drive = samples_of(curved_cell(), load_dataset("nmc_drive_b"), 1.0).records
@@ -109,7 +109,7 @@ def compilers():
 
 @needs_gcc
 def test_one_buffer_is_stepped_by_either():
-    from cellwise.export.host_library import HostLibrary
+    from cellwise.export.firmware import HostLibrary
 
     tables = tables_of("lean")
     stepper, library = numba_stepper(tables), HostLibrary(tables)
