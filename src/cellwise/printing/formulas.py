@@ -6,7 +6,7 @@ import ast
 from pathlib import Path
 
 from cellwise.cell import equations
-from cellwise.printing.tangents.straight_line import parsed
+from cellwise.printing.straight_line import parsed
 
 BEGIN, END = "<!-- printed: equations -->", "<!-- end of what is printed -->"
 

@@ -8,10 +8,9 @@ from pathlib import Path
 from cellwise.cell.description import ADAPTIVE, CELL, CHARGE, OFFSET, SOC, V1, V2, V3
 from cellwise.printing.c.firmware import print_header, print_source
 from cellwise.printing.covariance import CovariancePrinter
+from cellwise.printing.derivatives import derivatives_text, part_derivatives_text
 from cellwise.printing.formulas import theory_text
 from cellwise.printing.lanes import lanes_text
-from cellwise.printing.tangents.derivatives import derivatives_text
-from cellwise.printing.tangents.part_derivatives import part_derivatives_text
 from cellwise.printing.text import formatted
 
 # The repository's root: files are named from there.

@@ -1,4 +1,4 @@
-"""Prints `cell/derivative_kernels.py`: the derivatives of the cell's equations, from their text.
+"""Prints the derivatives of the cell's equations, from their text.
 
 Every line of the equations has derivatives with respect to the names in it. Lines in between are
 then taken out, from the last to the first, by the chain rule: what remains is how the new state
@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 from cellwise.cell.equations import CellState
 from cellwise.cell.point_kernels import COLUMN_SOURCES, CellPoint, CellScalars
-from cellwise.printing.tangents.gradients import added, gradient, is_number, product
-from cellwise.printing.tangents.straight_line import Line, Reader, Value, Wish, record, unused
+from cellwise.printing.gradients import added, gradient, is_number, product
+from cellwise.printing.straight_line import Line, Reader, Value, Wish, record, unused
 from cellwise.printing.text import head, wrapped_call
 
 Edges = dict[str, dict[str, ast.expr]]
@@ -280,5 +281,106 @@ def derivatives_text() -> str:
             ["d: CellScalars"],
             {f"cell.{n}": f"d.{n}" for n in SCALARS},
         ),
+    ]
+    return "\n".join([*lines, ""])
+
+
+class Part(NamedTuple):
+    """Equations whose derivatives are taken together, with respect to the names ``by``.
+
+    ``calls`` are sentences with functions of the equations, ``arguments`` the printed function's.
+    """
+
+    name: str
+    text: str
+    calls: tuple[str, ...]
+    arguments: tuple[str, ...]
+    by: tuple[str, ...]
+
+
+PARTS = (
+    Part(
+        "seen_partials",
+        "Of the current that the voltage has seen.",
+        ("seen = seen_current(cell, current_A, previous_A, dt_s)",),
+        ("cell", "current_A", "previous_A", "dt_s"),
+        ("cell.skew_s",),
+    ),
+    Part(
+        "thermal_partials",
+        "Of an Arrhenius factor.",
+        ("factor = thermal_factor(activation_K, inverse_K)",),
+        ("activation_K", "inverse_K"),
+        ("activation_K",),
+    ),
+    Part(
+        "transfer_partials",
+        "Of the resistance of a charge transfer.",
+        ("new = transfer_resistance(asinh_per_V, r_ohm, current_A)",),
+        ("asinh_per_V", "r_ohm", "current_A"),
+        ("asinh_per_V", "r_ohm", "current_A"),
+    ),
+    Part(
+        "branch_partials",
+        "Of a branch's voltage after an interval.",
+        ("new = rc_step(v_V, current_A, r_ohm, tau_s, dt_s)",),
+        ("v_V", "current_A", "r_ohm", "tau_s", "dt_s"),
+        ("v_V", "current_A", "r_ohm", "tau_s"),
+    ),
+    Part(
+        "hysteresis_partials",
+        "Of the hysteresis state after an interval.",
+        ("ah = hysteresis_decay(cell, current_A, dt_s)", "new = hysteresis_step(h, ah, current_A)"),
+        ("cell", "h", "current_A", "dt_s"),
+        ("h", "cell.hysteresis_rate", "current_A"),
+    ),
+    Part(
+        "voltage_partials",
+        "Of the terminal voltage.",
+        (
+            "drop = polarisation(r0_ohm, current_A, v1_V, v2_V, v3_V)",
+            "voltage = loaded_voltage(ocv_V, m_V, h, drop)",
+        ),
+        ("ocv_V", "m_V", "h", "r0_ohm", "current_A", "v1_V", "v2_V", "v3_V"),
+        ("ocv_V", "m_V", "h", "r0_ohm", "current_A", "v1_V", "v2_V", "v3_V"),
+    ),
+)
+
+
+def part_text(part: Part) -> list[str]:
+    """A record and the function that fills it."""
+    reader = Reader()
+    known: dict[str, Value] = {n: ast.Name(n) for n in part.arguments}
+    known["cell"] = record("cell", SCALARS)
+    output = ""
+    for sentence in part.calls:
+        match ast.parse(sentence).body[0]:
+            case ast.Assign([ast.Name(output)], ast.Call(ast.Name(function), arguments)):
+                values = [known[ast.unparse(a)] for a in arguments]
+                known[output] = reader.call(function, values, Wish(output, function))
+    d = Derivatives(reader, [output], part.by, constants=True)
+    name = part.name.title().replace("_", "")
+    typed = [f"{n}: {'CellScalars' if n == 'cell' else 'float'}" for n in part.arguments]
+    return [
+        *d.record(name, part.text),
+        *("", "", "@inline"),
+        *wrapped_call(f"def {part.name}", typed, f" -> {name}:"),
+        f'    """{part.text}"""',
+        *d.body(),
+        *wrapped_call(f"    return {name}", d.values()),
+    ]
+
+
+def part_derivatives_text() -> str:
+    """The text of `identify/refinement/derivative_kernels.py`.
+
+    The refinement knows the SOC and has splines for tables, so it goes through the equations one by
+    one and carries derivatives with respect to its own coefficients.
+    """
+    imports = IMPORTS.replace("from cellwise.cell.equations import ZERO_CELSIUS_K, CellState\n", "")
+    lines = [
+        *head("Derivatives of single equations of a cell.", source="cellwise.cell.equations"),
+        *imports.replace("CellPoint, ", "").strip().splitlines(),
+        *(line for part in PARTS for line in part_text(part)),
     ]
     return "\n".join([*lines, ""])
