@@ -1742,7 +1742,8 @@ static void innovate(const cellwise_constants *c, const cellwise_state *x, const
     innovation->variance_V2 = innovation->explained_V2 + innovation->one_V2;
 }
 
-/* ---- correct.py: Correction of the fixed step by a measured voltage: gate, recovery, weight. */
+/* ---- step.py: One fixed step: predict over the interval that ends now, then use the voltage
+ * read now. */
 
 #if CELLWISE_WIDE
 /* Judge the gain by the slope where it leads, if that is flatter; whether anything was gained.
@@ -1962,9 +1963,6 @@ static uint32_t correct(const cellwise_model *m, const cellwise_place *place, ce
 #endif
     return status;
 }
-
-/* ---- step.py: One fixed step: predict over the interval that ends now, then use the voltage
- * read now. */
 
 /* A cell at rest at `soc`, known with `soc_variance`. Arguments that are no such numbers give a
  * state that knows nothing. Returns 0 or CELLWISE_STATE_RESET. */

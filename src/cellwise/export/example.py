@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
-from cellwise.estimate.fixed.fixed_step import numba_stepper, samples_of
 from cellwise.estimate.fixed.layout import hex_float, state_type
+from cellwise.estimate.fixed.samples import samples_of
+from cellwise.estimate.fixed.stepper import numba_stepper
 from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.export.c_tables import comment, firmware_folder, initialiser
 from cellwise.export.firmware import HostLibrary

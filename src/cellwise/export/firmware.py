@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellwise.errors import InputError
-from cellwise.estimate.fixed.fixed_step import FixedStep, PackCalls, Stepper
+from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.estimate.fixed.layout import CELL_OUTPUT, INPUT, OUTPUT, state_type
+from cellwise.estimate.fixed.stepper import PackCalls, Stepper
 from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.export.c_tables import STRICT_FLAGS, firmware_folder, write_sources
 

@@ -9,8 +9,9 @@ import pytest
 
 from cellwise.cell.equations import CellState
 from cellwise.errors import InputError
-from cellwise.estimate.fixed.fixed_step import FixedStep, numba_stepper
+from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.estimate.fixed.layout import CAPABILITY, row_names
+from cellwise.estimate.fixed.stepper import numba_stepper
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.estimate.power.limits import OperatingLimits
 from cellwise.estimate.power.state_of_power import power_limits, power_settings

@@ -10,8 +10,9 @@ import pytest
 
 from cellwise.cell.equations import CellState
 from cellwise.errors import InputError
-from cellwise.estimate.fixed.fixed_step import FixedStep, numba_stepper
+from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.estimate.fixed.layout import OUTLOOK
+from cellwise.estimate.fixed.stepper import numba_stepper
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.forecast.remaining import uncertain_of
 from cellwise.forecast.remaining_kernels import Going, with_ends

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellwise.estimate.fixed.fixed_step import numba_stepper, start_state
 from cellwise.estimate.fixed.layout import INPUT
+from cellwise.estimate.fixed.stepper import numba_stepper, start_state
 from cellwise.export.firmware import HostLibrary
 from firmware_cases import tables_of
 

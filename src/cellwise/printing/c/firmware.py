@@ -13,7 +13,7 @@ import numpy as np
 
 from cellwise.estimate import status
 from cellwise.estimate.fixed import arithmetic, layout, options
-from cellwise.estimate.fixed.rows import STEP_MODULES
+from cellwise.estimate.fixed.stepper import STEP_MODULES
 from cellwise.printing.c.c99 import Function
 from cellwise.printing.c.reading import FLOATS, SCALARS, Program
 from cellwise.printing.c.text import (

@@ -1,4 +1,4 @@
-"""The loop of fixed steps: compiled once for every set of options.
+"""The compiled code of a fixed step with its tables: numba's, or that of the C.
 
 Every function of a step reads options as global constants; here it gets the globals of one set of
 options, and numba drops what they rule out before it looks at types. What is called is inlined by
@@ -7,14 +7,19 @@ LLVM, not by numba, which would copy whole functions for every block of them.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 from types import FunctionType, ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from cellwise.cell.compiled import cached
+from cellwise.cell.simulate import check_soc0, check_soc0_std
+from cellwise.errors import InputError
 from cellwise.estimate.cells import fixed_cells
 from cellwise.estimate.cells.fixed_cells import (
     cell_of,
@@ -23,9 +28,9 @@ from cellwise.estimate.cells.fixed_cells import (
     start_cells,
     step_cells,
 )
+from cellwise.estimate.filters.filter_state import EkfInfo
 from cellwise.estimate.fixed import (
     arithmetic,
-    correct,
     covariance,
     innovation,
     lookup,
@@ -36,13 +41,29 @@ from cellwise.estimate.fixed import (
 )
 from cellwise.estimate.fixed import step as whole_step
 from cellwise.estimate.fixed.arithmetic import F, U
-from cellwise.estimate.fixed.layout import ROW, Model, row_names
+from cellwise.estimate.fixed.layout import CELL_OUTPUT, OUTPUT, ROW, Model, row_names, state_type
 from cellwise.estimate.fixed.options import Options, flags_of
 from cellwise.estimate.fixed.state import set_health
 from cellwise.estimate.fixed.step import init, step
+from cellwise.estimate.fixed.tables import FixedStepTables
+from cellwise.estimate.noise import Noise
 from cellwise.estimate.power import fixed_power, fixed_remaining
 from cellwise.estimate.power.fixed_power import power
 from cellwise.estimate.power.fixed_remaining import remaining
+from cellwise.estimate.status import VOLTAGE_INVALID
+from cellwise.given import shown
+
+MOST_VARIANCE = 1.0
+# What a step may be made with: what it is, and how.
+MADE_WITH = {
+    "power": (
+        "state of power",
+        "FixedStep(..., power=power_settings(model, horizons_s=(10.0,), hold='current'))",
+    ),
+    "remaining": ("remaining time", "FixedStep(...).with_remaining(3.0)"),
+    "health": ("capacity and resistance of a history", "FixedStep(..., health=True)"),
+}
+
 
 STRICT: dict[str, Any] = {"error_model": "numpy", "fastmath": False}
 # Called by compiled code alone: what would let Python call it takes a third of the time to compile.
@@ -57,7 +78,6 @@ STEP_MODULES = (
     search,
     sensing,
     innovation,
-    correct,
     whole_step,
     fixed_power,
     fixed_remaining,
@@ -160,3 +180,134 @@ def _outer(function: FunctionType, options: Options) -> Callable[..., None]:
 def compiled(function: Callable[..., Any], options: Options) -> Callable[..., Any]:
     """One of the functions of this module for one set of options."""
     return _outer(function, options)  # type: ignore[arg-type]
+
+
+class Stepper(NamedTuple):
+    """Tables with the compiled code that steps them: numba's or C's."""
+
+    tables: FixedStepTables
+    begin: Callable[[NDArray[Any], float, float], object]
+    rows: Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]]
+    power: Callable[[NDArray[Any], NDArray[Any]], object]
+    remaining: Callable[[NDArray[Any], float, bool, NDArray[Any]], object]
+    set_health: Callable[[NDArray[Any], float, float], int]
+    pack: PackCalls
+
+    def need(self, option: str) -> None:
+        """Refuse to ask for what is not compiled in.
+
+        Raises
+        ------
+        InputError        made without ``power``, ``remaining`` or ``health``
+        """
+        if not getattr(self.tables.options, option):
+            what, how = MADE_WITH[option]
+            raise InputError(f"no {what} in this fixed step", how, "Make it with that.")
+
+
+class PackCalls(NamedTuple):
+    """The cells of a pack: records of CELL beside the mean cell's state.
+
+    ``begin(cells)``, ``rows(state, cells, samples, cell_V)`` gives records of OUTPUT, ``now(state,
+    cells)`` records of CELL_OUTPUT, ``power(state, cells, out)``.
+    """
+
+    begin: Callable[[NDArray[Any]], object]
+    rows: Callable[[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]], NDArray[Any]]
+    now: Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]]
+    power: Callable[[NDArray[Any], NDArray[Any], NDArray[Any]], object]
+
+
+def numba_stepper(tables: FixedStepTables) -> Stepper:
+    """The step in numba; what few ask for is compiled when it is asked for."""
+    known = (tables.constants, tables.table)
+
+    def call(function: Callable[..., Any], *given: Any) -> Any:
+        return compiled(function, tables.options)(*known, *given)
+
+    loop, start = (compiled(f, tables.options) for f in (rows, begin))
+
+    def whole(state: NDArray[Any], samples: NDArray[Any]) -> NDArray[Any]:
+        outputs = np.zeros(samples.size, dtype=OUTPUT)
+        loop(*known, state, samples, outputs)
+        return outputs
+
+    def whole_pack(
+        state: NDArray[Any], cells: NDArray[Any], samples: NDArray[Any], cell_V: NDArray[Any]
+    ) -> NDArray[Any]:
+        outputs = np.zeros(samples.size, dtype=OUTPUT)
+        call(pack_rows, state, cells, samples, cell_V, outputs)
+        return outputs
+
+    def now(state: NDArray[Any], cells: NDArray[Any]) -> NDArray[Any]:
+        out = np.zeros(cells.size, dtype=CELL_OUTPUT)
+        call(cells_now, state, cells, out)
+        return out
+
+    return Stepper(
+        tables,
+        partial(start, *known),
+        whole,
+        partial(call, ability),
+        partial(call, outlook),
+        partial(call, history),
+        PackCalls(partial(call, begin_cells), whole_pack, now, partial(call, pack_ability)),
+    )
+
+
+def start_state(stepper: Stepper, soc0: float, soc0_std: float) -> NDArray[Any]:
+    """A state record at rest; see :meth:`FixedStep.init`."""
+    check_soc0(soc0)
+    check_soc0_std(soc0_std)
+    state = np.zeros(1, dtype=state_type(stepper.tables.options))
+    stepper.begin(state, float(soc0), min(max(float(soc0_std) ** 2, 1e-11), MOST_VARIANCE))
+    return state
+
+
+def check_record(state: object, tables: FixedStepTables, name: str) -> None:
+    """Refuse what is no state of these tables: the kernel would read past it.
+
+    Raises
+    ------
+    InputError        another type, another layout, more than one record
+    """
+    wanted = state_type(tables.options)
+    if not (isinstance(state, np.ndarray) and state.dtype == wanted and state.shape == (1,)):
+        raise InputError(
+            f"state = {shown(state)}",
+            f"one record of {wanted.itemsize} bytes, as init(soc0) of this {name} gives it",
+            "Begin with init(soc0), and pass on its own.",
+        )
+
+
+def sequence_number(sequence: object) -> int:
+    """A sequence number as the record holds it.
+
+    Raises
+    ------
+    InputError        no whole number
+    """
+    try:
+        return operator.index(sequence) % 2**32  # type: ignore[arg-type]
+    except TypeError:
+        raise InputError(
+            f"sequence = {shown(sequence)}", "a whole number", "Count the time steps from 0."
+        ) from None
+
+
+def info_of(out: NDArray[Any], noise: Noise) -> EkfInfo:
+    """A record of OUTPUT for people: innovation and test ratio are NaN without a voltage."""
+    innovation, ratio = float("nan"), float("nan")
+    variance = float(out["innovation_variance_V2"])
+    if not int(out["status"]) & VOLTAGE_INVALID:
+        innovation = float(out["innovation_V"])
+        ratio = innovation**2 / (noise.gate**2 * variance)
+    return EkfInfo(
+        float(out["soc"]),
+        float(np.sqrt(out["soc_variance"])),
+        float(out["voltage_V"]),
+        innovation,
+        variance,
+        ratio,
+        int(out["status"]),
+    )
