@@ -12,7 +12,7 @@ import numpy as np
 
 from cellwise.cell.effects import Effect, SlowDiffusion, TemperatureDependence, TimeSkew
 from cellwise.cell.model import CellModel
-from cellwise.cell.stock.scaled import scaled_model
+from cellwise.cell.stock.catalogue import scaled_model
 from cellwise.identify.assemble import monotone
 from cellwise.identify.refinement.refine_data import inverse_K
 from cellwise.identify.refinement.splines import greville, spline_count, spline_rows

@@ -10,8 +10,7 @@ import numpy as np
 
 from cellwise.cell.equations import CellTables, empty_state
 from cellwise.cell.model import CellModel
-from cellwise.cell.simulate import known_temperature_C, start_hysteresis
-from cellwise.cell.simulate_kernels import simulate_rows
+from cellwise.cell.simulate import known_temperature_C, simulate_rows, start_hysteresis
 from cellwise.identify.prior.corrections import Corrections
 from cellwise.identify.refinement.problem import independent_samples
 from cellwise.logs.cell_log import CellLog
