@@ -159,7 +159,7 @@ def test_every_entry_of_the_covariance_is_moved_once():
         return [t.removeprefix("x.") for t in found if t.removeprefix("x.") in entries]
 
     diagonal = {entry(s, s) for s in FIXED}
-    assert sorted(assigned("rejudge_covariance")) == sorted(entries)
+    assert sorted(assigned("joseph_update")) == sorted(entries)
     assert sorted(assigned("narrow")) == sorted(entries)
     assert sorted(assigned("forget_correlations")) == sorted(entries - diagonal)
     assert sorted(assigned("start_covariance")) == sorted(diagonal)

@@ -113,17 +113,17 @@ def partials(
     table: CellPoint,
     by_soc: CellPoint,
     by_kelvin: CellPoint,
-    apart: bool,
+    surface_counts: bool,
 ) -> Partials:
     """Derivatives; ``table`` at the new SOC under no load, and its slopes.
 
-    Where not ``apart`` nothing of the surface's SOC counts, nor is it right.
+    Where not ``surface_counts`` nothing of the surface's SOC counts, nor is it right.
     """
     # charge_used
     used = current_A if current_A > 0.0 else current_A * cell.charge_efficiency
     charge_used = used + cell.leak_A
     # followed
-    a = math.exp(-dt_s / cell.surface_s) if apart else 0.0
+    a = math.exp(-dt_s / cell.surface_s) if surface_counts else 0.0
     # advance
     slow = a * state.slow_A + (1.0 - a) * current_A
     cell_C = temperature_C + state.heat_K
@@ -131,7 +131,7 @@ def partials(
     kelvin = cell_C + ZERO_CELSIUS_K
     inverse_kelvin = 1.0 / kelvin - 1.0 / cell.surface_reference_K
     # surface_soc
-    scale = math.exp(cell.surface_activation_K * inverse_kelvin) if apart else 0.0
+    scale = math.exp(cell.surface_activation_K * inverse_kelvin) if surface_counts else 0.0
     depth = cell.surface_per_A * scale
     # at_temperature
     warmer = cell_C + ZERO_CELSIUS_K - cell.entropy_K
@@ -516,7 +516,7 @@ def partials(
 
 @inline
 def carried(
-    p: Partials, d: CellState, flow_A: float, at: CellPoint, apart: bool
+    p: Partials, d: CellState, flow_A: float, at: CellPoint, surface_counts: bool
 ) -> tuple[CellState, float]:
     """Directions after an interval, of those before it, of the current and the tables."""
     soc = d.soc + p.soc_by_current_A * flow_A
@@ -529,7 +529,7 @@ def carried(
         + p.v1_by_tau1_s * at.tau1_s
         + p.v1_by_soc * soc
     )
-    if apart:
+    if surface_counts:
         v1 += p.v1_by_slow * slow
     v2 = (
         p.v2_by_old_v2_V * d.v2_V
@@ -539,7 +539,7 @@ def carried(
         + p.v2_by_tau2_s * at.tau2_s
         + p.v2_by_soc * soc
     )
-    if apart:
+    if surface_counts:
         v2 += p.v2_by_slow * slow
     v3 = (
         p.v3_by_old_v3_V * d.v3_V
@@ -549,7 +549,7 @@ def carried(
         + p.v3_by_tau3_s * at.tau3_s
         + p.v3_by_soc * soc
     )
-    if apart:
+    if surface_counts:
         v3 += p.v3_by_slow * slow
     h = p.h_by_old_h * d.h + p.h_by_current_A * flow_A
     drop = (
@@ -561,7 +561,7 @@ def carried(
         + p.drop_by_r0_ohm * at.r0_ohm
         + p.drop_by_soc * soc
     )
-    if apart:
+    if surface_counts:
         drop += p.drop_by_slow * slow
     heat = p.heat_by_old_heat_K * d.heat_K + p.heat_by_current_A * flow_A + p.heat_by_drop * drop
     voltage = (
@@ -577,7 +577,7 @@ def carried(
 
 
 @inline
-def driven(p: Partials, d: CellScalars, apart: bool) -> tuple[CellState, float]:
+def driven(p: Partials, d: CellScalars, surface_counts: bool) -> tuple[CellState, float]:
     """What the directions of the scalars add to those after the interval."""
     soc = (
         p.soc_by_charge_As * d.charge_As
@@ -595,7 +595,7 @@ def driven(p: Partials, d: CellScalars, apart: bool) -> tuple[CellState, float]:
         + p.v1_by_reference_K * d.reference_K
         + p.v1_by_soc * soc
     )
-    if apart:
+    if surface_counts:
         v1 += (
             p.v1_by_slow * slow
             + p.v1_by_surface_per_A * d.surface_per_A
@@ -611,7 +611,7 @@ def driven(p: Partials, d: CellScalars, apart: bool) -> tuple[CellState, float]:
         + p.v2_by_reference_K * d.reference_K
         + p.v2_by_soc * soc
     )
-    if apart:
+    if surface_counts:
         v2 += (
             p.v2_by_slow * slow
             + p.v2_by_surface_per_A * d.surface_per_A
@@ -626,7 +626,7 @@ def driven(p: Partials, d: CellScalars, apart: bool) -> tuple[CellState, float]:
         + p.v3_by_reference_K * d.reference_K
         + p.v3_by_soc * soc
     )
-    if apart:
+    if surface_counts:
         v3 += (
             p.v3_by_slow * slow
             + p.v3_by_surface_per_A * d.surface_per_A
@@ -645,7 +645,7 @@ def driven(p: Partials, d: CellScalars, apart: bool) -> tuple[CellState, float]:
         + p.drop_by_reference_K * d.reference_K
         + p.drop_by_soc * soc
     )
-    if apart:
+    if surface_counts:
         drop += (
             p.drop_by_slow * slow
             + p.drop_by_surface_per_A * d.surface_per_A

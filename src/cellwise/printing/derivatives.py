@@ -55,7 +55,7 @@ def only_needed(line: Line) -> ast.expr:
     if not isinstance(value, ast.Call):
         return value
     if line.origin in SURFACE_ORIGINS:
-        return ast.IfExp(ast.Name("apart"), value, ast.Constant(0.0))
+        return ast.IfExp(ast.Name("surface_counts"), value, ast.Constant(0.0))
     exponent = value.args[0]
     if isinstance(exponent, ast.BinOp) and ast.unparse(exponent.left).endswith(ACTIVATION):
         active = ast.Compare(exponent.left, [ast.NotEq()], [ast.Constant(0.0)])
@@ -219,7 +219,9 @@ def tangent(
     directions = given | {n: n for n in d.outputs}
     lines = ["", "", "@inline"]
     lines += wrapped_call(
-        f"def {name}", ["p: Partials", *arguments, "apart: bool"], " -> tuple[CellState, float]:"
+        f"def {name}",
+        ["p: Partials", *arguments, "surface_counts: bool"],
+        " -> tuple[CellState, float]:",
     )
     lines += [f'    """{text}"""']
     for n in d.outputs:
@@ -231,7 +233,7 @@ def tangent(
         lines.append(f"    {n} = {d.follows(n, others)}")
         more = d.follows(n, by_surface)
         if more != "0.0":
-            lines += ["    if apart:", f"        {n} += {more}"]
+            lines += ["    if surface_counts:", f"        {n} += {more}"]
     return [*lines, "    return CellState(soc, v1, v2, v3, h, heat, slow), voltage"]
 
 
@@ -255,13 +257,13 @@ def derivatives_text() -> str:
                 "table: CellPoint",
                 "by_soc: CellPoint",
                 "by_kelvin: CellPoint",
-                "apart: bool",
+                "surface_counts: bool",
             ],
             " -> Partials:",
         ),
         '    """Derivatives; ``table`` at the new SOC under no load, and its slopes.',
         "",
-        "    Where not ``apart`` nothing of the surface's SOC counts, nor is it right.",
+        "    Where not ``surface_counts`` nothing of the surface's SOC counts, nor is it right.",
         '    """',
         *d.body(),
         *wrapped_call("    return Partials", d.values()),

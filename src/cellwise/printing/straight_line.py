@@ -1,7 +1,7 @@
 """Reads functions of `cell/equations/` as straight lines: one assignment after the other.
 
-Calls are put in place, records taken apart. A condition on a parameter (`rate_per_A != 0.0`, an
-effect that may be absent) is taken as met, because a derivative AT the neutral value is wanted;
+Calls are put in place, records split into fields. A condition on a parameter (`rate_per_A != 0.0`,
+an effect that may be absent) is taken as met, because a derivative AT the neutral value is wanted;
 a condition on what the cell is doing (`current_A < 0.0`) becomes part of the line.
 """
 

@@ -35,9 +35,9 @@ from cellwise.estimate.fixed.arithmetic import (
     Sample,
     State,
     U,
-    apart,
     clip,
     magnitude,
+    noinline,
     not_negative,
     out_of_range,
     positive_above,
@@ -46,7 +46,7 @@ from cellwise.estimate.fixed.arithmetic import (
     size_below,
     size_within,
 )
-from cellwise.estimate.fixed.covariance import Column, move, narrow, rejudge_covariance, rejudged
+from cellwise.estimate.fixed.covariance import Column, joseph_term, joseph_update, move, narrow
 from cellwise.estimate.fixed.innovation import (
     Innovation,
     innovate,
@@ -80,8 +80,8 @@ from cellwise.estimate.status import (
 )
 
 
-@apart
-def rejudge(
+@noinline
+def gain_where_it_leads(
     m: Model,
     place: Place,
     x: State,
@@ -107,11 +107,11 @@ def rejudge(
         flat = flat if flat < w.slope_V else w.slope_V
     less = flat - w.slope_V
     e = less * ((TWO * d.s) + (less * x.ss))
-    wider = rejudged(ks, ks, less * x.ss, less * x.ss, e)
+    wider = joseph_term(ks, ks, less * x.ss, less * x.ss, e)
     gained = False
     if size_within(wider, LARGE) and wider < (ks * d.s):
         gained = True
-        rejudge_covariance(x, d, inverse, less, e, wider)
+        joseph_update(x, d, inverse, less, e, wider)
     return gained
 
 
@@ -197,7 +197,7 @@ def fuse(
         inverse = shared.below / ((i.explained_V2 * shared.below) + weight)
         gained = True
         if WIDE and w.spread > ZERO:
-            gained = rejudge(m, place, x, p, w, i.column, inverse, innovation, s.seen)
+            gained = gain_where_it_leads(m, place, x, p, w, i.column, inverse, innovation, s.seen)
         move(m.constant, x, i.column, inverse, innovation)
         if gained:
             narrow(x, i.column, inverse)

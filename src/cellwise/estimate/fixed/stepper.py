@@ -164,7 +164,7 @@ def specialised(options: Options) -> dict[str, Any]:
     for f in [f for module in modules for f in functions_of(module)]:
         scope = {**f.__globals__, **columns, **flags_of(options), **made}
         own = FunctionType(f.__code__, scope, f.__name__)
-        made[f.__name__] = njit(forceinline=not hasattr(f, "apart"), **INNER)(own)
+        made[f.__name__] = njit(forceinline=not hasattr(f, "noinline"), **INNER)(own)
     return made
 
 
