@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -175,12 +176,19 @@ def _from_whole_log(
     return InitialSoc(soc, max(std, STATED_STD), how, beginning)
 
 
-PIECE = 0.02  # throughput over which the model's error hardly changes, in capacities
-INDEPENDENT_PIECES = 2.0  # of a whole log: one OCV and one capacity are wrong everywhere
-OUTLYING = 25.0  # no piece counts more than at five standard deviations
-BEYOND = 0.01  # how far a counter may run beyond full or empty
+class WholeLogFit(NamedTuple):
+    """How the start of a whole log is weighed."""
+
+    piece: float = 0.02  # throughput over which the error hardly changes [capacities]
+    independent: float = 2.0  # of a log: one OCV and one capacity are wrong everywhere
+    outlying: float = 25.0  # no piece counts more than at five deviations, squared
+    beyond: float = 0.01  # how far a counter may run beyond full or empty
+    past_s: float = 600.0  # load that an unknown past is taken to be like [s]
+
+
+WHOLE_LOG = WholeLogFit()
+
 COARSE, FINE = 51, 41  # starts tried over 0..1, then around the likeliest
-PAST_S = 600.0  # the load that an unknown past is taken to be like
 
 
 def likeliest_soc(
@@ -211,7 +219,7 @@ def _start_cost(
     """Minus twice the log likelihood of every start, shape (m,)."""
     charge = log.counted_charge_Ah() / model.capacity_Ah
     moved = np.cumsum(np.abs(np.diff(charge, prepend=charge[0])))
-    piece = (moved / PIECE).astype(np.int64)
+    piece = (moved / WHOLE_LOG.piece).astype(np.int64)
     past = np.exp(-(log.time_s - log.time_s[0]) / RELAXED_S)
     finite = np.isfinite(log.voltage_V)
     pieces = int(piece[-1]) + 1
@@ -233,17 +241,17 @@ def _start_cost(
     mean2, mixed = squares[:, seen] / count, products[:, seen] / count
     best_V2 = float(np.min(np.sum(squares, axis=1))) / float(np.sum(rows))
     variance = known[:, seen] / count + best_V2
-    share = min(1.0, INDEPENDENT_PIECES / count.size)
+    share = min(1.0, WHOLE_LOG.independent / count.size)
     normal = np.linspace(-3.0, 3.0, 25)
     costs = np.empty((normal.size, soc0.size))
     gap_V = float(np.max(np.abs(np.asarray(model.effect(Hysteresis).m_V))))
     for place, shift in enumerate(past_V[0] + normal * math.hypot(past_V[1], gap_V)):
         error2 = mean2 - 2.0 * shift * mixed + shift**2 * left
-        costs[place] = share * np.sum(np.minimum(error2 / variance, OUTLYING), axis=1)
+        costs[place] = share * np.sum(np.minimum(error2 / variance, WHOLE_LOG.outlying), axis=1)
     least = costs.min(axis=0)
     prior = np.exp(-0.5 * normal**2)
     likelihood = np.average(np.exp(-0.5 * (costs - least)), axis=0, weights=prior)
-    return np.asarray(least - 2.0 * np.log(likelihood) + (beyond / BEYOND) ** 2)
+    return np.asarray(least - 2.0 * np.log(likelihood) + (beyond / WHOLE_LOG.beyond) ** 2)
 
 
 def past_voltage(model: CellModel, log: CellLog) -> tuple[float, float]:
@@ -253,7 +261,7 @@ def past_voltage(model: CellModel, log: CellLog) -> tuple[float, float]:
     """
     cell = model.at_temperature(float(known_temperature_C(model, log)[0]))
     slow_ohm = float(np.median(np.asarray(cell.effect(SlowDiffusion).r3_ohm)))
-    early = log.time_s <= log.time_s[0] + PAST_S
+    early = log.time_s <= log.time_s[0] + WHOLE_LOG.past_s
     full_V = -slow_ohm * float(np.mean(log.known_current_A()[early]))
     return 0.5 * full_V, math.hypot(SHORT_REST_V, full_V)
 
