@@ -135,7 +135,10 @@ SWITCHES: dict[str, tuple[tuple[str, Replace], ...]] = {
     ),
     "fast and slow apart": (
         ("fit.least_squares.Objective.bands", lambda _: lambda o, c: (one_band(o, c), 0.0 * c)),
-        ("fit.cause_fits.fast_part", lambda _: lambda _m, e, *_: (np.ones(e.rows), np.zeros(e.rows))),
+        (
+            "fit.cause_fits.fast_part",
+            lambda _: lambda _m, e, *_: (np.ones(e.rows), np.zeros(e.rows)),
+        ),
     ),
     "what comes back": (("fit.noise.MOST_RETURNS", lambda _: 0.0),),
     "tolerances by what comes back": (("fit.priors._owed", lambda _: lambda *_: {}),),
@@ -148,16 +151,20 @@ SWITCHES: dict[str, tuple[tuple[str, Replace], ...]] = {
     ),
     "start between the branches": (("fit.priors.MOST_OFF_BRANCH", lambda _: 1e-6),),
     "current at rest": (
-        ("fit.rows.rest_reading", lambda _: lambda *_: importlib.import_module(
-            f"{DIAGNOSE}.fit.rest_current").NO_READING),
+        (
+            "fit.rows.rest_reading",
+            lambda _: lambda *_: importlib.import_module(f"{DIAGNOSE}.fit.rest_current").NO_READING,
+        ),
     ),
     "voltage at rest": (
         ("fit.rest_voltages.RestVoltages.ln_likelihood", lambda _: lambda *_: 0.0),
     ),
     "physical sizes": (("fit.cause_fits.ln_size", lambda _: lambda *_: 0.0),),
     "sizes since the baseline": (
-        ("fit.physical_size.SAME_AGE", lambda _: importlib.import_module(
-            f"{DIAGNOSE}.fit.physical_size").AGE),
+        (
+            "fit.physical_size.SAME_AGE",
+            lambda _: importlib.import_module(f"{DIAGNOSE}.fit.physical_size").AGE,
+        ),
     ),
     "share of the calibration": (("fit.calibration._share_that_holds", lambda _: lambda *_: 1.0),),
     "noise of the baseline": (

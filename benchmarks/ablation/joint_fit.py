@@ -124,9 +124,7 @@ def lg(data: Path) -> Prepared:
     tests = TestLogs(
         ocv=[log(f"ocv_c20_{t}_{n}") for t, n in runs.items()],
         capacity=[log(n) for n in (*rates, *(f"cap_1c_{n}" for n in one_c))],
-        drive=[
-            log(f"pauscycl_{n}", 1.0) for n in ("n10_604", "n20_611", "p00_590", "p10_571")
-        ],
+        drive=[log(f"pauscycl_{n}", 1.0) for n in ("n10_604", "n20_611", "p00_590", "p10_571")],
     )
     names = ("us06_n10_601", "us06_n20_610", "mixed7_p40_562")
     judged: list[tuple[CellLog, float | None]] = [(log(f"drive_{n}"), 1.0) for n in names]

@@ -3,29 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
 from cellwise.history.life import Life
-from cellwise.report.page.markup import Markup, details, lead_of, paragraph, table, tiles
+from cellwise.report.page import style
+from cellwise.report.page.markup import Markup, details, lead_of, paragraph, record_table, tiles
 from cellwise.report.page.numerals import percent, plural, significant
-from cellwise.report.page.picture import FigureFiles, Picture
+from cellwise.report.page.picture import FigureFiles, pictured
 from cellwise.report.page.section import Section, write_page
-from cellwise.report.page.style import (
-    BLUE,
-    GREEN,
-    MUTED,
-    VERMILLION,
-    finding,
-    labels,
-    legend,
-    new_figure,
-    styled,
-)
-
-if TYPE_CHECKING:
-    from cellwise.report.page.style import Figure
 
 UNITS = {"days": "days since the first log", "throughput_Ah": "charge moved in these logs [Ah]"}
 
@@ -52,15 +39,11 @@ def history_page(
         ]
     )
     notices = [*data["notices"], *(n for one in data["logs"] for n in one["notices"])]
+    next_test = paragraph(data["trend"]["next_reference"].capitalize() + ".")
     sections = [
-        Section("capacity", "Capacity", (_capacity_picture(found),), "Capacity"),
-        Section("resistance", "Resistance", (_resistance_picture(found),), "Resistance"),
-        Section(
-            "next",
-            "The next reference test",
-            (paragraph(data["trend"]["next_reference"].capitalize() + "."),),
-            "Next test",
-        ),
+        Section("capacity", "Capacity", (capacity_picture(found),)),
+        Section("resistance", "Resistance", (resistance_picture(found),)),
+        Section("next", "The next reference test", (next_test,), "Next test"),
         Section("table", "Every log", (details("the numbers", _table(found)),), "Table"),
     ]
     return write_page(
@@ -88,82 +71,68 @@ def _first_line(found: Life) -> str:
     )
 
 
-def _capacity_picture(found: Life) -> Picture:
-    return Picture(
-        "history_capacity",
-        draw_capacity(found),
-        "Each dot is a log with two standard deviations: counted over a complete half cycle, or "
-        "from whatever part of the range it covers. The line is the trend, its band what the next "
-        "complete test would show in 95 of 100 cases.",
-    )
-
-
-@styled
-def draw_capacity(found: Life) -> Figure:
+@pictured(
+    "history_capacity",
+    "Each dot is a log with two standard deviations: counted over a complete half cycle, or "
+    "from whatever part of the range it covers. The line is the trend, its band what the next "
+    "complete test would show in 95 of 100 cases.",
+)
+def capacity_picture(found: Life) -> style.Figure:
     """Share of the new cell's capacity over the life."""
-    figure = new_figure(3.4)
+    figure = style.new_figure(3.4)
     axes = figure.subplots()
     counted = np.array([one.counted for one in found.logs])
     share = 100.0 * np.array([one.share for one in found.logs])
     std = 100.0 * np.array([one.share_std for one in found.logs])
     for rows, colour, label in (
-        (~counted, MUTED, "window or drive"),
-        (counted, GREEN, "complete half cycle"),
+        (~counted, style.MUTED, "window or drive"),
+        (counted, style.GREEN, "complete half cycle"),
     ):
         if rows.any():
-            axes.errorbar(
-                found.way[rows], share[rows], 2.0 * std[rows], fmt="o", color=colour, label=label,
-                markersize=3.5, linewidth=0.8,
-            )  # fmt: skip
+            looks: dict[str, Any] = {"color": colour, "label": label}
+            style.error_dots(axes, found.way[rows], share[rows], std[rows], **looks)
     trend, band = 100.0 * found.trend.share, 200.0 * found.trend.std
-    axes.plot(found.way, trend, color=BLUE, label="trend")
-    axes.fill_between(found.way, trend - band, trend + band, color=BLUE, alpha=0.18, linewidth=0)
+    axes.plot(found.way, trend, color=style.BLUE, label="trend")
+    looks = {"color": style.BLUE, "alpha": 0.18, "linewidth": 0}
+    axes.fill_between(found.way, trend - band, trend + band, **looks)
     low = min(float(np.min(trend - band)), float(np.min(share))) - 2.0
     axes.set_ylim(low, max(float(np.max(trend + band)), float(np.max(share))) + 2.0)
     if found.trend.knee is not None:
-        axes.axvline(found.way[found.trend.knee], color=VERMILLION, linewidth=1.0, label="knee")
-    legend(axes)
-    finding(axes, f"{trend[-1]:.1f} ± {band[-1]:.1f} % of the new cell's capacity at the last log")
-    labels(axes, UNITS[found.over], "share of the new cell's capacity [%]")
+        at = found.way[found.trend.knee]
+        axes.axvline(at, color=style.VERMILLION, linewidth=1.0, label="knee")
+    style.legend(axes)
+    now = f"{trend[-1]:.1f} ± {band[-1]:.1f} %"
+    style.finding(axes, f"{now} of the new cell's capacity at the last log")
+    style.labels(axes, UNITS[found.over], "share of the new cell's capacity [%]")
     return figure
 
 
-def _resistance_picture(found: Life) -> Picture:
-    return Picture(
-        "history_resistance",
-        draw_resistance(found),
-        "Resistance on the model's, at each log's own temperature and load.",
-    )
-
-
-@styled
-def draw_resistance(found: Life) -> Figure:
+@pictured(
+    "history_resistance", "Resistance on the model's, at each log's own temperature and load."
+)
+def resistance_picture(found: Life) -> style.Figure:
     """Resistance over the life."""
-    figure = new_figure(2.6)
+    figure = style.new_figure(2.6)
     axes = figure.subplots()
     scale = np.array([one.resistance_scale for one in found.logs])
     std = np.array([one.resistance_std for one in found.logs])
-    axes.errorbar(found.way, scale, 2.0 * std, fmt="o", color=BLUE, markersize=3.5, linewidth=0.8)
+    style.error_dots(axes, found.way, scale, std)
     now, now_std = found.resistance
-    finding(axes, f"Resistance now: {now:.2f} ± {2 * now_std:.2f} of the model's")
-    labels(axes, UNITS[found.over], "resistance / model's")
+    style.finding(axes, f"Resistance now: {now:.2f} ± {2 * now_std:.2f} of the model's")
+    style.labels(axes, UNITS[found.over], "resistance / model's")
     return figure
 
 
 def _table(found: Life) -> Markup:
-    head = ("log", "capacity Ah", "±", "resistance", "±", "share", "trend", "±", "by")
-    rows = [
-        (
-            one.log.name,
-            significant(one.capacity_Ah, 4),
-            significant(one.capacity_std_Ah, 2),
-            significant(one.resistance_scale, 4),
-            significant(one.resistance_std, 2),
-            percent(one.share, 1),
-            percent(float(found.trend.share[k]), 1),
-            percent(float(found.trend.std[k]), 1),
-            one.how,
-        )
-        for k, one in enumerate(found.logs)
-    ]
-    return Markup(table(head, rows))
+    return record_table(
+        list(zip(found.logs, found.trend.share, found.trend.std, strict=True)),
+        ("log", lambda one: one[0].log.name),
+        ("capacity Ah", lambda one: significant(one[0].capacity_Ah, 4)),
+        ("±", lambda one: significant(one[0].capacity_std_Ah, 2)),
+        ("resistance", lambda one: significant(one[0].resistance_scale, 4)),
+        ("±", lambda one: significant(one[0].resistance_std, 2)),
+        ("share", lambda one: percent(one[0].share, 1)),
+        ("trend", lambda one: percent(float(one[1]), 1)),
+        ("±", lambda one: percent(float(one[2]), 1)),
+        ("by", lambda one: one[0].how),
+    )

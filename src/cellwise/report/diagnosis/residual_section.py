@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from cellwise.report.page.markup import EMPTY, Markup, details, paragraph, table
+from cellwise.report.page import style
+from cellwise.report.page.markup import EMPTY, Markup, details, paragraph, record_table
 from cellwise.report.page.numerals import (
     counted,
     duration,
@@ -18,46 +19,16 @@ from cellwise.report.page.numerals import (
     significant,
     time_unit,
 )
-from cellwise.report.page.picture import Picture
+from cellwise.report.page.picture import pictured
 from cellwise.report.page.section import Section
-from cellwise.report.page.style import (
-    FILTER,
-    INK,
-    MODEL,
-    MUTED,
-    finding,
-    labels,
-    legend,
-    new_figure,
-    styled,
-    zero_line,
-)
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 Group = Mapping[str, Any]
-CAPTION = (
-    "The residual of the first log before any correction, divided in six ways. Bars: root "
-    "mean square of the rows in a group; dots: their mean, with its sign (positive: the "
-    "model is too low). Numbers: the group's share of the whole squared error."
-)
-PANEL = 0.25
 
 
-def anatomy_section(anatomy: Mapping[str, Any], name: str) -> Section:
-    """Pictures and tables of where the error lies."""
-    return Section(
-        "anatomy",
-        f"Where the error lies ({name})",
-        (
-            anatomy_text(anatomy),
-            Picture("anatomy", draw_anatomy(anatomy), CAPTION),
-            anatomy_tables(anatomy),
-        ),
-        "Where it lies",
-    )
+def residual_section(anatomy: Mapping[str, Any], name: str) -> Section:
+    """Picture and tables of where the error lies."""
+    content = (residual_text(anatomy), residual_picture(anatomy), residual_tables(anatomy))
+    return Section("anatomy", f"Where the error lies ({name})", content, "Where it lies")
 
 
 def panels(
@@ -93,10 +64,15 @@ def panels(
     ]
 
 
-@styled
-def draw_anatomy(anatomy: Mapping[str, Any]) -> Figure:
+@pictured(
+    "anatomy",
+    "The residual of the first log before any correction, divided in six ways. Bars: root "
+    "mean square of the rows in a group; dots: their mean, with its sign (positive: the "
+    "model is too low). Numbers: the group's share of the whole squared error.",
+)
+def residual_picture(anatomy: Mapping[str, Any]) -> style.Figure:
     """Six panels of bars."""
-    figure = new_figure(6.2)
+    figure = style.new_figure(6.2)
     for axes, (what, groups, name, label) in zip(
         np.ravel(figure.subplots(2, 3)), panels(anatomy), strict=True
     ):
@@ -105,33 +81,30 @@ def draw_anatomy(anatomy: Mapping[str, Any]) -> Figure:
 
 
 def _bars(
-    axes: Axes, what: str, groups: Sequence[Group], name: Callable[[Group], str], label: str
+    axes: style.Axes, what: str, groups: Sequence[Group], name: Callable[[Group], str], label: str
 ) -> None:
     place = np.arange(len(groups))
     sizes = [1e3 * (g.get("rmse_V", g.get("rms_V")) or 0.0) for g in groups]
     means = [1e3 * g["mean_V"] for g in groups if "mean_V" in g]
     worst = int(np.argmax([g["share"] for g in groups])) if groups else 0
-    colours = [MODEL if k == worst else FILTER for k in range(len(groups))]
+    colours = [style.MODEL if k == worst else style.FILTER for k in range(len(groups))]
     axes.bar(place, sizes, 0.75, color=colours, alpha=0.8, label="_rms")
     if means:
-        axes.plot(place, means, "o", color=INK, markersize=3.5, label="mean")
-        zero_line(axes)
+        axes.plot(place, means, "o", color=style.INK, markersize=3.5, label="mean")
+        style.zero_line(axes)
     for k, g in enumerate(groups):
         if g["share"] >= 0.005:
             text = f"{100 * g['share']:.0f} %"
-            axes.annotate(
-                text, (k, sizes[k]), (0, 2), textcoords="offset points", ha="center",
-                va="bottom", fontsize=7, color=MUTED,
-            )  # fmt: skip
+            style.note(axes, text, (k, sizes[k]), (0, 2), ha="center", va="bottom")
     axes.set_xticks(place, [name(g) for g in groups], fontsize=7)
     if len(groups) > 5:
         axes.tick_params(axis="x", rotation=60)
-    labels(axes, label, "error [mV]")
+    style.labels(axes, label, "error [mV]")
     axes.margins(y=0.14)
     axes.grid(axis="x", visible=False)
-    finding(axes, _title(what, groups, name, worst), PANEL)
+    style.finding(axes, _title(what, groups, name, worst), 0.25)
     if what == "SOC":
-        legend(axes)
+        style.legend(axes)
 
 
 def _title(what: str, groups: Sequence[Group], name: Callable[[Group], str], worst: int) -> str:
@@ -152,7 +125,7 @@ def _title(what: str, groups: Sequence[Group], name: Callable[[Group], str], wor
     return f"{percent(top['share'], 0)} of the error: {text}{part}"
 
 
-def anatomy_text(anatomy: Mapping[str, Any]) -> Markup:
+def residual_text(anatomy: Mapping[str, Any]) -> Markup:
     """Noise, correlation and drift as text."""
     noise, white, drift = anatomy["noise"], anatomy["whiteness"], anatomy["drift"]
     lines = [
@@ -177,23 +150,21 @@ def anatomy_text(anatomy: Mapping[str, Any]) -> Markup:
     return paragraph(" ".join(lines))
 
 
-def anatomy_tables(anatomy: Mapping[str, Any]) -> Markup:
+def residual_tables(anatomy: Mapping[str, Any]) -> Markup:
     """Every group in figures, folded away."""
-    parts = []
-    for what, groups, name, label in panels(anatomy):
-        rows = [
-            (
-                name(g),
-                counted(g["rows"]) if "rows" in g else "",
-                millivolt(g.get("rmse_V", g.get("rms_V"))),
-                millivolt(g.get("mean_V")),
-                percent(g["share"], 1),
-            )
-            for g in groups
-        ]
-        head = (label, "rows", "RMSE", "mean", "share of the squared error")
-        if rows:
-            parts.append(table(head, rows, caption=f"By {what}"))
+    parts = [
+        record_table(
+            groups,
+            (label, name),
+            ("rows", lambda g: counted(g["rows"]) if "rows" in g else ""),
+            ("RMSE", lambda g: millivolt(g.get("rmse_V", g.get("rms_V")))),
+            ("mean", lambda g: millivolt(g.get("mean_V"))),
+            ("share of the squared error", lambda g: percent(g["share"], 1)),
+            caption=f"By {what}",
+        )
+        for what, groups, name, label in panels(anatomy)
+        if groups
+    ]
     if not parts:
         return EMPTY
     return details(f"All figures, {plural(len(parts), 'table')}", Markup("".join(parts)))
