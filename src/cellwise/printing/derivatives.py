@@ -290,7 +290,7 @@ def derivatives_text() -> str:
 class Part(NamedTuple):
     """Equations whose derivatives are taken together, with respect to the names ``by``.
 
-    ``calls`` are sentences with functions of the equations, ``arguments`` the printed function's.
+    ``calls`` are statements with functions of the equations, ``arguments`` the printed function's.
     """
 
     name: str
@@ -355,8 +355,8 @@ def part_text(part: Part) -> list[str]:
     known: dict[str, Value] = {n: ast.Name(n) for n in part.arguments}
     known["cell"] = record("cell", SCALARS)
     output = ""
-    for sentence in part.calls:
-        match ast.parse(sentence).body[0]:
+    for statement in part.calls:
+        match ast.parse(statement).body[0]:
             case ast.Assign([ast.Name(output)], ast.Call(ast.Name(function), arguments)):
                 values = [known[ast.unparse(a)] for a in arguments]
                 known[output] = reader.call(function, values, Wish(output, function))
