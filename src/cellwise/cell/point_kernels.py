@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba.np.unsafe.ndarray import to_fixed_tuple
 
 from cellwise.cell.compiled import inline
 from cellwise.typing import FloatArray
@@ -87,9 +86,6 @@ class CellScalars(NamedTuple):
     surface_activation_K: float  # of that depth
     surface_reference_K: float  # where that depth holds
     entropy_K: float  # where the OCV holds; 0: no entropy term
-
-
-SCALARS = len(CellScalars._fields)
 
 
 class CellPoint(NamedTuple):
@@ -176,4 +172,30 @@ def rise(low: CellPoint, high: CellPoint, sloped: float, held: float) -> CellPoi
 @inline
 def scalars_of(rows: FloatArray, p: int) -> CellScalars:
     """Row ``p`` of an array as the scalars it holds."""
-    return CellScalars(*to_fixed_tuple(rows[p], SCALARS))  # type: ignore[call-arg]
+    return CellScalars(
+        rows[p, 0],
+        rows[p, 1],
+        rows[p, 2],
+        rows[p, 3],
+        rows[p, 4],
+        rows[p, 5],
+        rows[p, 6],
+        rows[p, 7],
+        rows[p, 8],
+        rows[p, 9],
+        rows[p, 10],
+        rows[p, 11],
+        rows[p, 12],
+        rows[p, 13],
+        rows[p, 14],
+        rows[p, 15],
+        rows[p, 16],
+        rows[p, 17],
+        rows[p, 18],
+        rows[p, 19],
+        rows[p, 20],
+        rows[p, 21],
+        rows[p, 22],
+        rows[p, 23],
+        rows[p, 24],
+    )
