@@ -124,9 +124,7 @@ def lg(data: Path) -> Prepared:
     tests = TestLogs(
         ocv=[log(f"ocv_c20_{t}_{n}") for t, n in runs.items()],
         capacity=[log(n) for n in (*rates, *(f"cap_1c_{n}" for n in one_c))],
-        drive=[
-            log(f"pauscycl_{n}", 1.0) for n in ("n10_604", "n20_611", "p00_590", "p10_571")
-        ],
+        drive=[log(f"pauscycl_{n}", 1.0) for n in ("n10_604", "n20_611", "p00_590", "p10_571")],
     )
     names = ("us06_n10_601", "us06_n20_610", "mixed7_p40_562")
     judged: list[tuple[CellLog, float | None]] = [(log(f"drive_{n}"), 1.0) for n in names]
@@ -376,8 +374,8 @@ def main() -> int:
             mean, most = row_of(rule.name, with_it, without)
             ratio = " ".join(f"{v:.2f}" for v in without["stated_over_measured"])
             level = np.mean(list(without["rmse_mV"].values()))
-            print(f"{rule.name} | {cell} | {level:.2f} mV | {mean:+.2f} mV, most {most:+.2f} | {ratio}",
-                  flush=True)  # fmt: skip
+            lost = f"{level:.2f} mV | {mean:+.2f} mV, most {most:+.2f}"
+            print(f"{rule.name} | {cell} | {lost} | {ratio}", flush=True)
     return 0
 
 

@@ -101,11 +101,6 @@ class _Normal:
     matrix: FloatArray
     residuals: tuple[FloatArray, ...]
 
-    @property
-    def rmse_V(self) -> float:
-        """Root of the mean over the logs of their mean squares."""
-        return float(np.sqrt(np.mean([np.mean(r * r) for r in self.residuals])))
-
 
 class Problem:
     """Cost, gradient and Gauss-Newton matrix of the refinement.
@@ -303,10 +298,7 @@ class Problem:
         return _Normal(cost, gradient, matrix, tuple(residuals))
 
     def minimise(
-        self,
-        theta: FloatArray,
-        iterations: int,
-        progress: Callable[[int, float], None] | None,
+        self, theta: FloatArray, iterations: int
     ) -> tuple[FloatArray, int, tuple[FloatArray, ...]]:
         """Levenberg-Marquardt with bounds by projection."""
         sigma = self.sigma
@@ -330,8 +322,6 @@ class Problem:
                 gain = (best - value) / best
                 theta, best, now = trial, value, new
                 damping = max(damping / 5.0, 1e-9)
-                if progress is not None:
-                    progress(step, now.rmse_V)
                 if gain < 2e-4:
                     return theta, step + 1, now.residuals
             else:

@@ -11,7 +11,7 @@ sensitivities.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,8 +37,6 @@ from cellwise.threads import one_blas_thread
 from cellwise.typing import FloatArray
 
 ALL_ROWS = 40_000
-
-__all__ = ["RefineResult", "RefineSettings", "StartTables", "refine"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +138,6 @@ def refine(
     theta: FloatArray | None = None,
     most_rows: int | None = None,
     with_errors: bool = True,
-    progress: Callable[[int, float], None] | None = None,
 ) -> RefineResult:
     """Fit the tables to the voltage of whole logs.
 
@@ -154,7 +151,6 @@ def refine(
     most_rows : int or None           compared rows of one log at most; None: all logs together
                                       share ALL_ROWS, none has fewer than MOST_ROWS
     with_errors : bool                estimate standard errors, too; else they are NaN
-    progress : callable or None       called with the iteration and the RMSE [V] after each step
 
     Returns
     -------
@@ -193,7 +189,7 @@ def refine(
     # The first passes find the size of each log's residual: smoothing, robustness, balance.
     for share in (0.3, 0.4, 1.0):
         count = max(3, int(share * settings.iterations))
-        theta, done, residuals = problem.minimise(theta, count, progress)
+        theta, done, residuals = problem.minimise(theta, count)
         steps += done
         problem.judge(residuals)
     return RefineResult(

@@ -106,7 +106,6 @@ def prepare_log(
     knots: FloatArray,
     ocv_knots: FloatArray,
     reference_C: float,
-    soc_low: float = 0.0,
     grid_C: FloatArray | None = None,
     capacity_Ah: float = np.inf,
     most_rows: int = MOST_ROWS,
@@ -125,13 +124,13 @@ def prepare_log(
     log = item.log
     current = log.known_current_A()
     n = len(log)
-    usable = np.isfinite(log.voltage_V) & np.isfinite(item.soc) & (item.soc >= soc_low)
+    usable = np.isfinite(log.voltage_V) & np.isfinite(item.soc) & (item.soc >= 0.0)
     if item.compare is not None:
         usable &= item.compare
     keep, evaluate = _chosen_rows(item, current, capacity_Ah, usable, most_rows)
     if not evaluate.any():
         raise InputError(
-            f"no row with a voltage above SOC {soc_low:g} in log '{log.name}'",
+            f"no row with a voltage above SOC 0 in log '{log.name}'",
             "at least some measured voltages in the SOC range of the model",
             "Leave the log out, or check where its SOC starts.",
         )
