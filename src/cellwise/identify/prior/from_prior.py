@@ -10,6 +10,7 @@ import numpy as np
 from cellwise.cell.initial_soc.best_start import best_start_soc
 from cellwise.cell.initial_soc.initial_soc import STATED_STD
 from cellwise.cell.model import CellModel
+from cellwise.cell.simulate import start_hysteresis
 from cellwise.errors import InputError
 from cellwise.identify.capacity.half_cycles import discharge_rows
 from cellwise.identify.checked_logs import CheckedLogs
@@ -164,7 +165,7 @@ def _prepared(tests: TestLogs, prior: CellModel) -> list[PriorLog]:
         anchor = SocAnchor(one.soc0, one.soc0_std, "")
         full = full_before(log, rows, prior.capacity_Ah, anchor)
         if log.soc0 is None and full is not anchor:
-            one = replace(one, soc0=full.soc, soc0_std=full.std)
+            one = replace(one, soc0=full.soc, soc0_std=full.std, h0=1.0)
         items.append(replace(one, compare=rows))
     return items
 
@@ -179,7 +180,7 @@ def _started(log: CellLog, prior: CellModel) -> PriorLog:
             "Give a longer log, or check the column.",
         )
     if log.soc0 is not None:
-        return PriorLog(log, log.soc0, STATED_STD)
+        return PriorLog(log, log.soc0, STATED_STD, h0=start_hysteresis(log.soc0))
     # On a plateau the first minute says nothing, the whole log may.
     soc0, _ = best_start_soc(prior, log, np.linspace(0.0, 1.0, STARTS))
     return PriorLog(log, soc0, UNKNOWN_STD)

@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 
 from cellwise.cell.equations import CellTables, empty_state
 from cellwise.cell.model import CellModel
-from cellwise.cell.simulate import known_temperature_C, start_hysteresis
+from cellwise.cell.simulate import known_temperature_C
 from cellwise.cell.simulate_kernels import simulate_rows
 from cellwise.identify.prior.corrections import Corrections
 from cellwise.identify.refinement.problem import independent_samples
@@ -36,13 +36,15 @@ STEP, SOC_STEP = 0.02, 1e-4  # of a standard normal variable and of an initial S
 class PriorLog:
     """A log to update on: SOC at its first row with its standard deviation, and what to compare.
 
-    ``compare`` marks rows, shape (n,); None: all with a voltage.
+    ``compare`` marks rows, shape (n,); None: all with a voltage. ``h0`` is its hysteresis state
+    there: between the branches where nobody knows what was before.
     """
 
     log: CellLog
     soc0: float
     soc0_std: float
     compare: BoolArray | None = None
+    h0: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +83,7 @@ class _Rows(NamedTuple):
     temperature_C: FloatArray
     compared: IndexArray
     measured_V: FloatArray
+    h0: float
 
 
 def update(corrections: Corrections, logs: Sequence[PriorLog]) -> Update:
@@ -193,12 +196,13 @@ def _rows(prior: CellModel, item: PriorLog) -> _Rows:
         known_temperature_C(prior, log),
         known,
         log.voltage_V[known],
+        item.h0,
     )
 
 
 def _residual(tables: CellTables, rows: _Rows, soc0: float) -> FloatArray:
     """Measured minus simulated voltage of the compared rows [V]."""
     voltage, soc = np.empty(rows.current_A.size), np.empty(rows.current_A.size)
-    start = empty_state(soc0, start_hysteresis(soc0))
+    start = empty_state(soc0, rows.h0)
     simulate_rows(tables, start, rows.interval_s, rows.current_A, rows.temperature_C, voltage, soc)
     return np.asarray(rows.measured_V - voltage[rows.compared])
