@@ -359,6 +359,6 @@ def print_power(power: PowerTrace) -> None:
 
 
 def _write(path: str, columns: dict[str, Any]) -> None:
-    from cellwise.logs.tables import write_columns
+    from cellwise.logs.writing import write_columns
 
     write_columns(columns, Path(path))

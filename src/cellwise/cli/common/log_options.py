@@ -9,7 +9,7 @@ from typing import Any
 from cellwise.cli.common import printing
 from cellwise.errors import InputError
 from cellwise.logs import CellLog, Stated
-from cellwise.logs.files.options import ReadOptions
+from cellwise.logs.files.source import ReadOptions
 
 LOG_HELP = (
     "a table of text or parquet, or a native file; @-20 or @temperature_C=-20,soc0=1 behind it "
