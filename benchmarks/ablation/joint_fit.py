@@ -31,6 +31,8 @@ from cellwise.cell.model_error import in_bands
 from cellwise.cell.simulate import known_temperature_C, simulate
 from cellwise.cell.stock.catalogue import stock_model
 from cellwise.identify import Identification
+from cellwise.identify.prior.corrections import UsualDifference
+from cellwise.identify.prior.update import Evidence
 from cellwise.logs import CellLog, read_log
 from cellwise.typing import FloatArray
 
@@ -280,9 +282,17 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "own activations", ((f"{EFFECTS}._candidates", _without("temperature_dependence")),), TRIED
     ),
-    Rule("prior, robust", ((f"{PRIOR}.ROBUST", 1e6),), PRIORS),
-    Rule("prior, one error in five minutes", ((f"{PRIOR}.MEMORY_S", 1e-3),), PRIORS),
-    Rule("prior, activation", (("prior.corrections.ACTIVATION_STD_K", 1e-3),), PRIORS),
+    Rule("prior, robust", ((f"{PRIOR}.OF_A_LOG", Evidence(robust=1e6)),), PRIORS),
+    Rule(
+        "prior, one error in five minutes",
+        ((f"{PRIOR}.OF_A_LOG", Evidence(memory_s=1e-3)),),
+        PRIORS,
+    ),
+    Rule(
+        "prior, activation",
+        (("prior.corrections.USUAL", UsualDifference(activation_K=1e-3)),),
+        PRIORS,
+    ),
 )
 
 

@@ -7,6 +7,7 @@ from its prior is the length of one vector.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,22 +15,39 @@ from cellwise.cell.effects import Effect, SlowDiffusion, TemperatureDependence, 
 from cellwise.cell.model import CellModel
 from cellwise.cell.stock.scaled import scaled_model
 from cellwise.identify.assemble import monotone
+from cellwise.identify.identification import REFERENCE_C
 from cellwise.identify.refinement.refine_data import inverse_K
 from cellwise.identify.refinement.splines import greville, spline_count, spline_rows
 from cellwise.typing import FloatArray
 
 OCV_KNOTS = np.linspace(0.0, 1.0, 21)
 TABLE_KNOTS = np.linspace(0.0, 1.0, 6)
-# Differences of two cells' OCV, over their usual size at each SOC, are alike by exp(-distance / 1):
-# of three measured cells with layered oxides and a physics model 0.97 at 0.05 SOC, 0.91 at 0.1,
-# 0.87 at 0.2, 0.68 at 0.4.
-OCV_LENGTH = 1.0
-TABLE_LENGTH = 0.3
-LEAST_OCV_V = 0.003
-LEAST_LN_R = 0.1  # two samples of one kind
-LARGEST_LN = 3.0  # a factor of twenty: beyond it is not such a cell
-ACTIVATION_STD_K = 1000.0
-REFERENCE_C = 25.0
+
+
+class UsualDifference(NamedTuple):
+    """How two cells of a kind differ, beside what the prior's own error says.
+
+    Parameters
+    ----------
+    ocv_length : float      differences of the OCV, over their usual size at each SOC, are alike by
+                            exp(-distance / length): of three measured cells with layered oxides
+                            and a physics model 0.97 at 0.05 SOC, 0.91 at 0.1, 0.87 at 0.2, 0.68 at
+                            0.4
+    table_length : float    of resistances, squared exponential [SOC]
+    least_ocv_V, least_ln_r : float     two samples of one kind
+    largest_ln : float      a factor of twenty: beyond it is not such a cell
+    activation_K : float    standard deviation of an activation energy
+    """
+
+    ocv_length: float = 1.0
+    table_length: float = 0.3
+    least_ocv_V: float = 0.003
+    least_ln_r: float = 0.1
+    largest_ln: float = 3.0
+    activation_K: float = 1000.0
+
+
+USUAL = UsualDifference()
 NUMERICAL = 1e-6
 
 
@@ -54,13 +72,13 @@ class Corrections:
         self.ocv_rows = _dense(self.prior.soc, OCV_KNOTS)
         self.table_rows = _dense(self.prior.soc, TABLE_KNOTS)
         at = greville(OCV_KNOTS)
-        size = np.maximum(self.prior.error.at(at), LEAST_OCV_V)
+        size = np.maximum(self.prior.error.at(at), USUAL.least_ocv_V)
         self.ocv_root = size[:, None] * _root(
-            np.exp(-np.abs(at[:, None] - at[None, :]) / OCV_LENGTH)
+            np.exp(-np.abs(at[:, None] - at[None, :]) / USUAL.ocv_length)
         )
         at = greville(TABLE_KNOTS)
-        share = max(self.prior.error.shown_share(), LEAST_LN_R)
-        self.table_root = share * _root(_alike(at, TABLE_LENGTH))
+        share = max(self.prior.error.shown_share(), USUAL.least_ln_r)
+        self.table_root = share * _root(_alike(at, USUAL.table_length))
         self.inverse_K = inverse_K(self.prior.temperature_C, REFERENCE_C)
 
     @property
@@ -98,8 +116,8 @@ class Corrections:
         for block in range(3):
             part = z[first + block * width : first + (block + 1) * width]
             size = self.table_rows @ (self.table_root @ part)
-            factors.append(np.exp(np.clip(size, -LARGEST_LN, LARGEST_LN)))
-        activation = ACTIVATION_STD_K * float(z[-2])
+            factors.append(np.exp(np.clip(size, -USUAL.largest_ln, USUAL.largest_ln)))
+        activation = USUAL.activation_K * float(z[-2])
         warm = np.exp(activation * self.inverse_K)[:, None] if self.inverse_K.size > 1 else 1.0
         ocv = np.clip(prior.ocv_V + self.ocv_V(z), *self.window_V)
         return replace(

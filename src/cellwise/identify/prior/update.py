@@ -18,15 +18,33 @@ from cellwise.identify.refinement.problem import independent_samples
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray, IndexArray
 
-# Two logs of one cell are not alike within less: temperature inside, relaxation, sensors.
-LEAST_SIGMA_V = 0.005
-FIRST_SIGMA_V = 0.02
-ROBUST = 4.0  # a residual of more deviations counts linearly
-FEWEST_INDEPENDENT = 4.0  # errors of a log, however short
-# Residuals of a fit forget sooner than the model's error does: tables are wrong for as long as the
-# SOC stays near. The filters' default noise has the same time.
-MEMORY_S = 300.0
-ROWS_OF_ONE, MOST_OF_A_LOG = 20.0, 50.0  # compared rows for one error; most errors: priors
+
+class Evidence(NamedTuple):
+    """How much a log says.
+
+    Parameters
+    ----------
+    least_V : float         two logs of one cell are not alike within less: temperature inside,
+                            relaxation, sensors [V]
+    first_V : float         of the residuals before any fit [V]
+    robust : float          a residual of more deviations counts linearly
+    fewest : float          independent errors of a log, however short
+    memory_s : float        residuals of a fit forget sooner than the model's error does: tables are
+                            wrong for as long as the SOC stays near. The filters' default noise has
+                            the same time [s]
+    rows, most : float      where priors are compared: compared rows for one error; most of a log
+    """
+
+    least_V: float = 0.005
+    first_V: float = 0.02
+    robust: float = 4.0
+    fewest: float = 4.0
+    memory_s: float = 300.0
+    rows: float = 20.0
+    most: float = 50.0
+
+
+OF_A_LOG = Evidence()
 MOST_COMPARED = 1500  # rows of a log
 PASSES = (8, 6, 8)  # Levenberg-Marquardt steps; after each the residuals' size is found anew
 STEP, SOC_STEP = 0.02, 1e-4  # of a standard normal variable and of an initial SOC, for differences
@@ -70,8 +88,8 @@ class Update:
         """Minus the log probability, up to a constant; every log counts alike by every prior."""
         total = self.distance
         for r in self.residual_V:
-            number = float(np.clip(r.size / ROWS_OF_ONE, FEWEST_INDEPENDENT, MOST_OF_A_LOG))
-            total += number * float(np.log(np.hypot(np.sqrt(np.mean(r * r)), LEAST_SIGMA_V)))
+            number = float(np.clip(r.size / OF_A_LOG.rows, OF_A_LOG.fewest, OF_A_LOG.most))
+            total += number * float(np.log(np.hypot(np.sqrt(np.mean(r * r)), OF_A_LOG.least_V)))
         return total
 
 
@@ -135,7 +153,7 @@ class _Problem:
         self.rows = [_rows(corrections.prior, item) for item in logs]
         self.means = np.array([item.soc0 for item in logs])
         self.stds = np.array([item.soc0_std for item in logs])
-        self.most = [max(i.log.duration_s / MEMORY_S, FEWEST_INDEPENDENT) for i in logs]
+        self.most = [max(i.log.duration_s / OF_A_LOG.memory_s, OF_A_LOG.fewest) for i in logs]
         self.roots: list[FloatArray] = []
 
     def soc0(self, x: FloatArray) -> FloatArray:
@@ -152,11 +170,11 @@ class _Problem:
         """Take the size of every log's residual, and how many independent errors it holds."""
         self.roots = []
         for r, most in zip(residuals, self.most, strict=True):
-            sigma, number = FIRST_SIGMA_V, most
+            sigma, number = OF_A_LOG.first_V, most
             if not first:
-                sigma = max(1.4826 * float(np.median(np.abs(r))), LEAST_SIGMA_V)
-                number = min(max(independent_samples(r), FEWEST_INDEPENDENT), most)
-            robust = np.sqrt(1.0 + (r / (ROBUST * sigma)) ** 2)
+                sigma = max(1.4826 * float(np.median(np.abs(r))), OF_A_LOG.least_V)
+                number = min(max(independent_samples(r), OF_A_LOG.fewest), most)
+            robust = np.sqrt(1.0 + (r / (OF_A_LOG.robust * sigma)) ** 2)
             self.roots.append(np.sqrt(number / r.size / robust) / sigma)
 
     def weighted(self, x: FloatArray) -> FloatArray:

@@ -410,17 +410,23 @@ def blocks_of(lay: Layout) -> Blocks:
 
 
 def independent_samples(residual: FloatArray) -> float:
-    """Number of independent values that a correlated series is worth.
+    """Number of independent values that a correlated series holds.
 
     n / (1 + 2 sum of autocorrelations), summed up to the first that is not positive.
     """
-    r = residual - np.mean(residual)
-    n = r.size
-    power = float(r @ r)
-    if n < 8 or power == 0.0:
+    n = residual.size
+    correlation = autocorrelation(residual - np.mean(residual), n // 2)
+    if n < 8 or correlation.size == 0:
         return float(n)
-    size = 1 << (2 * n - 1).bit_length()
-    spectrum = np.fft.rfft(r, size)
-    correlation = np.fft.irfft(spectrum * np.conj(spectrum), size)[: n // 2] / power
     end = int(np.argmax(correlation <= 0.0)) or correlation.size
     return float(max(n / (1.0 + 2.0 * float(np.sum(correlation[1:end]))), 1.0))
+
+
+def autocorrelation(r: FloatArray, lags: int) -> FloatArray:
+    """Autocorrelation of an even series, shape (lags,); empty for one of zeros."""
+    power = float(r @ r)
+    if power == 0.0:
+        return np.empty(0)
+    size = 1 << (2 * r.size - 1).bit_length()
+    spectrum = np.fft.rfft(r, size)
+    return np.asarray(np.fft.irfft(spectrum * np.conj(spectrum), size)[:lags] / power)

@@ -26,7 +26,7 @@ from cellwise.identify.refinement.layout import (
 from cellwise.identify.refinement.problem import Problem, RefineSettings, StartTables
 from cellwise.identify.refinement.refine_data import (
     BEYOND,
-    MOST_ROWS,
+    ROWS,
     PreparedLog,
     RefineLog,
     inverse_K,
@@ -149,7 +149,7 @@ def refine(
     grid_C : (temperatures,) float or None      ascending; None: one temperature, the reference
     theta : (parameters,) float or None         where to begin, if not at ``start``
     most_rows : int or None           compared rows of one log at most; None: all logs together
-                                      share ALL_ROWS, none has fewer than MOST_ROWS
+                                      share ALL_ROWS, none has fewer than ROWS.most
     with_errors : bool                estimate standard errors, too; else they are NaN
 
     Returns
@@ -166,7 +166,7 @@ def refine(
         settings.hysteresis,
         int(grid.size),
     )
-    most = max(MOST_ROWS, ALL_ROWS // len(logs)) if most_rows is None else most_rows
+    most = max(ROWS.most, ALL_ROWS // len(logs)) if most_rows is None else most_rows
     prepared = tuple(
         prepare_log(
             item,
@@ -215,7 +215,7 @@ def residuals_of(
     logs: Sequence[RefineLog],
     settings: RefineSettings,
     capacity_Ah: float,
-    most_rows: int = MOST_ROWS,
+    most_rows: int = ROWS.most,
 ) -> list[tuple[PreparedLog, FloatArray]]:
     """Residuals of a refinement on logs that it was not fitted on: measured minus model [V]."""
     prepared = [
