@@ -89,15 +89,15 @@ class JointLogs:
         settings: RefineSettings,
         theta: FloatArray | None = None,
         *,
-        quick: bool = False,
+        quick: int = 0,
     ) -> RefineResult:
-        """Fit the tables to some logs; ``quick`` where fits are compared: fewer rows and steps."""
+        """Fit the tables to some logs; where fits are compared, in ``quick`` steps, fewer rows."""
         if quick:
-            settings = replace(settings, iterations=QUICK_ITERATIONS)
+            settings = replace(settings, iterations=quick)
         return refine(
             logs, self.start, settings=settings, capacity_Ah=self.capacity_Ah,
             reference_C=self.reference_C, grid_C=self.grid_C, theta=theta,
-            most_rows=QUICK_ROWS if quick else None, with_errors=not quick,
+            most_rows=QUICK_ROWS if quick else None, with_errors=quick == 0,
         )  # fmt: skip
 
     def residuals(
