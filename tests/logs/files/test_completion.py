@@ -6,13 +6,13 @@ import itertools
 
 import numpy as np
 import pytest
-from cellwise.logs.reading import to_cell
 from hypothesis import given
 from hypothesis import strategies as st
 
 from cellwise.errors import InputError
 from cellwise.logs.files.completion import accumulated, complete
 from cellwise.logs.files.source import RawLog, ReadOptions
+from cellwise.logs.reading import to_cell
 from log_files import pulse_channels
 
 TRUTH = pulse_channels()
