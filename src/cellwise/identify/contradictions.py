@@ -26,7 +26,7 @@ from cellwise.identify.identification import TestLogs, log_temperature_C
 from cellwise.identify.ocv.curve import OcvCurve
 from cellwise.identify.ocv.ocv_rests import find_ocv_rests
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.checks.units import LARGEST_CELL_AH
+from cellwise.logs.checks.units import CELL
 from cellwise.logs.stated import OTHER_TEMPERATURE_K, other_temperature
 
 # The highest voltages of a log of an empty cell and one of a full differ by less (LTO: 1.87); those
@@ -138,7 +138,7 @@ def capacity_notices(
                 f"{nominal_Ah:.4g} Ah: another cell, an aged one, or another unit?"
             )
             notices.append(Notice(RANGE_V * abs(math.log(ratio)), text))
-    if capacity_Ah > LARGEST_CELL_AH:
+    if capacity_Ah > CELL.largest_Ah:
         text = f"a cell of {capacity_Ah:.0f} Ah: is the current in milliampere (current_mA)?"
         notices.append(Notice(RANGE_V, text))
     logs = _tested(tests, 25.0)

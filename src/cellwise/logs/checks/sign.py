@@ -112,7 +112,7 @@ def verify_sign(log: MeasuredLog) -> SignCheck:
     """
     drawn = log.known_current_A() * log.interval_s
     counter = _counter_text(log, drawn)
-    series = log.time_s, log.current_A, log.voltage_V, np.cumsum(drawn)
+    series: tuple[FloatArray, ...] = log.time_s, log.current_A, log.voltage_V, np.cumsum(drawn)
     usable = np.isfinite(log.current_A) & np.isfinite(log.voltage_V)
     if not usable.all():
         series = tuple(x[usable] for x in series)
