@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import norm
 
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import simulate
@@ -24,8 +26,6 @@ PARTS = 10
 TEMPERATURE_STEP_C = 5.0
 MOST_TEMPERATURES = 12
 FALLEN = float(np.exp(-1.0))
-MEDIAN_JUMP = 0.9539  # median of |difference| of white noise over its standard deviation
-NINTH_JUMP = 2.3262  # its 90 % quantile
 
 
 def anatomy(model: CellModel, log: CellLog, soc0: float, h0: float | None = None) -> dict[str, Any]:
@@ -184,9 +184,11 @@ def noise_floor(error_V: FloatArray) -> dict[str, float | None]:
     e = error_V[np.isfinite(error_V)]
     if not jump.size:
         return {"floor_V": None, "share": None}
-    floor = float(np.median(jump)) / MEDIAN_JUMP
-    if floor == 0.0:  # most rows repeat the last: a coarse digit
-        floor = float(np.quantile(jump, 0.9)) / NINTH_JUMP
+    for share in (0.5, 0.9):  # where most rows repeat the last (a coarse digit) by the others
+        white = math.sqrt(2.0) * float(norm.ppf(0.5 + 0.5 * share))
+        floor = float(np.quantile(jump, share)) / white
+        if floor > 0.0:
+            break
     whole = float(np.mean(e * e))
     return {"floor_V": floor, "share": min(floor * floor / whole, 1.0) if whole > 0.0 else 1.0}
 

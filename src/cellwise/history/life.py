@@ -14,7 +14,7 @@ from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.history.stretches import Compared, Stretch, compare, longest_stretch
 from cellwise.history.trend import START_STD, WINDOWS_ALIKE, Deviations, Trend, trend_of
-from cellwise.history.window_fit import RESISTANCE_PER_K, changed_model, fit_window
+from cellwise.history.window_fit import PER_KELVIN, changed_model, fit_window
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.packs.log_date import day_of_name
 from cellwise.typing import FloatArray
@@ -290,7 +290,9 @@ def _by_stretch(
         share_std=float(np.hypot(spread, known.std)),
         deviations=(*_parts(spread, alike), known.measured_std),
         resistance_scale=1.0 + result.added_ohm / dc,
-        resistance_std=float(np.hypot(result.added_std_ohm / dc, RESISTANCE_PER_K * apart + 0.005)),
+        resistance_std=float(
+            np.hypot(result.added_std_ohm / dc, PER_KELVIN.resistance * apart + 0.005)
+        ),
         soc_start=start,
         soc_end=end,
         throughput_Ah=flow,

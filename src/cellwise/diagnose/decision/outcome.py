@@ -9,7 +9,7 @@ import numpy as np
 
 from cellwise.diagnose.causes.catalogue import Cause
 from cellwise.diagnose.decision.explanations import Explanation, Explanations
-from cellwise.diagnose.decision.posterior import NAMED, Hypothesis, Weighed, probability_of, weigh
+from cellwise.diagnose.decision.odds import NAMED, Hypothesis, Weighed, probability_of, weigh
 from cellwise.diagnose.fit.least_squares import Fit
 from cellwise.diagnose.fit.noise import Noise
 
