@@ -165,9 +165,6 @@ SWITCHES: dict[str, tuple[tuple[str, Replace], ...]] = {
     "beginnings in the score test": (
         ("decision.explanations._from_beginnings", lambda _: lambda *_: 0.0),
     ),
-    "settled again": (
-        ("decision.explanations.Explanations._settled", lambda _: lambda _s, one: one),
-    ),
     **{
         f"search, {name} {value}": (
             ("decision.explanations.SEARCH", lambda old, n=name, v=value: old._replace(**{n: v})),
@@ -197,7 +194,9 @@ def plainly_weighed(hypotheses: Any, *_: Any) -> Any:
     """Sets by their odds alone."""
     odds = np.array([h.total - h.rarity for h in hypotheses])
     share = np.exp(odds - odds.max())
-    found = [Weighed(h.causes, float(p)) for h, p in zip(hypotheses, share / share.sum())]
+    found = [
+        Weighed(h.causes, float(p)) for h, p in zip(hypotheses, share / share.sum(), strict=True)
+    ]
     return tuple(sorted(found, key=lambda w: -w.probability))
 
 

@@ -11,7 +11,6 @@ import numpy as np
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.point_kernels import R3, TAU2, TAU3
-from cellwise.diagnose.anatomy import anatomy
 from cellwise.diagnose.causes.catalogue import CAUSES, ON_REQUEST, UNSEEN_TEMPERATURE, Cause
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.decision.checks import (
@@ -49,6 +48,7 @@ from cellwise.diagnose.log_runs import (
     with_use,
 )
 from cellwise.diagnose.next_test import LONGER_LOG, next_test
+from cellwise.diagnose.residual import residual_analysis
 from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
 from cellwise.diagnose.sensor_faults import with_faults, without_faults
 from cellwise.diagnose.soc_gain import reference_for, soc_gain
@@ -148,7 +148,7 @@ def _undetermined(model: CellModel, starts: list[list[StartedLog]], why: str) ->
     logs, holdout = (tuple(g for g, _ in group) for group in starts[:2])
     every = [*starts[0], *starts[1]]
     runs = log_runs(model, with_use(every, len(logs)))
-    error = anatomy(model, logs[0], runs[0].before.soc0)
+    error = residual_analysis(model, logs[0], runs[0].before.soc0)
     return Diagnosis(
         "undetermined", (), (), error, LONGER_LOG, (why,), model, None, logs, holdout, logs,
         tuple(start.to_dict() for _, start in every), runs=runs,
@@ -274,7 +274,7 @@ def _diagnosis(
         verdict,
         causes,
         tuple(_tried(e, fits, outcome.none) for e in outcome.first),
-        anatomy(model, logs[0], runs[0].before.soc0),
+        residual_analysis(model, logs[0], runs[0].before.soc0),
         "" if verdict == "none" else next_test(outcome, model, evidence),
         reasons,
         model,

@@ -108,20 +108,20 @@ def explanation(
     model = extend_model(found.coordinates, of_model, note)
     moved = not np.array_equal(model.ocv_V, found.coordinates.model.ocv_V)
     moved = moved or point.get("m_V", 0.0) != 0.0
-    stays = {
-        name: _stays(g.start, set(kinds), moved)
+    as_stated = {
+        name: _starts_as_stated(g.start, set(kinds), moved)
         for name, g in zip(evidence.starts(), evidence.logs, strict=True)
     }
     starts = None
-    if not all(stays.values()) or {"measurement", "start"} & set(kinds):
+    if not all(as_stated.values()) or {"measurement", "start"} & set(kinds):
         starts = tuple(
-            g.start.soc if stay else _inside(g.start.soc + found.z.get(name, 0.0))
-            for (name, stay), g in zip(stays.items(), evidence.logs, strict=True)
+            g.start.soc if same else _inside(g.start.soc + found.z.get(name, 0.0))
+            for (name, same), g in zip(as_stated.items(), evidence.logs, strict=True)
         )
     return Explanation(model, of_log, starts)
 
 
-def _stays(start: InitialSoc, kinds: set[str], ocv_moved: bool) -> bool:
+def _starts_as_stated(start: InitialSoc, kinds: set[str], ocv_moved: bool) -> bool:
     """Whether a log starts where it did once causes of these kinds are known.
 
     A rest is read through the OCV: where that has ``ocv_moved``, by a hysteresis or otherwise, it

@@ -92,8 +92,8 @@ def trend_of(
     weight = np.exp(np.array(likely) - max(likely))
     weight /= weight.sum()
     mean = np.asarray(weight @ np.array(means))
-    apart = np.array(means) - mean
-    deviation = np.sqrt(weight @ (np.array(variances) + apart**2))
+    off = np.array(means) - mean
+    deviation = np.sqrt(weight @ (np.array(variances) + off**2))
     return Trend(mean, deviation, _knee(u, share, std.whole))
 
 

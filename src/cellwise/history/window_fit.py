@@ -159,9 +159,9 @@ def _start(model: CellModel, log: CellLog) -> tuple[FloatArray, FloatArray]:
 
 def _whitening(soc: FloatArray, time_s: FloatArray, shape: float) -> FloatArray:
     """What makes an error of the model white, in units of ``shape`` [V]; (n, n)."""
-    apart = np.abs(soc[:, None] - soc[None, :]) / SHAPE.soc
-    apart += np.abs(time_s[:, None] - time_s[None, :]) / SHAPE.time_s
-    covariance = np.exp(-apart) + (SHAPE.white_V / shape) ** 2 * np.eye(soc.size)
+    distance = np.abs(soc[:, None] - soc[None, :]) / SHAPE.soc
+    distance += np.abs(time_s[:, None] - time_s[None, :]) / SHAPE.time_s
+    covariance = np.exp(-distance) + (SHAPE.white_V / shape) ** 2 * np.eye(soc.size)
     return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
 
 
@@ -175,10 +175,10 @@ def _result(
 ) -> WindowFit:
     covered = float(np.ptp(np.clip(seen[rows], 0.0, 1.0)))
     capacity, scale = model.capacity_Ah * float(np.exp(x[1])), float(np.exp(x[2]))
-    apart = _away_K(model, log)
+    away_K = _away_K(model, log)
     unseen = (1.0 - covered) * AGED.ln_capacity
-    ln_capacity = np.sqrt(covariance[1, 1] + (PER_KELVIN.capacity * apart) ** 2 + unseen**2)
-    ln_scale = np.hypot(np.sqrt(covariance[2, 2]), PER_KELVIN.resistance * apart)
+    ln_capacity = np.sqrt(covariance[1, 1] + (PER_KELVIN.capacity * away_K) ** 2 + unseen**2)
+    ln_scale = np.hypot(np.sqrt(covariance[2, 2]), PER_KELVIN.resistance * away_K)
     return WindowFit(
         capacity_Ah=capacity,
         capacity_std_Ah=capacity * float(ln_capacity),

@@ -77,9 +77,9 @@ def spread_between(evidence: PackEvidence) -> FloatArray:
         start = CellDeltas.unknown(evidence.rows.size, spread)
         mean, covariance = posterior(start.mean, start.covariance, evidence)
         mean = mean[there]
-        apart = robust_std(mean - np.median(mean, axis=0))
+        seen = robust_std(mean - np.median(mean, axis=0))
         unseen = np.median(np.diagonal(covariance[there], axis1=1, axis2=2), axis=0)
-        variance = apart**2 + np.minimum(unseen, spread**2)
+        variance = seen**2 + np.minimum(unseen, spread**2)
         blended = (cells * variance + USUAL_WEIGHT * usual**2) / (cells + USUAL_WEIGHT)
         spread = np.maximum(np.sqrt(blended), LEAST_SHARE * usual)
     return spread

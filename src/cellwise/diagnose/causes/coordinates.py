@@ -7,7 +7,7 @@ logarithm, so that a step of 0.1 is ten per cent of whatever the value is.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
@@ -31,8 +31,7 @@ from cellwise.cell.point_kernels import (
     M,
 )
 from cellwise.diagnose.causes.electrodes import Electrodes, electrodes_of
-from cellwise.diagnose.causes.sensitivity_kernels import Directions
-from cellwise.typing import FloatArray, IntArray
+from cellwise.typing import FloatArray
 
 OCV_KNOTS = 9
 R_KNOTS = 5
@@ -112,26 +111,26 @@ class Coordinates:
             row = 0 if self.unseen_C < grid[0] else grid.size
             table = np.insert(table, row, table[min(row, grid.size - 1)], axis=0)
             grid = np.insert(grid, row, self.unseen_C)
-        object.__setattr__(self, "_row", row)
+        object.__setattr__(self, "row", row)
         slow = self.model.effect(SlowDiffusion)
         object.__setattr__(self, "has_slow", bool(np.any(slow.r3_ohm)))
         object.__setattr__(self, "has_hysteresis", bool(np.any(self.model.effect(Hysteresis).m_V)))
-        object.__setattr__(self, "_table", table)
+        object.__setattr__(self, "table", table)
         object.__setattr__(self, "_grid", grid)
         object.__setattr__(self, "_scalars", scalars)
         object.__setattr__(self, "r_typical_ohm", float(np.median(table[..., R0])))
-        object.__setattr__(self, "_hats", _hats(table.shape[1], OCV_KNOTS))
-        object.__setattr__(self, "_r_hats", _hats(table.shape[1], R_KNOTS))
+        object.__setattr__(self, "hats", _hats(table.shape[1], OCV_KNOTS))
+        object.__setattr__(self, "r_hats", _hats(table.shape[1], R_KNOTS))
 
     has_slow: bool = field(init=False)
     has_hysteresis: bool = field(init=False)
     r_typical_ohm: float = field(init=False)
-    _table: FloatArray = field(init=False)
+    table: FloatArray = field(init=False)
     _grid: FloatArray = field(init=False)
     _scalars: CellScalars = field(init=False)
-    _hats: FloatArray = field(init=False)
-    _r_hats: FloatArray = field(init=False)
-    _row: int = field(init=False)
+    hats: FloatArray = field(init=False)
+    r_hats: FloatArray = field(init=False)
+    row: int = field(init=False)
 
     @property
     def grid_C(self) -> FloatArray:
@@ -141,19 +140,19 @@ class Coordinates:
     @property
     def unseen_from_C(self) -> float:
         """The temperature of the model that is nearest to the unseen one."""
-        return float(self._grid[1 if self._row == 0 else self._row - 1])
+        return float(self._grid[1 if self.row == 0 else self.row - 1])
 
     @property
     def unseen_per_K(self) -> float:
         """1/T at the unseen temperature over that of the nearest one of the model [1/K]."""
-        unseen_K = self._grid[self._row] + ZERO_CELSIUS_K
+        unseen_K = self._grid[self.row] + ZERO_CELSIUS_K
         return float(1.0 / unseen_K - 1.0 / (self.unseen_from_C + ZERO_CELSIUS_K))
 
     @property
     def tau3_s(self) -> float:
         """Time constant of the slow branch where ``ln_tau3`` is zero [s]."""
         if self.has_slow:
-            return float(np.median(self._table[..., TAU3]))
+            return float(np.median(self.table[..., TAU3]))
         return self.shapes.get("ln_tau3", STARTS.tau3_s)
 
     @property
@@ -199,7 +198,7 @@ class Coordinates:
     def _own(self) -> dict[str, float]:
         """What people see where a coordinate is zero, of those where that is neither 0 nor 1."""
         s, capacity_Ah = self._scalars, self.model.capacity_Ah
-        slow_ohm = float(np.median(self._table[..., R3]))
+        slow_ohm = float(np.median(self.table[..., R3]))
         return {
             "ln_capacity": capacity_Ah,
             "ln_charge_scale": s.charge_scale,
@@ -247,7 +246,7 @@ class Coordinates:
         if self._is_factor(name):
             own = self._own.get(name, 1.0)
             return (math.log(low / own) if low > 0.0 else -math.inf), math.log(high / own)
-        own = float(np.min(self._table[..., M])) if name == "m_V" else self._own.get(name, 0.0)
+        own = float(np.min(self.table[..., M])) if name == "m_V" else self._own.get(name, 0.0)
         return (low - own) / self._unit(name), high / self._unit(name)
 
     def _unit(self, name: str) -> float:
@@ -266,7 +265,7 @@ class Coordinates:
             return np.zeros(self.model.soc.size), 1.0
         return self.electrodes.aged(self.model.soc, *losses)
 
-    def _by_loss(self, name: str, z: Mapping[str, float]) -> tuple[FloatArray, float]:
+    def by_loss(self, name: str, z: Mapping[str, float]) -> tuple[FloatArray, float]:
         """Derivatives of the OCV [V] and of ln capacity by a share that is lost."""
         at = z.get(name, 0.0)
         high, low = (self._aged({**z, name: at + s * LOSS_STEP}) for s in (1.0, -1.0))
@@ -279,7 +278,7 @@ class Coordinates:
         return own * self._aged(z)[1]
 
     @cached_property
-    def _factors(self) -> dict[str, tuple[int, ...]]:
+    def factors(self) -> dict[str, tuple[int, ...]]:
         """Coordinates that are logarithms of factors on columns of the table."""
         slow = (R3,) if self.has_slow else ()
         every = (R0, R1, R2, *slow)
@@ -294,24 +293,24 @@ class Coordinates:
             return z.get(name, 0.0)
 
         base = self._scalars
-        t = self._table.copy()
+        t = self.table.copy()
         aged_V, share = self._aged(z)
-        t[..., OCV] += np.array([at(n) for n in OCV_NAMES]) @ self._hats + aged_V
+        t[..., OCV] += np.array([at(n) for n in OCV_NAMES]) @ self.hats + aged_V
         t[..., R0] += at("added_r0") * self.r_typical_ohm
         if not self.has_slow:
             t[..., R3] = at("r3") * self.r_typical_ohm
             t[..., TAU3] = self.tau3_s
-        for name, columns in self._factors.items():
+        for name, columns in self.factors.items():
             if name in z:
-                over_soc = self._r_hats[R_NAMES.index(name)] if name in R_NAMES else 1.0
+                over_soc = self.r_hats[R_NAMES.index(name)] if name in R_NAMES else 1.0
                 t[..., list(columns)] *= np.exp(z[name] * over_soc)[..., None]
         t[..., M] += at("m_V")
         t[..., ENTROPY] += at("docv_dT")
         if self.unseen_C is not None:
-            more_K = np.array([at(n) for n in UNSEEN_R_NAMES]) @ self._r_hats
-            t[self._row, :, list(_RESISTANCES)] *= np.exp(more_K * self.unseen_per_K)
-            slope = np.array([at(n) for n in UNSEEN_OCV_NAMES]) @ self._r_hats
-            t[self._row, :, OCV] += slope * (self.unseen_C - self.unseen_from_C)
+            more_K = np.array([at(n) for n in UNSEEN_R_NAMES]) @ self.r_hats
+            t[self.row, :, list(RESISTANCES)] *= np.exp(more_K * self.unseen_per_K)
+            slope = np.array([at(n) for n in UNSEEN_OCV_NAMES]) @ self.r_hats
+            t[self.row, :, OCV] += slope * (self.unseen_C - self.unseen_from_C)
         branches = any(n in z for n in BRANCH_NAMES)
         charge_As = base.charge_As * math.exp(at("ln_capacity")) * share
         rate_per_A = base.rate_per_A + at("rate_h") / self.model.capacity_Ah
@@ -349,87 +348,6 @@ class Coordinates:
             dict(z),
         )
 
-    def table_direction(self, name: str, inputs: KernelInputs) -> FloatArray | None:
-        """Derivative of the packed table with respect to one coordinate, or None."""
-        t = inputs.table
-        d = np.zeros_like(t)
-        if name in LOSS_NAMES:
-            d[..., OCV] = self._by_loss(name, inputs.point)[0]
-        elif name == "added_r0":
-            before = self._table[..., R0] + inputs.point.get(name, 0.0) * self.r_typical_ohm
-            d[..., R0] = self.r_typical_ohm * t[..., R0] / before
-        elif name == "docv_dT":
-            d[..., ENTROPY] = 1.0
-        elif name in UNSEEN_NAMES and self.unseen_C is None:
-            pass  # every temperature is one that the model was measured at
-        elif name in UNSEEN_R_NAMES:
-            by_K = self.unseen_per_K * self._r_hats[UNSEEN_R_NAMES.index(name)]
-            for c in _RESISTANCES:
-                d[self._row, :, c] = t[self._row, :, c] * by_K
-        elif name in UNSEEN_OCV_NAMES and self.unseen_C is not None:
-            away = self.unseen_C - self.unseen_from_C
-            d[self._row, :, OCV] = away * self._r_hats[UNSEEN_OCV_NAMES.index(name)]
-        elif name in OCV_NAMES:
-            d[..., OCV] = self._hats[OCV_NAMES.index(name)]
-        elif name in self._factors:
-            over_soc = self._r_hats[R_NAMES.index(name)] if name in R_NAMES else 1.0
-            for column in self._factors[name]:
-                d[..., column] = t[..., column] * over_soc
-        elif name == "r3":
-            d[..., R3] = self.r_typical_ohm
-        elif name == "m_V":
-            d[..., M] = 1.0
-        else:
-            return None
-        return d
-
-    def scalar_direction(self, name: str, inputs: KernelInputs) -> FloatArray:
-        """Derivatives of the scalars with respect to one coordinate."""
-        d = np.zeros(len(CellScalars._fields))
-        scalar = _SCALAR.get(name)
-        if name in LOSS_NAMES:
-            by_share = self._by_loss(name, inputs.point)[1]
-            d[CellScalars._fields.index("charge_As")] = inputs.scalars.charge_As * by_share
-        for branch in _TAU_ACTIVATIONS if name == "tau_K" else ():
-            d[CellScalars._fields.index(branch)] = 1.0
-        if scalar is not None:
-            unit = getattr(inputs.scalars, scalar) if name.startswith("ln_") else 1.0
-            if name in ("rate_h", "surface_h"):
-                unit = 1.0 / self.model.capacity_Ah
-            d[CellScalars._fields.index(scalar)] = unit
-        return d
-
-    def directions(
-        self, names: Sequence[str], inputs: KernelInputs, currents: Mapping[str, FloatArray]
-    ) -> Directions:
-        """What :func:`derivative_rows` takes for the named coordinates."""
-        tables: list[FloatArray] = []
-        flows: list[FloatArray] = []
-        table_of: list[int] = []
-        flow_of: list[int] = []
-        for name in names:
-            table = self.table_direction(name, inputs)
-            table_of.append(len(tables) if table is not None else -1)
-            if table is not None:
-                tables.append(table)
-            flow_of.append(len(flows) if name in currents else -1)
-            if name in currents:
-                flows.append(currents[name])
-        none = np.zeros((1, *inputs.table.shape))
-        return Directions(
-            np.array([self.scalar_direction(n, inputs) for n in names]),
-            np.array([float(n == "soc0") for n in names]),
-            np.array([float(n == "offset_V") for n in names]),
-            np.array(tables) if tables else none,
-            _ints(table_of),
-            np.array(flows) if flows else np.zeros((1, 1)),
-            _ints(flow_of),
-        )
-
-
-def _ints(values: Sequence[int]) -> IntArray:
-    return np.array(values, dtype=np.int32)
-
 
 def _hats(points: int, knots: int) -> FloatArray:
     """Hat functions over SOC, shape (knots, points): they add up to one."""
@@ -438,8 +356,7 @@ def _hats(points: int, knots: int) -> FloatArray:
     return np.array([np.interp(soc, places, row) for row in np.eye(knots)])
 
 
-_RESISTANCES = (R0, R1, R2, R3)
-_TAU_ACTIVATIONS = ("tau1_activation_K", "tau2_activation_K", "tau3_activation_K")
+RESISTANCES = (R0, R1, R2, R3)
 _SINGLE = {
     "ln_r0": (R0,),
     "ln_r1": (R1,),
@@ -449,17 +366,3 @@ _SINGLE = {
     "ln_tau3": (TAU3,),
 }
 _SLOWED = {"ln_slow_r": (R2, R3), "ln_slow_tau": (TAU2, TAU3)}
-_SCALAR = {
-    "ln_capacity": "charge_As",
-    "activation_K": "activation_K",
-    "r0_K": "r0_activation_K",
-    "ln_gamma": "hysteresis_rate",
-    "rate_h": "rate_per_A",
-    "asinh_per_V": "asinh_per_V",
-    "ln_charge_scale": "charge_scale",
-    "leak_A": "leak_A",
-    "rth_K_per_W": "heating_K_per_W",
-    "ln_thermal_s": "heating_s",
-    "surface_h": "surface_per_A",
-    "ln_surface_s": "surface_s",
-}

@@ -41,8 +41,7 @@ class Search(NamedTuple):
     ``beam`` sets of one size get further causes, ``added`` to each, up to ``most_causes``. One
     step is no bound on what a fit gains: beside a set that is better than nothing, a cause is tried
     where ``tried_share`` of its rarity is in sight. Of several points to start from ``beginnings``
-    are followed beyond their first step. Sets within ``close_nats`` of the best are fitted again,
-    in ``rounds``, until their noise has settled to ``settled_nats``.
+    are followed beyond their first step.
     """
 
     beam: int = 4
@@ -50,9 +49,6 @@ class Search(NamedTuple):
     most_causes: int = 4
     tried_share: float = 0.5
     beginnings: int = 2
-    close_nats: float = 40.0
-    rounds: int = 3
-    settled_nats: float = 0.5
 
 
 SEARCH = Search()
@@ -103,7 +99,7 @@ class Explanations:
         return sorted(sets, key=self.odds, reverse=True)[:many]
 
     def search(self, causes: Sequence[Cause], base: Fit, noise: Noise) -> None:
-        """Try sets of causes on top of the base until a further cause is not worth its rarity."""
+        """Try sets of causes on top of the base until one more gains less than its rarity."""
         none = self._explained((), base, noise, self.fits.prior)
         self.tried[frozenset()] = none
         with ThreadPoolExecutor(self.workers) as threads:
@@ -118,8 +114,8 @@ class Explanations:
         starts = self.best(SEARCH.beam, size - 1)
         keys = [s.key for s in starts]
         frozen = dict(zip(keys, threads.map(self._frozen, starts), strict=True))
-        worth = threads.map(lambda s: self._worth(s, causes, frozen[s.key]), starts)
-        todo = self._once((s, c) for s, more in zip(starts, worth, strict=True) for c in more)
+        promising = threads.map(lambda s: self._promising(s, causes, frozen[s.key]), starts)
+        todo = self._once((s, c) for s, more in zip(starts, promising, strict=True) for c in more)
 
         def work(task: tuple[Explanation, Cause]) -> Explanation | None:
             start, cause = task
@@ -129,17 +125,11 @@ class Explanations:
             self._say(size, (k + 1) / len(todo), todo[k][1].name)
             if one is not None:
                 self._keep(one)
-        for again in threads.map(self._settled, self._close(size)):
-            self._keep(again)
         return self._gained(size)
 
     def _gained(self, size: int) -> bool:
         """Two causes may explain together what neither does alone."""
         return len(self.best(1)[0].causes) >= size - 1
-
-    def _close(self, size: int) -> list[Explanation]:
-        sets = self.best(SEARCH.beam, size)
-        return [e for e in sets if self.odds(e) > self.odds(sets[0]) - SEARCH.close_nats]
 
     def _once(self, todo: Iterable[tuple[Explanation, Cause]]) -> list[tuple[Explanation, Cause]]:
         """Every set once, from the likeliest it can be made of."""
@@ -148,7 +138,9 @@ class Explanations:
             found.setdefault(start.key | {cause.name}, (start, cause))
         return [t for key, t in found.items() if key not in self.tried]
 
-    def _worth(self, start: Explanation, causes: Sequence[Cause], frozen: Frozen) -> list[Cause]:
+    def _promising(
+        self, start: Explanation, causes: Sequence[Cause], frozen: Frozen
+    ) -> list[Cause]:
         """Causes that could gain their rarity beside a set, those that could most."""
         left = [c for c in causes if c.name not in start.names]
         if not start.causes:
@@ -157,8 +149,8 @@ class Explanations:
         own = self.rarity.nats(start.names)
         price = {c.name: self.rarity.nats((*start.names, c.name)) - own for c in left}
         least = SEARCH.tried_share if self.odds(start) > 0.0 else 1.0
-        worth = [c for c in left if most[c.name] > least * price[c.name]]
-        return sorted(worth, key=lambda c: -most[c.name])[: SEARCH.added]
+        promising = [c for c in left if most[c.name] > least * price[c.name]]
+        return sorted(promising, key=lambda c: -most[c.name])[: SEARCH.added]
 
     def _frozen(self, start: Explanation) -> Frozen:
         objective = self.fits.objective(start.noise)
@@ -205,25 +197,6 @@ class Explanations:
             near = fits.fit(noise, one.coordinates, wide, near.z, 5, frozen, moving)
             ends.append(self._explained(causes, near, noise, wide))
         return likeliest_end(ends)
-
-    def _settled(self, one: Explanation) -> Explanation:
-        """Fitted with its own noise until that changes it no more.
-
-        Each round has derivatives of its own; within one only those of the causes and starts move.
-        """
-        fits = self.fits
-        moving = [*kept_coordinates(one.causes), *fits.evidence.starts()]
-        for _ in range(SEARCH.rounds):
-            noise = fits.noise(one.fit, one.prior)
-            shaped, z, frozen = one.fit.coordinates, one.fit.z, self._frozen(one)
-            found = fits.fit(noise, shaped, one.prior, z, 5, frozen, moving)
-            new = self._explained(one.causes, found, noise, one.prior)
-            gained = new.found.total - one.found.total
-            if gained > 0.0:
-                one = new
-            if gained < SEARCH.settled_nats:
-                break
-        return one
 
     def _keep(self, one: Explanation) -> None:
         known = self.tried.get(one.key)

@@ -50,7 +50,7 @@ DRAWS = 1000
 # A cause is named from this probability on.
 NAMED = 0.9
 NAMED_NATS = math.log(NAMED / (1.0 - NAMED))
-# Explanations below this are not worth a line.
+# Explanations below this are not said.
 LEAST_WEIGHT = 0.02
 
 

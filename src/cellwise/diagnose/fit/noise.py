@@ -4,8 +4,8 @@ What a model states of its error (:class:`cellwise.cell.model.ModelError`) stays
 ``correlation_s``: that is what the right explanation leaves, however quickly an error changes that
 it explains. A log of length t over a SOC range s holds 1 + t / (2 tau) + s / (2 l) independent
 errors, however many rows it has, with l the model's ``correlation_soc`` where it states one. How
-far the statement itself is off is not known: its scale has an inverse-gamma prior, worth so many
-errors, and what causes leave unexplained counts less the more of it there is.
+far the statement itself is off is not known: its scale has an inverse-gamma prior, as sure as so
+many errors, and what causes leave unexplained counts less the more of it there is.
 
 No cause has the shape of nature: a share of what is to be explained stays, with as few independent
 errors in a log as such a shape has features.
@@ -27,7 +27,7 @@ from cellwise.typing import BoolArray, FloatArray
 
 
 class Stated(NamedTuple):
-    """What a model's statement of its error is worth, and what it cannot say.
+    """What a model's statement of its error counts as, and what it cannot say.
 
     ``errors``: as many independent errors as some drives hold; ``shape``: share of a model's whole
     error that stays unexplained, since no cause has the shape of nature, with ``shape_errors``
@@ -71,7 +71,7 @@ class KnownScale:
         return KnownScale(self.square + max(square, errors), self.errors + errors)
 
     def gained(self, left: float, taken: float, errors: float) -> float:
-        """Nats that a sum of squares ``left`` is worth less once so much of it is ``taken`` off."""
+        """Nats that a sum of squares ``left`` counts less once so much of it is ``taken`` off."""
         after = max(self.square + left - taken, self.square)
         return 0.5 * (self.errors + errors) * math.log((self.square + left) / after)
 

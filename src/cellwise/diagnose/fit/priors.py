@@ -20,6 +20,7 @@ from cellwise.cell.point_kernels import OCV, M
 from cellwise.cell.simulate import start_hysteresis
 from cellwise.diagnose.causes.catalogue import Cause
 from cellwise.diagnose.causes.coordinates import LOSS_NAMES, OCV_NAMES, R_NAMES, Coordinates
+from cellwise.diagnose.causes.directions import table_direction
 from cellwise.diagnose.fit.least_squares import Fit, Prior
 from cellwise.diagnose.fit.noise import LEAST_V, returning_V
 from cellwise.diagnose.fit.rests import OCV_KNOWN
@@ -83,7 +84,7 @@ AGE = {
     "added_r0": (0.1, 0.4),
     "ln_r1": (0.3, 1.2),
 }
-# Beside a good log of the same cell: months apart, not a life.
+# With a good log of the same cell: months apart, not a life.
 SAME_AGE = {
     "ln_capacity": (0.03, 0.02),
     "ln_scale": (0.05, 0.1),
@@ -290,7 +291,7 @@ def start_readings(
     inputs = coordinates.inputs({})
     moved: dict[str, FloatArray] = {}
     for n in asked:
-        direction = None if n == "offset_V" else coordinates.table_direction(n, inputs)
+        direction = None if n == "offset_V" else table_direction(coordinates, n, inputs)
         column = M if n == "m_V" else OCV
         moved[n] = np.ones(soc.size) if direction is None else direction[0, :, column]
     found: dict[str, dict[str, float]] = {}

@@ -14,6 +14,7 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.point_kernels import M
 from cellwise.cell.simulate import known_temperature_C, start_hysteresis
 from cellwise.diagnose.causes.coordinates import CURRENT_NAMES, Coordinates, KernelInputs
+from cellwise.diagnose.causes.directions import directions
 from cellwise.diagnose.causes.sensitivity_kernels import Flow, derivative_rows, voltage_rows
 from cellwise.diagnose.fit.rests import NO_READING, RestReading, rest_reading
 from cellwise.logs.cell_log import CellLog
@@ -180,13 +181,13 @@ class Evidence:
                 continue
             local = [names[j].split(":")[0] for j in mine]
             flow, by = _flow(log, inputs)
-            directions = coordinates.directions(local, inputs, by)
+            by_name = directions(coordinates, local, inputs, by)
             part = np.empty((log.scored, len(mine)))
             derivative_rows(
                 inputs.tables,
                 log.state(z.get(f"soc0:{k}", 0.0), z.get(START_H, 0.0)),
                 Flow(log.dt_s, flow, log.temperature_C),
-                directions,
+                by_name,
                 log.stride,
                 part,
             )

@@ -1,4 +1,4 @@
-"""Anatomy of a residual: where it sits, how fast it moves, what of it is noise."""
+"""Analysis of a residual: where it sits, how fast it moves, what of it is noise."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cellwise.cell.simulate import simulate
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
-# Sizes of the current that are looked at apart, in units of 1C; below the first it is a rest. They
+# Sizes of the current that are grouped by, in units of 1C; below the first it is a rest. They
 # lie between the rates that laboratories use.
 RATES_C = (0.02, 0.15, 0.4, 0.75, 1.25, 2.25)
 EDGE_C = 0.1  # a step of the current by more than this starts a new edge
@@ -28,7 +28,9 @@ MOST_TEMPERATURES = 12
 FALLEN = float(np.exp(-1.0))
 
 
-def anatomy(model: CellModel, log: CellLog, soc0: float, h0: float | None = None) -> dict[str, Any]:
+def residual_analysis(
+    model: CellModel, log: CellLog, soc0: float, h0: float | None = None
+) -> dict[str, Any]:
     """Where measured minus simulated voltage sits.
 
     Parameters
@@ -200,17 +202,17 @@ def correlation_time(error_V: FloatArray, known: BoolArray, time_s: FloatArray) 
     usual_s = float(np.median(np.diff(time_s))) if n > 1 else 0.0
     before, at = 1.0, 0.0
     for lag, after in zip(lags, autocorrelation(error_V, known, lags), strict=False):
-        apart = float(lag) * usual_s
+        lag_s = float(lag) * usual_s
         if after < FALLEN:
-            return at + (before - FALLEN) / max(before - after, 1e-12) * (apart - at)
-        before, at = after, apart
+            return at + (before - FALLEN) / max(before - after, 1e-12) * (lag_s - at)
+        before, at = after, lag_s
     return at or None
 
 
 def autocorrelation(
     error_V: FloatArray, known: BoolArray, lags: NDArray[np.int64]
 ) -> Iterator[float]:
-    """Autocorrelation between rows so far apart, as long as there are any."""
+    """Autocorrelation between rows so far from each other, as long as there are any."""
     if known.sum() < 3:
         return
     e = np.where(known, error_V - np.mean(error_V[known]), 0.0)
