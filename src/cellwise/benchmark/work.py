@@ -1,4 +1,4 @@
-"""The runs that a suite asks for, and what one process does: make a model, run a log and a fault."""
+"""A suite's runs, and what one process does: make a model, run one log with one fault."""
 
 from __future__ import annotations
 
