@@ -79,7 +79,7 @@ def run_simulate(arguments: argparse.Namespace) -> None:
 
     from cellwise.cell.initial_soc.initial_soc import initial_soc
     from cellwise.cell.simulate import simulate
-    from cellwise.logs.tables import write_columns
+    from cellwise.logs.writing import write_columns
 
     places.check_places(arguments.output)
     model = options.read_model(arguments)
@@ -176,7 +176,7 @@ def run_replay(arguments: argparse.Namespace) -> None:
 def write_rows(arguments: argparse.Namespace, found: Replay) -> None:
     """The rows of a replay as a file, and the layout that PlotJuggler shows them in."""
     from cellwise.estimate.adaptive.trace import AdaptiveTrace
-    from cellwise.logs.tables import write_columns
+    from cellwise.logs.writing import write_columns
 
     trace = found.trace
     names = ["time_s", "soc", "soc_std", "voltage_V", "innovation_V", "innovation_variance_V2"]

@@ -30,7 +30,7 @@ def run_history(arguments: argparse.Namespace) -> None:
     """Follow a cell over its life."""
     from cellwise.cell.model_file import write_model
     from cellwise.history.life import life_of
-    from cellwise.logs.tables import write_columns
+    from cellwise.logs.writing import write_columns
     from cellwise.report import history_page
 
     places.check_places(arguments.output, arguments.save_model)

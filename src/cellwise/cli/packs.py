@@ -31,7 +31,7 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
 
 def run_pack(arguments: argparse.Namespace) -> None:
     """Estimate every cell of a pack."""
-    from cellwise.logs.tables import write_columns
+    from cellwise.logs.writing import write_columns
     from cellwise.pack.pack_estimate import estimate_pack
     from cellwise.pack.pack_state import read_state, write_state
     from cellwise.report import pack_page

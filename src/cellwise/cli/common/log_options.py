@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from cellwise.cli.common import options, printing
 from cellwise.errors import InputError
 from cellwise.logs import CellLog, Stated, read_log
-from cellwise.logs.files.options import ReadOptions
+from cellwise.logs.files.source import ReadOptions
 
 if TYPE_CHECKING:
     from cellwise.identify import TestLogs

@@ -1,4 +1,4 @@
-"""What a model errs on loads that its fit has not seen: each kind of load left out once.
+"""Seventh station: what the model errs on loads that its fit has not seen, each left out once.
 
 Of drives one of every temperature is left out at a time; of a single load, or of pulses alone,
 every other stretch of SOC. The tables begin at those of all logs, so a fit takes few steps.
@@ -6,66 +6,79 @@ every other stretch of SOC. The tables begin at those of all logs, so a fit take
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from cellwise.cell.effects import SlowDiffusion
 from cellwise.cell.model import CellModel
+from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import known_temperature_C, simulate
-from cellwise.identify.assemble import refined_model
-from cellwise.identify.refinement.effects import QUICK_ITERATIONS, QUICK_ROWS, Decision
+from cellwise.identify.refinement.effects import JointFit
 from cellwise.identify.refinement.model_error import (
     SAME_TEMPERATURE_K,
     ResidualLog,
+    estimate_model_error,
     polarisation_V,
 )
-from cellwise.identify.refinement.problem import StartTables
-from cellwise.identify.refinement.refine import refine
-from cellwise.identify.refinement.refine_data import RefineLog
+from cellwise.identify.refinement.refine_data import RefineLog, inverse_K
+from cellwise.identify.refinement.sustained import unseen_shares
 from cellwise.typing import BoolArray, FloatArray
 
 MOST_FOLDS = 4
 STRETCH_SOC = 0.1  # left out at a time where a log cannot be left out whole
+MIDDLE = (0.1, 0.9)  # of the SOC, away from where a hair of charge is many millivolts
 
 
-def held_out_residuals(
-    decision: Decision,
-    start: StartTables,
-    soc0: Sequence[float],
-    capacity_Ah: float,
-    skewed: bool,
-    hot: bool,
-) -> list[ResidualLog]:
-    """Residuals of every load at its own rate, of a model that was fitted without it.
+def stated_error(fit: JointFit) -> ModelError:
+    """What a filter under load must expect: loads that a fit has left out, low-rate tests do not.
+
+    But where no load has been at a SOC, tests at constant current are all there is to go by.
+    """
+    joint, model = fit.joint, fit.model
+    soc0 = [s.soc0 for s in joint.used]
+    others = [
+        residual_log(model, item, first)
+        for item, first in zip(fit.logs, soc0, strict=True)
+        if item.compare is not None
+    ]
+    unseen = unseen_shares(model, [s.log for s in joint.used])
+    error = estimate_model_error(_held_out(fit, soc0), others, unseen)
+    return replace(error, activation_std_K=activation_beyond_K(model, joint.grid_C))
+
+
+def activation_beyond_K(model: CellModel, grid_C: FloatArray) -> float | None:
+    """By how much the activation may be off beyond the tables' temperatures, the larger end [K].
+
+    Tables of several temperatures are held beyond the last one: it is the activation of the whole
+    resistance between the last two that is missing. None with one activation for all.
 
     Parameters
     ----------
-    decision : Decision               the refinement of all logs
-    soc0 : (logs,) sequence of float  where each of its logs begins
-    skewed, hot : bool                as for :func:`~cellwise.identify.assemble.refined_model`
+    grid_C : (temperatures,) float      with tables of their own, ascending
     """
-    settings = replace(decision.settings, iterations=QUICK_ITERATIONS)
-    inside = decision.result
+    if grid_C.size == 1:
+        return None
+    at = [int(np.argmin(np.abs(model.temperature_C - t))) for t in grid_C]
+    rows = (model.soc > MIDDLE[0]) & (model.soc < MIDDLE[1])
+    third = np.broadcast_to(model.effect(SlowDiffusion).r3_ohm, model.r0_ohm.shape)
+    whole = np.log((model.r0_ohm + model.r1_ohm + model.r2_ohm + third)[at][:, rows])
+    slopes = np.diff(whole, axis=0) / np.diff(inverse_K(grid_C, grid_C[0]))[:, None]
+    return max(math.sqrt(float(np.mean(slope * slope))) for slope in (slopes[0], slopes[-1]))
+
+
+def _held_out(fit: JointFit, soc0: Sequence[float]) -> list[ResidualLog]:
+    """Residuals of every load at its own rate, of a model that was fitted without it."""
     parts: dict[int, list[ResidualLog]] = {}
-    for fold in _folds(decision.logs):
-        kept = [_without(item, fold.get(k)) for k, item in enumerate(decision.logs)]
-        result = refine(
-            [item for item in kept if item is not None],
-            start,
-            settings=settings,
-            capacity_Ah=capacity_Ah,
-            reference_C=inside.reference_C,
-            grid_C=inside.grid_C if inside.grid_C.size > 1 else None,
-            theta=inside.theta,
-            most_rows=QUICK_ROWS,
-            with_errors=False,
-        )
-        model = refined_model(result, start, capacity_Ah, skewed, hot)
-        for effect in decision.effects:
-            model = model.with_effect(effect)
+    for fold in _folds(fit.logs):
+        kept = [_without(item, fold.get(k)) for k, item in enumerate(fit.logs)]
+        left = [item for item in kept if item is not None]
+        result = fit.joint.fit(left, fit.settings, fit.result.theta, quick=True)
+        model = fit.joint.model_of(result, fit.effects)
         for k, rows in fold.items():
-            part = residual_log(model, decision.logs[k], soc0[k], rows)
+            part = residual_log(model, fit.logs[k], soc0[k], rows)
             parts.setdefault(k, []).append(part)
     return [_joined(each) for each in parts.values()]
 

@@ -1,4 +1,4 @@
-"""Values of one signal in many CAN frames at once.
+"""The database of CAN frames, and the values of one signal in many frames at once.
 
 The database library decodes frame by frame; a log has millions. The bits are laid out as a DBC file
 says: Intel signals begin at their least significant bit and run upwards, Motorola signals begin at
@@ -8,12 +8,41 @@ their most significant bit and run downwards through each byte and on to the nex
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cellwise.errors import InputError
+from cellwise.logs.files.format import need
 from cellwise.typing import BoolArray, FloatArray
+
+
+def can_database(path: Path | None, of: str) -> Any:
+    """A database of cantools.
+
+    Parameters
+    ----------
+    path : Path or None     what the user gave
+    of : str                whose frames it describes, for the message
+
+    Raises
+    ------
+    InputError              none was given, or the file is no such database
+    """
+    cantools = need("cantools", "a CAN log")
+    if path is None:
+        raise InputError(of, "the database that describes them", "Give it with `dbc=FILE.dbc`.")
+    try:
+        return cantools.database.load_file(str(path), strict=False)
+    except Exception as error:  # parsers of four formats raise what they like
+        text = " ".join(str(error).split())[:160]
+        raise InputError(
+            f"a file that is no CAN database, '{path}' ({text})",
+            "a DBC, ARXML, KCD or SYM file",
+            "Choose the database of this log.",
+        ) from error
 
 
 def physical_values(

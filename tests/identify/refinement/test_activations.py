@@ -1,20 +1,16 @@
-"""Activations of single resistances, and what leaving an end of the temperatures out shows."""
+"""Activations of single resistances, and what tables lack beyond their temperatures."""
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from cellwise.cell.model import CellModel
-from cellwise.identify.assemble import refined_model
-from cellwise.identify.refinement.effects import Decision, decide
-from cellwise.identify.refinement.left_out import activation_std_K
+from cellwise.identify.refinement.effects import fit_with_effects
 from cellwise.identify.refinement.problem import RefineSettings
-from cellwise.identify.refinement.refine import refine
 from cellwise.identify.refinement.refine_data import RefineLog, inverse_K
-from refine_cases import CAPACITY_AH, Truth, constant, log_of, start_tables
+from cellwise.identify.refinement.stated_error import activation_beyond_K
+from refine_cases import CAPACITY_AH, Truth, constant, joint_logs, log_of, start_tables
 from synthetic import drive_current
 
 DRIVES_C = (0.0, 13.0, 25.0, 40.0)
@@ -50,17 +46,6 @@ def drives(truths: dict[float, Truth]) -> list[RefineLog]:
     return found
 
 
-def beyond_K(truths: dict[float, Truth]) -> float | None:
-    """What leaving an end out says of an identification with one activation."""
-    logs, start, grid = drives(truths), start_tables(2, 1.2), np.array([REFERENCE_C])
-    result = refine(
-        logs, start, settings=SETTINGS, capacity_Ah=CAPACITY_AH, reference_C=REFERENCE_C
-    )
-    model = refined_model(result, start, CAPACITY_AH, skewed=False, hot=True)
-    decision = Decision(result, (), (), tuple(logs), SETTINGS)
-    return activation_std_K(decision, start, model, CAPACITY_AH, grid)
-
-
 def common(temperatures=DRIVES_C) -> dict[float, Truth]:
     return {t: truth_at(t, COMMON_K, COMMON_K, COMMON_K) for t in temperatures}
 
@@ -68,8 +53,7 @@ def common(temperatures=DRIVES_C) -> dict[float, Truth]:
 @pytest.mark.slow
 def test_each_resistance_gets_its_own_activation_where_drives_held_out_show_it():
     logs = drives({t: truth_at(t, *OWN_K.values()) for t in DRIVES_C})
-    found = decide(logs, start_tables(2, 1.2), SETTINGS, CAPACITY_AH, REFERENCE_C,
-                   np.array([REFERENCE_C]))  # fmt: skip
+    found = fit_with_effects(joint_logs(logs, start_tables(2, 1.2), SETTINGS))
     verdict = next(d for d in found.decided if d.name == "temperature_dependence")
     assert verdict.accepted
     thermal = found.result.temperature_dependence()
@@ -79,33 +63,11 @@ def test_each_resistance_gets_its_own_activation_where_drives_held_out_show_it()
 
 @pytest.mark.slow
 def test_a_cell_of_one_activation_needs_no_more():
-    found = decide(drives(common()), start_tables(2, 1.2), SETTINGS, CAPACITY_AH, REFERENCE_C,
-                   np.array([REFERENCE_C]))  # fmt: skip
+    found = fit_with_effects(joint_logs(drives(common()), start_tables(2, 1.2), SETTINGS))
     verdict = next(d for d in found.decided if d.name == "temperature_dependence")
     assert not verdict.accepted
     thermal = found.result.temperature_dependence()
     assert all(getattr(thermal, f"{name}_K") == 0.0 for name in OWN_K)
-
-
-def test_what_follows_its_activation_is_hardly_off_beyond_its_data():
-    assert beyond_K(common()) < 300.0
-
-
-def test_what_leaves_it_at_an_end_is_off_by_as_much():
-    truths = common()
-    # Half as much again at 0 degC, 10 K and more from where the others are taken to hold.
-    cold = truth_at(0.0, COMMON_K, COMMON_K, COMMON_K)
-    truths[0.0] = replace(
-        cold,
-        r0=constant(1.5 * float(cold.r0(0.0))),
-        pairs=tuple((constant(1.5 * float(r(0.0))), tau) for r, tau in cold.pairs),
-    )
-    expected = np.log(1.5) / inverse_K(0.0, 10.0)
-    assert beyond_K(truths) == pytest.approx(expected, rel=0.25)
-
-
-def test_two_temperatures_show_nothing_of_it():
-    assert beyond_K(common(DRIVES_C[:2])) is None
 
 
 def test_tables_of_several_temperatures_lack_the_activation_between_the_last():
@@ -118,6 +80,5 @@ def test_tables_of_several_temperatures_lack_the_activation_between_the_last():
         r0[:, None] * table, 0.5 * r0[:, None] * table,
         6.0 * table, 0.7 * r0[:, None] * table, 90.0 * table, temperature_C=grid,
     )  # fmt: skip
-    decision = Decision(None, (), (), (), SETTINGS)  # with tables of their own nothing is fitted
-    found = activation_std_K(decision, start_tables(2), model, CAPACITY_AH, grid)
-    assert found == pytest.approx(max(SLOPES_K))
+    assert activation_beyond_K(model, grid) == pytest.approx(max(SLOPES_K))
+    assert activation_beyond_K(model, grid[:1]) is None

@@ -1,4 +1,8 @@
-"""Columns of text that mean numbers: clocks and labels."""
+"""Cells of a table as float64: clocks, dates and labels, and arrow's own buffers.
+
+pyarrow's own conversions import pandas whenever it is installed, which takes longer than reading
+most logs.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cellwise.logs.files.arrow_arrays import to_numpy
 from cellwise.logs.files.columns import Unit
-from cellwise.typing import FloatArray
+from cellwise.typing import FloatArray, IntArray
 
 if TYPE_CHECKING:
     import pyarrow
@@ -67,11 +70,6 @@ def arrow_values(
 def label_value(unit: Unit, label: str) -> float:
     """The value of a label; NaN for one that the format does not know."""
     return unit.labels.get(" ".join(label.replace("_", " ").split()).casefold(), np.nan)
-
-
-def labels(**values: float) -> Unit:
-    """A unit of labels: ``labels(chg=-1.0, dchg=1.0)``; an underscore is a blank."""
-    return Unit(kind="label", labels={k.replace("_", " ").casefold(): v for k, v in values.items()})
 
 
 def _clock_seconds(column: pyarrow.Array, *, day_first: bool) -> tuple[FloatArray, str]:
@@ -163,3 +161,27 @@ def _word_values(unit: Unit, column: pyarrow.Array) -> FloatArray:
     )
     index = to_numpy(pc.cast(column.indices, pa.float64()))
     return meaning[np.where(np.isnan(index), meaning.size - 1, index).astype(np.intp)]
+
+
+def to_numpy(array: pyarrow.Array) -> FloatArray:
+    """A float64 array as numpy, nulls as NaN; a view of pyarrow's memory where there are none."""
+    valid, data = array.buffers()
+    n = len(array)
+    values: FloatArray = np.frombuffer(data, np.float64, n, array.offset * 8) if n else np.empty(0)
+    if valid is None or array.null_count == 0:
+        return values
+    bits = np.unpackbits(np.frombuffer(valid, np.uint8), bitorder="little")
+    known = bits[array.offset : array.offset + n].astype(np.bool_)
+    return np.where(known, values, np.nan)
+
+
+def from_numpy(values: FloatArray | IntArray) -> pyarrow.Array:
+    """A float64 or int32 array as pyarrow, NaN as null; without a copy of the values."""
+    import pyarrow as pa
+
+    whole = np.ascontiguousarray(values)
+    kind = pa.int32() if whole.dtype == np.int32 else pa.float64()
+    missing = np.isnan(whole) if kind == pa.float64() else np.zeros(0, np.bool_)
+    nulls = int(np.count_nonzero(missing))
+    known = pa.py_buffer(np.packbits(~missing, bitorder="little")) if nulls else None
+    return pa.Array.from_buffers(kind, whole.size, [known, pa.py_buffer(whole)], nulls)
