@@ -46,7 +46,7 @@ class Evidence(NamedTuple):
 
 OF_A_LOG = Evidence()
 MOST_COMPARED = 1500  # rows of a log
-PASSES = (8, 6, 8)  # Levenberg-Marquardt steps; after each the residuals' size is found anew
+PASSES = (8, 6, 8)  # Levenberg-Marquardt steps; after each their size is found again
 STEP, SOC_STEP = 0.02, 1e-4  # of a standard normal variable and of an initial SOC, for differences
 
 
