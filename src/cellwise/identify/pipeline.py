@@ -35,7 +35,6 @@ from cellwise.identify.contradictions import (
     rest_notices,
 )
 from cellwise.identify.hppc.pulses import Pulse, find_pulses, pulses_to_fit
-from cellwise.identify.hppc.switch_current import with_switch_current
 from cellwise.identify.identification import (
     REFERENCE_C,
     Identification,
@@ -291,10 +290,7 @@ def _ocv(
             notices.append(f"no OCV from the rests of '{log.name}': {error}")
     if low_rate is not None and rests is not None and rests.points_soc.size >= 4:
         unlike = sample_notice(rests, low_rate, capacity)
-        both = combine_ocv(rests, low_rate)
-        apart = both.notes[len(low_rate.notes) + len(rests.notes) + 1 :]
-        notices.extend(apart if unlike is None else [])
-        return both, () if unlike is None else (unlike,)
+        return combine_ocv(rests, low_rate), () if unlike is None else (unlike,)
     if low_rate is not None:
         return low_rate, ()
     if rests is not None:
@@ -342,7 +338,6 @@ def _pulse_set(
     log: CellLog, ocv: OcvCurve, capacity: float, settings: IdentifySettings
 ) -> PulseSet:
     pulses = find_pulses(log)
-    switched = with_switch_current(log)
     anchor = anchor_soc(log, ocv, capacity, 0.0)
     soc = anchor.soc - log.counted_charge_Ah() / capacity
     chosen = tuple(
@@ -350,12 +345,12 @@ def _pulse_set(
         for p in pulses_to_fit(pulses)
         if -0.02 <= soc[p.start] <= 1.02
         and abs(p.charge_Ah) <= LARGEST_PULSE * capacity
-        and has_enough_rows(switched, p)
+        and has_enough_rows(log, p)
     )
     if not chosen:
         return PulseSet(log, anchor, pulses, (), ())
     fits = fit_pulses(
-        cut_pulses(switched, chosen, capacity, soc, step_ocv=ocv.function.evaluate), settings.method
+        cut_pulses(log, chosen, capacity, soc, step_ocv=ocv.function.evaluate), settings.method
     )
     return PulseSet(log, anchor, pulses, chosen, tuple(fits))
 

@@ -17,7 +17,6 @@ from cellwise.identify.pulse_fit.fit_pulse import (
     fit_pulses,
 )
 from cellwise.identify.pulse_fit.pulse_data import PulseData, row_weights
-from cellwise.identify.pulse_fit.pulse_trend import local_trends
 from cellwise.identify.pulse_fit.pulse_window import (
     cut_pulse,
     cut_pulses,
@@ -126,30 +125,6 @@ def test_other_testers_and_plans(plan):
         assert np.all(np.median(error[8 * level : 8 * level + 8], axis=0) < 0.03)
 
 
-def test_trend_of_the_neighbours_takes_the_bias_out():
-    plan = HppcPlan(**{**vars(FULL_TEST), "pulse_hz": 10.0, "rates_c": (2.0, 3.0), "noise_V": 1e-4})
-    cell = paper_cell()
-    data = cut_all(hppc_log(cell, plan, rng=np.random.default_rng(3)))
-    low = slice(28, 40)  # 30, 15 and 5 % of SOC
-    alone = np.abs(relative_errors(cell, fit_pulses(data, use_trend=False)))[low]
-    told = np.abs(relative_errors(cell, fit_pulses(data)))[low]
-    assert np.max(np.median(alone, axis=0)) > 0.01
-    assert np.all(np.median(told, axis=0) < 0.5 * np.median(alone, axis=0))
-
-
-def test_local_trends_are_the_slopes_of_the_tables():
-    plan = HppcPlan(**{**vars(FULL_TEST), "pulse_hz": 10.0, "rates_c": (1.0,), "noise_V": 1e-5})
-    cell = paper_cell()
-    fits = fit_pulses(cut_all(hppc_log(cell, plan, rng=np.random.default_rng(4))))
-    trends = local_trends(fits)
-    for fit, trend in zip(fits[2:-2], trends[2:-2], strict=True):
-        up, down = np.log(truth(cell, fit.soc + 1e-3)), np.log(truth(cell, fit.soc - 1e-3))
-        r0, r1, tau1, r2, tau2 = (up - down) / 2e-3
-        np.testing.assert_allclose(trend, [r0, r1, r2, tau1, tau2], atol=0.7)
-    assert local_trends(fits[:2]) == [None, None]  # one level only
-    assert local_trends([]) == []
-
-
 # --- windows -------------------------------------------------------------------------------------
 
 
@@ -199,18 +174,6 @@ def test_window_takes_in_the_row_that_holds_the_switch():
     assert np.count_nonzero(data.settling_rows) == 2
 
 
-def test_switch_late_in_a_slow_row_is_left_out():
-    """A row of 1 s whose last 10 ms carry the pulse: no current to speak of, all of its drop."""
-    log, start, stop = a_log()
-    current, voltage = log.current_A.copy(), log.voltage_V.copy()
-    current[start - 1] = 0.01 * 20.0
-    voltage[start - 1] -= 2e-3 * 20.0
-    data = cut_pulse(CellLog(log.time_s, current, voltage), start, stop, 40.0)
-    rows = np.flatnonzero(data.settling_rows)
-    np.testing.assert_array_equal(rows, [data.start - 1])
-    np.testing.assert_allclose(fit_pulse(data).value[:5], Circuit().values[:5], rtol=5e-3)
-
-
 def test_rows_without_a_voltage_are_dropped_and_their_charge_is_kept():
     whole, start, stop = a_log()
     missing = [start + 3, start + 4, start + 100, stop + 7, *range(stop + 40, stop + 60)]
@@ -218,23 +181,6 @@ def test_rows_without_a_voltage_are_dropped_and_their_charge_is_kept():
     a, b = (fit_pulse(cut_pulse(x, start, stop, 40.0)) for x in (whole, log))
     assert b.rows == a.rows - len(missing)
     np.testing.assert_allclose(b.value, a.value, rtol=1e-5)
-
-
-def test_voltage_that_arrives_late_is_left_out_and_said():
-    """A tester that filters its voltage with 0.1 s, as one of the measured cells' did."""
-    t = stamps(pulse_hz=10.0, fast_s=60.0)
-    clean = closed_pulse(Circuit(), t)
-    voltage = clean.voltage_V.copy()
-    for edge, sign in ((clean.start, 1.0), (clean.stop, -1.0)):
-        voltage[edge : edge + 6] += sign * 0.04 * 0.33 ** np.arange(1, 7)
-    data = pulse_from_arrays(
-        t, clean.current_A, voltage, clean.start, clean.stop, 40.0, rest_before_s=1e4
-    )
-    fit = fit_pulse(data)
-    assert 4 <= fit.left_out <= 10
-    assert any("settled" in said for said in fit.notices)
-    np.testing.assert_allclose(fit.value[:5], Circuit().values[:5], rtol=0.03)
-    assert not clean.settling_rows.any()
 
 
 def test_relaxation_and_pulse_count_alike():
@@ -401,7 +347,7 @@ def test_real_resistance_after_ten_seconds_is_what_the_voltage_says(real_data):
     """The fit's response at the pulse's end against the drop that a voltmeter shows."""
     data = real_pulses(real_data, "panasonic")
     for one, fit in zip(data, fit_pulses(data), strict=True):
-        if fit.soc < 0.2 or any(fit.ocv_bends_V):
+        if fit.soc < 0.2:
             continue
         drop = np.mean(one.voltage_V[: one.start]) - one.voltage_V[one.stop - 1]
         t = one.pulse_duration_s

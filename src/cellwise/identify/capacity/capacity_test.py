@@ -40,8 +40,6 @@ FULL_REST_OF_WINDOW = 0.5
 MUCH_MORE = 1.15
 # A cell warms up under load. One that cools by more than this was moved to another temperature.
 COOLING_C = 5.0
-# A log that brings back so many times what it takes climbs.
-CLIMBS = 2.0
 # More out than in: the charge was cut short, or the counters differ. Either way no efficiency.
 MAX_EFFICIENCY = 1.02
 
@@ -121,40 +119,6 @@ class CapacityTest:
         return self.total_Ah / charged
 
 
-def measure_capacity(
-    log: CellLog | Sequence[CellLog],
-    *,
-    nominal_Ah: float | None = None,
-    voltage_min_V: float | None = None,
-    voltage_max_V: float | None = None,
-    temperature_C: float | None = None,
-) -> tuple[CapacityTest, ...]:
-    """Every discharge at constant current in one log, or in logs that follow one another.
-
-    Parameters
-    ----------
-    log : CellLog, or several      several are one test in parts: discharge, its last per cent, ...
-    nominal_Ah : float             what a rate of 1C refers to; default the largest measured
-    voltage_min_V, voltage_max_V : float     the limits; default from the log itself
-    temperature_C : float          of the test, where the log has no such column
-
-    Returns
-    -------
-    tuple of CapacityTest, in order of time; those that did not reach the limit are marked
-
-    Raises
-    ------
-    InputError        no discharge at constant current
-    """
-    return measure_capacities(
-        [log],
-        nominal_Ah=nominal_Ah,
-        voltage_min_V=voltage_min_V,
-        voltage_max_V=voltage_max_V,
-        temperature_C=temperature_C,
-    )
-
-
 def measure_capacities(
     logs: Iterable[CellLog | Sequence[CellLog]],
     *,
@@ -166,7 +130,22 @@ def measure_capacities(
     """Every discharge at constant current in a set of logs of one cell, with common limits.
 
     Limits that are not given are those that the set shows: the highest voltage, and the lowest
-    at which a discharge ended. Arguments and errors as :func:`measure_capacity`.
+    at which a discharge ended.
+
+    Parameters
+    ----------
+    logs : of CellLog, or of several that are one test in parts: discharge, its last per cent, ...
+    nominal_Ah : float             what a rate of 1C refers to; default the largest measured
+    voltage_min_V, voltage_max_V : float     the limits; default from the logs themselves
+    temperature_C : float          of the tests, where a log has no such column
+
+    Returns
+    -------
+    tuple of CapacityTest, in order of time; those that did not reach the limit are marked
+
+    Raises
+    ------
+    InputError        no discharge at constant current
     """
     groups = [(entry,) if isinstance(entry, CellLog) else tuple(entry) for entry in logs]
     traces = [join_logs(group) for group in groups]
@@ -208,18 +187,6 @@ def measure_capacities(
         )
         for t in tests
     )
-
-
-def hppc_total_Ah(log: CellLog | Sequence[CellLog]) -> float:
-    """Net charge from the fullest to the emptiest moment after it, all pulses included [Ah].
-
-    The ``hppc-total`` choice: it is a capacity as far as the log begins, or is charged, full and
-    ends empty. Of a log that climbs, the charge from its emptiest to its fullest moment.
-    """
-    charge = join_logs(log).charge_Ah
-    down = float(np.max(charge - np.minimum.accumulate(charge)))
-    up = float(np.max(np.maximum.accumulate(charge) - charge))
-    return up if up > CLIMBS * down else down
 
 
 def _is_capacity_test(trace: Trace, half: HalfCycle) -> bool:

@@ -25,10 +25,6 @@ PhaseKind = Literal["rest", "cc", "cv", "dynamic"]
 # Levels held for less than this, one after another, are a drive.
 DYNAMIC_S = 5.0
 DYNAMIC_LEVELS = 4
-# A single row at another level is a phase only where a row is this long.
-SLOW_ROW_S = 5.0
-# A row that leaves its level by this many smallest steps, with the voltage following, is real.
-SPIKE_STEPS = 3.0
 VOLTAGE_SIGMAS = 6.0
 VOLTAGE_TOLERANCE = 1e-3
 
@@ -110,7 +106,6 @@ def find_phases(log: CellLog, *, rest_current_A: float | None = None) -> tuple[P
     voltage = filled(log.voltage_V)
     signals = _Signals(log.time_s, current, voltage, voltage_tolerance(log), scale)
     plateaus = without_ramps(find_plateaus(current, scale), log.time_s)
-    plateaus = _with_spikes(plateaus, signals)
     spans = _join_dynamic(_join_cv(_assemble(plateaus, signals), signals), signals)
     return _finish(spans, signals, log)
 
@@ -135,32 +130,6 @@ def filled(voltage_V: FloatArray) -> FloatArray:
     return np.interp(rows, rows[~bad], voltage_V[~bad])
 
 
-def _with_spikes(p: Plateaus, s: _Signals) -> Plateaus:
-    """Cut out single rows at another level that the cell has felt: an aborted pulse, no glitch."""
-    i, v = s.current_A, s.voltage_V
-    rows = np.flatnonzero(np.abs(np.diff(i)) > s.scale.step_A) + 1
-    if rows.size == 0 or p.start.size == 0:
-        return p
-    home = np.searchsorted(p.start, rows, side="right") - 1
-    inside = (home >= 0) & (rows < p.stop[home]) & (rows > p.start[home])
-    rows, home = rows[inside], home[inside]
-    away = i[rows] - p.level_A[home]
-    felt = (v[rows] - v[rows - 1]) * away < 0.0
-    felt &= np.abs(v[rows] - v[rows - 1]) > 2.0 * s.tolerance_V
-    felt &= np.abs(away) > SPIKE_STEPS * s.scale.step_A
-    rows, home = rows[felt], home[felt]
-    if rows.size == 0:
-        return p
-    start = np.concatenate((p.start, rows, rows + 1))
-    stop = np.concatenate((rows, rows + 1, p.stop))
-    level = np.concatenate((p.level_A, i[rows], p.level_A[home]))
-    rest = np.concatenate((p.rest, np.zeros(rows.size, dtype=np.bool_), p.rest[home]))
-    order = np.argsort(start, kind="stable")
-    start, stop = start[order], np.sort(stop)
-    kept = stop > start
-    return Plateaus(start[kept], stop[kept], level[order][kept], rest[order][kept])
-
-
 def _assemble(plateaus: Plateaus, s: _Signals) -> list[_Span]:
     """Plateaus and what lies between them, as spans that touch."""
     spans: list[_Span] = []
@@ -182,20 +151,15 @@ def _assemble(plateaus: Plateaus, s: _Signals) -> list[_Span]:
 
 def _between(a: int, b: int, before: _Span | None, after_A: float, s: _Signals) -> list[_Span]:
     """What rows a to b between two plateaus are; nothing: the rise to the level that follows."""
-    seconds = s.seconds(a, b)
     inside = s.current_A[a:b]
     if b - a == 1:
         if before is None and _rests(inside[0], s.scale):
             return [_Span("rest", a, b, float(inside[0]))]
-        same = before is not None and abs(before.level_A - after_A) <= s.scale.step_A
-        if not (same and seconds >= SLOW_ROW_S):
-            return []
-        kind: PhaseKind = "rest" if _rests(inside[0], s.scale) else "cc"
-        return [_Span(kind, a, b, float(inside[0]))]
+        return []
     if _held(a, b, s):
         return [_Span("cv", a, b, float(np.mean(inside)))]
     begin = before.level_A if before is not None else float(inside[0])
-    if seconds <= RAMP_S and _rises(inside, begin, after_A, s.scale):
+    if s.seconds(a, b) <= RAMP_S and _rises(inside, begin, after_A, s.scale):
         return []
     return _moving(a, b, s)
 

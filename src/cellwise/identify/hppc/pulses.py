@@ -10,9 +10,8 @@ import numpy as np
 
 from cellwise.identify.hppc.passive_misfit import Load, PulseRole, noise_of
 from cellwise.identify.hppc.phases import Phase, find_phases
-from cellwise.identify.hppc.plateaus import NOISY_ROWS
 from cellwise.identify.hppc.pulse_quality import (
-    SAME_DURATION,
+    LIMITS,
     PulseQuality,
     Verdict,
     judge_loads,
@@ -200,7 +199,7 @@ def _role_border(phases: Sequence[Phase]) -> float:
     d: FloatArray = np.sort(planned)
     if d.size < 2:
         return LONGEST_PULSE_S
-    close = np.diff(d) <= SAME_DURATION * d[1:]
+    close = np.diff(d) <= LIMITS.same_duration * d[1:]
     repeated = np.concatenate(([False], close)) | np.concatenate((close, [False]))
     if not repeated.any():
         return _widest_gap(d)
@@ -226,7 +225,7 @@ def _widest_gap(d: FloatArray) -> float:
 def _level(current: FloatArray) -> float:
     """Level of a constant current without the rows of its rise [A]."""
     size = np.abs(current)
-    scatter = noise_of(current) if current.size >= NOISY_ROWS else 0.0
+    scatter = noise_of(current)
     held = size >= RISEN_PART * np.quantile(size, 0.9) - RISEN_SIGMAS * scatter
     return float(np.median(current[held]))
 

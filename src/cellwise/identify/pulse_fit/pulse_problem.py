@@ -1,4 +1,4 @@
-"""A pulse window as the compiled kernels see it, and the range in which tau is searched."""
+"""A pulse window as a linear problem at given time constants, and the range of these."""
 
 from __future__ import annotations
 
@@ -13,11 +13,14 @@ from cellwise.identify.pulse_fit.pulse_data import (
     Weighting,
     row_weights,
 )
-from cellwise.identify.pulse_fit.pulse_parameters import PulseTrend, TauBounds
-from cellwise.identify.pulse_fit.variable_projection.varpro_kernels import Window, predict
+from cellwise.identify.pulse_fit.pulse_kernels import branch_response
+from cellwise.identify.pulse_fit.pulse_parameters import TauBounds
 from cellwise.typing import BoolArray, FloatArray
 
 FASTEST_TAU_S = 0.5
+# Unknowns that enter linearly, in the order of the columns; the first and the last two have either
+# sign.
+UNKNOWNS = ("ocv", "slope", "r0", "r1", "r2", "v1", "v2")
 
 
 class Problem(NamedTuple):
@@ -28,33 +31,22 @@ class Problem(NamedTuple):
     known: FloatArray  # voltage minus tabulated OCV change minus `reference_V`
     dq: FloatArray
     weight: FloatArray
-    trend: FloatArray
     centre: float  # dq at the pulse's mean SOC
     reference_V: float  # taken off so that sums of squares do not cancel
 
-    @property
-    def window(self) -> Window:
-        """The channels as the kernels take them."""
-        return Window(*self[:7])
-
 
 class Solution(NamedTuple):
-    """A minimum, with all that its statistics need.
+    """A minimum, with all that its statistics need."""
 
-    Linear unknowns: OCV minus reference, OCV slope, R0, R1, R2, three bends of the OCV, V1 and V2
-    at the window's first row.
-    """
-
-    cost: float
+    cost: float  # weighted sum of squares [V^2]
     log_tau: FloatArray  # (2,)
-    coefficients: FloatArray  # (10,)
-    include: BoolArray  # (10,) which unknowns the model has
-    gram: FloatArray  # (15, 15) weighted products of all columns
+    coefficients: FloatArray  # (7,) of `UNKNOWNS`; OCV minus reference
+    include: BoolArray  # (7,) which unknowns the model has
     passes: int
     converged: bool
 
 
-def build_problem(data: PulseData, weighting: Weighting, trend: PulseTrend) -> Problem:
+def build_problem(data: PulseData, weighting: Weighting) -> Problem:
     """Channels of one window, weights included.
 
     Raises
@@ -76,10 +68,53 @@ def build_problem(data: PulseData, weighting: Weighting, trend: PulseTrend) -> P
         known - reference,
         data.charge_fraction,
         weight,
-        np.array(trend, dtype=np.float64),
         data.pulse_centre,
         reference,
     )
+
+
+def columns(
+    problem: Problem, log_tau: FloatArray, held: bool = True
+) -> tuple[FloatArray, FloatArray]:
+    """Derivatives of the voltage to the linear unknowns, and of those to log tau.
+
+    Parameters
+    ----------
+    problem : Problem
+    log_tau : (2,) float
+    held : bool                   whether the branches held something at the window's first row
+
+    Returns
+    -------
+    linear : (7, n) float         by `UNKNOWNS`
+    of_tau : (4, n) float         of the last four to log tau of their own branch
+    """
+    n = problem.dt.size
+    linear, of_tau = np.zeros((len(UNKNOWNS), n)), np.zeros((4, n))
+    linear[0] = 1.0
+    linear[1] = problem.centre - problem.dq
+    linear[2] = -problem.current
+    for branch, tau in enumerate(np.exp(log_tau)):
+        u, du = linear[3 + branch], of_tau[branch]
+        branch_response(problem.dt, problem.current, float(tau), u, du)
+        np.negative(u, out=u)
+        np.negative(du, out=du)
+        if held:
+            since = np.cumsum(problem.dt) / tau
+            linear[5 + branch] = -np.exp(-since)
+            of_tau[2 + branch] = linear[5 + branch] * since
+    return linear, of_tau
+
+
+def tau_slopes(of_tau: FloatArray, coefficients: FloatArray) -> FloatArray:
+    """Derivatives of the voltage to log tau1 and log tau2, shape (2, n) [V]."""
+    each = of_tau * coefficients[3:, None]
+    return np.asarray(each[:2] + each[2:])
+
+
+def residual_V(problem: Problem, log_tau: FloatArray, coefficients: FloatArray) -> FloatArray:
+    """Measured minus modelled voltage [V], shape (n,)."""
+    return np.subtract(problem.known, coefficients @ columns(problem, log_tau)[0])
 
 
 def window_tau_bounds(data: PulseData) -> TauBounds:
@@ -115,11 +150,3 @@ def log_limits(bounds: TauBounds) -> FloatArray:
     high1, low2 = min(high1, high2 / ratio), max(low2, low1 * ratio)
     limits: FloatArray = np.log(np.array([low1, high1, low2, high2, ratio]))
     return limits
-
-
-def residual_V(problem: Problem, log_tau: FloatArray, coefficients: FloatArray) -> FloatArray:
-    """Measured minus modelled voltage [V], shape (n,)."""
-    model = np.empty_like(problem.dt)
-    tau1, tau2 = np.exp(log_tau)
-    predict(problem.window, tau1, tau2, coefficients, model)
-    return np.subtract(problem.known, model)
