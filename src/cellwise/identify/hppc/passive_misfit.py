@@ -19,6 +19,8 @@ class _Window(NamedTuple):
     edge: float = 0.03  # a row is part of an edge whose current is off by this share of the pulse
     settling_rows: int = 2  # after an edge: voltage and current of a row are not of one instant
     bins: int = 40  # of the pulse, and of the relaxation
+    rest_bins: int = 8
+    rest: float = 0.4  # of the rest before, at its end
     fewest: int = 6  # bins in the pulse, without which there is no shape
     relaxation: float = 10.0  # longest relaxation over the pulse's duration
     per_decade: int = 3  # time constants
@@ -157,12 +159,12 @@ def _binned_window(c: Channels, x: Load) -> tuple[FloatArray, FloatArray, FloatA
         off += 1
     if x.stop - x.start - on > 10 * WINDOW.settling_rows:
         on, off = on + WINDOW.settling_rows, off + WINDOW.settling_rows
-    begin = int(np.searchsorted(c.time_s, t_on - 2.0 * duration))
+    # Towards the end of a rest what relaxes from before has become slow.
+    shown = min(2.0 * duration, WINDOW.rest * (t_on - float(c.time_s[x.rest_start])))
+    begin = max(x.rest_start, int(np.searchsorted(c.time_s, t_on - shown)))
     end = int(np.searchsorted(c.time_s, t_off + WINDOW.relaxation * duration, side="right"))
-    # By the second half of a rest what relaxes from before has become slow.
-    half = (x.rest_start + x.start) // 2
     pieces = (
-        _binned(c, min(max(begin, half), x.start - 1), x.start, None),
+        _binned(c, min(begin, x.start - 1), x.start, None),
         _binned(c, x.start + on, x.stop, t_on),
         _binned(c, x.start + off, min(end, x.relax_stop), t_off),
     )
@@ -177,7 +179,7 @@ def _binned(
     t, v = c.time_s[start:stop], c.voltage_V[start:stop]
     good = np.isfinite(v)
     t, v = t[good], v[good]
-    bins = WINDOW.bins
+    bins = WINDOW.bins if origin_s is not None else WINDOW.rest_bins
     if t.size > bins:
         if origin_s is None:
             edges = np.linspace(0.0, t.size, bins + 1)

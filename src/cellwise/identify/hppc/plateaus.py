@@ -165,24 +165,44 @@ def _resolution(current_A: FloatArray, top: float) -> float:
 def _noise(current_A: FloatArray, top: float, lsb: float) -> float:
     """Standard deviation of a sample about its level [A], 0 where the log does not show it.
 
-    Second differences, because a slope is not noise; of the quietest blocks, because most blocks
-    of a drive hold steps.
+    Of the quietest blocks, because most blocks of a drive hold steps.
     """
     n = current_A.size // CHUNKS * CHUNKS
     if n == 0:
         return 0.0
     blocks = current_A[:n].reshape(-1, CHUNKS)
-    bends = np.abs(np.diff(blocks, 2, axis=1))
-    typical = np.median(bends, axis=1)
+    typical = np.median(_bends(blocks, 1), axis=1)
     loaded = np.abs(blocks.mean(axis=1)) > LIMITS.zero * top
     found = 0.0
     for group in (loaded, ~loaded):
-        if group.any():
-            quiet = max(float(np.quantile(typical[group], 0.2)), lsb)
-            # An edge inside a block counts as little more than noise.
-            calm = np.minimum(bends[group & (typical <= 4.0 * quiet)], 10.0 * quiet)
-            found = max(found, float(np.mean(calm)) / MEAN_BEND)
+        if not group.any():
+            continue
+        quiet = max(float(np.quantile(typical[group], 0.2)), lsb)
+        calm = group & (typical <= 4.0 * quiet)
+        # An edge inside a block counts as little more than noise, and not at all where most have
+        # none: it bends more of the wide differences than of the narrow ones.
+        whole = calm & (np.max(_bends(blocks, 2), axis=1) <= 10.0 * quiet)
+        if 2 * np.count_nonzero(whole) > np.count_nonzero(calm):
+            calm = whole
+        found = max(found, _white_sigma(blocks[calm], 10.0 * quiet))
     return found if found < 0.5 * top else 0.0
+
+
+def _white_sigma(blocks: FloatArray, ceiling: float) -> float:
+    """Standard deviation of white noise in blocks of rows, 0 where it is something that moves.
+
+    Second differences, because a slope is not noise; at two distances of the samples, because the
+    differences of noise do not grow with it and those of a moving current do.
+    """
+    one, two = (float(np.mean(np.minimum(_bends(blocks, lag), ceiling))) for lag in (1, 2))
+    white = two < (1.3 + 1.5 / np.sqrt(blocks.size)) * one
+    return one / MEAN_BEND if white else 0.0
+
+
+def _bends(blocks: FloatArray, lag: int) -> FloatArray:
+    """Size of the second differences at a distance of the samples, along rows."""
+    wide = 2.0 * blocks[:, lag:-lag]
+    return np.asarray(np.abs(blocks[:, 2 * lag :] - wide + blocks[:, : -2 * lag]))
 
 
 def _level_noise(
@@ -203,7 +223,8 @@ def _level_noise(
             continue
         part = x[a + 1 : b - 1]  # the first row, and the last, may hold part of a switch
         level = abs(float(np.mean(part)))
-        sigma = float(np.mean(np.abs(np.diff(part, 2)))) / MEAN_BEND
+        bends = _bends(part[None, :], 1)
+        sigma = _white_sigma(part[None, :], 10.0 * float(np.median(bends)))
         if scale.noise_A < sigma < LIMITS.noisy * level and _one_level(part, sigma):
             near = np.abs(x[[a, b - 1]] - np.mean(part)) <= 4.0 * sigma
             noise[a + 1 - near[0] : b - 1 + near[1]] = sigma
@@ -228,7 +249,7 @@ def _flat_pieces(
     noise: FloatArray,
     scale: CurrentScale,
 ) -> tuple[RowArray, RowArray]:
-    """Runs that hold one level."""
+    """Runs that hold one level; a run that drifts gives its flat beginning and its flat end."""
     rows = stop - start
     low = np.minimum.reduceat(x, start)
     high = np.maximum.reduceat(x, start)
@@ -245,7 +266,33 @@ def _flat_pieces(
             LIMITS.flat * np.abs(means).max(axis=1),
         )
         flat[uncertain] = np.ptp(means, axis=1) <= bound
-    return start[flat], stop[flat]
+    pieces = [np.column_stack((start[flat], stop[flat]))]
+    for k in np.flatnonzero(~flat & (rows >= 2 * CHUNKS)).tolist():
+        a, b = int(start[k]), int(stop[k])
+        head = a + _flat_head(x[a:b], scale)
+        tail = b - _flat_head(x[head:b][::-1], scale)
+        found = [(p, q) for p, q in ((a, head), (tail, b)) if q - p >= 2]
+        pieces.append(np.array(found, dtype=np.int64).reshape(-1, 2))
+    both = np.concatenate(pieces).astype(np.int64)
+    both = both[np.argsort(both[:, 0], kind="stable")]
+    return both[:, 0], both[:, 1]
+
+
+def _flat_head(x: FloatArray, scale: CurrentScale) -> int:
+    """Number of rows from the first on that stay at the level they begin with (0: none)."""
+    if x.size < CHUNKS:
+        return 0
+    level = float(np.median(x[: CHUNKS + 1]))
+    off = np.abs(x - level) > max(4.0 * scale.noise_A, LIMITS.flat * abs(level))
+    left = np.flatnonzero(off[:-1] & off[1:])  # two rows running: one alone is a glitch
+    head = int(left[0]) if left.size else x.size
+    if head < CHUNKS:
+        return 0
+    # The knee lies before the row at which the drift has grown to the tolerance.
+    level = float(np.median(x[:head]))
+    close = np.abs(x[:head] - level) <= max(4.0 * scale.noise_A, 0.1 * LIMITS.flat * abs(level))
+    knee = int(np.flatnonzero(close)[-1]) + 1 if close.any() else head
+    return knee if knee >= max(CHUNKS, head // 2) else head
 
 
 def _merge_level(p: Plateaus, noise_A: FloatArray) -> Plateaus:

@@ -41,7 +41,8 @@ class _Limits(NamedTuple):
     far_short: float = 0.5  # of it: without a voltage limit near, this was never planned
     at_limit: float = 0.015  # of the voltage
     missing: float = 0.1  # of a pulse's voltages
-    sigmas: float = 5.0  # of the noise: a smaller answer is none, a smaller misfit none either
+    sigmas: float = 5.0  # of the noise: a smaller answer is none
+    misfit_sigmas: float = 3.0  # of it: a smaller misfit is none
     # A misfit of 1 % of the response shifts tau1 of a 60 s pulse by about half (synthetic cells
     # with a bending OCV), so the score is one half there.
     distorted: float = 0.01
@@ -76,7 +77,7 @@ def judge_loads(
     v = log.voltage_V
     durations = np.array([_seconds(log, x.start, x.stop) for x in loads])
     held = np.array([x.cc_stop < x.stop for x in loads], dtype=np.bool_)
-    expected = _expected(loads, durations)
+    expected = _expected(v, loads, durations)
     given = {True: lower_V, False: upper_V}
     limits = {
         discharge: _limit(v, loads, durations, expected, held, discharge)
@@ -107,18 +108,22 @@ def _seconds(log: CellLog, start: int, stop: int) -> float:
     return float(log.time_s[stop - 1] - log.time_s[max(start - 1, 0)])
 
 
-def _expected(loads: Sequence[Load], durations: FloatArray) -> FloatArray:
-    """Planned duration of each load [s]: the commonest of its rate, role and direction.
+def _expected(v: FloatArray, loads: Sequence[Load], durations: FloatArray) -> FloatArray:
+    """Planned duration of each load [s]: the commonest one of its role and direction.
 
-    Of its role and direction alone where hardly any has its rate.
+    A rate has a plan of its own where its loads last equally long and yet end at different
+    voltages: a limit would have made the voltages equal and the durations different.
     """
+    kind = np.array([f"{x.role} {x.current_A > 0.0}" for x in loads])
     current = np.array([x.current_A for x in loads])
-    role = np.array([x.role == "pulse" for x in loads], dtype=np.bool_)
-    out = np.zeros(len(loads))
+    ends = np.array([_end(v, x.start, x.stop) for x in loads])
+    out = np.array([_commonest(durations[kind == k]) for k in kind])
     for k, x in enumerate(loads):
-        side = (role == role[k]) & (current * x.current_A > 0.0)
-        own = side & (np.abs(current - x.current_A) <= LIMITS.same_rate * abs(x.current_A))
-        out[k] = _commonest(durations[own if np.count_nonzero(own) > 2 else side])
+        alike = (kind == kind[k]) & (np.abs(current / x.current_A - 1.0) <= LIMITS.same_rate)
+        alike &= np.abs(durations - durations[k]) <= LIMITS.same_duration * durations[k]
+        spread = float(np.ptp(ends[alike]))
+        if np.count_nonzero(alike) > 2 and spread > LIMITS.at_limit * abs(ends[k]):
+            out[k] = durations[k]
     return out
 
 
@@ -143,16 +148,14 @@ def _limit(
 ) -> float | None:
     """Voltage limit that loads of this sign ran into [V]: as held, else where short ones end.
 
-    Nothing else in the log goes beyond a limit, so a short load that ended at a voltage that
-    others passed unharmed did not end for it.
+    No load that lasted goes beyond a limit, so a short one that ended at a voltage that others
+    passed unharmed did not end for it.
     """
     side = np.array([(x.current_A > 0.0) == discharge for x in loads], dtype=np.bool_)
     short = side & ~held & (durations < LIMITS.short * expected)
-    others = v.copy()
-    for x, s in zip(loads, short, strict=True):
-        if s:
-            others[x.start : x.stop] = np.nan
-    extreme = float(np.nanmin(others) if discharge else np.nanmax(others))
+    lasted = [v[x.start : x.stop] for x, s in zip(loads, side & ~short, strict=True) if s]
+    passed = np.concatenate([*lasted, np.array([np.inf if discharge else -np.inf])])
+    extreme = float(np.nanmin(passed) if discharge else np.nanmax(passed))
     levels = [
         float(np.nanmedian(v[x.cc_stop : x.stop]))
         for x, s in zip(loads, side & held, strict=True)
@@ -247,7 +250,7 @@ def _shape(misfit: Misfit | None) -> Verdict:
     share = misfit.relative
     score = float(1.0 / (1.0 + (share / LIMITS.distorted) ** 2))
     figure = f"{1e3 * misfit.rms_V:.2g} mV rms of {1e3 * misfit.response_V:.3g} mV"
-    if share <= LIMITS.distorted or misfit.rms_V <= LIMITS.sigmas * misfit.noise_V:
+    if share <= LIMITS.distorted or misfit.rms_V <= LIMITS.misfit_sigmas * misfit.noise_V:
         return Verdict("healthy", f"a passive circuit explains all but {figure}", score)
     why = "the relaxation does not mirror the pulse"
     if misfit.growth > 1.0:

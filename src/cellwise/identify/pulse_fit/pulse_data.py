@@ -12,7 +12,6 @@ from cellwise.typing import BoolArray, FloatArray
 
 MINIMUM_ROWS = 12
 LEAST_SETTLED_ROWS = 10  # for seven unknowns
-MINIMUM_PULSE_ROWS = 1
 STILL_PART = 0.02  # a current that changes by less than this part of the largest stands still
 # A relaxation row may count at most so much more or less than a pulse row.
 BALANCE_LIMITS = (0.02, 5.0)
@@ -94,10 +93,10 @@ class PulseData:
                 "0 <= start < stop <= number of rows",
                 "Give the first row of the pulse and the first row after it.",
             )
-        if self.stop - self.start < MINIMUM_PULSE_ROWS or n < MINIMUM_ROWS:
+        if n < MINIMUM_ROWS:
             raise InputError(
-                f"{self.stop - self.start} rows with current of {n} in {self._where}",
-                f"at least {MINIMUM_PULSE_ROWS} rows with current of at least {MINIMUM_ROWS}",
+                f"{n} rows in {self._where}",
+                f"at least {MINIMUM_ROWS}",
                 "Log the pulse faster, or leave it out.",
             )
         if not np.any(self.current_A[self.start : self.stop] != 0.0):

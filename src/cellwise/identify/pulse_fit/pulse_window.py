@@ -18,7 +18,7 @@ from cellwise.identify.pulse_fit.pulse_data import (
     row_weights,
 )
 from cellwise.logs.cell_log import CellLog
-from cellwise.typing import BoolArray, FloatArray
+from cellwise.typing import FloatArray
 
 
 class _Limits(NamedTuple):
@@ -134,10 +134,40 @@ def cut_pulse(
     ------
     InputError        as `pulse_from_arrays`
     """
-    channels = (log.time_s, log.known_current_A(), log.voltage_V)
-    return _cut(
-        channels, log.gap_rows, start, stop, capacity_Ah, soc_start, ocv, rest_shown_s,
-        relaxation_s, name or log.name,
+    time, current, voltage = log.time_s, log.known_current_A(), log.voltage_V
+    gaps = log.gap_rows
+    if not 0 <= start < stop <= time.size:
+        raise InputError(
+            f"edges at rows {start} and {stop} of a log of {time.size} rows",
+            "0 <= start < stop <= number of rows",
+            "Give the first row of the pulse and the first row after it.",
+        )
+    limit = LIMITS.quiet * float(np.max(np.abs(current[start:stop])))
+    begin = start
+    while begin > max(start - LIMITS.switch_rows, 1) and abs(current[begin - 1]) > limit:
+        begin -= 1
+    after = stop
+    while after < min(stop + LIMITS.switch_rows, time.size) and abs(current[after]) > limit:
+        after += 1
+    # The row that ends a current, or a gap, is the rest's first: its voltage is read after it.
+    busy = np.flatnonzero((np.abs(current) > limit) | gaps)
+    earlier, later = busy[busy < begin], busy[busy >= after]
+    rest = int(earlier[-1]) if earlier.size else 0
+    end = max(int(later[0]) if later.size else time.size, stop)
+    if end < time.size and not gaps[end] and end > after + 1:
+        end -= 1  # the row before the next current may hold its switch
+    if end == after:  # what looked like the tail of the switch was the next current
+        end = stop
+    end = max(stop, min(end, int(np.searchsorted(time, time[stop - 1] + relaxation_s, "right"))))
+    shown = int(np.searchsorted(time, time[max(begin - 1, 0)] - rest_shown_s))
+    first = max(rest, min(shown, begin - LIMITS.rest_rows), 0)
+    rows = slice(first, end)
+    return pulse_from_arrays(
+        time[rows], current[rows], voltage[rows], begin - first, stop - first, capacity_Ah,
+        soc_start=soc_start,
+        rest_before_s=float(time[max(begin - 1, 0)] - time[rest]),
+        ocv=ocv,
+        name=name or log.name,
     )  # fmt: skip
 
 
@@ -176,14 +206,14 @@ def cut_pulses(
             "one SOC per row",
             "Compute it from the same log.",
         )
-    channels = (log.time_s, log.known_current_A(), log.voltage_V)
-    gaps = log.gap_rows
     return [
-        _cut(
-            channels, gaps, p.start, fitted_stop(log, p), capacity_Ah,
-            float("nan") if soc is None else float(soc[max(p.start - 1, 0)]),
-            step_ocv if p.role == "move" and ocv is None else ocv,
-            rest_shown_s, relaxation_s, f"{log.name} at {log.time_s[p.start]:.0f} s",
+        cut_pulse(
+            log, p.start, fitted_stop(log, p), capacity_Ah,
+            soc_start=float("nan") if soc is None else float(soc[max(p.start - 1, 0)]),
+            ocv=step_ocv if p.role == "move" and ocv is None else ocv,
+            rest_shown_s=rest_shown_s,
+            relaxation_s=relaxation_s,
+            name=f"{log.name} at {log.time_s[p.start]:.0f} s",
         )
         for p in pulses
     ]  # fmt: skip
@@ -221,54 +251,6 @@ def has_enough_rows(log: CellLog, pulse: Pulse) -> bool:
     except InputError:
         return False
     return bool(np.count_nonzero(row_weights(data)) >= LEAST_SETTLED_ROWS)
-
-
-def _cut(
-    channels: tuple[FloatArray, FloatArray, FloatArray],
-    gaps: BoolArray,
-    start: int,
-    stop: int,
-    capacity_Ah: float,
-    soc_start: float,
-    ocv: OcvTable | None,
-    rest_shown_s: float,
-    relaxation_s: float,
-    name: str,
-) -> PulseData:
-    time, current, voltage = channels
-    if not 0 <= start < stop <= time.size:
-        raise InputError(
-            f"edges at rows {start} and {stop} of a log of {time.size} rows",
-            "0 <= start < stop <= number of rows",
-            "Give the first row of the pulse and the first row after it.",
-        )
-    limit = LIMITS.quiet * float(np.max(np.abs(current[start:stop])))
-    begin = start
-    while begin > max(start - LIMITS.switch_rows, 1) and abs(current[begin - 1]) > limit:
-        begin -= 1
-    after = stop
-    while after < min(stop + LIMITS.switch_rows, time.size) and abs(current[after]) > limit:
-        after += 1
-    # The row that ends a current, or a gap, is the rest's first: its voltage is read after it.
-    busy = np.flatnonzero((np.abs(current) > limit) | gaps)
-    earlier, later = busy[busy < begin], busy[busy >= after]
-    rest = int(earlier[-1]) if earlier.size else 0
-    end = max(int(later[0]) if later.size else time.size, stop)
-    if end < time.size and not gaps[end] and end > after + 1:
-        end -= 1  # the row before the next current may hold its switch
-    if end == after:  # what looked like the tail of the switch was the next current
-        end = stop
-    end = max(stop, min(end, int(np.searchsorted(time, time[stop - 1] + relaxation_s, "right"))))
-    shown = int(np.searchsorted(time, time[max(begin - 1, 0)] - rest_shown_s))
-    first = max(rest, min(shown, begin - LIMITS.rest_rows), 0)
-    rows = slice(first, end)
-    return pulse_from_arrays(
-        time[rows], current[rows], voltage[rows], begin - first, stop - first, capacity_Ah,
-        soc_start=soc_start,
-        rest_before_s=float(time[max(begin - 1, 0)] - time[rest]),
-        ocv=ocv,
-        name=name,
-    )  # fmt: skip
 
 
 def _merged_current(

@@ -13,8 +13,8 @@ of the SOC range from bending tau2.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -23,7 +23,7 @@ from scipy.optimize import nnls
 from cellwise.errors import InputError
 from cellwise.identify.pulse_fit.fit_errors import describe, residual_statistics
 from cellwise.identify.pulse_fit.pulse_data import PulseData, Weighting
-from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, TauBounds
+from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseParameters, TauBounds
 from cellwise.identify.pulse_fit.pulse_problem import (
     UNKNOWNS,
     Problem,
@@ -120,14 +120,35 @@ def fit_varpro(data: PulseData, options: VarproOptions | None = None) -> PulseFi
     plain = include.copy()
     plain[-2:] = False
     few = _thinned(problem)
-    starts = _starts(few, plain, limits)
+    grid = _grid(limits)
+    seen = [_evaluate(few, plain, log_tau) for log_tau in grid]
+    starts = grid[np.argsort([at.cost for at in seen])[: SEARCH.starts]]
     found = _lowest(few, include if options.initial is True else plain, limits, starts)
     tau2_s = float(np.exp(found.log_tau[1]))
     if options.initial == "auto" and data.rest_before_window_s < RESTED_TAUS * tau2_s:
         richer = _lowest(few, include, limits, (found.log_tau, *starts))
         found = richer if _called_for(few, found, richer) else found
     solution = _descend(problem, found.include, limits, found.log_tau, SEARCH.tight)
-    return describe(data, problem, solution, limits, "varpro")
+    fit = describe(data, problem, solution, limits, "varpro")
+    wide = _spread(few, found, grid, seen)
+    return replace(fit, error=PulseParameters(*np.maximum(fit.error, wide).tolist()))
+
+
+def _spread(few: Problem, found: Solution, grid: FloatArray, seen: Sequence[_At]) -> FloatArray:
+    """Standard deviation of the parameters over the grid, weighed by the likelihood, shape (7,).
+
+    A window that is short against tau2 fits almost as well with a tau2 twice as long: a long
+    valley, of which the curvature at its lowest point says nothing.
+    """
+    memory = residual_statistics(few, found).rows_per_residual
+    independent = np.count_nonzero(few.weight) / memory
+    excess = np.array([max(at.cost - found.cost, 0.0) for at in seen])
+    likelihood = np.exp(-0.5 * independent * excess / max(found.cost, 1e-300))
+    coefficients = np.array([at.coefficients for at in seen]) - found.coefficients
+    slow = np.exp(found.log_tau) * (grid - found.log_tau)
+    ocv, slope, r0, r1, r2, _, _ = coefficients.T
+    deviation = np.array([r0, r1, slow[:, 0], r2, slow[:, 1], ocv, slope])
+    return np.asarray(np.sqrt(deviation**2 @ likelihood / (1.0 + np.sum(likelihood))))
 
 
 def _called_for(problem: Problem, plain: Solution, richer: Solution) -> bool:
@@ -138,17 +159,15 @@ def _called_for(problem: Problem, plain: Solution, richer: Solution) -> bool:
     return bool(gain > 2.0 * CLEAR_GAIN * richer.cost)
 
 
-def _starts(few: Problem, include: BoolArray, limits: FloatArray) -> tuple[FloatArray, ...]:
-    """The best points of a grid over the log tau plane."""
+def _grid(limits: FloatArray) -> FloatArray:
+    """Pairs of log time constants over the plane within the limits, shape (m, 2)."""
     fast = np.linspace(limits[0], limits[1], SEARCH.grid)
     slow = np.linspace(limits[2], limits[3], SEARCH.grid)
-    grid = np.array([(f, s) for f in fast for s in slow if s - f >= limits[4] - 1e-9])
-    costs = [_evaluate(few, include, log_tau).cost for log_tau in grid]
-    return tuple(grid[np.argsort(costs)[: SEARCH.starts]])
+    return np.array([(f, s) for f in fast for s in slow if s - f >= limits[4] - 1e-9])
 
 
 def _lowest(
-    few: Problem, include: BoolArray, limits: FloatArray, starts: Sequence[FloatArray]
+    few: Problem, include: BoolArray, limits: FloatArray, starts: Iterable[FloatArray]
 ) -> Solution:
     """The lowest of the minima that the starts lead to."""
     found = (_descend(few, include, limits, start, SEARCH.loose) for start in starts)
