@@ -67,7 +67,7 @@ def follow(rate_Hz: float, seconds: float) -> dict[str, float]:
     from cellwise.live import Counts, LiveFilter, open_source, run_live
     from cellwise.live.can_stream import SocSender
     from cellwise.live.latency import LatencyMeter
-    from cellwise.logs.files.options import ReadOptions
+    from cellwise.logs.files.source import ReadOptions
 
     samples = round(rate_Hz * seconds)
     with tempfile.TemporaryDirectory() as folder:

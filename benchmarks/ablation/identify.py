@@ -3,7 +3,7 @@
 python -m benchmarks.ablation.identify [--keep DIR] [--only "trend,bends"] [--list]
 
 A switch sets names within modules; nothing of it is in the package. With a rule off, each cell is
-identified again up to the joint fit; where OCV, capacity, pulses and notices are as before nothing
+identified again up to the joint fit; where OCV, capacity and pulses are as before nothing
 can have changed, else the joint fit follows, and logs that took no part are simulated.
 """
 
@@ -137,17 +137,17 @@ def thrown(names: tuple[tuple[str, str, Any], ...]) -> Iterator[None]:
 
 
 def begin_of(case: Case) -> str:
-    """All that the joint fit begins from, as one line: capacity, OCV, pulses, notices."""
+    """All that the joint fit begins from, as one line: capacity, OCV and its notes, pulses."""
 
     def reached(*arguments: Any) -> None:
         raise _FitReached(arguments)
 
     settings = IdentifySettings(nominal_Ah=case.nominal_Ah)
-    with thrown(((pipeline.__name__, "refine_cell", reached),)):
+    with thrown(((pipeline.__name__, "gather_logs", reached),)):
         try:
             identify_cell(tests_of(case), settings)
         except _FitReached as fit:
-            groups, ocv, capacity, _, notices = fit.args[0]
+            groups, ocv, capacity, _ = fit.args[0]
         except InputError as error:
             return str(error)
     figures = [capacity, *ocv.voltage_V]
@@ -155,7 +155,7 @@ def begin_of(case: Case) -> str:
         for one in group.pulse_sets:
             figures += [x for f in one.fits for x in (*f.value, *f.error)]
             figures += [one.anchor.soc, *(ord(p.quality[0]) + p.start for p in one.pulses)]
-    return " ".join(f"{x:.{DIGITS}g}" for x in figures) + repr(notices)
+    return " ".join(f"{x:.{DIGITS}g}" for x in figures) + repr(ocv.notes)
 
 
 def identified(case: Case) -> dict[str, Any]:

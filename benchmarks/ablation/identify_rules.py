@@ -22,7 +22,8 @@ VARPRO, SPLINE = f"{IDENTIFY}.pulse_fit.varpro", f"{IDENTIFY}.ocv.ocv_spline"
 RESTS, LOW = ocv_rests.__name__, ocv_lowrate.__name__
 TESTED, HALVES = f"{IDENTIFY}.capacity.capacity_test", half_cycles.__name__
 CHOICE, OF_HPPC = f"{IDENTIFY}.capacity.capacity_choice", f"{IDENTIFY}.capacity.hppc_capacity"
-PIPELINE, BY_TEMPERATURE = f"{IDENTIFY}.pipeline", f"{IDENTIFY}.by_temperature"
+MEASURED_OCV, BY_TEMPERATURE = f"{IDENTIFY}.measured_ocv", f"{IDENTIFY}.by_temperature"
+FITTED_PULSES = f"{IDENTIFY}.fitted_pulses"
 
 
 class Rule(NamedTuple):
@@ -112,8 +113,8 @@ RULES = (
     Rule("minutes of a move", ((WINDOW, "LIMITS", pulse_window.LIMITS._replace(step_s=1e9)),)),
     Rule("held at the start", ((VARPRO, "RESTED_TAUS", 0.0),)),
     Rule("errors along the valley", ((VARPRO, "_spread", lambda *_: np.zeros(7)),)),
-    Rule("variable projection", ((PIPELINE, "fit_pulses", _by_segments),)),
-    Rule("one cell", ((PIPELINE, "sample_notice", _none),)),
+    Rule("variable projection", ((FITTED_PULSES, "fit_pulses", _by_segments),)),
+    Rule("one cell", ((MEASURED_OCV, "sample_notice", _none),)),
     Rule("unrelaxed rests", _rests(unrelaxed_V=np.inf)),
     Rule("short rests", _rests(rest_s=0.0)),
     Rule("relaxation extrapolated", ((RESTS, "_relaxed_V", lambda _, v: float(v[-1])),)),

@@ -26,7 +26,7 @@ from cellwise.benchmark.suite_logs import check_files, has_own_files, judged_log
 from cellwise.benchmark.work import SEED, Place, make_model, run_all
 from cellwise.errors import InputError
 from cellwise.files import write_atomically
-from cellwise.logs.tables import write_columns
+from cellwise.logs.writing import write_columns
 
 if TYPE_CHECKING:
     from cellwise.report.page.picture import FigureFiles

@@ -7,8 +7,8 @@ import sys
 from collections.abc import Sequence
 
 from cellwise.cli.common.interrupts import watched
-from cellwise.cli.common.overwriting import check_overwriting
-from cellwise.cli.common.wording import in_options
+from cellwise.cli.common.places import check_overwriting
+from cellwise.cli.common.printing import in_options
 from cellwise.errors import InputError
 
 REFUSED = 2

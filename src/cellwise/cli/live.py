@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
-from cellwise.cli.common import log_options, model_options, power_options, printing
+from cellwise.cli.common import log_options, options, places, power_options, printing
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
@@ -25,53 +25,35 @@ if TYPE_CHECKING:
 FORECAST_EVERY_S = 1.0
 
 
-def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     """Add the command that follows a stream."""
     live = commands.add_parser("live", help="a stream of samples to SOC, as they come")
-    model_options.add_model(live, scalable=True)
-    live.add_argument(
-        "--source",
-        required=True,
-        metavar="S",
-        help="stdin (JSON lines), json:FILE, can:INTERFACE:CHANNEL, ulog:FILE (- for stdin); "
-        "json:FILE@soc0=1 says how it begins",
-    )
-    live.add_argument("--follow", action="store_true", help="wait for more at a file's end")
+    options.add_model(live, scalable=True)
+    text = "stdin (JSON lines), json:FILE, can:INTERFACE:CHANNEL, ulog:FILE (- for stdin); "
+    text += "json:FILE@soc0=1 says how it begins"
+    live.add_argument("--source", required=True, metavar="S", help=text)
+    options.flag(live, "--follow", "wait for more at a file's end")
     live.add_argument("--estimator", default="ekf", metavar="E", help="ekf or ukf [ekf]")
-    live.add_argument("--soc0", default="auto", metavar="X", help="0..1, or auto [auto]")
-    live.add_argument(
-        "--soc0-std",
-        type=float,
-        metavar="S",
-        help="standard deviation of the initial SOC (of a stated --soc0 0.15 unless given)",
-    )
+    options.add_soc0(live)
+    options.add_soc0_std(live)
     live.add_argument("--state", metavar="FILE", help="goes on where FILE says, and keeps it there")
-    live.add_argument("--fresh", action="store_true", help="start again, whatever FILE says")
-    live.add_argument("--save-every", type=float, default=10.0, metavar="S", help="seconds [10]")
+    options.flag(live, "--fresh", "start again, whatever FILE says")
+    options.number(live, "--save-every", "S", "seconds [10]", default=10.0)
     live.add_argument("-o", "--output", metavar="OUT", help="JSON lines, added at the end of OUT")
-    live.add_argument(
-        "--every", type=float, default=0.0, metavar="S", help="at most one line in S seconds [0]"
-    )
-    live.add_argument("--view", action="store_true", help="a view instead of lines [on a terminal]")
+    options.number(live, "--every", "S", "at most one line in S seconds [0]", default=0.0)
+    options.flag(live, "--view", "a view instead of lines [on a terminal]")
     live.add_argument("--send", metavar="MESSAGE.SIGNAL", help="SOC back on the CAN bus")
-    live.add_argument("--send-every", type=float, default=0.1, metavar="S", help="seconds [0.1]")
-    live.add_argument(
-        "--cutoff-v", type=float, metavar="V", help="voltage at which the load stops [model]"
-    )
-    live.add_argument(
-        "--load", type=float, metavar="W", help="how long, too, at a load of W watts in each cell"
-    )
+    options.number(live, "--send-every", "S", "seconds [0.1]", default=0.1)
+    options.number(live, "--cutoff-v", "V", "voltage at which the load stops [model]")
+    options.number(live, "--load", "W", "how long, too, at a load of W watts in each cell")
     power_options.add_power_options(live)
-    live.add_argument(
-        "--cells", type=int, default=0, metavar="N", help="follow N cells in series, each by itself"
-    )
-    live.add_argument("--deadline-ms", type=float, metavar="MS", help="[the sample's interval]")
-    live.add_argument("--samples", type=int, metavar="N", help="stop after N samples")
-    live.add_argument(
-        "--idle", type=float, metavar="S", help="stop when nothing came for S seconds"
-    )
+    text = "follow N cells in series, each by itself"
+    options.count(live, "--cells", "N", text, default=0)
+    options.number(live, "--deadline-ms", "MS", "[the sample's interval]")
+    options.count(live, "--samples", "N", "stop after N samples")
+    options.number(live, "--idle", "S", "stop when nothing came for S seconds")
     log_options.add_pack_options(live)
-    printing.add_json(live)
+    options.add_json(live)
     live.set_defaults(run=run_live_command)
 
 
@@ -84,14 +66,14 @@ def run_live_command(arguments: argparse.Namespace) -> None:
     from cellwise.live.run import check_any
 
     _check(arguments)
-    model = model_options.read(arguments)
+    model = options.read_model(arguments)
     outlook = Outlook(model, cutoff_of(model, arguments.cutoff_v), arguments.load)
     power = _power(model, arguments)
     name, stated = _stated(arguments.source)
     live = _filter(model, stated, arguments)
-    options = log_options.read_options(arguments)
+    reading = log_options.read_options(arguments)
     source = open_source(
-        name, options, arguments.sign, follow=arguments.follow, cells=arguments.cells
+        name, reading, arguments.sign, follow=arguments.follow, cells=arguments.cells
     )
     deadline = arguments.deadline_ms
     counts = Counts(latency=LatencyMeter(None if deadline is None else 1e-3 * deadline))
@@ -257,7 +239,7 @@ def _temperature(live: LiveFilter, update: Update) -> float:
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    printing.check_places(arguments.output, arguments.state)
+    places.check_places(arguments.output, arguments.state)
     for option in ("save_every", "every", "send_every", "deadline_ms", "samples", "idle"):
         value = getattr(arguments, option)
         if value is not None and not 0.0 <= value < 1e9:
@@ -287,12 +269,12 @@ def _filter(model: Any, stated: Stated, arguments: argparse.Namespace) -> LiveFi
     from cellwise.cell.initial_soc.initial_soc import STATED_STD
     from cellwise.live import LiveFilter
 
-    given = log_options.start_of(stated.soc0, log_options.parse_soc0(arguments.soc0))
+    asked = options.start_of(stated.soc0, options.soc0_of(arguments))
     std = arguments.soc0_std
     live = LiveFilter(
         model,
         arguments.estimator,
-        soc0=given if stated.soc0 is None else stated.soc0,
+        soc0=asked if stated.soc0 is None else stated.soc0,
         soc0_std=STATED_STD if std is None and stated.soc0 is not None else std,
         temperature_C=math.nan if stated.temperature_C is None else stated.temperature_C,
         cells=arguments.cells,

@@ -16,7 +16,7 @@ from cellwise.history.stretches import Compared, Stretch, compare, longest_stret
 from cellwise.history.trend import START_STD, WINDOWS_ALIKE, Deviations, Trend, trend_of
 from cellwise.history.window_fit import RESISTANCE_PER_K, changed_model, fit_window
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.packs.log_date import day_of_name
+from cellwise.logs.stated import day_of_name
 from cellwise.typing import FloatArray
 
 COMPLETE = 0.85  # of the model's capacity: a stretch that moves more counts as a capacity test

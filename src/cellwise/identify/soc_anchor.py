@@ -11,7 +11,7 @@ from cellwise.errors import InputError
 from cellwise.identify.ocv.curve import OcvCurve
 from cellwise.identify.ocv.ocv_rests import find_ocv_rests
 from cellwise.logs.cell_log import CellLog
-from cellwise.typing import FloatArray
+from cellwise.typing import BoolArray, FloatArray
 
 FULL_FROM = 0.97  # a log that seems to begin above this begins full: charging does not stop at 98 %
 EMPTY_TO = 0.02
@@ -22,6 +22,9 @@ LARGEST_ASSUMED = 0.1
 PLAUSIBLE = 2.0  # standard deviations within which a log may still have begun full
 REST_SHARE = 0.01  # below C/100 a cell counts as resting
 FIRST_S = 60.0
+LIKELY_FULL = 0.8  # a capacity test that begins above it begins full
+REST_MOVES = 0.01  # of the capacity: what a test may move before its discharge begins
+FULL_STD = 0.01
 
 
 @dataclass(frozen=True)
@@ -90,6 +93,22 @@ def anchor_soc(
     if mean <= EMPTY_TO:
         return SocAnchor(0.0, max(std, 0.005), f"{how}: empty")
     return SocAnchor(mean, max(std, 0.002), how)
+
+
+def full_before(
+    log: CellLog, discharge: BoolArray, capacity_Ah: float, anchor: SocAnchor
+) -> SocAnchor:
+    """The start of a test that begins full: what SOC means is that its discharge begins at 1.
+
+    Parameters
+    ----------
+    discharge : (n,) bool     rows of its discharge
+    anchor : SocAnchor        where it would begin by its voltages
+    """
+    before = float(log.counted_charge_Ah()[int(np.argmax(discharge))]) / capacity_Ah
+    if anchor.soc < LIKELY_FULL or abs(before) > REST_MOVES:
+        return anchor
+    return SocAnchor(1.0, min(anchor.std, FULL_STD), "a test of the capacity: full")
 
 
 def _half_gap(ocv: OcvCurve, grid: FloatArray) -> FloatArray:

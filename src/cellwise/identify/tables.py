@@ -23,6 +23,7 @@ from cellwise.typing import FloatArray
 TableKind = Literal["spline", "cubic"]
 NAMES = ("r0_ohm", "r1_ohm", "tau1_s", "r2_ohm", "tau2_s")
 RESISTANCES = ("r0_ohm", "r1_ohm", "r2_ohm")
+GRID_POINTS = 201
 LEAST_SHARE = 0.01
 SPREAD = 0.05  # pulses of one level differ by rate and direction: no weight beyond this error
 STIFFNESS = 0.02

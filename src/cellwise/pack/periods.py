@@ -11,8 +11,8 @@ import numpy as np
 
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
-from cellwise.logs.packs.log_date import day_of_name
 from cellwise.logs.packs.pack_log import PackLog
+from cellwise.logs.stated import day_of_name
 from cellwise.pack.evidence import BLOCK_S, PackEvidence, pack_evidence
 from cellwise.pack.mean_cell import MeanCell, OcvSlope, mean_cell
 from cellwise.pack.regressors import Regressors, regressors

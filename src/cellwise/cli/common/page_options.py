@@ -9,7 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
 
-from cellwise.cli.common import printing
+from cellwise.cli.common import options, printing
+from cellwise.cli.common.places import check_places
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
@@ -54,13 +55,8 @@ def add_page_options(parser: argparse.ArgumentParser) -> None:
 def add_figure_options(parser: argparse.ArgumentParser) -> None:
     """Add ``--figures`` and ``--figure-format``, of a command that writes its page anyway."""
     parser.add_argument("--figures", metavar="DIR", help="folder for the pictures as files")
-    parser.add_argument(
-        "--figure-format",
-        action="append",
-        choices=FORMATS,
-        metavar="K",
-        help="png, svg or pdf; several [png]",
-    )
+    text = "png, svg or pdf; several [png]"
+    options.several(parser, "--figure-format", "K", text, choices=FORMATS, default=None)
 
 
 def check_page_options(arguments: argparse.Namespace) -> None:
@@ -71,7 +67,7 @@ def check_page_options(arguments: argparse.Namespace) -> None:
     InputError        no place for page or pictures; nothing to draw with; a format without folder
     """
     report = getattr(arguments, "report", None)
-    printing.check_places(report)
+    check_places(report)
     if arguments.figure_format and not arguments.figures:
         raise InputError(
             "--figure-format without --figures", "a folder for the pictures", "Add --figures DIR."
@@ -79,9 +75,9 @@ def check_page_options(arguments: argparse.Namespace) -> None:
     if arguments.figures and Path(arguments.figures).is_file():
         raise InputError(f"a file at '{arguments.figures}'", "a folder for pictures", "Rename it.")
     if report or arguments.figures:
-        from cellwise.report.page.style import drawing
+        from cellwise.report.page import style
 
-        with drawing():  # says so now if pictures cannot be drawn
+        with style.drawing():  # says so now if pictures cannot be drawn
             pass
 
 
@@ -126,9 +122,9 @@ def hand_over(
     say: Callable[[FoundT], None],
 ) -> None:
     """Write the page of a result if one is wanted, and print the result as was asked."""
-    with page_places(arguments) as places:
-        if places is not None:
-            write_page(found, places.page, figures=places.figures)
+    with page_places(arguments) as pages:
+        if pages is not None:
+            write_page(found, pages.page, figures=pages.figures)
     if arguments.json:
         printing.print_json(found.to_dict())
         return

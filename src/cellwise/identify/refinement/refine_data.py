@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -34,7 +33,8 @@ class RefineLog:
     ``soc`` is known at every row (the tester's counter over the capacity, from a known start);
     ``skewed`` logs share the fitted sampling delay; ``h0`` is the hysteresis state at the first
     row; ``compare`` marks rows that may be compared (None: all); ``temperature_C`` holds where the
-    log measured none; the tables are looked up where ``surface`` says.
+    log measured none; the tables are looked up where ``surface`` says; ``low_rate`` tests hold the
+    OCV and are no load.
     """
 
     log: CellLog
@@ -45,6 +45,7 @@ class RefineLog:
     compare: BoolArray | None = None
     temperature_C: float | None = None
     surface: SurfaceSoc = NO_SURFACE
+    low_rate: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,19 +259,3 @@ def _between(
         row.astype(np.int64),
         np.clip(way, -BEYOND, 1.0 + BEYOND),
     )
-
-
-def warmed(
-    item: RefineLog, ocv: Callable[[FloatArray], FloatArray], rth_K_per_W: float, thermal_s: float
-) -> RefineLog:
-    """The log with the temperature inside the cell: its surface's, and what its losses heat it.
-
-    The losses are measured: current times what the terminal voltage lacks of the OCV.
-    """
-    log = item.log
-    if log.temperature_C is None:
-        return item
-    lost = log.known_current_A() * (ocv(np.clip(item.soc, 0.0, 1.0)) - log.voltage_V)
-    lost = np.where(log.gap_rows | ~np.isfinite(lost), 0.0, np.maximum(lost, 0.0))
-    heat = rth_K_per_W * lagged(lost, log.interval_s, thermal_s)
-    return replace(item, log=replace(log, temperature_C=log.temperature_C + heat))
