@@ -54,7 +54,7 @@ def _in(folder: str, *names: str) -> tuple[str, ...]:
 
 
 P, LEAF, A123, LG = "panasonic_18650pf", "nissan_leaf", "plett_a123", "lg_18650hg2"
-SAMSUNG, LIPO, NMC, LFP = "samsung_30q_ageing", "lipo_5450", "nmc", "lfp"
+SAMSUNG, NMC, LFP = "samsung_30q_ageing", "nmc", "lfp"
 US06, NN = f"{P}/drive_p25_us06", f"{P}/drive_p25_nn"
 
 CASES = (
@@ -86,15 +86,11 @@ CASES = (
         drive=_in(LG, "pauscycl_n10_604"), judged=((f"{LG}/drive_us06_n10_601", 1.0),),
     ),
     Case(
-        "LiPo", 5.45, capacity=_in(LIPO, "c1_cycle01", "c2_cycle01"),
-        drive=_in(LIPO, "c2_cycle01"), judged=((f"{LIPO}/c3_cycle02", 1.0),),
-    ),
-    Case(
         "made NMC", 3.4, _in(NMC, "hppc"), _in(NMC, "ocv_c20"), _in(NMC, "cap_c3", "cap_c5"),
         judged=((f"{NMC}/drive_a", 1.0), (f"{NMC}/flight", 1.0)),
     ),
     Case(
-        "made LFP", 40.0, _in(LFP, "hppc"), _in(LFP, "ocv_c20"), _in(LFP, "cap_0p5c", "cap_2c"),
+        "made LFP", 2.3, _in(LFP, "hppc"), _in(LFP, "ocv_c20"), _in(LFP, "cap_0p5c", "cap_2c"),
         judged=((f"{LFP}/cdc", 1.0),),
     ),
 )  # fmt: skip

@@ -125,7 +125,9 @@ def test_a_pulse_that_a_limit_cut_is_trimmed_and_no_other(limit, cell):
         cell, levels=(0.95, 0.5, 0.1, 0.05), rates_c=(1.0, 3.0, 6.0), pulse_s=30.0, limit=limit,
         noise_V=1e-3, noise_A=0.003,
     )  # fmt: skip
-    short = {p.start: p for p in made.pulses if p.limited and p.role == "pulse"}
+    # A pulse that its first row ended is a glitch for all that a log shows.
+    cut = [p for p in made.pulses if p.limited and p.role == "pulse" and p.stop - p.start > 1]
+    short = {p.start: p for p in cut}
     # A limit that is reached within the last tenth of a pulse leaves it as good as whole.
     held = {
         start: np.mean(np.abs(made.current_A[p.start : p.stop] - p.current_A) > 0.02 * 3.0)
