@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cellwise.identify.capacity import half_cycles
 from cellwise.identify.hppc import pulse_quality, pulses
 from cellwise.identify.ocv import ocv_lowrate, ocv_rests
 from cellwise.identify.pulse_fit import pulse_window
@@ -20,7 +19,7 @@ PULSES, QUALITY = pulses.__name__, pulse_quality.__name__
 DATA, WINDOW = f"{IDENTIFY}.pulse_fit.pulse_data", pulse_window.__name__
 VARPRO, SPLINE = f"{IDENTIFY}.pulse_fit.varpro", f"{IDENTIFY}.ocv.ocv_spline"
 RESTS, LOW = ocv_rests.__name__, ocv_lowrate.__name__
-TESTED, HALVES = f"{IDENTIFY}.capacity.capacity_test", half_cycles.__name__
+TESTED = f"{IDENTIFY}.capacity.capacity_test"
 CHOICE, OF_HPPC = f"{IDENTIFY}.capacity.capacity_choice", f"{IDENTIFY}.capacity.hppc_capacity"
 MEASURED_OCV, BY_TEMPERATURE = f"{IDENTIFY}.measured_ocv", f"{IDENTIFY}.by_temperature"
 FITTED_PULSES = f"{IDENTIFY}.fitted_pulses"
@@ -79,11 +78,11 @@ def _own_end(_: Any, halves: Any, k: int) -> int:
     return int(halves[k].stop - 1)
 
 
-def _kinds(**changes: float) -> tuple[tuple[str, str, Any], ...]:
+def _kinds(**changes: Any) -> tuple[tuple[str, str, Any], ...]:
     return ((PULSES, "KINDS", pulses.KINDS._replace(**changes)),)
 
 
-def _rests(**changes: float) -> tuple[tuple[str, str, Any], ...]:
+def _rests(**changes: Any) -> tuple[tuple[str, str, Any], ...]:
     return ((RESTS, "LIMITS", ocv_rests.LIMITS._replace(**changes)),)
 
 
@@ -93,7 +92,6 @@ RULES = (
     Rule("flat ends of a drift", ((PLATEAUS, "_flat_head", lambda *_: 0),)),
     Rule("neighbours of one level joined", ((PLATEAUS, "_merge_level", _first),)),
     Rule("resolution", ((PLATEAUS, "_resolution", lambda *_: 0.0),)),
-    Rule("rises", ((PHASES, "without_ramps", _first),)),
     Rule("constant voltage joined", ((PHASES, "_join_cv", _first),)),
     Rule("drives joined", ((PHASES, "_join_dynamic", _first),)),
     Rule("plan per rate", ((QUALITY, "_expected", _planned),)),
@@ -132,5 +130,4 @@ RULES = (
     Rule("capacity test", ((TESTED, "_is_capacity_test", lambda _, h: h.charge_Ah > 0.0),)),
     Rule("settled end", ((TESTED, "settled_end", _own_end), (LOW, "settled_end", _own_end))),
     Rule("nearest temperature", ((CHOICE, "SAME_TEMPERATURE_C", np.inf),)),
-    Rule("charge runs that count", ((HALVES, "LIMITS", half_cycles.LIMITS._replace(run=0.0)),)),
 )  # fmt: skip

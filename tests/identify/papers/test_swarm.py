@@ -93,7 +93,7 @@ def test_costs_are_those_of_the_model():
     swarm_costs(problem, np.vstack((positions, swapped)), costs)
     for position, found in zip(positions, costs, strict=False):
         r0, r1, tau1, r2, tau2, ocv, slope = position
-        coefficients = np.array([ocv, slope, r0, r1, r2, 0.0, 0.0])
+        coefficients = np.array([ocv, slope, r0, r1, r2, 0, 0, 0, 0, 0.0])
         residual = residual_V(problem, np.log([tau1, tau2]), coefficients)
         assert found == pytest.approx(np.sum(problem.weight * residual**2), rel=1e-9)
     assert np.isinf(costs[2])

@@ -17,6 +17,7 @@ from cellwise.identify.pulse_fit.fit_pulse import (
     fit_pulses,
 )
 from cellwise.identify.pulse_fit.pulse_data import PulseData, row_weights
+from cellwise.identify.pulse_fit.pulse_trend import local_trends
 from cellwise.identify.pulse_fit.pulse_window import (
     cut_pulse,
     cut_pulses,
@@ -74,7 +75,7 @@ def cut_all(made) -> list[PulseData]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CELLS)
-def test_every_level_within_some_percent_of_the_truth(name):
+def test_every_level_within_one_percent_of_the_truth(name):
     """80 pulses, 1.5 million rows, 1 mV noise, levels from full to empty; issue's target."""
     cell = CELLS[name]()
     data = cut_all(hppc_log(cell, FULL_TEST, rng=np.random.default_rng(5)))
@@ -83,13 +84,12 @@ def test_every_level_within_some_percent_of_the_truth(name):
     fit_pulses(data[:2])
     begin = time.process_time()
     fits = fit_pulses(data)
-    assert time.process_time() - begin < 2.5  # 0.7 s where nothing else runs
+    assert time.process_time() - begin < 6.0  # some 2 s where nothing else runs
     error = np.abs(relative_errors(cell, fits))
     for level in range(10):
         here = slice(8 * level, 8 * level + 8)
         assert np.all(np.abs([f.soc - LEVELS[level] for f in fits[here]]) < 0.03)
-        limit = 0.03 if LEVELS[level] > 0.2 else 0.15
-        assert np.all(np.median(error[here], axis=0) < limit), LEVELS[level]
+        assert np.all(np.median(error[here], axis=0) < 0.01), LEVELS[level]
     assert all(f.rmse_V < 1.1e-3 for f in fits)
     assert all(all(f.identified[:5]) for f in fits)
 
@@ -115,7 +115,7 @@ QUICK = {
 
 @pytest.mark.parametrize("plan", QUICK)
 def test_other_testers_and_plans(plan):
-    """Every pulse by itself: what changes inside it, most near empty, is for the joint fit."""
+    """A tenth of the noise at a thirteenth of the rate: three percent at every level."""
     changes = {"levels": (0.95, 0.7, 0.5, 0.3, 0.1), **QUICK[plan]}
     base = {**vars(FULL_TEST), "noise_V": 2e-4, **changes}
     cell = nmc_cell()
@@ -123,9 +123,31 @@ def test_other_testers_and_plans(plan):
     assert len(fits) == 40
     error = np.abs(relative_errors(cell, fits))
     for level in range(5):
-        here = slice(8 * level, 8 * level + 8)
-        limit = 0.04 if np.mean([f.soc for f in fits[here]]) > 0.2 else 0.1
-        assert np.all(np.median(error[here], axis=0) < limit)
+        assert np.all(np.median(error[8 * level : 8 * level + 8], axis=0) < 0.03)
+
+
+def test_trend_of_the_neighbours_takes_the_bias_out():
+    plan = HppcPlan(**{**vars(FULL_TEST), "pulse_hz": 10.0, "rates_c": (2.0, 3.0), "noise_V": 1e-4})
+    cell = paper_cell()
+    data = cut_all(hppc_log(cell, plan, rng=np.random.default_rng(3)))
+    low = slice(28, 40)  # 30, 15 and 5 % of SOC
+    alone = np.abs(relative_errors(cell, [fit_pulse(one) for one in data]))[low]
+    told = np.abs(relative_errors(cell, fit_pulses(data)))[low]
+    assert np.max(np.median(alone, axis=0)) > 0.01
+    assert np.all(np.median(told, axis=0) < 0.5 * np.median(alone, axis=0))
+
+
+def test_local_trends_are_the_slopes_of_the_tables():
+    plan = HppcPlan(**{**vars(FULL_TEST), "pulse_hz": 10.0, "rates_c": (1.0,), "noise_V": 1e-5})
+    cell = paper_cell()
+    fits = fit_pulses(cut_all(hppc_log(cell, plan, rng=np.random.default_rng(4))))
+    trends = local_trends(fits)
+    for fit, trend in zip(fits[2:-2], trends[2:-2], strict=True):
+        up, down = np.log(truth(cell, fit.soc + 1e-3)), np.log(truth(cell, fit.soc - 1e-3))
+        r0, r1, tau1, r2, tau2 = (up - down) / 2e-3
+        np.testing.assert_allclose(trend, [r0, r1, r2, tau1, tau2], atol=0.7)
+    assert local_trends(fits[:2]) == [None, None]  # one level only
+    assert local_trends([]) == []
 
 
 # --- windows -------------------------------------------------------------------------------------
@@ -350,7 +372,7 @@ def test_real_resistance_after_ten_seconds_is_what_the_voltage_says(real_data):
     """The fit's response at the pulse's end against the drop that a voltmeter shows."""
     data = real_pulses(real_data, "panasonic")
     for one, fit in zip(data, fit_pulses(data), strict=True):
-        if fit.soc < 0.2:
+        if fit.soc < 0.2 or any(fit.ocv_bends_V):
             continue
         drop = np.mean(one.voltage_V[: one.start]) - one.voltage_V[one.stop - 1]
         t = one.pulse_duration_s

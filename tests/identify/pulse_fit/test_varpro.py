@@ -8,13 +8,13 @@ from scipy.optimize import least_squares, lsq_linear
 
 from cellwise.errors import InputError
 from cellwise.identify.pulse_fit.pulse_data import PulseData, row_weights
-from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, TauBounds
+from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseTrend, TauBounds
 from cellwise.identify.pulse_fit.pulse_problem import build_problem, columns, window_tau_bounds
 from cellwise.identify.pulse_fit.pulse_window import pulse_from_arrays
 from cellwise.identify.pulse_fit.varpro import VarproOptions, _bounded_optimum, fit_varpro
 from closed_form import Circuit, closed_form, closed_pulse, random_circuit, stamps
 
-PLAIN = VarproOptions(initial=False, weighting="rows")
+PLAIN = VarproOptions(bends=False, initial=False, weighting="rows")
 
 
 def values(fit: PulseFit) -> np.ndarray:
@@ -100,12 +100,63 @@ def bent_pulse(current=80.0, noise=0.0):
     return args, ocv
 
 
+@pytest.mark.parametrize("current", [-80.0, 80.0])
+def test_bends_of_the_ocv_are_found_where_the_residual_shows_them(current):
+    rng = np.random.default_rng(0)
+    args, ocv = bent_pulse(current, 2e-4 * rng.standard_normal(stamps().size))
+    data = pulse_from_arrays(*args, soc_start=0.5, rest_before_s=1e4)
+    fit = fit_varpro(data)
+    assert fit.ocv_bends_V[0] != 0.0
+    np.testing.assert_allclose(values(fit)[:5], Circuit().values[:5], rtol=0.03)
+    slope = (ocv(data.soc + 1e-6) - ocv(data.soc - 1e-6)) / 2e-6
+    assert fit.ocv_slope_V == pytest.approx(slope, rel=0.02)
+    assert fit.ocv_V == pytest.approx(ocv(data.soc), abs=2e-3)
+    straight = fit_varpro(data, VarproOptions(bends=False))
+    assert abs(straight.r1_ohm / Circuit().r1 - 1.0) > 0.1
+
+
+def test_no_bends_where_there_are_none():
+    rng = np.random.default_rng(1)
+    kept = 0
+    for _ in range(40):
+        t = stamps()
+        data = closed_pulse(Circuit(), t, noise=1e-3 * rng.standard_normal(t.size))
+        kept += fit_varpro(data).ocv_bends_V[0] != 0.0
+    assert kept <= 2
+
+
 def test_tabulated_ocv_takes_the_place_of_the_slope():
     args, ocv = bent_pulse()
     fit = fit_varpro(pulse_from_arrays(*args, soc_start=0.5, rest_before_s=1e4, ocv=ocv))
     np.testing.assert_allclose(values(fit)[:5], Circuit().values[:5], rtol=1e-5)
     assert fit.ocv_V == pytest.approx(ocv(0.5 - 80.0 * 30.0 / 3600.0 / 40.0), abs=1e-4)
     assert fit.error.ocv_slope_V == 0.0
+
+
+@pytest.mark.parametrize("current", [-120.0, 120.0])
+def test_trend_gives_the_parameters_at_the_mean_soc(current):
+    """Parameters that change over the pulse: stepped finely here, told to the fit by slope."""
+    trend = PulseTrend(r0=-2.0, r1=-4.0, r2=-5.0, tau1=3.0, tau2=2.0)
+    t = stamps(pulse_hz=20.0)
+    flow, _ = closed_form(Circuit(), t, current, 60.0, 40.0)
+    dt = np.diff(t, prepend=t[0])
+    dq = np.cumsum(flow * dt) / 3600.0 / 40.0
+    x = 0.5 * dq[-1] - dq
+    middle = x + 0.5 * flow * dt / 3600.0 / 40.0
+    r1, r2 = 1e-3 * np.exp(trend.r1 * middle), 1.5e-3 * np.exp(trend.r2 * middle)
+    a1 = np.exp(-dt / (4.0 * np.exp(trend.tau1 * middle)))
+    a2 = np.exp(-dt / (60.0 * np.exp(trend.tau2 * middle)))
+    v, u1, u2 = np.empty(t.size), 0.0, 0.0
+    for k in range(t.size):
+        u1 = a1[k] * u1 + (1.0 - a1[k]) * r1[k] * flow[k]
+        u2 = a2[k] * u2 + (1.0 - a2[k]) * r2[k] * flow[k]
+        v[k] = 3.6 + 0.8 * x[k] - 2e-3 * np.exp(trend.r0 * x[k]) * flow[k] - u1 - u2
+    start = int(np.argmax(flow != 0.0))
+    data = pulse_from_arrays(t, flow, v, start, start + 1200, 40.0, rest_before_s=1e4)
+    told = fit_varpro(data, PLAIN, trend)
+    np.testing.assert_allclose(values(told), Circuit().values, rtol=2e-3)
+    alone = fit_varpro(data, PLAIN)
+    assert np.max(np.abs(values(alone)[:5] / Circuit().values[:5] - 1.0)) > 0.03
 
 
 # --- nothing finds a better fit ------------------------------------------------------------------

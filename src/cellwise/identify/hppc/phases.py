@@ -9,8 +9,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from cellwise.identify.hppc.plateaus import (
-    RAMP_ROWS,
-    RAMP_S,
+    RISE_ROWS,
+    RISE_S,
     CurrentScale,
     Plateaus,
     current_scale,
@@ -22,11 +22,18 @@ from cellwise.typing import FloatArray
 
 PhaseKind = Literal["rest", "cc", "cv", "dynamic"]
 
-# Levels held for less than this, one after another, are a drive.
-DYNAMIC_S = 5.0
-DYNAMIC_LEVELS = 4
-VOLTAGE_SIGMAS = 6.0
-VOLTAGE_TOLERANCE = 1e-3
+
+class _Limits(NamedTuple):
+    """What a phase is."""
+
+    drive_s: float = 5.0  # levels held for less, one after another, are a drive ...
+    drive_levels: int = 4  # ... from so many on
+    # A voltage counts as held within its noise, or within this share of it.
+    sigmas: float = 6.0
+    held: float = 1e-3
+
+
+LIMITS = _Limits()
 
 
 @dataclass(frozen=True)
@@ -118,7 +125,7 @@ def voltage_tolerance(log: CellLog) -> float:
     if n:
         spread = np.partition(np.abs(np.diff(v[:n].reshape(-1, 8), axis=1)), 3, axis=1)[:, 3]
         noise = float(np.quantile(spread, 0.2)) / (0.6745 * np.sqrt(2.0))
-    return max(VOLTAGE_SIGMAS * noise, VOLTAGE_TOLERANCE * float(np.median(np.abs(v))))
+    return max(LIMITS.sigmas * noise, LIMITS.held * float(np.median(np.abs(v))))
 
 
 def filled(voltage_V: FloatArray) -> FloatArray:
@@ -159,7 +166,7 @@ def _between(a: int, b: int, before: _Span | None, after_A: float, s: _Signals) 
     if _held(a, b, s):
         return [_Span("cv", a, b, float(np.mean(inside)))]
     begin = before.level_A if before is not None else float(inside[0])
-    if s.seconds(a, b) <= RAMP_S and _rises(inside, begin, after_A, s.scale):
+    if s.seconds(a, b) <= RISE_S and _rises(inside, begin, after_A, s.scale):
         return []
     return _moving(a, b, s)
 
@@ -167,7 +174,7 @@ def _between(a: int, b: int, before: _Span | None, after_A: float, s: _Signals) 
 def _rises(inside: FloatArray, begin_A: float, end_A: float, scale: CurrentScale) -> bool:
     """Whether rows lead from one level to another: straight on, or in few rows with overshoot."""
     low, high = min(begin_A, end_A), max(begin_A, end_A)
-    if inside.size <= RAMP_ROWS:
+    if inside.size <= RISE_ROWS:
         room = 0.5 * (high - low) + scale.step_A
         return bool(low - room <= np.min(inside) and np.max(inside) <= high + room)
     on = np.diff(inside) * np.sign(end_A - begin_A)
@@ -190,7 +197,7 @@ def _moving(a: int, b: int, s: _Signals) -> list[_Span]:
     if a < knee and b - knee >= max(3, (b - a) // 2) and _held(knee, b, s):
         head = s.current_A[a:knee]
         flat = np.ptp(head) <= max(s.scale.step_A, 0.03 * float(np.max(np.abs(head))))
-        kind: PhaseKind = "cc" if flat or s.seconds(a, knee) <= RAMP_S else "dynamic"
+        kind: PhaseKind = "cc" if flat or s.seconds(a, knee) <= RISE_S else "dynamic"
         tail = float(np.mean(s.current_A[knee:b]))
         return [_Span(kind, a, knee, float(np.mean(head))), _Span("cv", knee, b, tail)]
     return [_Span("dynamic", a, b, mean)]
@@ -254,7 +261,7 @@ def _resistance(spans: list[_Span], s: _Signals) -> float:
 
 def _join_dynamic(spans: list[_Span], s: _Signals) -> list[_Span]:
     """Short levels one after another, and what moves between them, are one dynamic phase."""
-    short = [x.kind == "dynamic" or s.seconds(x.start, x.stop) < DYNAMIC_S for x in spans]
+    short = [x.kind == "dynamic" or s.seconds(x.start, x.stop) < LIMITS.drive_s for x in spans]
     out: list[_Span] = []
     k = 0
     while k < len(spans):
@@ -263,7 +270,7 @@ def _join_dynamic(spans: list[_Span], s: _Signals) -> list[_Span]:
             end += 1
         group = spans[k:end]
         moves = any(x.kind == "dynamic" for x in group)
-        if len(group) > 1 and (moves or len(group) >= DYNAMIC_LEVELS):
+        if len(group) > 1 and (moves or len(group) >= LIMITS.drive_levels):
             out.append(_Span("dynamic", group[0].start, group[-1].stop, 0.0))
             k = end
         elif group:

@@ -33,8 +33,8 @@ LIMITS = _Limits()
 LEVEL_ROWS = 64  # more rows than these say nothing new of a level
 CHUNKS = 8  # a level is flat whose eighths have one mean; noise is looked for in blocks of as many
 # Up to this long, what lies between two plateaus is the tester's rise.
-RAMP_ROWS = 8
-RAMP_S = 3.0
+RISE_ROWS = 8
+RISE_S = 3.0
 # Mean size of a second difference of white noise of unit sigma: sqrt(6) sqrt(2 / pi).
 MEAN_BEND = 1.954
 
@@ -122,7 +122,7 @@ def find_plateaus(current_A: FloatArray, scale: CurrentScale | None = None) -> P
     return plateaus
 
 
-def without_ramps(p: Plateaus, time_s: FloatArray, ramp_s: float = RAMP_S) -> Plateaus:
+def without_ramps(p: Plateaus, time_s: FloatArray, ramp_s: float = RISE_S) -> Plateaus:
     """Drop the short pieces into which a slow rise breaks between two levels.
 
     They are a few rows long, lead from the one level towards the other without turning back, and
@@ -134,7 +134,7 @@ def without_ramps(p: Plateaus, time_s: FloatArray, ramp_s: float = RAMP_S) -> Pl
     time_s : (n,) float       [s]
     ramp_s : float            longest rise [s]
     """
-    short = (p.stop - p.start <= RAMP_ROWS) & ~p.rest
+    short = (p.stop - p.start <= RISE_ROWS) & ~p.rest
     short[:1] = short[-1:] = False
     first = np.flatnonzero(short & ~np.concatenate(([False], short[:-1])))
     last = np.flatnonzero(short & ~np.concatenate((short[1:], [False])))
@@ -145,10 +145,6 @@ def without_ramps(p: Plateaus, time_s: FloatArray, ramp_s: float = RAMP_S) -> Pl
     for a, b in zip(first[took <= ramp_s], last[took <= ramp_s], strict=True):
         climb = np.diff(p.level_A[a - 1 : b + 2])
         kept[a : b + 1] = not (np.all(climb > 0.0) or np.all(climb < 0.0))
-    return _chosen(p, kept)
-
-
-def _chosen(p: Plateaus, kept: BoolArray) -> Plateaus:
     return Plateaus(p.start[kept], p.stop[kept], p.level_A[kept], p.rest[kept])
 
 

@@ -24,7 +24,7 @@ def swarm_costs(
     positions : (m, 7) float          R0, R1, tau1, R2, tau2, OCV minus reference, OCV slope
     costs : (m,) float                result; infinite where tau1 >= tau2
     """
-    dt, current, known, dq, weight, centre, _ = problem
+    dt, current, known, dq, weight, centre, _, _ = problem
     for p in range(positions.shape[0]):
         r0, r1, tau1 = positions[p, 0], positions[p, 1], positions[p, 2]
         r2, tau2, ocv, slope = (

@@ -67,7 +67,7 @@ def describe(
     """A solution as a `PulseFit`: values, standard errors, bounds reached, notes."""
     statistics = residual_statistics(problem, solution)
     error, condition = _standard_errors(problem, solution, statistics)
-    ocv, slope, r0, r1, r2, v1, v2 = (float(c) for c in solution.coefficients)
+    ocv, slope, r0, r1, r2, v1, v2, *bends = (float(c) for c in solution.coefficients)
     tau1, tau2 = np.exp(solution.log_tau)
     ocv += problem.reference_V
     if data.ocv_change_V is not None:
@@ -92,6 +92,7 @@ def describe(
         rows_per_residual=statistics.rows_per_residual,
         condition=condition,
         at_bound=_at_bound(solution, limits),
+        ocv_bends_V=(bends[0], bends[1], bends[2]),
         v1_start_V=v1,
         v2_start_V=v2,
         passes=solution.passes,
@@ -108,7 +109,7 @@ def _standard_errors(
     residual variance and m the rows that share one independent residual. A time constant whose
     branch has no resistance is not seen: inf. An unknown that the model does not have: 0.
     """
-    linear, of_tau = columns(problem, solution.log_tau)
+    linear, of_tau = columns(problem, solution.log_tau, solution.include)
     slopes = tau_slopes(of_tau, solution.coefficients)
     seen = np.any(slopes != 0.0, axis=1)
     jacobian = np.concatenate((linear[solution.include], slopes[seen]))
@@ -140,7 +141,7 @@ def _standard_errors(
 
 def _at_bound(solution: Solution, limits: FloatArray) -> tuple[str, ...]:
     """Names of the parameters that a bound holds."""
-    _, slope, r0, r1, r2, _, _ = solution.coefficients
+    slope, r0, r1, r2 = solution.coefficients[1:5]
     fast, slow = solution.log_tau
     held = {
         "r0_ohm": r0 <= 0.0,

@@ -14,13 +14,16 @@ from cellwise.identify.pulse_fit.pulse_data import (
     row_weights,
 )
 from cellwise.identify.pulse_fit.pulse_kernels import branch_response
-from cellwise.identify.pulse_fit.pulse_parameters import TauBounds
+from cellwise.identify.pulse_fit.pulse_parameters import PulseTrend, TauBounds
 from cellwise.typing import BoolArray, FloatArray
 
 FASTEST_TAU_S = 0.5
-# Unknowns that enter linearly, in the order of the columns; the first and the last two have either
-# sign.
-UNKNOWNS = ("ocv", "slope", "r0", "r1", "r2", "v1", "v2")
+# Unknowns that enter linearly, in the order of the columns: the OCV and its slope, resistances,
+# what the branches held at the window's first row, powers of the OCV inside the pulse.
+UNKNOWNS = ("ocv", "slope", "r0", "r1", "r2", "v1", "v2", "bend2", "bend3", "bend4")
+
+
+NO_TREND = PulseTrend()
 
 
 class Problem(NamedTuple):
@@ -33,6 +36,7 @@ class Problem(NamedTuple):
     weight: FloatArray
     centre: float  # dq at the pulse's mean SOC
     reference_V: float  # taken off so that sums of squares do not cancel
+    trend: PulseTrend = NO_TREND
 
 
 class Solution(NamedTuple):
@@ -40,13 +44,13 @@ class Solution(NamedTuple):
 
     cost: float  # weighted sum of squares [V^2]
     log_tau: FloatArray  # (2,)
-    coefficients: FloatArray  # (7,) of `UNKNOWNS`; OCV minus reference
-    include: BoolArray  # (7,) which unknowns the model has
+    coefficients: FloatArray  # (10,) of `UNKNOWNS`; OCV minus reference
+    include: BoolArray  # (10,) which unknowns the model has
     passes: int
     converged: bool
 
 
-def build_problem(data: PulseData, weighting: Weighting) -> Problem:
+def build_problem(data: PulseData, weighting: Weighting, trend: PulseTrend = NO_TREND) -> Problem:
     """Channels of one window, weights included.
 
     Raises
@@ -70,11 +74,12 @@ def build_problem(data: PulseData, weighting: Weighting) -> Problem:
         weight,
         data.pulse_centre,
         reference,
+        trend,
     )
 
 
 def columns(
-    problem: Problem, log_tau: FloatArray, held: bool = True
+    problem: Problem, log_tau: FloatArray, include: BoolArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """Derivatives of the voltage to the linear unknowns, and of those to log tau.
 
@@ -82,39 +87,59 @@ def columns(
     ----------
     problem : Problem
     log_tau : (2,) float
-    held : bool                   whether the branches held something at the window's first row
+    include : (10,) bool          unknowns whose columns are asked for; others may be zero
 
     Returns
     -------
-    linear : (7, n) float         by `UNKNOWNS`
-    of_tau : (4, n) float         of the last four to log tau of their own branch
+    linear : (10, n) float        by `UNKNOWNS`
+    of_tau : (4, n) float         of R1, R2, V1 and V2 to log tau of their own branch
     """
     n = problem.dt.size
     linear, of_tau = np.zeros((len(UNKNOWNS), n)), np.zeros((4, n))
     linear[0] = 1.0
     linear[1] = problem.centre - problem.dq
-    linear[2] = -problem.current
+    # The state of charge halfway through each interval.
+    halfway = linear[1] + 0.5 * np.diff(problem.dq, prepend=problem.dq[0])
+    linear[2] = -_changed(problem.current, problem.trend.r0, linear[1])
+    r_trends, tau_trends = problem.trend[1:3], problem.trend[3:]
     for branch, tau in enumerate(np.exp(log_tau)):
         u, du = linear[3 + branch], of_tau[branch]
-        branch_response(problem.dt, problem.current, float(tau), u, du)
+        share = problem.dt / _changed(tau, tau_trends[branch], halfway)
+        branch_response(share, _changed(problem.current, r_trends[branch], halfway), u, du)
         np.negative(u, out=u)
         np.negative(du, out=du)
-        if held:
-            since = np.cumsum(problem.dt) / tau
+        if include is None or include[6]:
+            since = np.cumsum(share)
             linear[5 + branch] = -np.exp(-since)
             of_tau[2 + branch] = linear[5 + branch] * since
+    if include is None or include[7]:
+        for power in range(7, 10):
+            linear[power] = linear[1] * linear[1 if power == 7 else power - 1]
     return linear, of_tau
+
+
+def _changed(value: FloatArray, trend: float, soc_offset: FloatArray) -> FloatArray:
+    """A parameter, or what it multiplies, at a SOC offset from the pulse's mean SOC.
+
+    exp(trend * offset) to second order: positive for every trend.
+    """
+    if trend == 0.0:
+        return value
+    x = trend * soc_offset
+    return np.asarray(value * (1.0 + x * (1.0 + 0.5 * x)))
 
 
 def tau_slopes(of_tau: FloatArray, coefficients: FloatArray) -> FloatArray:
     """Derivatives of the voltage to log tau1 and log tau2, shape (2, n) [V]."""
-    each = of_tau * coefficients[3:, None]
+    each = of_tau * coefficients[3:7, None]
     return np.asarray(each[:2] + each[2:])
 
 
 def residual_V(problem: Problem, log_tau: FloatArray, coefficients: FloatArray) -> FloatArray:
     """Measured minus modelled voltage [V], shape (n,)."""
-    return np.subtract(problem.known, coefficients @ columns(problem, log_tau)[0])
+    return np.subtract(
+        problem.known, coefficients @ columns(problem, log_tau, coefficients != 0.0)[0]
+    )
 
 
 def window_tau_bounds(data: PulseData) -> TauBounds:

@@ -2,7 +2,8 @@
 
 .. math::
 
-    v = OCV + s x - R_0 I - R_1 u_1 - R_2 u_2 - V_{10} e_1 - V_{20} e_2
+    v = OCV + s x + b_2 x^2 + b_3 x^3 + b_4 x^4
+        - R_0 I - R_1 u_1 - R_2 u_2 - V_{10} e_1 - V_{20} e_2
 
 with x the SOC minus the pulse's mean SOC, u_j the response of a branch of one ohm (exact for
 current that is constant over an interval) and e_j the decay of what the branch held at the start.
@@ -23,8 +24,14 @@ from scipy.optimize import nnls
 from cellwise.errors import InputError
 from cellwise.identify.pulse_fit.fit_errors import describe, residual_statistics
 from cellwise.identify.pulse_fit.pulse_data import PulseData, Weighting
-from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseParameters, TauBounds
+from cellwise.identify.pulse_fit.pulse_parameters import (
+    PulseFit,
+    PulseParameters,
+    PulseTrend,
+    TauBounds,
+)
 from cellwise.identify.pulse_fit.pulse_problem import (
+    NO_TREND,
     UNKNOWNS,
     Problem,
     Solution,
@@ -36,12 +43,14 @@ from cellwise.identify.pulse_fit.pulse_problem import (
 )
 from cellwise.typing import BoolArray, FloatArray
 
-# What the branches held at the start is fitted where it lowers the sum of squares by this many
+# A further unknown stays where it lowers the sum of squares by this many
 # residual variances per independent residual and unknown: 3.5 standard errors.
 CLEAR_GAIN = 12.0
+# Over less SOC than this an OCV does not bend; what looks like it is some other nonlinearity.
+BEND_SWING = 0.006
 RESTED_TAUS = 5.0  # a branch then holds less than a hundredth of what it held
 # Slope and resistances are not below zero; OCV and starting voltages have either sign.
-BOUNDED = np.array([False, True, True, True, True, False, False])
+BOUNDED = np.isin(np.arange(len(UNKNOWNS)), [1, 2, 3, 4])
 RIDGE = 1e-13  # of the scaled normal equations: rounding
 
 
@@ -52,7 +61,7 @@ class _Search(NamedTuple):
     starts: int = 2  # grid points that are followed
     passes: int = 100
     loose: float = 1e-4  # movement of log tau that ends the search on few rows ...
-    tight: float = 1e-6  # ... and on all of them
+    tight: float = 1e-3  # ... and on all of them, where one step more is exact enough
     few_rows: int = 800  # more are averaged for the search ...
     part: float = 0.02  # ... over this part of the time since the last step of the current
 
@@ -68,12 +77,15 @@ class VarproOptions:
     ----------
     weighting : str           see `row_weights`
     tau : TauBounds or None   by default from the window, see `window_tau_bounds`
+    bends : bool              keep the powers of the OCV inside the pulse, beyond its slope, that
+                              the residual calls for
     initial : "auto" or bool  fit what the branches held at the window's start; ``auto`` does if
                               the residual calls for it
     """
 
     weighting: Weighting = "balanced"
     tau: TauBounds | None = None
+    bends: bool = True
     initial: Literal["auto"] | bool = "auto"
 
     def __post_init__(self) -> None:
@@ -96,13 +108,20 @@ class _At(NamedTuple):
     gradient: FloatArray
 
 
-def fit_varpro(data: PulseData, options: VarproOptions | None = None) -> PulseFit:
+def fit_varpro(
+    data: PulseData,
+    options: VarproOptions | None = None,
+    trend: PulseTrend = NO_TREND,
+    start_tau_s: tuple[float, float] | None = None,
+) -> PulseFit:
     """Fit one pulse and its relaxation by variable projection.
 
     Parameters
     ----------
     data : PulseData
     options : VarproOptions
+    trend : PulseTrend        change of the parameters with SOC, from neighbouring pulses
+    start_tau_s : (2,) float  time constants to start from [s]; by default a grid is searched
 
     Returns
     -------
@@ -113,14 +132,14 @@ def fit_varpro(data: PulseData, options: VarproOptions | None = None) -> PulseFi
     InputError        bounds that leave no room, too few settled rows
     """
     options = options or VarproOptions()
-    problem = build_problem(data, options.weighting)
+    problem = build_problem(data, options.weighting, trend)
     limits = log_limits(options.tau or window_tau_bounds(data))
     include = np.ones(len(UNKNOWNS), dtype=np.bool_)
     include[1] = data.ocv_change_V is None
     plain = include.copy()
-    plain[-2:] = False
+    plain[5:] = include[7:] = False
     few = _thinned(problem)
-    grid = _grid(limits)
+    grid = _grid(limits) if start_tau_s is None else np.log(np.array([start_tau_s]))
     seen = [_evaluate(few, plain, log_tau) for log_tau in grid]
     starts = grid[np.argsort([at.cost for at in seen])[: SEARCH.starts]]
     found = _lowest(few, include if options.initial is True else plain, limits, starts)
@@ -128,6 +147,8 @@ def fit_varpro(data: PulseData, options: VarproOptions | None = None) -> PulseFi
     if options.initial == "auto" and data.rest_before_window_s < RESTED_TAUS * tau2_s:
         richer = _lowest(few, include, limits, (found.log_tau, *starts))
         found = richer if _called_for(few, found, richer) else found
+    if options.bends and np.ptp(problem.dq) >= BEND_SWING:
+        found = _with_bends(few, limits, found)
     solution = _descend(problem, found.include, limits, found.log_tau, SEARCH.tight)
     fit = describe(data, problem, solution, limits, "varpro")
     wide = _spread(few, found, grid, seen)
@@ -146,9 +167,21 @@ def _spread(few: Problem, found: Solution, grid: FloatArray, seen: Sequence[_At]
     likelihood = np.exp(-0.5 * independent * excess / max(found.cost, 1e-300))
     coefficients = np.array([at.coefficients for at in seen]) - found.coefficients
     slow = np.exp(found.log_tau) * (grid - found.log_tau)
-    ocv, slope, r0, r1, r2, _, _ = coefficients.T
+    ocv, slope, r0, r1, r2 = coefficients.T[:5]
     deviation = np.array([r0, r1, slow[:, 0], r2, slow[:, 1], ocv, slope])
     return np.asarray(np.sqrt(deviation**2 @ likelihood / (1.0 + np.sum(likelihood))))
+
+
+def _with_bends(problem: Problem, limits: FloatArray, plain: Solution) -> Solution:
+    """Add powers of the OCV inside the pulse, one after the other, while they are called for."""
+    for power in range(7, len(UNKNOWNS)):
+        include = plain.include.copy()
+        include[power] = True
+        richer = _descend(problem, include, limits, plain.log_tau, SEARCH.loose)
+        if not _called_for(problem, plain, richer):
+            break
+        plain = richer
+    return plain
 
 
 def _called_for(problem: Problem, plain: Solution, richer: Solution) -> bool:
@@ -156,7 +189,8 @@ def _called_for(problem: Problem, plain: Solution, richer: Solution) -> bool:
     memory = residual_statistics(problem, richer).rows_per_residual
     independent = np.count_nonzero(problem.weight) / memory
     gain = (plain.cost - richer.cost) * independent
-    return bool(gain > 2.0 * CLEAR_GAIN * richer.cost)
+    unknowns = np.count_nonzero(richer.include) - np.count_nonzero(plain.include)
+    return bool(gain > CLEAR_GAIN * unknowns * richer.cost)
 
 
 def _grid(limits: FloatArray) -> FloatArray:
@@ -218,7 +252,7 @@ def _bounded_step(at: _At, damping: float, log_tau: FloatArray, limits: FloatArr
 
 def _evaluate(problem: Problem, include: BoolArray, log_tau: FloatArray) -> _At:
     """One pass over the samples at a pair of time constants."""
-    linear, of_tau = columns(problem, log_tau, bool(include[-1]))
+    linear, of_tau = columns(problem, log_tau, include)
     root = np.sqrt(problem.weight)
     used = np.flatnonzero(include)
     a, y = linear[used] * root, problem.known * root
