@@ -1,19 +1,21 @@
-"""Anatomy of a residual: where it sits, how fast it moves, what of it is noise."""
+"""Analysis of a residual: where it sits, how fast it moves, what of it is noise."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import norm
 
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import simulate
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
-# Sizes of the current that are looked at apart, in units of 1C; below the first it is a rest. They
+# Sizes of the current that are grouped by, in units of 1C; below the first it is a rest. They
 # lie between the rates that laboratories use.
 RATES_C = (0.02, 0.15, 0.4, 0.75, 1.25, 2.25)
 EDGE_C = 0.1  # a step of the current by more than this starts a new edge
@@ -24,11 +26,11 @@ PARTS = 10
 TEMPERATURE_STEP_C = 5.0
 MOST_TEMPERATURES = 12
 FALLEN = float(np.exp(-1.0))
-MEDIAN_JUMP = 0.9539  # median of |difference| of white noise over its standard deviation
-NINTH_JUMP = 2.3262  # its 90 % quantile
 
 
-def anatomy(model: CellModel, log: CellLog, soc0: float, h0: float | None = None) -> dict[str, Any]:
+def residual_analysis(
+    model: CellModel, log: CellLog, soc0: float, h0: float | None = None
+) -> dict[str, Any]:
     """Where measured minus simulated voltage sits.
 
     Parameters
@@ -184,9 +186,11 @@ def noise_floor(error_V: FloatArray) -> dict[str, float | None]:
     e = error_V[np.isfinite(error_V)]
     if not jump.size:
         return {"floor_V": None, "share": None}
-    floor = float(np.median(jump)) / MEDIAN_JUMP
-    if floor == 0.0:  # most rows repeat the last: a coarse digit
-        floor = float(np.quantile(jump, 0.9)) / NINTH_JUMP
+    for share in (0.5, 0.9):  # where most rows repeat the last (a coarse digit) by the others
+        white = math.sqrt(2.0) * float(norm.ppf(0.5 + 0.5 * share))
+        floor = float(np.quantile(jump, share)) / white
+        if floor > 0.0:
+            break
     whole = float(np.mean(e * e))
     return {"floor_V": floor, "share": min(floor * floor / whole, 1.0) if whole > 0.0 else 1.0}
 
@@ -198,17 +202,17 @@ def correlation_time(error_V: FloatArray, known: BoolArray, time_s: FloatArray) 
     usual_s = float(np.median(np.diff(time_s))) if n > 1 else 0.0
     before, at = 1.0, 0.0
     for lag, after in zip(lags, autocorrelation(error_V, known, lags), strict=False):
-        apart = float(lag) * usual_s
+        lag_s = float(lag) * usual_s
         if after < FALLEN:
-            return at + (before - FALLEN) / max(before - after, 1e-12) * (apart - at)
-        before, at = after, apart
+            return at + (before - FALLEN) / max(before - after, 1e-12) * (lag_s - at)
+        before, at = after, lag_s
     return at or None
 
 
 def autocorrelation(
     error_V: FloatArray, known: BoolArray, lags: NDArray[np.int64]
 ) -> Iterator[float]:
-    """Autocorrelation between rows so far apart, as long as there are any."""
+    """Autocorrelation between rows so far from each other, as long as there are any."""
     if known.sum() < 3:
         return
     e = np.where(known, error_V - np.mean(error_V[known]), 0.0)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cellwise.cell.simulate import simulate
-from cellwise.diagnose.anatomy import anatomy
+from cellwise.diagnose.residual import residual_analysis
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
 
@@ -41,7 +41,7 @@ def cell_log(error_V, *, dt=1.0, amp=None, temperature=None):
 
 
 def of(error_V, **kwargs):
-    return anatomy(CELL, cell_log(error_V, **kwargs), 0.9)
+    return residual_analysis(CELL, cell_log(error_V, **kwargs), 0.9)
 
 
 def noise(sigma, rows=ROWS, seed=1):
@@ -168,7 +168,7 @@ def test_a_perfect_model_and_a_short_log_are_answered():
 @pytest.mark.slow
 def test_a_million_rows_take_a_second():
     log = cell_log(noise(1e-3, 1_000_000), dt=0.01)
-    anatomy(CELL, log.part(0, 1000), 0.9)
+    residual_analysis(CELL, log.part(0, 1000), 0.9)
     began = time.perf_counter()
-    anatomy(CELL, log, 0.9)
+    residual_analysis(CELL, log, 0.9)
     assert time.perf_counter() - began < 3.0

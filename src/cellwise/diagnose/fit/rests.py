@@ -1,4 +1,4 @@
-"""What rests inside and at the end of a log say of the SOC: a referee for every claim on charge.
+"""What rests say: of the SOC, a referee for claims on charge, and of a current sensor's offset.
 
 After a discharge the voltage of a resting cell rises towards the OCV and never beyond it, after a
 charge it falls. A relaxation is a sum of decaying exponentials, so its logarithm is convex: what is
@@ -11,25 +11,97 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from cellwise.cell.initial_soc.rest import REST_RATE
 from cellwise.cell.point_kernels import OCV, M
 from cellwise.diagnose.causes.coordinates import Coordinates
-from cellwise.diagnose.fit.rows import LogRows
+from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
-SHORTEST_S = 120.0
-# A reading is the mean over this share of the rest.
-READING = 0.05
-# How well a model knows where a cell comes to rest: share of its own slow error, at least in volts.
-OCV_SHARE = 0.5
-OCV_LEAST_V = 0.0015
-# Entropy of usual electrodes [V/K]: what a temperature apart from the model's may add.
-ENTROPY_V_PER_K = 3e-4
-# Rests at SOCs closer than this read the same error of the OCV: they count as one.
-SAME_SOC = 0.05
+if TYPE_CHECKING:
+    from cellwise.diagnose.fit.rows import LogRows
+
+
+class OcvKnown(NamedTuple):
+    """How well a model knows its OCV: a share of its own slow error, at least so much [V]."""
+
+    share: float = 0.5
+    least_V: float = 0.0015
+
+
+class RestRules(NamedTuple):
+    """How rests are read.
+
+    ``shortest_s``: of a rest; ``reading``: share of it over which a reading is the mean;
+    ``same_soc``: rests at SOCs closer than this read the same error of the OCV and count as one;
+    ``entropy_V_per_K``: what a temperature apart from the model's may add (usual electrodes).
+    Of the current, in units of 1C: at rest it is smaller than ``small_C``, scatters less than
+    ``quiet_C`` and shows a sensor's offset to ``std_C``; within ``zero_stds`` of these it reads
+    nothing. A load that never switches off may look like a rest, so that a reading other than zero
+    never outweighs the voltage by more than ``most_nats``.
+    """
+
+    shortest_s: float = 120.0
+    reading: float = 0.05
+    same_soc: float = 0.05
+    entropy_V_per_K: float = 3e-4
+    small_C: float = 0.06
+    quiet_C: float = 0.02
+    std_C: float = 0.001
+    zero_stds: float = 3.0
+    most_nats: float = 12.0
+
+
+OCV_KNOWN, RULES = OcvKnown(), RestRules()
+
+
+@dataclass(frozen=True)
+class RestReading:
+    """Mean reading at rest [A] and its standard deviation; None if the log never rests."""
+
+    mean_A: float | None
+    std_A: float
+
+    @property
+    def zero(self) -> bool:
+        """Whether the sensor reads nothing where nothing flows: then it has no offset."""
+        return self.mean_A is not None and abs(self.mean_A) < RULES.zero_stds * self.std_A
+
+    def ln_likelihood(self, z: Mapping[str, float]) -> float:
+        """Ln likelihood of a sensor offset; never below that where the reading may be a load."""
+        if self.mean_A is None:
+            return 0.0
+        away = (z.get("offset_A", 0.0) - self.mean_A) / self.std_A
+        square = 0.5 * away * away
+        return -(square if self.zero else min(square, RULES.most_nats))
+
+
+NO_READING = RestReading(None, 1.0)
+
+
+def rest_reading(logs: Sequence[CellLog], capacity_Ah: float) -> RestReading:
+    """Mean reading over all rests of the logs that agree with each other, or that read nothing."""
+    means = []
+    for log in logs:
+        current = log.current_A
+        small = np.isfinite(current) & (np.abs(current) < RULES.small_C * capacity_Ah)
+        edges = np.flatnonzero(np.diff(np.concatenate(([0], small.astype(np.int8), [0]))))
+        for start, stop in zip(edges[::2], edges[1::2], strict=True):
+            if log.time_s[stop - 1] - log.time_s[start] >= RULES.shortest_s:
+                part = current[start:stop]
+                if float(np.std(part)) < RULES.quiet_C * capacity_Ah:
+                    means.append(float(np.median(part)))
+    std = RULES.std_C * capacity_Ah
+    nothing = [m for m in means if abs(m) < RULES.zero_stds * std]
+    if nothing:
+        # Small loads read what they are; a sensor with an offset reads nothing nowhere.
+        return RestReading(float(np.median(nothing)), std)
+    if not means or float(np.std(means)) > 4.0 * std:
+        return RestReading(None, std)
+    return RestReading(float(np.median(means)), std)
 
 
 @dataclass(frozen=True)
@@ -75,7 +147,7 @@ class RestVoltages:
             return 0.0
         capacity = coordinates.capacity_Ah(z)
         socs = np.array([r.soc(self.starts[r.log], z, capacity) for r in self.rests])
-        bins = np.round(socs / SAME_SOC)
+        bins = np.round(socs / RULES.same_soc)
         total = 0.0
         for rest, soc, place in zip(self.rests, socs, bins, strict=True):
             away = self.away(rest, float(soc), coordinates, z)
@@ -128,8 +200,8 @@ class RestVoltages:
         slope = float(np.interp(rest.temperature_C, grid, [e[0 if soc < 0.0 else 1] for e in edge]))
         known += (soc - at) / step * slope
         outside = float(np.min(np.abs(model.temperature_C - rest.temperature_C)))
-        own = max(OCV_LEAST_V, OCV_SHARE * float(model.slow_error_V(at)))
-        std = math.hypot(own, ENTROPY_V_PER_K * outside)
+        own = max(OCV_KNOWN.least_V, OCV_KNOWN.share * float(model.slow_error_V(at)))
+        std = math.hypot(own, RULES.entropy_V_per_K * outside)
         return known, math.hypot(std, float(np.interp(rest.temperature_C, grid, gap)))
 
 
@@ -146,11 +218,11 @@ def _of_log(k: int, rows: LogRows, capacity_Ah: float, efficiency: float) -> lis
     small = np.abs(current) < REST_RATE * capacity_Ah
     # Nobody knows what a cell did over a gap, or where nothing was measured.
     small &= np.isfinite(log.current_A)
-    small[np.nan_to_num(rows.dt_s) > SHORTEST_S] = False
+    small[np.nan_to_num(rows.dt_s) > RULES.shortest_s] = False
     edges = np.flatnonzero(np.diff(np.concatenate(([0], small.astype(np.int8), [0]))))
     found = []
     for start, stop in zip(edges[::2], edges[1::2], strict=True):
-        if start == 0 or log.time_s[stop - 1] - log.time_s[start] < SHORTEST_S:
+        if start == 0 or log.time_s[stop - 1] - log.time_s[start] < RULES.shortest_s:
             continue
         rest = _rest(k, rows, charge, slice(int(start), int(stop)))
         if rest is not None:
@@ -164,7 +236,7 @@ def _rest(k: int, rows: LogRows, charge_Ah: FloatArray, part: slice) -> Rest | N
 
     def reading(share: float) -> float:
         end = time_s[0] + share * length
-        near = voltage[(time_s <= end) & (time_s >= end - READING * length)]
+        near = voltage[(time_s <= end) & (time_s >= end - RULES.reading * length)]
         near = near[np.isfinite(near)]
         return float(np.mean(near)) if near.size else float("nan")
 
