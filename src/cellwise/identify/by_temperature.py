@@ -54,9 +54,7 @@ def nearest_test(tests: Sequence[LowRateTest], temperature_C: float) -> LowRateT
     )
 
 
-def without_offsets(
-    tests: TestLogs, nominal_Ah: float | None, default_C: float
-) -> tuple[TestLogs, list[str]]:
+def without_offsets(tests: TestLogs, default_C: float) -> tuple[TestLogs, list[str]]:
     """The tests without the current sensor's offset in the low-rate tests that show one."""
     corrected: list[CellLog] = []
     notices: list[str] = []
