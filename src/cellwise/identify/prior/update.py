@@ -11,8 +11,7 @@ from scipy.optimize import least_squares
 
 from cellwise.cell.equations import CellTables, empty_state
 from cellwise.cell.model import CellModel
-from cellwise.cell.simulate import known_temperature_C
-from cellwise.cell.simulate_kernels import simulate_rows
+from cellwise.cell.simulate import known_temperature_C, simulate_rows
 from cellwise.identify.prior.corrections import Corrections
 from cellwise.identify.refinement.problem import independent_samples
 from cellwise.logs.cell_log import CellLog
