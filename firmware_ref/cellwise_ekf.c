@@ -1661,10 +1661,12 @@ static uint32_t watch_voltage(const cellwise_constants *c, cellwise_state *x, fl
 static void shared_by(const cellwise_constants *c, const cellwise_state *x, float seen,
                       cellwise_shared *shared)
 {
-    float since = 0.0f;
+    uint32_t seen_before = 0u;
     if (x->evidence >= FIRST_VOLTAGE) {
-        since = (float)(x->evidence - FIRST_VOLTAGE);
+        seen_before = x->evidence - FIRST_VOLTAGE;
+        seen_before = (seen_before < EVIDENCE_MOST) ? seen_before : EVIDENCE_MOST;
     }
+    const float since = (float)seen_before;
     shared->below = since + c->shared_half;
     shared->above = shared->below;
     if ((x->evidence >= FIRST_VOLTAGE) || !SIZE_BELOW(seen, c->rest_A)) {

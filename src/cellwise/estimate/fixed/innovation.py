@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from cellwise.estimate.fixed.arithmetic import (
     COUNT_MOST,
+    EVIDENCE_MOST,
     FIRST_VOLTAGE,
     FROZEN,
     FROZEN_READINGS,
@@ -89,9 +90,11 @@ def shared_by(c: Constants, x: State, seen: Float) -> Shared:
     ones average out first, so the rest of a mean has an ever longer memory. The first voltage
     at rest is evidence by itself.
     """
-    since = ZERO
+    seen_before = U(0)
     if x.evidence >= FIRST_VOLTAGE:
-        since = F(U(x.evidence - FIRST_VOLTAGE))
+        seen_before = U(x.evidence - FIRST_VOLTAGE)
+        seen_before = seen_before if seen_before < EVIDENCE_MOST else EVIDENCE_MOST
+    since = F(seen_before)
     below = since + c.shared_half
     above = below
     if x.evidence >= FIRST_VOLTAGE or not size_below(seen, c.rest_A):

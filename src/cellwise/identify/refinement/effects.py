@@ -180,7 +180,7 @@ def _candidates(joint: JointLogs) -> dict[str, tuple[Change, ...]]:
         "charge_transfer": (_transfer,),
         "surface_soc": (_surface,),
     }
-    if joint.grid_C.size == 1 and _temperatures(joint.logs) >= NEEDED.activations:
+    if joint.grid_C.size == 1 and drive_temperatures(joint.logs) >= NEEDED.activations:
         return {"temperature_dependence": (_own_activations,), **found}
     return found
 
@@ -250,7 +250,7 @@ def every_second_load(item: RefineLog) -> BoolArray:
     return np.asarray(turn % 2 == 1, dtype=np.bool_)
 
 
-def _temperatures(logs: Sequence[RefineLog]) -> int:
+def drive_temperatures(logs: Sequence[RefineLog]) -> int:
     """At how many temperatures drives were measured."""
     warm = [item.log.temperature_C for item in logs if item.skewed]
     found = np.sort([float(np.nanmedian(t)) for t in warm if t is not None])
