@@ -12,13 +12,13 @@ from sources import tree_of
 REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGE = REPOSITORY / "src" / "cellwise"
 
-BASE = {"errors", "typing", "files", "given", "plotting", "threads"}
+BASE = {"errors", "typing", "files", "arguments", "plotting", "threads"}
 TOOLS = {"logs", "cell", "identify", "estimate", "forecast", "diagnose", "pack", "history", "data"}
 MAY_IMPORT = {
     "errors": set(),
     "typing": set(),
     "files": {"errors"},
-    "given": {"errors", "typing"},
+    "arguments": {"errors", "typing"},
     "progress": set(),
     "threads": set(),
     "plotting": {"errors", "typing"},

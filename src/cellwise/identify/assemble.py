@@ -17,8 +17,8 @@ from cellwise.cell.effects import (
 )
 from cellwise.cell.model import CellModel, ModelTables
 from cellwise.identify.ocv.curve import OcvCurve
-from cellwise.identify.refinement.problem import LEAST_RATIO
-from cellwise.identify.refinement.refine import RefineResult, StartTables
+from cellwise.identify.refinement.problem import LEAST_RATIO, StartTables
+from cellwise.identify.refinement.refine import RefineResult
 from cellwise.identify.refinement.refine_data import BEYOND
 from cellwise.identify.refinement.splines import spline_rows, spline_values
 from cellwise.identify.tables import GRID_POINTS, NAMES, PulseTables

@@ -1,4 +1,4 @@
-"""What a caller in Python hands over, checked where it comes in: a wrong type is put in words."""
+"""Arguments of the public face, checked where they come in: a wrong type is put in words."""
 
 from __future__ import annotations
 
