@@ -136,10 +136,10 @@ def run_generate(arguments: argparse.Namespace) -> None:
 
 def run_fetch(arguments: argparse.Namespace) -> None:
     """Fetch a public original."""
-    from cellwise.originals import fetch_original
+    from cellwise.datasets import fetch_dataset
 
     with _followed("fetch") as follow:
-        files = fetch_original(
+        files = fetch_dataset(
             arguments.name,
             arguments.output,
             arguments.listing,
@@ -153,10 +153,10 @@ def run_fetch(arguments: argparse.Namespace) -> None:
 
 def run_import(arguments: argparse.Namespace) -> None:
     """Import a public original."""
-    from cellwise.originals import import_original
+    from cellwise.datasets import import_dataset
 
     with _followed("import") as follow:
-        found = import_original(
+        found = import_dataset(
             arguments.name,
             arguments.source,
             arguments.output,
