@@ -70,11 +70,13 @@ static float between(float a, float b, float f)
     return a + (f * (b - a));
 }
 
+#if (CELLWISE_ARRHENIUS > 0) || CELLWISE_CELLS || CELLWISE_HEATING || CELLWISE_HYSTERESIS || CELLWISE_OFFSET || CELLWISE_POWER || (CELLWISE_RATE && ((CELLWISE_ARRHENIUS > 0) || CELLWISE_RATE || CELLWISE_ASYMMETRY || CELLWISE_HEALTH || CELLWISE_CELLS)) || CELLWISE_REMAINING || CELLWISE_SURFACE || (CELLWISE_TEMPERATURES > 1) || CELLWISE_WATCH || CELLWISE_WIDE
 /* Held within low..high. */
 static float clip(float x, float low, float high)
 {
     return (x < low) ? low : ((x > high) ? high : x);
 }
+#endif
 
 /* Held above low. */
 static float at_least(float x, float low)
@@ -1617,6 +1619,12 @@ typedef struct {
     cellwise_column column;
 } cellwise_innovation;
 
+/* How many samples share one model error: `above / below`, never divided. */
+typedef struct {
+    float above;
+    float below;
+} cellwise_shared;
+
 #if CELLWISE_WATCH
 /* Whether the voltage is frozen. A reading that repeats itself is frozen once R0 times the
  * change of current says that it must have moved, and the prediction is off by half of that: a
@@ -1647,22 +1655,23 @@ static uint32_t watch_voltage(const cellwise_constants *c, cellwise_state *x, fl
 }
 #endif
 
-/* How many samples share one model error. The model's error is a sum of processes with memories
- * of a second to half an hour. The quick ones average out first, so the rest of a mean has an
- * ever longer memory. The first voltage at rest is evidence by itself. */
-static float shared_by(const cellwise_constants *c, const cellwise_state *x, float seen)
+/* How many samples share one model error, as a fraction: at least 1. The model's error is a sum
+ * of processes with memories of a second to half an hour. The quick ones average out first, so
+ * the rest of a mean has an ever longer memory. The first voltage at rest is evidence by itself. */
+static void shared_by(const cellwise_constants *c, const cellwise_state *x, float seen,
+                      cellwise_shared *shared)
 {
-    float shared = 1.0f;
+    uint32_t seen_before = 0u;
     if (x->evidence >= FIRST_VOLTAGE) {
-        const float since = (float)(x->evidence - FIRST_VOLTAGE);
-        const float grown = (since + c->shared_early) / (since + c->shared_half);
-        shared = clip(c->shared * grown, 1.0f, c->shared);
-    } else if (!SIZE_BELOW(seen, c->rest_A)) {
-        shared = clip(c->shared * (c->shared_early / c->shared_half), 1.0f, c->shared);
-    } else {
-        /* as before */
+        seen_before = x->evidence - FIRST_VOLTAGE;
+        seen_before = (seen_before < EVIDENCE_MOST) ? seen_before : EVIDENCE_MOST;
     }
-    return shared;
+    const float since = (float)seen_before;
+    shared->below = since + c->shared_half;
+    shared->above = shared->below;
+    if ((x->evidence >= FIRST_VOLTAGE) || !SIZE_BELOW(seen, c->rest_A)) {
+        shared->above = (c->shared * since) + c->shared_early;
+    }
 }
 
 #if CELLWISE_VALIDITY
@@ -1842,13 +1851,14 @@ static void fuse(const cellwise_model *m, const cellwise_place *place, cellwise_
     (void)place;
     (void)p;
     (void)w;
-    const float shared = shared_by(&m->constant, x, s->seen);
-    float weight = i->one_V2 * shared;
+    cellwise_shared shared;
+    shared_by(&m->constant, x, s->seen, &shared);
+    float weight = i->one_V2 * shared.above;
     if (POSITIVE_ABOVE(x->mismatch, 1.0f)) {
         weight = weight * x->mismatch;
     }
-    if ((s->news == INTERVAL) || (shared <= 1.0f)) {
-        const float inverse = 1.0f / (i->explained_V2 + weight);
+    if ((s->news == INTERVAL) || (shared.above <= shared.below)) {
+        const float inverse = shared.below / ((i->explained_V2 * shared.below) + weight);
         bool gained = true;
 #if CELLWISE_WIDE
         if (w->spread > 0.0f) {

@@ -88,7 +88,6 @@ SWITCHES = (
     Switch("mismatch", noise={"mismatch_cap": 0.0}),
     Switch("persistent", noise={"lasting_share": 0.0}),
     Switch("contradicted", names=((f"{ESTIMATE}.evidence_kernels", "CONTRADICTED_S", math.inf),)),
-    Switch("unseen share", noise={"unseen_share": 0.0, "unseen_charge_share": 0.0}),
     Switch("chords", names=((f"{ESTIMATE}.slopes_kernels", "WIDE_VARIANCE", math.inf),)),
     Switch(
         "judged where it lands",
@@ -115,7 +114,6 @@ SWITCHES = (
     Switch("gate and recovery", noise={"gate": 1e6}),
     Switch("recovery", noise={"recovery_after": NEVER}),
     Switch("first rest", names=((f"{ESTIMATE}.gate_kernels", "REST_RATE", 0.0),)),
-    Switch("new ground", noise={"slow_soc": 0.0}),
     Switch("under-load counting", names=((f"{ESTIMATE}.gate_kernels", "UNDER_LOAD_COUNT", 1.0),)),
     Switch("a passing voltage forgives", names=((f"{ESTIMATE}.gate_kernels", "FORGIVEN", 0.0),)),
     Switch(

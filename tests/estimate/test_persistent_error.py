@@ -82,31 +82,6 @@ def test_coverage_where_every_cell_has_an_offset_of_its_own(share, least, most):
     assert least <= np.mean(inside) <= most
 
 
-@pytest.mark.parametrize("filter_", [Ekf, Ukf])
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_of_resistances_that_part_stays_which_no_test_could_show(filter_, sign):
-    """Linear cell under a load that lasts, its R0 off by the share: two runs differ by as much."""
-    tiny = np.full(11, 1e-9)
-    error = ModelError.of_white_and_slow(white_V=0.001, slow_V=(1e-9,))
-    model = linear_cell(r1_ohm=tiny, r2_ohm=tiny, error=error)
-    noise = Noise(
-        current_A=0.0, branch_share=0.2, ocv_soc=0.0, mismatch_cap=0.0, gate=1e9,
-        unseen_share=0.2, unseen_charge_share=0.2, offset_share=0.0,
-    )  # fmt: skip
-    rate_A = 0.1 * sign * model.capacity_Ah
-    log = CellLog(10.0 * np.arange(2000), np.full(2000, rate_A), np.full(2000, 3.7))
-    start = 0.5 + 0.25 * sign
-    log = replace(log, voltage_V=simulate(model, log, start).voltage_V)
-    drop_V = 0.2 * float(model.r0_ohm.mean()) * rate_A
-    right, wrong = (filter_(model, noise).run(x, start, 0.1) for x in (log, moved(log, drop_V)))
-    shown = replace(noise, unseen_share=0.0, unseen_charge_share=0.0)
-    plain = filter_(model, shown).run(log, start, 0.1)
-    np.testing.assert_array_equal(plain.soc, right.soc)
-    lasting = np.sqrt(right.soc_std**2 - plain.soc_std**2)
-    late = slice(400, None)
-    np.testing.assert_allclose(np.abs(wrong.soc - right.soc)[late], lasting[late], rtol=0.02)
-
-
 @pytest.mark.parametrize("gain", [-0.02, 0.02, 5.0])
 def test_no_gain_amplifies_it(gain):
     """The gain of a SOC that hangs on a slow branch can be negative for many rows."""

@@ -9,13 +9,13 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from cellwise.arguments import check_kind
 from cellwise.cell.effects import Effect, check_effect
 from cellwise.cell.equations import CellTables
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.parameters import packed
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity, beyond_soc
 from cellwise.errors import InputError
-from cellwise.given import check_kind
 from cellwise.plotting import Line, Panel, Plottable
 from cellwise.typing import FloatArray
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from cellwise.arguments import number
 from cellwise.cell.compiled import announce
 from cellwise.cell.equations import empty_state
 from cellwise.cell.metrics import (
@@ -24,7 +25,6 @@ from cellwise.cell.plausibility.simulated import error_notices, soc_notices
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.cell.simulate_kernels import simulate_rows
 from cellwise.errors import InputError
-from cellwise.given import number
 from cellwise.logs.cell_log import CellLog, check_is_log
 from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import FloatArray

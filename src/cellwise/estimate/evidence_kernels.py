@@ -49,28 +49,23 @@ def model_memory(noise: NoiseScalars, evidence_s: float) -> float:
     average out first, so the rest of a mean has an ever longer memory.
     """
     after_s = max(evidence_s, 0.0)
-    return noise.memory_s * (after_s + noise.early_s) / (after_s + noise.half_s)
+    return noise.slow_s * (after_s + noise.early_s) / (after_s + noise.half_s)
 
 
 @inline
-def repeated_evidence(
-    noise: NoiseScalars, evidence_s: float, dt_s: float, resting: bool, new_soc: float
-) -> tuple[float, float]:
-    """How many samples share one model error, and what share of its renewal is a return.
+def repeated_evidence(noise: NoiseScalars, evidence_s: float, dt_s: float, resting: bool) -> float:
+    """How many samples share one model error: the factor on a voltage's variance.
 
-    An error of memory tau counts once in 2 tau (its spectral density at rest): the first number is
-    the factor on a voltage's variance. A SOC that was not seen before renews the error, too, and
-    that one for good; what time alone renews comes back. A repeated stamp repeats the error.
+    An error of memory tau counts once in 2 tau (its spectral density at rest). A repeated stamp
+    repeats the error.
     """
-    if noise.memory_s <= 0.0:
-        return 1.0, 1.0
+    if noise.slow_s <= 0.0:
+        return 1.0
     if evidence_s < 0.0 and resting:
-        return 1.0, 1.0  # the first voltage at rest is evidence by itself
+        return 1.0  # the first voltage at rest is evidence by itself
     if dt_s <= 0.0:
-        return math.inf, 1.0
-    aged = dt_s / model_memory(noise, evidence_s)
-    renewed = aged + new_soc * noise.per_slow_soc
-    return max(2.0 / renewed, 1.0), aged / renewed
+        return math.inf
+    return max(2.0 * model_memory(noise, evidence_s) / dt_s, 1.0)
 
 
 @inline
@@ -87,19 +82,11 @@ def mismatch_step(noise: NoiseScalars, mismatch: float, excess: float, dt_s: flo
 
 
 @inline
-def persistent_V(
-    noise: NoiseScalars, point: CellPoint, seen_A: float, drop_V: float, mismatch: float
-) -> float:
-    """Persistent model error, one deviation [V]: at this SOC, along its axis, of the resistances.
-
-    Of what the resistances are off by that part persists which no test could show, as long as the
-    load does: a share of ``drop_V``, what R0 and the branches hold.
-    """
+def persistent_V(noise: NoiseScalars, point: CellPoint, mismatch: float) -> float:
+    """Persistent model error, one deviation [V]: at this SOC, and along its axis."""
     slow = noise.error_scale * point.error_V
     scale = noise.ocv_soc * point.ocv_slope_V
-    unseen = (noise.unseen_share if seen_A >= 0.0 else noise.unseen_charge_share) * drop_V
-    stays = slow * slow + scale * scale + unseen * unseen
-    return noise.persistent * math.sqrt(stays * max(mismatch, 1.0))
+    return noise.persistent * math.sqrt((slow * slow + scale * scale) * max(mismatch, 1.0))
 
 
 @inline

@@ -13,8 +13,6 @@ from cellwise.estimate.sensing_kernels import (
     REST_RATE,
     Sample,
     Watch,
-    new_ground,
-    no_ground,
     watch_on,
     watch_voltage,
 )
@@ -51,16 +49,14 @@ class Innovation(NamedTuple):
 class Verdict(NamedTuple):
     """What becomes of a voltage.
 
-    ``inverse`` is one over the variance that weighs it, ``returns`` the share of its evidence that
-    an error which comes back has part in; a rejected one only moves the counts,
-    and ``recover`` says that the SOC has to be searched for.
+    ``inverse`` is one over the variance that weighs it; a rejected one only moves the counts, and
+    ``recover`` says that the SOC has to be searched for.
     """
 
     accepted: bool
     recover: bool
     used: bool
     inverse: float
-    returns: float
     innovation_V: float
     variance: float
     ratio: float
@@ -87,7 +83,6 @@ def gate(
     itself, and searched for instead of weighed where the voltage is too ``bent`` over SOC.
     """
     status = 0
-    new_soc, ground = new_ground(watch, s.flow_A * s.dt_s / cell.charge_As, s.dt_s)
     innovation_V = i.innovation_V
     variance = i.state_variance + i.one
     square = innovation_V * innovation_V
@@ -99,7 +94,6 @@ def gate(
     accepted = False
     recover = False
     inverse = 0.0
-    returns = 1.0
     resting = abs(s.seen_A) * 3600.0 < REST_RATE * cell.charge_As
     first = i.unsure and resting and evidence_s < 0.0
     if not math.isfinite(innovation_V):
@@ -133,18 +127,16 @@ def gate(
         else:
             accepted = True
             rejections = max(rejections - FORGIVEN, 0.0)
-            shared, returns = repeated_evidence(noise, evidence_s, s.dt_s, resting, new_soc)
+            shared = repeated_evidence(noise, evidence_s, s.dt_s, resting)
             inverse = 1.0 / (i.state_variance + i.one * shared * max(mismatch, 1.0))
             evidence_s = max(evidence_s, 0.0)
-    if recover or evidence_s < 0.0:
-        ground = no_ground()
     if evidence_s >= 0.0:
         evidence_s += s.dt_s
-    after, away = watch_on(noise, s, used, evidence_s, watch.no_voltage_s, reading, ground)
+    after, away = watch_on(noise, s, used, evidence_s, watch.no_voltage_s, reading)
     status |= away
     # fmt: off
     return Verdict(
-        accepted, recover, used, inverse, returns, innovation_V, variance, ratio, rejections,
+        accepted, recover, used, inverse, innovation_V, variance, ratio, rejections,
         mismatch, after, status,
     )
     # fmt: on

@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cellwise.arguments import check_kind
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
 from cellwise.errors import InputError
 from cellwise.estimate.validity_kernels import EVERYWHERE, ValidityScalars, validity_scalars
-from cellwise.given import check_kind
 
 # Beyond these a reading is the sensor's fault.
 IMPOSSIBLE_RATE = 200.0
@@ -19,7 +19,6 @@ IMPOSSIBLE_SHARE = 0.5
 IMPOSSIBLE_RISE_V = 0.75
 WANDERS = 1.0 / 3.0  # of the drift of the counted charge, what no constant offset explains
 AFTER_S = 300.0  # when the memory is that of the sum of processes, beside its first and last
-ALONE_S = 3600.0  # where the SOC makes the model's error another one, time alone takes as long
 
 
 class NoiseScalars(NamedTuple):
@@ -33,7 +32,6 @@ class NoiseScalars(NamedTuple):
     voltage_V: float
     error_scale: float
     slow_s: float
-    memory_s: float
     early_s: float  # the memory begins at early_s / half_s of itself
     half_s: float
     ocv_soc: float
@@ -47,12 +45,9 @@ class NoiseScalars(NamedTuple):
     current_limit_A: float
     voltage_low_V: float
     voltage_high_V: float
-    per_slow_soc: float
     per_slow_s: float  # divided once, not in every step
     per_gate2: float
     offset_soc_per_s: float
-    unseen_share: float
-    unseen_charge_share: float
     valid: ValidityScalars  # beyond it the model's error grows
 
 
@@ -72,7 +67,6 @@ class Noise:
                               counted as independent evidence (slow_s = 0: every sample is)
     slow_first_s : float      how long it is remembered at first, while quick parts average out
     slow_half_s : float       when it is half way between the two
-    slow_soc : float          moving on by as much SOC makes it another one; 0: time alone does
     ocv_soc : float           error of the OCV along the SOC axis
     mismatch_cap : float      a model of another temperature or age is wrong all the time: its error
                               variance grows with what the innovations have shown over slow_s, a
@@ -85,9 +79,6 @@ class Noise:
                               current exceeds this
     lasting_share : float     share of the slow error's variance that comes back at the same SOC for
                               good: it widens the SOC's stated deviation, never the gain
-    unseen_share, unseen_charge_share : float
-                              of the resistances' error on discharge and on charge, in squares: a
-                              share that no test could show, which persists, too
     offset_share : float      how far off the current may be for hours, as a share of 1C: EKF
                               and UKF weigh whether it is, and what voltages say against the
                               count is within the stated deviation; 0: the count is right
@@ -103,7 +94,6 @@ class Noise:
     slow_s: float = 300.0
     slow_first_s: float = 10.0
     slow_half_s: float = 150.0
-    slow_soc: float = 0.0
     ocv_soc: float = 0.003
     mismatch_cap: float = 100.0
     gate: float = 5.0
@@ -117,8 +107,6 @@ class Noise:
     voltage_low_V: float = -1e6
     voltage_high_V: float = 1e6
     charge_factor: float = 1.0
-    unseen_share: float = 0.0
-    unseen_charge_share: float = 0.0
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -148,11 +136,8 @@ class Noise:
             slow_first_s=memory.first_s,
             slow_half_s=memory.half_s,
             lasting_share=model.error.lasting_share,
-            slow_soc=0.0,
             branch_share=model.error.whole_share(),
             charge_factor=model.error.whole_share(-1.0) / max(model.error.whole_share(), 1e-12),
-            unseen_share=model.error.hidden_share(),
-            unseen_charge_share=model.error.hidden_share(-1.0),
             current_limit_A=IMPOSSIBLE_RATE * model.capacity_Ah,
             voltage_low_V=IMPOSSIBLE_SHARE * min(low, float(model.ocv_V.min())),
             voltage_high_V=max(high, float(model.ocv_V.max())) + IMPOSSIBLE_RISE_V,
@@ -160,7 +145,7 @@ class Noise:
 
     def scalars(self, model: CellModel | None = None) -> NoiseScalars:
         """What the kernels take; with a ``model``, widened beyond its validity."""
-        memory_s = max(self.slow_s, ALONE_S) if self.slow_soc > 0.0 else self.slow_s
+        half_s = max(self.slow_half_s, 1e-9)
         return NoiseScalars(
             float(self.current_A),
             float(self.soc_per_sqrt_h) / 60.0,
@@ -170,9 +155,8 @@ class Noise:
             float(self.voltage_V),
             float(self.error_scale),
             float(self.slow_s),
-            float(memory_s),
-            float(max(self.slow_half_s, 1e-9) * min(self.slow_first_s / max(memory_s, 1e-9), 1.0)),
-            float(max(self.slow_half_s, 1e-9)),
+            float(half_s * min(self.slow_first_s / max(self.slow_s, 1e-9), 1.0)),
+            float(half_s),
             float(self.ocv_soc),
             float(self.mismatch_cap),
             float(self.gate),
@@ -184,12 +168,9 @@ class Noise:
             float(self.current_limit_A),
             float(self.voltage_low_V),
             float(self.voltage_high_V),
-            per_slow_soc=1.0 / self.slow_soc if self.slow_soc > 0.0 else 0.0,
             per_slow_s=1.0 / self.slow_s if self.slow_s > 0.0 else 0.0,
             per_gate2=1.0 / (self.gate * self.gate),
             offset_soc_per_s=float(self.offset_share) / 3600.0,
-            unseen_share=float(self.unseen_share),
-            unseen_charge_share=float(self.unseen_charge_share),
             valid=EVERYWHERE if model is None else validity_scalars(model),
         )
 

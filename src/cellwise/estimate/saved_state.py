@@ -31,7 +31,8 @@ NEWER = {"slow_A": 0.0, "contradicted": 0.0}
 
 NEWER_PAST = {"looked_A": 0.0}
 NEWER_DRIFT = {"rest_s": 0.0, "rest_A": 0.0}
-NEWER_WATCH = {"no_warm_s": -1.0, "room_up": 0.0, "room_down": 0.0, "fresh": 0.0}
+NEWER_WATCH = {"no_warm_s": -1.0}
+GONE = ("room_up", "room_down", "fresh")  # in files of versions that carried them
 MAY_BE_MISSING = {"temperature_C", "voltage_V", "current_A"}  # not measured yet
 
 
@@ -69,7 +70,7 @@ def state_from_dict(saved: Mapping[str, Any], estimator: str = "ekf") -> EkfStat
         )
     seen = saved.get("watch")
     if isinstance(seen, Mapping):
-        seen = {**NEWER_WATCH, **seen}
+        seen = {**NEWER_WATCH, **{k: v for k, v in seen.items() if k not in GONE}}
     watch = Watch(**_numbers(seen, Watch._fields))
     before = saved.get("past", no_past()._asdict())
     if isinstance(before, Mapping):

@@ -28,20 +28,7 @@ COLDEST_C = -60.0
 HOTTEST_C = 120.0
 FROZEN_READINGS = 3.0
 REST_RATE = 0.01  # below C/100 a cell counts as resting
-PER_SHOWN_S = 1.0 / 300.0  # minutes of a drive, with its loads and rests
 LOST_RATE = 0.5  # a current that nobody measures is taken to be of this size
-
-
-class Ground(NamedTuple):
-    """Where on the SOC axis a cell has been since the first voltage.
-
-    ``room_up`` and ``room_down`` are how far it may be charged and discharged before it comes to
-    new ground, ``fresh`` what of it no voltage has shown yet.
-    """
-
-    room_up: float
-    room_down: float
-    fresh: float
 
 
 class Watch(NamedTuple):
@@ -51,7 +38,6 @@ class Watch(NamedTuple):
     not remembered for longer. ``voltage_V`` is the last reading, seen ``repeats`` times in a row
     since the current was ``frozen_A``. ``no_warm_s`` is how long the temperature has been lost,
     negative where none was ever measured.
-    The last three are the :class:`Ground`.
     """
 
     current_A: float
@@ -63,9 +49,6 @@ class Watch(NamedTuple):
     frozen_A: float
     repeats: float
     no_warm_s: float
-    room_up: float
-    room_down: float
-    fresh: float
 
 
 class Reading(NamedTuple):
@@ -104,15 +87,9 @@ class Sample(NamedTuple):
 
 
 @inline
-def no_ground() -> Ground:
-    """Nowhere yet."""
-    return Ground(0.0, 0.0, 0.0)
-
-
-@inline
 def first_watch(current_A: float) -> Watch:
     """Nothing seen yet but a current to hold."""
-    return Watch(current_A, math.nan, NOT_BEGUN, 0.0, 0.0, math.nan, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0)
+    return Watch(current_A, math.nan, NOT_BEGUN, 0.0, 0.0, math.nan, 0.0, 0.0, -1.0)
 
 
 @inline
@@ -208,20 +185,6 @@ def watch_voltage(
 
 
 @inline
-def new_ground(watch: Watch, moved_soc: float, dt_s: float) -> tuple[float, Ground]:
-    """How much new SOC an interval's voltage speaks for, and the ground after it.
-
-    A SOC is new where the cell has not been since the first voltage. What it brings is shared by
-    the voltages of the minutes after, loads and rests alike.
-    """
-    up = watch.room_up + moved_soc
-    down = watch.room_down - moved_soc
-    fresh = watch.fresh + (max(-up, 0.0) + max(-down, 0.0))
-    shown = fresh * min(dt_s * PER_SHOWN_S, 1.0)
-    return shown, Ground(max(up, 0.0), max(down, 0.0), fresh - shown)
-
-
-@inline
 def watch_on(
     noise: NoiseScalars,
     s: Sample,
@@ -229,7 +192,6 @@ def watch_on(
     evidence_s: float,
     no_voltage_s: float,
     reading: tuple[float, float, float, int],
-    ground: Ground,
 ) -> tuple[Watch, int]:
     """The watch after a sample, and the bit of a voltage that has been away for long."""
     away = 0.0
@@ -238,6 +200,5 @@ def watch_on(
     watch = Watch(
         s.current_A, s.temperature_C, evidence_s, s.no_current_s, away,
         reading[0], reading[1], reading[2], s.no_warm_s,
-        ground.room_up, ground.room_down, ground.fresh,
     )  # fmt: skip
     return watch, VOLTAGE_LOST if away > noise.hold_s else 0

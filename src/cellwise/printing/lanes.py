@@ -15,9 +15,6 @@ WATCH = (
     "frozen_A",
     "repeats",
     "no_warm_s",
-    "room_up",
-    "room_down",
-    "fresh",
 )
 PAST = ("mean_A", "looked_A", "miss_V", "first_soc", "first_variance")
 DRIFT = (
@@ -50,6 +47,8 @@ def constant(field: str) -> str:
     """Name of a field's place: ``P11``, ``SOC``, ``REPEATS``."""
     if field in LAST:
         return LAST[field]
+    if field in ("rest_s", "rest_A"):
+        return field.upper()
     has_unit = field[-2:] in ("_V", "_A", "_K", "_s", "_C")
     return (field[:-2] if has_unit else field).upper()
 

@@ -21,14 +21,13 @@ from cellwise.diagnose.extension import value_of
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.least_squares import Fit, normal_of, shear
 from cellwise.diagnose.fit.noise import Noise
+from cellwise.diagnose.fit.priors import start_readings
 from cellwise.diagnose.fit.rows import IGNORED
-from cellwise.diagnose.fit.start_readings import start_readings
 from cellwise.typing import FloatArray
 
-# A coordinate that the tolerances do not have is known to be neutral [its unit].
-NEUTRAL_STD = 1e-6
-# Less than this share of an information is what rounding leaves of none.
-ROUNDING = 1e-12
+# A coordinate that the tolerances do not have is known to be neutral [its unit]; less than this
+# share of an information is what rounding leaves of none.
+NEUTRAL_STD, ROUNDING = 1e-6, 1e-12
 # Effects of this many times their limit must be separated ...
 TIMES = 2.0
 # ... by as many nats as 0.9 against 0.1 is.

@@ -364,9 +364,8 @@ def take_step(
         e = recover(tables, now, e, pol, i)
         persistent = Persistent(0.0, persistent.offset_A, persistent.charge)
     elif v.accepted:
-        held_V = abs(i.r0_ohm * s.seen_A) + i.branches_V
-        stays_V = persistent_V(noise, point, s.seen_A, held_V, v.mismatch)
-        persistent = led_astray(persistent, scaled(d, v.returns * v.inverse), held, now, stays_V)
+        stays_V = persistent_V(noise, point, v.mismatch)
+        persistent = led_astray(persistent, scaled(d, v.inverse), held, now, stays_V)
         e = update(tables, now, e, d, v, held)
     own = v.innovation_V + (pol.own_V - pol.whole_V)
     e, persistent, past = look_again(tables, noise, now, v, own, e, persistent)

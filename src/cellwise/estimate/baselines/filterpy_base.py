@@ -111,7 +111,7 @@ class FilterpyFilter(FilterOfModel):
             status[k] = OUTSIDE if beyond else 0
             one = self.voltage_variance(kf.x, seen, inside, row.temperature_C if beyond else None)
             resting = abs(seen) < REST_RATE * self.model.capacity_Ah
-            shared = float(repeated_evidence(noise, evidence, float(dt), resting, 0.0)[0])
+            shared = float(repeated_evidence(noise, evidence, float(dt), resting))
             if not np.isfinite(log.voltage_V[k]):
                 shared = np.inf
             else:

@@ -295,9 +295,8 @@ def beside_step(
     )
     if status & OUTSIDE and abs(contradicted) < abs(old.contradicted):
         contradicted = old.contradicted
-    drop = abs(i.r0_ohm * s.seen_A) + i.branches_V
-    stays_V = persistent_V(noise, point, s.seen_A, drop, v.mismatch)
-    persistent = persistent_step(v.returns * gain, slope_V, old.persistent, stays_V)
+    stays_V = persistent_V(noise, point, v.mismatch)
+    persistent = persistent_step(gain, slope_V, old.persistent, stays_V)
     offset_V = i.r0_ohm * noise.offset_soc_per_s * charge_As
     drift, move = drift_step(
         noise, old.drift, drift, offset_V, v.innovation_V, slope_V, gain, v.inverse

@@ -170,11 +170,11 @@ def fuse(
     sample under load says more of the load than of the SOC.
     """
     shared = shared_by(m.constant, x, s.seen)
-    weight = i.one_V2 * shared
+    weight = i.one_V2 * shared.above
     if positive_above(x.mismatch, ONE):
         weight = weight * x.mismatch
-    if s.news == INTERVAL or shared <= ONE:
-        inverse = ONE / (i.explained_V2 + weight)
+    if s.news == INTERVAL or shared.above <= shared.below:
+        inverse = shared.below / ((i.explained_V2 * shared.below) + weight)
         gained = True
         if WIDE and w.spread > ZERO:
             gained = rejudge(m, place, x, p, w, i.column, inverse, innovation, s.seen)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from cellwise.arguments import shown
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.simulate import (
     check_soc0,
@@ -35,7 +36,6 @@ from cellwise.estimate.fixed.tables import FixedStepTables, fixed_step_tables
 from cellwise.estimate.noise import Noise, noise_for
 from cellwise.estimate.status import VOLTAGE_INVALID
 from cellwise.estimate.trace import Trace
-from cellwise.given import shown
 from cellwise.logs.cell_log import CellLog, check_is_log
 from cellwise.logs.resample import resample
 from cellwise.typing import IntArray

@@ -267,6 +267,7 @@ def _constants(
 ) -> dict[str, Any]:
     per_A = dt_s / (3600.0 * model.capacity_Ah)
     slow_s = noise.slow_s
+    shared = max(2.0 * slow_s / dt_s, 1.0)
     half_s = max(noise.slow_half_s, dt_s)
     early_s = half_s * min(noise.slow_first_s / max(slow_s, dt_s), 1.0)
     adapts = noise.mismatch_cap > 0 and slow_s > 0
@@ -286,8 +287,8 @@ def _constants(
         "share_variance": noise.branch_share**2,
         "charge_variance": (noise.charge_factor * noise.branch_share) ** 2,
         "gate_square": noise.gate**2,
-        "shared": max(2.0 * slow_s / dt_s, 1.0),
-        "shared_early": early_s / dt_s,
+        "shared": shared,
+        "shared_early": max(shared * early_s, half_s) / dt_s,
         "shared_half": half_s / dt_s,
         "lately": min(dt_s / slow_s, 1.0) if adapts else 0.0,
         "mismatch_cap": noise.mismatch_cap,

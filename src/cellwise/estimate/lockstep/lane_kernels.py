@@ -51,8 +51,8 @@ LANES = 16  # fewer than sixteen turns are not worth a vector to the compiler
     D1,
     D2,
     D3,
-    REST,
-    REST,
+    REST_S,
+    REST_A,
     LAST_A,
     LAST_C,
     EVIDENCE,
@@ -62,9 +62,6 @@ LANES = 16  # fewer than sixteen turns are not worth a vector to the compiler
     FROZEN,
     REPEATS,
     NO_WARM,
-    ROOM_UP,
-    ROOM_DOWN,
-    FRESH,
     MEAN,
     LOOKED,
     MISS,
@@ -72,8 +69,8 @@ LANES = 16  # fewer than sixteen turns are not worth a vector to the compiler
     FIRST_VARIANCE,
     FACTOR,
     FACTOR_C,
-) = range(55)
-FIELDS = 55
+) = range(52)
+FIELDS = 52
 
 
 @inline
@@ -119,8 +116,8 @@ def get_state(block: FloatArray, lane: int) -> EkfState:
             block[D1 * LANES + lane],
             block[D2 * LANES + lane],
             block[D3 * LANES + lane],
-            block[REST * LANES + lane],
-            block[REST * LANES + lane],
+            block[REST_S * LANES + lane],
+            block[REST_A * LANES + lane],
         ),
         Watch(
             block[LAST_A * LANES + lane],
@@ -132,9 +129,6 @@ def get_state(block: FloatArray, lane: int) -> EkfState:
             block[FROZEN * LANES + lane],
             block[REPEATS * LANES + lane],
             block[NO_WARM * LANES + lane],
-            block[ROOM_UP * LANES + lane],
-            block[ROOM_DOWN * LANES + lane],
-            block[FRESH * LANES + lane],
         ),
         Past(
             block[MEAN * LANES + lane],
@@ -183,8 +177,8 @@ def put_state(block: FloatArray, lane: int, state: EkfState) -> None:
     block[D1 * LANES + lane] = state.drift.d1_V
     block[D2 * LANES + lane] = state.drift.d2_V
     block[D3 * LANES + lane] = state.drift.d3_V
-    block[REST * LANES + lane] = state.drift.rest_s
-    block[REST * LANES + lane] = state.drift.rest_A
+    block[REST_S * LANES + lane] = state.drift.rest_s
+    block[REST_A * LANES + lane] = state.drift.rest_A
     block[LAST_A * LANES + lane] = state.watch.current_A
     block[LAST_C * LANES + lane] = state.watch.temperature_C
     block[EVIDENCE * LANES + lane] = state.watch.evidence_s
@@ -194,9 +188,6 @@ def put_state(block: FloatArray, lane: int, state: EkfState) -> None:
     block[FROZEN * LANES + lane] = state.watch.frozen_A
     block[REPEATS * LANES + lane] = state.watch.repeats
     block[NO_WARM * LANES + lane] = state.watch.no_warm_s
-    block[ROOM_UP * LANES + lane] = state.watch.room_up
-    block[ROOM_DOWN * LANES + lane] = state.watch.room_down
-    block[FRESH * LANES + lane] = state.watch.fresh
     block[MEAN * LANES + lane] = state.past.mean_A
     block[LOOKED * LANES + lane] = state.past.looked_A
     block[MISS * LANES + lane] = state.past.miss_V
@@ -260,9 +251,6 @@ def choose(which: bool, yes: EkfState, no: EkfState) -> EkfState:
             yes.watch.frozen_A if which else no.watch.frozen_A,
             yes.watch.repeats if which else no.watch.repeats,
             yes.watch.no_warm_s if which else no.watch.no_warm_s,
-            yes.watch.room_up if which else no.watch.room_up,
-            yes.watch.room_down if which else no.watch.room_down,
-            yes.watch.fresh if which else no.watch.fresh,
         ),
         Past(
             yes.past.mean_A if which else no.past.mean_A,

@@ -92,7 +92,6 @@ from cellwise.estimate.sensing_kernels import (
     HOTTEST_C,
     Reading,
     Watch,
-    new_ground,
 )
 from cellwise.estimate.status import CLAMPED
 from cellwise.typing import BoolArray, FloatArray, IntArray
@@ -192,7 +191,6 @@ def plain_step(
         (w.repeats > LONG_FROZEN) | ((change > noise.frozen_V) & (abs(innovation) > 0.5 * change))
     )
     sound = (warm_C >= COLDEST_C) & (warm_C <= HOTTEST_C)
-    new_soc, ground = new_ground(w, -flow * gs, dt_s)
     watch = Watch(
         current_A,
         warm_C if sound else w.temperature_C,
@@ -203,23 +201,16 @@ def plain_step(
         frozen_A,
         repeats,
         0.0 if sound else w.no_warm_s,
-        ground.room_up,
-        ground.room_down,
-        ground.fresh,
     )
 
     mismatch = mismatch_step(noise, old.mismatch, excess, dt_s)
-    aged = dt_s / model_memory(noise, w.evidence_s)
-    renewed = aged + new_soc * noise.per_slow_soc
-    shared = 2.0 / renewed
+    shared = 2.0 * model_memory(noise, w.evidence_s) / dt_s
     shared = shared if shared > 1.0 else 1.0
     worse = mismatch if mismatch > 1.0 else 1.0
     inverse = 1.0 / (state_variance + one * shared * worse)
     k = scaled(d, inverse)
-    kept_k = k.s * (aged / renewed)
-    drop_V = abs(point.r0_ohm * flow) + branches
-    stays_V = persistent_V(noise, point, flow, drop_V, mismatch)
-    persistent = persistent_step(kept_k, point.ocv_slope_V, old.persistent, stays_V)
+    stays_V = persistent_V(noise, point, mismatch)
+    persistent = persistent_step(k.s, point.ocv_slope_V, old.persistent, stays_V)
     end = moved(CellState(soc, v1, v2, v3, h, x.heat_K, x.slow_A), k, innovation)
     drift = counted_on(noise, old.drift, t, charge_As, dt_s, current_A)
     offset_V = point.r0_ohm * noise.offset_soc_per_s * charge_As
