@@ -1,4 +1,4 @@
-"""A folder or archive of a public original to tidy parquet with a catalogue."""
+"""A folder or archive of a public data set to tidy parquet with a catalogue."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from cellwise.data import CATALOGUE
+from cellwise.datasets.fetching import digest_of, registered
 from cellwise.errors import InputError
 from cellwise.files import write_atomically
 from cellwise.logs import CellLog, read_log, write_log
-from cellwise.originals.fetching import find_original
 
 Progress = Callable[[str, int, int], None]
 
@@ -57,7 +57,7 @@ class Imported:
         }
 
 
-def import_original(
+def import_dataset(
     name: str, source: Path | str, out: Path | str, progress: Progress | None = None
 ) -> Imported:
     """Read every log of a folder or a zip archive, write them tidy, and say what each is.
@@ -73,7 +73,7 @@ def import_original(
     InputError            no such original, folder or archive; not one log in it; a folder that
                           holds something
     """
-    original = find_original(name)
+    original = registered(name)
     place, target = Path(source), Path(out)
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
         raise InputError(f"'{out}', which holds something", "an empty folder", "Name another one.")
@@ -174,9 +174,9 @@ def _write(
         "rows": len(log),
         "duration_s": log.duration_s,
         "bytes": written.stat().st_size,
-        "sha256": _sha256(written),
+        "sha256": digest_of(written, "sha256"),
         "source": shown,
-        "source_sha256": _sha256(path),
+        "source_sha256": digest_of(path, "sha256"),
         "format": log.format,
         "doi": original["doi"],
         "licence": original["licence"],
@@ -223,8 +223,3 @@ def catalogue_text(original: dict[str, Any], entries: list[dict[str, Any]]) -> s
         # Strings and lists of JSON are TOML's too.
         lines += [f"{k} = {json.dumps(v)}" for k, v in entry.items() if v is not None]
     return "\n".join(lines) + "\n"
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -11,10 +11,10 @@ import pytest
 
 from cellwise.cli import main
 from cellwise.data import list_datasets, load_dataset
+from cellwise.datasets import import_dataset
+from cellwise.datasets.importing import kind_of, temperature_of
 from cellwise.errors import InputError
 from cellwise.logs import read_log
-from cellwise.originals import import_original
-from cellwise.originals.importing import kind_of, temperature_of
 
 ARBIN = (
     "Data_Point,Test_Time(s),Step_Index,Cycle_Index,Current(A),Voltage(V),Charge_Capacity(Ah),"
@@ -49,7 +49,7 @@ def folder(tmp_path):
 
 def test_logs_are_written_and_named_with_a_catalogue(folder, tmp_path):
     out = tmp_path / "data"
-    found = import_original("calce_a123", folder, out)
+    found = import_dataset("calce_a123", folder, out)
     assert [name for name, _ in found.left_out] == ["25degC/broken.csv"]
     entries = {e["source"]: e for e in list_datasets(out)}
     assert set(entries) == {"25degC/FUDS/cell_1.csv", "n10degC/549_C20DisCh.csv"}
@@ -72,7 +72,7 @@ def test_an_archive_with_archives_within_is_the_same_as_its_folder(folder, tmp_p
         archive.write(inner, "n10degC.zip")
         archive.write(folder / "25degC" / "FUDS" / "cell_1.csv", "25degC/FUDS/cell_1.csv")
         archive.writestr("../escape.csv", "x,y\n1,2\n")
-    found = import_original("calce_a123", outer, tmp_path / "data")
+    found = import_dataset("calce_a123", outer, tmp_path / "data")
     sources = {e["source"] for e in found.entries}
     assert sources == {"n10degC.zip/n10degC/549_C20DisCh.csv", "25degC/FUDS/cell_1.csv"}
     assert not (tmp_path / "escape.csv").exists()
@@ -124,7 +124,7 @@ def test_originals_as_their_instrument_wrote_them(real_data, tmp_path, native, o
     place = tmp_path / "download"
     place.mkdir()
     shutil.copy(real_data / "native" / native, place / native)
-    (entry,) = import_original(original, place, tmp_path / "data").entries
+    (entry,) = import_dataset(original, place, tmp_path / "data").entries
     assert entry["kind"] == kind
     log = load_dataset(entry["name"], tmp_path / "data")
     np.testing.assert_array_equal(log.voltage_V, read_log(place / native).voltage_V)
@@ -165,12 +165,12 @@ def test_what_cannot_be_imported_is_refused_and_nothing_written(folder, tmp_path
         ("calce_a123", folder / "readme.txt"),
     ):
         with pytest.raises(InputError):
-            import_original(name, source, out)
+            import_dataset(name, source, out)
         assert not out.exists()
     out.mkdir()
     (out / "precious.txt").touch()
     with pytest.raises(InputError, match="holds something"):
-        import_original("calce_a123", folder, out)
+        import_dataset("calce_a123", folder, out)
     assert main(["data", "import", "calce_a123", str(empty), "-o", str(tmp_path / "o")]) == 2
 
 

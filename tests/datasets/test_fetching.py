@@ -10,9 +10,9 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import pytest
 
 from cellwise.cli import main
+from cellwise.datasets import fetch_dataset
+from cellwise.datasets.fetching import read_listing
 from cellwise.errors import InputError
-from cellwise.originals import fetch_original
-from cellwise.originals.listing import read_listing
 
 FILES = {"25degC/C20.csv": b"time_s,current_A\n" * 9000, "readme.txt": b"please cite\n"}
 
@@ -89,39 +89,39 @@ def server():
 def test_every_file_comes_whole_and_once(server, tmp_path, listing):
     out = tmp_path / "data"
     for _ in range(2):
-        files = fetch_original("panasonic_18650pf", out, server.url + listing)
+        files = fetch_dataset("panasonic_18650pf", out, server.url + listing)
         assert {f.relative_to(out).as_posix(): f.read_bytes() for f in files} == FILES
     assert server.asked.count("/file/25degC/C20.csv") == 1
 
 
 def test_a_damaged_copy_is_fetched_again(server, tmp_path):
     out = tmp_path / "data"
-    fetch_original("lg_18650hg2", out, server.url + "/mendeley")
+    fetch_dataset("lg_18650hg2", out, server.url + "/mendeley")
     (out / "readme.txt").write_bytes(b"damaged")
-    fetch_original("lg_18650hg2", out, server.url + "/mendeley")
+    fetch_dataset("lg_18650hg2", out, server.url + "/mendeley")
     assert (out / "readme.txt").read_bytes() == FILES["readme.txt"]
 
 
 def test_a_wrong_checksum_is_refused_and_nothing_kept(server, tmp_path):
     server.pages["/file/25degC/C20.csv"] += b"one more line\n"
     with pytest.raises(InputError, match="was not kept"):
-        fetch_original("lg_18650hg2", tmp_path / "data", server.url + "/mendeley")
+        fetch_dataset("lg_18650hg2", tmp_path / "data", server.url + "/mendeley")
     assert [p for p in (tmp_path / "data").rglob("*") if p.is_file()] == []
 
 
 def test_a_connection_that_breaks_is_refused_and_goes_on_later(server, tmp_path):
     server.cut = {"/file/25degC/C20.csv"}
     with pytest.raises(InputError):
-        fetch_original("lg_18650hg2", tmp_path / "data", server.url + "/zenodo")
+        fetch_dataset("lg_18650hg2", tmp_path / "data", server.url + "/zenodo")
     server.cut = set()
-    assert len(fetch_original("lg_18650hg2", tmp_path / "data", server.url + "/zenodo")) == 2
+    assert len(fetch_dataset("lg_18650hg2", tmp_path / "data", server.url + "/zenodo")) == 2
 
 
 @pytest.mark.parametrize("page", [b"<html>not a list</html>", b"{}", b"[]", b'[{"filename": "a"}]'])
 def test_a_page_that_is_no_list_is_refused(server, tmp_path, page):
     server.pages["/odd"] = page
     with pytest.raises(InputError):
-        fetch_original("lg_18650hg2", tmp_path / "data", server.url + "/odd")
+        fetch_dataset("lg_18650hg2", tmp_path / "data", server.url + "/odd")
     assert not (tmp_path / "data").exists()
 
 
@@ -133,13 +133,13 @@ def test_a_name_that_leaves_the_folder_is_refused(name):
 
 def test_no_answer_no_entry_no_list(tmp_path, capsys):
     with pytest.raises(InputError, match="no answer"):
-        fetch_original("lg_18650hg2", tmp_path / "d", "http://127.0.0.1:9/x")
+        fetch_dataset("lg_18650hg2", tmp_path / "d", "http://127.0.0.1:9/x")
     with pytest.raises(InputError, match="one of"):
-        fetch_original("unobtainium", tmp_path / "d")
+        fetch_dataset("unobtainium", tmp_path / "d")
     with pytest.raises(InputError, match="data import"):
-        fetch_original("calce_a123", tmp_path / "d")
+        fetch_dataset("calce_a123", tmp_path / "d")
     with pytest.raises(InputError, match="https"):
-        fetch_original("calce_a123", tmp_path / "d", "file:///etc/passwd")
+        fetch_dataset("calce_a123", tmp_path / "d", "file:///etc/passwd")
     assert not (tmp_path / "d").exists()
     assert main(["data", "fetch", "calce_a123", "-o", str(tmp_path / "d")]) == 2
 
