@@ -27,6 +27,10 @@ from benchmarks.measured_data import data_folder, measured_log
 from benchmarks.physics_laboratory.stored import model_of, read_cases
 from cellwise import CellModel, read_model
 from cellwise.diagnose import diagnosis as station
+from cellwise.diagnose.decision.odds import Weighed
+from cellwise.diagnose.fit.priors import AGE
+from cellwise.diagnose.fit.rests import NO_READING
+from cellwise.diagnose.log_runs import apply
 from cellwise.logs import CellLog
 from cellwise.logs.resample import resample
 from emulator import Sensor
@@ -140,7 +144,7 @@ SWITCHES: dict[str, tuple[tuple[str, Replace], ...]] = {
             lambda _: lambda _m, e, *_: (np.ones(e.rows), np.zeros(e.rows)),
         ),
     ),
-    "what comes back": (("fit.noise.MOST_RETURNS", lambda _: 0.0),),
+    "what comes back": (("fit.noise.STATED", lambda old: old._replace(returns=0.0)),),
     "tolerances by what comes back": (("fit.priors._owed", lambda _: lambda *_: {}),),
     "starts read again": (
         ("fit.priors.start_readings", lambda _: lambda *_: {}),
@@ -149,48 +153,31 @@ SWITCHES: dict[str, tuple[tuple[str, Replace], ...]] = {
     "given starts wrong together": (
         ("fit.least_squares.Prior.together", lambda _: lambda prior, *_: prior),
     ),
-    "start between the branches": (("fit.priors.MOST_OFF_BRANCH", lambda _: 1e-6),),
-    "current at rest": (
-        (
-            "fit.rows.rest_reading",
-            lambda _: lambda *_: importlib.import_module(f"{DIAGNOSE}.fit.rest_current").NO_READING,
-        ),
-    ),
-    "voltage at rest": (
-        ("fit.rest_voltages.RestVoltages.ln_likelihood", lambda _: lambda *_: 0.0),
-    ),
+    "start between the branches": (("fit.priors.GOOD", lambda old: old._replace(off_branch=1e-6)),),
+    "current at rest": (("fit.rows.rest_reading", lambda _: lambda *_: NO_READING),),
+    "voltage at rest": (("fit.rests.RestVoltages.ln_likelihood", lambda _: lambda *_: 0.0),),
     "physical sizes": (("fit.cause_fits.ln_size", lambda _: lambda *_: 0.0),),
-    "sizes since the baseline": (
-        (
-            "fit.physical_size.SAME_AGE",
-            lambda _: importlib.import_module(f"{DIAGNOSE}.fit.physical_size").AGE,
-        ),
-    ),
-    "share of the calibration": (("fit.calibration._share_that_holds", lambda _: lambda *_: 1.0),),
+    "sizes since the baseline": (("fit.priors.SAME_AGE", lambda _: AGE),),
     "noise of the baseline": (
         ("fit.noise.KnownScale.with_more", lambda _: lambda known, *_: known),
     ),
-    "baseline": (("diagnosis.calibrate", lambda _: lambda *_: 0.0),),
+    "baseline": (("fit.cause_fits.CauseFits.calibrate", lambda _: lambda *_: None),),
     "beginnings in the score test": (
-        ("decision.score_test._from_beginnings", lambda _: lambda *_: 0.0),
+        ("decision.explanations._from_beginnings", lambda _: lambda *_: 0.0),
     ),
-    "beam of 4: 1": (("decision.explanations.BEAM", lambda _: 1),),
-    "beam of 4: 2": (("decision.explanations.BEAM", lambda _: 2),),
-    "settled again": (
-        ("decision.explanations.Explanations._settled", lambda _: lambda _s, one: one),
-    ),
-    "two beginnings followed": (("decision.explanations.BEST_BEGINNINGS", lambda _: 1),),
-    "tried at half of its rarity": (("decision.explanations.TRIED_SHARE", lambda _: 1.0),),
-    "slower diffusion": (
-        ("decision.explanations.forms_of", lambda _: lambda cause, _c: (cause,)),
-        ("decision.score_test.forms_of", lambda _: lambda cause, _c: (cause,)),
-    ),
+    **{
+        f"search, {name} {value}": (
+            ("decision.explanations.SEARCH", lambda old, n=name, v=value: old._replace(**{n: v})),
+        )
+        for name, value in (("beam", 1), ("beam", 2), ("beginnings", 1), ("tried_share", 1.0))
+    },
+    "slower diffusion": (("decision.explanations.forms_of", lambda _: lambda cause, _c: (cause,)),),
     "blocks weighed at random": (("decision.outcome.weigh", lambda _: plainly_weighed),),
-    "age is one cause": (("decision.rarity.AGE", lambda _: frozenset()),),
-    "rare since the baseline": (("decision.rarity.SINCE_BASELINE_NATS", lambda _: 0.0),),
+    "age is one cause": (("decision.odds.AGE", lambda _: frozenset()),),
+    "rare since the baseline": (("decision.odds.SINCE_BASELINE_NATS", lambda _: 0.0),),
     "kept only if it simulates better": (("diagnosis.applied", lambda _: always_applied),),
     "the whole cell beside a cause": (
-        ("applied._explained", lambda old: lambda f, c, n, _w: old(f, c, n, False)),
+        ("log_runs._explained", lambda old: lambda f, c, n, _w: old(f, c, n, False)),
     ),
 }
 
@@ -205,18 +192,18 @@ def one_band(objective: Any, columns: Any) -> Any:
 
 def plainly_weighed(hypotheses: Any, *_: Any) -> Any:
     """Sets by their odds alone."""
-    weighed = importlib.import_module(f"{DIAGNOSE}.decision.posterior").Weighed
     odds = np.array([h.total - h.rarity for h in hypotheses])
     share = np.exp(odds - odds.max())
-    found = [weighed(h.causes, float(p)) for h, p in zip(hypotheses, share / share.sum())]
+    found = [
+        Weighed(h.causes, float(p)) for h, p in zip(hypotheses, share / share.sum(), strict=True)
+    ]
     return tuple(sorted(found, key=lambda w: -w.probability))
 
 
 def always_applied(fits: Any, outcome: Any, given: Any) -> Any:
     """All accepted causes, whatever held-out rows say."""
-    applied = importlib.import_module(f"{DIAGNOSE}.applied")
     causes = [a.cause for a in outcome.accepted]
-    return applied.apply(fits, causes, outcome.fit, outcome.noise, given) if causes else None
+    return apply(fits, causes, outcome.fit, outcome.noise, given) if causes else None
 
 
 @contextmanager

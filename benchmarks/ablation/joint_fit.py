@@ -1,4 +1,4 @@
-"""What is lost without each rule of the joint fit: cells identified anew, judged on other logs.
+"""What is lost without each rule of the joint fit: cells identified again, judged on other logs.
 
 python -m benchmarks.ablation.joint_fit [--keep DIR] [--only "RULE,RULE"] [--cells "NAME,NAME"]
 
@@ -31,6 +31,8 @@ from cellwise.cell.model_error import in_bands
 from cellwise.cell.simulate import known_temperature_C, simulate
 from cellwise.cell.stock.catalogue import stock_model
 from cellwise.identify import Identification
+from cellwise.identify.prior.corrections import UsualDifference
+from cellwise.identify.prior.update import Evidence
 from cellwise.logs import CellLog, read_log
 from cellwise.typing import FloatArray
 
@@ -105,7 +107,7 @@ def samsung(data: Path) -> Prepared:
         return replace(measured_log(data, f"{SAMSUNG}/{name}"), name=name)
 
     tests = TestLogs(
-        hppc=[(log(f"hppc_dnn01_1c_p{t}_time_rebuilt"), float(t)) for t in (20, 30, 40)],
+        hppc=[log(f"hppc_dnn01_1c_p{t}_time_rebuilt") for t in (20, 30, 40)],
         ocv=log("fresh_s001_discharge_c10"),
     )
     judged = [(log(f"fresh_s001_discharge_{r}"), 1.0) for r in ("1c", "2c", "3c")]
@@ -259,7 +261,39 @@ class Rule:
             setattr(found, name, value)
 
 
-RULES: tuple[Rule, ...] = (Rule("nothing"),)
+def _without(name: str) -> Callable[..., Any]:
+    """The candidates of the effects' station but one."""
+    from cellwise.identify.refinement import effects
+
+    candidates = effects._candidates
+    return lambda joint: {n: c for n, c in candidates(joint).items() if n != name}
+
+
+SEVERAL = ("Panasonic, five temperatures", "LG, constant currents", "Leaf cell, pulses")
+TRIED = ("Panasonic, five temperatures", "LG, constant currents", "A123 without -15 degC")
+PRIORS = tuple(name for name in CELLS if name.startswith("prior"))
+FIT, EFFECTS, PRIOR = "refinement.joint_fit", "refinement.effects", "prior.update"
+RULES: tuple[Rule, ...] = (
+    Rule("nothing"),
+    Rule("a log that is fitted worse counts less", ((f"{FIT}.BALANCE", 0.0),), SEVERAL),
+    Rule("smoother with several temperatures", ((f"{FIT}.SMOOTH_OF_SEVERAL", 0.01),), SEVERAL),
+    Rule("charge_transfer", ((f"{EFFECTS}._candidates", _without("charge_transfer")),), TRIED),
+    Rule("surface_soc", ((f"{EFFECTS}._candidates", _without("surface_soc")),), TRIED),
+    Rule(
+        "own activations", ((f"{EFFECTS}._candidates", _without("temperature_dependence")),), TRIED
+    ),
+    Rule("prior, robust", ((f"{PRIOR}.OF_A_LOG", Evidence(robust=1e6)),), PRIORS),
+    Rule(
+        "prior, one error in five minutes",
+        ((f"{PRIOR}.OF_A_LOG", Evidence(memory_s=1e-3)),),
+        PRIORS,
+    ),
+    Rule(
+        "prior, activation",
+        (("prior.corrections.USUAL", UsualDifference(activation_K=1e-3)),),
+        PRIORS,
+    ),
+)
 
 
 def bands_of(model: CellModel, log: CellLog, soc0: float | None) -> list[list[float]]:
@@ -374,8 +408,8 @@ def main() -> int:
             mean, most = row_of(rule.name, with_it, without)
             ratio = " ".join(f"{v:.2f}" for v in without["stated_over_measured"])
             level = np.mean(list(without["rmse_mV"].values()))
-            print(f"{rule.name} | {cell} | {level:.2f} mV | {mean:+.2f} mV, most {most:+.2f} | {ratio}",
-                  flush=True)  # fmt: skip
+            lost = f"{level:.2f} mV | {mean:+.2f} mV, most {most:+.2f}"
+            print(f"{rule.name} | {cell} | {lost} | {ratio}", flush=True)
     return 0
 
 

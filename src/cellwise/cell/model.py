@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from cellwise.arguments import check_kind
 from cellwise.cell.effects import (
     BRANCH_ACTIVATIONS,
     EFFECTS,
@@ -24,7 +25,6 @@ from cellwise.cell.model_error import ModelError
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity, beyond_soc
 from cellwise.cell.point_kernels import COLUMN_SOURCES, SCALAR_SOURCES, CellScalars
 from cellwise.errors import InputError
-from cellwise.given import check_kind
 from cellwise.plotting import Line, Panel, Plottable
 from cellwise.typing import FloatArray
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from cellwise.arguments import number
 from cellwise.cell.compiled import announce, rows
 from cellwise.cell.equations import (
     CellState,
@@ -30,7 +31,6 @@ from cellwise.cell.plausibility.outside import outside_notices
 from cellwise.cell.plausibility.simulated import error_notices, soc_notices
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.errors import InputError
-from cellwise.given import number
 from cellwise.logs.cell_log import CellLog, check_is_log
 from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import FloatArray

@@ -87,10 +87,11 @@ def run_export(arguments: argparse.Namespace) -> None:
     )
     check_flash(tables, arguments.flash)
     report = describe(model, tables, noise, arguments.cells)
-    report["targets"] = target_costs(model, tables, arguments)
-    report["accuracy"] = lost_accuracy(model, noise, arguments)
+    log = read(model, arguments)
+    report["targets"] = target_costs(model, tables, log, arguments)
+    report["accuracy"] = [] if log is None else lost_accuracy(model, noise, log, arguments)
     report["files"] = write_package(model, tables, Path(arguments.output), report, arguments.prefix)
-    write_pages(model, noise, report, arguments)
+    write_pages(model, noise, report, log, arguments)
     if arguments.json:
         printing.print_json(report)
         return
@@ -148,7 +149,11 @@ def noise_of(model: CellModel, stated: list[str]) -> Noise:
 
 
 def write_pages(
-    model: CellModel, noise: Noise, report: dict[str, Any], arguments: argparse.Namespace
+    model: CellModel,
+    noise: Noise,
+    report: dict[str, Any],
+    log: CellLog | None,
+    arguments: argparse.Namespace,
 ) -> None:
     """The page and its pictures, where they are wanted."""
     with page_options.page_places(arguments) as pages:
@@ -158,8 +163,7 @@ def write_pages(
         from cellwise.report.export_page import export_page
 
         both = None
-        if arguments.log is not None:
-            log = read(model, arguments)
+        if log is not None:
             both = fixed_and_float(
                 model,
                 log,
@@ -174,7 +178,7 @@ def write_pages(
 
 
 def target_costs(
-    model: CellModel, tables: FixedStepTables, arguments: argparse.Namespace
+    model: CellModel, tables: FixedStepTables, log: CellLog | None, arguments: argparse.Namespace
 ) -> list[dict[str, Any]]:
     """Code, stack and instructions on every core; empty without a cross compiler.
 
@@ -191,8 +195,8 @@ def target_costs(
     here = cores_here()
     if not here:
         return []
-    log = load_dataset("nmc_drive_b") if arguments.log is None else read(model, arguments)
-    records = samples_of(model, log, arguments.dt).records[:STEPS_TO_MEASURE]
+    drive = load_dataset("nmc_drive_b") if log is None else log
+    records = samples_of(model, drive, arguments.dt).records[:STEPS_TO_MEASURE]
     costs = []
     with printing.working("counting instructions") as follow:
         for core in here:
@@ -214,32 +218,29 @@ def target_costs(
 
 
 def lost_accuracy(
-    model: CellModel, noise: Noise, arguments: argparse.Namespace
+    model: CellModel, noise: Noise, log: CellLog, arguments: argparse.Namespace
 ) -> list[dict[str, Any]]:
-    """Accuracy by number of SOC points, where there is a log."""
+    """Accuracy by number of SOC points."""
     from dataclasses import asdict
 
     from cellwise.export.accuracy import GRIDS, accuracy_by_grid
 
-    if arguments.log is None:
-        return []
-    grids = {*GRIDS, arguments.points or model.points}
-    log = read(model, arguments)
-    start = options.start_of(log.soc0, arguments.soc0)
     found = accuracy_by_grid(
         model,
         log,
         arguments.dt,
-        soc0=start,
+        soc0=options.start_of(log.soc0, arguments.soc0),
         wide=not arguments.lean,
-        grids=sorted(grids),
+        grids=sorted({*GRIDS, arguments.points or model.points}),
         noise=noise,
     )
     return [asdict(row) for row in found]
 
 
-def read(model: CellModel, arguments: argparse.Namespace) -> CellLog:
-    """The log that is given."""
+def read(model: CellModel, arguments: argparse.Namespace) -> CellLog | None:
+    """The log to measure on, None where none is named."""
+    if arguments.log is None:
+        return None
     options.check_fraction("--soc0", arguments.soc0)
     return read_log_of(model, arguments)
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 from cellwise.cli.common import log_options, options, places, power_options, printing
 from cellwise.errors import InputError
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from cellwise.estimate.power.follower import PowerFollower
     from cellwise.forecast.outlook import Outlook
     from cellwise.live import Counts, LiveFilter, Update
-    from cellwise.live.sample import Source
+    from cellwise.live.samples import Source
     from cellwise.logs import Stated
 
 FORECAST_EVERY_S = 1.0
@@ -62,8 +62,7 @@ def run_live_command(arguments: argparse.Namespace) -> None:
     from cellwise.forecast.outlook import Outlook
     from cellwise.forecast.remaining import cutoff_of
     from cellwise.live import Counts, open_source, run_live
-    from cellwise.live.latency import LatencyMeter
-    from cellwise.live.run import check_any
+    from cellwise.live.run import LatencyMeter, check_any
 
     _check(arguments)
     model = options.read_model(arguments)
@@ -71,31 +70,30 @@ def run_live_command(arguments: argparse.Namespace) -> None:
     power = _power(model, arguments)
     name, stated = _stated(arguments.source)
     live = _filter(model, stated, arguments)
+    followed = Followed(live, outlook, power)
     reading = log_options.read_options(arguments)
     source = open_source(
         name, reading, arguments.sign, follow=arguments.follow, cells=arguments.cells
     )
     deadline = arguments.deadline_ms
     counts = Counts(latency=LatencyMeter(None if deadline is None else 1e-3 * deadline))
+    viewed = arguments.view or (sys.stdout.isatty() and not arguments.json)
+    takers: list[Callable[[Update], None]] = [followed.take]
     with ExitStack() as stack:
         stack.callback(source.close)
         sender = _sender(source, arguments)
-        takers: list[Callable[[Update], None]] = [outlook.take]
-        if power is not None:
-            takers.append(partial(_follow, live, power))
         if sender is not None:
             takers.append(lambda u: sender.send(u.info.soc, u.sample.arrived_s))
         look = None
         if arguments.output:
             file = stack.enter_context(_appended(arguments.output))
-            takers.append(LineWriter(file, live, outlook, power, arguments.every))
-        viewed = arguments.view or (sys.stdout.isatty() and not arguments.json)
+            takers.append(LineWriter(file, followed, arguments.every))
         if viewed:
             from cellwise.cli.live_view import LiveView
 
             look = stack.enter_context(LiveView(source, live, outlook, power=power)).look
         elif not (arguments.output or arguments.json):
-            takers.append(LineWriter(sys.stdout, live, outlook, power, arguments.every))
+            takers.append(LineWriter(sys.stdout, followed, arguments.every))
         if not viewed:  # the view shows it among its flags
             takers.append(OutsideNotice(live))
         stack.enter_context(_stopped_by_signal())
@@ -111,7 +109,7 @@ def run_live_command(arguments: argparse.Namespace) -> None:
             idle_s=arguments.idle,
         )
     check_any(source, counts)
-    _report_end(arguments, live, counts, outlook, power, viewed)
+    _report_end(arguments, followed, counts, viewed)
 
 
 def _hand_out(takers: list[Callable[[Update], None]], update: Update) -> None:
@@ -119,19 +117,48 @@ def _hand_out(takers: list[Callable[[Update], None]], update: Update) -> None:
         taker(update)
 
 
+class Followed(NamedTuple):
+    """A filter on a stream, and what follows it: remaining time and energy, and the power."""
+
+    live: LiveFilter
+    outlook: Outlook
+    power: PowerFollower | None = None
+
+    def take(self, update: Update) -> None:
+        """Hand a sample on to what follows the filter."""
+        from cellwise.estimate.sensing_kernels import Reading
+
+        self.outlook.take(update)
+        if self.power is None or self.live.state is None:
+            return
+        sample, warm = update.sample, self.temperature_C(update)
+        reading = Reading(sample.current_A, sample.voltage_V, warm, update.dt_s, update.gap)
+        self.power.take(reading, self.live.state, update.info.status)
+
+    def columns(self, update: Update) -> dict[str, Any]:
+        """Time and energy to empty, power if it is asked for, the cells of a pack: for JSON."""
+        state, warm = self.live.state, self.temperature_C(update)
+        return {
+            **self.outlook.columns(state, warm),
+            **({} if self.power is None else self.power.columns(state, warm)),
+            **({} if self.live.pack is None else self.live.pack.columns()),
+        }
+
+    def temperature_C(self, update: Update) -> float:
+        """The sample's temperature, else the model's."""
+        from math import isfinite
+
+        from cellwise.cell.simulate import model_temperature_C
+
+        measured = self.live.known_temperature_C(update.sample)
+        return measured if isfinite(measured) else model_temperature_C(self.live.model)
+
+
 class LineWriter:
     """One JSON object per update, at most one in ``every_s`` of the stream's time."""
 
-    def __init__(
-        self,
-        file: IO[str],
-        live: LiveFilter,
-        outlook: Outlook,
-        power: PowerFollower | None = None,
-        every_s: float = 0.0,
-    ) -> None:
-        self._file, self._live, self._outlook, self._every_s = file, live, outlook, every_s
-        self._power = power
+    def __init__(self, file: IO[str], followed: Followed, every_s: float = 0.0) -> None:
+        self._file, self._followed, self._every_s = file, followed, every_s
         self._waited_s = self._since_forecast_s = float("inf")
 
     def __call__(self, update: Update) -> None:
@@ -144,9 +171,7 @@ class LineWriter:
         row = state_row(update)
         if self._since_forecast_s >= FORECAST_EVERY_S:
             self._since_forecast_s = 0.0
-            row |= forecast_row(self._live, self._outlook, update)
-            row |= power_row(self._live, self._power, update)
-            row |= {} if self._live.pack is None else self._live.pack.columns()
+            row |= self._followed.columns(update)
         self._file.write(json.dumps(printing.clean(row), allow_nan=False) + "\n")
         self._file.flush()
 
@@ -195,28 +220,6 @@ def state_row(update: Update) -> dict[str, Any]:
     }
 
 
-def forecast_row(live: LiveFilter, outlook: Outlook, update: Update) -> dict[str, Any]:
-    """Time and energy to empty at the present, the median and a given load; nulls without one."""
-    return outlook.columns(live.state, _temperature(live, update))
-
-
-def power_row(live: LiveFilter, power: PowerFollower | None, update: Update) -> dict[str, Any]:
-    """What the cell can give and take, by the names of `replay`'s columns; none if not asked."""
-    return {} if power is None else power.columns(live.state, _temperature(live, update))
-
-
-def _follow(live: LiveFilter, power: PowerFollower, update: Update) -> None:
-    from cellwise.estimate.sensing_kernels import Reading
-
-    if live.state is None:
-        return
-    sample = update.sample
-    reading = Reading(
-        sample.current_A, sample.voltage_V, _temperature(live, update), update.dt_s, update.gap
-    )
-    power.take(reading, live.state, update.info.status)
-
-
 def _power(model: CellModel, arguments: argparse.Namespace) -> PowerFollower | None:
     """What follows the power, and on standard error what limits nobody stated."""
     settings = power_options.power_of(arguments, model)
@@ -227,15 +230,6 @@ def _power(model: CellModel, arguments: argparse.Namespace) -> PowerFollower | N
     for notice in settings.known.notices:
         print(f"cellwise live: {notice}", file=sys.stderr)
     return PowerFollower(settings)
-
-
-def _temperature(live: LiveFilter, update: Update) -> float:
-    from math import isfinite
-
-    from cellwise.cell.simulate import model_temperature_C
-
-    measured = live.known_temperature_C(update.sample)
-    return measured if isfinite(measured) else model_temperature_C(live.model)
 
 
 def _check(arguments: argparse.Namespace) -> None:
@@ -335,22 +329,15 @@ def _stopped_by_signal() -> Iterator[None]:
 
 
 def _report_end(
-    arguments: argparse.Namespace,
-    live: LiveFilter,
-    counts: Counts,
-    outlook: Outlook,
-    power: PowerFollower | None,
-    viewed: bool,
+    arguments: argparse.Namespace, followed: Followed, counts: Counts, viewed: bool
 ) -> None:
     """The end of a stream: one object, or a few lines for people."""
-    last = counts.last
+    last, live = counts.last, followed.live
     if last is None or live.start is None:
         return
     data = {
         **state_row(last),
-        **forecast_row(live, outlook, last),
-        **power_row(live, power, last),
-        **({} if live.pack is None else live.pack.columns()),
+        **followed.columns(last),
         "estimator": live.filter.name,
         "soc0": live.start.to_dict(),
         **counts.to_dict(),

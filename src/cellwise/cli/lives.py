@@ -58,14 +58,8 @@ def print_life(found: Life) -> None:
         f"{len(data['logs'])} logs over {found.way[-1]:.0f} {found.over}",
         zip(data["logs"], found.trend.share, found.trend.std, strict=True),
         ("log", lambda o: o[0]["log"]),
-        (
-            "capacity Ah",
-            lambda o: f"{o[0]['capacity_Ah']:.3f} +- {2 * o[0]['capacity_std_Ah']:.3f}",
-        ),
-        (
-            "resistance",
-            lambda o: f"{o[0]['resistance_scale']:.3f} +- {2 * o[0]['resistance_std']:.3f}",
-        ),
+        ("capacity Ah", lambda o: _with_band(o[0]["capacity_Ah"], o[0]["capacity_std_Ah"])),
+        ("resistance", lambda o: _with_band(o[0]["resistance_scale"], o[0]["resistance_std"])),
         ("trend %", lambda o: f"{percent(o[1], 1)} +- {percent(2 * o[2], 1)}"),
         ("by", lambda o: o[0]["how"]),
     )

@@ -17,8 +17,8 @@ from cellwise.cell.effects import (
 )
 from cellwise.cell.model import CellModel, ModelTables
 from cellwise.identify.ocv.curve import OcvCurve
-from cellwise.identify.refinement.problem import LEAST_RATIO
-from cellwise.identify.refinement.refine import RefineResult, StartTables
+from cellwise.identify.refinement.problem import LEAST_RATIO, StartTables
+from cellwise.identify.refinement.refine import RefineResult
 from cellwise.identify.refinement.refine_data import BEYOND
 from cellwise.identify.refinement.splines import spline_rows, spline_values
 from cellwise.identify.tables import GRID_POINTS, NAMES, PulseTables
@@ -149,8 +149,8 @@ def moved_ocv_notice(result: RefineResult) -> tuple[str, ...]:
     if size <= LARGEST_OCV_MOVE_V:
         return ()
     return (
-        f"the logs would have the OCV moved by {1e3 * size:.0f} mV RMS: check at which SOC they "
-        "begin, and whether OCV and logs are of one cell and temperature",
+        f"the logs under load would have the OCV moved by {1e3 * size:.0f} mV RMS: check at which "
+        "SOC they begin, and whether OCV and logs are of one cell and temperature",
     )
 
 

@@ -13,7 +13,11 @@ from cellwise.errors import InputError
 from cellwise.identify.by_temperature import low_rate_tests
 from cellwise.identify.capacity.capacity_choice import capacity_choices, choose_capacity
 from cellwise.identify.capacity.capacity_test import CapacityTest, measure_capacities
-from cellwise.identify.capacity.hppc_capacity import whole_hppc_Ah
+from cellwise.identify.capacity.hppc_capacity import (
+    hppc_reaches_empty,
+    hppc_total_Ah,
+    whole_hppc_Ah,
+)
 from cellwise.identify.checked_logs import CheckedLogs
 from cellwise.identify.identification import IdentifySettings, TestLogs
 from cellwise.logs.cell_log import CellLog
@@ -85,6 +89,8 @@ def measure_capacity(checked: CheckedLogs, settings: IdentifySettings) -> Measur
     if settings.capacity_choice == "nominal":
         ln_std = SPREAD.chosen
     found = (*_against_nominal(capacity, choice, nominal), *_against_logs(capacity, choice, tests))
+    if choice == "nominal" and total is None:
+        found += tuple(_empty_before(tests, capacity))
     return MeasuredCapacity(capacity, choice, choices, measured, ln_std, found, tuple(notices))
 
 
@@ -147,3 +153,16 @@ def _against_logs(capacity_Ah: float, choice: str, tests: TestLogs) -> list[Noti
             )
             found.append(Notice(RANGE_V * (share - 1.0), text))
     return found
+
+
+def _empty_before(tests: TestLogs, nominal_Ah: float) -> list[Notice]:
+    """A pulse test that is no capacity by its charge, and yet ends empty."""
+    most = max((log for log, _ in tests.hppc), key=hppc_total_Ah, default=None)
+    if most is None or not hppc_reaches_empty(most):
+        return []
+    total = hppc_total_Ah(most)
+    text = (
+        f"'{most.name}' is empty after {total:.4g} Ah, of {nominal_Ah:.4g} Ah nominal: did it "
+        "begin full, and is the nominal capacity that of this cell?"
+    )
+    return [Notice(RANGE_V * math.log(nominal_Ah / total), text)]

@@ -77,7 +77,7 @@ def check_serves(rmse_V: float, found: Sequence[Notice]) -> None:
         raise InputError(
             f"tests that give a model {1e3 * rmse_V:.0f} mV off its own logs; {in_order(found)[0]}",
             "logs of one cell, in one scale",
-            "Leave out the log that does not belong to them.",
+            "Leave out the log that does not belong, or check the unit of its current (mA for A?).",
         )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
-from cellwise.given import check_kind
+from cellwise.arguments import check_kind
 from cellwise.logs.files.assembly import log_from_table
 from cellwise.logs.files.named_columns import NamedColumns
 from cellwise.logs.gaps import Gap, find_gaps

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,11 +16,19 @@ from cellwise.report.page.picture import FigureFiles, pictured
 from cellwise.report.page.section import Section, write_page
 from cellwise.typing import BoolArray, FloatArray
 
-BINS = 240  # columns of the cells over time
-LEAST_SCALE_MV = 3.0
 REST_RATE, LOAD_RATE = 0.05, 0.3  # 1/h
-BIN_ROWS = 5
-MOST_LABELS = 12  # of days below the cells
+
+
+class CellImage(NamedTuple):
+    """How the picture of the cells over time is divided."""
+
+    columns: int = 240
+    rows: int = 5  # of a log in a column, at least
+    labels: int = 12  # of days below the cells, at most
+    scale_mV: float = 3.0  # to either side of the mean, at least
+
+
+IMAGE = CellImage()
 
 
 def pack_page(
@@ -124,14 +133,14 @@ def cells_picture(found: PackEstimate) -> style.Figure:
     figure = style.new_figure(min(2.2 + 0.045 * cells, 6.0))
     axes = figure.subplots()
     usual = np.nanpercentile(np.abs(image), 97) if np.isfinite(image).any() else 0.0
-    scale = max(LEAST_SCALE_MV, float(usual))
+    scale = max(IMAGE.scale_mV, float(usual))
     drawn = axes.imshow(
         image, aspect="auto", cmap="RdBu", vmin=-scale, vmax=scale, interpolation="nearest",
         extent=(0.0, float(image.shape[1]), cells + 0.5, 0.5),
     )  # fmt: skip
     figure.colorbar(drawn, ax=axes, label="cell minus mean [mV]", shrink=0.8, pad=0.07)
     axes.grid(visible=False)
-    shown = _far_enough(edges, image.shape[1] / MOST_LABELS)
+    shown = _far_enough(edges, image.shape[1] / IMAGE.labels)
     axes.set_xticks([edges[k] for k in shown], [labels_of[k] for k in shown], rotation=0)
     for cell in named_cells(found):
         style.note(
@@ -150,7 +159,7 @@ def cells_over_time(found: PackEstimate) -> tuple[FloatArray, list[int], list[st
     rows = sum(len(day.log) for day in found.days)
     parts, edges, names, at = [], [], [], 0
     for day in found.days:
-        count = max(1, min(len(day.log) // BIN_ROWS, round(BINS * len(day.log) / rows)))
+        count = max(1, min(len(day.log) // IMAGE.rows, round(IMAGE.columns * len(day.log) / rows)))
         starts = np.linspace(0, len(day.log), count + 1).astype(np.int64)[:-1]
         values = day.log.difference_V
         known = np.isfinite(values)

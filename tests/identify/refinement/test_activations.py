@@ -81,4 +81,3 @@ def test_tables_of_several_temperatures_lack_the_activation_between_the_last():
         6.0 * table, 0.7 * r0[:, None] * table, 90.0 * table, temperature_C=grid,
     )  # fmt: skip
     assert activation_beyond_K(model, grid) == pytest.approx(max(SLOPES_K))
-    assert activation_beyond_K(model, grid[:1]) is None

@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from cellwise.cli.common import options, printing
 from cellwise.cli.common.places import check_places
@@ -17,26 +17,6 @@ if TYPE_CHECKING:
     from cellwise.report.page.picture import FigureFiles
 
 FORMATS = ("png", "svg", "pdf")
-
-
-class Found(Protocol):
-    """A result that has JSON values."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """What ``--json`` prints."""
-        ...
-
-
-FoundT = TypeVar("FoundT", bound=Found)
-PageOf = TypeVar("PageOf", bound=Found, contravariant=True)
-
-
-class WritePage(Protocol[PageOf]):
-    """What writes the page of a result."""
-
-    def __call__(self, found: PageOf, path: Path, /, *, figures: FigureFiles | None) -> Path:
-        """Write it, and its pictures as files where wanted."""
-        ...
 
 
 class PagePlaces(NamedTuple):
@@ -117,9 +97,9 @@ def say_pages(arguments: argparse.Namespace) -> None:
 
 def hand_over(
     arguments: argparse.Namespace,
-    found: FoundT,
-    write_page: WritePage[FoundT],
-    say: Callable[[FoundT], None],
+    found: Any,
+    write_page: Callable[..., Path],
+    say: Callable[[Any], None],
 ) -> None:
     """Write the page of a result if one is wanted, and print the result as was asked."""
     with page_places(arguments) as pages:

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cellwise.arguments import shown
 from cellwise.errors import InputError
 from cellwise.estimate.cells.settings import MOST_CELLS
 from cellwise.estimate.filters.filter_state import EkfInfo
@@ -21,7 +22,6 @@ from cellwise.estimate.fixed.stepper import (
     sequence_number,
     start_state,
 )
-from cellwise.given import shown
 from cellwise.logs.packs.pack_log import PackLog
 
 

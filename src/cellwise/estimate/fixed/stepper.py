@@ -17,6 +17,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from cellwise.arguments import shown
 from cellwise.cell.compiled import cached
 from cellwise.cell.simulate import check_soc0, check_soc0_std
 from cellwise.errors import InputError
@@ -51,7 +52,6 @@ from cellwise.estimate.power import fixed_power, fixed_remaining
 from cellwise.estimate.power.fixed_power import power
 from cellwise.estimate.power.fixed_remaining import remaining
 from cellwise.estimate.status import VOLTAGE_INVALID
-from cellwise.given import shown
 
 MOST_VARIANCE = 1.0
 # What a step may be made with: what it is, and how.

@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from cellwise.cell.initial_soc.best_start import best_start_soc
-from cellwise.cell.initial_soc.initial_soc import STATED_STD, initial_soc
+from cellwise.cell.initial_soc.initial_soc import STATED_STD
 from cellwise.cell.model import CellModel
+from cellwise.cell.simulate import start_hysteresis
 from cellwise.errors import InputError
 from cellwise.identify.capacity.half_cycles import discharge_rows
 from cellwise.identify.checked_logs import CheckedLogs
@@ -25,7 +26,7 @@ from cellwise.identify.ocv.curve import curve_from_points
 from cellwise.identify.prior.choice import choose_prior
 from cellwise.identify.prior.corrections import Corrections
 from cellwise.identify.prior.seen import error_of, notices_of, seen_by
-from cellwise.identify.prior.update import PriorLog, update_from
+from cellwise.identify.prior.update import PriorLog, update
 from cellwise.identify.soc_anchor import SocAnchor, full_before
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
@@ -36,8 +37,6 @@ UNKNOWN_STD = 0.5  # of an initial SOC: the OCV and its correction have to find 
 # test at constant current.
 SEEN_ENOUGH, SEEN_LEAST = 0.8, 0.5
 FEWEST_ROWS = 30  # with a voltage: fewer say next to nothing that the prior does not
-
-Guess = Callable[[CellModel, CellLog], float]
 
 
 def needs_prior(tests: TestLogs, settings: IdentifySettings) -> bool:
@@ -90,7 +89,7 @@ def fit_prior(
         return Corrections(prior, capacity.capacity_Ah, capacity.ln_std, window)
 
     def prepared(corrections: Corrections) -> list[PriorLog]:
-        return _prepared(tests, corrections.prior, _by_whole_log)
+        return _prepared(tests, corrections.prior)
 
     prior, chosen_by = settings.prior, "named"
     if prior is None:
@@ -102,7 +101,7 @@ def fit_prior(
     say(f"update of {name}")
     corrections = corrections_of(prior)
     items = prepared(corrections)
-    found = update_from(corrections, [items, _prepared(tests, corrections.prior, _by_first_minute)])
+    found = update(corrections, items)
     seen = seen_by(items, found)
     error, ocv_std = error_of(items, found, corrections)
     notices += notices_of(seen, name, prior)
@@ -154,24 +153,24 @@ def _reached_V(logs: Sequence[CellLog]) -> FloatArray:
     return np.array([low, max(np.nanmax(log.voltage_V) for log in logs)])
 
 
-def _prepared(tests: TestLogs, prior: CellModel, guess: Guess) -> list[PriorLog]:
+def _prepared(tests: TestLogs, prior: CellModel) -> list[PriorLog]:
     """The logs with their starts by the prior; of tests that begin full, the discharge."""
-    items = [_started(log, prior, guess) for log, _ in (*tests.hppc, *tests.drive)]
+    items = [_started(log, prior) for log, _ in (*tests.hppc, *tests.drive)]
     for log in (*tests.ocv, *tests.capacity):
         rows = discharge_rows(log)
-        one = _started(log, prior, guess)
+        one = _started(log, prior)
         if not rows.any():
             items.append(one)
             continue
         anchor = SocAnchor(one.soc0, one.soc0_std, "")
         full = full_before(log, rows, prior.capacity_Ah, anchor)
         if log.soc0 is None and full is not anchor:
-            one = replace(one, soc0=full.soc, soc0_std=full.std, h0_std=0.0)
+            one = replace(one, soc0=full.soc, soc0_std=full.std, h0=1.0)
         items.append(replace(one, compare=rows))
     return items
 
 
-def _started(log: CellLog, prior: CellModel, guess: Guess) -> PriorLog:
+def _started(log: CellLog, prior: CellModel) -> PriorLog:
     """A log with its initial SOC by the prior's OCV: never taken for full because it is a test."""
     known = int(np.count_nonzero(np.isfinite(log.voltage_V)))
     if known < FEWEST_ROWS:
@@ -181,15 +180,7 @@ def _started(log: CellLog, prior: CellModel, guess: Guess) -> PriorLog:
             "Give a longer log, or check the column.",
         )
     if log.soc0 is not None:
-        return PriorLog(log, log.soc0, STATED_STD)
-    return PriorLog(log, guess(prior, log), UNKNOWN_STD, h0_std=1.0)
-
-
-def _by_whole_log(prior: CellModel, log: CellLog) -> float:
-    """On a plateau the first minute says nothing, the whole log may."""
-    return best_start_soc(prior, log, np.linspace(0.0, 1.0, STARTS))[0]
-
-
-def _by_first_minute(prior: CellModel, log: CellLog) -> float:
-    """Where the OCV is steep the first minute is what least else can disturb."""
-    return initial_soc(prior, log, likeliest=True).soc
+        return PriorLog(log, log.soc0, STATED_STD, h0=start_hysteresis(log.soc0))
+    # On a plateau the first minute says nothing, the whole log may.
+    soc0, _ = best_start_soc(prior, log, np.linspace(0.0, 1.0, STARTS))
+    return PriorLog(log, soc0, UNKNOWN_STD)

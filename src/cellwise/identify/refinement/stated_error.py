@@ -16,7 +16,8 @@ from cellwise.cell.effects import SlowDiffusion
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import known_temperature_C, simulate
-from cellwise.identify.refinement.effects import JointFit
+from cellwise.identify.refinement.effects import NEEDED, JointFit, drive_temperatures
+from cellwise.identify.refinement.joint_fit import QUICK_ITERATIONS
 from cellwise.identify.refinement.model_error import (
     SAME_TEMPERATURE_K,
     ResidualLog,
@@ -46,21 +47,23 @@ def stated_error(fit: JointFit) -> ModelError:
     ]
     unseen = unseen_shares(model, [s.log for s in joint.used])
     error = estimate_model_error(_held_out(fit, soc0), others, unseen)
-    return replace(error, activation_std_K=activation_beyond_K(model, joint.grid_C))
+    beyond_K = activation_beyond_K(model, joint.grid_C) if joint.grid_C.size > 1 else None
+    if joint.grid_C.size == 1 and drive_temperatures(joint.logs) >= NEEDED.activations:
+        # One activation for all of them: colder, another process limits, and may have none or two.
+        beyond_K = abs(fit.result.activation_K)
+    return replace(error, activation_std_K=beyond_K)
 
 
-def activation_beyond_K(model: CellModel, grid_C: FloatArray) -> float | None:
+def activation_beyond_K(model: CellModel, grid_C: FloatArray) -> float:
     """By how much the activation may be off beyond the tables' temperatures, the larger end [K].
 
     Tables of several temperatures are held beyond the last one: it is the activation of the whole
-    resistance between the last two that is missing. None with one activation for all.
+    resistance between the last two that is missing.
 
     Parameters
     ----------
     grid_C : (temperatures,) float      with tables of their own, ascending
     """
-    if grid_C.size == 1:
-        return None
     at = [int(np.argmin(np.abs(model.temperature_C - t))) for t in grid_C]
     rows = (model.soc > MIDDLE[0]) & (model.soc < MIDDLE[1])
     third = np.broadcast_to(model.effect(SlowDiffusion).r3_ohm, model.r0_ohm.shape)
@@ -75,7 +78,7 @@ def _held_out(fit: JointFit, soc0: Sequence[float]) -> list[ResidualLog]:
     for fold in _folds(fit.logs):
         kept = [_without(item, fold.get(k)) for k, item in enumerate(fit.logs)]
         left = [item for item in kept if item is not None]
-        result = fit.joint.fit(left, fit.settings, fit.result.theta, quick=True)
+        result = fit.joint.fit(left, fit.settings, fit.result.theta, quick=QUICK_ITERATIONS)
         model = fit.joint.model_of(result, fit.effects)
         for k, rows in fold.items():
             part = residual_log(model, fit.logs[k], soc0[k], rows)

@@ -16,6 +16,7 @@ from cellwise.logs.checks.counter import (
     counts_throughput,
     joined_counter,
 )
+from cellwise.logs.checks.faults import possible_part
 from cellwise.logs.checks.grave import (
     MARK,
     check_time_moves,
@@ -23,9 +24,7 @@ from cellwise.logs.checks.grave import (
     grave_notices,
     graves_first,
     without_impossible,
-    without_spikes,
 )
-from cellwise.logs.checks.impossible import possible_part
 from cellwise.logs.checks.sign import contradiction, verify_sign
 from cellwise.logs.checks.units import (
     check_current_and_time,
@@ -98,7 +97,6 @@ def assemble(
     notices += noted
     check_time_possible(channels["time_s"], origin.where)
     notices += without_impossible(channels, origin.where)
-    notices += without_spikes(channels, origin.where)
     if origin.format and not origin.format.startswith(("tidy", "table")):
         notices += volts_of_millivolts(channels)
     temperature = channels.get("temperature_C")

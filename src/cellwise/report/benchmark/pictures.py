@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from cellwise.estimate.replay import CONVERGED_SOC
 from cellwise.report.benchmark.overview import (
     Matrix,
     healthy,
@@ -23,10 +24,10 @@ from cellwise.report.page.picture import Picture, pictured, safe_key
 
 Rows = Sequence[Mapping[str, Any]]
 MARKERS = "osD^vPX<>h"
-LEAST_PERCENT = 0.02
 WARM_SPREAD_K = 4.0
-TWO_POINTS = 2.0
-MOST_POINTS = 12.0  # an initial error that persists would press all else to zero
+# Per cent of SOC that an axis shows: a logarithmic one from, a linear one up to, since an initial
+# error that persists would press all else to zero.
+LEAST_PERCENT, MOST_POINTS = 0.02, 12.0
 GOOD, FAIR, POOR = 1.0, 2.0, 5.0  # per cent of SOC
 LIMITS = dict(zip((GOOD, FAIR, POOR), style.TINTS, strict=False))
 BAD = style.TINTS[-1]
@@ -126,7 +127,7 @@ def start_picture(rows: Rows, matrix: Matrix) -> style.Figure:
         axes.set_yscale("log")
         axes.set_xticks(place, [start_name(e) for e in errors])
         style.plain_numbers(axes.yaxis)
-    right.axhline(TWO_POINTS, color=style.MUTED, linewidth=0.8, linestyle=(0, (1, 2)))
+    right.axhline(100.0 * CONVERGED_SOC, color=style.MUTED, linewidth=0.8, linestyle=(0, (1, 2)))
     style.finding(left, _recovery_title(chosen, matrix.estimators, errors), 0.42)
     style.finding(right, _settled_title(matrix), 0.42)
     style.labels(left, "start", "within 2 points after [min]")
@@ -224,17 +225,18 @@ def curve_pictures(
         chosen = [k for k in members if abs(float(rows[k]["start_error"])) == far]
         first = float(rows[chosen[0]]["start_error"])
         chosen = [k for k in chosen if rows[k]["start_error"] == first]
-        caption = (
-            f"{log}, {start_name(first)}: estimated minus true SOC, and the filter's own band of "
-            "two standard deviations as thin lines."
-        )
-        key = f"benchmark-curve-{safe_key(log)}"
-        pictures.append(Picture(key, _draw_curves(rows, curves, chosen, log), caption))
+        picture = _curve_picture(rows, curves, chosen, log)
+        key, caption = f"{picture.key}-{safe_key(log)}", picture.caption
+        where = f"{log}, {start_name(first)}"
+        pictures.append(picture._replace(key=key, caption=f"{where}: {caption}"))
     return tuple(pictures)
 
 
-@style.styled
-def _draw_curves(
+@pictured(
+    "benchmark-curve",
+    "estimated minus true SOC, and the filter's own band of two standard deviations as thin lines.",
+)
+def _curve_picture(
     rows: Rows,
     curves: Mapping[int, Mapping[str, Sequence[float]]],
     chosen: Sequence[int],
@@ -245,7 +247,7 @@ def _draw_curves(
     axes = figure.subplots()
     order = [o.estimator for o in overviews(rows)]
     looks = _looks(order)
-    largest = 2.0 * TWO_POINTS
+    largest = 2.0 * 100.0 * CONVERGED_SOC
     for k in sorted(chosen, key=lambda k: order.index(rows[k]["estimator"])):
         curve = curves[k]
         hours = np.array(curve["time_s"]) / 3600.0
@@ -259,7 +261,7 @@ def _draw_curves(
         if rows[k]["settled_rmse"] < 0.1 and late.size:
             largest = max(largest, 1.3 * float(np.nanmax(np.abs(late))))
     style.zero_line(axes)
-    for level in (-TWO_POINTS, TWO_POINTS):
+    for level in (-100.0 * CONVERGED_SOC, 100.0 * CONVERGED_SOC):
         axes.axhline(level, color=style.MUTED, linewidth=0.8, linestyle=(0, (1, 2)))
     largest = min(largest, MOST_POINTS)
     axes.set_ylim(-largest, largest)

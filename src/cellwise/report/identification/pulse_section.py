@@ -51,10 +51,6 @@ def verdict_counts(pulses: list[Pulse]) -> str:
     return listed([f"{counts[q]} {q}" for q in style.VERDICTS if counts[q]]) or "none"
 
 
-def _judged_as(quality: str, one: tuple[float, PulseSet]) -> int:
-    return sum(p.quality == quality for p in judged(one[1]))
-
-
 def pulse_content(identification: Identification) -> Markup:
     """Counts by log, and every pulse that was not healthy with its reason."""
     counts = record_table(

@@ -124,7 +124,7 @@ def listed(words: list[str]) -> str:
 
 
 def capitalised(text: str) -> str:
-    """A sentence's beginning: the first letter large, the others as they are."""
+    """The first letter large, the others as they are."""
     return text[:1].upper() + text[1:]
 
 

@@ -22,10 +22,9 @@ from cellwise.report.page.markup import Markup, escape
 
 P = ParamSpec("P")
 
-# A figure with more points than this is drawn as pixels: its paths would outweigh them.
-VECTOR_POINTS = 6000
-# In a page, where pictures zoom, so many are drawn as paths.
-PAGE_POINTS = 60_000
+# A figure with more points than this is drawn as pixels: its paths would outweigh them. In a page,
+# where pictures zoom, more are drawn as paths.
+VECTOR_POINTS, PAGE_POINTS = 6000, 60_000
 SUFFIXES = (".png", ".svg", ".pdf")
 VARIABLES = {
     style.INK: "--ink",

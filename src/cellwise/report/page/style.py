@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.resources import as_file, files
-from typing import TYPE_CHECKING, Any, ParamSpec, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from cellwise.errors import InputError
 from cellwise.typing import FloatArray
@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes as Axes
     from matplotlib.axis import Axis as Axis
     from matplotlib.figure import Figure as Figure
-
-P = ParamSpec("P")
 
 # Okabe and Ito's colours, which people with any colour vision can distinguish; the blue is
 # lightened so that it reads on a dark page too.
@@ -76,17 +74,6 @@ def _rc() -> Any:
 
     with as_file(files("cellwise.report.page") / "page.mplstyle") as place:
         return dict(rc_params_from_file(place, use_default_template=False))
-
-
-def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
-    """Decorator: draw a figure within :func:`drawing`."""
-
-    @functools.wraps(draw)
-    def inside(*args: P.args, **kwargs: P.kwargs) -> Figure:
-        with drawing():
-            return draw(*args, **kwargs)
-
-    return inside
 
 
 def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:

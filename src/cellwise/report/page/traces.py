@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from cellwise.report.page import style
 from cellwise.typing import BoolArray, FloatArray
 
-COLUMNS = 900
-BAND_COLUMNS = 300
+COLUMNS, BAND_COLUMNS = 900, 300  # of pixels: of a line, of a band
 
 
 def thin_rows(x: FloatArray, y: FloatArray, columns: int = COLUMNS) -> NDArray[np.intp]:
@@ -94,18 +95,26 @@ def thin_band(
     return shown, np.fmin.reduceat(low, first), np.fmax.reduceat(high, first)
 
 
-CLOSE_UP_S = 300.0
-FEWEST_ROWS = 60
-OFF_SCALE = 2.2
-# A close-up shows at least so many rows, and a current that changes by this part of its range.
-FEW_ROWS, MOTION = 20, 0.1
+class CloseUp(NamedTuple):
+    """What makes a part of a log worth a closer look."""
+
+    length_s: float = 300.0
+    typical_rows: int = 60  # at least so long, where rows are sparse
+    rows: int = 20  # it shows at least so many
+    motion: float = 0.1  # of the current's range that it changes by, where one does
+
+
+CLOSE_UP = CloseUp()
+OFF_SCALE = 2.2  # times most of the values: an axis leaves out what lies beyond
 
 
 def close_up_s(time_s: FloatArray) -> float:
     """Length of a close-up [s]: five minutes, more where rows are sparse, at most a fifth."""
     steps = np.diff(time_s)
     typical = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 1.0
-    return float(min(max(CLOSE_UP_S, FEWEST_ROWS * typical), 0.2 * (time_s[-1] - time_s[0])))
+    return float(
+        min(max(CLOSE_UP.length_s, CLOSE_UP.typical_rows * typical), 0.2 * (time_s[-1] - time_s[0]))
+    )
 
 
 def worst_window(
@@ -139,7 +148,8 @@ def worst_window(
     if current_A is not None:
         moved = np.cumsum(np.abs(np.diff(current_A, prepend=current_A[0])))
         rows = np.arange(time_s.size)
-        lively = (moved[end] - moved > MOTION * np.ptp(current_A)) & (end - rows >= FEW_ROWS)
+        moves = moved[end] - moved > CLOSE_UP.motion * np.ptp(current_A)
+        lively = moves & (end - rows >= CLOSE_UP.rows)
         if np.any(lively & (inside > 0.0)):
             inside = np.where(lively, inside, -1.0)
     start = int(np.argmax(inside))

@@ -27,8 +27,9 @@ from cellwise.report.page.picture import pictured, safe_key
 from cellwise.report.page.section import Section
 from cellwise.report.page.traces import thin, thin_band
 
-STANDING = 0.2  # of the usual load: whoever stands does not ask how long it could stand
-IDLE = 4.0  # times the median; longer times are left out of the picture
+# Of the usual load below which one stands, and does not ask for how long; times the median time
+# beyond which the picture leaves out.
+STANDING, IDLE = 0.2, 4.0
 FORECAST_EXPLAINED = (
     "From the filter's state of charge and the relaxation that the log's own current left, the "
     "model goes on until the terminal voltage reaches its cutoff or the charge ends. Energies and "
