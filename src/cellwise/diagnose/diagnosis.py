@@ -196,22 +196,16 @@ def _starts(
     stated: Sequence[float | str],
 ) -> list[list[StartedLog]]:
     """Every log with its start."""
-    flat = [g for group in groups for g in group]
-    found = iter(zip(flat, stated, strict=False))
-    result = []
-    for group in groups:
-        pairs = []
-        for _ in group:
-            log, value = next(found)
-            if value != "auto":
-                pairs.append((log, initial_soc(model, log, float(value), GOOD.soc0_std)))
-            elif log.soc0 is not None:
-                pairs.append((log, initial_soc(model, log, log.soc0, GOOD.soc0_std)))
-            else:
-                # As `simulate` takes it: what is said of a log is said from there.
-                pairs.append((log, initial_soc(model, log, likeliest=True, whole_log=True)))
-        result.append(pairs)
-    return result
+
+    def start_of(log: CellLog, value: float | str) -> InitialSoc:
+        known = log.soc0 if value == "auto" else float(value)
+        if known is None:
+            # As `simulate` takes it: what is said of a log is said from there.
+            return initial_soc(model, log, likeliest=True, whole_log=True)
+        return initial_soc(model, log, known, GOOD.soc0_std)
+
+    said = iter(stated)
+    return [[(log, start_of(log, next(said))) for log in group] for group in groups]
 
 
 def _cause_fits(evidence: Evidence, coordinates: Coordinates, seed: int) -> CauseFits:

@@ -19,6 +19,10 @@ from cellwise.logs.cell_log import CellLog
 from cellwise.logs.stated import day_of_name
 from cellwise.typing import FloatArray
 
+SAME_KEYS = (
+    "capacity_Ah", "capacity_std_Ah", "resistance_scale", "resistance_std", "soc_start", "soc_end",
+    "throughput_Ah",
+)  # fmt: skip
 COMPLETE = 0.85  # of the model's capacity: a stretch that moves more counts as a capacity test
 REFERENCE_STD = 0.015  # of the capacity: beyond it a reference test is asked for
 
@@ -147,13 +151,7 @@ class Life:
                 {
                     "log": one.log.name,
                     "start": None if one.day is None else one.day.isoformat(),
-                    "capacity_Ah": one.capacity_Ah,
-                    "capacity_std_Ah": one.capacity_std_Ah,
-                    "resistance_scale": one.resistance_scale,
-                    "resistance_std": one.resistance_std,
-                    "soc_start": one.soc_start,
-                    "soc_end": one.soc_end,
-                    "throughput_Ah": one.throughput_Ah,
+                    **{key: getattr(one, key) for key in SAME_KEYS},
                     "capacity_share": one.share,
                     "capacity_share_std": one.share_std,
                     "how": one.how,

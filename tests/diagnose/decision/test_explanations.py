@@ -241,5 +241,5 @@ def test_beside_what_explains_something_less_must_be_in_sight(monkeypatch, odds,
     sets = Explanations(None, Rarity())
     gain = explanation((CAUSES["current_gain"],), odds + ONE_CAUSE_NATS)
     sets.tried = {frozenset(): explanation((), 0.0), gain.key: gain}
-    worth = sets._worth(gain, [CAUSES["voltage_offset"], CAUSES["capacity"]], None)
-    assert {c.name for c in worth} == tried
+    promising = sets._promising(gain, [CAUSES["voltage_offset"], CAUSES["capacity"]], None)
+    assert {c.name for c in promising} == tried

@@ -1,4 +1,4 @@
-"""Prints `cell/derivative_kernels.py`: the derivatives of the cell's equations, from their text.
+"""Prints the derivatives of the cell's equations, from their text.
 
 Every line of the equations has derivatives with respect to the names in it. Lines in between are
 then taken out, from the last to the first, by the chain rule: what remains is how the new state
@@ -9,24 +9,24 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
-from cellwise.cell.description import COLUMNS
 from cellwise.cell.equations import CellState
-from cellwise.printing.points import point_fields, scalar_fields
-from cellwise.printing.tangents.gradients import added, gradient, is_number, product
-from cellwise.printing.tangents.straight_line import Line, Reader, Value, Wish, record, unused
-from cellwise.printing.text import broken_sum, head, wrapped_call
+from cellwise.cell.point_kernels import COLUMN_SOURCES, CellPoint, CellScalars
+from cellwise.printing.gradients import added, gradient, is_number, product
+from cellwise.printing.straight_line import Line, Reader, Value, Wish, record, unused
+from cellwise.printing.text import head, wrapped_call
 
 Edges = dict[str, dict[str, ast.expr]]
 
-POINT, SCALARS, STATE = point_fields(), scalar_fields(), CellState._fields
+POINT, SCALARS, STATE = CellPoint._fields, CellScalars._fields, CellState._fields
 # What stays a name of its own over an interval, in the order of the equations.
 OUTPUTS = ("soc", "slow", "v1", "v2", "v3", "h", "drop", "heat", "voltage")
-FIELDS = [c.field for c in COLUMNS]
+FIELDS = list(COLUMN_SOURCES)
 SURFACE_ONLY = ("slow", "cell.surface_")
 SURFACE_ORIGINS = ("followed", "surface_soc")
 ACTIVATION = "activation_K"
-SURFACE = [c.field for c in COLUMNS if c.field.endswith(("_ohm", "_s"))]  # at the surface's SOC
+SURFACE = [n for n in FIELDS if n.endswith(("_ohm", "_s"))]  # at the surface's SOC
 CELL_ARGUMENTS = ["cell: CellScalars", "state: CellState"]
 NOW = ["current_A: float", "dt_s: float", "temperature_C: float"]
 IMPORTS = """
@@ -36,7 +36,6 @@ from typing import NamedTuple
 from cellwise.cell.compiled import inline
 from cellwise.cell.equations import ZERO_CELSIUS_K, CellState
 from cellwise.cell.point_kernels import CellPoint, CellScalars
-from cellwise.typing import FloatArray
 """
 
 
@@ -56,7 +55,7 @@ def only_needed(line: Line) -> ast.expr:
     if not isinstance(value, ast.Call):
         return value
     if line.origin in SURFACE_ORIGINS:
-        return ast.IfExp(ast.Name("apart"), value, ast.Constant(0.0))
+        return ast.IfExp(ast.Name("surface_counts"), value, ast.Constant(0.0))
     exponent = value.args[0]
     if isinstance(exponent, ast.BinOp) and ast.unparse(exponent.left).endswith(ACTIVATION):
         active = ast.Compare(exponent.left, [ast.NotEq()], [ast.Constant(0.0)])
@@ -159,7 +158,7 @@ class Derivatives:
         for k, line in enumerate(shown):
             if k == 0 or line.origin != shown[k - 1].origin:
                 text.append(f"    # {line.origin}")
-            text += broken_sum(f"    {line.name} = ", only_needed(line))
+            text.append(f"    {line.name} = {ast.unparse(only_needed(line))}")
         return text
 
     def record(self, name: str, text: str, more: Sequence[str] = ()) -> list[str]:
@@ -220,7 +219,9 @@ def tangent(
     directions = given | {n: n for n in d.outputs}
     lines = ["", "", "@inline"]
     lines += wrapped_call(
-        f"def {name}", ["p: Partials", *arguments, "apart: bool"], " -> tuple[CellState, float]:"
+        f"def {name}",
+        ["p: Partials", *arguments, "surface_counts: bool"],
+        " -> tuple[CellState, float]:",
     )
     lines += [f'    """{text}"""']
     for n in d.outputs:
@@ -229,36 +230,11 @@ def tangent(
         others = {by: x for by, x in directions.items() if by not in by_surface}
         if n == "slow":
             others, by_surface = directions, {}
-        value = ast.parse(d.follows(n, others), mode="eval").body
-        lines += broken_sum(f"    {n} = ", value)
+        lines.append(f"    {n} = {d.follows(n, others)}")
         more = d.follows(n, by_surface)
         if more != "0.0":
-            lines += ["    if apart:"]
-            lines += broken_sum(f"        {n} += ", ast.parse(more, mode="eval").body)
+            lines += ["    if surface_counts:", f"        {n} += {more}"]
     return [*lines, "    return CellState(soc, v1, v2, v3, h, heat, slow), voltage"]
-
-
-def slopes() -> list[str]:
-    """Slopes of the tables from two points of them."""
-    share = {c.field: "sloped" if c.sloped else "held" for c in COLUMNS}
-    rise = [f"(high.{n} - low.{n}) * {share[n]}" if n in share else "0.0" for n in POINT]
-    names = ["low: CellPoint", "high: CellPoint", "sloped: float", "held: float"]
-    return [
-        *("", "", "@inline"),
-        *wrapped_call("def rise", names, " -> CellPoint:"),
-        '    """Rise of the tables from one point to another, times a factor."""',
-        *wrapped_call("    return CellPoint", rise),
-    ]
-
-
-def directions() -> list[str]:
-    """Directions of the scalars out of a row of an array."""
-    return [
-        *("", "", "@inline"),
-        "def scalars_of(rows: FloatArray, p: int) -> CellScalars:",
-        '    """Row ``p`` of an array as the scalars it holds."""',
-        *wrapped_call("    return CellScalars", [f"rows[p, {k}]" for k in range(len(SCALARS))]),
-    ]
 
 
 def derivatives_text() -> str:
@@ -281,13 +257,13 @@ def derivatives_text() -> str:
                 "table: CellPoint",
                 "by_soc: CellPoint",
                 "by_kelvin: CellPoint",
-                "apart: bool",
+                "surface_counts: bool",
             ],
             " -> Partials:",
         ),
         '    """Derivatives; ``table`` at the new SOC under no load, and its slopes.',
         "",
-        "    Where not ``apart`` nothing of the surface's SOC counts, nor is it right.",
+        "    Where not ``surface_counts`` nothing of the surface's SOC counts, nor is it right.",
         '    """',
         *d.body(),
         *wrapped_call("    return Partials", d.values()),
@@ -307,7 +283,106 @@ def derivatives_text() -> str:
             ["d: CellScalars"],
             {f"cell.{n}": f"d.{n}" for n in SCALARS},
         ),
-        *slopes(),
-        *directions(),
+    ]
+    return "\n".join([*lines, ""])
+
+
+class Part(NamedTuple):
+    """Equations whose derivatives are taken together, with respect to the names ``by``.
+
+    ``calls`` are statements with functions of the equations, ``arguments`` the printed function's.
+    """
+
+    name: str
+    text: str
+    calls: tuple[str, ...]
+    arguments: tuple[str, ...]
+    by: tuple[str, ...]
+
+
+PARTS = (
+    Part(
+        "seen_partials",
+        "Of the current that the voltage has seen.",
+        ("seen = seen_current(cell, current_A, previous_A, dt_s)",),
+        ("cell", "current_A", "previous_A", "dt_s"),
+        ("cell.skew_s",),
+    ),
+    Part(
+        "thermal_partials",
+        "Of an Arrhenius factor.",
+        ("factor = thermal_factor(activation_K, inverse_K)",),
+        ("activation_K", "inverse_K"),
+        ("activation_K",),
+    ),
+    Part(
+        "transfer_partials",
+        "Of the resistance of a charge transfer.",
+        ("new = transfer_resistance(asinh_per_V, r_ohm, current_A)",),
+        ("asinh_per_V", "r_ohm", "current_A"),
+        ("asinh_per_V", "r_ohm", "current_A"),
+    ),
+    Part(
+        "branch_partials",
+        "Of a branch's voltage after an interval.",
+        ("new = rc_step(v_V, current_A, r_ohm, tau_s, dt_s)",),
+        ("v_V", "current_A", "r_ohm", "tau_s", "dt_s"),
+        ("v_V", "current_A", "r_ohm", "tau_s"),
+    ),
+    Part(
+        "hysteresis_partials",
+        "Of the hysteresis state after an interval.",
+        ("ah = hysteresis_decay(cell, current_A, dt_s)", "new = hysteresis_step(h, ah, current_A)"),
+        ("cell", "h", "current_A", "dt_s"),
+        ("h", "cell.hysteresis_rate", "current_A"),
+    ),
+    Part(
+        "voltage_partials",
+        "Of the terminal voltage.",
+        (
+            "drop = polarisation(r0_ohm, current_A, v1_V, v2_V, v3_V)",
+            "voltage = loaded_voltage(ocv_V, m_V, h, drop)",
+        ),
+        ("ocv_V", "m_V", "h", "r0_ohm", "current_A", "v1_V", "v2_V", "v3_V"),
+        ("ocv_V", "m_V", "h", "r0_ohm", "current_A", "v1_V", "v2_V", "v3_V"),
+    ),
+)
+
+
+def part_text(part: Part) -> list[str]:
+    """A record and the function that fills it."""
+    reader = Reader()
+    known: dict[str, Value] = {n: ast.Name(n) for n in part.arguments}
+    known["cell"] = record("cell", SCALARS)
+    output = ""
+    for statement in part.calls:
+        match ast.parse(statement).body[0]:
+            case ast.Assign([ast.Name(output)], ast.Call(ast.Name(function), arguments)):
+                values = [known[ast.unparse(a)] for a in arguments]
+                known[output] = reader.call(function, values, Wish(output, function))
+    d = Derivatives(reader, [output], part.by, constants=True)
+    name = part.name.title().replace("_", "")
+    typed = [f"{n}: {'CellScalars' if n == 'cell' else 'float'}" for n in part.arguments]
+    return [
+        *d.record(name, part.text),
+        *("", "", "@inline"),
+        *wrapped_call(f"def {part.name}", typed, f" -> {name}:"),
+        f'    """{part.text}"""',
+        *d.body(),
+        *wrapped_call(f"    return {name}", d.values()),
+    ]
+
+
+def part_derivatives_text() -> str:
+    """The text of `identify/refinement/derivative_kernels.py`.
+
+    The refinement knows the SOC and has splines for tables, so it goes through the equations one by
+    one and carries derivatives with respect to its own coefficients.
+    """
+    imports = IMPORTS.replace("from cellwise.cell.equations import ZERO_CELSIUS_K, CellState\n", "")
+    lines = [
+        *head("Derivatives of single equations of a cell.", source="cellwise.cell.equations"),
+        *imports.replace("CellPoint, ", "").strip().splitlines(),
+        *(line for part in PARTS for line in part_text(part)),
     ]
     return "\n".join([*lines, ""])

@@ -1,7 +1,7 @@
 """Reads functions of `cell/equations/` as straight lines: one assignment after the other.
 
-Calls are put in place, records taken apart. A condition on a parameter (`rate_per_A != 0.0`, an
-effect that may be absent) is taken as met, because a derivative AT the neutral value is wanted;
+Calls are put in place, records split into fields. A condition on a parameter (`rate_per_A != 0.0`,
+an effect that may be absent) is taken as met, because a derivative AT the neutral value is wanted;
 a condition on what the cell is doing (`current_A < 0.0`) becomes part of the line.
 """
 
@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 from cellwise.cell import equations
-from cellwise.printing.points import point_fields
+from cellwise.cell.point_kernels import CellPoint
 
 Value = ast.expr | dict[str, "Value"] | list["Value"]
 # Records that the equations build.
 RECORDS = {
-    "CellPoint": point_fields(),
+    "CellPoint": CellPoint._fields,
     "CellState": equations.CellState._fields,
     "Transition": equations.Transition._fields,
 }
