@@ -66,7 +66,7 @@ def follow(rate_Hz: float, seconds: float) -> dict[str, float]:
     from cellwise.forecast.outlook import Outlook
     from cellwise.live import Counts, LiveFilter, open_source, run_live
     from cellwise.live.can_stream import SocSender
-    from cellwise.live.latency import LatencyMeter
+    from cellwise.live.run import LatencyMeter
     from cellwise.logs.files.source import ReadOptions
 
     samples = round(rate_Hz * seconds)

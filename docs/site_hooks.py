@@ -37,7 +37,7 @@ MORE = {
                "cellwise.fleet.HistoryTask"),
     "Pages": ("cellwise.report.identify_page", "cellwise.report.replay_page",
               "cellwise.report.diagnose_page"),
-    "Originals": ("cellwise.originals.fetch_original", "cellwise.originals.import_original"),
+    "Public data sets": ("cellwise.datasets.fetch_dataset", "cellwise.datasets.import_dataset"),
 }  # fmt: skip
 
 

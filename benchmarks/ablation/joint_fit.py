@@ -1,4 +1,4 @@
-"""What is lost without each rule of the joint fit: cells identified anew, judged on other logs.
+"""What is lost without each rule of the joint fit: cells identified again, judged on other logs.
 
 python -m benchmarks.ablation.joint_fit [--keep DIR] [--only "RULE,RULE"] [--cells "NAME,NAME"]
 

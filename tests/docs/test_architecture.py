@@ -36,12 +36,10 @@ MAY_IMPORT = {
     "studies": BASE | TOOLS,
     "report": BASE | TOOLS | {"studies"},
     "benchmark": BASE | TOOLS | {"report"},
-    "originals": BASE | {"logs", "data"},
+    "datasets": BASE | {"logs", "data"},
     "live": BASE | {"logs", "cell", "estimate", "forecast"},
     "fleet": BASE | {"logs", "cell", "estimate", "diagnose", "pack", "history"},
-    "cli": BASE
-    | TOOLS
-    | {"export", "report", "benchmark", "studies", "live", "fleet", "originals"},
+    "cli": BASE | TOOLS | {"export", "report", "benchmark", "studies", "live", "fleet", "datasets"},
 }
 MODULES = sorted(path for path in PACKAGE.rglob("*.py") if path.parent != PACKAGE) + sorted(
     PACKAGE / f"{name}.py" for name in (*BASE, "data")

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from cellwise.errors import InputError
 from cellwise.live import Sample, Stray, open_source
-from cellwise.live.channels import ObjectReader
-from cellwise.live.json_lines import LONGEST_LINE, JsonLines
+from cellwise.live.samples import ObjectReader
+from cellwise.live.source import LONGEST_LINE, JsonLines
 from cellwise.logs.files.source import NOTHING_SAID, ReadOptions
 from streams import Given
 

@@ -13,7 +13,7 @@ from cellwise import InputError
 from cellwise.cell.model_file import write_model
 from cellwise.cli import main
 from cellwise.live import LiveFilter, Sample, open_source
-from cellwise.live.cell_readings import CellReadings, cell_number
+from cellwise.live.samples import CellReadings, cell_number
 from cellwise.logs.files.source import ReadOptions
 from emulated_packs import Fault, emulated_pack
 

@@ -11,7 +11,7 @@ from cellwise.estimate.replay import replay
 from cellwise.forecast.outlook import Outlook
 from cellwise.forecast.remaining import cutoff_of, forecast
 from cellwise.live import LiveFilter
-from cellwise.live.latency import LatencyMeter
+from cellwise.live.run import LatencyMeter
 from example_cells import curved_cell
 from streams import driven, samples
 

@@ -95,10 +95,10 @@ def run_generate(arguments: argparse.Namespace) -> None:
 
 def run_fetch(arguments: argparse.Namespace) -> None:
     """Fetch a public original."""
-    from cellwise.originals import fetch_original
+    from cellwise.datasets import fetch_dataset
 
     with printing.working("fetch") as follow:
-        files = fetch_original(arguments.name, arguments.output, arguments.listing, follow)
+        files = fetch_dataset(arguments.name, arguments.output, arguments.listing, follow)
     if arguments.json:
         printing.print_json({"files": [str(path) for path in files]})
         return
@@ -107,10 +107,10 @@ def run_fetch(arguments: argparse.Namespace) -> None:
 
 def run_import(arguments: argparse.Namespace) -> None:
     """Import a public original."""
-    from cellwise.originals import import_original
+    from cellwise.datasets import import_dataset
 
     with printing.working("import") as follow:
-        found = import_original(arguments.name, arguments.source, arguments.output, follow)
+        found = import_dataset(arguments.name, arguments.source, arguments.output, follow)
     if arguments.json:
         printing.print_json(found.to_dict())
         return

@@ -159,7 +159,7 @@ def write_pages(
     with page_options.page_places(arguments) as pages:
         if pages is None:
             return
-        from cellwise.export.on_log import fixed_and_float
+        from cellwise.export.accuracy import fixed_and_float
         from cellwise.report.export_page import export_page
 
         both = None
@@ -188,7 +188,7 @@ def target_costs(
     from dataclasses import asdict
 
     from cellwise.data import load_dataset
-    from cellwise.estimate.fixed.fixed_step import samples_of
+    from cellwise.estimate.fixed.samples import samples_of
     from cellwise.export.cross import cores_here, run_on_target
     from cellwise.export.stress import worst_case
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from cellwise.estimate.power.follower import PowerFollower
     from cellwise.forecast.outlook import Outlook
     from cellwise.live import Counts, LiveFilter, Update
-    from cellwise.live.sample import Source
+    from cellwise.live.samples import Source
     from cellwise.logs import Stated
 
 FORECAST_EVERY_S = 1.0
@@ -62,8 +62,7 @@ def run_live_command(arguments: argparse.Namespace) -> None:
     from cellwise.forecast.outlook import Outlook
     from cellwise.forecast.remaining import cutoff_of
     from cellwise.live import Counts, open_source, run_live
-    from cellwise.live.latency import LatencyMeter
-    from cellwise.live.run import check_any
+    from cellwise.live.run import LatencyMeter, check_any
 
     _check(arguments)
     model = options.read_model(arguments)

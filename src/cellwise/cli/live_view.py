@@ -19,7 +19,7 @@ from cellwise.forecast.outlook import ForecastNow, Outlook
 from cellwise.live import Counts, LiveFilter, Update
 
 if TYPE_CHECKING:
-    from cellwise.live.sample import Source
+    from cellwise.live.samples import Source
 
 REFRESH_S = 0.25
 SILENT_S = 2.0

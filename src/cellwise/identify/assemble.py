@@ -149,8 +149,8 @@ def moved_ocv_notice(result: RefineResult) -> tuple[str, ...]:
     if size <= LARGEST_OCV_MOVE_V:
         return ()
     return (
-        f"the logs would have the OCV moved by {1e3 * size:.0f} mV RMS: check at which SOC they "
-        "begin, and whether OCV and logs are of one cell and temperature",
+        f"the logs under load would have the OCV moved by {1e3 * size:.0f} mV RMS: check at which "
+        "SOC they begin, and whether OCV and logs are of one cell and temperature",
     )
 
 

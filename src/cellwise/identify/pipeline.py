@@ -160,7 +160,7 @@ def _joint_fit(
         decided=fit.decided,
         provenance=_provenance(settings, ocv.curve, temperatures),
         contradictions=(*ocv.contradictions, *pulses.contradictions),
-        notices=(*ocv.notices, *pulses.notices, *joint.notices, *moved_ocv_notice(fit.result)),
+        notices=(*ocv.notices, *pulses.notices, *joint.notices, *moved_ocv_notice(fit.of_loads())),
     )
 
 

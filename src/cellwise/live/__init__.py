@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from cellwise.live.live_filter import LiveFilter, Update
 from cellwise.live.run import Counts, run_live
-from cellwise.live.sample import Sample, Stray
+from cellwise.live.samples import Sample, Stray
 from cellwise.live.source import open_source
 
 __all__ = ["Counts", "LiveFilter", "Sample", "Stray", "Update", "open_source", "run_live"]

@@ -8,9 +8,7 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from cellwise.errors import InputError
-from cellwise.live.cell_readings import CellReadings, cell_number
-from cellwise.live.channels import CellScale
-from cellwise.live.sample import Sample, Stray
+from cellwise.live.samples import CellReadings, CellScale, Sample, Stray, cell_number
 from cellwise.logs.files.columns import Unit
 from cellwise.logs.files.format import need
 from cellwise.logs.files.source import ReadOptions

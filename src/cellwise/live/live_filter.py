@@ -23,7 +23,7 @@ from cellwise.estimate.noise import Noise
 from cellwise.estimate.saved_state import state_from_dict, state_to_dict
 from cellwise.files import write_atomically
 from cellwise.live.live_pack import LivePack
-from cellwise.live.sample import Sample
+from cellwise.live.samples import Sample
 from cellwise.live.timeline import Timeline
 from cellwise.logs.cell_log import CellLog
 

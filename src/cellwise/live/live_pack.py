@@ -16,7 +16,7 @@ from cellwise.estimate.filters.filter_state import EkfInfo
 from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.estimate.fixed.layout import CELL
 from cellwise.estimate.noise import Noise
-from cellwise.live.sample import Sample
+from cellwise.live.samples import Sample
 
 SHORTEST_S, LONGEST_S = 1.0, 60.0  # time step, as the stream's samples come
 WIDEST_STD = 0.3

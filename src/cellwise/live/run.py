@@ -4,19 +4,60 @@ from __future__ import annotations
 
 import gc
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from cellwise.errors import InputError
 from cellwise.estimate.status import Status
-from cellwise.live.latency import LatencyMeter
 from cellwise.live.live_filter import LiveFilter, Update
-from cellwise.live.sample import Source, Stray
+from cellwise.live.samples import Source, Stray
 
-MOST_REASONS = 50
+MOST_REASONS = 50  # why something was no sample; more are counted together
+LATENCIES = 50_000  # the last ones that are kept
+
+
+class LatencyMeter:
+    """How long samples wait for their state: the longest wait, and shares of the last ones.
+
+    Parameters
+    ----------
+    deadline_s : float or None      a sample that takes longer is late [s]; None: one that takes
+                                    longer than the interval that it ends
+    """
+
+    def __init__(self, deadline_s: float | None = None) -> None:
+        self.deadline_s = deadline_s
+        self.count = self.missed = 0
+        self.longest_s = 0.0
+        self._last: deque[float] = deque(maxlen=LATENCIES)
+
+    def add(self, latency_s: float, interval_s: float) -> None:
+        """One sample, and the interval that it ends [s]."""
+        latency_s = max(latency_s, 0.0)  # clocks are set back
+        deadline_s = interval_s if self.deadline_s is None else self.deadline_s
+        self.count += 1
+        self.missed += latency_s > deadline_s > 0.0
+        self.longest_s = max(self.longest_s, latency_s)
+        self._last.append(latency_s)
+
+    def quantile_s(self, share: float) -> float:
+        """Latency below which this share of the last samples stayed [s]; NaN before the first."""
+        return float(np.quantile(self._last, share)) if self._last else float("nan")
+
+    def to_dict(self) -> dict[str, Any]:
+        """The figures as JSON values, in milliseconds."""
+        return {
+            "p50_ms": 1e3 * self.quantile_s(0.5),
+            "p99_ms": 1e3 * self.quantile_s(0.99),
+            "max_ms": 1e3 * self.longest_s,
+            "deadline_ms": None if self.deadline_s is None else 1e3 * self.deadline_s,
+            "missed_deadlines": self.missed,
+        }
 
 
 @dataclass

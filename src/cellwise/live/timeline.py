@@ -6,7 +6,7 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-from cellwise.logs.gaps import GAP_FACTOR, GAP_MINIMUM_S, GAP_NEIGHBOURS, SLOW_LOGGING
+from cellwise.logs.gaps import GAP
 
 # A jump further than this is a broken stamp until more samples say the same.
 JUMP_S = 3600.0
@@ -32,7 +32,7 @@ class Timeline:
     def __init__(self) -> None:
         self.time_s = math.nan
         self._arrived_s = math.nan
-        self._intervals: deque[float] = deque(maxlen=GAP_NEIGHBOURS)
+        self._intervals: deque[float] = deque(maxlen=GAP.neighbours)
         self._strange: deque[float] = deque(maxlen=AGREEING)
 
     def resume(self, away_s: float) -> None:
@@ -84,8 +84,8 @@ class Timeline:
         return len(strange) == AGREEING
 
     def _is_gap(self, dt: float) -> bool:
-        if dt <= GAP_MINIMUM_S or not self._intervals:
+        if dt <= GAP.least_s or not self._intervals:
             return False
         longest = sorted(self._intervals)
         usual = longest[-2] if len(longest) >= 3 else longest[-1]
-        return dt > GAP_FACTOR * usual and dt > SLOW_LOGGING * self._intervals[-1]
+        return dt > GAP.times * usual and dt > GAP.beside * self._intervals[-1]

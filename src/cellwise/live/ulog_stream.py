@@ -14,9 +14,8 @@ import time
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from cellwise.live.channels import CellScale
 from cellwise.live.pieces import Pieces
-from cellwise.live.sample import Sample, Stray
+from cellwise.live.samples import CellScale, Sample, Stray
 from cellwise.logs.files.source import ReadOptions
 from cellwise.logs.formats.ulog import MAGIC, TOPIC, UNKNOWN
 

@@ -3,18 +3,30 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cellwise.typing import BoolArray, FloatArray
 
-# Testers slow down from 0.1 s to 300 s rows at rest, and speed up again, without losing anything;
-# they hiccup for two seconds between two repetitions of a profile. Neither is a gap.
-GAP_FACTOR = 10.0
-GAP_MINIMUM_S = 5.0
-GAP_NEIGHBOURS = 5
-SLOW_LOGGING = 4.0
+
+class GapRule(NamedTuple):
+    """When rows were not written, as against written slowly.
+
+    A gap lasts ``least_s`` and ``times`` what is usual among so many ``neighbours`` on either side,
+    and ``beside`` times each interval next to it. Testers slow down from 0.1 s to 300 s rows at
+    rest, and speed up again, without losing anything; they hiccup for two seconds between two
+    repetitions of a profile. Neither is a gap.
+    """
+
+    times: float = 10.0
+    least_s: float = 5.0
+    neighbours: int = 5
+    beside: float = 4.0
+
+
+GAP = GapRule()
 _CHUNK = 100_000
 
 
@@ -32,7 +44,7 @@ class Gap:
     charge_Ah: float | None
 
 
-def find_gaps(time_s: FloatArray, minimum_s: float = GAP_MINIMUM_S) -> BoolArray:
+def find_gaps(time_s: FloatArray, minimum_s: float = GAP.least_s) -> BoolArray:
     """Rows that end a pause far longer than the logging interval around it.
 
     An interval is a gap when it lasts more than 5 s, more than 10 times what is usual on either
@@ -60,10 +72,10 @@ def find_gaps(time_s: FloatArray, minimum_s: float = GAP_MINIMUM_S) -> BoolArray
     suspects = np.flatnonzero(interval > minimum_s)
     for start in range(0, suspects.size, _CHUNK):
         at = suspects[start : start + _CHUNK]
-        long = interval[at] > SLOW_LOGGING * _beside(interval, at)
+        long = interval[at] > GAP.beside * _beside(interval, at)
         at = at[long]
         usual = np.maximum(_usual(interval, at, -1), _usual(interval, at, +1))
-        found[ends[at[interval[at] > GAP_FACTOR * usual]]] = True
+        found[ends[at[interval[at] > GAP.times * usual]]] = True
     return found
 
 
@@ -77,7 +89,7 @@ def _beside(interval: FloatArray, at: NDArray[np.intp]) -> FloatArray:
 
 def _usual(interval: FloatArray, at: NDArray[np.intp], side: int) -> FloatArray:
     """Second longest of the intervals on one side of each place (of one or two: the longest)."""
-    index = at[:, None] + side * np.arange(1, GAP_NEIGHBOURS + 1)
+    index = at[:, None] + side * np.arange(1, GAP.neighbours + 1)
     inside = (index >= 0) & (index < interval.size)
     around = np.where(inside, interval[np.clip(index, 0, interval.size - 1)], -np.inf)
     around.sort(axis=1)

@@ -83,9 +83,9 @@ def _verdict(study: CellStudy, winner: Winner) -> str:
     alike = [name for name in others if name in winner.alike]
     if alike:
         text += f"; not separable from it: {', '.join(alike)}"
-    apart = [name for name in others if name not in winner.alike]
-    if apart:
-        next_one = apart[0]
+    worse = [name for name in others if name not in winner.alike]
+    if worse:
+        next_one = worse[0]
         d = winner.behind[next_one]
         text += (
             f"; {next_one} is {amount(winner.kind, d.value)} worse "

@@ -60,13 +60,7 @@ class AdaptiveColumn(NamedTuple):
 
 @inline
 def uncorrelated(
-    ss: float,
-    p11: float,
-    p22: float,
-    p33: float,
-    phh: float,
-    poo: float,
-    pqq: float,
+    ss: float, p11: float, p22: float, p33: float, phh: float, poo: float, pqq: float
 ) -> AdaptiveCovariance:
     """States that know nothing of each other."""
     return AdaptiveCovariance(
@@ -287,11 +281,7 @@ def leaned(p: AdaptiveCovariance, f1: float, f2: float, f3: float) -> AdaptiveCo
 
 @inline
 def offset_driven(
-    p: AdaptiveCovariance,
-    cs: float,
-    c1: float,
-    c2: float,
-    c3: float,
+    p: AdaptiveCovariance, cs: float, c1: float, c2: float, c3: float
 ) -> AdaptiveCovariance:
     """The sensor's offset drives what the current drives: x_i += c_i offset."""
     return AdaptiveCovariance(
@@ -363,10 +353,7 @@ def charge_driven(p: AdaptiveCovariance, cs: float) -> AdaptiveCovariance:
 
 @inline
 def rejudged(
-    p: AdaptiveCovariance,
-    k: AdaptiveColumn,
-    c: AdaptiveColumn,
-    e: float,
+    p: AdaptiveCovariance, k: AdaptiveColumn, c: AdaptiveColumn, e: float
 ) -> AdaptiveCovariance:
     """P where a gain k of one slope is judged by another (Joseph): + e k k' - k c' - c k'."""
     return AdaptiveCovariance(
@@ -403,10 +390,7 @@ def rejudged(
 
 @inline
 def with_parameters(
-    p: AdaptiveCovariance,
-    poo: float,
-    poq: float,
-    pqq: float,
+    p: AdaptiveCovariance, poo: float, poq: float, pqq: float
 ) -> AdaptiveCovariance:
     """The same with other variances of offset and capacity."""
     return AdaptiveCovariance(
@@ -455,11 +439,7 @@ def charge_column(p: AdaptiveCovariance) -> AdaptiveColumn:
 
 @inline
 def column(
-    p: AdaptiveCovariance,
-    slope_V: float,
-    m_V: float,
-    fast: float,
-    r0_ohm: float,
+    p: AdaptiveCovariance, slope_V: float, m_V: float, fast: float, r0_ohm: float
 ) -> AdaptiveColumn:
     """P H', the covariance of every state with the voltage."""
     s = (slope_V * p.ss + m_V * p.sh) + (r0_ohm * p.so - (fast * p.s1 + (p.s2 + p.s3)))

@@ -11,8 +11,7 @@ from scipy.optimize import least_squares
 
 from cellwise.cell.equations import CellTables, empty_state
 from cellwise.cell.model import CellModel
-from cellwise.cell.simulate import known_temperature_C
-from cellwise.cell.simulate_kernels import simulate_rows
+from cellwise.cell.simulate import known_temperature_C, simulate_rows
 from cellwise.identify.prior.corrections import Corrections
 from cellwise.identify.refinement.problem import independent_samples
 from cellwise.logs.cell_log import CellLog
@@ -46,7 +45,7 @@ class Evidence(NamedTuple):
 
 OF_A_LOG = Evidence()
 MOST_COMPARED = 1500  # rows of a log
-PASSES = (8, 6, 8)  # Levenberg-Marquardt steps; after each the residuals' size is found anew
+PASSES = (8, 6, 8)  # Levenberg-Marquardt steps; after each their size is found again
 STEP, SOC_STEP = 0.02, 1e-4  # of a standard normal variable and of an initial SOC, for differences
 
 

@@ -16,7 +16,7 @@ from cellwise.cell.effects import Effect, SurfaceSoc
 from cellwise.cell.metrics import HeldOutGain, held_out_gain
 from cellwise.cell.model import CellModel
 from cellwise.identify.identification import Decided
-from cellwise.identify.refinement.joint_fit import JointLogs
+from cellwise.identify.refinement.joint_fit import QUICK_ITERATIONS, JointLogs
 from cellwise.identify.refinement.layout import ASINH_UNIT_PER_V
 from cellwise.identify.refinement.model_error import SAME_TEMPERATURE_K
 from cellwise.identify.refinement.problem import RefineSettings
@@ -72,6 +72,13 @@ class JointFit:
         """What was made of it."""
         return self.joint.model_of(self.result, self.effects)
 
+    def of_loads(self) -> RefineResult:
+        """A fit of the loads alone: low-rate tests hold the OCV, what loads say must not differ."""
+        loads = [item for item in self.logs if item.compare is None]
+        if self.joint.grid_C.size > 1 or len(loads) == len(self.logs):
+            return self.result
+        return self.joint.fit(loads, self.settings, self.result.theta, quick=QUICK_ITERATIONS)
+
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
@@ -86,11 +93,12 @@ class _Trial:
 
 
 class _Split(NamedTuple):
-    """Logs with the numbers of those that are held out, and what these are."""
+    """Logs with the numbers of those that are held out, what these are, and steps of a trial."""
 
     logs: tuple[RefineLog, ...]
     held: frozenset[int]
     of: str
+    steps: int
 
 
 Change = Callable[[JointLogs, _Split, _Trial], _Trial]
@@ -103,12 +111,12 @@ def fit_with_effects(joint: JointLogs) -> JointFit:
     every second load of the pulse tests: several rates at one SOC show a charge transfer without
     any drive, in the cold above all.
     """
-    split = _Split(joint.logs, frozenset(held_out(joint.logs)), "")
+    split = _Split(joint.logs, frozenset(held_out(joint.logs)), "", QUICK_ITERATIONS)
     if split.held:
         split = split._replace(of=f"{len(split.held)} drive(s)")
         candidates = _candidates(joint)
     else:
-        split = _without_pulses(joint.logs)
+        split = _without_pulses(joint.logs, joint.settings.iterations)
         candidates = {"charge_transfer": (_transfer, _transfer_from_r0)}
     few = f"not tried: {NEEDED.drives} drives are needed to hold one out"
     decided = {name: Decided(name, False, None, few) for name in ("charge_transfer", "surface_soc")}
@@ -147,7 +155,7 @@ def _tried(
     surface = next((e for e in effects if isinstance(e, SurfaceSoc)), SurfaceSoc())
     logs = [replace(item, surface=surface) for item in split.logs]
     trained = [item for k, item in enumerate(logs) if k not in split.held]
-    result = joint.fit(trained, settings, theta, quick=True)
+    result = joint.fit(trained, settings, theta, quick=split.steps)
     found = joint.residuals(result, [logs[k] for k in sorted(split.held)], settings)
     blocks, last = [], 0
     for log, _ in found:
@@ -222,7 +230,7 @@ def _surface(joint: JointLogs, split: _Split, best: _Trial) -> _Trial:
     return _tried(joint, split, best.settings, (*best.effects, effect), best.result.theta)
 
 
-def _without_pulses(logs: Sequence[RefineLog]) -> _Split:
+def _without_pulses(logs: Sequence[RefineLog], steps: int) -> _Split:
     """The logs without every second load of the pulse tests, and these loads beside them."""
     split, beside = [], []
     for item in logs:
@@ -235,7 +243,7 @@ def _without_pulses(logs: Sequence[RefineLog]) -> _Split:
             split.append(replace(item, compare=~left))
             beside.append(replace(item, compare=left))
     held = frozenset(range(len(split), len(split) + len(beside)))
-    return _Split((*split, *beside), held, "every second load of the pulse tests")
+    return _Split((*split, *beside), held, "every second load of the pulse tests", steps)
 
 
 def every_second_load(item: RefineLog) -> BoolArray:

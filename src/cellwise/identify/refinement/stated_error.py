@@ -17,6 +17,7 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import known_temperature_C, simulate
 from cellwise.identify.refinement.effects import NEEDED, JointFit, drive_temperatures
+from cellwise.identify.refinement.joint_fit import QUICK_ITERATIONS
 from cellwise.identify.refinement.model_error import (
     SAME_TEMPERATURE_K,
     ResidualLog,
@@ -77,7 +78,7 @@ def _held_out(fit: JointFit, soc0: Sequence[float]) -> list[ResidualLog]:
     for fold in _folds(fit.logs):
         kept = [_without(item, fold.get(k)) for k, item in enumerate(fit.logs)]
         left = [item for item in kept if item is not None]
-        result = fit.joint.fit(left, fit.settings, fit.result.theta, quick=True)
+        result = fit.joint.fit(left, fit.settings, fit.result.theta, quick=QUICK_ITERATIONS)
         model = fit.joint.model_of(result, fit.effects)
         for k, rows in fold.items():
             part = residual_log(model, fit.logs[k], soc0[k], rows)

@@ -8,7 +8,7 @@ from cellwise.logs.files.format import Format
 from cellwise.logs.files.named_columns import is_parquet, parquet_has, read_parquet
 from cellwise.logs.files.source import LogSource
 from cellwise.logs.formats.can import CAN_LOG, CAN_TEXT
-from cellwise.logs.formats.column_maps import mapped, marks
+from cellwise.logs.formats.column_maps import mapped, marked_tables, marks
 from cellwise.logs.formats.dataflash import ARDUPILOT_DATAFLASH
 from cellwise.logs.formats.mdf import ASAM_MDF
 from cellwise.logs.formats.tester_files import (
@@ -28,8 +28,11 @@ from cellwise.logs.formats.ulog import PX4_ULOG
 
 
 def _is_bdf_parquet(source: LogSource) -> bool:
-    return parquet_has(source, marks("bdf"))
+    return parquet_has(source, marks("bdf-csv"))
 
+
+# Texts of the file whose content or reader takes more than their marks and columns.
+_TOLD = {one.name: one for one in (LEAFSPY_CSV, BIOLOGIC_MPT)}
 
 # In this order: what a program marks as its own, then tables by their names; plain tables last.
 FORMATS: tuple[Format, ...] = (
@@ -43,19 +46,10 @@ FORMATS: tuple[Format, ...] = (
     ARBIN_RES,
     CAN_LOG,
     CAN_TEXT,
-    mapped("bdf", "bdf-parquet", matches=_is_bdf_parquet, read=read_parquet),
+    mapped("bdf-csv", "bdf-parquet", matches=_is_bdf_parquet, read=read_parquet),
     Format("tidy-parquet", is_parquet, TIDY_CHANNELS, read_parquet, "discharge-positive"),
-    mapped("bdf", "bdf-csv"),
-    LEAFSPY_CSV,
-    mapped("novonix-csv"),
-    mapped("pec-csv"),
     BASYTEC_TEXT,
     NEWARE_LEVELS,
-    mapped("maccor-text"),  # before Arbin's, whose Test_Time is spelled like its TestTime
-    mapped("arbin", "arbin-csv"),
-    mapped("bitrode-csv"),
-    mapped("neware-csv"),
-    BIOLOGIC_MPT,
-    mapped("digatron-csv"),
+    *(_TOLD.get(name) or mapped(name) for name in marked_tables()),
     Format("tidy-csv", lambda s: s.is_text, TIDY_CHANNELS, read_csv, "discharge-positive"),
 )

@@ -79,6 +79,11 @@ def mapped(
     )
 
 
+def marked_tables() -> list[str]:
+    """The tables of the file that a text can be told by, in order."""
+    return [name for name, entry in _tables().items() if "marks" in entry]
+
+
 def marks(table: str) -> list[list[str]]:
     """Groups of names of which a header of this format has one each."""
     found: list[list[str]] = _tables()[table]["marks"]

@@ -46,7 +46,7 @@ def _read_mpr(source: LogSource, known: Format) -> RawLog:
 
 
 BIOLOGIC_MPR = mapped(
-    "biologic",
+    "biologic-mpt",
     "biologic-mpr",
     matches=lambda source: source.head.startswith(b"BIO-LOGIC MODULAR FILE"),
     read=_read_mpr,
@@ -196,7 +196,7 @@ def _number(cell: Any) -> float:
 
 
 ARBIN_EXCEL = mapped(
-    "arbin", "arbin-excel", matches=_is_workbook, read=_read_workbook, isolated=True
+    "arbin-csv", "arbin-excel", matches=_is_workbook, read=_read_workbook, isolated=True
 )
 
 
@@ -238,7 +238,7 @@ def _read_access(source: LogSource, known: Format) -> RawLog:
 
 
 ARBIN_RES = mapped(
-    "arbin",
+    "arbin-csv",
     "arbin-res",
     matches=lambda source: source.head.startswith(_ACCESS),
     read=_read_access,

@@ -166,7 +166,7 @@ def _is_mpt(source: LogSource) -> bool:
     begins = ("EC-Lab ASCII FILE", "BT-Lab ASCII FILE")
     if lines and lines[0].lstrip("\ufeff").startswith(begins):
         return True
-    return has_names(source, *marks("biologic"))
+    return has_names(source, *marks("biologic-mpt"))
 
 
-BIOLOGIC_MPT = mapped("biologic", "biologic-mpt", matches=_is_mpt)
+BIOLOGIC_MPT = mapped("biologic-mpt", matches=_is_mpt)

@@ -6,7 +6,7 @@ import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -15,15 +15,28 @@ from cellwise.typing import BoolArray, FloatArray
 
 FlagKind = Literal["missing", "dead", "frozen", "balancing", "count"]
 
-POSSIBLE_V = (0.5, 6.0)
-MILLIVOLTS = 500.0
-# A sensor that repeats one value for so many rows while the mean cell moves by so much is frozen.
-FROZEN_ROWS = 50
-FROZEN_MOVE_V = 0.02
-MOST_MISSING = 0.5  # of the rows: a cell that measures less is not estimated
-LAST_ROWS = 50  # without a reading to the end, while most other cells have theirs: it has died
-SPIKE_V = 0.05  # further from the others than any cell under load: not part of the mean
-COUNT_TOLERANCE = 0.3  # of a cell, between the pack's voltage and the sum of the cells
+
+class Believed(NamedTuple):
+    """From where on a cell's voltage is not believed.
+
+    Beyond ``possible_V`` no cell is; typical values above ``millivolts`` are in that unit. A sensor
+    that repeats one value for ``rows`` rows while the mean cell moves by ``move_V`` is frozen; one
+    without a reading in the last ``rows``, while most others have theirs, has died. A cell that
+    misses more than the share ``missing`` of the rows is not estimated. A reading further from the
+    others than ``spike_V``, as no cell under load is, is not part of the mean. ``cells``: tolerance
+    between the pack's voltage and the sum of the cells, in cells.
+    """
+
+    possible_V: tuple[float, float] = (0.5, 6.0)
+    millivolts: float = 500.0
+    rows: int = 50
+    move_V: float = 0.02
+    missing: float = 0.5
+    spike_V: float = 0.05
+    cells: float = 0.3
+
+
+BELIEVED = Believed()
 
 
 @dataclass(frozen=True)
@@ -56,7 +69,7 @@ def checked_cells(
     typical = float(np.median(np.abs(some))) if some.size else np.nan
     if not np.isfinite(typical):
         raise InputError(f"no cell voltage in {where}", "numbers", "Check the cells' columns.")
-    if typical > MILLIVOLTS:
+    if typical > BELIEVED.millivolts:
         raise InputError(
             f"cell voltages of typically {typical:.0f} under the names cell_.._V in {where}",
             "volts",
@@ -89,13 +102,13 @@ def mean_voltage_V(volts: FloatArray) -> FloatArray:
         complete = bool(known.all())
         first = volts.mean(axis=1) if complete else _mean(volts, known)
         apart = volts - first[:, None]
-        spike = np.abs(apart) > SPIKE_V
+        spike = np.abs(apart) > BELIEVED.spike_V
         if complete and not spike.any():
             return np.asarray(first)
         # Cells whose whole level is apart are not spikes; a median is not moved by either.
         level = np.nanmedian(apart[:: max(len(apart) // 1000, 1)], axis=0)
         level = np.nan_to_num(level)
-        used = known & (np.abs(apart - level) <= SPIKE_V)
+        used = known & (np.abs(apart - level) <= BELIEVED.spike_V)
         used |= known & ~used.any(axis=1)[:, None]
         centred = np.where(used, volts - level, 0.0).sum(axis=1) / used.sum(axis=1)
         alive = known.any(axis=0)
@@ -129,7 +142,7 @@ def _negative(
     volts: FloatArray, balancing: BoolArray | None, names: Sequence[str]
 ) -> tuple[BoolArray | None, list[CellFlag]]:
     """Negative voltages are those of cells whose bypass is on (LeafSpy writes them so)."""
-    negative = volts < -POSSIBLE_V[0]
+    negative = volts < -BELIEVED.possible_V[0]
     if not negative.any():
         return balancing, []
     np.abs(volts, out=volts, where=negative)
@@ -152,17 +165,17 @@ def _negative(
 
 def _impossible(volts: FloatArray, names: Sequence[str]) -> list[CellFlag]:
     """Readings that no cell has: left out, and the cell is dead where most are."""
-    low, high = POSSIBLE_V
+    low, high = BELIEVED.possible_V
     with np.errstate(invalid="ignore"):
         wrong = ~((volts >= low) & (volts <= high))
     flags = []
     share = wrong.mean(axis=0)
-    most = wrong.mean(axis=1) < MOST_MISSING
+    most = wrong.mean(axis=1) < BELIEVED.missing
     for k in np.flatnonzero(share > 0.0).tolist():
         seen = volts[wrong[:, k] & np.isfinite(volts[:, k]), k]
         volts[wrong[:, k], k] = np.nan
         what = f"reads {np.median(seen):.3g} V" if seen.size else "has no value"
-        if share[k] > MOST_MISSING:
+        if share[k] > BELIEVED.missing:
             volts[:, k] = np.nan
             text = f"{names[k]} {what} in {100 * share[k]:.0f} % of the rows: it is not estimated"
             flags.append(CellFlag(names[k], "dead", text))
@@ -180,15 +193,15 @@ def _dead_from(wrong: BoolArray, most: BoolArray) -> int | None:
     """First row of a cell's last readings, none of which counts while most other cells measure."""
     there = np.flatnonzero(~wrong)
     first = int(there[-1]) + 1 if there.size else 0
-    return first if np.count_nonzero(most[first:]) >= LAST_ROWS else None
+    return first if np.count_nonzero(most[first:]) >= BELIEVED.rows else None
 
 
 def _frozen(volts: FloatArray, names: Sequence[str]) -> list[CellFlag]:
     """Cells whose reading stays the same to the last digit while the others' move."""
-    blocks = len(volts) // FROZEN_ROWS
+    blocks = len(volts) // BELIEVED.rows
     if blocks == 0 or volts.shape[1] < 3:
         return []
-    parts = volts[: blocks * FROZEN_ROWS].reshape(blocks, FROZEN_ROWS, -1)
+    parts = volts[: blocks * BELIEVED.rows].reshape(blocks, BELIEVED.rows, -1)
     still = np.max(parts, axis=1) == np.min(parts, axis=1)  # a missing value compares as moving
     if not still.any():
         return []
@@ -196,13 +209,13 @@ def _frozen(volts: FloatArray, names: Sequence[str]) -> list[CellFlag]:
         warnings.simplefilter("ignore", RuntimeWarning)  # rows without any value
         some = parts[:, :, :: max(volts.shape[1] // 12, 1)]
         middle = np.nanmedian(some, axis=2)
-        moved = np.nanmax(middle, axis=1) - np.nanmin(middle, axis=1) > FROZEN_MOVE_V
+        moved = np.nanmax(middle, axis=1) - np.nanmin(middle, axis=1) > BELIEVED.move_V
     flags = []
     for k in np.flatnonzero((still & moved[:, None]).any(axis=0)).tolist():
-        rows = np.repeat(still[:, k], FROZEN_ROWS)
+        rows = np.repeat(still[:, k], BELIEVED.rows)
         share = float((still[:, k] & moved).sum() / moved.sum())
         volts[: rows.size][rows, k] = np.nan
-        gone = share > MOST_MISSING
+        gone = share > BELIEVED.missing
         if gone:
             volts[:, k] = np.nan
         end = "it is not estimated" if gone else "those rows are left out"
@@ -224,9 +237,9 @@ def _count(volts: FloatArray, pack_V: FloatArray | None) -> list[CellFlag]:
         some = slice(None, None, max(len(volts) // 2000, 1))
         mean = np.nanmedian(volts[some], axis=1)
         ratio = float(np.nanmedian(pack_V[some] / mean))
-    if not np.isfinite(ratio) or abs(ratio - 1.0) < COUNT_TOLERANCE:
+    if not np.isfinite(ratio) or abs(ratio - 1.0) < BELIEVED.cells:
         return []  # the voltage is the mean cell's
-    if abs(ratio - cells) <= COUNT_TOLERANCE + 0.002 * cells:
+    if abs(ratio - cells) <= BELIEVED.cells + 0.002 * cells:
         return []
     text = f"the pack's voltage is that of {ratio:.1f} cells in series, and {cells} have a column"
     return [CellFlag("", "count", text)]

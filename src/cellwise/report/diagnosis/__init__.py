@@ -1,1 +1,1 @@
-"""The page of a diagnosis: findings, pictures, logs before and after, anatomy of the error."""
+"""The page of a diagnosis: findings, pictures, logs before and after, where the error lies."""

@@ -1,4 +1,4 @@
-"""Anatomy of a residual as pictures: error by SOC, current, time since an edge, and so on."""
+"""Where a residual lies, as pictures: error by SOC, current, time since an edge, and so on."""
 
 from __future__ import annotations
 
@@ -25,42 +25,42 @@ from cellwise.report.page.section import Section
 Group = Mapping[str, Any]
 
 
-def residual_section(anatomy: Mapping[str, Any], name: str) -> Section:
+def residual_section(residual: Mapping[str, Any], name: str) -> Section:
     """Picture and tables of where the error lies."""
-    content = (residual_text(anatomy), residual_picture(anatomy), residual_tables(anatomy))
+    content = (residual_text(residual), residual_picture(residual), residual_tables(residual))
     return Section("anatomy", f"Where the error lies ({name})", content, "Where it lies")
 
 
 def panels(
-    anatomy: Mapping[str, Any],
+    residual: Mapping[str, Any],
 ) -> list[tuple[str, Sequence[Group], Callable[[Group], str], str]]:
     """Of every division: what it is by, its groups, how a group is called, label of the axis."""
-    warm = anatomy.get("by_temperature_C") or []
+    warm = residual.get("by_temperature_C") or []
     by_charge = (
         "charge moved",
-        anatomy["by_charge_Ah"],
+        residual["by_charge_Ah"],
         lambda g: significant(g["to"], 2),
         "charge moved up to [Ah]",
     )
-    longest = anatomy["by_time_s"][-1]["to"] if anatomy["by_time_s"] else 0.0
+    longest = residual["by_time_s"][-1]["to"] if residual["by_time_s"] else 0.0
     scale, unit = time_unit(longest or 1.0)
     return [
-        ("SOC", anatomy["by_soc"], _soc, "SOC [%]"),
-        ("current", anatomy["by_current_C"], _rate, "current [C]; c: charge"),
+        ("SOC", residual["by_soc"], _soc, "SOC [%]"),
+        ("current", residual["by_current_C"], _rate, "current [C]; c: charge"),
         (
             "time since an edge",
-            anatomy["by_edge_s"],
+            residual["by_edge_s"],
             _seconds,
             "time since the current stepped [s]",
         ),
         (
             "elapsed time",
-            anatomy["by_time_s"],
+            residual["by_time_s"],
             lambda g: significant(g["to"] / scale, 2),
             f"elapsed time up to [{unit}]",
         ),
         ("temperature", warm, _plain, "temperature [°C]") if len(warm) > 1 else by_charge,
-        ("period", _by_period(anatomy), _period, "period of the error's movement [s]"),
+        ("period", _by_period(residual), _period, "period of the error's movement [s]"),
     ]
 
 
@@ -70,11 +70,11 @@ def panels(
     "mean square of the rows in a group; dots: their mean, with its sign (positive: the "
     "model is too low). Numbers: the group's share of the whole squared error.",
 )
-def residual_picture(anatomy: Mapping[str, Any]) -> style.Figure:
+def residual_picture(residual: Mapping[str, Any]) -> style.Figure:
     """Six panels of bars."""
     figure = style.new_figure(6.2)
     for axes, (what, groups, name, label) in zip(
-        np.ravel(figure.subplots(2, 3)), panels(anatomy), strict=True
+        np.ravel(figure.subplots(2, 3)), panels(residual), strict=True
     ):
         _bars(axes, what, groups, name, label)
     return figure
@@ -125,12 +125,12 @@ def _title(what: str, groups: Sequence[Group], name: Callable[[Group], str], wor
     return f"{percent(top['share'], 0)} of the error: {text}{part}"
 
 
-def residual_text(anatomy: Mapping[str, Any]) -> Markup:
+def residual_text(residual: Mapping[str, Any]) -> Markup:
     """Noise, correlation and drift as text."""
-    noise, white, drift = anatomy["noise"], anatomy["whiteness"], anatomy["drift"]
+    noise, white, drift = residual["noise"], residual["whiteness"], residual["drift"]
     lines = [
-        f"{counted(anatomy['rows'])} rows, {millivolt(anatomy['rmse_V'])} RMSE, mean "
-        f"{millivolt(anatomy['mean_V'])}."
+        f"{counted(residual['rows'])} rows, {millivolt(residual['rmse_V'])} RMSE, mean "
+        f"{millivolt(residual['mean_V'])}."
     ]
     if noise["floor_V"] is not None:
         lines.append(
@@ -150,7 +150,7 @@ def residual_text(anatomy: Mapping[str, Any]) -> Markup:
     return paragraph(" ".join(lines))
 
 
-def residual_tables(anatomy: Mapping[str, Any]) -> Markup:
+def residual_tables(residual: Mapping[str, Any]) -> Markup:
     """Every group in figures, folded away."""
     parts = [
         record_table(
@@ -162,7 +162,7 @@ def residual_tables(anatomy: Mapping[str, Any]) -> Markup:
             ("share of the squared error", lambda g: percent(g["share"], 1)),
             caption=f"By {what}",
         )
-        for what, groups, name, label in panels(anatomy)
+        for what, groups, name, label in panels(residual)
         if groups
     ]
     if not parts:
@@ -189,13 +189,13 @@ def _rate(g: Group) -> str:
     return f"{low:g}–{high:g}" if low > 0.0 else f"c {-high:g}–{-low:g}"
 
 
-def _by_period(anatomy: Mapping[str, Any]) -> list[Group]:
+def _by_period(residual: Mapping[str, Any]) -> list[Group]:
     """The constant part, then from fast to slow."""
-    constant = anatomy.get("constant")
+    constant = residual.get("constant")
     if not constant:
         return []
     first = {"from": 0.0, "to": 0.0, "rms_V": abs(constant["mean_V"]), "share": constant["share"]}
-    return [first, *anatomy["by_period_s"]]
+    return [first, *residual["by_period_s"]]
 
 
 def _period(g: Group) -> str:
