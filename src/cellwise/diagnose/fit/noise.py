@@ -30,7 +30,7 @@ class Stated(NamedTuple):
     """What a model's statement of its error counts as, and what it cannot say.
 
     ``errors``: as many independent errors as some drives hold; ``shape``: share of a model's whole
-    error that stays unexplained, since no cause has the shape of nature, with ``shape_errors``
+    error that no cause explains, since no cause has the shape of nature, with ``shape_errors``
     independent errors in a log; ``returns``: two clean logs of one cell have at most this much of
     an error in common, in squares.
     """

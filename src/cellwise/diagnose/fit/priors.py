@@ -35,7 +35,7 @@ class Laboratory(NamedTuple):
     much at any knot (the shape of the rest nobody knows); ``r_share``: of the model's share of the
     polarisation, at any knot of the resistances, at least ``r_least``; ``soc0_std``: a start that
     was given is right to this, one that was found to its own standard deviation; ``given_alike``:
-    correlation of given starts that are wrong (one source: what is left of each alone is a third);
+    correlation of given starts that are wrong (one source: each alone is wrong by a third);
     ``off_branch``: how far a log may start from its own branch of a hysteresis to the other;
     ``ends``: standard deviations at which a tolerance ends; ``still_open``: share that stays
     uncertain of what was calibrated, since the next log is another day.
