@@ -1,6 +1,6 @@
 """Faults of a channel: values that no cell has, channels that stand still, stick, jump or are lost.
 
-Each is told from a cell, a load or a tester by what the other channel does meanwhile.
+Each is separated from a cell, a load or a tester by what the other channel does meanwhile.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ def _is_bdf_parquet(source: LogSource) -> bool:
 
 
 # Texts of the file whose content or reader takes more than their marks and columns.
-_TOLD = {one.name: one for one in (LEAFSPY_CSV, BIOLOGIC_MPT)}
+_BY_CODE = {one.name: one for one in (LEAFSPY_CSV, BIOLOGIC_MPT)}
 
 # In this order: what a program marks as its own, then tables by their names; plain tables last.
 FORMATS: tuple[Format, ...] = (
@@ -50,6 +50,6 @@ FORMATS: tuple[Format, ...] = (
     Format("tidy-parquet", is_parquet, TIDY_CHANNELS, read_parquet, "discharge-positive"),
     BASYTEC_TEXT,
     NEWARE_LEVELS,
-    *(_TOLD.get(name) or mapped(name) for name in marked_tables()),
+    *(_BY_CODE.get(name) or mapped(name) for name in marked_tables()),
     Format("tidy-csv", lambda s: s.is_text, TIDY_CHANNELS, read_csv, "discharge-positive"),
 )

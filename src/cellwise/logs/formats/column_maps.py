@@ -80,7 +80,7 @@ def mapped(
 
 
 def marked_tables() -> list[str]:
-    """The tables of the file that a text can be told by, in order."""
+    """The tables of the file that a text can be recognised by, in order."""
     return [name for name, entry in _tables().items() if "marks" in entry]
 
 
