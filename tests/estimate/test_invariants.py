@@ -369,24 +369,3 @@ def test_a_voltage_as_expected_moves_nothing(name, effects):
         np.testing.assert_allclose(
             getattr(seen, field), getattr(ekf, field), rtol=1e-6, atol=1e-8, err_msg=field
         )
-
-
-@every_effect
-def test_an_offset_that_is_known_is_none(effects):
-    """The adaptive filter with a sensor's known offset is the one with a sensor that has none.
-
-    Where the current is lost nothing is known of it, offset or not.
-    """
-    model = curved_cell(effects=effects)
-    rows = driven(model)
-    current = rows.current_A.copy()
-    current[60:90] = np.nan
-    right = replace(rows, current_A=current)
-    shifted = replace(rows, current_A=current + 0.1)
-    found = follow("adaptive", model, shifted, 0.7, offset_A=0.1)
-    expected = follow("adaptive", model, right, 0.7)
-    for field in (*MEANS, "heat_K", "slow_A", "voltage_V", "soc_std", "p11", "p22", "p33"):
-        np.testing.assert_allclose(
-            getattr(found, field), getattr(expected, field), rtol=1e-9, atol=1e-11, err_msg=field
-        )
-    assert expected.status.astype(int)[85] & Status.CURRENT_LOST
