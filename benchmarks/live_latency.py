@@ -62,12 +62,12 @@ def play(channel: str, dbc: Path, rate_Hz: float, samples: int, sent: list[float
 
 def follow(rate_Hz: float, seconds: float) -> dict[str, float]:
     """Figures of one rate."""
-    from cellwise.cli.live import LineWriter
+    from cellwise.cli.live import Followed, LineWriter
     from cellwise.forecast.outlook import Outlook
     from cellwise.live import Counts, LiveFilter, open_source, run_live
     from cellwise.live.can_stream import SocSender
     from cellwise.live.latency import LatencyMeter
-    from cellwise.logs.files.options import ReadOptions
+    from cellwise.logs.files.source import ReadOptions
 
     samples = round(rate_Hz * seconds)
     with tempfile.TemporaryDirectory() as folder:
@@ -81,7 +81,7 @@ def follow(rate_Hz: float, seconds: float) -> dict[str, float]:
         behind: list[float] = []
         vehicle = threading.Thread(target=play, args=(channel, dbc, rate_Hz, samples, behind))
         with (Path(folder) / "out.jsonl").open("w") as file:
-            write = LineWriter(file, live, outlook)
+            write = LineWriter(file, Followed(live, outlook))
 
             def take(update):
                 outlook.take(update)

@@ -70,11 +70,13 @@ static float between(float a, float b, float f)
     return a + (f * (b - a));
 }
 
+#if (CELLWISE_ARRHENIUS > 0) || CELLWISE_CELLS || CELLWISE_HEATING || CELLWISE_HYSTERESIS || CELLWISE_OFFSET || CELLWISE_POWER || (CELLWISE_RATE && ((CELLWISE_ARRHENIUS > 0) || CELLWISE_RATE || CELLWISE_ASYMMETRY || CELLWISE_HEALTH || CELLWISE_CELLS)) || CELLWISE_REMAINING || CELLWISE_SURFACE || (CELLWISE_TEMPERATURES > 1) || CELLWISE_WATCH || CELLWISE_WIDE
 /* Held within low..high. */
 static float clip(float x, float low, float high)
 {
     return (x < low) ? low : ((x > high) ? high : x);
 }
+#endif
 
 /* Held above low. */
 static float at_least(float x, float low)
@@ -83,14 +85,14 @@ static float at_least(float x, float low)
 }
 
 /* Bit for a number that no cell of this kind gives; asked of readings that were refused. */
-static APART uint32_t out_of_range(float x)
+static NOINLINE uint32_t out_of_range(float x)
 {
     return IS_NUMBER(x) ? CELLWISE_OUT_OF_RANGE : 0u;
 }
 
 #if CELLWISE_HEATING || CELLWISE_HYSTERESIS || CELLWISE_REMAINING || CELLWISE_SURFACE || CELLWISE_WIDE
 /* 1 - exp(-z) for z >= 0, with exp(z) by its first five terms: exact at 0, rises to 1. */
-static APART float risen(float z)
+static NOINLINE float risen(float z)
 {
     const float fourth = SIXTH + (z * TWENTY_FOURTH);
     const float grown = z * (1.0f + (z * (0.5f + (z * fourth))));
@@ -113,7 +115,7 @@ static float vanishing(float z)
 #if CELLWISE_POWER || CELLWISE_REMAINING || CELLWISE_WATCH || CELLWISE_WIDE
 /* Square root of a number up to 4 by five Newton steps from 1. One below 1/4 is multiplied by 4
  * until it is not. */
-static APART float root(float square)
+static NOINLINE float root(float square)
 {
     float scaled = square;
     float unit = 1.0f;
@@ -395,8 +397,8 @@ static void no_slopes(const cellwise_point *p, cellwise_slopes *slopes)
 /* While SOC is badly known slopes are chords over one standard deviation to either side. A
  * far-off start must not be corrected with the slope of where it stands. A SOC that is far off
  * brings the resistances of another SOC with it, so R0's slope joins the OCV's. */
-static APART void slopes_of(const cellwise_model *m, const cellwise_place *place, float soc,
-                            float spread, float current, const cellwise_point *p,
+static NOINLINE void slopes_of(const cellwise_model *m, const cellwise_place *place, float soc,
+                               float spread, float current, const cellwise_point *p,
     cellwise_slopes *slopes)
 {
     const float low = clip(soc - spread, 0.0f, 1.0f);
@@ -913,7 +915,7 @@ static void narrow(cellwise_state *x, const cellwise_column *d, float inverse)
 
 #if CELLWISE_WIDE
 /* What is added to an entry of P when a gain of one slope is judged by another (Joseph). */
-static float rejudged(float ki, float kj, float ci, float cj, float e)
+static float joseph_term(float ki, float kj, float ci, float cj, float e)
 {
     return ((ki * kj) * e) - ((ki * cj) + (kj * ci));
 }
@@ -921,8 +923,8 @@ static float rejudged(float ki, float kj, float ci, float cj, float e)
 
 #if CELLWISE_WIDE
 /* The gain was that of another slope: by `less` than what it is judged by. */
-static void rejudge_covariance(cellwise_state *x, const cellwise_column *d, float inverse,
-                               float less, float e, float wider)
+static void joseph_update(cellwise_state *x, const cellwise_column *d, float inverse, float less,
+                          float e, float wider)
 {
     const float ks = d->s * inverse;
     const float cs = less * x->ss;
@@ -931,43 +933,43 @@ static void rejudge_covariance(cellwise_state *x, const cellwise_column *d, floa
     const float k2 = d->v2 * inverse;
     const float c2 = less * x->s2;
     x->ss = x->ss + wider;
-    x->s1 = x->s1 + rejudged(ks, k1, cs, c1, e);
-    x->s2 = x->s2 + rejudged(ks, k2, cs, c2, e);
-    x->p11 = x->p11 + rejudged(k1, k1, c1, c1, e);
-    x->p12 = x->p12 + rejudged(k1, k2, c1, c2, e);
-    x->p22 = x->p22 + rejudged(k2, k2, c2, c2, e);
+    x->s1 = x->s1 + joseph_term(ks, k1, cs, c1, e);
+    x->s2 = x->s2 + joseph_term(ks, k2, cs, c2, e);
+    x->p11 = x->p11 + joseph_term(k1, k1, c1, c1, e);
+    x->p12 = x->p12 + joseph_term(k1, k2, c1, c2, e);
+    x->p22 = x->p22 + joseph_term(k2, k2, c2, c2, e);
 #if CELLWISE_SLOW
     const float k3 = d->v3 * inverse;
     const float c3 = less * x->s3;
-    x->s3 = x->s3 + rejudged(ks, k3, cs, c3, e);
-    x->p13 = x->p13 + rejudged(k1, k3, c1, c3, e);
-    x->p23 = x->p23 + rejudged(k2, k3, c2, c3, e);
-    x->p33 = x->p33 + rejudged(k3, k3, c3, c3, e);
+    x->s3 = x->s3 + joseph_term(ks, k3, cs, c3, e);
+    x->p13 = x->p13 + joseph_term(k1, k3, c1, c3, e);
+    x->p23 = x->p23 + joseph_term(k2, k3, c2, c3, e);
+    x->p33 = x->p33 + joseph_term(k3, k3, c3, c3, e);
 #endif
 #if CELLWISE_HYSTERESIS
     const float kh = d->h * inverse;
     const float ch = less * x->sh;
-    x->sh = x->sh + rejudged(ks, kh, cs, ch, e);
-    x->p1h = x->p1h + rejudged(k1, kh, c1, ch, e);
-    x->p2h = x->p2h + rejudged(k2, kh, c2, ch, e);
-    x->phh = x->phh + rejudged(kh, kh, ch, ch, e);
+    x->sh = x->sh + joseph_term(ks, kh, cs, ch, e);
+    x->p1h = x->p1h + joseph_term(k1, kh, c1, ch, e);
+    x->p2h = x->p2h + joseph_term(k2, kh, c2, ch, e);
+    x->phh = x->phh + joseph_term(kh, kh, ch, ch, e);
 #endif
 #if CELLWISE_HYSTERESIS && CELLWISE_SLOW
-    x->p3h = x->p3h + rejudged(k3, kh, c3, ch, e);
+    x->p3h = x->p3h + joseph_term(k3, kh, c3, ch, e);
 #endif
 #if CELLWISE_OFFSET
     const float ko = d->o * inverse;
     const float co = less * x->so;
-    x->so = x->so + rejudged(ks, ko, cs, co, e);
-    x->p1o = x->p1o + rejudged(k1, ko, c1, co, e);
-    x->p2o = x->p2o + rejudged(k2, ko, c2, co, e);
-    x->poo = x->poo + rejudged(ko, ko, co, co, e);
+    x->so = x->so + joseph_term(ks, ko, cs, co, e);
+    x->p1o = x->p1o + joseph_term(k1, ko, c1, co, e);
+    x->p2o = x->p2o + joseph_term(k2, ko, c2, co, e);
+    x->poo = x->poo + joseph_term(ko, ko, co, co, e);
 #endif
 #if CELLWISE_OFFSET && CELLWISE_SLOW
-    x->p3o = x->p3o + rejudged(k3, ko, c3, co, e);
+    x->p3o = x->p3o + joseph_term(k3, ko, c3, co, e);
 #endif
 #if CELLWISE_HYSTERESIS && CELLWISE_OFFSET
-    x->pho = x->pho + rejudged(kh, ko, ch, co, e);
+    x->pho = x->pho + joseph_term(kh, ko, ch, co, e);
 #endif
 }
 #endif
@@ -1066,8 +1068,8 @@ uint32_t cellwise_set_health(const cellwise_model *m, cellwise_state *x, float c
 #endif
 
 /* A cell at rest; its branches are guessed at the first sample. */
-static APART void start(const cellwise_constants *c, cellwise_state *x, float soc,
-                        float soc_variance)
+static NOINLINE void start(const cellwise_constants *c, cellwise_state *x, float soc,
+                           float soc_variance)
 {
     x->soc = soc;
     x->soc_carry = 0.0f;
@@ -1133,8 +1135,8 @@ static float admitted(float rested_V2, float held_V, float limit_V)
 
 /* What the branches hold when nobody knows what was before. Nearly nothing at rest, half of the
  * load's steady voltage under load. */
-static APART void guess_branches(const cellwise_constants *c, cellwise_state *x, float r1_ohm,
-                                 float r2_ohm,
+static NOINLINE void guess_branches(const cellwise_constants *c, cellwise_state *x, float r1_ohm,
+                                    float r2_ohm,
 #if CELLWISE_SLOW
     float r3_ohm,
 #endif
@@ -1297,8 +1299,9 @@ static float voltage_of(const cellwise_state *x, const cellwise_point *p, float 
  * SOC weighs as the estimate, widened, and the voltage, known to `variance`, say together.
  * Branches may hold what `held_A` would leave there. Beyond either end of the OCV that end is
  * meant. */
-static APART void search(const cellwise_model *m, const cellwise_place *place, cellwise_state *x,
-                         float seen, float voltage, float variance, float held_A, float limit_V)
+static NOINLINE void search(const cellwise_model *m, const cellwise_place *place,
+                            cellwise_state *x, float seen, float voltage, float variance,
+    float held_A, float limit_V)
 {
     const float before = 1.0f / at_least(x->ss, RECOVERY_VARIANCE);
     const float most_V2 = limit_V * limit_V;
@@ -1357,8 +1360,9 @@ static APART void search(const cellwise_model *m, const cellwise_place *place, c
 /* The gate may have locked the truth out, or a first voltage at rest says more than is weighed.
  * Branches that have been followed may hold anything; under load the resistances may be what is
  * wrong, by as much as they are. */
-static APART void recover(const cellwise_model *m, const cellwise_place *place, cellwise_state *x,
-                          float seen, float voltage, float one_V2, float polarisation_V)
+static NOINLINE void recover(const cellwise_model *m, const cellwise_place *place,
+                             cellwise_state *x, float seen, float voltage, float one_V2,
+    float polarisation_V)
 {
     const cellwise_constants *const c = &m->constant;
     float held_A = c->start_rest_A;
@@ -1617,6 +1621,12 @@ typedef struct {
     cellwise_column column;
 } cellwise_innovation;
 
+/* How many samples share one model error: `above / below`, never divided. */
+typedef struct {
+    float above;
+    float below;
+} cellwise_shared;
+
 #if CELLWISE_WATCH
 /* Whether the voltage is frozen. A reading that repeats itself is frozen once R0 times the
  * change of current says that it must have moved, and the prediction is off by half of that: a
@@ -1647,22 +1657,23 @@ static uint32_t watch_voltage(const cellwise_constants *c, cellwise_state *x, fl
 }
 #endif
 
-/* How many samples share one model error. The model's error is a sum of processes with memories
- * of a second to half an hour. The quick ones average out first, so the rest of a mean has an
- * ever longer memory. The first voltage at rest is evidence by itself. */
-static float shared_by(const cellwise_constants *c, const cellwise_state *x, float seen)
+/* How many samples share one model error, as a fraction: at least 1. The model's error is a sum
+ * of processes with memories of a second to half an hour. The quick ones average out first, so
+ * the rest of a mean has an ever longer memory. The first voltage at rest is evidence by itself. */
+static void shared_by(const cellwise_constants *c, const cellwise_state *x, float seen,
+                      cellwise_shared *shared)
 {
-    float shared = 1.0f;
+    uint32_t seen_before = 0u;
     if (x->evidence >= FIRST_VOLTAGE) {
-        const float since = (float)(x->evidence - FIRST_VOLTAGE);
-        const float grown = (since + c->shared_early) / (since + c->shared_half);
-        shared = clip(c->shared * grown, 1.0f, c->shared);
-    } else if (!SIZE_BELOW(seen, c->rest_A)) {
-        shared = clip(c->shared * (c->shared_early / c->shared_half), 1.0f, c->shared);
-    } else {
-        /* as before */
+        seen_before = x->evidence - FIRST_VOLTAGE;
+        seen_before = (seen_before < EVIDENCE_MOST) ? seen_before : EVIDENCE_MOST;
     }
-    return shared;
+    const float since = (float)seen_before;
+    shared->below = since + c->shared_half;
+    shared->above = shared->below;
+    if ((x->evidence >= FIRST_VOLTAGE) || !SIZE_BELOW(seen, c->rest_A)) {
+        shared->above = (c->shared * since) + c->shared_early;
+    }
 }
 
 #if CELLWISE_VALIDITY
@@ -1733,15 +1744,16 @@ static void innovate(const cellwise_constants *c, const cellwise_state *x, const
     innovation->variance_V2 = innovation->explained_V2 + innovation->one_V2;
 }
 
-/* ---- correct.py: Correction of the fixed step by a measured voltage: gate, recovery, weight. */
+/* ---- step.py: One fixed step: predict over the interval that ends now, then use the voltage
+ * read now. */
 
 #if CELLWISE_WIDE
 /* Judge the gain by the slope where it leads, if that is flatter; whether anything was gained.
  * The gain itself was that of the slope here: on a plateau nothing is gained, and the covariance
  * stays as it is. */
-static APART bool rejudge(const cellwise_model *m, const cellwise_place *place, cellwise_state *x,
-                          const cellwise_point *p, const cellwise_slopes *w,
-    const cellwise_column *d, float inverse, float innovation, float seen)
+static NOINLINE bool gain_where_it_leads(const cellwise_model *m, const cellwise_place *place,
+                                         cellwise_state *x, const cellwise_point *p,
+    const cellwise_slopes *w, const cellwise_column *d, float inverse, float innovation, float seen)
 {
     const float ks = d->s * inverse;
     const float move = ks * innovation;
@@ -1756,11 +1768,11 @@ static APART bool rejudge(const cellwise_model *m, const cellwise_place *place, 
     }
     const float less = flat - w->slope_V;
     const float e = less * ((2.0f * d->s) + (less * x->ss));
-    const float wider = rejudged(ks, ks, less * x->ss, less * x->ss, e);
+    const float wider = joseph_term(ks, ks, less * x->ss, less * x->ss, e);
     bool gained = false;
     if (SIZE_WITHIN(wider, LARGE) && (wider < (ks * d->s))) {
         gained = true;
-        rejudge_covariance(x, d, inverse, less, e, wider);
+        joseph_update(x, d, inverse, less, e, wider);
     }
     return gained;
 }
@@ -1842,17 +1854,19 @@ static void fuse(const cellwise_model *m, const cellwise_place *place, cellwise_
     (void)place;
     (void)p;
     (void)w;
-    const float shared = shared_by(&m->constant, x, s->seen);
-    float weight = i->one_V2 * shared;
+    cellwise_shared shared;
+    shared_by(&m->constant, x, s->seen, &shared);
+    float weight = i->one_V2 * shared.above;
     if (POSITIVE_ABOVE(x->mismatch, 1.0f)) {
         weight = weight * x->mismatch;
     }
-    if ((s->news == INTERVAL) || (shared <= 1.0f)) {
-        const float inverse = 1.0f / (i->explained_V2 + weight);
+    if ((s->news == INTERVAL) || (shared.above <= shared.below)) {
+        const float inverse = shared.below / ((i->explained_V2 * shared.below) + weight);
         bool gained = true;
 #if CELLWISE_WIDE
         if (w->spread > 0.0f) {
-            gained = rejudge(m, place, x, p, w, &i->column, inverse, innovation, s->seen);
+            gained = gain_where_it_leads(m, place, x, p, w, &i->column, inverse, innovation,
+                                         s->seen);
         }
 #endif
         move(&m->constant, x, &i->column, inverse, innovation);
@@ -1952,9 +1966,6 @@ static uint32_t correct(const cellwise_model *m, const cellwise_place *place, ce
 #endif
     return status;
 }
-
-/* ---- step.py: One fixed step: predict over the interval that ends now, then use the voltage
- * read now. */
 
 /* A cell at rest at `soc`, known with `soc_variance`. Arguments that are no such numbers give a
  * state that knows nothing. Returns 0 or CELLWISE_STATE_RESET. */
@@ -2066,8 +2077,9 @@ typedef struct {
 #if CELLWISE_POWER
 /* A constant current over the horizon, from `soc`, in one interval. What the states share is
  * left out of the variance: it mostly takes away from it. */
-static APART void ending(const cellwise_model *m, const cellwise_place *place,
-                         const cellwise_state *x, float soc, float current, cellwise_ending *ending)
+static NOINLINE void ending(const cellwise_model *m, const cellwise_place *place,
+                            const cellwise_state *x, float soc, float current,
+    cellwise_ending *ending)
 {
     const cellwise_row *const low = m->row[place->low];
 #if CELLWISE_TEMPERATURES > 1
@@ -2137,8 +2149,9 @@ static APART void ending(const cellwise_model *m, const cellwise_place *place,
 #if CELLWISE_POWER
 /* Largest size of a current, discharged (`side` 1) or charged (-1), up to `most_A`. By false
  * position (Illinois) between none and `most_A`; 0 where no current keeps the limit. */
-static APART float able(const cellwise_model *m, const cellwise_place *place,
-                        const cellwise_state *x, float soc, float side, float limit_V, float most_A)
+static NOINLINE float able(const cellwise_model *m, const cellwise_place *place,
+                           const cellwise_state *x, float soc, float side, float limit_V,
+    float most_A)
 {
     float found = 0.0f;
     cellwise_ending none;
@@ -2190,9 +2203,9 @@ static APART float able(const cellwise_model *m, const cellwise_place *place,
 /* Value and lower bound of one way: the bound keeps 1.645 deviations from the limits. `soc`, of
  * variance `ss`, is the cell's own. The slope over SOC is the chord to the SOC that is as many
  * deviations worse. */
-static APART void one_way(const cellwise_model *m, const cellwise_place *place,
-                          const cellwise_state *x, float soc, float ss, float side, float limit_V,
-    float most_A, float room_soc, cellwise_way *way)
+static NOINLINE void one_way(const cellwise_model *m, const cellwise_place *place,
+                             const cellwise_state *x, float soc, float ss, float side,
+    float limit_V, float most_A, float room_soc, cellwise_way *way)
 {
     const cellwise_constants *const c = &m->constant;
     float per_soc_A = c->power_A_per_soc;
@@ -2343,9 +2356,9 @@ static void behind(const cellwise_place *at, float lag, cellwise_place *place)
 #if CELLWISE_REMAINING
 /* So many time steps of a constant current later, at a SOC. The exponent of a branch comes from
  * its gain g over one time step, as g / (1 - g / 2). */
-static APART void go_on(const cellwise_model *m, const cellwise_place *place,
-                        const cellwise_state *x, float v1, float v2, float v3, float h, float slow,
-    float soc, float current, float steps, cellwise_along *along)
+static NOINLINE void go_on(const cellwise_model *m, const cellwise_place *place,
+                           const cellwise_state *x, float v1, float v2, float v3, float h,
+    float slow, float soc, float current, float steps, cellwise_along *along)
 {
     (void)v3;
     (void)h;
@@ -2408,7 +2421,7 @@ static APART void go_on(const cellwise_model *m, const cellwise_place *place,
 
 #if CELLWISE_REMAINING
 /* How much of a part goes by until the voltage, taken as linear within it, is at a cutoff. */
-static APART float share_of(float before_V, float after_V, float low_V)
+static NOINLINE float share_of(float before_V, float after_V, float low_V)
 {
     float share = 1.0f;
     if (after_V <= low_V) {
@@ -2420,7 +2433,7 @@ static APART float share_of(float before_V, float after_V, float low_V)
 
 #if CELLWISE_REMAINING
 /* Root of the sum of three squares, each at least 0: by the largest of them. */
-static APART float apart_by(float a, float b, float d)
+static NOINLINE float apart_by(float a, float b, float d)
 {
     const float most = at_least(at_least(a, b), d);
     float found = 0.0f;
@@ -2580,7 +2593,7 @@ static bool cell_is_sound(const cellwise_pack_cell *a)
 
 #if CELLWISE_CELLS
 /* A cell of which only is known how far cells usually differ. */
-static APART void start_cell(const cellwise_constants *c, cellwise_pack_cell *a)
+static NOINLINE void start_cell(const cellwise_constants *c, cellwise_pack_cell *a)
 {
     a->soc = 0.0f;
     a->capacity = 0.0f;
@@ -2665,7 +2678,7 @@ static void difference_of(const cellwise_model *m, const cellwise_place *place,
 
 #if CELLWISE_CELLS
 /* After many rejections in a row a cell's SOC is unknown. */
-static APART void look_again(cellwise_pack_cell *a)
+static NOINLINE void look_again(cellwise_pack_cell *a)
 {
     a->ss = RECOVERY_VARIANCE;
     a->sq = 0.0f;
@@ -2784,8 +2797,8 @@ static float own_variance(const cellwise_constants *c, const cellwise_state *x,
                           const cellwise_pack_cell *a)
 {
     const float away = 0.5f - x->soc;
-    const float apart2 = a->ss + (away * ((2.0f * a->sq) + (away * a->qq)));
-    return x->ss + at_least(apart2, c->cell_least_soc2);
+    const float difference2 = a->ss + (away * ((2.0f * a->sq) + (away * a->qq)));
+    return x->ss + at_least(difference2, c->cell_least_soc2);
 }
 #endif
 
@@ -2817,8 +2830,8 @@ void cellwise_cell_of(const cellwise_model *m, const cellwise_state *x,
 
 #if CELLWISE_CELLS && CELLWISE_POWER
 /* The same place with one cell's resistance. */
-static APART void with_cell(const cellwise_place *at, const cellwise_pack_cell *a,
-                            cellwise_place *place)
+static NOINLINE void with_cell(const cellwise_place *at, const cellwise_pack_cell *a,
+                               cellwise_place *place)
 {
     place->low = at->low;
     place->weight = at->weight;
@@ -2831,8 +2844,8 @@ static APART void with_cell(const cellwise_place *at, const cellwise_pack_cell *
 
 #if CELLWISE_CELLS && CELLWISE_POWER
 /* The cell that a current over the horizon brings nearest to its limit of voltage. */
-static APART uint32_t weakest(const cellwise_model *m, const cellwise_place *place,
-                              const cellwise_state *x, const cellwise_pack_cell *cells,
+static NOINLINE uint32_t weakest(const cellwise_model *m, const cellwise_place *place,
+                                 const cellwise_state *x, const cellwise_pack_cell *cells,
     uint32_t count, float side, float current)
 {
     uint32_t found = 0u;
@@ -2856,8 +2869,8 @@ static APART uint32_t weakest(const cellwise_model *m, const cellwise_place *pla
 
 #if CELLWISE_CELLS && CELLWISE_POWER
 /* The emptiest cell (`side` 1), or the fullest (-1). */
-static APART uint32_t nearest_to_end(const cellwise_state *x, const cellwise_pack_cell *cells,
-                                     uint32_t count, float side)
+static NOINLINE uint32_t nearest_to_end(const cellwise_state *x, const cellwise_pack_cell *cells,
+                                        uint32_t count, float side)
 {
     uint32_t found = 0u;
     float least = LARGEST_FLOAT;
@@ -2876,8 +2889,8 @@ static APART uint32_t nearest_to_end(const cellwise_state *x, const cellwise_pac
 
 #if CELLWISE_CELLS && CELLWISE_POWER
 /* What one cell can give (`side` 1) or take (-1) over the horizon. */
-static APART void way_of(const cellwise_model *m, const cellwise_place *place,
-                         const cellwise_state *x, const cellwise_pack_cell *a, float side,
+static NOINLINE void way_of(const cellwise_model *m, const cellwise_place *place,
+                            const cellwise_state *x, const cellwise_pack_cell *a, float side,
     cellwise_way *way)
 {
     const cellwise_constants *const c = &m->constant;
@@ -2911,8 +2924,8 @@ static APART void way_of(const cellwise_model *m, const cellwise_place *place,
 /* Power of the pack one way: the least of what its weakest cells allow. These are the cell that
  * is nearest to its end, the one whose voltage is at the largest current, and the one whose
  * voltage is at the current that these two allow. */
-static APART void pack_way(const cellwise_model *m, const cellwise_place *place,
-                           const cellwise_state *x, const cellwise_pack_cell *cells,
+static NOINLINE void pack_way(const cellwise_model *m, const cellwise_place *place,
+                              const cellwise_state *x, const cellwise_pack_cell *cells,
     uint32_t count, float side, cellwise_way *way)
 {
     const cellwise_constants *const c = &m->constant;

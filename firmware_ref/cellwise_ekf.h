@@ -83,9 +83,9 @@ typedef struct {
     float share_variance; /* of the resistances on discharge, relative, */
     float charge_variance; /* and on charge */
     float gate_square; /* innovations beyond this many variances are rejected */
-    float shared; /* samples that share one model error after long; just after the first */
-    float shared_early; /* this share of it: steps early over steps half way, */
-    float shared_half; /* when half of the way from the one to the other is done */
+    float shared; /* samples that share one model error after long; */
+    float shared_early; /* just after the first shared_early / shared_half of them, */
+    float shared_half; /* and half way between the two after so many steps */
     float lately; /* weight of one sample in the running mismatch */
     float mismatch_cap;
     float gap_variance; /* of SOC over a long gap */

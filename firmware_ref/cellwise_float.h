@@ -9,9 +9,9 @@
 
 /* What few steps need is kept out of the others' registers and stack. */
 #if defined(__GNUC__) && !defined(__FRAMAC__)
-#define APART __attribute__((noinline))
+#define NOINLINE __attribute__((noinline))
 #else
-#define APART
+#define NOINLINE
 #endif
 
 /* False for NaN too. Macros, so that what is tested is known of the object itself afterwards, to

@@ -10,7 +10,8 @@ from benchmarks.example_cell import SAMPLES, START_SOC, load_log, three_branches
 from benchmarks.figures import Figure, Progress, clock, missing
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
-from cellwise.estimate.fixed.fixed_step import Stepper, numba_stepper, samples_of, start_state
+from cellwise.estimate.fixed.samples import samples_of
+from cellwise.estimate.fixed.stepper import Stepper, numba_stepper, start_state
 from cellwise.estimate.fixed.tables import FixedStepTables, fixed_step_tables
 from cellwise.estimate.power.limits import OperatingLimits
 from cellwise.estimate.power.state_of_power import power_settings
@@ -163,6 +164,6 @@ def host_figures(say: Progress) -> list[Figure]:
 
 
 def _host(tables: FixedStepTables) -> Stepper:
-    from cellwise.export.firmware import host_stepper
+    from cellwise.export.firmware import HostLibrary
 
-    return host_stepper(tables)
+    return HostLibrary(tables).stepper()

@@ -13,8 +13,7 @@ from benchmarks.measured_data import HOW, measured_log
 from benchmarks.speed import simulation_references as references
 from cellwise.cell.equations import empty_state
 from cellwise.cell.model import CellModel
-from cellwise.cell.simulate import known_temperature_C, simulate
-from cellwise.cell.simulate_kernels import simulate_rows
+from cellwise.cell.simulate import known_temperature_C, simulate, simulate_rows
 from cellwise.logs import CellLog
 
 UNIT = "ns/sample"

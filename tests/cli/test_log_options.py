@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from cellwise.cli.command_line import build_parser
-from cellwise.logs import read_log
-from cellwise.logs.apart import reader
+from cellwise.logs import isolated, read_log
 from log_files import pulse_channels
 from vehicle_files import write_can, write_dbc, write_ulog
 
@@ -141,7 +140,7 @@ def test_a_library_that_is_missing_is_named(flight, refused, monkeypatch, tmp_pa
     missing = "raise ModuleNotFoundError('no pyulog', name='pyulog')\n"
     (tmp_path / "pyulog.py").write_text(missing)
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(reader, "_idle", [])
+    monkeypatch.setattr(isolated, "_idle", [])
     message = refused("inspect", flight)
     assert "pyulog is not installed" in message
     assert "pip install 'cellwise[importers]'" in message

@@ -13,7 +13,7 @@ import pytest
 import cellwise
 from cellwise import CellLog, InputError, write_log
 from cellwise.cli.command_line import build_parser
-from cellwise.cli.common.wording import ARGUMENT, in_options
+from cellwise.cli.common.printing import ARGUMENT, in_options
 from cellwise.logs import read_log
 from sources import tree_of
 

@@ -12,13 +12,13 @@ from sources import tree_of
 REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGE = REPOSITORY / "src" / "cellwise"
 
-BASE = {"errors", "typing", "files", "given", "plotting", "threads"}
+BASE = {"errors", "typing", "files", "arguments", "plotting", "threads"}
 TOOLS = {"logs", "cell", "identify", "estimate", "forecast", "diagnose", "pack", "history", "data"}
 MAY_IMPORT = {
     "errors": set(),
     "typing": set(),
     "files": {"errors"},
-    "given": {"errors", "typing"},
+    "arguments": {"errors", "typing"},
     "progress": set(),
     "threads": set(),
     "plotting": {"errors", "typing"},
@@ -33,9 +33,9 @@ MAY_IMPORT = {
     "history": BASE | {"logs", "cell", "identify", "estimate"},
     "data": BASE | {"logs"},
     "export": BASE | TOOLS,
-    "report": BASE | TOOLS,
+    "studies": BASE | TOOLS,
+    "report": BASE | TOOLS | {"studies"},
     "benchmark": BASE | TOOLS | {"report"},
-    "studies": BASE | TOOLS | {"report"},
     "originals": BASE | {"logs", "data"},
     "live": BASE | {"logs", "cell", "estimate", "forecast"},
     "fleet": BASE | {"logs", "cell", "estimate", "diagnose", "pack", "history"},

@@ -16,7 +16,7 @@ from cellwise.cell.effects import EFFECTS
 from cellwise.cell.equations import CellState
 from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cli.command_line import build_parser
-from cellwise.cli.common.wording import in_options
+from cellwise.cli.common.printing import in_options
 from cellwise.estimate.estimators import ESTIMATORS
 from cellwise.estimate.filters.coulomb import CoulombInfo, CoulombState
 from cellwise.estimate.filters.filter_state import EkfInfo, EkfState

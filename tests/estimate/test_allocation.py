@@ -11,7 +11,7 @@ from numba.core.runtime import _nrt_python, rtsys
 
 from cellwise.cell.equations import empty_state
 from cellwise.cell.protocol import supply_kernels as protocol_kernels
-from cellwise.cell.simulate_kernels import simulate_rows
+from cellwise.cell.simulate import simulate_rows
 from cellwise.estimate.adaptive.adaptive_kernels import ADAPTIVE_OUTPUTS, adaptive_rows
 from cellwise.estimate.adaptive.settings import AdaptiveSettings
 from cellwise.estimate.filters.coulomb import CoulombState, CountRules, coulomb_rows

@@ -16,8 +16,8 @@ from cellwise.cell.simulate import simulate
 from cellwise.cli import main
 from cellwise.data import load_dataset
 from cellwise.errors import InputError
-from cellwise.estimate.fixed.fixed_step import numba_stepper, start_state
 from cellwise.estimate.fixed.layout import INPUT
+from cellwise.estimate.fixed.stepper import numba_stepper, start_state
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.status import SEQUENCE_GAP

@@ -10,8 +10,9 @@ import pytest
 
 from cellwise.cell.simulate import simulate
 from cellwise.data import load_dataset
-from cellwise.estimate.fixed.fixed_step import numba_stepper, samples_of
 from cellwise.estimate.fixed.layout import CELL, state_type
+from cellwise.estimate.fixed.samples import samples_of
+from cellwise.estimate.fixed.stepper import numba_stepper
 from cellwise.export.cross import CORES, has_tools, run_on_target
 from cellwise.export.stress import worst_case
 from cellwise.logs.resample import resample
@@ -54,7 +55,7 @@ def test_the_same_bytes_on_a_drive_and_under_stress(core, case):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("core", "instructions", "text", "stack"),
-    [("cortex-m4f", 520, 2200, 96), ("cortex-m0plus", 16_500, 2800, 224)],
+    [("cortex-m4f", 520, 2200, 96), ("cortex-m0plus", 15_500, 2800, 224)],
 )
 def test_three_states_stay_within_the_room_there_is(core, instructions, text, stack):
     run = run_on_target(tables_of("lean"), core, drive_samples(5000), 0.9, 1e-4, measure_every=10)

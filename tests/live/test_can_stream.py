@@ -10,7 +10,7 @@ import pytest
 from cellwise.errors import InputError
 from cellwise.live import Sample, Stray, open_source
 from cellwise.live.can_stream import SocSender
-from cellwise.logs.files.options import ReadOptions
+from cellwise.logs.files.source import ReadOptions
 from streams import DBC
 
 can = pytest.importorskip("can")

@@ -14,7 +14,7 @@ from cellwise.errors import InputError
 from cellwise.live import Sample, Stray, open_source
 from cellwise.live.channels import ObjectReader
 from cellwise.live.json_lines import LONGEST_LINE, JsonLines
-from cellwise.logs.files.options import NOTHING_SAID, ReadOptions
+from cellwise.logs.files.source import NOTHING_SAID, ReadOptions
 from streams import Given
 
 

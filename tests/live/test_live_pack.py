@@ -14,7 +14,7 @@ from cellwise.cell.model_file import write_model
 from cellwise.cli import main
 from cellwise.live import LiveFilter, Sample, open_source
 from cellwise.live.cell_readings import CellReadings, cell_number
-from cellwise.logs.files.options import ReadOptions
+from cellwise.logs.files.source import ReadOptions
 from emulated_packs import Fault, emulated_pack
 
 CELLS = 4

@@ -12,7 +12,7 @@ import pytest
 from cellwise.live import Sample, Stray
 from cellwise.live.pieces import Pieces
 from cellwise.live.ulog_stream import UlogStream, layout_of
-from cellwise.logs.files.options import ReadOptions
+from cellwise.logs.files.source import ReadOptions
 from streams import Given
 from vehicle_files import ulog_message, write_ulog
 

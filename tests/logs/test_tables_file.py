@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from cellwise.errors import InputError
-from cellwise.logs.tables import write_columns
+from cellwise.logs.writing import write_columns
 
 COLUMNS = {
     "time_s": np.array([0.0, 0.1, 1e6]),

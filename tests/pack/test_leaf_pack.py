@@ -11,10 +11,9 @@ from scipy.stats import spearmanr
 from cellwise.cell.stock.catalogue import named_model
 from cellwise.logs import CellLog
 from cellwise.logs.packs.pack_reading import read_pack
+from cellwise.pack.differences import RESISTANCE, regressors
 from cellwise.pack.mean_cell import MeanCell, OcvSlope, mean_cell
 from cellwise.pack.pack_estimate import estimate_pack
-from cellwise.pack.parameters import RESISTANCE
-from cellwise.pack.regressors import regressors
 
 MODEL = named_model("lmo-pouch", 54.0)
 HURT = 37
@@ -65,7 +64,7 @@ def rest_difference_V(found, soc):
     still = MeanCell(log, at, np.zeros(3), log.voltage_V, np.zeros(3, np.intp))
     row = regressors(still, OcvSlope(MODEL, log), 0.0).rows[1].copy()
     row[RESISTANCE] = 0.0
-    return found.state.belief.mean @ row
+    return found.state.deltas.mean @ row
 
 
 def test_in_three_months_nobody_is_accused(months, before):

@@ -8,9 +8,9 @@ import pytest
 from cellwise.cell.initial_soc.best_start import best_start_soc
 from cellwise.cell.simulate import simulate
 from cellwise.logs.packs.pack_reading import read_pack
+from cellwise.pack.differences import regressors
 from cellwise.pack.mean_cell import MeanCell, OcvSlope, mean_cell
 from cellwise.pack.pack_estimate import estimate_pack
-from cellwise.pack.regressors import regressors
 from measured_models import identified_leaf
 
 FITTED = "06"
@@ -63,7 +63,7 @@ def rests(real_data):
         paths = sorted((real_data / "leaf_pack").glob(f"leaf_2017{which}*.parquet"))
         return [read_pack(path) for path in paths]
 
-    differences = estimate_pack(model, month(FITTED)).state.belief.mean
+    differences = estimate_pack(model, month(FITTED)).state.deltas.mean
     differences = differences - differences.mean(axis=0)
     errors, lengths = {}, []
     for which in OTHERS:

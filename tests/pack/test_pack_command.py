@@ -7,7 +7,7 @@ import json
 import pytest
 
 from cellwise.cli import main
-from cellwise.logs.tables import read_rows, write_columns
+from cellwise.logs.writing import read_rows, write_columns
 from emulated_packs import Fault, emulated_pack
 
 

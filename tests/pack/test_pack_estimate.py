@@ -9,9 +9,9 @@ import pytest
 
 from cellwise.errors import InputError
 from cellwise.logs.packs.pack_log import PackLog
+from cellwise.pack.differences import RESISTANCE
 from cellwise.pack.pack_estimate import estimate_pack
 from cellwise.pack.pack_state import read_state, write_state
-from cellwise.pack.parameters import RESISTANCE
 from emulated_packs import Fault, emulated_pack
 
 SIZES = (4, 16, pytest.param(96, marks=pytest.mark.slow))
@@ -84,7 +84,7 @@ def test_the_last_log_counts_once_where_balancing_moves_the_cells_between_logs()
         logs.append(log)
     found = estimate_pack(model, logs)
     assert found.evidence.balancing_soc > 0.003
-    known = found.state.belief.covariance[:, RESISTANCE, RESISTANCE]
+    known = found.state.deltas.covariance[:, RESISTANCE, RESISTANCE]
     np.testing.assert_allclose(found.cells.resistance_std, np.sqrt(known), rtol=1e-9)
     # What the cells hold is the last log's, though: as it was drawn, within their bands.
     drawn = np.random.default_rng(12345).normal(size=(8, 4))[:, 2] * 0.003

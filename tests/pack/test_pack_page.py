@@ -12,7 +12,7 @@ from cellwise.history.life import life_of
 from cellwise.logs import CellLog
 from cellwise.pack.pack_estimate import estimate_pack
 from cellwise.report import history_page, pack_page
-from cellwise.report.pack.pictures import cells_over_time
+from cellwise.report.pack_page import cells_over_time
 from emulated_packs import Fault, emulated_pack
 
 

@@ -7,9 +7,9 @@ import math
 
 import pytest
 
-from cellwise.printing.tangents.derivatives import Derivatives
-from cellwise.printing.tangents.gradients import gradient
-from cellwise.printing.tangents.straight_line import Reader, Wish, parsed, record
+from cellwise.printing.derivatives import Derivatives
+from cellwise.printing.gradients import gradient
+from cellwise.printing.straight_line import Reader, Wish, parsed, record
 
 VALUES = {"x": 0.7, "y": -1.3, "z": 2.1}
 EXPRESSIONS = (

@@ -15,12 +15,10 @@ from cellwise.errors import InputError
 from cellwise.report import demo_page, identify_page, replay_page
 from cellwise.report.findings import replay_finding
 from cellwise.report.identification.page import identify_sections, notices
-from cellwise.report.page.markup import finite, page, table
-from cellwise.report.page.scripts import script
-from cellwise.report.page.section import pictures_of, rendered
+from cellwise.report.page.markup import MOST, finite, page, table
+from cellwise.report.page.section import pictures_of, rendered, script
 from cellwise.report.replay.page import replay_data, replay_sections
-from cellwise.report.replay.replay_figures import replay_figures
-from cellwise.report.replay.replay_section import MOST_DETAILED
+from cellwise.report.replay.replay_section import replay_figures
 from report_cases import Page, drive, hppc, identification, replay, simulation
 
 NASTY = "<script>alert('1')</script> & \"$x_1^2$\" </svg> \\u003c"
@@ -178,7 +176,7 @@ def test_many_replays_are_rows_and_few_pictures():
     sections = {s.key: s for s in replay_sections(runs)}
     table_text = rendered(sections["figures"])
     assert table_text.count("<tr") == 9
-    assert len(pictures_of([sections["soc"]])) == 1 + 2 * MOST_DETAILED
+    assert len(pictures_of([sections["soc"]])) == 1 + 2 * MOST.replays
 
 
 def test_names_of_logs_are_escaped_everywhere(tmp_path):

@@ -9,7 +9,8 @@ import pytest
 
 from cellwise.errors import InputError
 from cellwise.studies.lfp_paper import CHOICES
-from cellwise.studies.papers import paper_tables, print_paper_tables
+from cellwise.studies.papers import paper_tables
+from cellwise.studies.papers_text import papers_text, print_papers
 
 pytestmark = pytest.mark.slow
 
@@ -138,7 +139,7 @@ def test_slower_rate_measures_more_capacity(tables):
 
 
 def test_text_says_that_the_published_cells_are_others(tables):
-    text = tables.text(width=140)
+    text = papers_text(tables, width=140)
     assert text.count("measured on another cell") == 2
     for word in ("Capacity by discharge tests", "Pulses of the HPPC tests", "Polynomials",
                  "capacity choice", "Residuals", "47.71", "196.9"):  # fmt: skip
@@ -146,7 +147,7 @@ def test_text_says_that_the_published_cells_are_others(tables):
 
 
 def test_printing_shows_the_same(tables, capsys):
-    print_paper_tables(tables)
+    print_papers(tables)
     assert "LFP040AHA paper" in capsys.readouterr().out
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellwise.studies.capacity_study_stats import axis_share, difference
+from cellwise.studies.capacity_study import axis_share, difference
 
 
 def test_difference_of_rmse_is_exact():

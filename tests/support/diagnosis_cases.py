@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from cellwise.cell.simulate import simulate
-from cellwise.diagnose.anatomy import anatomy
 from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.log_runs import LogRun
+from cellwise.diagnose.residual import residual_analysis
 from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
@@ -86,7 +86,7 @@ def diagnosis(*names, **changes):
         verdict=names[0] if names else "none",
         causes=tuple(found(n) for n in names),
         candidates=tuple(tried),
-        anatomy=anatomy(CELL, logs[0], 0.9),
+        anatomy=residual_analysis(CELL, logs[0], 0.9),
         next_test="rest an hour at 50 %",
         reasons=("nothing more explains anything",),
         model=CELL,

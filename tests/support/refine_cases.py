@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cellwise.identify.refinement.refine import StartTables
+from cellwise.identify.identification import Start
+from cellwise.identify.refinement.joint_fit import JointLogs
+from cellwise.identify.refinement.refine import RefineSettings, StartTables
 from cellwise.identify.refinement.refine_data import RefineLog
 from cellwise.identify.refinement.splines import TABLE_KNOTS, greville
 from cellwise.logs.cell_log import CellLog
@@ -116,3 +118,11 @@ CURVED = Truth(
         (lambda s: 0.016 + 0.015 * np.exp(-7.0 * s), lambda s: 80.0 + 30.0 * s),
     ),
 )
+
+
+def joint_logs(
+    logs: Sequence[RefineLog], start: StartTables, settings: RefineSettings, grid_C=(25.0,)
+) -> JointLogs:
+    """Logs for a joint fit, each from its own start."""
+    starts = tuple(Start(item.log, float(item.soc[0]), item.compare) for item in logs)
+    return JointLogs(tuple(logs), starts, start, settings, CAPACITY_AH, 25.0, np.array(grid_C), ())

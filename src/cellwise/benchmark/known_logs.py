@@ -78,11 +78,11 @@ def find_known(known: KnownLog, places: tuple[Path, ...], data: Path | None) -> 
     if there is not None:
         if file_digest(there) == known.sha256:
             return there, True
-        apart = differs(known, read_log(there))
-        if apart is None:
+        other = differs(known, read_log(there))
+        if other is None:
             return there, False
         raise InputError(
-            f"'{there}' with {apart}",
+            f"'{there}' with {other}",
             f"the log '{known.log}' that the suite was frozen with",
             "Fetch and import the original again, or name a folder that has it.",
         )

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from cellwise.benchmark.faults import NONE
-from cellwise.benchmark.paper_tables import FIGURE, Difference, differences, provenance
+from cellwise.benchmark.paper_tables import (
+    FIGURE,
+    Difference,
+    differences,
+    interval_text,
+    provenance,
+)
 
 AGAINST = "ekf"  # what every estimator is compared with
 FULL = 0.95  # a log that begins below this SOC begins in the middle
@@ -65,17 +72,16 @@ def table_row(found: Mapping[str, Any], row: Mapping[str, Any]) -> tuple[str, ..
     """One estimator for people, as :data:`HEAD` names the columns; figures in points of SOC."""
     names = ("all_runs", "right_start", "wrong_start", "from_the_middle", "with_a_fault", "largest")
     against = row["against"]
-    apart = "-"
+    compared = "-"
     if against is not None:
-        apart = f"{100 * against['mean']:+.2f}"
-        if _known(against["low"]) is not None:
-            apart += f" [{100 * against['low']:+.2f}, {100 * against['high']:+.2f}]"
+        ends = {end: math.nan if against[end] is None else against[end] for end in ("low", "high")}
+        compared = interval_text(Difference(**{**against, **ends}))
     cost = row["ns_per_step"]
     return (
         str(row["estimator"]),
         *("-" if row[n] is None else f"{100 * row[n]:.2f}" for n in names),
         "-" if row["coverage_2sigma"] is None else f"{100 * row['coverage_2sigma']:.0f} %",
-        apart,
+        compared,
         "-" if cost is None else f"{cost:.0f}",
         str(found["made_with"]).partition(",")[0],
     )

@@ -156,12 +156,15 @@ def difference_text(one: Difference) -> str:
 
 
 def _against(one: Difference | None) -> str:
-    if one is None:
-        return "--"
+    return "--" if one is None else interval_text(one)
+
+
+def interval_text(one: Difference) -> str:
+    """A difference with its interval where it has one, in points of SOC."""
     text = f"{100 * one.mean:+.2f}"
-    return text + (
-        f" [{100 * one.low:+.2f}, {100 * one.high:+.2f}]" if np.isfinite(one.low) else ""
-    )
+    if np.isfinite(one.low):
+        text += f" [{100 * one.low:+.2f}, {100 * one.high:+.2f}]"
+    return text
 
 
 def _percent(values: Sequence[float]) -> str:

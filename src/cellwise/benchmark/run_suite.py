@@ -20,13 +20,12 @@ from cellwise.benchmark.figures import COLUMNS
 from cellwise.benchmark.known_logs import file_digest
 from cellwise.benchmark.leaderboard import leaderboard
 from cellwise.benchmark.paper_tables import csv_text, differences, latex_text
-from cellwise.benchmark.scenario import Run, runs_of
 from cellwise.benchmark.suite import Suite
 from cellwise.benchmark.suite_logs import check_files, has_own_files, judged_log, locate
-from cellwise.benchmark.work import SEED, Place, make_model, run_all
+from cellwise.benchmark.work import SEED, Place, Run, make_model, run_all, runs_of
 from cellwise.errors import InputError
 from cellwise.files import write_atomically
-from cellwise.logs.tables import write_columns
+from cellwise.logs.writing import write_columns
 
 if TYPE_CHECKING:
     from cellwise.report.page.picture import FigureFiles

@@ -1,19 +1,74 @@
-"""A suite: which cells, logs, estimators, start errors and faults a benchmark runs."""
+"""A suite: the cells, logs, estimators, starts and faults that a benchmark runs, read from TOML."""
 
 from __future__ import annotations
 
+import dataclasses
 import tomllib
+import types
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from cellwise.benchmark.adapter import is_adapter, short_name
 from cellwise.benchmark.faults import FAULTS, GROUPS, NONE, Fault
 from cellwise.benchmark.known_logs import KnownLog, file_digest
-from cellwise.benchmark.toml_tables import checked, records
 from cellwise.errors import InputError
 from cellwise.estimate.estimators import ESTIMATORS
 from cellwise.logs.stated import Stated
+
+R = TypeVar("R")
+KINDS = {str: "a text", float: "a number", int: "a whole number", bool: "true or false"}
+
+
+def records(kind: type[R], tables: Any, where: str) -> tuple[R, ...]:
+    """One record per table.
+
+    Raises
+    ------
+    InputError       no list of tables; a key that the record lacks, one that is missing, a value of
+                     another kind
+    """
+    if not isinstance(tables, list) or not all(isinstance(t, Mapping) for t in tables):
+        raise InputError(f"{where} as {type(tables).__name__}", f"tables {where}", "Correct it.")
+    return tuple(kind(**checked(kind, table, f"{where} {k + 1}")) for k, table in enumerate(tables))
+
+
+def checked(kind: type[Any], table: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """The table's values as the record's fields want them, defaults filled in."""
+    hints = get_type_hints(kind)
+    fields = {f.name: f for f in dataclasses.fields(kind)}
+    unknown = [key for key in table if key not in fields]
+    if unknown:
+        raise InputError(
+            f"key '{unknown[0]}' in {where}", f"some of {', '.join(fields)}", "Correct its name."
+        )
+    found: dict[str, Any] = {}
+    for name, one in fields.items():
+        if name in table:
+            found[name] = _value(hints[name], table[name], f"{name} in {where}")
+        elif one.default is not dataclasses.MISSING:
+            found[name] = one.default
+        else:
+            raise InputError(f"{where} without '{name}'", f"a value for '{name}'", "Add it.")
+    return found
+
+
+def _value(hint: Any, value: Any, where: str) -> Any:
+    """A TOML value as a field's type wants it: lists as tuples, whole numbers as numbers."""
+    if get_origin(hint) in (Union, types.UnionType):
+        inner = next(a for a in get_args(hint) if a is not type(None))
+        return _value(inner, value, where)
+    if get_origin(hint) is tuple:
+        if not isinstance(value, list):
+            raise InputError(f"{where} = {value!r}", "a list", "Put it in brackets.")
+        return tuple(_value(get_args(hint)[0], item, where) for item in value)
+    if hint is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if not isinstance(value, hint) or (isinstance(value, bool) and hint is not bool):
+        raise InputError(f"{where} = {value!r}", KINDS.get(hint, str(hint)), "Correct it.")
+    return value
+
 
 BASELINES = ("coulomb", "rest-ocv", "filterpy-ekf", "filterpy-ukf")
 SUITES = Path(__file__).with_name("suites")
@@ -99,9 +154,9 @@ class Slow:
     faults: tuple[str, ...] | None = None
 
 
-@dataclass(frozen=True)
-class Suite:
-    """Everything that a benchmark runs.
+@dataclass(frozen=True, kw_only=True)
+class SuiteKeys:
+    """The plain keys of a suite's file.
 
     Parameters
     ----------
@@ -109,32 +164,42 @@ class Suite:
     estimators : of str               names of cellwise, or adapters as ``file.py:Name``; the
                                       baselines join them whether named or not
     start_errors : of float           what is added to the true SOC, as fractions
-    faults : of Fault                 beside the run without any
     fault_start_error : float         the start of runs with a fault
     every_start : bool                faults from every start
     soc0_std : float                  standard deviation of the initial SOC given to a filter
     dt_s : float or None              resample every log to this step
-    cells, logs, slow
-    folder : Path                     where paths begin
     frozen : int                      version of a suite that does not change any more; 0: it may
-    data : of KnownLog                what every log of a frozen suite holds
-    sha256 : str                      of the suite's file
     """
 
-    name: str
-    about: str
-    estimators: tuple[str, ...]
-    start_errors: tuple[float, ...]
-    faults: tuple[Fault, ...]
-    cells: tuple[SuiteCell, ...]
-    logs: tuple[SuiteLog, ...]
-    slow: Slow = field(default_factory=Slow)
+    name: str = ""
+    about: str = ""
+    estimators: tuple[str, ...] = ("ekf", "ukf", "adaptive")
+    start_errors: tuple[float, ...] = (0.0, 0.1, -0.1, 0.3, -0.3)
     fault_start_error: float = -0.3
     every_start: bool = False
     soc0_std: float = 0.15
     dt_s: float | None = None
-    folder: Path = Path()
     frozen: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Suite(SuiteKeys):
+    """Everything that a benchmark runs: its plain keys and its tables.
+
+    Parameters
+    ----------
+    faults : of Fault                 beside the run without any
+    cells, logs, slow
+    folder : Path                     where paths begin
+    data : of KnownLog                what every log of a frozen suite holds
+    sha256 : str                      of the suite's file
+    """
+
+    faults: tuple[Fault, ...]
+    cells: tuple[SuiteCell, ...]
+    logs: tuple[SuiteLog, ...]
+    slow: Slow = field(default_factory=Slow)
+    folder: Path = Path()
     data: tuple[KnownLog, ...] = ()
     sha256: str = ""
 
@@ -172,40 +237,19 @@ def read_suite(name: str | Path) -> Suite:
 def suite_from_table(table: dict[str, Any], name: str, folder: Path) -> Suite:
     """A suite from what a TOML file holds; raises InputError as :func:`read_suite`."""
     own = records(Fault, table.pop("fault", []), "[[fault]]")
-    cells = records(SuiteCell, table.pop("cell", []), "[[cell]]")
-    logs = records(SuiteLog, table.pop("log", []), "[[log]]")
-    data = records(KnownLog, table.pop("data", []), "[[data]]")
     (slow,) = records(Slow, [table.pop("slow", {})], "[slow]")
-    wanted = table.pop("faults", [])
-    top = checked(_Top, table, "the suite")
-    suite = Suite(
-        name=top.pop("name") or name,
-        estimators=_with_baselines(top.pop("estimators")),
-        faults=(*_named_faults(wanted), *own),
-        cells=cells,
-        logs=logs,
-        data=data,
-        slow=slow,
-        folder=folder,
-        **top,
-    )
+    faults = (*_named_faults(table.pop("faults", [])), *own)
+    tables: dict[str, Any] = {
+        "cells": records(SuiteCell, table.pop("cell", []), "[[cell]]"),
+        "logs": records(SuiteLog, table.pop("log", []), "[[log]]"),
+        "data": records(KnownLog, table.pop("data", []), "[[data]]"),
+    }
+    keys = checked(SuiteKeys, table, "the suite")
+    keys["name"] = keys["name"] or name
+    keys["estimators"] = _with_baselines(keys["estimators"])
+    suite = Suite(**keys, **tables, faults=faults, slow=slow, folder=folder)
     _check(suite)
     return suite
-
-
-@dataclass(frozen=True)
-class _Top:
-    """Plain keys of a suite, with their defaults."""
-
-    name: str = ""
-    about: str = ""
-    estimators: tuple[str, ...] = ("ekf", "ukf", "adaptive")
-    start_errors: tuple[float, ...] = (0.0, 0.1, -0.1, 0.3, -0.3)
-    fault_start_error: float = -0.3
-    every_start: bool = False
-    soc0_std: float = 0.15
-    dt_s: float | None = None
-    frozen: int = 0
 
 
 def with_estimators(suite: Suite, names: tuple[str, ...]) -> Suite:
@@ -254,93 +298,97 @@ def _named_faults(names: Any) -> tuple[Fault, ...]:
     return tuple(f for f in dict.fromkeys(found) if f.name != NONE)
 
 
+def _need(holds: bool, found: str, expected: str, action: str = "Correct it.") -> None:
+    """Refuse a suite in which something does not hold.
+
+    Raises
+    ------
+    InputError
+    """
+    if not holds:
+        raise InputError(found, expected, action)
+
+
 def _check(suite: Suite) -> None:
-    if not suite.logs or not suite.cells:
-        raise InputError(
-            f"{len(suite.cells)} cells and {len(suite.logs)} logs in suite '{suite.name}'",
-            "at least one [[cell]] and one [[log]]",
-            "Add them.",
-        )
+    _need(
+        bool(suite.logs and suite.cells),
+        f"{len(suite.cells)} cells and {len(suite.logs)} logs in suite '{suite.name}'",
+        "at least one [[cell]] and one [[log]]",
+        "Add them.",
+    )
     for kind, names in (
         ("cell", [c.name for c in suite.cells]),
         ("fault", [f.name for f in suite.faults]),
         ("log", [f"{g.cell}: {g.shown}" for g in suite.logs]),
     ):
         twice = next((n for n in names if names.count(n) > 1), None)
-        if twice is not None:
-            raise InputError(f"two of {kind} '{twice}'", "one of a name", "Rename one.")
+        _need(twice is None, f"two of {kind} '{twice}'", "one of a name", "Rename one.")
     for error in (*suite.start_errors, suite.fault_start_error, *(suite.slow.start_errors or ())):
-        if not -1.0 < error < 1.0:
-            raise InputError(f"a start error of {error:g}", "a fraction, as 0.3", "Correct it.")
+        _need(-1.0 < error < 1.0, f"a start error of {error:g}", "a fraction, as 0.3")
     for step in (suite.dt_s, suite.slow.dt_s):
-        if step is not None and not 0.0 < step < 1e6:
-            raise InputError(f"dt_s = {step:g}", "seconds above zero", "Correct it.")
-    if not suite.start_errors or not 0.0 < suite.soc0_std < 1.0:
-        raise InputError(
-            f"start_errors = {list(suite.start_errors)}, soc0_std = {suite.soc0_std:g}",
-            "at least one start, a deviation between 0 and 1",
-            "Correct them.",
-        )
+        _need(step is None or 0.0 < step < 1e6, f"dt_s = {step}", "seconds above zero")
+    _need(
+        bool(suite.start_errors) and 0.0 < suite.soc0_std < 1.0,
+        f"start_errors = {list(suite.start_errors)}, soc0_std = {suite.soc0_std:g}",
+        "at least one start, a deviation between 0 and 1",
+        "Correct them.",
+    )
     for cell in suite.cells:
         _check_cell(cell)
     if suite.frozen:
         _check_frozen(suite)
-    known = {c.name for c in suite.cells}
     for log in suite.logs:
-        _check_log(log, known)
+        _check_log(log, {c.name for c in suite.cells})
 
 
 def _check_frozen(suite: Suite) -> None:
     known = {one.log for one in suite.data}
     locations = [*(p for c in suite.cells for p in c.tests), *(g.log for g in suite.logs)]
     missing = [p for p in (Stated.parse(one).path for one in locations) if p not in known]
-    if missing:
-        raise InputError(
-            f"log '{missing[0]}' of the frozen suite '{suite.name}' without [[data]]",
-            "what every log holds",
-            "Add it: python -m benchmarks.leaderboard freeze prints it.",
-        )
+    _need(
+        not missing,
+        f"log '{next(iter(missing), '')}' of the frozen suite '{suite.name}' without [[data]]",
+        "what every log holds",
+        "Add it: python -m benchmarks.leaderboard freeze prints it.",
+    )
 
 
 def _check_cell(cell: SuiteCell) -> None:
     tests = (*cell.hppc, *cell.drive)
-    if bool(cell.model) == bool(tests):
-        raise InputError(
-            f"{'both a model and tests' if tests else 'neither a model nor a test'} of "
-            f"cell '{cell.name}'",
-            "model = FILE, or hppc or drive logs to identify on",
-            "Give one of the two.",
-        )
+    what = "both a model and tests" if tests else "neither a model nor a test"
+    _need(
+        bool(cell.model) != bool(tests),
+        f"{what} of cell '{cell.name}'",
+        "model = FILE, or hppc or drive logs to identify on",
+        "Give one of the two.",
+    )
     for location in cell.tests:
         Stated.parse(location)
 
 
 def _check_log(log: SuiteLog, cells: set[str]) -> None:
-    if log.cell not in cells:
-        raise InputError(
-            f"cell '{log.cell}' of log '{log.shown}'",
-            f"one of {', '.join(sorted(cells))}",
-            "Add a [[cell]] of that name.",
-        )
+    _need(
+        log.cell in cells,
+        f"cell '{log.cell}' of log '{log.shown}'",
+        f"one of {', '.join(sorted(cells))}",
+        "Add a [[cell]] of that name.",
+    )
     stated = Stated.parse(log.log)
-    if log.soc0 is not None and stated.soc0 not in (None, log.soc0):
-        raise InputError(
-            f"soc0 = {log.soc0:g} of log '{log.log}'", "one initial SOC", "Leave out one of them."
-        )
+    _need(
+        log.soc0 is None or stated.soc0 in (None, log.soc0),
+        f"soc0 = {log.soc0} of log '{log.log}'",
+        "one initial SOC",
+        "Leave out one of them.",
+    )
     known = (log.soc0 is not None or stated.soc0 is not None) and log.reference_Ah is not None
-    if not known and not stated.path.startswith(EMBEDDED):
-        raise InputError(
-            f"log '{log.shown}' without soc0 or reference_Ah",
-            "the true SOC at its first row and the charge between full and empty",
-            "Add both: nothing can be judged without.",
-        )
-    for name, low, high in (
-        ("soc0", 0.0, 1.0),
-        ("reference_Ah", 1e-6, 1e6),
-        ("from_soc", 0.0, 1.0),
-    ):
+    _need(
+        known or stated.path.startswith(EMBEDDED),
+        f"log '{log.shown}' without soc0 or reference_Ah",
+        "the true SOC at its first row and the charge between full and empty",
+        "Add both: nothing can be judged without.",
+    )
+    limits = {"soc0": (0.0, 1.0), "reference_Ah": (1e-6, 1e6), "from_soc": (0.0, 1.0)}
+    for name, (low, high) in limits.items():
         value = getattr(log, name)
-        if value is not None and not low <= value <= high:
-            raise InputError(
-                f"{name} = {value:g} of log '{log.shown}'", f"{low:g} to {high:g}", "Correct it."
-            )
+        there = value is None or low <= value <= high
+        _need(there, f"{name} = {value} of log '{log.shown}'", f"{low:g} to {high:g}")

@@ -70,21 +70,10 @@ def has_own_files(suite: Suite, data: Path | None) -> bool:
 def _located(location: str, suite: Suite, data: Path | None) -> tuple[Path, bool]:
     place = Stated.parse(location).path
     known = next((one for one in suite.data if one.log == place), None)
+    places = _places(place, suite, data)
     if known is not None:
-        folders = [suite.folder, *([] if data is None else [data])]
-        places = [folder / place for folder in folders]
-        if place.startswith(EMBEDDED):
-            places = [datasets_folder() / str(_entry(place.removeprefix(EMBEDDED))["file"])]
-        return find_known(known, tuple(places), data)
-    return _by_name(place, suite, data), True
-
-
-def _by_name(place: str, suite: Suite, data: Path | None) -> Path:
-    if place.startswith(EMBEDDED):
-        name = place.removeprefix(EMBEDDED)
-        return datasets_folder() / str(_entry(name)["file"])
-    folders = [suite.folder, *([] if data is None else [data])]
-    found = next((f / place for f in folders if (f / place).is_file()), None)
+        return find_known(known, places, data)
+    found = next((path for path in places if path.is_file()), None)
     if found is None:
         raise InputError(
             f"no log '{place}' of suite '{suite.name}'"
@@ -92,7 +81,14 @@ def _by_name(place: str, suite: Suite, data: Path | None) -> Path:
             "a file beside the suite or in the folder of measured data",
             "Add `data=DIR` or set CELLWISE_DATA." if data is None else "Correct its path.",
         )
-    return found
+    return found, True
+
+
+def _places(place: str, suite: Suite, data: Path | None) -> tuple[Path, ...]:
+    """Where a location may lead to."""
+    if place.startswith(EMBEDDED):
+        return (datasets_folder() / str(_entry(place.removeprefix(EMBEDDED))["file"]),)
+    return tuple(folder / place for folder in (suite.folder, data) if folder is not None)
 
 
 def check_files(suite: Suite, data: Path | None) -> None:
@@ -232,20 +228,16 @@ def _began_full(cell: SuiteCell, log: CellLog, capacity_Ah: float) -> CellLog:
     if full is None or log.soc0 is not None or abs(log.current_A[0]) < REST_SHARE * capacity_Ah:
         return log
 
-    def put(values: FloatArray | None, first: float) -> FloatArray | None:
-        return None if values is None else np.concatenate(([first], values))
+    def again(values: FloatArray | None) -> FloatArray | None:
+        return None if values is None else np.concatenate((values[:1], values))
 
     return replace(
         log,
         time_s=np.concatenate(([log.time_s[0]], log.time_s + 1.0)),
         current_A=np.concatenate(([0.0], log.current_A)),
         voltage_V=np.concatenate(([full], log.voltage_V)),
-        temperature_C=put(log.temperature_C, float(np.ravel(log.temperature_C)[0]))
-        if log.temperature_C is not None
-        else None,
-        charge_Ah=put(log.charge_Ah, float(np.ravel(log.charge_Ah)[0]))
-        if log.charge_Ah is not None
-        else None,
+        temperature_C=again(log.temperature_C),
+        charge_Ah=again(log.charge_Ah),
         step=None,
     )
 

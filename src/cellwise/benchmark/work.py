@@ -1,10 +1,11 @@
-"""What one process does: make a model, run all that one log and one fault ask for."""
+"""A suite's runs, and what one process does: make a model, run one log with one fault."""
 
 from __future__ import annotations
 
 import json
 import time
 import zlib
+from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,9 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cellwise.benchmark.adapter import Adapted, described, is_adapter, load_adapter, short_name
-from cellwise.benchmark.faults import NONE, faulty_log, faulty_model
+from cellwise.benchmark.faults import NONE, Fault, applies, faulty_log, faulty_model
 from cellwise.benchmark.figures import error_curve, figures_of, state_bytes, whole_row
-from cellwise.benchmark.scenario import Run
 from cellwise.benchmark.suite import Suite
 from cellwise.benchmark.suite_logs import JudgedLog, at_step, cell_model, judged_log
 from cellwise.cell.model import CellModel
@@ -25,6 +25,61 @@ from cellwise.estimate.noise import Noise
 from cellwise.estimate.replay import Replay, replay
 from cellwise.files import write_atomically
 from cellwise.logs.cell_log import CellLog
+
+
+class Run(NamedTuple):
+    """One estimator on one log from one start with one fault."""
+
+    log: int
+    fault: Fault
+    start_error: float
+    estimator: str
+    dt_s: float | None
+
+
+def runs_of(suite: Suite, log: int, judged: JudgedLog) -> Iterator[Run]:
+    """Runs on one of the suite's logs.
+
+    A start beyond full or empty does not exist and is left out, and so is a fault that the log
+    cannot have.
+    """
+    soc0 = judged.soc0
+    chemistry = next(c.chemistry for c in suite.cells if c.name == suite.logs[log].cell)
+    for fault in (Fault(NONE), *suite.faults):
+        if not applies(fault, chemistry, judged.log):
+            continue
+        healthy = fault.name == NONE
+        starts = suite.start_errors
+        if not healthy and not suite.every_start:
+            starts = (possible(suite.fault_start_error, soc0),)
+        for error in starts:
+            if not 0.0 <= soc0 + error <= 1.0:
+                continue
+            for name in suite.estimators:
+                if _wanted(suite, name, fault, error):
+                    yield Run(log, fault, error, name, _step(suite, name))
+
+
+def possible(error: float, soc0: float) -> float:
+    """A start error, to the other side where the SOC has no room for it, or none at all."""
+    return next((e for e in (error, -error) if 0.0 <= soc0 + e <= 1.0), 0.0)
+
+
+def is_slow(suite: Suite, name: str) -> bool:
+    """Whether an estimator runs on less."""
+    return name in suite.slow.estimators or short_name(name) in suite.slow.estimators
+
+
+def _wanted(suite: Suite, name: str, fault: Fault, error: float) -> bool:
+    if not is_slow(suite, name):
+        return True
+    starts, faults = suite.slow.start_errors, suite.slow.faults
+    return (starts is None or error in starts) and (faults is None or fault.name in faults)
+
+
+def _step(suite: Suite, name: str) -> float | None:
+    return (suite.slow.dt_s or suite.dt_s) if is_slow(suite, name) else suite.dt_s
+
 
 SEED = 20240725
 KEPT_LOGS = 4

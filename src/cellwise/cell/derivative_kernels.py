@@ -13,7 +13,6 @@ from typing import NamedTuple
 from cellwise.cell.compiled import inline
 from cellwise.cell.equations import ZERO_CELSIUS_K, CellState
 from cellwise.cell.point_kernels import CellPoint, CellScalars
-from cellwise.typing import FloatArray
 
 
 class Partials(NamedTuple):
@@ -114,17 +113,17 @@ def partials(
     table: CellPoint,
     by_soc: CellPoint,
     by_kelvin: CellPoint,
-    apart: bool,
+    surface_counts: bool,
 ) -> Partials:
     """Derivatives; ``table`` at the new SOC under no load, and its slopes.
 
-    Where not ``apart`` nothing of the surface's SOC counts, nor is it right.
+    Where not ``surface_counts`` nothing of the surface's SOC counts, nor is it right.
     """
     # charge_used
     used = current_A if current_A > 0.0 else current_A * cell.charge_efficiency
     charge_used = used + cell.leak_A
     # followed
-    a = math.exp(-dt_s / cell.surface_s) if apart else 0.0
+    a = math.exp(-dt_s / cell.surface_s) if surface_counts else 0.0
     # advance
     slow = a * state.slow_A + (1.0 - a) * current_A
     cell_C = temperature_C + state.heat_K
@@ -132,7 +131,7 @@ def partials(
     kelvin = cell_C + ZERO_CELSIUS_K
     inverse_kelvin = 1.0 / kelvin - 1.0 / cell.surface_reference_K
     # surface_soc
-    scale = math.exp(cell.surface_activation_K * inverse_kelvin) if apart else 0.0
+    scale = math.exp(cell.surface_activation_K * inverse_kelvin) if surface_counts else 0.0
     depth = cell.surface_per_A * scale
     # at_temperature
     warmer = cell_C + ZERO_CELSIUS_K - cell.entropy_K
@@ -517,11 +516,7 @@ def partials(
 
 @inline
 def carried(
-    p: Partials,
-    d: CellState,
-    flow_A: float,
-    at: CellPoint,
-    apart: bool,
+    p: Partials, d: CellState, flow_A: float, at: CellPoint, surface_counts: bool
 ) -> tuple[CellState, float]:
     """Directions after an interval, of those before it, of the current and the tables."""
     soc = d.soc + p.soc_by_current_A * flow_A
@@ -534,7 +529,7 @@ def carried(
         + p.v1_by_tau1_s * at.tau1_s
         + p.v1_by_soc * soc
     )
-    if apart:
+    if surface_counts:
         v1 += p.v1_by_slow * slow
     v2 = (
         p.v2_by_old_v2_V * d.v2_V
@@ -544,7 +539,7 @@ def carried(
         + p.v2_by_tau2_s * at.tau2_s
         + p.v2_by_soc * soc
     )
-    if apart:
+    if surface_counts:
         v2 += p.v2_by_slow * slow
     v3 = (
         p.v3_by_old_v3_V * d.v3_V
@@ -554,7 +549,7 @@ def carried(
         + p.v3_by_tau3_s * at.tau3_s
         + p.v3_by_soc * soc
     )
-    if apart:
+    if surface_counts:
         v3 += p.v3_by_slow * slow
     h = p.h_by_old_h * d.h + p.h_by_current_A * flow_A
     drop = (
@@ -566,7 +561,7 @@ def carried(
         + p.drop_by_r0_ohm * at.r0_ohm
         + p.drop_by_soc * soc
     )
-    if apart:
+    if surface_counts:
         drop += p.drop_by_slow * slow
     heat = p.heat_by_old_heat_K * d.heat_K + p.heat_by_current_A * flow_A + p.heat_by_drop * drop
     voltage = (
@@ -582,7 +577,7 @@ def carried(
 
 
 @inline
-def driven(p: Partials, d: CellScalars, apart: bool) -> tuple[CellState, float]:
+def driven(p: Partials, d: CellScalars, surface_counts: bool) -> tuple[CellState, float]:
     """What the directions of the scalars add to those after the interval."""
     soc = (
         p.soc_by_charge_As * d.charge_As
@@ -600,7 +595,7 @@ def driven(p: Partials, d: CellScalars, apart: bool) -> tuple[CellState, float]:
         + p.v1_by_reference_K * d.reference_K
         + p.v1_by_soc * soc
     )
-    if apart:
+    if surface_counts:
         v1 += (
             p.v1_by_slow * slow
             + p.v1_by_surface_per_A * d.surface_per_A
@@ -616,7 +611,7 @@ def driven(p: Partials, d: CellScalars, apart: bool) -> tuple[CellState, float]:
         + p.v2_by_reference_K * d.reference_K
         + p.v2_by_soc * soc
     )
-    if apart:
+    if surface_counts:
         v2 += (
             p.v2_by_slow * slow
             + p.v2_by_surface_per_A * d.surface_per_A
@@ -631,7 +626,7 @@ def driven(p: Partials, d: CellScalars, apart: bool) -> tuple[CellState, float]:
         + p.v3_by_reference_K * d.reference_K
         + p.v3_by_soc * soc
     )
-    if apart:
+    if surface_counts:
         v3 += (
             p.v3_by_slow * slow
             + p.v3_by_surface_per_A * d.surface_per_A
@@ -650,7 +645,7 @@ def driven(p: Partials, d: CellScalars, apart: bool) -> tuple[CellState, float]:
         + p.drop_by_reference_K * d.reference_K
         + p.drop_by_soc * soc
     )
-    if apart:
+    if surface_counts:
         drop += (
             p.drop_by_slow * slow
             + p.drop_by_surface_per_A * d.surface_per_A
@@ -666,55 +661,3 @@ def driven(p: Partials, d: CellScalars, apart: bool) -> tuple[CellState, float]:
         p.voltage_by_h * h - drop + p.voltage_by_entropy_K * d.entropy_K + p.voltage_by_soc * soc
     )
     return CellState(soc, v1, v2, v3, h, heat, slow), voltage
-
-
-@inline
-def rise(low: CellPoint, high: CellPoint, sloped: float, held: float) -> CellPoint:
-    """Rise of the tables from one point to another, times a factor."""
-    return CellPoint(
-        (high.ocv_V - low.ocv_V) * sloped,
-        0.0,
-        (high.r0_ohm - low.r0_ohm) * held,
-        (high.r1_ohm - low.r1_ohm) * held,
-        (high.tau1_s - low.tau1_s) * held,
-        (high.r2_ohm - low.r2_ohm) * held,
-        (high.tau2_s - low.tau2_s) * held,
-        (high.r3_ohm - low.r3_ohm) * held,
-        (high.tau3_s - low.tau3_s) * held,
-        (high.m_V - low.m_V) * held,
-        (high.error_V - low.error_V) * held,
-        (high.entropy_V - low.entropy_V) * sloped,
-        0.0,
-    )
-
-
-@inline
-def scalars_of(rows: FloatArray, p: int) -> CellScalars:
-    """Row ``p`` of an array as the scalars it holds."""
-    return CellScalars(
-        rows[p, 0],
-        rows[p, 1],
-        rows[p, 2],
-        rows[p, 3],
-        rows[p, 4],
-        rows[p, 5],
-        rows[p, 6],
-        rows[p, 7],
-        rows[p, 8],
-        rows[p, 9],
-        rows[p, 10],
-        rows[p, 11],
-        rows[p, 12],
-        rows[p, 13],
-        rows[p, 14],
-        rows[p, 15],
-        rows[p, 16],
-        rows[p, 17],
-        rows[p, 18],
-        rows[p, 19],
-        rows[p, 20],
-        rows[p, 21],
-        rows[p, 22],
-        rows[p, 23],
-        rows[p, 24],
-    )

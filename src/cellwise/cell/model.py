@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from cellwise.cell.effects import Effect, check_effect
-from cellwise.cell.equations import CellTables
+from cellwise.arguments import check_kind
+from cellwise.cell.effects import (
+    BRANCH_ACTIVATIONS,
+    EFFECTS,
+    Effect,
+    Entropy,
+    Hysteresis,
+    TemperatureDependence,
+    check_effect,
+    effect_table,
+)
+from cellwise.cell.equations import ZERO_CELSIUS_K, CellTables
 from cellwise.cell.model_error import ModelError
-from cellwise.cell.parameters import packed
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity, beyond_soc
+from cellwise.cell.point_kernels import COLUMN_SOURCES, SCALAR_SOURCES, CellScalars
 from cellwise.errors import InputError
-from cellwise.given import check_kind
 from cellwise.plotting import Line, Panel, Plottable
 from cellwise.typing import FloatArray
 
@@ -205,7 +214,7 @@ class CellModel(Plottable):
 
     @cached_property
     def _parameters(self) -> CellTables:
-        return packed(self)
+        return _packed(self)
 
     def at_temperature(self, temperature_C: float) -> CellModel:
         """The model's tables at one temperature, linear between its own."""
@@ -330,3 +339,46 @@ def check_model(model: CellModel) -> None:
         raise InputError(f"effects {names}", "one effect of a kind", "Merge the double one.")
     for effect in model.effects:
         check_effect(effect, (shape[0], shape[1]))
+
+
+# Scalars that are not taken over as they are: in other units, or 0 where nothing follows from them.
+CONVERTED: dict[str, Callable[[CellModel, float], float]] = {
+    "charge_As": lambda model, value: 3600.0 * value,
+    "reference_K": lambda model, value: value + ZERO_CELSIUS_K,
+    "hysteresis_rate": lambda model, value: value if np.any(model.effect(Hysteresis).m_V) else 0.0,
+    "rate_per_A": lambda model, value: value / model.capacity_Ah,
+    "surface_per_A": lambda model, value: value / model.capacity_Ah,
+    "surface_reference_K": lambda model, value: value + ZERO_CELSIUS_K,
+    "branch_activation": lambda model, value: float(_has_branch_activation(model)),
+    "entropy_K": lambda model, value: (
+        value + ZERO_CELSIUS_K if np.any(model.effect(Entropy).docv_dT_V_per_K) else 0.0
+    ),
+}
+
+
+def _packed(model: CellModel) -> CellTables:
+    """The packed table (temperatures, soc points, COLUMNS), its temperatures, the scalars."""
+    shape = model.ocv_V.shape
+    columns = [effect_table(_source(model, name), shape) for name in COLUMN_SOURCES.values()]
+    table = np.ascontiguousarray(np.stack(columns, axis=-1))
+    scalars = {}
+    for name, source in SCALAR_SOURCES.items():
+        value = float(_source(model, source))
+        convert = CONVERTED.get(name)
+        scalars[name] = float(convert(model, value)) if convert else value
+    return CellTables(table, np.ascontiguousarray(model.temperature_C), CellScalars(**scalars))
+
+
+def _source(model: CellModel, name: str) -> FloatArray | float:
+    if name == "error":
+        return model.slow_error_tables_V()
+    holder, _, parameter = name.rpartition(".")
+    value: FloatArray | float = getattr(
+        model.effect(EFFECTS[holder]) if holder else model, parameter
+    )
+    return value
+
+
+def _has_branch_activation(model: CellModel) -> bool:
+    effect = model.effect(TemperatureDependence)
+    return any(getattr(effect, f"{name}_K") != 0.0 for name in BRANCH_ACTIVATIONS)

@@ -1,6 +1,7 @@
 """Parameters of a cell as the kernels see them, and a row of its tables.
 
-Printed from :mod:`cellwise.cell.description` by `python -m cellwise.printing`; do not edit.
+A parameter of a new effect is a field here, with where it comes from: a field of `CellModel`, or
+``effect.parameter``. ``cell/model.py`` packs them by that.
 """
 
 from __future__ import annotations
@@ -8,13 +9,54 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numba.np.unsafe.ndarray import to_fixed_tuple
 
 from cellwise.cell.compiled import inline
 from cellwise.typing import FloatArray
 
 # Columns of the packed table.
 (OCV, R0, R1, TAU1, R2, TAU2, R3, TAU3, M, ERROR, ENTROPY) = range(11)
-COLUMNS = 11
+COLUMN_SOURCES = {
+    "ocv_V": "ocv_V",
+    "r0_ohm": "r0_ohm",
+    "r1_ohm": "r1_ohm",
+    "tau1_s": "tau1_s",
+    "r2_ohm": "r2_ohm",
+    "tau2_s": "tau2_s",
+    "r3_ohm": "slow_diffusion.r3_ohm",
+    "tau3_s": "slow_diffusion.tau3_s",
+    "m_V": "hysteresis.m_V",
+    "error_V": "error",
+    "entropy_V": "entropy.docv_dT_V_per_K",
+}
+COLUMNS = len(COLUMN_SOURCES)
+SCALAR_SOURCES = {
+    "charge_As": "capacity_Ah",
+    "charge_efficiency": "charge_efficiency",
+    "activation_K": "temperature_dependence.activation_K",
+    "reference_K": "temperature_dependence.reference_C",
+    "hysteresis_rate": "hysteresis.gamma",
+    "skew_s": "time_skew.skew_s",
+    "rate_per_A": "rate_dependence.rate_h",
+    "charge_scale": "charge_asymmetry.charge_scale",
+    "leak_A": "self_discharge.leak_A",
+    "heating_K_per_W": "self_heating.rth_K_per_W",
+    "heating_s": "self_heating.thermal_s",
+    "branch_activation": "temperature_dependence.r0_K",
+    "r0_activation_K": "temperature_dependence.r0_K",
+    "r1_activation_K": "temperature_dependence.r1_K",
+    "tau1_activation_K": "temperature_dependence.tau1_K",
+    "r2_activation_K": "temperature_dependence.r2_K",
+    "tau2_activation_K": "temperature_dependence.tau2_K",
+    "r3_activation_K": "temperature_dependence.r3_K",
+    "tau3_activation_K": "temperature_dependence.tau3_K",
+    "asinh_per_V": "charge_transfer.asinh_per_V",
+    "surface_per_A": "surface_soc.depth_h",
+    "surface_s": "surface_soc.tau_s",
+    "surface_activation_K": "surface_soc.activation_K",
+    "surface_reference_K": "surface_soc.reference_C",
+    "entropy_K": "entropy.reference_C",
+}
 
 
 class CellScalars(NamedTuple):
@@ -45,6 +87,9 @@ class CellScalars(NamedTuple):
     surface_activation_K: float  # of that depth
     surface_reference_K: float  # where that depth holds
     entropy_K: float  # where the OCV holds; 0: no entropy term
+
+
+SCALARS = len(CellScalars._fields)
 
 
 class CellPoint(NamedTuple):
@@ -84,19 +129,7 @@ def point_of(table: FloatArray, at: np.uint64, k: np.uint64, f: float, g: float)
     entropy = table[at, k, ENTROPY] + f * (table[at, k1, ENTROPY] - table[at, k, ENTROPY])
     entropy_slope = (table[at, k1, ENTROPY] - table[at, k, ENTROPY]) * (n - 1)
     return CellPoint(
-        ocv,
-        ocv_slope,
-        r0,
-        r1,
-        tau1,
-        r2,
-        tau2,
-        r3,
-        tau3,
-        m,
-        error,
-        entropy,
-        entropy_slope,
+        ocv, ocv_slope, r0, r1, tau1, r2, tau2, r3, tau3, m, error, entropy, entropy_slope
     )
 
 
@@ -118,3 +151,29 @@ def between(low: CellPoint, high: CellPoint, w: float) -> CellPoint:
         low.entropy_V + w * (high.entropy_V - low.entropy_V),
         low.entropy_slope_V + w * (high.entropy_slope_V - low.entropy_slope_V),
     )
+
+
+@inline
+def rise(low: CellPoint, high: CellPoint, sloped: float, held: float) -> CellPoint:
+    """Rise of the tables from one point to another times a factor: OCV and entropy ``sloped``."""
+    return CellPoint(
+        (high.ocv_V - low.ocv_V) * sloped,
+        0.0,
+        (high.r0_ohm - low.r0_ohm) * held,
+        (high.r1_ohm - low.r1_ohm) * held,
+        (high.tau1_s - low.tau1_s) * held,
+        (high.r2_ohm - low.r2_ohm) * held,
+        (high.tau2_s - low.tau2_s) * held,
+        (high.r3_ohm - low.r3_ohm) * held,
+        (high.tau3_s - low.tau3_s) * held,
+        (high.m_V - low.m_V) * held,
+        (high.error_V - low.error_V) * held,
+        (high.entropy_V - low.entropy_V) * sloped,
+        0.0,
+    )
+
+
+@inline
+def scalars_of(rows: FloatArray, p: int) -> CellScalars:
+    """Row ``p`` of an array as the scalars it holds."""
+    return CellScalars(*to_fixed_tuple(rows[p], SCALARS))  # type: ignore[call-arg]

@@ -8,8 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from cellwise.cell.compiled import announce
-from cellwise.cell.equations import empty_state
+from cellwise.arguments import number
+from cellwise.cell.compiled import announce, rows
+from cellwise.cell.equations import (
+    CellState,
+    CellTables,
+    advance,
+    empty_state,
+    seen_current,
+    voltage_of,
+)
 from cellwise.cell.metrics import (
     BandMetrics,
     ErrorMetrics,
@@ -22,12 +30,37 @@ from cellwise.cell.plausibility.notice import in_order
 from cellwise.cell.plausibility.outside import outside_notices
 from cellwise.cell.plausibility.simulated import error_notices, soc_notices
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
-from cellwise.cell.simulate_kernels import simulate_rows
 from cellwise.errors import InputError
-from cellwise.given import number
 from cellwise.logs.cell_log import CellLog, check_is_log
 from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import FloatArray
+
+
+@rows
+def simulate_rows(
+    tables: CellTables,
+    start: CellState,
+    dt_s: FloatArray,
+    current_A: FloatArray,
+    temperature_C: FloatArray,
+    voltage_V: FloatArray,
+    soc: FloatArray,
+) -> CellState:
+    """Terminal voltage and SOC of every row, into ``voltage_V`` and ``soc``.
+
+    Row k carries the current of the interval that ends there; row 0 has an interval of zero
+    length, so its voltage is that of the start state under the first row's current.
+    """
+    state = start
+    previous = current_A[0]
+    for k in range(dt_s.size):
+        seen = seen_current(tables.cell, current_A[k], previous, dt_s[k])
+        previous = current_A[k]
+        state, point = advance(tables, state, seen, dt_s[k], temperature_C[k])
+        voltage_V[k] = voltage_of(point, state, seen)
+        soc[k] = state.soc
+    return state
+
 
 UPPER_HALF = 0.5  # from here on a rested cell was charged, not discharged
 

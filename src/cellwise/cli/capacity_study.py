@@ -3,48 +3,36 @@
 from __future__ import annotations
 
 import argparse
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cellwise.cli.common import log_options, page_options, printing
+from cellwise.cli.common import log_options, options, page_options, printing
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
     from cellwise.studies.capacity_study import CellStudy, StudyCell
 
 
-def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     """Add the command that redoes everything for every capacity."""
     p = commands.add_parser(
         "capacity-study", help="what each choice of the capacity does to voltage and SOC"
     )
-    p.add_argument(
-        "--cell",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help="embedded-nmc, embedded-nmc-rates, embedded-lfp, panasonic, a123, leaf "
-        "[all embedded ones, and the measured ones with --data]",
-    )
-    p.add_argument("--data", metavar="DIR", help="folder of the measured cells [$CELLWISE_DATA]")
+    text = "embedded-nmc, embedded-nmc-rates, embedded-lfp, panasonic, a123, leaf "
+    text += "[all embedded ones, and the measured ones with --data]"
+    options.several(p, "--cell", "NAME", text)
+    options.add_data(p)
     own = p.add_argument_group("a cell of your own")
-    for option, metavar, text in (
-        ("--hppc", "LOG[@...]", "pulse test to identify on"),
-        ("--ocv", "LOG", "low-rate discharge, charge or both"),
-        ("--capacity", "LOG", "capacity test"),
-        ("--drive", "LOG[@...]", "drive log to refine on"),
-        ("--judge", "LOG", "log with a charge counter that the choices are judged on"),
-    ):
-        own.add_argument(option, action="append", default=[], metavar=metavar, help=text)
-    own.add_argument("--nominal-ah", type=float, metavar="X", help="rated capacity")
-    own.add_argument("--reference-capacity-ah", type=float, metavar="X", help="of the reference")
-    own.add_argument("--reference-soc0", type=float, metavar="X", help="[as stated, else 1]")
-    p.add_argument("--choice", action="append", metavar="C", help="only these choices [all]")
-    p.add_argument("--estimator", action="append", metavar="E", help="only these [all four]")
+    log_options.add_test_options(own)
+    options.several(own, "--judge", "LOG", "log with a charge counter to judge the choices on")
+    options.number(own, "--nominal-ah", "X", "rated capacity")
+    options.number(own, "--reference-capacity-ah", "X", "of the reference")
+    options.number(own, "--reference-soc0", "X", "[as stated, else 1]")
+    options.several(p, "--choice", "C", "only these choices [all]", default=None)
+    options.several(p, "--estimator", "E", "only these [all four]", default=None)
     page_options.add_page_options(p)
     log_options.add_log_options(p)
-    printing.add_json(p)
+    options.add_json(p)
     p.set_defaults(run=run_capacity_study)
 
 
@@ -62,28 +50,16 @@ def run_capacity_study(arguments: argparse.Namespace) -> None:
                 f"estimator '{name}'", f"one of {', '.join(ESTIMATORS)}", "Choose one of them."
             )
     own = own_cell(arguments)
-    folder = arguments.data or os.environ.get("CELLWISE_DATA")
-    data = None if folder is None else Path(folder)
-    if data is not None and not data.is_dir():
-        raise InputError(f"no folder '{data}'", "the folder of measured cells", "Correct --data.")
+    data = options.data_folder(arguments)
     cells = (own,) if own is not None else study_cells(tuple(arguments.cell), data)
-    with printing.bar() as progress:
-        task = progress.add_task("capacity study", total=None)
-        studies = [
-            study_cell(
-                cell,
-                arguments.choice,
-                estimators,
-                lambda text: progress.update(task, description=text),
-            )
-            for cell in cells
-        ]
-        with page_options.page_places(arguments) as places:
-            if places is not None:
-                from cellwise.studies.capacity_study_page import capacity_study_page
+    with printing.working("capacity study") as follow:
+        studies = [study_cell(cell, arguments.choice, estimators, follow) for cell in cells]
+        with page_options.page_places(arguments) as pages:
+            if pages is not None:
+                from cellwise.report.capacity_study_page import capacity_study_page
 
-                progress.update(task, description="page")
-                capacity_study_page(studies, places.page, figures=places.figures)
+                follow("page")
+                capacity_study_page(studies, pages.page, figures=pages.figures)
     if arguments.json:
         orders = {name: list(order) for name, order in published_orders().items()}
         printing.print_json({"studies": [s.to_dict() for s in studies], "published_orders": orders})
@@ -99,7 +75,7 @@ def own_cell(arguments: argparse.Namespace) -> StudyCell | None:
     ------
     InputError        tests without a log to judge on, a reference that is missing or impossible
     """
-    from cellwise.identify import IdentifySettings, TestLogs
+    from cellwise.identify import IdentifySettings
     from cellwise.studies.capacity_study import JudgedLog, StudyCell
 
     tests = arguments.hppc + arguments.ocv + arguments.capacity + arguments.drive
@@ -122,17 +98,12 @@ def own_cell(arguments: argparse.Namespace) -> StudyCell | None:
 
     def judged(path: str) -> JudgedLog:
         log = log_options.read(path, arguments)
-        start = log_options.start_of(log.soc0, arguments.reference_soc0, "--reference-soc0")
+        start = options.start_of(log.soc0, arguments.reference_soc0, "--reference-soc0")
         return JudgedLog(log, log.soc0 if log.soc0 is not None else 1.0 if start is None else start)
 
     return StudyCell(
         name=Path(arguments.judge[0]).name.split(".")[0],
-        tests=TestLogs(
-            hppc=log_options.read_with_temperature(arguments.hppc, arguments),
-            drive=log_options.read_with_temperature(arguments.drive, arguments),
-            ocv=tuple(log_options.read(p, arguments) for p in arguments.ocv),
-            capacity=tuple(log_options.read(p, arguments) for p in arguments.capacity),
-        ),
+        tests=log_options.test_logs(arguments),
         judged=tuple(judged(path) for path in arguments.judge),
         reference_Ah=capacity,
         reference="given",

@@ -4,40 +4,36 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
-from cellwise.cli.common import printing
+from cellwise.cli.common import options, printing
 
 
-def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     """Add the commands about data sets."""
     data = commands.add_parser("data", help="embedded data sets and public originals")
     actions = data.add_subparsers(dest="action", metavar="ACTION", required=True)
     listing = actions.add_parser("list", help="what there is, with DOI and licence")
-    printing.add_json(listing)
+    options.add_json(listing)
     listing.set_defaults(run=run_list)
-    generate = actions.add_parser(
-        "generate", help="generate the embedded data again (needs PyBaMM)"
-    )
+    text = "generate the embedded data again (needs PyBaMM)"
+    generate = actions.add_parser("generate", help=text)
     generate.add_argument("-o", "--output", required=True, metavar="DIR")
-    generate.add_argument("--only", action="append", metavar="NAME", help="a test or a cell")
-    printing.add_json(generate)
+    options.several(generate, "--only", "NAME", "a test or a cell", default=None)
+    options.add_json(generate)
     generate.set_defaults(run=run_generate)
     fetch = actions.add_parser("fetch", help="download a public original, checksums verified")
     fetch.add_argument("name", metavar="NAME", help="as in `cellwise data list`")
     fetch.add_argument("-o", "--output", required=True, metavar="DIR")
-    fetch.add_argument(
-        "--listing", metavar="URL", help="list of files with checksums [the registry's]"
-    )
-    printing.add_json(fetch)
+    text = "list of files with checksums [the registry's]"
+    fetch.add_argument("--listing", metavar="URL", help=text)
+    options.add_json(fetch)
     fetch.set_defaults(run=run_fetch)
     bring = actions.add_parser("import", help="a downloaded original to tidy parquet")
     bring.add_argument("name", metavar="NAME", help="as in `cellwise data list`")
     bring.add_argument("source", metavar="SOURCE", help="folder or zip archive as downloaded")
     bring.add_argument("-o", "--output", required=True, metavar="DIR")
-    printing.add_json(bring)
+    options.add_json(bring)
     bring.set_defaults(run=run_import)
 
 
@@ -48,85 +44,48 @@ def run_list(arguments: argparse.Namespace) -> None:
 
     embedded, originals, stock = list_datasets(), list_originals(), list_stock()
     if arguments.json:
-        printing.print_json(
-            {
-                "folder": str(datasets_folder()),
-                "embedded": embedded,
-                "originals": originals,
-                "stock": stock,
-            }
-        )
+        found = {"embedded": embedded, "originals": originals, "stock": stock}
+        printing.print_json({"folder": str(datasets_folder()), **found})
         return
-    printing.table(
+    printing.record_table(
         "stock models: names for --model and --prior",
-        ("name", "cell", "Ah", "V", "degC", "OCV +- mV", "R times or /", "licence of the data"),
-        [
-            (
-                s["name"],
-                s["cell"],
-                f"{s['capacity_Ah']:.3g}",
-                "{:g} to {:g}".format(*s["window_V"]),
-                "{:g} to {:g}".format(*s["validity"]["temperature_C"]),
-                f"{1e3 * s['spread']['ocv_V']:.0f}",
-                f"{math.exp(s['spread']['ln_resistance']):.2g}",
-                s["source"]["licence"],
-            )
-            for s in stock
-        ],
+        stock,
+        ("name", lambda s: s["name"]),
+        ("cell", lambda s: s["cell"]),
+        ("Ah", lambda s: f"{s['capacity_Ah']:.3g}"),
+        ("V", lambda s: "{:g} to {:g}".format(*s["window_V"])),
+        ("degC", lambda s: "{:g} to {:g}".format(*s["validity"]["temperature_C"])),
+        ("OCV +- mV", lambda s: f"{1e3 * s['spread']['ocv_V']:.0f}"),
+        ("R times or /", lambda s: f"{math.exp(s['spread']['ln_resistance']):.2g}"),
+        ("licence of the data", lambda s: s["source"]["licence"]),
     )
-    printing.table(
+    printing.record_table(
         f"embedded data in {datasets_folder()}",
-        ("name", "cell", "kind", "degC", "rows", "kB"),
-        [
-            (
-                e["name"],
-                e["cell"],
-                e["kind"],
-                f"{e['temperature_C']:g}",
-                f"{e['rows']:,}",
-                f"{e['bytes'] / 1000:.0f}",
-            )
-            for e in embedded
-        ],
+        embedded,
+        ("name", lambda e: e["name"]),
+        ("cell", lambda e: e["cell"]),
+        ("kind", lambda e: e["kind"]),
+        ("degC", lambda e: f"{e['temperature_C']:g}"),
+        ("rows", lambda e: f"{e['rows']:,}"),
+        ("kB", lambda e: f"{e['bytes'] / 1000:.0f}"),
     )
-    printing.table(
+    printing.record_table(
         "public originals (not part of cellwise)",
-        ("name", "cell", "Ah", "DOI", "licence as its source states it"),
-        [
-            (
-                o["name"],
-                o["cell"],
-                f"{o.get('nominal_Ah', 0):g}",
-                o.get("doi") or "-",
-                o["licence"],
-            )
-            for o in originals
-        ],
+        originals,
+        ("name", lambda o: o["name"]),
+        ("cell", lambda o: o["cell"]),
+        ("Ah", lambda o: f"{o.get('nominal_Ah', 0):g}"),
+        ("DOI", lambda o: o.get("doi") or "-"),
+        ("licence as its source states it", lambda o: o["licence"]),
     )
-
-
-@contextmanager
-def _followed(what: str) -> Iterator[Callable[[str, int, int | None], None]]:
-    """A bar, and what moves it: the item at work, how much is done, of how much."""
-    with printing.bar() as progress:
-        task = progress.add_task(what, total=None)
-
-        def follow(name: str, done: int, total: int | None) -> None:
-            progress.update(task, description=name, completed=done, total=total)
-
-        yield follow
 
 
 def run_generate(arguments: argparse.Namespace) -> None:
     """Generate data sets."""
     from cellwise.data import generate_datasets
 
-    with _followed("generate") as follow:
-        written = generate_datasets(
-            Path(arguments.output),
-            arguments.only,
-            follow,
-        )
+    with printing.working("generate") as follow:
+        written = generate_datasets(Path(arguments.output), arguments.only, follow)
     if arguments.json:
         printing.print_json({"written": [str(path) for path in written]})
         return
@@ -138,13 +97,8 @@ def run_fetch(arguments: argparse.Namespace) -> None:
     """Fetch a public original."""
     from cellwise.originals import fetch_original
 
-    with _followed("fetch") as follow:
-        files = fetch_original(
-            arguments.name,
-            arguments.output,
-            arguments.listing,
-            follow,
-        )
+    with printing.working("fetch") as follow:
+        files = fetch_original(arguments.name, arguments.output, arguments.listing, follow)
     if arguments.json:
         printing.print_json({"files": [str(path) for path in files]})
         return
@@ -155,29 +109,19 @@ def run_import(arguments: argparse.Namespace) -> None:
     """Import a public original."""
     from cellwise.originals import import_original
 
-    with _followed("import") as follow:
-        found = import_original(
-            arguments.name,
-            arguments.source,
-            arguments.output,
-            follow,
-        )
+    with printing.working("import") as follow:
+        found = import_original(arguments.name, arguments.source, arguments.output, follow)
     if arguments.json:
         printing.print_json(found.to_dict())
         return
-    printing.table(
+    printing.record_table(
         f"{len(found.entries)} log(s) in {found.folder}",
-        ("name", "kind", "degC", "rows", "format"),
-        [
-            (
-                e["name"],
-                e["kind"],
-                "-" if e["temperature_C"] is None else f"{e['temperature_C']:g}",
-                f"{e['rows']:,}",
-                e["format"],
-            )
-            for e in found.entries
-        ],
+        found.entries,
+        ("name", lambda e: e["name"]),
+        ("kind", lambda e: e["kind"]),
+        ("degC", lambda e: "-" if e["temperature_C"] is None else f"{e['temperature_C']:g}"),
+        ("rows", lambda e: f"{e['rows']:,}"),
+        ("format", lambda e: e["format"]),
     )
     for name, reason in found.left_out:
         printing.say(f"  ! {name} left out: {reason}")

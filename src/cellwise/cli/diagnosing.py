@@ -7,77 +7,55 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellwise.cli.common import log_options, model_options, page_options, printing
+from cellwise.cli.common import log_options, options, page_options, places, printing
 from cellwise.errors import InputError
 from cellwise.files import made_folder
 
 if TYPE_CHECKING:
     from cellwise.cell.model import CellModel
-    from cellwise.diagnose.log_runs import LogRun
     from cellwise.diagnose.result import Diagnosis, FoundCause
     from cellwise.logs import CellLog
 
 SHOWN = 6
-LOG_HEAD = ("log", "used", "initial SOC", "RMSE mV", "with causes", "log corrected, too")
 
 
-def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     """Add the command that criticises a model."""
     p = commands.add_parser("diagnose", help="model and logs to what is wrong, and by how much")
-    model_options.add_model(p)
+    options.add_model(p)
     p.add_argument("logs", nargs="+", metavar="LOG", help="what is to be explained")
-    for option, text in (
-        ("--holdout", "log on which gains are measured [later parts of the logs]"),
-        ("--baseline", "log of the same cell and instruments that is known to be good"),
+    for name, text in (
+        ("--holdout", "log on which gains are measured [later parts of the logs]; several"),
+        ("--baseline", "log of the same cell and instruments that is known to be good; several"),
     ):
-        p.add_argument(
-            option, action="extend", nargs="+", default=[], metavar="LOG", help=f"{text}; several"
-        )
-    p.add_argument(
-        "--soc0",
-        default="auto",
-        metavar="X",
-        help="of logs without LOG@soc0=X: 0..1, or auto [auto]",
-    )
-    p.add_argument(
-        "--cause",
-        action="append",
-        metavar="C",
-        help="try only this cause; several [all but charge_transfer]",
-    )
-    p.add_argument(
-        "--reference-capacity-ah",
-        type=float,
-        metavar="X",
-        help="measured apart from these logs: what SOC is judged over [the model's own]",
-    )
+        p.add_argument(name, action="extend", nargs="+", default=[], metavar="LOG", help=text)
+    options.add_soc0(p, "of logs without LOG@soc0=X: ")
+    text = "try only this cause; several [all but charge_transfer]"
+    options.several(p, "--cause", "C", text, default=None)
+    text = "measured apart from these logs: what SOC is judged over [the model's own]"
+    options.number(p, "--reference-capacity-ah", "X", text)
     p.add_argument("-o", "--output", metavar="MODEL2", help="the model with the causes known")
     p.add_argument("--corrected", metavar="DIR", help="folder for logs without the sensors' faults")
     page_options.add_page_options(p)
     log_options.add_log_options(p)
-    printing.add_json(p)
+    options.add_json(p)
     p.set_defaults(run=run_diagnose)
 
 
 def run_diagnose(arguments: argparse.Namespace) -> None:
     """Diagnose, write what was asked for, print the verdict."""
-    from cellwise.cell.simulate import check_soc0
     from cellwise.diagnose import diagnose
-
-    _check_places(arguments)
-    soc0 = log_options.parse_soc0(arguments.soc0)
-    if soc0 is not None:
-        check_soc0(soc0)
     from cellwise.logs.checks.grave import graves_first, is_grave
 
-    model = model_options.read(arguments)
+    _check_places(arguments)
+    soc0 = options.soc0_of(arguments)
+    model = options.read_model(arguments)
     logs, holdout, baseline = (
-        [log_options.read(path, arguments) for path in paths]
+        log_options.read_all(paths, arguments)
         for paths in (arguments.logs, arguments.holdout, arguments.baseline)
     )
     began = time.perf_counter()
-    with printing.bar() as progress:
-        task = progress.add_task("diagnose", total=1.0)
+    with printing.working("diagnose") as follow:
         found = diagnose(
             model,
             logs,
@@ -86,7 +64,7 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
             "auto" if soc0 is None else soc0,
             causes=arguments.cause,
             reference_capacity_Ah=arguments.reference_capacity_ah,
-            progress=lambda share, what: progress.update(task, completed=share, description=what),
+            progress=lambda share, what: follow(what, share, 1.0),
         )
     seconds = time.perf_counter() - began
     written = _write(found, arguments)
@@ -94,8 +72,7 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
     if arguments.json:
         printing.print_json({**found.to_dict(), **written, "seconds": seconds, "notices": notices})
         return
-    for notice in filter(is_grave, notices):
-        printing.say(f"  ! {notice}")
+    printing.say_notices(filter(is_grave, notices))
     print_diagnosis(found)
     for name, place in written.items():
         for path in place if isinstance(place, list) else [place] if place else []:
@@ -106,7 +83,7 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
 
 def _check_places(arguments: argparse.Namespace) -> None:
     """Refuse what could only fail after the work is done."""
-    printing.check_places(arguments.output)
+    places.check_places(arguments.output)
     page_options.check_page_options(arguments)
     if arguments.corrected and Path(arguments.corrected).is_file():
         raise InputError(
@@ -135,11 +112,11 @@ def _write(found: Diagnosis, arguments: argparse.Namespace) -> dict[str, Any]:
 
     extended: CellModel | None = found.extended_model
     written: dict[str, Any] = {"extended_model": None, "corrected": [], "report": None}
-    with page_options.page_places(arguments) as places:
-        if places is not None:
+    with page_options.page_places(arguments) as pages:
+        if pages is not None:
             from cellwise.report.diagnosis.page import diagnose_page
 
-            diagnose_page(found, places.page, figures=places.figures)
+            diagnose_page(found, pages.page, figures=pages.figures)
     if arguments.report:
         written["report"] = arguments.report
     if arguments.corrected and any(c.kind == "measurement" for c in found.causes):
@@ -169,34 +146,67 @@ def print_diagnosis(found: Diagnosis) -> None:
     from cellwise.report.diagnosis.statements import diagnosis_finding
 
     printing.say(f"verdict: {found.verdict}\n{diagnosis_finding(found)}\n")
-    printing.table("every log", LOG_HEAD, [_log_row(r) for r in found.runs])
+    millivolt, percent = printing.millivolt, printing.percent
+    printing.record_table(
+        "every log",
+        found.runs,
+        ("log", lambda run: run.log.name or "log"),
+        ("used", lambda run: "held out" if run.used == "holdout" else "fitted"),
+        ("initial SOC", lambda run: f"{run.before.soc0:.3f}"),
+        ("RMSE mV", lambda run: millivolt(run.before.metrics.rmse_V)),
+        ("with causes", lambda run: millivolt(run.after.metrics.rmse_V)),
+        (
+            "log corrected, too",
+            lambda run: "" if run.corrected is None else millivolt(run.corrected.metrics.rmse_V),
+        ),
+    )
     if found.causes:
-        head = ("cause", "corrects", "value (95 %)", "held-out RMSE mV", "gain (95 %)")
-        printing.table("what was found", head, [_cause_row(c) for c in found.causes])
+        corrects = {"cell": "the model", "start": "the initial SOC"}
+        printing.record_table(
+            "what was found",
+            found.causes,
+            ("cause", lambda c: c.name),
+            ("corrects", lambda c: corrects.get(c.kind, "the log")),
+            ("value (95 %)", _values),
+            (
+                "held-out RMSE mV",
+                lambda c: (
+                    f"{millivolt(c.holdout_rmse_before_V)} -> {millivolt(c.holdout_rmse_after_V)}"
+                ),
+            ),
+            (
+                "gain (95 %)",
+                lambda c: (
+                    f"{percent(c.gain, 0)} % ({percent(c.gain_ci95[0], 0)} to "
+                    f"{percent(c.gain_ci95[1], 0)})"
+                ),
+            ),
+        )
         for c in found.causes:
             printing.say(f"  {c.name}: {c.meaning}")
             for line in c.evidence:
                 printing.say(f"    {line}")
             if c.confusable_with:
                 printing.say(f"    easily confused with {', '.join(c.confusable_with)}")
-    rows = [
-        (
-            c.name,
-            "-" if c.score != c.score else f"{c.score:.0f}",
-            printing.millivolt(c.holdout_rmse_V),
-            ", ".join(f"{k} {v:.4g}" for k, v in list(c.parameters.items())[:2]),
+    if found.candidates:
+        printing.record_table(
+            "what was tried",
+            found.candidates[:SHOWN],
+            ("first candidates", lambda c: c.name),
+            ("score (nats)", lambda c: "-" if c.score != c.score else f"{c.score:.0f}"),
+            ("held-out RMSE mV", lambda c: millivolt(c.holdout_rmse_V)),
+            (
+                "parameters",
+                lambda c: ", ".join(f"{k} {v:.4g}" for k, v in list(c.parameters.items())[:2]),
+            ),
         )
-        for c in found.candidates[:SHOWN]
-    ]
-    if rows:
-        columns = ("first candidates", "score (nats)", "held-out RMSE mV", "parameters")
-        printing.table("what was tried", columns, rows)
     if found.competing:
-        weighed = [
-            (", ".join(w.causes) or "none", f"{printing.percent(w.probability, 0)} %")
-            for w in found.competing
-        ]
-        printing.table("what competes", ("explanation", "probability"), weighed)
+        printing.record_table(
+            "what competes",
+            found.competing,
+            ("explanation", lambda w: ", ".join(w.causes) or "none"),
+            ("probability", lambda w: f"{percent(w.probability, 0)} %"),
+        )
     for group in found.inseparable:
         printing.say(f"  - not separable by these logs: {', '.join(group)}")
     for reason in found.reasons:
@@ -204,8 +214,8 @@ def print_diagnosis(found: Diagnosis) -> None:
     if found.soc_gain and "soc_rmse_before" in found.soc_gain:
         before, after = (found.soc_gain[f"soc_rmse_{k}"] for k in ("before", "after"))
         printing.say(
-            f"SOC RMSE of the EKF: {printing.percent(before)} % before, "
-            f"{printing.percent(after)} % after, over "
+            f"SOC RMSE of the EKF: {percent(before)} % before, "
+            f"{percent(after)} % after, over "
             f"{found.soc_gain['reference_capacity_Ah']:.4g} Ah: {found.soc_gain['reference']}"
         )
     elif found.no_soc_gain:
@@ -214,30 +224,10 @@ def print_diagnosis(found: Diagnosis) -> None:
         printing.say(f"next test: {found.next_test}")
 
 
-def _log_row(run: LogRun) -> tuple[str, ...]:
-    corrected = run.corrected
-    return (
-        run.log.name or "log",
-        "held out" if run.used == "holdout" else "fitted",
-        f"{run.before.soc0:.3f}",
-        printing.millivolt(run.before.metrics.rmse_V),
-        printing.millivolt(run.after.metrics.rmse_V),
-        "" if corrected is None else printing.millivolt(corrected.metrics.rmse_V),
-    )
-
-
-def _cause_row(c: FoundCause) -> tuple[str, ...]:
-    values = []
-    for name, value in list(c.parameters.items()):
-        low, high = c.ci95.get(name, (float("nan"), float("nan")))
-        values.append(f"{name} {value:.4g} ({low:.4g} to {high:.4g})")
-    low, high = c.gain_ci95
-    return (
-        c.name,
-        {"cell": "the model", "start": "the initial SOC"}.get(c.kind, "the log"),
-        "\n".join(values),
-        f"{printing.millivolt(c.holdout_rmse_before_V)} -> "
-        f"{printing.millivolt(c.holdout_rmse_after_V)}",
-        f"{printing.percent(c.gain, 0)} % ({printing.percent(low, 0)} to "
-        f"{printing.percent(high, 0)})",
-    )
+def _values(cause: FoundCause) -> str:
+    """Every parameter on a line, with its interval."""
+    lines = []
+    for name, value in cause.parameters.items():
+        low, high = cause.ci95.get(name, (float("nan"), float("nan")))
+        lines.append(f"{name} {value:.4g} ({low:.4g} to {high:.4g})")
+    return "\n".join(lines)

@@ -4,31 +4,29 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellwise.cli.common import (
-    log_options,
-    model_options,
-    page_options,
-    parameters,
-    power_options,
-    printing,
-)
+from cellwise.cli.common import log_options, options, page_options, places, power_options, printing
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
     from cellwise.cell.initial_soc.initial_soc import InitialSoc
+    from cellwise.cell.model import CellModel
     from cellwise.cell.simulate import Simulation
     from cellwise.estimate.power.along import PowerTrace
     from cellwise.estimate.power.state_of_power import PowerLimit
     from cellwise.estimate.replay import Replay
     from cellwise.forecast.convergence import ExpectedConvergence
     from cellwise.forecast.remaining import Flight, Forecast
+    from cellwise.logs import CellLog
+
+UNITS = {"offset_A": ("sensor offset", "A"), "gain": ("sensor gain", ""),
+         "capacity_Ah": ("capacity", "Ah"), "resistance_scale": ("R0, R1 times", ""),
+         "polarisation_scale": ("R2 times", "")}  # fmt: skip
 
 
-def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     """Add the commands that run a model."""
     simulate = commands.add_parser("simulate", help="model and log to voltage error")
     _common(simulate)
@@ -42,50 +40,37 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="coulomb, rest-ocv, ekf, ukf, adaptive, fixed-step, firmware, filterpy-ekf, "
         "filterpy-ukf [ekf]",
     )
-    replay.add_argument(
-        "--soc0-std",
-        type=float,
-        metavar="S",
-        help="standard deviation of the initial SOC (of a stated --soc0 0.15 unless given)",
-    )
-    replay.add_argument("--dt", type=float, metavar="S", help="resample to an even step")
-    replay.add_argument("--reference-soc0", type=float, metavar="X", help="true SOC at the start")
-    replay.add_argument(
-        "--reference-capacity-ah", type=float, metavar="X", help="for the reference by the counter"
-    )
-    replay.add_argument(
-        "--cutoff-v",
-        type=float,
-        metavar="V",
-        help="cell voltage at which the load stops [model]",
-    )
-    replay.add_argument(
-        "--hold",
-        choices=("power", "current"),
-        default="power",
-        help="what of the load is held constant [power]",
-    )
-    replay.add_argument(
-        "--load",
-        type=float,
-        metavar="X",
-        help="how long, too, at a load of X W in each cell (A with --hold current)",
-    )
-    replay.add_argument(
-        "--plotjuggler", metavar="F.xml", help="layout of PlotJuggler for the rows of -o OUT.csv"
-    )
+    options.add_soc0_std(replay)
+    options.number(replay, "--dt", "S", "resample to an even step")
+    options.add_reference(replay)
+    options.number(replay, "--cutoff-v", "V", "cell voltage at which the load stops [model]")
+    text = "what of the load is held constant [power]"
+    replay.add_argument("--hold", choices=("power", "current"), default="power", help=text)
+    text = "how long, too, at a load of X W in each cell (A with --hold current)"
+    options.number(replay, "--load", "X", text)
+    text = "layout of PlotJuggler for the rows of -o OUT.csv"
+    replay.add_argument("--plotjuggler", metavar="F.xml", help=text)
     power_options.add_power_options(replay)
     page_options.add_page_options(replay)
     replay.set_defaults(run=run_replay)
 
 
 def _common(parser: argparse.ArgumentParser) -> None:
-    model_options.add_model(parser, scalable=True)
+    options.add_model(parser, scalable=True)
     parser.add_argument("log", metavar="LOG", help=log_options.LOG_HELP)
-    parser.add_argument("--soc0", default="auto", metavar="X", help="0..1, or auto [auto]")
+    options.add_soc0(parser)
     parser.add_argument("-o", "--output", metavar="OUT", help="rows as .csv, .csv.gz or .parquet")
     log_options.add_log_options(parser)
-    printing.add_json(parser)
+    options.add_json(parser)
+
+
+def read_log_of(model: CellModel, arguments: argparse.Namespace) -> CellLog:
+    """The log that the arguments name, of one cell as the model is."""
+    from cellwise.cell.plausibility.cells_in_series import check_cells_in_series
+
+    log = log_options.read(arguments.log, arguments)
+    check_cells_in_series(model, log)
+    return log
 
 
 def run_simulate(arguments: argparse.Namespace) -> None:
@@ -93,31 +78,28 @@ def run_simulate(arguments: argparse.Namespace) -> None:
     import time
 
     from cellwise.cell.initial_soc.initial_soc import initial_soc
-    from cellwise.cell.plausibility.cells_in_series import check_cells_in_series
     from cellwise.cell.simulate import simulate
+    from cellwise.logs.writing import write_columns
 
-    printing.check_places(arguments.output)
-    model = model_options.read(arguments)
-    log = log_options.read(arguments.log, arguments)
-    check_cells_in_series(model, log)
-    given = log_options.start_of(log.soc0, log_options.parse_soc0(arguments.soc0))
-    start = initial_soc(model, log, given, likeliest=True, whole_log=True)
+    places.check_places(arguments.output)
+    model = options.read_model(arguments)
+    log = read_log_of(model, arguments)
+    asked = options.start_of(log.soc0, options.soc0_of(arguments))
+    start = initial_soc(model, log, asked, likeliest=True, whole_log=True)
     simulate(model, log.part(0, 2), start.soc)  # compiles outside the clock
     began = time.perf_counter()
     found = simulate(model, log, start.soc)
     seconds = time.perf_counter() - began
     if arguments.output:
-        _write(
-            arguments.output,
-            {
-                "time_s": log.time_s,
-                "current_A": log.current_A,
-                "measured_voltage_V": log.voltage_V,
-                "voltage_V": found.voltage_V,
-                "error_V": found.error_V,
-                "soc": found.soc,
-            },
-        )
+        columns = {
+            "time_s": log.time_s,
+            "current_A": log.current_A,
+            "measured_voltage_V": log.voltage_V,
+            "voltage_V": found.voltage_V,
+            "error_V": found.error_V,
+            "soc": found.soc,
+        }
+        write_columns(columns, Path(arguments.output))
     data = {**found.to_dict(), "soc0": start.to_dict(), "seconds": seconds}
     data["notices"] = list(found.notices)
     if arguments.json:
@@ -128,94 +110,94 @@ def run_simulate(arguments: argparse.Namespace) -> None:
 
 def run_replay(arguments: argparse.Namespace) -> None:
     """Replay a log through an estimator and print how it did."""
-    from cellwise.cell.plausibility.cells_in_series import check_cells_in_series
     from cellwise.estimate.estimators import make_estimator
     from cellwise.estimate.replay import replay
     from cellwise.forecast.convergence import expected_convergence
     from cellwise.forecast.remaining import check_load, cutoff_of, forecast, forecast_at
     from cellwise.logs.resample import resample
 
-    printing.check_places(arguments.output, arguments.plotjuggler)
+    places.check_places(arguments.output, arguments.plotjuggler)
     check_layout(arguments)
     page_options.check_page_options(arguments)
     true0 = arguments.reference_soc0
-    if true0 is not None and not 0.0 <= true0 <= 1.0:
-        raise InputError(f"--reference-soc0 {true0:g}", "a fraction from 0 to 1", "Correct it.")
-    model = model_options.read(arguments)
+    options.check_fraction("--reference-soc0", true0)
+    model = options.read_model(arguments)
     make_estimator(arguments.estimator, model)
-    cutoff = cutoff_of(model, arguments.cutoff_v)
+    held = {"cutoff_V": cutoff_of(model, arguments.cutoff_v), "hold": arguments.hold}
     power = power_options.power_of(arguments, model, arguments.hold)
     if arguments.load is not None:
         check_load(arguments.load, arguments.hold)
-    log = log_options.read(arguments.log, arguments)
-    check_cells_in_series(model, log)
+    log = read_log_of(model, arguments)
     if arguments.dt is not None:
         log = resample(log, arguments.dt)
-    with printing.bar() as progress:
-        progress.add_task(f"{arguments.estimator} over {len(log):,} samples", total=None)
+    with printing.working(f"{arguments.estimator} over {len(log):,} samples"):
         found = replay(
             model,
             log,
             arguments.estimator,
-            soc0=log_options.start_of(log.soc0, log_options.parse_soc0(arguments.soc0)),
+            soc0=options.start_of(log.soc0, options.soc0_of(arguments)),
             soc0_std=arguments.soc0_std,
-            reference_soc0=log_options.start_of(log.soc0, true0, "--reference-soc0"),
+            reference_soc0=options.start_of(log.soc0, true0, "--reference-soc0"),
             reference_capacity_Ah=arguments.reference_capacity_ah,
             power=power or False,
         )
     expected = expected_convergence(model, found, make_estimator(arguments.estimator, model))
-    flight, given = forecast(model, found, cutoff_V=cutoff, hold=arguments.hold), None
+    flight, at_load = forecast(model, found, **held), None
     if arguments.load is not None:
-        given = forecast_at(model, found, arguments.load, cutoff_V=cutoff, hold=arguments.hold)
-        flight = None if flight is None else dataclasses.replace(flight, given=given)
+        at_load = forecast_at(model, found, arguments.load, **held)
+        flight = None if flight is None else dataclasses.replace(flight, given=at_load)
     if arguments.output:
-        trace = found.trace
-        columns = {
-            "time_s": trace.time_s,
-            "soc": trace.soc,
-            "soc_std": trace.soc_std,
-            "voltage_V": trace.voltage_V,
-            "innovation_V": trace.innovation_V,
-            "innovation_variance_V2": trace.innovation_variance_V2,
-            "test_ratio": trace.test_ratio,
-            "status": trace.status,
-            "current_A": log.interval_current_A,
-            "measured_voltage_V": log.voltage_V,
-        }
-        columns |= parameters.parameter_columns(trace)
-        if found.reference_soc is not None:
-            columns["reference_soc"] = found.reference_soc
-        if found.power is not None:
-            columns |= found.power.columns()
-        _write(arguments.output, columns)
-        if arguments.plotjuggler:
-            from cellwise.report.plotjuggler import write_layout
-
-            write_layout(arguments.plotjuggler, arguments.output, columns)
-    with page_options.page_places(arguments) as places:
-        if places is not None:
+        write_rows(arguments, found)
+    with page_options.page_places(arguments) as pages:
+        if pages is not None:
             from cellwise.report import replay_page
 
             flights = () if flight is None else (flight,)
-            replay_page([found], places.page, flights=flights, figures=places.figures)
+            replay_page([found], pages.page, flights=flights, figures=pages.figures)
     notices = found.notices if flight is None else (*flight.notices, *found.notices)
     if arguments.json:
-        outlook = None if flight is None else flight.to_dict()
         data = {
             **found.to_dict(),
             "convergence_predicted_s": expected.convergence_s,
-            "forecast": outlook,
-            "forecast_given": None if given is None else given._asdict(),
+            "forecast": None if flight is None else flight.to_dict(),
+            "forecast_given": None if at_load is None else at_load._asdict(),
             "notices": list(notices),
         }
         printing.print_json(data)
         return
     print_replay(found, expected, sure=arguments.soc0_std is not None)
-    print_forecasts(flight, given, cutoff, arguments.hold)
+    print_forecasts(flight, at_load, held["cutoff_V"], arguments.hold)
     if found.power is not None:
         print_power(found.power)
-    say_notices(notices)
+    printing.say_notices(notices)
     page_options.say_pages(arguments)
+
+
+def write_rows(arguments: argparse.Namespace, found: Replay) -> None:
+    """The rows of a replay as a file, and the layout that PlotJuggler shows them in."""
+    from cellwise.estimate.adaptive.trace import AdaptiveTrace
+    from cellwise.logs.writing import write_columns
+
+    trace = found.trace
+    names = ["time_s", "soc", "soc_std", "voltage_V", "innovation_V", "innovation_variance_V2"]
+    columns = {name: getattr(trace, name) for name in (*names, "test_ratio", "status")}
+    columns["current_A"] = found.log.interval_current_A
+    columns["measured_voltage_V"] = found.log.voltage_V
+    if isinstance(trace, AdaptiveTrace):
+        names = ["offset_A", "offset_std_A", "gain", "gain_std", "capacity_Ah", "capacity_std_Ah"]
+        names += ["resistance_scale", "resistance_std", "polarisation_scale", "polarisation_std"]
+        columns |= {name: getattr(trace, name) for name in names}
+        held = ("held_offset", "held_resistance", "held_charge")
+        columns |= dict(zip(held, trace.held, strict=True))
+    if found.reference_soc is not None:
+        columns["reference_soc"] = found.reference_soc
+    if found.power is not None:
+        columns |= found.power.columns()
+    write_columns(columns, Path(arguments.output))
+    if arguments.plotjuggler:
+        from cellwise.report.plotjuggler import write_layout
+
+        write_layout(arguments.plotjuggler, arguments.output, columns)
 
 
 def check_layout(arguments: argparse.Namespace) -> None:
@@ -235,27 +217,23 @@ def check_layout(arguments: argparse.Namespace) -> None:
 
 def print_simulation(found: Simulation, start: InitialSoc) -> None:
     """A simulation for people."""
-    rows = []
-    for label, m in (
-        ("all rows", found.metrics),
-        *((f"SOC {b.soc_low:.1f} to {b.soc_high:.1f}", b.metrics) for b in found.bands),
-    ):
-        values = (m.rmse_V, m.mae_V, m.max_error_V, m.mean_error_V, m.std_error_V, *m.ci95_V)
-        rows.append((label, *(printing.millivolt(v) for v in values), f"{m.samples:,}"))
-    printing.table(
+    bands = ((f"SOC {b.soc_low:.1f} to {b.soc_high:.1f}", b.metrics) for b in found.bands)
+    printing.record_table(
         f"{found.log.name}: measured minus simulated, from SOC {start.soc:.3f} +- "
         f"{2 * start.std:.3f} ({start.how})",
-        ("where", "RMSE mV", "MAE mV", "max mV", "mean", "sd", "95 % from", "to", "rows"),
-        rows,
+        (("all rows", found.metrics), *bands),
+        ("where", lambda row: row[0]),
+        ("RMSE mV", lambda row: printing.millivolt(row[1].rmse_V)),
+        ("MAE mV", lambda row: printing.millivolt(row[1].mae_V)),
+        ("max mV", lambda row: printing.millivolt(row[1].max_error_V)),
+        ("mean", lambda row: printing.millivolt(row[1].mean_error_V)),
+        ("sd", lambda row: printing.millivolt(row[1].std_error_V)),
+        ("95 % from", lambda row: printing.millivolt(row[1].ci95_V[0])),
+        ("to", lambda row: printing.millivolt(row[1].ci95_V[1])),
+        ("rows", lambda row: f"{row[1].samples:,}"),
     )
     printing.say(f"RMSE above 10 % SOC: {printing.millivolt(found.rmse_above_10pct_V)} mV")
-    say_notices(found.notices)
-
-
-def say_notices(notices: Sequence[str]) -> None:
-    """Notices for people."""
-    for notice in notices:
-        printing.say(f"  ! {notice}")
+    printing.say_notices(found.notices)
 
 
 def print_replay(
@@ -288,8 +266,27 @@ def print_replay(
             ),
             ("rows within 2 sigma", f"{printing.percent(data['coverage_2sigma'], 1)} %"),
         ]
-    rows += parameters.parameter_rows(data)
+    rows += parameter_rows(data)
     printing.table(f"{found.estimator} on {found.log.name}", ("what", "found"), rows)
+
+
+def parameter_rows(data: dict[str, Any]) -> list[tuple[str, str]]:
+    """Rows of the table of a replay; none for an estimator without parameters."""
+    values = data.get("parameters")
+    if values is None:
+        return []
+    rows = []
+    for name, (label, unit) in UNITS.items():
+        one = values[name]
+        text = f"{one['value']:.4f} +- {2 * one['std']:.4f} {unit}".rstrip()
+        if one["held"] is not None:
+            text += f" (held: {one['held']})"
+        elif one["probability"] is not None:
+            text += f" ({100 * one['probability']:.0f} % that it is not the model's)"
+        rows.append((label, text))
+    soh = f"{printing.percent(values['soh_capacity'], 1)} % by capacity, resistance x "
+    rows.append(("state of health", soh + f"{values['soh_resistance']:.3f}"))
+    return rows
 
 
 def _nis(found: Replay) -> str:
@@ -304,14 +301,14 @@ def _after(seconds: float | None) -> str:
 
 
 def print_forecasts(
-    flight: Flight | None, given: Forecast | None, cutoff_V: float, hold: str
+    flight: Flight | None, at_load: Forecast | None, cutoff_V: float, hold: str
 ) -> None:
     """Remaining time and energy, for people; nothing where there is no load."""
     forecasts = [] if flight is None else [("at the present load", flight.last)]
     if flight is not None and flight.typical is not None:
         forecasts.append(("at the log's median load", flight.typical.last))
-    if given is not None:
-        forecasts.append((f"at the given load, from {given.time_s:.0f} s", given))
+    if at_load is not None:
+        forecasts.append((f"at the given load, from {at_load.time_s:.0f} s", at_load))
     if not forecasts:
         return
 
@@ -319,25 +316,19 @@ def print_forecasts(
         low, high = (f"{x / scale:.{digits}f}" for x in band)
         return f"{value / scale:.{digits}f} ({low} to {high})"
 
-    rows = [
-        (
-            name,
-            f"{at.load_A:.2f}",
-            f"{at.load_W:.1f}",
-            span(at.remaining_s, at.remaining_s_band, 60.0, 1),
-            span(at.remaining_Wh, at.remaining_Wh_band, 1.0, 2),
-            f"{at.end_voltage_V:.3f}",
-            f"{100 * at.end_soc:.1f}",
-            at.by,
-        )
-        for name, at in forecasts
-    ]
     now = forecasts[0][1]
-    printing.table(
+    printing.record_table(
         f"remaining in each cell at {now.time_s:.0f} s, SOC {100 * now.soc:.1f} +- "
         f"{200 * now.soc_std:.1f} %, {hold} held to {cutoff_V:.2f} V",
-        ("", "A", "W", "minutes", "Wh", "end V", "end SOC %", "ends by"),
-        rows,
+        forecasts,
+        ("", lambda one: one[0]),
+        ("A", lambda one: f"{one[1].load_A:.2f}"),
+        ("W", lambda one: f"{one[1].load_W:.1f}"),
+        ("minutes", lambda one: span(one[1].remaining_s, one[1].remaining_s_band, 60.0, 1)),
+        ("Wh", lambda one: span(one[1].remaining_Wh, one[1].remaining_Wh_band, 1.0, 2)),
+        ("end V", lambda one: f"{one[1].end_voltage_V:.3f}"),
+        ("end SOC %", lambda one: f"{100 * one[1].end_soc:.1f}"),
+        ("ends by", lambda one: one[1].by),
     )
 
 
@@ -356,9 +347,3 @@ def print_power(power: PowerTrace) -> None:
          "charge W", "at least W (95 %)", "A", "limited by"),
         rows,
     )  # fmt: skip
-
-
-def _write(path: str, columns: dict[str, Any]) -> None:
-    from cellwise.logs.tables import write_columns
-
-    write_columns(columns, Path(path))

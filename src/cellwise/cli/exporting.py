@@ -6,7 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellwise.cli.common import log_options, model_options, page_options, power_options, printing
+from cellwise.cli.common import log_options, options, page_options, power_options, printing
+from cellwise.cli.estimating import read_log_of
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
@@ -18,59 +19,36 @@ if TYPE_CHECKING:
 STEPS_TO_MEASURE = 4000
 
 
-def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     """Add ``cellwise export``."""
     export = commands.add_parser("export", help="model to C sources for a target")
-    model_options.add_model(export)
-    export.add_argument("--dt", type=float, required=True, metavar="S", help="time step [s]")
+    options.add_model(export)
+    options.number(export, "--dt", "S", "time step [s]", required=True)
     export.add_argument("-o", "--output", required=True, metavar="DIR")
-    export.add_argument("--points", type=int, metavar="N", help="SOC points [the model's]")
-    export.add_argument(
-        "--offset-std-a", type=float, default=0.0, metavar="A", help="current offset as a state"
-    )
-    export.add_argument(
-        "--lean",
-        action="store_true",
-        help="smaller code, slower from a start far off, no watch for frozen or lost sensors",
-    )
-    export.add_argument(
-        "--without",
-        action="append",
-        default=[],
-        metavar="EFFECT",
-        help="leave out an effect of the model, e.g. the laboratory's time_skew; several",
-    )
-    export.add_argument(
-        "--noise",
-        action="append",
-        default=[],
-        metavar="NAME=X",
-        help="of the target's sensors, e.g. voltage_V=0.005, current_A=0.05; several [the model's]",
-    )
-    export.add_argument(
-        "--prefix", default="", metavar="NAME", help="of every file and name, for several models"
-    )
-    export.add_argument(
-        "--power", type=float, metavar="S", help="state of power: held for S seconds, 10 say"
-    )
+    options.count(export, "--points", "N", "SOC points [the model's]")
+    options.number(export, "--offset-std-a", "A", "current offset as a state", default=0.0)
+    text = "smaller code, slower from a start far off, no watch for frozen or lost sensors"
+    options.flag(export, "--lean", text)
+    text = "leave out an effect of the model, e.g. the laboratory's time_skew; several"
+    options.several(export, "--without", "EFFECT", text)
+    text = "of the target's sensors, e.g. voltage_V=0.005, current_A=0.05; several [the model's]"
+    options.several(export, "--noise", "NAME=X", text)
+    text = "of every file and name, for several models"
+    export.add_argument("--prefix", default="", metavar="NAME", help=text)
+    options.number(export, "--power", "S", "state of power: held for S seconds, 10 say")
     power_options.add_limit_options(export)
-    export.add_argument(
-        "--remaining", type=float, metavar="V", help="time and energy left down to V volts per cell"
-    )
-    export.add_argument(
-        "--cells", type=int, default=0, metavar="N", help="follow N cells in series, on one table"
-    )
-    export.add_argument(
-        "--health",
-        action="store_true",
-        help="take capacity and resistance from `cellwise history` without a new export",
-    )
-    export.add_argument("--flash", type=int, metavar="BYTES", help="refuse larger tables")
+    text = "time and energy left down to V volts per cell"
+    options.number(export, "--remaining", "V", text)
+    text = "follow N cells in series, on one table"
+    options.count(export, "--cells", "N", text, default=0)
+    text = "take capacity and resistance from `cellwise history` without a new export"
+    options.flag(export, "--health", text)
+    options.count(export, "--flash", "BYTES", "refuse larger tables")
     export.add_argument("--log", metavar="LOG", help="accuracy lost, against the float64 EKF")
-    export.add_argument("--soc0", type=float, metavar="X", help="SOC at the log's start [auto]")
+    options.number(export, "--soc0", "X", "SOC at the log's start [auto]")
     page_options.add_page_options(export)
     log_options.add_log_options(export)
-    printing.add_json(export)
+    options.add_json(export)
     export.set_defaults(run=run_export)
 
 
@@ -90,7 +68,7 @@ def run_export(arguments: argparse.Namespace) -> None:
     page_options.check_page_options(arguments)
     check_step(arguments.dt)
     check_cells(arguments.cells)
-    model = without(model_options.read(arguments), arguments.without)
+    model = without(options.read_model(arguments), arguments.without)
     noise = noise_of(model, arguments.noise)
     if arguments.prefix:
         prefixed({}, arguments.prefix)  # refuses now what it would refuse later
@@ -109,10 +87,11 @@ def run_export(arguments: argparse.Namespace) -> None:
     )
     check_flash(tables, arguments.flash)
     report = describe(model, tables, noise, arguments.cells)
-    report["targets"] = target_costs(model, tables, arguments)
-    report["accuracy"] = lost_accuracy(model, noise, arguments)
+    log = read(model, arguments)
+    report["targets"] = target_costs(model, tables, log, arguments)
+    report["accuracy"] = [] if log is None else lost_accuracy(model, noise, log, arguments)
     report["files"] = write_package(model, tables, Path(arguments.output), report, arguments.prefix)
-    write_pages(model, noise, report, arguments)
+    write_pages(model, noise, report, log, arguments)
     if arguments.json:
         printing.print_json(report)
         return
@@ -170,33 +149,36 @@ def noise_of(model: CellModel, stated: list[str]) -> Noise:
 
 
 def write_pages(
-    model: CellModel, noise: Noise, report: dict[str, Any], arguments: argparse.Namespace
+    model: CellModel,
+    noise: Noise,
+    report: dict[str, Any],
+    log: CellLog | None,
+    arguments: argparse.Namespace,
 ) -> None:
     """The page and its pictures, where they are wanted."""
-    with page_options.page_places(arguments) as places:
-        if places is None:
+    with page_options.page_places(arguments) as pages:
+        if pages is None:
             return
-        from cellwise.export.on_log import fixed_and_float
+        from cellwise.export.accuracy import fixed_and_float
         from cellwise.report.export_page import export_page
 
         both = None
-        if arguments.log is not None:
-            log = read(model, arguments)
+        if log is not None:
             both = fixed_and_float(
                 model,
                 log,
                 arguments.dt,
-                soc0=log_options.start_of(log.soc0, arguments.soc0),
+                soc0=options.start_of(log.soc0, arguments.soc0),
                 points=arguments.points,
                 offset_std_A=arguments.offset_std_a,
                 lean=arguments.lean,
                 noise=noise,
             )
-        export_page(report, places.page, both, figures=places.figures)
+        export_page(report, pages.page, both, figures=pages.figures)
 
 
 def target_costs(
-    model: CellModel, tables: FixedStepTables, arguments: argparse.Namespace
+    model: CellModel, tables: FixedStepTables, log: CellLog | None, arguments: argparse.Namespace
 ) -> list[dict[str, Any]]:
     """Code, stack and instructions on every core; empty without a cross compiler.
 
@@ -206,19 +188,19 @@ def target_costs(
     from dataclasses import asdict
 
     from cellwise.data import load_dataset
-    from cellwise.estimate.fixed.fixed_step import samples_of
+    from cellwise.estimate.fixed.samples import samples_of
     from cellwise.export.cross import cores_here, run_on_target
     from cellwise.export.stress import worst_case
 
     here = cores_here()
     if not here:
         return []
-    log = load_dataset("nmc_drive_b") if arguments.log is None else read(model, arguments)
-    records = samples_of(model, log, arguments.dt).records[:STEPS_TO_MEASURE]
+    drive = load_dataset("nmc_drive_b") if log is None else log
+    records = samples_of(model, drive, arguments.dt).records[:STEPS_TO_MEASURE]
     costs = []
-    with printing.bar() as progress:
+    with printing.working("counting instructions") as follow:
         for core in here:
-            task = progress.add_task(f"counting instructions on {core}", total=None)
+            follow(f"counting instructions on {core}")
             run = run_on_target(tables, core, records, 0.5, 0.0225, measure_every=10)
             worst = worst_case(model, tables, core)
             report = asdict(run.cost)
@@ -232,44 +214,35 @@ def target_costs(
                 report["pack_instructions_mean"] = pack.cost.instructions_mean
                 report["pack_instructions_most"] = pack.cost.instructions_most
             costs.append(report)
-            progress.remove_task(task)
     return costs
 
 
 def lost_accuracy(
-    model: CellModel, noise: Noise, arguments: argparse.Namespace
+    model: CellModel, noise: Noise, log: CellLog, arguments: argparse.Namespace
 ) -> list[dict[str, Any]]:
-    """Accuracy by number of SOC points, where there is a log."""
+    """Accuracy by number of SOC points."""
     from dataclasses import asdict
 
     from cellwise.export.accuracy import GRIDS, accuracy_by_grid
 
-    if arguments.log is None:
-        return []
-    grids = {*GRIDS, arguments.points or model.points}
-    log = read(model, arguments)
-    start = log_options.start_of(log.soc0, arguments.soc0)
     found = accuracy_by_grid(
         model,
         log,
         arguments.dt,
-        soc0=start,
+        soc0=options.start_of(log.soc0, arguments.soc0),
         wide=not arguments.lean,
-        grids=sorted(grids),
+        grids=sorted({*GRIDS, arguments.points or model.points}),
         noise=noise,
     )
     return [asdict(row) for row in found]
 
 
-def read(model: CellModel, arguments: argparse.Namespace) -> CellLog:
-    """The log that is given."""
-    from cellwise.cell.plausibility.cells_in_series import check_cells_in_series
-
-    if arguments.soc0 is not None and not 0.0 <= arguments.soc0 <= 1.0:
-        raise InputError(f"--soc0 {arguments.soc0:g}", "a fraction from 0 to 1", "Correct it.")
-    log = log_options.read(arguments.log, arguments)
-    check_cells_in_series(model, log)
-    return log
+def read(model: CellModel, arguments: argparse.Namespace) -> CellLog | None:
+    """The log to measure on, None where none is named."""
+    if arguments.log is None:
+        return None
+    options.check_fraction("--soc0", arguments.soc0)
+    return read_log_of(model, arguments)
 
 
 def print_export(folder: str, report: dict[str, Any]) -> None:
@@ -294,57 +267,39 @@ def print_export(folder: str, report: dict[str, Any]) -> None:
         ],
     )  # fmt: skip
     if report["targets"]:
-        printing.table(
+        printing.record_table(
             "Cost on the target (instructions, not cycles; counted in QEMU)",
-            (
-                "core", "code", "static RAM", "stack", "instructions a step", "most on the log",
-                "worst case", "SOC re-initialised",
-            ),
-            [
-                (
-                    c["core"],
-                    f"{c['text_bytes']:,} B",
-                    f"{c['ram_bytes']} B",
-                    f"{c['stack_bytes']} B",
-                    f"{c['instructions_mean']:,.0f}",
-                    f"{c['instructions_most']:,.0f}",
-                    f"{c['instructions_stress']:,.0f}",
-                    instructions_text(c["instructions_anew"]),
-                )
-                for c in report["targets"]
-            ],
-        )  # fmt: skip
+            report["targets"],
+            ("core", lambda c: c["core"]),
+            ("code", lambda c: f"{c['text_bytes']:,} B"),
+            ("static RAM", lambda c: f"{c['ram_bytes']} B"),
+            ("stack", lambda c: f"{c['stack_bytes']} B"),
+            ("instructions a step", lambda c: _counted(c["instructions_mean"])),
+            ("most on the log", lambda c: _counted(c["instructions_most"])),
+            ("worst case", lambda c: _counted(c["instructions_stress"])),
+            ("SOC re-initialised", lambda c: _counted(c["instructions_anew"])),
+        )
         if "pack_instructions_mean" in report["targets"][0]:
-            printing.table(
+            printing.record_table(
                 f"A sample of {report['cells']} cells (instructions)",
-                ("core", "mean", "most on the log"),
-                [
-                    (
-                        c["core"],
-                        f"{c['pack_instructions_mean']:,.0f}",
-                        f"{c['pack_instructions_most']:,.0f}",
-                    )
-                    for c in report["targets"]
-                ],
+                report["targets"],
+                ("core", lambda c: c["core"]),
+                ("mean", lambda c: _counted(c["pack_instructions_mean"])),
+                ("most on the log", lambda c: _counted(c["pack_instructions_most"])),
             )
     else:
         printing.say("no cross compiler: code size, stack and instructions are not known")
     if report["accuracy"]:
-        printing.table(
+        printing.record_table(
             "SOC against the float64 EKF on the log, in points of SOC",
-            ("SOC points", "tables", "RMSE", "max"),
-            [
-                (
-                    str(a["points"]),
-                    f"{a['flash_bytes']:,} B",
-                    f"{100 * a['soc_rmse']:.4f}",
-                    f"{100 * a['soc_max']:.4f}",
-                )
-                for a in report["accuracy"]
-            ],
+            report["accuracy"],
+            ("SOC points", lambda a: str(a["points"])),
+            ("tables", lambda a: f"{a['flash_bytes']:,} B"),
+            ("RMSE", lambda a: f"{100 * a['soc_rmse']:.4f}"),
+            ("max", lambda a: f"{100 * a['soc_max']:.4f}"),
         )
 
 
-def instructions_text(instructions: float | None) -> str:
-    """Instructions of a step that re-initialises SOC."""
+def _counted(instructions: float | None) -> str:
+    """Instructions of a step; those of one that re-initialises SOC may not be known."""
     return "-" if instructions is None else f"{instructions:,.0f}"

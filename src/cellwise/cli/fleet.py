@@ -6,39 +6,27 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellwise.cli.common import log_options, model_options, printing
+from cellwise.cli.common import log_options, options, printing
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
     from cellwise.fleet.tasks import LogTask
 
 
-def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     """Add the commands about many logs."""
     fleet = commands.add_parser("fleet", help="thousands of logs: one row for each")
     actions = fleet.add_subparsers(dest="action", metavar="ACTION", required=True)
     replay = actions.add_parser("replay", help="SOC over every log of a folder")
     _common(replay)
     replay.add_argument("--estimator", default="ekf", metavar="E", help="as in cellwise replay")
-    replay.add_argument(
-        "--soc0-std",
-        type=float,
-        metavar="S",
-        help="standard deviation of the initial SOC (of a stated --soc0 0.15 unless given)",
-    )
-    replay.add_argument("--reference-soc0", type=float, metavar="X", help="true SOC at the start")
-    replay.add_argument(
-        "--reference-capacity-ah", type=float, metavar="X", help="for the reference by the counter"
-    )
+    options.add_soc0_std(replay)
+    options.add_reference(replay)
     replay.set_defaults(run=run_replay)
     diagnose = actions.add_parser("diagnose", help="the errors of the model on every log")
     _common(diagnose)
-    diagnose.add_argument(
-        "--baseline", action="append", default=[], metavar="LOG", help="known to be good; several"
-    )
-    diagnose.add_argument(
-        "--cause", action="append", metavar="NAME", help="try only this cause; several"
-    )
+    options.several(diagnose, "--baseline", "LOG", "known to be good; several")
+    options.several(diagnose, "--cause", "NAME", "try only this cause; several", default=None)
     diagnose.set_defaults(run=run_diagnose)
     history = actions.add_parser("history", help="a folder for each cell: capacity over its logs")
     _common(history)
@@ -46,42 +34,31 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     pack = actions.add_parser("pack", help="a folder for each pack: every cell over its logs")
     _running(pack)
     log_options.add_cells_options(pack)
-    printing.add_json(pack)
+    options.add_json(pack)
     pack.set_defaults(run=run_pack)
 
 
 def _common(parser: argparse.ArgumentParser) -> None:
     _running(parser)
-    parser.add_argument("--soc0", default="auto", metavar="X", help="0..1, or auto [auto]")
+    options.add_soc0(parser)
     parser.add_argument("--cache", metavar="DIR", help="keep logs as they were read and checked")
     log_options.add_log_options(parser)
-    printing.add_json(parser)
+    options.add_json(parser)
 
 
 def _running(parser: argparse.ArgumentParser) -> None:
     """What is run over which folder, and how."""
-    model_options.add_model(parser, scalable=True)
-    parser.add_argument(
-        "folder",
-        metavar="DIR",
-        help="searched with its subfolders; DIR@temperature_C=25,soc0=1 says it of every log",
-    )
+    options.add_model(parser, scalable=True)
+    text = "searched with its subfolders; DIR@temperature_C=25,soc0=1 says it of every log"
+    parser.add_argument("folder", metavar="DIR", help=text)
     parser.add_argument("-o", "--output", required=True, metavar="OUT", help="folder of parquet")
-    parser.add_argument(
-        "--scheduler",
-        default="local",
-        metavar="S",
-        help="local (threads), processes, or a Dask scheduler's address [local]",
-    )
-    parser.add_argument("--workers", type=int, metavar="N", help="of this machine [its cores]")
+    text = "local (threads), processes, or a Dask scheduler's address [local]"
+    parser.add_argument("--scheduler", default="local", metavar="S", help=text)
+    options.count(parser, "--workers", "N", "of this machine [its cores]")
     parser.add_argument("--pattern", default="*", metavar="P", help="of the file names [*]")
-    parser.add_argument(
-        "--batch", type=int, metavar="N", help="logs sent together [by their number]"
-    )
-    parser.add_argument("--fresh", action="store_true", help="start again, whatever OUT holds")
-    parser.add_argument(
-        "--retry-failed", action="store_true", help="try the logs again that have failed"
-    )
+    options.count(parser, "--batch", "N", "logs sent together [by their number]")
+    options.flag(parser, "--fresh", "start again, whatever OUT holds")
+    options.flag(parser, "--retry-failed", "try the logs again that have failed")
 
 
 def run_replay(arguments: argparse.Namespace) -> None:
@@ -111,7 +88,7 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
     task = DiagnoseTask(
         **_of_task(arguments),
         causes=arguments.cause,
-        baseline=tuple(log_options.read(path, arguments) for path in arguments.baseline),
+        baseline=log_options.read_all(arguments.baseline, arguments),
     )
     _run(task, arguments)
 
@@ -128,7 +105,7 @@ def run_pack(arguments: argparse.Namespace) -> None:
     from cellwise.fleet import PackTask
 
     task = PackTask(
-        model=model_options.read(arguments),
+        model=options.read_model(arguments),
         read={"sign": arguments.sign, **log_options.pack_arguments(arguments)},
         pattern=arguments.pattern,
     )
@@ -136,18 +113,15 @@ def run_pack(arguments: argparse.Namespace) -> None:
 
 
 def _of_task(arguments: argparse.Namespace) -> dict[str, Any]:
-    from cellwise.cell.simulate import check_soc0
     from cellwise.logs import Stated
 
-    soc0 = log_options.parse_soc0(arguments.soc0)
-    if soc0 is not None:
-        check_soc0(soc0)
+    soc0 = options.soc0_of(arguments)
     stated = Stated.parse(arguments.folder)
     arguments.folder = stated.path
-    log_options.start_of(stated.soc0, soc0)
+    options.start_of(stated.soc0, soc0)
     return {
         "stated": None if stated.says_nothing else stated,
-        "model": model_options.read(arguments),
+        "model": options.read_model(arguments),
         "soc0": soc0,
         "read": log_options.arguments_of_read(arguments),
         "cache": str(Path(arguments.cache).resolve()) if arguments.cache else "",
@@ -157,13 +131,8 @@ def _of_task(arguments: argparse.Namespace) -> dict[str, Any]:
 def _run(task: LogTask, arguments: argparse.Namespace) -> None:
     from cellwise.fleet import run_fleet
 
-    with printing.bar() as shown:
-        bar = shown.add_task(f"fleet {task.kind}", total=None)
-
-        def progress(done: int, failed: int, all_: int) -> None:
-            label = f"fleet {task.kind}, {failed} failed" if failed else f"fleet {task.kind}"
-            shown.update(bar, description=label, completed=done, total=all_)
-
+    label = f"fleet {task.kind}"
+    with printing.working(label) as follow:
         found = run_fleet(
             task,
             arguments.folder,
@@ -174,7 +143,9 @@ def _run(task: LogTask, arguments: argparse.Namespace) -> None:
             batch=arguments.batch,
             fresh=arguments.fresh,
             retry_failed=arguments.retry_failed,
-            progress=progress,
+            progress=lambda done, failed, all_: follow(
+                f"{label}, {failed} failed" if failed else label, done, all_
+            ),
         )
     if arguments.json:
         printing.print_json(found.to_dict())

@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
-from cellwise.cli.common import log_options, model_options, power_options, printing
+from cellwise.cli.common import log_options, options, places, power_options, printing
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
@@ -25,53 +25,35 @@ if TYPE_CHECKING:
 FORECAST_EVERY_S = 1.0
 
 
-def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     """Add the command that follows a stream."""
     live = commands.add_parser("live", help="a stream of samples to SOC, as they come")
-    model_options.add_model(live, scalable=True)
-    live.add_argument(
-        "--source",
-        required=True,
-        metavar="S",
-        help="stdin (JSON lines), json:FILE, can:INTERFACE:CHANNEL, ulog:FILE (- for stdin); "
-        "json:FILE@soc0=1 says how it begins",
-    )
-    live.add_argument("--follow", action="store_true", help="wait for more at a file's end")
+    options.add_model(live, scalable=True)
+    text = "stdin (JSON lines), json:FILE, can:INTERFACE:CHANNEL, ulog:FILE (- for stdin); "
+    text += "json:FILE@soc0=1 says how it begins"
+    live.add_argument("--source", required=True, metavar="S", help=text)
+    options.flag(live, "--follow", "wait for more at a file's end")
     live.add_argument("--estimator", default="ekf", metavar="E", help="ekf or ukf [ekf]")
-    live.add_argument("--soc0", default="auto", metavar="X", help="0..1, or auto [auto]")
-    live.add_argument(
-        "--soc0-std",
-        type=float,
-        metavar="S",
-        help="standard deviation of the initial SOC (of a stated --soc0 0.15 unless given)",
-    )
+    options.add_soc0(live)
+    options.add_soc0_std(live)
     live.add_argument("--state", metavar="FILE", help="goes on where FILE says, and keeps it there")
-    live.add_argument("--fresh", action="store_true", help="start again, whatever FILE says")
-    live.add_argument("--save-every", type=float, default=10.0, metavar="S", help="seconds [10]")
+    options.flag(live, "--fresh", "start again, whatever FILE says")
+    options.number(live, "--save-every", "S", "seconds [10]", default=10.0)
     live.add_argument("-o", "--output", metavar="OUT", help="JSON lines, added at the end of OUT")
-    live.add_argument(
-        "--every", type=float, default=0.0, metavar="S", help="at most one line in S seconds [0]"
-    )
-    live.add_argument("--view", action="store_true", help="a view instead of lines [on a terminal]")
+    options.number(live, "--every", "S", "at most one line in S seconds [0]", default=0.0)
+    options.flag(live, "--view", "a view instead of lines [on a terminal]")
     live.add_argument("--send", metavar="MESSAGE.SIGNAL", help="SOC back on the CAN bus")
-    live.add_argument("--send-every", type=float, default=0.1, metavar="S", help="seconds [0.1]")
-    live.add_argument(
-        "--cutoff-v", type=float, metavar="V", help="voltage at which the load stops [model]"
-    )
-    live.add_argument(
-        "--load", type=float, metavar="W", help="how long, too, at a load of W watts in each cell"
-    )
+    options.number(live, "--send-every", "S", "seconds [0.1]", default=0.1)
+    options.number(live, "--cutoff-v", "V", "voltage at which the load stops [model]")
+    options.number(live, "--load", "W", "how long, too, at a load of W watts in each cell")
     power_options.add_power_options(live)
-    live.add_argument(
-        "--cells", type=int, default=0, metavar="N", help="follow N cells in series, each by itself"
-    )
-    live.add_argument("--deadline-ms", type=float, metavar="MS", help="[the sample's interval]")
-    live.add_argument("--samples", type=int, metavar="N", help="stop after N samples")
-    live.add_argument(
-        "--idle", type=float, metavar="S", help="stop when nothing came for S seconds"
-    )
+    text = "follow N cells in series, each by itself"
+    options.count(live, "--cells", "N", text, default=0)
+    options.number(live, "--deadline-ms", "MS", "[the sample's interval]")
+    options.count(live, "--samples", "N", "stop after N samples")
+    options.number(live, "--idle", "S", "stop when nothing came for S seconds")
     log_options.add_pack_options(live)
-    printing.add_json(live)
+    options.add_json(live)
     live.set_defaults(run=run_live_command)
 
 
@@ -84,36 +66,35 @@ def run_live_command(arguments: argparse.Namespace) -> None:
     from cellwise.live.run import check_any
 
     _check(arguments)
-    model = model_options.read(arguments)
+    model = options.read_model(arguments)
     outlook = Outlook(model, cutoff_of(model, arguments.cutoff_v), arguments.load)
     power = _power(model, arguments)
     name, stated = _stated(arguments.source)
     live = _filter(model, stated, arguments)
-    options = log_options.read_options(arguments)
+    followed = Followed(live, outlook, power)
+    reading = log_options.read_options(arguments)
     source = open_source(
-        name, options, arguments.sign, follow=arguments.follow, cells=arguments.cells
+        name, reading, arguments.sign, follow=arguments.follow, cells=arguments.cells
     )
     deadline = arguments.deadline_ms
     counts = Counts(latency=LatencyMeter(None if deadline is None else 1e-3 * deadline))
+    viewed = arguments.view or (sys.stdout.isatty() and not arguments.json)
+    takers: list[Callable[[Update], None]] = [followed.take]
     with ExitStack() as stack:
         stack.callback(source.close)
         sender = _sender(source, arguments)
-        takers: list[Callable[[Update], None]] = [outlook.take]
-        if power is not None:
-            takers.append(partial(_follow, live, power))
         if sender is not None:
             takers.append(lambda u: sender.send(u.info.soc, u.sample.arrived_s))
         look = None
         if arguments.output:
             file = stack.enter_context(_appended(arguments.output))
-            takers.append(LineWriter(file, live, outlook, power, arguments.every))
-        viewed = arguments.view or (sys.stdout.isatty() and not arguments.json)
+            takers.append(LineWriter(file, followed, arguments.every))
         if viewed:
             from cellwise.cli.live_view import LiveView
 
             look = stack.enter_context(LiveView(source, live, outlook, power=power)).look
         elif not (arguments.output or arguments.json):
-            takers.append(LineWriter(sys.stdout, live, outlook, power, arguments.every))
+            takers.append(LineWriter(sys.stdout, followed, arguments.every))
         if not viewed:  # the view shows it among its flags
             takers.append(OutsideNotice(live))
         stack.enter_context(_stopped_by_signal())
@@ -129,7 +110,7 @@ def run_live_command(arguments: argparse.Namespace) -> None:
             idle_s=arguments.idle,
         )
     check_any(source, counts)
-    _report_end(arguments, live, counts, outlook, power, viewed)
+    _report_end(arguments, followed, counts, viewed)
 
 
 def _hand_out(takers: list[Callable[[Update], None]], update: Update) -> None:
@@ -137,19 +118,48 @@ def _hand_out(takers: list[Callable[[Update], None]], update: Update) -> None:
         taker(update)
 
 
+class Followed(NamedTuple):
+    """A filter on a stream, and what follows it: remaining time and energy, and the power."""
+
+    live: LiveFilter
+    outlook: Outlook
+    power: PowerFollower | None = None
+
+    def take(self, update: Update) -> None:
+        """Hand a sample on to what follows the filter."""
+        from cellwise.estimate.sensing_kernels import Reading
+
+        self.outlook.take(update)
+        if self.power is None or self.live.state is None:
+            return
+        sample, warm = update.sample, self.temperature_C(update)
+        reading = Reading(sample.current_A, sample.voltage_V, warm, update.dt_s, update.gap)
+        self.power.take(reading, self.live.state, update.info.status)
+
+    def columns(self, update: Update) -> dict[str, Any]:
+        """Time and energy to empty, power if it is asked for, the cells of a pack: for JSON."""
+        state, warm = self.live.state, self.temperature_C(update)
+        return {
+            **self.outlook.columns(state, warm),
+            **({} if self.power is None else self.power.columns(state, warm)),
+            **({} if self.live.pack is None else self.live.pack.columns()),
+        }
+
+    def temperature_C(self, update: Update) -> float:
+        """The sample's temperature, else the model's."""
+        from math import isfinite
+
+        from cellwise.cell.simulate import model_temperature_C
+
+        measured = self.live.known_temperature_C(update.sample)
+        return measured if isfinite(measured) else model_temperature_C(self.live.model)
+
+
 class LineWriter:
     """One JSON object per update, at most one in ``every_s`` of the stream's time."""
 
-    def __init__(
-        self,
-        file: IO[str],
-        live: LiveFilter,
-        outlook: Outlook,
-        power: PowerFollower | None = None,
-        every_s: float = 0.0,
-    ) -> None:
-        self._file, self._live, self._outlook, self._every_s = file, live, outlook, every_s
-        self._power = power
+    def __init__(self, file: IO[str], followed: Followed, every_s: float = 0.0) -> None:
+        self._file, self._followed, self._every_s = file, followed, every_s
         self._waited_s = self._since_forecast_s = float("inf")
 
     def __call__(self, update: Update) -> None:
@@ -162,9 +172,7 @@ class LineWriter:
         row = state_row(update)
         if self._since_forecast_s >= FORECAST_EVERY_S:
             self._since_forecast_s = 0.0
-            row |= forecast_row(self._live, self._outlook, update)
-            row |= power_row(self._live, self._power, update)
-            row |= {} if self._live.pack is None else self._live.pack.columns()
+            row |= self._followed.columns(update)
         self._file.write(json.dumps(printing.clean(row), allow_nan=False) + "\n")
         self._file.flush()
 
@@ -213,28 +221,6 @@ def state_row(update: Update) -> dict[str, Any]:
     }
 
 
-def forecast_row(live: LiveFilter, outlook: Outlook, update: Update) -> dict[str, Any]:
-    """Time and energy to empty at the present, the median and a given load; nulls without one."""
-    return outlook.columns(live.state, _temperature(live, update))
-
-
-def power_row(live: LiveFilter, power: PowerFollower | None, update: Update) -> dict[str, Any]:
-    """What the cell can give and take, by the names of `replay`'s columns; none if not asked."""
-    return {} if power is None else power.columns(live.state, _temperature(live, update))
-
-
-def _follow(live: LiveFilter, power: PowerFollower, update: Update) -> None:
-    from cellwise.estimate.sensing_kernels import Reading
-
-    if live.state is None:
-        return
-    sample = update.sample
-    reading = Reading(
-        sample.current_A, sample.voltage_V, _temperature(live, update), update.dt_s, update.gap
-    )
-    power.take(reading, live.state, update.info.status)
-
-
 def _power(model: CellModel, arguments: argparse.Namespace) -> PowerFollower | None:
     """What follows the power, and on standard error what limits nobody stated."""
     settings = power_options.power_of(arguments, model)
@@ -247,17 +233,8 @@ def _power(model: CellModel, arguments: argparse.Namespace) -> PowerFollower | N
     return PowerFollower(settings)
 
 
-def _temperature(live: LiveFilter, update: Update) -> float:
-    from math import isfinite
-
-    from cellwise.cell.simulate import model_temperature_C
-
-    measured = live.known_temperature_C(update.sample)
-    return measured if isfinite(measured) else model_temperature_C(live.model)
-
-
 def _check(arguments: argparse.Namespace) -> None:
-    printing.check_places(arguments.output, arguments.state)
+    places.check_places(arguments.output, arguments.state)
     for option in ("save_every", "every", "send_every", "deadline_ms", "samples", "idle"):
         value = getattr(arguments, option)
         if value is not None and not 0.0 <= value < 1e9:
@@ -287,12 +264,12 @@ def _filter(model: Any, stated: Stated, arguments: argparse.Namespace) -> LiveFi
     from cellwise.cell.initial_soc.initial_soc import STATED_STD
     from cellwise.live import LiveFilter
 
-    given = log_options.start_of(stated.soc0, log_options.parse_soc0(arguments.soc0))
+    asked = options.start_of(stated.soc0, options.soc0_of(arguments))
     std = arguments.soc0_std
     live = LiveFilter(
         model,
         arguments.estimator,
-        soc0=given if stated.soc0 is None else stated.soc0,
+        soc0=asked if stated.soc0 is None else stated.soc0,
         soc0_std=STATED_STD if std is None and stated.soc0 is not None else std,
         temperature_C=math.nan if stated.temperature_C is None else stated.temperature_C,
         cells=arguments.cells,
@@ -353,22 +330,15 @@ def _stopped_by_signal() -> Iterator[None]:
 
 
 def _report_end(
-    arguments: argparse.Namespace,
-    live: LiveFilter,
-    counts: Counts,
-    outlook: Outlook,
-    power: PowerFollower | None,
-    viewed: bool,
+    arguments: argparse.Namespace, followed: Followed, counts: Counts, viewed: bool
 ) -> None:
     """The end of a stream: one object, or a few lines for people."""
-    last = counts.last
+    last, live = counts.last, followed.live
     if last is None or live.start is None:
         return
     data = {
         **state_row(last),
-        **forecast_row(live, outlook, last),
-        **power_row(live, power, last),
-        **({} if live.pack is None else live.pack.columns()),
+        **followed.columns(last),
         "estimator": live.filter.name,
         "soc0": live.start.to_dict(),
         **counts.to_dict(),

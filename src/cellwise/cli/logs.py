@@ -5,22 +5,18 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from cellwise.cli.common import log_options, printing
+from cellwise.cli.common import log_options, options, places, printing
 
 
-def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     """Add the commands that look at logs."""
     inspect = commands.add_parser("inspect", help="say what is in a log")
-    inspect.add_argument("log", metavar="LOG", help=log_options.LOG_HELP)
-    log_options.add_log_options(inspect)
-    printing.add_json(inspect)
-    inspect.set_defaults(run=run_inspect)
     convert = commands.add_parser("convert", help="write a log in the tidy form")
-    convert.add_argument("log", metavar="LOG", help=log_options.LOG_HELP)
     convert.add_argument("-o", "--output", required=True, metavar="OUT")
-    log_options.add_log_options(convert)
-    printing.add_json(convert)
-    convert.set_defaults(run=run_convert)
+    for command, run in ((inspect, run_inspect), (convert, run_convert)):
+        log_options.add_log(command)
+        options.add_json(command)
+        command.set_defaults(run=run)
 
 
 def run_inspect(arguments: argparse.Namespace) -> None:
@@ -38,7 +34,7 @@ def run_convert(arguments: argparse.Namespace) -> None:
     """Write a log in the tidy form."""
     from cellwise.logs import write_log
 
-    printing.check_places(arguments.output)
+    places.check_places(arguments.output)
     log = log_options.read(arguments.log, arguments)
     if log.soc0 is not None:
         said = f"the file has no place for the stated start: write LOG@soc0={log.soc0:g} behind it"
@@ -48,8 +44,7 @@ def run_convert(arguments: argparse.Namespace) -> None:
         printing.print_json({"output": str(path), "samples": len(log), "notices": log.notices})
         return
     printing.say(f"{len(log)} rows written to {path}")
-    for notice in log.notices:
-        printing.say(f"  ! {notice}")
+    printing.say_notices(log.notices)
 
 
 def print_inspection(found: dict[str, Any]) -> None:
@@ -81,5 +76,4 @@ def print_inspection(found: dict[str, Any]) -> None:
     printing.table(str(found["name"]), ("what", "found"), rows)
     for gap in found["gaps"]:
         printing.say(f"  gap of {gap['duration_s']:.0f} s after {gap['start_s']:.0f} s")
-    for notice in found["notices"]:
-        printing.say(f"  ! {notice}")
+    printing.say_notices(found["notices"])

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellwise.cli.common import log_options, model_options, page_options, printing
+from cellwise.cli.common import log_options, options, page_options, places, printing
 
 if TYPE_CHECKING:
     from cellwise.logs.packs.pack_log import PackLog
@@ -15,36 +15,34 @@ if TYPE_CHECKING:
 SHOWN_CELLS = 6
 
 
-def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     """Add the command that looks at packs."""
     pack = commands.add_parser("pack", help="logs with cell voltages to every cell's state")
-    model_options.add_model(pack, scalable=True)
+    options.add_model(pack, scalable=True)
     pack.add_argument("logs", nargs="+", metavar="PACKLOG", help="one pack, in the order of time")
     pack.add_argument("-o", "--output", metavar="OUT", help="cells as .csv, .csv.gz or .parquet")
-    pack.add_argument(
-        "--state", metavar="FILE", help="go on from this file where it exists, and write it"
-    )
+    text = "go on from this file where it exists, and write it"
+    pack.add_argument("--state", metavar="FILE", help=text)
     log_options.add_cells_options(pack)
     page_options.add_page_options(pack)
-    printing.add_json(pack)
+    options.add_json(pack)
     pack.set_defaults(run=run_pack)
 
 
 def run_pack(arguments: argparse.Namespace) -> None:
     """Estimate every cell of a pack."""
-    from cellwise.logs.tables import write_columns
+    from cellwise.logs.writing import write_columns
     from cellwise.pack.pack_estimate import estimate_pack
     from cellwise.pack.pack_state import read_state, write_state
     from cellwise.report import pack_page
 
-    printing.check_places(arguments.output, arguments.state)
+    places.check_places(arguments.output, arguments.state)
     page_options.check_page_options(arguments)
-    model = model_options.read(arguments)
+    model = options.read_model(arguments)
     known = arguments.state is not None and Path(arguments.state).exists()
     state = read_state(arguments.state) if known else None
     logs = read_packs(arguments)
-    with printing.bar() as progress:
-        progress.add_task(f"{logs[0].cells} cells in {len(logs)} log(s)", total=None)
+    with printing.working(f"{logs[0].cells} cells in {len(logs)} log(s)"):
         found = estimate_pack(model, logs, state)
     if arguments.output:
         write_columns(found.columns(), Path(arguments.output))
@@ -62,13 +60,12 @@ def read_packs(arguments: argparse.Namespace) -> list[PackLog]:
     """
     from cellwise.logs.packs.pack_reading import read_pack
 
-    options = log_options.pack_arguments(arguments)
-    with printing.bar() as progress:
-        task = progress.add_task("reading", total=len(arguments.logs))
-        logs = []
+    stated = log_options.pack_arguments(arguments)
+    logs = []
+    with printing.working("reading") as follow:
         for path in arguments.logs:
-            logs.append(read_pack(path, sign=arguments.sign, **options))
-            progress.advance(task)
+            logs.append(read_pack(path, sign=arguments.sign, **stated))
+            follow("reading", len(logs), len(arguments.logs))
     return logs
 
 
@@ -93,32 +90,26 @@ def print_pack(found: PackEstimate) -> None:
         ],
     )  # fmt: skip
     rows = sorted(data["per_cell"], key=_capacity_first)
-    printing.table(
+    percent = printing.percent
+    printing.record_table(
         f"the {min(SHOWN_CELLS, len(rows))} cells of least capacity",
-        ("cell", "SOC %", "+-", "capacity Ah", "+-", "resistance", "+-", "left mV"),
-        [_cell_row(row) for row in rows[:SHOWN_CELLS]],
+        rows[:SHOWN_CELLS],
+        ("cell", lambda row: row["name"]),
+        ("SOC %", lambda row: percent(row["soc"], 1)),
+        ("+-", lambda row: percent(row["soc_std"], 1)),
+        ("capacity Ah", lambda row: f"{row['capacity_Ah']:.2f}"),
+        ("+-", lambda row: f"{row['capacity_std_Ah']:.2f}"),
+        ("resistance", lambda row: f"{row['resistance_scale']:.3f}"),
+        ("+-", lambda row: f"{row['resistance_std']:.3f}"),
+        ("left mV", lambda row: printing.millivolt(row["voltage_rmse_V"])),
     )
     for cause in data["causes"]:
         said = "; ".join(cause["evidence"])
         other = f" (or {', '.join(cause['confusable_with'])})" if cause["confusable_with"] else ""
         printing.say(f"  {cause['name']}: {said}{other}")
-    for notice in data["notices"]:
-        printing.say(f"  ! {notice}")
+    printing.say_notices(data["notices"])
 
 
 def _capacity_first(row: dict[str, Any]) -> float:
     value = row["capacity_Ah"]
     return float("inf") if value != value else float(value)
-
-
-def _cell_row(row: dict[str, Any]) -> tuple[str, ...]:
-    return (
-        row["name"],
-        printing.percent(row["soc"], 1),
-        printing.percent(row["soc_std"], 1),
-        f"{row['capacity_Ah']:.2f}",
-        f"{row['capacity_std_Ah']:.2f}",
-        f"{row['resistance_scale']:.3f}",
-        f"{row['resistance_std']:.3f}",
-        printing.millivolt(row["voltage_rmse_V"]),
-    )

@@ -5,49 +5,47 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from cellwise.cli.common import page_options, printing
+from cellwise.cli.common import options, page_options, printing
 
 
-def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     """Add the commands that run whole studies on the embedded data."""
     papers = commands.add_parser("papers", help="the two papers' tables, on embedded data")
-    printing.add_json(papers)
+    options.add_json(papers)
     papers.set_defaults(run=run_papers)
     demo = commands.add_parser("demo", help="identify, simulate and replay on embedded data")
     demo.add_argument("-o", "--output", default="demo", metavar="DIR")
     page_options.add_figure_options(demo)
-    printing.add_json(demo)
+    options.add_json(demo)
     demo.set_defaults(run=run_demo)
 
 
 def run_papers(arguments: argparse.Namespace) -> None:
     """Print the tables of both papers."""
     from cellwise.data import datasets_folder
-    from cellwise.studies.papers import paper_tables, print_paper_tables
+    from cellwise.studies.papers import paper_tables
+    from cellwise.studies.papers_text import print_papers
 
-    with printing.bar() as progress:
-        task = progress.add_task("papers", total=None)
-        found = paper_tables(
-            datasets_folder(), lambda text: progress.update(task, description=text)
-        )
+    with printing.working("papers") as follow:
+        found = paper_tables(datasets_folder(), follow)
     if arguments.json:
         printing.print_json(found.to_dict())
         return
-    print_paper_tables(found)
+    print_papers(found)
 
 
 def run_demo(arguments: argparse.Namespace) -> None:
     """The main job on embedded data: identify, simulate, replay, one page."""
+    from cellwise.report import demo_page
     from cellwise.studies.demo import run_demo as run
 
     page_options.check_page_options(arguments)
-    with printing.bar() as progress:
-        task = progress.add_task("demo", total=None)
-        found = run(
-            Path(arguments.output),
-            lambda text: progress.update(task, description=text),
-            page_options.figure_files(arguments),
-        )
+    figures = page_options.figure_files(arguments)
+    with printing.working("demo") as follow:
+        found = run(Path(arguments.output), follow)
+        follow("page")
+        simulations = [simulation for simulation, _ in found.simulations]
+        demo_page(found.identification, simulations, found.replays, found.page, figures=figures)
     if arguments.json:
         printing.print_json(found.to_dict())
         return

@@ -11,38 +11,44 @@ import numpy as np
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.point_kernels import R3, TAU2, TAU3
-from cellwise.diagnose.anatomy import anatomy
-from cellwise.diagnose.applied import Applied, applied, apply, kept
 from cellwise.diagnose.causes.catalogue import CAUSES, ON_REQUEST, UNSEEN_TEMPERATURE, Cause
 from cellwise.diagnose.causes.coordinates import Coordinates
-from cellwise.diagnose.decision.claim import claim_checks
-from cellwise.diagnose.decision.explanations import Explanation, Explanations, Progress
-from cellwise.diagnose.decision.outcome import Accepted, Outcome, decide
-from cellwise.diagnose.decision.posterior import LEAST_WEIGHT, NAMED_NATS, probability_of
-from cellwise.diagnose.decision.preconditions import (
+from cellwise.diagnose.decision.checks import (
     another_cell,
+    claim_checks,
     too_little,
     unseen_temperature_C,
 )
-from cellwise.diagnose.decision.rarity import ONE_CAUSE_NATS, Rarity
+from cellwise.diagnose.decision.explanations import Explanation, Explanations, Progress
+from cellwise.diagnose.decision.odds import (
+    LEAST_WEIGHT,
+    NAMED_NATS,
+    ONE_CAUSE_NATS,
+    Rarity,
+    probability_of,
+)
+from cellwise.diagnose.decision.outcome import Accepted, Outcome, decide
 from cellwise.diagnose.extension import extended_validity, parameters_of, value_of, with_error_at
-from cellwise.diagnose.fit.calibration import calibrate
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.least_squares import Fit, held_rows
 from cellwise.diagnose.fit.limits import Limits, limits
-from cellwise.diagnose.fit.priors import GIVEN_SOC_STD, tolerances
-from cellwise.diagnose.fit.rest_voltages import rest_voltages
-from cellwise.diagnose.fit.rmse import rmse
-from cellwise.diagnose.fit.rows import Evidence, gather
+from cellwise.diagnose.fit.priors import GOOD, tolerances
+from cellwise.diagnose.fit.rests import rest_voltages
+from cellwise.diagnose.fit.rows import Evidence, gather, rmse
 from cellwise.diagnose.log_runs import (
+    Applied,
     GivenLog,
     LogRun,
     Step,
+    applied,
+    apply,
+    kept,
     log_runs,
     step_between,
     with_use,
 )
 from cellwise.diagnose.next_test import LONGER_LOG, next_test
+from cellwise.diagnose.residual import residual_analysis
 from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
 from cellwise.diagnose.sensor_faults import with_faults, without_faults
 from cellwise.diagnose.soc_gain import reference_for, soc_gain
@@ -121,7 +127,7 @@ def diagnose(
     chosen = [c for c in chosen if all(coordinates.possible(n) for n in c.coordinates)]
     fits = _cause_fits(evidence, coordinates, seed)
     if groups[2]:
-        calibrate(fits, model, starts[2], lambda e: _cause_fits(e, coordinates, seed))
+        fits.calibrate(_cause_fits(gather(model, starts[2], whole=True), coordinates, seed))
     base, noise = fits.base(fits.prior)
     other = another_cell(model, evidence, base, base.soc)
     if other:
@@ -142,7 +148,7 @@ def _undetermined(model: CellModel, starts: list[list[StartedLog]], why: str) ->
     logs, holdout = (tuple(g for g, _ in group) for group in starts[:2])
     every = [*starts[0], *starts[1]]
     runs = log_runs(model, with_use(every, len(logs)))
-    error = anatomy(model, logs[0], runs[0].before.soc0)
+    error = residual_analysis(model, logs[0], runs[0].before.soc0)
     return Diagnosis(
         "undetermined", (), (), error, LONGER_LOG, (why,), model, None, logs, holdout, logs,
         tuple(start.to_dict() for _, start in every), runs=runs,
@@ -190,22 +196,16 @@ def _starts(
     stated: Sequence[float | str],
 ) -> list[list[StartedLog]]:
     """Every log with its start."""
-    flat = [g for group in groups for g in group]
-    found = iter(zip(flat, stated, strict=False))
-    result = []
-    for group in groups:
-        pairs = []
-        for _ in group:
-            log, value = next(found)
-            if value != "auto":
-                pairs.append((log, initial_soc(model, log, float(value), GIVEN_SOC_STD)))
-            elif log.soc0 is not None:
-                pairs.append((log, initial_soc(model, log, log.soc0, GIVEN_SOC_STD)))
-            else:
-                # As `simulate` takes it: what is said of a log is said from there.
-                pairs.append((log, initial_soc(model, log, likeliest=True, whole_log=True)))
-        result.append(pairs)
-    return result
+
+    def start_of(log: CellLog, value: float | str) -> InitialSoc:
+        known = log.soc0 if value == "auto" else float(value)
+        if known is None:
+            # As `simulate` takes it: what is said of a log is said from there.
+            return initial_soc(model, log, likeliest=True, whole_log=True)
+        return initial_soc(model, log, known, GOOD.soc0_std)
+
+    said = iter(stated)
+    return [[(log, start_of(log, next(said))) for log in group] for group in groups]
 
 
 def _cause_fits(evidence: Evidence, coordinates: Coordinates, seed: int) -> CauseFits:
@@ -268,7 +268,7 @@ def _diagnosis(
         verdict,
         causes,
         tuple(_tried(e, fits, outcome.none) for e in outcome.first),
-        anatomy(model, logs[0], runs[0].before.soc0),
+        residual_analysis(model, logs[0], runs[0].before.soc0),
         "" if verdict == "none" else next_test(outcome, model, evidence),
         reasons,
         model,

@@ -31,7 +31,7 @@ from cellwise.cell.point_kernels import ENTROPY, OCV, R0, R1, R2, R3, TAU1, TAU2
 from cellwise.cell.simulate import simulate
 from cellwise.diagnose.causes.catalogue import Cause
 from cellwise.diagnose.causes.coordinates import CURRENT_NAMES, UNSEEN_NAMES, Coordinates
-from cellwise.diagnose.causes.current_kernels import shift_rows
+from cellwise.diagnose.fit.rows import shifted_current
 from cellwise.identify.validity import joined, log_validity
 from cellwise.logs.cell_log import CellLog
 
@@ -56,41 +56,7 @@ def _key(coordinate: str) -> str:
 
 def value_of(coordinate: str, x: float, coordinates: Coordinates, soc0: float) -> float:
     """A parameter's value at ``x`` in its coordinate."""
-    model = coordinates.model
-    scalars = coordinates.inputs({}).scalars
-    if coordinate == "ln_capacity":
-        return model.capacity_Ah * math.exp(x)
-    if coordinate in ("ln_gain", "ln_scale"):
-        return math.exp(x)
-    if coordinate == "ln_r1":  # the exchange current, one over the resistance at small currents
-        return math.exp(-x)
-    if coordinate == "asinh_per_V":
-        return scalars.asinh_per_V + x
-    if coordinate == "ln_charge_scale":
-        return scalars.charge_scale * math.exp(x)
-    if coordinate in ("ln_tau3", "ln_slow_tau"):
-        return coordinates.tau3_s * math.exp(x)
-    if coordinate == "ln_gamma":
-        return coordinates.gamma * math.exp(x)
-    if coordinate == "ln_thermal_s":
-        return coordinates.thermal_s * math.exp(x)
-    if coordinate in ("r3", "ln_slow_r"):
-        return coordinates.r3_ohm({"r3": x})
-    if coordinate == "soc0":
-        return soc0 + x
-    if coordinate == "activation_K":
-        return scalars.activation_K + x
-    if coordinate == "rate_h":
-        return scalars.rate_per_A * model.capacity_Ah + x
-    if coordinate == "leak_A":
-        return scalars.leak_A + x
-    if coordinate == "surface_h":
-        return coordinates.surface_depth_h + x
-    if coordinate == "ln_surface_s":
-        return coordinates.surface_s * math.exp(x)
-    if coordinate == "rth_K_per_W":
-        return scalars.heating_K_per_W + x
-    return coordinates.value_of(coordinate, x)
+    return soc0 + x if coordinate == "soc0" else coordinates.value_of(coordinate, x)
 
 
 def split_skew(
@@ -201,8 +167,7 @@ def correct_log(log: CellLog, coordinates: Coordinates, z: Mapping[str, float]) 
     if not any(z.get(n, 0.0) for n in MEASURED_NAMES):
         return log
     known = log.known_current_A()
-    shifted, slope = np.empty_like(known), np.empty_like(known)
-    shift_rows(log.time_s, log.interval_s, known, z.get("skew_s", 0.0), shifted, slope)
+    shifted, _ = shifted_current(log.time_s, log.interval_s, known, z.get("skew_s", 0.0))
     current = (shifted - z.get("offset_A", 0.0)) / math.exp(z.get("ln_gain", 0.0))
     current[~np.isfinite(log.current_A)] = np.nan
     return replace(log, current_A=current, voltage_V=log.voltage_V - z.get("offset_V", 0.0))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from cellwise.cell.model import CellModel
-from cellwise.diagnose.decision.posterior import Weighed
+from cellwise.diagnose.decision.odds import Weighed
 from cellwise.diagnose.log_runs import LogRun
 from cellwise.logs.cell_log import CellLog
 
@@ -40,22 +40,7 @@ class FoundCause:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON values."""
-        return {
-            "name": self.name,
-            "kind": self.kind,
-            "meaning": self.meaning,
-            "probability": finite(self.probability),
-            "parameters": self.parameters,
-            "ci95": {k: list(v) for k, v in self.ci95.items()},
-            "train_rmse_before_V": self.train_rmse_before_V,
-            "train_rmse_after_V": self.train_rmse_after_V,
-            "holdout_rmse_before_V": self.holdout_rmse_before_V,
-            "holdout_rmse_after_V": self.holdout_rmse_after_V,
-            "gain": self.gain,
-            "gain_ci95": list(self.gain_ci95),
-            "evidence": list(self.evidence),
-            "confusable_with": list(self.confusable_with),
-        }
+        return {**vars(self), "probability": finite(self.probability)}
 
 
 @dataclass(frozen=True)
@@ -72,12 +57,7 @@ class TriedCause:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON values."""
-        return {
-            "name": self.name,
-            "holdout_rmse_V": self.holdout_rmse_V,
-            "parameters": self.parameters,
-            "score": self.score,
-        }
+        return dict(vars(self))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -14,8 +14,15 @@ from cellwise.cell.simulate import simulate
 from cellwise.diagnose.causes.catalogue import SENSOR_FAULT
 from cellwise.diagnose.result import Diagnosis, FoundCause
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.checks.impossible import impossible_runs, without
-from cellwise.logs.checks.oddities import Run, clipped_runs, find_spikes, lost_runs, stuck_runs
+from cellwise.logs.checks.faults import (
+    clipped_runs,
+    find_spikes,
+    impossible_runs,
+    lost_runs,
+    stuck_runs,
+    without,
+)
+from cellwise.logs.checks.rests import Run
 
 # A single row may be bad in any log; so many are a sensor that fails.
 FEWEST_SPIKES = 3

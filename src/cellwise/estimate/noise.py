@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cellwise.arguments import check_kind
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
 from cellwise.errors import InputError
 from cellwise.estimate.validity_kernels import EVERYWHERE, ValidityScalars, validity_scalars
-from cellwise.given import check_kind
 
 # Beyond these a reading is the sensor's fault.
 IMPOSSIBLE_RATE = 200.0

@@ -118,8 +118,8 @@ def write_sources(
 
 
 def initialiser(value: Any) -> str:
-    """A number or an array of numbers as C."""
-    if np.ndim(value):
+    """A number, an array of numbers or a record of them as C."""
+    if np.ndim(value) or np.asarray(value).dtype.names:
         return "{" + ", ".join(initialiser(v) for v in value) + "}"
     if np.issubdtype(np.asarray(value).dtype, np.integer):
         return f"{int(value)}u"

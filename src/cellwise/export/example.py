@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
-from cellwise.estimate.fixed.fixed_step import numba_stepper, samples_of
 from cellwise.estimate.fixed.layout import hex_float, state_type
+from cellwise.estimate.fixed.samples import samples_of
+from cellwise.estimate.fixed.stepper import numba_stepper
 from cellwise.estimate.fixed.tables import FixedStepTables
-from cellwise.export.c_tables import comment, firmware_folder
-from cellwise.export.host_library import HostLibrary
+from cellwise.export.c_tables import comment, firmware_folder, initialiser
+from cellwise.export.firmware import HostLibrary
 from cellwise.logs.cell_log import CellLog
 
 SAMPLES = 200
@@ -35,47 +36,6 @@ PARKING_LEAN = """\
 The lean build leaves the branches where they are over a gap: after minutes off or more call
   `cellwise_init` with the stored `soc` and its variance, which costs less than a step."""
 
-EXAMPLE = """\
-/* Steps the filter through test_vector.h and compares every bit; prints some of it.
- *
- *     cc -std=c99 -O2 -ffp-contract=off example.c cellwise_ekf.c cellwise_store.c cell_table.c
- *
- * prints what expected_output.txt holds, and returns 0. */
-#include <stdio.h>
-#include <string.h>
-
-#include "cellwise_cell.h"
-#include "cellwise_store.h"
-#include "test_vector.h"
-
-int main(void)
-{
-    cellwise_state state;
-    cellwise_stored stored;
-    cellwise_output out;
-    unsigned wrong = 0u;
-    unsigned k;
-
-    if (cellwise_check_model(&cellwise_cell) != 0u) {
-        puts("the tables are damaged");
-        return 2;
-    }
-    cellwise_init(&cellwise_cell, &state, CELLWISE_VECTOR_SOC, CELLWISE_VECTOR_VARIANCE);
-    for (k = 0u; k < CELLWISE_VECTOR_SAMPLES; k++) {
-        cellwise_step(&cellwise_cell, &state, &cellwise_vector_inputs[k], &out);
-        wrong += memcmp(&out, &cellwise_vector_outputs[k], sizeof out) != 0;
-        if (k % 20u == 19u) {
-            printf("%3u  soc %.6f  variance %.3e  status %lu\\n", k + 1u, (double)out.soc,
-                   (double)out.soc_variance, (unsigned long)out.status);
-        }
-    }
-    cellwise_keep(&stored, &state); /* before switching off; and at the next start: */
-    wrong += cellwise_restore(&state, &stored) != 0u;
-    puts(wrong == 0u ? "every bit as expected" : "DIFFERENT BITS");
-    return wrong != 0u;
-}
-"""
-
 
 def example_files(
     model: CellModel, tables: FixedStepTables, description: dict[str, Any]
@@ -83,7 +43,7 @@ def example_files(
     """Names and texts of README, example, test vector and what the example prints."""
     inputs, outputs = vector(model, tables)
     yield "README.md", readme(description)
-    yield "example.c", EXAMPLE
+    yield "example.c", (firmware_folder() / "example.c").read_text(encoding="utf-8")
     yield "test_vector.h", vector_text(inputs, outputs)
     yield "expected_output.txt", expected_text(outputs)
 
@@ -123,29 +83,17 @@ def vector_text(inputs: NDArray[Any], outputs: NDArray[Any]) -> str:
         f"#define CELLWISE_VECTOR_VARIANCE {hex_float(float(np.float32(START_VARIANCE)))}",
         "",
         f"static const cellwise_input cellwise_vector_inputs[{inputs.size}] = {{",
-        *_records(inputs),
+        *(f"    {initialiser(record)}," for record in inputs),
         "};",
         "",
         f"static const cellwise_output cellwise_vector_outputs[{outputs.size}] = {{",
-        *_records(outputs),
+        *(f"    {initialiser(record)}," for record in outputs),
         "};",
         "",
         "#endif",
         "",
     ]
     return "\n".join(lines)
-
-
-def _records(records: NDArray[Any]) -> Iterator[str]:
-    names = records.dtype.names or ()
-    for record in records:
-        cells = [
-            f"{int(record[name])}u"
-            if np.issubdtype(records.dtype[name], np.integer)
-            else hex_float(float(record[name]))
-            for name in names
-        ]
-        yield f"    {{{', '.join(cells)}}},"
 
 
 def expected_text(outputs: NDArray[Any]) -> str:

@@ -1,24 +1,43 @@
-"""The firmware's C as an estimator of this machine."""
+"""The firmware's C as an estimator of this machine: compiled for a model, called by cffi."""
 
 from __future__ import annotations
 
-from cellwise.estimate.fixed.fixed_step import FixedStep, Stepper
+import os
+import shlex
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellwise.errors import InputError
+from cellwise.estimate.fixed.fixed_step import FixedStep
+from cellwise.estimate.fixed.layout import CELL_OUTPUT, INPUT, OUTPUT, state_type
+from cellwise.estimate.fixed.stepper import PackCalls, Stepper
 from cellwise.estimate.fixed.tables import FixedStepTables
-from cellwise.export.host_library import HostLibrary
+from cellwise.export.c_tables import STRICT_FLAGS, firmware_folder, write_sources
 
-
-def host_stepper(tables: FixedStepTables) -> Stepper:
-    """The C of some tables, by this machine's compiler, as the fixed step takes it."""
-    library = HostLibrary(tables)
-    return Stepper(
-        tables,
-        library.init,
-        library.rows,
-        library.power,
-        library.remaining,
-        library.set_health,
-        library.pack(),
-    )
+DECLARATIONS = """
+uint32_t cellwise_init(const void *model, void *x, float soc, float soc_variance);
+void cellwise_rows(const void *model, void *x, const void *in, void *out, uint32_t samples);
+void cellwise_power_of(const void *model, const void *x, void *out);
+void cellwise_remaining_of(const void *model, const void *x, float load_A, bool holds_power,
+                           void *out);
+uint32_t cellwise_set_health_of(const void *model, void *x, float share, float scale);
+void cellwise_cells_begin(const void *model, void *cells, uint32_t count);
+void cellwise_pack_rows(const void *model, void *x, void *cells, uint32_t count, void *in,
+                        const void *voltage_V, void *out, uint32_t samples);
+void cellwise_cells_of(const void *model, const void *x, const void *cells, uint32_t count,
+                       void *out);
+void cellwise_pack_power_of(const void *model, const void *x, const void *cells, uint32_t count,
+                            void *out);
+extern const char cellwise_cell[];
+"""
 
 
 class Firmware(FixedStep):
@@ -27,4 +46,133 @@ class Firmware(FixedStep):
     name = "firmware"
 
     def _make(self, tables: FixedStepTables) -> Stepper:
-        return host_stepper(tables)
+        return HostLibrary(tables).stepper()
+
+
+class HostLibrary:
+    """The compiled C of one set of tables.
+
+    Parameters
+    ----------
+    compiler : sequence of str or None    command and flags; None: $CC or cc with -O2
+
+    Raises
+    ------
+    InputError        no C compiler, no cffi, or C that does not compile
+    """
+
+    def __init__(self, tables: FixedStepTables, compiler: Sequence[str] | None = None) -> None:
+        try:
+            from cffi import FFI
+        except ImportError as error:
+            raise InputError(
+                "no cffi in this Python",
+                "the extra 'firmware'",
+                "Install it: pip install 'cellwise[firmware]'.",
+            ) from error
+        self.tables = tables
+        self._ffi = FFI()
+        self._ffi.cdef(DECLARATIONS)
+        with tempfile.TemporaryDirectory(prefix="cellwise-") as folder:
+            path = build_library(tables, Path(folder), compiler or host_compiler())
+            self._library = self._ffi.dlopen(str(path))
+        self._model = self._library.cellwise_cell
+
+    def model_bytes(self) -> bytes:
+        """The model as it stands in the library's read-only memory."""
+        return bytes(self._ffi.buffer(self._model, self.tables.flash_bytes))
+
+    def stepper(self) -> Stepper:
+        """The functions of the C as the fixed step takes them; arrays by their memory."""
+        pack = PackCalls(self._begin_cells, self._pack_rows, self._cells_now, self._pack_power)
+        power = partial(self._call, "cellwise_power_of")
+        remaining = partial(self._call, "cellwise_remaining_of")
+        health = partial(self._call, "cellwise_set_health_of")
+        return Stepper(self.tables, self.init, self.rows, power, remaining, health, pack)
+
+    def state(self) -> NDArray[Any]:
+        """An empty state."""
+        return np.zeros(1, dtype=state_type(self.tables.options))
+
+    def init(self, state: NDArray[Any], soc: float, soc_variance: float) -> int:
+        """``cellwise_init``: its status."""
+        return int(self._call("cellwise_init", state, soc, soc_variance))
+
+    def rows(self, state: NDArray[Any], samples: NDArray[Any]) -> NDArray[Any]:
+        """``cellwise_step`` for every sample: records of OUTPUT, shape (n,)."""
+        samples = np.ascontiguousarray(samples, dtype=INPUT)
+        outputs = np.zeros(samples.size, dtype=OUTPUT)
+        if samples.size:
+            self._call("cellwise_rows", state, samples, outputs, samples.size)
+        return outputs
+
+    def _begin_cells(self, cells: NDArray[Any]) -> None:
+        self._call("cellwise_cells_begin", cells, cells.size)
+
+    def _pack_rows(
+        self, state: NDArray[Any], cells: NDArray[Any], samples: NDArray[Any], cell_V: NDArray[Any]
+    ) -> NDArray[Any]:
+        outputs = np.zeros(samples.size, dtype=OUTPUT)
+        voltage_V = np.ascontiguousarray(cell_V, dtype=np.float32)
+        if samples.size:
+            self._call(
+                "cellwise_pack_rows",
+                *(state, cells, cells.size, samples, voltage_V, outputs, samples.size),
+            )
+        return outputs
+
+    def _cells_now(self, state: NDArray[Any], cells: NDArray[Any]) -> NDArray[Any]:
+        out = np.zeros(cells.size, dtype=CELL_OUTPUT)
+        self._call("cellwise_cells_of", state, cells, cells.size, out)
+        return out
+
+    def _pack_power(self, state: NDArray[Any], cells: NDArray[Any], out: NDArray[Any]) -> None:
+        self._call("cellwise_pack_power_of", state, cells, cells.size, out)
+
+    def _call(self, name: str, *passed: Any) -> Any:
+        """A function of the C; of an array its memory."""
+        pointers = [self._ffi.from_buffer(a) if isinstance(a, np.ndarray) else a for a in passed]
+        return getattr(self._library, name)(self._model, *pointers)
+
+
+def host_compiler() -> list[str]:
+    """$CC with its flags, else cc, gcc or clang, at -O2.
+
+    Raises
+    ------
+    InputError        none is there
+    """
+    named = shlex.split(os.environ.get("CC", ""))
+    for command in [named] if named else [["cc"], ["gcc"], ["clang"]]:
+        if shutil.which(command[0]):
+            return [*command, "-O2"]
+    raise InputError(
+        "no C compiler", "cc, gcc or clang, or $CC", "Install one: apt-get install gcc."
+    )
+
+
+def build_library(tables: FixedStepTables, folder: Path, compiler: Sequence[str]) -> Path:
+    """Compile the C of a model into a shared library in ``folder``.
+
+    Raises
+    ------
+    InputError        the compiler refuses
+    """
+    for name, text in write_sources(tables, "0" * 64):
+        (folder / name).write_text(text, encoding="utf-8")
+    port = folder / "port"
+    port.mkdir(exist_ok=True)
+    shutil.copy(firmware_folder() / "port" / "host_rows.c", port)
+    library = folder / "libcellwise.so"
+    sources = [str(folder / "cellwise_ekf.c"), str(folder / "cell_table.c")]
+    command = [*compiler, *STRICT_FLAGS, "-shared", "-fPIC", "-o", str(library), *sources]
+    done = subprocess.run(
+        [*command, str(port / "host_rows.c")], capture_output=True, text=True, check=False
+    )
+    if done.returncode != 0:
+        raise InputError(
+            f"C that {compiler[0]} does not compile: {done.stderr.strip()[:300]}",
+            "a C99 compiler with IEEE 754 float",
+            "Set $CC to another compiler.",
+        )
+    return library

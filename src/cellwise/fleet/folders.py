@@ -15,9 +15,9 @@ from cellwise.fleet import columns
 from cellwise.fleet.tasks import LogTask
 from cellwise.history.life import life_of
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.packs.log_date import day_of_name
 from cellwise.logs.packs.pack_log import PackLog
 from cellwise.logs.packs.pack_reading import read_pack
+from cellwise.logs.stated import day_of_name
 from cellwise.pack.pack_estimate import estimate_pack
 
 

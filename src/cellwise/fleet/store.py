@@ -11,7 +11,7 @@ from typing import Any
 from cellwise.errors import InputError
 from cellwise.files import made_folder, write_atomically
 from cellwise.fleet.columns import BY_MACHINE
-from cellwise.logs.tables import read_rows, write_rows
+from cellwise.logs.writing import read_rows, write_rows
 
 MANIFEST = "_fleet.json"
 PART = "part-{:06d}.parquet"

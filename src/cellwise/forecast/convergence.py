@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import norm
 
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import simulate
 from cellwise.estimate.estimators import Estimator
 from cellwise.estimate.replay import Replay, converged_row
 from cellwise.typing import FloatArray
-
-MEDIAN_SIGMAS = 0.67449  # half of a normal distribution lies within
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -31,7 +30,8 @@ class ExpectedConvergence:
 
         Stays means for ten minutes or to the log's end; None: not on this log.
         """
-        row = converged_row(self.time_s, MEDIAN_SIGMAS * self.soc_std)
+        half = float(norm.ppf(0.75))  # half of a normal distribution lies within
+        row = converged_row(self.time_s, half * self.soc_std)
         return None if row is None else float(self.time_s[row] - self.time_s[0])
 
     def __repr__(self) -> str:

@@ -38,7 +38,6 @@ USUAL_MEMORY_SOC = 0.2
 # Why a forecast ended.
 BY_CHARGE, BY_VOLTAGE, NEVER = 0, 1, 2
 STEPS = 400  # from full to empty
-MOST_STEPS = 4 * STEPS
 POWER_TURNS = 20
 
 
@@ -207,7 +206,7 @@ def to_empty(
     known_V = math.nan
     warmth = Warmth(go.temperature_C - lump.origin_C, 0.0, 0.0, 0.0)
     here_C = go.temperature_C
-    for _ in range(MOST_STEPS):
+    for _ in range(4 * STEPS):
         current = power_W / before_V if go.hold_power else load_A
         state_next, point = advance(tables, state, current, dt_s, here_C)
         model_V = voltage_of(point, state_next, current)

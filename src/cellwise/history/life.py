@@ -14,13 +14,17 @@ from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.history.stretches import Compared, Stretch, compare, longest_stretch
 from cellwise.history.trend import START_STD, WINDOWS_ALIKE, Deviations, Trend, trend_of
-from cellwise.history.window_fit import RESISTANCE_PER_K, changed_model, fit_window
+from cellwise.history.window_fit import PER_KELVIN, changed_model, fit_window
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.packs.log_date import day_of_name
+from cellwise.logs.stated import day_of_name
 from cellwise.typing import FloatArray
 
+SAME_KEYS = (
+    "capacity_Ah", "capacity_std_Ah", "resistance_scale", "resistance_std", "soc_start", "soc_end",
+    "throughput_Ah",
+)  # fmt: skip
 COMPLETE = 0.85  # of the model's capacity: a stretch that moves more counts as a capacity test
-REFERENCE_STD = 0.015  # of the capacity: beyond it a reference test is worth its time
+REFERENCE_STD = 0.015  # of the capacity: beyond it a reference test is asked for
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +115,7 @@ class Life:
 
     @property
     def next_reference(self) -> str:
-        """The test that would make the trend known, where it is worth its time."""
+        """The test that would make the trend known, where it is not."""
         std = float(self.trend.std[-1])
         if std <= REFERENCE_STD and any(one.counted for one in self.logs):
             return f"none: the capacity is known to {100 * std:.1f} %"
@@ -147,13 +151,7 @@ class Life:
                 {
                     "log": one.log.name,
                     "start": None if one.day is None else one.day.isoformat(),
-                    "capacity_Ah": one.capacity_Ah,
-                    "capacity_std_Ah": one.capacity_std_Ah,
-                    "resistance_scale": one.resistance_scale,
-                    "resistance_std": one.resistance_std,
-                    "soc_start": one.soc_start,
-                    "soc_end": one.soc_end,
-                    "throughput_Ah": one.throughput_Ah,
+                    **{key: getattr(one, key) for key in SAME_KEYS},
                     "capacity_share": one.share,
                     "capacity_share_std": one.share_std,
                     "how": one.how,
@@ -278,7 +276,7 @@ def _by_stretch(
     capacity = reference.moved_Ah * result.capacity
     start, end = _soc_of(one, reference, result)
     dc = _dc_resistance(model, warm)
-    apart = 0.0 if warm is None or reference.temperature_C is None else (
+    away_K = 0.0 if warm is None or reference.temperature_C is None else (
         abs(warm - reference.temperature_C))  # fmt: skip
     total = share * result.capacity
     return LogOfLife(
@@ -290,7 +288,9 @@ def _by_stretch(
         share_std=float(np.hypot(spread, known.std)),
         deviations=(*_parts(spread, alike), known.measured_std),
         resistance_scale=1.0 + result.added_ohm / dc,
-        resistance_std=float(np.hypot(result.added_std_ohm / dc, RESISTANCE_PER_K * apart + 0.005)),
+        resistance_std=float(
+            np.hypot(result.added_std_ohm / dc, PER_KELVIN.resistance * away_K + 0.005)
+        ),
         soc_start=start,
         soc_end=end,
         throughput_Ah=flow,

@@ -3,48 +3,73 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
-SAME_CURRENT = 0.05
-SAME_RATE = 0.10
-SAME_TEMPERATURE_K = 8.0
-LONG_S = 300.0
-LEAST_CHARGE = 0.15  # of the capacity
-POINTS = 200
-SMOOTH_ROWS = 15
-# An end of a discharge that two logs share: the limit, to what one row may step beyond it.
-SAME_LIMIT_V = 0.02
-# A charged cell under load begins as it did, but for what it drops more over the middle of a cycle.
-SAME_START_V = 0.12
-COUNTER_STD = 0.002  # of a counted charge: sensors, the last rows, what temperature does within 8 K
-LENGTH_OF_ERROR = 0.3  # of the SOC range, over which a curve's change of shape stays alike
-LEAST_ERROR_V = 0.002
-UNEVEN = 0.2  # share of an added resistance that is not the same at every SOC
+POINTS = 200  # of a thinned stretch
+THIN = 4  # of these are compared, one in so many
+LENGTH_S = 300.0  # shortest stretch
+
+
+class SameLoad(NamedTuple):
+    """Within what a current is constant, and two stretches have one load (shares, kelvin)."""
+
+    constant: float = 0.05
+    current: float = 0.10
+    temperature_K: float = 8.0
+
+
+class Complete(NamedTuple):
+    """Within what two complete stretches begin and end alike [V].
+
+    A charged cell under load begins as it did, but for what it drops more over the middle of a
+    cycle; both end at the limit, to what one row may step beyond it.
+    """
+
+    start_V: float = 0.12
+    end_V: float = 0.02
+
+
+class Ageing(NamedTuple):
+    """How a curve of voltage over charge changes in a life: standard deviations.
+
+    ``share``: of the capacities about the first; ``added_V``: of the drop that a life adds, and
+    ``gained_V`` where it falls (a sensor's, or warmer); ``uneven``: share of an added resistance
+    that is not the same at every SOC; ``length``: of the SOC range, over which a change of shape
+    stays alike; ``least_V`` of that change; ``over``: by which a window may reach beyond the range;
+    ``counter``: share of a counted charge (sensors, the last rows, what temperature does).
+    """
+
+    share: float = 0.3
+    added_V: float = 0.15
+    gained_V: float = 0.01
+    uneven: float = 0.2
+    length: float = 0.3
+    least_V: float = 0.002
+    over: float = 0.02
+    counter: float = 0.002
+
+
+SAME, COMPLETE, AGEING = SameLoad(), Complete(), Ageing()
 SHARES = np.linspace(0.5, 1.15, 131)
-SHARE_STD = 0.3  # of a life's capacities about the first
-BEGINS = 93
-THIN = 4
-ADDED_V = 0.15  # of the drop that a life adds; a resistance that falls is a sensor's or warmer
-GAINED_V = 0.01
-OVER = 0.02  # of the range, by which a window may reach beyond its ends
+BEGINS = np.linspace(-0.15, 1.0, 93)  # of the reference's range
 
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
     """A stretch of a log at one current.
 
-    ``charge_Ah`` (n,) moved since its beginning, ``voltage_V`` (n,), both thinned; ``rate`` [1/h]
-    positive on discharge; ``temperature_C`` at its beginning, None where nobody measured.
+    ``charge_Ah`` (n,) moved since its beginning, ``voltage_V`` (n,), thinned; ``temperature_C``
+    at its beginning, None where nobody measured.
     """
 
     charge_Ah: FloatArray
     voltage_V: FloatArray
     current_A: float
-    rate: float
     temperature_C: float | None
 
     @property
@@ -54,16 +79,16 @@ class Stretch:
 
     def alike(self, other: Stretch) -> bool:
         """The same load: direction, current, temperature."""
-        if abs(self.current_A / other.current_A - 1.0) > SAME_RATE:
+        if abs(self.current_A / other.current_A - 1.0) > SAME.current:
             return False
         a, b = self.temperature_C, other.temperature_C
-        return a is None or b is None or abs(a - b) < SAME_TEMPERATURE_K
+        return a is None or b is None or abs(a - b) < SAME.temperature_K
 
     def as_complete_as(self, other: Stretch) -> bool:
         """It begins charged and ends at the limit as the other does."""
-        end = abs(self.voltage_V[-1] - other.voltage_V[-1]) < SAME_LIMIT_V
+        end = abs(self.voltage_V[-1] - other.voltage_V[-1]) < COMPLETE.end_V
         drop = _resistance_at_same_share(self, other) * self.current_A
-        start = abs(self.voltage_V[0] - other.voltage_V[0] + drop) < SAME_START_V
+        start = abs(self.voltage_V[0] - other.voltage_V[0] + drop) < COMPLETE.start_V
         return bool(start and end)
 
 
@@ -87,7 +112,7 @@ def longest_stretch(log: CellLog, capacity_Ah: float) -> Stretch | None:
         if np.count_nonzero(loaded) < 20:
             continue
         usual = float(np.median(current[loaded]))
-        inside = loaded & (np.abs(current - usual) < SAME_CURRENT * abs(usual))
+        inside = loaded & (np.abs(current - usual) < SAME.constant * abs(usual))
         inside &= ~log.gap_rows
         edges = np.flatnonzero(np.diff(np.concatenate(([0], inside.astype(np.int8), [0]))))
         runs = list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
@@ -95,12 +120,12 @@ def longest_stretch(log: CellLog, capacity_Ah: float) -> Stretch | None:
             continue
         a, b = max(runs, key=lambda run: run[1] - run[0])
         charge = np.cumsum(np.abs(current[a:b]) * interval[a:b]) / 3600.0
-        long = log.time_s[b - 1] - log.time_s[a] >= LONG_S
-        if b - a < 20 or not long or charge[-1] - charge[0] < LEAST_CHARGE * capacity_Ah:
+        long = log.time_s[b - 1] - log.time_s[a] >= LENGTH_S
+        if b - a < 20 or not long or charge[-1] - charge[0] < 0.5 * AGEING.length * capacity_Ah:
             continue
         warm = None if log.temperature_C is None else float(log.temperature_C[a])
         warm = None if warm is None or not np.isfinite(warm) else warm
-        best = _thinned(charge, log.voltage_V[a:b], usual, usual / capacity_Ah, warm)
+        best = _thinned(charge, log.voltage_V[a:b], usual, warm)
         break
     return best
 
@@ -116,7 +141,7 @@ def compare(one: Stretch, reference: Stretch) -> Compared:
     if one.as_complete_as(reference):
         share = one.moved_Ah / reference.moved_Ah
         added = _resistance_at_same_share(one, reference)
-        return Compared(share, COUNTER_STD * np.sqrt(2.0), added, 0.2 * abs(added) + 1e-4, True)
+        return Compared(share, AGEING.counter * np.sqrt(2.0), added, 0.2 * abs(added) + 1e-4, True)
 
     return _marginal(one, reference)
 
@@ -128,21 +153,21 @@ def _marginal(one: Stretch, reference: Stretch) -> Compared:
     integrated out: as many of its values are independent as lengths of 0.3 fit into the window.
     """
     share = SHARES[:, None, None]
-    begin = np.linspace(-0.15, 1.0, BEGINS)[None, :, None] * reference.moved_Ah
+    begin = BEGINS[None, :, None] * reference.moved_Ah
     at = begin + one.charge_Ah[None, None, ::THIN] / share
     left = one.voltage_V[None, None, ::THIN] - _extended(at, reference)
     added = -left.mean(axis=2) / one.current_A  # the resistance that fits each best
     drop = added * abs(one.current_A)
-    spread = np.hypot(UNEVEN * drop, LEAST_ERROR_V)
+    spread = np.hypot(AGEING.uneven * drop, AGEING.least_V)
     size = left.var(axis=2) + spread**2
     covered = min(one.moved_Ah / reference.moved_Ah, 1.0)
-    freedom = 1.0 + covered / LENGTH_OF_ERROR
+    freedom = 1.0 + covered / AGEING.length
     likely = -0.5 * freedom * np.log(size)
-    likely -= 0.5 * (drop / np.where(drop > 0.0, ADDED_V, GAINED_V)) ** 2
-    likely -= 0.5 * ((SHARES[:, None] - 1.0) / SHARE_STD) ** 2
+    likely -= 0.5 * (drop / np.where(drop > 0.0, AGEING.added_V, AGEING.gained_V)) ** 2
+    likely -= 0.5 * ((SHARES[:, None] - 1.0) / AGEING.share) ** 2
     end = (begin[..., 0] + one.moved_Ah / share[..., 0]) / reference.moved_Ah
-    likely -= 0.5 * (np.maximum(end - 1.0, 0.0) / OVER) ** 2
-    likely -= 0.5 * (np.minimum(begin[..., 0] / reference.moved_Ah, 0.0) / OVER) ** 2
+    likely -= 0.5 * (np.maximum(end - 1.0, 0.0) / AGEING.over) ** 2
+    likely -= 0.5 * (np.minimum(begin[..., 0] / reference.moved_Ah, 0.0) / AGEING.over) ** 2
     weight = np.exp(likely - likely.max())
     weight /= weight.sum()
     capacity = float((weight * SHARES[:, None]).sum())
@@ -151,16 +176,16 @@ def _marginal(one: Stretch, reference: Stretch) -> Compared:
     variance_ohm = float((weight * (added - mean) ** 2).sum())
     # What was not seen may have aged by itself: lithium that is lost moves the ends of the range
     # and stretches nothing between them.
-    unseen = (1.0 - min(covered / capacity, 1.0)) * SHARE_STD
-    std = float(np.sqrt(variance + unseen**2 + COUNTER_STD**2))
+    unseen = (1.0 - min(covered / capacity, 1.0)) * AGEING.share
+    std = float(np.sqrt(variance + unseen**2 + AGEING.counter**2))
     return Compared(capacity, std, mean, float(np.sqrt(variance_ohm)), False)
 
 
 def _thinned(
-    charge: FloatArray, voltage: FloatArray, current: float, rate: float, warm: float | None
+    charge: FloatArray, voltage: FloatArray, current: float, warm: float | None
 ) -> Stretch:
     moved = charge - charge[0]
-    width = min(SMOOTH_ROWS, max(voltage.size // POINTS, 1))
+    width = max(voltage.size // POINTS, 1)
     smooth = voltage
     if width > 2:
         kernel = np.ones(width) / width
@@ -169,7 +194,7 @@ def _thinned(
         middle = np.convolve(voltage, kernel, "valid")
         smooth[half : half + middle.size] = middle
     at = np.unique(np.linspace(0, voltage.size - 1, POINTS).astype(np.int64))
-    return Stretch(moved[at], smooth[at], current, rate, warm)
+    return Stretch(moved[at], smooth[at], current, warm)
 
 
 def _extended(at: FloatArray, reference: Stretch) -> FloatArray:

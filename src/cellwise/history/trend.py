@@ -21,7 +21,7 @@ SCATTERS = (0.0, 0.003, 0.006, 0.012)
 WINDOWS_ALIKE = 0.95
 ALIKE_OVER = 0.5
 START_STD = 0.002  # of a first log that is counted itself
-KNEE_BIC = 10.0
+KNEE_BIC = 10.0  # very strong evidence (Kass and Raftery 1995)
 FEWEST_FOR_KNEE = 8
 
 
@@ -92,8 +92,8 @@ def trend_of(
     weight = np.exp(np.array(likely) - max(likely))
     weight /= weight.sum()
     mean = np.asarray(weight @ np.array(means))
-    apart = np.array(means) - mean
-    deviation = np.sqrt(weight @ (np.array(variances) + apart**2))
+    off = np.array(means) - mean
+    deviation = np.sqrt(weight @ (np.array(variances) + off**2))
     return Trend(mean, deviation, _knee(u, share, std.whole))
 
 

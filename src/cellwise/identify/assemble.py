@@ -17,16 +17,16 @@ from cellwise.cell.effects import (
 )
 from cellwise.cell.model import CellModel, ModelTables
 from cellwise.identify.ocv.curve import OcvCurve
-from cellwise.identify.refinement.problem import LEAST_RATIO
-from cellwise.identify.refinement.refine import RefineResult, StartTables
+from cellwise.identify.refinement.problem import LEAST_RATIO, StartTables
+from cellwise.identify.refinement.refine import RefineResult
 from cellwise.identify.refinement.refine_data import BEYOND
 from cellwise.identify.refinement.splines import spline_rows, spline_values
-from cellwise.identify.tables import NAMES, PulseTables
+from cellwise.identify.tables import GRID_POINTS, NAMES, PulseTables
 from cellwise.typing import FloatArray
 
-GRID_POINTS = 201
 LEAST_RISE_V = 1e-6  # per grid step, so that the OCV can be inverted everywhere
 LEAST_M_V = 1e-4
+LARGEST_OCV_MOVE_V = 0.03  # a cell of the same kind, hysteresis and temperature leave less
 LEAST_SKEW_S = 0.005
 STEP_K = 5.0  # at 5,000 K and -20 degC a straight line is within about 1 % of the exponential
 
@@ -127,16 +127,30 @@ def refined_effects(
 
 
 def plain_model(
-    tables: PulseTables, ocv: OcvCurve, capacity: float, temperature: float
+    tables: Sequence[PulseTables],
+    ocv: OcvCurve,
+    capacity_Ah: float,
+    temperature_C: Sequence[float],
 ) -> CellModel:
-    """A model of the pulses' tables as they are, without refinement."""
-    return CellModel(
-        capacity,
-        *ModelTables(
-            monotone(ocv.function.evaluate(tables.soc)),
-            *(tables.values[name] for name in NAMES),
-        ),
-        temperature_C=np.array([temperature]),
+    """A model of the pulses' tables as they are, one row for each temperature, ascending."""
+    level = monotone(ocv.function.evaluate(tables[0].soc))
+    rows = {name: np.array([t.values[name] for t in tables]) for name in NAMES}
+    stacked = ModelTables(np.tile(level, (len(tables), 1)), *(rows[name] for name in NAMES))
+    return CellModel(capacity_Ah, *stacked, temperature_C=np.array(temperature_C))
+
+
+def moved_ocv_notice(result: RefineResult) -> tuple[str, ...]:
+    """Whether the logs contradict the OCV they were given: mostly a wrong initial SOC."""
+    seen = np.concatenate([p.soc[p.evaluate] for p in result.logs])
+    soc = np.linspace(max(seen.min(), 0.1), min(seen.max(), 0.9), 81)
+    rows = spline_rows(soc, result.ocv_knots)
+    moved = spline_values(rows, result.theta[: result.layout.knots_ocv])
+    size = float(np.sqrt(np.mean(moved**2)))
+    if size <= LARGEST_OCV_MOVE_V:
+        return ()
+    return (
+        f"the logs under load would have the OCV moved by {1e3 * size:.0f} mV RMS: check at which "
+        "SOC they begin, and whether OCV and logs are of one cell and temperature",
     )
 
 

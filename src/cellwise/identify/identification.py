@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
 from cellwise.cell.metrics import ErrorMetrics
 from cellwise.cell.model import CellModel
+from cellwise.cell.plausibility.notice import Notice
 from cellwise.cell.simulate import Simulation
 from cellwise.errors import InputError
 from cellwise.identify.capacity.capacity_test import CapacityTest
@@ -17,7 +18,6 @@ from cellwise.identify.hppc.pulses import Pulse
 from cellwise.identify.ocv.curve import OcvCurve
 from cellwise.identify.pulse_fit.fit_pulse import Method
 from cellwise.identify.pulse_fit.pulse_parameters import PulseFit
-from cellwise.identify.refinement.effects import Decided
 from cellwise.identify.refinement.refine import RefineResult
 from cellwise.identify.soc_anchor import SocAnchor
 from cellwise.identify.tables import TableKind
@@ -89,6 +89,12 @@ class TestLogs:
         for name in ("ocv", "capacity"):
             pairs = _pairs(getattr(self, name), name)
             object.__setattr__(self, name, tuple(log for log, _ in pairs))
+
+    def logs(self) -> tuple[CellLog, ...]:
+        """Every log once."""
+        driven = [log for log, _ in (*self.hppc, *self.drive)]
+        every = {id(log): log for log in (*driven, *self.ocv, *self.capacity)}
+        return tuple(every.values())
 
     def sources(self) -> dict[str, list[str]]:
         """Where the logs of each kind came from, for a model's provenance."""
@@ -165,6 +171,52 @@ class TemperatureResult:
     temperature_C: float
     pulse_sets: tuple[PulseSet, ...]
     refinement: RefineResult | None
+
+
+class Start(NamedTuple):
+    """A log, the SOC at which it begins, the rows that are compared, and why it is left out.
+
+    ``rows`` None: all; ``left_out`` empty: it takes part in the fit.
+    """
+
+    log: CellLog
+    soc0: float
+    rows: BoolArray | None = None
+    left_out: str = ""
+
+
+@dataclass(frozen=True)
+class Decided:
+    """An effect that was tried: whether the model has it, its gain on held-out loads, and why."""
+
+    name: str
+    accepted: bool
+    gain: float | None
+    reason: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """As the command prints it."""
+        return vars(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """What a fit gives, of laboratory tests or from a prior: the model and where it comes from.
+
+    ``starts`` holds every log that was given; ``measured_soc`` where the OCV was measured;
+    ``provenance`` the stations' own entries.
+    """
+
+    model: CellModel
+    ocv: OcvCurve
+    starts: tuple[Start, ...]
+    temperatures: tuple[TemperatureResult, ...]
+    measured_soc: FloatArray
+    decided: tuple[Decided, ...] = ()
+    choices_Ah: Mapping[str, float] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    contradictions: tuple[Notice, ...] = ()
+    notices: tuple[str, ...] = ()
 
 
 Role = Literal["hppc", "ocv", "capacity", "drive"]

@@ -1,4 +1,4 @@
-"""Every log that was given, simulated back with the finished model."""
+"""Eighth station: every log that was given, simulated back with the finished model."""
 
 from __future__ import annotations
 
@@ -7,53 +7,86 @@ from collections.abc import Sequence
 import numpy as np
 
 from cellwise.cell.model import CellModel
+from cellwise.cell.model_file import check_physical
+from cellwise.cell.plausibility.notice import Notice, in_order
+from cellwise.cell.plausibility.simulated import (
+    LARGE_ERROR_V,
+    error_notices,
+    soc_notices,
+)
 from cellwise.cell.simulate import Simulation, simulate
 from cellwise.errors import InputError
 from cellwise.identify.capacity.half_cycles import find_half_cycles, join_logs
-from cellwise.identify.identification import OwnLog, Role, TestLogs
-from cellwise.identify.ocv.curve import OcvCurve
-from cellwise.identify.refinement.refine_stage import LARGEST_SOC_ERROR, Start
-from cellwise.identify.soc_anchor import anchor_soc
+from cellwise.identify.identification import Fitted, OwnLog, Role, TestLogs
 from cellwise.logs.cell_log import CellLog
-from cellwise.typing import BoolArray
+from cellwise.typing import BoolArray, FloatArray
 
-CLEAR_GAP_V = 0.02
+CLEAR_GAP_V = 0.02  # between a side of a test and the model: hysteresis and resistance of others
 FEWEST_ROWS = 5
 BROUGHT_BACK = 0.95  # of what a discharge took: less is not one cycle
 
 
-def simulate_back(
-    model: CellModel, tests: TestLogs, ocv: OcvCurve, starts: Sequence[Start]
-) -> tuple[OwnLog, ...]:
-    """Every log, in the order in which it was given.
-
-    Parameters
-    ----------
-    starts : logs that took part in a fit, and from where; of the others it is looked for
-    """
-    known = {id(s.log): s for s in starts}
+def simulate_back(model: CellModel, tests: TestLogs, fitted: Fitted) -> tuple[OwnLog, ...]:
+    """Every log from where the fit found it to begin, in the order in which it was given."""
+    starts = {id(s.log): s for s in fitted.starts}
     roles: list[tuple[Role, CellLog]] = []
     roles += [("hppc", log) for log, _ in tests.hppc]
     roles += [("ocv", log) for log in tests.ocv]
     roles += [("capacity", log) for log in tests.capacity]
     roles += [("drive", log) for log, _ in tests.drive]
-    return tuple(_one(model, role, log, ocv, known.get(id(log))) for role, log in roles)
-
-
-def _one(model: CellModel, role: Role, log: CellLog, ocv: OcvCurve, start: Start | None) -> OwnLog:
-    if start is not None:
+    found = []
+    for role, log in roles:
+        start = starts[id(log)]
         simulation = simulate(model, log, min(max(start.soc0, 0.0), 1.0))
-        tested = role in ("ocv", "capacity")
-        reason = _gaps(simulation) if tested else ""
-        sides = _sides(simulation) if tested else {}
-        return OwnLog(role, True, simulation, start.rows, sides, reason)
-    resistance = float(np.median(model.r0_ohm + model.r1_ohm))
-    anchor = anchor_soc(log, ocv, model.capacity_Ah, resistance)
-    simulation = simulate(model, log, min(max(anchor.soc, 0.0), 1.0))
-    reason = "not part of the fit"
-    if anchor.std > LARGEST_SOC_ERROR:
-        reason = f"its SOC at the start is known to +-{100 * anchor.std:.0f} % only"
-    return OwnLog(role, False, simulation, None, {}, reason)
+        if start.left_out:
+            found.append(OwnLog(role, False, simulation, None, {}, start.left_out))
+            continue
+        sides = directions(log) if role in ("ocv", "capacity") else {}
+        errors = {name: _known(simulation, rows) for name, rows in sides.items()}
+        rmse = {n: float(np.sqrt(np.mean(e**2))) for n, e in errors.items() if e.size}
+        found.append(OwnLog(role, True, simulation, start.rows, rmse, _gaps(simulation, sides)))
+    return tuple(found)
+
+
+def check_possible(model: CellModel, found: Sequence[Notice]) -> None:
+    """Refuse a model that no cell can be, with what is wrong with its tests.
+
+    Raises
+    ------
+    InputError        see :func:`cellwise.cell.model_file.check_physical`
+    """
+    try:
+        check_physical(model, "the model")
+    except InputError as error:
+        first = "".join(f"; {text}" for text in in_order(found)[:1])
+        raise InputError(
+            f"tests that give {error.found}{first}",
+            error.expected,
+            "Check that the logs are of one cell and in one scale, and their temperatures.",
+        ) from None
+
+
+def check_serves(rmse_V: float, found: Sequence[Notice]) -> None:
+    """Refuse a model of tests that contradict each other if it is far from what made it.
+
+    Raises
+    ------
+    InputError        an error of hundreds of millivolts on its own logs, and a contradiction
+    """
+    if found and rmse_V >= LARGE_ERROR_V:
+        raise InputError(
+            f"tests that give a model {1e3 * rmse_V:.0f} mV off its own logs; {in_order(found)[0]}",
+            "logs of one cell, in one scale",
+            "Leave out the log that does not belong, or check the unit of its current (mA for A?).",
+        )
+
+
+def own_log_notices(own: Sequence[OwnLog]) -> list[Notice]:
+    """Where the finished model is far from the logs that made it."""
+    found = []
+    for s in (o.simulation for o in own if o.used):
+        found += soc_notices(s.log, s.soc) + error_notices(s.log, s.error_V, s.soc)
+    return found
 
 
 def directions(log: CellLog) -> dict[str, BoolArray]:
@@ -74,24 +107,16 @@ def directions(log: CellLog) -> dict[str, BoolArray]:
     return found
 
 
-def _sides(simulation: Simulation) -> dict[str, float]:
-    """RMSE of the discharge and of the charge of a test [V]."""
-    found = {}
-    for name, rows in directions(simulation.log).items():
-        error = simulation.error_V[rows]
-        error = error[np.isfinite(error)]
-        if error.size:
-            found[name] = float(np.sqrt(np.mean(error**2)))
-    return found
+def _known(simulation: Simulation, rows: BoolArray) -> FloatArray:
+    error = simulation.error_V[rows]
+    return np.asarray(error[np.isfinite(error)])
 
 
-def _gaps(simulation: Simulation) -> str:
+def _gaps(simulation: Simulation, sides: dict[str, BoolArray]) -> str:
     """The residual of a low-rate or capacity test that has a side the model does not follow."""
-    parts = directions(simulation.log)
     said = []
-    for name, rows in parts.items():
-        error = simulation.error_V[rows]
-        error = error[np.isfinite(error)]
+    for name, rows in sides.items():
+        error = _known(simulation, rows)
         if error.size < FEWEST_ROWS or abs(float(np.median(error))) < CLEAR_GAP_V:
             continue
         low, high = 1e3 * np.quantile(error, (0.1, 0.9))
@@ -99,7 +124,7 @@ def _gaps(simulation: Simulation) -> str:
     if not said:
         return ""
     charge = simulation.log.counted_charge_Ah()
-    moved = {name: abs(float(np.ptp(charge[rows]))) for name, rows in parts.items()}
+    moved = {name: abs(float(np.ptp(charge[rows]))) for name, rows in sides.items()}
     if set(moved) == {"discharge", "charge"}:
         out, back = moved["discharge"], moved["charge"]
         said.append(f"{back:.3f} Ah came back of {out:.3f} Ah")

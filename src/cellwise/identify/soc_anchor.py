@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,17 +12,40 @@ from cellwise.errors import InputError
 from cellwise.identify.ocv.curve import OcvCurve
 from cellwise.identify.ocv.ocv_rests import find_ocv_rests
 from cellwise.logs.cell_log import CellLog
-from cellwise.typing import FloatArray
+from cellwise.typing import BoolArray, FloatArray
 
-FULL_FROM = 0.97  # a log that seems to begin above this begins full: charging does not stop at 98 %
-EMPTY_TO = 0.02
-OCV_ERROR_V = 0.005
-CAPACITY_ERROR = 0.03
-LATER_RESTS = 2.0
-LARGEST_ASSUMED = 0.1
-PLAUSIBLE = 2.0  # standard deviations within which a log may still have begun full
+
+class AnchorErrors(NamedTuple):
+    """How far what a log shows of its start may be off.
+
+    Parameters
+    ----------
+    ocv_V : float           of a finished rest; twice that where the past before it is unknown [V]
+    capacity : float        of the charge between a rest and the start: another age or temperature
+    later_rests : float     later rests share one capacity and one OCV, and are wrong together: all
+                            of them count as so many
+    assumed : float         a start known worse than this is not taken for full, only named so
+    plausible : float       deviations within which a log may still have begun full
+    """
+
+    ocv_V: float = 0.005
+    capacity: float = 0.03
+    later_rests: float = 2.0
+    assumed: float = 0.1
+    plausible: float = 2.0
+
+
+class FullTest(NamedTuple):
+    """When a test of the capacity began full: by its voltages, and what it moved before [1]."""
+
+    likely: float = 0.8
+    moved: float = 0.01
+    std: float = 0.01
+
+
+ERRORS, FULL_TEST = AnchorErrors(), FullTest()
 REST_SHARE = 0.01  # below C/100 a cell counts as resting
-FIRST_S = 60.0
+LONG_REST_S, FIRST_S = 600.0, 60.0  # a rest that says something; what is looked at without one
 
 
 @dataclass(frozen=True)
@@ -64,32 +88,44 @@ def anchor_soc(
     charge, voltage, error, how = _evidence(log, capacity_Ah, resistance_ohm)
     voltage = np.clip(voltage, level[0], level[-1])  # beyond an end that end is meant
     cost = np.zeros(grid.size)
-    # Later rests share one capacity and one OCV, and are wrong together: they count as two.
     later = np.abs(charge) > 1e-3 * capacity_Ah
-    share = np.where(later, min(1.0, LATER_RESTS / max(int(later.sum()), 1)), 1.0)
+    share = np.where(later, min(1.0, ERRORS.later_rests / max(int(later.sum()), 1)), 1.0)
     for q, v, e, w in zip(charge, voltage, error, share, strict=True):
         at = grid - q / capacity_Ah
         expected = np.interp(at, grid, level)
         wide = np.hypot(e, np.interp(at, grid, half))
         # The further from the start, the more a capacity of another temperature or age matters.
-        wide = np.hypot(wide, np.interp(at, grid, slope) * CAPACITY_ERROR * abs(q) / capacity_Ah)
+        wide = np.hypot(wide, np.interp(at, grid, slope) * ERRORS.capacity * abs(q) / capacity_Ah)
         outside = np.maximum(0.0, np.maximum(at - 1.0, -at))  # beyond full or empty is unlikely
         cost += w * np.minimum(((v - expected) / wide) ** 2, 25.0) + (outside / 0.01) ** 2
     weight = np.exp(-0.5 * (cost - cost.min()))
     mean = float(np.average(grid, weights=weight))
     std = float(np.sqrt(np.average((grid - mean) ** 2, weights=weight)))
-    reached = mean - float(np.min(log.counted_charge_Ah())) / capacity_Ah
-    if mean >= FULL_FROM or mean + PLAUSIBLE * std >= 1.0:
+    before = float(np.min(log.counted_charge_Ah())) / capacity_Ah
+    if mean + ERRORS.plausible * std >= 1.0:
         # Nothing speaks against full, and that is how tests begin; a voltage that says nothing at
         # all is no reason to believe it.
-        sure = 0.01 if std <= LARGEST_ASSUMED else std
+        sure = FULL_TEST.std if std <= ERRORS.assumed else std
         return SocAnchor(1.0, min(max(std, 0.005), sure), f"{how}: full")
-    if reached >= FULL_FROM and reached <= 1.0 + 2 * max(std, 0.01):
-        full = 1.0 + float(np.min(log.counted_charge_Ah())) / capacity_Ah
-        return SocAnchor(min(max(full, 0.0), 1.0), max(std, 0.005), f"{how}: charged full later")
-    if mean <= EMPTY_TO:
-        return SocAnchor(0.0, max(std, 0.005), f"{how}: empty")
+    if abs(mean - before - 1.0) <= ERRORS.plausible * max(std, 0.01):
+        return SocAnchor(max(1.0 + before, 0.0), max(std, 0.005), f"{how}: charged full later")
     return SocAnchor(mean, max(std, 0.002), how)
+
+
+def full_before(
+    log: CellLog, discharge: BoolArray, capacity_Ah: float, anchor: SocAnchor
+) -> SocAnchor:
+    """The start of a test that begins full: what SOC means is that its discharge begins at 1.
+
+    Parameters
+    ----------
+    discharge : (n,) bool     rows of its discharge
+    anchor : SocAnchor        where it would begin by its voltages
+    """
+    before = float(log.counted_charge_Ah()[int(np.argmax(discharge))]) / capacity_Ah
+    if anchor.soc < FULL_TEST.likely or abs(before) > FULL_TEST.moved:
+        return anchor
+    return SocAnchor(1.0, min(anchor.std, FULL_TEST.std), "a test of the capacity: full")
 
 
 def _half_gap(ocv: OcvCurve, grid: FloatArray) -> FloatArray:
@@ -113,13 +149,14 @@ def _evidence(
             f"no voltage in log '{log.name}'", "measured voltages", "Check the column."
         )
     try:
-        rests = [r for r in find_ocv_rests(log, min_rest_s=600.0) if r.duration_s >= 600.0]
+        found_rests = find_ocv_rests(log, min_rest_s=LONG_REST_S)
+        rests = [r for r in found_rests if r.duration_s >= LONG_REST_S]
     except InputError:
         rests = []
-    found = [(r.charge_Ah, r.final_V, OCV_ERROR_V + 0.5 * abs(r.remaining_V)) for r in rests]
+    found = [(r.charge_Ah, r.final_V, ERRORS.ocv_V + 0.5 * abs(r.remaining_V)) for r in rests]
     first = int(np.flatnonzero(finite)[0])
     if abs(current[first]) < REST_SHARE * capacity_Ah:
-        found.append((float(charge[first]), float(log.voltage_V[first]), 2 * OCV_ERROR_V))
+        found.append((float(charge[first]), float(log.voltage_V[first]), 2 * ERRORS.ocv_V))
     if found:
         q, v, e = np.array(found).T
         return q, v, e, f"{len(found)} rest(s) on the OCV"
@@ -130,6 +167,6 @@ def _evidence(
         np.array([float(np.mean(charge[head]))]),
         np.array([float(np.mean(lifted))]),
         # In the cold the drop after seconds is several times the one after milliseconds.
-        np.array([2 * OCV_ERROR_V + 1.5 * drop]),
+        np.array([2 * ERRORS.ocv_V + 1.5 * drop]),
         "first minute under load",
     )

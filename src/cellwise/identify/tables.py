@@ -23,6 +23,7 @@ from cellwise.typing import FloatArray
 TableKind = Literal["spline", "cubic"]
 NAMES = ("r0_ohm", "r1_ohm", "tau1_s", "r2_ohm", "tau2_s")
 RESISTANCES = ("r0_ohm", "r1_ohm", "r2_ohm")
+GRID_POINTS = 201
 LEAST_SHARE = 0.01
 SPREAD = 0.05  # pulses of one level differ by rate and direction: no weight beyond this error
 STIFFNESS = 0.02
@@ -34,14 +35,13 @@ LOWEST_SHARE = 0.05  # a cubic may dip below zero outside its data: held at this
 class PulseTables:
     """Parameters over SOC.
 
-    ``soc`` (n,) uniform grid; ``values`` name -> (n,); ``relative_error`` name -> (n,) standard
-    error as a share of the value; ``cubic`` name -> (a, b, c, d) of a + b s + c s^2 + d s^3 where
-    the paper's polynomial was asked for (equation 9 of the LFP paper).
+    ``soc`` (n,) uniform grid; ``values`` name -> (n,); ``cubic`` name -> (a, b, c, d) of
+    a + b s + c s^2 + d s^3 where the paper's polynomial was asked for (equation 9 of the LFP
+    paper).
     """
 
     soc: FloatArray
     values: dict[str, FloatArray]
-    relative_error: dict[str, FloatArray]
     cubic: dict[str, tuple[float, float, float, float]]
 
 
@@ -67,7 +67,6 @@ def pulse_tables(
     grid = np.linspace(0.0, 1.0, points)
     soc = np.array([f.soc for f in known])
     values: dict[str, FloatArray] = {}
-    errors: dict[str, FloatArray] = {}
     cubic: dict[str, tuple[float, float, float, float]] = {}
     for name in NAMES:
         value = np.array([getattr(f.value, name) for f in known])
@@ -84,11 +83,8 @@ def pulse_tables(
             values[name] = np.maximum(table, LOWEST_SHARE * float(np.min(v)))
         else:
             values[name] = np.exp(_smooth(s, np.log(v), w, grid))
-        fitted = np.interp(s, grid, values[name])
-        scatter = float(np.sqrt(np.average((v / fitted - 1.0) ** 2, weights=w)))
-        errors[name] = np.full(points, scatter / np.sqrt(max(len(v) / 5.0, 1.0)))
     values["tau2_s"] = np.maximum(values["tau2_s"], LEAST_RATIO * values["tau1_s"])
-    return PulseTables(grid, values, errors, cubic)
+    return PulseTables(grid, values, cubic)
 
 
 def cubic_fit(

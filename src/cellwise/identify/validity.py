@@ -9,7 +9,6 @@ import numpy as np
 
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity, covered
 from cellwise.identify.identification import OwnLog, TestLogs
-from cellwise.identify.ocv.curve import OcvCurve
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
@@ -44,7 +43,7 @@ def log_validity(
 def identified_validity(
     tests: TestLogs,
     used: Sequence[OwnLog],
-    ocv: OcvCurve,
+    measured_soc: FloatArray,
     temperature_C: float | None = None,
 ) -> Validity:
     """What the logs that took part in an identification covered together.
@@ -53,7 +52,7 @@ def identified_validity(
     ----------
     tests : TestLogs                        with the temperatures that were stated
     used : sequence of OwnLog               the logs that the model was fitted on
-    ocv : OcvCurve                          its points count, its extrapolation does not
+    measured_soc : (m,) float               where the OCV was measured
     temperature_C : float or None           of tests that measured none, as stated [degC]
     """
     stated = {_mark(log): warm for log, warm in (*tests.hppc, *tests.drive) if warm is not None}
@@ -70,7 +69,8 @@ def identified_validity(
     parts += [
         log_validity(log, None, temperature_C) for log in tests.ocv if _mark(log) not in fitted
     ]
-    parts.append(Validity(soc=covered(np.clip(ocv.points_soc, 0.0, 1.0))))
+    if measured_soc.size:
+        parts.append(Validity(soc=covered(np.clip(measured_soc, 0.0, 1.0))))
     return joined(parts)
 
 

@@ -12,9 +12,9 @@ from cellwise.live.cell_readings import CellReadings, cell_number
 from cellwise.live.channels import CellScale
 from cellwise.live.sample import Sample, Stray
 from cellwise.logs.files.columns import Unit
-from cellwise.logs.files.extras import need
-from cellwise.logs.files.options import ReadOptions
-from cellwise.logs.vehicle.can_database import can_database
+from cellwise.logs.files.format import need
+from cellwise.logs.files.source import ReadOptions
+from cellwise.logs.vehicle.can_signals import can_database
 from cellwise.logs.vehicle.signal_choice import UNITS, Signal, choose_signals
 
 POLL_S = 0.2

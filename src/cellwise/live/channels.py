@@ -9,7 +9,7 @@ from cellwise.errors import InputError
 from cellwise.live.cell_readings import CellReadings
 from cellwise.live.sample import Sample, Stray
 from cellwise.logs.files.columns import TIDY_CHANNELS, Unit
-from cellwise.logs.files.options import ReadOptions
+from cellwise.logs.files.source import ReadOptions
 
 FIELDS = ("time_s", "current_A", "voltage_V", "temperature_C")
 CELL_FIELDS = FIELDS[1:]

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from cellwise.live.channels import ObjectReader
 from cellwise.live.pieces import Pieces
 from cellwise.live.sample import Sample, Stray
-from cellwise.logs.files.options import ReadOptions
+from cellwise.logs.files.source import ReadOptions
 
 LONGEST_LINE = 65_536
 

@@ -6,7 +6,7 @@ from cellwise.errors import InputError
 from cellwise.live.json_lines import JsonLines
 from cellwise.live.pieces import STDIN, Pieces
 from cellwise.live.sample import Source
-from cellwise.logs.files.options import NOTHING_SAID, ReadOptions
+from cellwise.logs.files.source import NOTHING_SAID, ReadOptions
 
 WAYS = "stdin, json:FILE, can:INTERFACE:CHANNEL, ulog:FILE (- for standard input)"
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 from cellwise.live.channels import CellScale
 from cellwise.live.pieces import Pieces
 from cellwise.live.sample import Sample, Stray
-from cellwise.logs.files.options import ReadOptions
+from cellwise.logs.files.source import ReadOptions
 from cellwise.logs.formats.ulog import MAGIC, TOPIC, UNKNOWN
 
 HEADER_BYTES = 16

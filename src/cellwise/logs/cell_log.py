@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
-from cellwise.given import check_kind
-from cellwise.logs.files.assembly import NamedColumns, log_from_table
+from cellwise.arguments import check_kind
+from cellwise.logs.files.assembly import log_from_table
+from cellwise.logs.files.named_columns import NamedColumns
 from cellwise.logs.gaps import Gap, find_gaps
 from cellwise.logs.measured_log import CurrentMeaning, MeasuredLog
 from cellwise.logs.writing import arrow_table

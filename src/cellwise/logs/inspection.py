@@ -9,19 +9,17 @@ import numpy as np
 
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.counter import compare_counter
-from cellwise.logs.checks.grave import grave_notices, is_grave
-from cellwise.logs.checks.impossible import possible_part
-from cellwise.logs.checks.oddities import (
-    Rest,
+from cellwise.logs.checks.faults import (
     Saturation,
     Stretch,
-    find_rests,
     find_saturations,
     find_spikes,
-    find_stuck,
-    is_quiet,
-    resolution,
+    longest,
+    possible_part,
+    stuck_runs,
 )
+from cellwise.logs.checks.grave import grave_notices, is_grave
+from cellwise.logs.checks.rests import Rest, find_rests, is_quiet, resolution
 from cellwise.logs.checks.sign import CONTRADICTED, Verdict, contradiction, verify_sign
 from cellwise.logs.gaps import Gap, find_gaps
 from cellwise.typing import FloatArray
@@ -118,7 +116,11 @@ def inspect_log(log: CellLog) -> Inspection:
     counter = compare_counter(log)
     mismatch = None if counter is None else counter.mismatch_percent
     rests = tuple(find_rests(log))
-    stuck = find_stuck(possible)
+    stuck = {
+        name: stretch
+        for name, runs in stuck_runs(possible).items()
+        if (stretch := longest(log, runs)) is not None
+    }
     sampling = _sampling(log)
     missing = {
         field: int(np.count_nonzero(np.isnan(values)))

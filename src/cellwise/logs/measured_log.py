@@ -19,7 +19,6 @@ CurrentMeaning = Literal["interval_end", "interval_start"]
 # A missing current is bridged by its last value; from here on by the counter, whose steps
 # (0.01 Ah on some testers) are by then small against what flowed.
 COUNTER_BRIDGE_S = 60.0
-TYPICAL_OF = 1000  # values show the unit and the number of cells as well as a million
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -114,10 +113,8 @@ class MeasuredLog:
 
     @cached_property
     def typical_voltage_V(self) -> float:
-        """Median of the measured voltages [V]; of very many, of every so manyth one."""
-        some = self.voltage_V[:: max(len(self) // TYPICAL_OF, 1)]
-        known = some[np.isfinite(some)]
-        return float(np.median(known) if known.size else np.nanmedian(self.voltage_V))
+        """Median of the measured voltages [V]."""
+        return typical(self.voltage_V)
 
     @property
     def gaps(self) -> tuple[Gap, ...]:
@@ -224,6 +221,13 @@ class MeasuredLog:
             charge_Ah=take(self.charge_Ah),
             step=None if self.step is None else self.step[rows],
         )
+
+
+def typical(values: FloatArray) -> float:
+    """Median of the values; of very many, of every so manyth one."""
+    some = values[:: max(values.size // 4000, 1)]
+    known = some[np.isfinite(some)]
+    return float(np.median(known) if known.size else np.nanmedian(values))
 
 
 def _channel(value: ArrayLike, field: str, n: int, where: str) -> FloatArray:

@@ -1,8 +1,10 @@
-"""What is known about a log beside what stands in it: ``LOG@temperature_C=-20,soc0=1``."""
+"""What is known of a log that does not stand in it: ``LOG@-20,soc0=1``, the day in its name."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
+from datetime import date
 from pathlib import Path
 from typing import Self
 
@@ -13,6 +15,7 @@ from cellwise.logs.cell_log import CellLog
 
 KEYS = ("temperature_C", "soc0")
 FORM = "LOG@TEMPERATURE or LOG@temperature_C=-20,soc0=1"
+_DAY = re.compile(r"(?<!\d)((?:19|20)\d\d)[-_]?([01]\d)[-_]?([0-3]\d)(?!\d)")
 OTHER_TEMPERATURE_K = 10.0  # sensors, chambers and the way between them differ by less
 
 
@@ -132,3 +135,13 @@ def check_temperature(temperature_C: float | None) -> None:
         raise InputError(
             f"a temperature of {temperature_C:g} degC", "degrees Celsius", "Not in kelvin."
         )
+
+
+def day_of_name(name: str) -> date | None:
+    """The day in a name (``leaf_20170330``, ``drive_2017-03-30``); None where there is none."""
+    for found in _DAY.finditer(name):
+        try:
+            return date(*(int(part) for part in found.groups()))
+        except ValueError:  # digits that are no day
+            continue
+    return None

@@ -3,25 +3,45 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.pack.parameters import NAMED, SIZE, SOC, usual_spread
-from cellwise.pack.regressors import Regressors
+from cellwise.pack.differences import NAMED, SIZE, SOC, Regressors, usual_spread
 from cellwise.typing import BoolArray, FloatArray, IndexArray
 
-BLOCK_S = 600.0  # differences stay wrong for as long: relaxation, temperature, the OCV's shape
-FIRST_NOISE_V = 0.003
-FIRST_SHARE = 0.1  # of the voltage's change between rows that polling leaves uncertain
-LEAST_NOISE_V = 1e-4
-TYPICAL_ROWS = 3000  # show the noise as well as all
-ROBUST = 4.0  # standard deviations beyond which a reading counts no more
-MAD = 1.4826
-USUAL_BLOCK_V = 5e-4
-USUAL_BALANCING = 0.002  # SOC, from one log to the next
-BALANCING_PASSES = 6
-SLOPE_ERROR_V = 0.2  # of the OCV over SOC: a third of a usual slope
-USUAL_WEIGHT = 20.0  # cells and blocks that the usual size of a block's error counts as
+# Cells, or cells and blocks, that a usual size counts as beside those that are seen.
+USUAL_WEIGHT = 10.0
+# Of an expectation-maximisation, which comes near enough in a few.
+PASSES = 30
+
+
+class UsualNoise(NamedTuple):
+    """What differences are wrong by before a pack shows it.
+
+    ``row_V``: a quiet row; ``change_share``: of the voltage's change between rows, by polling;
+    ``block_V``: what stays for ``block_s`` (relaxation, temperature, the OCV's shape);
+    ``balancing_soc``: what a cell's SOC moves by from one log to the next; ``slope_V``: of the OCV
+    over SOC, a third of a usual slope; ``least_V``: no noise is smaller; ``robust``: standard
+    deviations beyond which a reading counts no more.
+    """
+
+    row_V: float = 0.003
+    change_share: float = 0.1
+    block_V: float = 5e-4
+    block_s: float = 600.0
+    balancing_soc: float = 0.002
+    slope_V: float = 0.2
+    least_V: float = 1e-4
+    robust: float = 4.0
+
+
+USUAL = UsualNoise()
+
+
+def robust_std(off: FloatArray) -> FloatArray:
+    """Standard deviation about zero by the median, along the first axis."""
+    return np.asarray(1.4826 * np.median(np.abs(off), axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,22 +90,22 @@ def pack_evidence(
     if used.size == 0:
         nothing = np.zeros((cells, SIZE, SIZE)), np.zeros((cells, SIZE))
         return PackEvidence(
-            *nothing, np.zeros(cells, np.int64), np.full(cells, np.nan), FIRST_NOISE_V, FIRST_SHARE,
-            USUAL_BLOCK_V, 0.0,
+            *nothing, np.zeros(cells, np.int64), np.full(cells, np.nan),
+            USUAL.row_V, USUAL.change_share, USUAL.block_V, 0.0,
         )  # fmt: skip
     rows, change = found.rows[used], found.change_V[used]
     d, ok = difference_V[used], known[used]
     ok &= np.isfinite(d)
     d[~ok] = 0.0
     prior = np.diag(usual_spread().cells ** -2.0)
-    weight = 1.0 / (FIRST_NOISE_V**2 + (FIRST_SHARE * change) ** 2)
+    weight = 1.0 / (USUAL.row_V**2 + (USUAL.change_share * change) ** 2)
     x = _ridge(rows, weight, d, ok, prior)
     noise, share = _row_noise(d - rows @ x.T, ok, change)
     variance = noise**2 + (share * change) ** 2
     weight = 1.0 / variance
     for _ in range(2):  # readings far off are drawn to the fit
         fit = rows @ x.T
-        limit = ROBUST * np.sqrt(variance)[:, None]
+        limit = USUAL.robust * np.sqrt(variance)[:, None]
         drawn = np.minimum(np.maximum(d, fit - limit), fit + limit)
         drawn[~ok] = 0.0
         x = _ridge(rows, weight, drawn, ok, prior)
@@ -130,15 +150,14 @@ def _row_noise(left: FloatArray, ok: BoolArray, change: FloatArray) -> tuple[flo
     third = max(order.size // 3, 1)
 
     def scale(part: IndexArray) -> float:
-        some = part[:: max(part.size // TYPICAL_ROWS, 1)]
-        values = np.abs(left[some])[ok[some]]
-        return MAD * float(np.median(values)) if values.size else FIRST_NOISE_V
+        values = left[part][ok[part]]
+        return float(robust_std(values)) if values.size else USUAL.row_V
 
     quiet, busy = order[:third], order[-third:]
-    noise = max(scale(quiet), LEAST_NOISE_V)
+    noise = max(scale(quiet), USUAL.least_V)
     moved = float(np.sqrt(np.mean(change[busy] ** 2)))
     excess = max(scale(busy) ** 2 - noise**2, 0.0)
-    return noise, float(np.sqrt(excess)) / max(moved, LEAST_NOISE_V)
+    return noise, float(np.sqrt(excess)) / max(moved, USUAL.least_V)
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,14 +208,14 @@ def _block_noise(sums: _BlockSums, x: FloatArray) -> float:
     mean = sums.d / sums.total[:, None] - (sums.c / sums.total[:, None]) @ x.T
     mean = np.delete(mean, list(sums.own), axis=1)
     if mean.size == 0:
-        return USUAL_BLOCK_V
-    found = max(
-        (MAD * float(np.median(np.abs(mean)))) ** 2 - float(np.median(1.0 / sums.total)), 0.0
-    )
-    worth = float(mean.size)
-    return float(
-        np.sqrt((worth * found + USUAL_WEIGHT * USUAL_BLOCK_V**2) / (worth + USUAL_WEIGHT))
-    )
+        return USUAL.block_V
+    found = max(float(robust_std(mean.ravel())) ** 2 - float(np.median(1.0 / sums.total)), 0.0)
+    return _with_usual(found, float(mean.size), USUAL.block_V)
+
+
+def _with_usual(found: float, many: float, usual: float) -> float:
+    """Deviation of a variance that so many have shown, and of a usual one [unit of ``usual``]."""
+    return float(np.sqrt((many * found + USUAL_WEIGHT * usual**2) / (many + USUAL_WEIGHT)))
 
 
 def _without_block_errors(sums: _BlockSums, block_V: float) -> tuple[FloatArray, FloatArray]:
@@ -228,8 +247,8 @@ def _without_balancing(
     time, by a size that the logs themselves show; and what that does to the voltage is known as
     well as the OCV's slope is. Shapes as :func:`_without_block_errors` has them.
     """
-    size = USUAL_BALANCING
-    for _ in range(BALANCING_PASSES):
+    size = USUAL.balancing_soc
+    for _ in range(PASSES):
         a, b = _integrated(matrix, vector, size)
         x = np.linalg.solve(a.sum(axis=0) + prior, b.sum(axis=0)[..., None])[..., 0]
         column = np.broadcast_to(matrix[:, :, SOC], vector.shape)
@@ -237,11 +256,8 @@ def _without_balancing(
         variance = 1.0 / (matrix[:, :, SOC, SOC] + size**-2.0)
         moved = variance * pull
         seen = float(np.median(np.broadcast_to(variance, moved.shape)))
-        found = (MAD * float(np.median(np.abs(moved)))) ** 2 + min(seen, size**2)
-        worth = float(moved.size)
-        size = float(
-            np.sqrt((worth * found + USUAL_WEIGHT * USUAL_BALANCING**2) / (worth + USUAL_WEIGHT))
-        )
+        found = float(robust_std(moved.ravel())) ** 2 + min(seen, size**2)
+        size = _with_usual(found, float(moved.size), USUAL.balancing_soc)
     return *_integrated(matrix, vector, size), size
 
 
@@ -250,7 +266,7 @@ def _integrated(
 ) -> tuple[FloatArray, FloatArray]:
     own = np.zeros(SIZE)
     own[SOC] = size**2
-    own[NAMED:] = (SLOPE_ERROR_V * size) ** 2
+    own[NAMED:] = (USUAL.slope_V * size) ** 2
     eye = np.eye(SIZE)
     a = np.linalg.solve(eye + matrix * own, matrix)
     b = np.linalg.solve(eye + matrix * own, vector[..., None])[..., 0]

@@ -12,11 +12,8 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import in_order
 from cellwise.cell.plausibility.outside import outside_notices
 from cellwise.logs.packs.pack_log import PackLog
-from cellwise.pack.belief import CellBelief, drift_between, spread_between
-from cellwise.pack.causes import cause_of
-from cellwise.pack.evidence import PackEvidence
-from cellwise.pack.pack_state import PackState
-from cellwise.pack.parameters import (
+from cellwise.pack.deltas import CellDeltas, drift_between, spread_between
+from cellwise.pack.differences import (
     CAPACITY,
     LAG,
     LEAD,
@@ -27,9 +24,16 @@ from cellwise.pack.parameters import (
     SIZE,
     SOC,
 )
+from cellwise.pack.evidence import PackEvidence
+from cellwise.pack.pack_state import PackState
 from cellwise.pack.periods import PackDay, pack_days, period_evidence, periods
-from cellwise.pack.suspicion import Suspicion, against_others, against_past
-from cellwise.pack.swapped import swapped_cells, with_swapped
+from cellwise.pack.suspicion import (
+    Suspicion,
+    against_others,
+    against_past,
+    exchanged_cells,
+    with_exchanged,
+)
 from cellwise.pack.usable import Usable, usable_charge
 from cellwise.threads import one_blas_thread
 from cellwise.typing import FloatArray
@@ -73,7 +77,7 @@ class PackEstimate:
     usable: Usable
     evidence: PackEvidence
     suspicions: tuple[tuple[int, Suspicion], ...]
-    swapped: tuple[str, ...]
+    exchanged: tuple[str, ...]
     state: PackState
 
     def __repr__(self) -> str:
@@ -141,7 +145,7 @@ class PackEstimate:
         texts = [n for day in self.days for n in day.log.notices]
         if not any(np.any(day.mean.used) for day in self.days):
             texts.insert(0, "no stretch between pauses is long enough to be estimated")
-        return (*self.swapped, *in_order(found, tuple(dict.fromkeys(texts))))
+        return (*self.exchanged, *in_order(found, tuple(dict.fromkeys(texts))))
 
     def to_dict(self) -> dict[str, Any]:
         """Keys as CONTRACT.md has them."""
@@ -206,45 +210,45 @@ def estimate_pack(
     days = pack_days(model, logs, None if state is None else state.names)
     parts = periods(days)
     origin = parts[0][0].ordinal if state is None else state.origin
-    belief = None if state is None else state.belief
+    deltas = None if state is None else state.deltas
     history = [] if state is None else list(state.periods)
     suspected: list[tuple[int, Suspicion]] = []
-    swapped: list[str] = []
+    exchanged: list[str] = []
     for part in parts:
         evidence = period_evidence(model, part)
         spread = spread_between(evidence)
         found = against_others(spread, evidence)
-        if belief is None:
-            belief = CellBelief.unknown(len(days[0].log.names), spread)
+        if deltas is None:
+            deltas = CellDeltas.unknown(len(days[0].log.names), spread)
         else:
-            belief = belief.later(max(part[0].ordinal - origin, belief.days))
-            drift = drift_between(belief, evidence)
-            expected = replace(belief, covariance=belief.covariance + np.diag(drift))
+            deltas = deltas.later(max(part[0].ordinal - origin, deltas.days))
+            drift = drift_between(deltas, evidence)
+            expected = replace(deltas, covariance=deltas.covariance + np.diag(drift))
             changed = against_past(expected, evidence)
-            pair = swapped_cells(expected, evidence, changed)
+            pair = exchanged_cells(expected, evidence, changed)
             if pair is not None:
                 i, j = pair
                 names = days[0].log.names
-                swapped.append(
+                exchanged.append(
                     f"{names[i]} and {names[j]} have exchanged their voltages from "
                     f"'{part[0].log.name}' on: each is now what the other was"
                 )
-                evidence = with_swapped(evidence, i, j)
+                evidence = with_exchanged(evidence, i, j)
                 found = [s for s in against_others(spread, evidence) if s.cell not in pair]
                 changed = against_past(expected, evidence)
             # Balancing moves what cells hold; what they are drifts slowly, whatever one month says.
             moved = np.zeros(SIZE)
             moved[BALANCED] = drift[BALANCED]
-            belief = replace(belief, covariance=belief.covariance + np.diag(moved))
+            deltas = replace(deltas, covariance=deltas.covariance + np.diag(moved))
             seen = {s.cell for s in changed}
             found = changed + [s for s in found if s.cell not in seen]
-        belief = belief.updated(evidence)
+        deltas = deltas.updated(evidence)
         suspected += [(len(history), s) for s in found]
         history.append(part[0].log.name)
-    if belief is None:
-        belief = CellBelief.unknown(len(days[0].log.names))
+    if deltas is None:
+        deltas = CellDeltas.unknown(len(days[0].log.names))
     last = days[-1]
-    at_end = _at_end(model, belief, evidence, last)
+    at_end = _at_end(model, deltas, evidence, last)
     cells = _cells(model, at_end, last, evidence)
     return PackEstimate(
         model=model,
@@ -253,41 +257,41 @@ def estimate_pack(
         usable=usable_charge(model, last.log.mean, cells.soc, cells.capacity_Ah),
         evidence=evidence,
         suspicions=tuple(suspected),
-        swapped=tuple(swapped),
-        state=PackState(last.log.names, origin, belief, tuple(history)),
+        exchanged=tuple(exchanged),
+        state=PackState(last.log.names, origin, deltas, tuple(history)),
     )
 
 
 def _at_end(
-    model: CellModel, belief: CellBelief, period: PackEvidence, last: PackDay
-) -> CellBelief:
-    """The belief with the SOC differences of the last log, where balancing makes them others.
+    model: CellModel, deltas: CellDeltas, period: PackEvidence, last: PackDay
+) -> CellDeltas:
+    """The cells with the SOC differences of the last log, where balancing makes them others.
 
-    The last log is in the belief already. Given what the cells are, x, its own shift of the SOC is
-    Gaussian with the mean v (b - a x) and the variance v; nothing else is updated a second time.
+    The last log is in their differences already. Given what the cells are, x, its own shift of the
+    SOC is Gaussian with the mean v (b - a x) and the variance v; nothing else is updated twice.
     """
     if period.balancing_soc == 0.0:  # of that log alone
-        return belief
+        return deltas
     own = period_evidence(model, [last])
     column = own.matrix[:, SOC, :]
     v = 1.0 / (column[:, SOC] + period.balancing_soc**-2.0)
-    mean = belief.mean.copy()
-    mean[:, SOC] += v * (own.vector[:, SOC] - np.einsum("ci,ci->c", column, belief.mean))
+    mean = deltas.mean.copy()
+    mean[:, SOC] += v * (own.vector[:, SOC] - np.einsum("ci,ci->c", column, deltas.mean))
     shifted = np.tile(np.eye(SIZE), (v.size, 1, 1))
     shifted[:, SOC, :] -= v[:, None] * column
-    covariance = shifted @ belief.covariance @ np.swapaxes(shifted, 1, 2)
+    covariance = shifted @ deltas.covariance @ np.swapaxes(shifted, 1, 2)
     covariance[:, SOC, SOC] += v
-    return replace(belief, mean=mean, covariance=covariance)
+    return replace(deltas, mean=mean, covariance=covariance)
 
 
 def _cells(
-    model: CellModel, belief: CellBelief, last: PackDay, evidence: PackEvidence
+    model: CellModel, deltas: CellDeltas, last: PackDay, evidence: PackEvidence
 ) -> CellsEstimate:
     used = np.flatnonzero(last.mean.used)
     z = float(last.mean.soc[used[-1]]) if used.size else float("nan")
     z_std = float(last.mean.soc_std[used[-1]]) if used.size else float("nan")
-    x = belief.mean - np.mean(belief.mean, axis=0)  # differences from the mean have no mean
-    p = belief.covariance
+    x = deltas.mean - np.mean(deltas.mean, axis=0)  # differences from the mean have no mean
+    p = deltas.covariance
     lever = np.zeros(SIZE)
     lever[SOC], lever[CAPACITY] = 1.0, REFERENCE_SOC - z
     both = np.zeros(SIZE)
@@ -315,3 +319,55 @@ def _cells(
         skew_std_s=std(both),
         voltage_rmse_V=evidence.rmse_V,
     )
+
+
+def cause_of(
+    one: Suspicion, name: str, model: CellModel, period: int, periods: int
+) -> dict[str, Any]:
+    """One entry of ``causes``: name, cell, parameters with 95 % intervals, evidence."""
+    value, std, text = _in_units(one, model)
+    low, high = sorted((value - 1.96 * std, value + 1.96 * std))
+    against = "its own past" if one.changed else "the other cells"
+    parameter = one.explanation.parameter
+    lines = [f"{name}: {text} against {against}"]
+    if periods > 1:
+        lines.append(f"found in period {period + 1} of {periods}")
+    return {
+        "name": one.explanation.cause,
+        "cell": name,
+        "probability": one.probability,
+        "parameters": {parameter: value},
+        "ci95": {parameter: [low, high]},
+        "of": "sensor" if one.explanation.sensor else "cell",
+        "changed": one.changed,
+        "period": period + 1,
+        "gain": one.gain,
+        "evidence": lines,
+        "confusable_with": list(one.others),
+    }
+
+
+def _in_units(one: Suspicion, model: CellModel) -> tuple[float, float, str]:
+    """Value, deviation and text of the parameter that the cause has in `cellwise diagnose`."""
+    size, std = one.size, one.std
+    capacity = model.capacity_Ah
+    match one.explanation.cause:
+        case "capacity":
+            return (
+                capacity * (1.0 + size), capacity * std,
+                f"capacity {100 * size:+.1f} +- {100 * std:.1f} %",
+            )  # fmt: skip
+        case "resistance_scale":
+            return 1.0 + size, std, f"resistance {100 * size:+.1f} +- {100 * std:.1f} %"
+        case "initial_soc":
+            return size, std, f"SOC {100 * size:+.2f} +- {100 * std:.2f} points"
+        case "self_discharge":
+            ampere = capacity / 24.0
+            return (
+                ampere * size, ampere * std,
+                f"loses {1e3 * ampere * size:.2g} +- {1e3 * ampere * std:.1g} mA",
+            )  # fmt: skip
+        case "voltage_offset":
+            return size, std, f"its voltage reads {1e3 * size:+.1f} +- {1e3 * std:.1f} mV"
+        case _:
+            return size, std, f"polled {size:+.2f} +- {std:.2f} s later"

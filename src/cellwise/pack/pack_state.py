@@ -11,8 +11,8 @@ import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.files import write_atomically
-from cellwise.pack.belief import CellBelief
-from cellwise.pack.parameters import SIZE
+from cellwise.pack.deltas import CellDeltas
+from cellwise.pack.differences import SIZE
 
 KIND = "cellwise-pack-state"
 VERSION = 1
@@ -20,27 +20,27 @@ VERSION = 1
 
 @dataclass(frozen=True, eq=False)
 class PackState:
-    """Names of the cells, day of the first log, belief, first log of every period."""
+    """Names of the cells, day of the first log, differences, first log of every period."""
 
     names: tuple[str, ...]
     origin: float
-    belief: CellBelief
+    deltas: CellDeltas
     periods: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON values."""
-        belief = self.belief
+        deltas = self.deltas
         upper = np.triu_indices(SIZE)
         return {
             "kind": KIND,
             "version": VERSION,
             "names": list(self.names),
             "origin": self.origin,
-            "days": belief.days,
-            "updates": belief.updates,
-            "spread": belief.spread.tolist(),
-            "mean": belief.mean.tolist(),
-            "covariance": belief.covariance[:, upper[0], upper[1]].tolist(),
+            "days": deltas.days,
+            "updates": deltas.updates,
+            "spread": deltas.spread.tolist(),
+            "mean": deltas.mean.tolist(),
+            "covariance": deltas.covariance[:, upper[0], upper[1]].tolist(),
             "periods": list(self.periods),
         }
 
@@ -66,11 +66,11 @@ class PackState:
             half = np.array(data["covariance"], dtype=np.float64).reshape(len(names), i.size)
             covariance[:, i, j] = covariance[:, j, i] = half
             spread = np.array(data["spread"], dtype=np.float64).reshape(SIZE)
-            belief = CellBelief(mean, covariance, spread, float(data["days"]), int(data["updates"]))
+            deltas = CellDeltas(mean, covariance, spread, float(data["days"]), int(data["updates"]))
             finite = np.isfinite(mean).all() and np.isfinite(covariance).all()
             if not finite:
                 raise ValueError("values that are not finite")
-            return cls(names, float(data["origin"]), belief, tuple(data["periods"]))
+            return cls(names, float(data["origin"]), deltas, tuple(data["periods"]))
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(
                 f"a damaged state in {where} ({error})",

@@ -11,11 +11,11 @@ import numpy as np
 
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
-from cellwise.logs.packs.log_date import day_of_name
 from cellwise.logs.packs.pack_log import PackLog
-from cellwise.pack.evidence import BLOCK_S, PackEvidence, pack_evidence
+from cellwise.logs.stated import day_of_name
+from cellwise.pack.differences import Regressors, regressors
+from cellwise.pack.evidence import USUAL, PackEvidence, pack_evidence
 from cellwise.pack.mean_cell import MeanCell, OcvSlope, mean_cell
-from cellwise.pack.regressors import Regressors, regressors
 
 PERIOD_DAYS = 30.0
 MOST_ROWS = 200_000  # of one period that are compared: more say no more
@@ -99,7 +99,7 @@ def period_evidence(model: CellModel, days: Sequence[PackDay]) -> PackEvidence:
         ok = np.isfinite(log.cell_V)
         if log.balancing is not None:
             ok &= ~log.balancing  # the bypass current loads the sense wires
-        block = (log.mean.time_s // BLOCK_S).astype(np.int64)
+        block = (log.mean.time_s // USUAL.block_s).astype(np.int64)
         moved = np.diff(block, prepend=block[0]) + np.abs(np.diff(mean.part, prepend=mean.part[0]))
         block = count + np.cumsum(moved != 0)
         count = int(block[-1]) + 1
@@ -114,10 +114,4 @@ def period_evidence(model: CellModel, days: Sequence[PackDay]) -> PackEvidence:
         np.concatenate([p.change_V for p in parts]),
         np.concatenate([p.used for p in parts]),
     )
-    return pack_evidence(
-        together,
-        np.concatenate(differences),
-        np.concatenate(known),
-        np.concatenate(blocks),
-        np.concatenate(logs),
-    )
+    return pack_evidence(together, *(np.concatenate(c) for c in (differences, known, blocks, logs)))

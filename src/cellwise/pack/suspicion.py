@@ -1,16 +1,19 @@
-"""Which cell is not like the others, or not as it was, and of what it is: cell, sensor, polling."""
+"""Which cell is not like the others, or not as it was, and of what it is: cell, sensor, polling.
+
+Two cells whose voltages have changed places (a harness, columns of an export) are found here too.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import chi2
 
-from cellwise.pack.belief import USUAL_CELLS, CellBelief, posterior
-from cellwise.pack.evidence import PackEvidence
-from cellwise.pack.parameters import (
+from cellwise.pack.deltas import CellDeltas, posterior
+from cellwise.pack.differences import (
     CAPACITY,
     LAG,
     LEAD,
@@ -20,13 +23,37 @@ from cellwise.pack.parameters import (
     SIZE,
     SOC,
 )
+from cellwise.pack.evidence import USUAL_WEIGHT, PackEvidence
 from cellwise.typing import FloatArray
 
-FALSE_ALARMS = 0.01  # of a whole pack and period, over all cells and causes
+
+class Alarm(NamedTuple):
+    """When a cell is named.
+
+    ``false_alarms``: share of packs and periods with a false one, over all cells and causes;
+    ``odd_share`` of the cells, one at least, may be odd themselves; ``penalty``: log likelihood
+    that one more parameter costs; ``confusable``: within which two explanations are.
+    """
+
+    false_alarms: float = 0.01
+    odd_share: float = 0.05
+    penalty: float = 2.0
+    confusable: float = 3.0
+
+
+class Exchange(NamedTuple):
+    """When two cells have changed places.
+
+    ``better``: log likelihood by which that has to be more probable than two changes;
+    ``remaining``: share of two large misfits that may be left once it explains them.
+    """
+
+    better: float = 10.0
+    remaining: float = 0.005
+
+
+ALARM, EXCHANGE = Alarm(), Exchange()
 TAIL_SHARES = (0.5, 0.8, 0.9, 0.94)
-ODD_SHARE = 0.05  # of the cells, one at least, that may be odd themselves
-PENALTY = 2.0  # of one more parameter in the explanation, in units of log likelihood
-CONFUSABLE = 3.0  # log likelihood within which two explanations are confusable
 
 
 @dataclass(frozen=True)
@@ -112,7 +139,7 @@ def suspicions(
         shifts.append(shift)
         stds.append(std * np.sqrt(scale))
     found = []
-    allowed = FALSE_ALARMS / (there.size * len(EXPLANATIONS))
+    allowed = ALARM.false_alarms / (there.size * len(EXPLANATIONS))
     for k, cell in enumerate(there.tolist()):
         ratio = np.array([g[k] for g in gains])
         tail = [
@@ -148,13 +175,13 @@ def _scale(ratio: FloatArray, freedom: int) -> float:
     """
     cells = float(ratio.size)
     ordered = np.sort(ratio)
-    odd = max(int(np.ceil(ODD_SHARE * cells)), 1)
+    odd = max(int(np.ceil(ALARM.odd_share * cells)), 1)
     found = [
         float(ordered[min(int(share * cells), ratio.size - 1 - odd)])
         / float(chi2.ppf(share, freedom))
         for share in TAIL_SHARES
     ]
-    return max((cells * max(found) + USUAL_CELLS) / (cells + USUAL_CELLS), 1.0)
+    return max((cells * max(found) + USUAL_WEIGHT) / (cells + USUAL_WEIGHT), 1.0)
 
 
 def _negligible() -> FloatArray:
@@ -173,12 +200,12 @@ def _named(
     stds: Sequence[FloatArray],
     changed: bool,
 ) -> Suspicion:
-    scores = ratio - PENALTY * np.array([len(e.moves) for e in EXPLANATIONS])
+    scores = ratio - ALARM.penalty * np.array([len(e.moves) for e in EXPLANATIONS])
     best = int(np.argmax(scores))
     near = [
         e.cause
         for j, e in enumerate(EXPLANATIONS)
-        if j != best and scores[best] - scores[j] < CONFUSABLE
+        if j != best and scores[best] - scores[j] < ALARM.confusable
     ]
     weights = np.exp(scores - scores[best])
     return Suspicion(
@@ -195,10 +222,56 @@ def _named(
 
 def against_others(spread: FloatArray, evidence: PackEvidence) -> list[Suspicion]:
     """Cells that are not like the others."""
-    start = CellBelief.unknown(evidence.rows.size, spread)
+    start = CellDeltas.unknown(evidence.rows.size, spread)
     return suspicions(start.mean, start.covariance, evidence, changed=False)
 
 
-def against_past(belief: CellBelief, evidence: PackEvidence) -> list[Suspicion]:
+def against_past(past: CellDeltas, evidence: PackEvidence) -> list[Suspicion]:
     """Cells that are not as they were."""
-    return suspicions(belief.mean, belief.covariance, evidence, changed=True)
+    return suspicions(past.mean, past.covariance, evidence, changed=True)
+
+
+def exchanged_cells(
+    deltas: CellDeltas, evidence: PackEvidence, suspects: Sequence[Suspicion]
+) -> tuple[int, int] | None:
+    """The pair, one a suspect, of which each is what the other was; None: no such pair."""
+    cells = sorted({s.cell for s in suspects})
+    there = np.flatnonzero(evidence.rows > 0).tolist()
+    own = {k: _misfit(deltas, evidence, k, k) for k in there}
+    usual = float(np.median(list(own.values())))
+    best: float = EXCHANGE.better
+    pair = None
+    for i in cells:
+        for j in there:
+            if j == i:
+                continue
+            crossed = _misfit(deltas, evidence, i, j) + _misfit(deltas, evidence, j, i)
+            gain = own[i] + own[j] - crossed
+            # Each has to be as usual a cell in the other's place, not only less odd than here. What
+            # is far off is so in the regression's own error, too: a share of it may remain.
+            most = 2.0 * usual + EXCHANGE.better + EXCHANGE.remaining * (own[i] + own[j])
+            if gain > best and crossed < most:
+                best, pair = gain, (min(i, j), max(i, j))
+    return pair
+
+
+def with_exchanged(evidence: PackEvidence, i: int, j: int) -> PackEvidence:
+    """The evidence with two cells' places exchanged."""
+    order = np.arange(evidence.rows.size)
+    order[[i, j]] = order[[j, i]]
+    return replace(
+        evidence,
+        matrix=evidence.matrix[order],
+        vector=evidence.vector[order],
+        rows=evidence.rows[order],
+        rmse_V=evidence.rmse_V[order],
+    )
+
+
+def _misfit(deltas: CellDeltas, evidence: PackEvidence, cell: int, source: int) -> float:
+    """Minus log likelihood of one column's evidence under what is known of a cell."""
+    a, p = evidence.matrix[source], deltas.covariance[cell]
+    surprise = evidence.vector[source] - a @ deltas.mean[cell]
+    pull = np.linalg.solve(np.eye(SIZE) + a @ p, surprise)
+    # surprise' (A + A P A)^-1 surprise, of an A that may say nothing of some parameters
+    return float(0.5 * pull @ np.linalg.lstsq(a, surprise, rcond=1e-10)[0])

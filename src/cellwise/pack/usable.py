@@ -12,7 +12,6 @@ from cellwise.pack.mean_cell import OcvSlope
 from cellwise.typing import FloatArray
 
 POINTS = 101
-LEAST_GAIN = 1e-9
 
 
 @dataclass(frozen=True)
@@ -32,8 +31,7 @@ class Usable:
     @property
     def gain_Ah(self) -> float:
         """What balancing would bring; rounding is none."""
-        gain = self.balanced_Ah - self.usable_Ah
-        return 0.0 if abs(gain) < LEAST_GAIN * self.balanced_Ah else gain
+        return round(self.balanced_Ah - self.usable_Ah, 9)
 
     def to_dict(self) -> dict[str, float]:
         """JSON values, with what balancing would bring."""

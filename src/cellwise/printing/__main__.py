@@ -6,7 +6,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 
-from cellwise.printing.outputs import OUTPUTS, SOURCE
+from cellwise.printing.outputs import PRINTED, SOURCE, printed
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -15,9 +15,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--check", action="store_true", help="compare, write nothing")
     options = parser.parse_args(arguments)
     differ = 0
-    for name, text in OUTPUTS.items():
+    for name in PRINTED:
         path = SOURCE / name
-        new = text()
+        new = printed(name)
         if path.exists() and path.read_text(encoding="utf-8") == new:
             continue
         differ += 1

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import ast
-
 from cellwise.cell.description import CELL, entry, triangle
-from cellwise.printing.text import broken_sum, head, wrapped_call
+from cellwise.printing.text import head, wrapped_call
 
 WATCH = (
     "current_A",
@@ -97,6 +95,5 @@ def lanes_text() -> str:
     ]
     for field, path in fields():
         place = f"block[{constant(field)} * LANES + lane]"
-        value = ast.parse(f"{path} if puts else {place}", mode="eval").body
-        lines += broken_sum(f"    {place} = ", value)
+        lines.append(f"    {place} = {path} if puts else {place}")
     return "\n".join([*lines, ""])

@@ -6,27 +6,28 @@ from collections.abc import Callable
 from pathlib import Path
 
 from cellwise.printing.c.firmware import print_header, print_source
-from cellwise.printing.c.fixed_covariance import print_covariance
 from cellwise.printing.covariance import covariance_text
+from cellwise.printing.derivatives import derivatives_text, part_derivatives_text
 from cellwise.printing.formulas import theory_text
 from cellwise.printing.lanes import lanes_text
-from cellwise.printing.points import points_text
-from cellwise.printing.tangents.derivatives import derivatives_text
-from cellwise.printing.tangents.part_derivatives import part_derivatives_text
+from cellwise.printing.text import formatted
 
 # The repository's root: files are named from there.
 SOURCE = Path(__file__).resolve().parents[3]
 FILTERS = "src/cellwise/estimate/filters"
 
-OUTPUTS: dict[str, Callable[[], str]] = {
-    "src/cellwise/cell/point_kernels.py": points_text,
+PRINTED: dict[str, Callable[[], str]] = {
     "src/cellwise/cell/derivative_kernels.py": derivatives_text,
     "src/cellwise/identify/refinement/derivative_kernels.py": part_derivatives_text,
     f"{FILTERS}/covariance_kernels.py": covariance_text,
     "src/cellwise/estimate/lockstep/lane_kernels.py": lanes_text,
     "docs/theory.md": lambda: theory_text(SOURCE / "docs" / "theory.md"),
-    # What the C follows from comes first.
-    "src/cellwise/estimate/fixed/covariance.py": print_covariance,
     "firmware_ref/cellwise_ekf.h": print_header,
     "firmware_ref/cellwise_ekf.c": print_source,
 }
+
+
+def printed(name: str) -> str:
+    """The text of one of them, Python as the project's formatter writes it."""
+    text = PRINTED[name]()
+    return formatted(text) if name.endswith(".py") else text

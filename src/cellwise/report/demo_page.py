@@ -18,19 +18,28 @@ from cellwise.report.identification.ocv_section import ocv_content, ocv_evidence
 from cellwise.report.identification.page import cell_name, identify_tiles, notices
 from cellwise.report.identification.parameter_section import parameter_content, parameter_picture
 from cellwise.report.identification.provenance_section import provenance_content
-from cellwise.report.identification.pulse_example import pulse_example_picture
-from cellwise.report.identification.pulse_section import pulse_content, pulse_picture, pulse_sets
+from cellwise.report.identification.pulse_section import (
+    pulse_content,
+    pulse_example_picture,
+    pulse_picture,
+    pulse_sets,
+)
 from cellwise.report.identification.simulation_section import (
     simulation_content,
     simulation_pictures,
 )
-from cellwise.report.page.markup import Markup, bullets, details, paragraph, table
+from cellwise.report.page.jumps import clock_of
+from cellwise.report.page.markup import bullets, details, paragraph, record_table
 from cellwise.report.page.numerals import counted, duration, listed, plural, significant
-from cellwise.report.page.picture import FigureFiles, Picture
-from cellwise.report.page.section import Section, write_page
+from cellwise.report.page.picture import FigureFiles
+from cellwise.report.page.section import Blocks, Section, write_page
 from cellwise.report.replay.page import replay_data
-from cellwise.report.replay.replay_figures import replay_content
-from cellwise.report.replay.replay_section import comparison_pictures, replay_pictures
+from cellwise.report.replay.replay_section import (
+    comparison_pictures,
+    replay_content,
+    replay_pictures,
+)
+from cellwise.typing import FloatArray
 
 
 def demo_page(
@@ -72,53 +81,52 @@ def demo_sections(
     replays: Sequence[Replay],
 ) -> tuple[Section, ...]:
     """The steps, in the order in which a laboratory takes them."""
-    sections = [
-        _result(identification, simulations, replays),
-        _logs(identification, simulations),
-        _laboratory(identification),
-        _pulses(identification),
-        _parameters(identification),
-        _own_fit(identification),
-        _held_out(simulations),
-        _soc(replays),
-        Section(
-            "provenance",
-            "Where every number came from",
-            (notices(identification), provenance_content(identification)),
-            "Provenance",
-        ),
-    ]
-    return tuple(s for s in sections if s.blocks)
+    evidence = ocv_evidence(identification)
+    own = identification.simulations
+    provenance = (notices(identification), provenance_content(identification))
+    laboratory = (
+        capacity_picture(identification),
+        details("Capacity in numbers", capacity_content(identification)),
+        ocv_picture(identification, evidence),
+        details("The OCV in numbers", ocv_content(identification, evidence)),
+    )
+    parameters = (parameter_picture(identification), parameter_content(identification))
+    fit: Blocks = (simulation_content(own), *simulation_pictures(own[:1], "fit"))
+    model = "The model: a circuit whose parts change with SOC"
+    drives = "Does it predict drives it was not fitted on?"
+    titled: tuple[tuple[str, str, Blocks, str], ...] = (
+        ("result", "The result", _result(identification, simulations, replays), ""),
+        ("logs", "The logs", _logs(identification, simulations), ""),
+        ("laboratory", "How much charge, at what voltage", laboratory, "Capacity and OCV"),
+        ("pulses", "How the cell answers a pulse", _pulses(identification), "Pulses"),
+        ("parameters", model, parameters, "Parameters"),
+        ("fit", "Does the model explain its own tests?", fit, "Own tests"),
+        ("held-out", drives, _held_out(simulations), "Held-out drives"),
+        ("soc", "State of charge on the road", _soc(replays), "State of charge"),
+        ("provenance", "Where every number came from", provenance, "Provenance"),
+    )
+    return tuple(Section(*one) for one in titled if one[2])
 
 
 def _result(
     identification: Identification, simulations: Sequence[Simulation], replays: Sequence[Replay]
-) -> Section:
+) -> Blocks:
     """The main picture: the first drive that was simulated and replayed."""
-    blocks: list[Markup | Picture] = [
-        paragraph(
-            "A battery's state of charge cannot be measured, only inferred from current, voltage "
-            "and temperature. cellwise does it in two steps: in the laboratory it identifies a "
-            "model of the cell, a small electric circuit whose parts change with the state of "
-            "charge; on the road a Kalman filter runs this model beside the cell and corrects "
-            "itself by what it sees."
-        )
-    ]
-    pair = next(
-        (
-            (s, r)
-            for r in replays
-            for s in simulations
-            if s.log is r.log or s.log.name == r.log.name
-        ),
-        None,
+    text = paragraph(
+        "A battery's state of charge cannot be measured, only inferred from current, voltage "
+        "and temperature. cellwise does it in two steps: in the laboratory it identifies a "
+        "model of the cell, a small electric circuit whose parts change with the state of "
+        "charge; on the road a Kalman filter runs this model beside the cell and corrects "
+        "itself by what it sees."
     )
-    if pair is not None:
-        blocks.append(hero_picture(identification, *pair))
-    return Section("result", "The result", tuple(blocks))
+    pairs = ((s, r) for r in replays for s in simulations)
+    pair = next(((s, r) for s, r in pairs if s.log is r.log or s.log.name == r.log.name), None)
+    if pair is None:
+        return (text,)
+    return text, hero_picture(identification, *pair)._replace(clock=clock_of(pair[0].log))
 
 
-def _logs(identification: Identification, simulations: Sequence[Simulation]) -> Section:
+def _logs(identification: Identification, simulations: Sequence[Simulation]) -> Blocks:
     seen: dict[int, tuple[str, CellLog]] = {}
     for found in identification.temperatures:
         for one in found.pulse_sets:
@@ -127,114 +135,54 @@ def _logs(identification: Identification, simulations: Sequence[Simulation]) -> 
         seen.setdefault(id(s.log), ("identification: drive", s.log))
     for s in simulations:
         seen.setdefault(id(s.log), ("held out: validation", s.log))
-    rows = [
-        (
-            log.name or "log",
-            use,
-            counted(len(log)),
-            duration(log.duration_s),
-            f"{significant(float(np.nanmin(log.current_A)))} to "
-            f"{significant(float(np.nanmax(log.current_A)))} A",
-            f"{np.nanmin(log.voltage_V):.2f} to {np.nanmax(log.voltage_V):.2f} V",
-        )
-        for use, log in seen.values()
-    ]
     tests = list(dict.fromkeys(t.name for t in identification.capacity_tests))
     more = f" Capacity and OCV come from {listed(tests)}." if tests else ""
-    return Section(
-        "logs",
-        "The logs",
-        (
-            paragraph(
-                "Everything below is computed from these logs; positive current discharges." + more
-            ),
-            table(
-                ("log", "used for", "rows", "length", "current", "voltage"),
-                rows,
-                text_columns=(0, 1),
-            ),
-        ),
+    text = "Everything below is computed from these logs; positive current discharges."
+    logs = record_table(
+        seen.values(),
+        ("log", lambda one: clock_of(one[1])),
+        ("used for", lambda one: one[0]),
+        ("rows", lambda one: counted(len(one[1]))),
+        ("length", lambda one: duration(one[1].duration_s)),
+        ("current", lambda one: f"{' to '.join(map(significant, _ends(one[1].current_A)))} A"),
+        ("voltage", lambda one: "{:.2f} to {:.2f} V".format(*_ends(one[1].voltage_V))),
+        text_columns=(0, 1),
     )
+    return paragraph(text + more), logs
 
 
-def _laboratory(identification: Identification) -> Section:
-    evidence = ocv_evidence(identification)
-    return Section(
-        "laboratory",
-        "How much charge, at what voltage",
-        (
-            capacity_picture(identification),
-            details("Capacity in numbers", capacity_content(identification)),
-            ocv_picture(identification, evidence),
-            details("The OCV in numbers", ocv_content(identification, evidence)),
-        ),
-        "Capacity and OCV",
-    )
+def _ends(values: FloatArray) -> tuple[float, float]:
+    return float(np.nanmin(values)), float(np.nanmax(values))
 
 
-def _pulses(identification: Identification) -> Section:
+def _pulses(identification: Identification) -> Blocks:
     if not any(s.pulses for _, s in pulse_sets(identification)):
-        return Section("pulses", "Pulses", ())
+        return ()
     example = pulse_example_picture(identification)
-    return Section(
-        "pulses",
-        "How the cell answers a pulse",
-        (
-            *(() if example is None else (example,)),
-            pulse_picture(identification),
-            details("Pulses in numbers", pulse_content(identification)),
-        ),
-        "Pulses",
+    return (
+        *(() if example is None else (example,)),
+        pulse_picture(identification),
+        details("Pulses in numbers", pulse_content(identification)),
     )
 
 
-def _parameters(identification: Identification) -> Section:
-    return Section(
-        "parameters",
-        "The model: a circuit whose parts change with SOC",
-        (parameter_picture(identification), parameter_content(identification)),
-        "Parameters",
-    )
-
-
-def _own_fit(identification: Identification) -> Section:
-    sims = identification.simulations
-    shown = sims[:1]
-    return Section(
-        "fit",
-        "Does the model explain its own tests?",
-        (simulation_content(sims), *simulation_pictures(shown, "fit")),
-        "Own tests",
-    )
-
-
-def _held_out(simulations: Sequence[Simulation]) -> Section:
+def _held_out(simulations: Sequence[Simulation]) -> Blocks:
     if not simulations:
-        return Section("held-out", "Held-out drives", ())
-    return Section(
-        "held-out",
-        "Does it predict drives it was not fitted on?",
-        (
-            paragraph(simulation_finding(simulations)),
-            simulation_content(simulations),
-            *simulation_pictures(simulations, "held-out"),
-        ),
-        "Held-out drives",
+        return ()
+    return (
+        paragraph(simulation_finding(simulations)),
+        simulation_content(simulations),
+        *simulation_pictures(simulations, "held-out"),
     )
 
 
-def _soc(replays: Sequence[Replay]) -> Section:
+def _soc(replays: Sequence[Replay]) -> Blocks:
     if not replays:
-        return Section("soc", "State of charge", ())
-    pictures = (*comparison_pictures(replays), *replay_pictures(replays[:1]))
-    return Section(
-        "soc",
-        "State of charge on the road",
-        (
-            paragraph(f"{plural(len(replays), 'replay')} of the held-out logs, row by row:"),
-            bullets(replay_finding(r) for r in replays),
-            *pictures,
-            details("All figures of the replays", replay_content(replays)),
-        ),
-        "State of charge",
+        return ()
+    return (
+        paragraph(f"{plural(len(replays), 'replay')} of the held-out logs, row by row:"),
+        bullets(replay_finding(r) for r in replays),
+        *comparison_pictures(replays),
+        *replay_pictures(replays[:1]),
+        details("All figures of the replays", replay_content(replays)),
     )

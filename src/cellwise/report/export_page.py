@@ -4,29 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from cellwise.report.page import style
 from cellwise.report.page.interactive import HasPanels, trace_section
-from cellwise.report.page.markup import Markup, bullets, paragraph, table, tiles
+from cellwise.report.page.markup import Markup, bullets, paragraph, record_table, table, tiles
 from cellwise.report.page.numerals import counted, listed, plural, significant
-from cellwise.report.page.picture import FigureFiles, Picture
-from cellwise.report.page.section import Section, write_page
-from cellwise.report.page.style import (
-    FILTER,
-    MODEL,
-    MUTED,
-    finding,
-    labels,
-    legend,
-    new_figure,
-    plain_numbers,
-    styled,
-)
-
-if TYPE_CHECKING:
-    from cellwise.report.page.style import Figure
+from cellwise.report.page.picture import FigureFiles, pictured
+from cellwise.report.page.section import Blocks, Section, write_page
 
 Row = Mapping[str, Any]
 COSTS = {
@@ -40,15 +27,6 @@ COSTS = {
     "instructions_stress": "under every fault",
     "instructions_anew": "SOC re-initialised",
 }
-COST_CAPTION = (
-    "Instructions of one step, mean and most, over samples of a drive in an emulator (QEMU counts "
-    "instructions, not cycles; the scale is logarithmic), and the bytes of code and tables."
-)
-GRID_CAPTION = (
-    "Every dot is a number of SOC points: how far SOC is from the float64 EKF of the full model on "
-    "the log, over the bytes of its tables. The ring is what was exported. The ordinate is "
-    "logarithmic."
-)
 
 
 def export_page(
@@ -117,31 +95,33 @@ def export_tiles(report: Mapping[str, Any]) -> Markup:
 
 def export_sections(report: Mapping[str, Any], on_log: HasPanels | None) -> list[Section]:
     """The parts of the page."""
-    targets, accuracy = report["targets"], report["accuracy"]
-    cost: list[Markup | Picture] = (
-        [Picture("export-cost", draw_cost(targets), COST_CAPTION), cost_table(targets)]
-        if targets
-        else [paragraph("No cross compiler was there: code, stack and instructions are unknown.")]
+    targets = report["targets"]
+    cost: Blocks = (
+        paragraph("No cross compiler was there: code, stack and instructions are unknown."),
     )
-    sections = [Section("cost", "Cost on the target", tuple(cost), "Cost")]
-    if accuracy:
-        grid = Picture("export-accuracy", draw_accuracy(report), GRID_CAPTION)
-        sections.append(
-            Section("accuracy", "What is lost", (grid, accuracy_table(report)), "Accuracy")
-        )
-    else:
-        text = paragraph("No log was given, so what single precision loses is not known.")
-        sections.append(Section("accuracy", "What is lost", (text,), "Accuracy"))
+    lost: Blocks = (paragraph("No log was given, so what single precision loses is not known."),)
+    if targets:
+        cost = (cost_picture(targets), cost_table(targets))
+    if report["accuracy"]:
+        lost = (accuracy_picture(report), accuracy_table(report))
+    sections = [
+        Section("cost", "Cost on the target", cost, "Cost"),
+        Section("accuracy", "What is lost", lost, "Accuracy"),
+        Section("files", "What was written", (files_content(report),), "Files"),
+    ]
     if on_log is not None:
-        sections.append(trace_section([("exported filter and float64 EKF", on_log)]))
-    sections.append(Section("files", "What was written", (files_content(report),), "Files"))
+        sections.insert(2, trace_section([("exported filter and float64 EKF", on_log)]))
     return sections
 
 
-@styled
-def draw_cost(targets: Sequence[Row]) -> Figure:
+@pictured(
+    "export-cost",
+    "Instructions of one step, mean and most, over samples of a drive in an emulator (QEMU counts "
+    "instructions, not cycles; the scale is logarithmic), and the bytes of code and tables.",
+)
+def cost_picture(targets: Sequence[Row]) -> style.Figure:
     """Instructions and flash of every core."""
-    figure = new_figure(2.9)
+    figure = style.new_figure(2.9)
     left, right = figure.subplots(1, 2)
     place = np.arange(len(targets))
     names = [c["core"] for c in targets]
@@ -149,61 +129,64 @@ def draw_cost(targets: Sequence[Row]) -> Figure:
     if cheapest is not None:
         mean = [c["instructions_mean"] or 0.0 for c in targets]
         most = [c["instructions_most"] or 0.0 for c in targets]
-        left.bar(place - 0.2, mean, 0.38, color=FILTER, label="mean")
-        left.bar(place + 0.2, most, 0.38, color=MODEL, label="most on the log")
+        left.bar(place - 0.2, mean, 0.38, color=style.FILTER, label="mean")
+        left.bar(place + 0.2, most, 0.38, color=style.MODEL, label="most on the log")
         left.set_yscale("log")
         left.set_ylim(bottom=0.3 * min(v for v in mean if v > 0.0))
-        plain_numbers(left.yaxis)
-        legend(left)
+        style.plain_numbers(left.yaxis)
+        style.legend(left)
         text = f"{counted(round(cheapest['instructions_mean']))} instructions on {cheapest['core']}"
-        finding(left, text, 0.42)
+        style.finding(left, text, 0.42)
     code = np.array([c["text_bytes"] for c in targets])
     tables = np.array([c["model_bytes"] for c in targets])
-    right.bar(place, code, 0.6, color=FILTER, label="code")
-    right.bar(place, tables, 0.6, bottom=code, color=MUTED, label="tables")
-    legend(right)
-    finding(right, f"{counted(int((code + tables).max()))} bytes of flash at most", 0.42)
+    right.bar(place, code, 0.6, color=style.FILTER, label="code")
+    right.bar(place, tables, 0.6, bottom=code, color=style.MUTED, label="tables")
+    style.legend(right)
+    style.finding(right, f"{counted(int((code + tables).max()))} bytes of flash at most", 0.42)
     for axes, label in ((left, "instructions [1 per step]"), (right, "flash [B]")):
         axes.set_xticks(place, names)
         axes.grid(axis="x", visible=False)
-        labels(axes, "core [name]", label)
+        style.labels(axes, "core [name]", label)
     return figure
 
 
-@styled
-def draw_accuracy(report: Mapping[str, Any]) -> Figure:
+@pictured(
+    "export-accuracy",
+    "Every dot is a number of SOC points: how far SOC is from the float64 EKF of the full model on "
+    "the log, over the bytes of its tables. The ring is what was exported. The ordinate is "
+    "logarithmic.",
+)
+def accuracy_picture(report: Mapping[str, Any]) -> style.Figure:
     """SOC lost over the bytes of the tables."""
-    figure = new_figure(3.2)
+    figure = style.new_figure(3.2)
     axes = figure.subplots()
     rows = sorted(report["accuracy"], key=lambda a: a["flash_bytes"])
     size = [a["flash_bytes"] for a in rows]
-    for key, colour, name in (("soc_max", MODEL, "largest"), ("soc_rmse", FILTER, "RMSE")):
+    for key, colour, name in (
+        ("soc_max", style.MODEL, "largest"),
+        ("soc_rmse", style.FILTER, "RMSE"),
+    ):
         values = [max(100.0 * a[key], 1e-6) for a in rows]
         axes.plot(size, values, "o-", color=colour, linewidth=1.0, markersize=4, label=name)
     for a in rows:
-        axes.annotate(
-            f"{a['points']}",
-            (a["flash_bytes"], max(100.0 * a["soc_max"], 1e-6)),
-            (0, 5),
-            textcoords="offset points",
-            ha="center",
-            fontsize=7,
-            color=MUTED,
-        )
+        at = (a["flash_bytes"], max(100.0 * a["soc_max"], 1e-6))
+        style.note(axes, f"{a['points']}", at, ha="center")
     mine = _exported(report)
     if mine is not None:
         spot = ([mine["flash_bytes"]], [max(100.0 * mine["soc_rmse"], 1e-6)])
-        axes.plot(*spot, "o", markersize=11, markerfacecolor="none", color=MUTED, label="exported")
-        finding(
+        axes.plot(
+            *spot, "o", markersize=11, markerfacecolor="none", color=style.MUTED, label="exported"
+        )
+        style.finding(
             axes,
             f"{mine['points']} SOC points: {_points(mine['soc_rmse'])} RMSE, "
             f"{_points(mine['soc_max'])} at most",
         )
     axes.set_yscale("log")
-    plain_numbers(axes.yaxis)
+    style.plain_numbers(axes.yaxis)
     axes.margins(y=0.15)
-    legend(axes)
-    labels(axes, "tables in flash [B]", "SOC against float64 [points]")
+    style.legend(axes)
+    style.labels(axes, "tables in flash [B]", "SOC against float64 [points]")
     return figure
 
 
@@ -213,32 +196,22 @@ def cost_table(targets: Sequence[Row]) -> Markup:
     def shown(value: float | None) -> str:
         return "" if value is None else counted(round(value))
 
-    rows = [
-        (
-            c["core"],
-            *(shown(c.get(key)) for key in COSTS),
-        )
-        for c in targets
-    ]
+    rows = [(c["core"], *(shown(c.get(key)) for key in COSTS)) for c in targets]
     return table(("core", *COSTS.values()), rows)
 
 
 def accuracy_table(report: Mapping[str, Any]) -> Markup:
     """SOC lost by number of points, what was exported marked."""
     mine = _exported(report)
-    rows = [
-        (
-            a["points"],
-            counted(a["flash_bytes"]),
-            f"{100 * a['soc_rmse']:.4f}",
-            f"{100 * a['soc_max']:.4f}",
-        )
-        for a in report["accuracy"]
-    ]
-    chosen = None if mine is None else list(report["accuracy"]).index(mine)
-    head = ("SOC points", "tables [B]", "RMSE [points]", "largest [points]")
-    text = "SOC of the exported filter minus that of the float64 EKF on the same samples."
-    return table(head, rows, caption=text, marked=chosen)
+    return record_table(
+        report["accuracy"],
+        ("SOC points", lambda a: a["points"]),
+        ("tables [B]", lambda a: counted(a["flash_bytes"])),
+        ("RMSE [points]", lambda a: f"{100 * a['soc_rmse']:.4f}"),
+        ("largest [points]", lambda a: f"{100 * a['soc_max']:.4f}"),
+        caption="SOC of the exported filter minus that of the float64 EKF on the same samples.",
+        marked=None if mine is None else list(report["accuracy"]).index(mine),
+    )
 
 
 def files_content(report: Mapping[str, Any]) -> Markup:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,41 +10,14 @@ from cellwise.cell.simulate import Simulation
 from cellwise.estimate.replay import Replay
 from cellwise.identify.identification import Identification
 from cellwise.report.findings import fitted_drives
-from cellwise.report.identification.simulation_section import draw_close_up, draw_residual
-from cellwise.report.page.jumps import clock_of
-from cellwise.report.page.numerals import (
-    ampere_hours,
-    millivolt,
-    percent,
-    plural,
-    time_unit,
-)
-from cellwise.report.page.picture import Picture, save_figure
-from cellwise.report.page.style import (
-    MEASURED,
-    MODEL,
-    NARROW,
-    WIDE,
-    finding,
-    labels,
-    legend,
-    new_figure,
-    styled,
-    two_columns,
-)
-from cellwise.report.page.thinning import thin
-from cellwise.report.page.windows import close_up_s, mark_window
+from cellwise.report.identification.simulation_section import as_shown, describe_residual
+from cellwise.report.page import style
+from cellwise.report.page.log_figures import draw_close_up, draw_part_current, time_axis
+from cellwise.report.page.numerals import ampere_hours, duration, millivolt, percent, plural
+from cellwise.report.page.picture import pictured, save_figure
+from cellwise.report.page.traces import close_up_s, mark_window, thin
 from cellwise.report.replay.replay_section import draw_soc_axes, draw_soc_error
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-CAPTION = (
-    "A drive that took no part in the identification: voltage from the current alone, the "
-    "residual, and the state of charge that the filter finds from a wrong start."
-)
-HEIGHT_IN = 6.4
 CLOSE_UP_S = 180.0
 
 
@@ -64,47 +36,48 @@ def hero_figure(
     ------
     InputError        matplotlib is missing; another suffix; a path that cannot be written
     """
-    return save_figure(draw_hero(identification, simulation, replay), path)
+    return save_figure(hero_picture(identification, simulation, replay).figure, path)
 
 
-def hero_picture(identification: Identification, simulation: Simulation, replay: Replay) -> Picture:
-    """The same with its explanation, for a page."""
-    figure = draw_hero(identification, simulation, replay)
-    return Picture("hero", figure, CAPTION, clock_of(simulation.log))
-
-
-@styled
-def draw_hero(identification: Identification, simulation: Simulation, replay: Replay) -> Figure:
+@pictured(
+    "hero",
+    "A drive that took no part in the identification: voltage from the current alone, the "
+    "residual, and the state of charge that the filter finds from a wrong start.",
+)
+def hero_picture(
+    identification: Identification, simulation: Simulation, replay: Replay
+) -> style.Figure:
     """Voltage, residual, SOC over the drive; to the right a close-up of each."""
-    figure = new_figure(HEIGHT_IN)
-    left, right = two_columns(figure, (1.5, 0.9, 1.3), (1.5, 0.7, 1.3))
-    log = simulation.log
-    scale, unit = time_unit(log.duration_s)
-    t = (log.time_s - log.time_s[0]) / scale
+    figure = style.new_figure(6.4)
+    left, right = style.two_columns(figure, (1.5, 0.9, 1.3), (1.5, 0.7, 1.3))
+    log, shown = simulation.log, as_shown(simulation)
+    t, time_label, scale = time_axis(log.time_s)
     length_s = min(CLOSE_UP_S, close_up_s(log.time_s))
-    start, stop = _typical_window(simulation, length_s)
-    left[0].plot(*thin(t, log.voltage_V), color=MEASURED, linewidth=1.6, label="measured")
-    left[0].plot(*thin(t, simulation.voltage_V), color=MODEL, linewidth=0.7, label="simulated")
-    finding(
-        left[0],
-        f"{log.name or 'A drive'}, never fitted: voltage to "
-        f"{millivolt(simulation.rmse_above_10pct_V)} RMSE above 10 % SOC",
-        WIDE,
-    )
-    labels(left[0], "", "voltage [V]")
-    legend(left[0], columns=2, place="lower left")
-    draw_residual(left[1], t, simulation)
-    labels(left[1], "", "residual [mV]")
+    part = _typical_window(simulation, length_s)
+    left[0].plot(*thin(t, log.voltage_V), color=style.MEASURED, linewidth=1.6, label="measured")
+    left[0].plot(*thin(t, shown.voltage_V), color=shown.colour, linewidth=0.7, label=shown.name)
+    error = millivolt(simulation.rmse_above_10pct_V)
+    title = f"{log.name or 'A drive'}, never fitted: voltage to {error} RMSE above 10 % SOC"
+    style.finding(left[0], title, style.WIDE)
+    style.labels(left[0], "", "voltage [V]")
+    style.legend(left[0], columns=2, place="lower left")
+    gaps = log.gap_rows
+    left[1].plot(*thin(t, 1e3 * shown.error_V, gaps=gaps), color=shown.colour, linewidth=0.65)
+    style.zero_line(left[1])
+    describe_residual(left[1], simulation)
+    style.labels(left[1], "", "residual [mV]")
     draw_soc_axes(left[2], replay, slice(None), (replay.log.time_s - replay.log.time_s[0]) / scale)
-    labels(left[2], f"time [{unit}]", "SOC [%]")
-    finding(left[2], _soc_title(replay), WIDE)
-    legend(left[2], place="lower left")
+    style.labels(left[2], time_label, "SOC [%]")
+    style.finding(left[2], _soc_title(replay), style.WIDE)
+    style.legend(left[2], place="lower left")
     for axes in left:
         axes.set_xlim(t[0], t[-1])
-    mark_window(left[0], t[start], t[stop - 1])
-    title = "{length} at full size: {rmse} RMSE"
-    draw_close_up(right[0], right[1], simulation, (start, stop), title, length_s)
-    finding(right[1], "All the model is given", NARROW)
+    mark_window(left[0], t[part[0]], t[part[1] - 1])
+    size = draw_close_up(right[0], log, [shown], part, length_s)
+    style.labels(right[0], "", "voltage [V]")
+    style.finding(right[0], f"{duration(length_s)} at full size: {size} RMSE", style.NARROW)
+    draw_part_current(right[1], log, part, length_s)
+    style.finding(right[1], "All the model is given", style.NARROW)
     _draw_start(right[2], replay)
     figure.suptitle(_headline(identification), x=0.01, ha="left", fontsize=11.5, fontweight="bold")
     return figure
@@ -138,19 +111,18 @@ def _typical_window(simulation: Simulation, length: float) -> tuple[int, int]:
     return int(starts[best]), max(int(stops[best]), int(starts[best]) + 2)
 
 
-def _draw_start(axes: Axes, replay: Replay) -> None:
+def _draw_start(axes: style.Axes, replay: Replay) -> None:
     """SOC error of the first minutes, where the wrong start is forgotten."""
-    t = replay.log.time_s - replay.log.time_s[0]
-    reached = replay.convergence_s
-    end = float(min(max(120.0, 4.0 * (reached or 0.0)), 0.5 * t[-1]))
-    rows = slice(0, int(np.searchsorted(t, end, side="right")))
-    scale, unit = time_unit(end)
+    seconds = replay.log.time_s - replay.log.time_s[0]
+    end = float(min(max(120.0, 4.0 * (replay.convergence_s or 0.0)), 0.5 * seconds[-1]))
+    rows = slice(0, int(np.searchsorted(seconds, end, side="right")))
+    t, time_label, scale = time_axis(replay.log.time_s[rows], end)
     if replay.soc_error is None:
-        draw_soc_axes(axes, replay, rows, t[rows] / scale)
-        labels(axes, f"time [{unit}]", "SOC [%]")
+        draw_soc_axes(axes, replay, rows, t)
+        style.labels(axes, time_label, "SOC [%]")
         return
-    draw_soc_error(axes, replay, rows, t[rows] / scale, whole=False, mark=False)
-    labels(axes, f"time [{unit}]", "SOC error [points]")
+    draw_soc_error(axes, replay, rows, t, whole=False, mark=False)
+    style.labels(axes, time_label, "SOC error [points]")
     axes.set_xlim(0.0, end / scale)
 
 

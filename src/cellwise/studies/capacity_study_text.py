@@ -143,3 +143,15 @@ def _itself(study: CellStudy, best: ChoiceResult) -> str:
 
 def _result(study: CellStudy, choice: str) -> ChoiceResult:
     return next(c for c in study.choices if c.choice == choice)
+
+
+def study_finding(study: CellStudy) -> str:
+    """One line: what the choice of the capacity does to SOC."""
+    kind = study.kinds[1] if len(study.kinds) > 1 else VOLTAGE
+    winner, last = study.winner(kind), study.order(kind)[-1]
+    if kind == VOLTAGE:
+        return f"{study.name}: {winner.choice} fits the voltage best"
+    return (
+        f"{study.name}: {winner.choice} as the capacity leaves {100 * winner.value:.2f} points of "
+        f"SOC error in {named(kind)}, {last} {100 * _result(study, last).figure(kind):.2f}"
+    )

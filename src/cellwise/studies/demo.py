@@ -1,11 +1,11 @@
-"""The main job on embedded data: identify, simulate a held-out drive, estimate SOC, one page."""
+"""The main job on embedded data: identify, simulate a held-out drive, estimate SOC."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model_file import write_model
@@ -15,16 +15,13 @@ from cellwise.estimate.replay import Replay, replay
 from cellwise.files import made_folder
 from cellwise.identify import Identification, IdentifySettings, TestLogs, identify_cell
 
-if TYPE_CHECKING:
-    from cellwise.report.page.picture import FigureFiles
-
 HELD_OUT = "nmc_drive_b"
 START_ERROR = 0.3
 
 
 @dataclass(frozen=True, eq=False)
 class Demo:
-    """What the demo made, and the page to open."""
+    """What the demo made, and where its page belongs."""
 
     identification: Identification
     simulations: tuple[tuple[Simulation, InitialSoc], ...]
@@ -49,16 +46,13 @@ class Demo:
 def run_demo(
     folder: Path,
     progress: Callable[[str], None] | None = None,
-    figures: FigureFiles | None = None,
 ) -> Demo:
-    """Identify the embedded NMC cell, judge it on a drive it has not seen, write the page.
+    """Identify the embedded NMC cell, judge it on a drive it has not seen; the model is written.
 
     Raises
     ------
-    InputError        the folder cannot be made; matplotlib is missing
+    InputError        the folder cannot be made
     """
-    from cellwise.report import demo_page
-
     say = progress or (lambda _: None)
     made_folder(folder)
     say("reading")
@@ -89,7 +83,4 @@ def run_demo(
         )
         for soc0 in (max(float(truth["initial_soc"]) - START_ERROR, 0.0), None)
     )
-    say("page")
-    page = folder / "index.html"
-    demo_page(found, [simulation], list(replays), page, figures=figures)
-    return Demo(found, ((simulation, start),), replays, model_path, page)
+    return Demo(found, ((simulation, start),), replays, model_path, folder / "index.html")

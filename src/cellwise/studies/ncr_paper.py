@@ -17,9 +17,9 @@ from cellwise.cell.metrics import ErrorMetrics
 from cellwise.cell.simulate import simulate
 from cellwise.identify.assemble import plain_model
 from cellwise.identify.identification import Identification, IdentifySettings, TestLogs
+from cellwise.identify.papers.segments import TAUS_PER_SEGMENT, SegmentOptions
 from cellwise.identify.pipeline import Progress, identify_cell
 from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseParameters
-from cellwise.identify.pulse_fit.segments import TAUS_PER_SEGMENT, SegmentOptions
 from cellwise.identify.tables import pulse_tables
 from cellwise.logs.cell_log import CellLog
 
@@ -85,8 +85,8 @@ def _on_relaxation(paper: Identification, hppc: CellLog) -> ErrorMetrics:
     soc = pulses.anchor.soc - hppc.counted_charge_Ah() / paper.model.capacity_Ah
     edges = [(p.stop, p.relax_stop, p.current_A, float(soc[p.stop - 1])) for p in pulses.pulses]
     tables = pulse_tables(relaxation_segments(hppc, edges), paper.model.points)
-    temperature = float(paper.model.temperature_C[0])
-    model = plain_model(tables, paper.ocv, paper.model.capacity_Ah, temperature)
+    warm = [float(paper.model.temperature_C[0])]
+    model = plain_model([tables], paper.ocv, paper.model.capacity_Ah, warm)
     return simulate(model, hppc, paper.simulations[0].soc0).metrics
 
 

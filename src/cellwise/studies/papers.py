@@ -29,7 +29,6 @@ from cellwise.studies.published import (
     NCA_RESIDUALS,
 )
 
-TEXT_WIDTH = 120
 LFP_NOMINAL_AH = 2.3
 NMC_NOMINAL_AH = 5.0
 LFP_CAPACITY_TESTS = ("cap_0p5c", "cap_1c", "cap_2c", "cap_3c")
@@ -51,12 +50,6 @@ class PaperTables:
             "ncr18650b": _ncr_dict(self.ncr),
             "seconds": self.seconds,
         }
-
-    def text(self, width: int = TEXT_WIDTH) -> str:
-        """The tables as plain text."""
-        from cellwise.studies.papers_text import papers_text
-
-        return papers_text(self.lfp, self.ncr, width)
 
 
 def paper_tables(
@@ -90,18 +83,6 @@ def paper_tables(
     }
     ncr = ncr_tables(pairs, NMC_NOMINAL_AH, progress=progress)
     return PaperTables(lfp, ncr, round(time.perf_counter() - began, 1))
-
-
-def print_paper_tables(found: PaperTables) -> None:
-    """Print the tables for people."""
-    from rich.console import Console
-
-    from cellwise.studies.papers_text import print_papers
-
-    console = Console()
-    if not console.is_terminal:
-        console.width = TEXT_WIDTH
-    print_papers(found.lfp, found.ncr, console)
 
 
 def _log(datasets: Path, name: str) -> CellLog:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from io import StringIO
+from typing import TYPE_CHECKING
 
 from rich.box import SIMPLE
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
-from cellwise.studies.lfp_paper import CHOICES, LFP_EMBEDDED, LfpTables
+from cellwise.studies.lfp_paper import CHOICES, LFP_EMBEDDED, QUALITIES, LfpTables
 from cellwise.studies.ncr_paper import METHODS, NMC_EMBEDDED, RateResult
 from cellwise.studies.published import (
     LFP_CAPACITIES,
@@ -21,214 +23,158 @@ from cellwise.studies.published import (
     NCA_RESIDUALS,
 )
 
+if TYPE_CHECKING:
+    from cellwise.studies.papers import PaperTables
+
 PAPER = "published"
+TEXT_WIDTH = 120
+TEXT_COLUMNS = {"method", "chosen as", "rate", ""}  # to the left; numbers to the right
+# A row of a table: ours, the paper's (dim), or None for a line between two groups.
+Rows = Iterator[tuple[str, ...] | None]
 
 
-def papers_text(lfp: LfpTables, ncr: Sequence[RateResult], width: int = 120) -> str:
+def papers_text(found: PaperTables, width: int = TEXT_WIDTH) -> str:
     """All tables as plain text of at most ``width`` columns."""
-    console = Console(file=StringIO(), width=width, no_color=True, highlight=False)
-    print_papers(lfp, ncr, console)
-    out = console.file
-    return out.getvalue() if isinstance(out, StringIO) else ""
+    out = StringIO()
+    print_papers(found, Console(file=out, width=width, no_color=True, highlight=False))
+    return out.getvalue()
 
 
-def print_papers(lfp: LfpTables, ncr: Sequence[RateResult], console: Console) -> None:
-    """All tables on a console."""
-    console.print(f"[bold]LFP040AHA paper[/bold] on {LFP_EMBEDDED}.")
-    console.print(
-        f"Columns headed '{PAPER}' are the paper's own, measured on another cell: {LFP_CELL}.",
-        style="dim",
-    )
-    for table in lfp_rich(lfp):
-        console.print(table)
-    console.print(f"[bold]NCR18650B paper[/bold] on {NMC_EMBEDDED}.")
-    console.print(
-        f"Rows headed '{PAPER}' are the paper's own, measured on another cell: {NCA_CELL}.",
-        style="dim",
-    )
-    for table in ncr_rich(ncr):
-        console.print(table)
+def print_papers(found: PaperTables, console: Console | None = None) -> None:
+    """All tables on a console; without one, on standard output."""
+    if console is None:
+        console = Console()
+        if not console.is_terminal:
+            console.width = TEXT_WIDTH
+    lfp, ncr = found.lfp, found.ncr
+    parts: tuple[tuple[str, str, str, str, tuple[Table, ...]], ...] = (
+        ("LFP040AHA", LFP_EMBEDDED, "Columns", LFP_CELL,
+         (_capacity(lfp), _pulses(lfp), _polynomials(lfp), _errors(lfp))),
+        ("NCR18650B", NMC_EMBEDDED, "Rows", NCA_CELL, (_rate_errors(ncr), _residuals(ncr))),
+    )  # fmt: skip
+    for paper, cell, what, published_cell, tables in parts:
+        console.print(f"[bold]{paper} paper[/bold] on {cell}.")
+        console.print(
+            f"{what} headed '{PAPER}' are the paper's own, measured on another cell: "
+            f"{published_cell}.",
+            style="dim",
+        )
+        for table in tables:
+            console.print(table)
 
 
-def lfp_rich(found: LfpTables) -> list[Table]:
-    """Capacity, pulses, polynomials, error by capacity."""
-    return [_capacity(found), _pulses(found), _polynomials(found), _errors(found)]
+def tabled(title: str, *columns: str) -> Callable[[Callable[..., Rows]], Callable[..., Table]]:
+    """Decorator: what yields rows gives a table; a row that says ``published`` is dim."""
+
+    def decorate(rows: Callable[..., Rows]) -> Callable[..., Table]:
+        def inside(found: LfpTables | Sequence[RateResult]) -> Table:
+            method = found.method if isinstance(found, LfpTables) else ""
+            table = Table(
+                title=title.format(method=method), title_justify="left", title_style="bold",
+                box=SIMPLE, pad_edge=False,
+            )  # fmt: skip
+            for name in columns:
+                table.add_column(name, justify="left" if name in TEXT_COLUMNS else "right")
+            for row in rows(found):
+                if row is None:
+                    table.add_section()
+                else:
+                    dim = any(cell.startswith(PAPER) for cell in row)
+                    table.add_row(*map(escape, row), style="dim" if dim else None)
+            return table
+
+        return inside
+
+    return decorate
 
 
-def ncr_rich(found: Sequence[RateResult]) -> list[Table]:
-    """Errors and residuals by characterization rate."""
-    errors = _table(
-        "Voltage error on the same HPPC current",
-        "rate",
-        "capacity Ah",
-        "method",
-        "RMSE mV",
-        "MAE mV",
-        "max mV",
-    )
-    residuals = _table(
-        "Residuals, measured minus simulated",
-        "rate",
-        "method",
-        "mean mV",
-        "std mV",
-        "95 % interval mV",
-    )
-    for row in found:
-        for k, (name, m) in enumerate(row.errors.items()):
-            first = (row.rate, f"{row.capacity_Ah:.3f}") if k == 0 else ("", "")
-            errors.add_row(
-                *first,
-                METHODS[name],
-                *(f"{1e3 * x:.1f}" for x in (m.rmse_V, m.mae_V, m.max_error_V)),
-            )
-            residuals.add_row(
-                first[0],
-                METHODS[name],
-                f"{1e3 * m.mean_error_V:.1f}",
-                f"{1e3 * m.std_error_V:.1f}",
-                _interval(*(1e3 * x for x in m.ci95_V)),
-            )
-        there = NCA_RESIDUALS.get(row.rate)
-        if there is not None:
-            errors.add_row(
-                "",
-                f"{there.capacity_Ah:.3f}",
-                f"{PAPER}, segments",
-                f"{there.rmse_mV:.1f}",
-                f"{there.mae_mV:.1f}",
-                f"{there.max_mV:.1f}",
-                style="dim",
-            )
-            residuals.add_row(
-                "",
-                f"{PAPER}, segments",
-                f"{there.mean_mV:.1f}",
-                f"{there.std_mV:.1f}",
-                _interval(*there.ci95_mV),
-                style="dim",
-            )
-        errors.add_section()
-        residuals.add_section()
-    return [errors, residuals]
-
-
-def _capacity(found: LfpTables) -> Table:
-    table = _table(
-        "Capacity by discharge tests",
-        "rate",
-        "total Ah",
-        "CC part",
-        "CV part",
-        f"{PAPER}: total",
-        "CC",
-        "CV",
-    )
+@tabled(
+    "Capacity by discharge tests",
+    "rate", "total Ah", "CC part", "CV part", f"{PAPER}: total", "CC", "CV",
+)  # fmt: skip
+def _capacity(found: LfpTables) -> Rows:
     for row in found.capacities:
         there = LFP_CAPACITIES.get(row.rate)
         values = ("", "", "") if there is None else tuple(f"{x:.4g}" for x in there)
-        table.add_row(
-            row.rate, f"{row.total_Ah:.3f}", f"{row.cc_Ah:.3f}", f"{row.cv_Ah:.3f}", *values
-        )
-    return table
+        ours = (f"{x:.3f}" for x in (row.total_Ah, row.cc_Ah, row.cv_Ah))
+        yield (row.rate, *ours, *values)
 
 
-def _pulses(found: LfpTables) -> Table:
-    table = _table(
-        "Pulses of the HPPC tests",
-        "test",
-        "from SOC",
-        "Ah",
-        "healthy",
-        "trimmed",
-        "distorted",
-        "spurious",
-        f"{PAPER}: Ah",
-    )
-    for k, t in enumerate(found.tests):
+@tabled("Pulses of the HPPC tests", "test", "from SOC", "Ah", *QUALITIES, f"{PAPER}: Ah")
+def _pulses(found: LfpTables) -> Rows:
+    counts = [[getattr(t, q) for q in QUALITIES] for t in found.tests]
+    for k, (test, count) in enumerate(zip(found.tests, counts, strict=True)):
         there = f"{LFP_TEST_CHARGES_AH[k]:.2f}" if k < len(LFP_TEST_CHARGES_AH) else ""
-        table.add_row(
-            str(t.number),
-            f"{t.soc_start:.3f}",
-            f"{t.charge_Ah:.4f}",
-            str(t.healthy),
-            str(t.trimmed),
-            str(t.distorted),
-            str(t.spurious),
-            there,
-        )
-    table.add_section()
-    sums = [
-        sum(getattr(t, q) for t in found.tests)
-        for q in ("healthy", "trimmed", "distorted", "spurious")
-    ]
-    table.add_row(
-        "all", "", f"{found.hppc_Ah:.4f}", *map(str, sums), f"{sum(LFP_TEST_CHARGES_AH):.2f}"
-    )
-    return table
+        ours = (str(test.number), f"{test.soc_start:.3f}", f"{test.charge_Ah:.4f}")
+        yield (*ours, *map(str, count), there)
+    yield None
+    sums = map(str, map(sum, zip(*counts, strict=True)))
+    yield ("all", "", f"{found.hppc_Ah:.4f}", *sums, f"{sum(LFP_TEST_CHARGES_AH):.2f}")
 
 
-def _polynomials(found: LfpTables) -> Table:
-    table = _table(
-        f"Polynomials a + b s + c s^2 + d s^3 ({found.method} on healthy pulses)",
-        "",
-        "a",
-        "b",
-        "c",
-        "d",
-        f"{PAPER}: a",
-        "b",
-        "c",
-        "d",
-    )
+@tabled(
+    "Polynomials a + b s + c s^2 + d s^3 ({method} on healthy pulses)",
+    "", "a", "b", "c", "d", f"{PAPER}: a", "b", "c", "d",
+)  # fmt: skip
+def _polynomials(found: LfpTables) -> Rows:
     for p in found.polynomials:
         unit = "ohm" if p.parameter.startswith("R") else "F"
-        table.add_row(
-            f"{p.parameter} [{unit}]".replace("[", r"\["),
-            *(f"{x:.4g}" for x in (p.a, p.b, p.c, p.d)),
-            *(f"{x:.4g}" for x in LFP_POLYNOMIALS[p.parameter]),
-        )
-    return table
+        values = (p.a, p.b, p.c, p.d, *LFP_POLYNOMIALS[p.parameter])
+        yield (f"{p.parameter} [{unit}]", *(f"{x:.4g}" for x in values))
 
 
-def _errors(found: LfpTables) -> Table:
-    table = _table(
-        "Charge-depleting cycle by capacity choice; % of the measured voltage; window 5-180 min",
-        "Q Ah",
-        "chosen as",
-        "method",
-        "RMS mV",
-        "mean %",
-        "in window",
-        "peak %",
-        "in window",
-    )
+@tabled(
+    "Charge-depleting cycle by capacity choice; % of the measured voltage; window 5-180 min",
+    "Q Ah", "chosen as", "method", "RMS mV", "mean %", "in window", "peak %", "in window",
+)  # fmt: skip
+def _errors(found: LfpTables) -> Rows:
     for e in found.errors:
-        there = LFP_ERRORS[e.choice]
-        for k, (name, x) in enumerate(
-            ((f"{found.method}, cubic", e.paper), ("varpro, refined", e.ours))
-        ):
-            first = (f"{e.capacity_Ah:.3f}", CHOICES[e.choice]) if k == 0 else ("", "")
+        first = (f"{e.capacity_Ah:.3f}", CHOICES[e.choice])
+        for name, x in ((f"{found.method}, cubic", e.paper), ("varpro, refined", e.ours)):
             shares = (x.mean_abs, x.mean_abs_window, x.peak, x.peak_window)
-            table.add_row(*first, name, f"{1e3 * x.rms_V:.1f}", *(f"{100 * s:.3g}" for s in shares))
-        table.add_row(
-            f"{there.capacity_Ah:.1f}",
-            "",
-            f"{PAPER}, pso, cubic",
-            *(f"{x:.3g}" for x in there[1:]),
-            style="dim",
-        )
-        table.add_section()
-    return table
+            yield (*first, name, f"{1e3 * x.rms_V:.1f}", *(f"{100 * s:.3g}" for s in shares))
+            first = ("", "")
+        capacity, *there = LFP_ERRORS[e.choice]
+        yield (f"{capacity:.1f}", "", f"{PAPER}, pso, cubic", *(f"{x:.3g}" for x in there))
+        yield None
 
 
-def _table(title: str, *columns: str) -> Table:
-    table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE, pad_edge=False)
-    text_columns = {"method", "chosen as", "rate", ""}
-    for name in columns:
-        table.add_column(name, justify="left" if name in text_columns else "right")
-    return table
+@tabled(
+    "Voltage error on the same HPPC current",
+    "rate", "capacity Ah", "method", "RMSE mV", "MAE mV", "max mV",
+)  # fmt: skip
+def _rate_errors(found: Sequence[RateResult]) -> Rows:
+    for row in found:
+        first = (row.rate, f"{row.capacity_Ah:.3f}")
+        for name, m in row.errors.items():
+            sizes = (1e3 * m.rmse_V, 1e3 * m.mae_V, 1e3 * m.max_error_V)
+            yield (*first, METHODS[name], *(f"{x:.1f}" for x in sizes))
+            first = ("", "")
+        there = NCA_RESIDUALS.get(row.rate)
+        if there is not None:
+            sizes = (there.rmse_mV, there.mae_mV, there.max_mV)
+            capacity = f"{there.capacity_Ah:.3f}"
+            yield ("", capacity, f"{PAPER}, segments", *(f"{x:.1f}" for x in sizes))
+        yield None
 
 
-def _interval(low: float, high: float) -> str:
-    return f"[{low:.1f}, {high:.1f}]".replace("[", r"\[")
+@tabled(
+    "Residuals, measured minus simulated",
+    "rate", "method", "mean mV", "std mV", "95 % interval mV",
+)  # fmt: skip
+def _residuals(found: Sequence[RateResult]) -> Rows:
+    for row in found:
+        rate = row.rate
+        for name, m in row.errors.items():
+            in_mV = (1e3 * v for v in (m.mean_error_V, m.std_error_V, *m.ci95_V))
+            yield (rate, METHODS[name], *_with_interval(*in_mV))
+            rate = ""
+        there = NCA_RESIDUALS.get(row.rate)
+        if there is not None:
+            theirs = _with_interval(there.mean_mV, there.std_mV, *there.ci95_mV)
+            yield ("", f"{PAPER}, segments", *theirs)
+        yield None
+
+
+def _with_interval(mean: float, std: float, low: float, high: float) -> tuple[str, str, str]:
+    return f"{mean:.1f}", f"{std:.1f}", f"[{low:.1f}, {high:.1f}]"

@@ -192,7 +192,7 @@ def test_a_place_that_cannot_be_written_to_is_refused_at_once(
     def never(*_args, **_kwargs):
         raise AssertionError("the work was begun")
 
-    monkeypatch.setattr("cellwise.cli.common.printing.read_log", never)
+    monkeypatch.setattr("cellwise.cli.common.log_options.read_log", never)
     out = str(tmp_path / name)
     refused("convert", drive, "-o", out)
     refused("identify", "--hppc", HPPC, "-o", out)
@@ -238,7 +238,7 @@ def test_interrupting_is_no_traceback(capsys, model, drive, monkeypatch):
     def stopped(*_args, **_kwargs):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("cellwise.cli.common.printing.read_log", stopped)
+    monkeypatch.setattr("cellwise.cli.common.log_options.read_log", stopped)
     assert main(["simulate", "--model", model, drive]) == 130
     assert "Traceback" not in capsys.readouterr().err
 
@@ -247,7 +247,7 @@ def test_a_bug_is_called_a_bug(capsys, model, drive, monkeypatch):
     def broken(*_args, **_kwargs):
         raise RuntimeError("wires crossed")
 
-    monkeypatch.setattr("cellwise.cli.common.printing.read_log", broken)
+    monkeypatch.setattr("cellwise.cli.common.log_options.read_log", broken)
     assert main(["simulate", "--model", model, drive]) == 1
     message = capsys.readouterr().err
     assert "wires crossed" in message

@@ -34,7 +34,7 @@ from cellwise.cell.point_kernels import (
     CellScalars,
     M,
 )
-from cellwise.cell.simulate_kernels import simulate_rows
+from cellwise.cell.simulate import simulate_rows
 from cellwise.diagnose.causes.sensitivity_kernels import Directions, Flow, derivative_rows
 from cellwise.identify.refinement.derivative_kernels import seen_partials
 

@@ -7,8 +7,7 @@ import pytest
 
 from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.diagnose.causes.coordinates import LOSS_NAMES, Coordinates
-from cellwise.diagnose.causes.electrodes import Electrodes, electrodes_of
-from cellwise.diagnose.causes.half_cells import NEGATIVE, POSITIVE
+from cellwise.diagnose.causes.electrodes import NEGATIVE, POSITIVE, Electrodes, electrodes_of
 from cellwise.diagnose.extension import extend_model
 from cellwise.diagnose.fit.rows import gather
 from example_cells import linear_cell, random_log

@@ -12,24 +12,28 @@ from cellwise import simulate
 from cellwise.cell.effects import Hysteresis, RateDependence, SlowDiffusion
 from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model_error import ModelError
-from cellwise.diagnose.applied import kept
 from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.causes.coordinates import Coordinates
-from cellwise.diagnose.decision.explanations import Explanation, Explanations, likeliest_end
-from cellwise.diagnose.decision.outcome import Outcome, _of_named, decide
-from cellwise.diagnose.decision.rarity import (
+from cellwise.diagnose.decision.explanations import (
+    Explanation,
+    Explanations,
+    could_explain,
+    likeliest_end,
+)
+from cellwise.diagnose.decision.odds import (
     BOTH_NATS,
     FURTHER_AGE_NATS,
     LAW_HOLDS_NATS,
     ONE_CAUSE_NATS,
     Rarity,
 )
-from cellwise.diagnose.decision.score_test import could_explain
+from cellwise.diagnose.decision.outcome import Outcome, _of_named, decide
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.least_squares import freeze
 from cellwise.diagnose.fit.priors import starts_to_try, tolerances
-from cellwise.diagnose.fit.rest_voltages import rest_voltages
+from cellwise.diagnose.fit.rests import rest_voltages
 from cellwise.diagnose.fit.rows import gather
+from cellwise.diagnose.log_runs import kept
 from cellwise.logs.cell_log import CellLog
 from emulator_drives import random_load
 from example_cells import curved_cell
@@ -237,5 +241,5 @@ def test_beside_what_explains_something_less_must_be_in_sight(monkeypatch, odds,
     sets = Explanations(None, Rarity())
     gain = explanation((CAUSES["current_gain"],), odds + ONE_CAUSE_NATS)
     sets.tried = {frozenset(): explanation((), 0.0), gain.key: gain}
-    worth = sets._worth(gain, [CAUSES["voltage_offset"], CAUSES["capacity"]], None)
-    assert {c.name for c in worth} == tried
+    promising = sets._promising(gain, [CAUSES["voltage_offset"], CAUSES["capacity"]], None)
+    assert {c.name for c in promising} == tried

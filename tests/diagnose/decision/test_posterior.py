@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cellwise.diagnose.decision.posterior import (
+from cellwise.diagnose.decision.odds import (
     NAMED,
     Hypothesis,
     probability_of,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from cellwise.diagnose.decision.rarity import AGE, LAW, TEMPERATURE, Rarity
+from cellwise.diagnose.decision.odds import AGE, LAW, TEMPERATURE, Rarity
 
 
 @pytest.mark.parametrize("same_age", [True, False])

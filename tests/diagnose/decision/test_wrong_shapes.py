@@ -13,10 +13,10 @@ from cellwise.cell.model_error import ModelError
 from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.fit.cause_fits import CauseFits
+from cellwise.diagnose.fit.likelihood import LEVELS, SHAPE_SHARES, wrong_shapes
 from cellwise.diagnose.fit.priors import tolerances
-from cellwise.diagnose.fit.rest_voltages import rest_voltages
+from cellwise.diagnose.fit.rests import rest_voltages
 from cellwise.diagnose.fit.rows import gather
-from cellwise.diagnose.fit.wrong_shapes import LEVELS, SHAPE_SHARES, wrong_shapes
 from example_cells import curved_cell
 
 SOC0 = 0.95

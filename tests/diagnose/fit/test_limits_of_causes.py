@@ -12,13 +12,13 @@ from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.simulate import simulate
 from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.causes.coordinates import Coordinates
-from cellwise.diagnose.decision.claim import claim_checks
-from cellwise.diagnose.decision.rarity import ONE_CAUSE_NATS as LEAST_SCORE
+from cellwise.diagnose.decision.checks import claim_checks
+from cellwise.diagnose.decision.odds import ONE_CAUSE_NATS as LEAST_SCORE
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.limits import limits
 from cellwise.diagnose.fit.noise import Noise
 from cellwise.diagnose.fit.priors import tolerances
-from cellwise.diagnose.fit.rest_voltages import rest_voltages
+from cellwise.diagnose.fit.rests import rest_voltages
 from cellwise.diagnose.fit.rows import gather
 from cellwise.diagnose.log_runs import log_runs, with_use
 from cellwise.logs.cell_log import CellLog

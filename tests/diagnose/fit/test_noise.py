@@ -11,7 +11,7 @@ from scipy.stats import invgamma, norm
 
 from cellwise.cell.model_error import ModelError
 from cellwise.diagnose.fit.noise import (
-    SHAPE_ERRORS,
+    STATED,
     KnownScale,
     row_weights,
     share_claimed,
@@ -59,10 +59,12 @@ def test_a_shape_that_is_not_natures_is_few_errors_in_however_many_rows():
     np.testing.assert_allclose(none[1], weight)
     large, few = with_shape(evidence(), size, weight, 0.2)
     np.testing.assert_allclose(large, np.hypot(2e-3, 0.2))
-    assert np.sum(few) == pytest.approx(SHAPE_ERRORS, rel=0.01)
+    assert np.sum(few) == pytest.approx(STATED.shape_errors, rel=0.01)
     # A mean over all rows is as uncertain as the two errors together.
     both, some = with_shape(evidence(), size, weight, 2e-3)
-    assert np.mean(both) ** 2 / np.sum(some) == pytest.approx(4e-6 / 200.0 + 4e-6 / SHAPE_ERRORS)
+    assert np.mean(both) ** 2 / np.sum(some) == pytest.approx(
+        4e-6 / 200.0 + 4e-6 / STATED.shape_errors
+    )
 
 
 def test_what_no_test_could_show_of_charges_is_not_held_against_a_model():

@@ -13,8 +13,7 @@ from cellwise.cell.simulate import simulate
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.causes.electrodes import Electrodes
 from cellwise.diagnose.extension import extend_model
-from cellwise.diagnose.fit.rest_current import rest_reading
-from cellwise.diagnose.fit.rest_voltages import rest_voltages
+from cellwise.diagnose.fit.rests import rest_reading, rest_voltages
 from cellwise.diagnose.fit.rows import gather
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell, linear_cell

@@ -11,8 +11,14 @@ from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.fit.least_squares import Prior
-from cellwise.diagnose.fit.physical_size import CLASS, WRONG_SHARE, ln_size
-from cellwise.diagnose.fit.priors import GIVEN_ALIKE, tolerances, widened_for
+from cellwise.diagnose.fit.priors import (
+    CLASS,
+    GOOD,
+    WRONG_SHARE,
+    ln_size,
+    tolerances,
+    widened_for,
+)
 from cellwise.diagnose.fit.rows import gather
 from cellwise.logs.cell_log import CellLog
 from emulator_drives import random_load
@@ -55,7 +61,7 @@ def test_starts_that_are_all_wrong_by_as_much_are_likelier_than_one_against_the_
     place = [wide.names.index(n) for n in evidence.starts()]
     covariance = np.linalg.inv(wide.precision())[np.ix_(place, place)]
     assert np.sqrt(np.diag(covariance)) == pytest.approx([std, std])
-    assert covariance[0, 1] == pytest.approx(GIVEN_ALIKE * std**2)
+    assert covariance[0, 1] == pytest.approx(GOOD.given_alike * std**2)
     alike, apart = multivariate_normal(cov=covariance).logpdf([[0.05, 0.05], [0.05, -0.05]])
     assert alike > apart
     found = [(log, initial_soc(model, log)) for log, _ in logs]

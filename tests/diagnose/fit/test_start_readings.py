@@ -15,9 +15,8 @@ from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.causes.coordinates import OCV_NAMES, Coordinates
 from cellwise.diagnose.extension import extend_model
 from cellwise.diagnose.fit.least_squares import Prior
-from cellwise.diagnose.fit.priors import tolerances, widened_for
+from cellwise.diagnose.fit.priors import start_readings, tolerances, widened_for
 from cellwise.diagnose.fit.rows import gather
-from cellwise.diagnose.fit.start_readings import start_readings
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
 

@@ -9,8 +9,9 @@ import pytest
 
 from cellwise.cell.equations import CellState
 from cellwise.errors import InputError
-from cellwise.estimate.fixed.fixed_step import FixedStep, numba_stepper
+from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.estimate.fixed.layout import CAPABILITY, row_names
+from cellwise.estimate.fixed.stepper import numba_stepper
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.estimate.power.limits import OperatingLimits
 from cellwise.estimate.power.state_of_power import power_limits, power_settings
@@ -45,11 +46,11 @@ def test_it_is_the_float64_s(horizon_s):
 @needs_gcc
 @pytest.mark.parametrize("case", ["lean power", "full power"])
 def test_the_same_bits_in_c_and_never_nan(case):
-    from cellwise.export.host_library import HostLibrary
+    from cellwise.export.firmware import HostLibrary
 
     tables = tables_of(case)
     stepper, library = numba_stepper(tables), HostLibrary(tables, ["gcc", "-O2"])
-    state = library.state()
+    state, in_c = library.state(), library.stepper()
     library.init(state, 0.8, 0.02)
     rng = np.random.default_rng(11)
     ours, theirs = np.zeros(1, CAPABILITY), np.zeros(1, CAPABILITY)
@@ -58,14 +59,14 @@ def test_the_same_bits_in_c_and_never_nan(case):
         stepper.rows(state, part)
         kept = state.tobytes()
         stepper.power(state, ours)
-        library.power(state, theirs)
+        in_c.power(state, theirs)
         assert ours.tobytes() == theirs.tobytes()
         assert state.tobytes() == kept
         seen.append(ours[0].item())
     for _ in range(300):  # memory that lost its content
         state.view(np.uint8)[:] = rng.integers(0, 256, state.nbytes)
         stepper.power(state, ours)
-        library.power(state, theirs)
+        in_c.power(state, theirs)
         assert ours.tobytes() == theirs.tobytes()
         assert np.all(np.isfinite(ours[0].item()))
         assert ours[0].item() == (0.0, 0.0, 0.0, 0.0)  # not sound

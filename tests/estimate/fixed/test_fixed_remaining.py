@@ -10,8 +10,9 @@ import pytest
 
 from cellwise.cell.equations import CellState
 from cellwise.errors import InputError
-from cellwise.estimate.fixed.fixed_step import FixedStep, numba_stepper
+from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.estimate.fixed.layout import OUTLOOK
+from cellwise.estimate.fixed.stepper import numba_stepper
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.forecast.remaining import uncertain_of
 from cellwise.forecast.remaining_kernels import Going, with_ends
@@ -52,7 +53,7 @@ def test_it_is_the_float64_s(make, hold):
 @needs_gcc
 @pytest.mark.parametrize("case", ["lean remaining", "full remaining"])
 def test_the_same_bits_in_c_and_never_nan(case):
-    from cellwise.export.host_library import HostLibrary
+    from cellwise.export.firmware import HostLibrary
 
     tables = tables_of(case)
     stepper, library = numba_stepper(tables), HostLibrary(tables, ["gcc", "-O2"])
@@ -62,7 +63,7 @@ def test_the_same_bits_in_c_and_never_nan(case):
     ours, theirs = np.zeros(1, OUTLOOK), np.zeros(1, OUTLOOK)
 
     def both(load_A, holds_power):
-        for one, out in ((stepper, ours), (library, theirs)):
+        for one, out in ((stepper, ours), (library.stepper(), theirs)):
             one.remaining(state, load_A, holds_power, out)
         assert ours.tobytes() == theirs.tobytes()
         return np.array(ours[0].item())

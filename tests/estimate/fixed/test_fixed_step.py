@@ -12,10 +12,11 @@ from cellwise.cell.simulate import simulate
 from cellwise.data import load_dataset
 from cellwise.errors import InputError
 from cellwise.estimate.filters.ekf import Ekf
-from cellwise.estimate.fixed.fixed_step import FixedStep, numba_stepper, samples_of, start_state
+from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.estimate.fixed.layout import INPUT, OUTPUT
-from cellwise.estimate.fixed.rows import compiled
-from cellwise.estimate.fixed.rows import rows as step_rows
+from cellwise.estimate.fixed.samples import samples_of
+from cellwise.estimate.fixed.stepper import compiled, numba_stepper, start_state
+from cellwise.estimate.fixed.stepper import rows as step_rows
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.estimate.status import Status
 from cellwise.logs.cell_log import CellLog

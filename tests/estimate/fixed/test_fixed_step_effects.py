@@ -26,7 +26,8 @@ from cellwise.cell.simulate import simulate
 from cellwise.data import load_dataset
 from cellwise.estimate.filters.ekf import Ekf
 from cellwise.estimate.fixed import lookup
-from cellwise.estimate.fixed.fixed_step import samples_of, start_state
+from cellwise.estimate.fixed.samples import samples_of
+from cellwise.estimate.fixed.stepper import start_state
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.export.c_tables import write_sources
 from cellwise.export.firmware import Firmware

@@ -10,7 +10,6 @@ import pytest
 
 from cellwise.data import load_dataset
 from cellwise.estimate.fixed import arithmetic as kernels
-from cellwise.estimate.fixed.fixed_step import numba_stepper, samples_of
 from cellwise.estimate.fixed.layout import (
     CAPABILITY,
     INPUT,
@@ -20,6 +19,8 @@ from cellwise.estimate.fixed.layout import (
     row_type,
     state_type,
 )
+from cellwise.estimate.fixed.samples import samples_of
+from cellwise.estimate.fixed.stepper import numba_stepper
 from cellwise.estimate.status import Status
 from cellwise.export.c_tables import firmware_folder
 from example_cells import curved_cell
@@ -83,7 +84,7 @@ def test_hex_floats_are_exact():
 @pytest.mark.slow
 @pytest.mark.parametrize("case", ["lean", "full"])
 def test_the_same_bits(case):
-    from cellwise.export.host_library import HostLibrary
+    from cellwise.export.firmware import HostLibrary
 
     tables = tables_of(case)
     drive = samples_of(curved_cell(), load_dataset("nmc_drive_b"), 1.0).records
@@ -109,7 +110,7 @@ def compilers():
 
 @needs_gcc
 def test_one_buffer_is_stepped_by_either():
-    from cellwise.export.host_library import HostLibrary
+    from cellwise.export.firmware import HostLibrary
 
     tables = tables_of("lean")
     stepper, library = numba_stepper(tables), HostLibrary(tables)

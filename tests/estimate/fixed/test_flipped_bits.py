@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellwise.estimate.fixed.fixed_step import numba_stepper, start_state
 from cellwise.estimate.fixed.layout import INPUT
-from cellwise.export.firmware import host_stepper
+from cellwise.estimate.fixed.stepper import numba_stepper, start_state
+from cellwise.export.firmware import HostLibrary
 from firmware_cases import tables_of
 
 CASES = ("lean", "offset", "full")
@@ -27,7 +27,7 @@ def samples(first, count):
 def compiled_c(tables):
     """The C of this machine's compiler; None without one."""
     try:
-        return host_stepper(tables)
+        return HostLibrary(tables).stepper()
     except Exception:
         return None
 

@@ -45,15 +45,6 @@ def test_the_ocv_is_monotone_and_in_the_window_whatever_the_correction(seed):
     assert np.all(model.tau1_s < model.tau2_s)
 
 
-def test_no_cell_holds_much_more_than_it_is_rated():
-    c = corrections()
-    z = np.zeros(c.size)
-    z[-1] = 5.0
-    assert c.model(z).capacity_Ah < 1.11 * 5.0
-    z[-1] = -3.0
-    assert c.model(z).capacity_Ah == pytest.approx(5.0 * np.exp(-0.3))
-
-
 def test_the_slow_branches_go_together():
     c = corrections()
     z = np.random.default_rng(1).standard_normal(c.size)

@@ -8,7 +8,7 @@ from prior_cells import CAPACITY_AH, drive_of, other_cell
 
 from cellwise.cell.stock.catalogue import named_model, stock_model
 from cellwise.identify.prior.corrections import Corrections
-from cellwise.identify.prior.update import PriorLog, update, update_from
+from cellwise.identify.prior.update import PriorLog, update
 
 WINDOW = np.array([1.5, 4.5])
 
@@ -38,15 +38,6 @@ def test_data_narrow_what_they_show_and_nothing_widens(corrections, cell, flight
 
 def test_an_unknown_start_is_found_from_a_wrong_guess(corrections):
     log = drive_of(other_cell(shift=0.0, factor=1.0), 0.8, 0.5)
-    found = update(corrections, [PriorLog(log, 0.65, 0.5, h0_std=1.0)])
+    found = update(corrections, [PriorLog(log, 0.65, 0.5)])
     assert found.soc0[0] == pytest.approx(0.8, abs=2.5 * float(found.soc0_std[0]))
     assert found.soc0_std[0] < 0.15
-
-
-def test_several_guesses_are_never_worse_and_never_surer_than_the_best(corrections, flight):
-    guesses = [[PriorLog(flight, soc0, 0.5, h0_std=1.0)] for soc0 in (0.6, 0.3)]
-    alone = [update(corrections, guess) for guess in guesses]
-    both = update_from(corrections, guesses)
-    best = min(alone, key=lambda f: f.misfit)
-    assert both.misfit == best.misfit
-    assert both.soc0_std[0] >= best.soc0_std[0]

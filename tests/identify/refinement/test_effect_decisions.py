@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from cellwise.identify.refinement.effects import (
-    LEAST_DRIVES,
-    _every_second_load,
-    decide,
+    NEEDED,
+    every_second_load,
+    fit_with_effects,
     held_out,
 )
 from cellwise.identify.refinement.problem import RefineSettings
 from cellwise.identify.refinement.refine_data import RefineLog
-from refine_cases import CAPACITY_AH, Truth, _branch, constant, log_of, pulse_current, start_tables
+from refine_cases import Truth, _branch, constant, joint_logs, log_of, pulse_current, start_tables
 from synthetic import drive_current
 
 SLOW = (constant(0.020), constant(90.0))
@@ -69,7 +69,7 @@ def rated_pulses(change=None):
 
 def decided(logs):
     settings = RefineSettings(branches=2, skew=False)
-    found = decide(logs, start_tables(2, 1.2), settings, CAPACITY_AH, 25.0, np.array([25.0]))
+    found = fit_with_effects(joint_logs(logs, start_tables(2, 1.2), settings))
     return {d.name: d for d in found.decided}, found.result
 
 
@@ -89,7 +89,7 @@ def test_a_plain_cell_needs_none():
 
 
 def test_without_drives_to_hold_out_only_what_pulses_show_is_tried():
-    logs = logs_of()[:LEAST_DRIVES]
+    logs = logs_of()[: NEEDED.drives]
     assert held_out(logs) == ()
     verdicts, result = decided(logs)
     others = [d for d in verdicts.values() if d.name != "charge_transfer"]
@@ -117,7 +117,7 @@ def test_pulses_of_several_rates_of_a_plain_cell_show_none():
 def test_of_two_pulses_at_every_soc_each_is_held_out_somewhere():
     current = np.tile(np.repeat([0.0, 4.0, 0.0, -3.0, 0.0, 1.0], [60, 10, 60, 10, 60, 720]), 8)
     log, soc = log_of(current, TRUTH)
-    left = _every_second_load(RefineLog(log, soc))
+    left = every_second_load(RefineLog(log, soc))
     for kind in (4.0, -3.0):
         rows = log.current_A == kind
         assert np.any(left[rows])

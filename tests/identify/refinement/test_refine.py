@@ -201,19 +201,6 @@ def test_wild_rows_do_not_move_the_tables():
     assert result.sigma_V == pytest.approx(1e-3, rel=0.2), "robust against the wild rows"
 
 
-def test_progress_is_reported():
-    told = []
-    refine(
-        two_logs(Truth(), noise=1e-3),
-        start_tables(2, 1.5),
-        settings=RefineSettings(branches=2),
-        capacity_Ah=CAPACITY_AH,
-        progress=lambda step, rmse: told.append((step, rmse)),
-    )
-    assert told
-    assert told[-1][1] < told[0][1]
-
-
 def test_a_log_without_a_voltage_in_range_is_refused():
     log, soc = log_of(pulse_current(1), Truth())
     with pytest.raises(InputError, match="voltage"):

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from cellwise.identify.assemble import STEP_K, refined_model
 from cellwise.identify.refinement.problem import RefineSettings
 from cellwise.identify.refinement.refine import RefineResult, refine
-from cellwise.identify.refinement.refine_data import RefineLog, lagged, prepare_log, warmed
+from cellwise.identify.refinement.refine_data import RefineLog, lagged, prepare_log
 from cellwise.identify.refinement.splines import (
     OCV_KNOTS,
     TABLE_KNOTS,
     spline_rows,
     spline_values,
 )
-from refine_cases import CAPACITY_AH, Truth, log_of, ocv, pulse_current, start_tables
+from refine_cases import CAPACITY_AH, Truth, log_of, pulse_current, start_tables
 
 GRID_C = np.array([0.0, 12.0, 25.0])
 ACTIVATION_K = 3000.0
@@ -89,16 +87,8 @@ def test_rows_of_long_logs_are_chosen_evenly():
     assert short[1] > 0.8 * short[0]
 
 
-def test_a_lag_of_a_step_and_the_heat_of_measured_losses():
+def test_a_lag_of_a_step():
     dt = np.full(100, 10.0)
     np.testing.assert_allclose(
         lagged(np.full(100, 3.0), dt, 200.0), 3.0 * (1.0 - np.exp(-np.cumsum(dt) / 200.0))
     )
-    # 3 A at 0.1 V below the OCV lose 0.3 W.
-    current = np.full(2000, 3.0)
-    log, soc = log_of(current, TRUTH, temperature_C=np.full(2000, 20.0))
-    item = RefineLog(replace(log, voltage_V=ocv(soc) - 0.1), soc)
-    heat = warmed(item, ocv, 4.0, 100.0).log.temperature_C - 20.0
-    expected = 4.0 * 0.3 * (1.0 - np.exp(-log.time_s / 100.0))
-    np.testing.assert_allclose(heat, expected, atol=1e-9)
-    assert heat[0] == 0.0

@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 
 from cellwise.errors import InputError
 from cellwise.logs.files.completion import accumulated, complete
-from cellwise.logs.files.options import ReadOptions
-from cellwise.logs.files.source import RawLog
-from cellwise.logs.pack import to_cell
+from cellwise.logs.files.source import RawLog, ReadOptions
+from cellwise.logs.reading import to_cell
 from log_files import pulse_channels
 
 TRUTH = pulse_channels()

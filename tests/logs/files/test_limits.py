@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from cellwise.errors import InputError
-from cellwise.logs import read_log
-from cellwise.logs.apart import reader
+from cellwise.logs import isolated, read_log
 from log_files import pulse_channels
 from tester_files import far_cell_workbook, write_mat5, write_mpr
 from vehicle_files import write_mdf
@@ -135,13 +134,13 @@ def test_one_process_reads_many_files(tmp_path):
     """It is kept, and told apart from one that has gone."""
     path = write_mat5(tmp_path / "log.mat", C)
     read_log(path)
-    (kept,) = reader._idle[-1:]
+    (kept,) = isolated._idle[-1:]
     read_log(path)
-    assert reader._idle[-1] is kept
+    assert isolated._idle[-1] is kept
     os.kill(kept._child.pid, 9)
     kept._child.wait()
     assert len(read_log(path)) == C["time_s"].size
-    assert reader._idle[-1] is not kept
+    assert isolated._idle[-1] is not kept
 
 
 def test_progress_comes_from_the_other_process(tmp_path):

@@ -10,7 +10,7 @@ import pytest
 from cellwise.errors import InputError
 from cellwise.logs.packs.pack_log import PackLog
 from cellwise.logs.packs.pack_reading import read_pack
-from cellwise.logs.tables import write_columns
+from cellwise.logs.writing import write_columns
 
 ROWS = 400
 

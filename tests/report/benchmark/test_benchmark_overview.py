@@ -13,7 +13,7 @@ from cellwise.report.benchmark.overview import (
     start_matrix,
     suite_coverage,
 )
-from cellwise.report.benchmark.pictures import draw_logs, draw_starts
+from cellwise.report.benchmark.pictures import log_picture, start_picture
 from cellwise.report.page.numerals import SPACE, percent
 from page_cases import benchmark_table, row
 
@@ -50,8 +50,8 @@ def test_a_run_that_could_not_be_judged_counts_nowhere():
 def test_titles_say_which_estimator_and_how_much():
     table = benchmark_table().rows
     for draw in (
-        lambda: draw_logs(log_matrix(table)),
-        lambda: draw_starts(table, start_matrix(table)),
+        lambda: log_picture(log_matrix(table)).figure,
+        lambda: start_picture(table, start_matrix(table)).figure,
     ):
         for axes in draw().axes:
             title = axes.get_title(loc="left").replace("\n", " ")
@@ -62,6 +62,11 @@ def test_titles_say_which_estimator_and_how_much():
 def test_an_estimator_that_does_not_come_back_from_every_start_is_not_praised():
     table = [r | {"convergence_s": math.nan if r["estimator"] == "ekf" else 90.0}
              for r in benchmark_table().rows]  # fmt: skip
-    left = draw_starts(table, start_matrix(table)).axes[0].get_title(loc="left").replace("\n", " ")
+    left = (
+        start_picture(table, start_matrix(table))
+        .figure.axes[0]
+        .get_title(loc="left")
+        .replace("\n", " ")
+    )
     assert "ekf" not in left
     assert "after 90 s" in left.replace(SPACE, " ")

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from cellwise.cell.simulate import simulate
-from cellwise.diagnose.decision.posterior import Weighed
+from cellwise.diagnose.decision.odds import Weighed
 from cellwise.report.diagnosis.page import diagnose_page, diagnosis_sections
 from cellwise.report.diagnosis.pictures import candidates_finding, evidence_finding
 from cellwise.report.diagnosis.statements import change, diagnosis_finding, statement

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from cellwise.report.benchmark.overview import Matrix, start_matrix
-from cellwise.report.benchmark.pictures import draw_faults, draw_starts
-from cellwise.report.page.picture import VARIABLES, Picture, inline
+from cellwise.report.benchmark.pictures import fault_picture, start_picture
+from cellwise.report.page.markup import page_file
+from cellwise.report.page.picture import VARIABLES, inline
 from cellwise.report.page.style import TINTS
-from cellwise.report.page.stylesheet import STYLESHEET
 
 READABLE = 4.5  # WCAG 2.2, contrast of text
 
@@ -27,7 +27,7 @@ def luminance(colour):
     return float(linear @ [0.2126, 0.7152, 0.0722])
 
 
-DAY, _, NIGHT = STYLESHEET.partition("prefers-color-scheme: dark")
+DAY, _, NIGHT = page_file("page.css").partition("prefers-color-scheme: dark")
 
 
 @pytest.mark.parametrize("mode", ["day", "night"])
@@ -47,7 +47,7 @@ def test_every_colour_that_a_picture_takes_from_the_page_is_there_by_day_and_nig
 
 def test_a_heat_map_takes_its_colours_from_the_page():
     matrix = Matrix(["ekf", "ukf"], ["none", "offset"], np.array([[0.002, 0.015], [0.04, 0.2]]))
-    html = inline(Picture("faults", draw_faults(matrix), "caption"))
+    html = inline(fault_picture(matrix))
     assert all(f"var(--tint-{k})" in html for k in range(1, 5))
     assert not any(tint in html for tint in TINTS)
 
@@ -61,7 +61,7 @@ def test_the_legend_of_the_starts_covers_no_mark():
         for e, f in (("ekf", 0.01), ("ukf", 0.02), ("coulomb", 0.03))
         for s in (-0.3, 0.0, 0.3)
     ]
-    figure = draw_starts(rows, start_matrix(rows))
+    figure = start_picture(rows, start_matrix(rows)).figure
     figure.canvas.draw()
     axes = figure.axes[1]
     legend = axes.get_legend().get_window_extent()

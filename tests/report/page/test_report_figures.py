@@ -11,14 +11,15 @@ import pytest
 from cellwise.errors import InputError
 from cellwise.report import Picture, figure_png, hero_figure, save_figure, save_figures
 from cellwise.report.demo_page import demo_sections
-from cellwise.report.identification.capacity_section import draw_capacity
+from cellwise.report.identification.capacity_section import capacity_picture
 from cellwise.report.identification.page import identify_sections
-from cellwise.report.identification.parameter_tables import pulse_values, table_error
-from cellwise.report.identification.pulse_example import find_example
-from cellwise.report.identification.simulation_section import MOST_PICTURES, simulation_pictures
+from cellwise.report.identification.parameter_section import pulse_values, table_error
+from cellwise.report.identification.pulse_section import find_example
+from cellwise.report.identification.simulation_section import simulation_pictures
+from cellwise.report.page.markup import MOST
 from cellwise.report.page.section import pictures_of
 from cellwise.report.page.style import VERDICTS
-from cellwise.report.page.windows import robust_limit, worst_window
+from cellwise.report.page.traces import robust_limit, worst_window
 from cellwise.report.replay.page import replay_sections
 from report_cases import (
     R0_ERROR,
@@ -109,7 +110,7 @@ def test_hero_figure(tmp_path, laboratory):
 
 
 def test_capacity_bars_are_the_tests(laboratory):
-    bars = draw_capacity(laboratory).axes[0].patches
+    bars = capacity_picture(laboratory).figure.axes[0].patches
     widths = sorted(round(bar.get_width(), 6) for bar in bars)
     assert widths == [0.0, 0.08, 2.9, 3.0]
 
@@ -160,7 +161,7 @@ def test_of_very_many_logs_the_worst_are_shown():
     log = drive(60)
     sims = [simulation(log, np.full(60, 0.001 * (k % 12))) for k in range(12)]
     keys = [p.key for p in simulation_pictures(sims)]
-    assert len(keys) == MOST_PICTURES
+    assert len(keys) == MOST.simulations
     assert keys[0].startswith("simulation-5-")  # 4 mV is the eighth largest
 
 

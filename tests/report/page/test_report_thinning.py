@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cellwise.report.page.thinning import thin, thin_band, thin_rows
+from cellwise.report.page.traces import thin, thin_band, thin_rows
 
 
 def pixel_columns(x, columns):

@@ -12,7 +12,7 @@ import pytest
 from cellwise.forecast.remaining import forecast
 from cellwise.report import replay_page
 from cellwise.report.page.numerals import duration
-from cellwise.report.replay.flight_section import draw_flight, flight_finding
+from cellwise.report.replay.forecast_section import flight_finding, flight_picture
 from report_cases import drive, model, replay
 
 
@@ -24,7 +24,7 @@ def flight():
 
 def test_the_picture_shows_both_with_their_bands(flight):
     _, left = flight
-    figure = draw_flight(left)
+    figure = flight_picture(left).figure
     above, below = figure.axes
     for axes, values in ((above, left.remaining_s / 60), (below, left.remaining_Wh)):
         (line,) = axes.lines

@@ -8,7 +8,7 @@ import pytest
 from cellwise.estimate.power.limits import OperatingLimits
 from cellwise.estimate.power.state_of_power import power_settings
 from cellwise.estimate.replay import replay
-from cellwise.report.replay.power_section import draw_power, power_content, usual
+from cellwise.report.replay.forecast_section import power_content, power_picture, usual
 from report_cases import drive, model
 
 
@@ -18,7 +18,7 @@ def test_limits_stand_beside_the_measured_power():
     settings = power_settings(model(), horizons_s=(2.0, 12.0), limits=limits)
     run = replay(model(), drive(), "ekf", soc0=0.8, power=settings)
     assert usual(run.power) == 1
-    (axes,) = draw_power(run, run.power).axes
+    (axes,) = power_picture(run, run.power).figure.axes
     out, into, measured = axes.lines[:3]
     assert np.max(out.get_ydata()) == pytest.approx(run.power.discharge_W[1].max())
     assert np.min(into.get_ydata()) == pytest.approx(-run.power.charge_W[1].max())

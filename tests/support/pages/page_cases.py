@@ -10,9 +10,10 @@ import numpy as np
 from cellwise.benchmark.figures import COLUMNS
 from cellwise.report import export_page, identify_page, replay_page
 from cellwise.report.benchmark.page import BenchmarkTable, benchmark_page
-from cellwise.report.capacity_study_page import StudyOnPage, write_study_page
+from cellwise.report.capacity_study_page import capacity_study_page
 from cellwise.report.diagnosis.page import diagnose_page
 from cellwise.report.page.interactive import simulation_traces
+from cellwise.studies.capacity_study import CellStudy, ChoiceResult, SocFigures
 from report_cases import drive, identification, replay, simulation
 
 ESTIMATORS = ("ekf", "ukf", "coulomb")
@@ -67,22 +68,29 @@ def row(estimator, log, fault, start, rmse, warm):
 
 def study_page(path):
     """Three capacities of one cell."""
-    study = StudyOnPage(
-        name="cell <1>",
-        about="by hand",
-        reference_Ah=3.0,
-        choices=["nominal", "rate:C/20", "rate:1C"],
-        capacity_Ah=[2.8, 3.0, 2.9],
-        voltage_rmse_V=[0.012, 0.01, 0.011],
-        soc_rmse={"coulomb": [0.04, 0.002, 0.02], "ekf": [0.02, 0.003, 0.01]},
-        names={"coulomb": "counting", "ekf": "the EKF"},
-        titles=("voltage: rate:C/20 best, 10.0 mV", "SOC by counting: rate:C/20 best"),
-        verdicts=["rate:C/20 wins"],
-        head=["choice", "Ah"],
-        rows=[["nominal", "2.8"], ["rate:C/20", "3.0"], ["rate:1C", "2.9"]],
+    rows = (
+        ("nominal", 2.8, 0.012, 0.04),
+        ("rate:C/20", 3.0, 0.01, 0.002),
+        ("rate:1C", 2.9, 0.011, 0.02),
     )
-    line = "cell <1>: rate:C/20 leaves 0.20 points"
-    return write_study_page([study], path, first_line=line, papers=["as told"], data={"n": 1})
+    choices = []
+    for choice, capacity, voltage, soc in rows:
+        sizes = {"voltage": voltage, "coulomb": soc, "ekf": 0.5 * soc}
+        filters = ("coulomb", "ekf")
+        choices.append(
+            ChoiceResult(
+                choice=choice,
+                capacity_Ah=capacity,
+                fit_rmse_V=voltage,
+                voltage_rmse_V=voltage,
+                voltage_above_10pct_V=voltage,
+                soc={e: SocFigures(sizes[e], sizes[e], sizes[e], sizes[e]) for e in filters},
+                axis_share=dict.fromkeys(filters, 0.9),
+                errors={kind: (np.full(100, size),) for kind, size in sizes.items()},
+            )
+        )
+    study = CellStudy("cell <1>", 3.0, "by hand", ("log",), tuple(choices), 1.0)
+    return capacity_study_page([study], path)
 
 
 def exported():

@@ -3,28 +3,36 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from cellwise.cli.common import printing
+from cellwise.cli.common import options, printing
 from cellwise.errors import InputError
-from cellwise.logs import CellLog, Stated
-from cellwise.logs.files.options import ReadOptions
+from cellwise.logs import CellLog, Stated, read_log
+from cellwise.logs.files.source import ReadOptions
 
+if TYPE_CHECKING:
+    from cellwise.identify import TestLogs
+
+SIGNS = ("auto", "charge-positive", "discharge-positive")
+BIG_FILE = 20_000_000  # bytes; reading takes so long that a bar shows
 LOG_HELP = (
     "a table of text or parquet, or a native file; @-20 or @temperature_C=-20,soc0=1 behind it "
     "says what is known of it"
 )
 
 
+def add_log(parser: argparse.ArgumentParser, name: str = "log", **more: Any) -> None:
+    """Add the log, or the logs, and the options that say how one is to be read."""
+    parser.add_argument(name, **({"metavar": "LOG", "help": LOG_HELP} | more))
+    add_log_options(parser)
+
+
 def add_log_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that say how a log is to be read."""
     group = add_pack_options(parser, "; auto: as the log states")
-    group.add_argument(
-        "--partial",
-        action="store_true",
-        help="read a recording that was cut off, as far as it goes",
-    )
+    options.flag(group, "--partial", "read a recording that was cut off, as far as it goes")
     group.add_argument(
         "--decimal",
         choices=("auto", ".", ","),
@@ -36,74 +44,90 @@ def add_log_options(parser: argparse.ArgumentParser) -> None:
 
 def add_pack_options(parser: argparse.ArgumentParser, series: str = "") -> argparse._ArgumentGroup:
     """Add the options of a log and a stream alike: sign, pack, channels, database."""
-    printing.add_sign(parser)
+    _add_sign(parser)
     group = parser.add_argument_group("packs and native logs")
-    group.add_argument(
-        "--series",
-        default="1",
-        metavar="N",
-        help=f"cells in series, to read a pack as its mean cell{series} [1]",
-    )
+    text = f"cells in series, to read a pack as its mean cell{series} [1]"
+    group.add_argument("--series", default="1", metavar="N", help=text)
     _add_channels(group)
     group.add_argument("--dbc", metavar="FILE", help="database of the frames of a CAN log")
     return group
 
 
+def add_cells_options(parser: argparse.ArgumentParser) -> None:
+    """Add what `pack_arguments` reads, and the sign."""
+    _add_sign(parser)
+    _add_channels(parser)
+
+
+def _add_sign(parser: argparse.ArgumentParser) -> None:
+    text = "sign of the current in the file [auto]"
+    parser.add_argument("--sign", choices=SIGNS, default="auto", help=text)
+
+
+def _add_channels(parser: options.Parser) -> None:
+    parser.add_argument("--parallel", default="1", metavar="N", help="cells in parallel [1]")
+    text = "which column or signal is which, e.g. current_mA=I_pack; NAME gives the unit"
+    options.several(parser, "--channel", "NAME=COLUMN", text)
+    parser.add_argument("--instance", metavar="K", help="which battery of several, from 0")
+
+
 def read(path: str, arguments: argparse.Namespace) -> CellLog:
-    """Read a log as the arguments and what is stated behind its path say.
+    """Read a log as the arguments and what is stated behind its path say; a bar for a big file.
 
     Raises
     ------
     InputError        options that are no numbers or no pairs; whatever `read_log` refuses
     """
-    return printing.read(path, **arguments_of_read(arguments))
+    options = arguments_of_read(arguments)
+    stated = Stated.parse(path)
+    place = Path(stated.path)
+    if not place.is_file() or place.stat().st_size < BIG_FILE:
+        return read_log(stated, **options)
+    name = f"reading {place.name}"
+    with printing.working(name) as follow:
+        return read_log(stated, progress=lambda done, total: follow(name, done, total), **options)
 
 
-def read_with_temperature(
-    texts: list[str], arguments: argparse.Namespace
-) -> tuple[tuple[CellLog, float | None], ...]:
-    """Logs, each with its stated temperature [degC] or None, as `TestLogs` takes them.
+def read_all(paths: Sequence[str], arguments: argparse.Namespace) -> tuple[CellLog, ...]:
+    """Read several logs.
 
     Raises
     ------
     InputError        as :func:`read`
     """
-    return tuple((read(text, arguments), Stated.parse(text).temperature_C) for text in texts)
+    return tuple(read(path, arguments) for path in paths)
 
 
-def parse_soc0(text: str) -> float | None:
-    """``auto`` as None, else the number.
-
-    Raises
-    ------
-    InputError        neither
-    """
-    if text == "auto":
-        return None
-    try:
-        return float(text)
-    except ValueError:
-        raise InputError(
-            f"--soc0 {text}", "auto or a fraction from 0 to 1", "Correct it."
-        ) from None
+def add_test_options(parser: options.Parser) -> None:
+    """Add the laboratory tests that a cell is identified on."""
+    stated = "@-10 or @temperature_C=-10,soc0=1 says what is known"
+    for name, text in (
+        ("--hppc", f"pulse test; {stated}"),
+        ("--ocv", "low-rate discharge, charge or both"),
+        ("--capacity", "capacity test"),
+        ("--drive", "drive log to refine on"),
+    ):
+        options.several(parser, name, "LOG[@...]", text)
 
 
-def start_of(stated: float | None, given: float | None, option: str = "--soc0") -> float | None:
-    """The start that is asked for; None where the log's own stated one holds, or none is known.
+def test_logs(arguments: argparse.Namespace) -> TestLogs:
+    """The laboratory tests, those with a temperature of their own with it.
 
     Raises
     ------
-    InputError        an option that contradicts what is stated of the log
+    InputError        as :func:`read`
     """
-    if stated is None:
-        return given
-    if given is not None and given != stated:
-        raise InputError(
-            f"{option} {given:g} for a log whose initial SOC is stated as {stated:g}",
-            "one initial SOC",
-            f"Leave out {option}, or what is stated behind the @.",
-        )
-    return None
+    from cellwise.identify import TestLogs
+
+    def stated(paths: Sequence[str]) -> tuple[tuple[CellLog, float | None], ...]:
+        return tuple((read(path, arguments), Stated.parse(path).temperature_C) for path in paths)
+
+    return TestLogs(
+        hppc=stated(arguments.hppc),
+        drive=stated(arguments.drive),
+        ocv=read_all(arguments.ocv, arguments),
+        capacity=read_all(arguments.capacity, arguments),
+    )
 
 
 def arguments_of_read(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -130,24 +154,6 @@ def read_options(arguments: argparse.Namespace) -> ReadOptions:
     return ReadOptions(**stated)
 
 
-def add_cells_options(parser: argparse.ArgumentParser) -> None:
-    """Add what `pack_arguments` reads, and the sign."""
-    printing.add_sign(parser)
-    _add_channels(parser)
-
-
-def _add_channels(parser: argparse._ActionsContainer) -> None:
-    parser.add_argument("--parallel", default="1", metavar="N", help="cells in parallel [1]")
-    parser.add_argument(
-        "--channel",
-        action="append",
-        default=[],
-        metavar="NAME=COLUMN",
-        help="which column or signal is which, e.g. current_mA=I_pack; NAME gives the unit",
-    )
-    parser.add_argument("--instance", metavar="K", help="which battery of several, from 0")
-
-
 def pack_arguments(arguments: argparse.Namespace) -> dict[str, Any]:
     """What the arguments say of a pack's log, as `read_pack` takes it.
 
@@ -164,12 +170,10 @@ def pack_arguments(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _stated(arguments: argparse.Namespace) -> dict[str, Any]:
-    instance = arguments.instance
+    series = arguments.series
     return {
-        "series": "auto" if arguments.series == "auto" else _count("--series", arguments.series),
-        "parallel": _count("--parallel", arguments.parallel),
-        "channels": dict(_pair(text) for text in arguments.channel),
-        "instance": None if instance is None else _count("--instance", instance),
+        "series": "auto" if series == "auto" else _count("--series", series),
+        **pack_arguments(arguments),
         "dbc": arguments.dbc,
     }
 

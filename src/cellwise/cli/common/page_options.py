@@ -7,35 +7,16 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from cellwise.cli.common import printing
+from cellwise.cli.common import options, printing
+from cellwise.cli.common.places import check_places
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
     from cellwise.report.page.picture import FigureFiles
 
 FORMATS = ("png", "svg", "pdf")
-
-
-class Found(Protocol):
-    """A result that has JSON values."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """What ``--json`` prints."""
-        ...
-
-
-FoundT = TypeVar("FoundT", bound=Found)
-PageOf = TypeVar("PageOf", bound=Found, contravariant=True)
-
-
-class WritePage(Protocol[PageOf]):
-    """What writes the page of a result."""
-
-    def __call__(self, found: PageOf, path: Path, /, *, figures: FigureFiles | None) -> Path:
-        """Write it, and its pictures as files where wanted."""
-        ...
 
 
 class PagePlaces(NamedTuple):
@@ -54,13 +35,8 @@ def add_page_options(parser: argparse.ArgumentParser) -> None:
 def add_figure_options(parser: argparse.ArgumentParser) -> None:
     """Add ``--figures`` and ``--figure-format``, of a command that writes its page anyway."""
     parser.add_argument("--figures", metavar="DIR", help="folder for the pictures as files")
-    parser.add_argument(
-        "--figure-format",
-        action="append",
-        choices=FORMATS,
-        metavar="K",
-        help="png, svg or pdf; several [png]",
-    )
+    text = "png, svg or pdf; several [png]"
+    options.several(parser, "--figure-format", "K", text, choices=FORMATS, default=None)
 
 
 def check_page_options(arguments: argparse.Namespace) -> None:
@@ -71,7 +47,7 @@ def check_page_options(arguments: argparse.Namespace) -> None:
     InputError        no place for page or pictures; nothing to draw with; a format without folder
     """
     report = getattr(arguments, "report", None)
-    printing.check_places(report)
+    check_places(report)
     if arguments.figure_format and not arguments.figures:
         raise InputError(
             "--figure-format without --figures", "a folder for the pictures", "Add --figures DIR."
@@ -79,9 +55,9 @@ def check_page_options(arguments: argparse.Namespace) -> None:
     if arguments.figures and Path(arguments.figures).is_file():
         raise InputError(f"a file at '{arguments.figures}'", "a folder for pictures", "Rename it.")
     if report or arguments.figures:
-        from cellwise.report.page.style import drawing
+        from cellwise.report.page import style
 
-        with drawing():  # says so now if pictures cannot be drawn
+        with style.drawing():  # says so now if pictures cannot be drawn
             pass
 
 
@@ -121,14 +97,14 @@ def say_pages(arguments: argparse.Namespace) -> None:
 
 def hand_over(
     arguments: argparse.Namespace,
-    found: FoundT,
-    write_page: WritePage[FoundT],
-    say: Callable[[FoundT], None],
+    found: Any,
+    write_page: Callable[..., Path],
+    say: Callable[[Any], None],
 ) -> None:
     """Write the page of a result if one is wanted, and print the result as was asked."""
-    with page_places(arguments) as places:
-        if places is not None:
-            write_page(found, places.page, figures=places.figures)
+    with page_places(arguments) as pages:
+        if pages is not None:
+            write_page(found, pages.page, figures=pages.figures)
     if arguments.json:
         printing.print_json(found.to_dict())
         return

@@ -1,10 +1,11 @@
-"""Options of the state of power, of `replay` and of `live`."""
+"""Options of the state of power, of `replay`, `live` and `export`."""
 
 from __future__ import annotations
 
 import argparse
 from typing import TYPE_CHECKING
 
+from cellwise.cli.common import options
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,12 +18,9 @@ LIMITS = ("voltage_limits", "current_limits", "soc_limits")
 
 def add_power_options(parser: argparse.ArgumentParser) -> None:
     """Add what is asked of a power, and within what."""
-    parser.add_argument(
-        "--power", action="store_true", help="what the cell can give and take within its limits"
-    )
-    parser.add_argument(
-        "--horizons", metavar="S,S", help="for how long it is held, in seconds [2,10,30]"
-    )
+    options.flag(parser, "--power", "what the cell can give and take within its limits")
+    text = "for how long it is held, in seconds [2,10,30]"
+    parser.add_argument("--horizons", metavar="S,S", help=text)
     add_limit_options(parser)
 
 
@@ -57,7 +55,7 @@ def power_of(
 
 
 def limits_of(arguments: argparse.Namespace, cutoff_V: float | None = None) -> OperatingLimits:
-    """Limits as they were given; ``cutoff_V`` is the lower voltage where no other was."""
+    """Limits as they were stated; ``cutoff_V`` is the lower voltage where no other was."""
     from cellwise.estimate.power.limits import OperatingLimits
 
     low_V, high_V = arguments.voltage_limits or (cutoff_V, None)
@@ -86,11 +84,8 @@ def _refuse_without_power(arguments: argparse.Namespace, names: tuple[str, ...])
     for name in names:
         if getattr(arguments, name) is not None:
             option = "--" + name.replace("_", "-")
-            raise InputError(
-                f"{option} without --power",
-                "--power beside it",
-                f"Add --power, or omit {option}.",
-            )
+            way_out = f"Add --power, or omit {option}."
+            raise InputError(f"{option} without --power", "--power beside it", way_out)
 
 
 def _seconds(text: str) -> tuple[float, ...]:

@@ -1,85 +1,53 @@
-"""What commands share: reading logs with a progress bar, tables for people, one JSON object."""
+"""What commands print: a progress bar, tables and lines for people, one JSON object.
+
+The library's messages are put in the words of the command line: `series=4` is ``--series 4``.
+"""
 
 from __future__ import annotations
 
-import argparse
+import ast
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+import re
+import shlex
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from cellwise.cli.common.wording import in_options
-from cellwise.errors import InputError
-from cellwise.logs import CellLog, Stated, read_log
-
-SIGNS = ("auto", "charge-positive", "discharge-positive")
-BIG_FILE = 20_000_000
-
-
-def add_json(parser: argparse.ArgumentParser) -> None:
-    """Add ``--json``."""
-    parser.add_argument("--json", action="store_true", help="print one JSON object and no more")
+T = TypeVar("T")
+# A message names an argument as Python has it, between backticks.
+ARGUMENT = re.compile(r"`([A-Za-z]\w*)=([^`]*)`")
+# Where the option is not the argument's own name.
+NAMES = {"channels": "channel", "dt_s": "dt", "limits": "voltage-limits"}
+OPEN = "..."  # the argument, whatever its value
 
 
-def add_sign(parser: argparse.ArgumentParser) -> None:
-    """Add ``--sign``."""
-    parser.add_argument(
-        "--sign", choices=SIGNS, default="auto", help="sign of the current in the file [auto]"
-    )
+def in_options(text: str) -> str:
+    """A message with every argument as the option of a command.
 
-
-def read(path: str, sign: str = "auto", **options: Any) -> CellLog:
-    """Read a log and what is stated of it, with a bar for a big file; options as of `read_log`."""
-    stated = Stated.parse(path)
-    place = Path(stated.path)
-    if not place.is_file() or place.stat().st_size < BIG_FILE:
-        return read_log(stated, sign=sign, **options)
-    with bar() as progress:
-        task = progress.add_task(f"reading {place.name}", total=None)
-        return read_log(
-            stated,
-            sign=sign,
-            progress=lambda done, total: progress.update(task, completed=done, total=total),
-            **options,
-        )
-
-
-def check_places(*paths: str | None) -> None:
-    """Refuse output files without a folder to stand in, before the work is done.
-
-    Raises
-    ------
-    InputError        no such folder, or a folder where the file would be
+    ``series=4`` is ``--series 4``, ``partial=True`` is ``--partial``, ``refine=False`` is
+    ``--no-refine``, ``channels={'time_s': 'COLUMN'}`` is ``--channel time_s=COLUMN``.
     """
-    for path in paths:
-        if path is None:
-            continue
-        place = Path(path)
-        try:
-            is_folder, folder = place.is_dir(), place.resolve().parent
-            place.exists()
-            has_folder = folder.is_dir()
-        except (OSError, ValueError) as error:
-            raise InputError(
-                f"'{str(place)[:60]}...', a name to write to that the system refuses "
-                f"({getattr(error, 'strerror', None) or error})",
-                "a name of a file",
-                "Choose another one.",
-            ) from None
-        if is_folder:
-            raise InputError(f"a folder at '{place}'", "a file to write", "Give a file name.")
-        if not has_folder:
-            raise InputError(
-                f"no folder '{folder}' to write '{place.name}' into",
-                "an existing folder",
-                "Create it first.",
-            )
+    return ARGUMENT.sub(lambda found: _option(found[1], found[2]), text)
+
+
+def _option(argument: str, value: str) -> str:
+    name = NAMES.get(argument, argument).replace("_", "-").lower()
+    if value == "False":
+        return f"--no-{name}"
+    if value.strip("{}") == OPEN or value == "True":
+        return f"--{name}"
+    try:
+        plain = ast.literal_eval(value)
+    except (SyntaxError, TypeError, ValueError):  # a word that stands for a value: MODEL, ...
+        plain = value
+    if isinstance(plain, dict):
+        return " ".join(f"--{name} {key}={shlex.quote(str(one))}" for key, one in plain.items())
+    return f"--{name} {shlex.quote(str(plain))}"
 
 
 @contextmanager
@@ -96,6 +64,18 @@ def bar() -> Iterator[Progress]:
         disable=not console.is_terminal,
     ) as progress:
         yield progress
+
+
+@contextmanager
+def working(what: str) -> Iterator[Callable[..., None]]:
+    """A bar, and what moves it: what is done now, how much of it, of how much."""
+    with bar() as progress:
+        task = progress.add_task(what, total=None)
+
+        def follow(now: str, done: float | None = None, total: float | None = None) -> None:
+            progress.update(task, description=now, completed=done, total=total)
+
+        yield follow
 
 
 def print_json(data: Mapping[str, Any]) -> None:
@@ -127,6 +107,18 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> 
     if console.width < 100 and not console.is_terminal:
         console = Console(width=140)
     console.print(shown)
+
+
+def record_table(title: str, items: Iterable[T], *columns: tuple[str, Callable[[T], str]]) -> None:
+    """A table of a row per item; a column is its head and how an item reads in it."""
+    rows = [[read(item) for _, read in columns] for item in items]
+    table(title, [head for head, _ in columns], rows)
+
+
+def say_notices(notices: Iterable[str]) -> None:
+    """What a person should know, each once."""
+    for notice in dict.fromkeys(notices):
+        say(f"  ! {notice}")
 
 
 def say(text: str) -> None:

@@ -7,7 +7,7 @@ logarithm, so that a step of 0.1 is ten per cent of whatever the value is.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
@@ -31,20 +31,30 @@ from cellwise.cell.point_kernels import (
     M,
 )
 from cellwise.diagnose.causes.electrodes import Electrodes, electrodes_of
-from cellwise.diagnose.causes.sensitivity_kernels import Directions
-from cellwise.typing import FloatArray, IntArray
+from cellwise.typing import FloatArray
 
 OCV_KNOTS = 9
 R_KNOTS = 5
 
-# Where the shape of an effect starts when the model has none of it.
-START_TAU3_S = 600.0
-START_GAMMA = 30.0
-START_HEATING_S = 600.0
-START_SURFACE_S = 300.0
+
+class Shapes(NamedTuple):
+    """Where the shape of an effect starts when the model has none of it: seconds, rate [1]."""
+
+    tau3_s: float = 600.0
+    gamma: float = 30.0
+    heating_s: float = 600.0
+    surface_s: float = 300.0
+
+
+STARTS = Shapes()
 REFERENCE_C = 25.0
 # Step of the numerical derivative of an OCV by what its electrodes have lost.
 LOSS_STEP = 1e-4
+# A cell of the model's kind holds between these shares of its charge.
+LEAST_CAPACITY, MOST_CAPACITY = 0.3, 2.0
+# Diffusion in a cell becomes slower, not faster: else it would take back from the slow branches
+# what one factor on all resistances has given them too much.
+MOST_SLOWED = 20.0
 
 OCV_NAMES = tuple(f"ocv_{k}" for k in range(OCV_KNOTS))
 R_NAMES = tuple(f"ln_r_{k}" for k in range(R_KNOTS))
@@ -55,41 +65,6 @@ UNSEEN_R_NAMES = tuple(f"unseen_r_{k}_K" for k in range(R_KNOTS))
 UNSEEN_OCV_NAMES = tuple(f"unseen_ocv_{k}_V_per_K" for k in range(R_KNOTS))
 UNSEEN_NAMES = (*UNSEEN_R_NAMES, *UNSEEN_OCV_NAMES)
 BRANCH_NAMES = ("r0_K", "tau_K")
-SHARED = (
-    "offset_A",
-    "ln_gain",
-    "offset_V",
-    "skew_s",
-    "ln_capacity",
-    "ln_scale",
-    *OCV_NAMES,
-    *R_NAMES,
-    "ln_r0",
-    "ln_r1",
-    "ln_r2",
-    "ln_tau1",
-    "ln_tau2",
-    "r3",
-    "ln_tau3",
-    "ln_slow_r",
-    "ln_slow_tau",
-    "m_V",
-    "ln_gamma",
-    "activation_K",
-    "rate_h",
-    "ln_charge_scale",
-    "leak_A",
-    "rth_K_per_W",
-    "ln_thermal_s",
-    "surface_h",
-    "ln_surface_s",
-    "added_r0",
-    "asinh_per_V",
-    "docv_dT",
-    *LOSS_NAMES,
-    *BRANCH_NAMES,
-    *UNSEEN_NAMES,
-)
 # Where each enters: the current, the table or the scalars of the cell.
 CURRENT_NAMES = ("offset_A", "ln_gain", "skew_s")
 
@@ -119,7 +94,7 @@ class Coordinates:
     ``r3`` is the resistance of the slow branch over the median R0 where the model has no such
     branch, and the logarithm of a factor where it has one; ``ln_slow_r`` and ``ln_slow_tau`` are
     factors of both slow branches of such a model; ``ln_tau3``, ``ln_gamma`` and
-    ``ln_thermal_s`` are about the model's values or the START values above.
+    ``ln_thermal_s`` are about the model's values or those of :class:`Shapes`.
 
     ``unseen_C`` is a temperature that the model was not measured at: its tables are held there a
     second time, so that they can change there alone.
@@ -136,26 +111,26 @@ class Coordinates:
             row = 0 if self.unseen_C < grid[0] else grid.size
             table = np.insert(table, row, table[min(row, grid.size - 1)], axis=0)
             grid = np.insert(grid, row, self.unseen_C)
-        object.__setattr__(self, "_row", row)
+        object.__setattr__(self, "row", row)
         slow = self.model.effect(SlowDiffusion)
         object.__setattr__(self, "has_slow", bool(np.any(slow.r3_ohm)))
         object.__setattr__(self, "has_hysteresis", bool(np.any(self.model.effect(Hysteresis).m_V)))
-        object.__setattr__(self, "_table", table)
+        object.__setattr__(self, "table", table)
         object.__setattr__(self, "_grid", grid)
         object.__setattr__(self, "_scalars", scalars)
         object.__setattr__(self, "r_typical_ohm", float(np.median(table[..., R0])))
-        object.__setattr__(self, "_hats", _hats(table.shape[1], OCV_KNOTS))
-        object.__setattr__(self, "_r_hats", _hats(table.shape[1], R_KNOTS))
+        object.__setattr__(self, "hats", _hats(table.shape[1], OCV_KNOTS))
+        object.__setattr__(self, "r_hats", _hats(table.shape[1], R_KNOTS))
 
     has_slow: bool = field(init=False)
     has_hysteresis: bool = field(init=False)
     r_typical_ohm: float = field(init=False)
-    _table: FloatArray = field(init=False)
+    table: FloatArray = field(init=False)
     _grid: FloatArray = field(init=False)
     _scalars: CellScalars = field(init=False)
-    _hats: FloatArray = field(init=False)
-    _r_hats: FloatArray = field(init=False)
-    _row: int = field(init=False)
+    hats: FloatArray = field(init=False)
+    r_hats: FloatArray = field(init=False)
+    row: int = field(init=False)
 
     @property
     def grid_C(self) -> FloatArray:
@@ -165,34 +140,34 @@ class Coordinates:
     @property
     def unseen_from_C(self) -> float:
         """The temperature of the model that is nearest to the unseen one."""
-        return float(self._grid[1 if self._row == 0 else self._row - 1])
+        return float(self._grid[1 if self.row == 0 else self.row - 1])
 
     @property
     def unseen_per_K(self) -> float:
         """1/T at the unseen temperature over that of the nearest one of the model [1/K]."""
-        unseen_K = self._grid[self._row] + ZERO_CELSIUS_K
+        unseen_K = self._grid[self.row] + ZERO_CELSIUS_K
         return float(1.0 / unseen_K - 1.0 / (self.unseen_from_C + ZERO_CELSIUS_K))
 
     @property
     def tau3_s(self) -> float:
         """Time constant of the slow branch where ``ln_tau3`` is zero [s]."""
         if self.has_slow:
-            return float(np.median(self._table[..., TAU3]))
-        return self.shapes.get("ln_tau3", START_TAU3_S)
+            return float(np.median(self.table[..., TAU3]))
+        return self.shapes.get("ln_tau3", STARTS.tau3_s)
 
     @property
     def gamma(self) -> float:
         """Hysteresis rate where ``ln_gamma`` is zero."""
         if self.has_hysteresis:
             return self._scalars.hysteresis_rate
-        return self.shapes.get("ln_gamma", START_GAMMA)
+        return self.shapes.get("ln_gamma", STARTS.gamma)
 
     @property
     def thermal_s(self) -> float:
         """Thermal time constant where ``ln_thermal_s`` is zero [s]."""
         if self._scalars.heating_K_per_W != 0.0:
             return self._scalars.heating_s
-        return self.shapes.get("ln_thermal_s", START_HEATING_S)
+        return self.shapes.get("ln_thermal_s", STARTS.heating_s)
 
     @property
     def surface_depth_h(self) -> float:
@@ -204,7 +179,7 @@ class Coordinates:
         """Time constant of the surface's SOC where ``ln_surface_s`` is zero [s]."""
         if self.surface_depth_h != 0.0:
             return self._scalars.surface_s
-        return self.shapes.get("ln_surface_s", START_SURFACE_S)
+        return self.shapes.get("ln_surface_s", STARTS.surface_s)
 
     @cached_property
     def electrodes(self) -> Electrodes | None:
@@ -219,18 +194,69 @@ class Coordinates:
             return self.has_slow and self.unseen_C is None
         return name not in LOSS_NAMES or self.electrodes is not None
 
+    @cached_property
+    def _own(self) -> dict[str, float]:
+        """What people see where a coordinate is zero, of those where that is neither 0 nor 1."""
+        s, capacity_Ah = self._scalars, self.model.capacity_Ah
+        slow_ohm = float(np.median(self.table[..., R3]))
+        return {
+            "ln_capacity": capacity_Ah,
+            "ln_charge_scale": s.charge_scale,
+            "r3": slow_ohm,
+            "ln_slow_r": slow_ohm,
+            "ln_tau3": self.tau3_s,
+            "ln_slow_tau": self.tau3_s,
+            "ln_gamma": self.gamma,
+            "ln_thermal_s": self.thermal_s,
+            "ln_surface_s": self.surface_s,
+            "surface_h": self.surface_depth_h,
+            "asinh_per_V": s.asinh_per_V,
+            "activation_K": s.activation_K,
+            "rate_h": s.rate_per_A * capacity_Ah,
+            "leak_A": s.leak_A,
+            "rth_K_per_W": s.heating_K_per_W,
+        }
+
+    def _is_factor(self, name: str) -> bool:
+        """Whether a coordinate is the logarithm of a factor."""
+        return name.startswith("ln_") or (name == "r3" and self.has_slow)
+
     def value_of(self, name: str, x: float) -> float:
         """What people see where a coordinate is ``x``: resistances in ohm."""
-        if name == "added_r0":
-            return x * self.r_typical_ohm
-        return x
+        if name == "ln_r1":  # the exchange current, one over the resistance at small currents
+            return math.exp(-x)
+        if self._is_factor(name):
+            return self._own.get(name, 1.0) * math.exp(x)
+        return self._own.get(name, 0.0) + x * self._unit(name)
 
     def bounds_of(self, name: str, bounds: tuple[float, float]) -> tuple[float, float]:
-        """Bounds of what people see as bounds of the coordinate."""
+        """Bounds of what people see as bounds of the coordinate.
+
+        What the model has of an effect may go, but not turn round.
+        """
         low, high = bounds
-        if name == "m_V":  # what the model has may go, but not turn round
-            return low - float(np.min(self._table[..., M])), high
-        return low, high
+        if name == "ln_capacity":
+            return math.log(LEAST_CAPACITY), math.log(MOST_CAPACITY)
+        if name in _SLOWED:
+            return 0.0, math.log(MOST_SLOWED)
+        if name == "ln_r1":
+            return -math.log(high), -math.log(low)
+        if name == "ln_tau3":
+            low = max(low, self.shortest_tau3_s)
+        if self._is_factor(name):
+            own = self._own.get(name, 1.0)
+            return (math.log(low / own) if low > 0.0 else -math.inf), math.log(high / own)
+        own = float(np.min(self.table[..., M])) if name == "m_V" else self._own.get(name, 0.0)
+        return (low - own) / self._unit(name), high / self._unit(name)
+
+    def _unit(self, name: str) -> float:
+        """What people see of a coordinate of one."""
+        return self.r_typical_ohm if name in ("added_r0", "r3") else 1.0
+
+    @property
+    def shortest_tau3_s(self) -> float:
+        """Slow is what the second branch does not reach [s]."""
+        return 2.0 * float(np.median(self.model.tau2_s))
 
     def _aged(self, z: Mapping[str, float]) -> tuple[FloatArray, float]:
         """Change of the OCV [V] and factor on the capacity by what the electrodes have lost."""
@@ -239,7 +265,7 @@ class Coordinates:
             return np.zeros(self.model.soc.size), 1.0
         return self.electrodes.aged(self.model.soc, *losses)
 
-    def _by_loss(self, name: str, z: Mapping[str, float]) -> tuple[FloatArray, float]:
+    def by_loss(self, name: str, z: Mapping[str, float]) -> tuple[FloatArray, float]:
         """Derivatives of the OCV [V] and of ln capacity by a share that is lost."""
         at = z.get(name, 0.0)
         high, low = (self._aged({**z, name: at + s * LOSS_STEP}) for s in (1.0, -1.0))
@@ -251,16 +277,14 @@ class Coordinates:
         own = self.model.capacity_Ah * math.exp(z.get("ln_capacity", 0.0))
         return own * self._aged(z)[1]
 
-    def _factor(self, z: Mapping[str, float]) -> FloatArray:
-        """What all resistances have in common, over SOC."""
-        by_soc = np.array([z.get(n, 0.0) for n in R_NAMES]) @ self._r_hats
-        return np.asarray(np.exp(z.get("ln_scale", 0.0) + by_soc))
-
-    def r3_ohm(self, z: Mapping[str, float]) -> float:
-        """Median resistance of the slow branch [ohm]."""
-        if self.has_slow:
-            return float(np.median(self._table[..., R3]) * math.exp(z.get("r3", 0.0)))
-        return max(z.get("r3", 0.0), 0.0) * self.r_typical_ohm
+    @cached_property
+    def factors(self) -> dict[str, tuple[int, ...]]:
+        """Coordinates that are logarithms of factors on columns of the table."""
+        slow = (R3,) if self.has_slow else ()
+        every = (R0, R1, R2, *slow)
+        return {"ln_scale": every, **dict.fromkeys(R_NAMES, every), **_SINGLE, **_SLOWED} | (
+            {"r3": slow} if slow else {}
+        )
 
     def inputs(self, z: Mapping[str, float]) -> KernelInputs:
         """The kernels' inputs at a point; coordinates that are not named are zero."""
@@ -269,32 +293,24 @@ class Coordinates:
             return z.get(name, 0.0)
 
         base = self._scalars
-        t = self._table.copy()
+        t = self.table.copy()
         aged_V, share = self._aged(z)
-        t[..., OCV] += np.array([at(n) for n in OCV_NAMES]) @ self._hats + aged_V
-        factor = self._factor(z)
+        t[..., OCV] += np.array([at(n) for n in OCV_NAMES]) @ self.hats + aged_V
         t[..., R0] += at("added_r0") * self.r_typical_ohm
-        t[..., R0] *= factor * math.exp(at("ln_r0"))
-        t[..., R1] *= factor * math.exp(at("ln_r1"))
-        t[..., R2] *= factor * math.exp(at("ln_r2"))
-        t[..., TAU1] *= math.exp(at("ln_tau1"))
-        t[..., TAU2] *= math.exp(at("ln_tau2"))
-        if self.has_slow:
-            t[..., R3] *= factor * math.exp(at("r3"))
-            t[..., TAU3] *= math.exp(at("ln_tau3"))
-        else:
+        if not self.has_slow:
             t[..., R3] = at("r3") * self.r_typical_ohm
-            t[..., TAU3] = self.tau3_s * math.exp(at("ln_tau3"))
-        for name, columns in _SLOWED.items():
-            for c in columns:
-                t[..., c] *= math.exp(at(name))
+            t[..., TAU3] = self.tau3_s
+        for name, columns in self.factors.items():
+            if name in z:
+                over_soc = self.r_hats[R_NAMES.index(name)] if name in R_NAMES else 1.0
+                t[..., list(columns)] *= np.exp(z[name] * over_soc)[..., None]
         t[..., M] += at("m_V")
         t[..., ENTROPY] += at("docv_dT")
         if self.unseen_C is not None:
-            more_K = np.array([at(n) for n in UNSEEN_R_NAMES]) @ self._r_hats
-            t[self._row, :, list(_RESISTANCES)] *= np.exp(more_K * self.unseen_per_K)
-            slope = np.array([at(n) for n in UNSEEN_OCV_NAMES]) @ self._r_hats
-            t[self._row, :, OCV] += slope * (self.unseen_C - self.unseen_from_C)
+            more_K = np.array([at(n) for n in UNSEEN_R_NAMES]) @ self.r_hats
+            t[self.row, :, list(RESISTANCES)] *= np.exp(more_K * self.unseen_per_K)
+            slope = np.array([at(n) for n in UNSEEN_OCV_NAMES]) @ self.r_hats
+            t[self.row, :, OCV] += slope * (self.unseen_C - self.unseen_from_C)
         branches = any(n in z for n in BRANCH_NAMES)
         charge_As = base.charge_As * math.exp(at("ln_capacity")) * share
         rate_per_A = base.rate_per_A + at("rate_h") / self.model.capacity_Ah
@@ -332,95 +348,6 @@ class Coordinates:
             dict(z),
         )
 
-    def table_direction(self, name: str, inputs: KernelInputs) -> FloatArray | None:
-        """Derivative of the packed table with respect to one coordinate, or None."""
-        t = inputs.table
-        d = np.zeros_like(t)
-        resistances = (R0, R1, R2, R3) if self.has_slow else (R0, R1, R2)
-        if name in LOSS_NAMES:
-            d[..., OCV] = self._by_loss(name, inputs.point)[0]
-        elif name == "added_r0":
-            before = self._table[..., R0] + inputs.point.get(name, 0.0) * self.r_typical_ohm
-            d[..., R0] = self.r_typical_ohm * t[..., R0] / before
-        elif name == "docv_dT":
-            d[..., ENTROPY] = 1.0
-        elif name in UNSEEN_NAMES and self.unseen_C is None:
-            pass  # every temperature is one that the model was measured at
-        elif name in UNSEEN_R_NAMES:
-            by_K = self.unseen_per_K * self._r_hats[UNSEEN_R_NAMES.index(name)]
-            for c in _RESISTANCES:
-                d[self._row, :, c] = t[self._row, :, c] * by_K
-        elif name in UNSEEN_OCV_NAMES and self.unseen_C is not None:
-            away = self.unseen_C - self.unseen_from_C
-            d[self._row, :, OCV] = away * self._r_hats[UNSEEN_OCV_NAMES.index(name)]
-        elif name in OCV_NAMES:
-            d[..., OCV] = self._hats[OCV_NAMES.index(name)]
-        elif name in R_NAMES:
-            for c in resistances:
-                d[..., c] = t[..., c] * self._r_hats[R_NAMES.index(name)]
-        elif name == "ln_scale":
-            for c in resistances:
-                d[..., c] = t[..., c]
-        elif name in _SINGLE:
-            d[..., _SINGLE[name]] = t[..., _SINGLE[name]]
-        elif name in _SLOWED:
-            for c in _SLOWED[name]:
-                d[..., c] = t[..., c]
-        elif name == "r3":
-            d[..., R3] = t[..., R3] if self.has_slow else self.r_typical_ohm
-        elif name == "m_V":
-            d[..., M] = 1.0
-        else:
-            return None
-        return d
-
-    def scalar_direction(self, name: str, inputs: KernelInputs) -> FloatArray:
-        """Derivatives of the scalars with respect to one coordinate."""
-        d = np.zeros(len(CellScalars._fields))
-        scalar = _SCALAR.get(name)
-        if name in LOSS_NAMES:
-            by_share = self._by_loss(name, inputs.point)[1]
-            d[CellScalars._fields.index("charge_As")] = inputs.scalars.charge_As * by_share
-        for branch in _TAU_ACTIVATIONS if name == "tau_K" else ():
-            d[CellScalars._fields.index(branch)] = 1.0
-        if scalar is not None:
-            unit = getattr(inputs.scalars, scalar) if name.startswith("ln_") else 1.0
-            if name in ("rate_h", "surface_h"):
-                unit = 1.0 / self.model.capacity_Ah
-            d[CellScalars._fields.index(scalar)] = unit
-        return d
-
-    def directions(
-        self, names: Sequence[str], inputs: KernelInputs, currents: Mapping[str, FloatArray]
-    ) -> Directions:
-        """What :func:`derivative_rows` takes for the named coordinates."""
-        tables: list[FloatArray] = []
-        flows: list[FloatArray] = []
-        table_of: list[int] = []
-        flow_of: list[int] = []
-        for name in names:
-            table = self.table_direction(name, inputs)
-            table_of.append(len(tables) if table is not None else -1)
-            if table is not None:
-                tables.append(table)
-            flow_of.append(len(flows) if name in currents else -1)
-            if name in currents:
-                flows.append(currents[name])
-        none = np.zeros((1, *inputs.table.shape))
-        return Directions(
-            np.array([self.scalar_direction(n, inputs) for n in names]),
-            np.array([float(n == "soc0") for n in names]),
-            np.array([float(n == "offset_V") for n in names]),
-            np.array(tables) if tables else none,
-            _ints(table_of),
-            np.array(flows) if flows else np.zeros((1, 1)),
-            _ints(flow_of),
-        )
-
-
-def _ints(values: Sequence[int]) -> IntArray:
-    return np.array(values, dtype=np.int32)
-
 
 def _hats(points: int, knots: int) -> FloatArray:
     """Hat functions over SOC, shape (knots, points): they add up to one."""
@@ -429,28 +356,13 @@ def _hats(points: int, knots: int) -> FloatArray:
     return np.array([np.interp(soc, places, row) for row in np.eye(knots)])
 
 
-_RESISTANCES = (R0, R1, R2, R3)
-_TAU_ACTIVATIONS = ("tau1_activation_K", "tau2_activation_K", "tau3_activation_K")
+RESISTANCES = (R0, R1, R2, R3)
 _SINGLE = {
-    "ln_r0": R0,
-    "ln_r1": R1,
-    "ln_r2": R2,
-    "ln_tau1": TAU1,
-    "ln_tau2": TAU2,
-    "ln_tau3": TAU3,
+    "ln_r0": (R0,),
+    "ln_r1": (R1,),
+    "ln_r2": (R2,),
+    "ln_tau1": (TAU1,),
+    "ln_tau2": (TAU2,),
+    "ln_tau3": (TAU3,),
 }
 _SLOWED = {"ln_slow_r": (R2, R3), "ln_slow_tau": (TAU2, TAU3)}
-_SCALAR = {
-    "ln_capacity": "charge_As",
-    "activation_K": "activation_K",
-    "r0_K": "r0_activation_K",
-    "ln_gamma": "hysteresis_rate",
-    "rate_h": "rate_per_A",
-    "asinh_per_V": "asinh_per_V",
-    "ln_charge_scale": "charge_scale",
-    "leak_A": "leak_A",
-    "rth_K_per_W": "heating_K_per_W",
-    "ln_thermal_s": "heating_s",
-    "surface_h": "surface_per_A",
-    "ln_surface_s": "surface_s",
-}

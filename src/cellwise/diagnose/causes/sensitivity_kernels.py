@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.cell.compiled import cached, inline
-from cellwise.cell.derivative_kernels import carried, driven, partials, rise, scalars_of
+from cellwise.cell.derivative_kernels import carried, driven, partials
 from cellwise.cell.equations import (
     BEYOND,
     CellState,
@@ -27,7 +27,18 @@ from cellwise.cell.equations import (
     tables_at,
     voltage_of,
 )
-from cellwise.cell.point_kernels import R1, R2, R3, TAU1, TAU2, TAU3, CellPoint, CellScalars
+from cellwise.cell.point_kernels import (
+    R1,
+    R2,
+    R3,
+    TAU1,
+    TAU2,
+    TAU3,
+    CellPoint,
+    CellScalars,
+    rise,
+    scalars_of,
+)
 from cellwise.typing import BoolArray, FloatArray, IntArray
 
 UNCHANGED = CellPoint(*(0.0 for _ in CellPoint._fields))

@@ -8,39 +8,50 @@ states of its own error, by what rests and zero readings say, and by how rare it
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
 
 from cellwise.diagnose.causes.catalogue import Cause, forms_of, kept_coordinates
-from cellwise.diagnose.decision.rarity import Rarity
-from cellwise.diagnose.decision.score_test import could_explain
+from cellwise.diagnose.causes.coordinates import Coordinates
+from cellwise.diagnose.decision.odds import Rarity
 from cellwise.diagnose.fit.cause_fits import CauseFits
-from cellwise.diagnose.fit.least_squares import Fit, Frozen, Prior, complete, freeze
+from cellwise.diagnose.fit.least_squares import Fit, Frozen, Prior, complete, freeze, normal_of
 from cellwise.diagnose.fit.likelihood import Prediction
 from cellwise.diagnose.fit.noise import Noise
 from cellwise.diagnose.fit.priors import (
-    USUAL_ACTIVATION_K,
+    USUAL,
     needs_activation,
     starts_to_try,
     widened_for,
 )
+from cellwise.diagnose.fit.rows import IGNORED
+from cellwise.typing import FloatArray
 
 Progress = Callable[[float, str], None]
+Key = tuple[int, str]
 
-# Sets of one size to which further causes are added, and how many are added to each.
-BEAM = 4
-ADDED = 5
-# One step is no bound on what a fit gains: beside a set that is better than nothing, a cause is
-# tried where so much of its rarity is in sight.
-TRIED_SHARE = 0.5
-MOST_CAUSES = 4
-# Of several points to start from so many are followed beyond their first step.
-BEST_BEGINNINGS = 2
-# Sets that are within this of the best are fitted again until their noise has settled [nats].
-CLOSE_NATS = 40.0
-ROUNDS = 3
-SETTLED_NATS = 0.5
+
+class Search(NamedTuple):
+    """How far sets of causes are searched.
+
+    ``beam`` sets of one size get further causes, ``added`` to each, up to ``most_causes``. One
+    step is no bound on what a fit gains: beside a set that is better than nothing, a cause is tried
+    where ``tried_share`` of its rarity is in sight. Of several points to start from ``beginnings``
+    are followed beyond their first step.
+    """
+
+    beam: int = 4
+    added: int = 5
+    most_causes: int = 4
+    tried_share: float = 0.5
+    beginnings: int = 2
+
+
+SEARCH = Search()
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,11 +99,11 @@ class Explanations:
         return sorted(sets, key=self.odds, reverse=True)[:many]
 
     def search(self, causes: Sequence[Cause], base: Fit, noise: Noise) -> None:
-        """Try sets of causes on top of the base until a further cause is not worth its rarity."""
+        """Try sets of causes on top of the base until one more gains less than its rarity."""
         none = self._explained((), base, noise, self.fits.prior)
         self.tried[frozenset()] = none
         with ThreadPoolExecutor(self.workers) as threads:
-            for size in range(1, MOST_CAUSES + 1):
+            for size in range(1, SEARCH.most_causes + 1):
                 if not self._with_one_more(causes, size, threads):
                     break
 
@@ -100,11 +111,11 @@ class Explanations:
         self, causes: Sequence[Cause], size: int, threads: ThreadPoolExecutor
     ) -> bool:
         """Try sets of a size; whether one of them, or of the size before, is the likeliest."""
-        starts = self.best(BEAM, size - 1)
+        starts = self.best(SEARCH.beam, size - 1)
         keys = [s.key for s in starts]
         frozen = dict(zip(keys, threads.map(self._frozen, starts), strict=True))
-        worth = threads.map(lambda s: self._worth(s, causes, frozen[s.key]), starts)
-        todo = self._once((s, c) for s, more in zip(starts, worth, strict=True) for c in more)
+        promising = threads.map(lambda s: self._promising(s, causes, frozen[s.key]), starts)
+        todo = self._once((s, c) for s, more in zip(starts, promising, strict=True) for c in more)
 
         def work(task: tuple[Explanation, Cause]) -> Explanation | None:
             start, cause = task
@@ -114,17 +125,11 @@ class Explanations:
             self._say(size, (k + 1) / len(todo), todo[k][1].name)
             if one is not None:
                 self._keep(one)
-        for again in threads.map(self._settled, self._close(size)):
-            self._keep(again)
         return self._gained(size)
 
     def _gained(self, size: int) -> bool:
         """Two causes may explain together what neither does alone."""
         return len(self.best(1)[0].causes) >= size - 1
-
-    def _close(self, size: int) -> list[Explanation]:
-        sets = self.best(BEAM, size)
-        return [e for e in sets if self.odds(e) > self.odds(sets[0]) - CLOSE_NATS]
 
     def _once(self, todo: Iterable[tuple[Explanation, Cause]]) -> list[tuple[Explanation, Cause]]:
         """Every set once, from the likeliest it can be made of."""
@@ -133,7 +138,9 @@ class Explanations:
             found.setdefault(start.key | {cause.name}, (start, cause))
         return [t for key, t in found.items() if key not in self.tried]
 
-    def _worth(self, start: Explanation, causes: Sequence[Cause], frozen: Frozen) -> list[Cause]:
+    def _promising(
+        self, start: Explanation, causes: Sequence[Cause], frozen: Frozen
+    ) -> list[Cause]:
         """Causes that could gain their rarity beside a set, those that could most."""
         left = [c for c in causes if c.name not in start.names]
         if not start.causes:
@@ -141,9 +148,9 @@ class Explanations:
         most = could_explain(self.fits, left, start.fit, start.prior, frozen)
         own = self.rarity.nats(start.names)
         price = {c.name: self.rarity.nats((*start.names, c.name)) - own for c in left}
-        least = TRIED_SHARE if self.odds(start) > 0.0 else 1.0
-        worth = [c for c in left if most[c.name] > least * price[c.name]]
-        return sorted(worth, key=lambda c: -most[c.name])[:ADDED]
+        least = SEARCH.tried_share if self.odds(start) > 0.0 else 1.0
+        promising = [c for c in left if most[c.name] > least * price[c.name]]
+        return sorted(promising, key=lambda c: -most[c.name])[: SEARCH.added]
 
     def _frozen(self, start: Explanation) -> Frozen:
         objective = self.fits.objective(start.noise)
@@ -174,12 +181,12 @@ class Explanations:
             if cause.name == "self_heating":
                 point["rth_K_per_W"] = 1.0
                 if needs_activation(shaped):
-                    point["activation_K"] = USUAL_ACTIVATION_K
+                    point["activation_K"] = USUAL.activation_K
             steps = 1 if several else 5
             found.append(fits.fit(start.noise, shaped, wide, point, steps, frozen, moving))
         found.sort(key=lambda f: -f.log_evidence)
         ends = []
-        for one in found[: BEST_BEGINNINGS if several else 1]:
+        for one in found[: SEARCH.beginnings if several else 1]:
             wide = widened_for(start.prior, cause, one.coordinates, evidence)
             near = (
                 fits.fit(start.noise, one.coordinates, wide, one.z, 3, frozen, moving)
@@ -190,25 +197,6 @@ class Explanations:
             near = fits.fit(noise, one.coordinates, wide, near.z, 5, frozen, moving)
             ends.append(self._explained(causes, near, noise, wide))
         return likeliest_end(ends)
-
-    def _settled(self, one: Explanation) -> Explanation:
-        """Fitted with its own noise until that changes it no more.
-
-        Each round has derivatives of its own; within one only those of the causes and starts move.
-        """
-        fits = self.fits
-        moving = [*kept_coordinates(one.causes), *fits.evidence.starts()]
-        for _ in range(ROUNDS):
-            noise = fits.noise(one.fit, one.prior)
-            shaped, z, frozen = one.fit.coordinates, one.fit.z, self._frozen(one)
-            found = fits.fit(noise, shaped, one.prior, z, 5, frozen, moving)
-            new = self._explained(one.causes, found, noise, one.prior)
-            gained = new.found.total - one.found.total
-            if gained > 0.0:
-                one = new
-            if gained < SETTLED_NATS:
-                break
-        return one
 
     def _keep(self, one: Explanation) -> None:
         known = self.tried.get(one.key)
@@ -250,3 +238,116 @@ def unphysical(one: Explanation) -> str:
             if x is not None and x in ends:
                 return f"{cause.name} would need {p.name} outside its physical bounds"
     return ""
+
+
+def could_explain(
+    fits: CauseFits, causes: Sequence[Cause], base: Fit, prior: Prior, frozen: Frozen
+) -> dict[str, float]:
+    """Nats that every cause would gain at most by one Gauss-Newton step from a fit.
+
+    Rao's score test: gradient and information at the null hypothesis, where nothing of the cause
+    is fitted yet; what it takes off the squares counts by the scale that both leave. Causes with a
+    memory are tried at each of those from which their search starts, and a cause whose effect is
+    far from straight (``beginnings``) at each of these.
+    """
+    evidence, objective = fits.evidence, fits.objective(Noise())
+    tried = [
+        (form, shaped, widened_for(prior, form, shaped, evidence))
+        for cause in causes
+        for form in forms_of(cause, base.coordinates)
+        for shaped in _shapes(fits, form, base)
+    ]
+    columns, place = _columns(fits, tried, base.z, frozen)
+    residual = np.nan_to_num(evidence.voltage_V - base.voltage_V)
+    white = objective.scaled(np.column_stack((residual, columns)))
+    used = evidence.known & (evidence.role != IGNORED)
+    normal, gradient = normal_of(white, used, objective.clip)
+    names = list(frozen.names)
+    none = _gain(normal, gradient, [place[0, n] for n in names], prior, names, base.z)
+    left, errors = fits.squares(base)
+    found: dict[str, float] = {}
+    for k, (cause, _, wide) in enumerate(tried, 1):
+        known = [place.get((k, n), place.get((0, n), -1)) for n in wide.names]
+        more = _gain(normal, gradient, known, wide, wide.names, base.z)
+        nats = fits.known.gained(left, 2.0 * max(more - none, 0.0), errors)
+        found[cause.name] = max(found.get(cause.name, 0.0), nats)
+    for cause in causes:
+        if cause.beginnings:
+            most = _from_beginnings(fits, cause, base, prior, frozen)
+            nats = fits.known.gained(left, max(most - 2.0 * none, 0.0), errors)
+            found[cause.name] = max(found[cause.name], nats)
+    return found
+
+
+def _from_beginnings(
+    fits: CauseFits, cause: Cause, base: Fit, prior: Prior, frozen: Frozen
+) -> float:
+    """What one step from the best beginning of a cause takes off the squares of a fit."""
+    evidence, objective = fits.evidence, fits.objective(Noise())
+    used = evidence.known & (evidence.role != IGNORED)
+    wide = widened_for(prior, cause, base.coordinates, evidence)
+    names = list(frozen.names)
+    place = [names.index(n) for n in wide.names]
+    tried: list[tuple[float, dict[str, float], FloatArray]] = []
+    for beginning in cause.beginnings:
+        z = {**base.z, **beginning}
+        voltage, _ = evidence.simulate(base.coordinates, z)
+        residual = np.nan_to_num(evidence.voltage_V - voltage)
+        tried.append((float(np.sum(objective.squares(residual)[used])), z, residual))
+    before = fits.squares(base)[0]
+    most = 0.0
+    for squares, z, residual in sorted(tried, key=lambda t: t[0])[: SEARCH.beginnings]:
+        moved = [n for n in cause.beginnings[0] if n in names]
+        jacobian = frozen.jacobian.copy()
+        jacobian[:, [names.index(n) for n in moved]] = evidence.jacobian(base.coordinates, z, moved)
+        white = objective.scaled(np.column_stack((residual, jacobian)))
+        normal, gradient = normal_of(white, used, objective.clip)
+        step = _gain(normal, gradient, place, wide, wide.names, z)
+        most = max(most, before - squares + 2.0 * step)
+    return most
+
+
+def _shapes(fits: CauseFits, cause: Cause, base: Fit) -> list[Coordinates]:
+    """Coordinates at every memory from which the search for a cause starts, each once."""
+    shapes = [s for s, _ in starts_to_try(cause, base.coordinates, fits.evidence)]
+    return list({id(s): s for s in shapes}.values())
+
+
+def _columns(
+    fits: CauseFits,
+    tried: Sequence[tuple[Cause, Coordinates, Prior]],
+    z: Mapping[str, float],
+    frozen: Frozen,
+) -> tuple[FloatArray, dict[Key, int]]:
+    """Derivatives of the stage, those of every cause beside them, and where each stands."""
+    parts = [frozen.jacobian]
+    place = {(0, n): k for k, n in enumerate(frozen.names)}
+    many = len(frozen.names)
+    together: dict[int, list[tuple[int, str]]] = {}  # one pass for all causes of one shape
+    shapes = {id(shaped): shaped for _, shaped, _ in tried}
+    for k, (_, shaped, wide) in enumerate(tried, 1):
+        new = [(k, n) for n in wide.names if n not in frozen.names]
+        together.setdefault(id(shaped), []).extend(new)
+    for shape, keys in together.items():
+        if keys:
+            parts.append(fits.evidence.jacobian(shapes[shape], z, [n for _, n in keys]))
+            place |= {key: many + j for j, key in enumerate(keys)}
+            many += len(keys)
+    return np.column_stack(parts), place
+
+
+def _gain(
+    normal: FloatArray,
+    gradient: FloatArray,
+    place: Sequence[int],
+    prior: Prior,
+    names: Sequence[str],
+    z: Mapping[str, float],
+) -> float:
+    """Nats that the best step of some coordinates gains, under their prior."""
+    weight = prior.precision()
+    away = np.array([z.get(n, 0.0) - prior.mean.get(n, 0.0) for n in names])
+    pull = gradient[list(place)] - weight @ away
+    # What the prior costs at the start is not gained by a cause that widens it.
+    start = 0.5 * float(away @ weight @ away)
+    return 0.5 * float(pull @ np.linalg.solve(normal[np.ix_(place, place)] + weight, pull)) - start

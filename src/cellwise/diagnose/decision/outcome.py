@@ -9,13 +9,13 @@ import numpy as np
 
 from cellwise.diagnose.causes.catalogue import Cause
 from cellwise.diagnose.decision.explanations import Explanation, Explanations
-from cellwise.diagnose.decision.posterior import NAMED, Hypothesis, Weighed, probability_of, weigh
+from cellwise.diagnose.decision.odds import NAMED, Hypothesis, Weighed, probability_of, weigh
 from cellwise.diagnose.fit.least_squares import Fit
 from cellwise.diagnose.fit.noise import Noise
 
 # A rest that lies three standard deviations off refutes a claim on charge (nats).
 REFUTED = 0.5 * 3.0**2
-# Reasons that are worth a line where nothing was named.
+# Reasons that are said where nothing was named.
 MOST_REASONS = 3
 # `none` where nothing is likelier than anything; else the sets that compete are said.
 LIKELY = 0.5

@@ -11,6 +11,7 @@ from cellwise.diagnose.causes.catalogue import Cause, kept_coordinates
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.extension import MEASURED_NAMES
 from cellwise.diagnose.fit.least_squares import (
+    ITERATIONS,
     Fit,
     Frozen,
     Objective,
@@ -21,7 +22,7 @@ from cellwise.diagnose.fit.least_squares import (
 )
 from cellwise.diagnose.fit.likelihood import Prediction, predict
 from cellwise.diagnose.fit.noise import (
-    SHAPE_SHARE,
+    STATED,
     KnownScale,
     Noise,
     fast_part,
@@ -29,15 +30,10 @@ from cellwise.diagnose.fit.noise import (
     stated_V,
     with_shape,
 )
-from cellwise.diagnose.fit.physical_size import ln_size
-from cellwise.diagnose.fit.priors import widened_for
-from cellwise.diagnose.fit.rest_voltages import RestVoltages
-from cellwise.diagnose.fit.rmse import rmse
-from cellwise.diagnose.fit.rows import IGNORED, Evidence
+from cellwise.diagnose.fit.priors import calibrated, ln_size, widened_for
+from cellwise.diagnose.fit.rests import RestVoltages
+from cellwise.diagnose.fit.rows import IGNORED, Evidence, rmse
 from cellwise.typing import BoolArray, FloatArray
-
-# Iterations where everything moves at once.
-THOROUGH = 7
 
 
 @dataclass(eq=False)
@@ -63,6 +59,16 @@ class CauseFits:
     fast_weight: FloatArray = field(default_factory=lambda: np.ones(1))
     _frozen: tuple[Fit, Frozen] | None = field(default=None, repr=False)
 
+    def calibrate(self, good: CauseFits) -> None:
+        """Move the tolerances to what logs show that are known to be good, of the same cell.
+
+        The noise that these leave is the least that is assumed.
+        """
+        found, _ = good.base(good.prior)
+        self.prior = calibrated(self.prior, found)
+        self.known = self.known.with_more(*good.squares(found))
+        self.same_age = True
+
     def base(self, prior: Prior) -> tuple[Fit, Noise]:
         """The fit within the tolerances, no cause estimated, and the noise that it leaves."""
         model = self.coordinates.model
@@ -76,7 +82,7 @@ class CauseFits:
         for _ in range(2):
             found = complete(self.objective(noise), found, prior)
             left = self.evidence.voltage_V - found.voltage_V
-            shape_V = SHAPE_SHARE * rmse(left, self._used())
+            shape_V = STATED.shape * rmse(left, self._used())
             self.stated_V, self.weight = with_shape(self.evidence, stated, weight, shape_V)
             noise = self.noise(found, prior)
             found = self.fit(noise, self.coordinates, prior, found.z, 4)
@@ -109,7 +115,7 @@ class CauseFits:
         # The point is nearby: what is no cause keeps its derivatives.
         moving = [*kept_coordinates(known), *self.evidence.starts()]
         frozen = self._frozen[1]
-        found = self.fit(noise, near.coordinates, prior, near.z, THOROUGH, frozen, moving)
+        found = self.fit(noise, near.coordinates, prior, near.z, ITERATIONS, frozen, moving)
         return complete(self.objective(noise), found, prior)
 
     def widened_for(self, causes: Iterable[Cause], coordinates: Coordinates) -> Prior:

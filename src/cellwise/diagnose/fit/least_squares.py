@@ -17,13 +17,12 @@ from scipy.linalg import cho_solve, solve_triangular
 from scipy.optimize import lsq_linear
 
 from cellwise.diagnose.causes.coordinates import Coordinates
-from cellwise.diagnose.fit.normal_kernels import normal_equations
 from cellwise.diagnose.fit.rows import FITTED, HELD, START, Evidence
 from cellwise.typing import BoolArray, FloatArray
 
 ITERATIONS = 7
-CONVERGED = 0.02
-CLIP = 6.0
+CONVERGED = 0.02  # nats
+CLIP = 6.0  # standard deviations of an error
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,7 @@ class Prior:
 
     ``cross`` (m, m) are covariances between the coordinates ``linked``, zero on its diagonal: what
     was calibrated together on a baseline log stays correlated. ``read``: start to coordinate to
-    what a unit of it moves the start's mean by (:mod:`cellwise.diagnose.fit.start_readings`).
+    what a unit of it moves the start's mean by (:mod:`cellwise.diagnose.fit.priors`).
     """
 
     std: Mapping[str, float]
@@ -312,10 +311,11 @@ def complete(objective: Objective, found: Fit, prior: Prior) -> Fit:
 
 def normal_of(white: FloatArray, rows: BoolArray, clip: float) -> tuple[FloatArray, FloatArray]:
     """Normal matrix and gradient of scaled rows [e, J], residuals beyond ``clip`` held (Huber)."""
-    many = white.shape[1] - 1
-    normal, gradient = np.zeros((many, many)), np.zeros(many)
-    normal_equations(white, rows, clip, normal, gradient)
-    return normal, gradient
+    used = white[rows]
+    size = np.maximum(np.abs(used[:, :1]), clip)
+    used *= np.sqrt(clip / size)
+    every = used.T @ used
+    return every[1:, 1:], every[1:, 0]
 
 
 def _normal(
@@ -354,38 +354,15 @@ def _held_starts(objective: Objective, found: Fit, prior: Prior) -> dict[str, fl
         if begins and name in prior.std:
             rows = slice(whole.start, whole.start + begins)
             first = objective.part(evidence.beginnings[k], rows)
-            limits = prior.low[name], prior.high[name]
-            usual = prior.mean_with(name, z), prior.std[name]
-            z[name] = _start(first, found.coordinates, z, z[name], usual, limits)
+            one = Prior(
+                {"soc0:0": prior.std[name]},
+                {"soc0:0": prior.mean_with(name, z)},
+                {"soc0:0": prior.low[name]},
+                {"soc0:0": prior.high[name]},
+            )
+            here = {"soc0:0": z[name]}
+            z[name] = fit(first, found.coordinates, one, here, 4, z).z["soc0:0"]
     return z
-
-
-def _start(
-    first: Objective,
-    coordinates: Coordinates,
-    z: Mapping[str, float],
-    start: float,
-    usual: tuple[float, float],
-    limits: tuple[float, float],
-) -> float:
-    """Most likely start of the one log of an objective, by Newton's steps.
-
-    ``usual`` are mean and standard deviation beforehand.
-    """
-    evidence, weight = first.evidence, np.array([[1.0 / usual[1] ** 2]])
-    for _ in range(4):
-        here = {**z, "soc0:0": start}
-        voltage, _ = evidence.simulate(coordinates, here)
-        jacobian = evidence.jacobian(coordinates, here, ["soc0:0"])
-        residual = np.nan_to_num(evidence.voltage_V - voltage)
-        white = first.scaled(np.column_stack((residual, jacobian)))
-        away = np.array([start - usual[0]])
-        normal, gradient = _normal(white, evidence.known, first.clip, weight, away)
-        step = min(max(float(gradient[0] / normal[0, 0]), -0.2), 0.2)
-        start = min(max(start + step, limits[0]), limits[1])
-        if abs(step) < 1e-4:
-            break
-    return start
 
 
 def held_rows(evidence: Evidence) -> BoolArray:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -21,14 +22,13 @@ from cellwise.diagnose.extension import value_of
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.least_squares import Fit, normal_of, shear
 from cellwise.diagnose.fit.noise import Noise
+from cellwise.diagnose.fit.priors import start_readings
 from cellwise.diagnose.fit.rows import IGNORED
-from cellwise.diagnose.fit.start_readings import start_readings
 from cellwise.typing import FloatArray
 
-# A coordinate that the tolerances do not have is known to be neutral [its unit].
-NEUTRAL_STD = 1e-6
-# Less than this share of an information is what rounding leaves of none.
-ROUNDING = 1e-12
+# A coordinate that the tolerances do not have is known to be neutral [its unit]; less than this
+# share of an information is what rounding leaves of none.
+NEUTRAL_STD, ROUNDING = 1e-6, 1e-12
 # Effects of this many times their limit must be separated ...
 TIMES = 2.0
 # ... by as many nats as 0.9 against 0.1 is.
@@ -46,35 +46,52 @@ class Limits:
     inseparable: tuple[tuple[str, ...], ...]
 
 
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What the rows say of coordinates: their information (P, P), beside tolerances (P,).
+
+    ``wide``: cause to places of its coordinates to the widths of a fault in them.
+    """
+
+    names: list[str]
+    normal: FloatArray
+    tolerance: FloatArray
+    wide: dict[str, dict[int, float]]
+
+    def left(self, place: int) -> float:
+        """Information of one coordinate once all others may move within their tolerances."""
+        own = float(self.normal[place, place])
+        others = np.arange(self.tolerance.size) != place
+        pull = self.normal[others, place]
+        inner = self.normal[np.ix_(others, others)] + np.diag(self.tolerance[others] ** -2.0)
+        left = own - float(pull @ np.linalg.solve(inner, pull))
+        return left if left > ROUNDING * own else 0.0
+
+
 def limits(
     fits: CauseFits, causes: Sequence[Cause], base: Fit, noise: Noise, least: float
 ) -> Limits:
     """Limits of every cause; ``least`` is the evidence that is asked for [nats]."""
     names = list(fits.prior.names)
     for cause in causes:
-        switches = cause.parameters[:1] if cause.shape is not None else cause.parameters
-        names += [
-            p.coordinate for p in switches if p.coordinate not in names and p.coordinate != "soc0"
-        ]
+        wanted = _coordinates(fits, cause)
+        names += [n for n in wanted if n not in names]
     normal = _information(fits, base, noise, names)
     # A start that was read from a rest is read elsewhere where the OCV or the sensor is off.
     turned = shear(names, start_readings(names, fits.coordinates, fits.evidence))
-    normal = turned.T @ normal @ turned
     tolerance = np.array([fits.prior.std.get(n, NEUTRAL_STD) for n in names])
+    wide = {c.name: _wide(fits, c, names) for c in causes}
+    seen = _Seen(names, turned.T @ normal @ turned, tolerance, wide)
     sizes: dict[str, dict[str, float]] = {}
     at_limit: dict[str, FloatArray] = {}
     for cause in causes:
-        found = _sizes(fits, cause, names, normal, tolerance, least, base)
-        if found is None:
-            continue
-        sizes[cause.name], at_limit[cause.name] = found
-    known = [c for c in causes if c.name in at_limit]
+        found, change = _sizes(fits, cause, seen, least)
+        if found:
+            sizes[cause.name], at_limit[cause.name] = found, change
     pairs = [
-        (one.name, two.name)
-        for k, one in enumerate(known)
-        for two in known[k + 1 :]
-        if _alike(one, two, fits, names, normal, tolerance, at_limit)
-        and _alike(two, one, fits, names, normal, tolerance, at_limit)
+        (one, two)
+        for one, two in combinations(at_limit, 2)
+        if _alike(one, two, seen, at_limit) and _alike(two, one, seen, at_limit)
     ]
     return Limits(sizes, _groups(pairs))
 
@@ -89,41 +106,39 @@ def _information(fits: CauseFits, base: Fit, noise: Noise, names: list[str]) -> 
     return normal_of(white, used, objective.clip)[0]
 
 
+def _coordinates(fits: CauseFits, cause: Cause) -> list[str]:
+    """Coordinates of a cause that mean something where it is neutral."""
+    switches = cause.parameters[:1] if cause.shape is not None else cause.parameters
+    if cause.kind == "start":
+        return fits.evidence.starts()
+    return [p.coordinate for p in switches]
+
+
 def _wide(fits: CauseFits, cause: Cause, names: list[str]) -> dict[int, float]:
     """Places of a cause's coordinates and the widths of a fault in them."""
     prior = fits.widened_for((cause,), fits.coordinates)
-    switches = cause.parameters[:1] if cause.shape is not None else cause.parameters
-    wanted = {p.coordinate for p in switches}
-    if "soc0" in wanted:
-        wanted = set(fits.evidence.starts())
+    wanted = _coordinates(fits, cause)
     return {k: prior.std[n] for k, n in enumerate(names) if n in wanted and n in prior.std}
 
 
 def _sizes(
-    fits: CauseFits,
-    cause: Cause,
-    names: list[str],
-    normal: FloatArray,
-    tolerance: FloatArray,
-    least: float,
-    base: Fit,
-) -> tuple[dict[str, float], FloatArray] | None:
-    wide = _wide(fits, cause, names)
-    if not wide:
-        return None
+    fits: CauseFits, cause: Cause, seen: _Seen, least: float
+) -> tuple[dict[str, float], FloatArray]:
+    """The limit of each parameter as people see it, and all of them as a point."""
+    wide = seen.wide[cause.name]
     found: dict[str, float] = {}
-    change = np.zeros(len(names))
+    change = np.zeros(len(seen.names))
     start = fits.evidence.logs[0].start.soc
     for p in cause.parameters:
         key = "soc0:0" if p.coordinate == "soc0" else p.coordinate
-        place = names.index(key) if key in names else -1
+        place = seen.names.index(key) if key in seen.names else -1
         if place not in wide:
             continue
-        known = _left(normal, tolerance, place)
+        known = seen.left(place)
         if known <= 0.0:
             continue  # these logs say nothing of it
         s2 = 1.0 / known
-        t2, w2 = s2 + tolerance[place] ** 2, s2 + wide[place] ** 2
+        t2, w2 = s2 + seen.tolerance[place] ** 2, s2 + wide[place] ** 2
         if w2 <= t2:
             continue
         size = math.sqrt(2.0 * (least + 0.5 * math.log(w2 / t2)) / (1.0 / t2 - 1.0 / w2))
@@ -133,44 +148,25 @@ def _sizes(
             continue  # so many times as large that no number holds it: the logs say nothing of it
         change[place] = size
         found[p.name] = abs(moved - value_of(p.coordinate, 0.0, fits.coordinates, start))
-    return (found, change) if found else None
+    return found, change
 
 
-def _left(normal: FloatArray, tolerance: FloatArray, place: int) -> float:
-    """Information of one coordinate once all others may move within their tolerances."""
-    own = float(normal[place, place])
-    others = np.arange(tolerance.size) != place
-    pull = normal[others, place]
-    inner = normal[np.ix_(others, others)] + np.diag(1.0 / tolerance[others] ** 2)
-    left = own - float(pull @ np.linalg.solve(inner, pull))
-    return left if left > ROUNDING * own else 0.0
-
-
-def _alike(
-    one: Cause,
-    two: Cause,
-    fits: CauseFits,
-    names: list[str],
-    normal: FloatArray,
-    tolerance: FloatArray,
-    at_limit: dict[str, FloatArray],
-) -> bool:
+def _alike(one: str, two: str, seen: _Seen, at_limit: dict[str, FloatArray]) -> bool:
     """Whether the second can explain the first at twice its limit as well as the first itself."""
-    change = TIMES * at_limit[one.name]
-    if len(_wide(fits, one, names)) > 1:
+    own, wide = seen.wide[one], seen.wide[two]
+    information = np.diag(seen.normal)
+    change = TIMES * at_limit[one]
+    if len(own) > 1:
         # Of several parameters the one that shows best stands for the cause.
-        place = int(np.argmax(np.abs(change) * np.sqrt(np.diag(normal))))
+        place = int(np.argmax(np.abs(change) * np.sqrt(information)))
         change = np.where(np.arange(change.size) == place, change, 0.0)
     # What the rows say, not how likely such a fault is: the other's coordinates are free.
-    precision = 1.0 / tolerance**2
-    wide = _wide(fits, two, names)
+    precision = seen.tolerance**-2.0
     precision[list(wide)] = 0.0
     # What the other's coordinates and all tolerances leave of it.
-    own = list(_wide(fits, one, names))
-    seen = np.diag(normal) > 0.0
-    other = [k for k in range(len(names)) if seen[k] and (k not in own or k in wide)]
-    pull = normal @ change
-    inner = normal[np.ix_(other, other)] + np.diag(precision[other])
+    other = [k for k, i in enumerate(information) if i > 0.0 and (k not in own or k in wide)]
+    pull = seen.normal @ change
+    inner = seen.normal[np.ix_(other, other)] + np.diag(precision[other])
     left = float(change @ pull) - float(pull[other] @ np.linalg.solve(inner, pull[other]))
     return 0.5 * left < APART
 

@@ -4,8 +4,8 @@ What a model states of its error (:class:`cellwise.cell.model.ModelError`) stays
 ``correlation_s``: that is what the right explanation leaves, however quickly an error changes that
 it explains. A log of length t over a SOC range s holds 1 + t / (2 tau) + s / (2 l) independent
 errors, however many rows it has, with l the model's ``correlation_soc`` where it states one. How
-far the statement itself is off is not known: its scale has an inverse-gamma prior, worth so many
-errors, and what causes leave unexplained counts less the more of it there is.
+far the statement itself is off is not known: its scale has an inverse-gamma prior, as sure as so
+many errors, and what causes leave unexplained counts less the more of it there is.
 
 No cause has the shape of nature: a share of what is to be explained stays, with as few independent
 errors in a log as such a shape has features.
@@ -25,16 +25,24 @@ from cellwise.diagnose.fit.rows import IGNORED, WINDOW_S, Evidence
 from cellwise.identify.refinement.sustained import charged_for_minutes
 from cellwise.typing import BoolArray, FloatArray
 
-# What a statement of a model's error is worth: as many independent errors as some drives hold.
-STATED_ERRORS = 10.0
-# Of a model's whole error so much stays unexplained: no cause has the shape of nature.
-SHAPE_SHARE = 0.1
-# What stays has so many independent errors in a log.
-SHAPE_ERRORS = 10.0
-# No voltage is known better.
-LEAST_V = 1e-4
-# Two clean logs of one cell have this much of an error in common at most, in squares.
-MOST_RETURNS = 0.75
+
+class Stated(NamedTuple):
+    """What a model's statement of its error counts as, and what it cannot say.
+
+    ``errors``: as many independent errors as some drives hold; ``shape``: share of a model's whole
+    error that stays unexplained, since no cause has the shape of nature, with ``shape_errors``
+    independent errors in a log; ``returns``: two clean logs of one cell have at most this much of
+    an error in common, in squares.
+    """
+
+    errors: float = 10.0
+    shape: float = 0.1
+    shape_errors: float = 10.0
+    returns: float = 0.75
+
+
+STATED = Stated()
+LEAST_V = 1e-4  # no voltage is known better
 
 
 class Noise(NamedTuple):
@@ -47,8 +55,8 @@ class Noise(NamedTuple):
 class KnownScale:
     """What is known of the scale beforehand: sum of squares over the statement's, and how many."""
 
-    square: float = STATED_ERRORS
-    errors: float = STATED_ERRORS
+    square: float = STATED.errors
+    errors: float = STATED.errors
 
     def scale(self, square: float, errors: float) -> float:
         """Most likely scale of rows with a sum of squares; never below what is stated."""
@@ -63,7 +71,7 @@ class KnownScale:
         return KnownScale(self.square + max(square, errors), self.errors + errors)
 
     def gained(self, left: float, taken: float, errors: float) -> float:
-        """Nats that a sum of squares ``left`` is worth less once so much of it is ``taken`` off."""
+        """Nats that a sum of squares ``left`` counts less once so much of it is ``taken`` off."""
         after = max(self.square + left - taken, self.square)
         return 0.5 * (self.errors + errors) * math.log((self.square + left) / after)
 
@@ -80,7 +88,7 @@ def slow_scales(error: ModelError) -> tuple[int, ...]:
 
 def returning_V(error: ModelError, soc: FloatArray, temperature_C: float) -> FloatArray:
     """What comes back at the same SOC in every log of a cell [V]."""
-    share = min(error.persistent_share, MOST_RETURNS)
+    share = min(error.persistent_share, STATED.returns)
     slowest = error.variance_V2(len(error.scales_s) - 1, soc, temperature_C)
     return np.asarray(np.sqrt(share * slowest))
 
@@ -134,7 +142,7 @@ def with_shape(
     mean = size_V**2 / weight
     for _, rows in evidence.each():
         used = evidence.known[rows] & (evidence.role[rows] != IGNORED)
-        mean[rows] += shape_V**2 * max(int(used.sum()), 1) / SHAPE_ERRORS
+        mean[rows] += shape_V**2 * max(int(used.sum()), 1) / STATED.shape_errors
     return np.sqrt(both), np.minimum(weight, both / mean)
 
 
@@ -187,4 +195,4 @@ def fast_part(
         own = np.hypot(model.error.at(at, warm), share * drop)
         size[rows] = np.sqrt(own**2 + model.error.white_V**2 + LEAST_V**2)
     used = evidence.known & (evidence.role != IGNORED)
-    return size, np.full(evidence.rows, min(SHAPE_ERRORS / max(int(used.sum()), 1), 1.0))
+    return size, np.full(evidence.rows, min(STATED.shape_errors / max(int(used.sum()), 1), 1.0))

@@ -1,56 +1,101 @@
-"""Priors: what is uncertain of a good model and a good log, and how large a fault may be."""
+"""Priors: what is uncertain of a good model and a good log, and how large a fault may be.
+
+A fit takes every cause as normally distributed about neutral. What is known of sizes is more than
+that (:func:`ln_size`): a cell loses capacity and gains resistance, and a sensor keeps its class but
+for the few that were configured wrongly. And a start that was read from a voltage stands for
+another SOC where the sensor is off, or the OCV another one (:func:`start_readings`).
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from cellwise.cell.effects import ChargeTransfer, TemperatureDependence
-from cellwise.cell.model import CellModel
+from cellwise.cell.point_kernels import OCV, M
+from cellwise.cell.simulate import start_hysteresis
 from cellwise.diagnose.causes.catalogue import Cause
-from cellwise.diagnose.causes.coordinates import OCV_NAMES, R_NAMES, Coordinates
+from cellwise.diagnose.causes.coordinates import LOSS_NAMES, OCV_NAMES, R_NAMES, Coordinates
+from cellwise.diagnose.causes.directions import table_direction
 from cellwise.diagnose.fit.least_squares import Fit, Prior
 from cellwise.diagnose.fit.noise import LEAST_V, returning_V
+from cellwise.diagnose.fit.rests import OCV_KNOWN
 from cellwise.diagnose.fit.rows import START_H, Evidence
-from cellwise.diagnose.fit.start_readings import start_readings
+from cellwise.typing import FloatArray
 
-# Of the square of what comes back of a model's error in every log its OCV owes one half at any
-# knot, in volts at least so much; nobody knows the shape of the rest.
-OCV_SHARE = 0.5
-OCV_LEAST_V = 0.0015
-R_SHARE = 0.5
-R_LEAST = 0.015
-# These owe equal shares of the other half.
+
+class Laboratory(NamedTuple):
+    """What a good laboratory leaves uncertain.
+
+    ``ocv_share``: of the square of what comes back of a model's error in every log the OCV owes so
+    much at any knot (the shape of the rest nobody knows); ``r_share``: of the model's share of the
+    polarisation, at any knot of the resistances, at least ``r_least``; ``soc0_std``: a start that
+    was given is right to this, one that was found to its own standard deviation; ``given_alike``:
+    correlation of given starts that are wrong (one source: what is left of each alone is a third);
+    ``off_branch``: how far a log may start from its own branch of a hysteresis to the other;
+    ``ends``: standard deviations at which a tolerance ends; ``still_open``: share that stays
+    uncertain of what was calibrated, since the next log is another day.
+    """
+
+    ocv_share: float = 0.5
+    r_share: float = 0.5
+    r_least: float = 0.015
+    soc0_std: float = 0.0015
+    given_alike: float = 8.0 / 9.0
+    off_branch: float = 0.5
+    ends: float = 4.0
+    still_open: float = 0.3
+
+
+class UsualCell(NamedTuple):
+    """What a cell has of an effect that its model does not know.
+
+    ``asinh_per_V``: one electron and a symmetric reaction, F / (2 R T) at 25 degC; two electrodes
+    share a drop. ``activation_K``: of a usual electrolyte, with its spread.
+    """
+
+    asinh_per_V: float = 19.5
+    activation_K: float = 3000.0
+    activation_std_K: float = 1500.0
+
+
+GOOD, USUAL = Laboratory(), UsualCell()
+# These owe equal shares of the other half of what comes back.
 OWED = (
     "ln_r0", "ln_r1", "ln_r2", "ln_tau1", "ln_tau2", "r3", "m_V", "activation_K", "rate_h",
     "ln_charge_scale",
 )  # fmt: skip
-# One electron and a symmetric reaction: F / (2 R T) at 25 degC [1/V]; two electrodes share a drop.
-USUAL_ASINH_PER_V = 19.5
-# A cell without a temperature law that heats itself: activation of a usual electrolyte.
-USUAL_ACTIVATION_K = 3000.0
-USUAL_SPREAD_K = 1500.0
-# A start that was given is right to this; one that was found, to its own standard deviation.
-GIVEN_SOC_STD = 0.0015
-TOLERANCE_ENDS = 4.0
-# Where a log starts between the branches of a hysteresis nobody knows, but that it is nearer to its
-# own: a full cell was charged.
-MOST_OFF_BRANCH = 0.5
-# Starts that were given come from one source: what makes one wrong makes all wrong, and what is
-# left of each alone is a third of that.
-GIVEN_ALIKE = 8.0 / 9.0
-# Memories are another one from this factor on (its logarithm).
-ANOTHER = 0.7
-SLOWER_THAN_TAU2 = 2.0
-# Diffusion in a cell becomes slower, not faster: else it would take back from the slow branches
-# what one factor on all resistances has given them too much.
-MOST_SLOWED = 20.0
-
-# Of what was calibrated, this share stays uncertain: the next log is another day.
-STILL_OPEN = 0.3
+ANOTHER = 0.7  # memories are another one from this factor on (its logarithm)
+# A rest is read over so much SOC; on a flatter plateau than this [V] it reads nothing.
+ABOUT_SOC, LEAST_SLOPE_V = 0.01, 0.02
+READ_WITH = frozenset({"offset_V", "m_V", *OCV_NAMES, *LOSS_NAMES})
+# Standard deviation below and above neutral. A cell is retired at 0.7 to 0.8 of its capacity;
+# cells of one batch differ by 1 %, and none grows (Rumpf et al. 2017, 10.1016/j.est.2017.09.010).
+# Until then its resistance grows by up to a half, at times to the double; what makes it fall is
+# warmth (Schmalstieg et al. 2014, 10.1016/j.jpowsour.2014.02.012).
+# Charge transfer is about a third of it and may have all of the growth.
+AGE = {
+    "ln_capacity": (0.12, 0.02),
+    "ln_scale": (0.1, 0.4),
+    "added_r0": (0.1, 0.4),
+    "ln_r1": (0.3, 1.2),
+}
+# With a good log of the same cell: months apart, not a life.
+SAME_AGE = {
+    "ln_capacity": (0.03, 0.02),
+    "ln_scale": (0.05, 0.1),
+    "added_r0": (0.05, 0.1),
+    "ln_r1": (0.15, 0.3),
+}
+# Of a class, and of those that are configured or wired wrongly, a few in a hundred. Current sensors
+# of vehicles keep 1 to 3 % over temperature and life, shunts ten times better; cell monitors keep
+# 1 to 9 mV by their data sheets.
+CLASS = {"ln_gain": (0.02, 0.2), "offset_V": (0.005, 0.05)}
+WRONG_SHARE = 0.03
 
 
 def tolerances(coordinates: Coordinates, evidence: Evidence) -> Prior:
@@ -68,10 +113,10 @@ def tolerances(coordinates: Coordinates, evidence: Evidence) -> Prior:
         "ln_capacity": 0.0025,
         "ln_scale": 0.01,
         **{
-            n: max(OCV_LEAST_V, math.sqrt(OCV_SHARE) * float(v))
+            n: max(OCV_KNOWN.least_V, math.sqrt(GOOD.ocv_share) * float(v))
             for n, v in zip(OCV_NAMES, knots, strict=True)
         },
-        **dict.fromkeys(R_NAMES, max(R_LEAST, R_SHARE * model.error.shown_share())),
+        **dict.fromkeys(R_NAMES, max(GOOD.r_least, GOOD.r_share * model.error.shown_share())),
         "ln_r0": 0.012,
         "ln_r1": 0.025,
         "ln_r2": 0.025,
@@ -95,11 +140,11 @@ def tolerances(coordinates: Coordinates, evidence: Evidence) -> Prior:
     for name, log in zip(evidence.starts(), evidence.logs, strict=True):
         # A start that all rows chose with the model as it is would be sure of a wrong model.
         first = log.start.beginning or log.start
-        std[name] = max(first.std, GIVEN_SOC_STD)
+        std[name] = max(first.std, GOOD.soc0_std)
         mean[name] = first.soc - log.start.soc
-    known = _bounded(Prior(std, mean, {}, {}), std)
-    ends = {START_H: 0.0}, {START_H: MOST_OFF_BRANCH}
-    return known.widened({START_H: MOST_OFF_BRANCH}, {}, *ends)
+    known = bounded(Prior(std, mean, {}, {}), std)
+    ends = {START_H: 0.0}, {START_H: GOOD.off_branch}
+    return known.widened({START_H: GOOD.off_branch}, {}, *ends)
 
 
 def _owed(coordinates: Coordinates, evidence: Evidence) -> dict[str, float]:
@@ -117,14 +162,14 @@ def _owed(coordinates: Coordinates, evidence: Evidence) -> dict[str, float]:
     again = np.maximum(again[used], LEAST_V)
     columns = evidence.window_means(evidence.jacobian(coordinates, {}, OWED))[used]
     size = np.sqrt(np.mean((columns / again[:, None]) ** 2, axis=0))
-    allowed = math.sqrt((1.0 - OCV_SHARE) / len(OWED))
+    allowed = math.sqrt((1.0 - GOOD.ocv_share) / len(OWED))
     return {n: allowed / float(v) for n, v in zip(OWED, size, strict=True) if v > allowed}
 
 
-def _bounded(prior: Prior, names: Iterable[str]) -> Prior:
-    """Tolerances are bounded: they end at TOLERANCE_ENDS standard deviations."""
-    low = {n: prior.mean.get(n, 0.0) - TOLERANCE_ENDS * prior.std[n] for n in names}
-    high = {n: prior.mean.get(n, 0.0) + TOLERANCE_ENDS * prior.std[n] for n in names}
+def bounded(prior: Prior, names: Iterable[str]) -> Prior:
+    """Tolerances are bounded: they end at some standard deviations."""
+    low = {n: prior.mean.get(n, 0.0) - GOOD.ends * prior.std[n] for n in names}
+    high = {n: prior.mean.get(n, 0.0) + GOOD.ends * prior.std[n] for n in names}
     return prior.widened({}, {}, low, high)
 
 
@@ -147,14 +192,14 @@ def widened_for(prior: Prior, cause: Cause, coordinates: Coordinates, evidence: 
         if p.coordinate == "r3" and coordinates.has_slow:
             wide = 0.7
         std[p.coordinate] = wide
-        bounds = coordinate_bounds(p.coordinate, p.bounds, coordinates)
+        bounds = coordinates.bounds_of(p.coordinate, p.bounds)
         low[p.coordinate], high[p.coordinate] = bounds
     if cause.name == "charge_transfer":
         has = model.effect(ChargeTransfer).asinh_per_V
-        mean["asinh_per_V"] = 0.0 if has else USUAL_ASINH_PER_V
+        mean["asinh_per_V"] = 0.0 if has else USUAL.asinh_per_V
     if cause.name == "self_heating" and needs_activation(coordinates):
-        std["activation_K"] = USUAL_SPREAD_K
-        mean["activation_K"] = USUAL_ACTIVATION_K
+        std["activation_K"] = USUAL.activation_std_K
+        mean["activation_K"] = USUAL.activation_K
         low["activation_K"], high["activation_K"] = 500.0, 8000.0
     readings = start_readings(std, coordinates, evidence)
     for name, log in zip(evidence.starts(), evidence.logs, strict=True):
@@ -164,7 +209,7 @@ def widened_for(prior: Prior, cause: Cause, coordinates: Coordinates, evidence: 
     if cause.kind == "start":
         named = zip(evidence.starts(), evidence.logs, strict=True)
         given = [n for n, g in named if g.start.how == "given"]
-        return wide_prior.together(given, GIVEN_ALIKE) if len(given) > 1 else wide_prior
+        return wide_prior.together(given, GOOD.given_alike) if len(given) > 1 else wide_prior
     return wide_prior
 
 
@@ -180,66 +225,20 @@ def needs_activation(coordinates: Coordinates) -> bool:
     return coordinates.model.temperature_C.size == 1 and abs(known) < 300.0
 
 
-def shortest_tau3_s(model: CellModel) -> float:
-    """Slow is what the second branch does not reach [s]."""
-    return SLOWER_THAN_TAU2 * float(np.median(model.tau2_s))
-
-
-def coordinate_bounds(
-    name: str, bounds: tuple[float, float], coordinates: Coordinates
-) -> tuple[float, float]:
-    """Bounds of a parameter as bounds of its coordinate."""
-    model = coordinates.model
-    low, high = bounds
-    if name == "ln_capacity":
-        return math.log(0.3), math.log(2.0)
-    if name in ("ln_gain", "ln_scale", "ln_charge_scale"):
-        return math.log(low), math.log(high)
-    if name in ("ln_slow_r", "ln_slow_tau"):
-        return 0.0, math.log(MOST_SLOWED)
-    if name == "ln_r1":
-        return -math.log(high), -math.log(low)
-    if name == "asinh_per_V":
-        has = model.effect(ChargeTransfer).asinh_per_V
-        return low - has, max(high - has, high)
-    if name == "ln_tau3":
-        low = max(low, shortest_tau3_s(model))
-        return math.log(low / coordinates.tau3_s), math.log(high / coordinates.tau3_s)
-    if name == "ln_gamma":
-        return math.log(low / coordinates.gamma), math.log(high / coordinates.gamma)
-    if name == "ln_thermal_s":
-        return math.log(low / coordinates.thermal_s), math.log(high / coordinates.thermal_s)
-    if name == "ln_surface_s":
-        return math.log(low / coordinates.surface_s), math.log(high / coordinates.surface_s)
-    if name == "surface_h":
-        return low - coordinates.surface_depth_h, high
-    if name == "r3":
-        return (-3.0, 3.0) if coordinates.has_slow else (0.0, high / coordinates.r_typical_ohm)
-    if name == "activation_K":
-        has = model.effect(TemperatureDependence).activation_K
-        return low - has, high - has
-    return coordinates.bounds_of(name, bounds)
-
-
-def calibrated(prior: Prior, found: Fit, share: float = 1.0) -> Prior:
+def calibrated(prior: Prior, found: Fit) -> Prior:
     """Tolerances about what a fit of a baseline made of them, with the correlations that it leaves.
 
-    ``share`` (0..1) is how much of the calibration is taken; without any, tolerances stay as wide
-    as those of a good laboratory.
+    Same cell, same instruments: what else could be off has shown there too.
     """
     names = [n for n in prior.std if ":" not in n]
     place = [found.names.index(n) for n in names]
-    covariance = share * share * found.covariance[np.ix_(place, place)]
-    still = STILL_OPEN**share
-    drift = np.array([still * prior.std[n] for n in names])
+    covariance = found.covariance[np.ix_(place, place)]
+    drift = GOOD.still_open * np.array([prior.std[n] for n in names])
     deviation = np.sqrt(np.diag(covariance) + drift**2)
     np.fill_diagonal(covariance, 0.0)
-    # Same cell, same instruments: what else could be off has shown there too.
-    std = {n: v if ":" in n else still * v for n, v in prior.std.items()} | dict(
-        zip(names, (float(v) for v in deviation), strict=True)
-    )
-    mean = {n: share * found.z[n] for n in names}
-    wider = _bounded(prior.widened(std, mean, {}, {}), [n for n in std if n != START_H])
+    std = {**prior.std, **dict(zip(names, (float(v) for v in deviation), strict=True))}
+    mean = {n: found.z[n] for n in names}
+    wider = bounded(prior.widened(std, mean, {}, {}), [n for n in std if n != START_H])
     return replace(wider, linked=tuple(names), cross=covariance)
 
 
@@ -256,7 +255,7 @@ def starts_to_try(
         return plain
     name, values = cause.shape
     span = max(float(g.clock_s[-1] - g.clock_s[0]) for g in evidence.logs)
-    least = shortest_tau3_s(coordinates.model) if name == "ln_tau3" else 0.0
+    least = coordinates.shortest_tau3_s if name == "ln_tau3" else 0.0
     if name != "ln_gamma":
         values = tuple(v for v in values if least <= v < span) or (max(least, values[0]),)
     own = None
@@ -270,3 +269,71 @@ def starts_to_try(
         return [(replace(coordinates, shapes={**coordinates.shapes, name: v}), {}) for v in values]
     away = [math.log(v / own) for v in values]
     return plain + [(coordinates, {name: x}) for x in away if abs(x) > ANOTHER]
+
+
+def start_readings(
+    names: Collection[str], coordinates: Coordinates, evidence: Evidence
+) -> dict[str, dict[str, float]]:
+    """By how much a unit of each coordinate moves the SOC that each start stands for.
+
+    Of the starts that were read from a voltage, and the coordinates in ``names`` that change what
+    such a reading means: start to coordinate to change of SOC per unit.
+    """
+    asked = [n for n in names if n in READ_WITH]
+    read = [
+        (name, log)
+        for name, log in zip(evidence.starts(), evidence.logs, strict=True)
+        if log.start.how != "given"
+    ]
+    if not asked or not read:
+        return {}
+    soc = coordinates.model.soc
+    inputs = coordinates.inputs({})
+    moved: dict[str, FloatArray] = {}
+    for n in asked:
+        direction = None if n == "offset_V" else table_direction(coordinates, n, inputs)
+        column = M if n == "m_V" else OCV
+        moved[n] = np.ones(soc.size) if direction is None else direction[0, :, column]
+    found: dict[str, dict[str, float]] = {}
+    for name, log in read:
+        at = (log.start.beginning or log.start).soc
+        ends = np.clip([at - ABOUT_SOC, at + ABOUT_SOC], soc[0], soc[-1])
+        ocv = coordinates.model.ocv_at(float(log.temperature_C[0]))
+        low, high = np.interp(ends, soc, ocv)
+        slope = max(float(high - low) / float(ends[1] - ends[0]), LEAST_SLOPE_V)
+        found[name] = {n: -float(np.interp(at, soc, v)) / slope for n, v in moved.items()}
+        if "m_V" in moved:  # as much of it as a log is taken to start with
+            found[name]["m_V"] *= start_hysteresis(at)
+    return found
+
+
+def ln_size(
+    z: Mapping[str, float], names: Iterable[str], prior: Prior, same_age: bool = False
+) -> float:
+    """Ln of how much likelier the sizes of causes are than the prior of the fit says.
+
+    Parameters
+    ----------
+    z : the point; names : coordinates of causes; prior : what the fit took them for
+    same_age : whether a good log of the same cell is known
+    """
+    total, age = 0.0, SAME_AGE if same_age else AGE
+    for name in names:
+        x, wide = z.get(name, 0.0), prior.std.get(name)
+        if wide is None:
+            continue
+        if name in age:
+            below, above = age[name]
+            std = below if x < 0.0 else above
+            total += math.log(2.0 * wide / (below + above)) + _ln_normal(x, std, wide)
+        elif name in CLASS:
+            usual, other = CLASS[name]
+            within = math.log((1.0 - WRONG_SHARE) * wide / usual) + _ln_normal(x, usual, wide)
+            wrong = math.log(WRONG_SHARE * wide / other) + _ln_normal(x, other, wide)
+            total += max(within, wrong) + math.log1p(math.exp(-abs(within - wrong)))
+    return total
+
+
+def _ln_normal(x: float, std: float, wide: float) -> float:
+    """Ln of one normal density over another, both without their factor before the exponential."""
+    return -0.5 * x * x * (1.0 / std**2 - 1.0 / wide**2)

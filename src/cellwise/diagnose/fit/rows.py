@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 
@@ -15,9 +14,9 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.point_kernels import M
 from cellwise.cell.simulate import known_temperature_C, start_hysteresis
 from cellwise.diagnose.causes.coordinates import CURRENT_NAMES, Coordinates, KernelInputs
-from cellwise.diagnose.causes.current_kernels import shift_rows
+from cellwise.diagnose.causes.directions import directions
 from cellwise.diagnose.causes.sensitivity_kernels import Flow, derivative_rows, voltage_rows
-from cellwise.diagnose.fit.rest_current import NO_READING, RestReading, rest_reading
+from cellwise.diagnose.fit.rests import NO_READING, RestReading, rest_reading
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray, IntArray
 
@@ -35,7 +34,6 @@ WINDOW_S = 100.0
 START_H = "start:h"
 
 IGNORED, FITTED, HELD, START = range(4)
-Role = Literal["fit", "hold"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +61,7 @@ class LogRows:
         return self.log.voltage_V[:: self.stride]
 
     def first(self, scored: int) -> LogRows:
-        """Its first so many scored rows."""
+        """Its first so many scored rows, to be fitted."""
         rows = min((scored - 1) * self.stride + 1, len(self.log))
         return LogRows(
             self.log.part(0, rows),
@@ -72,7 +70,7 @@ class LogRows:
             self.current_A[:rows],
             self.temperature_C[:rows],
             self.stride,
-            self.role[:scored],
+            np.full(scored, FITTED, dtype=np.int32),
             self.block[:scored],
             self.clock_s[:scored],
         )
@@ -183,13 +181,13 @@ class Evidence:
                 continue
             local = [names[j].split(":")[0] for j in mine]
             flow, by = _flow(log, inputs)
-            directions = coordinates.directions(local, inputs, by)
+            by_name = directions(coordinates, local, inputs, by)
             part = np.empty((log.scored, len(mine)))
             derivative_rows(
                 inputs.tables,
                 log.state(z.get(f"soc0:{k}", 0.0), z.get(START_H, 0.0)),
                 Flow(log.dt_s, flow, log.temperature_C),
-                directions,
+                by_name,
                 log.stride,
                 part,
             )
@@ -202,10 +200,32 @@ class Evidence:
         return result
 
 
+def shifted_current(
+    time_s: FloatArray, dt_s: FloatArray, current_A: FloatArray, skew_s: float
+) -> tuple[FloatArray, FloatArray]:
+    """Mean current over every row's interval moved back by ``skew_s``, its derivative [A/s].
+
+    Row k's current flows from row k - 1 to row k; before the first row and after the last one the
+    nearest current flows on. A negative skew moves forward.
+    """
+    if time_s.size < 2:
+        return current_A.copy(), np.zeros(current_A.size)
+    charge = np.cumsum(np.concatenate(([0.0], current_A[1:] * dt_s[1:])))
+    moment = time_s - skew_s
+    j = np.clip(np.searchsorted(time_s, moment), 1, time_s.size - 1)
+    at_end = charge[j] - current_A[j] * (time_s[j] - moment)
+    lasts = dt_s[1:] > 0.0
+    length = np.where(lasts, dt_s[1:], 1.0)
+    shifted = np.concatenate((current_A[:1], np.diff(at_end) / length))
+    by_skew = np.concatenate(([0.0], np.where(lasts, -np.diff(current_A[j]) / length, 0.0)))
+    # In no time flows what flowed before.
+    before = np.maximum.accumulate(np.where(np.append(True, lasts), np.arange(time_s.size), 0))
+    return shifted[before], by_skew
+
+
 def _flow(log: LogRows, inputs: KernelInputs) -> tuple[FloatArray, dict[str, FloatArray]]:
     """The current that flowed [A], and its derivatives."""
-    shifted, by_skew = np.empty_like(log.current_A), np.empty_like(log.current_A)
-    shift_rows(log.log.time_s, log.dt_s, log.current_A, inputs.skew_s, shifted, by_skew)
+    shifted, by_skew = shifted_current(log.log.time_s, log.dt_s, log.current_A, inputs.skew_s)
     flow = (shifted - inputs.offset_A) / inputs.gain
     by_offset = np.full(flow.size, -1.0 / inputs.gain)
     values = (by_offset, -flow, by_skew / inputs.gain)
@@ -285,3 +305,8 @@ def _rows(
         block.astype(np.int32),
         clock,
     )
+
+
+def rmse(residual: FloatArray, rows: BoolArray) -> float:
+    """Root mean square over the rows [V]."""
+    return float(np.sqrt(np.mean(residual[rows] ** 2))) if rows.any() else float("nan")

@@ -43,9 +43,9 @@ from cellwise.estimate.fixed.arithmetic import (
     Sample,
     State,
     U,
-    apart,
     at_least,
     clip,
+    noinline,
     not_negative,
     size_within,
     within,
@@ -87,7 +87,7 @@ def cell_is_sound(a: Cell) -> Flag:
     return size_within(a.sq, LARGE) and size_within(a.sr, LARGE) and size_within(a.qr, LARGE)
 
 
-@apart
+@noinline
 def start_cell(c: Constants, a: Cell) -> None:
     """A cell of which only is known how far cells usually differ."""
     a.soc = ZERO
@@ -155,7 +155,7 @@ def difference_of(m: Model, place: Place, x: State, mean_V: Float) -> Difference
     return Difference(p.slope_V, capacity_V, resistance_V, single_V2, variance_V2)
 
 
-@apart
+@noinline
 def look_again(a: Cell) -> None:
     """After many rejections in a row a cell's SOC is unknown."""
     a.ss = RECOVERY_VARIANCE
@@ -249,8 +249,8 @@ def own_soc(x: State, a: Cell) -> Float:
 def own_variance(c: Constants, x: State, a: Cell) -> Float:
     """Variance of one cell's SOC: the mean's and its difference's."""
     away = HALF - x.soc
-    apart2 = a.ss + (away * ((TWO * a.sq) + (away * a.qq)))
-    return x.ss + at_least(apart2, c.cell_least_soc2)
+    difference2 = a.ss + (away * ((TWO * a.sq) + (away * a.qq)))
+    return x.ss + at_least(difference2, c.cell_least_soc2)
 
 
 def cell_of(m: Model, x: State, a: Cell, out: CellOutput) -> None:
@@ -274,13 +274,13 @@ def cell_of(m: Model, x: State, a: Cell, out: CellOutput) -> None:
         out.status = U(STATE_RESET)
 
 
-@apart
+@noinline
 def with_cell(at: Place, a: Cell) -> Place:
     """The same place with one cell's resistance."""
     return Place(at.low, at.weight, at.scale * (ONE + a.resistance), at.lag)
 
 
-@apart
+@noinline
 def weakest(
     m: Model, place: Place, x: State, cells: Cells, count: Count, side: Float, current: Float
 ) -> Count:
@@ -298,7 +298,7 @@ def weakest(
     return U(found)
 
 
-@apart
+@noinline
 def nearest_to_end(x: State, cells: Cells, count: Count, side: Float) -> Count:
     """The emptiest cell (``side`` 1), or the fullest (-1)."""
     found = U(0)
@@ -312,7 +312,7 @@ def nearest_to_end(x: State, cells: Cells, count: Count, side: Float) -> Count:
     return U(found)
 
 
-@apart
+@noinline
 def way_of(m: Model, place: Place, x: State, a: Cell, side: Float) -> Way:
     """What one cell can give (``side`` 1) or take (-1) over the horizon."""
     c = m.constant
@@ -335,7 +335,7 @@ def way_of(m: Model, place: Place, x: State, a: Cell, side: Float) -> Way:
     return Way(one.power_W, one.low_W, one.current_A)
 
 
-@apart
+@noinline
 def pack_way(m: Model, place: Place, x: State, cells: Cells, count: Count, side: Float) -> Way:
     """Power of the pack one way: the least of what its weakest cells allow.
 

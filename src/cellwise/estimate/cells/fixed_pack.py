@@ -7,23 +7,21 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cellwise.arguments import shown
 from cellwise.errors import InputError
 from cellwise.estimate.cells.settings import MOST_CELLS
 from cellwise.estimate.filters.filter_state import EkfInfo
 from cellwise.estimate.filters.kalman import one_reading
-from cellwise.estimate.fixed.fixed_step import (
-    FixedStep,
+from cellwise.estimate.fixed.fixed_step import FixedStep
+from cellwise.estimate.fixed.layout import CAPABILITY, CELL, INPUT
+from cellwise.estimate.fixed.samples import median_interval_s, samples_of
+from cellwise.estimate.fixed.stepper import (
     Stepper,
-    check_has_power,
     check_record,
     info_of,
-    median_interval_s,
-    samples_of,
     sequence_number,
     start_state,
 )
-from cellwise.estimate.fixed.layout import CAPABILITY, CELL, INPUT
-from cellwise.given import shown
 from cellwise.logs.packs.pack_log import PackLog
 
 
@@ -121,7 +119,7 @@ class FixedPack:
         """
         stepper = self._stepper()
         self._check(state, stepper)
-        check_has_power(stepper)
+        stepper.need("power")
         out = np.zeros(1, dtype=CAPABILITY)
         stepper.pack.power(state.mean, state.cells, out)
         return out

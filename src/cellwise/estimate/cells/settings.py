@@ -25,7 +25,7 @@ class CellSettings:
 
     ``soc``, ``capacity``, ``resistance`` (relative) at the start, their change ``*_month`` in
     thirty days, ``sensor_V`` that two cells' sensors differ by for good, ``lag_s`` that a cell is
-    polled apart from the others, ``memory_s`` for how long an error of a cell's voltage lasts.
+    polled later than the others, ``memory_s`` for how long an error of a cell's voltage lasts.
 
     What is known of a pack that was never seen: three times what new cells of one batch differ by
     (capacity 1 %, resistance 3 %: Rumpf et al., J. Energy Storage 14 (2017) 224), since a weak cell

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from cellwise.arguments import check_kind, number
 from cellwise.cell.compiled import announce, for_kernel
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.point_kernels import M
@@ -26,7 +27,6 @@ from cellwise.estimate.filters.sigma_kernels import SigmaScalars
 from cellwise.estimate.noise import Noise, noise_for
 from cellwise.estimate.sensing_kernels import Reading
 from cellwise.estimate.trace import Trace
-from cellwise.given import check_kind, number
 from cellwise.logs.cell_log import CellLog, check_is_log
 from cellwise.typing import FloatArray
 

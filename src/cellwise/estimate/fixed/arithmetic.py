@@ -100,9 +100,9 @@ FORGIVEN = U(2_000)
 Step = TypeVar("Step", bound=Callable[..., Any])
 
 
-def apart(function: Step) -> Step:
+def noinline(function: Step) -> Step:
     """Mark what few steps need: not inlined, out of the others' registers and stack."""
-    function.apart = True  # type: ignore[attr-defined]
+    function.noinline = True  # type: ignore[attr-defined]
     return function
 
 
@@ -179,13 +179,13 @@ def at_least(x: Float, low: Float) -> Float:
     return low if x < low else x
 
 
-@apart
+@noinline
 def out_of_range(x: Float) -> Count:
     """Bit for a number that no cell of this kind gives; asked of readings that were refused."""
     return U(OUT_OF_RANGE) if is_number(x) else U(0)
 
 
-@apart
+@noinline
 def risen(z: Float) -> Float:
     """1 - exp(-z) for z >= 0, with exp(z) by its first five terms: exact at 0, rises to 1."""
     fourth = SIXTH + (z * TWENTY_FOURTH)
@@ -201,7 +201,7 @@ def vanishing(z: Float) -> Float:
     return left
 
 
-@apart
+@noinline
 def root(square: Float) -> Float:
     """Square root of a number up to 4 by five Newton steps from 1.
 

@@ -1,7 +1,8 @@
 """Covariance of the fixed step: what a step does to P and to the state through it.
 
-Printed from the table of states in ``cellwise.cell.description`` by ``python -m cellwise.printing``
-(``fixed_covariance``); do not edit.
+Written by hand, entry by entry: the order of operations is part of the C's bits, and every entry
+stands under the option of its states. A test counts that each function meets every entry of the
+triangle once. The float64 filters have the same algebra printed: ``estimate/filters``.
 """
 
 from __future__ import annotations
@@ -381,14 +382,12 @@ def narrow(x: State, d: Column, inverse: Float) -> None:
         x.poo = at_least(x.poo - (k * d.o), ZERO)
 
 
-def rejudged(ki: Float, kj: Float, ci: Float, cj: Float, e: Float) -> Float:
+def joseph_term(ki: Float, kj: Float, ci: Float, cj: Float, e: Float) -> Float:
     """What is added to an entry of P when a gain of one slope is judged by another (Joseph)."""
     return ((ki * kj) * e) - ((ki * cj) + (kj * ci))
 
 
-def rejudge_covariance(
-    x: State, d: Column, inverse: Float, less: Float, e: Float, wider: Float
-) -> None:
+def joseph_update(x: State, d: Column, inverse: Float, less: Float, e: Float, wider: Float) -> None:
     """The gain was that of another slope: by ``less`` than what it is judged by."""
     ks = d.s * inverse
     cs = less * x.ss
@@ -397,35 +396,35 @@ def rejudge_covariance(
     k2 = d.v2 * inverse
     c2 = less * x.s2
     x.ss = x.ss + wider
-    x.s1 = x.s1 + rejudged(ks, k1, cs, c1, e)
-    x.s2 = x.s2 + rejudged(ks, k2, cs, c2, e)
-    x.p11 = x.p11 + rejudged(k1, k1, c1, c1, e)
-    x.p12 = x.p12 + rejudged(k1, k2, c1, c2, e)
-    x.p22 = x.p22 + rejudged(k2, k2, c2, c2, e)
+    x.s1 = x.s1 + joseph_term(ks, k1, cs, c1, e)
+    x.s2 = x.s2 + joseph_term(ks, k2, cs, c2, e)
+    x.p11 = x.p11 + joseph_term(k1, k1, c1, c1, e)
+    x.p12 = x.p12 + joseph_term(k1, k2, c1, c2, e)
+    x.p22 = x.p22 + joseph_term(k2, k2, c2, c2, e)
     if SLOW:
         k3 = d.v3 * inverse
         c3 = less * x.s3
-        x.s3 = x.s3 + rejudged(ks, k3, cs, c3, e)
-        x.p13 = x.p13 + rejudged(k1, k3, c1, c3, e)
-        x.p23 = x.p23 + rejudged(k2, k3, c2, c3, e)
-        x.p33 = x.p33 + rejudged(k3, k3, c3, c3, e)
+        x.s3 = x.s3 + joseph_term(ks, k3, cs, c3, e)
+        x.p13 = x.p13 + joseph_term(k1, k3, c1, c3, e)
+        x.p23 = x.p23 + joseph_term(k2, k3, c2, c3, e)
+        x.p33 = x.p33 + joseph_term(k3, k3, c3, c3, e)
     if HYSTERESIS:
         kh = d.h * inverse
         ch = less * x.sh
-        x.sh = x.sh + rejudged(ks, kh, cs, ch, e)
-        x.p1h = x.p1h + rejudged(k1, kh, c1, ch, e)
-        x.p2h = x.p2h + rejudged(k2, kh, c2, ch, e)
-        x.phh = x.phh + rejudged(kh, kh, ch, ch, e)
+        x.sh = x.sh + joseph_term(ks, kh, cs, ch, e)
+        x.p1h = x.p1h + joseph_term(k1, kh, c1, ch, e)
+        x.p2h = x.p2h + joseph_term(k2, kh, c2, ch, e)
+        x.phh = x.phh + joseph_term(kh, kh, ch, ch, e)
     if SLOW and HYSTERESIS:
-        x.p3h = x.p3h + rejudged(k3, kh, c3, ch, e)
+        x.p3h = x.p3h + joseph_term(k3, kh, c3, ch, e)
     if OFFSET:
         ko = d.o * inverse
         co = less * x.so
-        x.so = x.so + rejudged(ks, ko, cs, co, e)
-        x.p1o = x.p1o + rejudged(k1, ko, c1, co, e)
-        x.p2o = x.p2o + rejudged(k2, ko, c2, co, e)
-        x.poo = x.poo + rejudged(ko, ko, co, co, e)
+        x.so = x.so + joseph_term(ks, ko, cs, co, e)
+        x.p1o = x.p1o + joseph_term(k1, ko, c1, co, e)
+        x.p2o = x.p2o + joseph_term(k2, ko, c2, co, e)
+        x.poo = x.poo + joseph_term(ko, ko, co, co, e)
     if SLOW and OFFSET:
-        x.p3o = x.p3o + rejudged(k3, ko, c3, co, e)
+        x.p3o = x.p3o + joseph_term(k3, ko, c3, co, e)
     if HYSTERESIS and OFFSET:
-        x.pho = x.pho + rejudged(kh, ko, ch, co, e)
+        x.pho = x.pho + joseph_term(kh, ko, ch, co, e)

@@ -2,56 +2,36 @@
 
 from __future__ import annotations
 
-import operator
-from collections.abc import Callable
 from copy import copy
-from functools import partial
-from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cellwise.cell.model import CellModel, check_is_model
-from cellwise.cell.simulate import (
-    check_soc0,
-    check_soc0_std,
-    known_temperature_C,
-    model_temperature_C,
-)
+from cellwise.cell.simulate import model_temperature_C
 from cellwise.errors import InputError
 from cellwise.estimate.cells.settings import CellSettings
 from cellwise.estimate.filters.filter_state import EkfInfo
 from cellwise.estimate.filters.kalman import one_reading
-from cellwise.estimate.fixed.layout import (
-    CAPABILITY,
-    CELL_OUTPUT,
-    INPUT,
-    OUTLOOK,
-    OUTPUT,
-    state_type,
+from cellwise.estimate.fixed.layout import CAPABILITY, INPUT, OUTLOOK
+from cellwise.estimate.fixed.samples import median_interval_s, samples_of
+from cellwise.estimate.fixed.stepper import (
+    Stepper,
+    check_record,
+    info_of,
+    numba_stepper,
+    sequence_number,
+    start_state,
 )
 from cellwise.estimate.fixed.tables import FixedStepTables, fixed_step_tables
 from cellwise.estimate.noise import Noise, noise_for
 from cellwise.estimate.status import VOLTAGE_INVALID
 from cellwise.estimate.trace import Trace
-from cellwise.given import shown
 from cellwise.logs.cell_log import CellLog, check_is_log
-from cellwise.logs.resample import resample
-from cellwise.typing import IntArray
 
 if TYPE_CHECKING:
     from cellwise.estimate.power.state_of_power import PowerSettings
-
-EVEN = 0.02  # intervals that differ by less from the time step need no resampling
-MOST_VARIANCE = 1.0
-
-
-class Samples(NamedTuple):
-    """A log as a target would see it: records of INPUT, and the sample of every row of the log."""
-
-    records: NDArray[Any]
-    row_sample: IntArray
 
 
 class FixedStep:
@@ -93,11 +73,16 @@ class FixedStep:
         self.model = model
         self.noise = noise_for(model, noise)
         self.dt_s = dt_s
-        self._points = points
-        self._offset_std_A = offset_std_A
-        self._wide, self._watch, self._validity = wide, watch, validity
-        self._power, self._health, self._cells = power, health, cells
-        self._remaining_V: float | None = None
+        self._asked: dict[str, Any] = {
+            "points": points,
+            "offset_std_A": offset_std_A,
+            "wide": wide,
+            "watch": watch,
+            "validity": validity,
+            "power": power,
+            "health": health,
+            "cells": cells,
+        }
         self._stepper: Stepper | None = None
         self._sample = np.zeros(1, dtype=INPUT)
         self.stepper(1.0 if dt_s is None else dt_s)  # refuses now what it would refuse later
@@ -105,20 +90,7 @@ class FixedStep:
     def stepper(self, dt_s: float) -> Stepper:
         """What runs the step at a time step, kept for the next call."""
         if self._stepper is None or self._stepper.tables.dt_s != dt_s:
-            tables = fixed_step_tables(
-                self.model,
-                dt_s,
-                self.noise,
-                points=self._points,
-                offset_std_A=self._offset_std_A,
-                wide=self._wide,
-                watch=self._watch,
-                validity=self._validity,
-                power=self._power,
-                remaining_V=self._remaining_V,
-                health=self._health,
-                cells=self._cells,
-            )
+            tables = fixed_step_tables(self.model, dt_s, self.noise, **self._asked)
             self._stepper = self._make(tables)
         return self._stepper
 
@@ -172,7 +144,7 @@ class FixedStep:
         InputError        no time step; not asked for when this was made
         """
         stepper = self._need_stepper()
-        check_has_power(stepper)
+        stepper.need("power")
         out = np.zeros(1, dtype=CAPABILITY)
         stepper.power(state, out)
         return out
@@ -185,7 +157,7 @@ class FixedStep:
         InputError        a cutoff that is not below the model's full OCV
         """
         made = copy(self)
-        made._remaining_V = cutoff_V
+        made._asked = self._asked | {"remaining_V": cutoff_V}
         made._stepper = None
         made.stepper(1.0 if made.dt_s is None else made.dt_s)
         return made
@@ -205,7 +177,7 @@ class FixedStep:
         InputError        no time step; not asked for when this was made; an unknown ``hold``
         """
         stepper = self._need_stepper()
-        check_has_remaining(stepper)
+        stepper.need("remaining")
         if hold not in ("current", "power"):
             raise InputError(f"hold '{hold}'", "'current' or 'power'", "Choose one.")
         out = np.zeros(1, dtype=OUTLOOK)
@@ -227,12 +199,7 @@ class FixedStep:
         InputError        not asked for when this was made; a number outside these
         """
         stepper = self._need_stepper()
-        if not stepper.tables.options.health:
-            raise InputError(
-                "a fixed step that takes nothing from a history",
-                "FixedStep(..., health=True)",
-                "Make it with that.",
-            )
+        stepper.need("health")
         check_record(state, stepper.tables, self.name)
         share = one_reading("capacity_share", capacity_share, "a share")
         scale = one_reading("resistance_scale", resistance_scale, "a factor")
@@ -271,7 +238,8 @@ class FixedStep:
     @property
     def cell_settings(self) -> CellSettings | None:
         """How cells of a pack differ, where they are followed."""
-        return self._cells
+        cells: CellSettings | None = self._asked["cells"]
+        return cells
 
     @property
     def known_dt_s(self) -> float:
@@ -293,203 +261,3 @@ class FixedStep:
 
     def _need_stepper(self) -> Stepper:
         return self.stepper(self.known_dt_s)
-
-
-class Stepper(NamedTuple):
-    """Tables with the compiled code that steps them: numba's or C's."""
-
-    tables: FixedStepTables
-    begin: Callable[[NDArray[Any], float, float], object]
-    rows: Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]]
-    power: Callable[[NDArray[Any], NDArray[Any]], object]
-    remaining: Callable[[NDArray[Any], float, bool, NDArray[Any]], object]
-    set_health: Callable[[NDArray[Any], float, float], int]
-    pack: PackCalls
-
-
-class PackCalls(NamedTuple):
-    """The cells of a pack: records of CELL beside the mean cell's state.
-
-    ``begin(cells)``, ``rows(state, cells, samples, cell_V)`` gives records of OUTPUT, ``now(state,
-    cells)`` records of CELL_OUTPUT, ``power(state, cells, out)``.
-    """
-
-    begin: Callable[[NDArray[Any]], object]
-    rows: Callable[[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]], NDArray[Any]]
-    now: Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]]
-    power: Callable[[NDArray[Any], NDArray[Any], NDArray[Any]], object]
-
-
-def numba_stepper(tables: FixedStepTables) -> Stepper:
-    """The step in numba; what few ask for is compiled when it is asked for."""
-    from cellwise.estimate.fixed import rows as loops
-
-    known = (tables.constants, tables.table)
-
-    def call(function: Callable[..., Any], *given: Any) -> Any:
-        return loops.compiled(function, tables.options)(*known, *given)
-
-    loop, begin = (loops.compiled(f, tables.options) for f in (loops.rows, loops.begin))
-
-    def rows(state: NDArray[Any], samples: NDArray[Any]) -> NDArray[Any]:
-        outputs = np.zeros(samples.size, dtype=OUTPUT)
-        loop(*known, state, samples, outputs)
-        return outputs
-
-    def pack_rows(
-        state: NDArray[Any], cells: NDArray[Any], samples: NDArray[Any], cell_V: NDArray[Any]
-    ) -> NDArray[Any]:
-        outputs = np.zeros(samples.size, dtype=OUTPUT)
-        call(loops.pack_rows, state, cells, samples, cell_V, outputs)
-        return outputs
-
-    def now(state: NDArray[Any], cells: NDArray[Any]) -> NDArray[Any]:
-        out = np.zeros(cells.size, dtype=CELL_OUTPUT)
-        call(loops.cells_now, state, cells, out)
-        return out
-
-    return Stepper(
-        tables,
-        partial(begin, *known),
-        rows,
-        partial(call, loops.ability),
-        partial(call, loops.outlook),
-        partial(call, loops.history),
-        PackCalls(
-            partial(call, loops.begin_cells), pack_rows, now, partial(call, loops.pack_ability)
-        ),
-    )
-
-
-def start_state(stepper: Stepper, soc0: float, soc0_std: float) -> NDArray[Any]:
-    """A state record at rest; see :meth:`FixedStep.init`."""
-    check_soc0(soc0)
-    check_soc0_std(soc0_std)
-    state = np.zeros(1, dtype=state_type(stepper.tables.options))
-    stepper.begin(state, float(soc0), min(max(float(soc0_std) ** 2, 1e-11), MOST_VARIANCE))
-    return state
-
-
-def check_record(state: object, tables: FixedStepTables, name: str) -> None:
-    """Refuse what is no state of these tables: the kernel would read past it.
-
-    Raises
-    ------
-    InputError        another type, another layout, more than one record
-    """
-    wanted = state_type(tables.options)
-    if not (isinstance(state, np.ndarray) and state.dtype == wanted and state.shape == (1,)):
-        raise InputError(
-            f"state = {shown(state)}",
-            f"one record of {wanted.itemsize} bytes, as init(soc0) of this {name} gives it",
-            "Begin with init(soc0), and pass on its own.",
-        )
-
-
-def sequence_number(sequence: object) -> int:
-    """A sequence number as the record holds it.
-
-    Raises
-    ------
-    InputError        no whole number
-    """
-    try:
-        return operator.index(sequence) % 2**32  # type: ignore[arg-type]
-    except TypeError:
-        raise InputError(
-            f"sequence = {shown(sequence)}", "a whole number", "Count the time steps from 0."
-        ) from None
-
-
-def info_of(out: NDArray[Any], noise: Noise) -> EkfInfo:
-    """A record of OUTPUT for people: innovation and test ratio are NaN without a voltage."""
-    innovation, ratio = float("nan"), float("nan")
-    variance = float(out["innovation_variance_V2"])
-    if not int(out["status"]) & VOLTAGE_INVALID:
-        innovation = float(out["innovation_V"])
-        ratio = innovation**2 / (noise.gate**2 * variance)
-    return EkfInfo(
-        float(out["soc"]),
-        float(np.sqrt(out["soc_variance"])),
-        float(out["voltage_V"]),
-        innovation,
-        variance,
-        ratio,
-        int(out["status"]),
-    )
-
-
-def check_has_remaining(stepper: Stepper) -> None:
-    """Refuse to ask for a remaining time that is not compiled in.
-
-    Raises
-    ------
-    InputError        made without :meth:`FixedStep.with_remaining`
-    """
-    if not stepper.tables.options.remaining:
-        raise InputError(
-            "no remaining time in this fixed step",
-            "FixedStep(...).with_remaining(3.0)",
-            "Give the cutoff when it is made.",
-        )
-
-
-def check_has_power(stepper: Stepper) -> None:
-    """Refuse to ask for a power that is not compiled in.
-
-    Raises
-    ------
-    InputError        made without ``power``
-    """
-    if not stepper.tables.options.power:
-        raise InputError(
-            "no state of power in this fixed step",
-            "FixedStep(..., power=power_settings(model, horizons_s=(10.0,), hold='current'))",
-            "Make it with that.",
-        )
-
-
-def median_interval_s(log: CellLog) -> float:
-    """The usual interval between two rows [s]."""
-    interval = np.diff(log.time_s)
-    return float(np.median(interval[interval > 0])) if np.any(interval > 0) else 1.0
-
-
-def samples_of(model: CellModel, log: CellLog, dt_s: float) -> Samples:
-    """A log as samples at a fixed time step.
-
-    An even log is taken row by row. Any other is resampled between its gaps, charge kept; a gap is
-    a jump of the sequence number, as where a target was switched off.
-    """
-    whole = np.round(log.interval_s / dt_s)
-    gaps = log.gap_rows
-    even = np.abs(log.interval_s - dt_s) <= EVEN * dt_s
-    if np.all(even[1:] | gaps[1:]):
-        records = _records(model, log)
-        records["sequence"] = np.cumsum(whole).astype(np.uint64).astype(np.uint32)
-        return Samples(records, np.arange(len(log), dtype=np.int32))
-    edges = [0, *np.flatnonzero(gaps).tolist(), len(log)]
-    parts, times = [], []
-    for first, last in pairwise(edges):
-        piece = log.part(first, last) if last - first > 1 else None
-        if piece is not None and piece.duration_s >= dt_s:
-            piece = resample(piece, dt_s)
-            part, time = _records(model, piece), log.time_s[first] + piece.time_s - piece.time_s[0]
-        else:
-            alone = slice(first, first + 1)
-            part, time = _records(model, log)[alone], log.time_s[alone]
-        parts.append(part)
-        times.append(time)
-    records, time_s = np.concatenate(parts), np.concatenate(times)
-    step = np.maximum(np.round((time_s - time_s[0]) / dt_s), 0.0)
-    records["sequence"] = step.astype(np.uint64).astype(np.uint32)
-    row = np.searchsorted(time_s, log.time_s + 1e-9, side="right") - 1
-    return Samples(records, np.maximum(row, 0).astype(np.int32))
-
-
-def _records(model: CellModel, log: CellLog) -> NDArray[Any]:
-    records = np.zeros(len(log), dtype=INPUT)
-    records["current_A"] = log.interval_current_A
-    records["voltage_V"] = log.voltage_V
-    records["temperature_C"] = known_temperature_C(model, log)
-    return records

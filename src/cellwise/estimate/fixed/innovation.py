@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from cellwise.estimate.fixed.arithmetic import (
     COUNT_MOST,
+    EVIDENCE_MOST,
     FIRST_VOLTAGE,
     FROZEN,
     FROZEN_READINGS,
@@ -21,7 +22,6 @@ from cellwise.estimate.fixed.arithmetic import (
     State,
     U,
     at_least,
-    clip,
     magnitude,
     size_below,
     within,
@@ -47,6 +47,13 @@ class Innovation(NamedTuple):
     one_V2: Float
     polarisation_V: Float
     column: Column
+
+
+class Shared(NamedTuple):
+    """How many samples share one model error: ``above / below``, never divided."""
+
+    above: Float
+    below: Float
 
 
 def watch_voltage(
@@ -76,21 +83,23 @@ def watch_voltage(
     return status
 
 
-def shared_by(c: Constants, x: State, seen: Float) -> Float:
-    """How many samples share one model error.
+def shared_by(c: Constants, x: State, seen: Float) -> Shared:
+    """How many samples share one model error, as a fraction: at least 1.
 
     The model's error is a sum of processes with memories of a second to half an hour. The quick
     ones average out first, so the rest of a mean has an ever longer memory. The first voltage
     at rest is evidence by itself.
     """
-    shared = ONE
+    seen_before = U(0)
     if x.evidence >= FIRST_VOLTAGE:
-        since = F(U(x.evidence - FIRST_VOLTAGE))
-        grown = (since + c.shared_early) / (since + c.shared_half)
-        shared = clip(c.shared * grown, ONE, c.shared)
-    elif not size_below(seen, c.rest_A):
-        shared = clip(c.shared * (c.shared_early / c.shared_half), ONE, c.shared)
-    return shared
+        seen_before = U(x.evidence - FIRST_VOLTAGE)
+        seen_before = seen_before if seen_before < EVIDENCE_MOST else EVIDENCE_MOST
+    since = F(seen_before)
+    below = since + c.shared_half
+    above = below
+    if x.evidence >= FIRST_VOLTAGE or not size_below(seen, c.rest_A):
+        above = (c.shared * since) + c.shared_early
+    return Shared(above, below)
 
 
 def outside(c: Constants, x: State, s: Reading) -> Count:

@@ -28,11 +28,11 @@ from cellwise.estimate.fixed.arithmetic import (
     SurfaceFloat,
     U,
     WarmFloat,
-    apart,
     between,
     clip,
     known_fraction,
     magnitude,
+    noinline,
     not_negative,
 )
 from cellwise.estimate.fixed.layout import Model
@@ -257,7 +257,7 @@ def no_slopes(p: Point) -> Slopes:
     return Slopes(p.slope_V, ZERO, ZERO, ZERO, ZERO, ZERO)
 
 
-@apart
+@noinline
 def slopes_of(
     m: Model, place: Place, soc: Float, spread: Float, current: Float, p: Point
 ) -> Slopes:

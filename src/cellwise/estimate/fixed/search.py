@@ -18,9 +18,9 @@ from cellwise.estimate.fixed.arithmetic import (
     F,
     Float,
     State,
-    apart,
     at_least,
     clip,
+    noinline,
     root,
     vanishing,
     within,
@@ -42,7 +42,7 @@ def voltage_of(x: State, p: Point, drop: Float) -> Float:
     return voltage
 
 
-@apart
+@noinline
 def search(
     m: Model,
     place: Place,
@@ -104,7 +104,7 @@ def search(
             x.ss = at_least(square, ZERO) + RESTART_ROUNDING
 
 
-@apart
+@noinline
 def recover(
     m: Model,
     place: Place,

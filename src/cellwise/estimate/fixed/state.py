@@ -25,9 +25,9 @@ from cellwise.estimate.fixed.arithmetic import (
     SlowFloat,
     State,
     U,
-    apart,
     at_least,
     magnitude,
+    noinline,
     not_negative,
     positive_within,
     size_below,
@@ -106,7 +106,7 @@ def set_health(m: Model, x: State, capacity_share: Float, resistance_scale: Floa
     return status
 
 
-@apart
+@noinline
 def start(c: Constants, x: State, soc: Float, soc_variance: Float) -> None:
     """A cell at rest; its branches are guessed at the first sample."""
     x.soc = soc
@@ -158,7 +158,7 @@ def admitted(rested_V2: Float, held_V: Float, limit_V: Float) -> Float:
     return rested_V2 + (most * most)
 
 
-@apart
+@noinline
 def guess_branches(
     c: Constants, x: State, r1_ohm: Float, r2_ohm: Float, r3_ohm: SlowFloat, current: Float
 ) -> None:

@@ -1,32 +1,64 @@
-"""One fixed step: predict over the interval that ends now, then use the voltage read now."""
+"""One fixed step: predict over the interval that ends now, then use the voltage read now.
+
+The correction: gate, recovery, weight.
+"""
 
 from __future__ import annotations
 
 from cellwise.estimate.fixed.arithmetic import (
+    COUNT_MOST,
+    FIRST_VOLTAGE,
+    FORGIVEN,
+    FOUR,
     INTERVAL,
     KNOW_NOTHING_SOC,
     KNOW_NOTHING_VARIANCE,
+    LARGE,
     NO_VOLTAGE_YET,
     NOT_BEGUN,
     ONE,
+    REJECTION,
+    REPEATED,
+    SMALL_MOVE,
     SOC_VARIANCE_MOST,
+    THREE,
+    TWO,
     VARIANCE_FLOOR,
     WIDE_VARIANCE,
     ZERO,
+    Constants,
     Count,
+    F,
+    Flag,
     Float,
     Output,
     Sample,
     State,
     U,
+    clip,
+    magnitude,
+    noinline,
     not_negative,
+    out_of_range,
+    positive_above,
     positive_within,
     root,
+    size_below,
+    size_within,
 )
-from cellwise.estimate.fixed.correct import correct
-from cellwise.estimate.fixed.innovation import outside
+from cellwise.estimate.fixed.covariance import Column, joseph_term, joseph_update, move, narrow
+from cellwise.estimate.fixed.innovation import (
+    Innovation,
+    innovate,
+    outside,
+    shared_by,
+    watch_voltage,
+)
 from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.lookup import (
+    Place,
+    Point,
+    Slopes,
     aged,
     look_up,
     no_slopes,
@@ -34,11 +66,217 @@ from cellwise.estimate.fixed.lookup import (
     slopes_of,
     under_surface,
 )
-from cellwise.estimate.fixed.options import HEALTH, HEATING, SURFACE, VALIDITY, WARM, WIDE
+from cellwise.estimate.fixed.options import HEALTH, HEATING, SURFACE, VALIDITY, WARM, WATCH, WIDE
 from cellwise.estimate.fixed.predict import cross_gap, heat, predict
-from cellwise.estimate.fixed.sensing import count_charge, finish, follow, see
+from cellwise.estimate.fixed.search import recover, widen
+from cellwise.estimate.fixed.sensing import Reading, count_charge, finish, follow, see
 from cellwise.estimate.fixed.state import guess_branches, is_sound, start
-from cellwise.estimate.status import STATE_RESET
+from cellwise.estimate.status import (
+    GATE_RECOVERY,
+    INNOVATION_REJECTED,
+    STATE_RESET,
+    VOLTAGE_INVALID,
+    VOLTAGE_LOST,
+)
+
+
+@noinline
+def gain_where_it_leads(
+    m: Model,
+    place: Place,
+    x: State,
+    p: Point,
+    w: Slopes,
+    d: Column,
+    inverse: Float,
+    innovation: Float,
+    seen: Float,
+) -> Flag:
+    """Judge the gain by the slope where it leads, if that is flatter; whether anything was gained.
+
+    The gain itself was that of the slope here: on a plateau nothing is gained, and the covariance
+    stays as it is.
+    """
+    ks = d.s * inverse
+    move = ks * innovation
+    flat = p.slope_V if p.slope_V < w.slope_V else w.slope_V
+    if magnitude(move) > (SMALL_MOVE * w.spread):
+        landed = look_up(m, place, x.soc + move, seen)
+        there = slopes_of(m, place, x.soc + move, w.spread, seen, landed)
+        flat = there.slope_V if there.slope_V < landed.slope_V else landed.slope_V
+        flat = flat if flat < w.slope_V else w.slope_V
+    less = flat - w.slope_V
+    e = less * ((TWO * d.s) + (less * x.ss))
+    wider = joseph_term(ks, ks, less * x.ss, less * x.ss, e)
+    gained = False
+    if size_within(wider, LARGE) and wider < (ks * d.s):
+        gained = True
+        joseph_update(x, d, inverse, less, e, wider)
+    return gained
+
+
+def reject(
+    m: Model,
+    place: Place,
+    x: State,
+    p: Point,
+    i: Innovation,
+    seen: Float,
+    voltage: Float,
+    beyond_V2: Float,
+    unsure: Flag,
+) -> Count:
+    """A voltage beyond the gate, and recovery after too many of them in a row.
+
+    Under load the resistances may be what is wrong: what three times the polarisation can explain
+    speaks against the SOC more slowly. A start that is unsure of itself believes the first voltage
+    at rest at once.
+    """
+    c = m.constant
+    status = U(INNOVATION_REJECTED)
+    explicable_V2 = FOUR * (i.polarisation_V * i.polarisation_V)
+    x.rejections = U(x.rejections + (REJECTION if beyond_V2 > explicable_V2 else c.under_load))
+    if WIDE and unsure:
+        x.rejections = c.recovery_after
+    if x.rejections >= c.recovery_after:
+        status = U(status | GATE_RECOVERY)
+        x.rejections = U(0)
+        x.mismatch = ONE
+        if WATCH:
+            x.contradicted = ZERO
+        if WIDE:
+            recover(m, place, x, seen, voltage, i.one_V2, i.polarisation_V)
+        else:
+            widen(c, x, p, seen)
+    return status
+
+
+def contradict(
+    c: Constants, x: State, w: Slopes, s: Reading, one_V2: Float, innovation: Float
+) -> None:
+    """Running mean of the SOC that the voltages say is missing, as far as the count may be off.
+
+    Were the current off, the count would by now be off by ``drift``, and of an innovation the part
+    that this explains would be the count's. It widens what is said of the SOC, and nothing else.
+    Beyond the model's data a voltage may contradict the count, but confirms nothing.
+    """
+    drift = c.drift_soc * F(U(x.evidence - FIRST_VOLTAGE))
+    drift = drift if drift < ONE else ONE
+    swing_V = (drift * drift) * w.slope_V
+    missing = (swing_V * innovation) / ((swing_V * w.slope_V) + one_V2)
+    missing = clip(missing, -ONE, ONE)
+    if size_within(missing, ONE):  # a number
+        now = x.contradicted + (c.contradicted_share * (missing - x.contradicted))
+        beyond = U(0)
+        if VALIDITY and magnitude(now) < magnitude(x.contradicted):
+            beyond = outside(c, x, s)
+        if beyond == U(0):
+            x.contradicted = now
+
+
+def fuse(
+    m: Model,
+    place: Place,
+    x: State,
+    p: Point,
+    w: Slopes,
+    s: Reading,
+    i: Innovation,
+    innovation: Float,
+) -> None:
+    """State and covariance after a voltage within the gate.
+
+    What the innovations have lately shown beyond their variance makes evidence weigh less. A first
+    sample under load says more of the load than of the SOC.
+    """
+    shared = shared_by(m.constant, x, s.seen)
+    weight = i.one_V2 * shared.above
+    if positive_above(x.mismatch, ONE):
+        weight = weight * x.mismatch
+    if s.news == INTERVAL or shared.above <= shared.below:
+        inverse = shared.below / ((i.explained_V2 * shared.below) + weight)
+        gained = True
+        if WIDE and w.spread > ZERO:
+            gained = gain_where_it_leads(m, place, x, p, w, i.column, inverse, innovation, s.seen)
+        move(m.constant, x, i.column, inverse, innovation)
+        if gained:
+            narrow(x, i.column, inverse)
+        if WATCH and s.news == INTERVAL and x.evidence >= FIRST_VOLTAGE:
+            contradict(m.constant, x, w, s, i.one_V2, innovation)
+    x.rejections = U(x.rejections - FORGIVEN) if x.rejections > FORGIVEN else U(0)
+    if x.evidence < FIRST_VOLTAGE:
+        x.evidence = FIRST_VOLTAGE
+
+
+def weigh(
+    m: Model,
+    place: Place,
+    x: State,
+    p: Point,
+    w: Slopes,
+    s: Reading,
+    i: Innovation,
+    voltage: Float,
+    innovation: Float,
+) -> Count:
+    """A voltage that is looked at: rejected, SOC searched for it, or used."""
+    c = m.constant
+    square = innovation * innovation
+    most = c.gate_square * i.variance_V2
+    status = U(0)
+    unsure = False
+    bent = False
+    # The first voltage at rest of a start that is unsure of itself is looked for where the OCV
+    # bends too much for a slope.
+    if WIDE and w.spread > ZERO and x.evidence < FIRST_VOLTAGE and size_below(s.seen, c.rest_A):
+        unsure = True
+        bent = (THREE * (w.bend_V * w.bend_V)) > i.one_V2 or w.slope_V < c.flat_slope_V
+    if s.news == INTERVAL:
+        ratio = square / i.variance_V2
+        ratio = ratio if ratio < c.mismatch_cap else c.mismatch_cap
+        x.mismatch = x.mismatch + (c.lately * (ratio - x.mismatch))
+    if positive_above(square, most):
+        status = reject(m, place, x, p, i, s.seen, voltage, square - most, unsure)
+    elif bent:
+        if WIDE:
+            recover(m, place, x, s.seen, voltage, i.one_V2, i.polarisation_V)
+    else:
+        fuse(m, place, x, p, w, s, i, innovation)
+    return status
+
+
+def correct(
+    m: Model, place: Place, x: State, p: Point, w: Slopes, s: Reading, voltage: Float, out: Output
+) -> Count:
+    """Predicted voltage, innovation, and what follows from it."""
+    c = m.constant
+    status = U(0)
+    if WATCH:
+        away = x.no_voltage
+        if s.news == INTERVAL and away < COUNT_MOST:
+            away = U(away + 1)
+    i = innovate(c, x, p, w, s)
+    out.voltage_V = i.voltage_V
+    out.innovation_variance_V2 = i.variance_V2
+    out.innovation_V = ZERO
+    if not positive_within(voltage, c.voltage_low_V, c.voltage_high_V):
+        status = U(VOLTAGE_INVALID | out_of_range(voltage))
+    else:
+        innovation = voltage - i.voltage_V
+        out.innovation_V = innovation
+        if s.news != REPEATED:  # a repeated sample is no evidence
+            if WATCH:
+                status = watch_voltage(c, x, voltage, s.seen, p.r0_ohm, innovation)
+                if status == U(0):
+                    away = U(0)
+            if status == U(0):
+                status = weigh(m, place, x, p, w, s, i, voltage, innovation)
+    if WATCH:
+        if s.news != REPEATED:
+            x.no_voltage = away
+        if away > c.hold_steps:
+            status = U(status | VOLTAGE_LOST)
+    return status
 
 
 def init(m: Model, x: State, soc: Float, soc_variance: Float) -> Count:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,18 +58,27 @@ Float32Array = NDArray[np.float32]
 
 UNDER_LOAD_COUNT = 0.05  # a rejection that wrong resistances could explain, for a second
 REJECTION_COUNT = 20_000  # what a rejection adds to the count, as in ``arithmetic``
-VOLTAGE_MOST_V = 1000.0
-LEAST_V = 1e-3  # above zero: the C compares bits
 BRIDGED_S = 5.0  # missing samples up to here are bridged by the currents on both sides
 MISSING_S = 60.0  # without a watch: for how long a current that nobody measures keeps its sign
 OFFSET_WALK_H = 24.0  # the sensor's offset is new after so long
-SMALLEST_GAIN = 1e-6  # below it float32 rounds a branch's variance away
+
+
+class TargetLimits(NamedTuple):
+    """What a target can hold in float32."""
+
+    smallest_gain: float = 1e-6  # below it float32 rounds a branch's variance away
+    voltage_most_V: float = 1000.0
+    voltage_least_V: float = 1e-3  # above zero: the C compares bits
+    points: int = 4001  # of a table over SOC
+    temperatures: int = 32
+    steps: int = 1_000_000_000  # that a counter reaches
+    endless: float = 1e6  # beyond any SOC, temperature and current that a step lets pass
+
+
+TARGET = TargetLimits()
+
 ARRHENIUS_LOW_C, ARRHENIUS_HIGH_C = -60.0, 100.0
 ARRHENIUS_POINTS = 161
-MOST_POINTS = 4001
-ENDLESS = 1e6  # beyond any SOC, temperature and current that a step lets pass
-MOST_STEPS = 1_000_000_000
-MOST_TEMPERATURES = 32
 # Rows of tables where a temperature effect has no other form on a target.
 ROWS_C = np.arange(-30.0, 65.0, 5.0)
 
@@ -211,24 +220,24 @@ def check_holds(model: CellModel, dt_s: float, options: Options) -> None:
     ------
     InputError        a time constant beyond 1e6 steps, too many SOC points or temperatures
     """
-    if not 3 <= options.points <= MOST_POINTS or options.temperatures > MOST_TEMPERATURES:
+    if not 3 <= options.points <= TARGET.points or options.temperatures > TARGET.temperatures:
         raise InputError(
             f"{options.points} SOC points at {options.temperatures} temperature(s)",
-            f"3 to {MOST_POINTS} points, at most {MOST_TEMPERATURES} temperatures",
+            f"3 to {TARGET.points} points, at most {TARGET.temperatures} temperatures",
             "Give `points=101`, or fewer temperatures.",
         )
     slowest = _slowest_s(model, options)
-    if dt_s / slowest < SMALLEST_GAIN:
+    if dt_s / slowest < TARGET.smallest_gain:
         raise InputError(
             f"a time constant of {slowest:g} s at a time step of {dt_s:g} s",
-            f"at most {1 / SMALLEST_GAIN:g} steps: float32 cannot hold slower ones",
-            f"Give a time step of at least {SMALLEST_GAIN * slowest:.2g} s.",
+            f"at most {1 / TARGET.smallest_gain:g} steps: float32 cannot hold slower ones",
+            f"Give a time step of at least {TARGET.smallest_gain * slowest:.2g} s.",
         )
 
 
 def shortest_step_s(model: CellModel, options: Options) -> float:
     """The shortest time step at which float32 holds the model's time constants [s]."""
-    return SMALLEST_GAIN * _slowest_s(model, options)
+    return TARGET.smallest_gain * _slowest_s(model, options)
 
 
 def _slowest_s(model: CellModel, options: Options) -> float:
@@ -267,6 +276,7 @@ def _constants(
 ) -> dict[str, Any]:
     per_A = dt_s / (3600.0 * model.capacity_Ah)
     slow_s = noise.slow_s
+    shared = max(2.0 * slow_s / dt_s, 1.0)
     half_s = max(noise.slow_half_s, dt_s)
     early_s = half_s * min(noise.slow_first_s / max(slow_s, dt_s), 1.0)
     adapts = noise.mismatch_cap > 0 and slow_s > 0
@@ -286,15 +296,15 @@ def _constants(
         "share_variance": noise.branch_share**2,
         "charge_variance": (noise.charge_factor * noise.branch_share) ** 2,
         "gate_square": noise.gate**2,
-        "shared": max(2.0 * slow_s / dt_s, 1.0),
-        "shared_early": early_s / dt_s,
+        "shared": shared,
+        "shared_early": max(shared * early_s, half_s) / dt_s,
         "shared_half": half_s / dt_s,
         "lately": min(dt_s / slow_s, 1.0) if adapts else 0.0,
         "mismatch_cap": noise.mismatch_cap,
         "gap_variance": noise.gap_soc**2,
         "current_limit_A": min(noise.current_limit_A, CURRENT_LIMIT_C * model.capacity_Ah),
-        "voltage_low_V": max(noise.voltage_low_V, LEAST_V),
-        "voltage_high_V": min(noise.voltage_high_V, VOLTAGE_MOST_V),
+        "voltage_low_V": max(noise.voltage_low_V, TARGET.voltage_least_V),
+        "voltage_high_V": min(noise.voltage_high_V, TARGET.voltage_most_V),
         "branch_variance_V2": START_BRANCH_V**2,
         "rest_A": REST_RATE * model.capacity_Ah,
         "start_rest_A": START_REST_RATE * model.capacity_Ah,
@@ -331,7 +341,7 @@ def _constants(
 def _validity(model: CellModel, noise: Noise) -> dict[str, Any]:
     """Where the model is valid; what is not known is as good as endless."""
     valid = validity_scalars(model)
-    bounds = np.clip(valid[:6], -ENDLESS, ENDLESS)
+    bounds = np.clip(valid[:6], -TARGET.endless, TARGET.endless)
     names = ("soc_low", "soc_high", "cold_C", "warm_C", "charge_A", "discharge_A")
     scale = noise.error_scale
     return {
@@ -344,7 +354,7 @@ def _validity(model: CellModel, noise: Noise) -> dict[str, Any]:
 
 def steps_within(seconds: float, dt_s: float) -> int:
     """Whole time steps within a time; one that falls on its end belongs to it."""
-    return int(min(np.floor(seconds / dt_s * (1.0 + 1e-9)), MOST_STEPS))
+    return int(min(np.floor(seconds / dt_s * (1.0 + 1e-9)), TARGET.steps))
 
 
 def _temperature_tables(model: CellModel, options: Options) -> dict[str, Any]:

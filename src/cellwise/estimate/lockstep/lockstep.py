@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from cellwise.arguments import number, numbers
 from cellwise.cell.compiled import announce
 from cellwise.cell.effects import (
     ChargeAsymmetry,
@@ -28,7 +29,6 @@ from cellwise.estimate.lockstep import layout
 from cellwise.estimate.lockstep.cell_kernels import begin_lane, state_of
 from cellwise.estimate.lockstep.plain_kernels import LockstepRules, lockstep
 from cellwise.estimate.noise import Noise
-from cellwise.given import number, numbers
 from cellwise.typing import BoolArray, FloatArray, IntArray
 
 FINER = 4  # points of the table of one time step per point of the model's

@@ -17,11 +17,11 @@ from cellwise.estimate.fixed.arithmetic import (
     Float,
     State,
     U,
-    apart,
     at_least,
     clip,
     known_fraction,
     magnitude,
+    noinline,
     positive_above,
     risen,
     root,
@@ -69,7 +69,7 @@ class Way(NamedTuple):
     current_A: Float
 
 
-@apart
+@noinline
 def ending(m: Model, place: Place, x: State, soc: Float, current: Float) -> Ending:
     """A constant current over the horizon, from ``soc``, in one interval.
 
@@ -127,7 +127,7 @@ def ending(m: Model, place: Place, x: State, soc: Float, current: Float) -> Endi
     return Ending(voltage_V, variance_V2)
 
 
-@apart
+@noinline
 def able(
     m: Model, place: Place, x: State, soc: Float, side: Float, limit_V: Float, most_A: Float
 ) -> Float:
@@ -171,7 +171,7 @@ def able(
     return found
 
 
-@apart
+@noinline
 def one_way(
     m: Model,
     place: Place,

@@ -21,11 +21,11 @@ from cellwise.estimate.fixed.arithmetic import (
     SlowFloat,
     State,
     SurfaceFloat,
-    apart,
     at_least,
     clip,
     known_fraction,
     magnitude,
+    noinline,
     positive_above,
     risen,
     root,
@@ -68,7 +68,7 @@ def behind(at: Place, lag: Float) -> Place:
     return Place(at.low, at.weight, at.scale, lag)
 
 
-@apart
+@noinline
 def go_on(
     m: Model,
     place: Place,
@@ -125,7 +125,7 @@ def go_on(
     return Along(v1_V, v2_V, v3_V, hysteresis, slow_A, voltage_V, off_V)
 
 
-@apart
+@noinline
 def share_of(before_V: Float, after_V: Float, low_V: Float) -> Float:
     """How much of a part goes by until the voltage, taken as linear within it, is at a cutoff."""
     share = ONE
@@ -134,7 +134,7 @@ def share_of(before_V: Float, after_V: Float, low_V: Float) -> Float:
     return share
 
 
-@apart
+@noinline
 def apart_by(a: Float, b: Float, d: Float) -> Float:
     """Root of the sum of three squares, each at least 0: by the largest of them."""
     most = at_least(at_least(a, b), d)

@@ -13,10 +13,19 @@ from cellwise.estimate.power.load_kernels import Held, Present, moment_of, volta
 # Which limit a load reaches first.
 BY_VOLTAGE, BY_CURRENT, BY_SOC, BY_SUPPLY = range(4)
 IMPOSSIBLE = -1.0
-WIDENINGS = 24
-MOST_TRIALS = 60
-TOLERANCE = 1e-6  # of the load
-NEAR = 0.02  # of the load: how far a neighbour's answer is tried to either side
+
+
+class Search(NamedTuple):
+    """How the largest load is looked for."""
+
+    widenings: int = 24  # doublings of the bracket at most
+    trials: int = 60  # false positions at most
+    tolerance: float = 1e-6  # of the load
+    near: float = 0.02  # of the load: how far a neighbour's answer is tried to either side
+
+
+SEARCH = Search()
+
 SUSTAINED_SIGMAS = 1.6449  # one-sided 95 % of a normal distribution
 
 
@@ -132,10 +141,10 @@ def largest_load(
         b *= max(limits.low_V if side > 0.0 else limits.high_V, 1e-3)
     start = 0.0
     if guess > 0.0:
-        start = (1.0 - NEAR) * guess
+        start = (1.0 - SEARCH.near) * guess
     best = trial(tables, noise, limits, now, side * start, power, horizon_s, side, sigmas)
     if start > 0.0 and best.margin > 0.0:
-        b = (1.0 + NEAR) * guess
+        b = (1.0 + SEARCH.near) * guess
     elif start > 0.0:
         b = start
         start = 0.0
@@ -145,7 +154,7 @@ def largest_load(
     if not fa > 0.0:
         return Capability(0.0, 0.0, best.load.voltage_V, best.reason, 0.0)
     worst = best
-    for _ in range(WIDENINGS):
+    for _ in range(SEARCH.widenings):
         worst = trial(tables, noise, limits, now, side * b, power, horizon_s, side, sigmas)
         if not worst.margin > 0.0:
             break
@@ -154,8 +163,8 @@ def largest_load(
     fb = worst.margin
     reason = worst.reason
     last = 0
-    for k in range(MOST_TRIALS):
-        if fb > 0.0 or b - a <= TOLERANCE * b:
+    for k in range(SEARCH.trials):
+        if fb > 0.0 or b - a <= SEARCH.tolerance * b:
             break
         c = (a * fb - b * fa) / (fb - fa)
         # A jump (a power that no current gives) or a kink: halve now and then.
@@ -167,7 +176,7 @@ def largest_load(
             if last == 1:
                 fb *= 0.5
             last = 1
-            if there.margin < TOLERANCE:
+            if there.margin < SEARCH.tolerance:
                 reason = there.reason
                 break
         else:

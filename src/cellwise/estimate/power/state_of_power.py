@@ -7,6 +7,7 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
+from cellwise.arguments import numbers, shown
 from cellwise.cell.compiled import announce
 from cellwise.cell.equations import CellState, CellTables
 from cellwise.cell.model import CellModel, check_is_model
@@ -19,7 +20,6 @@ from cellwise.estimate.noise import Noise, noise_for
 from cellwise.estimate.power.limit_kernels import SUSTAINED_SIGMAS, Capability, largest_load
 from cellwise.estimate.power.limits import KnownLimits, OperatingLimits, operating_limits
 from cellwise.estimate.power.load_kernels import AS_MODEL, Present
-from cellwise.given import numbers, shown
 
 Hold = Literal["power", "current"]
 HORIZONS_S = (2.0, 10.0, 30.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,11 +15,28 @@ from cellwise.identify.prior.corrections import Corrections
 from cellwise.identify.prior.update import PriorLog, update
 from cellwise.logs.cell_log import CellLog
 
-OVER_V, UNDER_V = 0.1, 0.3  # beyond the window: charging pulses, and the load in the cold
-TAIL = 1.0  # per cent of the rows that may be anywhere
-LOGS = 3  # that the choice is made on
-APART_SOC = 0.15  # two priors that see the cell this far apart are no matter of taste
-UNDECIDED = 3.0  # in log likelihood: twenty times as probable
+
+class Choice(NamedTuple):
+    """When a stock model may be the prior, and when one of several is chosen.
+
+    Parameters
+    ----------
+    over_V, under_V : float   beyond its window: charging pulses, and the load in the cold
+    tail : float              per cent of the rows that may be anywhere
+    logs : int                that the choice is made on, those that move most
+    undecided : float         in log likelihood: twenty times as probable
+    other_soc : float         two priors that see the cell this far apart are no matter of taste
+    """
+
+    over_V: float = 0.1
+    under_V: float = 0.3
+    tail: float = 1.0
+    logs: int = 3
+    undecided: float = 3.0
+    other_soc: float = 0.15
+
+
+LIMITS = Choice()
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,9 +53,12 @@ def in_window(name: str, logs: Sequence[CellLog]) -> bool:
     model = stock_model(name)
     if model.voltage_min_V is None or model.voltage_max_V is None:
         return False
-    lows = [float(np.nanpercentile(log.voltage_V, TAIL)) for log in logs]
-    highs = [float(np.nanpercentile(log.voltage_V, 100.0 - TAIL)) for log in logs]
-    return min(lows) > model.voltage_min_V - UNDER_V and max(highs) < model.voltage_max_V + OVER_V
+    lows = [float(np.nanpercentile(log.voltage_V, LIMITS.tail)) for log in logs]
+    highs = [float(np.nanpercentile(log.voltage_V, 100.0 - LIMITS.tail)) for log in logs]
+    return (
+        min(lows) > model.voltage_min_V - LIMITS.under_V
+        and max(highs) < model.voltage_max_V + LIMITS.over_V
+    )
 
 
 def choose_prior(
@@ -78,14 +99,14 @@ def choose_prior(
         items = sorted(
             prepared(corrections), key=lambda i: -float(np.ptp(i.log.counted_charge_Ah()))
         )
-        one = update(corrections, items[:LOGS])
+        one = update(corrections, items[: LIMITS.logs])
         found.append(Candidate(name, one.misfit, float(one.soc0[0])))
     found.sort(key=lambda c: c.misfit)
     best = found[0]
-    close = [c for c in found[1:] if c.misfit - best.misfit < UNDECIDED]
-    apart = [c for c in close if abs(c.soc0 - best.soc0) > APART_SOC]
-    if apart:
-        texts = ", ".join(f"{c.name} (SOC {c.soc0:.2f})" for c in (best, *apart))
+    close = [c for c in found[1:] if c.misfit - best.misfit < LIMITS.undecided]
+    elsewhere = [c for c in close if abs(c.soc0 - best.soc0) > LIMITS.other_soc]
+    if elsewhere:
+        texts = ", ".join(f"{c.name} (SOC {c.soc0:.2f})" for c in (best, *elsewhere))
         raise InputError(
             f"{between} that several kinds of cell show alike: {texts}",
             "a log that shows which of them it is",

@@ -7,39 +7,52 @@ from its prior is the length of one vector.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from cellwise.cell.effects import Effect, SlowDiffusion, TemperatureDependence, TimeSkew
 from cellwise.cell.model import CellModel
-from cellwise.cell.stock.scaled import scaled_model
+from cellwise.cell.stock.catalogue import scaled_model
 from cellwise.identify.assemble import monotone
+from cellwise.identify.identification import REFERENCE_C
 from cellwise.identify.refinement.refine_data import inverse_K
 from cellwise.identify.refinement.splines import greville, spline_count, spline_rows
 from cellwise.typing import FloatArray
 
 OCV_KNOTS = np.linspace(0.0, 1.0, 21)
 TABLE_KNOTS = np.linspace(0.0, 1.0, 6)
-# Differences of two cells' OCV, over their usual size at each SOC, are alike by exp(-distance / 1):
-# of three measured cells with layered oxides and a physics model 0.97 at 0.05 SOC, 0.91 at 0.1,
-# 0.87 at 0.2, 0.68 at 0.4.
-OCV_LENGTH = 1.0
-TABLE_LENGTH = 0.3
-# Resistances of two cells differ mostly by one factor (their build), less in their shape over SOC.
-LEVEL_SHARE = 0.8
-LEAST_OCV_V = 0.003
-LEAST_LN_R = 0.1  # two samples of one kind
-LARGEST_LN = 3.0  # a factor of twenty: beyond it is not such a cell
-LN_TAU = 0.5
-ACTIVATION_STD_K = 1000.0
-REFERENCE_C = 25.0
-LEAST_RATIO = 1.5  # between the two time constants
-MOST_ABOVE = 0.1  # no cell holds more than a tenth above what it is rated or was measured at
+
+
+class UsualDifference(NamedTuple):
+    """How two cells of a kind differ, beside what the prior's own error says.
+
+    Parameters
+    ----------
+    ocv_length : float      differences of the OCV, over their usual size at each SOC, are alike by
+                            exp(-distance / length): of three measured cells with layered oxides
+                            and a physics model 0.97 at 0.05 SOC, 0.91 at 0.1, 0.87 at 0.2, 0.68 at
+                            0.4
+    table_length : float    of resistances, squared exponential [SOC]
+    least_ocv_V, least_ln_r : float     two samples of one kind
+    largest_ln : float      a factor of twenty: beyond it is not such a cell
+    activation_K : float    standard deviation of an activation energy
+    """
+
+    ocv_length: float = 1.0
+    table_length: float = 0.3
+    least_ocv_V: float = 0.003
+    least_ln_r: float = 0.1
+    largest_ln: float = 3.0
+    activation_K: float = 1000.0
+
+
+USUAL = UsualDifference()
 NUMERICAL = 1e-6
 
 
 class Corrections:
-    """Corrections of a prior: OCV, R0, fast and slow branch, time constants, activation, capacity.
+    """Corrections of a prior: OCV, R0, fast and slow branch, activation, capacity.
 
     Parameters
     ----------
@@ -59,20 +72,19 @@ class Corrections:
         self.ocv_rows = _dense(self.prior.soc, OCV_KNOTS)
         self.table_rows = _dense(self.prior.soc, TABLE_KNOTS)
         at = greville(OCV_KNOTS)
-        size = np.maximum(self.prior.error.at(at), LEAST_OCV_V)
+        size = np.maximum(self.prior.error.at(at), USUAL.least_ocv_V)
         self.ocv_root = size[:, None] * _root(
-            np.exp(-np.abs(at[:, None] - at[None, :]) / OCV_LENGTH)
+            np.exp(-np.abs(at[:, None] - at[None, :]) / USUAL.ocv_length)
         )
         at = greville(TABLE_KNOTS)
-        share = max(self.prior.error.shown_share(), LEAST_LN_R)
-        alike = LEVEL_SHARE + (1.0 - LEVEL_SHARE) * _alike(at, TABLE_LENGTH)
-        self.table_root = share * _root(alike)
+        share = max(self.prior.error.shown_share(), USUAL.least_ln_r)
+        self.table_root = share * _root(_alike(at, USUAL.table_length))
         self.inverse_K = inverse_K(self.prior.temperature_C, REFERENCE_C)
 
     @property
     def size(self) -> int:
         """Number of variables."""
-        return spline_count(OCV_KNOTS) + 3 * spline_count(TABLE_KNOTS) + 4
+        return spline_count(OCV_KNOTS) + 3 * spline_count(TABLE_KNOTS) + 2
 
     def ocv_V(self, z: FloatArray) -> FloatArray:
         """Correction of the OCV on the prior's grid [V], shape (points,)."""
@@ -94,7 +106,7 @@ class Corrections:
 
     def ln_capacity(self, z: FloatArray) -> float:
         """Correction of the capacity's logarithm."""
-        return min(float(self.capacity_std * z[-1]), MOST_ABOVE)
+        return float(self.capacity_std * z[-1])
 
     def model(self, z: FloatArray) -> CellModel:
         """The corrected model, shape of ``z`` (size,)."""
@@ -104,33 +116,24 @@ class Corrections:
         for block in range(3):
             part = z[first + block * width : first + (block + 1) * width]
             size = self.table_rows @ (self.table_root @ part)
-            factors.append(np.exp(np.clip(size, -LARGEST_LN, LARGEST_LN)))
-        fast, slow = np.exp(LN_TAU * z[-4]), np.exp(LN_TAU * z[-3])
-        activation = ACTIVATION_STD_K * float(z[-2])
+            factors.append(np.exp(np.clip(size, -USUAL.largest_ln, USUAL.largest_ln)))
+        activation = USUAL.activation_K * float(z[-2])
         warm = np.exp(activation * self.inverse_K)[:, None] if self.inverse_K.size > 1 else 1.0
         ocv = np.clip(prior.ocv_V + self.ocv_V(z), *self.window_V)
-        tau2 = slow * prior.tau2_s
         return replace(
             prior,
             capacity_Ah=prior.capacity_Ah * float(np.exp(self.ln_capacity(z))),
             ocv_V=np.array([monotone(row) for row in ocv]),
             r0_ohm=warm * factors[0] * prior.r0_ohm,
             r1_ohm=warm * factors[1] * prior.r1_ohm,
-            tau1_s=np.minimum(fast * prior.tau1_s, tau2 / LEAST_RATIO),
             r2_ohm=warm * factors[2] * prior.r2_ohm,
-            tau2_s=tau2,
-            effects=tuple(
-                self._effect(e, warm * factors[2], slow, activation) for e in prior.effects
-            ),
+            effects=tuple(self._effect(e, warm * factors[2], activation) for e in prior.effects),
         )
 
-    def _effect(
-        self, effect: Effect, resistance: FloatArray, time: float, activation_K: float
-    ) -> Effect:
+    def _effect(self, effect: Effect, factor: FloatArray, activation_K: float) -> Effect:
         if isinstance(effect, SlowDiffusion):
-            r3, tau3 = resistance * np.asarray(effect.r3_ohm), time * np.asarray(effect.tau3_s)
-            bounds = SlowDiffusion.bounds
-            return SlowDiffusion(np.clip(r3, *bounds["r3_ohm"]), np.clip(tau3, *bounds["tau3_s"]))
+            r3 = np.clip(factor * np.asarray(effect.r3_ohm), *SlowDiffusion.bounds["r3_ohm"])
+            return SlowDiffusion(r3, effect.tau3_s)
         if isinstance(effect, TemperatureDependence) and self.inverse_K.size == 1:
             return replace(effect, activation_K=effect.activation_K + activation_K)
         return effect

@@ -15,6 +15,7 @@ from cellwise.identify.prior.corrections import Corrections
 from cellwise.identify.prior.update import PriorLog, Update
 from cellwise.identify.refinement.model_error import (
     POINTS,
+    SAME_TEMPERATURE_K,
     ResidualLog,
     estimate_model_error,
     polarisation_V,
@@ -23,7 +24,6 @@ from cellwise.typing import FloatArray
 
 BINS = 50  # of the SOC axis, for where the data have been
 SHORT_OF_ALL = 0.02  # of the SOC range: a gap at an end that is no worth a word
-SAME_TEMPERATURE_K = 5.0
 
 
 @dataclass(frozen=True)

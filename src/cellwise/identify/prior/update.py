@@ -3,53 +3,65 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from cellwise.cell.equations import CellTables, empty_state
 from cellwise.cell.model import CellModel
-from cellwise.cell.simulate import known_temperature_C, start_hysteresis
-from cellwise.cell.simulate_kernels import simulate_rows
+from cellwise.cell.simulate import known_temperature_C, simulate_rows
 from cellwise.identify.prior.corrections import Corrections
 from cellwise.identify.refinement.problem import independent_samples
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray, IndexArray
 
-STEP = 0.02  # standard deviations, for differences
-SOC_STEP = 1e-4
-H_STEP = 0.05
-# Two logs of one cell are not alike within less: temperature inside, relaxation, sensors.
-LEAST_SIGMA_V = 0.005
-FIRST_SIGMA_V = 0.02
-ROBUST = 4.0
-FEWEST_INDEPENDENT = 4.0
-# Residuals of a fit forget sooner than the model's error does: tables are wrong for as long as the
-# SOC stays near. The filters' default noise has the same time.
-MEMORY_S = 300.0
-ROWS_OF_ONE = 20.0  # compared rows that are worth one, where fits are compared
-MOST_OF_A_LOG = 50.0
-SAME_SOC = 0.02
-MOST_COMPARED = 1500
-PASSES = (6, 4, 6)
-CONVERGED = 1e-3
-LARGEST_MOVE = 2.0  # standard deviations in one step
+
+class Evidence(NamedTuple):
+    """How much a log says.
+
+    Parameters
+    ----------
+    least_V : float         two logs of one cell are not alike within less: temperature inside,
+                            relaxation, sensors [V]
+    first_V : float         of the residuals before any fit [V]
+    robust : float          a residual of more deviations counts linearly
+    fewest : float          independent errors of a log, however short
+    memory_s : float        residuals of a fit forget sooner than the model's error does: tables are
+                            wrong for as long as the SOC stays near. The filters' default noise has
+                            the same time [s]
+    rows, most : float      where priors are compared: compared rows for one error; most of a log
+    """
+
+    least_V: float = 0.005
+    first_V: float = 0.02
+    robust: float = 4.0
+    fewest: float = 4.0
+    memory_s: float = 300.0
+    rows: float = 20.0
+    most: float = 50.0
+
+
+OF_A_LOG = Evidence()
+MOST_COMPARED = 1500  # rows of a log
+PASSES = (8, 6, 8)  # Levenberg-Marquardt steps; after each their size is found again
+STEP, SOC_STEP = 0.02, 1e-4  # of a standard normal variable and of an initial SOC, for differences
 
 
 @dataclass(frozen=True, eq=False)
 class PriorLog:
     """A log to update on: SOC at its first row with its standard deviation, and what to compare.
 
-    ``compare`` marks rows, shape (n,); None: all with a voltage. ``h0_std`` is how little is known
-    of its hysteresis state there: 0 as :func:`start_hysteresis` says, 1 nothing.
+    ``compare`` marks rows, shape (n,); None: all with a voltage. ``h0`` is its hysteresis state
+    there: between the branches where nobody knows what was before.
     """
 
     log: CellLog
     soc0: float
     soc0_std: float
     compare: BoolArray | None = None
-    h0_std: float = 0.0
+    h0: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,39 +84,12 @@ class Update:
 
     @property
     def misfit(self) -> float:
-        """Minus the log probability, up to a constant; every log counts alike from every start."""
+        """Minus the log probability, up to a constant; every log counts alike by every prior."""
         total = self.distance
         for r in self.residual_V:
-            worth = float(np.clip(r.size / ROWS_OF_ONE, FEWEST_INDEPENDENT, MOST_OF_A_LOG))
-            total += worth * float(np.log(np.hypot(np.sqrt(np.mean(r * r)), LEAST_SIGMA_V)))
+            number = float(np.clip(r.size / OF_A_LOG.rows, OF_A_LOG.fewest, OF_A_LOG.most))
+            total += number * float(np.log(np.hypot(np.sqrt(np.mean(r * r)), OF_A_LOG.least_V)))
         return total
-
-
-def update_from(corrections: Corrections, starts: Sequence[Sequence[PriorLog]]) -> Update:
-    """The best of the fits from several guesses of the initial SOCs.
-
-    Curves that resemble themselves elsewhere have several solutions: what the others that are
-    nearly as probable say differently is part of the covariance and of the SOCs' deviations.
-
-    Parameters
-    ----------
-    starts : sequence of the same logs with other ``soc0``; guesses alike are tried once
-    """
-    guesses = [np.array([item.soc0 for item in logs]) for logs in starts]
-    distinct = [
-        k
-        for k, guess in enumerate(guesses)
-        if all(np.max(np.abs(guess - other)) > SAME_SOC for other in guesses[:k])
-    ]
-    found = sorted((update(corrections, starts[k]) for k in distinct), key=lambda f: f.misfit)
-    best = found[0]
-    covariance, variance = best.covariance.copy(), best.soc0_std**2
-    for other in found[1:]:
-        share = 1.0 / (1.0 + np.exp(min(other.misfit - best.misfit, MOST_OF_A_LOG)))
-        apart = other.z - best.z
-        covariance += share * (1.0 - share) * np.outer(apart, apart)
-        variance = variance + share * (1.0 - share) * (other.soc0 - best.soc0) ** 2
-    return replace(best, covariance=covariance, soc0_std=np.sqrt(variance))
 
 
 class _Rows(NamedTuple):
@@ -115,6 +100,7 @@ class _Rows(NamedTuple):
     temperature_C: FloatArray
     compared: IndexArray
     measured_V: FloatArray
+    h0: float
 
 
 def update(corrections: Corrections, logs: Sequence[PriorLog]) -> Update:
@@ -132,83 +118,82 @@ def update(corrections: Corrections, logs: Sequence[PriorLog]) -> Update:
     -------
     Update
     """
-    rows = [_rows(corrections.prior, item) for item in logs]
-    means = np.array([item.soc0 for item in logs])
-    stds = np.array([item.soc0_std for item in logs])
-    branch = np.array([item.h0_std for item in logs])
-    size, count = corrections.size, len(logs)
-    x = np.zeros(size + 2 * count)  # corrections, initial SOCs, initial hysteresis
-    sigma = np.full(len(logs), FIRST_SIGMA_V)
-    most = np.array([max(item.log.duration_s / MEMORY_S, FEWEST_INDEPENDENT) for item in logs])
-    worth = most
-
-    def at(point: FloatArray) -> list[FloatArray]:
-        tables = corrections.model(point[:size]).parameters()
-        starts = _starts(point[size:], means, stds, branch)
-        return [_residual(tables, one, *s) for one, s in zip(rows, starts, strict=True)]
-
-    def cost(point: FloatArray, residuals: Sequence[FloatArray]) -> float:
-        total = float(point @ point)
-        for r, s, n in zip(residuals, sigma, worth, strict=True):
-            scale = ROBUST * s
-            root = np.sqrt(1.0 + (r / scale) ** 2)
-            total += n * float(np.mean(2.0 * scale**2 * (root - 1.0))) / s**2
-        return total
-
-    residuals = at(x)
-    system = np.eye(x.size)
+    problem = _Problem(corrections, logs)
+    x = np.zeros(problem.size + len(logs))
+    problem.judge(problem.residuals(x), first=True)
     for steps in PASSES:
-        best, damping = cost(x, residuals), 1e-3
-        for _ in range(steps):
-            system, slope = _system(
-                corrections, rows, x, residuals, sigma, worth, means, stds, branch
-            )
-            moved = False
-            while damping < 1e6 and not moved:
-                lifted = system + damping * np.diag(np.diag(system))
-                move = np.linalg.solve(lifted, slope)
-                trial = x + np.clip(move, -LARGEST_MOVE, LARGEST_MOVE)
-                own = slice(size, size + count)
-                trial[own] = (_inside(means + stds * trial[own]) - means) / stds
-                found = at(trial)
-                value = cost(trial, found)
-                moved = value < best
-                damping = damping / 5.0 if moved else damping * 8.0
-            if not moved:
-                break
-            gain, x, residuals, best = best - value, trial, found, value
-            if gain < CONVERGED * best:
-                break
-        sigma, worth = _sizes(residuals, most)
-    system, _ = _system(corrections, rows, x, residuals, sigma, worth, means, stds, branch)
-    inverse = np.asarray(np.linalg.inv(system), dtype=np.float64)
+        found = least_squares(problem.weighted, x, problem.slopes, method="lm", max_nfev=steps)
+        x = found.x
+        residuals = problem.residuals(x)
+        problem.judge(residuals)
+    slope = problem.slopes(x)
+    covariance = np.asarray(np.linalg.inv(slope.T @ slope), dtype=np.float64)
+    z, size = x[: problem.size], problem.size
     return Update(
-        model=corrections.model(x[:size]),
-        z=x[:size],
-        covariance=inverse[:size, :size],
-        soc0=_inside(means + stds * x[size : size + count]),
-        soc0_std=stds * np.sqrt(np.diag(inverse)[size : size + count]),
-        rows=tuple(one.compared for one in rows),
+        model=corrections.model(z),
+        z=z,
+        covariance=covariance[:size, :size],
+        soc0=problem.soc0(x),
+        soc0_std=problem.stds * np.sqrt(np.diag(covariance)[size:]),
+        rows=tuple(one.compared for one in problem.rows),
         residual_V=tuple(residuals),
         distance=0.5 * float(x @ x),
     )
 
 
-def _inside(soc0: FloatArray) -> FloatArray:
-    return np.clip(soc0, 0.0, 1.0)
+class _Problem:
+    """Least squares over corrections and initial SOCs, both as standard normal variables.
 
+    The residuals of every log follow these variables, each with the square root of what it counts.
+    """
 
-def _starts(
-    own: FloatArray, means: FloatArray, stds: FloatArray, branch: FloatArray
-) -> list[tuple[float, float]]:
-    """SOC and hysteresis state at the first row of every log; unknown, the latter is about zero."""
-    count = means.size
-    socs = _inside(means + stds * own[:count])
-    found = []
-    for soc0, std, z in zip(socs, branch, own[count:], strict=True):
-        known = (1.0 - std) * start_hysteresis(float(soc0))
-        found.append((float(soc0), float(np.clip(known + std * z, -1.0, 1.0))))
-    return found
+    def __init__(self, corrections: Corrections, logs: Sequence[PriorLog]) -> None:
+        self.corrections, self.size = corrections, corrections.size
+        self.rows = [_rows(corrections.prior, item) for item in logs]
+        self.means = np.array([item.soc0 for item in logs])
+        self.stds = np.array([item.soc0_std for item in logs])
+        self.most = [max(i.log.duration_s / OF_A_LOG.memory_s, OF_A_LOG.fewest) for i in logs]
+        self.roots: list[FloatArray] = []
+
+    def soc0(self, x: FloatArray) -> FloatArray:
+        """Initial SOC of every log."""
+        return np.clip(self.means + self.stds * x[self.size :], 0.0, 1.0)
+
+    def residuals(self, x: FloatArray) -> list[FloatArray]:
+        """Measured minus simulated voltage of every log [V]."""
+        tables = self.corrections.model(x[: self.size]).parameters()
+        each = zip(self.rows, self.soc0(x), strict=True)
+        return [_residual(tables, one, float(soc0)) for one, soc0 in each]
+
+    def judge(self, residuals: Sequence[FloatArray], *, first: bool = False) -> None:
+        """Take the size of every log's residual, and how many independent errors it holds."""
+        self.roots = []
+        for r, most in zip(residuals, self.most, strict=True):
+            sigma, number = OF_A_LOG.first_V, most
+            if not first:
+                sigma = max(1.4826 * float(np.median(np.abs(r))), OF_A_LOG.least_V)
+                number = min(max(independent_samples(r), OF_A_LOG.fewest), most)
+            robust = np.sqrt(1.0 + (r / (OF_A_LOG.robust * sigma)) ** 2)
+            self.roots.append(np.sqrt(number / r.size / robust) / sigma)
+
+    def weighted(self, x: FloatArray) -> FloatArray:
+        """The variables and the residuals as they count."""
+        each = zip(self.roots, self.residuals(x), strict=True)
+        return np.concatenate((x, *(root * r for root, r in each)))
+
+    def slopes(self, x: FloatArray) -> FloatArray:
+        """Derivatives of :meth:`weighted`, by differences; an initial SOC moves its own log."""
+        here = self.weighted(x)
+        found = np.eye(here.size, x.size)
+        for k in range(x.size):
+            step = STEP
+            if k >= self.size:
+                inwards = 1.0 if self.soc0(x)[k - self.size] <= 0.5 else -1.0
+                step = inwards * SOC_STEP / self.stds[k - self.size]
+            moved = x.copy()
+            moved[k] += step
+            found[:, k] = (self.weighted(moved) - here) / step
+        return found
 
 
 def _rows(prior: CellModel, item: PriorLog) -> _Rows:
@@ -228,57 +213,13 @@ def _rows(prior: CellModel, item: PriorLog) -> _Rows:
         known_temperature_C(prior, log),
         known,
         log.voltage_V[known],
+        item.h0,
     )
 
 
-def _residual(tables: CellTables, rows: _Rows, soc0: float, h0: float) -> FloatArray:
+def _residual(tables: CellTables, rows: _Rows, soc0: float) -> FloatArray:
     """Measured minus simulated voltage of the compared rows [V]."""
     voltage, soc = np.empty(rows.current_A.size), np.empty(rows.current_A.size)
-    start = empty_state(soc0, h0)
+    start = empty_state(soc0, rows.h0)
     simulate_rows(tables, start, rows.interval_s, rows.current_A, rows.temperature_C, voltage, soc)
     return np.asarray(rows.measured_V - voltage[rows.compared])
-
-
-def _system(
-    corrections: Corrections,
-    rows: Sequence[_Rows],
-    x: FloatArray,
-    residuals: Sequence[FloatArray],
-    sigma: FloatArray,
-    worth: FloatArray,
-    means: FloatArray,
-    stds: FloatArray,
-    branch: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Gauss-Newton matrix and right-hand side; derivatives by differences."""
-    size = corrections.size
-    count = len(rows)
-    starts = _starts(x[size:], means, stds, branch)
-    jacobians = [np.empty((r.size, size)) for r in residuals]
-    for k in range(size):
-        z = x[:size].copy()
-        z[k] += STEP
-        tables = corrections.model(z).parameters()
-        for j, one in enumerate(rows):
-            jacobians[j][:, k] = (_residual(tables, one, *starts[j]) - residuals[j]) / STEP
-    here = corrections.model(x[:size]).parameters()
-    matrix, slope = np.eye(x.size), -x.copy()
-    for j, (one, r) in enumerate(zip(rows, residuals, strict=True)):
-        soc0, h0 = starts[j]
-        step = SOC_STEP if soc0 <= 0.5 else -SOC_STEP
-        by_soc = (_residual(here, one, soc0 + step, h0) - r) / step * stds[j]
-        step = H_STEP if h0 <= 0.0 else -H_STEP
-        by_h = (_residual(here, one, soc0, h0 + step) - r) / step * branch[j]
-        full = np.column_stack((jacobians[j], by_soc, by_h))
-        w = worth[j] / (r.size * sigma[j] ** 2 * np.sqrt(1.0 + (r / (ROBUST * sigma[j])) ** 2))
-        places = np.append(np.arange(size), (size + j, size + count + j))
-        matrix[np.ix_(places, places)] += (full * w[:, None]).T @ full
-        slope[places] -= full.T @ (w * r)
-    return matrix, slope
-
-
-def _sizes(residuals: Sequence[FloatArray], most: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Size of every log's residual, and how many independent values it is worth."""
-    sigma = [max(1.4826 * float(np.median(np.abs(r))), LEAST_SIGMA_V) for r in residuals]
-    worth = [max(independent_samples(r), FEWEST_INDEPENDENT) for r in residuals]
-    return np.array(sigma), np.minimum(worth, most)

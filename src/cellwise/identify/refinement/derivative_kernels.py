@@ -20,10 +20,7 @@ class SeenPartials(NamedTuple):
 
 @inline
 def seen_partials(
-    cell: CellScalars,
-    current_A: float,
-    previous_A: float,
-    dt_s: float,
+    cell: CellScalars, current_A: float, previous_A: float, dt_s: float
 ) -> SeenPartials:
     """Of the current that the voltage has seen."""
     # chain rule, from the last line to the first
@@ -105,11 +102,7 @@ class BranchPartials(NamedTuple):
 
 @inline
 def branch_partials(
-    v_V: float,
-    current_A: float,
-    r_ohm: float,
-    tau_s: float,
-    dt_s: float,
+    v_V: float, current_A: float, r_ohm: float, tau_s: float, dt_s: float
 ) -> BranchPartials:
     """Of a branch's voltage after an interval."""
     # rc_step
@@ -133,10 +126,7 @@ class HysteresisPartials(NamedTuple):
 
 @inline
 def hysteresis_partials(
-    cell: CellScalars,
-    h: float,
-    current_A: float,
-    dt_s: float,
+    cell: CellScalars, h: float, current_A: float, dt_s: float
 ) -> HysteresisPartials:
     """Of the hysteresis state after an interval."""
     # hysteresis_decay

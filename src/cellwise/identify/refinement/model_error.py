@@ -10,27 +10,66 @@ import numpy as np
 
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import SCALES_S, ModelError, in_bands
+from cellwise.identify.refinement.problem import autocorrelation
 from cellwise.typing import BoolArray, FloatArray, IndexArray
 
 # Over SOC, where a band's size is estimated: it grows steeply towards empty.
 KNOTS = np.array([0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
 POINTS = 21  # over SOC, at which it is stated
-CELL_SOC = 0.02  # rows of one log within as much SOC are one cell
-# A mean square over few independent errors scatters, and a single log may be far off: an F
-# distribution of so many degrees of freedom.
-TAIL = 2.0
-MOST_IN_CELL = 2.0  # independent errors: SOC by SOC a log repeats what it gets wrong
-LEAST_IN_CELL = 0.02
-# Priors, standard deviations of logarithms: from knot to knot, of a temperature about all and from
-# knot to knot, of the share of the polarisation about its usual, of charge over discharge.
-STEP_STD, TEMPERATURE_STD, OWN_STEP_STD, SHARE_STD, CHARGE_STD = 0.5, 0.7, 0.3, 1.0, 0.5
-USUAL_SHARE = 0.02
-LEAST_V = 1e-4
-OPTIMISM = 1.2  # a fit sees its own residuals smaller than a new log will
 SAME_TEMPERATURE_K = 4.0  # logs this near to each other report one temperature
+
+
+class Likelihood(NamedTuple):
+    """What the error's likelihood takes for granted.
+
+    Parameters
+    ----------
+    cell_soc : float        rows of one log within as much SOC and of one direction are one cell
+    fewest, most : float    independent errors of a cell; SOC by SOC a log repeats what it gets
+                            wrong, however many rows there are
+    tail : float            a mean square over few errors scatters, and a single log may be far
+                            off: an F distribution of so many degrees of freedom
+    optimism : float        a fit sees its own residuals smaller than a new log will
+    least_V : float         no band is smaller [V]
+    """
+
+    cell_soc: float = 0.02
+    fewest: float = 0.02
+    most: float = 2.0
+    tail: float = 2.0
+    optimism: float = 1.2
+    least_V: float = 1e-4
+
+
+class Priors(NamedTuple):
+    """Standard deviations of logarithms.
+
+    Parameters
+    ----------
+    step : float            from knot to knot
+    temperature : float     of a temperature about all
+    own_step : float        of a temperature from knot to knot, beside all
+    share : float           of the share of the polarisation about ``usual_share``
+    charge : float          of that on charge over that on discharge
+    """
+
+    step: float = 0.5
+    temperature: float = 0.7
+    own_step: float = 0.3
+    share: float = 1.0
+    charge: float = 0.5
+    usual_share: float = 0.02
+
+
+class AlongSoc(NamedTuple):
+    """How the memory along the SOC is found: on which step, of logs that move how much [SOC]."""
+
+    step: float = 0.002
+    deep: float = 0.3
+
+
+TAKEN, PRIORS, ALONG_SOC = Likelihood(), Priors(), AlongSoc()
 LEAST_LOG = 20  # rows
-SOC_STEP = 0.002
-DEEP = 0.3  # a log that moves less of the SOC does not show how its error changes along it
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +147,7 @@ def estimate_model_error(
             nearest = int(np.argmin(np.abs(np.array(warm) - log.temperature_C)))
             other = _cells(log, nearest)
             new = ~np.isin(_place(other.soc), seen)
-            cells.append(_of(other._replace(square=OPTIMISM**2 * other.square), new))
+            cells.append(_of(other._replace(square=TAKEN.optimism**2 * other.square), new))
     every = _Cells._make(np.concatenate(part, axis=-1) for part in zip(*cells, strict=True))
     grid = np.linspace(0.0, 1.0, POINTS)
     fits = [_fit(every, k, len(groups)) for k in range(len(SCALES_S))]
@@ -117,7 +156,7 @@ def estimate_model_error(
     std = []
     for ln_size, _, _ in known:
         rows = [np.exp(np.interp(grid, KNOTS, row)) for row in ln_size]
-        std.append(tuple(tuple(_short(v) for v in np.maximum(row, LEAST_V)) for row in rows))
+        std.append(tuple(tuple(_short(v) for v in np.maximum(row, TAKEN.least_V)) for row in rows))
     each = len(usable) / len(groups)
     return ModelError(
         scales_s=SCALES_S,
@@ -149,7 +188,7 @@ def _by_temperature(logs: Sequence[ResidualLog]) -> list[list[int]]:
 
 
 def _place(soc: FloatArray) -> IndexArray:
-    return np.asarray(np.floor(np.clip(soc, 0.0, 1.0) / CELL_SOC), dtype=np.int64)
+    return np.asarray(np.floor(np.clip(soc, 0.0, 1.0) / TAKEN.cell_soc), dtype=np.int64)
 
 
 def _of(cells: _Cells, which: BoolArray) -> _Cells:
@@ -175,7 +214,7 @@ def _cells(log: ResidualLog, group: int) -> _Cells:
 
     tau = np.array(SCALES_S)[:, None]
     count = np.bincount(cell)
-    errors = np.clip(np.minimum(seconds / (2.0 * tau), count), LEAST_IN_CELL, MOST_IN_CELL)
+    errors = np.clip(np.minimum(seconds / (2.0 * tau), count), TAKEN.fewest, TAKEN.most)
     coarse = 2.0 * float(np.median(np.diff(log.time_s))) > np.array([*SCALES_S[1:], np.inf])
     errors[coarse] = 0.0
     return _Cells(
@@ -193,7 +232,7 @@ _Fit = tuple[FloatArray, float, float]
 
 
 def _nothing(groups: int) -> _Fit:
-    return np.full((groups, KNOTS.size), np.log(LEAST_V)), 0.0, 0.0
+    return np.full((groups, KNOTS.size), np.log(TAKEN.least_V)), 0.0, 0.0
 
 
 def _fit(cells: _Cells, band: int, groups: int) -> _Fit | None:
@@ -203,7 +242,10 @@ def _fit(cells: _Cells, band: int, groups: int) -> _Fit | None:
     used = cells.errors[band] > 0.0
     if not used.any():
         return None
-    n, square = cells.errors[band][used], np.maximum(cells.square[band][used], LEAST_V**2 / 4.0)
+    n, square = (
+        cells.errors[band][used],
+        np.maximum(cells.square[band][used], TAKEN.least_V**2 / 4.0),
+    )
     drop2, charge, group = cells.drop2[used], cells.charge[used], cells.group[used]
     knots = KNOTS.size
     soc = cells.soc[used]
@@ -220,30 +262,30 @@ def _fit(cells: _Cells, band: int, groups: int) -> _Fit | None:
         ln += way * (size[low + 1] + own[group, low + 1])
         still, load = np.exp(2.0 * ln), np.exp(2.0 * (x[-2] + charge * x[-1])) * drop2
         variance = still + load
-        over = n * square / (TAIL * variance)
-        value = 0.5 * float(np.sum(n * np.log(variance) + (n + TAIL) * np.log1p(over)))
-        slope = 0.5 * (n - (n + TAIL) * over / (1.0 + over)) / variance
+        over = n * square / (TAKEN.tail * variance)
+        value = 0.5 * float(np.sum(n * np.log(variance) + (n + TAKEN.tail) * np.log1p(over)))
+        slope = 0.5 * (n - (n + TAKEN.tail) * over / (1.0 + over)) / variance
         by_still, by_load = 2.0 * slope * still, 2.0 * slope * load
         g = np.zeros_like(rows)
         for side, part in ((0, 1.0 - way), (1, way)):
             g[1:] += np.bincount(place + side, by_still * part, groups * knots).reshape(groups, -1)
         g[0] = g[1:].sum(axis=0)
         for k, row in enumerate(rows):
-            step = np.diff(row) / (OWN_STEP_STD if k else STEP_STD) ** 2
+            step = np.diff(row) / (PRIORS.own_step if k else PRIORS.step) ** 2
             value += 0.5 * float(step @ np.diff(row))
             g[k] -= np.diff(step, prepend=0.0, append=0.0)
             if k:
-                mean = float(row.mean()) / TEMPERATURE_STD**2
+                mean = float(row.mean()) / PRIORS.temperature**2
                 value += 0.5 * mean * float(row.mean())
                 g[k] += mean / knots
-        off = np.array([x[-2] - np.log(USUAL_SHARE), x[-1]])
-        std2 = np.array([SHARE_STD, CHARGE_STD]) ** 2
+        off = np.array([x[-2] - np.log(PRIORS.usual_share), x[-1]])
+        std2 = np.array([PRIORS.share, PRIORS.charge]) ** 2
         value += 0.5 * float(np.sum(off**2 / std2))
         ends = np.array([np.sum(by_load), np.sum(by_load * charge)]) + off / std2
         return value, np.concatenate([g.ravel(), ends])
 
     x0 = np.concatenate(
-        [np.full(knots, first), np.zeros(groups * knots), [np.log(USUAL_SHARE), 0.0]]
+        [np.full(knots, first), np.zeros(groups * knots), [np.log(PRIORS.usual_share), 0.0]]
     )
     x = minimize(cost, x0, jac=True, method="L-BFGS-B").x
     rows = x[: knots * (groups + 1)].reshape(groups + 1, knots)
@@ -258,23 +300,20 @@ def _correlation_soc(logs: Sequence[ResidualLog]) -> float | None:
     """
     found = []
     for log in logs:
-        if float(np.ptp(log.soc)) < DEEP:
+        if float(np.ptp(log.soc)) < ALONG_SOC.deep:
             continue
-        place = ((log.soc - log.soc.min()) / SOC_STEP).astype(int)
+        place = ((log.soc - log.soc.min()) / ALONG_SOC.step).astype(int)
         count = np.bincount(place)
         limit = 6.0 * 1.4826 * float(np.median(np.abs(log.residual_V))) + 1e-9
         mean = np.bincount(place, np.clip(log.residual_V, -limit, limit))[count > 0]
-        found.append(SOC_STEP * _memory(mean / count[count > 0]))
+        found.append(ALONG_SOC.step * _memory(mean / count[count > 0]))
     return min(float(np.mean(found)), 1.0) if len(found) > 1 else None
 
 
 def _memory(r: FloatArray) -> float:
     """Half the area under the autocorrelation up to its first zero, in steps of an even grid."""
-    power = float(r @ r)
-    if power == 0.0:
+    correlation = autocorrelation(r, max(2, r.size // 2))
+    if correlation.size == 0:
         return 1.0
-    size = 1 << (2 * r.size - 1).bit_length()
-    spectrum = np.fft.rfft(r, size)
-    correlation = np.fft.irfft(spectrum * np.conj(spectrum), size)[: max(2, r.size // 2)] / power
     below = np.flatnonzero(correlation <= 0.0)
     return float(0.5 + np.sum(correlation[1 : int(below[0]) if below.size else None]))

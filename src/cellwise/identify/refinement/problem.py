@@ -101,11 +101,6 @@ class _Normal:
     matrix: FloatArray
     residuals: tuple[FloatArray, ...]
 
-    @property
-    def rmse_V(self) -> float:
-        """Root of the mean over the logs of their mean squares."""
-        return float(np.sqrt(np.mean([np.mean(r * r) for r in self.residuals])))
-
 
 class Problem:
     """Cost, gradient and Gauss-Newton matrix of the refinement.
@@ -303,10 +298,7 @@ class Problem:
         return _Normal(cost, gradient, matrix, tuple(residuals))
 
     def minimise(
-        self,
-        theta: FloatArray,
-        iterations: int,
-        progress: Callable[[int, float], None] | None,
+        self, theta: FloatArray, iterations: int
     ) -> tuple[FloatArray, int, tuple[FloatArray, ...]]:
         """Levenberg-Marquardt with bounds by projection."""
         sigma = self.sigma
@@ -330,8 +322,6 @@ class Problem:
                 gain = (best - value) / best
                 theta, best, now = trial, value, new
                 damping = max(damping / 5.0, 1e-9)
-                if progress is not None:
-                    progress(step, now.rmse_V)
                 if gain < 2e-4:
                     return theta, step + 1, now.residuals
             else:
@@ -420,17 +410,23 @@ def blocks_of(lay: Layout) -> Blocks:
 
 
 def independent_samples(residual: FloatArray) -> float:
-    """Number of independent values that a correlated series is worth.
+    """Number of independent values that a correlated series holds.
 
     n / (1 + 2 sum of autocorrelations), summed up to the first that is not positive.
     """
-    r = residual - np.mean(residual)
-    n = r.size
-    power = float(r @ r)
-    if n < 8 or power == 0.0:
+    n = residual.size
+    correlation = autocorrelation(residual - np.mean(residual), n // 2)
+    if n < 8 or correlation.size == 0:
         return float(n)
-    size = 1 << (2 * n - 1).bit_length()
-    spectrum = np.fft.rfft(r, size)
-    correlation = np.fft.irfft(spectrum * np.conj(spectrum), size)[: n // 2] / power
     end = int(np.argmax(correlation <= 0.0)) or correlation.size
     return float(max(n / (1.0 + 2.0 * float(np.sum(correlation[1:end]))), 1.0))
+
+
+def autocorrelation(r: FloatArray, lags: int) -> FloatArray:
+    """Autocorrelation of an even series, shape (lags,); empty for one of zeros."""
+    power = float(r @ r)
+    if power == 0.0:
+        return np.empty(0)
+    size = 1 << (2 * r.size - 1).bit_length()
+    spectrum = np.fft.rfft(r, size)
+    return np.asarray(np.fft.irfft(spectrum * np.conj(spectrum), size)[:lags] / power)

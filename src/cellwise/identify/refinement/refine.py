@@ -11,7 +11,7 @@ sensitivities.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,7 +26,7 @@ from cellwise.identify.refinement.layout import (
 from cellwise.identify.refinement.problem import Problem, RefineSettings, StartTables
 from cellwise.identify.refinement.refine_data import (
     BEYOND,
-    MOST_ROWS,
+    ROWS,
     PreparedLog,
     RefineLog,
     inverse_K,
@@ -37,8 +37,6 @@ from cellwise.threads import one_blas_thread
 from cellwise.typing import FloatArray
 
 ALL_ROWS = 40_000
-
-__all__ = ["RefineResult", "RefineSettings", "StartTables", "refine"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +138,6 @@ def refine(
     theta: FloatArray | None = None,
     most_rows: int | None = None,
     with_errors: bool = True,
-    progress: Callable[[int, float], None] | None = None,
 ) -> RefineResult:
     """Fit the tables to the voltage of whole logs.
 
@@ -152,9 +149,8 @@ def refine(
     grid_C : (temperatures,) float or None      ascending; None: one temperature, the reference
     theta : (parameters,) float or None         where to begin, if not at ``start``
     most_rows : int or None           compared rows of one log at most; None: all logs together
-                                      share ALL_ROWS, none has fewer than MOST_ROWS
+                                      share ALL_ROWS, none has fewer than ROWS.most
     with_errors : bool                estimate standard errors, too; else they are NaN
-    progress : callable or None       called with the iteration and the RMSE [V] after each step
 
     Returns
     -------
@@ -170,7 +166,7 @@ def refine(
         settings.hysteresis,
         int(grid.size),
     )
-    most = max(MOST_ROWS, ALL_ROWS // len(logs)) if most_rows is None else most_rows
+    most = max(ROWS.most, ALL_ROWS // len(logs)) if most_rows is None else most_rows
     prepared = tuple(
         prepare_log(
             item,
@@ -193,7 +189,7 @@ def refine(
     # The first passes find the size of each log's residual: smoothing, robustness, balance.
     for share in (0.3, 0.4, 1.0):
         count = max(3, int(share * settings.iterations))
-        theta, done, residuals = problem.minimise(theta, count, progress)
+        theta, done, residuals = problem.minimise(theta, count)
         steps += done
         problem.judge(residuals)
     return RefineResult(
@@ -219,7 +215,7 @@ def residuals_of(
     logs: Sequence[RefineLog],
     settings: RefineSettings,
     capacity_Ah: float,
-    most_rows: int = MOST_ROWS,
+    most_rows: int = ROWS.most,
 ) -> list[tuple[PreparedLog, FloatArray]]:
     """Residuals of a refinement on logs that it was not fitted on: measured minus model [V]."""
     prepared = [

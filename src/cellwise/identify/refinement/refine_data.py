@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,11 +15,27 @@ from cellwise.identify.refinement.splines import SplineRows, spline_rows
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray, IndexArray
 
-EDGE_SHARE = 0.005  # of the largest current: smaller changes are noise
-SHORTEST_S = 0.95
-GROWTH = 0.03
-MOST_SOC = 0.0025  # that a constant load moves between two compared rows
-MOST_ROWS = 2000  # compared of one log
+
+class ChosenRows(NamedTuple):
+    """Which rows of a log are kept and compared.
+
+    Parameters
+    ----------
+    edge_share : float      of the largest current: smaller changes are noise
+    shortest_s : float      between two compared rows [s]
+    growth : float          of the time since the last change of current: what lies between them
+    most_soc : float        that a constant load moves between them
+    most : int              compared rows of one log
+    """
+
+    edge_share: float = 0.005
+    shortest_s: float = 0.95
+    growth: float = 0.03
+    most_soc: float = 0.0025
+    most: int = 2000
+
+
+ROWS = ChosenRows()
 BEYOND = 0.5  # how far a temperature may lie outside the grid, in its first and last step
 SELDOM = 0.02  # of the charge: temperatures at which less flowed bring no row of tables along
 
@@ -34,7 +50,8 @@ class RefineLog:
     ``soc`` is known at every row (the tester's counter over the capacity, from a known start);
     ``skewed`` logs share the fitted sampling delay; ``h0`` is the hysteresis state at the first
     row; ``compare`` marks rows that may be compared (None: all); ``temperature_C`` holds where the
-    log measured none; the tables are looked up where ``surface`` says.
+    log measured none; the tables are looked up where ``surface`` says; ``low_rate`` tests hold the
+    OCV and are no load.
     """
 
     log: CellLog
@@ -45,6 +62,7 @@ class RefineLog:
     compare: BoolArray | None = None
     temperature_C: float | None = None
     surface: SurfaceSoc = NO_SURFACE
+    low_rate: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,10 +123,9 @@ def prepare_log(
     knots: FloatArray,
     ocv_knots: FloatArray,
     reference_C: float,
-    soc_low: float = 0.0,
     grid_C: FloatArray | None = None,
     capacity_Ah: float = np.inf,
-    most_rows: int = MOST_ROWS,
+    most_rows: int = ROWS.most,
 ) -> PreparedLog:
     """Merge rows of equal current, choose the rows to compare, lay out the splines.
 
@@ -124,13 +141,13 @@ def prepare_log(
     log = item.log
     current = log.known_current_A()
     n = len(log)
-    usable = np.isfinite(log.voltage_V) & np.isfinite(item.soc) & (item.soc >= soc_low)
+    usable = np.isfinite(log.voltage_V) & np.isfinite(item.soc) & (item.soc >= 0.0)
     if item.compare is not None:
         usable &= item.compare
     keep, evaluate = _chosen_rows(item, current, capacity_Ah, usable, most_rows)
     if not evaluate.any():
         raise InputError(
-            f"no row with a voltage above SOC {soc_low:g} in log '{log.name}'",
+            f"no row with a voltage above SOC 0 in log '{log.name}'",
             "at least some measured voltages in the SOC range of the model",
             "Leave the log out, or check where its SOC starts.",
         )
@@ -172,12 +189,14 @@ def _chosen_rows(
 ) -> tuple[BoolArray, BoolArray]:
     """Rows to keep and rows to compare; of a long log evenly chosen ones of these."""
     log = item.log
-    threshold = EDGE_SHARE * float(np.max(np.abs(current)))
+    threshold = ROWS.edge_share * float(np.max(np.abs(current)))
     # A test whose discharge alone is compared is there for its OCV; pulses have their edges.
-    charge = np.inf if item.compare is None else MOST_SOC * 3600.0 * capacity_Ah
+    charge = np.inf if item.compare is None else ROWS.most_soc * 3600.0 * capacity_Ah
     keep = np.zeros(len(log), dtype=np.bool_)
     evaluate = np.zeros(len(log), dtype=np.bool_)
-    choose_rows(log.time_s, current, threshold, SHORTEST_S, GROWTH, charge, keep, evaluate)
+    choose_rows(
+        log.time_s, current, threshold, ROWS.shortest_s, ROWS.growth, charge, keep, evaluate
+    )
     evaluate &= usable
     shown = np.flatnonzero(evaluate)
     if shown.size > most_rows:
@@ -258,19 +277,3 @@ def _between(
         row.astype(np.int64),
         np.clip(way, -BEYOND, 1.0 + BEYOND),
     )
-
-
-def warmed(
-    item: RefineLog, ocv: Callable[[FloatArray], FloatArray], rth_K_per_W: float, thermal_s: float
-) -> RefineLog:
-    """The log with the temperature inside the cell: its surface's, and what its losses heat it.
-
-    The losses are measured: current times what the terminal voltage lacks of the OCV.
-    """
-    log = item.log
-    if log.temperature_C is None:
-        return item
-    lost = log.known_current_A() * (ocv(np.clip(item.soc, 0.0, 1.0)) - log.voltage_V)
-    lost = np.where(log.gap_rows | ~np.isfinite(lost), 0.0, np.maximum(lost, 0.0))
-    heat = rth_K_per_W * lagged(lost, log.interval_s, thermal_s)
-    return replace(item, log=replace(log, temperature_C=log.temperature_C + heat))

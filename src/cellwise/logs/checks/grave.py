@@ -2,26 +2,39 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.checks.impossible import impossible_runs, without
-from cellwise.logs.checks.oddities import Run, stuck_voltage
-from cellwise.logs.checks.units import IMPOSSIBLE_CELL_CURRENT_A, LARGEST_STRING_V
+from cellwise.logs.checks.faults import Stretch, impossible_runs, longest, stuck_voltage, without
+from cellwise.logs.checks.rests import Run
+from cellwise.logs.checks.units import CELL
 from cellwise.logs.measured_log import MeasuredLog
 from cellwise.typing import FloatArray
 
 MARK = "LOOKS WRONG"
 
-REPEATED_SHARE = 0.05
-MISSING_SHARE = 0.1
-# A spike is far above what the rest of the log shows, and rare: one transmission in a thousand.
-SPIKE_TIMES = 100.0
-SPIKE_SHARE = 1e-3
-USUAL_PERCENT = 99.0
-MOST_ROWS_NAMED = 3
-IMPOSSIBLE = 1e12  # in any unit of any channel
-LONGEST_S = 1e10
+MOST_NAMED = 3  # rows, in a notice
+
+
+class Grave(NamedTuple):
+    """From where on a log is said to be wrong before anything else.
+
+    ``repeated`` and ``missing`` are shares of the rows. A spike is so many times what the rest of
+    the log shows, in so few rows. Beyond ``impossible`` (in any unit) and ``longest_s`` bits were
+    never that quantity.
+    """
+
+    repeated: float = 0.05
+    missing: float = 0.1
+    spike: float = 100.0
+    spike_rows: float = 1e-3
+    impossible: float = 1e12
+    longest_s: float = 1e10
+
+
+GRAVE = Grave()
 
 
 def is_grave(notice: str) -> bool:
@@ -34,57 +47,34 @@ def graves_first(notices: list[str]) -> list[str]:
     return sorted(dict.fromkeys(notices), key=lambda notice: not is_grave(notice))
 
 
-def without_spikes(channels: dict[str, FloatArray], where: str) -> list[str]:
-    """Make single values that no cell can have missing ones; notices that name their rows.
+def without_impossible(channels: dict[str, FloatArray], where: str) -> list[str]:
+    """Make values that nothing measures, and single ones that no cell can have, missing ones.
 
-    Only where they are rare and far above the rest: else the channel is in another unit.
+    The latter only where they are rare and far above the rest: else the channel is in another unit.
     """
+    possible = {"current_A": CELL.impossible_A, "voltage_V": CELL.string_V}
     notices = []
-    for field, possible, unit in (
-        ("current_A", IMPOSSIBLE_CELL_CURRENT_A, "A"),
-        ("voltage_V", LARGEST_STRING_V, "V"),
-    ):
-        values = channels.get(field)
-        if values is None:
-            continue
-        highest, lowest = np.fmax.reduce(values), np.fmin.reduce(values)
-        if not max(highest, -lowest) > possible:
+    for field, values in channels.items():
+        limit = possible.get(field, GRAVE.impossible)
+        if field == "time_s" or not max(np.fmax.reduce(values), -np.fmin.reduce(values)) > limit:
             continue
         size = np.abs(values)
         finite = size[np.isfinite(size)]
-        if finite.size == 0:
+        usual = float(np.percentile(finite, 99.0)) if finite.size else 0.0
+        wrong = size > max(limit, GRAVE.spike * usual)
+        if np.count_nonzero(wrong) > max(1.0, GRAVE.spike_rows * size.size):
+            wrong = np.zeros(size.size, dtype=bool)
+        rows = np.flatnonzero(wrong | (size > GRAVE.impossible))
+        if rows.size == 0:
             continue
-        usual = float(np.percentile(finite, USUAL_PERCENT))
-        spikes = size > max(possible, SPIKE_TIMES * usual)
-        count = int(np.count_nonzero(spikes))
-        if not 0 < count <= max(1.0, SPIKE_SHARE * values.size):
-            continue
-        rows = np.flatnonzero(spikes)
-        named = ", ".join(f"{values[k]:g} {unit} in row {k + 1}" for k in rows[:MOST_ROWS_NAMED])
-        more = f" and {count - MOST_ROWS_NAMED} more" if count > MOST_ROWS_NAMED else ""
-        channels[field] = np.where(spikes, np.nan, values)
+        quantity, _, unit = field.partition("_")
+        named = ", ".join(f"{values[k]:g} {unit} in row {k + 1}" for k in rows[:MOST_NAMED])
+        more = f" and {rows.size - MOST_NAMED} more" if rows.size > MOST_NAMED else ""
+        channels[field] = values.copy()
+        channels[field][rows] = np.nan
         notices.append(
-            f"the {field.partition('_')[0]} {MARK} in {count} row(s) of {where}: {named}{more}, "
-            f"where it is otherwise below {usual:.3g} {unit}; taken as missing"
-        )
-    return notices
-
-
-def without_impossible(channels: dict[str, FloatArray], where: str) -> list[str]:
-    """Make numbers that nothing measures missing ones: bits that were never that quantity."""
-    notices = []
-    for field, values in channels.items():
-        if field == "time_s":
-            continue
-        highest, lowest = np.fmax.reduce(values), np.fmin.reduce(values)
-        if not max(highest, -lowest) > IMPOSSIBLE:
-            continue
-        wrong = np.abs(values) > IMPOSSIBLE
-        channels[field] = np.where(wrong, np.nan, values)
-        row = int(np.flatnonzero(wrong)[0])
-        notices.append(
-            f"the {field.partition('_')[0]} {MARK} in {np.count_nonzero(wrong)} row(s) of {where}, "
-            f"row {row + 1} first ({values[row]:g}); taken as missing"
+            f"the {quantity} {MARK} in {rows.size} row(s) of {where}: {named}{more}, where it is "
+            f"otherwise below {usual:.3g} {unit}; taken as missing"
         )
     return notices
 
@@ -96,8 +86,8 @@ def check_time_possible(time_s: FloatArray, where: str) -> None:
     ------
     InputError        it is
     """
-    if time_s.size and np.max(np.abs(time_s)) > LONGEST_S:
-        row = int(np.argmax(np.abs(time_s) > LONGEST_S))
+    if time_s.size and np.max(np.abs(time_s)) > GRAVE.longest_s:
+        row = int(np.argmax(np.abs(time_s) > GRAVE.longest_s))
         raise InputError(
             f"a time of {time_s[row]:.3g} s from the log's start in row {row + 1} of {where}",
             "a log of less than 300 years",
@@ -126,22 +116,26 @@ def grave_notices(log: MeasuredLog) -> list[str]:
     notices = []
     rows = len(log)
     repeated = log.repeated_stamps
-    if repeated > REPEATED_SHARE * rows:
+    if repeated > GRAVE.repeated * rows:
         notices.append(
             f"the time {MARK}: {repeated} of {rows} rows repeat the time of the row before; what "
             "flowed in them counts for no time"
         )
     for field in ("current_A", "voltage_V"):
         missing = int(np.count_nonzero(np.isnan(getattr(log, field))))
-        if missing > MISSING_SHARE * rows:
+        if missing > GRAVE.missing * rows:
             notices.append(
                 f"the {field.partition('_')[0]} {MARK}: {missing} of {rows} rows are without it"
             )
-    if not (np.fmax.reduce(log.current_A) > 0.0 or np.fmin.reduce(log.current_A) < 0.0):
+    highest, lowest = np.fmax.reduce(log.current_A), np.fmin.reduce(log.current_A)
+    moves = bool(highest > lowest)
+    if not (highest > 0.0 or lowest < 0.0):
         notices.append(f"the current {MARK}: it is 0 throughout")
     impossible = impossible_runs(log)
     notices += [_impossible(log, name, runs) for name, runs in impossible.items()]
-    stuck = stuck_voltage(without(log, impossible))
+    stuck = longest(log, stuck_voltage(without(log, impossible)))
+    if stuck is None and moves and np.fmax.reduce(log.voltage_V) == np.fmin.reduce(log.voltage_V):
+        stuck = Stretch(float(log.time_s[0]), log.duration_s)  # any current that moves is enough
     if stuck is not None:
         notices.append(
             f"the voltage {MARK}: it stands still for {stuck.duration_s:.0f} s from "
@@ -158,7 +152,7 @@ def _impossible(log: MeasuredLog, channel: str, runs: list[Run]) -> str:
     named = ", ".join(
         f"{values[r.first]:g} {unit} in row{f's {r.first + 1} to' if r.last > r.first else ''} "
         f"{r.last + 1}"
-        for r in runs[:MOST_ROWS_NAMED]
+        for r in runs[:MOST_NAMED]
     )
-    more = f" and {len(runs) - MOST_ROWS_NAMED} more times" if len(runs) > MOST_ROWS_NAMED else ""
+    more = f" and {len(runs) - MOST_NAMED} more times" if len(runs) > MOST_NAMED else ""
     return f"the {quantity} {MARK} in {count} row(s): {named}{more}, which no cell has"

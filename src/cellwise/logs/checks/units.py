@@ -2,36 +2,43 @@
 
 from __future__ import annotations
 
-import math
+from typing import NamedTuple
 
 import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.logs.checks.counter import CounterCheck
 from cellwise.logs.files.columns import KELVIN_OFFSET
-from cellwise.logs.measured_log import MeasuredLog
+from cellwise.logs.measured_log import MeasuredLog, typical
 from cellwise.typing import FloatArray
 
-# No laboratory carries one cell beyond these; a log beyond both is in milliampere.
-LARGEST_CELL_CURRENT_A = 1000.0
-IMPOSSIBLE_CELL_CURRENT_A = 3000.0
-SMALLEST_RESISTANCE_OHM = 1e-4
-LARGEST_CELL_AH = 1000.0
-# A battery of more volts than the first is a string, than the second a number of millivolts.
-LARGEST_CELL_V = 6.0
-LARGEST_STRING_V = 1500.0
-SUSPECT_STRING_V = 100.0
-# Resistance times capacity is the drop at a 1C load: tens to hundreds of millivolts.
-LARGEST_DROP_AT_1C_V = 5.0
-IMPOSSIBLE_DROP_AT_1C_V = 25.0
-TYPICAL_CELL_V = 3.7
+
+class Cell(NamedTuple):
+    """What one cell, and one string of cells, can have.
+
+    A log beyond both current and resistance is in milliampere. Resistance times capacity is the
+    drop at a 1C load: tens to hundreds of millivolts. A battery of more volts than ``largest_V`` is
+    a string; than ``string_V``, a number of millivolts.
+    """
+
+    large_A: float = 1000.0
+    impossible_A: float = 3000.0
+    smallest_ohm: float = 1e-4
+    largest_Ah: float = 1000.0
+    largest_V: float = 6.0
+    typical_V: float = 3.7
+    string_V: float = 1500.0
+    large_drop_V: float = 5.0
+    impossible_drop_V: float = 25.0
+    temperature_C: tuple[float, float] = (-100.0, 200.0)
+
+
+CELL = Cell()
+EPOCH_S = 1e8  # a time that begins later than three years is counted from 1970 or so
 LOWEST_KELVIN = 200.0
-POSSIBLE_C = (-100.0, 200.0)
-EDGE_OF_LARGEST = 0.05
-EPOCH_S = 1e8
-TYPICAL_OF = 4000  # values show the unit as well as a million
-FACTOR_TOLERANCE = 0.1
-LEAST_AGREEMENT = 0.95
+EDGE = 0.2  # of the largest current: a step that shows the resistance
+SAME = 0.1  # of a factor between two units
+LEAST_AGREEMENT = 0.95  # of counter and current, to speak of a factor between them
 
 
 def check_voltage(log: MeasuredLog, where: str) -> list[str]:
@@ -41,28 +48,23 @@ def check_voltage(log: MeasuredLog, where: str) -> list[str]:
     ------
     InputError        the median voltage is above 1500
     """
-    typical = _typical(np.abs(log.voltage_V))
-    if typical > LARGEST_STRING_V:
+    usual = typical(np.abs(log.voltage_V))
+    if usual > CELL.string_V:
         raise InputError(
-            f"a voltage of typically {typical:.0f} under the name voltage_V in {where}",
+            f"a voltage of typically {usual:.0f} under the name voltage_V in {where}",
             "volts",
             "It looks like millivolts: name the column voltage_mV.",
         )
-    cells = f"some {typical / TYPICAL_CELL_V:.0f} cells in series"
-    if typical > SUSPECT_STRING_V:
+    if usual > CELL.largest_V:
         return [
-            f"the voltage LOOKS WRONG for one cell: it is typically {typical:.0f} V, a pack of "
-            f"{cells}, or a cell logged in another unit than volts"
-        ]
-    if typical > LARGEST_CELL_V:
-        return [
-            f"the voltage LOOKS WRONG for one cell: it is typically {typical:.1f} V, {cells}, read "
-            "as one cell; state their number (`series=N`)"
+            f"the voltage LOOKS WRONG for one cell: it is typically {usual:.1f} V, a pack of some "
+            f"{usual / CELL.typical_V:.0f} cells in series, read as one cell; state their number "
+            "(`series=N`), or the unit, where it is not volts"
         ]
     if np.nanmin(log.voltage_V) < 0:
         return [f"the voltage goes down to {np.nanmin(log.voltage_V):.3f} V, below zero"]
-    if typical < 0.5:
-        return [f"the voltage is typically {typical:.3f} V: too low for a lithium-ion cell"]
+    if usual < 0.5:
+        return [f"the voltage is typically {usual:.3f} V: too low for a lithium-ion cell"]
     return []
 
 
@@ -71,11 +73,11 @@ def volts_of_millivolts(channels: dict[str, FloatArray]) -> list[str]:
 
     No tester of cells reaches the voltage that one cell's millivolts would be in volts.
     """
-    typical = _typical(np.abs(channels["voltage_V"]))
-    if not LARGEST_STRING_V < typical < 1e3 * LARGEST_CELL_V:
+    usual = typical(np.abs(channels["voltage_V"]))
+    if not CELL.string_V < usual < 1e3 * CELL.largest_V:
         return []
     channels["voltage_V"] = channels["voltage_V"] / 1e3
-    return [f"the voltage, typically {typical:.0f}, is in millivolts and was divided by 1000"]
+    return [f"the voltage, typically {usual:.0f}, is in millivolts and was divided by 1000"]
 
 
 def check_current_and_time(log: MeasuredLog, where: str) -> list[str]:
@@ -87,35 +89,35 @@ def check_current_and_time(log: MeasuredLog, where: str) -> list[str]:
                       25 V under a load of 1C
     """
     largest = float(np.nanmax(np.abs(log.current_A)))
-    cells = max(1.0, _typical(log.voltage_V) / TYPICAL_CELL_V)
+    cells = max(1.0, log.typical_voltage_V / CELL.typical_V)
     resistance = _edge_resistance(log)
     if resistance is not None:
         resistance /= cells
     drawn = np.cumsum(log.known_current_A() * log.interval_s) / 3600.0
     swing = float(np.ptp(drawn))
-    if largest > LARGEST_CELL_CURRENT_A and (
-        swing > LARGEST_CELL_AH if resistance is None else resistance < SMALLEST_RESISTANCE_OHM
+    if largest > CELL.large_A and (
+        swing > CELL.largest_Ah if resistance is None else resistance < CELL.smallest_ohm
     ):
         seen = f"a current of up to {largest:.0f} under the name current_A in {where}"
         if resistance is not None:
             seen += f", through {1e6 * resistance:.1f} microohm"
-        if largest > IMPOSSIBLE_CELL_CURRENT_A:
+        if largest > CELL.impossible_A:
             raise InputError(
                 seen, "amperes through one cell", "If it is milliampere, name it current_mA."
             )
         return [f"{seen}: it looks like milliampere; if so, name the column current_mA"]
-    if resistance is not None and resistance * swing > LARGEST_DROP_AT_1C_V:
+    if resistance is not None and resistance * swing > CELL.large_drop_V:
         seen = (
             f"a current that moves {swing:.0f} Ah through {1000 * resistance:.1f} mOhm in {where}"
         )
-        if resistance * swing > IMPOSSIBLE_DROP_AT_1C_V:
+        if resistance * swing > CELL.impossible_drop_V:
             raise InputError(
                 seen,
                 "a capacity and a resistance that a cell can have together",
                 "If the time is in milliseconds, name its column time_ms.",
             )
         return [f"{seen}: if the time is in milliseconds, name its column time_ms"]
-    if swing > LARGEST_CELL_AH:
+    if swing > CELL.largest_Ah:
         return [
             f"the current moves {swing:.0f} Ah, more than a cell holds: check the units of "
             "current and time (current_mA, time_ms)"
@@ -173,7 +175,7 @@ def plausible_temperature(values: FloatArray) -> tuple[FloatArray | None, list[s
     if float(np.median(finite)) > LOWEST_KELVIN:
         values = values + KELVIN_OFFSET
         notices.append("the temperature is in kelvin and was converted to degC")
-    low, high = POSSIBLE_C
+    low, high = CELL.temperature_C
     impossible = (values < low) | (values > high)
     if np.any(impossible):
         values = np.where(impossible, np.nan, values)
@@ -193,13 +195,6 @@ def time_from_start(time_s: FloatArray) -> tuple[FloatArray, list[str]]:
     return time_s - start, [f"the time begins at {start:.0f} s; it is counted from there"]
 
 
-def _typical(values: FloatArray) -> float:
-    """Median of the values; of very many, of every so manyth one."""
-    some = values[:: max(values.size // TYPICAL_OF, 1)]
-    found = float(np.nanmedian(some)) if np.isfinite(some).any() else math.nan
-    return found if math.isfinite(found) else float(np.nanmedian(values))
-
-
 def _edge_resistance(log: MeasuredLog) -> float | None:
     """Median |dV/dI| over the log's largest current steps [ohm]; None without a clear one."""
     change = np.diff(log.current_A)
@@ -208,13 +203,11 @@ def _edge_resistance(log: MeasuredLog) -> float | None:
     if not usable.any():
         return None
     size = np.abs(change)
-    largest = float(np.nanmax(np.abs(log.current_A)))
-    edges = usable & (size > 0.2 * float(np.nanmax(log.current_A) - np.nanmin(log.current_A)))
-    edges &= size > EDGE_OF_LARGEST * largest
+    edges = usable & (size > EDGE * float(np.nanmax(np.abs(log.current_A))))
     if not edges.any():
         return None
     return float(np.median(answer[edges] / size[edges]))
 
 
 def _near(ratio: float, target: float) -> bool:
-    return abs(ratio / target - 1.0) < FACTOR_TOLERANCE
+    return abs(ratio / target - 1.0) < SAME

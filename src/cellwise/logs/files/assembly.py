@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from datetime import timedelta
-from typing import Any, Literal, Protocol, TypeVar, cast, get_args
+from typing import Literal, TypeVar, get_args
 
 import numpy as np
 
@@ -18,6 +16,7 @@ from cellwise.logs.checks.counter import (
     counts_throughput,
     joined_counter,
 )
+from cellwise.logs.checks.faults import possible_part
 from cellwise.logs.checks.grave import (
     MARK,
     check_time_moves,
@@ -25,9 +24,7 @@ from cellwise.logs.checks.grave import (
     grave_notices,
     graves_first,
     without_impossible,
-    without_spikes,
 )
-from cellwise.logs.checks.impossible import possible_part
 from cellwise.logs.checks.sign import contradiction, verify_sign
 from cellwise.logs.checks.units import (
     check_current_and_time,
@@ -37,22 +34,15 @@ from cellwise.logs.checks.units import (
     time_from_start,
     volts_of_millivolts,
 )
-from cellwise.logs.files.columns import TIDY_CHANNELS, choose_columns
+from cellwise.logs.files.columns import TIDY_CHANNELS
 from cellwise.logs.files.format import SignConvention
+from cellwise.logs.files.named_columns import NamedColumns, table_channels
 from cellwise.logs.files.source import RawLog
 from cellwise.logs.measured_log import CurrentMeaning, MeasuredLog
 from cellwise.typing import FloatArray, IntArray
 
 SignOption = Literal["auto", "discharge-positive", "charge-positive"]
 Log = TypeVar("Log", bound=MeasuredLog)
-
-
-class NamedColumns(Protocol):
-    """Columns by their names: a pandas, polars or arrow frame, a mapping of arrays."""
-
-    def __getitem__(self, name: str, /) -> object:
-        """The column of that name."""
-        ...
 
 
 MOST_ROWS_WITHOUT_TIME = 0.01
@@ -107,7 +97,6 @@ def assemble(
     notices += noted
     check_time_possible(channels["time_s"], origin.where)
     notices += without_impossible(channels, origin.where)
-    notices += without_spikes(channels, origin.where)
     if origin.format and not origin.format.startswith(("tidy", "table")):
         notices += volts_of_millivolts(channels)
     temperature = channels.get("temperature_C")
@@ -146,43 +135,7 @@ def log_from_table(
 ) -> Log:
     """`CellLog.from_table`: a log from named columns in memory."""
     origin = Origin(name=name, source=source, format="table")
-    header = getattr(table, "column_names", None)  # pyarrow
-    if header is None:
-        header = getattr(table, "columns", None)  # pandas, polars
-    names = list(cast(Iterable[str], table) if header is None else header)
-    header = [str(name) for name in names]
-    columns, notices = choose_columns(header, TIDY_CHANNELS, origin.where)
-    channels: dict[str, FloatArray] = {}
-    for column in columns:
-        values = table[names[column.index]]
-        try:
-            array = _seconds(values) if column.field == "time_s" else None
-            if array is None:
-                array = np.asarray(values, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise InputError(
-                f"column '{column.name}' of {origin.where} ({error})",
-                "a column of numbers",
-                "Convert it; missing values are nan.",
-            ) from None
-        channels[column.field] = column.unit.convert(array)
-    return assemble(kind, RawLog(channels, tuple(notices)), origin, sign)
-
-
-def _seconds(values: Any) -> FloatArray | None:
-    """Seconds of dates or of durations, from the first; None for a column of numbers."""
-    array = np.asarray(values)
-    if array.dtype == object and array.size and hasattr(array.flat[0], "isoformat"):
-        # Python's own dates, or pandas' with a time zone; numpy wants them without.
-        plain = [x.replace(tzinfo=None) - (x.utcoffset() or timedelta()) for x in array.tolist()]
-        array = np.array(plain, dtype="datetime64[us]")
-    if array.dtype.kind not in "mM":
-        return None
-    known = array[~np.isnat(array)]
-    if known.size == 0:
-        return np.full(array.size, np.nan)
-    seconds: FloatArray = (array - known[0]) / np.timedelta64(1, "s")
-    return seconds
+    return assemble(kind, table_channels(table, TIDY_CHANNELS, origin.where), origin, sign)
 
 
 def _drop_rows_without_time(channels: dict[str, FloatArray], where: str) -> list[str]:

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 
 from cellwise.errors import InputError
 from cellwise.logs.files.columns import folded
-from cellwise.logs.files.options import FROM_FILE
-from cellwise.logs.files.source import LogSource, decoded
+from cellwise.logs.files.source import FROM_FILE, LogSource, decoded
 
 DELIMITERS = ",;\t|"
 MOST_UNIT_ROWS = 2

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cellwise.errors import InputError
+from cellwise.logs.files.cells import DayFirstError, arrow_type, arrow_values
 from cellwise.logs.files.columns import CLOCK, Column, choose_columns
 from cellwise.logs.files.csv_layout import (
     DECIMAL_COMMA,
@@ -27,10 +28,8 @@ from cellwise.logs.files.csv_layout import (
     native_layout,
 )
 from cellwise.logs.files.format import Format, without_late_errors
-from cellwise.logs.files.limits import Limits
+from cellwise.logs.files.limits import Limits, TimedStream
 from cellwise.logs.files.source import LogSource, RawLog, damaged_gzip
-from cellwise.logs.files.text_cells import DayFirstError, arrow_type, arrow_values
-from cellwise.logs.files.timed_stream import TimedStream
 from cellwise.typing import FloatArray
 
 if TYPE_CHECKING:

@@ -10,7 +10,8 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
-from typing import Literal
+from importlib import import_module
+from typing import Any, Literal
 
 from cellwise.errors import InputError
 from cellwise.logs.files.columns import Channel
@@ -36,7 +37,7 @@ class Format:
     known : sequence of str     columns that belong to it and are not used; None: any may
     instances : bool            a file may hold several batteries
     uses_dbc : bool             a CAN database says what its frames hold
-    apart : bool                read by a library that does not withstand every file: in a process
+    isolated : bool             read by a library that does not withstand every file: in a process
                                 of its own
     """
 
@@ -49,7 +50,7 @@ class Format:
     known: Sequence[str] | None = None
     instances: bool = False
     uses_dbc: bool = False
-    apart: bool = False
+    isolated: bool = False
 
 
 # Content that is given to a log reader by mistake, and what to do about it.
@@ -163,3 +164,29 @@ def cut_off(source: LogSource, kind: str) -> InputError:
         "a complete file",
         "Copy it again; if the recorder lost power, read what there is with `partial=True`.",
     )
+
+
+def need(module: str, purpose: str, package: str = "") -> Any:
+    """Import a library of the extra ``importers``.
+
+    Parameters
+    ----------
+    module : str      what to import
+    purpose : str     what is to be read, for the message
+    package : str     its name in the registry, where that is another one
+
+    Raises
+    ------
+    InputError        it is not installed
+    """
+    try:
+        return import_module(module)
+    except ModuleNotFoundError as error:
+        wanted = package or module.partition(".")[0]
+        if error.name is not None and error.name.partition(".")[0] != module.partition(".")[0]:
+            wanted += f" ({error.name} is missing)"
+        raise InputError(
+            f"{purpose}, for which {wanted} is not installed",
+            f"the library {package or module.partition('.')[0]}",
+            "Install it: pip install 'cellwise[importers]'.",
+        ) from None

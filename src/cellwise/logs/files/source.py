@@ -1,18 +1,17 @@
-"""A file as it lies there: its size, its first bytes, whether it is compressed."""
+"""A file as it lies there, what a user says of it, and what a reader takes from it."""
 
 from __future__ import annotations
 
 import gzip
 import zlib
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import cached_property
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, cast
+from typing import IO, TYPE_CHECKING, Literal, cast
 
 from cellwise.errors import InputError, MachineError
-from cellwise.logs.files.options import NOTHING_SAID, ReadOptions
 from cellwise.typing import FloatArray
 
 if TYPE_CHECKING:
@@ -26,6 +25,59 @@ GZIP_MAGIC = b"\x1f\x8b"
 TEXT_CONTROLS = b"\t\n\r\f"
 NO_TEXT = bytes(byte for byte in range(32) if byte not in TEXT_CONTROLS)
 MOST_HEADER_LINES = 400
+
+
+FROM_FILE: Literal["auto"] = "auto"
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """How a log is to be read.
+
+    Parameters
+    ----------
+    series : int or "auto"      cells in series: the voltage is divided by it; ``auto`` takes the
+                                number that the file states
+    parallel : int              cells in parallel: current and counter are divided by it
+    channels : mapping          tidy column name, which gives the unit, to the name in the file:
+                                ``{"current_mA": "I_pack"}``
+    instance : int or None      which battery of a file that has several, counted from 0
+    dbc : Path or None          the database of the CAN frames
+    partial : bool              read a recording that was cut off as far as it goes
+    decimal : str               decimal sign of a text: ``.``, ``,``, or ``auto`` by its first rows
+
+    Raises
+    ------
+    InputError                  counts below one, an instance below zero, another decimal sign
+    """
+
+    series: int | Literal["auto"] = 1
+    parallel: int = 1
+    channels: Mapping[str, str] = field(default_factory=dict)
+    instance: int | None = None
+    dbc: Path | None = None
+    partial: bool = False
+    decimal: str = FROM_FILE
+
+    def __post_init__(self) -> None:
+        for name, count in (("series", self.series), ("parallel", self.parallel)):
+            if count != FROM_FILE and not (isinstance(count, int) and count >= 1):
+                raise InputError(
+                    f"{name} = {count}", "a number of cells from 1 up", f"Give `{name}=4`, say."
+                )
+        if self.instance is not None and self.instance < 0:
+            raise InputError(
+                f"instance {self.instance}", "a battery's number from 0 up", "Count from 0."
+            )
+        if self.decimal not in (FROM_FILE, ".", ","):
+            raise InputError(
+                f"a decimal sign '{self.decimal}'", "'.', ',' or 'auto'", "Give `decimal=','`, say."
+            )
+        if self.dbc is not None and not Path(self.dbc).is_file():
+            raise InputError(f"no DBC file '{self.dbc}'", "a CAN database", "Check the path.")
+
+
+NOTHING_SAID = ReadOptions()
 
 
 @dataclass(frozen=True)
@@ -99,6 +151,10 @@ class RawLog:
     channels: dict[str, FloatArray]
     notices: tuple[str, ...] = ()
     cells: int | None = None
+
+    def noted(self, notices: Iterable[str]) -> RawLog:
+        """The same with more notices."""
+        return replace(self, notices=(*self.notices, *notices))
 
 
 def open_source(

@@ -1,27 +1,35 @@
-"""The formats that can be read: one declarative file each."""
+"""The formats that can be read: tables are data in `column_maps.toml`, the others a file each."""
 
 from __future__ import annotations
 
+from cellwise.logs.files.columns import TIDY_CHANNELS
+from cellwise.logs.files.csv_text import read_csv
 from cellwise.logs.files.format import Format
-from cellwise.logs.formats.arbin import ARBIN_CSV
-from cellwise.logs.formats.bdf import BDF_CSV, BDF_PARQUET
-from cellwise.logs.formats.biologic import BIOLOGIC_MPR, BIOLOGIC_MPT
-from cellwise.logs.formats.bitrode import BITRODE_CSV
+from cellwise.logs.files.named_columns import is_parquet, parquet_has, read_parquet
+from cellwise.logs.files.source import LogSource
 from cellwise.logs.formats.can import CAN_LOG, CAN_TEXT
+from cellwise.logs.formats.column_maps import mapped, marks
 from cellwise.logs.formats.dataflash import ARDUPILOT_DATAFLASH
-from cellwise.logs.formats.digatron import DIGATRON_CSV, DIGATRON_MAT
-from cellwise.logs.formats.excel import ARBIN_EXCEL
-from cellwise.logs.formats.maccor import MACCOR_TEXT
 from cellwise.logs.formats.mdf import ASAM_MDF
-from cellwise.logs.formats.neware import NEWARE_CSV, NEWARE_STORED
-from cellwise.logs.formats.text.arbin_res import ARBIN_RES
-from cellwise.logs.formats.text.basytec import BASYTEC_TEXT
-from cellwise.logs.formats.text.leafspy import LEAFSPY_CSV
-from cellwise.logs.formats.text.neware_levels import NEWARE_LEVELS
-from cellwise.logs.formats.text.novonix import NOVONIX_CSV
-from cellwise.logs.formats.text.pec import PEC_CSV
-from cellwise.logs.formats.tidy import TIDY_CSV, TIDY_PARQUET
+from cellwise.logs.formats.tester_files import (
+    ARBIN_EXCEL,
+    ARBIN_RES,
+    BIOLOGIC_MPR,
+    DIGATRON_MAT,
+    NEWARE_STORED,
+)
+from cellwise.logs.formats.text_layouts import (
+    BASYTEC_TEXT,
+    BIOLOGIC_MPT,
+    LEAFSPY_CSV,
+    NEWARE_LEVELS,
+)
 from cellwise.logs.formats.ulog import PX4_ULOG
+
+
+def _is_bdf_parquet(source: LogSource) -> bool:
+    return parquet_has(source, marks("bdf"))
+
 
 # In this order: what a program marks as its own, then tables by their names; plain tables last.
 FORMATS: tuple[Format, ...] = (
@@ -35,19 +43,19 @@ FORMATS: tuple[Format, ...] = (
     ARBIN_RES,
     CAN_LOG,
     CAN_TEXT,
-    BDF_PARQUET,
-    TIDY_PARQUET,
-    BDF_CSV,
+    mapped("bdf", "bdf-parquet", matches=_is_bdf_parquet, read=read_parquet),
+    Format("tidy-parquet", is_parquet, TIDY_CHANNELS, read_parquet, "discharge-positive"),
+    mapped("bdf", "bdf-csv"),
     LEAFSPY_CSV,
-    NOVONIX_CSV,
-    PEC_CSV,
+    mapped("novonix-csv"),
+    mapped("pec-csv"),
     BASYTEC_TEXT,
     NEWARE_LEVELS,
-    MACCOR_TEXT,  # before Arbin's, whose Test_Time is spelled like its TestTime
-    ARBIN_CSV,
-    BITRODE_CSV,
-    NEWARE_CSV,
+    mapped("maccor-text"),  # before Arbin's, whose Test_Time is spelled like its TestTime
+    mapped("arbin", "arbin-csv"),
+    mapped("bitrode-csv"),
+    mapped("neware-csv"),
     BIOLOGIC_MPT,
-    DIGATRON_CSV,
-    TIDY_CSV,
+    mapped("digatron-csv"),
+    Format("tidy-csv", lambda s: s.is_text, TIDY_CHANNELS, read_csv, "discharge-positive"),
 )

@@ -12,12 +12,10 @@ from typing import Any
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.files.extras import need
-from cellwise.logs.files.format import Format, damaged, library_at_work
+from cellwise.logs.files.format import Format, damaged, library_at_work, need
 from cellwise.logs.files.source import LogSource, RawLog
 from cellwise.logs.vehicle.alignment import Series, aligned
-from cellwise.logs.vehicle.can_bits import physical_values
-from cellwise.logs.vehicle.can_database import can_database
+from cellwise.logs.vehicle.can_signals import can_database, physical_values
 from cellwise.logs.vehicle.can_text import Frame, Layout, frames_of, layout_of
 from cellwise.logs.vehicle.signal_choice import CHOSEN, Signal, choose_signals
 
@@ -163,7 +161,7 @@ CAN_LOG = Format(
     read=_read,
     sign="discharge-positive",
     uses_dbc=True,
-    apart=True,
+    isolated=True,
 )
 
 CAN_TEXT = replace(

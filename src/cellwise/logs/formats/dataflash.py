@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.files.columns import MILLI, OWN, Channel, Unit
-from cellwise.logs.files.extras import need
-from cellwise.logs.files.format import Format, cut_off, library_at_work
-from cellwise.logs.files.named_arrays import channels_of
+from cellwise.logs.files.format import Format, cut_off, library_at_work, need
+from cellwise.logs.files.named_columns import channels_of
 from cellwise.logs.files.source import LogSource, RawLog
+from cellwise.logs.formats.column_maps import mapped
 from cellwise.typing import FloatArray
 
 _MAGIC = b"\xa3\x95\x80"
@@ -115,26 +114,10 @@ def _measured(channels: dict[str, FloatArray]) -> dict[str, FloatArray]:
     return {f: x for f, x in channels.items() if f not in optional or np.nan_to_num(x).any()}
 
 
-ARDUPILOT_DATAFLASH = Format(
-    name="ardupilot-dataflash",
+ARDUPILOT_DATAFLASH = mapped(
+    "ardupilot-dataflash",
     matches=lambda source: source.head.startswith(_MAGIC),
-    channels=(
-        Channel(
-            "time_s",
-            {"TimeUS": Unit(1e-6), "TimeMS": MILLI, "TimeS": OWN, "T": MILLI},
-            required=True,
-        ),
-        Channel("current_A", {"Curr": OWN}, required=True),
-        Channel("voltage_V", {"Volt": OWN}, required=True),
-        Channel("temperature_C", {"Temp": OWN}),
-        Channel("charge_Ah", {"CurrTot": MILLI}),
-    ),
-    known=(
-        *("Inst", "Instance", "VoltR", "EnrgTot", "Res", "RemPct", "H", "SH", "Throttle", "Vcc"),
-        *("Volt2", "ThrOut", "ThrInt", "V1", "V2", "V3", "V4", "V5", "V6", "V7", "V8"),
-    ),
     read=_read,
-    sign="discharge-positive",
     instances=True,
-    apart=True,
+    isolated=True,
 )

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.files.extras import need
-from cellwise.logs.files.format import Format, library_at_work
+from cellwise.logs.files.format import Format, library_at_work, need
 from cellwise.logs.files.source import LogSource, RawLog
 from cellwise.logs.vehicle.alignment import Series, aligned
 from cellwise.logs.vehicle.signal_choice import CHOSEN, Signal, choose_signals
@@ -77,5 +76,5 @@ ASAM_MDF = Format(
     read=_read,
     sign="discharge-positive",
     uses_dbc=True,
-    apart=True,
+    isolated=True,
 )

@@ -7,11 +7,10 @@ from typing import IO, Any
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.files.columns import MILLI, OWN, Channel, Unit
-from cellwise.logs.files.extras import need
-from cellwise.logs.files.format import Format, cut_off, library_at_work
-from cellwise.logs.files.named_arrays import channels_of
+from cellwise.logs.files.format import Format, cut_off, library_at_work, need
+from cellwise.logs.files.named_columns import channels_of
 from cellwise.logs.files.source import LogSource, RawLog
+from cellwise.logs.formats.column_maps import mapped
 from cellwise.typing import FloatArray
 
 MAGIC = b"ULog\x01\x12\x35"
@@ -122,36 +121,10 @@ def _cells(data: dict[str, Any]) -> int | None:
     return int(counts[-1]) if counts.size and counts[-1] > 0 else None
 
 
-PX4_ULOG = Format(
-    name="px4-ulog",
+PX4_ULOG = mapped(
+    "px4-ulog",
     matches=lambda source: source.head.startswith(MAGIC),
-    channels=(
-        Channel("time_s", {"timestamp": Unit(1e-6)}, required=True),
-        Channel("current_A", {"current_a": OWN}, required=True),
-        Channel("voltage_V", {"voltage_v": OWN}, required=True),
-        Channel("temperature_C", {"temperature": OWN}),
-        Channel("charge_Ah", {"discharged_mah": MILLI}),
-    ),
-    known=(
-        *("voltage_filtered_v", "current_filtered_a", "average_current_a", "current_average_a"),
-        *("remaining", "scale", "cell_count", "max_cell_voltage_delta", "capacity", "cycle_count"),
-        *("run_time_to_empty", "average_time_to_empty", "serial_number", "state_of_health"),
-        *("max_error", "connected", "source", "priority", "id", "is_powering_off", "warning"),
-        *("is_required", "faults", "custom_faults", "mode", "manufacture_date", "time_remaining_s"),
-        *("interface_error", "full_charge_capacity_wh", "remaining_capacity_wh", "design_capacity"),
-        *(
-            "over_discharge_count",
-            "nominal_voltage",
-            "internal_resistance_estimate",
-            "ocv_estimate",
-        ),
-        *("ocv_estimate_filtered", "volt_based_soc_estimate", "voltage_prediction"),
-        *("prediction_error", "estimation_covariance_norm", "system_source", "average_power"),
-        *("available_energy", "remaining_capacity", "temperature", "estimated_remaining"),
-        *(f"voltage_cell_v[{k}]" for k in range(16)),
-    ),
     read=_read,
-    sign="discharge-positive",
     instances=True,
-    apart=True,
+    isolated=True,
 )

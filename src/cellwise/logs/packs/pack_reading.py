@@ -15,9 +15,8 @@ from cellwise.logs.files.columns import TIDY_CHANNELS, Channel
 from cellwise.logs.files.completion import complete
 from cellwise.logs.files.csv_layout import csv_layout
 from cellwise.logs.files.format import Format, detect_format
-from cellwise.logs.files.options import ReadOptions
-from cellwise.logs.files.parquet_file import is_parquet
-from cellwise.logs.files.source import LogSource, RawLog, open_source
+from cellwise.logs.files.named_columns import is_parquet, parquet_names
+from cellwise.logs.files.source import LogSource, RawLog, ReadOptions, open_source
 from cellwise.logs.formats import FORMATS
 from cellwise.logs.packs.cell_columns import CellColumn, cell_columns, cell_name
 from cellwise.logs.packs.pack_checks import checked_cells, mean_voltage_V
@@ -73,7 +72,7 @@ def _columns(source: LogSource, known: Format) -> tuple[CellColumn, ...]:
     if known.name == "px4-ulog":
         names = [f"voltage_cell_v[{k}]" for k in range(ULOG_CELLS)]
     elif is_parquet(source):
-        names = list(source.parquet_metadata.schema.to_arrow_schema().names)
+        names = parquet_names(source)
     elif source.is_text:
         names = list(csv_layout(source).header)
     else:
@@ -106,6 +105,12 @@ def _assembled(
         channels = {field: values[timed] for field, values in channels.items()}
         notices.append(f"{np.count_nonzero(~timed)} row(s) without a time left out")
     cells = _there(channels, columns)
+    if len(cells) < 2:
+        raise InputError(
+            f"{len(cells)} cell(s) with a voltage in {source.where}",
+            "at least two",
+            "A log of one cell goes to `cellwise replay`.",
+        )
     count = max(c.number for c in cells)
     names = tuple(cell_name(c.number, count) for c in cells)
     volts = np.stack([channels.pop(c.field) for c in cells], axis=1)

@@ -45,7 +45,7 @@ class Function(Reading):
     def signature(self, name: str, static: bool) -> list[str]:
         """Its first line, or lines where a parameter is there only with an option."""
         kind = "void" if self.fills or self.returns == "None" else SCALARS[self.returns]
-        start = f"{'static ' if static else ''}{'APART ' if self.apart else ''}{kind} {name}("
+        start = f"{'static ' if static else ''}{'NOINLINE ' if self.noinline else ''}{kind} {name}("
         parts = [
             (
                 f"{SCALARS[t]} {n}" if t in SCALARS else f"{self._pointer_to(t)}{n}",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import inspect
 from collections.abc import Iterator
+from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
 
@@ -12,7 +13,7 @@ import numpy as np
 
 from cellwise.estimate import status
 from cellwise.estimate.fixed import arithmetic, layout, options
-from cellwise.estimate.fixed.rows import STEP_MODULES
+from cellwise.estimate.fixed.stepper import STEP_MODULES
 from cellwise.printing.c.c99 import Function
 from cellwise.printing.c.reading import FLOATS, SCALARS, Program
 from cellwise.printing.c.text import (
@@ -269,7 +270,7 @@ def print_header() -> str:
         if name in GUARDS:
             condition = preprocessor(GUARDS[name])
             blocks[public] = [f"#if {condition}", *blocks[public], "#endif"]
-    text = HEADER
+    text = (Path(__file__).parent / "cellwise_ekf.h.in").read_text(encoding="utf-8")
     for name, lines in blocks.items():
         text = text.replace(f"[{name}]\n", "\n".join(lines) + "\n")
     return text
@@ -295,84 +296,3 @@ HEAD = (
     "State of charge of one battery cell: float32 extended Kalman filter at a fixed time step. "
     "Printed from {what} by `python -m cellwise.printing`; do not edit."
 )
-HEADER = """\
-[head]
-/* The caller owns every object. No heap, no static data, no libm, no double; the same bits as the
- * Python. Current is positive on discharge. cell_table.h is written by `cellwise export`. */
-#ifndef CELLWISE_EKF_H
-#define CELLWISE_EKF_H
-
-#include <stdbool.h>
-#include <stdint.h>
-
-#include "cell_table.h"
-
-#if defined(__FAST_MATH__)
-#error "cellwise_ekf: build without -ffast-math, -Ofast and -funsafe-math-optimizations"
-#endif
-#if defined(__FLT_EVAL_METHOD__) && (__FLT_EVAL_METHOD__ != 0)
-#error "cellwise_ekf: float expressions must be evaluated as float (on 32-bit x86: -mfpmath=sse)"
-#endif
-
-#define CELLWISE_NEEDS_TEMPERATURE \\
-    ((CELLWISE_TEMPERATURES > 1) || (CELLWISE_ARRHENIUS > 0) || (CELLWISE_DEPTH > 0) || \\
-     (CELLWISE_VALIDITY > 1))
-
-/* Status bits, the values of cellwise.Status in Python. */
-[status]
-
-/* One point of the SOC grid. A branch's lag is in time steps. */
-[row]
-
-/* What depends on cell, time step and noise but not on SOC. */
-[constants]
-
-typedef struct {
-    cellwise_constants constant;
-    cellwise_row row[CELLWISE_TEMPERATURES][CELLWISE_POINTS];
-} cellwise_model;
-
-/* What is carried from step to step: x, the upper triangle of P, and what was seen last. */
-[state]
-
-[input]
-
-/* Never NaN, never infinite. */
-[output]
-
-[cellwise_init]
-
-[cellwise_step]
-
-/* State of power, where it is compiled in. Never NaN, never infinite. */
-[capability]
-
-[cellwise_power]
-
-/* Remaining time and energy, where they are compiled in. Never NaN, never infinite. */
-[outlook]
-
-[cellwise_remaining]
-
-[cellwise_set_health]
-
-/* A pack, where it is compiled in: one cellwise_state for the mean cell, one cellwise_pack_cell for
- * the difference of every cell. At each sample: cellwise_mean_voltage, cellwise_step with that
- * voltage, cellwise_cells_step. */
-[cell]
-
-/* Never NaN, never infinite. */
-[cell_output]
-
-[cellwise_cells_init]
-
-[cellwise_mean_voltage]
-
-[cellwise_cells_step]
-
-[cellwise_cell_of]
-
-[cellwise_pack_power]
-
-#endif
-"""

@@ -65,7 +65,7 @@ class Reading:
         self.alone, self.behind = notes
         self.parameters = {a.arg: ast.unparse(a.annotation) for a in node.args.args if a.annotation}
         self.returns = ast.unparse(node.returns) if node.returns else "None"
-        self.apart = any(ast.unparse(d) == "apart" for d in node.decorator_list)
+        self.noinline = any(ast.unparse(d) == "noinline" for d in node.decorator_list)
         self.types = dict(self.parameters)
         self.pointers = {n for n, t in self.parameters.items() if t not in SCALARS}
         self.renamed = self._renamed()

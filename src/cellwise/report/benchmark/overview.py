@@ -85,27 +85,19 @@ def _overview(name: str, rows: Rows) -> Overview:
     )
 
 
-OVERVIEW_HEAD = (
-    "estimator", "settled RMSE", "worst", "RMSE from the start", "within 2 points", "after",
-    "last 10 % SOC", "inside 2σ", "mean NIS", "per step", "state",
-)  # fmt: skip
-
-
-def overview_row(one: Overview) -> tuple[str, ...]:
-    """An overview for people."""
-    return (
-        one.estimator,
-        percent(one.settled),
-        percent(one.worst),
-        percent(one.from_start),
-        f"{one.converged} of {one.runs}",
-        duration(one.convergence_s),
-        percent(one.low_soc),
-        percent(one.coverage, 1),
-        significant(one.nis, 2),
-        step_time(one.ns_per_step),
-        f"{one.state_bytes} B" if one.state_bytes else NONE,
-    )
+OVERVIEW_COLUMNS: tuple[tuple[str, Callable[[Overview], str]], ...] = (
+    ("estimator", lambda o: o.estimator),
+    ("settled RMSE", lambda o: percent(o.settled)),
+    ("worst", lambda o: percent(o.worst)),
+    ("RMSE from the start", lambda o: percent(o.from_start)),
+    ("within 2 points", lambda o: f"{o.converged} of {o.runs}"),
+    ("after", lambda o: duration(o.convergence_s)),
+    ("last 10 % SOC", lambda o: percent(o.low_soc)),
+    ("inside 2σ", lambda o: percent(o.coverage, 1)),
+    ("mean NIS", lambda o: significant(o.nis, 2)),
+    ("per step", lambda o: step_time(o.ns_per_step)),
+    ("state", lambda o: f"{o.state_bytes} B" if o.state_bytes else NONE),
+)
 
 
 def step_time(ns: float) -> str:
@@ -131,6 +123,14 @@ def fault_matrix(rows: Rows) -> Matrix:
     starts = {(r["log"], r["start_error"]) for r in rows if r["fault"] != HEALTHY}
     chosen = [r for r in good(rows) if (r["log"], r["start_error"]) in starts]
     return _matrix(chosen, [HEALTHY, *faults], lambda row: str(row["fault"]))
+
+
+def fault_rows(matrix: Matrix, shown: Callable[[float], str]) -> list[tuple[str, ...]]:
+    """Rows of a table of faults, an estimator in each column."""
+    return [
+        (label, *(shown(float(v)) for v in matrix.values[:, k]))
+        for k, label in enumerate(matrix.labels)
+    ]
 
 
 def suite_coverage(rows: Rows) -> dict[str, float]:

@@ -8,12 +8,11 @@ from typing import Any, NamedTuple
 
 from cellwise.errors import InputError
 from cellwise.report.benchmark.overview import (
-    OVERVIEW_HEAD,
-    Matrix,
+    OVERVIEW_COLUMNS,
     coverage_text,
     fault_matrix,
+    fault_rows,
     log_matrix,
-    overview_row,
     overviews,
     start_matrix,
     step_time,
@@ -25,12 +24,20 @@ from cellwise.report.benchmark.pictures import (
     start_picture,
     temperature_picture,
 )
-from cellwise.report.page.markup import EMPTY, Markup, bullets, details, paragraph, table
+from cellwise.report.page.markup import (
+    EMPTY,
+    MOST,
+    Markup,
+    bullets,
+    details,
+    paragraph,
+    record_table,
+    table,
+)
 from cellwise.report.page.numerals import duration, percent, plural, significant
 from cellwise.report.page.picture import FigureFiles
 from cellwise.report.page.section import Section, write_page
 
-MOST_ROWS = 2000
 MEANS = (
     "Settled: after the error has stayed within two points for ten minutes, over the second half "
     "of a log where it never did. Reference: the tester's counter, never what the filter saw. "
@@ -94,28 +101,21 @@ def benchmark_finding(found: BenchmarkTable) -> str:
 def benchmark_sections(found: BenchmarkTable) -> list[Section]:
     """The parts of the page."""
     rows = found.rows
-    faults, logs, starts = fault_matrix(rows), log_matrix(rows), start_matrix(rows)
+    faults, starts = fault_matrix(rows), start_matrix(rows)
+    best = record_table(overviews(rows), *OVERVIEW_COLUMNS, caption=MEANS)
+    blocks = (best, log_picture(log_matrix(rows)))
     sections = [
-        Section(
-            "overview",
-            "Estimators, without a fault",
-            (
-                table(OVERVIEW_HEAD, [overview_row(o) for o in overviews(rows)], caption=MEANS),
-                log_picture(logs),
-            ),
-            "Overview",
-        ),
+        Section("overview", "Estimators, without a fault", blocks, "Overview"),
         Section("starts", "From a wrong start", (start_picture(rows, starts),), "Starts"),
     ]
     if faults.labels:
-        sections.append(
-            Section(
-                "faults",
-                "With a fault that the filter does not know of",
-                (fault_picture(faults), matrix_table(faults), _coverage(rows)),
-                "Faults",
-            )
+        text = coverage_text(rows)
+        table_of_faults = table(
+            ("fault", *faults.estimators), fault_rows(faults, percent), caption="Mean settled RMSE."
         )
+        robust = (fault_picture(faults), table_of_faults, paragraph(text) if text else EMPTY)
+        title = "With a fault that the filter does not know of"
+        sections.append(Section("faults", title, robust, "Faults"))
     warm = temperature_picture(rows)
     if warm is not None:
         sections.append(Section("temperature", "Over temperature", (warm,), "Temperature"))
@@ -126,48 +126,28 @@ def benchmark_sections(found: BenchmarkTable) -> list[Section]:
     return sections
 
 
-def matrix_table(matrix: Matrix) -> Markup:
-    """Mean settled RMSE by fault, a row per fault."""
-    body = [
-        (label, *(percent(float(v)) for v in matrix.values[:, k]))
-        for k, label in enumerate(matrix.labels)
-    ]
-    return table(("fault", *matrix.estimators), body, caption="Mean settled RMSE.")
-
-
-def _coverage(rows: Sequence[Mapping[str, Any]]) -> Markup:
-    text = coverage_text(rows)
-    return Markup(paragraph(text)) if text else EMPTY
-
-
 def every_row(rows: Sequence[Mapping[str, Any]]) -> Markup:
     """All rows behind a click, the first ones where there are very many."""
-    shown = [
-        (
-            row["cell"],
-            row["log"],
-            row["estimator"],
-            row["fault"],
-            f"{100 * row['start_error']:+.0f}",
-            percent(row["settled_rmse"]),
-            percent(row["settled_max"]),
-            percent(row["soc_rmse"]),
-            duration(row["convergence_s"]),
-            percent(row["low_soc_rmse"]),
-            percent(row["coverage_2sigma"], 1),
-            significant(row["nis_mean"], 2),
-            step_time(row["ns_per_step"]),
-            row["problem"],
-        )
-        for row in rows[:MOST_ROWS]
-    ]
-    head = (
-        "cell", "log", "estimator", "fault", "start", "settled RMSE", "settled max", "RMSE",
-        "within 2 points after", "last 10 % SOC", "inside 2σ", "NIS", "per step", "problem",
-    )  # fmt: skip
-    more = f", the first {MOST_ROWS} here, all in the data block" if len(rows) > MOST_ROWS else ""
-    inside = table(head, shown, text_columns=(0, 1, 2, 3, 13))
-    return details(f"{plural(len(rows), 'run')}{more}", inside)
+    more = f", the first {MOST.runs} here, all in the data block" if len(rows) > MOST.runs else ""
+    figures = record_table(
+        rows[: MOST.runs],
+        ("cell", lambda row: row["cell"]),
+        ("log", lambda row: row["log"]),
+        ("estimator", lambda row: row["estimator"]),
+        ("fault", lambda row: row["fault"]),
+        ("start", lambda row: f"{100 * row['start_error']:+.0f}"),
+        ("settled RMSE", lambda row: percent(row["settled_rmse"])),
+        ("settled max", lambda row: percent(row["settled_max"])),
+        ("RMSE", lambda row: percent(row["soc_rmse"])),
+        ("within 2 points after", lambda row: duration(row["convergence_s"])),
+        ("last 10 % SOC", lambda row: percent(row["low_soc_rmse"])),
+        ("inside 2σ", lambda row: percent(row["coverage_2sigma"], 1)),
+        ("NIS", lambda row: significant(row["nis_mean"], 2)),
+        ("per step", lambda row: step_time(row["ns_per_step"])),
+        ("problem", lambda row: row["problem"]),
+        text_columns=(0, 1, 2, 3, 13),
+    )
+    return details(f"{plural(len(rows), 'run')}{more}", figures)
 
 
 def problems(rows: Sequence[Mapping[str, Any]]) -> Markup:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from cellwise.estimate.replay import CONVERGED_SOC
 from cellwise.report.benchmark.overview import (
     Matrix,
     healthy,
@@ -16,98 +17,72 @@ from cellwise.report.benchmark.overview import (
     overviews,
     start_name,
 )
+from cellwise.report.page import style
+from cellwise.report.page.markup import MOST
 from cellwise.report.page.numerals import duration, percent
-from cellwise.report.page.picture import Picture, safe_key
-from cellwise.report.page.style import (
-    CYCLE,
-    INK,
-    MUTED,
-    PAPER,
-    TINTS,
-    finding,
-    labels,
-    legend,
-    new_figure,
-    plain_numbers,
-    styled,
-    zero_line,
-)
-
-if TYPE_CHECKING:
-    from cellwise.report.page.style import Figure
+from cellwise.report.page.picture import Picture, pictured, safe_key
 
 Rows = Sequence[Mapping[str, Any]]
 MARKERS = "osD^vPX<>h"
-MOST_CURVES = 3
-LEAST_PERCENT = 0.02
 WARM_SPREAD_K = 4.0
-TWO_POINTS = 2.0
-MOST_POINTS = 12.0  # an initial error that persists would press all else to zero
+# Per cent of SOC that an axis shows: a logarithmic one from, a linear one up to, since an initial
+# error that persists would press all else to zero.
+LEAST_PERCENT, MOST_POINTS = 0.02, 12.0
 GOOD, FAIR, POOR = 1.0, 2.0, 5.0  # per cent of SOC
-LIMITS = dict(zip((GOOD, FAIR, POOR), TINTS, strict=False))
-BAD = TINTS[-1]
+LIMITS = dict(zip((GOOD, FAIR, POOR), style.TINTS, strict=False))
+BAD = style.TINTS[-1]
 
 
-def _style(estimators: Sequence[str]) -> dict[str, dict[str, Any]]:
+def _looks(estimators: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Colour and marker of every estimator, the same in every picture."""
     return {
-        name: {"color": CYCLE[k % len(CYCLE)], "marker": MARKERS[k % len(MARKERS)]}
+        name: {"color": style.CYCLE[k % len(style.CYCLE)], "marker": MARKERS[k % len(MARKERS)]}
         for k, name in enumerate(estimators)
     }
 
 
-def log_picture(matrix: Matrix) -> Picture:
-    """Settled RMSE by log."""
-    caption = (
-        "Every dot is the mean over the starts of one log, without a fault; further left is "
-        "better, every grid line of the scale is a factor."
-    )
-    return Picture("benchmark-logs", draw_logs(matrix), caption)
-
-
-@styled
-def draw_logs(matrix: Matrix) -> Figure:
+@pictured(
+    "benchmark-logs",
+    "Every dot is the mean over the starts of one log, without a fault; further left is "
+    "better, every grid line of the scale is a factor.",
+)
+def log_picture(matrix: Matrix) -> style.Figure:
     """Dots over a logarithmic scale, a line per log."""
-    figure = new_figure(1.2 + 0.3 * max(len(matrix.labels), 2))
+    figure = style.new_figure(1.2 + 0.3 * max(len(matrix.labels), 2))
     axes = figure.subplots()
     place = np.arange(len(matrix.labels))
-    style = _style(matrix.estimators)
+    looks = _looks(matrix.estimators)
     for name, values in zip(matrix.estimators, matrix.values, strict=True):
         axes.plot(
             np.maximum(100.0 * values, LEAST_PERCENT), place, linestyle="none", markersize=6,
-            label=name, **style[name],
+            label=name, **looks[name],
         )  # fmt: skip
     axes.set_xscale("log")
     axes.set_yticks(place, matrix.labels)
     axes.set_ylim(len(matrix.labels) - 0.5, -0.5)
-    plain_numbers(axes.xaxis)
-    finding(axes, _logs_title(matrix))
-    labels(axes, "settled SOC RMSE [%]", " ")
+    style.plain_numbers(axes.xaxis)
+    style.finding(axes, _logs_title(matrix))
+    style.labels(axes, "settled SOC RMSE [%]", " ")
     axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5))
     return figure
 
 
-def fault_picture(matrix: Matrix) -> Picture:
-    """Settled RMSE by fault as a table of tints."""
-    caption = (
-        "Mean settled RMSE in per cent of SOC, every fault from the same start; green up to 1 %, "
-        "red beyond 5 %. The fault is in what the filter sees, never in the reference."
-    )
-    return Picture("benchmark-faults", draw_faults(matrix), caption)
-
-
-@styled
-def draw_faults(matrix: Matrix) -> Figure:
+@pictured(
+    "benchmark-faults",
+    "Mean settled RMSE in per cent of SOC, every fault from the same start; green up to 1 %, "
+    "red beyond 5 %. The fault is in what the filter sees, never in the reference.",
+)
+def fault_picture(matrix: Matrix) -> style.Figure:
     """Numbers on tinted fields, faults downwards, estimators across."""
     values = 100.0 * matrix.values.T
-    figure = new_figure(0.9 + 0.27 * len(matrix.labels))
+    figure = style.new_figure(0.9 + 0.27 * len(matrix.labels))
     axes = figure.subplots()
     for (row, column), value in np.ndenumerate(values):
         if not np.isfinite(value):
             continue
         tint = next((t for limit, t in LIMITS.items() if value <= limit), BAD)
         axes.fill_between([column - 0.48, column + 0.48], row - 0.46, row + 0.46, color=tint, lw=0)
-        axes.text(column, row, f"{value:.2f}", ha="center", va="center", color=INK)
+        axes.text(column, row, f"{value:.2f}", ha="center", va="center", color=style.INK)
     axes.set_xlim(-0.5, len(matrix.estimators) - 0.5)
     axes.set_ylim(len(matrix.labels) - 0.5, -0.5)
     axes.set_xticks(range(len(matrix.estimators)), matrix.estimators)
@@ -118,27 +93,22 @@ def draw_faults(matrix: Matrix) -> Figure:
         worst = np.array([np.nanmax(c) if np.isfinite(c).any() else np.inf for c in values[1:].T])
         best = int(np.argmin(worst))
         text = f"{matrix.estimators[best]} is most robust: at most {worst[best]:.2f} % settled"
-        finding(axes, text)
+        style.finding(axes, text)
     return figure
 
 
-def start_picture(rows: Rows, matrix: Matrix) -> Picture:
-    """Time to converge and settled error, by start error."""
-    caption = (
-        "Left: median time until the error stays within two points for ten minutes, over the "
-        "runs that get there; a hollow mark where some never do. Right: the settled error."
-    )
-    return Picture("benchmark-starts", draw_starts(rows, matrix), caption)
-
-
-@styled
-def draw_starts(rows: Rows, matrix: Matrix) -> Figure:
+@pictured(
+    "benchmark-starts",
+    "Left: median time until the error stays within two points for ten minutes, over the "
+    "runs that get there; a hollow mark where some never do. Right: the settled error.",
+)
+def start_picture(rows: Rows, matrix: Matrix) -> style.Figure:
     """Two axes over the start error."""
-    figure = new_figure(3.4)
+    figure = style.new_figure(3.4)
     left, right = figure.subplots(1, 2)
     chosen = healthy(rows)
     errors = sorted({float(row["start_error"]) for row in chosen})
-    style = _style(matrix.estimators)
+    looks = _looks(matrix.estimators)
     place = np.arange(len(errors), dtype=np.float64)
     for k, name in enumerate(matrix.estimators):
         own = [row for row in chosen if row["estimator"] == name]
@@ -147,21 +117,21 @@ def draw_starts(rows: Rows, matrix: Matrix) -> Figure:
             times = np.array([r["convergence_s"] for r in own if r["start_error"] == error])
             reached = times[np.isfinite(times)]
             if reached.size:
-                face = style[name]["color"] if reached.size == times.size else PAPER
+                face = looks[name]["color"] if reached.size == times.size else style.PAPER
                 left.plot(where + shift, max(float(np.median(reached)), 0.5) / 60.0,
                           linestyle="none", markersize=6, markerfacecolor=face,
-                          **style[name])  # fmt: skip
+                          **looks[name])  # fmt: skip
         right.plot(place + shift, np.maximum(100.0 * matrix.values[k], LEAST_PERCENT),
-                   linestyle="none", markersize=6, label=name, **style[name])  # fmt: skip
+                   linestyle="none", markersize=6, label=name, **looks[name])  # fmt: skip
     for axes in (left, right):
         axes.set_yscale("log")
         axes.set_xticks(place, [start_name(e) for e in errors])
-        plain_numbers(axes.yaxis)
-    right.axhline(TWO_POINTS, color=MUTED, linewidth=0.8, linestyle=(0, (1, 2)))
-    finding(left, _recovery_title(chosen, matrix.estimators, errors), 0.42)
-    finding(right, _settled_title(matrix), 0.42)
-    labels(left, "start", "within 2 points after [min]")
-    labels(right, "start", "settled SOC RMSE [%]")
+        style.plain_numbers(axes.yaxis)
+    right.axhline(100.0 * CONVERGED_SOC, color=style.MUTED, linewidth=0.8, linestyle=(0, (1, 2)))
+    style.finding(left, _recovery_title(chosen, matrix.estimators, errors), 0.42)
+    style.finding(right, _settled_title(matrix), 0.42)
+    style.labels(left, "start", "within 2 points after [min]")
+    style.labels(right, "start", "settled SOC RMSE [%]")
     right.legend(loc="center left", bbox_to_anchor=(1.01, 0.5))  # no mark below it
     return figure
 
@@ -212,17 +182,18 @@ def temperature_picture(rows: Rows) -> Picture | None:
     chosen = [r for r in healthy(rows) if np.isfinite(r["temperature_C"])]
     if not chosen or np.ptp([r["temperature_C"] for r in chosen]) < WARM_SPREAD_K:
         return None
-    caption = "One dot per log: the mean over its starts, at the median temperature of the log."
-    order = [o.estimator for o in overviews(rows)]
-    return Picture("benchmark-temperature", draw_temperature(chosen, order), caption)
+    return _temperature_picture(chosen, [o.estimator for o in overviews(rows)])
 
 
-@styled
-def draw_temperature(rows: Rows, estimators: Sequence[str]) -> Figure:
+@pictured(
+    "benchmark-temperature",
+    "One dot per log: the mean over its starts, at the median temperature of the log.",
+)
+def _temperature_picture(rows: Rows, estimators: Sequence[str]) -> style.Figure:
     """Dots of every log, over its temperature."""
-    figure = new_figure(3.2)
+    figure = style.new_figure(3.2)
     axes = figure.subplots()
-    style = _style(estimators)
+    looks = _looks(estimators)
     for name in estimators:
         own = [r for r in rows if r["estimator"] == name]
         dots = []
@@ -232,11 +203,11 @@ def draw_temperature(rows: Rows, estimators: Sequence[str]) -> Figure:
         dots.sort()
         if not dots:
             continue
-        axes.plot(*np.array(dots).T, linestyle="none", markersize=5, label=name, **style[name])
+        axes.plot(*np.array(dots).T, linestyle="none", markersize=5, label=name, **looks[name])
     axes.set_yscale("log")
-    plain_numbers(axes.yaxis)
-    finding(axes, "Settled error over temperature")
-    labels(axes, "temperature of the log [°C]", "settled SOC RMSE [%]")
+    style.plain_numbers(axes.yaxis)
+    style.finding(axes, "Settled error over temperature")
+    style.labels(axes, "temperature of the log [°C]", "settled SOC RMSE [%]")
     axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5))
     return figure
 
@@ -249,38 +220,39 @@ def curve_pictures(
     for k in curves:
         groups.setdefault(log_name(rows[k]), []).append(k)
     pictures = []
-    for log, members in list(groups.items())[:MOST_CURVES]:
+    for log, members in list(groups.items())[: MOST.curves]:
         far = max(abs(float(rows[k]["start_error"])) for k in members)
         chosen = [k for k in members if abs(float(rows[k]["start_error"])) == far]
         first = float(rows[chosen[0]]["start_error"])
         chosen = [k for k in chosen if rows[k]["start_error"] == first]
-        caption = (
-            f"{log}, {start_name(first)}: estimated minus true SOC, and the filter's own band of "
-            "two standard deviations as thin lines."
-        )
-        key = f"benchmark-curve-{safe_key(log)}"
-        pictures.append(Picture(key, draw_curves(rows, curves, chosen, log), caption))
+        picture = _curve_picture(rows, curves, chosen, log)
+        key, caption = f"{picture.key}-{safe_key(log)}", picture.caption
+        where = f"{log}, {start_name(first)}"
+        pictures.append(picture._replace(key=key, caption=f"{where}: {caption}"))
     return tuple(pictures)
 
 
-@styled
-def draw_curves(
+@pictured(
+    "benchmark-curve",
+    "estimated minus true SOC, and the filter's own band of two standard deviations as thin lines.",
+)
+def _curve_picture(
     rows: Rows,
     curves: Mapping[int, Mapping[str, Sequence[float]]],
     chosen: Sequence[int],
     log: str,
-) -> Figure:
+) -> style.Figure:
     """Error curves of several runs."""
-    figure = new_figure(3.4)
+    figure = style.new_figure(3.4)
     axes = figure.subplots()
     order = [o.estimator for o in overviews(rows)]
-    style = _style(order)
-    largest = 2.0 * TWO_POINTS
+    looks = _looks(order)
+    largest = 2.0 * 100.0 * CONVERGED_SOC
     for k in sorted(chosen, key=lambda k: order.index(rows[k]["estimator"])):
         curve = curves[k]
         hours = np.array(curve["time_s"]) / 3600.0
         error, std = 100.0 * np.array(curve["error"]), 100.0 * np.array(curve["std"])
-        colour = style[rows[k]["estimator"]]["color"]
+        colour = looks[rows[k]["estimator"]]["color"]
         name = f"{rows[k]['estimator']}: {percent(rows[k]['settled_rmse'])}"
         axes.plot(hours, error, color=colour, label=name)
         for side in (-2.0, 2.0):
@@ -288,13 +260,13 @@ def draw_curves(
         late = error[hours.size // 5 :]
         if rows[k]["settled_rmse"] < 0.1 and late.size:
             largest = max(largest, 1.3 * float(np.nanmax(np.abs(late))))
-    zero_line(axes)
-    for level in (-TWO_POINTS, TWO_POINTS):
-        axes.axhline(level, color=MUTED, linewidth=0.8, linestyle=(0, (1, 2)))
+    style.zero_line(axes)
+    for level in (-100.0 * CONVERGED_SOC, 100.0 * CONVERGED_SOC):
+        axes.axhline(level, color=style.MUTED, linewidth=0.8, linestyle=(0, (1, 2)))
     largest = min(largest, MOST_POINTS)
     axes.set_ylim(-largest, largest)
     best = min(chosen, key=lambda k: rows[k]["settled_rmse"])
-    finding(axes, f"{log}: {rows[best]['estimator']} comes nearest")
-    labels(axes, "time [h]", "SOC error [points]")
-    legend(axes, columns=2, place="upper right")
+    style.finding(axes, f"{log}: {rows[best]['estimator']} comes nearest")
+    style.labels(axes, "time [h]", "SOC error [points]")
+    style.legend(axes, columns=2, place="upper right")
     return figure

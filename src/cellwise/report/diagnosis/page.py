@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from cellwise.diagnose.causes.catalogue import CAUSES, known_cause
 from cellwise.diagnose.log_runs import LogRun
 from cellwise.diagnose.result import Diagnosis, FoundCause
 from cellwise.plotting import Line, Panel
-from cellwise.report.diagnosis.anatomy_section import anatomy_section
 from cellwise.report.diagnosis.pictures import (
     BEFORE_AFTER_CAPTION,
-    CANDIDATES_CAPTION,
-    UNCHANGED_CAPTION,
-    draw_before_after,
-    draw_candidates,
+    before_after_picture,
+    candidates_picture,
     drawn_runs,
 )
+from cellwise.report.diagnosis.residual_section import residual_section
 from cellwise.report.diagnosis.statements import (
     KINDS,
     cause_name,
@@ -31,17 +29,20 @@ from cellwise.report.page.interactive import Traces, trace_section
 from cellwise.report.page.jumps import clock_of, linked_among
 from cellwise.report.page.markup import (
     EMPTY,
+    MOST,
     Markup,
     bullets,
     details,
     escape,
     lead_of,
     paragraph,
+    record_table,
     table,
     tiles,
 )
 from cellwise.report.page.numerals import (
     ampere_hours,
+    capitalised,
     counted,
     listed,
     millivolt,
@@ -49,10 +50,8 @@ from cellwise.report.page.numerals import (
     plural,
     significant,
 )
-from cellwise.report.page.picture import FigureFiles, Picture, safe_key
+from cellwise.report.page.picture import FigureFiles
 from cellwise.report.page.section import Section, write_page
-
-MOST_PICTURES = 4
 
 
 def diagnose_page(
@@ -87,33 +86,28 @@ def diagnose_page(
 def diagnosis_sections(diagnosis: Diagnosis, runs: Sequence[LogRun]) -> tuple[Section, ...]:
     """The parts of the page."""
     explained = bool(diagnosis.causes)
-    caption = BEFORE_AFTER_CAPTION if explained else UNCHANGED_CAPTION
-    pictures = [
-        Picture(
-            f"before-after-{k + 1}-{safe_key(r.log.name or 'log')}",
-            draw_before_after(r, explained),
-            caption,
-            clock_of(r.log),
-        )
-        for k, r in enumerate(runs[:MOST_PICTURES])
-    ]
+    pictures = []
+    for k, run in enumerate(runs[: MOST.diagnosed]):
+        picture = before_after_picture(run, explained).of(run.log, f"before-after-{k + 1}")
+        caption = BEFORE_AFTER_CAPTION if explained else picture.caption
+        pictures.append(picture._replace(caption=caption))
     title = "Before and after" if explained else "Measured and simulated"
+    evidence = (bullets(diagnosis.reasons), candidates_table(diagnosis))
+    limits = (bullets(inseparable_lines(diagnosis)), limits_table(diagnosis))
     sections = [Section("before-after", title, (pictures[0], runs_table(runs, explained)))]
     if explained:
         contents = tuple(cause_content(c, diagnosis) for c in diagnosis.causes)
         sections.append(Section("causes", "What it is", contents, "Causes"))
     if diagnosis.candidates:
-        evidence = Picture("candidates", draw_candidates(diagnosis), CANDIDATES_CAPTION)
-        shown = (evidence, bullets(diagnosis.reasons), candidates_table(diagnosis))
+        shown = (candidates_picture(diagnosis), *evidence)
         sections.append(Section("evidence", "What was tried", shown, "Evidence"))
     if diagnosis.competing:
         sections.append(Section("competing", "What competes", (competing_table(diagnosis),)))
     if diagnosis.limits:
-        apart = (bullets(inseparable_lines(diagnosis)), limits_table(diagnosis))
-        sections.append(Section("limits", "What these logs could show", apart, "Limits"))
+        sections.append(Section("limits", "What these logs could show", limits, "Limits"))
     if diagnosis.next_test:
         sections.append(Section("next", "Next test", (paragraph(diagnosis.next_test),)))
-    sections.append(anatomy_section(diagnosis.anatomy, diagnosis.logs[0].name or "log"))
+    sections.append(residual_section(diagnosis.anatomy, clock_of(diagnosis.logs[0])))
     if pictures[1:]:
         sections.append(Section("logs", "The other logs", tuple(pictures[1:])))
     sections.append(trace_section([(named_log(r), run_traces(r, explained)) for r in runs]))
@@ -124,14 +118,11 @@ def run_traces(run: LogRun, explained: bool) -> Traces:
     """Voltages, residuals and current of a log, before and after."""
     hours = run.log.time_s / 3600.0
     drawn = drawn_runs(run, explained)
-    voltages = [Line("measured", hours, run.log.voltage_V)]
-    voltages += [Line(name, hours, voltage) for name, voltage, _, _ in drawn]
-    residuals = tuple(Line(name, hours, 1e3 * error) for name, _, error, _ in drawn)
-    current = Line("current", hours, run.log.current_A)
+    measured = Line("measured", hours, run.log.voltage_V)
     panels = (
-        Panel("voltage [V]", tuple(voltages)),
-        Panel("residual [mV]", residuals),
-        Panel("current [A]", (current,)),
+        Panel("voltage [V]", (measured, *(Line(d.name, hours, d.voltage_V) for d in drawn))),
+        Panel("residual [mV]", tuple(Line(d.name, hours, 1e3 * d.error_V) for d in drawn)),
+        Panel("current [A]", (Line("current", hours, run.log.current_A),)),
     )
     return Traces("time [h]", panels, clock_of(run.log))
 
@@ -178,7 +169,7 @@ def lead_lines(diagnosis: Diagnosis) -> list[str]:
     kinds = list(dict.fromkeys(c.kind for c in diagnosis.causes))
     for kind in kinds:
         names = listed([cause_name(c.name) for c in diagnosis.causes if c.kind == kind])
-        prefix = f"{names[:1].upper()}{names[1:]} – " if len(kinds) > 1 else ""
+        prefix = f"{capitalised(names)} – " if len(kinds) > 1 else ""
         meaning = KINDS[kind]
         lines.append(f"{prefix}{meaning[:1].lower()}{meaning[1:]}" if prefix else meaning)
     if diagnosis.causes:
@@ -206,35 +197,36 @@ def lead_lines(diagnosis: Diagnosis) -> list[str]:
 def cause_content(cause: FoundCause, diagnosis: Diagnosis) -> Markup:
     """One cause: meaning, numbers, evidence, what it is confused with."""
     known = known_cause(cause.name)
-    name = cause_name(cause.name)
     sure = f", probability {percent(cause.probability, 0)}" if cause.probability >= 0.0 else ""
-    head_line = Markup(f"<h3>{escape(name[:1].upper() + name[1:] + sure)}</h3>")
-    head_line = Markup(head_line + paragraph(f"{statement(cause, diagnosis)}. {cause.meaning}"))
-    units = {p.name: p.unit for p in known.parameters}
-    rows = [
-        (k, valued(v, units.get(k, "1")), _between(cause.ci95.get(k), units.get(k, "1")))
-        for k, v in cause.parameters.items()
-    ]
-    numbers = table(("parameter", "value", "95 % interval"), rows)
-    before_after_rows = [
-        ("fitted on", *_change(cause.train_rmse_before_V, cause.train_rmse_after_V), ""),
-        (
-            "held out",
-            *_change(cause.holdout_rmse_before_V, cause.holdout_rmse_after_V),
-            _interval(cause.gain_ci95),
-        ),
-    ]
-    head = ("rows", "RMSE before", "after", "gain", "95 % interval")
-    confused = cause.confusable_with
+    units = _units(cause.name)
     lines = [
         KINDS[cause.kind],
         f"In the model: {known.term}.",
         f"What it leaves in the residual: {known.signature}",
         *(e for e in cause.evidence if e != known.signature),
     ]
-    if confused:
-        lines.append(f"Easily confused with {listed([cause_name(c) for c in confused])}.")
-    return Markup(head_line + bullets(lines) + numbers + table(head, before_after_rows))
+    if cause.confusable_with:
+        names = listed([cause_name(c) for c in cause.confusable_with])
+        lines.append(f"Easily confused with {names}.")
+    numbers = record_table(
+        cause.parameters.items(),
+        ("parameter", lambda p: p[0]),
+        ("value", lambda p: valued(p[1], units.get(p[0], "1"))),
+        ("95 % interval", lambda p: _between(cause.ci95.get(p[0]), units.get(p[0], "1"))),
+    )
+    fitted = _change(cause.train_rmse_before_V, cause.train_rmse_after_V)
+    held_out = _change(cause.holdout_rmse_before_V, cause.holdout_rmse_after_V)
+    gains = table(
+        ("rows", "RMSE before", "after", "gain", "95 % interval"),
+        [("fitted on", *fitted, ""), ("held out", *held_out, _interval(cause.gain_ci95))],
+    )
+    return Markup(
+        f"<h3>{escape(capitalised(cause_name(cause.name)) + sure)}</h3>"
+        + paragraph(f"{statement(cause, diagnosis)}. {cause.meaning}")
+        + bullets(lines)
+        + numbers
+        + gains
+    )
 
 
 def runs_table(runs: Sequence[LogRun], explained: bool) -> Markup:
@@ -245,38 +237,31 @@ def runs_table(runs: Sequence[LogRun], explained: bool) -> Markup:
         head += ["extended model", *(["log corrected, too"] if corrected else []), "less by"]
     rows = []
     for r in runs:
-        row = [
-            r.log.name or "log",
-            "held out" if r.used == "holdout" else "fitted",
-            counted(len(r.log)),
-            f"{r.before.soc0:.3f}",
-            millivolt(r.before.metrics.rmse_V),
-        ]
+        row = [clock_of(r.log), "held out" if r.used == "holdout" else "fitted"]
+        row += [counted(len(r.log)), f"{r.before.soc0:.3f}", millivolt(r.before.metrics.rmse_V)]
         if explained:
             row.append(millivolt(r.after.metrics.rmse_V))
             if r.corrected is not None:
                 row.append(millivolt(r.corrected.metrics.rmse_V))
             row.append(percent(r.gain, 0))
-        rows.append(tuple(row))
+        rows.append(row)
     caption = (
         "What a simulation shows with either model: all rows of every log, from this initial SOC."
     )
     if corrected:
         caption += " Beside it, the corrected log from the SOC at which it is estimated to start."
-    return table(tuple(head), rows, caption=caption, text_columns=(0, 1))
+    return table(head, rows, caption=caption, text_columns=(0, 1))
 
 
 def competing_table(diagnosis: Diagnosis) -> Markup:
     """Explanations that were weighed, with their probability."""
-    rows = [
-        (listed([cause_name(c) for c in w.causes]) or "none", percent(w.probability, 0))
-        for w in diagnosis.competing
-    ]
-    caption = (
-        "Sets of causes and their probability among all that were compared; blocks of time "
-        "weighted at random."
+    return record_table(
+        diagnosis.competing,
+        ("explanation", lambda w: listed([cause_name(c) for c in w.causes]) or "none"),
+        ("probability", lambda w: percent(w.probability, 0)),
+        caption="Sets of causes and their probability among all that were compared; blocks of time "
+        "weighted at random.",
     )
-    return table(("explanation", "probability"), rows, caption=caption, text_columns=(0,))
 
 
 def inseparable_lines(diagnosis: Diagnosis) -> list[str]:
@@ -289,32 +274,39 @@ def inseparable_lines(diagnosis: Diagnosis) -> list[str]:
 
 def limits_table(diagnosis: Diagnosis) -> Markup:
     """The smallest change of every cause's parameters that these logs could show."""
-    rows = []
-    for name, sizes in diagnosis.limits.items():
-        units = {p.name: p.unit for p in CAUSES[name].parameters}
-        values = ", ".join(f"{k} {valued(v, units.get(k, '1'))}" for k, v in sizes.items())
-        rows.append((cause_name(name), values))
-    caption = (
-        "From sensitivities and noise, before any cause was fitted: smaller changes look the "
-        "same as what a good laboratory leaves uncertain."
+    return record_table(
+        diagnosis.limits.items(),
+        ("cause", lambda one: cause_name(one[0])),
+        ("smallest change", lambda one: _values(*one)),
+        caption="From sensitivities and noise, before any cause was fitted: smaller changes look "
+        "the same as what a good laboratory leaves uncertain.",
+        text_columns=(0, 1),
     )
-    return table(("cause", "smallest change"), rows, caption=caption, text_columns=(0, 1))
 
 
 def candidates_table(diagnosis: Diagnosis) -> Markup:
     """All candidates with their parameters, folded away."""
-    rows = []
-    for c in diagnosis.candidates:
-        units = {p.name: p.unit for p in CAUSES[c.name].parameters} if c.name in CAUSES else {}
-        values = ", ".join(f"{k} {valued(v, units.get(k, '1'))}" for k, v in c.parameters.items())
-        score = significant(c.score)
-        rows.append((cause_name(c.name), score, millivolt(c.holdout_rmse_V), values))
-    if not rows:
+    if not diagnosis.candidates:
         return EMPTY
-    head = ("cause", "score", "held-out RMSE", "parameters when tried alone")
-    return details(
-        f"All figures of {plural(len(rows), 'candidate')}", table(head, rows, text_columns=(0, 3))
+    figures = record_table(
+        diagnosis.candidates,
+        ("cause", lambda c: cause_name(c.name)),
+        ("score", lambda c: significant(c.score)),
+        ("held-out RMSE", lambda c: millivolt(c.holdout_rmse_V)),
+        ("parameters when tried alone", lambda c: _values(c.name, c.parameters)),
+        text_columns=(0, 3),
     )
+    return details(f"All figures of {plural(len(diagnosis.candidates), 'candidate')}", figures)
+
+
+def _units(cause: str) -> dict[str, str]:
+    """Units of a cause's parameters by their names."""
+    return {p.name: p.unit for p in CAUSES[cause].parameters} if cause in CAUSES else {}
+
+
+def _values(cause: str, parameters: Mapping[str, float]) -> str:
+    units = _units(cause)
+    return ", ".join(f"{k} {valued(v, units.get(k, '1'))}" for k, v in parameters.items())
 
 
 def _change(before_V: float, after_V: float) -> tuple[str, str, str]:

@@ -2,142 +2,67 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from cellwise.cell.metrics import error_metrics
 from cellwise.diagnose.log_runs import LogRun
 from cellwise.diagnose.result import Diagnosis, TriedCause
 from cellwise.report.diagnosis.statements import cause_name, change, named_log
-from cellwise.report.page.numerals import duration, millivolt, significant, time_unit
-from cellwise.report.page.style import (
-    FILTER,
-    MEASURED,
-    MODEL,
-    MUTED,
-    NARROW,
-    WIDE,
-    finding,
-    labels,
-    legend,
-    new_figure,
-    soc_axis,
-    styled,
-    two_columns,
-    zero_line,
-)
-from cellwise.report.page.thinning import thin
-from cellwise.report.page.windows import (
-    close_up_s,
-    mark_window,
-    symmetric_limits,
-    worst_window,
-)
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from cellwise.report.page import style
+from cellwise.report.page.log_figures import Shown, draw_close_up, draw_log
+from cellwise.report.page.numerals import capitalised, duration, millivolt, significant
+from cellwise.report.page.picture import pictured
+from cellwise.report.page.traces import close_up_s, symmetric_limits, worst_window
 
 BEFORE_AFTER_CAPTION = (
     "Measured voltage (grey), the model as it was (vermillion), and with the causes known (blue). "
     "Below, the residual, measured minus simulated, before and after. Right: the minutes where "
     "the model was worst, and RMSE by tenth of SOC, before and after."
 )
-UNCHANGED_CAPTION = (
-    "Measured voltage (grey) and the model's (vermillion); below, the residual. "
-    "Right: the minutes where the model is worst, and RMSE by tenth of SOC."
-)
-CANDIDATES_CAPTION = (
-    "Every cause that was tried alone, the likeliest on top. Left: error on held-out data with it, "
-    "the line is the error without any. Right: by how much likelier the data are with it than "
-    "with none, as a natural logarithm; below zero it explains less than the usual tolerances of "
-    "a good laboratory do. A cause is accepted by both: a wrong cause can also reduce "
-    "the error."
-)
-
-
 SURE_NATS = 10.0
 
 
-@styled
-def draw_before_after(run: LogRun, explained: bool) -> Figure:
+@pictured(
+    "before-after",
+    "Measured voltage (grey) and the model's (vermillion); below, the residual. "
+    "Right: the minutes where the model is worst, and RMSE by tenth of SOC.",
+)
+def before_after_picture(run: LogRun, explained: bool) -> style.Figure:
     """Voltage and residual of a log before and after, the worst minutes, error by SOC."""
-    figure = new_figure(6.0)
-    left, right = two_columns(figure, (2.3, 0.8, 1.9), (2.3, 1.9))
+    figure = style.new_figure(6.0)
+    left, right = style.two_columns(figure, (2.3, 0.8, 1.9), (2.3, 1.9))
     log = run.log
-    scale, unit = time_unit(log.duration_s)
-    t = (log.time_s - log.time_s[0]) / scale
     length_s = close_up_s(log.time_s)
     part = worst_window(log.time_s, run.before.error_V, length_s, None, log.known_current_A())
-    rows = slice(*part)
     runs = drawn_runs(run, explained)
-    gaps = log.gap_rows
-    top, middle, bottom = left
-    top.plot(*thin(t, log.voltage_V, gaps=gaps), color=MEASURED, linewidth=1.6, label="measured")
-    for name, voltage, _, colour in runs:
-        top.plot(*thin(t, voltage, gaps=gaps), color=colour, linewidth=0.8, label=name)
+    draw_log(left, log, runs, part)
     size = millivolt(run.before.metrics.rmse_V)
     text = f"error {change(run)}" if explained else f"{size} RMSE"
-    finding(top, f"{named_log(run)}: {text}", WIDE)
-    labels(top, "", "voltage [V]")
-    legend(top, columns=3)
-    middle.plot(*thin(t, log.known_current_A(), gaps=gaps), color=MEASURED, linewidth=0.8)
-    labels(middle, "", "current [A]")
-    for name, _, error, colour in runs:
-        bottom.plot(*thin(t, 1e3 * error, gaps=gaps), color=colour, linewidth=0.7, label=name)
-    zero_line(bottom)
-    symmetric_limits(bottom, run.before.error_V, "mV", factor=1e3)
-    labels(bottom, f"time [{unit}]", "residual [mV]")
-    legend(bottom, columns=2)
-    for axes in left:
-        axes.set_xlim(t[0], t[-1])
-        mark_window(axes, t[part[0]], t[part[1] - 1])
-    _draw_worst(right[0], run, runs, rows, length_s)
+    style.finding(left[0], f"{named_log(run)}: {text}", style.WIDE)
+    symmetric_limits(left[2], run.before.error_V, "mV", factor=1e3)
+    style.legend(left[2], columns=2)
+    sizes = draw_close_up(right[0], log, runs, part, length_s)
+    style.finding(right[0], f"Worst {duration(length_s)}: {sizes} RMSE", style.NARROW)
     _draw_by_soc(right[1], run, explained)
     return figure
 
 
-def drawn_runs(run: LogRun, explained: bool) -> list[tuple[str, np.ndarray, np.ndarray, str]]:
-    """Name, voltage as the sensor would read it, residual and colour of what is drawn."""
-    before = (
-        "before" if explained else "simulated",
-        run.before.voltage_V,
-        run.before.error_V,
-        MODEL,
-    )
+def drawn_runs(run: LogRun, explained: bool) -> list[Shown]:
+    """What is drawn of a log: the model before, and after with what the sensor adds."""
+    name = "before" if explained else "simulated"
+    before = Shown(name, run.before.voltage_V, run.before.error_V, style.MODEL)
     if not explained:
         return [before]
     # What was taken off the measured voltage stands on the model's here: one measurement is drawn.
     after = run.explained
     moved = run.log.voltage_V - after.log.voltage_V
     name = "after" if run.corrected is None else "after, log corrected"
-    return [before, (name, after.voltage_V + moved, after.error_V, FILTER)]
+    return [before, Shown(name, after.voltage_V + moved, after.error_V, style.FILTER)]
 
 
-def _draw_worst(
-    axes: Axes,
-    run: LogRun,
-    runs: list[tuple[str, np.ndarray, np.ndarray, str]],
-    rows: slice,
-    length_s: float,
-) -> None:
-    log = run.log
-    scale, unit = time_unit(length_s)
-    t = (log.time_s[rows] - log.time_s[rows][0]) / scale
-    axes.plot(*thin(t, log.voltage_V[rows], 300), color=MEASURED, linewidth=2.0)
-    for _, voltage, _, colour in runs:
-        axes.plot(*thin(t, voltage[rows], 300), color=colour, linewidth=1.2)
-    sizes = [error_metrics(error[rows]).rmse_V for _, _, error, _ in runs]
-    text = " → ".join(millivolt(s) for s in sizes)
-    finding(axes, f"Worst {duration(length_s)}: {text} RMSE", NARROW)
-    labels(axes, f"time [{unit}]", "voltage [V]")
-
-
-def _draw_by_soc(axes: Axes, run: LogRun, explained: bool) -> None:
+def _draw_by_soc(axes: style.Axes, run: LogRun, explained: bool) -> None:
     """RMSE by tenth of SOC, before and after side by side."""
-    pairs = [(run.before, MODEL, -2.1, "before")]
-    pairs += [(run.explained, FILTER, 2.1, "after")] if explained else []
+    pairs = [(run.before, style.MODEL, -2.1, "before")]
+    pairs += [(run.explained, style.FILTER, 2.1, "after")] if explained else []
     for simulation, colour, shift, name in pairs:
         bands = [b for b in simulation.bands if np.isfinite(b.metrics.rmse_V)]
         centre = np.array([50.0 * (b.soc_low + b.soc_high) for b in bands])
@@ -149,47 +74,50 @@ def _draw_by_soc(axes: Axes, run: LogRun, explained: bool) -> None:
     if bands:
         worst = max(bands, key=lambda b: b.metrics.rmse_V)
         where = f"{100 * worst.soc_low:.0f}–{100 * worst.soc_high:.0f} % SOC"
-        finding(axes, f"Worst at {where}: {millivolt(worst.metrics.rmse_V)}", NARROW)
-    labels(axes, "SOC [%]", "RMSE [mV]")
-    soc_axis(axes)
+        style.finding(axes, f"Worst at {where}: {millivolt(worst.metrics.rmse_V)}", style.NARROW)
+    style.labels(axes, "SOC [%]", "RMSE [mV]")
+    style.soc_axis(axes)
 
 
-@styled
-def draw_candidates(diagnosis: Diagnosis) -> Figure:
+@pictured(
+    "candidates",
+    "Every cause that was tried alone, the likeliest on top. Left: error on held-out data with it, "
+    "the line is the error without any. Right: by how much likelier the data are with it than "
+    "with none, as a natural logarithm; below zero it explains less than the usual tolerances of "
+    "a good laboratory do. A cause is accepted by both: a wrong cause can also reduce "
+    "the error.",
+)
+def candidates_picture(diagnosis: Diagnosis) -> style.Figure:
     """Held-out error and evidence of every candidate."""
     tried = sorted(diagnosis.candidates, key=lambda c: _number(c.score, -np.inf))
-    figure = new_figure(1.1 + 0.24 * max(len(tried), 3))
+    figure = style.new_figure(1.1 + 0.24 * max(len(tried), 3))
     left, right = figure.subplots(1, 2, sharey=True)
     accepted = {c.name for c in diagnosis.causes}
-    colours = [FILTER if c.name in accepted else MEASURED for c in tried]
+    colours = [style.FILTER if c.name in accepted else style.MEASURED for c in tried]
     place = np.arange(len(tried))
     errors = [1e3 * _number(c.holdout_rmse_V, 0.0) for c in tried]
     left.barh(place, errors, 0.7, color=colours)
     for k, error in enumerate(errors):
-        left.annotate(
-            significant(error), (error, k), (3, 0), textcoords="offset points", va="center",
-            fontsize=7, color=MUTED,
-        )  # fmt: skip
+        style.note(left, significant(error), (error, k), (3, 0), va="center")
     left.set_yticks(place, [cause_name(c.name) for c in tried])
     left.margins(x=0.1)
     if diagnosis.causes:
         before = 1e3 * diagnosis.causes[0].holdout_rmse_before_V
-        left.axvline(before, color=MODEL, linewidth=1.2)
-        left.annotate(
-            f"none: {significant(before)} ", (before, len(tried) - 0.35), ha="right", va="center",
-            fontsize=7.5, color=MODEL,
-        )  # fmt: skip
+        left.axvline(before, color=style.MODEL, linewidth=1.2)
+        looks = {"ha": "right", "va": "center", "fontsize": 7.5, "color": style.MODEL}
+        at = (before, len(tried) - 0.35)
+        style.note(left, f"none: {significant(before)} ", at, (0, 0), **looks)
     left.set_ylim(-0.6, len(tried) + 0.05)
-    labels(left, "held-out RMSE with this cause alone [mV]")
-    finding(left, candidates_finding(diagnosis), 0.36)
+    style.labels(left, "held-out RMSE with this cause alone [mV]")
+    style.finding(left, candidates_finding(diagnosis), 0.36)
     right.barh(place, [_number(c.score, 0.0) for c in tried], 0.7, color=colours)
     right.set_xscale("symlog", linthresh=10.0)
     ticks = _score_ticks([_number(c.score, 0.0) for c in tried])
     right.set_xticks(ticks, [significant(float(x)) for x in ticks])
-    right.axvline(0.0, color=MUTED, linewidth=0.7)
-    labels(right, "ln of how much likelier the data are with it")
+    right.axvline(0.0, color=style.MUTED, linewidth=0.7)
+    style.labels(right, "ln of how much likelier the data are with it")
     right.tick_params(labelleft=False)
-    finding(right, evidence_finding(diagnosis), 0.3)
+    style.finding(right, evidence_finding(diagnosis), 0.3)
     for axes in (left, right):
         axes.grid(axis="y", visible=False)
     return figure
@@ -233,8 +161,7 @@ def evidence_finding(diagnosis: Diagnosis) -> str:
 
 
 def _named(tried: TriedCause) -> str:
-    name = cause_name(tried.name)
-    return name[:1].upper() + name[1:]
+    return capitalised(cause_name(tried.name))
 
 
 def _number(value: float, otherwise: float) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,36 +12,17 @@ from cellwise.identify.ocv.curve import OcvCurve
 from cellwise.identify.ocv.ocv_fit import OcvFit, fit_ocv_function
 from cellwise.identify.ocv.ocv_functions import OCV_KINDS
 from cellwise.identify.ocv.ocv_rests import ocv_from_rests
+from cellwise.report.page import style
 from cellwise.report.page.markup import Markup, bullets, details, table
 from cellwise.report.page.numerals import millivolt, percent, plural
-from cellwise.report.page.picture import Picture
-from cellwise.report.page.style import (
-    AMBER,
-    BLUE,
-    GREEN,
-    INK,
-    MODEL,
-    PURPLE,
-    SKY,
-    finding,
-    labels,
-    legend,
-    new_figure,
-    soc_axis,
-    styled,
-    zero_line,
-)
+from cellwise.report.page.picture import pictured
 from cellwise.typing import FloatArray
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 REFERENCE_C = 25.0
 FORM_STYLE = {
-    "log-linear-exp": (AMBER, (0, (4, 2))),
-    "spline": (BLUE, "solid"),
-    "table": (PURPLE, (0, (1, 1.5))),
+    "log-linear-exp": (style.AMBER, (0, (4, 2))),
+    "spline": (style.BLUE, "solid"),
+    "table": (style.PURPLE, (0, (1, 1.5))),
 }
 
 
@@ -92,29 +73,20 @@ def ocv_evidence(identification: Identification) -> OcvEvidence:
 
 def ocv_content(identification: Identification, evidence: OcvEvidence) -> Markup:
     """Table of the forms of function, and the notes of the curve."""
-    curve = evidence.curve
-    against_rests = evidence.rests_soc.size > 0
+    curve, model = evidence.curve, identification.model
     head = ["function", "RMSE", "largest error", "left-out RMSE"]
-    if against_rests:
+    rows = [
+        [fit.kind, *map(millivolt, (fit.rmse_V, fit.max_error_V, fit.held_out_rmse_V))]
+        for fit in evidence.fits
+    ]
+    if evidence.rests_soc.size:
         head += ["rests: RMSE", "median"]
-    rows = []
-    for fit in evidence.fits:
-        row = [
-            fit.kind,
-            millivolt(fit.rmse_V),
-            millivolt(fit.max_error_V),
-            millivolt(fit.held_out_rmse_V),
-        ]
-        if against_rests:
-            error = evidence.rests_V - fit.function.evaluate(evidence.rests_soc)
+        rows.append(["in the model, refined", "", "", ""])
+        refined = np.interp(evidence.rests_soc, model.soc, _model_ocv(identification))
+        levels = [fit.function.evaluate(evidence.rests_soc) for fit in evidence.fits]
+        for row, level in zip(rows, [*levels, refined], strict=True):
+            error = evidence.rests_V - level
             row += [millivolt(_rms(error)), millivolt(_median_size(error))]
-        rows.append(row)
-    if against_rests:
-        error = evidence.rests_V - np.interp(
-            evidence.rests_soc, identification.model.soc, _model_ocv(identification)
-        )
-        sizes = [millivolt(_rms(error)), millivolt(_median_size(error))]
-        rows.append(["in the model, refined", "", "", "", *sizes])
     chosen = next(k for k, fit in enumerate(evidence.fits) if fit is curve.fit)
     text = (
         f"Fits to {plural(curve.points_soc.size, 'point')}; the marked one was chosen. Left-out: "
@@ -128,23 +100,18 @@ def ocv_content(identification: Identification, evidence: OcvEvidence) -> Markup
     )
 
 
-def ocv_picture(identification: Identification, evidence: OcvEvidence) -> Picture:
-    """The OCV over SOC, how far the fits are from it, and the gap of the branches."""
-    caption = (
-        "Above: the voltage of the cell at rest against its state of charge, on which every "
-        "estimate of SOC leans; where it is flat, voltage says little about charge. Below left: "
-        "how far rests, other forms of function and the refined model are from the chosen "
-        "function. Below right: charge branch minus discharge branch of the slow test, which is "
-        "polarisation and hysteresis together."
-    )
-    return Picture("ocv", draw_ocv(identification, evidence), caption)
-
-
-@styled
-def draw_ocv(identification: Identification, evidence: OcvEvidence) -> Figure:
+@pictured(
+    "ocv",
+    "Above: the voltage of the cell at rest against its state of charge, on which every "
+    "estimate of SOC leans; where it is flat, voltage says little about charge. Below left: "
+    "how far rests, other forms of function and the refined model are from the chosen "
+    "function. Below right: charge branch minus discharge branch of the slow test, which is "
+    "polarisation and hysteresis together.",
+)
+def ocv_picture(identification: Identification, evidence: OcvEvidence) -> style.Figure:
     """Three panels: the curve, deviations from it, the gap between the branches."""
     has_gap = evidence.curve.gap_V is not None
-    figure = new_figure(5.6)
+    figure = style.new_figure(5.6)
     grid = figure.add_gridspec(2, 2 if has_gap else 1, height_ratios=(1.6, 1.0))
     _draw_curve(figure.add_subplot(grid[0, :]), evidence)
     _draw_deviation(figure.add_subplot(grid[1, 0]), identification, evidence)
@@ -153,38 +120,36 @@ def draw_ocv(identification: Identification, evidence: OcvEvidence) -> Figure:
     return figure
 
 
-def _draw_curve(axes: Axes, evidence: OcvEvidence) -> None:
+def _draw_curve(axes: style.Axes, evidence: OcvEvidence) -> None:
     curve = evidence.curve
     x = 100.0 * curve.soc
     if curve.discharge_V is not None:
-        axes.plot(x, curve.discharge_V, color=SKY, linewidth=1.4, label="slow discharge")
+        axes.plot(x, curve.discharge_V, color=style.SKY, linewidth=1.4, label="slow discharge")
     if curve.charge_V is not None:
-        axes.plot(x, curve.charge_V, color=GREEN, linewidth=1.4, label="slow charge")
+        axes.plot(x, curve.charge_V, color=style.GREEN, linewidth=1.4, label="slow charge")
     if evidence.rests_soc.size:
-        axes.plot(
-            100.0 * evidence.rests_soc,
-            evidence.rests_V,
-            "o",
-            color=INK,
-            markersize=3.2,
-            label=plural(evidence.rests_soc.size, "rest"),
-            zorder=4,
-        )
-    axes.plot(x, curve.voltage_V, color=MODEL, linewidth=1.6, label=f"OCV ({curve.function.kind})")
+        name = plural(evidence.rests_soc.size, "rest")
+        looks: dict[str, Any] = {"color": style.INK, "markersize": 3.2, "zorder": 4}
+        axes.plot(100.0 * evidence.rests_soc, evidence.rests_V, "o", label=name, **looks)
+    axes.plot(
+        x, curve.voltage_V, color=style.MODEL, linewidth=1.6, label=f"OCV ({curve.function.kind})"
+    )
     middle = (curve.soc >= 0.2) & (curve.soc <= 0.8)
     span = float(np.ptp(curve.voltage_V[middle]))
-    finding(
+    style.finding(
         axes,
         f"OCV from {curve.voltage_V[0]:.3f} to {curve.voltage_V[-1]:.3f} V; "
         f"{millivolt(span / 60.0)} per point of SOC between 20 and {percent(0.8, 0)}"
         + (" – a flat plateau" if span < 0.12 else ""),
     )
-    labels(axes, "SOC [%]", "voltage [V]")
-    soc_axis(axes)
-    legend(axes, place="lower right")
+    style.labels(axes, "SOC [%]", "voltage [V]")
+    style.soc_axis(axes)
+    style.legend(axes, place="lower right")
 
 
-def _draw_deviation(axes: Axes, identification: Identification, evidence: OcvEvidence) -> None:
+def _draw_deviation(
+    axes: style.Axes, identification: Identification, evidence: OcvEvidence
+) -> None:
     curve = evidence.curve
     x = 100.0 * curve.soc
     for fit in evidence.fits:
@@ -194,45 +159,52 @@ def _draw_deviation(axes: Axes, identification: Identification, evidence: OcvEvi
         error = 1e3 * (fit.function.evaluate(curve.soc) - curve.voltage_V)
         axes.plot(x, error, color=colour, linestyle=dash, linewidth=1.1, label=fit.kind)
     refined = np.interp(curve.soc, identification.model.soc, _model_ocv(identification))
-    axes.plot(x, 1e3 * (refined - curve.voltage_V), color=MODEL, linewidth=1.5, label="refined")
+    axes.plot(
+        x, 1e3 * (refined - curve.voltage_V), color=style.MODEL, linewidth=1.5, label="refined"
+    )
     shown = [1e3 * (refined - curve.voltage_V)[(curve.soc > 0.03) & (curve.soc < 0.98)]]
     title = f"Refinement moved the OCV by {millivolt(_rms(refined - curve.voltage_V))} RMS"
     if evidence.rests_soc.size:
         error_V = evidence.rests_V - curve.function.evaluate(evidence.rests_soc)
         axes.plot(
-            100 * evidence.rests_soc, 1e3 * error_V, "o", color=INK, markersize=2.8, label="rests"
+            100 * evidence.rests_soc,
+            1e3 * error_V,
+            "o",
+            color=style.INK,
+            markersize=2.8,
+            label="rests",
         )
         shown.append(1e3 * error_V)
         title = (
             f"Rests lie {millivolt(_median_size(error_V))} in the median from the chosen function"
         )
-    zero_line(axes)
+    style.zero_line(axes)
     limit = max(1.25 * float(np.percentile(np.abs(np.concatenate(shown)), 97)), 2.0)
     axes.set_ylim(-limit, limit)
-    finding(axes, title, 0.44)
-    labels(axes, "SOC [%]", "minus the chosen one [mV]")
-    soc_axis(axes)
-    legend(axes, columns=2)
+    style.finding(axes, title, 0.44)
+    style.labels(axes, "SOC [%]", "minus the chosen one [mV]")
+    style.soc_axis(axes)
+    style.legend(axes, columns=2)
 
 
-def _draw_gap(axes: Axes, curve: OcvCurve) -> None:
+def _draw_gap(axes: style.Axes, curve: OcvCurve) -> None:
     gap = curve.gap_V
     if gap is None:
         return
-    axes.fill_between(100.0 * curve.soc, 0.0, 1e3 * gap, color=BLUE, alpha=0.2, linewidth=0)
-    axes.plot(100.0 * curve.soc, 1e3 * gap, color=BLUE)
+    axes.fill_between(100.0 * curve.soc, 0.0, 1e3 * gap, color=style.BLUE, alpha=0.2, linewidth=0)
+    axes.plot(100.0 * curve.soc, 1e3 * gap, color=style.BLUE)
     known = gap[np.isfinite(gap)]
     if known.size:
         axes.set_ylim(min(0.0, 1e3 * known.min()), 3e3 * max(float(np.median(known)), 1e-3))
         covered = known.size / gap.size
-        finding(
+        style.finding(
             axes,
             f"Branches {millivolt(float(np.median(known)))} apart in the median"
             + ("" if covered > 0.95 else f", known over {percent(covered, 0)} of SOC"),
             0.44,
         )
-    labels(axes, "SOC [%]", "charge − discharge [mV]")
-    soc_axis(axes)
+    style.labels(axes, "SOC [%]", "charge − discharge [mV]")
+    style.soc_axis(axes)
 
 
 def _model_ocv(identification: Identification) -> FloatArray:

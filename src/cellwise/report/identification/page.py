@@ -9,16 +9,14 @@ from cellwise.report.findings import identify_finding
 from cellwise.report.identification.capacity_section import capacity_content, capacity_picture
 from cellwise.report.identification.ocv_section import ocv_content, ocv_evidence, ocv_picture
 from cellwise.report.identification.parameter_section import parameter_content, parameter_picture
-from cellwise.report.identification.provenance_section import provenance_content
+from cellwise.report.identification.provenance_section import provenance_content, scope_content
 from cellwise.report.identification.pulse_section import pulse_content, pulse_picture, pulse_sets
-from cellwise.report.identification.scope_section import scope_content
 from cellwise.report.identification.simulation_section import (
-    log_name,
     simulation_content,
     simulation_pictures,
 )
 from cellwise.report.page.interactive import simulation_traces, trace_section
-from cellwise.report.page.jumps import linked_among
+from cellwise.report.page.jumps import clock_of, linked_among
 from cellwise.report.page.markup import Markup, bullets, lead_of, paragraph, tiles
 from cellwise.report.page.numerals import (
     ampere_hours,
@@ -27,7 +25,7 @@ from cellwise.report.page.numerals import (
     significant,
 )
 from cellwise.report.page.picture import FigureFiles
-from cellwise.report.page.section import Section, write_page
+from cellwise.report.page.section import Blocks, Section, write_page
 
 
 def identify_page(
@@ -62,57 +60,28 @@ def identify_page(
 def identify_sections(identification: Identification) -> tuple[Section, ...]:
     """The parts of an identification's page."""
     evidence = ocv_evidence(identification)
+    simulations = identification.simulations
+    ocv = (ocv_picture(identification, evidence), ocv_content(identification, evidence))
+    capacity = (capacity_picture(identification), capacity_content(identification))
+    parameters = (parameter_picture(identification), parameter_content(identification))
+    fit: Blocks = (simulation_content(simulations), *simulation_pictures(simulations, "fit"))
+    scope = (scope_content(identification),)
+    provenance = (provenance_content(identification),)
+    traces = [
+        (f"{clock_of(s.log)}, measured and simulated", simulation_traces(s)) for s in simulations
+    ]
     sections = [
-        Section(
-            "ocv",
-            "Open-circuit voltage",
-            (ocv_picture(identification, evidence), ocv_content(identification, evidence)),
-        ),
-        Section(
-            "capacity",
-            "Capacity",
-            (capacity_picture(identification), capacity_content(identification)),
-        ),
+        Section("ocv", "Open-circuit voltage", ocv),
+        Section("capacity", "Capacity", capacity),
+        Section("parameters", "Parameters", parameters),
+        Section("fit", "Measured and simulated", fit),
+        trace_section(traces),
+        Section("scope", "What the model explains, and where it ends", scope, "Scope"),
+        Section("provenance", "Where every number came from", provenance, "Provenance"),
     ]
     if any(s.pulses for _, s in pulse_sets(identification)):
-        sections.append(
-            Section(
-                "pulses", "Pulses", (pulse_picture(identification), pulse_content(identification))
-            )
-        )
-    sections += [
-        Section(
-            "parameters",
-            "Parameters",
-            (parameter_picture(identification), parameter_content(identification)),
-        ),
-        Section(
-            "fit",
-            "Measured and simulated",
-            (
-                simulation_content(identification.simulations),
-                *simulation_pictures(identification.simulations, "fit"),
-            ),
-        ),
-        trace_section(
-            [
-                (f"{log_name(s)}, measured and simulated", simulation_traces(s))
-                for s in identification.simulations
-            ]
-        ),
-        Section(
-            "scope",
-            "What the model explains, and where it ends",
-            (scope_content(identification),),
-            "Scope",
-        ),
-        Section(
-            "provenance",
-            "Where every number came from",
-            (provenance_content(identification),),
-            "Provenance",
-        ),
-    ]
+        pulses = (pulse_picture(identification), pulse_content(identification))
+        sections.insert(2, Section("pulses", "Pulses", pulses))
     return tuple(sections)
 
 
@@ -125,15 +94,13 @@ def cell_name(identification: Identification) -> str:
 
 def identify_tiles(identification: Identification) -> Markup:
     """Key figures of an identification."""
-    counts = identification.pulse_counts
-    facts: list[tuple[object, object]] = [
-        (
-            f"capacity ({identification.capacity_choice})",
-            ampere_hours(identification.model.capacity_Ah),
-        ),
-        ("RMSE on its own logs", millivolt(identification.fit.rmse_V)),
-        ("MAE on its own logs", millivolt(identification.fit.mae_V)),
-        ("largest error", millivolt(identification.fit.max_error_V)),
+    counts, fit = identification.pulse_counts, identification.fit
+    capacity = ampere_hours(identification.model.capacity_Ah)
+    facts = [
+        (f"capacity ({identification.capacity_choice})", capacity),
+        ("RMSE on its own logs", millivolt(fit.rmse_V)),
+        ("MAE on its own logs", millivolt(fit.mae_V)),
+        ("largest error", millivolt(fit.max_error_V)),
     ]
     if sum(counts.values()):
         facts.append(("healthy pulses", f"{counts['healthy']} of {sum(counts.values())}"))

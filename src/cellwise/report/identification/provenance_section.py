@@ -1,8 +1,9 @@
-"""Where every number came from: one row per quantity, and the model's own record in full."""
+"""Where every number came from, what the model explains, and where it ends."""
 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -17,8 +18,10 @@ from cellwise.cell.effects import (
     TemperatureDependence,
     TimeSkew,
 )
-from cellwise.identify.identification import Identification
-from cellwise.report.page.markup import Markup, details, escape, finite, table
+from cellwise.cell.plausibility.validity import Validity
+from cellwise.identify.identification import Identification, OwnLog
+from cellwise.report.page.jumps import clock_of
+from cellwise.report.page.markup import Markup, details, escape, finite, record_table, table
 from cellwise.report.page.numerals import (
     ampere_hours,
     celsius,
@@ -168,3 +171,66 @@ def _errors(identification: Identification, name: str) -> list[float]:
 
 def _mapping(value: Any) -> Mapping[str, Any]:
     return value if isinstance(value, Mapping) else {}
+
+
+ROLES = {"hppc": "HPPC", "ocv": "low rate", "capacity": "capacity", "drive": "drive"}
+
+
+def scope_content(identification: Identification) -> Markup:
+    """Tables of every log given, of the effects that were tried, and of the validity."""
+    return Markup(
+        _own_logs(identification.own_logs)
+        + _effects(identification)
+        + _validity(identification.model.validity)
+    )
+
+
+def _own_logs(logs: tuple[OwnLog, ...]) -> Markup:
+    return record_table(
+        logs,
+        ("log", lambda own: clock_of(own.simulation.log)),
+        ("test", lambda own: ROLES[own.role]),
+        ("in the fit", lambda own: "yes" if own.used else "no"),
+        ("initial SOC", lambda own: percent(own.simulation.soc0)),
+        ("RMSE", lambda own: millivolt(own.simulation.metrics.rmse_V)),
+        ("above 10 % SOC", lambda own: _volt(own.simulation.rmse_above_10pct_V)),
+        ("discharge", lambda own: _volt(own.sides_V.get("discharge"))),
+        ("charge", lambda own: _volt(own.sides_V.get("charge"))),
+        ("remarks", lambda own: own.reason),
+        caption="Every log given, simulated back with the finished model from its initial SOC.",
+        text_columns=(0, 1, 2, 8),
+    )
+
+
+def _effects(identification: Identification) -> Markup:
+    return record_table(
+        identification.to_dict()["effects"],
+        ("effect", lambda one: str(one["name"]).replace("_", " ")),
+        ("decision", lambda one: "in the model" if one["accepted"] else "refused"),
+        ("gain", lambda one: "" if one["gain"] is None else percent(one["gain"])),
+        ("why", lambda one: one["reason"]),
+        caption="Effects beyond the two RC branches. Gain: fall of the RMSE on logs held out.",
+        text_columns=(0, 1, 3),
+    )
+
+
+def _validity(validity: Validity) -> Markup:
+    rows: list[tuple[str, str]] = []
+    if validity.soc is not None:
+        rows.append(("SOC", " to ".join(percent(v) for v in validity.soc)))
+    if validity.temperature_C is not None:
+        rows.append(("temperature", " to ".join(celsius(v) for v in validity.temperature_C)))
+    if validity.current_A is not None:
+        rows.append(("current", " to ".join(significant(v) for v in validity.current_A) + " A"))
+    if not rows:
+        return Markup("")
+    return table(
+        ("quantity", "covered by the data"),
+        rows,
+        caption="Outside, every command says so and the standard deviation grows.",
+        text_columns=(0, 1),
+    )
+
+
+def _volt(value: float | None) -> str:
+    return "" if value is None or not math.isfinite(value) else millivolt(value)

@@ -14,15 +14,13 @@ from cellwise.cell.simulate import Simulation
 from cellwise.logs.cell_log import CellLog
 from cellwise.plotting import Line, Panel
 from cellwise.report.page.jumps import clock_of
-from cellwise.report.page.markup import Markup, escape, paragraph
+from cellwise.report.page.markup import MOST, Markup, escape, paragraph
 from cellwise.report.page.numerals import listed
 from cellwise.report.page.section import Section
 from cellwise.typing import FloatArray
 
-LEVELS = 65_534
-MISSING = 65_535
+MISSING = np.iinfo(np.uint16).max
 UNEVEN = 1e-3  # of a step
-MOST_SAMPLES = 3_000_000
 
 
 class Traces(NamedTuple):
@@ -61,7 +59,7 @@ def trace_section(results: Sequence[tuple[str, HasPanels]], key: str = "trace") 
     samples, left_out = 0, []
     for k, (name, result) in enumerate(results):
         samples += result.panels()[1][0].lines[0].x.size
-        if samples > MOST_SAMPLES and k:
+        if samples > MOST.samples and k:
             left_out.append(name)
             continue
         blocks.append(Markup(f"<h3>{escape(name)}</h3>"))
@@ -124,7 +122,7 @@ def _series(values: FloatArray) -> dict[str, Any]:
     low, high = (float(f(values[known])) for f in (np.min, np.max)) if known.any() else (0.0, 1.0)
     span = high - low or 1.0
     levels = np.full(values.size, MISSING, dtype=np.uint16)
-    levels[known] = np.round((values[known] - low) / span * LEVELS).astype(np.uint16)
+    levels[known] = np.round((values[known] - low) / span * (MISSING - 1)).astype(np.uint16)
     steps = np.diff(levels, prepend=np.uint16(0)).astype("<u2")
     halves = steps.view(np.uint8).reshape(-1, 2).T
     return {"low": low, "high": low + span, "data": _packed(halves.tobytes())}

@@ -5,10 +5,12 @@ from __future__ import annotations
 import html
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
+from importlib.resources import files
+from typing import Any, NamedTuple, TypeVar
 
-from cellwise.report.page.stylesheet import STYLESHEET
+T = TypeVar("T")
 
 
 class Markup(str):
@@ -18,12 +20,35 @@ class Markup(str):
 
 
 EMPTY = Markup("")
-MOST_BULLETS = 3  # before the first picture
-MANY_COLUMNS = 9
+
+
+class PageLimits(NamedTuple):
+    """How much a page holds, each a number of things: beyond, it is long to read and to open."""
+
+    bullets: int = 3  # before the first picture
+    columns: int = 9  # of a table whose head stays on one line
+    replays_as_columns: int = 6  # in the table of replays; of more each is a row
+    simulations: int = 8  # pictures of simulated logs
+    replays: int = 4  # with pictures of their own
+    diagnosed: int = 4  # pictures of logs before and after
+    pulse_logs: int = 6
+    pulses: int = 300  # rows of the table of those not healthy
+    runs: int = 2000  # rows of a benchmark's table
+    curves: int = 3  # pictures of a benchmark's errors over time
+    samples: int = 3_000_000  # in the plots of every sample
+
+
+MOST = PageLimits()
 USE = (
     "Plots zoom: drag over the part to see, or click a plot and turn the wheel; arrow keys, + and "
     "− move; a double click shows all. Plots of one log share a cursor."
 )
+
+
+@cache
+def page_file(name: str) -> str:
+    """A stylesheet or program of the page, as its file has it."""
+    return (files("cellwise.report.page") / name).read_text(encoding="utf-8")
 
 
 def escape(text: object) -> Markup:
@@ -49,8 +74,8 @@ def lead_of(alerts: Sequence[object], figures: Markup, lines: Sequence[object] =
 
     What is beyond three opens on a click.
     """
-    first = list(alerts)[:MOST_BULLETS]
-    then = list(lines)[: MOST_BULLETS - len(first)]
+    first = list(alerts)[: MOST.bullets]
+    then = list(lines)[: MOST.bullets - len(first)]
     rest = [*list(alerts)[len(first) :], *list(lines)[len(then) :]]
     more = details(f"{len(rest)} more", bullets(rest)) if rest else ""
     return Markup(bullets(first, "notices") + figures + bullets(then) + more)
@@ -74,7 +99,7 @@ def table(
         )
 
     mark = ' class="marked"'
-    many = ' class="many"' if len(head) > MANY_COLUMNS else ""
+    many = ' class="many"' if len(head) > MOST.columns else ""
     body = "".join(
         f"<tr{mark if k == marked else ''}>{cells(row, 'td')}</tr>\n" for k, row in enumerate(rows)
     )
@@ -83,6 +108,17 @@ def table(
         f'{note}<div class="scroll"><table{many}><thead><tr>{cells(head, "th")}</tr></thead>\n'
         f"<tbody>\n{body}</tbody></table></div>"
     )
+
+
+def record_table(
+    items: Iterable[T], *columns: tuple[object, Callable[[T], object]], **options: Any
+) -> Markup:
+    """A table of a row per item; a column is its head and how an item reads in it.
+
+    ``options`` as of :func:`table`.
+    """
+    rows = [[read(item) for _, read in columns] for item in items]
+    return table([head for head, _ in columns], rows, **options)
 
 
 def details(summary: object, inside: Markup) -> Markup:
@@ -147,7 +183,8 @@ def page(
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <meta name="generator" content="cellwise">
 <title>{escape(title or about)}</title>
-<style>{STYLESHEET}</style>
+<style>
+{page_file("page.css")}</style>
 </head>
 <body>
 <main>

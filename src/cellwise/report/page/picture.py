@@ -3,33 +3,35 @@
 from __future__ import annotations
 
 import io
+import json
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple, ParamSpec
 
 import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.files import made_folder, write_atomically
+from cellwise.logs.cell_log import CellLog
+from cellwise.report.page import style
+from cellwise.report.page.jumps import clock_of
 from cellwise.report.page.markup import Markup, escape
-from cellwise.report.page.style import GRID, INK, MUTED, PAPER, RASTER_DPI, TINTS, drawing
-from cellwise.report.page.zooming import axes_attribute, marked, marked_axes, rounded
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+P = ParamSpec("P")
 
-# A figure with more points than this is drawn as pixels: its paths would outweigh them.
-VECTOR_POINTS = 6000
-# In a page, where pictures zoom, so many are drawn as paths.
-PAGE_POINTS = 60_000
+# A figure with more points than this is drawn as pixels: its paths would outweigh them. In a page,
+# where pictures zoom, more are drawn as paths.
+VECTOR_POINTS, PAGE_POINTS = 6000, 60_000
 SUFFIXES = (".png", ".svg", ".pdf")
 VARIABLES = {
-    INK: "--ink",
-    MUTED: "--muted",
-    GRID: "--grid",
-    PAPER: "--paper",
-    **{tint: f"--tint-{k}" for k, tint in enumerate(TINTS, start=1)},
+    style.INK: "--ink",
+    style.MUTED: "--muted",
+    style.GRID: "--grid",
+    style.PAPER: "--paper",
+    **{tint: f"--tint-{k}" for k, tint in enumerate(style.TINTS, start=1)},
 }
 
 
@@ -41,9 +43,28 @@ class Picture(NamedTuple):
     """
 
     key: str
-    figure: Figure
+    figure: style.Figure
     caption: str
     clock: str = ""
+
+    def of(self, log: CellLog, key: str = "") -> Picture:
+        """The same picture as one of a log, over its time, with a key that carries its name."""
+        key = f"{key or self.key}-{safe_key(clock_of(log))}"
+        return self._replace(key=key, clock=clock_of(log))
+
+
+def pictured(key: str, caption: str) -> Callable[[Callable[P, style.Figure]], Callable[P, Picture]]:
+    """Decorator: what draws a figure gives a picture of this key and caption, drawn in style."""
+
+    def decorate(draw: Callable[P, style.Figure]) -> Callable[P, Picture]:
+        @wraps(draw)
+        def inside(*args: P.args, **kwargs: P.kwargs) -> Picture:
+            with style.drawing():
+                return Picture(key, draw(*args, **kwargs), caption)
+
+        return inside
+
+    return decorate
 
 
 class FigureFiles(NamedTuple):
@@ -53,30 +74,30 @@ class FigureFiles(NamedTuple):
     suffixes: tuple[str, ...] = (".png", ".svg")
 
 
-def figure_png(figure: Figure, dpi: int = RASTER_DPI) -> bytes:
+def figure_png(figure: style.Figure, dpi: int = style.RASTER_DPI) -> bytes:
     """A figure as the bytes of a PNG."""
     return _rendered(figure, "png", dpi)
 
 
-def figure_svg(figure: Figure) -> str:
+def figure_svg(figure: style.Figure) -> str:
     """A figure as an SVG document, traces of very many points as pixels within it."""
-    with drawing():
+    with style.drawing():
         _prepare(figure)
         return _svg(figure)
 
 
-def _svg(figure: Figure) -> str:
+def _svg(figure: style.Figure) -> str:
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     target = io.StringIO()
-    figure.set_dpi(RASTER_DPI)
+    figure.set_dpi(style.RASTER_DPI)
     # Straight to the canvas: saving would draw everything twice.
     canvas: Any = FigureCanvasSVG(figure)
     canvas.print_svg(target, metadata=_no_metadata("svg"))
     return target.getvalue()
 
 
-def save_figure(figure: Figure, path: str | Path) -> Path:
+def save_figure(figure: style.Figure, path: str | Path) -> Path:
     """Write a figure as PNG, SVG or PDF, whichever the file name says.
 
     Raises
@@ -112,7 +133,7 @@ def inline(picture: Picture) -> Markup:
     """The picture as an HTML figure: SVG in the page's own colours that zooms, caption below."""
     key = f"figure-{safe_key(picture.key)}"
     title = _main_title(picture.figure)
-    with drawing(closely=True):
+    with style.drawing(closely=True):
         _prepare(picture.figure, PAGE_POINTS)
         with marked_axes(picture.figure) as axes:
             text = _svg(picture.figure)
@@ -130,9 +151,9 @@ def safe_key(text: str) -> str:
     return re.sub(r"[^A-Za-z0-9]+", "-", text).strip("-").lower() or "figure"
 
 
-def _rendered(figure: Figure, kind: str, dpi: int = RASTER_DPI) -> bytes:
+def _rendered(figure: style.Figure, kind: str, dpi: int = style.RASTER_DPI) -> bytes:
     target = io.BytesIO()
-    with drawing():
+    with style.drawing():
         _prepare(figure)
         figure.savefig(target, format=kind, dpi=dpi, metadata=_no_metadata(kind))
     return target.getvalue()
@@ -144,7 +165,7 @@ def _no_metadata(kind: str) -> dict[str, None]:
     return dict.fromkeys(names.get(kind, ()))
 
 
-def rasterise(figure: Figure, most: int = VECTOR_POINTS) -> None:
+def rasterise(figure: style.Figure, most: int = VECTOR_POINTS) -> None:
     """Turn the traces of a figure into pixels when there are too many points for paths."""
     lines = [(line, np.size(line.get_xdata())) for axes in figure.axes for line in axes.lines]
     many = sum(size for _, size in lines) > most
@@ -153,12 +174,12 @@ def rasterise(figure: Figure, most: int = VECTOR_POINTS) -> None:
         line.recache(always=True)  # how closely it is drawn is a part of its path
 
 
-def _prepare(figure: Figure, most: int = VECTOR_POINTS) -> None:
+def _prepare(figure: style.Figure, most: int = VECTOR_POINTS) -> None:
     rasterise(figure, most)
     settle(figure)
 
 
-def settle(figure: Figure) -> None:
+def settle(figure: style.Figure) -> None:
     """Find the places of all parts once; every later writing of the figure keeps them."""
     engine = figure.get_layout_engine()
     if engine is not None:
@@ -166,7 +187,7 @@ def settle(figure: Figure) -> None:
         figure.set_layout_engine("none")
 
 
-def _main_title(figure: Figure) -> str:
+def _main_title(figure: style.Figure) -> str:
     titles = [axes.get_title(loc="left") for axes in figure.axes]
     return " ".join(next((t for t in titles if t), "figure").split())
 
@@ -188,3 +209,115 @@ def _for_page(svg: str, key: str, title: str) -> str:
     opening, rest = body.split(">", 1)
     opening = re.sub(r' (?:width|height|version|xmlns(?::\w+)?)="[^"]*"', "", opening)
     return f'{opening} role="img" aria-label="{escape(title)}">{rest}'
+
+
+POINTS_PER_INCH = 72.0
+# Names that matplotlib is asked to write beside its groups, to be found again in the text.
+MARKS = (
+    (re.compile(r' id="cw-(plot|text)-(\d+)"'), r' data-\1="\2"'),
+    (re.compile(r' id="cw-axis-([xy])"'), r' data-axis="\1"'),
+    (re.compile(r' id="[xy]tick_\d+"'), ' data-tick=""'),
+)
+DRAWN = re.compile(r'(?<= d=")[^"]*')
+DIGITS = re.compile(r"-?\d+\.\d+")
+
+
+@contextmanager
+def marked_axes(figure: style.Figure) -> Iterator[list[dict[str, Any]]]:
+    """Name the parts of a figure that move, and say of every axes what the script must know.
+
+    The figure's places must be settled. Boxes and places are in points from the upper left, as they
+    stand in the SVG; ``share`` is the same for axes of one column and one range of x.
+    """
+    yield _mark(figure)
+    for axes in figure.axes:
+        for part in (axes, axes.xaxis, axes.yaxis, *axes.texts):
+            part.set_gid(None)
+
+
+def _mark(figure: style.Figure) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = []
+    shared: dict[tuple[float, ...], int] = {}
+    for axes in figure.axes:
+        if not axes.axison:
+            continue
+        axes.set_gid(f"cw-plot-{len(found)}")
+        axes.xaxis.set_gid("cw-axis-x")
+        axes.yaxis.set_gid("cw-axis-y")
+        box, x = _box(figure, axes), _axis(axes.xaxis, "bottom")
+        column = (round(box[0]), round(box[2]), *x["limits"])
+        found.append(
+            {
+                "box": box,
+                "x": x,
+                "y": _axis(axes.yaxis, "left"),
+                "share": shared.setdefault(column, len(shared)),
+                "texts": _texts(figure, axes),
+            }
+        )
+    return found
+
+
+def marked(svg: str) -> str:
+    """The names of `marked_axes` as attributes of their own, beside the ids that are used."""
+    for pattern, attribute in MARKS:
+        svg = pattern.sub(attribute, svg)
+    return svg
+
+
+def rounded(svg: str) -> str:
+    """Places in paths to a hundredth of a point, which is not visible."""
+    return DRAWN.sub(lambda d: DIGITS.sub(lambda n: f"{float(n[0]):.2f}", d[0]), svg)
+
+
+def axes_attribute(axes: list[dict[str, Any]]) -> str:
+    """What `marked_axes` found, as JSON."""
+    return json.dumps(axes, allow_nan=False, separators=(",", ":"))
+
+
+def _place(figure: style.Figure, xy: Any) -> list[float]:
+    """A place on the canvas [pixels] in points from the upper left."""
+    x, y = figure.dpi_scale_trans.inverted().transform(xy)
+    height = figure.get_figheight()
+    return [round(POINTS_PER_INCH * float(v), 3) for v in (x, height - y)]
+
+
+def _box(figure: style.Figure, axes: style.Axes) -> list[float]:
+    left, top = _place(figure, (axes.bbox.x0, axes.bbox.y1))
+    right, bottom = _place(figure, (axes.bbox.x1, axes.bbox.y0))
+    return [left, top, right - left, bottom - top]
+
+
+def _axis(axis: style.Axis, side: str) -> dict[str, Any]:
+    from matplotlib.ticker import FixedFormatter
+
+    low, high = axis.get_view_interval()
+    ticks = axis.get_tick_params()
+    words = isinstance(axis.get_major_formatter(), FixedFormatter)
+    return {
+        "limits": [float(low), float(high)],
+        "log": axis.get_scale() == "log",
+        "words": words,
+        "label": axis.get_label_text(),
+        "shown": bool(ticks.get(f"label{side}", True)),
+        "grid": bool(ticks.get("gridOn", False)),
+    }
+
+
+def _texts(figure: style.Figure, axes: style.Axes) -> list[list[float]]:
+    """Places of the texts that stand at data, which move with them."""
+    from matplotlib.text import Annotation
+
+    places: list[list[float]] = []
+    for text in axes.texts:
+        if isinstance(text, Annotation):
+            if text.xycoords != "data":
+                continue
+            at = text.xy
+        elif text.get_transform() is axes.transData:
+            at = text.get_position()
+        else:
+            continue
+        text.set_gid(f"cw-text-{len(places)}")
+        places.append(_place(figure, axes.transData.transform(at)))
+    return places

@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from cellwise.files import write_atomically
-from cellwise.report.page.markup import EMPTY, Markup, page
+from cellwise.report.page.markup import EMPTY, Markup, page, page_file
 from cellwise.report.page.picture import FigureFiles, Picture, inline, save_figures
-from cellwise.report.page.scripts import scripts_for
+
+Blocks = tuple[Markup | Picture, ...]
 
 
 class Section(NamedTuple):
@@ -17,7 +18,7 @@ class Section(NamedTuple):
 
     key: str
     title: str
-    blocks: tuple[Markup | Picture, ...]
+    blocks: Blocks
     short: str = ""
 
 
@@ -56,3 +57,20 @@ def write_page(
         files = figures if isinstance(figures, FigureFiles) else FigureFiles(Path(figures))
         save_figures(pictures_of(sections), *files)
     return write_atomically(path, text)
+
+
+# What a page holds that needs the program.
+NEEDED_BY = {"zoom.js": "<figure ", "interactive.js": '<div class="trace"'}
+
+
+def scripts_for(parts: Iterable[str]) -> list[Markup]:
+    """The programs that the parts of a page need."""
+    inside = list(parts)
+    return [
+        script(name) for name, mark in NEEDED_BY.items() if any(mark in part for part in inside)
+    ]
+
+
+def script(name: str) -> Markup:
+    """A program as it stands in a page."""
+    return Markup(page_file(name).replace("</", "<\\/"))

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, ParamSpec, cast
+from importlib.resources import as_file, files
+from typing import TYPE_CHECKING, Any, cast
 
 from cellwise.errors import InputError
+from cellwise.typing import FloatArray
 
 if TYPE_CHECKING:
     # Named so that pages outside this folder can say what they draw on.
     from matplotlib.axes import Axes as Axes
-    from matplotlib.axis import Axis
+    from matplotlib.axis import Axis as Axis
     from matplotlib.figure import Figure as Figure
-
-P = ParamSpec("P")
 
 # Okabe and Ito's colours, which people with any colour vision can distinguish; the blue is
 # lightened so that it reads on a dark page too.
@@ -38,64 +38,10 @@ INK, MUTED, GRID, PAPER = "#1f2329", "#57606b", "#dfe3e8", "#fefefe"
 TINTS = ("#cde8dd", "#e7efc9", "#fbe3c0", "#f4c9b0")
 
 WIDTH_IN = 10.0
-FONT_PT = 9.0
 # Shares of the figure's width that titles over the wide and the narrow of two columns may take.
 WIDE, NARROW = 0.575, 0.265
 RASTER_DPI = 150
 
-RC: Any = {
-    "font.family": "sans-serif",
-    "font.sans-serif": ["DejaVu Sans", "Verdana", "Geneva", "sans-serif"],
-    "font.size": FONT_PT,
-    "text.color": INK,
-    "text.parse_math": False,
-    "figure.facecolor": PAPER,
-    "figure.dpi": 100,
-    "axes.facecolor": "none",
-    "axes.edgecolor": MUTED,
-    "axes.labelcolor": MUTED,
-    "axes.labelsize": FONT_PT,
-    "axes.linewidth": 0.7,
-    "axes.titlesize": FONT_PT + 0.5,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.titlecolor": INK,
-    "axes.titlepad": 6.0,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.unicode_minus": True,
-    "axes.formatter.useoffset": False,
-    "grid.color": GRID,
-    "grid.linewidth": 0.7,
-    "xtick.color": MUTED,
-    "ytick.color": MUTED,
-    "xtick.labelsize": FONT_PT - 0.5,
-    "ytick.labelsize": FONT_PT - 0.5,
-    "xtick.major.size": 3.0,
-    "ytick.major.size": 3.0,
-    "xtick.major.width": 0.7,
-    "ytick.major.width": 0.7,
-    "xtick.minor.size": 0.0,
-    "ytick.minor.size": 0.0,
-    "lines.linewidth": 1.2,
-    "lines.solid_joinstyle": "round",
-    "legend.frameon": True,
-    "legend.framealpha": 0.85,
-    "legend.facecolor": PAPER,
-    "legend.edgecolor": "none",
-    "legend.fontsize": FONT_PT - 0.5,
-    "legend.borderpad": 0.25,
-    "legend.handlelength": 1.5,
-    "legend.labelspacing": 0.3,
-    "path.simplify": True,
-    "path.simplify_threshold": 0.1,
-    "savefig.facecolor": PAPER,
-    "savefig.dpi": RASTER_DPI,
-    "svg.fonttype": "none",
-    "svg.hashsalt": "cellwise",
-}
 CLOSELY: Any = {"path.simplify_threshold": 0.02}
 
 
@@ -117,19 +63,17 @@ def drawing(*, closely: bool = False) -> Iterator[None]:
             "the extra 'report'",
             "Install it: pip install 'cellwise[report]'",
         ) from error
-    with matplotlib.rc_context(RC | CLOSELY if closely else RC):
+    with matplotlib.rc_context(_rc() | CLOSELY if closely else _rc()):
         yield
 
 
-def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
-    """Decorator: draw a figure within :func:`drawing`."""
+@functools.cache
+def _rc() -> Any:
+    """The settings of ``page.mplstyle``."""
+    from matplotlib import rc_params_from_file
 
-    @functools.wraps(draw)
-    def inside(*args: P.args, **kwargs: P.kwargs) -> Figure:
-        with drawing():
-            return draw(*args, **kwargs)
-
-    return inside
+    with as_file(files("cellwise.report.page") / "page.mplstyle") as place:
+        return dict(rc_params_from_file(place, use_default_template=False))
 
 
 def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:
@@ -167,8 +111,8 @@ def wrapped(text: str, width_pt: float) -> list[str]:
     from matplotlib.font_manager import FontProperties
     from matplotlib.textpath import TextToPath
 
-    size = RC["axes.titlesize"]
-    font = FontProperties(family=RC["font.sans-serif"][0], weight="bold", size=size)
+    size = _rc()["axes.titlesize"]
+    font = FontProperties(family=_rc()["font.sans-serif"][0], weight="bold", size=size)
     measure = TextToPath().get_text_width_height_descent
 
     def width(word: str) -> float:
@@ -204,6 +148,20 @@ def legend(axes: Axes, *, columns: int = 1, place: str = "best") -> None:
 def zero_line(axes: Axes) -> None:
     """A quiet line at zero."""
     axes.axhline(0.0, color=MUTED, linewidth=0.7, zorder=1.5)
+
+
+def note(
+    axes: Axes, text: str, at: Any, offset: tuple[float, float] = (0, 5), **looks: Any
+) -> None:
+    """A small text beside a point of the data, so many points away from it."""
+    drawn: dict[str, Any] = {"fontsize": 7, "color": MUTED} | looks
+    axes.annotate(text, at, offset, textcoords="offset points", **drawn)
+
+
+def error_dots(axes: Axes, x: FloatArray, y: FloatArray, std: FloatArray, **looks: Any) -> None:
+    """Dots with bars of two standard deviations."""
+    drawn: dict[str, Any] = {"fmt": "o", "color": BLUE, "markersize": 3.5, "linewidth": 0.8} | looks
+    axes.errorbar(x, y, 2.0 * std, **drawn)
 
 
 def plain_numbers(axis: Axis) -> None:

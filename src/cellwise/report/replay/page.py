@@ -15,8 +15,8 @@ from cellwise.report.identification.simulation_section import (
     simulation_pictures,
 )
 from cellwise.report.page.interactive import HasPanels, trace_section
-from cellwise.report.page.jumps import linked
-from cellwise.report.page.markup import Markup, escape, lead_of, paragraph, tiles
+from cellwise.report.page.jumps import clock_of, linked
+from cellwise.report.page.markup import MOST, Markup, escape, lead_of, paragraph, tiles
 from cellwise.report.page.numerals import (
     listed,
     millivolt,
@@ -25,11 +25,13 @@ from cellwise.report.page.numerals import (
     significant,
 )
 from cellwise.report.page.picture import FigureFiles
-from cellwise.report.page.section import Section, write_page
-from cellwise.report.replay.flight_section import flight_finding, flight_section
-from cellwise.report.replay.power_section import power_section
-from cellwise.report.replay.replay_figures import reached, replay_content
-from cellwise.report.replay.replay_section import MOST_DETAILED, replay_pictures
+from cellwise.report.page.section import Blocks, Section, write_page
+from cellwise.report.replay.forecast_section import flight_finding, flight_section, power_section
+from cellwise.report.replay.replay_section import (
+    reached,
+    replay_content,
+    replay_pictures,
+)
 
 
 def replay_page(
@@ -56,28 +58,25 @@ def replay_page(
     """
     if not replays:
         raise InputError("no replay for the page", "at least one", "Replay a log first.")
-    names = list(dict.fromkeys(r.log.name or "log" for r in replays))
-    lines = [replay_finding(r) for r in replays[1:]]
+    names = list(dict.fromkeys(clock_of(r.log) for r in replays))
+    first, *lines = (replay_finding(r) for r in replays)
     if simulations:
         lines.append(simulation_finding(simulations))
-    first = replay_finding(replays[0])
-    if (
-        flights and replays[0].reference_soc is None
-    ):  # no reference: remaining time and energy come first
+    if flights and replays[0].reference_soc is None:  # remaining time and energy come first then
         lines.insert(0, first)
         first = flight_finding(flights[0])
     elif flights:
         lines.append(flight_finding(flights[0]))
-    sections = replay_sections(replays, simulations)
+    sections = list(replay_sections(replays, simulations))
     if flights:
-        sections = (flight_section(flights), *sections)
+        sections.insert(0, flight_section(flights))
     if any(r.power is not None for r in replays):
-        sections = (power_section(replays), *sections)
+        sections.insert(0, power_section(replays))
     few: list[tuple[str, HasPanels]] = [
-        (f"{r.estimator} on {r.log.name or 'log'}", r) for r in replays[:MOST_DETAILED]
+        (f"{r.estimator} on {clock_of(r.log)}", r) for r in replays[: MOST.replays]
     ]
-    logs = {r.log.name: (f"{r.log.name or 'log'} as it was measured", r.log) for r in replays}
-    sections = (*sections, trace_section([*few, *logs.values()]))
+    logs = {r.log.name: (f"{clock_of(r.log)} as it was measured", r.log) for r in replays}
+    sections.append(trace_section([*few, *logs.values()]))
     data: dict[str, object] = {**replay_data(replays, simulations)}
     if flights:
         data["flights"] = [{"log": f.name, **f.to_dict()} for f in flights]
@@ -106,21 +105,15 @@ def replay_sections(
     replays: Sequence[Replay], simulations: Sequence[Simulation] = ()
 ) -> tuple[Section, ...]:
     """The parts of a replay page."""
-    text = f"The first {MOST_DETAILED} replays have pictures of their own; the table has all."
-    few = (paragraph(text),) if len(replays) > MOST_DETAILED else ()
+    text = f"The first {MOST.replays} replays have pictures of their own; the table has all."
+    few = (paragraph(text),) if len(replays) > MOST.replays else ()
     sections = [
         Section("soc", "State of charge", (*few, *replay_pictures(replays))),
         Section("figures", "All figures", (replay_content(replays),)),
     ]
     if simulations:
-        content = simulation_content(simulations)
-        sections.append(
-            Section(
-                "simulation",
-                "Measured and simulated voltage",
-                (content, *simulation_pictures(simulations)),
-            )
-        )
+        blocks: Blocks = (simulation_content(simulations), *simulation_pictures(simulations))
+        sections.append(Section("simulation", "Measured and simulated voltage", blocks))
     return tuple(sections)
 
 

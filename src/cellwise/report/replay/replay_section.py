@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cellwise.estimate.replay import CONVERGED_SOC, Replay
+from cellwise.estimate.replay import CONVERGED_SOC, Replay, SocErrors
 from cellwise.report.findings import replay_name
+from cellwise.report.page import style
 from cellwise.report.page.jumps import clock_of
+from cellwise.report.page.log_figures import time_axis
+from cellwise.report.page.markup import MOST, Markup, paragraph, table
 from cellwise.report.page.numerals import (
+    counted,
     duration,
     millivolt,
     percent,
@@ -19,47 +22,11 @@ from cellwise.report.page.numerals import (
     significant,
     time_unit,
 )
-from cellwise.report.page.picture import Picture, safe_key
-from cellwise.report.page.style import (
-    CYCLE,
-    FILTER,
-    GREEN,
-    MEASURED,
-    MODEL,
-    MUTED,
-    NARROW,
-    WIDE,
-    finding,
-    labels,
-    legend,
-    new_figure,
-    styled,
-    two_columns,
-    zero_line,
-)
-from cellwise.report.page.thinning import thin, thin_band
-from cellwise.report.page.windows import robust_limit, symmetric_limits
-from cellwise.report.replay.replay_figures import reached
+from cellwise.report.page.picture import Picture, pictured, safe_key
+from cellwise.report.page.traces import robust_limit, symmetric_limits, thin, thin_band
 from cellwise.typing import FloatArray
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 MOST_DETAILED = 4
-SOC_CAPTION = (
-    "Above: the filter's state of charge (blue) with the band of two of its own standard "
-    "deviations, and the reference that the tester counted (grey). Below: their difference; a "
-    "filter with consistent uncertainty keeps it inside its band. Right: the beginning, where a "
-    "wrong initial SOC is corrected; dotted lines mark two points of SOC."
-)
-VOLTAGE_CAPTION = (
-    "What the filter sees: the measured voltage (grey) and the one it predicted before the update "
-    "(vermillion). Below, the difference, called innovation, within the band of two standard "
-    "deviations that the filter expects. Right: innovations as multiples of that deviation, "
-    "against the normal distribution."
-)
-COMPARISON_CAPTION = "The same log through every estimator and start."
 COUNTING_CAPTION = (
     " Counting charge alone keeps its initial error; a filter that also uses the voltage corrects "
     "it."
@@ -69,12 +36,13 @@ COUNTING_CAPTION = (
 def replay_pictures(replays: Sequence[Replay], prefix: str = "replay") -> tuple[Picture, ...]:
     """Comparison of all replays of a log, then SOC and voltage of each of the first few."""
     pictures = list(comparison_pictures(replays, prefix))
-    for k, r in enumerate(replays[:MOST_DETAILED]):
-        key = f"{prefix}-{k + 1}-{safe_key(r.estimator)}-{safe_key(r.log.name or 'log')}"
-        pictures.append(Picture(f"{key}-soc", draw_soc(r), SOC_CAPTION, clock_of(r.log)))
+    for k, r in enumerate(replays[: MOST.replays]):
+        drawn = [soc_picture(r)]
         if np.any(np.isfinite(r.trace.innovation_variance_V2)):
-            drawn = draw_voltage(r)
-            pictures.append(Picture(f"{key}-voltage", drawn, VOLTAGE_CAPTION, clock_of(r.log)))
+            drawn.append(voltage_picture(r))
+        for one in drawn:
+            named = one.of(r.log, f"{prefix}-{k + 1}-{safe_key(r.estimator)}")
+            pictures.append(named._replace(key=f"{named.key}-{one.key}"))
     return tuple(pictures)
 
 
@@ -84,76 +52,88 @@ def comparison_pictures(replays: Sequence[Replay], prefix: str = "replay") -> tu
     for r in replays:
         if r.reference_soc is not None:
             groups.setdefault((r.log.name, len(r.log)), []).append(r)
-    return tuple(
-        Picture(
-            f"{prefix}-comparison-{safe_key(group[0].log.name or 'log')}-{k + 1}",
-            draw_comparison(group),
-            comparison_caption(group),
-            clock_of(group[0].log),
-        )
-        for k, group in enumerate(groups.values())
-        if len(group) > 1
-    )
+    pictures = []
+    for k, group in enumerate(groups.values()):
+        if len(group) > 1:
+            picture = comparison_picture(group).of(group[0].log, f"{prefix}-comparison")
+            # Counting is spoken of only where it is among them, beside a filter.
+            counting = {r.estimator == "coulomb" for r in group}
+            caption = picture.caption + (COUNTING_CAPTION if len(counting) == 2 else "")
+            pictures.append(picture._replace(key=f"{picture.key}-{k + 1}", caption=caption))
+    return tuple(pictures)
 
 
-def comparison_caption(group: Sequence[Replay]) -> str:
-    """What is to be seen; of counting only where it is among them, beside a filter."""
-    counting = {r.estimator == "coulomb" for r in group}
-    return COMPARISON_CAPTION + (COUNTING_CAPTION if len(counting) == 2 else "")
-
-
-@styled
-def draw_soc(replay: Replay) -> Figure:
+@pictured(
+    "soc",
+    "Above: the filter's state of charge (blue) with the band of two of its own standard "
+    "deviations, and the reference that the tester counted (grey). Below: their difference; a "
+    "filter with consistent uncertainty keeps it inside its band. Right: the beginning, where a "
+    "wrong initial SOC is corrected; dotted lines mark two points of SOC.",
+)
+def soc_picture(replay: Replay) -> style.Figure:
     """SOC and its error, the whole log and the beginning."""
     reference = replay.reference_soc is not None
-    figure = new_figure(5.0 if reference else 2.8)
+    figure = style.new_figure(5.0 if reference else 2.8)
     heights = (1.25, 1.0) if reference else (1.0,)
-    t = replay.log.time_s - replay.log.time_s[0]
-    ends = (float(t[-1]), _beginning_s(replay))
-    for column, (axes, end) in enumerate(
-        zip(two_columns(figure, heights, heights), ends, strict=True)
+    seconds = replay.log.time_s - replay.log.time_s[0]
+    wide, narrow = style.two_columns(figure, heights, heights)
+    for whole, axes, end in (
+        (True, wide, float(seconds[-1])),
+        (False, narrow, _beginning_s(replay)),
     ):
-        rows = slice(0, int(np.searchsorted(t, end, side="right")))
-        scale, unit = time_unit(end)
-        draw_soc_axes(axes[0], replay, rows, t[rows] / scale)
-        labels(axes[0], "" if reference else f"time [{unit}]", "SOC [%]")
-        title = _soc_title(replay) if column == 0 else f"The first {duration(end)}"
-        finding(axes[0], title, (WIDE, NARROW)[column])
-        if column == 0:
-            legend(axes[0])
+        rows = slice(0, int(np.searchsorted(seconds, end, side="right")))
+        t, time_label, scale = time_axis(replay.log.time_s[rows], end)
+        draw_soc_axes(axes[0], replay, rows, t)
+        style.labels(axes[0], "" if reference else time_label, "SOC [%]")
+        title = _soc_title(replay) if whole else f"The first {duration(end)}"
+        style.finding(axes[0], title, style.WIDE if whole else style.NARROW)
+        if whole:
+            style.legend(axes[0])
         if reference:
-            draw_soc_error(axes[1], replay, rows, t[rows] / scale, whole=column == 0)
-            labels(axes[1], f"time [{unit}]", "SOC error [points]")
+            draw_soc_error(axes[1], replay, rows, t, whole=whole)
+            style.labels(axes[1], time_label, "SOC error [points]")
         for one in axes:
             one.set_xlim(0.0, end / scale)
     return figure
 
 
-def draw_soc_axes(axes: Axes, replay: Replay, rows: slice, t: FloatArray) -> None:
+def draw_soc_axes(axes: style.Axes, replay: Replay, rows: slice, t: FloatArray) -> None:
     """Estimated SOC with two standard deviations, and the reference [%]."""
     trace = replay.trace
     soc, std = 100.0 * trace.soc[rows], 100.0 * trace.soc_std[rows]
     x, low, high = thin_band(t, soc - 2.0 * std, soc + 2.0 * std)
     axes.fill_between(
-        x, np.clip(low, 0, 100), np.clip(high, 0, 100), color=FILTER, alpha=0.2, lw=0, label="2σ"
+        x,
+        np.clip(low, 0, 100),
+        np.clip(high, 0, 100),
+        color=style.FILTER,
+        alpha=0.2,
+        lw=0,
+        label="2σ",
     )
     if replay.reference_soc is not None:
         axes.plot(
             *thin(t, 100.0 * replay.reference_soc[rows]),
-            color=MEASURED,
+            color=style.MEASURED,
             linewidth=2.2,
             label="reference",
         )
-    axes.plot(*thin(t, soc), color=FILTER, linewidth=1.3, label=replay.estimator)
+    axes.plot(*thin(t, soc), color=style.FILTER, linewidth=1.3, label=replay.estimator)
     # The first row's estimate has seen its voltage already: the start itself stands before it.
     axes.plot(
-        [0.0, t[0]], [100.0 * replay.start.soc, soc[0]], color=FILTER, lw=1.0, ls=(0, (2, 1.5))
+        [0.0, t[0]],
+        [100.0 * replay.start.soc, soc[0]],
+        color=style.FILTER,
+        lw=1.0,
+        ls=(0, (2, 1.5)),
     )
-    axes.plot([0.0], [100.0 * replay.start.soc], "o", color=FILTER, ms=5, label="start", zorder=5)
+    axes.plot(
+        [0.0], [100.0 * replay.start.soc], "o", color=style.FILTER, ms=5, label="start", zorder=5
+    )
 
 
 def draw_soc_error(
-    axes: Axes, replay: Replay, rows: slice, t: FloatArray, *, whole: bool, mark: bool = True
+    axes: style.Axes, replay: Replay, rows: slice, t: FloatArray, *, whole: bool, mark: bool = True
 ) -> None:
     """Estimate minus reference in points of SOC, with the band of two standard deviations."""
     error = replay.soc_error
@@ -161,11 +141,11 @@ def draw_soc_error(
         return
     e, std = 100.0 * error[rows], 100.0 * replay.trace.soc_std[rows]
     x, low, high = thin_band(t, -2.0 * std, 2.0 * std)
-    axes.fill_between(x, low, high, color=FILTER, alpha=0.2, linewidth=0)
-    axes.plot(*thin(t, e), color=FILTER, linewidth=1.0)
-    zero_line(axes)
+    axes.fill_between(x, low, high, color=style.FILTER, alpha=0.2, linewidth=0)
+    axes.plot(*thin(t, e), color=style.FILTER, linewidth=1.0)
+    style.zero_line(axes)
     for level in (-100 * CONVERGED_SOC, 100 * CONVERGED_SOC):
-        axes.axhline(level, color=MUTED, linewidth=0.8, linestyle=(0, (1, 2)))
+        axes.axhline(level, color=style.MUTED, linewidth=0.8, linestyle=(0, (1, 2)))
     settled = replay.settled
     if whole:
         limit = 1.25 * max(robust_limit(e, 97.0)[0], 2.0 * float(np.median(std)), 2.0)
@@ -179,10 +159,10 @@ def draw_soc_error(
             if whole
             else _convergence(replay)
         )
-        finding(axes, text, WIDE if whole else NARROW)
+        style.finding(axes, text, style.WIDE if whole else style.NARROW)
     if mark and replay.convergence_s is not None:
         unit = time_unit(float(replay.log.duration_s) if whole else _beginning_s(replay))[0]
-        axes.axvline(replay.convergence_s / unit, color=GREEN, linewidth=1.0)
+        axes.axvline(replay.convergence_s / unit, color=style.GREEN, linewidth=1.0)
 
 
 def _innovation_finding(replay: Replay) -> str:
@@ -197,88 +177,96 @@ def _off(entry: tuple[float, float]) -> float:
     return abs(math.log(max(entry[0], 1e-9)))
 
 
-@styled
-def draw_voltage(replay: Replay) -> Figure:
+@pictured(
+    "voltage",
+    "What the filter sees: the measured voltage (grey) and the one it predicted before the update "
+    "(vermillion). Below, the difference, called innovation, within the band of two standard "
+    "deviations that the filter expects. Right: innovations as multiples of that deviation, "
+    "against the normal distribution.",
+)
+def voltage_picture(replay: Replay) -> style.Figure:
     """Measured and predicted voltage, innovations with their band, their distribution."""
-    figure = new_figure(4.6)
-    (top, bottom), (right,) = two_columns(figure, (1.2, 1.0), (1.0,))
+    figure = style.new_figure(4.6)
+    (top, bottom), (right,) = style.two_columns(figure, (1.2, 1.0), (1.0,))
     log, trace = replay.log, replay.trace
-    scale, unit = time_unit(log.duration_s)
-    t = (log.time_s - log.time_s[0]) / scale
-    top.plot(*thin(t, log.voltage_V), color=MEASURED, linewidth=1.5, label="measured")
-    top.plot(*thin(t, trace.voltage_V), color=MODEL, linewidth=0.8, label="predicted")
-    finding(
+    t, time_label, _ = time_axis(log.time_s)
+    top.plot(*thin(t, log.voltage_V), color=style.MEASURED, linewidth=1.5, label="measured")
+    top.plot(*thin(t, trace.voltage_V), color=style.MODEL, linewidth=0.8, label="predicted")
+    style.finding(
         top,
         f"{replay_name(replay)}: voltage prediction RMSE {millivolt(replay.voltage_rmse_V)}",
-        WIDE,
+        style.WIDE,
     )
-    labels(top, "", "voltage [V]")
-    legend(top, columns=2)
+    style.labels(top, "", "voltage [V]")
+    style.legend(top, columns=2)
     std = np.sqrt(trace.innovation_variance_V2)
     x, low, high = thin_band(t, -2e3 * std, 2e3 * std)
-    bottom.fill_between(x, low, high, color=FILTER, alpha=0.22, linewidth=0, label="2σ")
-    bottom.plot(*thin(t, 1e3 * trace.innovation_V), color=MODEL, linewidth=0.7)
-    zero_line(bottom)
+    bottom.fill_between(x, low, high, color=style.FILTER, alpha=0.22, linewidth=0, label="2σ")
+    bottom.plot(*thin(t, 1e3 * trace.innovation_V), color=style.MODEL, linewidth=0.7)
+    style.zero_line(bottom)
     least = 2.4 * float(np.nanmedian(std))
     symmetric_limits(bottom, trace.innovation_V, "mV", least=least, factor=1e3)
-    finding(bottom, _innovation_finding(replay), WIDE)
-    labels(bottom, f"time [{unit}]", "innovation [mV]")
+    style.finding(bottom, _innovation_finding(replay), style.WIDE)
+    style.labels(bottom, time_label, "innovation [mV]")
     for axes in (top, bottom):
         axes.set_xlim(t[0], t[-1])
     _draw_distribution(right, trace.innovation_V / std)
     return figure
 
 
-def _draw_distribution(axes: Axes, ratio: FloatArray) -> None:
+def _draw_distribution(axes: style.Axes, ratio: FloatArray) -> None:
     known = ratio[np.isfinite(ratio)]
     edges = np.linspace(-4.0, 4.0, 65)
     counts = np.histogram(np.clip(known, -3.999, 3.999), edges)[0]
     density = counts / max(known.size, 1) / np.diff(edges)
-    axes.stairs(density, edges, fill=True, color=MODEL, alpha=0.55, label="innovations")
+    axes.stairs(density, edges, fill=True, color=style.MODEL, alpha=0.55, label="innovations")
     axes.plot(
-        edges, np.exp(-0.5 * edges**2) / np.sqrt(2 * np.pi), color=FILTER, label="normal", lw=1.6
+        edges,
+        np.exp(-0.5 * edges**2) / np.sqrt(2 * np.pi),
+        color=style.FILTER,
+        label="normal",
+        lw=1.6,
     )
     inside = float(np.mean(np.abs(known) <= 2.0)) if known.size else float("nan")
-    finding(axes, f"{percent(inside, 1)} within 2σ (95.4 % if normal)", NARROW)
-    labels(axes, "innovation [multiples of its σ]", "density [1/σ]")
+    style.finding(axes, f"{percent(inside, 1)} within 2σ (95.4 % if normal)", style.NARROW)
+    style.labels(axes, "innovation [multiples of its σ]", "density [1/σ]")
     axes.set_yticks([])
-    legend(axes)
+    style.legend(axes)
 
 
-@styled
-def draw_comparison(replays: Sequence[Replay]) -> Figure:
+@pictured("comparison", "The same log through every estimator and start.")
+def comparison_picture(replays: Sequence[Replay]) -> style.Figure:
     """SOC and SOC error of several replays of one log."""
-    figure = new_figure(4.6)
+    figure = style.new_figure(4.6)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(1.2, 1.0))
     log = replays[0].log
-    scale, unit = time_unit(log.duration_s)
-    t = (log.time_s - log.time_s[0]) / scale
+    t, time_label, _ = time_axis(log.time_s)
     reference = replays[0].reference_soc
     if reference is not None:
-        top.plot(*thin(t, 100 * reference), color=MEASURED, linewidth=2.6, label="reference")
+        top.plot(*thin(t, 100 * reference), color=style.MEASURED, linewidth=2.6, label="reference")
     for colour, r in zip(_colours(len(replays)), replays, strict=True):
         error = r.soc_error
         top.plot(*thin(t, 100.0 * r.trace.soc), color=colour, linewidth=1.2, label=_start_name(r))
         top.plot([0.0], [100.0 * r.start.soc], "o", color=colour, ms=4.5)
         if error is not None:
             bottom.plot(*thin(t, 100.0 * error), color=colour, linewidth=1.1)
-    zero_line(bottom)
+    style.zero_line(bottom)
     ranked = sorted((_rmse(r), k) for k, r in enumerate(replays))
     (low, best), (high, worst) = ranked[0], ranked[-1]
-    finding(
+    style.finding(
         top,
-        f"{log.name or 'log'}, within 2 points: "
+        f"{clock_of(log)}, within 2 points: "
         + "; ".join(f"{_start_name(r)} {_after(r)}" for r in replays),
     )
-    finding(
+    style.finding(
         bottom,
         f"RMSE over all rows from {percent(low)} ({_start_name(replays[best])}) to "
         f"{percent(high)} ({_start_name(replays[worst])})",
     )
-    labels(top, "", "SOC [%]")
-    labels(bottom, f"time [{unit}]", "SOC error [points]")
+    style.labels(top, "", "SOC [%]")
+    style.labels(bottom, time_label, "SOC error [points]")
     bottom.set_xlim(t[0], t[-1])
-    legend(top, place="upper right")
+    style.legend(top, place="upper right")
     return figure
 
 
@@ -296,7 +284,7 @@ def _start_name(replay: Replay) -> str:
 
 
 def _colours(count: int) -> tuple[str, ...]:
-    return tuple(CYCLE[k % (len(CYCLE) - 1)] for k in range(count))
+    return tuple(style.CYCLE[k % (len(style.CYCLE) - 1)] for k in range(count))
 
 
 def _soc_title(replay: Replay) -> str:
@@ -321,3 +309,69 @@ def _beginning_s(replay: Replay) -> float:
     reached = replay.convergence_s
     wanted = 0.1 * total if reached is None else max(4.0 * reached, 120.0)
     return float(min(max(wanted, 0.005 * total), 0.5 * total))
+
+
+EXPLAINED = (
+    "± is two standard deviations. "
+    "Errors are estimate minus reference, in points of SOC. Settled: after the error has come "
+    "within 2 points and stayed there for ten minutes; where it never did, the log's second half. "
+    "Inside 2σ: share of rows whose error is within two of the filter's own standard deviations. "
+    "NIS: mean squared innovation over what the model states, by time scale; 1 where its statement "
+    "is right."
+)
+
+
+def replay_content(replays: Sequence[Replay]) -> Markup:
+    """All figures of every replay."""
+    columns = [replay_figures(r) for r in replays]
+    names = [name for name, _ in columns[0]]
+    if len(columns) <= MOST.replays_as_columns:
+        head = ("", *(r.estimator for r in replays))
+        body = [(name, *(column[k][1] for column in columns)) for k, name in enumerate(names)]
+        return Markup(paragraph(EXPLAINED, "note") + table(head, body))
+    rows = [(r.estimator, *(text for _, text in c)) for r, c in zip(replays, columns, strict=True)]
+    return Markup(
+        paragraph(EXPLAINED, "note") + table(("estimator", *names), rows, text_columns=(0, 1))
+    )
+
+
+def replay_figures(replay: Replay) -> list[tuple[str, str]]:
+    """Every figure of a replay by its name, as text."""
+    trace = replay.trace
+    start, end = replay.start, (float(trace.soc[-1]), float(trace.soc_std[-1]))
+    return [
+        ("log", clock_of(replay.log)),
+        ("samples", counted(len(trace))),
+        ("initial SOC", f"{points(start.soc)} ± {points(2.0 * start.std)}, {start.how}"),
+        ("final SOC", f"{points(end[0])} ± {percent(2.0 * end[1])}"),
+        *_errors("", replay.errors),
+        (f"within {percent(CONVERGED_SOC, 0)} after", reached(replay)),
+        *_errors("settled: ", replay.settled),
+        ("error inside 2σ", percent(replay.coverage_2sigma, 1)),
+        ("NIS", nis_text(replay)),
+        ("voltage RMSE", millivolt(replay.voltage_rmse_V)),
+        ("time per step", f"{significant(replay.ns_per_step)} ns"),
+    ]
+
+
+def nis_text(replay: Replay) -> str:
+    """NIS of every time scale, or the mean where the model is not known."""
+    if replay.nis is None or replay.model is None:
+        return significant(replay.nis_mean)
+    each = zip(replay.nis, replay.model.error.scales_s, strict=True)
+    return ", ".join(f"{significant(nis, 2)} ({significant(scale)} s)" for nis, scale in each)
+
+
+def reached(replay: Replay) -> str:
+    """How long the error took to come within two points and stay."""
+    if replay.soc_error is None:
+        return duration(None)
+    if replay.convergence_s is None:
+        return "never"
+    return "at once" if replay.convergence_s == 0.0 else duration(replay.convergence_s)
+
+
+def _errors(prefix: str, errors: SocErrors | None) -> list[tuple[str, str]]:
+    values = (None, None, None) if errors is None else (errors.rmse, errors.mae, errors.max)
+    names = ("SOC RMSE", "SOC MAE", "SOC max. error")
+    return [(prefix + n, percent(v)) for n, v in zip(names, values, strict=True)]

@@ -1,0 +1,72 @@
+"""Arguments of the public face, checked where they come in: a wrong type is put in words."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+import numpy as np
+
+from cellwise.errors import InputError
+from cellwise.typing import FloatArray
+
+Kind = TypeVar("Kind")
+
+
+def check_kind(name: str, value: object, kind: type[Kind], way_out: str) -> None:
+    """Refuse what is of another type.
+
+    Raises
+    ------
+    InputError        names the argument, what it is, what it should be
+    """
+    if not isinstance(value, kind):
+        raise InputError(f"{name} = {shown(value)}", with_article(kind.__name__), way_out)
+
+
+def number(name: str, value: object, expected: str, way_out: str = "Pass one number.") -> float:
+    """A number as a float; numpy's scalars are numbers, texts and None are not.
+
+    Raises
+    ------
+    InputError        it is none
+    """
+    if type(value) is float:
+        return value
+    if value is not None and not isinstance(value, (str, bytes)):
+        try:
+            return float(value)  # type: ignore[arg-type]
+        except (TypeError, ValueError):
+            pass
+    raise InputError(f"{name} = {shown(value)}", expected, way_out)
+
+
+def numbers(name: str, values: object) -> FloatArray:
+    """Numbers as an array of floats, of whatever shape.
+
+    Raises
+    ------
+    InputError        texts, None, or rows of unequal length
+    """
+    try:
+        array = np.asarray(values)
+        if array.dtype.kind in "biuf":
+            return array.astype(np.float64, copy=False)
+    except ValueError:
+        pass
+    raise InputError(f"{name} = {shown(values)}", "numbers, nan where one is missing", "Correct.")
+
+
+def shown(value: object) -> str:
+    """A value as a message shows it: None, a short text, a number, else its type."""
+    if value is None or isinstance(value, (bool, int, float)):
+        return str(value)
+    if isinstance(value, str):
+        return repr(value if len(value) <= 40 else f"{value[:40]}...")
+    shape = getattr(value, "shape", None)
+    of = f" of shape {shape}" if isinstance(shape, tuple) and shape else ""
+    return with_article(type(value).__name__) + of
+
+
+def with_article(name: str) -> str:
+    """``a CellLog``, ``an EkfState``."""
+    return f"{'an' if name[0] in 'AEIOUaeiou' else 'a'} {name}"

@@ -1,0 +1,148 @@
+"""Options in one line each, and those that several commands have alike: model, start, reference."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cellwise.errors import InputError
+
+if TYPE_CHECKING:
+    from cellwise.cell.model import CellModel
+
+Parser = argparse._ActionsContainer
+Commands = argparse._SubParsersAction  # made by `add_subparsers`
+
+
+def number(parser: Parser, name: str, metavar: str | None, text: str, **more: Any) -> None:
+    """An option that takes a number."""
+    parser.add_argument(name, type=float, metavar=metavar, help=text, **more)
+
+
+def count(parser: Parser, name: str, metavar: str | None, text: str, **more: Any) -> None:
+    """An option that takes a whole number."""
+    parser.add_argument(name, type=int, metavar=metavar, help=text, **more)
+
+
+def several(parser: Parser, name: str, metavar: str | None, text: str, **more: Any) -> None:
+    """An option that may be given several times; without it, an empty list."""
+    parser.add_argument(
+        name, action="append", metavar=metavar, help=text, **({"default": []} | more)
+    )
+
+
+def flag(parser: Parser, name: str, text: str) -> None:
+    """An option that is there or not."""
+    parser.add_argument(name, action="store_true", help=text)
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """Add ``--json``."""
+    flag(parser, "--json", "print one JSON object and no more")
+
+
+def add_model(parser: argparse.ArgumentParser, *, scalable: bool = False) -> None:
+    """Add the option that names the model, and that which scales it to a capacity."""
+    text = "model file, or a stock model (`cellwise data list`)"
+    parser.add_argument("--model", required=True, metavar="MODEL", help=text)
+    if scalable:
+        text = "scale the model to this capacity: resistances by the inverse ratio [its own]"
+        number(parser, "--capacity-ah", "X", text)
+
+
+def read_model(arguments: argparse.Namespace) -> CellModel:
+    """The model that the arguments name, scaled where they say so.
+
+    Raises
+    ------
+    InputError        as `named_model`
+    """
+    from cellwise.cell.stock.catalogue import named_model
+
+    return named_model(arguments.model, getattr(arguments, "capacity_ah", None))
+
+
+def add_soc0(parser: argparse.ArgumentParser, of: str = "") -> None:
+    """Add ``--soc0``."""
+    parser.add_argument("--soc0", default="auto", metavar="X", help=f"{of}0..1, or auto [auto]")
+
+
+def add_soc0_std(parser: argparse.ArgumentParser) -> None:
+    """Add ``--soc0-std``."""
+    text = "standard deviation of the initial SOC (of a stated --soc0 0.15 unless given)"
+    number(parser, "--soc0-std", "S", text)
+
+
+def add_reference(parser: argparse.ArgumentParser) -> None:
+    """Add what an SOC is judged by: the true start, and the capacity below the counter."""
+    number(parser, "--reference-soc0", "X", "true SOC at the start")
+    number(parser, "--reference-capacity-ah", "X", "for the reference by the counter")
+
+
+def soc0_of(arguments: argparse.Namespace) -> float | None:
+    """``--soc0`` as a number, None for ``auto``.
+
+    Raises
+    ------
+    InputError        neither; no fraction from 0 to 1
+    """
+    from cellwise.cell.simulate import check_soc0
+
+    if arguments.soc0 == "auto":
+        return None
+    try:
+        soc0 = float(arguments.soc0)
+    except ValueError:
+        expected = "auto or a fraction from 0 to 1"
+        raise InputError(f"--soc0 {arguments.soc0}", expected, "Correct it.") from None
+    check_soc0(soc0)
+    return soc0
+
+
+def start_of(stated: float | None, asked: float | None, option: str = "--soc0") -> float | None:
+    """The start that is asked for; None where the log's own stated one holds, or none is known.
+
+    Raises
+    ------
+    InputError        an option that contradicts what is stated of the log
+    """
+    if stated is not None and asked is not None and asked != stated:
+        raise InputError(
+            f"{option} {asked:g} for a log whose initial SOC is stated as {stated:g}",
+            "one initial SOC",
+            f"Leave out {option}, or what is stated behind the @.",
+        )
+    return asked if stated is None else None
+
+
+def check_fraction(option: str, value: float | None) -> None:
+    """Refuse what is no SOC.
+
+    Raises
+    ------
+    InputError        not from 0 to 1
+    """
+    if value is not None and not 0.0 <= value <= 1.0:
+        raise InputError(f"{option} {value:g}", "a fraction from 0 to 1", "Correct it.")
+
+
+def add_data(parser: argparse.ArgumentParser) -> None:
+    """Add the folder of measured data."""
+    text = "folder of the measured cells [$CELLWISE_DATA]"
+    parser.add_argument("--data", metavar="DIR", help=text)
+
+
+def data_folder(arguments: argparse.Namespace) -> Path | None:
+    """The folder of measured data, as stated or as the environment has it; None without one.
+
+    Raises
+    ------
+    InputError        no such folder
+    """
+    folder = arguments.data or os.environ.get("CELLWISE_DATA")
+    if folder and not Path(folder).is_dir():
+        expected = "the folder of measured cells"
+        raise InputError(f"no folder '{folder}'", expected, "Correct --data.")
+    return Path(folder) if folder else None

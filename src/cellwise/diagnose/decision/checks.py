@@ -1,0 +1,180 @@
+"""Whether a diagnosis is possible, and whether an error is more than the model claims of itself."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import f as f_distribution
+
+from cellwise.cell.model import CellModel
+from cellwise.diagnose.fit.least_squares import Fit
+from cellwise.diagnose.fit.noise import STATED, share_claimed
+from cellwise.diagnose.fit.rows import IGNORED, Evidence
+from cellwise.diagnose.log_runs import LogRun
+from cellwise.identify.refinement.sustained import charged_for_minutes
+from cellwise.logs.cell_log import CellLog
+from cellwise.typing import FloatArray
+
+
+class Least(NamedTuple):
+    """Less says nothing: seconds, rows with a voltage, current in units of 1C."""
+
+    duration_s: float = 300.0
+    rows: int = 60
+    current_C: float = 0.02
+
+
+class OtherCell(NamedTuple):
+    """Beyond this the log is of another kind of cell, whatever its age."""
+
+    voltage_V: float = 0.12
+    soc: float = 0.25
+
+
+class Claim(NamedTuple):
+    """An error that the claim would give in ``rare`` of all logs is beyond it.
+
+    Row-to-row noise of another sensor than the model's data had is no error of the model: up to
+    ``noise_V``.
+    """
+
+    rare: float = 1e-3
+    noise_V: float = 0.005
+
+
+LEAST, OTHER, CLAIM = Least(), OtherCell(), Claim()
+OUTSIDE_K = 8.0  # logs so far outside the model's temperatures are of one it was not measured at
+
+
+def too_little(model: CellModel, logs: Sequence[CellLog]) -> str:
+    """What is missing for any verdict; empty if nothing is."""
+    duration = sum(g.duration_s for g in logs)
+    rows = sum(int(np.isfinite(g.voltage_V).sum()) for g in logs)
+    if rows < LEAST.rows or duration < LEAST.duration_s:
+        return (
+            f"too short: {rows} rows with a voltage over {duration:.0f} s; at least {LEAST.rows} "
+            f"rows over {LEAST.duration_s:.0f} s are needed"
+        )
+    current = np.concatenate([g.current_A[np.isfinite(g.current_A)] for g in logs])
+    if current.size == 0:
+        return "no current in the log"
+    swing = float(np.quantile(np.abs(current), 0.99))
+    if swing < LEAST.current_C * model.capacity_Ah:
+        return (
+            f"too quiet: the current stays below {swing:.3g} A "
+            f"({swing / model.capacity_Ah:.3f} C); a load of C/20 or more is needed"
+        )
+    return ""
+
+
+def another_cell(model: CellModel, evidence: Evidence, base: Fit, soc: FloatArray) -> str:
+    """Why the log cannot be of the model's kind of cell; empty if it can.
+
+    ``base`` is the best the model can do within its tolerances. A voltage far outside the model's
+    window, a charge beyond any capacity, or an error no fault explains is another cell.
+    """
+    used = evidence.known & (evidence.role != IGNORED)
+    voltage = evidence.voltage_V[used]
+    low, high = float(np.min(model.ocv_V)), float(np.max(model.ocv_V))
+    middle = float(np.median(voltage))
+    if middle > high + OTHER.voltage_V or middle < low - OTHER.voltage_V:
+        return (
+            f"the log's median voltage {middle:.2f} V lies outside the model's OCV "
+            f"({low:.2f} to {high:.2f} V)"
+        )
+    lowest, highest = float(np.min(soc[used])), float(np.max(soc[used]))
+    if lowest < -OTHER.soc or highest > 1.0 + OTHER.soc:
+        moved = (highest - lowest) * model.capacity_Ah
+        return f"the log moves {moved:.3g} Ah through a model of {model.capacity_Ah:.3g} Ah"
+    error = float(np.median(np.abs(evidence.voltage_V[used] - base.voltage_V[used])))
+    if error > OTHER.voltage_V:
+        return f"the model is {1e3 * error:.0f} mV off in the median, more than any fault explains"
+    return ""
+
+
+def unseen_temperature_C(model: CellModel, evidence: Evidence) -> float | None:
+    """The logs' temperature where the model was not measured at it; None where it was."""
+    middle = float(np.median(np.concatenate([g.temperature_C for g in evidence.logs])))
+    seen = [*model.temperature_C, *(model.validity.temperature_C or ())]
+    inside = float(min(seen)) - OUTSIDE_K <= middle <= float(max(seen)) + OUTSIDE_K
+    return None if inside else middle
+
+
+@dataclass(frozen=True)
+class ClaimCheck:
+    """A log's error over what the model claims there, and how much of that chance would give."""
+
+    log: str
+    rmse_V: float
+    claim_V: float
+    times: float
+    most: float
+
+    @property
+    def beyond(self) -> bool:
+        """Whether the error is larger than the claim allows."""
+        return self.times > self.most
+
+    def text(self) -> str:
+        """For people."""
+        return (
+            f"the error on {self.log or 'the log'} is {1e3 * self.rmse_V:.1f} mV RMSE, "
+            f"{self.times:.1f} times what the model claims of itself there"
+        )
+
+
+def claim_checks(
+    model: CellModel, runs: Sequence[LogRun], evidence: Evidence
+) -> tuple[ClaimCheck, ...]:
+    """Every log as `simulate` shows it before any correction.
+
+    The claim at a row is the model's slow error at its SOC, its share of the polarisation,
+    its noise, and what the initial SOC leaves uncertain through the slope of the OCV. The slow part
+    stays for ``correlation_s``, so that a log holds few independent errors, and the claim itself
+    comes from few (``STATED.errors``): the mean square over the claim's is compared with the F
+    distribution of as many degrees of freedom.
+    """
+    found = []
+    for run, rows in zip(runs, evidence.logs, strict=True):
+        soc = np.clip(run.before.soc, 0.0, 1.0)
+        temperature = float(np.median(rows.temperature_C))
+        middle = model.at_temperature(temperature)
+        drop = np.interp(soc, model.soc, middle.ocv_V[0]) - run.before.voltage_V
+        share = share_claimed(model.error, drop, charged_for_minutes(run.log))
+        slope = np.interp(soc, model.soc, np.gradient(middle.ocv_V[0], model.soc))
+        claim2 = (
+            np.asarray(model.slow_error_V(soc, temperature)) ** 2
+            + (share * drop) ** 2
+            + max(model.error.white_V, _noise_V(run.before.error_V)) ** 2
+            + (rows.start.std * slope) ** 2
+        )
+        error = run.before.error_V
+        known = np.isfinite(error)
+        if not known.any():
+            continue
+        times2 = float(np.mean(error[known] ** 2 / claim2[known]))
+        freedom = 1.0 + run.log.duration_s / (2.0 * max(model.error.correlation_s, 1.0))
+        most2 = float(f_distribution.isf(CLAIM.rare, freedom, STATED.errors))
+        found.append(
+            ClaimCheck(
+                run.log.name,
+                run.before.metrics.rmse_V,
+                float(np.sqrt(np.mean(claim2[known]))),
+                float(np.sqrt(times2)),
+                float(np.sqrt(most2)),
+            )
+        )
+    return tuple(found)
+
+
+def _noise_V(error_V: FloatArray) -> float:
+    """Row-to-row noise of a log, by the differences of its error."""
+    steps = np.abs(np.diff(error_V))
+    steps = steps[np.isfinite(steps)]
+    if steps.size == 0:
+        return 0.0
+    return min(1.4826 * float(np.median(steps)) / math.sqrt(2.0), CLAIM.noise_V)

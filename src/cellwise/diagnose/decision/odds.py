@@ -1,0 +1,144 @@
+"""How rare causes are before any row is read, and how probable each is once all are.
+
+Evidence is summed over blocks of time, and the blocks are weighted at random (Bayesian bootstrap):
+where the noise is what the likelihood takes it for, that changes little; where a model is wrong
+otherwise, what rests on a few blocks is no longer certain. The weights are those of
+pseudo-Bayesian model averaging (Yao et al., 2018, doi:10.1214/17-BA1091).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cellwise.cell.metrics import block_sums
+from cellwise.diagnose.fit.rows import FITTED, HELD, Evidence
+from cellwise.typing import FloatArray
+
+# One diagnosis in fifty finds a cause where nobody expected one, and it may be any of twenty.
+ONE_CAUSE_NATS = math.log(50.0 * 20.0)
+# A cell ages as a whole: what else age does is no second coincidence, only one of a few ways.
+FURTHER_AGE_NATS = math.log(10.0)
+# What has lost charge has grown in resistance as often as not.
+BOTH_NATS = math.log(2.0)
+# Charge and material are lost over years: of ten cells that lost as much as logs show, one lost it
+# between two logs of which the first is known to be good.
+SINCE_BASELINE_NATS = math.log(10.0)
+RESISTANCE = frozenset({"resistance_scale", "ohmic_resistance", "charge_transfer"})
+AGE = frozenset(
+    {
+        "capacity",
+        "resistance_scale",
+        "ohmic_resistance",
+        "charge_transfer",
+        "lithium_inventory",
+        "active_material_negative",
+        "active_material_positive",
+        "ocv_shift",
+    }
+)
+# Outside the temperatures that the model was measured at these are expected: one of a few ways.
+TEMPERATURE = frozenset({"entropy", "surface_soc", "slow_diffusion", "self_heating"})
+# There a law that was found at another temperature holds as rarely as a cause comes elsewhere.
+LAW = "temperature_dependence"
+LAW_HOLDS_NATS = math.log(50.0)
+DRAWS = 1000
+# A cause is named from this probability on.
+NAMED = 0.9
+NAMED_NATS = math.log(NAMED / (1.0 - NAMED))
+# Explanations below this are not said.
+LEAST_WEIGHT = 0.02
+
+
+@dataclass(frozen=True)
+class Rarity:
+    """How rare sets are in one diagnosis.
+
+    ``extrapolated``: the logs' temperature lies outside the model's; ``same_age``: a good log of
+    the same cell is known, so that age is no more than one of many ways.
+    """
+
+    extrapolated: bool = False
+    same_age: bool = False
+
+    def hides(self, name: str) -> bool:
+        """Whether a cause cannot be said to be there, however well it explains the logs.
+
+        At a temperature that the model was not measured at, a cell that has aged and a law that
+        does not hold there look alike: diffusion that the cold slows empties a cell early, too.
+        """
+        return self.extrapolated and name in AGE
+
+    def nats(self, names: Collection[str]) -> float:
+        """Ln of the odds against a set."""
+        left = set(names)
+        total = 0.0
+        if self.extrapolated:
+            total += FURTHER_AGE_NATS * len(left & TEMPERATURE)
+            total += 0.0 if LAW in left else LAW_HOLDS_NATS
+            left -= TEMPERATURE | {LAW}
+        age = left & AGE
+        if age:
+            kinds = int(bool(age & RESISTANCE)) + int(bool(age - RESISTANCE))
+            both = FURTHER_AGE_NATS if self.same_age else BOTH_NATS
+            total += ONE_CAUSE_NATS + both * (kinds - 1)
+            total += FURTHER_AGE_NATS * (len(age) - kinds)
+            if self.same_age and age - RESISTANCE:
+                total += SINCE_BASELINE_NATS
+        return total + ONE_CAUSE_NATS * len(left - age)
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """A set of causes, ln p of all rows with them estimated, each row's part of it, its rarity."""
+
+    causes: tuple[str, ...]
+    total: float
+    terms: FloatArray
+    rarity: float = 0.0
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """A set of causes and its probability among all that were weighed."""
+
+    causes: tuple[str, ...]
+    probability: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON values."""
+        return {"causes": list(self.causes), "probability": self.probability}
+
+
+def weigh(
+    hypotheses: Sequence[Hypothesis], evidence: Evidence, rng: np.random.Generator
+) -> tuple[Weighed, ...]:
+    """Probability of every set, most probable first; of the same set the best fit counts."""
+    best: dict[frozenset[str], Hypothesis] = {}
+    for one in hypotheses:
+        known = best.get(frozenset(one.causes))
+        if known is None or one.total > known.total:
+            best[frozenset(one.causes)] = one
+    sets = list(best.values())
+    if not sets:
+        return ()
+    used = ((evidence.role == HELD) | (evidence.role == FITTED)) & evidence.known
+    blocks = block_sums(evidence.block[used], np.column_stack([h.terms[used] for h in sets]))
+    rest = np.array([h.total for h in sets]) - blocks.sum(axis=0)
+    rest -= np.array([h.rarity for h in sets])
+    many = len(blocks)
+    draws = many * rng.dirichlet(np.ones(many), DRAWS)
+    score = draws @ blocks + rest
+    weight = np.exp(score - score.max(axis=1, keepdims=True))
+    share = (weight / weight.sum(axis=1, keepdims=True)).mean(axis=0)
+    found = [Weighed(h.causes, float(p)) for h, p in zip(sets, share, strict=True)]
+    return tuple(sorted(found, key=lambda w: -w.probability))
+
+
+def probability_of(name: str, weighed: Sequence[Weighed]) -> float:
+    """What the sets that hold a cause weigh together."""
+    return float(sum(w.probability for w in weighed if name in w.causes))

@@ -1,0 +1,104 @@
+"""First station: logs that no cell can have are refused, temperatures that disagree are said."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+
+from cellwise.cell.plausibility.cells_in_series import check_one_cell
+from cellwise.cell.plausibility.notice import Notice
+from cellwise.errors import InputError
+from cellwise.identify.by_temperature import without_offsets
+from cellwise.identify.identification import REFERENCE_C, IdentifySettings, TestLogs
+from cellwise.logs.cell_log import CellLog
+from cellwise.logs.checks.sign import verify_sign
+from cellwise.logs.stated import other_temperature
+
+# The highest voltages of a log of an empty cell and one of a full differ by less (LTO: 1.87); those
+# of one cell and two in series by 2.
+OTHER_VOLTAGE = 1.9
+VOLT_PER_KELVIN = 0.005  # about what a wrong temperature does at 1C: only the order of notices
+
+
+class CheckedLogs(NamedTuple):
+    """The tests, a current sensor's offset taken out of the low-rate ones; what was found."""
+
+    tests: TestLogs
+    default_C: float
+    contradictions: tuple[Notice, ...]
+    notices: tuple[str, ...]
+
+
+def check_logs(tests: TestLogs, settings: IdentifySettings) -> CheckedLogs:
+    """Refuse what no later step could make sense of.
+
+    Raises
+    ------
+    InputError        no usable log; a log whose current has the wrong sign; a pack beside or
+                      instead of a cell; a nominal capacity that is none
+    """
+    _check_given(tests, settings)
+    logs = tests.logs()
+    for log in logs:
+        _check_sign(log)
+        check_one_cell(log)
+    _check_voltages(logs)
+    default = REFERENCE_C if settings.temperature_C is None else settings.temperature_C
+    contradictions = []
+    for log, stated in (*tests.hppc, *tests.drive):
+        found = None if stated is None else other_temperature(log, stated)
+        if found is not None:
+            contradictions.append(Notice(VOLT_PER_KELVIN * found[0], found[1]))
+    tests, notices = without_offsets(tests, default)
+    return CheckedLogs(tests, default, tuple(contradictions), tuple(notices))
+
+
+def reading_notices(tests: TestLogs) -> list[str]:
+    """What reading the logs has noted, each with the name of its log."""
+    return [
+        n if log.name and log.name in n else f"'{log.name}': {n}"
+        for log in tests.logs()
+        for n in log.notices
+    ]
+
+
+def _check_given(tests: TestLogs, settings: IdentifySettings) -> None:
+    any_serves = settings.prior is not None and (tests.ocv or tests.capacity)
+    if not tests.hppc and not tests.drive and not any_serves:
+        raise InputError(
+            "neither an HPPC nor a drive log",
+            "at least one of them",
+            "Give `hppc=LOG` or `drive=LOG`.",
+        )
+    nominal = settings.nominal_Ah
+    if nominal is not None and not (np.isfinite(nominal) and nominal > 0.0):
+        raise InputError(
+            f"a nominal capacity of {nominal:g} Ah", "a number above zero", "Give it in Ah."
+        )
+
+
+def _check_sign(log: CellLog) -> None:
+    found = verify_sign(log)
+    if found.verdict == "contradicted":
+        raise InputError(
+            f"log '{log.name}' whose voltage rises with its discharge current "
+            f"({'; '.join(found.evidence[:2])})",
+            "positive current on discharge",
+            "Give `sign='charge-positive'`, or swap the sign in the file.",
+        )
+
+
+def _check_voltages(logs: tuple[CellLog, ...]) -> None:
+    """Refuse a pack beside a cell."""
+    highest = [float(np.nanmax(log.voltage_V)) for log in logs]
+    for low, high in combinations(np.argsort(highest), 2):
+        if highest[high] > OTHER_VOLTAGE * highest[low]:
+            raise InputError(
+                f"up to {highest[high]:.3g} V in '{logs[high].name}' beside "
+                f"{highest[low]:.3g} V in '{logs[low].name}'",
+                "logs of one cell",
+                "Other cells in series? Read that log alone with its own `series=N`, and write it "
+                "as a log of one cell (write_log, cellwise convert).",
+            )

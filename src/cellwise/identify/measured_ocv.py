@@ -1,0 +1,126 @@
+"""Third station: open-circuit voltage over SOC, of low-rate tests, rests, or what there is."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from cellwise.cell.plausibility.notice import Notice
+from cellwise.errors import InputError
+from cellwise.identify.by_temperature import low_rate_tests, nearest_test
+from cellwise.identify.checked_logs import CheckedLogs
+from cellwise.identify.hppc.pulses import find_pulses
+from cellwise.identify.identification import REFERENCE_C, TestLogs, log_temperature_C
+from cellwise.identify.ocv.curve import OcvCurve, combine_ocv, curve_from_points
+from cellwise.identify.ocv.ocv_lowrate import ocv_from_low_rate
+from cellwise.identify.ocv.ocv_rests import ocv_from_rests
+from cellwise.identify.ocv.sample_check import sample_notice
+
+FEWEST_POINTS = 4  # of a cubic
+
+
+class MeasuredOcv(NamedTuple):
+    """The curve, and what was found on the way."""
+
+    curve: OcvCurve
+    contradictions: tuple[Notice, ...]
+    notices: tuple[str, ...]
+
+
+def measure_ocv(checked: CheckedLogs, capacity_Ah: float) -> MeasuredOcv:
+    """OCV from the low-rate test nearest in temperature, rests of an HPPC log, or both.
+
+    Without either, from the slowest capacity test; without that, the voltages of a drive.
+
+    Raises
+    ------
+    InputError        no OCV
+    """
+    tests = checked.tests
+    notices: list[str] = []
+    slow = nearest_test(low_rate_tests(tests.ocv, checked.default_C), checked.default_C)
+    low_rate = None
+    if slow:
+        low_rate = ocv_from_low_rate(slow if len(slow) > 1 else slow[0], capacity_Ah=capacity_Ah)
+        notices.extend(low_rate.notes)
+    rests = _of_rests(tests, capacity_Ah, notices)
+    if low_rate is not None and rests is not None and rests.points_soc.size >= FEWEST_POINTS:
+        unlike = sample_notice(rests, low_rate, capacity_Ah)
+        both = combine_ocv(rests, low_rate)
+        return MeasuredOcv(both, () if unlike is None else (unlike,), tuple(notices))
+    if low_rate is not None:
+        return MeasuredOcv(low_rate, (), tuple(notices))
+    if rests is not None:
+        return MeasuredOcv(rests, (), (*notices, *rests.notes))
+    if tests.capacity:
+        curve = ocv_from_low_rate(tests.capacity, capacity_Ah=capacity_Ah)
+        said = "OCV taken from the slowest capacity test: it carries its polarisation"
+        return MeasuredOcv(curve, (), (*notices, said))
+    if not tests.drive:
+        raise _no_ocv(tests, notices[-1])
+    curve, said = _of_drives(tests, capacity_Ah)
+    return MeasuredOcv(curve, (), (*notices, said))
+
+
+def pulse_counts(tests: TestLogs) -> tuple[str, int]:
+    """The pulses of each log by quality, as text, and how many are healthy."""
+    values, healthy = [], 0
+    for log, _ in tests.hppc:
+        counts: dict[str, int] = {}
+        for p in find_pulses(log):
+            counts[p.quality] = counts.get(p.quality, 0) + 1
+        listed = ", ".join(f"{n} {quality}" for quality, n in counts.items())
+        values.append(f"{listed + ' pulse(s)' if listed else 'no pulse at all'} in '{log.name}'")
+        healthy += counts.get("healthy", 0)
+    return "; ".join(values), healthy
+
+
+def _of_rests(tests: TestLogs, capacity_Ah: float, notices: list[str]) -> OcvCurve | None:
+    """Of the log nearest to the reference temperature: a cold one relaxes too slowly."""
+    if not tests.hppc:
+        return None
+    log, _ = min(tests.hppc, key=lambda item: abs(log_temperature_C(*item) - REFERENCE_C))
+    try:
+        return ocv_from_rests(
+            log, capacity_Ah=capacity_Ah, anchor="auto", soc_start=log.soc0, extrapolate=True
+        )
+    except InputError as error:
+        notices.append(f"no OCV from the rests of '{log.name}': {error}")
+        return None
+
+
+def _no_ocv(tests: TestLogs, why: str) -> InputError:
+    counts, healthy = pulse_counts(tests)
+    return InputError(
+        f"{counts}, and no open-circuit voltage ({why.partition('; expected')[0]})",
+        "a low-rate test beside it" if healthy else "at least one healthy pulse after a rest",
+        "Add `ocv=LOG` (a C/20 discharge), or give an HPPC log with rests at several SOC.",
+    )
+
+
+def _of_drives(tests: TestLogs, capacity_Ah: float) -> tuple[OcvCurve, str]:
+    """A first OCV out of the longest drive: the upper quartile of the voltage at each SOC."""
+    log = max((log for log, _ in tests.drive), key=lambda x: float(np.ptp(x.counted_charge_Ah())))
+    soc = (1.0 if log.soc0 is None else log.soc0) - log.counted_charge_Ah() / capacity_Ah
+    edges = np.linspace(max(float(np.nanmin(soc)), 0.0), 1.0, 31)
+    points, level = [], []
+    for low, high in pairwise(edges):
+        inside = (soc >= low) & (soc < high) & np.isfinite(log.voltage_V)
+        if np.count_nonzero(inside) >= 3:
+            points.append(float(np.mean(soc[inside])))
+            level.append(float(np.percentile(log.voltage_V[inside], 75)))
+    if len(points) < FEWEST_POINTS:
+        raise InputError(
+            "no OCV test, no rest and too little charge moved",
+            "a low-rate discharge or an HPPC log with rests",
+            "Add `ocv=LOG` or `hppc=LOG`.",
+        )
+    begun = "begun full" if log.soc0 is None else f"begun at SOC {log.soc0:g}"
+    said = f"no OCV test: first OCV from the voltages of drive '{log.name}', {begun}"
+    source = f"drive {log.name}"
+    curve = curve_from_points(
+        np.array(points), np.array(level), capacity_Ah=capacity_Ah, source=source
+    )
+    return curve, said

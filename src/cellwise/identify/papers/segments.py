@@ -1,0 +1,109 @@
+r"""Segment identification: three points of a pulse and closed formulas (NCR18650B paper).
+
+.. math::
+
+    R_0 = |V(t_0) - V(t_1)| / I \quad (6) \qquad R_1 = |V(t_1) - V(t_2)| / I \quad (7)
+
+    \tau_1 = (t_2 - t_1) / 5 \quad (8) \qquad C_1 = \tau_1 / R_1 \quad (9)
+
+R2, tau2 and C2 follow from (7) to (9) on the longer segment from t1 to t3. Quick, and a
+start value for anything else; but the time constants are a choice of points, not an estimate, the
+OCV that moves during the pulse counts as resistance, and R2 holds what R1 holds already.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellwise.errors import InputError
+from cellwise.identify.hppc.passive_misfit import noise_of
+from cellwise.identify.pulse_fit.pulse_data import PulseData
+from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseParameters
+from cellwise.identify.pulse_fit.pulse_problem import UNKNOWNS, build_problem, residual_V
+
+TAUS_PER_SEGMENT = 5.0
+
+
+@dataclass(frozen=True)
+class SegmentOptions:
+    """Choice of the points.
+
+    Parameters
+    ----------
+    fast_part : float         t2 - t1 over t3 - t1: where the fast segment ends. The paper reads it
+                              off by eye; a tenth puts a decade between tau1 and tau2.
+    """
+
+    fast_part: float = 0.1
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.fast_part < 1.0:
+            raise InputError(
+                f"fast_part = {self.fast_part}", "a number between 0 and 1", "Choose such a part."
+            )
+
+
+def fit_segments(data: PulseData, options: SegmentOptions | None = None) -> PulseFit:
+    """Parameters of one pulse from four of its rows, equations (6) to (9).
+
+    t0 is the last row before the pulse, t1 the first row in it (after `settling_rows`, if the
+    tester has any), t3 its last row, t2 the row nearest to ``fast_part`` of the way from t1 to t3.
+
+    Standard errors of the resistances follow from the row-to-row noise of the voltage; the time
+    constants have none (NaN).
+
+    Raises
+    ------
+    InputError        no row before the pulse, or no three settled rows in it
+    """
+    options = options or SegmentOptions()
+    row0, row3 = data.start - 1, data.stop - 1
+    settled = np.flatnonzero(~data.settling_rows[data.start : data.stop])
+    row1 = data.start + int(settled[0]) if settled.size else row3
+    if row0 < 0 or row3 - row1 < 2:
+        raise InputError(
+            f"{data.start} rows before pulse '{data.name}', {row3 - row1 + 1} settled rows in it",
+            "at least 1 row before and 3 in it",
+            "Cut the pulse with some rest before it, or leave it out.",
+        )
+    time, voltage = data.time_s, data.voltage_V
+    wanted = time[row1] + options.fast_part * (time[row3] - time[row1])
+    row2 = int(np.argmin(np.abs(time[row1 + 1 : row3] - wanted))) + row1 + 1
+    current = abs(data.pulse_current_A)
+    r0 = abs(voltage[row0] - voltage[row1]) / current  # (6)
+    r1 = abs(voltage[row1] - voltage[row2]) / current  # (7)
+    r2 = abs(voltage[row1] - voltage[row3]) / current  # (7) on the longer segment
+    tau1 = (time[row2] - time[row1]) / TAUS_PER_SEGMENT  # (8)
+    tau2 = (time[row3] - time[row1]) / TAUS_PER_SEGMENT
+    noise = noise_of(data.voltage_V)
+    error = float(np.sqrt(2.0)) * noise / current
+    nan = float("nan")
+    return PulseFit(
+        method="segments",
+        soc=data.soc,
+        current_A=data.pulse_current_A,
+        duration_s=data.pulse_duration_s,
+        window_s=float(time[-1] - time[0]),
+        value=PulseParameters(
+            float(r0), float(r1), float(tau1), float(r2), float(tau2), float(voltage[row0]), 0.0
+        ),
+        error=PulseParameters(error, error, nan, error, nan, noise, nan),
+        rmse_V=_rmse(data, float(voltage[row0]), (r0, r1, tau1, r2, tau2)),
+        noise_V=noise,
+        rows=len(data),
+        left_out=row1 - data.start,
+    )
+
+
+def _rmse(data: PulseData, ocv: float, circuit: tuple[float, float, float, float, float]) -> float:
+    """Residual of the circuit that the formulas give [V], weighted as the other methods weigh."""
+    r0, r1, tau1, r2, tau2 = circuit
+    problem = build_problem(data, "balanced")
+    coefficients = np.zeros(len(UNKNOWNS))
+    coefficients[:5] = ocv - problem.reference_V, 0.0, r0, r1, r2
+    if data.ocv_change_V is not None:
+        coefficients[0] -= data.ocv_change_V[data.start - 1]
+    residual = residual_V(problem, np.log(np.array([tau1, tau2])), coefficients)
+    return float(np.sqrt(np.sum(problem.weight * residual**2) / np.sum(problem.weight)))

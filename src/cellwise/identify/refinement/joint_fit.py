@@ -1,0 +1,229 @@
+"""Fifth station: which logs take part in the joint fit, where each begins, and the fit itself."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from cellwise.cell.effects import Effect
+from cellwise.cell.model import CellModel
+from cellwise.cell.simulate import start_hysteresis
+from cellwise.errors import InputError
+from cellwise.identify.assemble import refined_model
+from cellwise.identify.capacity.half_cycles import discharge_rows
+from cellwise.identify.fitted_pulses import Group
+from cellwise.identify.identification import REFERENCE_C, IdentifySettings, Start
+from cellwise.identify.ocv.curve import OcvCurve
+from cellwise.identify.refinement.problem import RefineSettings, StartTables
+from cellwise.identify.refinement.refine import RefineResult, refine, residuals_of
+from cellwise.identify.refinement.refine_data import PreparedLog, RefineLog
+from cellwise.identify.refinement.start_tables import rough_resistance, start_tables
+from cellwise.identify.soc_anchor import SocAnchor, anchor_soc, full_before
+from cellwise.logs.cell_log import CellLog
+from cellwise.typing import BoolArray, FloatArray
+
+
+class TakesPart(NamedTuple):
+    """What a log must show to take part in the fit.
+
+    Parameters
+    ----------
+    soc_std : float     of its start: one known less well says nothing of the OCV
+    deep : float        of the capacity, what a drive must move to show every SOC under load and at
+                        rest
+    discharge : float   of the capacity; scripts that finish a charge or discharge with small steps
+                        show no OCV, and begin where a per cent of SOC is many millivolts
+    inside : float      of a test's discharge, else it began elsewhere
+    warmer_K : float    above the pulses. What a discharge says of slow resistances grows when it is
+                        carried to colder tables, and activations of cells differ by 2,000 K and
+                        more: a quarter over 10 K
+    slow_s : float      a log must be this long to show the slow branch
+    low_rate : float    weight of a low-rate test: hundreds of rows against the few rests of pulses,
+                        and its SOC suffers most from a current sensor that is off
+    """
+
+    soc_std: float = 0.05
+    deep: float = 0.3
+    discharge: float = 0.1
+    inside: float = 0.5
+    warmer_K: float = 10.0
+    slow_s: float = 1800.0
+    low_rate: float = 0.8
+
+
+LIMITS = TakesPart()
+QUICK_ROWS, QUICK_ITERATIONS = 800, 12  # compared rows of a log, where fits are compared
+BALANCE = 1.5  # over several temperatures: a log that is fitted worse counts less
+SMOOTH_OF_SEVERAL = 0.003  # their logs are fitted worse, and what holds scales with that
+
+
+class Candidate(NamedTuple):
+    """A log, whether its current may lag, the rows to compare (None: all), why it is left out."""
+
+    log: CellLog
+    driven: bool
+    part: BoolArray | None
+    why_not: str = ""
+    low_rate: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class JointLogs:
+    """What the joint fit is made of: logs, from where, with which settings.
+
+    ``starts`` holds every log that was given, ``logs`` those that take part, in the same order.
+    """
+
+    logs: tuple[RefineLog, ...]
+    starts: tuple[Start, ...]
+    start: StartTables
+    settings: RefineSettings
+    capacity_Ah: float
+    reference_C: float
+    grid_C: FloatArray
+    notices: tuple[str, ...]
+
+    def fit(
+        self,
+        logs: Sequence[RefineLog],
+        settings: RefineSettings,
+        theta: FloatArray | None = None,
+        *,
+        quick: int = 0,
+    ) -> RefineResult:
+        """Fit the tables to some logs; where fits are compared, in ``quick`` steps, fewer rows."""
+        if quick:
+            settings = replace(settings, iterations=quick)
+        return refine(
+            logs, self.start, settings=settings, capacity_Ah=self.capacity_Ah,
+            reference_C=self.reference_C, grid_C=self.grid_C, theta=theta,
+            most_rows=QUICK_ROWS if quick else None, with_errors=quick == 0,
+        )  # fmt: skip
+
+    def residuals(
+        self, result: RefineResult, logs: Sequence[RefineLog], settings: RefineSettings
+    ) -> list[tuple[PreparedLog, FloatArray]]:
+        """What a fit leaves of logs that it has not seen [V]."""
+        return residuals_of(result, self.start, logs, settings, self.capacity_Ah, QUICK_ROWS)
+
+    def model_of(self, result: RefineResult, effects: Sequence[Effect] = ()) -> CellModel:
+        """The model of a fit, and effects that lie beside its tables."""
+        hot = any(item.log.temperature_C is not None for item in self.logs)
+        model = refined_model(result, self.start, self.capacity_Ah, self.settings.skew, hot)
+        for effect in effects:
+            model = model.with_effect(effect)
+        return model
+
+    @property
+    def used(self) -> tuple[Start, ...]:
+        """Where the logs that take part begin."""
+        return tuple(s for s in self.starts if not s.left_out)
+
+
+def gather_logs(
+    groups: Sequence[Group], ocv: OcvCurve, capacity_Ah: float, settings: IdentifySettings
+) -> JointLogs:
+    """Find where every log begins; take those whose SOC is known.
+
+    Low-rate and capacity tests take part with their discharge: it is what the SOC scale and the OCV
+    near empty are known from.
+
+    Raises
+    ------
+    InputError        no log whose SOC is known well enough
+    """
+    grid = np.array([g.temperature_C for g in groups])
+    resistance = rough_resistance(groups)
+    anchors = {id(s.log): s.anchor for g in groups for s in g.pulse_sets}
+    driven = any(_is_deep(log, capacity_Ah) for g in groups for log, _ in g.tests.drive)
+    logs: list[RefineLog] = []
+    starts: list[Start] = []
+    notices: list[str] = []
+    for g in groups:
+        for c in _candidates(g, driven, capacity_Ah, grid):
+            anchor = anchors.get(id(c.log)) or anchor_soc(c.log, ocv, capacity_Ah, resistance)
+            if c.part is not None and c.log.soc0 is None and c.part.any():
+                anchor = full_before(c.log, c.part & discharge_rows(c.log), capacity_Ah, anchor)
+            why_not = c.why_not or _left_out(c, anchor, capacity_Ah)
+            starts.append(Start(c.log, anchor.soc, c.part, why_not))
+            if why_not:
+                notices.append(f"'{c.log.name}' left out of the refinement: {why_not}")
+                continue
+            notices.append(f"'{c.log.name}' begins at SOC {anchor.soc:.3f} ({anchor.how})")
+            soc = anchor.soc - c.log.counted_charge_Ah() / capacity_Ah
+            logs.append(RefineLog(c.log, soc, skewed=c.driven, h0=start_hysteresis(anchor.soc),
+                                  weight=LIMITS.low_rate if c.low_rate else 1.0,
+                                  compare=c.part, temperature_C=g.temperature_C,
+                                  low_rate=c.low_rate))  # fmt: skip
+    if all(item.compare is not None for item in logs):
+        raise InputError(
+            "no log whose SOC at the start is known",
+            "a log with a rest where the OCV is steep, or one that begins full",
+            "Let the cell rest before the test, or log the charge before it.",
+        )
+    start, hysteresis = start_tables(groups, ocv, resistance, capacity_Ah, settings.hysteresis)
+    several = len(groups) > 1
+    long = any(item.log.duration_s >= LIMITS.slow_s for item in logs)
+    fit = RefineSettings(
+        branches=settings.branches if long else 2,
+        hysteresis=hysteresis,
+        activation_std_K=settings.activation_std_K,
+        skew=any(item.skewed for item in logs),
+        balance=BALANCE if several else 0.0,
+        smooth=SMOOTH_OF_SEVERAL if several else RefineSettings.smooth,
+    )
+    reference = float(grid[int(np.argmin(np.abs(grid - REFERENCE_C)))])
+    return JointLogs(tuple(logs), tuple(starts), start, fit, capacity_Ah, reference, grid,
+                     tuple(notices))  # fmt: skip
+
+
+def _candidates(
+    group: Group, driven: bool, capacity_Ah: float, grid_C: FloatArray
+) -> Iterator[Candidate]:
+    """Logs of a temperature.
+
+    Where no drive goes deep, the charges and rests of capacity tests are the only ones there are.
+    Beside pulses a capacity test much warmer than the tables is left out.
+    """
+    for log, _ in group.tests.hppc:
+        yield Candidate(log, False, None)
+    for log, _ in group.tests.drive:
+        yield Candidate(log, True, None)
+    for log in group.tests.ocv:
+        part = discharge_rows(log)
+        out_Ah = np.diff(log.counted_charge_Ah(), prepend=0.0)[part]
+        share = float(np.sum(np.maximum(out_Ah, 0.0))) / capacity_Ah
+        little = f"its discharge moves {100 * share:.1f} % of the capacity"
+        yield Candidate(log, False, part, little if share < LIMITS.discharge else "", low_rate=True)
+    for log in group.tests.capacity:
+        part = discharge_rows(log) if driven else np.ones(len(log), dtype=np.bool_)
+        began_C, warmest_C = _began_C(log), float(np.max(grid_C))
+        warm = ""
+        if group.tests.hppc and began_C is not None and began_C > warmest_C + LIMITS.warmer_K:
+            warm = f"it began at {began_C:.0f} degC, the warmest pulses are of {warmest_C:.0f} degC"
+        yield Candidate(log, False, part, warm)
+
+
+def _left_out(c: Candidate, anchor: SocAnchor, capacity_Ah: float) -> str:
+    """Why a log cannot take part; empty if it can."""
+    if anchor.std > LIMITS.soc_std:
+        return f"its SOC at the start is known to +-{100 * anchor.std:.0f} % only"
+    soc = anchor.soc - c.log.counted_charge_Ah() / capacity_Ah
+    inside = (soc >= 0.0) & np.isfinite(c.log.voltage_V)
+    if c.part is not None and np.mean(inside[c.part]) < LIMITS.inside:
+        return f"its discharge would begin at SOC {float(soc[np.argmax(c.part)]):.2f}"
+    return ""
+
+
+def _began_C(log: CellLog) -> float | None:
+    """Temperature at which a log began, if it was measured: its own load warms a cell."""
+    warm = log.temperature_C
+    known = np.empty(0) if warm is None else warm[np.isfinite(warm)]
+    return float(known[0]) if known.size else None
+
+
+def _is_deep(log: CellLog, capacity_Ah: float) -> bool:
+    return float(np.ptp(log.counted_charge_Ah())) >= LIMITS.deep * capacity_Ah

@@ -1,0 +1,94 @@
+"""The column maps of `column_maps.toml`, as formats: a tester's format is data, not code."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable, Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from cellwise.logs.files.columns import CLOCK, OWN, Channel, Unit
+from cellwise.logs.files.csv_layout import has_names
+from cellwise.logs.files.csv_text import read_csv
+from cellwise.logs.files.format import Format, Reader
+from cellwise.logs.files.source import LogSource
+
+PLACE = Path(__file__).with_name("column_maps.toml")
+
+REQUIRED = ("time_s", "current_A", "voltage_V")
+FIELDS = (
+    *("time_s", "step_time_s", "current_A", "voltage_V", "working_V", "counter_V"),
+    *("temperature_C", "charge_Ah", "charged_Ah", "discharged_Ah", "moved_Ah", "step", "direction"),
+)
+_UNITS = {
+    "": OWN,
+    **dict.fromkeys(("ms", "mA", "mV", "mAh"), Unit(1e-3)),
+    "us": Unit(1e-6),
+    "min": Unit(60.0),
+    "h": Unit(3600.0),
+    "clock": CLOCK,
+    "-Ah": Unit(-1.0),
+    "-mAh": Unit(-1e-3),
+}
+_STATES = {"charge": -1.0, "discharge": 1.0, "rest": 0.0}
+
+
+@cache
+def _tables() -> dict[str, dict[str, Any]]:
+    return tomllib.loads(PLACE.read_text(encoding="utf-8"))
+
+
+def mapped(
+    table: str,
+    name: str = "",
+    *,
+    matches: Callable[[LogSource], bool] | None = None,
+    read: Reader = read_csv,
+    **more: Any,
+) -> Format:
+    """The format of one table of the file.
+
+    Parameters
+    ----------
+    table : str         its heading
+    name : str          the format's name; empty: the heading
+    matches : callable  empty: one line of the text holds a name of each group of ``marks``
+    read : callable     the reader
+    more                of `Format`
+    """
+    entry = _tables()[table]
+    like = _tables()[entry["like"]] if "like" in entry else {}
+    return Format(
+        name=name or table,
+        matches=matches or (lambda source: has_names(source, *marks(table))),
+        channels=tuple(
+            Channel(
+                field,
+                _names(field, like) | _names(field, entry),
+                required=field in REQUIRED,
+                instead=(like | entry).get("instead", {}).get(field, ""),
+            )
+            for field in FIELDS
+            if field in entry or field in like
+        ),
+        known=(*like.get("unused", ()), *entry["unused"]),
+        read=read,
+        sign=entry["sign"],
+        **more,
+    )
+
+
+def marks(table: str) -> list[list[str]]:
+    """Groups of names of which a header of this format has one each."""
+    found: list[list[str]] = _tables()[table]["marks"]
+    return found
+
+
+def _names(field: str, entry: Mapping[str, Any]) -> dict[str, Unit]:
+    """Column names of a channel with their units."""
+    if field == "direction" and field in entry:
+        states = {label: _STATES[k] for k, found in entry["states"].items() for label in found}
+        return dict.fromkeys(entry[field], Unit(kind="label", labels=states))
+    parts = (text.partition(" => ") for text in entry.get(field, ()))
+    return {name: _UNITS[unit] for name, _, unit in parts}

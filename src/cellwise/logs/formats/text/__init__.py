@@ -1,1 +1,0 @@
-"""Text exports whose rows are not those of one plain table."""

@@ -1,1 +1,0 @@
-"""Derivatives of the equations, from their text."""

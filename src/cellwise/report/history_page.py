@@ -1,0 +1,138 @@
+"""The page of a life: capacity and resistance with bands, counted tests and windows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cellwise.history.life import Life
+from cellwise.report.page import style
+from cellwise.report.page.markup import Markup, details, lead_of, paragraph, record_table, tiles
+from cellwise.report.page.numerals import percent, plural, significant
+from cellwise.report.page.picture import FigureFiles, pictured
+from cellwise.report.page.section import Section, write_page
+
+UNITS = {"days": "days since the first log", "throughput_Ah": "charge moved in these logs [Ah]"}
+
+
+def history_page(
+    found: Life, path: str | Path, *, figures: str | Path | FigureFiles | None = None
+) -> Path:
+    """Write the page of a life.
+
+    Raises
+    ------
+    InputError        matplotlib is missing; the path cannot be written
+    """
+    data = found.to_dict()
+    share, std = float(found.trend.share[-1]), float(found.trend.std[-1])
+    use = data["trend"]["use"]
+    known = f"{use['capacity_Ah']:.3g} ± {2 * use['capacity_std_Ah']:.2g}"
+    key_figures = tiles(
+        [
+            ("of the new cell's capacity", f"{percent(share, 1)} ± {percent(2 * std, 1)}"),
+            ("capacity to use [Ah]", known),
+            ("resistance to use", f"{significant(use['resistance_scale'], 3)} of the model's"),
+            ("logs", str(len(found.logs))),
+        ]
+    )
+    notices = [*data["notices"], *(n for one in data["logs"] for n in one["notices"])]
+    next_test = paragraph(data["trend"]["next_reference"].capitalize() + ".")
+    sections = [
+        Section("capacity", "Capacity", (capacity_picture(found),)),
+        Section("resistance", "Resistance", (resistance_picture(found),)),
+        Section("next", "The next reference test", (next_test,), "Next test"),
+        Section("table", "Every log", (details("the numbers", _table(found)),), "Table"),
+    ]
+    return write_page(
+        path,
+        _first_line(found),
+        f"{plural(len(found.logs), 'log')} of one life, by cellwise",
+        sections,
+        data,
+        lead=lead_of(list(dict.fromkeys(notices)), key_figures),
+        figures=figures,
+    )
+
+
+def _first_line(found: Life) -> str:
+    """What was lost, where that is more than two standard deviations of the trend."""
+    first, last = float(found.trend.share[0]), float(found.trend.share[-1])
+    lost, known = 1.0 - last / first, 2.0 * float(found.trend.std[-1]) / first
+    if abs(lost) > known:
+        what = "lost" if lost > 0.0 else "gained"
+        size = f"{percent(abs(lost), 1)} ± {percent(known, 1)}"
+        return f"{size} of the capacity {what} since the first log"
+    return (
+        f"No change of the capacity can be determined: {percent(-lost, 1)} since the first log, "
+        f"± {percent(known, 1)}"
+    )
+
+
+@pictured(
+    "history_capacity",
+    "Each dot is a log with two standard deviations: counted over a complete half cycle, or "
+    "from whatever part of the range it covers. The line is the trend, its band what the next "
+    "complete test would show in 95 of 100 cases.",
+)
+def capacity_picture(found: Life) -> style.Figure:
+    """Share of the new cell's capacity over the life."""
+    figure = style.new_figure(3.4)
+    axes = figure.subplots()
+    counted = np.array([one.counted for one in found.logs])
+    share = 100.0 * np.array([one.share for one in found.logs])
+    std = 100.0 * np.array([one.share_std for one in found.logs])
+    for rows, colour, label in (
+        (~counted, style.MUTED, "window or drive"),
+        (counted, style.GREEN, "complete half cycle"),
+    ):
+        if rows.any():
+            looks: dict[str, Any] = {"color": colour, "label": label}
+            style.error_dots(axes, found.way[rows], share[rows], std[rows], **looks)
+    trend, band = 100.0 * found.trend.share, 200.0 * found.trend.std
+    axes.plot(found.way, trend, color=style.BLUE, label="trend")
+    looks = {"color": style.BLUE, "alpha": 0.18, "linewidth": 0}
+    axes.fill_between(found.way, trend - band, trend + band, **looks)
+    low = min(float(np.min(trend - band)), float(np.min(share))) - 2.0
+    axes.set_ylim(low, max(float(np.max(trend + band)), float(np.max(share))) + 2.0)
+    if found.trend.knee is not None:
+        at = found.way[found.trend.knee]
+        axes.axvline(at, color=style.VERMILLION, linewidth=1.0, label="knee")
+    style.legend(axes)
+    now = f"{trend[-1]:.1f} ± {band[-1]:.1f} %"
+    style.finding(axes, f"{now} of the new cell's capacity at the last log")
+    style.labels(axes, UNITS[found.over], "share of the new cell's capacity [%]")
+    return figure
+
+
+@pictured(
+    "history_resistance", "Resistance on the model's, at each log's own temperature and load."
+)
+def resistance_picture(found: Life) -> style.Figure:
+    """Resistance over the life."""
+    figure = style.new_figure(2.6)
+    axes = figure.subplots()
+    scale = np.array([one.resistance_scale for one in found.logs])
+    std = np.array([one.resistance_std for one in found.logs])
+    style.error_dots(axes, found.way, scale, std)
+    now, now_std = found.resistance
+    style.finding(axes, f"Resistance now: {now:.2f} ± {2 * now_std:.2f} of the model's")
+    style.labels(axes, UNITS[found.over], "resistance / model's")
+    return figure
+
+
+def _table(found: Life) -> Markup:
+    return record_table(
+        list(zip(found.logs, found.trend.share, found.trend.std, strict=True)),
+        ("log", lambda one: one[0].log.name),
+        ("capacity Ah", lambda one: significant(one[0].capacity_Ah, 4)),
+        ("±", lambda one: significant(one[0].capacity_std_Ah, 2)),
+        ("resistance", lambda one: significant(one[0].resistance_scale, 4)),
+        ("±", lambda one: significant(one[0].resistance_std, 2)),
+        ("share", lambda one: percent(one[0].share, 1)),
+        ("trend", lambda one: percent(float(one[1]), 1)),
+        ("±", lambda one: percent(float(one[2]), 1)),
+        ("by", lambda one: one[0].how),
+    )

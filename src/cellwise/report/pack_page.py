@@ -1,0 +1,291 @@
+"""The page of a pack: what it can give, which cell limits it, which sensor is odd."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from cellwise.pack.pack_estimate import PackEstimate
+from cellwise.report.page import style
+from cellwise.report.page.markup import Markup, details, lead_of, paragraph, record_table, tiles
+from cellwise.report.page.numerals import millivolt, percent, plural, significant
+from cellwise.report.page.picture import FigureFiles, pictured
+from cellwise.report.page.section import Section, write_page
+from cellwise.typing import BoolArray, FloatArray
+
+REST_RATE, LOAD_RATE = 0.05, 0.3  # 1/h
+
+
+class CellImage(NamedTuple):
+    """How the picture of the cells over time is divided."""
+
+    columns: int = 240
+    rows: int = 5  # of a log in a column, at least
+    labels: int = 12  # of days below the cells, at most
+    scale_mV: float = 3.0  # to either side of the mean, at least
+
+
+IMAGE = CellImage()
+
+
+def pack_page(
+    found: PackEstimate, path: str | Path, *, figures: str | Path | FigureFiles | None = None
+) -> Path:
+    """Write the page of a pack.
+
+    Raises
+    ------
+    InputError        matplotlib is missing; the path cannot be written
+    """
+    data = found.to_dict()
+    causes = [
+        f"{cause['name']}: {'; '.join(cause['evidence'])}"
+        + (f" (or {', '.join(cause['confusable_with'])})" if cause["confusable_with"] else "")
+        for cause in data["causes"]
+    ]
+    sections = [
+        Section("cells", "Cells over time", (cells_picture(found),), "Over time"),
+        Section("load", "At rest and under load", (rest_and_load_picture(found),), "Rest and load"),
+        Section("estimates", "Capacity and resistance", (estimates_picture(found),), "Estimates"),
+        Section("sensors", "Sensors and polling", (sensors_picture(found),), "Sensors"),
+        Section("table", "Every cell", (details("the numbers", _table(found)),), "Table"),
+    ]
+    return write_page(
+        path,
+        _first_line(found),
+        f"{len(found.names)} cells, {plural(len(found.days), 'log')}, by cellwise",
+        sections,
+        data,
+        lead=lead_of([*causes, *data["notices"]], _figures(found)),
+        figures=figures,
+    )
+
+
+def _first_line(found: PackEstimate) -> str:
+    cells = list(dict.fromkeys(c["cell"] for c in found.causes))
+    if not cells:
+        return f"{len(found.names)} cells, and none is odd"
+    named = ", ".join(cells[:4]) + (f" and {len(cells) - 4} more" if len(cells) > 4 else "")
+    return f"{named} of {len(found.names)} cells: {found.causes[0]['name'].replace('_', ' ')}"
+
+
+def _figures(found: PackEstimate) -> Markup:
+    data = found.to_dict()
+    soc, weakest = data["soc"], data["weakest"]
+    facts = [
+        ("SOC, lowest to highest", f"{percent(soc['min'], 1)} to {percent(soc['max'], 1)}"),
+        ("usable as the cells are", f"{significant(data['usable_Ah'], 4)} Ah"),
+        ("balancing would bring", f"{significant(data['balancing_gain_Ah'], 2)} Ah"),
+        ("least SOC", weakest["by_soc"]),
+        ("least capacity", weakest["by_capacity"]),
+        ("most resistance", weakest["by_resistance"]),
+    ]
+    text = paragraph(
+        "The least and most are those of any pack: weak is only who is named as such above."
+    )
+    return Markup(f"{tiles(facts)}\n{text}")
+
+
+def _table(found: PackEstimate) -> Markup:
+    return record_table(
+        found.to_dict()["per_cell"],
+        ("cell", lambda row: row["name"]),
+        ("SOC", lambda row: percent(row["soc"], 2)),
+        ("±", lambda row: percent(row["soc_std"], 2)),
+        ("capacity Ah", lambda row: significant(row["capacity_Ah"], 4)),
+        ("±", lambda row: significant(row["capacity_std_Ah"], 2)),
+        ("resistance", lambda row: significant(row["resistance_scale"], 4)),
+        ("±", lambda row: significant(row["resistance_std"], 2)),
+        ("offset mV", lambda row: millivolt(row["offset_V"])),
+        ("polled s", lambda row: significant(row["skew_s"], 2)),
+        ("left mV", lambda row: millivolt(row["voltage_rmse_V"])),
+    )
+
+
+def named_cells(found: PackEstimate) -> list[int]:
+    """Numbers of the cells that the page points at."""
+    names = {cause["cell"] for cause in found.causes}
+    return [k for k, name in enumerate(found.names) if name in names]
+
+
+def _far_enough(edges: Sequence[float], least: float) -> list[int]:
+    """Numbers of edges that lie far enough from each other to be labelled."""
+    shown: list[int] = []
+    for k, edge in enumerate(edges):
+        if not shown or edge - edges[shown[-1]] >= least:
+            shown.append(k)
+    return shown
+
+
+@pictured(
+    "pack_cells_over_time",
+    "Each line is a cell, each column a stretch of the logs without its pauses; colour is "
+    "the cell's voltage minus the mean cell's. A weak cell changes colour with load or "
+    "with SOC, a sensor's offset keeps it, balancing changes it from one day to the next.",
+)
+def cells_picture(found: PackEstimate) -> style.Figure:
+    """Cells over time as colours."""
+    image, edges, labels_of = cells_over_time(found)
+    cells = len(found.names)
+    figure = style.new_figure(min(2.2 + 0.045 * cells, 6.0))
+    axes = figure.subplots()
+    usual = np.nanpercentile(np.abs(image), 97) if np.isfinite(image).any() else 0.0
+    scale = max(IMAGE.scale_mV, float(usual))
+    drawn = axes.imshow(
+        image, aspect="auto", cmap="RdBu", vmin=-scale, vmax=scale, interpolation="nearest",
+        extent=(0.0, float(image.shape[1]), cells + 0.5, 0.5),
+    )  # fmt: skip
+    figure.colorbar(drawn, ax=axes, label="cell minus mean [mV]", shrink=0.8, pad=0.07)
+    axes.grid(visible=False)
+    shown = _far_enough(edges, image.shape[1] / IMAGE.labels)
+    axes.set_xticks([edges[k] for k in shown], [labels_of[k] for k in shown], rotation=0)
+    for cell in named_cells(found):
+        style.note(
+            axes, found.names[cell], (1.0, cell + 1.0), (4, 0), xycoords=("axes fraction", "data"),
+            color=style.VERMILLION, va="center", fontsize=7.5, annotation_clip=False,
+        )  # fmt: skip
+    spread = np.nanmax(image, axis=0) - np.nanmin(image, axis=0)
+    size = f"{np.nanmedian(spread):.1f} mV from lowest to highest"
+    style.finding(axes, f"Cells differ by {size}, averaged over minutes", 0.8)
+    style.labels(axes, "logs in order", "cell")
+    return figure
+
+
+def cells_over_time(found: PackEstimate) -> tuple[FloatArray, list[int], list[str]]:
+    """Mean differences [mV], shape (cells, columns), and where which log begins."""
+    rows = sum(len(day.log) for day in found.days)
+    parts, edges, names, at = [], [], [], 0
+    for day in found.days:
+        count = max(1, min(len(day.log) // IMAGE.rows, round(IMAGE.columns * len(day.log) / rows)))
+        starts = np.linspace(0, len(day.log), count + 1).astype(np.int64)[:-1]
+        values = day.log.difference_V
+        known = np.isfinite(values)
+        total = np.add.reduceat(np.where(known, values, 0.0), starts, axis=0)
+        number = np.add.reduceat(known.astype(np.float64), starts, axis=0)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            parts.append(1e3 * total / number)
+        edges.append(at)
+        names.append(f"{day.day:%d %b}" if day.day is not None else day.log.name)
+        at += count
+    return np.concatenate(parts).T, edges, names
+
+
+@pictured(
+    "pack_rest_and_load",
+    "The same difference, averaged where the pack rests and where it is under load. "
+    "Resting differences are SOC and sensors; what a load adds is resistance and polling.",
+)
+def rest_and_load_picture(found: PackEstimate) -> style.Figure:
+    """Mean difference of every cell at rest and under load."""
+    figure = style.new_figure(2.9)
+    axes = figure.subplots()
+    number = np.arange(1, len(found.names) + 1)
+    capacity = found.model.capacity_Ah
+    shown = {}
+    heights = np.zeros(len(found.names))
+    rates = [day.log.mean.current_A / capacity for day in found.days]
+    for label, colour, marker, inside in (
+        ("at rest", style.BLUE, "o", [np.abs(rate) < REST_RATE for rate in rates]),
+        ("under load", style.VERMILLION, "s", [rate > LOAD_RATE for rate in rates]),
+    ):
+        mean = _mean_where(found, inside)
+        if np.isfinite(mean).any():
+            shown[label] = float(np.nanstd(mean))
+            heights = 1e3 * mean
+            axes.plot(number, 1e3 * mean, marker, color=colour, markersize=3.5, label=label)
+    style.zero_line(axes)
+    _point_at(axes, found, heights)
+    said = ", ".join(f"{millivolt(v)} {k}" for k, v in shown.items())
+    style.finding(
+        axes, f"Standard deviation between cells: {said or 'no row at rest or under load'}"
+    )
+    style.labels(axes, "cell", "cell minus mean [mV]")
+    if shown:
+        style.legend(axes, columns=2)
+    return figure
+
+
+def _mean_where(found: PackEstimate, inside: list[BoolArray]) -> FloatArray:
+    total = np.zeros(len(found.names))
+    count = np.zeros(len(found.names))
+    for day, rows in zip(found.days, inside, strict=True):
+        part = day.log.difference_V[rows]
+        known = np.isfinite(part)
+        total += np.where(known, part, 0.0).sum(axis=0)
+        count += known.sum(axis=0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(total / count)
+
+
+@pictured(
+    "pack_capacity_and_resistance",
+    "Estimates with two standard deviations of a cell's difference from the mean; the "
+    "histograms are of the estimates. Named cells are beyond what cells differ by.",
+)
+def estimates_picture(found: PackEstimate) -> style.Figure:
+    """Capacity and resistance of every cell with bands, and their histograms."""
+    figure = style.new_figure(4.6)
+    wide, narrow = style.two_columns(figure, (1.0, 1.0), (1.0, 1.0), share=0.74)
+    cells = found.cells
+    own = found.own_capacity_std_Ah
+    for axes, beside, values, std, unit, what in (
+        (wide[0], narrow[0], cells.capacity_Ah, own, "[Ah]", "capacity"),
+        (wide[1], narrow[1], cells.resistance_scale, cells.resistance_std, "/ mean", "resistance"),
+    ):
+        _draw_cells(axes, found, values, std)
+        share = 100.0 * np.nanstd(values) / np.nanmean(values)
+        title = f"{what.capitalize()}: cells differ by {share:.1f} % (standard deviation)"
+        style.finding(axes, title, 0.6)
+        style.labels(axes, "cell", f"{what} {unit}")
+        beside.hist(
+            values[np.isfinite(values)], bins=min(24, max(values.size // 2, 3)), color=style.BLUE
+        )
+        style.labels(beside, f"{what} {unit}", "cells")
+    return figure
+
+
+@pictured(
+    "pack_sensors",
+    "What is the sensors' and not the cells': what each voltage reads too much, and by how "
+    "much later than the others it is polled.",
+)
+def sensors_picture(found: PackEstimate) -> style.Figure:
+    """Offset and polling of every cell's sensor."""
+    figure = style.new_figure(2.8)
+    left, right = figure.subplots(1, 2)
+    cells = found.cells
+    for axes, values, std, unit, what in (
+        (left, 1e3 * cells.offset_V, 1e3 * cells.offset_std_V, "offset [mV]", "offsets"),
+        (right, cells.skew_s, cells.skew_std_s, "polled later by [s]", "polling"),
+    ):
+        _draw_cells(axes, found, values, std)
+        style.zero_line(axes)
+        low, high = float(np.nanmin(values)), float(np.nanmax(values))
+        in_unit = unit.partition("[")[2].rstrip("]")
+        style.finding(axes, f"Sensors' {what}: {low:+.2g} to {high:+.2g} {in_unit}", 0.42)
+        style.labels(axes, "cell", unit)
+    return figure
+
+
+def _draw_cells(axes: style.Axes, found: PackEstimate, values: FloatArray, std: FloatArray) -> None:
+    """A dot with its band for every cell, and the names of those that the page points at."""
+    number = np.arange(1.0, values.size + 1.0)
+    style.error_dots(axes, number, values, std, markersize=3.0, ecolor=style.MUTED)
+    _point_at(axes, found, values)
+
+
+def _point_at(axes: style.Axes, found: PackEstimate, heights: FloatArray) -> None:
+    box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.6}
+    line = {"arrowstyle": "-", "color": style.VERMILLION, "linewidth": 0.7}
+    looks = {"va": "center", "fontsize": 7.5, "bbox": box, "arrowprops": line}
+    for cell in named_cells(found):
+        if np.isfinite(heights[cell]):
+            # Beside the dot: above it would lie on its band or in the plot's title.
+            left = cell > 0.8 * len(found.names)
+            at, side = (cell + 1.0, heights[cell]), {"ha": "right" if left else "left"}
+            offset = (-14 if left else 14, 0)
+            look = {"color": style.VERMILLION, **side, **looks}
+            style.note(axes, found.names[cell], at, offset, **look)

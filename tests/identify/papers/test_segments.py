@@ -1,0 +1,86 @@
+"""Segments: equations (6) to (9) to the letter, where the answer is known in closed form."""
+
+import numpy as np
+import pytest
+
+from cellwise.errors import InputError
+from cellwise.identify.papers.segments import SegmentOptions, fit_segments
+from cellwise.identify.pulse_fit.pulse_window import pulse_from_arrays
+from closed_form import Circuit, closed_pulse, stamps
+
+ONE_BRANCH = Circuit(r1=1.0e-3, tau1=5.0, r2=0.0, slope=0.0)
+
+
+@pytest.mark.parametrize("part", [0.1, 0.25, 0.5])
+@pytest.mark.parametrize("current", [-20.0, 20.0])
+def test_single_branch_step_gives_the_closed_form(part, current):
+    # Rows from 0.1 s to 60 s: t1 = 0.1, t3 = 60, t2 the row nearest part of the way.
+    data = closed_pulse(ONE_BRANCH, stamps(pulse_hz=10.0), current)
+    fit = fit_segments(data, SegmentOptions(fast_part=part))
+    t1, t3 = 0.1, 60.0
+    t2 = round((t1 + part * (t3 - t1)) * 10.0) / 10.0
+
+    def left(t):
+        return np.exp(-t / 5.0)
+
+    assert fit.r0_ohm == pytest.approx(2.0e-3 + 1.0e-3 * (1.0 - left(t1)), rel=1e-9)
+    assert fit.r1_ohm == pytest.approx(1.0e-3 * (left(t1) - left(t2)), rel=1e-9)
+    assert fit.r2_ohm == pytest.approx(1.0e-3 * (left(t1) - left(t3)), rel=1e-9)
+    assert fit.tau1_s == pytest.approx((t2 - t1) / 5.0, rel=1e-9)
+    assert fit.tau2_s == pytest.approx((t3 - t1) / 5.0, rel=1e-9)
+    assert fit.c1_F == pytest.approx(fit.tau1_s / fit.r1_ohm, rel=1e-12)
+    assert fit.c2_F == pytest.approx(fit.tau2_s / fit.r2_ohm, rel=1e-12)
+    assert fit.ocv_V == pytest.approx(3.6)
+
+
+def test_segments_that_end_after_five_tau_find_the_branch():
+    """What (8) assumes: the fast response is over at t2."""
+    circuit = Circuit(r1=1.0e-3, tau1=1.2, r2=0.0, slope=0.0)
+    fit = fit_segments(closed_pulse(circuit, stamps(pulse_hz=100.0)))
+    assert fit.tau1_s == pytest.approx(1.2, rel=2e-3)
+    assert fit.r1_ohm == pytest.approx(1.0e-3, rel=0.02)
+
+
+def test_paper_row_spacing():
+    """One row per second and a pulse of 1080 s at C/3, as the paper's test."""
+    t = stamps(pulse_s=1080.0, rest_s=3600.0, pulse_hz=1.0, before_s=10.0)
+    fit = fit_segments(closed_pulse(Circuit(), t, 1.097, 1080.0, 3.29))
+    assert fit.tau2_s == pytest.approx(1079.0 / 5.0)
+    assert fit.tau1_s == pytest.approx(108.0 / 5.0)
+
+
+def test_errors_of_the_resistances_follow_from_the_noise():
+    rng = np.random.default_rng(0)
+    t = stamps(pulse_hz=10.0)
+    fits = [
+        fit_segments(closed_pulse(ONE_BRANCH, t, noise=1e-3 * rng.standard_normal(t.size)))
+        for _ in range(300)
+    ]
+    for name in ("r0_ohm", "r1_ohm", "r2_ohm"):
+        scatter = np.std([getattr(f, name) for f in fits])
+        assert getattr(fits[0].error, name) == pytest.approx(scatter, rel=0.25)
+    assert np.isnan(fits[0].error.tau1_s)
+    assert not fits[0].identified.tau1_s
+    assert fits[0].identified.r0_ohm
+
+
+def test_a_pulse_without_rest_before_or_of_two_rows_is_refused():
+    data = closed_pulse(ONE_BRANCH, stamps(pulse_hz=10.0))
+    a, b = data.start, data.stop
+    bare = pulse_from_arrays(
+        data.time_s[a:], data.current_A[a:], data.voltage_V[a:], 0, b - a, 40.0
+    )
+    with pytest.raises(InputError, match="0 rows before"):
+        fit_segments(bare)
+    keep = np.r_[0 : a + 1, b - 1 : len(data)]
+    short = pulse_from_arrays(
+        data.time_s[keep], data.current_A[keep], data.voltage_V[keep], a, a + 2, 40.0
+    )
+    with pytest.raises(InputError, match="settled rows"):
+        fit_segments(short)
+
+
+@pytest.mark.parametrize("part", [0.0, 1.0, -0.1, float("nan")])
+def test_a_part_outside_the_pulse_is_refused(part):
+    with pytest.raises(InputError, match="between 0 and 1"):
+        SegmentOptions(fast_part=part)

@@ -1,0 +1,161 @@
+"""Swarm: the paper's settings, found to work where they can, and measured against varpro."""
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cellwise.errors import InputError
+from cellwise.identify.papers.swarm import PAPER_BOUNDS, SwarmOptions, fit_swarm
+from cellwise.identify.papers.swarm_kernels import swarm_costs
+from cellwise.identify.pulse_fit.pulse_parameters import TauBounds
+from cellwise.identify.pulse_fit.pulse_problem import build_problem, residual_V
+from cellwise.identify.pulse_fit.varpro import fit_varpro
+from closed_form import Circuit, closed_pulse, random_circuit, stamps
+
+FLAT = Circuit(slope=0.0)
+
+
+def test_defaults_are_the_papers():
+    options = SwarmOptions()
+    assert (options.particles, options.neighbours, options.iterations) == (64, 8, 180)
+    assert options.cognition == 4.1
+    assert options.free == 5
+    assert PAPER_BOUNDS.tau2_max_s == 120.0
+
+
+def test_comes_close_to_the_optimum_with_five_free_parameters():
+    """Residual within 10 % of the noise on half of the pulses: a random search, not a minimiser."""
+    rng = np.random.default_rng(1)
+    ratio = []
+    for seed in range(15):
+        tau1, tau2 = rng.uniform(3.0, 8.0), rng.uniform(50.0, 100.0)
+        circuit = replace(random_circuit(rng), slope=0.0, tau1=tau1, tau2=tau2)
+        t = stamps(pulse_hz=5.0, rest_s=300.0)
+        # Quiet before the pulse: the OCV is not free, its error would be no fault of the swarm.
+        noise = np.where(t > 0.0, 1e-3 * rng.standard_normal(t.size), 0.0)
+        data = closed_pulse(circuit, t, 40.0, noise=noise)
+        fit = fit_swarm(data, rng=np.random.default_rng(seed))
+        ratio.append(fit.rmse_V / 1e-3)
+        assert fit.r0_ohm == pytest.approx(circuit.r0, rel=0.5)
+    assert np.median(ratio) < 1.1
+
+
+@pytest.mark.slow
+def test_more_iterations_come_closer():
+    data = closed_pulse(FLAT, stamps(pulse_hz=5.0))
+
+    def typical(iterations):
+        options = SwarmOptions(iterations=iterations)
+        return np.median(
+            [fit_swarm(data, options, np.random.default_rng(s)).rmse_V for s in range(8)]
+        )
+
+    assert typical(10) > typical(60) > typical(400)
+
+
+def test_the_swarm_is_informed_by_its_neighbours():
+    """64 particles on a ring come further than as many that hear of next to nobody."""
+    data = closed_pulse(FLAT, stamps(pulse_hz=5.0))
+
+    def typical(neighbours):
+        options = SwarmOptions(neighbours=neighbours, iterations=60)
+        return np.median(
+            [fit_swarm(data, options, np.random.default_rng(s)).rmse_V for s in range(12)]
+        )
+
+    assert typical(8) < typical(2)
+
+
+def test_the_generator_decides_and_nothing_else():
+    data = closed_pulse(FLAT, stamps(pulse_hz=5.0))
+    options = SwarmOptions(iterations=20)
+    a = fit_swarm(data, options, np.random.default_rng(3))
+    b = fit_swarm(data, options, np.random.default_rng(3))
+    c = fit_swarm(data, options, np.random.default_rng(4))
+    assert a.value == b.value
+    assert a.value != c.value
+    assert fit_swarm(data, options).value == fit_swarm(data, options).value
+
+
+def test_costs_are_those_of_the_model():
+    rng = np.random.default_rng(0)
+    t = stamps(rng, jitter=0.4)
+    data = closed_pulse(Circuit(), t, noise=1e-3 * rng.standard_normal(t.size))
+    problem = build_problem(data, "balanced")
+    positions = np.array(
+        [[2e-3, 1e-3, 4.0, 1.5e-3, 60.0, 0.01, 0.8], [1e-3, 2e-3, 2.0, 1e-3, 30.0, 0.0, 0.0]]
+    )
+    swapped = positions[:1].copy()
+    swapped[0, [2, 4]] = 60.0, 4.0
+    costs = np.empty(3)
+    swarm_costs(problem, np.vstack((positions, swapped)), costs)
+    for position, found in zip(positions, costs, strict=False):
+        r0, r1, tau1, r2, tau2, ocv, slope = position
+        coefficients = np.array([ocv, slope, r0, r1, r2, 0, 0, 0, 0, 0.0])
+        residual = residual_V(problem, np.log([tau1, tau2]), coefficients)
+        assert found == pytest.approx(np.sum(problem.weight * residual**2), rel=1e-9)
+    assert np.isinf(costs[2])
+
+
+@pytest.mark.parametrize("free", [5, 7])
+@pytest.mark.slow
+def test_never_a_better_fit_than_varpro(free):
+    rng = np.random.default_rng(6)
+    for _ in range(6):
+        t = stamps(rng, jitter=0.3, pulse_hz=4.0)
+        current = float(rng.choice([-60.0, 60.0]))
+        data = closed_pulse(
+            random_circuit(rng), t, current, noise=5e-4 * rng.standard_normal(t.size)
+        )
+        swarm = fit_swarm(data, SwarmOptions(free=free, iterations=120), rng)
+        assert fit_varpro(data).rmse_V <= swarm.rmse_V
+
+
+@pytest.mark.slow
+def test_varpro_is_fifty_times_faster_at_full_rate():
+    t = stamps(pulse_hz=135.0, fast_s=60.0, rest_s=1200.0)
+    noise = 1e-3 * np.random.default_rng(1).standard_normal(t.size)
+    data = closed_pulse(Circuit(), t, 40.0, noise=noise)
+    assert len(data) > 17_000
+    fit_varpro(data)
+    fit_swarm(data, SwarmOptions(iterations=1))
+
+    def cpu(work, times):
+        taken = []
+        for _ in range(times):
+            begin = time.process_time()
+            work()
+            taken.append(time.process_time() - begin)
+        return min(taken)
+
+    swarm = cpu(lambda: fit_swarm(data), 1)
+    assert swarm > 50.0 * cpu(lambda: fit_varpro(data), 5)
+
+
+def test_bounds_and_the_ocv_before_the_pulse():
+    data = closed_pulse(Circuit(), stamps(pulse_hz=5.0), 40.0)
+    bounds = TauBounds(1.0, 3.0, 20.0, 50.0)
+    fit = fit_swarm(data, SwarmOptions(tau=bounds))
+    assert 1.0 <= fit.tau1_s <= 3.0
+    assert 20.0 <= fit.tau2_s <= 50.0 + 1e-9
+    assert fit.ocv_V == pytest.approx(data.voltage_V[data.start - 1], abs=1e-9)
+    assert fit.ocv_slope_V == 0.0
+    free = fit_swarm(data, SwarmOptions(free=7))
+    assert free.ocv_slope_V != 0.0
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"neighbours": 7},
+        {"neighbours": 64},
+        {"cognition": 4.0},
+        {"iterations": 0},
+        {"free": 6},
+    ],
+)
+def test_settings_that_no_swarm_can_run_with_are_refused(wrong):
+    with pytest.raises(InputError):
+        SwarmOptions(**wrong)
