@@ -18,14 +18,14 @@ from typing import NamedTuple
 
 from cellwise.cell.compiled import inline
 from cellwise.cell.point_kernels import CellScalars
-from cellwise.estimate.filters.drift_kernels import PER_FREEDOM, Drift
-from cellwise.estimate.filters.resistance_kernels import (
+from cellwise.estimate.adaptive.resistance_kernels import (
     ResistanceRules,
     Resistances,
     no_resistances,
     wandered,
     watch_resistances,
 )
+from cellwise.estimate.filters.drift_kernels import PER_FREEDOM, Drift
 from cellwise.estimate.gate_kernels import Verdict
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import Sample
