@@ -14,19 +14,13 @@ from typing import Any
 from cellwise.cell.compiled import inline
 from cellwise.cell.equations import CellTables
 from cellwise.cell.model import CellModel
-from cellwise.estimate.adaptive.covariance_kernels import AdaptiveColumn
-from cellwise.estimate.adaptive.predict_kernels import Predicted
-from cellwise.estimate.adaptive.state_kernels import Persistent
-from cellwise.estimate.adaptive.step_kernels import Held
-from cellwise.estimate.evidence_kernels import persistent_step
 from cellwise.estimate.slopes_kernels import Slopes
 from cellwise.estimate.validity_kernels import EVERYWHERE, ValidityScalars
 
 ESTIMATE = "cellwise.estimate"
 RECOVERY = f"{ESTIMATE}.recovery_kernels"
 PAST = f"{ESTIMATE}.filters.past_kernels"
-EKF, UKF = f"{ESTIMATE}.filters.ekf_kernels", f"{ESTIMATE}.filters.ukf_kernels"
-ADAPTIVE = f"{ESTIMATE}.adaptive.step_kernels"
+UPDATE, STEP = f"{ESTIMATE}.filters.update_kernels", f"{ESTIMATE}.filters.step_kernels"
 NEVER = 10**9
 
 
@@ -68,15 +62,6 @@ def not_bent(tables: CellTables, at: Slopes, bend_V2: float, one_V2: float) -> b
     return False
 
 
-@inline
-def of_the_soc_alone(
-    old: Persistent, k: AdaptiveColumn, held: Held, now: Predicted, stays_V: float
-) -> Persistent:
-    """In place of where a persistent error leads SOC and parameters."""
-    soc = persistent_step(k.s, now.at.slope_V, old.soc, stays_V)
-    return Persistent(soc, 0.0, 0.0)
-
-
 def valid_everywhere(model: CellModel) -> ValidityScalars:
     """In place of a model's validity."""
     return EVERYWHERE
@@ -91,11 +76,11 @@ SWITCHES = (
     Switch("chords", names=((f"{ESTIMATE}.slopes_kernels", "WIDE_VARIANCE", math.inf),)),
     Switch(
         "judged where it lands",
-        names=((EKF, "landing_slope", same_slope), (ADAPTIVE, "landing_slope", same_slope)),
+        names=((UPDATE, "landing_slope", same_slope),),
     ),
     Switch(
         "search for a first voltage that is bent",
-        names=((EKF, "bends", not_bent), (ADAPTIVE, "bends", not_bent)),
+        names=((STEP, "bends", not_bent),),
     ),
     Switch("looked again", names=((PAST, "LOOKS", 0),)),
     Switch("hypothesis of an offset, contradicted", noise={"offset_share": 0.0}),
@@ -114,8 +99,6 @@ SWITCHES = (
     Switch("gate and recovery", noise={"gate": 1e6}),
     Switch("recovery", noise={"recovery_after": NEVER}),
     Switch("first rest", names=((f"{ESTIMATE}.gate_kernels", "REST_RATE", 0.0),)),
-    Switch("under-load counting", names=((f"{ESTIMATE}.gate_kernels", "UNDER_LOAD_COUNT", 1.0),)),
-    Switch("a passing voltage forgives", names=((f"{ESTIMATE}.gate_kernels", "FORGIVEN", 0.0),)),
     Switch(
         "start branches",
         names=(
@@ -133,14 +116,8 @@ SWITCHES = (
     Switch("resistances free", settings={"learn": ("current_offset", "capacity")}),
     Switch("offset free", settings={"learn": ("resistance", "capacity")}),
     Switch("capacity free", settings={"learn": ("current_offset", "resistance")}),
-    Switch("given up in a misfit", settings={"misfit": 1e9}),
     Switch("held until settled", settings={"settled_soc": 10.0}),
-    Switch("a rest shows the offset", settings={"rest_s": 1e9}),
     Switch("a capacity needs more evidence", settings={"charge_probability": 0.2}),
-    Switch(
-        "a persistent error is no evidence",
-        names=((ADAPTIVE, "led_astray", of_the_soc_alone),),
-    ),
 )
 
 

@@ -15,9 +15,9 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import simulate
 from cellwise.estimate.estimators import make_estimator
 from cellwise.estimate.filters.ekf import Ekf
-from cellwise.estimate.filters.ekf_kernels import ekf_rows
 from cellwise.estimate.filters.filter_state import OUTPUTS, TraceArrays
 from cellwise.estimate.filters.kalman import log_arrays
+from cellwise.estimate.filters.kalman_kernels import kalman_rows
 from cellwise.estimate.lockstep.lockstep import LockstepEkf, LockstepState
 from cellwise.logs import CellLog
 
@@ -93,7 +93,7 @@ def _kernel(group: str, who: str, model: CellModel, log: CellLog, say: Progress)
     out = TraceArrays(np.empty((OUTPUTS, len(log))), np.empty(len(log), dtype=np.int32))
 
     def work() -> None:
-        ekf_rows(tables, noise, start, start, rows, out)
+        kalman_rows(tables, noise, None, start, start, rows, out)
 
     timing = clock(work)
     return Figure(

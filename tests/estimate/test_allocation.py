@@ -12,10 +12,12 @@ from numba.core.runtime import _nrt_python, rtsys
 from cellwise.cell.equations import empty_state
 from cellwise.cell.protocol import supply_kernels as protocol_kernels
 from cellwise.cell.simulate import simulate_rows
-from cellwise.estimate.filters import ekf_kernels, ukf_kernels
-from cellwise.estimate.filters.coulomb import coulomb_rows
+from cellwise.estimate.adaptive.adaptive_kernels import ADAPTIVE_OUTPUTS, adaptive_rows
+from cellwise.estimate.adaptive.settings import AdaptiveSettings
+from cellwise.estimate.filters.coulomb import CoulombState, CountRules, coulomb_rows
 from cellwise.estimate.filters.ekf import Ekf
 from cellwise.estimate.filters.filter_state import OUTPUTS, LogArrays, TraceArrays
+from cellwise.estimate.filters.kalman_kernels import kalman_rows
 from cellwise.estimate.filters.ukf import SigmaPoints
 from example_cells import EFFECTS, curved_cell
 
@@ -55,12 +57,19 @@ def ekf_call(rows):
     start = EKF.start(0.5)
     out = TraceArrays(np.empty((OUTPUTS, rows)), np.empty(rows, dtype=np.int32))
     log = LogArrays(current, voltage, warm, dt, gap)
-    return ekf_kernels.ekf_rows, MODEL.parameters(), EKF.noise.scalars(), start, start, log, out
+    return kalman_rows, MODEL.parameters(), EKF.noise.scalars(), None, start, start, log, out
 
 
 def ukf_call(rows):
-    _, tables, noise, *rest = ekf_call(rows)
-    return ukf_kernels.ukf_rows, tables, noise, SigmaPoints().scalars(), *rest
+    call, tables, noise, _, *rest = ekf_call(rows)
+    return call, tables, noise, SigmaPoints().scalars(), *rest
+
+
+def adaptive_call(rows):
+    _, tables, noise, _, first, start, log, _ = ekf_call(rows)
+    out = np.empty((ADAPTIVE_OUTPUTS, rows)), np.empty(rows, dtype=np.int32)
+    rules = AdaptiveSettings().rules()
+    return adaptive_rows, tables, noise, rules, first, start, log, TraceArrays(*out)
 
 
 def simulate_call(rows):
@@ -74,8 +83,9 @@ def coulomb_call(rows):
     current = np.random.default_rng(1).normal(0, 3, rows)
     gap = np.zeros(rows, dtype=np.bool_)
     cell = MODEL.parameters().cell
-    return (coulomb_rows, cell, 0.5, 0.01, current, np.full(rows, 0.1), gap, 1e-5,
-            0.05, np.empty(rows), np.empty(rows), np.empty(rows, dtype=np.int32))  # fmt: skip
+    begin = CountRules(1e-5, 0.05), CoulombState(0.5, 0.01, 0.0)
+    return (coulomb_rows, cell, *begin, current, np.full(rows, 0.1), gap, np.empty((2, rows)),
+            np.empty(rows, dtype=np.int32))  # fmt: skip
 
 
 def profile_call(rows):
@@ -96,7 +106,9 @@ def leaky_call(rows):
     return leaky_rows, np.ones(rows), np.empty(rows)
 
 
-@pytest.mark.parametrize("call", [ekf_call, ukf_call, simulate_call, coulomb_call, profile_call])
+@pytest.mark.parametrize(
+    "call", [ekf_call, ukf_call, adaptive_call, simulate_call, coulomb_call, profile_call]
+)
 def test_nothing_is_allocated_per_row(allocations, call):
     assert allocations(call, 100) == allocations(call, 100_000)
 

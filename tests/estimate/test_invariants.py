@@ -96,11 +96,7 @@ def driven(model, seconds=400, tick_s=1.0, soc0=0.7, rest_s=5.0, spread_A=1.0):
 
 @estimators(GATED)
 def test_the_gate_counts_alike(name):
-    """Rejections that resistances could explain add up to the same sample in every filter.
-
-    At 0.25 s eighty counts of 0.05 x 0.25 are 1, but for the rounding of the sum.
-    """
-    assert sum([0.05 * 0.25] * 80) < 1.0
+    """Rejections in a row add up to the same sample: four of 0.25 s are one of a second."""
     model = linear_cell()
     rows = driven(model, seconds=100, tick_s=0.25, spread_A=0.0)
     jump = rows.voltage_V.copy()
@@ -108,7 +104,7 @@ def test_the_gate_counts_alike(name):
     rows = replace(rows, voltage_V=jump)
     noise = replace(Noise.of_model(model), recovery_after=1)
     status = follow(name, model, rows, 0.7, noise=noise).status.astype(int)
-    assert np.flatnonzero(status & Status.GATE_RECOVERY)[0] == 100 + 79
+    assert np.flatnonzero(status & Status.GATE_RECOVERY)[0] == 100 + 3
 
 
 @pytest.mark.parametrize("make", [curved_cell, lfp_cell])
@@ -369,24 +365,3 @@ def test_a_voltage_as_expected_moves_nothing(name, effects):
         np.testing.assert_allclose(
             getattr(seen, field), getattr(ekf, field), rtol=1e-6, atol=1e-8, err_msg=field
         )
-
-
-@every_effect
-def test_an_offset_that_is_known_is_none(effects):
-    """The adaptive filter with a sensor's known offset is the one with a sensor that has none.
-
-    Where the current is lost nothing is known of it, offset or not.
-    """
-    model = curved_cell(effects=effects)
-    rows = driven(model)
-    current = rows.current_A.copy()
-    current[60:90] = np.nan
-    right = replace(rows, current_A=current)
-    shifted = replace(rows, current_A=current + 0.1)
-    found = follow("adaptive", model, shifted, 0.7, offset_A=0.1)
-    expected = follow("adaptive", model, right, 0.7)
-    for field in (*MEANS, "heat_K", "slow_A", "voltage_V", "soc_std", "p11", "p22", "p33"):
-        np.testing.assert_allclose(
-            getattr(found, field), getattr(expected, field), rtol=1e-9, atol=1e-11, err_msg=field
-        )
-    assert expected.status.astype(int)[85] & Status.CURRENT_LOST

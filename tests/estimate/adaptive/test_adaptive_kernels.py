@@ -1,157 +1,141 @@
-"""The adaptive filter's parameters: hypotheses, rests, what is known once they are."""
+"""What is free beside the filter's states: weights of the hypotheses, and what they stand for."""
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 import pytest
 
-from cellwise.estimate.adaptive.covariance_kernels import AdaptiveCovariance
-from cellwise.estimate.adaptive.mixture_kernels import Before, mix
-from cellwise.estimate.adaptive.predict_kernels import forgotten
+from cellwise.cell.model_error import ModelError
+from cellwise.cell.simulate import simulate
+from cellwise.estimate.adaptive.adaptive import Adaptive
 from cellwise.estimate.adaptive.settings import AdaptiveSettings
-from cellwise.estimate.adaptive.state_kernels import Persistent, Rest, settled_variance
-from cellwise.estimate.adaptive.watch_kernels import watch_rest
+from cellwise.estimate.filters.drift_kernels import no_drift
+from cellwise.estimate.filters.free_kernels import (
+    forgotten,
+    likelihood,
+    no_capacity,
+    soc_found_anew,
+    weighed,
+)
+from cellwise.estimate.noise import Noise
+from cellwise.logs.cell_log import CellLog
+from example_cells import linear_cell
 
-SOC, B, Q = 0, 5, 6
-STATES = 7
-
-
-def covariance(seed: int, n: int = STATES) -> np.ndarray:
-    a = np.random.default_rng(seed).normal(size=(n, n))
-    return a @ a.T + 0.1 * np.eye(n)
-
-
-def upper(p: np.ndarray) -> AdaptiveCovariance:
-    """P as the kernels take it."""
-    return AdaptiveCovariance(*(float(v) for v in p[np.triu_indices(STATES)]))
-
-
-@pytest.mark.parametrize("known", [(), (B,), (Q,), (B, Q)])
-def test_settled_variance_is_the_conditional_one(known):
-    p = covariance(6)
-    for j in known:
-        p[j, :] = p[:, j] = 0.0
-    free = [j for j in (B, Q) if j not in known]
-    want = p[SOC, SOC]
-    if free:
-        cross = p[SOC, free]
-        want -= cross @ np.linalg.solve(p[np.ix_(free, free)], cross)
-    assert settled_variance(upper(p)) == pytest.approx(want)
+RULES = AdaptiveSettings().rules()
+ODDS = np.array([RULES.offset_odds, RULES.capacity_odds])
 
 
-def test_what_wanders_leaves_the_hypotheses_that_fix_it_alone():
-    p = covariance(8)
-    after = forgotten(upper(p), 0.3, 0.2)
-    found = np.zeros((STATES, STATES))
-    found[np.triu_indices(STATES)] = after
-    found += np.triu(found, 1).T
-    assert found[B, B] > p[B, B] + 0.29
-    assert found[Q, Q] == pytest.approx(
-        p[Q, Q] * (1.0 + 0.3 * p[B, Q] ** 2 / p[B, B] ** 2 / p[Q, Q]) + 0.2
+def told(information, score):
+    """Capacity and offset of which the voltages have said so much, per prior deviation."""
+    d = no_drift()._replace(offset=score[0] / information[0, 0], information=information[0, 0])
+    c = no_capacity()._replace(
+        score=score[1], information=information[1, 1], cross=information[0, 1]
     )
-    free = [B, Q]
-    rest = [j for j in range(STATES) if j not in free]
-
-    def fixed(c):
-        """Covariance of the other states, given both; and by how much they go with both."""
-        by = np.linalg.solve(c[np.ix_(free, free)], c[np.ix_(free, rest)])
-        return c[np.ix_(rest, rest)] - c[np.ix_(rest, free)] @ by, by
-
-    for now, before in zip(fixed(found), fixed(p), strict=True):
-        np.testing.assert_allclose(now, before, atol=1e-9)
+    return c, d
 
 
-class TestMixture:
-    """Four linear models of the same data, each with its own evidence, in closed form."""
-
-    prior = np.diag([0.04, 0.09, 0.0064])  # soc, b, q
-    rng = np.random.default_rng(7)
-    design = rng.normal(size=(12, 3))
-    noise = 0.05
-
-    def posterior(self, y, free):
-        """Mean, covariance and log evidence where only ``free`` columns may differ from 0."""
-        a, s = self.design[:, free], self.prior[np.ix_(free, free)]
-        c = a @ s @ a.T + self.noise * np.eye(len(y))
-        gain = s @ a.T @ np.linalg.inv(c)
-        log = -0.5 * (y @ np.linalg.solve(c, y) + np.linalg.slogdet(c)[1])
-        return gain @ y, s - gain @ a @ s, log
-
-    @pytest.mark.parametrize("truth", [(0.1, 0, 0), (0.1, 0.3, 0), (0.1, 0, 0.1), (0, 0.3, -0.1)])
-    @pytest.mark.parametrize("log_odds", [0.0, 1.5])
-    def test_it_is_bayes_over_four_models(self, truth, log_odds):
-        y = self.design @ truth + np.sqrt(self.noise) * self.rng.normal(size=12)
-        models = {(0, 1, 2): 0.0, (0, 2): log_odds, (0, 1): log_odds, (0,): 2 * log_odds}
-        logs, parts = [], []
-        for free, odds in models.items():
-            mean, cov, log = self.posterior(y, list(free))
-            full, full_cov = np.zeros(3), np.zeros((3, 3))
-            full[list(free)] = mean
-            full_cov[np.ix_(free, free)] = cov
-            logs.append(log + odds)
-            parts.append((full, full_cov))
-        weight = np.exp(np.array(logs) - max(logs))
-        weight /= weight.sum()
-        mean = sum(w * m for w, (m, _) in zip(weight, parts, strict=True))
-        square = sum(w * (c + np.outer(m, m)) for w, (m, c) in zip(weight, parts, strict=True))
-        variance = np.diag(square - np.outer(mean, mean))
-        m, p, _ = self.posterior(y, [0, 1, 2])
-        told = mix(m[0], p[0, 0], m[1], m[2], p[0, 1], p[0, 2], p[1, 1], p[1, 2], p[2, 2],
-                   Before(self.prior[1, 1], self.prior[2, 2], *2 * (math.exp(log_odds),)),
-                   Persistent(0.0, 0.0, 0.0))  # fmt: skip
-        np.testing.assert_allclose((told.soc, told.offset_A, told.charge), mean, rtol=1e-6)
-        found = (told.soc_variance, told.offset_variance, told.charge_variance)
-        np.testing.assert_allclose(found, variance, rtol=1e-6)
-        assert told.offset_probability == pytest.approx(weight[0] + weight[2])
-        assert told.charge_probability == pytest.approx(weight[0] + weight[1])
-
-    @pytest.mark.parametrize("learnt", [1, 2])
-    def test_a_parameter_without_prior_is_out_of_the_question(self, learnt):
-        y = self.design @ (0.1, 0.3, -0.1)
-        free = [0, learnt]
-        m, p, log1 = self.posterior(y, free)
-        m0, p0, log0 = self.posterior(y, [0])
-        w = 1.0 / (1.0 + math.exp(log0 - log1))
-        two = np.zeros(3), np.zeros((3, 3))
-        two[0][free] = m
-        two[1][np.ix_(free, free)] = p
-        prior = [self.prior[j, j] if j == learnt else 0.0 for j in range(3)]
-        x, c = two
-        told = mix(x[0], c[0, 0], x[1], x[2], c[0, 1], c[0, 2], c[1, 1], c[1, 2], c[2, 2],
-                   Before(prior[1], prior[2], 1.0, 1.0), Persistent(0.0, 0.0, 0.0))  # fmt: skip
-        mean = w * m[0] + (1 - w) * m0[0]
-        assert told.soc == pytest.approx(mean)
-        square = w * (p[0, 0] + m[0] ** 2) + (1 - w) * (p0[0, 0] + m0[0] ** 2)
-        assert told.soc_variance == pytest.approx(square - mean**2)
-        assert (told.offset_A, told.charge)[2 - learnt] == 0.0
-        assert (told.offset_A, told.charge)[learnt - 1] == pytest.approx(w * m[1])
+def drawn(seed):
+    a = np.random.default_rng(seed).normal(size=(2, 2)) * 3.0
+    information = np.eye(2) + a @ a.T
+    return information, information @ np.random.default_rng(seed + 9).normal(size=2)
 
 
-class TestRest:
-    learn = AdaptiveSettings(rest_s=100.0, rest_limit_C=0.05, rest_band_C=0.01).scalars(2.0)
+@pytest.mark.parametrize("seed", range(4))
+def test_mean_and_covariance_are_those_of_four_hypotheses(seed):
+    information, score = drawn(seed)
+    best = float(score @ np.linalg.solve(information, score))
+    weights, parts = [1.0], [(np.zeros(2), np.zeros((2, 2)))]
+    for free in ([0], [1], [0, 1]):
+        inner = information[np.ix_(free, free)]
+        mean, cov = np.zeros(2), np.zeros((2, 2))
+        mean[free] = np.linalg.solve(inner, score[free])
+        cov[np.ix_(free, free)] = np.linalg.inv(inner)
+        square = float(score[free] @ mean[free])
+        weights.append(np.prod(ODDS[free]) * likelihood(square, best, float(np.linalg.det(inner))))
+        parts.append((mean, cov))
+    weight = np.array(weights) / np.sum(weights)
+    mean = sum(w * m for w, (m, _) in zip(weight, parts, strict=True))
+    square = sum(w * (c + np.outer(m, m)) for w, (m, c) in zip(weight, parts, strict=True))
+    cov = square - np.outer(mean, mean)
+    c, d = weighed(*told(information, score), RULES)
+    np.testing.assert_allclose((d.believed, c.believed), mean, rtol=1e-9)
+    np.testing.assert_allclose((d.unsure, c.unsure, c.shared), (cov[0, 0], cov[1, 1], cov[0, 1]))
+    assert c.offset_chance == pytest.approx(weight[1] + weight[3])
+    assert c.chance == pytest.approx(weight[2] + weight[3])
 
-    def rests(self, current):
-        rest, found = Rest(0.0, 0.0, False), []
-        for i in current:
-            rest, shows = watch_rest(self.learn, rest, float(i), 1.0)
-            found.append(shows)
-        return found
 
-    def test_a_still_small_current_is_a_rest_once(self):
-        told = self.rests(np.full(500, 0.08))
-        assert sum(told) == 1
-        assert told.index(True) in (100, 101)
-
-    def test_every_rest_counts(self):
-        drive = np.full(50, 1.0)
-        still = np.full(200, 0.08)
-        assert sum(self.rests(np.concatenate((still, drive, still)))) == 2
-
-    @pytest.mark.parametrize(
-        "current",
-        [np.full(500, 0.2), np.tile([0.08, 0.03], 250), np.tile(np.r_[np.full(60, 0.05), 1.0], 8)],
+def test_the_likelihood_is_nearly_the_normal_ones():
+    assert likelihood(0.0, 0.0, 4.0) == pytest.approx(0.5)
+    assert likelihood(2.0, 2.0, 1.0) == pytest.approx(np.e, rel=0.05)
+    assert likelihood(240.0, 250.0, 1.0) / likelihood(250.0, 250.0, 1.0) == pytest.approx(
+        np.exp(-5)
     )
-    def test_loads_moving_currents_and_short_stops_are_none(self, current):
-        assert not any(self.rests(current))
+    assert np.isfinite(likelihood(1e300, 1e300, 1.0))
+
+
+def test_what_wanders_is_forgotten_down_to_what_was_known_before():
+    """All evidence by the same factor, so that none of it changes sides."""
+    information, score = drawn(2)
+    before = told(information, score)
+    c, d = before
+    for _ in range(100):
+        c, d = forgotten(c, d, RULES, 3.6e6)
+    np.testing.assert_allclose((c.information, d.information, c.score, d.offset), (1, 1, 0, 0),
+                               atol=1e-3)  # fmt: skip
+    c, d = forgotten(*before, RULES, 3600.0)
+    keep = (c.information - 1.0) / (information[1, 1] - 1.0)
+    assert 0.0 < keep < 1.0
+    assert d.information - 1.0 == pytest.approx(keep * (information[0, 0] - 1.0))
+    left = c.cross, c.score, d.offset * d.information
+    assert left == pytest.approx(keep * np.array([information[0, 1], score[1], score[0]]))
+
+
+def test_a_soc_that_was_searched_for_leaves_what_is_known_of_the_capacity():
+    c, _ = told(*drawn(3))
+    state = Adaptive(linear_cell()).init(0.5)
+    free = state.free._replace(capacity=c._replace(reach=0.3))
+    after = soc_found_anew(free).capacity
+    assert after.reach == after.cross == 0.0
+    assert (after.score, after.information) == (c.score, c.information)
+
+
+def test_on_a_linear_cell_they_are_a_filter_with_two_more_states():
+    """SOC, offset and capacity together as a Kalman filter of matrices, from the same voltages."""
+    tiny = np.full(11, 1e-9)
+    error = ModelError.of_white_and_slow(white_V=0.001, slow_V=(1e-9,))
+    model = linear_cell(r1_ohm=tiny, r2_ohm=tiny, error=error)
+    noise = Noise(
+        current_A=0.0, branch_share=0.0, ocv_soc=0.0, voltage_V=0.01, slow_s=0.0, gate=1e9,
+        mismatch_cap=0.0, soc_per_sqrt_h=0.0,
+    )  # fmt: skip
+    settings = AdaptiveSettings(
+        learn=("current_offset", "capacity"), offset_C_per_sqrt_h=0.0, charge_per_sqrt_h=0.0
+    )
+    ours = Adaptive(model, noise, settings)
+    dt, rows, offset_A = 10.0, 600, settings.offset_C * model.capacity_Ah
+    current = 0.6 + 0.6 * np.sign(np.sin(np.arange(rows) / 40.0))
+    log = CellLog(dt * np.arange(rows), current, np.full(rows, 3.7))
+    log = CellLog(log.time_s, current + 0.5 * offset_A, simulate(model, log, 0.9).voltage_V)
+    state = ours.init(0.9, 0.005)
+    r0, slope = float(model.r0_ohm.mean()), float(np.ptp(model.ocv_V)) / float(np.ptp(model.soc))
+    x, p = np.array([0.9, 0.0, 0.0]), np.diag([0.005**2, 1.0, 1.0])
+    h = np.array([slope, r0 * offset_A, 0.0])
+    for interval, amps, voltage in zip(log.interval_s, log.current_A, log.voltage_V, strict=True):
+        grow = interval / (3600.0 * model.capacity_Ah)
+        f = np.eye(3)
+        f[0, 1:] = grow * offset_A, -grow * amps * settings.charge
+        x = f @ x - np.array([grow * amps, 0.0, 0.0])
+        p = f @ p @ f.T
+        k = p @ h / (h @ p @ h + noise.voltage_V**2)
+        predicted = model.ocv_V.flat[0] + slope * x[0] - r0 * (amps - offset_A * x[1])
+        x = x + k * (voltage - predicted)
+        p = p - np.outer(k, h @ p)
+        state, _ = ours.step(state, amps, voltage, dt_s=interval)
+    c, d = state.capacity, state.filter.drift
+    information = np.array([[d.information, c.cross], [c.cross, c.information]])
+    mean = np.linalg.solve(information, [d.offset * d.information, c.score])
+    np.testing.assert_allclose(mean, x[1:], atol=5e-3)
+    # Its branches begin 5 mV unsure, which the matrices leave out.
+    np.testing.assert_allclose(np.linalg.inv(information), p[1:, 1:], rtol=0.1, atol=1e-3)
+    own = state.soc - (d.believed * d.reach + c.believed * c.reach)
+    assert own + mean @ [d.reach, c.reach] == pytest.approx(x[0], abs=1e-3)

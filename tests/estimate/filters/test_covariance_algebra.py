@@ -2,128 +2,85 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
-from cellwise.cell.description import ADAPTIVE, CELL, entry, triangle
+from cellwise.cell.description import CELL, entry, triangle
 from cellwise.cell.equations import Transition
-from cellwise.estimate.adaptive import covariance_kernels as seven
 from cellwise.estimate.filters import covariance_kernels as five
 
 T = Transition(a1=0.9, a2=0.8, a3=0.99, ah=0.7, gs=-1e-3, g1=0.05, g2=0.06, g3=0.02)
-CASES = [
-    pytest.param(
-        SimpleNamespace(k=five, P=five.Covariance, D=five.Column, states=CELL, h=(0.8, 0.02)),
-        id="ekf",
-    ),
-    pytest.param(
-        SimpleNamespace(
-            k=seven, P=seven.AdaptiveCovariance, D=seven.AdaptiveColumn, states=ADAPTIVE,
-            h=(0.8, 0.02, 1.2, 0.036),
-        ),
-        id="adaptive",
-    ),
-]  # fmt: skip
-both = pytest.mark.parametrize("case", CASES)
+H = np.array([0.8, -1.2, -1.0, -1.0, 0.02])  # slope, -factor on the fast branch, M
+OUTPUT = (0.8, 0.02, 1.2)
 
 
-def matrix(case, p):
+def matrix(p):
     """A record of the upper triangle as a symmetric matrix."""
-    n = len(case.states)
+    n = len(CELL)
     found = np.zeros((n, n))
-    for (a, b), value in zip(triangle(case.states), p, strict=True):
-        found[case.states.index(a), case.states.index(b)] = value
+    for (a, b), value in zip(triangle(CELL), p, strict=True):
+        found[CELL.index(a), CELL.index(b)] = value
     return found + np.triu(found, 1).T
 
 
-def record(case, p):
+def record(p):
     """And back."""
-    return case.P(*(float(v) for v in p[np.triu_indices(len(case.states))]))
+    return five.Covariance(*(float(v) for v in p[np.triu_indices(len(CELL))]))
 
 
-def drawn(case, seed):
-    n = len(case.states)
+def drawn(seed):
+    n = len(CELL)
     a = np.random.default_rng(seed).normal(size=(n, n))
     return a @ a.T + 0.1 * np.eye(n)
 
 
-def row_of_derivatives(case):
-    """H of the voltage."""
-    if len(case.h) == 2:
-        return np.array([case.h[0], -1.0, -1.0, -1.0, case.h[1]])
-    slope, m, fast, r0 = case.h
-    return np.array([slope, -fast, -1.0, -1.0, m, r0, 0.0])
+def test_fields_are_the_upper_triangle_row_by_row():
+    assert five.Covariance._fields == tuple(entry(a, b) for a, b in triangle(CELL))
 
 
-@both
-def test_fields_are_the_upper_triangle_row_by_row(case):
-    assert case.P._fields == tuple(entry(a, b) for a, b in triangle(case.states))
+def test_decayed_is_a_p_a_transposed():
+    p = drawn(1)
+    a = np.diag([1.0, T.a1, T.a2, T.a3, T.ah])
+    np.testing.assert_allclose(matrix(five.decayed(record(p), T)), a @ p @ a)
 
 
-@both
-def test_decayed_is_a_p_a_transposed(case):
-    p = drawn(case, 1)
-    n = len(case.states)
-    a = np.diag([1.0, T.a1, T.a2, T.a3, T.ah, 1.0, 1.0][:n])
-    np.testing.assert_allclose(matrix(case, case.k.decayed(record(case, p), T)), a @ p @ a)
-
-
-@both
-def test_leaned_is_f_p_f_transposed(case):
-    p = drawn(case, 2)
-    f = np.eye(len(case.states))
+def test_a_soc_that_drives_the_branches_is_f_p_f_transposed():
+    p = drawn(2)
+    f = np.eye(len(CELL))
     f[1, 0], f[2, 0], f[3, 0] = 0.1, -0.2, 0.3
-    found = case.k.leaned(record(case, p), 0.1, -0.2, 0.3)
-    np.testing.assert_allclose(matrix(case, found), f @ p @ f.T, rtol=1e-12)
+    found = five.driven_by_soc(record(p), 0.1, -0.2, 0.3)
+    np.testing.assert_allclose(matrix(found), f @ p @ f.T, rtol=1e-12)
 
 
-def test_offset_and_capacity_drive_what_they_drive():
-    case = CASES[1].values[0]
-    p = drawn(case, 3)
-    f = np.eye(7)
-    f[0, 5], f[1, 5], f[2, 5], f[3, 5], f[0, 6] = 0.3, -0.05, -0.06, -0.02, -0.2
-    found = seven.offset_driven(record(case, p), 0.3, -0.05, -0.06, -0.02)
-    found = seven.charge_driven(found, -0.2)
-    np.testing.assert_allclose(matrix(case, found), f @ p @ f.T, rtol=1e-12)
-
-
-@both
-def test_noise_of_the_current_drives_soc_and_branches_together(case):
-    p = drawn(case, 4)
-    g = np.zeros(len(case.states))
+def test_noise_of_the_current_drives_soc_and_branches_together():
+    p = drawn(4)
+    g = np.zeros(len(CELL))
     g[:4] = T.gs, T.g1, T.g2, T.g3
     want = p + 0.5 * np.outer(g, g)
     want[np.diag_indices(4)] += 0.1, 0.2, 0.3, 0.4
-    found = case.k.noisy(record(case, p), T, 0.5, 0.5, 0.1, 0.2, 0.3, 0.4)
-    np.testing.assert_allclose(matrix(case, found), want, rtol=1e-12)
+    found = five.branches_noisy(five.noisy(record(p), T, 0.5, 0.5, 0.1), 0.2, 0.3, 0.4)
+    np.testing.assert_allclose(matrix(found), want, rtol=1e-12)
 
 
-@both
-def test_column_is_p_h_transposed(case):
-    p, h = drawn(case, 5), row_of_derivatives(case)
-    d = case.k.column(record(case, p), *case.h)
+def test_column_is_p_h_transposed():
+    p, h = drawn(5), H
+    d = five.column(record(p), *OUTPUT)
     np.testing.assert_allclose(d, p @ h, rtol=1e-12)
-    assert case.k.explained(d, *case.h) == pytest.approx(h @ p @ h)
+    assert five.explained(d, *OUTPUT) == pytest.approx(h @ p @ h)
 
 
-@both
-def test_corrected_is_the_kalman_update(case):
-    p, h = drawn(case, 6), row_of_derivatives(case)
+def test_corrected_is_the_kalman_update():
+    p, h = drawn(6), H
     d = p @ h
     gain = d / (h @ d + 0.5)
-    found = case.k.corrected(record(case, p), case.D(*gain), case.D(*d))
-    np.testing.assert_allclose(matrix(case, found), p - np.outer(gain, d), atol=1e-12)
+    found = five.corrected(record(p), five.Column(*gain), five.Column(*d))
+    np.testing.assert_allclose(matrix(found), p - np.outer(gain, d), atol=1e-12)
 
 
-@both
-def test_rejudged_then_corrected_is_the_steep_slopes_gain_on_the_flat_one(case):
+def test_joseph_then_corrected_is_the_steep_slopes_gain_on_the_flat_one():
     """Joseph's form with the gain of one slope and the row of another."""
-    p, noise = drawn(case, 7), 0.5
-    p[5:, :] = p[:, 5:] = 0.0  # offset and capacity known: all other states are corrected
-    h = row_of_derivatives(case)
-    h[5:] = 0.0
+    p, noise = drawn(7), 0.5
+    h = H
     flat = h.copy()
     flat[0] = 0.7
     d = p @ h
@@ -132,20 +89,19 @@ def test_rejudged_then_corrected_is_the_steep_slopes_gain_on_the_flat_one(case):
     want = a @ p @ a.T + noise * np.outer(k, k)
     less = flat[0] - h[0]
     e = less * (2.0 * d[0] + less * p[0, 0])
-    start = record(case, p)
-    found = case.k.rejudged(start, case.D(*k), case.k.soc_row(start, less), e)
-    found = case.k.corrected(found, case.D(*k), case.D(*d))
-    np.testing.assert_allclose(matrix(case, found), want, atol=1e-9)
+    start = record(p)
+    found = five.joseph(start, five.Column(*k), five.soc_row(start, less), e)
+    found = five.corrected(found, five.Column(*k), five.Column(*d))
+    np.testing.assert_allclose(matrix(found), want, atol=1e-9)
 
 
 @pytest.mark.parametrize("flat_V", [0.0, 0.1, 0.3, 0.45])
 def test_a_plateau_teaches_nothing_and_loses_nothing(flat_V):
     """A gain of a steep slope that leads onto a flat one never makes the SOC less known."""
-    case = CASES[0].values[0]
     slope, variance = 0.5, 0.0225
     noise = slope**2 * variance
     p = five.uncorrelated(variance, 0.0, 0.0, 0.0, 0.0)
-    d = five.column(p, slope, 0.0)
+    d = five.column(p, slope, 0.0, 1.0)
     k = five.scaled(d, 1.0 / (slope * d.s + noise))
     less = flat_V - slope
     e = less * (2.0 * d.s + less * p.ss)
@@ -153,42 +109,19 @@ def test_a_plateau_teaches_nothing_and_loses_nothing(flat_V):
     learnt = k.s * (k.s * e - 2.0 * c.s) < k.s * d.s
     want = (1.0 - k.s * flat_V) ** 2 * variance + k.s**2 * noise
     assert learnt == (want < variance)
-    after = five.corrected(five.rejudged(p, k, c, e), k, d)
-    assert matrix(case, after)[0, 0] == pytest.approx(want)
+    after = five.corrected(five.joseph(p, k, c, e), k, d)
+    assert matrix(after)[0, 0] == pytest.approx(want)
 
 
 def test_given_the_soc_and_back():
     """P less the outer product of its first column over its root has no SOC left in it."""
-    case = CASES[0].values[0]
-    p = drawn(case, 8)
+    p = drawn(8)
     along = p[0] / np.sqrt(p[0, 0])
-    found = matrix(case, five.without_outer(record(case, p), five.Column(*along)))
+    found = matrix(five.without_outer(record(p), five.Column(*along)))
     want = p - np.outer(along, along)
     np.testing.assert_allclose(found[1:, 1:], want[1:, 1:], rtol=1e-12)
     none = five.Column(0.0, 0.0, 0.0, 0.0, 0.0)
-    back = five.with_outer(record(case, found), five.Column(*along), 1.0, none)
-    np.testing.assert_allclose(matrix(case, back)[1:, 1:], p[1:, 1:], rtol=1e-12)
-    row = five.with_soc_row(record(case, p), 2.0, five.Column(*along), 3.0)
-    np.testing.assert_allclose(matrix(case, row)[0], [2.0, *(3.0 * along[1:])])
-
-
-@pytest.mark.parametrize("hold_b", [False, True])
-@pytest.mark.parametrize("hold_q", [False, True])
-def test_held_parameters_are_the_consider_filters(hold_b, hold_q):
-    """Any gain K gives (I - K h') P (I - K h')' + K R K'; held rows of K are zero."""
-    from cellwise.estimate.adaptive.step_kernels import consider
-
-    case = CASES[1].values[0]
-    p, noise, h = drawn(case, 9), 0.5, row_of_derivatives(case)
-    d = p @ h
-    full = d / (h @ d + noise)
-    k = full.copy()
-    k[5] *= not hold_b
-    k[6] *= not hold_q
-    a = np.eye(7) - np.outer(k, h)
-    want = a @ p @ a.T + noise * np.outer(k, k)
-    gain, after = consider(
-        seven.AdaptiveColumn(*full), seven.AdaptiveColumn(*d), record(case, p), hold_b, hold_q
-    )
-    np.testing.assert_allclose(gain, k)
-    np.testing.assert_allclose(matrix(case, after), want, atol=1e-12)
+    back = five.with_outer(record(found), five.Column(*along), 1.0, none)
+    np.testing.assert_allclose(matrix(back)[1:, 1:], p[1:, 1:], rtol=1e-12)
+    row = five.with_soc_row(record(p), 2.0, five.Column(*along), 3.0)
+    np.testing.assert_allclose(matrix(row)[0], [2.0, *(3.0 * along[1:])])

@@ -19,7 +19,6 @@ from cellwise.estimate.filters.past_kernels import (
     Past,
     branch_of_past,
     reconsidered,
-    share_of_past,
     soc_of_level,
 )
 from cellwise.estimate.filters.ukf import Ukf
@@ -132,7 +131,7 @@ def test_a_state_moves_as_if_the_branch_had_been_taken_for_it_from_the_beginning
         told = np.linalg.inv(prior) @ np.array([0.0, branch_V])
         return post @ (told + rows.T @ seen / noise_V2)
 
-    moved = post[:, 1] * share_of_past(post[1, 1], prior[1, 1]) * 0.012
+    moved = post[:, 1] * 1.0 / max(post[1, 1], prior[1, 1]) * 0.012
     np.testing.assert_allclose(state(0.008 + 0.012) - state(0.008), moved, rtol=1e-9)
 
 

@@ -2,27 +2,29 @@
 
 from __future__ import annotations
 
-import math
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from cellwise.cell.compiled import announce
 from cellwise.cell.model import CellModel
-from cellwise.estimate.adaptive import step_kernels as kernel
-from cellwise.estimate.adaptive.mixture_kernels import soc_deviation
-from cellwise.estimate.adaptive.settings import AdaptiveSettings
-from cellwise.estimate.adaptive.state_kernels import AdaptiveState, adaptive_start
+from cellwise.estimate.adaptive import adaptive_kernels as kernel
+from cellwise.estimate.adaptive.adaptive_kernels import AdaptiveState, adaptive_start
+from cellwise.estimate.adaptive.settings import AdaptiveSettings, held_bits
 from cellwise.estimate.adaptive.trace import AdaptiveTrace
+from cellwise.estimate.filters.filter_state import EkfInfo, TraceArrays
 from cellwise.estimate.filters.kalman import (
     FilterOfModel,
     check_state,
     log_arrays,
     reading_from,
+    trace_fields,
 )
 from cellwise.estimate.noise import Noise
 from cellwise.logs.cell_log import CellLog
-from cellwise.typing import FloatArray
+
+CHARGE_LOW, CHARGE_HIGH = 0.5, 2.5
 
 
 class AdaptiveInfo(NamedTuple):
@@ -56,7 +58,7 @@ class AdaptiveInfo(NamedTuple):
 
 
 class Adaptive(FilterOfModel):
-    """Kalman filter over SOC, branch voltages, hysteresis, sensor offset, capacity, resistances.
+    """The EKF with more that is free: beside the sensor's offset the capacity, and resistances.
 
     Parameters
     ----------
@@ -81,8 +83,9 @@ class Adaptive(FilterOfModel):
     ) -> None:
         super().__init__(model, noise)
         self.settings = AdaptiveSettings() if settings is None else settings
-        self._noise = self.noise.scalars(model)
-        self._rules = self.settings.scalars(model.capacity_Ah)
+        offset = replace(self.noise, offset_share=self.settings.offset_share)
+        self._noise = offset.scalars(model)
+        self._rules = self.settings.rules()
         self._unknown = self.start(0.5, 0.3)  # for a state that is no longer finite: know nothing
 
     def init(self, soc0: float, soc0_std: float = 0.15, current_A: float = 0.0) -> AdaptiveState:
@@ -108,90 +111,62 @@ class Adaptive(FilterOfModel):
         check_state(state, AdaptiveState, self.name)
         reading = reading_from(current_A, voltage_V, temperature_C, dt_s, gap)
         announce(kernel.adaptive_step, f"the {self.name} step")
-        after, step, mixed = kernel.adaptive_step(
+        after, info = kernel.adaptive_step(
             self._tables, self._noise, self._rules, self._unknown, state, reading
         )
-        charge, charge_std = 1.0 + mixed.charge, math.sqrt(max(mixed.charge_variance, 0.0))
-        capacity, capacity_std, gain, gain_std = self._charge(charge, charge_std)
-        return after, AdaptiveInfo(
-            soc=min(max(mixed.soc, 0.0), 1.0),
-            soc_std=soc_deviation(mixed, after.mismatch),
-            voltage_V=step.voltage_V,
-            innovation_V=step.innovation_V,
-            innovation_variance_V2=step.innovation_variance_V2,
-            test_ratio=step.test_ratio,
-            status=step.status,
-            offset_A=mixed.offset_A,
-            offset_std_A=math.sqrt(max(mixed.offset_variance, 0.0)),
-            offset_probability=mixed.offset_probability,
-            capacity_Ah=float(capacity),
-            capacity_std_Ah=float(capacity_std),
-            gain=float(gain),
-            gain_std=float(gain_std),
-            charge_probability=mixed.charge_probability,
-            resistance_scale=after.resistances.fast,
-            polarisation_scale=after.resistances.tail,
-            held_offset=step.held.offset,
-            held_resistance=step.held.resistance,
-            held_charge=step.held.charge,
+        return after, self._info(after, info)
+
+    def _info(self, state: AdaptiveState, info: EkfInfo) -> AdaptiveInfo:
+        """What a replay's row says of a state."""
+        out = TraceArrays(np.empty((kernel.ADAPTIVE_OUTPUTS, 1)), np.array([info.status], np.int32))
+        offset_A = self._noise.offset_soc_per_s * self._tables.cell.charge_As
+        kernel.put_free(self._rules, offset_A, out, 0, state.filter, state.free)
+        known = self._parameters(out)
+        return AdaptiveInfo(
+            *info,
+            **{name: known[name][0].item() for name in AdaptiveInfo._fields if name in known},
+            held_offset=int(known["held"][0, 0]),
+            held_resistance=int(known["held"][1, 0]),
+            held_charge=int(known["held"][2, 0]),
         )
 
     def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> AdaptiveTrace:
         """Replay a whole log; the same steps in one compiled loop."""
-        rows = log_arrays(log)
-        state = self.init(soc0, soc0_std)
-        out = np.empty((kernel.OUTPUTS, len(log)))
-        status = np.empty(len(log), dtype=np.int32)
-        held = np.empty((3, len(log)), dtype=np.int32)
+        rows, start = log_arrays(log), self.start(soc0, soc0_std)
+        n = len(log)
+        out = TraceArrays(np.empty((kernel.ADAPTIVE_OUTPUTS, n)), np.empty(n, dtype=np.int32))
         announce(kernel.adaptive_rows, f"the estimator '{self.name}'")
         kernel.adaptive_rows(
-            self._tables,
-            self._noise,
-            self._rules,
-            self._unknown,
-            state,
-            rows,
-            out,
-            status,
-            held,
-        )
-        capacity, capacity_std, gain, gain_std = self._charge(
-            out[kernel.OUT_CHARGE], out[kernel.OUT_CHARGE_STD]
+            self._tables, self._noise, self._rules, start, self._unknown, rows, out
         )
         return AdaptiveTrace(
-            time_s=log.time_s,
-            soc=out[kernel.OUT_SOC],
-            soc_std=out[kernel.OUT_STD],
-            voltage_V=out[kernel.OUT_VOLTAGE],
-            innovation_V=out[kernel.OUT_INNOVATION],
-            innovation_variance_V2=out[kernel.OUT_VARIANCE],
-            test_ratio=out[kernel.OUT_RATIO],
-            status=status,
-            offset_A=out[kernel.OUT_OFFSET],
-            offset_std_A=out[kernel.OUT_OFFSET_STD],
-            offset_probability=out[kernel.OUT_OFFSET_FREE],
-            gain=np.asarray(gain),
-            gain_std=np.asarray(gain_std),
-            capacity_Ah=np.asarray(capacity),
-            capacity_std_Ah=np.asarray(capacity_std),
-            charge_probability=out[kernel.OUT_CHARGE_FREE],
-            resistance_scale=out[kernel.OUT_FAST],
-            resistance_std=out[kernel.OUT_FAST_STD],
-            polarisation_scale=out[kernel.OUT_TAIL],
-            polarisation_std=out[kernel.OUT_TAIL_STD],
-            held=held,
+            **trace_fields(log, out),
+            **self._parameters(out),
             model_capacity_Ah=self.model.capacity_Ah,
             estimates_gain=self.settings.estimates_gain,
         )
 
-    def _charge(
-        self, q: FloatArray | float, q_std: FloatArray | float
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Capacity [Ah] and gain, each with its deviation, out of the one factor on the charge."""
-        q, q_std = np.asarray(q), np.asarray(q_std)
-        inverse, spread = 1.0 / q, q_std / (q * q)
+    def _parameters(self, out: TraceArrays) -> dict[str, Any]:
+        """Offset, capacity or gain and resistances of some rows, and why they were held."""
+        v = out.values
+        q = np.clip(1.0 + v[kernel.OUT_CHARGE], CHARGE_LOW, CHARGE_HIGH)
+        inverse, spread = 1.0 / q, v[kernel.OUT_CHARGE_STD] / (q * q)
         one, none = np.ones_like(q), np.zeros_like(q)
-        capacity = self.model.capacity_Ah
-        if self.settings.estimates_gain:
-            return capacity * one, none, inverse, spread
-        return capacity * inverse, capacity * spread, one, none
+        capacity, of_gain = self.model.capacity_Ah, self.settings.estimates_gain
+        return {
+            "offset_A": v[kernel.OUT_OFFSET],
+            "offset_std_A": v[kernel.OUT_OFFSET_STD],
+            "offset_probability": v[kernel.OUT_OFFSET_FREE],
+            "gain": inverse if of_gain else one,
+            "gain_std": spread if of_gain else none,
+            "capacity_Ah": capacity * (one if of_gain else inverse),
+            "capacity_std_Ah": none if of_gain else capacity * spread,
+            "charge_probability": v[kernel.OUT_CHARGE_FREE],
+            "resistance_scale": v[kernel.OUT_FAST],
+            "resistance_std": v[kernel.OUT_FAST_STD],
+            "polarisation_scale": v[kernel.OUT_TAIL],
+            "polarisation_std": v[kernel.OUT_TAIL_STD],
+            "held": held_bits(
+                self.settings, out.status, v[kernel.OUT_SOC_VARIANCE], v[kernel.OUT_MOVES] > 0.0
+            ),
+        }

@@ -1,4 +1,4 @@
-"""What the adaptive estimator may rules, how fast, and why it does not."""
+"""What the adaptive estimator may learn, how fast, and why it does not."""
 
 from __future__ import annotations
 
@@ -6,8 +6,19 @@ import math
 from dataclasses import dataclass
 from enum import IntFlag
 
+import numpy as np
+
 from cellwise.errors import InputError
-from cellwise.estimate.adaptive.state_kernels import AdaptiveScalars
+from cellwise.estimate.adaptive.resistance_kernels import ResistanceRules
+from cellwise.estimate.filters.free_kernels import FreeRules
+from cellwise.estimate.status import (
+    CLAMPED,
+    CURRENT_INVALID,
+    OUTSIDE,
+    VOLTAGE_FROZEN,
+    VOLTAGE_INVALID,
+)
+from cellwise.typing import BoolArray, FloatArray, IntArray
 
 ESTIMABLE = ("current_offset", "resistance", "capacity", "current_gain")
 
@@ -18,7 +29,7 @@ class Held(IntFlag):
     NOT_CHOSEN = 1
     SOC_UNSURE = 2  # the SOC is not yet known well enough to look for anything else
     NO_EXCITATION = 4  # the load hardly moves: a resistance and an OCV look alike
-    MODEL_MISFIT = 8  # no value of the parameters explains the voltage
+    MODEL_MISFIT = 8  # beyond the model's data, or at an end of its SOC
     NO_VOLTAGE = 16
     NO_CURRENT = 32
 
@@ -40,7 +51,7 @@ def reason(held: int) -> str | None:
 
 @dataclass(frozen=True)
 class AdaptiveSettings:
-    """Parameters to rules, what is believed of them before, and when they are held.
+    """Parameters to learn, what is believed of them before, and when they are held.
 
     Currents are shares of 1C (the model's capacity over an hour), standard deviations all.
 
@@ -56,13 +67,9 @@ class AdaptiveSettings:
     fault_probability, charge_probability : float
                                  chance, before any data, that there is an offset, that capacity or
                                  gain is not the model's
-    settled_soc : float          beyond this deviation of SOC nothing is estimated
+    settled_soc : float          beyond this deviation of SOC only an offset is estimated
     swing_V : float              below this RMS of the moving drop resistances are held
     fast_s, tail_s : float       what moves within fast_s shows R0 and R1, up to tail_s R2
-    misfit : float               mean of innovation squared over variance from which all is held
-    rest_s : float               a current that stands still near zero for as long is a rest
-    rest_limit_C, rest_band_C : float    what near zero and standing still mean
-    rest_C : float               how well a rest shows the offset
     """
 
     learn: tuple[str, ...] = ("current_offset", "resistance", "capacity")
@@ -78,11 +85,6 @@ class AdaptiveSettings:
     swing_V: float = 0.003
     fast_s: float = 20.0
     tail_s: float = 120.0
-    misfit: float = 9.0
-    rest_s: float = 120.0
-    rest_limit_C: float = 0.04
-    rest_band_C: float = 0.01
-    rest_C: float = 0.003
 
     def __post_init__(self) -> None:
         unknown = [name for name in self.learn if name not in ESTIMABLE]
@@ -118,36 +120,60 @@ class AdaptiveSettings:
         """Whether a wrong charge is laid to the sensor's gain and not to the capacity."""
         return "current_gain" in self.learn
 
-    def scalars(self, capacity_Ah: float) -> AdaptiveScalars:
-        """What the kernels take, for a model of the given capacity [Ah]."""
-        offset = "current_offset" in self.learn and self.offset_C > 0.0
-        resistance = "resistance" in self.learn and self.resistance > 0.0
-        charge = ("capacity" in self.learn or self.estimates_gain) and self.charge > 0.0
+    @property
+    def offset_share(self) -> float:
+        """Deviation of the offset before any data, of 1C; 0 where it is not estimated."""
+        return self.offset_C if "current_offset" in self.learn else 0.0
+
+    def rules(self) -> FreeRules:
+        """What the kernels take."""
+        resistance = self.resistance if "resistance" in self.learn else 0.0
+        charge = self.charge if "capacity" in self.learn or self.estimates_gain else 0.0
         hour = 3600.0
-        return AdaptiveScalars(
-            offset_variance=(self.offset_C * capacity_Ah) ** 2 if offset else 0.0,
-            resistance_variance=self.resistance**2 if resistance else 0.0,
-            charge_variance=self.charge**2 if charge else 0.0,
-            offset_walk=(self.offset_C_per_sqrt_h * capacity_Ah) ** 2 / hour if offset else 0.0,
-            resistance_walk=self.resistance_per_sqrt_h**2 / hour if resistance else 0.0,
-            charge_walk=self.charge_per_sqrt_h**2 / hour if charge else 0.0,
-            estimates_offset=offset,
-            estimates_resistance=resistance,
-            estimates_charge=charge,
+        return FreeRules(
+            capacity=charge,
+            capacity_odds=_odds(self.charge_probability) if charge > 0.0 else 0.0,
+            offset_odds=_odds(self.fault_probability) if self.offset_share > 0.0 else 0.0,
+            capacity_wander=_in_squares(self.charge_per_sqrt_h, charge) / hour,
+            offset_wander=_in_squares(self.offset_C_per_sqrt_h, self.offset_share) / hour,
             settled_variance=self.settled_soc**2,
-            swing_V2=self.swing_V**2,
-            fast_s=self.fast_s,
-            tail_s=self.tail_s,
-            misfit=self.misfit,
-            rest_after_s=self.rest_s,
-            rest_band_A=self.rest_band_C * capacity_Ah,
-            rest_limit_A=self.rest_limit_C * capacity_Ah,
-            rest_variance=(self.rest_C * capacity_Ah) ** 2,
-            odds=_odds(self.fault_probability),
-            charge_odds=_odds(self.charge_probability),
+            resistances=ResistanceRules(
+                variance=resistance**2,
+                wander=self.resistance_per_sqrt_h**2 / hour if resistance > 0.0 else 0.0,
+                swing_V2=self.swing_V**2,
+                fast_s=self.fast_s,
+                tail_s=self.tail_s,
+            ),
         )
 
 
 def _odds(probability: float) -> float:
-    """For the model's value, where another has this chance."""
-    return (1.0 - probability) / probability
+    """Of another value than the model's, where that has this chance."""
+    return probability / (1.0 - probability)
+
+
+def _in_squares(wander: float, prior: float) -> float:
+    """How fast a number wanders, as a share of what is believed of it, in squares."""
+    return (wander / prior) ** 2 if prior > 0.0 else 0.0
+
+
+def held_bits(
+    settings: AdaptiveSettings, status: IntArray, soc_variance: FloatArray, moves: BoolArray
+) -> IntArray:
+    """Why offset, resistance and capacity or gain were held in some rows, shape (3, rows).
+
+    An offset is asked for from the first voltage on, the others once the SOC is settled.
+    """
+    seen = np.where(status & (VOLTAGE_INVALID | VOLTAGE_FROZEN), int(Held.NO_VOLTAGE), 0)
+    seen |= np.where(status & CURRENT_INVALID, int(Held.NO_CURRENT), 0)
+    settled = np.where(soc_variance > settings.settled_soc**2, int(Held.SOC_UNSURE), 0)
+    outside = np.where(status & (CLAMPED | OUTSIDE), int(Held.MODEL_MISFIT), 0)
+    still = np.where(moves, 0, int(Held.NO_EXCITATION))
+    chosen = (
+        settings.offset_share > 0.0,
+        "resistance" in settings.learn and settings.resistance > 0.0,
+        settings.rules().capacity > 0.0,
+    )
+    held = np.stack([seen, seen | settled | still, seen | settled | outside])
+    held |= np.where(chosen, 0, int(Held.NOT_CHOSEN))[:, None]
+    return held.astype(np.int32)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.compiled import kernel, rows
+from cellwise.cell.compiled import for_kernel, kernel, rows
 from cellwise.cell.equations import soc_step
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.point_kernels import CellScalars
@@ -37,63 +37,61 @@ class CoulombInfo(NamedTuple):
     status: Status
 
 
+class CountRules(NamedTuple):
+    """How fast a count drifts [1/sqrt(s)], and what SOC a gap may hide."""
+
+    walk: float
+    gap_soc: float
+
+
 @kernel
 def coulomb_step(
     cell: CellScalars,
-    soc: float,
-    variance: float,
-    previous_A: float,
+    rules: CountRules,
+    state: CoulombState,
     current_A: float,
     dt_s: float,
-    walk: float,
-    gap_soc: float,
     gap: bool,
-) -> tuple[float, float, float, int]:
-    """One interval: the new SOC, its variance, the current that was used, the status bits."""
+) -> tuple[CoulombState, int]:
+    """One interval: the new state and the status bits."""
     status = 0
-    current = current_A
+    current, variance = current_A, state.variance
     if not math.isfinite(current):
-        current = previous_A
+        current = state.previous_A
         status |= CURRENT_INVALID
     if gap:
         status |= SEQUENCE_GAP
-        rate_A = max(LOST_RATE * cell.charge_As / 3600.0, abs(current), abs(previous_A))
-        unseen = min(gap_soc, rate_A * dt_s / cell.charge_As)
+        rate_A = max(LOST_RATE * cell.charge_As / 3600.0, abs(current), abs(state.previous_A))
+        unseen = min(rules.gap_soc, rate_A * dt_s / cell.charge_As)
         variance += unseen * unseen
     elif dt_s <= 0.0:
         status |= DUPLICATE
-    soc = soc_step(cell, soc, 0.0 if gap else current, dt_s)  # nobody knows what flowed in a gap
-    variance += walk * walk * dt_s
+    # Nobody knows what flowed in a gap.
+    soc = soc_step(cell, state.soc, 0.0 if gap else current, dt_s)
+    variance += rules.walk * rules.walk * dt_s
     if soc < 0.0 or soc > 1.0:
         soc = min(max(soc, 0.0), 1.0)
         status |= CLAMPED
-    return soc, variance, current, status
+    return CoulombState(soc, variance, current), status
 
 
 @rows
 def coulomb_rows(
     cell: CellScalars,
-    soc0: float,
-    variance0: float,
+    rules: CountRules,
+    start: CoulombState,
     current_A: FloatArray,
     dt_s: FloatArray,
     gap: BoolArray,
-    walk: float,
-    gap_soc: float,
-    soc: FloatArray,
-    std: FloatArray,
+    out: FloatArray,
     status: IntArray,
 ) -> None:
-    """Every row of a log through :func:`coulomb_step`."""
-    s = soc0
-    variance = variance0
-    previous = 0.0
+    """Every row of a log through one step; ``out`` holds SOC and its deviation, shape (2, rows)."""
+    state = start
     for k in range(dt_s.size):
-        s, variance, previous, bits = coulomb_step(
-            cell, s, variance, previous, current_A[k], dt_s[k], walk, gap_soc, gap[k]
-        )
-        soc[k] = s
-        std[k] = math.sqrt(variance)
+        state, bits = coulomb_step(cell, rules, state, current_A[k], dt_s[k], gap[k])
+        out[0, k] = state.soc
+        out[1, k] = math.sqrt(state.variance)
         status[k] = bits
 
 
@@ -107,7 +105,8 @@ class Coulomb:
         self.model = model
         self.noise = noise_for(model, noise)
         self._cell = model.parameters().cell
-        self._noise = self.noise.scalars()
+        scalars = self.noise.scalars()
+        self.rules = CountRules(scalars.soc_per_sqrt_s, scalars.gap_soc)
 
     def init(self, soc0: float, soc0_std: float = 0.15) -> CoulombState:
         """State at ``soc0``; raises InputError outside 0..1, or a deviation not above zero."""
@@ -132,44 +131,20 @@ class Coulomb:
         InputError        dt_s negative or not finite; a state or a reading of another type
         """
         check_state(state, CoulombState, self.name)
-        reading = reading_from(current_A, voltage_V, temperature_C, dt_s, gap)
-        soc, variance, previous, bits = coulomb_step(
-            self._cell,
-            state.soc,
-            state.variance,
-            state.previous_A,
-            reading.current_A,
-            reading.dt_s,
-            self._noise.soc_per_sqrt_s,
-            self._noise.gap_soc,
-            reading.gap,
-        )
-        info = CoulombInfo(soc, math.sqrt(variance), Status(bits))
-        return CoulombState(soc, variance, previous), info
+        r = reading_from(current_A, voltage_V, temperature_C, dt_s, gap)
+        new, bits = coulomb_step(self._cell, self.rules, state, r.current_A, r.dt_s, r.gap)
+        return new, CoulombInfo(new.soc, math.sqrt(new.variance), Status(bits))
 
     def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> Trace:
         """Count a whole log; the voltage shown is the model's own simulation."""
         check_is_log(log)
-        start = self.init(soc0, soc0_std)
-        gap = log.gap_rows
         n = len(log)
-        soc, std = np.empty(n), np.empty(n)
-        status = np.empty(n, dtype=np.int32)
+        out, status = np.empty((2, n)), np.empty(n, dtype=np.int32)
+        start, current = self.init(soc0, soc0_std), for_kernel(log.interval_current_A)
         coulomb_rows(
-            self._cell,
-            start.soc,
-            start.variance,
-            np.array(log.interval_current_A),
-            log.interval_s,
-            gap,
-            self._noise.soc_per_sqrt_s,
-            self._noise.gap_soc,
-            soc,
-            std,
-            status,
+            self._cell, self.rules, start, current, log.interval_s, log.gap_rows, out, status
         )
         voltage = simulate(self.model, log, soc0).voltage_V
         missing = np.full(n, np.nan)
-        return Trace(
-            log.time_s, soc, std, voltage, log.voltage_V - voltage, missing, missing, status
-        )
+        off = log.voltage_V - voltage
+        return Trace(log.time_s, out[0], out[1], voltage, off, missing, missing, status)

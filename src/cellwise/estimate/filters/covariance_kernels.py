@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from cellwise.cell.compiled import inline
-from cellwise.cell.equations import Transition
+from cellwise.cell.equations import CellState, Transition
 
 VARIANCE_FLOOR = 1e-12
 
@@ -94,31 +94,22 @@ def branches_noisy(p: Covariance, w1: float, w2: float, w3: float) -> Covariance
 
 
 @inline
-def noisy(
-    p: Covariance,
-    t: Transition,
-    soc_A2: float,
-    branch_A2: float,
-    ws: float,
-    w1: float,
-    w2: float,
-    w3: float,
-) -> Covariance:
-    """A current of unknown size drives what the current drives; w is what each gains alone."""
+def noisy(p: Covariance, t: Transition, soc_A2: float, branch_A2: float, ws: float) -> Covariance:
+    """A current of unknown size drives what it drives; ws is what SOC gains alone."""
     return Covariance(
         p.ss + (soc_A2 * t.gs * t.gs + ws),
         p.s1 + soc_A2 * t.gs * t.g1,
         p.s2 + soc_A2 * t.gs * t.g2,
         p.s3 + soc_A2 * t.gs * t.g3,
         p.sh,
-        p.p11 + (branch_A2 * t.g1 * t.g1 + w1),
+        p.p11 + branch_A2 * t.g1 * t.g1,
         p.p12 + branch_A2 * t.g1 * t.g2,
         p.p13 + branch_A2 * t.g1 * t.g3,
         p.p1h,
-        p.p22 + (branch_A2 * t.g2 * t.g2 + w2),
+        p.p22 + branch_A2 * t.g2 * t.g2,
         p.p23 + branch_A2 * t.g2 * t.g3,
         p.p2h,
-        p.p33 + (branch_A2 * t.g3 * t.g3 + w3),
+        p.p33 + branch_A2 * t.g3 * t.g3,
         p.p3h,
         p.phh,
     )
@@ -147,7 +138,7 @@ def with_soc_variance(p: Covariance, ss: float) -> Covariance:
 
 
 @inline
-def leaned(p: Covariance, f1: float, f2: float, f3: float) -> Covariance:
+def driven_by_soc(p: Covariance, f1: float, f2: float, f3: float) -> Covariance:
     """A SOC that is off drives the branches by the resistances' slopes: x_j += f_j soc."""
     return Covariance(
         p.ss,
@@ -235,8 +226,8 @@ def with_outer(p: Covariance, c: Column, share: float, e: Column) -> Covariance:
 
 
 @inline
-def rejudged(p: Covariance, k: Column, c: Column, e: float) -> Covariance:
-    """P where a gain k of one slope is judged by another (Joseph): + e k k' - k c' - c k'."""
+def joseph(p: Covariance, k: Column, c: Column, e: float) -> Covariance:
+    """P where a gain k of one slope is judged by another: + e k k' - k c' - c k'."""
     return Covariance(
         p.ss + k.s * (k.s * e - 2.0 * c.s),
         p.s1 + (k.s * k.v1 * e - k.s * c.v1 - k.v1 * c.s),
@@ -257,20 +248,20 @@ def rejudged(p: Covariance, k: Column, c: Column, e: float) -> Covariance:
 
 
 @inline
-def column(p: Covariance, slope_V: float, m_V: float) -> Column:
+def column(p: Covariance, slope_V: float, m_V: float, fast: float) -> Column:
     """P H', the covariance of every state with the voltage."""
-    s = (slope_V * p.ss + m_V * p.sh) - ((p.s1 + p.s2) + p.s3)
-    v1 = (slope_V * p.s1 + m_V * p.p1h) - ((p.p11 + p.p12) + p.p13)
-    v2 = (slope_V * p.s2 + m_V * p.p2h) - ((p.p12 + p.p22) + p.p23)
-    v3 = (slope_V * p.s3 + m_V * p.p3h) - ((p.p13 + p.p23) + p.p33)
-    h = (slope_V * p.sh + m_V * p.phh) - ((p.p1h + p.p2h) + p.p3h)
+    s = (slope_V * p.ss + m_V * p.sh) - ((fast * p.s1 + p.s2) + p.s3)
+    v1 = (slope_V * p.s1 + m_V * p.p1h) - ((fast * p.p11 + p.p12) + p.p13)
+    v2 = (slope_V * p.s2 + m_V * p.p2h) - ((fast * p.p12 + p.p22) + p.p23)
+    v3 = (slope_V * p.s3 + m_V * p.p3h) - ((fast * p.p13 + p.p23) + p.p33)
+    h = (slope_V * p.sh + m_V * p.phh) - ((fast * p.p1h + p.p2h) + p.p3h)
     return Column(s, v1, v2, v3, h)
 
 
 @inline
-def explained(d: Column, slope_V: float, m_V: float) -> float:
+def explained(d: Column, slope_V: float, m_V: float, fast: float) -> float:
     """H P H', the variance of the voltage that the state explains [V^2]."""
-    return (slope_V * d.s + m_V * d.h) - ((d.v1 + d.v2) + d.v3)
+    return (slope_V * d.s + m_V * d.h) - ((fast * d.v1 + d.v2) + d.v3)
 
 
 @inline
@@ -305,3 +296,17 @@ def corrected(p: Covariance, k: Column, d: Column) -> Covariance:
 def soc_row(p: Covariance, factor: float) -> Column:
     """SOC's row of P times a number."""
     return Column(p.ss * factor, p.s1 * factor, p.s2 * factor, p.s3 * factor, p.sh * factor)
+
+
+@inline
+def moved(x: CellState, k: Column, innovation_V: float) -> CellState:
+    """State + k innovation."""
+    return CellState(
+        x.soc + k.s * innovation_V,
+        x.v1_V + k.v1 * innovation_V,
+        x.v2_V + k.v2 * innovation_V,
+        x.v3_V + k.v3 * innovation_V,
+        min(max(x.h + k.h * innovation_V, -1.0), 1.0),
+        x.heat_K,
+        x.slow_A,
+    )

@@ -98,12 +98,6 @@ def counted_on(
 
 
 @inline
-def counted_move(old: Drift, now: Drift) -> float:
-    """What the SOC of the mean gains on the filter's over an interval."""
-    return old.believed * (now.reach - old.reach)
-
-
-@inline
 def drift_variance(drift: Drift) -> float:
     """What an offset that is not known may have moved the SOC by, variance over both hypotheses."""
     return drift.reach * drift.reach * drift.unsure
@@ -125,37 +119,30 @@ def weight_of_offset(offset: float, information: float, deviation: float) -> flo
 
 
 @inline
-def drift_step(
-    noise: NoiseScalars,
-    old: Drift,
-    now: Drift,
-    offset_V: float,
-    innovation_V: float,
-    slope_V: float,
-    gain: float,
-    inverse: float,
-) -> tuple[Drift, float]:
-    """After a voltage: the drift, and what the SOC moves beside ``gain`` x ``innovation_V``.
+def seen_of_offset(
+    noise: NoiseScalars, d: Drift, slope_V: float, r0_ohm: float, charge_As: float
+) -> float:
+    """What one deviation of the offset moves the voltage by: SOC, drop over R0, branches [V]."""
+    offset_V = r0_ohm * noise.offset_soc_per_s * charge_As
+    return slope_V * d.reach + (offset_V + ((d.d1_V + d.d2_V) + d.d3_V))
 
-    ``now`` is :func:`counted_on`, ``offset_V`` the offset's drop over R0, ``inverse`` one over
-    the variance that weighed the voltage.
+
+@inline
+def drift_step(now: Drift, seen_V: float, own_V: float, gain: float, inverse: float) -> Drift:
+    """After a voltage with the ``gain`` of the SOC; ``now`` is :func:`counted_on`.
+
+    ``seen_V`` is :func:`seen_of_offset`, ``own_V`` the innovation of the filter's own estimate,
+    ``inverse`` one over the variance that weighed it.
     """
-    followed = old.believed * old.reach
-    own_V = innovation_V + slope_V * followed  # of the filter's own estimate
-    seen = slope_V * now.reach + (offset_V + ((now.d1_V + now.d2_V) + now.d3_V))
-    read = inverse * seen
-    information = now.information + read * seen
+    read = inverse * seen_V
+    information = now.information + read * seen_V
     variance = 1.0 / information
-    offset = now.offset + read * variance * (own_V - seen * now.offset)
-    reach = now.reach - gain * seen
+    offset = now.offset + read * variance * (own_V - seen_V * now.offset)
     weight = weight_of_offset(offset, information, math.sqrt(variance))
-    believed = weight * offset
     unsure = weight * (variance + (1.0 - weight) * offset * offset)
-    move = gain * slope_V * followed + (believed * reach - followed)
     # fmt: off
-    after = Drift(
-        reach, offset, information, believed, unsure, now.d1_V, now.d2_V, now.d3_V, now.rest_s,
-        now.rest_A,
+    return Drift(
+        now.reach - gain * seen_V, offset, information, weight * offset, unsure, now.d1_V,
+        now.d2_V, now.d3_V, now.rest_s, now.rest_A,
     )
     # fmt: on
-    return after, move

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from cellwise.estimate.filters.ekf_kernels import ekf_rows, ekf_step
 from cellwise.estimate.filters.kalman import KalmanFilter
 from cellwise.estimate.filters.kalman import measured_temperature_C as measured_temperature_C
 
@@ -23,5 +22,3 @@ class Ekf(KalmanFilter):
     """
 
     name = "ekf"
-    step_kernel = staticmethod(ekf_step)
-    rows_kernel = staticmethod(ekf_rows)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -15,12 +15,20 @@ from cellwise.cell.point_kernels import M
 from cellwise.cell.simulate import check_soc0, check_soc0_std, model_temperature_C
 from cellwise.errors import InputError
 from cellwise.estimate.filters import filter_state as layout
-from cellwise.estimate.filters.filter_state import EkfInfo, EkfStart, EkfState, ekf_start
+from cellwise.estimate.filters.filter_state import (
+    EkfInfo,
+    EkfStart,
+    EkfState,
+    TraceArrays,
+    ekf_start,
+)
+from cellwise.estimate.filters.kalman_kernels import kalman_rows, kalman_step
+from cellwise.estimate.filters.sigma_kernels import SigmaScalars
 from cellwise.estimate.noise import Noise, noise_for
 from cellwise.estimate.sensing_kernels import Reading
 from cellwise.estimate.trace import Trace
 from cellwise.logs.cell_log import CellLog, check_is_log
-from cellwise.typing import FloatArray, IntArray
+from cellwise.typing import FloatArray
 
 
 class FilterOfModel:
@@ -60,14 +68,13 @@ class FilterOfModel:
 
 
 class KalmanFilter(FilterOfModel):
-    """A filter over SOC, branch voltages and hysteresis; its kernels are the subclass's."""
+    """A filter over SOC, branch voltages and hysteresis: with sigma points, or by derivatives."""
 
-    step_kernel: ClassVar[Callable[..., tuple[EkfState, EkfInfo]]]
-    rows_kernel: ClassVar[Callable[..., EkfState]]
+    sigma: SigmaScalars | None = None
 
     def __init__(self, model: CellModel, noise: Noise | None = None) -> None:
         super().__init__(model, noise)
-        self._settings: tuple[Any, ...] = (self.noise.scalars(model),)
+        self._noise = self.noise.scalars(model)
         self._unknown = self.start(0.5, 0.3)  # for a state that is no longer finite: know nothing
 
     def init(self, soc0: float, soc0_std: float = 0.15, current_A: float = 0.0) -> EkfState:
@@ -101,8 +108,8 @@ class KalmanFilter(FilterOfModel):
         """
         check_state(state, EkfState, self.name)
         reading = reading_from(current_A, voltage_V, temperature_C, dt_s, gap)
-        announce(type(self).step_kernel, f"the {self.name} step")
-        return type(self).step_kernel(self._tables, *self._settings, self._unknown, state, reading)
+        announce(kalman_step, f"the {self.name} step")
+        return kalman_step(self._tables, self._noise, self.sigma, self._unknown, state, reading)
 
     def take_rows(
         self,
@@ -110,28 +117,35 @@ class KalmanFilter(FilterOfModel):
         log: CellLog,
         soc0: float,
         soc0_std: float,
-        out: FloatArray | tuple[FloatArray | IntArray, ...],
+        out: FloatArray | TraceArrays,
     ) -> None:
         """Hand every row of a log to a compiled loop over this filter's step; it fills ``out``."""
         start = self.start(soc0, soc0_std)
-        kernel(self._tables, *self._settings, start, self._unknown, log_arrays(log), out)
+        rows = log_arrays(log)
+        kernel(self._tables, self._noise, self.sigma, start, self._unknown, rows, out)
 
     def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> Trace:
         """Replay a whole log; the same steps in one compiled loop."""
-        out = np.empty((layout.OUTPUTS, len(log)))
-        status = np.empty(len(log), dtype=np.int32)
-        announce(type(self).rows_kernel, f"the estimator '{self.name}'")
-        self.take_rows(type(self).rows_kernel, log, soc0, soc0_std, layout.TraceArrays(out, status))
-        return Trace(
-            time_s=log.time_s,
-            soc=out[layout.OUT_SOC],
-            soc_std=out[layout.OUT_STD],
-            voltage_V=out[layout.OUT_VOLTAGE],
-            innovation_V=out[layout.OUT_INNOVATION],
-            innovation_variance_V2=out[layout.OUT_VARIANCE],
-            test_ratio=out[layout.OUT_RATIO],
-            status=status,
-        )
+        n = len(log)
+        out = TraceArrays(np.empty((layout.OUTPUTS, n)), np.empty(n, dtype=np.int32))
+        announce(kalman_rows, f"the estimator '{self.name}'")
+        self.take_rows(kalman_rows, log, soc0, soc0_std, out)
+        return Trace(**trace_fields(log, out))
+
+
+def trace_fields(log: CellLog, out: TraceArrays) -> dict[str, Any]:
+    """What every filter writes, by its name in a trace."""
+    v = out.values
+    return {
+        "time_s": log.time_s,
+        "soc": v[layout.OUT_SOC],
+        "soc_std": v[layout.OUT_STD],
+        "voltage_V": v[layout.OUT_VOLTAGE],
+        "innovation_V": v[layout.OUT_INNOVATION],
+        "innovation_variance_V2": v[layout.OUT_VARIANCE],
+        "test_ratio": v[layout.OUT_RATIO],
+        "status": out.status,
+    }
 
 
 def reading_from(

@@ -18,7 +18,7 @@ from cellwise.cell.compiled import inline, kernel
 from cellwise.cell.equations import CellState, CellTables, loaded, rc_step
 from cellwise.cell.point_kernels import CellScalars
 from cellwise.estimate.evidence_kernels import share_at
-from cellwise.estimate.filters.covariance_kernels import Covariance
+from cellwise.estimate.filters.covariance_kernels import Column, Covariance, moved, scaled
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.recovery_kernels import RESTART_POINTS, START_BRANCH_V
 from cellwise.estimate.sensing_kernels import REST_RATE, Sample
@@ -101,18 +101,6 @@ def time_passed(before_s: float, since_s: float, first: int, times: int) -> bool
 
 
 @inline
-def looks_now(before_s: float, since_s: float) -> bool:
-    """Whether a look falls into the interval that ends ``since_s`` after the first voltage."""
-    return time_passed(before_s, since_s, 0, LOOKS)
-
-
-@inline
-def reconsiders_now(before_s: float, since_s: float) -> bool:
-    """Whether what was taken for the past is reconsidered in that interval."""
-    return time_passed(before_s, since_s, LOOKS, RECONSIDERED)
-
-
-@inline
 def looked_for_long(since_s: float) -> bool:
     """Whether nothing more is to come."""
     return since_s >= FIRST_LOOK_S * LOOK_FACTOR ** (LOOKS + RECONSIDERED - 1)
@@ -179,12 +167,6 @@ def reconsidered(
     left = math.exp(-since_s / at.tau3_s)
     _, variance = branch_of_past(tables.cell, at.r3_ohm, left, 0.0, taken)
     return left * (held - taken), variance
-
-
-@inline
-def share_of_past(p33: float, variance: float) -> float:
-    """Of a state's covariance with the slow branch: how far it moves with what the past left."""
-    return 1.0 / max(variance, p33)
 
 
 @kernel
@@ -256,21 +238,48 @@ def soc_of_level(
     return soc, soc_variance, v3, v3_variance, cross * per - soc * v3
 
 
+class Looked(NamedTuple):
+    """State and covariance after a look, or as they were; ``anew``: SOC and P are the look's."""
+
+    x: CellState
+    p: Covariance
+    past: Past
+    anew: bool
+
+
 @inline
-def looked_again(
+def look_again(
     tables: CellTables,
     noise: NoiseScalars,
+    s: Sample,
+    warm_C: float,
+    before_s: float,
+    since_s: float,
     past: Past,
-    temperature_C: float,
+    used: bool,
+    own_V: float,
     x: CellState,
     p: Covariance,
-    since_s: float,
-) -> tuple[CellState, Covariance]:
-    """State and covariance after a look; the fast branches are what the voltage says of them."""
-    soc, ss, v3, p33, s3 = soc_of_level(tables, noise, past, temperature_C, x, since_s, p.phh)
-    found = CellState(soc, x.v1_V, x.v2_V, v3, x.h, x.heat_K, x.slow_A)
-    # fmt: off
-    return found, Covariance(
-        ss, 0.0, 0.0, s3, 0.0, p.p11, 0.0, 0.0, 0.0, p.p22, 0.0, 0.0, p33, 0.0, p.phh
-    )
-    # fmt: on
+) -> Looked:
+    """What becomes of a start under load over an interval, from ``before_s`` to ``since_s`` of it.
+
+    ``own_V`` is the innovation that the model's own resistances would have shown, ``used`` whether
+    there is one. The fast branches are what the voltage says of them.
+    """
+    past = past_step(tables.cell, past, s, since_s, used, own_V)
+    if past.first_variance > 0.0 and time_passed(before_s, since_s, 0, LOOKS):
+        soc, ss, v3, p33, s3 = soc_of_level(tables, noise, past, warm_C, x, since_s, p.phh)
+        x = CellState(soc, x.v1_V, x.v2_V, v3, x.h, x.heat_K, x.slow_A)
+        # fmt: off
+        p = Covariance(
+            ss, 0.0, 0.0, s3, 0.0, p.p11, 0.0, 0.0, 0.0, p.p22, 0.0, 0.0, p33, 0.0, p.phh
+        )
+        # fmt: on
+        return Looked(x, p, having_looked(past, since_s), True)
+    if past.first_variance > 0.0 and time_passed(before_s, since_s, LOOKS, RECONSIDERED):
+        more_V, variance = reconsidered(tables, past, warm_C, x, since_s)
+        if variance > 0.0:
+            k = Column(p.s3, p.p13, p.p23, p.p33, p.p3h)
+            x = moved(x, scaled(k, 1.0 / max(variance, p.p33)), more_V)
+        past = having_looked(past, since_s)
+    return Looked(x, p, past, False)

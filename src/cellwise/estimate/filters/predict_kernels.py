@@ -1,4 +1,4 @@
-"""The start of every filter's step: charge counted, tables looked up, branches of a new cell."""
+"""Over an interval: charge counted, tables looked up, branches of a new cell, covariance."""
 
 from __future__ import annotations
 
@@ -12,21 +12,24 @@ from cellwise.cell.equations import (
     Transition,
     loaded,
     slow_step,
-    soc_step,
     states_step,
     transition,
 )
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.estimate.evidence_kernels import share_at
-from cellwise.estimate.filters.covariance_kernels import Covariance, uncorrelated
-from cellwise.estimate.filters.drift_kernels import Drift, counted_on
-from cellwise.estimate.filters.filter_state import EkfStart, EkfState, ekf_start
-from cellwise.estimate.filters.past_kernels import Past, past_at_start
+from cellwise.estimate.filters.covariance_kernels import (
+    Covariance,
+    branches_noisy,
+    decayed,
+    driven_by_soc,
+    noisy,
+    with_soc_variance,
+)
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.recovery_kernels import start_branch
-from cellwise.estimate.sensing_kernels import NO_VOLTAGE_YET, NOT_BEGUN, Sample, unseen_soc
-from cellwise.estimate.slopes_kernels import Slopes
-from cellwise.estimate.status import OUTSIDE, STATE_RESET
+from cellwise.estimate.sensing_kernels import Sample, unseen_soc
+from cellwise.estimate.slopes_kernels import Slopes, slopes_at
+from cellwise.estimate.status import OUTSIDE
 from cellwise.estimate.validity_kernels import (
     extrapolation_V,
     is_outside,
@@ -53,18 +56,6 @@ class Interval(NamedTuple):
     v11: float
     v22: float
     v33: float
-    status: int
-
-
-class Begun(NamedTuple):
-    """The state that a step goes on from: what was carried, or a new start."""
-
-    state: EkfState
-    now: Interval
-    p: Covariance
-    evidence_s: float
-    past: Past
-    drift: Drift
     status: int
 
 
@@ -100,40 +91,35 @@ def over_interval(
 
 
 @inline
-def begin_interval(
-    tables: CellTables, noise: NoiseScalars, start: EkfStart, state: EkfState, s: Sample
-) -> Begun:
-    """Charge first; a state that is no longer finite starts again."""
-    status = 0
-    soc = soc_step(tables.cell, state.cell.soc, s.flow_A, s.dt_s)
-    if not (math.isfinite(soc) and math.isfinite(state.p.ss)):
-        state = ekf_start(start, s.current_A)
-        soc = state.cell.soc
-        status = STATE_RESET
-    p = state.p
-    evidence = state.watch.evidence_s
-    past = state.past
-    now = over_interval(tables, noise, state.cell, soc, s, evidence == NOT_BEGUN)
-    status |= now.status
-    if evidence == NOT_BEGUN:
-        p = uncorrelated(p.ss, now.v11, now.v22, now.v33, p.phh)
-        evidence = NO_VOLTAGE_YET
-        past = past_at_start(tables.cell, s, now.end.soc, p.ss)
-    counted_s = 0.0 if s.gap or s.lost_A > 0.0 else s.dt_s
-    drift = counted_on(noise, state.drift, now.t, tables.cell.charge_As, counted_s, s.current_A)
-    return Begun(state, now, p, evidence, past, drift, status)
-
-
-@inline
-def branch_variance(noise: NoiseScalars, s: Sample, r_ohm: float, a: float) -> float:
-    """What a branch gains over an interval because its resistance, or a current, is uncertain.
+def with_branch_noise(p: Covariance, noise: NoiseScalars, s: Sample, now: Interval) -> Covariance:
+    """What the branches gain because their resistances, or a current, are uncertain.
 
     A resistance that is off by a share drives its branch like a current that is off by it, and so
     does a current that is lost; 1 - a^2 keeps the stationary spread independent of the interval.
     """
+    point, t = now.point, now.t
     share = share_at(noise, s.flow_A) * s.flow_A
     share = share * share + s.lost_A * s.lost_A
-    return share * r_ohm * r_ohm * (1.0 - a * a)
+    return branches_noisy(
+        p,
+        share * point.r1_ohm * point.r1_ohm * (1.0 - t.a1 * t.a1),
+        share * point.r2_ohm * point.r2_ohm * (1.0 - t.a2 * t.a2),
+        share * point.r3_ohm * point.r3_ohm * (1.0 - t.a3 * t.a3),
+    )
+
+
+@inline
+def with_current_noise(
+    p: Covariance, noise: NoiseScalars, s: Sample, t: Transition, no_voltage_s: float
+) -> Covariance:
+    """The current sensor's noise, what may have flowed in a gap, and the SOC's own wandering.
+
+    A constant offset of the current is a hypothesis of its own, as long as voltages judge it.
+    """
+    lost = no_voltage_s > noise.hold_s
+    per_sqrt_s = noise.soc_per_sqrt_s if lost else noise.wander_per_sqrt_s
+    q = noise.current_A * noise.current_A
+    return noisy(p, t, q, q + s.gap_A2, per_sqrt_s * per_sqrt_s * s.dt_s)
 
 
 @inline
@@ -143,16 +129,6 @@ def unseen_variance(tables: CellTables, noise: NoiseScalars, s: Sample, ss: floa
         unseen = unseen_soc(noise, tables.cell.charge_As, s.gap_A2, s.dt_s)
         ss += unseen * unseen
     return ss
-
-
-@inline
-def driven_by_soc(at: Slopes, t: Transition, flow_A: float) -> tuple[float, float, float]:
-    """What a SOC that is off adds to each branch, by the slope of its resistance [V]."""
-    return (
-        at.r1_ohm * (1.0 - t.a1) * flow_A,
-        at.r2_ohm * (1.0 - t.a2) * flow_A,
-        at.r3_ohm * (1.0 - t.a3) * flow_A,
-    )
 
 
 @inline
@@ -168,14 +144,26 @@ def drifted(tables: CellTables, s: Sample, ss: float) -> float:
 
 
 @inline
-def soc_walk(noise: NoiseScalars, dt_s: float) -> float:
-    """Variance that SOC gains over an interval."""
-    return noise.soc_per_sqrt_s * noise.soc_per_sqrt_s * dt_s
-
-
-@inline
-def soc_wander(noise: NoiseScalars, no_voltage_s: float, dt_s: float) -> float:
-    """The same where a constant offset is a hypothesis of its own, as long as voltages judge it."""
-    lost = no_voltage_s > noise.hold_s
-    per_sqrt_s = noise.soc_per_sqrt_s if lost else noise.wander_per_sqrt_s
-    return per_sqrt_s * per_sqrt_s * dt_s
+def by_tangents(
+    tables: CellTables,
+    noise: NoiseScalars,
+    s: Sample,
+    now: Interval,
+    p: Covariance,
+    no_voltage_s: float,
+) -> tuple[CellState, Covariance, Slopes]:
+    """Mean, covariance and slopes at the end, by first derivatives (EKF)."""
+    t, end, point = now.t, now.end, now.point
+    p = with_branch_noise(decayed(p, t), noise, s, now)
+    ss = drifted(tables, s, unseen_variance(tables, noise, s, p.ss))
+    p = with_soc_variance(p, ss)
+    at = slopes_at(tables, end.soc, ss, point, now.warm_C, s.seen_A, end.slow_A)
+    if at.spread > 0.0:
+        # A SOC that is off drives each branch by the slope of its resistance.
+        p = driven_by_soc(
+            p,
+            at.r1_ohm * (1.0 - t.a1) * s.flow_A,
+            at.r2_ohm * (1.0 - t.a2) * s.flow_A,
+            at.r3_ohm * (1.0 - t.a3) * s.flow_A,
+        )
+    return end, with_current_noise(p, noise, s, t, no_voltage_s), at

@@ -13,18 +13,15 @@ from cellwise.cell.initial_soc.rest import RELAXED_S, REST_RATE, SHORT_REST_V
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.simulate import model_temperature_C
 from cellwise.errors import InputError
-from cellwise.estimate.filters.coulomb import Coulomb, coulomb_step
-from cellwise.estimate.filters.kalman import (
-    check_state,
-    measured_temperature_C,
-    reading_from,
-)
+from cellwise.estimate.filters.coulomb import Coulomb, CoulombState, CountRules, coulomb_step
+from cellwise.estimate.filters.filter_state import LogArrays
+from cellwise.estimate.filters.kalman import check_state, log_arrays, reading_from
 from cellwise.estimate.noise import Noise, noise_for
 from cellwise.estimate.sensing_kernels import Reading
 from cellwise.estimate.status import Status
 from cellwise.estimate.trace import Trace
-from cellwise.logs.cell_log import CellLog, check_is_log
-from cellwise.typing import BoolArray, FloatArray, IntArray
+from cellwise.logs.cell_log import CellLog
+from cellwise.typing import FloatArray, IntArray
 
 REST_S = 600.0
 HALVINGS = 24
@@ -44,10 +41,9 @@ class RestOcvState(NamedTuple):
 
 
 class RestRules(NamedTuple):
-    """How fast a count drifts [1/sqrt(s)], what a gap may hide, when a cell has rested [s]."""
+    """How a count drifts, and when a cell has rested [s]."""
 
-    walk: float
-    gap_soc: float
+    counting: CountRules
     rest_after_s: float
 
 
@@ -83,17 +79,9 @@ def rest_ocv_step(
 ) -> tuple[RestOcvState, bool, int]:
     """Count one interval; where the cell has rested for long enough, read the OCV instead."""
     current_A, voltage_V, temperature_C = r.current_A, r.voltage_V, r.temperature_C
-    soc, variance, current, bits = coulomb_step(
-        tables.cell,
-        state.soc,
-        state.variance,
-        state.previous_A,
-        current_A,
-        r.dt_s,
-        rules.walk,
-        rules.gap_soc,
-        r.gap,
-    )
+    before = CoulombState(state.soc, state.variance, state.previous_A)
+    counted, bits = coulomb_step(tables.cell, rules.counting, before, current_A, r.dt_s, r.gap)
+    soc, variance, current = counted.soc, counted.variance, counted.previous_A
     resting = (
         math.isfinite(current_A) and abs(current_A) * 3600.0 < REST_RATE * tables.cell.charge_As
     )
@@ -120,23 +108,19 @@ def rest_ocv_step(
 def rest_ocv_rows(
     tables: CellTables,
     start: RestOcvState,
-    current_A: FloatArray,
-    voltage_V: FloatArray,
-    temperature_C: FloatArray,
+    log: LogArrays,
     default_C: float,
-    dt_s: FloatArray,
-    gap: BoolArray,
     rules: RestRules,
     out: FloatArray,
     status: IntArray,
 ) -> None:
-    """Every row of a log through :func:`rest_ocv_step`; ``out`` holds SOC and its deviation."""
+    """Every row of a log through one step; ``out`` holds SOC and its deviation, shape (2, rows)."""
     state = start
     warm = default_C
-    for k in range(dt_s.size):
-        if math.isfinite(temperature_C[k]):
-            warm = temperature_C[k]
-        reading = Reading(current_A[k], voltage_V[k], warm, dt_s[k], gap[k])
+    for k in range(log.dt_s.size):
+        if math.isfinite(log.temperature_C[k]):
+            warm = log.temperature_C[k]
+        reading = Reading(log.current_A[k], log.voltage_V[k], warm, log.dt_s[k], log.gap[k])
         state, _, bits = rest_ocv_step(tables, state, reading, rules)
         out[0, k] = state.soc
         out[1, k] = math.sqrt(state.variance)
@@ -166,9 +150,8 @@ class RestOcv:
         self.rest_s = float(rest_s)
         self._tables = model.parameters()
         self._default_C = model_temperature_C(model)
-        noise_now = self.noise.scalars()
-        self._rules = RestRules(noise_now.soc_per_sqrt_s, noise_now.gap_soc, self.rest_s)
         self._count = Coulomb(model, self.noise)
+        self._rules = RestRules(self._count.rules, self.rest_s)
 
     def init(self, soc0: float, soc0_std: float = 0.15) -> RestOcvState:
         """State at ``soc0``; raises InputError outside 0..1."""
@@ -200,22 +183,9 @@ class RestOcv:
 
     def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> Trace:
         """Replay a whole log; it predicts no voltage, so those figures are missing (NaN)."""
-        check_is_log(log)
-        n = len(log)
-        out = np.empty((2, n))
-        status = np.empty(n, dtype=np.int32)
-        rest_ocv_rows(
-            self._tables,
-            self.init(soc0, soc0_std),
-            np.array(log.interval_current_A),
-            log.voltage_V,
-            measured_temperature_C(log),
-            self._default_C,
-            log.interval_s,
-            log.gap_rows,
-            self._rules,
-            out,
-            status,
-        )
+        rows_, n = log_arrays(log), len(log)
+        out, status = np.empty((2, n)), np.empty(n, dtype=np.int32)
+        start = self.init(soc0, soc0_std)
+        rest_ocv_rows(self._tables, start, rows_, self._default_C, self._rules, out, status)
         missing = np.full(n, np.nan)
         return Trace(log.time_s, out[0], out[1], missing, missing, missing, missing, status)

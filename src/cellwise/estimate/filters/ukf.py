@@ -9,7 +9,7 @@ import numpy as np
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.estimate.filters.kalman import KalmanFilter
-from cellwise.estimate.filters.ukf_kernels import SigmaScalars, ukf_rows, ukf_step
+from cellwise.estimate.filters.sigma_kernels import SigmaScalars
 from cellwise.estimate.noise import Noise
 
 STATES = 5
@@ -68,12 +68,10 @@ class Ukf(KalmanFilter):
     """
 
     name = "ukf"
-    step_kernel = staticmethod(ukf_step)
-    rows_kernel = staticmethod(ukf_rows)
 
     def __init__(
         self, model: CellModel, noise: Noise | None = None, points: SigmaPoints | None = None
     ) -> None:
         super().__init__(model, noise)
         self.points = SigmaPoints() if points is None else points
-        self._settings = (self.noise.scalars(model), self.points.scalars())
+        self.sigma = self.points.scalars()

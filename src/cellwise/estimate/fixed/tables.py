@@ -31,7 +31,6 @@ from cellwise.estimate.cells.settings import CellSettings, cell_constants
 from cellwise.estimate.evidence_kernels import CONTRADICTED_S
 from cellwise.estimate.fixed.layout import constant_type, row_names
 from cellwise.estimate.fixed.options import Options, options_of
-from cellwise.estimate.gate_kernels import UNDER_LOAD_COUNT
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.power.fixed_tables import (
     CURRENT_LIMIT_C,
@@ -57,6 +56,7 @@ if TYPE_CHECKING:
 
 Float32Array = NDArray[np.float32]
 
+UNDER_LOAD_COUNT = 0.05  # a rejection that wrong resistances could explain, for a second
 REJECTION_COUNT = 20_000  # what a rejection adds to the count, as in ``arithmetic``
 BRIDGED_S = 5.0  # missing samples up to here are bridged by the currents on both sides
 MISSING_S = 60.0  # without a watch: for how long a current that nobody measures keeps its sign

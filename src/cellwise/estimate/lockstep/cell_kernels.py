@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from cellwise.cell.compiled import inline, kernel
 from cellwise.cell.equations import CellTables
-from cellwise.estimate.filters.ekf_kernels import ekf_step
 from cellwise.estimate.filters.filter_state import (
     OUT_INNOVATION,
     OUT_RATIO,
@@ -16,6 +15,7 @@ from cellwise.estimate.filters.filter_state import (
     EkfStart,
     EkfState,
 )
+from cellwise.estimate.filters.kalman_kernels import kalman_step
 from cellwise.estimate.lockstep.lane_kernels import LANES, get_state, put_state
 from cellwise.estimate.lockstep.layout import W_OUT
 from cellwise.estimate.noise import NoiseScalars
@@ -45,8 +45,8 @@ def full_lane(
     work: FloatArray,
 ) -> int:
     """The EKF's own step for one lane; its status."""
-    state, info = ekf_step(tables, noise, start, get_state(block, lane), reading)
-    put_state(block, lane, state)
+    state, info = kalman_step(tables, noise, None, start, get_state(block, lane), reading)
+    put_state(block, lane, state, True)
     put_info(work, lane, info)
     return int(info.status)
 
@@ -54,7 +54,7 @@ def full_lane(
 @kernel
 def begin_lane(block: FloatArray, lane: int, state: EkfState) -> None:
     """A state into its lane."""
-    put_state(block, lane, state)
+    put_state(block, lane, state, True)
 
 
 @kernel

@@ -141,122 +141,77 @@ def get_state(block: FloatArray, lane: int) -> EkfState:
 
 
 @inline
-def put_state(block: FloatArray, lane: int, state: EkfState) -> None:
-    """A cell's state into its lane."""
-    block[SOC * LANES + lane] = state.cell.soc
-    block[V1 * LANES + lane] = state.cell.v1_V
-    block[V2 * LANES + lane] = state.cell.v2_V
-    block[V3 * LANES + lane] = state.cell.v3_V
-    block[H * LANES + lane] = state.cell.h
-    block[HEAT * LANES + lane] = state.cell.heat_K
-    block[SLOW * LANES + lane] = state.cell.slow_A
-    block[SS * LANES + lane] = state.p.ss
-    block[S1 * LANES + lane] = state.p.s1
-    block[S2 * LANES + lane] = state.p.s2
-    block[S3 * LANES + lane] = state.p.s3
-    block[SH * LANES + lane] = state.p.sh
-    block[P11 * LANES + lane] = state.p.p11
-    block[P12 * LANES + lane] = state.p.p12
-    block[P13 * LANES + lane] = state.p.p13
-    block[P1H * LANES + lane] = state.p.p1h
-    block[P22 * LANES + lane] = state.p.p22
-    block[P23 * LANES + lane] = state.p.p23
-    block[P2H * LANES + lane] = state.p.p2h
-    block[P33 * LANES + lane] = state.p.p33
-    block[P3H * LANES + lane] = state.p.p3h
-    block[PHH * LANES + lane] = state.p.phh
-    block[REJECTIONS * LANES + lane] = state.rejections
-    block[MISMATCH * LANES + lane] = state.mismatch
-    block[PERSISTENT * LANES + lane] = state.persistent
-    block[CONTRADICTED * LANES + lane] = state.contradicted
-    block[REACH * LANES + lane] = state.drift.reach
-    block[OFFSET * LANES + lane] = state.drift.offset
-    block[INFORMATION * LANES + lane] = state.drift.information
-    block[BELIEVED * LANES + lane] = state.drift.believed
-    block[UNSURE * LANES + lane] = state.drift.unsure
-    block[D1 * LANES + lane] = state.drift.d1_V
-    block[D2 * LANES + lane] = state.drift.d2_V
-    block[D3 * LANES + lane] = state.drift.d3_V
-    block[REST_S * LANES + lane] = state.drift.rest_s
-    block[REST_A * LANES + lane] = state.drift.rest_A
-    block[LAST_A * LANES + lane] = state.watch.current_A
-    block[LAST_C * LANES + lane] = state.watch.temperature_C
-    block[EVIDENCE * LANES + lane] = state.watch.evidence_s
-    block[NO_CURRENT * LANES + lane] = state.watch.no_current_s
-    block[NO_VOLTAGE * LANES + lane] = state.watch.no_voltage_s
-    block[LAST_V * LANES + lane] = state.watch.voltage_V
-    block[FROZEN * LANES + lane] = state.watch.frozen_A
-    block[REPEATS * LANES + lane] = state.watch.repeats
-    block[NO_WARM * LANES + lane] = state.watch.no_warm_s
-    block[MEAN * LANES + lane] = state.past.mean_A
-    block[LOOKED * LANES + lane] = state.past.looked_A
-    block[MISS * LANES + lane] = state.past.miss_V
-    block[FIRST_SOC * LANES + lane] = state.past.first_soc
-    block[FIRST_VARIANCE * LANES + lane] = state.past.first_variance
-
-
-@inline
-def choose(which: bool, yes: EkfState, no: EkfState) -> EkfState:
-    """One of two states, number by number: without a branch."""
-    return EkfState(
-        CellState(
-            yes.cell.soc if which else no.cell.soc,
-            yes.cell.v1_V if which else no.cell.v1_V,
-            yes.cell.v2_V if which else no.cell.v2_V,
-            yes.cell.v3_V if which else no.cell.v3_V,
-            yes.cell.h if which else no.cell.h,
-            yes.cell.heat_K if which else no.cell.heat_K,
-            yes.cell.slow_A if which else no.cell.slow_A,
-        ),
-        Covariance(
-            yes.p.ss if which else no.p.ss,
-            yes.p.s1 if which else no.p.s1,
-            yes.p.s2 if which else no.p.s2,
-            yes.p.s3 if which else no.p.s3,
-            yes.p.sh if which else no.p.sh,
-            yes.p.p11 if which else no.p.p11,
-            yes.p.p12 if which else no.p.p12,
-            yes.p.p13 if which else no.p.p13,
-            yes.p.p1h if which else no.p.p1h,
-            yes.p.p22 if which else no.p.p22,
-            yes.p.p23 if which else no.p.p23,
-            yes.p.p2h if which else no.p.p2h,
-            yes.p.p33 if which else no.p.p33,
-            yes.p.p3h if which else no.p.p3h,
-            yes.p.phh if which else no.p.phh,
-        ),
-        yes.rejections if which else no.rejections,
-        yes.mismatch if which else no.mismatch,
-        yes.persistent if which else no.persistent,
-        yes.contradicted if which else no.contradicted,
-        Drift(
-            yes.drift.reach if which else no.drift.reach,
-            yes.drift.offset if which else no.drift.offset,
-            yes.drift.information if which else no.drift.information,
-            yes.drift.believed if which else no.drift.believed,
-            yes.drift.unsure if which else no.drift.unsure,
-            yes.drift.d1_V if which else no.drift.d1_V,
-            yes.drift.d2_V if which else no.drift.d2_V,
-            yes.drift.d3_V if which else no.drift.d3_V,
-            yes.drift.rest_s if which else no.drift.rest_s,
-            yes.drift.rest_A if which else no.drift.rest_A,
-        ),
-        Watch(
-            yes.watch.current_A if which else no.watch.current_A,
-            yes.watch.temperature_C if which else no.watch.temperature_C,
-            yes.watch.evidence_s if which else no.watch.evidence_s,
-            yes.watch.no_current_s if which else no.watch.no_current_s,
-            yes.watch.no_voltage_s if which else no.watch.no_voltage_s,
-            yes.watch.voltage_V if which else no.watch.voltage_V,
-            yes.watch.frozen_A if which else no.watch.frozen_A,
-            yes.watch.repeats if which else no.watch.repeats,
-            yes.watch.no_warm_s if which else no.watch.no_warm_s,
-        ),
-        Past(
-            yes.past.mean_A if which else no.past.mean_A,
-            yes.past.looked_A if which else no.past.looked_A,
-            yes.past.miss_V if which else no.past.miss_V,
-            yes.past.first_soc if which else no.past.first_soc,
-            yes.past.first_variance if which else no.past.first_variance,
-        ),
+def put_state(block: FloatArray, lane: int, state: EkfState, puts: bool) -> None:
+    """A cell's state into its lane, or none: without a branch."""
+    block[SOC * LANES + lane] = state.cell.soc if puts else block[SOC * LANES + lane]
+    block[V1 * LANES + lane] = state.cell.v1_V if puts else block[V1 * LANES + lane]
+    block[V2 * LANES + lane] = state.cell.v2_V if puts else block[V2 * LANES + lane]
+    block[V3 * LANES + lane] = state.cell.v3_V if puts else block[V3 * LANES + lane]
+    block[H * LANES + lane] = state.cell.h if puts else block[H * LANES + lane]
+    block[HEAT * LANES + lane] = state.cell.heat_K if puts else block[HEAT * LANES + lane]
+    block[SLOW * LANES + lane] = state.cell.slow_A if puts else block[SLOW * LANES + lane]
+    block[SS * LANES + lane] = state.p.ss if puts else block[SS * LANES + lane]
+    block[S1 * LANES + lane] = state.p.s1 if puts else block[S1 * LANES + lane]
+    block[S2 * LANES + lane] = state.p.s2 if puts else block[S2 * LANES + lane]
+    block[S3 * LANES + lane] = state.p.s3 if puts else block[S3 * LANES + lane]
+    block[SH * LANES + lane] = state.p.sh if puts else block[SH * LANES + lane]
+    block[P11 * LANES + lane] = state.p.p11 if puts else block[P11 * LANES + lane]
+    block[P12 * LANES + lane] = state.p.p12 if puts else block[P12 * LANES + lane]
+    block[P13 * LANES + lane] = state.p.p13 if puts else block[P13 * LANES + lane]
+    block[P1H * LANES + lane] = state.p.p1h if puts else block[P1H * LANES + lane]
+    block[P22 * LANES + lane] = state.p.p22 if puts else block[P22 * LANES + lane]
+    block[P23 * LANES + lane] = state.p.p23 if puts else block[P23 * LANES + lane]
+    block[P2H * LANES + lane] = state.p.p2h if puts else block[P2H * LANES + lane]
+    block[P33 * LANES + lane] = state.p.p33 if puts else block[P33 * LANES + lane]
+    block[P3H * LANES + lane] = state.p.p3h if puts else block[P3H * LANES + lane]
+    block[PHH * LANES + lane] = state.p.phh if puts else block[PHH * LANES + lane]
+    block[REJECTIONS * LANES + lane] = (
+        state.rejections if puts else block[REJECTIONS * LANES + lane]
+    )
+    block[MISMATCH * LANES + lane] = state.mismatch if puts else block[MISMATCH * LANES + lane]
+    block[PERSISTENT * LANES + lane] = (
+        state.persistent if puts else block[PERSISTENT * LANES + lane]
+    )
+    block[CONTRADICTED * LANES + lane] = (
+        state.contradicted if puts else block[CONTRADICTED * LANES + lane]
+    )
+    block[REACH * LANES + lane] = state.drift.reach if puts else block[REACH * LANES + lane]
+    block[OFFSET * LANES + lane] = state.drift.offset if puts else block[OFFSET * LANES + lane]
+    block[INFORMATION * LANES + lane] = (
+        state.drift.information if puts else block[INFORMATION * LANES + lane]
+    )
+    block[BELIEVED * LANES + lane] = (
+        state.drift.believed if puts else block[BELIEVED * LANES + lane]
+    )
+    block[UNSURE * LANES + lane] = state.drift.unsure if puts else block[UNSURE * LANES + lane]
+    block[D1 * LANES + lane] = state.drift.d1_V if puts else block[D1 * LANES + lane]
+    block[D2 * LANES + lane] = state.drift.d2_V if puts else block[D2 * LANES + lane]
+    block[D3 * LANES + lane] = state.drift.d3_V if puts else block[D3 * LANES + lane]
+    block[REST_S * LANES + lane] = state.drift.rest_s if puts else block[REST_S * LANES + lane]
+    block[REST_A * LANES + lane] = state.drift.rest_A if puts else block[REST_A * LANES + lane]
+    block[LAST_A * LANES + lane] = state.watch.current_A if puts else block[LAST_A * LANES + lane]
+    block[LAST_C * LANES + lane] = (
+        state.watch.temperature_C if puts else block[LAST_C * LANES + lane]
+    )
+    block[EVIDENCE * LANES + lane] = (
+        state.watch.evidence_s if puts else block[EVIDENCE * LANES + lane]
+    )
+    block[NO_CURRENT * LANES + lane] = (
+        state.watch.no_current_s if puts else block[NO_CURRENT * LANES + lane]
+    )
+    block[NO_VOLTAGE * LANES + lane] = (
+        state.watch.no_voltage_s if puts else block[NO_VOLTAGE * LANES + lane]
+    )
+    block[LAST_V * LANES + lane] = state.watch.voltage_V if puts else block[LAST_V * LANES + lane]
+    block[FROZEN * LANES + lane] = state.watch.frozen_A if puts else block[FROZEN * LANES + lane]
+    block[REPEATS * LANES + lane] = state.watch.repeats if puts else block[REPEATS * LANES + lane]
+    block[NO_WARM * LANES + lane] = state.watch.no_warm_s if puts else block[NO_WARM * LANES + lane]
+    block[MEAN * LANES + lane] = state.past.mean_A if puts else block[MEAN * LANES + lane]
+    block[LOOKED * LANES + lane] = state.past.looked_A if puts else block[LOOKED * LANES + lane]
+    block[MISS * LANES + lane] = state.past.miss_V if puts else block[MISS * LANES + lane]
+    block[FIRST_SOC * LANES + lane] = (
+        state.past.first_soc if puts else block[FIRST_SOC * LANES + lane]
+    )
+    block[FIRST_VARIANCE * LANES + lane] = (
+        state.past.first_variance if puts else block[FIRST_VARIANCE * LANES + lane]
     )

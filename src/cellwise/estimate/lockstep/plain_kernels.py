@@ -41,16 +41,20 @@ from cellwise.estimate.filters.covariance_kernels import (
     corrected,
     decayed,
     explained,
+    moved,
     noisy,
     scaled,
 )
-from cellwise.estimate.filters.drift_kernels import counted_on, drift_step, drift_variance
-from cellwise.estimate.filters.ekf_kernels import moved
+from cellwise.estimate.filters.drift_kernels import (
+    counted_on,
+    drift_step,
+    drift_variance,
+    seen_of_offset,
+)
 from cellwise.estimate.filters.filter_state import OUT_SOC, EkfInfo, EkfStart, EkfState
-from cellwise.estimate.filters.predict_kernels import SOC_HIGH, SOC_LOW, soc_wander
-from cellwise.estimate.gate_kernels import FORGIVEN
+from cellwise.estimate.filters.predict_kernels import SOC_HIGH, SOC_LOW
 from cellwise.estimate.lockstep.cell_kernels import full_lane, put_info
-from cellwise.estimate.lockstep.lane_kernels import FIELDS, LANES, choose, get_state, put_state
+from cellwise.estimate.lockstep.lane_kernels import FIELDS, LANES, get_state, put_state
 from cellwise.estimate.lockstep.layout import (
     LONG_FROZEN,
     OUTPUTS,
@@ -167,12 +171,14 @@ def plain_step(
     share = share * share
     p = branches_noisy(decayed(old.p, t), share * at.b1, share * at.b2, share * at.b3)
     q = noise.current_A * noise.current_A
-    p = noisy(p, t, q, q, soc_wander(noise, 0.0, dt_s), 0.0, 0.0, 0.0)
+    wander = noise.wander_per_sqrt_s * noise.wander_per_sqrt_s * dt_s
+    p = noisy(p, t, q, q, wander)
 
     drop = polarisation(point.r0_ohm, flow, v1, v2, v3)
     predicted = terminal_voltage(point, h, drop)
-    d = column(p, point.ocv_slope_V, point.m_V)
-    state_variance = explained(d, point.ocv_slope_V, point.m_V)
+    slope = point.ocv_slope_V
+    d = column(p, slope, point.m_V, 1.0)
+    state_variance = explained(d, slope, point.m_V, 1.0)
     branches = abs(v1) + (abs(v2) + abs(v3))
     one = voltage_variance(noise, point, point.r0_ohm, flow, 0.0, branches)
     variance = state_variance + one
@@ -210,26 +216,22 @@ def plain_step(
     inverse = 1.0 / (state_variance + one * shared * worse)
     k = scaled(d, inverse)
     stays_V = persistent_V(noise, point, mismatch)
-    persistent = persistent_step(k.s, point.ocv_slope_V, old.persistent, stays_V)
+    persistent = persistent_step(k.s, slope, old.persistent, stays_V)
     end = moved(CellState(soc, v1, v2, v3, h, x.heat_K, x.slow_A), k, innovation)
+    followed = old.drift.believed * old.drift.reach
     drift = counted_on(noise, old.drift, t, charge_As, dt_s, current_A)
-    offset_V = point.r0_ohm * noise.offset_soc_per_s * charge_As
-    drift, move = drift_step(
-        noise, old.drift, drift, offset_V, innovation, point.ocv_slope_V, k.s, inverse
-    )
-    rejections = old.rejections - FORGIVEN
-    rejections = rejections if rejections > 0.0 else 0.0
-    soc = end.soc + move
+    of_offset = seen_of_offset(noise, drift, slope, point.r0_ohm, charge_As)
+    drift = drift_step(drift, of_offset, innovation + slope * followed, k.s, inverse)
+    soc = end.soc + (k.s * slope * followed + (drift.believed * drift.reach - followed))
     soc = soc if soc < SOC_HIGH else SOC_HIGH
     soc = soc if soc > SOC_LOW else SOC_LOW
     p = corrected(p, k, d)
-    slope = point.ocv_slope_V
     contradicted = contradicted_step(
         noise, old.contradicted, innovation, slope, one, w.evidence_s, dt_s
     )
     # fmt: off
     state = EkfState(
-        with_soc(end, soc), p, rejections, mismatch, persistent, contradicted, drift, watch,
+        with_soc(end, soc), p, 0.0, mismatch, persistent, contradicted, drift, watch,
         old.past,
     )
     # fmt: on
@@ -266,7 +268,7 @@ def plain_block(
         )
         plain = (work[W_PLAIN * LANES + lane] > 0.0) & fits
         work[W_PLAIN * LANES + lane] = 1.0 if plain else 0.0
-        put_state(block, lane, choose(plain, new, old))
+        put_state(block, lane, new, plain)
         put_info(work, lane, info)
 
 

@@ -13,7 +13,6 @@ from cellwise.cell.simulate import known_temperature_C, start_hysteresis
 from cellwise.estimate.adaptive.trace import AdaptiveTrace
 from cellwise.estimate.estimators import Estimator
 from cellwise.estimate.filters.kalman import KalmanFilter
-from cellwise.estimate.filters.ukf import Ukf
 from cellwise.estimate.power.limit_kernels import LimitScalars
 from cellwise.estimate.power.limits import KnownLimits
 from cellwise.estimate.power.present_kernels import (
@@ -27,10 +26,9 @@ from cellwise.estimate.power.present_kernels import (
     SCALE_VARIANCE,
     TAIL,
     carried_states,
-    ekf_states,
+    kalman_states,
     power_rows,
     present_at,
-    ukf_states,
 )
 from cellwise.estimate.power.state_of_power import Hold, PowerSettings, StateOfPower
 from cellwise.estimate.trace import Trace
@@ -140,8 +138,7 @@ def presents_along(
     warm = known_temperature_C(settings.model, log)
     present = np.zeros((PRESENT, len(log)))
     if isinstance(estimator, KalmanFilter):
-        rows = ukf_states if isinstance(estimator, Ukf) else ekf_states
-        estimator.take_rows(rows, log, soc0, soc0_std, present)
+        estimator.take_rows(kalman_states, log, soc0, soc0_std, present)
     else:
         present[FAST] = present[TAIL] = 1.0
         if isinstance(trace, AdaptiveTrace):

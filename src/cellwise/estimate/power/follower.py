@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cellwise.cell.equations import CellState, empty_state
-from cellwise.estimate.adaptive.state_kernels import AdaptiveState
+from cellwise.estimate.adaptive.adaptive_kernels import AdaptiveState
 from cellwise.estimate.filters.filter_state import EkfState
 from cellwise.estimate.power.along import column_names
 from cellwise.estimate.power.present_kernels import bias_step, no_bias

@@ -8,7 +8,6 @@ from typing import NamedTuple
 from cellwise.cell.compiled import inline, kernel, rows
 from cellwise.cell.equations import CellState, CellTables, advance, seen_current, with_soc
 from cellwise.estimate.filters.covariance_kernels import Covariance
-from cellwise.estimate.filters.ekf_kernels import ekf_step, reading_of
 from cellwise.estimate.filters.filter_state import (
     EkfInfo,
     EkfStart,
@@ -16,7 +15,8 @@ from cellwise.estimate.filters.filter_state import (
     LogArrays,
     ekf_start,
 )
-from cellwise.estimate.filters.ukf_kernels import SigmaScalars, ukf_step
+from cellwise.estimate.filters.kalman_kernels import kalman_step, reading_of
+from cellwise.estimate.filters.sigma_kernels import SigmaScalars
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.power.limit_kernels import SUSTAINED_SIGMAS, LimitScalars, largest_load
 from cellwise.estimate.power.load_kernels import AS_MODEL, Correction, Present, moment_of
@@ -122,38 +122,20 @@ def bias_after(
 
 
 @rows
-def ekf_states(
+def kalman_states(
     tables: CellTables,
     noise: NoiseScalars,
+    sigma: SigmaScalars | None,
     first: EkfStart,
     start: EkfStart,
     log: LogArrays,
     out: FloatArray,
 ) -> None:
-    """States of the EKF after every row, shape (PRESENT, rows)."""
+    """States of EKF or UKF after every row, shape (PRESENT, rows)."""
     state = ekf_start(first, log.current_A[0])
     bias = no_bias()
     for k in range(log.dt_s.size):
-        state, info = ekf_step(tables, noise, start, state, reading_of(log, k))
-        bias = bias_after(tables, bias, state, start, reading_of(log, k), info.status)
-        put_state(out, k, state, info, bias)
-
-
-@rows
-def ukf_states(
-    tables: CellTables,
-    noise: NoiseScalars,
-    sigma: SigmaScalars,
-    first: EkfStart,
-    start: EkfStart,
-    log: LogArrays,
-    out: FloatArray,
-) -> None:
-    """States of the UKF after every row, shape (PRESENT, rows)."""
-    state = ekf_start(first, log.current_A[0])
-    bias = no_bias()
-    for k in range(log.dt_s.size):
-        state, info = ukf_step(tables, noise, sigma, start, state, reading_of(log, k))
+        state, info = kalman_step(tables, noise, sigma, start, state, reading_of(log, k))
         bias = bias_after(tables, bias, state, start, reading_of(log, k), info.status)
         put_state(out, k, state, info, bias)
 

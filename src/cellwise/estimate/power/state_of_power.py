@@ -13,8 +13,8 @@ from cellwise.cell.equations import CellState, CellTables
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.simulate import model_temperature_C
 from cellwise.errors import InputError
-from cellwise.estimate.adaptive.state_kernels import AdaptiveState
-from cellwise.estimate.filters.covariance_kernels import Covariance, uncorrelated
+from cellwise.estimate.adaptive.adaptive_kernels import AdaptiveState
+from cellwise.estimate.filters.covariance_kernels import uncorrelated
 from cellwise.estimate.filters.filter_state import EkfState
 from cellwise.estimate.noise import Noise, noise_for
 from cellwise.estimate.power.limit_kernels import SUSTAINED_SIGMAS, Capability, largest_load
@@ -192,8 +192,7 @@ def present_of(
     if isinstance(state, AdaptiveState):
         r = state.resistances
         but = but._replace(fast=r.fast, tail=r.tail)
-        p = Covariance(*(getattr(state.p, name) for name in Covariance._fields))
-        scale_variance = r.fast_variance
+        p, scale_variance = state.p, r.fast_variance
     else:
         p, scale_variance = state.p, 0.0
     return Present(

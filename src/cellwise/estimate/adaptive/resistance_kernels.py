@@ -1,33 +1,62 @@
-"""What the adaptive filter watches beside its state: rests, and how resistances answer the load."""
+"""How resistances answer the load: factors on the model's, by what moves within minutes."""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from cellwise.cell.compiled import inline
-from cellwise.estimate.adaptive.state_kernels import AdaptiveScalars, Resistances, Rest
 
 SCALE_LOW, SCALE_HIGH = 0.2, 5.0
-# Mean squares are taken over this many times the means.
-LONGER = 10.0
+LONGER = 10.0  # mean squares are taken over this many times the means
+
+
+class Resistances(NamedTuple):
+    """Factors on R0, R1 (``fast``) and R2 (``tail``), and the means they are estimated from.
+
+    ``drop`` and ``miss`` are running means of the fast part of the polarisation and of the
+    innovation, ``near`` and ``far`` those of the tail over the shorter and the longer time; the
+    others mean squares of what moves within each band.
+    """
+
+    fast: float
+    fast_variance: float
+    tail: float
+    tail_variance: float
+    drop_V: float
+    miss_V: float
+    drop_V2: float
+    miss_V2: float
+    near_V: float
+    far_V: float
+    miss_far_V: float
+    tail_V2: float
+    miss_far_V2: float
+
+
+class ResistanceRules(NamedTuple):
+    """What is known of the factors before any data, and how the load has to move to show them.
+
+    ``variance`` beforehand, 0 where they are not estimated, ``wander`` per second; held while the
+    mean square of what moves is below ``swing_V2``; what moves within ``fast_s`` shows R0 and R1,
+    up to ``tail_s`` R2.
+    """
+
+    variance: float
+    wander: float
+    swing_V2: float
+    fast_s: float
+    tail_s: float
 
 
 @inline
-def watch_rest(
-    rules: AdaptiveScalars, rest: Rest, current_A: float, dt_s: float
-) -> tuple[Rest, bool]:
-    """Whether the current has stood still near zero for long enough to be nothing but offset.
-
-    True once per rest: a rest is one piece of evidence, so that a small constant load that is
-    taken for a rest can be outvoted by the voltage.
-    """
-    near = abs(current_A) <= rules.rest_limit_A
-    if not near or abs(current_A - rest.current_A) > rules.rest_band_A:
-        return Rest(0.0, current_A, False), False
-    since = rest.since_s + dt_s
-    mean = rest.current_A
-    if since > 0.0:
-        mean += min(dt_s / since, 1.0) * (current_A - mean)
-    shows = not rest.used and since >= rules.rest_after_s
-    return Rest(since, mean, rest.used or shows), shows
+def no_resistances(variance: float) -> Resistances:
+    """The model's own, known to a variance."""
+    none = 0.0
+    # fmt: off
+    return Resistances(
+        1.0, variance, 1.0, variance, none, none, none, none, none, none, none, none, none
+    )
+    # fmt: on
 
 
 @inline
@@ -42,16 +71,16 @@ def least_squares(
 
 @inline
 def watch_resistances(
-    rules: AdaptiveScalars,
     r: Resistances,
+    rules: ResistanceRules,
     drop_V: float,
     tail_V: float,
     innovation_V: float,
     white_V2: float,
     dt_s: float,
     hold: bool,
-) -> tuple[Resistances, bool]:
-    """Factors on R0, R1 and on R2 by recursive least squares; whether the load moves enough.
+) -> Resistances:
+    """Factors on R0, R1 and on R2 by recursive least squares, where the load moves enough.
 
     ``drop_V`` is R0 I + v1, ``tail_V`` is v2, both without their factor. The first is judged
     by what moves within ``fast_s``, the second by what moves between that and ``tail_s``: no error
@@ -90,18 +119,18 @@ def watch_resistances(
     return Resistances(
         fast, fast_variance, tail, tail_variance, drop_mean, miss_mean, drop2, miss2,
         near_mean, far_mean, miss_far, tail2, far2,
-    ), moves
+    )
     # fmt: on
 
 
 @inline
-def walk_resistances(rules: AdaptiveScalars, r: Resistances, dt_s: float) -> Resistances:
+def wandered(r: Resistances, rules: ResistanceRules, dt_s: float) -> Resistances:
     """Uncertainty of the resistances comes back, up to what it was before any data."""
     fast, tail = r.fast_variance, r.tail_variance
-    if fast < rules.resistance_variance:
-        fast += rules.resistance_walk * dt_s
-    if tail < rules.resistance_variance:
-        tail += rules.resistance_walk * dt_s
+    if fast < rules.variance:
+        fast += rules.wander * dt_s
+    if tail < rules.variance:
+        tail += rules.wander * dt_s
     # fmt: off
     return Resistances(
         r.fast, fast, r.tail, tail, r.drop_V, r.miss_V, r.drop_V2, r.miss_V2,

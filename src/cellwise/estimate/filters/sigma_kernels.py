@@ -1,0 +1,169 @@
+"""The moments of the unscented filter: sigma points of the whole state, few look-ups.
+
+State x = [soc, v1, v2, v3, h], scaled sigma points (Julier; van der Merwe's scaling) along the
+columns of the lower Cholesky factor of P with the SOC first. Only the first column has a component
+along the SOC, and at one SOC the model is affine in all else. So every pair of points but the
+first goes through the same affine map, and its share of the transform is known without taking it:
+the covariance given the SOC, mapped. Three points remain, the centre and the pair along the first
+column [P_ss, P_s1, ...] / sqrt(P_ss); the result is that of all eleven, to rounding.
+
+Points are drawn again between predict and update.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from cellwise.cell.compiled import inline
+from cellwise.cell.equations import CellState, CellTables, loaded, rc_step, terminal_voltage
+from cellwise.cell.point_kernels import CellPoint
+from cellwise.estimate.filters.covariance_kernels import (
+    VARIANCE_FLOOR,
+    Column,
+    Covariance,
+    column,
+    decayed,
+    explained,
+    with_outer,
+    with_soc_row,
+    without_outer,
+)
+from cellwise.estimate.filters.predict_kernels import (
+    Interval,
+    drifted,
+    unseen_variance,
+    with_branch_noise,
+    with_current_noise,
+)
+from cellwise.estimate.noise import NoiseScalars
+from cellwise.estimate.sensing_kernels import Sample
+from cellwise.estimate.slopes_kernels import Slopes, flat_slope
+
+
+class SigmaScalars(NamedTuple):
+    """Scaled sigma points as the kernels see them.
+
+    ``reach`` is c = sqrt(n + lambda), how many standard deviations out a point lies; ``side`` the
+    weight of one outer point, 1 / (2 c^2); ``curve`` what the square of a second difference adds to
+    a covariance. While the SOC's variance is below ``wide_variance`` every point has the
+    resistances of the centre.
+    """
+
+    reach: float
+    side: float
+    curve: float
+    wide_variance: float
+
+
+class Voltage(NamedTuple):
+    """The voltage's moments over the state: mean, covariance with every state, variance.
+
+    ``slope_V`` is the OCV's over the SOC's band, ``bent`` says that it is no straight line there.
+    """
+
+    predicted_V: float
+    d: Column
+    variance_V2: float
+    slope_V: float
+    bent: bool
+
+
+@inline
+def along_soc(p: Covariance, ss: float) -> tuple[float, Column]:
+    """SOC's deviation and the first column of the factor; a SOC known exactly keeps some."""
+    root = math.sqrt(max(ss, VARIANCE_FLOOR))
+    return root, Column(ss / root, p.s1 / root, p.s2 / root, p.s3 / root, p.sh / root)
+
+
+@inline
+def by_points(
+    tables: CellTables,
+    noise: NoiseScalars,
+    sigma: SigmaScalars,
+    s: Sample,
+    now: Interval,
+    p: Covariance,
+    no_voltage_s: float,
+) -> tuple[CellState, Covariance, Slopes]:
+    """Mean and covariance at the end: first and second differences along the pair, the rest mapped.
+
+    The slopes are those of the centre; their ``spread`` is above zero where the points have their
+    own tables.
+    """
+    old, point, t, c = now.old, now.point, now.t, sigma.reach
+    ss = unseen_variance(tables, noise, s, p.ss)
+    root, along = along_soc(p, ss)
+    # A resistance that is off by a share must not vouch for the SOC: unless the SOC is badly known,
+    # every point has the centre's.
+    wide = ss > sigma.wide_variance
+    up, low = point, point
+    if wide:
+        up = loaded(tables, now.end.soc + c * root, now.warm_C, s.seen_A, now.end.slow_A)
+        low = loaded(tables, now.end.soc - c * root, now.warm_C, s.seen_A, now.end.slow_A)
+    up1 = rc_step(old.v1_V + c * along.v1, s.flow_A, up.r1_ohm, up.tau1_s, s.dt_s)
+    up2 = rc_step(old.v2_V + c * along.v2, s.flow_A, up.r2_ohm, up.tau2_s, s.dt_s)
+    up3 = old.v3_V + c * along.v3
+    low1 = rc_step(old.v1_V - c * along.v1, s.flow_A, low.r1_ohm, low.tau1_s, s.dt_s)
+    low2 = rc_step(old.v2_V - c * along.v2, s.flow_A, low.r2_ohm, low.tau2_s, s.dt_s)
+    low3 = old.v3_V - c * along.v3
+    if point.r3_ohm != 0.0:
+        up3 = rc_step(up3, s.flow_A, up.r3_ohm, up.tau3_s, s.dt_s)
+        low3 = rc_step(low3, s.flow_A, low.r3_ohm, low.tau3_s, s.dt_s)
+    x = now.end
+    per = 0.5 / c
+    d = Column(0.0, (up1 - low1) * per, (up2 - low2) * per, (up3 - low3) * per, t.ah * along.h)
+    e1 = (up1 + low1) - 2.0 * x.v1_V
+    e2 = (up2 + low2) - 2.0 * x.v2_V
+    e3 = (up3 + low3) - 2.0 * x.v3_V
+    v1 = x.v1_V + sigma.side * e1
+    v2 = x.v2_V + sigma.side * e2
+    v3 = x.v3_V + sigma.side * e3
+    p = decayed(without_outer(p, along), t)
+    p = with_outer(p, d, sigma.curve, Column(0.0, e1, e2, e3, 0.0))
+    p = with_soc_row(p, drifted(tables, s, ss), d, root)
+    p = with_branch_noise(p, noise, s, now)
+    p = with_current_noise(p, noise, s, t, no_voltage_s)
+    slope = point.ocv_slope_V
+    at = Slopes(slope, 0.0, slope, root if wide else 0.0, 0.0, 0.0, 0.0)
+    return CellState(x.soc, v1, v2, v3, x.h, x.heat_K, x.slow_A), p, at
+
+
+@inline
+def voltage_by_points(
+    tables: CellTables,
+    sigma: SigmaScalars,
+    s: Sample,
+    point: CellPoint,
+    at: Slopes,
+    warm_C: float,
+    x: CellState,
+    p: Covariance,
+) -> Voltage:
+    """Of the centre and of the pair, drawn again from the prediction."""
+    c = sigma.reach
+    root, along = along_soc(p, p.ss)
+    branches = (x.v1_V + x.v2_V) + x.v3_V
+    away = c * ((along.v1 + along.v2) + along.v3)
+    up = loaded(tables, x.soc + c * root, warm_C, s.seen_A, x.slow_A)
+    low = loaded(tables, x.soc - c * root, warm_C, s.seen_A, x.slow_A)
+    r_up = up.r0_ohm if at.spread > 0.0 else point.r0_ohm
+    r_low = low.r0_ohm if at.spread > 0.0 else point.r0_ohm
+    centre = terminal_voltage(point, x.h, point.r0_ohm * s.seen_A + branches)
+    above = terminal_voltage(up, x.h + c * along.h, r_up * s.seen_A + branches + away)
+    below = terminal_voltage(low, x.h - c * along.h, r_low * s.seen_A + branches - away)
+    first, second = (above - below) * (0.5 / c), (above + below) - 2.0 * centre
+    slope = ((up.ocv_V - low.ocv_V) - (r_up - r_low) * s.seen_A) / (2.0 * c * root)
+    # Covariance with the voltage: along the pair, and given the SOC.
+    rest = column(without_outer(p, along), 0.0, point.m_V, 1.0)
+    d = Column(
+        root * first,
+        rest.v1 + along.v1 * first,
+        rest.v2 + along.v2 * first,
+        rest.v3 + along.v3 * first,
+        rest.h + along.h * first,
+    )
+    known = explained(Column(0.0, rest.v1, rest.v2, rest.v3, rest.h), 0.0, point.m_V, 1.0)
+    variance = known + first * first + sigma.curve * second * second
+    bent = min(slope, point.ocv_slope_V) < flat_slope(tables)
+    return Voltage(centre + sigma.side * second, d, variance, slope, bent)

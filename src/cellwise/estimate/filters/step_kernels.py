@@ -1,0 +1,215 @@
+"""One way through a filter's step: sense, predict, innovate, weigh, update, say.
+
+Every filter is this step. They differ in how the moments are taken, by tangents and chords
+(EKF, ``sigma`` None) or by sigma points (UKF), and in what is free beside the cell's states:
+nothing (``rules`` and ``free`` None), or capacity and resistances (adaptive). What is None is no
+part of the compiled code. There are no matrix calls, and nothing is allocated.
+
+The model's voltage error is remembered for minutes, so consecutive voltages repeat the same
+evidence. Each is therefore weighed with its variance times the number of samples that share one
+error (2 tau / dt: the spectral density of an exponentially correlated error at rest), while the
+gate and NIS look at the plain variance of one sample.
+"""
+
+from __future__ import annotations
+
+import math
+
+from cellwise.cell.compiled import inline
+from cellwise.cell.equations import (
+    CellTables,
+    heat_step,
+    polarisation,
+    soc_step,
+    terminal_voltage,
+    with_heat,
+    with_soc,
+)
+from cellwise.estimate.evidence_kernels import stated_deviation, voltage_variance
+from cellwise.estimate.filters.covariance_kernels import column, explained, uncorrelated
+from cellwise.estimate.filters.drift_kernels import counted_on, drift_variance, no_drift
+from cellwise.estimate.filters.filter_state import EkfInfo, EkfStart, EkfState, ekf_start
+from cellwise.estimate.filters.free_kernels import (
+    Free,
+    FreeRules,
+    afresh,
+    capacity_soc,
+    capacity_variance,
+    counted_capacity,
+    fast_factor,
+    resistance_variance_V2,
+    soc_found_anew,
+    watched_resistances,
+)
+from cellwise.estimate.filters.past_kernels import look_again, past_at_start
+from cellwise.estimate.filters.predict_kernels import SOC_HIGH, SOC_LOW, by_tangents, over_interval
+from cellwise.estimate.filters.sigma_kernels import (
+    SigmaScalars,
+    Voltage,
+    by_points,
+    voltage_by_points,
+)
+from cellwise.estimate.filters.update_kernels import Estimate, Predicted, counted, recover, update
+from cellwise.estimate.gate_kernels import Innovation, Verdict, gate
+from cellwise.estimate.noise import NoiseScalars
+from cellwise.estimate.sensing_kernels import (
+    NO_VOLTAGE_YET,
+    NOT_BEGUN,
+    Reading,
+    Sample,
+    read_sample,
+)
+from cellwise.estimate.slopes_kernels import WIDE_VARIANCE, bends
+from cellwise.estimate.status import CLAMPED, OUTSIDE, STATE_RESET
+
+
+@inline
+def predict(
+    tables: CellTables,
+    noise: NoiseScalars,
+    sigma: SigmaScalars | None,
+    rules: FreeRules | None,
+    start: EkfStart,
+    state: EkfState,
+    free: Free | None,
+    s: Sample,
+) -> Predicted:
+    """Charge first, then the tables at the new SOC; a state that is not finite starts again."""
+    cell = tables.cell
+    status = 0
+    soc = soc_step(cell, state.cell.soc, s.flow_A, s.dt_s)
+    if not (math.isfinite(soc) and math.isfinite(state.p.ss)):
+        state, free = ekf_start(start, s.current_A), afresh(rules, free)
+        soc = state.cell.soc
+        status = STATE_RESET
+    p, past, evidence = state.p, state.past, state.watch.evidence_s
+    now = over_interval(tables, noise, state.cell, soc, s, evidence == NOT_BEGUN)
+    if evidence == NOT_BEGUN:
+        p = uncorrelated(p.ss, now.v11, now.v22, now.v33, p.phh)
+        evidence = NO_VOLTAGE_YET
+        past = past_at_start(cell, s, soc, p.ss)
+    followed = state.drift.believed * state.drift.reach + capacity_soc(free)
+    counts = 0.0 if s.gap or s.lost_A > 0.0 else 1.0
+    drift = counted_on(noise, state.drift, now.t, cell.charge_As, counts * s.dt_s, s.current_A)
+    judged_A = 0.0 if now.status & OUTSIDE else counts * s.flow_A
+    free, drift = counted_capacity(cell, rules, free, drift, now.t.gs, judged_A, s.dt_s)
+    if sigma is None:
+        x, p, at = by_tangents(tables, noise, s, now, p, state.watch.no_voltage_s)
+    else:
+        x, p, at = by_points(tables, noise, sigma, s, now, p, state.watch.no_voltage_s)
+    fast = fast_factor(free)
+    r0 = fast * now.point.r0_ohm
+    drop = polarisation(r0, s.seen_A, fast * x.v1_V, x.v2_V, x.v3_V)
+    x = with_heat(x, heat_step(cell, x.heat_K, s.flow_A, drop, s.dt_s))
+    status |= now.status
+    # fmt: off
+    return Predicted(
+        state, x, p, now.point, at, now.warm_C, evidence, past, drift, free, followed, status
+    )
+    # fmt: on
+
+
+@inline
+def innovate(
+    tables: CellTables,
+    noise: NoiseScalars,
+    sigma: SigmaScalars | None,
+    s: Sample,
+    now: Predicted,
+) -> tuple[Innovation, Voltage]:
+    """Measured less predicted voltage; H = [slope, -fast, -1, -1, m], d = P H'."""
+    x, point, at, fast = now.x, now.point, now.at, fast_factor(now.free)
+    r0 = fast * point.r0_ohm
+    branches = abs(x.v1_V) + (abs(x.v2_V) + abs(x.v3_V))
+    one = voltage_variance(noise, point, r0, s.seen_A, s.lost_A, branches)
+    one += resistance_variance_V2(now.free, point.r0_ohm * s.seen_A + x.v1_V, x.v2_V)
+    if sigma is None:
+        d = column(now.p, at.slope_V, point.m_V, fast)
+        # An OCV that bends by c at one deviation is off its tangent by c z^2, 3 c^2 in square.
+        bend2 = 3.0 * at.bend_V * at.bend_V
+        variance = explained(d, at.slope_V, point.m_V, fast) + bend2
+        drop = polarisation(r0, s.seen_A, fast * x.v1_V, x.v2_V, x.v3_V)
+        predicted, bent = terminal_voltage(point, x.h, drop), bends(tables, at, bend2, one)
+        seen = Voltage(predicted, d, variance, at.slope_V, bent)
+    else:
+        seen = voltage_by_points(tables, sigma, s, point, at, now.warm_C, x, now.p)
+    miss, unsure = s.voltage_V - seen.predicted_V, now.p.ss > WIDE_VARIANCE
+    # fmt: off
+    i = Innovation(
+        seen.predicted_V, miss, seen.variance_V2, one, point.r0_ohm, branches, unsure, seen.bent
+    )
+    # fmt: on
+    return i, seen
+
+
+@inline
+def look_back(
+    tables: CellTables, noise: NoiseScalars, s: Sample, now: Predicted, v: Verdict, e: Estimate
+) -> Estimate:
+    """A start under load is looked at again, as often as it is due."""
+    if e.past.first_variance <= 0.0:
+        return e
+    drop = now.point.r0_ohm * s.seen_A + now.x.v1_V
+    own_V = v.innovation_V - (fast_factor(now.free) - 1.0) * drop
+    # fmt: off
+    seen = look_again(
+        tables, noise, s, now.warm_C, now.evidence_s, v.watch.evidence_s, e.past, v.used, own_V,
+        e.x, e.p,
+    )
+    # fmt: on
+    if seen.anew:
+        free = soc_found_anew(e.free)
+        return Estimate(seen.x, seen.p, 0.0, 0.0, no_drift(), free, seen.past)
+    return Estimate(seen.x, seen.p, e.persistent, e.contradicted, e.drift, e.free, seen.past)
+
+
+@inline
+def say(i: Innovation, v: Verdict, e: Estimate, status: int) -> tuple[EkfState, EkfInfo]:
+    """SOC held within 0..1, and what there is to report."""
+    soc = e.x.soc
+    if soc < SOC_LOW or soc > SOC_HIGH:
+        soc = min(max(soc, SOC_LOW), SOC_HIGH)
+        status |= CLAMPED
+    # fmt: off
+    state = EkfState(
+        with_soc(e.x, soc), e.p, v.rejections, v.mismatch, e.persistent, e.contradicted, e.drift,
+        v.watch, e.past,
+    )
+    # fmt: on
+    known = e.p.ss + drift_variance(e.drift) + capacity_variance(e.free, e.drift.reach)
+    std = stated_deviation(known, v.mismatch, e.persistent, e.contradicted)
+    return state, EkfInfo(soc, std, i.predicted_V, v.innovation_V, v.variance, v.ratio, status)
+
+
+@inline
+def filter_step(
+    tables: CellTables,
+    noise: NoiseScalars,
+    sigma: SigmaScalars | None,
+    rules: FreeRules | None,
+    start: EkfStart,
+    state: EkfState,
+    free: Free | None,
+    reading: Reading,
+) -> tuple[EkfState, Free | None, EkfInfo]:
+    """Over the interval that ends now, then the voltage read now."""
+    s = read_sample(tables, noise, state.watch, start.temperature_C, reading)
+    now = predict(tables, noise, sigma, rules, start, state, free, s)
+    i, seen = innovate(tables, noise, sigma, s, now)
+    old = now.state
+    # fmt: off
+    v = gate(
+        tables.cell, noise, old.watch, s, now.evidence_s, old.rejections, old.mismatch, i
+    )
+    # fmt: on
+    if v.recover:
+        e = recover(tables, s, now, i)
+    elif v.accepted:
+        e = update(tables, noise, sigma, rules, s, now, seen, i, v)
+    else:
+        e = counted(now)
+    e = look_back(tables, noise, s, now, v, e)
+    after, info = say(i, v, e, s.status | now.status | v.status)
+    drop_V = now.point.r0_ohm * s.seen_A + now.x.v1_V
+    free = watched_resistances(rules, e.free, noise, s, drop_V, now.x.v2_V, v, now.p.ss)
+    return after, free, info

@@ -1,0 +1,163 @@
+"""State, covariance and hypotheses after an interval's voltage, whatever became of it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from cellwise.cell.compiled import inline
+from cellwise.cell.equations import CellState, CellTables, with_soc
+from cellwise.cell.point_kernels import CellPoint
+from cellwise.estimate.evidence_kernels import contradicted_step, persistent_step, persistent_V
+from cellwise.estimate.filters.covariance_kernels import (
+    Column,
+    Covariance,
+    corrected,
+    joseph,
+    moved,
+    scaled,
+    soc_row,
+    uncorrelated,
+)
+from cellwise.estimate.filters.drift_kernels import Drift, drift_step, no_drift, seen_of_offset
+from cellwise.estimate.filters.filter_state import EkfState
+from cellwise.estimate.filters.free_kernels import (
+    Free,
+    FreeRules,
+    capacity_soc,
+    fast_factor,
+    informed_capacity,
+    soc_found_anew,
+)
+from cellwise.estimate.filters.past_kernels import Past, no_past
+from cellwise.estimate.filters.sigma_kernels import SigmaScalars, Voltage
+from cellwise.estimate.gate_kernels import Innovation, Verdict
+from cellwise.estimate.noise import NoiseScalars
+from cellwise.estimate.recovery_kernels import Contradiction, Variances, recovered
+from cellwise.estimate.sensing_kernels import Sample
+from cellwise.estimate.slopes_kernels import Slopes, landing_slope
+from cellwise.estimate.status import CURRENT_INVALID, OUTSIDE
+
+
+class Predicted(NamedTuple):
+    """State, covariance and slopes at the end of an interval, before its voltage is used.
+
+    ``state`` is what was carried; ``drift`` and ``free`` have counted the interval, ``followed`` is
+    the SOC by which they had moved the estimate before it. ``free`` is None unless the filter is
+    the adaptive one.
+    """
+
+    state: EkfState
+    x: CellState
+    p: Covariance
+    point: CellPoint
+    at: Slopes
+    warm_C: float
+    evidence_s: float
+    past: Past
+    drift: Drift
+    free: Free | None
+    followed: float
+    status: int
+
+
+class Estimate(NamedTuple):
+    """State and covariance after a voltage, and what is stated of the SOC's error beside P."""
+
+    x: CellState
+    p: Covariance
+    persistent: float
+    contradicted: float
+    drift: Drift
+    free: Free | None
+    past: Past
+
+
+@inline
+def recover(tables: CellTables, s: Sample, now: Predicted, i: Innovation) -> Estimate:
+    """The gate may have locked the truth out: the SOC is searched for over all of 0..1.
+
+    The voltage is what a cell with the model's own resistances would have shown.
+    """
+    x, p = now.x, now.p
+    own_V = s.voltage_V + (fast_factor(now.free) - 1.0) * (i.r0_ohm * s.seen_A + x.v1_V)
+    drop = abs(i.r0_ohm * s.seen_A) + i.branches_V
+    seen = Contradiction(own_V, s.seen_A, now.warm_C, i.one, drop, now.evidence_s >= 0.0)
+    soc, v = recovered(tables, x, Variances(p.ss, p.p11, p.p22, p.p33, p.phh), seen)
+    p = uncorrelated(v.soc, v.v1_V2, v.v2_V2, v.v3_V2, v.h)
+    free = soc_found_anew(now.free)
+    return Estimate(with_soc(x, soc), p, 0.0, 0.0, no_drift(), free, no_past())
+
+
+@inline
+def counted(now: Predicted) -> Estimate:
+    """An interval without a voltage: what is believed of offset and capacity goes on."""
+    old = now.state
+    follows = now.drift.believed * now.drift.reach + capacity_soc(now.free)
+    x = with_soc(now.x, now.x.soc + (follows - now.followed))
+    return Estimate(x, now.p, old.persistent, old.contradicted, now.drift, now.free, now.past)
+
+
+@inline
+def gained(
+    tables: CellTables, s: Sample, now: Predicted, k: Column, d: Column, move: float
+) -> Covariance:
+    """P after a gain; of a badly known SOC it is judged by the slope where the gain leads.
+
+    If that is flatter, less was gained (Joseph's form): on a plateau nothing.
+    """
+    p, at = now.p, now.at
+    gains = True
+    if at.spread > 0.0:
+        slope = landing_slope(tables, now.x.soc, at, now.warm_C, s.seen_A, now.x.slow_A, move)
+        less = slope - at.slope_V
+        e = less * (2.0 * d.s + less * p.ss)
+        c = soc_row(p, less)
+        gains = k.s * (k.s * e - 2.0 * c.s) < k.s * d.s
+        if gains:
+            p = joseph(p, k, c, e)
+    return corrected(p, k, d) if gains else p
+
+
+@inline
+def update(
+    tables: CellTables,
+    noise: NoiseScalars,
+    sigma: SigmaScalars | None,
+    rules: FreeRules | None,
+    s: Sample,
+    now: Predicted,
+    seen: Voltage,
+    i: Innovation,
+    v: Verdict,
+) -> Estimate:
+    """After an accepted voltage."""
+    old, slope = now.state, seen.slope_V
+    k = scaled(seen.d, v.inverse)
+    x = moved(now.x, k, v.innovation_V)
+    if sigma is None:
+        p = gained(tables, s, now, k, seen.d, k.s * v.innovation_V)
+    else:
+        p = corrected(now.p, k, seen.d)
+    # fmt: off
+    contradicted = contradicted_step(
+        noise, old.contradicted, v.innovation_V, slope, i.one, old.watch.evidence_s, s.dt_s
+    )
+    # fmt: on
+    # Beyond its data a voltage may contradict the counted charge, but confirms nothing.
+    if now.status & OUTSIDE and abs(contradicted) < abs(old.contradicted):
+        contradicted = old.contradicted
+    error_V = persistent_V(noise, now.point, v.mismatch)
+    persistent = persistent_step(k.s, slope, old.persistent, error_V)
+
+    # Offset and capacity: how far each would have led, and what the voltage says of it by the
+    # innovation of the filter's own estimate.
+    own_V = v.innovation_V + slope * now.followed
+    of_offset = seen_of_offset(noise, now.drift, slope, i.r0_ohm, tables.cell.charge_As)
+    informs = 0.0 if s.status & CURRENT_INVALID else v.inverse
+    drift = drift_step(now.drift, of_offset, own_V, k.s, v.inverse)
+    free, drift = informed_capacity(
+        rules, now.free, drift, of_offset, slope, own_V, k.s, informs, now.p.ss
+    )
+    follows = drift.believed * drift.reach + capacity_soc(free)
+    x = with_soc(x, x.soc + (k.s * slope * now.followed + (follows - now.followed)))
+    return Estimate(x, p, persistent, contradicted, drift, free, now.past)
