@@ -33,7 +33,7 @@ PulseQuality = Literal["healthy", "trimmed", "distorted", "spurious"]
 
 
 class _Limits(NamedTuple):
-    """What tells healthy pulses from others; shares without a unit."""
+    """What separates healthy pulses from others; shares without a unit."""
 
     same_duration: float = 0.05  # durations this near to each other were planned alike
     same_rate: float = 0.03

@@ -18,7 +18,7 @@ from cellwise.typing import FloatArray
 
 
 class _Limits(NamedTuple):
-    """What tells two cells from one."""
+    """What separates two cells from one."""
 
     between_soc: tuple[float, float] = (0.08, 0.97)  # at the steep ends rests say nothing of charge
     least_rests: int = 5
