@@ -14,7 +14,7 @@ RowArray = NDArray[np.int64]
 
 
 class _Limits(NamedTuple):
-    """What separates levels of a current: multiples of its noise, or shares of its range."""
+    """What separates the levels of a current: multiples of its noise, or shares of its range."""
 
     step_sigmas: float = 8.5  # two samples of one level differ by less
     rest_sigmas: float = 6.0  # so far from zero a sample is a rest
