@@ -15,6 +15,7 @@ from cellwise.typing import FloatArray
 MUCH_CHARGE = 1.15
 SHOWN_SOC = 5e-4  # what shows in three digits
 LARGE_RMSE_V = 0.1
+FAR_AHEAD_V = 0.05  # one step ahead, where a filter has already followed what it can
 LARGE_ERROR_V = 0.2
 NEAR_EMPTY = 0.1
 MANY_REJECTED = 0.1
@@ -99,7 +100,7 @@ def prediction_notices(log: MeasuredLog, rmse_V: float, rejected: float) -> list
             return []
         text = f"no voltage of {name} was used: all are missing, or outside what a sensor reads"
         return [Notice(RANGE_V, f"{text} (another pack count?)")]
-    if rmse_V < LARGE_RMSE_V and rejected < MANY_REJECTED:
+    if rmse_V < FAR_AHEAD_V and rejected < MANY_REJECTED:
         return []
     text = f"the voltage of {name} is {1e3 * rmse_V:.0f} mV off one step ahead (RMSE)"
     if rejected > 0.0:

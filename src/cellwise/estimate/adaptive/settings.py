@@ -1,4 +1,4 @@
-"""What the adaptive estimator may learn, how fast, and why it does not."""
+"""What the adaptive estimator may estimate, how fast, and why it does not."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def reason(held: int) -> str | None:
 
 @dataclass(frozen=True)
 class AdaptiveSettings:
-    """Parameters to learn, what is believed of them before, and when they are held.
+    """Parameters to estimate, what is believed of them before, and when they are held.
 
     Currents are shares of 1C (the model's capacity over an hour), standard deviations all.
 
