@@ -171,7 +171,7 @@ def held_bits(
     still = np.where(moves, 0, int(Held.NO_EXCITATION))
     chosen = (
         settings.offset_share > 0.0,
-        "resistance" in settings.learn and settings.resistance > 0.0,
+        settings.rules().resistances.variance > 0.0,
         settings.rules().capacity > 0.0,
     )
     held = np.stack([seen, seen | settled | still, seen | settled | outside])

@@ -1,6 +1,6 @@
 r"""What is free in the adaptive filter alone: a capacity or the sensor's gain, resistances.
 
-A capacity is told as an offset is (:mod:`cellwise.estimate.filters.drift_kernels`): how far one
+A capacity is estimated as an offset is (:mod:`cellwise.estimate.filters.drift_kernels`): how far one
 standard deviation of it would have moved the SOC is carried, and what the voltages then say of it.
 The filter's own estimate stays that of the model's capacity. With an offset beside it there are
 four hypotheses, and in units of the deviations beforehand, with the information L and the score h
@@ -31,7 +31,7 @@ from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import Sample
 from cellwise.estimate.status import CURRENT_INVALID
 
-LARGEST_SQUARE = 1e6  # beyond it there is no doubt, and a sixteenth power no number
+LARGEST_SQUARE = 1e6  # beyond it nothing is uncertain, and a sixteenth power no number
 
 
 class Capacity(NamedTuple):
@@ -95,7 +95,7 @@ def afresh(rules: FreeRules | None, free: Free | None) -> Free | None:
 
 
 @inline
-def soc_found_anew(free: Free | None) -> Free | None:
+def soc_found(free: Free | None) -> Free | None:
     """After a SOC that was searched for: what was counted is over, what is known stays."""
     if free is None:
         return None
@@ -112,7 +112,7 @@ def soc_found_anew(free: Free | None) -> Free | None:
 def forgotten(c: Capacity, d: Drift, rules: FreeRules, dt_s: float) -> tuple[Capacity, Drift]:
     """Both numbers wander: of what the voltages have said, so much is forgotten.
 
-    The same of both, by the one that is forgotten faster: else what is left of one and the same
+    The same of both, by the one that is forgotten faster: else the remainder of one and the same
     evidence would speak for the other.
     """
     faster = max(c.information * rules.capacity_wander, d.information * rules.offset_wander)
@@ -138,7 +138,7 @@ def likelihood(square: float, best: float, determinant: float) -> float:
     """Of a hypothesis against none, where the ``best`` of all has that square.
 
     That anything is free at all is as sure as an offset is (Student's t of 31 degrees of freedom);
-    which of them it is, is told by the normal density.
+    which of them it is, the normal density says.
     """
     base = 1.0 + min(best, LARGEST_SQUARE) * PER_FREEDOM
     base *= base

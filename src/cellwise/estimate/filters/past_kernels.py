@@ -239,12 +239,12 @@ def soc_of_level(
 
 
 class Looked(NamedTuple):
-    """State and covariance after a look, or as they were; ``anew``: SOC and P are the look's."""
+    """State and covariance after a look, or as they were; ``searched``: SOC and P are the look's."""
 
     x: CellState
     p: Covariance
     past: Past
-    anew: bool
+    searched: bool
 
 
 @inline

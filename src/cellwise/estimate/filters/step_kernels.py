@@ -38,7 +38,7 @@ from cellwise.estimate.filters.free_kernels import (
     counted_capacity,
     fast_factor,
     resistance_variance_V2,
-    soc_found_anew,
+    soc_found,
     watched_resistances,
 )
 from cellwise.estimate.filters.past_kernels import look_again, past_at_start
@@ -157,8 +157,8 @@ def look_back(
         e.x, e.p,
     )
     # fmt: on
-    if seen.anew:
-        free = soc_found_anew(e.free)
+    if seen.searched:
+        free = soc_found(e.free)
         return Estimate(seen.x, seen.p, 0.0, 0.0, no_drift(), free, seen.past)
     return Estimate(seen.x, seen.p, e.persistent, e.contradicted, e.drift, e.free, seen.past)
 

@@ -26,7 +26,7 @@ from cellwise.estimate.filters.free_kernels import (
     capacity_soc,
     fast_factor,
     informed_capacity,
-    soc_found_anew,
+    soc_found,
 )
 from cellwise.estimate.filters.past_kernels import Past, no_past
 from cellwise.estimate.filters.sigma_kernels import SigmaScalars, Voltage
@@ -84,7 +84,7 @@ def recover(tables: CellTables, s: Sample, now: Predicted, i: Innovation) -> Est
     seen = Contradiction(own_V, s.seen_A, now.warm_C, i.one, drop, now.evidence_s >= 0.0)
     soc, v = recovered(tables, x, Variances(p.ss, p.p11, p.p22, p.p33, p.phh), seen)
     p = uncorrelated(v.soc, v.v1_V2, v.v2_V2, v.v3_V2, v.h)
-    free = soc_found_anew(now.free)
+    free = soc_found(now.free)
     return Estimate(with_soc(x, soc), p, 0.0, 0.0, no_drift(), free, no_past())
 
 
