@@ -239,7 +239,7 @@ def soc_of_level(
 
 
 class Looked(NamedTuple):
-    """State and covariance after a look, or as they were; ``searched``: SOC and P are the look's."""
+    """State and covariance after a look, or as they were; ``searched``: SOC and P are its own."""
 
     x: CellState
     p: Covariance

@@ -7,36 +7,50 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from cellwise.typing import BoolArray, FloatArray
 
 RowArray = NDArray[np.int64]
-
-
-class _Limits(NamedTuple):
-    """What separates the levels of a current: multiples of its noise, or shares of its range."""
-
-    step_sigmas: float = 8.5  # two samples of one level differ by less
-    rest_sigmas: float = 6.0  # so far from zero a sample is a rest
-    step: float = 2e-3  # of the range: the least of a step ...
-    rest: float = 1e-3  # ... and of what is no rest, where the noise would allow less
-    zero: float = 0.01  # of the range: up to here a steady reading may be the sensor's zero
-    flat: float = 0.01  # of a level: a held current may drift by so much
-    # A level may be noisier than the others, for another device makes it: rows between two changes
-    # by the first share of the level, scattered by no more than the second.
-    change: float = 0.5
-    noisy: float = 0.15
-    noisy_rows: int = 8
-
-
-LIMITS = _Limits()
-LEVEL_ROWS = 64  # more rows than these say nothing new of a level
-CHUNKS = 8  # a level is flat whose eighths have one mean; noise is looked for in blocks of as many
-# Up to this long, what lies between two plateaus is the tester's rise.
-RISE_ROWS = 8
-RISE_S = 3.0
+# Two samples of one level differ by less than this many standard deviations of one sample.
+STEP_SIGMAS = 8.5
+STEP_OF_RANGE = 2e-3
+FLAT_OF_LEVEL = 0.01
+# Up to this share of the largest current, a steady reading may be the sensor's zero.
+ZERO_OF_RANGE = 0.01
+OFFSET_OF_RANGE = 2e-3
+REST_OF_RANGE = 1e-3
+REST_SIGMAS = 6.0
+# Scatter above this share of the range, or that grows with the distance of the samples, is a
+# moving current and not noise.
+NOISE_OF_RANGE = 0.3
+# Rounding alone scatters by 0.29 of a step; more than this share is noise of its own.
+ROUNDING_ONLY = 0.6
+# A level may be noisier than the others (another device makes it): rows between two changes by
+# more than this share, white, flat, and scattered by no more than the share below; of fewer rows
+# all must lie within the second share.
+CHANGE_OF_LEVEL = 0.5
+NOISY_ROWS, NOISY_OF_LEVEL = 16, 0.15
+SHORT_NOISY_ROWS, SHORT_NOISY_OF_LEVEL = 8, 0.04
+WHITE_GROWTH, GROWTH_SCATTER = 1.3, 1.5
 # Mean size of a second difference of white noise of unit sigma: sqrt(6) sqrt(2 / pi).
 MEAN_BEND = 1.954
+# A log whose largest sample lies within this many standard deviations holds no current at all.
+NOISE_ONLY_SIGMAS = 6.5
+# Steps of this share of the range shall be seen, so more noise than that asks for smoothing.
+SMOOTHED_STEP_OF_RANGE = 0.02
+COARSE_OF_RANGE = 0.05
+COARSE_ROWS = 0.02
+FINE_ROWS = 0.005
+MAX_SMOOTHING_ROWS = 15
+BLOCK_ROWS = 8
+FLAT_CHUNKS = 8
+# Up to this long, what lies between two plateaus is the tester's rise.
+RAMP_ROWS = 8
+RAMP_S = 3.0
+LEVEL_ROWS = 64
+LONG_LEVEL_ROWS = 10
+SMALL_STEP_OF_LEVEL = 0.1
 
 
 class CurrentScale(NamedTuple):
@@ -47,6 +61,7 @@ class CurrentScale(NamedTuple):
     rest_A : distance from ``zero_A`` within which a sample is a rest
     step_A : smallest difference of two samples that is not noise
     range_A : largest current
+    smoothing_rows : width of the running median that the noise asks for; 1 = none
     """
 
     noise_A: float
@@ -54,6 +69,7 @@ class CurrentScale(NamedTuple):
     rest_A: float
     step_A: float
     range_A: float
+    smoothing_rows: int
 
 
 class Plateaus(NamedTuple):
@@ -77,24 +93,28 @@ def current_scale(current_A: FloatArray) -> CurrentScale:
     """
     top = float(np.max(np.abs(current_A)))
     if top == 0.0:
-        return CurrentScale(0.0, 0.0, 0.0, 0.0, 0.0)
+        return CurrentScale(0.0, 0.0, 0.0, 0.0, 0.0, 1)
     lsb = _resolution(current_A, top)
     noise = max(_noise(current_A, top, lsb), 0.3 * lsb)
-    if top < LIMITS.rest_sigmas * noise:  # nothing flows in this log
-        return CurrentScale(noise, 0.0, top, 3.0 * top, top)
+    if top < NOISE_ONLY_SIGMAS * noise:  # nothing flows in this log
+        return CurrentScale(noise, 0.0, top, 3.0 * top, top, 1)
     # Where the resolution makes the noise, samples jump by one step of it, seldom by two.
-    rounded = noise < 0.6 * lsb
-    seen = 0.0 if rounded else noise
-    step = max(LIMITS.step_sigmas * seen, LIMITS.step * top, 2.5 * lsb if rounded else 0.0)
-    rest = max(LIMITS.rest_sigmas * seen, LIMITS.rest * top, 1.5 * lsb)
-    near = current_A[np.abs(current_A) <= max(LIMITS.zero * top, 4.0 * noise)]
+    rounded = noise < ROUNDING_ONLY * lsb
+    width = 1
+    if not rounded and STEP_SIGMAS * noise > SMOOTHED_STEP_OF_RANGE * top:
+        wanted = (1.25 * STEP_SIGMAS * noise / (SMOOTHED_STEP_OF_RANGE * top)) ** 2
+        width = int(min(2 * (wanted // 2) + 1, MAX_SMOOTHING_ROWS))
+    seen = 0.0 if rounded else noise if width == 1 else 1.25 * noise / np.sqrt(width)
+    step = max(STEP_SIGMAS * float(seen), STEP_OF_RANGE * top, 2.5 * lsb if rounded else 0.0)
+    rest = max(REST_SIGMAS * float(seen), REST_OF_RANGE * top, 1.5 * lsb)
+    near = current_A[np.abs(current_A) <= max(ZERO_OF_RANGE * top, 4.0 * noise)]
     zero = float(np.median(near)) if near.size else 0.0
-    if abs(zero) > LIMITS.step * top:  # the end of a CV part, or a small load: not the zero
+    if abs(zero) > OFFSET_OF_RANGE * top:  # the end of a CV part, or a small load: not the zero
         zero = 0.0
     if near.size:
         scatter = 1.4826 * float(np.median(np.abs(near - zero)))
-        rest = max(rest, min(LIMITS.rest_sigmas * scatter, LIMITS.step * top))
-    return CurrentScale(noise, zero, rest, step, top)
+        rest = max(rest, min(REST_SIGMAS * scatter, OFFSET_OF_RANGE * top))
+    return CurrentScale(noise, zero, rest, step, top, width)
 
 
 def find_plateaus(current_A: FloatArray, scale: CurrentScale | None = None) -> Plateaus:
@@ -107,6 +127,8 @@ def find_plateaus(current_A: FloatArray, scale: CurrentScale | None = None) -> P
     """
     scale = scale or current_scale(current_A)
     x = current_A
+    if scale.smoothing_rows > 1:
+        x = median_filter(current_A, scale.smoothing_rows, mode="nearest")
     rest = np.abs(x - scale.zero_A) <= scale.rest_A
     broken = (np.abs(np.diff(x)) > scale.step_A) | (rest[1:] != rest[:-1])
     noise = _level_noise(x, rest, broken, scale)
@@ -119,10 +141,11 @@ def find_plateaus(current_A: FloatArray, scale: CurrentScale | None = None) -> P
     plateaus = Plateaus(start, stop, level, rest[start])
     for _ in range(2):  # once for the runs, once for what then has become a neighbour
         plateaus = _merge_level(plateaus, noise)
-    return plateaus
+    plateaus = _drifted(x, plateaus)
+    return plateaus if scale.smoothing_rows == 1 else _sharpened(current_A, plateaus, scale)
 
 
-def without_ramps(p: Plateaus, time_s: FloatArray, ramp_s: float = RISE_S) -> Plateaus:
+def without_ramps(p: Plateaus, time_s: FloatArray, ramp_s: float = RAMP_S) -> Plateaus:
     """Drop the short pieces into which a slow rise breaks between two levels.
 
     They are a few rows long, lead from the one level towards the other without turning back, and
@@ -134,7 +157,7 @@ def without_ramps(p: Plateaus, time_s: FloatArray, ramp_s: float = RISE_S) -> Pl
     time_s : (n,) float       [s]
     ramp_s : float            longest rise [s]
     """
-    short = (p.stop - p.start <= RISE_ROWS) & ~p.rest
+    short = (p.stop - p.start <= RAMP_ROWS) & ~p.rest
     short[:1] = short[-1:] = False
     first = np.flatnonzero(short & ~np.concatenate(([False], short[:-1])))
     last = np.flatnonzero(short & ~np.concatenate((short[1:], [False])))
@@ -145,6 +168,10 @@ def without_ramps(p: Plateaus, time_s: FloatArray, ramp_s: float = RISE_S) -> Pl
     for a, b in zip(first[took <= ramp_s], last[took <= ramp_s], strict=True):
         climb = np.diff(p.level_A[a - 1 : b + 2])
         kept[a : b + 1] = not (np.all(climb > 0.0) or np.all(climb < 0.0))
+    return _chosen(p, kept)
+
+
+def _chosen(p: Plateaus, kept: BoolArray) -> Plateaus:
     return Plateaus(p.start[kept], p.stop[kept], p.level_A[kept], p.rest[kept])
 
 
@@ -155,20 +182,29 @@ def _resolution(current_A: FloatArray, top: float) -> float:
     lsb = float(moved.min()) if moved.size else 0.0
     # A resolution shows by going back and forth all the time.
     share = np.count_nonzero(moved < 1.01 * lsb) / current_A.size
-    return lsb if lsb <= LIMITS.zero * top and share > 0.5 * LIMITS.zero else 0.0
+    fine, coarse = ZERO_OF_RANGE * top, COARSE_OF_RANGE * top
+    return (
+        lsb
+        if (lsb <= fine and share > FINE_ROWS) or (lsb <= coarse and share > COARSE_ROWS)
+        else 0.0
+    )
 
 
 def _noise(current_A: FloatArray, top: float, lsb: float) -> float:
     """Standard deviation of a sample about its level [A], 0 where the log does not show it.
 
-    Of the quietest blocks, because most blocks of a drive hold steps.
+    Second differences, because a slope is not noise; of the quietest blocks, because most blocks
+    of a drive hold steps; at two distances of the samples, because the differences of noise do
+    not grow with it and those of a moving current do.
     """
-    n = current_A.size // CHUNKS * CHUNKS
+    n = current_A.size // BLOCK_ROWS * BLOCK_ROWS
     if n == 0:
         return 0.0
-    blocks = current_A[:n].reshape(-1, CHUNKS)
-    typical = np.median(_bends(blocks, 1), axis=1)
-    loaded = np.abs(blocks.mean(axis=1)) > LIMITS.zero * top
+    blocks = current_A[:n].reshape(-1, BLOCK_ROWS)
+    near, far = (_bends(blocks, lag) for lag in (1, 2))
+    middle = (near.shape[1] - 1) // 2
+    typical = np.partition(near, middle, axis=1)[:, middle]
+    loaded = np.abs(blocks.mean(axis=1)) > ZERO_OF_RANGE * top
     found = 0.0
     for group in (loaded, ~loaded):
         if not group.any():
@@ -177,28 +213,14 @@ def _noise(current_A: FloatArray, top: float, lsb: float) -> float:
         calm = group & (typical <= 4.0 * quiet)
         # An edge inside a block counts as little more than noise, and not at all where most have
         # none: it bends more of the wide differences than of the narrow ones.
-        whole = calm & (np.max(_bends(blocks, 2), axis=1) <= 10.0 * quiet)
+        whole = calm & (np.max(far, axis=1) <= 10.0 * quiet)
         if 2 * np.count_nonzero(whole) > np.count_nonzero(calm):
             calm = whole
-        found = max(found, _white_sigma(blocks[calm], 10.0 * quiet))
-    return found if found < 0.5 * top else 0.0
-
-
-def _white_sigma(blocks: FloatArray, ceiling: float) -> float:
-    """Standard deviation of white noise in blocks of rows, 0 where it is something that moves.
-
-    Second differences, because a slope is not noise; at two distances of the samples, because the
-    differences of noise do not grow with it and those of a moving current do.
-    """
-    one, two = (float(np.mean(np.minimum(_bends(blocks, lag), ceiling))) for lag in (1, 2))
-    white = two < (1.3 + 1.5 / np.sqrt(blocks.size)) * one
-    return one / MEAN_BEND if white else 0.0
-
-
-def _bends(blocks: FloatArray, lag: int) -> FloatArray:
-    """Size of the second differences at a distance of the samples, along rows."""
-    wide = 2.0 * blocks[:, lag:-lag]
-    return np.asarray(np.abs(blocks[:, 2 * lag :] - wide + blocks[:, : -2 * lag]))
+        one, two = (float(np.mean(np.minimum(x[calm], 10.0 * quiet))) for x in (near, far))
+        sigma = one / MEAN_BEND
+        if two < WHITE_GROWTH * one and sigma < NOISE_OF_RANGE * top:
+            found = max(found, sigma)
+    return found
 
 
 def _level_noise(
@@ -211,29 +233,49 @@ def _level_noise(
     """
     noise = np.full(x.size, scale.noise_A)
     size = np.maximum(np.abs(x[1:]), np.abs(x[:-1]))
-    large = np.abs(np.diff(x)) > np.maximum(LIMITS.change * size, scale.step_A)
+    large = np.abs(np.diff(x)) > np.maximum(CHANGE_OF_LEVEL * size, scale.step_A)
     cut = np.flatnonzero(large | (rest[1:] != rest[:-1])) + 1
     count = np.concatenate(([0], np.cumsum(broken)))
     for a, b in pairwise([0, *cut.tolist(), x.size]):
-        if b - a < LIMITS.noisy_rows or rest[a] or count[b - 1] == count[a]:
+        if b - a < SHORT_NOISY_ROWS or rest[a]:
             continue
-        part = x[a + 1 : b - 1]  # the first row, and the last, may hold part of a switch
-        level = abs(float(np.mean(part)))
-        bends = _bends(part[None, :], 1)
-        sigma = _white_sigma(part[None, :], 10.0 * float(np.median(bends)))
-        if scale.noise_A < sigma < LIMITS.noisy * level and _one_level(part, sigma):
-            near = np.abs(x[[a, b - 1]] - np.mean(part)) <= 4.0 * sigma
-            noise[a + 1 - near[0] : b - 1 + near[1]] = sigma
+        if count[b - 1] == count[a] and float(np.ptp(x[a:b])) <= scale.step_A:
+            continue  # one plateau as it is
+        # The first row, and the last, may hold part of a switch.
+        first, last = a + 1, b - 1
+        sigma = _scatter_of_level(x[first:last], scale)
+        if sigma > 0.0:
+            level = float(np.mean(x[first:last]))
+            near = max(4.0 * sigma, SHORT_NOISY_OF_LEVEL * abs(level))
+            first -= abs(float(x[a]) - level) <= near
+            last += abs(float(x[b - 1]) - level) <= near
+            noise[first:last] = sigma
     return noise
 
 
-def _one_level(part: FloatArray, sigma: float) -> bool:
-    """Whether the means of a stretch's eighths differ by no more than its noise lets them."""
-    cuts = np.arange(CHUNKS + 1) * part.size // CHUNKS
-    if part.size < CHUNKS:
-        return bool(np.ptp(part) <= 6.0 * sigma)
+def _scatter_of_level(part: FloatArray, scale: CurrentScale) -> float:
+    """Standard deviation of rows that hold one level and are noisier than the log, else 0 [A]."""
+    level = abs(float(np.mean(part)))
+    if part.size < NOISY_ROWS:
+        width = float(np.ptp(part))
+        return 0.5 * width if width <= SHORT_NOISY_OF_LEVEL * level else 0.0
+    near, far = (_bends(part[None, :], lag) for lag in (1, 2))
+    ceiling = 10.0 * float(np.median(near))
+    one, two = (float(np.mean(np.minimum(d, ceiling))) for d in (near, far))
+    sigma = one / MEAN_BEND
+    cuts = np.arange(FLAT_CHUNKS + 1) * part.size // FLAT_CHUNKS
     means = np.add.reduceat(part, cuts[:-1]) / np.diff(cuts)
-    return bool(np.ptp(means) <= 6.0 * sigma / np.sqrt(part.size / CHUNKS))
+    flat = np.ptp(means) <= 6.0 * sigma / np.sqrt(part.size / FLAT_CHUNKS)
+    noisier = scale.noise_A < sigma < NOISY_OF_LEVEL * level
+    white = two < (WHITE_GROWTH + GROWTH_SCATTER / np.sqrt(part.size)) * one
+    return sigma if flat and noisier and white else 0.0
+
+
+def _bends(blocks: FloatArray, lag: int) -> FloatArray:
+    bends: FloatArray = np.abs(
+        blocks[:, 2 * lag :] - 2 * blocks[:, lag:-lag] + blocks[:, : -2 * lag]
+    )
+    return bends
 
 
 def _flat_pieces(
@@ -249,21 +291,21 @@ def _flat_pieces(
     rows = stop - start
     low = np.minimum.reduceat(x, start)
     high = np.maximum.reduceat(x, start)
-    allowed = np.maximum(scale.step_A, LIMITS.flat * np.abs(0.5 * (low + high)))
+    allowed = np.maximum(scale.step_A, FLAT_OF_LEVEL * np.abs(0.5 * (low + high)))
     flat = (rows >= 2) & ((high - low <= allowed) | rest[start])
-    uncertain = np.flatnonzero(~flat & (rows >= CHUNKS))
+    uncertain = np.flatnonzero(~flat & (rows >= FLAT_CHUNKS))
     if uncertain.size:
         # Noise widens the range of a long run without bending it: compare means of eighths.
-        parts = np.arange(CHUNKS + 1) * rows[uncertain, None] // CHUNKS
+        parts = np.arange(FLAT_CHUNKS + 1) * rows[uncertain, None] // FLAT_CHUNKS
         cuts = start[uncertain, None] + parts
         means = np.diff(total[cuts], axis=1) / np.diff(cuts, axis=1)
         bound = np.maximum(
-            6.0 * noise[start[uncertain]] / np.sqrt(rows[uncertain] / CHUNKS),
-            LIMITS.flat * np.abs(means).max(axis=1),
+            6.0 * noise[start[uncertain]] / np.sqrt(rows[uncertain] / FLAT_CHUNKS),
+            FLAT_OF_LEVEL * np.abs(means).max(axis=1),
         )
         flat[uncertain] = np.ptp(means, axis=1) <= bound
     pieces = [np.column_stack((start[flat], stop[flat]))]
-    for k in np.flatnonzero(~flat & (rows >= 2 * CHUNKS)).tolist():
+    for k in np.flatnonzero(~flat & (rows >= 2 * FLAT_CHUNKS)).tolist():
         a, b = int(start[k]), int(stop[k])
         head = a + _flat_head(x[a:b], scale)
         tail = b - _flat_head(x[head:b][::-1], scale)
@@ -276,19 +318,19 @@ def _flat_pieces(
 
 def _flat_head(x: FloatArray, scale: CurrentScale) -> int:
     """Number of rows from the first on that stay at the level they begin with (0: none)."""
-    if x.size < CHUNKS:
+    if x.size < FLAT_CHUNKS:
         return 0
-    level = float(np.median(x[: CHUNKS + 1]))
-    off = np.abs(x - level) > max(4.0 * scale.noise_A, LIMITS.flat * abs(level))
+    level = float(np.median(x[: FLAT_CHUNKS + 1]))
+    off = np.abs(x - level) > max(4.0 * scale.noise_A, FLAT_OF_LEVEL * abs(level))
     left = np.flatnonzero(off[:-1] & off[1:])  # two rows running: one alone is a glitch
     head = int(left[0]) if left.size else x.size
-    if head < CHUNKS:
+    if head < FLAT_CHUNKS:
         return 0
     # The knee lies before the row at which the drift has grown to the tolerance.
     level = float(np.median(x[:head]))
-    close = np.abs(x[:head] - level) <= max(4.0 * scale.noise_A, 0.1 * LIMITS.flat * abs(level))
+    close = np.abs(x[:head] - level) <= max(4.0 * scale.noise_A, 1e-3 * abs(level))
     knee = int(np.flatnonzero(close)[-1]) + 1 if close.any() else head
-    return knee if knee >= max(CHUNKS, head // 2) else head
+    return knee if knee >= max(FLAT_CHUNKS, head // 2) else head
 
 
 def _merge_level(p: Plateaus, noise_A: FloatArray) -> Plateaus:
@@ -302,7 +344,7 @@ def _merge_level(p: Plateaus, noise_A: FloatArray) -> Plateaus:
     noise = np.maximum(noise[1:], noise[:-1])
     error = 4.0 * noise * np.sqrt(1.0 / n[1:] + 1.0 / n[:-1])
     larger = np.maximum(np.abs(p.level_A[1:]), np.abs(p.level_A[:-1]))
-    same = apart <= np.maximum(error, 0.5 * LIMITS.flat * larger)
+    same = apart <= np.maximum(error, 0.5 * FLAT_OF_LEVEL * larger)
     same |= p.rest[1:] & p.rest[:-1]
     joined = same & (between <= 1) & (p.rest[1:] == p.rest[:-1])
     first = np.flatnonzero(np.concatenate(([True], ~joined)))
@@ -310,3 +352,41 @@ def _merge_level(p: Plateaus, noise_A: FloatArray) -> Plateaus:
     rows = (p.stop - p.start).astype(np.float64)
     level = np.add.reduceat(p.level_A * rows, first) / np.add.reduceat(rows, first)
     return Plateaus(p.start[first], p.stop[last], level, p.rest[first])
+
+
+def _drifted(x: FloatArray, p: Plateaus) -> Plateaus:
+    """Give a single row between two plateaus to the first where it only goes on drifting.
+
+    The last row of a CV part may fall a little more than noise and yet far less than the switch.
+    """
+    alone = np.flatnonzero((p.start[1:] - p.stop[:-1] == 1) & (p.stop[:-1] - p.start[:-1] >= 2))
+    at = p.stop[alone]
+    fell, falls = x[at] - x[at - 1], x[at - 1] - x[at - 2]
+    left = np.abs(p.level_A[alone + 1] - x[at])
+    drifting = (fell * falls > 0.0) & (np.abs(fell) <= 2.5 * np.abs(falls))
+    drifting &= np.abs(fell) < 0.25 * left
+    stop = p.stop.copy()
+    stop[alone[drifting]] += 1
+    return p._replace(stop=stop)
+
+
+def _sharpened(x: FloatArray, p: Plateaus, scale: CurrentScale) -> Plateaus:
+    """Put each change found in the smoothed current where the raw samples have it.
+
+    The running median may move a change by some rows: the split with the least squares about
+    the two levels is the likeliest row.
+    """
+    reach = scale.smoothing_rows
+    # A running median leaves nothing shorter than half its width but pieces of a slope.
+    p = _chosen(p, p.stop - p.start > reach // 2)
+    start, stop = p.start.copy(), p.stop.copy()
+    for k in range(p.start.size - 1):
+        if start[k + 1] - stop[k] > reach:
+            continue
+        a = max(int(start[k]), int(stop[k]) - reach)
+        b = min(int(stop[k + 1]), int(start[k + 1]) + reach)
+        gain = (x[a:b] - p.level_A[k + 1]) ** 2 - (x[a:b] - p.level_A[k]) ** 2
+        # Cost of a split at s, up to a constant: the rows before s at the old level.
+        row = a + int(np.argmax(np.concatenate(([0.0], np.cumsum(gain)))))
+        stop[k] = start[k + 1] = row
+    return _chosen(p._replace(start=start, stop=stop), stop - start >= 1)

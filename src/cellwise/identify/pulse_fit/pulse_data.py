@@ -12,7 +12,17 @@ from cellwise.typing import BoolArray, FloatArray
 
 MINIMUM_ROWS = 12
 LEAST_SETTLED_ROWS = 10  # for seven unknowns
-STILL_PART = 0.02  # a current that changes by less than this part of the largest stands still
+MINIMUM_PULSE_ROWS = 1
+EDGE_PART = 0.2  # a row-to-row change of current by this part of the pulse's current is an edge
+# A tester that filters its voltage, or a double layer far faster than tau1, makes the voltage
+# arrive some rows after the current. Such rows follow an edge one by one, each still moving the
+# same way by more than this part of the whole step.
+SETTLING_PART = 0.03
+SETTLING_LIMIT_S = 0.6
+SETTLING_NOISE = 6.0  # and by more than so many standard deviations of the noise
+EARLY_PART = 0.5  # a voltage that moved by this part of the step before the current has stepped
+STILL_PART = 0.02  # a current that changes by less than this part of the pulse's stands still
+LONGEST_EDGE_ROWS = 3
 # A relaxation row may count at most so much more or less than a pulse row.
 BALANCE_LIMITS = (0.02, 5.0)
 
@@ -80,6 +90,17 @@ class PulseData:
     def _where(self) -> str:
         return f"pulse '{self.name}'" if self.name else "the pulse"
 
+    def _moved_early(self, before: int, edge: int) -> bool:
+        """Whether the voltage stepped at row ``before`` already, ahead of the current.
+
+        Switched late in that row's interval: its mean current is next to nothing, or next to all.
+        """
+        if before < 1:
+            return False
+        v = self.voltage_V
+        whole = abs(v[edge] - v[before - 1])
+        return bool(abs(v[before] - v[before - 1]) > EARLY_PART * whole)
+
     def _check_pulse(self, n: int) -> None:
         if np.any(np.diff(self.time_s) < 0):
             raise InputError(
@@ -93,10 +114,10 @@ class PulseData:
                 "0 <= start < stop <= number of rows",
                 "Give the first row of the pulse and the first row after it.",
             )
-        if n < MINIMUM_ROWS:
+        if self.stop - self.start < MINIMUM_PULSE_ROWS or n < MINIMUM_ROWS:
             raise InputError(
-                f"{n} rows in {self._where}",
-                f"at least {MINIMUM_ROWS}",
+                f"{self.stop - self.start} rows with current of {n} in {self._where}",
+                f"at least {MINIMUM_PULSE_ROWS} rows with current of at least {MINIMUM_ROWS}",
                 "Log the pulse faster, or leave it out.",
             )
         if not np.any(self.current_A[self.start : self.stop] != 0.0):
@@ -154,18 +175,48 @@ class PulseData:
 
     @property
     def settling_rows(self) -> BoolArray:
-        """Rows that hold part of a switch, shape (n,); none on most testers.
+        """Rows at an edge that no fit should see, shape (n,); none on most testers.
 
-        The current is on its way from one level to the next: its mean over such a row's interval is
-        not what flows when the voltage is read.
+        Either the current is still on its way (a switch inside the row's interval: its mean
+        current is not what flows when the voltage is read), or the voltage is still arriving, see
+        `SETTLING_PART`. A property of the data, not of a fit.
         """
-        change = np.diff(self.current_A, prepend=self.current_A[0], append=self.current_A[-1])
-        change[np.abs(change) <= STILL_PART * float(np.max(np.abs(self.current_A)))] = 0.0
-        rows: BoolArray = change[:-1] * change[1:] > 0.0
+        rows = np.zeros(len(self), dtype=np.bool_)
+        change = np.abs(np.diff(self.current_A, prepend=self.current_A[0]))
+        peak = float(np.max(np.abs(self.current_A)))
+        noise = voltage_noise(self)
+        moving = np.flatnonzero(change > STILL_PART * peak)
+        for group in np.split(moving, np.flatnonzero(np.diff(moving) > 1) + 1):
+            if group.size == 0 or group.size > LONGEST_EDGE_ROWS:
+                continue  # no edge, or a current that never stands still
+            if np.max(change[group]) < EDGE_PART * peak:
+                continue
+            before, edge = int(group[0]) - 1, int(group[-1])
+            before -= self._moved_early(before, edge)
+            rows[before + 1 : edge] = True
+            until = self.time_s[before] + SETTLING_LIMIT_S
+            last = int(np.searchsorted(self.time_s, until, side="right"))
+            moves = np.diff(self.voltage_V[before:last])
+            if moves.size <= edge - before:
+                continue
+            step = float(np.sum(moves[: edge - before]))
+            moves *= np.sign(step)
+            whole = max(float(np.sum(moves)), abs(step))
+            still = moves[edge - before :] > max(SETTLING_PART * whole, SETTLING_NOISE * noise)
+            rows[edge : edge + (still.size if still.all() else int(np.argmin(still)))] = True
         in_pulse = rows[self.start : self.stop]
-        if 2 * np.count_nonzero(in_pulse) > in_pulse.size:  # a current that never stands still
+        if 2 * np.count_nonzero(in_pulse) > in_pulse.size:  # a pulse too short to settle
             in_pulse[:] = False
         return rows
+
+
+def voltage_noise(data: PulseData) -> float:
+    """Standard deviation of the voltage's row-to-row noise [V], from its second differences.
+
+    Robust (median of magnitudes), so edges and relaxation do not count.
+    """
+    second = np.abs(np.diff(data.voltage_V, 2))
+    return float(np.median(second) / (0.6745 * np.sqrt(6.0)))
 
 
 def row_weights(data: PulseData, weighting: Weighting = "balanced") -> FloatArray:

@@ -1,0 +1,1 @@
+"""Variable projection of a pulse: search, kernels, standard errors."""
