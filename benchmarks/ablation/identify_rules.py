@@ -134,7 +134,10 @@ RULES = (
     Rule("mean by soundness", ((LOW, "_mean_of_branches", _plain_mean),)),
     Rule("filled to", ((LOW, "_filled_to", lambda *_: 1.0),)),
     Rule("whole by charge", ((LOW, "NEARLY_ALL", np.inf),)),
-    Rule("current offset", ((BY_TEMPERATURE, "without_current_offset", lambda logs, *_, **__: (tuple(logs), ())),)),
+    Rule(
+        "current offset",
+        ((BY_TEMPERATURE, "without_current_offset", lambda logs, *_, **__: (tuple(logs), ())),),
+    ),
     Rule("HPPC reaches empty", ((OF_HPPC, "hppc_reaches_empty", _no),)),
     Rule("looks like an end", ((TESTED, "looks_like_end", _yes), (LOW, "looks_like_end", _yes))),
     Rule("full at the start", ((TESTED, "_full_at_start", lambda *_: ("assumed", [])),)),
