@@ -3,8 +3,8 @@ r"""What is free in the adaptive filter alone: a capacity or the sensor's gain, 
 A capacity is estimated as an offset is (:mod:`cellwise.estimate.filters.drift_kernels`): how far
 one standard deviation of it would have moved the SOC is carried, and what the voltages then say
 of it. The filter's own estimate stays that of the model's capacity. With an offset beside it there
-are four hypotheses, and in units of the deviations beforehand, with the information L and the score h
-that the voltages have brought,
+are four hypotheses, and in units of the deviations beforehand, with the information L and the
+score h that the voltages have brought,
 
 .. math:: p(y | F) / p(y | \emptyset) = |L_F|^{-1/2} \exp\left(\tfrac12 h_F^T L_F^{-1} h_F\right)
 
