@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -48,9 +49,9 @@ LOADED = 0.02  # of the largest current
 FAST_S = 0.2  # time constant from which the law is fitted where R0 holds a part of it
 # An electrolyte has half the activation of a reaction: it is not one for all resistances.
 OWN_ACTIVATION_STD_K = 1000.0
-# How far the surface's SOC lies below the mean at 1C [h], after how long [s], and how that grows
-# in the cold [K]: solid diffusion takes minutes and slows down as diffusion coefficients do.
-SURFACE = (0.06, 300.0, 2500.0)
+# How far the surface's SOC is tried to lie below the mean at 1C [h], after how long [s], and how
+# that grows in the cold [K]: solid diffusion takes minutes and slows down as diffusion does.
+SURFACE_H, SURFACE = (0.06, 0.12), (300.0, 2500.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,8 +112,9 @@ def fit_with_effects(joint: JointLogs) -> JointFit:
     every second load of the pulse tests: several rates at one SOC show a charge transfer without
     any drive, in the cold above all.
     """
-    split = _Split(joint.logs, frozenset(held_out(joint.logs)), "", QUICK_ITERATIONS)
-    if split.held:
+    held = frozenset(held_out(joint.logs))
+    split = _Split(joint.logs, held, "", QUICK_ITERATIONS)
+    if held:
         split = split._replace(of=f"{len(split.held)} drive(s)")
         candidates = _candidates(joint)
     else:
@@ -123,7 +125,7 @@ def fit_with_effects(joint: JointLogs) -> JointFit:
     if not split.held:
         result = joint.fit(joint.logs, joint.settings)
         return JointFit(joint, result, tuple(decided.values()), (), joint.logs, joint.settings)
-    best = _tried(joint, split, joint.settings)
+    best = plain = _tried(joint, split, joint.settings)
     # What was refused is tried again once something else was accepted: two may need each other.
     while candidates:
         refused = {}
@@ -140,7 +142,12 @@ def fit_with_effects(joint: JointLogs) -> JointFit:
                 decided[name] = _decided(name, gain, accepted, split.of)
         candidates = refused if best is not before and len(refused) < len(candidates) else {}
     logs = tuple(replace(item, surface=best.surface) for item in joint.logs)
-    result = joint.fit(logs, best.settings, best.result.theta)
+    starts = [best.result.theta]
+    if best is not plain and not held:
+        # What pulses say of tau1 and R0 has more than one minimum: the lowest of all logs counts.
+        starts += [_lawful(joint, plain.result), _half_of_r0(joint, plain.result)]
+    results = [joint.fit(logs, best.settings, theta) for theta in starts]
+    result = min(results, key=lambda r: float(np.mean(np.square(r.rmse_V))))
     return JointFit(joint, result, tuple(decided.values()), best.effects, logs, best.settings)
 
 
@@ -186,7 +193,7 @@ def _candidates(joint: JointLogs) -> dict[str, tuple[Change, ...]]:
     """Changes to a trial by the effect's name."""
     found: dict[str, tuple[Change, ...]] = {
         "charge_transfer": (_transfer,),
-        "surface_soc": (_surface,),
+        "surface_soc": tuple(partial(_surface, depth_h) for depth_h in SURFACE_H),
     }
     if joint.grid_C.size == 1 and drive_temperatures(joint.logs) >= NEEDED.activations:
         return {"temperature_dependence": (_own_activations,), **found}
@@ -195,10 +202,8 @@ def _candidates(joint: JointLogs) -> dict[str, tuple[Change, ...]]:
 
 def _transfer(joint: JointLogs, split: _Split, best: _Trial) -> _Trial:
     """The asinh law of the fast branch."""
-    theta = best.result.theta.copy()
-    theta[best.result.layout.asinh] = joint.start.asinh_per_V / ASINH_UNIT_PER_V
     law = replace(best.settings, charge_transfer=True)
-    return _tried(joint, split, law, best.effects, theta)
+    return _tried(joint, split, law, best.effects, _lawful(joint, best.result))
 
 
 def _transfer_from_r0(joint: JointLogs, split: _Split, best: _Trial) -> _Trial:
@@ -207,13 +212,25 @@ def _transfer_from_r0(joint: JointLogs, split: _Split, best: _Trial) -> _Trial:
     Where the reaction is faster than the rows are apart, a linear fit has put it into R0, and from
     there the time constant is minutes of fitting away.
     """
-    lay, theta = best.result.layout, best.result.theta.copy()
+    law = replace(best.settings, charge_transfer=True)
+    return _tried(joint, split, law, best.effects, _half_of_r0(joint, best.result))
+
+
+def _lawful(joint: JointLogs, result: RefineResult) -> FloatArray:
+    """Parameters of a fit with the law where it begins."""
+    theta = result.theta.copy()
+    theta[result.layout.asinh] = joint.start.asinh_per_V / ASINH_UNIT_PER_V
+    return theta
+
+
+def _half_of_r0(joint: JointLogs, result: RefineResult) -> FloatArray:
+    """The same with half of R0 in the fast branch."""
+    lay, theta = result.layout, _lawful(joint, result)
     r0, r1, tau1 = (slice(at, at + lay.block) for at in (lay.r0, lay.r(0), lay.tau(0)))
     half = theta[r0] - np.log(2.0)
     theta[r0], theta[r1] = half, np.logaddexp(theta[r1], half)
     theta[tau1] = np.log(FAST_S)
-    shared = replace(best, result=replace(best.result, theta=theta))
-    return _transfer(joint, split, shared)
+    return theta
 
 
 def _own_activations(joint: JointLogs, split: _Split, best: _Trial) -> _Trial:
@@ -222,9 +239,9 @@ def _own_activations(joint: JointLogs, split: _Split, best: _Trial) -> _Trial:
     return _tried(joint, split, freed, best.effects, best.result.theta)
 
 
-def _surface(joint: JointLogs, split: _Split, best: _Trial) -> _Trial:
+def _surface(depth_h: float, joint: JointLogs, split: _Split, best: _Trial) -> _Trial:
     """Tables at the SOC of the particles' surface."""
-    depth_h, tau_s, activation_K = SURFACE
+    tau_s, activation_K = SURFACE
     several = joint.grid_C.size > 1
     effect = SurfaceSoc(depth_h, tau_s, activation_K if several else 0.0, joint.reference_C)
     return _tried(joint, split, best.settings, (*best.effects, effect), best.result.theta)
