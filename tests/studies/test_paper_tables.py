@@ -99,10 +99,6 @@ def test_errors_are_finite_and_ordered(as_dict):
             assert e["mean_abs_window"] <= e["peak_window"] <= e["peak"]
 
 
-NEAR_EMPTY = pytest.mark.xfail(
-    strict=True,
-    reason="9.1 against 8.6 mV near empty, where the C/20 tables' OCV and the refined one differ",
-)
 RATES = ["C/20", "C/5", "C/3"]
 
 
@@ -114,7 +110,7 @@ def test_ours_has_the_smaller_mean_error_on_the_same_hppc(tables, rate, name):
 
 
 @pytest.mark.parametrize("name", ["segments", "segments-relaxation"])
-@pytest.mark.parametrize("rate", [pytest.param("C/20", marks=NEAR_EMPTY), "C/5", "C/3"])
+@pytest.mark.parametrize("rate", RATES)
 def test_ours_has_the_smaller_rmse_on_the_same_hppc(tables, rate, name):
     errors = next(row.errors for row in tables.ncr if row.rate == rate)
     assert errors["ours"].rmse_V <= errors[name].rmse_V

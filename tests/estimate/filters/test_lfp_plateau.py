@@ -111,7 +111,7 @@ def test_a_true_start_that_nobody_vouches_for_is_not_pulled_away(held_out, tag):
     assert loss(*held_out(tag), "ekf", UNVOUCHED_STD) < LOST
 
 
-@pytest.mark.parametrize("tag", each_temperature(n25="0.34 points more than the EKF"))
+@pytest.mark.parametrize("tag", each_temperature())
 def test_adaptive_is_hardly_worse_than_the_ekf(held_out, tag):
     model, log = held_out(tag)
     assert loss(model, log, "adaptive") < loss(model, log, "ekf") + WORSE

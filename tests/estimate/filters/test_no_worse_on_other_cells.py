@@ -128,16 +128,7 @@ def test_from_a_known_start(real_data, cell, name, estimator):
     assert loss(real_data, cell, name, estimator) < MORE
 
 
-FREE = "a fifth of the mean is that of a free capacity, which the data do not refute: {} points"
-
-
-@pytest.mark.parametrize(
-    ("cell", "name"),
-    cases(
-        lg_us06_n10_601=FREE.format("0.39"),
-        lipo_c1_cycle48="the EKF loses 0.11 points against counting, the adaptive filter 0.47",
-    ),
-)
+@pytest.mark.parametrize(("cell", "name"), CASES)
 def test_adaptive_is_hardly_worse_than_the_ekf(real_data, cell, name):
     adaptive, ekf = (loss(real_data, cell, name, of) for of in ("adaptive", "ekf"))
     assert adaptive - ekf < HARDLY

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -49,9 +48,9 @@ LOADED = 0.02  # of the largest current
 FAST_S = 0.2  # time constant from which the law is fitted where R0 holds a part of it
 # An electrolyte has half the activation of a reaction: it is not one for all resistances.
 OWN_ACTIVATION_STD_K = 1000.0
-# How far the surface's SOC is tried to lie below the mean at 1C [h], after how long [s], and how
-# that grows in the cold [K]: solid diffusion takes minutes and slows down as diffusion does.
-SURFACE_H, SURFACE = (0.06, 0.12), (300.0, 2500.0)
+# How far the surface's SOC lies below the mean at 1C [h], after how long [s], and how that grows
+# in the cold [K]: solid diffusion takes minutes and slows down as diffusion coefficients do.
+SURFACE = (0.06, 300.0, 2500.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,7 +192,7 @@ def _candidates(joint: JointLogs) -> dict[str, tuple[Change, ...]]:
     """Changes to a trial by the effect's name."""
     found: dict[str, tuple[Change, ...]] = {
         "charge_transfer": (_transfer,),
-        "surface_soc": tuple(partial(_surface, depth_h) for depth_h in SURFACE_H),
+        "surface_soc": (_surface,),
     }
     if joint.grid_C.size == 1 and drive_temperatures(joint.logs) >= NEEDED.activations:
         return {"temperature_dependence": (_own_activations,), **found}
@@ -239,9 +238,9 @@ def _own_activations(joint: JointLogs, split: _Split, best: _Trial) -> _Trial:
     return _tried(joint, split, freed, best.effects, best.result.theta)
 
 
-def _surface(depth_h: float, joint: JointLogs, split: _Split, best: _Trial) -> _Trial:
+def _surface(joint: JointLogs, split: _Split, best: _Trial) -> _Trial:
     """Tables at the SOC of the particles' surface."""
-    tau_s, activation_K = SURFACE
+    depth_h, tau_s, activation_K = SURFACE
     several = joint.grid_C.size > 1
     effect = SurfaceSoc(depth_h, tau_s, activation_K if several else 0.0, joint.reference_C)
     return _tried(joint, split, best.settings, (*best.effects, effect), best.result.theta)
