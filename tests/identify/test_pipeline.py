@@ -198,8 +198,8 @@ def test_a_temperature_axis_beats_the_warm_model_in_the_cold(nmc):
     both = identify_cell(replace(tests, hppc=(*tests.hppc, cold)), NMC).model
     assert {0.0, 25.0} <= set(both.temperature_C)
     assert_valid(both)
-    # Exchange current and diffusion are Arrhenius in the physics: the cold cell resists more. What of
-    # it is R0 and what R1 rows a second apart do not say.
+    # Exchange current and diffusion are Arrhenius in the physics: the cold cell resists more.
+    # What of it is R0 and what R1 rows a second apart do not say.
     cold_ohm, warm_ohm = (np.median(both.r0_ohm[k] + both.r1_ohm[k]) for k in (0, -1))
     assert cold_ohm > 1.2 * warm_ohm
     log, soc0 = load_dataset("nmc_drive_p00"), TRUTH["nmc_drive_p00"]["initial_soc"]
