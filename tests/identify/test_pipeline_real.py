@@ -158,7 +158,7 @@ def test_a123_scripts_that_finish_a_charge_at_another_temperature_spoil_nothing(
     )
     found = identify_cell(tests, IdentifySettings(nominal_Ah=2.3, temperature_C=warm))
     left = [n for n in found.notices if "left out of the refinement: its discharge moves" in n]
-    assert len(left) == 2
+    assert all(any(f"_s{k}'" in notice for notice in left) for k in (2, 3))
     judged = ekf(found.model, read(f"plett_a123/dyn_{tag}_s1"), A123_AH, 1.0)
     assert judged.errors.rmse < 0.02  # 16 % at 45 degC while they took part
     assert judged.coverage_2sigma > 0.93
