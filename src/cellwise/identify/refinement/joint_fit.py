@@ -194,8 +194,6 @@ def _candidates(
         yield Candidate(log, True, None)
     for log in group.tests.ocv:
         part = discharge_rows(log)
-        if not part.any():
-            continue
         out_Ah = np.diff(log.counted_charge_Ah(), prepend=0.0)[part]
         share = float(np.sum(np.maximum(out_Ah, 0.0))) / capacity_Ah
         little = f"its discharge moves {100 * share:.1f} % of the capacity"
