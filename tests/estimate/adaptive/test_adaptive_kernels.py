@@ -14,7 +14,7 @@ from cellwise.estimate.filters.free_kernels import (
     forgotten,
     likelihood,
     no_capacity,
-    soc_found_anew,
+    soc_found,
     weighed,
 )
 from cellwise.estimate.noise import Noise
@@ -94,8 +94,8 @@ def test_a_soc_that_was_searched_for_leaves_what_is_known_of_the_capacity():
     c, _ = told(*drawn(3))
     state = Adaptive(linear_cell()).init(0.5)
     free = state.free._replace(capacity=c._replace(reach=0.3))
-    after = soc_found_anew(free).capacity
-    assert after.reach == after.cross == 0.0
+    after = soc_found(free).capacity
+    assert after.reach == after.cross == after.shared == 0.0
     assert (after.score, after.information) == (c.score, c.information)
 
 
