@@ -13,6 +13,7 @@ from typing import Any
 
 from cellwise.cli.common.places import check_overwriting
 from cellwise.cli.common.printing import in_options
+from cellwise.cli.examples import guide_of
 from cellwise.errors import InputError
 
 REFUSED = 2
@@ -26,7 +27,6 @@ def build_parser() -> argparse.ArgumentParser:
 
     from cellwise.cli import (
         benchmarking,
-        capacity_study,
         data,
         diagnosing,
         estimating,
@@ -49,7 +49,7 @@ def build_parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     modules = (
         logs, identifying, estimating, live, diagnosing, packs, lives, exporting, studies,
-        capacity_study, benchmarking, fleet, data,
+        benchmarking, fleet, data,
     )  # fmt: skip
     for module in modules:
         module.add_commands(commands)
@@ -58,11 +58,13 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 def _complete(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Give every command, and every action of one, what it does as its first line, and --debug."""
+    """Give every command, and every action of one, what it does, --debug and two examples."""
     about = {one.dest: one.help for one in commands._choices_actions}
     for name, command in commands.choices.items():
         said = about.get(name) or ""
         command.description = f"{said[:1].upper()}{said[1:]}."
+        command.epilog = guide_of(command.prog)
+        command.formatter_class = argparse.RawDescriptionHelpFormatter
         actions = [a for a in command._actions if isinstance(a, argparse._SubParsersAction)]
         # An action's own default would hide what stands before it.
         outer = command.prog.count(" ") == 1

@@ -1,11 +1,16 @@
-"""cellwise papers, cellwise demo."""
+"""cellwise papers, demo, capacity-study."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from cellwise.cli.common import options, page_options, printing
+from cellwise.cli.common import log_options, options, page_options, printing
+from cellwise.errors import InputError
+
+if TYPE_CHECKING:
+    from cellwise.studies.capacity_study import CellStudy, StudyCell
 
 
 def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
@@ -18,6 +23,30 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     page_options.add_figure_options(demo)
     options.add_json(demo)
     demo.set_defaults(run=run_demo)
+    _add_capacity_study(commands)
+
+
+def _add_capacity_study(commands: options.Commands[argparse.ArgumentParser]) -> None:
+    """Add the command that redoes everything for every capacity."""
+    p = commands.add_parser(
+        "capacity-study", help="what each choice of the capacity does to voltage and SOC"
+    )
+    text = "embedded-nmc, embedded-nmc-rates, embedded-lfp, panasonic, a123, leaf "
+    text += "[all embedded ones, and the measured ones with --data]"
+    options.several(p, "--cell", "NAME", text)
+    options.add_data(p)
+    own = p.add_argument_group("a cell of your own")
+    log_options.add_test_options(own)
+    options.several(own, "--judge", "LOG", "log with a charge counter to judge the choices on")
+    options.number(own, "--nominal-ah", "X", "rated capacity")
+    options.number(own, "--reference-capacity-ah", "X", "of the reference")
+    options.number(own, "--reference-soc0", "X", "[as stated, else 1]")
+    options.several(p, "--choice", "C", "only these choices [all]", default=None)
+    options.several(p, "--estimator", "E", "only these [all four]", default=None)
+    page_options.add_page_options(p)
+    log_options.add_log_options(p)
+    options.add_json(p)
+    p.set_defaults(run=run_capacity_study)
 
 
 def run_papers(arguments: argparse.Namespace) -> None:
@@ -58,3 +87,101 @@ def run_demo(arguments: argparse.Namespace) -> None:
     for replay in found.replays:
         print_replay(replay)
     printing.say(f"\nOpen this page: {found.page}")
+
+
+def run_capacity_study(arguments: argparse.Namespace) -> None:
+    """Study the cells, print which choice wins, write the page."""
+    from cellwise.estimate.estimators import ESTIMATORS
+    from cellwise.studies.capacity_study import STUDIED, study_cell
+    from cellwise.studies.capacity_study_cells import published_orders, study_cells
+
+    page_options.check_page_options(arguments)
+    estimators = tuple(arguments.estimator or STUDIED)
+    for name in estimators:
+        if name not in ESTIMATORS:
+            raise InputError(
+                f"estimator '{name}'", f"one of {', '.join(ESTIMATORS)}", "Choose one of them."
+            )
+    own = own_cell(arguments)
+    data = options.data_folder(arguments)
+    cells = (own,) if own is not None else study_cells(tuple(arguments.cell), data)
+    with printing.working("capacity study") as follow:
+        studies = [study_cell(cell, arguments.choice, estimators, follow) for cell in cells]
+        with page_options.page_places(arguments) as pages:
+            if pages is not None:
+                from cellwise.report.capacity_study_page import capacity_study_page
+
+                follow("page")
+                capacity_study_page(studies, pages.page, figures=pages.figures)
+    if arguments.json:
+        orders = {name: list(order) for name, order in published_orders().items()}
+        printing.print_json({"studies": [s.to_dict() for s in studies], "published_orders": orders})
+        return
+    print_studies(studies)
+    page_options.say_pages(arguments)
+
+
+def own_cell(arguments: argparse.Namespace) -> StudyCell | None:
+    """The user's cell, None where no log of one is given.
+
+    Raises
+    ------
+    InputError        tests without a log to judge on, a reference that is missing or impossible
+    """
+    from cellwise.identify import IdentifySettings
+    from cellwise.studies.capacity_study import JudgedLog, StudyCell
+
+    tests = arguments.hppc + arguments.ocv + arguments.capacity + arguments.drive
+    if not tests and not arguments.judge:
+        return None
+    capacity, soc0 = arguments.reference_capacity_ah, arguments.reference_soc0
+    if not tests or not arguments.judge or capacity is None:
+        raise InputError(
+            f"{len(tests)} test(s), {len(arguments.judge)} log(s) to judge on and "
+            f"{'no' if capacity is None else 'a'} reference capacity",
+            "tests, --judge LOG and --reference-capacity-ah X",
+            "Give all three, or --cell for a cell that is known.",
+        )
+    if not capacity > 0.0 or not (soc0 is None or 0.0 <= soc0 <= 1.0):
+        raise InputError(
+            f"a reference of {capacity:g} Ah from SOC {1.0 if soc0 is None else soc0:g}",
+            "a capacity above zero, a SOC from 0 to 1",
+            "Correct it.",
+        )
+
+    def judged(path: str) -> JudgedLog:
+        log = log_options.read(path, arguments)
+        start = options.start_of(log.soc0, arguments.reference_soc0, "--reference-soc0")
+        return JudgedLog(log, log.soc0 if log.soc0 is not None else 1.0 if start is None else start)
+
+    return StudyCell(
+        name=Path(arguments.judge[0]).name.split(".")[0],
+        tests=log_options.test_logs(arguments),
+        judged=tuple(judged(path) for path in arguments.judge),
+        reference_Ah=capacity,
+        reference="given",
+        settings=IdentifySettings(nominal_Ah=arguments.nominal_ah),
+    )
+
+
+def print_studies(studies: list[CellStudy]) -> None:
+    """Tables and verdicts for people."""
+    from cellwise.studies.capacity_study_text import (
+        choice_head,
+        choice_row,
+        papers_beside,
+        verdicts,
+    )
+
+    for study in studies:
+        printing.table(
+            f"{study.name}: RMSE by capacity, reference {study.reference_Ah:g} Ah "
+            f"({study.reference}), judged on {', '.join(study.logs)}",
+            choice_head(study),
+            [choice_row(c) for c in study.choices],
+        )
+        for line in verdicts(study):
+            printing.say(f"  {line}")
+        printing.say(f"  {study.seconds:.1f} s\n")
+    for line in papers_beside():
+        printing.say(line)
