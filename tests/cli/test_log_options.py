@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
+from cellwise.cli import main
 from cellwise.cli.command_line import build_parser
-from cellwise.logs import isolated, read_log
+from cellwise.data import datasets_folder, load_dataset
+from cellwise.logs import isolated, read_log, write_log
 from log_files import pulse_channels
 from vehicle_files import write_can, write_dbc, write_ulog
 
@@ -151,3 +155,18 @@ def test_an_empty_file_is_refused_whatever_it_is_called(refused, tmp_path):
         path = tmp_path / name
         path.write_bytes(b"")
         assert "the empty file" in refused("inspect", str(path))
+
+
+def test_an_embedded_data_set_is_read_by_its_name_and_a_file_of_that_name_first(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    assert main(["inspect", "nmc_drive_b", "--json"]) == 0
+    embedded = json.loads(capsys.readouterr().out)
+    assert embedded["rows"] == len(load_dataset("nmc_drive_b"))
+    write_log(read_log(datasets_folder() / "nmc" / "drive_c.parquet"), tmp_path / "here.parquet")
+    (tmp_path / "here.parquet").rename(tmp_path / "nmc_drive_b")
+    assert main(["inspect", "nmc_drive_b", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["rows"] == len(load_dataset("nmc_drive_c"))
+    assert main(["inspect", "nmc_drive_x"]) == 2
+    assert "no file 'nmc_drive_x'" in capsys.readouterr().err

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cellwise.cli.common import options, printing
+from cellwise.data import datasets_folder, list_datasets
 from cellwise.errors import InputError
 from cellwise.logs import CellLog, Stated, read_log
 from cellwise.logs.files.source import ReadOptions
@@ -19,7 +22,7 @@ SIGNS = ("auto", "charge-positive", "discharge-positive")
 BIG_FILE = 20_000_000  # bytes; reading takes so long that a bar shows
 LOG_HELP = (
     "a table of text or parquet, or a native file; @-20 or @temperature_C=-20,soc0=1 behind it "
-    "says what is known of it"
+    "says what is known of it; or an embedded data set's name"
 )
 
 
@@ -74,18 +77,31 @@ def _add_channels(parser: options.Parser) -> None:
 def read(path: str, arguments: argparse.Namespace) -> CellLog:
     """Read a log as the arguments and what is stated behind its path say; a bar for a big file.
 
+    Where no file has that name, an embedded data set may (`cellwise data list`).
+
     Raises
     ------
     InputError        options that are no numbers or no pairs; whatever `read_log` refuses
     """
     options = arguments_of_read(arguments)
-    stated = Stated.parse(path)
+    stated = _embedded(Stated.parse(path))
     place = Path(stated.path)
     if not place.is_file() or place.stat().st_size < BIG_FILE:
         return read_log(stated, **options)
     name = f"reading {place.name}"
     with printing.working(name) as follow:
         return read_log(stated, progress=lambda done, total: follow(name, done, total), **options)
+
+
+def _embedded(stated: Stated) -> Stated:
+    """The file of an embedded data set of that name, where there is no file of that name."""
+    if not stated.path.isidentifier() or Path(stated.path).exists():
+        return stated
+    with suppress(InputError):  # an installation without its data: the file is what is missing
+        files = {str(e["name"]): str(e["file"]) for e in list_datasets()}
+        if stated.path in files:
+            return replace(stated, path=str(datasets_folder() / files[stated.path]))
+    return stated
 
 
 def read_all(paths: Sequence[str], arguments: argparse.Namespace) -> tuple[CellLog, ...]:
