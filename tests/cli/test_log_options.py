@@ -163,10 +163,10 @@ def test_an_embedded_data_set_is_read_by_its_name_and_a_file_of_that_name_first(
     monkeypatch.chdir(tmp_path)
     assert main(["inspect", "nmc_drive_b", "--json"]) == 0
     embedded = json.loads(capsys.readouterr().out)
-    assert embedded["rows"] == len(load_dataset("nmc_drive_b"))
+    assert embedded["samples"] == len(load_dataset("nmc_drive_b"))
     write_log(read_log(datasets_folder() / "nmc" / "drive_c.parquet"), tmp_path / "here.parquet")
     (tmp_path / "here.parquet").rename(tmp_path / "nmc_drive_b")
     assert main(["inspect", "nmc_drive_b", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["rows"] == len(load_dataset("nmc_drive_c"))
+    assert json.loads(capsys.readouterr().out)["samples"] == len(load_dataset("nmc_drive_c"))
     assert main(["inspect", "nmc_drive_x"]) == 2
     assert "no file 'nmc_drive_x'" in capsys.readouterr().err
