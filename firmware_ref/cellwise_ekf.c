@@ -59,8 +59,6 @@
 #define SUSTAINED 0x1.a5182ap+0f /* 1.6449: one-sided 95 % of a normal distribution */
 #define FROZEN 0xFFFFFFFFu /* repeats of a voltage that was found frozen */
 #define COUNT_MOST 2000000000u
-#define REJECTION 20000u /* in the count of rejections in a row */
-#define FORGIVEN 2000u
 
 /* ---- arithmetic.py: The fixed step in float32: its constants and its small helpers. */
 
@@ -1778,22 +1776,20 @@ static NOINLINE bool gain_where_it_leads(const cellwise_model *m, const cellwise
 }
 #endif
 
-/* A voltage beyond the gate, and recovery after too many of them in a row. Under load the
- * resistances may be what is wrong: what three times the polarisation can explain speaks against
- * the SOC more slowly. A start that is unsure of itself believes the first voltage at rest at
- * once. */
+/* A voltage beyond the gate, and recovery after too long a time of them in a row. A start that
+ * is unsure of itself believes the first voltage at rest at once. */
 static uint32_t reject(const cellwise_model *m, const cellwise_place *place, cellwise_state *x,
                        const cellwise_point *p, const cellwise_innovation *i, float seen,
-    float voltage, float beyond_V2, bool unsure)
+    float voltage, bool unsure)
 {
     (void)place;
     (void)p;
+    (void)i;
     (void)voltage;
     (void)unsure;
     const cellwise_constants *const c = &m->constant;
     uint32_t status = CELLWISE_INNOVATION_REJECTED;
-    const float explicable_V2 = 4.0f * (i->polarisation_V * i->polarisation_V);
-    x->rejections = x->rejections + ((beyond_V2 > explicable_V2) ? REJECTION : c->under_load);
+    x->rejections = x->rejections + 1u;
 #if CELLWISE_WIDE
     if (unsure) {
         x->rejections = c->recovery_after;
@@ -1879,7 +1875,7 @@ static void fuse(const cellwise_model *m, const cellwise_place *place, cellwise_
         }
 #endif
     }
-    x->rejections = (x->rejections > FORGIVEN) ? (x->rejections - FORGIVEN) : 0u;
+    x->rejections = 0u;
     if (x->evidence < FIRST_VOLTAGE) {
         x->evidence = FIRST_VOLTAGE;
     }
@@ -1910,7 +1906,7 @@ static uint32_t weigh(const cellwise_model *m, const cellwise_place *place, cell
         x->mismatch = x->mismatch + (c->lately * (ratio - x->mismatch));
     }
     if (POSITIVE_ABOVE(square, most)) {
-        status = reject(m, place, x, p, i, s->seen, voltage, square - most, unsure);
+        status = reject(m, place, x, p, i, s->seen, voltage, unsure);
     } else if (bent) {
 #if CELLWISE_WIDE
         recover(m, place, x, s->seen, voltage, i->one_V2, i->polarisation_V);

@@ -96,8 +96,7 @@ typedef struct {
     float rest_A; /* below it a cell counts as resting */
     float start_rest_A; /* what may have flowed before a start at rest, */
     float start_load_A; /* and, at least, before one under load */
-    uint32_t recovery_after; /* count of rejections in a row, 20000 each, */
-    uint32_t under_load; /* and one that wrong resistances could explain */
+    uint32_t recovery_after; /* steps rejected in a row, then the SOC is unknown */
     uint32_t gap_steps; /* missing samples that are bridged */
 #if CELLWISE_WATCH
     uint32_t hold_steps; /* samples for which a missing current is held */
@@ -323,7 +322,7 @@ typedef struct {
     uint32_t turn; /* and the first cell whose turn is next */
 #endif
     uint32_t sequence; /* of the last sample */
-    uint32_t rejections; /* 20000 each: under load a rejection counts less */
+    uint32_t rejections; /* steps rejected in a row */
     uint32_t evidence; /* 0: no sample yet, 1: no voltage yet, then 2 + steps since */
 } cellwise_state;
 

@@ -30,18 +30,23 @@ class Innovation(NamedTuple):
     """Measured minus predicted voltage, and what it may be due to.
 
     ``state_variance`` is what the state's uncertainty explains of it, ``one`` the variance of a
-    single voltage, ``branches_V`` what the branches hold in absolute value. ``unsure`` says that
-    the SOC is badly known, ``bent`` that the voltage is no straight line over its band.
+    single voltage, ``free_variance`` what an offset or a capacity that is not known explains;
+    ``branches_V`` what the branches hold in absolute value. ``unsure`` says that the SOC is badly
+    known, ``bent`` that the voltage is no straight line over its band. One deviation of the offset
+    moves the voltage by ``of_offset_V``, all that is believed has moved it by ``followed_V``.
     """
 
     predicted_V: float
     innovation_V: float
     state_variance: float
     one: float
+    free_variance: float
     r0_ohm: float
     branches_V: float
     unsure: bool
     bent: bool
+    of_offset_V: float
+    followed_V: float
 
 
 class Verdict(NamedTuple):
@@ -82,10 +87,10 @@ def gate(
     """
     status = 0
     innovation_V = i.innovation_V
-    variance = i.state_variance + i.one
+    variance = i.state_variance + (i.one + i.free_variance)
     square = innovation_V * innovation_V
-    excess = square / variance
-    ratio = excess * noise.per_gate2
+    ratio = square / variance * noise.per_gate2
+    excess = square / (i.state_variance + i.one)
     reading = watch_voltage(noise, watch, s, innovation_V, i.r0_ohm)
     status |= reading[3]
     used = False

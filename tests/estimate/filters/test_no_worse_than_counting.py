@@ -131,9 +131,9 @@ FOLLOWED = {f"{tag} {name}": (tag, name) for tag in CHAMBER_C for name in ("ekf"
     missed(
         FOLLOWED,
         **{
-            "n10 ukf": "1.11 times counting in one drive",
+            "n10 ukf": "1.15 times counting in one drive",
             "n20 ekf": "1.08 times counting in one drive",
-            "n20 ukf": "1.50 times counting in one drive",
+            "n20 ukf": "1.27 times counting in one drive",
         },
     ),
 )

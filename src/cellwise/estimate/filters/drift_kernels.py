@@ -119,20 +119,18 @@ def weight_of_offset(offset: float, information: float, deviation: float) -> flo
 
 
 @inline
-def seen_of_offset(
-    noise: NoiseScalars, d: Drift, slope_V: float, r0_ohm: float, charge_As: float
-) -> float:
-    """What one deviation of the offset moves the voltage by: SOC, drop over R0, branches [V]."""
+def dropped_by_offset(noise: NoiseScalars, d: Drift, r0_ohm: float, charge_As: float) -> float:
+    """By what one deviation of the offset puts the drop over R0 and branches too high [V]."""
     offset_V = r0_ohm * noise.offset_soc_per_s * charge_As
-    return slope_V * d.reach + (offset_V + ((d.d1_V + d.d2_V) + d.d3_V))
+    return offset_V + ((d.d1_V + d.d2_V) + d.d3_V)
 
 
 @inline
 def drift_step(now: Drift, seen_V: float, own_V: float, gain: float, inverse: float) -> Drift:
     """After a voltage with the ``gain`` of the SOC; ``now`` is :func:`counted_on`.
 
-    ``seen_V`` is :func:`seen_of_offset`, ``own_V`` the innovation of the filter's own estimate,
-    ``inverse`` one over the variance that weighed it.
+    ``seen_V`` is what one deviation moves the voltage by, ``own_V`` the innovation of the filter's
+    own estimate, ``inverse`` one over the variance that weighed it.
     """
     read = inverse * seen_V
     information = now.information + read * seen_V

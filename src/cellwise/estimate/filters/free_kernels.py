@@ -253,6 +253,16 @@ def capacity_variance(free: Free | None, offset_reach: float) -> float:
 
 
 @inline
+def capacity_variance_V2(free: Free | None, slope_V: float, of_offset_V: float) -> float:
+    """What it adds to the variance of a voltage, beside what an offset adds [V^2]."""
+    if free is None:
+        return 0.0
+    c = free.capacity
+    seen = slope_V * c.reach
+    return seen * (seen * c.unsure + 2.0 * of_offset_V * c.shared)
+
+
+@inline
 def fast_factor(free: Free | None) -> float:
     """Factor on R0 and R1."""
     if free is None:

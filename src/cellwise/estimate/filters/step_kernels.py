@@ -27,7 +27,12 @@ from cellwise.cell.equations import (
 )
 from cellwise.estimate.evidence_kernels import stated_deviation, voltage_variance
 from cellwise.estimate.filters.covariance_kernels import column, explained, uncorrelated
-from cellwise.estimate.filters.drift_kernels import counted_on, drift_variance, no_drift
+from cellwise.estimate.filters.drift_kernels import (
+    counted_on,
+    drift_variance,
+    dropped_by_offset,
+    no_drift,
+)
 from cellwise.estimate.filters.filter_state import EkfInfo, EkfStart, EkfState, ekf_start
 from cellwise.estimate.filters.free_kernels import (
     Free,
@@ -35,6 +40,7 @@ from cellwise.estimate.filters.free_kernels import (
     afresh,
     capacity_soc,
     capacity_variance,
+    capacity_variance_V2,
     counted_capacity,
     fast_factor,
     resistance_variance_V2,
@@ -133,10 +139,18 @@ def innovate(
         seen = Voltage(predicted, d, variance, at.slope_V, bent)
     else:
         seen = voltage_by_points(tables, sigma, s, point, at, now.warm_C, x, now.p)
-    miss, unsure = s.voltage_V - seen.predicted_V, now.p.ss > WIDE_VARIANCE
+    # What is believed of an offset has moved the drop, too; what is not known of it may have.
+    drift, slope = now.drift, seen.slope_V
+    dropped = dropped_by_offset(noise, drift, point.r0_ohm, tables.cell.charge_As)
+    of_offset = slope * drift.reach + dropped
+    free_variance = of_offset * of_offset * drift.unsure
+    free_variance += capacity_variance_V2(now.free, slope, of_offset)
+    predicted = seen.predicted_V + drift.believed * dropped
+    followed = slope * now.followed + drift.believed * dropped
     # fmt: off
     i = Innovation(
-        seen.predicted_V, miss, seen.variance_V2, one, point.r0_ohm, branches, unsure, seen.bent
+        predicted, s.voltage_V - predicted, seen.variance_V2, one, free_variance, point.r0_ohm,
+        branches, now.p.ss > WIDE_VARIANCE, seen.bent, of_offset, followed,
     )
     # fmt: on
     return i, seen

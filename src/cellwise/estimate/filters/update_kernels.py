@@ -18,7 +18,7 @@ from cellwise.estimate.filters.covariance_kernels import (
     soc_row,
     uncorrelated,
 )
-from cellwise.estimate.filters.drift_kernels import Drift, drift_step, no_drift, seen_of_offset
+from cellwise.estimate.filters.drift_kernels import Drift, drift_step, no_drift
 from cellwise.estimate.filters.filter_state import EkfState
 from cellwise.estimate.filters.free_kernels import (
     Free,
@@ -151,13 +151,12 @@ def update(
 
     # Offset and capacity: how far each would have led, and what the voltage says of it by the
     # innovation of the filter's own estimate.
-    own_V = v.innovation_V + slope * now.followed
-    of_offset = seen_of_offset(noise, now.drift, slope, i.r0_ohm, tables.cell.charge_As)
+    own_V = v.innovation_V + i.followed_V
     informs = 0.0 if s.status & CURRENT_INVALID else v.inverse
-    drift = drift_step(now.drift, of_offset, own_V, k.s, v.inverse)
+    drift = drift_step(now.drift, i.of_offset_V, own_V, k.s, v.inverse)
     free, drift = informed_capacity(
-        rules, now.free, drift, of_offset, slope, own_V, k.s, informs, now.p.ss
+        rules, now.free, drift, i.of_offset_V, slope, own_V, k.s, informs, now.p.ss
     )
     follows = drift.believed * drift.reach + capacity_soc(free)
-    x = with_soc(x, x.soc + (k.s * slope * now.followed + (follows - now.followed)))
+    x = with_soc(x, x.soc + (k.s * i.followed_V + (follows - now.followed)))
     return Estimate(x, p, persistent, contradicted, drift, free, now.past)

@@ -94,8 +94,6 @@ LEAST_SCALE, MOST_SCALE = F(0.1), F(20.0)  # of the resistances
 SUSTAINED = F(1.6449)  # one-sided 95 % of a normal distribution
 FROZEN = U(0xFFFFFFFF)  # repeats of a voltage that was found frozen
 COUNT_MOST = U(2_000_000_000)
-REJECTION = U(20_000)  # in the count of rejections in a row
-FORGIVEN = U(2_000)
 
 Step = TypeVar("Step", bound=Callable[..., Any])
 

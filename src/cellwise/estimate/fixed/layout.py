@@ -77,8 +77,7 @@ CONSTANTS = (
     Field("rest_A", "below it a cell counts as resting"),
     Field("start_rest_A", "what may have flowed before a start at rest,"),
     Field("start_load_A", "and, at least, before one under load"),
-    Field("recovery_after", "count of rejections in a row, 20000 each,", "", "u4"),
-    Field("under_load", "and one that wrong resistances could explain", "", "u4"),
+    Field("recovery_after", "steps rejected in a row, then the SOC is unknown", "", "u4"),
     Field("gap_steps", "missing samples that are bridged", "", "u4"),
     Field("hold_steps", "samples for which a missing current is held", "WATCH", "u4"),
     Field("lost_soc", "deviation that SOC gains in one step after that", "WATCH"),
@@ -187,7 +186,7 @@ def _state() -> tuple[Field, ...]:
         Field("cells_at", "its sequence,", "CELLS", "u4"),
         Field("turn", "and the first cell whose turn is next", "CELLS", "u4"),
         Field("sequence", "of the last sample", "", "u4"),
-        Field("rejections", "20000 each: under load a rejection counts less", "", "u4"),
+        Field("rejections", "steps rejected in a row", "", "u4"),
         Field("evidence", "0: no sample yet, 1: no voltage yet, then 2 + steps since", "", "u4"),
     )
 

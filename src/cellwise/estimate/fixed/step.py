@@ -8,8 +8,6 @@ from __future__ import annotations
 from cellwise.estimate.fixed.arithmetic import (
     COUNT_MOST,
     FIRST_VOLTAGE,
-    FORGIVEN,
-    FOUR,
     INTERVAL,
     KNOW_NOTHING_SOC,
     KNOW_NOTHING_VARIANCE,
@@ -17,7 +15,6 @@ from cellwise.estimate.fixed.arithmetic import (
     NO_VOLTAGE_YET,
     NOT_BEGUN,
     ONE,
-    REJECTION,
     REPEATED,
     SMALL_MOVE,
     SOC_VARIANCE_MOST,
@@ -123,19 +120,15 @@ def reject(
     i: Innovation,
     seen: Float,
     voltage: Float,
-    beyond_V2: Float,
     unsure: Flag,
 ) -> Count:
-    """A voltage beyond the gate, and recovery after too many of them in a row.
+    """A voltage beyond the gate, and recovery after too long a time of them in a row.
 
-    Under load the resistances may be what is wrong: what three times the polarisation can explain
-    speaks against the SOC more slowly. A start that is unsure of itself believes the first voltage
-    at rest at once.
+    A start that is unsure of itself believes the first voltage at rest at once.
     """
     c = m.constant
     status = U(INNOVATION_REJECTED)
-    explicable_V2 = FOUR * (i.polarisation_V * i.polarisation_V)
-    x.rejections = U(x.rejections + (REJECTION if beyond_V2 > explicable_V2 else c.under_load))
+    x.rejections = U(x.rejections + 1)
     if WIDE and unsure:
         x.rejections = c.recovery_after
     if x.rejections >= c.recovery_after:
@@ -203,7 +196,7 @@ def fuse(
             narrow(x, i.column, inverse)
         if WATCH and s.news == INTERVAL and x.evidence >= FIRST_VOLTAGE:
             contradict(m.constant, x, w, s, i.one_V2, innovation)
-    x.rejections = U(x.rejections - FORGIVEN) if x.rejections > FORGIVEN else U(0)
+    x.rejections = U(0)
     if x.evidence < FIRST_VOLTAGE:
         x.evidence = FIRST_VOLTAGE
 
@@ -236,7 +229,7 @@ def weigh(
         ratio = ratio if ratio < c.mismatch_cap else c.mismatch_cap
         x.mismatch = x.mismatch + (c.lately * (ratio - x.mismatch))
     if positive_above(square, most):
-        status = reject(m, place, x, p, i, s.seen, voltage, square - most, unsure)
+        status = reject(m, place, x, p, i, s.seen, voltage, unsure)
     elif bent:
         if WIDE:
             recover(m, place, x, s.seen, voltage, i.one_V2, i.polarisation_V)

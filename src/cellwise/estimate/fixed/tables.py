@@ -31,6 +31,7 @@ from cellwise.estimate.cells.settings import CellSettings, cell_constants
 from cellwise.estimate.evidence_kernels import CONTRADICTED_S
 from cellwise.estimate.fixed.layout import constant_type, row_names
 from cellwise.estimate.fixed.options import Options, options_of
+from cellwise.estimate.gate_kernels import COUNT_ROUNDING
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.power.fixed_tables import (
     CURRENT_LIMIT_C,
@@ -56,8 +57,6 @@ if TYPE_CHECKING:
 
 Float32Array = NDArray[np.float32]
 
-UNDER_LOAD_COUNT = 0.05  # a rejection that wrong resistances could explain, for a second
-REJECTION_COUNT = 20_000  # what a rejection adds to the count, as in ``arithmetic``
 BRIDGED_S = 5.0  # missing samples up to here are bridged by the currents on both sides
 MISSING_S = 60.0  # without a watch: for how long a current that nobody measures keeps its sign
 OFFSET_WALK_H = 24.0  # the sensor's offset is new after so long
@@ -312,8 +311,7 @@ def _constants(
         "fixed_V2": noise.voltage_V**2,
         "ocv_soc2": noise.ocv_soc**2,
         "recovery_A": RECOVERY_RATE * model.capacity_Ah,
-        "recovery_after": REJECTION_COUNT * int(noise.recovery_after),
-        "under_load": max(round(REJECTION_COUNT * UNDER_LOAD_COUNT * min(dt_s, 1.0)), 1),
+        "recovery_after": steps_rejected(noise, dt_s),
         "gap_steps": int(np.ceil(BRIDGED_S / dt_s)),
         "charge_efficiency": model.charge_efficiency,
         "leak_soc": per_A * model.effect(SelfDischarge).leak_A,
@@ -355,6 +353,12 @@ def _validity(model: CellModel, noise: Noise) -> dict[str, Any]:
 def steps_within(seconds: float, dt_s: float) -> int:
     """Whole time steps within a time; one that falls on its end belongs to it."""
     return int(min(np.floor(seconds / dt_s * (1.0 + 1e-9)), TARGET.steps))
+
+
+def steps_rejected(noise: Noise, dt_s: float) -> int:
+    """Rejected steps in a row that recover: each counts for its time, at most for one, as there."""
+    steps = np.ceil((noise.recovery_after - COUNT_ROUNDING) / min(dt_s, 1.0))
+    return int(min(max(steps, 1), TARGET.steps))
 
 
 def _temperature_tables(model: CellModel, options: Options) -> dict[str, Any]:

@@ -49,7 +49,7 @@ from cellwise.estimate.filters.drift_kernels import (
     counted_on,
     drift_step,
     drift_variance,
-    seen_of_offset,
+    dropped_by_offset,
 )
 from cellwise.estimate.filters.filter_state import OUT_SOC, EkfInfo, EkfStart, EkfState
 from cellwise.estimate.filters.predict_kernels import SOC_HIGH, SOC_LOW
@@ -175,17 +175,21 @@ def plain_step(
     p = noisy(p, t, q, q, wander)
 
     drop = polarisation(point.r0_ohm, flow, v1, v2, v3)
-    predicted = terminal_voltage(point, h, drop)
     slope = point.ocv_slope_V
+    drift = counted_on(noise, old.drift, t, charge_As, dt_s, current_A)
+    dropped = dropped_by_offset(noise, drift, point.r0_ohm, charge_As)
+    of_offset = slope * drift.reach + dropped
+    free_variance = of_offset * of_offset * drift.unsure
+    predicted = terminal_voltage(point, h, drop) + drift.believed * dropped
     d = column(p, slope, point.m_V, 1.0)
     state_variance = explained(d, slope, point.m_V, 1.0)
     branches = abs(v1) + (abs(v2) + abs(v3))
     one = voltage_variance(noise, point, point.r0_ohm, flow, 0.0, branches)
-    variance = state_variance + one
+    variance = state_variance + (one + free_variance)
     innovation = voltage_V - predicted
     square = innovation * innovation
-    excess = square / variance
-    ratio = excess * noise.per_gate2
+    excess = square / (state_variance + one)
+    ratio = square / variance * noise.per_gate2
 
     # The sensors' past: is the voltage frozen?
     w = old.watch
@@ -219,10 +223,9 @@ def plain_step(
     persistent = persistent_step(k.s, slope, old.persistent, stays_V)
     end = moved(CellState(soc, v1, v2, v3, h, x.heat_K, x.slow_A), k, innovation)
     followed = old.drift.believed * old.drift.reach
-    drift = counted_on(noise, old.drift, t, charge_As, dt_s, current_A)
-    of_offset = seen_of_offset(noise, drift, slope, point.r0_ohm, charge_As)
-    drift = drift_step(drift, of_offset, innovation + slope * followed, k.s, inverse)
-    soc = end.soc + (k.s * slope * followed + (drift.believed * drift.reach - followed))
+    followed_V = slope * followed + old.drift.believed * dropped
+    drift = drift_step(drift, of_offset, innovation + followed_V, k.s, inverse)
+    soc = end.soc + (k.s * followed_V + (drift.believed * drift.reach - followed))
     soc = soc if soc < SOC_HIGH else SOC_HIGH
     soc = soc if soc > SOC_LOW else SOC_LOW
     p = corrected(p, k, d)
