@@ -49,10 +49,7 @@ def measure_ocv(checked: CheckedLogs, capacity_Ah: float) -> MeasuredOcv:
     if low_rate is not None and rests is not None and rests.points_soc.size >= FEWEST_POINTS:
         unlike = sample_notice(rests, low_rate, capacity_Ah)
         both = combine_ocv(rests, low_rate)
-        if unlike is not None:
-            return MeasuredOcv(both, (unlike,), tuple(notices))
-        own = len(low_rate.notes) + len(rests.notes) + 1
-        return MeasuredOcv(both, (), (*notices, *both.notes[own:]))
+        return MeasuredOcv(both, () if unlike is None else (unlike,), tuple(notices))
     if low_rate is not None:
         return MeasuredOcv(low_rate, (), tuple(notices))
     if rests is not None:

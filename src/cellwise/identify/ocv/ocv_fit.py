@@ -22,7 +22,7 @@ from cellwise.identify.ocv.ocv_points import (
     leave_out_turns,
     strictly_rising,
 )
-from cellwise.identify.ocv.ocv_spline import choose_smoothing, fit_monotone_spline
+from cellwise.identify.ocv.ocv_spline import fit_monotone_spline
 from cellwise.identify.papers.log_linear_exp import fit_log_linear_exp
 from cellwise.typing import FloatArray
 
@@ -100,12 +100,11 @@ def held_out_rmse(
 ) -> float:
     """RMS error at points left out of the fit, every fifth in turn, both ends kept [V].
 
-    nan where fewer than ``MIN_POINTS + 2`` points are given. The spline's penalty is chosen by
-    this very figure: one number against many points, so the figure is hardly biased.
+    nan where fewer than ``MIN_POINTS + 2`` points are given.
     """
     s, v, w = condense(*checked_points(soc, voltage_V, weight))
-    if kind == "spline" or s.size < MIN_POINTS + 2:
-        return choose_smoothing(s, v, w)[1]
+    if s.size < MIN_POINTS + 2:
+        return float("nan")
     turn = leave_out_turns(s)
     squares = 0.0
     for fold in range(int(turn.max()) + 1):

@@ -16,17 +16,19 @@ from cellwise.cell.plausibility.notice import RANGE_V, Notice
 from cellwise.identify.ocv.curve import OcvCurve
 from cellwise.typing import FloatArray
 
-# Rests at the steep end read voltages that say nothing of the charge between them.
-BETWEEN_SOC = (0.08, 0.97)
-LEAST_RESTS = 5
+
+class _Limits(NamedTuple):
+    """What separates two cells from one."""
+
+    between_soc: tuple[float, float] = (0.08, 0.97)  # at the steep ends rests say nothing of charge
+    least_rests: int = 5
+    other_capacity: float = 0.03  # counters and rests cut short differ by less
+    clear: float = 0.7  # error on the better scale over that on one scale
+    other_shape_V: float = 0.015  # beyond: another chemistry, or a cell of another age
+
+
+LIMITS = _Limits()
 SCALES = np.arange(0.70, 1.4001, 0.0025)
-# Counters, rests cut short and temperatures of a few degrees differ by less than this.
-OTHER_CAPACITY = 0.03
-# The scale has to explain the rests clearly better than one scale does.
-CLEAR_GAIN = 0.7
-# Beyond this a shape is another one: another chemistry, or a cell of another age.
-OTHER_SHAPE_V = 0.015
-STEEP_V, SOC_ERROR = 4e-3, 5e-3
 
 
 class SampleCheck(NamedTuple):
@@ -58,13 +60,11 @@ def check_samples(rests: OcvCurve, low_rate: OcvCurve) -> SampleCheck | None:
     """
     order = np.argsort(rests.points_soc)[::-1]
     soc, v = rests.points_soc[order], rests.points_V[order]
-    used = (soc >= BETWEEN_SOC[0]) & (soc <= BETWEEN_SOC[1])
-    if np.count_nonzero(used) < LEAST_RESTS:
+    used = (soc >= LIMITS.between_soc[0]) & (soc <= LIMITS.between_soc[1])
+    if np.count_nonzero(used) < LIMITS.least_rests:
         return None
     soc, v = soc[used], v[used]
-    steep = np.maximum(low_rate.function.slope(np.clip(soc, 0.0, 1.0)), 0.0) * SOC_ERROR
-    weight = 1.0 / (1.0 + (steep / STEEP_V) ** 2)
-    fits = [_left(soc, v, weight, low_rate, scale) for scale in SCALES]
+    fits = [_left(soc, v, low_rate, scale) for scale in SCALES]
     errors = np.array([error for error, _ in fits])
     one = float(np.interp(1.0, SCALES, errors))
     best = int(np.argmin(errors))
@@ -72,14 +72,14 @@ def check_samples(rests: OcvCurve, low_rate: OcvCurve) -> SampleCheck | None:
     grid = low_rate.soc
     level = np.maximum.accumulate(low_rate.function.evaluate(grid)) + moved
     at = np.interp(np.array([v[0], v[-1]]), level, grid)
-    other = abs(scale - 1.0) > OTHER_CAPACITY and errors[best] < CLEAR_GAIN * one
+    other = abs(scale - 1.0) > LIMITS.other_capacity and errors[best] < LIMITS.clear * one
     return SampleCheck(
         high_V=float(v[0]),
         low_V=float(v[-1]),
         ocv_Ah=float((at[0] - at[1]) * low_rate.capacity_Ah),
         rests_Ah=float((soc[0] - soc[-1]) * rests.capacity_Ah),
         left_V=float(errors[best]),
-        one_cell=not other and float(errors[best]) <= OTHER_SHAPE_V,
+        one_cell=not other and float(errors[best]) <= LIMITS.other_shape_V,
     )
 
 
@@ -100,11 +100,8 @@ def sample_notice(rests: OcvCurve, low_rate: OcvCurve, capacity_Ah: float) -> No
     return Notice(size_V + found.left_V, text)
 
 
-def _left(
-    soc: FloatArray, v: FloatArray, weight: FloatArray, low_rate: OcvCurve, scale: float
-) -> tuple[float, float]:
-    """Weighted RMS between rests and the curve on a scale, and the constant between them [V]."""
+def _left(soc: FloatArray, v: FloatArray, low_rate: OcvCurve, scale: float) -> tuple[float, float]:
+    """RMS between rests and the curve on a scale, and the constant between them [V]."""
     at = np.clip(1.0 - scale * (1.0 - soc), 0.0, 1.0)
     difference = v - low_rate.function.evaluate(at)
-    moved = float(np.average(difference, weights=weight))
-    return float(np.sqrt(np.average((difference - moved) ** 2, weights=weight))), moved
+    return float(np.std(difference)), float(np.mean(difference))
