@@ -12,12 +12,12 @@ from cellwise.cell.plausibility.simulated import MUCH_CHARGE
 from cellwise.errors import InputError
 from cellwise.identify.by_temperature import low_rate_tests
 from cellwise.identify.capacity.capacity_choice import capacity_choices, choose_capacity
-from cellwise.identify.capacity.capacity_test import (
-    CapacityTest,
+from cellwise.identify.capacity.capacity_test import CapacityTest, measure_capacities
+from cellwise.identify.capacity.hppc_capacity import (
+    hppc_reaches_empty,
     hppc_total_Ah,
-    measure_capacities,
+    whole_hppc_Ah,
 )
-from cellwise.identify.capacity.hppc_capacity import hppc_reaches_empty, whole_hppc_Ah
 from cellwise.identify.checked_logs import CheckedLogs
 from cellwise.identify.identification import IdentifySettings, TestLogs
 from cellwise.logs.cell_log import CellLog

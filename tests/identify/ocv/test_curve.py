@@ -45,7 +45,7 @@ def test_a_level_that_drifts_over_soc_is_followed():
     rests = curve_from_points(LEVELS, ocv(LEVELS) + 0.02 * LEVELS, capacity_Ah=3.0)
     both = combine_ocv(rests, LOW_RATE)
     s = np.linspace(0.1, 0.95, 100)
-    assert both.function.evaluate(s) == pytest.approx(ocv(s) + 0.02 * s, abs=5e-3)
+    assert both.function.evaluate(s) == pytest.approx(ocv(s) + 0.02 * s, abs=3e-3)
 
 
 def test_capacities_must_agree():
@@ -134,4 +134,4 @@ def test_embedded_nmc_rests_lie_on_the_mean_of_the_branches(datasets):
     assert rms((low.function.evaluate(s) - rests.points_V)[middle]) < 3e-3
     # A physics model without hysteresis: the rests ask for no more than some millivolts.
     both = combine_ocv(rests, low)
-    assert rms((both.function.evaluate(s) - rests.points_V)[middle]) < 2.5e-3
+    assert rms((both.function.evaluate(s) - rests.points_V)[middle]) < 1.5e-3

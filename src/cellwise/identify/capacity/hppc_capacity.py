@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cellwise.identify.capacity.capacity_test import hppc_total_Ah
+from cellwise.identify.capacity.half_cycles import join_logs
 from cellwise.identify.hppc.phases import Phase, find_phases
 from cellwise.logs.cell_log import CellLog
 
+CLIMBS = 2.0  # a log that brings back so many times what it takes climbs
 # At the lower limit the voltage falls this much faster than in the middle, in every chemistry.
 STEEP_END = 4.0
 WHOLE_CELL = 0.7  # of nominal: a test that moved less went through a part of the SOC range
@@ -46,6 +47,18 @@ def whole_hppc_Ah(
         "it did not go from full to empty and is no capacity"
     )
     return None
+
+
+def hppc_total_Ah(log: CellLog | Sequence[CellLog]) -> float:
+    """Net charge from the fullest to the emptiest moment after it, all pulses included [Ah].
+
+    The ``hppc-total`` choice: it is a capacity as far as the log begins, or is charged, full and
+    ends empty. Of a log that climbs, the charge from its emptiest to its fullest moment.
+    """
+    charge = join_logs(log).charge_Ah
+    down = float(np.max(charge - np.minimum.accumulate(charge)))
+    up = float(np.max(np.maximum.accumulate(charge) - charge))
+    return up if up > CLIMBS * down else down
 
 
 def hppc_reaches_empty(log: CellLog) -> bool:
