@@ -150,8 +150,7 @@ def _binned_window(c: Channels, x: Load) -> tuple[FloatArray, FloatArray, FloatA
     t_off = float(c.time_s[x.stop - 1])
     duration = t_off - float(c.time_s[x.start - 1])
     # A rise that takes rows is a switch at the instant that keeps the charge.
-    inside = share[: x.stop - x.start]
-    held = np.abs(inside - 1.0) <= max(WINDOW.edge, 4.0 * noise_of(inside))
+    held = np.abs(share[: x.stop - x.start] - 1.0) <= WINDOW.edge
     on = int(np.argmax(held)) if held.any() else 0
     t_on = float(c.time_s[x.start - 1 + on]) - min(duration, float(np.sum(share[:on] * dt[:on])))
     off = x.stop - x.start

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
 from cellwise.errors import InputError
+from cellwise.identify.papers.segments import SegmentOptions, fit_segments
+from cellwise.identify.papers.swarm import SwarmOptions, fit_swarm
 from cellwise.identify.pulse_fit.pulse_data import PulseData
 from cellwise.identify.pulse_fit.pulse_parameters import (
     PulseFit,
@@ -16,9 +19,7 @@ from cellwise.identify.pulse_fit.pulse_parameters import (
     TauBounds,
 )
 from cellwise.identify.pulse_fit.pulse_trend import local_trends
-from cellwise.identify.pulse_fit.segments import SegmentOptions, fit_segments
-from cellwise.identify.pulse_fit.swarm import SwarmOptions, fit_swarm
-from cellwise.identify.pulse_fit.variable_projection.varpro import VarproOptions, fit_varpro
+from cellwise.identify.pulse_fit.varpro import VarproOptions, fit_varpro
 
 Method = Literal["varpro", "segments", "pso"]
 TREND_TOLERANCE = 1e-3  # a trend too small to be felt is still the better model
@@ -27,7 +28,6 @@ Options = VarproOptions | SegmentOptions | SwarmOptions
 __all__ = [
     "PulseFit",
     "PulseParameters",
-    "PulseTrend",
     "SegmentOptions",
     "SwarmOptions",
     "TauBounds",
@@ -48,7 +48,6 @@ def fit_pulse(
     method: Method = "varpro",
     options: Options | None = None,
     *,
-    trend: PulseTrend | None = None,
     rng: np.random.Generator | None = None,
 ) -> PulseFit:
     """Parameters of one pulse.
@@ -59,7 +58,6 @@ def fit_pulse(
     method : str              ``varpro``: least squares by variable projection (default);
                               ``segments``: closed formulas on three points; ``pso``: swarm
     options : VarproOptions, SegmentOptions or SwarmOptions       those of the method
-    trend : PulseTrend        change of the parameters with SOC, for ``varpro`` only
     rng : numpy Generator     for ``pso``; by default one seeded with 0
 
     Returns
@@ -85,7 +83,7 @@ def fit_pulse(
     if isinstance(options, SwarmOptions) or method == "pso":
         chosen = options if isinstance(options, SwarmOptions) else None
         return fit_swarm(data, chosen, rng or np.random.default_rng(0))
-    return fit_varpro(data, options, trend)
+    return fit_varpro(data, options)
 
 
 def fit_pulses(
@@ -93,21 +91,18 @@ def fit_pulses(
     method: Method = "varpro",
     options: Options | None = None,
     *,
-    use_trend: bool = True,
     rng: np.random.Generator | None = None,
 ) -> list[PulseFit]:
     """Parameters of all pulses of a test.
 
-    With ``varpro`` in two passes: each pulse by itself; then again, with the
-    change of the parameters over SOC taken from its neighbours (see `local_trends`). A strong
-    pulse near empty moves every parameter by some percent, which is the error without the second
-    pass.
+    With ``varpro`` in two passes: each pulse by itself; then again, with the change of the
+    parameters over SOC taken from its neighbours (see `local_trends`). A strong pulse near empty
+    moves every parameter by some percent, which is the error without the second pass.
 
     Parameters
     ----------
     pulses : sequence of PulseData        of one cell at one temperature
     method, options, rng                  as in `fit_pulse`
-    use_trend : bool                      False: first pass only
 
     Returns
     -------
@@ -119,7 +114,7 @@ def fit_pulses(
     """
     rng = rng or np.random.default_rng(0)
     fits = [fit_pulse(data, method, options, rng=rng) for data in pulses]
-    if method != "varpro" or not use_trend:
+    if method != "varpro":
         return fits
     chosen = options if isinstance(options, VarproOptions) else None
     trends = local_trends(fits)
@@ -137,4 +132,7 @@ def _with_trend(
     On a real cell a trend between levels need not hold inside a pulse.
     """
     second = fit_varpro(data, options, trend, (alone.tau1_s, alone.tau2_s))
-    return second if second.rmse_V <= (1.0 + TREND_TOLERANCE) * alone.rmse_V else alone
+    if second.rmse_V > (1.0 + TREND_TOLERANCE) * alone.rmse_V:
+        return alone
+    # What a search over the whole plane said of the errors holds here, too.
+    return replace(second, error=PulseParameters(*np.maximum(second.error, alone.error).tolist()))

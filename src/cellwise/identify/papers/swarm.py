@@ -20,22 +20,17 @@ from typing import Literal
 import numpy as np
 
 from cellwise.errors import InputError
+from cellwise.identify.papers.swarm_kernels import swarm_costs
+from cellwise.identify.pulse_fit.fit_errors import describe
 from cellwise.identify.pulse_fit.pulse_data import PulseData, Weighting
-from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseTrend, TauBounds
+from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, TauBounds
 from cellwise.identify.pulse_fit.pulse_problem import (
+    UNKNOWNS,
     Problem,
     Solution,
     build_problem,
     log_limits,
     window_tau_bounds,
-)
-from cellwise.identify.pulse_fit.swarm_kernels import swarm_costs
-from cellwise.identify.pulse_fit.variable_projection.varpro import describe
-from cellwise.identify.pulse_fit.variable_projection.varpro_kernels import (
-    COLUMNS,
-    LINEAR,
-    TILE,
-    accumulate,
 )
 from cellwise.typing import FloatArray
 
@@ -103,13 +98,13 @@ def fit_swarm(
     """
     options = options or SwarmOptions()
     rng = rng or np.random.default_rng(0)
-    problem = build_problem(data, options.weighting, PulseTrend())
+    problem = build_problem(data, options.weighting)
     bounds = options.tau or _paper_bounds(data)
     limits = log_limits(bounds)
     low, high = _box(data, problem, bounds, options.free)
     best, cost, passes = _swarm(problem, low, high, options, rng)
-    solution = _solution(problem, best, cost, passes, options, data)
-    return describe(data, problem, solution, limits, PulseTrend(), "pso")
+    solution = _solution(best, cost, passes, options, data)
+    return describe(data, problem, solution, limits, "pso")
 
 
 def _paper_bounds(data: PulseData) -> TauBounds:
@@ -173,26 +168,19 @@ def _swarm(
 
 def _costs(problem: Problem, position: FloatArray) -> FloatArray:
     costs = np.empty(len(position))
-    swarm_costs(problem.window, position, costs)
+    swarm_costs(problem, position, costs)
     return costs
 
 
 def _solution(
-    problem: Problem,
-    best: FloatArray,
-    cost: float,
-    passes: int,
-    options: SwarmOptions,
-    data: PulseData,
+    best: FloatArray, cost: float, passes: int, options: SwarmOptions, data: PulseData
 ) -> Solution:
     """The swarm's best place in the terms of the least-squares fit, for the same statistics."""
     r0, r1, tau1, r2, tau2, ocv, slope = best
-    coefficients = np.zeros(LINEAR)
+    coefficients = np.zeros(len(UNKNOWNS))
     coefficients[:5] = ocv, slope, r0, r1, r2
-    include = np.zeros(LINEAR, dtype=np.bool_)
+    include = np.zeros(len(UNKNOWNS), dtype=np.bool_)
     include[2:5] = True
     include[0] = options.free == 7
     include[1] = options.free == 7 and data.ocv_change_V is None
-    gram = np.empty((COLUMNS, COLUMNS))
-    accumulate(problem.window, tau1, tau2, COLUMNS, np.empty((COLUMNS, TILE)), np.empty(TILE), gram)
-    return Solution(cost, np.log([tau1, tau2]), coefficients, include, gram, passes, True)
+    return Solution(cost, np.log([tau1, tau2]), coefficients, include, passes, True)
