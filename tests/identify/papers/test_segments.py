@@ -64,6 +64,19 @@ def test_errors_of_the_resistances_follow_from_the_noise():
     assert fits[0].identified.r0_ohm
 
 
+def test_rows_where_the_voltage_still_arrives_are_skipped():
+    t = stamps(pulse_hz=10.0)
+    data = closed_pulse(ONE_BRANCH, t)
+    voltage = data.voltage_V.copy()
+    k = data.start
+    voltage[k : k + 3] += 0.04 * np.array([0.6, 0.25, 0.1])  # R0 I = 40 mV arrives in three rows
+    late = pulse_from_arrays(data.time_s, data.current_A, voltage, k, data.stop, 40.0)
+    fit = fit_segments(late)
+    assert fit.left_out == 3
+    expected = 2.0e-3 + 1.0e-3 * (1.0 - np.exp(-0.4 / 5.0))
+    assert fit.r0_ohm == pytest.approx(expected, rel=1e-9)
+
+
 def test_a_pulse_without_rest_before_or_of_two_rows_is_refused():
     data = closed_pulse(ONE_BRANCH, stamps(pulse_hz=10.0))
     a, b = data.start, data.stop

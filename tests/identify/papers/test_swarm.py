@@ -9,7 +9,7 @@ import pytest
 from cellwise.errors import InputError
 from cellwise.identify.papers.swarm import PAPER_BOUNDS, SwarmOptions, fit_swarm
 from cellwise.identify.papers.swarm_kernels import swarm_costs
-from cellwise.identify.pulse_fit.pulse_parameters import TauBounds
+from cellwise.identify.pulse_fit.pulse_parameters import PulseTrend, TauBounds
 from cellwise.identify.pulse_fit.pulse_problem import build_problem, residual_V
 from cellwise.identify.pulse_fit.varpro import fit_varpro
 from closed_form import Circuit, closed_pulse, random_circuit, stamps
@@ -83,14 +83,14 @@ def test_costs_are_those_of_the_model():
     rng = np.random.default_rng(0)
     t = stamps(rng, jitter=0.4)
     data = closed_pulse(Circuit(), t, noise=1e-3 * rng.standard_normal(t.size))
-    problem = build_problem(data, "balanced")
+    problem = build_problem(data, "balanced", PulseTrend())
     positions = np.array(
         [[2e-3, 1e-3, 4.0, 1.5e-3, 60.0, 0.01, 0.8], [1e-3, 2e-3, 2.0, 1e-3, 30.0, 0.0, 0.0]]
     )
     swapped = positions[:1].copy()
     swapped[0, [2, 4]] = 60.0, 4.0
     costs = np.empty(3)
-    swarm_costs(problem, np.vstack((positions, swapped)), costs)
+    swarm_costs(problem.window, np.vstack((positions, swapped)), costs)
     for position, found in zip(positions, costs, strict=False):
         r0, r1, tau1, r2, tau2, ocv, slope = position
         coefficients = np.array([ocv, slope, r0, r1, r2, 0, 0, 0, 0, 0.0])

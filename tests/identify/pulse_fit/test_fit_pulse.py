@@ -15,9 +15,9 @@ from cellwise.identify.pulse_fit.fit_pulse import (
     VarproOptions,
     fit_pulse,
     fit_pulses,
+    local_trends,
 )
 from cellwise.identify.pulse_fit.pulse_data import PulseData, row_weights
-from cellwise.identify.pulse_fit.pulse_trend import local_trends
 from cellwise.identify.pulse_fit.pulse_window import (
     cut_pulse,
     cut_pulses,
@@ -84,7 +84,7 @@ def test_every_level_within_one_percent_of_the_truth(name):
     fit_pulses(data[:2])
     begin = time.process_time()
     fits = fit_pulses(data)
-    assert time.process_time() - begin < 6.0  # some 2 s where nothing else runs
+    assert time.process_time() - begin < 2.5  # 0.7 s where nothing else runs
     error = np.abs(relative_errors(cell, fits))
     for level in range(10):
         here = slice(8 * level, 8 * level + 8)
@@ -131,7 +131,7 @@ def test_trend_of_the_neighbours_takes_the_bias_out():
     cell = paper_cell()
     data = cut_all(hppc_log(cell, plan, rng=np.random.default_rng(3)))
     low = slice(28, 40)  # 30, 15 and 5 % of SOC
-    alone = np.abs(relative_errors(cell, [fit_pulse(one) for one in data]))[low]
+    alone = np.abs(relative_errors(cell, fit_pulses(data, use_trend=False)))[low]
     told = np.abs(relative_errors(cell, fit_pulses(data)))[low]
     assert np.max(np.median(alone, axis=0)) > 0.01
     assert np.all(np.median(told, axis=0) < 0.5 * np.median(alone, axis=0))
@@ -199,6 +199,18 @@ def test_window_takes_in_the_row_that_holds_the_switch():
     assert np.count_nonzero(data.settling_rows) == 2
 
 
+def test_switch_late_in_a_slow_row_is_left_out():
+    """A row of 1 s whose last 10 ms carry the pulse: no current to speak of, all of its drop."""
+    log, start, stop = a_log()
+    current, voltage = log.current_A.copy(), log.voltage_V.copy()
+    current[start - 1] = 0.01 * 20.0
+    voltage[start - 1] -= 2e-3 * 20.0
+    data = cut_pulse(CellLog(log.time_s, current, voltage), start, stop, 40.0)
+    rows = np.flatnonzero(data.settling_rows)
+    np.testing.assert_array_equal(rows, [data.start - 1])
+    np.testing.assert_allclose(fit_pulse(data).value[:5], Circuit().values[:5], rtol=5e-3)
+
+
 def test_rows_without_a_voltage_are_dropped_and_their_charge_is_kept():
     whole, start, stop = a_log()
     missing = [start + 3, start + 4, start + 100, stop + 7, *range(stop + 40, stop + 60)]
@@ -206,6 +218,23 @@ def test_rows_without_a_voltage_are_dropped_and_their_charge_is_kept():
     a, b = (fit_pulse(cut_pulse(x, start, stop, 40.0)) for x in (whole, log))
     assert b.rows == a.rows - len(missing)
     np.testing.assert_allclose(b.value, a.value, rtol=1e-5)
+
+
+def test_voltage_that_arrives_late_is_left_out_and_said():
+    """A tester that filters its voltage with 0.1 s, as one of the measured cells' did."""
+    t = stamps(pulse_hz=10.0, fast_s=60.0)
+    clean = closed_pulse(Circuit(), t)
+    voltage = clean.voltage_V.copy()
+    for edge, sign in ((clean.start, 1.0), (clean.stop, -1.0)):
+        voltage[edge : edge + 6] += sign * 0.04 * 0.33 ** np.arange(1, 7)
+    data = pulse_from_arrays(
+        t, clean.current_A, voltage, clean.start, clean.stop, 40.0, rest_before_s=1e4
+    )
+    fit = fit_pulse(data)
+    assert 4 <= fit.left_out <= 10
+    assert any("settled" in said for said in fit.notices)
+    np.testing.assert_allclose(fit.value[:5], Circuit().values[:5], rtol=0.03)
+    assert not clean.settling_rows.any()
 
 
 def test_relaxation_and_pulse_count_alike():

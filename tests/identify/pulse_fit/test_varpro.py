@@ -9,12 +9,20 @@ from scipy.optimize import least_squares, lsq_linear
 from cellwise.errors import InputError
 from cellwise.identify.pulse_fit.pulse_data import PulseData, row_weights
 from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseTrend, TauBounds
-from cellwise.identify.pulse_fit.pulse_problem import build_problem, columns, window_tau_bounds
+from cellwise.identify.pulse_fit.pulse_problem import build_problem, window_tau_bounds
 from cellwise.identify.pulse_fit.pulse_window import pulse_from_arrays
-from cellwise.identify.pulse_fit.varpro import VarproOptions, _bounded_optimum, fit_varpro
+from cellwise.identify.pulse_fit.varpro import VarproOptions, fit_varpro
+from cellwise.identify.pulse_fit.varpro_algebra_kernels import solve_linear
+from cellwise.identify.pulse_fit.varpro_kernels import (
+    COLUMN_OF,
+    COLUMNS,
+    LINEAR,
+    TILE,
+    accumulate,
+)
 from closed_form import Circuit, closed_form, closed_pulse, random_circuit, stamps
 
-PLAIN = VarproOptions(bends=False, initial=False, weighting="rows")
+PLAIN = VarproOptions(bends=0, initial=False, weighting="rows")
 
 
 def values(fit: PulseFit) -> np.ndarray:
@@ -111,7 +119,7 @@ def test_bends_of_the_ocv_are_found_where_the_residual_shows_them(current):
     slope = (ocv(data.soc + 1e-6) - ocv(data.soc - 1e-6)) / 2e-6
     assert fit.ocv_slope_V == pytest.approx(slope, rel=0.02)
     assert fit.ocv_V == pytest.approx(ocv(data.soc), abs=2e-3)
-    straight = fit_varpro(data, VarproOptions(bends=False))
+    straight = fit_varpro(data, VarproOptions(bends=0))
     assert abs(straight.r1_ohm / Circuit().r1 - 1.0) > 0.1
 
 
@@ -125,12 +133,13 @@ def test_no_bends_where_there_are_none():
     assert kept <= 2
 
 
-def test_tabulated_ocv_takes_the_place_of_the_slope():
+def test_tabulated_ocv_takes_the_place_of_slope_and_bends():
     args, ocv = bent_pulse()
     fit = fit_varpro(pulse_from_arrays(*args, soc_start=0.5, rest_before_s=1e4, ocv=ocv))
     np.testing.assert_allclose(values(fit)[:5], Circuit().values[:5], rtol=1e-5)
     assert fit.ocv_V == pytest.approx(ocv(0.5 - 80.0 * 30.0 / 3600.0 / 40.0), abs=1e-4)
     assert fit.error.ocv_slope_V == 0.0
+    assert fit.ocv_bends_V == (0.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("current", [-120.0, 120.0])
@@ -220,7 +229,7 @@ def test_a_finer_search_finds_nothing_lower_on_pure_noise():
         b = window_tau_bounds(data)
         grid = np.geomspace(b.tau1_min_s, b.tau2_max_s, 8)
         tries = [
-            fit_varpro(data, replace(PLAIN, tau=TauBounds(a, 1.2 * a, c, 1.2 * c)))
+            fit_varpro(data, PLAIN, start_tau_s=(a, c))
             for a in grid for c in grid if c >= 1.5 * a
         ]  # fmt: skip
         worse += fit.rmse_V > min(x.rmse_V for x in tries) * (1.0 + 1e-4)
@@ -233,25 +242,52 @@ def test_bounded_linear_part_is_the_bounded_optimum():
     for _ in range(60):
         x = rng.standard_normal((40, 5))
         y = x @ rng.standard_normal(5) + 0.3 * rng.standard_normal(40)
-        positive = np.arange(5) > 0
-        found = _bounded_optimum(x.T @ x, x.T @ y, positive)
-        low = np.where(positive, 0.0, -np.inf)
+        full = np.zeros((40, COLUMNS))
+        full[:, 0], full[:, 1:6] = y, x
+        include = np.arange(LINEAR) < 5
+        positive = np.isin(np.arange(LINEAR), [1, 2, 3, 4])
+        c, free = np.zeros(LINEAR), np.zeros(LINEAR, dtype=np.bool_)
+        found = solve_linear(
+            full.T @ full, include, positive, c, free,
+            np.zeros(LINEAR, dtype=np.int64), np.zeros((LINEAR, LINEAR)), np.zeros(LINEAR),
+        )  # fmt: skip
+        low = np.where(positive[:5], 0.0, -np.inf)
         oracle = lsq_linear(x, y, bounds=(low, np.inf), method="bvls", tol=1e-14)
-        np.testing.assert_allclose(found, oracle.x, atol=1e-8)
-        hit += np.any(found == 0.0)
+        np.testing.assert_allclose(c[:5], oracle.x, atol=1e-8)
+        assert found == pytest.approx(2.0 * oracle.cost, rel=1e-10)
+        hit += not free[:5].all()
     assert hit > 20
 
 
 def test_columns_are_the_derivatives_of_the_model():
-    t = stamps(np.random.default_rng(3), jitter=0.5, pulse_hz=3.0)
-    problem = build_problem(closed_pulse(Circuit(v1=1e-3, v2=2e-3), t), "rows")
-    h, at = 1e-5, np.log([4.0, 60.0])
-    for branch in range(2):
-        moved = h * (np.arange(2) == branch)
-        up, down = (columns(problem, at + sign * moved)[0] for sign in (1.0, -1.0))
-        change = (up - down)[[3 + branch, 5 + branch]] / (2.0 * h)
-        found = columns(problem, at)[1][[branch, 2 + branch]]
-        np.testing.assert_allclose(found, change, rtol=1e-6, atol=1e-8)
+    rng = np.random.default_rng(3)
+    t = stamps(rng, jitter=0.5, pulse_hz=3.0)
+    data = closed_pulse(Circuit(v1=1e-3, v2=2e-3), t)
+    trend = PulseTrend(1.0, -2.0, 3.0, 1.5, -1.0)
+    problem = build_problem(data, "rows", trend)
+
+    def gram(tau1, tau2, weight):
+        out = np.empty((COLUMNS, COLUMNS))
+        accumulate(
+            problem.window._replace(weight=weight), tau1, tau2, COLUMNS,
+            np.empty((COLUMNS, TILE)), np.empty(TILE), out,
+        )  # fmt: skip
+        return out
+
+    # A weight on one row alone gives that row's products; against the constant column, its values.
+    h = 1e-5
+    for row in rng.integers(5, t.size, 12):
+        weight = np.zeros(t.size)
+        weight[row] = 1.0
+        at = gram(4.0, 60.0, weight)[1]
+        up1, down1 = (gram(4.0 * np.exp(s), 60.0, weight)[1] for s in (h, -h))
+        up2, down2 = (gram(4.0, 60.0 * np.exp(s), weight)[1] for s in (h, -h))
+        for value, derivative, up, down in (
+            (4, 6, up1, down1), (5, 7, up2, down2), (11, 13, up1, down1), (12, 14, up2, down2),
+        ):  # fmt: skip
+            change = (up[value] - down[value]) / (2.0 * h)
+            assert at[derivative] == pytest.approx(change, rel=1e-6, abs=1e-9)
+    assert sorted(COLUMN_OF) == list(COLUMN_OF)
 
 
 # --- invariances -------------------------------------------------------------------------------
@@ -360,15 +396,16 @@ def test_standard_errors_respect_correlated_noise():
     assert np.median([f.rows_per_residual for f in fits]) > 8.0
 
 
-def test_a_short_window_says_what_it_does_not_see():
+def test_a_short_window_says_that_it_does_not_see_tau2():
     rng = np.random.default_rng(4)
     t = stamps(pulse_s=10.0, rest_s=10.0, before_s=20.0)
     data = closed_pulse(Circuit(), t, 20.0, 10.0, 40.0, 5e-4 * rng.standard_normal(t.size))
     fit = fit_varpro(data)
-    assert "tau1_s" in fit.at_bound
-    assert not fit.identified.tau1_s
+    assert fit.error.tau2_s > 0.3 * fit.tau2_s
+    assert not fit.identified.tau2_s
     assert fit.identified.r0_ohm
-    assert any("tau1" in said for said in fit.notices)
+    assert not fit.identified.ocv_slope_V
+    assert any("tau2" in said for said in fit.notices)
     long = fit_varpro(
         closed_pulse(Circuit(), stamps(), noise=5e-4 * rng.standard_normal(stamps().size))
     )
@@ -426,6 +463,7 @@ def test_bounds_without_room_are_refused(bounds, noisy):
         fit_varpro(noisy, VarproOptions(tau=bounds))
 
 
-def test_unknown_choices_are_refused():
-    with pytest.raises(InputError, match="initial"):
-        VarproOptions(initial="yes")
+@pytest.mark.parametrize("wrong", [{"bends": 4}, {"initial": "yes"}])
+def test_unknown_choices_are_refused(wrong):
+    with pytest.raises(InputError, match="expected bends"):
+        VarproOptions(**wrong)

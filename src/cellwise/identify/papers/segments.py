@@ -18,10 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.identify.hppc.passive_misfit import noise_of
-from cellwise.identify.pulse_fit.pulse_data import PulseData
-from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseParameters
-from cellwise.identify.pulse_fit.pulse_problem import UNKNOWNS, build_problem, residual_V
+from cellwise.identify.pulse_fit.pulse_data import PulseData, voltage_noise
+from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseParameters, PulseTrend
+from cellwise.identify.pulse_fit.pulse_problem import build_problem, residual_V
+from cellwise.identify.pulse_fit.varpro_kernels import LINEAR
 
 TAUS_PER_SEGMENT = 5.0
 
@@ -77,7 +77,7 @@ def fit_segments(data: PulseData, options: SegmentOptions | None = None) -> Puls
     r2 = abs(voltage[row1] - voltage[row3]) / current  # (7) on the longer segment
     tau1 = (time[row2] - time[row1]) / TAUS_PER_SEGMENT  # (8)
     tau2 = (time[row3] - time[row1]) / TAUS_PER_SEGMENT
-    noise = noise_of(data.voltage_V)
+    noise = voltage_noise(data)
     error = float(np.sqrt(2.0)) * noise / current
     nan = float("nan")
     return PulseFit(
@@ -100,8 +100,8 @@ def fit_segments(data: PulseData, options: SegmentOptions | None = None) -> Puls
 def _rmse(data: PulseData, ocv: float, circuit: tuple[float, float, float, float, float]) -> float:
     """Residual of the circuit that the formulas give [V], weighted as the other methods weigh."""
     r0, r1, tau1, r2, tau2 = circuit
-    problem = build_problem(data, "balanced")
-    coefficients = np.zeros(len(UNKNOWNS))
+    problem = build_problem(data, "balanced", PulseTrend())
+    coefficients = np.zeros(LINEAR)
     coefficients[:5] = ocv - problem.reference_V, 0.0, r0, r1, r2
     if data.ocv_change_V is not None:
         coefficients[0] -= data.ocv_change_V[data.start - 1]

@@ -21,16 +21,21 @@ import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.identify.papers.swarm_kernels import swarm_costs
-from cellwise.identify.pulse_fit.fit_errors import describe
 from cellwise.identify.pulse_fit.pulse_data import PulseData, Weighting
-from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, TauBounds
+from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseTrend, TauBounds
 from cellwise.identify.pulse_fit.pulse_problem import (
-    UNKNOWNS,
     Problem,
     Solution,
     build_problem,
     log_limits,
     window_tau_bounds,
+)
+from cellwise.identify.pulse_fit.varpro import describe
+from cellwise.identify.pulse_fit.varpro_kernels import (
+    COLUMNS,
+    LINEAR,
+    TILE,
+    accumulate,
 )
 from cellwise.typing import FloatArray
 
@@ -98,13 +103,13 @@ def fit_swarm(
     """
     options = options or SwarmOptions()
     rng = rng or np.random.default_rng(0)
-    problem = build_problem(data, options.weighting)
+    problem = build_problem(data, options.weighting, PulseTrend())
     bounds = options.tau or _paper_bounds(data)
     limits = log_limits(bounds)
     low, high = _box(data, problem, bounds, options.free)
     best, cost, passes = _swarm(problem, low, high, options, rng)
-    solution = _solution(best, cost, passes, options, data)
-    return describe(data, problem, solution, limits, "pso")
+    solution = _solution(problem, best, cost, passes, options, data)
+    return describe(data, problem, solution, limits, PulseTrend(), "pso")
 
 
 def _paper_bounds(data: PulseData) -> TauBounds:
@@ -168,19 +173,26 @@ def _swarm(
 
 def _costs(problem: Problem, position: FloatArray) -> FloatArray:
     costs = np.empty(len(position))
-    swarm_costs(problem, position, costs)
+    swarm_costs(problem.window, position, costs)
     return costs
 
 
 def _solution(
-    best: FloatArray, cost: float, passes: int, options: SwarmOptions, data: PulseData
+    problem: Problem,
+    best: FloatArray,
+    cost: float,
+    passes: int,
+    options: SwarmOptions,
+    data: PulseData,
 ) -> Solution:
     """The swarm's best place in the terms of the least-squares fit, for the same statistics."""
     r0, r1, tau1, r2, tau2, ocv, slope = best
-    coefficients = np.zeros(len(UNKNOWNS))
+    coefficients = np.zeros(LINEAR)
     coefficients[:5] = ocv, slope, r0, r1, r2
-    include = np.zeros(len(UNKNOWNS), dtype=np.bool_)
+    include = np.zeros(LINEAR, dtype=np.bool_)
     include[2:5] = True
     include[0] = options.free == 7
     include[1] = options.free == 7 and data.ocv_change_V is None
-    return Solution(cost, np.log([tau1, tau2]), coefficients, include, passes, True)
+    gram = np.empty((COLUMNS, COLUMNS))
+    accumulate(problem.window, tau1, tau2, COLUMNS, np.empty((COLUMNS, TILE)), np.empty(TILE), gram)
+    return Solution(cost, np.log([tau1, tau2]), coefficients, include, gram, passes, True)

@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 
 from cellwise.cell.compiled import cached
-from cellwise.identify.pulse_fit.pulse_kernels import SAME_INTERVAL
-from cellwise.identify.pulse_fit.pulse_problem import Problem
+from cellwise.identify.pulse_fit.varpro_kernels import SAME_INTERVAL, Window
 from cellwise.typing import FloatArray
 
 
 @cached()
 def swarm_costs(
-    problem: Problem,
+    window: Window,
     positions: FloatArray,
     costs: FloatArray,
 ) -> None:
@@ -20,11 +19,11 @@ def swarm_costs(
 
     Parameters
     ----------
-    problem : Problem
+    window : Window                   its trend is not used
     positions : (m, 7) float          R0, R1, tau1, R2, tau2, OCV minus reference, OCV slope
     costs : (m,) float                result; infinite where tau1 >= tau2
     """
-    dt, current, known, dq, weight, centre, _, _ = problem
+    dt, current, known, dq, weight, _, centre = window
     for p in range(positions.shape[0]):
         r0, r1, tau1 = positions[p, 0], positions[p, 1], positions[p, 2]
         r2, tau2, ocv, slope = (

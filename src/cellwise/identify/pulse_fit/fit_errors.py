@@ -1,26 +1,32 @@
-"""What a pulse fit knows: size and memory of its residual, and standard errors from them."""
+"""Standard errors of a pulse fit, from its Jacobian and from what its residual looks like."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
 
-from cellwise.identify.pulse_fit.pulse_data import PulseData
-from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseParameters
-from cellwise.identify.pulse_fit.pulse_problem import (
-    UNKNOWNS,
-    Problem,
-    Solution,
-    columns,
-    residual_V,
-    tau_slopes,
+from cellwise.identify.pulse_fit.pulse_parameters import PulseParameters
+from cellwise.identify.pulse_fit.pulse_problem import Problem, Solution, residual_V
+from cellwise.identify.pulse_fit.varpro_kernels import (
+    COLUMN_OF,
+    COLUMNS,
+    LINEAR,
+    TILE,
+    accumulate,
+    autocorrelation_time,
+    columns_used,
 )
+from cellwise.identify.pulse_fit.varpro_search import LOOSE, descend
 from cellwise.typing import FloatArray
 
 LONGEST_MEMORY = 1000  # rows
-AT_BOUND = 1e-6  # in log tau
+SMALLEST_EIGENVALUE = 1e-15
+# A window that is short against tau2 fits almost as well with a tau2 twice as long, an OCV slope a
+# little lower and a larger R2: a long valley, or a second one. The curvature at its lowest point
+# says nothing of that; walking along it does.
+WALK_ABOVE = 0.05  # relative standard error of a branch above which the valley is walked
+POINTS = 13  # values of tau2 along it
 
 
 class ResidualStatistics(NamedTuple):
@@ -36,71 +42,19 @@ def residual_statistics(problem: Problem, solution: Solution) -> ResidualStatist
     residual = residual_V(problem, solution.log_tau, solution.coefficients)
     used = problem.weight > 0.0
     residual, weight = residual[used], problem.weight[used]
-    freedom = max(residual.size - int(np.count_nonzero(solution.include)) - 2, 1)
+    unknowns = int(np.count_nonzero(solution.include)) + 2
+    memory = autocorrelation_time(
+        np.sqrt(weight) * residual, min(LONGEST_MEMORY, residual.size // 4)
+    )
+    freedom = max(residual.size - unknowns, 1)
     return ResidualStatistics(
         float(np.sqrt(np.sum(weight * residual**2) / np.sum(weight))),
         float(np.sqrt(np.sum(residual**2) / freedom)),
-        autocorrelation_time(np.sqrt(weight) * residual),
+        memory,
     )
 
 
-def autocorrelation_time(residual: FloatArray) -> float:
-    """How many rows share one independent residual: 1 + 2 sum of autocorrelations, at least 1.
-
-    Summed over pairs of lags until a pair is not positive (initial positive sequence of Geyer,
-    doi:10.1214/ss/1177011137), at most `LONGEST_MEMORY` lags; a longer memory counts as that long.
-    """
-    longest = min(LONGEST_MEMORY, residual.size // 4) // 2 * 2
-    size = next_fast_len(residual.size + longest)
-    spectrum = rfft(residual - np.mean(residual), size)
-    products = irfft(np.abs(spectrum) ** 2, size)[: longest + 1]
-    if longest == 0 or products[0] <= 0.0:
-        return 1.0
-    pairs = (products[1::2] + products[2::2]) / products[0]
-    end = int(np.argmax(pairs <= 0.0)) if np.any(pairs <= 0.0) else pairs.size
-    return max(1.0 + 2.0 * float(np.sum(pairs[:end])), 1.0)
-
-
-def describe(
-    data: PulseData, problem: Problem, solution: Solution, limits: FloatArray, method: str
-) -> PulseFit:
-    """A solution as a `PulseFit`: values, standard errors, bounds reached, notes."""
-    statistics = residual_statistics(problem, solution)
-    error, condition = _standard_errors(problem, solution, statistics)
-    ocv, slope, r0, r1, r2, v1, v2, *bends = (float(c) for c in solution.coefficients)
-    tau1, tau2 = np.exp(solution.log_tau)
-    ocv += problem.reference_V
-    if data.ocv_change_V is not None:
-        before, last = max(data.start - 1, 0), data.stop - 1
-        change = data.ocv_change_V
-        order = np.argsort(problem.dq, kind="stable")
-        ocv += float(np.interp(problem.centre, problem.dq[order], change[order]))
-        moved = problem.dq[last] - problem.dq[before]
-        slope = float((change[before] - change[last]) / moved) if moved != 0.0 else 0.0
-    return PulseFit(
-        method=method,
-        soc=data.soc,
-        current_A=data.pulse_current_A,
-        duration_s=data.pulse_duration_s,
-        window_s=float(data.time_s[-1] - data.time_s[0]),
-        value=PulseParameters(r0, r1, float(tau1), r2, float(tau2), ocv, slope),
-        error=error,
-        rmse_V=statistics.rmse_V,
-        noise_V=statistics.noise_V,
-        rows=len(data),
-        left_out=int(np.count_nonzero(problem.weight == 0.0)),
-        rows_per_residual=statistics.rows_per_residual,
-        condition=condition,
-        at_bound=_at_bound(solution, limits),
-        ocv_bends_V=(bends[0], bends[1], bends[2]),
-        v1_start_V=v1,
-        v2_start_V=v2,
-        passes=solution.passes,
-        converged=solution.converged,
-    )
-
-
-def _standard_errors(
+def standard_errors(
     problem: Problem, solution: Solution, statistics: ResidualStatistics
 ) -> tuple[PulseParameters, float]:
     """Standard error of every parameter, and the condition number of the scaled problem.
@@ -108,30 +62,36 @@ def _standard_errors(
     With A = J'WJ and the noise equal in all rows, cov = s^2 m A^-1 (J'W^2 J) A^-1; s^2 is the
     residual variance and m the rows that share one independent residual. A time constant whose
     branch has no resistance is not seen: inf. An unknown that the model does not have: 0.
+
+    Returns
+    -------
+    errors : PulseParameters
+    condition : float         of the scaled Jacobian [-]
     """
-    linear, of_tau = columns(problem, solution.log_tau, solution.include)
-    slopes = tau_slopes(of_tau, solution.coefficients)
-    seen = np.any(slopes != 0.0, axis=1)
-    jacobian = np.concatenate((linear[solution.include], slopes[seen]))
-    names = [n for n, used in zip(UNKNOWNS, solution.include, strict=True) if used]
-    names += [n for n, used in zip(("log_tau1", "log_tau2"), seen, strict=True) if used]
-    weighted = jacobian * problem.weight
-    normal, spread = weighted @ jacobian.T, weighted @ weighted.T
+    transform, names = _jacobian_columns(solution)
+    gram_squared = np.empty((COLUMNS, COLUMNS))
+    tau1, tau2 = np.exp(solution.log_tau)
+    accumulate(
+        problem.window._replace(weight=problem.weight**2), tau1, tau2,
+        columns_used(solution.include), np.empty((COLUMNS, TILE)), np.empty(TILE), gram_squared,
+    )  # fmt: skip
+    normal = transform.T @ solution.gram @ transform
+    spread = transform.T @ gram_squared @ transform
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     values, vectors = np.linalg.eigh(normal / np.outer(scale, scale))
-    values = np.maximum(values, 1e-15 * values[-1])
-    inverse = (vectors / values) @ vectors.T / np.outer(scale, scale)
-    variance = statistics.noise_V**2 * statistics.rows_per_residual
-    covariance = variance * np.diag(inverse @ spread @ inverse)
-    error = dict(zip(names, np.sqrt(np.maximum(covariance, 0.0)).tolist(), strict=True))
-    tau1, tau2 = np.exp(solution.log_tau).tolist()
+    values = np.maximum(values, SMALLEST_EIGENVALUE * values[-1])
+    inverse = (vectors / values) @ vectors.T
+    middle = spread / np.outer(scale, scale)
+    covariance = inverse @ middle @ inverse / np.outer(scale, scale)
+    factor = statistics.noise_V**2 * statistics.rows_per_residual
+    error = dict(zip(names, np.sqrt(factor * np.maximum(np.diag(covariance), 0.0)), strict=True))
     return (
         PulseParameters(
             r0_ohm=error.get("r0", np.inf),
             r1_ohm=error.get("r1", np.inf),
-            tau1_s=tau1 * error.get("log_tau1", np.inf),
+            tau1_s=float(tau1) * error.get("log_tau1", np.inf),
             r2_ohm=error.get("r2", np.inf),
-            tau2_s=tau2 * error.get("log_tau2", np.inf),
+            tau2_s=float(tau2) * error.get("log_tau2", np.inf),
             ocv_V=error.get("ocv", 0.0),
             ocv_slope_V=error.get("slope", 0.0),
         ),
@@ -139,18 +99,88 @@ def _standard_errors(
     )
 
 
-def _at_bound(solution: Solution, limits: FloatArray) -> tuple[str, ...]:
-    """Names of the parameters that a bound holds."""
-    slope, r0, r1, r2 = solution.coefficients[1:5]
-    fast, slow = solution.log_tau
-    held = {
-        "r0_ohm": r0 <= 0.0,
-        "r1_ohm": r1 <= 0.0,
-        "tau1_s": fast <= limits[0] + AT_BOUND or fast >= limits[1] - AT_BOUND,
-        "r2_ohm": r2 <= 0.0,
-        "tau2_s": slow <= limits[2] + AT_BOUND or slow >= limits[3] - AT_BOUND,
-        "ocv_slope_V": solution.include[1] and slope <= 0.0,
-    }
-    if slow - fast <= limits[4] + AT_BOUND:
-        held["tau1_s"] = held["tau2_s"] = True
-    return tuple(name for name, at in held.items() if at)
+_NAMES = ("ocv", "slope", "r0", "r1", "r2", "bend2", "bend3", "bend4", "v1", "v2")
+
+
+def _jacobian_columns(solution: Solution) -> tuple[FloatArray, list[str]]:
+    """The unknowns' derivatives as sums of the kernel's columns, shape (15, unknowns)."""
+    columns: list[FloatArray] = []
+    names: list[str] = []
+    for unknown in range(LINEAR):
+        if solution.include[unknown]:
+            column = np.zeros(COLUMNS)
+            column[COLUMN_OF[unknown]] = 1.0
+            columns.append(column)
+            names.append(_NAMES[unknown])
+    for branch in range(2):
+        column = np.zeros(COLUMNS)
+        column[6 + branch] = solution.coefficients[3 + branch]
+        column[13 + branch] = solution.coefficients[8 + branch]
+        if np.any(column != 0.0):
+            columns.append(column)
+            names.append(f"log_tau{branch + 1}")
+    return np.column_stack(columns), names
+
+
+def profile_errors(
+    few: Problem,
+    found: Solution,
+    limits: FloatArray,
+    value: PulseParameters,
+    error: PulseParameters,
+) -> PulseParameters:
+    """Standard errors that also hold along the profile likelihood of tau2.
+
+    At each of `POINTS` values of tau2 over its range everything else is fitted. The deviations of
+    the parameters from the optimum, weighted by the likelihood there, give a second variance; the
+    larger of it and the linear one counts. Costs nothing where the branches are well known.
+
+    Parameters
+    ----------
+    few, found : Problem, Solution    thinned rows, and the minimum on them
+    limits : (5,) float               as in `log_limits`
+    value, error : PulseParameters    the fit and its linear standard errors
+
+    Returns
+    -------
+    PulseParameters       standard errors, none smaller than given
+    """
+    branches = ("r1_ohm", "tau1_s", "r2_ohm", "tau2_s")
+    if all(getattr(error, n) <= WALK_ABOVE * getattr(value, n) for n in branches):
+        return error
+    walked = _walk(few, found, limits)
+    memory = residual_statistics(few, found).rows_per_residual
+    independent = np.count_nonzero(few.weight) / memory
+    excess = np.array([max(s.cost - found.cost, 0.0) for s in walked])
+    likelihood = np.exp(-0.5 * independent * excess / max(found.cost, 1e-300))
+    spacing = (limits[3] - limits[2]) / (POINTS - 1)
+    deviation = np.array([_unknowns(s) for s in walked]) - _unknowns(found)
+    scale = np.array([1.0, 1.0, value.tau1_s, 1.0, value.tau2_s, 1.0, 1.0])
+    linear = np.array(error)
+    width = min(float(linear[4]) / value.tau2_s, limits[3] - limits[2])
+    own = np.sqrt(2.0 * np.pi) * width  # what the optimum's own surroundings weigh
+    seen = own + spacing * np.sum(likelihood)
+    spread = spacing * (likelihood @ (deviation * scale) ** 2)
+    # Unknowns that the branches do not show at all (inf) stay so.
+    finite = np.isfinite(linear)
+    wide = np.sqrt((own * np.where(finite, linear, 0.0) ** 2 + spread) / max(seen, 1e-300))
+    return PulseParameters(*(float(e) for e in np.where(finite, np.maximum(linear, wide), linear)))
+
+
+def _walk(few: Problem, found: Solution, limits: FloatArray) -> list[Solution]:
+    """Minima at fixed tau2, at equal steps of its logarithm over its range."""
+    walked = []
+    for log_tau2 in np.linspace(limits[2], limits[3], POINTS):
+        highest = min(limits[1], log_tau2 - limits[4])
+        if highest < limits[0]:
+            continue
+        here = np.array([limits[0], highest, log_tau2, log_tau2, limits[4]])
+        start = np.array([np.clip(found.log_tau[0], limits[0], highest), log_tau2])
+        walked.append(descend(few, found.include, here, start, LOOSE))
+    return walked
+
+
+def _unknowns(solution: Solution) -> FloatArray:
+    """R0, R1, log tau1, R2, log tau2, OCV, slope."""
+    c, (fast, slow) = solution.coefficients, solution.log_tau
+    return np.array([c[2], c[3], fast, c[4], slow, c[0], c[1]])

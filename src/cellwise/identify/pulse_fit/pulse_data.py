@@ -16,7 +16,6 @@ LEAST_SETTLED_ROWS = 10  # for seven unknowns
 BALANCE_LIMITS = (0.02, 5.0)
 
 
-
 class _Settling(NamedTuple):
     """When a current switches, and when the voltage after a switch is still arriving.
 

@@ -43,6 +43,9 @@ class PulseTrend(NamedTuple):
     tau2: float = 0.0
 
 
+NO_TREND = PulseTrend()
+
+
 @dataclass(frozen=True)
 class TauBounds:
     """Search range of the time constants [s].
@@ -72,12 +75,13 @@ class PulseFit:
                               the method has none
     rmse_V : float            weighted root mean square of the residual [V]
     noise_V : float           root mean square of the residual over all rows that were used [V]
-    rows, left_out : int      rows of the window; rows left out that hold part of a switch
+    rows, left_out : int      rows of the window; rows left out while the voltage settled
     rows_per_residual : float     rows that share one independent residual [-], 1 for white noise
     condition : float         condition number of the scaled problem [-]
     at_bound : tuple of str   parameters that ended at a bound
     ocv_bends_V : (3,) float  second to fourth power of the OCV inside the pulse [V]
     v1_start_V, v2_start_V : float    branch voltages at the window's first row [V]
+    trend : PulseTrend        change with SOC that was assumed
     passes : int              passes over the samples that the fit took
     converged : bool
     """
@@ -99,6 +103,7 @@ class PulseFit:
     ocv_bends_V: tuple[float, float, float] = (0.0, 0.0, 0.0)
     v1_start_V: float = 0.0
     v2_start_V: float = 0.0
+    trend: PulseTrend = NO_TREND
     passes: int = 0
     converged: bool = True
 
@@ -181,7 +186,7 @@ class PulseFit:
                 f"{self.duration_s:.3g} s in a window of {self.window_s:.4g} s"
             )
         if self.left_out:
-            lines.append(f"{self.left_out} rows left out that hold part of a switch of the current")
+            lines.append(f"{self.left_out} rows left out while the voltage settled after an edge")
         if not self.converged:
             lines.append("the search for the time constants did not converge")
         return tuple(lines)

@@ -1,4 +1,4 @@
-"""A pulse window as a linear problem at given time constants, and the range of these."""
+"""A pulse window as the compiled kernels see it, and the range in which tau is searched."""
 
 from __future__ import annotations
 
@@ -13,17 +13,11 @@ from cellwise.identify.pulse_fit.pulse_data import (
     Weighting,
     row_weights,
 )
-from cellwise.identify.pulse_fit.pulse_kernels import branch_response
 from cellwise.identify.pulse_fit.pulse_parameters import PulseTrend, TauBounds
+from cellwise.identify.pulse_fit.varpro_kernels import Window, predict
 from cellwise.typing import BoolArray, FloatArray
 
 FASTEST_TAU_S = 0.5
-# Unknowns that enter linearly, in the order of the columns: the OCV and its slope, resistances,
-# what the branches held at the window's first row, powers of the OCV inside the pulse.
-UNKNOWNS = ("ocv", "slope", "r0", "r1", "r2", "v1", "v2", "bend2", "bend3", "bend4")
-
-
-NO_TREND = PulseTrend()
 
 
 class Problem(NamedTuple):
@@ -34,23 +28,33 @@ class Problem(NamedTuple):
     known: FloatArray  # voltage minus tabulated OCV change minus `reference_V`
     dq: FloatArray
     weight: FloatArray
+    trend: FloatArray
     centre: float  # dq at the pulse's mean SOC
     reference_V: float  # taken off so that sums of squares do not cancel
-    trend: PulseTrend = NO_TREND
+
+    @property
+    def window(self) -> Window:
+        """The channels as the kernels take them."""
+        return Window(*self[:7])
 
 
 class Solution(NamedTuple):
-    """A minimum, with all that its statistics need."""
+    """A minimum, with all that its statistics need.
 
-    cost: float  # weighted sum of squares [V^2]
+    Linear unknowns: OCV minus reference, OCV slope, R0, R1, R2, three bends of the OCV, V1 and V2
+    at the window's first row.
+    """
+
+    cost: float
     log_tau: FloatArray  # (2,)
-    coefficients: FloatArray  # (10,) of `UNKNOWNS`; OCV minus reference
+    coefficients: FloatArray  # (10,)
     include: BoolArray  # (10,) which unknowns the model has
+    gram: FloatArray  # (15, 15) weighted products of all columns
     passes: int
     converged: bool
 
 
-def build_problem(data: PulseData, weighting: Weighting, trend: PulseTrend = NO_TREND) -> Problem:
+def build_problem(data: PulseData, weighting: Weighting, trend: PulseTrend) -> Problem:
     """Channels of one window, weights included.
 
     Raises
@@ -72,73 +76,9 @@ def build_problem(data: PulseData, weighting: Weighting, trend: PulseTrend = NO_
         known - reference,
         data.charge_fraction,
         weight,
+        np.array(trend, dtype=np.float64),
         data.pulse_centre,
         reference,
-        trend,
-    )
-
-
-def columns(
-    problem: Problem, log_tau: FloatArray, include: BoolArray | None = None
-) -> tuple[FloatArray, FloatArray]:
-    """Derivatives of the voltage to the linear unknowns, and of those to log tau.
-
-    Parameters
-    ----------
-    problem : Problem
-    log_tau : (2,) float
-    include : (10,) bool          unknowns whose columns are asked for; others may be zero
-
-    Returns
-    -------
-    linear : (10, n) float        by `UNKNOWNS`
-    of_tau : (4, n) float         of R1, R2, V1 and V2 to log tau of their own branch
-    """
-    n = problem.dt.size
-    linear, of_tau = np.zeros((len(UNKNOWNS), n)), np.zeros((4, n))
-    linear[0] = 1.0
-    linear[1] = problem.centre - problem.dq
-    # The state of charge halfway through each interval.
-    halfway = linear[1] + 0.5 * np.diff(problem.dq, prepend=problem.dq[0])
-    linear[2] = -_changed(problem.current, problem.trend.r0, linear[1])
-    r_trends, tau_trends = problem.trend[1:3], problem.trend[3:]
-    for branch, tau in enumerate(np.exp(log_tau)):
-        u, du = linear[3 + branch], of_tau[branch]
-        share = problem.dt / _changed(tau, tau_trends[branch], halfway)
-        branch_response(share, _changed(problem.current, r_trends[branch], halfway), u, du)
-        np.negative(u, out=u)
-        np.negative(du, out=du)
-        if include is None or include[6]:
-            since = np.cumsum(share)
-            linear[5 + branch] = -np.exp(-since)
-            of_tau[2 + branch] = linear[5 + branch] * since
-    if include is None or include[7]:
-        for power in range(7, 10):
-            linear[power] = linear[1] * linear[1 if power == 7 else power - 1]
-    return linear, of_tau
-
-
-def _changed(value: FloatArray, trend: float, soc_offset: FloatArray) -> FloatArray:
-    """A parameter, or what it multiplies, at a SOC offset from the pulse's mean SOC.
-
-    exp(trend * offset) to second order: positive for every trend.
-    """
-    if trend == 0.0:
-        return value
-    x = trend * soc_offset
-    return np.asarray(value * (1.0 + x * (1.0 + 0.5 * x)))
-
-
-def tau_slopes(of_tau: FloatArray, coefficients: FloatArray) -> FloatArray:
-    """Derivatives of the voltage to log tau1 and log tau2, shape (2, n) [V]."""
-    each = of_tau * coefficients[3:7, None]
-    return np.asarray(each[:2] + each[2:])
-
-
-def residual_V(problem: Problem, log_tau: FloatArray, coefficients: FloatArray) -> FloatArray:
-    """Measured minus modelled voltage [V], shape (n,)."""
-    return np.subtract(
-        problem.known, coefficients @ columns(problem, log_tau, coefficients != 0.0)[0]
     )
 
 
@@ -175,3 +115,11 @@ def log_limits(bounds: TauBounds) -> FloatArray:
     high1, low2 = min(high1, high2 / ratio), max(low2, low1 * ratio)
     limits: FloatArray = np.log(np.array([low1, high1, low2, high2, ratio]))
     return limits
+
+
+def residual_V(problem: Problem, log_tau: FloatArray, coefficients: FloatArray) -> FloatArray:
+    """Measured minus modelled voltage [V], shape (n,)."""
+    model = np.empty_like(problem.dt)
+    tau1, tau2 = np.exp(log_tau)
+    predict(problem.window, tau1, tau2, coefficients, model)
+    return np.subtract(problem.known, model)
