@@ -13,10 +13,9 @@ from cellwise.identify.by_temperature import low_rate_tests, nearest_test
 from cellwise.identify.checked_logs import CheckedLogs
 from cellwise.identify.hppc.pulses import find_pulses
 from cellwise.identify.identification import REFERENCE_C, TestLogs, log_temperature_C
-from cellwise.identify.ocv.curve import OcvCurve, combine_ocv, curve_from_points
+from cellwise.identify.ocv.curve import OcvCurve, combine_ocv, curve_from_points, sample_notice
 from cellwise.identify.ocv.ocv_lowrate import ocv_from_low_rate
 from cellwise.identify.ocv.ocv_rests import ocv_from_rests
-from cellwise.identify.ocv.sample_check import sample_notice
 
 FEWEST_POINTS = 4  # of a cubic
 

@@ -7,7 +7,7 @@ from cellwise.errors import InputError
 from cellwise.identify.capacity.capacity_test import (
     measure_capacities,
 )
-from cellwise.identify.capacity.hppc_capacity import hppc_total_Ah
+from cellwise.identify.measured_capacity import hppc_total_Ah
 from cellwise.logs import CellLog, read_log
 
 FULL_AH, R_OHM = 4.0, 0.03

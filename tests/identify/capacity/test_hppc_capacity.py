@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cellwise.data import load_dataset
-from cellwise.identify.capacity.hppc_capacity import (
+from cellwise.identify.measured_capacity import (
     hppc_reaches_empty,
     hppc_total_Ah,
     whole_hppc_Ah,

@@ -20,10 +20,8 @@ from cellwise.identify.pulse_fit.varpro_kernels import (
     TILE,
     Window,
     accumulate,
-    columns_used,
-)
-from cellwise.identify.pulse_fit.varpro_step_kernels import (
     bounded_step,
+    columns_used,
     next_boost,
     within,
 )

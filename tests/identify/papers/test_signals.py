@@ -5,7 +5,7 @@ import pytest
 
 from cellwise.errors import InputError
 from cellwise.identify.hppc.plateaus import current_scale, find_plateaus
-from cellwise.identify.papers.edges import (
+from cellwise.identify.papers.signals import (
     EMA_FAST_S,
     EMA_SLOW_S,
     ema_edges,
