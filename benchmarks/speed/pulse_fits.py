@@ -21,10 +21,10 @@ from benchmarks.speed.synthetic_truth import (
     synthetic_hppc,
 )
 from cellwise.identify.hppc.pulses import find_pulses, pulses_to_fit
+from cellwise.identify.papers.swarm import SwarmOptions
 from cellwise.identify.pulse_fit.fit_pulse import fit_pulse
 from cellwise.identify.pulse_fit.pulse_data import PulseData
 from cellwise.identify.pulse_fit.pulse_window import cut_pulses
-from cellwise.identify.pulse_fit.swarm import SwarmOptions
 from cellwise.logs import CellLog, read_log
 from cellwise.typing import FloatArray
 

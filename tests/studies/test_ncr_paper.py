@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellwise.identify.pulse_fit.segments import SegmentOptions
+from cellwise.identify.papers.segments import SegmentOptions
 from cellwise.logs.cell_log import CellLog
 from cellwise.studies.ncr_paper import relaxation_segments
 

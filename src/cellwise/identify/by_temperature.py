@@ -54,23 +54,12 @@ def nearest_test(tests: Sequence[LowRateTest], temperature_C: float) -> LowRateT
     )
 
 
-def without_offsets(
-    tests: TestLogs, nominal_Ah: float | None, default_C: float
-) -> tuple[TestLogs, list[str]]:
-    """The tests with the current sensor's offset taken out of each low-rate test that shows one.
-
-    A capacity test confirms the offset of a low-rate test of its own temperature only.
-    """
+def without_offsets(tests: TestLogs, default_C: float) -> tuple[TestLogs, list[str]]:
+    """The tests without the current sensor's offset in the low-rate tests that show one."""
     corrected: list[CellLog] = []
     notices: list[str] = []
     for test in low_rate_tests(tests.ocv, default_C):
-        at = log_temperature_C(test[0], None, default_C)
-        alike = [
-            log
-            for log in tests.capacity
-            if abs(log_temperature_C(log, None, default_C) - at) <= OWN_TABLES_C
-        ]
-        logs, found = without_current_offset(test, alike, nominal_Ah=nominal_Ah)
+        logs, found = without_current_offset(test)
         corrected += logs
         notices += found
     return replace(tests, ocv=tuple(corrected)), notices

@@ -51,7 +51,7 @@ def check_logs(tests: TestLogs, settings: IdentifySettings) -> CheckedLogs:
         found = None if stated is None else other_temperature(log, stated)
         if found is not None:
             contradictions.append(Notice(VOLT_PER_KELVIN * found[0], found[1]))
-    tests, notices = without_offsets(tests, settings.nominal_Ah, default)
+    tests, notices = without_offsets(tests, default)
     return CheckedLogs(tests, default, tuple(contradictions), tuple(notices))
 
 

@@ -13,7 +13,6 @@ from cellwise.errors import InputError
 from cellwise.identify.by_temperature import grouped_by_temperature
 from cellwise.identify.checked_logs import VOLT_PER_KELVIN, CheckedLogs
 from cellwise.identify.hppc.pulses import find_pulses, pulses_to_fit
-from cellwise.identify.hppc.switch_current import with_switch_current
 from cellwise.identify.identification import IdentifySettings, PulseSet, TestLogs
 from cellwise.identify.measured_ocv import pulse_counts
 from cellwise.identify.ocv.curve import OcvCurve
@@ -90,7 +89,6 @@ def _pulse_set(
     log: CellLog, ocv: OcvCurve, capacity_Ah: float, settings: IdentifySettings
 ) -> PulseSet:
     pulses = find_pulses(log)
-    switched = with_switch_current(log)
     anchor = anchor_soc(log, ocv, capacity_Ah, 0.0)
     soc = anchor.soc - log.counted_charge_Ah() / capacity_Ah
     chosen = tuple(
@@ -98,11 +96,11 @@ def _pulse_set(
         for p in pulses_to_fit(pulses)
         if -0.02 <= soc[p.start] <= 1.02
         and abs(p.charge_Ah) <= LARGEST_PULSE * capacity_Ah
-        and has_enough_rows(switched, p)
+        and has_enough_rows(log, p)
     )
     if not chosen:
         return PulseSet(log, anchor, pulses, (), ())
-    cut = cut_pulses(switched, chosen, capacity_Ah, soc, step_ocv=ocv.function.evaluate)
+    cut = cut_pulses(log, chosen, capacity_Ah, soc, step_ocv=ocv.function.evaluate)
     return PulseSet(log, anchor, pulses, chosen, tuple(fit_pulses(cut, settings.method)))
 
 

@@ -13,10 +13,9 @@ from cellwise.identify.by_temperature import low_rate_tests, nearest_test
 from cellwise.identify.checked_logs import CheckedLogs
 from cellwise.identify.hppc.pulses import find_pulses
 from cellwise.identify.identification import REFERENCE_C, TestLogs, log_temperature_C
-from cellwise.identify.ocv.curve import OcvCurve, combine_ocv, curve_from_points
+from cellwise.identify.ocv.curve import OcvCurve, combine_ocv, curve_from_points, sample_notice
 from cellwise.identify.ocv.ocv_lowrate import ocv_from_low_rate
 from cellwise.identify.ocv.ocv_rests import ocv_from_rests
-from cellwise.identify.ocv.sample_check import sample_notice
 
 FEWEST_POINTS = 4  # of a cubic
 
@@ -49,10 +48,7 @@ def measure_ocv(checked: CheckedLogs, capacity_Ah: float) -> MeasuredOcv:
     if low_rate is not None and rests is not None and rests.points_soc.size >= FEWEST_POINTS:
         unlike = sample_notice(rests, low_rate, capacity_Ah)
         both = combine_ocv(rests, low_rate)
-        if unlike is not None:
-            return MeasuredOcv(both, (unlike,), tuple(notices))
-        own = len(low_rate.notes) + len(rests.notes) + 1
-        return MeasuredOcv(both, (), (*notices, *both.notes[own:]))
+        return MeasuredOcv(both, () if unlike is None else (unlike,), tuple(notices))
     if low_rate is not None:
         return MeasuredOcv(low_rate, (), tuple(notices))
     if rests is not None:

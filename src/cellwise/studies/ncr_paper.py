@@ -17,9 +17,9 @@ from cellwise.cell.metrics import ErrorMetrics
 from cellwise.cell.simulate import simulate
 from cellwise.identify.assemble import plain_model
 from cellwise.identify.identification import Identification, IdentifySettings, TestLogs
+from cellwise.identify.papers.segments import TAUS_PER_SEGMENT, SegmentOptions
 from cellwise.identify.pipeline import Progress, identify_cell
 from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseParameters
-from cellwise.identify.pulse_fit.segments import TAUS_PER_SEGMENT, SegmentOptions
 from cellwise.identify.tables import pulse_tables
 from cellwise.logs.cell_log import CellLog
 

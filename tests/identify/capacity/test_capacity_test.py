@@ -5,10 +5,9 @@ import pytest
 
 from cellwise.errors import InputError
 from cellwise.identify.capacity.capacity_test import (
-    hppc_total_Ah,
     measure_capacities,
-    measure_capacity,
 )
+from cellwise.identify.measured_capacity import hppc_total_Ah
 from cellwise.logs import CellLog, read_log
 
 FULL_AH, R_OHM = 4.0, 0.03
@@ -83,7 +82,7 @@ def test_cc_part_ends_at_the_limit_and_cv_part_is_the_rest():
     cc = FULL_AH * (1.0 - tester.soc)
     tester.hold(2.9, 0.04)
     total = FULL_AH * (1.0 - tester.soc)
-    (test,) = measure_capacity(tester.rest().log(), nominal_Ah=4.0)
+    (test,) = measure_capacities([tester.rest().log()], nominal_Ah=4.0)
     assert test.cc_Ah == pytest.approx(cc, rel=2e-3)
     assert test.total_Ah == pytest.approx(total, rel=1e-6)
     assert test.cv_Ah == pytest.approx(total - cc, rel=0.1)
@@ -98,7 +97,7 @@ def test_cc_part_ends_at_the_limit_and_cv_part_is_the_rest():
 def test_total_does_not_depend_on_rows_or_counter(row_s, counter):
     tester = Tester(1.0, row_s).rest().discharge(2.0)
     expected = FULL_AH * (1.0 - tester.soc)
-    (test,) = measure_capacity(tester.rest().log(counter=counter))
+    (test,) = measure_capacities([tester.rest().log(counter=counter)])
     assert test.total_Ah == pytest.approx(expected, rel=1e-6)
     assert test.cv_Ah == pytest.approx(0.0, abs=2e-3)
 
@@ -116,7 +115,7 @@ def test_several_rounds_that_begin_with_a_charge():
     tester = Tester(0.1).rest()
     for _ in range(3):
         tester.charge(2.0).rest(600).discharge(4.0).rest()
-    tests = measure_capacity(tester.log(), nominal_Ah=4.0)
+    tests = measure_capacities([tester.log()], nominal_Ah=4.0)
     assert len(tests) == 3
     assert all(t.complete and t.full_at_start == "charged" for t in tests)
     assert tests[0].charge_before_Ah is None  # nobody knows how empty the cell was at first
@@ -128,30 +127,30 @@ def test_efficiency_is_what_came_out_over_what_went_in():
     tester = Tester(1.0, charge_gain=1.02).rest()
     for _ in range(2):
         tester.discharge(4.0).rest().charge(2.0, until=0.01).rest()
-    tests = measure_capacity(tester.log())
+    tests = measure_capacities([tester.log()])
     for test in tests:
         assert test.coulombic_efficiency == pytest.approx(1 / 1.02, rel=3e-3)
 
 
 def test_no_efficiency_from_a_charge_that_was_cut_short():
     tester = Tester(1.0).rest().discharge(4.0).rest().move(-2.0, 4.2, charge=2.0).rest()
-    (test,) = measure_capacity(tester.log())
+    (test,) = measure_capacities([tester.log()])
     assert test.complete
     assert test.coulombic_efficiency is None
 
 
 def test_discharge_alone_without_any_rest():
-    (test,) = measure_capacity(Tester(1.0).discharge(4.0).log(start=1))
+    (test,) = measure_capacities([Tester(1.0).discharge(4.0).log(start=1)])
     assert test.full_at_start == "assumed"
     assert test.reached_limit
 
 
 def test_logs_that_follow_one_another_are_one_test():
     tester = Tester(1.0).rest().discharge(0.2).rest().hold(2.5, 0.004).rest()
-    (whole,) = measure_capacity(tester.log())
+    (whole,) = measure_capacities([tester.log()])
     for cut in (700, 1500):
         parts = [tester.log("a", stop=cut), tester.log("b", start=cut - 1)]
-        (joined,) = measure_capacity(parts)
+        (joined,) = measure_capacities([parts])
         assert joined.total_Ah == pytest.approx(whole.total_Ah, rel=1e-9)
         assert joined.cc_Ah == pytest.approx(whole.cc_Ah, rel=1e-9)
 
@@ -167,33 +166,33 @@ def test_a_test_that_stops_early_is_marked_by_the_others():
 
 def test_a_given_limit_marks_an_early_stop_without_others():
     early = Tester(1.0).rest().discharge(4.0, 3.2).rest().log()
-    assert not measure_capacity(early, voltage_min_V=2.5)[0].reached_limit
-    assert measure_capacity(early, voltage_min_V=3.2)[0].reached_limit
+    assert not measure_capacities([early], voltage_min_V=2.5)[0].reached_limit
+    assert measure_capacities([early], voltage_min_V=3.2)[0].reached_limit
 
 
 def test_a_lone_test_that_stops_in_the_middle_is_not_believed():
     early = Tester(1.0).rest().move(4.0, 2.5, charge=1.83).rest().log()
-    (test,) = measure_capacity(early)
+    (test,) = measure_capacities([early])
     assert not test.complete
     assert "give the lower limit" in test.notices[0]
 
 
 def test_a_discharge_that_did_not_begin_full_is_marked():
     nearly_empty = Tester(0.08).rest().discharge(4.0).rest().log("part")
-    (test,) = measure_capacity(nearly_empty, voltage_max_V=4.2)
+    (test,) = measure_capacities([nearly_empty], voltage_max_V=4.2)
     assert test.full_at_start == "no"
     halfway = Tester(0.6).rest().discharge(4.0).rest().charge(2.0).rest().log("halfway")
-    (test,) = measure_capacity(halfway)
+    (test,) = measure_capacities([halfway])
     assert test.full_at_start == "no"
     assert "in to full" in test.notices[0]
     half_charged = Tester(0.02).rest().move(-2.0, 4.2, charge=2.0).rest().discharge(4.0).rest()
-    (test,) = measure_capacity(half_charged.log(), voltage_max_V=4.2)
+    (test,) = measure_capacities([half_charged.log()], voltage_max_V=4.2)
     assert test.full_at_start == "no"
     assert not test.complete
 
 
 def test_given_temperature_fills_a_missing_column():
-    (test,) = measure_capacity(Tester(1.0).rest().discharge(4.0).log(), temperature_C=-10.0)
+    (test,) = measure_capacities([Tester(1.0).rest().discharge(4.0).log()], temperature_C=-10.0)
     assert test.temperature_C == -10.0
     assert test.temperature_start_C == -10.0
 
@@ -211,9 +210,9 @@ def test_without_a_constant_current_discharge_there_is_no_test(kind):
         for _ in range(9):
             tester.move(2.0, 2.5, charge=0.4).rest(3600)
     with pytest.raises(InputError, match="no discharge at constant current"):
-        measure_capacity(tester.log())
+        measure_capacities([tester.log()])
     with pytest.raises(InputError, match="no log"):
-        measure_capacity([])
+        measure_capacities([[]])
 
 
 def test_hppc_total_is_the_net_charge_from_full_to_empty():
@@ -264,26 +263,26 @@ PUBLISHED = [
 
 @pytest.mark.parametrize(("path", "capacity_Ah", "rounds"), PUBLISHED)
 def test_published_capacities(real_data, path, capacity_Ah, rounds):
-    tests = measure_capacity(read_log(real_data / f"{path}.csv.gz"))
+    tests = measure_capacities([read_log(real_data / f"{path}.csv.gz")])
     assert len(tests) == rounds
     assert all(t.complete for t in tests)
     assert np.median([t.total_Ah for t in tests]) == pytest.approx(capacity_Ah, rel=2e-3)
 
 
 def test_incomplete_panasonic_charge_gives_no_efficiency(real_data):
-    (test,) = measure_capacity(read_log(real_data / "panasonic_18650pf/ocv_c20_p25.csv.gz"))
+    (test,) = measure_capacities([read_log(real_data / "panasonic_18650pf/ocv_c20_p25.csv.gz")])
     assert test.coulombic_efficiency is None
 
 
 def test_leaf_rounds_have_an_efficiency_of_one(real_data):
-    tests = measure_capacity(read_log(real_data / "nissan_leaf/cap_2c_p23.csv.gz"))
+    tests = measure_capacities([read_log(real_data / "nissan_leaf/cap_2c_p23.csv.gz")])
     assert [t.coulombic_efficiency for t in tests] == pytest.approx([1.0] * 5, abs=2e-3)
 
 
 @pytest.mark.parametrize("tag", ["n25", "n15", "n05", "p05", "p15", "p25", "p35", "p45"])
 def test_a123_discharge_in_two_logs_is_one_capacity(real_data, tag):
     parts = [read_log(real_data / f"plett_a123/ocv_{tag}_s{k}.csv.gz") for k in (1, 2)]
-    (test,) = measure_capacity(parts)
+    (test,) = measure_capacities([parts])
     assert test.complete
     assert test.total_Ah == pytest.approx(2.0725, rel=3e-3)  # its README: 2.068 to 2.076 Ah
 

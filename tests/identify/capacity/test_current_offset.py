@@ -1,7 +1,5 @@
 """A low-rate test whose current sensor is off: the offset comes back, sound tests have none."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -19,32 +17,16 @@ def c20(offset_A=0.0, steps=None, soc0=1.0):
     return run(CELL, steps or low_rate(CELL), soc0, logger, seed=1, name="c20").log
 
 
-def with_relay(log, offset_A):
-    """The same tester with its relay open at rest: it writes zero there."""
-    idle = np.abs(log.current_A) < 0.05
-    back = offset_A * np.cumsum(idle * log.interval_s) / 3600.0
-    current = np.where(idle, 0.0, log.current_A)
-    return replace(log, current_A=current, charge_Ah=log.charge_Ah - back)
-
-
 @pytest.mark.parametrize("offset_A", [0.016, 0.006, -0.010])
-@pytest.mark.parametrize("relay", [False, True])
-def test_the_offset_comes_back(offset_A, relay):
+def test_the_offset_comes_back(offset_A):
     log = c20(offset_A)
-    found = find_current_offset([with_relay(log, offset_A) if relay else log])
+    found = find_current_offset([log])
     assert found.offset_A == pytest.approx(offset_A, abs=AMPERE)
-    assert found.at_rest is not relay
     sound = c20()
     first = np.flatnonzero(np.diff(np.sign(np.diff(sound.charge_Ah))) < 0)
     true_Ah = float(np.max(sound.charge_Ah))
     assert first.size
     assert found.capacity_Ah == pytest.approx(true_Ah, rel=0.003)
-
-
-def test_without_a_rest_after_the_charge():
-    log = c20(0.016)
-    cut = log.rows(np.arange(len(log)) <= np.flatnonzero(log.current_A < -0.05)[-1])
-    assert find_current_offset([cut]).offset_A == pytest.approx(0.016, abs=AMPERE)
 
 
 def test_a_test_that_begins_empty_and_is_charged_first():
@@ -71,18 +53,7 @@ def test_it_is_taken_out_of_current_and_counter_and_said():
     )
     (notice,) = notices
     assert "mA" in notice
-    assert "3.362 Ah out" in notice  # 3.0235 Ah at 0.166 for 0.150 A, and the rest's 0.016 Ah
-
-
-def test_with_a_relay_another_test_has_to_say_so():
-    log = with_relay(c20(0.016), 0.016)
-    logs, notices = without_current_offset([log])
-    assert logs == (log,)
-    assert "capacity test at C/2" in notices[0]
-    half = run(CELL, [(0.0, 1800.0), (1.5, 9000.0), (0.0, 3600.0)], 1.0, Logger(10.0), name="c2")
-    logs, notices = without_current_offset([log], [half.log])
-    assert logs[0] is not log
-    assert "Taken out" in notices[0]
+    assert "3.362 Ah went out" in notice  # 3.0235 Ah at 0.166 for 0.150 A, and the rest's 0.016 Ah
 
 
 def test_a_sound_test_has_none():

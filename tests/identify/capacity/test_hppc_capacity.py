@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 
 from cellwise.data import load_dataset
-from cellwise.identify.capacity.capacity_test import hppc_total_Ah
-from cellwise.identify.capacity.hppc_capacity import hppc_reaches_empty, whole_hppc_Ah
+from cellwise.identify.measured_capacity import (
+    hppc_reaches_empty,
+    hppc_total_Ah,
+    whole_hppc_Ah,
+)
 from cellwise.logs import read_log
 from rich_cell import Logger, gitt, hppc, rich_nmc, run
 

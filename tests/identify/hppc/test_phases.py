@@ -119,24 +119,6 @@ def test_glitches_of_the_sensor_split_nothing():
     assert [(p.kind, p.start, p.stop) for p in find_phases(glitched)] == bounds
 
 
-def test_a_row_that_the_cell_has_felt_is_no_glitch():
-    current = np.zeros(3000)
-    current[1000:1100] = 3.0
-    current[2000] = 12.0
-    phases = find_phases(driven_log(nmc_cell(), current, 10.0))
-    assert [(p.kind, p.start, p.stop) for p in phases if p.kind != "rest"] == [
-        ("cc", 1000, 1100),
-        ("cc", 2000, 2001),
-    ]
-
-
-def test_a_single_row_of_a_minute_is_a_phase():
-    current = np.zeros(200)
-    current[100] = 1.5
-    phases = find_phases(driven_log(nmc_cell(), current, 1 / 60))
-    assert kinds(phases) == ["rest", "cc", "rest"]
-
-
 def test_noise_alone_is_one_rest():
     current = np.random.default_rng(2).normal(0.0, 0.01, 20_000)
     assert kinds(find_phases(driven_log(nmc_cell(), current, 10.0))) == ["rest"]

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise.identify.hppc.passive_misfit import Load, passive_misfit
+from cellwise.identify.hppc.passive_misfit import Load, channels_of, passive_misfit
 from cellwise.identify.hppc.phases import find_phases
 from cellwise.identify.hppc.pulses import find_pulses
 from cellwise.logs.cell_log import CellLog
@@ -62,7 +62,7 @@ def test_a_linear_circuit_leaves_nothing_unexplained():
         made, pulses = pulses_of(cell, rates_c=(2.0,), pulse_s=30.0, rest_s=900.0)
         for load in loads_of(pulses):
             if load.role == "pulse":
-                assert passive_misfit(made.log, load).relative < 2e-3
+                assert passive_misfit(channels_of(made.log), load).relative < 2e-3
 
 
 def test_diffusion_is_passive_too():
@@ -96,7 +96,7 @@ def test_a_voltage_that_falls_faster_and_faster_bends_against_a_passive_circuit(
         linear_cell(bend_V=0.6), levels=(0.3,), rates_c=(2.0,), order="discharge-only", pulse_s=60.0
     )
     assert "bends against" in pulses[-1].reason or "does not mirror" in pulses[-1].reason
-    assert passive_misfit(made.log, loads_of(pulses)[-1]).growth > 1.0
+    assert passive_misfit(channels_of(made.log), loads_of(pulses)[-1]).growth > 1.0
 
 
 def test_a_relaxation_that_is_not_the_pulse_again_is_named():
@@ -125,7 +125,9 @@ def test_a_pulse_that_a_limit_cut_is_trimmed_and_no_other(limit, cell):
         cell, levels=(0.95, 0.5, 0.1, 0.05), rates_c=(1.0, 3.0, 6.0), pulse_s=30.0, limit=limit,
         noise_V=1e-3, noise_A=0.003,
     )  # fmt: skip
-    short = {p.start: p for p in made.pulses if p.limited and p.role == "pulse"}
+    # A pulse that its first row ended is a glitch for all that a log shows.
+    cut = [p for p in made.pulses if p.limited and p.role == "pulse" and p.stop - p.start > 1]
+    short = {p.start: p for p in cut}
     # A limit that is reached within the last tenth of a pulse leaves it as good as whole.
     held = {
         start: np.mean(np.abs(made.current_A[p.start : p.stop] - p.current_A) > 0.02 * 3.0)

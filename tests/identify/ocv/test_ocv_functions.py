@@ -8,14 +8,14 @@ from hypothesis import strategies as st
 from cellwise.errors import InputError
 from cellwise.identify.capacity.half_cycles import find_half_cycles, join_logs, steady_rows
 from cellwise.identify.ocv.ocv_fit import (
-    fit_log_linear_exp,
     fit_ocv_function,
     fit_ocv_table,
     held_out_rmse,
 )
-from cellwise.identify.ocv.ocv_functions import OCV_KINDS, LogLinearExp, OcvTable, uniform_grid
+from cellwise.identify.ocv.ocv_functions import OCV_KINDS, OcvTable, uniform_grid
 from cellwise.identify.ocv.ocv_points import leave_out_turns
 from cellwise.identify.ocv.ocv_spline import fit_monotone_spline
+from cellwise.identify.papers.log_linear_exp import LogLinearExp, fit_log_linear_exp
 from cellwise.logs import read_log
 
 EQUATION_8 = LogLinearExp(a=3.31, b=0.035, c=0.012, d=0.06, e=42.0, f=1.03)

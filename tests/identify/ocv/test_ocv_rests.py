@@ -119,8 +119,6 @@ def test_extrapolation_takes_an_exponential_to_its_end():
     error = np.abs(plain.points_V - ocv(plain.points_soc))
     better = np.abs(ahead.points_V - ocv(ahead.points_soc))
     assert np.all(better <= 0.2 * error)
-    rest = find_ocv_rests(log)[-1]
-    assert rest.slope_V_per_h == pytest.approx(rest.remaining_V / TAU_S * 3600, rel=0.2)
 
 
 def test_extrapolation_stays_near_a_noisy_rest():

@@ -3,9 +3,9 @@
 import pytest
 
 from cellwise.data import load_dataset
+from cellwise.identify.ocv.curve import check_samples, sample_notice
 from cellwise.identify.ocv.ocv_lowrate import ocv_from_low_rate
 from cellwise.identify.ocv.ocv_rests import ocv_from_rests
-from cellwise.identify.ocv.sample_check import check_samples, sample_notice
 from cellwise.logs import read_log
 from rich_cell import Logger, hppc, low_rate, rich_nmc, run
 

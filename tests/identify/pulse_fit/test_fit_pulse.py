@@ -15,9 +15,9 @@ from cellwise.identify.pulse_fit.fit_pulse import (
     VarproOptions,
     fit_pulse,
     fit_pulses,
+    local_trends,
 )
 from cellwise.identify.pulse_fit.pulse_data import PulseData, row_weights
-from cellwise.identify.pulse_fit.pulse_trend import local_trends
 from cellwise.identify.pulse_fit.pulse_window import (
     cut_pulse,
     cut_pulses,

@@ -8,13 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.identify.capacity.half_cycles import (
-    STEADY_OF_CURRENT,
+    LIMITS as HALF_CYCLES,
+)
+from cellwise.identify.capacity.half_cycles import (
     HalfCycle,
     Trace,
     find_half_cycles,
@@ -27,23 +29,26 @@ from cellwise.typing import FloatArray
 
 Full = Literal["charged", "assumed", "no"]
 
-# At the limit: within this, or within this share of the log's voltage range.
-LIMIT_TOLERANCE_V, LIMIT_OF_RANGE = 0.01, 0.01
-# The CC part goes on past the first row at the limit while the current has not given way.
-GIVEN_WAY = 0.02
-# Below these a discharge is a drive or an HPPC test, not a capacity test.
-STEADY_SHARE = 0.95
-IDLE_S = 120.0
-# A rest voltage this far down the window does not follow a full charge, not even in LFP (3.35 V
-# in a window of 2.5 to 4.0 V); nor was a cell full that takes so much more to become so.
-FULL_REST_OF_WINDOW = 0.5
-MUCH_MORE = 1.15
-# A cell warms up under load. One that cools by more than this was moved to another temperature.
-COOLING_C = 5.0
-# A log that brings back so many times what it takes climbs.
-CLIMBS = 2.0
-# More out than in: the charge was cut short, or the counters differ. Either way no efficiency.
-MAX_EFFICIENCY = 1.02
+
+class _Limits(NamedTuple):
+    """What a full discharge is."""
+
+    at_limit_V: float = 0.01  # so near to a voltage limit is at it, ...
+    at_limit: float = 0.01  # ... or as near as this share of the log's voltage range
+    given_way: float = 0.02  # of the current: the CC part goes on at the limit until it fell by it
+    # Below these a discharge is a drive or an HPPC test, not a capacity test.
+    steady: float = 0.95  # of the charge, at one current
+    idle_s: float = 120.0
+    # A rest voltage this far down the window does not follow a full charge, not even in LFP (3.35 V
+    # in a window of 2.5 to 4.0 V); nor was a cell full that takes so much more to become so.
+    full_rest: float = 0.5
+    much_more: float = 1.15
+    cooling_C: float = 5.0  # a cell warms up under load: one that cools by more was moved
+    # More out than in: the charge was cut short, or the counters differ. Either way no efficiency.
+    efficiency: float = 1.02
+
+
+LIMITS = _Limits()
 
 
 @dataclass(frozen=True)
@@ -106,7 +111,7 @@ class CapacityTest:
         """The test was moved to a colder place while it ran: it belongs to no temperature."""
         if self.temperature_C is None or self.temperature_start_C is None:
             return False
-        return self.temperature_C < self.temperature_start_C - COOLING_C
+        return self.temperature_C < self.temperature_start_C - LIMITS.cooling_C
 
     @property
     def coulombic_efficiency(self) -> float | None:
@@ -116,43 +121,9 @@ class CapacityTest:
         discharge began at; the one before began at an empty that depends on its own rate.
         """
         charged = self.charge_before_Ah if self.charge_after_Ah is None else self.charge_after_Ah
-        if charged is None or not self.complete or self.total_Ah > MAX_EFFICIENCY * charged:
+        if charged is None or not self.complete or self.total_Ah > LIMITS.efficiency * charged:
             return None
         return self.total_Ah / charged
-
-
-def measure_capacity(
-    log: CellLog | Sequence[CellLog],
-    *,
-    nominal_Ah: float | None = None,
-    voltage_min_V: float | None = None,
-    voltage_max_V: float | None = None,
-    temperature_C: float | None = None,
-) -> tuple[CapacityTest, ...]:
-    """Every discharge at constant current in one log, or in logs that follow one another.
-
-    Parameters
-    ----------
-    log : CellLog, or several      several are one test in parts: discharge, its last per cent, ...
-    nominal_Ah : float             what a rate of 1C refers to; default the largest measured
-    voltage_min_V, voltage_max_V : float     the limits; default from the log itself
-    temperature_C : float          of the test, where the log has no such column
-
-    Returns
-    -------
-    tuple of CapacityTest, in order of time; those that did not reach the limit are marked
-
-    Raises
-    ------
-    InputError        no discharge at constant current
-    """
-    return measure_capacities(
-        [log],
-        nominal_Ah=nominal_Ah,
-        voltage_min_V=voltage_min_V,
-        voltage_max_V=voltage_max_V,
-        temperature_C=temperature_C,
-    )
 
 
 def measure_capacities(
@@ -166,7 +137,22 @@ def measure_capacities(
     """Every discharge at constant current in a set of logs of one cell, with common limits.
 
     Limits that are not given are those that the set shows: the highest voltage, and the lowest
-    at which a discharge ended. Arguments and errors as :func:`measure_capacity`.
+    at which a discharge ended.
+
+    Parameters
+    ----------
+    logs : of CellLog, or of several that are one test in parts: discharge, its last per cent, ...
+    nominal_Ah : float             what a rate of 1C refers to; default the largest measured
+    voltage_min_V, voltage_max_V : float     the limits; default from the logs themselves
+    temperature_C : float          of the tests, where a log has no such column
+
+    Returns
+    -------
+    tuple of CapacityTest, in order of time; those that did not reach the limit are marked
+
+    Raises
+    ------
+    InputError        no discharge at constant current
     """
     groups = [(entry,) if isinstance(entry, CellLog) else tuple(entry) for entry in logs]
     traces = [join_logs(group) for group in groups]
@@ -210,18 +196,6 @@ def measure_capacities(
     )
 
 
-def hppc_total_Ah(log: CellLog | Sequence[CellLog]) -> float:
-    """Net charge from the fullest to the emptiest moment after it, all pulses included [Ah].
-
-    The ``hppc-total`` choice: it is a capacity as far as the log begins, or is charged, full and
-    ends empty. Of a log that climbs, the charge from its emptiest to its fullest moment.
-    """
-    charge = join_logs(log).charge_Ah
-    down = float(np.max(charge - np.minimum.accumulate(charge)))
-    up = float(np.max(np.maximum.accumulate(charge) - charge))
-    return up if up > CLIMBS * down else down
-
-
 def _is_capacity_test(trace: Trace, half: HalfCycle) -> bool:
     """Whether a half cycle discharges without a pause at one current, to its lowest voltage."""
     if half.charge_Ah <= 0.0:
@@ -230,10 +204,10 @@ def _is_capacity_test(trace: Trace, half: HalfCycle) -> bool:
     stop = _cc_stop(trace, half, lowest)
     rows = slice(half.steady_start, stop)
     current, dt = trace.current_A[rows], trace.interval_s[rows]
-    off = np.abs(current - half.main_current_A) > STEADY_OF_CURRENT * half.main_current_A
+    off = np.abs(current - half.main_current_A) > HALF_CYCLES.steady * half.main_current_A
     idle_s = float(np.sum(dt[np.abs(current) < 0.02 * half.main_current_A]))
     moved = np.abs(current) * dt
-    return bool(idle_s <= IDLE_S and moved[off].sum() <= (1.0 - STEADY_SHARE) * moved.sum())
+    return bool(idle_s <= LIMITS.idle_s and moved[off].sum() <= (1.0 - LIMITS.steady) * moved.sum())
 
 
 def _cc_stop(trace: Trace, half: HalfCycle, v_min: float) -> int:
@@ -243,14 +217,14 @@ def _cc_stop(trace: Trace, half: HalfCycle, v_min: float) -> int:
     if at.size == 0:
         return half.stop
     current = trace.current_A[half.steady_start + int(at[0]) : half.stop]
-    gave_way = np.abs(current - half.main_current_A) > GIVEN_WAY * half.main_current_A
+    gave_way = np.abs(current - half.main_current_A) > LIMITS.given_way * half.main_current_A
     stays = int(np.argmax(gave_way)) if gave_way.any() else current.size
     return half.steady_start + int(at[0]) + max(stays, 1)
 
 
 def _tolerance_V(trace: Trace) -> float:
     """How near to a limit counts as at it [V]."""
-    return max(LIMIT_TOLERANCE_V, LIMIT_OF_RANGE * float(np.ptp(trace.voltage_V)))
+    return max(LIMITS.at_limit_V, LIMITS.at_limit * float(np.ptp(trace.voltage_V)))
 
 
 def _measure(
@@ -281,7 +255,7 @@ def _measure(
     temperature = trace.temperature_C[half.steady_start : limit]
     tenth = max(1, temperature.size // 10)
     first_C, last_C = _median_or_none(temperature[:tenth]), _median_or_none(temperature[-tenth:])
-    if first_C is not None and last_C is not None and last_C < first_C - COOLING_C:
+    if first_C is not None and last_C is not None and last_C < first_C - LIMITS.cooling_C:
         why = [
             *why,
             f"the temperature fell from {first_C:.1f} to {last_C:.1f} degC during the test",
@@ -318,10 +292,10 @@ def _full_at_start(
             return "charged", []
         return "no", [f"charged to {top:.3f} V before, the upper limit is {v_max:.3f} V"]
     at_rest = halves[k].steady_start > 0
-    if at_rest and start_V < v_min + FULL_REST_OF_WINDOW * (v_max - v_min):
+    if at_rest and start_V < v_min + LIMITS.full_rest * (v_max - v_min):
         return "no", [f"begins at a rest voltage of {start_V:.3f} V, which is not full"]
     charged = _complete_charge(trace, halves, k + 1, v_max, v_min)
-    if charged is not None and charged > MUCH_MORE * halves[k].charge_Ah:
+    if charged is not None and charged > LIMITS.much_more * halves[k].charge_Ah:
         return "no", [f"{halves[k].charge_Ah:.3f} Ah out, then {charged:.3f} Ah in to full"]
     return "assumed", []
 

@@ -19,12 +19,17 @@ from cellwise.identify.hppc.phases import filled
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
-# A turn of less than this share of the whole movement is a pulse, not a new half cycle.
-TURN_OF_RANGE = 0.1
-STEADY_OF_CURRENT = 0.1
-# What a tester that dithers at a limit moves back, as a share of the half cycle.
-DITHER = 0.005
-RUN_OF_CHARGE = 0.02
+
+class _Limits(NamedTuple):
+    """What a half cycle is; all are shares."""
+
+    turn: float = 0.1  # of the whole movement: less is a pulse, not a new half cycle
+    steady: float = 0.1  # of the main current: rows within it are at it
+    dither: float = 0.005  # of a half cycle: what a tester moves back at a limit
+    run: float = 0.02  # of its charge: a shorter run at the main current is met in passing
+
+
+LIMITS = _Limits()
 # What shows the end of a discharge where the limit is not given: see looks_like_end.
 KNEE = 1.3
 ROUND_V, ROUND_TOLERANCE_V = 0.1, 0.004
@@ -103,9 +108,7 @@ def join_logs(logs: CellLog | Sequence[CellLog]) -> Trace:
     )
 
 
-def find_half_cycles(
-    trace: Trace, *, turn_of_range: float = TURN_OF_RANGE
-) -> tuple[HalfCycle, ...]:
+def find_half_cycles(trace: Trace, *, turn_of_range: float = LIMITS.turn) -> tuple[HalfCycle, ...]:
     """Stretches between the turning points of the counted charge.
 
     Parameters
@@ -121,7 +124,7 @@ def find_half_cycles(
 def steady_rows(trace: Trace, half: HalfCycle) -> BoolArray:
     """Rows of a half cycle at its main current, shape (stop - start,)."""
     current = trace.current_A[half.start : half.stop]
-    return np.abs(current - half.main_current_A) <= STEADY_OF_CURRENT * abs(half.main_current_A)
+    return np.abs(current - half.main_current_A) <= LIMITS.steady * abs(half.main_current_A)
 
 
 def _steady_span(steady: BoolArray, share: FloatArray) -> tuple[int, int]:
@@ -132,7 +135,7 @@ def _steady_span(steady: BoolArray, share: FloatArray) -> tuple[int, int]:
     change = np.flatnonzero(np.diff(np.concatenate(([False], steady, [False]))))
     flow = np.append(0.0, np.cumsum(share))
     runs = [(int(a), int(b)) for a, b in change.reshape(-1, 2)]
-    large = [(a, b) for a, b in runs if flow[b] - flow[a] >= RUN_OF_CHARGE * flow[-1]] or runs
+    large = [(a, b) for a, b in runs if flow[b] - flow[a] >= LIMITS.run * flow[-1]] or runs
     return large[0][0], large[-1][1]
 
 
@@ -162,11 +165,11 @@ def settled_end(trace: Trace, halves: tuple[HalfCycle, ...], k: int) -> int:
     last = halves[k].stop - 1
     end = trace.charge_Ah.size - 1 if k + 1 == len(halves) else halves[k + 1].steady_start - 1
     back = abs(float(trace.charge_Ah[last] - trace.charge_Ah[end]))
-    return end if end >= last and back <= DITHER * abs(halves[k].charge_Ah) else last
+    return end if end >= last and back <= LIMITS.dither * abs(halves[k].charge_Ah) else last
 
 
 def _is(current_A: float, main_A: float) -> bool:
-    return abs(current_A - main_A) <= STEADY_OF_CURRENT * abs(main_A)
+    return abs(current_A - main_A) <= LIMITS.steady * abs(main_A)
 
 
 def looks_like_end(trace: Trace, start: int, stop: int) -> bool:
@@ -194,7 +197,7 @@ def _half_cycle(trace: Trace, start: int, stop: int) -> HalfCycle | None:
     order = np.argsort(np.abs(current))
     half_way = np.searchsorted(np.cumsum(share[order]), 0.5 * share.sum())
     main = float(current[order[half_way]])
-    first, last = _steady_span(np.abs(current - main) <= STEADY_OF_CURRENT * abs(main), share)
+    first, last = _steady_span(np.abs(current - main) <= LIMITS.steady * abs(main), share)
     earlier = 0
     while first == 0 and start > earlier and _is(trace.current_A[start - earlier - 1], main):
         earlier += 1

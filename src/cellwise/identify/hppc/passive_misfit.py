@@ -12,18 +12,21 @@ from cellwise.typing import FloatArray
 
 PulseRole = Literal["pulse", "move"]
 
-# A row whose current is this far from its level, as a share of the pulse, is part of an edge.
-EDGE_SHARE = 0.03
-SETTLING_ROWS = 2
-EDGE_SIGMAS = 4.0
-SCATTER_ROWS = 16
-LONGEST_FALL_ROWS = 3
-BINS = 40
-MINIMUM_BINS = 6
-RESTED_BINS = 8
-RESTED_PART = 0.4
-RELAXATION_OF_PULSE = 10.0
-TAUS_PER_DECADE = 3
+
+class _Window(NamedTuple):
+    """What of a pulse and its relaxation is looked at."""
+
+    edge: float = 0.03  # a row is part of an edge whose current is off by this share of the pulse
+    settling_rows: int = 2  # after an edge: voltage and current of a row are not of one instant
+    bins: int = 40  # of the pulse, and of the relaxation
+    rest_bins: int = 8
+    rest: float = 0.4  # of the rest before, at its end
+    fewest: int = 6  # bins in the pulse, without which there is no shape
+    relaxation: float = 10.0  # longest relaxation over the pulse's duration
+    per_decade: int = 3  # time constants
+
+
+WINDOW = _Window()
 
 
 class Load(NamedTuple):
@@ -75,9 +78,7 @@ class Misfit(NamedTuple):
         return float(beyond / max(self.response_V, 1e-9))
 
 
-def passive_misfit(
-    source: CellLog | Channels, load: Load, *, relaxation: bool = True
-) -> Misfit | None:
+def passive_misfit(channels: Channels, load: Load) -> Misfit | None:
     """What the best passive circuit leaves of a pulse and its relaxation.
 
     Fitted, with amplitudes that may not be negative, to the mean voltage in bins that widen with
@@ -86,22 +87,17 @@ def passive_misfit(
 
     Parameters
     ----------
-    source : CellLog
+    channels : Channels      of the log
     load : Load              rows of the pulse
-    relaxation : bool        whether the circuit has to explain the rest after the pulse too
 
     Returns
     -------
     Misfit, or None where the pulse has too few rows
     """
-    channels = channels_of(source) if isinstance(source, CellLog) else source
-    window = _window(channels, load, relaxation)
-    if window is None:
-        return None
-    t, v, n, t_on, t_off = window
+    t, v, n, t_on, t_off = _binned_window(channels, load)
     inside = (t > t_on) & (t <= t_off)
     rested = t <= t_on
-    if not rested.any() or np.count_nonzero(inside) < MINIMUM_BINS:
+    if not rested.any() or np.count_nonzero(inside) < WINDOW.fewest:
         return None
     sign = 1.0 if load.current_A > 0.0 else -1.0
     fall = sign * (float(v[rested][-1]) - v)
@@ -130,7 +126,7 @@ def _passive_columns(t: FloatArray, t_on: float, t_off: float) -> FloatArray:
     after = np.maximum(t - t_off, 0.0)
     shortest = max(0.5 * float(np.min(np.diff(t))), 1e-3)
     longest = 3.0 * duration + float(after[-1])
-    count = max(3, int(np.ceil(TAUS_PER_DECADE * np.log10(longest / shortest))))
+    count = max(3, int(np.ceil(WINDOW.per_decade * np.log10(longest / shortest))))
     tau = np.geomspace(shortest, longest, count)
     branches = -np.expm1(-since[:, None] / tau) * np.exp(-after[:, None] / tau)
     rest = max(t_on - float(t[0]), 1e-3)
@@ -147,63 +143,43 @@ def _growth(t: FloatArray, fall: FloatArray, duration: float) -> float:
     return float(end / middle) if middle > 0.0 else float("inf") if end > 0.0 else 1.0
 
 
-class _Window(NamedTuple):
-    """Bins over the end of the rest, the pulse and its relaxation; current on and off [s]."""
-
-    t: FloatArray
-    v: FloatArray
-    rows: FloatArray
-    on_s: float
-    off_s: float
-
-
-def _window(c: Channels, x: Load, relaxation: bool) -> _Window | None:
-    rows = slice(x.start, x.relax_stop)
-    share = c.current_A[rows] / x.current_A
+def _binned_window(c: Channels, x: Load) -> tuple[FloatArray, FloatArray, FloatArray, float, float]:
+    """Time, voltage and rows of bins over rest, pulse and relaxation; current on and off [s]."""
+    share = c.current_A[x.start : x.relax_stop] / x.current_A
     dt = np.diff(c.time_s[x.start - 1 : x.relax_stop])
     t_off = float(c.time_s[x.stop - 1])
     duration = t_off - float(c.time_s[x.start - 1])
     # A rise that takes rows is a switch at the instant that keeps the charge.
-    on, off, last = 0, x.stop - x.start, x.relax_stop - x.start
-    edge = max(EDGE_SHARE, EDGE_SIGMAS * _scatter(share[:off]))
-    while on < off - 1 and abs(share[on] - 1.0) > edge:
-        on += 1
+    held = np.abs(share[: x.stop - x.start] - 1.0) <= WINDOW.edge
+    on = int(np.argmax(held)) if held.any() else 0
     t_on = float(c.time_s[x.start - 1 + on]) - min(duration, float(np.sum(share[:on] * dt[:on])))
-    pulse_stop = off
-    while off < min(last - 1, pulse_stop + LONGEST_FALL_ROWS) and abs(share[off]) > EDGE_SHARE:
+    off = x.stop - x.start
+    if off < share.size and abs(share[off]) > WINDOW.edge:
         t_off += float(share[off] * dt[off])
         off += 1
-    if pulse_stop - on > 10 * SETTLING_ROWS:
-        # Voltage and current of one row are not always of one instant.
-        on, off = on + SETTLING_ROWS, off + SETTLING_ROWS
-    # By then what relaxes from before has become slow.
-    shown = min(2.0 * duration, RESTED_PART * (t_on - float(c.time_s[x.rest_start])))
-    begin = min(x.start - 1, max(x.rest_start, int(np.searchsorted(c.time_s, t_on - shown))))
-    end = int(np.searchsorted(c.time_s, t_off + RELAXATION_OF_PULSE * duration, side="right"))
-    pieces = [
-        _binned(c, begin, x.start, None, RESTED_BINS),
-        _binned(c, x.start + on, x.stop, t_on, BINS),
-    ]
-    if pieces[0][0].size == 0 or pieces[1][0].size < MINIMUM_BINS:
-        return None
-    if relaxation:
-        pieces.append(_binned(c, x.start + off, min(end, x.relax_stop), t_off, BINS))
+    if x.stop - x.start - on > 10 * WINDOW.settling_rows:
+        on, off = on + WINDOW.settling_rows, off + WINDOW.settling_rows
+    # Towards the end of a rest what relaxes from before has become slow.
+    shown = min(2.0 * duration, WINDOW.rest * (t_on - float(c.time_s[x.rest_start])))
+    begin = max(x.rest_start, int(np.searchsorted(c.time_s, t_on - shown)))
+    end = int(np.searchsorted(c.time_s, t_off + WINDOW.relaxation * duration, side="right"))
+    pieces = (
+        _binned(c, min(begin, x.start - 1), x.start, None),
+        _binned(c, x.start + on, x.stop, t_on),
+        _binned(c, x.start + off, min(end, x.relax_stop), t_off),
+    )
     t, v, n = (np.concatenate(p) for p in zip(*pieces, strict=True))
-    return _Window(t, v, n, t_on, t_off)
-
-
-def _scatter(share: FloatArray) -> float:
-    """Noise of a held current as a share of it; zero with too few rows."""
-    return noise_of(share) if share.size >= SCATTER_ROWS else 0.0
+    return t, v, n, t_on, t_off
 
 
 def _binned(
-    c: Channels, start: int, stop: int, origin_s: float | None, bins: int
+    c: Channels, start: int, stop: int, origin_s: float | None
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Mean time, mean voltage and number of rows of each bin; bins widen from the origin on."""
     t, v = c.time_s[start:stop], c.voltage_V[start:stop]
     good = np.isfinite(v)
     t, v = t[good], v[good]
+    bins = WINDOW.bins if origin_s is not None else WINDOW.rest_bins
     if t.size > bins:
         if origin_s is None:
             edges = np.linspace(0.0, t.size, bins + 1)

@@ -9,8 +9,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from cellwise.identify.hppc.plateaus import (
-    RAMP_ROWS,
-    RAMP_S,
+    RISE_ROWS,
+    RISE_S,
     CurrentScale,
     Plateaus,
     current_scale,
@@ -22,15 +22,18 @@ from cellwise.typing import FloatArray
 
 PhaseKind = Literal["rest", "cc", "cv", "dynamic"]
 
-# Levels held for less than this, one after another, are a drive.
-DYNAMIC_S = 5.0
-DYNAMIC_LEVELS = 4
-# A single row at another level is a phase only where a row is this long.
-SLOW_ROW_S = 5.0
-# A row that leaves its level by this many smallest steps, with the voltage following, is real.
-SPIKE_STEPS = 3.0
-VOLTAGE_SIGMAS = 6.0
-VOLTAGE_TOLERANCE = 1e-3
+
+class _Limits(NamedTuple):
+    """What a phase is."""
+
+    drive_s: float = 5.0  # levels held for less, one after another, are a drive ...
+    drive_levels: int = 4  # ... from so many on
+    # A voltage counts as held within its noise, or within this share of it.
+    sigmas: float = 6.0
+    held: float = 1e-3
+
+
+LIMITS = _Limits()
 
 
 @dataclass(frozen=True)
@@ -110,7 +113,6 @@ def find_phases(log: CellLog, *, rest_current_A: float | None = None) -> tuple[P
     voltage = filled(log.voltage_V)
     signals = _Signals(log.time_s, current, voltage, voltage_tolerance(log), scale)
     plateaus = without_ramps(find_plateaus(current, scale), log.time_s)
-    plateaus = _with_spikes(plateaus, signals)
     spans = _join_dynamic(_join_cv(_assemble(plateaus, signals), signals), signals)
     return _finish(spans, signals, log)
 
@@ -123,7 +125,7 @@ def voltage_tolerance(log: CellLog) -> float:
     if n:
         spread = np.partition(np.abs(np.diff(v[:n].reshape(-1, 8), axis=1)), 3, axis=1)[:, 3]
         noise = float(np.quantile(spread, 0.2)) / (0.6745 * np.sqrt(2.0))
-    return max(VOLTAGE_SIGMAS * noise, VOLTAGE_TOLERANCE * float(np.median(np.abs(v))))
+    return max(LIMITS.sigmas * noise, LIMITS.held * float(np.median(np.abs(v))))
 
 
 def filled(voltage_V: FloatArray) -> FloatArray:
@@ -133,32 +135,6 @@ def filled(voltage_V: FloatArray) -> FloatArray:
         return voltage_V
     rows = np.arange(voltage_V.size)
     return np.interp(rows, rows[~bad], voltage_V[~bad])
-
-
-def _with_spikes(p: Plateaus, s: _Signals) -> Plateaus:
-    """Cut out single rows at another level that the cell has felt: an aborted pulse, no glitch."""
-    i, v = s.current_A, s.voltage_V
-    rows = np.flatnonzero(np.abs(np.diff(i)) > s.scale.step_A) + 1
-    if rows.size == 0 or p.start.size == 0:
-        return p
-    home = np.searchsorted(p.start, rows, side="right") - 1
-    inside = (home >= 0) & (rows < p.stop[home]) & (rows > p.start[home])
-    rows, home = rows[inside], home[inside]
-    away = i[rows] - p.level_A[home]
-    felt = (v[rows] - v[rows - 1]) * away < 0.0
-    felt &= np.abs(v[rows] - v[rows - 1]) > 2.0 * s.tolerance_V
-    felt &= np.abs(away) > SPIKE_STEPS * s.scale.step_A
-    rows, home = rows[felt], home[felt]
-    if rows.size == 0:
-        return p
-    start = np.concatenate((p.start, rows, rows + 1))
-    stop = np.concatenate((rows, rows + 1, p.stop))
-    level = np.concatenate((p.level_A, i[rows], p.level_A[home]))
-    rest = np.concatenate((p.rest, np.zeros(rows.size, dtype=np.bool_), p.rest[home]))
-    order = np.argsort(start, kind="stable")
-    start, stop = start[order], np.sort(stop)
-    kept = stop > start
-    return Plateaus(start[kept], stop[kept], level[order][kept], rest[order][kept])
 
 
 def _assemble(plateaus: Plateaus, s: _Signals) -> list[_Span]:
@@ -182,20 +158,15 @@ def _assemble(plateaus: Plateaus, s: _Signals) -> list[_Span]:
 
 def _between(a: int, b: int, before: _Span | None, after_A: float, s: _Signals) -> list[_Span]:
     """What rows a to b between two plateaus are; nothing: the rise to the level that follows."""
-    seconds = s.seconds(a, b)
     inside = s.current_A[a:b]
     if b - a == 1:
         if before is None and _rests(inside[0], s.scale):
             return [_Span("rest", a, b, float(inside[0]))]
-        same = before is not None and abs(before.level_A - after_A) <= s.scale.step_A
-        if not (same and seconds >= SLOW_ROW_S):
-            return []
-        kind: PhaseKind = "rest" if _rests(inside[0], s.scale) else "cc"
-        return [_Span(kind, a, b, float(inside[0]))]
+        return []
     if _held(a, b, s):
         return [_Span("cv", a, b, float(np.mean(inside)))]
     begin = before.level_A if before is not None else float(inside[0])
-    if seconds <= RAMP_S and _rises(inside, begin, after_A, s.scale):
+    if s.seconds(a, b) <= RISE_S and _rises(inside, begin, after_A, s.scale):
         return []
     return _moving(a, b, s)
 
@@ -203,7 +174,7 @@ def _between(a: int, b: int, before: _Span | None, after_A: float, s: _Signals) 
 def _rises(inside: FloatArray, begin_A: float, end_A: float, scale: CurrentScale) -> bool:
     """Whether rows lead from one level to another: straight on, or in few rows with overshoot."""
     low, high = min(begin_A, end_A), max(begin_A, end_A)
-    if inside.size <= RAMP_ROWS:
+    if inside.size <= RISE_ROWS:
         room = 0.5 * (high - low) + scale.step_A
         return bool(low - room <= np.min(inside) and np.max(inside) <= high + room)
     on = np.diff(inside) * np.sign(end_A - begin_A)
@@ -226,7 +197,7 @@ def _moving(a: int, b: int, s: _Signals) -> list[_Span]:
     if a < knee and b - knee >= max(3, (b - a) // 2) and _held(knee, b, s):
         head = s.current_A[a:knee]
         flat = np.ptp(head) <= max(s.scale.step_A, 0.03 * float(np.max(np.abs(head))))
-        kind: PhaseKind = "cc" if flat or s.seconds(a, knee) <= RAMP_S else "dynamic"
+        kind: PhaseKind = "cc" if flat or s.seconds(a, knee) <= RISE_S else "dynamic"
         tail = float(np.mean(s.current_A[knee:b]))
         return [_Span(kind, a, knee, float(np.mean(head))), _Span("cv", knee, b, tail)]
     return [_Span("dynamic", a, b, mean)]
@@ -290,7 +261,7 @@ def _resistance(spans: list[_Span], s: _Signals) -> float:
 
 def _join_dynamic(spans: list[_Span], s: _Signals) -> list[_Span]:
     """Short levels one after another, and what moves between them, are one dynamic phase."""
-    short = [x.kind == "dynamic" or s.seconds(x.start, x.stop) < DYNAMIC_S for x in spans]
+    short = [x.kind == "dynamic" or s.seconds(x.start, x.stop) < LIMITS.drive_s for x in spans]
     out: list[_Span] = []
     k = 0
     while k < len(spans):
@@ -299,7 +270,7 @@ def _join_dynamic(spans: list[_Span], s: _Signals) -> list[_Span]:
             end += 1
         group = spans[k:end]
         moves = any(x.kind == "dynamic" for x in group)
-        if len(group) > 1 and (moves or len(group) >= DYNAMIC_LEVELS):
+        if len(group) > 1 and (moves or len(group) >= LIMITS.drive_levels):
             out.append(_Span("dynamic", group[0].start, group[-1].stop, 0.0))
             k = end
         elif group:

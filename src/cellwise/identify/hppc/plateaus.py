@@ -12,45 +12,48 @@ from scipy.ndimage import median_filter
 from cellwise.typing import BoolArray, FloatArray
 
 RowArray = NDArray[np.int64]
-# Two samples of one level differ by less than this many standard deviations of one sample.
-STEP_SIGMAS = 8.5
-STEP_OF_RANGE = 2e-3
-FLAT_OF_LEVEL = 0.01
-# Up to this share of the largest current, a steady reading may be the sensor's zero.
-ZERO_OF_RANGE = 0.01
-OFFSET_OF_RANGE = 2e-3
-REST_OF_RANGE = 1e-3
-REST_SIGMAS = 6.0
-# Scatter above this share of the range, or that grows with the distance of the samples, is a
-# moving current and not noise.
-NOISE_OF_RANGE = 0.3
-# Rounding alone scatters by 0.29 of a step; more than this share is noise of its own.
-ROUNDING_ONLY = 0.6
-# A level may be noisier than the others (another device makes it): rows between two changes by
-# more than this share, white, flat, and scattered by no more than the share below; of fewer rows
-# all must lie within the second share.
-CHANGE_OF_LEVEL = 0.5
-NOISY_ROWS, NOISY_OF_LEVEL = 16, 0.15
-SHORT_NOISY_ROWS, SHORT_NOISY_OF_LEVEL = 8, 0.04
-WHITE_GROWTH, GROWTH_SCATTER = 1.3, 1.5
+
+
+class _Limits(NamedTuple):
+    """What separates the levels of a current: multiples of its noise, or shares of its range."""
+
+    step_sigmas: float = 8.5  # two samples of one level differ by less
+    rest_sigmas: float = 6.0  # so far from zero a sample is no rest
+    step: float = 2e-3  # of the range: the least of a step ...
+    rest: float = 1e-3  # ... and of what is no rest, where the noise would allow less
+    zero: float = 0.01  # of the range: up to here a steady reading may be the sensor's zero
+    flat: float = 0.01  # of a level: a held current may drift by so much
+    # More scatter than this share of the range, or that grows with the distance of the samples, is
+    # a moving current and not noise.
+    noise: float = 0.3
+    # Steps of this share of the range shall be seen: more noise asks for smoothing, by so many rows
+    # at most. Without it currents of A123 and Samsung break into hundreds of pieces.
+    seen_step: float = 0.02
+    smoothing_rows: int = 15
+    # A resolution goes back and forth in this share of the rows; a coarse one (LG at C/20) oftener.
+    coarse: float = 0.05
+    coarse_rows: float = 0.02
+    fine_rows: float = 0.005
+
+
+class _NoisyLevel(NamedTuple):
+    """A level noisier than the others, for another device makes it."""
+
+    change: float = 0.5  # of the level: it lies between two such changes
+    rows: int = 16  # from so many on white noise is told from a moving current, ...
+    scatter: float = 0.15  # ... and this is the most of it, as a share of the level
+    few_rows: int = 8
+    few_scatter: float = 0.04  # all of few rows lie within this share
+
+
+LIMITS, NOISY = _Limits(), _NoisyLevel()
+WHITE_GROWTH = 1.3  # of second differences at twice the distance: more is no white noise
 # Mean size of a second difference of white noise of unit sigma: sqrt(6) sqrt(2 / pi).
 MEAN_BEND = 1.954
-# A log whose largest sample lies within this many standard deviations holds no current at all.
-NOISE_ONLY_SIGMAS = 6.5
-# Steps of this share of the range shall be seen, so more noise than that asks for smoothing.
-SMOOTHED_STEP_OF_RANGE = 0.02
-COARSE_OF_RANGE = 0.05
-COARSE_ROWS = 0.02
-FINE_ROWS = 0.005
-MAX_SMOOTHING_ROWS = 15
-BLOCK_ROWS = 8
-FLAT_CHUNKS = 8
+CHUNKS = 8  # a level is flat whose eighths have one mean; noise is looked for in blocks of as many
 # Up to this long, what lies between two plateaus is the tester's rise.
-RAMP_ROWS = 8
-RAMP_S = 3.0
-LEVEL_ROWS = 64
-LONG_LEVEL_ROWS = 10
-SMALL_STEP_OF_LEVEL = 0.1
+RISE_ROWS, RISE_S = 8, 3.0
+LEVEL_ROWS = 64  # more rows than these say nothing new of a level
 
 
 class CurrentScale(NamedTuple):
@@ -96,24 +99,24 @@ def current_scale(current_A: FloatArray) -> CurrentScale:
         return CurrentScale(0.0, 0.0, 0.0, 0.0, 0.0, 1)
     lsb = _resolution(current_A, top)
     noise = max(_noise(current_A, top, lsb), 0.3 * lsb)
-    if top < NOISE_ONLY_SIGMAS * noise:  # nothing flows in this log
+    if top < LIMITS.rest_sigmas * noise:  # nothing flows in this log
         return CurrentScale(noise, 0.0, top, 3.0 * top, top, 1)
     # Where the resolution makes the noise, samples jump by one step of it, seldom by two.
-    rounded = noise < ROUNDING_ONLY * lsb
+    rounded = noise < 0.6 * lsb
     width = 1
-    if not rounded and STEP_SIGMAS * noise > SMOOTHED_STEP_OF_RANGE * top:
-        wanted = (1.25 * STEP_SIGMAS * noise / (SMOOTHED_STEP_OF_RANGE * top)) ** 2
-        width = int(min(2 * (wanted // 2) + 1, MAX_SMOOTHING_ROWS))
+    if not rounded and LIMITS.step_sigmas * noise > LIMITS.seen_step * top:
+        wanted = (1.25 * LIMITS.step_sigmas * noise / (LIMITS.seen_step * top)) ** 2
+        width = int(min(2 * (wanted // 2) + 1, LIMITS.smoothing_rows))
     seen = 0.0 if rounded else noise if width == 1 else 1.25 * noise / np.sqrt(width)
-    step = max(STEP_SIGMAS * float(seen), STEP_OF_RANGE * top, 2.5 * lsb if rounded else 0.0)
-    rest = max(REST_SIGMAS * float(seen), REST_OF_RANGE * top, 1.5 * lsb)
-    near = current_A[np.abs(current_A) <= max(ZERO_OF_RANGE * top, 4.0 * noise)]
+    step = max(LIMITS.step_sigmas * float(seen), LIMITS.step * top, 2.5 * lsb if rounded else 0.0)
+    rest = max(LIMITS.rest_sigmas * float(seen), LIMITS.rest * top, 1.5 * lsb)
+    near = current_A[np.abs(current_A) <= max(LIMITS.zero * top, 4.0 * noise)]
     zero = float(np.median(near)) if near.size else 0.0
-    if abs(zero) > OFFSET_OF_RANGE * top:  # the end of a CV part, or a small load: not the zero
+    if abs(zero) > LIMITS.step * top:  # the end of a CV part, or a small load: not the zero
         zero = 0.0
     if near.size:
         scatter = 1.4826 * float(np.median(np.abs(near - zero)))
-        rest = max(rest, min(REST_SIGMAS * scatter, OFFSET_OF_RANGE * top))
+        rest = max(rest, min(LIMITS.rest_sigmas * scatter, LIMITS.step * top))
     return CurrentScale(noise, zero, rest, step, top, width)
 
 
@@ -141,11 +144,10 @@ def find_plateaus(current_A: FloatArray, scale: CurrentScale | None = None) -> P
     plateaus = Plateaus(start, stop, level, rest[start])
     for _ in range(2):  # once for the runs, once for what then has become a neighbour
         plateaus = _merge_level(plateaus, noise)
-    plateaus = _drifted(x, plateaus)
     return plateaus if scale.smoothing_rows == 1 else _sharpened(current_A, plateaus, scale)
 
 
-def without_ramps(p: Plateaus, time_s: FloatArray, ramp_s: float = RAMP_S) -> Plateaus:
+def without_ramps(p: Plateaus, time_s: FloatArray, ramp_s: float = RISE_S) -> Plateaus:
     """Drop the short pieces into which a slow rise breaks between two levels.
 
     They are a few rows long, lead from the one level towards the other without turning back, and
@@ -157,7 +159,7 @@ def without_ramps(p: Plateaus, time_s: FloatArray, ramp_s: float = RAMP_S) -> Pl
     time_s : (n,) float       [s]
     ramp_s : float            longest rise [s]
     """
-    short = (p.stop - p.start <= RAMP_ROWS) & ~p.rest
+    short = (p.stop - p.start <= RISE_ROWS) & ~p.rest
     short[:1] = short[-1:] = False
     first = np.flatnonzero(short & ~np.concatenate(([False], short[:-1])))
     last = np.flatnonzero(short & ~np.concatenate((short[1:], [False])))
@@ -182,12 +184,9 @@ def _resolution(current_A: FloatArray, top: float) -> float:
     lsb = float(moved.min()) if moved.size else 0.0
     # A resolution shows by going back and forth all the time.
     share = np.count_nonzero(moved < 1.01 * lsb) / current_A.size
-    fine, coarse = ZERO_OF_RANGE * top, COARSE_OF_RANGE * top
-    return (
-        lsb
-        if (lsb <= fine and share > FINE_ROWS) or (lsb <= coarse and share > COARSE_ROWS)
-        else 0.0
-    )
+    fine = lsb <= LIMITS.zero * top and share > LIMITS.fine_rows
+    coarse = lsb <= LIMITS.coarse * top and share > LIMITS.coarse_rows
+    return lsb if fine or coarse else 0.0
 
 
 def _noise(current_A: FloatArray, top: float, lsb: float) -> float:
@@ -197,14 +196,14 @@ def _noise(current_A: FloatArray, top: float, lsb: float) -> float:
     of a drive hold steps; at two distances of the samples, because the differences of noise do
     not grow with it and those of a moving current do.
     """
-    n = current_A.size // BLOCK_ROWS * BLOCK_ROWS
+    n = current_A.size // CHUNKS * CHUNKS
     if n == 0:
         return 0.0
-    blocks = current_A[:n].reshape(-1, BLOCK_ROWS)
+    blocks = current_A[:n].reshape(-1, CHUNKS)
     near, far = (_bends(blocks, lag) for lag in (1, 2))
     middle = (near.shape[1] - 1) // 2
     typical = np.partition(near, middle, axis=1)[:, middle]
-    loaded = np.abs(blocks.mean(axis=1)) > ZERO_OF_RANGE * top
+    loaded = np.abs(blocks.mean(axis=1)) > LIMITS.zero * top
     found = 0.0
     for group in (loaded, ~loaded):
         if not group.any():
@@ -218,7 +217,7 @@ def _noise(current_A: FloatArray, top: float, lsb: float) -> float:
             calm = whole
         one, two = (float(np.mean(np.minimum(x[calm], 10.0 * quiet))) for x in (near, far))
         sigma = one / MEAN_BEND
-        if two < WHITE_GROWTH * one and sigma < NOISE_OF_RANGE * top:
+        if two < WHITE_GROWTH * one and sigma < LIMITS.noise * top:
             found = max(found, sigma)
     return found
 
@@ -233,11 +232,11 @@ def _level_noise(
     """
     noise = np.full(x.size, scale.noise_A)
     size = np.maximum(np.abs(x[1:]), np.abs(x[:-1]))
-    large = np.abs(np.diff(x)) > np.maximum(CHANGE_OF_LEVEL * size, scale.step_A)
+    large = np.abs(np.diff(x)) > np.maximum(NOISY.change * size, scale.step_A)
     cut = np.flatnonzero(large | (rest[1:] != rest[:-1])) + 1
     count = np.concatenate(([0], np.cumsum(broken)))
     for a, b in pairwise([0, *cut.tolist(), x.size]):
-        if b - a < SHORT_NOISY_ROWS or rest[a]:
+        if b - a < NOISY.few_rows or rest[a]:
             continue
         if count[b - 1] == count[a] and float(np.ptp(x[a:b])) <= scale.step_A:
             continue  # one plateau as it is
@@ -246,7 +245,7 @@ def _level_noise(
         sigma = _scatter_of_level(x[first:last], scale)
         if sigma > 0.0:
             level = float(np.mean(x[first:last]))
-            near = max(4.0 * sigma, SHORT_NOISY_OF_LEVEL * abs(level))
+            near = max(4.0 * sigma, NOISY.few_scatter * abs(level))
             first -= abs(float(x[a]) - level) <= near
             last += abs(float(x[b - 1]) - level) <= near
             noise[first:last] = sigma
@@ -256,18 +255,18 @@ def _level_noise(
 def _scatter_of_level(part: FloatArray, scale: CurrentScale) -> float:
     """Standard deviation of rows that hold one level and are noisier than the log, else 0 [A]."""
     level = abs(float(np.mean(part)))
-    if part.size < NOISY_ROWS:
+    if part.size < NOISY.rows:
         width = float(np.ptp(part))
-        return 0.5 * width if width <= SHORT_NOISY_OF_LEVEL * level else 0.0
+        return 0.5 * width if width <= NOISY.few_scatter * level else 0.0
     near, far = (_bends(part[None, :], lag) for lag in (1, 2))
     ceiling = 10.0 * float(np.median(near))
     one, two = (float(np.mean(np.minimum(d, ceiling))) for d in (near, far))
     sigma = one / MEAN_BEND
-    cuts = np.arange(FLAT_CHUNKS + 1) * part.size // FLAT_CHUNKS
+    cuts = np.arange(CHUNKS + 1) * part.size // CHUNKS
     means = np.add.reduceat(part, cuts[:-1]) / np.diff(cuts)
-    flat = np.ptp(means) <= 6.0 * sigma / np.sqrt(part.size / FLAT_CHUNKS)
-    noisier = scale.noise_A < sigma < NOISY_OF_LEVEL * level
-    white = two < (WHITE_GROWTH + GROWTH_SCATTER / np.sqrt(part.size)) * one
+    flat = np.ptp(means) <= 6.0 * sigma / np.sqrt(part.size / CHUNKS)
+    noisier = scale.noise_A < sigma < NOISY.scatter * level
+    white = two < (WHITE_GROWTH + 1.5 / np.sqrt(part.size)) * one
     return sigma if flat and noisier and white else 0.0
 
 
@@ -291,21 +290,21 @@ def _flat_pieces(
     rows = stop - start
     low = np.minimum.reduceat(x, start)
     high = np.maximum.reduceat(x, start)
-    allowed = np.maximum(scale.step_A, FLAT_OF_LEVEL * np.abs(0.5 * (low + high)))
+    allowed = np.maximum(scale.step_A, LIMITS.flat * np.abs(0.5 * (low + high)))
     flat = (rows >= 2) & ((high - low <= allowed) | rest[start])
-    uncertain = np.flatnonzero(~flat & (rows >= FLAT_CHUNKS))
+    uncertain = np.flatnonzero(~flat & (rows >= CHUNKS))
     if uncertain.size:
         # Noise widens the range of a long run without bending it: compare means of eighths.
-        parts = np.arange(FLAT_CHUNKS + 1) * rows[uncertain, None] // FLAT_CHUNKS
+        parts = np.arange(CHUNKS + 1) * rows[uncertain, None] // CHUNKS
         cuts = start[uncertain, None] + parts
         means = np.diff(total[cuts], axis=1) / np.diff(cuts, axis=1)
         bound = np.maximum(
-            6.0 * noise[start[uncertain]] / np.sqrt(rows[uncertain] / FLAT_CHUNKS),
-            FLAT_OF_LEVEL * np.abs(means).max(axis=1),
+            6.0 * noise[start[uncertain]] / np.sqrt(rows[uncertain] / CHUNKS),
+            LIMITS.flat * np.abs(means).max(axis=1),
         )
         flat[uncertain] = np.ptp(means, axis=1) <= bound
     pieces = [np.column_stack((start[flat], stop[flat]))]
-    for k in np.flatnonzero(~flat & (rows >= 2 * FLAT_CHUNKS)).tolist():
+    for k in np.flatnonzero(~flat & (rows >= 2 * CHUNKS)).tolist():
         a, b = int(start[k]), int(stop[k])
         head = a + _flat_head(x[a:b], scale)
         tail = b - _flat_head(x[head:b][::-1], scale)
@@ -318,19 +317,19 @@ def _flat_pieces(
 
 def _flat_head(x: FloatArray, scale: CurrentScale) -> int:
     """Number of rows from the first on that stay at the level they begin with (0: none)."""
-    if x.size < FLAT_CHUNKS:
+    if x.size < CHUNKS:
         return 0
-    level = float(np.median(x[: FLAT_CHUNKS + 1]))
-    off = np.abs(x - level) > max(4.0 * scale.noise_A, FLAT_OF_LEVEL * abs(level))
+    level = float(np.median(x[: CHUNKS + 1]))
+    off = np.abs(x - level) > max(4.0 * scale.noise_A, LIMITS.flat * abs(level))
     left = np.flatnonzero(off[:-1] & off[1:])  # two rows running: one alone is a glitch
     head = int(left[0]) if left.size else x.size
-    if head < FLAT_CHUNKS:
+    if head < CHUNKS:
         return 0
     # The knee lies before the row at which the drift has grown to the tolerance.
     level = float(np.median(x[:head]))
     close = np.abs(x[:head] - level) <= max(4.0 * scale.noise_A, 1e-3 * abs(level))
     knee = int(np.flatnonzero(close)[-1]) + 1 if close.any() else head
-    return knee if knee >= max(FLAT_CHUNKS, head // 2) else head
+    return knee if knee >= max(CHUNKS, head // 2) else head
 
 
 def _merge_level(p: Plateaus, noise_A: FloatArray) -> Plateaus:
@@ -344,7 +343,7 @@ def _merge_level(p: Plateaus, noise_A: FloatArray) -> Plateaus:
     noise = np.maximum(noise[1:], noise[:-1])
     error = 4.0 * noise * np.sqrt(1.0 / n[1:] + 1.0 / n[:-1])
     larger = np.maximum(np.abs(p.level_A[1:]), np.abs(p.level_A[:-1]))
-    same = apart <= np.maximum(error, 0.5 * FLAT_OF_LEVEL * larger)
+    same = apart <= np.maximum(error, 0.5 * LIMITS.flat * larger)
     same |= p.rest[1:] & p.rest[:-1]
     joined = same & (between <= 1) & (p.rest[1:] == p.rest[:-1])
     first = np.flatnonzero(np.concatenate(([True], ~joined)))
@@ -352,22 +351,6 @@ def _merge_level(p: Plateaus, noise_A: FloatArray) -> Plateaus:
     rows = (p.stop - p.start).astype(np.float64)
     level = np.add.reduceat(p.level_A * rows, first) / np.add.reduceat(rows, first)
     return Plateaus(p.start[first], p.stop[last], level, p.rest[first])
-
-
-def _drifted(x: FloatArray, p: Plateaus) -> Plateaus:
-    """Give a single row between two plateaus to the first where it only goes on drifting.
-
-    The last row of a CV part may fall a little more than noise and yet far less than the switch.
-    """
-    alone = np.flatnonzero((p.start[1:] - p.stop[:-1] == 1) & (p.stop[:-1] - p.start[:-1] >= 2))
-    at = p.stop[alone]
-    fell, falls = x[at] - x[at - 1], x[at - 1] - x[at - 2]
-    left = np.abs(p.level_A[alone + 1] - x[at])
-    drifting = (fell * falls > 0.0) & (np.abs(fell) <= 2.5 * np.abs(falls))
-    drifting &= np.abs(fell) < 0.25 * left
-    stop = p.stop.copy()
-    stop[alone[drifting]] += 1
-    return p._replace(stop=stop)
 
 
 def _sharpened(x: FloatArray, p: Plateaus, scale: CurrentScale) -> Plateaus:

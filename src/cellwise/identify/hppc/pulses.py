@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from cellwise.identify.hppc.passive_misfit import Load, PulseRole, noise_of
+from cellwise.identify.hppc.passive_misfit import Load, PulseRole
 from cellwise.identify.hppc.phases import Phase, find_phases
-from cellwise.identify.hppc.plateaus import NOISY_ROWS
 from cellwise.identify.hppc.pulse_quality import (
-    SAME_DURATION,
+    LIMITS,
     PulseQuality,
     Verdict,
     judge_loads,
@@ -20,24 +19,28 @@ from cellwise.identify.hppc.pulse_quality import (
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
-# Seconds before the pulse over which the resting voltage is averaged, as in the LFP paper.
-RESTED_VOLTAGE_S = 10.0
-MINIMUM_REST_S = 5.0
-# In a log that is mostly a drive, idling and cruising look like pulses.
-DRIVE_SHARE = 0.5
-DRIVE_PULSE_S = 5.0
-DRIVE_REST_S = 30.0
-# A short current below this share of the log's largest is a tester's leakage, or a dither.
-SMALLEST_OF_RANGE = 0.01
-# Pulses and moves differ in duration by at least this factor, and the border lies within these.
-ROLE_FACTOR = 2.5
-ROLE_BORDER_S = (4.0, 900.0)
-LONGEST_PULSE_S = 600.0
-PULSE_MARGIN = 1.25
-RISEN_PART = 0.9
-RISEN_SIGMAS = 3.0
-# So many healthy moves for one short pulse, and the test is one of moves.
-MANY_MOVES = 3
+RESTED_VOLTAGE_S = 10.0  # before the pulse, averaged, as in the LFP paper
+
+
+class _Limits(NamedTuple):
+    """What a pulse is, and what a move."""
+
+    rest_s: float = 5.0  # before it
+    # In a log that is mostly a drive, idling and cruising look like pulses.
+    drive: float = 0.5
+    drive_pulse_s: float = 5.0
+    drive_rest_s: float = 30.0
+    smallest: float = 0.01  # of the largest current: less is a tester's leakage, or a dither
+    # Pulses and moves differ in duration by this factor, and the border lies within these; a pulse
+    # is no longer than the last in any case, where no gap is seen.
+    factor: float = 2.5
+    border_s: tuple[float, float] = (4.0, 900.0)
+    longest_s: float = 600.0
+    margin: float = 1.25  # above the longest pulse
+    many_moves: int = 3  # healthy ones for one short pulse, and the test is one of moves
+
+
+KINDS = _Limits()
 
 
 @dataclass(frozen=True)
@@ -107,7 +110,8 @@ def pulses_to_fit(pulses: Sequence[Pulse]) -> tuple[Pulse, ...]:
     healthy = [p for p in pulses if p.quality == "healthy"]
     short = tuple(p for p in healthy if p.role == "pulse")
     moves = len(healthy) - len(short)
-    return tuple(healthy) if moves >= MANY_MOVES * max(len(short), 1) else short or tuple(healthy)
+    many = moves >= KINDS.many_moves * max(len(short), 1)
+    return tuple(healthy) if many else short or tuple(healthy)
 
 
 def _loads(log: CellLog, phases: Sequence[Phase], flow: FloatArray) -> tuple[Load, ...]:
@@ -115,7 +119,7 @@ def _loads(log: CellLog, phases: Sequence[Phase], flow: FloatArray) -> tuple[Loa
     border = _role_border(phases)
     shortest, rested = _shortest(phases)
     current = log.known_current_A()
-    smallest = SMALLEST_OF_RANGE * float(np.max(np.abs(current)))
+    smallest = KINDS.smallest * float(np.max(np.abs(current)))
     loads = []
     for k, phase in enumerate(phases):
         if phase.kind not in ("cc", "cv") or k == 0 or phases[k - 1].kind != "rest":
@@ -135,7 +139,7 @@ def _loads(log: CellLog, phases: Sequence[Phase], flow: FloatArray) -> tuple[Loa
         seconds = sum(p.duration_s for p in phases[k:after])
         level = _level(current[phase.start : max(cc_stop, phase.start + 1)])
         # Before the log's first row the cell may have rested for as long as one likes.
-        known = rest > 0 or rested > MINIMUM_REST_S
+        known = rest > 0 or rested > KINDS.rest_s
         if known and sum(p.duration_s for p in phases[rest:k]) < rested:
             continue
         if seconds < shortest or (seconds <= border and abs(level) < smallest):
@@ -164,7 +168,7 @@ def _giving_back_are_pulses(loads: list[Load], flow_Ah: FloatArray) -> tuple[Loa
     most = max((abs(q) for q, x in pairs if x.role == "pulse"), default=0.0)
     way = sum(q for q, x in pairs if x.role == "move")
     return tuple(
-        x._replace(role="pulse") if q * way < 0.0 and abs(q) <= PULSE_MARGIN * most else x
+        x._replace(role="pulse") if q * way < 0.0 and abs(q) <= KINDS.margin * most else x
         for q, x in pairs
     )
 
@@ -174,8 +178,8 @@ def _shortest(phases: Sequence[Phase]) -> tuple[float, float]:
     seconds = {"dynamic": 0.0, "rest": 0.0, "cc": 0.0, "cv": 0.0}
     for phase in phases:
         seconds[phase.kind] += phase.duration_s
-    drive = seconds["dynamic"] > DRIVE_SHARE * (seconds["cc"] + seconds["cv"])
-    return (DRIVE_PULSE_S, DRIVE_REST_S) if drive else (0.0, MINIMUM_REST_S)
+    drive = seconds["dynamic"] > KINDS.drive * (seconds["cc"] + seconds["cv"])
+    return (KINDS.drive_pulse_s, KINDS.drive_rest_s) if drive else (0.0, KINDS.rest_s)
 
 
 def _same_load(phase: Phase, following: Phase) -> bool:
@@ -199,36 +203,34 @@ def _role_border(phases: Sequence[Phase]) -> float:
     )
     d: FloatArray = np.sort(planned)
     if d.size < 2:
-        return LONGEST_PULSE_S
-    close = np.diff(d) <= SAME_DURATION * d[1:]
+        return KINDS.longest_s
+    close = np.diff(d) <= LIMITS.same_duration * d[1:]
     repeated = np.concatenate(([False], close)) | np.concatenate((close, [False]))
     if not repeated.any():
         return _widest_gap(d)
     plan = d[repeated]
-    if plan[0] > LONGEST_PULSE_S and plan[-1] < ROLE_FACTOR * plan[0]:
+    if plan[0] > KINDS.longest_s and plan[-1] < KINDS.factor * plan[0]:
         # One plan of moves: what is a little shorter is a move, too, that a limit cut.
-        return min(float(plan[0]) / ROLE_FACTOR, LONGEST_PULSE_S)
+        return min(float(plan[0]) / KINDS.factor, KINDS.longest_s)
     border = _widest_gap(plan)
-    return border if border < LONGEST_PULSE_S else _widest_gap(d[d >= d[repeated][0]])
+    return border if border < KINDS.longest_s else _widest_gap(d[d >= d[repeated][0]])
 
 
 def _widest_gap(d: FloatArray) -> float:
     """Border above the durations below the widest gap; where there is none, ten minutes."""
     if d.size < 2:
-        return LONGEST_PULSE_S
+        return KINDS.longest_s
     middle = np.sqrt(d[1:] * d[:-1])
-    fitting = (middle > ROLE_BORDER_S[0]) & (middle < ROLE_BORDER_S[1])
+    fitting = (middle > KINDS.border_s[0]) & (middle < KINDS.border_s[1])
     ratio = np.where(fitting, d[1:] / d[:-1], 0.0)
     widest = int(np.argmax(ratio))
-    return PULSE_MARGIN * float(d[widest]) if ratio[widest] >= ROLE_FACTOR else LONGEST_PULSE_S
+    return KINDS.margin * float(d[widest]) if ratio[widest] >= KINDS.factor else KINDS.longest_s
 
 
 def _level(current: FloatArray) -> float:
     """Level of a constant current without the rows of its rise [A]."""
     size = np.abs(current)
-    scatter = noise_of(current) if current.size >= NOISY_ROWS else 0.0
-    held = size >= RISEN_PART * np.quantile(size, 0.9) - RISEN_SIGMAS * scatter
-    return float(np.median(current[held]))
+    return float(np.median(current[size >= 0.9 * np.median(size)]))
 
 
 def _pulse(log: CellLog, flow_Ah: FloatArray, x: Load, verdict: Verdict) -> Pulse:

@@ -7,25 +7,23 @@ from typing import Literal
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
-from scipy.optimize import minimize
 
 from cellwise.identify.ocv.ocv_functions import (
     OCV_KINDS,
-    LogLinearExp,
     OcvFunction,
     OcvKind,
     OcvTable,
 )
 from cellwise.identify.ocv.ocv_points import (
     MIN_POINTS,
-    MIN_SLOPE_V,
     beyond_ends,
     checked_points,
     condense,
     leave_out_turns,
     strictly_rising,
 )
-from cellwise.identify.ocv.ocv_spline import choose_smoothing, fit_monotone_spline
+from cellwise.identify.ocv.ocv_spline import fit_monotone_spline
+from cellwise.identify.papers.log_linear_exp import fit_log_linear_exp
 from cellwise.typing import FloatArray
 
 TABLE_CELLS = 100
@@ -102,12 +100,11 @@ def held_out_rmse(
 ) -> float:
     """RMS error at points left out of the fit, every fifth in turn, both ends kept [V].
 
-    nan where fewer than ``MIN_POINTS + 2`` points are given. The spline's penalty is chosen by
-    this very figure: one number against many points, so the figure is hardly biased.
+    nan where fewer than ``MIN_POINTS + 2`` points are given.
     """
     s, v, w = condense(*checked_points(soc, voltage_V, weight))
-    if kind == "spline" or s.size < MIN_POINTS + 2:
-        return choose_smoothing(s, v, w)[1]
+    if s.size < MIN_POINTS + 2:
+        return float("nan")
     turn = leave_out_turns(s)
     squares = 0.0
     for fold in range(int(turn.max()) + 1):
@@ -115,43 +112,6 @@ def held_out_rmse(
         function = _fit(s[~left], v[~left], w[~left], kind)
         squares += float(np.sum(w[left] * (v[left] - function.evaluate(s[left])) ** 2))
     return float(np.sqrt(squares / np.sum(w[turn >= 0])))
-
-
-def fit_log_linear_exp(
-    soc: FloatArray, voltage_V: FloatArray, weight: FloatArray | None = None
-) -> LogLinearExp:
-    """Equation 8 by variable projection: a, b, d and the exponential's height are linear.
-
-    Only c and e are searched, from a grid and then downhill, so the result does not hang on a
-    start value. b >= 0 always; d >= 0 too where the curve would otherwise not rise.
-    """
-    s, v, w = condense(*checked_points(soc, voltage_V, weight))
-    least_c = max(1e-3, 1e-3 - float(s[0]))
-
-    def solve(x: FloatArray, d_positive: bool) -> tuple[float, FloatArray]:
-        c = least_c + np.exp(np.clip(x[0], -9.0, 1.0))
-        e = np.exp(np.clip(x[1], 0.0, 5.5))
-        return _log_linear_exp_linear_part(s, v, w, c, e, d_positive)
-
-    def search(d_positive: bool) -> LogLinearExp:
-        starts = [np.array([lc, le]) for lc in np.arange(-8, 1) for le in np.arange(0.5, 5.5, 0.5)]
-        start = min(starts, key=lambda x: solve(x, d_positive)[0])
-        best = minimize(
-            lambda x: np.log(1e-18 + solve(x, d_positive)[0]),
-            start,
-            method="Nelder-Mead",
-            options={"xatol": 1e-7, "fatol": 1e-10, "maxiter": 600},
-        ).x
-        a, b, d, height = solve(best, d_positive)[1]
-        e = float(np.exp(np.clip(best[1], 0.0, 5.5)))
-        c = float(least_c + np.exp(np.clip(best[0], -9.0, 1.0)))
-        f = 1.0 - np.log(max(float(height), 1e-12)) / e
-        return LogLinearExp(float(a), float(b), c, float(d), e, float(f))
-
-    found = search(d_positive=False)
-    if np.min(found.slope(np.linspace(0.0, 1.0, 201))) < MIN_SLOPE_V:
-        found = search(d_positive=True)
-    return found
 
 
 def fit_ocv_table(
@@ -185,25 +145,3 @@ def _fit(s: FloatArray, v: FloatArray, w: FloatArray, kind: OcvKind) -> OcvFunct
     if kind == "spline":
         return fit_monotone_spline(s, v, w)
     return fit_ocv_table(s, v, w)
-
-
-def _log_linear_exp_linear_part(
-    s: FloatArray, v: FloatArray, w: FloatArray, c: float, e: float, d_positive: bool
-) -> tuple[float, FloatArray]:
-    """Best a, b, d and height of exp(e (s - 1)) for given c and e, with b and the height >= 0."""
-    columns = np.column_stack((np.ones(s.size), np.log(s + c), s, np.exp(e * (s - 1.0))))
-    root = np.sqrt(w)
-    a, y = columns * root[:, None], v * root
-    best, best_cost = np.zeros(4), np.inf
-    # Three signs at most: trying every set of active bounds is exact and needs no iteration.
-    for free in ([0, 1, 2, 3], [0, 1, 2], [0, 2, 3], [0, 1, 3], [0, 2], [0, 1], [0, 3]):
-        x = np.zeros(4)
-        x[free] = np.linalg.lstsq(a[:, free], y, rcond=None)[0]
-        if x[1] < 0 or x[3] < 0 or (d_positive and x[2] < MIN_SLOPE_V and 2 in free):
-            continue
-        cost = float(np.sum((a @ x - y) ** 2))
-        if cost < best_cost:
-            best, best_cost = x, cost
-        if len(free) == 4:
-            break
-    return best_cost, best

@@ -37,51 +37,6 @@ class OcvFunction(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class LogLinearExp:
-    r"""OCV as logarithm, line and exponential, equation 8 of the LFP paper.
-
-    .. math:: OCV(s) = a + b \ln(s + c) + d s + e^{e (s - f)}
-
-    The logarithm bends the empty end down, the exponential the full end up, the line is the
-    plateau. Straight outside 0..1.
-
-    Parameters
-    ----------
-    a, b, d : float       [V], b >= 0
-    c, f : float          SOC, c > 0
-    e : float             1 per unit of SOC, e > 0
-    """
-
-    a: float
-    b: float
-    c: float
-    d: float
-    e: float
-    f: float
-
-    @property
-    def kind(self) -> OcvKind:
-        """Name of the form."""
-        return "log-linear-exp"
-
-    def evaluate(self, soc: FloatArray | float) -> FloatArray:
-        """Open-circuit voltage [V], the shape of ``soc``."""
-        s, outside = _inside(soc, 0.0, 1.0)
-        inside = self.a + self.b * np.log(s + self.c) + self.d * s + self._exponential(s)
-        return np.asarray(inside + outside * self._slope_inside(s))
-
-    def slope(self, soc: FloatArray | float) -> FloatArray:
-        """dOCV/dsoc [V per unit of SOC], the shape of ``soc``."""
-        return self._slope_inside(_inside(soc, 0.0, 1.0)[0])
-
-    def _exponential(self, s: FloatArray) -> FloatArray:
-        return np.exp(self.e * (s - self.f))
-
-    def _slope_inside(self, s: FloatArray) -> FloatArray:
-        return np.asarray(self.b / (s + self.c) + self.d + self.e * self._exponential(s))
-
-
 @dataclass(frozen=True, eq=False)
 class MonotoneSpline:
     """OCV as a cubic B-spline whose coefficients increase, so that it does.
@@ -106,13 +61,13 @@ class MonotoneSpline:
 
     def evaluate(self, soc: FloatArray | float) -> FloatArray:
         """Open-circuit voltage [V], the shape of ``soc``."""
-        s, outside = _inside(soc, self.knots[0], self.knots[-1])
+        s, outside = inside_of(soc, self.knots[0], self.knots[-1])
         spline = BSpline(self.knots, self.coefficients, 3)
         return np.asarray(spline(s) + outside * spline.derivative()(s))
 
     def slope(self, soc: FloatArray | float) -> FloatArray:
         """dOCV/dsoc [V per unit of SOC], the shape of ``soc``."""
-        s, _ = _inside(soc, self.knots[0], self.knots[-1])
+        s, _ = inside_of(soc, self.knots[0], self.knots[-1])
         return np.asarray(BSpline(self.knots, self.coefficients, 3).derivative()(s))
 
 
@@ -169,7 +124,7 @@ def uniform_grid(function: OcvFunction, intervals: int = 100) -> tuple[FloatArra
     return soc, function.evaluate(soc)
 
 
-def _inside(soc: FloatArray | float, first: float, last: float) -> tuple[FloatArray, FloatArray]:
+def inside_of(soc: FloatArray | float, first: float, last: float) -> tuple[FloatArray, FloatArray]:
     """SOC moved into [first, last], and how far outside it was."""
     s = np.asarray(soc, dtype=np.float64)
     inside = np.clip(s, first, last)

@@ -30,25 +30,30 @@ from cellwise.typing import BoolArray, FloatArray
 
 Use = Literal["auto", "mean", "discharge", "charge"]
 
-# 1/h of the branch's own charge: slower is a low rate; up to the second it is taken with a notice.
-LOW_RATE, FASTEST_RATE = 1.0 / 9.0, 1.0 / 1.8
-# A whole charge brings back this much of what the discharge took, counter errors included; from
-# the second share on it is whole whatever voltage its last row shows.
-WHOLE_CHARGE = (0.95, 1.10)
-NEARLY_ALL = 0.99
-# Part of the SOC range that a branch must cover to be averaged.
-WHOLE_COVER = 0.75
-# Part of the SOC range where the gap is what it is, and how much wider it may grow at the ends.
-MIDDLE = (0.25, 0.75)
-END_GAP = 1.3
-OUTSIDE = 0.02
-LIMIT_TOLERANCE_V = 0.01
 
-# Averaged branches have currents alike within this factor.
-ALIKE_RATE = 2.0
-# A voltage after so long without current gives the SOC.
-RESTED_S = 600.0
-NO_CURRENT = 0.02
+class _Limits(NamedTuple):
+    """What makes a branch whole, and two branches fit for a mean."""
+
+    low_rate: float = 1.0 / 9.0  # [1/h] of the branch's own charge: faster is said
+    fastest_rate: float = 1.0 / 1.8  # [1/h]: faster is no low rate
+    cover: float = 0.75  # of the SOC range that a branch must cover
+    # A whole charge brings back this much of what the discharge took, counter errors included;
+    # nearly all is whole whatever voltage its last row shows.
+    least_back: float = 0.95
+    nearly_all: float = 0.99
+    most_back: float = 1.10
+    at_limit_V: float = 0.01
+    alike_rate: float = 2.0  # factor between the rates of branches that are averaged
+    # Between these parts of the SOC range the gap is what it is; towards the ends it may grow by
+    # the factor that follows.
+    middle: tuple[float, float] = (0.25, 0.75)
+    end_gap: float = 1.3
+    rested_s: float = 600.0  # a voltage after so long without current gives the SOC
+
+
+LIMITS = _Limits()
+OUTSIDE = 0.02  # of the SOC range: rows beyond the ends that are still taken
+NO_CURRENT = 0.02  # of the main current
 
 
 class Branch(NamedTuple):
@@ -138,7 +143,7 @@ def _slowest_pair(
     for k, half in enumerate(halves):
         end = settled_end(trace, halves, k)
         moved = abs(float(trace.charge_Ah[end] - trace.charge_Ah[_begin(half)]))
-        if abs(half.main_current_A) <= FASTEST_RATE * moved:
+        if abs(half.main_current_A) <= LIMITS.fastest_rate * moved:
             found[half.charge_Ah > 0.0].append(_Moved(half, moved, end))
 
     def slowest(among: list[_Moved]) -> _Moved | None:
@@ -182,17 +187,20 @@ def _charge_branch(
     rows = _rows(trace, half)
     back = trace.charge_Ah[_begin(half)] - trace.charge_Ah[rows]
     top = float(np.max(trace.voltage_V[half.start : half.stop]))
-    whole = top >= float(np.max(trace.voltage_V)) - LIMIT_TOLERANCE_V
+    whole = top >= float(np.max(trace.voltage_V)) - LIMITS.at_limit_V
     empty, full = 0.0, 1.0
     if taken is not None and discharge is not None:
         ratio = given.charge_Ah / taken.charge_Ah
-        whole = whole or ratio >= NEARLY_ALL
-        whole = whole and WHOLE_CHARGE[0] <= ratio <= WHOLE_CHARGE[1]
+        whole = whole or ratio >= LIMITS.nearly_all
+        whole = whole and LIMITS.least_back <= ratio <= LIMITS.most_back
         empty = 1.0 - taken.charge_Ah / capacity_Ah
         full = 1.0 - (1.0 - _filled_to(trace, given, taken, discharge, ratio)) * (1.0 - empty)
     scale = (full - empty) / given.charge_Ah if whole else 1.0 / capacity_Ah
     branch = _branch(trace, given, rows, empty + back * scale, resistance_ohm)
-    alike = discharge is None or 1.0 / ALIKE_RATE <= branch.rate / discharge.rate <= ALIKE_RATE
+    alike = (
+        discharge is None
+        or 1.0 / LIMITS.alike_rate <= branch.rate / discharge.rate <= LIMITS.alike_rate
+    )
     return branch._replace(whole=whole and alike and branch.whole)
 
 
@@ -212,7 +220,7 @@ def _filled_to(
     rested = np.abs(trace.current_A) <= NO_CURRENT * abs(given.half.main_current_A)
     moving = np.flatnonzero(~rested[: after + 1])
     rest_s = float(np.sum(trace.interval_s[moving[-1] + 1 : after + 1])) if moving.size else 0.0
-    if rest_s < RESTED_S or not rested[before]:
+    if rest_s < LIMITS.rested_s or not rested[before]:
         return counted
     known = np.isfinite(discharge.grid_V)
     grid, level = np.linspace(0.0, 1.0, GRID_INTERVALS + 1)[known], discharge.grid_V[known]
@@ -247,7 +255,7 @@ def _branch(
         grid_V=smooth,
         moved_Ah=moved.charge_Ah,
         rate=abs(moved.half.main_current_A) / moved.charge_Ah,
-        whole=bool(min(s[-1], 1.0) - max(s[0], 0.0) >= WHOLE_COVER),
+        whole=bool(min(s[-1], 1.0) - max(s[0], 0.0) >= LIMITS.cover),
     )
 
 
@@ -301,10 +309,12 @@ def _mean_of_branches(discharge_V: FloatArray, charge_V: FloatArray) -> FloatArr
     """
     soc = np.linspace(0.0, 1.0, discharge_V.size)
     half = 0.5 * (charge_V - discharge_V)
-    middle = (soc > MIDDLE[0]) & (soc < MIDDLE[1]) & np.isfinite(half)
+    middle = (soc > LIMITS.middle[0]) & (soc < LIMITS.middle[1]) & np.isfinite(half)
     usual = float(np.median(half[middle])) if middle.any() else float(np.nanmedian(half))
-    half = np.where(np.isfinite(half), np.minimum(half, END_GAP * usual), END_GAP * usual)
-    share = np.clip((soc - MIDDLE[0]) / (MIDDLE[1] - MIDDLE[0]), 0.0, 1.0)
+    half = np.where(
+        np.isfinite(half), np.minimum(half, LIMITS.end_gap * usual), LIMITS.end_gap * usual
+    )
+    share = np.clip((soc - LIMITS.middle[0]) / (LIMITS.middle[1] - LIMITS.middle[0]), 0.0, 1.0)
     share = np.where(np.isfinite(charge_V), share, 1.0)
     share = np.where(np.isfinite(discharge_V), share, 0.0)
     from_discharge = np.where(np.isfinite(discharge_V), discharge_V, 0.0) + half
@@ -320,13 +330,13 @@ def _notes(discharge: Branch | None, charge: Branch | None) -> tuple[str, ...]:
                 f"{label} branch: {branch.moved_Ah:.4f} Ah at C/{1.0 / branch.rate:.1f},"
                 f" SOC {branch.soc[0]:.3f} to {branch.soc[-1]:.3f}"
             )
-            if branch.rate > LOW_RATE:
+            if branch.rate > LIMITS.low_rate:
                 notes.append(f"{label} branch is faster than C/10: it carries much polarisation")
     if discharge is not None and charge is not None:
         if charge.whole and discharge.whole:
             gap = 1e3 * np.nanmedian(charge.grid_V - discharge.grid_V)
             notes.append(f"gap between the branches: {gap:.1f} mV median")
-        elif not 1.0 / ALIKE_RATE <= charge.rate / discharge.rate <= ALIKE_RATE:
+        elif not 1.0 / LIMITS.alike_rate <= charge.rate / discharge.rate <= LIMITS.alike_rate:
             notes.append("charge branch at another rate than the discharge: not averaged in")
         else:
             notes.append(

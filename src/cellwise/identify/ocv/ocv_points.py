@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,18 +12,21 @@ from scipy.optimize import isotonic_regression
 from cellwise.errors import InputError
 from cellwise.typing import FloatArray
 
-# A plateau that is flatter than this carries no information; the floor only keeps the sign.
-MIN_SLOPE_V = 1e-3
+MIN_SLOPE_V = 1e-3  # per unit of SOC: flatter carries no information, the floor keeps the sign
 MIN_POINTS = 4
-# A low-rate log has thousands of rows that say the same: so many points are kept.
-MAX_POINTS = 400
+MAX_POINTS = 400  # a low-rate log has thousands of rows that say the same: so many are kept
 SAME_SOC = 1e-4
-MANY = 10.0
 FOLDS = 5
-# More points than this are a low-rate curve, not rests.
-MAX_RESTS = 120
-# Rests nearer than this share of the widest step between rests are of one level.
-CLOSE_OF_STEP = 0.3
+
+
+class _Levels(NamedTuple):
+    """Rests that lie together are of one level."""
+
+    most: int = 120  # more points than this are a low-rate curve, not rests
+    close: float = 0.3  # of the widest step between rests
+
+
+LEVELS = _Levels()
 # Below the lowest point the slope may go on growing, up to twofold over this stretch of SOC.
 END_STRETCH = 0.05
 
@@ -77,7 +81,7 @@ def condense(
     """Means of points that say the same: equal SOC, or more than ``MAX_POINTS`` along the curve."""
     group: NDArray[np.intp] = np.append(0, np.cumsum(np.diff(s) > SAME_SOC))
     starts = np.flatnonzero(np.diff(group, prepend=-1))
-    if np.max(s[np.append(starts[1:], s.size) - 1] - s[starts]) > MANY * SAME_SOC:
+    if np.max(s[np.append(starts[1:], s.size) - 1] - s[starts]) > 10.0 * SAME_SOC:
         # Rows of a slow log lie so close that each says the same as the next, and all as one.
         group = np.append(0, np.cumsum(np.diff(np.floor((s - s[0]) / SAME_SOC)) > 0))
     if group[-1] >= MAX_POINTS:
@@ -96,9 +100,9 @@ def leave_out_turns(s: FloatArray, *, keep_ends: bool = True) -> NDArray[np.intp
     together: a neighbour a millivolt away would predict anything.
     """
     group = np.arange(s.size)
-    if s.size <= MAX_RESTS:
+    if s.size <= LEVELS.most:
         step = np.diff(s)
-        levels = np.append(0, np.cumsum(step > CLOSE_OF_STEP * np.max(step)))
+        levels = np.append(0, np.cumsum(step > LEVELS.close * np.max(step)))
         group = levels if levels[-1] >= MIN_POINTS + 1 else group
     turn = group % min(FOLDS, int(group[-1]) - 1)
     if keep_ends:

@@ -17,20 +17,26 @@ from cellwise.typing import BoolArray, FloatArray
 
 Anchor = Literal["full", "empty", "auto"]
 
-AVERAGE_S = 10.0
-# Shorter rests show relaxation more than OCV, unless there are no longer ones.
-MIN_REST_S = 300.0
-MIN_RESTS = 4
-# A phase called rest that moved more than this share of the largest current was none.
-REST_OF_CURRENT = 0.01
-# A rest that is this far from its end counts half.
-UNRELAXED_V = 5e-3
+AVERAGE_S = 10.0  # at a rest's end, as in the LFP paper
+
+
+class _Limits(NamedTuple):
+    """Which rests say something of OCV, and how much."""
+
+    # Shorter rests show relaxation more than OCV, unless there are not as many longer ones.
+    rest_s: float = 300.0
+    enough: int = 4
+    current: float = 0.01  # of the largest: a phase called rest that moved more was none
+    unrelaxed_V: float = 5e-3  # a rest that is this far from its end counts half
+    outside: float = 0.02  # of the SOC range, beyond its ends
+    # A log whose charge never goes further above its start, as a share of the capacity, begins at
+    # its fullest.
+    begins_full: float = 0.02
+
+
+LIMITS = _Limits()
 # Time constants tried for the end of a relaxation, in lengths of the part that is fitted.
 RELAXATION_OF_LENGTH = (0.3, 0.5, 0.8, 1.2, 1.8)
-OUTSIDE = 0.02
-# A log whose charge never goes further above its start than this share of the capacity begins at
-# its fullest.
-BEGINS_FULL = 0.02
 
 
 @dataclass(frozen=True)
@@ -42,7 +48,6 @@ class OcvRest:
     charge_Ah : float         removed since the log's first row [Ah]
     voltage_V : float         mean over the last 10 s without current [V], as the LFP paper has it
     final_V : float           where the second half of the rest tends to [V]
-    slope_V_per_h : float     at its end [V/h]
     duration_s : float        length [s]; for a log that begins at rest what is seen of it
     start, stop : int         rows whose intervals belong to it
     after : str               ``discharge`` or ``charge``, what came before; ``start`` of the log
@@ -51,7 +56,6 @@ class OcvRest:
     charge_Ah: float
     voltage_V: float
     final_V: float
-    slope_V_per_h: float
     duration_s: float
     start: int
     stop: int
@@ -61,11 +65,6 @@ class OcvRest:
     def remaining_V(self) -> float:
         """What the voltage had still to go [V]."""
         return self.final_V - self.voltage_V
-
-
-class _Relaxed(NamedTuple):
-    final_V: float
-    slope_V_per_h: float
 
 
 def find_ocv_rests(
@@ -90,7 +89,7 @@ def find_ocv_rests(
     InputError              the log never rests
     """
     phases = find_phases(log)
-    limit_A = REST_OF_CURRENT * float(np.nanmax(np.abs(log.current_A)))
+    limit_A = LIMITS.current * float(np.nanmax(np.abs(log.current_A)))
     rests = [p for p in phases if p.kind == "rest" and abs(p.current_A) <= limit_A]
     if not rests:
         raise InputError(
@@ -100,8 +99,8 @@ def find_ocv_rests(
         )
     if min_rest_s is None:
         longest = max(p.duration_s for p in rests)
-        enough = sum(p.duration_s >= MIN_REST_S for p in rests) >= MIN_RESTS
-        min_rest_s = MIN_REST_S if enough else 0.5 * longest
+        enough = sum(p.duration_s >= LIMITS.rest_s for p in rests) >= LIMITS.enough
+        min_rest_s = LIMITS.rest_s if enough else 0.5 * longest
     charge = log.counted_charge_Ah()
     before: dict[int, Phase] = {b.start: a for a, b in pairwise(phases)}
     return tuple(
@@ -162,12 +161,12 @@ def ocv_from_rests(
     soc = 1.0 - (charge - full_at) / capacity_Ah
     voltage = np.array([r.final_V if extrapolate else r.voltage_V for r in rests])
     remaining = np.array([r.remaining_V for r in rests])
-    inside: BoolArray = (soc >= -OUTSIDE) & (soc <= 1.0 + OUTSIDE)
+    inside: BoolArray = (soc >= -LIMITS.outside) & (soc <= 1.0 + LIMITS.outside)
     return curve_from_points(
         soc[inside],
         voltage[inside],
         capacity_Ah=capacity_Ah,
-        weight=1.0 / (1.0 + (remaining[inside] / UNRELAXED_V) ** 2),
+        weight=1.0 / (1.0 + (remaining[inside] / LIMITS.unrelaxed_V) ** 2),
         kind=kind,
         source=f"rests of {log.name or log.source or 'a log'}",
         notes=_notes(soc, remaining, inside),
@@ -178,7 +177,7 @@ def ocv_from_rests(
 def _climbs_short_of_full(log: CellLog, charge_Ah: FloatArray, capacity_Ah: float) -> bool:
     """Whether a log ends its way up without the constant voltage that makes a cell full."""
     fullest = int(np.argmin(charge_Ah))
-    if charge_Ah[0] - charge_Ah[fullest] <= BEGINS_FULL * capacity_Ah:
+    if charge_Ah[0] - charge_Ah[fullest] <= LIMITS.begins_full * capacity_Ah:
         return False
     charging = [p for p in find_phases(log) if p.charging and p.start <= fullest]
     return not charging or charging[-1].kind != "cv"
@@ -210,12 +209,10 @@ def _rest(
         known[-1:], v = True, np.full(v.size, phase.voltage_end_V)
     t, v = t[known], v[known]
     last = t >= t[-1] - average_s
-    relaxed = _relaxation(t, v)
     return OcvRest(
         charge_Ah=float(charge[phase.stop - 1]),
         voltage_V=float(np.mean(v[last])),
-        final_V=relaxed.final_V,
-        slope_V_per_h=relaxed.slope_V_per_h,
+        final_V=_relaxed_V(t, v),
         duration_s=phase.duration_s,
         start=phase.start,
         stop=phase.stop,
@@ -223,8 +220,8 @@ def _rest(
     )
 
 
-def _relaxation(t: FloatArray, v: FloatArray) -> _Relaxed:
-    """Final voltage and end slope of a rest, from an exponential through its second half.
+def _relaxed_V(t: FloatArray, v: FloatArray) -> float:
+    """Final voltage of a rest, from an exponential through its second half.
 
     The time constant comes from a few values; the amplitude may not exceed what the rest has
     already gone through, so a short or noisy rest stays near its last voltage.
@@ -232,20 +229,15 @@ def _relaxation(t: FloatArray, v: FloatArray) -> _Relaxed:
     length = float(t[-1] - t[0])
     half = t >= t[-1] - 0.5 * length
     if np.count_nonzero(half) < 4 or length <= 0.0:
-        return _Relaxed(float(v[-1]), float("nan"))
+        return float(v[-1])
     x, y = (t[half] - t[-1]) / (0.5 * length), v[half]
-    best, error = (float(y[-1]), 0.0, 1.0), np.inf
+    fits = []
     for tau in RELAXATION_OF_LENGTH:
         columns = np.column_stack((np.ones(x.size), np.exp(-x / tau)))
-        (final, amplitude), *_ = np.linalg.lstsq(columns, y, rcond=None)
-        squares = float(np.sum((columns @ (final, amplitude) - y) ** 2))
-        if squares < error:
-            best, error = (float(final), float(amplitude), tau), squares
-    final, amplitude, tau = best
+        found = np.linalg.lstsq(columns, y, rcond=None)[0]
+        fits.append((float(np.sum((columns @ found - y) ** 2)), float(found[1])))
     moved = abs(float(v[-1] - v[0]))
-    amplitude = float(np.clip(amplitude, -moved, moved))
-    slope = -amplitude / (tau * 0.5 * length) * 3600.0
-    return _Relaxed(float(np.mean(y[-max(1, y.size // 20) :])) - amplitude, slope)
+    return float(np.mean(y[-max(1, y.size // 20) :]) - np.clip(min(fits)[1], -moved, moved))
 
 
 def _notes(soc: FloatArray, remaining: FloatArray, inside: BoolArray) -> tuple[str, ...]:

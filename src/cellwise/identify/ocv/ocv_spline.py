@@ -11,25 +11,19 @@ from scipy.optimize import nnls
 
 from cellwise.identify.ocv.ocv_functions import MonotoneSpline
 from cellwise.identify.ocv.ocv_points import (
-    MIN_POINTS,
     MIN_SLOPE_V,
     beyond_ends,
     checked_points,
     condense,
-    leave_out_turns,
     strictly_rising,
 )
 from cellwise.typing import FloatArray
 
-MIN_CELLS, MAX_CELLS = 6, 60
-# Over 32 measured curves, sampled as rests or densely, with noise from 0 to 8 mV, the best penalty
-# lay in this range and the usual one was seldom far from it: left-out points must be many and speak
-# clearly to move it.
-SMOOTHING = 10.0 ** np.arange(-4.0, 0.5)
-USUAL_SMOOTHING = 2
-CLEAR_GAIN = 0.85
-ENOUGH_POINTS = 20
-RIDGE = 1e-12
+FEWEST_CELLS, MOST_CELLS = 6, 60
+# Penalty on second differences over the normal equations: the best of 32 measured curves, sampled
+# as rests or densely, with noise from 0 to 8 mV, was seldom far from it.
+SMOOTHING = 1e-2
+RIDGE = 1e-12  # keeps the factor of a singular system
 
 
 class _System(NamedTuple):
@@ -51,44 +45,16 @@ def fit_monotone_spline(
     Knots lie at equal steps of the curve's length in the (SOC, voltage) picture: the steep ends
     get as many as they need, the plateau of LFP keeps its own. Second differences of the
     coefficients are penalised (Eilers and Marx 1996, doi:10.1214/ss/1038425655), non-negative
-    least squares keeps the increments positive, and left-out points choose the penalty.
+    least squares keeps the increments positive.
     """
     s, v, w = condense(*checked_points(soc, voltage_V, weight))
-    smoothing, _ = choose_smoothing(s, v, w)
-    return _spline_to_ends(s, v, w, smoothing)
-
-
-def choose_smoothing(s: FloatArray, v: FloatArray, w: FloatArray) -> tuple[float, float]:
-    """Penalty with the smallest error at left-out points, and that error (nan: too few)."""
-    if s.size < MIN_POINTS + 2:
-        return float(SMOOTHING[USUAL_SMOOTHING]), float("nan")
-    turn = leave_out_turns(s)
-    squares = np.zeros(SMOOTHING.size)
-    for fold in range(int(turn.max()) + 1):
-        left = turn == fold
-        system = _system(s[~left], v[~left], w[~left])
-        for i, smoothing in enumerate(SMOOTHING):
-            f = _solve(system, smoothing)
-            squares[i] += np.sum(w[left] * (v[left] - f.evaluate(s[left])) ** 2)
-    errors = np.sqrt(squares / np.sum(w[turn >= 0]))
-    best = int(np.argmin(errors))
-    if s.size < ENOUGH_POINTS or errors[best] > CLEAR_GAIN * errors[USUAL_SMOOTHING]:
-        best = USUAL_SMOOTHING
-    return float(SMOOTHING[best]), float(errors[best])
-
-
-def _spline_to_ends(
-    s: FloatArray, v: FloatArray, w: FloatArray, smoothing: float
-) -> MonotoneSpline:
-    inner = _solve(_system(s, v, w), smoothing)
+    inner = _solve(_system(s, v, w))
     s_end, v_end = beyond_ends(inner.evaluate, float(s[0]), float(s[-1]))
     if s_end.size == 0:
         return inner
     order = np.argsort(np.append(s, s_end))
     weight = np.append(w, np.full(s_end.size, np.mean(w)))
-    return _solve(
-        _system(np.append(s, s_end)[order], np.append(v, v_end)[order], weight[order]), smoothing
-    )
+    return _solve(_system(np.append(s, s_end)[order], np.append(v, v_end)[order], weight[order]))
 
 
 def _system(s: FloatArray, v: FloatArray, w: FloatArray) -> _System:
@@ -99,7 +65,7 @@ def _system(s: FloatArray, v: FloatArray, w: FloatArray) -> _System:
     """
     rising = strictly_rising(s, v, w)
     length = np.cumsum(np.hypot(np.diff(s), np.diff(rising) / (rising[-1] - rising[0])))
-    cells = int(np.clip(s.size, MIN_CELLS, MAX_CELLS))
+    cells = int(np.clip(s.size, FEWEST_CELLS, MOST_CELLS))
     inner = np.interp(np.arange(1, cells) / cells * length[-1], np.append(0.0, length), s)
     knots = np.concatenate((np.full(4, s[0]), inner, np.full(4, s[-1])))
     basis = BSpline.design_matrix(s, knots, 3)
@@ -120,12 +86,12 @@ def _system(s: FloatArray, v: FloatArray, w: FloatArray) -> _System:
     )
 
 
-def _solve(system: _System, smoothing: float) -> MonotoneSpline:
+def _solve(system: _System) -> MonotoneSpline:
     """Least squares plus penalty, increments >= 0, through the Cholesky factor of the system."""
-    normal = system.fit + smoothing * system.bend
+    normal = system.fit + SMOOTHING * system.bend
     size = normal.shape[0]
     factor = np.linalg.cholesky(normal + RIDGE * np.trace(normal) * np.eye(size))
-    right = system.right + smoothing * system.bend_right
+    right = system.right + SMOOTHING * system.bend_right
     target = solve_triangular(factor, right, lower=True)
     increments, _ = nnls(factor.T, target, maxiter=30 * size)
     return MonotoneSpline(system.knots, np.cumsum(increments) + system.floor)

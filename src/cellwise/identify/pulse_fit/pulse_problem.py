@@ -14,7 +14,7 @@ from cellwise.identify.pulse_fit.pulse_data import (
     row_weights,
 )
 from cellwise.identify.pulse_fit.pulse_parameters import PulseTrend, TauBounds
-from cellwise.identify.pulse_fit.variable_projection.varpro_kernels import Window, predict
+from cellwise.identify.pulse_fit.varpro_kernels import Window, predict
 from cellwise.typing import BoolArray, FloatArray
 
 FASTEST_TAU_S = 0.5

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,19 +18,24 @@ from cellwise.identify.pulse_fit.pulse_data import (
     row_weights,
 )
 from cellwise.logs.cell_log import CellLog
-from cellwise.typing import BoolArray, FloatArray
+from cellwise.typing import FloatArray
 
-REST_SHOWN_S = 60.0  # rest before the pulse that a window shows, if there is as much
-REST_SHOWN_ROWS = 3  # at least
-QUIET_PART = 0.02  # less than this part of the pulse's current is no current
-PARTLY_ROWS = 2  # rows on either side whose interval holds the switch: a mean of both currents
-CHUNK = 4096
-# Of a long step the first minutes are a pulse: over hours two branches go to what is slow, and R0
-# takes in all that is fast. What is slow is for the refinement on the whole log.
-STEP_SHOWN_S = 300.0
-STEP_SHOWN_ROWS = 25
-LATE_ROW_S = 2.5  # a drive changes its current every second or two
 
+class _Limits(NamedTuple):
+    """How much of a log belongs to a pulse."""
+
+    rest_s: float = 60.0  # of rest before it that is shown, if there is as much
+    rest_rows: int = 3  # at least
+    quiet: float = 0.02  # less than this part of the pulse's current is no current
+    switch_rows: int = 2  # on either side that may hold part of a switch
+    # Of a long step the first minutes are a pulse: over hours two branches go to what is slow, and
+    # R0 takes in all that is fast. What is slow is for the refinement on the whole log.
+    step_s: float = 300.0
+    step_rows: int = 25
+    late_row_s: float = 2.5  # a drive changes its current every second or two
+
+
+LIMITS = _Limits()
 OcvTable = Callable[[FloatArray], FloatArray]
 
 
@@ -105,7 +111,7 @@ def cut_pulse(
     *,
     soc_start: float = float("nan"),
     ocv: OcvTable | None = None,
-    rest_shown_s: float = REST_SHOWN_S,
+    rest_shown_s: float = LIMITS.rest_s,
     relaxation_s: float = float("inf"),
     name: str = "",
 ) -> PulseData:
@@ -128,10 +134,40 @@ def cut_pulse(
     ------
     InputError        as `pulse_from_arrays`
     """
-    channels = (log.time_s, log.known_current_A(), log.voltage_V)
-    return _cut(
-        channels, log.gap_rows, start, stop, capacity_Ah, soc_start, ocv, rest_shown_s,
-        relaxation_s, name or log.name,
+    time, current, voltage = log.time_s, log.known_current_A(), log.voltage_V
+    gaps = log.gap_rows
+    if not 0 <= start < stop <= time.size:
+        raise InputError(
+            f"edges at rows {start} and {stop} of a log of {time.size} rows",
+            "0 <= start < stop <= number of rows",
+            "Give the first row of the pulse and the first row after it.",
+        )
+    limit = LIMITS.quiet * float(np.max(np.abs(current[start:stop])))
+    begin = start
+    while begin > max(start - LIMITS.switch_rows, 1) and abs(current[begin - 1]) > limit:
+        begin -= 1
+    after = stop
+    while after < min(stop + LIMITS.switch_rows, time.size) and abs(current[after]) > limit:
+        after += 1
+    # The row that ends a current, or a gap, is the rest's first: its voltage is read after it.
+    busy = np.flatnonzero((np.abs(current) > limit) | gaps)
+    earlier, later = busy[busy < begin], busy[busy >= after]
+    rest = int(earlier[-1]) if earlier.size else 0
+    end = max(int(later[0]) if later.size else time.size, stop)
+    if end < time.size and not gaps[end] and end > after + 1:
+        end -= 1  # the row before the next current may hold its switch
+    if end == after:  # what looked like the tail of the switch was the next current
+        end = stop
+    end = max(stop, min(end, int(np.searchsorted(time, time[stop - 1] + relaxation_s, "right"))))
+    shown = int(np.searchsorted(time, time[max(begin - 1, 0)] - rest_shown_s))
+    first = max(rest, min(shown, begin - LIMITS.rest_rows), 0)
+    rows = slice(first, end)
+    return pulse_from_arrays(
+        time[rows], current[rows], voltage[rows], begin - first, stop - first, capacity_Ah,
+        soc_start=soc_start,
+        rest_before_s=float(time[max(begin - 1, 0)] - time[rest]),
+        ocv=ocv,
+        name=name or log.name,
     )  # fmt: skip
 
 
@@ -143,7 +179,7 @@ def cut_pulses(
     *,
     ocv: OcvTable | None = None,
     step_ocv: OcvTable | None = None,
-    rest_shown_s: float = REST_SHOWN_S,
+    rest_shown_s: float = LIMITS.rest_s,
     relaxation_s: float = float("inf"),
 ) -> list[PulseData]:
     """Cut all pulses that `find_pulses` found out of their log; of a move, its first minutes.
@@ -170,14 +206,14 @@ def cut_pulses(
             "one SOC per row",
             "Compute it from the same log.",
         )
-    channels = (log.time_s, log.known_current_A(), log.voltage_V)
-    gaps = log.gap_rows
     return [
-        _cut(
-            channels, gaps, p.start, fitted_stop(log, p), capacity_Ah,
-            float("nan") if soc is None else float(soc[max(p.start - 1, 0)]),
-            step_ocv if p.role == "move" and ocv is None else ocv,
-            rest_shown_s, relaxation_s, f"{log.name} at {log.time_s[p.start]:.0f} s",
+        cut_pulse(
+            log, p.start, fitted_stop(log, p), capacity_Ah,
+            soc_start=float("nan") if soc is None else float(soc[max(p.start - 1, 0)]),
+            ocv=step_ocv if p.role == "move" and ocv is None else ocv,
+            rest_shown_s=rest_shown_s,
+            relaxation_s=relaxation_s,
+            name=f"{log.name} at {log.time_s[p.start]:.0f} s",
         )
         for p in pulses
     ]  # fmt: skip
@@ -188,8 +224,8 @@ def fitted_stop(log: CellLog, pulse: Pulse) -> int:
     if pulse.role != "move":
         return pulse.stop
     begin = float(log.time_s[max(pulse.start - 1, 0)])
-    shown = int(np.searchsorted(log.time_s, begin + STEP_SHOWN_S, "right"))
-    return min(max(shown, pulse.start + STEP_SHOWN_ROWS), pulse.stop)
+    shown = int(np.searchsorted(log.time_s, begin + LIMITS.step_s, "right"))
+    return min(max(shown, pulse.start + LIMITS.step_rows), pulse.stop)
 
 
 def slow_rows_notice(log: CellLog, pulses: Sequence[Pulse]) -> str | None:
@@ -197,7 +233,7 @@ def slow_rows_notice(log: CellLog, pulses: Sequence[Pulse]) -> str | None:
     if not pulses:
         return None
     first_s = float(np.median([log.interval_s[p.start] for p in pulses]))
-    if first_s <= LATE_ROW_S:
+    if first_s <= LIMITS.late_row_s:
         return None
     return (
         f"'{log.name}' has its first row {first_s:.3g} s after a switch: what its R0 says is the "
@@ -215,78 +251,6 @@ def has_enough_rows(log: CellLog, pulse: Pulse) -> bool:
     except InputError:
         return False
     return bool(np.count_nonzero(row_weights(data)) >= LEAST_SETTLED_ROWS)
-
-
-def _cut(
-    channels: tuple[FloatArray, FloatArray, FloatArray],
-    gaps: BoolArray,
-    start: int,
-    stop: int,
-    capacity_Ah: float,
-    soc_start: float,
-    ocv: OcvTable | None,
-    rest_shown_s: float,
-    relaxation_s: float,
-    name: str,
-) -> PulseData:
-    time, current, voltage = channels
-    if not 0 <= start < stop <= time.size:
-        raise InputError(
-            f"edges at rows {start} and {stop} of a log of {time.size} rows",
-            "0 <= start < stop <= number of rows",
-            "Give the first row of the pulse and the first row after it.",
-        )
-    limit = QUIET_PART * float(np.max(np.abs(current[start:stop])))
-    begin = start
-    while begin > max(start - PARTLY_ROWS, 1) and abs(current[begin - 1]) > limit:
-        begin -= 1
-    after = stop
-    while after < min(stop + PARTLY_ROWS, time.size) and abs(current[after]) > limit:
-        after += 1
-    rest = _quiet_from(current, gaps, begin, limit)
-    end = max(_quiet_until(current, gaps, after, limit), stop)
-    if end < time.size and not gaps[end] and end > after + 1:
-        end -= 1  # the row before the next current may hold its switch
-    if end == after:  # what looked like the tail of the switch was the next current
-        end = stop
-    end = max(stop, min(end, int(np.searchsorted(time, time[stop - 1] + relaxation_s, "right"))))
-    shown = int(np.searchsorted(time, time[max(begin - 1, 0)] - rest_shown_s))
-    first = max(rest, min(shown, begin - REST_SHOWN_ROWS), 0)
-    rows = slice(first, end)
-    return pulse_from_arrays(
-        time[rows], current[rows], voltage[rows], begin - first, stop - first, capacity_Ah,
-        soc_start=soc_start,
-        rest_before_s=float(time[max(begin - 1, 0)] - time[rest]),
-        ocv=ocv,
-        name=name,
-    )  # fmt: skip
-
-
-def _quiet_from(current: FloatArray, gaps: BoolArray, stop: int, limit: float) -> int:
-    """First row of the rest that ends before ``stop``: the last row with current, or 0.
-
-    The row that ends a current, or a gap, is the rest's first: its voltage is read after it.
-    """
-    high = stop
-    while high > 0:
-        low = max(0, high - CHUNK)
-        busy = np.flatnonzero((np.abs(current[low:high]) > limit) | gaps[low:high])
-        if busy.size:
-            return low + int(busy[-1])
-        high = low
-    return 0
-
-
-def _quiet_until(current: FloatArray, gaps: BoolArray, start: int, limit: float) -> int:
-    """First row after ``start`` with current or after a gap, or the log's end."""
-    low = start
-    while low < current.size:
-        high = min(current.size, low + CHUNK)
-        busy = np.flatnonzero((np.abs(current[low:high]) > limit) | gaps[low:high])
-        if busy.size:
-            return low + int(busy[0])
-        low = high
-    return int(current.size)
 
 
 def _merged_current(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cellwise.errors import InputError
-from cellwise.identify.hppc.running_mean import running_mean
+from cellwise.identify.papers.signals import running_mean
 
 
 @pytest.mark.parametrize("n", [1, 5, 20])

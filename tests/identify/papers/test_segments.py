@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from cellwise.errors import InputError
+from cellwise.identify.papers.segments import SegmentOptions, fit_segments
 from cellwise.identify.pulse_fit.pulse_window import pulse_from_arrays
-from cellwise.identify.pulse_fit.segments import SegmentOptions, fit_segments
 from closed_form import Circuit, closed_pulse, stamps
 
 ONE_BRANCH = Circuit(r1=1.0e-3, tau1=5.0, r2=0.0, slope=0.0)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from cellwise.identify.pulse_fit.pulse_problem import Problem, Solution
-from cellwise.identify.pulse_fit.variable_projection.varpro_algebra_kernels import minimise, scan
-from cellwise.identify.pulse_fit.variable_projection.varpro_kernels import COLUMNS, LINEAR, thin
+from cellwise.identify.pulse_fit.varpro_algebra_kernels import minimise, scan
+from cellwise.identify.pulse_fit.varpro_kernels import COLUMNS, LINEAR, thin
 from cellwise.typing import BoolArray, FloatArray
 
 GRID = 9  # start values per axis of the log tau plane

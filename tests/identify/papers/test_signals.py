@@ -1,18 +1,15 @@
-"""Both edge detectors against switches whose row is known."""
-
-import time
+"""The paper's edge detector against switches whose row is known; the noise of a current."""
 
 import numpy as np
 import pytest
 
 from cellwise.errors import InputError
-from cellwise.identify.hppc.edges import (
+from cellwise.identify.hppc.plateaus import current_scale, find_plateaus
+from cellwise.identify.papers.signals import (
     EMA_FAST_S,
     EMA_SLOW_S,
     ema_edges,
-    robust_edges,
 )
-from cellwise.identify.hppc.plateaus import current_scale, find_plateaus
 from synthetic import HppcPlan, hppc_log, nmc_cell
 
 ONE_C = 3.0
@@ -47,30 +44,11 @@ def switches(log):
     return [row for row in rows if 1 < row < len(log.log) - 1]
 
 
-@pytest.mark.parametrize("plan", PLANS.values(), ids=PLANS.keys())
-def test_robust_edges_are_the_switches_to_the_row_and_nothing_else(plan):
-    log = made(**plan)
-    found = [e.row for e in robust_edges(log.log.current_A, log.log.time_s)]
-    assert found == switches(log)
-
-
 @pytest.mark.parametrize("name", ["10 Hz", "1 Hz", "60 s rows between", "jitter"])
 def test_the_papers_detector_finds_the_same_steps_at_any_rate(name):
     log = made(**PLANS[name])
     found = [e.row for e in ema_edges(log.log.current_A, log.log.time_s)]
     assert found == switches(log)
-
-
-def test_robust_edges_carry_the_levels_the_instant_and_the_ramp():
-    log = made(ramp_s=0.5)
-    edges = robust_edges(log.log.current_A, log.log.time_s)
-    first = next(p for p in log.pulses if p.role == "pulse")
-    on = next(e for e in edges if e.row == first.start)
-    assert on.before_A == pytest.approx(0.0, abs=1e-9)
-    assert on.after_A == pytest.approx(first.current_A)
-    assert on.step_A == pytest.approx(first.current_A)
-    assert on.ramp_rows == 5
-    assert on.time_s == log.log.time_s[first.start - 1]
 
 
 def test_the_weights_are_the_papers_at_135_hz():
@@ -97,37 +75,7 @@ def test_the_papers_detector_is_the_papers_recursion():
 def test_noise_alone_has_no_edges(sigma):
     x = np.random.default_rng(4).normal(0.0, sigma, 100_000)
     t = np.arange(x.size) * 0.1
-    assert robust_edges(x, t) == ()
     assert ema_edges(x, t) == ()
-
-
-@pytest.mark.parametrize("period_s", [20.0, 60.0, 600.0])
-def test_a_sine_has_no_edges(period_s):
-    t = np.arange(50_000) * 0.1
-    assert robust_edges(5.0 * np.sin(2.0 * np.pi * t / period_s), t) == ()
-
-
-def test_a_glitch_of_one_sample_is_no_edge():
-    log = made()
-    current = log.log.current_A.copy()
-    calm = [k for k in range(50, current.size - 50) if np.ptp(current[k - 10 : k + 10]) == 0.0]
-    current[np.random.default_rng(5).choice(calm, 40, replace=False)] += 5.0
-    assert [e.row for e in robust_edges(current, log.log.time_s)] == switches(log)
-
-
-def test_units_and_sign_do_not_matter():
-    log = made(noise_A=0.01, jitter=0.2)
-    rows = [e.row for e in robust_edges(log.log.current_A, log.log.time_s)]
-    for factor in (-1.0, 1e3, 1e-3):
-        scaled = factor * log.log.current_A
-        assert [e.row for e in robust_edges(scaled, log.log.time_s)] == rows
-
-
-def test_the_drop_at_the_end_of_a_cv_part_is_an_edge_and_its_tail_is_none():
-    t = np.arange(4000.0)
-    tail = 10.0 * np.exp(-np.arange(2000) / 600.0)
-    current = np.concatenate((np.zeros(500), np.full(1000, 10.0), tail, np.zeros(500)))
-    assert [e.row for e in robust_edges(current, t)] == [500, 3500]
 
 
 @pytest.mark.parametrize("sigma", [0.003, 0.03, 0.3])
@@ -143,32 +91,8 @@ def test_an_offset_of_the_sensor_is_a_rest():
     assert np.count_nonzero(~plateaus.rest) == len(truth)
 
 
-def test_a_million_rows_take_well_under_half_a_second():
-    rng = np.random.default_rng(6)
-    current = np.repeat(rng.choice([0.0, 20.0, -40.0, 80.0], 140), 10_000)
-    current = current + rng.normal(0.0, 0.05, current.size)
-    t = np.arange(current.size) / 135.0
-    best = min(_seconds(robust_edges, current, t) for _ in range(3))
-    assert best < 0.5
-
-
-def _seconds(detector, *args):
-    begin = time.process_time()
-    detector(*args)
-    return time.process_time() - begin
-
-
 def test_refuses_what_is_not_finite_or_not_of_one_length():
     with pytest.raises(InputError):
-        robust_edges(np.array([0.0, np.nan, 1.0]), np.arange(3.0))
+        ema_edges(np.array([0.0, np.nan, 1.0]), np.arange(3.0))
     with pytest.raises(InputError):
         ema_edges(np.zeros(3), np.arange(4.0))
-
-
-def test_panasonic_switches_are_where_the_current_jumps(real_data):
-    import pandas as pd
-
-    log = pd.read_csv(real_data / "panasonic_18650pf" / "hppc_p25.csv.gz")
-    current, t = log.current_A.to_numpy(), log.time_s.to_numpy()
-    jumps = np.flatnonzero(np.abs(np.diff(current)) > 0.3) + 1
-    assert [e.row for e in robust_edges(current, t)] == jumps.tolist()

@@ -20,6 +20,11 @@ from typing import Literal
 import numpy as np
 
 from cellwise.errors import InputError
+from cellwise.identify.pulse_fit.fit_errors import (
+    profile_errors,
+    residual_statistics,
+    standard_errors,
+)
 from cellwise.identify.pulse_fit.pulse_data import PulseData, Weighting
 from cellwise.identify.pulse_fit.pulse_parameters import (
     PulseFit,
@@ -34,13 +39,8 @@ from cellwise.identify.pulse_fit.pulse_problem import (
     log_limits,
     window_tau_bounds,
 )
-from cellwise.identify.pulse_fit.variable_projection.fit_errors import (
-    residual_statistics,
-    standard_errors,
-)
-from cellwise.identify.pulse_fit.variable_projection.fit_profile import profile_errors
-from cellwise.identify.pulse_fit.variable_projection.varpro_kernels import BENDS, LINEAR
-from cellwise.identify.pulse_fit.variable_projection.varpro_search import (
+from cellwise.identify.pulse_fit.varpro_kernels import BENDS, LINEAR
+from cellwise.identify.pulse_fit.varpro_search import (
     TIGHT,
     descend,
     search,

@@ -21,7 +21,7 @@ from cellwise.errors import InputError
 from cellwise.identify.pulse_fit.pulse_data import PulseData, voltage_noise
 from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseParameters, PulseTrend
 from cellwise.identify.pulse_fit.pulse_problem import build_problem, residual_V
-from cellwise.identify.pulse_fit.variable_projection.varpro_kernels import LINEAR
+from cellwise.identify.pulse_fit.varpro_kernels import LINEAR
 
 TAUS_PER_SEGMENT = 5.0
 

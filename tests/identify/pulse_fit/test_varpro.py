@@ -11,9 +11,9 @@ from cellwise.identify.pulse_fit.pulse_data import PulseData, row_weights
 from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseTrend, TauBounds
 from cellwise.identify.pulse_fit.pulse_problem import build_problem, window_tau_bounds
 from cellwise.identify.pulse_fit.pulse_window import pulse_from_arrays
-from cellwise.identify.pulse_fit.variable_projection.varpro import VarproOptions, fit_varpro
-from cellwise.identify.pulse_fit.variable_projection.varpro_algebra_kernels import solve_linear
-from cellwise.identify.pulse_fit.variable_projection.varpro_kernels import (
+from cellwise.identify.pulse_fit.varpro import VarproOptions, fit_varpro
+from cellwise.identify.pulse_fit.varpro_algebra_kernels import solve_linear
+from cellwise.identify.pulse_fit.varpro_kernels import (
     COLUMN_OF,
     COLUMNS,
     LINEAR,

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from cellwise.errors import InputError
+from cellwise.identify.papers.swarm import PAPER_BOUNDS, SwarmOptions, fit_swarm, swarm_costs
 from cellwise.identify.pulse_fit.pulse_parameters import PulseTrend, TauBounds
 from cellwise.identify.pulse_fit.pulse_problem import build_problem, residual_V
-from cellwise.identify.pulse_fit.swarm import PAPER_BOUNDS, SwarmOptions, fit_swarm
-from cellwise.identify.pulse_fit.swarm_kernels import swarm_costs
-from cellwise.identify.pulse_fit.variable_projection.varpro import fit_varpro
+from cellwise.identify.pulse_fit.varpro import fit_varpro
 from closed_form import Circuit, closed_pulse, random_circuit, stamps
 
 FLAT = Circuit(slope=0.0)

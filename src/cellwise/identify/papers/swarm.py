@@ -14,11 +14,13 @@ the four particles on either side. Kept as the paper's method and as a reference
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
+from cellwise.cell.compiled import cached
 from cellwise.errors import InputError
 from cellwise.identify.pulse_fit.pulse_data import PulseData, Weighting
 from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseTrend, TauBounds
@@ -29,12 +31,13 @@ from cellwise.identify.pulse_fit.pulse_problem import (
     log_limits,
     window_tau_bounds,
 )
-from cellwise.identify.pulse_fit.swarm_kernels import swarm_costs
-from cellwise.identify.pulse_fit.variable_projection.varpro import describe
-from cellwise.identify.pulse_fit.variable_projection.varpro_kernels import (
+from cellwise.identify.pulse_fit.varpro import describe
+from cellwise.identify.pulse_fit.varpro_kernels import (
     COLUMNS,
     LINEAR,
+    SAME_INTERVAL,
     TILE,
+    Window,
     accumulate,
 )
 from cellwise.typing import FloatArray
@@ -196,3 +199,41 @@ def _solution(
     gram = np.empty((COLUMNS, COLUMNS))
     accumulate(problem.window, tau1, tau2, COLUMNS, np.empty((COLUMNS, TILE)), np.empty(TILE), gram)
     return Solution(cost, np.log([tau1, tau2]), coefficients, include, gram, passes, True)
+
+
+@cached()
+def swarm_costs(
+    window: Window,
+    positions: FloatArray,
+    costs: FloatArray,
+) -> None:
+    """Weighted sum of squared residuals of every particle [V^2].
+
+    Parameters
+    ----------
+    window : Window                   its trend is not used
+    positions : (m, 7) float          R0, R1, tau1, R2, tau2, OCV minus reference, OCV slope
+    costs : (m,) float                result; infinite where tau1 >= tau2
+    """
+    dt, current, known, dq, weight, _, centre = window
+    for p in range(positions.shape[0]):
+        r0, r1, tau1 = positions[p, 0], positions[p, 1], positions[p, 2]
+        r2, tau2, ocv, slope = (
+            positions[p, 3], positions[p, 4], positions[p, 5], positions[p, 6],
+        )  # fmt: skip
+        if tau1 >= tau2:
+            costs[p] = math.inf
+            continue
+        v1 = v2 = total = 0.0
+        a1 = a2 = 0.0
+        last_dt = -1.0
+        for k in range(dt.size):
+            if abs(dt[k] - last_dt) > SAME_INTERVAL * dt[k]:
+                last_dt = dt[k]
+                a1 = math.exp(-dt[k] / tau1)
+                a2 = math.exp(-dt[k] / tau2)
+            v1 = r1 * current[k] + a1 * (v1 - r1 * current[k])
+            v2 = r2 * current[k] + a2 * (v2 - r2 * current[k])
+            error = known[k] - (ocv + slope * (centre - dq[k]) - r0 * current[k] - v1 - v2)
+            total += weight[k] * error * error
+        costs[p] = total

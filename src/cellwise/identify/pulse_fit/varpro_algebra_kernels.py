@@ -13,17 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellwise.cell.compiled import cached
-from cellwise.identify.pulse_fit.variable_projection.varpro_kernels import (
+from cellwise.identify.pulse_fit.varpro_kernels import (
     COLUMN_OF,
     COLUMNS,
     LINEAR,
     TILE,
     Window,
     accumulate,
-    columns_used,
-)
-from cellwise.identify.pulse_fit.variable_projection.varpro_step_kernels import (
     bounded_step,
+    columns_used,
     next_boost,
     within,
 )

@@ -1,32 +1,14 @@
-"""Current edges: where a tester switches from one level to another.
-
-Two detectors. :func:`ema_edges` is the published one, a difference of two exponential averages.
-:func:`robust_edges` looks for *plateaus* (runs of rows at one level, as far as
-the noise allows) and calls the change between two plateaus an edge. A glitch of one sample is
-then no edge, a ramp over many samples is one, and the row is the first one whose interval carries
-the new current, at 135 Hz as well as at 60 s per row.
-"""
+"""The LFP paper's treatment of a log: edges of the current, running mean of the voltage."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.identify.hppc.plateaus import (
-    FLAT_OF_LEVEL,
-    LEVEL_ROWS,
-    LONG_LEVEL_ROWS,
-    RAMP_ROWS,
-    RAMP_S,
-    SMALL_STEP_OF_LEVEL,
-    ZERO_OF_RANGE,
-    CurrentScale,
-    current_scale,
-    find_plateaus,
-    without_ramps,
-)
+from cellwise.identify.hppc.plateaus import LEVEL_ROWS, current_scale
 from cellwise.typing import FloatArray
 
 # The LFP paper's detector: weights 0.1 and 0.02 at 135 Hz, threshold 0.5 A for steps of up to
@@ -42,15 +24,13 @@ class Edge:
     """A change of the current from one level to another.
 
     ``row`` is the first row whose interval carries something of the new current; ``time_s`` is
-    when that interval begins, the instant of the change. ``ramp_rows`` rows pass before the new
-    level is held (0: the first row holds it already).
+    when that interval begins, the instant of the change.
     """
 
     row: int
     time_s: float
     before_A: float
     after_A: float
-    ramp_rows: int
 
     @property
     def step_A(self) -> float:
@@ -115,70 +95,9 @@ def ema_edges(
                 time_s=float(time_s[max(row - 1, 0)]),
                 before_A=float(np.median(current_A[max(begin, row - LEVEL_ROWS) : max(row, 1)])),
                 after_A=float(np.median(current_A[after : min(end, after + LEVEL_ROWS)])),
-                ramp_rows=0,
             )
         )
     return tuple(edges)
-
-
-def robust_edges(
-    current_A: FloatArray,
-    time_s: FloatArray,
-    *,
-    smallest_step_A: float | None = None,
-    ramp_s: float = RAMP_S,
-) -> tuple[Edge, ...]:
-    """Edges between plateaus of the current: the default detector.
-
-    Parameters
-    ----------
-    current_A, time_s : (n,) float     finite; time never decreasing
-    smallest_step_A : float            steps below it are no edges [A]; default: from the noise
-                                       and the range of the current
-    ramp_s : float                     longest rise that is still one edge [s]
-
-    Returns
-    -------
-    tuple of Edge, in order
-    """
-    _check(current_A, time_s)
-    scale = current_scale(current_A)
-    p = without_ramps(find_plateaus(current_A, scale), time_s, ramp_s)
-    smallest = max(scale.rest_A, scale.step_A) if smallest_step_A is None else smallest_step_A
-    edges: list[Edge] = []
-
-    def add(row: int, before: float, after: float, ramp: int, rows: int = 0) -> None:
-        level = max(abs(before), abs(after))
-        # The tail of a CV part breaks into short pieces: a small step needs long levels.
-        small = abs(after - before) < ZERO_OF_RANGE * scale.range_A and rows < LONG_LEVEL_ROWS
-        share = SMALL_STEP_OF_LEVEL if small else FLAT_OF_LEVEL
-        if abs(after - before) > max(smallest, share * level):
-            instant = float(time_s[max(row - 1, 0)])
-            edges.append(Edge(row, instant, before, after, ramp))
-
-    for k in range(p.start.size - 1):
-        row, held = int(p.stop[k]), int(p.start[k + 1])
-        before = float(np.median(current_A[max(int(p.start[k]), row - LEVEL_ROWS) : row]))
-        after = float(np.median(current_A[held : min(int(p.stop[k + 1]), held + LEVEL_ROWS)]))
-        took = float(time_s[max(held - 1, 0)] - time_s[row - 1])
-        ramp = held - row
-        shorter = min(row - int(p.start[k]), int(p.stop[k + 1]) - held)
-        if ramp <= 1 or (took <= ramp_s and ramp <= max(RAMP_ROWS, shorter // 2)):
-            add(row, before, after, ramp, shorter)
-            continue
-        # Something that moves lies between, as the tail of a CV part: only its ends can be edges.
-        inside = current_A[row:held]
-        if _jumps(before, inside, scale):
-            add(row, before, float(inside[0]), 0)
-        if _jumps(after, inside[::-1], scale):
-            add(held, float(inside[-1]), after, 0)
-    return tuple(edges)
-
-
-def _jumps(level: float, moving: FloatArray, scale: CurrentScale) -> bool:
-    """Whether the current leaves a level by far more than it moves right afterwards."""
-    drift = float(np.max(np.abs(np.diff(moving[:4])), initial=0.0))
-    return abs(float(moving[0]) - level) > max(scale.step_A, 4.0 * drift)
 
 
 def _check(current_A: FloatArray, time_s: FloatArray) -> None:
@@ -229,3 +148,63 @@ def _step_response(dt: FloatArray, fast_s: float, slow_s: float) -> FloatArray:
     t = h * np.maximum(np.round(peak_s / h), 1.0)
     response: FloatArray = np.exp(-t / slow_s) - np.exp(-t / fast_s)
     return response
+
+
+HALF_WIDTH = 5
+
+
+def running_mean(
+    values: FloatArray, half_width: int = HALF_WIDTH, *, edges: Sequence[int] = ()
+) -> FloatArray:
+    r"""Mean over the sample itself and ``half_width`` samples on either side.
+
+    .. math:: \bar U_i = \frac{1}{2N+1} \sum_{j=-N}^{N} U_{i+j}
+
+    Equation (7) of the LFP paper, with N = 5. A straight line passes unchanged. Towards the ends,
+    where there are fewer than N samples on one side, N shrinks on both, so that the mean stays
+    symmetric and a line still passes unchanged.
+
+    Parameters
+    ----------
+    values : (n,) float
+    half_width : int           N >= 0; 0 returns the values
+    edges : sequence of int    rows at which a new stretch begins, as the rows of current edges:
+                               no mean reaches across them. The paper's own filter has none and
+                               smears the first drop of a pulse over 2N+1 samples, which takes the
+                               fast part of the response from R0 and R1
+
+    Returns
+    -------
+    (n,) float      NaN where a sample in reach is NaN
+
+    Raises
+    ------
+    InputError      a negative half width, an edge outside the rows
+    """
+    x = np.asarray(values, dtype=np.float64)
+    if half_width < 0:
+        raise InputError(f"half_width = {half_width}", "0 or more", "Give the N of 2N+1 samples.")
+    rows = np.unique(np.asarray(edges, dtype=np.int64)) if len(edges) else np.zeros(0, np.int64)
+    if rows.size and (rows[0] < 0 or rows[-1] > x.size):
+        raise InputError(
+            f"an edge at row {int(rows[0] if rows[0] < 0 else rows[-1])}",
+            f"rows from 0 to {x.size}",
+            "Take the edges from the same log as the values.",
+        )
+    if x.size == 0 or half_width == 0:
+        return x.copy()
+    bounds = np.unique(np.concatenate(([0], rows, [x.size])))
+    length = np.diff(bounds)
+    first = np.repeat(bounds[:-1], length)
+    last = np.repeat(bounds[1:] - 1, length)
+    at = np.arange(x.size)
+    reach = np.minimum(half_width, np.minimum(at - first, last - at))
+    # Sums of differences to the mean: cumulated absolute values would lose digits in long logs.
+    known = np.isfinite(x)
+    centre = float(np.mean(x[known])) if known.any() else 0.0
+    total = np.concatenate(([0.0], np.cumsum(np.where(known, x - centre, 0.0))))
+    missing = np.concatenate(([0], np.cumsum(~known)))
+    low, high = at - reach, at + reach + 1
+    mean: FloatArray = centre + (total[high] - total[low]) / (high - low)
+    mean[missing[high] > missing[low]] = np.nan
+    return mean

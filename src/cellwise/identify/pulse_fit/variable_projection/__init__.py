@@ -1,1 +1,0 @@
-"""Variable projection of a pulse: search, kernels, standard errors."""
