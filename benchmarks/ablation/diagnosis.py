@@ -150,7 +150,7 @@ SWITCHES: dict[str, tuple[tuple[str, Replace], ...]] = {
         ("fit.priors.start_readings", lambda _: lambda *_: {}),
         ("fit.limits.start_readings", lambda _: lambda *_: {}),
     ),
-    "given starts wrong together": (
+    "stated starts wrong together": (
         ("fit.least_squares.Prior.together", lambda _: lambda prior, *_: prior),
     ),
     "start between the branches": (("fit.priors.GOOD", lambda old: old._replace(off_branch=1e-6)),),
@@ -200,10 +200,10 @@ def plainly_weighed(hypotheses: Any, *_: Any) -> Any:
     return tuple(sorted(found, key=lambda w: -w.probability))
 
 
-def always_applied(fits: Any, outcome: Any, given: Any) -> Any:
+def always_applied(fits: Any, outcome: Any, logs: Any) -> Any:
     """All accepted causes, whatever held-out rows say."""
     causes = [a.cause for a in outcome.accepted]
-    return apply(fits, causes, outcome.fit, outcome.noise, given) if causes else None
+    return apply(fits, causes, outcome.fit, outcome.noise, logs) if causes else None
 
 
 @contextmanager

@@ -37,13 +37,15 @@ from cellwise.diagnose.fit.rests import rest_voltages
 from cellwise.diagnose.fit.rows import Evidence, gather, rmse
 from cellwise.diagnose.log_runs import (
     Applied,
-    GivenLog,
     LogRun,
     Step,
+    UsedLog,
     applied,
     apply,
     kept,
     log_runs,
+    reference_for,
+    soc_gain,
     step_between,
     with_use,
 )
@@ -51,7 +53,6 @@ from cellwise.diagnose.next_test import LONGER_LOG, next_test
 from cellwise.diagnose.residual import residual_analysis
 from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
 from cellwise.diagnose.sensor_faults import with_faults, without_faults
-from cellwise.diagnose.soc_gain import reference_for, soc_gain
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 from cellwise.threads import one_blas_thread
@@ -230,13 +231,13 @@ def _diagnosis(
     reference_Ah: float | None,
 ) -> Diagnosis:
     evidence = fits.evidence
-    given = with_use([(g.log, g.start) for g in evidence.logs], len(logs))
-    known = applied(fits, outcome, given)
+    used = with_use([(g.log, g.start) for g in evidence.logs], len(logs))
+    known = applied(fits, outcome, used)
     chosen = () if known is None else known.causes
     refused = [a.cause.name for a in outcome.accepted if a.cause not in chosen]
     outcome = kept(outcome, known)
-    runs = log_runs(model, given) if known is None else known.runs
-    causes = () if known is None else _found_causes(fits, outcome, given, known)
+    runs = log_runs(model, used) if known is None else known.runs
+    causes = () if known is None else _found_causes(fits, outcome, used, known)
     beyond = [c for c in claim_checks(model, runs, evidence) if c.beyond]
     if causes:
         verdict = causes[0].name
@@ -298,7 +299,7 @@ def _with_own_error(new: CellModel, runs: Sequence[LogRun], fits: CauseFits) -> 
 
 
 def _found_causes(
-    fits: CauseFits, outcome: Outcome, given: Sequence[GivenLog], known: Applied
+    fits: CauseFits, outcome: Outcome, used: Sequence[UsedLog], known: Applied
 ) -> tuple[FoundCause, ...]:
     """Every cause with what it gains on top of those before it, as `simulate` would show it."""
     before = [r.before for r in known.runs]
@@ -307,7 +308,7 @@ def _found_causes(
         after = [r.explained for r in known.runs]
         if k < len(known.causes):
             near = fits.fit_causes(known.causes[:k], known.fit, outcome.noise)
-            part = apply(fits, known.causes[:k], near, outcome.noise, given)
+            part = apply(fits, known.causes[:k], near, outcome.noise, used)
             after = [r.explained for r in part.runs]
         step = step_between(fits.evidence, before, after, np.random.default_rng(fits.seed))
         found.append(_found(accepted, step, known.fit, outcome, fits.evidence))

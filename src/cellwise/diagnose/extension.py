@@ -109,8 +109,8 @@ def extend_model(
         new = new.with_effect(Hysteresis(t[..., M], s.hysteresis_rate))
     if s.activation_K != 0.0 or s.branch_activation != 0.0:
         own = model.effect(TemperatureDependence)
-        beside = {f"{b}_K": getattr(s, f"{b}_activation_K") for b in BRANCH_ACTIVATIONS}
-        new = new.with_effect(replace(own, activation_K=s.activation_K, **beside))
+        of_branches = {f"{b}_K": getattr(s, f"{b}_activation_K") for b in BRANCH_ACTIVATIONS}
+        new = new.with_effect(replace(own, activation_K=s.activation_K, **of_branches))
     if np.any(t[..., ENTROPY]):
         new = new.with_effect(Entropy(t[..., ENTROPY], s.entropy_K - ZERO_CELSIUS_K))
     if s.rate_per_A != 0.0:

@@ -9,7 +9,7 @@ kept.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -26,11 +26,13 @@ from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.least_squares import Fit
 from cellwise.diagnose.fit.noise import Noise
 from cellwise.diagnose.fit.rows import FITTED, HELD, START, Evidence
+from cellwise.errors import InputError
+from cellwise.estimate.replay import Replay, replay
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
 Use = Literal["fit", "holdout"]
-GivenLog = tuple[CellLog, InitialSoc, Use]
+UsedLog = tuple[CellLog, InitialSoc, Use]
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,14 +136,14 @@ def _starts_as_stated(start: InitialSoc, kinds: set[str], ocv_moved: bool) -> bo
     return start.beginning is None
 
 
-def with_use(logs: Sequence[tuple[CellLog, InitialSoc]], fitted: int) -> list[GivenLog]:
+def with_use(logs: Sequence[tuple[CellLog, InitialSoc]], fitted: int) -> list[UsedLog]:
     """Logs with their use: the first ``fitted`` were fitted, the others held out."""
     return [(g, start, "fit" if k < fitted else "holdout") for k, (g, start) in enumerate(logs)]
 
 
 def log_runs(
     model: CellModel,
-    logs: Sequence[GivenLog],
+    logs: Sequence[UsedLog],
     found: Fit | None = None,
     explained: Explanation | None = None,
 ) -> tuple[LogRun, ...]:
@@ -232,17 +234,17 @@ class Applied:
 
 
 def apply(
-    fits: CauseFits, causes: Sequence[Cause], near: Fit, noise: Noise, given: Sequence[GivenLog]
+    fits: CauseFits, causes: Sequence[Cause], near: Fit, noise: Noise, logs: Sequence[UsedLog]
 ) -> Applied:
     """The causes applied to all logs, in the way that leaves the fitted rows least.
 
     With the cell's tolerances at neutral, or with what they were estimated to be at the same time.
     """
-    before = log_runs(fits.coordinates.model, given)
+    before = log_runs(fits.coordinates.model, logs)
     tried = []
     for whole in (False, True):
         explained = _explained(fits, causes, near, whole)
-        runs = log_runs(fits.coordinates.model, given, near, explained)
+        runs = log_runs(fits.coordinates.model, logs, near, explained)
         step = step_between(
             fits.evidence,
             [r.before for r in before],
@@ -253,7 +255,7 @@ def apply(
     return min(tried, key=lambda a: a.step.train_after_V)
 
 
-def applied(fits: CauseFits, outcome: Outcome, given: Sequence[GivenLog]) -> Applied | None:
+def applied(fits: CauseFits, outcome: Outcome, logs: Sequence[UsedLog]) -> Applied | None:
     """The accepted causes applied; those that leave held-out rows no better off, the last first.
 
     None where nothing is left.
@@ -261,7 +263,7 @@ def applied(fits: CauseFits, outcome: Outcome, given: Sequence[GivenLog]) -> App
     causes = [a.cause for a in outcome.accepted]
     near = outcome.fit
     while causes:
-        found = apply(fits, causes, near, outcome.noise, given)
+        found = apply(fits, causes, near, outcome.noise, logs)
         if found.step.held_after_V < found.step.held_before_V:
             return found
         causes = causes[:-1]
@@ -287,3 +289,81 @@ def _explained(fits: CauseFits, causes: Sequence[Cause], found: Fit, whole: bool
     point = fits.point(found, keep)
     note = {"causes": [c.name for c in causes]}
     return explanation(found, point, [c.kind for c in causes], fits.evidence, note)
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A capacity [Ah] and where it is from, or why there is none (``capacity_Ah`` is None)."""
+
+    capacity_Ah: float | None
+    source: str
+
+
+def reference_for(model: CellModel, stated_Ah: float | None, named: Collection[str]) -> Reference:
+    """What SOC is judged over: the stated capacity, else the model file's.
+
+    Parameters
+    ----------
+    stated_Ah : float or None     capacity that the user states [Ah]
+    named : names of the causes that were found
+    """
+    if "initial_soc" in named:
+        return Reference(None, "the initial SOC is one of the causes, so no SOC is known")
+    if stated_Ah is not None:
+        return Reference(float(stated_Ah), "stated")
+    if "capacity" in named:
+        return Reference(
+            None,
+            "the capacity is one of the causes, and a SOC over it would prove itself; "
+            "state one that was measured (`reference_capacity_Ah=X`)",
+        )
+    choice = model.provenance.get("capacity", {})
+    how = choice.get("choice", "") if isinstance(choice, dict) else ""
+    return Reference(model.capacity_Ah, f"the model's own ({how or 'as its file says'})")
+
+
+def soc_gain(
+    model: CellModel, extended: CellModel, run: LogRun, reference: Reference
+) -> tuple[dict[str, Any] | None, str]:
+    """SOC RMSE [1] of the EKF with the model as it was and as it is now, on one log.
+
+    The referee is the tester's own counter over a capacity that the diagnosis did not estimate,
+    from a start that it did not estimate: else what is to be judged would judge itself.
+
+    Returns
+    -------
+    dict or None      ``log``, ``soc_rmse_before``, ``soc_rmse_after``, ``reference_capacity_Ah``,
+                      ``reference``
+    str               why there is none; empty if there is
+    """
+    capacity = reference.capacity_Ah
+    if capacity is None:
+        return None, reference.source
+    if run.log.charge_Ah is None:
+        return None, f"{run.log.name or 'the log'} has no counter of the tester"
+    start = run.before.soc0
+
+    def judged(cell: CellModel, seen: CellLog) -> Replay:
+        return replay(
+            cell,
+            seen,
+            "ekf",
+            soc0=start,
+            reference_soc0=start,
+            reference_capacity_Ah=capacity,
+        )
+
+    try:
+        before = judged(model, run.log).errors
+        after = judged(extended, run.explained.log).errors
+    except InputError as error:
+        return None, error.found
+    if before is None or after is None:
+        return None, "the counter does not cover the log"
+    return {
+        "log": run.log.name,
+        "soc_rmse_before": before.rmse,
+        "soc_rmse_after": after.rmse,
+        "reference_capacity_Ah": capacity,
+        "reference": reference.source,
+    }, ""

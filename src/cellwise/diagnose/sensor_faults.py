@@ -117,7 +117,7 @@ def without_faults(
     ``starts`` are those of all logs in order; the start of a log whose first rows were cut out is
     not known any more.
     """
-    given = iter(starts)
+    known_starts = iter(starts)
     cleaned: list[tuple[CellLog, ...]] = []
     kept: Starts = []
     faults: list[SensorFault] = []
@@ -125,7 +125,7 @@ def without_faults(
         made = []
         for log in group:
             one, found = clean(log)
-            start = next(given, "auto")
+            start = next(known_starts, "auto")
             kept.append(start if one.time_s[0] == log.time_s[0] else "auto")
             made.append(one)
             faults += found

@@ -12,7 +12,6 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import in_order
 from cellwise.cell.plausibility.outside import outside_notices
 from cellwise.logs.packs.pack_log import PackLog
-from cellwise.pack.deltas import CellDeltas, drift_between, spread_between
 from cellwise.pack.differences import (
     CAPACITY,
     LAG,
@@ -25,7 +24,7 @@ from cellwise.pack.differences import (
     SOC,
 )
 from cellwise.pack.evidence import PackEvidence
-from cellwise.pack.pack_state import PackState
+from cellwise.pack.pack_state import CellDeltas, PackState, drift_between, spread_between
 from cellwise.pack.periods import PackDay, pack_days, period_evidence, periods
 from cellwise.pack.suspicion import (
     Suspicion,

@@ -5,6 +5,7 @@ Two cells whose voltages have changed places (a harness, columns of an export) a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -12,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from cellwise.pack.deltas import CellDeltas, posterior
 from cellwise.pack.differences import (
     CAPACITY,
     LAG,
@@ -24,6 +24,7 @@ from cellwise.pack.differences import (
     SOC,
 )
 from cellwise.pack.evidence import USUAL_WEIGHT, PackEvidence
+from cellwise.pack.pack_state import CellDeltas, posterior
 from cellwise.typing import FloatArray
 
 
@@ -87,7 +88,9 @@ class Suspicion:
 
     ``size`` and ``std`` are the difference of ``explanation.shown`` (for polling: lag plus lead)
     from the other cells or from the cell's own past; ``gain`` the log likelihood that it explains,
-    ``others`` what explains nearly as much; ``changed``: against its own past.
+    ``probability`` that of the cause against the other causes and against none, which any one cell
+    has but for ``false_alarms`` of packs; ``others`` what explains nearly as much; ``changed``:
+    against its own past.
     """
 
     cell: int
@@ -147,7 +150,7 @@ def suspicions(
         ]
         if min(tail) >= allowed:
             continue
-        found.append(_named(cell, k, ratio, shifts, stds, changed))
+        found.append(_named(cell, k, ratio, shifts, stds, changed, allowed))
     return found
 
 
@@ -199,6 +202,7 @@ def _named(
     shifts: Sequence[FloatArray],
     stds: Sequence[FloatArray],
     changed: bool,
+    allowed: float,
 ) -> Suspicion:
     scores = ratio - ALARM.penalty * np.array([len(e.moves) for e in EXPLANATIONS])
     best = int(np.argmax(scores))
@@ -208,13 +212,14 @@ def _named(
         if j != best and scores[best] - scores[j] < ALARM.confusable
     ]
     weights = np.exp(scores - scores[best])
+    chance = math.exp(-math.log(allowed) - float(scores[best]))
     return Suspicion(
         cell=cell,
         explanation=EXPLANATIONS[best],
         size=float(shifts[best][k]),
         std=float(stds[best][k]),
         gain=float(ratio[best]),
-        probability=float(weights[best] / weights.sum()),
+        probability=float(weights[best] / (weights.sum() + chance)),
         others=tuple(near),
         changed=changed,
     )

@@ -65,7 +65,6 @@ def test_diffusion_becomes_slower_and_not_faster():
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="r3 0.020 where 0.027 is true: sets are fitted once")
 def test_it_is_named_with_its_size_and_nothing_beside_it():
     """One branch alone said 488 s where 1350 are true: it stood between the two that had grown."""
     cell = extend_model(Coordinates(MODEL), SLOWER, {})

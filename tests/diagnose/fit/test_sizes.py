@@ -61,7 +61,7 @@ def test_starts_that_are_all_wrong_by_as_much_are_likelier_than_one_against_the_
     place = [wide.names.index(n) for n in evidence.starts()]
     covariance = np.linalg.inv(wide.precision())[np.ix_(place, place)]
     assert np.sqrt(np.diag(covariance)) == pytest.approx([std, std])
-    assert covariance[0, 1] == pytest.approx(GOOD.given_alike * std**2)
+    assert covariance[0, 1] == pytest.approx(GOOD.stated_alike * std**2)
     alike, apart = multivariate_normal(cov=covariance).logpdf([[0.05, 0.05], [0.05, -0.05]])
     assert alike > apart
     found = [(log, initial_soc(model, log)) for log, _ in logs]

@@ -137,10 +137,10 @@ def with_lag(
 
 
 @inline
-def changed(table: FloatArray, mean: Place, surface: Place, apart: bool) -> CellPoint:
+def changed(table: FloatArray, mean: Place, surface: Place, surfaces: bool) -> CellPoint:
     """A table at the mean SOC; resistances and time constants at the surface's."""
     here = tables_at(table, mean)
-    return surfaced(here, tables_at(table, surface)) if apart else here
+    return surfaced(here, tables_at(table, surface)) if surfaces else here
 
 
 @cached(error_model="numpy", nogil=True)
@@ -195,7 +195,7 @@ def derivative_rows(
         d[p, 0] = soc0[p]
         has_scalars[p] = np.any(scalars[p] != 0.0)
     somewhere = segments_with_change(changes_of)
-    apart = cell.surface_per_A != 0.0 or bool(np.any(scalars[:, SURFACE] != 0.0))
+    surfaces = cell.surface_per_A != 0.0 or bool(np.any(scalars[:, SURFACE] != 0.0))
     still = without_memory(directions, cell.heating_K_per_W != 0.0)
     state = start
     out = 0
@@ -206,14 +206,22 @@ def derivative_rows(
         place = place_of(tables, state.soc, cell_C)
         surface = place
         by_soc, by_kelvin = slopes_at(tables, place)
-        if apart:
+        if surfaces:
             state = with_lag(cell, before, state, current, dt_s[row])
             surface = place_of(tables, surface_soc(cell, state.soc, state.slow_A, cell_C), cell_C)
             below_soc, below_kelvin = slopes_at(tables, surface)
             by_soc, by_kelvin = surfaced(by_soc, below_soc), surfaced(by_kelvin, below_kelvin)
-        here = changed(table, place, surface, apart)
+        here = changed(table, place, surface, surfaces)
         now = partials(
-            cell, before, current, dt_s[row], temperature_C[row], here, by_soc, by_kelvin, apart
+            cell,
+            before,
+            current,
+            dt_s[row],
+            temperature_C[row],
+            here,
+            by_soc,
+            by_kelvin,
+            surfaces,
         )
         wanted = row % stride == 0
         for p in range(many):
@@ -223,14 +231,14 @@ def derivative_rows(
             change = UNCHANGED
             q = table_of[p]
             if q >= 0 and (somewhere[q, place.k] or somewhere[q, surface.k]):
-                change = changed(changes_of[q], place, surface, apart)
+                change = changed(changes_of[q], place, surface, surfaces)
             # fmt: off
             old = CellState(
                 d[p, 0], d[p, 1], d[p, 2], d[p, 3], d[p, 4], d[p, 5], d[p, 6]
             )
             # fmt: on
             # Each compiled for its case, without a branch inside.
-            if apart:
+            if surfaces:
                 new, voltage = carried(now, old, by_flow, change, True)
             else:
                 new, voltage = carried(now, old, by_flow, change, False)
@@ -238,7 +246,7 @@ def derivative_rows(
             d[p, 3], d[p, 4], d[p, 5], d[p, 6] = new.v3_V, new.h, new.heat_K, new.slow_A
             if has_scalars[p]:
                 changes = scalars_of(scalars, p)
-                if apart:
+                if surfaces:
                     more, by_scalars = driven(now, changes, True)
                 else:
                     more, by_scalars = driven(now, changes, False)

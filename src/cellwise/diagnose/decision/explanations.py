@@ -194,7 +194,8 @@ class Explanations:
                 else one
             )
             noise = fits.noise(near, wide)
-            near = fits.fit(noise, one.coordinates, wide, near.z, 5, frozen, moving)
+            here = freeze(fits.objective(noise), one.coordinates, wide.names, near.z)
+            near = fits.fit(noise, one.coordinates, wide, near.z, 5, here, moving)
             ends.append(self._explained(causes, near, noise, wide))
         return likeliest_end(ends)
 

@@ -22,7 +22,7 @@ from cellwise.diagnose.extension import value_of
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.least_squares import Fit, normal_of, shear
 from cellwise.diagnose.fit.noise import Noise
-from cellwise.diagnose.fit.priors import start_readings
+from cellwise.diagnose.fit.priors import GOOD, start_readings
 from cellwise.diagnose.fit.rows import IGNORED
 from cellwise.typing import FloatArray
 
@@ -87,7 +87,9 @@ def limits(
     for cause in causes:
         found, change = _sizes(fits, cause, seen, least)
         if found:
-            sizes[cause.name], at_limit[cause.name] = found, change
+            sizes[cause.name] = found
+        if np.any(change):
+            at_limit[cause.name] = change
     pairs = [
         (one, two)
         for one, two in combinations(at_limit, 2)
@@ -142,11 +144,10 @@ def _sizes(
         if w2 <= t2:
             continue
         size = math.sqrt(2.0 * (least + 0.5 * math.log(w2 / t2)) / (1.0 / t2 - 1.0 / w2))
-        try:
-            moved = value_of(p.coordinate, size, fits.coordinates, start)
-        except OverflowError:
-            continue  # so many times as large that no number holds it: the logs say nothing of it
         change[place] = size
+        if size > GOOD.ends * wide[place]:
+            continue  # no fault is as large: the logs show none of it
+        moved = value_of(p.coordinate, size, fits.coordinates, start)
         found[p.name] = abs(moved - value_of(p.coordinate, 0.0, fits.coordinates, start))
     return found, change
 

@@ -34,8 +34,8 @@ class Laboratory(NamedTuple):
     ``ocv_share``: of the square of what comes back of a model's error in every log the OCV owes so
     much at any knot (the shape of the rest nobody knows); ``r_share``: of the model's share of the
     polarisation, at any knot of the resistances, at least ``r_least``; ``soc0_std``: a start that
-    was given is right to this, one that was found to its own standard deviation; ``given_alike``:
-    correlation of given starts that are wrong (one source: each alone is wrong by a third);
+    was given is right to this, one that was found to its own standard deviation; ``stated_alike``:
+    correlation of stated starts that are wrong (one source: each alone is wrong by a third);
     ``off_branch``: how far a log may start from its own branch of a hysteresis to the other;
     ``ends``: standard deviations at which a tolerance ends; ``still_open``: share that stays
     uncertain of what was calibrated, since the next log is another day.
@@ -45,7 +45,7 @@ class Laboratory(NamedTuple):
     r_share: float = 0.5
     r_least: float = 0.015
     soc0_std: float = 0.0015
-    given_alike: float = 8.0 / 9.0
+    stated_alike: float = 8.0 / 9.0
     off_branch: float = 0.5
     ends: float = 4.0
     still_open: float = 0.3
@@ -208,8 +208,8 @@ def widened_for(prior: Prior, cause: Cause, coordinates: Coordinates, evidence: 
     wide_prior = prior.widened(std, mean, low, high).with_readings(readings)
     if cause.kind == "start":
         named = zip(evidence.starts(), evidence.logs, strict=True)
-        given = [n for n, g in named if g.start.how == "given"]
-        return wide_prior.together(given, GOOD.given_alike) if len(given) > 1 else wide_prior
+        stated = [n for n, g in named if g.start.how == "given"]
+        return wide_prior.together(stated, GOOD.stated_alike) if len(stated) > 1 else wide_prior
     return wide_prior
 
 

@@ -38,7 +38,7 @@ def diagnosis_finding(diagnosis: Diagnosis) -> str:
         more = f", with {listed(others)}" if others else ""
         judged = judged_run(diagnosis)
         said = "" if judged is None else f": error on {named_log(judged)} {change(judged)}"
-        return f"{text}{more}{said}."
+        return f"{text}{more}{said}{_soc_lost(diagnosis)}."
     if diagnosis.verdict == "none":
         judged = judged_run(diagnosis)
         rest = ""
@@ -55,6 +55,15 @@ def diagnosis_finding(diagnosis: Diagnosis) -> str:
         return f"These data do not show what is wrong, if anything is{why}."
     one, other = (" with ".join(cause_name(c) for c in names) for names in sets)
     return f"The model is wrong, but these data do not separate {one} from {other}."
+
+
+def _soc_lost(diagnosis: Diagnosis) -> str:
+    """A warning where the correction makes the SOC worse; empty where it does not."""
+    gain = diagnosis.soc_gain or {}
+    before, after = gain.get("soc_rmse_before", 0.0), gain.get("soc_rmse_after", 0.0)
+    if after <= before:
+        return ""
+    return f"; but the SOC by the EKF gets worse with it, {percent(before)} to {percent(after)}"
 
 
 def judged_run(diagnosis: Diagnosis) -> LogRun | None:
