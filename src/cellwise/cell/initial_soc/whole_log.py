@@ -35,6 +35,7 @@ class WholeLogFit(NamedTuple):
 
 WHOLE_LOG = WholeLogFit()
 
+ALIKE = 0.25  # half a standard deviation, as minus twice the log likelihood
 COARSE, FINE = 51, 41  # starts tried over 0..1, then around the likeliest
 
 
@@ -49,22 +50,24 @@ def likeliest_soc(
     says is one of the starts that are tried, as full and empty are.
     """
     grid = np.union1d(np.linspace(0.0, 1.0, COARSE), beginning)
-    best = float(grid[np.argmin(start_cost(model, log, grid, past_V))])
+    best = float(grid[np.argmin(start_cost(model, log, grid, past_V)[0])])
     step = 1.0 / (COARSE - 1)
     near = np.linspace(max(0.0, best - step), min(1.0, best + step), FINE)
     soc = np.union1d(grid, near)
-    cost = start_cost(model, log, soc, past_V)
+    cost, error_V2 = start_cost(model, log, soc, past_V)
     weight = np.exp(-0.5 * (cost - cost.min())) * np.gradient(soc)
     mean = float(np.average(soc, weights=weight))
     variance = float(np.average((soc - mean) ** 2, weights=weight))
-    likeliest = float(soc[np.argmin(cost)])
+    # Of starts that the likelihood cannot tell apart, that from which the simulation is nearest.
+    alike = np.flatnonzero(cost <= cost.min() + ALIKE)
+    likeliest = float(soc[alike[np.argmin(error_V2[alike])]])
     return likeliest, math.hypot(math.sqrt(variance), likeliest - mean)
 
 
 def start_cost(
     model: CellModel, log: CellLog, soc0: FloatArray, past_V: tuple[float, float]
-) -> FloatArray:
-    """Minus twice the log likelihood of every start, shape (m,)."""
+) -> tuple[FloatArray, FloatArray]:
+    """Minus twice the log likelihood of every start, and its mean squared error [V^2], (m,)."""
     charge = log.counted_charge_Ah() / model.capacity_Ah
     moved = np.cumsum(np.abs(np.diff(charge, prepend=charge[0])))
     piece = (moved / WHOLE_LOG.piece).astype(np.int64)
@@ -87,7 +90,8 @@ def start_cost(
     count = rows[seen]
     left = np.bincount(piece[finite], past[finite] ** 2, minlength=pieces)[seen] / count
     mean2, mixed = squares[:, seen] / count, products[:, seen] / count
-    best_V2 = float(np.min(np.sum(squares, axis=1))) / float(np.sum(rows))
+    error_V2 = np.sum(squares, axis=1) / float(np.sum(rows))
+    best_V2 = float(np.min(error_V2))
     variance = known[:, seen] / count + best_V2
     share = min(1.0, WHOLE_LOG.independent / count.size)
     # Without its logarithm the likeliest start would be where the model claims least.
@@ -102,7 +106,8 @@ def start_cost(
     least = costs.min(axis=0)
     prior = np.exp(-0.5 * normal**2)
     likelihood = np.average(np.exp(-0.5 * (costs - least)), axis=0, weights=prior)
-    return np.asarray(least - 2.0 * np.log(likelihood) + (beyond / WHOLE_LOG.beyond) ** 2)
+    cost = least - 2.0 * np.log(likelihood) + (beyond / WHOLE_LOG.beyond) ** 2
+    return np.asarray(cost), np.asarray(error_V2)
 
 
 def past_voltage(model: CellModel, log: CellLog) -> tuple[float, float]:
