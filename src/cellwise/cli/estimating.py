@@ -51,6 +51,7 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     text = "layout of PlotJuggler for the rows of -o OUT.csv"
     replay.add_argument("--plotjuggler", metavar="F.xml", help=text)
     power_options.add_power_options(replay)
+    options.flag(replay, "--anyway", "foresee remaining time of a log far off the model, too")
     page_options.add_page_options(replay)
     replay.set_defaults(run=run_replay)
 
@@ -125,6 +126,7 @@ def check_one_output(arguments: argparse.Namespace) -> None:
 
 def run_replay(arguments: argparse.Namespace) -> None:
     """Replay a log through an estimator and print how it did."""
+    from cellwise.cell.plausibility.far_off import ends_forecasts
     from cellwise.estimate.estimators import make_estimator
     from cellwise.estimate.replay import replay
     from cellwise.forecast.convergence import expected_convergence
@@ -160,11 +162,12 @@ def run_replay(arguments: argparse.Namespace) -> None:
             )
             fresh = make_estimator(arguments.estimator, model)
             expected = expected_convergence(model, found, fresh)
-            flight, at_load = forecast(model, found, **held), None
-            if arguments.load is not None:
+            far = None if arguments.anyway else ends_forecasts(found.far_off, found.log)
+            flight, at_load = None if far else forecast(model, found, **held), None
+            if arguments.load is not None and not far:
                 at_load = forecast_at(model, found, arguments.load, **held)
                 flight = None if flight is None else dataclasses.replace(flight, given=at_load)
-            runs.append(Run(found, expected, flight, at_load))
+            runs.append(Run(found, expected, flight, at_load, far))
     if arguments.output:
         write_rows(arguments, runs[0].found)
     with page_options.page_places(arguments) as pages:
@@ -180,11 +183,13 @@ def run_replay(arguments: argparse.Namespace) -> None:
         printing.print_json(several if len(runs) > 1 else printed[0])
         return
     for run in runs:
+        if run.far is not None:
+            printing.say(f"! {run.far}")
         print_replay(run.found, run.expected, sure=arguments.soc0_std is not None)
         print_forecasts(run.flight, run.at_load, held["cutoff_V"], arguments.hold)
         if run.found.power is not None:
             print_power(run.found.power)
-        printing.say_notices(run.notices)
+        printing.say_notices(n for n in run.notices if n != run.far)
     page_options.say_pages(arguments)
 
 
@@ -196,12 +201,15 @@ class Run:
     expected: ExpectedConvergence
     flight: Flight | None
     at_load: Forecast | None
+    far: str | None
 
     @property
     def notices(self) -> tuple[str, ...]:
         """What a person should know, of the forecast first."""
         of_flight = () if self.flight is None else self.flight.notices
-        return (*of_flight, *self.found.notices)
+        if self.far is None:
+            return (*of_flight, *self.found.notices)
+        return (self.far, *(n for n in self.found.notices if not self.far.startswith(n)))
 
     def to_dict(self) -> dict[str, Any]:
         """As the command prints it."""
@@ -259,6 +267,8 @@ def check_layout(arguments: argparse.Namespace) -> None:
 
 def print_simulation(found: Simulation, start: InitialSoc) -> None:
     """A simulation for people."""
+    if found.far_off is not None:
+        printing.say(f"! {found.far_off}")
     bands = ((f"SOC {b.soc_low:.1f} to {b.soc_high:.1f}", b.metrics) for b in found.bands)
     printing.record_table(
         f"{found.log.name}: measured minus simulated, from SOC {start.soc:.3f} +- "
@@ -275,7 +285,7 @@ def print_simulation(found: Simulation, start: InitialSoc) -> None:
         ("rows", lambda row: f"{row[1].samples:,}"),
     )
     printing.say(f"RMSE above 10 % SOC: {printing.millivolt(found.rmse_above_10pct_V)} mV")
-    printing.say_notices(found.notices)
+    printing.say_notices(n for n in found.notices if n != found.far_off)
 
 
 def print_replay(
