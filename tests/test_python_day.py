@@ -17,7 +17,7 @@ from example_cells import curved_cell
 
 def test_simulate_finds_its_start_as_the_command_does():
     model, log = curved_cell(), load_dataset("nmc_drive_b").part(0, 2000)
-    start = initial_soc(model, log, likeliest=True, whole_log=True).soc
+    start = initial_soc(model, log, whole_log=True).soc
     assert simulate(model, log).soc0 == start
     assert simulate(model, log, 0.4).soc0 == 0.4
 

@@ -167,7 +167,7 @@ def identified(case: Case) -> dict[str, Any]:
     missed = {}
     for name, start in case.judged:
         log = log_of(name)
-        soc0 = initial_soc(found.model, log, likeliest=True).soc if start is None else start
+        soc0 = initial_soc(found.model, log).soc if start is None else start
         missed[name] = 1e3 * simulate(found.model, log, soc0).rmse_above_10pct_V
     return {
         "missed_mV": missed,

@@ -325,7 +325,7 @@ def start_of(model: CellModel, log: CellLog, soc0: float | None) -> float:
     """As stated, else as ``simulate`` finds it."""
     from cellwise.cell.initial_soc.initial_soc import initial_soc
 
-    return initial_soc(model, log, likeliest=True, whole_log=True).soc if soc0 is None else soc0
+    return initial_soc(model, log, whole_log=True).soc if soc0 is None else soc0
 
 
 def judged(found: Identification, logs: Sequence[tuple[CellLog, float | None]]) -> dict[str, Any]:

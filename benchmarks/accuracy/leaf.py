@@ -40,7 +40,7 @@ def leaf_figures(data: Path, say: Progress) -> list[Figure]:
 
 def _rounds(model: CellModel, log: CellLog, rate: str, target: float | None) -> list[Figure]:
     group = f"Leaf, {rate.upper()} discharges, identified on hppc_p25 and cap_1c_p23"
-    start = initial_soc(model, log, likeliest=True)
+    start = initial_soc(model, log)
     simulated = simulate(model, log, start.soc)
     error, above = simulated.error_V, simulated.soc > 0.1
     figures = []

@@ -6,7 +6,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cellwise.cell.initial_soc.initial_soc import simulate
+    from cellwise.cell.initial_soc.pauses import simulate
     from cellwise.cell.metrics import ErrorMetrics
     from cellwise.cell.model import CellModel
     from cellwise.cell.model_error import ModelError
@@ -47,7 +47,7 @@ _HOMES = {
     "Validity": "cellwise.cell.plausibility.validity",
     "ErrorMetrics": "cellwise.cell.metrics",
     "Simulation": "cellwise.cell.simulate",
-    "simulate": "cellwise.cell.initial_soc.initial_soc",
+    "simulate": "cellwise.cell.initial_soc.pauses",
     "Identification": "cellwise.identify",
     "IdentifySettings": "cellwise.identify",
     "TestLogs": "cellwise.identify",

@@ -43,7 +43,7 @@ def measured(model, loaded_from):
 def test_a_log_starts_where_simulate_starts_it(unsure, loaded_from):
     log, held = measured(unsure, loaded_from), measured(unsure, loaded_from)
     shown = simulate(unsure, log)
-    assert initial_soc(unsure, log, likeliest=True).std > 0.02
+    assert initial_soc(unsure, log).std > 0.02
     found = diagnose(unsure, [log], holdout=[held], causes=["current_offset"])
     for run in found.runs:
         assert run.before.soc0 == shown.soc0
@@ -53,8 +53,8 @@ def test_a_log_starts_where_simulate_starts_it(unsure, loaded_from):
 def test_the_fit_is_no_surer_of_a_start_than_the_first_rows_are(unsure):
     """A start that the wrong model chose by all rows would hold against what makes it wrong."""
     log = measured(unsure, 90)
-    first = initial_soc(unsure, log, likeliest=True)
-    start = initial_soc(unsure, log, likeliest=True, whole_log=True)
+    first = initial_soc(unsure, log)
+    start = initial_soc(unsure, log, whole_log=True)
     assert start.std < 0.8 * first.std
     prior = tolerances(Coordinates(unsure), gather(unsure, [(log, start)]))
     assert prior.std["soc0:0"] == first.std
@@ -65,7 +65,7 @@ def test_the_fit_is_no_surer_of_a_start_than_the_first_rows_are(unsure):
 def test_a_start_that_the_wrong_model_chose_is_not_held_against_the_right_cause(unsure):
     """All of the log took the model for right: with another model it says another start."""
     log = measured(unsure, 0)
-    start = initial_soc(unsure, log, likeliest=True, whole_log=True)
+    start = initial_soc(unsure, log, whole_log=True)
     assert start.beginning is not None
     evidence = gather(unsure, [(log, start), (log, InitialSoc(SOC0, 0.005, "given"))])
     coordinates = Coordinates(unsure)

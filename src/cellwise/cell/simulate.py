@@ -26,6 +26,7 @@ from cellwise.cell.metrics import (
     metrics_to_dict,
 )
 from cellwise.cell.model import CellModel, check_is_model
+from cellwise.cell.plausibility.far_off import far_off_notices, far_off_text
 from cellwise.cell.plausibility.notice import in_order
 from cellwise.cell.plausibility.outside import outside_notices
 from cellwise.cell.plausibility.simulated import error_notices, soc_notices
@@ -78,6 +79,7 @@ class Simulation(Plottable, Tabular):
     voltage_V: FloatArray
     soc: FloatArray
     validity: Validity = UNKNOWN
+    model: CellModel | None = None
 
     @property
     def error_V(self) -> FloatArray:
@@ -92,9 +94,15 @@ class Simulation(Plottable, Tabular):
     @property
     def notices(self) -> tuple[str, ...]:
         """What a person should know, the most harmful first; those of reading the log last."""
-        found = outside_notices(self.validity, self.log, self.soc)
+        found = far_off_notices(self.model, self.log, self.error_V, self.soc)
+        found += outside_notices(self.validity, self.log, self.soc)
         found += soc_notices(self.log, self.soc) + error_notices(self.log, self.error_V, self.soc)
         return in_order(found, self.log.notices)
+
+    @property
+    def far_off(self) -> str | None:
+        """That the log is many times as far off as the model states of itself; None: it is not."""
+        return far_off_text(self.model, self.log, self.error_V, self.soc)
 
     @property
     def bands(self) -> tuple[BandMetrics, ...]:
@@ -142,7 +150,8 @@ class Simulation(Plottable, Tabular):
         m = self.metrics
         return (
             f"Simulation({self.log.name or 'log'}: RMSE {1e3 * m.rmse_V:.1f} mV, "
-            f"MAE {1e3 * m.mae_V:.1f} mV, max {1e3 * m.max_error_V:.0f} mV over {m.samples} rows)"
+            f"MAE {1e3 * m.mae_V:.1f} mV, max {1e3 * m.max_error_V:.0f} mV over {m.samples} rows"
+            f"{', FAR OFF this model' if self.far_off else ''})"
         )
 
 
@@ -164,7 +173,7 @@ def simulate(model: CellModel, log: CellLog, soc0: float, h0: float | None = Non
         voltage,
         soc,
     )
-    return Simulation(log, float(soc0), voltage, soc, model.validity)
+    return Simulation(log, float(soc0), voltage, soc, model.validity, model)
 
 
 def start_hysteresis(soc0: float) -> float:

@@ -46,12 +46,14 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
     """Diagnose, write what was asked for, print the verdict."""
     from cellwise.diagnose import diagnose
     from cellwise.logs.checks.grave import graves_first, is_grave
+    from cellwise.logs.pauses import cut_at_pauses
 
     _check_places(arguments)
     soc0 = options.soc0_of(arguments)
     model = options.read_model(arguments)
+    # What lies behind a pause that nobody counted is a log of its own.
     logs, holdout, baseline = (
-        log_options.read_all(paths, arguments)
+        [one for log in log_options.read_all(paths, arguments) for one in cut_at_pauses(log)]
         for paths in (arguments.logs, arguments.holdout, arguments.baseline)
     )
     began = time.perf_counter()
@@ -89,9 +91,9 @@ def _check_places(arguments: argparse.Namespace) -> None:
         raise InputError(
             f"a file at '{arguments.corrected}'", "a folder for the corrected logs", "Rename it."
         )
-    seen = {_place(p) for p in arguments.logs}
+    seen = set(_files(arguments.logs))
     for path in (*arguments.holdout, *arguments.baseline):
-        if _place(path) in seen:
+        if seen.intersection(_files([path])):
             raise InputError(
                 f"'{path}' both as LOG and as --holdout or --baseline",
                 "logs that the fit has not seen",
@@ -99,11 +101,11 @@ def _check_places(arguments: argparse.Namespace) -> None:
             )
 
 
-def _place(text: str) -> Path:
-    """Where a log lies, whatever is stated of it."""
-    from cellwise.logs import Stated
+def _files(paths: list[str]) -> list[Path]:
+    """The files that paths mean, whatever is stated of them."""
+    from cellwise.logs.places import logs_of
 
-    return Path(Stated.parse(text).path).resolve()
+    return [Path(one.path).resolve() for path in paths for one in logs_of(path).logs]
 
 
 def _write(found: Diagnosis, arguments: argparse.Namespace) -> dict[str, Any]:
@@ -120,20 +122,20 @@ def _write(found: Diagnosis, arguments: argparse.Namespace) -> dict[str, Any]:
     if arguments.report:
         written["report"] = arguments.report
     if arguments.corrected and any(c.kind == "measurement" for c in found.causes):
-        written["corrected"] = _write_logs(found.corrected, arguments.logs, arguments.corrected)
+        written["corrected"] = _write_logs(found.corrected, arguments.corrected)
     if arguments.output and extended is not None:
         write_model(extended, arguments.output)
         written["extended_model"] = arguments.output
     return written
 
 
-def _write_logs(logs: tuple[CellLog, ...], sources: list[str], folder: str) -> list[str]:
+def _write_logs(logs: tuple[CellLog, ...], folder: str) -> list[str]:
     from cellwise.logs import write_log
 
     place = made_folder(folder, "the corrected logs")
     names: list[str] = []
-    for log, source in zip(logs, sources, strict=True):
-        name = stem = _place(source).name.split(".")[0]
+    for log in logs:
+        name = stem = (Path(log.source).name or log.name or "log").split(".")[0]
         while name in names:
             name = f"{stem}_{len(names) + 1}"
         names.append(name)

@@ -51,6 +51,7 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     text = "layout of PlotJuggler for the rows of -o OUT.csv"
     replay.add_argument("--plotjuggler", metavar="F.xml", help=text)
     power_options.add_power_options(replay)
+    options.flag(replay, "--anyway", "foresee remaining time of a log far off the model, too")
     page_options.add_page_options(replay)
     replay.set_defaults(run=run_replay)
 
@@ -64,13 +65,14 @@ def _common(parser: argparse.ArgumentParser) -> None:
     options.add_json(parser)
 
 
-def read_log_of(model: CellModel, arguments: argparse.Namespace) -> CellLog:
-    """The log that the arguments name, of one cell as the model is."""
+def read_logs_of(model: CellModel, arguments: argparse.Namespace) -> tuple[CellLog, ...]:
+    """The logs that the arguments name, of one cell as the model is."""
     from cellwise.cell.plausibility.cells_in_series import check_cells_in_series
 
-    log = log_options.read(arguments.log, arguments)
-    check_cells_in_series(model, log)
-    return log
+    logs = log_options.read_all([arguments.log], arguments)
+    for log in logs:
+        check_cells_in_series(model, log)
+    return logs
 
 
 def run_simulate(arguments: argparse.Namespace) -> None:
@@ -78,38 +80,53 @@ def run_simulate(arguments: argparse.Namespace) -> None:
     import time
 
     from cellwise.cell.initial_soc.initial_soc import initial_soc
+    from cellwise.cell.initial_soc.pauses import simulate_stretches
     from cellwise.cell.simulate import simulate
     from cellwise.logs.writing import write_columns
 
     places.check_places(arguments.output)
     model = options.read_model(arguments)
-    log = read_log_of(model, arguments)
-    asked = options.start_of(log.soc0, options.soc0_of(arguments))
-    start = initial_soc(model, log, asked, likeliest=True, whole_log=True)
-    simulate(model, log.part(0, 2), start.soc)  # compiles outside the clock
-    began = time.perf_counter()
-    found = simulate(model, log, start.soc)
-    seconds = time.perf_counter() - began
-    if arguments.output:
-        columns = {
-            "time_s": log.time_s,
-            "current_A": log.current_A,
-            "measured_voltage_V": log.voltage_V,
-            "voltage_V": found.voltage_V,
-            "error_V": found.error_V,
-            "soc": found.soc,
-        }
-        write_columns(columns, Path(arguments.output))
-    data = {**found.to_dict(), "soc0": start.to_dict(), "seconds": seconds}
-    data["notices"] = list(found.notices)
+    check_one_output(arguments)
+    logs = read_logs_of(model, arguments)
+    printed = []
+    for log in logs:
+        asked = options.start_of(log.soc0, options.soc0_of(arguments))
+        start = initial_soc(model, log, asked, whole_log=True)
+        simulate(model, log.part(0, 2), start.soc)  # compiles outside the clock
+        began = time.perf_counter()
+        found = simulate_stretches(model, log, start)
+        seconds = time.perf_counter() - began
+        if arguments.output:
+            write_columns(found.columns(), Path(arguments.output))
+        data = {**found.to_dict(), "soc0": start.to_dict(), "seconds": seconds}
+        printed.append({"log": log.name, **data, "notices": list(found.notices)})
+        if not arguments.json:
+            print_simulation(found, start)
     if arguments.json:
-        printing.print_json(data)
-        return
-    print_simulation(found, start)
+        printing.print_json(printed[0] if len(logs) == 1 else {"logs": printed})
+
+
+def check_one_output(arguments: argparse.Namespace) -> None:
+    """Refuse one file for the rows of several logs.
+
+    Raises
+    ------
+    InputError        there are several
+    """
+    from cellwise.logs.places import logs_of
+
+    logs = logs_of(arguments.log).logs
+    if arguments.output and len(logs) > 1:
+        raise InputError(
+            f"-o {arguments.output} for {len(logs)} logs",
+            "the rows of one log",
+            "Leave out -o, or name one log; `cellwise fleet replay` writes a row for each.",
+        )
 
 
 def run_replay(arguments: argparse.Namespace) -> None:
     """Replay a log through an estimator and print how it did."""
+    from cellwise.cell.plausibility.far_off import ends_forecasts
     from cellwise.estimate.estimators import make_estimator
     from cellwise.estimate.replay import replay
     from cellwise.forecast.convergence import expected_convergence
@@ -127,50 +144,83 @@ def run_replay(arguments: argparse.Namespace) -> None:
     power = power_options.power_of(arguments, model, arguments.hold)
     if arguments.load is not None:
         check_load(arguments.load, arguments.hold)
-    log = read_log_of(model, arguments)
-    if arguments.dt is not None:
-        log = resample(log, arguments.dt)
-    with printing.working(f"{arguments.estimator} over {len(log):,} samples"):
-        found = replay(
-            model,
-            log,
-            arguments.estimator,
-            soc0=options.start_of(log.soc0, options.soc0_of(arguments)),
-            soc0_std=arguments.soc0_std,
-            reference_soc0=options.start_of(log.soc0, true0, "--reference-soc0"),
-            reference_capacity_Ah=arguments.reference_capacity_ah,
-            power=power or False,
-        )
-    expected = expected_convergence(model, found, make_estimator(arguments.estimator, model))
-    flight, at_load = forecast(model, found, **held), None
-    if arguments.load is not None:
-        at_load = forecast_at(model, found, arguments.load, **held)
-        flight = None if flight is None else dataclasses.replace(flight, given=at_load)
+    check_one_output(arguments)
+    logs = read_logs_of(model, arguments)
+    runs: list[Run] = []
+    with printing.working(arguments.estimator) as follow:
+        for log in logs if arguments.dt is None else [resample(one, arguments.dt) for one in logs]:
+            follow(f"{arguments.estimator} over {len(log):,} samples", len(runs), len(logs))
+            found = replay(
+                model,
+                log,
+                arguments.estimator,
+                soc0=options.start_of(log.soc0, options.soc0_of(arguments)),
+                soc0_std=arguments.soc0_std,
+                reference_soc0=options.start_of(log.soc0, true0, "--reference-soc0"),
+                reference_capacity_Ah=arguments.reference_capacity_ah,
+                power=power or False,
+            )
+            fresh = make_estimator(arguments.estimator, model)
+            expected = expected_convergence(model, found, fresh)
+            far = None if arguments.anyway else ends_forecasts(found.far_off, found.log)
+            flight, at_load = None if far else forecast(model, found, **held), None
+            if arguments.load is not None and not far:
+                at_load = forecast_at(model, found, arguments.load, **held)
+                flight = None if flight is None else dataclasses.replace(flight, given=at_load)
+            runs.append(Run(found, expected, flight, at_load, far))
     if arguments.output:
-        write_rows(arguments, found)
+        write_rows(arguments, runs[0].found)
     with page_options.page_places(arguments) as pages:
         if pages is not None:
             from cellwise.report import replay_page
 
-            flights = () if flight is None else (flight,)
-            replay_page([found], pages.page, flights=flights, figures=pages.figures)
-    notices = found.notices if flight is None else (*flight.notices, *found.notices)
+            flights = tuple(run.flight for run in runs if run.flight is not None)
+            replays = [run.found for run in runs]
+            replay_page(replays, pages.page, flights=flights, figures=pages.figures)
     if arguments.json:
-        data = {
-            **found.to_dict(),
-            "convergence_predicted_s": expected.convergence_s,
-            "forecast": None if flight is None else flight.to_dict(),
-            "forecast_given": None if at_load is None else at_load._asdict(),
-            "notices": list(notices),
-        }
-        printing.print_json(data)
+        printed = [run.to_dict() for run in runs]
+        several = {"logs": printed}
+        printing.print_json(several if len(runs) > 1 else printed[0])
         return
-    print_replay(found, expected, sure=arguments.soc0_std is not None)
-    print_forecasts(flight, at_load, held["cutoff_V"], arguments.hold)
-    if found.power is not None:
-        print_power(found.power)
-    printing.say_notices(notices)
+    for run in runs:
+        if run.far is not None:
+            printing.say(f"! {run.far}")
+        print_replay(run.found, run.expected, sure=arguments.soc0_std is not None)
+        print_forecasts(run.flight, run.at_load, held["cutoff_V"], arguments.hold)
+        if run.found.power is not None:
+            print_power(run.found.power)
+        printing.say_notices(n for n in run.notices if n != run.far)
     page_options.say_pages(arguments)
+
+
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """A replay, when it was to converge, and what remains by it."""
+
+    found: Replay
+    expected: ExpectedConvergence
+    flight: Flight | None
+    at_load: Forecast | None
+    far: str | None
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """What a person should know, of the forecast first."""
+        of_flight = () if self.flight is None else self.flight.notices
+        if self.far is None:
+            return (*of_flight, *self.found.notices)
+        return (self.far, *(n for n in self.found.notices if not self.far.startswith(n)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """As the command prints it."""
+        return {
+            "log": self.found.log.name,
+            **self.found.to_dict(),
+            "convergence_predicted_s": self.expected.convergence_s,
+            "forecast": None if self.flight is None else self.flight.to_dict(),
+            "forecast_given": None if self.at_load is None else self.at_load._asdict(),
+            "notices": list(self.notices),
+        }
 
 
 def write_rows(arguments: argparse.Namespace, found: Replay) -> None:
@@ -217,6 +267,8 @@ def check_layout(arguments: argparse.Namespace) -> None:
 
 def print_simulation(found: Simulation, start: InitialSoc) -> None:
     """A simulation for people."""
+    if found.far_off is not None:
+        printing.say(f"! {found.far_off}")
     bands = ((f"SOC {b.soc_low:.1f} to {b.soc_high:.1f}", b.metrics) for b in found.bands)
     printing.record_table(
         f"{found.log.name}: measured minus simulated, from SOC {start.soc:.3f} +- "
@@ -233,7 +285,7 @@ def print_simulation(found: Simulation, start: InitialSoc) -> None:
         ("rows", lambda row: f"{row[1].samples:,}"),
     )
     printing.say(f"RMSE above 10 % SOC: {printing.millivolt(found.rmse_above_10pct_V)} mV")
-    printing.say_notices(found.notices)
+    printing.say_notices(n for n in found.notices if n != found.far_off)
 
 
 def print_replay(

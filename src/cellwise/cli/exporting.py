@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cellwise.cli.common import log_options, options, page_options, power_options, printing
-from cellwise.cli.estimating import read_log_of
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
@@ -239,10 +238,14 @@ def lost_accuracy(
 
 def read(model: CellModel, arguments: argparse.Namespace) -> CellLog | None:
     """The log to measure on, None where none is named."""
+    from cellwise.cell.plausibility.cells_in_series import check_cells_in_series
+
     if arguments.log is None:
         return None
     options.check_fraction("--soc0", arguments.soc0)
-    return read_log_of(model, arguments)
+    log = log_options.read(arguments.log, arguments)
+    check_cells_in_series(model, log)
+    return log
 
 
 def print_export(folder: str, report: dict[str, Any]) -> None:

@@ -16,7 +16,12 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     """Add the command that follows a cell over its life."""
     history = commands.add_parser("history", help="a cell's logs in order to its ageing")
     options.add_model(history, scalable=True)
-    history.add_argument("logs", nargs="+", metavar="LOG", help="of one cell, in the order of time")
+    history.add_argument(
+        "logs",
+        nargs="+",
+        metavar="LOG",
+        help="of one cell, in the order of time; a folder or a pattern",
+    )
     history.add_argument("-o", "--output", metavar="OUT", help="logs as .csv, .csv.gz or .parquet")
     text = "write the model as the cell is now, for every command"
     history.add_argument("--save-model", metavar="MODEL", help=text)
@@ -36,12 +41,8 @@ def run_history(arguments: argparse.Namespace) -> None:
     places.check_places(arguments.output, arguments.save_model)
     page_options.check_page_options(arguments)
     model = options.read_model(arguments)
-    with printing.working("reading") as follow:
-        logs = []
-        for path in arguments.logs:
-            logs.append(log_options.read(path, arguments))
-            follow("reading", len(logs), len(arguments.logs))
-        follow("comparing")
+    logs = log_options.read_all(arguments.logs, arguments)
+    with printing.working("comparing"):
         found = life_of(model, logs)
     if arguments.output:
         write_columns(found.columns(), Path(arguments.output))

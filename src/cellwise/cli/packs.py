@@ -19,7 +19,12 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     """Add the command that looks at packs."""
     pack = commands.add_parser("pack", help="logs with cell voltages to every cell's state")
     options.add_model(pack, scalable=True)
-    pack.add_argument("logs", nargs="+", metavar="PACKLOG", help="one pack, in the order of time")
+    pack.add_argument(
+        "logs",
+        nargs="+",
+        metavar="PACKLOG",
+        help="one pack, in the order of time; a folder or a pattern",
+    )
     pack.add_argument("-o", "--output", metavar="OUT", help="cells as .csv, .csv.gz or .parquet")
     text = "go on from this file where it exists, and write it"
     pack.add_argument("--state", metavar="FILE", help=text)
@@ -61,12 +66,10 @@ def read_packs(arguments: argparse.Namespace) -> list[PackLog]:
     from cellwise.logs.packs.pack_reading import read_pack
 
     stated = log_options.pack_arguments(arguments)
-    logs = []
-    with printing.working("reading") as follow:
-        for path in arguments.logs:
-            logs.append(read_pack(path, sign=arguments.sign, **stated))
-            follow("reading", len(logs), len(arguments.logs))
-    return logs
+    found = log_options.read_each(
+        arguments.logs, lambda one: read_pack(one, sign=arguments.sign, **stated)
+    )
+    return [log for log, _ in found]
 
 
 def print_pack(found: PackEstimate) -> None:

@@ -202,7 +202,7 @@ def _starts(
         known = log.soc0 if value == "auto" else float(value)
         if known is None:
             # As `simulate` takes it: what is said of a log is said from there.
-            return initial_soc(model, log, likeliest=True, whole_log=True)
+            return initial_soc(model, log, whole_log=True)
         return initial_soc(model, log, known, GOOD.soc0_std)
 
     said = iter(stated)

@@ -12,6 +12,7 @@ import numpy as np
 
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel, check_is_model
+from cellwise.cell.plausibility.far_off import far_off_notices, far_off_text
 from cellwise.cell.plausibility.notice import in_order
 from cellwise.cell.plausibility.outside import outside_notices
 from cellwise.cell.plausibility.simulated import prediction_notices, soc_notices
@@ -139,9 +140,19 @@ class Replay(Plottable, Tabular):
         return math.sqrt(sums.squares_V2 / sums.known) if sums.known else math.nan
 
     @property
+    def _seen(self) -> tuple[CellModel | None, CellLog, FloatArray, FloatArray]:
+        return self.model, self.log, np.asarray(self.trace.innovation_V), self.trace.soc
+
+    @property
+    def far_off(self) -> str | None:
+        """That the voltages are many times as far off as the model states; None: they are not."""
+        return far_off_text(*self._seen)
+
+    @property
     def notices(self) -> tuple[str, ...]:
         """What a person should know, the most harmful first; those of reading the log last."""
-        found = outside_notices(self.validity, self.log, self.trace.soc)
+        found = far_off_notices(*self._seen)
+        found += outside_notices(self.validity, self.log, self.trace.soc)
         found += soc_notices(self.log, self.trace.soc)
         if self.sums.known or np.any(np.isfinite(self.trace.voltage_V)):  # counting predicts none
             rejected = self.sums.rejected / len(self.trace)
@@ -200,6 +211,8 @@ class Replay(Plottable, Tabular):
         text += f"SOC {self.start.soc:.3f} -> {self.trace.soc[-1]:.3f}"
         if self.settled is not None:
             text += f", settled RMSE {100 * self.settled.rmse:.2f} %"
+        if self.far_off:
+            text += ", FAR OFF this model"
         return text + f", {self.ns_per_step:.0f} ns/step)"
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,7 +16,7 @@ from cellwise.history.life import life_of
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.packs.pack_log import PackLog
 from cellwise.logs.packs.pack_reading import read_pack
-from cellwise.logs.stated import day_of_name
+from cellwise.logs.places import in_order
 from cellwise.pack.pack_estimate import estimate_pack
 
 
@@ -73,7 +72,7 @@ class FolderTask(LogTask):
     def files(self, folder: Path) -> list[Path]:
         """Logs of a folder in the order of the days in their names, else of the names."""
         found = [p for p in folder.glob(self.pattern) if p.is_file() and p.name[0] not in "._"]
-        return sorted(found, key=_in_order)
+        return sorted(found, key=in_order)
 
     def given(self, folder: Path, name: str) -> Files:
         """All logs of a folder.
@@ -175,11 +174,3 @@ class HistoryTask(FolderTask):
             "next_reference": trend["next_reference"],
             "notices": "; ".join(notices) or None,
         }
-
-
-def _in_order(path: Path) -> tuple[int, list[tuple[int, int | str]]]:
-    """By the day in the name; without one, numbers in names count as numbers."""
-    day = day_of_name(path.name)
-    parts = re.split(r"(\d+)", path.name)
-    number: list[tuple[int, int | str]] = [(0, int(p)) if p.isdigit() else (1, p) for p in parts]
-    return (0 if day is None else day.toordinal()), number

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 from typing import NamedTuple
 
@@ -14,6 +15,7 @@ from cellwise.identify.by_temperature import without_offsets
 from cellwise.identify.identification import REFERENCE_C, IdentifySettings, TestLogs
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.sign import verify_sign
+from cellwise.logs.pauses import cut_at_pauses
 from cellwise.logs.stated import other_temperature
 
 # The highest voltages of a log of an empty cell and one of a full differ by less (LTO: 1.87); those
@@ -51,7 +53,9 @@ def check_logs(tests: TestLogs, settings: IdentifySettings) -> CheckedLogs:
         found = None if stated is None else other_temperature(log, stated)
         if found is not None:
             contradictions.append(Notice(VOLT_PER_KELVIN * found[0], found[1]))
-    tests, notices = without_offsets(tests, default)
+    # After a pause that nobody counted a drive is another drive.
+    drives = tuple((part, warm) for log, warm in tests.drive for part in cut_at_pauses(log))
+    tests, notices = without_offsets(replace(tests, drive=drives), default)
     return CheckedLogs(tests, default, tuple(contradictions), tuple(notices))
 
 

@@ -104,7 +104,7 @@ class TestLogs:
             "capacity": self.capacity,
             "drive": [log for log, _ in self.drive],
         }
-        return {kind: [log.source or log.name for log in logs] for kind, logs in kinds.items()}
+        return {k: list(dict.fromkeys(o.source or o.name for o in v)) for k, v in kinds.items()}
 
 
 def _pairs(given: Any, name: str) -> list[tuple[CellLog, float | None]]:

@@ -10,16 +10,21 @@ from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.files.assembly import Origin, assemble
 from cellwise.logs.files.completion import complete
-from cellwise.logs.files.format import detect_format
-from cellwise.logs.files.source import FROM_FILE, Progress, RawLog, ReadOptions, open_source
+from cellwise.logs.files.format import Format, detect_format
+from cellwise.logs.files.source import (
+    FROM_FILE,
+    LogSource,
+    Progress,
+    RawLog,
+    ReadOptions,
+    open_source,
+)
 from cellwise.logs.formats import FORMATS
 from cellwise.logs.isolated import read_channels
+from cellwise.logs.packs.cell_columns import CellColumn
+from cellwise.logs.packs.pack_reading import columns_of_table, pack_of
+from cellwise.logs.places import plain_name
 from cellwise.logs.stated import Stated
-
-_SUFFIXES = (
-    *(".gz", ".csv", ".parquet", ".txt", ".bdf", ".ulg", ".bin", ".mat", ".mf4", ".mdf", ".nda"),
-    *(".ndax", ".mpr", ".mpt", ".blf", ".asc", ".log", ".trc", ".res", ".xlsx", ".xls"),
-)
 
 
 def read_log(
@@ -53,7 +58,8 @@ def read_log(
     name : str          for people; the file's name without suffix if not given
     progress : callable     called with what is done and the total, while reading
     series : int or "auto"  cells in series, to read a pack as its mean cell; ``auto``: the number
-                            that the file states
+                            that the file states. A table with a voltage for each cell is read as
+                            their mean cell without it
     parallel : int          cells in parallel
     channels : mapping      which column or signal is which: a tidy name, which gives the unit, to
                             the name in the file (``{"current_mA": "I_pack"}``)
@@ -84,10 +90,14 @@ def read_log(
     )
     source = open_source(stated.path, progress, options)
     known = detect_format(source, FORMATS)
+    pack = columns_of_table(source, known)
+    if options.series in (1, FROM_FILE, sum(c.kind == "cell" for c in pack)) and pack:
+        mean = _mean_of_pack(source, known, pack, sign, name, check_sign)
+        return stated.applied(mean)
     raw = complete(read_channels(source, known), known.sign, source.where)
     raw = to_cell(raw, options, source.where)
     origin = Origin(
-        name=_plain_name(source.path) if name is None else name,
+        name=plain_name(source.path) if name is None else name,
         source=str(source.path),
         format=known.name,
         sign=known.sign,
@@ -97,12 +107,19 @@ def read_log(
     return stated.applied(log)
 
 
-def _plain_name(path: Path) -> str:
-    name = path.name
-    for suffix in _SUFFIXES:
-        if name.casefold().endswith(suffix):
-            name = name[: -len(suffix)]
-    return name or path.name
+def _mean_of_pack(
+    source: LogSource,
+    known: Format,
+    columns: tuple[CellColumn, ...],
+    sign: str,
+    name: str | None,
+    check_sign: bool,
+) -> CellLog:
+    """The mean cell of a table with a voltage for each cell, and a notice that says so."""
+    name = plain_name(source.path) if name is None else name
+    pack = pack_of(source, known, columns, sign=sign, name=name, check_sign=check_sign)
+    said = f"a table of {pack.cells} cells, read as their mean cell (`cellwise pack` sees each)"
+    return pack.mean.with_notices((*pack.notices, said))
 
 
 def to_cell(raw: RawLog, options: ReadOptions, where: str) -> RawLog:

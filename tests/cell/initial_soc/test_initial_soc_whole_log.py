@@ -35,7 +35,7 @@ def driven(model, soc0, first_row, rows=10_000):
 def test_on_a_plateau_the_knee_at_the_end_tells_where_it_began(soc0):
     model = lfp_cell().with_effect(SlowDiffusion(0.01, 1200.0))
     part, true = driven(model, soc0, 1500)
-    beginning = initial_soc(model, part, likeliest=True)
+    beginning = initial_soc(model, part)
     found = initial_soc(model, part, whole_log=True)
     assert beginning.std > 0.05
     assert abs(found.soc - true) < 0.02

@@ -29,7 +29,8 @@ def soc_of_ocv(
     spread = np.hypot(known, np.interp(soc, model.soc, np.broadcast_to(gap, (1, table.size))[0]))
     # Beyond the table's ends the nearest end is the answer, not an unlikely one.
     target = min(max(voltage_V, float(ocv[0])), float(ocv[-1]))
-    weight = np.exp(-0.5 * ((ocv - target) / spread) ** 2)
+    # A density: where the model claims little, a voltage says little for the SOC, too.
+    weight = np.exp(-0.5 * ((ocv - target) / spread) ** 2) / spread
     total = weight.sum()
     mean = float((soc * weight).sum() / total)
     std = math.sqrt(float(((soc - mean) ** 2 * weight).sum() / total))

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from cellwise.cell.metrics import band_metrics, error_metrics
+from cellwise.cell.plausibility.far_off import OTHER
 from cellwise.cell.plausibility.notice import RANGE_V, Notice
 from cellwise.logs.measured_log import MeasuredLog
 from cellwise.typing import FloatArray
@@ -15,11 +16,9 @@ from cellwise.typing import FloatArray
 MUCH_CHARGE = 1.15
 SHOWN_SOC = 5e-4  # what shows in three digits
 LARGE_RMSE_V = 0.1
-FAR_AHEAD_V = 0.05  # one step ahead, where a filter has already followed what it can
 LARGE_ERROR_V = 0.2
 NEAR_EMPTY = 0.1
 MANY_REJECTED = 0.1
-OTHER = "a log of another cell, number of cells in series (`series=N`), temperature or age"
 
 
 def soc_notices(log: MeasuredLog, soc: FloatArray) -> list[Notice]:
@@ -87,7 +86,7 @@ def error_notices(log: MeasuredLog, error_V: FloatArray, soc: FloatArray) -> lis
 
 
 def prediction_notices(log: MeasuredLog, rmse_V: float, rejected: float) -> list[Notice]:
-    """A filter whose predictions are far off, or that refuses many voltages.
+    """A filter that used no voltage, or refuses many.
 
     Parameters
     ----------
@@ -100,9 +99,10 @@ def prediction_notices(log: MeasuredLog, rmse_V: float, rejected: float) -> list
             return []
         text = f"no voltage of {name} was used: all are missing, or outside what a sensor reads"
         return [Notice(RANGE_V, f"{text} (another pack count?)")]
-    if rmse_V < FAR_AHEAD_V and rejected < MANY_REJECTED:
+    if rejected < MANY_REJECTED:
         return []
-    text = f"the voltage of {name} is {1e3 * rmse_V:.0f} mV off one step ahead (RMSE)"
-    if rejected > 0.0:
-        text += f" and was rejected in {100.0 * rejected:.0f} % of the rows"
+    text = (
+        f"the voltage of {name} is {1e3 * rmse_V:.0f} mV off one step ahead (RMSE) and was "
+        f"rejected in {100.0 * rejected:.0f} % of the rows"
+    )
     return [Notice(max(rmse_V, RANGE_V * rejected), f"{text}: {OTHER} than the model's?")]

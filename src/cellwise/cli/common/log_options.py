@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from cellwise.cli.common import options, printing
 from cellwise.data import datasets_folder, list_datasets
-from cellwise.errors import InputError
+from cellwise.errors import InputError, MachineError
 from cellwise.logs import CellLog, Stated, read_log
 from cellwise.logs.files.source import ReadOptions
+from cellwise.logs.places import logs_of
 
 if TYPE_CHECKING:
     from cellwise.identify import TestLogs
 
+Log = TypeVar("Log")
 SIGNS = ("auto", "charge-positive", "discharge-positive")
 BIG_FILE = 20_000_000  # bytes; reading takes so long that a bar shows
 LOG_HELP = (
@@ -74,7 +76,7 @@ def _add_channels(parser: options.Parser) -> None:
     parser.add_argument("--instance", metavar="K", help="which battery of several, from 0")
 
 
-def read(path: str, arguments: argparse.Namespace) -> CellLog:
+def read(path: str | Stated, arguments: argparse.Namespace) -> CellLog:
     """Read a log as the arguments and what is stated behind its path say; a bar for a big file.
 
     Where no file has that name, an embedded data set may (`cellwise data list`).
@@ -84,7 +86,7 @@ def read(path: str, arguments: argparse.Namespace) -> CellLog:
     InputError        options that are no numbers or no pairs; whatever `read_log` refuses
     """
     options = arguments_of_read(arguments)
-    stated = _embedded(Stated.parse(path))
+    stated = _embedded(Stated.parse(path) if isinstance(path, str) else path)
     place = Path(stated.path)
     if not place.is_file() or place.stat().st_size < BIG_FILE:
         return read_log(stated, **options)
@@ -105,13 +107,50 @@ def _embedded(stated: Stated) -> Stated:
 
 
 def read_all(paths: Sequence[str], arguments: argparse.Namespace) -> tuple[CellLog, ...]:
-    """Read several logs.
+    """The logs of files, folders and patterns.
 
     Raises
     ------
     InputError        as :func:`read`
     """
-    return tuple(read(path, arguments) for path in paths)
+    return tuple(log for log, _ in read_each(paths, lambda one: read(one, arguments)))
+
+
+def read_each(paths: Sequence[str], read_one: Callable[[Stated], Log]) -> list[tuple[Log, Stated]]:
+    """Each log of files, folders and patterns, with what is stated of it; one bar for all.
+
+    Of a folder or a pattern, what is no log is left out, and said on standard error.
+
+    Raises
+    ------
+    InputError        as ``read_one``, of a file that was named; of the others if none can be read
+    MachineError      the machine failed to read one
+    """
+    places = [logs_of(path) for path in paths]
+    count = sum(len(place.logs) for place in places)
+    found: list[tuple[Log, Stated]] = []
+    with printing.working("reading") if count > 1 else nullcontext(_silent) as follow:
+        for path, place in zip(paths, places, strict=True):
+            unread, before = [], len(found)
+            for one in place.logs:
+                try:
+                    found.append((read_one(one), one))
+                except MachineError:
+                    raise
+                except InputError as error:
+                    if place.named:
+                        raise
+                    unread.append((one.path, error))
+                follow("reading", len(found), count)
+            if unread and len(found) == before:
+                raise unread[0][1]
+            for name, refusal in unread:
+                printing.warn(f"left out of '{path}': '{Path(name).name}', {refusal.found}")
+    return found
+
+
+def _silent(what: str, done: float, total: float) -> None:
+    """No bar."""
 
 
 def add_test_options(parser: options.Parser) -> None:
@@ -136,7 +175,8 @@ def test_logs(arguments: argparse.Namespace) -> TestLogs:
     from cellwise.identify import TestLogs
 
     def stated(paths: Sequence[str]) -> tuple[tuple[CellLog, float | None], ...]:
-        return tuple((read(path, arguments), Stated.parse(path).temperature_C) for path in paths)
+        found = read_each(paths, lambda one: read(one, arguments))
+        return tuple((log, one.temperature_C) for log, one in found)
 
     return TestLogs(
         hppc=stated(arguments.hppc),

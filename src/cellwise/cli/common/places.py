@@ -10,6 +10,7 @@ from typing import Any
 from cellwise.errors import InputError
 
 OUTPUTS = ("output", "report")
+LOGS = ("log", "logs", "holdout", "baseline", "hppc", "ocv", "capacity", "drive")
 
 
 def check_places(*paths: str | None) -> None:
@@ -59,13 +60,24 @@ def check_overwriting(arguments: argparse.Namespace) -> None:
         for name, value in said.items():
             if name in OUTPUTS or name == "state":
                 continue
-            for path in _texts(value):
+            for path in _files(value) if name in LOGS else _texts(value):
                 if _is_file(path) and Path(path).samefile(text):
                     raise InputError(
                         f"'{text}' both to read and to write",
                         "an output that is none of the inputs",
                         "Name another one: nothing was overwritten.",
                     )
+
+
+def _files(value: Any) -> Iterator[str]:
+    """The files that the logs of an argument are."""
+    from cellwise.logs.places import logs_of
+
+    for text in [value] if isinstance(value, str) else value:
+        try:
+            yield from (one.path for one in logs_of(text).logs)
+        except InputError:
+            continue  # refused where it is read
 
 
 def _texts(value: Any) -> Iterator[str]:

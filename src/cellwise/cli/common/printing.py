@@ -121,6 +121,11 @@ def say_notices(notices: Iterable[str]) -> None:
         say(f"  ! {notice}")
 
 
+def warn(text: str) -> None:
+    """A line on standard error, whatever standard output is for."""
+    Console(stderr=True, soft_wrap=True, highlight=False, markup=False).print(in_options(text))
+
+
 def say(text: str) -> None:
     """A line for people."""
     Console(soft_wrap=True, highlight=False, markup=False).print(in_options(text))

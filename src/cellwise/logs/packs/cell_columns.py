@@ -73,6 +73,11 @@ def known_cell(name: str) -> tuple[int, Unit] | None:
     return None
 
 
+def cells_named(header: Sequence[str]) -> int:
+    """For how many cells a table has a column with the voltage."""
+    return sum(known_cell(name.strip()) is not None for name in header)
+
+
 def cell_name(number: int, cells: int) -> str:
     """``cell_01``: the number with as many digits as the largest one needs, two at least."""
     return f"cell_{number:0{max(2, len(str(cells)))}d}"

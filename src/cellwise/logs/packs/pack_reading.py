@@ -18,13 +18,19 @@ from cellwise.logs.files.format import Format, detect_format
 from cellwise.logs.files.named_columns import is_parquet, parquet_names
 from cellwise.logs.files.source import LogSource, RawLog, ReadOptions, open_source
 from cellwise.logs.formats import FORMATS
-from cellwise.logs.packs.cell_columns import CellColumn, cell_columns, cell_name
+from cellwise.logs.packs.cell_columns import (
+    CellColumn,
+    cell_columns,
+    cell_name,
+    cells_named,
+)
 from cellwise.logs.packs.pack_checks import checked_cells, mean_voltage_V
 from cellwise.logs.packs.pack_log import PackLog
 from cellwise.logs.stated import Stated
 from cellwise.typing import BoolArray, FloatArray
 
 ULOG_CELLS = 16
+TABLES = ("tidy-parquet", "tidy-csv", "leafspy-csv")  # formats with a column for each cell
 
 
 def read_pack(
@@ -61,23 +67,53 @@ def read_pack(
     options = ReadOptions(parallel=parallel, channels=dict(channels or {}), instance=instance)
     source = open_source(stated.path, None, options)
     known = detect_format(source, FORMATS)
-    columns = _columns(source, known)
-    raw = known.read(source, _with_cells(known, columns))
-    raw = complete(raw, known.sign, source.where)
-    pack = _assembled(raw, columns, known, source, sign, name)
+    names = _names(source, known)
+    pack = pack_of(source, known, cell_columns(names, source.where), sign=sign, name=name)
     return replace(pack, mean=stated.applied(pack.mean))
 
 
-def _columns(source: LogSource, known: Format) -> tuple[CellColumn, ...]:
+def columns_of_table(source: LogSource, known: Format) -> tuple[CellColumn, ...]:
+    """The pack's columns of a table that holds a voltage for each of several cells; else none."""
+    if known.name not in TABLES:
+        return ()
+    names = _names(source, known)
+    return cell_columns(names, source.where) if cells_named(names) > 1 else ()
+
+
+def pack_of(
+    source: LogSource,
+    known: Format,
+    columns: tuple[CellColumn, ...],
+    *,
+    sign: str = "auto",
+    name: str | None = None,
+    check_sign: bool = True,
+) -> PackLog:
+    """The pack of a file that has been looked at.
+
+    Raises
+    ------
+    InputError        no cell voltages, or whatever `read_log` refuses
+    """
+    raw = known.read(source, _with_cells(known, columns))
+    raw = complete(raw, known.sign, source.where)
+    origin = Origin(
+        name=source.path.name.split(".")[0] if name is None else name,
+        source=str(source.path),
+        format=known.name,
+        sign=known.sign,
+        current_meaning=known.current_meaning,
+    )
+    return _assembled(raw, columns, source, origin, sign, check_sign)
+
+
+def _names(source: LogSource, known: Format) -> list[str]:
+    """Names of a file's columns."""
     if known.name == "px4-ulog":
-        names = [f"voltage_cell_v[{k}]" for k in range(ULOG_CELLS)]
-    elif is_parquet(source):
-        names = parquet_names(source)
-    elif source.is_text:
-        names = list(csv_layout(source).header)
-    else:
-        names = []
-    return cell_columns(names, source.where)
+        return [f"voltage_cell_v[{k}]" for k in range(ULOG_CELLS)]
+    if is_parquet(source):
+        return parquet_names(source)
+    return list(csv_layout(source).header) if source.is_text else []
 
 
 def _with_cells(known: Format, columns: tuple[CellColumn, ...]) -> Format:
@@ -91,10 +127,10 @@ def _with_cells(known: Format, columns: tuple[CellColumn, ...]) -> Format:
 def _assembled(
     raw: RawLog,
     columns: tuple[CellColumn, ...],
-    known: Format,
     source: LogSource,
+    origin: Origin,
     sign: str,
-    name: str | None,
+    check_sign: bool,
 ) -> PackLog:
     channels = dict(raw.channels)
     timed = np.isfinite(channels["time_s"])
@@ -128,14 +164,7 @@ def _assembled(
         notices.append(f"current of {source.options.parallel} in parallel, read as that of one")
     fields = {c.field for c in TIDY_CHANNELS}
     kept = {field: values for field, values in channels.items() if field in fields}
-    origin = Origin(
-        name=source.path.name.split(".")[0] if name is None else name,
-        source=str(source.path),
-        format=known.name,
-        sign=known.sign,
-        current_meaning=known.current_meaning,
-    )
-    mean = assemble(CellLog, RawLog(kept, tuple(notices)), origin, sign)
+    mean = assemble(CellLog, RawLog(kept, tuple(notices)), origin, sign, check_sign=check_sign)
     return PackLog(mean, volts, names, balancing, pack_V, flags)
 
 

@@ -1,0 +1,57 @@
+"""A log far off its model: said in the first line, and nothing is foreseen from it."""
+
+from __future__ import annotations
+
+import pytest
+
+from cellwise import load_dataset, replay, simulate
+from cellwise.cell.plausibility.far_off import FAR_OFF, times_stated
+from cellwise.cell.stock.catalogue import named_model
+from cellwise.cli import main
+
+OTHER = ("--model", "lfp-26650", "--capacity-ah", "5")
+
+
+def first_line(capsys, *arguments: str) -> str:
+    capsys.readouterr()
+    assert main(list(arguments)) == 0
+    return capsys.readouterr().out.splitlines()[0]
+
+
+def test_another_chemistry_is_said_first_and_forecasts_are_withheld(drive, run_json, capsys):
+    for command in ("simulate", "replay"):
+        assert "FAR OFF" in run_json(command, *OTHER, drive)["notices"][0]
+        assert "FAR OFF" in first_line(capsys, command, *OTHER, drive)
+    found = run_json("replay", *OTHER, drive, "--load", "10")
+    assert found["forecast"] is None
+    assert found["forecast_given"] is None
+    assert "withheld" in found["notices"][0]
+    anyway = run_json("replay", *OTHER, drive, "--anyway")
+    assert anyway["forecast"] is not None
+    assert "FAR OFF" in anyway["notices"][0]
+
+
+def test_a_swapped_sign_is_said_first_and_forecasts_are_withheld(model, drive, run_json, capsys):
+    swapped = ("replay", "--model", model, drive, "--sign", "charge-positive")
+    found = run_json(*swapped)
+    assert found["forecast"] is None
+    assert "SIGN" in found["notices"][0]
+    assert "SIGN" in first_line(capsys, *swapped)
+
+
+def test_a_log_of_the_model_s_own_cell_is_not_far_off(model, drive, run_json, capsys):
+    found = run_json("replay", "--model", model, drive)
+    assert found["forecast"] is not None
+    assert not any("FAR OFF" in notice for notice in found["notices"])
+    assert "FAR OFF" not in first_line(capsys, "simulate", "--model", model, drive)
+
+
+@pytest.mark.parametrize(("name", "far"), [("lfp-26650", True), ("nmc-18650", False)])
+def test_what_a_run_prints_of_itself_says_it_too(name, far):
+    log = load_dataset("nmc_drive_b")
+    simulation = simulate(named_model(name, 5.0), log)
+    assert ("FAR OFF" in repr(simulation)) == far
+    assert ("FAR OFF" in repr(replay(named_model(name, 5.0), log))) == far
+    assert simulation.model is not None
+    times, _ = times_stated(simulation.model, log, simulation.error_V, simulation.soc)
+    assert (times > FAR_OFF) == far
