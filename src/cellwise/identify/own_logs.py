@@ -25,6 +25,7 @@ from cellwise.typing import BoolArray, FloatArray
 
 CLEAR_GAP_V = 0.02  # between a side of a test and the model: hysteresis and resistance of others
 FEWEST_ROWS = 5
+SAME_CAPACITY = 0.005  # counters of one tester differ by so much
 BROUGHT_BACK = 0.95  # of what a discharge took: less is not one cycle
 
 
@@ -128,8 +129,10 @@ def directions(log: CellLog) -> dict[str, BoolArray]:
 
 def _own_capacity(start: Start) -> str:
     """What a log that kept its own capacity says of it."""
-    held = 100.0 * (start.capacity_scale - 1.0)
-    return f"simulated with a capacity of its own, {held:+.1f} %" if held else ""
+    away = start.capacity_scale - 1.0
+    if abs(away) < SAME_CAPACITY:
+        return ""
+    return f"simulated with a capacity of its own, {100.0 * away:+.1f} % of the model's"
 
 
 def _known(simulation: Simulation, rows: BoolArray) -> FloatArray:
