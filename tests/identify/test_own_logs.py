@@ -9,7 +9,8 @@ import pytest
 
 from cellwise.data import load_dataset
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell
-from cellwise.identify.own_logs import directions
+from cellwise.identify.identification import Start
+from cellwise.identify.own_logs import directions, other_capacities
 
 SETTINGS = IdentifySettings(nominal_Ah=5.0)
 
@@ -59,3 +60,19 @@ def test_a_charge_that_does_not_belong_is_explained():
     assert "came back" in own.reason
     assert own.sides_V["discharge"] < 0.01
     assert own.sides_V["charge"] > 0.05
+
+
+@pytest.mark.parametrize(("scale", "said"), [(1.0, 0), (1.023, 0), (0.88, 1), (1.08, 1)])
+def test_a_test_of_another_cell_is_said_first_with_its_charge(scale, said):
+    log = load_dataset("nmc_cap_c3")
+    notices = other_capacities([Start(log, 1.0), Start(log, 1.0, capacity_scale=scale)])
+    assert len(notices) == said
+    for notice in notices:
+        assert log.name in notice.text
+        assert f"{100.0 * (scale - 1.0):+.1f} %" in notice.text
+        assert notice.size_V > 0.0
+
+
+def test_where_no_drive_goes_deep_a_capacity_test_holds_the_scale(found):
+    own = next(o for o in found.own_logs if o.role == "capacity")
+    assert "capacity of its own" not in own.reason

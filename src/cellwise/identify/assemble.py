@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -53,6 +54,13 @@ def refined_model(
         temperature_C=np.array([row.grid_C[0] for row in rows]),
         effects=refined_effects(result, rows, skewed, hot),
     )
+
+
+def own_model(model: CellModel, capacity_scale: float) -> CellModel:
+    """The model as of a cell that holds another charge."""
+    if capacity_scale == 1.0:
+        return model
+    return replace(model, capacity_Ah=capacity_scale * model.capacity_Ah)
 
 
 def temperatures_of(result: RefineResult) -> FloatArray:

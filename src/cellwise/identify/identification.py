@@ -176,13 +176,15 @@ class TemperatureResult:
 class Start(NamedTuple):
     """A log, the SOC at which it begins, the rows that are compared, and why it is left out.
 
-    ``rows`` None: all; ``left_out`` empty: it takes part in the fit.
+    ``rows`` None: all; ``left_out`` empty: it takes part in the fit; ``capacity_scale``: what its
+    cell held over the capacity of the model.
     """
 
     log: CellLog
     soc0: float
     rows: BoolArray | None = None
     left_out: str = ""
+    capacity_scale: float = 1.0
 
 
 @dataclass(frozen=True)

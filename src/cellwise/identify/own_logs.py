@@ -8,7 +8,7 @@ import numpy as np
 
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import check_physical
-from cellwise.cell.plausibility.notice import Notice, in_order
+from cellwise.cell.plausibility.notice import RANGE_V, Notice, in_order
 from cellwise.cell.plausibility.simulated import (
     LARGE_ERROR_V,
     error_notices,
@@ -16,13 +16,16 @@ from cellwise.cell.plausibility.simulated import (
 )
 from cellwise.cell.simulate import Simulation, simulate
 from cellwise.errors import InputError
+from cellwise.identify.assemble import own_model
 from cellwise.identify.capacity.half_cycles import find_half_cycles, join_logs
-from cellwise.identify.identification import Fitted, OwnLog, Role, TestLogs
+from cellwise.identify.identification import Fitted, OwnLog, Role, Start, TestLogs
+from cellwise.identify.ocv.sample_check import OTHER_CAPACITY
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
 CLEAR_GAP_V = 0.02  # between a side of a test and the model: hysteresis and resistance of others
 FEWEST_ROWS = 5
+SAME_CAPACITY = 0.005  # counters of one tester differ by so much
 BROUGHT_BACK = 0.95  # of what a discharge took: less is not one cycle
 
 
@@ -37,14 +40,16 @@ def simulate_back(model: CellModel, tests: TestLogs, fitted: Fitted) -> tuple[Ow
     found = []
     for role, log in roles:
         start = starts[id(log)]
-        simulation = simulate(model, log, min(max(start.soc0, 0.0), 1.0))
+        of_log = own_model(model, start.capacity_scale)
+        simulation = simulate(of_log, log, min(max(start.soc0, 0.0), 1.0))
         if start.left_out:
             found.append(OwnLog(role, False, simulation, None, {}, start.left_out))
             continue
         sides = directions(log) if role in ("ocv", "capacity") else {}
         errors = {name: _known(simulation, rows) for name, rows in sides.items()}
         rmse = {n: float(np.sqrt(np.mean(e**2))) for n, e in errors.items() if e.size}
-        found.append(OwnLog(role, True, simulation, start.rows, rmse, _gaps(simulation, sides)))
+        said = "; ".join(filter(None, (_own_capacity(start), _gaps(simulation, sides))))
+        found.append(OwnLog(role, True, simulation, start.rows, rmse, said))
     return tuple(found)
 
 
@@ -89,6 +94,21 @@ def own_log_notices(own: Sequence[OwnLog]) -> list[Notice]:
     return found
 
 
+def other_capacities(starts: Sequence[Start]) -> list[Notice]:
+    """Logs of a cell that held clearly more or less than that of the others."""
+    found = []
+    for start in starts:
+        away = start.capacity_scale - 1.0
+        if abs(away) > OTHER_CAPACITY:
+            text = (
+                f"'{start.log.name}' is of a cell that held {100.0 * away:+.1f} % of the others' "
+                "charge: another sample, another age, or a current sensor that is off. It keeps a "
+                "capacity of its own in the fit, and the model that of the others"
+            )
+            found.append(Notice(RANGE_V * abs(away), text))
+    return found
+
+
 def directions(log: CellLog) -> dict[str, BoolArray]:
     """Rows of the log's discharges and charges that move much; shape (n,) each."""
     try:
@@ -105,6 +125,14 @@ def directions(log: CellLog) -> dict[str, BoolArray]:
         if np.count_nonzero(rows) >= FEWEST_ROWS:
             found[name] = rows
     return found
+
+
+def _own_capacity(start: Start) -> str:
+    """What a log that kept its own capacity says of it."""
+    away = start.capacity_scale - 1.0
+    if abs(away) < SAME_CAPACITY:
+        return ""
+    return f"simulated with a capacity of its own, {100.0 * away:+.1f} % of the model's"
 
 
 def _known(simulation: Simulation, rows: BoolArray) -> FloatArray:

@@ -36,6 +36,7 @@ from cellwise.identify.ocv.curve import OcvCurve
 from cellwise.identify.own_logs import (
     check_possible,
     check_serves,
+    other_capacities,
     own_log_notices,
     simulate_back,
 )
@@ -141,6 +142,8 @@ def _joint_fit(
     say("refinement")
     joint = gather_logs(pulses.groups, ocv.curve, capacity.capacity_Ah, settings)
     fit = fit_with_effects(joint)
+    starts = fit.starts
+    other = other_capacities(starts)
     model = replace(
         fit.model,
         error=stated_error(fit),
@@ -154,12 +157,12 @@ def _joint_fit(
     return Fitted(
         model=model,
         ocv=ocv.curve,
-        starts=joint.starts,
+        starts=starts,
         temperatures=temperatures,
         measured_soc=ocv.curve.points_soc,
         decided=fit.decided,
         provenance=_provenance(settings, ocv.curve, temperatures),
-        contradictions=(*ocv.contradictions, *pulses.contradictions),
+        contradictions=(*ocv.contradictions, *pulses.contradictions, *other),
         notices=(*ocv.notices, *pulses.notices, *joint.notices, *moved_ocv_notice(fit.of_loads())),
     )
 

@@ -138,6 +138,24 @@ def test_hysteresis_comes_back():
     assert errors(result, truth, INSIDE)["r0"] < 0.02
 
 
+@pytest.mark.parametrize("held", [0.87, 1.0])
+def test_a_discharge_of_another_cell_keeps_its_capacity_and_bends_no_table(held):
+    logs = two_logs(CURVED, noise=1e-3)
+    log, counted = log_of(np.full(3200, CAPACITY_AH), CURVED)
+    true = 1.0 - (1.0 - counted) / held
+    noise_V = 1e-3 * np.random.default_rng(8).standard_normal(len(log))
+    log = replace(log, voltage_V=CURVED.voltage(log, true) + noise_V)
+    other = RefineLog(log, counted, sample=0)
+    settings = RefineSettings(branches=2, samples=1)
+    result = refine([*logs, other], start_tables(), settings=settings, capacity_Ah=CAPACITY_AH)
+    assert result.capacity_scale(0) == pytest.approx(held, abs=0.003)
+    assert result.capacity_scale(None) == 1.0
+    rows = spline_rows(INSIDE, result.ocv_knots)
+    correction = spline_values(rows, result.theta[: result.layout.knots_ocv])
+    np.testing.assert_allclose(correction, 0.0, atol=2e-3)
+    assert errors(result, CURVED, INSIDE)["r0"] < 0.03
+
+
 def test_activation_comes_back_from_a_log_that_warms_and_cools():
     result = fit(replace(Truth(), activation_K=3500.0), noise=5e-4, warm=True)
     assert result.activation_K == pytest.approx(3500.0, rel=0.05)

@@ -15,7 +15,7 @@ import numpy as np
 from cellwise.cell.effects import Effect, SurfaceSoc
 from cellwise.cell.metrics import HeldOutGain, held_out_gain
 from cellwise.cell.model import CellModel
-from cellwise.identify.identification import Decided
+from cellwise.identify.identification import Decided, Start
 from cellwise.identify.refinement.joint_fit import QUICK_ITERATIONS, JointLogs
 from cellwise.identify.refinement.layout import ASINH_UNIT_PER_V
 from cellwise.identify.refinement.model_error import SAME_TEMPERATURE_K
@@ -71,6 +71,12 @@ class JointFit:
     def model(self) -> CellModel:
         """What was made of it."""
         return self.joint.model_of(self.result, self.effects)
+
+    @property
+    def starts(self) -> tuple[Start, ...]:
+        """Where every log begins, and what the cell of one that keeps its own capacity held."""
+        held = {id(item.log): self.result.capacity_scale(item.sample) for item in self.logs}
+        return tuple(s._replace(capacity_scale=held.get(id(s.log), 1.0)) for s in self.joint.starts)
 
     def of_loads(self) -> RefineResult:
         """A fit of the loads alone: low-rate tests hold the OCV, what loads say must not differ."""

@@ -61,13 +61,17 @@ SMOOTH_OF_SEVERAL = 0.003  # their logs are fitted worse, and what holds scales 
 
 
 class Candidate(NamedTuple):
-    """A log, whether its current may lag, the rows to compare (None: all), why it is left out."""
+    """A log, whether its current may lag, the rows to compare (None: all), why it is left out.
+
+    ``own_capacity``: its cell may hold another charge than that of the other logs.
+    """
 
     log: CellLog
     driven: bool
     part: BoolArray | None
     why_not: str = ""
     low_rate: bool = False
+    own_capacity: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,11 +143,12 @@ def gather_logs(
     resistance = rough_resistance(groups)
     anchors = {id(s.log): s.anchor for g in groups for s in g.pulse_sets}
     driven = any(_is_deep(log, capacity_Ah) for g in groups for log, _ in g.tests.drive)
+    own_capacity = driven and any(g.tests.ocv for g in groups)
     logs: list[RefineLog] = []
     starts: list[Start] = []
     notices: list[str] = []
     for g in groups:
-        for c in _candidates(g, driven, capacity_Ah, grid):
+        for c in _candidates(g, driven, own_capacity, capacity_Ah, grid):
             anchor = anchors.get(id(c.log)) or anchor_soc(c.log, ocv, capacity_Ah, resistance)
             if c.part is not None and c.log.soc0 is None and c.part.any():
                 anchor = full_before(c.log, c.part & discharge_rows(c.log), capacity_Ah, anchor)
@@ -154,10 +159,11 @@ def gather_logs(
                 continue
             notices.append(f"'{c.log.name}' begins at SOC {anchor.soc:.3f} ({anchor.how})")
             soc = anchor.soc - c.log.counted_charge_Ah() / capacity_Ah
+            sample = sum(item.sample is not None for item in logs) if c.own_capacity else None
             logs.append(RefineLog(c.log, soc, skewed=c.driven, h0=start_hysteresis(anchor.soc),
                                   weight=LIMITS.low_rate if c.low_rate else 1.0,
                                   compare=c.part, temperature_C=g.temperature_C,
-                                  low_rate=c.low_rate))  # fmt: skip
+                                  low_rate=c.low_rate, sample=sample))  # fmt: skip
     if all(item.compare is not None for item in logs):
         raise InputError(
             "no log whose SOC at the start is known",
@@ -172,6 +178,7 @@ def gather_logs(
         hysteresis=hysteresis,
         activation_std_K=settings.activation_std_K,
         skew=any(item.skewed for item in logs),
+        samples=sum(item.sample is not None for item in logs),
         balance=BALANCE if several else 0.0,
         smooth=SMOOTH_OF_SEVERAL if several else RefineSettings.smooth,
     )
@@ -181,11 +188,13 @@ def gather_logs(
 
 
 def _candidates(
-    group: Group, driven: bool, capacity_Ah: float, grid_C: FloatArray
+    group: Group, driven: bool, own_capacity: bool, capacity_Ah: float, grid_C: FloatArray
 ) -> Iterator[Candidate]:
     """Logs of a temperature.
 
     Where no drive goes deep, the charges and rests of capacity tests are the only ones there are.
+    Where one does and a low-rate test holds the SOC scale, a capacity test keeps its own: cells
+    lose some per cent from one test to the next, and near empty that is a tenth of a volt.
     Beside pulses a capacity test much warmer than the tables is left out.
     """
     for log, _ in group.tests.hppc:
@@ -204,7 +213,7 @@ def _candidates(
         warm = ""
         if group.tests.hppc and began_C is not None and began_C > warmest_C + LIMITS.warmer_K:
             warm = f"it began at {began_C:.0f} degC, the warmest pulses are of {warmest_C:.0f} degC"
-        yield Candidate(log, False, part, warm)
+        yield Candidate(log, False, part, warm, own_capacity=own_capacity)
 
 
 def _left_out(c: Candidate, anchor: SocAnchor, capacity_Ah: float) -> str:

@@ -23,7 +23,8 @@ class Layout(NamedTuple):
     M (temperatures x knots) and ln gamma where there is a hysteresis; with several temperatures how
     far the OCV of each is from the common one (temperatures x knots_ocv); then one number each:
     activation [K / 1000], sampling delay [s / 10], asinh law [10 / V]; the activation that each
-    table of logarithms has beside the common one [K / 1000].
+    table of logarithms has beside the common one [K / 1000]; ln of the capacity that each of some
+    logs has over the common one (samples).
     """
 
     knots_ocv: int
@@ -31,6 +32,7 @@ class Layout(NamedTuple):
     branches: int
     hysteresis: bool
     temperatures: int = 1
+    samples: int = 0
 
     @property
     def block(self) -> int:
@@ -86,9 +88,14 @@ class Layout(NamedTuple):
         return self.asinh + 1
 
     @property
+    def sample(self) -> int:
+        """First of the logs' own capacities."""
+        return self.own + 1 + 2 * self.branches
+
+    @property
     def size(self) -> int:
         """Number of parameters."""
-        return self.own + 1 + 2 * self.branches
+        return self.sample + self.samples
 
     def tables(self) -> Iterator[int]:
         """First coefficient of every table of logarithms."""

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import cpu_count
 
 import numpy as np
@@ -20,7 +21,7 @@ from cellwise.identify.refinement.layout import (
 from cellwise.identify.refinement.refine_data import PreparedLog, inverse_K
 from cellwise.identify.refinement.refine_kernels import Blocks
 from cellwise.identify.refinement.refine_kernels import voltage_and_jacobian as kernel
-from cellwise.identify.refinement.splines import curvature_penalty, greville
+from cellwise.identify.refinement.splines import curvature_penalty, spline_rows
 from cellwise.typing import FloatArray
 
 LEAST_RATIO = 2.0  # between neighbouring time constants, at every knot
@@ -31,6 +32,9 @@ LARGEST_STEP = 0.7  # of a logarithm in one iteration: a factor of two
 LEAST_SIGMA_V = 2e-4
 # OCV between temperatures: what the entropy of intercalation leaves room for.
 ENTROPY_V_PER_K = 4e-4
+# Of ln of a log's own capacity: samples of one type differ by some per cent, an aged cell keeps a
+# half; and the step of its difference quotient.
+SAMPLE_STD, SAMPLE_LIMITS, SAMPLE_STEP = 0.05, (-0.7, 0.4), 1e-4
 OWN_LIMITS = (-6.0, 6.0)  # of a table's own activation, in units of ACTIVATION_UNIT_K
 
 
@@ -48,6 +52,7 @@ class RefineSettings:
     own_activation_std_K : float      how far the activation of each resistance and time constant
                               may be from the common one; 0: not fitted
     skew : bool               fit the sampling delay of the logs that may have one
+    samples : int             logs that keep a capacity of their own
     smooth : float            weight of the tables' curvature, in units of the residual variance
     straight : float          weight of their curvature over 1/T, where 0 is one activation energy
     ocv_smooth, ocv_size : float      weight of the OCV correction's curvature and size [V^-2]
@@ -64,6 +69,7 @@ class RefineSettings:
     activation_std_K: float = 1000.0
     own_activation_std_K: float = 0.0
     skew: bool = True
+    samples: int = 0
     smooth: float = 0.01
     straight: float = 0.01
     ocv_smooth: float = 1e-3
@@ -127,7 +133,7 @@ class Problem:
         self.layout = layout
         self.table_curvature = curvature_penalty(knots)
         self.ocv_curvature = curvature_penalty(ocv_knots)
-        self.soc = greville(knots)
+        self.knots, self.ocv_knots = knots, ocv_knots
         self.charge_As = charge_As
         self.grid_C, self.reference_C = grid_C, reference_C
         self.base_ocv = tuple(start.ocv(log.soc) for log in self.logs)
@@ -178,13 +184,43 @@ class Problem:
 
     def evaluate(self, index: int, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Residual (measured minus model) and Jacobian of one log's compared rows and places."""
-        log, lay = self.logs[index], self.layouts[index]
-        own = theta[self.places[index]]
+        log, own = self.logs[index], theta[self.places[index]]
+        if log.sample is None:
+            voltage, jacobian = self._simulated(index, own, log, self.base_ocv[index])
+            return log.measured_V - voltage, jacobian
+        at = self.layouts[index].sample + log.sample
+        voltage, jacobian = self._of_sample(index, own, own[at])
+        beside, _ = self._of_sample(index, own, own[at] + SAMPLE_STEP)
+        jacobian[:, at] = (beside - voltage) / SAMPLE_STEP
+        return log.measured_V - voltage, jacobian
+
+    def _of_sample(
+        self, index: int, own: FloatArray, ln_capacity: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Voltage and Jacobian of a log whose cell holds another charge than the model's.
+
+        It begins at the same SOC, and the charge that flows moves it by as much less.
+        """
+        log = self.logs[index]
+        away = (log.soc - log.soc[0]) * math.expm1(-ln_capacity)
+        soc = log.soc + away
+        moved = replace(
+            log,
+            rows=spline_rows(log.table_soc + away, self.knots),
+            ocv_rows=spline_rows(soc, self.ocv_knots),
+        )
+        return self._simulated(index, own, moved, self.start.ocv(soc))
+
+    def _simulated(
+        self, index: int, own: FloatArray, log: PreparedLog, base_ocv_V: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Voltage of the compared rows and its Jacobian."""
+        lay = self.layouts[index]
         jacobian = np.empty((log.compared, lay.size))
         voltage = np.empty(log.dt_s.size)
         skewed = log.skewed and self.settings.skew
         kernel(
-            log.for_kernel(self.base_ocv[index]),
+            log.for_kernel(base_ocv_V),
             scalars_of(lay, own, self.charge_As, skewed=skewed),
             blocks_of(lay),
             log.h0,
@@ -193,7 +229,7 @@ class Problem:
             jacobian,
             voltage,
         )
-        return log.measured_V - voltage[log.evaluate], jacobian
+        return voltage[log.evaluate], jacobian
 
     def residuals(self, theta: FloatArray) -> tuple[FloatArray, ...]:
         """Residuals of every log."""
@@ -260,7 +296,8 @@ class Problem:
         known = std == 0 or lay.temperatures > 1
         weight[lay.activation] = fixed if known else (0.3 * sigma) ** 2 / std**2
         own = s.own_activation_std_K / ACTIVATION_UNIT_K
-        weight[lay.own :] = fixed if own == 0 else (0.3 * sigma) ** 2 / own**2
+        weight[lay.own : lay.sample] = fixed if own == 0 else (0.3 * sigma) ** 2 / own**2
+        weight[lay.sample :] = (0.3 * sigma / SAMPLE_STD) ** 2
         weight[lay.skew] = 1e-2 * sigma**2 if s.skew else fixed
         weight[lay.asinh] = 1e-2 * sigma**2 if s.charge_transfer else fixed
         return weight
@@ -375,7 +412,8 @@ class Problem:
             theta[lay.gamma] = np.clip(theta[lay.gamma], np.log(0.5), np.log(5000.0))
         theta[lay.activation] = np.clip(theta[lay.activation], -2.0, 15.0)
         limits = OWN_LIMITS if self.settings.own_activation_std_K > 0.0 else (0.0, 0.0)
-        np.clip(theta[lay.own :], *limits, out=theta[lay.own :])
+        np.clip(theta[lay.own : lay.sample], *limits, out=theta[lay.own : lay.sample])
+        np.clip(theta[lay.sample :], *SAMPLE_LIMITS, out=theta[lay.sample :])
         theta[lay.skew] = max(theta[lay.skew], 0.0)
         if self.settings.charge_transfer:
             theta[lay.asinh] = np.clip(theta[lay.asinh], 0.01, 20.0)

@@ -69,7 +69,8 @@ class RefineResult:
 
     def temperature_dependence(self) -> TemperatureDependence:
         """Fitted activations, the common one and what each table has beside it."""
-        own = self.theta[self.layout.own :] * ACTIVATION_UNIT_K
+        lay = self.layout
+        own = self.theta[lay.own : lay.sample] * ACTIVATION_UNIT_K
         beside = {f"{name}_K": float(e) for name, e in zip(BRANCH_ACTIVATIONS, own, strict=False)}
         return TemperatureDependence(self.activation_K, self.reference_C, **beside)
 
@@ -77,6 +78,10 @@ class RefineResult:
     def skew_s(self) -> float:
         """Fitted sampling delay between current and voltage [s]."""
         return float(self.theta[self.layout.skew] * SKEW_UNIT_S)
+
+    def capacity_scale(self, sample: int | None) -> float:
+        """What the cell of a log holds over the model's capacity; 1 where it has no own."""
+        return 1.0 if sample is None else float(np.exp(self.theta[self.layout.sample + sample]))
 
     @property
     def asinh_per_V(self) -> float:
@@ -165,6 +170,7 @@ def refine(
         settings.branches,
         settings.hysteresis,
         int(grid.size),
+        settings.samples,
     )
     most = max(ROWS.most, ALL_ROWS // len(logs)) if most_rows is None else most_rows
     prepared = tuple(

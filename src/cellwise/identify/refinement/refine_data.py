@@ -51,7 +51,7 @@ class RefineLog:
     ``skewed`` logs share the fitted sampling delay; ``h0`` is the hysteresis state at the first
     row; ``compare`` marks rows that may be compared (None: all); ``temperature_C`` holds where the
     log measured none; the tables are looked up where ``surface`` says; ``low_rate`` tests hold the
-    OCV and are no load.
+    OCV and are no load; a log with a ``sample`` keeps a capacity of its own, of that number.
     """
 
     log: CellLog
@@ -63,6 +63,7 @@ class RefineLog:
     temperature_C: float | None = None
     surface: SurfaceSoc = NO_SURFACE
     low_rate: bool = False
+    sample: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +71,8 @@ class PreparedLog:
     """What the kernel reads: merged rows; ``error``-relevant arrays cover compared rows only.
 
     ``row`` and ``share`` say between which temperatures of the log's own a row lies; these are
-    ``temperatures`` of the grid's, from ``first_temperature`` on.
+    ``temperatures`` of the grid's, from ``first_temperature`` on. ``table_soc`` is where the tables
+    are looked up.
     """
 
     name: str
@@ -88,6 +90,8 @@ class PreparedLog:
     weight: float
     row: IndexArray
     share: FloatArray
+    table_soc: FloatArray
+    sample: int | None = None
     first_temperature: int = 0
     temperatures: int = 1
 
@@ -163,12 +167,13 @@ def prepare_log(
     shown = evaluate[kept]
     inverse = _inverse_kelvin(log, reference_C, item.temperature_C)[kept]
     first, count, row, share = _between(inverse, np.abs(mean) * dt, reference_C, grid_C)
+    table_soc = _surface_soc(item, soc, mean, dt, kept, capacity_Ah)
     return PreparedLog(
         name=log.name,
         dt_s=dt,
         current_A=mean,
         inverse_K=inverse,
-        rows=spline_rows(_surface_soc(item, soc, mean, dt, kept, capacity_Ah), knots),
+        rows=spline_rows(table_soc, knots),
         ocv_rows=spline_rows(soc, ocv_knots),
         soc=soc,
         evaluate=shown,
@@ -179,6 +184,8 @@ def prepare_log(
         weight=item.weight,
         row=row,
         share=share,
+        table_soc=table_soc,
+        sample=item.sample,
         first_temperature=first,
         temperatures=count,
     )

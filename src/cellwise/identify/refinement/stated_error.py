@@ -16,6 +16,7 @@ from cellwise.cell.effects import SlowDiffusion
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import known_temperature_C, simulate
+from cellwise.identify.assemble import own_model
 from cellwise.identify.refinement.effects import NEEDED, JointFit, drive_temperatures
 from cellwise.identify.refinement.joint_fit import QUICK_ITERATIONS
 from cellwise.identify.refinement.model_error import (
@@ -41,7 +42,7 @@ def stated_error(fit: JointFit) -> ModelError:
     joint, model = fit.joint, fit.model
     soc0 = [s.soc0 for s in joint.used]
     others = [
-        residual_log(model, item, first)
+        residual_log(own_model(model, fit.result.capacity_scale(item.sample)), item, first)
         for item, first in zip(fit.logs, soc0, strict=True)
         if item.compare is not None
     ]
