@@ -19,7 +19,7 @@ from cellwise.errors import InputError
 from cellwise.identify.assemble import own_model
 from cellwise.identify.capacity.half_cycles import find_half_cycles, join_logs
 from cellwise.identify.identification import Fitted, OwnLog, Role, Start, TestLogs
-from cellwise.identify.ocv.sample_check import OTHER_CAPACITY
+from cellwise.identify.ocv.curve import LIMITS
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
@@ -99,7 +99,7 @@ def other_capacities(starts: Sequence[Start]) -> list[Notice]:
     found = []
     for start in starts:
         away = start.capacity_scale - 1.0
-        if abs(away) > OTHER_CAPACITY:
+        if abs(away) > LIMITS.other_capacity:
             text = (
                 f"'{start.log.name}' is of a cell that held {100.0 * away:+.1f} % of the others' "
                 "charge: another sample, another age, or a current sensor that is off. It keeps a "
