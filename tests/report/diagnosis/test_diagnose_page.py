@@ -152,6 +152,15 @@ def test_soc_before_and_after_is_reported(tmp_path):
     assert "3.10 % before, 0.40 % after, against the tester's counter over 2.997 Ah: stated" in said
 
 
+def test_a_loss_in_soc_is_in_the_first_line():
+    """The voltage gains, the SOC does not: who reads one line has to know both."""
+    gain = {"log": "held", "soc_rmse_before": 0.0107, "soc_rmse_after": 0.0248}
+    worse = diagnosis_finding(diagnosis("current_offset", soc_gain=gain))
+    assert "SOC by the EKF gets worse with it, 1.07" in worse
+    better = {**gain, "soc_rmse_after": 0.004}
+    assert "worse" not in diagnosis_finding(diagnosis("current_offset", soc_gain=better))
+
+
 def test_without_a_referee_no_gain_in_soc_is_claimed_and_the_page_says_why(tmp_path):
     record = diagnosis("capacity", no_soc_gain="the capacity is one of the causes")
     page = Page(diagnose_page(record, tmp_path / "p.html").read_text("utf-8"))
