@@ -2340,6 +2340,7 @@ static float passed(float old, float end, float rise)
 /* The same place with another lag of the particles' surface. */
 static void behind(const cellwise_place *at, float lag, cellwise_place *place)
 {
+    (void)lag;
     place->low = at->low;
     place->weight = at->weight;
     place->scale = at->scale;

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
 from typing import Any, NamedTuple
 
@@ -121,9 +121,9 @@ def latex_text(suite: str, rows: Sequence[Mapping[str, Any]], found: Sequence[Di
     lines = [
         f"% Suite {suite}, {len(rows)} runs. {provenance()}",
         f"% Differences: paired by log, 95 % of {RESAMPLES} resamples of logs, seed {SEED}.",
-        r"\begin{tabular}{lrrrr}",
+        r"\begin{tabular}{lrrrrr}",
         r"\toprule",
-        r"Estimator & settled RMSE [\%] & largest [\%] & ns/step & difference [\%] \\",
+        r"Estimator & runs & settled RMSE [\%] & largest [\%] & ns/step & difference [\%] \\",
         r"\midrule",
     ]
     for name in names:
@@ -132,8 +132,9 @@ def latex_text(suite: str, rows: Sequence[Mapping[str, Any]], found: Sequence[Di
             continue
         cells = [
             _latex(name),
-            _percent([r["settled_rmse"] for r in own]),
-            _percent([r["settled_max"] for r in own]),
+            str(len(own)),
+            _percent([r["settled_rmse"] for r in own], np.mean),
+            _percent([r["settled_max"] for r in own], np.max),
             _number([r["ns_per_step"] for r in own]),
             _against(by.get(name)),
         ]
@@ -167,9 +168,9 @@ def interval_text(one: Difference) -> str:
     return text
 
 
-def _percent(values: Sequence[float]) -> str:
+def _percent(values: Sequence[float], of: Callable[[list[float]], Any]) -> str:
     known = [v for v in values if np.isfinite(v)]
-    return f"{100 * np.mean(known):.2f}" if known else "--"
+    return f"{100 * float(of(known)):.2f}" if known else "--"
 
 
 def _number(values: Sequence[float]) -> str:

@@ -8,6 +8,7 @@ import sys
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from difflib import get_close_matches
 from types import FrameType
 from typing import Any
 
@@ -55,6 +56,19 @@ def build_parser() -> argparse.ArgumentParser:
         module.add_commands(commands)
     _complete(commands)
     return parser
+
+
+def _parsed(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> argparse.Namespace:
+    """The arguments; an option that no command has is refused with the one it is like."""
+    parsed, unknown = parser.parse_known_args(arguments)
+    if unknown:
+        commands = next(a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
+        known = commands.choices[parsed.command]._option_string_actions
+        like = [get_close_matches(one.partition("=")[0], known, 1) for one in unknown]
+        meant = ", ".join(dict.fromkeys(f"'{names[0]}'" for names in like if names))
+        said = f"unrecognized arguments: {' '.join(unknown)}"
+        parser.error(f"{said}; did you mean {meant}?" if meant else said)
+    return parsed
 
 
 def _complete(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -127,7 +141,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     with watched() as interrupts:
         try:
-            parsed = build_parser().parse_args(arguments)
+            parsed = _parsed(build_parser(), arguments)
             code, said = _run(parsed)
             sys.stdout.flush()
         except KeyboardInterrupt:

@@ -183,13 +183,13 @@ def run_replay(arguments: argparse.Namespace) -> None:
         printing.print_json(several if len(runs) > 1 else printed[0])
         return
     for run in runs:
-        if run.far is not None:
-            printing.say(f"! {run.far}")
+        first = () if run.far is None else run.notices[: run.notices.index(run.far) + 1]
+        printing.say_notices(first)
         print_replay(run.found, run.expected, sure=arguments.soc0_std is not None)
         print_forecasts(run.flight, run.at_load, held["cutoff_V"], arguments.hold)
         if run.found.power is not None:
             print_power(run.found.power)
-        printing.say_notices(n for n in run.notices if n != run.far)
+        printing.say_notices(n for n in run.notices if n not in first)
     page_options.say_pages(arguments)
 
 
@@ -209,7 +209,7 @@ class Run:
         of_flight = () if self.flight is None else self.flight.notices
         if self.far is None:
             return (*of_flight, *self.found.notices)
-        return (self.far, *(n for n in self.found.notices if not self.far.startswith(n)))
+        return tuple(self.far if self.far.startswith(n) else n for n in self.found.notices)
 
     def to_dict(self) -> dict[str, Any]:
         """As the command prints it."""
@@ -267,8 +267,9 @@ def check_layout(arguments: argparse.Namespace) -> None:
 
 def print_simulation(found: Simulation, start: InitialSoc) -> None:
     """A simulation for people."""
-    if found.far_off is not None:
-        printing.say(f"! {found.far_off}")
+    notices, far_off = found.notices, found.far_off
+    first = () if far_off is None else notices[: notices.index(far_off) + 1]
+    printing.say_notices(first)
     bands = ((f"SOC {b.soc_low:.1f} to {b.soc_high:.1f}", b.metrics) for b in found.bands)
     printing.record_table(
         f"{found.log.name}: measured minus simulated, from SOC {start.soc:.3f} +- "
@@ -285,7 +286,7 @@ def print_simulation(found: Simulation, start: InitialSoc) -> None:
         ("rows", lambda row: f"{row[1].samples:,}"),
     )
     printing.say(f"RMSE above 10 % SOC: {printing.millivolt(found.rmse_above_10pct_V)} mV")
-    printing.say_notices(n for n in found.notices if n != found.far_off)
+    printing.say_notices(n for n in notices if n not in first)
 
 
 def print_replay(

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
-from cellwise.cell.model import CellModel
+from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.point_kernels import R3, TAU2, TAU3
 from cellwise.diagnose.causes.catalogue import CAUSES, ON_REQUEST, UNSEEN_TEMPERATURE, Cause
 from cellwise.diagnose.causes.coordinates import Coordinates
@@ -54,7 +54,7 @@ from cellwise.diagnose.residual import residual_analysis
 from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
 from cellwise.diagnose.sensor_faults import with_faults, without_faults
 from cellwise.errors import InputError
-from cellwise.logs.cell_log import CellLog
+from cellwise.logs.cell_log import CellLog, check_is_log
 from cellwise.threads import one_blas_thread
 
 Logs = CellLog | Sequence[CellLog]
@@ -100,6 +100,7 @@ def diagnose(
     ------
     InputError        no log, a start outside 0..1, an unknown cause, a capacity not above zero
     """
+    check_is_model(model)
     groups = tuple(_as_logs(g) for g in (logs, holdout, baseline))
     if not groups[0]:
         raise InputError("no log", "at least one log to explain", "Name a log.")
@@ -157,7 +158,12 @@ def _undetermined(model: CellModel, starts: list[list[StartedLog]], why: str) ->
 
 
 def _as_logs(logs: Logs) -> tuple[CellLog, ...]:
-    return (logs,) if isinstance(logs, CellLog) else tuple(logs)
+    if isinstance(logs, (CellLog, str)):
+        logs = (logs,)  # a text is refused as one thing, not letter by letter
+    found = tuple(logs)
+    for log in found:
+        check_is_log(log)
+    return found
 
 
 def _chosen(names: Sequence[str] | None) -> list[Cause]:

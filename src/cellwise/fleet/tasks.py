@@ -162,7 +162,8 @@ class ReplayTask(LogTask):
             given = self.reference_soc0
             true0 = initial_soc(self.model, log).soc if given is None else given
             reference = reference_soc(log, true0, self.reference_capacity_Ah)
-        found = Replay(log, filter_.name, start, trace, ns, reference, self.model.validity)
+        found = Replay(log, filter_.name, start, trace, ns, reference, self.model.validity,
+                       model=self.model)  # fmt: skip
         notices = "; ".join(found.notices) or None
         return {**_of_log(log), **self._figures(found), "notices": notices}
 

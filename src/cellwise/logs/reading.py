@@ -26,6 +26,8 @@ from cellwise.logs.packs.pack_reading import columns_of_table, pack_of
 from cellwise.logs.places import plain_name
 from cellwise.logs.stated import Stated
 
+TIDY = ("tidy-parquet", "tidy-csv")
+
 
 def read_log(
     path: str | Path | Stated,
@@ -91,7 +93,8 @@ def read_log(
     source = open_source(stated.path, progress, options)
     known = detect_format(source, FORMATS)
     pack = columns_of_table(source, known)
-    if options.series in (1, FROM_FILE, sum(c.kind == "cell" for c in pack)) and pack:
+    counts = (FROM_FILE, sum(c.kind == "cell" for c in pack)) if known.name in TIDY else ()
+    if pack and options.series in (1, *counts):
         mean = _mean_of_pack(source, known, pack, sign, name, check_sign)
         return stated.applied(mean)
     raw = complete(read_channels(source, known), known.sign, source.where)

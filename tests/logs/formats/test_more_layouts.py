@@ -526,7 +526,7 @@ def test_an_obd_log_of_a_car_is_a_pack_of_its_cells(tmp_path):
     np.testing.assert_allclose(log.current_A, 20 * I, atol=1e-9)
     np.testing.assert_allclose(log.time_s, T)
     np.testing.assert_allclose(log.temperature_C, TEMP)
-    assert "LOOKS WRONG for one cell" in read_log(path).notices[0]
+    np.testing.assert_allclose(read_log(path).voltage_V, V, atol=1e-3)  # the mean cell without it
 
 
 def test_an_arbin_database_is_read_by_mdbtools(tmp_path, monkeypatch):

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 # Half of a log's rows beyond so many of the model's own standard deviations: the model's statement
 # of its error does not hold for this log. Of one that is right, half are within 0.7.
 FAR_OFF = 3.0
+FIRST_V = 1e3  # above what is said of a current or a SOC outside of the model's data
 MOST_ROWS = 4000  # of more, every so manyth
 OTHER = "a log of another cell, number of cells in series (`series=N`), temperature or age"
 WITHHELD = "remaining time and health would be made of it: withheld (`anyway=True` gives them)"
@@ -67,9 +68,9 @@ def far_off_text(
 def far_off_notices(
     model: CellModel | None, log: MeasuredLog, error_V: FloatArray, soc: FloatArray
 ) -> list[Notice]:
-    """The same as the first of all notices."""
+    """The same as a notice: after one that names the unit or the temperature, before all others."""
     text = far_off_text(model, log, error_V, soc)
-    return [] if text is None else [Notice(math.inf, text)]
+    return [] if text is None else [Notice(FIRST_V, text)]
 
 
 def ends_forecasts(far_off: str | None, log: MeasuredLog) -> str | None:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from cellwise.report.page.picture import FigureFiles
 
 FORMATS = ("png", "svg", "pdf")
+PAGES = (".html", ".htm")
 
 
 class PagePlaces(NamedTuple):
@@ -48,6 +49,12 @@ def check_page_options(arguments: argparse.Namespace) -> None:
     """
     report = getattr(arguments, "report", None)
     check_places(report)
+    if report and Path(report).suffix.lower() not in PAGES:
+        raise InputError(
+            f"--report {report}",
+            "a page, which is HTML: F.html",
+            "Name it so; its pictures as files: --figures DIR --figure-format pdf.",
+        )
     if arguments.figure_format and not arguments.figures:
         raise InputError(
             "--figure-format without --figures", "a folder for the pictures", "Add --figures DIR."

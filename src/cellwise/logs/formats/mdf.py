@@ -15,6 +15,7 @@ from cellwise.logs.vehicle.signal_choice import CHOSEN, Signal, choose_signals
 
 _MAGIC = (b"MDF     ", b"UnFinMF ")
 _FRAMES = "CAN_DataFrame"
+_BUSES = ("CAN_", "LIN_")  # groups of frames, as the standard names them
 
 
 def _read(source: LogSource, known: Format) -> RawLog:
@@ -33,7 +34,7 @@ def _read(source: LogSource, known: Format) -> RawLog:
                     "the database of these frames",
                     "Choose another DBC file, or omit `dbc=...`.",
                 )
-        elif signals and all(s.name.rpartition(".")[2].startswith("CAN_") for s in signals):
+        elif (signals or _has_frames(file)) and all(_of_a_bus(s.name) for s in signals):
             raise InputError(
                 f"CAN frames only in {source.where}",
                 "the database that describes them",
@@ -51,6 +52,15 @@ def _read(source: LogSource, known: Format) -> RawLog:
                 )
     channels, noted = aligned(series, source.where)
     return RawLog(channels, (*notices, *noted))
+
+
+def _of_a_bus(name: str) -> bool:
+    """A field of a frame (``CAN_ErrorFrame.ID``, ``0.CAN_DataFrame``), which is no measurement."""
+    return any(part.startswith(_BUSES) for part in name.split("."))
+
+
+def _has_frames(file: Any) -> bool:
+    return any(c.name.startswith(_BUSES) for group in file.groups for c in group.channels)
 
 
 def _signals(file: Any) -> list[Signal]:

@@ -57,7 +57,7 @@ LAYOUTS = (
     Layout(
         "SavvyCAN CSV",
         re.compile(
-            r"^(?P<time>\d+),(?:0x)?(?P<id>[0-9A-Fa-f]+),(?P<extended>true|false|0|1),"
+            r"^(?P<time>-?\d+),(?:0x)?(?P<id>[0-9A-Fa-f]+),(?P<extended>true|false|0|1),"
             r"[^,]*,\d+,\d+,?" + _BYTES + r"$",
             re.I,
         ),

@@ -154,7 +154,10 @@ class Reading:
         if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
             yield node.id, guard
         called = self._called(node)
-        kinds = list(called.parameters.values()) if called else []
+        fields = {}
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):  # a struct has them, too
+            fields = self.program.structs.get(node.func.id, {})
+        kinds = list((called.parameters if called else fields).values())
         for k, child in enumerate(ast.iter_child_nodes(node)):
             option = FLOATS.get(kinds[k - 1], "") if kinds and 0 < k <= len(kinds) else ""
             yield from self._walk(child, guard | {option} if option else guard)
