@@ -3,7 +3,7 @@
 python -m benchmarks.ablation.identify [--keep DIR] [--only "trend,bends"] [--list]
 
 A switch sets names within modules; nothing of it is in the package. With a rule off, each cell is
-identified again up to the joint fit; where OCV, capacity, pulses and notices are as before nothing
+identified again up to the joint fit; where OCV, capacity and pulses are as before nothing
 can have changed, else the joint fit follows, and logs that took no part are simulated.
 """
 
@@ -54,7 +54,7 @@ def _in(folder: str, *names: str) -> tuple[str, ...]:
 
 
 P, LEAF, A123, LG = "panasonic_18650pf", "nissan_leaf", "plett_a123", "lg_18650hg2"
-SAMSUNG, LIPO, NMC, LFP = "samsung_30q_ageing", "lipo_5450", "nmc", "lfp"
+SAMSUNG, NMC, LFP = "samsung_30q_ageing", "nmc", "lfp"
 US06, NN = f"{P}/drive_p25_us06", f"{P}/drive_p25_nn"
 
 CASES = (
@@ -86,15 +86,11 @@ CASES = (
         drive=_in(LG, "pauscycl_n10_604"), judged=((f"{LG}/drive_us06_n10_601", 1.0),),
     ),
     Case(
-        "LiPo", 5.45, capacity=_in(LIPO, "c1_cycle01", "c2_cycle01"),
-        drive=_in(LIPO, "c2_cycle01"), judged=((f"{LIPO}/c3_cycle02", 1.0),),
-    ),
-    Case(
         "made NMC", 3.4, _in(NMC, "hppc"), _in(NMC, "ocv_c20"), _in(NMC, "cap_c3", "cap_c5"),
         judged=((f"{NMC}/drive_a", 1.0), (f"{NMC}/flight", 1.0)),
     ),
     Case(
-        "made LFP", 40.0, _in(LFP, "hppc"), _in(LFP, "ocv_c20"), _in(LFP, "cap_0p5c", "cap_2c"),
+        "made LFP", 2.3, _in(LFP, "hppc"), _in(LFP, "ocv_c20"), _in(LFP, "cap_0p5c", "cap_2c"),
         judged=((f"{LFP}/cdc", 1.0),),
     ),
 )  # fmt: skip
@@ -137,17 +133,17 @@ def thrown(names: tuple[tuple[str, str, Any], ...]) -> Iterator[None]:
 
 
 def begin_of(case: Case) -> str:
-    """All that the joint fit begins from, as one line: capacity, OCV, pulses, notices."""
+    """All that the joint fit begins from, as one line: capacity, OCV and its notes, pulses."""
 
     def reached(*arguments: Any) -> None:
         raise _FitReached(arguments)
 
     settings = IdentifySettings(nominal_Ah=case.nominal_Ah)
-    with thrown(((pipeline.__name__, "refine_cell", reached),)):
+    with thrown(((pipeline.__name__, "gather_logs", reached),)):
         try:
             identify_cell(tests_of(case), settings)
         except _FitReached as fit:
-            groups, ocv, capacity, _, notices = fit.args[0]
+            groups, ocv, capacity, _ = fit.args[0]
         except InputError as error:
             return str(error)
     figures = [capacity, *ocv.voltage_V]
@@ -155,7 +151,7 @@ def begin_of(case: Case) -> str:
         for one in group.pulse_sets:
             figures += [x for f in one.fits for x in (*f.value, *f.error)]
             figures += [one.anchor.soc, *(ord(p.quality[0]) + p.start for p in one.pulses)]
-    return " ".join(f"{x:.{DIGITS}g}" for x in figures) + repr(notices)
+    return " ".join(f"{x:.{DIGITS}g}" for x in figures) + repr(ocv.notes)
 
 
 def identified(case: Case) -> dict[str, Any]:

@@ -92,6 +92,6 @@ def test_beside_pulses_steady_tests_are_those_of_the_reference():
 @pytest.mark.parametrize("given", [(WARM, COLD), (COLD, WARM)])
 def test_tests_of_two_temperatures_are_not_one_with_an_offset(given):
     # 3.0 Ah out at 25 degC and 2.4 Ah at -20 degC are no sensor's offset.
-    tests, notices = without_offsets(TestLogs(ocv=given), 3.0, 25.0)
+    tests, notices = without_offsets(TestLogs(ocv=given), 25.0)
     assert names(tests.ocv) == names(given)
     assert notices == []

@@ -41,7 +41,7 @@ def check_logs(tests: TestLogs, settings: IdentifySettings) -> CheckedLogs:
     InputError        no usable log; a log whose current has the wrong sign; a pack beside or
                       instead of a cell; a nominal capacity that is none
     """
-    _check_given(tests, settings)
+    _check_complete(tests, settings)
     logs = tests.logs()
     for log in logs:
         _check_sign(log)
@@ -68,7 +68,7 @@ def reading_notices(tests: TestLogs) -> list[str]:
     ]
 
 
-def _check_given(tests: TestLogs, settings: IdentifySettings) -> None:
+def _check_complete(tests: TestLogs, settings: IdentifySettings) -> None:
     any_serves = settings.prior is not None and (tests.ocv or tests.capacity)
     if not tests.hppc and not tests.drive and not any_serves:
         raise InputError(

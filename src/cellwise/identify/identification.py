@@ -107,16 +107,16 @@ class TestLogs:
         return {k: list(dict.fromkeys(o.source or o.name for o in v)) for k, v in kinds.items()}
 
 
-def _pairs(given: Any, name: str) -> list[tuple[CellLog, float | None]]:
+def _pairs(logs: Any, name: str) -> list[tuple[CellLog, float | None]]:
     """Logs with the temperature that is stated of each, whichever way they were given."""
-    if isinstance(given, CellLog):
-        given = (given,)
-    if not isinstance(given, (tuple, list)):
-        raise _no_logs(given, name)
-    if len(given) == 2 and isinstance(given[0], CellLog) and _is_temperature(given[1]):
-        given = (given,)
+    if isinstance(logs, CellLog):
+        logs = (logs,)
+    if not isinstance(logs, (tuple, list)):
+        raise _no_logs(logs, name)
+    if len(logs) == 2 and isinstance(logs[0], CellLog) and _is_temperature(logs[1]):
+        logs = (logs,)
     pairs: list[tuple[CellLog, float | None]] = []
-    for one in given:
+    for one in logs:
         if isinstance(one, CellLog):
             pairs.append((one, None))
         elif (

@@ -218,8 +218,8 @@ def _cc_stop(trace: Trace, half: HalfCycle, v_min: float) -> int:
         return half.stop
     current = trace.current_A[half.steady_start + int(at[0]) : half.stop]
     gave_way = np.abs(current - half.main_current_A) > LIMITS.given_way * half.main_current_A
-    stays = int(np.argmax(gave_way)) if gave_way.any() else current.size
-    return half.steady_start + int(at[0]) + max(stays, 1)
+    held = int(np.argmax(gave_way)) if gave_way.any() else current.size
+    return half.steady_start + int(at[0]) + max(held, 1)
 
 
 def _tolerance_V(trace: Trace) -> float:

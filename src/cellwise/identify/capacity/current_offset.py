@@ -80,10 +80,10 @@ def find_current_offset(logs: Sequence[CellLog]) -> CurrentOffset | None:
         return None
     if abs(surplus - added) > LIMITS.unexplained * abs(surplus):
         return None
-    taken, given = (out, back) if out > 0.0 else (back, out)
+    taken, returned = (out, back) if out > 0.0 else (back, out)
     spent = hours[turn] - hours[before] if out > 0.0 else hours[after] - hours[turn]
     capacity = float(taken - offset * spent)
-    return CurrentOffset(offset, float(taken), float(-given), capacity)
+    return CurrentOffset(offset, float(taken), float(-returned), capacity)
 
 
 def without_current_offset(logs: Sequence[CellLog]) -> tuple[tuple[CellLog, ...], tuple[str, ...]]:

@@ -337,13 +337,13 @@ def _merge_level(p: Plateaus, noise_A: FloatArray) -> Plateaus:
     if p.start.size < 2:
         return p
     between = p.start[1:] - p.stop[:-1]
-    apart = np.abs(np.diff(p.level_A))
+    difference = np.abs(np.diff(p.level_A))
     n = np.minimum(p.stop - p.start, LEVEL_ROWS)
     noise = noise_A[p.start]
     noise = np.maximum(noise[1:], noise[:-1])
     error = 4.0 * noise * np.sqrt(1.0 / n[1:] + 1.0 / n[:-1])
     larger = np.maximum(np.abs(p.level_A[1:]), np.abs(p.level_A[:-1]))
-    same = apart <= np.maximum(error, 0.5 * LIMITS.flat * larger)
+    same = difference <= np.maximum(error, 0.5 * LIMITS.flat * larger)
     same |= p.rest[1:] & p.rest[:-1]
     joined = same & (between <= 1) & (p.rest[1:] == p.rest[:-1])
     first = np.flatnonzero(np.concatenate(([True], ~joined)))

@@ -83,12 +83,12 @@ def judge_loads(
     durations = np.array([_seconds(log, x.start, x.stop) for x in loads])
     held = np.array([x.cc_stop < x.stop for x in loads], dtype=np.bool_)
     expected = _expected(v, loads, durations)
-    given = {True: lower_V, False: upper_V}
+    stated = {True: lower_V, False: upper_V}
     limits = {
         discharge: _limit(v, loads, durations, expected, held, discharge)
         if known is None
         else known
-        for discharge, known in given.items()
+        for discharge, known in stated.items()
     }
     gaps = log.gap_rows
     found: list[Verdict | None] = []

@@ -267,12 +267,12 @@ def sample_notice(rests: OcvCurve, low_rate: OcvCurve, capacity_Ah: float) -> No
     found = check_samples(rests, low_rate)
     if found is None or found.one_cell:
         return None
-    apart = 100.0 * (found.rests_Ah / found.ocv_Ah - 1.0) if found.ocv_Ah > 0.0 else float("nan")
+    percent = 100.0 * (found.rests_Ah / found.ocv_Ah - 1.0) if found.ocv_Ah > 0.0 else float("nan")
     size_V = RANGE_V * abs(math.log(found.rests_Ah / found.ocv_Ah)) if found.ocv_Ah > 0.0 else 0.0
     text = (
         f"'{low_rate.source}' and '{rests.source}' do not look like one cell: from "
         f"{found.high_V:.3f} to {found.low_V:.3f} V the first moves {found.ocv_Ah:.3f} Ah, the "
-        f"second {found.rests_Ah:.3f} Ah ({apart:+.1f} %), and {1e3 * found.left_V:.0f} mV RMS "
+        f"second {found.rests_Ah:.3f} Ah ({percent:+.1f} %), and {1e3 * found.left_V:.0f} mV RMS "
         f"are left between them. Two samples, two ages, or a current sensor that is off; SOC "
         f"refers to {capacity_Ah:.3f} Ah"
     )

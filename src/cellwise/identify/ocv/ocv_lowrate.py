@@ -110,13 +110,13 @@ def ocv_from_low_rate(
     trace = join_logs(logs)
     name = _names(logs)
     halves = find_half_cycles(trace)
-    taken, given = _slowest_pair(trace, halves, name)
-    capacity = capacity_Ah or next(m.charge_Ah for m in (taken, given) if m is not None)
+    taken, returned = _slowest_pair(trace, halves, name)
+    capacity = capacity_Ah or next(m.charge_Ah for m in (taken, returned) if m is not None)
     discharge = charge = None
     if taken is not None:
         discharge = _discharge_branch(trace, taken, capacity, resistance_ohm)
-    if given is not None:
-        charge = _charge_branch(trace, given, taken, discharge, capacity, resistance_ohm)
+    if returned is not None:
+        charge = _charge_branch(trace, returned, taken, discharge, capacity, resistance_ohm)
     soc, level, chosen = _choose(discharge, charge, use, name)
     cut_short: tuple[str, ...] = ()
     if taken is not None and capacity_Ah is None and not _ends(trace, taken.half):
@@ -172,7 +172,7 @@ def _discharge_branch(
 
 def _charge_branch(
     trace: Trace,
-    given: _Moved,
+    returned: _Moved,
     taken: _Moved | None,
     discharge: Branch | None,
     capacity_Ah: float,
@@ -183,20 +183,20 @@ def _charge_branch(
     The counters of charge and discharge differ (coulombic efficiency, counter gains): between
     two states that are known, the branch's own count is the better scale.
     """
-    half = given.half
+    half = returned.half
     rows = _rows(trace, half)
     back = trace.charge_Ah[_begin(half)] - trace.charge_Ah[rows]
     top = float(np.max(trace.voltage_V[half.start : half.stop]))
     whole = top >= float(np.max(trace.voltage_V)) - LIMITS.at_limit_V
     empty, full = 0.0, 1.0
     if taken is not None and discharge is not None:
-        ratio = given.charge_Ah / taken.charge_Ah
+        ratio = returned.charge_Ah / taken.charge_Ah
         whole = whole or ratio >= LIMITS.nearly_all
         whole = whole and LIMITS.least_back <= ratio <= LIMITS.most_back
         empty = 1.0 - taken.charge_Ah / capacity_Ah
-        full = 1.0 - (1.0 - _filled_to(trace, given, taken, discharge, ratio)) * (1.0 - empty)
-    scale = (full - empty) / given.charge_Ah if whole else 1.0 / capacity_Ah
-    branch = _branch(trace, given, rows, empty + back * scale, resistance_ohm)
+        full = 1.0 - (1.0 - _filled_to(trace, returned, taken, discharge, ratio)) * (1.0 - empty)
+    scale = (full - empty) / returned.charge_Ah if whole else 1.0 / capacity_Ah
+    branch = _branch(trace, returned, rows, empty + back * scale, resistance_ohm)
     alike = (
         discharge is None
         or 1.0 / LIMITS.alike_rate <= branch.rate / discharge.rate <= LIMITS.alike_rate
@@ -205,7 +205,7 @@ def _charge_branch(
 
 
 def _filled_to(
-    trace: Trace, given: _Moved, taken: _Moved, discharge: Branch, ratio: float
+    trace: Trace, returned: _Moved, taken: _Moved, discharge: Branch, ratio: float
 ) -> float:
     """How full a charge left the cell; 1 is the state in which the discharge began.
 
@@ -213,11 +213,11 @@ def _filled_to(
     and by the voltages at rest after the one and before the other, laid on the discharge branch,
     which bends down too steeply at its onset. The larger is nearer in both cases.
     """
-    if given.end < taken.half.steady_start:
+    if returned.end < taken.half.steady_start:
         return 1.0
     counted = min(ratio, 1.0)
-    before, after = _begin(taken.half), given.end
-    rested = np.abs(trace.current_A) <= NO_CURRENT * abs(given.half.main_current_A)
+    before, after = _begin(taken.half), returned.end
+    rested = np.abs(trace.current_A) <= NO_CURRENT * abs(returned.half.main_current_A)
     moving = np.flatnonzero(~rested[: after + 1])
     rest_s = float(np.sum(trace.interval_s[moving[-1] + 1 : after + 1])) if moving.size else 0.0
     if rest_s < LIMITS.rested_s or not rested[before]:

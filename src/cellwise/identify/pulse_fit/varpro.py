@@ -50,7 +50,7 @@ from cellwise.typing import FloatArray
 
 # A further unknown stays when it lowers the sum of squares by this many residual variances per
 # independent residual: 3.5 standard errors.
-WORTH = 12.0
+CLEAR_GAIN = 12.0
 # Over less SOC than this an OCV does not bend; what looks like it is some other nonlinearity.
 BEND_SWING = 0.006
 # After five time constants a branch holds less than a hundredth of what it held. Rests shorter
@@ -170,7 +170,7 @@ def _choose(problem: Problem, plain: Solution, richer: Solution, forced: bool) -
     independent = np.count_nonzero(problem.weight) / memory
     unknowns = np.count_nonzero(richer.include) - np.count_nonzero(plain.include)
     gain = (plain.cost - richer.cost) * independent
-    return richer if forced or gain > WORTH * unknowns * richer.cost else plain
+    return richer if forced or gain > CLEAR_GAIN * unknowns * richer.cost else plain
 
 
 def describe(
