@@ -98,7 +98,7 @@ SWITCHES = (
     ),
     Switch("gate and recovery", noise={"gate": 1e6}),
     Switch("recovery", noise={"recovery_after": NEVER}),
-    Switch("first rest", names=((f"{ESTIMATE}.gate_kernels", "REST_RATE", 0.0),)),
+    Switch("first rest", names=((f"{ESTIMATE}.evidence_kernels", "REST_RATE", 0.0),)),
     Switch(
         "start branches",
         names=(

@@ -12,7 +12,7 @@ from benchmarks.measured_data import measured_log
 from cellwise import IdentifySettings, TestLogs, identify_cell
 from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import CellModel
-from cellwise.estimate.filters.ekf import Ekf
+from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.logs import CellLog
 from cellwise.logs.resample import resample

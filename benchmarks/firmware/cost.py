@@ -10,7 +10,7 @@ from benchmarks.example_cell import SAMPLES, START_SOC, load_log, three_branches
 from benchmarks.figures import Figure, Progress, clock, missing
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
-from cellwise.estimate.fixed.samples import samples_of
+from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.estimate.fixed.stepper import Stepper, numba_stepper, start_state
 from cellwise.estimate.fixed.tables import FixedStepTables, fixed_step_tables
 from cellwise.estimate.power.limits import OperatingLimits

@@ -14,7 +14,7 @@ from benchmarks.example_cell import START_SOC, load_log, two_branches
 from benchmarks.figures import Figure, Progress, missing
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
-from cellwise.estimate.fixed.samples import samples_of
+from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.estimate.fixed.tables import FixedStepTables, fixed_step_tables
 from cellwise.export.c_tables import STRICT_FLAGS, firmware_folder, write_sources
 from cellwise.export.firmware import host_compiler

@@ -14,9 +14,8 @@ from benchmarks.measured_data import HOW, measured_log
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import simulate
 from cellwise.estimate.estimators import make_estimator
-from cellwise.estimate.filters.ekf import Ekf
 from cellwise.estimate.filters.filter_state import OUTPUTS, TraceArrays
-from cellwise.estimate.filters.kalman import log_arrays
+from cellwise.estimate.filters.kalman import Ekf, log_arrays
 from cellwise.estimate.filters.kalman_kernels import kalman_rows
 from cellwise.estimate.lockstep.lockstep import LockstepEkf, LockstepState
 from cellwise.logs import CellLog

@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from cellwise.errors import InputError
     from cellwise.estimate.adaptive.adaptive import Adaptive
     from cellwise.estimate.filters.coulomb import Coulomb
-    from cellwise.estimate.filters.ekf import Ekf
-    from cellwise.estimate.filters.ukf import SigmaPoints, Ukf
+    from cellwise.estimate.filters.kalman import Ekf, SigmaPoints, Ukf
     from cellwise.estimate.lockstep.lockstep import LockstepEkf
     from cellwise.estimate.noise import Noise
     from cellwise.estimate.power.limits import OperatingLimits
@@ -60,7 +59,7 @@ _HOMES = {
     "resample": "cellwise.logs.resample",
     "tune_noise": "cellwise.estimate.tune_noise",
     "Coulomb": "cellwise.estimate.filters.coulomb",
-    "Ekf": "cellwise.estimate.filters.ekf",
+    "Ekf": "cellwise.estimate.filters.kalman",
     "LockstepEkf": "cellwise.estimate.lockstep.lockstep",
     "Noise": "cellwise.estimate.noise",
     "OperatingLimits": "cellwise.estimate.power.limits",
@@ -69,8 +68,8 @@ _HOMES = {
     "Replay": "cellwise.estimate.replay",
     "replay": "cellwise.estimate.replay",
     "Status": "cellwise.estimate.status",
-    "SigmaPoints": "cellwise.estimate.filters.ukf",
-    "Ukf": "cellwise.estimate.filters.ukf",
+    "SigmaPoints": "cellwise.estimate.filters.kalman",
+    "Ukf": "cellwise.estimate.filters.kalman",
     "list_datasets": "cellwise.data",
     "load_dataset": "cellwise.data",
     "InputError": "cellwise.errors",

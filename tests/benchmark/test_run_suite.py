@@ -15,8 +15,8 @@ from cellwise.benchmark.suite import BASELINES, read_suite
 from cellwise.cell.model_file import write_model
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
-from cellwise.estimate.baselines.filterpy_ekf import FilterpyEkf
-from cellwise.estimate.filters.ekf import Ekf
+from cellwise.estimate.filters.filterpy_filters import FilterpyEkf
+from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.replay import Replay, replay
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.reading import read_log

@@ -15,10 +15,9 @@ from cellwise.cell.simulate import simulate_rows
 from cellwise.estimate.adaptive.adaptive_kernels import ADAPTIVE_OUTPUTS, adaptive_rows
 from cellwise.estimate.adaptive.settings import AdaptiveSettings
 from cellwise.estimate.filters.coulomb import CoulombState, CountRules, coulomb_rows
-from cellwise.estimate.filters.ekf import Ekf
 from cellwise.estimate.filters.filter_state import OUTPUTS, LogArrays, TraceArrays
+from cellwise.estimate.filters.kalman import Ekf, SigmaPoints
 from cellwise.estimate.filters.kalman_kernels import kalman_rows
-from cellwise.estimate.filters.ukf import SigmaPoints
 from example_cells import EFFECTS, curved_cell
 
 MODEL = curved_cell(effects=EFFECTS)

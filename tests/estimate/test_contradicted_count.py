@@ -11,8 +11,7 @@ from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.estimate.filters.coulomb import Coulomb
-from cellwise.estimate.filters.ekf import Ekf
-from cellwise.estimate.filters.ukf import Ukf
+from cellwise.estimate.filters.kalman import Ekf, Ukf
 from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.estimate.noise import Noise
 from cellwise.logs.cell_log import CellLog

@@ -16,7 +16,7 @@ from cellwise.cell.plausibility.outside import outside_moment, outside_notices
 from cellwise.cell.plausibility.validity import TOLERANCE_K, UNKNOWN, Validity
 from cellwise.cell.simulate import simulate
 from cellwise.estimate.estimators import make_estimator
-from cellwise.estimate.filters.ekf import Ekf
+from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.lockstep.lockstep import LockstepEkf
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.replay import Replay, replay

@@ -12,8 +12,7 @@ from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.estimate.adaptive.adaptive import Adaptive
 from cellwise.estimate.evidence_kernels import persistent_step
-from cellwise.estimate.filters.ekf import Ekf
-from cellwise.estimate.filters.ukf import Ukf
+from cellwise.estimate.filters.kalman import Ekf, Ukf
 from cellwise.estimate.noise import Noise
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell, linear_cell

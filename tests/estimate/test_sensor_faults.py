@@ -12,8 +12,7 @@ from cellwise.cell.effects import TemperatureDependence
 from cellwise.cell.protocol import ConstantCurrent, ConstantVoltage, Rest, run_protocol
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
-from cellwise.estimate.filters.ekf import Ekf
-from cellwise.estimate.filters.ukf import Ukf
+from cellwise.estimate.filters.kalman import Ekf, Ukf
 from cellwise.estimate.saved_state import (
     read_state,
     state_from_dict,

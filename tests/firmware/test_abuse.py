@@ -13,7 +13,7 @@ import pytest
 
 from cellwise.cell.simulate import simulate
 from cellwise.data import load_dataset
-from cellwise.estimate.fixed.samples import samples_of
+from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.export.c_tables import STRICT_FLAGS, firmware_folder, write_sources
 from example_cells import curved_cell

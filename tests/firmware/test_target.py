@@ -10,8 +10,8 @@ import pytest
 
 from cellwise.cell.simulate import simulate
 from cellwise.data import load_dataset
+from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.estimate.fixed.layout import CELL, state_type
-from cellwise.estimate.fixed.samples import samples_of
 from cellwise.estimate.fixed.stepper import numba_stepper
 from cellwise.export.cross import CORES, has_tools, run_on_target
 from cellwise.export.stress import worst_case

@@ -187,7 +187,7 @@ def target_costs(
     from dataclasses import asdict
 
     from cellwise.data import load_dataset
-    from cellwise.estimate.fixed.samples import samples_of
+    from cellwise.estimate.fixed.fixed_step import samples_of
     from cellwise.export.cross import cores_here, run_on_target
     from cellwise.export.stress import worst_case
 

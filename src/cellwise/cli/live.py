@@ -16,7 +16,7 @@ from cellwise.errors import InputError
 
 if TYPE_CHECKING:
     from cellwise.cell.model import CellModel
-    from cellwise.estimate.power.follower import PowerFollower
+    from cellwise.estimate.power.along import PowerFollower
     from cellwise.forecast.outlook import Outlook
     from cellwise.live import Counts, LiveFilter, Update
     from cellwise.live.samples import Source
@@ -225,7 +225,7 @@ def _power(model: CellModel, arguments: argparse.Namespace) -> PowerFollower | N
     settings = power_options.power_of(arguments, model)
     if settings is None:
         return None
-    from cellwise.estimate.power.follower import PowerFollower
+    from cellwise.estimate.power.along import PowerFollower
 
     for notice in settings.known.notices:
         print(f"cellwise live: {notice}", file=sys.stderr)

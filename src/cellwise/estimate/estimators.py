@@ -14,14 +14,14 @@ from cellwise.logs.cell_log import CellLog
 # Where each stands: baselines need filterpy, the firmware a C compiler and the room above this one.
 HOMES = {
     "coulomb": "cellwise.estimate.filters.coulomb:Coulomb",
-    "ekf": "cellwise.estimate.filters.ekf:Ekf",
-    "ukf": "cellwise.estimate.filters.ukf:Ukf",
+    "ekf": "cellwise.estimate.filters.kalman:Ekf",
+    "ukf": "cellwise.estimate.filters.kalman:Ukf",
     "adaptive": "cellwise.estimate.adaptive.adaptive:Adaptive",
     "rest-ocv": "cellwise.estimate.filters.rest_ocv:RestOcv",
     "fixed-step": "cellwise.estimate.fixed.fixed_step:FixedStep",
     "firmware": "cellwise.export.firmware:Firmware",
-    "filterpy-ekf": "cellwise.estimate.baselines.filterpy_ekf:FilterpyEkf",
-    "filterpy-ukf": "cellwise.estimate.baselines.filterpy_ukf:FilterpyUkf",
+    "filterpy-ekf": "cellwise.estimate.filters.filterpy_filters:FilterpyEkf",
+    "filterpy-ukf": "cellwise.estimate.filters.filterpy_filters:FilterpyUkf",
 }
 ESTIMATORS = tuple(HOMES)
 

@@ -20,13 +20,11 @@ from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.errors import InputError
 from cellwise.estimate.adaptive.trace import AdaptiveTrace
 from cellwise.estimate.estimators import Estimator, make_estimator
-from cellwise.estimate.nis import nis_by_scale
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.power.along import PowerTrace, power_along
 from cellwise.estimate.power.state_of_power import PowerSettings, power_settings
 from cellwise.estimate.status import INNOVATION_REJECTED, VOLTAGE_FROZEN, VOLTAGE_INVALID
-from cellwise.estimate.trace import Trace
-from cellwise.estimate.trace_kernels import TraceSums, trace_sums
+from cellwise.estimate.trace import Trace, TraceSums, nis_by_scale, trace_sums
 from cellwise.logs.cell_log import CellLog, check_is_log
 from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import FloatArray

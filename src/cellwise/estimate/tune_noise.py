@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
-from cellwise.estimate.filters.ekf import Ekf
+from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.status import INNOVATION_REJECTED, VOLTAGE_FROZEN, VOLTAGE_INVALID
 from cellwise.estimate.trace import Trace

@@ -9,7 +9,7 @@ import numpy as np
 
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
-from cellwise.estimate.filters.ekf import Ekf
+from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.trace import Trace

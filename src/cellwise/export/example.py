@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
+from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.estimate.fixed.layout import hex_float, state_type
-from cellwise.estimate.fixed.samples import samples_of
 from cellwise.estimate.fixed.stepper import numba_stepper
 from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.export.c_tables import comment, firmware_folder, initialiser

@@ -15,10 +15,8 @@ from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import model_mark
 from cellwise.errors import InputError
-from cellwise.estimate.filters.ekf import Ekf
 from cellwise.estimate.filters.filter_state import EkfInfo, EkfState
-from cellwise.estimate.filters.kalman import KalmanFilter
-from cellwise.estimate.filters.ukf import Ukf
+from cellwise.estimate.filters.kalman import Ekf, KalmanFilter, Ukf
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.saved_state import state_from_dict, state_to_dict
 from cellwise.files import write_atomically

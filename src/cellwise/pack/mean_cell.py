@@ -10,7 +10,7 @@ import numpy as np
 from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import known_temperature_C
-from cellwise.estimate.filters.ekf import Ekf
+from cellwise.estimate.filters.kalman import Ekf
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray, IndexArray
 

@@ -15,7 +15,7 @@ Pattern = Callable[[State, State], str]
 PAIRS = triangle(CELL)
 BRANCHES = (V1, V2, V3)
 P, D = "p: Covariance", "d: Column"
-OUTPUTS = "slope_V: float, m_V: float, fast: float"
+OUTPUTS = "slope_V: float, m_V: float"
 
 
 def of_p(a: State, b: State) -> str:
@@ -26,7 +26,7 @@ def of_p(a: State, b: State) -> str:
 def output_sum(of: Callable[[State], str]) -> str:
     """H times something: OCV slope and hysteresis, less the branches, the first by its factor."""
     s, v1, v2, v3, h = (of(state) for state in CELL)
-    return f"(slope_V * {s} + m_V * {h}) - ((fast * {v1} + {v2}) + {v3})"
+    return f"(slope_V * {s} + m_V * {h}) - (({v1} + {v2}) + {v3})"
 
 
 def head_of(title: str, arguments: str, result: str, text: str) -> list[str]:

@@ -10,8 +10,8 @@ from cellwise.cell.equations import Transition
 from cellwise.estimate.filters import covariance_kernels as five
 
 T = Transition(a1=0.9, a2=0.8, a3=0.99, ah=0.7, gs=-1e-3, g1=0.05, g2=0.06, g3=0.02)
-H = np.array([0.8, -1.2, -1.0, -1.0, 0.02])  # slope, -factor on the fast branch, M
-OUTPUT = (0.8, 0.02, 1.2)
+H = np.array([0.8, -1.0, -1.0, -1.0, 0.02])  # slope, branches, M
+OUTPUT = (0.8, 0.02)
 
 
 def matrix(p):
@@ -101,7 +101,7 @@ def test_a_plateau_teaches_nothing_and_loses_nothing(flat_V):
     slope, variance = 0.5, 0.0225
     noise = slope**2 * variance
     p = five.uncorrelated(variance, 0.0, 0.0, 0.0, 0.0)
-    d = five.column(p, slope, 0.0, 1.0)
+    d = five.column(p, slope, 0.0)
     k = five.scaled(d, 1.0 / (slope * d.s + noise))
     less = flat_V - slope
     e = less * (2.0 * d.s + less * p.ss)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from cellwise.cell.model_error import ModelError
-from cellwise.estimate.filters.ekf import Ekf
+from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.noise import Noise
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell, lfp_cell, linear_cell

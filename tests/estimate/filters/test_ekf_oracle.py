@@ -11,8 +11,8 @@ from scipy.stats import norm
 
 from cellwise.cell.effects import Hysteresis, SlowDiffusion, TemperatureDependence, TimeSkew
 from cellwise.cell.simulate import simulate
-from cellwise.estimate.baselines.filterpy_ekf import FilterpyEkf
-from cellwise.estimate.filters.ekf import Ekf
+from cellwise.estimate.filters.filterpy_filters import FilterpyEkf
+from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.noise import Noise
 from example_cells import EFFECTS, curved_cell, linear_cell, random_log, random_model
 

@@ -12,7 +12,7 @@ from cellwise.cell.effects import Hysteresis
 from cellwise.cell.protocol import ConstantCurrent, Rest, run_protocol
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
-from cellwise.estimate.filters.ekf import Ekf
+from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.noise import WANDERS, Noise
 from cellwise.estimate.status import Status
 from cellwise.logs.cell_log import CellLog

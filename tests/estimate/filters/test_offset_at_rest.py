@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from cellwise.cell.protocol import ConstantCurrent, Rest, run_protocol
-from cellwise.estimate.filters.ekf import Ekf
-from cellwise.estimate.filters.ukf import Ukf
+from cellwise.estimate.filters.kalman import Ekf, Ukf
 from cellwise.estimate.noise import Noise
 from example_cells import lfp_cell
 

@@ -11,7 +11,7 @@ from cellwise.cell.equations import CellState
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate
-from cellwise.estimate.filters.ekf import Ekf
+from cellwise.estimate.filters.kalman import Ekf, Ukf
 from cellwise.estimate.filters.past_kernels import (
     PAST_RATE,
     PAST_SPREAD,
@@ -21,7 +21,6 @@ from cellwise.estimate.filters.past_kernels import (
     reconsidered,
     soc_of_level,
 )
-from cellwise.estimate.filters.ukf import Ukf
 from cellwise.estimate.lockstep.lockstep import LockstepEkf
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.saved_state import state_from_dict, state_to_dict

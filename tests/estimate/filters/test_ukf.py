@@ -21,9 +21,8 @@ from cellwise.cell.effects import (
 )
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
-from cellwise.estimate.baselines.filterpy_ukf import FilterpyUkf
-from cellwise.estimate.filters.ekf import Ekf
-from cellwise.estimate.filters.ukf import SigmaPoints, Ukf
+from cellwise.estimate.filters.filterpy_filters import FilterpyUkf
+from cellwise.estimate.filters.kalman import Ekf, SigmaPoints, Ukf
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.status import Status
 from cellwise.logs.cell_log import CellLog

@@ -11,10 +11,9 @@ from numba import njit
 from cellwise.cell.simulate import simulate
 from cellwise.data import load_dataset
 from cellwise.errors import InputError
-from cellwise.estimate.filters.ekf import Ekf
-from cellwise.estimate.fixed.fixed_step import FixedStep
+from cellwise.estimate.filters.kalman import Ekf
+from cellwise.estimate.fixed.fixed_step import FixedStep, samples_of
 from cellwise.estimate.fixed.layout import INPUT, OUTPUT
-from cellwise.estimate.fixed.samples import samples_of
 from cellwise.estimate.fixed.stepper import compiled, numba_stepper, start_state
 from cellwise.estimate.fixed.stepper import rows as step_rows
 from cellwise.estimate.fixed.tables import fixed_step_tables

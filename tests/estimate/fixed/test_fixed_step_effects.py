@@ -24,9 +24,9 @@ from cellwise.cell.effects import (
 )
 from cellwise.cell.simulate import simulate
 from cellwise.data import load_dataset
-from cellwise.estimate.filters.ekf import Ekf
+from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.fixed import lookup
-from cellwise.estimate.fixed.samples import samples_of
+from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.estimate.fixed.stepper import start_state
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.export.c_tables import write_sources

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise.estimate.filters.ekf import Ekf
+from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.noise import Noise
 from cellwise.export.firmware import Firmware
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell

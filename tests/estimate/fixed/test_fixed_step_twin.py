@@ -10,6 +10,7 @@ import pytest
 
 from cellwise.data import load_dataset
 from cellwise.estimate.fixed import arithmetic as kernels
+from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.estimate.fixed.layout import (
     CAPABILITY,
     INPUT,
@@ -19,7 +20,6 @@ from cellwise.estimate.fixed.layout import (
     row_type,
     state_type,
 )
-from cellwise.estimate.fixed.samples import samples_of
 from cellwise.estimate.fixed.stepper import numba_stepper
 from cellwise.estimate.status import Status
 from cellwise.export.c_tables import firmware_folder

@@ -10,7 +10,7 @@ import pytest
 
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.cell.simulate import simulate
-from cellwise.estimate.filters.ekf import Ekf
+from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.estimate.status import OUTSIDE

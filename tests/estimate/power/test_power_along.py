@@ -11,7 +11,7 @@ from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.estimate.estimators import make_estimator
 from cellwise.estimate.filters.kalman import KalmanFilter
-from cellwise.estimate.power.follower import PowerFollower
+from cellwise.estimate.power.along import PowerFollower
 from cellwise.estimate.power.limits import OperatingLimits
 from cellwise.estimate.power.state_of_power import power_limits, power_settings
 from cellwise.estimate.replay import replay

@@ -89,10 +89,11 @@ def watch_resistances(
     """
     near = min(dt_s / rules.fast_s, 1.0)
     drop_mean = r.drop_V + near * (drop_V - r.drop_V)
-    miss_mean = r.miss_V + near * (innovation_V - r.miss_V)
+    left_V = innovation_V + (r.fast - 1.0) * drop_V  # with the factor, which the voltage has not
+    miss_mean = r.miss_V + near * (left_V - r.miss_V)
     near_mean = r.near_V + near * (tail_V - r.near_V)
     drop = drop_V - drop_mean
-    miss = innovation_V - miss_mean
+    miss = left_V - miss_mean
     share = near / LONGER
     drop2 = r.drop_V2 + share * (drop * drop - r.drop_V2)
     miss2 = r.miss_V2 + share * (miss * miss - r.miss_V2)
@@ -113,7 +114,7 @@ def watch_resistances(
     tail, tail_variance = r.tail, r.tail_variance
     if tail2 >= rules.swing_V2 and not hold and dt_s > 0.0:
         noise = max(far2, white_V2) * max(2.0 * rules.tail_s / dt_s, 1.0)
-        own = miss + (tail - 1.0) * lag  # the voltage has no factor on the tail
+        own = miss + (tail - 1.0) * lag
         tail, tail_variance = least_squares(tail, tail_variance, lag, own, noise)
     # fmt: off
     return Resistances(

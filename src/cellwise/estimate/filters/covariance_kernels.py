@@ -248,20 +248,20 @@ def joseph(p: Covariance, k: Column, c: Column, e: float) -> Covariance:
 
 
 @inline
-def column(p: Covariance, slope_V: float, m_V: float, fast: float) -> Column:
+def column(p: Covariance, slope_V: float, m_V: float) -> Column:
     """P H', the covariance of every state with the voltage."""
-    s = (slope_V * p.ss + m_V * p.sh) - ((fast * p.s1 + p.s2) + p.s3)
-    v1 = (slope_V * p.s1 + m_V * p.p1h) - ((fast * p.p11 + p.p12) + p.p13)
-    v2 = (slope_V * p.s2 + m_V * p.p2h) - ((fast * p.p12 + p.p22) + p.p23)
-    v3 = (slope_V * p.s3 + m_V * p.p3h) - ((fast * p.p13 + p.p23) + p.p33)
-    h = (slope_V * p.sh + m_V * p.phh) - ((fast * p.p1h + p.p2h) + p.p3h)
+    s = (slope_V * p.ss + m_V * p.sh) - ((p.s1 + p.s2) + p.s3)
+    v1 = (slope_V * p.s1 + m_V * p.p1h) - ((p.p11 + p.p12) + p.p13)
+    v2 = (slope_V * p.s2 + m_V * p.p2h) - ((p.p12 + p.p22) + p.p23)
+    v3 = (slope_V * p.s3 + m_V * p.p3h) - ((p.p13 + p.p23) + p.p33)
+    h = (slope_V * p.sh + m_V * p.phh) - ((p.p1h + p.p2h) + p.p3h)
     return Column(s, v1, v2, v3, h)
 
 
 @inline
-def explained(d: Column, slope_V: float, m_V: float, fast: float) -> float:
+def explained(d: Column, slope_V: float, m_V: float) -> float:
     """H P H', the variance of the voltage that the state explains [V^2]."""
-    return (slope_V * d.s + m_V * d.h) - ((fast * d.v1 + d.v2) + d.v3)
+    return (slope_V * d.s + m_V * d.h) - ((d.v1 + d.v2) + d.v3)
 
 
 @inline

@@ -25,8 +25,8 @@ from cellwise.estimate.adaptive.resistance_kernels import (
     wandered,
     watch_resistances,
 )
+from cellwise.estimate.evidence_kernels import Verdict
 from cellwise.estimate.filters.drift_kernels import PER_FREEDOM, Drift
-from cellwise.estimate.gate_kernels import Verdict
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import Sample
 from cellwise.estimate.status import CURRENT_INVALID
@@ -263,28 +263,6 @@ def capacity_variance_V2(free: Free | None, slope_V: float, of_offset_V: float) 
 
 
 @inline
-def fast_factor(free: Free | None) -> float:
-    """Factor on R0 and R1."""
-    if free is None:
-        return 1.0
-    return free.resistances.fast
-
-
-@inline
-def resistance_variance_V2(free: Free | None, drop_V: float, tail_V: float) -> float:
-    """What factors that are not known are worth in one voltage: of R0 I + v1, and of v2 [V^2].
-
-    What the tail's factor moves of the voltage is within the model's claim for the whole
-    polarisation, which moves with it: the voltage keeps the model's tail.
-    """
-    if free is None:
-        return 0.0
-    r = free.resistances
-    off = r.tail - 1.0
-    return drop_V * drop_V * r.fast_variance + tail_V * tail_V * (r.tail_variance + off * off)
-
-
-@inline
 def watched_resistances(
     rules: FreeRules | None,
     free: Free | None,
@@ -295,7 +273,10 @@ def watched_resistances(
     v: Verdict,
     soc_variance: float,
 ) -> Free | None:
-    """What moves with the load says what the resistances are: R0 I + v1, and v2, as the model's."""
+    """What moves with the load says what the resistances are: R0 I + v1, and v2, as the model's.
+
+    They are told, and the state of power takes them; voltage and SOC keep the model's own.
+    """
     if rules is None or free is None:
         return None
     r = free.resistances

@@ -257,16 +257,15 @@ def look_again(
     since_s: float,
     past: Past,
     used: bool,
-    own_V: float,
+    innovation_V: float,
     x: CellState,
     p: Covariance,
 ) -> Looked:
     """What becomes of a start under load over an interval, from ``before_s`` to ``since_s`` of it.
 
-    ``own_V`` is the innovation that the model's own resistances would have shown, ``used`` whether
-    there is one. The fast branches are what the voltage says of them.
+    The fast branches are what the voltage says of them; ``used``: it had one.
     """
-    past = past_step(tables.cell, past, s, since_s, used, own_V)
+    past = past_step(tables.cell, past, s, since_s, used, innovation_V)
     if past.first_variance > 0.0 and time_passed(before_s, since_s, 0, LOOKS):
         soc, ss, v3, p33, s3 = soc_of_level(tables, noise, past, warm_C, x, since_s, p.phh)
         x = CellState(soc, x.v1_V, x.v2_V, v3, x.h, x.heat_K, x.slow_A)

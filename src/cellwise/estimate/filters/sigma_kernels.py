@@ -155,7 +155,7 @@ def voltage_by_points(
     first, second = (above - below) * (0.5 / c), (above + below) - 2.0 * centre
     slope = ((up.ocv_V - low.ocv_V) - (r_up - r_low) * s.seen_A) / (2.0 * c * root)
     # Covariance with the voltage: along the pair, and given the SOC.
-    rest = column(without_outer(p, along), 0.0, point.m_V, 1.0)
+    rest = column(without_outer(p, along), 0.0, point.m_V)
     d = Column(
         root * first,
         rest.v1 + along.v1 * first,
@@ -163,7 +163,7 @@ def voltage_by_points(
         rest.v3 + along.v3 * first,
         rest.h + along.h * first,
     )
-    known = explained(Column(0.0, rest.v1, rest.v2, rest.v3, rest.h), 0.0, point.m_V, 1.0)
+    known = explained(Column(0.0, rest.v1, rest.v2, rest.v3, rest.h), 0.0, point.m_V)
     variance = known + first * first + sigma.curve * second * second
     bent = min(slope, point.ocv_slope_V) < flat_slope(tables)
     return Voltage(centre + sigma.side * second, d, variance, slope, bent)

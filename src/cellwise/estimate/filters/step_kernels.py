@@ -25,7 +25,13 @@ from cellwise.cell.equations import (
     with_heat,
     with_soc,
 )
-from cellwise.estimate.evidence_kernels import stated_deviation, voltage_variance
+from cellwise.estimate.evidence_kernels import (
+    Innovation,
+    Verdict,
+    gate,
+    stated_deviation,
+    voltage_variance,
+)
 from cellwise.estimate.filters.covariance_kernels import column, explained, uncorrelated
 from cellwise.estimate.filters.drift_kernels import (
     counted_on,
@@ -42,8 +48,6 @@ from cellwise.estimate.filters.free_kernels import (
     capacity_variance,
     capacity_variance_V2,
     counted_capacity,
-    fast_factor,
-    resistance_variance_V2,
     soc_found,
     watched_resistances,
 )
@@ -56,7 +60,6 @@ from cellwise.estimate.filters.sigma_kernels import (
     voltage_by_points,
 )
 from cellwise.estimate.filters.update_kernels import Estimate, Predicted, counted, recover, update
-from cellwise.estimate.gate_kernels import Innovation, Verdict, gate
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import (
     NO_VOLTAGE_YET,
@@ -103,9 +106,7 @@ def predict(
         x, p, at = by_tangents(tables, noise, s, now, p, state.watch.no_voltage_s)
     else:
         x, p, at = by_points(tables, noise, sigma, s, now, p, state.watch.no_voltage_s)
-    fast = fast_factor(free)
-    r0 = fast * now.point.r0_ohm
-    drop = polarisation(r0, s.seen_A, fast * x.v1_V, x.v2_V, x.v3_V)
+    drop = polarisation(now.point.r0_ohm, s.seen_A, x.v1_V, x.v2_V, x.v3_V)
     x = with_heat(x, heat_step(cell, x.heat_K, s.flow_A, drop, s.dt_s))
     status |= now.status
     # fmt: off
@@ -123,18 +124,16 @@ def innovate(
     s: Sample,
     now: Predicted,
 ) -> tuple[Innovation, Voltage]:
-    """Measured less predicted voltage; H = [slope, -fast, -1, -1, m], d = P H'."""
-    x, point, at, fast = now.x, now.point, now.at, fast_factor(now.free)
-    r0 = fast * point.r0_ohm
+    """Measured less predicted voltage; H = [slope, -1, -1, -1, m], d = P H'."""
+    x, point, at = now.x, now.point, now.at
     branches = abs(x.v1_V) + (abs(x.v2_V) + abs(x.v3_V))
-    one = voltage_variance(noise, point, r0, s.seen_A, s.lost_A, branches)
-    one += resistance_variance_V2(now.free, point.r0_ohm * s.seen_A + x.v1_V, x.v2_V)
+    one = voltage_variance(noise, point, point.r0_ohm, s.seen_A, s.lost_A, branches)
     if sigma is None:
-        d = column(now.p, at.slope_V, point.m_V, fast)
+        d = column(now.p, at.slope_V, point.m_V)
         # An OCV that bends by c at one deviation is off its tangent by c z^2, 3 c^2 in square.
         bend2 = 3.0 * at.bend_V * at.bend_V
-        variance = explained(d, at.slope_V, point.m_V, fast) + bend2
-        drop = polarisation(r0, s.seen_A, fast * x.v1_V, x.v2_V, x.v3_V)
+        variance = explained(d, at.slope_V, point.m_V) + bend2
+        drop = polarisation(point.r0_ohm, s.seen_A, x.v1_V, x.v2_V, x.v3_V)
         predicted, bent = terminal_voltage(point, x.h, drop), bends(tables, at, bend2, one)
         seen = Voltage(predicted, d, variance, at.slope_V, bent)
     else:
@@ -163,12 +162,10 @@ def look_back(
     """A start under load is looked at again, as often as it is due."""
     if e.past.first_variance <= 0.0:
         return e
-    drop = now.point.r0_ohm * s.seen_A + now.x.v1_V
-    own_V = v.innovation_V - (fast_factor(now.free) - 1.0) * drop
     # fmt: off
     seen = look_again(
-        tables, noise, s, now.warm_C, now.evidence_s, v.watch.evidence_s, e.past, v.used, own_V,
-        e.x, e.p,
+        tables, noise, s, now.warm_C, now.evidence_s, v.watch.evidence_s, e.past, v.used,
+        v.innovation_V, e.x, e.p,
     )
     # fmt: on
     if seen.searched:

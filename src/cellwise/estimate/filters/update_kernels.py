@@ -7,7 +7,13 @@ from typing import NamedTuple
 from cellwise.cell.compiled import inline
 from cellwise.cell.equations import CellState, CellTables, with_soc
 from cellwise.cell.point_kernels import CellPoint
-from cellwise.estimate.evidence_kernels import contradicted_step, persistent_step, persistent_V
+from cellwise.estimate.evidence_kernels import (
+    Innovation,
+    Verdict,
+    contradicted_step,
+    persistent_step,
+    persistent_V,
+)
 from cellwise.estimate.filters.covariance_kernels import (
     Column,
     Covariance,
@@ -24,13 +30,11 @@ from cellwise.estimate.filters.free_kernels import (
     Free,
     FreeRules,
     capacity_soc,
-    fast_factor,
     informed_capacity,
     soc_found,
 )
 from cellwise.estimate.filters.past_kernels import Past, no_past
 from cellwise.estimate.filters.sigma_kernels import SigmaScalars, Voltage
-from cellwise.estimate.gate_kernels import Innovation, Verdict
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.recovery_kernels import Contradiction, Variances, recovered
 from cellwise.estimate.sensing_kernels import Sample
@@ -74,14 +78,11 @@ class Estimate(NamedTuple):
 
 @inline
 def recover(tables: CellTables, s: Sample, now: Predicted, i: Innovation) -> Estimate:
-    """The gate may have locked the truth out: the SOC is searched for over all of 0..1.
-
-    The voltage is what a cell with the model's own resistances would have shown.
-    """
+    """The gate may have locked the truth out: the SOC is searched for over all of 0..1."""
     x, p = now.x, now.p
-    own_V = s.voltage_V + (fast_factor(now.free) - 1.0) * (i.r0_ohm * s.seen_A + x.v1_V)
     drop = abs(i.r0_ohm * s.seen_A) + i.branches_V
-    seen = Contradiction(own_V, s.seen_A, now.warm_C, i.one, drop, now.evidence_s >= 0.0)
+    followed = now.evidence_s >= 0.0
+    seen = Contradiction(s.voltage_V, s.seen_A, now.warm_C, i.one, drop, followed)
     soc, v = recovered(tables, x, Variances(p.ss, p.p11, p.p22, p.p33, p.phh), seen)
     p = uncorrelated(v.soc, v.v1_V2, v.v2_V2, v.v3_V2, v.h)
     free = soc_found(now.free)

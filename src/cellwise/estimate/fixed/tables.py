@@ -28,10 +28,9 @@ from cellwise.cell.resolved import needs_rows, over_temperature
 from cellwise.cell.simulate import model_temperature_C
 from cellwise.errors import InputError
 from cellwise.estimate.cells.settings import CellSettings, cell_constants
-from cellwise.estimate.evidence_kernels import CONTRADICTED_S
+from cellwise.estimate.evidence_kernels import CONTRADICTED_S, COUNT_ROUNDING
 from cellwise.estimate.fixed.layout import constant_type, row_names
 from cellwise.estimate.fixed.options import Options, options_of
-from cellwise.estimate.gate_kernels import COUNT_ROUNDING
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.power.fixed_tables import (
     CURRENT_LIMIT_C,

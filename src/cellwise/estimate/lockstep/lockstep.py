@@ -21,12 +21,11 @@ from cellwise.cell.effects import (
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.point_kernels import ERROR, OCV, R0, R1, R2, R3, TAU1, TAU2, TAU3, M
 from cellwise.errors import InputError
-from cellwise.estimate.filters.ekf import Ekf
-from cellwise.estimate.filters.filter_state import EkfState, ekf_start
-from cellwise.estimate.filters.kalman import check_state
+from cellwise.estimate.filters.filter_state import OUTPUTS, EkfState, ekf_start
+from cellwise.estimate.filters.kalman import Ekf, check_state
+from cellwise.estimate.lockstep import block_kernels as layout
 from cellwise.estimate.lockstep import lane_kernels as lanes
-from cellwise.estimate.lockstep import layout
-from cellwise.estimate.lockstep.cell_kernels import begin_lane, state_of
+from cellwise.estimate.lockstep.block_kernels import begin_lane, state_of
 from cellwise.estimate.lockstep.plain_kernels import LockstepRules, lockstep
 from cellwise.estimate.noise import Noise
 from cellwise.typing import BoolArray, FloatArray, IntArray
@@ -80,8 +79,8 @@ class LockstepEkf:
 
     Notes
     -----
-    Each cell's estimate is that of :class:`~cellwise.estimate.filters.ekf.Ekf` but for the look-up
-    of what depends on the time step, tabulated on a finer grid over SOC.
+    Each cell's estimate is that of :class:`~cellwise.estimate.filters.kalman.Ekf` but for the
+    look-up of what depends on the time step, tabulated on a finer grid over SOC.
 
     Examples
     --------
@@ -115,7 +114,7 @@ class LockstepEkf:
         # Lanes that no cell fills rest at half charge.
         self._samples = np.zeros((3, padded))
         self._samples[1] = float(np.interp(0.5, model.soc, model.ocv_V[0]))
-        self._out = np.zeros((layout.OUTPUTS, padded))
+        self._out = np.zeros((OUTPUTS, padded))
         self._status = np.zeros(padded, dtype=np.int32)
         self._gap = np.zeros(padded, dtype=np.bool_)
 

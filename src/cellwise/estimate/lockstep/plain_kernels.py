@@ -51,13 +51,10 @@ from cellwise.estimate.filters.drift_kernels import (
     drift_variance,
     dropped_by_offset,
 )
-from cellwise.estimate.filters.filter_state import OUT_SOC, EkfInfo, EkfStart, EkfState
+from cellwise.estimate.filters.filter_state import OUT_SOC, OUTPUTS, EkfInfo, EkfStart, EkfState
 from cellwise.estimate.filters.predict_kernels import SOC_HIGH, SOC_LOW
-from cellwise.estimate.lockstep.cell_kernels import full_lane, put_info
-from cellwise.estimate.lockstep.lane_kernels import FIELDS, LANES, get_state, put_state
-from cellwise.estimate.lockstep.layout import (
+from cellwise.estimate.lockstep.block_kernels import (
     LONG_FROZEN,
-    OUTPUTS,
     T_A1,
     T_A2,
     T_A3,
@@ -81,14 +78,15 @@ from cellwise.estimate.lockstep.layout import (
     W_SOC,
     W_VOLTAGE,
     W_WARM,
-)
-from cellwise.estimate.lockstep.lookup_kernels import (
+    full_lane,
     look_up_lane,
     look_up_warm_lane,
+    put_info,
     read_block,
     scale_lane,
     watch_validity,
 )
+from cellwise.estimate.lockstep.lane_kernels import FIELDS, LANES, get_state, put_state
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import (
     COLDEST_C,
@@ -181,8 +179,8 @@ def plain_step(
     of_offset = slope * drift.reach + dropped
     free_variance = of_offset * of_offset * drift.unsure
     predicted = terminal_voltage(point, h, drop) + drift.believed * dropped
-    d = column(p, slope, point.m_V, 1.0)
-    state_variance = explained(d, slope, point.m_V, 1.0)
+    d = column(p, slope, point.m_V)
+    state_variance = explained(d, slope, point.m_V)
     branches = abs(v1) + (abs(v2) + abs(v3))
     one = voltage_variance(noise, point, point.r0_ohm, flow, 0.0, branches)
     variance = state_variance + (one + free_variance)

@@ -1,4 +1,4 @@
-"""State of power along a replayed log."""
+"""State of power along a replayed log, and of a filter that is fed sample by sample."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 
 from cellwise.cell.compiled import announce
-from cellwise.cell.equations import empty_state
+from cellwise.cell.equations import CellState, empty_state
 from cellwise.cell.simulate import known_temperature_C, start_hysteresis
+from cellwise.estimate.adaptive.adaptive_kernels import AdaptiveState
 from cellwise.estimate.adaptive.trace import AdaptiveTrace
 from cellwise.estimate.estimators import Estimator
+from cellwise.estimate.filters.filter_state import EkfState
 from cellwise.estimate.filters.kalman import KalmanFilter
 from cellwise.estimate.power.limit_kernels import LimitScalars
 from cellwise.estimate.power.limits import KnownLimits
@@ -25,12 +27,15 @@ from cellwise.estimate.power.present_kernels import (
     PRESENT,
     SCALE_VARIANCE,
     TAIL,
+    bias_step,
     carried_states,
     kalman_states,
+    no_bias,
     power_rows,
     present_at,
 )
-from cellwise.estimate.power.state_of_power import Hold, PowerSettings, StateOfPower
+from cellwise.estimate.power.state_of_power import Hold, PowerSettings, StateOfPower, present_of
+from cellwise.estimate.sensing_kernels import Reading
 from cellwise.estimate.trace import Trace
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
@@ -152,3 +157,51 @@ def presents_along(
             np.array(log.voltage_V), np.ascontiguousarray(trace.status, dtype=np.int32), present,
         )  # fmt: skip
     return present, warm
+
+
+class PowerFollower:
+    """Follows what the model is off by, and gives the power when asked."""
+
+    def __init__(self, settings: PowerSettings) -> None:
+        self.settings = settings
+        self._bias = no_bias()
+        self.take(Reading(0.0, float("nan"), 25.0, 0.0, False), empty_state(0.5))  # compiles
+        settings.of(present_of(empty_state(0.5), 25.0))
+        self._bias = no_bias()
+
+    @property
+    def bias_V(self) -> float:
+        """Measured less modelled voltage of late [V]; 0 before any was seen."""
+        return self._bias.voltage_V
+
+    def take(
+        self, reading: Reading, state: EkfState | AdaptiveState | CellState, status: int = 0
+    ) -> None:
+        """Follow one sample; ``state`` is what the filter has made of it."""
+        present = present_of(state, reading.temperature_C)
+        self._bias = bias_step(
+            self.settings.tables, self._bias, present.cell, present.but, reading,
+            reading.temperature_C, status,
+        )  # fmt: skip
+
+    def now(
+        self, state: EkfState | AdaptiveState | None, temperature_C: float
+    ) -> tuple[StateOfPower, ...]:
+        """State of power at every horizon; empty without a state."""
+        if state is None:
+            return ()
+        return self.settings.of(present_of(state, temperature_C, self.bias_V))
+
+    def columns(
+        self, state: EkfState | AdaptiveState | None, temperature_C: float
+    ) -> dict[str, float | None]:
+        """The same by the names of the columns of `replay`; None without a state."""
+        found = self.now(state, temperature_C)
+        named: dict[str, float | None] = {}
+        for j, horizon_s in enumerate(self.settings.horizons_s):
+            for way in ("discharge", "charge"):
+                value, low = column_names(way, horizon_s)
+                limit = getattr(found[j], way) if found else None
+                named[value] = None if limit is None else limit.power_W
+                named[low] = None if limit is None else limit.power_low_W
+        return named

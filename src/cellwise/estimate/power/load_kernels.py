@@ -185,8 +185,8 @@ def end_variance(
     filters have it, which grows with what the innovations have shown; of the resistances' factors.
     """
     p = decayed(with_soc_variance(now.p, now.soc_variance), load.t)
-    d = column(p, slope_V, load.point.m_V, 1.0)
-    states = max(explained(d, slope_V, load.point.m_V, 1.0), 0.0)
+    d = column(p, slope_V, load.point.m_V)
+    states = max(explained(d, slope_V, load.point.m_V), 0.0)
     x = load.end
     branches = abs(x.v1_V) + (abs(x.v2_V) + abs(x.v3_V))
     more = extrapolation_V(noise.valid, now.temperature_C, load.current_A, load.polarisation_V)

@@ -1,12 +1,28 @@
-"""What a block of cells has read, and the table at their SOC, side by side."""
+"""A block of cells: what they have read, the table at their SOC, one cell's own step.
+
+Beside the cells' states lie the tables of one step, and scratch.
+"""
 
 from __future__ import annotations
 
 import math
 
-from cellwise.cell.compiled import inline
-from cellwise.cell.equations import BEYOND, arrhenius
+from cellwise.cell.compiled import inline, kernel
+from cellwise.cell.equations import BEYOND, CellTables, arrhenius
 from cellwise.cell.point_kernels import CellScalars
+from cellwise.estimate.filters.filter_state import (
+    OUT_INNOVATION,
+    OUT_RATIO,
+    OUT_SOC,
+    OUT_STD,
+    OUT_VARIANCE,
+    OUT_VOLTAGE,
+    OUTPUTS,
+    EkfInfo,
+    EkfStart,
+    EkfState,
+)
+from cellwise.estimate.filters.kalman_kernels import kalman_step
 from cellwise.estimate.lockstep.lane_kernels import (
     EVIDENCE,
     FACTOR,
@@ -19,37 +35,29 @@ from cellwise.estimate.lockstep.lane_kernels import (
     NO_VOLTAGE,
     SOC,
     SS,
-)
-from cellwise.estimate.lockstep.layout import (
-    PLAIN_COLUMNS,
-    SERIES_LIMIT,
-    T_B1,
-    T_B2,
-    T_B3,
-    T_G1,
-    T_G2,
-    T_G3,
-    T_OCV,
-    T_R0,
-    TABLE_COLUMNS,
-    W_AT,
-    W_BEYOND,
-    W_CURRENT,
-    W_DECAY,
-    W_FLOW,
-    W_INSIDE,
-    W_PLAIN,
-    W_SLOPE,
-    W_SOC,
-    W_VOLTAGE,
-    W_WARM,
+    get_state,
+    put_state,
 )
 from cellwise.estimate.noise import NoiseScalars
-from cellwise.estimate.sensing_kernels import COLDEST_C, HOTTEST_C
+from cellwise.estimate.sensing_kernels import COLDEST_C, HOTTEST_C, Reading
 from cellwise.estimate.slopes_kernels import WIDE_VARIANCE
 from cellwise.estimate.validity_kernels import ValidityScalars, is_outside
 from cellwise.typing import FloatArray
 
+# Columns of the table of one time step: decays a, what one ampere adds g, R^2 (1 - a^2) as b.
+T_OCV, T_R0, T_A1, T_G1, T_B1, T_A2, T_G2, T_B2, T_ERROR, T_A3, T_G3, T_B3, T_M = range(13)
+PLAIN_COLUMNS = 9  # what a model without third branch and hysteresis needs
+TABLE_COLUMNS = 16  # whole vectors
+# Rows of the scratch of a block: the table at every lane's SOC, what the lanes have read, what is
+# reported. All in one array: LLVM gives up checking more of them for overlaps ("too many memory
+# checks needed"), and then vectorises nothing.
+W_SLOPE = 16
+W_SOC, W_FLOW, W_PLAIN, W_DECAY, W_AT, W_BEYOND, W_INSIDE = range(17, 24)
+W_CURRENT, W_VOLTAGE, W_WARM = range(24, 27)
+W_OUT = 27
+SCRATCH_ROWS = W_OUT + OUTPUTS
+LONG_FROZEN = 1e300
+SERIES_LIMIT = 0.25  # beyond it the series of the decay is left to the exponential
 THIRD, SIXTH, SEVENTH = 1.0 / 3.0, 1.0 / 6.0, 1.0 / 7.0
 
 
@@ -214,3 +222,43 @@ def scale_lane(
     work[T_B2 * LANES + lane] *= scale * scale
     work[T_G3 * LANES + lane] *= slow
     work[T_B3 * LANES + lane] *= slow * slow
+
+
+@inline
+def put_info(work: FloatArray, lane: int, info: EkfInfo) -> None:
+    """What there is to report of one lane."""
+    work[(W_OUT + OUT_SOC) * LANES + lane] = info.soc
+    work[(W_OUT + OUT_STD) * LANES + lane] = info.soc_std
+    work[(W_OUT + OUT_VOLTAGE) * LANES + lane] = info.voltage_V
+    work[(W_OUT + OUT_INNOVATION) * LANES + lane] = info.innovation_V
+    work[(W_OUT + OUT_VARIANCE) * LANES + lane] = info.innovation_variance_V2
+    work[(W_OUT + OUT_RATIO) * LANES + lane] = info.test_ratio
+
+
+@kernel
+def full_lane(
+    tables: CellTables,
+    noise: NoiseScalars,
+    start: EkfStart,
+    block: FloatArray,
+    lane: int,
+    reading: Reading,
+    work: FloatArray,
+) -> int:
+    """The EKF's own step for one lane; its status."""
+    state, info = kalman_step(tables, noise, None, start, get_state(block, lane), reading)
+    put_state(block, lane, state, True)
+    put_info(work, lane, info)
+    return int(info.status)
+
+
+@kernel
+def begin_lane(block: FloatArray, lane: int, state: EkfState) -> None:
+    """A state into its lane."""
+    put_state(block, lane, state, True)
+
+
+@kernel
+def state_of(block: FloatArray, lane: int) -> EkfState:
+    """A state out of its lane."""
+    return get_state(block, lane)

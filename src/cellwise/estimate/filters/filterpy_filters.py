@@ -1,4 +1,4 @@
-"""What the filterpy baselines share: the model as matrices, the same noise, the row loop.
+"""filterpy's EKF and UKF as baselines: the model as matrices, the same noise, the row loop.
 
 No innovation gate, no recovery, no watch over the sensors: what a user of filterpy writes first.
 """
@@ -8,13 +8,14 @@ from __future__ import annotations
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 
 from cellwise.cell.equations import CellState, advance, loaded, seen_current, transition, voltage_of
 from cellwise.cell.model import CellModel
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.cell.simulate import known_temperature_C
 from cellwise.estimate.evidence_kernels import repeated_evidence, share_at, voltage_variance
-from cellwise.estimate.filters.kalman import FilterOfModel
+from cellwise.estimate.filters.kalman import STATES, FilterOfModel, SigmaPoints
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.recovery_kernels import start_branch
 from cellwise.estimate.sensing_kernels import REST_RATE, unseen_soc
@@ -180,3 +181,119 @@ class FilterpyFilter(FilterOfModel):
             drop = abs(float(point.r0_ohm) * current_A) + held
             point = widened(point, extrapolation_V(noise.valid, outside_C, current_A, drop))
         return float(voltage_variance(noise, point, point.r0_ohm, current_A, 0.0, held))
+
+
+class FilterpyEkf(FilterpyFilter):
+    """filterpy's ExtendedKalmanFilter over [soc, v1, v2, v3, h]."""
+
+    name = "filterpy-ekf"
+
+    def init(self, soc0: float, soc0_std: float = 0.15) -> ExtendedKalmanFilter:
+        """A filterpy filter with the start state and covariance of :class:`Ekf`."""
+        ekf = ExtendedKalmanFilter(dim_x=5, dim_z=1)
+        self.begin(ekf, soc0, soc0_std)
+        return ekf
+
+    def predict(self, kf: ExtendedKalmanFilter, now: Interval, before: Beside) -> Beside:
+        """Over one interval; what the cell carries beside after it."""
+        after = self.transition(kf.x, now, before)
+        inside = Inside(now.temperature_C + before.heat_K, after.slow_A)
+        diagonal, kf.Q = self.process(after.soc, now, inside)
+        kf.F = np.diag(diagonal)
+        kf.P = kf.F @ kf.P @ kf.F.T + kf.Q
+        kf.x = np.array(after[:STATES])
+        return Beside(after.heat_K, after.slow_A)
+
+    def update(
+        self,
+        kf: ExtendedKalmanFilter,
+        voltage_V: float,
+        now: Interval,
+        inside: Inside,
+        one: float,
+        shared: float,
+    ) -> tuple[float, float]:
+        """With a voltage whose variance is ``one`` times ``shared``: predicted, its variance."""
+        point = self.point(float(kf.x[0]), now.seen_A, inside)
+        slopes = np.array([[point.ocv_slope_V, -1.0, -1.0, -1.0, point.m_V]])
+
+        def jacobian(x: FloatArray) -> FloatArray:
+            return slopes
+
+        def measured(x: FloatArray) -> FloatArray:
+            return np.array([self.voltage(x, now.seen_A, inside)])
+
+        predicted = self.voltage(kf.x, now.seen_A, inside)
+        marginal = float((slopes @ kf.P @ slopes.T)[0, 0]) + one
+        if np.isfinite(shared):
+            weight = np.array([[one * shared]])
+            kf.update(np.array([voltage_V]), HJacobian=jacobian, Hx=measured, R=weight)
+        return predicted, marginal
+
+
+class FilterpyUkf(FilterpyFilter):
+    """filterpy's UnscentedKalmanFilter over [soc, v1, v2, v3, h]."""
+
+    name = "filterpy-ukf"
+
+    def __init__(
+        self, model: CellModel, noise: Noise | None = None, points: SigmaPoints | None = None
+    ) -> None:
+        super().__init__(model, noise)
+        self.points = SigmaPoints() if points is None else points
+
+    def init(self, soc0: float, soc0_std: float = 0.15) -> UnscentedKalmanFilter:
+        """A filterpy filter with the start state and covariance of :class:`Ukf`."""
+        points = MerweScaledSigmaPoints(
+            STATES, self.points.alpha, self.points.beta, self.points.kappa, sqrt_method=root
+        )
+        ukf = UnscentedKalmanFilter(
+            dim_x=STATES, dim_z=1, dt=1.0, hx=self._measured, fx=self._moved, points=points
+        )
+        self.begin(ukf, soc0, soc0_std)
+        return ukf
+
+    def _moved(self, x: FloatArray, dt: float, now: Interval, before: Beside) -> FloatArray:
+        return np.array(self.transition(x, now, before)[:STATES])
+
+    def _measured(self, x: FloatArray, now: Interval, inside: Inside) -> FloatArray:
+        return np.array([self.voltage(x, now.seen_A, inside)])
+
+    def predict(self, kf: UnscentedKalmanFilter, now: Interval, before: Beside) -> Beside:
+        """Over one interval; what the cell carries beside after it."""
+        after = self.transition(kf.x, now, before)
+        inside = Inside(now.temperature_C + before.heat_K, after.slow_A)
+        _, kf.Q = self.process(after.soc, now, inside)
+        kf.predict(dt=now.dt_s, now=now, before=before)
+        return Beside(after.heat_K, after.slow_A)
+
+    def update(
+        self,
+        kf: UnscentedKalmanFilter,
+        voltage_V: float,
+        now: Interval,
+        inside: Inside,
+        one: float,
+        shared: float,
+    ) -> tuple[float, float]:
+        """With a voltage whose variance is ``one`` times ``shared``: predicted, its variance."""
+        seen = np.array([self._measured(s, now, inside) for s in kf.sigmas_f])[:, 0]
+        predicted = float(kf.Wm @ seen)
+        marginal = float(kf.Wc @ (seen - predicted) ** 2) + one
+        if np.isfinite(shared):
+            weight = np.array([[one * shared]])
+            kf.update(np.array([voltage_V]), R=weight, now=now, inside=inside)
+        return predicted, marginal
+
+
+def root(matrix: FloatArray) -> FloatArray:
+    """Upper Cholesky factor of a positive semidefinite matrix: a state may be known exactly."""
+    n = matrix.shape[0]
+    lower = np.zeros_like(matrix)
+    for j in range(n):
+        pivot = matrix[j, j] - lower[j, :j] @ lower[j, :j]
+        if pivot <= 0.0:
+            continue
+        lower[j, j] = np.sqrt(pivot)
+        lower[j + 1 :, j] = (matrix[j + 1 :, j] - lower[j + 1 :, :j] @ lower[j, :j]) / lower[j, j]
+    return np.asarray(lower.T)

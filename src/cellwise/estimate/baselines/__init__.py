@@ -1,1 +1,0 @@
-"""The same filters written with filterpy: baselines for speed, oracles for correctness."""
