@@ -277,6 +277,11 @@ RULES: tuple[Rule, ...] = (
     Rule("nothing"),
     Rule("a log that is fitted worse counts less", ((f"{FIT}.BALANCE", 0.0),), SEVERAL),
     Rule("smoother with several temperatures", ((f"{FIT}.SMOOTH_OF_SEVERAL", 0.01),), SEVERAL),
+    Rule(
+        "capacity tests keep their own",
+        ((f"{FIT}.keep_own_capacity", lambda *_: False),),
+        ("Panasonic, pulses and two drives",),
+    ),
     Rule("charge_transfer", ((f"{EFFECTS}._candidates", _without("charge_transfer")),), TRIED),
     Rule("surface_soc", ((f"{EFFECTS}._candidates", _without("surface_soc")),), TRIED),
     Rule(

@@ -143,7 +143,7 @@ def gather_logs(
     resistance = rough_resistance(groups)
     anchors = {id(s.log): s.anchor for g in groups for s in g.pulse_sets}
     driven = any(_is_deep(log, capacity_Ah) for g in groups for log, _ in g.tests.drive)
-    own_capacity = driven and any(g.tests.ocv for g in groups)
+    own_capacity = keep_own_capacity(groups, driven)
     logs: list[RefineLog] = []
     starts: list[Start] = []
     notices: list[str] = []
@@ -187,14 +187,21 @@ def gather_logs(
                      tuple(notices))  # fmt: skip
 
 
+def keep_own_capacity(groups: Sequence[Group], driven: bool) -> bool:
+    """Whether capacity tests keep their own: a low-rate test holds the scale, drives what is new.
+
+    A cell loses some per cent from one test to the next. On the scale of the others that bends the
+    tables near empty, where a per cent is a tenth of a volt.
+    """
+    return driven and any(g.tests.ocv for g in groups)
+
+
 def _candidates(
     group: Group, driven: bool, own_capacity: bool, capacity_Ah: float, grid_C: FloatArray
 ) -> Iterator[Candidate]:
     """Logs of a temperature.
 
     Where no drive goes deep, the charges and rests of capacity tests are the only ones there are.
-    Where one does and a low-rate test holds the SOC scale, a capacity test keeps its own: cells
-    lose some per cent from one test to the next, and near empty that is a tenth of a volt.
     Beside pulses a capacity test much warmer than the tables is left out.
     """
     for log, _ in group.tests.hppc:
