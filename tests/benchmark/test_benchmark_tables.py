@@ -71,7 +71,7 @@ def test_latex_has_every_estimator_and_what_it_was_made_with():
     for row in rows:
         row["estimator"] = {"a": "my_filter", "b": "ekf"}[row["estimator"]]
     text = latex_text("standard", rows, differences(rows))
-    assert r"my\_filter & 3.00" in text
+    assert r"my\_filter & 9 & 3.00" in text
     assert text.count(r" \\") == 3
     assert "seed 0" in text
     assert "numpy " in text

@@ -72,11 +72,11 @@ def test_a_pack_s_file_is_its_mean_cell_where_one_cell_is_asked_for(month, run_j
     assert halved["voltage_V"]["min"] > 6.0  # a stated number is believed
 
 
-def test_a_simulation_begins_anew_after_a_pause_that_nobody_counted(month, run_json):
+def test_a_simulation_begins_again_after_a_pause_that_nobody_counted(month, run_json):
     log = str(month / "car_2024-06-01.parquet")
     found = run_json("simulate", "--model", STOCK, log, "--soc0", "0.5")
     assert found["max_error_V"] < 0.02
-    assert any("begins anew" in notice for notice in found["notices"])
+    assert any("begins again" in notice for notice in found["notices"])
 
 
 def test_folders_and_patterns_are_logs_in_the_order_of_time(month, run_json, capsys):

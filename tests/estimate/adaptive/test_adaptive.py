@@ -104,7 +104,9 @@ class TestNaming:
         assert told.resistance_scale.value == pytest.approx(growth, rel=0.06)
         assert told.soh_resistance == told.resistance_scale.value
 
-    @pytest.mark.xfail(strict=True, reason="told, not taken into the SOC: tail 0.87, SOC 1.35 %")
+    @pytest.mark.xfail(
+        strict=True, reason="reported, not taken into the SOC: tail 0.87, SOC 1.35 %"
+    )
     @pytest.mark.parametrize("growth", [0.75, 1.3])
     def test_tail_and_soc_of_resistances_that_have_changed(self, growth):
         log = drive(grown(growth))

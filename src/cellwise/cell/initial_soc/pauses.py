@@ -1,4 +1,4 @@
-"""A log with pauses that nobody counted: begun anew after each."""
+"""A log with pauses that nobody counted: begun again after each."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def simulate_stretches(
         return first
     said = (
         f"nobody counted in the pause before {log.time_s[p.first]:.0f} s: there the simulation "
-        f"begins anew, at SOC {p.start.soc:.3f} +- {2 * p.start.std:.3f}"
+        f"begins again, at SOC {p.start.soc:.3f} +- {2 * p.start.std:.3f}"
         for p in parts[1:]
     )
     return replace(
@@ -79,7 +79,7 @@ def simulate(
 
     Exact for constant current within each interval, at any time step. Over gaps the current is
     what :meth:`CellLog.known_current_A` says (the counter's charge, else a rest); after a pause of
-    minutes without a counter the simulation begins anew, and a notice says so.
+    minutes without a counter the simulation begins again, and a notice says so.
 
     Parameters
     ----------

@@ -58,7 +58,7 @@ def likeliest_soc(
     weight = np.exp(-0.5 * (cost - cost.min())) * np.gradient(soc)
     mean = float(np.average(soc, weights=weight))
     variance = float(np.average((soc - mean) ** 2, weights=weight))
-    # Of starts that the likelihood cannot tell apart, that from which the simulation is nearest.
+    # Of starts that the likelihood cannot separate, that from which the simulation is nearest.
     alike = np.flatnonzero(cost <= cost.min() + ALIKE)
     likeliest = float(soc[alike[np.argmin(error_V2[alike])]])
     return likeliest, math.hypot(math.sqrt(variance), likeliest - mean)

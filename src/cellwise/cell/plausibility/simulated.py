@@ -80,9 +80,7 @@ def error_notices(log: MeasuredLog, error_V: FloatArray, soc: FloatArray) -> lis
         text += f": {OTHER} than the model's, or another initial SOC?"
     elif at < NEAR_EMPTY:
         text += ": near empty, where the OCV is steep and the resistance high"
-    # Where the model is of another cell, what it covered does not matter: said first.
-    size = math.inf if all_rows.rmse_V >= LARGE_ERROR_V else all_rows.rmse_V
-    return [Notice(size, text)]
+    return [Notice(all_rows.rmse_V, text)]
 
 
 def prediction_notices(log: MeasuredLog, rmse_V: float, rejected: float) -> list[Notice]:

@@ -49,7 +49,7 @@ def check_page_options(arguments: argparse.Namespace) -> None:
     """
     report = getattr(arguments, "report", None)
     check_places(report)
-    if report and Path(report).suffix.lower() not in PAGES:
+    if report and Path(report).suffix.lower() not in ("", *PAGES):
         raise InputError(
             f"--report {report}",
             "a page, which is HTML: F.html",

@@ -275,7 +275,7 @@ def watched_resistances(
 ) -> Free | None:
     """What moves with the load says what the resistances are: R0 I + v1, and v2, as the model's.
 
-    They are told, and the state of power takes them; voltage and SOC keep the model's own.
+    They are reported, and the state of power takes them; voltage and SOC keep the model's own.
     """
     if rules is None or free is None:
         return None

@@ -40,7 +40,7 @@ class _NoisyLevel(NamedTuple):
     """A level noisier than the others, for another device makes it."""
 
     change: float = 0.5  # of the level: it lies between two such changes
-    rows: int = 16  # from so many on white noise is told from a moving current, ...
+    rows: int = 16  # from so many on white noise is separated from a moving current, ...
     scatter: float = 0.15  # ... and this is the most of it, as a share of the level
     few_rows: int = 8
     few_scatter: float = 0.04  # all of few rows lie within this share

@@ -32,9 +32,9 @@ LARGEST_STEP = 0.7  # of a logarithm in one iteration: a factor of two
 LEAST_SIGMA_V = 2e-4
 # OCV between temperatures: what the entropy of intercalation leaves room for.
 ENTROPY_V_PER_K = 4e-4
-# Of ln of a log's own capacity: samples of one type differ by some per cent, an aged cell keeps a
+# Of ln of a log's own capacity: samples of one batch differ by a per cent, an aged cell keeps a
 # half; and the step of its difference quotient.
-SAMPLE_STD, SAMPLE_LIMITS, SAMPLE_STEP = 0.05, (-0.7, 0.4), 1e-4
+SAMPLE_STD, SAMPLE_LIMITS, SAMPLE_STEP = 0.01, (-0.7, 0.4), 1e-4
 OWN_LIMITS = (-6.0, 6.0)  # of a table's own activation, in units of ACTIVATION_UNIT_K
 
 
