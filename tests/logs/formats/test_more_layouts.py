@@ -70,7 +70,7 @@ def neware_levels():
     return "\n".join(lines) + "\n"
 
 
-def novonix():
+def novonix(current="Current (A)", scale=1.0):
     preamble = "[Summary]\nNovonix HPC data file\nStarted: 2022-09-13 5:43:03 PM\n[End Summary]\n"
     preamble += "[Protocol]\n[Charge]\n   [StepLimits 0 60 0 50]\n[End Protocol]\n[Data]\n"
     return preamble + table(
@@ -80,7 +80,7 @@ def novonix():
             "Step Type": np.zeros(T.size),
             "Run Time (h)": T / 3600.0,
             "Step Time (h)": STEP_TIME / 3600.0,
-            "Current (A)": -I,
+            current: -scale * I,
             "Potential (V)": V,
             "Capacity (Ah)": MOVED,
             "Temperature (°C)": TEMP,
@@ -226,6 +226,7 @@ WRITERS = {
         "maccor-text"),
     "neware, levels": (neware_levels, "neware-levels"),
     "novonix": (novonix, "novonix-csv"),
+    "novonix, milliamperes": (lambda: novonix("Current (mA)", 1e3), "novonix-csv"),
     "pec": (pec, "pec-csv"),
     "pec, unsigned": (pec_unsigned, "pec-csv"),
     "basytec, tabs": (basytec, "basytec-text"),
