@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 
 import pytest
@@ -32,13 +33,12 @@ def test_a_diagnosis_of_what_is_no_log_says_so(model, logs):
 
 
 def test_remaining_time_in_c_compiles_without_a_warning(model, tmp_path):
-    gcc = pytest.importorskip("shutil").which("gcc")
+    gcc = shutil.which("gcc")
     if gcc is None:
         pytest.skip("no C compiler")
     out = tmp_path / "firmware"
-    assert (
-        main(["export", "--model", model, "--dt", "1", "--remaining", "3.0", "-o", str(out)]) == 0
-    )
+    asked = ["--dt", "1", "--remaining", "3.0", "-o", str(out)]
+    assert main(["export", "--model", model, *asked]) == 0
     sources = [str(p) for p in out.glob("cellwise*.c") if "example" not in p.name]
     flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-fsyntax-only"]
     done = subprocess.run([gcc, *flags, *sources], capture_output=True, text=True, cwd=out)

@@ -433,12 +433,17 @@ def frames():
     return [(m.timestamp, m.arbitration_id, bytes(m.data)) for m in can_messages(TRUTH)]
 
 
-def savvycan():
+def savvycan(begin_s=0.0):
     yield "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8"
     for time, ident, data in frames():
         extended = "true" if ident > 0x7FF else "false"
         cells = ",".join(f"{byte:02X}" for byte in data)
-        yield f"{round(1e6 * time)},{ident:08X},{extended},Rx,0,{len(data)},{cells}"
+        yield f"{round(1e6 * (time - begin_s))},{ident:08X},{extended},Rx,0,{len(data)},{cells}"
+
+
+def savvycan_before_zero():
+    """Stamps relative to a moment in the recording, as the program writes them on request."""
+    return savvycan(frames()[len(frames()) // 2][0])
 
 
 def candump(time_of=lambda t: f"({t:.6f})"):
@@ -479,7 +484,9 @@ def asc_without_base():
         yield f"   {time:.6f} 1  {ident:X}{mark}             Rx   d {len(data)} {cells}"
 
 
-@pytest.mark.parametrize("write", [savvycan, candump, busmaster, old_trc, asc_without_base])
+@pytest.mark.parametrize(
+    "write", [savvycan, savvycan_before_zero, candump, busmaster, old_trc, asc_without_base]
+)
 def test_a_text_log_of_can_frames(write, tmp_path):
     pytest.importorskip("cantools")
     path, dbc = tmp_path / "log.txt", write_dbc(tmp_path / "bms.dbc")
