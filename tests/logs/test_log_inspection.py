@@ -207,7 +207,7 @@ def test_the_data_sets_own_tables(real_data, folder):
         assert found.duration_s / 3600 == pytest.approx(float(hours), abs=0.006), name
         assert found.sampling.median_s == pytest.approx(float(median), abs=0.006), name
         assert found.sampling.max_s == pytest.approx(float(longest), abs=0.012), name
-        # Modules are read as the mean of their six cells; the string's own sensor reads 0.3 to 0.4 % less.
+        # Modules are read as the mean of six cells; the string's own sensor reads 0.4 % less.
         cells, of_string = (6, 0.1) if name.startswith("modules") else (1, 0.0)
         assert cells * log.voltage_V[0] == pytest.approx(float(first), abs=2e-3 + of_string), name
         assert found.charge_Ah == pytest.approx(float(counter), abs=2e-4), name
