@@ -7,8 +7,9 @@ import subprocess
 
 import pytest
 
-from cellwise import diagnose, read_model
+from cellwise import read_model
 from cellwise.cli import main
+from cellwise.diagnose import diagnose
 from cellwise.errors import InputError
 
 
