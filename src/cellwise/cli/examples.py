@@ -68,6 +68,11 @@ GUIDES = {
         "export --model cell.json --dt 1 -o firmware",
         "export --model cell.json --dt 0.1 -o firmware --log drive.csv --report cost.html",
     ),
+    "certify": Guide(
+        "a folder that `cellwise export` wrote, and a C compiler",
+        "certify firmware -o certificate",
+        "certify firmware --sensor sensor.toml --most-p95 0.05 --least-coverage 0.9",
+    ),
     "papers": Guide("nothing", "papers", "papers --json"),
     "demo": Guide("nothing", "demo", "demo -o pages"),
     "capacity-study": Guide(

@@ -20,7 +20,7 @@ from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.estimate.fixed.layout import CELL_OUTPUT, INPUT, OUTPUT, state_type
 from cellwise.estimate.fixed.stepper import PackCalls, Stepper
 from cellwise.estimate.fixed.tables import FixedStepTables
-from cellwise.export.c_tables import STRICT_FLAGS, firmware_folder, write_sources
+from cellwise.export.c_tables import STRICT_FLAGS, firmware_folder, prefixed, write_sources
 
 DECLARATIONS = """
 uint32_t cellwise_init(const void *model, void *x, float soc, float soc_variance);
@@ -62,20 +62,10 @@ class HostLibrary:
     """
 
     def __init__(self, tables: FixedStepTables, compiler: Sequence[str] | None = None) -> None:
-        try:
-            from cffi import FFI
-        except ImportError as error:
-            raise InputError(
-                "no cffi in this Python",
-                "the extra 'firmware'",
-                "Install it: pip install 'cellwise[firmware]'.",
-            ) from error
         self.tables = tables
-        self._ffi = FFI()
-        self._ffi.cdef(DECLARATIONS)
         with tempfile.TemporaryDirectory(prefix="cellwise-") as folder:
             path = build_library(tables, Path(folder), compiler or host_compiler())
-            self._library = self._ffi.dlopen(str(path))
+            self._ffi, self._library = load_library(path)
         self._model = self._library.cellwise_cell
 
     def model_bytes(self) -> bytes:
@@ -160,14 +150,27 @@ def build_library(tables: FixedStepTables, folder: Path, compiler: Sequence[str]
     """
     for name, text in write_sources(tables, "0" * 64):
         (folder / name).write_text(text, encoding="utf-8")
-    port = folder / "port"
-    port.mkdir(exist_ok=True)
-    shutil.copy(firmware_folder() / "port" / "host_rows.c", port)
-    library = folder / "libcellwise.so"
-    sources = [str(folder / "cellwise_ekf.c"), str(folder / "cell_table.c")]
+    return compile_rows(folder, "cellwise", compiler)
+
+
+def compile_rows(folder: Path, prefix: str, compiler: Sequence[str]) -> Path:
+    """Compile exported sources, and many steps in one call, into a shared library in ``folder``.
+
+    Raises
+    ------
+    InputError        the compiler refuses
+    """
+    name = "port/host_rows.c"
+    text = (firmware_folder() / name).read_text(encoding="utf-8")
+    if prefix != "cellwise":
+        text = prefixed({name: text, "cellwise_ekf.h": ""}, prefix)[f"{prefix}_{name}"]
+    (folder / "port").mkdir(exist_ok=True)
+    (folder / name).write_text(text, encoding="utf-8")
+    library = folder / "librows.so"
+    sources = [str(folder / f"{prefix}_ekf.c"), *map(str, folder.glob("*cell_table.c"))]
     command = [*compiler, *STRICT_FLAGS, "-shared", "-fPIC", "-o", str(library), *sources]
     done = subprocess.run(
-        [*command, str(port / "host_rows.c")], capture_output=True, text=True, check=False
+        [*command, str(folder / name)], capture_output=True, text=True, check=False
     )
     if done.returncode != 0:
         raise InputError(
@@ -176,3 +179,23 @@ def build_library(tables: FixedStepTables, folder: Path, compiler: Sequence[str]
             "Set $CC to another compiler.",
         )
     return library
+
+
+def load_library(path: Path, prefix: str = "cellwise") -> tuple[Any, Any]:
+    """The foreign functions of a compiled library, and the library.
+
+    Raises
+    ------
+    InputError        no cffi
+    """
+    try:
+        from cffi import FFI
+    except ImportError as error:
+        raise InputError(
+            "no cffi in this Python",
+            "the extra 'firmware'",
+            "Install it: pip install 'cellwise[firmware]'.",
+        ) from error
+    ffi = FFI()
+    ffi.cdef(DECLARATIONS.replace("cellwise_", f"{prefix}_"))
+    return ffi, ffi.dlopen(str(path))

@@ -21,6 +21,7 @@ from cellwise.export.c_tables import prefixed, write_sources
 from cellwise.export.example import example_files
 
 DESCRIPTION = "cellwise_export.json"
+MODEL_FILE = "cell.json"  # what the tables were made of, for `cellwise certify`
 # A drive's mean current over more than a minute says little of the voltage at its end: of a
 # measured US06 the SOC's error is 0.2 % at steps up to 10 s, 0.5 % at 30 s, 0.9 % at 60 s.
 LONGEST_STEP_S = 60.0
@@ -28,8 +29,12 @@ LONGEST_STEP_S = 60.0
 
 def model_sha256(model: CellModel) -> str:
     """Hash of the model's file, whatever its name is."""
-    text = json.dumps(model_to_dict(model), indent=1, allow_nan=False) + "\n"
-    return hashlib.sha256(text.encode()).hexdigest()
+    return hashlib.sha256(model_text(model).encode()).hexdigest()
+
+
+def model_text(model: CellModel) -> str:
+    """The model's file."""
+    return json.dumps(model_to_dict(model), indent=1, allow_nan=False) + "\n"
 
 
 def describe(
@@ -123,6 +128,7 @@ def write_package(
     files |= dict(example_files(model, tables, description))
     if prefix:
         files = prefixed(files, prefix)
+    files[MODEL_FILE] = model_text(model)
     files[DESCRIPTION] = json.dumps(description, indent=1, allow_nan=False) + "\n"
     try:
         with tempfile.TemporaryDirectory(dir=folder.resolve().parent, prefix=".export-") as name:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import pickle
 import threading
 import time
@@ -17,6 +16,7 @@ from typing import Any
 
 from cellwise.errors import InputError, MachineError
 from cellwise.fleet.tasks import LogTask
+from cellwise.threads import usable_cores
 
 LOCAL, PROCESSES = "local", "processes"
 WORKER_DIED = "the worker died"
@@ -47,13 +47,6 @@ def _distributed() -> Any:
             "the extra fleet",
             "Install it: pip install 'cellwise[fleet]'.",
         ) from None
-
-
-def usable_cores() -> int:
-    """Cores that this process may run on."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 class Threads:

@@ -12,9 +12,10 @@ from typing import Any
 from cellwise.cell.model_file import model_mark
 from cellwise.errors import InputError
 from cellwise.fleet.columns import BY_LOG, BY_MACHINE
-from cellwise.fleet.engine import LOCAL, WORKER_DIED, connected, rows_of, usable_cores
+from cellwise.fleet.engine import LOCAL, WORKER_DIED, connected, rows_of
 from cellwise.fleet.store import ResultFolder
 from cellwise.fleet.tasks import LogTask
+from cellwise.threads import usable_cores
 
 MOST_BATCH = 32  # logs that are lost with a worker
 BATCHES = 16  # of each worker, so that all end together

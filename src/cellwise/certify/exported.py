@@ -1,0 +1,153 @@
+"""An exported folder as a program of this machine: its own C, checked against its own vector."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellwise.cell.model import CellModel
+from cellwise.cell.model_file import read_model
+from cellwise.errors import InputError
+from cellwise.estimate.fixed.layout import INPUT, OUTPUT
+from cellwise.export.c_tables import STRICT_FLAGS
+from cellwise.export.firmware import compile_rows, host_compiler, load_library
+from cellwise.export.package import DESCRIPTION, MODEL_FILE, model_sha256
+
+
+@dataclass(frozen=True, eq=False)
+class Exported:
+    """A folder that `cellwise export` wrote, compiled for this machine.
+
+    Parameters
+    ----------
+    folder : Path
+    description : dict     cellwise_export.json
+    model : CellModel      that the tables were made of
+    """
+
+    folder: Path
+    description: dict[str, Any]
+    model: CellModel
+    _ffi: Any
+    _library: Any
+    _prefix: str
+
+    @property
+    def dt_s(self) -> float:
+        """Time step of the target [s]."""
+        return float(self.description["dt_s"])
+
+    def run(self, records: NDArray[Any], soc: float, soc_std: float) -> NDArray[Any]:
+        """Step the C through samples from a start that is known to ``soc_std``.
+
+        Parameters
+        ----------
+        records : (n,) of layout.INPUT
+
+        Returns
+        -------
+        (n,) of layout.OUTPUT
+        """
+        records = np.ascontiguousarray(records, dtype=INPUT)
+        outputs = np.zeros(records.size, dtype=OUTPUT)
+        state = np.zeros(int(self.description["state_bytes"]), dtype=np.uint8)
+        model = getattr(self._library, f"{self._prefix}_cell")
+        memory = self._ffi.from_buffer
+        getattr(self._library, f"{self._prefix}_init")(model, memory(state), soc, soc_std**2)
+        rows = getattr(self._library, f"{self._prefix}_rows")
+        rows(model, memory(state), memory(records), memory(outputs), records.size)
+        return outputs
+
+
+def read_export(folder: str | Path, model: CellModel | None = None) -> Exported:
+    """Compile an exported folder, and compare every bit of its test vector.
+
+    Parameters
+    ----------
+    folder : str or Path
+    model : CellModel or None     that it was made of; None: the one in the folder
+
+    Raises
+    ------
+    InputError        no folder of an export; another model than the tables'; no compiler; C that
+                      does not compile, or whose bits are not those of its vector; a pack's export
+    """
+    place = Path(folder)
+    description = _description(place)
+    if description.get("cells"):
+        raise InputError(
+            f"'{place}', the export of a pack of {description['cells']} cells",
+            "the export of one cell",
+            "Export again without `cells`: the filter is the same.",
+        )
+    if model is None:
+        if not (place / MODEL_FILE).is_file():
+            raise InputError(
+                f"no {MODEL_FILE} in '{place}'",
+                "the model that the tables were made of",
+                "Export again, or name it with `model`.",
+            )
+        model = read_model(place / MODEL_FILE)
+    if model_sha256(model) != description["model_sha256"]:
+        raise InputError(
+            f"a model with sha256 {model_sha256(model)[:16]}...",
+            f"the one of the tables, {description['model_sha256'][:16]}...",
+            "Name the model that was exported, with what was left out left out.",
+        )
+    sources = sorted(place.glob("*_ekf.c"))
+    if len(sources) != 1:
+        raise InputError(
+            f"{len(sources)} filters in '{place}'", "one file *_ekf.c", "Export again."
+        )
+    prefix = sources[0].name.removesuffix("_ekf.c")
+    with tempfile.TemporaryDirectory(prefix="certify-") as name:
+        built = Path(name)
+        for file in [*place.glob("*.c"), *place.glob("*.h")]:
+            shutil.copy(file, built)
+        _check_vector(built)
+        library = compile_rows(built, prefix, host_compiler())
+        ffi, loaded = load_library(library, prefix)
+    return Exported(place, description, model, ffi, loaded, prefix)
+
+
+def _description(place: Path) -> dict[str, Any]:
+    try:
+        found = json.loads((place / DESCRIPTION).read_text(encoding="utf-8"))
+        if not isinstance(found, dict):
+            raise ValueError("no object")
+        _ = found["model_sha256"], float(found["dt_s"]), int(found["state_bytes"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"'{place}', in which {DESCRIPTION} is missing or damaged",
+            "a folder that `cellwise export` wrote",
+            "Export the model first: cellwise export --model cell.json --dt 1 -o firmware.",
+        ) from error
+    return found
+
+
+def _check_vector(built: Path) -> None:
+    """Compile and run the example, which compares every bit of the vector."""
+    program = built / "check_vector"
+    command = [*host_compiler(), *STRICT_FLAGS, "-o", str(program), *map(str, built.glob("*.c"))]
+    made = subprocess.run(command, capture_output=True, text=True, check=False)
+    if made.returncode:
+        raise InputError(
+            f"C that does not compile: {made.stderr.strip()[:300]}",
+            "the files as they were exported",
+            "Export again into a new folder.",
+        )
+    ran = subprocess.run([str(program)], capture_output=True, text=True, check=False)
+    if ran.returncode:
+        raise InputError(
+            "bits that are not those of its test vector",
+            "the files as they were exported, and a compiler that keeps IEEE 754 float",
+            "Export again into a new folder, or set $CC to another compiler.",
+        )

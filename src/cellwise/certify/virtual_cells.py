@@ -1,0 +1,279 @@
+"""Cells that differ from the exported model as cells do, their missions and their sensors."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+import numpy as np
+
+from cellwise.benchmark.faults import Fault
+from cellwise.cell.effects import Hysteresis, SlowDiffusion, TemperatureDependence
+from cellwise.cell.model import CellModel
+from cellwise.cell.protocol.steps import ConstantCurrent, ConstantVoltage, DriveProfile, Rest, Step
+from cellwise.errors import InputError
+from cellwise.typing import FloatArray
+
+
+@dataclass(frozen=True)
+class Spread:
+    """How cells of one kind differ (standard deviations), and what age 1 has made of them.
+
+    A cell is at its end of life at 80 % of its capacity or twice its resistance, as vehicle makers
+    define it. Both ends of its OCV stay where they are, since they are what its capacity is counted
+    between; lost lithium moves the electrodes against each other, and the OCV in the middle.
+    """
+
+    capacity: float = 0.01
+    resistance: float = 0.05  # of all resistances together
+    branch: float = 0.10  # of each resistance beside
+    hysteresis_V: float = 0.003
+    activation_K: float = 300.0
+    faded: float = 0.20
+    resistance_grown: float = 1.0
+    slipped_soc: float = 0.03
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Standard deviations of what the target's sensors are off by, the same for a whole life.
+
+    Parameters
+    ----------
+    current_offset_A, voltage_offset_V, temperature_K : float
+    current_gain : float                          share of the current
+    current_noise_A, voltage_noise_V : float      of every sample
+
+    Raises
+    ------
+    InputError        a value that is negative or not finite
+    """
+
+    current_offset_A: float = 0.0
+    current_gain: float = 0.005
+    voltage_offset_V: float = 0.003
+    temperature_K: float = 1.0
+    current_noise_A: float = 0.0
+    voltage_noise_V: float = 0.001
+
+    def __post_init__(self) -> None:
+        for one in fields(self):
+            value = getattr(self, one.name)
+            if (
+                isinstance(value, bool)
+                or not isinstance(value, int | float)
+                or not 0 <= value < 1e6
+            ):
+                raise InputError(
+                    f"{one.name} = {value!r} of a sensor",
+                    "a standard deviation, zero or more",
+                    "Correct the specification.",
+                )
+
+
+USUAL_OFFSET = 0.002  # of 1C: what a current sensor of a vehicle is off by after its calibration
+
+
+def usual_sensor(model: CellModel) -> Sensor:
+    """A sensor as vehicles have it, for a cell of this size."""
+    size_A = model.capacity_Ah
+    return Sensor(current_offset_A=USUAL_OFFSET * size_A, current_noise_A=USUAL_OFFSET * size_A)
+
+
+def read_sensor(path: str | Path) -> Sensor:
+    """A sensor from a TOML file whose keys are those of :class:`Sensor`.
+
+    Raises
+    ------
+    InputError        no such file, no TOML, a key that is none, a value that is refused
+    """
+    known = [one.name for one in fields(Sensor)]
+    try:
+        found = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"'{path}', which is no sensor's specification ({error})",
+            "a TOML file with lines such as voltage_offset_V = 0.005",
+            f"Write it with any of {', '.join(known)}.",
+        ) from error
+    wrong = sorted(set(found) - set(known))
+    if wrong:
+        raise InputError(
+            f"'{wrong[0]}' in '{path}'", f"any of {', '.join(known)}", "Correct its name."
+        )
+    return Sensor(**found)
+
+
+# What goes wrong beside, in every second cell; shares of 1C so that they fit a cell of any size.
+FAULTS = (
+    Fault("current +3 % of 1C", current_offset_C=0.03),
+    Fault("current -3 % of 1C", current_offset_C=-0.03),
+    Fault("current gain +3 %", current_gain=1.03),
+    Fault("voltage +30 mV", voltage_offset_V=0.030),
+    Fault("voltage -30 mV", voltage_offset_V=-0.030),
+    Fault("voltage one sample late", voltage_lag_samples=1),
+    Fault("5 % of the samples lost", dropout_share=0.05),
+)
+NO_FAULT = Fault("none beside the sensor's class")
+START_STD = 0.15  # of the SOC that the filter is started with
+
+
+@dataclass(frozen=True, eq=False)
+class VirtualCell:
+    """One cell: its truth, where it lives, what its sensors do, how the filter is started."""
+
+    truth: CellModel
+    age: float
+    temperature_C: float
+    soc0: float
+    given_soc0: float
+    given_std: float
+    fault: Fault
+    fault_name: str
+    steps: tuple[Step, ...]
+
+
+def draw_cell(
+    model: CellModel,
+    index: int,
+    seed: int,
+    hours: float,
+    dt_s: float,
+    sensor: Sensor,
+    spread: Spread | None = None,
+) -> VirtualCell:
+    """The cell of an index: the same for the same seed, whatever is drawn beside it."""
+    rng = np.random.default_rng([seed, index])
+    age = float(rng.uniform())
+    truth = aged(model, age, rng, spread or Spread())
+    low, high = model.validity.temperature_C or (model.temperature_C[0], model.temperature_C[-1])
+    temperature_C = float(rng.uniform(low, high))
+    soc0 = float(rng.uniform(0.2, 1.0))
+    started = float(np.clip(soc0 + START_STD * rng.standard_normal(), 0.0, 1.0))
+    fault = NO_FAULT if index % 2 == 0 else FAULTS[index // 2 % len(FAULTS)]
+    off = rng.standard_normal(4)
+    both = replace(
+        fault,
+        current_offset_A=sensor.current_offset_A * off[0],
+        current_gain=fault.current_gain * (1.0 + sensor.current_gain * off[1]),
+        voltage_offset_V=fault.voltage_offset_V + sensor.voltage_offset_V * off[2],
+        temperature_K=sensor.temperature_K * off[3],
+        current_noise_C=sensor.current_noise_A / truth.capacity_Ah,
+        voltage_noise_V=sensor.voltage_noise_V,
+    )
+    steps = tuple(mission(truth, soc0, hours, dt_s, rng))
+    return VirtualCell(truth, age, temperature_C, soc0, started, START_STD, both, fault.name, steps)
+
+
+def aged(model: CellModel, age: float, rng: np.random.Generator, spread: Spread) -> CellModel:
+    """A sample of the cell after a part of its life, off by what the model says of its error too.
+
+    Parameters
+    ----------
+    age : float       0 new, 1 at the end of life
+    """
+    n = rng.standard_normal
+    fade = spread.faded * age * float(rng.uniform(0.5, 1.5))
+    grown = (1.0 + spread.resistance_grown * age * float(rng.uniform(0.5, 1.5))) * math.exp(
+        spread.resistance * n()
+    )
+    slip = spread.slipped_soc * age * n()
+    left = model.soc + 4.0 * slip * model.soc * (1.0 - model.soc)
+    off_V = _lasting_error_V(model, rng)
+    ocv = np.array([np.interp(left, model.soc, row) for row in model.ocv_V]) + off_V
+    r0, r1, r2, r3 = (grown * math.exp(spread.branch * n()) for _ in range(4))
+    slow = model.effect(SlowDiffusion)
+    law = model.effect(TemperatureDependence)
+    hysteresis = model.effect(Hysteresis)
+    m_V = np.asarray(hysteresis.m_V) + abs(spread.hysteresis_V * n())
+    truth = replace(
+        model,
+        capacity_Ah=model.capacity_Ah * (1.0 - fade) * math.exp(spread.capacity * n()),
+        ocv_V=np.maximum.accumulate(ocv, axis=1),
+        r0_ohm=model.r0_ohm * r0,
+        r1_ohm=model.r1_ohm * r1,
+        r2_ohm=model.r2_ohm * r2,
+    )
+    truth = truth.with_effect(
+        replace(law, activation_K=law.activation_K + spread.activation_K * n())
+    ).with_effect(replace(hysteresis, m_V=m_V, gamma=hysteresis.gamma or USUAL_GAMMA))
+    if np.any(np.asarray(slow.r3_ohm) > 0.0):
+        truth = truth.with_effect(replace(slow, r3_ohm=np.asarray(slow.r3_ohm) * r3))
+    return truth
+
+
+USUAL_GAMMA = 20.0  # e-folds per full charge: a branch is reached within a tenth of the charge
+USUAL_LENGTH_SOC = 0.1  # over which the model's error is another one, where it does not say
+LARGEST_RATE = 1.0  # of a mission's mean current, in C
+REGENERATION = 0.15  # of the time of a drive
+
+
+def _lasting_error_V(model: CellModel, rng: np.random.Generator) -> FloatArray:
+    """An error that lasts, drawn from the model's own statement of it, shape (1, points).
+
+    None at the ends of the charge, which are defined by their voltages.
+    """
+    length = model.error.correlation_soc or USUAL_LENGTH_SOC
+    gap = (model.soc[:, None] - model.soc[None, :]) / length
+    smooth = np.linalg.cholesky(np.exp(-0.5 * gap**2) + 1e-6 * np.eye(model.points))
+    inside = np.minimum(np.minimum(model.soc, 1.0 - model.soc) / length, 1.0)
+    size_V = inside * model.error.at(model.soc) * math.sqrt(model.error.lasting_share)
+    return np.asarray(size_V * (smooth @ rng.standard_normal(model.points)))[None, :]
+
+
+def mission(
+    truth: CellModel, soc0: float, hours: float, dt_s: float, rng: np.random.Generator
+) -> Iterator[Step]:
+    """Days of a cell: it drives, stands, is charged to some level or to full, stands."""
+    capacity = truth.capacity_Ah
+    charge_A, discharge_A = truth.validity.current_A or (-capacity, 2.0 * capacity)
+    low_V = float(truth.ocv_V[:, 0].min()) if truth.voltage_min_V is None else truth.voltage_min_V
+    high_V = float(truth.ocv_V[:, -1].max()) if truth.voltage_max_V is None else truth.voltage_max_V
+    largest = min(LARGEST_RATE, 0.5 * discharge_A / capacity)
+    fastest = max(min(0.7, 0.8 * -charge_A / capacity), 0.2)
+    soc, gone_s = soc0, 0.0
+    while gone_s < 3600.0 * hours:
+        rest_s = 3600.0 * float(rng.uniform(0.2, 6.0))
+        yield Rest(rest_s)
+        gone_s += rest_s
+        target = max(soc - float(rng.uniform(0.1, 0.8)), 0.08)
+        mean = largest * float(rng.uniform(0.3, 1.0))
+        drive = np.clip(_drive(capacity, soc - target, mean, dt_s, rng), charge_A, discharge_A)
+        if drive.size > 1:
+            time_s = np.asarray(dt_s * np.arange(1, drive.size + 1), dtype=np.float64)
+            limits = {"voltage_min_V": low_V, "voltage_max_V": high_V}
+            yield DriveProfile(time_s=time_s, current_A=drive, **limits)
+            gone_s += dt_s * drive.size
+            soc = target
+        if soc > 0.5 and rng.uniform() < 0.5:
+            continue  # goes on without a charge
+        rest_s = 3600.0 * float(rng.uniform(0.1, 8.0))
+        yield Rest(rest_s)
+        rate = float(rng.uniform(0.2, fastest))
+        full = rng.uniform() < 0.4
+        level = 1.0 if full else float(rng.uniform(max(soc, 0.6), 0.95))
+        charge_Ah = max(level - soc, 0.01) * capacity
+        yield ConstantCurrent(
+            current_A=-rate * capacity,
+            voltage_max_V=high_V,
+            charge_Ah=None if full else charge_Ah,
+        )
+        if full:
+            yield ConstantVoltage(voltage_V=high_V, until_current_A=0.05 * capacity)
+        gone_s += rest_s + 3600.0 * (level - soc) / rate
+        soc = level
+
+
+def _drive(
+    capacity_Ah: float, share: float, rate: float, dt_s: float, rng: np.random.Generator
+) -> FloatArray:
+    """Currents of a drive that takes a share of the charge at a mean rate, a row each dt [A]."""
+    rows = max(int(3600.0 * share / rate / dt_s), 2)
+    lasting = np.maximum(rng.exponential(8.0 / dt_s, rows), 1.0).astype(np.int64)
+    loads = rate * rng.gamma(1.5, 1.0 / 1.5, rows)
+    loads[rng.uniform(size=rows) < REGENERATION] *= -0.5
+    current = np.repeat(loads, lasting)[:rows]
+    return np.asarray(capacity_Ah * current * rate / max(float(current.mean()), 0.2 * rate))

@@ -1,0 +1,146 @@
+"""The page of a certificate: how wrong an exported filter will be, and on which cells."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from cellwise.report.page import style
+from cellwise.report.page.markup import Markup, bullets, record_table, tiles
+from cellwise.report.page.picture import FigureFiles, pictured
+from cellwise.report.page.section import Section, write_page
+
+SHOWN = 20  # worst cases on the page; all that are named stand in its data
+
+
+def certificate_page(
+    data: Mapping[str, Any],
+    model: str,
+    path: str | Path,
+    *,
+    figures: str | Path | FigureFiles | None = None,
+) -> Path:
+    """Write the page of what `cellwise certify` found.
+
+    Parameters
+    ----------
+    data : mapping          the certificate's JSON
+    model : str             name of the exported model
+    path : str or Path      of the HTML file; it appears whole or not at all
+    figures : folder or FigureFiles     for the picture as PNG and SVG
+
+    Raises
+    ------
+    InputError        matplotlib is missing; the path cannot be written
+    """
+    error, by = data["soc_error"], data["by"]
+    sections = [
+        Section("groups", "Where the error is", (group_picture(data), *map(_table, by.items()))),
+        Section("worst", "The worst cells", (_worst(data),)),
+        Section("made", "What the fleet is", (_made(data),)),
+    ]
+    lead = tiles(
+        (
+            ("SOC error, RMS", _percent(error["rmse"], 2)),
+            ("below this in 95 % of the time", _percent(error["p95"], 1)),
+            ("worst", _percent(error["worst"], 1)),
+            ("within two deviations", _percent(data["coverage_2sigma"], 0)),
+            ("discharges ending within 3 points", _percent(data["discharges_within_3_points"], 0)),
+        )
+    )
+    return write_page(
+        path,
+        finding(data),
+        f"Certificate of the exported filter of {model or 'an unnamed cell'}, by cellwise",
+        sections,
+        data,
+        lead=lead,
+        figures=figures,
+    )
+
+
+def finding(data: Mapping[str, Any]) -> str:
+    """The first line: the verdict where limits are stated, else the error."""
+    verdict, error = data["verdict"], data["soc_error"]
+    fleet = f"{data['cells']} virtual cells of {data['hours']:g} h"
+    if verdict["within"] is False:
+        return f"Beyond its limits on {fleet}: {'; '.join(verdict['beyond'])}"
+    if verdict["within"]:
+        return f"Within its limits on {fleet}: SOC error {_percent(error['rmse'], 2)} RMS"
+    return f"SOC error {_percent(error['rmse'], 2)} RMS on {fleet}"
+
+
+@pictured(
+    "certificate_groups",
+    "A row is a group of the cells: RMS error (dot) and the error that 95 % of the time stays "
+    "below (bar). Every group is of the same filter and the same tables.",
+)
+def group_picture(data: Mapping[str, Any]) -> style.Figure:
+    """RMS and 95 % error of every group, one panel for age, temperature and fault."""
+    by = data["by"]
+    rows = sum(len(groups) for groups in by.values())
+    figure = style.new_figure(0.9 + 0.27 * rows)
+    panels = figure.subplots(
+        len(by), 1, sharex=True, gridspec_kw={"height_ratios": [len(g) for g in by.values()]}
+    )
+    for axes, (name, groups) in zip(panels, by.items(), strict=True):
+        names = list(groups)[::-1]
+        axes.barh(names, [100.0 * groups[n]["p95"] for n in names], color=style.BLUE, alpha=0.35)
+        axes.plot([100.0 * groups[n]["rmse"] for n in names], names, "o", color=style.INK, ms=4)
+        axes.set_title(f"by {name}", loc="left")
+    style.labels(panels[-1], "SOC error [points]")
+    return figure
+
+
+def _table(group: tuple[str, Mapping[str, Mapping[str, float]]]) -> Markup:
+    name, groups = group
+    return record_table(
+        list(groups.items()),
+        (name, lambda g: g[0]),
+        ("cells", lambda g: f"{g[1]['cells']:.0f}"),
+        ("RMSE", lambda g: _percent(g[1]["rmse"], 2)),
+        ("95 % of the time below", lambda g: _percent(g[1]["p95"], 1)),
+        ("worst", lambda g: _percent(g[1]["worst"], 1)),
+        ("within two deviations", lambda g: _percent(g[1]["coverage"], 0)),
+    )
+
+
+def _worst(data: Mapping[str, Any]) -> Markup:
+    return record_table(
+        data["worst"][:SHOWN],
+        ("cell", lambda r: r["cell"]),
+        ("fault", lambda r: r["fault"]),
+        ("age", lambda r: f"{r['age']:.2f}"),
+        ("degC", lambda r: f"{r['temperature_C']:.0f}"),
+        ("RMSE", lambda r: _percent(r["rmse"], 1)),
+        ("worst", lambda r: _percent(r["worst"], 1)),
+        ("at hour", lambda r: f"{r['worst_h']:.1f}"),
+        caption="The same seed and number make the same cell again.",
+        text_columns=(1,),
+    )
+
+
+def _made(data: Mapping[str, Any]) -> Markup:
+    settings = data["settings"]
+    sensor = ", ".join(f"{k} {v:.3g}" for k, v in settings["sensor"].items())
+    cost = ", ".join(f"{core} {n:,.0f}" for core, n in data["instructions"].items())
+    return bullets(
+        (
+            "Every cell is the exported model, varied and aged: capacity, each resistance, OCV, "
+            "hysteresis, temperature law. None is measured and none is a physics model, so what "
+            "the equivalent circuit itself gets wrong is here only as large as the model says.",
+            "At age 1 a cell has about 80 % of its capacity and twice its resistance.",
+            "Every second cell has a fault beside what its sensors are off by.",
+            "The filter starts 15 points off (one standard deviation), and its first hour is not "
+            "scored.",
+            f"Sensors, as standard deviations: {sensor}.",
+            f"Seed {settings['seed']}, time step {settings['dt_s']:g} s, model sha256 "
+            f"{settings['model_sha256'][:16]}.",
+            f"Instructions of a step: {cost or 'not counted, no cross compiler at the export'}.",
+        )
+    )
+
+
+def _percent(share: float | None, digits: int) -> str:
+    return "-" if share is None or share != share else f"{100.0 * share:.{digits}f} %"
