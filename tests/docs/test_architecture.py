@@ -33,16 +33,13 @@ MAY_IMPORT = {
     "history": BASE | {"logs", "cell", "identify", "estimate"},
     "data": BASE | {"logs"},
     "export": BASE | TOOLS,
-    "certify": BASE | TOOLS | {"export", "benchmark"},
     "studies": BASE | TOOLS,
     "report": BASE | TOOLS | {"studies"},
-    "benchmark": BASE | TOOLS | {"report"},
+    "benchmark": BASE | TOOLS | {"report", "export"},
     "datasets": BASE | {"logs", "data"},
     "live": BASE | {"logs", "cell", "estimate", "forecast"},
     "fleet": BASE | {"logs", "cell", "estimate", "diagnose", "pack", "history"},
-    "cli": BASE
-    | TOOLS
-    | {"export", "certify", "report", "benchmark", "studies", "live", "fleet", "datasets"},
+    "cli": BASE | TOOLS | {"export", "report", "benchmark", "studies", "live", "fleet", "datasets"},
 }
 MODULES = sorted(path for path in PACKAGE.rglob("*.py") if path.parent != PACKAGE) + sorted(
     PACKAGE / f"{name}.py" for name in (*BASE, "data")

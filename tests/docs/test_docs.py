@@ -17,8 +17,8 @@ from cellwise.cli import main
 RUN = ("python", "console")
 # Pages whose blocks run a whole command on whole logs; the tests of the commands run without them.
 SLOW = ("README.md", "docs/benchmark.md", "docs/firmware.md", "docs/fleet.md", "docs/howto.md")
-SLOW += ("docs/tutorial.md",)
-OTHER = ("", "text", "math", "toml", "json")
+SLOW += ("docs/certificate.md", "docs/tutorial.md")
+OTHER = ("", "text", "math", "toml", "json", "yaml")
 
 RUNNING = [
     (page, [b for b in page_blocks(page) if b.language in RUN and not b.needs_data])

@@ -28,7 +28,6 @@ def build_parser() -> argparse.ArgumentParser:
 
     from cellwise.cli import (
         benchmarking,
-        certifying,
         data,
         diagnosing,
         estimating,
@@ -50,8 +49,8 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"cellwise {version('cellwise')}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     modules = (
-        logs, identifying, estimating, live, diagnosing, packs, lives, exporting,
-        certifying, studies, benchmarking, fleet, data,
+        logs, identifying, estimating, live, diagnosing, packs, lives, exporting, studies,
+        benchmarking, fleet, data,
     )  # fmt: skip
     for module in modules:
         module.add_commands(commands)

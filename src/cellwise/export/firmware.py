@@ -182,7 +182,7 @@ def compile_rows(folder: Path, prefix: str, compiler: Sequence[str]) -> Path:
 
 
 def load_library(path: Path, prefix: str = "cellwise") -> tuple[Any, Any]:
-    """The foreign functions of a compiled library, and the library.
+    """How Python calls a compiled library, and the library.
 
     Raises
     ------

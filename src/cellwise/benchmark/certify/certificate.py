@@ -93,8 +93,8 @@ class Certificate:
             "discharges_within_3_points": whole["ends_near"],
             "discharges": whole["ends"],
             "by": {
-                "age": grouped(self.rows, _age),
-                "temperature": grouped(self.rows, _climate),
+                "age": grouped(sorted(self.rows, key=lambda r: r["age"]), _age),
+                "temperature": grouped(sorted(self.rows, key=_temperature), _climate),
                 "fault": grouped(self.rows, lambda r: str(r["fault"])),
             },
             "worst": [_case(row) for row in worst],
@@ -149,6 +149,10 @@ def grouped(rows: Iterable[Row], key: Callable[[Row], str]) -> dict[str, dict[st
     for row in sorted(rows, key=lambda r: r["age"] if key is _age else r["temperature_C"]):
         groups.setdefault(key(row), []).append(row)
     return {name: {"cells": len(own), **figures_of(own)} for name, own in groups.items()}
+
+
+def _temperature(row: Row) -> float:
+    return float(row["temperature_C"])
 
 
 def _age(row: Row) -> str:

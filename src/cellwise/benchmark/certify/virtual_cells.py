@@ -272,8 +272,8 @@ def _drive(
 ) -> FloatArray:
     """Currents of a drive that takes a share of the charge at a mean rate, a row each dt [A]."""
     rows = max(int(3600.0 * share / rate / dt_s), 2)
-    lasting = np.maximum(rng.exponential(8.0 / dt_s, rows), 1.0).astype(np.int64)
+    rows_each = np.maximum(rng.exponential(8.0 / dt_s, rows), 1.0).astype(np.int64)
     loads = rate * rng.gamma(1.5, 1.0 / 1.5, rows)
     loads[rng.uniform(size=rows) < REGENERATION] *= -0.5
-    current = np.repeat(loads, lasting)[:rows]
+    current = np.repeat(loads, rows_each)[:rows]
     return np.asarray(capacity_Ah * current * rate / max(float(current.mean()), 0.2 * rate))

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from cellwise.benchmark.certify.certificate import BINS, Certificate, Limits, certificate_of
+from cellwise.benchmark.certify.exported import Exported
+from cellwise.benchmark.certify.virtual_cells import Sensor, VirtualCell, draw_cell, usual_sensor
 from cellwise.benchmark.faults import faulty_log
 from cellwise.cell.protocol import run_protocol
-from cellwise.certify.certificate import BINS, Certificate, Limits, certificate_of
-from cellwise.certify.exported import Exported
-from cellwise.certify.virtual_cells import Sensor, VirtualCell, draw_cell, usual_sensor
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.files import made_folder
@@ -50,7 +50,7 @@ def certify(
     seed : int                    of everything drawn: the same seed gives the same certificate
     limits : Limits or None       what it is judged against; None: no verdict
     folder : path or None         finished cells are kept there, and a run goes on where it stopped
-    follow : callable or None     told how many cells are done, and of how many
+    follow : callable or None     called with how many cells are done, and of how many
 
     Raises
     ------

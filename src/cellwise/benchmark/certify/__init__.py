@@ -1,0 +1,8 @@
+"""What an exported filter will do on cells that vary and age: its own C over a virtual fleet."""
+
+from cellwise.benchmark.certify.certificate import Certificate, Limits
+from cellwise.benchmark.certify.exported import Exported, read_export
+from cellwise.benchmark.certify.run import certify
+from cellwise.benchmark.certify.virtual_cells import Sensor, read_sensor
+
+__all__ = ["Certificate", "Exported", "Limits", "Sensor", "certify", "read_export", "read_sensor"]

@@ -1,0 +1,162 @@
+"""`cellwise certify`: the exported C over virtual cells, through the command."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cellwise.benchmark.certify import Limits, Sensor, certify, read_export, read_sensor
+from cellwise.benchmark.certify import run as certify_run
+from cellwise.benchmark.certify.virtual_cells import Spread, aged, draw_cell
+from cellwise.cli import main
+from cellwise.errors import InputError
+
+pytestmark = pytest.mark.skipif(
+    shutil.which("cc") is None and shutil.which("gcc") is None, reason="no C compiler"
+)
+SHORT = ["--cells", "4", "--hours", "12"]
+PERFECT = Sensor(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+SAME = Spread(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A stock model exported without a cross compiler's figures."""
+    place = tmp_path_factory.mktemp("export") / "firmware"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("cellwise.export.cross.cores_here", list)
+        assert main(["export", "--model", "nmc-18650", "--dt", "5", "-o", str(place)]) == 0
+    return place
+
+
+def run(capsys, *arguments):
+    """Exit code and JSON of the command."""
+    try:
+        code = main(["certify", *map(str, arguments), "--json"])
+    except SystemExit as stop:
+        code = stop.code
+    out, err = capsys.readouterr()
+    return code, json.loads(out) if out else None, err
+
+
+def test_certificate_of_an_export(folder, tmp_path, capsys):
+    code, data, _ = run(capsys, folder, *SHORT, "-o", tmp_path / "c")
+    assert code == 0
+    assert data["cells"] == 4
+    assert data["hours"] == 12
+    assert data["verdict"]["within"] is None
+    assert 0.0 < data["soc_error"]["rmse"] <= data["soc_error"]["worst"] <= 2.0
+    assert 0.0 <= data["coverage_2sigma"] <= 1.0
+    assert sum(g["cells"] for g in data["by"]["fault"].values()) == 4
+    assert json.loads((tmp_path / "c" / "certificate.json").read_text()) == data
+    assert "virtual cells" in (tmp_path / "c" / "index.html").read_text()
+
+
+def test_a_limit_that_is_not_kept_is_exit_1(folder, capsys):
+    code, data, _ = run(capsys, folder, *SHORT, "--most-rmse", "0.00001")
+    assert code == 1
+    assert data["verdict"]["within"] is False
+    assert "rmse" in data["verdict"]["beyond"][0]
+    code, data, _ = run(capsys, folder, *SHORT, "--most-rmse", "1")
+    assert code == 0
+    assert data["verdict"]["within"] is True
+
+
+def test_a_run_goes_on_where_it_stopped(folder, tmp_path, capsys, monkeypatch):
+    _, whole, _ = run(capsys, folder, *SHORT)
+    place = tmp_path / "c"
+    run(capsys, folder, "--cells", "2", "--hours", "12", "-o", place)
+    rows = place / "cells.jsonl"
+    rows.write_text(rows.read_text() + '{"cell": 2, "ag')  # cut off in a line
+    done = []
+    real = certify_run.run_cell
+    monkeypatch.setattr(
+        certify_run, "run_cell", lambda e, k, *rest: done.append(k) or real(e, k, *rest)
+    )
+    _, rest, _ = run(capsys, folder, *SHORT, "-o", place)
+    assert sorted(done) == [2, 3]
+    assert rest == whole
+
+
+def test_results_of_other_settings_are_refused(folder, tmp_path, capsys):
+    run(capsys, folder, "--cells", "1", "--hours", "3", "-o", tmp_path)
+    code, data, err = run(capsys, folder, "--cells", "1", "--hours", "4", "-o", tmp_path)
+    assert (code, data) == (2, None)
+    assert "other settings" in err
+
+
+def test_a_perfect_cell_and_sensor_leave_little(folder, monkeypatch):
+    """The fleet adds no error of its own: the model's own cell is followed closely."""
+    exported = read_export(folder)
+    with monkeypatch.context() as patch:
+        patch.setattr(certify_run, "draw_cell", _own_cell)
+        error = certify(exported, 2, 30.0, sensor=PERFECT).to_dict()["soc_error"]
+    assert error["rmse"] < 0.01
+
+
+def _own_cell(model, index, seed, hours, dt_s, sensor):
+    spread = replace(SAME, faded=0.0)
+    certain = replace(model, error=model.error.scaled(0.0))
+    cell = draw_cell(certain, 2 * index, seed, hours, dt_s, sensor, spread)
+    assert cell.truth.capacity_Ah == pytest.approx(model.capacity_Ah)
+    return cell
+
+
+def test_a_worse_sensor_is_seen(folder):
+    exported = read_export(folder)
+    good = certify(exported, 6, 20.0, sensor=PERFECT).to_dict()
+    bad = certify(exported, 6, 20.0, sensor=Sensor(voltage_offset_V=0.2)).to_dict()
+    assert bad["soc_error"]["rmse"] > good["soc_error"]["rmse"]
+
+
+def test_age_takes_capacity_and_adds_resistance(folder):
+    model = read_export(folder).model
+    cells = [aged(model, 1.0, np.random.default_rng(k), Spread()) for k in range(40)]
+    assert np.mean([c.capacity_Ah for c in cells]) / model.capacity_Ah == pytest.approx(
+        0.8, abs=0.03
+    )
+    assert np.mean([np.mean(c.r0_ohm / model.r0_ohm) for c in cells]) == pytest.approx(2.0, rel=0.1)
+    for c in cells:  # the charge is counted between the same two voltages
+        assert c.ocv_V[:, [0, -1]] == pytest.approx(model.ocv_V[:, [0, -1]], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "found"),
+    [
+        ("cell_table.c", "0x1", "0x1.8p+0f + 0x1", "bits that are not those"),
+        ("cellwise_ekf.c", "float ", "flaot ", "does not compile"),
+        ("cellwise_export.json", "{", "[", "missing or damaged"),
+        ("cell.json", '"name": "', '"name": "other ', "sha256"),
+    ],
+)
+def test_a_folder_that_was_changed_is_refused(folder, tmp_path, capsys, name, old, new, found):
+    place = tmp_path / "changed"
+    shutil.copytree(folder, place)
+    text = (place / name).read_text()
+    last = text.rindex(old) if name == "cell_table.c" else text.index(old)
+    (place / name).write_text(text[:last] + new + text[last + len(old) :])
+    code, data, err = run(capsys, place, *SHORT)
+    assert (code, data) == (2, None)
+    assert found in err
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["voltage_offset_V = -1", "volt = 1", "not toml", "current_gain = true", "current_gain = nan"],
+)
+def test_a_wrong_sensor_is_refused(tmp_path, text):
+    path = tmp_path / "sensor.toml"
+    path.write_text(text)
+    with pytest.raises(InputError):
+        read_sensor(path)
+
+
+def test_limits_are_shares():
+    with pytest.raises(InputError, match="fraction"):
+        Limits(rmse=3.0)
+    with pytest.raises(InputError, match="one cell at least"):
+        certify(None, 0)
