@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cellwise.cli import export_sockets as sockets
 from cellwise.cli.common import log_options, options, page_options, power_options, printing
 from cellwise.errors import InputError
 
@@ -20,10 +21,11 @@ STEPS_TO_MEASURE = 4000
 
 def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     """Add ``cellwise export``."""
-    export = commands.add_parser("export", help="model to C sources for a target")
+    export = commands.add_parser("export", help="model to C sources and other programs' formats")
     options.add_model(export)
-    options.number(export, "--dt", "S", "time step [s]", required=True)
-    export.add_argument("-o", "--output", required=True, metavar="DIR")
+    options.number(export, "--dt", "S", "time step [s]")
+    export.add_argument("-o", "--output", metavar="DIR", help="folder of C sources")
+    sockets.add_options(export)
     options.count(export, "--points", "N", "SOC points [the model's]")
     options.number(export, "--offset-std-a", "A", "current offset as a state", default=0.0)
     text = "smaller code, slower from a start far off, no watch for frozen or lost sensors"
@@ -61,41 +63,52 @@ def run_export(arguments: argparse.Namespace) -> None:
         check_flash,
         check_step,
         describe,
+        model_sha256,
         write_package,
     )
 
     page_options.check_page_options(arguments)
-    check_step(arguments.dt)
+    sockets.check(arguments)
     check_cells(arguments.cells)
     model = without(options.read_model(arguments), arguments.without)
     noise = noise_of(model, arguments.noise)
     if arguments.prefix:
         prefixed({}, arguments.prefix)  # refuses now what it would refuse later
-    tables = fixed_step_tables(
-        model,
-        arguments.dt,
-        noise,
-        points=arguments.points,
-        offset_std_A=arguments.offset_std_a,
-        wide=not arguments.lean,
-        watch=not arguments.lean,
-        power=power_options.exported_power(arguments, model),
-        remaining_V=arguments.remaining,
-        health=arguments.health,
-        cells=CellSettings() if arguments.cells else None,
-    )
-    check_flash(tables, arguments.flash)
-    report = describe(model, tables, noise, arguments.cells)
+    report: dict[str, Any] = {"model": model.name, "model_sha256": model_sha256(model)}
+    tables = None
+    if arguments.dt is not None:
+        check_step(arguments.dt)
+        tables = fixed_step_tables(
+            model,
+            arguments.dt,
+            noise,
+            points=arguments.points,
+            offset_std_A=arguments.offset_std_a,
+            wide=not arguments.lean,
+            watch=not arguments.lean,
+            power=power_options.exported_power(arguments, model),
+            remaining_V=arguments.remaining,
+            health=arguments.health,
+            cells=CellSettings() if arguments.cells else None,
+        )
+        check_flash(tables, arguments.flash)
+        report = describe(model, tables, noise, arguments.cells)
     log = read(model, arguments)
-    report["targets"] = target_costs(model, tables, log, arguments)
-    report["accuracy"] = [] if log is None else lost_accuracy(model, noise, log, arguments)
-    report["files"] = write_package(model, tables, Path(arguments.output), report, arguments.prefix)
-    write_pages(model, noise, report, log, arguments)
+    if arguments.output and tables is not None:
+        report["targets"] = target_costs(model, tables, log, arguments)
+        report["accuracy"] = [] if log is None else lost_accuracy(model, noise, log, arguments)
+        folder = Path(arguments.output)
+        report["files"] = write_package(model, tables, folder, report, arguments.prefix)
+        write_pages(model, noise, report, log, arguments)
+    report["sockets"] = sockets.write(model, tables, report, arguments)
     if arguments.json:
         printing.print_json(report)
         return
-    print_export(arguments.output, report)
-    page_options.say_pages(arguments)
+    if arguments.output:
+        print_export(arguments.output, report)
+        page_options.say_pages(arguments)
+    for place in report["sockets"].values():
+        printing.say(f"written: {place}")
 
 
 def without(model: CellModel, names: list[str]) -> CellModel:
