@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellwise.cli import export_sockets as sockets
 from cellwise.cli.common import log_options, options, page_options, power_options, printing
+from cellwise.cli.common import socket_options as sockets
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
