@@ -98,7 +98,9 @@ def run_export(arguments: argparse.Namespace) -> None:
         report["targets"] = target_costs(model, tables, log, arguments)
         report["accuracy"] = [] if log is None else lost_accuracy(model, noise, log, arguments)
         folder = Path(arguments.output)
-        report["files"] = write_package(model, tables, folder, report, arguments.prefix)
+        report["files"] = write_package(
+            model, tables, folder, report, arguments.prefix, arguments.layout
+        )
         write_pages(model, noise, report, log, arguments)
     report["sockets"] = sockets.write(model, tables, report, arguments)
     if arguments.json:

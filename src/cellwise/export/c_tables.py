@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -150,10 +150,11 @@ def prefixed(files: Mapping[str, str], prefix: str) -> dict[str, str]:
             "a name of C: a letter, then letters, digits and _, up to 31",
             "Write e.g. `prefix='nmc'`.",
         )
+    flat = [PurePosixPath(name).name for name in files]
     names = {
         name: f"{prefix}_{name.removeprefix('cellwise_')}"
-        for name in files
-        if name.endswith((".c", ".h"))
+        for name in flat
+        if name.endswith((".c", ".h")) and name != "main.c"
     }
     found = {}
     for name, text in files.items():
@@ -161,5 +162,6 @@ def prefixed(files: Mapping[str, str], prefix: str) -> dict[str, str]:
             text = re.sub(rf"(?<![A-Za-z0-9_]){re.escape(old)}", new, text)
         text = re.sub(r"\bcellwise_(?=[a-z])", f"{prefix}_", text)
         text = re.sub(r"\bCELLWISE_(?=[A-Z])", f"{prefix.upper()}_", text)
-        found[names.get(name, name)] = text
+        place = PurePosixPath(name)
+        found[str(place.with_name(names.get(place.name, place.name)))] = text
     return found

@@ -36,6 +36,10 @@ PARKING_LEAN = """\
 The lean build leaves the branches where they are over a gap: after minutes off or more call
   `cellwise_init` with the stored `soc` and its variance, which costs less than a step."""
 
+BUILD = """\
+    cc -std=c99 -O2 -ffp-contract=off example.c cellwise_ekf.c cellwise_store.c cell_table.c -o example
+    ./example | diff - expected_output.txt"""
+
 
 def example_files(
     model: CellModel, tables: FixedStepTables, description: dict[str, Any]
@@ -120,6 +124,7 @@ def readme(description: dict[str, Any]) -> str:
         options=", ".join(options),
         model_bytes=f"{description['model_bytes']:,}",
         state_bytes=description["state_bytes"],
+        build=BUILD,
         parking=Template(parking).substitute(gap_soc=f"{noise['gap_soc']:g}"),
         current_A=f"{noise['current_A']:.3g}",
         voltage_V=f"{noise['voltage_V']:.3g}",

@@ -19,6 +19,7 @@ from cellwise.estimate.fixed.tables import FixedStepTables, shortest_step_s
 from cellwise.estimate.noise import Noise
 from cellwise.export.c_tables import prefixed, write_sources
 from cellwise.export.example import example_files
+from cellwise.export.layouts import arranged
 
 DESCRIPTION = "cellwise_export.json"
 MODEL_FILE = "cell.json"  # what the tables were made of, for `cellwise certify`
@@ -111,8 +112,11 @@ def write_package(
     folder: Path,
     description: dict[str, Any],
     prefix: str = "",
+    layout: str | None = None,
 ) -> list[str]:
     """Write every file into ``folder``, which is made where it does not exist; their names.
+
+    ``layout`` is a name of :data:`cellwise.export.layouts.LAYOUTS`; None: all in one folder.
 
     Raises
     ------
@@ -126,6 +130,8 @@ def write_package(
         )
     files = dict(write_sources(tables, description["model_sha256"], model.name))
     files |= dict(example_files(model, tables, description))
+    if layout:
+        files = arranged(files, layout, prefix or "cellwise", tables.dt_s)
     if prefix:
         files = prefixed(files, prefix)
     files[MODEL_FILE] = model_text(model)
@@ -133,9 +139,11 @@ def write_package(
     try:
         with tempfile.TemporaryDirectory(dir=folder.resolve().parent, prefix=".export-") as name:
             for file, text in files.items():
+                (Path(name) / file).parent.mkdir(parents=True, exist_ok=True)
                 (Path(name) / file).write_text(text, encoding="utf-8")
             folder.mkdir(exist_ok=True)
             for file in files:
+                (folder / file).parent.mkdir(parents=True, exist_ok=True)
                 shutil.move(str(Path(name) / file), str(folder / file))
     except OSError as error:
         raise InputError(

@@ -12,11 +12,15 @@ if TYPE_CHECKING:
     from cellwise.cell.model import CellModel
     from cellwise.estimate.fixed.tables import FixedStepTables
 
+LAYOUT_NAMES = ("cmake", "zephyr", "platformio", "arduino", "esp-idf", "foxbms")
+SUFFIXES = {"fmu": (".fmu",)}
 STEPPED = ("output", "fmu")  # outputs that hold for one time step, which must be stated
 
 
 def add_options(export: argparse.ArgumentParser) -> None:
     """Add the option of every format."""
+    text = "arrange the folder of -o as a module of this tree"
+    export.add_argument("--layout", choices=LAYOUT_NAMES, help=text)
     text = "FMI 3.0 co-simulation: C sources and a binary for this machine (extra `fmu`)"
     export.add_argument("--fmu", metavar="OUT.fmu", help=text)
     text = "of --fmu: the estimator, or the cell alone [estimator]"
@@ -46,6 +50,8 @@ def check(arguments: argparse.Namespace) -> None:
         raise InputError(
             "no time step", "--dt S, the seconds from one sample to the next", "Add --dt 1, say."
         )
+    if arguments.layout and not arguments.output:
+        raise InputError("--layout without -o", "a folder to arrange", "Add -o DIR.")
     if arguments.what and not arguments.fmu:
         raise InputError("--what without --fmu", "an FMU to write", "Add --fmu OUT.fmu.")
     if arguments.fmu:
@@ -54,9 +60,6 @@ def check(arguments: argparse.Namespace) -> None:
 
         host_compiler()
         header_folder()
-
-
-SUFFIXES = {"fmu": (".fmu",)}
 
 
 def write(

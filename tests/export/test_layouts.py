@@ -1,0 +1,295 @@
+"""export --layout: each tree builds its folder, and the example finds every bit.
+
+CMake and PlatformIO's manifest are the real ones. Zephyr's and ESP-IDF's CMake functions, Arduino's
+and foxBMS's headers are stood in for by a few lines: what is tested is our side of them.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+from cellwise.cell.model_file import write_model
+from cellwise.cli import main
+from cellwise.cli.common.socket_options import LAYOUT_NAMES
+from cellwise.export.c_tables import STRICT_FLAGS, WARNING_FLAGS
+from cellwise.export.layouts import LAYOUTS
+from example_cells import curved_cell
+
+needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")
+needs_cmake = pytest.mark.skipif(shutil.which("cmake") is None, reason="no cmake: install cmake")
+BITS = "every bit as expected"
+
+
+def exported(folder, layout, capsys, *more):
+    """The folder of a layout as the command writes it; no cross compiler is asked."""
+    write_model(curved_cell(), folder / "model.json")
+    place = folder / "out"
+    arguments = ["--model", folder / "model.json", "--dt", 1, "-o", place, "--layout", layout]
+    assert main(["export", *map(str, (*arguments, *more)), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert all((place / name).is_file() for name in told["files"])
+    return place
+
+
+@pytest.fixture(autouse=True)
+def no_cross_compiler(monkeypatch):
+    monkeypatch.setattr("cellwise.export.cross.has_tools", lambda core: False)
+
+
+def run(*command, cwd=None):
+    done = subprocess.run(
+        [str(c) for c in command], cwd=cwd, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, (done.stdout + done.stderr)[-2000:]
+    return done.stdout
+
+
+def test_the_names_on_the_command_line_are_those_there_are():
+    assert set(LAYOUT_NAMES) == set(LAYOUTS)
+
+
+@needs_cmake
+@needs_gcc
+@pytest.mark.parametrize("prefix", ["", "nmc"])
+def test_cmake_builds_it_and_its_test_passes(tmp_path, capsys, prefix):
+    place = exported(tmp_path, "cmake", capsys, *(["--prefix", prefix] if prefix else []))
+    run("cmake", "-S", place, "-B", tmp_path / "build")
+    run("cmake", "--build", tmp_path / "build")
+    name = prefix or "cellwise"
+    assert f"{name}_every_bit" in run("ctest", "--test-dir", tmp_path / "build")
+    assert BITS in run(tmp_path / "build" / f"{name}_example")
+
+
+ZEPHYR = """
+cmake_minimum_required(VERSION 3.16)
+project(tree C)
+set(CONFIG_CELLWISE y)
+macro(zephyr_library_named name)
+  set(lib ${name})
+  add_library(${name} STATIC)
+endmacro()
+macro(zephyr_library_sources)
+  target_sources(${lib} PRIVATE ${ARGN})
+endmacro()
+macro(zephyr_include_directories)
+  target_include_directories(${lib} PUBLIC ${ARGN})
+endmacro()
+macro(zephyr_library_compile_options)
+  target_compile_options(${lib} PRIVATE ${ARGN})
+endmacro()
+add_subdirectory(out)
+add_executable(app out/samples/check/src/main.c)
+target_link_libraries(app cellwise)
+"""
+
+
+@needs_cmake
+@needs_gcc
+def test_zephyr_takes_the_module(tmp_path, capsys):
+    yaml = pytest.importorskip("yaml")
+    place = exported(tmp_path, "zephyr", capsys)
+    module = yaml.safe_load((place / "zephyr/module.yml").read_text())
+    assert module["name"] == "cellwise"
+    assert (place / module["build"]["cmake"] / "CMakeLists.txt").is_file()
+    assert (place / module["build"]["kconfig"]).is_file()
+    sample = yaml.safe_load((place / module["samples"][0] / "check/sample.yaml").read_text())
+    assert sample["tests"]["sample.cellwise.check"]["harness_config"]["regex"] == [BITS]
+    (tmp_path / "CMakeLists.txt").write_text(ZEPHYR)
+    run("cmake", "-S", tmp_path, "-B", tmp_path / "build")
+    run("cmake", "--build", tmp_path / "build")
+    assert BITS in run(tmp_path / "build/app")
+
+
+def test_zephyrs_kconfig_has_the_symbol_that_the_sample_sets(tmp_path, capsys):
+    kconfiglib = pytest.importorskip("kconfiglib", reason="no kconfiglib: pip install kconfiglib")
+    place = exported(tmp_path, "zephyr", capsys, "--prefix", "nmc")
+    found = kconfiglib.Kconfig(str(place / "Kconfig"))
+    assert "NMC" in found.syms
+    assert "CONFIG_NMC=y" in (place / "samples/check/prj.conf").read_text()
+
+
+@needs_gcc
+def test_platformio_takes_the_manifest_and_the_example_compiles(tmp_path, capsys):
+    place = exported(tmp_path, "platformio", capsys)
+    manifest = json.loads((place / "library.json").read_text())
+    assert all((place / "examples/check" / f).is_file() for f in manifest["examples"][0]["files"])
+    build = manifest["build"]
+    sources = sorted((place / build["srcDir"]).glob("*.c"))
+    example = place / "examples/check/src/main.c"
+    run("gcc", "-std=gnu99", "-O2", *build["flags"], "-I", place / build["includeDir"], example,
+        *sources, "-o", tmp_path / "app")  # fmt: skip
+    assert BITS in run(tmp_path / "app")
+    parser = pytest.importorskip("platformio.package.manifest.parser", reason="no platformio")
+    from platformio.package.manifest.schema import ManifestSchema
+
+    read = parser.ManifestParserFactory.new_from_file(str(place / "library.json")).as_dict()
+    assert read.pop("license") == "MIT"  # its check fetches the list of licences
+    assert ManifestSchema().load_manifest(read)["name"] == "cellwise"
+
+
+ARDUINO = """
+#include <cstdio>
+#include <cstring>
+struct { void begin(long) {} void println(const char *text) { std::puts(text); } } Serial;
+#include "Check.ino"
+int main() { setup(); }
+"""
+
+
+@needs_gcc
+def test_arduino_takes_the_library_and_the_sketch_finds_every_bit(tmp_path, capsys):
+    place = exported(tmp_path, "arduino", capsys)
+    lines = (place / "library.properties").read_text().splitlines()
+    properties = dict(line.split("=", 1) for line in lines)
+    wanted = {"name", "version", "author", "maintainer", "sentence", "paragraph", "category"}
+    assert wanted | {"url", "architectures"} <= set(properties)
+    assert (place / "src" / properties["includes"]).is_file()
+    (tmp_path / "main.cpp").write_text(ARDUINO)
+    for source in (place / "src").glob("*.c"):
+        run("gcc", "-std=gnu11", "-O2", "-c", source, "-o", tmp_path / f"{source.stem}.o")
+    run("g++", "-std=gnu++11", "-I", place / "src", "-I", place / "examples/Check",
+        tmp_path / "main.cpp", *tmp_path.glob("*.o"), "-o", tmp_path / "app")  # fmt: skip
+    assert run(tmp_path / "app") == BITS + "\n"
+
+
+@pytest.mark.skipif(shutil.which("arm-none-eabi-gcc") is None, reason="no arm-none-eabi-gcc")
+def test_arduinos_compiler_fuses_nothing_without_a_flag(tmp_path, capsys):
+    place = exported(tmp_path, "arduino", capsys)
+    flags = ["-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "-std=gnu11"]
+    source, made = place / "src/cellwise_ekf.c", tmp_path / "ekf.o"
+
+    def fused():
+        run("arm-none-eabi-gcc", *flags, "-Os", "-c", source, "-o", made)
+        text = run("arm-none-eabi-objdump", "-d", made)
+        return sum(text.count(name) for name in ("vfma", "vfms", "vfnma", "vfnms"))
+
+    assert fused() == 0
+    source.write_text(source.read_text().replace("#pragma GCC optimize", "#pragma none"))
+    assert fused() > 0  # without it the bits would differ
+
+
+IDF = """
+cmake_minimum_required(VERSION 3.16)
+project(tree C)
+function(idf_component_register)
+  cmake_parse_arguments(c "" "" "SRCS;INCLUDE_DIRS" ${ARGN})
+  get_filename_component(name ${CMAKE_CURRENT_SOURCE_DIR} NAME)
+  add_library(${name} STATIC ${c_SRCS})
+  target_include_directories(${name} PUBLIC ${c_INCLUDE_DIRS})
+  set(COMPONENT_LIB ${name} PARENT_SCOPE)
+endfunction()
+add_subdirectory(out)
+add_subdirectory(out/examples/check/main)
+target_link_libraries(main PUBLIC out)
+file(WRITE ${CMAKE_BINARY_DIR}/entry.c "void app_main(void); int main(void) { app_main(); return 0; }")
+add_executable(app ${CMAKE_BINARY_DIR}/entry.c)
+target_link_libraries(app main)
+"""
+
+
+@needs_cmake
+@needs_gcc
+def test_esp_idf_takes_the_component(tmp_path, capsys):
+    yaml = pytest.importorskip("yaml")
+    place = exported(tmp_path, "esp-idf", capsys)
+    (tmp_path / "CMakeLists.txt").write_text(IDF)
+    run("cmake", "-S", tmp_path, "-B", tmp_path / "build")
+    run("cmake", "--build", tmp_path / "build")
+    assert BITS in run(tmp_path / "build/app")
+    needs = yaml.safe_load((place / "examples/check/main/idf_component.yml").read_text())
+    told = needs["dependencies"]["cellwise"]["override_path"]
+    assert (place / "examples/check/main" / told).resolve() == place.resolve()
+    manager = pytest.importorskip("idf_component_tools.manager", reason="no idf-component-manager")
+    assert str(manager.ManifestManager(place, "cellwise").load().version) == "1.0.0"
+
+
+FOXBMS = {
+    "os.h": "#include <stdint.h>\nuint32_t OS_GetTickCount(void);\n",
+    "database.h": """
+#pragma once
+#include <stdbool.h>
+#include <stdint.h>
+#define BS_NR_OF_STRINGS 2u
+#define BS_POSITIVE_DISCHARGE_CURRENT (false)
+typedef enum { DATA_BLOCK_ID_MIN_MAX, DATA_BLOCK_ID_PACK_VALUES } DATA_BLOCK_ID_e;
+typedef struct { DATA_BLOCK_ID_e uniqueId; } DATA_BLOCK_HEADER_s;
+typedef struct { DATA_BLOCK_HEADER_s header; int16_t averageCellVoltage_mV[2];
+  uint16_t validMeasuredCellVoltages[2]; float averageTemperature_ddegC[2]; } DATA_BLOCK_MIN_MAX_s;
+typedef struct { DATA_BLOCK_HEADER_s header; int32_t stringCurrent_mA[2];
+  uint8_t invalidStringCurrent[2]; } DATA_BLOCK_PACK_VALUES_s;
+typedef struct { float averageSoc_perc[2], minimumSoc_perc[2], maximumSoc_perc[2]; } DATA_BLOCK_SOC_s;
+void read_blocks(void *one, void *two);
+#define PICK(_1, _2, NAME, ...) NAME
+#define ONE(a) read_blocks(a, 0)
+#define TWO(a, b) read_blocks(a, b)
+#define DATA_READ_DATA(...) PICK(__VA_ARGS__, TWO, ONE, 0)(__VA_ARGS__)
+""",
+    "state_estimation.h": """
+#include <math.h>
+#include "database.h"
+void SE_InitializeStateOfCharge(DATA_BLOCK_SOC_s *pSocValues, bool ccPresent, uint8_t stringNumber);
+void SE_CalculateStateOfCharge(DATA_BLOCK_SOC_s *pSocValues);
+float_t SE_GetStateOfChargeFromVoltage(int16_t voltage_mV);
+""",
+    "main.c": """
+#include <stdio.h>
+#include "os.h"
+#include "state_estimation.h"
+static uint32_t now_ms = 5000u;
+static int32_t current_mA = 0;
+uint32_t OS_GetTickCount(void) { return now_ms; }
+void read_blocks(void *one, void *two) {
+  DATA_BLOCK_MIN_MAX_s *cells = one;
+  for (int s = 0; s < 2; s++) { cells->averageCellVoltage_mV[s] = 3700;
+    cells->validMeasuredCellVoltages[s] = two == 0; cells->averageTemperature_ddegC[s] = 250.0f; }
+  if (two != 0) { DATA_BLOCK_PACK_VALUES_s *pack = two;
+    for (int s = 0; s < 2; s++) { pack->stringCurrent_mA[s] = s * current_mA; pack->invalidStringCurrent[s] = 0; } }
+}
+int main(void) {
+  DATA_BLOCK_SOC_s soc;
+  SE_InitializeStateOfCharge(&soc, false, 0u);
+  SE_InitializeStateOfCharge(&soc, false, 1u);
+  printf("%f %f\\n", soc.averageSoc_perc[0], soc.averageSoc_perc[1]);
+  current_mA = -1000; /* discharge, where positive is charge */
+  for (int k = 0; k < 36000; k++) { now_ms += 100u; SE_CalculateStateOfCharge(&soc); }
+  printf("%f %f %f\\n", soc.averageSoc_perc[0], soc.averageSoc_perc[1], soc.minimumSoc_perc[1]);
+}
+""",
+}
+
+
+@needs_gcc
+def test_foxbms_calls_it_and_an_hour_at_1_A_takes_its_charge(tmp_path, capsys):
+    place = exported(tmp_path, "foxbms", capsys)
+    for name, text in FOXBMS.items():
+        (tmp_path / name).write_text(text)
+    sources = [place / f"{n}.c" for n in ("soc_cellwise", "cellwise_ekf", "cell_table")]
+    run("gcc", *STRICT_FLAGS, *(f for f in WARNING_FLAGS if f != "-Wfloat-equal"), "-O2", "-I",
+        tmp_path, "-I", place, *sources, "-c", cwd=tmp_path)  # fmt: skip
+    run("gcc", "-std=gnu99", "-I", tmp_path, tmp_path / "main.c", *tmp_path.glob("*.o"), "-lm",
+        "-o", tmp_path / "app")  # fmt: skip
+    before, after = (line.split() for line in run(tmp_path / "app").splitlines())
+    model = curved_cell()
+    assert float(before[0]) == pytest.approx(float(before[1]))
+    assert 0 < float(before[0]) < 100
+    assert float(after[0]) == pytest.approx(float(before[0]), abs=0.01)
+    taken = float(before[1]) - float(after[1])
+    assert taken == pytest.approx(100.0 / model.capacity_Ah, rel=1e-3)
+    assert float(after[2]) < float(after[1])
+    # The wscript is Python that waf calls with a build context.
+    run(sys.executable, "-m", "py_compile", place / "wscript")
+
+
+def test_what_cannot_be_arranged_is_refused(tmp_path, capsys):
+    write_model(curved_cell(), tmp_path / "model.json")
+    base = ["export", "--model", str(tmp_path / "model.json"), "--layout", "foxbms"]
+    assert main([*base, "--dt", "0.0305", "--fmu", str(tmp_path / "a.fmu")]) == 2
+    assert "-o DIR" in capsys.readouterr().err
+    assert main([*base, "--dt", "0.03051", "-o", str(tmp_path / "out")]) == 2
+    assert "milliseconds" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
