@@ -53,12 +53,13 @@ benchmark: $(STAMP)
 
 # Cross compiler, emulator and proof from Debian; then everything that needs them.
 FIRMWARE_PACKAGES := gcc gcc-arm-none-eabi libnewlib-arm-none-eabi libc6-dev qemu-system-arm frama-c-base cppcheck \
-	clang libclang-rt-14-dev
+	clang libclang-rt-14-dev lld cmake
 RISCV_PACKAGES := gcc-riscv64-unknown-elf qemu-system-misc
 firmware: $(STAMP)
-	.ci/debian arm-none-eabi-gcc qemu-system-arm frama-c cppcheck clang -- $(FIRMWARE_PACKAGES)
+	.ci/debian arm-none-eabi-gcc qemu-system-arm frama-c cppcheck clang wasm-ld cmake -- $(FIRMWARE_PACKAGES)
 	.ci/debian riscv64-unknown-elf-gcc qemu-system-riscv32 -- $(RISCV_PACKAGES) || \
 	  echo "no RISC-V tools: its tests are skipped"
+	$(BIN)/pip install --quiet --editable '.[trees]'
 	$(BIN)/pytest -n 2 tests/firmware tests/export tests/estimate/fixed/test_fixed_step_twin.py
 
 # Debian's Chromium, and every page opened in it.

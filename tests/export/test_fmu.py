@@ -70,7 +70,7 @@ def samples(count, seed=0):
     return records
 
 
-@pytest.mark.parametrize("what", ["estimator", "cell"])
+@pytest.mark.parametrize("what", ["estimator", pytest.param("cell", marks=pytest.mark.slow)])
 def test_an_importer_finds_it_valid_and_its_sources_compile_without_a_warning(tmp_path, what):
     from fmpy.validation import validate_fmu
 
@@ -114,6 +114,7 @@ def test_the_estimator_has_the_bits_of_python_over_100_000_steps(tmp_path):
     assert np.unique(status).size > 3  # not only the easy way through the step
 
 
+@pytest.mark.slow
 def test_the_cell_has_the_voltage_of_simulate(tmp_path):
     model = curved_cell()
     place = exported(tmp_path, model, "--what", "cell")
@@ -132,6 +133,7 @@ def test_the_cell_has_the_voltage_of_simulate(tmp_path):
     assert not np.any(found["status"])
 
 
+@pytest.mark.slow
 def test_a_state_is_kept_and_set_again_and_steps_may_be_longer_than_a_sample(tmp_path):
     low_V, high_V = curved_cell().ocv_V.min(), curved_cell().ocv_V.max()
     more = ["--remaining", low_V + 0.1, "--power", 10, "--voltage-limits", low_V, high_V]

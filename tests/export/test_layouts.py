@@ -7,9 +7,11 @@ and foxBMS's headers are stood in for by a few lines: what is tested is our side
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -21,7 +23,9 @@ from cellwise.export.layouts import LAYOUTS
 from example_cells import curved_cell
 
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")
-needs_cmake = pytest.mark.skipif(shutil.which("cmake") is None, reason="no cmake: install cmake")
+PLACES = os.pathsep.join((os.environ["PATH"], str(Path(sys.executable).parent)))  # fmpy brings it
+CMAKE, CTEST = (shutil.which(tool, path=PLACES) for tool in ("cmake", "ctest"))
+needs_cmake = pytest.mark.skipif(CMAKE is None, reason="no cmake: apt-get install cmake")
 BITS = "every bit as expected"
 
 
@@ -55,13 +59,13 @@ def test_the_names_on_the_command_line_are_those_there_are():
 
 @needs_cmake
 @needs_gcc
-@pytest.mark.parametrize("prefix", ["", "nmc"])
+@pytest.mark.parametrize("prefix", ["", pytest.param("nmc", marks=pytest.mark.slow)])
 def test_cmake_builds_it_and_its_test_passes(tmp_path, capsys, prefix):
     place = exported(tmp_path, "cmake", capsys, *(["--prefix", prefix] if prefix else []))
-    run("cmake", "-S", place, "-B", tmp_path / "build")
-    run("cmake", "--build", tmp_path / "build")
+    run(CMAKE, "-S", place, "-B", tmp_path / "build")
+    run(CMAKE, "--build", tmp_path / "build")
     name = prefix or "cellwise"
-    assert f"{name}_every_bit" in run("ctest", "--test-dir", tmp_path / "build")
+    assert f"{name}_every_bit" in run(CTEST, "--test-dir", tmp_path / "build")
     assert BITS in run(tmp_path / "build" / f"{name}_example")
 
 
@@ -88,6 +92,7 @@ target_link_libraries(app cellwise)
 """
 
 
+@pytest.mark.slow
 @needs_cmake
 @needs_gcc
 def test_zephyr_takes_the_module(tmp_path, capsys):
@@ -100,8 +105,8 @@ def test_zephyr_takes_the_module(tmp_path, capsys):
     sample = yaml.safe_load((place / module["samples"][0] / "check/sample.yaml").read_text())
     assert sample["tests"]["sample.cellwise.check"]["harness_config"]["regex"] == [BITS]
     (tmp_path / "CMakeLists.txt").write_text(ZEPHYR)
-    run("cmake", "-S", tmp_path, "-B", tmp_path / "build")
-    run("cmake", "--build", tmp_path / "build")
+    run(CMAKE, "-S", tmp_path, "-B", tmp_path / "build")
+    run(CMAKE, "--build", tmp_path / "build")
     assert BITS in run(tmp_path / "build/app")
 
 
@@ -113,6 +118,7 @@ def test_zephyrs_kconfig_has_the_symbol_that_the_sample_sets(tmp_path, capsys):
     assert "CONFIG_NMC=y" in (place / "samples/check/prj.conf").read_text()
 
 
+@pytest.mark.slow
 @needs_gcc
 def test_platformio_takes_the_manifest_and_the_example_compiles(tmp_path, capsys):
     place = exported(tmp_path, "platformio", capsys)
@@ -141,6 +147,7 @@ int main() { setup(); }
 """
 
 
+@pytest.mark.slow
 @needs_gcc
 def test_arduino_takes_the_library_and_the_sketch_finds_every_bit(tmp_path, capsys):
     place = exported(tmp_path, "arduino", capsys)
@@ -157,6 +164,7 @@ def test_arduino_takes_the_library_and_the_sketch_finds_every_bit(tmp_path, caps
     assert run(tmp_path / "app") == BITS + "\n"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("arm-none-eabi-gcc") is None, reason="no arm-none-eabi-gcc")
 def test_arduinos_compiler_fuses_nothing_without_a_flag(tmp_path, capsys):
     place = exported(tmp_path, "arduino", capsys)
@@ -186,20 +194,21 @@ endfunction()
 add_subdirectory(out)
 add_subdirectory(out/examples/check/main)
 target_link_libraries(main PUBLIC out)
-file(WRITE ${CMAKE_BINARY_DIR}/entry.c "void app_main(void); int main(void) { app_main(); return 0; }")
+file(WRITE ${CMAKE_BINARY_DIR}/entry.c "void app_main(void); int main(void) { app_main(); }")
 add_executable(app ${CMAKE_BINARY_DIR}/entry.c)
 target_link_libraries(app main)
 """
 
 
+@pytest.mark.slow
 @needs_cmake
 @needs_gcc
 def test_esp_idf_takes_the_component(tmp_path, capsys):
     yaml = pytest.importorskip("yaml")
     place = exported(tmp_path, "esp-idf", capsys)
     (tmp_path / "CMakeLists.txt").write_text(IDF)
-    run("cmake", "-S", tmp_path, "-B", tmp_path / "build")
-    run("cmake", "--build", tmp_path / "build")
+    run(CMAKE, "-S", tmp_path, "-B", tmp_path / "build")
+    run(CMAKE, "--build", tmp_path / "build")
     assert BITS in run(tmp_path / "build/app")
     needs = yaml.safe_load((place / "examples/check/main/idf_component.yml").read_text())
     told = needs["dependencies"]["cellwise"]["override_path"]
@@ -222,7 +231,8 @@ typedef struct { DATA_BLOCK_HEADER_s header; int16_t averageCellVoltage_mV[2];
   uint16_t validMeasuredCellVoltages[2]; float averageTemperature_ddegC[2]; } DATA_BLOCK_MIN_MAX_s;
 typedef struct { DATA_BLOCK_HEADER_s header; int32_t stringCurrent_mA[2];
   uint8_t invalidStringCurrent[2]; } DATA_BLOCK_PACK_VALUES_s;
-typedef struct { float averageSoc_perc[2], minimumSoc_perc[2], maximumSoc_perc[2]; } DATA_BLOCK_SOC_s;
+typedef struct {
+  float averageSoc_perc[2], minimumSoc_perc[2], maximumSoc_perc[2]; } DATA_BLOCK_SOC_s;
 void read_blocks(void *one, void *two);
 #define PICK(_1, _2, NAME, ...) NAME
 #define ONE(a) read_blocks(a, 0)
@@ -248,7 +258,8 @@ void read_blocks(void *one, void *two) {
   for (int s = 0; s < 2; s++) { cells->averageCellVoltage_mV[s] = 3700;
     cells->validMeasuredCellVoltages[s] = two == 0; cells->averageTemperature_ddegC[s] = 250.0f; }
   if (two != 0) { DATA_BLOCK_PACK_VALUES_s *pack = two;
-    for (int s = 0; s < 2; s++) { pack->stringCurrent_mA[s] = s * current_mA; pack->invalidStringCurrent[s] = 0; } }
+    for (int s = 0; s < 2; s++) { pack->stringCurrent_mA[s] = s * current_mA;
+      pack->invalidStringCurrent[s] = 0; } }
 }
 int main(void) {
   DATA_BLOCK_SOC_s soc;
@@ -263,6 +274,7 @@ int main(void) {
 }
 
 
+@pytest.mark.slow
 @needs_gcc
 def test_foxbms_calls_it_and_an_hour_at_1_A_takes_its_charge(tmp_path, capsys):
     place = exported(tmp_path, "foxbms", capsys)

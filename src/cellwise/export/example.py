@@ -36,9 +36,10 @@ PARKING_LEAN = """\
 The lean build leaves the branches where they are over a gap: after minutes off or more call
   `cellwise_init` with the stored `soc` and its variance, which costs less than a step."""
 
-BUILD = """\
-    cc -std=c99 -O2 -ffp-contract=off example.c cellwise_ekf.c cellwise_store.c cell_table.c -o example
-    ./example | diff - expected_output.txt"""
+BUILD = (
+    "    cc -std=c99 -O2 -ffp-contract=off example.c cellwise_ekf.c cellwise_store.c cell_table.c "
+    "-o example\n    ./example | diff - expected_output.txt"
+)
 
 
 def example_files(

@@ -44,8 +44,8 @@ LAYOUTS = {
     "zephyr": Layout(
         *("src/", "include/", "samples/check/src/main.c", "samples/check/src/"),
         "    west build -b qemu_cortex_m3 samples/check -t run\n\n"
-        "In an application: `EXTRA_ZEPHYR_MODULES` or the west manifest names this folder, `prj.conf` says "
-        "`CONFIG_@UPPER@=y`.",
+        "In an application: `EXTRA_ZEPHYR_MODULES` or the west manifest names this folder, "
+        "`prj.conf` says `CONFIG_@UPPER@=y`.",
     ),
     "platformio": Layout(
         *("src/", "include/", "examples/check/src/main.c", "examples/check/src/"),
@@ -64,8 +64,8 @@ LAYOUTS = {
     ),
     "foxbms": Layout(
         *("", "", "example/example.c", "example/"),
-        "Put this folder to `src/app/application/algorithm/state_estimation/soc/@NAME@` and name `@NAME@` "
-        "as the SOC algorithm in `conf/bms/bms.json`. The model is that of a cell block: scale its "
+        "Put this folder to `src/app/application/algorithm/state_estimation/soc/@NAME@` and name "
+        "`@NAME@` as the SOC algorithm in `conf/bms/bms.json`. The model is that of a cell block: scale its "
         "capacity by the cells in parallel.",
     ),
 }
