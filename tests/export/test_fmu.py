@@ -13,13 +13,12 @@ import pytest
 from cellwise.cell.model_file import write_model
 from cellwise.cell.simulate import simulate
 from cellwise.cli import main
-from cellwise.estimate.fixed.layout import INPUT
 from cellwise.estimate.fixed.stepper import numba_stepper, start_state
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.export.fmu import header_folder
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
-from firmware_cases import full_model
+from firmware_cases import full_model, noisy_samples
 
 fmpy = pytest.importorskip("fmpy", reason="no fmpy: pip install 'cellwise[fmu]'")
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")
@@ -58,18 +57,6 @@ class Instance:
         return self.fmu.getFloat64([self.refs[n] for n in names])
 
 
-def samples(count, seed=0):
-    """Currents, voltages and temperatures of no cell in particular: every branch of the step."""
-    rng = np.random.default_rng(seed)
-    records = np.zeros(count, dtype=INPUT)
-    records["current_A"] = np.repeat(rng.normal(0.3, 2.0, count // 100 + 1), 100)[:count]
-    records["voltage_V"] = 3.6 + 0.2 * np.sin(np.arange(count) / 7000) - 0.02 * records["current_A"]
-    records["voltage_V"][rng.random(count) < 0.01] = np.nan
-    records["temperature_C"] = 20 + 10 * np.sin(np.arange(count) / 900)
-    records["sequence"] = np.arange(count)
-    return records
-
-
 @pytest.mark.parametrize("what", ["estimator", pytest.param("cell", marks=pytest.mark.slow)])
 def test_an_importer_finds_it_valid_and_its_sources_compile_without_a_warning(tmp_path, what):
     from fmpy.validation import validate_fmu
@@ -92,7 +79,7 @@ def test_an_importer_finds_it_valid_and_its_sources_compile_without_a_warning(tm
 def test_the_estimator_has_the_bits_of_python_over_100_000_steps(tmp_path):
     model = full_model()
     one = Instance(exported(tmp_path, model), tmp_path / "x", soc0=0.6, soc0_std=0.1)
-    records = samples(STEPS)
+    records = noisy_samples(STEPS)
     names = ("soc", "soc_std", "predicted_voltage_V", "innovation_V")
     ins = [one.refs[n] for n in ("current_A", "voltage_V", "temperature_C")]
     outs = [one.refs[n] for n in names]
@@ -170,7 +157,7 @@ def test_another_importer_finds_the_same_and_another_token_is_refused(tmp_path, 
     other.exit_initialization_mode()
     ins = [one.refs[n] for n in ("current_A", "voltage_V")]
     outs = [one.refs[n] for n in ("soc", "soc_std", "innovation_V")]
-    for k, row in enumerate(samples(300)):
+    for k, row in enumerate(noisy_samples(300)):
         values = [float(row["current_A"]), float(row["voltage_V"])]
         one.fmu.setFloat64(ins, values)
         other.set_float64(ins, values)

@@ -18,6 +18,7 @@ from cellwise.cell.effects import (
 )
 from cellwise.cell.plausibility.validity import Validity
 from cellwise.estimate.cells.settings import CellSettings
+from cellwise.estimate.fixed.layout import INPUT
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.estimate.power.limits import OperatingLimits
 from cellwise.estimate.power.state_of_power import power_settings
@@ -84,6 +85,18 @@ def tables_of(name, dt_s=1.0):
             power=power_asked(model),
         )
     return fixed_step_tables(full_model(), dt_s, offset_std_A=0.1)
+
+
+def noisy_samples(count, seed=0):
+    """Currents, voltages and temperatures of no cell in particular: every branch of the step."""
+    rng = np.random.default_rng(seed)
+    records = np.zeros(count, dtype=INPUT)
+    records["current_A"] = np.repeat(rng.normal(0.3, 2.0, count // 100 + 1), 100)[:count]
+    records["voltage_V"] = 3.6 + 0.2 * np.sin(np.arange(count) / 7000) - 0.02 * records["current_A"]
+    records["voltage_V"][rng.random(count) < 0.01] = np.nan
+    records["temperature_C"] = 20 + 10 * np.sin(np.arange(count) / 900)
+    records["sequence"] = np.arange(count)
+    return records
 
 
 def cutoff_asked(model):

@@ -55,6 +55,8 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
 
 def run_export(arguments: argparse.Namespace) -> None:
     """Write the C of a model and say what it costs."""
+    from functools import partial
+
     from cellwise.estimate.cells.settings import CellSettings
     from cellwise.estimate.fixed.tables import fixed_step_tables
     from cellwise.export.c_tables import prefixed
@@ -74,23 +76,23 @@ def run_export(arguments: argparse.Namespace) -> None:
     noise = noise_of(model, arguments.noise)
     if arguments.prefix:
         prefixed({}, arguments.prefix)  # refuses now what it would refuse later
+    tables_at = partial(
+        fixed_step_tables,
+        model,
+        noise=noise,
+        points=arguments.points,
+        offset_std_A=arguments.offset_std_a,
+        wide=not arguments.lean,
+        watch=not arguments.lean,
+        power=power_options.exported_power(arguments, model),
+        health=arguments.health,
+        cells=CellSettings() if arguments.cells else None,
+    )
     report: dict[str, Any] = {"model": model.name, "model_sha256": model_sha256(model)}
     tables = None
     if arguments.dt is not None:
         check_step(arguments.dt)
-        tables = fixed_step_tables(
-            model,
-            arguments.dt,
-            noise,
-            points=arguments.points,
-            offset_std_A=arguments.offset_std_a,
-            wide=not arguments.lean,
-            watch=not arguments.lean,
-            power=power_options.exported_power(arguments, model),
-            remaining_V=arguments.remaining,
-            health=arguments.health,
-            cells=CellSettings() if arguments.cells else None,
-        )
+        tables = tables_at(arguments.dt, remaining_V=arguments.remaining)
         check_flash(tables, arguments.flash)
         report = describe(model, tables, noise, arguments.cells)
     log = read(model, arguments)
@@ -102,7 +104,7 @@ def run_export(arguments: argparse.Namespace) -> None:
             model, tables, folder, report, arguments.prefix, arguments.layout
         )
         write_pages(model, noise, report, log, arguments)
-    report["sockets"] = sockets.write(model, tables, report, arguments)
+    report["sockets"] = sockets.write(model, tables_at, noise, report, arguments)
     if arguments.json:
         printing.print_json(report)
         return

@@ -65,8 +65,8 @@ LAYOUTS = {
     "foxbms": Layout(
         *("", "", "example/example.c", "example/"),
         "Put this folder to `src/app/application/algorithm/state_estimation/soc/@NAME@` and name "
-        "`@NAME@` as the SOC algorithm in `conf/bms/bms.json`. The model is that of a cell block: scale its "
-        "capacity by the cells in parallel.",
+        "`@NAME@` as the SOC algorithm in `conf/bms/bms.json`. The model is that of a cell block: "
+        "scale its capacity by the cells in parallel.",
     ),
 }
 

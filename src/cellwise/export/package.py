@@ -106,6 +106,25 @@ def check_flash(tables: FixedStepTables, most_bytes: int | None) -> None:
         )
 
 
+def package_files(
+    model: CellModel,
+    tables: FixedStepTables,
+    description: dict[str, Any],
+    prefix: str = "",
+    layout: str | None = None,
+) -> dict[str, str]:
+    """Names and texts of the package; parameters as :func:`write_package`."""
+    files = dict(write_sources(tables, description["model_sha256"], model.name))
+    files |= dict(example_files(model, tables, description))
+    if layout:
+        files = arranged(files, layout, prefix or "cellwise", tables.dt_s)
+    if prefix:
+        files = prefixed(files, prefix)
+    files[MODEL_FILE] = model_text(model)
+    files[DESCRIPTION] = json.dumps(description, indent=1, allow_nan=False) + "\n"
+    return files
+
+
 def write_package(
     model: CellModel,
     tables: FixedStepTables,
@@ -128,14 +147,7 @@ def write_package(
         raise InputError(
             f"no folder '{folder.resolve().parent}'", "an existing folder", "Create it first."
         )
-    files = dict(write_sources(tables, description["model_sha256"], model.name))
-    files |= dict(example_files(model, tables, description))
-    if layout:
-        files = arranged(files, layout, prefix or "cellwise", tables.dt_s)
-    if prefix:
-        files = prefixed(files, prefix)
-    files[MODEL_FILE] = model_text(model)
-    files[DESCRIPTION] = json.dumps(description, indent=1, allow_nan=False) + "\n"
+    files = package_files(model, tables, description, prefix, layout)
     try:
         with tempfile.TemporaryDirectory(dir=folder.resolve().parent, prefix=".export-") as name:
             for file, text in files.items():

@@ -9,11 +9,15 @@ from cellwise.cli.common.places import check_places
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from cellwise.cell.model import CellModel
     from cellwise.estimate.fixed.tables import FixedStepTables
+    from cellwise.estimate.noise import Noise
 
 LAYOUT_NAMES = ("cmake", "zephyr", "platformio", "arduino", "esp-idf", "foxbms")
-SUFFIXES = {"fmu": (".fmu",)}
+SUFFIXES = {"fmu": (".fmu",), "page": (".html", ".htm")}
+PAGE_STEP_S = 1.0  # of --page without --dt
 STEPPED = ("output", "fmu")  # outputs that hold for one time step, which must be stated
 
 
@@ -23,6 +27,8 @@ def add_options(export: argparse.ArgumentParser) -> None:
     export.add_argument("--layout", choices=LAYOUT_NAMES, help=text)
     text = "FMI 3.0 co-simulation: C sources and a binary for this machine (extra `fmu`)"
     export.add_argument("--fmu", metavar="OUT.fmu", help=text)
+    text = "a page that estimates in the browser; step 1 s without --dt"
+    export.add_argument("--page", metavar="OUT.html", help=text)
     text = "of --fmu: the estimator, or the cell alone [estimator]"
     export.add_argument("--what", choices=("estimator", "cell"), help=text)
 
@@ -60,19 +66,39 @@ def check(arguments: argparse.Namespace) -> None:
 
         host_compiler()
         header_folder()
+    if arguments.page:
+        from cellwise.export.page import check_wasm_compiler
+
+        check_wasm_compiler()
 
 
 def write(
     model: CellModel,
-    tables: FixedStepTables | None,
+    tables_at: Callable[..., FixedStepTables],
+    noise: Noise,
     report: dict[str, Any],
     arguments: argparse.Namespace,
 ) -> dict[str, str]:
-    """Write every format that is wanted: its place by the option's name."""
+    """Write every format that is wanted: its place by the option's name.
+
+    ``tables_at`` makes the tables of a time step; ``report`` is that of the folder.
+    """
     written: dict[str, str] = {}
-    if arguments.fmu and tables is not None:
+    if arguments.fmu:
         from cellwise.export.fmu import What, write_fmu
 
         what: What = arguments.what or "estimator"
+        tables = tables_at(arguments.dt, remaining_V=arguments.remaining)
         written["fmu"] = str(write_fmu(model, tables, arguments.fmu, report, what))
+    if arguments.page:
+        from cellwise.export.package import describe, package_files
+        from cellwise.export.page import write_estimator_page
+        from cellwise.forecast.remaining import cutoff_of
+
+        cutoff_V = cutoff_of(model, arguments.remaining)
+        tables = tables_at(arguments.dt or PAGE_STEP_S, remaining_V=cutoff_V)
+        described = describe(model, tables, noise, arguments.cells)
+        files = package_files(model, tables, described, arguments.prefix, arguments.layout)
+        page = write_estimator_page(model, tables, arguments.page, described, files)
+        written["page"] = str(page)
     return written

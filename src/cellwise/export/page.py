@@ -1,0 +1,164 @@
+"""The C twin in a browser: compiled to WebAssembly, with a page about it, in one file."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+import json
+import shutil
+import subprocess
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cellwise.cell.model import CellModel
+from cellwise.cell.simulate import model_temperature_C, simulate
+from cellwise.data import load_dataset
+from cellwise.errors import InputError
+from cellwise.estimate.fixed.fixed_step import samples_of
+from cellwise.estimate.fixed.layout import state_type
+from cellwise.estimate.fixed.tables import FixedStepTables
+from cellwise.estimate.status import Status
+from cellwise.export.c_tables import STRICT_FLAGS, firmware_folder, write_sources
+from cellwise.files import write_atomically
+from cellwise.logs.cell_log import CellLog
+
+EXPORTED = (
+    *("cellwise_init", "cellwise_rows", "cellwise_remaining_of"),
+    *("cellwise_cell", "__heap_base"),
+)
+WASM_FLAGS = (
+    *("--target=wasm32", "-O2", "-ffreestanding", "-nostdlib", "-mbulk-memory"),
+    *("-Wl,--no-entry", "-Wl,--strip-all", *(f"-Wl,--export={name}" for name in EXPORTED)),
+)
+EXAMPLE_NOISE_V = 0.002  # of the voltages in the example
+EXAMPLE_SOC = 0.9
+MOST_EXAMPLE = 4000  # samples
+
+
+def write_estimator_page(
+    model: CellModel,
+    tables: FixedStepTables,
+    path: str | Path,
+    description: Mapping[str, Any],
+    package: Mapping[str, str],
+) -> Path:
+    """Write the page.
+
+    Parameters
+    ----------
+    tables : FixedStepTables     with the remaining time
+    description : mapping        what `cellwise export` says of the tables
+    package : names and texts    the C package that the page offers
+
+    Raises
+    ------
+    InputError        no clang that compiles to WebAssembly; a path that cannot be written
+    """
+    name = model.name or "a cell"
+    data = {
+        "model_sha256": description["model_sha256"],
+        "dt_s": tables.dt_s,
+        "ocv_V": np.round(model.ocv_V[len(model.ocv_V) // 2], 6).tolist(),
+        "temperature_C": model_temperature_C(model),
+        "least_load_A": float(tables.constants["remaining_least_A"][0]),
+        "state_bytes": state_type(tables.options).itemsize,
+        "status": {str(bit.name): int(bit) for bit in Status},
+        "wasm": _text_of(compiled(tables)),
+        "package": _text_of(zipped(package)),
+        "package_name": f"cellwise-{tables.dt_s:g}s.zip",
+        "example": _text_of(example(model, tables.dt_s)),
+        "example_name": "Example: the model itself under a drive's current, with 2 mV of noise",
+    }
+    folder = firmware_folder() / "page"
+    text = (folder / "page.html").read_text(encoding="utf-8")
+    filled = {
+        "@TITLE@": html.escape(name),
+        "@DT@": f"{tables.dt_s:g}",
+        "@CSS@": (folder / "page.css").read_text(encoding="utf-8"),
+        "@JS@": (folder / "page.js").read_text(encoding="utf-8"),
+        "@DATA@": json.dumps(data, allow_nan=False).replace("<", "\\u003c"),
+    }
+    for mark, content in filled.items():
+        text = text.replace(mark, content)
+    return write_atomically(path, text)
+
+
+def check_wasm_compiler() -> str:
+    """The clang that compiles to WebAssembly.
+
+    Raises
+    ------
+    InputError        no clang, or no wasm-ld
+    """
+    clang = shutil.which("clang")
+    if clang is None or shutil.which("wasm-ld") is None:
+        raise InputError(
+            f"no {'wasm-ld' if clang else 'clang'}",
+            "clang and lld, which compile to WebAssembly",
+            "Install them: apt-get install clang lld.",
+        )
+    return clang
+
+
+def compiled(tables: FixedStepTables) -> bytes:
+    """The C of a model as a WebAssembly module.
+
+    Raises
+    ------
+    InputError        no compiler, or C that it does not compile
+    """
+    clang = check_wasm_compiler()
+    with tempfile.TemporaryDirectory(prefix="cellwise-") as name:
+        folder = Path(name)
+        for file, text in write_sources(tables, "0" * 64):
+            (folder / file).write_text(text, encoding="utf-8")
+        (folder / "port").mkdir()
+        shutil.copy(firmware_folder() / "port" / "host_rows.c", folder / "port")
+        module = folder / "cellwise.wasm"
+        sources = [str(folder / f) for f in ("cellwise_ekf.c", "cell_table.c", "port/host_rows.c")]
+        done = subprocess.run(
+            [clang, *STRICT_FLAGS, *WASM_FLAGS, *sources, "-o", str(module)],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if done.returncode != 0:
+            raise InputError(
+                f"C that clang does not compile: {done.stderr.strip()[:300]}",
+                "a clang with the target wasm32",
+                "Install another: apt-get install clang lld.",
+            )
+        return module.read_bytes()
+
+
+def zipped(files: Mapping[str, str]) -> bytes:
+    """Texts as a ZIP archive, the same bytes each time."""
+    place = io.BytesIO()
+    with zipfile.ZipFile(place, "w") as archive:
+        for file, text in files.items():
+            archive.writestr(zipfile.ZipInfo(f"cellwise/{file}"), text, zipfile.ZIP_DEFLATED)
+    return place.getvalue()
+
+
+def example(model: CellModel, dt_s: float) -> bytes:
+    """Currents of the embedded drive, scaled to the cell, and the model's voltages: float32."""
+    drive = load_dataset("nmc_drive_b")
+    records = samples_of(model, drive, dt_s).records[:MOST_EXAMPLE]
+    current = records["current_A"].astype(np.float64)
+    least = max(float(np.sum(current)) * dt_s / 3600.0, 1e-3)
+    current *= min(model.capacity_Ah * (EXAMPLE_SOC - 0.1) / least, 3.0)
+    time_s = dt_s * np.arange(current.size, dtype=np.float64)
+    log = CellLog(time_s, current, np.full(current.size, float(model.ocv_V[0, -1])))
+    voltage = simulate(model, log, EXAMPLE_SOC).voltage_V
+    voltage = voltage + np.random.default_rng(0).normal(0.0, EXAMPLE_NOISE_V, voltage.size)
+    return np.stack([current, voltage], axis=1).astype("<f4").tobytes()
+
+
+def _text_of(content: bytes) -> str:
+    return base64.b64encode(content).decode("ascii")
