@@ -40,7 +40,8 @@ deep: $(STAMP)
 oracles: $(STAMP)
 	$(BIN)/pip install --quiet --editable '.[benchmark]'
 	$(BIN)/pytest tests/cell/test_thevenin_oracle.py tests/benchmark/test_thevenin_observer.py \
-	  tests/benchmarks/test_benchmark_peers.py tests/datasets/test_generator.py
+	  tests/benchmarks/test_benchmark_peers.py tests/datasets/test_generator.py \
+	  tests/export/test_pybamm_parameters.py
 
 papers: $(STAMP)
 	$(BIN)/cellwise papers

@@ -111,6 +111,8 @@ def run_export(arguments: argparse.Namespace) -> None:
     if arguments.output:
         print_export(arguments.output, report)
         page_options.say_pages(arguments)
+    for notice in report.get("notices", ()):
+        printing.say(f"note: {notice}")
     for place in report["sockets"].values():
         printing.say(f"written: {place}")
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from cellwise.estimate.noise import Noise
 
 LAYOUT_NAMES = ("cmake", "zephyr", "platformio", "arduino", "esp-idf", "foxbms")
-SUFFIXES = {"fmu": (".fmu",), "page": (".html", ".htm")}
+SUFFIXES = {"fmu": (".fmu",), "page": (".html", ".htm"), "pybamm": (".py", ".json")}
 PAGE_STEP_S = 1.0  # of --page without --dt
 STEPPED = ("output", "fmu")  # outputs that hold for one time step, which must be stated
 
@@ -29,6 +29,8 @@ def add_options(export: argparse.ArgumentParser) -> None:
     export.add_argument("--fmu", metavar="OUT.fmu", help=text)
     text = "a page that estimates in the browser; step 1 s without --dt"
     export.add_argument("--page", metavar="OUT.html", help=text)
+    text = "parameters of PyBaMM's Thevenin model; .json is written by PyBaMM"
+    export.add_argument("--pybamm", metavar="OUT.py", help=text)
     text = "of --fmu: the estimator, or the cell alone [estimator]"
     export.add_argument("--what", choices=("estimator", "cell"), help=text)
 
@@ -70,6 +72,10 @@ def check(arguments: argparse.Namespace) -> None:
         from cellwise.export.page import check_wasm_compiler
 
         check_wasm_compiler()
+    if arguments.pybamm and arguments.pybamm.lower().endswith(".json"):
+        from cellwise.export.pybamm import require_pybamm
+
+        require_pybamm()
 
 
 def write(
@@ -84,6 +90,11 @@ def write(
     ``tables_at`` makes the tables of a time step; ``report`` is that of the folder.
     """
     written: dict[str, str] = {}
+    if arguments.pybamm:
+        from cellwise.export.pybamm import write_pybamm
+
+        place, report["notices"] = write_pybamm(model, arguments.pybamm)
+        written["pybamm"] = str(place)
     if arguments.fmu:
         from cellwise.export.fmu import What, write_fmu
 

@@ -1,0 +1,214 @@
+"""Parameters of PyBaMM's Thevenin model: a Python file of tables, or PyBaMM's JSON of it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cellwise.cell.effects import (
+    IN_TABLES,
+    ChargeAsymmetry,
+    RateDependence,
+    SelfHeating,
+    SlowDiffusion,
+    effect_table,
+)
+from cellwise.cell.model import CellModel
+from cellwise.cell.resolved import over_temperature
+from cellwise.cell.simulate import model_temperature_C
+from cellwise.errors import InputError
+from cellwise.estimate.fixed.tables import ROWS_C
+from cellwise.export.c_tables import comment
+from cellwise.files import write_atomically
+from cellwise.typing import FloatArray
+
+KNOWN = (*IN_TABLES, SlowDiffusion, RateDependence, ChargeAsymmetry, SelfHeating)
+HELD_J_PER_K = 1e12  # thermal mass of what keeps its temperature
+
+FILE = '''\
+"""PyBaMM's Thevenin model of the cell "@NAME@", written by `cellwise export --pybamm`.
+
+    import pybamm
+    model = pybamm.equivalent_circuit.Thevenin(options=OPTIONS)
+    simulation = pybamm.Simulation(model, parameter_values=get_parameter_values())
+
+Current is positive on discharge. @NOTICES@
+"""
+
+import numpy as np
+import pybamm
+
+OPTIONS = {"number of rc elements": @BRANCHES@}
+SCALARS = @SCALARS@
+RATE_PER_A = @RATE@  # R0, R1 and R2 fall with the current as 1 / (1 + RATE_PER_A |I|)
+CHARGE_SCALE = @CHARGE@  # factor on every resistance on charge
+SOC = np.linspace(0.0, 1.0, @POINTS@)
+TEMPERATURE_C = np.array(@TEMPERATURES@)
+OCV_V = np.array(@OCV@)
+# Rows: temperatures; columns: SOC.
+TABLES = {
+@TABLES@
+}
+
+
+def looked_up(name, temperature_C, soc):
+    """A table, linear in SOC and temperature, held beyond its temperatures."""
+    table = np.array(TABLES[name])
+    if len(TEMPERATURE_C) == 1:
+        return pybamm.Interpolant(SOC, table[0], soc, name=name, interpolator="linear")
+    warm = pybamm.maximum(pybamm.minimum(temperature_C, TEMPERATURE_C[-1]), TEMPERATURE_C[0])
+    axes = (TEMPERATURE_C, SOC)
+    return pybamm.Interpolant(axes, table, (warm, soc), name=name, interpolator="linear")
+
+
+def resistance(branch):
+    def r_ohm(temperature_C, current_A, soc):
+        found = looked_up(f"r{branch}_ohm", temperature_C, soc)
+        if RATE_PER_A and branch < 3:
+            found = found / (1.0 + RATE_PER_A * abs(current_A))
+        if CHARGE_SCALE != 1.0:
+            found = found * (1.0 + (CHARGE_SCALE - 1.0) * (current_A < 0))
+        return found
+
+    return r_ohm
+
+
+def capacitance(branch):
+    def c_F(temperature_C, current_A, soc):
+        r_ohm = resistance(branch)(temperature_C, current_A, soc)
+        return looked_up(f"tau{branch}_s", temperature_C, soc) / r_ohm
+
+    return c_F
+
+
+def open_circuit_voltage(soc):
+    return pybamm.Interpolant(SOC, OCV_V, soc, name="ocv_V", interpolator="linear")
+
+
+def get_parameter_values():
+    """Everything that the model asks for; Initial SoC and the current function are to be set."""
+    values = {**SCALARS, "R0 [Ohm]": resistance(0)}
+    values["Open-circuit voltage [V]"] = open_circuit_voltage
+    for branch in range(1, @BRANCHES@ + 1):
+        values[f"R{branch} [Ohm]"] = resistance(branch)
+        values[f"C{branch} [F]"] = capacitance(branch)
+        values[f"Element-{branch} initial overpotential [V]"] = 0.0
+    return pybamm.ParameterValues(values)
+'''
+
+
+def write_pybamm(model: CellModel, path: str | Path) -> tuple[Path, list[str]]:
+    """Write the parameters, a ``.json`` by PyBaMM; the place, and what is left out.
+
+    Raises
+    ------
+    InputError        effects that PyBaMM's model has no place for; no PyBaMM for a ``.json``; a
+                      path that cannot be written
+    """
+    check_pybamm(model)
+    text, notices = parameter_file(model)
+    if not str(path).lower().endswith(".json"):
+        return write_atomically(path, text), notices
+    require_pybamm()
+    names: dict[str, Any] = {"__name__": "cellwise_parameters"}
+    exec(compile(text, "cellwise_parameters.py", "exec"), names)  # what was written above
+    values = names["get_parameter_values"]().to_json()
+    return write_atomically(path, json.dumps(values, indent=1) + "\n"), notices
+
+
+def check_pybamm(model: CellModel) -> None:
+    """Refuse effects that PyBaMM's Thevenin model has no place for.
+
+    Raises
+    ------
+    InputError        there are some
+    """
+    others = [e.name for e in model.effects if not isinstance(e, KNOWN)]
+    if others:
+        raise InputError(
+            f"a model with {', '.join(others)}",
+            "what PyBaMM's Thevenin model knows: RC branches, temperature, current, own warming",
+            "Leave them out: " + " ".join(f"--without {name}" for name in others) + ".",
+        )
+
+
+def require_pybamm() -> None:
+    """Refuse to go on without PyBaMM.
+
+    Raises
+    ------
+    InputError        it is missing
+    """
+    from importlib.util import find_spec
+
+    if find_spec("pybamm") is None:
+        raise InputError(
+            "no pybamm in this Python",
+            "PyBaMM, which writes its own JSON",
+            "Install it (pip install 'cellwise[generate]'), or write a .py, which needs none.",
+        )
+
+
+def parameter_file(model: CellModel) -> tuple[str, list[str]]:
+    """The Python file, and what of the model it leaves out."""
+    usual_C = model_temperature_C(model)
+    depends = model.temperature_C.size > 1 or any(isinstance(e, IN_TABLES) for e in model.effects)
+    rows = np.union1d(ROWS_C, [usual_C]) if depends else np.array([usual_C])
+    over = over_temperature(model, rows)
+    here = int(np.flatnonzero(rows == usual_C)[0])
+    slow, heating = over.effect(SlowDiffusion), over.effect(SelfHeating)
+    branches = 3 if np.any(slow.r3_ohm) else 2
+    tables = {k: getattr(over, k) for k in ("r0_ohm", "r1_ohm", "tau1_s", "r2_ohm", "tau2_s")}
+    if branches == 3:
+        shape = over.r0_ohm.shape
+        tables |= {k: effect_table(getattr(slow, k), shape) for k in ("r3_ohm", "tau3_s")}
+    notices = [f"OCV as it is at {usual_C:g} degC."] if np.ptp(over.ocv_V, axis=0).any() else []
+    if model.charge_efficiency != 1.0:
+        notices.append(f"PyBaMM counts all charge: charge_efficiency {model.charge_efficiency:g}")
+        notices[-1] += " is left out."
+    low, high = float(model.ocv_V.min()), float(model.ocv_V.max())
+    per_K = 1.0 / heating.rth_K_per_W if heating.rth_K_per_W > 0.0 else 1.0
+    warming_J_per_K = heating.thermal_s * per_K if heating.rth_K_per_W > 0.0 else HELD_J_PER_K
+    kelvin = usual_C + 273.15
+    scalars = {
+        "Cell capacity [A.h]": model.capacity_Ah,
+        "Nominal cell capacity [A.h]": model.capacity_Ah,
+        "Current function [A]": model.capacity_Ah,
+        "Initial SoC": 1.0,
+        "Initial temperature [K]": kelvin,
+        "Ambient temperature [K]": kelvin,
+        "Upper voltage cut-off [V]": model.voltage_max_V or high + 0.2,
+        "Lower voltage cut-off [V]": model.voltage_min_V or 0.5 * low,
+        "Cell thermal mass [J/K]": warming_J_per_K,
+        "Cell-jig heat transfer coefficient [W/K]": per_K,
+        "Jig thermal mass [J/K]": HELD_J_PER_K,
+        "Jig-air heat transfer coefficient [W/K]": 1.0,
+        "Entropic change [V/K]": 0.0,
+    }
+    filled = {
+        "@NAME@": comment(model.name).replace('"', "'") or "unnamed",
+        "@NOTICES@": " ".join(notices),
+        "@BRANCHES@": str(branches),
+        "@SCALARS@": json.dumps(scalars, indent=4),
+        "@RATE@": repr(over.effect(RateDependence).rate_h / model.capacity_Ah),
+        "@CHARGE@": repr(over.effect(ChargeAsymmetry).charge_scale),
+        "@POINTS@": str(model.points),
+        "@TEMPERATURES@": repr(rows.tolist()),
+        "@OCV@": _numbers(over.ocv_V[here]),
+        "@TABLES@": "\n".join(
+            f'    "{name}": [\n{rows_of}\n    ],'
+            for name, table in tables.items()
+            for rows_of in ["\n".join(f"        {_numbers(row)}," for row in table)]
+        ),
+    }
+    text = FILE
+    for mark, content in filled.items():
+        text = text.replace(mark, content)
+    return text, notices
+
+
+def _numbers(values: FloatArray) -> str:
+    return "[" + ", ".join(f"{v:.7g}" for v in values) + "]"

@@ -1,0 +1,118 @@
+"""export --pybamm: PyBaMM runs what is written, within 1 mV of `simulate`."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cellwise.cell.effects import (
+    ChargeAsymmetry,
+    Hysteresis,
+    RateDependence,
+    SelfHeating,
+    SlowDiffusion,
+    TemperatureDependence,
+)
+from cellwise.cell.model_file import write_model
+from cellwise.cell.simulate import simulate
+from cellwise.cell.stock.catalogue import named_model
+from cellwise.cli import main
+from cellwise.data import load_dataset
+from cellwise.logs.cell_log import CellLog
+from example_cells import curved_cell
+
+EFFECTS = (
+    SlowDiffusion(r3_ohm=0.015, tau3_s=1500.0),
+    RateDependence(0.05),
+    ChargeAsymmetry(0.8),
+    SelfHeating(3.0, 300.0),
+    TemperatureDependence(activation_K=2000.0, reference_C=25.0),
+)
+
+
+def exported(folder, model, suffix, *more):
+    write_model(model, folder / "model.json")
+    place = folder / f"cell.{suffix}"
+    arguments = ["--model", folder / "model.json", "--pybamm", place, *more]
+    assert main(["export", *map(str, arguments)]) == 0
+    return place
+
+
+def run(pybamm, values, branches, log, soc0):
+    """Voltage at every row of a log by PyBaMM, the current of a row held before it."""
+    options = {"number of rc elements": branches}
+    model = pybamm.equivalent_circuit.Thevenin(options=options)
+    model.events = []
+    time, current = log.time_s, log.current_A
+    values.update({"Initial SoC": soc0, "Current function [A]": "[input]"})
+    solver = pybamm.IDAKLUSolver(rtol=1e-8, atol=1e-8)
+    simulation = pybamm.Simulation(model, parameter_values=values, solver=solver)
+    found = [np.nan]
+    for k in range(1, len(log)):
+        dt = float(time[k] - time[k - 1])
+        solution = simulation.step(
+            dt, inputs={"Current function [A]": float(current[k])}, save=False
+        )
+        found.append(float(solution["Voltage [V]"].entries[-1]))
+    return np.array(found)
+
+
+def drive(capacity_Ah, warm_C, rows=250):
+    """An hour of a drive at 10 s, scaled to a cell."""
+    log = load_dataset("nmc_drive_b")
+    current = log.current_A[2000 : 2000 + 10 * rows].reshape(rows, -1).mean(axis=1)
+    current *= 0.8 * capacity_Ah / np.abs(current).max()
+    time_s = 10.0 * np.arange(rows)
+    return CellLog(time_s, current, np.full(rows, 3.7), np.full(rows, warm_C))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("suffix", ["py", "json"])
+@pytest.mark.parametrize("which", ["plain", "effects", "nmc-18650"])
+def test_pybamm_is_within_a_millivolt_of_simulate(tmp_path, which, suffix):
+    pybamm = pytest.importorskip("pybamm", reason="no PyBaMM: pip install 'cellwise[generate]'")
+    if which == "nmc-18650":
+        model = named_model(which)
+        place = exported(tmp_path, model, suffix, "--without", "hysteresis")
+        kept = tuple(e for e in model.effects if not isinstance(e, Hysteresis))
+        model, warm_C = replace(model, effects=kept), float(model.temperature_C[0])
+    else:
+        model, warm_C = curved_cell(effects=EFFECTS if which == "effects" else ()), 25.0
+        place = exported(tmp_path, model, suffix)
+    if suffix == "json":
+        values = pybamm.ParameterValues.from_json(str(place))
+    else:
+        spec = importlib.util.spec_from_file_location("cell", place)
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        values = module.get_parameter_values()
+    branches = 3 if "R3 [Ohm]" in values else 2
+    log = drive(model.capacity_Ah, warm_C)
+    values.update({"Ambient temperature [K]": warm_C + 273.15})
+    values.update({"Initial temperature [K]": warm_C + 273.15})
+    theirs = run(pybamm, values, branches, log, 0.8)
+    ours = simulate(model, log, 0.8).voltage_V
+    assert np.ptp(theirs[1:]) > 0.1
+    assert np.max(np.abs(theirs - ours)[1:]) < 1e-3
+
+
+def test_what_pybamm_has_no_place_for_is_refused_by_name(tmp_path, capsys, monkeypatch):
+    model = curved_cell(effects=(Hysteresis(0.02, 50.0),))
+    write_model(model, tmp_path / "model.json")
+    base = ["export", "--model", str(tmp_path / "model.json"), "--pybamm"]
+    assert main([*base, str(tmp_path / "cell.py")]) == 2
+    assert "--without hysteresis" in capsys.readouterr().err
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    assert main([*base, str(tmp_path / "cell.json"), "--without", "hysteresis"]) == 2
+    assert "cellwise[generate]" in capsys.readouterr().err
+    assert [p.name for p in tmp_path.iterdir()] == ["model.json"]
+
+
+def test_what_is_left_out_is_said(tmp_path, capsys):
+    exported(tmp_path, curved_cell(charge_efficiency=0.99), "py", "--json")
+    assert "charge_efficiency 0.99" in json.loads(capsys.readouterr().out)["notices"][0]
+    compile((tmp_path / "cell.py").read_text(), "cell.py", "exec")
