@@ -16,7 +16,12 @@ if TYPE_CHECKING:
     from cellwise.estimate.noise import Noise
 
 LAYOUT_NAMES = ("cmake", "zephyr", "platformio", "arduino", "esp-idf", "foxbms")
-SUFFIXES = {"fmu": (".fmu",), "page": (".html", ".htm"), "pybamm": (".py", ".json")}
+SUFFIXES = {
+    "fmu": (".fmu",),
+    "page": (".html", ".htm"),
+    "pybamm": (".py", ".json"),
+    "can": (".dbc",),
+}
 PAGE_STEP_S = 1.0  # of --page without --dt
 STEPPED = ("output", "fmu")  # outputs that hold for one time step, which must be stated
 
@@ -31,6 +36,8 @@ def add_options(export: argparse.ArgumentParser) -> None:
     export.add_argument("--page", metavar="OUT.html", help=text)
     text = "parameters of PyBaMM's Thevenin model; .json is written by PyBaMM"
     export.add_argument("--pybamm", metavar="OUT.py", help=text)
+    text = "DBC of SOC, band, power and remaining time, and the C beside it that packs them"
+    export.add_argument("--can", metavar="OUT.dbc", help=text)
     text = "of --fmu: the estimator, or the cell alone [estimator]"
     export.add_argument("--what", choices=("estimator", "cell"), help=text)
 
@@ -72,6 +79,10 @@ def check(arguments: argparse.Namespace) -> None:
         from cellwise.export.page import check_wasm_compiler
 
         check_wasm_compiler()
+    if arguments.can:
+        from cellwise.export.can import require_cantools
+
+        require_cantools()
     if arguments.pybamm and arguments.pybamm.lower().endswith(".json"):
         from cellwise.export.pybamm import require_pybamm
 
@@ -90,6 +101,10 @@ def write(
     ``tables_at`` makes the tables of a time step; ``report`` is that of the folder.
     """
     written: dict[str, str] = {}
+    if arguments.can:
+        from cellwise.export.can import write_dbc
+
+        written["can"] = ", ".join(map(str, write_dbc(model, arguments.can, arguments.cells)))
     if arguments.pybamm:
         from cellwise.export.pybamm import write_pybamm
 
