@@ -34,14 +34,16 @@ test: check
 
 # What `make firmware` and `make pages` run is left to them.
 deep: $(STAMP)
-	$(BIN)/pytest -n 2 --dist worksteal -m slow --ignore tests/firmware --ignore tests/report/test_in_browser.py
+	$(BIN)/pytest -n 2 --dist worksteal -m slow --ignore tests/firmware --ignore tests/report/test_in_browser.py \
+	  --ignore tests/export
 
-# Other people's implementations as oracle: PyBaMM, thevenin.
+# Other people's implementations as oracle: PyBaMM, thevenin, importers, checks of manifests.
 oracles: $(STAMP)
-	$(BIN)/pip install --quiet --editable '.[benchmark]'
+	$(BIN)/pip install --quiet --editable '.[benchmark,checks]'
 	$(BIN)/pytest tests/cell/test_thevenin_oracle.py tests/benchmark/test_thevenin_observer.py \
 	  tests/benchmarks/test_benchmark_peers.py tests/datasets/test_generator.py \
-	  tests/export/test_pybamm_parameters.py
+	  tests/export/test_pybamm_parameters.py tests/export/test_fmu.py \
+	  tests/export/test_layouts.py tests/logs/test_log_writing.py
 
 papers: $(STAMP)
 	$(BIN)/cellwise papers
@@ -60,13 +62,12 @@ firmware: $(STAMP)
 	.ci/debian arm-none-eabi-gcc qemu-system-arm frama-c cppcheck clang wasm-ld cmake -- $(FIRMWARE_PACKAGES)
 	.ci/debian riscv64-unknown-elf-gcc qemu-system-riscv32 -- $(RISCV_PACKAGES) || \
 	  echo "no RISC-V tools: its tests are skipped"
-	$(BIN)/pip install --quiet --editable '.[trees]'
 	$(BIN)/pytest -n 2 tests/firmware tests/export tests/estimate/fixed/test_fixed_step_twin.py
 
 # Debian's Chromium, and every page opened in it.
 pages: $(STAMP)
-	.ci/debian chromium -- chromium
-	$(BIN)/pytest tests/report/test_in_browser.py
+	.ci/debian chromium clang wasm-ld -- chromium clang lld
+	$(BIN)/pytest tests/report/test_in_browser.py tests/export/test_page.py
 
 clean:
 	rm -rf $(VENV) demo

@@ -9,7 +9,10 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+import scipy.io
 
+from cellwise.cli import main
+from cellwise.data import load_dataset
 from cellwise.errors import InputError
 from cellwise.files import write_atomically
 from cellwise.logs import CellLog, read_log, write_log
@@ -35,7 +38,10 @@ def rough_log(n: int = 3000, **more) -> CellLog:
     )
 
 
-@pytest.mark.parametrize("suffix", ["csv", "csv.gz", "parquet", "CSV"])
+STANDARD = ["bdf", "bdf.gz", "bdf.csv", "bdf.csv.gz", "bdf.parquet"]
+
+
+@pytest.mark.parametrize("suffix", ["csv", "csv.gz", "parquet", "CSV", "mat", *STANDARD])
 def test_round_trip_to_the_last_bit(tmp_path, suffix):
     log = rough_log()
     path = write_log(log, tmp_path / f"out.{suffix}")
@@ -43,6 +49,28 @@ def test_round_trip_to_the_last_bit(tmp_path, suffix):
     for field in FIELDS:
         np.testing.assert_array_equal(getattr(again, field), getattr(log, field), err_msg=field)
     assert os.listdir(tmp_path) == [path.name]
+
+
+def test_matlab_finds_columns_in_a_structure_positive_on_charge(tmp_path):
+    log = rough_log(50)
+    found = scipy.io.loadmat(write_log(log, tmp_path / "out.mat"))["meas"][0, 0]
+    assert found["Time"].shape == (50, 1)
+    np.testing.assert_array_equal(found["Current"][:, 0], -log.current_A)
+    np.testing.assert_array_equal(found["Ah"][:, 0], -log.charge_Ah)
+
+
+@pytest.mark.parametrize("suffix", ["bdf.csv", "bdf.parquet"])
+def test_the_library_of_the_battery_data_format_takes_it(tmp_path, suffix, recwarn):
+    bdf = pytest.importorskip("bdf", reason="no batterydf: pip install batterydf")
+    log = load_dataset("nmc_drive_a")
+    write_log(log, tmp_path / "log.csv")
+    place = tmp_path / f"log.{suffix}"
+    assert main(["convert", str(tmp_path / "log.csv"), "-o", str(place)]) == 0
+    table = bdf.read(place)
+    bdf.validate(table, raise_on_error=True)
+    np.testing.assert_array_equal(table["Current / A"], -log.current_A)
+    np.testing.assert_array_equal(table["Voltage / V"], log.voltage_V)
+    np.testing.assert_array_equal(table["Test Time / s"], log.time_s)
 
 
 def test_only_the_channels_there_are(tmp_path):

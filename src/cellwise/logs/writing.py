@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import gzip
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,17 +15,33 @@ from cellwise.logs.measured_log import MeasuredLog
 
 if TYPE_CHECKING:
     import pyarrow
+    from numpy.typing import NDArray
 
-SUFFIXES = (".parquet", ".csv", ".csv.gz")
+BDF = ".bdf"  # before the suffix of a Battery Data Format
+SUFFIXES = (".parquet", ".csv", ".csv.gz", ".mat", ".bdf", ".bdf.csv", ".bdf.parquet")
 FIELDS = ("time_s", "current_A", "voltage_V", "temperature_C", "charge_Ah", "step")
+# Battery Data Format 1.0, preferred labels: https://github.com/battery-data-alliance
+BDF_LABELS = (
+    *("Test Time / s", "Current / A", "Voltage / V", "Surface Temperature T1 / degC"),
+    *("Net Capacity / Ah", "Step Count / 1"),
+)
+# As a Digatron exports its measurement, and the public logs in MATLAB files have it.
+MATLAB_STRUCTURE = "meas"
+MATLAB_NAMES = ("Time", "Current", "Voltage", "Battery_Temp_degC", "Ah", "Step")
+CHARGE_POSITIVE = ("current_A", "charge_Ah")  # in both of these formats, the other way than here
 ROWS_AT_ONCE = 250_000
 GZIP_LEVEL = 4
 
+Columns = Mapping[str, "NDArray[Any]"]
+
 
 def write_log(log: MeasuredLog, path: str | Path) -> Path:
-    """Write a log as ``.csv``, ``.csv.gz`` or ``.parquet``, whole or not at all.
+    """Write a log, whole or not at all; the suffix says in which form.
 
-    Every number is written so that it reads back the same. Missing values are empty cells.
+    The tidy form as ``.csv``, ``.csv.gz`` or ``.parquet``; the Battery Data Format as ``.bdf``,
+    ``.bdf.gz``, ``.bdf.csv``, ``.bdf.csv.gz`` or ``.bdf.parquet``; ``.mat`` as a structure ``meas``
+    of MATLAB. The latter two are positive on charge, as their other writers have it. Every number
+    is written so that it reads back the same. Missing values are empty cells, NaN in MATLAB.
 
     Returns
     -------
@@ -37,12 +53,17 @@ def write_log(log: MeasuredLog, path: str | Path) -> Path:
     """
     place = Path(path)
     name = place.name.casefold()
+    if name.endswith(".mat"):
+        return write_atomically(place, lambda target: _write_matlab(log, target))
+    standard = any(name.endswith((BDF, f"{BDF}{end}")) for end in (".gz", ".csv", ".csv.gz"))
+    standard = standard or name.endswith(f"{BDF}.parquet")
+    columns = _turned(log, BDF_LABELS) if standard else _tidy(log)
     if name.endswith(".parquet"):
-        return write_atomically(place, lambda target: _write_parquet(log, target))
-    if name.endswith(".csv.gz"):
-        return write_atomically(place, lambda target: _write_csv(log, target, compressed=True))
-    if name.endswith(".csv"):
-        return write_atomically(place, lambda target: _write_csv(log, target, compressed=False))
+        return write_atomically(place, lambda target: _write_parquet(columns, target))
+    if name.endswith((".csv.gz", f"{BDF}.gz")):
+        return write_atomically(place, lambda target: _write_csv(columns, target, compressed=True))
+    if name.endswith((".csv", BDF)):
+        return write_atomically(place, lambda target: _write_csv(columns, target, compressed=False))
     raise InputError(
         f"an output file '{place.name}'",
         f"a name that ends in {', '.join(SUFFIXES)}",
@@ -54,57 +75,80 @@ def arrow_table(log: MeasuredLog) -> pyarrow.Table:
     """The log as a pyarrow table in the tidy form: `CellLog.to_arrow`."""
     import pyarrow as pa
 
-    return pa.Table.from_batches(_batches(log), schema=_schema(log))
+    columns = _tidy(log)
+    return pa.Table.from_batches(_batches(columns), schema=_schema(columns))
 
 
-def _schema(log: MeasuredLog) -> pyarrow.Schema:
+def _tidy(log: MeasuredLog) -> Columns:
+    """The tidy form's columns by name; it has one meaning of a row's current."""
+    channels = {"time_s": log.time_s, "current_A": log.interval_current_A}
+    fields = {**{field: getattr(log, field) for field in FIELDS}, **channels}
+    there = {field: values for field, values in fields.items() if values is not None}
+    return dict(zip(tidy_header(list(there)), there.values(), strict=True))
+
+
+def _turned(log: MeasuredLog, labels: Sequence[str]) -> Columns:
+    """The same by other labels, current and counter positive on charge."""
+    found: dict[str, NDArray[Any]] = {}
+    for field, label in zip(FIELDS, labels, strict=True):
+        values = log.interval_current_A if field == "current_A" else getattr(log, field)
+        if values is not None:
+            found[label] = 0.0 - values if field in CHARGE_POSITIVE else values
+    return found
+
+
+def _write_matlab(log: MeasuredLog, target: Path) -> None:
+    from scipy.io import savemat
+
+    structure = {MATLAB_STRUCTURE: dict(_turned(log, MATLAB_NAMES))}
+    savemat(target, structure, appendmat=False, oned_as="column", do_compression=True)
+
+
+def _schema(columns: Columns) -> pyarrow.Schema:
     import pyarrow as pa
 
-    fields = [field for field in FIELDS if getattr(log, field) is not None]
-    types = [pa.int32() if field == "step" else pa.float64() for field in fields]
-    return pa.schema(list(zip(tidy_header(fields), types, strict=True)))
+    kinds = [pa.int32() if v.dtype.kind == "i" else pa.float64() for v in columns.values()]
+    return pa.schema(list(zip(columns, kinds, strict=True)))
 
 
-def _batches(log: MeasuredLog) -> Iterator[pyarrow.RecordBatch]:
-    """The tidy columns, some rows at a time."""
+def _batches(columns: Columns) -> Iterator[pyarrow.RecordBatch]:
+    """The columns, some rows at a time."""
     import pyarrow as pa
 
-    schema = _schema(log)
-    # The tidy form has one meaning of a row's current.
-    channels = [log.time_s, log.interval_current_A, log.voltage_V]
-    optional = (log.temperature_C, log.charge_Ah, log.step)
-    arrays = [*channels, *(channel for channel in optional if channel is not None)]
-    for start in range(0, len(log), ROWS_AT_ONCE):
+    schema = _schema(columns)
+    length = len(next(iter(columns.values())))
+    for start in range(0, length, ROWS_AT_ONCE):
         rows = slice(start, start + ROWS_AT_ONCE)
-        columns = [from_numpy(array[rows]) for array in arrays]
-        yield pa.RecordBatch.from_arrays(columns, schema=schema)
+        arrays = [from_numpy(values[rows]) for values in columns.values()]
+        yield pa.RecordBatch.from_arrays(arrays, schema=schema)
 
 
-def _write_parquet(log: MeasuredLog, target: Path) -> None:
+def _write_parquet(columns: Columns, target: Path) -> None:
     from pyarrow import parquet
 
-    schema = _schema(log)
-    floats = [name for name in schema.names if name != "step"]
+    schema = _schema(columns)
+    whole = [name for name, values in columns.items() if values.dtype.kind == "i"]
+    floats = [name for name in columns if name not in whole]
     # The bytes of floating point numbers apart: a third smaller than with a dictionary, and read in
     # half the time.
     with parquet.ParquetWriter(
-        target, schema, compression="zstd", use_dictionary=["step"], use_byte_stream_split=floats
+        target, schema, compression="zstd", use_dictionary=whole, use_byte_stream_split=floats
     ) as writer:
-        for batch in _batches(log):
+        for batch in _batches(columns):
             writer.write_batch(batch)
 
 
-def _write_csv(log: MeasuredLog, target: Path, *, compressed: bool) -> None:
+def _write_csv(columns: Columns, target: Path, *, compressed: bool) -> None:
     from pyarrow import csv
 
-    schema = _schema(log)
+    schema = _schema(columns)
     options = csv.WriteOptions(include_header=False)
     with target.open("wb") as file:
         # Without a name and a time in its header, the same log makes the same bytes.
         stream = gzip.GzipFile("", "wb", GZIP_LEVEL, file, mtime=0) if compressed else file
         stream.write((",".join(schema.names) + "\n").encode())
         with csv.CSVWriter(stream, schema, write_options=options) as writer:
-            for batch in _batches(log):
+            for batch in _batches(columns):
                 writer.write_batch(batch)
         if compressed:
             stream.close()

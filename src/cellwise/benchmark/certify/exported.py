@@ -105,7 +105,9 @@ def read_export(folder: str | Path, model: CellModel | None = None) -> Exported:
     sources = sorted(place.glob("*_ekf.c"))
     if len(sources) != 1:
         raise InputError(
-            f"{len(sources)} filters in '{place}'", "one file *_ekf.c", "Export again."
+            f"{len(sources)} filters in '{place}'",
+            "one file *_ekf.c",
+            "Export again, without `layout`: the C is the same.",
         )
     prefix = sources[0].name.removesuffix("_ekf.c")
     with tempfile.TemporaryDirectory(prefix="certify-") as name:
