@@ -90,7 +90,7 @@ def arranged(files: dict[str, str], layout: str, name: str, dt_s: float) -> dict
     milliseconds = round(1000.0 * dt_s)
     if layout == "foxbms" and abs(milliseconds - 1000.0 * dt_s) > 1e-6:
         raise InputError(
-            f"a time step of {dt_s:g} s for foxBMS", "whole milliseconds", "Give --dt 0.1, say."
+            f"a time step of {dt_s:g} s for foxBMS", "whole milliseconds", "Give `dt_s=0.1`, say."
         )
     wanted = LAYOUTS[layout]
 

@@ -29,7 +29,7 @@ KNOWN = (*IN_TABLES, SlowDiffusion, RateDependence, ChargeAsymmetry, SelfHeating
 HELD_J_PER_K = 1e12  # thermal mass of what keeps its temperature
 
 FILE = '''\
-"""PyBaMM's Thevenin model of the cell "@NAME@", written by `cellwise export --pybamm`.
+"""PyBaMM's Thevenin model of the cell "@NAME@", written by `cellwise export`.
 
     import pybamm
     model = pybamm.equivalent_circuit.Thevenin(options=OPTIONS)
@@ -101,7 +101,7 @@ def get_parameter_values():
 
 
 def write_pybamm(model: CellModel, path: str | Path) -> tuple[Path, list[str]]:
-    """Write the parameters, a ``.json`` by PyBaMM; the place, and what is left out.
+    """Write the parameters, a ``.json`` by PyBaMM; the place, and what they omit.
 
     Raises
     ------
@@ -131,7 +131,7 @@ def check_pybamm(model: CellModel) -> None:
         raise InputError(
             f"a model with {', '.join(others)}",
             "what PyBaMM's Thevenin model knows: RC branches, temperature, current, own warming",
-            "Leave them out: " + " ".join(f"--without {name}" for name in others) + ".",
+            "Leave them out: " + " ".join(f"`without={name}`" for name in others) + ".",
         )
 
 

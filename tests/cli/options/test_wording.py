@@ -19,7 +19,8 @@ from sources import tree_of
 
 SOURCE = Path(cellwise.__file__).parent
 # Options of other programs, and of `python -m cellwise.printing`; the variables of a style sheet.
-OTHERS = ("cli", "printing", "report/page", "export/cross.py")
+OTHERS = ("cli", "printing", "report/page", "export/cross.py", "export/page.py")
+OTHERS += ("export/layouts.py",)
 OPTION = re.compile(r"(?<![\w-])--[a-z]")
 
 
