@@ -300,6 +300,9 @@ def test_foxbms_calls_it_and_an_hour_at_1_A_takes_its_charge(tmp_path, capsys):
 def test_what_cannot_be_arranged_is_refused(tmp_path, capsys):
     write_model(curved_cell(), tmp_path / "model.json")
     base = ["export", "--model", str(tmp_path / "model.json"), "--layout", "foxbms"]
+    can = ["export", "--model", str(tmp_path / "model.json"), "--can", str(tmp_path / "a.dbc")]
+    assert main([*can, "--report", str(tmp_path / "a.html")]) == 2
+    assert "--report without -o" in capsys.readouterr().err
     assert main([*base, "--dt", "0.0305", "--fmu", str(tmp_path / "a.fmu")]) == 2
     assert "-o DIR" in capsys.readouterr().err
     assert main([*base, "--dt", "0.03051", "-o", str(tmp_path / "out")]) == 2

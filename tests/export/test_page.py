@@ -60,6 +60,11 @@ async def given(browser, path, wanted="done"):
     root = await browser.do("DOM.getDocument")
     found = await browser.do("DOM.querySelector", nodeId=root["root"]["nodeId"], selector="#file")
     await browser.do("DOM.setFileInputFiles", nodeId=found["nodeId"], files=[str(path)])
+    return await ended(browser, wanted)
+
+
+async def ended(browser, wanted):
+    """What the page says once it is done, or has refused."""
     for _ in range(1200):
         state = await browser.value("document.documentElement.dataset.page")
         if state in ("done", "refused"):
@@ -200,6 +205,16 @@ def test_the_example_and_the_c_of_the_page_work(tmp_path):
     page = exported(tmp_path, curved_cell(), "--prefix", "nmc")
 
     async def work(browser):
+        await browser.value("document.getElementById('example').click()")
+        dropped = "time_s,current_A,voltage_V\\n0,0,3.6\\n1,1,3.5\\n2,1,3.5\\n"
+        await browser.value(
+            "(() => { const t = new DataTransfer();"
+            f" t.items.add(new File(['{dropped}'], 'dropped.csv'));"
+            " document.documentElement.dataset.page = '';"
+            " document.body.dispatchEvent(new DragEvent('drop', {dataTransfer: t, bubbles: true}));"
+            " })()"
+        )
+        assert "dropped.csv: 3 samples" in await ended(browser, "done")
         await browser.value("document.getElementById('example').click()")
         soc = await browser.value("page.result.real[6 * (page.result.size - 1)]")
         left = await browser.value("page.result.left.filter((a) => a[0] > 0).length")

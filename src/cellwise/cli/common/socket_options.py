@@ -23,6 +23,7 @@ SUFFIXES = {
     "can": (".dbc",),
 }
 PAGE_STEP_S = 1.0  # of --page without --dt
+FOLDERS_OWN = ("layout", "report", "figures", "log", "flash")  # options that the others ignore
 STEPPED = ("output", "fmu")  # outputs that hold for one time step, which must be stated
 
 
@@ -65,8 +66,10 @@ def check(arguments: argparse.Namespace) -> None:
         raise InputError(
             "no time step", "--dt S, the seconds from one sample to the next", "Add --dt 1, say."
         )
-    if arguments.layout and not arguments.output:
-        raise InputError("--layout without -o", "a folder to arrange", "Add -o DIR.")
+    for name in FOLDERS_OWN:
+        if getattr(arguments, name) and not arguments.output:
+            option = name.replace("_", "-")
+            raise InputError(f"--{option} without -o", "a folder of C sources", "Add -o DIR.")
     if arguments.what and not arguments.fmu:
         raise InputError("--what without --fmu", "an FMU to write", "Add --fmu OUT.fmu.")
     if arguments.fmu:
