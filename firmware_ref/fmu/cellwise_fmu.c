@@ -14,12 +14,21 @@
 #include "cellwise_cell.h"
 #include "fmu_variables.h"
 
+/* Value references, as in modelDescription.xml; inputs and parameters from FMU_FIRST_SET on. */
+enum {
+    FMU_TIME, FMU_SOC, FMU_SOC_STD, FMU_PREDICTED_V, FMU_INNOVATION_V,
+    FMU_DISCHARGE_W, FMU_CHARGE_LOW_W = FMU_DISCHARGE_W + 3,
+    FMU_REMAINING_S, FMU_REMAINING_HIGH_S = FMU_REMAINING_S + 2,
+    FMU_STATUS,
+    FMU_FIRST_SET = 20, FMU_SETTABLE = 5
+};
+enum { CURRENT_A, TEMPERATURE_C, VOLTAGE_V, SOC0, SOC0_STD }; /* from FMU_FIRST_SET */
+
 /* Everything an instance holds: plain bytes, so that a copy of them is its FMU state. */
 typedef struct {
     cellwise_state state;
     cellwise_output out;
-    double in[FMU_INPUTS]; /* by value reference from FMU_FIRST_INPUT */
-    double parameter[FMU_PARAMETERS]; /* by value reference from FMU_FIRST_PARAMETER */
+    double set[FMU_SETTABLE];
     double time_s;
     double start_s;
     double steps; /* taken since start_s; a whole number */
@@ -44,8 +53,8 @@ static void sample(fmu_values *now, double current_A)
 {
     cellwise_input in;
     in.current_A = (float)current_A;
-    in.voltage_V = FMU_VOLTAGE_OF(now->in);
-    in.temperature_C = (float)now->in[FMU_TEMPERATURE_C - FMU_FIRST_INPUT];
+    in.voltage_V = CELLWISE_FMU_CELL ? NAN : (float)now->set[VOLTAGE_V];
+    in.temperature_C = (float)now->set[TEMPERATURE_C];
     in.sequence = now->sequence;
     (void)cellwise_step(&cellwise_cell, &now->state, &in, &now->out);
     now->sequence++;
@@ -56,12 +65,11 @@ static fmi3Status begin(fmu_instance *f)
 {
     static const cellwise_output none;
     fmu_values *const now = &f->now;
-    const double soc = now->parameter[FMU_SOC0 - FMU_FIRST_PARAMETER];
-    const float variance = FMU_START_VARIANCE(now->parameter);
+    const float variance = (float)(now->set[SOC0_STD] * now->set[SOC0_STD]);
     now->out = none;
     now->sequence = 0u;
     now->steps = 0.0;
-    if (cellwise_init(&cellwise_cell, &now->state, (float)soc, variance) != 0u) {
+    if (cellwise_init(&cellwise_cell, &now->state, (float)now->set[SOC0], variance) != 0u) {
         return refuse(f, "found a soc0 or soc0_std that is none; expected soc0 from 0 to 1, soc0_std above 0 up to 1");
     }
     now->out.soc = now->state.soc;
@@ -74,14 +82,14 @@ static fmi3Status begin(fmu_instance *f)
 
 static double read_output(const fmu_values *now, fmi3ValueReference r)
 {
-#if CELLWISE_POWER && !CELLWISE_FMU_CELL
+#if CELLWISE_POWER
     if (r >= FMU_DISCHARGE_W && r <= FMU_CHARGE_LOW_W) {
         cellwise_capability able;
         cellwise_power(&cellwise_cell, &now->state, &able);
         return (double)(&able.discharge_W)[r - FMU_DISCHARGE_W];
     }
 #endif
-#if CELLWISE_REMAINING && !CELLWISE_FMU_CELL
+#if CELLWISE_REMAINING
     if (r >= FMU_REMAINING_S && r <= FMU_REMAINING_HIGH_S) {
         cellwise_outlook ahead;
         cellwise_remaining(&cellwise_cell, &now->state, now->state.current_A, true, &ahead);
@@ -91,10 +99,8 @@ static double read_output(const fmu_values *now, fmi3ValueReference r)
     switch (r) {
     case FMU_SOC: return (double)now->out.soc;
     case FMU_PREDICTED_V: return (double)now->out.voltage_V;
-#if !CELLWISE_FMU_CELL
     case FMU_SOC_STD: return sqrt((double)now->out.soc_variance);
     case FMU_INNOVATION_V: return (double)now->out.innovation_V;
-#endif
     default: return now->time_s;
     }
 }
@@ -114,8 +120,6 @@ fmi3Instance fmi3InstantiateCoSimulation(
     fmi3Boolean events, fmi3Boolean early, const fmi3ValueReference between[], size_t n,
     fmi3InstanceEnvironment environment, fmi3LogMessageCallback log, fmi3IntermediateUpdateCallback update)
 {
-    static const double inputs[FMU_INPUTS] = FMU_START_INPUTS;
-    static const double parameters[FMU_PARAMETERS] = FMU_START_PARAMETERS;
     fmu_instance *f;
     f = calloc(1u, sizeof *f);
     if (f == NULL) {
@@ -128,9 +132,7 @@ fmi3Instance fmi3InstantiateCoSimulation(
         free(f);
         return NULL;
     }
-    memcpy(f->now.in, inputs, sizeof inputs);
-    memcpy(f->now.parameter, parameters, sizeof parameters);
-    (void)begin(f);
+    (void)fmi3Reset(f);
     return f;
 }
 
@@ -184,7 +186,7 @@ fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 at_s, fmi3Float64 step_
     /* The float32 of the time step is not what was asked for: FMU_DT_S is. */
     due = floor((now->time_s - now->start_s) / FMU_DT_S + 1e-6);
     for (; now->steps < due; now->steps += 1.0) {
-        sample(now, now->in[FMU_CURRENT_A - FMU_FIRST_INPUT]);
+        sample(now, now->set[CURRENT_A]);
     }
     *last_s = now->time_s;
     return fmi3OK;
@@ -197,12 +199,9 @@ fmi3Status fmi3Terminate(fmi3Instance instance)
 
 fmi3Status fmi3Reset(fmi3Instance instance)
 {
-    static const double inputs[FMU_INPUTS] = FMU_START_INPUTS;
-    static const double parameters[FMU_PARAMETERS] = FMU_START_PARAMETERS;
-    fmu_instance *const f = instance;
-    memcpy(f->now.in, inputs, sizeof inputs);
-    memcpy(f->now.parameter, parameters, sizeof parameters);
-    return begin(f);
+    static const double start[FMU_SETTABLE] = FMU_START;
+    memcpy(((fmu_instance *)instance)->now.set, start, sizeof start);
+    return begin(instance);
 }
 
 fmi3Status fmi3GetFloat64(fmi3Instance instance, const fmi3ValueReference r[], size_t n, fmi3Float64 v[],
@@ -210,19 +209,8 @@ fmi3Status fmi3GetFloat64(fmi3Instance instance, const fmi3ValueReference r[], s
 {
     const fmu_instance *const f = instance;
     size_t k;
-    if (values != n) {
-        return refuse(f, "found other numbers of values and references; expected as many of each");
-    }
     for (k = 0u; k < n; k++) {
-        if (r[k] - FMU_FIRST_INPUT < FMU_INPUTS) {
-            v[k] = f->now.in[r[k] - FMU_FIRST_INPUT];
-        } else if (r[k] - FMU_FIRST_PARAMETER < FMU_PARAMETERS) {
-            v[k] = f->now.parameter[r[k] - FMU_FIRST_PARAMETER];
-        } else if (FMU_IS_OUTPUT(r[k])) {
-            v[k] = read_output(&f->now, r[k]);
-        } else {
-            return refuse(f, "found a value reference that is no Float64 of this FMU");
-        }
+        v[k] = r[k] - FMU_FIRST_SET < FMU_SETTABLE ? f->now.set[r[k] - FMU_FIRST_SET] : read_output(&f->now, r[k]);
     }
     return fmi3OK;
 }
@@ -232,17 +220,11 @@ fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueReference r[], s
 {
     fmu_instance *const f = instance;
     size_t k;
-    if (values != n) {
-        return refuse(f, "found other numbers of values and references; expected as many of each");
-    }
     for (k = 0u; k < n; k++) {
-        if (r[k] - FMU_FIRST_INPUT < FMU_INPUTS) {
-            f->now.in[r[k] - FMU_FIRST_INPUT] = v[k];
-        } else if (r[k] - FMU_FIRST_PARAMETER < FMU_PARAMETERS) {
-            f->now.parameter[r[k] - FMU_FIRST_PARAMETER] = v[k];
-        } else {
+        if (r[k] - FMU_FIRST_SET >= FMU_SETTABLE) {
             return refuse(f, "found a value reference that is neither input nor parameter");
         }
+        f->now.set[r[k] - FMU_FIRST_SET] = v[k];
     }
     return fmi3OK;
 }
@@ -253,7 +235,7 @@ fmi3Status fmi3GetUInt32(fmi3Instance instance, const fmi3ValueReference r[], si
     const fmu_instance *const f = instance;
     size_t k;
     for (k = 0u; k < n; k++) {
-        if (values != n || r[k] != FMU_STATUS) {
+        if (r[k] != FMU_STATUS) {
             return refuse(f, "found a value reference that is no UInt32 of this FMU");
         }
         v[k] = f->now.out.status & ~FMU_STATUS_NOT_SHOWN;
@@ -261,16 +243,21 @@ fmi3Status fmi3GetUInt32(fmi3Instance instance, const fmi3ValueReference r[], si
     return fmi3OK;
 }
 
-fmi3Status fmi3GetFMUState(fmi3Instance instance, fmi3FMUState *kept)
+static fmi3Status keep(const fmu_instance *f, const void *bytes, fmi3FMUState *kept)
 {
     if (*kept == NULL) {
         *kept = malloc(sizeof(fmu_values));
     }
     if (*kept == NULL) {
-        return refuse(instance, "found no memory for the state");
+        return refuse(f, "found no memory for the state");
     }
-    memcpy(*kept, &((fmu_instance *)instance)->now, sizeof(fmu_values));
+    memcpy(*kept, bytes, sizeof(fmu_values));
     return fmi3OK;
+}
+
+fmi3Status fmi3GetFMUState(fmi3Instance instance, fmi3FMUState *kept)
+{
+    return keep(instance, &((fmu_instance *)instance)->now, kept);
 }
 
 fmi3Status fmi3SetFMUState(fmi3Instance instance, fmi3FMUState kept)
@@ -307,14 +294,7 @@ fmi3Status fmi3DeserializeFMUState(fmi3Instance instance, const fmi3Byte bytes[]
     if (size != sizeof(fmu_values)) {
         return refuse(instance, "found bytes that are no state of this FMU");
     }
-    if (*kept == NULL) {
-        *kept = malloc(sizeof(fmu_values));
-    }
-    if (*kept == NULL) {
-        return refuse(instance, "found no memory for the state");
-    }
-    memcpy(*kept, bytes, sizeof(fmu_values));
-    return fmi3OK;
+    return keep(instance, bytes, kept);
 }
 
 /* What this FMU has none of: the standard wants the functions all the same. */

@@ -133,48 +133,47 @@ const page = (() => {
     if (k === 0) return 0;
     return (k - 1 + (volts - ocv[k - 1]) / (ocv[k] - ocv[k - 1])) / (ocv.length - 1);
   }
-  function estimate(samples, soc0, std0) {
-    const { exports } = wasm, n = samples.size;
-    const model = exports.cellwise_cell.value, state = (exports.__heap_base.value + 15) & ~15;
+  /* Addresses in the module's memory: its tables, a state, an outlook, the samples, their outputs. */
+  function placed(n) {
+    const { exports } = wasm, state = (exports.__heap_base.value + 15) & ~15;
     const ahead = (state + data.state_bytes + 15) & ~15, ins = ahead + OUTLOOK + 8, outs = ins + n * SAMPLE;
     const missing = outs + n * OUTPUT - exports.memory.buffer.byteLength;
     if (missing > 0) exports.memory.grow(Math.ceil(missing / 65536));
+    return { exports, model: exports.cellwise_cell.value, state, ahead, ins, outs };
+  }
+  function estimate(samples, soc0, std0) {
+    const n = samples.size, at = placed(n), { exports, model, state, ins, outs } = at;
     const memory = exports.memory.buffer;
     new Uint8Array(memory, ins, n * SAMPLE).set(new Uint8Array(samples.memory));
     const began = performance.now();
     exports.cellwise_init(model, state, soc0, Math.max(std0 * std0, 1e-11));
     const every = Math.max(1, Math.ceil(n / CHECKPOINTS)), kept = [], left = [];
-    const window = Math.max(1, Math.round(LOAD_S / data.dt_s));
     for (let k = 0; k < n; k += every) {
       kept.push(new Uint8Array(memory.slice(state, state + data.state_bytes)));
       exports.cellwise_rows(model, state, ins + k * SAMPLE, outs + k * OUTPUT, Math.min(every, n - k));
-      const end = Math.min(k + every, n) - 1;
-      left.push(remaining(exports, model, state, ahead, samples, end, window));
+      left.push(remaining(at, samples, Math.min(k + every, n) - 1));
     }
     const took = performance.now() - began;
     const out = memory.slice(outs, outs + n * OUTPUT);
     return { ms: took, every, kept, left, real: new Float32Array(out), count: new Uint32Array(out), size: n };
   }
-  function remaining(exports, model, state, ahead, samples, at, window) {
+  function remaining({ exports, model, state, ahead }, samples, at) {
     let sum = 0, many = 0;
-    for (let k = Math.max(0, at + 1 - window); k <= at; k++) {
+    for (let k = Math.max(0, at + 1 - Math.max(1, Math.round(LOAD_S / data.dt_s))); k <= at; k++) {
       const amps = samples.real[4 * k];
       if (Number.isFinite(amps)) { sum += amps; many++; }
     }
-    const load = many ? sum / many : 0;
-    if (!(load > data.least_load_A)) return [NaN, NaN, NaN];  // at rest or charging
-    exports.cellwise_remaining_of(model, state, load, 1, ahead);
+    if (!(sum > many * data.least_load_A)) return [NaN, NaN, NaN];  // at rest or charging
+    exports.cellwise_remaining_of(model, state, sum / many, 1, ahead);
     return [...new Float32Array(exports.memory.buffer, ahead, 3)];
   }
   /* Remaining time of any sample: from the state that was kept before it. */
   function leftAt(k) {
-    const { result, samples } = found, { exports } = wasm;
-    const model = exports.cellwise_cell.value, state = (exports.__heap_base.value + 15) & ~15;
-    const ahead = (state + data.state_bytes + 15) & ~15, ins = ahead + OUTLOOK + 8, outs = ins + samples.size * SAMPLE;
+    const { result, samples } = found, at = placed(samples.size);
     const block = Math.floor(k / result.every), first = block * result.every;
-    new Uint8Array(exports.memory.buffer, state, data.state_bytes).set(result.kept[block]);
-    exports.cellwise_rows(model, state, ins + first * SAMPLE, outs + first * OUTPUT, k + 1 - first);
-    return remaining(exports, model, state, ahead, samples, k, Math.max(1, Math.round(LOAD_S / data.dt_s)));
+    new Uint8Array(at.exports.memory.buffer, at.state, data.state_bytes).set(result.kept[block]);
+    at.exports.cellwise_rows(at.model, at.state, at.ins + first * SAMPLE, at.outs + first * OUTPUT, k + 1 - first);
+    return remaining(at, samples, k);
   }
 
   /* ---- what is shown ---- */
@@ -352,14 +351,6 @@ const page = (() => {
   for (const id of ["c-time", "c-current", "c-voltage", "c-temperature", "charging", "soc0", "std0"]) by(id).addEventListener("change", run);
   by("at").addEventListener("input", (event) => go(+event.target.value));
   for (const button of document.querySelectorAll("[data-step]")) button.addEventListener("click", () => go(found.at + +button.dataset.step));
-  let playing = null;
-  by("play").addEventListener("click", () => {
-    if (playing) { clearInterval(playing); playing = null; by("play").textContent = "Play"; return; }
-    const step = Math.max(1, Math.round(found.samples.size / 300));
-    if (found.at >= found.samples.size - 1) go(0);
-    by("play").textContent = "Pause";
-    playing = setInterval(() => { go(found.at + step); if (found.at >= found.samples.size - 1) by("play").click(); }, 50);
-  });
   const drop = by("drop");
   for (const name of ["dragenter", "dragover", "dragleave", "drop"]) {
     document.addEventListener(name, (event) => {

@@ -81,7 +81,7 @@ def test_without_cantools_or_with_a_name_that_is_none_nothing_is_written(
     base = ["export", "--model", str(tmp_path / "model.json"), "--can"]
     assert main([*base, str(tmp_path / "1 bus.dbc")]) == 2
     assert "name of C" in capsys.readouterr().err
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    monkeypatch.setattr("cellwise.export.firmware.find_spec", lambda name: None)
     assert main([*base, str(tmp_path / "gauge.dbc")]) == 2
     assert "cellwise[importers]" in capsys.readouterr().err
     assert [p.name for p in tmp_path.iterdir()] == ["model.json"]

@@ -15,7 +15,7 @@ from cellwise.cell.simulate import simulate
 from cellwise.cli import main
 from cellwise.estimate.fixed.stepper import numba_stepper, start_state
 from cellwise.estimate.fixed.tables import fixed_step_tables
-from cellwise.export.fmu import header_folder
+from cellwise.export.firmware import need_package
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
 from firmware_cases import full_model, noisy_samples
@@ -69,7 +69,7 @@ def test_an_importer_finds_it_valid_and_its_sources_compile_without_a_warning(tm
     flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off", "-fsyntax-only"]
     sources = sorted((tmp_path / "sources").glob("*.c"))
     done = subprocess.run(
-        ["gcc", *flags, f"-I{header_folder()}", *map(str, sources)],
+        ["gcc", *flags, f"-I{need_package('fmpy', 'fmu')[0]}/c-code", *map(str, sources)],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
@@ -186,7 +186,7 @@ def test_an_fmu_without_headers_or_time_step_is_refused(tmp_path, capsys, monkey
     assert "--dt" in capsys.readouterr().err
     assert main([*base, str(tmp_path / "out.zip"), "--dt", "1"]) == 2
     assert ".fmu" in capsys.readouterr().err
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    monkeypatch.setattr("cellwise.export.firmware.find_spec", lambda name: None)
     assert main([*base, str(tmp_path / "out.fmu"), "--dt", "1"]) == 2
     assert "cellwise[fmu]" in capsys.readouterr().err
     assert [p.name for p in tmp_path.iterdir()] == ["model.json"]

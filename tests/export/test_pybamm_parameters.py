@@ -106,7 +106,7 @@ def test_what_pybamm_has_no_place_for_is_refused_by_name(tmp_path, capsys, monke
     base = ["export", "--model", str(tmp_path / "model.json"), "--pybamm"]
     assert main([*base, str(tmp_path / "cell.py")]) == 2
     assert "--without hysteresis" in capsys.readouterr().err
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    monkeypatch.setattr("cellwise.export.firmware.find_spec", lambda name: None)
     assert main([*base, str(tmp_path / "cell.json"), "--without", "hysteresis"]) == 2
     assert "cellwise[generate]" in capsys.readouterr().err
     assert [p.name for p in tmp_path.iterdir()] == ["model.json"]

@@ -96,6 +96,7 @@ def run_export(arguments: argparse.Namespace) -> None:
         check_flash(tables, arguments.flash)
         report = describe(model, tables, noise, arguments.cells)
     log = read(model, arguments)
+    report["sockets"] = sockets.write(model, tables_at, noise, report, arguments)
     if arguments.output and tables is not None:
         report["targets"] = target_costs(model, tables, log, arguments)
         report["accuracy"] = [] if log is None else lost_accuracy(model, noise, log, arguments)
@@ -104,7 +105,6 @@ def run_export(arguments: argparse.Namespace) -> None:
             model, tables, folder, report, arguments.prefix, arguments.layout
         )
         write_pages(model, noise, report, log, arguments)
-    report["sockets"] = sockets.write(model, tables_at, noise, report, arguments)
     if arguments.json:
         printing.print_json(report)
         return

@@ -10,6 +10,7 @@ from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.estimate.status import Status
 from cellwise.export.c_tables import comment
+from cellwise.export.firmware import need_package
 from cellwise.files import write_atomically
 
 if TYPE_CHECKING:
@@ -64,7 +65,7 @@ def write_dbc(model: CellModel, path: str | Path, cells: int = 1) -> list[Path]:
     InputError        cantools is missing; a file name that is no name of C; a path that cannot be
                       written
     """
-    require_cantools()
+    need_package("cantools", "importers")
     from cantools.database.can import c_source
 
     place = Path(path)
@@ -82,23 +83,6 @@ def write_dbc(model: CellModel, path: str | Path, cells: int = 1) -> list[Path]:
     texts = {place: database.as_dbc_string(), place.with_suffix(".h"): header}
     texts[place.with_suffix(".c")] = source
     return [write_atomically(where, text) for where, text in texts.items()]
-
-
-def require_cantools() -> None:
-    """Refuse to go on without cantools.
-
-    Raises
-    ------
-    InputError        it is missing
-    """
-    from importlib.util import find_spec
-
-    if find_spec("cantools") is None:
-        raise InputError(
-            "no cantools in this Python",
-            "the extra 'importers'",
-            "Install it: pip install 'cellwise[importers]'.",
-        )
 
 
 def database_of(model: CellModel, cells: int) -> Database:

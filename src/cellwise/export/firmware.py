@@ -9,6 +9,7 @@ import subprocess
 import tempfile
 from collections.abc import Sequence
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -163,22 +164,47 @@ def compile_rows(folder: Path, prefix: str, compiler: Sequence[str]) -> Path:
     name = "port/host_rows.c"
     text = (firmware_folder() / name).read_text(encoding="utf-8")
     if prefix != "cellwise":
-        text = prefixed({name: text, "cellwise_ekf.h": ""}, prefix)[f"{prefix}_{name}"]
+        text = prefixed({name: text, "cellwise_ekf.h": ""}, prefix)[f"port/{prefix}_host_rows.c"]
     (folder / "port").mkdir(exist_ok=True)
     (folder / name).write_text(text, encoding="utf-8")
     library = folder / "librows.so"
     sources = [str(folder / f"{prefix}_ekf.c"), *map(str, folder.glob("*cell_table.c"))]
     command = [*compiler, *STRICT_FLAGS, "-shared", "-fPIC", "-o", str(library), *sources]
-    done = subprocess.run(
-        [*command, str(folder / name)], capture_output=True, text=True, check=False
-    )
+    compile_c([*command, str(folder / name)])
+    return library
+
+
+def compile_c(command: Sequence[str]) -> None:
+    """Run a compiler.
+
+    Raises
+    ------
+    InputError        it refuses
+    """
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise InputError(
-            f"C that {compiler[0]} does not compile: {done.stderr.strip()[:300]}",
+            f"C that {command[0]} does not compile: {done.stderr.strip()[:300]}",
             "a C99 compiler with IEEE 754 float",
             "Set $CC to another compiler.",
         )
-    return library
+
+
+def need_package(name: str, extra: str) -> list[str]:
+    """Folders of a package that is not imported here.
+
+    Raises
+    ------
+    InputError        it is missing
+    """
+    found = find_spec(name)
+    if found is None:
+        raise InputError(
+            f"no {name} in this Python",
+            f"the extra '{extra}'",
+            f"Install it: pip install 'cellwise[{extra}]'.",
+        )
+    return list(found.submodule_search_locations or ())
 
 
 def load_library(path: Path, prefix: str = "cellwise") -> tuple[Any, Any]:

@@ -7,7 +7,6 @@ import html
 import io
 import json
 import shutil
-import subprocess
 import tempfile
 import zipfile
 from collections.abc import Mapping
@@ -25,6 +24,7 @@ from cellwise.estimate.fixed.layout import state_type
 from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.estimate.status import Status
 from cellwise.export.c_tables import STRICT_FLAGS, firmware_folder, write_sources
+from cellwise.export.firmware import compile_c
 from cellwise.files import write_atomically
 from cellwise.logs.cell_log import CellLog
 
@@ -122,18 +122,7 @@ def compiled(tables: FixedStepTables) -> bytes:
         shutil.copy(firmware_folder() / "port" / "host_rows.c", folder / "port")
         module = folder / "cellwise.wasm"
         sources = [str(folder / f) for f in ("cellwise_ekf.c", "cell_table.c", "port/host_rows.c")]
-        done = subprocess.run(
-            [clang, *STRICT_FLAGS, *WASM_FLAGS, *sources, "-o", str(module)],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        if done.returncode != 0:
-            raise InputError(
-                f"C that clang does not compile: {done.stderr.strip()[:300]}",
-                "a clang with the target wasm32",
-                "Install another: apt-get install clang lld.",
-            )
+        compile_c([clang, *STRICT_FLAGS, *WASM_FLAGS, *sources, "-o", str(module)])
         return module.read_bytes()
 
 

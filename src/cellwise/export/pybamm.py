@@ -16,12 +16,14 @@ from cellwise.cell.effects import (
     SlowDiffusion,
     effect_table,
 )
+from cellwise.cell.equations import ZERO_CELSIUS_K
 from cellwise.cell.model import CellModel
 from cellwise.cell.resolved import over_temperature
 from cellwise.cell.simulate import model_temperature_C
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.tables import ROWS_C
 from cellwise.export.c_tables import comment
+from cellwise.export.firmware import need_package
 from cellwise.files import write_atomically
 from cellwise.typing import FloatArray
 
@@ -108,24 +110,6 @@ def write_pybamm(model: CellModel, path: str | Path) -> tuple[Path, list[str]]:
     InputError        effects that PyBaMM's model has no place for; no PyBaMM for a ``.json``; a
                       path that cannot be written
     """
-    check_pybamm(model)
-    text, notices = parameter_file(model)
-    if not str(path).lower().endswith(".json"):
-        return write_atomically(path, text), notices
-    require_pybamm()
-    names: dict[str, Any] = {"__name__": "cellwise_parameters"}
-    exec(compile(text, "cellwise_parameters.py", "exec"), names)  # what was written above
-    values = names["get_parameter_values"]().to_json()
-    return write_atomically(path, json.dumps(values, indent=1) + "\n"), notices
-
-
-def check_pybamm(model: CellModel) -> None:
-    """Refuse effects that PyBaMM's Thevenin model has no place for.
-
-    Raises
-    ------
-    InputError        there are some
-    """
     others = [e.name for e in model.effects if not isinstance(e, KNOWN)]
     if others:
         raise InputError(
@@ -133,23 +117,14 @@ def check_pybamm(model: CellModel) -> None:
             "what PyBaMM's Thevenin model knows: RC branches, temperature, current, own warming",
             "Leave them out: " + " ".join(f"`without={name}`" for name in others) + ".",
         )
-
-
-def require_pybamm() -> None:
-    """Refuse to go on without PyBaMM.
-
-    Raises
-    ------
-    InputError        it is missing
-    """
-    from importlib.util import find_spec
-
-    if find_spec("pybamm") is None:
-        raise InputError(
-            "no pybamm in this Python",
-            "PyBaMM, which writes its own JSON",
-            "Install it (pip install 'cellwise[generate]'), or write a .py, which needs none.",
-        )
+    text, notices = parameter_file(model)
+    if not str(path).lower().endswith(".json"):
+        return write_atomically(path, text), notices
+    need_package("pybamm", "generate")
+    names: dict[str, Any] = {"__name__": "cellwise_parameters"}
+    exec(compile(text, "cellwise_parameters.py", "exec"), names)  # what was written above
+    values = names["get_parameter_values"]().to_json()
+    return write_atomically(path, json.dumps(values, indent=1) + "\n"), notices
 
 
 def parameter_file(model: CellModel) -> tuple[str, list[str]]:
@@ -167,19 +142,17 @@ def parameter_file(model: CellModel) -> tuple[str, list[str]]:
         tables |= {k: effect_table(getattr(slow, k), shape) for k in ("r3_ohm", "tau3_s")}
     notices = [f"OCV as it is at {usual_C:g} degC."] if np.ptp(over.ocv_V, axis=0).any() else []
     if model.charge_efficiency != 1.0:
-        notices.append(f"PyBaMM counts all charge: charge_efficiency {model.charge_efficiency:g}")
-        notices[-1] += " is left out."
+        notices.append(f"charge_efficiency {model.charge_efficiency:g} is left out.")
     low, high = float(model.ocv_V.min()), float(model.ocv_V.max())
     per_K = 1.0 / heating.rth_K_per_W if heating.rth_K_per_W > 0.0 else 1.0
     warming_J_per_K = heating.thermal_s * per_K if heating.rth_K_per_W > 0.0 else HELD_J_PER_K
-    kelvin = usual_C + 273.15
     scalars = {
         "Cell capacity [A.h]": model.capacity_Ah,
         "Nominal cell capacity [A.h]": model.capacity_Ah,
         "Current function [A]": model.capacity_Ah,
         "Initial SoC": 1.0,
-        "Initial temperature [K]": kelvin,
-        "Ambient temperature [K]": kelvin,
+        "Initial temperature [K]": usual_C + ZERO_CELSIUS_K,
+        "Ambient temperature [K]": usual_C + ZERO_CELSIUS_K,
         "Upper voltage cut-off [V]": model.voltage_max_V or high + 0.2,
         "Lower voltage cut-off [V]": model.voltage_min_V or 0.5 * low,
         "Cell thermal mass [J/K]": warming_J_per_K,

@@ -16,11 +16,16 @@ if TYPE_CHECKING:
     from cellwise.estimate.noise import Noise
 
 LAYOUT_NAMES = ("cmake", "zephyr", "platformio", "arduino", "esp-idf", "foxbms")
-SUFFIXES = {
-    "fmu": (".fmu",),
-    "page": (".html", ".htm"),
-    "pybamm": (".py", ".json"),
-    "can": (".dbc",),
+# Option: what is written, suffixes, meaning.
+FORMATS = {
+    "fmu": ("OUT.fmu", (".fmu",), "FMI 3.0 co-simulation, with a binary for this machine"),
+    "page": ("OUT.html", (".html", ".htm"), "a page that estimates in the browser [--dt 1]"),
+    "pybamm": ("OUT.py", (".py", ".json"), "parameters of PyBaMM's Thevenin model"),
+    "can": (
+        "OUT.dbc",
+        (".dbc",),
+        "SOC, band, power, remaining time: a DBC, and C that packs",
+    ),
 }
 PAGE_STEP_S = 1.0  # of --page without --dt
 FOLDERS_OWN = ("layout", "report", "figures", "log", "flash")  # options that the others ignore
@@ -31,14 +36,8 @@ def add_options(export: argparse.ArgumentParser) -> None:
     """Add the option of every format."""
     text = "arrange the folder of -o as a module of this tree"
     export.add_argument("--layout", choices=LAYOUT_NAMES, help=text)
-    text = "FMI 3.0 co-simulation: C sources and a binary for this machine (extra `fmu`)"
-    export.add_argument("--fmu", metavar="OUT.fmu", help=text)
-    text = "a page that estimates in the browser; step 1 s without --dt"
-    export.add_argument("--page", metavar="OUT.html", help=text)
-    text = "parameters of PyBaMM's Thevenin model; .json is written by PyBaMM"
-    export.add_argument("--pybamm", metavar="OUT.py", help=text)
-    text = "DBC of SOC, band, power and remaining time, and the C beside it that packs them"
-    export.add_argument("--can", metavar="OUT.dbc", help=text)
+    for name, (place, _, text) in FORMATS.items():
+        export.add_argument(f"--{name}", metavar=place, help=text)
     text = "of --fmu: the estimator, or the cell alone [estimator]"
     export.add_argument("--what", choices=("estimator", "cell"), help=text)
 
@@ -51,12 +50,12 @@ def check(arguments: argparse.Namespace) -> None:
     InputError        nothing to write; no time step; a suffix of another format; no place; a
                       package that is missing
     """
-    wanted = [name for name in ("output", *SUFFIXES) if getattr(arguments, name)]
+    wanted = [name for name in ("output", *FORMATS) if getattr(arguments, name)]
     if not wanted:
-        known = ", ".join(f"--{name}" for name in SUFFIXES)
+        known = ", ".join(f"--{name}" for name in FORMATS)
         raise InputError("nothing to write", f"-o DIR or one of {known}", "Add -o DIR.")
-    check_places(*(getattr(arguments, name) for name in SUFFIXES))
-    for name, suffixes in SUFFIXES.items():
+    check_places(*(getattr(arguments, name) for name in FORMATS))
+    for name, (_, suffixes, _) in FORMATS.items():
         place = getattr(arguments, name)
         if place and not place.lower().endswith(suffixes):
             raise InputError(
@@ -72,24 +71,23 @@ def check(arguments: argparse.Namespace) -> None:
             raise InputError(f"--{option} without -o", "a folder of C sources", "Add -o DIR.")
     if arguments.what and not arguments.fmu:
         raise InputError("--what without --fmu", "an FMU to write", "Add --fmu OUT.fmu.")
+    check_tools(arguments)
+
+
+def check_tools(arguments: argparse.Namespace) -> None:
+    """Refuse what needs a compiler or a package that is not here."""
+    from cellwise.export.firmware import host_compiler, need_package
+    from cellwise.export.page import check_wasm_compiler
+
     if arguments.fmu:
-        from cellwise.export.firmware import host_compiler
-        from cellwise.export.fmu import header_folder
-
         host_compiler()
-        header_folder()
+        need_package("fmpy", "fmu")
     if arguments.page:
-        from cellwise.export.page import check_wasm_compiler
-
         check_wasm_compiler()
     if arguments.can:
-        from cellwise.export.can import require_cantools
-
-        require_cantools()
+        need_package("cantools", "importers")
     if arguments.pybamm and arguments.pybamm.lower().endswith(".json"):
-        from cellwise.export.pybamm import require_pybamm
-
-        require_pybamm()
+        need_package("pybamm", "generate")
 
 
 def write(
@@ -104,15 +102,15 @@ def write(
     ``tables_at`` makes the tables of a time step; ``report`` is that of the folder.
     """
     written: dict[str, str] = {}
-    if arguments.can:
-        from cellwise.export.can import write_dbc
-
-        written["can"] = ", ".join(map(str, write_dbc(model, arguments.can, arguments.cells)))
     if arguments.pybamm:
         from cellwise.export.pybamm import write_pybamm
 
         place, report["notices"] = write_pybamm(model, arguments.pybamm)
         written["pybamm"] = str(place)
+    if arguments.can:
+        from cellwise.export.can import write_dbc
+
+        written["can"] = ", ".join(map(str, write_dbc(model, arguments.can, arguments.cells)))
     if arguments.fmu:
         from cellwise.export.fmu import What, write_fmu
 
