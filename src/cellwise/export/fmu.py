@@ -118,8 +118,8 @@ def write_fmu(
     """
     name, start = identifier(model, what), starts(model, what)
     variables = variables_of(what, tables.options)
-    told = json.dumps(description, sort_keys=True, default=str) + what
-    token = hashlib.sha256(told.encode()).hexdigest()
+    state = json.dumps(description, sort_keys=True, default=str) + what
+    token = hashlib.sha256(state.encode()).hexdigest()
     sources = dict(write_sources(tables, str(description["model_sha256"]), model.name))
     sources = {k: v for k, v in sources.items() if "store" not in k}
     sources["fmu_variables.h"] = variables_header(start, what, token, tables.dt_s)
