@@ -71,29 +71,38 @@ def drive(capacity_Ah, warm_C, rows=250):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("suffix", ["py", "json"])
-@pytest.mark.parametrize("which", ["plain", "effects", "nmc-18650"])
-def test_pybamm_is_within_a_millivolt_of_simulate(tmp_path, which, suffix):
+@pytest.mark.parametrize(
+    ("which", "suffix", "warm_C"),
+    [
+        ("plain", "py", 25.0),
+        ("effects", "py", 7.0),
+        ("effects", "json", 25.0),
+        ("nmc-18650", "py", -7.3),  # one temperature and activation energies
+        ("nmc-18650", "json", 9.0),
+        ("nca-18650", "py", 4.2),  # between rows of a temperature axis, OCV too
+    ],
+)
+def test_pybamm_is_within_a_millivolt_of_simulate(tmp_path, which, suffix, warm_C):
     pybamm = pytest.importorskip("pybamm", reason="no PyBaMM: pip install 'cellwise[generate]'")
-    if which == "nmc-18650":
+    if which.endswith("18650"):
         model = named_model(which)
-        place = exported(tmp_path, model, suffix, "--without", "hysteresis")
         kept = tuple(e for e in model.effects if not isinstance(e, Hysteresis))
-        model, warm_C = replace(model, effects=kept), float(model.temperature_C[0])
+        omitted = ["--without", "hysteresis"] if len(kept) < len(model.effects) else []
+        place = exported(tmp_path, model, suffix, *omitted)
+        model = replace(model, effects=kept)
     else:
-        model, warm_C = curved_cell(effects=EFFECTS if which == "effects" else ()), 25.0
+        model = curved_cell(effects=EFFECTS if which == "effects" else ())
         place = exported(tmp_path, model, suffix)
     if suffix == "json":
         values = pybamm.ParameterValues.from_json(str(place))
+        assert values["Ambient temperature [K]"] == pytest.approx(warm_C + 273.15)
     else:
         spec = importlib.util.spec_from_file_location("cell", place)
         module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
-        values = module.get_parameter_values()
+        values = module.get_parameter_values(warm_C)
     branches = 3 if "R3 [Ohm]" in values else 2
     log = drive(model.capacity_Ah, warm_C)
-    values.update({"Ambient temperature [K]": warm_C + 273.15})
-    values.update({"Initial temperature [K]": warm_C + 273.15})
     theirs = run(pybamm, values, branches, log, 0.8)
     ours = simulate(model, log, 0.8).voltage_V
     assert np.ptp(theirs[1:]) > 0.1

@@ -14,6 +14,7 @@ from cellwise.cell.effects import (
     RateDependence,
     SelfHeating,
     SlowDiffusion,
+    TemperatureDependence,
     effect_table,
 )
 from cellwise.cell.equations import ZERO_CELSIUS_K
@@ -48,22 +49,33 @@ SCALARS = @SCALARS@
 RATE_PER_A = @RATE@  # R0, R1 and R2 fall with the current as 1 / (1 + RATE_PER_A |I|)
 CHARGE_SCALE = @CHARGE@  # factor on every resistance on charge
 SOC = np.linspace(0.0, 1.0, @POINTS@)
+# Rows of the tables: temperatures; columns: SOC.
+OCV_TEMPERATURE_C = np.array(@OCV_TEMPERATURES@)
+OCV_V = np.array([
+@OCV@
+])
 TEMPERATURE_C = np.array(@TEMPERATURES@)
-OCV_V = np.array(@OCV@)
-# Rows: temperatures; columns: SOC.
 TABLES = {
 @TABLES@
 }
+ACTIVATION_K = @ACTIVATIONS@
+REFERENCE_K = @REFERENCE@
 
 
 def looked_up(name, temperature_C, soc):
-    """A table, linear in SOC and temperature, held beyond its temperatures."""
+    """A table, linear in SOC and temperature, by its Arrhenius factor; held beyond its rows."""
     table = np.array(TABLES[name])
-    if len(TEMPERATURE_C) == 1:
-        return pybamm.Interpolant(SOC, table[0], soc, name=name, interpolator="linear")
-    warm = pybamm.maximum(pybamm.minimum(temperature_C, TEMPERATURE_C[-1]), TEMPERATURE_C[0])
-    axes = (TEMPERATURE_C, SOC)
-    return pybamm.Interpolant(axes, table, (warm, soc), name=name, interpolator="linear")
+    axes, at = SOC, soc
+    if len(TEMPERATURE_C) > 1:
+        warm = pybamm.maximum(pybamm.minimum(temperature_C, TEMPERATURE_C[-1]), TEMPERATURE_C[0])
+        axes, at = (TEMPERATURE_C, SOC), (warm, soc)
+    else:
+        table = table[0]
+    found = pybamm.Interpolant(axes, table, at, name=name, interpolator="linear")
+    if ACTIVATION_K[name]:
+        colder = 1.0 / (temperature_C + 273.15) - 1.0 / REFERENCE_K
+        found = found * pybamm.exp(ACTIVATION_K[name] * colder)
+    return found
 
 
 def resistance(branch):
@@ -86,14 +98,20 @@ def capacitance(branch):
     return c_F
 
 
-def open_circuit_voltage(soc):
-    return pybamm.Interpolant(SOC, OCV_V, soc, name="ocv_V", interpolator="linear")
+def get_parameter_values(temperature_C=@USUAL@):
+    """Everything that the model asks for; Initial SoC and the current function are to be set.
 
+    PyBaMM's OCV knows no temperature: it is that of ``temperature_C``, where the cell begins.
+    """
+    ocv_V = [np.interp(temperature_C, OCV_TEMPERATURE_C, at_soc) for at_soc in OCV_V.T]
 
-def get_parameter_values():
-    """Everything that the model asks for; Initial SoC and the current function are to be set."""
+    def open_circuit_voltage(soc):
+        return pybamm.Interpolant(SOC, np.array(ocv_V), soc, name="ocv_V", interpolator="linear")
+
     values = {**SCALARS, "R0 [Ohm]": resistance(0)}
     values["Open-circuit voltage [V]"] = open_circuit_voltage
+    for name in ("Initial temperature [K]", "Ambient temperature [K]"):
+        values[name] = temperature_C + 273.15
     for branch in range(1, @BRANCHES@ + 1):
         values[f"R{branch} [Ohm]"] = resistance(branch)
         values[f"C{branch} [F]"] = capacitance(branch)
@@ -130,17 +148,18 @@ def write_pybamm(model: CellModel, path: str | Path) -> tuple[Path, list[str]]:
 def parameter_file(model: CellModel) -> tuple[str, list[str]]:
     """The Python file, and what of the model it leaves out."""
     usual_C = model_temperature_C(model)
-    depends = model.temperature_C.size > 1 or any(isinstance(e, IN_TABLES) for e in model.effects)
-    rows = np.union1d(ROWS_C, [usual_C]) if depends else np.array([usual_C])
-    over = over_temperature(model, rows)
-    here = int(np.flatnonzero(rows == usual_C)[0])
-    slow, heating = over.effect(SlowDiffusion), over.effect(SelfHeating)
+    slow, heating = model.effect(SlowDiffusion), model.effect(SelfHeating)
+    warmth, shape = model.effect(TemperatureDependence), model.r0_ohm.shape
     branches = 3 if np.any(slow.r3_ohm) else 2
-    tables = {k: getattr(over, k) for k in ("r0_ohm", "r1_ohm", "tau1_s", "r2_ohm", "tau2_s")}
+    tables = {k: getattr(model, k) for k in ("r0_ohm", "r1_ohm", "tau1_s", "r2_ohm", "tau2_s")}
     if branches == 3:
-        shape = over.r0_ohm.shape
         tables |= {k: effect_table(getattr(slow, k), shape) for k in ("r3_ohm", "tau3_s")}
-    notices = [f"OCV as it is at {usual_C:g} degC."] if np.ptp(over.ocv_V, axis=0).any() else []
+    activations = {k: getattr(warmth, f"{k.partition('_')[0]}_K") for k in tables}
+    activations |= {k: activations[k] + warmth.activation_K for k in tables if k.startswith("r")}
+    # Linear in temperature: two rows beside the model's own hold an entropy term exactly.
+    rows = np.union1d(model.temperature_C, ROWS_C[[0, -1]])
+    ocv_V = over_temperature(model, rows).ocv_V
+    notices = [f"OCV as it is at {usual_C:g} degC."] if np.ptp(ocv_V, axis=0).any() else []
     if model.charge_efficiency != 1.0:
         notices.append(f"charge_efficiency {model.charge_efficiency:g} is left out.")
     low, high = float(model.ocv_V.min()), float(model.ocv_V.max())
@@ -151,8 +170,6 @@ def parameter_file(model: CellModel) -> tuple[str, list[str]]:
         "Nominal cell capacity [A.h]": model.capacity_Ah,
         "Current function [A]": model.capacity_Ah,
         "Initial SoC": 1.0,
-        "Initial temperature [K]": usual_C + ZERO_CELSIUS_K,
-        "Ambient temperature [K]": usual_C + ZERO_CELSIUS_K,
         "Upper voltage cut-off [V]": model.voltage_max_V or high + 0.2,
         "Lower voltage cut-off [V]": model.voltage_min_V or 0.5 * low,
         "Cell thermal mass [J/K]": warming_J_per_K,
@@ -166,16 +183,16 @@ def parameter_file(model: CellModel) -> tuple[str, list[str]]:
         "@NOTICES@": " ".join(notices),
         "@BRANCHES@": str(branches),
         "@SCALARS@": json.dumps(scalars, indent=4),
-        "@RATE@": repr(over.effect(RateDependence).rate_h / model.capacity_Ah),
-        "@CHARGE@": repr(over.effect(ChargeAsymmetry).charge_scale),
+        "@RATE@": repr(model.effect(RateDependence).rate_h / model.capacity_Ah),
+        "@CHARGE@": repr(model.effect(ChargeAsymmetry).charge_scale),
         "@POINTS@": str(model.points),
-        "@TEMPERATURES@": repr(rows.tolist()),
-        "@OCV@": _numbers(over.ocv_V[here]),
-        "@TABLES@": "\n".join(
-            f'    "{name}": [\n{rows_of}\n    ],'
-            for name, table in tables.items()
-            for rows_of in ["\n".join(f"        {_numbers(row)}," for row in table)]
-        ),
+        "@OCV_TEMPERATURES@": repr(rows.tolist()),
+        "@OCV@": _rows(ocv_V),
+        "@TEMPERATURES@": repr(model.temperature_C.tolist()),
+        "@TABLES@": "\n".join(f'    "{k}": [\n{_rows(v)}\n    ],' for k, v in tables.items()),
+        "@ACTIVATIONS@": json.dumps(activations, indent=4),
+        "@REFERENCE@": repr(warmth.reference_C + ZERO_CELSIUS_K),
+        "@USUAL@": repr(usual_C),
     }
     text = FILE
     for mark, content in filled.items():
@@ -183,5 +200,5 @@ def parameter_file(model: CellModel) -> tuple[str, list[str]]:
     return text, notices
 
 
-def _numbers(values: FloatArray) -> str:
-    return "[" + ", ".join(f"{v:.7g}" for v in values) + "]"
+def _rows(table: FloatArray) -> str:
+    return "\n".join("        [" + ", ".join(f"{v:.8g}" for v in row) + "]," for row in table)
