@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from cellwise.live import Counts, LiveFilter, Update
     from cellwise.live.samples import Source
     from cellwise.logs import Stated
+    from cellwise.logs.files.source import ReadOptions
 
 FORECAST_EVERY_S = 1.0
 
@@ -29,8 +30,8 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     """Add the command that follows a stream."""
     live = commands.add_parser("live", help="a stream of samples to SOC, as they come")
     options.add_model(live, scalable=True)
-    text = "stdin (JSON lines), json:FILE, can:INTERFACE:CHANNEL, ulog:FILE (- for stdin); "
-    text += "json:FILE@soc0=1 says how it begins"
+    text = "stdin (JSON lines), json:FILE, can:INTERFACE:CHANNEL, ulog:FILE (- for stdin), "
+    text += "mavlink:LINK; json:FILE@soc0=1 says how it begins"
     live.add_argument("--source", required=True, metavar="S", help=text)
     options.flag(live, "--follow", "wait for more at a file's end")
     live.add_argument("--estimator", default="ekf", metavar="E", help="ekf or ukf [ekf]")
@@ -42,8 +43,9 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     live.add_argument("-o", "--output", metavar="OUT", help="JSON lines, added at the end of OUT")
     options.number(live, "--every", "S", "at most one line in S seconds [0]", default=0.0)
     options.flag(live, "--view", "a view instead of lines [on a terminal]")
-    live.add_argument("--send", metavar="MESSAGE.SIGNAL", help="SOC back on the CAN bus")
-    options.number(live, "--send-every", "S", "seconds [0.1]", default=0.1)
+    text = "state to others: MESSAGE.SIGNAL of the CAN bus, mavlink:LINK"
+    live.add_argument("--send", metavar="TO", help=text)
+    options.number(live, "--send-every", "S", "seconds [1; on a CAN bus 0.1]")
     options.number(live, "--cutoff-v", "V", "voltage at which the load stops [model]")
     options.number(live, "--load", "W", "how long, too, at a load of W watts in each cell")
     power_options.add_power_options(live)
@@ -81,9 +83,8 @@ def run_live_command(arguments: argparse.Namespace) -> None:
     takers: list[Callable[[Update], None]] = [followed.take]
     with ExitStack() as stack:
         stack.callback(source.close)
-        sender = _sender(source, arguments)
-        if sender is not None:
-            takers.append(lambda u: sender.send(u.info.soc, u.sample.arrived_s))
+        if arguments.send:
+            takers.append(_sender(source, followed, reading, stack, arguments))
         look = None
         if arguments.output:
             file = stack.enter_context(_appended(arguments.output))
@@ -239,12 +240,6 @@ def _check(arguments: argparse.Namespace) -> None:
         if value is not None and not 0.0 <= value < 1e9:
             name = "--" + option.replace("_", "-")
             raise InputError(f"{name} {value:g}", "a number of at least 0", "Correct it.")
-    if arguments.send and not arguments.source.startswith("can:"):
-        raise InputError(
-            f"--send {arguments.send} for a source that is no CAN bus",
-            "--source can:INTERFACE:CHANNEL",
-            "Omit --send, or name the bus.",
-        )
 
 
 def _stated(source: str) -> tuple[str, Stated]:
@@ -283,14 +278,56 @@ def _filter(model: Any, stated: Stated, arguments: argparse.Namespace) -> LiveFi
     return live
 
 
-def _sender(source: Source, arguments: argparse.Namespace) -> Any:
-    if not arguments.send:
-        return None
+def _sender(
+    source: Source,
+    followed: Followed,
+    reading: ReadOptions,
+    stack: ExitStack,
+    arguments: argparse.Namespace,
+) -> Callable[[Update], None]:
+    """What takes updates and sends them on."""
+    kind, _, place = arguments.send.partition(":")
+    every_s = arguments.send_every
+    if kind == "mavlink" and place:
+        from cellwise.estimate.power.fixed_tables import LEAST_LOAD_C
+        from cellwise.live.mavlink import MavlinkSender
+
+        least_A = LEAST_LOAD_C * followed.live.model.capacity_Ah
+        sender = MavlinkSender(place, source, reading, least_A)
+        stack.callback(sender.close)
+        return Paced(sender.send, followed, 1.0 if every_s is None else every_s)
     from cellwise.live.can_stream import CanStream, SocSender
 
-    if not isinstance(source, CanStream):  # `_check` has seen to it
-        return None
-    return SocSender(source, arguments.send, arguments.send_every)
+    if not isinstance(source, CanStream):
+        raise InputError(
+            f"--send {arguments.send} for a source that is no CAN bus",
+            "mavlink:LINK, or --source can:INTERFACE:CHANNEL",
+            "Omit --send, or name the bus.",
+        )
+    on_bus = SocSender(source, arguments.send, 0.1 if every_s is None else every_s)
+    return lambda update: on_bus.send(update.info.soc, update.sample.arrived_s)
+
+
+class Paced:
+    """Rows for whoever is sent them, at most one in ``every_s`` of this machine's time."""
+
+    def __init__(
+        self, send: Callable[[dict[str, Any]], None], followed: Followed, every_s: float
+    ) -> None:
+        self._send, self._followed, self._every_s = send, followed, every_s
+        self._sent_s = float("-inf")
+
+    def __call__(self, update: Update) -> None:
+        """Send a row if it is time."""
+        from time import monotonic
+
+        now_s = monotonic()
+        if now_s - self._sent_s < self._every_s:
+            return
+        self._sent_s = now_s
+        warm = self._followed.live.known_temperature_C(update.sample)
+        row = state_row(update) | {"temperature_C": warm}
+        self._send(row | self._followed.columns(update))
 
 
 @contextmanager
