@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from cellwise.estimate.power.along import PowerFollower
     from cellwise.forecast.outlook import Outlook
     from cellwise.live import Counts, LiveFilter, Update
+    from cellwise.live.mavlink import MavlinkSender
+    from cellwise.live.mqtt import MqttSender
     from cellwise.live.samples import Source
     from cellwise.logs import Stated
     from cellwise.logs.files.source import ReadOptions
@@ -31,7 +33,7 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     live = commands.add_parser("live", help="a stream of samples to SOC, as they come")
     options.add_model(live, scalable=True)
     text = "stdin (JSON lines), json:FILE, can:INTERFACE:CHANNEL, ulog:FILE (- for stdin), "
-    text += "mavlink:LINK; json:FILE@soc0=1 says how it begins"
+    text += "mavlink:LINK, mqtt://HOST/TOPIC; json:FILE@soc0=1 says how it begins"
     live.add_argument("--source", required=True, metavar="S", help=text)
     options.flag(live, "--follow", "wait for more at a file's end")
     live.add_argument("--estimator", default="ekf", metavar="E", help="ekf or ukf [ekf]")
@@ -43,7 +45,7 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     live.add_argument("-o", "--output", metavar="OUT", help="JSON lines, added at the end of OUT")
     options.number(live, "--every", "S", "at most one line in S seconds [0]", default=0.0)
     options.flag(live, "--view", "a view instead of lines [on a terminal]")
-    text = "state to others: MESSAGE.SIGNAL of the CAN bus, mavlink:LINK"
+    text = "state to others: MESSAGE.SIGNAL of the CAN bus, mavlink:LINK, mqtt://HOST/PACK"
     live.add_argument("--send", metavar="TO", help=text)
     options.number(live, "--send-every", "S", "seconds [1; on a CAN bus 0.1]")
     options.number(live, "--cutoff-v", "V", "voltage at which the load stops [model]")
@@ -288,12 +290,18 @@ def _sender(
     """What takes updates and sends them on."""
     kind, _, place = arguments.send.partition(":")
     every_s = arguments.send_every
-    if kind == "mavlink" and place:
-        from cellwise.estimate.power.fixed_tables import LEAST_LOAD_C
-        from cellwise.live.mavlink import MavlinkSender
+    if kind in ("mavlink", "mqtt", "mqtts"):
+        sender: MavlinkSender | MqttSender
+        if kind == "mavlink":
+            from cellwise.estimate.power.fixed_tables import LEAST_LOAD_C
+            from cellwise.live.mavlink import MavlinkSender
 
-        least_A = LEAST_LOAD_C * followed.live.model.capacity_Ah
-        sender = MavlinkSender(place, source, reading, least_A)
+            least_A = LEAST_LOAD_C * followed.live.model.capacity_Ah
+            sender = MavlinkSender(place, source, reading, least_A)
+        else:
+            from cellwise.live.mqtt import MqttSender
+
+            sender = MqttSender(arguments.send)
         stack.callback(sender.close)
         return Paced(sender.send, followed, 1.0 if every_s is None else every_s)
     from cellwise.live.can_stream import CanStream, SocSender
@@ -301,7 +309,7 @@ def _sender(
     if not isinstance(source, CanStream):
         raise InputError(
             f"--send {arguments.send} for a source that is no CAN bus",
-            "mavlink:LINK, or --source can:INTERFACE:CHANNEL",
+            "mavlink:LINK, mqtt://HOST/PACK, or --source can:INTERFACE:CHANNEL",
             "Omit --send, or name the bus.",
         )
     on_bus = SocSender(source, arguments.send, 0.1 if every_s is None else every_s)

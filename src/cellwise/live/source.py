@@ -28,7 +28,8 @@ def open_source(
     Parameters
     ----------
     name : str              ``stdin``, ``json:FILE``, ``can:INTERFACE:CHANNEL``, ``ulog:FILE``,
-                            ``mavlink:LINK``; a FILE of ``-`` is standard input
+                            ``mavlink:LINK``, ``mqtt://HOST/TOPIC``; a FILE of ``-`` is
+                            standard input
     options : ReadOptions   pack, channels, instance, database
     sign : str              ``charge-positive`` turns the current round
     follow : bool           wait for more at a file's end
@@ -63,6 +64,10 @@ def open_source(
         from cellwise.live.mavlink import MavlinkStream
 
         return MavlinkStream(rest, options, sign, cells)
+    if kind in ("mqtt", "mqtts"):
+        from cellwise.live.mqtt import MqttStream
+
+        return MqttStream(name, options, sign, cells)
     raise InputError(f"a source '{name}'", f"one of {WAYS}", "Name where the samples come from.")
 
 
