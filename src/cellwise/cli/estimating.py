@@ -243,6 +243,18 @@ def write_rows(arguments: argparse.Namespace, found: Replay) -> None:
         columns["reference_soc"] = found.reference_soc
     if found.power is not None:
         columns |= found.power.columns()
+    if Path(arguments.output).suffix == ".mcap":
+        from cellwise.logs.files.source import open_source
+        from cellwise.logs.formats.ros_bag import start_of
+        from cellwise.report.mcap import write_foxglove, write_mcap
+
+        start_s = 0.0
+        if found.log.format == "ros-bag":
+            reading = log_options.read_options(arguments)
+            start_s = start_of(open_source(found.log.source, options=reading))
+        write_mcap(arguments.output, columns, start_s)
+        write_foxglove(Path(arguments.output).with_suffix(".foxglove.json"))
+        return
     write_columns(columns, Path(arguments.output))
     if arguments.plotjuggler:
         from cellwise.report.plotjuggler import write_layout

@@ -99,7 +99,9 @@ class MavlinkStream:
         while True:
             try:
                 message = self.link.recv_match(blocking=not self._ends, timeout=POLL_S)
-            except Exception as error:  # of a serial line that was pulled, of a peer that closed
+            except (
+                Exception
+            ) as error:  # of a serial line that was pulled, of a connection that was closed
                 raise InputError(
                     f"{self.name}, which has failed ({error})", "a link that is up", "Check it."
                 ) from error
