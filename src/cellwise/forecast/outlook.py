@@ -14,11 +14,9 @@ from cellwise.cell.simulate import model_temperature_C
 from cellwise.estimate.filters.filter_state import EkfInfo, EkfState
 from cellwise.estimate.power.fixed_tables import LEAST_LOAD_C
 from cellwise.estimate.status import CURRENT_INVALID, INNOVATION_REJECTED, OUT_OF_RANGE
+from cellwise.forecast.records import NEVER, Going, Outcome
 from cellwise.forecast.remaining import WINDOW_S, check_load, uncertain_of, warms_unseen
 from cellwise.forecast.remaining_kernels import (
-    NEVER,
-    Going,
-    Outcome,
     at_power,
     lump_now,
     ocv_and_error,

@@ -1,9 +1,8 @@
-"""From a state of a cell to empty if the present load goes on, compiled."""
+"""From a state of a cell to empty, or to full, if the present load goes on, compiled."""
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 from cellwise.cell.compiled import inline, rows
 from cellwise.cell.equations import (
@@ -15,10 +14,21 @@ from cellwise.cell.equations import (
     voltage_of,
     with_soc,
 )
-from cellwise.estimate.validity_kernels import (
-    ValidityScalars,
-    extrapolation_V,
-    soc_extrapolation_V,
+from cellwise.estimate.validity_kernels import extrapolation_V, soc_extrapolation_V
+from cellwise.forecast.charging_kernels import to_full
+from cellwise.forecast.records import (
+    BY_CHARGE,
+    BY_VOLTAGE,
+    NEVER,
+    STEPS,
+    USUAL,
+    Away,
+    FilteredRows,
+    Going,
+    Load,
+    Outcome,
+    Remaining,
+    Uncertain,
 )
 from cellwise.forecast.warming_kernels import (
     NOTHING_SEEN,
@@ -30,115 +40,9 @@ from cellwise.forecast.warming_kernels import (
     thermal_of,
     warmed,
 )
-from cellwise.typing import BoolArray, FloatArray
+from cellwise.typing import FloatArray
 
-# Of a model that does not say how far along the SOC its error stays: those of measured cells that
-# do say 0.07 to 0.37.
-USUAL_MEMORY_SOC = 0.2
-# Why a forecast ended.
-BY_CHARGE, BY_VOLTAGE, NEVER = 0, 1, 2
-STEPS = 400  # from full to empty
 POWER_TURNS = 20
-
-
-class Remaining(NamedTuple):
-    """Time, energy out, voltage and SOC at the end of a forecast, and why it ended."""
-
-    time_s: float
-    energy_J: float
-    voltage_V: float
-    soc: float
-    reason: int
-
-
-class Uncertain(NamedTuple):
-    """How far a model's voltage may come to lie off what it is off by now.
-
-    ``share`` of the polarisation and the point's own slow error, both another one once the SOC has
-    moved on by ``memory_soc``; outside ``valid`` an OCV that nobody measured. The cell's capacity
-    is the model's to ``capacity_std``, as a share.
-    """
-
-    share: float
-    memory_soc: float
-    valid: ValidityScalars
-    capacity_std: float
-
-
-class Outcome(NamedTuple):
-    """A forecast, and its ends at two deviations: of time, energy and end voltage."""
-
-    usual: Remaining
-    time_s: tuple[float, float]
-    energy_J: tuple[float, float]
-    voltage_V: tuple[float, float]
-
-
-class FilteredRows(NamedTuple):
-    """A log and what a filter said of it, shape (n,) each; a measured voltage may be NaN."""
-
-    interval_s: FloatArray
-    current_A: FloatArray
-    temperature_C: FloatArray
-    measured_C: FloatArray
-    voltage_V: FloatArray
-    soc: FloatArray
-    soc_std: FloatArray
-
-
-class Load(NamedTuple):
-    """What goes on: the load of every row, whether its power is held, and until when.
-
-    ``power_W`` is what is held where that was given, with a current near it; NaN: what the current
-    makes of the model's terminal voltage. ``wanted`` are the rows to forecast at, ``window_s`` over
-    what time the model's error is averaged, ``cutoff_V`` the voltage at which the load gives up.
-    ``warms_unseen`` whether the losses warm the cell in a forecast where nobody measures its
-    temperature.
-    """
-
-    current_A: FloatArray
-    power_W: FloatArray
-    wanted: BoolArray
-    hold_power: bool
-    window_s: float
-    cutoff_V: float
-    warms_unseen: bool
-
-
-class Going(NamedTuple):
-    """What goes on, from one moment.
-
-    Parameters
-    ----------
-    load_A : float          current now, above zero
-    hold_power : bool       keep load times voltage, not the current (a rotor, a drive)
-    start_V : float         terminal voltage now, measured; NaN: the model's, plus its error
-    offset_V : float        measured minus modelled voltage that stays whatever the load does
-    of_polarisation : float  and what of it is a share of the polarisation, as a share
-    cutoff_V : float        terminal voltage at which the load gives up
-    temperature_C : float   now
-    lump : Thermal          how it will change
-    """
-
-    load_A: float
-    hold_power: bool
-    start_V: float
-    offset_V: float
-    of_polarisation: float
-    cutoff_V: float
-    temperature_C: float
-    lump: Thermal
-
-
-class Away(NamedTuple):
-    """By how many deviations a forecast goes away from the usual one in SOC, voltage, warmth."""
-
-    soc: float
-    voltage: float
-    warmth: float
-
-
-USUAL = Away(0.0, 0.0, 0.0)
 
 
 @inline
@@ -290,8 +194,10 @@ def from_soc(
         now_V += go.offset_V + go.of_polarisation * (there.ocv_V - now_V)
     begins = Going(
         go.load_A, go.hold_power, now_V, go.offset_V, go.of_polarisation, go.cutoff_V,
-        go.temperature_C, go.lump,
+        go.temperature_C, go.lump, go.taper_A,
     )  # fmt: skip
+    if go.load_A < 0.0:
+        return to_full(tables, at, begins, uncertain, away)
     return to_empty(tables, at, begins, uncertain, away)
 
 
@@ -312,7 +218,7 @@ def at_power(tables: CellTables, state: CellState, go: Going, power_W: float) ->
         current = power_W / voltage
     return Going(
         current, go.hold_power, voltage, go.offset_V, go.of_polarisation, go.cutoff_V,
-        go.temperature_C, go.lump,
+        go.temperature_C, go.lump, go.taper_A,
     )  # fmt: skip
 
 
@@ -364,7 +270,7 @@ def forecast_rows(
     minus modelled voltage over about ``window_s``.
     """
     dt_s, current_A, temperature_C, measured_C, measured_V, soc, soc_std = log
-    load_A, load_W, wanted, hold_power, window_s, cutoff_V, unseen = load
+    load_A, load_W, wanted, hold_power, window_s, cutoff_V, unseen, taper_A = load
     state = start
     previous = current_A[0]
     bias = held = 0.0
@@ -392,7 +298,7 @@ def forecast_rows(
         offset, of_held = parts_of(uncertain, point.error_V, bias, held)
         warm = temperature_C[k]
         lump = thermal_of(warming, charge_As, warm, unseen)
-        go = Going(load_A[k], hold_power, math.nan, offset, of_held, cutoff_V, warm, lump)
+        go = Going(load_A[k], hold_power, math.nan, offset, of_held, cutoff_V, warm, lump, taper_A)
         if load_W[k] == load_W[k]:
             go = at_power(tables, state, go, load_W[k])
         found = with_ends(tables, state, soc_std[k], go, uncertain)

@@ -1,0 +1,141 @@
+"""Time to full of a cell on a charger, through its constant current and its constant voltage."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cellwise.cell.model import CellModel
+from cellwise.errors import InputError
+from cellwise.estimate.power.fixed_tables import LEAST_LOAD_C
+from cellwise.estimate.replay import Replay
+from cellwise.forecast.records import Load
+from cellwise.forecast.remaining import WINDOW_S, along, at_most, present_load, warms_unseen
+from cellwise.typing import FloatArray
+
+TAPER_C = 0.05  # where a charger ends that nobody asked about: 1/20 of the capacity per hour
+
+
+@dataclass(frozen=True, eq=False)
+class Charge:
+    """Time and energy to full along a log, shape (moments,), bands of two deviations (moments, 2).
+
+    ``charge_A`` is the mean charging current of the last minute, positive; the charger is taken to
+    hold it until the voltage is ``limit_V``, and then that voltage until the current has fallen to
+    ``taper_A``. The energy is what the charger gives.
+    """
+
+    name: str
+    limit_V: float
+    taper_A: float
+    time_s: FloatArray
+    soc: FloatArray
+    soc_std: FloatArray
+    charge_A: FloatArray
+    full_s: FloatArray
+    full_s_band: FloatArray
+    full_Wh: FloatArray
+    full_Wh_band: FloatArray
+    end_soc: FloatArray
+
+    def to_dict(self) -> dict[str, Any]:
+        """The last moment on the charger, as JSON values."""
+        moments = ("time_s", "soc", "soc_std", "charge_A", "full_s", "full_Wh", "end_soc")
+        last: dict[str, Any] = {name: float(getattr(self, name)[-1]) for name in moments}
+        for name in ("full_s_band", "full_Wh_band"):
+            last[name] = getattr(self, name)[-1].tolist()
+        return {"limit_V": self.limit_V, "taper_A": self.taper_A, **last}
+
+
+def limit_of(model: CellModel, given: float | None) -> float:
+    """The voltage that a charger holds: as given, the model's upper limit, its OCV at SOC 1.
+
+    Raises
+    ------
+    InputError        not a voltage of one cell that charges it to more than half
+    """
+    limit = model.voltage_max_V if given is None else given
+    full = float(np.max(model.ocv_V))
+    half = float(np.median(model.ocv_V))
+    limit = full if limit is None else float(limit)
+    if not half < limit < 1.2 * full:
+        raise InputError(
+            f"a charger of {limit:g} V for a cell of {half:.2f} V half full and {full:.2f} V full",
+            "the voltage that it holds at one cell",
+            "Give that of a cell, not of the pack.",
+        )
+    return limit
+
+
+def taper_of(model: CellModel, given: float | None) -> float:
+    """The current at which a charger ends [A]: as given, else a twentieth of the capacity.
+
+    Raises
+    ------
+    InputError        not above zero
+    """
+    taper = TAPER_C * model.capacity_Ah if given is None else given
+    if not 0.0 < taper < np.inf:
+        raise InputError(
+            f"a charge that ends at {taper:g} A", "a current above zero", "Give 0.1, say."
+        )
+    return float(taper)
+
+
+def forecast_charge(
+    model: CellModel,
+    replay: Replay,
+    *,
+    limit_V: float | None = None,
+    taper_A: float | None = None,
+) -> Charge | None:
+    """Time to full along a replay, wherever the cell is being charged.
+
+    Parameters
+    ----------
+    model : CellModel         the one of the replay
+    replay : Replay
+    limit_V : float or None   as :func:`limit_of`
+    taper_A : float or None   as :func:`taper_of`; of one cell
+
+    Returns
+    -------
+    Charge or None            None where the log holds no charging of C/50 or more
+
+    Raises
+    ------
+    InputError                as :func:`limit_of`, :func:`taper_of`
+    """
+    limit, taper = limit_of(model, limit_V), taper_of(model, taper_A)
+    log = replay.log
+    current = np.ascontiguousarray(log.known_current_A())
+    least_A = LEAST_LOAD_C * model.capacity_Ah
+    charging = current < -least_A
+    # A charger holds its current from the first row on: what was before is no part of it.
+    before_s = np.where(charging, -np.inf, log.time_s)
+    since_s = np.maximum.accumulate(before_s)
+    mean_A, _ = present_load(log, current, WINDOW_S, since_s)
+    mean_A = np.where(np.isfinite(mean_A), mean_A, current)
+    wanted = at_most(charging & (mean_A < -max(least_A, taper)))
+    if not wanted.any():
+        return None
+    nowhere = np.full(len(log), np.nan)
+    unseen = warms_unseen(model)
+    load = Load(mean_A, nowhere, wanted, False, WINDOW_S, limit, unseen, taper)
+    out = along(model, replay, current, load)
+    return Charge(
+        name=log.name,
+        limit_V=limit,
+        taper_A=taper,
+        time_s=log.time_s[wanted],
+        soc=replay.trace.soc[wanted],
+        soc_std=replay.trace.soc_std[wanted],
+        charge_A=-out[:, 11],
+        full_s=out[:, 0],
+        full_s_band=out[:, 5:7],
+        full_Wh=out[:, 1] / 3600.0,
+        full_Wh_band=out[:, 7:9] / 3600.0,
+        end_soc=out[:, 3],
+    )
