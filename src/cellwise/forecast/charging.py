@@ -15,6 +15,14 @@ from cellwise.forecast.records import Load
 from cellwise.forecast.remaining import WINDOW_S, along, at_most, present_load, warms_unseen
 from cellwise.typing import FloatArray
 
+HELD_V = 0.015  # this near its voltage a charger holds it
+TAIL_SHARE = 0.5  # of the time at that voltage whose decay of the current is taken
+LEAST_TAIL_S = 120.0
+LEAST_FALL = 0.05  # of the current, to take a decay from
+# Of the decay against the model, for the logarithm of the time: time constants of parts of one
+# charge differ by 1.5, one deviation, and a model's by `TAIL_FACTOR` at two.
+DECAY_SHARE = 0.65
+BOTH_FACTOR = 2.2  # two deviations of what both say: both miss that a decay slows down
 TAPER_C = 0.05  # where a charger ends that nobody asked about: 1/20 of the capacity per hour
 
 
@@ -84,6 +92,20 @@ def taper_of(model: CellModel, given: float | None) -> float:
     return float(taper)
 
 
+def tail(time_s: FloatArray, charge_A: FloatArray, taper_A: float) -> float | None:
+    """Time at constant voltage until the current has decayed to its end [s].
+
+    The decay is exponential, with the time constant of the rows given, which are at that voltage;
+    None where they are too few to show one.
+    """
+    if time_s.size < 3 or time_s[-1] - time_s[0] < LEAST_TAIL_S or np.any(charge_A <= 0.0):
+        return None
+    slope, level = np.polyfit(time_s - time_s[-1], np.log(charge_A), 1)
+    if -slope * (time_s[-1] - time_s[0]) < LEAST_FALL:
+        return None
+    return max(float(level - np.log(taper_A)) / -float(slope), 0.0)
+
+
 def forecast_charge(
     model: CellModel,
     replay: Replay,
@@ -125,6 +147,17 @@ def forecast_charge(
     unseen = warms_unseen(model)
     load = Load(mean_A, nowhere, wanted, False, WINDOW_S, limit, unseen, taper)
     out = along(model, replay, current, load)
+    held = charging & (log.voltage_V > limit - HELD_V)
+    before_s = np.maximum.accumulate(np.where(held, -np.inf, log.time_s))
+    for place, k in enumerate(np.flatnonzero(wanted)):
+        since_s = log.time_s[k] - TAIL_SHARE * (log.time_s[k] - before_s[k])
+        rows = slice(min(int(np.searchsorted(log.time_s, since_s)), k), k + 1)
+        decay_s = tail(log.time_s[rows], -current[rows], taper) if held[k] else None
+        if decay_s is not None:
+            model_s = max(out[place, 0], 1.0)
+            both_s = model_s * (max(decay_s, 1.0) / model_s) ** DECAY_SHARE
+            out[place, [1, 7, 8]] *= both_s / model_s
+            out[place, [0, 5, 6]] = both_s, both_s / BOTH_FACTOR, both_s * BOTH_FACTOR
     return Charge(
         name=log.name,
         limit_V=limit,

@@ -43,7 +43,7 @@ def to_full(
     limit_V, lump, valid = go.cutoff_V, go.lump, uncertain.valid
     dt_s = tables.cell.charge_As / (STEPS * -go.load_A)
     state = start
-    time_s = energy_J = shift_V = 0.0
+    time_s = energy_J = shift_V = tail_s = 0.0
     current = go.load_A
     before_V = go.start_V
     known_V = math.nan
@@ -65,6 +65,9 @@ def to_full(
             state_next, point = advance(tables, state, current, dt_s, here_C)
             held_V = point.ocv_V - voltage_of(point, state_next, current)
             voltage = limit_V
+            held_s = dt_s
+        else:
+            held_s = 0.0
         if lump.heats:
             warmth = warmed(lump, warmth, max(current * (point.ocv_V - voltage), 0.0), dt_s)
             here_C = lump.origin_C + warmth.rise_K
@@ -88,10 +91,11 @@ def to_full(
         elif state_next.soc >= 1.0 + BEYOND:
             reason = BY_CHARGE
         time_s += share * dt_s
+        tail_s += share * held_s
         energy_J -= share * dt_s * 0.5 * (before_A + current) * 0.5 * (before_V + voltage)
         if reason != NEVER:
             soc = state.soc + share * (state_next.soc - state.soc)
-            return Remaining(time_s, energy_J, voltage, soc, reason)
+            return Remaining(time_s, energy_J, voltage, soc, reason, tail_s)
         state = state_next
         before_V = voltage
-    return Remaining(time_s, energy_J, before_V, state.soc, NEVER)
+    return Remaining(time_s, energy_J, before_V, state.soc, NEVER, tail_s)

@@ -11,19 +11,26 @@ from cellwise.typing import BoolArray, FloatArray
 # Of a model that does not say how far along the SOC its error stays: those of measured cells that
 # do say 0.07 to 0.37.
 USUAL_MEMORY_SOC = 0.2
+# Twice as far as a charge at constant voltage lasts from what a model says, as a factor: nobody
+# identifies a model there, and slow diffusion makes it longer (1 to 3 times on four cells).
+TAIL_FACTOR = 3.0
 # Why a forecast ended.
 BY_CHARGE, BY_VOLTAGE, NEVER, BY_CURRENT = 0, 1, 2, 3
 STEPS = 400  # from full to empty
 
 
 class Remaining(NamedTuple):
-    """Time, energy out, voltage and SOC at the end of a forecast, and why it ended."""
+    """Time, energy out, voltage and SOC at the end of a forecast, and why it ended.
+
+    ``tail_s`` is the part of the time in which a charger holds its voltage; 0 for a load.
+    """
 
     time_s: float
     energy_J: float
     voltage_V: float
     soc: float
     reason: int
+    tail_s: float
 
 
 class Uncertain(NamedTuple):

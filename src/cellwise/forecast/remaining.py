@@ -313,9 +313,9 @@ def _forecast(
 
 
 def along(model: CellModel, replay: Replay, current_A: FloatArray, load: Load) -> FloatArray:
-    """What `forecast_rows` finds, shape (wanted rows, 12); an end that never comes is infinite."""
+    """What `forecast_rows` finds, shape (wanted rows, 13); an end that never comes is infinite."""
     log, trace = replay.log, replay.trace
-    out = np.empty((int(np.count_nonzero(load.wanted)), 12))
+    out = np.empty((int(np.count_nonzero(load.wanted)), 13))
     soc = np.ascontiguousarray(trace.soc, dtype=np.float64)
     std = np.nan_to_num(np.ascontiguousarray(trace.soc_std, dtype=np.float64))
     warm = known_temperature_C(model, log)

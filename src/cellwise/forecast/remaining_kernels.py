@@ -21,6 +21,7 @@ from cellwise.forecast.records import (
     BY_VOLTAGE,
     NEVER,
     STEPS,
+    TAIL_FACTOR,
     USUAL,
     Away,
     FilteredRows,
@@ -148,10 +149,10 @@ def to_empty(
         energy_J += share * dt_s * current * 0.5 * (before_V + end_V)
         if reason != NEVER:
             soc = state.soc + share * (state_next.soc - state.soc)
-            return Remaining(time_s, energy_J, end_V, soc, reason)
+            return Remaining(time_s, energy_J, end_V, soc, reason, 0.0)
         state = state_next
         before_V = voltage
-    return Remaining(time_s, energy_J, before_V, state.soc, NEVER)
+    return Remaining(time_s, energy_J, before_V, state.soc, NEVER, 0.0)
 
 
 @inline
@@ -244,6 +245,11 @@ def with_ends(
         usual.time_s, (low.time_s, high.time_s), (lower.time_s, higher.time_s),
         (cold.time_s, warm.time_s), uncertain.capacity_std,
     )  # fmt: skip
+    if usual.tail_s > 0.0:
+        less, more = usual.tail_s * (1.0 - 1.0 / TAIL_FACTOR), usual.tail_s * (TAIL_FACTOR - 1.0)
+        low_s = usual.time_s - math.sqrt((usual.time_s - time_s[0]) ** 2 + less * less)
+        high_s = usual.time_s + math.sqrt((time_s[1] - usual.time_s) ** 2 + more * more)
+        time_s = (max(low_s, 0.0), high_s)
     energy = ends(
         usual.energy_J, (low.energy_J, high.energy_J), (lower.energy_J, higher.energy_J),
         (cold.energy_J, warm.energy_J), uncertain.capacity_std,
@@ -265,8 +271,8 @@ def forecast_rows(
 ) -> None:
     """Carry the cell through a log with the filter's SOC; forecast at the wanted rows.
 
-    ``out`` has shape (wanted rows, 12): the fields of `Remaining`, both ends of time, energy and
-    end voltage, the current that it began with. The model's present error is the mean of measured
+    ``out`` has shape (wanted rows, 13): the fields of `Remaining`, both ends of time, energy and
+    end voltage, the current that it began with, ``tail_s``. The model's present error is the mean of measured
     minus modelled voltage over about ``window_s``.
     """
     dt_s, current_A, temperature_C, measured_C, measured_V, soc, soc_std = log
@@ -313,4 +319,5 @@ def forecast_rows(
             out[place, 7 + j] = found.energy_J[j]
             out[place, 9 + j] = found.voltage_V[j]
         out[place, 11] = go.load_A
+        out[place, 12] = left.tail_s
         place += 1
