@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from cellwise.estimate.power.along import PowerTrace
     from cellwise.estimate.power.state_of_power import PowerLimit
     from cellwise.estimate.replay import Replay
+    from cellwise.forecast.charging import Charge
     from cellwise.forecast.convergence import ExpectedConvergence
     from cellwise.forecast.remaining import Flight, Forecast
     from cellwise.logs import CellLog
@@ -48,6 +49,7 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     replay.add_argument("--hold", choices=("power", "current"), default="power", help=text)
     text = "how long, too, at a load of X W in each cell (A with --hold current)"
     options.number(replay, "--load", "X", text)
+    options.add_charger(replay)
     text = "layout of PlotJuggler for the rows of -o OUT.csv"
     replay.add_argument("--plotjuggler", metavar="F.xml", help=text)
     power_options.add_power_options(replay)
@@ -129,6 +131,7 @@ def run_replay(arguments: argparse.Namespace) -> None:
     from cellwise.cell.plausibility.far_off import ends_forecasts
     from cellwise.estimate.estimators import make_estimator
     from cellwise.estimate.replay import replay
+    from cellwise.forecast.charging import forecast_charge
     from cellwise.forecast.convergence import expected_convergence
     from cellwise.forecast.remaining import check_load, cutoff_of, forecast, forecast_at
     from cellwise.logs.resample import resample
@@ -164,10 +167,16 @@ def run_replay(arguments: argparse.Namespace) -> None:
             expected = expected_convergence(model, found, fresh)
             far = None if arguments.anyway else ends_forecasts(found.far_off, found.log)
             flight, at_load = None if far else forecast(model, found, **held), None
+            charge = None
+            if not far:
+                charger = {"limit_V": arguments.charge_limit_v, "taper_A": arguments.charge_end_a}
+                charge = forecast_charge(model, found, **charger)
+                if charge is not None and charge.time_s[-1] < log.time_s[-1]:
+                    charge = None  # no longer on the charger
             if arguments.load is not None and not far:
                 at_load = forecast_at(model, found, arguments.load, **held)
                 flight = None if flight is None else dataclasses.replace(flight, given=at_load)
-            runs.append(Run(found, expected, flight, at_load, far))
+            runs.append(Run(found, expected, flight, at_load, far, charge))
     if arguments.output:
         write_rows(arguments, runs[0].found)
     with page_options.page_places(arguments) as pages:
@@ -187,6 +196,8 @@ def run_replay(arguments: argparse.Namespace) -> None:
         printing.say_notices(first)
         print_replay(run.found, run.expected, sure=arguments.soc0_std is not None)
         print_forecasts(run.flight, run.at_load, held["cutoff_V"], arguments.hold)
+        if run.charge is not None:
+            print_charge(run.charge)
         if run.found.power is not None:
             print_power(run.found.power)
         printing.say_notices(n for n in run.notices if n not in first)
@@ -202,6 +213,7 @@ class Run:
     flight: Flight | None
     at_load: Forecast | None
     far: str | None
+    charge: Charge | None = None
 
     @property
     def notices(self) -> tuple[str, ...]:
@@ -218,6 +230,7 @@ class Run:
             **self.found.to_dict(),
             "convergence_predicted_s": self.expected.convergence_s,
             "forecast": None if self.flight is None else self.flight.to_dict(),
+            "forecast_charge": None if self.charge is None else self.charge.to_dict(),
             "forecast_given": None if self.at_load is None else self.at_load._asdict(),
             "notices": list(self.notices),
         }
@@ -394,6 +407,17 @@ def print_forecasts(
         ("end V", lambda one: f"{one[1].end_voltage_V:.3f}"),
         ("end SOC %", lambda one: f"{100 * one[1].end_soc:.1f}"),
         ("ends by", lambda one: one[1].by),
+    )
+
+
+def print_charge(charge: Charge) -> None:
+    """Time to full from the last moment on the charger, for people."""
+    last = charge.to_dict()
+    low, high = (x / 60.0 for x in last["full_s_band"])
+    printing.say(
+        f"full in {last['full_s'] / 60.0:.0f} min ({low:.0f} to {high:.0f}) from "
+        f"{last['time_s']:.0f} s, with {last['full_Wh']:.2f} Wh for each cell: "
+        f"{last['charge_A']:.2f} A to {charge.limit_V:.2f} V, held down to {charge.taper_A:.3g} A"
     )
 
 

@@ -50,6 +50,7 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     options.number(live, "--send-every", "S", "seconds [1; on a CAN bus 0.1]")
     options.number(live, "--cutoff-v", "V", "voltage at which the load stops [model]")
     options.number(live, "--load", "W", "how long, too, at a load of W watts in each cell")
+    options.add_charger(live)
     power_options.add_power_options(live)
     text = "follow N cells in series, each by itself"
     options.count(live, "--cells", "N", text, default=0)
@@ -70,7 +71,8 @@ def run_live_command(arguments: argparse.Namespace) -> None:
 
     _check(arguments)
     model = options.read_model(arguments)
-    outlook = Outlook(model, cutoff_of(model, arguments.cutoff_v), arguments.load)
+    charger = (arguments.charge_limit_v, arguments.charge_end_a)
+    outlook = Outlook(model, cutoff_of(model, arguments.cutoff_v), arguments.load, *charger)
     power = _power(model, arguments)
     name, stated = _stated(arguments.source)
     live = _filter(model, stated, arguments)

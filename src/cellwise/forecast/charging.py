@@ -15,9 +15,11 @@ from cellwise.forecast.records import Load
 from cellwise.forecast.remaining import WINDOW_S, along, at_most, present_load, warms_unseen
 from cellwise.typing import FloatArray
 
+CHARGER_S = 30.0  # a charge that lasts; regenerative braking does not
 HELD_V = 0.015  # this near its voltage a charger holds it
 TAIL_SHARE = 0.5  # of the time at that voltage whose decay of the current is taken
 LEAST_TAIL_S = 120.0
+SEEN_EVERY_S = 5.0  # of a charge that is followed sample by sample
 LEAST_FALL = 0.05  # of the current, to take a decay from
 # Of the decay against the model, for the logarithm of the time: time constants of parts of one
 # charge differ by 1.5, one deviation, and a model's by `TAIL_FACTOR` at two.
@@ -95,15 +97,75 @@ def taper_of(model: CellModel, given: float | None) -> float:
 def tail(time_s: FloatArray, charge_A: FloatArray, taper_A: float) -> float | None:
     """Time at constant voltage until the current has decayed to its end [s].
 
-    The decay is exponential, with the time constant of the rows given, which are at that voltage;
-    None where they are too few to show one.
+    The decay is exponential, with the time constant of the later half of the rows given, which are
+    at that voltage; None where they are too few to show one.
     """
-    if time_s.size < 3 or time_s[-1] - time_s[0] < LEAST_TAIL_S or np.any(charge_A <= 0.0):
+    if time_s.size < 3:
+        return None
+    later = time_s >= time_s[-1] - TAIL_SHARE * (time_s[-1] - time_s[0])
+    time_s, charge_A = time_s[later], charge_A[later]
+    span_s = time_s[-1] - time_s[0]
+    if time_s.size < 3 or span_s < LEAST_TAIL_S or np.any(charge_A <= 0.0):
         return None
     slope, level = np.polyfit(time_s - time_s[-1], np.log(charge_A), 1)
-    if -slope * (time_s[-1] - time_s[0]) < LEAST_FALL:
+    if -slope * span_s < LEAST_FALL:
         return None
     return max(float(level - np.log(taper_A)) / -float(slope), 0.0)
+
+
+def with_decay(
+    model_s: float, time_s: FloatArray, charge_A: FloatArray, taper_A: float
+) -> float | None:
+    """Time to full at constant voltage, by a model and by the current's own decay [s]."""
+    decay_s = tail(time_s, charge_A, taper_A)
+    if decay_s is None:
+        return None
+    model_s = max(model_s, 1.0)
+    return float(model_s * (max(decay_s, 1.0) / model_s) ** DECAY_SHARE)
+
+
+class ChargerSeen:
+    """What a charger has done so far, sample by sample: its mean current, and its decay.
+
+    Parameters
+    ----------
+    limit_V, taper_A : float    voltage that it holds, current at which it ends, of one cell
+    least_A : float             more than this into the cell is charging
+    """
+
+    def __init__(self, limit_V: float, taper_A: float, least_A: float) -> None:
+        self.limit_V, self.taper_A = limit_V, taper_A
+        self._least_A = max(least_A, taper_A)
+        self._at_s = self._seen_s = self._mean_A = 0.0
+        self._held: list[tuple[float, float]] = []
+
+    def take(self, current_A: float, voltage_V: float, dt_s: float) -> None:
+        """Follow one sample."""
+        self._at_s += dt_s
+        if current_A > -self._least_A:
+            self._seen_s = self._mean_A = 0.0
+            self._held.clear()
+            return
+        self._seen_s += dt_s
+        share = min(dt_s / max(min(self._seen_s, WINDOW_S), 1e-9), 1.0) if self._seen_s else 1.0
+        self._mean_A += share * (-current_A - self._mean_A)
+        if voltage_V <= self.limit_V - HELD_V:
+            self._held.clear()
+        elif not self._held or self._at_s - self._held[-1][0] >= SEEN_EVERY_S:
+            self._held.append((self._at_s, -current_A))
+
+    @property
+    def charge_A(self) -> float | None:
+        """Mean current of the last minute [A]; None where the cell is not being charged."""
+        lasting = self._seen_s >= CHARGER_S and self._mean_A > self._least_A
+        return self._mean_A if lasting else None
+
+    def with_decay(self, model_s: float) -> float | None:
+        """As the function of that name; None before the charger holds its voltage."""
+        if not self._held:
+            return None
+        time_s, charge_A = np.array(self._held).T
+        return with_decay(model_s, time_s, charge_A, self.taper_A)
 
 
 def forecast_charge(
@@ -136,11 +198,11 @@ def forecast_charge(
     least_A = LEAST_LOAD_C * model.capacity_Ah
     charging = current < -least_A
     # A charger holds its current from the first row on: what was before is no part of it.
-    before_s = np.where(charging, -np.inf, log.time_s)
-    since_s = np.maximum.accumulate(before_s)
+    since_s = np.maximum.accumulate(np.where(charging, log.time_s[0], log.time_s))
     mean_A, _ = present_load(log, current, WINDOW_S, since_s)
     mean_A = np.where(np.isfinite(mean_A), mean_A, current)
-    wanted = at_most(charging & (mean_A < -max(least_A, taper)))
+    lasting = log.time_s - since_s >= CHARGER_S
+    wanted = at_most(charging & lasting & (mean_A < -max(least_A, taper)))
     if not wanted.any():
         return None
     nowhere = np.full(len(log), np.nan)
@@ -150,13 +212,11 @@ def forecast_charge(
     held = charging & (log.voltage_V > limit - HELD_V)
     before_s = np.maximum.accumulate(np.where(held, -np.inf, log.time_s))
     for place, k in enumerate(np.flatnonzero(wanted)):
-        since_s = log.time_s[k] - TAIL_SHARE * (log.time_s[k] - before_s[k])
-        rows = slice(min(int(np.searchsorted(log.time_s, since_s)), k), k + 1)
-        decay_s = tail(log.time_s[rows], -current[rows], taper) if held[k] else None
-        if decay_s is not None:
-            model_s = max(out[place, 0], 1.0)
-            both_s = model_s * (max(decay_s, 1.0) / model_s) ** DECAY_SHARE
-            out[place, [1, 7, 8]] *= both_s / model_s
+        first = int(np.searchsorted(log.time_s, before_s[k], "right"))
+        rows = slice(min(first, k), k + 1)
+        both_s = with_decay(out[place, 0], log.time_s[rows], -current[rows], taper)
+        if held[k] and both_s is not None:
+            out[place, [1, 7, 8]] *= both_s / max(out[place, 0], 1.0)
             out[place, [0, 5, 6]] = both_s, both_s / BOTH_FACTOR, both_s * BOTH_FACTOR
     return Charge(
         name=log.name,

@@ -272,8 +272,8 @@ def forecast_rows(
     """Carry the cell through a log with the filter's SOC; forecast at the wanted rows.
 
     ``out`` has shape (wanted rows, 13): the fields of `Remaining`, both ends of time, energy and
-    end voltage, the current that it began with, ``tail_s``. The model's present error is the mean of measured
-    minus modelled voltage over about ``window_s``.
+    end voltage, the current that it began with, ``tail_s``. The model's present error is the mean
+    of measured minus modelled voltage over about ``window_s``.
     """
     dt_s, current_A, temperature_C, measured_C, measured_V, soc, soc_std = log
     load_A, load_W, wanted, hold_power, window_s, cutoff_V, unseen, taper_A = load
