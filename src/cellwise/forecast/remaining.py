@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 
 from cellwise.cell.effects import SelfHeating
-from cellwise.cell.equations import empty_state, needs_temperature
+from cellwise.cell.equations import CellState, empty_state, needs_temperature
 from cellwise.cell.model import CAPACITY_STD, CellModel
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.cell.simulate import known_temperature_C, start_hysteresis
@@ -21,10 +21,11 @@ from cellwise.forecast.records import (
     NEVER,
     USUAL_MEMORY_SOC,
     FilteredRows,
+    Going,
     Load,
     Uncertain,
 )
-from cellwise.forecast.remaining_kernels import forecast_rows
+from cellwise.forecast.remaining_kernels import forecast_rows, moment
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
@@ -314,27 +315,41 @@ def _forecast(
 
 def along(model: CellModel, replay: Replay, current_A: FloatArray, load: Load) -> FloatArray:
     """What `forecast_rows` finds, shape (wanted rows, 13); an end that never comes is infinite."""
-    log, trace = replay.log, replay.trace
+    rows = _filtered(model, replay, current_A)
     out = np.empty((int(np.count_nonzero(load.wanted)), 13))
+    forecast_rows(model.parameters(), _start(rows), rows, load, uncertain_of(model), out)
+    never = out[:, 4] == NEVER
+    out[never, :2] = np.inf
+    out[never, 6] = out[never, 8] = np.inf
+    return out
+
+
+def state_at(
+    model: CellModel, replay: Replay, row: int, cutoff_V: float, window_s: float
+) -> tuple[CellState, Going, float]:
+    """The cell's state at a row of a replay, what it goes on with, and its SOC's deviation."""
+    part = slice(0, row + 1)
+    current = np.ascontiguousarray(replay.log.known_current_A()[part])
+    rows = FilteredRows(*(x[part] for x in _filtered(model, replay, current)))
+    nowhere = np.zeros(row + 1, dtype=np.bool_)
+    load = Load(current, current, nowhere, True, window_s, cutoff_V, warms_unseen(model))
+    state, go = moment(model.parameters(), _start(rows), rows, load, uncertain_of(model))
+    return CellState(*state), Going(*go), float(rows.soc_std[-1])
+
+
+def _filtered(model: CellModel, replay: Replay, current_A: FloatArray) -> FilteredRows:
+    log, trace = replay.log, replay.trace
     soc = np.ascontiguousarray(trace.soc, dtype=np.float64)
     std = np.nan_to_num(np.ascontiguousarray(trace.soc_std, dtype=np.float64))
     warm = known_temperature_C(model, log)
     nowhere = np.full(len(log), np.nan)
     measured_C = nowhere if log.temperature_C is None else np.array(log.temperature_C)
-    forecast_rows(
-        model.parameters(),
-        empty_state(soc[0], start_hysteresis(float(soc[0]))),
-        FilteredRows(
-            log.interval_s, current_A, warm, measured_C, np.array(log.voltage_V), soc, std
-        ),
-        load,
-        uncertain_of(model),
-        out,
-    )
-    never = out[:, 4] == NEVER
-    out[never, :2] = np.inf
-    out[never, 6] = out[never, 8] = np.inf
-    return out
+    voltage = np.array(log.voltage_V)
+    return FilteredRows(log.interval_s, current_A, warm, measured_C, voltage, soc, std)
+
+
+def _start(rows: FilteredRows) -> CellState:
+    return empty_state(rows.soc[0], start_hysteresis(float(rows.soc[0])))
 
 
 def warms_unseen(model: CellModel) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from cellwise.cell.compiled import inline, rows
 from cellwise.cell.equations import (
@@ -260,6 +261,63 @@ def with_ends(
     return Outcome(usual, time_s, energy, at_end)
 
 
+class Followed(NamedTuple):
+    """A cell along a log, with the filter's SOC, and what the model is off by of late."""
+
+    state: CellState
+    previous_A: float
+    bias_V: float
+    held_V: float
+    begun: bool
+    warming: Warming
+    error_V: float
+
+
+@inline
+def row_followed(
+    tables: CellTables, was: Followed, log: FilteredRows, k: int, window_s: float
+) -> Followed:
+    """One row on: the model's present error is a mean over about ``window_s``."""
+    dt_s, current_A, temperature_C, measured_C, measured_V, soc, _ = log
+    seen = seen_current(tables.cell, current_A[k], was.previous_A, dt_s[k])
+    state, point = advance(tables, was.state, seen, dt_s[k], temperature_C[k])
+    state = with_soc(state, soc[k])
+    voltage = voltage_of(point, state, seen)
+    lost_W = seen * (point.ocv_V - voltage)
+    bias, held, begun = was.bias_V, was.held_V, was.begun
+    if measured_V[k] == measured_V[k]:  # not NaN
+        error = measured_V[k] - voltage
+        lost_W = seen * (point.ocv_V - measured_V[k])
+        share = min(dt_s[k] / window_s, 1.0) if begun else 1.0
+        begun = True
+        bias += share * (error - bias)
+        held += share * ((point.ocv_V - voltage) - held)
+    warming = observed(was.warming, tables.cell.charge_As, lost_W, measured_C[k], dt_s[k])
+    return Followed(state, current_A[k], bias, held, begun, warming, point.error_V)
+
+
+@rows
+def moment(
+    tables: CellTables,
+    start: CellState,
+    log: FilteredRows,
+    load: Load,
+    uncertain: Uncertain,
+) -> tuple[CellState, Going]:
+    """The state at the last row of a log, and what goes on from there at its load."""
+    now = Followed(start, log.current_A[0], 0.0, 0.0, False, NOTHING_SEEN, 0.0)
+    for k in range(log.soc.size):
+        now = row_followed(tables, now, log, k, load.window_s)
+    offset, of_held = parts_of(uncertain, now.error_V, now.bias_V, now.held_V)
+    warm = log.temperature_C[log.soc.size - 1]
+    lump = thermal_of(now.warming, tables.cell.charge_As, warm, load.warms_unseen)
+    go = Going(
+        load.current_A[load.current_A.size - 1], load.hold_power, math.nan, offset, of_held,
+        load.cutoff_V, warm, lump, load.taper_A,
+    )  # fmt: skip
+    return now.state, go
+
+
 @rows
 def forecast_rows(
     tables: CellTables,
@@ -275,39 +333,21 @@ def forecast_rows(
     end voltage, the current that it began with, ``tail_s``. The model's present error is the mean
     of measured minus modelled voltage over about ``window_s``.
     """
-    dt_s, current_A, temperature_C, measured_C, measured_V, soc, soc_std = log
     load_A, load_W, wanted, hold_power, window_s, cutoff_V, unseen, taper_A = load
-    state = start
-    previous = current_A[0]
-    bias = held = 0.0
-    begun = False
-    warming = NOTHING_SEEN
+    now = Followed(start, log.current_A[0], 0.0, 0.0, False, NOTHING_SEEN, 0.0)
     charge_As = tables.cell.charge_As
     place = 0
-    for k in range(dt_s.size):
-        seen = seen_current(tables.cell, current_A[k], previous, dt_s[k])
-        previous = current_A[k]
-        state, point = advance(tables, state, seen, dt_s[k], temperature_C[k])
-        state = with_soc(state, soc[k])
-        voltage = voltage_of(point, state, seen)
-        lost_W = seen * (point.ocv_V - voltage)
-        if measured_V[k] == measured_V[k]:  # not NaN
-            error = measured_V[k] - voltage
-            lost_W = seen * (point.ocv_V - measured_V[k])
-            share = min(dt_s[k] / window_s, 1.0) if begun else 1.0
-            begun = True
-            bias += share * (error - bias)
-            held += share * ((point.ocv_V - voltage) - held)
-        warming = observed(warming, charge_As, lost_W, measured_C[k], dt_s[k])
+    for k in range(log.soc.size):
+        now = row_followed(tables, now, log, k, window_s)
         if not wanted[k]:
             continue
-        offset, of_held = parts_of(uncertain, point.error_V, bias, held)
-        warm = temperature_C[k]
-        lump = thermal_of(warming, charge_As, warm, unseen)
+        offset, of_held = parts_of(uncertain, now.error_V, now.bias_V, now.held_V)
+        warm = log.temperature_C[k]
+        lump = thermal_of(now.warming, charge_As, warm, unseen)
         go = Going(load_A[k], hold_power, math.nan, offset, of_held, cutoff_V, warm, lump, taper_A)
         if load_W[k] == load_W[k]:
-            go = at_power(tables, state, go, load_W[k])
-        found = with_ends(tables, state, soc_std[k], go, uncertain)
+            go = at_power(tables, now.state, go, load_W[k])
+        found = with_ends(tables, now.state, log.soc_std[k], go, uncertain)
         left = found.usual
         out[place, 0] = left.time_s
         out[place, 1] = left.energy_J
