@@ -11,12 +11,20 @@ from functools import partial
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
-from cellwise.cli.common import log_options, options, places, power_options, printing
+from cellwise.cli.common import (
+    forecast_options,
+    log_options,
+    options,
+    places,
+    power_options,
+    printing,
+)
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
     from cellwise.cell.model import CellModel
     from cellwise.estimate.power.along import PowerFollower
+    from cellwise.forecast.display_kernels import Display
     from cellwise.forecast.outlook import Outlook
     from cellwise.live import Counts, LiveFilter, Update
     from cellwise.live.mavlink import MavlinkSender
@@ -50,7 +58,8 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     options.number(live, "--send-every", "S", "seconds [1; on a CAN bus 0.1]")
     options.number(live, "--cutoff-v", "V", "voltage at which the load stops [model]")
     options.number(live, "--load", "W", "how long, too, at a load of W watts in each cell")
-    options.add_charger(live)
+    forecast_options.add_charger(live)
+    forecast_options.add_display(live)
     power_options.add_power_options(live)
     text = "follow N cells in series, each by itself"
     options.count(live, "--cells", "N", text, default=0)
@@ -76,7 +85,8 @@ def run_live_command(arguments: argparse.Namespace) -> None:
     power = _power(model, arguments)
     name, stated = _stated(arguments.source)
     live = _filter(model, stated, arguments)
-    followed = Followed(live, outlook, power)
+    how = forecast_options.how_displayed(arguments, model)
+    followed = Followed(live, outlook, power, None if how is None else Shown(how))
     reading = log_options.read_options(arguments)
     source = open_source(
         name, reading, arguments.sign, follow=arguments.follow, cells=arguments.cells
@@ -128,12 +138,15 @@ class Followed(NamedTuple):
     live: LiveFilter
     outlook: Outlook
     power: PowerFollower | None = None
+    shown: Shown | None = None
 
     def take(self, update: Update) -> None:
         """Hand a sample on to what follows the filter."""
         from cellwise.estimate.sensing_kernels import Reading
 
         self.outlook.take(update)
+        if self.shown is not None:
+            self.shown.take(update, self)
         if self.power is None or self.live.state is None:
             return
         sample, warm = update.sample, self.temperature_C(update)
@@ -145,6 +158,7 @@ class Followed(NamedTuple):
         state, warm = self.live.state, self.temperature_C(update)
         return {
             **self.outlook.columns(state, warm),
+            **({} if self.shown is None else {"displayed_percent": self.shown.percent}),
             **({} if self.power is None else self.power.columns(state, warm)),
             **({} if self.live.pack is None else self.live.pack.columns()),
         }
@@ -157,6 +171,29 @@ class Followed(NamedTuple):
 
         measured = self.live.known_temperature_C(update.sample)
         return measured if isfinite(measured) else model_temperature_C(self.live.model)
+
+
+class Shown:
+    """The displayed percentage, and what it expects of the device's own ends once a second."""
+
+    def __init__(self, how: Display) -> None:
+        from cellwise.forecast.display import Displayed
+
+        self._displayed = Displayed(how)
+        self._since_s = float("inf")
+        self.percent = float("nan")
+
+    def take(self, update: Update, followed: Followed) -> None:
+        """Follow one sample."""
+        self._since_s += update.dt_s
+        if self._since_s >= FORECAST_EVERY_S:
+            self._since_s = 0.0
+            state, warm = followed.live.state, followed.temperature_C(update)
+            empty, full = followed.outlook.end_socs(state, warm)
+            self._displayed.expect(empty, full)
+        sample, dt_s = update.sample, 0.0 if update.gap else update.dt_s
+        soc = update.info.soc
+        self.percent = self._displayed.take(soc, sample.current_A, sample.voltage_V, dt_s)
 
 
 class LineWriter:

@@ -81,6 +81,7 @@ class ForecastNow(NamedTuple):
     remaining_s: float
     remaining_s_band: tuple[float, float]
     remaining_Wh: float
+    end_soc: float
 
 
 class Outlook:
@@ -195,8 +196,17 @@ class Outlook:
             return now
         energy_Wh = now.remaining_Wh * both_s / max(now.remaining_s, 1.0)
         return ForecastNow(
-            now.load_A, both_s, (both_s / BOTH_FACTOR, both_s * BOTH_FACTOR), energy_Wh
+            now.load_A, both_s, (both_s / BOTH_FACTOR, both_s * BOTH_FACTOR), energy_Wh, now.end_soc
         )
+
+    def end_socs(
+        self, state: EkfState | None, temperature_C: float
+    ) -> tuple[float | None, float | None]:
+        """SOC at which the present load ends, and a charger; None where there is none."""
+        empty = self.forecast(state, temperature_C)
+        charge_A = self._charger.charge_A
+        full = None if charge_A is None else self._forecast(state, temperature_C, -charge_A, None)
+        return empty and empty.end_soc, full and full.end_soc
 
     def columns(self, state: EkfState | None, temperature_C: float) -> dict[str, Any]:
         """Forecasts at the present, the median, the given load and to full as JSON values."""
@@ -230,6 +240,7 @@ class Outlook:
             math.inf if never else usual.time_s,
             (end.time_s[0], math.inf if never else end.time_s[1]),
             usual.energy_J / 3600.0,
+            usual.soc,
         )
 
     def _ends(

@@ -29,6 +29,7 @@ DRAWS = 500
 STEP_S = 1.0  # a past log is averaged over so long: its power, not its peaks within a second
 LONGEST_STEP_S = 10.0  # a long phase is cut into such
 MOST_STEPS = 50_000
+LONGEST_HEADER = 10_000
 BAND = (0.025, 0.975)
 
 
@@ -67,6 +68,16 @@ class Outcome:
     def to_dict(self) -> dict[str, Any]:
         """As JSON values."""
         return dict(self.__dict__)
+
+
+def is_plan(path: str | Path) -> bool:
+    """A table of phases, by its header: a log has a voltage."""
+    try:
+        with Path(path).open(encoding="utf-8-sig") as file:
+            names = {name.strip() for name in file.readline(LONGEST_HEADER).split(",")}
+    except (OSError, UnicodeDecodeError):
+        return False
+    return "power_W" in names or names == {"time_s", "current_A"}
 
 
 def read_plan(path: str | Path, series: int = 1, parallel: int = 1) -> Plan:

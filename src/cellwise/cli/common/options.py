@@ -26,13 +26,6 @@ def count(parser: Parser, name: str, metavar: str | None, text: str, **more: Any
     parser.add_argument(name, type=int, metavar=metavar, help=text, **more)
 
 
-def add_charger(parser: Parser) -> None:
-    """Options of the charger that a time to full is for."""
-    text = "voltage that a charger holds at one cell [model]"
-    number(parser, "--charge-limit-v", "V", text)
-    number(parser, "--charge-end-a", "A", "current at which it ends, of one cell [C/20]")
-
-
 def several(parser: Parser, name: str, metavar: str | None, text: str, **more: Any) -> None:
     """An option that may be given several times; without it, an empty list."""
     parser.add_argument(
