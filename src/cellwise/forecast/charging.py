@@ -157,8 +157,8 @@ class ChargerSeen:
     @property
     def charge_A(self) -> float | None:
         """Mean current of the last minute [A]; None where the cell is not being charged."""
-        lasting = self._seen_s >= CHARGER_S and self._mean_A > self._least_A
-        return self._mean_A if lasting else None
+        steady = self._seen_s >= CHARGER_S and self._mean_A > self._least_A
+        return self._mean_A if steady else None
 
     def with_decay(self, model_s: float) -> float | None:
         """As the function of that name; None before the charger holds its voltage."""
@@ -201,8 +201,8 @@ def forecast_charge(
     since_s = np.maximum.accumulate(np.where(charging, log.time_s[0], log.time_s))
     mean_A, _ = present_load(log, current, WINDOW_S, since_s)
     mean_A = np.where(np.isfinite(mean_A), mean_A, current)
-    lasting = log.time_s - since_s >= CHARGER_S
-    wanted = at_most(charging & lasting & (mean_A < -max(least_A, taper)))
+    steady = log.time_s - since_s >= CHARGER_S
+    wanted = at_most(charging & steady & (mean_A < -max(least_A, taper)))
     if not wanted.any():
         return None
     nowhere = np.full(len(log), np.nan)
