@@ -85,6 +85,25 @@ def test_several_plans_are_as_probable_as_each_other(flight):
     assert found.end_soc_band[1] == pytest.approx(ends[0], abs=0.01)
 
 
+def test_the_next_log_is_where_few_past_ones_leave_it():
+    """Some drives of a population, then one more: it lands in the band 95 times of 100."""
+    rng = np.random.default_rng(5)
+    model = curved_cell()
+    log, truth = discharge(model, np.full(600, 1.0), 0.95)
+    replayed = known_replay(log, truth.soc)
+    inside = []
+    for _ in range(120):
+        powers = np.exp(rng.normal(1.2, 0.3, int(rng.integers(4, 10))))
+        plans = [
+            Plan("", np.full(180, 10.0), np.full(180, p), is_power=True, is_past=True)
+            for p in powers
+        ]
+        found = forecast_plan(model, replayed, plans[:-1], cutoff_V=2.0)
+        true = forecast_plan(model, replayed, plans[-1:], cutoff_V=2.0).end_soc
+        inside.append(found.end_soc_band[0] <= true <= found.end_soc_band[1])
+    assert 0.90 <= np.mean(inside) <= 0.99
+
+
 def test_a_table_of_a_pack_s_phases(tmp_path):
     plan = read_plan(table(tmp_path, "time_s,power_W\n30,400\n90,100\n"), series=4, parallel=2)
     assert plan.dt_s.sum() == 90.0

@@ -1,7 +1,8 @@
 """A plan of loads ahead: where it ends, and the chance to end above a SOC.
 
 A plan is a table of phases (``time_s`` with ``power_W`` or ``current_A``), or a past log, whose
-power is flown or driven once more; several are taken to be as probable as each other.
+power is flown or driven once more; several are taken to be as probable as each other. The next trip
+is none of few past ones: its mean power is drawn from what these say of it, as few as they are.
 """
 
 from __future__ import annotations
@@ -30,16 +31,26 @@ STEP_S = 1.0  # a past log is averaged over so long: its power, not its peaks wi
 LONGEST_STEP_S = 10.0  # a long phase is cut into such
 MOST_STEPS = 50_000
 LONGEST_HEADER = 10_000
+RATIOS = (0.0, 0.5, 1.0, 1.5, 2.0, 4.0)
 BAND = (0.025, 0.975)
 
 
 class Plan(NamedTuple):
-    """Steps of a load of one cell, positive on discharge, shape (n,): seconds, watts or amperes."""
+    """Steps of a load of one cell, positive on discharge, shape (n,): seconds, watts or amperes.
+
+    ``is_past``: what a log drew, one of several that show how much such loads differ.
+    """
 
     name: str
     dt_s: FloatArray
     load: FloatArray
     is_power: bool
+    is_past: bool = False
+
+    @property
+    def mean(self) -> float:
+        """Of the load, over its time."""
+        return float(np.sum(self.dt_s * self.load) / np.sum(self.dt_s))
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +156,7 @@ def plan_of_log(log: CellLog) -> Plan:
     keep = dt_s > 0.0
     parts = np.maximum(np.ceil(dt_s[keep] / LONGEST_STEP_S), 1.0).astype(np.int64)
     load = np.diff(energy[places])[keep] / dt_s[keep]
-    plan = Plan(log.name, np.repeat(dt_s[keep] / parts, parts), np.repeat(load, parts), True)
+    plan = Plan(log.name, np.repeat(dt_s[keep] / parts, parts), np.repeat(load, parts), True, True)
     return _checked(plan, f"log '{log.name}'")
 
 
@@ -193,12 +204,14 @@ def forecast_plan(
     at = len(replay.log) - 1 if row is None else row
     state, go, soc_std = state_at(model, replay, at, cutoff, WINDOW_S)
     draws = _draws()
+    scale = _scales(plans, draws[:, 5])
     which = np.minimum((draws[:, 4] * len(plans)).astype(np.int64), len(plans) - 1)
     found = np.empty((DRAWS, 3))
     for number, plan in enumerate(plans):
         held = go._replace(hold_power=plan.is_power)
         mine = which == number
-        found[mine] = _responses(model, state, soc_std, plan, held, draws[mine, :4])
+        ratio = scale[mine] / plan.mean if scale is not None else None
+        found[mine] = _responses(model, state, soc_std, plan, held, draws[mine, :4], ratio)
     failed = found[:, 1] <= cutoff
     end = np.maximum(found[:, 0], 0.0)
 
@@ -224,21 +237,44 @@ def forecast_plan(
     )
 
 
+def _scales(plans: Sequence[Plan], share: FloatArray) -> FloatArray | None:
+    """Mean powers as probable for one more log as the past ones say; None without several.
+
+    Their logarithms are normal with a mean and a deviation that n logs show: the next one is then
+    Student's t with n - 1 degrees of freedom, scale s sqrt(1 + 1/n).
+    """
+    from scipy.special import stdtrit
+
+    means = np.array([plan.mean for plan in plans])
+    if len(plans) < 2 or not all(plan.is_past for plan in plans) or np.any(means <= 0.0):
+        return None
+    logs = np.log(means)
+    spread = float(np.std(logs, ddof=1)) * math.sqrt(1.0 + 1.0 / len(plans))
+    return np.asarray(np.exp(np.mean(logs) + spread * stdtrit(len(plans) - 1, share)))
+
+
 def _responses(
-    model: CellModel, state: CellState, soc_std: float, plan: Plan, go: Going, draws: FloatArray
+    model: CellModel,
+    state: CellState,
+    soc_std: float,
+    plan: Plan,
+    go: Going,
+    draws: FloatArray,
+    ratio: FloatArray | None,
 ) -> FloatArray:
     """End SOC, lowest voltage and energy for deviations of SOC, voltage, warmth and capacity.
 
-    A parabola for each, through what the plan makes of two deviations either way.
+    A parabola for each, through what the plan makes of two deviations either way; with ``ratio``
+    times its load beside them, linear between `RATIOS`.
     """
     tables, uncertain = model.parameters(), uncertain_of(model)
 
-    def run(deviations: FloatArray) -> FloatArray:
+    def run(deviations: FloatArray, times: float = 1.0) -> FloatArray:
         soc, voltage, warmth, capacity = deviations.tolist()
         charge_As = tables.cell.charge_As * math.exp(CAPACITY_STD * capacity)
         cell = tables._replace(cell=tables.cell._replace(charge_As=charge_As))
         away = Away(soc, voltage, warmth)
-        end = through(cell, state, soc_std, (plan.dt_s, plan.load), go, uncertain, away)
+        end = through(cell, state, soc_std, (plan.dt_s, times * plan.load), go, uncertain, away)
         return np.array(end[:3], dtype=np.float64)
 
     usual = run(np.zeros(4))
@@ -249,18 +285,22 @@ def _responses(
         low, high = run(-2.0 * axis), run(2.0 * axis)
         z = draws[:, k : k + 1]
         found += 0.25 * (high - low) * z + 0.125 * (high - 2.0 * usual + low) * z * z
+    if ratio is not None:
+        ends = np.array([run(np.zeros(4), times) for times in RATIOS])
+        for column in range(found.shape[1]):
+            found[:, column] += np.interp(ratio, RATIOS, ends[:, column]) - usual[column]
     return found
 
 
 def _draws() -> FloatArray:
-    """Four standard normal numbers and one from 0 to 1 in every row, shape (DRAWS, 5)."""
+    """Four standard normal numbers and two from 0 to 1 in every row, shape (DRAWS, 6)."""
     from scipy.special import ndtri
 
-    # Additive recurrence with the powers of the root of x^6 = x + 1: as even as a lattice (Roberts
+    # Additive recurrence with the powers of the root of x^7 = x + 1: as even as a lattice (Roberts
     # 2018), and the same everywhere.
     root = 1.0
     for _ in range(60):
-        root = (1.0 + root) ** (1.0 / 6.0)
-    steps = root ** -np.arange(1.0, 6.0)
+        root = (1.0 + root) ** (1.0 / 7.0)
+    steps = root ** -np.arange(1.0, 7.0)
     even = (0.5 + np.outer(np.arange(1, DRAWS + 1), steps)) % 1.0
-    return np.column_stack((ndtri(even[:, :4]), even[:, 4]))
+    return np.column_stack((ndtri(even[:, :4]), even[:, 4:]))
