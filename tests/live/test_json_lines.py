@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from itertools import pairwise
 
 import pytest
@@ -96,6 +97,16 @@ def test_a_file_is_a_stream_too(tmp_path):
 def test_a_source_that_is_none_is_refused(told):
     with pytest.raises(InputError):
         open_source(told)
+
+
+@pytest.mark.parametrize(
+    ("source", "module"),
+    [("mavlink:udpin:127.0.0.1:0", "pymavlink.mavutil"), ("mqtt://h/t", "paho.mqtt.client")],
+)
+def test_a_library_that_is_not_there_is_named(source, module, monkeypatch):
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(InputError, match=r"cellwise\[live\]"):
+        open_source(source)
 
 
 def test_options_that_a_stream_has_no_use_for_are_refused(tmp_path):

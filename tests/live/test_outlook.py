@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import pytest
 
+from cellwise.cli import main
 from cellwise.errors import InputError
 from cellwise.estimate.replay import replay
 from cellwise.forecast.outlook import Outlook
@@ -123,3 +125,23 @@ def test_a_given_load_and_the_median_are_known_at_rest():
     assert low < row["median_load_remaining_s"] == median.remaining_s < high
     with pytest.raises(InputError, match="load of -1 W"):
         Outlook(model, 3.0, given_W=-1.0)
+
+
+def test_a_charger_in_a_stream_says_when_the_cell_is_full(tmp_path, capsys):
+    lines = (
+        {"time_s": k, "current_A": -5.0, "voltage_V": 3.80 + 2e-5 * k, "temperature_C": 25}
+        for k in range(400)
+    )
+    source = tmp_path / "charge.jsonl"
+    source.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    command = ["live", "--model", "lipo-pouch", "--source", f"json:{source}", "--every", "10"]
+    assert main([*command, "--display", "--charge-end-a", "0.5"]) == 0
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert rows[0]["full_s"] is None  # thirty seconds show that it lasts
+    last = rows[-1]
+    assert last["full_s_band"][0] < last["full_s"] < last["full_s_band"][1]
+    assert last["full_s"] < rows[10]["full_s"]
+    assert last["remaining_s"] is None
+    shown = [row["displayed_percent"] for row in rows]
+    assert shown == sorted(shown)
+    assert main([*command, "--display", "3"]) == 2

@@ -7,7 +7,15 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellwise.cli.common import log_options, options, page_options, places, power_options, printing
+from cellwise.cli.common import (
+    forecast_options,
+    log_options,
+    options,
+    page_options,
+    places,
+    power_options,
+    printing,
+)
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,9 +25,12 @@ if TYPE_CHECKING:
     from cellwise.estimate.power.along import PowerTrace
     from cellwise.estimate.power.state_of_power import PowerLimit
     from cellwise.estimate.replay import Replay
+    from cellwise.forecast.charging import Charge
     from cellwise.forecast.convergence import ExpectedConvergence
+    from cellwise.forecast.plan import Outcome
     from cellwise.forecast.remaining import Flight, Forecast
     from cellwise.logs import CellLog
+    from cellwise.typing import FloatArray
 
 UNITS = {"offset_A": ("sensor offset", "A"), "gain": ("sensor gain", ""),
          "capacity_Ah": ("capacity", "Ah"), "resistance_scale": ("R0, R1 times", ""),
@@ -48,6 +59,9 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     replay.add_argument("--hold", choices=("power", "current"), default="power", help=text)
     text = "how long, too, at a load of X W in each cell (A with --hold current)"
     options.number(replay, "--load", "X", text)
+    forecast_options.add_charger(replay)
+    forecast_options.add_plan(replay)
+    forecast_options.add_display(replay)
     text = "layout of PlotJuggler for the rows of -o OUT.csv"
     replay.add_argument("--plotjuggler", metavar="F.xml", help=text)
     power_options.add_power_options(replay)
@@ -129,6 +143,7 @@ def run_replay(arguments: argparse.Namespace) -> None:
     from cellwise.cell.plausibility.far_off import ends_forecasts
     from cellwise.estimate.estimators import make_estimator
     from cellwise.estimate.replay import replay
+    from cellwise.forecast.charging import forecast_charge
     from cellwise.forecast.convergence import expected_convergence
     from cellwise.forecast.remaining import check_load, cutoff_of, forecast, forecast_at
     from cellwise.logs.resample import resample
@@ -145,6 +160,8 @@ def run_replay(arguments: argparse.Namespace) -> None:
     if arguments.load is not None:
         check_load(arguments.load, arguments.hold)
     check_one_output(arguments)
+    plans = forecast_options.plans_of(arguments)
+    charger = {"limit_V": arguments.charge_limit_v, "taper_A": arguments.charge_end_a}
     logs = read_logs_of(model, arguments)
     runs: list[Run] = []
     with printing.working(arguments.estimator) as follow:
@@ -164,12 +181,15 @@ def run_replay(arguments: argparse.Namespace) -> None:
             expected = expected_convergence(model, found, fresh)
             far = None if arguments.anyway else ends_forecasts(found.far_off, found.log)
             flight, at_load = None if far else forecast(model, found, **held), None
+            charge = None if far else forecast_charge(model, found, **charger)
+            plan = None if far else forecast_options.outcome_of(arguments, model, found, plans)
+            shown = forecast_options.display_of(arguments, model, found, flight, charge)
             if arguments.load is not None and not far:
                 at_load = forecast_at(model, found, arguments.load, **held)
                 flight = None if flight is None else dataclasses.replace(flight, given=at_load)
-            runs.append(Run(found, expected, flight, at_load, far))
+            runs.append(Run(found, expected, flight, at_load, far, charge, plan, shown))
     if arguments.output:
-        write_rows(arguments, runs[0].found)
+        write_rows(arguments, runs[0])
     with page_options.page_places(arguments) as pages:
         if pages is not None:
             from cellwise.report import replay_page
@@ -187,6 +207,7 @@ def run_replay(arguments: argparse.Namespace) -> None:
         printing.say_notices(first)
         print_replay(run.found, run.expected, sure=arguments.soc0_std is not None)
         print_forecasts(run.flight, run.at_load, held["cutoff_V"], arguments.hold)
+        forecast_options.say(run.to_dict())
         if run.found.power is not None:
             print_power(run.found.power)
         printing.say_notices(n for n in run.notices if n not in first)
@@ -202,6 +223,9 @@ class Run:
     flight: Flight | None
     at_load: Forecast | None
     far: str | None
+    charge: Charge | None
+    plan: Outcome | None
+    displayed_percent: FloatArray | None
 
     @property
     def notices(self) -> tuple[str, ...]:
@@ -213,21 +237,29 @@ class Run:
 
     def to_dict(self) -> dict[str, Any]:
         """As the command prints it."""
+        shown = self.displayed_percent
+        charge = self.charge
+        if charge is not None and charge.time_s[-1] < self.found.log.time_s[-1]:
+            charge = None  # no longer on the charger
         return {
             "log": self.found.log.name,
             **self.found.to_dict(),
             "convergence_predicted_s": self.expected.convergence_s,
             "forecast": None if self.flight is None else self.flight.to_dict(),
+            "forecast_charge": None if charge is None else charge.to_dict(),
+            "forecast_plan": None if self.plan is None else self.plan.to_dict(),
+            "displayed_percent": None if shown is None else float(shown[-1]),
             "forecast_given": None if self.at_load is None else self.at_load._asdict(),
             "notices": list(self.notices),
         }
 
 
-def write_rows(arguments: argparse.Namespace, found: Replay) -> None:
+def write_rows(arguments: argparse.Namespace, run: Run) -> None:
     """The rows of a replay as a file, and the layout that PlotJuggler shows them in."""
     from cellwise.estimate.adaptive.trace import AdaptiveTrace
     from cellwise.logs.writing import write_columns
 
+    found = run.found
     trace = found.trace
     names = ["time_s", "soc", "soc_std", "voltage_V", "innovation_V", "innovation_variance_V2"]
     columns = {name: getattr(trace, name) for name in (*names, "test_ratio", "status")}
@@ -243,6 +275,20 @@ def write_rows(arguments: argparse.Namespace, found: Replay) -> None:
         columns["reference_soc"] = found.reference_soc
     if found.power is not None:
         columns |= found.power.columns()
+    if run.displayed_percent is not None:
+        columns["displayed_percent"] = run.displayed_percent
+    if Path(arguments.output).suffix == ".mcap":
+        from cellwise.logs.files.source import open_source
+        from cellwise.logs.formats.ros_bag import start_of
+        from cellwise.report.mcap import write_foxglove, write_mcap
+
+        start_s = 0.0
+        if found.log.format == "ros-bag":
+            reading = log_options.read_options(arguments)
+            start_s = start_of(open_source(found.log.source, options=reading))
+        write_mcap(arguments.output, columns, start_s)
+        write_foxglove(Path(arguments.output).with_suffix(".foxglove.json"))
+        return
     write_columns(columns, Path(arguments.output))
     if arguments.plotjuggler:
         from cellwise.report.plotjuggler import write_layout

@@ -11,16 +11,27 @@ from functools import partial
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
-from cellwise.cli.common import log_options, options, places, power_options, printing
+from cellwise.cli.common import (
+    forecast_options,
+    log_options,
+    options,
+    places,
+    power_options,
+    printing,
+)
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
     from cellwise.cell.model import CellModel
     from cellwise.estimate.power.along import PowerFollower
+    from cellwise.forecast.display_kernels import Display
     from cellwise.forecast.outlook import Outlook
     from cellwise.live import Counts, LiveFilter, Update
+    from cellwise.live.mavlink import MavlinkSender
+    from cellwise.live.mqtt import MqttSender
     from cellwise.live.samples import Source
     from cellwise.logs import Stated
+    from cellwise.logs.files.source import ReadOptions
 
 FORECAST_EVERY_S = 1.0
 
@@ -29,8 +40,8 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     """Add the command that follows a stream."""
     live = commands.add_parser("live", help="a stream of samples to SOC, as they come")
     options.add_model(live, scalable=True)
-    text = "stdin (JSON lines), json:FILE, can:INTERFACE:CHANNEL, ulog:FILE (- for stdin); "
-    text += "json:FILE@soc0=1 says how it begins"
+    text = "stdin (JSON lines), json:FILE, can:INTERFACE:CHANNEL, ulog:FILE (- for stdin), "
+    text += "mavlink:LINK, mqtt://HOST/TOPIC; json:FILE@soc0=1 says how it begins"
     live.add_argument("--source", required=True, metavar="S", help=text)
     options.flag(live, "--follow", "wait for more at a file's end")
     live.add_argument("--estimator", default="ekf", metavar="E", help="ekf or ukf [ekf]")
@@ -42,10 +53,13 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     live.add_argument("-o", "--output", metavar="OUT", help="JSON lines, added at the end of OUT")
     options.number(live, "--every", "S", "at most one line in S seconds [0]", default=0.0)
     options.flag(live, "--view", "a view instead of lines [on a terminal]")
-    live.add_argument("--send", metavar="MESSAGE.SIGNAL", help="SOC back on the CAN bus")
-    options.number(live, "--send-every", "S", "seconds [0.1]", default=0.1)
+    text = "state to others: MESSAGE.SIGNAL of the CAN bus, mavlink:LINK, mqtt://HOST/PACK"
+    live.add_argument("--send", metavar="TO", help=text)
+    options.number(live, "--send-every", "S", "seconds [1; on a CAN bus 0.1]")
     options.number(live, "--cutoff-v", "V", "voltage at which the load stops [model]")
     options.number(live, "--load", "W", "how long, too, at a load of W watts in each cell")
+    forecast_options.add_charger(live)
+    forecast_options.add_display(live)
     power_options.add_power_options(live)
     text = "follow N cells in series, each by itself"
     options.count(live, "--cells", "N", text, default=0)
@@ -66,11 +80,13 @@ def run_live_command(arguments: argparse.Namespace) -> None:
 
     _check(arguments)
     model = options.read_model(arguments)
-    outlook = Outlook(model, cutoff_of(model, arguments.cutoff_v), arguments.load)
+    charger = (arguments.charge_limit_v, arguments.charge_end_a)
+    outlook = Outlook(model, cutoff_of(model, arguments.cutoff_v), arguments.load, *charger)
     power = _power(model, arguments)
     name, stated = _stated(arguments.source)
     live = _filter(model, stated, arguments)
-    followed = Followed(live, outlook, power)
+    how = forecast_options.how_displayed(arguments, model)
+    followed = Followed(live, outlook, power, None if how is None else Shown(how))
     reading = log_options.read_options(arguments)
     source = open_source(
         name, reading, arguments.sign, follow=arguments.follow, cells=arguments.cells
@@ -81,9 +97,8 @@ def run_live_command(arguments: argparse.Namespace) -> None:
     takers: list[Callable[[Update], None]] = [followed.take]
     with ExitStack() as stack:
         stack.callback(source.close)
-        sender = _sender(source, arguments)
-        if sender is not None:
-            takers.append(lambda u: sender.send(u.info.soc, u.sample.arrived_s))
+        if arguments.send:
+            takers.append(_sender(source, followed, reading, stack, arguments))
         look = None
         if arguments.output:
             file = stack.enter_context(_appended(arguments.output))
@@ -123,12 +138,15 @@ class Followed(NamedTuple):
     live: LiveFilter
     outlook: Outlook
     power: PowerFollower | None = None
+    shown: Shown | None = None
 
     def take(self, update: Update) -> None:
         """Hand a sample on to what follows the filter."""
         from cellwise.estimate.sensing_kernels import Reading
 
         self.outlook.take(update)
+        if self.shown is not None:
+            self.shown.take(update, self)
         if self.power is None or self.live.state is None:
             return
         sample, warm = update.sample, self.temperature_C(update)
@@ -140,6 +158,7 @@ class Followed(NamedTuple):
         state, warm = self.live.state, self.temperature_C(update)
         return {
             **self.outlook.columns(state, warm),
+            **({} if self.shown is None else {"displayed_percent": self.shown.percent}),
             **({} if self.power is None else self.power.columns(state, warm)),
             **({} if self.live.pack is None else self.live.pack.columns()),
         }
@@ -152,6 +171,29 @@ class Followed(NamedTuple):
 
         measured = self.live.known_temperature_C(update.sample)
         return measured if isfinite(measured) else model_temperature_C(self.live.model)
+
+
+class Shown:
+    """The displayed percentage, and what it expects of the device's own ends once a second."""
+
+    def __init__(self, how: Display) -> None:
+        from cellwise.forecast.display import Displayed
+
+        self._displayed = Displayed(how)
+        self._since_s = float("inf")
+        self.percent = float("nan")
+
+    def take(self, update: Update, followed: Followed) -> None:
+        """Follow one sample."""
+        self._since_s += update.dt_s
+        if self._since_s >= FORECAST_EVERY_S:
+            self._since_s = 0.0
+            state, warm = followed.live.state, followed.temperature_C(update)
+            empty, full = followed.outlook.end_socs(state, warm)
+            self._displayed.expect(empty, full)
+        sample, dt_s = update.sample, 0.0 if update.gap else update.dt_s
+        soc = update.info.soc
+        self.percent = self._displayed.take(soc, sample.current_A, sample.voltage_V, dt_s)
 
 
 class LineWriter:
@@ -239,12 +281,6 @@ def _check(arguments: argparse.Namespace) -> None:
         if value is not None and not 0.0 <= value < 1e9:
             name = "--" + option.replace("_", "-")
             raise InputError(f"{name} {value:g}", "a number of at least 0", "Correct it.")
-    if arguments.send and not arguments.source.startswith("can:"):
-        raise InputError(
-            f"--send {arguments.send} for a source that is no CAN bus",
-            "--source can:INTERFACE:CHANNEL",
-            "Omit --send, or name the bus.",
-        )
 
 
 def _stated(source: str) -> tuple[str, Stated]:
@@ -283,14 +319,62 @@ def _filter(model: Any, stated: Stated, arguments: argparse.Namespace) -> LiveFi
     return live
 
 
-def _sender(source: Source, arguments: argparse.Namespace) -> Any:
-    if not arguments.send:
-        return None
+def _sender(
+    source: Source,
+    followed: Followed,
+    reading: ReadOptions,
+    stack: ExitStack,
+    arguments: argparse.Namespace,
+) -> Callable[[Update], None]:
+    """What takes updates and sends them on."""
+    kind, _, place = arguments.send.partition(":")
+    every_s = arguments.send_every
+    if kind in ("mavlink", "mqtt", "mqtts"):
+        sender: MavlinkSender | MqttSender
+        if kind == "mavlink":
+            from cellwise.estimate.power.fixed_tables import LEAST_LOAD_C
+            from cellwise.live.mavlink import MavlinkSender
+
+            least_A = LEAST_LOAD_C * followed.live.model.capacity_Ah
+            sender = MavlinkSender(place, source, reading, least_A)
+        else:
+            from cellwise.live.mqtt import MqttSender
+
+            sender = MqttSender(arguments.send)
+        stack.callback(sender.close)
+        return Paced(sender.send, followed, 1.0 if every_s is None else every_s)
     from cellwise.live.can_stream import CanStream, SocSender
 
-    if not isinstance(source, CanStream):  # `_check` has seen to it
-        return None
-    return SocSender(source, arguments.send, arguments.send_every)
+    if not isinstance(source, CanStream):
+        raise InputError(
+            f"--send {arguments.send} for a source that is no CAN bus",
+            "mavlink:LINK, mqtt://HOST/PACK, or --source can:INTERFACE:CHANNEL",
+            "Omit --send, or name the bus.",
+        )
+    on_bus = SocSender(source, arguments.send, 0.1 if every_s is None else every_s)
+    return lambda update: on_bus.send(update.info.soc, update.sample.arrived_s)
+
+
+class Paced:
+    """Rows for whoever is sent them, at most one in ``every_s`` of this machine's time."""
+
+    def __init__(
+        self, send: Callable[[dict[str, Any]], None], followed: Followed, every_s: float
+    ) -> None:
+        self._send, self._followed, self._every_s = send, followed, every_s
+        self._sent_s = float("-inf")
+
+    def __call__(self, update: Update) -> None:
+        """Send a row if it is time."""
+        from time import monotonic
+
+        now_s = monotonic()
+        if now_s - self._sent_s < self._every_s:
+            return
+        self._sent_s = now_s
+        warm = self._followed.live.known_temperature_C(update.sample)
+        row = state_row(update) | {"temperature_C": warm}
+        self._send(row | self._followed.columns(update))
 
 
 @contextmanager

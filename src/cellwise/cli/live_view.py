@@ -107,6 +107,7 @@ class LiveView:
                     self._outlook.forecast(self._filter.state, warm if warm == warm else 25.0)
                 ),
             ),
+            *self._charge_rows(warm if warm == warm else 25.0),
             *self._power_rows(warm if warm == warm else 25.0),
             *self._cell_rows(),
             ("flags", flags),
@@ -135,6 +136,10 @@ class LiveView:
                 f"({100 * soc[full]:.1f} %), resistance of {weak + 1} {ohm[weak]:.2f}",
             )
         ]
+
+    def _charge_rows(self, temperature_C: float) -> list[tuple[str, str]]:
+        now = self._outlook.to_full(self._filter.state, temperature_C)
+        return [] if now is None else [("to full", _remaining(now))]
 
     def _power_rows(self, temperature_C: float) -> list[tuple[str, str]]:
         if self._power is None:

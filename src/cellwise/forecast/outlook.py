@@ -14,11 +14,10 @@ from cellwise.cell.simulate import model_temperature_C
 from cellwise.estimate.filters.filter_state import EkfInfo, EkfState
 from cellwise.estimate.power.fixed_tables import LEAST_LOAD_C
 from cellwise.estimate.status import CURRENT_INVALID, INNOVATION_REJECTED, OUT_OF_RANGE
+from cellwise.forecast.charging import BOTH_FACTOR, ChargerSeen, limit_of, taper_of
+from cellwise.forecast.records import NEVER, Going, Outcome
 from cellwise.forecast.remaining import WINDOW_S, check_load, uncertain_of, warms_unseen
 from cellwise.forecast.remaining_kernels import (
-    NEVER,
-    Going,
-    Outcome,
     at_power,
     lump_now,
     ocv_and_error,
@@ -82,6 +81,7 @@ class ForecastNow(NamedTuple):
     remaining_s: float
     remaining_s_band: tuple[float, float]
     remaining_Wh: float
+    end_soc: float
 
 
 class Outlook:
@@ -92,13 +92,21 @@ class Outlook:
     model : CellModel
     cutoff_V : float          terminal voltage at which the load stops [V]
     given_W : float or None   a load to go on with, too, of one cell [W]
+    limit_V, taper_A : float or None    of a charger, as `limit_of` and `taper_of`
 
     Raises
     ------
-    InputError                a given load that is not above zero
+    InputError                a given load that is not above zero, a charger that cannot be
     """
 
-    def __init__(self, model: CellModel, cutoff_V: float, given_W: float | None = None) -> None:
+    def __init__(
+        self,
+        model: CellModel,
+        cutoff_V: float,
+        given_W: float | None = None,
+        limit_V: float | None = None,
+        taper_A: float | None = None,
+    ) -> None:
         if given_W is not None:
             check_load(given_W, "power")
         self.given_W = given_W
@@ -109,6 +117,8 @@ class Outlook:
         self._uncertain = uncertain_of(model)
         self._least_A = LEAST_LOAD_C * model.capacity_Ah
         self._cutoff_V = cutoff_V
+        limit, taper = limit_of(model, limit_V), taper_of(model, taper_A)
+        self._charger = ChargerSeen(limit, taper, self._least_A)
         self._unseen = warms_unseen(model)
         self._usual_C = model_temperature_C(model)
         self._load_A = self._load_W = self._bias_V = self._held_V = 0.0
@@ -129,6 +139,7 @@ class Outlook:
             return
         if info.status & (CURRENT_INVALID | OUT_OF_RANGE):
             return  # what no cell carries is no load
+        self._charger.take(sample.current_A, sample.voltage_V, update.dt_s)
         # What flowed in a pause is not known: it has no weight of its own.
         dt_s = 0.0 if update.gap and self._seen_s > 0.0 else update.dt_s
         self._seen_s += dt_s
@@ -174,8 +185,31 @@ class Outlook:
         ocv_V, _ = ocv_and_error(self._tables, state.cell.soc, temperature_C)
         return self._forecast(state, temperature_C, self.given_W / ocv_V, None)
 
+    def to_full(self, state: EkfState | None, temperature_C: float) -> ForecastNow | None:
+        """Time and energy to full; None without a state or a charger."""
+        charge_A = self._charger.charge_A
+        if charge_A is None:
+            return None
+        now = self._forecast(state, temperature_C, -charge_A, None)
+        both_s = None if now is None else self._charger.with_decay(now.remaining_s)
+        if now is None or both_s is None:
+            return now
+        energy_Wh = now.remaining_Wh * both_s / max(now.remaining_s, 1.0)
+        return ForecastNow(
+            now.load_A, both_s, (both_s / BOTH_FACTOR, both_s * BOTH_FACTOR), energy_Wh, now.end_soc
+        )
+
+    def end_socs(
+        self, state: EkfState | None, temperature_C: float
+    ) -> tuple[float | None, float | None]:
+        """SOC at which the present load ends, and a charger; None where there is none."""
+        empty = self.forecast(state, temperature_C)
+        charge_A = self._charger.charge_A
+        full = None if charge_A is None else self._forecast(state, temperature_C, -charge_A, None)
+        return empty and empty.end_soc, full and full.end_soc
+
     def columns(self, state: EkfState | None, temperature_C: float) -> dict[str, Any]:
-        """Forecasts at the present, the median and the given load as JSON values."""
+        """Forecasts at the present, the median, the given load and to full as JSON values."""
         loads = {
             "remaining": self.forecast(state, temperature_C),
             "median_load_remaining": self.at_median(state, temperature_C),
@@ -187,6 +221,10 @@ class Outlook:
             row[f"{name}_s"] = None if now is None else now.remaining_s
             row[f"{name}_s_band"] = None if now is None else list(now.remaining_s_band)
             row[f"{name}_Wh"] = None if now is None else now.remaining_Wh
+        full = self.to_full(state, temperature_C)
+        row["full_s"] = None if full is None else full.remaining_s
+        row["full_s_band"] = None if full is None else list(full.remaining_s_band)
+        row["full_Wh"] = None if full is None else full.remaining_Wh
         return row
 
     def _forecast(
@@ -202,6 +240,7 @@ class Outlook:
             math.inf if never else usual.time_s,
             (end.time_s[0], math.inf if never else end.time_s[1]),
             usual.energy_J / 3600.0,
+            usual.soc,
         )
 
     def _ends(
@@ -217,8 +256,12 @@ class Outlook:
         offset_V, share = parts_of(self._uncertain, error_V, self._bias_V, self._held_V)
         lump = lump_now(self._warming, self._charge_As, temperature_C, self._unseen)
         voltage_V = math.nan if load_W is None else load_W / load_A
-        go = Going(load_A, True, voltage_V, offset_V, share, self._cutoff_V, temperature_C, lump)
-        if load_W is None and self.given_W is not None:
+        charging = load_A < 0.0
+        end_V, taper_A = self._cutoff_V, 0.0
+        if charging:
+            end_V, taper_A = self._charger.limit_V, self._charger.taper_A
+        go = Going(load_A, True, voltage_V, offset_V, share, end_V, temperature_C, lump, taper_A)
+        if load_W is None and self.given_W is not None and not charging:
             go = at_power(self._tables, at, go, self.given_W)
         end: Outcome = with_ends(self._tables, at, soc_std, go, self._uncertain)
         return end, go

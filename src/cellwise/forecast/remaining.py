@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 
 from cellwise.cell.effects import SelfHeating
-from cellwise.cell.equations import empty_state, needs_temperature
+from cellwise.cell.equations import CellState, empty_state, needs_temperature
 from cellwise.cell.model import CAPACITY_STD, CellModel
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.cell.simulate import known_temperature_C, start_hysteresis
@@ -16,15 +16,16 @@ from cellwise.errors import InputError
 from cellwise.estimate.power.fixed_tables import LEAST_LOAD_C
 from cellwise.estimate.replay import Replay
 from cellwise.estimate.validity_kernels import validity_scalars
-from cellwise.forecast.remaining_kernels import (
+from cellwise.forecast.records import (
     BY_VOLTAGE,
     NEVER,
     USUAL_MEMORY_SOC,
     FilteredRows,
+    Going,
     Load,
     Uncertain,
-    forecast_rows,
 )
+from cellwise.forecast.remaining_kernels import forecast_rows, moment
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
@@ -192,7 +193,7 @@ def forecast(
         raise InputError(f"a window of {window_s} s", "a time above zero", "Give 60, say.")
     log = replay.log
     current = log.known_current_A()
-    load_A, load_W = _present_load(log, current, window_s)
+    load_A, load_W = present_load(log, current, window_s)
     wanted = _moments(load_A, model.capacity_Ah)
     if not wanted.any():
         return None
@@ -284,28 +285,12 @@ def _forecast(
     """The wanted rows through the kernel."""
     held_W = np.full(len(load_A), np.nan) if held_W is None else held_W
     log, trace = replay.log, replay.trace
-    tables = model.parameters()
-    out = np.empty((int(np.count_nonzero(wanted)), 12))
-    soc = np.ascontiguousarray(trace.soc, dtype=np.float64)
-    std = np.nan_to_num(np.ascontiguousarray(trace.soc_std, dtype=np.float64))
-    warm = known_temperature_C(model, log)
-    nowhere = np.full(len(log), np.nan)
-    measured_C = nowhere if log.temperature_C is None else np.array(log.temperature_C)
-    forecast_rows(
-        tables,
-        empty_state(soc[0], start_hysteresis(float(soc[0]))),
-        FilteredRows(
-            log.interval_s, current_A, warm, measured_C, np.array(log.voltage_V), soc, std
-        ),
-        Load(
-            load_A, held_W, wanted, hold == "power", float(window_s), cutoff_V, warms_unseen(model)
-        ),
-        uncertain_of(model),
-        out,
-    )
-    never = out[:, 4] == NEVER
-    out[never, :2] = np.inf
-    out[never, 6] = out[never, 8] = np.inf
+    hold_power = hold == "power"
+    load = Load(
+        load_A, held_W, wanted, hold_power, float(window_s), cutoff_V, warms_unseen(model)
+    )  # fmt: skip
+    out = along(model, replay, current_A, load)
+    soc, std = trace.soc, np.nan_to_num(trace.soc_std)
     return Flight(
         name=log.name,
         cutoff_V=cutoff_V,
@@ -326,6 +311,45 @@ def _forecast(
         by_voltage=out[:, 4] == BY_VOLTAGE,
         validity=model.validity,
     )
+
+
+def along(model: CellModel, replay: Replay, current_A: FloatArray, load: Load) -> FloatArray:
+    """What `forecast_rows` finds, shape (wanted rows, 13); an end that never comes is infinite."""
+    rows = _filtered(model, replay, current_A)
+    out = np.empty((int(np.count_nonzero(load.wanted)), 13))
+    forecast_rows(model.parameters(), _start(rows), rows, load, uncertain_of(model), out)
+    never = out[:, 4] == NEVER
+    out[never, :2] = np.inf
+    out[never, 6] = out[never, 8] = np.inf
+    return out
+
+
+def state_at(
+    model: CellModel, replay: Replay, row: int, cutoff_V: float, window_s: float
+) -> tuple[CellState, Going, float]:
+    """The cell's state at a row of a replay, what it goes on with, and its SOC's deviation."""
+    part = slice(0, row + 1)
+    current = np.ascontiguousarray(replay.log.known_current_A()[part])
+    rows = FilteredRows(*(x[part] for x in _filtered(model, replay, current)))
+    nowhere = np.zeros(row + 1, dtype=np.bool_)
+    load = Load(current, current, nowhere, True, window_s, cutoff_V, warms_unseen(model))
+    state, go = moment(model.parameters(), _start(rows), rows, load, uncertain_of(model))
+    return CellState(*state), Going(*go), float(rows.soc_std[-1])
+
+
+def _filtered(model: CellModel, replay: Replay, current_A: FloatArray) -> FilteredRows:
+    log, trace = replay.log, replay.trace
+    soc = np.ascontiguousarray(trace.soc, dtype=np.float64)
+    std = np.nan_to_num(np.ascontiguousarray(trace.soc_std, dtype=np.float64))
+    warm = known_temperature_C(model, log)
+    nowhere = np.full(len(log), np.nan)
+    measured_C = nowhere if log.temperature_C is None else np.array(log.temperature_C)
+    voltage = np.array(log.voltage_V)
+    return FilteredRows(log.interval_s, current_A, warm, measured_C, voltage, soc, std)
+
+
+def _start(rows: FilteredRows) -> CellState:
+    return empty_state(rows.soc[0], start_hysteresis(float(rows.soc[0])))
 
 
 def warms_unseen(model: CellModel) -> bool:
@@ -364,16 +388,16 @@ def cutoff_of(model: CellModel, given: float | None) -> float:
     return cutoff
 
 
-def _present_load(
-    log: CellLog, current_A: FloatArray, window_s: float
+def present_load(
+    log: CellLog, current_A: FloatArray, window_s: float, since_s: FloatArray | float = -np.inf
 ) -> tuple[FloatArray, FloatArray]:
-    """Mean current [A] and power [W] of the last ``window_s`` at every row."""
+    """Mean current [A] and power [W] of the last ``window_s`` at every row, of none before."""
     voltage = log.voltage_V
     known = np.isfinite(voltage)
     held = np.interp(np.arange(voltage.size), np.flatnonzero(known), voltage[known])
     charge = np.cumsum(current_A * log.interval_s)
     energy = np.cumsum(current_A * held * log.interval_s)
-    begins = np.maximum(log.time_s - window_s, log.time_s[0])
+    begins = np.maximum(np.maximum(log.time_s - window_s, log.time_s[0]), since_s)
     span = log.time_s - begins
     with np.errstate(invalid="ignore", divide="ignore"):
         mean_A = (charge - np.interp(begins, log.time_s, charge)) / span
@@ -385,10 +409,15 @@ def _present_load(
 
 def _moments(load_A: FloatArray, capacity_Ah: float) -> BoolArray:
     """Rows at which to forecast: at most a few hundred of those under load, the last among them."""
-    rows = np.flatnonzero(load_A > LEAST_LOAD_C * capacity_Ah)
+    return at_most(load_A > LEAST_LOAD_C * capacity_Ah)
+
+
+def at_most(possible: BoolArray) -> BoolArray:
+    """At most a few hundred of the possible rows, the last among them."""
+    rows = np.flatnonzero(possible)
     if rows.size > MOST_FORECASTS:
         places = np.linspace(0, rows.size - 1, MOST_FORECASTS).round().astype(np.int64)
         rows = rows[np.unique(places)]
-    wanted = np.zeros(load_A.size, dtype=np.bool_)
+    wanted = np.zeros(possible.size, dtype=np.bool_)
     wanted[rows] = True
     return wanted

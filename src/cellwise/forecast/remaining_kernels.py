@@ -1,4 +1,4 @@
-"""From a state of a cell to empty if the present load goes on, compiled."""
+"""From a state of a cell to empty, or to full, if the present load goes on, compiled."""
 
 from __future__ import annotations
 
@@ -15,10 +15,22 @@ from cellwise.cell.equations import (
     voltage_of,
     with_soc,
 )
-from cellwise.estimate.validity_kernels import (
-    ValidityScalars,
-    extrapolation_V,
-    soc_extrapolation_V,
+from cellwise.estimate.validity_kernels import extrapolation_V, soc_extrapolation_V
+from cellwise.forecast.charging_kernels import to_full
+from cellwise.forecast.records import (
+    BY_CHARGE,
+    BY_VOLTAGE,
+    NEVER,
+    STEPS,
+    TAIL_FACTOR,
+    USUAL,
+    Away,
+    FilteredRows,
+    Going,
+    Load,
+    Outcome,
+    Remaining,
+    Uncertain,
 )
 from cellwise.forecast.warming_kernels import (
     NOTHING_SEEN,
@@ -30,115 +42,9 @@ from cellwise.forecast.warming_kernels import (
     thermal_of,
     warmed,
 )
-from cellwise.typing import BoolArray, FloatArray
+from cellwise.typing import FloatArray
 
-# Of a model that does not say how far along the SOC its error stays: those of measured cells that
-# do say 0.07 to 0.37.
-USUAL_MEMORY_SOC = 0.2
-# Why a forecast ended.
-BY_CHARGE, BY_VOLTAGE, NEVER = 0, 1, 2
-STEPS = 400  # from full to empty
 POWER_TURNS = 20
-
-
-class Remaining(NamedTuple):
-    """Time, energy out, voltage and SOC at the end of a forecast, and why it ended."""
-
-    time_s: float
-    energy_J: float
-    voltage_V: float
-    soc: float
-    reason: int
-
-
-class Uncertain(NamedTuple):
-    """How far a model's voltage may come to lie off what it is off by now.
-
-    ``share`` of the polarisation and the point's own slow error, both another one once the SOC has
-    moved on by ``memory_soc``; outside ``valid`` an OCV that nobody measured. The cell's capacity
-    is the model's to ``capacity_std``, as a share.
-    """
-
-    share: float
-    memory_soc: float
-    valid: ValidityScalars
-    capacity_std: float
-
-
-class Outcome(NamedTuple):
-    """A forecast, and its ends at two deviations: of time, energy and end voltage."""
-
-    usual: Remaining
-    time_s: tuple[float, float]
-    energy_J: tuple[float, float]
-    voltage_V: tuple[float, float]
-
-
-class FilteredRows(NamedTuple):
-    """A log and what a filter said of it, shape (n,) each; a measured voltage may be NaN."""
-
-    interval_s: FloatArray
-    current_A: FloatArray
-    temperature_C: FloatArray
-    measured_C: FloatArray
-    voltage_V: FloatArray
-    soc: FloatArray
-    soc_std: FloatArray
-
-
-class Load(NamedTuple):
-    """What goes on: the load of every row, whether its power is held, and until when.
-
-    ``power_W`` is what is held where that was given, with a current near it; NaN: what the current
-    makes of the model's terminal voltage. ``wanted`` are the rows to forecast at, ``window_s`` over
-    what time the model's error is averaged, ``cutoff_V`` the voltage at which the load gives up.
-    ``warms_unseen`` whether the losses warm the cell in a forecast where nobody measures its
-    temperature.
-    """
-
-    current_A: FloatArray
-    power_W: FloatArray
-    wanted: BoolArray
-    hold_power: bool
-    window_s: float
-    cutoff_V: float
-    warms_unseen: bool
-
-
-class Going(NamedTuple):
-    """What goes on, from one moment.
-
-    Parameters
-    ----------
-    load_A : float          current now, above zero
-    hold_power : bool       keep load times voltage, not the current (a rotor, a drive)
-    start_V : float         terminal voltage now, measured; NaN: the model's, plus its error
-    offset_V : float        measured minus modelled voltage that stays whatever the load does
-    of_polarisation : float  and what of it is a share of the polarisation, as a share
-    cutoff_V : float        terminal voltage at which the load gives up
-    temperature_C : float   now
-    lump : Thermal          how it will change
-    """
-
-    load_A: float
-    hold_power: bool
-    start_V: float
-    offset_V: float
-    of_polarisation: float
-    cutoff_V: float
-    temperature_C: float
-    lump: Thermal
-
-
-class Away(NamedTuple):
-    """By how many deviations a forecast goes away from the usual one in SOC, voltage, warmth."""
-
-    soc: float
-    voltage: float
-    warmth: float
-
-
-USUAL = Away(0.0, 0.0, 0.0)
 
 
 @inline
@@ -244,10 +150,10 @@ def to_empty(
         energy_J += share * dt_s * current * 0.5 * (before_V + end_V)
         if reason != NEVER:
             soc = state.soc + share * (state_next.soc - state.soc)
-            return Remaining(time_s, energy_J, end_V, soc, reason)
+            return Remaining(time_s, energy_J, end_V, soc, reason, 0.0)
         state = state_next
         before_V = voltage
-    return Remaining(time_s, energy_J, before_V, state.soc, NEVER)
+    return Remaining(time_s, energy_J, before_V, state.soc, NEVER, 0.0)
 
 
 @inline
@@ -290,8 +196,10 @@ def from_soc(
         now_V += go.offset_V + go.of_polarisation * (there.ocv_V - now_V)
     begins = Going(
         go.load_A, go.hold_power, now_V, go.offset_V, go.of_polarisation, go.cutoff_V,
-        go.temperature_C, go.lump,
+        go.temperature_C, go.lump, go.taper_A,
     )  # fmt: skip
+    if go.load_A < 0.0:
+        return to_full(tables, at, begins, uncertain, away)
     return to_empty(tables, at, begins, uncertain, away)
 
 
@@ -312,7 +220,7 @@ def at_power(tables: CellTables, state: CellState, go: Going, power_W: float) ->
         current = power_W / voltage
     return Going(
         current, go.hold_power, voltage, go.offset_V, go.of_polarisation, go.cutoff_V,
-        go.temperature_C, go.lump,
+        go.temperature_C, go.lump, go.taper_A,
     )  # fmt: skip
 
 
@@ -338,6 +246,11 @@ def with_ends(
         usual.time_s, (low.time_s, high.time_s), (lower.time_s, higher.time_s),
         (cold.time_s, warm.time_s), uncertain.capacity_std,
     )  # fmt: skip
+    if usual.tail_s > 0.0:
+        less, more = usual.tail_s * (1.0 - 1.0 / TAIL_FACTOR), usual.tail_s * (TAIL_FACTOR - 1.0)
+        low_s = usual.time_s - math.sqrt((usual.time_s - time_s[0]) ** 2 + less * less)
+        high_s = usual.time_s + math.sqrt((time_s[1] - usual.time_s) ** 2 + more * more)
+        time_s = (max(low_s, 0.0), high_s)
     energy = ends(
         usual.energy_J, (low.energy_J, high.energy_J), (lower.energy_J, higher.energy_J),
         (cold.energy_J, warm.energy_J), uncertain.capacity_std,
@@ -346,6 +259,63 @@ def with_ends(
         time_s, energy = (time_s[0], math.inf), (energy[0], math.inf)
     at_end = (min(low.voltage_V, high.voltage_V), max(low.voltage_V, high.voltage_V))
     return Outcome(usual, time_s, energy, at_end)
+
+
+class Followed(NamedTuple):
+    """A cell along a log, with the filter's SOC, and what the model is off by of late."""
+
+    state: CellState
+    previous_A: float
+    bias_V: float
+    held_V: float
+    begun: bool
+    warming: Warming
+    error_V: float
+
+
+@inline
+def row_followed(
+    tables: CellTables, was: Followed, log: FilteredRows, k: int, window_s: float
+) -> Followed:
+    """One row on: the model's present error is a mean over about ``window_s``."""
+    dt_s, current_A, temperature_C, measured_C, measured_V, soc, _ = log
+    seen = seen_current(tables.cell, current_A[k], was.previous_A, dt_s[k])
+    state, point = advance(tables, was.state, seen, dt_s[k], temperature_C[k])
+    state = with_soc(state, soc[k])
+    voltage = voltage_of(point, state, seen)
+    lost_W = seen * (point.ocv_V - voltage)
+    bias, held, begun = was.bias_V, was.held_V, was.begun
+    if measured_V[k] == measured_V[k]:  # not NaN
+        error = measured_V[k] - voltage
+        lost_W = seen * (point.ocv_V - measured_V[k])
+        share = min(dt_s[k] / window_s, 1.0) if begun else 1.0
+        begun = True
+        bias += share * (error - bias)
+        held += share * ((point.ocv_V - voltage) - held)
+    warming = observed(was.warming, tables.cell.charge_As, lost_W, measured_C[k], dt_s[k])
+    return Followed(state, current_A[k], bias, held, begun, warming, point.error_V)
+
+
+@rows
+def moment(
+    tables: CellTables,
+    start: CellState,
+    log: FilteredRows,
+    load: Load,
+    uncertain: Uncertain,
+) -> tuple[CellState, Going]:
+    """The state at the last row of a log, and what goes on from there at its load."""
+    now = Followed(start, log.current_A[0], 0.0, 0.0, False, NOTHING_SEEN, 0.0)
+    for k in range(log.soc.size):
+        now = row_followed(tables, now, log, k, load.window_s)
+    offset, of_held = parts_of(uncertain, now.error_V, now.bias_V, now.held_V)
+    warm = log.temperature_C[log.soc.size - 1]
+    lump = thermal_of(now.warming, tables.cell.charge_As, warm, load.warms_unseen)
+    go = Going(
+        load.current_A[load.current_A.size - 1], load.hold_power, math.nan, offset, of_held,
+        load.cutoff_V, warm, lump, load.taper_A,
+    )  # fmt: skip
+    return now.state, go
 
 
 @rows
@@ -359,43 +329,25 @@ def forecast_rows(
 ) -> None:
     """Carry the cell through a log with the filter's SOC; forecast at the wanted rows.
 
-    ``out`` has shape (wanted rows, 12): the fields of `Remaining`, both ends of time, energy and
-    end voltage, the current that it began with. The model's present error is the mean of measured
-    minus modelled voltage over about ``window_s``.
+    ``out`` has shape (wanted rows, 13): the fields of `Remaining`, both ends of time, energy and
+    end voltage, the current that it began with, ``tail_s``. The model's present error is the mean
+    of measured minus modelled voltage over about ``window_s``.
     """
-    dt_s, current_A, temperature_C, measured_C, measured_V, soc, soc_std = log
-    load_A, load_W, wanted, hold_power, window_s, cutoff_V, unseen = load
-    state = start
-    previous = current_A[0]
-    bias = held = 0.0
-    begun = False
-    warming = NOTHING_SEEN
+    load_A, load_W, wanted, hold_power, window_s, cutoff_V, unseen, taper_A = load
+    now = Followed(start, log.current_A[0], 0.0, 0.0, False, NOTHING_SEEN, 0.0)
     charge_As = tables.cell.charge_As
     place = 0
-    for k in range(dt_s.size):
-        seen = seen_current(tables.cell, current_A[k], previous, dt_s[k])
-        previous = current_A[k]
-        state, point = advance(tables, state, seen, dt_s[k], temperature_C[k])
-        state = with_soc(state, soc[k])
-        voltage = voltage_of(point, state, seen)
-        lost_W = seen * (point.ocv_V - voltage)
-        if measured_V[k] == measured_V[k]:  # not NaN
-            error = measured_V[k] - voltage
-            lost_W = seen * (point.ocv_V - measured_V[k])
-            share = min(dt_s[k] / window_s, 1.0) if begun else 1.0
-            begun = True
-            bias += share * (error - bias)
-            held += share * ((point.ocv_V - voltage) - held)
-        warming = observed(warming, charge_As, lost_W, measured_C[k], dt_s[k])
+    for k in range(log.soc.size):
+        now = row_followed(tables, now, log, k, window_s)
         if not wanted[k]:
             continue
-        offset, of_held = parts_of(uncertain, point.error_V, bias, held)
-        warm = temperature_C[k]
-        lump = thermal_of(warming, charge_As, warm, unseen)
-        go = Going(load_A[k], hold_power, math.nan, offset, of_held, cutoff_V, warm, lump)
+        offset, of_held = parts_of(uncertain, now.error_V, now.bias_V, now.held_V)
+        warm = log.temperature_C[k]
+        lump = thermal_of(now.warming, charge_As, warm, unseen)
+        go = Going(load_A[k], hold_power, math.nan, offset, of_held, cutoff_V, warm, lump, taper_A)
         if load_W[k] == load_W[k]:
-            go = at_power(tables, state, go, load_W[k])
-        found = with_ends(tables, state, soc_std[k], go, uncertain)
+            go = at_power(tables, now.state, go, load_W[k])
+        found = with_ends(tables, now.state, log.soc_std[k], go, uncertain)
         left = found.usual
         out[place, 0] = left.time_s
         out[place, 1] = left.energy_J
@@ -407,4 +359,5 @@ def forecast_rows(
             out[place, 7 + j] = found.energy_J[j]
             out[place, 9 + j] = found.voltage_V[j]
         out[place, 11] = go.load_A
+        out[place, 12] = left.tail_s
         place += 1

@@ -168,6 +168,11 @@ class ObjectReader:
                     f"a channel '{tidy}'", f"one of {', '.join(TIDY_NAMES)}", "Correct the name."
                 )
             self._names[name] = TIDY_NAMES[tidy]
+        self.names = frozenset(self._names)
+
+    def field_of(self, name: str) -> str:
+        """The field of a sample that a name is of."""
+        return self._names[name][0]
 
     def read(self, found: Any, arrived_s: float) -> Sample | Stray:
         """A sample; a value that is missing or null is NaN, a missing time is that of arrival."""

@@ -12,7 +12,7 @@ from cellwise.live.samples import ObjectReader, Sample, Source, Stray
 from cellwise.logs.files.source import NOTHING_SAID, ReadOptions
 
 LONGEST_LINE = 65_536  # bytes; what goes on for longer is no line
-WAYS = "stdin, json:FILE, can:INTERFACE:CHANNEL, ulog:FILE (- for standard input)"
+WAYS = "stdin, json:FILE, can:INTERFACE:CHANNEL, ulog:FILE (- for standard input), mavlink:LINK"
 
 
 def open_source(
@@ -27,8 +27,9 @@ def open_source(
 
     Parameters
     ----------
-    name : str              ``stdin``, ``json:FILE``, ``can:INTERFACE:CHANNEL``, ``ulog:FILE``; a
-                            FILE of ``-`` is standard input
+    name : str              ``stdin``, ``json:FILE``, ``can:INTERFACE:CHANNEL``, ``ulog:FILE``,
+                            ``mavlink:LINK``, ``mqtt://HOST/TOPIC``; a FILE of ``-`` is
+                            standard input
     options : ReadOptions   pack, channels, instance, database
     sign : str              ``charge-positive`` turns the current round
     follow : bool           wait for more at a file's end
@@ -41,8 +42,9 @@ def open_source(
     kind, _, rest = name.partition(":")
     if options.dbc is not None and kind != "can":
         raise InputError("a DBC file for a stream without CAN frames", "can:...", "Omit it.")
-    if options.instance is not None and kind != "ulog":
-        raise InputError("`instance=...` for a stream of one battery", "ulog:...", "Omit it.")
+    if options.instance is not None and kind not in ("ulog", "mavlink"):
+        one = "`instance=...` for a stream of one battery"
+        raise InputError(one, "ulog:... or mavlink:...", "Omit it.")
     if cells and kind == "ulog":
         raise InputError("cells of a pack in a ULog stream", "json:... or can:...", "Omit them.")
     if name in ("stdin", STDIN):
@@ -58,6 +60,14 @@ def open_source(
         from cellwise.live.ulog_stream import UlogStream
 
         return UlogStream(Pieces(rest, follow=follow), options, sign)
+    if kind == "mavlink" and rest:
+        from cellwise.live.mavlink import MavlinkStream
+
+        return MavlinkStream(rest, options, sign, cells)
+    if kind in ("mqtt", "mqtts"):
+        from cellwise.live.mqtt import MqttStream
+
+        return MqttStream(name, options, sign, cells)
     raise InputError(f"a source '{name}'", f"one of {WAYS}", "Name where the samples come from.")
 
 

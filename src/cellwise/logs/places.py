@@ -14,7 +14,8 @@ from cellwise.logs.stated import Stated, day_of_name
 # What files of logs end in; `read_log` looks at the content, whatever the name.
 SUFFIXES = (
     *(".gz", ".csv", ".parquet", ".txt", ".bdf", ".ulg", ".bin", ".mat", ".mf4", ".mdf", ".nda"),
-    *(".ndax", ".mpr", ".mpt", ".blf", ".asc", ".log", ".trc", ".res", ".xlsx", ".xls"),
+    *(".ndax", ".mpr", ".mpt", ".blf", ".asc", ".log", ".trc", ".res", ".xlsx", ".xls", ".mcap"),
+    *(".db3", ".bag"),
 )
 
 

@@ -56,6 +56,18 @@ def test_certificate_of_an_export(folder, tmp_path, capsys):
     assert "virtual cells" in (tmp_path / "c" / "index.html").read_text()
 
 
+def test_layout_and_prefix_change_nothing(folder, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("cellwise.export.cross.cores_here", lambda: [])
+    other = tmp_path / "other"
+    names = ["--prefix", "pouch", "--layout", "zephyr"]
+    assert main(["export", "--model", "nmc-18650", "--dt", "5", "-o", str(other), *names]) == 0
+    capsys.readouterr()
+    assert (
+        run(capsys, other, "--cells", "1", "--hours", "3")[1]
+        == (run(capsys, folder, "--cells", "1", "--hours", "3")[1])
+    )
+
+
 def test_a_limit_that_is_not_kept_is_exit_1(folder, capsys):
     code, data, _ = run(capsys, folder, *SHORT, "--most-rmse", "0.00001")
     assert code == 1

@@ -17,7 +17,7 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import read_model
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.layout import INPUT, OUTPUT
-from cellwise.export.c_tables import STRICT_FLAGS
+from cellwise.export.c_tables import STRICT_FLAGS, firmware_folder, prefixed
 from cellwise.export.firmware import compile_rows, host_compiler, load_library
 from cellwise.export.package import DESCRIPTION, MODEL_FILE, model_sha256
 
@@ -102,21 +102,14 @@ def read_export(folder: str | Path, model: CellModel | None = None) -> Exported:
             f"the one of the tables, {description['model_sha256'][:16]}...",
             "Name the model that was exported, with what was left out left out.",
         )
-    sources = sorted(place.glob("*_ekf.c"))
-    if len(sources) != 1:
-        raise InputError(
-            f"{len(sources)} filters in '{place}'",
-            "one file *_ekf.c",
-            "Export again, without `layout`: the C is the same.",
-        )
-    prefix = sources[0].name.removesuffix("_ekf.c")
+    prefix = _prefix(place)
     with tempfile.TemporaryDirectory(prefix="certify-") as name:
         built = Path(name)
-        for file in [*place.glob("*.c"), *place.glob("*.h")]:
+        sources = (f"{prefix}_ekf.c", f"{prefix}_store.c", "*cell_table.c", "*.h")
+        for file in [path for pattern in sources for path in place.rglob(pattern)]:
             shutil.copy(file, built)
-        _check_vector(built)
-        library = compile_rows(built, prefix, host_compiler())
-        ffi, loaded = load_library(library, prefix)
+        _check_vector(built, prefix)
+        ffi, loaded = load_library(compile_rows(built, prefix, host_compiler()), prefix)
     return Exported(place, description, model, ffi, loaded, prefix)
 
 
@@ -135,8 +128,23 @@ def _description(place: Path) -> dict[str, Any]:
     return found
 
 
-def _check_vector(built: Path) -> None:
+def _prefix(place: Path) -> str:
+    """What the names of the C begin with; the files may lie in folders of their own."""
+    found = sorted(place.rglob("*_ekf.c"))
+    if len(found) != 1:
+        raise InputError(f"{len(found)} filters in '{place}'", "one file *_ekf.c", "Export again.")
+    return found[0].name.removesuffix("_ekf.c")
+
+
+def _check_vector(built: Path, prefix: str) -> None:
     """Compile and run the example, which compares every bit of the vector."""
+    text = (firmware_folder() / "example.c").read_text(encoding="utf-8")
+    if prefix != "cellwise":
+        headers = {path.name.replace(f"{prefix}_", "cellwise_"): "" for path in built.glob("*.h")}
+        text = prefixed({"example.c": text, "test_vector.h": "", **headers}, prefix)[
+            f"{prefix}_example.c"
+        ]
+    (built / "example.c").write_text(text, encoding="utf-8")
     program = built / "check_vector"
     command = [*host_compiler(), *STRICT_FLAGS, "-o", str(program), *map(str, built.glob("*.c"))]
     made = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -166,14 +166,15 @@ def cut_off(source: LogSource, kind: str) -> InputError:
     )
 
 
-def need(module: str, purpose: str, package: str = "") -> Any:
-    """Import a library of the extra ``importers``.
+def need(module: str, purpose: str, package: str = "", extra: str = "importers") -> Any:
+    """Import a library of an extra.
 
     Parameters
     ----------
     module : str      what to import
     purpose : str     what is to be read, for the message
     package : str     its name in the registry, where that is another one
+    extra : str       the extra that it belongs to
 
     Raises
     ------
@@ -188,5 +189,5 @@ def need(module: str, purpose: str, package: str = "") -> Any:
         raise InputError(
             f"{purpose}, for which {wanted} is not installed",
             f"the library {package or module.partition('.')[0]}",
-            "Install it: pip install 'cellwise[importers]'.",
+            f"Install it: pip install 'cellwise[{extra}]'.",
         ) from None

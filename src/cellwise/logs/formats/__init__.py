@@ -11,6 +11,7 @@ from cellwise.logs.formats.can import CAN_LOG, CAN_TEXT
 from cellwise.logs.formats.column_maps import mapped, marked_tables, marks
 from cellwise.logs.formats.dataflash import ARDUPILOT_DATAFLASH
 from cellwise.logs.formats.mdf import ASAM_MDF
+from cellwise.logs.formats.ros_bag import ROS_BAG
 from cellwise.logs.formats.tester_files import (
     ARBIN_EXCEL,
     ARBIN_RES,
@@ -38,6 +39,7 @@ _BY_CODE = {one.name: one for one in (LEAFSPY_CSV, BIOLOGIC_MPT)}
 FORMATS: tuple[Format, ...] = (
     PX4_ULOG,
     ARDUPILOT_DATAFLASH,
+    ROS_BAG,
     BIOLOGIC_MPR,
     NEWARE_STORED,
     DIGATRON_MAT,

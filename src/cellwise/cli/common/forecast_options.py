@@ -1,0 +1,131 @@
+"""Options of what lies ahead: the charger, a plan of loads, a displayed percentage."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from cellwise.cli.common import log_options, options, printing
+from cellwise.errors import InputError
+
+if TYPE_CHECKING:
+    from cellwise.cell.model import CellModel
+    from cellwise.estimate.replay import Replay
+    from cellwise.forecast.charging import Charge
+    from cellwise.forecast.display_kernels import Display
+    from cellwise.forecast.plan import Outcome, Plan
+    from cellwise.forecast.remaining import Flight
+    from cellwise.typing import FloatArray
+
+
+def add_charger(parser: options.Parser) -> None:
+    """Options of the charger that a time to full is for."""
+    text = "voltage that a charger holds at one cell [model]"
+    options.number(parser, "--charge-limit-v", "V", text)
+    options.number(parser, "--charge-end-a", "A", "current at which it ends, of one cell [C/20]")
+
+
+def add_plan(parser: options.Parser) -> None:
+    """Options of a plan of loads."""
+    text = "what lies ahead: CSV of time_s and power_W or current_A of the pack, or past logs"
+    parser.add_argument("--plan", nargs="+", default=[], metavar="P", help=text)
+    options.number(parser, "--land-above", "SOC", "with which chance it ends above SOC [0]")
+
+
+def add_display(parser: options.Parser) -> None:
+    """The option of a displayed percentage."""
+    text = "a percentage as products show it; a difference fades over C of the charge [0.1]"
+    parser.add_argument("--display", nargs="?", type=float, const=0.1, metavar="C", help=text)
+
+
+def plans_of(arguments: argparse.Namespace) -> list[Plan]:
+    """The plans that the arguments name, of one cell.
+
+    Raises
+    ------
+    InputError        --land-above without a plan; as `read_plan` and the reading of logs
+    """
+    from cellwise.forecast.plan import is_plan, plan_of_log, read_plan
+
+    if arguments.land_above is not None and not arguments.plan:
+        raise InputError("--land-above without a plan", "--plan P", "Name what lies ahead.")
+    plans: list[Plan] = []
+    for path in arguments.plan:
+        if is_plan(path):
+            count = arguments.series
+            if count == "auto":
+                raise InputError(
+                    f"--series auto for the plan '{path}'", "a number", "Give --series N."
+                )
+            options_of = log_options.read_options(arguments)
+            plans.append(read_plan(path, int(count), options_of.parallel))
+        else:
+            plans += [plan_of_log(log) for log in log_options.read_all([path], arguments)]
+    return plans
+
+
+def outcome_of(
+    arguments: argparse.Namespace, model: CellModel, found: Replay, plans: Sequence[Plan]
+) -> Outcome | None:
+    """Where the plans end from the end of a log; None without a plan."""
+    if not plans:
+        return None
+    from cellwise.forecast.plan import forecast_plan
+
+    above = arguments.land_above or 0.0
+    return forecast_plan(model, found, plans, above=above, cutoff_V=arguments.cutoff_v)
+
+
+def how_displayed(arguments: argparse.Namespace, model: CellModel) -> Display | None:
+    """How a percentage is shown; None where it is not asked for."""
+    if arguments.display is None:
+        return None
+    from cellwise.forecast.charging import limit_of, taper_of
+    from cellwise.forecast.display import display_of
+    from cellwise.forecast.remaining import cutoff_of
+
+    limit_V = limit_of(model, arguments.charge_limit_v)
+    taper_A = taper_of(model, arguments.charge_end_a)
+    cutoff_V = cutoff_of(model, arguments.cutoff_v)
+    return display_of(model, cutoff_V, limit_V, taper_A, arguments.display)
+
+
+def display_of(
+    arguments: argparse.Namespace,
+    model: CellModel,
+    found: Replay,
+    flight: Flight | None,
+    charge: Charge | None,
+) -> FloatArray | None:
+    """The displayed percentage at every row; None where it is not asked for."""
+    how = how_displayed(arguments, model)
+    if how is None:
+        return None
+    from cellwise.forecast.display import display_along
+
+    return display_along(how, found, flight, charge)
+
+
+def say(row: Mapping[str, Any]) -> None:
+    """What of a replay's object is ahead, for people."""
+    charge, plan = row["forecast_charge"], row["forecast_plan"]
+    if charge is not None:
+        low, high = (x / 60.0 for x in charge["full_s_band"])
+        printing.say(
+            f"full in {charge['full_s'] / 60.0:.0f} min ({low:.0f} to {high:.0f}) from "
+            f"{charge['time_s']:.0f} s, with {charge['full_Wh']:.2f} Wh for each cell: "
+            f"{charge['charge_A']:.2f} A to {charge['limit_V']:.2f} V, held down to "
+            f"{charge['taper_A']:.3g} A"
+        )
+    if plan is not None:
+        low, high = (100.0 * x for x in plan["end_soc_band"])
+        printing.say(
+            f"{plan['plans']} plan(s) of {plan['seconds'] / 60.0:.0f} min end at SOC "
+            f"{100.0 * plan['end_soc']:.1f} % ({low:.1f} to {high:.1f}, 95 %), with "
+            f"{plan['energy_Wh']:.2f} Wh from each cell; at {100.0 * plan['above']:.0f} % or more "
+            f"with a chance of {100.0 * plan['chance']:.0f} %, {plan['cutoff_V']:.2f} V is reached "
+            f"with one of {100.0 * plan['chance_cutoff']:.0f} %"
+        )
+    if row["displayed_percent"] is not None:
+        printing.say(f"displayed: {row['displayed_percent']:.0f} %")

@@ -1,0 +1,102 @@
+"""A displayed percentage beside the estimate, as products show it.
+
+It never moves against the current, stands still at rest, is 0 where the device switches off and
+100 where its charger ends, and takes a correction of the estimate in as charge flows, not at once.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from cellwise.cell.model import CellModel
+from cellwise.errors import InputError
+from cellwise.estimate.replay import Replay
+from cellwise.forecast.charging import HELD_V, Charge
+from cellwise.forecast.display_kernels import Bounds, Display, displayed, displayed_rows
+from cellwise.forecast.remaining import Flight
+from cellwise.typing import FloatArray
+
+CATCH_UP = 0.1
+IDLE_C = 0.005  # a load of C/200 is a current sensor's offset as well
+LARGEST_EMPTY = 0.5  # a load at which half of the charge cannot be had is not what a device does
+
+
+def display_of(
+    model: CellModel, cutoff_V: float, limit_V: float, taper_A: float, catch_up: float = CATCH_UP
+) -> Display:
+    """How a percentage of this cell is shown.
+
+    Parameters
+    ----------
+    cutoff_V : float        voltage of a cell at which the device switches off
+    limit_V, taper_A : float    of its charger
+    catch_up : float        share of the charge over which a difference falls to 37 %, 0.001..1
+
+    Raises
+    ------
+    InputError              ``catch_up`` out of range
+    """
+    if not 1e-3 <= catch_up <= 1.0:
+        raise InputError(
+            f"a display that catches up over {catch_up:g} of the charge",
+            "0.001 (at once) to 1 (slowly)",
+            "Give 0.1, say.",
+        )
+    idle_A = IDLE_C * model.capacity_Ah
+    charge_As = 3600.0 * model.capacity_Ah
+    return Display(charge_As, catch_up, idle_A, cutoff_V, limit_V - HELD_V, taper_A)
+
+
+def bounds_of(empty_soc: float, full_soc: float) -> Bounds:
+    """SOC at the device's own ends, from forecasts; NaN: 0 and 1."""
+    empty = 0.0 if math.isnan(empty_soc) else min(max(empty_soc, 0.0), LARGEST_EMPTY)
+    full = 1.0 if math.isnan(full_soc) else min(max(full_soc, empty + LARGEST_EMPTY), 1.0)
+    return Bounds(empty, full)
+
+
+class Displayed:
+    """What is shown, sample by sample."""
+
+    def __init__(self, how: Display) -> None:
+        self.share = math.nan
+        self._how = how
+        self._empty = self._full = math.nan
+
+    def expect(self, empty_soc: float | None = None, full_soc: float | None = None) -> None:
+        """What forecasts say of the SOC at which the device switches off, its charger ends."""
+        self._empty = self._empty if empty_soc is None else empty_soc
+        self._full = self._full if full_soc is None else full_soc
+
+    def take(self, soc: float, current_A: float, voltage_V: float, dt_s: float) -> float:
+        """Percentage after a sample; a missing current moves nothing."""
+        bounds = bounds_of(self._empty, self._full)
+        amps = current_A if math.isfinite(current_A) else 0.0
+        self.share = displayed(self._how, bounds, self.share, soc, amps, voltage_V, dt_s)
+        return 100.0 * self.share
+
+
+def display_along(
+    how: Display, replay: Replay, flight: Flight | None, charge: Charge | None
+) -> FloatArray:
+    """Percentage at every row of a replay, shape (n,), with what its forecasts say of the ends."""
+    log = replay.log
+    empty = _held(log.time_s, flight, 0.0)
+    full = _held(log.time_s, charge, 1.0)
+    empty = np.clip(empty, 0.0, LARGEST_EMPTY)
+    full = np.clip(full, empty + LARGEST_EMPTY, 1.0)
+    out = np.empty(len(log))
+    current = np.ascontiguousarray(log.known_current_A())
+    voltage = np.nan_to_num(np.array(log.voltage_V), nan=0.5 * (how.cutoff_V + how.limit_V))
+    soc = np.ascontiguousarray(replay.trace.soc)
+    displayed_rows(how, (empty, full), (soc, current, voltage, log.interval_s), out)
+    return 100.0 * out
+
+
+def _held(time_s: FloatArray, forecasts: Flight | Charge | None, before: float) -> FloatArray:
+    """SOC at the end by the last forecast, at every time; ``before`` the first one."""
+    if forecasts is None:
+        return np.full(time_s.size, before)
+    place = np.searchsorted(forecasts.time_s, time_s, "right") - 1
+    return np.where(place < 0, before, forecasts.end_soc[np.maximum(place, 0)])
