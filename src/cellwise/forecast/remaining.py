@@ -195,19 +195,19 @@ def forecast(
     if not (np.isfinite(window_s) and window_s > 0):
         raise InputError(f"a window of {window_s} s", "a time above zero", "Give 60, say.")
     log = replay.log
-    current = log.known_current_A()
+    current = np.ascontiguousarray(log.known_current_A())
     load_A, load_W = _present_load(log, current, window_s)
     wanted = _moments(load_A, model.capacity_Ah)
     if not wanted.any():
         return None
-    flight = _forecast(
-        model, replay, np.ascontiguousarray(current), load_A, load_W, wanted, cutoff, hold, window_s
-    )
+    flight = _forecast(model, replay, current, load_A, load_W, wanted, cutoff, hold, window_s)
     moving = under_way(load_A[wanted])
-    usual = [np.full(len(log), float(np.mean(load[wanted][moving]))) for load in (load_A, load_W)]
+    usual_A, usual_W = (
+        np.full(len(log), np.mean(load[wanted][moving])) for load in (load_A, load_W)
+    )
     typical, at_peaks = (
-        _forecast(model, replay, np.ascontiguousarray(current), *usual, wanted, at, hold, window_s)
-        for at in (cutoff, cutoff + _peak_drop_V(log, window_s))
+        _forecast(model, replay, current, usual_A, usual_W, wanted, at, hold, window_s)
+        for at in (cutoff, cutoff + _peak_drop_V(log, load_A >= usual_A, window_s))
     )
     for low, band in (
         (at_peaks.remaining_s_band, typical.remaining_s_band),
@@ -222,13 +222,13 @@ def under_way(load_A: FloatArray) -> BoolArray:
     return np.asarray(load_A > STANDING * np.sum(load_A**2) / np.sum(load_A))
 
 
-def _peak_drop_V(log: CellLog, window_s: float) -> float:
+def _peak_drop_V(log: CellLog, busy: BoolArray, window_s: float) -> float:
     """By how much the usual peaks of the load press the voltage below its mean [V]."""
     known = np.isfinite(log.voltage_V)
     time, voltage = log.time_s[known], log.voltage_V[known]
     area = np.cumsum(voltage * np.diff(time, prepend=time[0]))
     begins = time - window_s
-    whole = begins >= time[0]
+    whole = (begins >= time[0]) & busy[known]
     if not whole.any():
         return 0.0
     mean = (area - np.interp(begins, time, area)) / window_s

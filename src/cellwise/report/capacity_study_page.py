@@ -91,7 +91,7 @@ def study_section(study: CellStudy, number: int = 0) -> Section:
 def study_picture(study: CellStudy) -> style.Figure:
     """Two axes over the capacity."""
     figure = style.new_figure(3.1)
-    left, right = figure.subplots(1, 2)
+    left, right = style.panels(figure, 1, 2)
     choices = sorted(study.choices, key=lambda c: c.capacity_Ah)
     voltage, *filters = study.kinds
     capacity = np.array([c.capacity_Ah for c in choices])

@@ -58,8 +58,8 @@ def replay_finding(replay: Replay) -> str:
     settled = replay.settled
     if replay.reference_soc is None or settled is None:
         return _capitalised(
-            f"{who} ends at {percent(float(replay.trace.soc[-1]), 1)} SOC, plus or minus "
-            f"{percent(2.0 * float(replay.trace.soc_std[-1]), 1)}; there is no reference"
+            f"{who} ends at {percent(float(replay.trace.soc[-1]), 1)} ± "
+            f"{percent(2.0 * float(replay.trace.soc_std[-1]), 1)} SOC; there is no reference"
         )
     off = abs(float(replay.start.soc - replay.reference_soc[0]))
     begin = "From the right initial SOC" if off < 0.005 else f"From {100.0 * off:.0f} points off"

@@ -94,11 +94,11 @@ def _table(found: PackEstimate) -> Markup:
         found.to_dict()["per_cell"],
         ("cell", lambda row: row["name"]),
         ("SOC", lambda row: percent(row["soc"], 2)),
-        ("±", lambda row: percent(row["soc_std"], 2)),
+        ("±", lambda row: percent(2.0 * row["soc_std"], 2)),
         ("capacity Ah", lambda row: significant(row["capacity_Ah"], 4)),
-        ("±", lambda row: significant(row["capacity_std_Ah"], 2)),
+        ("±", lambda row: significant(2.0 * row["capacity_std_Ah"], 2)),
         ("resistance", lambda row: significant(row["resistance_scale"], 4)),
-        ("±", lambda row: significant(row["resistance_std"], 2)),
+        ("±", lambda row: significant(2.0 * row["resistance_std"], 2)),
         ("offset mV", lambda row: millivolt(row["offset_V"])),
         ("polled s", lambda row: significant(row["skew_s"], 2)),
         ("left mV", lambda row: millivolt(row["voltage_rmse_V"])),
@@ -255,7 +255,7 @@ def estimates_picture(found: PackEstimate) -> style.Figure:
 def sensors_picture(found: PackEstimate) -> style.Figure:
     """Offset and polling of every cell's sensor."""
     figure = style.new_figure(2.8)
-    left, right = figure.subplots(1, 2)
+    left, right = style.panels(figure, 1, 2)
     cells = found.cells
     for axes, values, std, unit, what in (
         (left, 1e3 * cells.offset_V, 1e3 * cells.offset_std_V, "offset [mV]", "offsets"),

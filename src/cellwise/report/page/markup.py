@@ -174,7 +174,10 @@ def page(
         if inside
     )
     parts = "\n".join(section(key, name, inside) for key, name, _, inside in sections if inside)
-    use = paragraph(USE, "about") if scripts else EMPTY
+    said = [USE] if scripts else []
+    if any("±" in text for text in (finding, lead, parts)):
+        said.append("± and bands are two standard deviations.")
+    use = paragraph(" ".join(said), "about") if said else EMPTY
     programs = "\n".join(f"<script>{program}</script>" for program in scripts)
     return f"""<!DOCTYPE html>
 <html lang="en">
