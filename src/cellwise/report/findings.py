@@ -94,26 +94,19 @@ def simulation_finding(simulations: Sequence[Simulation]) -> str:
     )
 
 
-def demo_finding(
-    identification: Identification, simulations: Sequence[Simulation], replays: Sequence[Replay]
-) -> str:
+def demo_finding(identification: Identification, simulations: Sequence[Simulation]) -> str:
     """The main result in short."""
     model = identification.model
-    name = model.name or "the cell"
-    alone = "laboratory tests alone" if not fitted_drives(identification) else "test logs"
+    alone = "Laboratory tests alone" if not fitted_drives(identification) else "Test logs"
     text = (
-        f"From {alone} to SOC on the road: a model of {name}, "
-        f"{ampere_hours(model.capacity_Ah)}, reproduces its own "
-        f"{_own(identification)} with "
-        f"{millivolt(identification.fit.rmse_V)} RMSE"
+        f"{alone} give a model of {model.name or 'the cell'}, {ampere_hours(model.capacity_Ah)}, "
+        f"that is {millivolt(identification.fit.rmse_V)} RMSE off its own {_own(identification)}"
     )
     known = [s.rmse_above_10pct_V for s in simulations if np.isfinite(s.rmse_above_10pct_V)]
     if known:
-        text += f" and {plural(len(known), 'drive')} it has not seen with "
-        text += f"{millivolt(float(np.mean(known)))}"
-    text += "."
-    judged = [r for r in replays if r.settled is not None]
-    return text + (f" {replay_finding(judged[0])}" if judged else "")
+        text += f" and {millivolt(float(np.mean(known)))} off "
+        text += f"{plural(len(known), 'drive')} it has not seen"
+    return f"{text}."
 
 
 def fitted_drives(identification: Identification) -> tuple[Simulation, ...]:

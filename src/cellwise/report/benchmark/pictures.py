@@ -99,8 +99,8 @@ def fault_picture(matrix: Matrix) -> style.Figure:
 
 @pictured(
     "benchmark-starts",
-    "Left: median time until the error stays within two points for ten minutes, over the "
-    "runs that get there; a hollow mark where some never do. Right: the settled error.",
+    "First: median time until the error stays within two points for ten minutes, over the "
+    "runs that get there; a hollow mark where some never do. Then: the settled error.",
 )
 def start_picture(rows: Rows, matrix: Matrix) -> style.Figure:
     """Two axes over the start error."""

@@ -65,8 +65,8 @@ def _efficiency(value: float | None) -> str:
 
 @pictured(
     "capacity",
-    "Left: charge that came out at each rate; a fast discharge meets the lower limit early, "
-    "and the remainder flows only while the limit is held. Right: the numbers that could be "
+    "First: charge that came out at each rate; a fast discharge meets the lower limit early, "
+    "and the remainder flows only while the limit is held. Then: the numbers that could be "
     "called the capacity. SOC, OCV and every table refer to the one that is taken, so a wrong "
     "one tilts them all.",
 )

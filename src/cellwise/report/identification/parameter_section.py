@@ -34,6 +34,7 @@ NAMES = {
 
 # Beyond this ratio of largest to smallest a table is drawn over a logarithmic axis.
 LOG_FROM = 5.0
+VAGUE = 0.5  # two standard errors as a share: beyond, other values do nearly as well
 MIDDLE = 0.5  # SOC at which a panel's title states the value
 REFINED_CAPTION = (
     ", refined on whole logs, with a band of two standard errors. They need not meet: a short "
@@ -222,7 +223,8 @@ def _draw_parameter(axes: style.Axes, identification: Identification, name: str)
     where = f", {celsius(float(model.temperature_C[reference]))}" if many else ""
     title = f"{NAMES[name]} = {significant(factor * middle)} {unit}"
     if np.isfinite(error_at_middle):
-        title += f" ± {percent(2.0 * error_at_middle, 0)}"
+        vague = ", hardly determined," if 2.0 * error_at_middle > VAGUE else ""
+        title += f" ± {percent(2.0 * error_at_middle, 0)}{vague}"
     style.finding(axes, f"{title} at {percent(MIDDLE, 0)}{where}", 0.27)
     style.labels(axes, "SOC [%]", f"{NAMES[name]} [{unit}]")
 

@@ -77,7 +77,7 @@ def _band_table(simulations: Sequence[Simulation]) -> Markup:
 @pictured(
     "simulation",
     "Left: measured voltage (grey), the model's (vermillion) from the current alone, and the "
-    "residual. Right: the minutes above 10 % SOC where the model is worst, with their "
+    "residual. Then: the minutes above 10 % SOC where the model is worst, with their "
     "current; below, the error over SOC – mean, and the band that holds 95 % of it.",
 )
 def simulation_picture(simulation: Simulation) -> style.Figure:

@@ -89,7 +89,7 @@ def spanned(low: float, high: float, digits: int = 3) -> str:
 
 def celsius(temperature_C: float) -> str:
     """A temperature as ``−10 °C``."""
-    return _minus(f"{temperature_C:g}{SPACE}°C")
+    return _minus(f"{round(temperature_C, 1):g}{SPACE}°C")
 
 
 def time_unit(seconds: float) -> tuple[float, str]:

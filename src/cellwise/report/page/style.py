@@ -127,7 +127,7 @@ def panels(figure: Figure, rows: int, columns: int, **options: Any) -> list[Axes
 
 def finding(axes: Axes, text: str, share: float = 0.9) -> None:
     """Title of an axes that may take ``share`` of the figure's width: what was found, wrapped."""
-    width_in = 0.85 * PHONE_IN if on_phone() else share * WIDTH_IN
+    width_in = 0.72 * PHONE_IN if on_phone() else share * WIDTH_IN
     axes.set_title("\n".join(wrapped(text, 72.0 * width_in)))
 
 

@@ -94,7 +94,7 @@ def replay_page(
 
 
 def warning(replay: Replay) -> str | None:
-    """What makes everything else on the page doubtful, as its first line; None: nothing does."""
+    """What makes all else on the page useless, as its first line; None: nothing does."""
     grave = next((n for n in replay.log.notices if is_grave(n)), None)
     if grave is not None:
         return f"{capitalised(grave)}."
