@@ -12,6 +12,7 @@ import pytest
 import cellwise
 from cellwise import CellLog, InputError, TestLogs, load_dataset, simulate
 from cellwise.cell.initial_soc.initial_soc import initial_soc
+from diagnosis_cases import diagnosis
 from example_cells import curved_cell
 
 
@@ -79,6 +80,18 @@ def test_a_notebook_shows_a_log_as_a_table():
     html = load_dataset("nmc_drive_b").part(0, 100)._repr_html_()
     assert "<th>voltage_V</th>" in html
     assert html.count("<tr>") == 6
+
+
+def test_a_notebook_shows_the_facts_of_models_and_diagnoses():
+    html = curved_cell()._repr_html_()
+    assert "capacity" in html
+    assert "mohm" in html
+    found = diagnosis("current_offset")
+    assert found.causes[0].name in found._repr_html_()
+    assert "next test" in found._repr_html_()
+    x_label, panels = found.panels()
+    assert x_label == "time [h]"
+    assert [line.label for line in panels[0].lines] == ["before", "after"]
 
 
 def test_no_message_to_python_names_only_an_option_of_the_command():

@@ -83,6 +83,21 @@ class Plottable:
         return figure
 
 
+class Summarised:
+    """Adds what a notebook shows of a result that is more than a table: its facts."""
+
+    def facts(self) -> Mapping[str, str]:
+        """What it is to what it was found to be, in words."""
+        raise NotImplementedError
+
+    def _repr_html_(self) -> str:
+        """For notebooks: what `repr` says, and the facts."""
+        rows = (f"<th style='text-align:left'>{escape(k)}</th>" f"<td style='text-align:left'>"
+                f"{escape(v)}</td>" for k, v in self.facts().items())  # fmt: skip
+        body = "".join(f"<tr>{row}</tr>" for row in rows)
+        return f"<div><p><code>{escape(repr(self))}</code></p><table>{body}</table></div>"
+
+
 class Tabular:
     """Adds ``to_pandas()`` and ``to_polars()`` to what can say its columns."""
 

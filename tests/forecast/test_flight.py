@@ -141,7 +141,7 @@ def test_the_typical_load_is_not_that_of_a_vehicle_that_stands():
     log, truth = discharge(model, current, 0.9)
     flight = forecast(model, known_replay(log, truth.soc), cutoff_V=CUTOFF_V)
     assert flight.last.load_A == pytest.approx(0.1, rel=1e-6)
-    assert flight.typical.last.load_A == pytest.approx(6.0, rel=0.01)
+    assert flight.typical.last.load_A == pytest.approx(6.0, rel=0.05)  # a minute's mean falls
     assert flight.typical.last.remaining_s < 0.05 * flight.last.remaining_s
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -9,8 +10,10 @@ import pytest
 from scipy.stats import spearmanr
 
 from cellwise.cell.stock.catalogue import named_model
+from cellwise.cli import main
 from cellwise.logs import CellLog
 from cellwise.logs.packs.pack_reading import read_pack
+from cellwise.logs.writing import write_columns
 from cellwise.pack.differences import RESISTANCE, regressors
 from cellwise.pack.mean_cell import MeanCell, OcvSlope, mean_cell
 from cellwise.pack.pack_estimate import estimate_pack
@@ -72,6 +75,36 @@ def test_in_three_months_nobody_is_accused(months, before):
     assert before.causes == []
     assert found.causes == []
     assert found.weak == []
+
+
+def test_eight_windows_of_a_healthy_car_accuse_nobody(months):
+    """Each for itself, as drives come; a drift that balancing makes is said, and no more."""
+    logs = [log for month in months.values() for log in month]
+    windows = [logs[k : k + 12] for k in range(0, 96, 12)]
+    for window in windows:
+        assert estimate_pack(MODEL, window).causes == []
+
+
+def drained(log, leak_A):
+    """The log with a cell that has lost charge since the first of May."""
+    day = np.datetime64(f"{log.name[-8:-4]}-{log.name[-4:-2]}-{log.name[-2:]}")
+    days = (day - np.datetime64("2017-05-01")).astype(int) + log.mean.time_s / 86_400.0
+    soc = np.nan_to_num(mean_cell(MODEL, log.mean).soc, nan=0.5)
+    ocv, volts = OcvSlope(MODEL, log.mean), log.cell_V.copy()
+    lost = leak_A * 24.0 * days / MODEL.capacity_Ah
+    volts[:, HURT] += ocv.ocv_V(np.clip(soc - lost, 0.0, 1.0)) - ocv.ocv_V(soc)
+    return log.with_cells(np.round(volts, 3))
+
+
+@pytest.mark.slow
+def test_self_discharge_of_two_milliamperes_is_found_by_the_command(months, tmp_path, capsys):
+    for log in (log for month in months.values() for log in month):
+        write_columns(drained(log, 0.002).columns(), tmp_path / f"{log.name}.parquet")
+    model = ["--model", "lmo-pouch", "--capacity-ah", "54"]
+    assert main(["pack", *model, str(tmp_path), "--json"]) == 0
+    (cause,) = json.loads(capsys.readouterr().out)["causes"]
+    assert (cause["cell"], cause["name"]) == (f"cell_{HURT + 1}", "self_discharge")
+    assert cause["parameters"]["leak_A"] == pytest.approx(0.002, rel=0.2)
 
 
 @pytest.mark.parametrize("kind", ["capacity", "resistance_scale", "voltage_offset", "time_skew"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 
 from cellwise.cli import main
@@ -39,6 +40,31 @@ def test_the_keys_of_the_contract(pack_file, capsys, tmp_path):
     assert read_rows(out)["name"] == [f"cell_{k:02d}" for k in range(1, 7)]
     assert main([*arguments, "--state", str(state)]) == 0  # goes on from what it wrote
     assert json.loads(capsys.readouterr().out)["cells"] == 6
+
+
+def test_strings_in_parallel_give_their_sum(tmp_path, capsys):
+    _, log = emulated_pack(4, hours=0.5)
+    found = []
+    for strings in (1, 2):
+        columns = dict(log.columns()) | {"current_A": strings * log.mean.current_A}
+        path = write_columns(columns, tmp_path / f"pack_{strings}.parquet")
+        arguments = ["pack", "--model", "nca-18650", str(path), "--json"]
+        assert main([*arguments, "--parallel", str(strings)]) == 0
+        found.append(json.loads(capsys.readouterr().out))
+    for key in ("usable_Ah", "usable_Wh", "left_Ah", "balanced_Ah"):
+        assert found[1][key] == pytest.approx(2.0 * found[0][key], rel=1e-6)
+    assert found[1]["per_cell"][0]["capacity_Ah"] == found[0]["per_cell"][0]["capacity_Ah"]
+
+
+def test_inspect_says_what_a_pack_holds(pack_file, tmp_path, capsys):
+    columns = dict(read_rows(pack_file)) | {"temperature_1_C": 20.0, "temperature_2_C": 22.0}
+    rows = len(columns["time_s"])
+    columns = {k: np.broadcast_to(v, rows) for k, v in columns.items()}
+    assert main(["inspect", str(write_columns(columns, tmp_path / "two.parquet"))]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "6 cells and 2 temperatures" in said
+    assert "`cellwise pack`" in said
+    assert "21 to 21 degC" in said
 
 
 def test_a_pack_for_people_names_the_cell(pack_file, capsys):

@@ -147,18 +147,24 @@ def test_a_page_fits_a_phone_and_what_is_wider_is_shaded_at_its_edge(pages, tmp_
                          features=[{"name": "prefers-color-scheme", "value": scheme}])  # fmt: skip
         await browser.do("Emulation.setDeviceMetricsOverride", width=390, height=844,
                          deviceScaleFactor=1, mobile=True)  # fmt: skip
-        widths, unshaded = {}, {}
+        widths, unshaded, smallest = {}, {}, {}
         for kind, page in pages.items():
             await browser.open(page, PICTURES)
             widths[kind] = await browser.value("document.documentElement.scrollWidth")
             unshaded[kind] = await browser.value(
-                "[...document.querySelectorAll('.scroll, figure')].filter(e =>"
+                "[...document.querySelectorAll('.scroll, figure > div')].filter(e =>"
                 " e.scrollWidth > e.clientWidth + 1 &&"
                 " getComputedStyle(e).backgroundImage === 'none').length"
             )
-        return widths, unshaded
+            smallest[kind] = await browser.value(
+                "Math.min(...[...document.querySelectorAll('figure svg text')]"
+                ".filter(e => e.getBoundingClientRect().height)"
+                ".map(e => parseFloat(getComputedStyle(e).fontSize) * e.getScreenCTM().a))"
+            )
+        return widths, unshaded, smallest
 
-    widths, unshaded = in_browser(tmp_path, work)
+    widths, unshaded, smallest = in_browser(tmp_path, work)
+    assert {kind: size for kind, size in smallest.items() if size < 8.5} == {}
     assert {kind: w for kind, w in widths.items() if w > 390} == {}
     assert set(unshaded.values()) == {0}
 

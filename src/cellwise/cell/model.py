@@ -25,7 +25,7 @@ from cellwise.cell.model_error import ModelError
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity, beyond_soc
 from cellwise.cell.point_kernels import COLUMN_SOURCES, SCALAR_SOURCES, CellScalars
 from cellwise.errors import InputError
-from cellwise.plotting import Line, Panel, Plottable
+from cellwise.plotting import Line, Panel, Plottable, Summarised
 from cellwise.typing import FloatArray
 
 E = TypeVar("E", bound=Effect)
@@ -49,7 +49,7 @@ TABLES = ModelTables._fields
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class CellModel(Plottable):
+class CellModel(Plottable, Summarised):
     """Second-order Thevenin model with SOC-indexed tables and effects.
 
     v = OCV(soc) - R0 I - V1 - V2 [- V3 + M h], discharge current positive.
@@ -120,6 +120,22 @@ class CellModel(Plottable):
             Panel("[mohm]", tuple(x for s, table in ohms for x in lines(s, table, 1e3))),
             Panel("[s]", tuple(x for s, table in taus for x in lines(s, table, 1.0))),
         )
+
+    def facts(self) -> dict[str, str]:
+        """Name to what a person asks first of a model, with units."""
+        middle = self.points // 2
+        r0, r1, r2 = (1e3 * table[:, middle] for table in (self.r0_ohm, self.r1_ohm, self.r2_ohm))
+        at = [f"{t:g} degC" for t in self.temperature_C]
+        ohms = (f"{a:.3g}, {b:.3g}, {c:.3g} mohm" for a, b, c in zip(r0, r1, r2, strict=True))
+        known = self.validity.to_dict()
+        return {
+            "capacity": f"{self.capacity_Ah:.4g} Ah +- {self.capacity_std_Ah:.2g} (one deviation)",
+            "OCV": f"{self.ocv_V.min():.3f} to {self.ocv_V.max():.3f} V",
+            "R0, R1, R2 at 50 % SOC": "; ".join(map(" at ".join, zip(ohms, at, strict=True))),
+            "effects": ", ".join(e.name for e in self.effects) or "none",
+            "its data": "; ".join(f"{k} {v[0]:.3g} to {v[1]:.3g}" for k, v in known.items() if v)
+            or "not known",
+        }
 
     def __repr__(self) -> str:
         grid = f"{self.points} SOC points"

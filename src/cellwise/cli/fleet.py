@@ -147,6 +147,13 @@ def _run(task: LogTask, arguments: argparse.Namespace) -> None:
                 f"{label}, {failed} failed" if failed else label, done, all_
             ),
         )
+    page = None
+    if task.kind == "replay":
+        from cellwise.fleet.store import all_rows
+        from cellwise.report.fleet_page import fleet_page
+
+        # Names that begin so are no part of the data to those who read the folder.
+        page = fleet_page(all_rows(found.folder), found.folder / "_report.html")
     if arguments.json:
         printing.print_json(found.to_dict())
         return
@@ -158,5 +165,5 @@ def _run(task: LogTask, arguments: argparse.Namespace) -> None:
     printing.say(
         f"{found.done:,} of {found.logs:,} {task.unit} done in {found.seconds:.1f} s, "
         f"{found.failed:,} failed (rows with an error), {found.resumed:,} were done before; "
-        f"rows in {found.folder}"
+        f"rows in {found.folder}" + (f", every cell on {page}" if page else "")
     )

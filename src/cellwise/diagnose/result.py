@@ -11,6 +11,7 @@ from cellwise.cell.model import CellModel
 from cellwise.diagnose.decision.odds import Weighed
 from cellwise.diagnose.log_runs import LogRun
 from cellwise.logs.cell_log import CellLog
+from cellwise.plotting import Line, Panel, Plottable, Summarised
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ class TriedCause:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Diagnosis:
+class Diagnosis(Plottable, Summarised):
     """The causes that were found, in order, and the model extended by them.
 
     ``verdict`` is the first cause, "none", "undetermined" or "unexplained"; ``reasons`` say why the
@@ -109,6 +110,39 @@ class Diagnosis:
             "inseparable": [list(g) for g in self.inseparable],
             "logs": [r.to_dict() for r in self.runs],
         }
+
+    def panels(self) -> tuple[str, tuple[Panel, ...]]:
+        """Errors of every log over time, before and after [mV]."""
+        shown = []
+        for run in self.runs:
+            hours = (run.log.time_s - run.log.time_s[0]) / 3600.0
+            lines = (
+                Line(name, hours, 1e3 * one.error_V)
+                for name, one in (("before", run.before), ("after", run.explained))
+            )
+            shown.append(Panel(f"{run.log.name or 'log'} [mV]", tuple(lines)))
+        return "time [h]", tuple(shown)
+
+    def facts(self) -> dict[str, str]:
+        """The verdict, every cause with its range, the errors before and after, the next test."""
+        causes = {
+            cause.name: ", ".join(
+                f"{name} {value:.4g} ({cause.ci95[name][0]:.4g} to {cause.ci95[name][1]:.4g})"
+                if name in cause.ci95
+                else f"{name} {value:.4g}"
+                for name, value in cause.parameters.items()
+            )
+            for cause in self.causes
+        }
+        errors = (
+            f"{run.log.name or 'log'} {1e3 * run.before.metrics.rmse_V:.1f} -> "
+            f"{1e3 * run.explained.metrics.rmse_V:.1f} mV"
+            for run in self.runs
+        )
+        return {
+            "verdict": self.verdict, **causes, "RMSE": "; ".join(errors),
+            "next test": self.next_test,
+        }  # fmt: skip
 
     def __repr__(self) -> str:
         if not self.causes:

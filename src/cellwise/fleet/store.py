@@ -17,6 +17,15 @@ MANIFEST = "_fleet.json"
 PART = "part-{:06d}.parquet"
 
 
+def all_rows(place: Path) -> dict[str, list[Any]]:
+    """The rows of all parts of a folder of results, column by column."""
+    rows: dict[str, list[Any]] = {}
+    for part in sorted(place.glob("part-[0-9]*.parquet")):
+        for name, values in read_rows(part).items():
+            rows.setdefault(name, []).extend(values)
+    return rows
+
+
 class ResultFolder:
     """Parts appear whole or not at all, so whatever ends a run leaves only finished rows.
 

@@ -33,6 +33,9 @@ Hold = Literal["power", "current"]
 
 WINDOW_S = 60.0
 MOST_FORECASTS = 400
+# A load below this share of the one at which a usual ampere-hour is drawn is that of standing.
+STANDING = 0.2
+PEAK_SHARE = 1e-3  # of the rows are beyond a usual peak
 
 
 class Forecast(NamedTuple):
@@ -66,8 +69,9 @@ class Flight:
     """Forecasts along a log; arrays have shape (moments,), bands (moments, 2).
 
     ``load_A`` is the mean current of the last ``window_s``, the present load; a moment without a
-    load of at least C/50 has no forecast. ``typical`` is a forecast from the last moment at the
-    median of all these loads: a vehicle that stands idles, and would do so for days. ``given`` is
+    load of at least C/50 has no forecast. ``typical`` is the same at the usual load, the mean
+    of all these under way: that of the last minute swings with every bend. The lower end of its
+    band is where the load's usual peaks first press the voltage to the cutoff. ``given`` is
     what :func:`forecast_at` was asked for beside them.
     """
 
@@ -192,21 +196,44 @@ def forecast(
     if not (np.isfinite(window_s) and window_s > 0):
         raise InputError(f"a window of {window_s} s", "a time above zero", "Give 60, say.")
     log = replay.log
-    current = log.known_current_A()
+    current = np.ascontiguousarray(log.known_current_A())
     load_A, load_W = present_load(log, current, window_s)
     wanted = _moments(load_A, model.capacity_Ah)
     if not wanted.any():
         return None
-    flight = _forecast(
-        model, replay, np.ascontiguousarray(current), load_A, load_W, wanted, cutoff, hold, window_s
+    flight = _forecast(model, replay, current, load_A, load_W, wanted, cutoff, hold, window_s)
+    moving = under_way(load_A[wanted])
+    usual_A, usual_W = (
+        np.full(len(log), np.mean(load[wanted][moving])) for load in (load_A, load_W)
     )
-    last = _only(np.flatnonzero(wanted)[-1], len(log))
-    usual_A = np.full(len(log), float(np.median(flight.load_A)))
-    usual_W = np.full(len(log), float(np.median(flight.load_W)))
-    typical = _forecast(
-        model, replay, np.ascontiguousarray(current), usual_A, usual_W, last, cutoff, hold, window_s
+    typical, at_peaks = (
+        _forecast(model, replay, current, usual_A, usual_W, wanted, at, hold, window_s)
+        for at in (cutoff, cutoff + _peak_drop_V(log, load_A >= usual_A, window_s))
     )
+    for low, band in (
+        (at_peaks.remaining_s_band, typical.remaining_s_band),
+        (at_peaks.remaining_Wh_band, typical.remaining_Wh_band),
+    ):
+        np.minimum(band[:, 0], low[:, 0], out=band[:, 0])
     return replace(flight, typical=typical)
+
+
+def under_way(load_A: FloatArray) -> BoolArray:
+    """Loads at which one is under way: the others are those of a vehicle that stands."""
+    return np.asarray(load_A > STANDING * np.sum(load_A**2) / np.sum(load_A))
+
+
+def _peak_drop_V(log: CellLog, busy: BoolArray, window_s: float) -> float:
+    """By how much the usual peaks of the load press the voltage below its mean [V]."""
+    known = np.isfinite(log.voltage_V)
+    time, voltage = log.time_s[known], log.voltage_V[known]
+    area = np.cumsum(voltage * np.diff(time, prepend=time[0]))
+    begins = time - window_s
+    whole = (begins >= time[0]) & busy[known]
+    if not whole.any():
+        return 0.0
+    mean = (area - np.interp(begins, time, area)) / window_s
+    return max(float(np.quantile((mean - voltage)[whole], 1.0 - PEAK_SHARE)), 0.0)
 
 
 def forecast_at(

@@ -22,7 +22,7 @@ from cellwise.identify.refinement.refine import RefineResult
 from cellwise.identify.soc_anchor import SocAnchor
 from cellwise.identify.tables import TableKind
 from cellwise.logs.cell_log import CellLog
-from cellwise.plotting import Panel, Plottable
+from cellwise.plotting import Panel, Plottable, Summarised
 from cellwise.typing import BoolArray, FloatArray
 
 REFERENCE_C = 25.0
@@ -262,7 +262,7 @@ class OwnLog:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Identification(Plottable):
+class Identification(Plottable, Summarised):
     """A model and all that led to it.
 
     ``contradictions`` are those of ``notices`` that say which logs do not go together, by numbers:
@@ -301,6 +301,19 @@ class Identification(Plottable):
     def panels(self) -> tuple[str, tuple[Panel, ...]]:
         """As of its model."""
         return self.model.panels()
+
+    def facts(self) -> dict[str, str]:
+        """Of its model, then how well it says its own logs again."""
+        counts = self.pulse_counts
+        return {
+            **self.model.facts(),
+            "capacity by": self.capacity_choice,
+            "RMSE on its own logs": "; ".join(
+                f"{s.log.name or 'log'} {1e3 * s.metrics.rmse_V:.1f} mV" for s in self.simulations
+            ),
+            "healthy pulses": f"{counts['healthy']} of {sum(counts.values())}",
+            "notices": "; ".join(self.notices) or "none",
+        }
 
     def to_dict(self) -> dict[str, Any]:
         """The figures as JSON values, keys as the command prints them."""

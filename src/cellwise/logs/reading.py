@@ -121,7 +121,9 @@ def _mean_of_pack(
     """The mean cell of a table with a voltage for each cell, and a notice that says so."""
     name = plain_name(source.path) if name is None else name
     pack = pack_of(source, known, columns, sign=sign, name=name, check_sign=check_sign)
-    said = f"a table of {pack.cells} cells, read as their mean cell (`cellwise pack` sees each)"
+    warm = sum(c.kind == "temperature" for c in columns)
+    cells = f"{pack.cells} cells" + (f" and {warm} temperatures" if warm > 1 else "")
+    said = f"a table of {cells}, read as their mean cell (`cellwise pack` sees each)"
     return pack.mean.with_notices((*pack.notices, said))
 
 

@@ -51,7 +51,8 @@ class PackEvidence:
     ``matrix`` (cells, SIZE, SIZE), ``vector`` (cells, SIZE), ``rows`` (cells,) rows that count,
     ``rmse_V`` (cells,) of what the differences leave, ``noise_V``, ``change_share`` and ``block_V``
     the noise found: of a quiet row, of the voltage's change, of a block of ten minutes;
-    ``balancing_soc`` by how much cells' SOC moves against the mean from log to log.
+    ``balancing_soc`` by how much cells' SOC moves against the mean from log to log, ``days`` from
+    the first to the last.
     """
 
     matrix: FloatArray
@@ -62,6 +63,7 @@ class PackEvidence:
     change_share: float
     block_V: float
     balancing_soc: float
+    days: float = 0.0
 
 
 def pack_evidence(

@@ -26,6 +26,7 @@ from cellwise.pack.differences import (
 from cellwise.pack.evidence import PackEvidence
 from cellwise.pack.pack_state import CellDeltas, PackState, drift_between, spread_between
 from cellwise.pack.periods import PackDay, pack_days, period_evidence, periods
+from cellwise.pack.self_discharge import also_drifting, drift_of, drifting, self_discharging
 from cellwise.pack.suspicion import (
     Suspicion,
     against_others,
@@ -144,7 +145,22 @@ class PackEstimate:
         texts = [n for day in self.days for n in day.log.notices]
         if not any(np.any(day.mean.used) for day in self.days):
             texts.insert(0, "no stretch between pauses is long enough to be estimated")
-        return (*self.exchanged, *in_order(found, tuple(dict.fromkeys(texts))))
+        return (*self.exchanged, *self._drift, *in_order(found, tuple(dict.fromkeys(texts))))
+
+    @property
+    def _drift(self) -> tuple[str, ...]:
+        """What one period shows and only several can decide."""
+        drift = self.state.drifts[-1] if self.state.drifts and self.evidence.days > 0.0 else None
+        cell = None if drift is None else drifting(drift)
+        if drift is None or cell is None or "self_discharge" in {c["name"] for c in self.causes}:
+            return ()
+        ampere = 1e3 * self.model.capacity_Ah / 24.0
+        low, high = (ampere * (drift.per_day[cell] + k * drift.std[cell]) for k in (-2.0, 2.0))
+        return (
+            f"{self.names[cell]} lost {low:.2g} to {high:.2g} mA against the other cells in the "
+            f"last {self.evidence.days:.0f} days: balancing or self-discharge. Only the second "
+            "goes on: logs of further months, with --state or together, decide",
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Keys as CONTRACT.md has them."""
@@ -211,6 +227,7 @@ def estimate_pack(
     origin = parts[0][0].ordinal if state is None else state.origin
     deltas = None if state is None else state.deltas
     history = [] if state is None else list(state.periods)
+    drifts = [] if state is None else list(state.drifts)
     suspected: list[tuple[int, Suspicion]] = []
     exchanged: list[str] = []
     for part in parts:
@@ -221,8 +238,8 @@ def estimate_pack(
             deltas = CellDeltas.unknown(len(days[0].log.names), spread)
         else:
             deltas = deltas.later(max(part[0].ordinal - origin, deltas.days))
-            drift = drift_between(deltas, evidence)
-            expected = replace(deltas, covariance=deltas.covariance + np.diag(drift))
+            moves = drift_between(deltas, evidence)
+            expected = replace(deltas, covariance=deltas.covariance + np.diag(moves))
             changed = against_past(expected, evidence)
             pair = exchanged_cells(expected, evidence, changed)
             if pair is not None:
@@ -237,15 +254,24 @@ def estimate_pack(
                 changed = against_past(expected, evidence)
             # Balancing moves what cells hold; what they are drifts slowly, whatever one month says.
             moved = np.zeros(SIZE)
-            moved[BALANCED] = drift[BALANCED]
+            moved[BALANCED] = moves[BALANCED]
             deltas = replace(deltas, covariance=deltas.covariance + np.diag(moved))
             seen = {s.cell for s in changed}
             found = changed + [s for s in found if s.cell not in seen]
         deltas = deltas.updated(evidence)
+        drift = drift_of(spread, evidence)
+        if drift is not None:
+            found = also_drifting(found, drift)
+            drifts.append(drift)
         suspected += [(len(history), s) for s in found]
         history.append(part[0].log.name)
     if deltas is None:
         deltas = CellDeltas.unknown(len(days[0].log.names))
+    for one in self_discharging(drifts):
+        # A cell that runs empty is far from the others in all that is linear about them.
+        also = {s.explanation.cause for _, s in suspected if s.cell == one.cell}
+        suspected = [(number, s) for number, s in suspected if s.cell != one.cell]
+        suspected.append((len(history) - 1, replace(one, others=tuple(sorted(also)))))
     last = days[-1]
     at_end = _at_end(model, deltas, evidence, last)
     cells = _cells(model, at_end, last, evidence)
@@ -253,11 +279,11 @@ def estimate_pack(
         model=model,
         days=days,
         cells=cells,
-        usable=usable_charge(model, last.log.mean, cells.soc, cells.capacity_Ah),
+        usable=usable_charge(model, last.log.mean, cells.soc, cells.capacity_Ah, last.log.parallel),
         evidence=evidence,
         suspicions=tuple(suspected),
         exchanged=tuple(exchanged),
-        state=PackState(last.log.names, origin, deltas, tuple(history)),
+        state=PackState(last.log.names, origin, deltas, tuple(history), tuple(drifts)),
     )
 
 
@@ -348,25 +374,16 @@ def cause_of(
 
 def _in_units(one: Suspicion, model: CellModel) -> tuple[float, float, str]:
     """Value, deviation and text of the parameter that the cause has in `cellwise diagnose`."""
-    size, std = one.size, one.std
     capacity = model.capacity_Ah
-    match one.explanation.cause:
-        case "capacity":
-            return (
-                capacity * (1.0 + size), capacity * std,
-                f"capacity {100 * size:+.1f} +- {100 * std:.1f} %",
-            )  # fmt: skip
-        case "resistance_scale":
-            return 1.0 + size, std, f"resistance {100 * size:+.1f} +- {100 * std:.1f} %"
-        case "initial_soc":
-            return size, std, f"SOC {100 * size:+.2f} +- {100 * std:.2f} points"
-        case "self_discharge":
-            ampere = capacity / 24.0
-            return (
-                ampere * size, ampere * std,
-                f"loses {1e3 * ampere * size:.2g} +- {1e3 * ampere * std:.1g} mA",
-            )  # fmt: skip
-        case "voltage_offset":
-            return size, std, f"its voltage reads {1e3 * size:+.1f} +- {1e3 * std:.1f} mV"
-        case _:
-            return size, std, f"polled {size:+.2f} +- {std:.2f} s later"
+    # What is added and multiplied for the parameter; for the text: factor, digits, words around.
+    start, factor, shown, digits, before, after = {
+        "capacity": (capacity, capacity, 100.0, 1, "capacity", "%"),
+        "resistance_scale": (1.0, 1.0, 100.0, 1, "resistance", "%"),
+        "initial_soc": (0.0, 1.0, 100.0, 2, "SOC", "points"),
+        "self_discharge": (0.0, capacity / 24.0, 1e3 * capacity / 24.0, 2, "loses", "mA"),
+        "voltage_offset": (0.0, 1.0, 1e3, 1, "its voltage reads", "mV"),
+        "time_skew": (0.0, 1.0, 1.0, 2, "polled late by", "s"),
+    }[one.explanation.cause]
+    size, low, high = (shown * (one.size + k * one.std) for k in (0.0, -1.96, 1.96))
+    text = f"{before} {size:+.{digits}f} {after} ({low:+.{digits}f} to {high:+.{digits}f})"
+    return start + factor * one.size, factor * one.std, text

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -115,14 +115,26 @@ def drift_between(past: CellDeltas, evidence: PackEvidence) -> FloatArray:
     return drift
 
 
+class Drift(NamedTuple):
+    """By what every cell's SOC falls against the others' in one period [1/day], (cells,) each.
+
+    ``std`` holds both what is not known of a cell and by what the cells of the period scatter:
+    balancing moves them.
+    """
+
+    per_day: FloatArray
+    std: FloatArray
+
+
 @dataclass(frozen=True, eq=False)
 class PackState:
-    """Names of the cells, day of the first log, differences, first log of every period."""
+    """Names of the cells, day of the first log, differences, first log of every period, drifts."""
 
     names: tuple[str, ...]
     origin: float
     deltas: CellDeltas
     periods: tuple[str, ...]
+    drifts: tuple[Drift, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON values."""
@@ -139,6 +151,7 @@ class PackState:
             "mean": deltas.mean.tolist(),
             "covariance": deltas.covariance[:, upper[0], upper[1]].tolist(),
             "periods": list(self.periods),
+            "drifts": [[part.tolist() for part in drift] for drift in self.drifts],
         }
 
     @classmethod
@@ -164,10 +177,12 @@ class PackState:
             covariance[:, i, j] = covariance[:, j, i] = half
             spread = np.array(data["spread"], dtype=np.float64).reshape(SIZE)
             deltas = CellDeltas(mean, covariance, spread, float(data["days"]), int(data["updates"]))
-            finite = np.isfinite(mean).all() and np.isfinite(covariance).all()
-            if not finite:
+            # States before this had no drifts.
+            seen = np.array(data.get("drifts", []), dtype=np.float64).reshape(-1, 2, len(names))
+            if not all(np.isfinite(part).all() for part in (mean, covariance, seen)):
                 raise ValueError("values that are not finite")
-            return cls(names, float(data["origin"]), deltas, tuple(data["periods"]))
+            drifts = tuple(Drift(*one) for one in seen)
+            return cls(names, float(data["origin"]), deltas, tuple(data["periods"]), drifts)
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(
                 f"a damaged state in {where} ({error})",

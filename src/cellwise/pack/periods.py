@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import date
 from itertools import pairwise
 
@@ -95,7 +95,7 @@ def period_evidence(model: CellModel, days: Sequence[PackDay]) -> PackEvidence:
     count = 0
     for number, day in enumerate(days):
         log, mean = day.log, day.mean
-        found = regressors(mean, OcvSlope(model, log.mean), day.ordinal - middle)
+        rows_of = regressors(mean, OcvSlope(model, log.mean), day.ordinal - middle)
         ok = np.isfinite(log.cell_V)
         if log.balancing is not None:
             ok &= ~log.balancing  # the bypass current loads the sense wires
@@ -104,7 +104,7 @@ def period_evidence(model: CellModel, days: Sequence[PackDay]) -> PackEvidence:
         block = count + np.cumsum(moved != 0)
         count = int(block[-1]) + 1
         some = slice(None, None, stride)
-        parts.append(Regressors(found.rows[some], found.change_V[some], found.used[some]))
+        parts.append(Regressors(rows_of.rows[some], rows_of.change_V[some], rows_of.used[some]))
         differences.append(log.difference_V[some])
         known.append(ok[some])
         blocks.append(block[some])
@@ -114,4 +114,7 @@ def period_evidence(model: CellModel, days: Sequence[PackDay]) -> PackEvidence:
         np.concatenate([p.change_V for p in parts]),
         np.concatenate([p.used for p in parts]),
     )
-    return pack_evidence(together, *(np.concatenate(c) for c in (differences, known, blocks, logs)))
+    found = pack_evidence(
+        together, *(np.concatenate(c) for c in (differences, known, blocks, logs))
+    )
+    return replace(found, days=days[-1].ordinal - days[0].ordinal)

@@ -137,7 +137,7 @@ def suspicions(
     gains, shifts, stds = [], [], []
     for one in EXPLANATIONS:
         gain, shift, std = _along(precision, pull, one)
-        scale = _scale(2.0 * gain, len(one.moves))
+        scale = scale_of(2.0 * gain, len(one.moves))
         gains.append(gain / scale)
         shifts.append(shift)
         stds.append(std * np.sqrt(scale))
@@ -150,7 +150,10 @@ def suspicions(
         ]
         if min(tail) >= allowed:
             continue
-        found.append(_named(cell, k, ratio, shifts, stds, changed, allowed))
+        suspect = _named(cell, k, ratio, shifts, stds, changed, allowed)
+        # From day to day balancing moves a cell as self-discharge does: several periods decide.
+        if evidence.days == 0.0 or suspect.explanation.shown != SELF_DISCHARGE:
+            found.append(suspect)
     return found
 
 
@@ -171,7 +174,7 @@ def _along(
     return gain, size, np.sqrt(np.einsum("i,cij,j->c", sums, covariance, sums))
 
 
-def _scale(ratio: FloatArray, freedom: int) -> float:
+def scale_of(ratio: FloatArray, freedom: int) -> float:
     """By how much the cells' ratios are above theory's, at least one; few cells say little.
 
     At the median and at the tail without the last twentieth, which may be odd themselves.

@@ -16,7 +16,7 @@ POINTS = 101
 
 @dataclass(frozen=True)
 class Usable:
-    """Charge and energy of a string between its first full and its first empty cell.
+    """Charge and energy of a pack between its first full and its first empty cell.
 
     ``usable_Ah`` as the cells are; ``balanced_Ah`` when all are full together, so that the smallest
     cell alone decides; ``left_Ah`` until the first cell is empty; ``energy_Wh`` of ``usable_Ah``
@@ -45,9 +45,13 @@ class Usable:
 
 
 def usable_charge(
-    model: CellModel, log: CellLog, soc: FloatArray, capacity_Ah: FloatArray
+    model: CellModel, log: CellLog, soc: FloatArray, capacity_Ah: FloatArray, parallel: int = 1
 ) -> Usable:
-    """What cells in series give, from SOC and capacity of each, shape (cells,); NaN: unknown."""
+    """What cells in series give, from SOC and capacity of each, shape (cells,); NaN: unknown.
+
+    ``parallel`` such strings give so many times as much.
+    """
+    capacity_Ah = parallel * capacity_Ah
     known = np.isfinite(soc) & np.isfinite(capacity_Ah)
     if not known.any():
         return Usable(np.nan, np.nan, np.nan, np.nan)

@@ -84,14 +84,14 @@ def study_section(study: CellStudy, number: int = 0) -> Section:
 
 @pictured(
     "capacity_study",
-    "Every dot is a choice of the capacity, with the whole identification redone. Left: the "
-    "voltage hardly depends on it until the scale ends before the cell does. Right: SOC does, "
+    "Every dot is a choice of the capacity, with the whole identification redone. First: the "
+    "voltage hardly depends on it until the scale ends before the cell Then: SOC does, "
     "and a filter can only follow the scale that its OCV was given. The line is the reference.",
 )
 def study_picture(study: CellStudy) -> style.Figure:
     """Two axes over the capacity."""
     figure = style.new_figure(3.1)
-    left, right = figure.subplots(1, 2)
+    left, right = style.panels(figure, 1, 2)
     choices = sorted(study.choices, key=lambda c: c.capacity_Ah)
     voltage, *filters = study.kinds
     capacity = np.array([c.capacity_Ah for c in choices])

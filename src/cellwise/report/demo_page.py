@@ -29,7 +29,7 @@ from cellwise.report.identification.simulation_section import (
     simulation_pictures,
 )
 from cellwise.report.page.jumps import clock_of
-from cellwise.report.page.markup import bullets, details, paragraph, record_table
+from cellwise.report.page.markup import bullets, details, lead_of, paragraph, record_table
 from cellwise.report.page.numerals import counted, duration, listed, plural, significant
 from cellwise.report.page.picture import FigureFiles
 from cellwise.report.page.section import Blocks, Section, write_page
@@ -64,13 +64,14 @@ def demo_page(
     ------
     InputError        matplotlib is missing; the path cannot be written
     """
+    judged = [replay_finding(r) for r in replays if r.settled is not None]
     return write_page(
         path,
-        demo_finding(identification, simulations, replays),
+        demo_finding(identification, simulations),
         f"cellwise demo on {cell_name(identification)}",
         demo_sections(identification, simulations, replays),
         {"identification": identification.to_dict(), **replay_data(replays, simulations)},
-        lead=identify_tiles(identification),
+        lead=lead_of((), identify_tiles(identification), judged[:1]),
         figures=figures,
     )
 

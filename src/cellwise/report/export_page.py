@@ -122,7 +122,7 @@ def export_sections(report: Mapping[str, Any], on_log: HasPanels | None) -> list
 def cost_picture(targets: Sequence[Row]) -> style.Figure:
     """Instructions and flash of every core."""
     figure = style.new_figure(2.9)
-    left, right = figure.subplots(1, 2)
+    left, right = style.panels(figure, 1, 2)
     place = np.arange(len(targets))
     names = [c["core"] for c in targets]
     cheapest = _cheapest(targets)

@@ -58,8 +58,8 @@ def replay_finding(replay: Replay) -> str:
     settled = replay.settled
     if replay.reference_soc is None or settled is None:
         return _capitalised(
-            f"{who} ends at {percent(float(replay.trace.soc[-1]), 1)} SOC, plus or minus "
-            f"{percent(2.0 * float(replay.trace.soc_std[-1]), 1)}; there is no reference"
+            f"{who} ends at {percent(float(replay.trace.soc[-1]), 1)} ± "
+            f"{percent(2.0 * float(replay.trace.soc_std[-1]), 1)} SOC; there is no reference"
         )
     off = abs(float(replay.start.soc - replay.reference_soc[0]))
     begin = "From the right initial SOC" if off < 0.005 else f"From {100.0 * off:.0f} points off"
@@ -94,26 +94,19 @@ def simulation_finding(simulations: Sequence[Simulation]) -> str:
     )
 
 
-def demo_finding(
-    identification: Identification, simulations: Sequence[Simulation], replays: Sequence[Replay]
-) -> str:
+def demo_finding(identification: Identification, simulations: Sequence[Simulation]) -> str:
     """The main result in short."""
     model = identification.model
-    name = model.name or "the cell"
-    alone = "laboratory tests alone" if not fitted_drives(identification) else "test logs"
+    alone = "Laboratory tests alone" if not fitted_drives(identification) else "Test logs"
     text = (
-        f"From {alone} to SOC on the road: a model of {name}, "
-        f"{ampere_hours(model.capacity_Ah)}, reproduces its own "
-        f"{_own(identification)} with "
-        f"{millivolt(identification.fit.rmse_V)} RMSE"
+        f"{alone} give a model of {model.name or 'the cell'}, {ampere_hours(model.capacity_Ah)}, "
+        f"that is {millivolt(identification.fit.rmse_V)} RMSE off its own {_own(identification)}"
     )
     known = [s.rmse_above_10pct_V for s in simulations if np.isfinite(s.rmse_above_10pct_V)]
     if known:
-        text += f" and {plural(len(known), 'drive')} it has not seen with "
-        text += f"{millivolt(float(np.mean(known)))}"
-    text += "."
-    judged = [r for r in replays if r.settled is not None]
-    return text + (f" {replay_finding(judged[0])}" if judged else "")
+        text += f" and {millivolt(float(np.mean(known)))} off "
+        text += f"{plural(len(known), 'drive')} it has not seen"
+    return f"{text}."
 
 
 def fitted_drives(identification: Identification) -> tuple[Simulation, ...]:

@@ -25,6 +25,7 @@ class CellImage(NamedTuple):
     columns: int = 240
     rows: int = 5  # of a log in a column, at least
     labels: int = 12  # of days below the cells, at most
+    phone_labels: int = 4
     scale_mV: float = 3.0  # to either side of the mean, at least
 
 
@@ -94,11 +95,11 @@ def _table(found: PackEstimate) -> Markup:
         found.to_dict()["per_cell"],
         ("cell", lambda row: row["name"]),
         ("SOC", lambda row: percent(row["soc"], 2)),
-        ("±", lambda row: percent(row["soc_std"], 2)),
+        ("±", lambda row: percent(2.0 * row["soc_std"], 2)),
         ("capacity Ah", lambda row: significant(row["capacity_Ah"], 4)),
-        ("±", lambda row: significant(row["capacity_std_Ah"], 2)),
+        ("±", lambda row: significant(2.0 * row["capacity_std_Ah"], 2)),
         ("resistance", lambda row: significant(row["resistance_scale"], 4)),
-        ("±", lambda row: significant(row["resistance_std"], 2)),
+        ("±", lambda row: significant(2.0 * row["resistance_std"], 2)),
         ("offset mV", lambda row: millivolt(row["offset_V"])),
         ("polled s", lambda row: significant(row["skew_s"], 2)),
         ("left mV", lambda row: millivolt(row["voltage_rmse_V"])),
@@ -140,7 +141,8 @@ def cells_picture(found: PackEstimate) -> style.Figure:
     )  # fmt: skip
     figure.colorbar(drawn, ax=axes, label="cell minus mean [mV]", shrink=0.8, pad=0.07)
     axes.grid(visible=False)
-    shown = _far_enough(edges, image.shape[1] / IMAGE.labels)
+    labels = IMAGE.phone_labels if style.on_phone() else IMAGE.labels
+    shown = _far_enough(edges, image.shape[1] / labels)
     axes.set_xticks([edges[k] for k in shown], [labels_of[k] for k in shown], rotation=0)
     for cell in named_cells(found):
         style.note(
@@ -255,7 +257,7 @@ def estimates_picture(found: PackEstimate) -> style.Figure:
 def sensors_picture(found: PackEstimate) -> style.Figure:
     """Offset and polling of every cell's sensor."""
     figure = style.new_figure(2.8)
-    left, right = figure.subplots(1, 2)
+    left, right = style.panels(figure, 1, 2)
     cells = found.cells
     for axes, values, std, unit, what in (
         (left, 1e3 * cells.offset_V, 1e3 * cells.offset_std_V, "offset [mV]", "offsets"),

@@ -57,7 +57,7 @@ def test_certificate_of_an_export(folder, tmp_path, capsys):
 
 
 def test_layout_and_prefix_change_nothing(folder, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("cellwise.export.cross.cores_here", lambda: [])
+    monkeypatch.setattr("cellwise.export.cross.cores_here", list)
     other = tmp_path / "other"
     names = ["--prefix", "pouch", "--layout", "zephyr"]
     assert main(["export", "--model", "nmc-18650", "--dt", "5", "-o", str(other), *names]) == 0

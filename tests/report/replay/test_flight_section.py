@@ -12,7 +12,8 @@ import pytest
 from cellwise.forecast.remaining import forecast
 from cellwise.report import replay_page
 from cellwise.report.page.numerals import duration
-from cellwise.report.replay.forecast_section import flight_finding, flight_picture
+from cellwise.report.replay.forecast_section import flight_finding, flight_picture, present_picture
+from cellwise.report.replay.replay_section import soc_picture
 from report_cases import drive, model, replay
 
 
@@ -24,13 +25,13 @@ def flight():
 
 def test_the_picture_shows_both_with_their_bands(flight):
     _, left = flight
-    figure = flight_picture(left).figure
-    above, below = figure.axes
-    for axes, values in ((above, left.remaining_s / 60), (below, left.remaining_Wh)):
-        (line,) = axes.lines
-        np.testing.assert_allclose(line.get_ydata(), values)
-        assert len(axes.collections) == 1
-    assert "min" in above.get_ylabel()
+    for picture, shown in ((flight_picture(left), left.typical), (present_picture(left), left)):
+        above, below = picture.figure.axes
+        for axes, values in ((above, shown.remaining_s / 60), (below, shown.remaining_Wh)):
+            (line,) = axes.lines
+            np.testing.assert_allclose(line.get_ydata(), values)
+            assert len(axes.collections) == 1
+        assert "min" in above.get_ylabel()
 
 
 def test_the_page_holds_the_figures(flight, tmp_path):
@@ -43,18 +44,25 @@ def test_the_page_holds_the_figures(flight, tmp_path):
     assert told["end_voltage_V"] == pytest.approx(left.last.end_voltage_V)
 
 
-def test_the_finding_names_time_and_band(flight):
-    _, left = flight
-    assert re.search(r"remaining at the present load \(.* to .*\)\.$", flight_finding(left))
-
-
-def test_whoever_stands_is_told_of_the_usual_load(flight):
+def test_the_finding_names_time_and_band_at_the_usual_load(flight):
     """An hour of flight, then a rest at a small load: 3.9 h at that is no answer."""
     _, left = flight
-    usual = left.typical.last
-    resting = replace(left, load_A=np.append(left.load_A[:-1], 0.05 * usual.load_A))
-    text = flight_finding(resting)
-    assert "at the usual load of" in text
-    assert duration(usual.remaining_s) in text
-    busy = replace(left, load_A=np.append(left.load_A[:-1], 0.5 * usual.load_A))
-    assert "at the present load" in flight_finding(busy)
+    text = flight_finding(left)
+    assert re.search(r"\(.* to .*\) remaining at the usual load of .* A\.$", text)
+    assert duration(left.typical.last.remaining_s) in text
+
+
+def test_a_log_far_off_its_model_is_the_first_line(flight, tmp_path):
+    run, left = flight
+    shifted = replace(run, log=replace(run.log, voltage_V=run.log.voltage_V + 0.5), model=model())
+    shifted = replace(shifted, trace=replace(run.trace, innovation_V=run.trace.innovation_V + 0.5))
+    page = replay_page([shifted], tmp_path / "far.html", flights=[left]).read_text("utf-8")
+    first = re.search(r"<h1>(.*?)</h1>", page)[1]
+    assert "FAR OFF" in first
+    assert "remaining" not in first
+
+
+def test_captions_speak_of_what_is_drawn(flight):
+    run, _ = flight
+    assert "reference" in soc_picture(run).caption
+    assert "reference" not in soc_picture(replace(run, reference_soc=None)).caption

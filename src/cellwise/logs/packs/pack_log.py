@@ -28,6 +28,7 @@ class PackLog:
     balancing : (n, cells) bool or None      the cell's bypass is on
     pack_V : (n,) float or None   voltage of the whole pack [V], where it was measured
     flags : tuple of CellFlag     what is wrong with cells' voltages before any model is asked
+    parallel : int                strings in parallel, of which the current is that of one
 
     Notes
     -----
@@ -41,6 +42,7 @@ class PackLog:
     balancing: BoolArray | None = None
     pack_V: FloatArray | None = None
     flags: tuple[CellFlag, ...] = field(default=())
+    parallel: int = 1
 
     def __len__(self) -> int:
         return len(self.mean)

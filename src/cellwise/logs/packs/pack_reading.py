@@ -165,7 +165,7 @@ def _assembled(
     fields = {c.field for c in TIDY_CHANNELS}
     kept = {field: values for field, values in channels.items() if field in fields}
     mean = assemble(CellLog, RawLog(kept, tuple(notices)), origin, sign, check_sign=check_sign)
-    return PackLog(mean, volts, names, balancing, pack_V, flags)
+    return PackLog(mean, volts, names, balancing, pack_V, flags, source.options.parallel)
 
 
 def _there(

@@ -63,7 +63,7 @@ def log_picture(matrix: Matrix) -> style.Figure:
     style.plain_numbers(axes.xaxis)
     style.finding(axes, _logs_title(matrix))
     style.labels(axes, "settled SOC RMSE [%]", " ")
-    axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5))
+    style.side_legend(axes)
     return figure
 
 
@@ -99,13 +99,13 @@ def fault_picture(matrix: Matrix) -> style.Figure:
 
 @pictured(
     "benchmark-starts",
-    "Left: median time until the error stays within two points for ten minutes, over the "
-    "runs that get there; a hollow mark where some never do. Right: the settled error.",
+    "First: median time until the error stays within two points for ten minutes, over the "
+    "runs that get there; a hollow mark where some never do. Then: the settled error.",
 )
 def start_picture(rows: Rows, matrix: Matrix) -> style.Figure:
     """Two axes over the start error."""
     figure = style.new_figure(3.4)
-    left, right = figure.subplots(1, 2)
+    left, right = style.panels(figure, 1, 2)
     chosen = healthy(rows)
     errors = sorted({float(row["start_error"]) for row in chosen})
     looks = _looks(matrix.estimators)
@@ -132,7 +132,7 @@ def start_picture(rows: Rows, matrix: Matrix) -> style.Figure:
     style.finding(right, _settled_title(matrix), 0.42)
     style.labels(left, "start", "within 2 points after [min]")
     style.labels(right, "start", "settled SOC RMSE [%]")
-    right.legend(loc="center left", bbox_to_anchor=(1.01, 0.5))  # no mark below it
+    style.side_legend(right)  # no mark below it
     return figure
 
 
@@ -208,7 +208,7 @@ def _temperature_picture(rows: Rows, estimators: Sequence[str]) -> style.Figure:
     style.plain_numbers(axes.yaxis)
     style.finding(axes, "Settled error over temperature")
     style.labels(axes, "temperature of the log [°C]", "settled SOC RMSE [%]")
-    axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5))
+    style.side_legend(axes)
     return figure
 
 

@@ -91,7 +91,7 @@ def candidates_picture(diagnosis: Diagnosis) -> style.Figure:
     """Held-out error and evidence of every candidate."""
     tried = sorted(diagnosis.candidates, key=lambda c: _number(c.score, -np.inf))
     figure = style.new_figure(1.1 + 0.24 * max(len(tried), 3))
-    left, right = figure.subplots(1, 2, sharey=True)
+    left, right = style.panels(figure, 1, 2, sharey=True)
     accepted = {c.name for c in diagnosis.causes}
     colours = [style.FILTER if c.name in accepted else style.MEASURED for c in tried]
     place = np.arange(len(tried))

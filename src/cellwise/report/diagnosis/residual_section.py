@@ -74,7 +74,7 @@ def residual_picture(residual: Mapping[str, Any]) -> style.Figure:
     """Six panels of bars."""
     figure = style.new_figure(6.2)
     for axes, (what, groups, name, label) in zip(
-        np.ravel(figure.subplots(2, 3)), panels(residual), strict=True
+        style.panels(figure, 2, 3), panels(residual), strict=True
     ):
         _bars(axes, what, groups, name, label)
     return figure

@@ -65,8 +65,8 @@ def _efficiency(value: float | None) -> str:
 
 @pictured(
     "capacity",
-    "Left: charge that came out at each rate; a fast discharge meets the lower limit early, "
-    "and the remainder flows only while the limit is held. Right: the numbers that could be "
+    "First: charge that came out at each rate; a fast discharge meets the lower limit early, "
+    "and the remainder flows only while the limit is held. Then: the numbers that could be "
     "called the capacity. SOC, OCV and every table refer to the one that is taken, so a wrong "
     "one tilts them all.",
 )
@@ -75,7 +75,7 @@ def capacity_picture(identification: Identification) -> style.Figure:
     rows = capacity_rows(identification)
     longest = max(len(rows), len(identification.capacities))
     figure = style.new_figure(min(1.3 + 0.24 * longest, 5.0))
-    axes = figure.subplots(1, 2 if rows else 1, squeeze=False)[0]
+    axes = style.panels(figure, 1, 2 if rows else 1)
     if rows:
         _draw_rates(axes[0], rows)
     _draw_choices(axes[-1], identification, 0.41 if rows else 0.9)

@@ -100,23 +100,34 @@ def ocv_content(identification: Identification, evidence: OcvEvidence) -> Markup
     )
 
 
-@pictured(
-    "ocv",
-    "Above: the voltage of the cell at rest against its state of charge, on which every "
-    "estimate of SOC leans; where it is flat, voltage says little about charge. Below left: "
-    "how far rests, other forms of function and the refined model are from the chosen "
-    "function. Below right: charge branch minus discharge branch of the slow test, which is "
-    "polarisation and hysteresis together.",
-)
+def _ocv_caption(identification: Identification, evidence: OcvEvidence) -> str:
+    rests = "rests, " if evidence.rests_soc.size else ""
+    text = (
+        "First: the voltage of the cell at rest against its state of charge, on which every "
+        "estimate of SOC leans; where it is flat, voltage says little about charge. Second: how "
+        f"far {rests}other forms of function and the refined model are from the chosen function."
+    )
+    if evidence.curve.gap_V is None:
+        return text
+    return (
+        f"{text} Third: charge branch minus discharge branch of the slow test, which is "
+        "polarisation and hysteresis together."
+    )
+
+
+@pictured("ocv", _ocv_caption)
 def ocv_picture(identification: Identification, evidence: OcvEvidence) -> style.Figure:
     """Three panels: the curve, deviations from it, the gap between the branches."""
     has_gap = evidence.curve.gap_V is not None
-    figure = style.new_figure(5.6)
-    grid = figure.add_gridspec(2, 2 if has_gap else 1, height_ratios=(1.6, 1.0))
-    _draw_curve(figure.add_subplot(grid[0, :]), evidence)
-    _draw_deviation(figure.add_subplot(grid[1, 0]), identification, evidence)
+    stacked = not has_gap or style.on_phone()
+    figure = style.new_figure(9.0 if has_gap and stacked else 5.6)
+    plan = ("AA;BC" if not stacked else "A;B;C") if has_gap else "A;B"
+    heights = (1.6, 1.0, 1.0)[: plan.count(";") + 1]
+    parts = figure.subplot_mosaic(plan, height_ratios=heights)
+    _draw_curve(parts["A"], evidence)
+    _draw_deviation(parts["B"], identification, evidence)
     if has_gap:
-        _draw_gap(figure.add_subplot(grid[1, 1]), evidence.curve)
+        _draw_gap(parts["C"], evidence.curve)
     return figure
 
 

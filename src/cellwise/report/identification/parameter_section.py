@@ -34,6 +34,7 @@ NAMES = {
 
 # Beyond this ratio of largest to smallest a table is drawn over a logarithmic axis.
 LOG_FROM = 5.0
+VAGUE = 0.5  # two standard errors as a share: beyond, other values do nearly as well
 MIDDLE = 0.5  # SOC at which a panel's title states the value
 REFINED_CAPTION = (
     ", refined on whole logs, with a band of two standard errors. They need not meet: a short "
@@ -127,13 +128,12 @@ def pulse_values(found: TemperatureResult, name: str) -> PulseValues | None:
     return PulseValues(soc, value, error, discharge, known & np.isfinite(value) & (value > 0.0))
 
 
-def shown_names(identification: Identification) -> tuple[tuple[str, ...], ...]:
-    """Rows of panels: the resistances and the branches that the model has."""
-    rows: list[tuple[str, ...]] = [("r0_ohm", "dc_ohm", "")]
-    rows += [(f"r{j}_ohm", f"tau{j}_s", f"c{j}_F") for j in (1, 2)]
-    if model_table(identification.model, "r3_ohm", 0) is not None:
-        rows.append(("r3_ohm", "tau3_s", "c3_F"))
-    return tuple(rows)
+def shown_names(identification: Identification) -> tuple[str, ...]:
+    """Panels, three a row: the resistances, then the branches that the model has."""
+    slow = model_table(identification.model, "r3_ohm", 0) is not None
+    branches = (1, 2, 3) if slow else (1, 2)
+    rows = [(f"r{j}_ohm", f"tau{j}_s", f"c{j}_F") for j in branches]
+    return ("r0_ohm", "dc_ohm", "", *(name for row in rows for name in row))
 
 
 def parameter_picture(identification: Identification) -> Picture:
@@ -147,23 +147,20 @@ def parameter_picture(identification: Identification) -> Picture:
 @pictured(
     "parameters",
     "R₀ is the drop at once, the RC branches are what follows within seconds (1), minutes (2) "
-    "and longer (3). Marks, if any, are single pulses with one standard error (▼ discharge, "
+    "and longer (3). Marks, if any, are single pulses with two standard errors (▼ discharge, "
     "▲ charge; pale where the pulse does not show the parameter), lines are the tables in "
     "the model",
 )
 def _parameter_picture(identification: Identification) -> style.Figure:
     """A grid of panels, one per parameter, resistance first."""
-    rows = shown_names(identification)
-    figure = style.new_figure(0.3 + 2.0 * len(rows))
-    grid = figure.add_gridspec(len(rows), 3)
-    for i, names in enumerate(rows):
-        for j, name in enumerate(names):
-            axes = figure.add_subplot(grid[i, j])
-            if name:
-                _draw_parameter(axes, identification, name)
-                style.soc_axis(axes, label=i == len(rows) - 1)
-            else:
-                _draw_key(axes, identification)
+    names = shown_names(identification)
+    figure = style.new_figure(0.3 + 2.0 * len(names) / 3)
+    for axes, name in zip(style.panels(figure, len(names) // 3, 3), names, strict=True):
+        if name:
+            _draw_parameter(axes, identification, name)
+            style.soc_axis(axes, label=name in names[-3:])
+        else:
+            _draw_key(axes, identification)
     return figure
 
 
@@ -226,7 +223,8 @@ def _draw_parameter(axes: style.Axes, identification: Identification, name: str)
     where = f", {celsius(float(model.temperature_C[reference]))}" if many else ""
     title = f"{NAMES[name]} = {significant(factor * middle)} {unit}"
     if np.isfinite(error_at_middle):
-        title += f" ± {percent(2.0 * error_at_middle, 0)}"
+        vague = ", hardly determined," if 2.0 * error_at_middle > VAGUE else ""
+        title += f" ± {percent(2.0 * error_at_middle, 0)}{vague}"
     style.finding(axes, f"{title} at {percent(MIDDLE, 0)}{where}", 0.27)
     style.labels(axes, "SOC [%]", f"{NAMES[name]} [{unit}]")
 
@@ -241,7 +239,7 @@ def _draw_pulse_values(
         x, y = 100.0 * values.soc, factor * values.value
         axes.plot(x[vague], y[vague], marker, alpha=0.28, **looks)
         x, y = x[sure], y[sure]
-        error = np.nan_to_num(factor * values.error[sure], nan=0.0, posinf=0.0)
+        error = np.nan_to_num(2.0 * factor * values.error[sure], nan=0.0, posinf=0.0)
         error = np.minimum(error, 0.9 * y)
         # All bars as one broken line: a hundred times smaller than as many lines.
         bars = np.column_stack((y - error, y + error, np.full(x.size, np.nan)))

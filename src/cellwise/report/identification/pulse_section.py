@@ -143,9 +143,7 @@ def _draw_set(axes: style.Axes, found: PulseSet, temperature_C: float, capacity_
     style.finding(axes, f"{name}, {celsius(temperature_C)}: {verdict_counts(counted)}")
     style.labels(axes, "SOC [%]", "current [A], + discharge")
     axes.margins(y=0.15)
-    handles, names = axes.get_legend_handles_labels()
-    if handles:
-        axes.legend(handles, names, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    style.side_legend(axes)
 
 
 BEFORE_PART, AFTER_PARTS = 0.4, 3.6

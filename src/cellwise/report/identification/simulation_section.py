@@ -40,7 +40,7 @@ def worst_logs(simulations: Sequence[Simulation]) -> list[int]:
 
 def simulation_content(simulations: Sequence[Simulation]) -> Markup:
     """Error metrics of every log, and by tenth of SOC."""
-    text = "Measured minus simulated voltage. 95 % interval: mean ± 1.96 sd."
+    text = "Measured minus simulated voltage. 95 % interval: 1.96 sd to either side of the mean."
     if len(simulations) > MOST.simulations:
         text += f" Pictures show the {MOST.simulations} logs with the largest errors."
     figures = record_table(
@@ -77,7 +77,7 @@ def _band_table(simulations: Sequence[Simulation]) -> Markup:
 @pictured(
     "simulation",
     "Left: measured voltage (grey), the model's (vermillion) from the current alone, and the "
-    "residual. Right: the minutes above 10 % SOC where the model is worst, with their "
+    "residual. Then: the minutes above 10 % SOC where the model is worst, with their "
     "current; below, the error over SOC – mean, and the band that holds 95 % of it.",
 )
 def simulation_picture(simulation: Simulation) -> style.Figure:

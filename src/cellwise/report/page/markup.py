@@ -88,8 +88,12 @@ def table(
     caption: str = "",
     marked: int | None = None,
     text_columns: Iterable[int] = (0,),
+    sortable: bool = False,
 ) -> Markup:
-    """A table; columns hold numbers but for ``text_columns``; one row may be marked."""
+    """A table; columns hold numbers but for ``text_columns``; one row may be marked.
+
+    ``sortable``: a click on a column's head puts the rows in its order.
+    """
     text = set(text_columns)
 
     def cells(row: Sequence[object], tag: str) -> str:
@@ -99,13 +103,14 @@ def table(
         )
 
     mark = ' class="marked"'
-    many = ' class="many"' if len(head) > MOST.columns else ""
+    kinds = ["many"] * (len(head) > MOST.columns) + ["sort"] * sortable
+    kind = f' class="{" ".join(kinds)}"' if kinds else ""
     body = "".join(
         f"<tr{mark if k == marked else ''}>{cells(row, 'td')}</tr>\n" for k, row in enumerate(rows)
     )
     note = paragraph(caption, "note") if caption else ""
     return Markup(
-        f'{note}<div class="scroll"><table{many}><thead><tr>{cells(head, "th")}</tr></thead>\n'
+        f'{note}<div class="scroll"><table{kind}><thead><tr>{cells(head, "th")}</tr></thead>\n'
         f"<tbody>\n{body}</tbody></table></div>"
     )
 
@@ -174,7 +179,11 @@ def page(
         if inside
     )
     parts = "\n".join(section(key, name, inside) for key, name, _, inside in sections if inside)
-    use = paragraph(USE, "about") if scripts else EMPTY
+    zooms = any("<figure " in inside or 'class="trace"' in inside for *_, inside in sections)
+    said = [USE] if scripts and zooms else []
+    if any("±" in text for text in (finding, lead, parts)):
+        said.append("± and bands are two standard deviations.")
+    use = paragraph(" ".join(said), "about") if said else EMPTY
     programs = "\n".join(f"<script>{program}</script>" for program in scripts)
     return f"""<!DOCTYPE html>
 <html lang="en">

@@ -76,13 +76,20 @@ def duration_range(low_s: float, high_s: float) -> str:
     if not (math.isfinite(low_s) and math.isfinite(high_s)):
         return f"{duration(low_s)} to {duration(high_s)}"
     scale, unit = time_unit(high_s)
-    low, high = (significant(x / scale, 2 if x < 100.0 * scale else 3) for x in (low_s, high_s))
-    return f"{low} to {high}{SPACE}{unit}"
+    return f"{spanned(low_s / scale, high_s / scale, 2)}{SPACE}{unit}"
+
+
+def spanned(low: float, high: float, digits: int = 3) -> str:
+    """Two numbers as ``0.1 to 6.7``: so many digits of the larger one, the other no finer."""
+    larger = max(abs(low), abs(high))
+    power = math.floor(math.log10(larger)) if 0.0 < larger < math.inf else 0
+    places = max(digits - 1 - power, 0)
+    return _minus(f"{round(low, places):g} to {round(high, places):g}")
 
 
 def celsius(temperature_C: float) -> str:
     """A temperature as ``−10 °C``."""
-    return _minus(f"{temperature_C:g}{SPACE}°C")
+    return _minus(f"{round(temperature_C, 1):g}{SPACE}°C")
 
 
 def time_unit(seconds: float) -> tuple[float, str]:

@@ -7,7 +7,7 @@ import json
 import re
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from typing import Any, NamedTuple, ParamSpec
 
@@ -18,7 +18,7 @@ from cellwise.files import made_folder, write_atomically
 from cellwise.logs.cell_log import CellLog
 from cellwise.report.page import style
 from cellwise.report.page.jumps import clock_of
-from cellwise.report.page.markup import Markup, escape
+from cellwise.report.page.markup import Markup, details, escape
 
 P = ParamSpec("P")
 
@@ -38,14 +38,17 @@ VARIABLES = {
 class Picture(NamedTuple):
     """A figure, its file name without suffix, and what a newcomer should see in it.
 
-    ``clock`` names the log whose time since its first row the first axes show, if they do: plots of
-    one clock have one cursor.
+    ``draw`` draws it again, for a phone. ``clock`` names the log whose time since its first row the
+    first axes show, if they do: plots of one clock have one cursor. ``fold``: what a page shows of
+    it until it is opened; nothing: it is open.
     """
 
     key: str
     figure: style.Figure
     caption: str
+    draw: Callable[[], style.Figure]
     clock: str = ""
+    fold: str = ""
 
     def of(self, log: CellLog, key: str = "") -> Picture:
         """The same picture as one of a log, over its time, with a key that carries its name."""
@@ -53,14 +56,20 @@ class Picture(NamedTuple):
         return self._replace(key=key, clock=clock_of(log))
 
 
-def pictured(key: str, caption: str) -> Callable[[Callable[P, style.Figure]], Callable[P, Picture]]:
-    """Decorator: what draws a figure gives a picture of this key and caption, drawn in style."""
+def pictured(
+    key: str, caption: str | Callable[..., str]
+) -> Callable[[Callable[P, style.Figure]], Callable[P, Picture]]:
+    """Decorator: what draws a figure gives a picture of this key and caption, drawn in style.
+
+    A caption that depends on what is drawn is a function of the same arguments.
+    """
 
     def decorate(draw: Callable[P, style.Figure]) -> Callable[P, Picture]:
         @wraps(draw)
         def inside(*args: P.args, **kwargs: P.kwargs) -> Picture:
+            text = caption if isinstance(caption, str) else caption(*args, **kwargs)
             with style.drawing():
-                return Picture(key, draw(*args, **kwargs), caption)
+                return Picture(key, draw(*args, **kwargs), text, partial(draw, *args, **kwargs))
 
         return inside
 
@@ -130,20 +139,30 @@ def save_figures(
 
 
 def inline(picture: Picture) -> Markup:
-    """The picture as an HTML figure: SVG in the page's own colours that zooms, caption below."""
+    """The picture as an HTML figure: SVG in the page's own colours that zooms, caption below.
+
+    A narrow window takes the SVG of the template, which is drawn for it.
+    """
     key = f"figure-{safe_key(picture.key)}"
-    title = _main_title(picture.figure)
     with style.drawing(closely=True):
-        _prepare(picture.figure, PAGE_POINTS)
-        with marked_axes(picture.figure) as axes:
-            text = _svg(picture.figure)
-    svg = _for_page(rounded(marked(text)), key, title)
+        axes, svg = _zooming(picture.figure, key, PAGE_POINTS)
+    with style.drawing(phone=True):
+        narrow_axes, narrow_svg = _zooming(picture.draw(), f"{key}-phone", VECTOR_POINTS)
     clock = f' data-clock="{escape(picture.clock)}"' if picture.clock else ""
-    return Markup(
-        f'<figure id="{key}"{clock} data-axes="{escape(axes_attribute(axes))}">\n<div>{svg}'
-        f'<p class="readout"></p></div>\n'
+    shown = Markup(
+        f'<figure id="{key}"{clock} data-axes="{axes}">\n<div>{svg}</div>'
+        f'<template data-axes="{narrow_axes}">{narrow_svg}</template><p class="readout"></p>\n'
         f"<figcaption>{escape(picture.caption)}</figcaption>\n</figure>"
     )
+    return details(picture.fold, shown) if picture.fold else shown
+
+
+def _zooming(figure: style.Figure, key: str, most: int) -> tuple[str, str]:
+    """What the script must know of a figure's axes, as an attribute, and the figure as SVG."""
+    _prepare(figure, most)
+    with marked_axes(figure) as axes:
+        text = _svg(figure)
+    return escape(axes_attribute(axes)), _for_page(rounded(marked(text)), key, _main_title(figure))
 
 
 def safe_key(text: str) -> str:

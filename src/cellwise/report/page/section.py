@@ -60,7 +60,8 @@ def write_page(
 
 
 # What a page holds that needs the program.
-NEEDED_BY = {"zoom.js": "<figure ", "interactive.js": '<div class="trace"'}
+NEEDED_BY = {"zoom.js": "<figure ", "interactive.js": '<div class="trace"',
+             "sort.js": 'sort"><thead'}  # fmt: skip
 
 
 def scripts_for(parts: Iterable[str]) -> list[Markup]:

@@ -38,6 +38,8 @@ INK, MUTED, GRID, PAPER = "#1f2329", "#57606b", "#dfe3e8", "#fefefe"
 TINTS = ("#cde8dd", "#e7efc9", "#fbe3c0", "#f4c9b0")
 
 WIDTH_IN = 10.0
+# A page has each picture twice: as wide as it is, and for a phone, whose text would be 7 px high.
+PHONE_IN, PHONE_HEIGHT = 4.0, 0.9
 # Shares of the figure's width that titles over the wide and the narrow of two columns may take.
 WIDE, NARROW = 0.575, 0.265
 RASTER_DPI = 150
@@ -46,10 +48,11 @@ CLOSELY: Any = {"path.simplify_threshold": 0.02}
 
 
 @contextmanager
-def drawing(*, closely: bool = False) -> Iterator[None]:
+def drawing(*, closely: bool = False, phone: bool = False) -> Iterator[None]:
     """The style while a picture is made or written; other settings do not change.
 
-    ``closely`` keeps what is finer than a screen shows, for pictures that zoom.
+    ``closely`` keeps what is finer than a screen shows, for pictures that zoom; ``phone`` draws
+    for a narrow window: what else is side by side then stands one below the other.
 
     Raises
     ------
@@ -63,8 +66,16 @@ def drawing(*, closely: bool = False) -> Iterator[None]:
             "the extra 'report'",
             "Install it: pip install 'cellwise[report]'",
         ) from error
-    with matplotlib.rc_context(_rc() | CLOSELY if closely else _rc()):
+    width: Any = {"figure.figsize": (PHONE_IN if phone else WIDTH_IN, 1.0)}
+    with matplotlib.rc_context(_rc() | width | (CLOSELY if closely else {})):
         yield
+
+
+def on_phone() -> bool:
+    """Whether a picture is being drawn for a narrow window."""
+    from matplotlib import rcParams
+
+    return bool(rcParams["figure.figsize"][0] == PHONE_IN)
 
 
 @functools.cache
@@ -76,13 +87,14 @@ def _rc() -> Any:
         return dict(rc_params_from_file(place, use_default_template=False))
 
 
-def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:
+def new_figure(height_in: float) -> Figure:
     """An empty figure whose parts find their own places."""
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     engine = ConstrainedLayoutEngine(w_pad=0.06, h_pad=0.06, wspace=0.03, hspace=0.02)
-    return Figure(figsize=(width_in, height_in), layout=engine)
+    size = (PHONE_IN, PHONE_HEIGHT * height_in) if on_phone() else (WIDTH_IN, height_in)
+    return Figure(figsize=size, layout=engine)
 
 
 def two_columns(
@@ -92,7 +104,11 @@ def two_columns(
 
     Each column takes its rows' places for itself, so labels in one leave no hole in the other.
     """
-    parts: Any = figure.subfigures(1, 2, width_ratios=(share, 1.0 - share))
+    if on_phone():
+        figure.set_figheight(1.5 * figure.get_figheight())
+        parts: Any = figure.subfigures(2, 1, height_ratios=(0.6, 0.4))
+    else:
+        parts = figure.subfigures(1, 2, width_ratios=(share, 1.0 - share))
     columns: list[list[Axes]] = []
     for part, heights in zip(parts, (left, right), strict=True):
         part.set_facecolor("none")
@@ -101,9 +117,18 @@ def two_columns(
     return columns[0], columns[1]
 
 
-def finding(axes: Axes, text: str, share: float = 0.9, width_in: float = WIDTH_IN) -> None:
+def panels(figure: Figure, rows: int, columns: int, **options: Any) -> list[Axes]:
+    """Axes row by row, of equal size; ``options`` as of `Figure.subplots`."""
+    if on_phone():
+        figure.set_figheight(columns * figure.get_figheight())
+        rows, columns = rows * columns, 1
+    return list(figure.subplots(rows, columns, squeeze=False, **options).flat)
+
+
+def finding(axes: Axes, text: str, share: float = 0.9) -> None:
     """Title of an axes that may take ``share`` of the figure's width: what was found, wrapped."""
-    axes.set_title("\n".join(wrapped(text, 72.0 * width_in * share)))
+    width_in = 0.72 * PHONE_IN if on_phone() else share * WIDTH_IN
+    axes.set_title("\n".join(wrapped(text, 72.0 * width_in)))
 
 
 def wrapped(text: str, width_pt: float) -> list[str]:
@@ -143,6 +168,15 @@ def legend(axes: Axes, *, columns: int = 1, place: str = "best") -> None:
     handles, names = axes.get_legend_handles_labels()
     if handles:
         axes.legend(handles, names, ncols=columns, loc=cast(Any, place)).set_zorder(6)
+
+
+def side_legend(axes: Axes) -> None:
+    """A legend beside the axes, where nothing is drawn; on a phone below its label."""
+    handles, names = axes.get_legend_handles_labels()
+    if handles and on_phone():
+        axes.legend(handles, names, loc="upper left", bbox_to_anchor=(0.0, -0.3), ncols=2)
+    elif handles:
+        axes.legend(handles, names, loc="center left", bbox_to_anchor=(1.01, 0.5))
 
 
 def zero_line(axes: Axes) -> None:

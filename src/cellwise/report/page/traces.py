@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cellwise.report.page import style
 from cellwise.typing import BoolArray, FloatArray
 
-COLUMNS, BAND_COLUMNS = 900, 300  # of pixels: of a line, of a band
+COLUMNS, PHONE_COLUMNS, BAND_COLUMNS = 900, 300, 300  # of pixels: of a line, of a band
 
 
 def thin_rows(x: FloatArray, y: FloatArray, columns: int = COLUMNS) -> NDArray[np.intp]:
@@ -48,20 +48,21 @@ def thin_rows(x: FloatArray, y: FloatArray, columns: int = COLUMNS) -> NDArray[n
 
 
 def thin(
-    x: FloatArray, y: FloatArray, columns: int = COLUMNS, gaps: BoolArray | None = None
+    x: FloatArray, y: FloatArray, columns: int = 0, gaps: BoolArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """A trace to draw: extremes kept, broken where the log has a gap.
 
     Parameters
     ----------
     x, y : (n,) float         see :func:`thin_rows`
+    columns : int             as of it; 0: as the picture is wide
     gaps : (n,) bool or None  rows that end a gap
 
     Returns
     -------
     x, y : (m,) float
     """
-    rows = thin_rows(x, y, columns)
+    rows = thin_rows(x, y, columns or (PHONE_COLUMNS if style.on_phone() else COLUMNS))
     if gaps is None or not gaps.any():
         return x[rows], y[rows]
     passed = np.cumsum(gaps)

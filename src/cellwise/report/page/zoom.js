@@ -315,12 +315,27 @@
       upright ? wide : Math.abs(at.x - end.x), level ? tall : Math.abs(at.y - end.y)];
   }
 
+  // A narrow window has the picture that is drawn for it.
+  const narrow = matchMedia("(max-width: 700px)");
   for (const figure of document.querySelectorAll("figure[data-axes]")) {
-    const svg = figure.querySelector("svg");
-    svg.setAttribute("tabindex", "0");
+    const fit = figure.querySelector("template"), wide = figure.querySelector("svg");
+    const drawn = [[wide, figure.dataset.axes], [fit.content.firstElementChild, fit.dataset.axes]];
     let begun = false;
     const begin = () => { if (!begun) { begun = true; start(figure); } };
-    for (const kind of ["pointerenter", "focus"]) svg.addEventListener(kind, begin);
+    for (const [svg] of drawn) {
+      svg.setAttribute("tabindex", "0");
+      for (const kind of ["pointerenter", "focus"]) svg.addEventListener(kind, begin);
+    }
+    const dress = () => {
+      const [svg, axes] = drawn[+narrow.matches];
+      if (svg.isConnected) return;
+      figure.querySelector("svg").replaceWith(svg);
+      figure.dataset.axes = axes;
+      figure.classList.toggle("fit", narrow.matches);
+      begun = false;
+    };
+    narrow.addEventListener("change", dress);
+    dress();
     // The first event of another plot of the same log begins this one, which then hears it, too.
     if (figure.dataset.clock)
       for (const kind of ["cellwise-point", "cellwise-look"])

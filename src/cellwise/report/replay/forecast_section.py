@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -21,15 +22,16 @@ from cellwise.report.page.numerals import (
     percent,
     points,
     significant,
+    spanned,
     time_unit,
 )
 from cellwise.report.page.picture import pictured, safe_key
-from cellwise.report.page.section import Section
+from cellwise.report.page.section import Blocks, Section
 from cellwise.report.page.traces import thin, thin_band
 
-# Of the usual load below which one stands, and does not ask for how long; times the median time
-# beyond which the picture leaves out.
-STANDING, IDLE = 0.2, 4.0
+# Times the median time beyond which the picture at the load of the last minute leaves out: a
+# vehicle that stands would last for hours.
+IDLE = 4.0
 FORECAST_EXPLAINED = (
     "From the filter's state of charge and the relaxation that the log's own current left, the "
     "model goes on until the terminal voltage reaches its cutoff or the charge ends. Energies and "
@@ -39,24 +41,28 @@ FORECAST_EXPLAINED = (
 
 def flight_finding(flight: Flight) -> str:
     """The first line of a flight's page."""
-    now, load = flight.last, "the present load"
-    usual = flight.typical
-    if usual is not None and now.load_A < STANDING * usual.last.load_A:
-        now, load = usual.last, f"the usual load of {significant(usual.last.load_A)} A"
+    now = (flight.typical or flight).last
     return (
         f"At {duration(now.time_s)} the cells are at {percent(now.soc, 0)}: "
-        f"{duration(now.remaining_s)} remaining at {load} "
-        f"({duration_range(*now.remaining_s_band)})."
+        f"{duration(now.remaining_s)} ({duration_range(*now.remaining_s_band)}) remaining at the "
+        f"usual load of {significant(now.load_A)} A."
     )
 
 
 def flight_section(flights: Sequence[Flight]) -> Section:
     """Pictures of all flights, then their figures."""
-    pictures = [
-        flight_picture(f)._replace(key=f"flight-{k + 1}-{safe_key(f.name or 'log')}")
-        for k, f in enumerate(flights)
+    named = [(f, f"{k + 1}-{safe_key(f.name or 'log')}") for k, f in enumerate(flights)]
+    pictures = [flight_picture(f)._replace(key=f"flight-{key}") for f, key in named]
+    folded = [
+        present_picture(f)._replace(
+            key=f"present-{key}",
+            fold="The same at the load of the last minute"
+            + (f", {f.name}" if len(flights) > 1 else ""),
+        )
+        for f, key in named
     ]
-    return Section("left", "Remaining time and energy", (*pictures, flight_content(flights)))
+    blocks: Blocks = (*pictures, flight_content(flights), *folded)
+    return Section("left", "Remaining time and energy", blocks)
 
 
 def flight_content(flights: Sequence[Flight]) -> Markup:
@@ -64,9 +70,9 @@ def flight_content(flights: Sequence[Flight]) -> Markup:
     rows = []
     for flight in flights:
         name = f"{flight.name or 'log'}, " if len(flights) > 1 else ""
-        rows.append((f"{name}present load", *_figures(flight.last)))
         if flight.typical is not None:
-            rows.append((f"{name}median load", *_figures(flight.typical.last)))
+            rows.append((f"{name}usual load", *_figures(flight.typical.last)))
+        rows.append((f"{name}last minute", *_figures(flight.last)))
         if flight.given is not None:
             after = duration(flight.given.time_s)
             rows.append((f"{name}given load, after {after}", *_figures(flight.given)))
@@ -78,12 +84,11 @@ def flight_content(flights: Sequence[Flight]) -> Markup:
 
 
 def _figures(now: Forecast) -> tuple[str, ...]:
-    least, most = (significant(x) for x in now.remaining_Wh_band)
     return (
         f"{significant(now.load_A)} A, {significant(now.load_W)} W",
         f"{points(now.soc)} ± {percent(2.0 * now.soc_std, 1)}",
         f"{duration(now.remaining_s)} ({duration_range(*now.remaining_s_band)})",
-        f"{significant(now.remaining_Wh)} Wh ({least} to {most})",
+        f"{significant(now.remaining_Wh)} Wh ({spanned(*now.remaining_Wh_band)})",
         f"{now.end_voltage_V:.3f} V",
         percent(now.end_soc, 1),
         now.by,
@@ -92,14 +97,30 @@ def _figures(now: Forecast) -> tuple[str, ...]:
 
 @pictured(
     "flight",
-    "At every moment: how long each cell would last, and what energy it would still give, if the "
-    "mean load of the last minute went on, with the band that two standard deviations of the state "
-    "of charge, the capacity, the model's voltage and the cell's warming leave. A load that "
-    "changes moves the curves; a converging filter narrows the band. What is more than four times "
-    "the median is cut off.",
+    "At every moment: how long each cell would last, and what energy it would still give, at the "
+    "log's usual load, the mean while it is under way. The band is what two standard deviations of "
+    "the state of charge, the capacity, the model's voltage and the cell's warming leave; its "
+    "lower edge is where the load's usual peaks first press the voltage to the cutoff. It takes "
+    "the load to stay: one twice as large leaves about half.",
 )
 def flight_picture(flight: Flight) -> style.Figure:
-    """Time and energy left over the log, with bands."""
+    """Time and energy left over the log at the usual load, with bands."""
+    shown = flight.typical or flight
+    return _drawn(shown, f"at the usual {significant(shown.last.load_A)} A", math.inf)
+
+
+@pictured(
+    "present",
+    "At every moment, if the mean load of the last minute went on: a load that changes moves the "
+    "curves. What is more than four times the median is cut off.",
+)
+def present_picture(flight: Flight) -> style.Figure:
+    """Time and energy left over the log at the load of each moment, with bands."""
+    return _drawn(flight, "at the load of the last minute", IDLE)
+
+
+def _drawn(flight: Flight, load: str, most: float) -> style.Figure:
+    """Both over the log; what is more than ``most`` times the median is cut off."""
     figure = style.new_figure(4.2)
     above, below = figure.subplots(2, 1, sharex=True)
     scale, unit = time_unit(float(flight.time_s[-1]) or 1.0)
@@ -113,15 +134,14 @@ def flight_picture(flight: Flight) -> style.Figure:
         looks: dict[str, Any] = {"color": style.FILTER, "alpha": 0.25, "linewidth": 0}
         low, high = band[known].T
         axes.fill_between(t[known], low, high, label="2 standard deviations", **looks)
-        axes.plot(
-            t[known], values[known], color=style.FILTER, label="at the load of the last minute"
-        )
+        axes.plot(t[known], values[known], color=style.FILTER, label=load)
         style.labels(axes, f"time [{unit}]" if axes is below else "", name)
-        # A vehicle that stands would last for hours: the picture is for when it moves.
         tallest = max(float(np.max(band[known, 1], initial=0.0)), 1e-9)
-        usual = IDLE * float(np.median(values[known])) if known.any() else tallest
-        axes.set_ylim(0.0, 1.05 * (min(tallest, usual) or tallest))
-    style.finding(above, flight_finding(flight))
+        usual = float(np.median(values[known])) if known.any() else 0.0
+        axes.set_ylim(0.0, 1.05 * (min(tallest, most * usual) if usual else tallest))
+    now = flight.last
+    left = f"{duration(now.remaining_s)} ({duration_range(*now.remaining_s_band)})"
+    style.finding(above, f"{left} left at the end, {load}")
     style.legend(below)
     return figure
 
@@ -140,9 +160,8 @@ def power_section(replays: Sequence[Replay]) -> Section:
     known = [(r, r.power) for r in replays if r.power is not None]
     pictures = []
     for k, (r, power) in enumerate(known):
-        picture = power_picture(r, power).of(r.log, f"power-{k + 1}-{safe_key(r.estimator)}")
-        horizon = power.horizons_s[usual(power)]
-        pictures.append(picture._replace(caption=picture.caption.format(horizon=horizon)))
+        key = f"power-{k + 1}-{safe_key(r.estimator)}"
+        pictures.append(power_picture(r, power).of(r.log, key))
     tables = [power_content(r, power, several=len(known) > 1) for r, power in known]
     return Section("power", "State of power", (*pictures, *tables))
 
@@ -171,12 +190,15 @@ def usual(power: PowerTrace) -> int:
     return int(np.argmin([abs(h - USUAL_S) for h in power.horizons_s]))
 
 
-@pictured(
-    "power",
-    "At every moment: the power that the cell can give (above zero) and take (below) for "
-    "{horizon:g} s within its limits, each with the band down to what it sustains with 95 %; grey "
-    "is the power that was measured.",
-)
+def _power_caption(_: Replay, power: PowerTrace) -> str:
+    return (
+        "At every moment: the power that the cell can give (above zero) and take (below) for "
+        f"{power.horizons_s[usual(power)]:g} s within its limits, each with the band down to what "
+        "it sustains with 95 %; grey is the power that was measured."
+    )
+
+
+@pictured("power", _power_caption)
 def power_picture(replay: Replay, power: PowerTrace) -> style.Figure:
     """Power limits over the log, charge below zero, and the measured power."""
     j = usual(power)

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from cellwise.cell.plausibility.far_off import OTHER
 from cellwise.cell.simulate import Simulation
 from cellwise.errors import InputError
 from cellwise.estimate.replay import Replay
 from cellwise.forecast.remaining import Flight
+from cellwise.logs.checks.grave import is_grave
 from cellwise.report.findings import replay_finding, simulation_finding
 from cellwise.report.identification.simulation_section import (
     simulation_content,
@@ -18,11 +20,11 @@ from cellwise.report.page.interactive import HasPanels, trace_section
 from cellwise.report.page.jumps import clock_of, linked
 from cellwise.report.page.markup import MOST, Markup, escape, lead_of, paragraph, tiles
 from cellwise.report.page.numerals import (
+    capitalised,
     listed,
     millivolt,
     percent,
     points,
-    significant,
 )
 from cellwise.report.page.picture import FigureFiles
 from cellwise.report.page.section import Blocks, Section, write_page
@@ -31,6 +33,7 @@ from cellwise.report.replay.replay_section import (
     reached,
     replay_content,
     replay_pictures,
+    soc_at_end,
 )
 
 
@@ -59,14 +62,13 @@ def replay_page(
     if not replays:
         raise InputError("no replay for the page", "at least one", "Replay a log first.")
     names = list(dict.fromkeys(clock_of(r.log) for r in replays))
-    first, *lines = (replay_finding(r) for r in replays)
+    lines = [replay_finding(r) for r in replays]
     if simulations:
         lines.append(simulation_finding(simulations))
-    if flights and replays[0].reference_soc is None:  # remaining time and energy come first then
-        lines.insert(0, first)
-        first = flight_finding(flights[0])
-    elif flights:
-        lines.append(flight_finding(flights[0]))
+    if flights:  # remaining time and energy come first where the estimate cannot be judged
+        place = 0 if replays[0].reference_soc is None else len(lines)
+        lines.insert(place, flight_finding(flights[0]))
+    lines = [*filter(None, (warning(r) for r in replays)), *lines]
     sections = list(replay_sections(replays, simulations))
     if flights:
         sections.insert(0, flight_section(flights))
@@ -82,13 +84,22 @@ def replay_page(
         data["flights"] = [{"log": f.name, **f.to_dict()} for f in flights]
     return write_page(
         path,
-        first,
+        lines[0],
         f"State of charge on {listed(names)}, by cellwise",
         sections,
         data,
-        lead=lead_of(noticed(replays, simulations, flights), replay_tiles(replays[0]), lines),
+        lead=lead_of(noticed(replays, simulations, flights), replay_tiles(replays[0]), lines[1:]),
         figures=figures,
     )
+
+
+def warning(replay: Replay) -> str | None:
+    """What makes all else on the page useless, as its first line; None: nothing does."""
+    grave = next((n for n in replay.log.notices if is_grave(n)), None)
+    if grave is not None:
+        return f"{capitalised(grave)}."
+    far_off = replay.far_off
+    return far_off and f"{far_off.partition(f': {OTHER}')[0]}: neither SOC nor time can be used."
 
 
 def noticed(
@@ -131,7 +142,7 @@ def replay_tiles(replay: Replay) -> Markup:
     """Key figures of a replay."""
     facts: list[tuple[object, object]] = [
         ("initial SOC", points(replay.start.soc)),
-        ("final SOC", points(float(replay.trace.soc[-1]))),
+        ("final SOC", soc_at_end(replay)),
     ]
     settled = replay.settled
     if settled is not None:
@@ -140,8 +151,4 @@ def replay_tiles(replay: Replay) -> Markup:
             ("settled SOC RMSE", percent(settled.rmse)),
             ("error inside 2σ", percent(replay.coverage_2sigma, 1)),
         ]
-    facts += [
-        ("voltage prediction RMSE", millivolt(replay.voltage_rmse_V)),
-        ("per step", f"{significant(replay.ns_per_step)} ns"),
-    ]
-    return tiles(facts)
+    return tiles([*facts, ("voltage prediction RMSE", millivolt(replay.voltage_rmse_V))])

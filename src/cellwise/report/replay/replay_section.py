@@ -14,6 +14,7 @@ from cellwise.report.page.jumps import clock_of
 from cellwise.report.page.log_figures import time_axis
 from cellwise.report.page.markup import MOST, Markup, paragraph, table
 from cellwise.report.page.numerals import (
+    NONE,
     counted,
     duration,
     millivolt,
@@ -26,11 +27,7 @@ from cellwise.report.page.picture import Picture, pictured, safe_key
 from cellwise.report.page.traces import robust_limit, symmetric_limits, thin, thin_band
 from cellwise.typing import FloatArray
 
-MOST_DETAILED = 4
-COUNTING_CAPTION = (
-    " Counting charge alone keeps its initial error; a filter that also uses the voltage corrects "
-    "it."
-)
+ASIDE = 0.3  # of a standard deviation: more is worth a word
 
 
 def replay_pictures(replays: Sequence[Replay], prefix: str = "replay") -> tuple[Picture, ...]:
@@ -56,20 +53,23 @@ def comparison_pictures(replays: Sequence[Replay], prefix: str = "replay") -> tu
     for k, group in enumerate(groups.values()):
         if len(group) > 1:
             picture = comparison_picture(group).of(group[0].log, f"{prefix}-comparison")
-            # Counting is spoken of only where it is among them, beside a filter.
-            counting = {r.estimator == "coulomb" for r in group}
-            caption = picture.caption + (COUNTING_CAPTION if len(counting) == 2 else "")
-            pictures.append(picture._replace(key=f"{picture.key}-{k + 1}", caption=caption))
+            pictures.append(picture._replace(key=f"{picture.key}-{k + 1}"))
     return tuple(pictures)
 
 
-@pictured(
-    "soc",
-    "Above: the filter's state of charge (blue) with the band of two of its own standard "
-    "deviations, and the reference that the tester counted (grey). Below: their difference; a "
-    "filter with consistent uncertainty keeps it inside its band. Right: the beginning, where a "
-    "wrong initial SOC is corrected; dotted lines mark two points of SOC.",
-)
+def _soc_caption(replay: Replay) -> str:
+    blue = "The filter's state of charge (blue) with the band of two of its own standard deviations"
+    beginning = "the beginning, where a wrong initial SOC is corrected"
+    if replay.reference_soc is None:
+        return f"{blue}: the whole log, and {beginning}."
+    return (
+        f"{blue}, and the reference that the tester counted (grey). Below them their difference; a "
+        f"filter with consistent uncertainty keeps it inside its band. Once for the whole log, "
+        f"once for {beginning}; dotted lines mark two points of SOC."
+    )
+
+
+@pictured("soc", _soc_caption)
 def soc_picture(replay: Replay) -> style.Figure:
     """SOC and its error, the whole log and the beginning."""
     reference = replay.reference_soc is not None
@@ -170,7 +170,10 @@ def _innovation_finding(replay: Replay) -> str:
     if replay.nis is None or replay.model is None:
         return f"Mean NIS {significant(replay.nis_mean)}"
     far = max(zip(replay.nis, replay.model.error.scales_s, strict=True), key=_off)
-    return f"NIS {significant(far[0], 2)} over {significant(far[1])} s, nearer to 1 on others"
+    return (
+        f"Over {significant(far[1])} s innovations are {significant(math.sqrt(far[0]), 2)} times "
+        "what the model states, on other scales nearer to it"
+    )
 
 
 def _off(entry: tuple[float, float]) -> float:
@@ -181,8 +184,8 @@ def _off(entry: tuple[float, float]) -> float:
     "voltage",
     "What the filter sees: the measured voltage (grey) and the one it predicted before the update "
     "(vermillion). Below, the difference, called innovation, within the band of two standard "
-    "deviations that the filter expects. Right: innovations as multiples of that deviation, "
-    "against the normal distribution.",
+    "deviations that the filter expects. Then innovations as multiples of that deviation, "
+    "against the normal distribution: a model that is wrong to one side moves them off zero.",
 )
 def voltage_picture(replay: Replay) -> style.Figure:
     """Measured and predicted voltage, innovations with their band, their distribution."""
@@ -228,13 +231,27 @@ def _draw_distribution(axes: style.Axes, ratio: FloatArray) -> None:
         lw=1.6,
     )
     inside = float(np.mean(np.abs(known) <= 2.0)) if known.size else float("nan")
-    style.finding(axes, f"{percent(inside, 1)} within 2σ (95.4 % if normal)", style.NARROW)
+    middle = float(np.median(known)) if known.size else 0.0
+    aside = f"; the middle is {middle:+.1f}σ off" if abs(middle) > ASIDE else ""
+    text = f"{percent(inside, 1)} within 2σ (95.4 % if normal){aside}".replace("-", "−")
+    style.finding(axes, text, style.NARROW)
     style.labels(axes, "innovation [multiples of its σ]", "density [1/σ]")
     axes.set_yticks([])
     style.legend(axes)
 
 
-@pictured("comparison", "The same log through every estimator and start.")
+def _comparison_caption(replays: Sequence[Replay]) -> str:
+    text = "The same log through every estimator and start."
+    # Counting is spoken of only where it is among them, beside a filter.
+    if len({r.estimator == "coulomb" for r in replays}) < 2:
+        return text
+    return (
+        f"{text} Counting charge alone keeps its initial error; a filter that also uses the "
+        "voltage corrects it."
+    )
+
+
+@pictured("comparison", _comparison_caption)
 def comparison_picture(replays: Sequence[Replay]) -> style.Figure:
     """SOC and SOC error of several replays of one log."""
     figure = style.new_figure(4.6)
@@ -288,11 +305,16 @@ def _colours(count: int) -> tuple[str, ...]:
 
 
 def _soc_title(replay: Replay) -> str:
-    name = f"{replay_name(replay)}: SOC {points(float(replay.trace.soc[-1]))}"
-    name += f" ± {percent(2.0 * float(replay.trace.soc_std[-1]), 1)} at the end"
+    name = f"{replay_name(replay)}: SOC {soc_at_end(replay)} at the end"
     if replay.reference_soc is not None:
         name += f", reference {points(float(replay.reference_soc[-1]))}"
     return name
+
+
+def soc_at_end(replay: Replay) -> str:
+    """``13.8 % ± 2.8 %``, two standard deviations."""
+    trace = replay.trace
+    return f"{points(float(trace.soc[-1]))} ± {percent(2.0 * float(trace.soc_std[-1]), 1)}"
 
 
 def _convergence(replay: Replay) -> str:
@@ -312,7 +334,6 @@ def _beginning_s(replay: Replay) -> float:
 
 
 EXPLAINED = (
-    "± is two standard deviations. "
     "Errors are estimate minus reference, in points of SOC. Settled: after the error has come "
     "within 2 points and stayed there for ten minutes; where it never did, the log's second half. "
     "Inside 2σ: share of rows whose error is within two of the filter's own standard deviations. "
@@ -321,29 +342,38 @@ EXPLAINED = (
 )
 
 
+WITHOUT_REFERENCE = (
+    "This log has no reference SOC, so the estimate's own error is not known. Where the log holds "
+    "the tester's counter, state the true SOC at its start (--reference-soc0): error, time to "
+    "converge and coverage stand here then. NIS: mean squared innovation over what the model "
+    "states, by time scale; 1 where its statement is right."
+)
+
+
 def replay_content(replays: Sequence[Replay]) -> Markup:
     """All figures of every replay."""
     columns = [replay_figures(r) for r in replays]
-    names = [name for name, _ in columns[0]]
+    lines = [(texts[0][0], *(text for _, text in texts)) for texts in zip(*columns, strict=True)]
+    known = [line for line in lines if set(line[1:]) != {NONE}]
+    note = Markup(paragraph(EXPLAINED, "note"))
+    if all(r.reference_soc is None for r in replays):
+        note = Markup(paragraph(WITHOUT_REFERENCE, "note"))
     if len(columns) <= MOST.replays_as_columns:
-        head = ("", *(r.estimator for r in replays))
-        body = [(name, *(column[k][1] for column in columns)) for k, name in enumerate(names)]
-        return Markup(paragraph(EXPLAINED, "note") + table(head, body))
-    rows = [(r.estimator, *(text for _, text in c)) for r, c in zip(replays, columns, strict=True)]
-    return Markup(
-        paragraph(EXPLAINED, "note") + table(("estimator", *names), rows, text_columns=(0, 1))
-    )
+        return Markup(note + table(("", *(r.estimator for r in replays)), known))
+    rows = zip((r.estimator for r in replays), *(line[1:] for line in known), strict=True)
+    head = ("estimator", *(line[0] for line in known))
+    return Markup(note + table(head, list(rows), text_columns=(0, 1)))
 
 
 def replay_figures(replay: Replay) -> list[tuple[str, str]]:
     """Every figure of a replay by its name, as text."""
     trace = replay.trace
-    start, end = replay.start, (float(trace.soc[-1]), float(trace.soc_std[-1]))
+    start = replay.start
     return [
         ("log", clock_of(replay.log)),
         ("samples", counted(len(trace))),
         ("initial SOC", f"{points(start.soc)} ± {points(2.0 * start.std)}, {start.how}"),
-        ("final SOC", f"{points(end[0])} ± {percent(2.0 * end[1])}"),
+        ("final SOC", soc_at_end(replay)),
         *_errors("", replay.errors),
         (f"within {percent(CONVERGED_SOC, 0)} after", reached(replay)),
         *_errors("settled: ", replay.settled),
