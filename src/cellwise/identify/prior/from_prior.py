@@ -37,7 +37,7 @@ UNKNOWN_STD = 0.5  # of an initial SOC: the OCV and its correction have to find 
 # Shares of the SOC range below which the rest is no extrapolation, but a guess: by drives, and by a
 # test at constant current.
 SEEN_ENOUGH, SEEN_LEAST = 0.8, 0.5
-FEWEST_ROWS = 30  # with a voltage: fewer say next to nothing that the prior does not
+FEWEST_ROWS = 10  # with a voltage: fewer say next to nothing that the prior does not
 
 
 def needs_prior(tests: TestLogs, settings: IdentifySettings) -> bool:
@@ -45,10 +45,14 @@ def needs_prior(tests: TestLogs, settings: IdentifySettings) -> bool:
 
     Tests at constant current of which none goes over most of the SOC range; drives alone whose
     initial SOC nobody states, however far they go: a pack off its charger need not have been full.
-    A pulse test has rests: its OCV is measured.
+    A pulse test has rests: its OCV is measured. Steady currents alone show no time constant.
     """
     nominal = settings.nominal_Ah
-    if nominal is None or not settings.refine or tests.hppc:
+    if not settings.refine or tests.hppc:
+        return False
+    if not tests.drive:
+        return True
+    if nominal is None:
         return False
     laboratory = [*tests.ocv, *tests.capacity]
     if laboratory:
@@ -79,7 +83,8 @@ def fit_prior(
     ------
     InputError        no prior that fits; a log with hardly a voltage
     """
-    tests, notices = checked.tests, []
+    tests, short = _long_enough(checked.tests)
+    notices: list[str] = []
     reached = _reached_V(tests.logs())
 
     def corrections_of(prior: CellModel) -> Corrections:
@@ -111,6 +116,10 @@ def fit_prior(
         how = "stated" if item.log.soc0 is not None else f"by the OCV of {name}"
         notices.append(f"'{item.log.name}' begins at SOC {soc0:.3f} +- {std:.3f} ({how})")
         starts.append(Start(item.log, float(soc0), item.compare))
+    for log, why in short:
+        soc0, _ = best_start_soc(found.model, log, np.linspace(0.0, 1.0, STARTS))
+        starts.append(Start(log, soc0, None, why))
+        notices.append(f"'{log.name}' is left out: {why}")
     fitted = found.model.capacity_Ah
     std_Ah = fitted * corrections.capacity_std * float(np.sqrt(found.covariance[-1, -1]))
     notices.append(
@@ -154,6 +163,34 @@ def _reached_V(logs: Sequence[CellLog]) -> FloatArray:
     return np.array([low, max(np.nanmax(log.voltage_V) for log in logs)])
 
 
+def _long_enough(tests: TestLogs) -> tuple[TestLogs, list[tuple[CellLog, str]]]:
+    """The logs that can say anything, and those that are left out, with the reason.
+
+    Raises
+    ------
+    InputError        none can
+    """
+    rows = {id(log): int(np.count_nonzero(np.isfinite(log.voltage_V))) for log in tests.logs()}
+    short = [log for log in tests.logs() if rows[id(log)] < FEWEST_ROWS]
+    if len(short) == len(rows):
+        raise InputError(
+            f"{rows[id(short[0])]} row(s) with a voltage in log '{short[0].name}'",
+            f"at least {FEWEST_ROWS}",
+            "Give a longer log, or check the column.",
+        )
+
+    def kept(log: CellLog) -> bool:
+        return rows[id(log)] >= FEWEST_ROWS
+
+    long = TestLogs(
+        hppc=tuple(one for one in tests.hppc if kept(one[0])),
+        ocv=tuple(filter(kept, tests.ocv)),
+        capacity=tuple(filter(kept, tests.capacity)),
+        drive=tuple(one for one in tests.drive if kept(one[0])),
+    )
+    return long, [(log, f"{rows[id(log)]} row(s) with a voltage") for log in short]
+
+
 def _prepared(tests: TestLogs, prior: CellModel) -> list[PriorLog]:
     """The logs with their starts by the prior; of tests that begin full, the discharge."""
     items = [_started(log, prior) for log, _ in (*tests.hppc, *tests.drive)]
@@ -173,13 +210,6 @@ def _prepared(tests: TestLogs, prior: CellModel) -> list[PriorLog]:
 
 def _started(log: CellLog, prior: CellModel) -> PriorLog:
     """A log with its initial SOC by the prior's OCV: never taken for full because it is a test."""
-    known = int(np.count_nonzero(np.isfinite(log.voltage_V)))
-    if known < FEWEST_ROWS:
-        raise InputError(
-            f"{known} row(s) with a voltage in log '{log.name}'",
-            f"at least {FEWEST_ROWS}",
-            "Give a longer log, or check the column.",
-        )
     if log.soc0 is not None:
         return PriorLog(log, log.soc0, STATED_STD, h0=start_hysteresis(log.soc0))
     # On a plateau the first minute says nothing, the whole log may.
@@ -285,7 +315,7 @@ def choose_prior(
         )
     others = f"; {', '.join(c.name for c in close)} as probable" if close else ""
     return stock_model(best.name), (
-        f"too little of the SOC range was seen for a model of its own: {best.name} is the prior, "
+        f"too little was seen for a model of its own: {best.name} is the prior, "
         f"chosen by its voltage window and fit of {', '.join(names)}{others}; "
         "`prior=NAME` names another"
     )
