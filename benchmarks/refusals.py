@@ -66,11 +66,11 @@ class Tried:
     tries: Counter[str] = field(default_factory=Counter)
     refusals: dict[tuple[str, str], list[str]] = field(default_factory=dict)
 
-    def run(self, what: str, names: str, do: Callable[[], object]) -> bool:
+    def run(self, what: str, names: str, do: Callable[..., object], *given: object) -> bool:
         """Try; whether it was done."""
         self.tries[what] += 1
         try:
-            do()
+            do(*given)
         except InputError as error:
             rule = re.sub(r"'[^']*'|-?\d[\d.e+-]*", "_", error.found)
             self.refusals.setdefault((what, rule), []).append(f"{names}: {error}")
@@ -121,7 +121,7 @@ def own_role(name: str) -> str:
     return next((role for begin, role in roles.items() if name.startswith(begin)), "capacity")
 
 
-def tests_of(logs: tuple[CellLog, ...], role: str | None = None) -> TestLogs:
+def as_tests(logs: tuple[CellLog, ...], role: str | None = None) -> TestLogs:
     """The logs as tests, in their own roles or all in one."""
     given: dict[str, tuple[CellLog, ...]] = {}
     for log in logs:
@@ -157,6 +157,26 @@ def pairs_of(cell: str, most: int, rng: np.random.Generator) -> Iterator[tuple[C
     return ((log_at(every[k][0]), log_at(every[k][1])) for k in chosen)
 
 
+def try_cell(name: str, chosen: argparse.Namespace, tried: Tried) -> None:
+    """All tries of one cell's logs."""
+    rng, cell = np.random.default_rng(chosen.seed), CELLS[name]
+    plain = IdentifySettings(nominal_Ah=cell.nominal_Ah)
+    prior = replace(plain, prior=stock_model(cell.stock))
+    for path in logs_of(name)[: chosen.alone]:
+        if tried.run("read", path.name, log_at, path):
+            log = log_at(path)
+            tried.run("alone", log.name, alone, cell, log)
+            tried.run("alone, cut", log.name, alone, cell, cut(log, rng))
+    for k, pair in enumerate(pairs_of(name, chosen.pairs, rng)):
+        names = " + ".join(log.name for log in pair)
+        for how, logs in (("", pair), (", cut", tuple(cut(log, rng) for log in pair))):
+            drives = as_tests(logs, "drive")
+            tried.run(f"pair in its roles{how}", names, checks, as_tests(logs), plain)
+            tried.run(f"pair as drives{how}", names, checks, drives, prior)
+            if k < chosen.fits:
+                tried.run(f"pair fitted with a prior{how}", names, identify_cell, drives, prior)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Try all, print what was refused; 1 where a whole pair of one cell was."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -168,28 +188,8 @@ def main(arguments: list[str] | None = None) -> int:
     chosen = parser.parse_args(arguments)
     tried = Tried()
     for name in chosen.cell or CELLS:
-        rng = np.random.default_rng(chosen.seed)
-        cell = CELLS[name]
         print(f"  {name} ...", file=sys.stderr, flush=True)
-        for path in logs_of(name)[: chosen.alone]:
-            if not tried.run("read", path.name, lambda p=path: log_at(p)):  # type: ignore[misc]
-                continue
-            log = log_at(path)
-            tried.run("alone", log.name, lambda x=log: alone(cell, x))  # type: ignore[misc]
-            part = cut(log, rng)
-            tried.run("alone, cut", log.name, lambda x=part: alone(cell, x))  # type: ignore[misc]
-        plain = IdentifySettings(nominal_Ah=cell.nominal_Ah)
-        prior = replace(plain, prior=stock_model(cell.stock))
-        for k, pair in enumerate(pairs_of(name, chosen.pairs, rng)):
-            names = " + ".join(log.name for log in pair)
-            for how, logs in (("", pair), (", cut", tuple(cut(log, rng) for log in pair))):
-                own, drives = tests_of(logs), tests_of(logs, "drive")
-                tried.run(f"pair in its roles{how}", names, lambda o=own: checks(o, plain))
-                tried.run(f"pair as drives{how}", names, lambda d=drives: checks(d, prior))
-                if k < chosen.fits:
-                    tried.run(
-                        f"pair fitted with a prior{how}", names, lambda d=drives: identify_cell(d, prior)
-                    )
+        try_cell(name, chosen, tried)
     tried.show()
     return int(any(w.startswith("pair") and "cut" not in w for w, _ in tried.refusals))
 

@@ -27,6 +27,7 @@ from cellwise.logs.places import plain_name
 from cellwise.logs.stated import Stated
 
 TIDY = ("tidy-parquet", "tidy-csv")
+AS_MEAN_CELL = "cells, read as their mean cell"  # marks the notice
 
 
 def read_log(
@@ -121,7 +122,7 @@ def _mean_of_pack(
     """The mean cell of a table with a voltage for each cell, and a notice that says so."""
     name = plain_name(source.path) if name is None else name
     pack = pack_of(source, known, columns, sign=sign, name=name, check_sign=check_sign)
-    said = f"a table of {pack.cells} cells, read as their mean cell (`cellwise pack` sees each)"
+    said = f"a table of {pack.cells} {AS_MEAN_CELL} (`cellwise pack` sees each)"
     return pack.mean.with_notices((*pack.notices, said))
 
 

@@ -37,7 +37,9 @@ UNKNOWN_STD = 0.5  # of an initial SOC: the OCV and its correction have to find 
 # Shares of the SOC range below which the rest is no extrapolation, but a guess: by drives, and by a
 # test at constant current.
 SEEN_ENOUGH, SEEN_LEAST = 0.8, 0.5
-FEWEST_ROWS = 10  # with a voltage: fewer say next to nothing that the prior does not
+# What says next to nothing that the prior does not: fewer rows with a voltage, a smaller share of
+# the capacity moved in and out.
+FEWEST_ROWS, LEAST_MOVED = 10, 0.005
 
 
 def needs_prior(tests: TestLogs, settings: IdentifySettings) -> bool:
@@ -83,7 +85,7 @@ def fit_prior(
     ------
     InputError        no prior that fits; a log with hardly a voltage
     """
-    tests, short = _long_enough(checked.tests)
+    tests, silent = _telling(checked.tests, capacity.capacity_Ah)
     notices: list[str] = []
     reached = _reached_V(tests.logs())
 
@@ -116,7 +118,7 @@ def fit_prior(
         how = "stated" if item.log.soc0 is not None else f"by the OCV of {name}"
         notices.append(f"'{item.log.name}' begins at SOC {soc0:.3f} +- {std:.3f} ({how})")
         starts.append(Start(item.log, float(soc0), item.compare))
-    for log, why in short:
+    for log, why in silent:
         soc0, _ = best_start_soc(found.model, log, np.linspace(0.0, 1.0, STARTS))
         starts.append(Start(log, soc0, None, why))
         notices.append(f"'{log.name}' is left out: {why}")
@@ -163,32 +165,41 @@ def _reached_V(logs: Sequence[CellLog]) -> FloatArray:
     return np.array([low, max(np.nanmax(log.voltage_V) for log in logs)])
 
 
-def _long_enough(tests: TestLogs) -> tuple[TestLogs, list[tuple[CellLog, str]]]:
+def _telling(tests: TestLogs, capacity_Ah: float) -> tuple[TestLogs, list[tuple[CellLog, str]]]:
     """The logs that can say anything, and those that are left out, with the reason.
 
     Raises
     ------
     InputError        none can
     """
-    rows = {id(log): int(np.count_nonzero(np.isfinite(log.voltage_V))) for log in tests.logs()}
-    short = [log for log in tests.logs() if rows[id(log)] < FEWEST_ROWS]
-    if len(short) == len(rows):
+    reasons = {id(log): _says_nothing(log, capacity_Ah) for log in tests.logs()}
+    silent = [(log, reasons[id(log)]) for log in tests.logs() if reasons[id(log)]]
+    if len(silent) == len(reasons):
         raise InputError(
-            f"{rows[id(short[0])]} row(s) with a voltage in log '{short[0].name}'",
-            f"at least {FEWEST_ROWS}",
-            "Give a longer log, or check the column.",
+            f"{silent[0][1]} in log '{silent[0][0].name}'",
+            f"at least {FEWEST_ROWS} rows, and {LEAST_MOVED:.1%} of the capacity moved",
+            "Give a longer log, or check its columns.",
         )
 
     def kept(log: CellLog) -> bool:
-        return rows[id(log)] >= FEWEST_ROWS
+        return not reasons[id(log)]
 
-    long = TestLogs(
+    telling = TestLogs(
         hppc=tuple(one for one in tests.hppc if kept(one[0])),
         ocv=tuple(filter(kept, tests.ocv)),
         capacity=tuple(filter(kept, tests.capacity)),
         drive=tuple(one for one in tests.drive if kept(one[0])),
     )
-    return long, [(log, f"{rows[id(log)]} row(s) with a voltage") for log in short]
+    return telling, silent
+
+
+def _says_nothing(log: CellLog, capacity_Ah: float) -> str:
+    """Why a log is no use for a fit; empty for one that is."""
+    rows = int(np.count_nonzero(np.isfinite(log.voltage_V)))
+    if rows < FEWEST_ROWS:
+        return f"{rows} row(s) with a voltage"
+    moved = float(np.abs(log.known_current_A()) @ log.interval_s) / 3600.0 / capacity_Ah
+    return f"only {moved:.2%} of the capacity moved" if moved < LEAST_MOVED else ""
 
 
 def _prepared(tests: TestLogs, prior: CellModel) -> list[PriorLog]:
