@@ -20,7 +20,7 @@ DOOR = "cli/test_door_twins.py"
 
 
 class Capability(NamedTuple):
-    """A module that shows it on measured cells; its twin as file::function, or why there is none."""
+    """A module that shows it on measured cells; its twin as file::function, or why none."""
 
     claim: str
     shown_in: str

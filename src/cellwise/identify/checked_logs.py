@@ -15,7 +15,7 @@ from cellwise.identify.by_temperature import without_offsets
 from cellwise.identify.identification import REFERENCE_C, IdentifySettings, TestLogs
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.sign import verify_sign
-from cellwise.logs.pauses import cut_at_pauses
+from cellwise.logs.measured_log import cut_at_pauses
 from cellwise.logs.stated import other_temperature
 
 # The highest voltages of a log of an empty cell and one of a full differ by less (LTO: 1.87); those
