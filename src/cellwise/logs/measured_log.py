@@ -322,9 +322,9 @@ def cut_at_pauses(log: Log) -> tuple[Log, ...]:
         return (log,)
     found: list[Log] = []
     for first, stop in pairwise((0, *rows, len(log))):
-        part = log.part(first, stop)
-        if np.count_nonzero(np.isfinite(part.voltage_V)) < FEWEST_VOLTAGES:
+        if np.count_nonzero(np.isfinite(log.voltage_V[first:stop])) < FEWEST_VOLTAGES:
             continue
+        part = log.part(first, stop)
         name = f"{log.name}, {log.time_s[first]:.0f} s" if first else log.name
         found.append(replace(part, name=name, notices=() if found else log.notices))
     return tuple(found) or (log,)
