@@ -162,7 +162,8 @@ def try_cell(name: str, chosen: argparse.Namespace, tried: Tried) -> None:
     rng, cell = np.random.default_rng(chosen.seed), CELLS[name]
     plain = IdentifySettings(nominal_Ah=cell.nominal_Ah)
     prior = replace(plain, prior=stock_model(cell.stock))
-    for path in logs_of(name)[: chosen.alone]:
+    every = logs_of(name)
+    for path in every[:: max(len(every) // chosen.alone, 1)]:
         if tried.run("read", path.name, log_at, path):
             log = log_at(path)
             tried.run("alone", log.name, alone, cell, log)
@@ -182,7 +183,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--pairs", type=int, default=50, help="of each cell, whole and cut")
     parser.add_argument("--fits", type=int, default=0, help="pairs of each cell that are fitted")
-    parser.add_argument("--alone", type=int, default=1000, help="logs of each cell tried alone")
+    parser.add_argument("--alone", type=int, default=1000, help="so many logs of each cell alone")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--cell", action="append", choices=CELLS, help="[all]")
     chosen = parser.parse_args(arguments)

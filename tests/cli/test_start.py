@@ -21,7 +21,12 @@ MEASURED = {
     "nissan_leaf": {"hppc": "hppc", "cap": "capacity", "cycling": "ocv", "modules": "pack"},
     "samsung_30q_ageing": {"hppc": "hppc", "fresh_s001_discharge_c10": "ocv", "d1": "capacity"},
     "lipo_5450": {"c": "capacity"},
-    "plett_a123": {"dyn_p25_s1": "drive", "dyn_n25_s1": "drive", "ocv_p25_s1": "ocv"},
+    "plett_a123": {
+        "dyn_p25_s1": "drive",
+        "dyn_p25_s2": "end",
+        "ocv_p25_s1": "ocv",
+        "ocv_p25_s2": "end",
+    },
 }
 
 

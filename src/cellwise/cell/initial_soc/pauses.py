@@ -41,8 +41,8 @@ def stretches(model: CellModel, log: CellLog, start: InitialSoc) -> tuple[Stretc
     """
     found = [Stretch(0, len(log), start)]
     for row, stop in pairwise((*uncounted_pauses(log), len(log))):
-        part = log.part(row, stop)
-        if np.count_nonzero(np.isfinite(part.voltage_V)) >= FEWEST_VOLTAGES:
+        if np.count_nonzero(np.isfinite(log.voltage_V[row:stop])) >= FEWEST_VOLTAGES:
+            part = log.part(row, stop)
             found[-1] = found[-1]._replace(stop=row)
             found.append(Stretch(row, len(log), initial_soc(model, part, whole_log=True)))
     return tuple(found)

@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,19 +20,31 @@ from cellwise.logs.reading import AS_MEAN_CELL
 
 FLIGHTS = ("px4-ulog", "ardupilot-dataflash")
 DATABASES = (".dbc", ".arxml", ".kcd", ".sym")
+STEADY = ("ocv", "capacity", "charge")
 CAN_LOGS = (".blf", ".asc", ".log", ".trc", ".mf4")
 # A temperature in a name: _p25, _n10, -10degC.
 NAMED_C = re.compile(r"[_-]([pn])(\d\d)(?=[_.-]|$)|([-_]|_-)(\d{1,2}) ?deg", re.IGNORECASE)
+
+
+class _End(NamedTuple):
+    """The last per cent of a low-rate test, its dither too: of a whole discharge, and its rates."""
+
+    moved: float = 0.05
+    rates: tuple[float, float] = (0.01, 0.5)
+
+
+END = _End()
 
 
 @dataclass(frozen=True)
 class FoundFile:
     """A file and what it is taken for.
 
-    ``kind``: hppc, ocv, capacity, charge, drive, rest; pack (a voltage for each cell), flight;
-    unread (refused, ``why`` says for what), other (no log by its name). ``moved_Ah`` through one
-    string of cells, ``whole_Ah`` by a discharge at one current, ``current_A``; ``highest_V`` of one
-    cell; ``named_C`` a temperature that only the name states.
+    ``kind``: hppc, ocv, capacity, charge, drive, rest; end (of a low-rate test); pack (a voltage
+    for each cell), flight; unread (refused, ``why`` says for what), other (no log by its name).
+    ``moved_Ah`` through one string of cells, ``whole_Ah`` by a discharge at one current,
+    ``current_A``; ``highest_V`` of one cell; ``usual_C`` as measured, ``named_C`` a temperature
+    that only the name states.
     """
 
     path: Path
@@ -41,7 +54,9 @@ class FoundFile:
     moved_Ah: float = 0.0
     whole_Ah: float = 0.0
     current_A: float = 0.0
+    largest_A: float = 0.0
     highest_V: float = 0.0
+    usual_C: float | None = None
     named_C: float | None = None
 
     @property
@@ -69,7 +84,18 @@ def look_at(
     for k, place in enumerate(places):
         follow(f"reading {place.name}", k, len(places))
         found.append(_look_at_one(place, arguments, dbc))
-    return found
+    return [_end_of_test(one, found) for one in found]
+
+
+def _end_of_test(one: FoundFile, files: list[FoundFile]) -> FoundFile:
+    """A slow test that moves hardly anything beside a whole discharge in the folder."""
+    low, high = END.rates
+    whole = (f.whole_Ah for f in files if f.series == one.series and f.kind in STEADY)
+    size = max((w for w in whole if low * w < one.largest_A < high * w), default=0.0)
+    if one.kind not in ("hppc", "ocv", "capacity", "drive") or one.moved_Ah >= END.moved * size:
+        return one
+    share = one.moved_Ah / size
+    return replace(one, kind="end", why=f"{share:.1%} of {size:.3g} Ah, slowly: not used")
 
 
 def _look_at_one(place: Path, arguments: argparse.Namespace, dbc: Path | None) -> FoundFile:
@@ -111,6 +137,8 @@ def _taken_for(log: CellLog, series: int, nominal_Ah: float | None) -> FoundFile
         moved_Ah=float(np.ptp(log.counted_charge_Ah())),
         whole_Ah=test.charge_Ah,
         current_A=test.current_A,
+        largest_A=float(np.nanmax(np.abs(log.current_A))),
+        usual_C=None if log.temperature_C is None else float(np.nanmedian(log.temperature_C)),
         highest_V=float(np.nanmax(log.voltage_V)),
         named_C=_named_C(log),
     )

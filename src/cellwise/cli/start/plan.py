@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from cellwise.cli.start.found_files import FoundFile
+from cellwise.identify.measured_capacity import LIMITS as SIZES
 
 UNKNOWN = "X"  # stands for what has to be stated
 
@@ -17,14 +18,12 @@ UNKNOWN = "X"  # stands for what has to be stated
 class _Limits(NamedTuple):
     """Which files go together, and how many of a kind are used."""
 
-    other_size: float = 1.6  # ratio of whole discharges: an aged cell of the same kind keeps more
-    other_full_V: float = 0.25  # LFP is full this much below all others
+    other_full_V: float = 0.4  # LFP is full this much below all others; a loaded test is not
     fitted: int = 6  # drives in one fit: more add time, and little else
-    life: int = 8  # discharges at one rate: a cell over its life
+    # Discharges of a cell that was cycled: so many, at one current and temperature.
+    life: int = 8
     same_current: float = 1.1
-    # The last per cent of a low-rate test: of the capacity, and the rate below which it is of none.
-    end: float = 0.2
-    slowest_rate: float = 0.01
+    same_K: float = 5.0
 
 
 LIMITS = _Limits()
@@ -101,15 +100,11 @@ def groups_of(files: Sequence[FoundFile]) -> list[Group]:
 
 
 def _belongs(one: FoundFile, group: Group) -> bool:
-    """Whether a test is of a group's cell; the ends of a low-rate test move little."""
-    size = group.size_Ah
-    slow = one.kind == "ocv" and one.current_A > LIMITS.slowest_rate * size
-    low = slow and one.moved_Ah < LIMITS.end * size
+    """Whether a test is of a group's cell."""
     return (
         one.series == group.files[0].series
-        and one.highest_V < group.full_V + LIMITS.other_full_V
-        and (low or one.highest_V > group.full_V - LIMITS.other_full_V)
-        and (low or size < LIMITS.other_size * one.moved_Ah)
+        and abs(one.highest_V - group.full_V) < LIMITS.other_full_V
+        and group.size_Ah < SIZES.far * one.moved_Ah
     )
 
 
@@ -121,7 +116,7 @@ def _may_belong(one: FoundFile, group: Group) -> bool:
     return (
         first.kind != "pack"
         and one.series == first.series
-        and one.moved_Ah < LIMITS.other_size * group.size_Ah
+        and one.moved_Ah < SIZES.far * group.size_Ah
         and one.highest_V < group.full_V + LIMITS.other_full_V
     )
 
@@ -177,14 +172,16 @@ def _life(group: Group) -> list[FoundFile]:
     """Discharges at one rate, of a cell that was cycled; none where they are few."""
     tests = group.of("capacity")
     for first in tests:
-        alike = [
-            f
-            for f in tests
-            if 1.0 / LIMITS.same_current < f.current_A / first.current_A < LIMITS.same_current
-        ]
+        alike = [f for f in tests if _alike(f, first)]
         if len(alike) >= LIMITS.life:
             return alike
     return []
+
+
+def _alike(one: FoundFile, other: FoundFile) -> bool:
+    ratio = max(one.current_A, other.current_A) / min(one.current_A, other.current_A)
+    apart_K = abs((one.usual_C or 0.0) - (other.usual_C or 0.0))
+    return ratio < LIMITS.same_current and apart_K < LIMITS.same_K
 
 
 def _reading(group: Group, arguments: argparse.Namespace) -> list[str]:
