@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellwise.logs import find_gaps, read_log
+from cellwise.logs import CellLog, find_gaps, read_log
+from cellwise.logs.measured_log import cut_at_pauses
 
 
 def stamps(*intervals: tuple[float, int]) -> np.ndarray:
@@ -105,3 +106,11 @@ def test_measured_logs_without_a_gap(real_data, pattern):
     assert files
     for path in files:
         assert not read_log(path).gaps, path.name
+
+
+@pytest.mark.parametrize("alone", [1, 2, 29])
+def test_a_row_behind_a_pause_is_left_away(alone):
+    """A car that was looked at for a moment: no stretch of its own, and no refusal."""
+    time = stamps((5.0, 60), (4000.0, 1), (5.0, alone - 1))
+    log = CellLog(time, np.ones(time.size), np.linspace(4.0, 3.8, time.size), name="day")
+    assert [len(part) for part in cut_at_pauses(log)] == [61]

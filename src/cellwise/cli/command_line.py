@@ -40,6 +40,7 @@ def build_parser() -> argparse.ArgumentParser:
         packs,
         studies,
     )
+    from cellwise.cli.start import command as starting
 
     parser = argparse.ArgumentParser(
         prog="cellwise",
@@ -49,7 +50,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"cellwise {version('cellwise')}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     modules = (
-        logs, identifying, estimating, live, diagnosing, packs, lives, exporting, studies,
+        starting, logs, identifying, estimating, live, diagnosing, packs, lives, exporting, studies,
         benchmarking, fleet, data,
     )  # fmt: skip
     for module in modules:

@@ -46,7 +46,7 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
     """Diagnose, write what was asked for, print the verdict."""
     from cellwise.diagnose import diagnose
     from cellwise.logs.checks.grave import graves_first, is_grave
-    from cellwise.logs.pauses import cut_at_pauses
+    from cellwise.logs.measured_log import cut_at_pauses
 
     _check_places(arguments)
     soc0 = options.soc0_of(arguments)

@@ -18,6 +18,11 @@ class Guide(NamedTuple):
 
 
 GUIDES = {
+    "start": Guide(
+        "a folder with logs, native files among them",
+        "start measurements",
+        "start flights --run --nominal-ah 5.2",
+    ),
     "inspect": Guide(
         "a log; a text needs columns with units, native files need nothing",
         "inspect drive.csv",

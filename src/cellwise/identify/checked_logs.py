@@ -15,7 +15,7 @@ from cellwise.identify.by_temperature import without_offsets
 from cellwise.identify.identification import REFERENCE_C, IdentifySettings, TestLogs
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.sign import verify_sign
-from cellwise.logs.pauses import cut_at_pauses
+from cellwise.logs.measured_log import cut_at_pauses
 from cellwise.logs.stated import other_temperature
 
 # The highest voltages of a log of an empty cell and one of a full differ by less (LTO: 1.87); those
@@ -69,13 +69,8 @@ def reading_notices(tests: TestLogs) -> list[str]:
 
 
 def _check_complete(tests: TestLogs, settings: IdentifySettings) -> None:
-    any_serves = settings.prior is not None and (tests.ocv or tests.capacity)
-    if not tests.hppc and not tests.drive and not any_serves:
-        raise InputError(
-            "neither an HPPC nor a drive log",
-            "at least one of them",
-            "Give `hppc=LOG` or `drive=LOG`.",
-        )
+    if not tests.logs():
+        raise InputError("no test", "at least one", "Give `hppc=LOG` or `drive=LOG`.")
     nominal = settings.nominal_Ah
     if nominal is not None and not (np.isfinite(nominal) and nominal > 0.0):
         raise InputError(

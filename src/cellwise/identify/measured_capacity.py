@@ -80,16 +80,40 @@ def measure_capacity(checked: CheckedLogs, settings: IdentifySettings) -> Measur
             "a capacity test, an HPPC log over the whole range, or a nominal capacity",
             "Add `capacity=LOG`, `hppc=LOG` or `nominal_Ah=X`.",
         )
+    usable, parts = _without_parts(usable, nominal)
     notices.extend(f"capacity test {t.left_out}" for t in usable if not t.complete)
     choices = capacity_choices(usable, nominal, total, temperature_C=checked.default_C)
     choice, capacity = choose_capacity(choices, settings.capacity_choice)
     ln_std = SPREAD.measured if choice != "nominal" else SPREAD.rated
     if settings.capacity_choice == "nominal":
         ln_std = SPREAD.chosen
-    found = (*_against_nominal(capacity, choice, nominal), *_against_logs(capacity, choice, tests))
+    found = (
+        *parts,
+        *_against_nominal(capacity, choice, nominal),
+        *_against_logs(capacity, choice, tests),
+    )
     if choice == "nominal" and total is None:
         found += tuple(_empty_before(tests, capacity))
     return MeasuredCapacity(capacity, choice, choices, measured, ln_std, found, tuple(notices))
+
+
+def _without_parts(
+    tests: tuple[CapacityTest, ...], nominal_Ah: float | None
+) -> tuple[tuple[CapacityTest, ...], list[Notice]]:
+    """The tests without those that look whole and are too small for the nominal capacity."""
+    small = [t for t in tests if t.complete and t.total_Ah * LIMITS.far < (nominal_Ah or 0.0)]
+    if not small or nominal_Ah is None:
+        return tests, []
+    found = [
+        Notice(
+            RANGE_V * math.log(nominal_Ah / t.total_Ah),
+            f"capacity test '{t.name}' moved {t.total_Ah:.4g} Ah, of {nominal_Ah:g} Ah nominal: "
+            "the end of a discharge, or a current in another scale? It is not used as a capacity",
+        )
+        for t in small
+    ]
+    left = tuple(t for t in tests if t not in small)
+    return (left if any(t.complete for t in left) else ()), found
 
 
 def _tests(

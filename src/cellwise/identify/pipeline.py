@@ -17,7 +17,7 @@ from importlib.metadata import version
 import numpy as np
 
 from cellwise.cell.metrics import error_metrics
-from cellwise.cell.plausibility.notice import in_order
+from cellwise.cell.plausibility.notice import RANGE_V, Notice, in_order
 from cellwise.errors import InputError
 from cellwise.identify.assemble import moved_ocv_notice, plain_model, table_summary
 from cellwise.identify.checked_logs import CheckedLogs, check_logs, reading_notices
@@ -71,8 +71,8 @@ def identify_cell(
 
     Raises
     ------
-    InputError        no usable log; a log whose current has the wrong sign or unit; no pulse and
-                      no drive; no open-circuit voltage; an unknown capacity choice; no prior fits
+    InputError        no usable log; a log whose current has the wrong sign or unit; an unknown
+                      capacity choice; tests that neither a model nor a prior fits
     """
     began = time.perf_counter()
     settings = IdentifySettings() if settings is None else settings
@@ -84,12 +84,12 @@ def identify_cell(
     if settings.prior is not None or needs_prior(tests, settings):
         fitted = fit_prior(checked, capacity, settings, say)
     else:
-        say("OCV")
-        ocv = measure_ocv(checked, capacity.capacity_Ah)
-        say("pulses")
-        pulses = fit_all_pulses(checked, ocv.curve, capacity.capacity_Ah, settings)
-        fit = _joint_fit if settings.refine else _pulses_alone
-        fitted = fit(checked, capacity, ocv, pulses, settings, say)
+        try:
+            fitted = _of_tests(checked, capacity, settings, say)
+        except InputError as short:
+            if not settings.refine:
+                raise
+            fitted = _of_what_there_is(checked, capacity, settings, say, short)
     model = replace(
         fitted.model, name=settings.name, chemistry=settings.chemistry or fitted.model.chemistry
     )
@@ -128,6 +128,42 @@ def identify_cell(
         seconds=seconds,
         contradictions=contradictory,
     )
+
+
+def _of_tests(
+    checked: CheckedLogs, capacity: MeasuredCapacity, settings: IdentifySettings, say: Progress
+) -> Fitted:
+    """OCV, pulses and fit of tests that show all that a model needs."""
+    say("OCV")
+    ocv = measure_ocv(checked, capacity.capacity_Ah)
+    say("pulses")
+    pulses = fit_all_pulses(checked, ocv.curve, capacity.capacity_Ah, settings)
+    fit = _joint_fit if settings.refine else _pulses_alone
+    return fit(checked, capacity, ocv, pulses, settings, say)
+
+
+def _of_what_there_is(
+    checked: CheckedLogs,
+    capacity: MeasuredCapacity,
+    settings: IdentifySettings,
+    say: Progress,
+    short: InputError,
+) -> Fitted:
+    """A prior updated on tests that show too little, with what they do not show said first.
+
+    It counts as a contradiction: a model that is far from such tests is refused.
+
+    Raises
+    ------
+    InputError        what the tests lack, where no prior fits them either
+    """
+    try:
+        fitted = fit_prior(checked, capacity, settings, say)
+    except InputError:
+        hint = f"{short.action} Or start from a model of such a cell: `prior=NAME`."
+        raise InputError(short.found, short.expected, hint) from None
+    said = f"the tests alone give no model ({short.found}): it is a prior, updated on them"
+    return replace(fitted, contradictions=(*fitted.contradictions, Notice(RANGE_V, said)))
 
 
 def _joint_fit(

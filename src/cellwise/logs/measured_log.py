@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any, Literal, Self
+from itertools import pairwise
+from typing import Any, Literal, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +20,9 @@ CurrentMeaning = Literal["interval_end", "interval_start"]
 # A missing current is bridged by its last value; from here on by the counter, whose steps
 # (0.01 Ah on some testers) are by then small against what flowed.
 COUNTER_BRIDGE_S = 60.0
+PAUSE_S = 300.0  # what flows unseen in less hardly moves the SOC
+FEWEST_VOLTAGES = 30  # a shorter stretch says less than it costs to find where it begins
+Log = TypeVar("Log", bound="MeasuredLog")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -294,3 +298,33 @@ def _check_time(time_s: FloatArray, where: str) -> None:
             "time that never decreases",
             "Sort the rows, or split the file where the clock was reset.",
         )
+
+
+def uncounted_pauses(log: MeasuredLog) -> tuple[int, ...]:
+    """Rows that end a pause of minutes over which no counter went on.
+
+    A car that is switched off may be charged meanwhile: where its SOC is then, nobody knows.
+    """
+    long = np.flatnonzero(log.gap_rows & (log.interval_s > PAUSE_S))
+    if log.charge_Ah is None:
+        return tuple(map(int, long))
+    return tuple(int(k) for k in long if not np.isfinite(log.charge_Ah[k - 1 : k + 1]).all())
+
+
+def cut_at_pauses(log: Log) -> tuple[Log, ...]:
+    """The stretches between such pauses, as logs with their time in the name; the log without one.
+
+    What is too short to say anything is left away; a stated start and the notices of reading
+    stay with the first stretch.
+    """
+    rows = uncounted_pauses(log)
+    if not rows:
+        return (log,)
+    found: list[Log] = []
+    for first, stop in pairwise((0, *rows, len(log))):
+        if np.count_nonzero(np.isfinite(log.voltage_V[first:stop])) < FEWEST_VOLTAGES:
+            continue
+        part = log.part(first, stop)
+        name = f"{log.name}, {log.time_s[first]:.0f} s" if first else log.name
+        found.append(replace(part, name=name, notices=() if found else log.notices))
+    return tuple(found) or (log,)

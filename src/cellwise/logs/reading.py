@@ -27,6 +27,7 @@ from cellwise.logs.places import plain_name
 from cellwise.logs.stated import Stated
 
 TIDY = ("tidy-parquet", "tidy-csv")
+AS_MEAN_CELL = "read as their mean cell"  # marks the notice
 
 
 def read_log(
@@ -123,7 +124,7 @@ def _mean_of_pack(
     pack = pack_of(source, known, columns, sign=sign, name=name, check_sign=check_sign)
     warm = sum(c.kind == "temperature" for c in columns)
     cells = f"{pack.cells} cells" + (f" and {warm} temperatures" if warm > 1 else "")
-    said = f"a table of {cells}, read as their mean cell (`cellwise pack` sees each)"
+    said = f"a table of {cells}, {AS_MEAN_CELL} (`cellwise pack` sees each)"
     return pack.mean.with_notices((*pack.notices, said))
 
 

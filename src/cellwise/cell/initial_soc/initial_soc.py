@@ -12,7 +12,7 @@ from cellwise.cell.initial_soc.whole_log import likeliest_soc, past_voltage
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import check_soc0, known_temperature_C, model_temperature_C
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.pauses import uncounted_pauses
+from cellwise.logs.measured_log import uncounted_pauses
 from cellwise.typing import FloatArray
 
 FIT_S = 60.0

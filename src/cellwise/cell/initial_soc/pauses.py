@@ -14,7 +14,7 @@ from cellwise.cell.plausibility.cells_in_series import check_cells_in_series
 from cellwise.cell.simulate import Simulation
 from cellwise.cell.simulate import simulate as simulate_from
 from cellwise.logs.cell_log import CellLog, check_is_log
-from cellwise.logs.pauses import uncounted_pauses
+from cellwise.logs.measured_log import uncounted_pauses
 
 FEWEST_VOLTAGES = 3  # fewer say nothing of where a stretch begins
 
@@ -41,8 +41,8 @@ def stretches(model: CellModel, log: CellLog, start: InitialSoc) -> tuple[Stretc
     """
     found = [Stretch(0, len(log), start)]
     for row, stop in pairwise((*uncounted_pauses(log), len(log))):
-        part = log.part(row, stop)
-        if np.count_nonzero(np.isfinite(part.voltage_V)) >= FEWEST_VOLTAGES:
+        if np.count_nonzero(np.isfinite(log.voltage_V[row:stop])) >= FEWEST_VOLTAGES:
+            part = log.part(row, stop)
             found[-1] = found[-1]._replace(stop=row)
             found.append(Stretch(row, len(log), initial_soc(model, part, whole_log=True)))
     return tuple(found)

@@ -11,6 +11,7 @@ import numpy as np
 from cellwise.cell.initial_soc.best_start import best_start_soc
 from cellwise.cell.initial_soc.initial_soc import STATED_STD
 from cellwise.cell.model import CellModel
+from cellwise.cell.plausibility.notice import RANGE_V, Notice
 from cellwise.cell.simulate import start_hysteresis
 from cellwise.cell.stock.catalogue import stock_model, stock_names
 from cellwise.errors import InputError
@@ -28,6 +29,7 @@ from cellwise.identify.ocv.curve import curve_from_points
 from cellwise.identify.prior.corrections import Corrections
 from cellwise.identify.prior.seen import error_of, notices_of, seen_by
 from cellwise.identify.prior.update import PriorLog, update
+from cellwise.identify.refinement.model_error import POINTS
 from cellwise.identify.soc_anchor import SocAnchor, full_before
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
@@ -37,7 +39,9 @@ UNKNOWN_STD = 0.5  # of an initial SOC: the OCV and its correction have to find 
 # Shares of the SOC range below which the rest is no extrapolation, but a guess: by drives, and by a
 # test at constant current.
 SEEN_ENOUGH, SEEN_LEAST = 0.8, 0.5
-FEWEST_ROWS = 30  # with a voltage: fewer say next to nothing that the prior does not
+# What says next to nothing that the prior does not: fewer rows with a voltage, a smaller share of
+# the capacity moved in and out.
+FEWEST_ROWS, LEAST_MOVED = 10, 0.005
 
 
 def needs_prior(tests: TestLogs, settings: IdentifySettings) -> bool:
@@ -45,10 +49,14 @@ def needs_prior(tests: TestLogs, settings: IdentifySettings) -> bool:
 
     Tests at constant current of which none goes over most of the SOC range; drives alone whose
     initial SOC nobody states, however far they go: a pack off its charger need not have been full.
-    A pulse test has rests: its OCV is measured.
+    A pulse test has rests: its OCV is measured. Steady currents alone show no time constant.
     """
     nominal = settings.nominal_Ah
-    if nominal is None or not settings.refine or tests.hppc:
+    if not settings.refine or tests.hppc:
+        return False
+    if not tests.drive:
+        return True
+    if nominal is None:
         return False
     laboratory = [*tests.ocv, *tests.capacity]
     if laboratory:
@@ -79,7 +87,8 @@ def fit_prior(
     ------
     InputError        no prior that fits; a log with hardly a voltage
     """
-    tests, notices = checked.tests, []
+    tests, silent = _telling(checked.tests, capacity.capacity_Ah)
+    notices: list[str] = []
     reached = _reached_V(tests.logs())
 
     def corrections_of(prior: CellModel) -> Corrections:
@@ -93,11 +102,15 @@ def fit_prior(
         return _prepared(tests, corrections.prior)
 
     prior, chosen_by = settings.prior, "named"
+    rivals: tuple[CellModel, ...] = ()
+    unlike: tuple[Notice, ...] = ()
     if prior is None:
         say("prior")
-        prior, notice = choose_prior(tests.logs(), corrections_of, prepared)
-        chosen_by = "voltage window and fit"
-        notices.append(notice)
+        chosen = choose_prior(tests.logs(), corrections_of, prepared)
+        prior, rivals, chosen_by = chosen.prior, chosen.rivals, "voltage window and fit"
+        notices.append(chosen.notice)
+        if rivals:
+            unlike = (Notice(RANGE_V, chosen.notice),)
     name = str(prior.provenance.get("stock", {}).get("name", "")) or prior.name or "given"
     say(f"update of {name}")
     corrections = corrections_of(prior)
@@ -111,8 +124,15 @@ def fit_prior(
         how = "stated" if item.log.soc0 is not None else f"by the OCV of {name}"
         notices.append(f"'{item.log.name}' begins at SOC {soc0:.3f} +- {std:.3f} ({how})")
         starts.append(Start(item.log, float(soc0), item.compare))
+    for log, why in silent:
+        soc0, _ = best_start_soc(found.model, log, np.linspace(0.0, 1.0, STARTS))
+        starts.append(Start(log, soc0, None, why))
+        notices.append(f"'{log.name}' is left out: {why}")
     fitted = found.model.capacity_Ah
     std_Ah = fitted * corrections.capacity_std * float(np.sqrt(found.covariance[-1, -1]))
+    if rivals:
+        apart_Ah, apart_V = _apart(found.model, rivals)
+        std_Ah, error = float(np.hypot(std_Ah, apart_Ah)), error.with_slow(apart_V, 0.0)
     notices.append(
         f"capacity {fitted:.4g} +- {std_Ah:.2g} Ah, from {capacity.capacity_Ah:.4g} Ah "
         f"({capacity.choice})"
@@ -144,6 +164,7 @@ def fit_prior(
         measured_soc=np.empty(0),
         choices_Ah={"updated": fitted},
         provenance={"prior": of_prior},
+        contradictions=unlike,
         notices=tuple(notices),
     )
 
@@ -152,6 +173,43 @@ def _reached_V(logs: Sequence[CellLog]) -> FloatArray:
     """Lowest and highest voltage of all logs [V]."""
     low = min(np.nanmin(log.voltage_V) for log in logs)
     return np.array([low, max(np.nanmax(log.voltage_V) for log in logs)])
+
+
+def _telling(tests: TestLogs, capacity_Ah: float) -> tuple[TestLogs, list[tuple[CellLog, str]]]:
+    """The logs that can say anything, and those that are left out, with the reason.
+
+    Raises
+    ------
+    InputError        none can
+    """
+    reasons = {id(log): _says_nothing(log, capacity_Ah) for log in tests.logs()}
+    silent = [(log, reasons[id(log)]) for log in tests.logs() if reasons[id(log)]]
+    if len(silent) == len(reasons):
+        raise InputError(
+            f"{silent[0][1]} in log '{silent[0][0].name}'",
+            f"at least {FEWEST_ROWS} rows, and {LEAST_MOVED:.1%} of the capacity moved",
+            "Give a longer log, or check its columns.",
+        )
+
+    def kept(log: CellLog) -> bool:
+        return not reasons[id(log)]
+
+    telling = TestLogs(
+        hppc=tuple(one for one in tests.hppc if kept(one[0])),
+        ocv=tuple(filter(kept, tests.ocv)),
+        capacity=tuple(filter(kept, tests.capacity)),
+        drive=tuple(one for one in tests.drive if kept(one[0])),
+    )
+    return telling, silent
+
+
+def _says_nothing(log: CellLog, capacity_Ah: float) -> str:
+    """Why a log is no use for a fit; empty for one that is."""
+    rows = int(np.count_nonzero(np.isfinite(log.voltage_V)))
+    if rows < FEWEST_ROWS:
+        return f"{rows} row(s) with a voltage"
+    moved = float(np.abs(log.known_current_A()) @ log.interval_s) / 3600.0 / capacity_Ah
+    return f"only {moved:.2%} of the capacity moved" if moved < LEAST_MOVED else ""
 
 
 def _prepared(tests: TestLogs, prior: CellModel) -> list[PriorLog]:
@@ -173,13 +231,6 @@ def _prepared(tests: TestLogs, prior: CellModel) -> list[PriorLog]:
 
 def _started(log: CellLog, prior: CellModel) -> PriorLog:
     """A log with its initial SOC by the prior's OCV: never taken for full because it is a test."""
-    known = int(np.count_nonzero(np.isfinite(log.voltage_V)))
-    if known < FEWEST_ROWS:
-        raise InputError(
-            f"{known} row(s) with a voltage in log '{log.name}'",
-            f"at least {FEWEST_ROWS}",
-            "Give a longer log, or check the column.",
-        )
     if log.soc0 is not None:
         return PriorLog(log, log.soc0, STATED_STD, h0=start_hysteresis(log.soc0))
     # On a plateau the first minute says nothing, the whole log may.
@@ -217,6 +268,24 @@ class Candidate:
     name: str
     misfit: float
     soc0: float
+    model: CellModel
+
+
+class Chosen(NamedTuple):
+    """The prior, what it was chosen from, and the models of kinds that see the cell elsewhere."""
+
+    prior: CellModel
+    notice: str
+    rivals: tuple[CellModel, ...]
+
+
+def _apart(model: CellModel, rivals: Sequence[CellModel]) -> tuple[float, FloatArray]:
+    """RMS of what rivals hold and of their OCV, less the model's: [Ah], and [V] over POINTS SOC."""
+    grid, warm = np.linspace(0.0, 1.0, POINTS), float(model.temperature_C[0])
+    own = np.interp(grid, model.soc, model.ocv_at(warm))
+    away = [np.interp(grid, r.soc, r.ocv_at(warm)) - own for r in rivals]
+    held = [r.capacity_Ah - model.capacity_Ah for r in rivals]
+    return float(np.sqrt(np.mean(np.square(held)))), np.sqrt(np.mean(np.square(away), axis=0))
 
 
 def in_window(name: str, logs: Sequence[CellLog]) -> bool:
@@ -236,7 +305,7 @@ def choose_prior(
     logs: Sequence[CellLog],
     corrections_of: Callable[[CellModel], Corrections],
     prepared: Callable[[Corrections], Sequence[PriorLog]],
-) -> tuple[CellModel, str]:
+) -> Chosen:
     """The most probable stock model for a cell of which only drives are known, and why.
 
     Parameters
@@ -247,12 +316,12 @@ def choose_prior(
 
     Returns
     -------
-    CellModel, str      the prior, and a notice of what it was chosen from
+    Chosen              where several kinds of cell explain the logs as well and see the cell at
+                        another SOC, with their models: what they differ by is not known
 
     Raises
     ------
-    InputError        no window holds the logs; several kinds of cell explain them as well and see
-                      the cell at another SOC
+    InputError        no window holds the logs
     """
     names = [name for name in stock_names() if in_window(name, logs)]
     low = min(float(np.nanmin(log.voltage_V)) for log in logs)
@@ -271,21 +340,21 @@ def choose_prior(
             prepared(corrections), key=lambda i: -float(np.ptp(i.log.counted_charge_Ah()))
         )
         one = update(corrections, items[: LIMITS.logs])
-        found.append(Candidate(name, one.misfit, float(one.soc0[0])))
+        found.append(Candidate(name, one.misfit, float(one.soc0[0]), one.model))
     found.sort(key=lambda c: c.misfit)
     best = found[0]
     close = [c for c in found[1:] if c.misfit - best.misfit < LIMITS.undecided]
     elsewhere = [c for c in close if abs(c.soc0 - best.soc0) > LIMITS.other_soc]
-    if elsewhere:
-        texts = ", ".join(f"{c.name} (SOC {c.soc0:.2f})" for c in (best, *elsewhere))
-        raise InputError(
-            f"{between} that several kinds of cell show alike: {texts}",
-            "a log that shows which of them it is",
-            "Give `prior=NAME` of the right kind.",
-        )
-    others = f"; {', '.join(c.name for c in close)} as probable" if close else ""
-    return stock_model(best.name), (
-        f"too little of the SOC range was seen for a model of its own: {best.name} is the prior, "
-        f"chosen by its voltage window and fit of {', '.join(names)}{others}; "
-        "`prior=NAME` names another"
+    said = (
+        f"too little was seen for a model of its own: {best.name} is the prior, "
+        f"chosen by its voltage window and fit of {', '.join(names)}"
     )
+    said += f"; {', '.join(c.name for c in close)} as probable" if close else ""
+    if elsewhere:
+        texts = ", ".join(f"{c.name} at SOC {c.soc0:.2f}" for c in (best, *elsewhere))
+        said = (
+            f"{between} that several kinds of cell show alike ({texts}): {best.name} is the prior, "
+            "and what they differ by its error"
+        )
+    models = tuple(c.model for c in elsewhere)
+    return Chosen(stock_model(best.name), f"{said}; `prior=NAME` names another", models)

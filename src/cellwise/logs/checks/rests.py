@@ -10,18 +10,30 @@ from numpy.typing import NDArray
 from cellwise.logs.measured_log import MeasuredLog
 from cellwise.typing import BoolArray, FloatArray
 
-LEAST_REST_S = 60.0  # of a rest whose voltage may be an open-circuit voltage
-SAMPLE = 200_000  # rows that show a channel's resolution as well as millions
-
 
 class Quiet(NamedTuple):
-    """Which share of the log's largest current is none: of a fine channel, of a coarse one."""
+    """Which share of the log's largest current is none: of a fine channel, of a coarse one.
+
+    ``digits`` are those of the channel that a resting sensor may show; after ``least_s`` a voltage
+    may be an open-circuit voltage.
+    """
 
     fine: float = 0.005
     coarse: float = 0.02
+    digits: float = 1.5
+    least_s: float = 60.0
 
 
-QUIET = Quiet()
+class Grid(NamedTuple):
+    """Values on a grid: so many, this share of their differences multiples; rows that show it."""
+
+    values: int = 20
+    share: float = 0.95
+    off: float = 0.05
+    rows: int = 200_000
+
+
+QUIET, GRID = Quiet(), Grid()
 
 
 class Rest(NamedTuple):
@@ -47,7 +59,7 @@ def is_quiet(log: MeasuredLog) -> BoolArray:
     """
     current = np.abs(log.known_current_A())
     largest = float(np.max(current))
-    digit = min(1.5 * (resolution(log.current_A) or 0.0), QUIET.coarse * largest)
+    digit = min(QUIET.digits * (resolution(log.current_A) or 0.0), QUIET.coarse * largest)
     quiet: BoolArray = current <= max(QUIET.fine * largest, digit)
     return quiet
 
@@ -60,7 +72,7 @@ def find_rests(log: MeasuredLog) -> list[Rest]:
     return [
         Rest(float(log.time_s[a]), float(seconds), float(log.voltage_V[b]))
         for a, b, seconds in zip(begins, last, duration_s, strict=True)
-        if seconds >= LEAST_REST_S
+        if seconds >= QUIET.least_s
     ]
 
 
@@ -71,14 +83,14 @@ def resolution(values: FloatArray) -> float | None:
     are its multiples; else the last decimal place in which values were written.
     """
     finite = values[np.isfinite(values)]
-    distinct = np.unique(finite[:: -(-finite.size // SAMPLE) or 1])
+    distinct = np.unique(finite[:: -(-finite.size // GRID.rows) or 1])
     if distinct.size < 3:
         return None
     steps = np.diff(distinct)
     smallest = float(np.min(steps[steps > 1e-9 * np.max(np.abs(distinct))], initial=np.inf))
     multiples = steps / smallest
-    whole = np.mean(np.abs(multiples - np.round(multiples)) < 0.05) >= 0.95
-    if whole and distinct.size >= 20:
+    whole = np.mean(np.abs(multiples - np.round(multiples)) < GRID.off) >= GRID.share
+    if whole and distinct.size >= GRID.values:
         return float(f"{smallest:.4g}")
     for place in range(9):
         scaled = distinct * 10.0**place

@@ -40,8 +40,6 @@ class Unit:
 
 OWN = Unit()
 MILLI = Unit(1e-3)
-TURNED = Unit(-1.0)  # a counter that runs with a charge-positive current
-TURNED_MILLI = Unit(-1e-3)
 CLOCK = Unit(kind="clock")
 
 
