@@ -176,32 +176,6 @@ class CauseFits:
         voltage = self.rests.ln_likelihood(found.coordinates, found.z)
         return voltage + self.evidence.rest.ln_likelihood(found.z)
 
-    def alone(self, found: Fit, causes: Iterable[Cause]) -> Fit:
-        """The causes' coordinates as found, tolerances at neutral.
-
-        Starts that were given stay as given, unless a cause moves them; those that were found are
-        found again.
-        """
-        named = dict(zip(self.evidence.starts(), self.evidence.logs, strict=True))
-        known = tuple(causes)
-        moved = any(c.kind == "start" for c in known)
-        estimated = [n for n, g in named.items() if moved or g.start.how != "given"]
-        fixed = self.point(found, kept_coordinates(known))
-        fixed |= {n: 0.0 for n in named if n not in estimated}
-        if moved:
-            fixed |= {n: found.z[n] for n in estimated}
-            estimated = []
-        std = {n: self.prior.std[n] for n in estimated}
-        wide = self.widened_for(known, found.coordinates)
-        low = {n: wide.low[n] for n in estimated}
-        high = {n: wide.high[n] for n in estimated}
-        objective = self.objective(Noise())
-        start = {n: found.z[n] for n in estimated}
-        mean = {n: wide.mean_with(n, fixed) for n in estimated}
-        prior = Prior(std, mean, low, high)
-        one = fit(objective, found.coordinates, prior, start, 4, fixed)
-        return complete(objective, one, prior)
-
     def point(self, found: Fit, keep: set[str]) -> dict[str, float]:
         """The causes' coordinates as found, the cell's as calibrated on a baseline, nothing else.
 

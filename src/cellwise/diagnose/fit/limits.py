@@ -147,8 +147,9 @@ def _sizes(
         change[place] = size
         if size > GOOD.ends * wide[place]:
             continue  # no fault is as large: the logs show none of it
-        moved = value_of(p.coordinate, size, fits.coordinates, start)
-        found[p.name] = abs(moved - value_of(p.coordinate, 0.0, fits.coordinates, start))
+        ends = [value_of(p.coordinate, x, fits.coordinates, start) for x in (size, 0.0, -size)]
+        if any(p.bounds[0] <= end <= p.bounds[1] for end in ends[::2]):  # else no cell has it
+            found[p.name] = abs(ends[0] - ends[1])
     return found, change
 
 
