@@ -170,8 +170,6 @@ SWITCHES: dict[str, tuple[tuple[str, Replace], ...]] = {
             lambda _: lambda _m, e, *_: (np.ones(e.rows), np.zeros(e.rows)),
         ),
     ),
-    "what comes back": (("fit.noise.STATED", lambda old: old._replace(returns=0.0)),),
-    "tolerances by what comes back": (("fit.priors._owed", lambda _: lambda *_: {}),),
     "starts read again": (
         ("fit.priors.start_readings", lambda _: lambda *_: {}),
         ("fit.limits.start_readings", lambda _: lambda *_: {}),

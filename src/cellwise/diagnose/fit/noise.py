@@ -27,13 +27,11 @@ class Stated(NamedTuple):
     """What a model's statement of its error counts as, and what it cannot say.
 
     ``errors``: as many independent errors as some drives hold; ``fast_errors``: as many of what
-    changes within a window, however often it comes back; ``returns``: two clean logs of one cell
-    have at most this much of an error in common, in squares.
+    changes within a window, however often it comes back.
     """
 
     errors: float = 10.0
     fast_errors: float = 10.0
-    returns: float = 0.75
 
 
 STATED = Stated()
@@ -79,13 +77,6 @@ def slow_scales(error: ModelError) -> tuple[int, ...]:
     """Processes of an error that outlast a window; the slowest in any case."""
     last = len(error.scales_s) - 1
     return tuple(k for k, s in enumerate(error.scales_s) if s >= WINDOW_S or k == last)
-
-
-def returning_V(error: ModelError, soc: FloatArray, temperature_C: float) -> FloatArray:
-    """What comes back at the same SOC in every log of a cell [V]."""
-    share = min(error.persistent_share, STATED.returns)
-    slowest = error.variance_V2(len(error.scales_s) - 1, soc, temperature_C)
-    return np.asarray(np.sqrt(share * slowest))
 
 
 def lasting_V(
@@ -142,8 +133,7 @@ def stated_V(
 ) -> FloatArray:
     """What the model states at every scored row of an error that lasts for minutes [V].
 
-    Without what comes back in every log: that is what tolerances are. ``soc`` and ``voltage_V`` are
-    as simulated.
+    ``soc`` and ``voltage_V`` are as simulated.
     """
     size = np.empty(evidence.rows)
     for g, rows in evidence.each():
@@ -152,8 +142,7 @@ def stated_V(
         drop = np.interp(at, model.soc, model.at_temperature(warm).ocv_V[0]) - voltage_V[rows]
         charged = charged_for_minutes(g.log)[:: g.stride]
         lasts = lasting_V(model.error, at, warm, drop, charged)
-        back = returning_V(model.error, at, warm)
-        size[rows] = np.sqrt(lasts**2 - back**2 + LEAST_V**2)
+        size[rows] = np.sqrt(lasts**2 + LEAST_V**2)
     return size
 
 
