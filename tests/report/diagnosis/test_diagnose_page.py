@@ -151,7 +151,7 @@ def test_what_to_measure_and_what_is_unsure_come_before_all_else(tmp_path):
     page = Page(diagnose_page(record, tmp_path / "p.html").read_text("utf-8"))
     said = page.text_in("li").replace("\N{NO-BREAK SPACE}", " ")
     assert said.lstrip().startswith("Measure next: rest an hour")
-    lines = ("Measure next", "probability of 99.7 %", "hysteresis and entropy look alike", "A prop")
+    lines = ("Measure", "Probability of hysteresis 99.7 %.", "hysteresis and entropy", "A prop")
     assert [said.index(w) for w in lines] == sorted(said.index(w) for w in lines)
     every = " ".join(t for _, t in page.texts).replace("\N{NO-BREAK SPACE}", " ")
     assert "Hysteresis, probability 99.7 %" in every

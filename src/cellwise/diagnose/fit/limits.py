@@ -147,9 +147,11 @@ def _sizes(
         change[place] = size
         if size > GOOD.ends * wide[place]:
             continue  # no fault is as large: the logs show none of it
-        ends = [value_of(p.coordinate, x, fits.coordinates, start) for x in (size, 0.0, -size)]
-        if any(p.bounds[0] <= end <= p.bounds[1] for end in ends[::2]):  # else no cell has it
-            found[p.name] = abs(ends[0] - ends[1])
+        ends = [value_of(p.coordinate, x, fits.coordinates, start) for x in (0.0, size, -size)]
+        # A change that no cell can have is none that they show.
+        sizes = [abs(e - ends[0]) for e in ends[1:] if p.bounds[0] <= e <= p.bounds[1]]
+        if sizes:
+            found[p.name] = sizes[0]
     return found, change
 
 

@@ -9,7 +9,6 @@ from cellwise.diagnose.log_runs import LogRun
 from cellwise.diagnose.result import Diagnosis, FoundCause
 from cellwise.report.page.numerals import (
     ampere_hours,
-    capitalised,
     duration,
     listed,
     millivolt,
@@ -90,12 +89,12 @@ def losses(diagnosis: Diagnosis) -> list[str]:
 
 def unsure_lines(diagnosis: Diagnosis) -> list[str]:
     """What the logs leave open: how probable a cause is, what is not separated, what not judged."""
-    lines = [
-        f"{capitalised(cause_name(c.name))} is there with a probability of "
-        f"{probability(c.probability)}."
+    sure = [
+        f"{cause_name(c.name)} {probability(c.probability)}"
         for c in diagnosis.causes
         if c.probability < 1.0
     ]
+    lines = [f"Probability of {listed(sure)}."] if sure else []
     if diagnosis.verdict == "undetermined" and diagnosis.competing:
         parts = (f"{explanation(w)} {probability(w.probability)}" for w in diagnosis.competing[:3])
         lines.append(f"Possible are {listed(list(parts))}.")
