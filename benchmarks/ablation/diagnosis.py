@@ -163,6 +163,9 @@ SWITCHES: dict[str, tuple[tuple[str, Replace], ...]] = {
     "wrong shapes": (
         ("fit.likelihood.wrong_shapes", lambda _: lambda e, *_: np.zeros((e.rows, 0))),
     ),
+    "share of shapes in the noise": (
+        ("fit.cause_fits.with_shape", lambda _: lambda _e, size, weight, _s: (size, weight)),
+    ),
     "fast and slow apart": (
         ("fit.least_squares.Objective.bands", lambda _: lambda o, c: (one_band(o, c), 0.0 * c)),
         (

@@ -10,7 +10,13 @@ import pytest
 from scipy.stats import invgamma, norm
 
 from cellwise.cell.model_error import ModelError
-from cellwise.diagnose.fit.noise import KnownScale, row_weights, share_claimed
+from cellwise.diagnose.fit.noise import (
+    STATED,
+    KnownScale,
+    row_weights,
+    share_claimed,
+    with_shape,
+)
 from cellwise.diagnose.fit.rows import FITTED, IGNORED
 from cellwise.identify.refinement.sustained import charged_for_minutes
 from cellwise.logs.cell_log import CellLog
@@ -43,6 +49,21 @@ def test_rows_count_as_many_errors_as_their_time_and_soc_hold():
 def test_a_row_is_one_error_at_most():
     assert np.all(
         row_weights(evidence(), ModelError.of_white_and_slow(correlation_s=1e-3), SOC) <= 1.0
+    )
+
+
+def test_a_shape_that_is_not_natures_is_few_errors_in_however_many_rows():
+    size, weight = np.full(ROWS, 2e-3), np.full(ROWS, 200.0 / ROWS)
+    none = with_shape(evidence(), size, weight, 0.0)
+    np.testing.assert_allclose(none[0], size)
+    np.testing.assert_allclose(none[1], weight)
+    large, few = with_shape(evidence(), size, weight, 0.2)
+    np.testing.assert_allclose(large, np.hypot(2e-3, 0.2))
+    assert np.sum(few) == pytest.approx(STATED.shape_errors, rel=0.01)
+    # A mean over all rows is as uncertain as the two errors together.
+    both, some = with_shape(evidence(), size, weight, 2e-3)
+    assert np.mean(both) ** 2 / np.sum(some) == pytest.approx(
+        4e-6 / 200.0 + 4e-6 / STATED.shape_errors
     )
 
 

@@ -22,16 +22,18 @@ from cellwise.diagnose.fit.least_squares import (
 )
 from cellwise.diagnose.fit.likelihood import Prediction, predict
 from cellwise.diagnose.fit.noise import (
+    STATED,
     KnownScale,
     Noise,
     fast_part,
     row_weights,
     stated_V,
+    with_shape,
 )
 from cellwise.diagnose.fit.priors import calibrated, ln_size, widened_for
 from cellwise.diagnose.fit.rests import RestVoltages
-from cellwise.diagnose.fit.rows import IGNORED, Evidence
-from cellwise.typing import FloatArray
+from cellwise.diagnose.fit.rows import IGNORED, Evidence, rmse
+from cellwise.typing import BoolArray, FloatArray
 
 
 @dataclass(eq=False)
@@ -72,15 +74,22 @@ class CauseFits:
         model = self.coordinates.model
         start = {**prior.mean, **dict.fromkeys(self.evidence.starts(), 0.0)}
         voltage, soc = self.evidence.simulate(self.coordinates, start)
-        self.stated_V = stated_V(model, self.evidence, soc, voltage)
-        self.weight = row_weights(self.evidence, model.error, soc)
+        stated = stated_V(model, self.evidence, soc, voltage)
+        weight = row_weights(self.evidence, model.error, soc)
+        self.weight, self.stated_V, noise = weight, stated, Noise()
         self.fast_V, self.fast_weight = fast_part(model, self.evidence, soc, voltage)
-        noise = Noise()
         found = self.fit(noise, self.coordinates, prior, start, 5)
         for _ in range(2):
+            found = complete(self.objective(noise), found, prior)
+            left = self.evidence.voltage_V - found.voltage_V
+            shape_V = STATED.shape * rmse(left, self._used())
+            self.stated_V, self.weight = with_shape(self.evidence, stated, weight, shape_V)
             noise = self.noise(found, prior)
             found = self.fit(noise, self.coordinates, prior, found.z, 4)
         return complete(self.objective(noise), found, prior), noise
+
+    def _used(self) -> BoolArray:
+        return np.asarray(self.evidence.known & (self.evidence.role != IGNORED))
 
     def fit(
         self,
@@ -125,8 +134,7 @@ class CauseFits:
 
     def squares(self, found: Fit) -> tuple[float, float]:
         """Sum of squares of the used rows in units of the stated error, and how many errors."""
-        plain = self.objective(Noise())
-        rows = self.evidence.known & (self.evidence.role != IGNORED)
+        rows, plain = self._used(), self.objective(Noise())
         left = plain.squares(self.evidence.voltage_V - found.voltage_V)
         return float(np.sum(left[rows])), float(np.sum(plain.errors[rows]))
 

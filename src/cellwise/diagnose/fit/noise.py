@@ -6,6 +6,9 @@ it explains. A log of length t over a SOC range s holds 1 + t / (2 tau) + s / (2
 errors, however many rows it has, with l the model's ``correlation_soc`` where it states one. How
 far the statement itself is off is not known: its scale has an inverse-gamma prior, as sure as so
 many errors, and what causes leave unexplained counts less the more of it there is.
+
+No cause has the shape of nature: a share of what is to be explained stays, with as few independent
+errors in a log as such a shape has features.
 """
 
 from __future__ import annotations
@@ -26,12 +29,14 @@ from cellwise.typing import BoolArray, FloatArray
 class Stated(NamedTuple):
     """What a model's statement of its error counts as, and what it cannot say.
 
-    ``errors``: as many independent errors as some drives hold; ``fast_errors``: as many of what
-    changes within a window, however often it comes back.
+    ``errors``: as many independent errors as some drives hold; ``shape``: share of a model's whole
+    error that no cause explains, since no cause has the shape of nature, with ``shape_errors``
+    independent errors in a log.
     """
 
     errors: float = 10.0
-    fast_errors: float = 10.0
+    shape: float = 0.1
+    shape_errors: float = 10.0
 
 
 STATED = Stated()
@@ -117,6 +122,21 @@ def row_weights(evidence: Evidence, error: ModelError, soc: FloatArray) -> Float
     return np.concatenate(weights)
 
 
+def with_shape(
+    evidence: Evidence, size_V: FloatArray, weight: FloatArray, shape_V: float
+) -> tuple[FloatArray, FloatArray]:
+    """Size and weight of the model's error at every row with that of the shapes of causes.
+
+    What a mean over many rows leaves uncertain adds up: size^2 over weight.
+    """
+    both = size_V**2 + shape_V**2
+    mean = size_V**2 / weight
+    for _, rows in evidence.each():
+        used = evidence.known[rows] & (evidence.role[rows] != IGNORED)
+        mean[rows] += shape_V**2 * max(int(used.sum()), 1) / STATED.shape_errors
+    return np.sqrt(both), np.minimum(weight, both / mean)
+
+
 def share_claimed(error: ModelError, drop_V: FloatArray, charged: BoolArray) -> FloatArray:
     """Share of the polarisation at every row that a diagnosis does not hold against a model.
 
@@ -152,7 +172,8 @@ def fast_part(
     """Size [V] and weight at every row of what changes within a window of the model's error.
 
     No larger than all that is stated of it on any time scale. It comes back with every pulse:
-    however many of these there are, all logs together hold few errors of it.
+    however many of these there are, all logs together hold as few errors of it as such a shape has
+    features.
     """
     size = np.empty(evidence.rows)
     for g, rows in evidence.each():
@@ -163,4 +184,4 @@ def fast_part(
         own = np.hypot(model.error.at(at, warm), share * drop)
         size[rows] = np.sqrt(own**2 + model.error.white_V**2 + LEAST_V**2)
     used = evidence.known & (evidence.role != IGNORED)
-    return size, np.full(evidence.rows, min(STATED.fast_errors / max(int(used.sum()), 1), 1.0))
+    return size, np.full(evidence.rows, min(STATED.shape_errors / max(int(used.sum()), 1), 1.0))

@@ -305,3 +305,8 @@ def _rows(
         block.astype(np.int32),
         clock,
     )
+
+
+def rmse(residual: FloatArray, rows: BoolArray) -> float:
+    """Root mean square over the rows [V]."""
+    return float(np.sqrt(np.mean(residual[rows] ** 2))) if rows.any() else float("nan")
