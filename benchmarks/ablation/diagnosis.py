@@ -156,12 +156,11 @@ def cases(model: CellModel, data: Path | None, physics: Path) -> Iterator[Case]:
 
 Replace = Callable[[Any], Any]
 SWITCHES: dict[str, tuple[tuple[str, Replace], ...]] = {
-    "tolerances tried at shares": (("fit.likelihood.SHARES", lambda _: (1.0,)),),
+    "tolerances tried at shares": (
+        ("fit.likelihood.OVER", lambda old: old._replace(shares=(1.0,))),
+    ),
     "scale of the noise averaged": (
         ("fit.likelihood._times", lambda _: lambda *_: np.array([1.0])),
-    ),
-    "wrong shapes": (
-        ("fit.likelihood.wrong_shapes", lambda _: lambda e, *_: np.zeros((e.rows, 0))),
     ),
     "share of shapes in the noise": (
         ("fit.cause_fits.with_shape", lambda _: lambda _e, size, weight, _s: (size, weight)),
@@ -201,7 +200,9 @@ SWITCHES: dict[str, tuple[tuple[str, Replace], ...]] = {
     "slower diffusion": (("decision.explanations.forms_of", lambda _: lambda cause, _c: (cause,)),),
     "blocks weighed at random": (("decision.outcome.weigh", lambda _: plainly_weighed),),
     "age is one cause": (("decision.odds.AGE", lambda _: frozenset()),),
-    "rare since the baseline": (("decision.odds.SINCE_BASELINE_NATS", lambda _: 0.0),),
+    "rare since the baseline": (
+        ("decision.odds.RARE", lambda old: old._replace(since_baseline=0.0)),
+    ),
     "kept only if it simulates better": (("diagnosis.applied", lambda _: always_applied),),
     "the whole cell beside a cause": (
         ("log_runs._explained", lambda old: lambda f, c, n, _w: old(f, c, n, False)),

@@ -23,9 +23,8 @@ from cellwise.diagnose.decision.checks import (
 )
 from cellwise.diagnose.decision.explanations import Explanation, Explanations, Progress
 from cellwise.diagnose.decision.odds import (
-    LEAST_WEIGHT,
-    NAMED_NATS,
-    ONE_CAUSE_NATS,
+    NAMING,
+    RARE,
     Rarity,
     probability_of,
 )
@@ -141,7 +140,7 @@ def diagnose(
         return said(_undetermined(model, starts, f"this looks like another cell: {other}"))
     if evidence.rest.zero:
         chosen = [c for c in chosen if c.name != "current_offset"]
-    asked = ONE_CAUSE_NATS + NAMED_NATS  # what a single cause needs to be named
+    asked = RARE.one_cause + NAMING.nats  # what a single cause needs to be named
     shown = limits(fits, chosen, base, noise, asked)
     sets = Explanations(fits, Rarity(unseen_C is not None, fits.same_age), progress)
     sets.search(chosen, base, noise)
@@ -263,7 +262,7 @@ def _diagnosis(
         runs,
         no_gain,
         shown.sizes,
-        tuple(w for w in outcome.weighed if w.probability >= LEAST_WEIGHT),
+        tuple(w for w in outcome.weighed if w.probability >= NAMING.shown),
         shown.inseparable,
     )
 

@@ -147,29 +147,10 @@ class CauseFits:
         self, found: Fit, noise: Noise, prior: Prior, causes: Iterable[Cause]
     ) -> Prediction:
         """How likely all rows are with the causes estimated, and what the logs read at rest."""
-        known = tuple(causes)
-        kept = kept_coordinates(known)
-        moved = self.effects_V(found, known)
-        found_so = predict(
-            self.objective(noise), found, prior, self.known, noise.scale, moved, kept
-        )
+        kept = kept_coordinates(causes)
+        found_so = predict(self.objective(noise), found, prior, self.known, noise.scale, kept)
         more = self.at_rest(found) + ln_size(found.z, kept, prior, self.same_age)
         return found_so._replace(total=found_so.total + more)
-
-    def effects_V(self, found: Fit, causes: Iterable[Cause]) -> FloatArray:
-        """By how much every cause of the cell moves the simulated voltage [V], (rows, causes).
-
-        What is wrong with a log, an offset or where it starts, has exactly the shape it has.
-        """
-        moved = []
-        for cause in causes:
-            if cause.kind != "cell":
-                continue
-            names = kept_coordinates((cause,))
-            neutral = {n: self.prior.mean.get(n, 0.0) for n in names if n in found.z}
-            voltage, _ = self.evidence.simulate(found.coordinates, found.z | neutral)
-            moved.append(np.nan_to_num(found.voltage_V - voltage))
-        return np.column_stack(moved) if moved else np.zeros((self.evidence.rows, 0))
 
     def at_rest(self, found: Fit) -> float:
         """Ln likelihood of what voltage and current sensor read at rest."""
