@@ -201,9 +201,9 @@ def test_what_age_does_at_once_is_one_coincidence():
     assert further == pytest.approx(RARE.one_cause + RARE.further_age)
     assert Rarity().nats(("time_skew", "voltage_offset")) == pytest.approx(2.0 * RARE.one_cause)
     cold = Rarity(extrapolated=True)
-    both = cold.nats(("temperature_dependence", "surface_soc"))
+    both = cold.nats(("temperature_dependence", "slow_diffusion"))
     assert both == pytest.approx(RARE.further_age)
-    assert cold.nats(("surface_soc",)) == pytest.approx(RARE.further_age + RARE.law_holds)
+    assert cold.nats(("slow_diffusion",)) == pytest.approx(RARE.further_age + RARE.law_holds)
 
 
 def test_an_end_beyond_the_bounds_does_not_hide_one_within_them():

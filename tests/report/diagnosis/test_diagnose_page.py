@@ -49,7 +49,6 @@ SAID = {
     "charge_asymmetry": "1.30 times those on discharge",
     "self_heating": "5 K per watt",
     "self_discharge": "20 mA",
-    "surface_soc": "8 % below the mean SOC after 10 min",
 }
 
 

@@ -69,7 +69,7 @@ AGE = frozenset(
     }
 )
 # Outside the temperatures that the model was measured at these are expected: one of a few ways.
-TEMPERATURE = frozenset({"entropy", "surface_soc", "slow_diffusion", "self_heating"})
+TEMPERATURE = frozenset({"entropy", "slow_diffusion", "self_heating"})
 LAW = "temperature_dependence"
 
 

@@ -229,8 +229,6 @@ def starts_to_try(
         own = coordinates.tau3_s
     if name == "ln_gamma" and coordinates.has_hysteresis:
         own = coordinates.gamma
-    if name == "ln_surface_s" and coordinates.surface_depth_h > 0.0:
-        own = coordinates.surface_s
     if own is None:
         return [(replace(coordinates, shapes={**coordinates.shapes, name: v}), {}) for v in values]
     away = [math.log(v / own) for v in values]

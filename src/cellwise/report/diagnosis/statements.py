@@ -238,10 +238,6 @@ def _of_cell(cause: FoundCause, diagnosis: Diagnosis) -> str:
         rise = significant(p["rth_K_per_W"])
         after = duration(p["thermal_s"])
         return f"The cell is warmer inside than logged, {rise} K per watt after {after}"
-    if name == "surface_soc":
-        depth = points(p["depth_h"])
-        after = duration(p["surface_s"])
-        return f"At 1C the surface of the particles is {depth} below the mean SOC after {after}"
     if name == "self_discharge":
         return f"The cell discharges itself by {ampere(p['leak_A'])}"
     return cause.meaning.rstrip(".")
