@@ -196,7 +196,7 @@ def print_figures(found: Diagnosis) -> None:
         ("RMSE mV", lambda run: millivolt(run.before.metrics.rmse_V)),
         ("extended model", lambda run: millivolt(run.after.metrics.rmse_V)),
         ("log corrected, too", lambda run: _millivolt_of(run.corrected)),
-        ("its own start", lambda run: _millivolt_of(run.anew)),
+        ("its own start", lambda run: _millivolt_of(run.own_start)),
     )
     if found.causes:
         corrects = {"cell": "the model", "start": "the initial SOC"}

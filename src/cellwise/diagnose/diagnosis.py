@@ -47,8 +47,8 @@ from cellwise.diagnose.log_runs import (
     judged_runs,
     kept,
     log_runs,
-    started_anew,
     step_between,
+    with_own_starts,
     with_use,
 )
 from cellwise.diagnose.next_test import LONGER_LOG, next_test
@@ -232,7 +232,7 @@ def _diagnosis(
         new = known.explained.model
         validity = extended_validity(new, corrected, [r.explained.soc0 for r in seen])
         extended = _with_own_error(replace(new, validity=validity), runs, fits)
-        runs = started_anew(extended, runs, used)
+        runs = with_own_starts(extended, runs, used)
         reference = reference_for(model, reference_Ah, [c.name for c in causes])
         gain, no_gain = soc_gain(model, extended, judged_runs(runs), reference)
     reasons = outcome.reasons

@@ -38,9 +38,9 @@ class LogRun:
     """One log with the model as it was and as it is now, from the same start.
 
     ``corrected`` is the corrected log from the estimated start with the model as it is now, where a
-    cause corrects the log or its start instead of the model; else None. ``anew``: with the model as
-    it is now from the start that this model finds itself, where nobody states one and it is another
-    than the old model's: what `simulate` shows of the new model by itself.
+    cause corrects the log or its start instead of the model; else None. ``own_start``: with the
+    model as it is now from the start that this model finds itself, where nobody states one and it
+    is another than the old model's: what `simulate` shows of the new model by itself.
     """
 
     log: CellLog
@@ -48,7 +48,7 @@ class LogRun:
     before: Simulation
     after: Simulation
     corrected: Simulation | None = None
-    anew: Simulation | None = None
+    own_start: Simulation | None = None
 
     @property
     def explained(self) -> Simulation:
@@ -73,9 +73,9 @@ class LogRun:
         if self.corrected is not None:
             known["rmse_corrected_V"] = self.corrected.metrics.rmse_V
             known["soc0_corrected"] = self.corrected.soc0
-        if self.anew is not None:
-            known["rmse_anew_V"] = self.anew.metrics.rmse_V
-            known["soc0_anew"] = self.anew.soc0
+        if self.own_start is not None:
+            known["rmse_own_start_V"] = self.own_start.metrics.rmse_V
+            known["soc0_own_start"] = self.own_start.soc0
         return known
 
 
@@ -173,7 +173,7 @@ def judged_runs(runs: Sequence[LogRun]) -> tuple[LogRun, ...]:
     return tuple(r for r in runs if r.used == "holdout") or tuple(runs[:1])
 
 
-def started_anew(
+def with_own_starts(
     model: CellModel, runs: Sequence[LogRun], logs: Sequence[UsedLog]
 ) -> tuple[LogRun, ...]:
     """The runs with what a new model shows from the starts that it finds itself."""
@@ -182,7 +182,7 @@ def started_anew(
         if start.how not in ("given", "stated"):
             own = _inside(initial_soc(model, log, whole_log=True).soc)
             if own != run.after.soc0:
-                run = replace(run, anew=simulate(model, log, own))
+                run = replace(run, own_start=simulate(model, log, own))
         found.append(run)
     return tuple(found)
 

@@ -244,11 +244,11 @@ def cause_content(cause: FoundCause, diagnosis: Diagnosis) -> Markup:
 def runs_table(runs: Sequence[LogRun], explained: bool) -> Markup:
     """Every log before and after."""
     corrected = any(r.corrected is not None for r in runs)
-    anew = any(r.anew is not None for r in runs)
+    own_start = any(r.own_start is not None for r in runs)
     head = ["log", "used", "rows", "initial SOC", "RMSE before" if explained else "RMSE"]
     if explained:
         head += ["extended model", *(["log corrected, too"] if corrected else [])]
-        head += [*(["its own start"] if anew else []), "less by"]
+        head += [*(["its own start"] if own_start else []), "less by"]
     rows = []
     for r in runs:
         row = [clock_of(r.log), "held out" if r.used == "holdout" else "fitted"]
@@ -256,8 +256,10 @@ def runs_table(runs: Sequence[LogRun], explained: bool) -> Markup:
         if explained:
             row.append(millivolt(r.after.metrics.rmse_V))
             row += [millivolt(r.corrected.metrics.rmse_V) if r.corrected else ""] * corrected
-            own = r.anew
-            row += [f"{millivolt(own.metrics.rmse_V)} from {own.soc0:.3f}" if own else ""] * anew
+            own = r.own_start
+            row += [
+                f"{millivolt(own.metrics.rmse_V)} from {own.soc0:.3f}" if own else ""
+            ] * own_start
             row.append(percent(r.gain, 0))
         rows.append(row)
     caption = (
@@ -265,7 +267,7 @@ def runs_table(runs: Sequence[LogRun], explained: bool) -> Markup:
     )
     if corrected:
         caption += " Beside it, the corrected log from the SOC at which it is estimated to start."
-    if anew:
+    if own_start:
         caption += (
             " Its own start: what `simulate` shows where no start is stated, since the extended "
             "model finds another one."

@@ -121,7 +121,7 @@ def probability(share: float) -> str:
 
 
 def weights(diagnosis: Diagnosis) -> list[tuple[str, str]]:
-    """Explanations and their probabilities, what is left, every named cause over all of them."""
+    """Explanations and their probabilities, the others, every named cause over all of them."""
     rows = [(explanation(w), probability(w.probability)) for w in diagnosis.competing]
     rest = 1.0 - sum(w.probability for w in diagnosis.competing)
     if rest > 5e-4:
@@ -142,8 +142,8 @@ def within(text: str) -> str:
 
 def shown_parameters(cause: FoundCause) -> list[tuple[str, float]]:
     """The parameters that the logs say something of; all of them where they say nothing of any."""
-    told = [(k, v) for k, v in cause.parameters.items() if k not in cause.prior_only]
-    return told or list(cause.parameters.items())
+    known = [(k, v) for k, v in cause.parameters.items() if k not in cause.prior_only]
+    return known or list(cause.parameters.items())
 
 
 def judged_run(diagnosis: Diagnosis) -> LogRun | None:
