@@ -1,11 +1,12 @@
 """What is lost without each mechanism of the diagnosis, on a small panel of hidden effects.
 
-python -m benchmarks.ablation.diagnosis --model MODEL.json [--keep DIR] [--only "a,b"]
+python -m benchmarks.ablation.diagnosis --model MODEL.json [--physics DIR] [--keep DIR]
+    [--only "a,b" | --together "a,b"] [--every-cause]
 
-MODEL is that of the measured cell (Panasonic, 25 degC tests). A case is one effect hidden in
-measured drives, in an emulated cell or in a cell of the physics laboratory, or nothing at all; what
-is compared is whether it is named first, what else is named, and the lead: by how many nats the
-likeliest explanation that is right is ahead of the likeliest that is not.
+MODEL is that of the measured cell (Panasonic, 25 degC tests), DIR holds cases of the physics
+laboratory. A case is one effect hidden in a measured drive or in a cell of simulated physics, or
+nothing at all; what is compared is whether it is named first, what else is named, and the lead: by
+how many nats the likeliest explanation that is right is ahead of the likeliest that is not.
 """
 
 from __future__ import annotations
@@ -16,42 +17,61 @@ import json
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.measured_data import data_folder, measured_log
+from benchmarks.physics_laboratory.changes import CHANGES
 from benchmarks.physics_laboratory.stored import model_of, read_cases
 from cellwise import CellModel, read_model
 from cellwise.diagnose import diagnosis as station
+from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.decision.odds import Weighed
 from cellwise.diagnose.fit.priors import AGE
 from cellwise.diagnose.fit.rests import NO_READING
 from cellwise.diagnose.log_runs import apply
 from cellwise.logs import CellLog
 from cellwise.logs.resample import resample
-from emulator import Sensor
-from emulator_effects import World
-from hidden_cases import Plan, hidden_case
-from hide import emulated_cell, hide_in
 
 DIAGNOSE = "cellwise.diagnose"
 PHYSICS = Path(__file__).resolve().parents[2] / "tests/diagnose/physics_cases"
 MOST_NATS = 20.0  # a lead beyond this is no news
-REST_OHM = 0.028  # of the measured cell under load: sizes are shares of it
-STEP_S, ROWS = 0.2, 8_000  # of a measured drive: its pulses are kept, and an hour is enough
-EMULATED = ("initial_soc", "hysteresis", "ocv_shift")
+STEP_S, ROWS = 0.5, 6_000  # of a measured drive: 50 minutes, most of its pulses kept
+# What each effect is most easily taken for is among these; --every-cause tries all.
+RIVALS = (
+    "current_offset", "current_gain", "voltage_offset", "initial_soc", "capacity", "ocv_shift",
+    "ohmic_resistance", "slow_diffusion", "hysteresis", "lithium_inventory",
+)  # fmt: skip
+# Effect to its right names and its size, about the least that acceptance asks for: share of 1C,
+# factor, volt, ohm, volt, ohm of 1,500 s.
+HIDDEN = {
+    "current_offset": (("current_offset",), 0.02),
+    "current_gain": (("current_gain",), -0.04),
+    "voltage_offset": (("voltage_offset",), 0.014),
+    "resistance": (("ohmic_resistance", "resistance_scale"), 0.008),
+    "hysteresis": (("hysteresis",), 0.020),
+    "slow_diffusion": (("slow_diffusion",), 0.035),
+}
+# The smallest changes that a measured drive could show, in the order of this record.
+LIMITS = (
+    ("voltage_offset", "offset_V"), ("hysteresis", "m_V"), ("current_gain", "gain"),
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """Logs in which ``truth`` is hidden ("none": nothing)."""
+    """Logs in which an effect of the names ``right`` is hidden (none: nothing).
+
+    ``there`` are the names that may stand beside it.
+    """
 
     name: str
-    truth: str
+    right: tuple[str, ...]
+    there: tuple[str, ...]
     model: CellModel
     logs: tuple[CellLog, ...]
     holdout: tuple[CellLog, ...]
@@ -61,78 +81,86 @@ class Case:
 
 @dataclass(frozen=True)
 class Result:
-    """What was said of a case. ``lead`` [nats]; ``gain`` of the first cause on held-out rows."""
+    """What was said of a case.
+
+    ``lead`` [nats]; ``first``: whether the verdict is right, ``false``: names that are not there;
+    ``limits`` as in :data:`LIMITS`, empty without a measured cell.
+    """
 
     case: str
-    truth: str
     verdict: str
     named: tuple[str, ...]
+    first: bool
+    false: int
     lead: float
-    gain: float
     seconds: float
+    limits: tuple[float, ...] = field(default=())
 
 
 def measured(model: CellModel, data: Path) -> Iterator[Case]:
-    """Effects hidden in two measured drives, with a clean one beside them, and clean drives."""
-    us06, nn, good = (
+    """Effects hidden in two measured drives, with a clean one as baseline, and clean drives."""
+    nn, us06, good = (
         resample(measured_log(data, f"panasonic_18650pf/drive_p25_{n}"), STEP_S).part(0, ROWS)
-        for n in ("us06", "nn", "hwfta")
+        for n in ("nn", "us06", "hwfta")
     )
-    drives = {"us06": us06, "nn": nn}
-    cell = emulated_cell(model)
-    ah = model.capacity_Ah
-    worlds = {
-        "current_gain": World(cell, Sensor(gain=0.95)),
-        "time_skew": World(cell, Sensor(skew_s=0.6)),
-        "capacity": World(replace(cell, capacity_Ah=0.93 * ah)),
-        "none": World(cell),
-    }
-    for truth, world in worlds.items():
-        a, b = (hide_in(log, World(cell), world, 1.0, n) for n, log in drives.items())
-        yield Case(f"measured {truth}", truth, model, (a,), (b,), (good,), 1.0)
-    for truth in ("resistance_scale", "slow_diffusion"):
-        a, b = (shifted(log, truth) for log in drives.values())
-        yield Case(f"measured {truth}", truth, model, (a,), (b,), (good,), 1.0)
-    alone = tuple(drives.values())
-    yield Case("measured none alone", "none", model, alone[:1], alone[1:], (), 1.0)
+    for effect, (right, size) in HIDDEN.items():
+        a, b = (with_effect(log, effect, size, model.capacity_Ah) for log in (nn, us06))
+        yield Case(f"measured {effect}", right, right, model, (a,), (b,), (good,), 1.0)
+    yield Case("measured none", (), (), model, (nn,), (us06,), (good,), 1.0)
+    yield Case("measured none, no baseline", (), (), model, (us06,), (nn,), (), 1.0)
 
 
-def shifted(log: CellLog, truth: str) -> CellLog:
-    """A drop that the cell does not have, added to the voltage."""
-    drive, current = np.zeros(len(log)), log.known_current_A()
-    if truth == "resistance_scale":
-        drive = 0.4 * REST_OHM * current
+def with_effect(log: CellLog, effect: str, size: float, capacity_Ah: float) -> CellLog:
+    """The log as it would have been; the tester's own counter, which would tell, is left out."""
+    current, dt = log.known_current_A(), log.interval_s
+    voltage, read = log.voltage_V, current
+    if effect == "current_offset":
+        read = current + size * capacity_Ah
+    elif effect == "current_gain":
+        read = current * (1.0 + size)
+    elif effect == "voltage_offset":
+        voltage = voltage + size
+    elif effect == "resistance":
+        voltage = voltage - size * current
+    elif effect == "hysteresis":
+        keep = np.exp(-60.0 * np.abs(current) * dt / (3600.0 * capacity_Ah))
+        voltage = voltage + size * first_order(keep, -np.sign(current))
     else:
-        keep = np.exp(-log.interval_s / 1500.0)
-        for k in range(1, len(log)):
-            drive[k] = keep[k] * drive[k - 1] + (1.0 - keep[k]) * 1.5 * REST_OHM * current[k]
-    return replace(log, voltage_V=log.voltage_V - drive, charge_Ah=None)
+        voltage = voltage - size * first_order(np.exp(-dt / 1500.0), current)
+    return replace(log, current_A=read, voltage_V=voltage, charge_Ah=None)
 
 
-def cases(model: CellModel, data: Path | None) -> Iterator[Case]:
+def first_order(keep: Any, drive: Any) -> Any:
+    """What follows a drive, keeping so much of itself at each row."""
+    state = np.zeros(drive.size)
+    for k in range(1, drive.size):
+        state[k] = keep[k] * state[k - 1] + (1.0 - keep[k]) * drive[k]
+    return state
+
+
+def cases(model: CellModel, data: Path | None, physics: Path) -> Iterator[Case]:
     """The panel."""
     if data is not None:
         yield from measured(model, data)
-    for k, truth in enumerate((*EMULATED, "none")):
-        hidden = () if truth == "none" else (truth,)
-        sealed = hidden_case(500 + k, hidden, 0.015, Plan(rows=2500, rate_hz=1.0, model="known"))
-        logs = sealed.logs, sealed.holdout, sealed.baseline
-        yield Case(f"emulated {truth}", truth, sealed.model, *logs, sealed.soc0)
-    names = {(): "none", ("contact_resistance",): "ohmic_resistance"}
-    for case in read_cases(PHYSICS):
+    for case in read_cases(physics):
+        changes = [CHANGES[c] for c in case.changes]
+        right, there = (
+            tuple(sorted(frozenset().union(*(getattr(c, k) for c in changes))))
+            for k in ("acceptable", "there")
+        )
+        name = f"physics {case.seed} {' + '.join(case.changes) or 'none'}"
+        cell = model_of(physics, case.cell)
         logs = case.logs, case.holdout, case.baseline
-        truth = names[case.changes]
-        yield Case(f"physics {truth}", truth, model_of(PHYSICS, case.cell), *logs, case.soc0)
+        yield Case(name, right, there, cell, *logs, case.soc0)
 
 
 Replace = Callable[[Any], Any]
 SWITCHES: dict[str, tuple[tuple[str, Replace], ...]] = {
-    "tolerances tried at shares": (("fit.likelihood.SHARES", lambda _: (1.0,)),),
+    "tolerances tried at shares": (
+        ("fit.likelihood.OVER", lambda old: old._replace(shares=(1.0,))),
+    ),
     "scale of the noise averaged": (
         ("fit.likelihood._times", lambda _: lambda *_: np.array([1.0])),
-    ),
-    "wrong shapes": (
-        ("fit.likelihood.wrong_shapes", lambda _: lambda e, *_: np.zeros((e.rows, 0))),
     ),
     "share of shapes in the noise": (
         ("fit.cause_fits.with_shape", lambda _: lambda _e, size, weight, _s: (size, weight)),
@@ -144,8 +172,6 @@ SWITCHES: dict[str, tuple[tuple[str, Replace], ...]] = {
             lambda _: lambda _m, e, *_: (np.ones(e.rows), np.zeros(e.rows)),
         ),
     ),
-    "what comes back": (("fit.noise.STATED", lambda old: old._replace(returns=0.0)),),
-    "tolerances by what comes back": (("fit.priors._owed", lambda _: lambda *_: {}),),
     "starts read again": (
         ("fit.priors.start_readings", lambda _: lambda *_: {}),
         ("fit.limits.start_readings", lambda _: lambda *_: {}),
@@ -174,7 +200,9 @@ SWITCHES: dict[str, tuple[tuple[str, Replace], ...]] = {
     "slower diffusion": (("decision.explanations.forms_of", lambda _: lambda cause, _c: (cause,)),),
     "blocks weighed at random": (("decision.outcome.weigh", lambda _: plainly_weighed),),
     "age is one cause": (("decision.odds.AGE", lambda _: frozenset()),),
-    "rare since the baseline": (("decision.odds.SINCE_BASELINE_NATS", lambda _: 0.0),),
+    "rare since the baseline": (
+        ("decision.odds.RARE", lambda old: old._replace(since_baseline=0.0)),
+    ),
     "kept only if it simulates better": (("diagnosis.applied", lambda _: always_applied),),
     "the whole cell beside a cause": (
         ("log_runs._explained", lambda old: lambda f, c, n, _w: old(f, c, n, False)),
@@ -210,7 +238,7 @@ def always_applied(fits: Any, outcome: Any, logs: Any) -> Any:
 def without(name: str) -> Iterator[None]:
     """The mechanism switched off."""
     undo = []
-    for path, new in SWITCHES.get(name, ()):
+    for path, new in SWITCHES[name]:
         *way, last = path.split(".")
         owner: Any = None
         for k in range(len(way), 0, -1):
@@ -231,7 +259,7 @@ def without(name: str) -> Iterator[None]:
             setattr(owner, last, old)
 
 
-def judged(case: Case) -> Result:
+def judged(case: Case, every: bool = False) -> Result:
     """One diagnosis; the lead is read where it is decided."""
     seen: list[Any] = []
     decide = station.decide
@@ -240,34 +268,48 @@ def judged(case: Case) -> Result:
         seen.append(sets)
         return decide(sets)
 
+    tried = None if every else [n for n in CAUSES if n in {*RIVALS, *case.right}]
+    groups = case.logs, case.holdout, case.baseline, case.soc0
     station.decide = watched  # type: ignore[attr-defined]
-    began = time.perf_counter()
+    began = time.process_time()
     try:
-        said = station.diagnose(case.model, case.logs, case.holdout, case.baseline, case.soc0)
+        said = station.diagnose(case.model, *groups, causes=tried)
     finally:
         station.decide = decide  # type: ignore[attr-defined]
     right, wrong = [-1e9], [-1e9]
     for one in seen[0].tried.values() if seen else ():
-        fits = not one.causes if case.truth == "none" else case.truth in one.names
+        fits = bool(set(case.right) & set(one.names)) if case.right else not one.causes
         (right if fits else wrong).append(seen[0].odds(one))
     lead = float(np.clip(max(right) - max(wrong), -MOST_NATS, MOST_NATS)) if seen else 0.0
-    gain = said.causes[0].gain if said.causes else 0.0
     names = tuple(c.name for c in said.causes)
-    seconds = time.perf_counter() - began
-    return Result(case.name, case.truth, said.verdict, names, lead, float(gain), seconds)
+    limits: tuple[float, ...] = ()
+    if case.name == "measured none":
+        limits = tuple(said.limits.get(c, {}).get(p, np.inf) for c, p in LIMITS)
+    return Result(
+        case.name,
+        said.verdict,
+        names,
+        said.verdict in (case.right or ("none", "unexplained")),
+        len(set(names) - {*case.right, *case.there}),
+        lead,
+        time.process_time() - began,
+        limits,
+    )
 
 
 def line(name: str, usual: list[Result], found: list[Result]) -> str:
-    """A row of the table: what is named, and the lead that is lost."""
-    first = sum(r.verdict in (r.truth, "unexplained" if r.truth == "none" else "") for r in found)
-    false = sum(len(set(r.named) - {r.truth}) for r in found)
+    """A row of the table: what is named, the limits, and the lead that is lost."""
     lost = np.array([a.lead - b.lead for a, b in zip(usual, found, strict=True)])
     std = float(np.std(lost)) / np.sqrt(max(lost.size - 1, 1))
-    worst = found[int(np.argmax(lost))].case if np.max(lost) > 0.5 else ""
-    seconds = sum(r.seconds for r in found)
+    k = int(np.argmax(lost))
+    worst = f"{found[k].case} {lost[k]:+.1f}" if lost[k] > 0.5 else ""
+    limits = next((r.limits for r in found if r.limits), None)
+    shown = "" if limits is None else f"{1e3 * limits[0]:.1f}, {1e3 * limits[1]:.1f} mV, "
+    shown += "" if limits is None else f"{100 * limits[2]:.1f} %"
     return (
-        f"| {name} | {first} of {len(found)} | {false} | {lost.mean():+.1f} +- {std:.1f} | "
-        f"{worst} {max(lost.max(), 0.0):+.1f} | {seconds:.0f} |"
+        f"| {name} | {sum(r.first for r in found)} of {len(found)} | "
+        f"{sum(r.false for r in found)} | {lost.mean():+.1f} +- {std:.1f} | {worst} | {shown} | "
+        f"{sum(r.seconds for r in found):.0f} |"
     )
 
 
@@ -275,20 +317,37 @@ def main() -> int:
     """Run what is not kept yet, and print the table."""
     parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("--model", type=Path, required=True)
+    parser.add_argument("--physics", type=Path, default=PHYSICS, help="cases of the laboratory")
     parser.add_argument("--keep", type=Path, default=Path("build/ablation_diagnosis"))
-    parser.add_argument("--only", default="", help="comma-separated names of switches")
+    parser.add_argument("--cases", default="", help="cases of these words, by commas")
+    parser.add_argument("--only", default="", help="switches, separated by semicolons")
+    parser.add_argument("--together", default="", help="the same, all of them off at once")
+    parser.add_argument("--every-cause", action="store_true", help="not the usual rivals alone")
     chosen = parser.parse_args()
     chosen.keep.mkdir(parents=True, exist_ok=True)
-    panel = list(cases(read_model(chosen.model), data_folder()))
-    wanted = ["nothing", *(chosen.only.split(",") if chosen.only else SWITCHES)]
-    print("| without | named first | false names | lead lost [nats] | most | s |")
-    print("|---|---|---|---|---|---|")
+    words = chosen.cases.split(",")
+    panel = [
+        case
+        for case in cases(read_model(chosen.model), data_folder(), chosen.physics)
+        if any(w in case.name for w in words)
+    ]
+    every = chosen.every_cause
+    wanted: list[tuple[str, ...]] = [()]
+    if chosen.together:
+        wanted.append(tuple(chosen.together.split(";")))
+    else:
+        wanted += [(n,) for n in (chosen.only.split(";") if chosen.only else SWITCHES)]
+    print("| without | first | false | lead lost [nats] | most | limits | cpu s |")
+    print("|---|---|---|---|---|---|---|")
     usual: list[Result] = []
-    for name in wanted:
-        file = chosen.keep / f"without {name}.json"
+    for names in wanted:
+        name = "; ".join(names) or "nothing"
+        file = chosen.keep / f"without {name}{' every cause' * every}.json"
         if not file.exists():
-            with without(name):
-                found = [judged(case) for case in panel]
+            with ExitStack() as off:
+                for one in names:
+                    off.enter_context(without(one))
+                found = [judged(case, every) for case in panel]
             file.write_text(json.dumps([asdict(r) for r in found]), encoding="utf-8")
         found = [Result(**r) for r in json.loads(file.read_text(encoding="utf-8"))]
         usual = usual or found

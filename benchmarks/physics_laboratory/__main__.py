@@ -34,7 +34,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0, help="first seed; 0 draws one")
     parser.add_argument("--cases", type=int, default=10, help="of each kind")
     parser.add_argument("--kinds", default="single,none,pairs", help=f"of {', '.join(KINDS)}")
-    parser.add_argument("--cells", default="validation", help="development, validation or all")
+    parser.add_argument(
+        "--cells", default="validation", help="development, validation, all, or a name"
+    )
     parser.add_argument("--changes", default="", help="only these, comma-separated")
     parser.add_argument("--no-baseline", action="store_true", help="judge without good logs")
     parser.add_argument("--workers", type=int, default=min(2, os.cpu_count() or 1))

@@ -61,5 +61,5 @@ CELLS: dict[str, PublishedCell] = {
 
 
 def cells_for(purpose: str) -> list[PublishedCell]:
-    """Cells of one purpose, or all."""
-    return [c for c in CELLS.values() if purpose in (c.purpose, "all")]
+    """Cells of one purpose, all, or the one of a name."""
+    return [c for c in CELLS.values() if purpose in (c.purpose, c.name, "all")]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from cellwise.cli import main
 from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.logs import read_log, write_log
 from cellwise.logs.cell_log import CellLog
+from cellwise.report.diagnosis.statements import probability
 from example_cells import curved_cell
 
 OFFSET_A = 0.12
@@ -159,7 +161,63 @@ def test_for_people(bench, capsys):
     said = capsys.readouterr().out
     assert "current_offset" in said
     assert "offset_A 0.1" in said
-    assert "extended model" not in said
+    # What to do and what is open first, tables then.
+    places = [said.index(w) for w in ("Keep the model", "measure next", "  - ", "every log")]
+    assert places == sorted(places)
+    assert "extended model:" not in said
+
+
+def test_one_probability_and_one_error_everywhere(diagnosed, bench, capsys):
+    """In the JSON, on the page and in the terminal; of a cause alone what its log has with it."""
+    found, out = diagnosed
+    (cause,) = found["causes"]
+    assert 0.9 < cause["probability"] < 1.0
+    said = probability(cause["probability"])
+    capsys.readouterr()
+    assert main(list(command(bench))) == 0
+    assert said in capsys.readouterr().out
+    assert f"Current offset, probability {said}" in (out / "page.html").read_text("utf-8")
+    (alone,) = (c for c in found["candidates"] if c["name"] == cause["name"])
+    held = next(r for r in found["logs"] if r["used"] == "holdout")
+    assert alone["holdout_rmse_V"] == pytest.approx(held["rmse_corrected_V"], rel=1e-9)
+
+
+def test_simulate_by_itself_shows_what_the_logs_say_of_its_own_start(bench, run_json, tmp_path):
+    """Nobody states the start, and the new model finds another one than the old."""
+    cell, new = curved_cell(), tmp_path / "new.json"
+    aged = replace(cell, r0_ohm=1.6 * cell.r0_ohm, r1_ohm=1.6 * cell.r1_ohm)
+    names = []
+    for name in ("drive", "held"):
+        log = read_log(bench / f"{name}.csv")
+        voltage = simulate(aged, log, 0.9).voltage_V
+        names.append(str(tmp_path / f"{name}.csv"))
+        write_log(replace(log, voltage_V=voltage), names[-1])
+    logs = (names[0], "--holdout", names[1], "--cause", "resistance_scale", "-o", str(new))
+    found = run_json("diagnose", "--model", str(bench / "cell.json"), *logs)
+    assert found["verdict"] == "resistance_scale"
+    for row, path in zip(found["logs"], names, strict=True):
+        one = run_json("simulate", "--model", str(bench / "cell.json"), path)
+        two = run_json("simulate", "--model", str(new), path)
+        assert row["rmse_before_V"] == pytest.approx(one["rmse_V"], rel=1e-9)
+        assert row["rmse_own_start_V"] == pytest.approx(two["rmse_V"], rel=1e-9)
+        assert row["soc0_own_start"] == pytest.approx(two["soc0"]["value"], rel=1e-9)
+
+
+def test_a_log_outside_the_model_s_data_is_said_first(model, drive, run_json, capsys, tmp_path):
+    """As `simulate` says it, whatever the verdict; on the page, too."""
+    cold = tmp_path / "cold.parquet"
+    log = read_log(drive).part(0, 1500)
+    write_log(replace(log, temperature_C=np.full(len(log), -12.0)), cold)
+    asked = ("--model", model, str(cold))
+    (notice, *_) = run_json("simulate", *asked)["notices"]
+    assert "leaves what the model's data covered" in notice
+    page = tmp_path / "page.html"
+    told = ("diagnose", *asked, "--soc0", "0.9", *QUICK)
+    assert notice in run_json(*told, "--report", str(page))["notices"]
+    assert notice.split(": ")[0].replace("'", "&#x27;") in page.read_text("utf-8")
+    capsys.readouterr()
+    assert main(list(told)) == 0
+    assert notice[:30] in capsys.readouterr().out.splitlines()[0]
 
 
 def test_nothing_wrong_gives_no_model(bench, run_json, tmp_path, capsys):
@@ -232,3 +290,18 @@ def test_the_model_of_the_user_stays_when_the_folder_cannot_be_written(bench, re
     taken.mkdir()
     arguments = ("--model", str(bench / "cell.json"), str(bench / "drive.csv"))
     assert "folder" in refused("diagnose", *arguments, "-o", str(taken))
+
+
+@pytest.mark.slow
+def test_what_only_repeats_its_prior_comes_last(real_data, run_json, capsys):
+    """A measured drive in the cold, as it lies there: few of thirteen numbers are found by it."""
+    drive = str(real_data / "panasonic_18650pf" / "drive_p00_us06.csv.gz")
+    asked = ("diagnose", "--model", "nca-18650", drive, "--soc0", "1", "--cause")
+    (cause,) = run_json(*asked, "temperature_dependence")["causes"]
+    folded = cause["prior_only"]
+    assert 0 < len(folded) < len(cause["parameters"])
+    assert main([*asked, "temperature_dependence"]) == 0
+    first, _, last = capsys.readouterr().out.partition("of which these logs say no more")
+    for name in cause["parameters"]:
+        assert (f"{name} " in first) != (name in folded), name
+        assert (f"{name} " in last) == (name in folded), name

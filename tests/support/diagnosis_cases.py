@@ -33,7 +33,6 @@ VALUES = {
     "charge_asymmetry": {"charge_scale": 1.3},
     "self_heating": {"rth_K_per_W": 5.0, "thermal_s": 600.0},
     "self_discharge": {"leak_A": 0.02},
-    "surface_soc": {"depth_h": 0.08, "surface_s": 600.0},
 }
 
 

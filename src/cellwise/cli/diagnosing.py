@@ -12,7 +12,10 @@ from cellwise.errors import InputError
 from cellwise.files import made_folder
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from cellwise.cell.model import CellModel
+    from cellwise.cell.simulate import Simulation
     from cellwise.diagnose.result import Diagnosis, FoundCause
     from cellwise.logs import CellLog
 
@@ -70,7 +73,9 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
         )
     seconds = time.perf_counter() - began
     written = _write(found, arguments)
-    notices = graves_first([n for log in (*logs, *holdout, *baseline) for n in log.notices])
+    notices = graves_first(
+        [*found.notices, *(n for log in (*logs, *holdout, *baseline) for n in log.notices)]
+    )
     if arguments.json:
         printing.print_json({**found.to_dict(), **written, "seconds": seconds, "notices": notices})
         return
@@ -144,23 +149,54 @@ def _write_logs(logs: tuple[CellLog, ...], folder: str) -> list[str]:
 
 
 def print_diagnosis(found: Diagnosis) -> None:
-    """A diagnosis for people."""
-    from cellwise.report.diagnosis.statements import diagnosis_finding
+    """A diagnosis for people: what to do, what is unsure, the figures, and how it was found."""
+    from cellwise.report.diagnosis import statements
 
-    printing.say(f"verdict: {found.verdict}\n{diagnosis_finding(found)}\n")
+    printing.say_notices(found.notices)
+    printing.say(f"verdict: {found.verdict}\n{statements.diagnosis_finding(found)}\n")
+    if found.next_test:
+        printing.say(f"measure next: {found.next_test}")
+    for line in statements.unsure_lines(found):
+        printing.say(f"  - {line}")
+    gain = found.soc_gain
+    if gain is not None:
+        printing.say(
+            f"SOC RMSE of the EKF on {gain['log'] or 'the log'}: "
+            f"{printing.percent(gain['soc_rmse_before'])} % before, "
+            f"{printing.percent(gain['soc_rmse_after'])} % after, over "
+            f"{gain['reference_capacity_Ah']:.4g} Ah: {gain['reference']}"
+        )
+    print_figures(found)
+    for reason in found.reasons:
+        printing.say(f"  - {reason}")
+    for c in found.causes:
+        printing.say(f"  {c.name}: {c.meaning}")
+        for line in c.evidence:
+            printing.say(f"    {line}")
+        if c.confusable_with:
+            printing.say(f"    easily confused with {', '.join(c.confusable_with)}")
+    for c in found.causes:
+        if usual := set(c.prior_only) - {k for k, _ in statements.shown_parameters(c)}:
+            folded = ((k, v) for k, v in c.parameters.items() if k in usual)
+            printing.say(f"  {c.name}, of which these logs say no more than is usual:")
+            printing.say("\n".join(f"    {line}" for line in _values(c, folded)))
+
+
+def print_figures(found: Diagnosis) -> None:
+    """Every log, the causes, what was tried, what competes."""
+    from cellwise.report.diagnosis import statements
+
     millivolt, percent = printing.millivolt, printing.percent
     printing.record_table(
         "every log",
         found.runs,
         ("log", lambda run: run.log.name or "log"),
         ("used", lambda run: "held out" if run.used == "holdout" else "fitted"),
-        ("initial SOC", lambda run: f"{run.before.soc0:.3f}"),
+        ("initial SOC", lambda run: f"{run.before.soc0:.4f}"),
         ("RMSE mV", lambda run: millivolt(run.before.metrics.rmse_V)),
-        ("with causes", lambda run: millivolt(run.after.metrics.rmse_V)),
-        (
-            "log corrected, too",
-            lambda run: "" if run.corrected is None else millivolt(run.corrected.metrics.rmse_V),
-        ),
+        ("extended model", lambda run: millivolt(run.after.metrics.rmse_V)),
+        ("log corrected, too", lambda run: _millivolt_of(run.corrected)),
+        ("its own start", lambda run: _millivolt_of(run.own_start)),
     )
     if found.causes:
         corrects = {"cell": "the model", "start": "the initial SOC"}
@@ -168,8 +204,9 @@ def print_diagnosis(found: Diagnosis) -> None:
             "what was found",
             found.causes,
             ("cause", lambda c: c.name),
+            ("probability", lambda c: statements.probability(c.probability)),
             ("corrects", lambda c: corrects.get(c.kind, "the log")),
-            ("value (95 %)", _values),
+            ("value (95 %)", lambda c: "\n".join(_values(c, statements.shown_parameters(c)))),
             (
                 "held-out RMSE mV",
                 lambda c: (
@@ -184,12 +221,13 @@ def print_diagnosis(found: Diagnosis) -> None:
                 ),
             ),
         )
-        for c in found.causes:
-            printing.say(f"  {c.name}: {c.meaning}")
-            for line in c.evidence:
-                printing.say(f"    {line}")
-            if c.confusable_with:
-                printing.say(f"    easily confused with {', '.join(c.confusable_with)}")
+    if found.competing:
+        printing.record_table(
+            "what competes",
+            statements.weights(found),
+            ("explanation", lambda w: w[0]),
+            ("probability", lambda w: w[1]),
+        )
     if found.candidates:
         printing.record_table(
             "what was tried",
@@ -202,34 +240,17 @@ def print_diagnosis(found: Diagnosis) -> None:
                 lambda c: ", ".join(f"{k} {v:.4g}" for k, v in list(c.parameters.items())[:2]),
             ),
         )
-    if found.competing:
-        printing.record_table(
-            "what competes",
-            found.competing,
-            ("explanation", lambda w: ", ".join(w.causes) or "none"),
-            ("probability", lambda w: f"{percent(w.probability, 0)} %"),
-        )
-    for group in found.inseparable:
-        printing.say(f"  - not separable by these logs: {', '.join(group)}")
-    for reason in found.reasons:
-        printing.say(f"  - {reason}")
-    if found.soc_gain and "soc_rmse_before" in found.soc_gain:
-        before, after = (found.soc_gain[f"soc_rmse_{k}"] for k in ("before", "after"))
-        printing.say(
-            f"SOC RMSE of the EKF: {percent(before)} % before, "
-            f"{percent(after)} % after, over "
-            f"{found.soc_gain['reference_capacity_Ah']:.4g} Ah: {found.soc_gain['reference']}"
-        )
-    elif found.no_soc_gain:
-        printing.say(f"no gain in SOC is claimed: {found.no_soc_gain}")
-    if found.next_test:
-        printing.say(f"next test: {found.next_test}")
 
 
-def _values(cause: FoundCause) -> str:
-    """Every parameter on a line, with its interval."""
+def _millivolt_of(run: Simulation | None) -> str:
+    """RMSE of a run and its start; nothing where there is none."""
+    return "" if run is None else f"{printing.millivolt(run.metrics.rmse_V)} ({run.soc0:.4f})"
+
+
+def _values(cause: FoundCause, parameters: Iterable[tuple[str, float]]) -> list[str]:
+    """Parameters with their intervals, a line each."""
     lines = []
-    for name, value in cause.parameters.items():
+    for name, value in parameters:
         low, high = cause.ci95.get(name, (float("nan"), float("nan")))
         lines.append(f"{name} {value:.4g} ({low:.4g} to {high:.4g})")
-    return "\n".join(lines)
+    return lines

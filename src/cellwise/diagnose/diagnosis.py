@@ -8,10 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from cellwise.arguments import number
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.point_kernels import R3, TAU2, TAU3
-from cellwise.diagnose.causes.catalogue import CAUSES, ON_REQUEST, UNSEEN_TEMPERATURE, Cause
+from cellwise.diagnose.adoption import reference_for, soc_gain
+from cellwise.diagnose.causes.catalogue import UNSEEN_TEMPERATURE
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.decision.checks import (
     another_cell,
@@ -21,20 +23,20 @@ from cellwise.diagnose.decision.checks import (
 )
 from cellwise.diagnose.decision.explanations import Explanation, Explanations, Progress
 from cellwise.diagnose.decision.odds import (
-    LEAST_WEIGHT,
-    NAMED_NATS,
-    ONE_CAUSE_NATS,
+    NAMING,
+    RARE,
     Rarity,
     probability_of,
 )
 from cellwise.diagnose.decision.outcome import Accepted, Outcome, decide
 from cellwise.diagnose.extension import extended_validity, parameters_of, value_of, with_error_at
 from cellwise.diagnose.fit.cause_fits import CauseFits
-from cellwise.diagnose.fit.least_squares import Fit, held_rows
+from cellwise.diagnose.fit.least_squares import Fit, Prior
 from cellwise.diagnose.fit.limits import Limits, limits
 from cellwise.diagnose.fit.priors import GOOD, tolerances
 from cellwise.diagnose.fit.rests import rest_voltages
-from cellwise.diagnose.fit.rows import Evidence, gather, rmse
+from cellwise.diagnose.fit.rows import Evidence, gather
+from cellwise.diagnose.inputs import Logs, causes_of, logs_of, stated_starts
 from cellwise.diagnose.log_runs import (
     Applied,
     LogRun,
@@ -42,11 +44,11 @@ from cellwise.diagnose.log_runs import (
     UsedLog,
     applied,
     apply,
+    judged_runs,
     kept,
     log_runs,
-    reference_for,
-    soc_gain,
     step_between,
+    with_own_starts,
     with_use,
 )
 from cellwise.diagnose.next_test import LONGER_LOG, next_test
@@ -54,11 +56,11 @@ from cellwise.diagnose.residual import residual_analysis
 from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
 from cellwise.diagnose.sensor_faults import with_faults, without_faults
 from cellwise.errors import InputError
-from cellwise.logs.cell_log import CellLog, check_is_log
+from cellwise.logs.cell_log import CellLog
 from cellwise.threads import one_blas_thread
 
-Logs = CellLog | Sequence[CellLog]
 StartedLog = tuple[CellLog, InitialSoc]
+NARROWER = 0.9  # a parameter known to no less than this share of its prior only repeats it
 
 
 @one_blas_thread
@@ -101,16 +103,18 @@ def diagnose(
     InputError        no log, a start outside 0..1, an unknown cause, a capacity not above zero
     """
     check_is_model(model)
-    groups = tuple(_as_logs(g) for g in (logs, holdout, baseline))
+    groups = tuple(logs_of(g) for g in (logs, holdout, baseline))
     if not groups[0]:
         raise InputError("no log", "at least one log to explain", "Name a log.")
-    if reference_capacity_Ah is not None and not reference_capacity_Ah > 0.0:
-        raise InputError(
-            f"a reference capacity of {reference_capacity_Ah:g} Ah", "above zero", "Correct it."
-        )
-    chosen = _chosen(causes)
+    if reference_capacity_Ah is not None:
+        reference_capacity_Ah = number("reference_capacity_Ah", reference_capacity_Ah, "Ah")
+        if not reference_capacity_Ah > 0.0:
+            raise InputError(
+                f"a reference capacity of {reference_capacity_Ah:g} Ah", "above zero", "Correct it."
+            )
+    chosen = causes_of(causes)
     with_all_rows = groups[0] + groups[1]
-    cleaned, stated, faults = without_faults(groups, _stated(groups, soc0))
+    cleaned, stated, faults = without_faults(groups, stated_starts(groups, soc0))
     groups = tuple(cleaned)
 
     def said(found: Diagnosis) -> Diagnosis:
@@ -136,7 +140,7 @@ def diagnose(
         return said(_undetermined(model, starts, f"this looks like another cell: {other}"))
     if evidence.rest.zero:
         chosen = [c for c in chosen if c.name != "current_offset"]
-    asked = ONE_CAUSE_NATS + NAMED_NATS  # what a single cause needs to be named
+    asked = RARE.one_cause + NAMING.nats  # what a single cause needs to be named
     shown = limits(fits, chosen, base, noise, asked)
     sets = Explanations(fits, Rarity(unseen_C is not None, fits.same_age), progress)
     sets.search(chosen, base, noise)
@@ -157,26 +161,6 @@ def _undetermined(model: CellModel, starts: list[list[StartedLog]], why: str) ->
     )  # fmt: skip
 
 
-def _as_logs(logs: Logs) -> tuple[CellLog, ...]:
-    if isinstance(logs, (CellLog, str)):
-        logs = (logs,)  # a text is refused as one thing, not letter by letter
-    found = tuple(logs)
-    for log in found:
-        check_is_log(log)
-    return found
-
-
-def _chosen(names: Sequence[str] | None) -> list[Cause]:
-    if names is None:
-        return [c for c in CAUSES.values() if c.name not in ON_REQUEST]
-    unknown = [n for n in names if n not in CAUSES]
-    if unknown:
-        raise InputError(
-            f"cause {unknown[0]!r}", f"one of {', '.join(CAUSES)}", "Correct its name."
-        )
-    return [CAUSES[n] for n in names]
-
-
 def _slowest(model: CellModel) -> float:
     """The slowest memory of the model [s]."""
     table, _, _ = model.parameters()
@@ -184,17 +168,6 @@ def _slowest(model: CellModel) -> float:
     if np.any(table[..., R3]):
         slow = max(slow, float(np.median(table[..., TAU3])))
     return slow
-
-
-def _stated(
-    groups: Sequence[Sequence[CellLog]], soc0: float | str | Sequence[float | str]
-) -> list[float | str]:
-    """What is said of every log's start; a log's own goes before one for all."""
-    flat = [g for group in groups for g in group]
-    if isinstance(soc0, (str, float, int)):
-        return [soc0 if g.soc0 is None else g.soc0 for g in flat]
-    stated = list(soc0)
-    return stated + ["auto"] * max(len(flat) - len(stated), 0)
 
 
 def _starts(
@@ -259,9 +232,9 @@ def _diagnosis(
         new = known.explained.model
         validity = extended_validity(new, corrected, [r.explained.soc0 for r in seen])
         extended = _with_own_error(replace(new, validity=validity), runs, fits)
-        last = runs[len(logs) if holdout else 0]
+        runs = with_own_starts(extended, runs, used)
         reference = reference_for(model, reference_Ah, [c.name for c in causes])
-        gain, no_gain = soc_gain(model, extended, last, reference)
+        gain, no_gain = soc_gain(model, extended, judged_runs(runs), reference)
     reasons = outcome.reasons
     if refused:
         names = " and ".join(refused)
@@ -274,7 +247,7 @@ def _diagnosis(
     return Diagnosis(
         verdict,
         causes,
-        tuple(_tried(e, fits, outcome.none) for e in outcome.first),
+        tuple(_tried(e, fits, outcome.none, used) for e in outcome.first),
         residual_analysis(model, logs[0], runs[0].before.soc0),
         "" if verdict == "none" else next_test(outcome, model, evidence),
         reasons,
@@ -289,7 +262,7 @@ def _diagnosis(
         runs,
         no_gain,
         shown.sizes,
-        tuple(w for w in outcome.weighed if w.probability >= LEAST_WEIGHT),
+        tuple(w for w in outcome.weighed if w.probability >= NAMING.shown),
         shown.inseparable,
     )
 
@@ -309,6 +282,7 @@ def _found_causes(
 ) -> tuple[FoundCause, ...]:
     """Every cause with what it gains on top of those before it, as `simulate` would show it."""
     before = [r.before for r in known.runs]
+    prior = fits.widened_for(known.causes, known.fit.coordinates)
     found = []
     for k, accepted in enumerate(outcome.accepted, 1):
         after = [r.explained for r in known.runs]
@@ -317,22 +291,24 @@ def _found_causes(
             part = apply(fits, known.causes[:k], near, outcome.noise, used)
             after = [r.explained for r in part.runs]
         step = step_between(fits.evidence, before, after, np.random.default_rng(fits.seed))
-        found.append(_found(accepted, step, known.fit, outcome, fits.evidence))
+        found.append(_found(accepted, step, known.fit, prior, outcome, fits.evidence))
         before = after
     return tuple(found)
 
 
 def _found(
-    accepted: Accepted, step: Step, final: Fit, outcome: Outcome, evidence: Evidence
+    accepted: Accepted, step: Step, final: Fit, prior: Prior, outcome: Outcome, evidence: Evidence
 ) -> FoundCause:
     cause = accepted.cause
     soc0 = evidence.logs[0].start.soc
     values = parameters_of(cause, final.coordinates, final.z, soc0)
-    intervals = {}
+    intervals, usual = {}, []
     for p in cause.parameters:
         key = "soc0:0" if p.coordinate == "soc0" else p.coordinate
         x = final.z.get(key, 0.0)
         std = final.std(key)
+        if std > NARROWER * prior.std[key]:
+            usual.append(p.name)
         ends = (
             value_of(p.coordinate, x - 1.96 * std, final.coordinates, soc0),
             value_of(p.coordinate, x + 1.96 * std, final.coordinates, soc0),
@@ -353,31 +329,31 @@ def _found(
         _evidence(accepted, step),
         cause.confused_with,
         probability_of(cause.name, outcome.weighed),
+        tuple(usual),
     )
 
 
 def _evidence(accepted: Accepted, step: Step) -> tuple[str, ...]:
     """Why a cause was accepted."""
     least = f"{100 * step.low:.0f}" if step.low >= 0.0 else f"{-100 * step.low:.0f} % more"
+    needed = "" if step.held_after_V <= step.held_before_V else "; needed by the others"
     lines = [
         f"held-out RMSE goes from {1e3 * step.held_before_V:.1f} to "
-        f"{1e3 * step.held_after_V:.1f} mV ({least} to {100 * step.high:.0f} % less, "
+        f"{1e3 * step.held_after_V:.1f} mV ({least} to {100 * step.high:.0f} % less{needed}, "
         "95 % interval over blocks of time)",
         f"e^{accepted.score:.0f} times as probable as the best explanation without it"
         + (f" ({' with '.join(accepted.instead)})" if accepted.instead else ""),
     ]
-    if step.held_after_V > step.held_before_V:
-        lines[0] = (
-            lines[0].replace("falls", "rises").replace("less,", "less: needed by the others,")
-        )
     lines.append(accepted.cause.signature)
     return tuple(lines)
 
 
-def _tried(candidate: Explanation, fits: CauseFits, none: Explanation) -> TriedCause:
-    c, f, evidence = candidate.causes[0], candidate.fit, fits.evidence
+def _tried(
+    candidate: Explanation, fits: CauseFits, none: Explanation, used: Sequence[UsedLog]
+) -> TriedCause:
+    """A single cause as a user would apply it: its error is what `simulate` shows with it."""
+    (c,), f = candidate.causes, candidate.fit
     score = candidate.found.total - none.found.total
-    alone = fits.alone(f, (c,))
-    error = rmse(evidence.voltage_V - alone.voltage_V, held_rows(evidence))
-    values = parameters_of(c, f.coordinates, f.z, evidence.logs[0].start.soc)
-    return TriedCause(c.name, float(error) if math.isfinite(error) else float("nan"), values, score)
+    error = apply(fits, (c,), f, candidate.noise, used).step.held_after_V
+    values = parameters_of(c, f.coordinates, f.z, fits.evidence.logs[0].start.soc)
+    return TriedCause(c.name, error, values, score)

@@ -9,13 +9,13 @@ kept.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
-from cellwise.cell.initial_soc.initial_soc import InitialSoc
+from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.metrics import drawn_sums
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import Simulation, simulate
@@ -26,8 +26,6 @@ from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.least_squares import Fit
 from cellwise.diagnose.fit.noise import Noise
 from cellwise.diagnose.fit.rows import FITTED, HELD, START, Evidence
-from cellwise.errors import InputError
-from cellwise.estimate.replay import Replay, replay
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
@@ -40,7 +38,9 @@ class LogRun:
     """One log with the model as it was and as it is now, from the same start.
 
     ``corrected`` is the corrected log from the estimated start with the model as it is now, where a
-    cause corrects the log or its start instead of the model; else None.
+    cause corrects the log or its start instead of the model; else None. ``own_start``: with the
+    model as it is now from the start that this model finds itself, where nobody states one and it
+    is another than the old model's: what `simulate` shows of the new model by itself.
     """
 
     log: CellLog
@@ -48,6 +48,7 @@ class LogRun:
     before: Simulation
     after: Simulation
     corrected: Simulation | None = None
+    own_start: Simulation | None = None
 
     @property
     def explained(self) -> Simulation:
@@ -72,6 +73,9 @@ class LogRun:
         if self.corrected is not None:
             known["rmse_corrected_V"] = self.corrected.metrics.rmse_V
             known["soc0_corrected"] = self.corrected.soc0
+        if self.own_start is not None:
+            known["rmse_own_start_V"] = self.own_start.metrics.rmse_V
+            known["soc0_own_start"] = self.own_start.soc0
         return known
 
 
@@ -162,6 +166,25 @@ def log_runs(
             corrected = simulate(explained.model, seen, explained.starts[k])
         runs.append(LogRun(log, used, before, after, corrected))
     return tuple(runs)
+
+
+def judged_runs(runs: Sequence[LogRun]) -> tuple[LogRun, ...]:
+    """The logs that were held out; where none was, the first."""
+    return tuple(r for r in runs if r.used == "holdout") or tuple(runs[:1])
+
+
+def with_own_starts(
+    model: CellModel, runs: Sequence[LogRun], logs: Sequence[UsedLog]
+) -> tuple[LogRun, ...]:
+    """The runs with what a new model shows from the starts that it finds itself."""
+    found = []
+    for run, (log, start, _) in zip(runs, logs, strict=True):
+        if start.how not in ("given", "stated"):
+            own = _inside(initial_soc(model, log, whole_log=True).soc)
+            if own != run.after.soc0:
+                run = replace(run, own_start=simulate(model, log, own))
+        found.append(run)
+    return tuple(found)
 
 
 @dataclass(frozen=True)
@@ -289,81 +312,3 @@ def _explained(fits: CauseFits, causes: Sequence[Cause], found: Fit, whole: bool
     point = fits.point(found, keep)
     note = {"causes": [c.name for c in causes]}
     return explanation(found, point, [c.kind for c in causes], fits.evidence, note)
-
-
-@dataclass(frozen=True)
-class Reference:
-    """A capacity [Ah] and where it is from, or why there is none (``capacity_Ah`` is None)."""
-
-    capacity_Ah: float | None
-    source: str
-
-
-def reference_for(model: CellModel, stated_Ah: float | None, named: Collection[str]) -> Reference:
-    """What SOC is judged over: the stated capacity, else the model file's.
-
-    Parameters
-    ----------
-    stated_Ah : float or None     capacity that the user states [Ah]
-    named : names of the causes that were found
-    """
-    if "initial_soc" in named:
-        return Reference(None, "the initial SOC is one of the causes, so no SOC is known")
-    if stated_Ah is not None:
-        return Reference(float(stated_Ah), "stated")
-    if "capacity" in named:
-        return Reference(
-            None,
-            "the capacity is one of the causes, and a SOC over it would prove itself; "
-            "state one that was measured (`reference_capacity_Ah=X`)",
-        )
-    choice = model.provenance.get("capacity", {})
-    how = choice.get("choice", "") if isinstance(choice, dict) else ""
-    return Reference(model.capacity_Ah, f"the model's own ({how or 'as its file says'})")
-
-
-def soc_gain(
-    model: CellModel, extended: CellModel, run: LogRun, reference: Reference
-) -> tuple[dict[str, Any] | None, str]:
-    """SOC RMSE [1] of the EKF with the model as it was and as it is now, on one log.
-
-    The referee is the tester's own counter over a capacity that the diagnosis did not estimate,
-    from a start that it did not estimate: else what is to be judged would judge itself.
-
-    Returns
-    -------
-    dict or None      ``log``, ``soc_rmse_before``, ``soc_rmse_after``, ``reference_capacity_Ah``,
-                      ``reference``
-    str               why there is none; empty if there is
-    """
-    capacity = reference.capacity_Ah
-    if capacity is None:
-        return None, reference.source
-    if run.log.charge_Ah is None:
-        return None, f"{run.log.name or 'the log'} has no counter of the tester"
-    start = run.before.soc0
-
-    def judged(cell: CellModel, seen: CellLog) -> Replay:
-        return replay(
-            cell,
-            seen,
-            "ekf",
-            soc0=start,
-            reference_soc0=start,
-            reference_capacity_Ah=capacity,
-        )
-
-    try:
-        before = judged(model, run.log).errors
-        after = judged(extended, run.explained.log).errors
-    except InputError as error:
-        return None, error.found
-    if before is None or after is None:
-        return None, "the counter does not cover the log"
-    return {
-        "log": run.log.name,
-        "soc_rmse_before": before.rmse,
-        "soc_rmse_after": after.rmse,
-        "reference_capacity_Ah": capacity,
-        "reference": reference.source,
-    }, ""

@@ -9,7 +9,7 @@ import numpy as np
 
 from cellwise.cell.model import CellModel
 from cellwise.diagnose.decision.odds import Weighed
-from cellwise.diagnose.log_runs import LogRun
+from cellwise.diagnose.log_runs import LogRun, judged_runs
 from cellwise.logs.cell_log import CellLog
 from cellwise.plotting import Line, Panel, Plottable, Summarised
 
@@ -21,7 +21,8 @@ class FoundCause:
     ``parameters`` carry their unit in the name, ``ci95`` their 95 % intervals; ``gain`` is
     1 - after / before of the held-out RMSE with its interval from whole blocks of time.
     ``probability`` is what the sets of causes that hold it weigh together. ``kind`` says whether
-    the log ("measurement", "start") or the model ("cell") is corrected.
+    the log ("measurement", "start") or the model ("cell") is corrected. ``prior_only`` names
+    parameters of which these logs say nothing: their intervals only repeat what is usual.
     """
 
     name: str
@@ -38,6 +39,7 @@ class FoundCause:
     evidence: tuple[str, ...]
     confusable_with: tuple[str, ...]
     probability: float = float("nan")
+    prior_only: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """JSON values."""
@@ -92,10 +94,45 @@ class Diagnosis(Plottable, Summarised):
     competing: tuple[Weighed, ...] = ()
     inseparable: tuple[tuple[str, ...], ...] = ()
 
+    @property
+    def judged(self) -> tuple[LogRun, ...]:
+        """The logs that were held out; where none was, the first."""
+        return judged_runs(self.runs)
+
+    @property
+    def worse(self) -> tuple[LogRun, ...]:
+        """Of these logs those whose voltage is further off with the causes known."""
+        return tuple(r for r in self.judged if r.gain < 0.0)
+
+    @property
+    def soc_worse(self) -> bool:
+        """Whether the SOC is further off with the causes known."""
+        gain = self.soc_gain or {"soc_rmse_before": 0.0, "soc_rmse_after": 0.0}
+        return bool(gain["soc_rmse_after"] > gain["soc_rmse_before"])
+
+    @property
+    def adopt(self) -> bool | None:
+        """Whether to take the extended model: no log that was held out loses voltage or SOC.
+
+        None where there is none to take: nothing was found, or the logs alone are corrected.
+        """
+        if self.extended_model is None or all(
+            np.array_equal(r.after.voltage_V, r.before.voltage_V) for r in self.runs
+        ):
+            return None
+        return not (self.worse or self.soc_worse)
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """What `simulate` says of the logs with the model as it was, beside their reading."""
+        every = (n for r in self.runs for n in r.before.notices if n not in r.log.notices)
+        return tuple(dict.fromkeys(every))
+
     def to_dict(self) -> dict[str, Any]:
         """JSON values, keys as the command prints them."""
         return {
             "verdict": self.verdict,
+            "adopt": self.adopt,
             "causes": [c.to_dict() for c in self.causes],
             "candidates": [c.to_dict() for c in self.candidates],
             "anatomy": self.anatomy,

@@ -12,14 +12,13 @@ from cellwise.cell.simulate import simulate
 from cellwise.diagnose import diagnose
 from cellwise.diagnose.causes.catalogue import CAUSES, UNSEEN_TEMPERATURE
 from cellwise.diagnose.causes.coordinates import R_NAMES, Coordinates
-from cellwise.diagnose.fit.priors import OWED
 from cellwise.diagnose.fit.rows import gather
 from cellwise.logs.cell_log import CellLog
 from example_cells import linear_cell, random_log
 
 START = InitialSoc(0.8, 0.01, "given")
 EVERY = {c for cause in (*CAUSES.values(), UNSEEN_TEMPERATURE) for c in cause.coordinates}
-EVERY |= {*R_NAMES, *OWED, "ln_slow_r", "ln_slow_tau"}
+EVERY |= {*R_NAMES, "ln_r0", "ln_r2", "ln_tau1", "ln_tau2", "ln_slow_r", "ln_slow_tau"}
 
 
 def model_with_effects():

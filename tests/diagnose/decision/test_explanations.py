@@ -21,10 +21,7 @@ from cellwise.diagnose.decision.explanations import (
     likeliest_end,
 )
 from cellwise.diagnose.decision.odds import (
-    BOTH_NATS,
-    FURTHER_AGE_NATS,
-    LAW_HOLDS_NATS,
-    ONE_CAUSE_NATS,
+    RARE,
     Rarity,
 )
 from cellwise.diagnose.decision.outcome import Outcome, _of_named, decide
@@ -139,8 +136,8 @@ def test_a_voltage_that_is_seconds_late_is_seen_beside_a_large_error():
     alone = sets.tried[frozenset({"hysteresis"})]
     frozen = sets._frozen(alone)
     seen = could_explain(sets.fits, tried[1:], alone.fit, alone.prior, frozen)
-    assert seen["time_skew"] > 2.0 * ONE_CAUSE_NATS
-    assert seen["voltage_offset"] < ONE_CAUSE_NATS
+    assert seen["time_skew"] > 2.0 * RARE.one_cause
+    assert seen["voltage_offset"] < RARE.one_cause
     found = decide(sets)
     assert {c.name for c in found.causes} == {"hysteresis", "time_skew"}
     assert found.fit.z["skew_s"] == pytest.approx(6.0, abs=0.1)
@@ -170,8 +167,8 @@ def test_what_a_cause_could_explain_is_seen_without_fitting_it():
     base, noise = fits.base(fits.prior)
     frozen = freeze(fits.objective(noise), base.coordinates, fits.prior.names, base.z)
     most = could_explain(fits, TRIED, base, fits.prior, frozen)
-    assert most["capacity"] > ONE_CAUSE_NATS
-    assert most["time_skew"] < ONE_CAUSE_NATS
+    assert most["capacity"] > RARE.one_cause
+    assert most["time_skew"] < RARE.one_cause
 
 
 def test_what_a_good_log_taught_stays_as_taught_where_a_cause_is_applied():
@@ -199,14 +196,14 @@ def test_a_memory_that_the_model_has_is_tried_from_others_too():
 
 def test_what_age_does_at_once_is_one_coincidence():
     age = Rarity().nats(("capacity", "resistance_scale"))
-    assert age == pytest.approx(ONE_CAUSE_NATS + BOTH_NATS)
+    assert age == pytest.approx(RARE.one_cause + RARE.both)
     further = Rarity().nats(("capacity", "ocv_shift"))
-    assert further == pytest.approx(ONE_CAUSE_NATS + FURTHER_AGE_NATS)
-    assert Rarity().nats(("time_skew", "voltage_offset")) == pytest.approx(2.0 * ONE_CAUSE_NATS)
+    assert further == pytest.approx(RARE.one_cause + RARE.further_age)
+    assert Rarity().nats(("time_skew", "voltage_offset")) == pytest.approx(2.0 * RARE.one_cause)
     cold = Rarity(extrapolated=True)
-    both = cold.nats(("temperature_dependence", "surface_soc"))
-    assert both == pytest.approx(FURTHER_AGE_NATS)
-    assert cold.nats(("surface_soc",)) == pytest.approx(FURTHER_AGE_NATS + LAW_HOLDS_NATS)
+    both = cold.nats(("temperature_dependence", "slow_diffusion"))
+    assert both == pytest.approx(RARE.further_age)
+    assert cold.nats(("slow_diffusion",)) == pytest.approx(RARE.further_age + RARE.law_holds)
 
 
 def test_an_end_beyond_the_bounds_does_not_hide_one_within_them():
@@ -232,14 +229,14 @@ def test_beside_what_explains_something_less_must_be_in_sight(monkeypatch, odds,
     """One step is no bound on what a fit gains; beside nothing every pair would be fitted."""
     monkeypatch.setattr(
         "cellwise.diagnose.decision.explanations.could_explain",
-        lambda *_: {"voltage_offset": 0.6 * ONE_CAUSE_NATS, "capacity": 0.4 * ONE_CAUSE_NATS},
+        lambda *_: {"voltage_offset": 0.6 * RARE.one_cause, "capacity": 0.4 * RARE.one_cause},
     )
 
     def explanation(causes, total):
         return Explanation(causes, None, None, None, SimpleNamespace(total=total))
 
     sets = Explanations(None, Rarity())
-    gain = explanation((CAUSES["current_gain"],), odds + ONE_CAUSE_NATS)
+    gain = explanation((CAUSES["current_gain"],), odds + RARE.one_cause)
     sets.tried = {frozenset(): explanation((), 0.0), gain.key: gain}
     promising = sets._promising(gain, [CAUSES["voltage_offset"], CAUSES["capacity"]], None)
     assert {c.name for c in promising} == tried

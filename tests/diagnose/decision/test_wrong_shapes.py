@@ -7,16 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise import CellLog, diagnose, simulate
-from cellwise.cell.initial_soc.initial_soc import initial_soc
+from cellwise import CellLog, simulate
 from cellwise.cell.model_error import ModelError
-from cellwise.diagnose.causes.catalogue import CAUSES
-from cellwise.diagnose.causes.coordinates import Coordinates
-from cellwise.diagnose.fit.cause_fits import CauseFits
-from cellwise.diagnose.fit.likelihood import LEVELS, SHAPE_SHARES, wrong_shapes
-from cellwise.diagnose.fit.priors import tolerances
-from cellwise.diagnose.fit.rests import rest_voltages
-from cellwise.diagnose.fit.rows import gather
+from cellwise.diagnose import diagnose
 from example_cells import curved_cell
 
 SOC0 = 0.95
@@ -32,13 +25,11 @@ def drive(cell, seed, rows=7200):
     return replace(log, voltage_V=voltage)
 
 
-BESIDE = pytest.mark.xfail(
-    strict=True, reason="surface_soc of four thousand seconds beside it (0.91)"
-)
+INSTEAD = pytest.mark.xfail(strict=True, reason="resistance_scale in its place (0.93)")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("uneven", [pytest.param(0.0, marks=BESIDE), 0.3, 0.5])
+@pytest.mark.parametrize("uneven", [0.0, 0.3, pytest.param(0.5, marks=INSTEAD)])
 def test_a_resistance_that_grew_unevenly_is_one_cause(uneven):
     """Half as much again in the mean, more or less of it along the SOC."""
     share = 0.5 * (1.0 + uneven * np.sin(2.6 * np.pi * CELL.soc))
@@ -46,39 +37,3 @@ def test_a_resistance_that_grew_unevenly_is_one_cause(uneven):
     logs = [drive(grown, seed) for seed in (1, 2, 3)]
     found = diagnose(CELL, logs[:2], holdout=logs[2:], soc0=SOC0)
     assert [c.name for c in found.causes] == ["ohmic_resistance"]
-
-
-@pytest.fixture(scope="module")
-def fits():
-    logs = [(log, initial_soc(CELL, log, SOC0)) for log in (drive(CELL, 1, 1800),)]
-    evidence, coordinates = gather(CELL, logs), Coordinates(CELL)
-    rests = rest_voltages(evidence.logs, CELL.capacity_Ah, CELL.charge_efficiency)
-    return CauseFits(evidence, coordinates, tolerances(coordinates, evidence), rests, 0)
-
-
-def moved(fits, name, coordinate, value):
-    base, _ = fits.base(fits.prior)
-    voltage, soc = fits.evidence.simulate(base.coordinates, {**base.z, coordinate: value})
-    there = replace(base, z={**base.z, coordinate: value}, voltage_V=voltage, soc=soc)
-    return fits.effects_V(there, [CAUSES[name]]), there
-
-
-def test_wrong_shapes_are_local_shares_of_an_effect(fits):
-    effect, there = moved(fits, "ohmic_resistance", "added_r0", 0.3)
-    assert np.sqrt(np.mean(effect**2)) > 1e-3
-    columns = wrong_shapes(fits.evidence, effect, there.soc)
-    assert columns.shape == (fits.evidence.rows, 2 * LEVELS)
-    # All levels a tenth larger are the effect a tenth larger.
-    np.testing.assert_allclose(columns[:, ::2].sum(axis=1), effect[:, 0], atol=1e-12)
-    level = np.sqrt(np.mean(effect**2))
-    np.testing.assert_allclose(columns[:, 1::2].sum(axis=1), level, rtol=1e-9)
-
-
-def test_a_fault_of_a_sensor_has_its_shape_exactly(fits):
-    effect, there = moved(fits, "voltage_offset", "offset_V", 0.02)
-    assert effect.shape == (fits.evidence.rows, 0)
-    assert wrong_shapes(fits.evidence, effect, there.soc).shape == (fits.evidence.rows, 0)
-
-
-def test_the_shares_are_a_distribution():
-    assert sum(SHAPE_SHARES.values()) == pytest.approx(1.0)

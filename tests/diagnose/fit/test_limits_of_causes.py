@@ -13,7 +13,7 @@ from cellwise.cell.simulate import simulate
 from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.decision.checks import claim_checks
-from cellwise.diagnose.decision.odds import ONE_CAUSE_NATS as LEAST_SCORE
+from cellwise.diagnose.decision.odds import RARE
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.limits import limits
 from cellwise.diagnose.fit.noise import Noise
@@ -57,7 +57,7 @@ def fits_of(logs):
 @pytest.fixture(scope="module")
 def short():
     fits, base = fits_of([started(1500)])
-    return fits, base, limits(fits, [CAUSES[n] for n in NAMES], base, NOISE, LEAST_SCORE)
+    return fits, base, limits(fits, [CAUSES[n] for n in NAMES], base, NOISE, RARE.one_cause)
 
 
 def test_every_cause_has_a_limit_above_what_a_good_laboratory_leaves_open(short):
@@ -70,7 +70,7 @@ def test_every_cause_has_a_limit_above_what_a_good_laboratory_leaves_open(short)
 def test_more_noise_shows_less(short):
     fits, base, found = short
     loud = Noise(10.0 * NOISE.scale)
-    worse = limits(fits, [CAUSES[n] for n in NAMES], base, loud, LEAST_SCORE)
+    worse = limits(fits, [CAUSES[n] for n in NAMES], base, loud, RARE.one_cause)
     for name in NAMES:
         for key, size in found.sizes[name].items():
             assert worse.sizes.get(name, {}).get(key, np.inf) > size, name
@@ -89,7 +89,7 @@ def test_a_change_at_its_limit_has_the_evidence_that_is_asked_for(short):
         with_it = fits.fit_causes((cause,), base, NOISE)
         prior = fits.widened_for((cause,), fits.coordinates)
         score = fits.explained(with_it, NOISE, prior, (cause,)).total - none
-        assert (score > LEAST_SCORE) == enough, (times, score)
+        assert (score > RARE.one_cause) == enough, (times, score)
 
 
 def test_what_a_log_cannot_tell_apart_is_one_group():
@@ -115,12 +115,14 @@ def test_an_error_within_the_claim_is_not_beyond_it():
     assert f"{1e3 * bad.rmse_V:.1f} mV" in bad.text()
 
 
-def test_a_limit_that_no_number_holds_is_none():
-    """With a slow branch of next to nothing no log shows how many times as large it is."""
-    tiny = CELL.with_effect(SlowDiffusion(1e-9, 900.0))
-    evidence = gather(tiny, [started(1500)])
-    coordinates = Coordinates(tiny)
-    rests = rest_voltages(evidence.logs, tiny.capacity_Ah, 1.0)
+@pytest.mark.parametrize("r3_ohm", [1e-9, 90.0])
+def test_a_limit_is_a_change_that_a_cell_can_have(r3_ohm):
+    """Of next to nothing no log shows how many times as large it is, nor hundreds of ohms."""
+    odd = CELL.with_effect(SlowDiffusion(r3_ohm, 5e4))
+    evidence = gather(odd, [started(1500)])
+    coordinates = Coordinates(odd)
+    rests = rest_voltages(evidence.logs, odd.capacity_Ah, 1.0)
     own = CauseFits(evidence, coordinates, tolerances(coordinates, evidence), rests, 0)
-    found = limits(own, [CAUSES["slow_diffusion"]], own.base(own.prior)[0], NOISE, LEAST_SCORE)
-    assert found.sizes == {}
+    cause = CAUSES["slow_diffusion"]
+    found = limits(own, [cause], own.base(own.prior)[0], NOISE, RARE.one_cause).sizes
+    assert found.get("slow_diffusion", {}).get("r3_ohm", 0.0) <= min(r3_ohm, 100.0)

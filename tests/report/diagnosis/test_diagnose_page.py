@@ -9,13 +9,26 @@ import pytest
 
 from cellwise.cell.simulate import simulate
 from cellwise.diagnose.decision.odds import Weighed
-from cellwise.report.diagnosis.page import diagnose_page, diagnosis_sections
+from cellwise.diagnose.log_runs import LogRun
+from cellwise.report.diagnosis.page import (
+    cause_content,
+    diagnose_page,
+    diagnosis_sections,
+    limits_table,
+)
 from cellwise.report.diagnosis.pictures import candidates_finding, evidence_finding
-from cellwise.report.diagnosis.statements import change, diagnosis_finding, statement
+from cellwise.report.diagnosis.statements import (
+    change,
+    diagnosis_finding,
+    probability,
+    statement,
+    unsure_lines,
+    weights,
+)
 from cellwise.report.page.markup import finite
 from cellwise.report.page.numerals import millivolt
 from cellwise.report.page.section import pictures_of
-from diagnosis_cases import CELL, VALUES, diagnosis, found
+from diagnosis_cases import CELL, VALUES, diagnosis, found, measured
 from report_cases import Page
 
 # What a battery engineer must read of each of them, once.
@@ -36,7 +49,6 @@ SAID = {
     "charge_asymmetry": "1.30 times those on discharge",
     "self_heating": "5 K per watt",
     "self_discharge": "20 mA",
-    "surface_soc": "8 % below the mean SOC after 10 min",
 }
 
 
@@ -54,7 +66,8 @@ def test_the_first_line_is_the_finding_in_the_figures_of_the_held_out_log(writte
     held = record.runs[1].to_dict()
     before, after = (millivolt(held[f"rmse_{k}_V"]) for k in ("before", "corrected"))
     start = (
-        f"The current sensor reads 98 mA too much: error on held <&> (held out) falls from {before}"
+        "Keep the model, correct the log: the current sensor reads 98 mA too much: "
+        f"error on held <&> (held out) falls from {before}"
     )
     assert said.startswith(start.replace("\N{NO-BREAK SPACE}", " "))
     assert f"to {after}".replace("\N{NO-BREAK SPACE}", " ") in said
@@ -92,6 +105,7 @@ def test_none_and_undetermined_are_said():
     rivals = (Weighed(("current_offset",), 0.6), Weighed(("current_gain",), 0.4))
     open_verdict = replace(none, verdict="undetermined", competing=rivals)
     assert "do not separate current offset from current gain" in diagnosis_finding(open_verdict)
+    assert "current offset 60.0" in unsure_lines(open_verdict)[0]
     quiet = replace(open_verdict, competing=(), reasons=("the log is too short",))
     assert "the log is too short" in diagnosis_finding(quiet)
 
@@ -119,12 +133,47 @@ def test_the_figures_for_machines_are_the_diagnosis(written):
 
 def test_every_part_is_there(written):
     _, _, page, folder = written
-    assert {"before-after", "causes", "evidence", "next", "anatomy", "logs"} <= set(page.ids)
+    assert {"before-after", "causes", "evidence", "anatomy", "logs"} <= set(page.ids)
     names = {p.name for p in folder.iterdir()}
     assert {"candidates.png", "anatomy.png"} <= names
     text = " ".join(t for _, t in page.texts).replace("\N{NO-BREAK SPACE}", " ")
     for phrase in ("98 mA", "self discharge", "rest an hour at 50 %", "the log is corrected"):
         assert phrase in text
+
+
+def test_what_to_measure_and_what_is_unsure_come_before_all_else(tmp_path):
+    """Whatever a sensor did; one probability in the text, the table and the card."""
+    weighed = (Weighed(("hysteresis",), 0.88), Weighed(("hysteresis", "ocv_shift"), 0.1166))
+    record = diagnosis("hysteresis", competing=weighed, inseparable=(("hysteresis", "entropy"),))
+    cause = replace(record.causes[0], probability=0.9966, prior_only=("gamma",))
+    record = replace(record, causes=(cause,))
+    page = Page(diagnose_page(record, tmp_path / "p.html").read_text("utf-8"))
+    said = page.text_in("li").replace("\N{NO-BREAK SPACE}", " ")
+    assert said.lstrip().startswith("Measure next: rest an hour")
+    lines = ("Measure", "Probability of hysteresis 99.7 %.", "hysteresis and entropy", "A prop")
+    assert [said.index(w) for w in lines] == sorted(said.index(w) for w in lines)
+    every = " ".join(t for _, t in page.texts).replace("\N{NO-BREAK SPACE}", " ")
+    assert "Hysteresis, probability 99.7 %" in every
+    assert "100 %" not in every.split("Limits")[0]
+    assert [w for _, w in weights(record)] == [
+        probability(p) for p in (0.88, 0.1166, 0.0034, 0.9966)
+    ]
+
+
+def test_what_only_repeats_its_prior_is_folded_away():
+    record = diagnosis("hysteresis")
+    cause = replace(record.causes[0], prior_only=("gamma",))
+    first, _, folded = cause_content(cause, record).partition("<details>")
+    assert "<td>m_V" in first
+    assert "<td>gamma" not in first
+    assert "<td>gamma" in folded
+
+
+def test_a_limit_that_the_logs_do_not_have_is_said():
+    record = diagnosis("hysteresis", limits={"hysteresis": {"m_V": 0.016}})
+    said = limits_table(record)
+    assert "m_V 16" in said
+    assert said.count("these logs could not show it") == len(VALUES) - 1
 
 
 def test_without_causes_nothing_is_drawn_twice():
@@ -152,13 +201,34 @@ def test_soc_before_and_after_is_reported(tmp_path):
     assert "3.10 % before, 0.40 % after, against the tester's counter over 2.997 Ah: stated" in said
 
 
-def test_a_loss_in_soc_is_in_the_first_line():
-    """The voltage gains, the SOC does not: who reads one line has to know both."""
-    gain = {"log": "held", "soc_rmse_before": 0.0107, "soc_rmse_after": 0.0248}
-    worse = diagnosis_finding(diagnosis("current_offset", soc_gain=gain))
-    assert "SOC by the EKF gets worse with it, 1.07" in worse
-    better = {**gain, "soc_rmse_after": 0.004}
-    assert "worse" not in diagnosis_finding(diagnosis("current_offset", soc_gain=better))
+def test_the_first_line_says_whether_to_adopt_and_every_loss():
+    """The voltage gains, the SOC does not, or the other way round: one line says both."""
+    record = diagnosis("capacity")
+    true = replace(CELL, capacity_Ah=1.2)
+
+    def run(log, used, cell):
+        return LogRun(log, used, simulate(CELL, log, 0.9), simulate(cell, log, 0.9))
+
+    def aged(name, seed):
+        log = measured(name, seed, 0.0)
+        return replace(log, voltage_V=simulate(true, log, 0.9).voltage_V)
+
+    fitted = run(aged("drive", 0), "fit", true)
+    good, bad = run(aged("one", 1), "holdout", true), run(measured("two", 2, 0.0), "holdout", true)
+    gain = {"log": "one", "soc_rmse_before": 0.0107, "soc_rmse_after": 0.004}
+    better = replace(record, runs=(fitted, good), soc_gain=gain)
+    assert better.to_dict()["adopt"] is True
+    assert diagnosis_finding(better).startswith("Adopt the extended model: the cell holds")
+    unjudged = diagnosis_finding(replace(better, soc_gain=None))
+    assert unjudged.startswith("Adopt the extended model for its voltage (SOC not judged)")
+    for worse, said in (
+        (replace(better, soc_gain={**gain, "soc_rmse_after": 0.0248}), "worse with it, 1.07"),
+        (replace(better, runs=(fitted, good, bad)), "error on two (held out) rises from"),
+    ):
+        assert worse.to_dict()["adopt"] is False
+        head = diagnosis_finding(worse)
+        assert head.startswith("Do not adopt the extended model: the cell holds")
+        assert said in head
 
 
 def test_without_a_referee_no_gain_in_soc_is_claimed_and_the_page_says_why(tmp_path):

@@ -231,20 +231,6 @@ CAUSES: dict[str, Cause] = {
             forms=(_SLOWER_DIFFUSION,),
         ),
         Cause(
-            "surface_soc",
-            "cell",
-            "Under load the surface of the particles is emptier than their mean, the more so the "
-            "colder the cell.",
-            "R, tau looked up at soc - depth_h i / Q, i following the current with surface_s",
-            "Error that grows under load towards empty and follows the mean current of minutes.",
-            (
-                Parameter("depth_h", "h", 0.0, (0.0, 1.0), "surface_h", 0.1),
-                Parameter("surface_s", "s", 300.0, (10.0, 3e4), "ln_surface_s", 1.5),
-            ),
-            ("capacity", "slow_diffusion", "resistance_scale"),
-            ("ln_surface_s", (30.0, 300.0, 3000.0)),
-        ),
-        Cause(
             "hysteresis",
             "cell",
             "The OCV depends on whether the cell was charged or discharged into its SOC.",

@@ -43,7 +43,6 @@ class Shapes(NamedTuple):
     tau3_s: float = 600.0
     gamma: float = 30.0
     heating_s: float = 600.0
-    surface_s: float = 300.0
 
 
 STARTS = Shapes()
@@ -169,18 +168,6 @@ class Coordinates:
             return self._scalars.heating_s
         return self.shapes.get("ln_thermal_s", STARTS.heating_s)
 
-    @property
-    def surface_depth_h(self) -> float:
-        """Depth of the surface's SOC in the model [h]."""
-        return float(self._scalars.surface_per_A * self.model.capacity_Ah)
-
-    @property
-    def surface_s(self) -> float:
-        """Time constant of the surface's SOC where ``ln_surface_s`` is zero [s]."""
-        if self.surface_depth_h != 0.0:
-            return self._scalars.surface_s
-        return self.shapes.get("ln_surface_s", STARTS.surface_s)
-
     @cached_property
     def electrodes(self) -> Electrodes | None:
         """The half cells that the OCV is made of; None where no published ones come near it."""
@@ -208,8 +195,6 @@ class Coordinates:
             "ln_slow_tau": self.tau3_s,
             "ln_gamma": self.gamma,
             "ln_thermal_s": self.thermal_s,
-            "ln_surface_s": self.surface_s,
-            "surface_h": self.surface_depth_h,
             "asinh_per_V": s.asinh_per_V,
             "activation_K": s.activation_K,
             "rate_h": s.rate_per_A * capacity_Ah,
@@ -333,8 +318,6 @@ class Coordinates:
             leak_A=base.leak_A + at("leak_A"),
             heating_K_per_W=base.heating_K_per_W + at("rth_K_per_W"),
             heating_s=self.thermal_s * math.exp(at("ln_thermal_s")),
-            surface_per_A=base.surface_per_A + at("surface_h") / self.model.capacity_Ah,
-            surface_s=self.surface_s * math.exp(at("ln_surface_s")),
             skew_s=0.0,  # the current is shifted before it reaches the kernel
         )
         return KernelInputs(

@@ -33,8 +33,6 @@ _SCALAR = {
     "leak_A": "leak_A",
     "rth_K_per_W": "heating_K_per_W",
     "ln_thermal_s": "heating_s",
-    "surface_h": "surface_per_A",
-    "ln_surface_s": "surface_s",
 }
 
 
@@ -84,7 +82,7 @@ def scalar_direction(at: Coordinates, name: str, inputs: KernelInputs) -> FloatA
         d[CellScalars._fields.index(branch)] = 1.0
     if scalar is not None:
         unit = getattr(inputs.scalars, scalar) if name.startswith("ln_") else 1.0
-        if name in ("rate_h", "surface_h"):
+        if name == "rate_h":
             unit = 1.0 / at.model.capacity_Ah
         d[CellScalars._fields.index(scalar)] = unit
     return d

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,15 +19,42 @@ from cellwise.cell.metrics import block_sums
 from cellwise.diagnose.fit.rows import FITTED, HELD, Evidence
 from cellwise.typing import FloatArray
 
-# One diagnosis in fifty finds a cause where nobody expected one, and it may be any of twenty.
-ONE_CAUSE_NATS = math.log(50.0 * 20.0)
-# A cell ages as a whole: what else age does is no second coincidence, only one of a few ways.
-FURTHER_AGE_NATS = math.log(10.0)
-# What has lost charge has grown in resistance as often as not.
-BOTH_NATS = math.log(2.0)
-# Charge and material are lost over years: of ten cells that lost as much as logs show, one lost it
-# between two logs of which the first is known to be good.
-SINCE_BASELINE_NATS = math.log(10.0)
+
+class Rare(NamedTuple):
+    """Ln of the odds against causes before any row is read [nats].
+
+    ``one_cause``: one diagnosis in fifty finds a cause where nobody expected one, and it may be any
+    of twenty. ``further_age``: a cell ages as a whole, what else age does is no second coincidence,
+    only one of a few ways. ``both``: what has lost charge has grown in resistance as often as not.
+    ``since_baseline``: charge and material are lost over years; of ten cells that lost as much as
+    logs show, one lost it between two logs of which the first is known to be good. ``law_holds``: a
+    law that was found at another temperature holds as rarely as a cause comes elsewhere.
+    """
+
+    one_cause: float = math.log(50.0 * 20.0)
+    further_age: float = math.log(10.0)
+    both: float = math.log(2.0)
+    since_baseline: float = math.log(10.0)
+    law_holds: float = math.log(50.0)
+
+
+class Naming(NamedTuple):
+    """A cause is named from a probability of ``least`` on, a set of causes shown from ``shown`` on.
+
+    ``draws``: random weights of the blocks of time.
+    """
+
+    least: float = 0.9
+    shown: float = 0.02
+    draws: int = 1000
+
+    @property
+    def nats(self) -> float:
+        """Ln of the odds for a cause that is named."""
+        return math.log(self.least / (1.0 - self.least))
+
+
+RARE, NAMING = Rare(), Naming()
 RESISTANCE = frozenset({"resistance_scale", "ohmic_resistance", "charge_transfer"})
 AGE = frozenset(
     {
@@ -42,16 +69,8 @@ AGE = frozenset(
     }
 )
 # Outside the temperatures that the model was measured at these are expected: one of a few ways.
-TEMPERATURE = frozenset({"entropy", "surface_soc", "slow_diffusion", "self_heating"})
-# There a law that was found at another temperature holds as rarely as a cause comes elsewhere.
+TEMPERATURE = frozenset({"entropy", "slow_diffusion", "self_heating"})
 LAW = "temperature_dependence"
-LAW_HOLDS_NATS = math.log(50.0)
-DRAWS = 1000
-# A cause is named from this probability on.
-NAMED = 0.9
-NAMED_NATS = math.log(NAMED / (1.0 - NAMED))
-# Explanations below this are not said.
-LEAST_WEIGHT = 0.02
 
 
 @dataclass(frozen=True)
@@ -78,18 +97,18 @@ class Rarity:
         left = set(names)
         total = 0.0
         if self.extrapolated:
-            total += FURTHER_AGE_NATS * len(left & TEMPERATURE)
-            total += 0.0 if LAW in left else LAW_HOLDS_NATS
+            total += RARE.further_age * len(left & TEMPERATURE)
+            total += 0.0 if LAW in left else RARE.law_holds
             left -= TEMPERATURE | {LAW}
         age = left & AGE
         if age:
             kinds = int(bool(age & RESISTANCE)) + int(bool(age - RESISTANCE))
-            both = FURTHER_AGE_NATS if self.same_age else BOTH_NATS
-            total += ONE_CAUSE_NATS + both * (kinds - 1)
-            total += FURTHER_AGE_NATS * (len(age) - kinds)
+            both = RARE.further_age if self.same_age else RARE.both
+            total += RARE.one_cause + both * (kinds - 1)
+            total += RARE.further_age * (len(age) - kinds)
             if self.same_age and age - RESISTANCE:
-                total += SINCE_BASELINE_NATS
-        return total + ONE_CAUSE_NATS * len(left - age)
+                total += RARE.since_baseline
+        return total + RARE.one_cause * len(left - age)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +150,7 @@ def weigh(
     rest = np.array([h.total for h in sets]) - blocks.sum(axis=0)
     rest -= np.array([h.rarity for h in sets])
     many = len(blocks)
-    draws = many * rng.dirichlet(np.ones(many), DRAWS)
+    draws = many * rng.dirichlet(np.ones(many), NAMING.draws)
     score = draws @ blocks + rest
     weight = np.exp(score - score.max(axis=1, keepdims=True))
     share = (weight / weight.sum(axis=1, keepdims=True)).mean(axis=0)

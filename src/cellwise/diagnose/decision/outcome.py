@@ -9,7 +9,7 @@ import numpy as np
 
 from cellwise.diagnose.causes.catalogue import Cause
 from cellwise.diagnose.decision.explanations import Explanation, Explanations
-from cellwise.diagnose.decision.odds import NAMED, Hypothesis, Weighed, probability_of, weigh
+from cellwise.diagnose.decision.odds import NAMING, Hypothesis, Weighed, probability_of, weigh
 from cellwise.diagnose.fit.least_squares import Fit
 from cellwise.diagnose.fit.noise import Noise
 
@@ -79,7 +79,7 @@ def decide(sets: Explanations) -> Outcome:
     )
     best = sets.best(1)[0]
     known = {c.name for e in sets.tried.values() for c in e.causes}
-    likely = [name for name in sorted(known) if probability_of(name, weighed) > NAMED]
+    likely = [name for name in sorted(known) if probability_of(name, weighed) > NAMING.least]
     hidden = [name for name in likely if sets.rarity.hides(name)]
     named = _as_explained(sets, frozenset(likely) - frozenset(hidden))
     accepted = sorted((_accepted(sets, c) for c in named), key=lambda a: -a.score)
@@ -127,9 +127,9 @@ def _of_named(sets: Explanations, causes: Sequence[Cause]) -> tuple[Fit, Noise]:
 
 
 def _needed(weighed: Sequence[Weighed]) -> int:
-    """How many sets make up NAMED of the probability."""
+    """How many sets make up :attr:`NAMING.least` of the probability."""
     total = np.cumsum([w.probability for w in weighed])
-    return int(np.searchsorted(total, NAMED)) + 1
+    return int(np.searchsorted(total, NAMING.least)) + 1
 
 
 def _reasons(sets: Explanations, first: Sequence[Explanation]) -> tuple[str, ...]:

@@ -147,60 +147,15 @@ class CauseFits:
         self, found: Fit, noise: Noise, prior: Prior, causes: Iterable[Cause]
     ) -> Prediction:
         """How likely all rows are with the causes estimated, and what the logs read at rest."""
-        known = tuple(causes)
-        kept = kept_coordinates(known)
-        moved = self.effects_V(found, known)
-        found_so = predict(
-            self.objective(noise), found, prior, self.known, noise.scale, moved, kept
-        )
+        kept = kept_coordinates(causes)
+        found_so = predict(self.objective(noise), found, prior, self.known, noise.scale, kept)
         more = self.at_rest(found) + ln_size(found.z, kept, prior, self.same_age)
         return found_so._replace(total=found_so.total + more)
-
-    def effects_V(self, found: Fit, causes: Iterable[Cause]) -> FloatArray:
-        """By how much every cause of the cell moves the simulated voltage [V], (rows, causes).
-
-        What is wrong with a log, an offset or where it starts, has exactly the shape it has.
-        """
-        moved = []
-        for cause in causes:
-            if cause.kind != "cell":
-                continue
-            names = kept_coordinates((cause,))
-            neutral = {n: self.prior.mean.get(n, 0.0) for n in names if n in found.z}
-            voltage, _ = self.evidence.simulate(found.coordinates, found.z | neutral)
-            moved.append(np.nan_to_num(found.voltage_V - voltage))
-        return np.column_stack(moved) if moved else np.zeros((self.evidence.rows, 0))
 
     def at_rest(self, found: Fit) -> float:
         """Ln likelihood of what voltage and current sensor read at rest."""
         voltage = self.rests.ln_likelihood(found.coordinates, found.z)
         return voltage + self.evidence.rest.ln_likelihood(found.z)
-
-    def alone(self, found: Fit, causes: Iterable[Cause]) -> Fit:
-        """The causes' coordinates as found, tolerances at neutral.
-
-        Starts that were given stay as given, unless a cause moves them; those that were found are
-        found again.
-        """
-        named = dict(zip(self.evidence.starts(), self.evidence.logs, strict=True))
-        known = tuple(causes)
-        moved = any(c.kind == "start" for c in known)
-        estimated = [n for n, g in named.items() if moved or g.start.how != "given"]
-        fixed = self.point(found, kept_coordinates(known))
-        fixed |= {n: 0.0 for n in named if n not in estimated}
-        if moved:
-            fixed |= {n: found.z[n] for n in estimated}
-            estimated = []
-        std = {n: self.prior.std[n] for n in estimated}
-        wide = self.widened_for(known, found.coordinates)
-        low = {n: wide.low[n] for n in estimated}
-        high = {n: wide.high[n] for n in estimated}
-        objective = self.objective(Noise())
-        start = {n: found.z[n] for n in estimated}
-        mean = {n: wide.mean_with(n, fixed) for n in estimated}
-        prior = Prior(std, mean, low, high)
-        one = fit(objective, found.coordinates, prior, start, 4, fixed)
-        return complete(objective, one, prior)
 
     def point(self, found: Fit, keep: set[str]) -> dict[str, float]:
         """The causes' coordinates as found, the cell's as calibrated on a baseline, nothing else.

@@ -17,7 +17,7 @@ from scipy.linalg import cho_solve, solve_triangular
 from scipy.optimize import lsq_linear
 
 from cellwise.diagnose.causes.coordinates import Coordinates
-from cellwise.diagnose.fit.rows import FITTED, HELD, START, Evidence
+from cellwise.diagnose.fit.rows import FITTED, START, Evidence
 from cellwise.typing import BoolArray, FloatArray
 
 ITERATIONS = 7
@@ -363,8 +363,3 @@ def _held_starts(objective: Objective, found: Fit, prior: Prior) -> dict[str, fl
             here = {"soc0:0": z[name]}
             z[name] = fit(first, found.coordinates, one, here, 4, z).z["soc0:0"]
     return z
-
-
-def held_rows(evidence: Evidence) -> BoolArray:
-    """Rows on which a fit is judged."""
-    return np.asarray((evidence.role == HELD) & evidence.known)

@@ -147,8 +147,11 @@ def _sizes(
         change[place] = size
         if size > GOOD.ends * wide[place]:
             continue  # no fault is as large: the logs show none of it
-        moved = value_of(p.coordinate, size, fits.coordinates, start)
-        found[p.name] = abs(moved - value_of(p.coordinate, 0.0, fits.coordinates, start))
+        ends = [value_of(p.coordinate, x, fits.coordinates, start) for x in (0.0, size, -size)]
+        # A change that no cell can have is none that they show.
+        sizes = [abs(e - ends[0]) for e in ends[1:] if p.bounds[0] <= e <= p.bounds[1]]
+        if sizes:
+            found[p.name] = sizes[0]
     return found, change
 
 

@@ -31,14 +31,12 @@ class Stated(NamedTuple):
 
     ``errors``: as many independent errors as some drives hold; ``shape``: share of a model's whole
     error that no cause explains, since no cause has the shape of nature, with ``shape_errors``
-    independent errors in a log; ``returns``: two clean logs of one cell have at most this much of
-    an error in common, in squares.
+    independent errors in a log.
     """
 
     errors: float = 10.0
     shape: float = 0.1
     shape_errors: float = 10.0
-    returns: float = 0.75
 
 
 STATED = Stated()
@@ -84,13 +82,6 @@ def slow_scales(error: ModelError) -> tuple[int, ...]:
     """Processes of an error that outlast a window; the slowest in any case."""
     last = len(error.scales_s) - 1
     return tuple(k for k, s in enumerate(error.scales_s) if s >= WINDOW_S or k == last)
-
-
-def returning_V(error: ModelError, soc: FloatArray, temperature_C: float) -> FloatArray:
-    """What comes back at the same SOC in every log of a cell [V]."""
-    share = min(error.persistent_share, STATED.returns)
-    slowest = error.variance_V2(len(error.scales_s) - 1, soc, temperature_C)
-    return np.asarray(np.sqrt(share * slowest))
 
 
 def lasting_V(
@@ -162,8 +153,7 @@ def stated_V(
 ) -> FloatArray:
     """What the model states at every scored row of an error that lasts for minutes [V].
 
-    Without what comes back in every log: that is what tolerances are. ``soc`` and ``voltage_V`` are
-    as simulated.
+    ``soc`` and ``voltage_V`` are as simulated.
     """
     size = np.empty(evidence.rows)
     for g, rows in evidence.each():
@@ -172,8 +162,7 @@ def stated_V(
         drop = np.interp(at, model.soc, model.at_temperature(warm).ocv_V[0]) - voltage_V[rows]
         charged = charged_for_minutes(g.log)[:: g.stride]
         lasts = lasting_V(model.error, at, warm, drop, charged)
-        back = returning_V(model.error, at, warm)
-        size[rows] = np.sqrt(lasts**2 - back**2 + LEAST_V**2)
+        size[rows] = np.sqrt(lasts**2 + LEAST_V**2)
     return size
 
 

@@ -22,7 +22,6 @@ from cellwise.diagnose.causes.catalogue import Cause
 from cellwise.diagnose.causes.coordinates import LOSS_NAMES, OCV_NAMES, R_NAMES, Coordinates
 from cellwise.diagnose.causes.directions import table_direction
 from cellwise.diagnose.fit.least_squares import Fit, Prior
-from cellwise.diagnose.fit.noise import LEAST_V, returning_V
 from cellwise.diagnose.fit.rests import OCV_KNOWN
 from cellwise.diagnose.fit.rows import START_H, Evidence
 from cellwise.typing import FloatArray
@@ -31,17 +30,15 @@ from cellwise.typing import FloatArray
 class Laboratory(NamedTuple):
     """What a good laboratory leaves uncertain.
 
-    ``ocv_share``: of the square of what comes back of a model's error in every log the OCV owes so
-    much at any knot (the shape of the rest nobody knows); ``r_share``: of the model's share of the
-    polarisation, at any knot of the resistances, at least ``r_least``; ``soc0_std``: a start that
-    was given is right to this, one that was found to its own standard deviation; ``stated_alike``:
-    correlation of stated starts that are wrong (one source: each alone is wrong by a third);
-    ``off_branch``: how far a log may start from its own branch of a hysteresis to the other;
+    ``r_share``: of the model's share of the polarisation, at any knot of the resistances, at least
+    ``r_least``; ``soc0_std``: a start that was given is right to this, one that was found to its
+    own standard deviation; ``stated_alike``: correlation of stated starts that are wrong (one
+    source: each alone is wrong by a third); ``off_branch``: how far a log may start from its own
+    branch of a hysteresis to the other;
     ``ends``: standard deviations at which a tolerance ends; ``still_open``: share that stays
     uncertain of what was calibrated, since the next log is another day.
     """
 
-    ocv_share: float = 0.5
     r_share: float = 0.5
     r_least: float = 0.015
     soc0_std: float = 0.0015
@@ -64,11 +61,6 @@ class UsualCell(NamedTuple):
 
 
 GOOD, USUAL = Laboratory(), UsualCell()
-# These owe equal shares of the other half of what comes back.
-OWED = (
-    "ln_r0", "ln_r1", "ln_r2", "ln_tau1", "ln_tau2", "r3", "m_V", "activation_K", "rate_h",
-    "ln_charge_scale",
-)  # fmt: skip
 ANOTHER = 0.7  # memories are another one from this factor on (its logarithm)
 # A rest is read over so much SOC; on a flatter plateau than this [V] it reads nothing.
 ABOUT_SOC, LEAST_SLOPE_V = 0.01, 0.02
@@ -102,8 +94,6 @@ def tolerances(coordinates: Coordinates, evidence: Evidence) -> Prior:
     """Standard deviations about neutral of everything that a good laboratory leaves uncertain."""
     model = coordinates.model
     capacity = model.capacity_Ah
-    warm = float(np.median(np.concatenate([g.temperature_C for g in evidence.logs])))
-    knots = returning_V(model.error, np.linspace(0.0, 1.0, len(OCV_NAMES)), warm)
     interval = float(np.median(np.concatenate([g.dt_s[1:] for g in evidence.logs])))
     std = {
         "offset_A": 7e-4 * capacity,
@@ -112,10 +102,7 @@ def tolerances(coordinates: Coordinates, evidence: Evidence) -> Prior:
         "skew_s": min(0.02, 0.2 * max(interval, 1e-3)),
         "ln_capacity": 0.0025,
         "ln_scale": 0.01,
-        **{
-            n: max(OCV_KNOWN.least_V, math.sqrt(GOOD.ocv_share) * float(v))
-            for n, v in zip(OCV_NAMES, knots, strict=True)
-        },
+        **dict.fromkeys(OCV_NAMES, OCV_KNOWN.least_V),
         **dict.fromkeys(R_NAMES, max(GOOD.r_least, GOOD.r_share * model.error.shown_share())),
         "ln_r0": 0.012,
         "ln_r1": 0.025,
@@ -134,8 +121,6 @@ def tolerances(coordinates: Coordinates, evidence: Evidence) -> Prior:
         std["ln_tau3"] = 0.2
     if coordinates.has_hysteresis:
         std["ln_gamma"] = 0.2
-    for name, std_V in _owed(coordinates, evidence).items():
-        std[name] = max(std[name], std_V)
     mean: dict[str, float] = {}
     for name, log in zip(evidence.starts(), evidence.logs, strict=True):
         # A start that all rows chose with the model as it is would be sure of a wrong model.
@@ -145,25 +130,6 @@ def tolerances(coordinates: Coordinates, evidence: Evidence) -> Prior:
     known = bounded(Prior(std, mean, {}, {}), std)
     ends = {START_H: 0.0}, {START_H: GOOD.off_branch}
     return known.widened({START_H: GOOD.off_branch}, {}, *ends)
-
-
-def _owed(coordinates: Coordinates, evidence: Evidence) -> dict[str, float]:
-    """Standard deviation of each coordinate that makes up its share of what comes back."""
-    _, soc = evidence.simulate(coordinates, {})
-    error = coordinates.model.error
-    again = np.concatenate(
-        [
-            returning_V(error, np.clip(soc[rows], 0.0, 1.0), float(np.median(g.temperature_C)))
-            for g, rows in evidence.each()
-        ]
-    )
-    used = evidence.known & np.isfinite(again)
-    # A model that states nothing there owes nothing.
-    again = np.maximum(again[used], LEAST_V)
-    columns = evidence.window_means(evidence.jacobian(coordinates, {}, OWED))[used]
-    size = np.sqrt(np.mean((columns / again[:, None]) ** 2, axis=0))
-    allowed = math.sqrt((1.0 - GOOD.ocv_share) / len(OWED))
-    return {n: allowed / float(v) for n, v in zip(OWED, size, strict=True) if v > allowed}
 
 
 def bounded(prior: Prior, names: Iterable[str]) -> Prior:
@@ -263,8 +229,6 @@ def starts_to_try(
         own = coordinates.tau3_s
     if name == "ln_gamma" and coordinates.has_hysteresis:
         own = coordinates.gamma
-    if name == "ln_surface_s" and coordinates.surface_depth_h > 0.0:
-        own = coordinates.surface_s
     if own is None:
         return [(replace(coordinates, shapes={**coordinates.shapes, name: v}), {}) for v in values]
     away = [math.log(v / own) for v in values]

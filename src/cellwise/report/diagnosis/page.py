@@ -22,8 +22,13 @@ from cellwise.report.diagnosis.statements import (
     diagnosis_finding,
     judged_run,
     named_log,
+    probability,
+    shown_parameters,
     statement,
+    unsure_lines,
     valued,
+    weights,
+    within,
 )
 from cellwise.report.page.interactive import Traces, trace_section
 from cellwise.report.page.jumps import clock_of, linked_among
@@ -78,7 +83,12 @@ def diagnose_page(
         f"Errors of {name} on {_names(diagnosis)}, by cellwise",
         diagnosis_sections(diagnosis, runs),
         diagnosis.to_dict(),
-        lead=lead_of(fault_alerts(diagnosis), diagnosis_tiles(diagnosis), lead_lines(diagnosis)),
+        lead=lead_of(
+            # What to measure next is seen whatever a sensor did.
+            alerts(diagnosis)[:2],
+            diagnosis_tiles(diagnosis),
+            [*lead_lines(diagnosis), *alerts(diagnosis)[2:]],
+        ),
         figures=figures,
     )
 
@@ -105,8 +115,6 @@ def diagnosis_sections(diagnosis: Diagnosis, runs: Sequence[LogRun]) -> tuple[Se
         sections.append(Section("competing", "What competes", (competing_table(diagnosis),)))
     if diagnosis.limits:
         sections.append(Section("limits", "What these logs could show", limits, "Limits"))
-    if diagnosis.next_test:
-        sections.append(Section("next", "Next test", (paragraph(diagnosis.next_test),)))
     sections.append(residual_section(diagnosis.anatomy, clock_of(diagnosis.logs[0])))
     if pictures[1:]:
         sections.append(Section("logs", "The other logs", tuple(pictures[1:])))
@@ -134,7 +142,11 @@ def in_order(runs: Sequence[LogRun]) -> tuple[LogRun, ...]:
 
 def diagnosis_tiles(diagnosis: Diagnosis) -> Markup:
     """Key figures."""
-    facts: list[tuple[object, object]] = [("verdict", cause_name(diagnosis.verdict))]
+    take = {None: "stays", True: "adopt it", False: "do not adopt it"}[diagnosis.adopt]
+    facts: list[tuple[object, object]] = [
+        ("verdict", cause_name(diagnosis.verdict)),
+        ("extended model" if diagnosis.adopt is not None else "model", take),
+    ]
     if diagnosis.causes:
         facts.append(("first cause's gain, 95 %", _interval(diagnosis.causes[0].gain_ci95)))
     if (judged := judged_run(diagnosis)) is not None:
@@ -148,20 +160,18 @@ def diagnosis_tiles(diagnosis: Diagnosis) -> Markup:
     return tiles(facts)
 
 
-def fault_alerts(diagnosis: Diagnosis) -> list[Markup]:
-    """What sensors did wrong, first of all, with links to where."""
+def alerts(diagnosis: Diagnosis) -> list[Markup]:
+    """What sensors did wrong and where the model was not measured, with links to where."""
     logs = [run.log for run in diagnosis.runs]
-    return [
-        linked_among(text, logs)
-        for cause in diagnosis.causes
-        if cause.name == "sensor_fault"
-        for text in cause.evidence
-    ]
+    faults = (t for c in diagnosis.causes if c.name == "sensor_fault" for t in c.evidence)
+    return [linked_among(text, logs) for text in (*faults, *diagnosis.notices)]
 
 
 def lead_lines(diagnosis: Diagnosis) -> list[str]:
-    """What follows the first line: every further cause, and what it means for the user."""
-    lines = [
+    """What follows the first line: what to measure, what is unsure, then what was found."""
+    lines = [f"Measure next: {diagnosis.next_test}"] if diagnosis.next_test else []
+    lines += unsure_lines(diagnosis)
+    lines += [
         f"{statement(c, diagnosis)}: {percent(c.gain, 0)} less error on held-out data, on top of "
         f"the causes before it."
         for c in diagnosis.causes[1:]
@@ -170,8 +180,7 @@ def lead_lines(diagnosis: Diagnosis) -> list[str]:
     for kind in kinds:
         names = listed([cause_name(c.name) for c in diagnosis.causes if c.kind == kind])
         prefix = f"{capitalised(names)} – " if len(kinds) > 1 else ""
-        meaning = KINDS[kind]
-        lines.append(f"{prefix}{meaning[:1].lower()}{meaning[1:]}" if prefix else meaning)
+        lines.append(f"{prefix}{within(KINDS[kind])}" if prefix else KINDS[kind])
     if diagnosis.causes:
         where = (
             f"Held out: {_held(diagnosis)}; nothing but an initial SOC was fitted there."
@@ -187,17 +196,13 @@ def lead_lines(diagnosis: Diagnosis) -> list[str]:
             f"against the tester's counter over {ampere_hours(gain['reference_capacity_Ah'])}: "
             f"{gain['reference']}."
         )
-    elif diagnosis.no_soc_gain:
-        lines.append(f"No gain in SOC is claimed: {diagnosis.no_soc_gain}.")
-    if diagnosis.next_test:
-        lines.append(f"Next test: {diagnosis.next_test}")
     return lines
 
 
 def cause_content(cause: FoundCause, diagnosis: Diagnosis) -> Markup:
     """One cause: meaning, numbers, evidence, what it is confused with."""
     known = known_cause(cause.name)
-    sure = f", probability {percent(cause.probability, 0)}" if cause.probability >= 0.0 else ""
+    sure = f", probability {probability(cause.probability)}" if cause.probability >= 0.0 else ""
     units = _units(cause.name)
     lines = [
         KINDS[cause.kind],
@@ -208,12 +213,18 @@ def cause_content(cause: FoundCause, diagnosis: Diagnosis) -> Markup:
     if cause.confusable_with:
         names = listed([cause_name(c) for c in cause.confusable_with])
         lines.append(f"Easily confused with {names}.")
-    numbers = record_table(
-        cause.parameters.items(),
-        ("parameter", lambda p: p[0]),
-        ("value", lambda p: valued(p[1], units.get(p[0], "1"))),
-        ("95 % interval", lambda p: _between(cause.ci95.get(p[0]), units.get(p[0], "1"))),
-    )
+
+    def numbers(parameters: Sequence[tuple[str, float]]) -> Markup:
+        return record_table(
+            parameters,
+            ("parameter", lambda p: p[0]),
+            ("value", lambda p: valued(p[1], units.get(p[0], "1"))),
+            ("95 % interval", lambda p: _between(cause.ci95.get(p[0]), units.get(p[0], "1"))),
+        )
+
+    shown = shown_parameters(cause)
+    folded = [p for p in cause.parameters.items() if p not in shown]
+    what = f"{plural(len(folded), 'parameter')} of which these logs say no more than is usual"
     fitted = _change(cause.train_rmse_before_V, cause.train_rmse_after_V)
     held_out = _change(cause.holdout_rmse_before_V, cause.holdout_rmse_after_V)
     gains = table(
@@ -224,7 +235,8 @@ def cause_content(cause: FoundCause, diagnosis: Diagnosis) -> Markup:
         f"<h3>{escape(capitalised(cause_name(cause.name)) + sure)}</h3>"
         + paragraph(f"{statement(cause, diagnosis)}. {cause.meaning}")
         + bullets(lines)
-        + numbers
+        + numbers(shown)
+        + (details(what, numbers(folded)) if folded else "")
         + gains
     )
 
@@ -232,17 +244,22 @@ def cause_content(cause: FoundCause, diagnosis: Diagnosis) -> Markup:
 def runs_table(runs: Sequence[LogRun], explained: bool) -> Markup:
     """Every log before and after."""
     corrected = any(r.corrected is not None for r in runs)
+    own_start = any(r.own_start is not None for r in runs)
     head = ["log", "used", "rows", "initial SOC", "RMSE before" if explained else "RMSE"]
     if explained:
-        head += ["extended model", *(["log corrected, too"] if corrected else []), "less by"]
+        head += ["extended model", *(["log corrected, too"] if corrected else [])]
+        head += [*(["its own start"] if own_start else []), "less by"]
     rows = []
     for r in runs:
         row = [clock_of(r.log), "held out" if r.used == "holdout" else "fitted"]
         row += [counted(len(r.log)), f"{r.before.soc0:.3f}", millivolt(r.before.metrics.rmse_V)]
         if explained:
             row.append(millivolt(r.after.metrics.rmse_V))
-            if r.corrected is not None:
-                row.append(millivolt(r.corrected.metrics.rmse_V))
+            row += [millivolt(r.corrected.metrics.rmse_V) if r.corrected else ""] * corrected
+            own = r.own_start
+            row += [
+                f"{millivolt(own.metrics.rmse_V)} from {own.soc0:.3f}" if own else ""
+            ] * own_start
             row.append(percent(r.gain, 0))
         rows.append(row)
     caption = (
@@ -250,17 +267,22 @@ def runs_table(runs: Sequence[LogRun], explained: bool) -> Markup:
     )
     if corrected:
         caption += " Beside it, the corrected log from the SOC at which it is estimated to start."
+    if own_start:
+        caption += (
+            " Its own start: what `simulate` shows where no start is stated, since the extended "
+            "model finds another one."
+        )
     return table(head, rows, caption=caption, text_columns=(0, 1))
 
 
 def competing_table(diagnosis: Diagnosis) -> Markup:
     """Explanations that were weighed, with their probability."""
     return record_table(
-        diagnosis.competing,
-        ("explanation", lambda w: listed([cause_name(c) for c in w.causes]) or "none"),
-        ("probability", lambda w: percent(w.probability, 0)),
+        weights(diagnosis),
+        ("explanation", lambda w: w[0]),
+        ("probability", lambda w: w[1]),
         caption="Sets of causes and their probability among all that were compared; blocks of time "
-        "weighted at random.",
+        "weighted at random. That of a cause is the sum over all sets that hold it.",
     )
 
 
@@ -274,10 +296,14 @@ def inseparable_lines(diagnosis: Diagnosis) -> list[str]:
 
 def limits_table(diagnosis: Diagnosis) -> Markup:
     """The smallest change of every cause's parameters that these logs could show."""
+    without = sorted({c.name for c in diagnosis.candidates} - set(diagnosis.limits))
     return record_table(
-        diagnosis.limits.items(),
-        ("cause", lambda one: cause_name(one[0])),
-        ("smallest change", lambda one: _values(*one)),
+        [*diagnosis.limits, *without],
+        ("cause", cause_name),
+        (
+            "smallest change",
+            lambda c: _values(c, diagnosis.limits.get(c, {})) or "these logs could not show it",
+        ),
         caption="From sensitivities and noise, before any cause was fitted: smaller changes look "
         "the same as what a good laboratory leaves uncertain.",
         text_columns=(0, 1),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from cellwise.diagnose.decision.odds import Weighed
 from cellwise.diagnose.log_runs import LogRun
 from cellwise.diagnose.result import Diagnosis, FoundCause
 from cellwise.report.page.numerals import (
@@ -31,45 +32,123 @@ def cause_name(name: str) -> str:
 
 
 def diagnosis_finding(diagnosis: Diagnosis) -> str:
-    """The first line: what is wrong and what its correction gains."""
+    """The first line: what to do with the model, why, and what that gains or loses."""
+    judged = judged_run(diagnosis)
     if diagnosis.causes:
         text = statement(diagnosis.causes[0], diagnosis)
         others = [cause_name(c.name) for c in diagnosis.causes[1:]]
         more = f", with {listed(others)}" if others else ""
-        judged = judged_run(diagnosis)
         said = "" if judged is None else f": error on {named_log(judged)} {change(judged)}"
-        return f"{text}{more}{said}{_soc_lost(diagnosis)}."
+        lost = losses(diagnosis)
+        but = f"; but {listed(lost)}" if lost else ""
+        return f"{advice(diagnosis)}: {within(text)}{more}{said}{but}."
     if diagnosis.verdict == "none":
-        judged = judged_run(diagnosis)
         rest = ""
         if judged is not None:
             error = millivolt(judged.before.metrics.rmse_V)
             rest = f" The residual on {named_log(judged)} is {error} RMSE."
-        return f"These data show no error beyond the stated one.{rest}"
+        return f"Keep the model: these data show no error beyond the stated one.{rest}"
+    why = f": {diagnosis.reasons[0].rstrip('.')}" if diagnosis.reasons else ""
     if diagnosis.verdict == "unexplained":
-        why = f": {diagnosis.reasons[0]}" if diagnosis.reasons else ""
-        return f"The model is wrong, and none of the causes tried explains it{why}."
+        return (
+            f"Do not rely on the model here: it is wrong, and none of the causes tried explains "
+            f"it{why}."
+        )
     sets = [w.causes for w in diagnosis.competing if w.causes][:2]
     if len(sets) < 2:
-        why = f": {diagnosis.reasons[0].rstrip('.')}" if diagnosis.reasons else ""
-        return f"These data do not show what is wrong, if anything is{why}."
+        return f"Measure more: these data do not show what is wrong, if anything is{why}."
     one, other = (" with ".join(cause_name(c) for c in names) for names in sets)
-    return f"The model is wrong, but these data do not separate {one} from {other}."
+    return (
+        f"Measure more before the model is changed: it is wrong, but these data do not separate "
+        f"{one} from {other}."
+    )
 
 
-def _soc_lost(diagnosis: Diagnosis) -> str:
-    """A warning where the correction makes the SOC worse; empty where it does not."""
-    gain = diagnosis.soc_gain or {}
-    before, after = gain.get("soc_rmse_before", 0.0), gain.get("soc_rmse_after", 0.0)
-    if after <= before:
-        return ""
-    return f"; but the SOC by the EKF gets worse with it, {percent(before)} to {percent(after)}"
+def advice(diagnosis: Diagnosis) -> str:
+    """What to do with the extended model."""
+    if diagnosis.adopt is None:
+        kinds = [c.kind for c in diagnosis.causes]
+        return "Keep the model, correct the log" if "measurement" in kinds else "Keep the model"
+    if not diagnosis.adopt:
+        return "Do not adopt the extended model"
+    judged = diagnosis.soc_gain is not None
+    return "Adopt the extended model" + ("" if judged else " for its voltage (SOC not judged)")
+
+
+def losses(diagnosis: Diagnosis) -> list[str]:
+    """What is worse on logs that were held out with the causes known, SOC first."""
+    found = []
+    gain = diagnosis.soc_gain
+    if gain is not None and diagnosis.soc_worse:
+        ends = (percent(gain[f"soc_rmse_{k}"]) for k in ("before", "after"))
+        found.append(f"the SOC by the EKF gets worse with it, {' to '.join(ends)}")
+    shown = judged_run(diagnosis)
+    found += [f"error on {named_log(r)} {change(r)}" for r in diagnosis.worse if r is not shown]
+    return found
+
+
+def unsure_lines(diagnosis: Diagnosis) -> list[str]:
+    """What the logs leave open: how probable a cause is, what is not separated, what not judged."""
+    sure = [
+        f"{cause_name(c.name)} {probability(c.probability)}"
+        for c in diagnosis.causes
+        if c.probability < 1.0
+    ]
+    lines = [f"Probability of {listed(sure)}."] if sure else []
+    if diagnosis.verdict == "undetermined" and diagnosis.competing:
+        parts = (f"{explanation(w)} {probability(w.probability)}" for w in diagnosis.competing[:3])
+        lines.append(f"Possible are {listed(list(parts))}.")
+    named = {c.name for c in diagnosis.causes}
+    for group in diagnosis.inseparable:
+        if named & set(group):
+            names = listed([cause_name(c) for c in group])
+            lines.append(f"Small effects of {names} look alike in these logs.")
+    if diagnosis.no_soc_gain:
+        lines.append(f"No gain in SOC is claimed: {diagnosis.no_soc_gain}.")
+    return lines
+
+
+def explanation(one: Weighed) -> str:
+    """A set of causes for people."""
+    return " with ".join(cause_name(c) for c in one.causes) or "none"
+
+
+def probability(share: float) -> str:
+    """A probability the same way everywhere: never 100 % where it is less."""
+    if share > 0.9994:
+        return "more than 99.9\N{NO-BREAK SPACE}%"
+    return f"{100.0 * share:.1f}\N{NO-BREAK SPACE}%"
+
+
+def weights(diagnosis: Diagnosis) -> list[tuple[str, str]]:
+    """Explanations and their probabilities, the others, every named cause over all of them."""
+    rows = [(explanation(w), probability(w.probability)) for w in diagnosis.competing]
+    rest = 1.0 - sum(w.probability for w in diagnosis.competing)
+    if rest > 5e-4:
+        rows.append(("all others together", probability(rest)))
+    rows += [
+        (f"{cause_name(c.name)}, whatever is beside it", probability(c.probability))
+        for c in diagnosis.causes
+        if c.probability < 1.0
+    ]
+    return rows
+
+
+def within(text: str) -> str:
+    """A sentence inside another: without its capital, unless it is an abbreviation."""
+    first = text.split(" ", 1)[0]
+    return text if len(first) > 1 and first.isupper() else f"{text[:1].lower()}{text[1:]}"
+
+
+def shown_parameters(cause: FoundCause) -> list[tuple[str, float]]:
+    """The parameters that the logs say something of; all of them where they say nothing of any."""
+    known = [(k, v) for k, v in cause.parameters.items() if k not in cause.prior_only]
+    return known or list(cause.parameters.items())
 
 
 def judged_run(diagnosis: Diagnosis) -> LogRun | None:
     """The log that the first line speaks of: the first that was held out, else the first."""
-    held = [r for r in diagnosis.runs if r.used == "holdout"]
-    return next(iter((*held, *diagnosis.runs)), None)
+    return next(iter(diagnosis.judged), None)
 
 
 def named_log(run: LogRun) -> str:
@@ -159,10 +238,6 @@ def _of_cell(cause: FoundCause, diagnosis: Diagnosis) -> str:
         rise = significant(p["rth_K_per_W"])
         after = duration(p["thermal_s"])
         return f"The cell is warmer inside than logged, {rise} K per watt after {after}"
-    if name == "surface_soc":
-        depth = points(p["depth_h"])
-        after = duration(p["surface_s"])
-        return f"At 1C the surface of the particles is {depth} below the mean SOC after {after}"
     if name == "self_discharge":
         return f"The cell discharges itself by {ampere(p['leak_A'])}"
     return cause.meaning.rstrip(".")
