@@ -63,7 +63,7 @@ def _add_certify(commands: options.Commands[argparse.ArgumentParser]) -> None:
     certify.add_argument("--sensor", metavar="F.toml", help=text)
     options.count(certify, "--seed", "N", "of all that is drawn [1]", default=1)
     options.number(certify, "--most-rmse", "X", "limit of the SOC error, RMS (0.03: three points)")
-    options.number(certify, "--most-p95", "X", "limit of the SOC error in 95 % of the time")
+    options.number(certify, "--most-p95", "X", "limit of the SOC error in 95 %% of the time")
     options.number(certify, "--most-worst", "X", "limit of the worst SOC error")
     options.number(certify, "--least-coverage", "X", "limit of the time within two deviations")
     text = "for the certificate, its page and finished cells; a run goes on there"

@@ -123,7 +123,7 @@ def _description(place: Path) -> dict[str, Any]:
         raise InputError(
             f"'{place}', in which {DESCRIPTION} is missing or damaged",
             "a folder that `cellwise export` wrote",
-            "Export the model first: cellwise export --model cell.json --dt 1 -o firmware.",
+            "Export the model into a folder first.",
         ) from error
     return found
 
