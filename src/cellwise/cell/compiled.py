@@ -129,7 +129,7 @@ def announce(function: Any, what: str) -> None:
 
     The first call in a new environment takes seconds: nobody should have to guess why.
     """
-    if os.environ.get(QUIET) or getattr(function, "overloads", None) or _is_cached(function):
+    if getattr(function, "overloads", None) or os.environ.get(QUIET) or _is_cached(function):
         return
     sys.stderr.write(f"compiling {what} for this machine, once: some seconds\n")
     sys.stderr.flush()
