@@ -48,11 +48,11 @@ def _type_of(kind: type) -> Any:
     """A record as numba types it."""
     if kind is float:
         return types.float64
-    return types.BaseTuple.from_types([_type_of(field) for field in fields_of(kind)], kind)
+    base: Any = types.BaseTuple
+    return base.from_types([_type_of(field) for field in fields_of(kind)], kind)
 
 
-@intrinsic  # type: ignore[untyped-decorator]
-def record_at(typing: Any, kind: Any, row: Any, at: Any) -> Any:
+def _record_at(typing: Any, kind: Any, row: Any, at: Any) -> Any:
     """The record of a kind whose numbers begin at one place of a row; compiled code only."""
     record = _type_of(kind.instance_class)
 
@@ -63,8 +63,7 @@ def record_at(typing: Any, kind: Any, row: Any, at: Any) -> Any:
     return record(kind, row, types.intp), build
 
 
-@intrinsic  # type: ignore[untyped-decorator]
-def put_record(typing: Any, row: Any, at: Any, record: Any) -> Any:
+def _put_record(typing: Any, row: Any, at: Any, record: Any) -> Any:
     """Put the numbers of a record into a row from one place on; compiled code only."""
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -73,6 +72,11 @@ def put_record(typing: Any, row: Any, at: Any, record: Any) -> Any:
         return context.get_dummy_value()
 
     return types.none(row, types.intp, record), build
+
+
+# Typed by numba alone: (kind, row, at) -> record, and (row, at, record).
+record_at: Any = intrinsic(_record_at)
+put_record: Any = intrinsic(_put_record)
 
 
 def _place(

@@ -76,11 +76,11 @@ class EkfState(NamedTuple):
         """The state whose numbers these are."""
         v = row.tolist()
         # fmt: off
-        return cls(
+        return cls._make((
             CellState._make(v[:P_AT]), Covariance._make(v[P_AT:COUNTS_AT]),
             *v[COUNTS_AT:DRIFT_AT], Drift._make(v[DRIFT_AT:WATCH_AT]),
             Watch._make(v[WATCH_AT:PAST_AT]), Past._make(v[PAST_AT:]),
-        )
+        ))
         # fmt: on
 
 

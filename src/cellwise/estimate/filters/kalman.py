@@ -119,7 +119,7 @@ class KalmanFilter(FilterOfModel):
         status = kalman_step_of_rows(
             tables.table, tables.grid_C, self._constants, self.sigma, row, *reading, info
         )
-        return EkfState.of_row(row), EkfInfo(*info.tolist(), status)
+        return EkfState.of_row(row), EkfInfo._make((*info.tolist(), status))
 
     def take_rows(
         self,
