@@ -12,8 +12,9 @@ import sys
 
 from cellwise.cell.compiled import QUIET, is_compiled, keeps_compiled, others_compile
 
-# A log of this many rows is enough for every kernel.
-ROWS = 60
+# A log with rows enough for a forecast and a diagnosis, and a stock model scaled to its cell.
+LOG, ROWS = "nmc_drive_b", 300
+MODEL, CAPACITY_AH = "nmc-18650", 5.0
 
 
 def begin() -> bool:
@@ -41,15 +42,15 @@ def begin() -> bool:
 
 def main() -> None:
     """Call each kernel once, those first that are wanted first and take longest."""
-    from cellwise.cell.stock.catalogue import stock_model, stock_names
+    from cellwise.cell.stock.catalogue import named_model
     from cellwise.data import load_dataset
     from cellwise.diagnose import diagnose
     from cellwise.estimate.filters.kalman import Ekf
     from cellwise.estimate.replay import replay
     from cellwise.forecast.remaining import forecast
 
-    model = stock_model(stock_names()[0])
-    log = load_dataset("nmc_drive_b").part(0, ROWS)
+    model = named_model(MODEL, CAPACITY_AH)
+    log = load_dataset(LOG).part(0, ROWS)
     found = replay(model, log, "ekf", soc0=0.9)
     forecast(model, found)
     replay(model, log, "adaptive", soc0=0.9)
