@@ -15,6 +15,8 @@ from cellwise.cell.compiled import QUIET, is_compiled, keeps_compiled, others_co
 # A log with rows enough for a forecast and a diagnosis, and a stock model scaled to its cell.
 LOG, ROWS = "nmc_drive_b", 300
 MODEL, CAPACITY_AH = "nmc-18650", 5.0
+# They take longest, and come first; a command makes smaller ones sooner by itself.
+WAITED_FOR = ("kalman_rows", "adaptive_rows")
 
 
 def begin() -> bool:
@@ -23,9 +25,9 @@ def begin() -> bool:
 
     if is_compiled(adaptive_rows) or not keeps_compiled(adaptive_rows):
         return False
-    lock = others_compile()
     try:
-        os.close(os.open(lock, os.O_CREAT | os.O_EXCL))
+        with others_compile().open("x", encoding="utf-8") as mark:
+            mark.write(" ".join(WAITED_FOR))
     except OSError:
         return False  # it runs, or there is no place for its mark
     # It outlives the command, and the terminal is none of its business.

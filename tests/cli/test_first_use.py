@@ -28,12 +28,12 @@ def elsewhere(tmp_path, monkeypatch):
 def never_compiled():
     """What numba would hand out of a kernel that its cache does not hold."""
     file = SimpleNamespace(_load_index=dict)
-    return SimpleNamespace(overloads={}, _cache=SimpleNamespace(_cache_file=file))
+    return SimpleNamespace(__name__="rows", overloads={}, _cache=SimpleNamespace(_cache_file=file))
 
 
 def test_a_kernel_that_another_process_compiles_is_waited_for(elsewhere, never_compiled, capsys):
     mark = others_compile()
-    mark.touch()
+    mark.write_text("other rows")
     threading.Timer(0.4, mark.unlink).start()
     began = time.monotonic()
     announce(never_compiled, "a test")
@@ -41,9 +41,16 @@ def test_a_kernel_that_another_process_compiles_is_waited_for(elsewhere, never_c
     assert "compiling a test" in capsys.readouterr().err
 
 
+def test_what_nobody_makes_is_not_waited_for(elsewhere, never_compiled):
+    others_compile().write_text("other")
+    began = time.monotonic()
+    announce(never_compiled, "a test")
+    assert time.monotonic() - began < 1.0
+
+
 def test_the_mark_of_a_process_that_was_killed_stops_nobody(elsewhere, never_compiled):
     mark = others_compile()
-    mark.touch()
+    mark.write_text("other rows")
     long_ago = time.time() - 2.0 * compiled.LONGEST_S
     os.utime(mark, (long_ago, long_ago))
     began = time.monotonic()

@@ -157,8 +157,7 @@ def announce(function: Any, what: str) -> None:
         return
     sys.stderr.write(f"compiling {what} for this machine, once: some seconds\n")
     sys.stderr.flush()
-    lock = others_compile()
-    while _is_young(lock) and not is_compiled(function):
+    while function.__name__ in _in_work() and not is_compiled(function):
         time.sleep(0.1)
 
 
@@ -176,15 +175,17 @@ def keeps_compiled(function: Any) -> bool:
 
 
 def others_compile() -> Path:
-    """A file that is there while another process compiles for the same place."""
+    """A file that is there while another process compiles for the same place: what is worth it."""
     place = f"{sys.prefix} {os.environ.get('NUMBA_CACHE_DIR', '')} {Path(__file__).parent}"
     mark = hashlib.sha256(place.encode()).hexdigest()[:16]
     return Path(tempfile.gettempdir()) / f"cellwise-compiles-{mark}"
 
 
-def _is_young(lock: Path) -> bool:
-    """There, and no remainder of a process that was killed."""
+def _in_work() -> list[str]:
+    """Names of the kernels that it makes and a command waits for; none of one that was killed."""
+    mark = others_compile()
     try:
-        return time.time() - lock.stat().st_mtime < LONGEST_S
+        young = time.time() - mark.stat().st_mtime < LONGEST_S
+        return mark.read_text(encoding="utf-8").split() if young else []
     except OSError:
-        return False
+        return []
