@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import secrets
 from itertools import chain
 from pathlib import Path
@@ -11,6 +12,8 @@ import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 FUZZ_SEED = "CELLWISE_FUZZ_SEED"
+KERNEL = re.compile(r"^ *@(?:inline|kernel|rows|cached)\b|^from numba\b", re.MULTILINE)
+IMPORTED = re.compile(r"^ *from (cellwise[.\w]*) import", re.MULTILINE)
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -21,11 +24,26 @@ def pytest_configure(config: pytest.Config) -> None:
     if hasattr(config, "workerinput"):
         return
     package = REPOSITORY / "src" / "cellwise"
-    sources = [path.stat().st_mtime for path in package.rglob("*.py")]
+    sources = [path.stat().st_mtime for path in compiled_sources(package)]
     caches = [*chain(package.rglob("*.nbi"), package.rglob("*.nbc"))]
     if caches and min(path.stat().st_mtime for path in caches) < max(sources):
         for path in caches:
             path.unlink(missing_ok=True)
+
+
+def compiled_sources(package: Path) -> set[Path]:
+    """Files with kernels and all that these import: what compiled code is made of."""
+    text = {path: path.read_text(encoding="utf-8") for path in package.rglob("*.py")}
+    waiting = [path for path, source in text.items() if KERNEL.search(source)]
+    found = set(waiting)
+    while waiting:
+        for module in IMPORTED.findall(text[waiting.pop()]):
+            place = package.parent / module.replace(".", "/")
+            for path in (place.with_suffix(".py"), place / "__init__.py"):
+                if path in text and path not in found:
+                    found.add(path)
+                    waiting.append(path)
+    return found
 
 
 def pytest_report_header() -> str:

@@ -9,15 +9,21 @@ compile time.
 
 from __future__ import annotations
 
+import gc
+import hashlib
 import os
 import sys
+import tempfile
+import time
 from collections.abc import Callable
 from functools import lru_cache
+from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numba import njit
+from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher
 from numpy.typing import NDArray
 
@@ -26,9 +32,26 @@ from cellwise.typing import FloatArray
 P = ParamSpec("P")
 R = TypeVar("R")
 
-OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "_nrt": False}
-INLINE = OPTIONS | {"forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+
+class KernelCompiler(Compiler):
+    """Numba's own pipeline; Python's collector, which finds nothing in it, rests: a tenth less."""
+
+    def compile_extra(self, func: Any) -> Any:
+        """As numba's own."""
+        collects = gc.isenabled()
+        gc.disable()
+        try:
+            return super().compile_extra(func)  # type: ignore[no-untyped-call]
+        finally:
+            if collects:
+                gc.enable()
+
+
+KEPT: dict[str, Any] = {"cache": True, "pipeline_class": KernelCompiler}
+OPTIONS = KEPT | {"error_model": "numpy", "_nrt": False, "no_cfunc_wrapper": True}
+INLINE = OPTIONS | {"forceinline": True, "no_cpython_wrapper": True}
 QUIET = "CELLWISE_QUIET"  # set to anything: no word about compiling
+LONGEST_S = 300.0  # nothing compiles for longer, on a slow machine beside other work either
 
 
 class Equation(CPUDispatcher):
@@ -77,7 +100,7 @@ def cached(**options: Any) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Numba's ``njit`` with other options than those above, kept where there is a place."""
 
     def compiled(function: Callable[P, R]) -> Callable[P, R]:
-        found: Callable[P, R] = _compiled(function, {"cache": True, **options})
+        found: Callable[P, R] = _compiled(function, KEPT | options)
         return found
 
     return compiled
@@ -127,16 +150,42 @@ def for_kernel(array: FloatArray) -> FloatArray:
 def announce(function: Any, what: str) -> None:
     """Say on standard error that ``what`` is compiled now, where it was not compiled before.
 
-    The first call in a new environment takes seconds: nobody should have to guess why.
+    The first call in a new environment takes seconds: nobody should have to guess why. While
+    another process compiles (:mod:`cellwise.first_use`), what it makes is waited for.
     """
-    if os.environ.get(QUIET) or getattr(function, "overloads", None) or _is_cached(function):
+    if getattr(function, "overloads", None) or os.environ.get(QUIET) or is_compiled(function):
         return
     sys.stderr.write(f"compiling {what} for this machine, once: some seconds\n")
     sys.stderr.flush()
+    while function.__name__ in _in_work() and not is_compiled(function):
+        time.sleep(0.1)
 
 
-def _is_cached(function: Any) -> bool:
+def is_compiled(function: Any) -> bool:
+    """Whether numba's cache holds a kernel."""
     try:
         return bool(function._cache._cache_file._load_index())
     except (AttributeError, OSError):  # not numba's, or without a cache
         return not hasattr(function, "overloads")
+
+
+def keeps_compiled(function: Any) -> bool:
+    """Whether there is a place where a kernel is kept."""
+    return hasattr(function, "_cache") and function._cache.cache_path is not None
+
+
+def others_compile() -> Path:
+    """A file that is there while another process compiles for the same place: what is worth it."""
+    place = f"{sys.prefix} {os.environ.get('NUMBA_CACHE_DIR', '')} {Path(__file__).parent}"
+    mark = hashlib.sha256(place.encode()).hexdigest()[:16]
+    return Path(tempfile.gettempdir()) / f"cellwise-compiles-{mark}"
+
+
+def _in_work() -> list[str]:
+    """Names of the kernels that it makes and a command waits for; none of one that was killed."""
+    mark = others_compile()
+    try:
+        young = time.time() - mark.stat().st_mtime < LONGEST_S
+        return mark.read_text(encoding="utf-8").split() if young else []
+    except OSError:
+        return []

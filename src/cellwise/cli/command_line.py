@@ -20,6 +20,8 @@ from cellwise.errors import InputError
 REFUSED = 2
 BUG = 1
 INTERRUPTED = 130
+# What stands at the beginning of a first hour: the kernels of all of them are compiled beside it.
+COMPUTING = ("demo", "identify", "simulate", "replay", "diagnose")
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -164,6 +166,8 @@ def _run(parsed: argparse.Namespace) -> tuple[int, str]:
     """Exit code of a command, and what is to be said of an error."""
     try:
         check_overwriting(parsed)
+        if parsed.command in COMPUTING and not parsed.debug:
+            begin_compiling()
         parsed.run(parsed)
     except (BrokenPipeError, KeyboardInterrupt):
         raise
@@ -178,6 +182,13 @@ def _run(parsed: argparse.Namespace) -> tuple[int, str]:
             "This is a bug. Run again with --debug and report what it shows."
         )
     return 0, ""
+
+
+def begin_compiling() -> None:
+    """In a process of its own, where nothing has been compiled yet."""
+    from cellwise.first_use import begin
+
+    begin()
 
 
 def _refusal(error: Exception) -> InputError | None:

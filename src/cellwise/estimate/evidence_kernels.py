@@ -56,30 +56,20 @@ def voltage_variance(
 
 
 @inline
-def model_memory(noise: NoiseScalars, evidence_s: float) -> float:
-    """For how long the model's error is remembered, ``evidence_s`` after the first voltage [s].
+def repeated_evidence(
+    noise: NoiseScalars, evidence_s: float, dt_s: float, resting: bool
+) -> tuple[float, float]:
+    """How many samples share one model error, as a fraction, ``evidence_s`` after the first one.
 
-    The error is a sum of processes with memories of a second to half an hour. The quick ones
-    average out first, so the rest of a mean has an ever longer memory.
+    An error of memory tau counts once in 2 tau (its spectral density at rest). It is a sum of
+    processes with memories of a second to half an hour: the quick ones average out first, so the
+    rest of a mean has an ever longer memory. A repeated stamp repeats the error: over zero.
     """
+    if noise.slow_s <= 0.0 or (evidence_s < 0.0 and resting):
+        return 1.0, 1.0  # the first voltage at rest is evidence by itself
     after_s = max(evidence_s, 0.0)
-    return noise.slow_s * (after_s + noise.early_s) / (after_s + noise.half_s)
-
-
-@inline
-def repeated_evidence(noise: NoiseScalars, evidence_s: float, dt_s: float, resting: bool) -> float:
-    """How many samples share one model error: the factor on a voltage's variance.
-
-    An error of memory tau counts once in 2 tau (its spectral density at rest). A repeated stamp
-    repeats the error.
-    """
-    if noise.slow_s <= 0.0:
-        return 1.0
-    if evidence_s < 0.0 and resting:
-        return 1.0  # the first voltage at rest is evidence by itself
-    if dt_s <= 0.0:
-        return math.inf
-    return max(2.0 * model_memory(noise, evidence_s) / dt_s, 1.0)
+    below = (after_s + noise.half_s) * dt_s
+    return max(2.0 * noise.slow_s * (after_s + noise.early_s), below), below
 
 
 @inline
@@ -255,8 +245,10 @@ def gate(
         else:
             accepted = True
             rejections = 0.0
-            shared = repeated_evidence(noise, evidence_s, s.dt_s, resting)
-            inverse = 1.0 / (i.state_variance + i.one * shared * max(mismatch, 1.0))
+            # 1 / (state_variance + one above / below), with one division.
+            above, below = repeated_evidence(noise, evidence_s, s.dt_s, resting)
+            one = i.one * max(mismatch, 1.0)
+            inverse = below / (i.state_variance * below + one * above)
             evidence_s = max(evidence_s, 0.0)
     if evidence_s >= 0.0:
         evidence_s += s.dt_s

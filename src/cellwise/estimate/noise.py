@@ -37,7 +37,7 @@ class NoiseScalars(NamedTuple):
     ocv_soc: float
     mismatch_cap: float
     gate: float
-    recovery_after: int
+    recovery_after: float
     gap_soc: float
     hold_s: float
     frozen_V: float
@@ -160,7 +160,7 @@ class Noise:
             float(self.ocv_soc),
             float(self.mismatch_cap),
             float(self.gate),
-            int(self.recovery_after),
+            float(self.recovery_after),
             float(self.gap_soc),
             float(self.hold_s),
             float(self.frozen_V),

@@ -306,7 +306,9 @@ def replay(
     ns = 1e9 * (time.perf_counter() - began) / len(log)
     reference = None
     if reference_capacity_Ah is not None:
-        true0 = initial_soc(model, log).soc if reference_soc0 is None else reference_soc0
+        true0 = reference_soc0
+        if true0 is None:
+            true0 = (start if soc0 is None else initial_soc(model, log)).soc
         reference = reference_soc(log, true0, reference_capacity_Ah)
     limits = power_along(asked, filter_, log, trace, start.soc, start.std) if asked else None
     return Replay(log, filter_.name, start, trace, ns, reference, model.validity, limits, model)

@@ -103,7 +103,7 @@ def slopes_at(
     return Slopes(w.voltage_V, w.bend_V, tangent, spread, w.r1_ohm, w.r2_ohm, w.r3_ohm)
 
 
-@inline
+@kernel
 def landing_slope(
     tables: CellTables,
     soc: float,

@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 
 from cellwise.cell.effects import SelfHeating
-from cellwise.cell.equations import CellState, empty_state, needs_temperature
+from cellwise.cell.equations import CellState, empty_state
 from cellwise.cell.model import CAPACITY_STD, CellModel
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.cell.simulate import known_temperature_C, start_hysteresis
@@ -25,7 +25,7 @@ from cellwise.forecast.records import (
     Load,
     Uncertain,
 )
-from cellwise.forecast.remaining_kernels import forecast_rows, moment
+from cellwise.forecast.remaining_kernels import asks_temperature, forecast_rows, moment
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
@@ -385,7 +385,7 @@ def warms_unseen(model: CellModel) -> bool:
     Not of a model on which temperature does nothing, nor of one with a warming of its own.
     """
     own = any(isinstance(effect, SelfHeating) for effect in model.effects)
-    return bool(needs_temperature(model.parameters())) and not own
+    return bool(asks_temperature(model.parameters())) and not own
 
 
 def uncertain_of(model: CellModel) -> Uncertain:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from cellwise.cell.compiled import inline, rows
+from cellwise.cell.compiled import inline, kernel, rows
 from cellwise.cell.equations import (
     CellState,
     CellTables,
     advance,
     look_up,
+    needs_temperature,
     seen_current,
     voltage_of,
     with_soc,
@@ -62,6 +63,12 @@ def parts_of(
         return seen_V, 0.0
     share = seen_V * uncertain.share * held / both
     return seen_V - share * polarisation_V, share
+
+
+@kernel
+def asks_temperature(tables: CellTables) -> bool:
+    """Whether anything depends on it: a kernel, since what is inlined is compiled for each run."""
+    return needs_temperature(tables)
 
 
 @rows

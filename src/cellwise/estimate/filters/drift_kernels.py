@@ -79,13 +79,14 @@ def counted_on(
     stands &= abs(current_A - old.rest_A) <= REST_BAND * rate_A
     rest_s = old.rest_s + counted_s if stands else 0.0
     shows = (rest_s >= REST_S) & (rest_s <= LONG_S)
-    weight = SHOWN if abs(current_A) <= REST_RATE * rate_A else MAY_BE_LOAD
-    weight = weight if shows else 0.0
-    per = 1.0 / offset_A if offset_A > 0.0 else 0.0
-    information = old.information + weight
+    offset, information = old.offset, old.information
+    if shows and offset_A > 0.0:
+        weight = SHOWN if abs(current_A) <= REST_RATE * rate_A else MAY_BE_LOAD
+        information += weight
+        offset += weight / information * (current_A / offset_A - offset)
     return Drift(
         old.reach + noise.offset_soc_per_s * counted_s,
-        old.offset + weight / information * (current_A * per - old.offset),
+        offset,
         information,
         old.believed,
         old.unsure,
@@ -115,7 +116,8 @@ def weight_of_offset(offset: float, information: float, deviation: float) -> flo
     base *= base
     base *= base
     base *= base
-    return 1.0 - 1.0 / (1.0 + ODDS * deviation * base)
+    odds = ODDS * deviation * base
+    return odds / (1.0 + odds)
 
 
 @inline

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from cellwise.cell.compiled import kernel
 from cellwise.cell.equations import CellState, at_rest
 from cellwise.estimate.evidence_kernels import stated_deviation
@@ -59,6 +61,35 @@ class EkfState(NamedTuple):
         """Standard deviation of the state of charge."""
         known = self.p.ss + drift_variance(self.drift)
         return stated_deviation(known, self.mismatch, self.persistent, self.contradicted)
+
+    def row(self) -> FloatArray:
+        """Its numbers in order, shape (numbers,): what the compiled step takes."""
+        # fmt: off
+        return np.array((
+            *self.cell, *self.p, self.rejections, self.mismatch, self.persistent,
+            self.contradicted, *self.drift, *self.watch, *self.past,
+        ))
+        # fmt: on
+
+    @classmethod
+    def of_row(cls, row: FloatArray) -> EkfState:
+        """The state whose numbers these are."""
+        v = row.tolist()
+        # fmt: off
+        return cls._make((
+            CellState._make(v[:P_AT]), Covariance._make(v[P_AT:COUNTS_AT]),
+            *v[COUNTS_AT:DRIFT_AT], Drift._make(v[DRIFT_AT:WATCH_AT]),
+            Watch._make(v[WATCH_AT:PAST_AT]), Past._make(v[PAST_AT:]),
+        ))
+        # fmt: on
+
+
+# Where its records begin in such a row.
+P_AT = len(CellState._fields)
+COUNTS_AT = P_AT + len(Covariance._fields)
+DRIFT_AT = COUNTS_AT + 4
+WATCH_AT = DRIFT_AT + len(Drift._fields)
+PAST_AT = WATCH_AT + len(Watch._fields)
 
 
 class EkfInfo(NamedTuple):

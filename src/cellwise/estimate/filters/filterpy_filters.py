@@ -112,13 +112,14 @@ class FilterpyFilter(FilterOfModel):
             status[k] = OUTSIDE if beyond else 0
             one = self.voltage_variance(kf.x, seen, inside, row.temperature_C if beyond else None)
             resting = abs(seen) < REST_RATE * self.model.capacity_Ah
-            shared = float(repeated_evidence(noise, evidence, float(dt), resting))
+            shared, below = repeated_evidence(noise, evidence, float(dt), resting)
+            repeats = shared / below if below > 0.0 else np.inf
             if not np.isfinite(log.voltage_V[k]):
-                shared = np.inf
+                repeats = np.inf
             else:
                 evidence = max(evidence, 0.0)
             predicted[k], variance[k] = self.update(
-                kf, float(log.voltage_V[k]), row, inside, one, shared
+                kf, float(log.voltage_V[k]), row, inside, one, repeats
             )
             if evidence >= 0.0:
                 evidence += float(dt)

@@ -12,6 +12,7 @@ import numpy as np
 from cellwise.arguments import check_kind, number
 from cellwise.cell.compiled import announce, for_kernel
 from cellwise.cell.model import CellModel, check_is_model
+from cellwise.cell.packed import row_of
 from cellwise.cell.point_kernels import M
 from cellwise.cell.simulate import check_soc0, check_soc0_std, model_temperature_C
 from cellwise.errors import InputError
@@ -23,7 +24,7 @@ from cellwise.estimate.filters.filter_state import (
     TraceArrays,
     ekf_start,
 )
-from cellwise.estimate.filters.kalman_kernels import kalman_rows, kalman_step
+from cellwise.estimate.filters.kalman_kernels import kalman_rows, kalman_step_of_rows
 from cellwise.estimate.filters.sigma_kernels import SigmaScalars
 from cellwise.estimate.noise import Noise, noise_for
 from cellwise.estimate.sensing_kernels import Reading
@@ -79,6 +80,7 @@ class KalmanFilter(FilterOfModel):
         super().__init__(model, noise)
         self._noise = self.noise.scalars(model)
         self._unknown = self.start(0.5, 0.3)  # for a state that is no longer finite: know nothing
+        self._constants = row_of(self._tables.cell, self._noise, self._unknown)
 
     def init(self, soc0: float, soc0_std: float = 0.15, current_A: float = 0.0) -> EkfState:
         """State at ``soc0`` that is known to ``soc0_std``; see :meth:`start`.
@@ -111,8 +113,13 @@ class KalmanFilter(FilterOfModel):
         """
         check_state(state, EkfState, self.name)
         reading = reading_from(current_A, voltage_V, temperature_C, dt_s, gap)
-        announce(kalman_step, f"the {self.name} step")
-        return kalman_step(self._tables, self._noise, self.sigma, self._unknown, state, reading)
+        announce(kalman_step_of_rows, f"the {self.name} step")
+        row, info = state.row(), np.empty(layout.OUTPUTS)
+        tables = self._tables
+        status = kalman_step_of_rows(
+            tables.table, tables.grid_C, self._constants, self.sigma, row, *reading, info
+        )
+        return EkfState.of_row(row), EkfInfo._make((*info.tolist(), status))
 
     def take_rows(
         self,

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from cellwise.cell.compiled import inline, kernel, rows
 from cellwise.cell.equations import CellTables
+from cellwise.cell.packed import put_record, record_at, size_of
+from cellwise.cell.point_kernels import CellScalars
 from cellwise.estimate.filters.filter_state import (
     OUT_INNOVATION,
     OUT_RATIO,
@@ -11,6 +13,7 @@ from cellwise.estimate.filters.filter_state import (
     OUT_STD,
     OUT_VARIANCE,
     OUT_VOLTAGE,
+    OUTPUTS,
     EkfInfo,
     EkfStart,
     EkfState,
@@ -24,6 +27,10 @@ from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import Reading
 from cellwise.typing import FloatArray
 
+# Where the constants of a filter begin in their row: the cell, its noise, the start of the unknown.
+NOISE_AT = size_of(CellScalars)
+UNKNOWN_AT = NOISE_AT + size_of(NoiseScalars)
+
 
 @kernel
 def kalman_step(
@@ -34,9 +41,40 @@ def kalman_step(
     state: EkfState,
     reading: Reading,
 ) -> tuple[EkfState, EkfInfo]:
-    """One step for online use; ``start`` re-initialises a state gone wrong."""
+    """One step for other kernels; ``start`` re-initialises a state gone wrong."""
     after, _, info = filter_step(tables, noise, sigma, None, start, state, None, reading)
     return after, info
+
+
+@kernel
+def kalman_step_of_rows(
+    table: FloatArray,
+    grid_C: FloatArray,
+    constants: FloatArray,
+    sigma: SigmaScalars | None,
+    state: FloatArray,
+    current_A: float,
+    voltage_V: float,
+    temperature_C: float,
+    dt_s: float,
+    gap: bool,
+    out: FloatArray,
+) -> int:
+    """The same for online use, on rows of numbers: ``state`` goes on, ``out`` is the info.
+
+    Returns
+    -------
+    int       the status
+    """
+    tables = CellTables(table, grid_C, record_at(CellScalars, constants, 0))
+    noise = record_at(NoiseScalars, constants, NOISE_AT)
+    unknown = record_at(EkfStart, constants, UNKNOWN_AT)
+    reading = Reading(current_A, voltage_V, temperature_C, dt_s, gap)
+    old = record_at(EkfState, state, 0)
+    after, info = kalman_step(tables, noise, sigma, unknown, old, reading)
+    put_record(state, 0, after)
+    put_info(out.reshape((OUTPUTS, 1)), 0, info)
+    return info.status
 
 
 @inline

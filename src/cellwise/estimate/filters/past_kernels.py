@@ -247,7 +247,7 @@ class Looked(NamedTuple):
     searched: bool
 
 
-@inline
+@kernel
 def look_again(
     tables: CellTables,
     noise: NoiseScalars,

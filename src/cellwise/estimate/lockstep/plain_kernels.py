@@ -28,7 +28,6 @@ from cellwise.cell.point_kernels import R3, CellPoint, CellScalars, M
 from cellwise.estimate.evidence_kernels import (
     contradicted_step,
     mismatch_step,
-    model_memory,
     persistent_step,
     persistent_V,
     share_at,
@@ -212,10 +211,12 @@ def plain_step(
     )
 
     mismatch = mismatch_step(noise, old.mismatch, excess, dt_s)
-    shared = 2.0 * model_memory(noise, w.evidence_s) / dt_s
-    shared = shared if shared > 1.0 else 1.0
     worse = mismatch if mismatch > 1.0 else 1.0
-    inverse = 1.0 / (state_variance + one * shared * worse)
+    # As `repeated_evidence` says, without branches.
+    below = (w.evidence_s + noise.half_s) * dt_s
+    above = 2.0 * noise.slow_s * (w.evidence_s + noise.early_s)
+    above = above if above > below else below
+    inverse = below / (state_variance * below + one * worse * above)
     k = scaled(d, inverse)
     stays_V = persistent_V(noise, point, mismatch)
     persistent = persistent_step(k.s, slope, old.persistent, stays_V)

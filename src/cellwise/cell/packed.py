@@ -1,0 +1,88 @@
+"""Records of floats as one row of numbers, and back: how they cross from Python to a kernel.
+
+A record lies in memory as its numbers in order, nested ones in their place. Handed over as a record
+numba takes it apart number by number, which takes far longer than the step that uses it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import lru_cache
+from typing import Any, get_type_hints
+
+import numpy as np
+from numba import types
+from numba.extending import intrinsic
+
+from cellwise.typing import FloatArray
+
+
+@lru_cache(maxsize=64)
+def fields_of(kind: type) -> tuple[type, ...]:
+    """What the fields of a record are: float, or records."""
+    hints = get_type_hints(kind)
+    return tuple(hints[name] for name in kind._fields)  # type: ignore[attr-defined]
+
+
+@lru_cache(maxsize=64)
+def size_of(kind: type) -> int:
+    """How many numbers a record holds."""
+    return 1 if kind is float else sum(size_of(field) for field in fields_of(kind))
+
+
+def numbers_of(record: Any) -> Iterator[float]:
+    """The numbers of a record in order."""
+    for value in record:
+        if isinstance(value, tuple):
+            yield from numbers_of(value)
+        else:
+            yield value
+
+
+def row_of(*records: Any) -> FloatArray:
+    """Records one after the other in one row, shape (numbers,)."""
+    return np.array([x for record in records for x in numbers_of(record)], dtype=np.float64)
+
+
+def _type_of(kind: type) -> Any:
+    """A record as numba types it."""
+    if kind is float:
+        return types.float64
+    base: Any = types.BaseTuple
+    return base.from_types([_type_of(field) for field in fields_of(kind)], kind)
+
+
+def _record_at(typing: Any, kind: Any, row: Any, at: Any) -> Any:
+    """The record of a kind whose numbers begin at one place of a row; compiled code only."""
+    record = _type_of(kind.instance_class)
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        place = _place(context, builder, signature, arguments, 1, record)
+        return builder.load(place, align=8)
+
+    return record(kind, row, types.intp), build
+
+
+def _put_record(typing: Any, row: Any, at: Any, record: Any) -> Any:
+    """Put the numbers of a record into a row from one place on; compiled code only."""
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        place = _place(context, builder, signature, arguments, 0, record)
+        builder.store(arguments[2], place, align=8)
+        return context.get_dummy_value()
+
+    return types.none(row, types.intp, record), build
+
+
+# Typed by numba alone: (kind, row, at) -> record, and (row, at, record).
+record_at: Any = intrinsic(_record_at)
+put_record: Any = intrinsic(_put_record)
+
+
+def _place(
+    context: Any, builder: Any, signature: Any, arguments: Any, row: int, record: Any
+) -> Any:
+    """Where in a row a record lies, as a pointer to it."""
+    array = context.make_array(signature.args[row])(context, builder, arguments[row])
+    first = builder.gep(array.data, [arguments[row + 1]])
+    return builder.bitcast(first, context.get_value_type(record).as_pointer())
