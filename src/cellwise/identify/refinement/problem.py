@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from os import cpu_count
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
@@ -32,9 +33,29 @@ LARGEST_STEP = 0.7  # of a logarithm in one iteration: a factor of two
 LEAST_SIGMA_V = 2e-4
 # OCV between temperatures: what the entropy of intercalation leaves room for.
 ENTROPY_V_PER_K = 4e-4
-# Of ln of a log's own capacity: samples of one batch differ by a per cent, an aged cell keeps a
-# half; and the step of its difference quotient.
-SAMPLE_STD, SAMPLE_LIMITS, SAMPLE_STEP = 0.01, (-0.7, 0.4), 1e-4
+
+
+class OwnCapacity(NamedTuple):
+    """What is known beforehand of ln of the capacity that a log keeps over the model's.
+
+    Samples of one batch differ by ``std``; another or an aged cell by anything down to a half, so
+    the prior has the tails of Cauchy's distribution. ``step`` is that of a difference quotient.
+    """
+
+    std: float = 0.01
+    limits: tuple[float, float] = (-0.7, 0.4)
+    step: float = 1e-4
+
+    def cost(self, ln_capacity: FloatArray) -> float:
+        """Beside a normal distribution's (x / std)^2, which it is for small ones."""
+        return float(np.sum(np.log1p((ln_capacity / self.std) ** 2)))
+
+    def pull(self, ln_capacity: FloatArray) -> FloatArray:
+        """Its slope over that of a normal distribution."""
+        return np.asarray(1.0 / (1.0 + (ln_capacity / self.std) ** 2))
+
+
+OWN_CAPACITY = OwnCapacity()
 OWN_LIMITS = (-6.0, 6.0)  # of a table's own activation, in units of ACTIVATION_UNIT_K
 
 
@@ -190,8 +211,8 @@ class Problem:
             return log.measured_V - voltage, jacobian
         at = self.layouts[index].sample + log.sample
         voltage, jacobian = self._of_sample(index, own, own[at])
-        beside, _ = self._of_sample(index, own, own[at] + SAMPLE_STEP)
-        jacobian[:, at] = (beside - voltage) / SAMPLE_STEP
+        beside, _ = self._of_sample(index, own, own[at] + OWN_CAPACITY.step)
+        jacobian[:, at] = (beside - voltage) / OWN_CAPACITY.step
         return log.measured_V - voltage, jacobian
 
     def _of_sample(
@@ -297,7 +318,7 @@ class Problem:
         weight[lay.activation] = fixed if known else (0.3 * sigma) ** 2 / std**2
         own = s.own_activation_std_K / ACTIVATION_UNIT_K
         weight[lay.own : lay.sample] = fixed if own == 0 else (0.3 * sigma) ** 2 / own**2
-        weight[lay.sample :] = (0.3 * sigma / SAMPLE_STD) ** 2
+        weight[lay.sample :] = (0.3 * sigma / OWN_CAPACITY.std) ** 2
         weight[lay.skew] = 1e-2 * sigma**2 if s.skew else fixed
         weight[lay.asinh] = 1e-2 * sigma**2 if s.charge_transfer else fixed
         return weight
@@ -340,17 +361,21 @@ class Problem:
         """Levenberg-Marquardt with bounds by projection."""
         sigma = self.sigma
         penalty, prior = self.penalty(sigma), self.prior(sigma)
-        anchor = self.start_vector()
+        anchor, own = self.start_vector(), self.layout.sample
 
         def total(cost: float, at: FloatArray) -> float:
-            return cost + float(at @ penalty @ at + prior @ (at - anchor) ** 2)
+            held = float(prior[:own] @ (at - anchor)[:own] ** 2)
+            held += (0.3 * sigma) ** 2 * OWN_CAPACITY.cost(at[own:])
+            return cost + float(at @ penalty @ at) + held
 
         now = self.normal_equations(theta)
         best = total(now.cost, theta)
         damping = 1e-3
         for step in range(iterations):
-            system = now.matrix + penalty + np.diag(prior)
-            slope = now.gradient - penalty @ theta - prior * (theta - anchor)
+            pull = prior.copy()
+            pull[own:] *= OWN_CAPACITY.pull(theta[own:])
+            system = now.matrix + penalty + np.diag(pull)
+            slope = now.gradient - penalty @ theta - pull * (theta - anchor)
             move = _solved(system + damping * np.diag(np.diag(system)), slope)
             trial = self.inside(theta + np.clip(move, -LARGEST_STEP, LARGEST_STEP))
             new = self.normal_equations(trial)
@@ -413,7 +438,7 @@ class Problem:
         theta[lay.activation] = np.clip(theta[lay.activation], -2.0, 15.0)
         limits = OWN_LIMITS if self.settings.own_activation_std_K > 0.0 else (0.0, 0.0)
         np.clip(theta[lay.own : lay.sample], *limits, out=theta[lay.own : lay.sample])
-        np.clip(theta[lay.sample :], *SAMPLE_LIMITS, out=theta[lay.sample :])
+        np.clip(theta[lay.sample :], *OWN_CAPACITY.limits, out=theta[lay.sample :])
         theta[lay.skew] = max(theta[lay.skew], 0.0)
         if self.settings.charge_transfer:
             theta[lay.asinh] = np.clip(theta[lay.asinh], 0.01, 20.0)
