@@ -73,6 +73,6 @@ def test_a_test_of_another_cell_is_said_first_with_its_charge(scale, said):
         assert notice.size_V > 0.0
 
 
-def test_where_no_drive_goes_deep_a_capacity_test_holds_the_scale(found):
+def test_a_capacity_test_of_the_same_cell_keeps_the_capacity_of_the_model(found):
     own = next(o for o in found.own_logs if o.role == "capacity")
     assert "capacity of its own" not in own.reason

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,7 +11,9 @@ import numpy as np
 import pytest
 
 from cellwise.cell.effects import Hysteresis
+from cellwise.cell.model_file import read_model
 from cellwise.cell.simulate import simulate
+from cellwise.cli import main
 from cellwise.estimate.replay import replay
 from cellwise.identify import Identification, IdentifySettings, TestLogs, identify_cell
 from cellwise.identify.soc_anchor import anchor_soc
@@ -77,6 +81,24 @@ def test_panasonic_with_two_drives(read, driven):
     errors = [drive_error_V(driven.model, log) for log in logs]
     assert np.mean(errors) < 0.012
     assert max(errors) < 0.018
+
+
+def test_the_aged_cells_capacity_test_beside_tests_of_the_new_one(real_data, tmp_path, capsys):
+    """Through the command: 12 % less charge is found and said, and drives of the new cell follow.
+
+    Its README has 2.798 Ah of the first 1C test and 2.434 Ah of the one at the end.
+    """
+    folder = real_data / "panasonic_18650pf"
+    model = tmp_path / "model.json"
+    files = {"hppc": "hppc_p25", "ocv": "ocv_c20_p25", "capacity": "cap_1c_p25_end_1"}
+    given = [a for k, n in files.items() for a in (f"--{k}", str(folder / f"{n}.csv.gz"))]
+    assert main(["identify", *given, "--nominal-ah", "2.9", "-o", str(model), "--json"]) == 0
+    said = next(n for n in json.loads(capsys.readouterr().out)["notices"] if "cap_1c" in n)
+    held = float(re.search(r"([+-][0-9.]+) % of the others", said).group(1))
+    assert held == pytest.approx(100.0 * (2.434 / 2.798 - 1.0), abs=2.0)
+    drives = [folder / f"drive_p25_{name}.csv.gz" for name in JUDGED]
+    errors = [drive_error_V(read_model(model), read_log(f)) for f in drives]
+    assert np.mean(errors) < 0.025
 
 
 @pytest.mark.parametrize("name", JUDGED)
