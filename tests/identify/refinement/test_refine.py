@@ -138,7 +138,7 @@ def test_hysteresis_comes_back():
     assert errors(result, truth, INSIDE)["r0"] < 0.02
 
 
-@pytest.mark.parametrize("held", [0.87, 0.98, 1.0, 1.08])
+@pytest.mark.parametrize("held", [0.87, 0.95, 0.98, 1.0, 1.08])
 def test_a_discharge_of_another_cell_keeps_its_capacity_and_bends_no_table(held):
     logs = two_logs(CURVED, noise=1e-3)
     log, counted = log_of(np.full(3200, CAPACITY_AH), CURVED)
@@ -148,7 +148,8 @@ def test_a_discharge_of_another_cell_keeps_its_capacity_and_bends_no_table(held)
     other = RefineLog(log, counted, sample=0)
     settings = RefineSettings(branches=2, samples=1)
     result = refine([*logs, other], start_tables(), settings=settings, capacity_Ah=CAPACITY_AH)
-    assert result.capacity_scale(0) == pytest.approx(held, abs=0.003)
+    # What a batch differs by is held back by a fifth of it, more is not.
+    assert result.capacity_scale(0) == pytest.approx(held, abs=0.005)
     assert result.capacity_scale(None) == 1.0
     rows = spline_rows(INSIDE, result.ocv_knots)
     correction = spline_values(rows, result.theta[: result.layout.knots_ocv])

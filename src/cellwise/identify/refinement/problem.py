@@ -13,6 +13,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.linalg.blas import dsyrk
 
+from cellwise.identify.ocv.curve import LIMITS as BATCH
 from cellwise.identify.refinement.layout import (
     ACTIVATION_UNIT_K,
     ASINH_UNIT_PER_V,
@@ -33,30 +34,26 @@ LARGEST_STEP = 0.7  # of a logarithm in one iteration: a factor of two
 LEAST_SIGMA_V = 2e-4
 # OCV between temperatures: what the entropy of intercalation leaves room for.
 ENTROPY_V_PER_K = 4e-4
+OWN_LIMITS = (-6.0, 6.0)  # of a table's own activation, in units of ACTIVATION_UNIT_K
 
 
 class OwnCapacity(NamedTuple):
     """What is known beforehand of ln of the capacity that a log keeps over the model's.
 
-    Samples of one batch differ by ``std``; another or an aged cell by anything down to a half, so
-    the prior has the tails of Cauchy's distribution. ``step`` is that of a difference quotient.
+    Samples of one batch differ by ``batch``, those of others or of another age by ``others``, one
+    deviation each. Every log is first taken for one of others, or an aged one would bend the tables
+    and stay hidden; found beyond ``same`` it remains one. ``limits``: an aged cell keeps a half;
+    ``step`` is that of a difference quotient.
     """
 
-    std: float = 0.01
+    batch: float = 0.01
+    others: float = 0.2
+    same: float = BATCH.other_capacity
     limits: tuple[float, float] = (-0.7, 0.4)
     step: float = 1e-4
 
-    def cost(self, ln_capacity: FloatArray) -> float:
-        """Beside a normal distribution's (x / std)^2, which it is for small ones."""
-        return float(np.sum(np.log1p((ln_capacity / self.std) ** 2)))
-
-    def pull(self, ln_capacity: FloatArray) -> FloatArray:
-        """Its slope over that of a normal distribution."""
-        return np.asarray(1.0 / (1.0 + (ln_capacity / self.std) ** 2))
-
 
 OWN_CAPACITY = OwnCapacity()
-OWN_LIMITS = (-6.0, 6.0)  # of a table's own activation, in units of ACTIVATION_UNIT_K
 
 
 @dataclass(frozen=True)
@@ -166,14 +163,17 @@ class Problem:
         self.weight = weights / weights.sum()
         self.share = self.weight
         self.sizes_V = np.full(len(self.logs), 0.01)
+        self.own_capacity_std = np.full(layout.samples, OWN_CAPACITY.others)
 
     @property
     def sigma(self) -> float:
         """Residual of the logs that are fitted best: the lower quartile [V]."""
         return max(float(np.percentile(self.sizes_V, 25.0)), LEAST_SIGMA_V)
 
-    def judge(self, residuals: Sequence[FloatArray]) -> None:
-        """Take the size of every log's residual, and with it its share of the cost."""
+    def judge(self, theta: FloatArray, residuals: Sequence[FloatArray]) -> None:
+        """Take the size and share of every log's residual, and whether it is of another cell."""
+        other = np.abs(theta[self.layout.sample :]) > OWN_CAPACITY.same
+        self.own_capacity_std = np.where(other, OWN_CAPACITY.others, OWN_CAPACITY.batch)
         self.sizes_V = np.array(
             [max(1.4826 * float(np.median(np.abs(r))), LEAST_SIGMA_V) for r in residuals]
         )
@@ -318,7 +318,7 @@ class Problem:
         weight[lay.activation] = fixed if known else (0.3 * sigma) ** 2 / std**2
         own = s.own_activation_std_K / ACTIVATION_UNIT_K
         weight[lay.own : lay.sample] = fixed if own == 0 else (0.3 * sigma) ** 2 / own**2
-        weight[lay.sample :] = (0.3 * sigma / OWN_CAPACITY.std) ** 2
+        weight[lay.sample :] = (0.3 * sigma / self.own_capacity_std) ** 2
         weight[lay.skew] = 1e-2 * sigma**2 if s.skew else fixed
         weight[lay.asinh] = 1e-2 * sigma**2 if s.charge_transfer else fixed
         return weight
@@ -361,21 +361,17 @@ class Problem:
         """Levenberg-Marquardt with bounds by projection."""
         sigma = self.sigma
         penalty, prior = self.penalty(sigma), self.prior(sigma)
-        anchor, own = self.start_vector(), self.layout.sample
+        anchor = self.start_vector()
 
         def total(cost: float, at: FloatArray) -> float:
-            held = float(prior[:own] @ (at - anchor)[:own] ** 2)
-            held += (0.3 * sigma) ** 2 * OWN_CAPACITY.cost(at[own:])
-            return cost + float(at @ penalty @ at) + held
+            return cost + float(at @ penalty @ at + prior @ (at - anchor) ** 2)
 
         now = self.normal_equations(theta)
         best = total(now.cost, theta)
         damping = 1e-3
         for step in range(iterations):
-            pull = prior.copy()
-            pull[own:] *= OWN_CAPACITY.pull(theta[own:])
-            system = now.matrix + penalty + np.diag(pull)
-            slope = now.gradient - penalty @ theta - pull * (theta - anchor)
+            system = now.matrix + penalty + np.diag(prior)
+            slope = now.gradient - penalty @ theta - prior * (theta - anchor)
             move = _solved(system + damping * np.diag(np.diag(system)), slope)
             trial = self.inside(theta + np.clip(move, -LARGEST_STEP, LARGEST_STEP))
             new = self.normal_equations(trial)

@@ -192,12 +192,13 @@ def refine(
     theta = problem.start_vector() if theta is None else problem.inside(theta)
     steps = 0
     residuals: tuple[FloatArray, ...] = ()
-    # The first passes find the size of each log's residual: smoothing, robustness, balance.
+    # The first passes find the size of each log's residual (smoothing, robustness, balance) and
+    # which logs are of another cell.
     for share in (0.3, 0.4, 1.0):
         count = max(3, int(share * settings.iterations))
         theta, done, residuals = problem.minimise(theta, count)
         steps += done
-        problem.judge(residuals)
+        problem.judge(theta, residuals)
     return RefineResult(
         layout=layout,
         knots=knots,
