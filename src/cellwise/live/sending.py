@@ -89,8 +89,8 @@ def sender_to(
 
     if not isinstance(source, CanStream):
         raise InputError(
-            f"--send {name} for a source that is no CAN bus",
-            "mavlink:LINK, mqtt://HOST/PACK, or --source can:INTERFACE:CHANNEL",
-            "Omit --send, or name the bus.",
+            f"a bus signal '{name}' to send to, and a source that is no CAN bus",
+            "mavlink:LINK, mqtt://HOST/PACK, or a source can:INTERFACE:CHANNEL",
+            "Omit it, or name the bus.",
         )
     return OnBus(SocSender(source, name, BUS_EVERY_S if every_s is None else every_s).send)
