@@ -79,7 +79,7 @@ def test_the_battery_states_its_cells_in_series(tmp_path):
     (one,), (early,) = found(name, series="auto")
     assert one.voltage_V == pytest.approx(3.9)
     assert "cells in series" in early.reason
-    with pytest.raises(InputError, match="--series 4"):
+    with pytest.raises(InputError, match="series=4"):
         found(name, series=3)
 
 

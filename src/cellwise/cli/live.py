@@ -27,11 +27,7 @@ if TYPE_CHECKING:
     from cellwise.forecast.display_kernels import Display
     from cellwise.forecast.outlook import Outlook
     from cellwise.live import Counts, LiveFilter, Update
-    from cellwise.live.mavlink import MavlinkSender
-    from cellwise.live.mqtt import MqttSender
-    from cellwise.live.samples import Source
     from cellwise.logs import Stated
-    from cellwise.logs.files.source import ReadOptions
 
 FORECAST_EVERY_S = 1.0
 
@@ -73,10 +69,12 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
 
 def run_live_command(arguments: argparse.Namespace) -> None:
     """Follow a stream: JSON lines, a view for people, or one object at the end."""
+    from cellwise.estimate.power.fixed_tables import LEAST_LOAD_C
     from cellwise.forecast.outlook import Outlook
     from cellwise.forecast.remaining import cutoff_of
     from cellwise.live import Counts, open_source, run_live
     from cellwise.live.run import LatencyMeter, check_any
+    from cellwise.live.sending import sender_to
 
     _check(arguments)
     model = options.read_model(arguments)
@@ -98,7 +96,10 @@ def run_live_command(arguments: argparse.Namespace) -> None:
     with ExitStack() as stack:
         stack.callback(source.close)
         if arguments.send:
-            takers.append(_sender(source, followed, reading, stack, arguments))
+            least_A = LEAST_LOAD_C * model.capacity_Ah
+            to = sender_to(arguments.send, arguments.send_every, source, reading, least_A)
+            stack.callback(to.close)
+            takers.append(lambda update: to.take(update, followed.row))
         look = None
         if arguments.output:
             file = stack.enter_context(_appended(arguments.output))
@@ -162,6 +163,11 @@ class Followed(NamedTuple):
             **({} if self.power is None else self.power.columns(state, warm)),
             **({} if self.live.pack is None else self.live.pack.columns()),
         }
+
+    def row(self, update: Update) -> dict[str, Any]:
+        """All that is known after a sample, for whoever is sent it."""
+        warm = self.live.known_temperature_C(update.sample)
+        return state_row(update) | {"temperature_C": warm} | self.columns(update)
 
     def temperature_C(self, update: Update) -> float:
         """The sample's temperature, else the model's."""
@@ -317,64 +323,6 @@ def _filter(model: Any, stated: Stated, arguments: argparse.Namespace) -> LiveFi
     ):
         print(f"cellwise live: '{arguments.state}' is empty: started again", file=sys.stderr)
     return live
-
-
-def _sender(
-    source: Source,
-    followed: Followed,
-    reading: ReadOptions,
-    stack: ExitStack,
-    arguments: argparse.Namespace,
-) -> Callable[[Update], None]:
-    """What takes updates and sends them on."""
-    kind, _, place = arguments.send.partition(":")
-    every_s = arguments.send_every
-    if kind in ("mavlink", "mqtt", "mqtts"):
-        sender: MavlinkSender | MqttSender
-        if kind == "mavlink":
-            from cellwise.estimate.power.fixed_tables import LEAST_LOAD_C
-            from cellwise.live.mavlink import MavlinkSender
-
-            least_A = LEAST_LOAD_C * followed.live.model.capacity_Ah
-            sender = MavlinkSender(place, source, reading, least_A)
-        else:
-            from cellwise.live.mqtt import MqttSender
-
-            sender = MqttSender(arguments.send)
-        stack.callback(sender.close)
-        return Paced(sender.send, followed, 1.0 if every_s is None else every_s)
-    from cellwise.live.can_stream import CanStream, SocSender
-
-    if not isinstance(source, CanStream):
-        raise InputError(
-            f"--send {arguments.send} for a source that is no CAN bus",
-            "mavlink:LINK, mqtt://HOST/PACK, or --source can:INTERFACE:CHANNEL",
-            "Omit --send, or name the bus.",
-        )
-    on_bus = SocSender(source, arguments.send, 0.1 if every_s is None else every_s)
-    return lambda update: on_bus.send(update.info.soc, update.sample.arrived_s)
-
-
-class Paced:
-    """Rows for whoever is sent them, at most one in ``every_s`` of this machine's time."""
-
-    def __init__(
-        self, send: Callable[[dict[str, Any]], None], followed: Followed, every_s: float
-    ) -> None:
-        self._send, self._followed, self._every_s = send, followed, every_s
-        self._sent_s = float("-inf")
-
-    def __call__(self, update: Update) -> None:
-        """Send a row if it is time."""
-        from time import monotonic
-
-        now_s = monotonic()
-        if now_s - self._sent_s < self._every_s:
-            return
-        self._sent_s = now_s
-        warm = self._followed.live.known_temperature_C(update.sample)
-        row = state_row(update) | {"temperature_C": warm}
-        self._send(row | self._followed.columns(update))
 
 
 @contextmanager

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from cellwise.cell.compiled import rows
+from cellwise.cell.compiled import inline, rows
 from cellwise.cell.equations import BEYOND, CellState, CellTables, advance, voltage_of
 from cellwise.estimate.validity_kernels import extrapolation_V
 from cellwise.forecast.records import (
@@ -21,6 +21,22 @@ from cellwise.forecast.warming_kernels import Warmth, rise_std_K, warmed
 
 LONGEST = 8  # times the charge time at the present current
 TRIED = 0.9  # of the current, to see what the voltage makes of it
+
+
+@inline
+def new_error_V(
+    uncertain: Uncertain, error_V: float, held_V: float, moved_soc: float, beyond_V: float
+) -> float:
+    """What a model may come to be off by beside its present error, one deviation [V].
+
+    Two errors of one deviation sigma whose correlation is rho differ by sigma sqrt(2 (1 - rho));
+    ``beyond_V`` is what being further outside its data adds.
+    """
+    wrong = uncertain.share * held_V
+    apart = 2.0 * (1.0 - math.exp(-moved_soc / uncertain.memory_soc))
+    new_V = max(beyond_V, 0.0)
+    square = (error_V * error_V + wrong * wrong) * apart
+    return math.sqrt(square + new_V * new_V)
 
 
 @rows
@@ -76,12 +92,8 @@ def to_full(
         if known_V != known_V:
             known_V = beyond_V
         if away.voltage != 0.0:
-            wrong = uncertain.share * held_V
-            moved = abs(start.soc - state_next.soc) / uncertain.memory_soc
-            square = point.error_V * point.error_V + wrong * wrong
-            new_V = max(beyond_V - known_V, 0.0)
-            off_V = math.sqrt(square * 2.0 * (1.0 - math.exp(-moved)) + new_V * new_V)
-            shift_V = away.voltage * off_V
+            moved, new_V = abs(start.soc - state_next.soc), beyond_V - known_V
+            shift_V = away.voltage * new_error_V(uncertain, point.error_V, held_V, moved, new_V)
         share = 1.0
         reason = NEVER
         if -current <= go.taper_A:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 from cellwise.cell.compiled import rows
 from cellwise.cell.equations import CellState, CellTables, advance, voltage_of, with_soc
 from cellwise.estimate.validity_kernels import extrapolation_V, soc_extrapolation_V
+from cellwise.forecast.charging_kernels import new_error_V
 from cellwise.forecast.records import Away, Going, Uncertain
 from cellwise.forecast.warming_kernels import Warmth, rise_std_K, warmed
 from cellwise.typing import FloatArray
@@ -77,11 +78,8 @@ def through(
         if known_V != known_V:
             known_V = beyond_V
         if away.voltage != 0.0:
-            wrong = uncertain.share * held_V
-            moved = abs(begun_soc - state_next.soc) / uncertain.memory_soc
-            square = point.error_V * point.error_V + wrong * wrong
-            new_V = max(beyond_V - known_V, 0.0)
-            off_V = math.sqrt(square * 2.0 * (1.0 - math.exp(-moved)) + new_V * new_V)
+            moved, new_V = abs(begun_soc - state_next.soc), beyond_V - known_V
+            off_V = new_error_V(uncertain, point.error_V, held_V, moved, new_V)
             if state_next.soc < valid.soc_low:
                 off_V += max(soc_extrapolation_V(valid, state_next.soc) - known_soc_V, 0.0)
             shift_V = away.voltage * off_V

@@ -17,7 +17,7 @@ from cellwise.cell.equations import (
     with_soc,
 )
 from cellwise.estimate.validity_kernels import extrapolation_V, soc_extrapolation_V
-from cellwise.forecast.charging_kernels import to_full
+from cellwise.forecast.charging_kernels import new_error_V, to_full
 from cellwise.forecast.records import (
     BY_CHARGE,
     BY_VOLTAGE,
@@ -133,12 +133,8 @@ def to_empty(
         if known_V != known_V:
             known_V = beyond_V
         if away.voltage != 0.0:
-            wrong = uncertain.share * held_V
-            moved = abs(start.soc - state_next.soc) / uncertain.memory_soc
-            apart = 2.0 * (1.0 - math.exp(-moved))
-            new_V = max(beyond_V - known_V, 0.0)
-            square = (point.error_V * point.error_V + wrong * wrong) * apart
-            off_V = math.sqrt(square + new_V * new_V)
+            moved, new_V = abs(start.soc - state_next.soc), beyond_V - known_V
+            off_V = new_error_V(uncertain, point.error_V, held_V, moved, new_V)
             if state_next.soc < valid.soc_low:
                 off_V += max(soc_extrapolation_V(valid, state_next.soc) - known_soc_V, 0.0)
             voltage += away.voltage * off_V

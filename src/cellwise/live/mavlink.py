@@ -137,7 +137,7 @@ class MavlinkStream:
             raise InputError(
                 f"{message.get_type()} of {self.name} with {count} cells in series, {series} given",
                 "the same number",
-                f"Give --series {count}, or auto.",
+                f"Give `series={count}`, or `auto`.",
             )
 
     def _battery(self, message: Any) -> Sample | Stray | None:

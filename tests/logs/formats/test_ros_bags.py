@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from cellwise.cli import main
 from cellwise.errors import InputError
 from cellwise.logs import read_log
+from cellwise.report.mcap import write_mcap
 
 mcap_writer = pytest.importorskip("mcap.writer")
 typesys = pytest.importorskip("rosbags.typesys")
@@ -126,6 +128,14 @@ def test_a_bag_that_is_cut_off_is_read_when_asked(tmp_path, store):
     with pytest.raises(InputError):
         read_log(str(cut))
     assert len(read_log(str(cut), partial=True)) > ROWS // 2
+
+
+def test_a_library_that_is_not_there_is_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "mcap.writer", None)
+    columns = dict.fromkeys(("time_s", "soc", "current_A", "measured_voltage_V"), np.zeros(2))
+    with pytest.raises(InputError, match=r"cellwise\[importers\]"):
+        write_mcap(tmp_path / "soc.mcap", columns)
+    assert not (tmp_path / "soc.mcap").exists()
 
 
 def test_a_bag_without_a_battery_is_refused(tmp_path, store):
