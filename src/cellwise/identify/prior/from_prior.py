@@ -280,7 +280,7 @@ class Chosen(NamedTuple):
 
 
 def _apart(model: CellModel, alternatives: Sequence[CellModel]) -> tuple[float, FloatArray]:
-    """RMS of what alternatives hold and of their OCV, less the model's: [Ah], [V] over POINTS SOC."""
+    """RMS of what alternatives hold and of their OCV, less the model's [Ah], [V] over POINTS."""
     grid, warm = np.linspace(0.0, 1.0, POINTS), float(model.temperature_C[0])
     own = np.interp(grid, model.soc, model.ocv_at(warm))
     away = [np.interp(grid, r.soc, r.ocv_at(warm)) - own for r in alternatives]
