@@ -87,7 +87,7 @@ def fit_prior(
     ------
     InputError        no prior that fits; a log with hardly a voltage
     """
-    tests, silent = _telling(checked.tests, capacity.capacity_Ah)
+    tests, silent = _usable(checked.tests, capacity.capacity_Ah)
     notices: list[str] = []
     reached = _reached_V(tests.logs())
 
@@ -102,14 +102,14 @@ def fit_prior(
         return _prepared(tests, corrections.prior)
 
     prior, chosen_by = settings.prior, "named"
-    rivals: tuple[CellModel, ...] = ()
+    alternatives: tuple[CellModel, ...] = ()
     unlike: tuple[Notice, ...] = ()
     if prior is None:
         say("prior")
         chosen = choose_prior(tests.logs(), corrections_of, prepared)
-        prior, rivals, chosen_by = chosen.prior, chosen.rivals, "voltage window and fit"
+        prior, alternatives, chosen_by = chosen.prior, chosen.alternatives, "voltage window and fit"
         notices.append(chosen.notice)
-        if rivals:
+        if alternatives:
             unlike = (Notice(RANGE_V, chosen.notice),)
     name = str(prior.provenance.get("stock", {}).get("name", "")) or prior.name or "given"
     say(f"update of {name}")
@@ -130,8 +130,8 @@ def fit_prior(
         notices.append(f"'{log.name}' is left out: {why}")
     fitted = found.model.capacity_Ah
     std_Ah = fitted * corrections.capacity_std * float(np.sqrt(found.covariance[-1, -1]))
-    if rivals:
-        apart_Ah, apart_V = _apart(found.model, rivals)
+    if alternatives:
+        apart_Ah, apart_V = _apart(found.model, alternatives)
         std_Ah, error = float(np.hypot(std_Ah, apart_Ah)), error.with_slow(apart_V, 0.0)
     notices.append(
         f"capacity {fitted:.4g} +- {std_Ah:.2g} Ah, from {capacity.capacity_Ah:.4g} Ah "
@@ -175,7 +175,7 @@ def _reached_V(logs: Sequence[CellLog]) -> FloatArray:
     return np.array([low, max(np.nanmax(log.voltage_V) for log in logs)])
 
 
-def _telling(tests: TestLogs, capacity_Ah: float) -> tuple[TestLogs, list[tuple[CellLog, str]]]:
+def _usable(tests: TestLogs, capacity_Ah: float) -> tuple[TestLogs, list[tuple[CellLog, str]]]:
     """The logs that can say anything, and those that are left out, with the reason.
 
     Raises
@@ -194,13 +194,13 @@ def _telling(tests: TestLogs, capacity_Ah: float) -> tuple[TestLogs, list[tuple[
     def kept(log: CellLog) -> bool:
         return not reasons[id(log)]
 
-    telling = TestLogs(
+    usable = TestLogs(
         hppc=tuple(one for one in tests.hppc if kept(one[0])),
         ocv=tuple(filter(kept, tests.ocv)),
         capacity=tuple(filter(kept, tests.capacity)),
         drive=tuple(one for one in tests.drive if kept(one[0])),
     )
-    return telling, silent
+    return usable, silent
 
 
 def _says_nothing(log: CellLog, capacity_Ah: float) -> str:
@@ -276,15 +276,15 @@ class Chosen(NamedTuple):
 
     prior: CellModel
     notice: str
-    rivals: tuple[CellModel, ...]
+    alternatives: tuple[CellModel, ...]
 
 
-def _apart(model: CellModel, rivals: Sequence[CellModel]) -> tuple[float, FloatArray]:
-    """RMS of what rivals hold and of their OCV, less the model's: [Ah], and [V] over POINTS SOC."""
+def _apart(model: CellModel, alternatives: Sequence[CellModel]) -> tuple[float, FloatArray]:
+    """RMS of what alternatives hold and of their OCV, less the model's [Ah], [V] over POINTS."""
     grid, warm = np.linspace(0.0, 1.0, POINTS), float(model.temperature_C[0])
     own = np.interp(grid, model.soc, model.ocv_at(warm))
-    away = [np.interp(grid, r.soc, r.ocv_at(warm)) - own for r in rivals]
-    held = [r.capacity_Ah - model.capacity_Ah for r in rivals]
+    away = [np.interp(grid, r.soc, r.ocv_at(warm)) - own for r in alternatives]
+    held = [r.capacity_Ah - model.capacity_Ah for r in alternatives]
     return float(np.sqrt(np.mean(np.square(held)))), np.sqrt(np.mean(np.square(away), axis=0))
 
 
