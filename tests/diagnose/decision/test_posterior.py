@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cellwise.diagnose.decision.odds import (
-    NAMED,
+    NAMING,
     Hypothesis,
     probability_of,
     weigh,
@@ -71,7 +71,7 @@ def test_what_rests_on_one_block_is_never_certain():
     lone[7] = 200.0
     spread = np.full(BLOCKS, (200.0 - 2.0 * (BLOCKS - 1)) / BLOCKS)
     none = hypothesis(per_block=np.zeros(BLOCKS))
-    assert weights(none, hypothesis("a", per_block=lone))[0].probability < NAMED
+    assert weights(none, hypothesis("a", per_block=lone))[0].probability < NAMING.least
     assert weights(none, hypothesis("a", per_block=spread))[0].probability > 0.999
 
 
