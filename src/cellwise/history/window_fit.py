@@ -9,7 +9,6 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from cellwise.cell.effects import SlowDiffusion, TemperatureDependence
-from cellwise.cell.initial_soc.best_start import best_start_soc
 from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import known_temperature_C, simulate
@@ -149,12 +148,10 @@ def _start(model: CellModel, log: CellLog) -> tuple[FloatArray, FloatArray]:
     stds = np.array([0.3, *AGED])
     if log.soc0 is not None:
         return np.array([log.soc0, 0.0, 0.0]), np.array([0.005, *stds[1:]])
-    found = initial_soc(model, log)
-    whole, _ = best_start_soc(model, log, np.linspace(0.0, 1.0, 41))
-    rested = found.how.startswith("rest")
-    guess = found.soc if rested else whole
-    stds[0] = max(found.std, 0.02) if rested else 0.3
-    return np.array([np.clip(guess, 0.0, 1.0), 0.0, 0.0]), stds
+    found = initial_soc(model, log, whole_log=True)
+    if found.beginning is None:
+        stds[0] = max(found.std, 0.02)
+    return np.array([found.soc, 0.0, 0.0]), stds
 
 
 def _whitening(soc: FloatArray, time_s: FloatArray, shape: float) -> FloatArray:
