@@ -96,7 +96,8 @@ class Simulation(Plottable, Tabular):
         """What a person should know, the most harmful first; those of reading the log last."""
         found = far_off_notices(self.model, self.log, self.error_V, self.soc)
         found += outside_notices(self.validity, self.log, self.soc)
-        found += soc_notices(self.log, self.soc) + error_notices(self.log, self.error_V, self.soc)
+        found += soc_notices(self.log, self.soc)
+        found += error_notices(self.model, self.log, self.error_V, self.soc)
         return in_order(found, self.log.notices)
 
     @property

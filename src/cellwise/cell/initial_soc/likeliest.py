@@ -33,8 +33,10 @@ class Starts(NamedTuple):
 
 
 class WeighedRows(NamedTuple):
-    """Rows of a log, (n,) each: as `simulate_rows` takes them, a weight that sums to one over the
-    voltages, and what share of an unknown past remains; a voltage may be NaN."""
+    """Rows of a log, (n,) each, as `simulate_rows` takes them; a voltage may be NaN.
+
+    The weights sum to one over the voltages; ``past`` is what share of an unknown past remains.
+    """
 
     interval_s: FloatArray
     current_A: FloatArray
@@ -45,8 +47,10 @@ class WeighedRows(NamedTuple):
 
 
 class StartSums(NamedTuple):
-    """Of every start, (m,): means of the squared error and of the error times what remains of the
-    past, and how far SOC left 0..1."""
+    """Of every start, (m,): means over the rows, and how far SOC left 0..1.
+
+    Means of the squared error, and of the error times what remains of the past.
+    """
 
     squares_V2: FloatArray
     products_V: FloatArray

@@ -123,7 +123,7 @@ def fit_prior(
         notices.append(f"'{item.log.name}' begins at SOC {soc0:.3f} +- {std:.3f} ({how})")
         starts.append(Start(item.log, float(soc0), item.compare))
     for log, why in silent:
-        soc0, _ = best_start_soc(found.model, log, np.linspace(0.0, 1.0, STARTS))
+        soc0 = initial_soc(found.model, log, whole_log=True).soc
         starts.append(Start(log, soc0, None, why))
         notices.append(f"'{log.name}' is left out: {why}")
     fitted = found.model.capacity_Ah
