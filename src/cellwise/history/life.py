@@ -69,8 +69,7 @@ class Reference(NamedTuple):
 class Life:
     """A life: its logs, the trend of the capacity over ``way`` (named by ``over``).
 
-    ``new_Ah`` is the new cell's capacity and its deviation: the model's, and by the first complete
-    test where there is one. ``far_off`` names the logs that were left out for it.
+    ``far_off`` names the logs that were left out for it.
     """
 
     model: CellModel
@@ -78,7 +77,6 @@ class Life:
     over: str
     way: FloatArray
     trend: Trend
-    new_Ah: tuple[float, float]
     far_off: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
@@ -93,13 +91,13 @@ class Life:
     def capacity_std_Ah(self) -> float:
         """How well the capacity is known after the last log, the new cell's among it [Ah]."""
         share, std = float(self.trend.share[-1]), float(self.trend.std[-1])
-        of_new = self.new_Ah[1] if self.logs[0].counted else 0.0  # else in the trend
-        return float(np.hypot(std * self.new_Ah[0], share * of_new))
+        new_Ah = self.model.capacity_std_Ah if self.logs[0].counted else 0.0  # else in the trend
+        return float(np.hypot(std * self.model.capacity_Ah, share * new_Ah))
 
     @property
     def capacity_Ah(self) -> float:
         """Capacity after the last log [Ah]."""
-        return self.new_Ah[0] * float(self.trend.share[-1])
+        return self.model.capacity_Ah * float(self.trend.share[-1])
 
     @property
     def aged_model(self) -> CellModel:
@@ -128,9 +126,9 @@ class Life:
     @property
     def next_reference(self) -> str:
         """The test that would make the trend known, where it is not."""
-        std = self.capacity_std_Ah / self.capacity_Ah
+        std = float(self.trend.std[-1])
         if std <= REFERENCE_STD and any(one.counted for one in self.logs):
-            return f"none: the capacity is known to {100 * std:.1f} %"
+            return f"none: what is left of the new cell's capacity is known to {100 * std:.1f} %"
         load = next((one for one in self.logs if one.counted), None)
         as_before = f", as '{load.log.name}'" if load is not None else ""
         return (
@@ -150,10 +148,10 @@ class Life:
         first = self.logs[0]
         if first.counted:
             found.append(
-                f"'{first.log.name}' counts {first.capacity_Ah:.4g} Ah at its load; as a whole "
-                f"range it and the model say {self.new_Ah[0]:.4g} +- {2 * self.new_Ah[1]:.2g} Ah "
-                f"(the model alone {self.model.capacity_Ah:.4g} +- "
-                f"{2 * self.model.capacity_std_Ah:.2g}): the capacity to use is of the whole range"
+                f"'{first.log.name}' counts {first.capacity_Ah:.4g} Ah at its load, by which the "
+                f"others are compared; the capacity to use is of the whole SOC range: the "
+                f"model's {self.model.capacity_Ah:.4g} +- {2 * self.model.capacity_std_Ah:.2g} Ah "
+                "of the new cell, and what is left of it"
             )
         if temperatures and max(temperatures) - min(temperatures) > 10.0:
             found.append(
@@ -229,7 +227,6 @@ def life_of(model: CellModel, logs: Sequence[CellLog], *, anyway: bool = False) 
     found: list[LogOfLife] = []
     references: list[Reference] = []
     far_off: list[str] = []
-    new_Ah = model.capacity_Ah, model.capacity_std_Ah
     for log in logs:
         flow = float(np.sum(np.abs(log.known_current_A()) * log.interval_s)) / 3600.0
         one = _by_stretch(model, log, references, found, flow)
@@ -240,8 +237,6 @@ def life_of(model: CellModel, logs: Sequence[CellLog], *, anyway: bool = False) 
             continue
         if one is None and fit is not None:
             one = _by_fit(model, log, fit, flow)
-        elif fit is not None:
-            new_Ah = _weighed(new_Ah, (fit.capacity_Ah, fit.capacity_std_Ah))
         if one is not None:
             found.append(one)
     if not found and far_off:
@@ -276,16 +271,7 @@ def life_of(model: CellModel, logs: Sequence[CellLog], *, anyway: bool = False) 
         Deviations(*np.array([one.deviations for one in found]).T),
         START_STD if found[0].counted else model.capacity_std_Ah / model.capacity_Ah,
     )
-    return Life(model, tuple(found), over, way, trend, new_Ah, tuple(far_off))
-
-
-def _weighed(one: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:
-    """Two values with their deviations as one."""
-    weight = np.array([one[1] ** -2.0, other[1] ** -2.0])
-    mean = float(weight @ [one[0], other[0]] / weight.sum())
-    # What the two differ by beyond their deviations widens the band.
-    beyond = max(abs(one[0] - other[0]) / float(np.hypot(one[1], other[1])), 1.0)
-    return mean, beyond * float(weight.sum() ** -0.5)
+    return Life(model, tuple(found), over, way, trend, tuple(far_off))
 
 
 def _by_stretch(
