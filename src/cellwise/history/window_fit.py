@@ -152,8 +152,8 @@ def _start(model: CellModel, log: CellLog) -> tuple[FloatArray, FloatArray]:
     if log.soc0 is not None:
         return np.array([log.soc0, 0.0, 0.0]), np.array([0.005, *stds[1:]])
     found = initial_soc(model, log, whole_log=True)
-    if found.beginning is None:
-        stds[0] = max(found.std, 0.02)
+    # Free beyond that, an error that is alike everywhere would be explained by any start at all.
+    stds[0] = max(found.std, 0.02)
     return np.array([found.soc, 0.0, 0.0]), stds
 
 
