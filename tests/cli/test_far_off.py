@@ -31,6 +31,31 @@ def test_another_chemistry_is_said_first_and_forecasts_are_withheld(drive, run_j
     assert "FAR OFF" in anyway["notices"][0]
 
 
+def test_no_health_and_no_power_of_a_log_that_is_far_off(drive, run_json, capsys):
+    adaptive = ("replay", *OTHER, drive, "--estimator", "adaptive", "--power")
+    found = run_json(*adaptive)
+    assert found["parameters"] is None
+    assert found["power"] is None
+    assert main(list(adaptive)) == 0
+    said = capsys.readouterr().out
+    assert "state of health" not in said
+    assert "discharge W" not in said
+    anyway = run_json(*adaptive, "--anyway")
+    assert anyway["parameters"]["capacity_Ah"]["value"] > 0.0
+    assert anyway["power"] is not None
+
+
+def test_no_history_by_logs_that_are_all_far_off(drive, run_json, capsys, tmp_path):
+    saved = tmp_path / "aged.json"
+    arguments = ["history", *OTHER, drive, "--save-model", str(saved)]
+    assert main(arguments) == 2
+    said = capsys.readouterr().err
+    assert "FAR OFF" in said
+    assert "--anyway" in said
+    assert not saved.exists()
+    assert run_json(*arguments, "--anyway")["trend"]["use"]["capacity_std_Ah"] > 0.0
+
+
 def test_a_swapped_sign_is_said_first_and_forecasts_are_withheld(model, drive, run_json, capsys):
     swapped = ("replay", "--model", model, drive, "--sign", "charge-positive")
     found = run_json(*swapped)

@@ -169,6 +169,8 @@ def test_the_command_prints_the_contract_and_saves_the_aged_model(tmp_path, caps
     assert found["logs"][0]["soc_start"] == pytest.approx(1.0, abs=0.02)
     assert found["logs"][0]["soc_end"] < 0.1
     assert found["trend"]["over"] == "days"
+    # Why the capacity to use is not the one that was counted.
+    assert any("at its load" in n and "whole SOC range" in n for n in found["notices"])
     assert read_model(aged).capacity_Ah == pytest.approx(0.9 * FRESH.capacity_Ah, rel=0.01)
     assert len(out.read_text().splitlines()) == 5
     assert main(["history", "--model", "nca-18650", names[1], names[0]]) == 2
@@ -210,3 +212,13 @@ def test_the_capacity_to_use_is_no_surer_than_the_new_cells():
     least = SHARES[-1] * FRESH.capacity_std_Ah
     assert use["capacity_std_Ah"] > 0.99 * least
     assert life.aged_model.capacity_std_Ah == use["capacity_std_Ah"]
+
+
+def test_a_trend_stays_among_its_points():
+    """Windows that see little are wrong by as much as they do not see, alike in what all miss."""
+    way = np.arange(8.0)
+    share = np.array([0.97, 0.73, 1.0, 0.97, 0.93, 0.94, 0.98, 0.96])
+    std = np.array([0.39, 0.09, 0.4, 0.4, 0.38, 0.37, 0.36, 0.38])
+    own, alike = np.sqrt(0.05) * std, np.sqrt(0.95) * std
+    found = trend_of(way, share, Deviations(own, alike, np.zeros(8)), 0.1)
+    assert np.all(found.share > 0.7)

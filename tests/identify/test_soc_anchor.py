@@ -80,6 +80,15 @@ def test_a_log_without_any_rest_is_anchored_in_its_first_minute(soc):
     assert anchor.std > 0.005
 
 
+def test_one_row_without_current_in_the_middle_of_a_load_is_no_rest():
+    log = drive_from(NMC, 0.55, hours=0.3, load_first=True)
+    current = log.current_A.copy()
+    current[0] = 0.0  # a car at a light
+    anchor = anchor_soc(replace(log, current_A=current), NMC_OCV, NMC.capacity_Ah, 0.044)
+    assert "load" in anchor.how
+    assert consistent(anchor, 0.55)
+
+
 def test_under_load_the_drop_is_taken_out():
     # 1 A through 60 mohm are 10 points of this OCV.
     current = np.concatenate((np.full(600, 1.0), np.full(600, 0.5)))

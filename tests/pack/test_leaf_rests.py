@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellwise.cell.initial_soc.best_start import best_start_soc
+from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.simulate import simulate
 from cellwise.logs.packs.pack_reading import read_pack
 from cellwise.pack.differences import regressors
@@ -39,7 +39,7 @@ def at_rest(model, differences, log):
         if rows.size < FEWEST_ROWS:
             continue
         one = log.mean.part(int(rows[0]), int(rows[-1]) + 1)
-        soc0, _ = best_start_soc(model, one, np.linspace(0.02, 0.98, 97))
+        soc0 = initial_soc(model, one, whole_log=True).soc
         simulated = simulate(model, one, soc0)
         age = resting(one)
         used = (age >= SETTLED_S) & (simulated.soc >= low) & (simulated.soc <= high)

@@ -28,7 +28,7 @@ from cellwise.cell.metrics import (
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.plausibility.far_off import far_off_notices, far_off_text
 from cellwise.cell.plausibility.notice import in_order
-from cellwise.cell.plausibility.outside import outside_notices
+from cellwise.cell.plausibility.outside import assumed_temperature_notices, outside_notices
 from cellwise.cell.plausibility.simulated import error_notices, soc_notices
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.errors import InputError
@@ -96,7 +96,11 @@ class Simulation(Plottable, Tabular):
         """What a person should know, the most harmful first; those of reading the log last."""
         found = far_off_notices(self.model, self.log, self.error_V, self.soc)
         found += outside_notices(self.validity, self.log, self.soc)
-        found += soc_notices(self.log, self.soc) + error_notices(self.log, self.error_V, self.soc)
+        found += soc_notices(self.log, self.soc)
+        if self.model is not None:
+            warm = model_temperature_C(self.model)
+            found += assumed_temperature_notices(self.model, self.log, warm)
+        found += error_notices(self.model, self.log, self.error_V, self.soc)
         return in_order(found, self.log.notices)
 
     @property

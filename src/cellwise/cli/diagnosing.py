@@ -49,14 +49,12 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
     """Diagnose, write what was asked for, print the verdict."""
     from cellwise.diagnose import diagnose
     from cellwise.logs.checks.grave import graves_first, is_grave
-    from cellwise.logs.measured_log import cut_at_pauses
 
     _check_places(arguments)
     soc0 = options.soc0_of(arguments)
     model = options.read_model(arguments)
-    # What lies behind a pause that nobody counted is a log of its own.
     logs, holdout, baseline = (
-        [one for log in log_options.read_all(paths, arguments) for one in cut_at_pauses(log)]
+        log_options.read_cut(paths, arguments)
         for paths in (arguments.logs, arguments.holdout, arguments.baseline)
     )
     began = time.perf_counter()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -65,7 +66,7 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     text = "layout of PlotJuggler for the rows of -o OUT.csv"
     replay.add_argument("--plotjuggler", metavar="F.xml", help=text)
     power_options.add_power_options(replay)
-    options.flag(replay, "--anyway", "foresee remaining time of a log far off the model, too")
+    options.flag(replay, "--anyway", "forecasts, power and health of a log far off the model, too")
     page_options.add_page_options(replay)
     replay.set_defaults(run=run_replay)
 
@@ -146,6 +147,7 @@ def run_replay(arguments: argparse.Namespace) -> None:
     from cellwise.forecast.charging import forecast_charge
     from cellwise.forecast.convergence import expected_convergence
     from cellwise.forecast.remaining import check_load, cutoff_of, forecast, forecast_at
+    from cellwise.logs.measured_log import cut_at_pauses
     from cellwise.logs.resample import resample
 
     places.check_places(arguments.output, arguments.plotjuggler)
@@ -162,19 +164,22 @@ def run_replay(arguments: argparse.Namespace) -> None:
     check_one_output(arguments)
     plans = forecast_options.plans_of(arguments)
     charger = {"limit_V": arguments.charge_limit_v, "taper_A": arguments.charge_end_a}
-    logs = read_logs_of(model, arguments)
+    whole = read_logs_of(model, arguments)
+    logs = [(one, k == 0) for log in whole for k, one in enumerate(cut_at_pauses(log))]
     runs: list[Run] = []
     with printing.working(arguments.estimator) as follow:
-        for log in logs if arguments.dt is None else [resample(one, arguments.dt) for one in logs]:
+        for part, begins in logs:
+            log = part if arguments.dt is None else resample(part, arguments.dt)
             follow(f"{arguments.estimator} over {len(log):,} samples", len(runs), len(logs))
             found = replay(
                 model,
                 log,
                 arguments.estimator,
-                soc0=options.start_of(log.soc0, options.soc0_of(arguments)),
-                soc0_std=arguments.soc0_std,
+                # What is stated holds for the first row, not behind a pause that nobody counted.
+                soc0=options.start_of(log.soc0, options.soc0_of(arguments)) if begins else None,
+                soc0_std=arguments.soc0_std if begins else None,
                 reference_soc0=options.start_of(log.soc0, true0, "--reference-soc0"),
-                reference_capacity_Ah=arguments.reference_capacity_ah,
+                reference_capacity_Ah=arguments.reference_capacity_ah if begins else None,
                 power=power or False,
             )
             fresh = make_estimator(arguments.estimator, model)
@@ -189,34 +194,44 @@ def run_replay(arguments: argparse.Namespace) -> None:
                 flight = None if flight is None else dataclasses.replace(flight, given=at_load)
             runs.append(Run(found, expected, flight, at_load, far, charge, plan, shown))
     if arguments.output:
-        write_rows(arguments, runs[0])
+        write_rows(arguments, runs)
     with page_options.page_places(arguments) as pages:
         if pages is not None:
             from cellwise.report import replay_page
 
             flights = tuple(run.flight for run in runs if run.flight is not None)
-            replays = [run.found for run in runs]
+            replays = [dataclasses.replace(run.found, power=run.power) for run in runs]
             replay_page(replays, pages.page, flights=flights, figures=pages.figures)
     if arguments.json:
         printed = [run.to_dict() for run in runs]
-        several = {"logs": printed}
-        printing.print_json(several if len(runs) > 1 else printed[0])
+        # Of one file that was cut, what holds at its end; beside it every stretch.
+        last_of_one = printed[-1] if len(whole) == 1 else {}
+        printing.print_json({**last_of_one, "logs": printed} if len(runs) > 1 else printed[0])
         return
-    for run in runs:
-        first = () if run.far is None else run.notices[: run.notices.index(run.far) + 1]
-        printing.say_notices(first)
-        print_replay(run.found, run.expected, sure=arguments.soc0_std is not None)
-        print_forecasts(run.flight, run.at_load, held["cutoff_V"], arguments.hold)
-        forecast_options.say(run.to_dict())
-        if run.found.power is not None:
-            print_power(run.found.power)
-        printing.say_notices(n for n in run.notices if n not in first)
+    first = tuple(
+        notice
+        for run in runs
+        if run.far is not None
+        for notice in run.notices[: run.notices.index(run.far) + 1]
+    )
+    printing.say_notices(first)
+    last = runs[-1]
+    if len(runs) > 1:
+        print_runs(runs)
+    else:
+        sure = arguments.soc0_std is not None
+        print_replay(last.found, last.expected, last.figures(), sure=sure)
+    print_forecasts(last.flight, last.at_load, held["cutoff_V"], arguments.hold)
+    forecast_options.say(last.to_dict())
+    if last.power is not None:
+        print_power(last.power)
+    printing.say_notices(n for run in runs for n in run.notices if n not in first)
     page_options.say_pages(arguments)
 
 
 @dataclasses.dataclass(frozen=True)
 class Run:
-    """A replay, when it was to converge, and what remains by it."""
+    """A replay, when it was to converge, and what remains by it; ``far``: why none is said."""
 
     found: Replay
     expected: ExpectedConvergence
@@ -235,6 +250,17 @@ class Run:
             return (*of_flight, *self.found.notices)
         return tuple(self.far if self.far.startswith(n) else n for n in self.found.notices)
 
+    @property
+    def power(self) -> PowerTrace | None:
+        """The state of power, unless the log is far off."""
+        return None if self.far else self.found.power
+
+    def figures(self) -> dict[str, Any]:
+        """The replay's figures; of a log that is far off no parameters and no power."""
+        figures = self.found.to_dict()
+        withheld = {"parameters", "power"} if self.far else set()
+        return {key: None if key in withheld else value for key, value in figures.items()}
+
     def to_dict(self) -> dict[str, Any]:
         """As the command prints it."""
         shown = self.displayed_percent
@@ -243,7 +269,7 @@ class Run:
             charge = None  # no longer on the charger
         return {
             "log": self.found.log.name,
-            **self.found.to_dict(),
+            **self.figures(),
             "convergence_predicted_s": self.expected.convergence_s,
             "forecast": None if self.flight is None else self.flight.to_dict(),
             "forecast_charge": None if charge is None else charge.to_dict(),
@@ -254,29 +280,16 @@ class Run:
         }
 
 
-def write_rows(arguments: argparse.Namespace, run: Run) -> None:
-    """The rows of a replay as a file, and the layout that PlotJuggler shows them in."""
-    from cellwise.estimate.adaptive.trace import AdaptiveTrace
+def write_rows(arguments: argparse.Namespace, runs: Sequence[Run]) -> None:
+    """The rows of a log's stretches as a file, and the layout that PlotJuggler shows them in."""
+    import numpy as np
+
     from cellwise.logs.writing import write_columns
 
-    found = run.found
-    trace = found.trace
-    names = ["time_s", "soc", "soc_std", "voltage_V", "innovation_V", "innovation_variance_V2"]
-    columns = {name: getattr(trace, name) for name in (*names, "test_ratio", "status")}
-    columns["current_A"] = found.log.interval_current_A
-    columns["measured_voltage_V"] = found.log.voltage_V
-    if isinstance(trace, AdaptiveTrace):
-        names = ["offset_A", "offset_std_A", "gain", "gain_std", "capacity_Ah", "capacity_std_Ah"]
-        names += ["resistance_scale", "resistance_std", "polarisation_scale", "polarisation_std"]
-        columns |= {name: getattr(trace, name) for name in names}
-        held = ("held_offset", "held_resistance", "held_charge")
-        columns |= dict(zip(held, trace.held, strict=True))
-    if found.reference_soc is not None:
-        columns["reference_soc"] = found.reference_soc
-    if found.power is not None:
-        columns |= found.power.columns()
-    if run.displayed_percent is not None:
-        columns["displayed_percent"] = run.displayed_percent
+    found = runs[0].found
+    parts = [rows_of(run) for run in runs]
+    names = [name for name in parts[0] if all(name in part for part in parts)]
+    columns = {name: np.concatenate([part[name] for part in parts]) for name in names}
     if Path(arguments.output).suffix == ".mcap":
         from cellwise.logs.files.source import open_source
         from cellwise.logs.formats.ros_bag import start_of
@@ -294,6 +307,28 @@ def write_rows(arguments: argparse.Namespace, run: Run) -> None:
         from cellwise.report.plotjuggler import write_layout
 
         write_layout(arguments.plotjuggler, arguments.output, columns)
+
+
+def rows_of(run: Run) -> dict[str, Any]:
+    """What the estimator said of every row; of a log that is far off no parameters and no power."""
+    from cellwise.estimate.adaptive.trace import AdaptiveTrace
+
+    found, trace = run.found, run.found.trace
+    names = ["time_s", "soc", "soc_std", "voltage_V", "innovation_V", "innovation_variance_V2"]
+    columns = {name: getattr(trace, name) for name in (*names, "test_ratio", "status")}
+    columns["current_A"] = found.log.interval_current_A
+    columns["measured_voltage_V"] = found.log.voltage_V
+    if isinstance(trace, AdaptiveTrace) and not run.far:
+        names = ["offset_A", "offset_std_A", "gain", "gain_std", "capacity_Ah", "capacity_std_Ah"]
+        names += ["resistance_scale", "resistance_std", "polarisation_scale", "polarisation_std"]
+        columns |= {name: getattr(trace, name) for name in names}
+        held = ("held_offset", "held_resistance", "held_charge")
+        columns |= dict(zip(held, trace.held, strict=True))
+    if found.reference_soc is not None:
+        columns["reference_soc"] = found.reference_soc
+    if run.displayed_percent is not None:
+        columns["displayed_percent"] = run.displayed_percent
+    return columns if run.power is None else columns | run.power.columns()
 
 
 def check_layout(arguments: argparse.Namespace) -> None:
@@ -335,11 +370,38 @@ def print_simulation(found: Simulation, start: InitialSoc) -> None:
     printing.say_notices(n for n in notices if n not in first)
 
 
+def print_runs(runs: Sequence[Run]) -> None:
+    """Several logs, or the stretches of one, a row each."""
+
+    def soc(value: float, std: float) -> str:
+        return f"{value:.3f} +- {2 * std:.3f}"
+
+    printing.record_table(
+        f"{runs[0].found.estimator} on {len(runs)} logs",
+        runs,
+        ("log", lambda run: run.found.log.name),
+        ("hours", lambda run: f"{run.found.log.duration_s / 3600.0:.2f}"),
+        ("initial SOC", lambda run: soc(run.found.start.soc, run.found.start.std)),
+        ("final SOC", lambda run: soc(run.found.trace.soc[-1], run.found.trace.soc_std[-1])),
+        ("one step ahead mV", lambda run: printing.millivolt(run.found.voltage_rmse_V)),
+        (
+            "SOC RMSE %",
+            lambda run: printing.percent(
+                None if run.found.errors is None else run.found.errors.rmse
+            ),
+        ),
+    )
+
+
 def print_replay(
-    found: Replay, expected: ExpectedConvergence | None = None, *, sure: bool = True
+    found: Replay,
+    expected: ExpectedConvergence | None = None,
+    figures: dict[str, Any] | None = None,
+    *,
+    sure: bool = True,
 ) -> None:
     """A replay for people; ``sure``: how sure a start is was stated."""
-    data = found.to_dict()
+    data = found.to_dict() if figures is None else figures
     settled = data["settled"]
     how = found.start.how
     if how == "given" and not sure:

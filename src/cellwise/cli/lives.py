@@ -25,6 +25,7 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     history.add_argument("-o", "--output", metavar="OUT", help="logs as .csv, .csv.gz or .parquet")
     text = "write the model as the cell is now, for every command"
     history.add_argument("--save-model", metavar="MODEL", help=text)
+    options.flag(history, "--anyway", "capacity and resistance by logs far off the model, too")
     log_options.add_log_options(history)
     page_options.add_page_options(history)
     options.add_json(history)
@@ -41,9 +42,9 @@ def run_history(arguments: argparse.Namespace) -> None:
     places.check_places(arguments.output, arguments.save_model)
     page_options.check_page_options(arguments)
     model = options.read_model(arguments)
-    logs = log_options.read_all(arguments.logs, arguments)
+    logs = log_options.read_cut(arguments.logs, arguments)
     with printing.working("comparing"):
-        found = life_of(model, logs)
+        found = life_of(model, logs, anyway=arguments.anyway)
     if arguments.output:
         write_columns(found.columns(), Path(arguments.output))
     if arguments.save_model:
@@ -54,6 +55,7 @@ def run_history(arguments: argparse.Namespace) -> None:
 def print_life(found: Life) -> None:
     """A life for people."""
     data = found.to_dict()
+    printing.say_notices(found.far_off)
     percent = printing.percent
     printing.record_table(
         f"{len(data['logs'])} logs over {found.way[-1]:.0f} {found.over}",
@@ -72,7 +74,8 @@ def print_life(found: Life) -> None:
     if trend["knee"] is not None:
         printing.say(f"the fade is faster from '{trend['knee']}' on")
     printing.say(f"next reference test: {trend['next_reference']}")
-    printing.say_notices((*data["notices"], *(n for o in data["logs"] for n in o["notices"])))
+    notices = (*data["notices"], *(n for o in data["logs"] for n in o["notices"]))
+    printing.say_notices(n for n in notices if n not in found.far_off)
 
 
 def _with_band(value: float, std: float) -> str:

@@ -14,9 +14,10 @@ from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.plausibility.far_off import far_off_notices, far_off_text
 from cellwise.cell.plausibility.notice import in_order
-from cellwise.cell.plausibility.outside import outside_notices
+from cellwise.cell.plausibility.outside import assumed_temperature_notices, outside_notices
 from cellwise.cell.plausibility.simulated import prediction_notices, soc_notices
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
+from cellwise.cell.simulate import model_temperature_C
 from cellwise.errors import InputError
 from cellwise.estimate.adaptive.trace import AdaptiveTrace
 from cellwise.estimate.estimators import Estimator, make_estimator
@@ -152,6 +153,9 @@ class Replay(Plottable, Tabular):
         found = far_off_notices(*self._seen)
         found += outside_notices(self.validity, self.log, self.trace.soc)
         found += soc_notices(self.log, self.trace.soc)
+        if self.model is not None:
+            warm = model_temperature_C(self.model)
+            found += assumed_temperature_notices(self.model, self.log, warm)
         if self.sums.known or np.any(np.isfinite(self.trace.voltage_V)):  # counting predicts none
             rejected = self.sums.rejected / len(self.trace)
             found += prediction_notices(self.log, self.voltage_rmse_V, rejected)

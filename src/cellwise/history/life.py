@@ -14,7 +14,7 @@ from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.history.stretches import Compared, Stretch, compare, longest_stretch
 from cellwise.history.trend import START_STD, WINDOWS_ALIKE, Deviations, Trend, trend_of
-from cellwise.history.window_fit import PER_KELVIN, changed_model, fit_window
+from cellwise.history.window_fit import PER_KELVIN, WindowFit, changed_model, fit_window
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.stated import day_of_name
 from cellwise.typing import FloatArray
@@ -67,13 +67,17 @@ class Reference(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Life:
-    """A life: its logs, the trend of the capacity over ``way`` (named by ``over``)."""
+    """A life: its logs, the trend of the capacity over ``way`` (named by ``over``).
+
+    ``far_off`` names the logs that were left out for it.
+    """
 
     model: CellModel
     logs: tuple[LogOfLife, ...]
     over: str
     way: FloatArray
     trend: Trend
+    far_off: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         scale, std = self.resistance
@@ -91,15 +95,21 @@ class Life:
         return float(np.hypot(std * self.model.capacity_Ah, share * new_Ah))
 
     @property
+    def capacity_Ah(self) -> float:
+        """Capacity after the last log [Ah]."""
+        return self.model.capacity_Ah * float(self.trend.share[-1])
+
+    @property
     def aged_model(self) -> CellModel:
         """The model as the cell is now: for `replay`, `live`, `export` without anything else."""
-        share = float(self.trend.share[-1])
         scale = self.resistance[0]
-        aged = changed_model(self.model, float(np.log(share)), float(np.log(scale)))
+        capacity = float(np.log(self.capacity_Ah / self.model.capacity_Ah))
+        aged = changed_model(self.model, capacity, float(np.log(scale)))
         about = {
-            "capacity_share": share,
+            "capacity_share": float(self.trend.share[-1]),
             "capacity_std_Ah": self.capacity_std_Ah,
             "resistance_scale": scale,
+            "resistance_std": self.resistance[1],
             "logs": [one.log.name for one in self.logs],
         }
         return replace(aged, provenance={**self.model.provenance, "history": about})
@@ -118,7 +128,7 @@ class Life:
         """The test that would make the trend known, where it is not."""
         std = float(self.trend.std[-1])
         if std <= REFERENCE_STD and any(one.counted for one in self.logs):
-            return f"none: the capacity is known to {100 * std:.1f} %"
+            return f"none: what is left of the new cell's capacity is known to {100 * std:.1f} %"
         load = next((one for one in self.logs if one.counted), None)
         as_before = f", as '{load.log.name}'" if load is not None else ""
         return (
@@ -134,7 +144,15 @@ class Life:
             for one in self.logs
             if one.log.temperature_C is not None and np.any(np.isfinite(one.log.temperature_C))
         ]
-        found = []
+        found = [*self.far_off]
+        first = self.logs[0]
+        if first.counted:
+            found.append(
+                f"'{first.log.name}' counts {first.capacity_Ah:.4g} Ah at its load, by which the "
+                f"others are compared; the capacity to use is of the whole SOC range: the "
+                f"model's {self.model.capacity_Ah:.4g} +- {2 * self.model.capacity_std_Ah:.2g} Ah "
+                "of the new cell, and what is left of it"
+            )
         if temperatures and max(temperatures) - min(temperatures) > 10.0:
             found.append(
                 f"the logs are at {min(temperatures):.0f} to {max(temperatures):.0f} degC: those "
@@ -145,7 +163,6 @@ class Life:
     def to_dict(self) -> dict[str, Any]:
         """Keys as CONTRACT.md has them."""
         scale, scale_std = self.resistance
-        capacity = self.model.capacity_Ah
         return {
             "logs": [
                 {
@@ -167,7 +184,7 @@ class Life:
                 "knee": None if self.trend.knee is None else self.logs[self.trend.knee].log.name,
                 "next_reference": self.next_reference,
                 "use": {
-                    "capacity_Ah": capacity * float(self.trend.share[-1]),
+                    "capacity_Ah": self.capacity_Ah,
                     "capacity_std_Ah": self.capacity_std_Ah,
                     "resistance_scale": scale,
                     "resistance_std": scale_std,
@@ -188,7 +205,7 @@ class Life:
         }
 
 
-def life_of(model: CellModel, logs: Sequence[CellLog]) -> Life:
+def life_of(model: CellModel, logs: Sequence[CellLog], *, anyway: bool = False) -> Life:
     """A life from logs in order.
 
     Stretches of constant current are compared with the first of the same current and temperature:
@@ -199,22 +216,35 @@ def life_of(model: CellModel, logs: Sequence[CellLog]) -> Life:
     ----------
     model : CellModel          of the cell when it was new
     logs : sequence of CellLog      in the order of time
+    anyway : bool              logs that are far off the model take part, too
 
     Raises
     ------
-    InputError        no log; none that says anything; days that run backwards
+    InputError        no log; none that says anything, or all far off; days that run backwards
     """
     if not logs:
         raise InputError("no log", "logs of one cell in order", "Name them.")
     found: list[LogOfLife] = []
     references: list[Reference] = []
-    moved = 0.0
+    far_off: list[str] = []
     for log in logs:
         flow = float(np.sum(np.abs(log.known_current_A()) * log.interval_s)) / 3600.0
-        moved += flow
-        one = _by_stretch(model, log, references, found, flow) or _by_fit(model, log, flow)
+        one = _by_stretch(model, log, references, found, flow)
+        fit = fit_window(model, log) if one is None or not found else None
+        if fit is not None and fit.far_off and not anyway:
+            far_off.append(fit.far_off)
+            references.clear()
+            continue
+        if one is None and fit is not None:
+            one = _by_fit(model, log, fit, flow)
         if one is not None:
             found.append(one)
+    if not found and far_off:
+        raise InputError(
+            f"no log that is not far off: {far_off[0]}",
+            "logs of the model's cell, aged or not",
+            "Check the model and how the logs are read; `anyway=True` says what they would give.",
+        )
     if not found:
         raise InputError(
             f"{len(logs)} log(s), none of which moves enough charge or has enough voltages",
@@ -241,7 +271,7 @@ def life_of(model: CellModel, logs: Sequence[CellLog]) -> Life:
         Deviations(*np.array([one.deviations for one in found]).T),
         START_STD if found[0].counted else model.capacity_std_Ah / model.capacity_Ah,
     )
-    return Life(model, tuple(found), over, way, trend)
+    return Life(model, tuple(found), over, way, trend, tuple(far_off))
 
 
 def _by_stretch(
@@ -300,10 +330,7 @@ def _by_stretch(
     )
 
 
-def _by_fit(model: CellModel, log: CellLog, flow: float) -> LogOfLife | None:
-    fit = fit_window(model, log)
-    if fit is None:
-        return None
+def _by_fit(model: CellModel, log: CellLog, fit: WindowFit, flow: float) -> LogOfLife:
     spread = fit.capacity_std_Ah / model.capacity_Ah
     return LogOfLife(
         log=log,

@@ -28,7 +28,8 @@ FEWEST_FOR_KNEE = 8
 class Deviations(NamedTuple):
     """Deviations of the shares, shape (n,) each.
 
-    ``own`` is a log's own; ``alike`` what windows are wrong by alike, over half of the life;
+    ``own`` is a log's own; ``alike`` what windows are wrong by alike, over half of the life: what a
+    wide one does not see, a narrower one does not see either, and that much two have in common;
     ``level`` what a reference is wrong by for all that are compared with it.
     """
 
@@ -78,7 +79,8 @@ def trend_of(
     u = way - way[0]
     u = u / max(float(u[-1]), 1e-12)
     near = np.exp(-np.abs(u[:, None] - u[None, :]) / ALIKE_OVER)
-    stated = np.diag(std.own**2 + 1e-8) + np.outer(std.alike, std.alike) * near
+    common = np.minimum(std.alike[:, None], std.alike[None, :]) ** 2
+    stated = np.diag(std.own**2 + 1e-8) + common * near
     stated += np.outer(std.level, std.level)
     eye = np.eye(u.size)
     likely, means, variances = [], [], []

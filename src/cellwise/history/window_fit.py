@@ -9,10 +9,9 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from cellwise.cell.effects import SlowDiffusion, TemperatureDependence
-from cellwise.cell.initial_soc.best_start import best_start_soc
 from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import CellModel
-from cellwise.cell.simulate import known_temperature_C, simulate
+from cellwise.cell.simulate import Simulation, known_temperature_C, simulate
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray, IndexArray
 
@@ -56,7 +55,8 @@ class WindowFit:
     """What one log says of the cell.
 
     ``capacity_Ah``, ``resistance_scale`` (on the model's) with standard deviations; SOC at the
-    first and last row; ``covered`` the share of the SOC range that was seen.
+    first and last row; ``covered`` the share of the SOC range that was seen; ``far_off`` says that
+    the log is many times as far off the fitted model as that states of itself.
     """
 
     capacity_Ah: float
@@ -66,6 +66,7 @@ class WindowFit:
     soc_start: float
     soc_end: float
     covered: float
+    far_off: str | None
 
 
 def fit_window(model: CellModel, log: CellLog) -> WindowFit | None:
@@ -112,7 +113,8 @@ def fit_window(model: CellModel, log: CellLog) -> WindowFit | None:
         if abs(shape - before) < 0.01 * shape:
             break
     covariance = np.asarray(np.linalg.inv(found.jac.T @ found.jac), dtype=np.float64)
-    return _result(model, log, x, covariance, run(x)[0], rows)
+    aged = simulate(changed_model(model, x[1], x[2]), log, float(np.clip(x[0], 0.0, 1.0)))
+    return _result(model, aged, x, covariance, rows)
 
 
 def changed_model(model: CellModel, ln_capacity: float, ln_resistance: float) -> CellModel:
@@ -149,12 +151,10 @@ def _start(model: CellModel, log: CellLog) -> tuple[FloatArray, FloatArray]:
     stds = np.array([0.3, *AGED])
     if log.soc0 is not None:
         return np.array([log.soc0, 0.0, 0.0]), np.array([0.005, *stds[1:]])
-    found = initial_soc(model, log)
-    whole, _ = best_start_soc(model, log, np.linspace(0.0, 1.0, 41))
-    rested = found.how.startswith("rest")
-    guess = found.soc if rested else whole
-    stds[0] = max(found.std, 0.02) if rested else 0.3
-    return np.array([np.clip(guess, 0.0, 1.0), 0.0, 0.0]), stds
+    found = initial_soc(model, log, whole_log=True)
+    # Free beyond that, an error that is alike everywhere would be explained by any start at all.
+    stds[0] = max(found.std, 0.02)
+    return np.array([found.soc, 0.0, 0.0]), stds
 
 
 def _whitening(soc: FloatArray, time_s: FloatArray, shape: float) -> FloatArray:
@@ -167,15 +167,15 @@ def _whitening(soc: FloatArray, time_s: FloatArray, shape: float) -> FloatArray:
 
 def _result(
     model: CellModel,
-    log: CellLog,
+    aged: Simulation,
     x: FloatArray,
     covariance: FloatArray,
-    seen: FloatArray,
     rows: IndexArray,
 ) -> WindowFit:
+    seen = aged.soc
     covered = float(np.ptp(np.clip(seen[rows], 0.0, 1.0)))
     capacity, scale = model.capacity_Ah * float(np.exp(x[1])), float(np.exp(x[2]))
-    away_K = _away_K(model, log)
+    away_K = _away_K(model, aged.log)
     unseen = (1.0 - covered) * AGED.ln_capacity
     ln_capacity = np.sqrt(covariance[1, 1] + (PER_KELVIN.capacity * away_K) ** 2 + unseen**2)
     ln_scale = np.hypot(np.sqrt(covariance[2, 2]), PER_KELVIN.resistance * away_K)
@@ -187,6 +187,7 @@ def _result(
         soc_start=float(x[0]),
         soc_end=float(np.clip(seen[-1], 0.0, 1.0)),
         covered=covered,
+        far_off=aged.far_off,
     )
 
 

@@ -9,11 +9,7 @@ import numpy as np
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import check_physical
 from cellwise.cell.plausibility.notice import RANGE_V, Notice, in_order
-from cellwise.cell.plausibility.simulated import (
-    LARGE_ERROR_V,
-    error_notices,
-    soc_notices,
-)
+from cellwise.cell.plausibility.simulated import error_notices, soc_notices
 from cellwise.cell.simulate import Simulation, simulate
 from cellwise.errors import InputError
 from cellwise.identify.assemble import own_model
@@ -26,6 +22,7 @@ from cellwise.typing import BoolArray, FloatArray
 CLEAR_GAP_V = 0.02  # between a side of a test and the model: hysteresis and resistance of others
 FEWEST_ROWS = 5
 SAME_CAPACITY = 0.005  # counters of one tester differ by so much
+NO_MODEL_V = 0.2  # a voltage this far off says no SOC: a cell's goes over 0.5 to 1.5 V
 BROUGHT_BACK = 0.95  # of what a discharge took: less is not one cycle
 
 
@@ -78,7 +75,7 @@ def check_serves(rmse_V: float, found: Sequence[Notice]) -> None:
     ------
     InputError        an error of hundreds of millivolts on its own logs, and a contradiction
     """
-    if found and rmse_V >= LARGE_ERROR_V:
+    if found and rmse_V >= NO_MODEL_V:
         raise InputError(
             f"tests that give a model {1e3 * rmse_V:.0f} mV off its own logs; {in_order(found)[0]}",
             "logs of one cell, in one scale",
@@ -90,7 +87,7 @@ def own_log_notices(own: Sequence[OwnLog]) -> list[Notice]:
     """Where the finished model is far from the logs that made it."""
     found = []
     for s in (o.simulation for o in own if o.used):
-        found += soc_notices(s.log, s.soc) + error_notices(s.log, s.error_V, s.soc)
+        found += soc_notices(s.log, s.soc) + error_notices(s.model, s.log, s.error_V, s.soc)
     return found
 
 

@@ -154,9 +154,12 @@ def _evidence(
     except InputError:
         rests = []
     found = [(r.charge_Ah, r.final_V, ERRORS.ocv_V + 0.5 * abs(r.remaining_V)) for r in rests]
-    first = int(np.flatnonzero(finite)[0])
-    if abs(current[first]) < REST_SHARE * capacity_Ah:
-        found.append((float(charge[first]), float(log.voltage_V[first]), 2 * ERRORS.ocv_V))
+    loaded = np.abs(current) >= REST_SHARE * capacity_Ah
+    resting = finite[: int(np.argmax(loaded)) if loaded.any() else len(log)]
+    last = int(np.flatnonzero(resting)[-1]) if resting.any() else 0
+    # One row without current is no rest: a car at a light has come from a load. A rest lasts.
+    if log.time_s[last] > log.time_s[0]:
+        found.append((float(charge[last]), float(log.voltage_V[last]), 2 * ERRORS.ocv_V))
     if found:
         q, v, e = np.array(found).T
         return q, v, e, f"{len(found)} rest(s) on the OCV"

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise.cell.initial_soc.best_start import best_start_soc
+from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.simulate import simulate
 from cellwise.cell.stock.catalogue import named_model, stock_model
 from cellwise.estimate.replay import replay
@@ -77,11 +77,10 @@ def leaf(real_data):
 
 def test_a_month_of_driving_holds_for_the_other_months(leaf, real_data):
     (low, high), *_ = leaf.model.provenance["prior"]["seen"]["soc"]
-    grid = np.linspace(0.02, 0.98, 97)
     errors = {month: [] for month in MONTHS}
     for month in MONTHS:
         for log in leaf_drives(real_data, month):
-            soc0, _ = best_start_soc(leaf.model, log, grid)
+            soc0 = initial_soc(leaf.model, log, whole_log=True).soc
             found = simulate(leaf.model, log, soc0)
             inside = (found.soc >= low) & (found.soc <= high)
             errors[month].append(found.error_V[inside])

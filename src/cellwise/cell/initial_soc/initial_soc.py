@@ -6,9 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellwise.cell.initial_soc.best_start import best_start_of, rows_to_fit
-from cellwise.cell.initial_soc.rest import RELAXED_S, REST_RATE, SHORT_REST_V, soc_of_ocv
-from cellwise.cell.initial_soc.whole_log import likeliest_soc, past_voltage
+from cellwise.cell.initial_soc.likeliest import COARSE, Past, likeliest_soc, past_voltage
+from cellwise.cell.initial_soc.rest import (
+    RELAXED_S,
+    REST_RATE,
+    SHORT_REST_V,
+    ln_likelihood_of_ocv,
+    soc_of_ocv,
+)
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import check_soc0, known_temperature_C, model_temperature_C
 from cellwise.logs.cell_log import CellLog
@@ -18,7 +23,7 @@ from cellwise.typing import FloatArray
 FIT_S = 60.0
 BEGINNING = 2048  # rows that are looked at before all of a log is
 STATED_STD = 0.005  # a start that is known: full and empty of two tests differ by about this
-# By how much a used cell's resistance differs from its model's; aged or cold ones by more.
+# By how much a used cell's resistance differs from its model's: a minute cannot show it.
 UNKNOWN_RESISTANCE = 0.3
 SURE_STD = 0.02  # a start known better than this needs no more than the beginning
 MOST_ROWS = 400_000  # of a longer log the beginning is enough
@@ -79,10 +84,17 @@ def initial_soc(
     rest_s = float(log.time_s[last] - log.time_s[0])
     # One row without current is no rest: a car at a light has come from a load. A rest lasts.
     if measured.size and (rest_s > 0.0 or rest_end == len(log)):
-        unfinished = SHORT_REST_V * np.exp(-rest_s / RELAXED_S)
-        found = _from_rest(model, log, last, rest_s, unfinished)
-        flat = whole_log and found.std > SURE_STD
-        return _from_whole_log(model, log, found, (0.0, unfinished)) if flat else found
+        warm = float(known_temperature_C(model, log)[last])
+        unfinished = SHORT_REST_V * float(np.exp(-rest_s / RELAXED_S))
+        rested_V = float(log.voltage_V[last])
+        soc, std = soc_of_ocv(model, rested_V, unfinished, warm)
+        how = f"rest of {rest_s:.0f} s at the start, {rested_V:.4f} V"
+        found = InitialSoc(soc, max(std, 0.005), how)
+        if not whole_log or found.std <= SURE_STD:
+            return found
+        coarse = np.linspace(0.0, 1.0, COARSE)
+        by_rest = ln_likelihood_of_ocv(model, coarse, rested_V, unfinished, warm)
+        return _from_whole_log(model, log, found, Past(0.0, unfinished), by_rest)
     found = _from_first_minute(model, log, current)
     return _from_whole_log(model, log, found, past_voltage(model, log)) if whole_log else found
 
@@ -105,13 +117,6 @@ def _current_and_rest(model: CellModel, log: CellLog) -> tuple[FloatArray, int]:
     return current, len(log) if resting.all() else int(np.argmin(resting))
 
 
-def _from_rest(model: CellModel, log: CellLog, row: int, rest_s: float, std_V: float) -> InitialSoc:
-    temperature = known_temperature_C(model, log)[row]
-    soc, std = soc_of_ocv(model, float(log.voltage_V[row]), std_V, float(temperature))
-    how = f"rest of {rest_s:.0f} s at the start, {log.voltage_V[row]:.4f} V"
-    return InitialSoc(soc, max(std, 0.005), how)
-
-
 def _from_first_minute(model: CellModel, log: CellLog, current: FloatArray) -> InitialSoc:
     known = np.isfinite(log.voltage_V[:1]).all()
     first = 0 if known else int(np.argmax(np.isfinite(log.voltage_V)))
@@ -126,27 +131,22 @@ def _from_first_minute(model: CellModel, log: CellLog, current: FloatArray) -> I
         else log.temperature_C[:rows],
         None if log.charge_Ah is None else log.charge_Ah[:rows],
     )
-    rows_of_head = rows_to_fit(model, head)
-    best, _ = best_start_of(model, rows_of_head, np.linspace(0.0, 1.0, 101))
-    near = np.linspace(max(0.0, best - 0.01), min(1.0, best + 0.01), 41)
-    best, rms = best_start_of(model, rows_of_head, near)
-    # The cell did not begin at rest here, so its past is in the voltage; and what the fit takes
-    # for a low SOC may be a high resistance: say so in the spread.
-    temperature = float(rows_of_head.temperature_C[0])
-    ocv = float(np.interp(best, model.soc, model.ocv_at(temperature)))
-    dropped = ocv - float(np.nanmean(head.voltage_V))
-    std_V = float(np.sqrt(SHORT_REST_V**2 + rms**2 + (UNKNOWN_RESISTANCE * dropped) ** 2))
-    _, std = soc_of_ocv(model, ocv, std_V, temperature)
-    return InitialSoc(best, max(std, 0.01), f"fit of the first {head.duration_s:.0f} s under load")
+    past = past_voltage(model, head)
+    soc, std = likeliest_soc(model, head, past, other_resistance=UNKNOWN_RESISTANCE)
+    return InitialSoc(soc, max(std, 0.01), f"fit of the first {head.duration_s:.0f} s under load")
 
 
 def _from_whole_log(
-    model: CellModel, log: CellLog, beginning: InitialSoc, past_V: tuple[float, float]
+    model: CellModel,
+    log: CellLog,
+    beginning: InitialSoc,
+    past: Past,
+    by_rest: FloatArray | None = None,
 ) -> InitialSoc:
     # After a pause that nobody counted another start may hold.
     log = log.part(0, min((len(log), MOST_ROWS, *uncounted_pauses(log))))
     if np.count_nonzero(np.isfinite(log.voltage_V)) < 2:
         return beginning
-    soc, std = likeliest_soc(model, log, past_V, beginning.soc)
+    soc, std = likeliest_soc(model, log, past, by_rest)
     how = f"fit of the whole log, {log.duration_s / 3600.0:.2f} h"
     return InitialSoc(soc, max(std, STATED_STD), how, beginning)

@@ -8,6 +8,7 @@ import numpy as np
 
 from cellwise.cell.effects import Hysteresis
 from cellwise.cell.model import CellModel
+from cellwise.typing import FloatArray
 
 REST_RATE = 0.01  # below C/100 a cell counts as resting
 SHORT_REST_V = 0.010  # what may be left of an unknown past when the rest seen is short
@@ -22,17 +23,33 @@ def soc_of_ocv(
 
     On a flat OCV every SOC within ``std_V`` is as good: the mean and the spread of all of them.
     """
-    soc, table = EVERY_SOC, model.ocv_at(temperature_C)
-    gap = np.abs(model.effect_at(Hysteresis, temperature_C).m_V)
+    soc = EVERY_SOC
+    likely = ln_likelihood_of_ocv(model, soc, voltage_V, std_V, temperature_C)
+    weight = np.exp(likely - likely.max())
+    weight /= weight.sum()
+    mean = float((soc * weight).sum())
+    std = math.sqrt(float(((soc - mean) ** 2 * weight).sum()))
+    ocv = np.interp(soc, model.soc, model.ocv_at(temperature_C))
+    best = float(soc[int(np.argmin(np.abs(ocv - voltage_V)))])
+    return (best, std) if abs(best - mean) < std else (mean, std)
+
+
+def ln_likelihood_of_ocv(
+    model: CellModel, soc: FloatArray, voltage_V: float, std_V: float, temperature_C: float
+) -> FloatArray:
+    """Ln likelihood of every SOC, given the voltage of a rested cell.
+
+    Parameters
+    ----------
+    soc : (n,) float
+    std_V : float       of what is left of the past; the model's own error is added [V]
+    """
+    table = model.ocv_at(temperature_C)
+    gap = np.broadcast_to(np.abs(model.effect_at(Hysteresis, temperature_C).m_V), (1, table.size))
     ocv = np.interp(soc, model.soc, table)
     known = np.hypot(std_V, model.slow_error_V(soc, temperature_C))
-    spread = np.hypot(known, np.interp(soc, model.soc, np.broadcast_to(gap, (1, table.size))[0]))
+    spread = np.hypot(known, np.interp(soc, model.soc, gap[0]))
     # Beyond the table's ends the nearest end is the answer, not an unlikely one.
-    target = min(max(voltage_V, float(ocv[0])), float(ocv[-1]))
+    target = min(max(voltage_V, float(table[0])), float(table[-1]))
     # A density: where the model claims little, a voltage says little for the SOC, too.
-    weight = np.exp(-0.5 * ((ocv - target) / spread) ** 2) / spread
-    total = weight.sum()
-    mean = float((soc * weight).sum() / total)
-    std = math.sqrt(float(((soc - mean) ** 2 * weight).sum() / total))
-    best = float(soc[int(np.argmin(np.abs(ocv - target)))])
-    return (best, std) if abs(best - mean) < std else (mean, std)
+    return np.asarray(-0.5 * ((ocv - target) / spread) ** 2 - np.log(spread))

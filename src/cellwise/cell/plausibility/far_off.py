@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cellwise.cell.plausibility.notice import Notice
+from cellwise.cell.stated_error import stated_error_V
 from cellwise.logs.checks.grave import is_grave
 from cellwise.logs.measured_log import MeasuredLog
 from cellwise.typing import FloatArray
@@ -38,16 +39,10 @@ def times_stated(
     rows = rows[:: max(rows.size // MOST_ROWS, 1)]
     if rows.size == 0:
         return 0.0, 0.0
-    measured = log.temperature_C
-    known = measured is not None and bool(np.any(np.isfinite(measured)))
-    warm = float(np.nanmedian(measured)) if known else None  # type: ignore[arg-type]
-    at, error = np.clip(soc[rows], 0.0, 1.0), np.abs(error_V[rows])
-    ocv = model.ocv_at(float(model.temperature_C[0]) if warm is None else warm)
-    drop = np.interp(at, model.soc, ocv) - (log.voltage_V - error_V)[rows]
-    own = model.error
-    share = np.where(drop >= 0.0, own.whole_share(1.0), own.whole_share(-1.0))
-    stated = np.sqrt(model.slow_error_V(at, warm) ** 2 + own.white_V**2 + (share * drop) ** 2)
-    return float(np.median(error / np.maximum(stated, 1e-6))), float(np.median(error))
+    stated_V = stated_error_V(model, log, soc, log.voltage_V - error_V)[rows]
+    error = np.abs(error_V[rows])
+    times = float(np.median(error / np.maximum(stated_V, 1e-6)))
+    return times, float(np.median(error))
 
 
 def far_off_text(

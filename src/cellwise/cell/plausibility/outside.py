@@ -4,16 +4,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cellwise.cell.effects import Entropy, TemperatureDependence
 from cellwise.cell.plausibility.notice import Notice
 from cellwise.cell.plausibility.validity import Validity
 from cellwise.logs.measured_log import MeasuredLog
 from cellwise.typing import FloatArray
 
+if TYPE_CHECKING:
+    from cellwise.cell.model import CellModel
+
+WARMED = (TemperatureDependence, Entropy)  # effects that follow the temperature
 LEAST_ROWS = 3  # fewer are a sensor's spikes
 LEAST_SHARE = 1e-3
+ASSUMED_V = 0.01  # about what ten kelvin do at 1C: only the order of notices
 OUTSIDE_V = 100.0  # above every voltage of a cell, below what makes all figures meaningless
 
 
@@ -38,6 +45,22 @@ def outside_notices(validity: Validity, log: MeasuredLog, soc: FloatArray) -> li
     # and current out of their ranges, and is then the cause: only a temperature stands by itself.
     by_itself = "degC" in text
     return [Notice(math.inf if by_itself else OUTSIDE_V, text)]
+
+
+def assumed_temperature_notices(
+    model: CellModel, log: MeasuredLog, assumed_C: float
+) -> list[Notice]:
+    """That nobody measured the temperature on which the model depends, and what is assumed."""
+    measured = log.temperature_C
+    if measured is not None and bool(np.any(np.isfinite(measured))):
+        return []
+    if model.temperature_C.size == 1 and not any(isinstance(e, WARMED) for e in model.effects):
+        return []
+    text = (
+        f"no temperature was measured in '{log.name or 'the log'}': {assumed_C:.0f} degC is "
+        "assumed (LOG@10 states another)"
+    )
+    return [Notice(ASSUMED_V, text)]
 
 
 def outside_moment(

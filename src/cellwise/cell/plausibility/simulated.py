@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cellwise.cell.metrics import band_metrics, error_metrics
-from cellwise.cell.plausibility.far_off import OTHER
+from cellwise.cell.plausibility.far_off import FAR_OFF, OTHER
 from cellwise.cell.plausibility.notice import RANGE_V, Notice
+from cellwise.cell.stated_error import stated_error_V
 from cellwise.logs.measured_log import MeasuredLog
 from cellwise.typing import FloatArray
+
+if TYPE_CHECKING:
+    from cellwise.cell.model import CellModel
 
 # No cell holds this much more than another of its kind.
 MUCH_CHARGE = 1.15
 SHOWN_SOC = 5e-4  # what shows in three digits
-LARGE_RMSE_V = 0.1
-LARGE_ERROR_V = 0.2
 NEAR_EMPTY = 0.1
+LEAST_V = 1e-4  # no voltage is known better
 MANY_REJECTED = 0.1
 
 
@@ -55,8 +59,10 @@ def soc_notices(log: MeasuredLog, soc: FloatArray) -> list[Notice]:
     ]
 
 
-def error_notices(log: MeasuredLog, error_V: FloatArray, soc: FloatArray) -> list[Notice]:
-    """An error of hundreds of millivolts, with where it is largest.
+def error_notices(
+    model: CellModel | None, log: MeasuredLog, error_V: FloatArray, soc: FloatArray
+) -> list[Notice]:
+    """An error beyond what the model states of itself, overall or at some SOC: where it is largest.
 
     Parameters
     ----------
@@ -64,10 +70,12 @@ def error_notices(log: MeasuredLog, error_V: FloatArray, soc: FloatArray) -> lis
     soc : (n,) float
     """
     all_rows = error_metrics(error_V)
-    if all_rows.samples == 0:
+    if model is None or all_rows.samples == 0:
         return []
-    worst = max(b.metrics.rmse_V for b in band_metrics(error_V, soc))
-    if all_rows.max_error_V < LARGE_ERROR_V and worst < LARGE_RMSE_V:
+    stated_V = stated_error_V(model, log, soc, log.voltage_V - error_V)
+    of_stated = error_V / np.maximum(stated_V, LEAST_V)
+    everywhere = error_metrics(of_stated).rmse_V > FAR_OFF
+    if not everywhere and max(b.metrics.rmse_V for b in band_metrics(of_stated, soc)) <= FAR_OFF:
         return []
     row = int(np.nanargmax(np.abs(error_V)))
     at = round(float(soc[row]), 3) + 0.0  # no minus before zero
@@ -76,7 +84,7 @@ def error_notices(log: MeasuredLog, error_V: FloatArray, soc: FloatArray) -> lis
         f"{1e3 * all_rows.rmse_V:.0f} mV), most at SOC {at:.3f} after "
         f"{(log.time_s[row] - log.time_s[0]) / 3600.0:.2f} h"
     )
-    if all_rows.rmse_V >= LARGE_RMSE_V:
+    if everywhere:
         text += f": {OTHER} than the model's, or another initial SOC?"
     elif at < NEAR_EMPTY:
         text += ": near empty, where the OCV is steep and the resistance high"

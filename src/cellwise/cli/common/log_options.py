@@ -14,6 +14,7 @@ from cellwise.data import datasets_folder, list_datasets
 from cellwise.errors import InputError, MachineError
 from cellwise.logs import CellLog, Stated, read_log
 from cellwise.logs.files.source import ReadOptions
+from cellwise.logs.measured_log import cut_at_pauses
 from cellwise.logs.places import logs_of
 
 if TYPE_CHECKING:
@@ -114,6 +115,16 @@ def read_all(paths: Sequence[str], arguments: argparse.Namespace) -> tuple[CellL
     InputError        as :func:`read`
     """
     return tuple(log for log, _ in read_each(paths, lambda one: read(one, arguments)))
+
+
+def read_cut(paths: Sequence[str], arguments: argparse.Namespace) -> tuple[CellLog, ...]:
+    """The same, cut where minutes passed that nobody counted: what lies behind is its own log.
+
+    Raises
+    ------
+    InputError        as :func:`read`
+    """
+    return tuple(one for log in read_all(paths, arguments) for one in cut_at_pauses(log))
 
 
 def read_each(paths: Sequence[str], read_one: Callable[[Stated], Log]) -> list[tuple[Log, Stated]]:

@@ -8,8 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.initial_soc.best_start import best_start_soc
-from cellwise.cell.initial_soc.initial_soc import STATED_STD
+from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import RANGE_V, Notice
 from cellwise.cell.simulate import start_hysteresis
@@ -34,7 +33,6 @@ from cellwise.identify.soc_anchor import SocAnchor, full_before
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
-STARTS = 51  # initial SOCs that are tried before the fit
 UNKNOWN_STD = 0.5  # of an initial SOC: the OCV and its correction have to find it in the voltages
 # Shares of the SOC range below which the rest is no extrapolation, but a guess: by drives, and by a
 # test at constant current.
@@ -125,7 +123,7 @@ def fit_prior(
         notices.append(f"'{item.log.name}' begins at SOC {soc0:.3f} +- {std:.3f} ({how})")
         starts.append(Start(item.log, float(soc0), item.compare))
     for log, why in silent:
-        soc0, _ = best_start_soc(found.model, log, np.linspace(0.0, 1.0, STARTS))
+        soc0 = initial_soc(found.model, log, whole_log=True).soc
         starts.append(Start(log, soc0, None, why))
         notices.append(f"'{log.name}' is left out: {why}")
     fitted = found.model.capacity_Ah
@@ -231,11 +229,10 @@ def _prepared(tests: TestLogs, prior: CellModel) -> list[PriorLog]:
 
 def _started(log: CellLog, prior: CellModel) -> PriorLog:
     """A log with its initial SOC by the prior's OCV: never taken for full because it is a test."""
+    found = initial_soc(prior, log, whole_log=True)
     if log.soc0 is not None:
-        return PriorLog(log, log.soc0, STATED_STD, h0=start_hysteresis(log.soc0))
-    # On a plateau the first minute says nothing, the whole log may.
-    soc0, _ = best_start_soc(prior, log, np.linspace(0.0, 1.0, STARTS))
-    return PriorLog(log, soc0, UNKNOWN_STD)
+        return PriorLog(log, found.soc, found.std, h0=start_hysteresis(found.soc))
+    return PriorLog(log, found.soc, UNKNOWN_STD)
 
 
 class Choice(NamedTuple):

@@ -30,20 +30,23 @@ SHORT_OF_ALL = 0.02  # of the SOC range: a gap at an end that is no worth a word
 class Seen:
     """SOC, temperature and current over which the data were compared.
 
-    ``soc`` and ``unseen_soc`` are stretches (lowest, highest); the others one range each.
+    ``soc`` and ``unseen_soc`` are stretches (lowest, highest); the others one range each;
+    ``temperature_C`` is None where nobody measured one, and ``assumed_C`` what was taken.
     """
 
     soc: tuple[tuple[float, float], ...]
     unseen_soc: tuple[tuple[float, float], ...]
-    temperature_C: tuple[float, float]
+    temperature_C: tuple[float, float] | None
     current_A: tuple[float, float]
+    assumed_C: float | None
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON values."""
         return {
             "seen": {
                 "soc": [list(s) for s in self.soc],
-                "temperature_C": list(self.temperature_C),
+                "temperature_C": self.temperature_C and list(self.temperature_C),
+                "assumed_temperature_C": self.assumed_C,
                 "current_A": list(self.current_A),
             },
             "from_prior": {"soc": [list(s) for s in self.unseen_soc]},
@@ -52,19 +55,24 @@ class Seen:
 
 def seen_by(logs: Sequence[PriorLog], found: Update) -> Seen:
     """Where the compared rows of the logs lie, by the SOC that was found."""
-    soc, temperature, current = [], [], []
+    soc, current = [], []
+    measured: list[FloatArray] = []
+    assumed: list[FloatArray] = []
     for item, start, rows in zip(logs, found.soc0, found.rows, strict=True):
         soc.append(_soc(item, float(start), found.model)[rows])
-        temperature.append(known_temperature_C(found.model, item.log)[rows])
+        warm = known_temperature_C(found.model, item.log)[rows]
+        by_sensor = item.log.temperature_C is not None
+        (measured if by_sensor else assumed).append(warm)
         current.append(item.log.known_current_A()[rows])
     counts, edges = np.histogram(np.clip(np.concatenate(soc), 0.0, 1.0), BINS, (0.0, 1.0))
-    warm = np.percentile(np.concatenate(temperature), [1.0, 99.0])
+    low, high = np.percentile(np.concatenate(measured), [1.0, 99.0]) if measured else (0.0, 0.0)
     flowing = np.concatenate(current)
     return Seen(
         soc=_stretches(counts > 0, edges),
         unseen_soc=tuple(s for s in _stretches(counts == 0, edges) if s[1] - s[0] > SHORT_OF_ALL),
-        temperature_C=(round(float(warm[0]), 1), round(float(warm[1]), 1)),
+        temperature_C=(round(float(low), 1), round(float(high), 1)) if measured else None,
         current_A=(float(f"{flowing.min():.4g}"), float(f"{flowing.max():.4g}")),
+        assumed_C=float(np.median(np.concatenate(assumed))) if assumed else None,
     )
 
 
@@ -100,6 +108,14 @@ def notices_of(seen: Seen, name: str, prior: CellModel) -> list[str]:
             f"the data show nothing at SOC {listed}: there the model is the prior {name}, "
             "with its spread as error"
         )
+    if seen.assumed_C is not None:
+        some = "of some logs " if seen.temperature_C else ""
+        found.append(
+            f"no temperature {some}was measured: {seen.assumed_C:.0f} degC is assumed "
+            "(LOG@10 states another)"
+        )
+    if seen.temperature_C is None:
+        return found
     low, high = seen.temperature_C
     cold, warm = float(prior.temperature_C[0]), float(prior.temperature_C[-1])
     beyond = [f"down to {cold:.0f} degC"] if cold < low - SAME_TEMPERATURE_K else []

@@ -1,0 +1,183 @@
+"""The likeliest SOC at the first row: the rows simulated from every start, and weighed together."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from cellwise.cell.compiled import announce, for_kernel, inline, rows
+from cellwise.cell.effects import Hysteresis, SlowDiffusion
+from cellwise.cell.equations import (
+    CellState,
+    CellTables,
+    advance,
+    at_rest,
+    seen_current,
+    voltage_of,
+)
+from cellwise.cell.initial_soc.rest import RELAXED_S, REST_RATE, SHORT_REST_V
+from cellwise.cell.model import CellModel
+from cellwise.cell.simulate import known_temperature_C, simulate, start_hysteresis
+from cellwise.cell.stated_error import stated_error_V
+from cellwise.logs.cell_log import CellLog
+from cellwise.typing import FloatArray
+
+
+class Starts(NamedTuple):
+    """SOC and hysteresis state of rested starts, shape (m,) each."""
+
+    soc: FloatArray
+    h: FloatArray
+
+
+class WeighedRows(NamedTuple):
+    """Rows of a log, (n,) each, as `simulate_rows` takes them; a voltage may be NaN.
+
+    The weights sum to one over the voltages; ``past`` is what share of an unknown past remains.
+    """
+
+    interval_s: FloatArray
+    current_A: FloatArray
+    temperature_C: FloatArray
+    voltage_V: FloatArray
+    weight: FloatArray
+    past: FloatArray
+
+
+class StartSums(NamedTuple):
+    """Of every start, (m,): means over the rows, and how far SOC left 0..1.
+
+    Means of the squared error, and of the error times what remains of the past.
+    """
+
+    squares_V2: FloatArray
+    products_V: FloatArray
+    beyond: FloatArray
+
+
+class Past(NamedTuple):
+    """What the slow states may hold at the first row: mean and standard deviation [V]."""
+
+    mean_V: float
+    std_V: float
+
+
+PAST_S = 600.0  # load that an unknown past is taken to be like [s]
+BEYOND = 0.01  # how far a counter may run beyond full or empty
+COARSE, FINE = 51, 41  # starts tried over 0..1, then around the likeliest
+NORMAL = np.linspace(-3.0, 3.0, 25)  # of an unknown past, in deviations
+
+
+@inline
+def rested(starts: Starts, k: int) -> CellState:
+    """One of the starts as a state."""
+    return at_rest(starts.soc[k], starts.h[k])
+
+
+@rows
+def sum_errors(tables: CellTables, starts: Starts, log: WeighedRows, sums: StartSums) -> None:
+    """Weighed sums of the voltage error from every rested start, added to ``sums``."""
+    for k in range(starts.soc.size):
+        state = rested(starts, k)
+        previous = log.current_A[0]
+        for i in range(log.interval_s.size):
+            seen = seen_current(tables.cell, log.current_A[i], previous, log.interval_s[i])
+            previous = log.current_A[i]
+            state, point = advance(tables, state, seen, log.interval_s[i], log.temperature_C[i])
+            sums.beyond[k] = max(sums.beyond[k], state.soc - 1.0, -state.soc)
+            error = log.voltage_V[i] - voltage_of(point, state, seen)
+            if error == error:  # not NaN
+                sums.squares_V2[k] += log.weight[i] * error * error
+                sums.products_V[k] += log.weight[i] * error * log.past[i]
+
+
+def likeliest_soc(
+    model: CellModel,
+    log: CellLog,
+    past: Past,
+    before: FloatArray | None = None,
+    *,
+    other_resistance: float = 0.0,
+) -> tuple[float, float]:
+    """The likeliest initial SOC of a log with at least two voltages, and its standard deviation.
+
+    A minute is one independent error, a log over the whole SOC range two, since one OCV and one
+    resistance are wrong everywhere. Its size is what the model states of itself along the log, and
+    what the best fit leaves. A row counts by the charge that it moves, an hour of rest as one at
+    C/100. What an unknown past left in the slow states is a voltage that fades, integrated over its
+    normal distribution.
+
+    Parameters
+    ----------
+    before : (COARSE,) float or None      ln likelihood of an even grid of starts by what is known
+                                          besides: the OCV of a rest
+    other_resistance : float              share by which the cell's resistance may differ, where
+                                          the log is too short to show it
+    """
+    coarse = np.linspace(0.0, 1.0, COARSE)
+    known = np.zeros(COARSE) if before is None else before
+    rows_ = _weighed(model, log)
+
+    def ln_likelihood(soc0: FloatArray) -> FloatArray:
+        own = _ln_likelihood(model, log, rows_, soc0, past, other_resistance)
+        return own + np.interp(soc0, coarse, known)
+
+    best = float(coarse[np.argmax(ln_likelihood(coarse))])
+    step = 1.0 / (COARSE - 1)
+    soc = np.union1d(coarse, np.linspace(max(0.0, best - step), min(1.0, best + step), FINE))
+    likely = ln_likelihood(soc)
+    weight = np.exp(likely - likely.max()) * np.gradient(soc)
+    likeliest = float(soc[np.argmax(likely)])
+    return likeliest, math.sqrt(float(np.average((soc - likeliest) ** 2, weights=weight)))
+
+
+def _weighed(model: CellModel, log: CellLog) -> WeighedRows:
+    current = log.known_current_A()
+    voltage = for_kernel(log.voltage_V)
+    weight = (np.abs(current) / model.capacity_Ah + REST_RATE) * log.interval_s
+    # The first row has no interval, and is all that a log of one moment has.
+    weight = np.where(np.isfinite(voltage), weight + REST_RATE, 0.0)
+    past = np.exp(-(log.time_s - log.time_s[0]) / RELAXED_S)
+    warm = known_temperature_C(model, log)
+    return WeighedRows(log.interval_s, current, warm, voltage, weight / weight.sum(), past)
+
+
+def _ln_likelihood(
+    model: CellModel,
+    log: CellLog,
+    rows_: WeighedRows,
+    soc0: FloatArray,
+    past: Past,
+    other_resistance: float,
+) -> FloatArray:
+    squares, products, beyond = (np.zeros(soc0.size) for _ in range(3))
+    announce(sum_errors, "the initial SOC")
+    starts = Starts(soc0, np.array([start_hysteresis(s) for s in soc0]))
+    sum_errors(model.parameters(), starts, rows_, StartSums(squares, products, beyond))
+    gap_V = float(np.max(np.abs(np.asarray(model.effect(Hysteresis).m_V))))
+    shift = past.mean_V + NORMAL[:, None] * math.hypot(past.std_V, gap_V)
+    left = float(np.sum(rows_.weight * rows_.past**2))
+    size_V2 = np.maximum(squares - 2.0 * shift * products + shift**2 * left, 0.0)
+    unlikely = NORMAL[:, None] ** 2 + (beyond / BEYOND) ** 2
+    least = np.unravel_index(np.argmin(size_V2 + size_V2.min() * unlikely), size_V2.shape)
+    nearest = simulate(model, log, float(soc0[least[1]]))
+    stated_V = stated_error_V(
+        model, log, nearest.soc, nearest.voltage_V, other_resistance=other_resistance
+    )
+    variance = float(size_V2[least]) + float(np.sum(rows_.weight * stated_V**2))
+    errors = (1.0 + min(float(np.ptp(nearest.soc)), 1.0)) * size_V2 / variance
+    return np.asarray(np.logaddexp.reduce(-0.5 * (errors + unlikely), axis=0))
+
+
+def past_voltage(model: CellModel, log: CellLog) -> Past:
+    """What the slow states may hold of a past that was like the first minutes of the log.
+
+    Between nothing (the load has just begun) and all of it: the middle, and half of the range.
+    """
+    cell = model.at_temperature(float(known_temperature_C(model, log)[0]))
+    slow_ohm = float(np.median(np.asarray(cell.effect(SlowDiffusion).r3_ohm)))
+    early = log.time_s <= log.time_s[0] + PAST_S
+    full_V = -slow_ohm * float(np.mean(log.known_current_A()[early]))
+    return Past(0.5 * full_V, math.hypot(SHORT_REST_V, 0.5 * full_V))
