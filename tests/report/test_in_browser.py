@@ -159,7 +159,8 @@ def test_a_page_fits_a_phone_and_what_is_wider_is_shaded_at_its_edge(pages, tmp_
             smallest[kind] = await browser.value(
                 "Math.min(...[...document.querySelectorAll('figure svg text')]"
                 ".filter(e => e.getBoundingClientRect().height)"
-                ".map(e => parseFloat(getComputedStyle(e).fontSize) * e.getScreenCTM().a))"
+                ".map(e => [parseFloat(getComputedStyle(e).fontSize), e.getScreenCTM()])"
+                ".map(([size, m]) => size * Math.hypot(m.a, m.b)))"  # however it is turned
             )
         return widths, unshaded, smallest
 

@@ -96,7 +96,7 @@ def _bars(
         if g["share"] >= 0.005:
             text = f"{100 * g['share']:.0f} %"
             style.note(axes, text, (k, sizes[k]), (0, 2), ha="center", va="bottom")
-    axes.set_xticks(place, [name(g) for g in groups], fontsize=7)
+    axes.set_xticks(place, [name(g) for g in groups], fontsize=7.5)
     if len(groups) > 5:
         axes.tick_params(axis="x", rotation=60)
     style.labels(axes, label, "error [mV]")

@@ -18,7 +18,6 @@ from cellwise.cell.effects import (
     TemperatureDependence,
     TimeSkew,
 )
-from cellwise.cell.plausibility.validity import Validity
 from cellwise.identify.identification import Identification, OwnLog
 from cellwise.report.page.jumps import clock_of
 from cellwise.report.page.markup import Markup, details, escape, finite, record_table, table
@@ -179,9 +178,7 @@ ROLES = {"hppc": "HPPC", "ocv": "low rate", "capacity": "capacity", "drive": "dr
 def scope_content(identification: Identification) -> Markup:
     """Tables of every log given, of the effects that were tried, and of the validity."""
     return Markup(
-        _own_logs(identification.own_logs)
-        + _effects(identification)
-        + _validity(identification.model.validity)
+        _own_logs(identification.own_logs) + _effects(identification) + _validity(identification)
     )
 
 
@@ -214,12 +211,16 @@ def _effects(identification: Identification) -> Markup:
     )
 
 
-def _validity(validity: Validity) -> Markup:
+def _validity(identification: Identification) -> Markup:
+    validity = identification.model.validity
     rows: list[tuple[str, str]] = []
     if validity.soc is not None:
         rows.append(("SOC", " to ".join(percent(v) for v in validity.soc)))
     if validity.temperature_C is not None:
-        rows.append(("temperature", " to ".join(celsius(v) for v in validity.temperature_C)))
+        logs = [one.log for one in identification.simulations]
+        measured = not logs or any(log.temperature_C is not None for log in logs)
+        range_C = " to ".join(celsius(v) for v in validity.temperature_C)
+        rows.append(("temperature", range_C if measured else f"{range_C}, taken: none measured"))
     if validity.current_A is not None:
         rows.append(("current", " to ".join(significant(v) for v in validity.current_A) + " A"))
     if not rows:

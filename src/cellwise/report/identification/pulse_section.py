@@ -40,6 +40,12 @@ def pulse_soc(found: PulseSet, capacity_Ah: float) -> FloatArray:
     return np.asarray(found.anchor.soc - charge[starts] / capacity_Ah, dtype=np.float64)
 
 
+def _warm(found: PulseSet, temperature_C: float) -> str:
+    """The temperature of a log, and that it is taken where nobody measured or stated one."""
+    known = found.log.temperature_C is not None
+    return celsius(temperature_C) if known else f"{celsius(temperature_C)} (taken, not measured)"
+
+
 def judged(found: PulseSet) -> list[Pulse]:
     """The pulses that count in the summary: the short ones, or the moves where there are none."""
     return [p for p in found.pulses if p.role == "pulse"] or list(found.pulses)
@@ -56,7 +62,7 @@ def pulse_content(identification: Identification) -> Markup:
     counts = record_table(
         pulse_sets(identification),
         ("log", lambda one: one[1].log.name or "HPPC"),
-        ("temperature", lambda one: celsius(one[0])),
+        ("temperature", lambda one: _warm(one[1], one[0])),
         ("pulses", lambda one: len(judged(one[1]))),
         *(
             (q, lambda one, q=q: sum(p.quality == q for p in judged(one[1])))
@@ -140,7 +146,7 @@ def _draw_set(axes: style.Axes, found: PulseSet, temperature_C: float, capacity_
             label = f"{quality} ({int(mine.sum())})"
             axes.plot(soc[mine], current[mine], marker, label=label, **looks)
     name = found.log.name or "HPPC"
-    style.finding(axes, f"{name}, {celsius(temperature_C)}: {verdict_counts(counted)}")
+    style.finding(axes, f"{name}, {_warm(found, temperature_C)}: {verdict_counts(counted)}")
     style.labels(axes, "SOC [%]", "current [A], + discharge")
     axes.margins(y=0.15)
     style.side_legend(axes)

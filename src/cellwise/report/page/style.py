@@ -188,7 +188,7 @@ def note(
     axes: Axes, text: str, at: Any, offset: tuple[float, float] = (0, 5), **looks: Any
 ) -> None:
     """A small text beside a point of the data, so many points away from it."""
-    drawn: dict[str, Any] = {"fontsize": 7, "color": MUTED} | looks
+    drawn: dict[str, Any] = {"fontsize": 7.5, "color": MUTED} | looks
     axes.annotate(text, at, offset, textcoords="offset points", **drawn)
 
 
