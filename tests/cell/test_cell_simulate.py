@@ -9,7 +9,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from cellwise.cell.effects import SlowDiffusion, TemperatureDependence
+from cellwise.cell.plausibility.validity import Validity
 from cellwise.cell.simulate import model_temperature_C, simulate
+from cellwise.cell.stock.catalogue import named_model, stock_names
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 from example_cells import EFFECTS, curved_cell, linear_cell, random_log, random_model
@@ -186,9 +188,13 @@ def test_temperature_nobody_measured_is_the_models():
     assert model_temperature_C(linear_cell(temperature_C=np.array([10.0]))) == 10.0
     many = random_model(np.random.default_rng(8), effects=False)
     many = replace(many, temperature_C=np.array([-10.0, 23.0, 45.0]))
-    assert model_temperature_C(many) == 23.0
+    assert model_temperature_C(many) == 25.0
+    cold = replace(many, temperature_C=np.array([-20.0, -10.0, 0.0]))
+    assert model_temperature_C(cold) == 0.0
     arrhenius = linear_cell(effects=(TemperatureDependence(2000.0, 40.0),))
-    assert model_temperature_C(arrhenius) == 40.0
+    assert model_temperature_C(arrhenius) == 25.0
+    warm = replace(arrhenius, validity=Validity(temperature_C=(30.0, 50.0)))
+    assert model_temperature_C(warm) == 30.0
 
 
 def test_figures_are_json_values():
@@ -204,3 +210,9 @@ def test_figures_are_json_values():
     assert figures["rmse_V"] == pytest.approx(np.sqrt(np.mean(error**2)))
     high = simulate(curved_cell(), log, 0.9)
     assert high.rmse_above_10pct_V == pytest.approx(high.metrics.rmse_V)
+
+
+@pytest.mark.parametrize("name", stock_names())
+def test_a_stock_model_is_at_room_temperature_where_nobody_measured(name):
+    """Its tables hold where its own tests were made, 9 degC for a LiPo with twice the resistance."""
+    assert model_temperature_C(named_model(name)) == 25.0

@@ -216,12 +216,14 @@ def known_temperature_C(model: CellModel, log: CellLog) -> FloatArray:
     return np.array(measured)  # a copy: kernels are compiled for one kind of array
 
 
+USUAL_C = 25.0  # where tests are made, and rooms are
+
+
 def model_temperature_C(model: CellModel) -> float:
-    """Where the model is taken to be when nobody measured: the table nearest to 25 degC."""
+    """Where a cell is taken to be when nobody measured: 25 degC, or where its data come nearest."""
     from cellwise.cell.effects import TemperatureDependence
 
-    if model.temperature_C.size > 1:
-        return float(model.temperature_C[np.argmin(np.abs(model.temperature_C - 25.0))])
-    if any(isinstance(e, TemperatureDependence) for e in model.effects):
-        return float(model.effect(TemperatureDependence).reference_C)
-    return float(model.temperature_C[0])
+    low, high = float(model.temperature_C[0]), float(model.temperature_C[-1])
+    if low == high and any(isinstance(e, TemperatureDependence) for e in model.effects):
+        low, high = model.validity.temperature_C or (USUAL_C, USUAL_C)
+    return min(max(USUAL_C, low), high)
