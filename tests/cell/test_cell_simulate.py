@@ -214,5 +214,5 @@ def test_figures_are_json_values():
 
 @pytest.mark.parametrize("name", stock_names())
 def test_a_stock_model_is_at_room_temperature_where_nobody_measured(name):
-    """Its tables hold where its own tests were made, 9 degC for a LiPo with twice the resistance."""
+    """Tables hold where tests were made, at 9 degC for a LiPo with twice the resistance."""
     assert model_temperature_C(named_model(name)) == 25.0

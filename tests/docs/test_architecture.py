@@ -20,6 +20,7 @@ MAY_IMPORT = {
     "files": {"errors"},
     "arguments": {"errors", "typing"},
     "progress": set(),
+    "first_use": BASE | {"cell", "logs", "estimate", "forecast", "diagnose", "data"},
     "threads": set(),
     "plotting": {"errors", "typing"},
     "logs": BASE,
@@ -39,7 +40,9 @@ MAY_IMPORT = {
     "datasets": BASE | {"logs", "data"},
     "live": BASE | {"logs", "cell", "estimate", "forecast"},
     "fleet": BASE | {"logs", "cell", "estimate", "diagnose", "pack", "history"},
-    "cli": BASE | TOOLS | {"export", "report", "benchmark", "studies", "live", "fleet", "datasets"},
+    "cli": BASE
+    | TOOLS
+    | {"export", "report", "benchmark", "studies", "live", "fleet", "datasets", "first_use"},
 }
 MODULES = sorted(path for path in PACKAGE.rglob("*.py") if path.parent != PACKAGE) + sorted(
     PACKAGE / f"{name}.py" for name in (*BASE, "data")

@@ -159,6 +159,14 @@ def test_numbers_of_one_topic_each(port, listener):
     client, _ = listener
     options = ReadOptions(series=4, channels={"current_A": "amps"})
     source = open_source(f"mqtt://me@127.0.0.1:{port}/bms/+", options)
+
+    def subscribed():
+        client.publish("bms/mode", "0", qos=1).wait_for_publish(5)
+        return not source._came.empty()
+
+    within(5, subscribed)
+    while next(iter(source)) is not None:
+        pass  # until nothing comes any more
     for name, value in (("amps", "2.5"), ("voltage_V", "16.0"), ("mode", "3"), ("voltage_V", "on")):
         client.publish(f"bms/{name}", value, qos=1).wait_for_publish(5)
     sample, other, garbage = taken(source, 3)

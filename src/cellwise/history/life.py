@@ -128,7 +128,7 @@ class Life:
         """The test that would make the trend known, where it is not."""
         std = float(self.trend.std[-1])
         if std <= REFERENCE_STD and any(one.counted for one in self.logs):
-            return f"none: what is left of the new cell's capacity is known to {100 * std:.1f} %"
+            return f"none: the share of the new cell's capacity is known to {100 * std:.1f} %"
         load = next((one for one in self.logs if one.counted), None)
         as_before = f", as '{load.log.name}'" if load is not None else ""
         return (
@@ -151,7 +151,7 @@ class Life:
                 f"'{first.log.name}' counts {first.capacity_Ah:.4g} Ah at its load, by which the "
                 f"others are compared; the capacity to use is of the whole SOC range: the "
                 f"model's {self.model.capacity_Ah:.4g} +- {2 * self.model.capacity_std_Ah:.2g} Ah "
-                "of the new cell, and what is left of it"
+                "of the new cell, times the share that remains"
             )
         if temperatures and max(temperatures) - min(temperatures) > 10.0:
             found.append(

@@ -9,7 +9,7 @@ import numpy as np
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import check_physical
 from cellwise.cell.plausibility.notice import RANGE_V, Notice, in_order
-from cellwise.cell.plausibility.simulated import error_notices, soc_notices
+from cellwise.cell.plausibility.simulated import NO_MODEL_V, error_notices, soc_notices
 from cellwise.cell.simulate import Simulation, simulate
 from cellwise.errors import InputError
 from cellwise.identify.assemble import own_model
@@ -22,7 +22,6 @@ from cellwise.typing import BoolArray, FloatArray
 CLEAR_GAP_V = 0.02  # between a side of a test and the model: hysteresis and resistance of others
 FEWEST_ROWS = 5
 SAME_CAPACITY = 0.005  # counters of one tester differ by so much
-NO_MODEL_V = 0.2  # a voltage this far off says no SOC: a cell's goes over 0.5 to 1.5 V
 BROUGHT_BACK = 0.95  # of what a discharge took: less is not one cycle
 
 

@@ -116,7 +116,7 @@ def fleet_page(rows: Rows, path: str | Path) -> Path:
         sortable=True,
     )
     note = "Those with a log that failed come first, then by the voltage error of their worst log; "
-    note += "a click on a column's head sorts by it. Health is estimated by --estimator adaptive."
+    note += "a click on a column's head sorts by it. Health is that of the adaptive filter."
     if len(shown) < len(cells):
         note += f" The {len(shown)} worst are shown; the parquet beside this page holds all logs."
     facts = [

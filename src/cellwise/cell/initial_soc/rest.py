@@ -42,7 +42,7 @@ def ln_likelihood_of_ocv(
     Parameters
     ----------
     soc : (n,) float
-    std_V : float       of what is left of the past; the model's own error is added [V]
+    std_V : float       of what remains of the past; the model's own error is added [V]
     """
     table = model.ocv_at(temperature_C)
     gap = np.broadcast_to(np.abs(model.effect_at(Hysteresis, temperature_C).m_V), (1, table.size))

@@ -22,6 +22,7 @@ MUCH_CHARGE = 1.15
 SHOWN_SOC = 5e-4  # what shows in three digits
 NEAR_EMPTY = 0.1
 LEAST_V = 1e-4  # no voltage is known better
+NO_MODEL_V = 0.2  # a voltage this far off says no SOC: a cell's goes over 0.5 to 1.5 V
 MANY_REJECTED = 0.1
 
 
@@ -64,6 +65,9 @@ def error_notices(
 ) -> list[Notice]:
     """An error beyond what the model states of itself, overall or at some SOC: where it is largest.
 
+    A model of logs that contradict each other states a large error, so one of `NO_MODEL_V` is said
+    whatever is stated.
+
     Parameters
     ----------
     error_V : (n,) float      measured minus model, NaN where nothing was measured
@@ -75,7 +79,8 @@ def error_notices(
     stated_V = stated_error_V(model, log, soc, log.voltage_V - error_V)
     of_stated = error_V / np.maximum(stated_V, LEAST_V)
     everywhere = error_metrics(of_stated).rmse_V > FAR_OFF
-    if not everywhere and max(b.metrics.rmse_V for b in band_metrics(of_stated, soc)) <= FAR_OFF:
+    somewhere = max(b.metrics.rmse_V for b in band_metrics(of_stated, soc)) > FAR_OFF
+    if not (everywhere or somewhere or all_rows.max_error_V >= NO_MODEL_V):
         return []
     row = int(np.nanargmax(np.abs(error_V)))
     at = round(float(soc[row]), 3) + 0.0  # no minus before zero

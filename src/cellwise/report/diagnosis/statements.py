@@ -135,7 +135,7 @@ def weights(diagnosis: Diagnosis) -> list[tuple[str, str]]:
 
 
 def within(text: str) -> str:
-    """A sentence inside another: without its capital, unless it is an abbreviation."""
+    """A statement inside another: without its capital, unless it is an abbreviation."""
     first = text.split(" ", 1)[0]
     return text if len(first) > 1 and first.isupper() else f"{text[:1].lower()}{text[1:]}"
 

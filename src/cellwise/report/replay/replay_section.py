@@ -344,7 +344,7 @@ EXPLAINED = (
 
 WITHOUT_REFERENCE = (
     "This log has no reference SOC, so the estimate's own error is not known. Where the log holds "
-    "the tester's counter, state the true SOC at its start (--reference-soc0): error, time to "
+    "the tester's counter, state the true SOC at its start (`reference_soc0`): error, time to "
     "converge and coverage stand here then. NIS: mean squared innovation over what the model "
     "states, by time scale; 1 where its statement is right."
 )
