@@ -188,14 +188,12 @@ def gather_logs(
 
 
 def keep_own_capacity(groups: Sequence[Group], driven: bool) -> bool:
-    """Whether capacity tests keep their own: where others hold the scale and the tables.
+    """Whether capacity tests keep their own: a low-rate test holds the scale, drives what is new.
 
-    The scale of SOC is that of a low-rate test, and pulses or drives show what a load does.
     A cell loses some per cent from one test to the next. On the scale of the others that bends the
     tables near empty, where a per cent is a tenth of a volt.
     """
-    others = driven or any(g.tests.hppc for g in groups)
-    return others and any(g.tests.ocv for g in groups)
+    return driven and any(g.tests.ocv for g in groups)
 
 
 def _candidates(
