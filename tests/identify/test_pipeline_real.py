@@ -92,13 +92,15 @@ def test_the_aged_cells_capacity_test_beside_tests_of_the_new_one(real_data, tmp
     model = tmp_path / "model.json"
     files = {"hppc": "hppc_p25", "ocv": "ocv_c20_p25", "capacity": "cap_1c_p25_end_1"}
     given = [a for k, n in files.items() for a in (f"--{k}", str(folder / f"{n}.csv.gz"))]
+    for name in ("cycle_2", "cycle_3"):
+        given += ["--drive", str(folder / f"drive_p25_{name}.csv.gz")]
     assert main(["identify", *given, "--nominal-ah", "2.9", "-o", str(model), "--json"]) == 0
     said = next(n for n in json.loads(capsys.readouterr().out)["notices"] if "cap_1c" in n)
     held = float(re.search(r"([+-][0-9.]+) % of the others", said).group(1))
     assert held == pytest.approx(100.0 * (2.434 / 2.798 - 1.0), abs=2.0)
     drives = [folder / f"drive_p25_{name}.csv.gz" for name in JUDGED]
     errors = [drive_error_V(read_model(model), read_log(f)) for f in drives]
-    assert np.mean(errors) < 0.025
+    assert np.mean(errors) < 0.020  # 0.035 while it bent the tables
 
 
 @pytest.mark.parametrize("name", JUDGED)
