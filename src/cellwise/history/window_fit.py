@@ -114,7 +114,11 @@ def fit_window(model: CellModel, log: CellLog) -> WindowFit | None:
             break
     covariance = np.asarray(np.linalg.inv(found.jac.T @ found.jac), dtype=np.float64)
     aged = simulate(changed_model(model, x[1], x[2]), log, float(np.clip(x[0], 0.0, 1.0)))
-    return _result(model, aged, x, covariance, rows)
+    far_off = aged.far_off
+    # An error that is alike everywhere costs this fit little: far off is what the model itself is.
+    if far_off is not None:
+        far_off = simulate(model, log, float(centre[0])).far_off
+    return _result(model, aged, x, covariance, rows, far_off)
 
 
 def changed_model(model: CellModel, ln_capacity: float, ln_resistance: float) -> CellModel:
@@ -171,6 +175,7 @@ def _result(
     x: FloatArray,
     covariance: FloatArray,
     rows: IndexArray,
+    far_off: str | None,
 ) -> WindowFit:
     seen = aged.soc
     covered = float(np.ptp(np.clip(seen[rows], 0.0, 1.0)))
@@ -187,7 +192,7 @@ def _result(
         soc_start=float(x[0]),
         soc_end=float(np.clip(seen[-1], 0.0, 1.0)),
         covered=covered,
-        far_off=aged.far_off,
+        far_off=far_off,
     )
 
 
