@@ -293,10 +293,13 @@ def test_the_model_of_the_user_stays_when_the_folder_cannot_be_written(bench, re
 
 
 @pytest.mark.slow
-def test_what_only_repeats_its_prior_comes_last(real_data, run_json, capsys):
-    """A measured drive in the cold, as it lies there: few of thirteen numbers are found by it."""
-    drive = str(real_data / "panasonic_18650pf" / "drive_p00_us06.csv.gz")
-    asked = ("diagnose", "--model", "nca-18650", drive, "--soc0", "1", "--cause")
+def test_what_only_repeats_its_prior_comes_last(real_data, run_json, capsys, tmp_path):
+    """A drive at 0 degC by tests at 25 degC: it finds few of the law's thirteen numbers."""
+    folder, model = real_data / "panasonic_18650pf", str(tmp_path / "warm.json")
+    tests = ("--hppc", str(folder / "hppc_p25.csv.gz"), "--ocv", str(folder / "ocv_c20_p25.csv.gz"))
+    run_json("identify", *tests, "--nominal-ah", "2.9", "-o", model)
+    drive = str(folder / "drive_p00_us06.csv.gz")
+    asked = ("diagnose", "--model", model, drive, "--soc0", "1", "--cause")
     (cause,) = run_json(*asked, "temperature_dependence")["causes"]
     folded = cause["prior_only"]
     assert 0 < len(folded) < len(cause["parameters"])
