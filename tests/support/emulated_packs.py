@@ -52,6 +52,7 @@ def emulated_pack(
     moved = np.random.default_rng(seed + 1000).normal(0.0, 1.0, cells) * balanced
     current = drive_current(rows, model.capacity_Ah, seed) * min(3.0 / hours, 1.0)
     time = np.arange(rows, dtype=np.float64)
+    warm = np.full(rows, model.temperature_C[-1])
     volts = np.empty((rows, cells))
     for k in range(cells):
         hurt = fault if fault is not None and fault.cell == k else Fault()
@@ -61,11 +62,11 @@ def emulated_pack(
             capacity_Ah=model.capacity_Ah * (1.0 + spread[k, 0] + hurt.capacity),
             r0_ohm=one * model.r0_ohm, r1_ohm=one * model.r1_ohm, r2_ohm=one * model.r2_ohm,
         )  # fmt: skip
-        log = CellLog(time, current + hurt.leak_A, np.full(rows, 3.7))
+        log = CellLog(time, current + hurt.leak_A, np.full(rows, 3.7), temperature_C=warm)
         start = soc0 + spread[k, 2] + moved[k] + hurt.soc
         volts[:, k] = simulate(cell, log, start).voltage_V + spread[k, 3] + hurt.offset_V
         if hurt.delay_s:
             volts[:, k] = np.interp(time - hurt.delay_s, time, volts[:, k])
     volts += rng.normal(0.0, noise_V, volts.shape)
     volts = np.round(volts, 3)
-    return model, PackLog.from_arrays(time, current, volts, name=name)
+    return model, PackLog.from_arrays(time, current, volts, temperature_C=warm, name=name)

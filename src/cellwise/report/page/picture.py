@@ -219,10 +219,12 @@ def _for_page(svg: str, key: str, title: str) -> str:
     body = svg[svg.index("<svg") :].rstrip()
     # Its style would hold for the whole page, which has the same in its own.
     body = re.sub(r"<defs>\s*<style.*?</style>\s*</defs>", "", body, count=1, flags=re.DOTALL)
-    # Unused ids go, the others take the figure's name.
-    used = set(re.findall(r'(?:url\(#|href="#)([^")]+)', body))
-    body = re.sub(r' id="([^"]+)"', lambda m: f' id="{key}-{m[1]}"' if m[1] in used else "", body)
-    body = re.sub(r'(url\(#|href="#)', rf"\g<1>{key}-", body)
+    # Unused ids go, the others take the figure's name and a number: matplotlib's are made of
+    # unrounded positions, whose last bits differ from one drawing to the next.
+    used = dict.fromkeys(re.findall(r'(?:url\(#|href="#)([^")]+)', body))
+    names = {old: f"{key}-{k}" for k, old in enumerate(used)}
+    body = re.sub(r' id="([^"]+)"', lambda m: f' id="{names[m[1]]}"' if m[1] in names else "", body)
+    body = re.sub(r'(url\(#|href="#)([^")]+)', lambda m: m[1] + names[m[2]], body)
     for colour, variable in VARIABLES.items():
         body = body.replace(colour, f"var({variable})")
     opening, rest = body.split(">", 1)
