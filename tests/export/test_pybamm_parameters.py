@@ -78,7 +78,7 @@ def drive(capacity_Ah, warm_C, rows=250):
         ("effects", "py", 7.0),
         ("effects", "json", 25.0),
         ("nmc-18650", "py", -7.3),  # one temperature and activation energies
-        ("nmc-18650", "json", 9.0),
+        ("nmc-18650", "json", 25.0),
         ("nca-18650", "py", 4.2),  # between rows of a temperature axis, OCV too
     ],
 )
