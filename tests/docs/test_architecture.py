@@ -36,7 +36,7 @@ MAY_IMPORT = {
     "export": BASE | TOOLS,
     "studies": BASE | TOOLS,
     "report": BASE | TOOLS | {"studies"},
-    "benchmark": BASE | TOOLS | {"report", "export"},
+    "benchmark": BASE | TOOLS | {"report", "export", "fleet"},
     "datasets": BASE | {"logs", "data"},
     "live": BASE | {"logs", "cell", "estimate", "forecast"},
     "fleet": BASE | {"logs", "cell", "estimate", "diagnose", "pack", "history"},

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellwise.cli.common import options, page_options, printing
+from cellwise.cli.common import log_options, options, page_options, printing
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
@@ -62,6 +62,18 @@ def _add_certify(commands: options.Commands[argparse.ArgumentParser]) -> None:
     text = "what the target's sensors are off by, as TOML [as vehicles have them]"
     certify.add_argument("--sensor", metavar="F.toml", help=text)
     options.count(certify, "--seed", "N", "of all that is drawn [1]", default=1)
+    text = "cells of porous electrodes beside, 20 h each [one for 20, where PyBaMM is installed]"
+    options.count(certify, "--physics", "N", text)
+    text = "a measured log of this cell, run as it is and with faults; LOG@soc0=X states its start"
+    options.several(certify, "--log", "LOG", text)
+    log_options.add_log_options(certify)
+    text = "of the sample that was logged, below its SOC [the model's]"
+    options.number(certify, "--reference-capacity-ah", "X", text)
+    options.count(
+        certify, "--keep-logs", "N", "write what the filter saw of the N worst [0]", default=0
+    )
+    text = "local (threads), processes, or a Dask scheduler's address [local]"
+    certify.add_argument("--scheduler", default="local", metavar="S", help=text)
     options.number(certify, "--most-rmse", "X", "limit of the SOC error, RMS (0.03: three points)")
     options.number(certify, "--most-p95", "X", "limit of the SOC error in 95 %% of the time")
     options.number(certify, "--most-worst", "X", "limit of the worst SOC error")
@@ -159,7 +171,13 @@ def print_benchmark(found: BenchmarkResult) -> None:
 
 def run_certify(arguments: argparse.Namespace) -> None:
     """Run the exported C over cells that vary and age; exit 1 beyond a stated limit."""
-    from cellwise.benchmark.certify import Limits, certify, read_export, read_sensor
+    from cellwise.benchmark.certify import (
+        Limits,
+        certify,
+        measured_log,
+        read_export,
+        read_sensor,
+    )
     from cellwise.cell.model_file import read_model
     from cellwise.files import write_atomically
     from cellwise.report.certificate_page import certificate_page
@@ -170,6 +188,10 @@ def run_certify(arguments: argparse.Namespace) -> None:
     sensor = None if arguments.sensor is None else read_sensor(arguments.sensor)
     model = None if arguments.model is None else read_model(arguments.model)
     exported = read_export(arguments.export, model)
+    measured = [
+        measured_log(exported.model, log, log.soc0, arguments.reference_capacity_ah)
+        for log in log_options.read_all(arguments.log, arguments)
+    ]
     with printing.working("cells") as follow:
         found = certify(
             exported,
@@ -178,7 +200,11 @@ def run_certify(arguments: argparse.Namespace) -> None:
             sensor=sensor,
             seed=arguments.seed,
             limits=limits,
+            physics=arguments.physics,
+            measured=measured,
+            scheduler=arguments.scheduler,
             folder=arguments.output,
+            keep_logs=arguments.keep_logs,
             follow=lambda done, of: follow(f"cell {done} of {of}", done, of),
         )
     data = found.to_dict()
@@ -198,24 +224,27 @@ def run_certify(arguments: argparse.Namespace) -> None:
 
 def print_certificate(found: Certificate, data: dict[str, Any], folder: str | None) -> None:
     """The certificate for people: whole, by what, verdict."""
+    from cellwise.report.certificate_page import SOURCES
+
     percent = printing.percent
     printing.say(repr(found))
     printing.say(
         f"{percent(data['discharges_within_3_points'], 1)} % of {data['discharges']} discharges "
         "end within three points of SOC"
     )
-    for name, groups in data["by"].items():
+    sources = {SOURCES[name]: found for name, found in data["sources"].items()}
+    groups = {"source": sources, **{f"by {name}": own for name, own in data["by"].items() if own}}
+    for name, own in groups.items():
         printing.record_table(
-            f"by {name}",
-            list(groups.items()),
-            (name, lambda g: g[0]),
+            name,
+            list(own.items()),
+            (name.removeprefix("by "), lambda g: g[0]),
             ("cells", lambda g: str(g[1]["cells"])),
             ("RMSE %", lambda g: percent(g[1]["rmse"])),
             ("95 % of the time below %", lambda g: percent(g[1]["p95"], 1)),
             ("worst %", lambda g: percent(g[1]["worst"], 1)),
             ("within two deviations %", lambda g: percent(g[1]["coverage"], 0)),
         )
-    printing.say("The cells are the exported model, varied and aged: none is measured or physics.")
     if data["verdict"]["limits"]:
         beyond = data["verdict"]["beyond"]
         printing.say("BEYOND: " + "; ".join(beyond) if beyond else "within every stated limit")

@@ -12,10 +12,9 @@ from contextlib import contextmanager
 from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from cellwise.errors import InputError, MachineError
-from cellwise.fleet.tasks import LogTask
 from cellwise.threads import usable_cores
 
 LOCAL, PROCESSES = "local", "processes"
@@ -36,6 +35,16 @@ QUIET = {
 PATIENT = {"distributed.deploy.lost-worker-timeout": "1 day"}
 
 Rows = list[dict[str, Any]]
+
+
+class Task(Protocol):
+    """What is done with one name: a log, a cell."""
+
+    def rows(self, folder: str, names: Sequence[str], /) -> Rows:
+        """A row for each name."""
+
+    def failed_row(self, folder: Path, name: str, reason: str, /) -> dict[str, Any]:
+        """What stands for one that has cost several workers their life."""
 
 
 def _distributed() -> Any:
@@ -137,7 +146,7 @@ def connected(scheduler: str, workers: int | None) -> Iterator[Any]:
 
 
 def rows_of(
-    client: Any, task: LogTask, folder: Path, names: Sequence[str], batch: int
+    client: Any, task: Task, folder: Path, names: Sequence[str], batch: int
 ) -> Iterator[Rows]:
     """Rows of all logs, batch by batch as they are finished.
 
@@ -227,12 +236,12 @@ class _Threads:
 
 
 @lru_cache(maxsize=2)
-def _unpacked(task: bytes) -> LogTask:
+def _unpacked(task: bytes) -> Task:
     """The task, once for all batches of a process."""
-    found: LogTask = pickle.loads(task)
+    found: Task = pickle.loads(task)
     return found
 
 
-def _rows(task: LogTask | bytes, folder: str, names: Sequence[str]) -> Rows:
+def _rows(task: Task | bytes, folder: str, names: Sequence[str]) -> Rows:
     known = _unpacked(task) if isinstance(task, bytes) else task
     return known.rows(folder, names)

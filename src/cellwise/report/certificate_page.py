@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,11 @@ from cellwise.report.page.markup import Markup, bullets, record_table, tiles
 from cellwise.report.page.picture import FigureFiles, pictured
 from cellwise.report.page.section import Section, write_page
 
+SOURCES = {
+    "model": "virtual cells",
+    "physics": "cells of porous electrodes",
+    "measured": "runs of measured logs",
+}
 SHOWN = 20  # worst cases on the page; all that are named stand in its data
 
 
@@ -35,8 +40,11 @@ def certificate_page(
     InputError        matplotlib is missing; the path cannot be written
     """
     error, by = data["soc_error"], data["by"]
+    sources = {SOURCES[name]: one for name, one in data["sources"].items()}
+    tables = map(_table, _shown(by).items())
     sections = [
-        Section("groups", "Where the error is", (group_picture(data), *map(_table, by.items()))),
+        Section("sources", "By what made the cells", (_table(("source", sources)),)),
+        Section("groups", "Where the error is", (group_picture(data), *tables)),
         Section("worst", "The worst cells", (_worst(data),)),
         Section("made", "What the fleet is", (_made(data),)),
     ]
@@ -63,12 +71,22 @@ def certificate_page(
 def finding(data: Mapping[str, Any]) -> str:
     """The first line: the verdict where limits are stated, else the error."""
     verdict, error = data["verdict"], data["soc_error"]
-    fleet = f"{data['cells']} virtual cells of {data['hours']:g} h"
+    fleet = fleet_text(data["sources"], data["settings"])
     if verdict["within"] is False:
         return f"Beyond its limits on {fleet}: {'; '.join(verdict['beyond'])}"
     if verdict["within"]:
         return f"Within its limits on {fleet}: SOC error {_percent(error['rmse'], 2)} RMS"
     return f"SOC error {_percent(error['rmse'], 2)} RMS on {fleet}"
+
+
+def fleet_text(sources: Mapping[str, Mapping[str, float]], settings: Mapping[str, Any]) -> str:
+    """How many cells of which source lived how long."""
+    hours = {"model": settings["hours"], "physics": settings["physics_hours"]}
+    parts = []
+    for source, found in sources.items():
+        each = f" x {hours[source]:g} h" if source in hours else ""
+        parts.append(f"{found['cells']:.0f} {SOURCES[source]}{each}")
+    return ", ".join(parts)
 
 
 @pictured(
@@ -78,7 +96,7 @@ def finding(data: Mapping[str, Any]) -> str:
 )
 def group_picture(data: Mapping[str, Any]) -> style.Figure:
     """RMS and 95 % error of every group, one panel for age, temperature and fault."""
-    by = data["by"]
+    by = _shown(data["by"])
     rows = sum(len(groups) for groups in by.values())
     figure = style.new_figure(0.9 + 0.27 * rows)
     panels = figure.subplots(
@@ -91,6 +109,11 @@ def group_picture(data: Mapping[str, Any]) -> style.Figure:
         axes.set_title(f"by {name}", loc="left")
     style.labels(panels[-1], "SOC error [points]")
     return figure
+
+
+def _shown(by: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
+    """Groups that have members: of measured logs alone no age is known."""
+    return {name: groups for name, groups in by.items() if groups}
 
 
 def _table(group: tuple[str, Mapping[str, Mapping[str, float]]]) -> Markup:
@@ -109,15 +132,15 @@ def _table(group: tuple[str, Mapping[str, Mapping[str, float]]]) -> Markup:
 def _worst(data: Mapping[str, Any]) -> Markup:
     return record_table(
         data["worst"][:SHOWN],
-        ("cell", lambda r: r["cell"]),
+        ("cell", lambda r: r["name"]),
         ("fault", lambda r: r["fault"]),
-        ("age", lambda r: f"{r['age']:.2f}"),
+        ("age", lambda r: "-" if r["age"] is None else f"{r['age']:.2f}"),
         ("degC", lambda r: f"{r['temperature_C']:.0f}"),
         ("RMSE", lambda r: _percent(r["rmse"], 1)),
         ("worst", lambda r: _percent(r["worst"], 1)),
         ("at hour", lambda r: f"{r['worst_h']:.1f}"),
         caption="The same seed and number make the same cell again.",
-        text_columns=(1,),
+        text_columns=(0, 1),
     )
 
 
@@ -127,9 +150,11 @@ def _made(data: Mapping[str, Any]) -> Markup:
     cost = ", ".join(f"{core} {n:,.0f}" for core, n in data["instructions"].items())
     return bullets(
         (
-            "Every cell is the exported model, varied and aged: capacity, each resistance, OCV, "
-            "hysteresis, temperature law. None is measured and none is a physics model, so what "
-            "the equivalent circuit itself gets wrong is here only as large as the model says.",
+            "Virtual cells are the exported model, varied and aged: capacity, each resistance, "
+            "OCV, hysteresis, temperature law. What the equivalent circuit itself gets wrong is in "
+            "them only as large as the model says.",
+            _physics_text(data),
+            _measured_text(settings["measured"]),
             "At age 1 a cell has about 80 % of its capacity and twice its resistance.",
             "Every second cell has a fault beside what its sensors are off by.",
             "The filter starts 15 points off (one standard deviation), and its first hour is not "
@@ -139,6 +164,26 @@ def _made(data: Mapping[str, Any]) -> Markup:
             f"{settings['model_sha256'][:16]}.",
             f"Instructions of a step: {cost or 'not counted, no cross compiler at the export'}.",
         )
+    )
+
+
+def _physics_text(data: Mapping[str, Any]) -> str:
+    if "physics" not in data["sources"]:
+        return "No cell is a physics model: PyBaMM was not asked for, or is not installed."
+    return (
+        "Cells of porous electrodes (PyBaMM's SPMe, kinetics and transport of Chen2020) have the "
+        "OCV, the capacity and the pulses of such a cell, after one second and ten minutes at half "
+        "charge; how they answer to everything else is physics. They have no hysteresis."
+    )
+
+
+def _measured_text(logs: Sequence[Sequence[Any]]) -> str:
+    if not logs:
+        return "No measured log is among them."
+    named = ", ".join(f"{name} (from {soc0:.2f}, {ah:.3g} Ah)" for name, soc0, ah in logs)
+    return (
+        f"Measured logs, each as it is and with every fault: {named}. Their SOC is counted from "
+        "the stated or shown start over the stated capacity."
     )
 
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise.benchmark.certify import Limits, Sensor, certify, read_export, read_sensor
+from cellwise.benchmark.certify import Limits, Sensor, certify, lives, read_export, read_sensor
 from cellwise.benchmark.certify import run as certify_run
 from cellwise.benchmark.certify.virtual_cells import Spread, aged, draw_cell
 from cellwise.cli import main
@@ -85,9 +85,9 @@ def test_a_run_goes_on_where_it_stopped(folder, tmp_path, capsys, monkeypatch):
     rows = place / "cells.jsonl"
     rows.write_text(rows.read_text() + '{"cell": 2, "ag')  # cut off in a line
     done = []
-    real = certify_run.run_cell
+    real = certify_run.run_life
     monkeypatch.setattr(
-        certify_run, "run_cell", lambda e, k, *rest: done.append(k) or real(e, k, *rest)
+        certify_run, "run_life", lambda e, life: done.append(life.cell) or real(e, life)
     )
     _, rest, _ = run(capsys, folder, *SHORT, "-o", place)
     assert sorted(done) == [2, 3]
@@ -105,13 +105,13 @@ def test_a_perfect_cell_and_sensor_leave_little(folder, monkeypatch):
     """The fleet adds no error of its own: the model's own cell is followed closely."""
     exported = read_export(folder)
     with monkeypatch.context() as patch:
-        patch.setattr(certify_run, "draw_cell", _own_cell)
+        patch.setattr(lives, "draw_cell", _own_cell)
         error = certify(exported, 2, 30.0, sensor=PERFECT).to_dict()["soc_error"]
     assert error["rmse"] < 0.01
 
 
-def _own_cell(model, index, seed, hours, dt_s, sensor):
-    spread = replace(SAME, faded=0.0)
+def _own_cell(model, index, seed, hours, dt_s, sensor, _):
+    spread = SAME
     certain = replace(model, error=model.error.scaled(0.0))
     cell = draw_cell(certain, 2 * index, seed, hours, dt_s, sensor, spread)
     assert cell.truth.capacity_Ah == pytest.approx(model.capacity_Ah)

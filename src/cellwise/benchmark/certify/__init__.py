@@ -2,7 +2,18 @@
 
 from cellwise.benchmark.certify.certificate import Certificate, Limits
 from cellwise.benchmark.certify.exported import Exported, read_export
+from cellwise.benchmark.certify.lives import MeasuredLog, measured_log
 from cellwise.benchmark.certify.run import certify
 from cellwise.benchmark.certify.virtual_cells import Sensor, read_sensor
 
-__all__ = ["Certificate", "Exported", "Limits", "Sensor", "certify", "read_export", "read_sensor"]
+__all__ = [
+    "Certificate",
+    "Exported",
+    "Limits",
+    "MeasuredLog",
+    "Sensor",
+    "certify",
+    "measured_log",
+    "read_export",
+    "read_sensor",
+]

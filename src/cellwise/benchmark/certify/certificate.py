@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from cellwise.errors import InputError
+from cellwise.report.certificate_page import SOURCES, fleet_text
 
 Row = Mapping[str, Any]
 
@@ -69,22 +70,33 @@ class Certificate:
     limits: Limits
 
     @property
+    def worst(self) -> list[dict[str, Any]]:
+        """Rows of the lives with the largest errors, the largest first."""
+        return sorted(self.rows, key=lambda r: -r["worst"])[:WORST]
+
+    @property
     def beyond(self) -> list[str]:
-        """Limits that are not kept, in words."""
-        found = figures_of(self.rows)
+        """Limits that are not kept, in words; each source of cells has to keep them."""
         said = []
-        for name, limit in asdict(self.limits).items():
-            value = found[name]
-            if limit is not None and (value < limit if name == "coverage" else value > limit):
-                said.append(f"{name} {100.0 * value:.2f} %, limit {100.0 * limit:g} %")
+        for source, found in self.sources.items():
+            for name, limit in asdict(self.limits).items():
+                value = found[name]
+                if limit is not None and (value < limit if name == "coverage" else value > limit):
+                    where = f" ({SOURCES[source]})" if len(self.sources) > 1 else ""
+                    said.append(f"{name} {100.0 * value:.2f} %{where}, limit {100.0 * limit:g} %")
         return said
+
+    @property
+    def sources(self) -> dict[str, dict[str, float]]:
+        """Figures of each source of cells."""
+        return grouped(self.rows, lambda r: str(r["source"]))
 
     def to_dict(self) -> dict[str, Any]:
         """JSON values, as the contract of `cellwise certify` names them."""
         whole = figures_of(self.rows)
         stated = {k: v for k, v in asdict(self.limits).items() if v is not None}
-        worst = sorted(self.rows, key=lambda r: -r["worst"])[:WORST]
         targets = self.description.get("targets") or []
+        aged = [r for r in self.rows if r["age"] is not None]
         return {
             "cells": len(self.rows),
             "hours": self.settings["hours"],
@@ -93,12 +105,12 @@ class Certificate:
             "discharges_within_3_points": whole["ends_near"],
             "discharges": whole["ends"],
             "by": {
-                "age": grouped(sorted(self.rows, key=lambda r: r["age"]), _age),
+                "age": grouped(sorted(aged, key=lambda r: float(r["age"])), _age),
                 "temperature": grouped(sorted(self.rows, key=_temperature), _climate),
-                "fault": grouped(self.rows, lambda r: str(r["fault"])),
+                "fault": grouped(sorted(self.rows, key=_temperature), lambda r: str(r["fault"])),
             },
-            "worst": [_case(row) for row in worst],
-            "sources": grouped(self.rows, lambda r: str(r["source"])),
+            "worst": [_case(row) for row in self.worst],
+            "sources": self.sources,
             "instructions": {t["core"]: t["instructions_mean"] for t in targets},
             "verdict": {
                 "within": None if not stated else not self.beyond,
@@ -111,20 +123,10 @@ class Certificate:
     def __repr__(self) -> str:
         whole = figures_of(self.rows)
         return (
-            f"Certificate({len(self.rows)} cells x {self.settings['hours']:g} h: SOC error "
+            f"Certificate({fleet_text(self.sources, self.settings)}: SOC error "
             f"{100 * whole['rmse']:.2f} % RMS, {100 * whole['p95']:.2f} % in 95 % of the time, "
             f"{100 * whole['coverage']:.0f} % within two deviations)"
         )
-
-
-def certificate_of(
-    rows: Sequence[dict[str, Any]],
-    settings: dict[str, Any],
-    description: dict[str, Any],
-    limits: Limits,
-) -> Certificate:
-    """The certificate of finished cells."""
-    return Certificate(list(rows), settings, description, limits)
 
 
 def figures_of(rows: Sequence[Row]) -> dict[str, float]:
@@ -146,7 +148,7 @@ def figures_of(rows: Sequence[Row]) -> dict[str, float]:
 def grouped(rows: Iterable[Row], key: Callable[[Row], str]) -> dict[str, dict[str, float]]:
     """Figures of the cells that share a key, in the order of the keys' first cell."""
     groups: dict[str, list[Row]] = {}
-    for row in sorted(rows, key=lambda r: r["age"] if key is _age else r["temperature_C"]):
+    for row in rows:
         groups.setdefault(key(row), []).append(row)
     return {name: {"cells": len(own), **figures_of(own)} for name, own in groups.items()}
 
@@ -169,5 +171,7 @@ def _band(value: float, edges: Sequence[float], text: str) -> str:
 
 
 def _case(row: Row) -> dict[str, Any]:
-    names = ("cell", "age", "temperature_C", "fault", "soc0", "started_at", "worst", "worst_h")
-    return {**{name: row[name] for name in names}, "rmse": math.sqrt(row["squares"] / row["rows"])}
+    names = ("source", "cell", "name", "age", "temperature_C", "fault", "capacity_Ah", "soc0")
+    more = ("started_at", "worst", "worst_h", "log")
+    found = {name: row[name] for name in (*names, *more) if name in row}
+    return {**found, "rmse": math.sqrt(row["squares"] / row["rows"])}

@@ -40,6 +40,10 @@ class Exported:
     _library: Any
     _prefix: str
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """It is compiled again where it is unpacked: in another process, or on another machine."""
+        return read_export, (self.folder, self.model)
+
     @property
     def dt_s(self) -> float:
         """Time step of the target [s]."""

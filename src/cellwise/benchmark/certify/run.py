@@ -1,32 +1,39 @@
-"""Run an exported filter over a virtual fleet: on all cores, and from where a run was cut off."""
+"""Run an exported filter through lives: on all cores or a cluster, from where a run was cut off."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import asdict
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cellwise.benchmark.certify.certificate import BINS, Certificate, Limits, certificate_of
+from cellwise.benchmark.certify.certificate import BINS, Certificate, Limits
 from cellwise.benchmark.certify.exported import Exported
-from cellwise.benchmark.certify.virtual_cells import Sensor, VirtualCell, draw_cell, usual_sensor
-from cellwise.benchmark.faults import faulty_log
-from cellwise.cell.protocol import run_protocol
-from cellwise.errors import InputError
+from cellwise.benchmark.certify.lives import (
+    PHYSICS_HOURS,
+    SETTLED_S,
+    Fleet,
+    Life,
+    MeasuredLog,
+)
+from cellwise.benchmark.certify.physics_cells import has_pybamm
+from cellwise.benchmark.certify.virtual_cells import START_STD, Sensor, usual_sensor
+from cellwise.errors import InputError, MachineError
 from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.files import made_folder
+from cellwise.fleet.engine import LOCAL, connected, rows_of
 from cellwise.logs.cell_log import CellLog
-from cellwise.threads import usable_cores
-from cellwise.typing import BoolArray, FloatArray
+from cellwise.logs.writing import write_log
+from cellwise.typing import BoolArray
 
-SETTLED_S = 3600.0  # what a filter has to find its start is not scored
-ROWS_FILE = "cells.jsonl"
+ROWS_FILE, WORST_FOLDER = "cells.jsonl", "worst"
 NEAR = 0.03  # points within which a discharge ends well, the measure of gauges' makers
+PHYSICS_PART = 20  # a cell of porous electrodes beside so many of the model
 
 
 def certify(
@@ -37,7 +44,11 @@ def certify(
     sensor: Sensor | None = None,
     seed: int = 1,
     limits: Limits | None = None,
+    physics: int | None = None,
+    measured: Sequence[MeasuredLog] = (),
+    scheduler: str = LOCAL,
     folder: str | Path | None = None,
+    keep_logs: int = 0,
     follow: Callable[[int, int], None] | None = None,
 ) -> Certificate:
     """SOC error and coverage of the exported C over cells that vary, age and have faults.
@@ -45,16 +56,23 @@ def certify(
     Parameters
     ----------
     exported : Exported
-    cells, hours : int, float     cells, and hours of each
+    cells, hours : int, float     cells of the exported model, and hours of each
     sensor : Sensor or None       what the target's sensors are off by; None: as vehicles have them
     seed : int                    of everything drawn: the same seed gives the same certificate
     limits : Limits or None       what it is judged against; None: no verdict
+    physics : int or None         cells of porous electrodes beside, at most 20 h each; None: one
+                                  for twenty of the model, none where PyBaMM is not installed
+    measured : sequence of MeasuredLog     of this cell: each is run as it is and with each fault
+    scheduler : str               where it runs: as for `run_fleet`
     folder : path or None         finished cells are kept there, and a run goes on where it stopped
-    follow : callable or None     called with how many cells are done, and of how many
+    keep_logs : int               what the filter saw in so many of the worst lives is written there
+    follow : callable or None     called with how many lives are done, and of how many
 
     Raises
     ------
-    InputError        no cell, no hour; a folder of a run with other settings
+    InputError        no cell, no hour; a folder of a run with other settings; physics without
+                      PyBaMM; logs to keep, and no folder
+    MachineError      a life that could not be run
     """
     if cells < 1 or not (math.isfinite(hours) and hours > SETTLED_S / 3600.0):
         raise InputError(
@@ -62,79 +80,130 @@ def certify(
             "one cell at least, and more than the hour that a filter has to find its start",
             "Give e.g. `cells=200, hours=100`.",
         )
+    if keep_logs and folder is None:
+        raise InputError("logs to keep, and no folder", "a folder for them", "Name one.")
     used = usual_sensor(exported.model) if sensor is None else sensor
+    fleet = Fleet(cells, _physics(physics, cells), tuple(measured), hours, seed, used)
     settings = {
         "model_sha256": exported.description["model_sha256"],
         "dt_s": exported.dt_s,
         "options": exported.description["options"],
         "noise": exported.description["noise"],
         "hours": hours,
+        "physics_hours": min(hours, PHYSICS_HOURS),
+        "pybamm": version("pybamm") if fleet.physics else None,
+        "measured": [[one.log.name, float(one.soc[0]), one.capacity_Ah] for one in measured],
         "seed": seed,
         "sensor": asdict(used),
     }
     kept = _Kept(folder, settings)
-    rows = {k: row for k, row in kept.rows.items() if k < cells}
-    waiting = [k for k in range(cells) if k not in rows]
-    with ThreadPoolExecutor(usable_cores()) as pool:
-        futures = [pool.submit(run_cell, exported, k, seed, hours, used) for k in waiting]
-        try:
-            for future in as_completed(futures):
-                row = future.result()
-                rows[row["cell"]] = row
+    names = fleet.names
+    rows = {name: kept.rows[name] for name in names if name in kept.rows}
+    waiting = [f"{source} {k}" for source, k in names if (source, k) not in rows]
+    task = LifeTask(exported, fleet)
+    with connected(scheduler, None) as client:
+        for found in rows_of(client, task, exported.folder, waiting, 1):
+            for row in found:
+                _check(row)
+                rows[row["source"], row["cell"]] = row
                 kept.add(row)
                 if follow is not None:
-                    follow(len(rows), cells)
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
-    ordered = [rows[k] for k in sorted(rows)]
-    return certificate_of(ordered, settings, exported.description, limits or Limits())
+                    follow(len(rows), len(names))
+    certificate = Certificate(
+        [rows[name] for name in sorted(rows)], settings, exported.description, limits or Limits()
+    )
+    if keep_logs and folder is not None:
+        place = made_folder(Path(folder) / WORST_FOLDER, "the worst lives' logs")
+        for row in certificate.worst[:keep_logs]:
+            life = fleet.life(exported.model, row["source"], row["cell"], exported.dt_s)
+            file = write_log(_with_truth(life), place / f"{row['source']}_{row['cell']}.csv.gz")
+            row["log"] = f"{WORST_FOLDER}/{file.name}"
+    return certificate
 
 
-def run_cell(
-    exported: Exported, index: int, seed: int, hours: float, sensor: Sensor
-) -> dict[str, Any]:
-    """One cell's life through the C: what it was, and how wrong the filter was."""
-    cell = draw_cell(exported.model, index, seed, hours, exported.dt_s, sensor)
-    log, soc = true_life(cell, exported.dt_s, hours)
-    rng = np.random.default_rng([seed, index, 1])
-    seen = faulty_log(cell.fault, log, cell.truth.capacity_Ah, rng)
-    samples = samples_of(exported.model, seen, exported.dt_s)
-    outputs = exported.run(samples.records, cell.given_soc0, cell.given_std)
-    error = np.asarray(outputs["soc"], dtype=np.float64)[samples.row_sample] - soc
+@dataclass(frozen=True, eq=False)
+class LifeTask:
+    """Lives of a fleet by name, as the fleet's engine wants it."""
+
+    exported: Exported
+    fleet: Fleet
+
+    def rows(self, folder: str, names: Sequence[str]) -> list[dict[str, Any]]:
+        """A row for each life; what could not be run says why."""
+        return [self._row(name) for name in names]
+
+    def _row(self, name: str) -> dict[str, Any]:
+        source, number = name.split()
+        exported = self.exported
+        try:
+            life = self.fleet.life(exported.model, source, int(number), exported.dt_s)
+            return run_life(exported, life)
+        except Exception as error:  # whatever a solver does: said with the life's name
+            return self.failed_row(exported.folder, name, f"{type(error).__name__}: {error}")
+
+    def failed_row(self, folder: Path, name: str, reason: str) -> dict[str, Any]:
+        """What stands for a life that could not be run."""
+        return {"name": name, "problem": reason}
+
+
+def run_life(exported: Exported, life: Life) -> dict[str, Any]:
+    """One life through the C: what it was, and how wrong the filter was."""
+    log = life.log
+    samples = samples_of(exported.model, life.seen, exported.dt_s)
+    outputs = exported.run(samples.records, life.given_soc0, START_STD)
+    error = np.asarray(outputs["soc"], dtype=np.float64)[samples.row_sample] - life.soc
     std = np.sqrt(np.asarray(outputs["soc_variance"], dtype=np.float64))[samples.row_sample]
-    scored = log.time_s >= SETTLED_S
+    scored = (log.time_s - log.time_s[0] >= SETTLED_S) & np.isfinite(life.soc)
     ends = _ends_of_drives(log) & scored
     size = np.abs(error[scored])
     worst = int(np.argmax(np.where(scored, np.abs(error), -1.0)))
     return {
-        "cell": index,
-        "source": "model",
-        "age": round(cell.age, 4),
-        "capacity_Ah": cell.truth.capacity_Ah,
-        "temperature_C": round(cell.temperature_C, 2),
-        "fault": cell.fault_name,
-        "soc0": cell.soc0,
-        "started_at": cell.given_soc0,
+        "source": life.source,
+        "cell": life.cell,
+        "name": life.name,
+        "age": None if life.age is None else round(life.age, 4),
+        "capacity_Ah": life.capacity_Ah,
+        "temperature_C": round(life.temperature_C, 2),
+        "fault": life.fault_name,
+        "soc0": float(life.soc[0]),
+        "started_at": life.given_soc0,
         "hours": float(log.duration_s / 3600.0),
         "rows": int(scored.sum()),
         "squares": float(np.sum(size**2)),
         "inside": float(np.mean(size <= 2.0 * std[scored])),
         "worst": float(size.max()),
-        "worst_h": float(log.time_s[worst] / 3600.0),
+        "worst_h": float((log.time_s[worst] - log.time_s[0]) / 3600.0),
         "ends": int(ends.sum()),
         "ends_near": int(np.sum(np.abs(error[ends]) <= NEAR)),
         "counts": np.histogram(size, BINS)[0].tolist(),
     }
 
 
-def true_life(cell: VirtualCell, dt_s: float, hours: float) -> tuple[CellLog, FloatArray]:
-    """What an ideal instrument would log of a cell, and its true SOC, shape (n,)."""
-    log = run_protocol(cell.truth, cell.steps, cell.soc0, dt_s, cell.temperature_C)
-    log = log.part(0, int(np.searchsorted(log.time_s, 3600.0 * hours, side="right")))
-    used = np.where(log.current_A > 0.0, 1.0, cell.truth.charge_efficiency) * log.current_A
-    moved_As = np.cumsum(used * np.diff(log.time_s, prepend=log.time_s[0]))
-    return log, cell.soc0 - moved_As / (3600.0 * cell.truth.capacity_Ah)
+def _physics(asked: int | None, cells: int) -> int:
+    """How many cells of porous electrodes there are."""
+    if has_pybamm():
+        return cells // PHYSICS_PART if asked is None else asked
+    if asked:
+        raise InputError(
+            f"{asked} cells of porous electrodes, for which PyBaMM is not installed",
+            "the extra generate",
+            "Install it: pip install 'cellwise[generate]'.",
+        )
+    return 0
+
+
+def _check(row: dict[str, Any]) -> None:
+    if "problem" in row:
+        raise MachineError(
+            f"the life '{row['name']}' that could not be run ({row['problem']})",
+            "lives that end",
+            "Run again, what is done stays done; another `seed` draws other lives.",
+        )
+
+
+def _with_truth(life: Life) -> CellLog:
+    """What the filter saw, and beside it a counter that knows the truth."""
+    return replace(life.seen, charge_Ah=(life.soc[0] - life.soc) * life.capacity_Ah)
 
 
 def _ends_of_drives(log: CellLog) -> BoolArray:
@@ -149,7 +218,7 @@ class _Kept:
     """Rows of finished cells in a folder: a line each, the first line what they were made with."""
 
     def __init__(self, folder: str | Path | None, settings: dict[str, Any]) -> None:
-        self.rows: dict[int, dict[str, Any]] = {}
+        self.rows: dict[tuple[str, int], dict[str, Any]] = {}
         self._file = None if folder is None else made_folder(folder, "the certificate") / ROWS_FILE
         if self._file is None:
             return
@@ -163,7 +232,7 @@ class _Kept:
             )
         for line in whole[1:]:
             row = json.loads(line)
-            self.rows[row["cell"]] = row
+            self.rows[row["source"], row["cell"]] = row
         text = [json.dumps(settings), *(json.dumps(row) for row in self.rows.values())]
         self._file.write_text("\n".join([*text, ""]), encoding="utf-8")
 

@@ -35,6 +35,7 @@ class Spread:
     faded: float = 0.20
     resistance_grown: float = 1.0
     slipped_soc: float = 0.03
+    model_error: float = 1.0  # of what the model states of its own error
 
 
 @dataclass(frozen=True)
@@ -154,18 +155,25 @@ def draw_cell(
     soc0 = float(rng.uniform(0.2, 1.0))
     started = float(np.clip(soc0 + START_STD * rng.standard_normal(), 0.0, 1.0))
     fault = NO_FAULT if index % 2 == 0 else FAULTS[index // 2 % len(FAULTS)]
+    both = with_sensor(fault, sensor, truth.capacity_Ah, rng)
+    steps = tuple(mission(truth, soc0, hours, dt_s, rng))
+    return VirtualCell(truth, age, temperature_C, soc0, started, START_STD, both, fault.name, steps)
+
+
+def with_sensor(
+    fault: Fault, sensor: Sensor, capacity_Ah: float, rng: np.random.Generator
+) -> Fault:
+    """A fault and what one sensor of its class is off by beside."""
     off = rng.standard_normal(4)
-    both = replace(
+    return replace(
         fault,
         current_offset_A=sensor.current_offset_A * off[0],
         current_gain=fault.current_gain * (1.0 + sensor.current_gain * off[1]),
         voltage_offset_V=fault.voltage_offset_V + sensor.voltage_offset_V * off[2],
         temperature_K=sensor.temperature_K * off[3],
-        current_noise_C=sensor.current_noise_A / truth.capacity_Ah,
+        current_noise_C=sensor.current_noise_A / capacity_Ah,
         voltage_noise_V=sensor.voltage_noise_V,
     )
-    steps = tuple(mission(truth, soc0, hours, dt_s, rng))
-    return VirtualCell(truth, age, temperature_C, soc0, started, START_STD, both, fault.name, steps)
 
 
 def aged(model: CellModel, age: float, rng: np.random.Generator, spread: Spread) -> CellModel:
@@ -182,7 +190,7 @@ def aged(model: CellModel, age: float, rng: np.random.Generator, spread: Spread)
     )
     slip = spread.slipped_soc * age * n()
     left = model.soc + 4.0 * slip * model.soc * (1.0 - model.soc)
-    off_V = _lasting_error_V(model, rng)
+    off_V = spread.model_error * _lasting_error_V(model, rng)
     ocv = np.array([np.interp(left, model.soc, row) for row in model.ocv_V]) + off_V
     r0, r1, r2, r3 = (grown * math.exp(spread.branch * n()) for _ in range(4))
     slow = model.effect(SlowDiffusion)

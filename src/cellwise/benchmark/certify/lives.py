@@ -1,0 +1,216 @@
+"""What an exported filter lives through: a cell's true log, what its sensors do, how it is started.
+
+Three sources: the exported model, varied and aged; porous electrodes in its place; measured logs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cellwise.benchmark.certify.physics_cells import physics_cell
+from cellwise.benchmark.certify.virtual_cells import (
+    FAULTS,
+    NO_FAULT,
+    START_STD,
+    Sensor,
+    Spread,
+    draw_cell,
+    with_sensor,
+)
+from cellwise.benchmark.faults import faulty_log
+from cellwise.cell.initial_soc.initial_soc import initial_soc
+from cellwise.cell.model import CellModel
+from cellwise.cell.protocol import run_protocol
+from cellwise.errors import InputError
+from cellwise.estimate.replay import reference_soc
+from cellwise.logs.cell_log import CellLog
+from cellwise.typing import FloatArray
+
+MODEL, PHYSICS, MEASURED = "model", "physics", "measured"
+PHYSICS_SEED = 1_000_000  # its cells are other draws than the model's
+PHYSICS_HOURS = 20.0  # of one cell: porous electrodes take a thousand times longer
+KNOWN_STD = 0.02  # of a start that serves as a reference
+SETTLED_S = 3600.0  # what a filter has to find its start is not scored
+
+
+@dataclass(frozen=True, eq=False)
+class Life:
+    """A cell from its start on.
+
+    Parameters
+    ----------
+    source, cell, name : str, int, str     what made it, its number there, and how it is called
+    log : CellLog                          what an ideal instrument has logged
+    soc : (n,) float                       true SOC
+    capacity_Ah, temperature_C : float
+    age : float or None                    0 new, 1 at the end of its life; None: not known
+    fault, fault_name : Fault, str         what is wrong beside the sensors' class, and with it
+    given_soc0 : float                     that the filter is started with
+    seen : CellLog                         what the filter sees
+    """
+
+    source: str
+    cell: int
+    name: str
+    log: CellLog
+    soc: FloatArray
+    capacity_Ah: float
+    temperature_C: float
+    age: float | None
+    fault_name: str
+    given_soc0: float
+    seen: CellLog
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredLog:
+    """A measured log of the cell and its true SOC.
+
+    Parameters
+    ----------
+    log : CellLog
+    soc : (n,) float          counted by the tester, else by the logged current, from ``soc[0]``
+    capacity_Ah : float       that it was counted over
+    """
+
+    log: CellLog
+    soc: FloatArray
+    capacity_Ah: float
+
+
+@dataclass(frozen=True, eq=False)
+class Fleet:
+    """Everything that is drawn, and what it is drawn with.
+
+    Parameters
+    ----------
+    cells : int               of the model
+    physics : int             of porous electrodes
+    measured : sequence of MeasuredLog     each is lived once as it is and once with each fault
+    hours, seed, sensor : float, int, Sensor
+    """
+
+    cells: int
+    physics: int
+    measured: tuple[MeasuredLog, ...]
+    hours: float
+    seed: int
+    sensor: Sensor
+
+    @property
+    def names(self) -> list[tuple[str, int]]:
+        """Source and number of every life; what takes longest comes first."""
+        logs = len(self.measured) * (1 + len(FAULTS))
+        counts = {PHYSICS: self.physics, MODEL: self.cells, MEASURED: logs}
+        return [(source, k) for source, count in counts.items() for k in range(count)]
+
+    def life(self, model: CellModel, source: str, number: int, dt_s: float) -> Life:
+        """The life of a number: the same for the same seed, whatever is drawn beside it."""
+        if source == MEASURED:
+            return self._measured(number)
+        physics = source == PHYSICS
+        index = number + PHYSICS_SEED * physics
+        hours = min(self.hours, PHYSICS_HOURS) if physics else self.hours
+        spread = Spread(model_error=0.0) if physics else Spread()
+        cell = draw_cell(model, index, self.seed, hours, dt_s, self.sensor, spread)
+        if physics:
+            porous = physics_cell(cell.truth, cell.temperature_C)
+            log, soc = porous.lived(cell.steps, cell.soc0, dt_s)
+        else:
+            log = run_protocol(cell.truth, cell.steps, cell.soc0, dt_s, cell.temperature_C)
+            soc = counted_soc(log, cell.soc0, cell.truth)
+        rows = int(np.searchsorted(log.time_s, 3600.0 * hours, side="right"))
+        log, soc = log.part(0, rows), soc[:rows]
+        rng = np.random.default_rng([self.seed, index, 1])
+        return Life(
+            source=source,
+            cell=number,
+            name=f"{source} {number}",
+            log=log,
+            soc=soc,
+            capacity_Ah=cell.truth.capacity_Ah,
+            temperature_C=cell.temperature_C,
+            age=cell.age,
+            fault_name=cell.fault_name,
+            given_soc0=cell.given_soc0,
+            seen=faulty_log(cell.fault, log, cell.truth.capacity_Ah, rng),
+        )
+
+    def _measured(self, number: int) -> Life:
+        which, what = divmod(number, 1 + len(FAULTS))
+        one = self.measured[which]
+        rng = np.random.default_rng([self.seed, which, what, 2])
+        plain = NO_FAULT if what == 0 else FAULTS[what - 1]
+        fault = with_sensor(plain, _offsets_alone(self.sensor), one.capacity_Ah, rng)
+        start = float(np.clip(one.soc[0] + START_STD * rng.standard_normal(), 0.0, 1.0))
+        return Life(
+            source=MEASURED,
+            cell=number,
+            name=one.log.name,
+            log=one.log,
+            soc=one.soc,
+            capacity_Ah=one.capacity_Ah,
+            temperature_C=_temperature_C(one.log),
+            age=None,
+            fault_name=plain.name,
+            given_soc0=start,
+            seen=faulty_log(fault, one.log, one.capacity_Ah, rng),
+        )
+
+
+def measured_log(
+    model: CellModel, log: CellLog, soc0: float | None, capacity_Ah: float | None
+) -> MeasuredLog:
+    """A log with its true SOC, from a start that is stated or that the log shows.
+
+    Parameters
+    ----------
+    soc0 : float or None              None: found, where the log shows it within two points
+    capacity_Ah : float or None       measured, of this sample; None: the model's
+
+    Raises
+    ------
+    InputError        a start that the log does not show; a log that is over before the filter is
+                      scored
+    """
+    if soc0 is None:
+        start = initial_soc(model, log)
+        if start.std > KNOWN_STD:
+            raise InputError(
+                f"a log '{log.name}' that begins at {start.soc:.2f} +- {start.std:.2f}",
+                f"a start that is known within {KNOWN_STD:g}: its SOC is counted from there",
+                "State it behind the file, as LOG@soc0=1.",
+            )
+        soc0 = start.soc
+    if log.duration_s <= 1.5 * SETTLED_S:
+        raise InputError(
+            f"a log '{log.name}' of {log.duration_s / 3600.0:.2f} h",
+            "more than an hour and a half: the first hour is not scored",
+            "Leave it out.",
+        )
+    capacity = model.capacity_Ah if capacity_Ah is None else capacity_Ah
+    counted = reference_soc(log, soc0, capacity)
+    if counted is None:
+        counted = counted_soc(log, soc0, replace(model, capacity_Ah=capacity))
+    return MeasuredLog(log, counted, capacity)
+
+
+def counted_soc(log: CellLog, soc0: float, cell: CellModel) -> FloatArray:
+    """SOC by the true current of a cell, shape (n,)."""
+    used = np.where(log.current_A > 0.0, 1.0, cell.charge_efficiency) * log.current_A
+    moved_As = np.cumsum(used * np.diff(log.time_s, prepend=log.time_s[0]))
+    return np.asarray(soc0 - moved_As / (3600.0 * cell.capacity_Ah))
+
+
+def _offsets_alone(sensor: Sensor) -> Sensor:
+    """Without noise: a measured log has its own."""
+    return replace(sensor, current_noise_A=0.0, voltage_noise_V=0.0)
+
+
+def _temperature_C(log: CellLog) -> float:
+    measured = log.temperature_C
+    if measured is None or not np.any(np.isfinite(measured)):
+        return 25.0
+    return float(np.nanmedian(measured))

@@ -1,0 +1,233 @@
+"""Cells of porous electrodes (PyBaMM's SPMe) with the capacity, OCV and pulses of a model's cell.
+
+What an equivalent circuit cannot do is in them: lithium that is slow within the particles, kinetics
+that change with it, an electrolyte that runs short. What a published parameter set would add of its
+own is not: each electrode has a part of the stated OCV for its potential, their area gives the
+stated capacity, and conductivity, exchange current and diffusion are scaled until the drops after
+one second and after ten minutes of a pulse are the stated cell's.
+
+Source: Chen et al., J. Electrochem. Soc. 167 (2020) 080534, doi:10.1149/1945-7111/ab9050, for all
+that is not scaled; Marquis et al., J. Electrochem. Soc. 166 (2019) A3693,
+doi:10.1149/2.0341915jes, for the SPMe.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import partial
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+
+from cellwise.cell.model import CellModel
+from cellwise.cell.protocol import run_protocol
+from cellwise.cell.protocol.steps import ConstantCurrent, ConstantVoltage, DriveProfile, Rest, Step
+from cellwise.logs.cell_log import CellLog
+from cellwise.typing import FloatArray
+
+PUBLISHED = "Chen2020"
+KELVIN = 273.15
+NEGATIVE_V, NEGATIVE_SHARE = 0.1, 0.5  # potential at half charge; its part of the OCV's slope
+RAMP_S = 1e-3  # in which a set current is reached
+RTOL, ATOL = 1e-4, 1e-6  # within 0.1 mV of a hundred times finer
+PASSES = 4  # of the scaling, each with two pulses
+PULSE_SOC = 0.5
+REST_S, FAST_S, SLOW_S = 10.0, 1.0, 600.0
+PULSE_RATE = 0.5  # of 1C; ten minutes take a twelfth of the charge
+MOST_FACTOR = 50.0  # that a pass may change a property by
+BEYOND = 0.15  # of SOC, by which a particle's surface may leave the window
+BEYOND_V = 1.0  # beyond the OCV: a voltage further off ends a run
+NO_RECOVERY = 0.1  # of the charge that a drive takes before it gives any back: the cell may be full
+LONGEST_S = 8.0 * 3600.0  # of a step that ends at a limit
+
+_one_at_a_time = threading.Lock()  # PyBaMM's models are built in global state
+
+
+def has_pybamm() -> bool:
+    """PyBaMM is installed; it takes seconds to import."""
+    return find_spec("pybamm") is not None
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Factors on conductivity and kinetics, on diffusion; a contact's resistance."""
+
+    fast: float = 1.0
+    diffusion: float = 1.0
+    contact_ohm: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class PhysicsCell:
+    """A cell of porous electrodes that stands in for a model's cell at one temperature.
+
+    Parameters
+    ----------
+    truth : CellModel         whose OCV, capacity and pulses it has
+    temperature_C : float
+    """
+
+    truth: CellModel
+    temperature_C: float
+    scales: Scales = Scales()
+
+    def lived(self, steps: Iterable[Step], soc0: float, dt_s: float) -> tuple[CellLog, FloatArray]:
+        """What an ideal instrument logs of this cell, and its true SOC, shape (n,).
+
+        A step whose limit is reached before it begins is left out; where the surface of a particle
+        runs empty or full the log ends.
+        """
+        with _one_at_a_time:
+            pybamm = import_module("pybamm")
+            full_Ah = NO_RECOVERY * self.truth.capacity_Ah
+            pybamm.set_logging_level("CRITICAL")
+            played = tuple(_played(pybamm, step, dt_s, full_Ah) for step in steps)
+            simulation = pybamm.Simulation(
+                pybamm.lithium_ion.SPMe({"contact resistance": "true"}),
+                parameter_values=self._values(pybamm, soc0),
+                experiment=pybamm.Experiment([played]),
+                solver=pybamm.IDAKLUSolver(rtol=RTOL, atol=ATOL),
+            )
+            solution = simulation.solve()
+        time_s, first = np.unique(solution.t, return_index=True)
+        voltage = solution["Voltage [V]"].entries[first]
+        moved_Ah = solution["Discharge capacity [A.h]"].entries[first]
+        current = 3600.0 * np.diff(moved_Ah) / np.diff(time_s)
+        log = CellLog(
+            time_s=time_s,
+            current_A=np.concatenate(([0.0], current)),
+            voltage_V=voltage,
+            temperature_C=np.full(time_s.size, self.temperature_C),
+        )
+        return log, soc0 - moved_Ah / self.truth.capacity_Ah
+
+    def _values(self, pybamm: Any, soc0: float) -> Any:
+        """Parameters of PyBaMM at an SOC in equilibrium."""
+        p = pybamm.ParameterValues(PUBLISHED)
+        low, high, full, empty = map(float, pybamm.lithium_ion.get_min_max_stoichiometries(p))
+        charge = float(p.evaluate(pybamm.LithiumIonParameters().n.prim.Q_init))
+        soc = np.linspace(-BEYOND, 1.0 + BEYOND, 601)
+        ocv_V = self.ocv_V(soc)
+        part_V = NEGATIVE_SHARE * (ocv_V - ocv_V.mean())
+        for title, lithium, potential_V in (
+            ("Negative", low + soc * (high - low), NEGATIVE_V - part_V),
+            ("Positive", (empty - soc * (empty - full))[::-1], (NEGATIVE_V + ocv_V - part_V)[::-1]),
+        ):
+            p[f"{title} electrode OCP [V]"] = partial(
+                pybamm.Interpolant, lithium, potential_V, interpolator="linear"
+            )
+        p["Electrode width [m]"] *= self.truth.capacity_Ah / (charge * (high - low))
+        p["Nominal cell capacity [A.h]"] = self.truth.capacity_Ah
+        p["Lower voltage cut-off [V]"] = float(ocv_V[soc >= 0.0][0]) - BEYOND_V
+        p["Upper voltage cut-off [V]"] = float(ocv_V[soc <= 1.0][-1]) + BEYOND_V
+        kelvin = KELVIN + self.temperature_C
+        p.update({"Ambient temperature [K]": kelvin, "Initial temperature [K]": kelvin})
+        p.update({"Contact resistance [Ohm]": self.scales.contact_ohm}, check_already_exists=False)
+        for side, share in (
+            ("negative", low + soc0 * (high - low)),
+            ("positive", empty - soc0 * (empty - full)),
+        ):
+            most = p[f"Maximum concentration in {side} electrode [mol.m-3]"]
+            p[f"Initial concentration in {side} electrode [mol.m-3]"] = share * most
+            title = side.capitalize()
+            _scale(p, f"{title} particle diffusivity [m2.s-1]", self.scales.diffusion)
+            _scale(p, f"{title} electrode exchange-current density [A.m-2]", self.scales.fast)
+        _scale(p, "Electrolyte conductivity [S.m-1]", self.scales.fast)
+        _scale(p, "Electrolyte diffusivity [m2.s-1]", max(self.scales.fast, 1.0))
+        return p
+
+    def ocv_V(self, soc: FloatArray) -> FloatArray:
+        """OCV at the temperature, on straight lines beyond its ends."""
+        model = self.truth
+        at = np.clip(self.temperature_C, model.temperature_C[0], model.temperature_C[-1])
+        tables = model.ocv_V
+        grid = np.asarray(model.temperature_C)
+        row = (
+            tables[0]
+            if tables.shape[0] == 1
+            else np.array([np.interp(at, grid, tables[:, k]) for k in range(model.points)])
+        )
+        row = np.maximum.accumulate(row)
+        first, last = np.diff(row)[[0, -1]] / np.diff(model.soc)[[0, -1]]
+        inside = np.interp(soc, model.soc, row)
+        return np.asarray(inside + first * np.minimum(soc, 0.0) + last * np.maximum(soc - 1.0, 0.0))
+
+
+def physics_cell(truth: CellModel, temperature_C: float) -> PhysicsCell:
+    """The cell of porous electrodes whose pulse at half charge is that of a model's cell."""
+    load_A = PULSE_RATE * truth.capacity_Ah
+    steps = (Rest(REST_S), ConstantCurrent(current_A=load_A, duration_s=SLOW_S))
+    cell = PhysicsCell(truth, temperature_C)
+    moved = SLOW_S * PULSE_RATE / 3600.0
+    ocv_V = float(np.subtract(*cell.ocv_V(np.array([PULSE_SOC, PULSE_SOC - moved]))))
+    wanted = _drops(run_protocol(truth, steps, PULSE_SOC, FAST_S, temperature_C), ocv_V)
+    for _ in range(PASSES):
+        found = _drops(cell.lived(steps, PULSE_SOC, FAST_S)[0], ocv_V)
+        cell = replace(cell, scales=_closer(cell.scales, found, wanted, load_A))
+    return cell
+
+
+def _closer(
+    old: Scales, found: tuple[float, float], wanted: tuple[float, float], load_A: float
+) -> Scales:
+    """Scales with which the drops come nearer to the wanted ones."""
+    contact = old.contact_ohm + (wanted[0] - found[0]) / load_A
+    fast = old.fast
+    if contact < 0.0:  # faster, until a contact can make up the rest
+        fast, contact = fast * min(1.2 * found[0] / wanted[0], MOST_FACTOR), 0.0
+    return Scales(fast, old.diffusion * min(found[1] / wanted[1], MOST_FACTOR), contact)
+
+
+def _drops(pulse: CellLog, ocv_V: float) -> tuple[float, float]:
+    """Voltage lost within the first second of the pulse, and from there to its end [V].
+
+    ``ocv_V`` is what the OCV moves by meanwhile.
+    """
+    times_s = REST_S + np.array([0.0, FAST_S, SLOW_S])
+    rest, fast, slow = np.interp(times_s, pulse.time_s, pulse.voltage_V)
+    return max(float(rest - fast), 1e-6), max(float(fast - slow) - ocv_V, 1e-6)
+
+
+def _played(pybamm: Any, step: Step, dt_s: float, full_Ah: float) -> Any:
+    """A step as PyBaMM has it; a drive gives nothing back before ``full_Ah`` are gone."""
+    period = f"{dt_s} seconds"
+    match step:
+        case Rest():
+            return pybamm.step.rest(duration=step.duration_s, period=period)
+        case DriveProfile():
+            start = np.concatenate(([0.0], step.time_s[:-1])) + RAMP_S
+            times = np.concatenate(([0.0], np.column_stack([start, step.time_s]).ravel()))
+            loads = np.concatenate((step.current_A[:1], np.repeat(step.current_A, 2)))
+            taken_Ah = np.cumsum(np.diff(times, prepend=0.0) * loads) / 3600.0
+            loads[(taken_Ah < full_Ah) & (loads < 0.0)] = 0.0
+            ends = [] if step.voltage_min_V is None else [f"<{step.voltage_min_V} V"]
+            played = np.column_stack([times, loads])
+            return pybamm.step.current(played, termination=ends, period=period)
+        case ConstantVoltage():
+            ends = [f"{step.until_current_A} A"]
+            return pybamm.step.voltage(
+                step.voltage_V, termination=ends, duration=LONGEST_S, period=period
+            )
+        case ConstantCurrent():
+            limit_V = step.limit_V
+            sign = ">" if step.current_A < 0.0 else "<"
+            ends = [] if limit_V is None else [f"{sign}{limit_V} V"]
+            duration = step.duration_s
+            if step.charge_Ah is not None:
+                duration = 3600.0 * step.charge_Ah / abs(step.current_A)
+            return pybamm.step.current(
+                step.current_A, termination=ends, duration=duration or LONGEST_S, period=period
+            )
+    raise TypeError(type(step))
+
+
+def _scale(p: Any, name: str, factor: float) -> None:
+    own = p[name]
+    if callable(own):
+        p[name] = lambda *a, **k: factor * own(*a, **k)
+    else:
+        p[name] = factor * own
