@@ -33,6 +33,7 @@ from cellwise.typing import BoolArray
 
 ROWS_FILE, WORST_FOLDER = "cells.jsonl", "worst"
 NEAR = 0.03  # points within which a discharge ends well, the measure of gauges' makers
+PAUSE_S = 600.0  # without a load, after which a discharge has ended
 PHYSICS_PART = 20  # a cell of porous electrodes beside so many of the model
 
 
@@ -154,7 +155,7 @@ def run_life(exported: Exported, life: Life) -> dict[str, Any]:
     error = np.asarray(outputs["soc"], dtype=np.float64)[samples.row_sample] - life.soc
     std = np.sqrt(np.asarray(outputs["soc_variance"], dtype=np.float64))[samples.row_sample]
     scored = (log.time_s - log.time_s[0] >= SETTLED_S) & np.isfinite(life.soc)
-    ends = _ends_of_drives(log) & scored
+    ends = ends_of_discharges(log) & scored
     size = np.abs(error[scored])
     worst = int(np.argmax(np.where(scored, np.abs(error), -1.0)))
     return {
@@ -206,12 +207,14 @@ def _with_truth(life: Life) -> CellLog:
     return replace(life.seen, charge_Ah=(life.soc[0] - life.soc) * life.capacity_Ah)
 
 
-def _ends_of_drives(log: CellLog) -> BoolArray:
-    """Rows at which a discharge gives way to a rest."""
-    flows = log.current_A > 0.0
-    idle = np.append(log.current_A[1:] == 0.0, True)
-    long_ago = np.append(flows[1:], False)
-    return np.asarray(flows & idle & ~long_ago)
+def ends_of_discharges(log: CellLog) -> BoolArray:
+    """Rows after which nothing is taken for a while, or ever; a stop at a light is no end."""
+    rows = np.flatnonzero(log.current_A > 0.0)
+    ends = np.zeros(len(log), dtype=np.bool_)
+    if rows.size:
+        pauses = np.diff(log.time_s[rows], append=math.inf)
+        ends[rows[pauses > PAUSE_S]] = True
+    return ends
 
 
 class _Kept:
