@@ -31,19 +31,44 @@ from cellwise.typing import FloatArray
 
 PUBLISHED = "Chen2020"
 KELVIN = 273.15
-NEGATIVE_V, NEGATIVE_SHARE = 0.1, 0.5  # potential at half charge; its part of the OCV's slope
-RAMP_S = 1e-3  # in which a set current is reached
-RTOL, ATOL = 1e-4, 1e-6  # within 0.1 mV of a hundred times finer
-PASSES = 4  # of the scaling, each with two pulses
-PULSE_SOC = 0.5
-REST_S, FAST_S, SLOW_S = 10.0, 1.0, 600.0
-PULSE_RATE = 0.5  # of 1C; ten minutes take a twelfth of the charge
-MOST_FACTOR = 50.0  # that a pass may change a property by
-BEYOND = 0.15  # of SOC, by which a particle's surface may leave the window
-BEYOND_V = 1.0  # beyond the OCV: a voltage further off ends a run
-NO_RECOVERY = 0.1  # of the charge that a drive takes before it gives any back: the cell may be full
-LONGEST_S = 8.0 * 3600.0  # of a step that ends at a limit
 
+
+@dataclass(frozen=True)
+class Pulse:
+    """What the scaling is done on: a rest, and a load at which two drops are read."""
+
+    soc: float = 0.5
+    rate: float = 0.5  # of 1C; ten minutes take a twelfth of the charge
+    rest_s: float = 10.0
+    fast_s: float = 1.0
+    slow_s: float = 600.0
+    passes: int = 4
+    most_factor: float = 50.0  # that a pass may change a property by
+
+
+@dataclass(frozen=True)
+class Porous:
+    """How a cell is made of a stated one, and solved.
+
+    The negative electrode has ``negative_V`` at half charge and its share of the OCV's slope; a
+    particle's surface may leave the window by ``beyond_soc``, the voltage the OCV's ends by
+    ``beyond_V``; a drive gives nothing back in the first ``full_share`` of the charge, the cell may
+    be full; a step that ends at a limit takes at most ``longest_s``. A set current is reached in
+    ``ramp_s``. The tolerances are within 0.1 mV of hundred times finer ones.
+    """
+
+    negative_V: float = 0.1
+    negative_share: float = 0.5
+    beyond_soc: float = 0.15
+    beyond_V: float = 1.0
+    full_share: float = 0.1
+    longest_s: float = 8.0 * 3600.0
+    ramp_s: float = 1e-3
+    rtol: float = 1e-4
+    atol: float = 1e-6
+
+
+PULSE, POROUS = Pulse(), Porous()
 _one_at_a_time = threading.Lock()  # PyBaMM's models are built in global state
 
 
@@ -83,14 +108,14 @@ class PhysicsCell:
         """
         with _one_at_a_time:
             pybamm = import_module("pybamm")
-            full_Ah = NO_RECOVERY * self.truth.capacity_Ah
+            full_Ah = POROUS.full_share * self.truth.capacity_Ah
             pybamm.set_logging_level("CRITICAL")
             played = tuple(_played(pybamm, step, dt_s, full_Ah) for step in steps)
             simulation = pybamm.Simulation(
                 pybamm.lithium_ion.SPMe({"contact resistance": "true"}),
                 parameter_values=self._values(pybamm, soc0),
                 experiment=pybamm.Experiment([played]),
-                solver=pybamm.IDAKLUSolver(rtol=RTOL, atol=ATOL),
+                solver=pybamm.IDAKLUSolver(rtol=POROUS.rtol, atol=POROUS.atol),
             )
             solution = simulation.solve()
         time_s, first = np.unique(solution.t, return_index=True)
@@ -110,20 +135,24 @@ class PhysicsCell:
         p = pybamm.ParameterValues(PUBLISHED)
         low, high, full, empty = map(float, pybamm.lithium_ion.get_min_max_stoichiometries(p))
         charge = float(p.evaluate(pybamm.LithiumIonParameters().n.prim.Q_init))
-        soc = np.linspace(-BEYOND, 1.0 + BEYOND, 601)
+        soc = np.linspace(-POROUS.beyond_soc, 1.0 + POROUS.beyond_soc, 601)
         ocv_V = self.ocv_V(soc)
-        part_V = NEGATIVE_SHARE * (ocv_V - ocv_V.mean())
+        part_V = POROUS.negative_share * (ocv_V - ocv_V.mean())
         for title, lithium, potential_V in (
-            ("Negative", low + soc * (high - low), NEGATIVE_V - part_V),
-            ("Positive", (empty - soc * (empty - full))[::-1], (NEGATIVE_V + ocv_V - part_V)[::-1]),
+            ("Negative", low + soc * (high - low), POROUS.negative_V - part_V),
+            (
+                "Positive",
+                (empty - soc * (empty - full))[::-1],
+                (POROUS.negative_V + ocv_V - part_V)[::-1],
+            ),
         ):
             p[f"{title} electrode OCP [V]"] = partial(
                 pybamm.Interpolant, lithium, potential_V, interpolator="linear"
             )
         p["Electrode width [m]"] *= self.truth.capacity_Ah / (charge * (high - low))
         p["Nominal cell capacity [A.h]"] = self.truth.capacity_Ah
-        p["Lower voltage cut-off [V]"] = float(ocv_V[soc >= 0.0][0]) - BEYOND_V
-        p["Upper voltage cut-off [V]"] = float(ocv_V[soc <= 1.0][-1]) + BEYOND_V
+        p["Lower voltage cut-off [V]"] = float(ocv_V[soc >= 0.0][0]) - POROUS.beyond_V
+        p["Upper voltage cut-off [V]"] = float(ocv_V[soc <= 1.0][-1]) + POROUS.beyond_V
         kelvin = KELVIN + self.temperature_C
         p.update({"Ambient temperature [K]": kelvin, "Initial temperature [K]": kelvin})
         p.update({"Contact resistance [Ohm]": self.scales.contact_ohm}, check_already_exists=False)
@@ -159,14 +188,14 @@ class PhysicsCell:
 
 def physics_cell(truth: CellModel, temperature_C: float) -> PhysicsCell:
     """The cell of porous electrodes whose pulse at half charge is that of a model's cell."""
-    load_A = PULSE_RATE * truth.capacity_Ah
-    steps = (Rest(REST_S), ConstantCurrent(current_A=load_A, duration_s=SLOW_S))
+    load_A = PULSE.rate * truth.capacity_Ah
+    steps = (Rest(PULSE.rest_s), ConstantCurrent(current_A=load_A, duration_s=PULSE.slow_s))
     cell = PhysicsCell(truth, temperature_C)
-    moved = SLOW_S * PULSE_RATE / 3600.0
-    ocv_V = float(np.subtract(*cell.ocv_V(np.array([PULSE_SOC, PULSE_SOC - moved]))))
-    wanted = _drops(run_protocol(truth, steps, PULSE_SOC, FAST_S, temperature_C), ocv_V)
-    for _ in range(PASSES):
-        found = _drops(cell.lived(steps, PULSE_SOC, FAST_S)[0], ocv_V)
+    moved = PULSE.slow_s * PULSE.rate / 3600.0
+    ocv_V = float(np.subtract(*cell.ocv_V(np.array([PULSE.soc, PULSE.soc - moved]))))
+    wanted = _drops(run_protocol(truth, steps, PULSE.soc, PULSE.fast_s, temperature_C), ocv_V)
+    for _ in range(PULSE.passes):
+        found = _drops(cell.lived(steps, PULSE.soc, PULSE.fast_s)[0], ocv_V)
         cell = replace(cell, scales=_closer(cell.scales, found, wanted, load_A))
     return cell
 
@@ -178,8 +207,8 @@ def _closer(
     contact = old.contact_ohm + (wanted[0] - found[0]) / load_A
     fast = old.fast
     if contact < 0.0:  # faster, until a contact can make up the rest
-        fast, contact = fast * min(1.2 * found[0] / wanted[0], MOST_FACTOR), 0.0
-    return Scales(fast, old.diffusion * min(found[1] / wanted[1], MOST_FACTOR), contact)
+        fast, contact = fast * min(1.2 * found[0] / wanted[0], PULSE.most_factor), 0.0
+    return Scales(fast, old.diffusion * min(found[1] / wanted[1], PULSE.most_factor), contact)
 
 
 def _drops(pulse: CellLog, ocv_V: float) -> tuple[float, float]:
@@ -187,7 +216,7 @@ def _drops(pulse: CellLog, ocv_V: float) -> tuple[float, float]:
 
     ``ocv_V`` is what the OCV moves by meanwhile.
     """
-    times_s = REST_S + np.array([0.0, FAST_S, SLOW_S])
+    times_s = PULSE.rest_s + np.array([0.0, PULSE.fast_s, PULSE.slow_s])
     rest, fast, slow = np.interp(times_s, pulse.time_s, pulse.voltage_V)
     return max(float(rest - fast), 1e-6), max(float(fast - slow) - ocv_V, 1e-6)
 
@@ -199,7 +228,7 @@ def _played(pybamm: Any, step: Step, dt_s: float, full_Ah: float) -> Any:
         case Rest():
             return pybamm.step.rest(duration=step.duration_s, period=period)
         case DriveProfile():
-            start = np.concatenate(([0.0], step.time_s[:-1])) + RAMP_S
+            start = np.concatenate(([0.0], step.time_s[:-1])) + POROUS.ramp_s
             times = np.concatenate(([0.0], np.column_stack([start, step.time_s]).ravel()))
             loads = np.concatenate((step.current_A[:1], np.repeat(step.current_A, 2)))
             taken_Ah = np.cumsum(np.diff(times, prepend=0.0) * loads) / 3600.0
@@ -210,7 +239,7 @@ def _played(pybamm: Any, step: Step, dt_s: float, full_Ah: float) -> Any:
         case ConstantVoltage():
             ends = [f"{step.until_current_A} A"]
             return pybamm.step.voltage(
-                step.voltage_V, termination=ends, duration=LONGEST_S, period=period
+                step.voltage_V, termination=ends, duration=POROUS.longest_s, period=period
             )
         case ConstantCurrent():
             limit_V = step.limit_V
@@ -220,7 +249,10 @@ def _played(pybamm: Any, step: Step, dt_s: float, full_Ah: float) -> Any:
             if step.charge_Ah is not None:
                 duration = 3600.0 * step.charge_Ah / abs(step.current_A)
             return pybamm.step.current(
-                step.current_A, termination=ends, duration=duration or LONGEST_S, period=period
+                step.current_A,
+                termination=ends,
+                duration=duration or POROUS.longest_s,
+                period=period,
             )
     raise TypeError(type(step))
 
