@@ -157,10 +157,10 @@ def cases(model: CellModel, data: Path | None, physics: Path) -> Iterator[Case]:
 Replace = Callable[[Any], Any]
 SWITCHES: dict[str, tuple[tuple[str, Replace], ...]] = {
     "tolerances tried at shares": (
-        ("fit.likelihood.OVER", lambda old: old._replace(shares=(1.0,))),
+        ("fit.cause_fits.OVER", lambda old: old._replace(shares=(1.0,))),
     ),
     "scale of the noise averaged": (
-        ("fit.likelihood._times", lambda _: lambda *_: np.array([1.0])),
+        ("fit.cause_fits._times", lambda _: lambda *_: np.array([1.0])),
     ),
     "share of shapes in the noise": (
         ("fit.cause_fits.with_shape", lambda _: lambda _e, size, weight, _s: (size, weight)),
@@ -174,7 +174,7 @@ SWITCHES: dict[str, tuple[tuple[str, Replace], ...]] = {
     ),
     "starts read again": (
         ("fit.priors.start_readings", lambda _: lambda *_: {}),
-        ("fit.limits.start_readings", lambda _: lambda *_: {}),
+        ("identifiability.start_readings", lambda _: lambda *_: {}),
     ),
     "stated starts wrong together": (
         ("fit.least_squares.Prior.together", lambda _: lambda prior, *_: prior),

@@ -14,8 +14,7 @@ from cellwise.cli import main
 from cellwise.logs import CellLog
 from cellwise.logs.packs.pack_reading import read_pack
 from cellwise.logs.writing import write_columns
-from cellwise.pack.differences import RESISTANCE, regressors
-from cellwise.pack.mean_cell import MeanCell, OcvSlope, mean_cell
+from cellwise.pack.differences import RESISTANCE, MeanCell, OcvSlope, mean_cell, regressors
 from cellwise.pack.pack_estimate import estimate_pack
 
 MODEL = named_model("lmo-pouch", 54.0)

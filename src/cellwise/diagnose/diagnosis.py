@@ -15,9 +15,13 @@ from cellwise.cell.point_kernels import R3, TAU2, TAU3
 from cellwise.diagnose.adoption import reference_for, soc_gain
 from cellwise.diagnose.causes.catalogue import UNSEEN_TEMPERATURE
 from cellwise.diagnose.causes.coordinates import Coordinates
-from cellwise.diagnose.decision.checks import (
+from cellwise.diagnose.checks import (
+    Logs,
     another_cell,
+    causes_of,
     claim_checks,
+    logs_of,
+    stated_starts,
     too_little,
     unseen_temperature_C,
 )
@@ -32,11 +36,10 @@ from cellwise.diagnose.decision.outcome import Accepted, Outcome, decide
 from cellwise.diagnose.extension import extended_validity, parameters_of, value_of, with_error_at
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.least_squares import Fit, Prior
-from cellwise.diagnose.fit.limits import Limits, limits
 from cellwise.diagnose.fit.priors import GOOD, tolerances
 from cellwise.diagnose.fit.rests import rest_voltages
 from cellwise.diagnose.fit.rows import Evidence, gather
-from cellwise.diagnose.inputs import Logs, causes_of, logs_of, stated_starts
+from cellwise.diagnose.identifiability import LONGER_LOG, Limits, limits, next_test
 from cellwise.diagnose.log_runs import (
     Applied,
     LogRun,
@@ -51,7 +54,6 @@ from cellwise.diagnose.log_runs import (
     with_own_starts,
     with_use,
 )
-from cellwise.diagnose.next_test import LONGER_LOG, next_test
 from cellwise.diagnose.residual import residual_analysis
 from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
 from cellwise.diagnose.sensor_faults import with_faults, without_faults
@@ -60,7 +62,6 @@ from cellwise.logs.cell_log import CellLog
 from cellwise.threads import one_blas_thread
 
 StartedLog = tuple[CellLog, InitialSoc]
-NARROWER = 0.9  # a parameter known to no less than this share of its prior only repeats it
 
 
 @one_blas_thread
@@ -307,7 +308,7 @@ def _found(
         key = "soc0:0" if p.coordinate == "soc0" else p.coordinate
         x = final.z.get(key, 0.0)
         std = final.std(key)
-        if std > NARROWER * prior.std[key]:
+        if std > NAMING.narrower * prior.std[key]:
             usual.append(p.name)
         ends = (
             value_of(p.coordinate, x - 1.96 * std, final.coordinates, soc0),

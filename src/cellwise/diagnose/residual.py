@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,17 +15,28 @@ from cellwise.cell.simulate import simulate
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
-# Sizes of the current that are grouped by, in units of 1C; below the first it is a rest. They
-# lie between the rates that laboratories use.
-RATES_C = (0.02, 0.15, 0.4, 0.75, 1.25, 2.25)
-EDGE_C = 0.1  # a step of the current by more than this starts a new edge
-SINCE_EDGE_S = (1.0, 10.0, 100.0, 1000.0)
-# Means over so many seconds part the residual; a mean over w keeps periods longer than about 2 w.
-MEANS_S = (1.0, 10.0, 100.0, 1000.0)
-PARTS = 10
-TEMPERATURE_STEP_C = 5.0
-MOST_TEMPERATURES = 12
-FALLEN = float(np.exp(-1.0))
+
+class Groups(NamedTuple):
+    """How a residual is divided.
+
+    ``rates_C``: sizes of the current in units of 1C, between the rates that laboratories use; below
+    the first it is a rest. ``edge_C``: a larger step of the current starts a new edge, whose rows
+    are parted after ``since_s``. Means over ``means_s`` part the residual by period: a mean over w
+    keeps periods longer than about 2 w. ``parts`` of SOC, time and charge; temperatures in steps of
+    ``step_K``, at most so many of them.
+    """
+
+    rates_C: tuple[float, ...] = (0.02, 0.15, 0.4, 0.75, 1.25, 2.25)
+    edge_C: float = 0.1
+    since_s: tuple[float, ...] = (1.0, 10.0, 100.0, 1000.0)
+    means_s: tuple[float, ...] = (1.0, 10.0, 100.0, 1000.0)
+    parts: int = 10
+    step_K: float = 5.0
+    most_temperatures: int = 12
+
+
+GROUPS = Groups()
+FALLEN = math.exp(-1.0)
 
 
 def residual_analysis(
@@ -76,9 +87,9 @@ def residual_analysis(
         "rows": int(known.sum()),
         "rmse_V": _root(float(np.mean(e * e))) if e.size else None,
         "mean_V": float(np.mean(e)) if e.size else None,
-        "by_soc": groups(error, run.soc, [*np.arange(1, PARTS) / PARTS], 0.0, 1.0),
+        "by_soc": groups(error, run.soc, [*np.arange(1, GROUPS.parts) / GROUPS.parts], 0.0, 1.0),
         "by_current_C": _by_current(error, current / one_C),
-        "by_edge_s": groups(error, since_edge_s(log, EDGE_C * one_C), SINCE_EDGE_S, 0.0),
+        "by_edge_s": groups(error, since_edge_s(log, GROUPS.edge_C * one_C), GROUPS.since_s, 0.0),
         "by_temperature_C": _by_temperature(error, log.temperature_C),
         "by_time_s": groups(error, elapsed, *_parts(elapsed)),
         "by_charge_Ah": groups(error, moved, *_parts(moved)),
@@ -153,8 +164,8 @@ def periods(error_V: FloatArray, seconds: FloatArray) -> dict[str, Any]:
     scale = whole if whole > 0.0 else 1.0
     inner = error_V
     result = []
-    edges = (None, *(2.0 * w for w in MEANS_S), None)
-    for k, width in enumerate((*MEANS_S, np.inf)):
+    edges = (None, *(2.0 * w for w in GROUPS.means_s), None)
+    for k, width in enumerate((*GROUPS.means_s, np.inf)):
         outer = _block_means(error_V, seconds, width)
         square = float(np.mean((inner - outer) ** 2))
         result.append(
@@ -263,15 +274,15 @@ def _slope(
 
 
 def _by_current(error_V: FloatArray, rate_C: FloatArray) -> list[dict[str, Any]]:
-    return groups(error_V, rate_C, [*(-x for x in reversed(RATES_C)), *RATES_C])
+    return groups(error_V, rate_C, [*(-x for x in reversed(GROUPS.rates_C)), *GROUPS.rates_C])
 
 
 def _by_temperature(error_V: FloatArray, temperature_C: FloatArray | None) -> list[dict[str, Any]]:
     if temperature_C is None or not np.isfinite(temperature_C).any():
         return []
     low, high = float(np.nanmin(temperature_C)), float(np.nanmax(temperature_C))
-    step = TEMPERATURE_STEP_C * max(
-        1.0, np.ceil((high - low) / TEMPERATURE_STEP_C / MOST_TEMPERATURES)
+    step = GROUPS.step_K * max(
+        1.0, np.ceil((high - low) / GROUPS.step_K / GROUPS.most_temperatures)
     )
     edges = np.arange(np.floor(low / step) + 1, np.ceil(high / step)) * step
     first = float(np.floor(low / step) * step)
@@ -284,7 +295,7 @@ def _parts(x: FloatArray) -> tuple[list[float], float, float]:
     low, high = float(x[0]), float(x[-1])
     if high <= low:
         return [], low, high
-    return [float(v) for v in np.linspace(low, high, PARTS + 1)[1:-1]], low, high
+    return [float(v) for v in np.linspace(low, high, GROUPS.parts + 1)[1:-1]], low, high
 
 
 def _root(square: float) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -22,12 +22,20 @@ from cellwise.logs.checks.faults import (
     stuck_runs,
     without,
 )
-from cellwise.logs.checks.rests import Run
+from cellwise.logs.checks.rests import Run, run_edges
 
-# A single row may be bad in any log; so many are a sensor that fails.
-FEWEST_SPIKES = 3
-# Of a log whose current was wrong in between, the longest part must be so long to say anything.
-LEAST_PART = 0.2
+
+class Failing(NamedTuple):
+    """A single row may be bad in any log; ``spikes`` of them are a sensor that fails.
+
+    Of a log whose current was wrong in between, the longest part must be ``least_part`` of it.
+    """
+
+    spikes: int = 3
+    least_part: float = 0.2
+
+
+FAILING = Failing()
 
 Kind = Literal["impossible", "stuck", "saturated", "spikes", "lost"]
 Starts = list[float | str]
@@ -100,11 +108,12 @@ def clean(log: CellLog) -> tuple[CellLog, tuple[SensorFault, ...]]:
         if fault.channel == "current_A":
             for run in fault.runs:
                 wrong[run.first : run.last + 1] = True
-    if not wrong.any():
+    if not wrong.any() or wrong.all():
         return whole, faults
-    first, stop = _longest(~wrong)
+    first, last = max(zip(*run_edges(~wrong), strict=True), key=lambda run: run[1] - run[0])
+    stop = last + 1
     part = whole.voltage_V[first:stop]
-    if stop - first < LEAST_PART * len(log) or not np.isfinite(part).any():
+    if stop - first < FAILING.least_part * len(log) or not np.isfinite(part).any():
         return whole, faults
     return whole.part(first, stop), faults
 
@@ -194,17 +203,7 @@ def _faults(log: CellLog) -> tuple[SensorFault, ...]:
     found += [fault(name, "stuck", runs) for name, runs in stuck_runs(rest).items()]
     found += [fault(name, "lost", runs) for name, runs in lost_runs(log).items()]
     spikes = find_spikes(rest)
-    if spikes.size >= FEWEST_SPIKES:
+    if spikes.size >= FAILING.spikes:
         found.append(fault("voltage_V", "spikes", [Run(int(k), int(k)) for k in spikes]))
     found += [fault(name, "saturated", runs) for name, runs in clipped_runs(rest).items()]
     return tuple(found)
-
-
-def _longest(good: np.ndarray) -> tuple[int, int]:
-    """First row and row after the last of the longest run of True."""
-    edges = np.diff(np.concatenate(([False], good, [False])).astype(np.int8))
-    begins, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
-    if begins.size == 0:
-        return 0, 0
-    k = int(np.argmax(ends - begins))
-    return int(begins[k]), int(ends[k])

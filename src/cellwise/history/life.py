@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import date
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,10 +12,10 @@ import numpy as np
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.history.stretches import Compared, Stretch, compare, longest_stretch
-from cellwise.history.trend import START_STD, WINDOWS_ALIKE, Deviations, Trend, trend_of
+from cellwise.history.trend import FADE, Deviations, Trend, trend_of
 from cellwise.history.window_fit import PER_KELVIN, WindowFit, changed_model, fit_window
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.stated import day_of_name
+from cellwise.logs.stated import check_order, day_of_name
 from cellwise.typing import FloatArray
 
 SAME_KEYS = (
@@ -252,13 +251,7 @@ def life_of(model: CellModel, logs: Sequence[CellLog], *, anyway: bool = False) 
             "Give longer logs.",
         )
     days = [one.day for one in found]
-    for a, b in pairwise(found):
-        if a.day is not None and b.day is not None and b.day < a.day:
-            raise InputError(
-                f"'{b.log.name}' of {b.day} after '{a.log.name}' of {a.day}",
-                "logs in the order in which they were recorded",
-                "Sort them.",
-            )
+    check_order([(one.log.name, one.day) for one in found])
     if all(day is not None for day in days) and days[-1] != days[0]:
         over = "days"
         way = np.array([float(day.toordinal()) for day in days if day is not None])
@@ -269,7 +262,7 @@ def life_of(model: CellModel, logs: Sequence[CellLog], *, anyway: bool = False) 
         way,
         np.array([one.share for one in found]),
         Deviations(*np.array([one.deviations for one in found]).T),
-        START_STD if found[0].counted else model.capacity_std_Ah / model.capacity_Ah,
+        FADE.start_std if found[0].counted else model.capacity_std_Ah / model.capacity_Ah,
     )
     return Life(model, tuple(found), over, way, trend, tuple(far_off))
 
@@ -301,7 +294,7 @@ def _by_stretch(
     else:
         result = compare(one, known.stretch)
     reference, share = known.stretch, known.share
-    alike = 0.0 if result.counted else WINDOWS_ALIKE
+    alike = 0.0 if result.counted else FADE.windows_alike
     spread = share * result.capacity_std
     capacity = reference.moved_Ah * result.capacity
     start, end = _soc_of(one, reference, result)
@@ -339,7 +332,7 @@ def _by_fit(model: CellModel, log: CellLog, fit: WindowFit, flow: float) -> LogO
         capacity_std_Ah=fit.capacity_std_Ah,
         share=fit.capacity_Ah / model.capacity_Ah,
         share_std=float(np.hypot(fit.capacity_std_Ah, model.capacity_std_Ah) / model.capacity_Ah),
-        deviations=(*_parts(spread, WINDOWS_ALIKE), 0.0),
+        deviations=(*_parts(spread, FADE.windows_alike), 0.0),
         resistance_scale=fit.resistance_scale,
         resistance_std=fit.resistance_std,
         soc_start=fit.soc_start,

@@ -8,11 +8,21 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.logs.cell_log import CellLog
+from cellwise.logs.checks.rests import run_edges
 from cellwise.typing import FloatArray
 
-POINTS = 200  # of a thinned stretch
-THIN = 4  # of these are compared, one in so many
-LENGTH_S = 300.0  # shortest stretch
+
+class Usable(NamedTuple):
+    """A stretch lasts ``length_s``, has ``rows`` and a load of ``rate_C``, at least.
+
+    ``points`` are kept of it, of which one in ``thin`` is compared.
+    """
+
+    length_s: float = 300.0
+    rows: int = 20
+    rate_C: float = 0.02
+    points: int = 200
+    thin: int = 4
 
 
 class SameLoad(NamedTuple):
@@ -54,7 +64,7 @@ class Ageing(NamedTuple):
     counter: float = 0.002
 
 
-SAME, COMPLETE, AGEING = SameLoad(), Complete(), Ageing()
+USABLE, SAME, COMPLETE, AGEING = Usable(), SameLoad(), Complete(), Ageing()
 SHARES = np.linspace(0.5, 1.15, 131)
 BEGINS = np.linspace(-0.15, 1.0, 93)  # of the reference's range
 
@@ -108,20 +118,20 @@ def longest_stretch(log: CellLog, capacity_Ah: float) -> Stretch | None:
     current, interval = log.known_current_A(), log.interval_s
     best: Stretch | None = None
     for sign in (1.0, -1.0):
-        loaded = (sign * current > 0.02 * capacity_Ah) & np.isfinite(log.voltage_V)
-        if np.count_nonzero(loaded) < 20:
+        loaded = (sign * current > USABLE.rate_C * capacity_Ah) & np.isfinite(log.voltage_V)
+        if np.count_nonzero(loaded) < USABLE.rows:
             continue
         usual = float(np.median(current[loaded]))
         inside = loaded & (np.abs(current - usual) < SAME.constant * abs(usual))
         inside &= ~log.gap_rows
-        edges = np.flatnonzero(np.diff(np.concatenate(([0], inside.astype(np.int8), [0]))))
-        runs = list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
-        if not runs:
+        if not inside.any():
             continue
-        a, b = max(runs, key=lambda run: run[1] - run[0])
+        first, last = max(zip(*run_edges(inside), strict=True), key=lambda run: run[1] - run[0])
+        a, b = int(first), int(last) + 1
         charge = np.cumsum(np.abs(current[a:b]) * interval[a:b]) / 3600.0
-        long = log.time_s[b - 1] - log.time_s[a] >= LENGTH_S
-        if b - a < 20 or not long or charge[-1] - charge[0] < 0.5 * AGEING.length * capacity_Ah:
+        long = log.time_s[b - 1] - log.time_s[a] >= USABLE.length_s
+        much = charge[-1] - charge[0] >= 0.5 * AGEING.length * capacity_Ah
+        if b - a < USABLE.rows or not long or not much:
             continue
         warm = None if log.temperature_C is None else float(log.temperature_C[a])
         warm = None if warm is None or not np.isfinite(warm) else warm
@@ -154,8 +164,8 @@ def _marginal(one: Stretch, reference: Stretch) -> Compared:
     """
     share = SHARES[:, None, None]
     begin = BEGINS[None, :, None] * reference.moved_Ah
-    at = begin + one.charge_Ah[None, None, ::THIN] / share
-    left = one.voltage_V[None, None, ::THIN] - _extended(at, reference)
+    at = begin + one.charge_Ah[None, None, :: USABLE.thin] / share
+    left = one.voltage_V[None, None, :: USABLE.thin] - _extended(at, reference)
     added = -left.mean(axis=2) / one.current_A  # the resistance that fits each best
     drop = added * abs(one.current_A)
     spread = np.hypot(AGEING.uneven * drop, AGEING.least_V)
@@ -185,7 +195,7 @@ def _thinned(
     charge: FloatArray, voltage: FloatArray, current: float, warm: float | None
 ) -> Stretch:
     moved = charge - charge[0]
-    width = max(voltage.size // POINTS, 1)
+    width = max(voltage.size // USABLE.points, 1)
     smooth = voltage
     if width > 2:
         kernel = np.ones(width) / width
@@ -193,7 +203,7 @@ def _thinned(
         smooth = voltage.copy()
         middle = np.convolve(voltage, kernel, "valid")
         smooth[half : half + middle.size] = middle
-    at = np.unique(np.linspace(0, voltage.size - 1, POINTS).astype(np.int64))
+    at = np.unique(np.linspace(0, voltage.size - 1, USABLE.points).astype(np.int64))
     return Stretch(moved[at], smooth[at], current, warm)
 
 

@@ -10,19 +10,34 @@ import numpy as np
 
 from cellwise.typing import FloatArray
 
-# Fade over the logs, standard deviation: cells are used to four fifths. Half of its variance goes
-# with time, half with its root, as films grow (10.1149/1.1393224).
-FADE = 0.2
-BENDS = (0.0, 0.01, 0.03, 0.1, 0.3)  # how much it bends: of an integrated Wiener process
-# From log to log beyond the stated deviations: interrupted charges, temperature, rest before.
-SCATTERS = (0.0, 0.003, 0.006, 0.012)
-# Windows of one kind are wrong alike, for so much of the life: what they cannot see ages in its
-# own way. Share of their variance.
-WINDOWS_ALIKE = 0.95
-ALIKE_OVER = 0.5
-START_STD = 0.002  # of a first log that is counted itself
-KNEE_BIC = 10.0  # very strong evidence (Kass and Raftery 1995)
-FEWEST_FOR_KNEE = 8
+
+class Fade(NamedTuple):
+    """What is known of a fade before any log.
+
+    ``std`` over the logs: cells are used to four fifths. Half of its variance goes with time, half
+    with its root, as films grow (10.1149/1.1393224). ``bends``: how much it may bend (of an
+    integrated Wiener process); ``scatters`` from log to log beyond the stated deviations
+    (interrupted charges, temperature, rest before). ``windows_alike``: share of the variance of
+    windows of one kind that is alike for ``alike_over`` of the life, since what they cannot see
+    ages in its own way. ``start_std``: of a first log that is counted itself.
+    """
+
+    std: float = 0.2
+    bends: tuple[float, ...] = (0.0, 0.01, 0.03, 0.1, 0.3)
+    scatters: tuple[float, ...] = (0.0, 0.003, 0.006, 0.012)
+    windows_alike: float = 0.95
+    alike_over: float = 0.5
+    start_std: float = 0.002
+
+
+class Knee(NamedTuple):
+    """A bend is said with very strong evidence (Kass and Raftery 1995), and of so many logs."""
+
+    bic: float = 10.0
+    fewest_logs: int = 8
+
+
+FADE, KNEE = Fade(), Knee()
 
 
 class Deviations(NamedTuple):
@@ -59,7 +74,7 @@ def trend_of(
     way: FloatArray,
     share: FloatArray,
     std: Deviations,
-    start_std: float = START_STD,
+    start_std: float = FADE.start_std,
 ) -> Trend:
     """The trend of measured shares.
 
@@ -78,13 +93,13 @@ def trend_of(
     """
     u = way - way[0]
     u = u / max(float(u[-1]), 1e-12)
-    near = np.exp(-np.abs(u[:, None] - u[None, :]) / ALIKE_OVER)
+    near = np.exp(-np.abs(u[:, None] - u[None, :]) / FADE.alike_over)
     common = np.minimum(std.alike[:, None], std.alike[None, :]) ** 2
     stated = np.diag(std.own**2 + 1e-8) + common * near
     stated += np.outer(std.level, std.level)
     eye = np.eye(u.size)
     likely, means, variances = [], [], []
-    for bend, scatter in product(BENDS, SCATTERS):
+    for bend, scatter in product(FADE.bends, FADE.scatters):
         kernel, noise = start_std**2 + _kernel(u, bend), stated + scatter**2 * eye
         likely.append(_likelihood(kernel + noise, share - 1.0))
         gain = np.linalg.solve(kernel + noise, kernel).T
@@ -103,7 +118,7 @@ def _kernel(u: FloatArray, bend: float) -> FloatArray:
     low, high = np.minimum(u[:, None], u[None, :]), np.maximum(u[:, None], u[None, :])
     wiener = low**2 * (3.0 * high - low) / 6.0
     root = np.sqrt(u)
-    fade = 0.5 * FADE**2 * (np.outer(u, u) + np.outer(root, root))
+    fade = 0.5 * FADE.std**2 * (np.outer(u, u) + np.outer(root, root))
     return np.asarray(fade + 3.0 * bend**2 * wiener)
 
 
@@ -115,7 +130,7 @@ def _likelihood(covariance: FloatArray, left: FloatArray) -> float:
 
 def _knee(u: FloatArray, share: FloatArray, std: FloatArray) -> int | None:
     """Number of the log from which the fade is faster; None where one line is as good."""
-    if u.size < FEWEST_FOR_KNEE:
+    if u.size < KNEE.fewest_logs:
         return None
     line = _line_cost(u, share, std, None)[0]
     best, knee = np.inf, None
@@ -125,7 +140,7 @@ def _knee(u: FloatArray, share: FloatArray, std: FloatArray) -> int | None:
             best, knee = cost, k
     size = max(best / max(u.size - 4, 1), 1.0)  # scatter beyond the stated deviations
     gain = (line - best) / size - 2.0 * np.log(u.size)
-    return knee if gain > KNEE_BIC else None
+    return knee if gain > KNEE.bic else None
 
 
 def _line_cost(

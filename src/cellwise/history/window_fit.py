@@ -15,10 +15,19 @@ from cellwise.cell.simulate import Simulation, known_temperature_C, simulate
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray, IndexArray
 
-POINTS = 240  # rows that are compared, even in charge and time
-FEWEST_ROWS = 20
-PASSES = 8  # until the size of the model's error stays
-STEP = np.array([1e-4, 1e-3, 1e-2])
+
+class Fitting(NamedTuple):
+    """How a log is fitted.
+
+    ``points``: rows that are compared, even in charge and time, at least ``fewest_rows``;
+    ``passes`` until the size of the model's error stays; ``step`` of the derivatives by SOC, ln
+    capacity and ln resistance.
+    """
+
+    points: int = 240
+    fewest_rows: int = 20
+    passes: int = 8
+    step: tuple[float, float, float] = (1e-4, 1e-3, 1e-2)
 
 
 class Aged(NamedTuple):
@@ -47,7 +56,7 @@ class PerKelvin(NamedTuple):
     capacity: float = 0.003
 
 
-AGED, SHAPE, PER_KELVIN = Aged(), ModelShape(), PerKelvin()
+FITTING, AGED, SHAPE, PER_KELVIN = Fitting(), Aged(), ModelShape(), PerKelvin()
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +89,7 @@ def fit_window(model: CellModel, log: CellLog) -> WindowFit | None:
     that it does not cover, which may have aged by itself.
     """
     rows = _compared(log)
-    if rows.size < FEWEST_ROWS:
+    if rows.size < FITTING.fewest_rows:
         return None
     centre, stds = _start(model, log)
     x, measured = centre, log.voltage_V[rows]
@@ -90,12 +99,13 @@ def fit_window(model: CellModel, log: CellLog) -> WindowFit | None:
         return found.soc, found.voltage_V[rows]
 
     def slopes(at: FloatArray) -> FloatArray:
-        steps = np.diag(np.where([at[0] < 0.5, True, True], STEP, -STEP))
+        size = np.array(FITTING.step)
+        steps = np.diag(np.where([at[0] < 0.5, True, True], size, -size))
         voltage = run(at)[1]
         return np.column_stack([(run(at + s)[1] - voltage) / s.sum() for s in steps])
 
     shape, before = 2.0 * SHAPE.least_V, 0.0
-    for _ in range(PASSES):
+    for _ in range(FITTING.passes):
         white = _whitening(run(x)[0][rows], log.time_s[rows], shape)
 
         def off(at: FloatArray, white: FloatArray = white, shape: float = shape) -> FloatArray:
@@ -141,12 +151,12 @@ def changed_model(model: CellModel, ln_capacity: float, ln_resistance: float) ->
 def _compared(log: CellLog) -> IndexArray:
     """Rows with a voltage, even in charge moved and in time."""
     known = np.flatnonzero(np.isfinite(log.voltage_V))
-    if known.size <= POINTS:
+    if known.size <= FITTING.points:
         return known
     moved = np.cumsum(np.abs(log.known_current_A()) * log.interval_s)[known]
     time = (log.time_s - log.time_s[0])[known]
     way = moved / max(moved[-1], 1e-9) + time / max(time[-1], 1e-9)
-    at = np.searchsorted(way, np.linspace(way[0], way[-1], POINTS))
+    at = np.searchsorted(way, np.linspace(way[0], way[-1], FITTING.points))
     return np.asarray(known[np.unique(np.minimum(at, known.size - 1))])
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import date
+from itertools import pairwise
 from pathlib import Path
 from typing import Self
 
@@ -135,6 +137,22 @@ def check_temperature(temperature_C: float | None) -> None:
         raise InputError(
             f"a temperature of {temperature_C:g} degC", "degrees Celsius", "Not in kelvin."
         )
+
+
+def check_order(days: Sequence[tuple[str, date | None]]) -> None:
+    """Whether named logs follow in the order of their days, where these are known.
+
+    Raises
+    ------
+    InputError        days that run backwards
+    """
+    for (before, first), (name, day) in pairwise(days):
+        if first is not None and day is not None and day < first:
+            raise InputError(
+                f"'{name}' of {day} after '{before}' of {first}",
+                "logs in the order in which they were recorded",
+                "Sort them.",
+            )
 
 
 def day_of_name(name: str) -> date | None:

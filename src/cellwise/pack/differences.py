@@ -1,6 +1,7 @@
-"""By what a cell of a pack may differ from the mean cell, and what that does to its voltage.
+"""The mean cell of a pack, by what a cell may differ from it, and what that does to its voltage.
 
-A cell's voltage minus the mean cell's is, to first order,
+The mean cell's SOC is the EKF's, started again after every pause. A cell's voltage minus the mean
+cell's is, to first order,
 
     d = s(z) (delta + kappa (z_ref - z)) - rho U + offset
         - lag dv/dt|before - lead dv/dt|after + f(z)
@@ -12,12 +13,112 @@ bar-delta filtering; the columns for polling and offset are ours).
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.pack.mean_cell import MeanCell, OcvSlope
-from cellwise.typing import BoolArray, FloatArray
+from cellwise.cell.initial_soc.initial_soc import initial_soc
+from cellwise.cell.model import CellModel
+from cellwise.cell.simulate import known_temperature_C
+from cellwise.estimate.filters.kalman import Ekf
+from cellwise.logs.cell_log import CellLog
+from cellwise.typing import BoolArray, FloatArray, IndexArray
+
+
+class Compared(NamedTuple):
+    """Which rows of a pack's log are compared, and over how long.
+
+    ``pause_s``: a pause without a counter, in which the car may have been charged; ``fewest_rows``
+    between two of them. ``rate_s``: rates of the mean voltage are taken over this long or one
+    interval, so that a polling delay of seconds is seen whole, also where rows are closer;
+    ``longest_intervals`` of the usual length, over longer ones a rate says nothing.
+    """
+
+    pause_s: float = 300.0
+    fewest_rows: int = 10
+    rate_s: float = 2.0
+    longest_intervals: float = 3.0
+
+
+COMPARED = Compared()
+
+
+@dataclass(frozen=True, eq=False)
+class MeanCell:
+    """The mean cell of a log.
+
+    ``soc``, ``soc_std``, ``voltage_V`` (one step ahead), shape (n,); ``part`` numbers the stretches
+    between pauses, -1 where one is too short to be estimated.
+    """
+
+    log: CellLog
+    soc: FloatArray
+    soc_std: FloatArray
+    voltage_V: FloatArray
+    part: IndexArray
+
+    @property
+    def used(self) -> BoolArray:
+        """Rows with an estimate."""
+        return np.asarray(self.part >= 0)
+
+    @property
+    def rmse_V(self) -> float:
+        """Of the voltage one step ahead [V]; NaN without one."""
+        error = (self.log.voltage_V - self.voltage_V)[self.used]
+        error = error[np.isfinite(error)]
+        return float(np.sqrt(np.mean(error**2))) if error.size else float("nan")
+
+
+def mean_cell(model: CellModel, log: CellLog, soc0: float | None = None) -> MeanCell:
+    """Estimate the mean cell's SOC.
+
+    Parameters
+    ----------
+    soc0 : float or None      at the first row; None: as :func:`initial_soc` finds it
+    """
+    n = len(log)
+    soc, std, voltage = (np.full(n, np.nan) for _ in range(3))
+    part: IndexArray = np.full(n, -1, dtype=np.intp)
+    ekf = Ekf(model)
+    paused = (log.interval_s > COMPARED.pause_s) & (log.charge_Ah is None)
+    edges = [0, *np.flatnonzero(paused).tolist(), n]
+    count = 0
+    for first, stop in pairwise(edges):
+        if stop - first < COMPARED.fewest_rows or not np.any(
+            np.isfinite(log.voltage_V[first:stop])
+        ):
+            continue
+        one = log if stop - first == n else log.part(first, stop)
+        start = initial_soc(model, one, soc0 if first == 0 else None)
+        trace = ekf.run(one, start.soc, start.std)
+        rows = slice(first, stop)
+        soc[rows], std[rows], voltage[rows] = trace.soc, trace.soc_std, trace.voltage_V
+        part[rows] = count
+        count += 1
+    return MeanCell(log, soc, std, voltage, part)
+
+
+class OcvSlope:
+    """OCV and its slope over SOC at one temperature, smoothed over what cells may differ by."""
+
+    def __init__(self, model: CellModel, log: CellLog, half_width: float = 0.02) -> None:
+        warm = float(np.median(known_temperature_C(model, log)))
+        self._soc = model.soc
+        self._ocv = model.at_temperature(warm).ocv_V[0]
+        self._half = half_width
+
+    def ocv_V(self, soc: FloatArray) -> FloatArray:
+        """OCV [V]."""
+        return np.asarray(np.interp(soc, self._soc, self._ocv))
+
+    def slope_V(self, soc: FloatArray) -> FloatArray:
+        """Its slope [V per unit of SOC]."""
+        low, high = np.clip(soc - self._half, 0.0, 1.0), np.clip(soc + self._half, 0.0, 1.0)
+        return np.asarray((self.ocv_V(high) - self.ocv_V(low)) / (high - low))
+
 
 SOC, CAPACITY, RESISTANCE, OFFSET, LAG, LEAD, SELF_DISCHARGE = range(7)
 NAMED = 7
@@ -25,10 +126,6 @@ SHAPES = np.linspace(0.05, 0.95, 10)
 SHAPE_WIDTH = 0.1
 SIZE = NAMED + SHAPES.size
 REFERENCE_SOC = 0.5
-# Rates of the mean voltage are taken over this long or one interval: a polling delay of seconds is
-# then seen whole, also where rows are closer.
-RATE_S = 2.0
-LONGEST_INTERVALS = 3.0  # of the usual length: over longer ones a rate says nothing
 
 
 class Spread(NamedTuple):
@@ -101,13 +198,13 @@ def _rates(mean: MeanCell) -> tuple[FloatArray, FloatArray, FloatArray, BoolArra
     n = time.size
     interval = np.diff(time)
     usual = float(np.median(interval[interval > 0])) if np.any(interval > 0) else 1.0
-    span = max(RATE_S, usual)
+    span = max(COMPARED.rate_s, usual)
     known = np.isfinite(voltage)
     filled = np.interp(time, time[known], voltage[known])
     before = (filled - np.interp(time - span, time, filled)) / span
     after = (np.interp(time + span, time, filled) - filled) / span
     near = np.zeros(n, dtype=np.bool_)
-    short = interval <= LONGEST_INTERVALS * max(usual, RATE_S)
+    short = interval <= COMPARED.longest_intervals * max(usual, COMPARED.rate_s)
     same = mean.part[1:] == mean.part[:-1]
     near[1:-1] = (short & same)[:-1] & (short & same)[1:]
     change = span * np.maximum(np.abs(before), np.abs(after))

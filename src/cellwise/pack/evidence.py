@@ -10,11 +10,6 @@ import numpy as np
 from cellwise.pack.differences import NAMED, SIZE, SOC, Regressors, usual_spread
 from cellwise.typing import BoolArray, FloatArray, IndexArray
 
-# Cells, or cells and blocks, that a usual size counts as beside those that are seen.
-USUAL_WEIGHT = 10.0
-# Of an expectation-maximisation, which comes near enough in a few.
-PASSES = 30
-
 
 class UsualNoise(NamedTuple):
     """What differences are wrong by before a pack shows it.
@@ -23,7 +18,10 @@ class UsualNoise(NamedTuple):
     ``block_V``: what stays for ``block_s`` (relaxation, temperature, the OCV's shape);
     ``balancing_soc``: what a cell's SOC moves by from one log to the next; ``slope_V``: of the OCV
     over SOC, a third of a usual slope; ``least_V``: no noise is smaller; ``robust``: standard
-    deviations beyond which a reading counts no more.
+    deviations beyond which a reading counts no more; ``weight``: cells, or cells and blocks, that a
+    usual size counts as beside those that are seen; ``least_share``: of a usual spread, since a
+    pack of equal cells is not expected to be more equal; ``passes`` of an
+    expectation-maximisation, which comes near enough in a few.
     """
 
     row_V: float = 0.003
@@ -34,6 +32,9 @@ class UsualNoise(NamedTuple):
     slope_V: float = 0.2
     least_V: float = 1e-4
     robust: float = 4.0
+    weight: float = 10.0
+    least_share: float = 0.2
+    passes: int = 30
 
 
 USUAL = UsualNoise()
@@ -217,7 +218,7 @@ def _block_noise(sums: _BlockSums, x: FloatArray) -> float:
 
 def _with_usual(found: float, many: float, usual: float) -> float:
     """Deviation of a variance that so many have shown, and of a usual one [unit of ``usual``]."""
-    return float(np.sqrt((many * found + USUAL_WEIGHT * usual**2) / (many + USUAL_WEIGHT)))
+    return float(np.sqrt((many * found + USUAL.weight * usual**2) / (many + USUAL.weight)))
 
 
 def _without_block_errors(sums: _BlockSums, block_V: float) -> tuple[FloatArray, FloatArray]:
@@ -250,7 +251,7 @@ def _without_balancing(
     well as the OCV's slope is. Shapes as :func:`_without_block_errors` has them.
     """
     size = USUAL.balancing_soc
-    for _ in range(PASSES):
+    for _ in range(USUAL.passes):
         a, b = _integrated(matrix, vector, size)
         x = np.linalg.solve(a.sum(axis=0) + prior, b.sum(axis=0)[..., None])[..., 0]
         column = np.broadcast_to(matrix[:, :, SOC], vector.shape)

@@ -26,12 +26,15 @@ from cellwise.pack.differences import (
 from cellwise.pack.evidence import PackEvidence
 from cellwise.pack.pack_state import CellDeltas, PackState, drift_between, spread_between
 from cellwise.pack.periods import PackDay, pack_days, period_evidence, periods
-from cellwise.pack.self_discharge import also_drifting, drift_of, drifting, self_discharging
 from cellwise.pack.suspicion import (
     Suspicion,
     against_others,
     against_past,
+    also_drifting,
+    drift_of,
+    drifting,
     exchanged_cells,
+    self_discharging,
     with_exchanged,
 )
 from cellwise.pack.usable import Usable, usable_charge

@@ -12,12 +12,11 @@ import numpy as np
 from cellwise.errors import InputError
 from cellwise.files import write_atomically
 from cellwise.pack.differences import SELF_DISCHARGE, SIZE, usual_spread
-from cellwise.pack.evidence import PASSES, USUAL_WEIGHT, PackEvidence, robust_std
+from cellwise.pack.evidence import USUAL, PackEvidence, robust_std
 from cellwise.typing import FloatArray
 
 KIND = "cellwise-pack-state"
 VERSION = 1
-LEAST_SHARE = 0.2  # of the usual spread: a pack of equal cells is not expected to be more equal
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,15 +79,15 @@ def spread_between(evidence: PackEvidence) -> FloatArray:
     spread = usual.copy()
     there = evidence.rows > 0
     cells = float(np.count_nonzero(there))
-    for _ in range(PASSES):
+    for _ in range(USUAL.passes):
         start = CellDeltas.unknown(evidence.rows.size, spread)
         mean, covariance = posterior(start.mean, start.covariance, evidence)
         mean = mean[there]
         seen = robust_std(mean - np.median(mean, axis=0))
         unseen = np.median(np.diagonal(covariance[there], axis1=1, axis2=2), axis=0)
         variance = seen**2 + np.minimum(unseen, spread**2)
-        blended = (cells * variance + USUAL_WEIGHT * usual**2) / (cells + USUAL_WEIGHT)
-        spread = np.maximum(np.sqrt(blended), LEAST_SHARE * usual)
+        blended = (cells * variance + USUAL.weight * usual**2) / (cells + USUAL.weight)
+        spread = np.maximum(np.sqrt(blended), USUAL.least_share * usual)
     return spread
 
 
@@ -102,7 +101,7 @@ def drift_between(past: CellDeltas, evidence: PackEvidence) -> FloatArray:
     there = evidence.rows > 0
     cells = float(np.count_nonzero(there))
     drift = usual.copy()
-    for _ in range(PASSES):
+    for _ in range(USUAL.passes):
         before = past.covariance + np.diag(drift)
         mean, after = posterior(past.mean, before, evidence)
         share = np.linalg.solve(before, np.broadcast_to(np.diag(drift), before.shape))
@@ -111,7 +110,7 @@ def drift_between(past: CellDeltas, evidence: PackEvidence) -> FloatArray:
         left = np.diag(drift) - share @ np.diag(drift) + share @ after @ np.swapaxes(share, 1, 2)
         unseen = np.median(np.diagonal(left[there], axis1=1, axis2=2), axis=0)
         moved = robust_std(change - np.median(change, axis=0))
-        drift = (cells * (moved**2 + unseen) + USUAL_WEIGHT * usual) / (cells + USUAL_WEIGHT)
+        drift = (cells * (moved**2 + unseen) + USUAL.weight * usual) / (cells + USUAL.weight)
     return drift
 
 

@@ -5,17 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import date
-from itertools import pairwise
 
 import numpy as np
 
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.logs.packs.pack_log import PackLog
-from cellwise.logs.stated import day_of_name
-from cellwise.pack.differences import Regressors, regressors
+from cellwise.logs.stated import check_order, day_of_name
+from cellwise.pack.differences import MeanCell, OcvSlope, Regressors, mean_cell, regressors
 from cellwise.pack.evidence import USUAL, PackEvidence, pack_evidence
-from cellwise.pack.mean_cell import MeanCell, OcvSlope, mean_cell
 
 PERIOD_DAYS = 30.0
 MOST_ROWS = 200_000  # of one period that are compared: more say no more
@@ -64,13 +62,7 @@ def pack_days(
                 "Estimate logs with other cells by themselves, or repair the columns.",
             )
     days = [PackDay(log, mean_cell(model, log.mean), day_of_name(log.name)) for log in logs]
-    for a, b in pairwise(days):
-        if a.day is not None and b.day is not None and b.day < a.day:
-            raise InputError(
-                f"'{b.log.name}' of {b.day} after '{a.log.name}' of {a.day}",
-                "logs in the order in which they were recorded",
-                "Sort them.",
-            )
+    check_order([(one.log.name, one.day) for one in days])
     return tuple(days)
 
 

@@ -1,6 +1,7 @@
 """Which cell is not like the others, or not as it was, and of what it is: cell, sensor, polling.
 
-Two cells whose voltages have changed places (a harness, columns of an export) are found here too.
+Two cells whose voltages have changed places (a harness, columns of an export) are found here, too;
+and a cell that discharges itself: it drifts in every period, where balancing moves one in some.
 """
 
 from __future__ import annotations
@@ -22,9 +23,10 @@ from cellwise.pack.differences import (
     SELF_DISCHARGE,
     SIZE,
     SOC,
+    usual_spread,
 )
-from cellwise.pack.evidence import USUAL_WEIGHT, PackEvidence
-from cellwise.pack.pack_state import CellDeltas, posterior
+from cellwise.pack.evidence import USUAL, PackEvidence, robust_std
+from cellwise.pack.pack_state import CellDeltas, Drift, posterior
 from cellwise.typing import FloatArray
 
 
@@ -33,13 +35,15 @@ class Alarm(NamedTuple):
 
     ``false_alarms``: share of packs and periods with a false one, over all cells and causes;
     ``odd_share`` of the cells, one at least, may be odd themselves; ``penalty``: log likelihood
-    that one more parameter costs; ``confusable``: within which two explanations are.
+    that one more parameter costs; ``confusable``: within which two explanations are;
+    ``tail_shares`` of the cells, at which their ratios are compared with theory's.
     """
 
     false_alarms: float = 0.01
     odd_share: float = 0.05
     penalty: float = 2.0
     confusable: float = 3.0
+    tail_shares: tuple[float, ...] = (0.5, 0.8, 0.9, 0.94)
 
 
 class Exchange(NamedTuple):
@@ -53,8 +57,23 @@ class Exchange(NamedTuple):
     remaining: float = 0.005
 
 
-ALARM, EXCHANGE = Alarm(), Exchange()
-TAIL_SHARES = (0.5, 0.8, 0.9, 0.94)
+class Drifting(NamedTuple):
+    """When a cell discharges itself.
+
+    ``balancing_per_day``: what balancing may do to a cell's SOC, and more; ``sizes`` of a
+    self-discharge that are tried, up to the largest drift. Standard deviations of a drift in one
+    period: ``worth_saying`` in a notice; from ``uncertain`` on whatever else is found of the cell
+    is, but for what is ``apart`` from it, seen under load alone.
+    """
+
+    balancing_per_day: float = 3e-3
+    sizes: int = 200
+    worth_saying: float = 5.0
+    uncertain: float = 2.0
+    apart: tuple[str, ...] = ("resistance_scale", "time_skew")
+
+
+ALARM, EXCHANGE, DRIFTING = Alarm(), Exchange(), Drifting()
 
 
 @dataclass(frozen=True)
@@ -185,9 +204,9 @@ def scale_of(ratio: FloatArray, freedom: int) -> float:
     found = [
         float(ordered[min(int(share * cells), ratio.size - 1 - odd)])
         / float(chi2.ppf(share, freedom))
-        for share in TAIL_SHARES
+        for share in ALARM.tail_shares
     ]
-    return max((cells * max(found) + USUAL_WEIGHT) / (cells + USUAL_WEIGHT), 1.0)
+    return max((cells * max(found) + USUAL.weight) / (cells + USUAL.weight), 1.0)
 
 
 def _negligible() -> FloatArray:
@@ -283,3 +302,80 @@ def _misfit(deltas: CellDeltas, evidence: PackEvidence, cell: int, source: int) 
     pull = np.linalg.solve(np.eye(SIZE) + a @ p, surprise)
     # surprise' (A + A P A)^-1 surprise, of an A that may say nothing of some parameters
     return float(0.5 * pull @ np.linalg.lstsq(a, surprise, rcond=1e-10)[0])
+
+
+def drift_of(spread: FloatArray, evidence: PackEvidence) -> Drift | None:
+    """What a period shows; None where its logs are of one day, or nobody knows of which."""
+    if evidence.days <= 0.0:
+        return None
+    start = CellDeltas.unknown(evidence.rows.size, spread)
+    start.covariance[:, SELF_DISCHARGE, SELF_DISCHARGE] = DRIFTING.balancing_per_day**2
+    mean, covariance = posterior(start.mean, start.covariance, evidence)
+    per_day = mean[:, SELF_DISCHARGE] - np.median(mean[:, SELF_DISCHARGE])
+    own = covariance[:, SELF_DISCHARGE, SELF_DISCHARGE]
+    least = usual_spread().cells[SELF_DISCHARGE] ** 2
+    return Drift(per_day, np.sqrt(np.maximum(own, float(robust_std(per_day)) ** 2) + least))
+
+
+def self_discharging(drifts: Sequence[Drift]) -> list[Suspicion]:
+    """Cells that lose charge in one period after the other.
+
+    Notes
+    -----
+    Likelihood ratio of a constant drift from some period on against none. What balancing does to a
+    cell in one period has no usual size: the drift's error is Cauchy's, of which a single period,
+    however far off, says little, and several that agree say much.
+    """
+    if len(drifts) < 2:
+        return []
+    v, std = (np.stack(x) for x in zip(*drifts, strict=True))  # (periods, cells)
+    sizes = np.linspace(0.0, max(float(np.max(v)), 1e-12), DRIFTING.sizes)[:, None, None]
+    ratio = np.log1p((v / std) ** 2) - np.log1p(((v - sizes) / std) ** 2)
+    # Of the last two periods, three, ...: (sizes, starts, cells), then the best of each cell.
+    gains = np.cumsum(ratio[:, ::-1], axis=1)[:, 1:] - math.log(len(drifts) - 1)
+    best = np.argmax(gains.reshape(-1, v.shape[1]), axis=0)
+    size_of, start_of = np.unravel_index(best, gains.shape[:2])
+    gain = np.maximum(gains[size_of, start_of, np.arange(best.size)], 0.0)
+    gain /= scale_of(2.0 * gain, 1)
+    allowed = ALARM.false_alarms / (gain.size * len(EXPLANATIONS))
+    cause = next(one for one in EXPLANATIONS if one.cause == "self_discharge")
+    found = []
+    for cell in np.flatnonzero(chi2.sf(2.0 * gain, 1) < allowed).tolist():
+        chance = math.exp(ALARM.penalty - math.log(allowed) - float(gain[cell]))
+        found.append(
+            Suspicion(
+                cell=cell,
+                explanation=cause,
+                size=float(sizes[size_of[cell], 0, 0]),
+                std=float(np.sum(std[-2 - start_of[cell] :, cell] ** -2.0) ** -0.5),
+                gain=float(gain[cell]),
+                probability=1.0 / (1.0 + chance),
+                others=(),
+                changed=False,
+            )
+        )
+    return found
+
+
+def also_drifting(found: Sequence[Suspicion], drift: Drift) -> list[Suspicion]:
+    """The suspicions, at most half as probable where the cell drifts as well.
+
+    What moves all the time is fitted by a capacity or an offset nearly as well.
+    """
+    times = drift.per_day / drift.std
+    return [
+        one
+        if one.explanation.cause in DRIFTING.apart or times[one.cell] < DRIFTING.uncertain
+        else replace(
+            one,
+            probability=min(one.probability, 0.5),
+            others=tuple(dict.fromkeys(("self_discharge", *one.others))),
+        )
+        for one in found
+    ]
+
+
+def drifting(drift: Drift) -> int | None:
+    """The cell whose drift in one period is worth saying; None: there is none."""
+    times = drift.per_day / drift.std
+    return int(np.argmax(times)) if float(np.max(times)) > DRIFTING.worth_saying else None

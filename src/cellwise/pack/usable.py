@@ -8,7 +8,7 @@ import numpy as np
 
 from cellwise.cell.model import CellModel
 from cellwise.logs.cell_log import CellLog
-from cellwise.pack.mean_cell import OcvSlope
+from cellwise.pack.differences import OcvSlope
 from cellwise.typing import FloatArray
 
 POINTS = 101

@@ -16,10 +16,10 @@ from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.extension import extend_model, parameters_of
 from cellwise.diagnose.fit.cause_fits import CauseFits
-from cellwise.diagnose.fit.limits import limits
 from cellwise.diagnose.fit.priors import tolerances
 from cellwise.diagnose.fit.rests import rest_voltages
 from cellwise.diagnose.fit.rows import gather
+from cellwise.diagnose.identifiability import limits
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
 

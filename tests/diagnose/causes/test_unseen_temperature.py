@@ -20,7 +20,7 @@ from cellwise.diagnose.causes.coordinates import (
     UNSEEN_R_NAMES,
     Coordinates,
 )
-from cellwise.diagnose.decision.checks import unseen_temperature_C
+from cellwise.diagnose.checks import unseen_temperature_C
 from cellwise.diagnose.extension import extend_model, with_error_at
 from cellwise.diagnose.fit.priors import needs_activation
 from cellwise.diagnose.fit.rows import gather

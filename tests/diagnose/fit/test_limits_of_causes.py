@@ -12,14 +12,14 @@ from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.simulate import simulate
 from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.causes.coordinates import Coordinates
-from cellwise.diagnose.decision.checks import claim_checks
+from cellwise.diagnose.checks import claim_checks
 from cellwise.diagnose.decision.odds import RARE
 from cellwise.diagnose.fit.cause_fits import CauseFits
-from cellwise.diagnose.fit.limits import limits
 from cellwise.diagnose.fit.noise import Noise
 from cellwise.diagnose.fit.priors import tolerances
 from cellwise.diagnose.fit.rests import rest_voltages
 from cellwise.diagnose.fit.rows import gather
+from cellwise.diagnose.identifiability import limits
 from cellwise.diagnose.log_runs import log_runs, with_use
 from cellwise.logs.cell_log import CellLog
 from emulator_drives import random_load

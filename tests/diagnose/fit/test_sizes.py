@@ -14,7 +14,6 @@ from cellwise.diagnose.fit.least_squares import Prior
 from cellwise.diagnose.fit.priors import (
     CLASS,
     GOOD,
-    WRONG_SHARE,
     ln_size,
     tolerances,
     widened_for,
@@ -30,7 +29,8 @@ from example_cells import curved_cell
 def test_a_sensor_keeps_its_class_or_is_one_of_the_few_that_are_wrong(name, x):
     usual, other = CLASS[name]
     wide = 0.05
-    density = (1.0 - WRONG_SHARE) * norm.pdf(x, 0.0, usual) + WRONG_SHARE * norm.pdf(x, 0.0, other)
+    wrong = GOOD.wrong_class
+    density = (1.0 - wrong) * norm.pdf(x, 0.0, usual) + wrong * norm.pdf(x, 0.0, other)
     found = ln_size({name: x}, [name], Prior({name: wide}, {}, {}, {}))
     assert found == pytest.approx(np.log(density) - norm.logpdf(x, 0.0, wide))
 

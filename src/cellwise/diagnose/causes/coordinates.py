@@ -45,15 +45,22 @@ class Shapes(NamedTuple):
     heating_s: float = 600.0
 
 
-STARTS = Shapes()
+class Range(NamedTuple):
+    """How far a cell of the model's kind may be off.
+
+    ``capacity``: between these shares of the model's. ``slowed``: diffusion becomes slower by a
+    factor of at most this, never faster, else it would take back from the slow branches what one
+    factor on all resistances has given them too much. ``loss_step``: of the numerical derivative of
+    an OCV by what its electrodes have lost.
+    """
+
+    capacity: tuple[float, float] = (0.3, 2.0)
+    slowed: float = 20.0
+    loss_step: float = 1e-4
+
+
+STARTS, RANGE = Shapes(), Range()
 REFERENCE_C = 25.0
-# Step of the numerical derivative of an OCV by what its electrodes have lost.
-LOSS_STEP = 1e-4
-# A cell of the model's kind holds between these shares of its charge.
-LEAST_CAPACITY, MOST_CAPACITY = 0.3, 2.0
-# Diffusion in a cell becomes slower, not faster: else it would take back from the slow branches
-# what one factor on all resistances has given them too much.
-MOST_SLOWED = 20.0
 
 OCV_NAMES = tuple(f"ocv_{k}" for k in range(OCV_KNOTS))
 R_NAMES = tuple(f"ln_r_{k}" for k in range(R_KNOTS))
@@ -221,9 +228,9 @@ class Coordinates:
         """
         low, high = bounds
         if name == "ln_capacity":
-            return math.log(LEAST_CAPACITY), math.log(MOST_CAPACITY)
+            return math.log(RANGE.capacity[0]), math.log(RANGE.capacity[1])
         if name in _SLOWED:
-            return 0.0, math.log(MOST_SLOWED)
+            return 0.0, math.log(RANGE.slowed)
         if name == "ln_r1":
             return -math.log(high), -math.log(low)
         if name == "ln_tau3":
@@ -253,9 +260,9 @@ class Coordinates:
     def by_loss(self, name: str, z: Mapping[str, float]) -> tuple[FloatArray, float]:
         """Derivatives of the OCV [V] and of ln capacity by a share that is lost."""
         at = z.get(name, 0.0)
-        high, low = (self._aged({**z, name: at + s * LOSS_STEP}) for s in (1.0, -1.0))
-        share = (high[1] - low[1]) / (2.0 * LOSS_STEP * self._aged(z)[1])
-        return (high[0] - low[0]) / (2.0 * LOSS_STEP), share
+        high, low = (self._aged({**z, name: at + s * RANGE.loss_step}) for s in (1.0, -1.0))
+        share = (high[1] - low[1]) / (2.0 * RANGE.loss_step * self._aged(z)[1])
+        return (high[0] - low[0]) / (2.0 * RANGE.loss_step), share
 
     def capacity_Ah(self, z: Mapping[str, float]) -> float:
         """What the cell holds at a point, after what its electrodes have lost [Ah]."""

@@ -18,9 +18,8 @@ import numpy as np
 from cellwise.diagnose.causes.catalogue import Cause, forms_of, kept_coordinates
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.decision.odds import Rarity
-from cellwise.diagnose.fit.cause_fits import CauseFits
+from cellwise.diagnose.fit.cause_fits import CauseFits, Prediction
 from cellwise.diagnose.fit.least_squares import Fit, Frozen, Prior, complete, freeze, normal_of
-from cellwise.diagnose.fit.likelihood import Prediction
 from cellwise.diagnose.fit.noise import Noise
 from cellwise.diagnose.fit.priors import (
     USUAL,

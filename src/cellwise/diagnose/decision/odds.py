@@ -41,12 +41,19 @@ class Rare(NamedTuple):
 class Naming(NamedTuple):
     """A cause is named from a probability of ``least`` on, a set of causes shown from ``shown`` on.
 
-    ``draws``: random weights of the blocks of time.
+    ``draws``: random weights of the blocks of time. ``none`` is said where nothing is likelier than
+    ``likely``. Where nothing is named ``reasons`` say why: a rest that lies ``refuted`` nats off
+    (three standard deviations) refutes a claim on charge. A parameter known to no less than
+    ``narrower`` of its prior only repeats it.
     """
 
     least: float = 0.9
     shown: float = 0.02
     draws: int = 1000
+    likely: float = 0.5
+    reasons: int = 3
+    refuted: float = 0.5 * 3.0**2
+    narrower: float = 0.9
 
     @property
     def nats(self) -> float:

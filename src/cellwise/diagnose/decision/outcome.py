@@ -13,12 +13,6 @@ from cellwise.diagnose.decision.odds import NAMING, Hypothesis, Weighed, probabi
 from cellwise.diagnose.fit.least_squares import Fit
 from cellwise.diagnose.fit.noise import Noise
 
-# A rest that lies three standard deviations off refutes a claim on charge (nats).
-REFUTED = 0.5 * 3.0**2
-# Reasons that are said where nothing was named.
-MOST_REASONS = 3
-# `none` where nothing is likelier than anything; else the sets that compete are said.
-LIKELY = 0.5
 NOT_MEASURED_THERE = (
     "{} explains the logs best, but the model was not measured at their temperature, where a cell "
     "that has aged and a healthy one look alike: a test of the cell there distinguishes them"
@@ -88,7 +82,7 @@ def decide(sets: Explanations) -> Outcome:
     fit, noise = none.fit, none.noise
     if accepted:
         fit, noise = _of_named(sets, [a.cause for a in accepted])
-    if nothing < LIKELY:
+    if nothing < NAMING.likely:
         compete = [sets.tried[frozenset(w.causes)] for w in weighed if w.causes]
         alternatives = tuple(compete[: max(2, _needed(weighed))])
     first = tuple(sets.best(len(known), 1))
@@ -139,8 +133,8 @@ def _reasons(sets: Explanations, first: Sequence[Explanation]) -> tuple[str, ...
     found = []
     for one in first:
         here = one.fit.coordinates, one.fit.z
-        if rests.ln_likelihood(*here) < before - REFUTED:
+        if rests.ln_likelihood(*here) < before - NAMING.refuted:
             found.append(f"{one.names[0]} is refuted: {rests.contradiction(*here)}")
     if first:
         found.append(f"{first[0].names[0]}, the likeliest, explains no more than chance would")
-    return (*found[:MOST_REASONS], *list(sets.refused.values())[:MOST_REASONS])
+    return (*found[: NAMING.reasons], *list(sets.refused.values())[: NAMING.reasons])

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
@@ -20,9 +21,19 @@ from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.fit.rows import FITTED, START, Evidence
 from cellwise.typing import BoolArray, FloatArray
 
-ITERATIONS = 7
-CONVERGED = 0.02  # nats
-CLIP = 6.0  # standard deviations of an error
+
+class Solving(NamedTuple):
+    """Gauss-Newton: ``iterations`` at most, until a step gains less than ``converged`` [nats].
+
+    From ``clip`` standard deviations of an error on a residual counts in proportion (Huber).
+    """
+
+    iterations: int = 7
+    converged: float = 0.02
+    clip: float = 6.0
+
+
+SOLVING = Solving()
 
 
 @dataclass(frozen=True)
@@ -167,7 +178,7 @@ class Objective:
     @property
     def clip(self) -> float:
         """Where a residual in these units is wilder than the rest (Huber)."""
-        return CLIP * math.sqrt(float(np.mean(self.errors)))
+        return SOLVING.clip * math.sqrt(float(np.mean(self.errors)))
 
     @property
     def errors(self) -> FloatArray:
@@ -195,7 +206,7 @@ class Objective:
         return slow
 
     def squares(self, residual_V: FloatArray) -> FloatArray:
-        """Squared residuals in these units; beyond CLIP they grow in proportion (Huber)."""
+        """Squared residuals in these units; beyond :attr:`clip` they grow in proportion (Huber)."""
         size, clip = np.abs(self.scaled(np.nan_to_num(residual_V)[:, None])[:, 0]), self.clip
         with np.errstate(over="ignore"):
             return np.where(size < clip, size * size, clip * (2.0 * size - clip))
@@ -227,7 +238,7 @@ def fit(
     coordinates: Coordinates,
     prior: Prior,
     start: Mapping[str, float],
-    iterations: int = ITERATIONS,
+    iterations: int = SOLVING.iterations,
     fixed: Mapping[str, float] | None = None,
     frozen: Frozen | None = None,
     moving: Sequence[str] = (),
@@ -286,7 +297,7 @@ def fit(
             break
         gained = cost - value
         x, cost, voltage, soc = trial, value, v, s
-        if gained < CONVERGED or expected < CONVERGED:
+        if min(gained, expected) < SOLVING.converged:
             break
     z = {**held_still, **dict(zip(names, (float(v) for v in x), strict=True))}
     covariance = np.asarray(np.linalg.pinv(normal), dtype=np.float64)

@@ -21,7 +21,7 @@ import numpy as np
 
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
-from cellwise.diagnose.fit.rows import IGNORED, WINDOW_S, Evidence
+from cellwise.diagnose.fit.rows import IGNORED, SPLIT, Evidence
 from cellwise.identify.refinement.sustained import charged_for_minutes
 from cellwise.typing import BoolArray, FloatArray
 
@@ -31,16 +31,16 @@ class Stated(NamedTuple):
 
     ``errors``: as many independent errors as some drives hold; ``shape``: share of a model's whole
     error that no cause explains, since no cause has the shape of nature, with ``shape_errors``
-    independent errors in a log.
+    independent errors in a log; ``least_V``: no voltage is known better.
     """
 
     errors: float = 10.0
     shape: float = 0.1
     shape_errors: float = 10.0
+    least_V: float = 1e-4
 
 
 STATED = Stated()
-LEAST_V = 1e-4  # no voltage is known better
 
 
 class Noise(NamedTuple):
@@ -81,7 +81,7 @@ class KnownScale:
 def slow_scales(error: ModelError) -> tuple[int, ...]:
     """Processes of an error that outlast a window; the slowest in any case."""
     last = len(error.scales_s) - 1
-    return tuple(k for k, s in enumerate(error.scales_s) if s >= WINDOW_S or k == last)
+    return tuple(k for k, s in enumerate(error.scales_s) if s >= SPLIT.window_s or k == last)
 
 
 def lasting_V(
@@ -162,7 +162,7 @@ def stated_V(
         drop = np.interp(at, model.soc, model.at_temperature(warm).ocv_V[0]) - voltage_V[rows]
         charged = charged_for_minutes(g.log)[:: g.stride]
         lasts = lasting_V(model.error, at, warm, drop, charged)
-        size[rows] = np.sqrt(lasts**2 + LEAST_V**2)
+        size[rows] = np.sqrt(lasts**2 + STATED.least_V**2)
     return size
 
 
@@ -182,6 +182,6 @@ def fast_part(
         drop = np.interp(at, model.soc, model.at_temperature(warm).ocv_V[0]) - voltage_V[rows]
         share = share_claimed(model.error, drop, charged_for_minutes(g.log)[:: g.stride])
         own = np.hypot(model.error.at(at, warm), share * drop)
-        size[rows] = np.sqrt(own**2 + model.error.white_V**2 + LEAST_V**2)
+        size[rows] = np.sqrt(own**2 + model.error.white_V**2 + STATED.least_V**2)
     used = evidence.known & (evidence.role != IGNORED)
     return size, np.full(evidence.rows, min(STATED.shape_errors / max(int(used.sum()), 1), 1.0))

@@ -36,7 +36,9 @@ class Laboratory(NamedTuple):
     source: each alone is wrong by a third); ``off_branch``: how far a log may start from its own
     branch of a hysteresis to the other;
     ``ends``: standard deviations at which a tolerance ends; ``still_open``: share that stays
-    uncertain of what was calibrated, since the next log is another day.
+    uncertain of what was calibrated, since the next log is another day. A rest is read over
+    ``about_soc``, on a flatter plateau than ``least_slope_V`` it reads nothing; ``wrong_class``:
+    share of sensors that are configured or wired wrongly.
     """
 
     r_share: float = 0.5
@@ -46,24 +48,26 @@ class Laboratory(NamedTuple):
     off_branch: float = 0.5
     ends: float = 4.0
     still_open: float = 0.3
+    about_soc: float = 0.01
+    least_slope_V: float = 0.02
+    wrong_class: float = 0.03
 
 
 class UsualCell(NamedTuple):
     """What a cell has of an effect that its model does not know.
 
     ``asinh_per_V``: one electron and a symmetric reaction, F / (2 R T) at 25 degC; two electrodes
-    share a drop. ``activation_K``: of a usual electrolyte, with its spread.
+    share a drop. ``activation_K``: of a usual electrolyte, with its spread. ``ln_memory``: from
+    this factor on (its logarithm) a memory is another one.
     """
 
     asinh_per_V: float = 19.5
     activation_K: float = 3000.0
     activation_std_K: float = 1500.0
+    ln_memory: float = 0.7
 
 
 GOOD, USUAL = Laboratory(), UsualCell()
-ANOTHER = 0.7  # memories are another one from this factor on (its logarithm)
-# A rest is read over so much SOC; on a flatter plateau than this [V] it reads nothing.
-ABOUT_SOC, LEAST_SLOPE_V = 0.01, 0.02
 READ_WITH = frozenset({"offset_V", "m_V", *OCV_NAMES, *LOSS_NAMES})
 # Standard deviation below and above neutral. A cell is retired at 0.7 to 0.8 of its capacity;
 # cells of one batch differ by 1 %, and none grows (Rumpf et al. 2017, 10.1016/j.est.2017.09.010).
@@ -87,7 +91,6 @@ SAME_AGE = {
 # of vehicles keep 1 to 3 % over temperature and life, shunts ten times better; cell monitors keep
 # 1 to 9 mV by their data sheets.
 CLASS = {"ln_gain": (0.02, 0.2), "offset_V": (0.005, 0.05)}
-WRONG_SHARE = 0.03
 
 
 def tolerances(coordinates: Coordinates, evidence: Evidence) -> Prior:
@@ -232,7 +235,7 @@ def starts_to_try(
     if own is None:
         return [(replace(coordinates, shapes={**coordinates.shapes, name: v}), {}) for v in values]
     away = [math.log(v / own) for v in values]
-    return plain + [(coordinates, {name: x}) for x in away if abs(x) > ANOTHER]
+    return plain + [(coordinates, {name: x}) for x in away if abs(x) > USUAL.ln_memory]
 
 
 def start_readings(
@@ -261,10 +264,10 @@ def start_readings(
     found: dict[str, dict[str, float]] = {}
     for name, log in read:
         at = (log.start.beginning or log.start).soc
-        ends = np.clip([at - ABOUT_SOC, at + ABOUT_SOC], soc[0], soc[-1])
+        ends = np.clip([at - GOOD.about_soc, at + GOOD.about_soc], soc[0], soc[-1])
         ocv = coordinates.model.ocv_at(float(log.temperature_C[0]))
         low, high = np.interp(ends, soc, ocv)
-        slope = max(float(high - low) / float(ends[1] - ends[0]), LEAST_SLOPE_V)
+        slope = max(float(high - low) / float(ends[1] - ends[0]), GOOD.least_slope_V)
         found[name] = {n: -float(np.interp(at, soc, v)) / slope for n, v in moved.items()}
         if "m_V" in moved:  # as much of it as a log is taken to start with
             found[name]["m_V"] *= start_hysteresis(at)
@@ -292,8 +295,8 @@ def ln_size(
             total += math.log(2.0 * wide / (below + above)) + _ln_normal(x, std, wide)
         elif name in CLASS:
             usual, other = CLASS[name]
-            within = math.log((1.0 - WRONG_SHARE) * wide / usual) + _ln_normal(x, usual, wide)
-            wrong = math.log(WRONG_SHARE * wide / other) + _ln_normal(x, other, wide)
+            within = math.log((1.0 - GOOD.wrong_class) * wide / usual) + _ln_normal(x, usual, wide)
+            wrong = math.log(GOOD.wrong_class * wide / other) + _ln_normal(x, other, wide)
             total += max(within, wrong) + math.log1p(math.exp(-abs(within - wrong)))
     return total
 

@@ -19,6 +19,7 @@ from cellwise.cell.initial_soc.rest import REST_RATE
 from cellwise.cell.point_kernels import OCV, M
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.logs.cell_log import CellLog
+from cellwise.logs.checks.rests import run_edges
 from cellwise.typing import FloatArray
 
 if TYPE_CHECKING:
@@ -88,10 +89,9 @@ def rest_reading(logs: Sequence[CellLog], capacity_Ah: float) -> RestReading:
     for log in logs:
         current = log.current_A
         small = np.isfinite(current) & (np.abs(current) < RULES.small_C * capacity_Ah)
-        edges = np.flatnonzero(np.diff(np.concatenate(([0], small.astype(np.int8), [0]))))
-        for start, stop in zip(edges[::2], edges[1::2], strict=True):
-            if log.time_s[stop - 1] - log.time_s[start] >= RULES.shortest_s:
-                part = current[start:stop]
+        for first, last in zip(*run_edges(small), strict=True):
+            if log.time_s[last] - log.time_s[first] >= RULES.shortest_s:
+                part = current[first : last + 1]
                 if float(np.std(part)) < RULES.quiet_C * capacity_Ah:
                     means.append(float(np.median(part)))
     std = RULES.std_C * capacity_Ah
@@ -219,12 +219,11 @@ def _of_log(k: int, rows: LogRows, capacity_Ah: float, efficiency: float) -> lis
     # Nobody knows what a cell did over a gap, or where nothing was measured.
     small &= np.isfinite(log.current_A)
     small[np.nan_to_num(rows.dt_s) > RULES.shortest_s] = False
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], small.astype(np.int8), [0]))))
     found = []
-    for start, stop in zip(edges[::2], edges[1::2], strict=True):
-        if start == 0 or log.time_s[stop - 1] - log.time_s[start] < RULES.shortest_s:
+    for first, last in zip(*run_edges(small), strict=True):
+        if first == 0 or log.time_s[last] - log.time_s[first] < RULES.shortest_s:
             continue
-        rest = _rest(k, rows, charge, slice(int(start), int(stop)))
+        rest = _rest(k, rows, charge, slice(int(first), int(last) + 1))
         if rest is not None:
             found.append(rest)
     return found

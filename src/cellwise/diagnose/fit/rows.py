@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,15 +21,25 @@ from cellwise.diagnose.fit.rests import NO_READING, RestReading, rest_reading
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray, IntArray
 
-# Rows that are compared, over all logs: evidence of more is no better, only slower.
-SCORED_ROWS = 24_000
-# Of a log without others to test on: which tenths are fitted, which are held out.
-PATTERN = "FFHFHFFHFH"
-# Of a log that is held out: this first part determines its initial SOC, and is not scored.
-START_PART = 0.15
-BLOCKS_LEAST = 12
-# What changes within so much time is fast: an error of its own every so often.
-WINDOW_S = 100.0
+
+class Split(NamedTuple):
+    """How rows are used.
+
+    ``most_rows`` are compared, over all logs: evidence of more is no better, only slower.
+    ``pattern``: which tenths of a log without others to test on are fitted, which are held out;
+    ``start_part``: of a log that is held out, which determines its initial SOC and is not scored;
+    ``least_blocks`` of time in a log, for the bootstrap. What changes within ``window_s`` is fast:
+    an error of its own every so often.
+    """
+
+    most_rows: int = 24_000
+    pattern: str = "FFHFHFFHFH"
+    start_part: float = 0.15
+    least_blocks: int = 12
+    window_s: float = 100.0
+
+
+SPLIT = Split()
 
 # By how much of the way to the other branch of a hysteresis the logs start off theirs.
 START_H = "start:h"
@@ -116,10 +127,10 @@ class Evidence:
 
     @cached_property
     def windows(self) -> tuple[IntArray, IntArray]:
-        """First row of every window of WINDOW_S with one role, and the window of every row."""
+        """First row of every window of time with one role, and the window of every row."""
         new = np.diff(self.role, prepend=-1) != 0
         for log, rows in self.each():
-            place = ((log.clock_s - log.clock_s[0]) // WINDOW_S).astype(np.int64)
+            place = ((log.clock_s - log.clock_s[0]) // SPLIT.window_s).astype(np.int64)
             new[rows] |= np.diff(place, prepend=-1) != 0
         return np.flatnonzero(new).astype(np.int32), (np.cumsum(new) - 1).astype(np.int32)
 
@@ -247,7 +258,7 @@ def gather(
     """
     every = [*((g, s, False) for g, s in logs), *((g, s, True) for g, s in holdout)]
     total = sum(len(g) for g, _, _ in every)
-    stride = max(1, -(-total // SCORED_ROWS))
+    stride = max(1, -(-total // SPLIT.most_rows))
     made = []
     offset = 0
     for log, start, held in every:
@@ -284,15 +295,15 @@ def _rows(
     clock = log.time_s[::stride]
     span = max(float(clock[-1] - clock[0]), 1e-9)
     part = (clock - clock[0]) / span
-    tenth = np.minimum((part * len(PATTERN)).astype(np.int64), len(PATTERN) - 1)
+    tenth = np.minimum((part * len(SPLIT.pattern)).astype(np.int64), len(SPLIT.pattern) - 1)
     if held:
-        role = np.where(part < START_PART, START, HELD)
+        role = np.where(part < SPLIT.start_part, START, HELD)
     elif others:
         role = np.full(clock.size, FITTED)
     else:
-        role = np.where(np.array(list(PATTERN))[tenth] == "F", FITTED, HELD)
+        role = np.where(np.array(list(SPLIT.pattern))[tenth] == "F", FITTED, HELD)
     # Blocks for the bootstrap: as long as the slowest memory, but enough of them to draw from.
-    length = min(max(slowest_s, span / 60.0), span / BLOCKS_LEAST)
+    length = min(max(slowest_s, span / 60.0), span / SPLIT.least_blocks)
     block = offset + (part * span / length).astype(np.int64)
     return LogRows(
         log,

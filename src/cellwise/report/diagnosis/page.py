@@ -14,8 +14,8 @@ from cellwise.report.diagnosis.pictures import (
     before_after_picture,
     candidates_picture,
     drawn_runs,
+    residual_section,
 )
-from cellwise.report.diagnosis.residual_section import residual_section
 from cellwise.report.diagnosis.statements import (
     KINDS,
     cause_name,

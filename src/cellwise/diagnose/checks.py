@@ -1,23 +1,92 @@
-"""Whether a diagnosis is possible, and whether an error is more than the model claims of itself."""
+"""What goes into a diagnosis, checked; whether one is possible; whether a model's claim holds."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import f as f_distribution
 
+from cellwise.arguments import number, shown
 from cellwise.cell.model import CellModel
+from cellwise.diagnose.causes.catalogue import CAUSES, ON_REQUEST, Cause
 from cellwise.diagnose.fit.least_squares import Fit
 from cellwise.diagnose.fit.noise import STATED, share_claimed
 from cellwise.diagnose.fit.rows import IGNORED, Evidence
 from cellwise.diagnose.log_runs import LogRun
+from cellwise.errors import InputError
 from cellwise.identify.refinement.sustained import charged_for_minutes
-from cellwise.logs.cell_log import CellLog
+from cellwise.logs.cell_log import CellLog, check_is_log
 from cellwise.typing import FloatArray
+
+Logs = CellLog | Sequence[CellLog]
+Start = float | str
+START = "a fraction from 0 to 1 or 'auto', or one of them for every log"
+CORRECT_START = "Give `soc0=0.9`, say; left out it is found from the log."
+
+
+def logs_of(logs: Logs) -> tuple[CellLog, ...]:
+    """One log or several as several.
+
+    Raises
+    ------
+    InputError        what is no log
+    """
+    if isinstance(logs, str) or not isinstance(logs, Iterable):
+        check_is_log(logs)
+        return (logs,)
+    found = tuple(logs)
+    for log in found:
+        check_is_log(log)
+    return found
+
+
+def causes_of(names: str | Sequence[str] | None) -> list[Cause]:
+    """Causes by their names; without any, all that need no request.
+
+    Raises
+    ------
+    InputError        an unknown cause
+    """
+    if names is None:
+        return [c for c in CAUSES.values() if c.name not in ON_REQUEST]
+    several = names if isinstance(names, Iterable) and not isinstance(names, str) else [names]
+    found = []
+    for name in several:
+        if name not in CAUSES:
+            raise InputError(
+                f"cause {shown(name)}", f"one of {', '.join(CAUSES)}", "Correct its name."
+            )
+        found.append(CAUSES[name])
+    return found
+
+
+def stated_starts(
+    groups: Sequence[Sequence[CellLog]], soc0: Start | Sequence[Start]
+) -> list[Start]:
+    """What is said of every log's start; a log's own goes before one for all.
+
+    Raises
+    ------
+    InputError        what is neither a number nor "auto", or more of them than logs
+    """
+    logs = [g for group in groups for g in group]
+    if isinstance(soc0, str) or not isinstance(soc0, Iterable):
+        one = _start(soc0)
+        return [one if g.soc0 is None else g.soc0 for g in logs]
+    stated = [_start(s) for s in soc0]
+    if len(stated) > len(logs):
+        raise InputError(
+            f"soc0 for {len(stated)} logs", f"at most one for each of {len(logs)}", CORRECT_START
+        )
+    return stated + ["auto"] * (len(logs) - len(stated))
+
+
+def _start(value: object) -> Start:
+    return "auto" if value == "auto" else number("soc0", value, START, CORRECT_START)
 
 
 class Least(NamedTuple):
@@ -29,10 +98,14 @@ class Least(NamedTuple):
 
 
 class OtherCell(NamedTuple):
-    """Beyond this the log is of another kind of cell, whatever its age."""
+    """Beyond this the log is of another kind of cell, whatever its age.
+
+    Logs ``outside_K`` of the model's temperatures are of one that it was not measured at.
+    """
 
     voltage_V: float = 0.12
     soc: float = 0.25
+    outside_K: float = 8.0
 
 
 class Claim(NamedTuple):
@@ -47,7 +120,6 @@ class Claim(NamedTuple):
 
 
 LEAST, OTHER, CLAIM = Least(), OtherCell(), Claim()
-OUTSIDE_K = 8.0  # logs so far outside the model's temperatures are of one it was not measured at
 
 
 def too_little(model: CellModel, logs: Sequence[CellLog]) -> str:
@@ -100,7 +172,7 @@ def unseen_temperature_C(model: CellModel, evidence: Evidence) -> float | None:
     """The logs' temperature where the model was not measured at it; None where it was."""
     middle = float(np.median(np.concatenate([g.temperature_C for g in evidence.logs])))
     seen = [*model.temperature_C, *(model.validity.temperature_C or ())]
-    inside = float(min(seen)) - OUTSIDE_K <= middle <= float(max(seen)) + OUTSIDE_K
+    inside = float(min(seen)) - OTHER.outside_K <= middle <= float(max(seen)) + OTHER.outside_K
     return None if inside else middle
 
 
