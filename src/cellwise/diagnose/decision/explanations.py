@@ -39,15 +39,13 @@ class Search(NamedTuple):
 
     ``beam`` sets of one size get further causes, ``added`` to each, up to ``most_causes``. One
     step is no bound on what a fit gains: beside a set that is better than nothing, a cause is tried
-    where ``tried_share`` of its rarity is in sight. Of several points to start from ``beginnings``
-    are followed beyond their first step.
+    where ``tried_share`` of its rarity is in sight.
     """
 
     beam: int = 4
     added: int = 5
     most_causes: int = 4
     tried_share: float = 0.5
-    beginnings: int = 2
 
 
 SEARCH = Search()
@@ -173,7 +171,6 @@ class Explanations:
         moving = [*kept_coordinates(causes), *evidence.starts()]
         found: list[Fit] = []
         beginnings = starts_to_try(cause, start.fit.coordinates, evidence)
-        several = len(beginnings) > 1
         for shaped, beginning in beginnings:
             wide = widened_for(start.prior, cause, shaped, evidence)
             point = {**start.fit.z, **beginning}
@@ -181,22 +178,17 @@ class Explanations:
                 point["rth_K_per_W"] = 1.0
                 if needs_activation(shaped):
                     point["activation_K"] = USUAL.activation_K
-            steps = 1 if several else 5
+            steps = 1 if len(beginnings) > 1 else 5
             found.append(fits.fit(start.noise, shaped, wide, point, steps, frozen, moving))
-        found.sort(key=lambda f: -f.log_evidence)
-        ends = []
-        for one in found[: SEARCH.beginnings if several else 1]:
-            wide = widened_for(start.prior, cause, one.coordinates, evidence)
-            near = (
-                fits.fit(start.noise, one.coordinates, wide, one.z, 3, frozen, moving)
-                if several
-                else one
-            )
-            noise = fits.noise(near, wide)
-            here = freeze(fits.objective(noise), one.coordinates, wide.names, near.z)
-            near = fits.fit(noise, one.coordinates, wide, near.z, 5, here, moving)
-            ends.append(self._explained(causes, near, noise, wide))
-        return likeliest_end(ends)
+        near = max(found, key=lambda f: f.log_evidence)
+        shaped = near.coordinates
+        wide = widened_for(start.prior, cause, shaped, evidence)
+        if len(beginnings) > 1:
+            near = fits.fit(start.noise, shaped, wide, near.z, 3, frozen, moving)
+        noise = fits.noise(near, wide)
+        here = freeze(fits.objective(noise), shaped, wide.names, near.z)
+        near = fits.fit(noise, shaped, wide, near.z, 5, here, moving)
+        return self._explained(causes, near, noise, wide)
 
     def _keep(self, one: Explanation) -> None:
         known = self.tried.get(one.key)
@@ -214,14 +206,6 @@ class Explanations:
     def _say(self, size: int, part: float, name: str) -> None:
         if self.progress is not None:
             self.progress(1.0 - 0.5 ** (size - 1 + part), name.replace("_", " "))
-
-
-def likeliest_end(ends: Sequence[Explanation]) -> Explanation:
-    """Of the ends of one search the likeliest within its bounds; outside them only without such.
-
-    An end beyond the bounds refuses the cause: it must not hide another end within them.
-    """
-    return max(ends, key=lambda e: (not unphysical(e), e.found.total))
 
 
 def unphysical(one: Explanation) -> str:
@@ -247,8 +231,7 @@ def could_explain(
 
     Rao's score test: gradient and information at the null hypothesis, where nothing of the cause
     is fitted yet; what it takes off the squares counts by the scale that both leave. Causes with a
-    memory are tried at each of those from which their search starts, and a cause whose effect is
-    far from straight (``beginnings``) at each of these.
+    memory are tried at each of those from which their search starts.
     """
     evidence, objective = fits.evidence, fits.objective(Noise())
     tried = [
@@ -271,40 +254,7 @@ def could_explain(
         more = _gain(normal, gradient, known, wide, wide.names, base.z)
         nats = fits.known.gained(left, 2.0 * max(more - none, 0.0), errors)
         found[cause.name] = max(found.get(cause.name, 0.0), nats)
-    for cause in causes:
-        if cause.beginnings:
-            most = _from_beginnings(fits, cause, base, prior, frozen)
-            nats = fits.known.gained(left, max(most - 2.0 * none, 0.0), errors)
-            found[cause.name] = max(found[cause.name], nats)
     return found
-
-
-def _from_beginnings(
-    fits: CauseFits, cause: Cause, base: Fit, prior: Prior, frozen: Frozen
-) -> float:
-    """What one step from the best beginning of a cause takes off the squares of a fit."""
-    evidence, objective = fits.evidence, fits.objective(Noise())
-    used = evidence.known & (evidence.role != IGNORED)
-    wide = widened_for(prior, cause, base.coordinates, evidence)
-    names = list(frozen.names)
-    place = [names.index(n) for n in wide.names]
-    tried: list[tuple[float, dict[str, float], FloatArray]] = []
-    for beginning in cause.beginnings:
-        z = {**base.z, **beginning}
-        voltage, _ = evidence.simulate(base.coordinates, z)
-        residual = np.nan_to_num(evidence.voltage_V - voltage)
-        tried.append((float(np.sum(objective.squares(residual)[used])), z, residual))
-    before = fits.squares(base)[0]
-    most = 0.0
-    for squares, z, residual in sorted(tried, key=lambda t: t[0])[: SEARCH.beginnings]:
-        moved = [n for n in cause.beginnings[0] if n in names]
-        jacobian = frozen.jacobian.copy()
-        jacobian[:, [names.index(n) for n in moved]] = evidence.jacobian(base.coordinates, z, moved)
-        white = objective.scaled(np.column_stack((residual, jacobian)))
-        normal, gradient = normal_of(white, used, objective.clip)
-        step = _gain(normal, gradient, place, wide, wide.names, z)
-        most = max(most, before - squares + 2.0 * step)
-    return most
 
 
 def _shapes(fits: CauseFits, cause: Cause, base: Fit) -> list[Coordinates]:

@@ -162,7 +162,7 @@ class CauseFits:
         """How likely all rows are with the causes estimated, and what the logs read at rest."""
         kept = kept_coordinates(causes)
         found_so = predict(self.objective(noise), found, prior, self.known, noise.scale, kept)
-        more = self.at_rest(found) + ln_size(found.z, kept, prior, self.same_age)
+        more = self.at_rest(found) + ln_size(found.z, kept, prior)
         return found_so._replace(total=found_so.total + more)
 
     def at_rest(self, found: Fit) -> float:

@@ -80,13 +80,6 @@ AGE = {
     "added_r0": (0.1, 0.4),
     "ln_r1": (0.3, 1.2),
 }
-# With a good log of the same cell: months apart, not a life.
-SAME_AGE = {
-    "ln_capacity": (0.03, 0.02),
-    "ln_scale": (0.05, 0.1),
-    "added_r0": (0.05, 0.1),
-    "ln_r1": (0.15, 0.3),
-}
 # Of a class, and of those that are configured or wired wrongly, a few in a hundred. Current sensors
 # of vehicles keep 1 to 3 % over temperature and life, shunts ten times better; cell monitors keep
 # 1 to 9 mV by their data sheets.
@@ -274,23 +267,20 @@ def start_readings(
     return found
 
 
-def ln_size(
-    z: Mapping[str, float], names: Iterable[str], prior: Prior, same_age: bool = False
-) -> float:
+def ln_size(z: Mapping[str, float], names: Iterable[str], prior: Prior) -> float:
     """Ln of how much likelier the sizes of causes are than the prior of the fit says.
 
     Parameters
     ----------
     z : the point; names : coordinates of causes; prior : what the fit took them for
-    same_age : whether a good log of the same cell is known
     """
-    total, age = 0.0, SAME_AGE if same_age else AGE
+    total = 0.0
     for name in names:
         x, wide = z.get(name, 0.0), prior.std.get(name)
         if wide is None:
             continue
-        if name in age:
-            below, above = age[name]
+        if name in AGE:
+            below, above = AGE[name]
             std = below if x < 0.0 else above
             total += math.log(2.0 * wide / (below + above)) + _ln_normal(x, std, wide)
         elif name in CLASS:
