@@ -31,7 +31,6 @@ from cellwise import CellModel, read_model
 from cellwise.diagnose import diagnosis as station
 from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.decision.odds import Weighed
-from cellwise.diagnose.fit.priors import AGE
 from cellwise.diagnose.fit.rests import NO_READING
 from cellwise.diagnose.log_runs import apply
 from cellwise.logs import CellLog
@@ -183,19 +182,15 @@ SWITCHES: dict[str, tuple[tuple[str, Replace], ...]] = {
     "current at rest": (("fit.rows.rest_reading", lambda _: lambda *_: NO_READING),),
     "voltage at rest": (("fit.rests.RestVoltages.ln_likelihood", lambda _: lambda *_: 0.0),),
     "physical sizes": (("fit.cause_fits.ln_size", lambda _: lambda *_: 0.0),),
-    "sizes since the baseline": (("fit.priors.SAME_AGE", lambda _: AGE),),
     "noise of the baseline": (
         ("fit.noise.KnownScale.with_more", lambda _: lambda known, *_: known),
     ),
     "baseline": (("fit.cause_fits.CauseFits.calibrate", lambda _: lambda *_: None),),
-    "beginnings in the score test": (
-        ("decision.explanations._from_beginnings", lambda _: lambda *_: 0.0),
-    ),
     **{
         f"search, {name} {value}": (
             ("decision.explanations.SEARCH", lambda old, n=name, v=value: old._replace(**{n: v})),
         )
-        for name, value in (("beam", 1), ("beam", 2), ("beginnings", 1), ("tried_share", 1.0))
+        for name, value in (("beam", 1), ("beam", 2), ("tried_share", 1.0))
     },
     "slower diffusion": (("decision.explanations.forms_of", lambda _: lambda cause, _c: (cause,)),),
     "blocks weighed at random": (("decision.outcome.weigh", lambda _: plainly_weighed),),
@@ -204,9 +199,6 @@ SWITCHES: dict[str, tuple[tuple[str, Replace], ...]] = {
         ("decision.odds.RARE", lambda old: old._replace(since_baseline=0.0)),
     ),
     "kept only if it simulates better": (("diagnosis.applied", lambda _: always_applied),),
-    "the whole cell beside a cause": (
-        ("log_runs._explained", lambda old: lambda f, c, n, _w: old(f, c, n, False)),
-    ),
 }
 
 
@@ -231,7 +223,7 @@ def plainly_weighed(hypotheses: Any, *_: Any) -> Any:
 def always_applied(fits: Any, outcome: Any, logs: Any) -> Any:
     """All accepted causes, whatever held-out rows say."""
     causes = [a.cause for a in outcome.accepted]
-    return apply(fits, causes, outcome.fit, outcome.noise, logs) if causes else None
+    return apply(fits, causes, outcome.fit, logs) if causes else None
 
 
 @contextmanager

@@ -12,7 +12,6 @@ from cellwise.arguments import number
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.point_kernels import R3, TAU2, TAU3
-from cellwise.diagnose.adoption import reference_for, soc_gain
 from cellwise.diagnose.causes.catalogue import UNSEEN_TEMPERATURE
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.checks import (
@@ -50,6 +49,8 @@ from cellwise.diagnose.log_runs import (
     judged_runs,
     kept,
     log_runs,
+    reference_for,
+    soc_gain,
     step_between,
     with_own_starts,
     with_use,
@@ -289,7 +290,7 @@ def _found_causes(
         after = [r.explained for r in known.runs]
         if k < len(known.causes):
             near = fits.fit_causes(known.causes[:k], known.fit, outcome.noise)
-            part = apply(fits, known.causes[:k], near, outcome.noise, used)
+            part = apply(fits, known.causes[:k], near, used)
             after = [r.explained for r in part.runs]
         step = step_between(fits.evidence, before, after, np.random.default_rng(fits.seed))
         found.append(_found(accepted, step, known.fit, prior, outcome, fits.evidence))
@@ -355,6 +356,6 @@ def _tried(
     """A single cause as a user would apply it: its error is what `simulate` shows with it."""
     (c,), f = candidate.causes, candidate.fit
     score = candidate.found.total - none.found.total
-    error = apply(fits, (c,), f, candidate.noise, used).step.held_after_V
+    error = apply(fits, (c,), f, used).step.held_after_V
     values = parameters_of(c, f.coordinates, f.z, fits.evidence.logs[0].start.soc)
     return TriedCause(c.name, error, values, score)

@@ -2,14 +2,14 @@
 
 What a diagnosis says of itself is said in these figures: all rows, every row counts once, the
 start that `simulate` takes, the same one for both models. The likelihood forgives what is
-correlated, a simulation does not: so accepted causes are applied in the way that leaves the fitted
-rows the smallest error in `simulate`, and those that leave the held-out rows no better off are not
-kept.
+correlated, a simulation does not: so causes that leave the held-out rows no better off are not
+kept. Whether the extended model is better, in voltage and in the EKF's SOC, is said of logs that
+the fit has not seen.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -21,11 +21,12 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import Simulation, simulate
 from cellwise.diagnose.causes.catalogue import Cause, kept_coordinates
 from cellwise.diagnose.decision.outcome import Outcome
-from cellwise.diagnose.extension import MEASURED_NAMES, correct_log, extend_model, split_skew
+from cellwise.diagnose.extension import correct_log, extend_model, split_skew
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.least_squares import Fit
-from cellwise.diagnose.fit.noise import Noise
 from cellwise.diagnose.fit.rows import FITTED, HELD, START, Evidence
+from cellwise.errors import InputError
+from cellwise.estimate.replay import replay
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
@@ -256,26 +257,19 @@ class Applied:
     step: Step
 
 
-def apply(
-    fits: CauseFits, causes: Sequence[Cause], near: Fit, noise: Noise, logs: Sequence[UsedLog]
-) -> Applied:
-    """The causes applied to all logs, in the way that leaves the fitted rows least.
-
-    With the cell's tolerances at neutral, or with what they were estimated to be at the same time.
-    """
-    before = log_runs(fits.coordinates.model, logs)
-    tried = []
-    for whole in (False, True):
-        explained = _explained(fits, causes, near, whole)
-        runs = log_runs(fits.coordinates.model, logs, near, explained)
-        step = step_between(
-            fits.evidence,
-            [r.before for r in before],
-            [r.explained for r in runs],
-            np.random.default_rng(fits.seed),
-        )
-        tried.append(Applied(tuple(causes), near, explained, runs, step))
-    return min(tried, key=lambda a: a.step.train_after_V)
+def apply(fits: CauseFits, causes: Sequence[Cause], near: Fit, logs: Sequence[UsedLog]) -> Applied:
+    """The causes applied to all logs, the cell's tolerances at neutral."""
+    point = fits.point(near, kept_coordinates(causes))
+    note = {"causes": [c.name for c in causes]}
+    explained = explanation(near, point, [c.kind for c in causes], fits.evidence, note)
+    runs = log_runs(fits.coordinates.model, logs, near, explained)
+    step = step_between(
+        fits.evidence,
+        [r.before for r in runs],
+        [r.explained for r in runs],
+        np.random.default_rng(fits.seed),
+    )
+    return Applied(tuple(causes), near, explained, runs, step)
 
 
 def applied(fits: CauseFits, outcome: Outcome, logs: Sequence[UsedLog]) -> Applied | None:
@@ -286,7 +280,7 @@ def applied(fits: CauseFits, outcome: Outcome, logs: Sequence[UsedLog]) -> Appli
     causes = [a.cause for a in outcome.accepted]
     near = outcome.fit
     while causes:
-        found = apply(fits, causes, near, outcome.noise, logs)
+        found = apply(fits, causes, near, logs)
         if found.step.held_after_V < found.step.held_before_V:
             return found
         causes = causes[:-1]
@@ -301,14 +295,101 @@ def kept(outcome: Outcome, found: Applied | None) -> Outcome:
     return replace(outcome, accepted=tuple(a for a in outcome.accepted if a.cause in known))
 
 
-def _explained(fits: CauseFits, causes: Sequence[Cause], found: Fit, whole: bool) -> Explanation:
-    """Causes as a user applies them; ``whole``: with what else of the cell was estimated.
+@dataclass(frozen=True)
+class Reference:
+    """A capacity [Ah] and where it is from, or why there is none (``capacity_Ah`` is None)."""
 
-    Only where the cell is corrected at all; else the model stays as it was.
+    capacity_Ah: float | None
+    source: str
+
+
+def reference_for(model: CellModel, stated_Ah: float | None, named: Collection[str]) -> Reference:
+    """What SOC is judged over: the stated capacity, else the model file's.
+
+    Parameters
+    ----------
+    stated_Ah : float or None     capacity that the user states [Ah]
+    named : names of the causes that were found
     """
-    keep = kept_coordinates(causes)
-    if whole and any(c.kind == "cell" for c in causes):
-        keep |= {n for n in found.z if n not in MEASURED_NAMES and ":" not in n}
-    point = fits.point(found, keep)
-    note = {"causes": [c.name for c in causes]}
-    return explanation(found, point, [c.kind for c in causes], fits.evidence, note)
+    if "initial_soc" in named:
+        return Reference(None, "the initial SOC is one of the causes, so no SOC is known")
+    if stated_Ah is not None:
+        return Reference(float(stated_Ah), "stated")
+    if "capacity" in named:
+        return Reference(
+            None,
+            "the capacity is one of the causes, and a SOC over it would prove itself; "
+            "state one that was measured (`reference_capacity_Ah=X`)",
+        )
+    choice = model.provenance.get("capacity", {})
+    how = choice.get("choice", "") if isinstance(choice, dict) else ""
+    return Reference(model.capacity_Ah, f"the model's own ({how or 'as its file says'})")
+
+
+def soc_gain(
+    model: CellModel, extended: CellModel, runs: Sequence[LogRun], reference: Reference
+) -> tuple[dict[str, Any] | None, str]:
+    """SOC RMSE [1] of the EKF with the model as it was and as it is now.
+
+    Of several logs the one that loses most, where one loses; else the first. The referee is the
+    tester's own counter over a capacity that the diagnosis did not estimate, from a start that it
+    did not estimate: else what is to be judged would judge itself.
+
+    Returns
+    -------
+    dict or None      ``log``, ``soc_rmse_before``, ``soc_rmse_after``, ``reference_capacity_Ah``,
+                      ``reference``
+    str               why there is none; empty if there is
+    """
+    if reference.capacity_Ah is None:
+        return None, reference.source
+    gains: list[dict[str, Any]] = []
+    why = ""
+    for run in runs:
+        try:
+            gains.append(_soc_gain(model, extended, run, reference))
+        except InputError as error:
+            why = why or error.found
+    if not gains:
+        return None, why
+
+    def loss(gain: dict[str, Any]) -> float:
+        return float(gain["soc_rmse_after"] - gain["soc_rmse_before"])
+
+    worst = max(gains, key=loss)
+    return (worst if loss(worst) > 0.0 else gains[0]), ""
+
+
+def _soc_gain(
+    model: CellModel, extended: CellModel, run: LogRun, reference: Reference
+) -> dict[str, Any]:
+    """Of one log.
+
+    Raises
+    ------
+    InputError        there is no counter, or it does not cover the log
+    """
+    name = run.log.name or "the log"
+    if run.log.charge_Ah is None:
+        raise InputError(f"{name} has no counter of the tester", "one", "")
+    start = run.before.soc0
+    errors = []
+    for cell, seen in ((model, run.log), (extended, run.explained.log)):
+        found = replay(
+            cell,
+            seen,
+            "ekf",
+            soc0=start,
+            reference_soc0=start,
+            reference_capacity_Ah=reference.capacity_Ah,
+        ).errors
+        if found is None:
+            raise InputError(f"the counter does not cover {name}", "one that does", "")
+        errors.append(found.rmse)
+    return {
+        "log": run.log.name,
+        "soc_rmse_before": errors[0],
+        "soc_rmse_after": errors[1],
+        "reference_capacity_Ah": reference.capacity_Ah,
+        "reference": reference.source,
+    }
