@@ -173,21 +173,8 @@ def refine(
         settings.samples,
     )
     most = max(ROWS.most, ALL_ROWS // len(logs)) if most_rows is None else most_rows
-    prepared = tuple(
-        prepare_log(
-            item,
-            knots,
-            ocv_knots,
-            reference_C,
-            grid_C=grid,
-            capacity_Ah=capacity_Ah,
-            most_rows=most,
-        )
-        for item in logs
-    )
-    charge_As = 3600.0 * capacity_Ah
-    problem = Problem(
-        prepared, start, settings, layout, knots, ocv_knots, charge_As, grid, reference_C
+    problem = _problem(
+        logs, start, settings, layout, (knots, ocv_knots), capacity_Ah, grid, reference_C, most
     )
     theta = problem.start_vector() if theta is None else problem.inside(theta)
     steps = 0
@@ -207,7 +194,7 @@ def refine(
         theta_std=problem.standard_errors(theta) if with_errors else np.full(theta.size, np.nan),
         rmse_V=tuple(float(np.sqrt(np.mean(r * r))) for r in residuals),
         residual_V=residuals,
-        logs=prepared,
+        logs=problem.logs,
         reference_C=reference_C,
         sigma_V=problem.sigma,
         iterations=steps,
@@ -225,20 +212,31 @@ def residuals_of(
     most_rows: int = ROWS.most,
 ) -> list[tuple[PreparedLog, FloatArray]]:
     """Residuals of a refinement on logs that it was not fitted on: measured minus model [V]."""
+    problem = _problem(
+        logs, start, settings, result.layout, (result.knots, result.ocv_knots), capacity_Ah,
+        result.grid_C, result.reference_C, most_rows,
+    )  # fmt: skip
+    return list(zip(problem.logs, problem.residuals(result.theta), strict=True))
+
+
+def _problem(
+    logs: Sequence[RefineLog],
+    start: StartTables,
+    settings: RefineSettings,
+    layout: Layout,
+    knots: tuple[FloatArray, FloatArray],
+    capacity_Ah: float,
+    grid_C: FloatArray,
+    reference_C: float,
+    most_rows: int,
+) -> Problem:
+    """The least squares of some logs; ``knots`` are those of the tables and of the OCV."""
     prepared = [
         prepare_log(
-            item,
-            result.knots,
-            result.ocv_knots,
-            result.reference_C,
-            grid_C=result.grid_C,
-            capacity_Ah=capacity_Ah,
-            most_rows=most_rows,
+            item, *knots, reference_C, grid_C=grid_C, capacity_Ah=capacity_Ah, most_rows=most_rows
         )
         for item in logs
     ]
-    problem = Problem(
-        prepared, start, settings, result.layout, result.knots, result.ocv_knots,
-        3600.0 * capacity_Ah, result.grid_C, result.reference_C,
-    )  # fmt: skip
-    return list(zip(prepared, problem.residuals(result.theta), strict=True))
+    return Problem(
+        prepared, start, settings, layout, *knots, 3600.0 * capacity_Ah, grid_C, reference_C
+    )
