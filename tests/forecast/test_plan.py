@@ -6,13 +6,13 @@ import json
 
 import numpy as np
 import pytest
-from known_flights import discharge, known_replay
 
 from cellwise.cli import main
 from cellwise.errors import InputError
 from cellwise.forecast.plan import Plan, forecast_plan, is_plan, plan_of_log, read_plan
 from cellwise.logs import CellLog, write_log
 from example_cells import curved_cell
+from known_flights import discharge, known_replay
 
 
 @pytest.fixture(scope="module")

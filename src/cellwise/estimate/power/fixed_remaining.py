@@ -112,9 +112,13 @@ def go_on(
         held_V = held_V + magnitude(v3_V)
         voltage_V = voltage_V - v3_V
     if HYSTERESIS:
-        hysteresis = passed(hysteresis, -ONE, risen((c.hysteresis_per_A * current) * steps))
+        end = ONE if current < ZERO else -ONE
+        hysteresis = passed(
+            hysteresis, end, risen((c.hysteresis_per_A * magnitude(current)) * steps)
+        )
         voltage_V = voltage_V + (p.m_V * hysteresis)
-    variance_V2 = p.noise_V2 + (c.share_variance * (held_V * held_V))
+    share = c.share_variance if current >= ZERO else c.charge_variance
+    variance_V2 = p.noise_V2 + (share * (held_V * held_V))
     if VALIDITY:
         beyond_V = extrapolated(c, x, current, held_V)
         variance_V2 = variance_V2 + (beyond_V * beyond_V)
