@@ -2,9 +2,9 @@
 
 python -m benchmarks.plans [--only power,past,full] [--json]
 
-``power``: from five moments of a log, its own power to come as the plan (what is left is what is not
-known of SOC, model and capacity). ``past``: the first hour of every drive, and its second, with the
-others of the same temperature as the past logs. ``full``: from every minute of a charge on.
+``power``: from five moments of a log, its own power to come as the plan (what is left is what is
+not known of SOC, model and capacity). ``past``: the first half hour of every drive, and the second,
+with the others of the same temperature as the past logs. ``full``: from every minute of a charge.
 
 Coverage is that of the SOC at the plan's end, of all moments; a log's moments share its error, so
 that the number of logs is what its uncertainty goes by.
@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,17 +25,19 @@ from benchmarks.figures import Figure, Progress, missing
 from benchmarks.judged_run import judged_run
 from benchmarks.measured_data import HOW, data_folder, measured_log
 from cellwise import IdentifySettings, TestLogs, identify_cell
-from cellwise.cell.model import CellModel
+from cellwise.cell.model import CAPACITY_STD, CellModel
 from cellwise.cell.stock.catalogue import stock_model
 from cellwise.estimate.replay import replay
 from cellwise.forecast.charging import forecast_charge
-from cellwise.forecast.plan import Outcome, Plan, forecast_plan, plan_of_log
-from cellwise.logs import CellLog
+from cellwise.forecast.plan import BAND, Outcome, Plan, forecast_plan, mean_powers, plan_of_log
+from cellwise.logs import CellLog, read_log
 
 PARTS = ("power", "past", "full")
 MOMENTS = (0.1, 0.3, 0.5, 0.7, 0.9)  # of a log's time
-TRIP_S = 3600.0
+TRIP_S, DRIVE_S = 1800.0, 900.0
 LEAST_S = 600.0  # of a trip that is cut off by the log's end
+LEAST_W = 2.0  # mean of a cell of the car: it is driven
+LOAD_A, REST_S, BREAK_S = 0.15, 60.0, 3600.0
 SAMSUNG_AH = 3.0
 LEAST, MOST = 93.0, 97.0
 
@@ -60,18 +63,31 @@ class Ended(NamedTuple):
 
 
 class Cell(NamedTuple):
-    """A model, and logs from full that it has not seen; ``capacity_Ah`` is what they count by."""
+    """A model, and logs from full that it has not seen; ``capacity_Ah`` is what they count by.
+
+    Where that is the model's own, from the same test of the same cell, it is known: no deviation.
+    """
 
     name: str
     model: CellModel
     logs: tuple[CellLog, ...]
     capacity_Ah: float
+    capacity_std: float = CAPACITY_STD
 
 
 def counted(log: CellLog, capacity_Ah: float) -> np.ndarray:
     """The SOC by the tester's counter, from full."""
     assert log.charge_Ah is not None
     return np.asarray(1.0 - (log.charge_Ah - log.charge_Ah[0]) / capacity_Ah)
+
+
+def driven(log: CellLog) -> CellLog:
+    """A minute before its first load, up to a pause that the tester's clock does not show."""
+    first = int(np.argmax(log.known_current_A() > LOAD_A))
+    begins = int(np.searchsorted(log.time_s, log.time_s[first] - REST_S))
+    breaks = np.flatnonzero(log.interval_s > BREAK_S)
+    ends = next((int(k) for k in breaks if k > first), len(log))
+    return log.part(begins, ends)
 
 
 def panasonic(data: Path, tag: str, temperature_C: float) -> Cell:
@@ -82,9 +98,11 @@ def panasonic(data: Path, tag: str, temperature_C: float) -> Cell:
     seen = ("cycle_2", "cycle_3") if tag == "p25" else ("cycle_1", "cycle_2")
     names = sorted(f.name[:-7] for f in (data / PANASONIC).glob(f"drive_{tag}_*.csv.gz"))
     logs = tuple(
-        measured_log(data, f"{PANASONIC}/{name}") for name in names if not name.endswith(seen)
+        driven(measured_log(data, f"{PANASONIC}/{name}"))
+        for name in names
+        if not name.endswith(seen)
     )
-    return Cell(f"Panasonic {temperature_C:.0f} degC", model, logs, PANASONIC_AH)
+    return Cell(f"Panasonic {temperature_C:.0f} degC", model, logs, PANASONIC_AH, 0.0)
 
 
 def samsung(data: Path) -> Cell:
@@ -113,7 +131,9 @@ def at_moments(cell: Cell, log: CellLog) -> Iterator[Ended]:
         row = int(np.searchsorted(log.time_s, log.time_s[0] + share * log.duration_s))
         if row < len(log) - 10:
             plan = plan_of_log(log.part(row, len(log)))
-            found = forecast_plan(cell.model, replayed, [plan], row=row)
+            found = forecast_plan(
+                cell.model, replayed, [plan], row=row, capacity_std=cell.capacity_std
+            )
             yield Ended(log.name, found, float(soc[-1]))
 
 
@@ -139,7 +159,9 @@ def trips(cell: Cell) -> Iterator[Ended]:
             seconds = float(log.time_s[rows[1]] - log.time_s[rows[0]])
             plans = list(past_of(cell, log, start_s, seconds))
             if len(plans) >= 3:
-                found = forecast_plan(cell.model, replayed, plans, row=rows[0])
+                found = forecast_plan(
+                    cell.model, replayed, plans, row=rows[0], capacity_std=cell.capacity_std
+                )
                 soc = counted(log, cell.capacity_Ah)
                 yield Ended(log.name, found, float(soc[rows[1]]))
 
@@ -151,6 +173,37 @@ def past_of(cell: Cell, of: CellLog, start_s: float, seconds: float) -> Iterator
         if log is not of and rows is not None:
             last = int(np.searchsorted(log.time_s, log.time_s[rows[0]] + seconds))
             yield plan_of_log(log.part(rows[0], min(last, len(log) - 1) + 1))
+
+
+def car_drives(data: Path) -> Iterator[Plan]:
+    """The first quarter of an hour of a car's drives in their order, from its mean cell."""
+    for path in sorted((data / "leaf_pack").glob("leaf_*.parquet")):
+        log = read_log(path)
+        edges = [0, *np.flatnonzero(log.gap_rows).tolist(), len(log)]
+        for first, last in pairwise(edges):
+            if last - first > 10 and log.time_s[last - 1] - log.time_s[first] > LEAST_S:
+                part = log.part(first, last)
+                ends = np.searchsorted(part.time_s - part.time_s[0], DRIVE_S)
+                plan = plan_of_log(part.part(0, int(ends)))
+                if plan.mean > LEAST_W:
+                    yield plan
+
+
+def car_figures(data: Path) -> Iterator[Figure]:
+    """Whether the next drive's mean power is in the band of the ones before it."""
+    drives = list(car_drives(data))
+    for before in (3, 6, 12):
+        inside = []
+        for k in range(before, len(drives)):
+            band = mean_powers(drives[k - before : k], np.array(BAND))
+            inside.append(band is not None and band[0] <= drives[k].mean <= band[1])
+        yield Figure(
+            "Nissan Leaf on the road: mean power of the next drive",
+            f"in the 95 % band of the {before} before it",
+            100.0 * float(np.mean(inside)),
+            "%",
+            note=f"{len(inside)} drives",
+        )
 
 
 def coverage(group: str, ends: Sequence[Ended]) -> Iterator[Figure]:
@@ -184,6 +237,9 @@ def plan_figures(data: Path, parts: Sequence[str], say: Progress) -> list[Figure
     for name, ends in (("true power to come", known), ("as in the other drives", past)):
         if ends:
             figures += coverage(f"Panasonic, all: {name}", ends)
+    if "past" in parts:
+        say("Nissan Leaf")
+        figures += car_figures(data)
     if "power" in parts:
         say("Samsung")
         cell = samsung(data)
