@@ -2361,26 +2361,41 @@ static void behind(const cellwise_place *at, float lag, cellwise_place *place)
 #endif
 
 #if CELLWISE_REMAINING
+/* The cell's state, under no load yet. */
+static void as_it_is(const cellwise_state *x, cellwise_along *along)
+{
+#if CELLWISE_SLOW
+    along->v3_V = x->v3_V;
+#endif
+#if CELLWISE_HYSTERESIS
+    along->h = x->h;
+#endif
+#if CELLWISE_SURFACE
+    along->slow_A = x->slow_A;
+#endif
+    along->v1_V = x->v1_V;
+    along->v2_V = x->v2_V;
+    along->voltage_V = 0.0f;
+    along->off_V = 0.0f;
+}
+#endif
+
+#if CELLWISE_REMAINING
 /* So many time steps of a constant current later, at a SOC. The exponent of a branch comes from
  * its gain g over one time step, as g / (1 - g / 2). */
 static NOINLINE void go_on(const cellwise_model *m, const cellwise_place *place,
-                           const cellwise_state *x, float v1, float v2, float v3, float h,
-    float slow, float soc, float current, float steps, cellwise_along *along)
+                           const cellwise_state *x, const cellwise_along *was, float soc,
+    float current, float steps, cellwise_along *along)
 {
-    (void)v3;
-    (void)h;
-    (void)slow;
     const cellwise_constants *const c = &m->constant;
-    along->v1_V = v1;
-    along->v2_V = v2;
 #if CELLWISE_SLOW
-    along->v3_V = v3;
+    along->v3_V = was->v3_V;
 #endif
 #if CELLWISE_HYSTERESIS
-    along->h = h;
+    along->h = was->h;
 #endif
 #if CELLWISE_SURFACE
-    along->slow_A = slow;
+    along->slow_A = was->slow_A;
 #endif
     float lag = 0.0f;
 #if CELLWISE_SURFACE
@@ -2399,8 +2414,8 @@ static NOINLINE void go_on(const cellwise_model *m, const cellwise_place *place,
     const float drop = p.r0_ohm * current;
     const float rise1 = risen(steps * (p.gain1 / (1.0f - (0.5f * p.gain1))));
     const float rise2 = risen(steps * (p.gain2 / (1.0f - (0.5f * p.gain2))));
-    along->v1_V = passed(along->v1_V, p.r1_ohm * current, rise1);
-    along->v2_V = passed(along->v2_V, p.r2_ohm * current, rise2);
+    along->v1_V = passed(was->v1_V, p.r1_ohm * current, rise1);
+    along->v2_V = passed(was->v2_V, p.r2_ohm * current, rise2);
     float held_V = (magnitude(drop) + magnitude(along->v1_V)) + magnitude(along->v2_V);
     along->voltage_V = p.ocv_V - (drop + (along->v1_V + along->v2_V));
 #if CELLWISE_SLOW
@@ -2476,26 +2491,12 @@ void cellwise_remaining(const cellwise_model *m, const cellwise_state *x, float 
         cellwise_place place;
         place_now(m, x, &place);
         float current = at_least(load_A, c->remaining_least_A);
-        float v1 = x->v1_V;
-        float v2 = x->v2_V;
-        float v3 = 0.0f;
-        float h = 0.0f;
-        float slow = 0.0f;
-#if CELLWISE_SLOW
-        v3 = x->v3_V;
-#endif
-#if CELLWISE_HYSTERESIS
-        h = x->h;
-#endif
-#if CELLWISE_SURFACE
-        slow = x->slow_A;
-#endif
         const float low_V = c->remaining_low_V;
+        cellwise_along then;
+        as_it_is(x, &then);
         cellwise_along now;
-        go_on(m, &place, x, v1, v2, v3, h, slow, x->soc, current, 0.0f, &now);
-        float now_V = now.voltage_V;
-        float off_V = now.off_V;
-        const float power_W = current * at_least(now_V, low_V);
+        go_on(m, &place, x, &then, x->soc, current, 0.0f, &now);
+        const float power_W = current * at_least(now.voltage_V, low_V);
         float per_A = c->soc_per_A;
 #if CELLWISE_HEALTH
         per_A = per_A * x->per_capacity;
@@ -2505,23 +2506,22 @@ void cellwise_remaining(const cellwise_model *m, const cellwise_state *x, float 
         float usual_J = 0.0f;
         float worse_s = 0.0f;
         float better_s = 0.0f;
-        bool usual_ends = now_V <= low_V;
-        bool worse_ends = (now_V - off_V) <= low_V;
-        bool better_ends = (now_V + off_V) <= low_V;
+        bool usual_ends = now.voltage_V <= low_V;
+        bool worse_ends = (now.voltage_V - now.off_V) <= low_V;
+        bool better_ends = (now.voltage_V + now.off_V) <= low_V;
         float ahead = REMAINING_PARTS;
         while (ahead > 0.0f) {
             ahead = ahead - 1.0f;
             if (holds_power) {
-                const float asked_A = power_W / at_least(now_V, low_V);
+                const float asked_A = power_W / at_least(now.voltage_V, low_V);
                 current = clip(asked_A, c->remaining_least_A, c->current_limit_A);
             }
             const float steps = part / (per_A * current);
-            cellwise_along then;
-            go_on(m, &place, x, v1, v2, v3, h, slow, part * ahead, current, steps, &then);
+            go_on(m, &place, x, &now, part * ahead, current, steps, &then);
             const float part_s = steps * c->step_s;
             if (!usual_ends) {
-                float share = share_of(now_V, then.voltage_V, low_V);
-                const float middle_V = at_least(0.5f * (now_V + then.voltage_V), low_V);
+                float share = share_of(now.voltage_V, then.voltage_V, low_V);
+                const float middle_V = at_least(0.5f * (now.voltage_V + then.voltage_V), low_V);
                 usual_s = clip(usual_s + (share * part_s), 0.0f, LONGEST);
                 const float part_J = (current * middle_V) * part_s;
                 usual_J = clip(usual_J + (share * part_J), 0.0f, LONGEST);
@@ -2529,31 +2529,19 @@ void cellwise_remaining(const cellwise_model *m, const cellwise_state *x, float 
             }
             if (!worse_ends) {
                 float after_V = then.voltage_V - then.off_V;
-                float share = share_of(now_V - off_V, after_V, low_V);
+                float share = share_of(now.voltage_V - now.off_V, after_V, low_V);
                 worse_s = clip(worse_s + (share * part_s), 0.0f, LONGEST);
                 worse_ends = after_V <= low_V;
             }
             if (!better_ends) {
                 float after_V = then.voltage_V + then.off_V;
-                float share = share_of(now_V + off_V, after_V, low_V);
+                float share = share_of(now.voltage_V + now.off_V, after_V, low_V);
                 better_s = clip(better_s + (share * part_s), 0.0f, LONGEST);
                 better_ends = after_V <= low_V;
             }
-            v1 = then.v1_V;
-            v2 = then.v2_V;
-#if CELLWISE_SLOW
-            v3 = then.v3_V;
-#endif
-#if CELLWISE_HYSTERESIS
-            h = then.h;
-#endif
-#if CELLWISE_SURFACE
-            slow = then.slow_A;
-#endif
-            now_V = then.voltage_V;
-            off_V = then.off_V;
+            now = then;
         }
-        const float load_W = current * at_least(now_V, low_V);
+        const float load_W = current * at_least(now.voltage_V, low_V);
         const float by_soc_s = ((2.0f * root(x->ss)) / (per_A * current)) * c->step_s;
         const float by_capacity_s = c->remaining_share * usual_s;
         const float below_s = apart_by(by_soc_s, by_capacity_s, at_least(usual_s - worse_s, 0.0f));
@@ -2605,22 +2593,10 @@ static NOINLINE void flown(const cellwise_model *m, const cellwise_place *place,
     const cellwise_constants *const c = &m->constant;
     const float low_V = c->remaining_low_V;
     end->soc = begun;
-    float v1 = x->v1_V;
-    float v2 = x->v2_V;
-    float v3 = 0.0f;
-    float h = 0.0f;
-    float slow = 0.0f;
-#if CELLWISE_SLOW
-    v3 = x->v3_V;
-#endif
-#if CELLWISE_HYSTERESIS
-    h = x->h;
-#endif
-#if CELLWISE_SURFACE
-    slow = x->slow_A;
-#endif
+    cellwise_along now;
+    as_it_is(x, &now);
     cellwise_along then;
-    go_on(m, place, x, v1, v2, v3, h, slow, end->soc, 0.0f, 0.0f, &then);
+    go_on(m, place, x, &now, end->soc, 0.0f, 0.0f, &then);
     float voltage_V = then.voltage_V;
     end->least_V = voltage_V;
     end->energy_J = 0.0f;
@@ -2649,21 +2625,11 @@ static NOINLINE void flown(const cellwise_model *m, const cellwise_place *place,
                 }
                 after = end->soc - ((per_capacity * taken(c, x, current)) * steps);
                 after = clip(after, -1.0f, 2.0f);
-                go_on(m, place, x, v1, v2, v3, h, slow, after, current, steps, &then);
+                go_on(m, place, x, &now, after, current, steps, &then);
                 voltage_V = then.voltage_V - (lower * then.off_V);
             }
             end->soc = after;
-            v1 = then.v1_V;
-            v2 = then.v2_V;
-#if CELLWISE_SLOW
-            v3 = then.v3_V;
-#endif
-#if CELLWISE_HYSTERESIS
-            h = then.h;
-#endif
-#if CELLWISE_SURFACE
-            slow = then.slow_A;
-#endif
+            now = then;
             time_s = clip(time_s + part_s, 0.0f, LONGEST);
             end->energy_J =
                 clip(end->energy_J + ((current * voltage_V) * part_s), -LONGEST, LONGEST);

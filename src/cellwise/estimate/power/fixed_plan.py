@@ -41,11 +41,10 @@ from cellwise.estimate.fixed.arithmetic import (
 )
 from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.lookup import Place
-from cellwise.estimate.fixed.options import HYSTERESIS, SLOW, SURFACE
 from cellwise.estimate.fixed.predict import taken
 from cellwise.estimate.fixed.state import is_sound
 from cellwise.estimate.power.fixed_power import place_now
-from cellwise.estimate.power.fixed_remaining import apart_by, go_on
+from cellwise.estimate.power.fixed_remaining import apart_by, as_it_is, go_on
 
 
 class End(NamedTuple):
@@ -85,18 +84,8 @@ def flown(
     c = m.constant
     low_V = c.remaining_low_V
     soc = begun
-    v1 = x.v1_V
-    v2 = x.v2_V
-    v3 = ZERO
-    h = ZERO
-    slow = ZERO
-    if SLOW:
-        v3 = x.v3_V
-    if HYSTERESIS:
-        h = x.h
-    if SURFACE:
-        slow = x.slow_A
-    then = go_on(m, place, x, v1, v2, v3, h, slow, soc, ZERO, ZERO)
+    now = as_it_is(x)
+    then = go_on(m, place, x, now, soc, ZERO, ZERO)
     voltage_V = then.voltage_V
     least_V = voltage_V
     energy_J = ZERO
@@ -123,17 +112,10 @@ def flown(
                     current = clip(current, -c.current_limit_A, c.current_limit_A)
                 after = soc - ((per_capacity * taken(c, x, current)) * steps)
                 after = clip(after, -ONE, TWO)
-                then = go_on(m, place, x, v1, v2, v3, h, slow, after, current, steps)
+                then = go_on(m, place, x, now, after, current, steps)
                 voltage_V = then.voltage_V - (lower * then.off_V)
             soc = after
-            v1 = then.v1_V
-            v2 = then.v2_V
-            if SLOW:
-                v3 = then.v3_V
-            if HYSTERESIS:
-                h = then.h
-            if SURFACE:
-                slow = then.slow_A
+            now = then
             time_s = clip(time_s + part_s, ZERO, LONGEST)
             energy_J = clip(energy_J + ((current * voltage_V) * part_s), -LONGEST, LONGEST)
             least_V = clip(voltage_V, -LARGE, least_V)
