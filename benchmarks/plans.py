@@ -76,9 +76,11 @@ class Cell(NamedTuple):
 
 
 def counted(log: CellLog, capacity_Ah: float) -> np.ndarray:
-    """The SOC by the tester's counter, from full."""
-    assert log.charge_Ah is not None
-    return np.asarray(1.0 - (log.charge_Ah - log.charge_Ah[0]) / capacity_Ah)
+    """The SOC by the tester's counter, from full; where it has none by the sum of its rows."""
+    drawn_Ah = log.charge_Ah
+    if drawn_Ah is None:
+        drawn_Ah = np.cumsum(log.known_current_A() * log.interval_s) / 3600.0
+    return np.asarray(1.0 - (drawn_Ah - drawn_Ah[0]) / capacity_Ah)
 
 
 def driven(log: CellLog) -> CellLog:
