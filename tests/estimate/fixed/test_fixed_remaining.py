@@ -14,13 +14,11 @@ from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.estimate.fixed.layout import LANDING, OUTLOOK, PHASE
 from cellwise.estimate.fixed.stepper import numba_stepper
 from cellwise.estimate.fixed.tables import fixed_step_tables
-from cellwise.forecast.plan import Plan, forecast_plan
 from cellwise.forecast.remaining import uncertain_of
 from cellwise.forecast.remaining_kernels import Going, with_ends
 from cellwise.forecast.warming_kernels import STEADY
 from example_cells import curved_cell, lfp_cell, linear_cell
 from firmware_cases import cutoff_asked, stress_samples, tables_of
-from known_flights import discharge, known_replay
 
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")
 
@@ -102,34 +100,6 @@ def test_the_same_bits_in_c_and_never_nan(case):
     assert np.all(values >= 0.0)
     assert np.all((values[:, 1] <= values[:, 0]) & (values[:, 0] <= values[:, 2]))
     assert np.ptp(values[:, 0]) > 0.0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("make", [linear_cell, curved_cell, lfp_cell])
-@pytest.mark.parametrize("hold", ["current", "power"])
-def test_a_plan_ends_where_the_float64_s_does(make, hold):
-    """Phases of minutes in parts of 30 s against steps of 10 s and less."""
-    model = make()
-    cutoff_V = cutoff_asked(model)
-    fixed = FixedStep(model, dt_s=1.0).with_remaining(cutoff_V)
-    load = 3.0 if hold == "power" else 1.0
-    phases = [(20.0, 4 * load), (600.0, load), (90.0, 0.0), (45.0, -load), (900.0, 0.7 * load)]
-    state = fixed.init(0.8, 0.02)
-    rest, truth = discharge(model, np.zeros(2), 0.8)
-    replayed = known_replay(rest, truth.soc, 0.02)
-    parts = [(seconds / n, watts) for seconds, watts in phases for n in [100] for _ in range(n)]
-    dt_s, loads = np.array(parts).T
-    plan = Plan("phases", dt_s, loads, hold == "power")
-    whole = forecast_plan(model, replayed, [plan], cutoff_V=cutoff_V)
-    for above in (whole.end_soc - 0.03, whole.end_soc, whole.end_soc + 0.03):
-        exact = forecast_plan(model, replayed, [plan], cutoff_V=cutoff_V, above=above)
-        found = fixed.plan(state, phases, hold, above)[0]
-        assert found["soc"] == pytest.approx(exact.end_soc, abs=2e-3)
-        assert found["energy_J"] / 3600.0 == pytest.approx(exact.energy_Wh, rel=5e-3)
-        assert found["least_V"] == pytest.approx(exact.least_V, abs=4e-3)
-        width = exact.end_soc_band[1] - exact.end_soc_band[0]
-        assert found["soc_high"] - found["soc_low"] == pytest.approx(width, rel=0.05)
-        assert found["chance"] == pytest.approx(exact.chance, abs=0.03)
 
 
 def test_a_plan_that_no_cell_gives_fails_when_its_load_comes():
