@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from known_flights import known_replay
 
 from cellwise.cell.simulate import simulate
 from cellwise.cell.stock.catalogue import stock_model
@@ -19,7 +20,6 @@ from cellwise.forecast.remaining import cutoff_of
 from cellwise.live import LiveFilter
 from cellwise.logs import CellLog, read_log, write_log
 from example_cells import curved_cell
-from known_flights import known_replay
 from streams import samples
 
 LIMIT_V, TAPER_A = 4.15, 0.2

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from known_flights import CUTOFF_V, discharge, known_replay, until
 
 from cellwise.cell.model import CAPACITY_STD
 from cellwise.cell.model_error import ModelError
@@ -15,7 +16,6 @@ from cellwise.errors import InputError
 from cellwise.estimate.replay import replay
 from cellwise.forecast.remaining import forecast, forecast_at
 from example_cells import curved_cell, lfp_cell, linear_cell
-from known_flights import CUTOFF_V, discharge, known_replay, until
 
 
 @pytest.mark.parametrize("make", [linear_cell, curved_cell, lfp_cell])

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from known_flights import CUTOFF_V, discharge, known_replay, until
 
 from cellwise.cell.effects import TemperatureDependence
 from cellwise.cell.model_error import ModelError
@@ -27,7 +28,6 @@ from cellwise.forecast.warming_kernels import (
 from cellwise.live import LiveFilter
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
-from known_flights import CUTOFF_V, discharge, known_replay, until
 from streams import samples
 
 CHARGE_AS = 3600.0 * 3.0
