@@ -48,6 +48,16 @@
 #define POWER_TRIALS 8u
 #define LONGEST 0x1.dcd65p+29f /* 1e+09: remaining seconds, and joules: no cell lasts for more */
 #define REMAINING_PARTS 64.0f /* of the SOC down to empty */
+#define PHASE_PARTS_PER_S 0x1.111112p-5f /* 0.0333333: of a plan's phase, beside those by its SOC */
+#define PHASE_PARTS_MOST 4096.0f
+#define PHASE_TURNS 3u /* of a power to its current: off by less than 1e-6 then */
+#define DEVIATIONS_MOST 8.0f /* nothing is beyond */
+#define NORMAL_1 0x1.988368p-5f /* 0.0498673 */
+#define NORMAL_2 0x1.5a5fcep-6f /* 0.021141 */
+#define NORMAL_3 0x1.ad9ae4p-9f /* 0.00327763 */
+#define NORMAL_4 0x1.3ecc1cp-15f /* 3.80036e-05 */
+#define NORMAL_5 0x1.9a1fc4p-15f /* 4.88906e-05 */
+#define NORMAL_6 0x1.693f3cp-18f /* 5.383e-06 */
 #define LEAST_SPAN_V 0x1.12e0bep-30f /* 1e-09: between the ends of a bracket: it is divided by */
 #define THREE_CELLS 3u /* that may limit a pack's power */
 #define CELL_MOST 0x1.ccccccp-1f /* 0.9: of a cell's capacity or resistance may be missing, */
@@ -2351,26 +2361,41 @@ static void behind(const cellwise_place *at, float lag, cellwise_place *place)
 #endif
 
 #if CELLWISE_REMAINING
+/* The cell's state, under no load yet. */
+static void as_it_is(const cellwise_state *x, cellwise_along *along)
+{
+#if CELLWISE_SLOW
+    along->v3_V = x->v3_V;
+#endif
+#if CELLWISE_HYSTERESIS
+    along->h = x->h;
+#endif
+#if CELLWISE_SURFACE
+    along->slow_A = x->slow_A;
+#endif
+    along->v1_V = x->v1_V;
+    along->v2_V = x->v2_V;
+    along->voltage_V = 0.0f;
+    along->off_V = 0.0f;
+}
+#endif
+
+#if CELLWISE_REMAINING
 /* So many time steps of a constant current later, at a SOC. The exponent of a branch comes from
  * its gain g over one time step, as g / (1 - g / 2). */
 static NOINLINE void go_on(const cellwise_model *m, const cellwise_place *place,
-                           const cellwise_state *x, float v1, float v2, float v3, float h,
-    float slow, float soc, float current, float steps, cellwise_along *along)
+                           const cellwise_state *x, const cellwise_along *was, float soc,
+    float current, float steps, cellwise_along *along)
 {
-    (void)v3;
-    (void)h;
-    (void)slow;
     const cellwise_constants *const c = &m->constant;
-    along->v1_V = v1;
-    along->v2_V = v2;
 #if CELLWISE_SLOW
-    along->v3_V = v3;
+    along->v3_V = was->v3_V;
 #endif
 #if CELLWISE_HYSTERESIS
-    along->h = h;
+    along->h = was->h;
 #endif
 #if CELLWISE_SURFACE
-    along->slow_A = slow;
+    along->slow_A = was->slow_A;
 #endif
     float lag = 0.0f;
 #if CELLWISE_SURFACE
@@ -2389,8 +2414,8 @@ static NOINLINE void go_on(const cellwise_model *m, const cellwise_place *place,
     const float drop = p.r0_ohm * current;
     const float rise1 = risen(steps * (p.gain1 / (1.0f - (0.5f * p.gain1))));
     const float rise2 = risen(steps * (p.gain2 / (1.0f - (0.5f * p.gain2))));
-    along->v1_V = passed(along->v1_V, p.r1_ohm * current, rise1);
-    along->v2_V = passed(along->v2_V, p.r2_ohm * current, rise2);
+    along->v1_V = passed(was->v1_V, p.r1_ohm * current, rise1);
+    along->v2_V = passed(was->v2_V, p.r2_ohm * current, rise2);
     float held_V = (magnitude(drop) + magnitude(along->v1_V)) + magnitude(along->v2_V);
     along->voltage_V = p.ocv_V - (drop + (along->v1_V + along->v2_V));
 #if CELLWISE_SLOW
@@ -2400,10 +2425,12 @@ static NOINLINE void go_on(const cellwise_model *m, const cellwise_place *place,
     along->voltage_V = along->voltage_V - along->v3_V;
 #endif
 #if CELLWISE_HYSTERESIS
-    along->h = passed(along->h, -1.0f, risen((c->hysteresis_per_A * current) * steps));
+    const float end = (current < 0.0f) ? 1.0f : -1.0f;
+    along->h = passed(along->h, end, risen((c->hysteresis_per_A * magnitude(current)) * steps));
     along->voltage_V = along->voltage_V + (p.m_V * along->h);
 #endif
-    float variance_V2 = p.noise_V2 + (c->share_variance * (held_V * held_V));
+    const float share = (current >= 0.0f) ? c->share_variance : c->charge_variance;
+    float variance_V2 = p.noise_V2 + (share * (held_V * held_V));
 #if CELLWISE_VALIDITY
     const float beyond_V = extrapolated(c, x, current, held_V);
     variance_V2 = variance_V2 + (beyond_V * beyond_V);
@@ -2464,26 +2491,12 @@ void cellwise_remaining(const cellwise_model *m, const cellwise_state *x, float 
         cellwise_place place;
         place_now(m, x, &place);
         float current = at_least(load_A, c->remaining_least_A);
-        float v1 = x->v1_V;
-        float v2 = x->v2_V;
-        float v3 = 0.0f;
-        float h = 0.0f;
-        float slow = 0.0f;
-#if CELLWISE_SLOW
-        v3 = x->v3_V;
-#endif
-#if CELLWISE_HYSTERESIS
-        h = x->h;
-#endif
-#if CELLWISE_SURFACE
-        slow = x->slow_A;
-#endif
         const float low_V = c->remaining_low_V;
+        cellwise_along then;
+        as_it_is(x, &then);
         cellwise_along now;
-        go_on(m, &place, x, v1, v2, v3, h, slow, x->soc, current, 0.0f, &now);
-        float now_V = now.voltage_V;
-        float off_V = now.off_V;
-        const float power_W = current * at_least(now_V, low_V);
+        go_on(m, &place, x, &then, x->soc, current, 0.0f, &now);
+        const float power_W = current * at_least(now.voltage_V, low_V);
         float per_A = c->soc_per_A;
 #if CELLWISE_HEALTH
         per_A = per_A * x->per_capacity;
@@ -2493,23 +2506,22 @@ void cellwise_remaining(const cellwise_model *m, const cellwise_state *x, float 
         float usual_J = 0.0f;
         float worse_s = 0.0f;
         float better_s = 0.0f;
-        bool usual_ends = now_V <= low_V;
-        bool worse_ends = (now_V - off_V) <= low_V;
-        bool better_ends = (now_V + off_V) <= low_V;
+        bool usual_ends = now.voltage_V <= low_V;
+        bool worse_ends = (now.voltage_V - now.off_V) <= low_V;
+        bool better_ends = (now.voltage_V + now.off_V) <= low_V;
         float ahead = REMAINING_PARTS;
         while (ahead > 0.0f) {
             ahead = ahead - 1.0f;
             if (holds_power) {
-                const float asked_A = power_W / at_least(now_V, low_V);
+                const float asked_A = power_W / at_least(now.voltage_V, low_V);
                 current = clip(asked_A, c->remaining_least_A, c->current_limit_A);
             }
             const float steps = part / (per_A * current);
-            cellwise_along then;
-            go_on(m, &place, x, v1, v2, v3, h, slow, part * ahead, current, steps, &then);
+            go_on(m, &place, x, &now, part * ahead, current, steps, &then);
             const float part_s = steps * c->step_s;
             if (!usual_ends) {
-                float share = share_of(now_V, then.voltage_V, low_V);
-                const float middle_V = at_least(0.5f * (now_V + then.voltage_V), low_V);
+                float share = share_of(now.voltage_V, then.voltage_V, low_V);
+                const float middle_V = at_least(0.5f * (now.voltage_V + then.voltage_V), low_V);
                 usual_s = clip(usual_s + (share * part_s), 0.0f, LONGEST);
                 const float part_J = (current * middle_V) * part_s;
                 usual_J = clip(usual_J + (share * part_J), 0.0f, LONGEST);
@@ -2517,31 +2529,19 @@ void cellwise_remaining(const cellwise_model *m, const cellwise_state *x, float 
             }
             if (!worse_ends) {
                 float after_V = then.voltage_V - then.off_V;
-                float share = share_of(now_V - off_V, after_V, low_V);
+                float share = share_of(now.voltage_V - now.off_V, after_V, low_V);
                 worse_s = clip(worse_s + (share * part_s), 0.0f, LONGEST);
                 worse_ends = after_V <= low_V;
             }
             if (!better_ends) {
                 float after_V = then.voltage_V + then.off_V;
-                float share = share_of(now_V + off_V, after_V, low_V);
+                float share = share_of(now.voltage_V + now.off_V, after_V, low_V);
                 better_s = clip(better_s + (share * part_s), 0.0f, LONGEST);
                 better_ends = after_V <= low_V;
             }
-            v1 = then.v1_V;
-            v2 = then.v2_V;
-#if CELLWISE_SLOW
-            v3 = then.v3_V;
-#endif
-#if CELLWISE_HYSTERESIS
-            h = then.h;
-#endif
-#if CELLWISE_SURFACE
-            slow = then.slow_A;
-#endif
-            now_V = then.voltage_V;
-            off_V = then.off_V;
+            now = then;
         }
-        const float load_W = current * at_least(now_V, low_V);
+        const float load_W = current * at_least(now.voltage_V, low_V);
         const float by_soc_s = ((2.0f * root(x->ss)) / (per_A * current)) * c->step_s;
         const float by_capacity_s = c->remaining_share * usual_s;
         const float below_s = apart_by(by_soc_s, by_capacity_s, at_least(usual_s - worse_s, 0.0f));
@@ -2552,6 +2552,165 @@ void cellwise_remaining(const cellwise_model *m, const cellwise_state *x, float 
         out->energy_J = usual_J;
         out->energy_low_J = at_least(usual_J - (below_s * load_W), 0.0f);
         out->energy_high_J = usual_J + (above_s * load_W);
+    }
+}
+#endif
+
+/* ---- fixed_plan.py: A plan of loads on the fixed step: where it ends, and the chance to end
+ * above a SOC. */
+
+#if CELLWISE_REMAINING
+/* Where a plan ends; `failed_s` is when its voltage was at the cutoff or its charge gone. */
+typedef struct {
+    float soc;
+    float least_V;
+    float energy_J;
+    float failed_s;
+} cellwise_end;
+#endif
+
+#if CELLWISE_REMAINING
+/* Every phase a time and a load that are numbers, of a size that cells have. */
+static bool is_plan_sound(const cellwise_phase *phases, uint32_t count)
+{
+    bool sound = true;
+    for (uint32_t k = 0u; k < count; k++) {
+        if (!(NOT_NEGATIVE(phases[k].seconds, LARGE) && SIZE_WITHIN(phases[k].load, LARGE))) {
+            sound = false;
+        }
+    }
+    return sound;
+}
+#endif
+
+#if CELLWISE_REMAINING
+/* Through the plan from a SOC, with a capacity, as many times two deviations lower in voltage. A
+ * phase is gone through in equal parts; a power finds its current by the voltage that it leaves. */
+static NOINLINE void flown(const cellwise_model *m, const cellwise_place *place,
+                           const cellwise_state *x, const cellwise_phase *phases, uint32_t count,
+    bool holds_power, float begun, float per_capacity, float lower, cellwise_end *end)
+{
+    const cellwise_constants *const c = &m->constant;
+    const float low_V = c->remaining_low_V;
+    end->soc = begun;
+    cellwise_along now;
+    as_it_is(x, &now);
+    cellwise_along then;
+    go_on(m, place, x, &now, end->soc, 0.0f, 0.0f, &then);
+    float voltage_V = then.voltage_V;
+    end->least_V = voltage_V;
+    end->energy_J = 0.0f;
+    end->failed_s = LONGEST;
+    float time_s = 0.0f;
+    const uint32_t turns = holds_power ? PHASE_TURNS : 1u;
+    for (uint32_t phase = 0u; phase < count; phase++) {
+        const float load = phases[phase].load;
+        float current = holds_power ? (load / at_least(voltage_V, low_V)) : load;
+        current = clip(current, -c->current_limit_A, c->current_limit_A);
+        uint32_t parts = 1u;
+        if (magnitude(load) > 0.0f) {
+            const float per_s = magnitude(taken(c, x, current)) / c->step_s;
+            float asked = PHASE_PARTS_PER_S + (REMAINING_PARTS * per_s);
+            asked = 1.0f + (phases[phase].seconds * asked);
+            parts = (uint32_t)clip(asked, 1.0f, PHASE_PARTS_MOST);
+        }
+        const float part_s = phases[phase].seconds / (float)parts;
+        const float steps = part_s / c->step_s;
+        for (uint32_t k = 0u; k < parts; k++) {
+            float after = end->soc;
+            for (uint32_t kturn = 0u; kturn < turns; kturn++) {
+                if (holds_power) {
+                    current = load / at_least(voltage_V, low_V);
+                    current = clip(current, -c->current_limit_A, c->current_limit_A);
+                }
+                after = end->soc - ((per_capacity * taken(c, x, current)) * steps);
+                after = clip(after, -1.0f, 2.0f);
+                go_on(m, place, x, &now, after, current, steps, &then);
+                voltage_V = then.voltage_V - (lower * then.off_V);
+            }
+            end->soc = after;
+            now = then;
+            time_s = clip(time_s + part_s, 0.0f, LONGEST);
+            end->energy_J =
+                clip(end->energy_J + ((current * voltage_V) * part_s), -LONGEST, LONGEST);
+            end->least_V = clip(voltage_V, -LARGE, end->least_V);
+            if (((voltage_V <= low_V) || (end->soc <= 0.0f)) && (end->failed_s >= LONGEST)) {
+                end->failed_s = time_s;
+            }
+        }
+    }
+}
+#endif
+
+#if CELLWISE_REMAINING
+/* Probability that a normal number is below so many deviations, to 1e-6. Abramowitz and Stegun
+ * (1964), 26.2.19: a polynomial to the power of -16. */
+static NOINLINE float normal(float deviations)
+{
+    const float z = clip(magnitude(deviations), 0.0f, DEVIATIONS_MOST);
+    const float far = NORMAL_4 + (z * (NORMAL_5 + (z * NORMAL_6)));
+    float grown = 1.0f + (z * (NORMAL_1 + (z * (NORMAL_2 + (z * (NORMAL_3 + (z * far)))))));
+    for (uint32_t k = 0u; k < 4u; k++) {
+        grown = grown * grown;
+    }
+    const float tail = 0.5f / grown;
+    return (deviations < 0.0f) ? tail : (1.0f - tail);
+}
+#endif
+
+#if CELLWISE_REMAINING
+/* Where a plan of loads ends, and the chance to end at `above` or more; nothing is changed. The
+ * phases follow each other; a load is a current [A], or with `holds_power` a power [W], of one
+ * cell, positive on discharge. Temperature stays. The bands of two deviations hold those of the
+ * SOC, of the voltage along the way and of the capacity, by their effects at two deviations; the
+ * chance is the product of those to end at `above` and to stay above the cutoff: at most as
+ * large as the two together. Zero throughout for a phase that is none and a state that is not
+ * sound. */
+void cellwise_plan(const cellwise_model *m, const cellwise_state *x, const cellwise_phase *phases,
+                   uint32_t count, bool holds_power, float above, cellwise_landing *out)
+{
+    const cellwise_constants *const c = &m->constant;
+    out->soc = 0.0f;
+    out->soc_low = 0.0f;
+    out->soc_high = 0.0f;
+    out->least_V = 0.0f;
+    out->least_low_V = 0.0f;
+    out->energy_J = 0.0f;
+    out->failed_s = 0.0f;
+    out->chance = 0.0f;
+    if (is_sound(c, x) && is_plan_sound(phases, count) && NOT_NEGATIVE(above, 1.0f)) {
+        cellwise_place place;
+        place_now(m, x, &place);
+        const float away = 2.0f * root(x->ss);
+        /* Away from the nearer end of the SOC, where it would be cut off. */
+        const float other_soc = clip(x->soc + ((x->soc < 0.5f) ? away : -away), 0.0f, 1.0f);
+        const float less = 1.0f + c->remaining_share;
+        cellwise_end usual;
+        flown(m, &place, x, phases, count, holds_power, x->soc, 1.0f, 0.0f, &usual);
+        cellwise_end other;
+        flown(m, &place, x, phases, count, holds_power, other_soc, 1.0f, 0.0f, &other);
+        const float soc_by_soc = magnitude(usual.soc - other.soc);
+        const float low_by_soc_V = magnitude(usual.least_V - other.least_V);
+        flown(m, &place, x, phases, count, holds_power, x->soc, less, 0.0f, &other);
+        const float soc_by_capacity = magnitude(usual.soc - other.soc);
+        const float low_by_capacity_V = magnitude(usual.least_V - other.least_V);
+        flown(m, &place, x, phases, count, holds_power, x->soc, 1.0f, 1.0f, &other);
+        const float soc_by_voltage = magnitude(usual.soc - other.soc);
+        const float low_by_voltage_V = magnitude(usual.least_V - other.least_V);
+        const float off_soc =
+            at_least(apart_by(soc_by_soc, soc_by_capacity, soc_by_voltage), LEAST_SPAN_V);
+        float off_V = apart_by(low_by_soc_V, low_by_capacity_V, low_by_voltage_V);
+        off_V = at_least(off_V, LEAST_SPAN_V);
+        out->soc = clip(usual.soc, 0.0f, 1.0f);
+        out->soc_low = clip(usual.soc - off_soc, 0.0f, 1.0f);
+        out->soc_high = clip(usual.soc + off_soc, 0.0f, 1.0f);
+        out->least_V = usual.least_V;
+        out->least_low_V = usual.least_V - off_V;
+        out->energy_J = usual.energy_J;
+        out->failed_s = usual.failed_s;
+        const float by_soc = normal((2.0f * (usual.soc - above)) / off_soc);
+        const float by_voltage = normal((2.0f * (usual.least_V - c->remaining_low_V)) / off_V);
+        out->chance = by_soc * by_voltage;
     }
 }
 #endif

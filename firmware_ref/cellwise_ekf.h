@@ -387,6 +387,35 @@ void cellwise_remaining(const cellwise_model *m, const cellwise_state *x, float 
                         bool holds_power, cellwise_outlook *out);
 #endif
 
+/* A plan of loads: a constant array of phases, and where it ends. Never NaN, never infinite. */
+typedef struct {
+    float seconds; /* that it lasts */
+    float load; /* current [A], or power [W], positive on discharge */
+} cellwise_phase;
+
+typedef struct {
+    float soc; /* at the plan's end */
+    float soc_low; /* two deviations less */
+    float soc_high; /* two deviations more */
+    float least_V; /* lowest voltage of the way */
+    float least_low_V; /* two deviations less */
+    float energy_J; /* given */
+    float failed_s; /* when the voltage is at the cutoff, or the cell empty; 1e9: not in the plan */
+    float chance; /* to end at the SOC asked for or more, above the cutoff all the way */
+} cellwise_landing;
+
+#if CELLWISE_REMAINING
+/* Where a plan of loads ends, and the chance to end at `above` or more; nothing is changed. The
+ * phases follow each other; a load is a current [A], or with `holds_power` a power [W], of one
+ * cell, positive on discharge. Temperature stays. The bands of two deviations hold those of the
+ * SOC, of the voltage along the way and of the capacity, by their effects at two deviations; the
+ * chance is the product of those to end at `above` and to stay above the cutoff: at most as
+ * large as the two together. Zero throughout for a phase that is none and a state that is not
+ * sound. */
+void cellwise_plan(const cellwise_model *m, const cellwise_state *x, const cellwise_phase *phases,
+                   uint32_t count, bool holds_power, float above, cellwise_landing *out);
+#endif
+
 #if CELLWISE_HEALTH
 /* What a history says of the cell beside the model: its capacity, and all its resistances. Kept
  * in the state. Returns 0, or CELLWISE_OUT_OF_RANGE where nothing is taken: a share outside

@@ -15,6 +15,9 @@ int main(void)
     cellwise_state state;
     cellwise_stored stored;
     cellwise_output out;
+#if CELLWISE_REMAINING
+    cellwise_landing landing;
+#endif
     unsigned wrong = 0u;
     unsigned k;
 
@@ -31,6 +34,11 @@ int main(void)
                    (double)out.soc_variance, (unsigned long)out.status);
         }
     }
+#if CELLWISE_REMAINING /* a plan of powers, and the chance to end it above a SOC */
+    cellwise_plan(&cellwise_cell, &state, cellwise_plan_phases, CELLWISE_PLAN_PHASES, true,
+                  CELLWISE_PLAN_ABOVE, &landing);
+    wrong += memcmp(&landing, &cellwise_plan_landing, sizeof landing) != 0;
+#endif
     cellwise_keep(&stored, &state); /* before switching off; and at the next start: */
     wrong += cellwise_restore(&state, &stored) != 0u;
     puts(wrong == 0u ? "every bit as expected" : "DIFFERENT BITS");

@@ -76,7 +76,7 @@ def target_figures(say: Progress) -> list[Figure]:
 
 
 def _beside_cost(core: str, log: CellLog) -> list[Figure]:
-    """What a call of `cellwise_power` at one horizon and of `cellwise_remaining` costs."""
+    """What a call of `cellwise_power`, `cellwise_remaining` and `cellwise_plan` costs."""
     figures = []
     for name, model in (("3 states", two_branches()), ("4 states", three_branches())):
         lean = partial(fixed_step_tables, model, DT_S, points=POINTS, wide=False, watch=False)
@@ -91,6 +91,8 @@ def _beside_cost(core: str, log: CellLog) -> list[Figure]:
              "both ways, value and lower bound"),
             (f"--remaining {CUTOFF_V:g}", "cellwise_remaining",
              measured(lean(remaining_V=CUTOFF_V), of="remaining"), "a power held, with its band"),
+            (f"--remaining {CUTOFF_V:g}", "cellwise_plan",
+             measured(lean(remaining_V=CUTOFF_V), of="plan"), "four phases, powers"),
         ):  # fmt: skip
             group = f"{core}: {name}, --lean {option}"
             cost = run.cost

@@ -107,6 +107,29 @@ void eva_any_remaining(void)
     /*@ assert time_is_positive: 0.0 <= ahead.time_low_s; */
     /*@ assert energy_is_positive: 0.0 <= ahead.energy_low_J; */
 }
+
+void eva_any_plan(void)
+{
+    cellwise_state x;
+    cellwise_phase phases[2];
+    cellwise_landing end;
+    const float above = any_float;
+    const bool holds_power = (any_integer & 1u) != 0u;
+    for (unsigned k = 0u; k < 2u; k++) {
+        phases[k].seconds = any_float;
+        phases[k].load = any_float;
+    }
+    any_state(&x);
+    cellwise_plan(&cellwise_cell, &x, phases, 2u, holds_power, above, &end);
+    /*@ assert soc_is_a_share: 0.0 <= end.soc <= 1.0; */
+    /*@ assert soc_low_is_a_share: 0.0 <= end.soc_low <= 1.0; */
+    /*@ assert soc_high_is_a_share: 0.0 <= end.soc_high <= 1.0; */
+    /*@ assert least_is_finite: \is_finite(end.least_V); */
+    /*@ assert least_low_is_finite: \is_finite(end.least_low_V); */
+    /*@ assert energy_is_finite: \is_finite(end.energy_J); */
+    /*@ assert failed_is_positive: 0.0 <= end.failed_s; */
+    /*@ assert chance_is_a_share: 0.0 <= end.chance <= 1.0; */
+}
 #endif
 
 #if CELLWISE_CELLS

@@ -9,6 +9,9 @@ void cellwise_power_of(const cellwise_model *model, const cellwise_state *x,
                        cellwise_capability *out);
 void cellwise_remaining_of(const cellwise_model *model, const cellwise_state *x, float load_A,
                            bool holds_power, cellwise_outlook *out);
+void cellwise_plan_of(const cellwise_model *model, const cellwise_state *x,
+                      const cellwise_phase *phases, uint32_t count, bool holds_power, float above,
+                      cellwise_landing *out);
 uint32_t cellwise_set_health_of(const cellwise_model *model, cellwise_state *x, float share,
                            float scale);
 void cellwise_cells_begin(const cellwise_model *model, cellwise_pack_cell *cells, uint32_t count);
@@ -55,6 +58,15 @@ void cellwise_rows(const cellwise_model *model, cellwise_state *x, const cellwis
 }
 
 /* Called only where their options are compiled in. */
+#if CELLWISE_REMAINING
+void cellwise_plan_of(const cellwise_model *model, const cellwise_state *x,
+                      const cellwise_phase *phases, uint32_t count, bool holds_power, float above,
+                      cellwise_landing *out)
+{
+    cellwise_plan(model, x, phases, count, holds_power, above, out);
+}
+#endif
+
 #if CELLWISE_HEALTH
 uint32_t cellwise_set_health_of(const cellwise_model *model, cellwise_state *x, float share, float scale)
 {

@@ -3,7 +3,7 @@
  *
  * in.bin: soc, soc_variance (float), every how many samples to measure and the first of them (uint32),
  * then records of cellwise_input. With MEASURE_POWER it is cellwise_power that is measured, with
- * MEASURE_REMAINING cellwise_remaining at LOAD_A, its power held. With MEASURE_CELLS a sample is one of a pack of so many cells, whose voltages are the sample's and
+ * MEASURE_REMAINING cellwise_remaining at LOAD_A, its power held, MEASURE_PLAN cellwise_plan of four phases. With MEASURE_CELLS a sample is one of a pack of so many cells, whose voltages are the sample's and
  * OFFSET_V times -6..6 each; the cells follow the state in out.bin. */
 #include <stddef.h>
 
@@ -101,6 +101,20 @@ static __attribute__((noinline)) uint32_t measured_step(const cellwise_model *m,
     (void)in;
     (void)out;
     cellwise_remaining(m, x, LOAD_A, true, &outlook);
+    return 0u;
+}
+#define whole_step cellwise_step
+#elif defined(MEASURE_PLAN)
+static const cellwise_phase phases[4] = {{60.0f, 30.0f}, {600.0f, 12.0f}, {90.0f, 0.0f}, {60.0f, 25.0f}};
+static cellwise_landing landing;
+
+static __attribute__((noinline)) uint32_t measured_step(const cellwise_model *m, cellwise_state *x,
+                                                        const cellwise_input *in,
+                                                        cellwise_output *out)
+{
+    (void)in;
+    (void)out;
+    cellwise_plan(m, x, phases, 4u, true, 0.3f, &landing);
     return 0u;
 }
 #define whole_step cellwise_step

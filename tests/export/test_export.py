@@ -128,10 +128,13 @@ def built(folder, sources, program, *options):
 
 
 @needs_gcc
-@pytest.mark.parametrize("lean", [False, True])
-def test_the_example_compiles_and_prints_what_is_expected(tmp_path, lean):
+@pytest.mark.parametrize("case", ["plain", "lean", "remaining"])
+def test_the_example_compiles_and_prints_what_is_expected(tmp_path, case):
+    """With the remaining time its vector holds a plan of loads, too."""
     out = tmp_path / "out"
-    files = made(out, wide=not lean, watch=not lean)
+    lean = case == "lean"
+    more = {"remaining_V": 3.2} if case == "remaining" else {}
+    files = made(out, wide=not lean, watch=not lean, **more)
     assert {"README.md", "example.c", "test_vector.h", "expected_output.txt"} <= set(files)
     sources = ("example.c", "cellwise_ekf.c", "cellwise_store.c", "cell_table.c")
     done = built(out, sources, tmp_path / "example")

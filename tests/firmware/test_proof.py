@@ -133,8 +133,9 @@ def test_no_alarm_in_the_power_of_whatever_state(tmp_path):
     assert "100% of the logical properties reached have been proven" in text
 
 
-def test_no_alarm_in_the_remaining_time_of_whatever_state(tmp_path):
-    alarms, text = eva(tmp_path, "eva_any_remaining", build="remaining")
+@pytest.mark.parametrize("entry", ["eva_any_remaining", "eva_any_plan"])
+def test_no_alarm_in_what_is_ahead_of_whatever_state(tmp_path, entry):
+    alarms, text = eva(tmp_path, entry, build="remaining")
     assert alarms == []
     assert "100% of the logical properties reached have been proven" in text
 

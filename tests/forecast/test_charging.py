@@ -152,3 +152,18 @@ def test_measured_charges_that_no_model_has_seen(real_data):
             path
         )  # asked: 0.05
     assert np.mean(inside) > 0.93
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["charge2_1c_p25_start", "charge3_1c_p25_start"])
+def test_the_band_has_a_charge_that_comes_to_its_voltage_early(name, real_data):
+    """Half of it at constant voltage, where the stock model expects a fifth."""
+    model = stock_model("nca-18650")
+    log = read_log(real_data / f"panasonic_18650pf/{name}.csv.gz")
+    found = forecast_charge(model, replay(model, log), limit_V=4.2, taper_A=0.05)
+    current = log.known_current_A()
+    done = (log.voltage_V > 4.18) & (current > -0.051) & (current < 0.0)
+    truth = log.time_s[np.flatnonzero(done)[0]] - found.time_s
+    rows = truth > 60.0
+    low, high = found.full_s_band[rows].T
+    assert np.mean((low <= truth[rows]) & (truth[rows] <= high)) > 0.9

@@ -10,9 +10,11 @@ from known_flights import discharge, known_replay
 
 from cellwise.cli import main
 from cellwise.errors import InputError
+from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.forecast.plan import Plan, forecast_plan, is_plan, plan_of_log, read_plan
 from cellwise.logs import CellLog, write_log
-from example_cells import curved_cell
+from example_cells import curved_cell, lfp_cell, linear_cell
+from firmware_cases import cutoff_asked
 
 
 @pytest.fixture(scope="module")
@@ -64,6 +66,34 @@ def test_the_chance_follows_what_is_known_of_the_soc(flight):
     assert chances[2] < 0.01
     assert chances[3] == pytest.approx(0.69, abs=0.05)  # half a deviation
     assert chances[5] == pytest.approx(0.31, abs=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("make", [linear_cell, curved_cell, lfp_cell])
+@pytest.mark.parametrize("hold", ["current", "power"])
+def test_the_firmware_s_plan_ends_where_this_one_does(make, hold):
+    """Phases of minutes in parts of 30 s against steps of 10 s and less."""
+    model = make()
+    cutoff_V = cutoff_asked(model)
+    fixed = FixedStep(model, dt_s=1.0).with_remaining(cutoff_V)
+    load = 3.0 if hold == "power" else 1.0
+    phases = [(20.0, 4 * load), (600.0, load), (90.0, 0.0), (45.0, -load), (900.0, 0.7 * load)]
+    state = fixed.init(0.8, 0.02)
+    rest, truth = discharge(model, np.zeros(2), 0.8)
+    replayed = known_replay(rest, truth.soc, 0.02)
+    parts = [(seconds / n, watts) for seconds, watts in phases for n in [100] for _ in range(n)]
+    dt_s, loads = np.array(parts).T
+    plan = Plan("phases", dt_s, loads, hold == "power")
+    whole = forecast_plan(model, replayed, [plan], cutoff_V=cutoff_V)
+    for above in (whole.end_soc - 0.03, whole.end_soc, whole.end_soc + 0.03):
+        exact = forecast_plan(model, replayed, [plan], cutoff_V=cutoff_V, above=above)
+        found = fixed.plan(state, phases, hold, above)[0]
+        assert found["soc"] == pytest.approx(exact.end_soc, abs=2e-3)
+        assert found["energy_J"] / 3600.0 == pytest.approx(exact.energy_Wh, rel=5e-3)
+        assert found["least_V"] == pytest.approx(exact.least_V, abs=4e-3)
+        width = exact.end_soc_band[1] - exact.end_soc_band[0]
+        assert found["soc_high"] - found["soc_low"] == pytest.approx(width, rel=0.05)
+        assert found["chance"] == pytest.approx(exact.chance, abs=0.03)
 
 
 def test_a_load_that_no_cell_gives_reaches_the_cutoff(flight):

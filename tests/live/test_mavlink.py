@@ -83,6 +83,49 @@ def test_the_battery_states_its_cells_in_series(tmp_path):
         found(name, series=3)
 
 
+INFO_XML = """<?xml version="1.0"?><mavlink><messages><message id="372" name="BATTERY_INFO">
+<description>Static</description>{}</message></messages></mavlink>"""
+INFO_FIELDS = (
+    *(("uint8_t", n) for n in ("id", "battery_function", "type", "state_of_health")),
+    ("uint8_t", "cells_in_series"), ("uint16_t", "cycle_count"), ("uint16_t", "weight"),
+    *(("float", f"{n}_voltage") for n in ("discharge_minimum", "charging_minimum",
+                                          "resting_minimum", "charging_maximum")),
+    ("float", "charging_maximum_current"), ("float", "nominal_voltage"),
+    ("float", "discharge_maximum_current"), ("float", "discharge_maximum_burst_current"),
+    ("float", "design_capacity"), ("float", "full_charge_capacity"),
+    ("char[9]", "manufacture_date"), ("char[32]", "serial_number"), ("char[50]", "name"),
+)  # fmt: skip
+
+
+def test_a_battery_info_that_the_library_does_not_know_states_them_too(tmp_path, monkeypatch):
+    """Packed by a dialect that the library's generator makes of the message's definition."""
+    from pymavlink.generator import mavgen
+
+    fields = "".join(f'<field type="{t}" name="{n}">x</field>' for t, n in INFO_FIELDS)
+    (tmp_path / "info.xml").write_text(INFO_XML.format(fields))
+    options = mavgen.Opts(str(tmp_path / "made_dialect"), "2.0", "Python3", validate=False)
+    assert mavgen.mavgen(options, [str(tmp_path / "info.xml")])
+    monkeypatch.syspath_prepend(tmp_path)
+    import made_dialect
+
+    vehicle = made_dialect.MAVLink(None, srcSystem=SYSTEM, srcComponent=1)
+    message = made_dialect.MAVLink_battery_info_message(
+        0, 0, 1, 98, 6, 40, 0, *[0.0] * 4, 10.0, 22.2, 0.0, 0.0, 5.0, 4.9, b"", b"7", b"a pack"
+    )
+    frame = bytes(message.pack(vehicle))
+    damaged = frame[:20] + bytes([frame[20] ^ 1]) + frame[21:]
+    cells = [3900] * 6
+    name = tlog(tmp_path / "a.tlog", (1.7e9, damaged), (1.7e9 + 1, status(cells=cells)),
+                (1.7e9 + 2, frame), (1.7e9 + 3, status(cells=cells)))  # fmt: skip
+    (sample,), stray = found(name, series="auto")
+    assert sample.voltage_V == pytest.approx(3.9)
+    assert [s.reason for s in stray] == [
+        "a battery whose cells in series no BATTERY_INFO has stated yet"
+    ]
+    with pytest.raises(InputError, match=r"BATTERY_INFO .* with 6 cells in series, 4 given"):
+        found(name, series=4)
+
+
 def test_a_battery_without_a_measured_cell_is_a_sum_over_two_fields(tmp_path):
     name = tlog(tmp_path / "a.tlog", (1e9, status(cells=(65_534, 18_466))))
     (one,), _ = found(name, series=20)

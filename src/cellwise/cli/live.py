@@ -37,7 +37,7 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     live = commands.add_parser("live", help="a stream of samples to SOC, as they come")
     options.add_model(live, scalable=True)
     text = "stdin (JSON lines), json:FILE, can:INTERFACE:CHANNEL, ulog:FILE (- for stdin), "
-    text += "mavlink:LINK, mqtt://HOST/TOPIC; json:FILE@soc0=1 says how it begins"
+    text += "mavlink:LINK, mqtt://HOST/TOPIC, ble:DEVICE; json:FILE@soc0=1 says how it begins"
     live.add_argument("--source", required=True, metavar="S", help=text)
     options.flag(live, "--follow", "wait for more at a file's end")
     live.add_argument("--estimator", default="ekf", metavar="E", help="ekf or ukf [ekf]")

@@ -23,7 +23,7 @@ from cellwise.estimate.fixed.layout import CELL, INPUT, OUTPUT, state_type
 from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.export.c_tables import STRICT_FLAGS, firmware_folder, write_sources
 
-Measured = Literal["step", "power", "remaining"]
+Measured = Literal["step", "power", "remaining", "plan"]
 REPEATS = 64  # as in target_main.c
 OPTIMISE = "-Os"  # smaller than -O2, and here no slower: constants are loaded less often
 FINDINGS = struct.Struct("<8I")
@@ -198,8 +198,8 @@ def run_on_target(
     soc, soc_variance : float      where the state starts
     measure_every : int            count instructions and stack of every so many samples; 0: none
     measure_first : int            the first of them
-    of : str                       measure the ``step``, the state of ``power`` or the ``remaining``
-                                   time
+    of : str                       measure the ``step``, the state of ``power``, the ``remaining``
+                                   time or a ``plan`` of four phases
     cells : int                    measure a sample of a pack of so many cells; 0: of one
 
     Raises

@@ -13,7 +13,7 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.fixed_step import samples_of
-from cellwise.estimate.fixed.layout import hex_float, state_type
+from cellwise.estimate.fixed.layout import LANDING, PHASE, hex_float, state_type
 from cellwise.estimate.fixed.stepper import numba_stepper
 from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.export.c_tables import comment, firmware_folder, initialiser
@@ -25,6 +25,9 @@ TRUE_SOC, START_SOC, START_VARIANCE = 0.7, 0.5, 0.0225
 # Rest, discharge, rest, charge: parts of the vector, and their currents as a multiple of C.
 LOADS = ((20, 0.0), (60, 1.0), (40, 0.0), (50, -0.5), (30, 0.0))
 SHOWN_EVERY = 20
+# A plan from the vector's end on: seconds, and power as a multiple of what a C rate gives at 3.7 V.
+PLAN = ((300.0, 1.0), (60.0, 0.0), (600.0, 0.5), (120.0, -0.3))
+PLAN_ABOVE = 0.5
 
 PARKING = """\
 Keep on counting the sequence by the clock: one step with the new number takes the time off into
@@ -46,16 +49,17 @@ def example_files(
     model: CellModel, tables: FixedStepTables, description: dict[str, Any]
 ) -> Iterator[tuple[str, str]]:
     """Names and texts of README, example, test vector and what the example prints."""
-    inputs, outputs = vector(model, tables)
+    inputs, outputs, *plan = vector(model, tables)
     yield "README.md", readme(description)
     yield "example.c", (firmware_folder() / "example.c").read_text(encoding="utf-8")
-    yield "test_vector.h", vector_text(inputs, outputs)
+    yield "test_vector.h", vector_text(inputs, outputs, *plan)
     yield "expected_output.txt", expected_text(outputs)
 
 
-def vector(model: CellModel, tables: FixedStepTables) -> tuple[NDArray[Any], NDArray[Any]]:
+def vector(model: CellModel, tables: FixedStepTables) -> tuple[NDArray[Any], ...]:
     """Samples of a simulated cell, and what the filter makes of them from a wrong start.
 
+    With the remaining time in, a plan of loads and where it ends from there.
     By this machine's C where there is a compiler, else by numba: both give the same bits.
     """
     current = np.concatenate([np.full(n, rate * model.capacity_Ah) for n, rate in LOADS])
@@ -65,16 +69,21 @@ def vector(model: CellModel, tables: FixedStepTables) -> tuple[NDArray[Any], NDA
     inputs = samples_of(model, log, tables.dt_s).records
     state = np.zeros(1, dtype=state_type(tables.options))
     try:
-        library = HostLibrary(tables)
-        begin, rows = library.init, library.rows
+        stepper = HostLibrary(tables).stepper()
     except InputError:
         stepper = numba_stepper(tables)
-        begin, rows = stepper.begin, stepper.rows  # type: ignore[assignment]
-    begin(state, START_SOC, START_VARIANCE)
-    return inputs, rows(state, inputs)
+    stepper.begin(state, START_SOC, START_VARIANCE)
+    outputs = stepper.rows(state, inputs)
+    if not tables.options.remaining:
+        return inputs, outputs
+    cell_W = 3.7 * model.capacity_Ah
+    plan = np.array([(seconds, share * cell_W) for seconds, share in PLAN], dtype=PHASE)
+    landing = np.zeros(1, dtype=LANDING)
+    stepper.plan(state, plan, True, PLAN_ABOVE, landing)
+    return inputs, outputs, plan, landing
 
 
-def vector_text(inputs: NDArray[Any], outputs: NDArray[Any]) -> str:
+def vector_text(inputs: NDArray[Any], outputs: NDArray[Any], *plan: NDArray[Any]) -> str:
     """test_vector.h: every number a hex float."""
     lines = [
         "/* Written by `cellwise export`; do not edit. */",
@@ -95,10 +104,26 @@ def vector_text(inputs: NDArray[Any], outputs: NDArray[Any]) -> str:
         *(f"    {initialiser(record)}," for record in outputs),
         "};",
         "",
+        *(plan_lines(*plan) if plan else ()),
         "#endif",
         "",
     ]
     return "\n".join(lines)
+
+
+def plan_lines(plan: NDArray[Any], landing: NDArray[Any]) -> list[str]:
+    """The part of test_vector.h that is a plan."""
+    return [
+        f"#define CELLWISE_PLAN_PHASES {plan.size}u",
+        f"#define CELLWISE_PLAN_ABOVE {hex_float(PLAN_ABOVE)}",
+        "",
+        f"static const cellwise_phase cellwise_plan_phases[{plan.size}] = {{",
+        *(f"    {initialiser(record)}," for record in plan),
+        "};",
+        "",
+        f"static const cellwise_landing cellwise_plan_landing = {initialiser(landing[0])};",
+        "",
+    ]
 
 
 def expected_text(outputs: NDArray[Any]) -> str:

@@ -29,6 +29,8 @@ void cellwise_rows(const void *model, void *x, const void *in, void *out, uint32
 void cellwise_power_of(const void *model, const void *x, void *out);
 void cellwise_remaining_of(const void *model, const void *x, float load_A, bool holds_power,
                            void *out);
+void cellwise_plan_of(const void *model, const void *x, const void *phases, uint32_t count,
+                      bool holds_power, float above, void *out);
 uint32_t cellwise_set_health_of(const void *model, void *x, float share, float scale);
 void cellwise_cells_begin(const void *model, void *cells, uint32_t count);
 void cellwise_pack_rows(const void *model, void *x, void *cells, uint32_t count, void *in,
@@ -79,7 +81,9 @@ class HostLibrary:
         power = partial(self._call, "cellwise_power_of")
         remaining = partial(self._call, "cellwise_remaining_of")
         health = partial(self._call, "cellwise_set_health_of")
-        return Stepper(self.tables, self.init, self.rows, power, remaining, health, pack)
+        return Stepper(
+            self.tables, self.init, self.rows, power, remaining, self._plan, health, pack
+        )
 
     def state(self) -> NDArray[Any]:
         """An empty state."""
@@ -96,6 +100,16 @@ class HostLibrary:
         if samples.size:
             self._call("cellwise_rows", state, samples, outputs, samples.size)
         return outputs
+
+    def _plan(
+        self,
+        state: NDArray[Any],
+        phases: NDArray[Any],
+        holds_power: bool,
+        above: float,
+        out: NDArray[Any],
+    ) -> None:
+        self._call("cellwise_plan_of", state, phases, phases.size, holds_power, above, out)
 
     def _begin_cells(self, cells: NDArray[Any]) -> None:
         self._call("cellwise_cells_begin", cells, cells.size)

@@ -216,15 +216,12 @@ class Outlook:
         }
         if self.given_W is not None:
             loads["given_load_remaining"] = self.at_given(state, temperature_C)
+        loads["full"] = self.to_full(state, temperature_C)
         row: dict[str, Any] = {}
         for name, now in loads.items():
             row[f"{name}_s"] = None if now is None else now.remaining_s
             row[f"{name}_s_band"] = None if now is None else list(now.remaining_s_band)
             row[f"{name}_Wh"] = None if now is None else now.remaining_Wh
-        full = self.to_full(state, temperature_C)
-        row["full_s"] = None if full is None else full.remaining_s
-        row["full_s_band"] = None if full is None else list(full.remaining_s_band)
-        row["full_Wh"] = None if full is None else full.remaining_Wh
         return row
 
     def _forecast(

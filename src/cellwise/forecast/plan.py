@@ -21,7 +21,7 @@ from cellwise.cell.model import CAPACITY_STD, CellModel
 from cellwise.errors import InputError
 from cellwise.estimate.replay import Replay
 from cellwise.forecast.plan_kernels import through
-from cellwise.forecast.records import Away, Going
+from cellwise.forecast.records import Away, Going, Uncertain
 from cellwise.forecast.remaining import WINDOW_S, cutoff_of, state_at, uncertain_of
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
@@ -178,6 +178,7 @@ def forecast_plan(
     above: float = 0.0,
     cutoff_V: float | None = None,
     row: int | None = None,
+    capacity_std: float = CAPACITY_STD,
 ) -> Outcome:
     """Where plans end from a moment of a replay, and the chance to end above a SOC.
 
@@ -191,6 +192,7 @@ def forecast_plan(
     above : float               SOC to end at or above, 0..1
     cutoff_V : float or None    as :func:`cellwise.forecast.remaining.cutoff_of`
     row : int or None           of the log, from which the plans begin; None: its last
+    capacity_std : float        of the cell's capacity about the model's, as a share
 
     Raises
     ------
@@ -203,15 +205,16 @@ def forecast_plan(
     cutoff = cutoff_of(model, cutoff_V)
     at = len(replay.log) - 1 if row is None else row
     state, go, soc_std = state_at(model, replay, at, cutoff, WINDOW_S)
+    begins = state, soc_std, uncertain_of(model)._replace(capacity_std=capacity_std)
     draws = _draws()
-    scale = _scales(plans, draws[:, 5])
+    scale = mean_powers(plans, draws[:, 5])
     which = np.minimum((draws[:, 4] * len(plans)).astype(np.int64), len(plans) - 1)
     found = np.empty((DRAWS, 3))
     for number, plan in enumerate(plans):
         held = go._replace(hold_power=plan.is_power)
         mine = which == number
         ratio = scale[mine] / plan.mean if scale is not None else None
-        found[mine] = _responses(model, state, soc_std, plan, held, draws[mine, :4], ratio)
+        found[mine] = _responses(model, begins, plan, held, draws[mine, :4], ratio)
     failed = found[:, 1] <= cutoff
     end = np.maximum(found[:, 0], 0.0)
 
@@ -237,7 +240,7 @@ def forecast_plan(
     )
 
 
-def _scales(plans: Sequence[Plan], share: FloatArray) -> FloatArray | None:
+def mean_powers(plans: Sequence[Plan], share: FloatArray) -> FloatArray | None:
     """Mean powers as probable for one more log as the past ones say; None without several.
 
     Their logarithms are normal with a mean and a deviation that n logs show: the next one is then
@@ -255,8 +258,7 @@ def _scales(plans: Sequence[Plan], share: FloatArray) -> FloatArray | None:
 
 def _responses(
     model: CellModel,
-    state: CellState,
-    soc_std: float,
+    begins: tuple[CellState, float, Uncertain],
     plan: Plan,
     go: Going,
     draws: FloatArray,
@@ -267,11 +269,11 @@ def _responses(
     A parabola for each, through what the plan makes of two deviations either way; with ``ratio``
     times its load beside them, linear between `RATIOS`.
     """
-    tables, uncertain = model.parameters(), uncertain_of(model)
+    tables, (state, soc_std, uncertain) = model.parameters(), begins
 
     def run(deviations: FloatArray, times: float = 1.0) -> FloatArray:
         soc, voltage, warmth, capacity = deviations.tolist()
-        charge_As = tables.cell.charge_As * math.exp(CAPACITY_STD * capacity)
+        charge_As = tables.cell.charge_As * math.exp(uncertain.capacity_std * capacity)
         cell = tables._replace(cell=tables.cell._replace(charge_As=charge_As))
         away = Away(soc, voltage, warmth)
         end = through(cell, state, soc_std, (plan.dt_s, times * plan.load), go, uncertain, away)

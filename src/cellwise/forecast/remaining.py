@@ -106,25 +106,11 @@ class Flight:
 
     def at(self, k: int) -> Forecast:
         """One moment."""
-
-        def band(values: FloatArray) -> tuple[float, float]:
-            return float(values[k, 0]), float(values[k, 1])
-
-        return Forecast(
-            time_s=float(self.time_s[k]),
-            soc=float(self.soc[k]),
-            soc_std=float(self.soc_std[k]),
-            load_A=float(self.load_A[k]),
-            load_W=float(self.load_W[k]),
-            remaining_s=float(self.remaining_s[k]),
-            remaining_s_band=band(self.remaining_s_band),
-            remaining_Wh=float(self.remaining_Wh[k]),
-            remaining_Wh_band=band(self.remaining_Wh_band),
-            end_voltage_V=float(self.end_voltage_V[k]),
-            end_voltage_V_band=band(self.end_voltage_V_band),
-            end_soc=float(self.end_soc[k]),
-            by="voltage" if self.by_voltage[k] else "charge",
-        )
+        found: dict[str, Any] = {}
+        for name in Forecast._fields[:-1]:
+            value = getattr(self, name)[k].tolist()
+            found[name] = tuple(value) if isinstance(value, list) else value
+        return Forecast(**found, by="voltage" if self.by_voltage[k] else "charge")
 
     @property
     def notices(self) -> tuple[str, ...]:

@@ -249,6 +249,12 @@ def with_ends(
         usual.time_s, (low.time_s, high.time_s), (lower.time_s, higher.time_s),
         (cold.time_s, warm.time_s), uncertain.capacity_std,
     )  # fmt: skip
+    if go.load_A < 0.0:
+        # A voltage that is higher ends the constant current earlier and the constant voltage later:
+        # the longest charge lies between the ends.
+        for part in (0.5, 1.0, 1.5):
+            between = from_soc(tables, state, soc_std, go, uncertain, Away(0.0, part, 0.0))
+            time_s = (min(time_s[0], between.time_s), max(time_s[1], between.time_s))
     if usual.tail_s > 0.0:
         less, more = usual.tail_s * (1.0 - 1.0 / TAIL_FACTOR), usual.tail_s * (TAIL_FACTOR - 1.0)
         low_s = usual.time_s - math.sqrt((usual.time_s - time_s[0]) ** 2 + less * less)

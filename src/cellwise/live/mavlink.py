@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+import struct
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -22,6 +23,9 @@ from cellwise.logs.files.source import ReadOptions
 
 POLL_S = 0.2
 INFO = ("BATTERY_INFO", "SMART_BATTERY_INFO")  # the first one has replaced the second
+# BATTERY_INFO where the library's dialects do not have it: its number, the protocol's checksum of
+# its fields, and the fields that come first on the wire.
+UNKNOWN_INFO, INFO_EXTRA, INFO_FIELDS = "UNKNOWN_372", 26, struct.Struct("<40x4x5B")
 # Codes of "unknown", by the messages' definitions.
 NO_VOLTAGE_MV, NO_CURRENT_CA, NO_TEMPERATURE_CDEG = 65_535, -1, 32_767
 MOST_VOLTAGES = 14  # of cells in one message
@@ -64,6 +68,18 @@ def connect(place: str, source_system: int = 1) -> Any:
             "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, SERIAL,BAUD or a tlog",
             "Check the port, and that no other program listens there.",
         ) from error
+
+
+def battery_info(frame: bytes) -> tuple[int, int] | None:
+    """Battery and cells in series of a BATTERY_INFO frame of version 2; None for a damaged one."""
+    ends = 10 + frame[1]
+    check = need("pymavlink.generator.mavcrc", "MAVLink", extra="live").x25crc(frame[1:ends])
+    check.accumulate(bytes([INFO_EXTRA]))
+    if check.crc != int.from_bytes(frame[ends : ends + 2], "little"):
+        return None
+    # Zeros at the end of what is said are left out of it.
+    fields = INFO_FIELDS.unpack_from(frame[10:ends].ljust(INFO_FIELDS.size, b"\0"))
+    return int(fields[0]), int(fields[-1])
 
 
 class MavlinkStream:
@@ -121,13 +137,14 @@ class MavlinkStream:
         if (message.get_srcSystem(), message.get_srcComponent()) == own:
             return None  # what this program has sent
         if kind in INFO:
-            self._take_info(message)
+            self._take_info(message.id, message.cells_in_series, kind)
+        elif kind == UNKNOWN_INFO and (known := battery_info(message.get_msgbuf())):
+            self._take_info(*known, INFO[0])
         return self._battery(message) if kind == "BATTERY_STATUS" else None
 
-    def _take_info(self, message: Any) -> None:
+    def _take_info(self, battery: int, count: int, kind: str) -> None:
         """The cells in series, from the battery itself."""
-        count = int(message.cells_in_series)
-        if count < 1 or self.battery not in (None, message.id):
+        if count < 1 or self.battery not in (None, battery):
             return
         series = self._options.series
         if series == "auto":
@@ -135,7 +152,7 @@ class MavlinkStream:
             self._scale = CellScale(self._options, self._sign)
         elif series != count:
             raise InputError(
-                f"{message.get_type()} of {self.name} with {count} cells in series, {series} given",
+                f"{kind} of {self.name} with {count} cells in series, {series} given",
                 "the same number",
                 f"Give `series={count}`, or `auto`.",
             )

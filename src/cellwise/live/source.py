@@ -12,7 +12,8 @@ from cellwise.live.samples import ObjectReader, Sample, Source, Stray
 from cellwise.logs.files.source import NOTHING_SAID, ReadOptions
 
 LONGEST_LINE = 65_536  # bytes; what goes on for longer is no line
-WAYS = "stdin, json:FILE, can:INTERFACE:CHANNEL, ulog:FILE (- for standard input), mavlink:LINK"
+WAYS = "stdin, json:FILE, can:INTERFACE:CHANNEL, ulog:FILE (- for standard input), mavlink:LINK, "
+WAYS += "mqtt://HOST/TOPIC, ble:DEVICE"
 
 
 def open_source(
@@ -28,8 +29,8 @@ def open_source(
     Parameters
     ----------
     name : str              ``stdin``, ``json:FILE``, ``can:INTERFACE:CHANNEL``, ``ulog:FILE``,
-                            ``mavlink:LINK``, ``mqtt://HOST/TOPIC``; a FILE of ``-`` is
-                            standard input
+                            ``mavlink:LINK``, ``mqtt://HOST/TOPIC``, ``ble:DEVICE``; a FILE
+                            of ``-`` is standard input
     options : ReadOptions   pack, channels, instance, database
     sign : str              ``charge-positive`` turns the current round
     follow : bool           wait for more at a file's end
@@ -68,6 +69,10 @@ def open_source(
         from cellwise.live.mqtt import MqttStream
 
         return MqttStream(name, options, sign, cells)
+    if kind == "ble" and rest:
+        from cellwise.live.ble import BleStream
+
+        return BleStream(rest, options, sign, cells)
     raise InputError(f"a source '{name}'", f"one of {WAYS}", "Name where the samples come from.")
 
 

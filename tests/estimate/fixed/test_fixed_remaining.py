@@ -11,7 +11,7 @@ import pytest
 from cellwise.cell.equations import CellState
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.fixed_step import FixedStep
-from cellwise.estimate.fixed.layout import OUTLOOK
+from cellwise.estimate.fixed.layout import LANDING, OUTLOOK, PHASE
 from cellwise.estimate.fixed.stepper import numba_stepper
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.forecast.remaining import uncertain_of
@@ -66,9 +66,17 @@ def test_the_same_bits_in_c_and_never_nan(case):
         for one, out in ((stepper, ours), (library.stepper(), theirs)):
             one.remaining(state, load_A, holds_power, out)
         assert ours.tobytes() == theirs.tobytes()
+        phases = np.zeros(int(rng.integers(0, 6)), PHASE)
+        phases["seconds"] = rng.exponential(300.0, phases.size)
+        phases["load"] = load_A * rng.normal(1.0, 1.0, phases.size)
+        for one, out in ((stepper, our_end), (library.stepper(), their_end)):
+            one.plan(state, phases, holds_power, 0.4, out)
+        assert our_end.tobytes() == their_end.tobytes()
+        ends.append(our_end[0].item())
         return np.array(ours[0].item())
 
-    seen = []
+    our_end, their_end = np.zeros(1, LANDING), np.zeros(1, LANDING)
+    seen, ends = [], []
     for k, part in enumerate(np.array_split(stress_samples(4000), 400)):
         stepper.rows(state, part)
         kept = state.tobytes()
@@ -82,11 +90,26 @@ def test_the_same_bits_in_c_and_never_nan(case):
         state.view(np.uint8)[:] = rng.integers(0, 256, state.nbytes)
         assert np.all(both(3.0, False) == 0.0)
     state[:] = sound
+    ends = np.array(ends)
+    assert np.all(np.isfinite(ends))
+    assert np.all((ends[:, 1] <= ends[:, 0]) & (ends[:, 0] <= ends[:, 2]))
+    assert np.all((ends[:, 7] >= 0.0) & (ends[:, 7] <= 1.0))
+    assert np.ptp(ends[:, 7]) > 0.9
     values = np.array(seen)
     assert np.all(np.isfinite(values))
     assert np.all(values >= 0.0)
     assert np.all((values[:, 1] <= values[:, 0]) & (values[:, 0] <= values[:, 2]))
     assert np.ptp(values[:, 0]) > 0.0
+
+
+def test_a_plan_that_no_cell_gives_fails_when_its_load_comes():
+    fixed = FixedStep(curved_cell(), dt_s=1.0).with_remaining(cutoff_asked(curved_cell()))
+    found = fixed.plan(fixed.init(0.5, 0.01), [(60.0, 1.0), (60.0, 500.0)])[0]
+    assert 60.0 < found["failed_s"] < 120.0
+    assert found["chance"] < 1e-3
+    for phase in ((-1.0, 2.0), (math.nan, 2.0), (10.0, math.inf)):
+        refused = fixed.plan(fixed.init(0.5, 0.01), [phase])[0].item()
+        assert refused == (0.0,) * len(refused)
 
 
 @pytest.mark.slow

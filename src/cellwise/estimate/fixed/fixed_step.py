@@ -7,7 +7,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.simulate import known_temperature_C, model_temperature_C
@@ -15,7 +15,7 @@ from cellwise.errors import InputError
 from cellwise.estimate.cells.settings import CellSettings
 from cellwise.estimate.filters.filter_state import EkfInfo
 from cellwise.estimate.filters.kalman import one_reading
-from cellwise.estimate.fixed.layout import CAPABILITY, INPUT, OUTLOOK
+from cellwise.estimate.fixed.layout import CAPABILITY, INPUT, LANDING, OUTLOOK, PHASE
 from cellwise.estimate.fixed.stepper import (
     Stepper,
     check_record,
@@ -180,10 +180,36 @@ class FixedStep:
         """
         stepper = self._need_stepper()
         stepper.need("remaining")
-        if hold not in ("current", "power"):
-            raise InputError(f"hold '{hold}'", "'current' or 'power'", "Choose one.")
+        _check_hold(hold)
         out = np.zeros(1, dtype=OUTLOOK)
         stepper.remaining(state, one_reading("load_A", load_A, "ampere"), hold == "power", out)
+        return out
+
+    def plan(
+        self,
+        state: NDArray[Any],
+        phases: ArrayLike,
+        hold: Literal["current", "power"] = "power",
+        above: float = 0.0,
+    ) -> NDArray[Any]:
+        """Where a plan of loads ends: one record of ``layout.LANDING``.
+
+        Parameters
+        ----------
+        phases : array (n, 2)    seconds, and power [W] or current [A] of one cell
+        hold : str               which of the two
+        above : float            SOC to end at or above, 0..1; outside 0 throughout
+
+        Raises
+        ------
+        InputError        no time step; made without remaining time; an unknown ``hold``
+        """
+        stepper = self._need_stepper()
+        stepper.need("remaining")
+        _check_hold(hold)
+        pairs = np.ascontiguousarray(phases, dtype=np.float32).reshape(-1, 2)
+        out = np.zeros(1, dtype=LANDING)
+        stepper.plan(state, pairs.view(PHASE)[:, 0], hold == "power", above, out)
         return out
 
     def set_health(
@@ -273,6 +299,11 @@ class Samples(NamedTuple):
 
     records: NDArray[Any]
     row_sample: IntArray
+
+
+def _check_hold(hold: str) -> None:
+    if hold not in ("current", "power"):
+        raise InputError(f"hold '{hold}'", "'current' or 'power'", "Choose one.")
 
 
 def median_interval_s(log: CellLog) -> float:

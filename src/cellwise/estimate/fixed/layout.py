@@ -226,6 +226,22 @@ OUTLOOK_FIELDS = (
     Field("energy_high_J"),
 )
 
+PHASE_FIELDS = (
+    Field("seconds", "that it lasts"),
+    Field("load", "current [A], or power [W], positive on discharge"),
+)
+
+LANDING_FIELDS = (
+    Field("soc", "at the plan's end"),
+    Field("soc_low", "two deviations less"),
+    Field("soc_high", "two deviations more"),
+    Field("least_V", "lowest voltage of the way"),
+    Field("least_low_V", "two deviations less"),
+    Field("energy_J", "given"),
+    Field("failed_s", "when the voltage is at the cutoff, or the cell empty; 1e9: not in the plan"),
+    Field("chance", "to end at the SOC asked for or more, above the cutoff all the way"),
+)
+
 CELL_FIELDS = (
     Field("soc", "more than the mean cell's, where that is 50 %"),
     Field("capacity", "more than the mean cell's, relative"),
@@ -276,6 +292,8 @@ INPUT = _record_type(INPUT_FIELDS, Options(points=3))
 OUTPUT = _record_type(OUTPUT_FIELDS, Options(points=3))
 CAPABILITY = _record_type(CAPABILITY_FIELDS, Options(points=3))
 OUTLOOK = _record_type(OUTLOOK_FIELDS, Options(points=3))
+PHASE = _record_type(PHASE_FIELDS, Options(points=3))
+LANDING = _record_type(LANDING_FIELDS, Options(points=3))
 CELL = _record_type(CELL_FIELDS, Options(points=3))
 CELL_OUTPUT = _record_type(CELL_OUTPUT_FIELDS, Options(points=3))
 

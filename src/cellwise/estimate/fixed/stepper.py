@@ -48,7 +48,8 @@ from cellwise.estimate.fixed.state import set_health
 from cellwise.estimate.fixed.step import init, step
 from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.estimate.noise import Noise
-from cellwise.estimate.power import fixed_power, fixed_remaining
+from cellwise.estimate.power import fixed_plan, fixed_power, fixed_remaining
+from cellwise.estimate.power.fixed_plan import plan
 from cellwise.estimate.power.fixed_power import power
 from cellwise.estimate.power.fixed_remaining import remaining
 from cellwise.estimate.status import VOLTAGE_INVALID
@@ -81,6 +82,7 @@ STEP_MODULES = (
     whole_step,
     fixed_power,
     fixed_remaining,
+    fixed_plan,
     fixed_cells,
 )
 
@@ -115,6 +117,21 @@ def outlook(
 ) -> None:
     """Time and energy to empty of the one record of ``state`` into the one record of ``out``."""
     remaining(Model(constants[0], table), state[0], F(load_A), holds_power, out[0])
+
+
+def landing(
+    constants: Any,
+    table: Any,
+    state: Any,
+    phases: Any,
+    holds_power: bool,
+    above: float,
+    out: Any,
+) -> None:
+    """Where a plan, records of PHASE, takes the one record of ``state``; into that of ``out``."""
+    plan(
+        Model(constants[0], table), state[0], phases, U(phases.size), holds_power, F(above), out[0]
+    )
 
 
 def history(constants: Any, table: Any, state: Any, share: float, scale: float) -> Any:
@@ -158,7 +175,7 @@ def specialised(options: Options) -> dict[str, Any]:
     columns |= {name.upper(): U(k) for k, name in enumerate(row_names(options))}
     made: dict[str, Any] = {}
     absent = set() if options.power or options.remaining or options.cells else {fixed_power}
-    absent |= set() if options.remaining else {fixed_remaining}
+    absent |= set() if options.remaining else {fixed_remaining, fixed_plan}
     absent |= set() if options.cells else {fixed_cells}
     modules = [module for module in STEP_MODULES if module not in absent]
     for f in [f for module in modules for f in functions_of(module)]:
@@ -190,6 +207,7 @@ class Stepper(NamedTuple):
     rows: Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]]
     power: Callable[[NDArray[Any], NDArray[Any]], object]
     remaining: Callable[[NDArray[Any], float, bool, NDArray[Any]], object]
+    plan: Callable[[NDArray[Any], NDArray[Any], bool, float, NDArray[Any]], object]
     set_health: Callable[[NDArray[Any], float, float], int]
     pack: PackCalls
 
@@ -250,6 +268,7 @@ def numba_stepper(tables: FixedStepTables) -> Stepper:
         whole,
         partial(call, ability),
         partial(call, outlook),
+        partial(call, landing),
         partial(call, history),
         PackCalls(partial(call, begin_cells), whole_pack, now, partial(call, pack_ability)),
     )

@@ -68,30 +68,26 @@ def behind(at: Place, lag: Float) -> Place:
     return Place(at.low, at.weight, at.scale, lag)
 
 
+def as_it_is(x: State) -> Along:
+    """The cell's state, under no load yet."""
+    v3_V = x.v3_V if SLOW else ZERO
+    h = x.h if HYSTERESIS else ZERO
+    slow_A = x.slow_A if SURFACE else ZERO
+    return Along(x.v1_V, x.v2_V, v3_V, h, slow_A, ZERO, ZERO)
+
+
 @noinline
 def go_on(
-    m: Model,
-    place: Place,
-    x: State,
-    v1: Float,
-    v2: Float,
-    v3: Float,
-    h: Float,
-    slow: Float,
-    soc: Float,
-    current: Float,
-    steps: Float,
+    m: Model, place: Place, x: State, was: Along, soc: Float, current: Float, steps: Float
 ) -> Along:
     """So many time steps of a constant current later, at a SOC.
 
     The exponent of a branch comes from its gain g over one time step, as g / (1 - g / 2).
     """
     c = m.constant
-    v1_V = v1
-    v2_V = v2
-    v3_V = v3
-    hysteresis = h
-    slow_A = slow
+    v3_V = was.v3_V if SLOW else ZERO
+    h = was.h if HYSTERESIS else ZERO
+    slow_A = was.slow_A if SURFACE else ZERO
     lag = ZERO
     if SURFACE:
         slow_A = passed(slow_A, current, risen(steps * c.surface_rate))
@@ -102,8 +98,8 @@ def go_on(
     drop = p.r0_ohm * current
     rise1 = risen(steps * (p.gain1 / (ONE - (HALF * p.gain1))))
     rise2 = risen(steps * (p.gain2 / (ONE - (HALF * p.gain2))))
-    v1_V = passed(v1_V, p.r1_ohm * current, rise1)
-    v2_V = passed(v2_V, p.r2_ohm * current, rise2)
+    v1_V = passed(was.v1_V, p.r1_ohm * current, rise1)
+    v2_V = passed(was.v2_V, p.r2_ohm * current, rise2)
     held_V = (magnitude(drop) + magnitude(v1_V)) + magnitude(v2_V)
     voltage_V = p.ocv_V - (drop + (v1_V + v2_V))
     if SLOW:
@@ -112,9 +108,11 @@ def go_on(
         held_V = held_V + magnitude(v3_V)
         voltage_V = voltage_V - v3_V
     if HYSTERESIS:
-        hysteresis = passed(hysteresis, -ONE, risen((c.hysteresis_per_A * current) * steps))
-        voltage_V = voltage_V + (p.m_V * hysteresis)
-    variance_V2 = p.noise_V2 + (c.share_variance * (held_V * held_V))
+        end = ONE if current < ZERO else -ONE
+        h = passed(h, end, risen((c.hysteresis_per_A * magnitude(current)) * steps))
+        voltage_V = voltage_V + (p.m_V * h)
+    share = c.share_variance if current >= ZERO else c.charge_variance
+    variance_V2 = p.noise_V2 + (share * (held_V * held_V))
     if VALIDITY:
         beyond_V = extrapolated(c, x, current, held_V)
         variance_V2 = variance_V2 + (beyond_V * beyond_V)
@@ -122,7 +120,7 @@ def go_on(
         variance_V2 = variance_V2 * x.mismatch
     off_V = TWO * root(variance_V2 if variance_V2 < FOUR else FOUR)
     voltage_V = clip(voltage_V, -LARGE, LARGE)
-    return Along(v1_V, v2_V, v3_V, hysteresis, slow_A, voltage_V, off_V)
+    return Along(v1_V, v2_V, v3_V, h, slow_A, voltage_V, off_V)
 
 
 @noinline
@@ -165,22 +163,10 @@ def remaining(m: Model, x: State, load_A: Float, holds_power: Flag, out: Outlook
     if is_sound(c, x) and size_within(load_A, c.current_limit_A):
         place = place_now(m, x)
         current = at_least(load_A, c.remaining_least_A)
-        v1 = x.v1_V
-        v2 = x.v2_V
-        v3 = ZERO
-        h = ZERO
-        slow = ZERO
-        if SLOW:
-            v3 = x.v3_V
-        if HYSTERESIS:
-            h = x.h
-        if SURFACE:
-            slow = x.slow_A
         low_V = c.remaining_low_V
-        now = go_on(m, place, x, v1, v2, v3, h, slow, x.soc, current, ZERO)
-        now_V = now.voltage_V
-        off_V = now.off_V
-        power_W = current * at_least(now_V, low_V)
+        then = as_it_is(x)
+        now = go_on(m, place, x, then, x.soc, current, ZERO)
+        power_W = current * at_least(now.voltage_V, low_V)
         per_A = c.soc_per_A
         if HEALTH:
             per_A = per_A * x.per_capacity
@@ -189,46 +175,37 @@ def remaining(m: Model, x: State, load_A: Float, holds_power: Flag, out: Outlook
         usual_J = ZERO
         worse_s = ZERO
         better_s = ZERO
-        usual_ends = now_V <= low_V
-        worse_ends = (now_V - off_V) <= low_V
-        better_ends = (now_V + off_V) <= low_V
+        usual_ends = now.voltage_V <= low_V
+        worse_ends = (now.voltage_V - now.off_V) <= low_V
+        better_ends = (now.voltage_V + now.off_V) <= low_V
         ahead = REMAINING_PARTS
         while ahead > ZERO:
             ahead = ahead - ONE
             if holds_power:
-                asked_A = power_W / at_least(now_V, low_V)
+                asked_A = power_W / at_least(now.voltage_V, low_V)
                 current = clip(asked_A, c.remaining_least_A, c.current_limit_A)
             steps = part / (per_A * current)
-            then = go_on(m, place, x, v1, v2, v3, h, slow, part * ahead, current, steps)
+            then = go_on(m, place, x, now, part * ahead, current, steps)
             part_s = steps * c.step_s
             if not usual_ends:
-                share = share_of(now_V, then.voltage_V, low_V)
-                middle_V = at_least(HALF * (now_V + then.voltage_V), low_V)
+                share = share_of(now.voltage_V, then.voltage_V, low_V)
+                middle_V = at_least(HALF * (now.voltage_V + then.voltage_V), low_V)
                 usual_s = clip(usual_s + (share * part_s), ZERO, LONGEST)
                 part_J = (current * middle_V) * part_s
                 usual_J = clip(usual_J + (share * part_J), ZERO, LONGEST)
                 usual_ends = then.voltage_V <= low_V
             if not worse_ends:
                 after_V = then.voltage_V - then.off_V
-                share = share_of(now_V - off_V, after_V, low_V)
+                share = share_of(now.voltage_V - now.off_V, after_V, low_V)
                 worse_s = clip(worse_s + (share * part_s), ZERO, LONGEST)
                 worse_ends = after_V <= low_V
             if not better_ends:
                 after_V = then.voltage_V + then.off_V
-                share = share_of(now_V + off_V, after_V, low_V)
+                share = share_of(now.voltage_V + now.off_V, after_V, low_V)
                 better_s = clip(better_s + (share * part_s), ZERO, LONGEST)
                 better_ends = after_V <= low_V
-            v1 = then.v1_V
-            v2 = then.v2_V
-            if SLOW:
-                v3 = then.v3_V
-            if HYSTERESIS:
-                h = then.h
-            if SURFACE:
-                slow = then.slow_A
-            now_V = then.voltage_V
-            off_V = then.off_V
-        load_W = current * at_least(now_V, low_V)
+            now = then
+        load_W = current * at_least(now.voltage_V, low_V)
         by_soc_s = ((TWO * root(x.ss)) / (per_A * current)) * c.step_s
         by_capacity_s = c.remaining_share * usual_s
         below_s = apart_by(by_soc_s, by_capacity_s, at_least(usual_s - worse_s, ZERO))

@@ -33,6 +33,7 @@ PUBLIC = {
     "step": "cellwise_step",
     "power": "cellwise_power",
     "remaining": "cellwise_remaining",
+    "plan": "cellwise_plan",
     "set_health": "cellwise_set_health",
     "start_cells": "cellwise_cells_init",
     "mean_voltage": "cellwise_mean_voltage",
@@ -43,7 +44,7 @@ PUBLIC = {
 # What of these is there only with options.
 GUARDS: dict[str, Guard] = {
     "power": frozenset({"POWER"}),
-    "remaining": frozenset({"REMAINING"}),
+    **dict.fromkeys(("remaining", "plan"), frozenset({"REMAINING"})),
     "set_health": frozenset({"HEALTH"}),
     **dict.fromkeys(("start_cells", "mean_voltage", "step_cells", "cell_of"), frozenset({"CELLS"})),
     "pack_power": frozenset({"CELLS", "POWER"}),
@@ -52,7 +53,8 @@ NUMERALS = {"ZERO", "QUARTER", "HALF", "ONE", "TWO", "THREE", "FOUR", "SIXTY_FOU
 RECORDS = {
     "Constants": layout.CONSTANTS, "State": layout.STATE, "Sample": layout.INPUT_FIELDS,
     "Output": layout.OUTPUT_FIELDS, "Capability": layout.CAPABILITY_FIELDS,
-    "Outlook": layout.OUTLOOK_FIELDS,
+    "Outlook": layout.OUTLOOK_FIELDS, "Phase": layout.PHASE_FIELDS,
+    "Landing": layout.LANDING_FIELDS,
     "Cell": layout.CELL_FIELDS, "CellOutput": layout.CELL_OUTPUT_FIELDS,
 }  # fmt: skip
 
@@ -260,6 +262,8 @@ def print_header() -> str:
         "output": record("cellwise_output", layout.OUTPUT_FIELDS),
         "capability": record("cellwise_capability", layout.CAPABILITY_FIELDS),
         "outlook": record("cellwise_outlook", layout.OUTLOOK_FIELDS),
+        "phase": record("cellwise_phase", layout.PHASE_FIELDS),
+        "landing": record("cellwise_landing", layout.LANDING_FIELDS),
         "cell": record("cellwise_pack_cell", layout.CELL_FIELDS),
         "cell_output": record("cellwise_cell_output", layout.CELL_OUTPUT_FIELDS),
     }

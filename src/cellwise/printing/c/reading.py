@@ -20,10 +20,12 @@ RECORDS = {
     "Model": "const cellwise_model", "Constants": "const cellwise_constants",
     "State": "cellwise_state", "Sample": "const cellwise_input", "Output": "cellwise_output",
     "Capability": "cellwise_capability", "Outlook": "cellwise_outlook",
+    "Landing": "cellwise_landing", "Phase": "const cellwise_phase",
     "Cell": "cellwise_pack_cell",
     "Cells": "cellwise_pack_cell", "CellOutput": "cellwise_cell_output", "Floats": "const float",
+    "Phases": "const cellwise_phase",
 }  # fmt: skip
-ELEMENTS = {"Cells": "Cell", "Floats": "Float"}  # of what is an array
+ELEMENTS = {"Cells": "Cell", "Floats": "Float", "Phases": "Phase"}  # of what is an array
 KEPT = ("State", "Cell")  # from step to step: const where nothing is changed
 # Done on bits in cellwise_float.h: macros, and functions.
 MACROS = {
