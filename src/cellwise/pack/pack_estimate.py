@@ -96,14 +96,12 @@ class PackEstimate:
     @property
     def far_off(self) -> str | None:
         """What is said first where most of the rows are of logs that are far off the model."""
-        rows, said = 0, []
-        for day in self.days:
-            mean = day.mean
-            error = mean.log.voltage_V - mean.voltage_V
-            text = far_off_text(self.model, mean.log, error, mean.soc)
-            if text is not None:
-                rows, said = rows + len(mean.log), [*said, text]
-        return said[0] if 2 * rows > sum(len(day.log) for day in self.days) else None
+        means = [day.mean for day in self.days]
+        each = ((m, m.log.voltage_V - m.voltage_V) for m in means)
+        texts = [far_off_text(self.model, m.log, error, m.soc) for m, error in each]
+        rows = sum(len(m.log) for m, text in zip(means, texts, strict=True) if text)
+        off = 2 * rows > sum(len(m.log) for m in means)
+        return next((text for text in texts if text), None) if off else None
 
     def without_health(self) -> PackEstimate:
         """The same where it is far off, without what would be made of it: SOC is left."""
