@@ -125,7 +125,7 @@ def test_a_pack_and_a_flight_are_known(tmp_path, run_json):
     assert any("--nominal-ah X" in c for c in run_json("start", str(folder))["commands"])
 
 
-def test_it_runs_its_commands_and_ends_on_a_page(tmp_path, run_json, capfd, monkeypatch):
+def test_it_runs_its_commands_and_ends_on_a_page(tmp_path, capfd, monkeypatch):
     folder = laid_out(tmp_path / "drives", {"drive.parquet": "drive_c"})
     out = tmp_path / "out"
     given = ("--run", "--nominal-ah", "5", "--prior", "nmc-18650", "-o", str(out))
@@ -137,7 +137,8 @@ def test_it_runs_its_commands_and_ends_on_a_page(tmp_path, run_json, capfd, monk
     assert page.is_file()
     assert json.loads((out / "model.json").read_text())["schema_version"]
     monkeypatch.setattr(command, "_run", lambda *_, **__: None)
-    assert run_json("start", str(folder), *given)["pages"] == [str(page)]
+    assert main(["start", str(folder), *given, "--json"]) == 0
+    assert json.loads(capfd.readouterr().out)["pages"] == [str(page)]
 
 
 def test_a_folder_without_a_battery_log_is_refused(tmp_path, refused):
